@@ -1,0 +1,123 @@
+"""Pinhole cameras with OpenCV's lens distortion, and the stereo rig made of two of them.
+
+Axes as in OpenCV: x right, y down, z forward; the centre of the top-left pixel is (0, 0). The world frame of a rig is
+its left camera, and ``X_right = R X_left + t``. Above this room everything is in *ideal* pixels: images and clicked
+points are undistorted once, with the intrinsics K kept.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+_TO_CONVERGENCE = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-10)  # the default stops 0.2 px short
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A pinhole camera.
+
+    ``image_size`` is (width, height) in pixels, ``K`` the (3, 3) intrinsics in pixels, ``distortion`` OpenCV's
+    coefficients k1, k2, p1, p2[, k3[, k4, k5, k6[, …]]] (empty for none).
+    """
+
+    image_size: tuple[int, int]
+    K: Array
+    distortion: Array = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def has_distortion(self) -> bool:
+        return bool(np.any(self.distortion))
+
+    @cached_property
+    def K_inv(self) -> Array:
+        return np.asarray(np.linalg.inv(self.K), float)
+
+    def project(self, points: Array) -> Array:
+        """Ideal pixels (…, 2) of ``points`` (…, 3), given in this camera's frame in metres ([Zhu] (4))."""
+        p = np.asarray(points, float) @ self.K.T
+        return p[..., :2] / p[..., 2:3]
+
+    def rays(self, pixels: Array) -> Array:
+        """Directions (…, 3) with z = 1 through ideal ``pixels`` (…, 2)."""
+        p = np.asarray(pixels, float)
+        return np.concatenate([p, np.ones(p.shape[:-1] + (1,))], axis=-1) @ self.K_inv.T
+
+    def undistort_points(self, pixels: Array) -> Array:
+        """Ideal pixels (…, 2) of ``pixels`` (…, 2) clicked in the distorted image."""
+        p = np.asarray(pixels, float)
+        if not self.has_distortion:
+            return p
+        ideal = cv2.undistortPoints(
+            p.reshape(-1, 1, 2), self.K, self.distortion, P=self.K, criteria=_TO_CONVERGENCE
+        )
+        return np.asarray(ideal, float).reshape(p.shape)
+
+    @cached_property
+    def _undistortion_maps(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        a, b = cv2.initUndistortRectifyMap(
+            self.K, self.distortion, np.eye(3), self.K, self.image_size, cv2.CV_32FC1
+        )
+        return np.asarray(a, np.float32), np.asarray(b, np.float32)
+
+    def undistort_image(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The ideal image (H, W) of a distorted one; the same array where there is no distortion."""
+        if not self.has_distortion:
+            return image
+        a, b = self._undistortion_maps
+        return np.asarray(cv2.remap(image, a, b, cv2.INTER_CUBIC), np.float32)
+
+
+@dataclass(frozen=True)
+class RigUncertainty:
+    """Standard uncertainties of a calibration (one sigma), as stated under ``uncertainty`` in rig.yaml.
+
+    ``focal_length_px`` and ``principal_point_px`` hold for each axis of each camera independently;
+    ``rotation_rad`` and ``translation_m`` are about and along the right camera's x, y, z.
+    """
+
+    focal_length_px: float = 0.0
+    principal_point_px: float = 0.0
+    rotation_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    translation_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class StereoRig:
+    """Two cameras, rotation ``R`` (3, 3) and translation ``t`` (3,) in metres: ``X_right = R X_left + t``."""
+
+    left: Camera
+    right: Camera
+    R: Array
+    t: Array
+    uncertainty: RigUncertainty | None = None
+
+    @property
+    def cameras(self) -> tuple[Camera, Camera]:
+        return self.left, self.right
+
+    @property
+    def baseline(self) -> float:
+        """Distance between the two centres of projection, metres."""
+        return float(np.linalg.norm(self.t))
+
+    def to_right(self, points: Array) -> Array:
+        """World points (…, 3) in the right camera's frame ([Zhu] (7))."""
+        return np.asarray(points, float) @ self.R.T + self.t
+
+    def project(self, points: Array) -> tuple[Array, Array]:
+        """Ideal pixels (…, 2) of world ``points`` (…, 3) in the left and the right view ([Zhu] (4))."""
+        return self.left.project(points), self.right.project(self.to_right(points))
+
+    @cached_property
+    def fundamental(self) -> Array:
+        """F (3, 3) with ``x_rightᵀ F x_left = 0``."""
+        tx = np.array([[0, -self.t[2], self.t[1]], [self.t[2], 0, -self.t[0]], [-self.t[1], self.t[0], 0]])
+        return np.asarray(self.right.K_inv.T @ tx @ self.R @ self.left.K_inv)

@@ -1,0 +1,159 @@
+"""rig.yaml and clip.yaml, read and checked.
+
+What is handed on is plain: a :class:`~paceline.cameras.StereoRig`, and a :class:`Clip` whose pixels are ideal ones
+(undistorted).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from paceline import plausibility
+from paceline.cameras import Camera, RigUncertainty, StereoRig
+from paceline.errors import UnusableInput
+from paceline.schemas import (
+    CameraModel,
+    ClipModel,
+    PathModel,
+    RigModel,
+    UncertaintyModel,
+    VehicleModel,
+    nearest_of,
+    read_document,
+)
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class PathDocument:
+    """A drawn path: ``left`` (N, 2) and ``right`` (M, 2) ideal pixels, or ``points`` (K, 3) in metres."""
+
+    name: str
+    shape: Literal["line", "curve"]
+    left: Array | None
+    right: Array | None
+    lateral_offset: float  # m, from the drawn line to the vehicle's centre line, positive to the right of travel
+    points: Array | None
+
+
+@dataclass(frozen=True, eq=False)
+class VehicleDocument:
+    """A vehicle outlined in its first ``frame``: ``left`` and ``right`` (4, 2) ideal pixels, tl, tr, br, bl."""
+
+    id: str
+    path: str | None
+    frame: int
+    left: Array
+    right: Array
+    plane: Literal["front", "side", "free"]
+    speed: float | None  # m/s, a first guess
+
+
+@dataclass(frozen=True, eq=False)
+class Clip:
+    """One stereo recording to measure, as clip.yaml describes it."""
+
+    path: Path
+    left: Path  # a folder, a pattern or a video
+    right: Path
+    rate: float | None  # frames per second
+    times: Path | None
+    tolerance: float | None  # s, between a left frame and its right one
+    bit_depth: int | None  # bits used in 16-bit images
+    rig: StereoRig
+    paths: dict[str, PathDocument]
+    vehicles: list[VehicleDocument]
+
+
+def load_rig(path: str | Path) -> StereoRig:
+    """The rig that a rig.yaml describes; raises UnusableInput, naming the key, for one that cannot be."""
+    path = Path(path)
+    model = read_document(RigModel, path)
+    left, right = _camera(path, "left", model.left), _camera(path, "right", model.right)
+    _refuse(path, "rotation", plausibility.wrong_rotation(model.rotation))
+    R = plausibility.nearest_rotation(model.rotation)
+    rig = StereoRig(left, right, R, model.translation, _stated(model.uncertainty))
+    _refuse(path, "translation", plausibility.wrong_baseline(rig))
+    return rig
+
+
+def load_clip(path: str | Path) -> Clip:
+    """The clip that a clip.yaml describes, with its rig; raises UnusableInput, naming the key, where it cannot be."""
+    path = Path(path)
+    model = read_document(ClipModel, path)
+    if model.rate is not None and model.times is not None:
+        raise UnusableInput(f"{path}: rate and times: expected one of them, found both")
+    rig = load_rig(path.parent / model.rig)
+    paths = {name: _path(path, rig, name, p) for name, p in (model.paths or {}).items()}
+    vehicles: list[VehicleDocument] = []
+    for i, m in enumerate(model.vehicles or []):
+        if any(m.id == v.id for v in vehicles):
+            raise UnusableInput(f"{path}: vehicles[{i}].id: {m.id!r} occurs twice; expected one of its own")
+        vehicles.append(_vehicle(path, rig, paths, f"vehicles[{i}]", m))
+    return Clip(
+        path=path,
+        left=path.parent / model.left,
+        right=path.parent / model.right,
+        rate=model.rate,
+        times=None if model.times is None else path.parent / model.times,
+        tolerance=model.time_tolerance,
+        bit_depth=model.bit_depth,
+        rig=rig,
+        paths=paths,
+        vehicles=vehicles,
+    )
+
+
+def _camera(file: Path, key: str, m: CameraModel) -> Camera:
+    camera = Camera((m.image_size[0], m.image_size[1]), m.K, np.array(m.distortion, float))
+    _refuse(file, f"{key}.K", plausibility.wrong_intrinsics(camera))
+    return camera
+
+
+def _stated(u: UncertaintyModel | None) -> RigUncertainty | None:
+    if u is None:
+        return None
+    (a, b, c), (x, y, z) = u.rotation_rad, u.translation_m
+    return RigUncertainty(u.focal_length_px, u.principal_point_px, (a, b, c), (x, y, z))
+
+
+def _path(file: Path, rig: StereoRig, name: str, m: PathModel) -> PathDocument:
+    key = f"paths.{name}"
+    if m.points is not None:
+        if m.left is not None or m.right is not None:
+            raise UnusableInput(f"{file}: {key}: expected either points or left and right, found both")
+        _refuse(file, f"{key}.points", plausibility.wrong_path_points(m.points))
+        return PathDocument(name, m.shape, None, None, m.lateral_offset, m.points)
+    if m.left is None or m.right is None:
+        seen = [side for side, drawn in (("left", m.left), ("right", m.right)) if drawn is not None]
+        found = f"drawn in the {seen[0]} view only" if seen else "not drawn"
+        raise UnusableInput(f"{file}: {key}: {found}; expected the same road line in both views, or points")
+    for side, drawn in (("left", m.left), ("right", m.right)):
+        _refuse(file, f"{key}.{side}", plausibility.wrong_drawing(drawn, m.shape))
+    left, right = rig.left.undistort_points(m.left), rig.right.undistort_points(m.right)
+    return PathDocument(name, m.shape, left, right, m.lateral_offset, None)
+
+
+def _vehicle(
+    file: Path, rig: StereoRig, paths: Mapping[str, PathDocument], key: str, m: VehicleModel
+) -> VehicleDocument:
+    if m.path is not None and m.path not in paths:
+        raise UnusableInput(f"{file}: {key}.path: no path is called {m.path!r}; {nearest_of(m.path, list(paths))}")
+    for side, corners, camera in (("left", m.left, rig.left), ("right", m.right, rig.right)):
+        _refuse(file, f"{key}.{side}", plausibility.wrong_quadrilateral(corners, camera.image_size))
+    left, right = rig.left.undistort_points(m.left), rig.right.undistort_points(m.right)
+    _refuse(file, key, plausibility.wrong_views(rig, left, right))
+    plane = m.plane or ("free" if m.path is None else "front")
+    return VehicleDocument(m.id, m.path, m.frame, left, right, plane, m.speed)
+
+
+def _refuse(file: Path, key: str, complaint: str | None) -> None:
+    if complaint is not None:
+        raise UnusableInput(f"{file}: {key}: {complaint}")

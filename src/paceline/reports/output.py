@@ -1,0 +1,111 @@
+"""The output folder of a command: whole or absent, never half written."""
+
+from __future__ import annotations
+
+import errno
+import os
+import secrets
+import shutil
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType, TracebackType
+
+from paceline.errors import UnusableInput
+
+# An error without a file name is taken as the output's when only writing can have caused it.
+WRITE_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG}
+
+
+class OutputFolder:
+    """Collects a command's output and puts it in place at the end.
+
+    ``with OutputFolder("out") as folder:`` gives the path of a hidden folder on the same file system to write into.
+    When the block ends well, a new ``out`` appears in one step; in an ``out`` that already exists each file of the
+    same name is replaced atomically and every other file stays. When the block raises, nothing is left behind.
+    Raises UnusableInput when ``out`` is a file, cannot be written or the disk is full.
+    """
+
+    def __init__(self, out: str | Path) -> None:
+        self.out = Path(out)
+        self._made: list[Path] = []  # folders created for the output, outermost first
+
+    def __enter__(self) -> Path:
+        if self.out.exists() and not self.out.is_dir():
+            raise UnusableInput(f"{self.out}: is a file; expected a folder for the output")
+        try:
+            # Inside an existing folder, which may be a mount point of its own, else beside the one to come.
+            parent = self.out if self.out.is_dir() else self.out.parent
+            for folder in reversed([p for p in (parent, *parent.parents) if not p.exists()]):
+                folder.mkdir()
+                self._made.append(folder)
+            self._partial = parent / f".{self.out.name or 'paceline'}.{secrets.token_hex(4)}.partial"
+            self._partial.mkdir()
+        except OSError as error:
+            self._remove_made()
+            raise self._unwritable(error) from error
+        return self._partial
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if error is None:
+                with _undisturbed():
+                    self._put_in_place()
+                self._made.clear()
+            elif isinstance(error, OSError) and self._is_ours(error):
+                raise self._unwritable(error) from error
+        except OSError as failure:
+            raise self._unwritable(failure) from failure
+        finally:
+            shutil.rmtree(self._partial, ignore_errors=True)
+            self._remove_made()
+
+    def _put_in_place(self) -> None:
+        if not self.out.exists():
+            self._partial.rename(self.out)
+            return
+        files = [p.relative_to(self._partial) for p in sorted(self._partial.rglob("*")) if p.is_file()]
+        for file in files:  # all obstacles are found before the first file is replaced
+            if (self.out / file).is_dir():
+                raise IsADirectoryError(errno.EISDIR, "a folder is in the way", str(self.out / file))
+            (self.out / file).parent.mkdir(parents=True, exist_ok=True)
+        for file in files:
+            os.replace(self._partial / file, self.out / file)
+
+    def _is_ours(self, error: OSError) -> bool:
+        if isinstance(error.filename, str | os.PathLike):
+            return Path(error.filename).is_relative_to(self._partial)
+        return error.errno in WRITE_ERRORS
+
+    def _unwritable(self, error: OSError) -> UnusableInput:
+        return UnusableInput(f"{self.out}: the output cannot be written here ({error.strerror or error})")
+
+    def _remove_made(self) -> None:
+        for folder in reversed(self._made):
+            try:
+                folder.rmdir()
+            except OSError:  # someone else uses it by now
+                return
+
+
+@contextmanager
+def _undisturbed() -> Iterator[None]:
+    """Holds back Ctrl-C and termination for the few milliseconds in which files change places."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    held: list[tuple[int, FrameType | None]] = []
+    previous = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    for number in previous:
+        signal.signal(number, lambda received, frame: held.append((received, frame)))
+    try:
+        yield
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+        for received, _ in held[:1]:
+            signal.raise_signal(received)

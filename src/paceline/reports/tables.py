@@ -1,0 +1,93 @@
+"""The result as data: estimates.csv and summary.json, in SI units."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from paceline.speed.results import ClipResult, Measurement, Track
+
+COLUMNS = [
+    "vehicle", "frame", "time_s", "speed_mps", "speed_std_mps", "x_m", "y_m", "z_m", "yaw_rate_radps",
+    *(f"{view}_{axis}{corner}" for view in ("left", "right") for corner in (1, 2, 3, 4) for axis in "xy"),
+    "ess", "status", "refined_speed_mps", "refined_std_mps",
+]  # fmt: skip
+
+
+def write_estimates(result: ClipResult, file: Path) -> None:
+    """Writes estimates.csv: one row per vehicle and frame, an empty cell where there is no number."""
+    with file.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(COLUMNS)
+        for measurement in result.measurements:
+            writer.writerows(_rows(measurement.track))
+
+
+def _rows(track: Track) -> Iterator[list[str]]:
+    for i in range(len(track.frame)):
+        numbers = [track.time[i], track.speed[i], track.speed_std[i], *track.position[i], track.yaw_rate[i]]
+        corners = [*track.left[i].ravel(), *track.right[i].ravel()]
+        refined = [track.refined_speed[i], track.refined_std[i]]
+        yield [
+            track.vehicle, str(track.frame[i]), *map(_cell, numbers), *map(_cell, corners),
+            _cell(track.ess[i]), track.status[i], *map(_cell, refined),
+        ]  # fmt: skip
+
+
+def _cell(value: float) -> str:
+    """The shortest text that reads back as the same number."""
+    return repr(float(value)) if math.isfinite(value) else ""
+
+
+def write_summary(result: ClipResult, file: Path) -> None:
+    """Writes summary.json: a verdict per vehicle, the resolved configuration and the versions."""
+    summary = {
+        "clip": result.clip,
+        "vehicles": [_vehicle(m) for m in result.measurements],
+        "notices": result.notices,
+        "configuration": result.configuration,
+        "versions": result.versions,
+        "seconds": result.seconds,
+    }
+    text = json.dumps(as_json(summary), indent=2, ensure_ascii=False, allow_nan=False)
+    file.write_text(text + "\n", encoding="utf-8")
+
+
+def _vehicle(measurement: Measurement) -> dict[str, object]:
+    return {
+        "vehicle": measurement.vehicle,
+        "speed_mps": measurement.speed,
+        "speed_lo_mps": measurement.speed_lo,
+        "speed_hi_mps": measurement.speed_hi,
+        "frames": measurement.frames,
+        "verdict": measurement.verdict,
+        "reason": measurement.reason,
+        "random_std_mps": measurement.random_std,
+        "systematic_std_mps": measurement.systematic_std,
+        "model": measurement.model,
+        "acceleration_mps2": measurement.acceleration,
+        "residual_rms": measurement.residual_rms,
+        "notices": measurement.notices,
+    }
+
+
+def as_json(value: object) -> object:
+    """``value`` with only what JSON knows; numbers that are not finite become null."""
+    if isinstance(value, Mapping):
+        return {str(key): as_json(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return as_json(value.tolist())
+    if isinstance(value, list | tuple):
+        return [as_json(item) for item in value]
+    if isinstance(value, np.generic):
+        return as_json(value.item())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, str | int):
+        return value
+    return str(value)

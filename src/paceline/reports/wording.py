@@ -1,0 +1,107 @@
+"""How a measurement reads: numbers with as many digits as their uncertainty deserves, and plain advice."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from paceline.speed.results import Array, Measurement, Track
+from paceline.units import convert
+
+MISSING = "–"
+COVERAGE = 1.96  # standard uncertainties on each side of a 95 % interval
+
+# What usually helps, by a word of the reason; the first that occurs is taken.
+ADVICE = {
+    "skew": "Trigger both cameras together, or give the true times of each view in times.csv.",
+    "clock": "Trigger both cameras together, or give the true times of each view in times.csv.",
+    "disagree": "Check that the outline marks the same corners in both views, and that the calibration is still valid.",
+    "residual": "Check that the outline follows a flat part of the vehicle; glare and objects in front of it harm.",
+    "occlu": "Choose a stretch of road where nothing stands between the cameras and the vehicle.",
+    "wide": "More frames, a longer focal length or a wider spacing of the cameras narrow the interval.",
+    "lost": "Check the outline in the first frame and find the moment in the overlay at which it leaves the vehicle.",
+    "image": "Begin at an earlier frame, or aim the cameras so that the vehicle stays in both pictures for longer.",
+    "few": "Let the clip show the vehicle for longer, record more frames per second, or outline it earlier.",
+}
+GENERAL_ADVICE = "Look at the overlay: the outline has to stay on the same part of the vehicle in both views."
+
+
+@dataclass(frozen=True)
+class SpeedWords:
+    """A speed and its uncertainties as text in one unit; ``±`` is always half of a 95 % interval."""
+
+    unit: str
+    speed: str
+    lo: str
+    hi: str
+    plus_minus: str
+    random: str
+    systematic: str  # MISSING where the rig states no uncertainty
+
+    @property
+    def known(self) -> bool:
+        return self.speed != MISSING
+
+
+def number(value: float, decimals: int) -> str:
+    return f"{value:.{decimals}f}".replace("-", "−") if math.isfinite(value) else MISSING
+
+
+def shown_speed(speed: float, unit: str, half_width: float = math.nan) -> str:
+    """``speed`` (m/s) as a number in ``unit``: one decimal, or two when its uncertainty is below a tenth."""
+    return number(convert(speed, unit), _decimals(convert(half_width, unit)))
+
+
+def speed_words(measurement: Measurement, unit: str) -> SpeedWords:
+    """The measured speed in ``unit``, with random and systematic parts that add up (in squares) to the interval."""
+    half = (measurement.speed_hi - measurement.speed_lo) / 2
+    parts = np.array([measurement.random_std, measurement.systematic_std])
+    total = float(np.sqrt(np.nansum(parts**2)))
+    coverage = half / total if total > 0 else math.nan
+    decimals = _decimals(convert(half, unit))
+
+    def text(value: float) -> str:
+        return number(convert(value, unit), decimals)
+
+    def part(value: float) -> str:
+        return number(convert(coverage * value, unit), 2)
+
+    return SpeedWords(
+        unit=unit,
+        speed=text(measurement.speed),
+        lo=text(measurement.speed_lo),
+        hi=text(measurement.speed_hi),
+        plus_minus=text(half),
+        random=part(measurement.random_std),
+        systematic=part(measurement.systematic_std),
+    )
+
+
+def _decimals(half_width: float) -> int:
+    return 2 if half_width < 0.095 else 1  # 0.095 would show as 0.1
+
+
+def speed_at(track: Track, row: int) -> tuple[float, float]:
+    """The best speed at one row and half of its 95 % interval, m/s: refined where there is one, else the filter's."""
+    if math.isfinite(track.refined_speed[row]):
+        return float(track.refined_speed[row]), COVERAGE * float(track.refined_std[row])
+    return float(track.speed[row]), COVERAGE * float(track.speed_std[row])
+
+
+def distance_travelled(track: Track) -> float:
+    """Metres along the tracked positions, NaN without two of them."""
+    return path_length(track.position)
+
+
+def path_length(points: Array) -> float:
+    """Length in metres of the polyline ``points`` (M, 3), leaving out points that are not finite."""
+    known = points[np.isfinite(points).all(axis=1)]
+    return float(np.linalg.norm(np.diff(known, axis=0), axis=1).sum()) if len(known) > 1 else math.nan
+
+
+def advice(measurement: Measurement) -> str:
+    """What the person can do about a rejected measurement."""
+    reason = measurement.reason.lower()
+    return next((text for word, text in ADVICE.items() if word in reason), GENERAL_ADVICE)

@@ -1,0 +1,232 @@
+"""What rig.yaml and clip.yaml may hold, as pydantic models, and the reading of files into them."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+
+from paceline.errors import UnusableInput
+
+Array = NDArray[np.float64]
+
+LARGEST = 1e9  # no pixel or metre in these files comes near it; NaN and infinity are not below it either
+_WORDS = {2: "two", 3: "three", 4: "four"}
+
+
+def _array(columns: int, rows: int | None = None, what: str = "points") -> BeforeValidator:
+    """Validates nested lists of finite numbers into an array (rows, columns)."""
+    row = f"[{', '.join('xyz'[:columns])}]"
+    wanted = f"{_WORDS[rows]} " if rows else ""
+    expected = f"{wanted}{row} points" if what == "points" else f"{wanted}rows of {_WORDS[columns]} numbers"
+
+    def validate(value: Any) -> Array:
+        if not isinstance(value, list):
+            raise ValueError(f"expected {expected}, found {_shown(value)}")
+        for i, item in enumerate(value):
+            if not (isinstance(item, list) and len(item) == columns and all(map(_is_number, item))):
+                raise ValueError(f"expected {expected}, found {_shown(item)} in place {i}")
+        if rows is not None and len(value) != rows:
+            raise ValueError(f"expected {expected}, found {len(value)}")
+        return np.array(value, float).reshape(-1, columns)
+
+    return BeforeValidator(validate)
+
+
+def _vector(value: Any) -> Array:
+    if not (isinstance(value, list) and len(value) == 3 and all(map(_is_number, value))):
+        raise ValueError(f"expected three finite numbers, found {_shown(value)}")
+    return np.array(value, float)
+
+
+def _name(value: Any) -> Any:
+    return str(value) if isinstance(value, int) and not isinstance(value, bool) else value
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < LARGEST
+
+
+Pixels = Annotated[Array, _array(2)]
+Corners = Annotated[Array, _array(2, 4)]
+Points = Annotated[Array, _array(3)]
+Matrix = Annotated[Array, _array(3, 3, "numbers")]
+Vector = Annotated[Array, BeforeValidator(_vector)]
+Name = Annotated[str, BeforeValidator(_name), Field(min_length=1)]
+Size = Annotated[int, Field(ge=16, le=65536)]
+Sigma = Annotated[float, Field(ge=0)]
+
+
+class Document(BaseModel):
+    model_config = ConfigDict(strict=True, arbitrary_types_allowed=True, allow_inf_nan=False, extra="forbid")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _know_all_keys(cls, value: Any) -> Any:
+        if not isinstance(value, dict):
+            raise ValueError(f"expected the keys {', '.join(cls.model_fields)}, found {_shown(value)}")
+        for key in value:
+            if key not in cls.model_fields:
+                raise ValueError(f"unknown key {key!r}; {nearest_of(str(key), list(cls.model_fields))}")
+        return value
+
+
+class CameraModel(Document):
+    image_size: Annotated[list[Size], Field(min_length=2, max_length=2)]
+    K: Matrix
+    distortion: list[float] = []
+
+    @model_validator(mode="after")
+    def _count_coefficients(self) -> CameraModel:
+        if len(self.distortion) not in (0, 4, 5, 8, 12, 14):
+            raise ValueError(f"distortion: expected 4, 5, 8, 12 or 14 coefficients, found {len(self.distortion)}")
+        return self
+
+
+class UncertaintyModel(Document):
+    focal_length_px: Sigma = 0.0
+    principal_point_px: Sigma = 0.0
+    rotation_rad: Annotated[list[Sigma], Field(min_length=3, max_length=3)] = [0.0, 0.0, 0.0]
+    translation_m: Annotated[list[Sigma], Field(min_length=3, max_length=3)] = [0.0, 0.0, 0.0]
+
+
+class RigModel(Document):
+    left: CameraModel
+    right: CameraModel
+    rotation: Matrix
+    translation: Vector
+    uncertainty: UncertaintyModel | None = None
+
+
+class PathModel(Document):
+    shape: Literal["line", "curve"]
+    left: Pixels | None = None
+    right: Pixels | None = None
+    points: Points | None = None
+    lateral_offset: float = 0.0
+
+
+class VehicleModel(Document):
+    id: Name
+    path: Name | None = None
+    frame: Annotated[int, Field(ge=0)]
+    left: Corners
+    right: Corners
+    plane: Literal["front", "side", "free"] | None = None
+    speed: Annotated[float, Field(ge=0, le=150)] | None = None
+
+
+class ClipModel(Document):
+    left: Annotated[str, Field(min_length=1)]
+    right: Annotated[str, Field(min_length=1)]
+    rate: Annotated[float, Field(ge=0.1, le=10000)] | None = None
+    times: str | None = None
+    time_tolerance: Annotated[float, Field(gt=0)] | None = None
+    bit_depth: Annotated[int, Field(ge=8, le=16)] | None = None
+    rig: str
+    paths: dict[Name, PathModel] | None = None
+    vehicles: list[VehicleModel] | None = None
+
+
+# --- reading -------------------------------------------------------------------------------------------------------
+
+
+class _Loader(yaml.SafeLoader):
+    """Safe YAML that refuses a key given twice and reads 1e-3 as a number, as YAML 1.2 does."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        seen = set()
+        for key, _ in node.value:
+            if isinstance(key, yaml.ScalarNode) and key.value in seen:
+                problem = f"the key {key.value!r} occurs twice"
+                raise yaml.constructor.ConstructorError(None, None, problem, key.start_mark)
+            seen.add(key.value if isinstance(key, yaml.ScalarNode) else key)
+        return super().construct_mapping(node, deep)
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
+)
+
+
+M = TypeVar("M", bound=Document)
+
+
+def read_document(model: type[M], path: Path) -> M:
+    """The file at ``path`` as a ``model``; raises UnusableInput naming the line or key for anything it cannot be."""
+    try:
+        with path.open(encoding="utf-8") as file:
+            content = yaml.load(file, _Loader)
+    except FileNotFoundError:
+        raise UnusableInput(f"{path}: no such file") from None
+    except OSError as error:
+        raise UnusableInput(f"{path}: cannot be read ({error.strerror})") from error
+    except UnicodeDecodeError as error:
+        raise UnusableInput(f"{path}: is not a text file") from error
+    except (yaml.MarkedYAMLError, yaml.reader.ReaderError, ValueError, RecursionError) as error:
+        raise UnusableInput(f"{path}: {_yaml_problem(error)}") from error
+    try:
+        return model.model_validate(content)
+    except ValidationError as error:
+        raise UnusableInput(f"{path}: {_first_problem(error)}") from error
+
+
+def _yaml_problem(error: Exception) -> str:
+    if not isinstance(error, yaml.MarkedYAMLError):
+        return "is not valid YAML"
+    mark = error.problem_mark or error.context_mark
+    where = "" if mark is None else f"line {mark.line + 1}, column {mark.column + 1}: "
+    return f"{where}{error.problem or error.context}"
+
+
+def _first_problem(error: ValidationError) -> str:
+    """Where in the file the first problem lies, and what was expected there."""
+    first = error.errors()[0]
+    key = ""
+    for part in first["loc"]:
+        if part != "[key]":
+            key += f"[{part}]" if isinstance(part, int) else f".{part}" if key else part
+    context: Mapping[str, Any] = first.get("ctx", {})
+    expected = {
+        "float_type": "expected a number",
+        "int_type": "expected a whole number",
+        "string_type": "expected text",
+        "list_type": "expected a list",
+        "dict_type": "expected names, each with its keys",
+        "finite_number": "expected a finite number",
+        "literal_error": f"expected {context.get('expected')}",
+        "string_too_short": "expected a name",
+        "too_short": f"expected {context.get('min_length')} values",
+        "too_long": f"expected {context.get('max_length')} values",
+        "greater_than": f"expected a number above {context.get('gt', 0):g}",
+        "greater_than_equal": f"expected at least {context.get('ge', 0):g}",
+        "less_than_equal": f"expected at most {context.get('le', 0):g}",
+    }
+    if first["type"] == "value_error":
+        text = str(context["error"])
+    elif first["type"] == "missing":
+        text = "missing"
+    else:
+        text = f"{expected.get(first['type'], first['msg'])}, found {_shown(first['input'])}"
+    return f"{key}: {text}" if key else text
+
+
+def _shown(value: Any) -> str:
+    if value is None:
+        return "nothing"
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}…"
+
+
+def nearest_of(name: str, valid: list[str]) -> str:
+    """Names the entry of ``valid`` that was probably meant, or all of them where none resembles ``name``."""
+    if near := difflib.get_close_matches(name, valid, 1, 0.5):
+        return f"did you mean {near[0]!r}?"
+    return f"expected one of {', '.join(valid)}" if valid else "none is given"

@@ -1,0 +1,285 @@
+"""What one camera recorded: numbered images or a video, read in order as grey images on a 0–255 scale."""
+
+from __future__ import annotations
+
+import glob
+import re
+import struct
+import zlib
+from collections.abc import Iterator, Sequence
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, Protocol
+
+import av
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from paceline.errors import UnusableInput
+
+Array = NDArray[np.float64]
+Image = NDArray[np.float32]
+Stored = NDArray[Any]  # uint8 or uint16
+
+IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm", ".webp"}
+PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+
+
+class Source(Protocol):
+    """One view of a recording."""
+
+    name: str
+    notices: list[str]
+    times: Array | None  # (N,) seconds; None where the source carries none
+
+    def __len__(self) -> int: ...
+
+    def read(self, frames: Sequence[int]) -> Iterator[Image | None]:
+        """The images (H, W), 0–255, of ``frames`` (increasing); None for a video's frame that cannot be decoded."""
+        ...
+
+    def label(self, frame: int) -> str:
+        """What messages call this frame."""
+        ...
+
+
+def open_source(where: Path, bit_depth: int | None = None) -> Source:
+    """The images of a folder, the images that a pattern (``left/*.png``, ``left/%04d.png``) matches, or a video.
+
+    ``bit_depth`` says how many bits of 16-bit images are used (all 16 by default). Raises UnusableInput where there
+    is nothing to read.
+    """
+    if where.is_dir():
+        files = [p for p in where.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith(".")]
+        return ImageFiles(str(where), files, bit_depth)
+    if where.exists():
+        return Video(where, bit_depth)
+    pattern = re.sub(r"%0(\d+)d", lambda m: "[0-9]" * int(m[1]), str(where))
+    if glob.has_magic(pattern):
+        return ImageFiles(str(where), [Path(p) for p in glob.glob(pattern)], bit_depth)
+    raise UnusableInput(f"{where}: no such file or folder; expected a folder of images, a pattern or a video")
+
+
+class ImageFiles:
+    """Image files in natural order of their names (2 before 10)."""
+
+    def __init__(self, name: str, files: Sequence[Path], bit_depth: int | None = None) -> None:
+        if len(files) < 2:
+            raise UnusableInput(f"{name}: {['no images', 'only one image'][len(files)]}; expected at least two")
+        self.name = name
+        self.files = sorted(files, key=lambda p: [int(t) if t.isdecimal() else t for t in re.split(r"(\d+)", p.name)])
+        self.times: Array | None = None
+        self.notices: list[str] = []
+        self._bit_depth = bit_depth
+        first = read_image_file(self.files[0])
+        if first.dtype == np.uint16 and bit_depth is None and first.max() < 65536 // 16:
+            self.notices.append(f"{self.label(0)}: looks like a 12-bit recording in 16-bit images; set bit_depth")
+        if first.dtype == np.uint8 and bit_depth not in (None, 8):
+            self.notices.append(f"{name}: bit_depth {bit_depth} does not apply, because the images have 8 bits")
+
+    def __len__(self) -> int:
+        return len(self.files)
+
+    def label(self, frame: int) -> str:
+        return str(self.files[frame])
+
+    @property
+    def numbers(self) -> list[int] | None:
+        """The numbers in the files' names, their last run of digits; None unless every name has one, rising."""
+        digits = [re.findall(r"\d+", p.stem) for p in self.files]
+        if not all(digits):
+            return None
+        numbers = [int(d[-1]) for d in digits]
+        return numbers if all(a < b for a, b in zip(numbers, numbers[1:], strict=False)) else None
+
+    def read(self, frames: Sequence[int]) -> Iterator[Image | None]:
+        for frame in frames:
+            image = read_image_file(self.files[frame])
+            yield to_grey(image, 16 if self._bit_depth is None else self._bit_depth, self.label(frame))
+
+
+class Video:
+    """A video file, timed by its presentation time stamps (never by its frame rate).
+
+    Opening it reads the packets' time stamps, and decodes only what follows the last key frame to find out whether the
+    file is cut short.
+    """
+
+    def __init__(self, path: Path, bit_depth: int | None = None) -> None:
+        self.name = str(path)
+        self.notices: list[str] = []
+        self._path = path
+        self._bit_depth = bit_depth
+        self._pts, self._time_base = self._scan()
+        self.times: Array | None = np.array([float(p * self._time_base) for p in self._pts])
+
+    def __len__(self) -> int:
+        return len(self._pts)
+
+    def label(self, frame: int) -> str:
+        return f"{self.name}: frame {frame}"
+
+    def read(self, frames: Sequence[int]) -> Iterator[Image | None]:
+        wanted = {self._pts[f]: f for f in frames}
+        order = list(frames)
+        for picture in self._decode():
+            frame = wanted.get(picture.pts) if picture.pts is not None else None
+            if frame is None:
+                continue
+            while order and order[0] < frame:
+                order.pop(0)
+                yield None
+            if not order or order[0] != frame:
+                raise UnusableInput(f"{self.label(frame)}: its time stamp precedes that of the frame before it")
+            order.pop(0)
+            yield self._grey(picture, frame)
+            if not order:
+                return
+        yield from [None] * len(order)
+
+    def _decode(self, start: int | None = None) -> Iterator[av.VideoFrame]:
+        """Whole pictures in presentation order, from the key frame at or before time stamp ``start``."""
+        with av.open(self._path) as container:
+            stream = container.streams.video[0]
+            stream.thread_type = "AUTO"
+            if start is not None:
+                container.seek(start, stream=stream)
+            packets = container.demux(stream)
+            while True:
+                try:  # a damaged packet costs its own pictures only
+                    pictures = next(packets).decode()
+                except StopIteration:
+                    return
+                except av.FFmpegError:
+                    continue
+                yield from (p for p in pictures if isinstance(p, av.VideoFrame) and not p.is_corrupt)
+
+    def _scan(self) -> tuple[list[int], Fraction]:
+        try:
+            with av.open(self._path) as container:
+                if container.format.name == "tty" or not container.streams.video:
+                    raise UnusableInput(f"{self.name}: holds no video")
+                stream = container.streams.video[0]
+                pts, key, cut = _packets(container, stream)
+                time_base = stream.time_base or Fraction(1, av.time_base)
+                promised = _promised_end(container, stream)
+        except av.FFmpegError as error:
+            raise UnusableInput(f"{self.name}: cannot be read as a video ({error.strerror})") from error
+        if pts and None in pts:  # the container numbers its packets only; the decoder may know better
+            pts, key = [picture.pts for picture in self._decode()], None
+            if None in pts:
+                raise UnusableInput(
+                    f"{self.name}: carries no presentation time stamps; expected a video that does, or images"
+                )
+        stamps = sorted(p for p in pts if p is not None)
+        if repeated := [i for i, (a, b) in enumerate(zip(stamps, stamps[1:], strict=False)) if a == b]:
+            raise UnusableInput(f"{self.name}: frame {repeated[0] + 1} has the same time stamp as the frame before it")
+        if key is not None:
+            whole = {picture.pts for picture in self._decode(key)}
+            if key not in whole:  # not every container can be entered at a key frame
+                whole = {picture.pts for picture in self._decode()}
+            last = max((p for p in whole if p is not None), default=stamps[0] - 1)
+            cut = cut or stamps[-1] > last
+            stamps = [p for p in stamps if p <= last]
+        if len(stamps) < 2:
+            raise UnusableInput(f"{self.name}: fewer than two frames can be decoded")
+        end = float(stamps[-1] * time_base)
+        last_duration = float(max(np.median(np.diff(stamps)), stamps[-1] - stamps[-2]) * time_base)
+        if cut or (promised is not None and promised > end + 1.5 * last_duration):
+            self.notices.append(f"{self.name}: is cut short; it ends after frame {len(stamps) - 1} at {end:.3f} s")
+        return stamps, time_base
+
+    def _grey(self, picture: av.VideoFrame, frame: int) -> Image:
+        if re.search(r"f(16|32)", picture.format.name):
+            raise UnusableInput(f"{self.label(frame)}: holds floating-point pixels; expected integers of 8 to 16 bits")
+        if picture.format.name in ("gray", "gray16le"):
+            return to_grey(picture.to_ndarray(), 16 if self._bit_depth is None else self._bit_depth, self.label(frame))
+        return to_grey(picture.reformat(format="gray16le").to_ndarray(), 16, self.label(frame))
+
+
+def _packets(
+    container: av.container.InputContainer, stream: av.VideoStream
+) -> tuple[list[int | None], int | None, bool]:
+    """The packets' presentation time stamps, that of the last key frame, and whether the packets end too early."""
+    pts: list[int | None] = []
+    key, last_dts, cut = None, None, False
+    try:
+        for packet in container.demux(stream):
+            if not packet.size or packet.is_discard:
+                continue
+            if packet.dts is not None and last_dts is not None and packet.dts < last_dts:
+                raise UnusableInput(f"{container.name}: times go backwards at frame {len(pts)}")
+            last_dts = packet.dts
+            if packet.is_keyframe:
+                key = packet.pts
+            pts.append(packet.pts)
+    except av.FFmpegError:
+        cut = True
+    return pts, key, cut or len(pts) < stream.frames
+
+
+def _promised_end(container: av.container.InputContainer, stream: av.VideoStream) -> float | None:
+    """The time in seconds at which the container says that the video ends, if it does."""
+    if stream.duration is not None and stream.time_base is not None:
+        return float((stream.duration + (stream.start_time or 0)) * stream.time_base)
+    if container.duration is not None and len(container.streams) == 1:
+        return float(Fraction(container.duration + (container.start_time or 0), av.time_base))
+    return None
+
+
+def read_image_file(path: Path) -> Stored:
+    """The image as stored: (H, W) or (H, W, 3 or 4) in blue, green, red[, alpha] order, 8 or 16 bits.
+
+    Raises UnusableInput for a file that is missing, empty, damaged or of another kind.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise UnusableInput(f"{path}: cannot be read ({error.strerror})") from error
+    if not data:
+        raise UnusableInput(f"{path}: is empty; expected an image")
+    if data.startswith(PNG_SIGNATURE) and not _png_is_whole(data):  # OpenCV returns what it can of a damaged one
+        raise UnusableInput(f"{path}: is truncated or damaged; expected a whole image")
+    level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        image = None
+    finally:
+        cv2.utils.logging.setLogLevel(level)
+    if image is None:
+        raise UnusableInput(f"{path}: is truncated, damaged or not an image")
+    if image.dtype not in (np.uint8, np.uint16):
+        raise UnusableInput(f"{path}: holds {image.dtype} pixels; expected integers of 8 or 16 bits")
+    return image
+
+
+def _png_is_whole(data: bytes) -> bool:
+    """Whether every chunk is there with its right checksum, to the end."""
+    at = len(PNG_SIGNATURE)
+    while at + 12 <= len(data):
+        length, kind = struct.unpack_from(">I4s", data, at)
+        end = at + 8 + length
+        if end + 4 > len(data) or zlib.crc32(data[at + 4 : end]) != struct.unpack_from(">I", data, end)[0]:
+            return False
+        if kind == b"IEND":
+            return True
+        at = end + 4
+    return False
+
+
+def to_grey(image: Stored, bits: int, label: str) -> Image:
+    """The luma (Rec. 601) of an image as read, as float32 (H, W) on a 0–255 scale; alpha is ignored.
+
+    16-bit images use ``bits`` bits; UnusableInput, naming ``label``, where a value does not fit.
+    """
+    grey = image.astype(np.float32)
+    if grey.ndim == 3:
+        grey = np.asarray(cv2.cvtColor(np.ascontiguousarray(grey[:, :, :3]), cv2.COLOR_BGR2GRAY), np.float32)
+    if image.dtype == np.uint16:
+        full = 2**bits - 1
+        if bits < 16 and image.max() > full:
+            raise UnusableInput(f"{label}: holds the value {image.max()}, which does not fit in bit_depth {bits}")
+        grey *= np.float32(255 / full)
+    return grey

@@ -1,0 +1,131 @@
+"""The observation model of [Zhu] section III-B: part-wise wavelet features in each view, correlation across them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from paceline.speed import pixels_cpu
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+Packed = NDArray[np.uint32]
+
+SAMPLES = 2560  # about this many samples a region, 64 × 40 in [Zhu]'s terms
+CONTRAST_FLOOR = 0.3  # share of the typical part's contrast below which a part counts less: it is mostly noise
+PART_DISTANCE_CAP = 1.0  # D² of a part that does not fit at all: an occluded part says no more than that
+
+
+@dataclass(frozen=True)
+class Grid:
+    """``across`` × ``down`` parts of 4 × 4 blocks, each block of ``samples`` (x, y)."""
+
+    across: int
+    down: int
+    samples: tuple[int, int]
+
+    @classmethod
+    def for_region(cls, parts: int, quad: Array) -> Grid:
+        """The division of N_p ``parts`` whose parts come out most nearly square on ``quad`` (4, 2)."""
+        width = np.linalg.norm(quad[1] - quad[0]) + np.linalg.norm(quad[2] - quad[3])
+        height = np.linalg.norm(quad[3] - quad[0]) + np.linalg.norm(quad[2] - quad[1])
+        pairs = [(a, parts // a) for a in range(1, parts + 1) if parts % a == 0]
+        across, down = min(pairs, key=lambda p: abs(np.log(width * p[1] / (height * p[0]))))
+        per_block = SAMPLES / (16 * parts)
+        x = max(2, round(np.sqrt(per_block * width * down / (height * across))))
+        return cls(across, down, (x, max(2, round(per_block / x))))
+
+    @property
+    def parts(self) -> int:
+        return self.across * self.down
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """Features (N, 2, parts, 16), normalised, of N particles in the left and right view, and their NCC (N,)."""
+
+    features: Floats
+    ncc: Floats
+
+
+def pack(image: Floats) -> Packed:
+    """2×2 neighbourhoods (H, W) of ``image`` (H, W), 0–255, packed for sampling."""
+    packed = np.empty(image.shape, np.uint32)
+    pixels_cpu.pack(image, packed)
+    return packed
+
+
+def observe(left: Packed, right: Packed, quads_left: Array, quads_right: Array, cross: Array, grid: Grid) -> Observation:
+    """What N particles see of the packed images.
+
+    ``quads_left``, ``quads_right`` (N, 4, 2) are the 2-D substates, ``cross`` (N, 3, 3) the homographies H_c (15).
+    """
+    N = len(quads_left)
+    H = np.empty((N, 3, 3, 3))
+    H[:, 0], H[:, 1] = unit_square_to(quads_left), unit_square_to(quads_right)
+    H[:, 2] = cross @ H[:, 0]
+    features = np.empty((N, 2, grid.parts, 16), np.float32)
+    ncc = np.empty(N, np.float32)
+    pixels_cpu.observe(
+        left,
+        right,
+        H.reshape(N, 3, 9).astype(np.float32),
+        inward_edges(quads_right).astype(np.float32),
+        grid.across,
+        grid.down,
+        grid.samples,
+        features,
+        ncc,
+    )
+    return Observation(normalised(features), ncc)
+
+
+def normalised(features: Floats) -> Floats:
+    """Wavelet features (…, parts, 16) freed of each view's brightness and contrast.
+
+    The mean of all parts is taken from the averages, then each part is scaled to its own contrast; a part with little
+    contrast of its own keeps a smaller norm instead of showing its noise enlarged.
+    """
+    f = features.copy()
+    f[..., 0] -= f[..., 0].mean(-1, keepdims=True)
+    norm2 = (f * f).sum(-1, keepdims=True)
+    typical = norm2.mean(-2, keepdims=True)
+    return np.asarray(f / np.sqrt(norm2 + CONTRAST_FLOOR**2 * typical + 1e-6), np.float32)
+
+
+def distances(features: Floats, reference: Floats) -> Floats:
+    """D² of (13) in each view, shape (N, 2): the sum over parts, no part counting more than one that does not fit."""
+    per_part = ((features - reference) ** 2).sum(-1)
+    return np.asarray(np.minimum(per_part, PART_DISTANCE_CAP).sum(-1), np.float32)
+
+
+def log_likelihood(seen: Observation, reference: Floats, lambda_single: float, lambda_cross: float) -> Array:
+    """log p(z | x) (N,) by (12), (13), (18): both single-view terms and the cross-view term."""
+    single = distances(seen.features, reference).sum(-1)
+    return np.asarray(-lambda_single * single - lambda_cross * (1.0 - seen.ncc) ** 2, float)
+
+
+def unit_square_to(quads: Array) -> Array:
+    """Homographies (N, 3, 3) that take the unit square's corners tl, tr, br, bl to ``quads`` (N, 4, 2)."""
+    a, b, c, d = np.moveaxis(np.asarray(quads, float), -2, 0)
+    s = a - b + c - d
+    e, f = b - c, d - c
+    det = e[:, 0] * f[:, 1] - f[:, 0] * e[:, 1]
+    g = (s[:, 0] * f[:, 1] - f[:, 0] * s[:, 1]) / det
+    h = (e[:, 0] * s[:, 1] - s[:, 0] * e[:, 1]) / det
+    H = np.empty((len(quads), 3, 3))
+    H[:, :2, 0] = b - a + g[:, None] * b
+    H[:, :2, 1] = d - a + h[:, None] * d
+    H[:, :2, 2] = a
+    H[:, 2] = np.stack([g, h, np.ones_like(g)], axis=-1)
+    return H
+
+
+def inward_edges(quads: Array) -> Array:
+    """Lines (N, 4, 3) along the sides of ``quads`` (N, 4, 2), tl, tr, br, bl, positive inside."""
+    a = np.asarray(quads, float)
+    d = np.roll(a, -1, axis=-2) - a
+    normal = np.stack([-d[..., 1], d[..., 0]], axis=-1)
+    return np.concatenate([normal, -(normal * a).sum(-1, keepdims=True)], axis=-1)

@@ -1,0 +1,302 @@
+"""From a clip to speeds: track every vehicle, refine, judge."""
+
+from __future__ import annotations
+
+import platform
+import time
+from collections.abc import Callable
+from importlib import metadata
+from pathlib import Path as FilePath
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm, t as student
+
+from paceline import __version__
+from paceline.cameras import StereoRig
+from paceline.documents import Clip, VehicleDocument, load_clip
+from paceline.errors import UnusableInput
+from paceline.recordings import StereoFrame, StereoRecording, open_recording
+from paceline.speed import paths
+from paceline.speed.configuration import SpeedConfiguration
+from paceline.speed.paths import Path
+from paceline.speed.planes import first_plane
+from paceline.speed.refinement import Glimpse, Refined, refine
+from paceline.speed.results import ClipResult, Measurement, PathDrawing, Track
+from paceline.speed.tracker import SEEN, Estimate, Tracker
+from paceline.speed.trajectory import Trajectory
+
+Array = NDArray[np.float64]
+Progress = Callable[[int, int], None]
+
+CONFIDENCE = 0.95
+LEAST_FRAMES = 4
+MOST_GLIMPSES = 48  # frames kept for the refinement; of a longer track, evenly spread ones
+MARGIN = (0.6, 24.0)  # kept about a region, as a share of its size and in pixels
+WIDEST = (0.05, 0.5)  # half-width of an interval that still counts: relative, and m/s
+MISFIT = 0.6  # share of the texture's contrast that may stay unexplained
+OFF = 0.6  # px, rms over the frames: how far the pictures may lie off the motion
+DISAGREE = 1.0  # px across the epipolar lines
+FASTEST = 90.0  # m/s
+
+
+def measure_clip(
+    clip: Clip | FilePath | str, configuration: SpeedConfiguration | None = None, progress: Progress | None = None
+) -> ClipResult:
+    """Measure every vehicle of ``clip``, a clip.yaml or what `load_clip` made of it. Raises UnusableInput."""
+    loaded = clip if isinstance(clip, Clip) else load_clip(FilePath(clip))
+    return measure(loaded, open_recording(loaded), configuration or SpeedConfiguration(), progress)
+
+
+def measure(
+    clip: Clip, recording: StereoRecording, configuration: SpeedConfiguration, progress: Progress | None = None
+) -> ClipResult:
+    """Measure every vehicle of ``clip`` in one pass over its ``recording``.
+
+    ``progress`` is called with frames done and frames in all. Raises UnusableInput.
+    """
+    begun = time.perf_counter()
+    if not clip.vehicles:
+        raise UnusableInput(f"{clip.path}: vehicles: none is outlined; expected at least one vehicle to measure")
+    for vehicle in clip.vehicles:
+        if vehicle.frame not in recording.indices:
+            raise UnusableInput(
+                f"{clip.path}: vehicles: {vehicle.id}: frame {vehicle.frame} is not in the recording; "
+                f"expected one of its frames {recording.indices[0]} to {recording.indices[-1]}"
+            )
+    drawn = _reconstruct(clip, configuration)
+    runs = {v.id: _Run(clip, v, drawn, configuration) for v in clip.vehicles}
+    done: dict[str, Measurement] = {}
+    total = len(recording)
+    for count, frame in enumerate(recording.frames(), start=1):
+        for vehicle in clip.vehicles:
+            run = runs.get(vehicle.id)
+            if run is not None and frame.index >= vehicle.frame and not frame.duplicate and not run.see(frame):
+                done[vehicle.id] = runs.pop(vehicle.id).result()
+        if progress is not None:
+            progress(count, total)
+        if not runs:
+            break
+    done |= {name: run.result() for name, run in runs.items()}
+    return ClipResult(
+        clip=str(clip.path),
+        measurements=[done[v.id] for v in clip.vehicles],
+        paths=[_drawing(clip.rig, p) for p in drawn.values()],
+        configuration=configuration.model_dump(),
+        versions=versions(),
+        notices=list(recording.notices),
+        seconds=time.perf_counter() - begun,
+    )
+
+
+def versions() -> dict[str, str]:
+    """Versions of what computed the result."""
+    names = ("numpy", "scipy", "numba", "opencv-python-headless", "av")
+    return {"paceline": __version__, "python": platform.python_version()} | {n: metadata.version(n) for n in names}
+
+
+def _reconstruct(clip: Clip, configuration: SpeedConfiguration) -> dict[str, Path]:
+    """The paths that vehicles drive on, not yet moved to their lanes' centres."""
+    if configuration.motion == "free":
+        return {}
+    drawn = {}
+    for name in dict.fromkeys(v.path for v in clip.vehicles if v.path is not None):
+        document = clip.paths[name]
+        shape = document.shape if configuration.motion == "auto" else configuration.motion
+        try:
+            if document.points is not None:
+                drawn[name] = paths.from_points(name, shape, document.points)
+            elif document.left is not None and document.right is not None:
+                drawn[name] = paths.reconstruct(name, shape, clip.rig, document.left, document.right)
+        except UnusableInput as unusable:
+            raise UnusableInput(f"{clip.path}: {unusable}") from None
+    return drawn
+
+
+def _drawing(rig: StereoRig, path: Path) -> PathDrawing:
+    left, right = rig.project(path.points)
+    return PathDrawing(path.name, path.points, left, right)
+
+
+class _Run:
+    """One vehicle on its way through the clip."""
+
+    def __init__(
+        self, clip: Clip, vehicle: VehicleDocument, drawn: dict[str, Path], configuration: SpeedConfiguration
+    ) -> None:
+        self.rig, self.vehicle, self.configuration = clip.rig, vehicle, configuration
+        on_path = vehicle.path if vehicle.path in drawn else None
+        self.path = drawn[on_path] if on_path is not None else None
+        offset = clip.paths[on_path].lateral_offset if on_path is not None else 0.0
+        self.tracker = Tracker(clip.rig, vehicle, self.path, offset, configuration)
+        self.estimates: list[Estimate] = []
+        self.glimpses: list[Glimpse] = []
+        self._stride = 1
+
+    def see(self, frame: StereoFrame) -> bool:
+        """Follow the vehicle into ``frame``; whether it can be followed further."""
+        estimate = self.tracker.update(frame)
+        self.estimates.append(estimate)
+        if estimate.status == "tracking" and self.configuration.refine:
+            self._keep(frame, estimate)
+        return estimate.status == "tracking"
+
+    def _keep(self, frame: StereoFrame, estimate: Estimate) -> None:
+        if (len(self.estimates) - 1) % self._stride:
+            return
+        quads = np.stack([estimate.left, estimate.right])
+        crops, corners = zip(*(_crop(i, q) for i, q in zip((frame.left, frame.right), quads, strict=True)), strict=True)
+        half = 0.5 * frame.skew
+        times = (frame.time - half, frame.time + half)
+        self.glimpses.append(Glimpse(frame.index, times, crops, np.stack(corners), quads))
+        if len(self.glimpses) > MOST_GLIMPSES:
+            self.glimpses, self._stride = self.glimpses[::2], 2 * self._stride
+
+    def result(self) -> Measurement:
+        """The measurement, refined where enough was seen."""
+        tracked = [e for e in self.estimates if e.status == "tracking"]
+        if len(tracked) < LEAST_FRAMES:
+            return self._rejected(self._too_few(len(tracked)))
+        if not self.configuration.refine:
+            return self._from_filter(tracked)
+        try:
+            refined = refine(self.rig, self._trajectory(), self.glimpses, self._first_speed(tracked), self.path is not None)
+        except np.linalg.LinAlgError:
+            return self._rejected("residuals: the region has too little texture for its motion to be determined")
+        return self._judged(refined, len(tracked))
+
+    def _too_few(self, frames: int) -> str:
+        last = self.estimates[-1].status if self.estimates else "tracking"
+        how = {"ended": "left the image", "lost": "was lost"}.get(last, "was seen")
+        when = "after" if last != "tracking" else "for only"
+        return f"too few frames: the vehicle {how} {when} {frames} of at least {LEAST_FRAMES}"
+
+    def _first_speed(self, tracked: list[Estimate]) -> float:
+        return float(np.mean([e.speed for e in tracked[1:]]))
+
+    def _trajectory(self) -> Trajectory:
+        """The outline and the way it goes: the path in the sense of travel, or straight on as the filter saw it."""
+        first = self.glimpses[0]
+        path = self.tracker.path
+        if path is None:
+            places = np.array([e.position for e in self.estimates if e.status == "tracking"])
+            path = paths.straight(self.vehicle.id, places)
+        plane = first_plane(self.rig, self.vehicle, None if self.path is None else path, self.configuration.click_sigma)
+        times = np.array([g.times for g in self.glimpses]) - np.mean(first.times)
+        return Trajectory(self.rig, self.vehicle.left, plane, path, times)
+
+    def _judged(self, refined: Refined, frames: int) -> Measurement:
+        speed, random_std, systematic_std = refined.mean_speed()
+        half = np.hypot(
+            student.ppf(0.5 + CONFIDENCE / 2, refined.dof) * random_std,
+            norm.ppf(0.5 + CONFIDENCE / 2) * np.nan_to_num(systematic_std),
+        )
+        across = np.nanmedian(refined.offsets[:, 1, 1] - refined.offsets[:, 0, 1])
+        off = float(np.sqrt(np.nanmean(refined.offsets**2)))
+        reason = ""
+        if not np.isfinite([speed, half]).all() or not refined.converged:
+            reason = "residuals: no motion explains the pictures"
+        elif refined.residual > MISFIT * refined.contrast or off > OFF:
+            reason = (
+                f"residuals: the pictures lie {off:.1f} px off the fitted motion and "
+                f"{refined.residual / max(refined.contrast, 1e-9):.0%} of their contrast is unexplained"
+            )
+        elif abs(across) > DISAGREE:
+            reason = f"views disagree: they lie {abs(across):.1f} px apart across the epipolar lines"
+        elif not 0 <= speed <= FASTEST:
+            reason = f"implausible: {speed:.1f} m/s"
+        elif half > max(WIDEST[0] * speed, WIDEST[1]):
+            reason = f"interval too wide: ± {half:.2f} m/s"
+        model = "constant acceleration" if refined.accelerating else "constant speed"
+        return Measurement(
+            vehicle=self.vehicle.id,
+            track=self._track(refined),
+            speed=speed,
+            speed_lo=speed - float(half),
+            speed_hi=speed + float(half),
+            random_std=random_std,
+            systematic_std=systematic_std,
+            frames=frames,
+            verdict="rejected" if reason else "measured",
+            reason=reason,
+            model=model + (", turning" if refined.turning else ""),
+            acceleration=float(refined.theta[2]) if refined.accelerating else float("nan"),
+            residual_rms=refined.residual,
+            notices=self._notices(refined),
+        )
+
+    def _notices(self, refined: Refined) -> list[str]:
+        notices = []
+        if np.isnan(refined.systematic).any():
+            notices.append("rig.yaml states no uncertainty: the interval holds no systematic part")
+        hidden = sum(e.likeness < SEEN for e in self.estimates)
+        if hidden:
+            notices.append(f"hidden or unlike itself in {hidden} frames")
+        if self.estimates[-1].status == "lost":
+            notices.append(f"lost at frame {self.estimates[-1].frame}")
+        return notices
+
+    def _from_filter(self, tracked: list[Estimate]) -> Measurement:
+        """Without refinement: the filter's mean speed, and the spread of its estimates."""
+        speeds = np.array([e.speed for e in tracked[1:]])
+        spread = np.array([e.speed_std for e in tracked[1:]])
+        speed, std = float(speeds.mean()), float(np.sqrt(np.mean(spread**2)))
+        half = norm.ppf(0.5 + CONFIDENCE / 2) * std
+        reason = f"interval too wide: ± {half:.2f} m/s" if half > max(WIDEST[0] * speed, WIDEST[1]) else ""
+        return Measurement(
+            vehicle=self.vehicle.id,
+            track=self._track(None),
+            speed=speed,
+            speed_lo=speed - half,
+            speed_hi=speed + half,
+            random_std=std,
+            systematic_std=float("nan"),
+            frames=len(tracked),
+            verdict="rejected" if reason else "measured",
+            reason=reason,
+            model="filter",
+            notices=["not refined: the interval is the filter's own spread, which does not know of its bias"],
+        )
+
+    def _rejected(self, reason: str) -> Measurement:
+        nan = float("nan")
+        frames = sum(e.status == "tracking" for e in self.estimates)
+        return Measurement(
+            self.vehicle.id, self._track(None), nan, nan, nan, nan, nan, frames, "rejected", reason, "none"
+        )
+
+    def _track(self, refined: Refined | None) -> Track:
+        E = self.estimates
+        refined_speed, refined_std = np.full(len(E), np.nan), np.full(len(E), np.nan)
+        if refined is not None:
+            speeds, stds = refined.speeds()
+            at = {g.frame: i for i, g in enumerate(self.glimpses)}
+            for i, e in enumerate(E):
+                if e.frame in at:
+                    refined_speed[i], refined_std[i] = speeds[at[e.frame]], stds[at[e.frame]]
+        return Track(
+            vehicle=self.vehicle.id,
+            frame=np.array([e.frame for e in E], np.int64),
+            time=np.array([e.time for e in E]),
+            speed=np.array([e.speed for e in E]),
+            speed_std=np.array([e.speed_std for e in E]),
+            position=np.array([e.position for e in E]).reshape(-1, 3),
+            yaw_rate=np.array([e.yaw_rate for e in E]),
+            left=np.array([e.left for e in E]).reshape(-1, 4, 2),
+            right=np.array([e.right for e in E]).reshape(-1, 4, 2),
+            ess=np.array([e.ess for e in E]),
+            status=[e.status for e in E],
+            particles_left=np.array([e.particles_left for e in E]),
+            particles_right=np.array([e.particles_right for e in E]),
+            refined_speed=refined_speed,
+            refined_std=refined_std,
+        )
+
+
+def _crop(image: NDArray[np.float32], quad: Array) -> tuple[NDArray[np.float32], Array]:
+    """The picture about ``quad`` (4, 2) with a margin, and its first pixel (2,)."""
+    low, high = quad.min(0), quad.max(0)
+    margin = MARGIN[0] * (high - low).max() + MARGIN[1]
+    x0, y0 = np.maximum(np.floor(low - margin), 0).astype(int)
+    x1, y1 = np.ceil(high + margin).astype(int)
+    return image[y0:y1, x0:x1].copy(), np.array([x0, y0], float)

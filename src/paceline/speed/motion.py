@@ -1,0 +1,199 @@
+"""How particles move: [Zhu] (9)–(11) without a path, (22)–(24) along a straight one, (25)–(27) along a curve.
+
+The state of N particles is kept in aligned arrays. The 2-D substates are dependent variables: they follow the plane's
+motion through the homographies (5), and no noise is added to them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from paceline.cameras import StereoRig
+from paceline.geometry import plane_homography
+from paceline.speed.configuration import SpeedConfiguration
+from paceline.speed.paths import Path
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+FRAME = 0.2  # s, the frame interval of [Zhu], to which its noises per frame refer
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """N particles: 2-D substates, the plane n·P = d in the left camera's frame, and its motion.
+
+    Along a path the motion is ``speed`` at arc length ``s``, and ``heading`` is each particle's own guess of how the
+    true path turns away (yaw, pitch, in radians) from the drawn one. Without a path it is ``velocity`` and
+    ``turning`` (Euler angles per second).
+    """
+
+    left: Array  # (N, 4, 2) px
+    right: Array  # (N, 4, 2) px
+    normal: Array  # (N, 3)
+    distance: Array  # (N,) m
+    speed: Array  # (N,) m/s
+    s: Array  # (N,) m
+    heading: Array  # (N, 2) rad
+    velocity: Array  # (N, 3) m/s
+    turning: Array  # (N, 3) rad/s
+
+    def __len__(self) -> int:
+        return len(self.speed)
+
+    def __getitem__(self, index: Indices) -> State:
+        return State(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
+
+
+def moved(state: State, rig: StereoRig, dR: Array, dt: Array) -> State:
+    """``state`` after the rigid motions P' = ΔR P + Δt, given as (N, 3, 3) and (N, 3): equations (5)–(8), (10), (11)."""
+    n, d = state.normal, state.distance
+    R, t = rig.R, rig.t
+    dR_right = R @ dR @ R.T  # T ΔT T⁻¹ of (8)
+    dt_right = dt @ R.T + t - np.einsum("nij,j->ni", dR_right, t)
+    n_right = n @ R.T
+    d_right = d + n_right @ t
+    normal = np.einsum("nij,nj->ni", dR, n)
+    return replace(
+        state,
+        left=_mapped(state.left, plane_homography(rig.left.K, dR, dt, n, d)),
+        right=_mapped(state.right, plane_homography(rig.right.K, dR_right, dt_right, n_right, d_right)),
+        normal=normal,
+        distance=d + (dt * normal).sum(-1),
+    )
+
+
+def _mapped(quads: Array, H: Array) -> Array:
+    """(11): the vertices (N, 4, 2) taken through (N, 3, 3)."""
+    p = np.einsum("nij,nkj->nki", H[:, :, :2], quads) + H[:, None, :, 2]
+    return np.asarray(p[..., :2] / p[..., 2:])
+
+
+def cross_homographies(rig: StereoRig, state: State) -> Array:
+    """(15) for every particle's plane: H_c (N, 3, 3) from the left view to the right one."""
+    plane = (state.normal / state.distance[:, None])[:, None, :]
+    return np.asarray(rig.right.K @ (rig.R + rig.t[:, None] * plane) @ rig.left.K_inv)
+
+
+def centres(rig: StereoRig, state: State) -> Array:
+    """Points (N, 3) in which the rays through the left regions' centres meet the planes."""
+    rays = rig.left.rays(diagonal_crossings(state.left))
+    return np.asarray(rays * (state.distance / (rays * state.normal).sum(-1))[:, None])
+
+
+def diagonal_crossings(quads: Array) -> Array:
+    """Projected centres (…, 2) of the planar regions ``quads`` (…, 4, 2): where their diagonals meet."""
+    a, b, c, d = (quads[..., i, :] for i in range(4))
+    ac, bd = c - a, d - b
+    cross = ac[..., 0] * bd[..., 1] - ac[..., 1] * bd[..., 0]
+    share = ((b - a)[..., 0] * bd[..., 1] - (b - a)[..., 1] * bd[..., 0]) / cross
+    return np.asarray(a + share[..., None] * ac)
+
+
+def corrected(
+    rig: StereoRig, state: State, W: Array, places: Array, seen: Array, noise: Array, model: FreeMotion | PathMotion
+) -> State:
+    """``state`` after an ensemble Kalman step on where the planes are.
+
+    ``places`` (N, 3) are the plane centres, ``seen`` (N, 3) one perturbed measurement of it for each particle,
+    ``noise`` (3, 3) its covariance. The gain comes from the weighted cloud's own covariance.
+    """
+    fields = model.linear
+    columns = [places, *(getattr(state, f).reshape(len(state), -1) for f in fields)]
+    x = np.concatenate(columns, axis=1)
+    deviation = x - W @ x
+    covariance = (W[:, None] * deviation).T @ deviation
+    gain = covariance[:, :3] @ np.linalg.inv(covariance[:3, :3] + noise)
+    change = (seen - places) @ gain.T
+    still = np.broadcast_to(np.eye(3), (len(state), 3, 3))
+    after = moved(state, rig, still, change[:, :3])
+    updates, at = {}, 3
+    for f, column in zip(fields, columns[1:], strict=True):
+        width = column.shape[1]
+        updates[f] = getattr(state, f) + change[:, at : at + width].reshape(getattr(state, f).shape)
+        at += width
+    return model.followed(replace(after, **updates), change[:, :3])
+
+
+class FreeMotion:
+    """Six degrees of freedom at constant velocity, with noise ([Zhu] (9)–(11))."""
+
+    name = "free"
+    linear = ("velocity",)
+
+    def __init__(self, rig: StereoRig, configuration: SpeedConfiguration) -> None:
+        self.rig = rig
+        self.rotation_noise = configuration.rotation_noise
+        self.translation_noise = configuration.translation_noise
+
+    def propagate(self, state: State, dt: float, rng: np.random.Generator) -> State:
+        """All particles ``dt`` seconds later. The plane turns about its own centre and is carried along."""
+        N = len(state)
+        scale = np.sqrt(dt / FRAME)
+        turning = state.turning + rng.normal(0.0, self.rotation_noise * scale, (N, 3))
+        velocity = state.velocity + rng.normal(0.0, self.translation_noise * scale, (N, 3))
+        dR = Rotation.from_euler("xyz", turning * dt).as_matrix()
+        centre = centres(self.rig, state)
+        shift = centre + velocity * dt - np.einsum("nij,nj->ni", dR, centre)
+        after = moved(state, self.rig, dR, shift)
+        return replace(after, turning=turning, velocity=velocity, speed=np.linalg.norm(velocity, axis=1))
+
+
+    def followed(self, state: State, shift: Array) -> State:
+        """``state`` whose planes were moved by ``shift`` (N, 3)."""
+        return replace(state, speed=np.linalg.norm(state.velocity, axis=1))
+
+
+class PathMotion:
+    """Along a path: one speed, and the rotation of the path's frame ([Zhu] (22)–(27)).
+
+    The path is a prior: every particle follows its own version of it, turned by its ``heading``. On a curve the
+    noise (27) across the path is added.
+    """
+
+    linear = ("speed", "heading")
+
+    def __init__(self, rig: StereoRig, path: Path, configuration: SpeedConfiguration) -> None:
+        self.rig = rig
+        self.path = path
+        self.name = path.shape
+        self.speed_noise = configuration.speed_noise
+        self.distance_noise = configuration.distance_noise
+        curved = path.shape == "curve"
+        self.drift = np.array([configuration.lateral_noise, configuration.vertical_noise]) * curved
+
+    def propagate(self, state: State, dt: float, rng: np.random.Generator) -> State:
+        """All particles ``dt`` seconds later."""
+        N = len(state)
+        scale = np.sqrt(dt / FRAME)
+        speed = state.speed + rng.normal(0.0, self.speed_noise * scale, N)
+        s = self._advanced(state.s, speed * dt + rng.normal(0.0, self.distance_noise * scale, N))
+        F, F_after = self.path.frames(state.s), self.path.frames(s)
+        dR = F_after @ np.swapaxes(F, -1, -2)  # (26)
+        start = self.path.at(state.s)
+        step = self.path.at(s) - start
+        length = (step * F[:, :, 0]).sum(-1)
+        turned = step + length[:, None] * np.einsum("nij,nj->ni", F[:, :, 1:], state.heading)
+        drift = np.einsum("nij,nj->ni", F_after[:, :, 1:], rng.normal(0.0, 1.0, (N, 2)) * self.drift * scale)
+        shift = start + turned - np.einsum("nij,nj->ni", dR, start) + drift  # (27)
+        return replace(moved(state, self.rig, dR, shift), speed=speed, s=s)
+
+    def followed(self, state: State, shift: Array) -> State:
+        """``state`` whose planes were moved by ``shift`` (N, 3): their arc lengths follow."""
+        T = self.path.frames(state.s)[:, :, 0]
+        return replace(state, s=state.s + (shift * T).sum(-1))
+
+    def _advanced(self, s: Array, length: Array) -> Array:
+        """τ' with ‖C(τ') − C(τ)‖ = |length| on the side of its sign: (25), by two secant steps from the arc."""
+        start = self.path.at(s)
+        after = s + length
+        if self.name == "line":
+            return after
+        for _ in range(2):
+            chord = np.linalg.norm(self.path.at(after) - start, axis=-1)
+            after = after + np.sign(length) * (np.abs(length) - chord)
+        return after

@@ -1,0 +1,100 @@
+"""Weights in log space and the resampling schemes of particle filtering."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+Scheme = Callable[[Array, np.random.Generator], Indices]
+
+
+class Weights:
+    """Normalised weights of N particles, kept as logarithms: ``lw`` (N,), ``W`` (N,) and their effective size ``ESS``.
+
+    Raises FloatingPointError where every particle has weight zero.
+    """
+
+    def __init__(self, lw: Array) -> None:
+        total = logsumexp(lw)
+        if not np.isfinite(total):
+            raise FloatingPointError("all particle weights vanish")
+        self.lw = lw - total
+
+    @classmethod
+    def equal(cls, n: int) -> Weights:
+        return cls(np.zeros(n))
+
+    @cached_property
+    def W(self) -> Array:
+        return np.asarray(np.exp(self.lw))
+
+    @cached_property
+    def ESS(self) -> float:
+        """1 / Σ W², between 1 and N."""
+        return float(1.0 / np.sum(self.W**2))
+
+    def updated(self, log_likelihood: Array) -> Weights:
+        """The weights after an observation ([Zhu] (2))."""
+        return Weights(self.lw + log_likelihood)
+
+    def mean(self, values: Array) -> Array:
+        """Posterior mean (…) of ``values`` (N, …) ([Zhu] (3))."""
+        return np.asarray(np.tensordot(self.W, values, 1))
+
+    def std(self, values: Array) -> Array:
+        """Posterior standard deviation (…) of ``values`` (N, …)."""
+        return np.asarray(np.sqrt(np.tensordot(self.W, (values - self.mean(values)) ** 2, 1)))
+
+
+def _inverse_cdf(points: Array, W: Array) -> Indices:
+    cumulative = np.cumsum(W)
+    cumulative[-1] = 1.0
+    return np.searchsorted(cumulative, points, side="left").astype(np.int64)
+
+
+def systematic(W: Array, rng: np.random.Generator) -> Indices:
+    """One uniform offset for all strata."""
+    n = len(W)
+    return _inverse_cdf((np.arange(n) + rng.random()) / n, W)
+
+
+def stratified(W: Array, rng: np.random.Generator) -> Indices:
+    """One uniform draw in every stratum."""
+    n = len(W)
+    return _inverse_cdf((np.arange(n) + rng.random(n)) / n, W)
+
+
+def multinomial(W: Array, rng: np.random.Generator) -> Indices:
+    """Independent draws."""
+    return _inverse_cdf(np.sort(rng.random(len(W))), W)
+
+
+def residual(W: Array, rng: np.random.Generator) -> Indices:
+    """⌊N·W⌋ copies of each, the rest drawn from what is left over."""
+    n = len(W)
+    copies = np.floor(n * W).astype(np.int64)
+    kept = np.repeat(np.arange(n), copies)
+    left = n * W - copies
+    if len(kept) == n:
+        return kept
+    rest = _inverse_cdf(np.sort(rng.random(n - len(kept))), left / left.sum())
+    return np.concatenate([kept, rest])
+
+
+SCHEMES: dict[str, Scheme] = {
+    "systematic": systematic,
+    "stratified": stratified,
+    "residual": residual,
+    "multinomial": multinomial,
+}
+
+
+def resample(scheme: str, W: Array, rng: np.random.Generator) -> Indices:
+    """Indices (N,) of the surviving particles, each expected N·W times."""
+    return SCHEMES[scheme](W, rng)

@@ -1,0 +1,39 @@
+"""The method's scalar pixel functions, in plain Python that a compiler for any device takes.
+
+Scalars in, scalars out. `pixels_cpu` compiles them with ``numba.njit``.
+"""
+
+from __future__ import annotations
+
+
+def interpolate(neighbourhood, fx, fy):  # type: ignore[no-untyped-def]
+    """Bilinear value at fractions (fx, fy) within a 2×2 neighbourhood packed in one uint32.
+
+    Byte 0 is pixel (x, y), byte 1 (x + 1, y), byte 2 (x, y + 1), byte 3 (x + 1, y + 1).
+    """
+    a = neighbourhood & 255
+    b = (neighbourhood >> 8) & 255
+    c = (neighbourhood >> 16) & 255
+    d = neighbourhood >> 24
+    top = a + fx * (b - a)
+    return top + fy * (c + fx * (d - c) - top)
+
+
+def haar_average(a, b, c, d):  # type: ignore[no-untyped-def]
+    """Scaling coefficient of the orthonormal 2×2 Haar transform; the pixels are a b over c d."""
+    return (a + b + c + d) / 2
+
+
+def haar_left_right(a, b, c, d):  # type: ignore[no-untyped-def]
+    """Left minus right."""
+    return (a - b + c - d) / 2
+
+
+def haar_up_down(a, b, c, d):  # type: ignore[no-untyped-def]
+    """Up minus down."""
+    return (a + b - c - d) / 2
+
+
+def haar_diagonal(a, b, c, d):  # type: ignore[no-untyped-def]
+    """One diagonal minus the other."""
+    return (a - b - c + d) / 2

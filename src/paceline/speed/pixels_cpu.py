@@ -1,0 +1,185 @@
+"""The pixel kernels of the likelihood on the CPU, compiled by Numba.
+
+A row of samples takes three loops — indices and fractions, a plain gather, unpack and interpolate — over an image
+whose 2×2 neighbourhoods are packed in one uint32. The first and the last become vector instructions because separate
+scratch rows prove to the compiler that nothing aliases.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+
+from paceline.speed import pixels
+
+_inline = njit(inline="always")
+_interpolate = _inline(pixels.interpolate)
+_average = _inline(pixels.haar_average)
+_left_right = _inline(pixels.haar_left_right)
+_up_down = _inline(pixels.haar_up_down)
+_diagonal = _inline(pixels.haar_diagonal)
+
+CHUNKS = 32  # pieces of work shared out to the threads
+CROSS_ROWS = 2  # the cross-view correlation takes every second row of samples
+
+
+@njit(cache=True, nogil=True)
+def pack(image, packed):  # type: ignore[no-untyped-def]
+    """Pack the 2×2 neighbourhoods of ``image`` (H, W) float32 0–255 into ``packed`` (H, W) uint32; borders repeat."""
+    height, width = image.shape
+    levels = np.empty((2, width + 1), np.uint32)
+    for y in range(height + 1):
+        row = levels[y % 2]
+        source = image[min(y, height - 1)]
+        for x in range(width):
+            row[x] = np.uint32(min(max(source[x] + np.float32(0.5), np.float32(0.0)), np.float32(255.0)))
+        row[width] = row[width - 1]
+        if y > 0:
+            above, target = levels[(y - 1) % 2], packed[y - 1]
+            for x in range(width):
+                target[x] = above[x] | (above[x + 1] << 8) | (row[x] << 16) | (row[x + 1] << 24)
+
+
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+def _sample_row(flat, width, height, H, v, n, px, py, index, fx, fy, word, out):  # type: ignore[no-untyped-def]
+    """``out`` (n,): the packed image at the row ``v`` of the unit square's grid, mapped to (px, py) by ``H`` (9,)."""
+    right = np.float32(width) - np.float32(1.001)
+    bottom = np.float32(height) - np.float32(1.001)
+    ax, ay, az = H[0], H[3], H[6]
+    bx, by, bz = H[1] * v + H[2], H[4] * v + H[5], H[7] * v + H[8]
+    step = np.float32(1.0) / np.float32(n)
+    for i in range(n):
+        u = (np.float32(i) + np.float32(0.5)) * step
+        z = np.float32(1.0) / (az * u + bz)
+        x = (ax * u + bx) * z
+        y = (ay * u + by) * z
+        px[i] = x
+        py[i] = y
+        x = min(max(x, np.float32(0.0)), right)
+        y = min(max(y, np.float32(0.0)), bottom)
+        ix = np.int32(x)
+        iy = np.int32(y)
+        fx[i] = x - np.float32(ix)
+        fy[i] = y - np.float32(iy)
+        index[i] = iy * np.int32(width) + ix
+    for i in range(n):
+        word[i] = flat[index[i]]
+    for i in range(n):
+        out[i] = _interpolate(word[i], fx[i], fy[i])
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _sum_blocks(totals, blocks, samples):  # type: ignore[no-untyped-def]
+    """Block sums of a row of sample ``totals``, ``samples`` of them to each block; the totals start anew."""
+    for b in range(blocks.shape[0]):
+        total = np.float32(0.0)
+        for i in range(b * samples, (b + 1) * samples):
+            total += totals[i]
+            totals[i] = 0.0
+        blocks[b] = total
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _wavelets(blocks, across, features):  # type: ignore[no-untyped-def]
+    """Two-level Haar coefficients (parts, 16) of block sums (4 rows a part, 4 columns a part).
+
+    Order: average, then left-right, up-down and diagonal of the coarse level, then of the four fine squares.
+    """
+    coarse = np.empty(4, np.float32)
+    for part in range(features.shape[0]):
+        y, x = 4 * (part // across), 4 * (part % across)
+        f = features[part]
+        for q in range(4):
+            i, j = y + 2 * (q // 2), x + 2 * (q % 2)
+            a, b, c, d = blocks[i, j], blocks[i, j + 1], blocks[i + 1, j], blocks[i + 1, j + 1]
+            coarse[q] = _average(a, b, c, d)
+            f[4 + 3 * q] = _left_right(a, b, c, d)
+            f[5 + 3 * q] = _up_down(a, b, c, d)
+            f[6 + 3 * q] = _diagonal(a, b, c, d)
+        a, b, c, d = coarse[0], coarse[1], coarse[2], coarse[3]
+        f[0] = _average(a, b, c, d)
+        f[1] = _left_right(a, b, c, d)
+        f[2] = _up_down(a, b, c, d)
+        f[3] = _diagonal(a, b, c, d)
+
+
+@njit(cache=True, nogil=True, fastmath=True, parallel=True, error_model="numpy")
+def observe(left, right, H, edges, across, down, samples, features, ncc):  # type: ignore[no-untyped-def]
+    """What every particle sees: wavelet features in both views, and their correlation across the views.
+
+    ``left``, ``right`` (H, W) packed images; ``H`` (N, 3, 9) homographies of the unit square to the left region, the
+    right region, and the left region carried into the right view by (15); ``edges`` (N, 4, 3) lines of the right
+    region, positive inside; ``across`` × ``down`` parts with ``samples`` (x, y) a block. Writes ``features``
+    (N, 2, parts, 16) and ``ncc`` (N,), the normalised cross-correlation (17) over R_∩, −1 where R_∩ is all but empty.
+    """
+    N = H.shape[0]
+    n = across * 4 * samples[0]
+    rows = down * 4 * samples[1]
+    flat_left, flat_right = left.reshape(-1), right.reshape(-1)
+    least = np.float32(0.25) * n * rows / CROSS_ROWS
+    chunks = min(N, CHUNKS)
+    for chunk in prange(chunks):
+        px, py = np.empty(n, np.float32), np.empty(n, np.float32)
+        fx, fy = np.empty(n, np.float32), np.empty(n, np.float32)
+        index, word = np.empty(n, np.int32), np.empty(n, np.uint32)
+        value, crossed = np.empty(n, np.float32), np.empty(n, np.float32)
+        totals = np.zeros((2, n), np.float32)
+        blocks = np.empty((2, down * 4, across * 4), np.float32)
+        sums = np.empty(6, np.float32)
+        for p in range(chunk * N // chunks, (chunk + 1) * N // chunks):
+            sums[:] = 0.0
+            for r in range(rows):
+                v = (np.float32(r) + np.float32(0.5)) / np.float32(rows)
+                _sample_row(flat_left, left.shape[1], left.shape[0], H[p, 0], v, n, px, py, index, fx, fy, word, value)
+                for i in range(n):
+                    totals[0, i] += value[i]
+                if r % CROSS_ROWS == 0:
+                    _sample_row(
+                        flat_right, right.shape[1], right.shape[0], H[p, 2], v, n, px, py, index, fx, fy, word, crossed
+                    )
+                    _correlate_row(value, crossed, px, py, edges[p], sums)
+                _sample_row(
+                    flat_right, right.shape[1], right.shape[0], H[p, 1], v, n, px, py, index, fx, fy, word, value
+                )
+                for i in range(n):
+                    totals[1, i] += value[i]
+                if r % samples[1] == samples[1] - 1:
+                    _sum_blocks(totals[0], blocks[0, r // samples[1]], samples[0])
+                    _sum_blocks(totals[1], blocks[1, r // samples[1]], samples[0])
+            _wavelets(blocks[0], across, features[p, 0])
+            _wavelets(blocks[1], across, features[p, 1])
+            ncc[p] = _correlation(sums, least)
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _correlate_row(a, b, px, py, e, sums):  # type: ignore[no-untyped-def]
+    """Add to ``sums`` = Σ1, Σa, Σb, Σaa, Σbb, Σab over the samples whose (px, py) lie inside the edges ``e`` (4, 3)."""
+    s0 = s1 = s2 = s3 = s4 = s5 = np.float32(0.0)
+    for i in range(a.shape[0]):
+        x, y = px[i], py[i]
+        nearest = min(
+            min(e[0, 0] * x + e[0, 1] * y + e[0, 2], e[1, 0] * x + e[1, 1] * y + e[1, 2]),
+            min(e[2, 0] * x + e[2, 1] * y + e[2, 2], e[3, 0] * x + e[3, 1] * y + e[3, 2]),
+        )
+        inside = np.float32(1.0) if nearest >= np.float32(0.0) else np.float32(0.0)
+        left, right = (a[i] - np.float32(128.0)) * inside, (b[i] - np.float32(128.0)) * inside
+        s0 += inside
+        s1 += left
+        s2 += right
+        s3 += left * left
+        s4 += right * right
+        s5 += left * right
+    sums[0] += s0
+    sums[1] += s1
+    sums[2] += s2
+    sums[3] += s3
+    sums[4] += s4
+    sums[5] += s5
+
+
+@njit(cache=True, nogil=True)
+def _correlation(s, least):  # type: ignore[no-untyped-def]
+    if s[0] < least:
+        return np.float32(-1.0)
+    aa, bb, ab = s[3] - s[1] * s[1] / s[0], s[4] - s[2] * s[2] / s[0], s[5] - s[1] * s[2] / s[0]
+    return ab / np.sqrt(max(aa * bb, np.float32(1e-6)))

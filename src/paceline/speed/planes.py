@@ -1,0 +1,71 @@
+"""The plane on a vehicle that is tracked, as first outlined by the operator in both views."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from paceline.cameras import StereoRig
+from paceline.documents import VehicleDocument
+from paceline.geometry import triangulate
+from paceline.speed.paths import Path
+
+Array = NDArray[np.float64]
+
+UPRIGHT = np.radians(6.0)  # fronts and sides of vehicles stand upright to about this
+TURNED = np.radians(30.0)  # a side outlined for measurement faces the cameras to about this
+ALONG_PATH = np.array([np.radians(1.5), np.radians(5.0)])  # a front or side follows its path to this: yaw, tilt
+
+
+@dataclass(frozen=True, eq=False)
+class FirstPlane:
+    """The plane n·P = d at the first frame.
+
+    ``centre`` (3,) m; ``normal`` (3,), away from the cameras, so that ``distance`` > 0; ``normal_std`` (2,) rad: of
+    its yaw and its tilt; ``inverse_depth_std``: relative, from the operator's hand.
+    """
+
+    centre: Array
+    normal: Array
+    normal_std: Array
+    distance: float
+    inverse_depth_std: float
+
+
+def first_plane(rig: StereoRig, vehicle: VehicleDocument, path: Path | None, click_sigma: float) -> FirstPlane:
+    """The plane that the quadrilaterals of ``vehicle`` outline.
+
+    A front (or rear) is perpendicular to the path and a side parallel to it; otherwise the normal comes from the
+    triangulated corners, which determine it weakly at a distance, and from how vehicles stand.
+    """
+    centre = triangulate(rig, vehicle.left.mean(0), vehicle.right.mean(0))
+    disparity_std = click_sigma * np.sqrt(2.0 / 4.0)
+    relative = float(disparity_std * centre[2] / (rig.left.K[0, 0] * rig.baseline))
+    if vehicle.plane == "free" or path is None:
+        normal, std = normal_from_corners(rig, vehicle.left, vehicle.right, click_sigma)
+    else:
+        T, P, _ = path.frames(np.array(path.nearest(centre))).T
+        normal, std = (T if vehicle.plane == "front" else P), ALONG_PATH
+    if normal @ centre < 0:
+        normal = -normal
+    return FirstPlane(centre, normal, std, float(normal @ centre), relative)
+
+
+def normal_from_corners(rig: StereoRig, left: Array, right: Array, click_sigma: float) -> tuple[Array, Array]:
+    """Unit normal (3,) of the plane through triangulated corners (4, 2), and the std (2,) of its yaw and tilt, rad.
+
+    Inverse depth is linear over the image of a plane: 1/Z = (n/d)·r with rays r. That linear fit is joined with a
+    prior: the plane stands upright and is not turned far from facing the cameras.
+    """
+    corners = triangulate(rig, left, right)
+    inverse = 1.0 / corners[:, 2]
+    sigma = click_sigma * np.sqrt(2.0) / (rig.left.K[0, 0] * rig.baseline)
+    facing = float(inverse.mean())
+    rows = np.concatenate(
+        [rig.left.rays(left) / sigma, [[1 / (facing * np.tan(TURNED)), 0, 0], [0, 1 / (facing * np.tan(UPRIGHT)), 0]]]
+    )
+    plane = np.linalg.lstsq(rows, np.concatenate([inverse / sigma, [0.0, 0.0]]))[0]
+    covariance = np.linalg.inv(rows.T @ rows) / facing**2
+    return plane / np.linalg.norm(plane), np.sqrt(np.diag(covariance)[:2])

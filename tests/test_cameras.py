@@ -1,0 +1,66 @@
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from paceline.cameras import Camera, StereoRig
+
+K = np.array([[800.0, 0, 511.5], [0, 805, 383.5], [0, 0, 1]])
+DISTORTION = np.array([-0.28, 0.09, 0.0008, -0.0006, -0.01])
+
+
+def distorted(camera: Camera, ideal):
+    """Where OpenCV sees what an undistorted camera would see at ``ideal``."""
+    rays = camera.rays(ideal).reshape(-1, 1, 3)
+    return cv2.projectPoints(rays, np.zeros(3), np.zeros(3), camera.K, camera.distortion)[0].reshape(ideal.shape)
+
+
+@settings(deadline=None)
+@given(st.tuples(st.floats(-50, 50), st.floats(-50, 50), st.floats(0.5, 200)).map(np.array))
+def test_projection_and_rays_are_inverse(X):
+    camera = Camera((1024, 768), K)
+    np.testing.assert_allclose(camera.rays(camera.project(X)) * X[2], X, rtol=1e-9, atol=1e-9)
+    expected = cv2.projectPoints(X.reshape(1, 1, 3), np.zeros(3), np.zeros(3), K, None)[0].ravel()
+    np.testing.assert_allclose(camera.project(X), expected, rtol=1e-9, atol=1e-7)
+
+
+@settings(deadline=None)
+@given(st.tuples(st.floats(0, 1023), st.floats(0, 767)).map(np.array))
+def test_undistorted_points_distort_back(pixel):
+    camera = Camera((1024, 768), K, DISTORTION)
+    np.testing.assert_allclose(distorted(camera, camera.undistort_points(pixel)), pixel, atol=1e-6)
+
+
+def test_an_undistorted_image_shows_each_spot_where_its_undistorted_point_lies():
+    camera = Camera((1024, 768), K, DISTORTION)
+    y, x = np.mgrid[:768, :1024].astype(np.float32)
+    for spot in ([200.0, 150.0], [900.0, 600.0], [520.0, 380.0]):
+        image = 255 * np.exp(-((x - spot[0]) ** 2 + (y - spot[1]) ** 2) / 18).astype(np.float32)
+        ideal = camera.undistort_image(image)
+        centre = np.array([(x * ideal).sum(), (y * ideal).sum()]) / ideal.sum()
+        np.testing.assert_allclose(centre, camera.undistort_points(np.array(spot)), atol=0.1)
+
+
+def test_without_distortion_nothing_is_touched():
+    camera = Camera((64, 48), K, np.zeros(5))
+    image = np.random.default_rng(0).random((48, 64)).astype(np.float32)
+    assert camera.undistort_image(image) is image
+    np.testing.assert_array_equal(camera.undistort_points(np.array([[1.5, 2.5]])), [[1.5, 2.5]])
+
+
+def test_a_rig_projects_as_opencv_does_and_fulfils_its_epipolar_constraint():
+    left = Camera((1024, 768), K)
+    right = Camera((1024, 768), K + np.diag([20.0, 10.0, 0.0]))
+    rotation, t = np.array([0.01, -0.03, 0.02]), np.array([-0.6, 0.05, 0.02])
+    rig = StereoRig(left, right, cv2.Rodrigues(rotation)[0], t)
+    X = np.random.default_rng(3).uniform([-5, -3, 8], [5, 3, 80], (20, 3))
+    a, b = rig.project(X)
+    expected = cv2.projectPoints(X.reshape(-1, 1, 3), rotation, t, right.K, None)[0].reshape(-1, 2)
+    np.testing.assert_allclose(b, expected, atol=1e-8)
+    ones = np.ones((20, 1))
+    constraint = (np.hstack([b, ones]) @ rig.fundamental * np.hstack([a, ones])).sum(1)
+    np.testing.assert_allclose(constraint, 0, atol=1e-10)
+    assert rig.baseline == pytest.approx(np.linalg.norm(t))

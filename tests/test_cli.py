@@ -1,0 +1,180 @@
+"""The command line as a person uses it: its table, its exit codes and its one-line errors."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import yaml
+
+from paceline.simulation.planar import Scene, Vehicle, render, write
+
+ROOT = Path(__file__).parents[1]
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT / "src"), "COLUMNS": "100"}
+COMMAND = [sys.executable, "-m", "paceline"]
+SPEED = 20.0  # m/s
+
+
+def paceline(*arguments: str | Path, folder: Path | None = None) -> subprocess.CompletedProcess[str]:
+    command = [*COMMAND, *map(str, arguments)]
+    return subprocess.run(command, cwd=folder, env=ENVIRONMENT, capture_output=True, text=True, timeout=120)
+
+
+def assert_one_line_error(done: subprocess.CompletedProcess[str], *words: str) -> None:
+    """Status 2 and a single plain line on standard error with all ``words`` in it."""
+    assert done.returncode == 2, done.stderr
+    assert done.stdout == ""
+    assert done.stderr.startswith("paceline: ") and done.stderr.count("\n") == 1, done.stderr
+    for word in words:
+        assert word in done.stderr
+
+
+@pytest.fixture(scope="module")
+def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small rendered clip of one vehicle, as files."""
+    vehicle = Vehicle("v0", speed=SPEED, start_distance=60.0)
+    scene = Scene(seed=5, vehicles=(vehicle,), image_size=(640, 480), focal=1400.0, frames=10)
+    return write(render(scene), tmp_path_factory.mktemp("clip"))
+
+
+@pytest.fixture(scope="module")
+def measured(clip: Path) -> Iterator[tuple[subprocess.CompletedProcess[str], Path]]:
+    """The command's answer for the clip's folder, and what it wrote."""
+    out = clip.parent / "out"
+    yield paceline("speed", clip.parent, "-o", out, "--units", "m/s", "--seed", "1"), out
+
+
+def test_a_clip_is_measured(measured: tuple[subprocess.CompletedProcess[str], Path]) -> None:
+    done, out = measured
+    assert done.returncode == 0, done.stderr
+    header, row, *_ = done.stdout.splitlines()
+    assert header.split("  ")[0].strip() == "vehicle" and "speed, m/s" in header
+    assert row.startswith("v0") and "±" in row and row.endswith("measured")
+    assert done.stdout.rstrip().endswith(str(out / "report.html"))
+    (vehicle,) = json.loads((out / "summary.json").read_text())["vehicles"]
+    assert vehicle["verdict"] == "measured"
+    assert vehicle["speed_mps"] == pytest.approx(SPEED, rel=0.02)
+    assert vehicle["speed_lo_mps"] < vehicle["speed_mps"] < vehicle["speed_hi_mps"]
+    with (out / "estimates.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert [int(r["frame"]) for r in rows] == list(range(len(rows))) and len(rows) >= 8
+    assert (out / "report.html").stat().st_size > 50_000
+    assert (out / "overlay.mp4").stat().st_size > 5_000
+    assert not [p for p in out.parent.iterdir() if p.name.startswith(".")]
+
+
+def test_the_same_seed_gives_the_same_result(
+    clip: Path, measured: tuple[subprocess.CompletedProcess[str], Path], tmp_path: Path
+) -> None:
+    done = paceline("speed", clip, "-o", tmp_path / "again", "--seed", "1", "--quiet")
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    assert (tmp_path / "again" / "estimates.csv").read_bytes() == (measured[1] / "estimates.csv").read_bytes()
+
+
+def test_options_reach_the_configuration(clip: Path, tmp_path: Path) -> None:
+    options = ["--particles", "150", "--parts", "6", "--motion", "free", "--no-refine", "--seed", "3"]
+    done = paceline("speed", clip, "-o", tmp_path / "out", *options)
+    assert done.returncode in (0, 1), done.stderr
+    configuration = json.loads((tmp_path / "out" / "summary.json").read_text())["configuration"]
+    expected = {"particles": 150, "parts": 6, "motion": "free", "refine": False, "seed": 3}
+    assert {key: configuration[key] for key in expected} == expected
+    with (tmp_path / "out" / "estimates.csv").open(newline="") as stream:
+        assert {row["refined_speed_mps"] for row in csv.DictReader(stream)} == {""}
+
+
+def test_nothing_measured_is_status_1_with_the_reason(clip: Path, tmp_path: Path) -> None:
+    """A vehicle first outlined in the last frame cannot be measured; the outputs say so."""
+    document = yaml.safe_load(clip.read_text())
+    document["vehicles"][0]["frame"] = 9
+    late = clip.parent / "late.yaml"
+    late.write_text(yaml.safe_dump(document))
+    done = paceline("speed", late, "-o", tmp_path / "out")
+    assert done.returncode == 1, done.stderr
+    assert "rejected: " in done.stdout
+    (vehicle,) = json.loads((tmp_path / "out" / "summary.json").read_text())["vehicles"]
+    assert vehicle["verdict"] == "rejected" and vehicle["reason"]
+    assert "Rejected: " in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_an_interrupt_leaves_nothing_behind(clip: Path, tmp_path: Path) -> None:
+    command = [*COMMAND, "speed", str(clip), "-o", str(tmp_path / "out"), "--particles", "20000"]
+    process = subprocess.Popen(command, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 60
+    while not list(tmp_path.iterdir()) and process.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.02)
+    process.send_signal(signal.SIGINT)
+    stdout, stderr = process.communicate(timeout=60)
+    assert (process.returncode, stdout, stderr) == (130, "", "paceline: interrupted\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_output_that_is_a_file(clip: Path, tmp_path: Path) -> None:
+    (tmp_path / "out").write_text("mine")
+    assert_one_line_error(paceline("speed", clip, "-o", tmp_path / "out"), "out", "is a file")
+    assert (tmp_path / "out").read_text() == "mine"
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev")
+def test_an_unwritable_output(clip: Path) -> None:
+    assert_one_line_error(paceline("speed", clip, "-o", "/dev/full/out"), "/dev/full/out", "cannot be written")
+
+
+def test_a_clip_that_is_missing(tmp_path: Path) -> None:
+    done = paceline("speed", tmp_path / "absent.yaml", "-o", tmp_path / "out")
+    assert_one_line_error(done, "absent.yaml")
+    assert_one_line_error(paceline("speed", tmp_path, "-o", tmp_path / "out"), "clip.yaml")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_clip_with_an_unknown_key(clip: Path, tmp_path: Path) -> None:
+    wrong = clip.parent / "wrong.yaml"
+    wrong.write_text(clip.read_text().replace("vehicles:", "vehicels:"))
+    assert_one_line_error(paceline("speed", wrong, "-o", tmp_path / "out"), "vehicels", "vehicles")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], ["command"]),
+        (["spede"], ["spede"]),
+        (["speed"], ["CLIP"]),
+        (["speed", "c"], ["--out"]),
+        (["speed", "c", "-o", "o", "--unknown"], ["--unknown"]),
+        (["speed", "c", "-o", "o", "--particles", "0"], ["--particles 0", "expected greater"]),
+        (["speed", "c", "-o", "o", "--particles", "many"], ["--particles", "integer"]),
+        (["speed", "c", "-o", "o", "--seed", "-1"], ["--seed -1", "expected greater"]),
+        (["speed", "c", "-o", "o", "--parts", "0"], ["--parts 0", "expected"]),
+        (["speed", "c", "-o", "o", "--motion", "zigzag"], ["--motion", "zigzag", "auto"]),
+        (["speed", "c", "-o", "o", "--device", "tpu"], ["--device", "cpu"]),
+        (["speed", "c", "-o", "o", "--device", "cuda"], ["--device cuda", "use --device cpu"]),
+        (["speed", "c", "-o", "o", "--units", "knots"], ["--units", "knots", "mph", "km/h", "m/s"]),
+    ],
+)
+def test_wrong_options(arguments: list[str], words: list[str], tmp_path: Path) -> None:
+    assert_one_line_error(paceline(*arguments, folder=tmp_path), *words)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_version_and_help() -> None:
+    from paceline import __version__
+
+    assert paceline("--version").stdout == f"paceline {__version__}\n"
+    done = paceline("speed", "--help")
+    assert done.returncode == 0
+    for option in ("--particles", "--seed", "--motion", "--device", "--units", "--parts", "--no-refine", "--quiet"):
+        assert option in done.stdout
+
+
+def test_help_imports_nothing_heavy() -> None:
+    """So that it answers at once."""
+    code = "import sys, paceline.cli; sys.exit(any(m in sys.modules for m in ('numpy', 'cv2', 'numba', 'pydantic')))"
+    assert subprocess.run([sys.executable, "-c", code], env=ENVIRONMENT).returncode == 0

@@ -1,0 +1,315 @@
+from __future__ import annotations
+
+import copy
+import re
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from paceline.documents import load_clip, load_rig
+from paceline.errors import UnusableInput
+from paceline.plausibility import wrong_quadrilateral
+
+K = [[1000.0, 0.0, 319.5], [0.0, 1000.0, 239.5], [0.0, 0.0, 1.0]]
+RIG = {
+    "left": {"image_size": [640, 480], "K": K},
+    "right": {"image_size": [640, 480], "K": [row[:] for row in K]},
+    "rotation": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+    "translation": [-0.5, 0.0, 0.0],
+}
+LEFT = [[300.0, 200.0], [340.0, 200.0], [340.0, 225.0], [300.0, 225.0]]
+RIGHT = [[280.0, 200.0], [320.0, 200.0], [320.0, 225.0], [280.0, 225.0]]
+CLIP = {
+    "left": "left",
+    "right": "right",
+    "rate": 5,
+    "rig": "rig.yaml",
+    "paths": {
+        "lane0": {"shape": "line", "left": [[100, 300], [200, 250]], "right": [[80, 300], [190, 250], [195, 247]]}
+    },
+    "vehicles": [{"id": "v0", "path": "lane0", "frame": 0, "left": LEFT, "right": RIGHT}],
+}
+
+
+@pytest.fixture(autouse=True)
+def _here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def changed(document, key, value):
+    """A copy of ``document`` with ``value`` at ``key`` (``vehicles.0.left``), or without that key for None."""
+    document = copy.deepcopy(document)
+    *parents, last = [int(k) if k.isdecimal() else k for k in key.split(".")]
+    place = document
+    for parent in parents:
+        place = place[parent]
+    if value is None:
+        del place[last]
+    else:
+        place[last] = value
+    return document
+
+
+def write(clip=CLIP, rig=RIG):
+    Path("rig.yaml").write_text(yaml.safe_dump(rig))
+    Path("clip.yaml").write_text(yaml.safe_dump(clip))
+    return "clip.yaml"
+
+
+def refusal(load, path):
+    with pytest.raises(UnusableInput) as caught:
+        load(path)
+    message = str(caught.value)
+    assert "\n" not in message
+    return message
+
+
+# --- what is right -------------------------------------------------------------------------------------------------
+
+
+def test_a_clip_is_read_whole():
+    clip = load_clip(write())
+    assert (clip.left, clip.right, clip.rate, clip.times) == (Path("left"), Path("right"), 5.0, None)
+    assert (clip.tolerance, clip.bit_depth, clip.path) == (None, None, Path("clip.yaml"))
+    path = clip.paths["lane0"]
+    assert (path.name, path.shape, path.lateral_offset, path.points) == ("lane0", "line", 0.0, None)
+    assert path.left.shape == (2, 2) and path.right.shape == (3, 2)
+    (vehicle,) = clip.vehicles
+    assert (vehicle.id, vehicle.path, vehicle.frame, vehicle.plane, vehicle.speed) == ("v0", "lane0", 0, "front", None)
+    np.testing.assert_array_equal(vehicle.right, RIGHT)
+    np.testing.assert_array_equal(clip.rig.t, [-0.5, 0, 0])
+    assert clip.rig.uncertainty is None
+
+
+def test_optional_keys():
+    clip = changed(changed(CLIP, "time_tolerance", 0.004), "bit_depth", 12)
+    clip["vehicles"] = [
+        {"id": 7, "frame": 3, "left": LEFT, "right": RIGHT, "speed": 24.6},
+        {"id": "side", "frame": 3, "left": LEFT, "right": RIGHT, "plane": "side"},
+    ]
+    clip["paths"] = {1: {"shape": "curve", "points": [[0, 1, 10], [0, 1, 20]], "lateral_offset": -1.85}}
+    read = load_clip(write(clip))
+    assert (read.tolerance, read.bit_depth) == (0.004, 12)
+    assert [(v.id, v.path, v.plane, v.speed) for v in read.vehicles] == [
+        ("7", None, "free", 24.6), ("side", None, "side", None)
+    ]  # fmt: skip
+    assert read.paths["1"].points.shape == (2, 3) and read.paths["1"].lateral_offset == -1.85
+
+
+@pytest.mark.parametrize("vehicles", ["", "vehicles:\n", "vehicles: []\n"])
+def test_without_vehicles_the_list_is_empty(vehicles):
+    write()
+    Path("clip.yaml").write_text(f"left: left\nright: right\nrate: 5\nrig: rig.yaml\n{vehicles}")
+    clip = load_clip("clip.yaml")
+    assert clip.vehicles == [] and clip.paths == {}
+
+
+def test_paths_inside_a_file_are_relative_to_it(tmp_path):
+    Path("a/b").mkdir(parents=True)
+    Path("a/clip.yaml").write_text(yaml.safe_dump(changed(changed(CLIP, "rig", "b/rig.yaml"), "left", "b/l_*.png")))
+    Path("a/b/rig.yaml").write_text(yaml.safe_dump(RIG))
+    clip = load_clip("a/clip.yaml")
+    assert clip.left == Path("a/b/l_*.png") and clip.path == Path("a/clip.yaml")
+    Path("a/b/rig.yaml").unlink()
+    assert refusal(load_clip, "a/clip.yaml") == "a/b/rig.yaml: no such file"
+    absolute = changed(CLIP, "left", str(tmp_path / "elsewhere"))
+    assert load_clip(write(absolute)).left == tmp_path / "elsewhere"
+
+
+def test_clicked_points_are_undistorted():
+    distortion = [-0.2, 0.05, 0.0005, -0.0005, 0.0]
+    clip = load_clip(write(rig=changed(RIG, "left.distortion", distortion)))
+    rays = clip.rig.left.rays(clip.vehicles[0].left)
+    back = cv2.projectPoints(rays.reshape(-1, 1, 3), np.zeros(3), np.zeros(3), np.array(K), np.array(distortion))[0]
+    np.testing.assert_allclose(back.reshape(-1, 2), LEFT, atol=0.05)
+    assert np.abs(clip.paths["lane0"].left - [[100, 300], [200, 250]]).max() > 0.5
+    np.testing.assert_array_equal(clip.vehicles[0].right, RIGHT)
+
+
+def test_a_rounded_rotation_is_made_exact():
+    R = cv2.Rodrigues(np.array([0.01, -0.02, 0.03]))[0]
+    rig = load_rig_with("rotation", np.round(R, 4).tolist())
+    np.testing.assert_allclose(rig.R @ rig.R.T, np.eye(3), atol=1e-14)
+    np.testing.assert_allclose(rig.R, R, atol=1e-4)
+
+
+def load_rig_with(key, value):
+    Path("rig.yaml").write_text(yaml.safe_dump(changed(RIG, key, value)))
+    return load_rig("rig.yaml")
+
+
+def test_the_stated_uncertainty_is_read_and_numbers_may_have_plain_exponents():
+    text = "{focal_length_px: 1.5, rotation_rad: [1e-4, 2E-4, 3.0e-04]}"
+    Path("rig.yaml").write_text(yaml.safe_dump(RIG) + f"uncertainty: {text}\n")
+    u = load_rig("rig.yaml").uncertainty
+    assert (u.focal_length_px, u.principal_point_px, u.translation_m) == (1.5, 0.0, (0.0, 0.0, 0.0))
+    assert u.rotation_rad == (1e-4, 2e-4, 3e-4)
+
+
+def test_a_vertical_rig_is_allowed():
+    assert load_rig_with("translation", [0.1, -0.5, 0.0]).baseline == pytest.approx(np.hypot(0.1, 0.5))
+
+
+# --- what is wrong with a rig --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("left.K.0.0", -1000.0, "rig.yaml: left.K: expected positive focal lengths, found -1000 and 1000"),
+        ("right.K.1.1", 0.0, "rig.yaml: right.K: expected positive focal lengths, found 1000 and 0"),
+        ("left.K.0.1", 3.0, "rig.yaml: left.K: expected the form [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]"),
+        ("left.K.2.2", 2.0, "rig.yaml: left.K: expected the form [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]"),
+        ("left.K.0.2", 9000.0, "rig.yaml: left.K: the principal point (9000, 239.5) lies far outside the image; "
+                               "expected it near (320, 240)"),
+        ("left.K", [[1, 0, 0], [0, 1, 0]], "rig.yaml: left.K: expected three rows of three numbers, found 2"),
+        ("left.K.0.0", float("nan"), "rig.yaml: left.K: expected three rows of three numbers, "
+                                     "found [nan, 0.0, 319.5] in place 0"),
+        ("left.image_size", [640], "rig.yaml: left.image_size: expected 2 values, found [640]"),
+        ("left.image_size.0", 640.5, "rig.yaml: left.image_size[0]: expected a whole number, found 640.5"),
+        ("left.image_size.0", -640, "rig.yaml: left.image_size[0]: expected at least 16, found -640"),
+        ("left.distortion", [0.1, 0.2], "rig.yaml: left: distortion: expected 4, 5, 8, 12 or 14 coefficients, found 2"),
+        ("left.distortion", [0.1, 0.2, 0, float("inf")], "rig.yaml: left.distortion[3]: expected a finite number, "
+                                                         "found inf"),
+        ("left.distorsion", [], "rig.yaml: left: unknown key 'distorsion'; did you mean 'distortion'?"),
+        ("rotation.0.0", 1.1, "rig.yaml: rotation: is not a rotation: RᵀR differs from the identity by 0.21; "
+                              "expected orthonormal rows"),
+        ("rotation.0.0", -1.0, "rig.yaml: rotation: is a reflection, its determinant is -1; expected a rotation"),
+        ("translation", [0, 0, 0], "rig.yaml: translation: both cameras stand in the same place; "
+                                   "expected a distance in metres"),
+        ("translation", [-500, 0, 0], "rig.yaml: translation: the cameras stand 500 m apart; expected metres "
+                                      "(are these millimetres?)"),
+        ("translation", [0.5, 0, 0], "rig.yaml: translation: the right camera lies to the left of the left one; "
+                                     "left and right are swapped"),
+        ("translation", [0.5, 0], "rig.yaml: translation: expected three finite numbers, found [0.5, 0]"),
+        ("translation", None, "rig.yaml: translation: missing"),
+        ("uncertainty", {"rotation_rad": [-1, 0, 0]}, "rig.yaml: uncertainty.rotation_rad[0]: expected at least 0"),
+    ],
+)  # fmt: skip
+def test_a_rig_that_cannot_be(key, value, message):
+    Path("rig.yaml").write_text(yaml.safe_dump(changed(RIG, key, value)))
+    assert refusal(load_rig, "rig.yaml").startswith(message)
+
+
+# --- what is wrong with a clip -------------------------------------------------------------------------------------
+
+ORDER = "top-left, top-right, bottom-right, bottom-left as seen in the image"
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("rate", 0, "rate: expected at least 0.1, found 0"),
+        ("rate", -5, "rate: expected at least 0.1, found -5"),
+        ("rate", 1e6, "rate: expected at most 10000"),
+        ("rate", float("nan"), "rate: expected a finite number, found nan"),
+        ("rate", True, "rate: expected a number, found True"),
+        ("rate", "5", "rate: expected a number, found '5'"),
+        ("times", "times.csv", "rate and times: expected one of them, found both"),
+        ("ratte", 5, "unknown key 'ratte'; did you mean 'rate'?"),
+        ("zzz", 5, "unknown key 'zzz'; expected one of left, right, rate, times, time_tolerance, bit_depth, rig, "
+                   "paths, vehicles"),
+        ("rig", None, "rig: missing"),
+        ("bit_depth", 20, "bit_depth: expected at most 16, found 20"),
+        ("time_tolerance", 0, "time_tolerance: expected a number above 0"),
+        ("left", 3, "left: expected text, found 3"),
+        ("paths", [1], "paths: expected names, each with its keys, found [1]"),
+        ("paths.lane0.shape", "circle", "paths.lane0.shape: expected 'line' or 'curve', found 'circle'"),
+        ("paths.lane0.right", None, "paths.lane0: drawn in the left view only; expected the same road line in both "
+                                    "views, or points"),
+        ("paths.lane0.points", [[0, 0, 1], [0, 0, 2]], "paths.lane0: expected either points or left and right, "
+                                                       "found both"),
+        ("paths.lane0.left", [[1, 2]], "paths.lane0.left: expected at least two [x, y] points for a line, found 1"),
+        ("paths.lane0.shape", "curve", "paths.lane0.left: expected at least four [x, y] points for a curve, found 2"),
+        ("paths.lane0.left", [[1, 2], [1, 2]], "paths.lane0.left: all points lie in the same place"),
+        ("paths.lane0.left", [[1, 2], [3]], "paths.lane0.left: expected [x, y] points, found [3] in place 1"),
+        ("paths.lane0", {"shape": "line"}, "paths.lane0: not drawn; expected the same road line in both views, or"),
+        ("paths.lane0", {"shape": "line", "points": [[0, 1, 2]]}, "paths.lane0.points: expected at least two "
+                                                                  "[x, y, z] points, found 1"),
+        ("vehicles", {"id": "v"}, "vehicles: expected a list"),
+        ("vehicles.0.path", "lane1", "vehicles[0].path: no path is called 'lane1'; did you mean 'lane0'?"),
+        ("vehicles.0.frame", -1, "vehicles[0].frame: expected at least 0, found -1"),
+        ("vehicles.0.frame", None, "vehicles[0].frame: missing"),
+        ("vehicles.0.speed", -3, "vehicles[0].speed: expected at least 0, found -3"),
+        ("vehicles.0.plane", "top", "vehicles[0].plane: expected 'front', 'side' or 'free', found 'top'"),
+        ("vehicles.0", "v0", "vehicles[0]: expected the keys id, path, frame, left, right, plane, speed, found 'v0'"),
+        ("vehicles.0.left", LEFT[:3], "vehicles[0].left: expected four [x, y] points, found 3"),
+        ("vehicles.0.left.2", [1.0, float("nan")], "vehicles[0].left: expected four [x, y] points, "
+                                                   "found [1.0, nan] in place 2"),
+        ("vehicles.0.left.2", [10**400, 1], "vehicles[0].left: expected four [x, y] points, found [1000"),
+        ("vehicles.0.right.1", [640.0, 200.0], "vehicles[0].right: the corner [640, 200] lies outside the image of "
+                                               "640 × 480 pixels"),
+        ("vehicles.0.left", [LEFT[i] for i in (0, 1, 3, 2)], "vehicles[0].left: the sides cross each other; "
+                                                             f"expected the corners in the order {ORDER}"),
+        ("vehicles.0.left", LEFT[::-1], "vehicles[0].left: the corners go counter-clockwise; "
+                                        f"expected the order {ORDER}"),
+        ("vehicles.0.left", LEFT[1:] + LEFT[:1], "vehicles[0].left: the first corner is not the top-left one; "
+                                                 f"expected the order {ORDER}"),
+        ("vehicles.0.left.2", [310.0, 205.0], "vehicles[0].left: is not convex; "
+                                              f"expected four corners in the order {ORDER}"),
+        ("vehicles.0.left", [[300, 200], [310, 200], [310, 206], [300, 206]],
+         "vehicles[0].left: is too small to track (area 60 px², shortest side 6.0 px); expected at least 64 px²"),
+        ("vehicles.0.left", [[300, 200]] * 4, "vehicles[0].left: is too small to track (area 0 px²"),
+        ("vehicles.0.right", [[x + 100, y] for x, y in RIGHT],
+         "vehicles[0]: the top-left corner triangulates behind the cameras; expected the same corner in both views "
+         "(are left and right swapped?)"),
+        ("vehicles.0.right", [[x, y + 40] for x, y in RIGHT],
+         "vehicles[0]: the views disagree: the right outline lies 40 px off the epipolar line of the left one"),
+    ],
+)  # fmt: skip
+def test_a_clip_that_cannot_be(key, value, message):
+    assert refusal(load_clip, write(changed(CLIP, key, value))).startswith(f"clip.yaml: {message}")
+
+
+def test_outlines_may_cover_somewhat_different_parts():
+    load_clip(write(changed(CLIP, "vehicles.0.right", [[x, y + 10] for x, y in RIGHT])))
+
+
+def test_two_vehicles_of_one_id():
+    clip = changed(CLIP, "vehicles", CLIP["vehicles"] * 2)
+    assert refusal(load_clip, write(clip)) == "clip.yaml: vehicles[1].id: 'v0' occurs twice; expected one of its own"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "clip.yaml: expected the keys left, right, rate,"),
+        ("- 1\n- 2\n", "clip.yaml: expected the keys left, right, rate,"),
+        ("left: [1, 2\nright: x", "clip.yaml: line 2, column 6: expected ',' or ']'"),
+        ("left: a\nright: b\nleft: c\n", "clip.yaml: line 3, column 1: the key 'left' occurs twice"),
+        ("left: !!python/object:os.system x\n", "clip.yaml: line 1, column 7: could not determine a constructor"),
+        ("left: \x00", "clip.yaml: is not valid YAML"),
+        ("left: 2001-99-99", "clip.yaml: is not valid YAML"),
+    ],
+)
+def test_yaml_that_cannot_be(text, message):
+    Path("clip.yaml").write_text(text)
+    assert refusal(load_clip, "clip.yaml").startswith(message)
+
+
+def test_files_that_cannot_be_read():
+    assert refusal(load_clip, "nowhere/clip.yaml") == "nowhere/clip.yaml: no such file"
+    Path("folder").mkdir()
+    assert re.match("folder: cannot be read", refusal(load_rig, "folder"))
+    Path("rig.yaml").write_bytes(b"\xff\xfe\x00\x01\x80")
+    assert refusal(load_rig, "rig.yaml") == "rig.yaml: is not a text file"
+
+
+@settings(deadline=None)
+@given(
+    st.floats(-40, 40), st.floats(20, 80), st.floats(20, 60), st.floats(-0.4, 0.4), st.integers(1, 3),
+)  # fmt: skip
+def test_a_turned_rectangle_is_right_in_one_order_only(degrees, width, height, shear, shift):
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    shape = np.array([[-width, -height], [width, -height], [width, height], [-width, height]]) / 2
+    corners = shape @ np.array([[1, shear], [0, 1]]).T @ np.array([[c, -s], [s, c]]).T + [320, 240]
+    if abs(degrees) < 20:
+        assert wrong_quadrilateral(corners, (640, 480)) is None
+        assert wrong_quadrilateral(np.roll(corners, shift, axis=0), (640, 480)) is not None
+    assert wrong_quadrilateral(corners[::-1], (640, 480)) is not None
+    assert "cross" in (wrong_quadrilateral(corners[[0, 2, 1, 3]], (640, 480)) or "")

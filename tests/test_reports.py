@@ -1,0 +1,398 @@
+"""Reports: exact data files, a safe and complete page, a video that plays, an output folder that is whole or absent."""
+
+from __future__ import annotations
+
+import base64
+import csv
+import errno
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+from collections.abc import Iterator
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import pytest
+
+from paceline.errors import UnusableInput
+from paceline.recordings import StereoFrame
+from paceline.reports import OutputFolder, write_report
+from paceline.reports.wording import advice, shown_speed, speed_words
+from paceline.speed.results import ClipResult, Measurement, PathDrawing, Track
+
+NAN = float("nan")
+FRAMES = 12
+CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
+
+
+class Recording:
+    """A recording of smooth random pictures, 320×200 and 300×200, with uneven time stamps."""
+
+    times = np.cumsum([0.0] + [0.2] * 5 + [0.4] + [0.2] * (FRAMES - 7)) + 3.0
+
+    def __len__(self) -> int:
+        return FRAMES
+
+    def __iter__(self) -> Iterator[StereoFrame]:
+        ramp = np.linspace(40, 200, 320, dtype=np.float32)
+        for i in range(FRAMES):
+            left = np.tile(ramp, (200, 1)) + np.random.default_rng(i).normal(0, 4, (200, 320)).astype(np.float32)
+            yield StereoFrame(
+                index=i, time=float(self.times[i]), left=left, right=left[:, 20:], skew=0.0, duplicate=i == 4
+            )
+
+
+def track(vehicle: str, first: int = 0, refined: bool = True) -> Track:
+    n = FRAMES - first
+    rng = np.random.default_rng(7)
+    steps = np.arange(n, dtype=float)
+    square = np.array([[-20.0, -12.0], [20.0, -12.0], [20.0, 12.0], [-20.0, 12.0]])
+    left = 150 + square * (1 + steps[:, None, None] / 20)
+    yaw_rate = rng.normal(0, 0.01, n)
+    yaw_rate[0] = NAN
+    return Track(
+        vehicle=vehicle,
+        frame=np.arange(first, FRAMES),
+        time=Recording.times[first:],
+        speed=20 + rng.normal(0, 0.2, n),
+        speed_std=0.3 + np.exp(-steps),
+        position=np.stack([np.full(n, -2.0), np.full(n, 1.1), 60 - 4 * steps], axis=1),
+        yaw_rate=yaw_rate,
+        left=left,
+        right=left - [20, 0],
+        ess=np.full(n, 123.0),
+        status=["tracking"] * (n - 2) + ["lost", "ended"],
+        particles_left=left.mean(axis=1)[:, None] + rng.normal(0, 2, (n, 30, 2)),
+        particles_right=left.mean(axis=1)[:, None] + rng.normal(0, 2, (n, 30, 2)),
+        refined_speed=np.full(n, 20.1 if refined else NAN),
+        refined_std=np.full(n, 0.05 if refined else NAN),
+    )
+
+
+def measured(vehicle: str) -> Measurement:
+    return Measurement(
+        vehicle, track(vehicle), speed=20.1, speed_lo=20.0, speed_hi=20.2, random_std=0.03, systematic_std=0.04,
+        frames=10, verdict="measured", reason="", model="constant speed", residual_rms=3.2,
+    )  # fmt: skip
+
+
+def rejected(vehicle: str) -> Measurement:
+    return Measurement(
+        vehicle, track(vehicle, first=3, refined=False), speed=NAN, speed_lo=NAN, speed_hi=NAN, random_std=NAN,
+        systematic_std=NAN, frames=7, verdict="rejected", reason="too few frames (7 of at least 8)", model="filter",
+        notices=["left the picture at frame 11"],
+    )  # fmt: skip
+
+
+def clip_result() -> ClipResult:
+    line = np.stack([np.linspace(-4, -3, 9), np.full(9, 1.6), np.linspace(70, 20, 9)], axis=1)
+    pixels = np.stack([np.linspace(150, 20, 9), np.linspace(90, 190, 9)], axis=1)
+    pixels[0] = NAN  # a point behind the camera has no picture
+    return ClipResult(
+        clip="road/clip.yaml",
+        measurements=[measured("v0"), measured("v1"), rejected("v2")],
+        paths=[PathDrawing("lane0", line, pixels, pixels)],
+        configuration={"particles": 400, "refine": True, "noise": {"speed": 0.5, "limit": float("inf")}},
+        versions={"paceline": "0.1.0"},
+        notices=["frame 4 repeats frame 3"],
+        seconds=2.5,
+    )
+
+
+@pytest.fixture
+def result() -> ClipResult:
+    return clip_result()
+
+
+@pytest.fixture(scope="module")
+def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("report") / "out"
+    write_report(clip_result(), Recording(), folder, "mph")
+    return folder
+
+
+def test_files(out: Path) -> None:
+    names = sorted(str(p.relative_to(out)) for p in out.rglob("*") if p.is_file())
+    plots = [f"plots/{v}-{kind}.png" for v in ("v0", "v1", "v2") for kind in ("depth", "particles", "speed")]
+    assert names == sorted(["estimates.csv", "summary.json", "report.html", "overlay.mp4", "plots/plan.png", *plots])
+    assert sorted(p.name for p in out.parent.iterdir()) == ["out"]
+
+
+def test_estimates_are_exact(out: Path, result: ClipResult) -> None:
+    with (out / "estimates.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert ",".join(rows[0]) == (
+        "vehicle,frame,time_s,speed_mps,speed_std_mps,x_m,y_m,z_m,yaw_rate_radps,"
+        "left_x1,left_y1,left_x2,left_y2,left_x3,left_y3,left_x4,left_y4,"
+        "right_x1,right_y1,right_x2,right_y2,right_x3,right_y3,right_x4,right_y4,"
+        "ess,status,refined_speed_mps,refined_std_mps"
+    )
+    assert len(rows) == sum(len(m.track.frame) for m in result.measurements)
+    expected = result.measurements[0].track
+    row = rows[5]
+    assert (row["vehicle"], row["frame"], row["status"]) == ("v0", "5", "tracking")
+    assert float(row["speed_mps"]) == expected.speed[5]
+    assert float(row["z_m"]) == expected.position[5, 2]
+    assert float(row["right_x3"]) == expected.right[5, 2, 0]
+    assert float(row["left_y2"]) == expected.left[5, 1, 1]
+    assert rows[0]["yaw_rate_radps"] == ""
+    assert rows[-1]["refined_speed_mps"] == rows[-1]["refined_std_mps"] == ""
+    assert rows[-1]["status"] == "ended"
+    assert "nan" not in (out / "estimates.csv").read_text()
+
+
+def test_summary_is_exact(out: Path) -> None:
+    def refuse(name: str) -> None:
+        raise AssertionError(f"{name} is not JSON")
+
+    summary = json.loads((out / "summary.json").read_text(), parse_constant=refuse)
+    first, _, last = summary["vehicles"]
+    assert first == {
+        "vehicle": "v0", "speed_mps": 20.1, "speed_lo_mps": 20.0, "speed_hi_mps": 20.2, "frames": 10,
+        "verdict": "measured", "reason": "", "random_std_mps": 0.03, "systematic_std_mps": 0.04,
+        "model": "constant speed", "acceleration_mps2": None, "residual_rms": 3.2, "notices": [],
+    }  # fmt: skip
+    assert last["verdict"] == "rejected" and last["reason"].startswith("too few frames")
+    assert last["speed_mps"] is None and last["speed_lo_mps"] is None
+    assert summary["configuration"] == {"particles": 400, "refine": True, "noise": {"speed": 0.5, "limit": None}}
+    assert summary["versions"] == {"paceline": "0.1.0"}
+    assert summary["notices"] == ["frame 4 repeats frame 3"]
+
+
+def test_words_add_up() -> None:
+    words = speed_words(measured("v"), "m/s")
+    assert (words.speed, words.lo, words.hi, words.plus_minus) == ("20.1", "20.0", "20.2", "0.1")
+    # 0.03 and 0.04 make 0.05; the interval's half width of 0.1 is twice that.
+    assert (words.random, words.systematic) == ("0.06", "0.08")
+    assert shown_speed(20.123, "m/s", 0.04) == "20.12"
+    assert speed_words(replace(measured("v"), systematic_std=NAN), "mph").systematic == "–"
+    assert "longer" in advice(rejected("v"))
+
+
+def test_overlay_plays_with_the_recordings_times(out: Path) -> None:
+    with av.open(str(out / "overlay.mp4")) as container:
+        stream = container.streams.video[0]
+        assert (stream.codec_context.name, stream.codec_context.pix_fmt) == ("h264", "yuv420p")
+        assert (stream.width, stream.height) == (620, 240)
+        frames = list(container.decode(stream))
+    times = [float(frame.pts * frame.time_base) for frame in frames]
+    np.testing.assert_allclose(times, Recording.times - Recording.times[0], atol=1e-4)
+    picture = frames[6].to_ndarray(format="rgb24").astype(int)
+    blue = (picture[..., 2] - picture[..., 0] > 60).sum()
+    assert blue > 100, "the first vehicle's outline is blue"
+
+
+def test_wide_pictures_are_scaled(result: ClipResult, tmp_path: Path) -> None:
+    class Wide(Recording):
+        def __iter__(self) -> Iterator[StereoFrame]:
+            for frame in super().__iter__():
+                yield replace(frame, left=np.tile(frame.left, (1, 5)), right=np.tile(frame.left, (1, 5)))
+
+    write_report(result, Wide(), tmp_path / "out")
+    with av.open(str(tmp_path / "out" / "overlay.mp4")) as container:
+        assert container.streams.video[0].width == 1920
+
+
+def test_a_missing_encoder_is_told(result: ClipResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("paceline.reports.overlay.CODECS", ["no-such-encoder"])
+    written = write_report(result, Recording(), tmp_path / "out")
+    assert any("no H.264 encoder" in notice for notice in written.notices)
+    assert "no H.264 encoder" in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_nothing_found(tmp_path: Path) -> None:
+    """No vehicle: the outputs still say so."""
+    empty = ClipResult("c", [], [], {}, {}, ["no vehicle was found"])
+    write_report(empty, Recording(), tmp_path / "out")
+    assert "No vehicle was found" in (tmp_path / "out" / "report.html").read_text()
+    assert json.loads((tmp_path / "out" / "summary.json").read_text())["vehicles"] == []
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("frames", [0, 1, 5])
+def test_tracks_that_are_empty_short_or_unknown(result: ClipResult, tmp_path: Path, frames: int) -> None:
+    """A vehicle may be rejected before anything is known of it."""
+    blank = {
+        "frame": np.arange(frames), "time": np.arange(frames) + 3.0, "status": ["lost"] * frames,
+        **{name: np.full(frames, NAN) for name in ("speed", "speed_std", "yaw_rate", "ess")},
+        **{name: np.full(frames, NAN) for name in ("refined_speed", "refined_std")},
+        **{name: np.full((frames, 4, 2), NAN) for name in ("left", "right")},
+        **{name: np.full((frames, 30, 2), NAN) for name in ("particles_left", "particles_right")},
+        "position": np.full((frames, 3), NAN),
+    }  # fmt: skip
+    unknown = rejected("v0")
+    unknown = replace(unknown, track=replace(unknown.track, **blank), frames=0)
+    write_report(replace(result, measurements=[unknown]), Recording(), tmp_path / "out")
+    page = Page((tmp_path / "out" / "report.html").read_text())
+    assert "Rejected: too few frames" in page.text and "nan" not in page.text
+
+
+class Page(HTMLParser):
+    """The visible text and the addresses of a page."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.text, self.tags, self.addresses = "", [], []
+        self.feed(html)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.addresses += [value or "" for name, value in attrs if name in ("src", "href", "srcset", "data", "action")]
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+
+
+def test_page_is_complete_and_self_contained(out: Path) -> None:
+    page = Page((out / "report.html").read_text())
+    text = " ".join(page.text.split())
+    assert "45.0 mph, 95 % sure between 44.7 and 45.2 mph" in text
+    assert "Rejected: too few frames (7 of at least 8)" in text
+    assert "What to do:" in text and "for longer" in text
+    for part in ("± 0.13 random ± 0.18 systematic", "frame 4 repeats frame 3", "left the picture at frame 11"):
+        assert part in text
+    for part in ("How it was measured", "What the interval means", "noise.speed", "paceline 0.1.0", "Path lane0"):
+        assert part in text
+    local = {"overlay.mp4", "estimates.csv", "summary.json"}
+    assert {a for a in page.addresses if not a.startswith("data:")} == local
+    assert "script" not in page.tags
+    assert page.tags.count("img") == 3 * (3 * 2 + 3) + 1  # stills and plots of three vehicles, and the plan
+
+
+def test_page_escapes_what_comes_from_files(result: ClipResult, tmp_path: Path) -> None:
+    evil = "<script>alert(1)</script>"
+    others = [replace(rejected("../../<b>"), reason=evil, notices=[evil]), measured(r"$\mathematics{")]
+    path = replace(result.paths[0], name=evil)
+    nasty = replace(
+        result, clip=evil, measurements=[measured(evil), *others], paths=[path], notices=[evil],
+        configuration={evil: evil}, versions={evil: evil},
+    )  # fmt: skip
+    write_report(nasty, Recording(), tmp_path / "out")
+    page = Page((tmp_path / "out" / "report.html").read_text())
+    assert "script" not in page.tags and "b" not in page.tags
+    assert page.text.count(evil) >= 8
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["out"]
+    svgs = [a for a in page.addresses if a.startswith("data:image/svg")]
+    assert svgs and not any(b"<script" in base64.b64decode(a.split(",")[1]) for a in svgs)
+
+
+def test_vehicle_names_that_clash_keep_their_plots(result: ClipResult, tmp_path: Path) -> None:
+    write_report(replace(result, measurements=[measured("a/b"), measured("a b")]), Recording(), tmp_path / "out")
+    names = {p.name for p in (tmp_path / "out" / "plots").iterdir()}
+    assert {"a_b-speed.png", "a_b_2-speed.png"} < names
+
+
+def browse(page: Path, folder: Path, width: int = 1280) -> tuple[str, Path, set[str]]:
+    """The text that Chromium shows of ``page``, its screenshot, and the addresses that the page asked for."""
+    shot, log = folder / "page.png", folder / "net.json"
+    # The host rule keeps everything from the network; the log still shows what was asked for.
+    quiet = ["--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync",
+             "--host-resolver-rules=MAP * ~NOTFOUND", f"--user-data-dir={folder / 'profile'}"]  # fmt: skip
+    command = [str(CHROMIUM), "--headless", "--no-sandbox", "--disable-gpu", *quiet]
+    look = [f"--window-size={width},1400", f"--screenshot={shot}", f"--log-net-log={log}"]
+    subprocess.run([*command, *look, page.as_uri()], check=True, capture_output=True, timeout=90)
+    dump = [*command, "--dump-dom", page.as_uri()]
+    dom = subprocess.run(dump, check=True, capture_output=True, timeout=90, text=True).stdout
+    # A browser has requests of its own; those of the page carry its site.
+    asked = re.findall(r'"SiteForCookies: {site=file://[^}]*}","url":"(https?:[^"]*)"', log.read_text())
+    return " ".join(Page(dom).text.split()), shot, set(asked)
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
+@pytest.mark.parametrize("width", [1280, 820])
+def test_page_in_a_browser(out: Path, tmp_path: Path, width: int) -> None:
+    """The page renders, shows its numbers and asks the network for nothing."""
+    text, shot, asked = browse(out / "report.html", tmp_path, width)
+    assert "45.0 mph" in text and "between 44.7 and 45.2" in text
+    pixels = cv2.imread(str(shot))
+    assert pixels is not None and pixels.shape == (1400, width, 3) and pixels.std() > 10
+    assert not asked
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
+def test_the_browser_test_would_see_a_request(tmp_path: Path) -> None:
+    (tmp_path / "page.html").write_text('<img src="http://example.invalid/x.png">')
+    assert browse(tmp_path / "page.html", tmp_path)[2] == {"http://example.invalid/x.png"}
+
+
+def test_output_folder_appears_whole(tmp_path: Path) -> None:
+    out = tmp_path / "a" / "b"
+    with OutputFolder(out) as folder:
+        (folder / "file").write_text("x")
+        assert not out.exists()
+    assert (out / "file").read_text() == "x"
+    assert os.listdir(tmp_path / "a") == ["b"]
+
+
+@pytest.mark.parametrize("error", [ValueError("broken"), KeyboardInterrupt()])
+def test_output_folder_leaves_nothing_behind(tmp_path: Path, error: BaseException) -> None:
+    with pytest.raises(type(error)), OutputFolder(tmp_path / "a" / "b") as folder:
+        (folder / "file").write_text("x")
+        raise error
+    assert os.listdir(tmp_path) == []
+
+
+def test_output_folder_replaces_only_its_own_files(tmp_path: Path) -> None:
+    (tmp_path / "out" / "plots").mkdir(parents=True)
+    (tmp_path / "out" / "mine.txt").write_text("keep")
+    (tmp_path / "out" / "report.html").write_text("old")
+    with OutputFolder(tmp_path / "out") as folder:
+        (folder / "plots").mkdir()
+        (folder / "plots" / "v0.png").write_text("new")
+        (folder / "report.html").write_text("new")
+        assert (tmp_path / "out" / "report.html").read_text() == "old"
+    found = {str(p.relative_to(tmp_path)): p.read_text() for p in tmp_path.rglob("*") if p.is_file()}
+    assert found == {"out/mine.txt": "keep", "out/report.html": "new", "out/plots/v0.png": "new"}
+
+
+def test_output_folder_finds_obstacles_before_it_replaces(tmp_path: Path) -> None:
+    (tmp_path / "out" / "b").mkdir(parents=True)
+    (tmp_path / "out" / "a").write_text("old")
+    with pytest.raises(UnusableInput, match="a folder is in the way"), OutputFolder(tmp_path / "out") as folder:
+        (folder / "a").write_text("new")
+        (folder / "b").write_text("new")
+    assert (tmp_path / "out" / "a").read_text() == "old"
+    assert sorted(os.listdir(tmp_path / "out")) == ["a", "b"]
+
+
+def test_output_folder_that_is_a_file(tmp_path: Path) -> None:
+    (tmp_path / "out").write_text("x")
+    with pytest.raises(UnusableInput, match="is a file; expected a folder"), OutputFolder(tmp_path / "out"):
+        pass
+    with pytest.raises(UnusableInput, match="cannot be written"), OutputFolder(tmp_path / "out" / "below"):
+        pass
+
+
+def test_full_disk_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(UnusableInput, match="cannot be written here"), OutputFolder(tmp_path / "out") as folder:
+        (folder / "file").write_text("x")
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    assert os.listdir(tmp_path) == []
+
+
+def test_an_input_that_cannot_be_read_is_not_blamed_on_the_output(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError), OutputFolder(tmp_path / "out"):
+        (tmp_path / "absent.png").read_bytes()
+
+
+def test_interrupt_while_files_change_places(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C between two replacements is held back until all are done."""
+    (tmp_path / "out").mkdir()
+    replace_file = os.replace
+
+    def interrupted(source: Path, target: Path) -> None:
+        signal.raise_signal(signal.SIGINT)
+        replace_file(source, target)
+
+    monkeypatch.setattr("paceline.reports.output.os.replace", interrupted)
+    with pytest.raises(KeyboardInterrupt), OutputFolder(tmp_path / "out") as folder:
+        (folder / "a").write_text("new")
+        (folder / "b").write_text("new")
+    assert sorted(os.listdir(tmp_path / "out")) == ["a", "b"]
