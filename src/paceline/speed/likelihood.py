@@ -66,13 +66,18 @@ def observe(left: Packed, right: Packed, quads_left: Array, quads_right: Array, 
     H = np.empty((N, 3, 3, 3))
     H[:, 0], H[:, 1] = unit_square_to(quads_left), unit_square_to(quads_right)
     H[:, 2] = cross @ H[:, 0]
+    edges = inward_edges(quads_right)
+    H, edges = H.reshape(N, 3, 9).astype(np.float32), edges.astype(np.float32)
+    wild = ~(np.isfinite(H).all((1, 2)) & np.isfinite(edges).all((1, 2)))
+    H[wild] = [0, 0, 0, 0, 0, 0, 0, 0, 1]
+    edges[wild] = [0, 0, -1]
     features = np.empty((N, 2, grid.parts, 16), np.float32)
     ncc = np.empty(N, np.float32)
     pixels_cpu.observe(
         left,
         right,
-        H.reshape(N, 3, 9).astype(np.float32),
-        inward_edges(quads_right).astype(np.float32),
+        H,
+        edges,
         grid.across,
         grid.down,
         grid.samples,
@@ -89,10 +94,10 @@ def normalised(features: Floats) -> Floats:
     contrast of its own keeps a smaller norm instead of showing its noise enlarged.
     """
     f = features.copy()
-    f[..., 0] -= f[..., 0].mean(-1, keepdims=True)
+    f[..., 0] -= np.median(f[..., 0], -1, keepdims=True)
     norm2 = (f * f).sum(-1, keepdims=True)
-    typical = norm2.mean(-2, keepdims=True)
-    return np.asarray(f / np.sqrt(norm2 + CONTRAST_FLOOR**2 * typical + 1e-6), np.float32)
+    typical = np.median(norm2, -2, keepdims=True)
+    return np.asarray(f / np.sqrt(norm2 + CONTRAST_FLOOR**2 * typical + 1.0), np.float32)
 
 
 def distances(features: Floats, reference: Floats) -> Floats:

@@ -20,7 +20,7 @@ from paceline.recordings import StereoFrame, StereoRecording, open_recording
 from paceline.speed import paths
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.paths import Path
-from paceline.speed.planes import first_plane
+from paceline.speed.planes import first_plane, squared
 from paceline.speed.refinement import Glimpse, Refined, refine
 from paceline.speed.results import ClipResult, Measurement, PathDrawing, Track
 from paceline.speed.tracker import SEEN, Estimate, Tracker
@@ -181,7 +181,10 @@ class _Run:
         if path is None:
             places = np.array([e.position for e in self.estimates if e.status == "tracking"])
             path = paths.straight(self.vehicle.id, places)
-        plane = first_plane(self.rig, self.vehicle, None if self.path is None else path, self.configuration.click_sigma)
+        if self.vehicle.plane == "free":
+            plane = squared(self.tracker.plane, path.frames(path.s[:1])[0, :, 0])
+        else:
+            plane = first_plane(self.rig, self.vehicle, path, self.configuration.click_sigma)
         times = np.array([g.times for g in self.glimpses]) - np.mean(first.times)
         return Trajectory(self.rig, self.vehicle.left, plane, path, times)
 

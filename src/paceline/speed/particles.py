@@ -78,9 +78,9 @@ def multinomial(W: Array, rng: np.random.Generator) -> Indices:
 def residual(W: Array, rng: np.random.Generator) -> Indices:
     """⌊N·W⌋ copies of each, the rest drawn from what is left over."""
     n = len(W)
-    copies = np.floor(n * W).astype(np.int64)
+    copies = np.floor(n * W + 1e-9).astype(np.int64)
     kept = np.repeat(np.arange(n), copies)
-    left = n * W - copies
+    left = np.maximum(n * W - copies, 0.0)
     if len(kept) == n:
         return kept
     rest = _inverse_cdf(np.sort(rng.random(n - len(kept))), left / left.sum())

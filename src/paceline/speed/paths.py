@@ -53,15 +53,21 @@ class Path:
         beyond = np.asarray(s) - inside
         return np.asarray(self._spline(inside) + beyond[..., None] * self._spline(inside, 1))
 
+    @cached_property
+    def _roll(self) -> Array:
+        return rotation_minimising_roll(level_frames(np.asarray(self._spline(self.s, 1))))
+
     def frames(self, s: Array) -> Array:
         """Frames (…, 3, 3) with columns T, P, B ([Zhu] section IV-B) at arc lengths ``s`` (…).
 
-        Frenet's normal is undefined where the curvature vanishes and flips at an inflection, so P is taken as the
-        horizontal normal — to the right of travel along increasing s — and B = T × P points down, as the camera's y.
-        The plane spanned by P and B, and the rotation (26), are the same.
+        Frenet's normal is undefined where the curvature vanishes and flips at an inflection. These frames are the
+        rotation-minimising ones instead: on a plane curve, tilted or not, they differ from Frenet's by a constant roll,
+        so that the rotation (26) is the same. At the path's beginning P is horizontal, to the right of travel along
+        increasing s; B = T × P points down, as the camera's y.
         """
         inside = np.clip(s, self.s[0], self.s[-1])
-        return frame_of(np.asarray(self._spline(inside, 1)))
+        level = level_frames(np.asarray(self._spline(inside, 1)))
+        return rolled(level, np.interp(inside, self.s, self._roll))
 
     def nearest(self, point: Array) -> float:
         """Arc length at which the plane through ``point`` (3,) normal to the path meets it."""
@@ -95,16 +101,30 @@ class Path:
         return Path(self.name, self.shape, s, self.points[::-1].copy(), self.modes[:, ::-1].copy())
 
 
-def frame_of(direction: Array) -> Array:
-    """Frames (…, 3, 3), columns T, P, B: T along ``direction`` (…, 3), P horizontal to its right, B = T × P down.
+def level_frames(directions: Array) -> Array:
+    """Frames (…, 3, 3), columns T, P, B: T along ``directions`` (…, 3), P horizontal to its right, B = T × P down.
 
     "Horizontal" is the camera's x–z plane; a path that runs along the camera's y axis takes x for its P.
     """
-    T = direction / np.linalg.norm(direction, axis=-1, keepdims=True)
+    T = directions / np.linalg.norm(directions, axis=-1, keepdims=True)
     P = np.cross(np.array([0.0, 1.0, 0.0]), T)
     length = np.linalg.norm(P, axis=-1, keepdims=True)
     P = np.where(length > 1e-6, P / np.maximum(length, 1e-12), np.array([1.0, 0.0, 0.0]))
     return np.stack([T, P, np.cross(T, P)], axis=-1)
+
+
+def rotation_minimising_roll(level: Array) -> Array:
+    """Angles (N,) about T by which level frames (N, 3, 3) along a curve must roll not to turn about T at all."""
+    P, B = level[:, :, 1], level[:, :, 2]
+    turns = 0.5 * (np.diff(P, axis=0) * (B[:-1] + B[1:])).sum(-1)
+    return np.concatenate([[0.0], -np.cumsum(turns)])
+
+
+def rolled(frames: Array, roll: Array) -> Array:
+    """``frames`` (…, 3, 3), columns T, P, B, turned about T by ``roll`` (…)."""
+    c, s = np.cos(roll)[..., None], np.sin(roll)[..., None]
+    T, P, B = frames[..., 0], frames[..., 1], frames[..., 2]
+    return np.stack([T, c * P + s * B, c * B - s * P], axis=-1)
 
 
 def reconstruct(
@@ -125,7 +145,7 @@ def from_points(name: str, shape: str, points: Array) -> Path:
         return _line_path(name, *_fit_space_line(points, SURVEY_SIGMA))
     curve = CubicSpline(u, points, axis=0)(np.linspace(0, u[-1], SAMPLES))
     slope = np.linspace(-1, 1, SAMPLES)[:, None] * SURVEY_SIGMA
-    F = frame_of(np.gradient(curve, axis=0))
+    F = level_frames(np.gradient(curve, axis=0))
     modes = np.stack([slope * F[:, :, 1], slope * F[:, :, 2]])
     return _resampled(name, "curve", curve, modes)
 
@@ -146,9 +166,16 @@ def reconstruct_line(name: str, rig: StereoRig, left: Array, right: Array) -> Pa
     x0 = np.concatenate([x for x, *_ in lines])
     M = [rig.left.K @ np.eye(3, 4), rig.right.K @ np.column_stack([rig.R, rig.t])]
 
+    def planes(x: Array) -> list[Array]:
+        return [m.T @ _homogeneous_line(x[2 * i], x[2 * i + 1], lines[i][2]) for i, m in enumerate(M)]
+
     def space_line(x: Array) -> Array:
-        Q = [m.T @ _homogeneous_line(x[2 * i], x[2 * i + 1], lines[i][2]) for i, m in enumerate(M)]
-        return np.concatenate(plucker_line(Q[0], Q[1]))
+        return np.concatenate(plucker_line(*planes(x)))
+
+    def crossing(x: Array) -> Array:
+        """The cross product of the planes' unit normals: its length is the sine of the angle between them."""
+        a, b = (Q[:3] / np.linalg.norm(Q[:3]) for Q in planes(x))
+        return np.cross(a, b)
 
     jacobian = _jacobian(space_line, x0, 1e-6)
     covariance = np.zeros((4, 4))
@@ -157,7 +184,10 @@ def reconstruct_line(name: str, rig: StereoRig, left: Array, right: Array) -> Pa
     line = space_line(x0)
     k, foot = line[:3], line[3:]
     cov = jacobian @ covariance @ jacobian.T
-    if not np.isfinite(cov).all() or np.sqrt(np.linalg.eigvalsh(cov[:3, :3])[-1]) > MAX_DIRECTION_STD:
+    c = crossing(x0)
+    slope = c @ _jacobian(crossing, x0, 1e-6)
+    separation = c @ c / np.sqrt(slope @ covariance @ slope)  # of the planes, in standard deviations
+    if not np.isfinite(cov).all() or separation < 5.0 or np.sqrt(np.linalg.eigvalsh(cov[:3, :3])[-1]) > MAX_DIRECTION_STD:
         raise UnusableInput(
             f"path {name}: the drawn line is nearly parallel to the epipolar lines, so the two views do not determine "
             "it in space; draw another line, or leave the vehicle without a path"
@@ -276,7 +306,7 @@ def reconstruct_curve(name: str, rig: StereoRig, left: Array, right: Array) -> P
         def residuals(x: Array, prior: Array = prior) -> Array:
             return np.concatenate([misses(x), prior @ x])
 
-        fit = least_squares(residuals, x, loss=_soft_l1_of_drawings(drawn), x_scale=road.scale, max_nfev=25)
+        fit = least_squares(residuals, x, loss=_soft_l1_of_drawings(drawn), x_scale=road.scale, max_nfev=80)
         information = fit.jac.T @ fit.jac
         evidence = -fit.cost + np.linalg.slogdet(prior)[1] - 0.5 * np.linalg.slogdet(information)[1]
         x = fit.x
@@ -385,7 +415,7 @@ def _distances_to_polyline(points: Array, line: Array) -> Array:
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
     offset = points - line[i]
     across = offset[:, 0] * along[:, 1] - offset[:, 1] * along[:, 0]
-    return np.where((nearest == 0) | (nearest == len(line) - 1), 0.0, across)
+    return across
 
 
 def _meet_along_epipolar_lines(rig: StereoRig, left: Array, right: Array) -> Array:

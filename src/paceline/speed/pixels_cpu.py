@@ -24,7 +24,7 @@ CROSS_ROWS = 2  # the cross-view correlation takes every second row of samples
 
 
 @njit(cache=True, nogil=True)
-def pack(image, packed):  # type: ignore[no-untyped-def]
+def pack(image, packed):
     """Pack the 2×2 neighbourhoods of ``image`` (H, W) float32 0–255 into ``packed`` (H, W) uint32; borders repeat."""
     height, width = image.shape
     levels = np.empty((2, width + 1), np.uint32)
@@ -41,7 +41,7 @@ def pack(image, packed):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
-def _sample_row(flat, width, height, H, v, n, px, py, index, fx, fy, word, out):  # type: ignore[no-untyped-def]
+def _sample_row(flat, width, height, H, v, n, px, py, index, fx, fy, word, out):
     """``out`` (n,): the packed image at the row ``v`` of the unit square's grid, mapped to (px, py) by ``H`` (9,)."""
     right = np.float32(width) - np.float32(1.001)
     bottom = np.float32(height) - np.float32(1.001)
@@ -69,7 +69,7 @@ def _sample_row(flat, width, height, H, v, n, px, py, index, fx, fy, word, out):
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _sum_blocks(totals, blocks, samples):  # type: ignore[no-untyped-def]
+def _sum_blocks(totals, blocks, samples):
     """Block sums of a row of sample ``totals``, ``samples`` of them to each block; the totals start anew."""
     for b in range(blocks.shape[0]):
         total = np.float32(0.0)
@@ -80,7 +80,7 @@ def _sum_blocks(totals, blocks, samples):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _wavelets(blocks, across, features):  # type: ignore[no-untyped-def]
+def _wavelets(blocks, across, features):
     """Two-level Haar coefficients (parts, 16) of block sums (4 rows a part, 4 columns a part).
 
     Order: average, then left-right, up-down and diagonal of the coarse level, then of the four fine squares.
@@ -104,7 +104,7 @@ def _wavelets(blocks, across, features):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, fastmath=True, parallel=True, error_model="numpy")
-def observe(left, right, H, edges, across, down, samples, features, ncc):  # type: ignore[no-untyped-def]
+def observe(left, right, H, edges, across, down, samples, features, ncc):
     """What every particle sees: wavelet features in both views, and their correlation across the views.
 
     ``left``, ``right`` (H, W) packed images; ``H`` (N, 3, 9) homographies of the unit square to the left region, the
@@ -152,7 +152,7 @@ def observe(left, right, H, edges, across, down, samples, features, ncc):  # typ
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _correlate_row(a, b, px, py, e, sums):  # type: ignore[no-untyped-def]
+def _correlate_row(a, b, px, py, e, sums):
     """Add to ``sums`` = Σ1, Σa, Σb, Σaa, Σbb, Σab over the samples whose (px, py) lie inside the edges ``e`` (4, 3)."""
     s0 = s1 = s2 = s3 = s4 = s5 = np.float32(0.0)
     for i in range(a.shape[0]):
@@ -178,8 +178,9 @@ def _correlate_row(a, b, px, py, e, sums):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _correlation(s, least):  # type: ignore[no-untyped-def]
+def _correlation(s, least):
     if s[0] < least:
         return np.float32(-1.0)
     aa, bb, ab = s[3] - s[1] * s[1] / s[0], s[4] - s[2] * s[2] / s[0], s[5] - s[1] * s[2] / s[0]
-    return ab / np.sqrt(max(aa * bb, np.float32(1e-6)))
+    least_variance = np.float32(0.1) * s[0]
+    return ab / np.sqrt(max(aa, least_variance) * max(bb, least_variance))

@@ -16,6 +16,7 @@ Array = NDArray[np.float64]
 
 UPRIGHT = np.radians(6.0)  # fronts and sides of vehicles stand upright to about this
 TURNED = np.radians(30.0)  # a side outlined for measurement faces the cameras to about this
+SQUARE = np.array([np.radians(3.0), np.radians(6.0)])  # the same without a path, where the travel is a guess
 ALONG_PATH = np.array([np.radians(1.5), np.radians(5.0)])  # a front or side follows its path to this: yaw, tilt
 
 
@@ -51,6 +52,28 @@ def first_plane(rig: StereoRig, vehicle: VehicleDocument, path: Path | None, cli
     if normal @ centre < 0:
         normal = -normal
     return FirstPlane(centre, normal, std, float(normal @ centre), relative)
+
+
+def squared(plane: FirstPlane, travel: Array) -> FirstPlane:
+    """``plane`` set square to the direction of ``travel`` (3,), if its corners allow.
+
+    The flat faces of vehicles are perpendicular or parallel to the way they drive. Where the corners' normal is within
+    its own uncertainty of one of these, that one holds, far more closely; a face that is clearly oblique stays so.
+    """
+    k = travel / np.linalg.norm(travel)
+    along = float(plane.normal @ k)
+    oblique = np.degrees(np.arccos(np.clip(abs(along), 0.0, 1.0)))  # 0° a front, 90° a side
+    doubt = 2.0 * np.degrees(float(plane.normal_std[0])) + 5.0
+    if 90.0 - oblique <= min(doubt, oblique):
+        normal = plane.normal - along * k
+    elif oblique <= doubt:
+        normal = k * np.sign(along)
+    else:
+        return plane
+    normal /= np.linalg.norm(normal)
+    return FirstPlane(
+        plane.centre, normal, SQUARE, float(normal @ plane.centre), plane.inverse_depth_std
+    )
 
 
 def normal_from_corners(rig: StereoRig, left: Array, right: Array, click_sigma: float) -> tuple[Array, Array]:

@@ -25,11 +25,11 @@ Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
 LEVELS = ((2.5, False), (1.2, False), (0.7, True))  # smoothing at the farthest view, px; whether the finer bands join
-OPTICS = 0.6  # px, the blur of lens and pixel that every image has
+OPTICS = 0.8  # px, the blur of lens and pixel that most images have; what is left is fitted
 BAND = 1.5  # ratio of resolutions between bands
 DENSITY = 1.3  # samples per pixel of the coarsest view in a band
 PATCHES = 15
-INSET = (0.05, 0.07)  # of width and height: the rim shows what is behind
+INSET = 1.5  # px of a band's coarsest view: the rim shows what is behind
 RELIEF = 0.04  # m, how far a patch may stand from the plane
 REJECT = 4.0  # times the expected variance at which a patch loses half its say
 GAIN = (0.2, 5.0)
@@ -89,13 +89,14 @@ class Refined:
 class _Band:
     """One band of resolution: the views that resolve it, their filtered crops and slopes, and its texture."""
 
-    def __init__(self, views: NDArray[np.int64], pictures: list[tuple[Floats, Floats, Floats]], corners: Array, size: Array) -> None:
+    def __init__(self, views: NDArray[np.int64], pictures: list[tuple[Floats, ...]], corners: Array, size: Array) -> None:
         down = max(1, round(np.sqrt(PATCHES * size[1] / size[0])))
         across = max(1, round(PATCHES / down))
         x = max(int(np.ceil(size[0] * DENSITY / across)), 4)
         y = max(int(np.ceil(size[1] * DENSITY / down)), 4)
-        u = INSET[0] + (1 - 2 * INSET[0]) * (np.arange(across * x) + 0.5) / (across * x)
-        v = INSET[1] + (1 - 2 * INSET[1]) * (np.arange(down * y) + 0.5) / (down * y)
+        rim = np.clip(INSET / size, 0.03, 0.2)
+        u = rim[0] + (1 - 2 * rim[0]) * (np.arange(across * x) + 0.5) / (across * x)
+        v = rim[1] + (1 - 2 * rim[1]) * (np.arange(down * y) + 0.5) / (down * y)
         grid = np.stack([*np.meshgrid(u, v), np.ones((down * y, across * x))])
         patches = grid.reshape(3, down, y, across, x).swapaxes(2, 3)
         self.patches, self.samples = down * across, y * x
@@ -147,7 +148,7 @@ class _Band:
         z = X[:, 2]
         x = X[:, :2] / z[:, None]
         B = (H[:, :2, :2, None] - x[:, :, None] * H[:, 2, :2][:, None, :, None]) / z[:, None, None]
-        I, slope = self._sampled(x, B)
+        I, slope, laplacian = self._sampled(x, B)
         I -= I.mean(-1, keepdims=True)
         T = self._share_texture(I)
         # the texture's own slope, averaged over the views: the noise of a single view's slope would bias the step
@@ -164,22 +165,32 @@ class _Band:
         along = (T / np.maximum((T * T).sum(-1, keepdims=True), 1e-9)).astype(np.float32)
         M -= (along[None, :, None] @ M) * T.astype(np.float32)[None, :, :, None]
         r = (I / self.gain[..., None] - T).astype(np.float32)
+        # a view's own blur, which no model of the optics gets right, shows as a share of the texture's Laplacian;
+        # left in, it passes for a change of scale
+        blur = np.einsum("vk,vkm->km", w, laplacian)
+        blur -= blur.mean(-1, keepdims=True)
+        blur -= (blur * along).sum(-1, keepdims=True) * T
+        blur = (blur / np.sqrt(np.maximum((blur * blur).sum(-1, keepdims=True), 1e-12))).astype(np.float32)
+        r -= (r * blur).sum(-1, keepdims=True) * blur
+        M -= (blur[None, :, None] @ M) * blur[None, :, :, None]
         self._reweigh((r * r).mean(-1) * self.gain**2)
         return M, r
 
-    def _sampled(self, x: Array, B: Array) -> tuple[Array, Array]:
-        """Intensities (V, K, m) at ``x`` (V, 2, N), and their slopes (V, 2, N) over the unit square."""
-        I = np.empty((len(x), x.shape[2]))
+    def _sampled(self, x: Array, B: Array) -> tuple[Array, Array, Array]:
+        """Intensities (V, K, m) at ``x`` (V, 2, N), their slopes (V, 2, N) over the unit square, their Laplacians."""
+        I, laplacian = np.empty((2, len(x), x.shape[2]))
         slope = np.empty((len(x), 2, x.shape[2]))
-        for v, (picture, dx, dy) in enumerate(self.pictures):
+        for v, pictures in enumerate(self.pictures):
             at = (x[v] - self.corners[v][:, None]).astype(np.float32).reshape(2, self.patches, -1)
             values = [
                 cv2.remap(p, at[0], at[1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE).ravel()
-                for p in (picture, dx, dy)
+                for p in pictures
             ]
             I[v] = values[0]
             slope[v] = values[1] * B[v, 0] + values[2] * B[v, 1]
-        return I.reshape(len(x), self.patches, self.samples), slope
+            laplacian[v] = values[3]
+        shape = len(x), self.patches, self.samples
+        return I.reshape(shape), slope, laplacian.reshape(shape)
 
     def _share_texture(self, I: Array) -> Array:
         """The texture (K, m) that all views share; it and each view's gain (V, K) by alternation from the last ones."""
@@ -218,7 +229,7 @@ def refine(
             wider = dict(accelerating=accelerating, turning=turning)
             wider["accelerating" if name == "acceleration" else "turning"] = True
             other = _Fit(trajectory, glimpses, prior(trajectory, speed, on_path, **wider), fit)
-            if other.log_evidence(name, fit.prior) > 0:
+            if other.log_evidence(name, fit.prior) > STRONG:
                 fit, accelerating, turning = other, wider["accelerating"], wider["turning"]
     covariance = np.zeros((len(STEPS),) * 2)
     covariance[np.ix_(fit.prior.free, fit.prior.free)] = fit.covariance
@@ -300,7 +311,7 @@ class _Fit:
                 picture = cv2.GaussianBlur(crops[v], (0, 0), _blur(smoothing, scale[v] / resolution))
                 if b > 0:
                     picture = picture - cv2.GaussianBlur(crops[v], (0, 0), _blur(smoothing, scale[v] / resolution * BAND))
-                pictures.append((np.asarray(picture, np.float32), _filtered(picture, SLOPE), _filtered(picture, SLOPE.T)))
+                pictures.append(_derivatives(np.asarray(picture, np.float32)))
             bands.append(_Band(views, pictures, corners[views], size * BAND**b))
         return bands
 
@@ -416,6 +427,7 @@ class _Fit:
 
 
 SAFETY = 1.5  # a richer model must explain more than the covariance's own error
+STRONG = 3.0  # log Bayes factor, 20 to 1, that speaks for a richer model
 
 
 def perturbed(rig: StereoRig, uncertainty: RigUncertainty) -> list[StereoRig]:
@@ -445,8 +457,11 @@ def _blur(smoothing: float, ratio: float) -> float:
     return float(np.sqrt(max((OPTICS**2 + smoothing**2) * ratio**2 - OPTICS**2, 0.3**2)))
 
 
-def _filtered(picture: Floats, kernel: Floats) -> Floats:
-    return np.asarray(cv2.filter2D(picture, -1, kernel, borderType=cv2.BORDER_REPLICATE), np.float32)
+def _derivatives(picture: Floats) -> tuple[Floats, ...]:
+    """``picture``, its slopes along x and y, and its Laplacian."""
+    along = [cv2.filter2D(picture, -1, kernel, borderType=cv2.BORDER_REPLICATE) for kernel in (SLOPE, SLOPE.T)]
+    laplacian = cv2.Laplacian(picture, cv2.CV_32F, borderType=cv2.BORDER_REPLICATE)
+    return picture, *(np.asarray(a, np.float32) for a in (*along, laplacian))
 
 
 def _areas(quads: Array) -> Array:

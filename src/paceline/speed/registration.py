@@ -118,7 +118,7 @@ def register(
             Jw = J * w[..., None]
             A += np.tensordot(Jw, J, ((0, 1), (0, 1)))
             scores.append(np.einsum("psk,ps->pk", Jw, r))
-            likeness.append((I * T).sum() / np.sqrt((I * I).sum() * TT.sum()))
+            likeness.append((I * T).sum() / np.sqrt(((I * I).sum() + 1e-9) * TT.sum()))
         score = np.concatenate(scores)
         inverse = np.linalg.inv(A)
         step = -inverse @ score.sum(0)
@@ -149,6 +149,8 @@ def _smoothed(image: Image, pixels: Array, grid: PlaneGrid) -> tuple[Image, Arra
     sigma = max(0.6, 0.7 * float(size.max()))
     corner = np.maximum(np.floor(low - 8 - 3 * sigma), 0).astype(int)
     end = np.ceil(high + 9 + 3 * sigma).astype(int)
+    corner = np.minimum(corner, np.array(image.shape[1::-1]) - 1)
+    end = np.maximum(end, corner + 1)
     crop = image[corner[1] : end[1], corner[0] : end[0]]
     return np.asarray(cv2.GaussianBlur(crop, (0, 0), sigma), np.float32), corner.astype(float)
 

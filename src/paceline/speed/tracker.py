@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from paceline.cameras import StereoRig
 from paceline.documents import VehicleDocument
-from paceline.geometry import triangulate
 from paceline.recordings import StereoFrame
 from paceline.speed import likelihood, motion, registration
 from paceline.speed.configuration import SpeedConfiguration
@@ -18,15 +17,19 @@ from paceline.speed.likelihood import Grid, Observation
 from paceline.speed.motion import FreeMotion, PathMotion, State
 from paceline.speed.particles import Weights, resample
 from paceline.speed.paths import Path
-from paceline.speed.planes import FirstPlane, first_plane
+from paceline.speed.planes import FirstPlane, first_plane, squared
 
 Array = NDArray[np.float64]
+Image = NDArray[np.float32]
 
 SPEED_RANGE = (0.5, 75.0)  # m/s, searched where no first guess is given
 SEARCH = 8  # times as many particles while the speed is unknown
 ROUGHENING = 0.1  # share of a static parameter's spread that resampling gives back to it
 SEEN = 0.55  # likeness to the reference below which a frame teaches nothing
 LOST = 0.25  # likeness below which the vehicle is not in view
+GROWTHS = np.geomspace(0.72, 1.4, 23)  # of a picture from one frame to the next
+MATCH_SIGMA = 0.7  # px, of a matched picture's place and size
+DIRECTED = 2.0  # m, a travel that has a direction
 PATIENCE = 4  # frames that may pass so before the vehicle is given up
 
 
@@ -213,23 +216,29 @@ class Tracker:
         return replace(self.state, speed=speed, s=s, heading=heading), model
 
     def _matched(self, frame: StereoFrame, dt: float) -> State:
-        """First particles without a path: velocities about the shift of the region's picture in both views."""
-        pixels = []
-        for first, now, quad in (
-            (self._first.left, frame.left, self.vehicle.left),
-            (self._first.right, frame.right, self.vehicle.right),
-        ):
-            pixels.append(quad.mean(0) + match_shift(first, now, quad, self._reach(dt)))
-        before = triangulate(self.rig, self.vehicle.left.mean(0), self.vehicle.right.mean(0))
-        after = triangulate(self.rig, pixels[0], pixels[1])
+        """First particles without a path: velocities about where the left view's picture went and how it grew."""
+        quad = self.vehicle.left
+        shift, growth = match(self._first.left, frame.left, quad, self._reach(dt))
+        before = self.plane.centre
+        after = self.rig.left.rays(quad.mean(0) + shift) * before[2] / growth
         N = len(self.state)
-        scale = np.linalg.norm(before) / self.rig.left.K[0, 0] / dt  # metres per second that one pixel means
-        depth = np.linalg.norm(before) ** 2 / (self.rig.left.K[0, 0] * self.rig.baseline) / dt
+        velocity = (after - before) / dt
+        size = float(np.sqrt(np.prod(np.ptp(quad, axis=0))))
         ray = before / np.linalg.norm(before)
-        spread = self.rng.normal(0.0, 0.5, (N, 3)) * scale + self.rng.normal(0.0, 0.15, (N, 1)) * depth * ray
-        across = (after - before) - ray * (ray @ (after - before))  # the match says little about depth
-        velocity = across / dt + spread
+        pixel = before[2] / self.rig.left.K[0, 0] / dt  # m/s across that one pixel means, and along the ray:
+        depth = MATCH_SIGMA * before[2] / size / dt
+        velocity = velocity + self.rng.normal(0.0, MATCH_SIGMA * pixel, (N, 3)) + self.rng.normal(0.0, depth, (N, 1)) * ray
         return replace(self.state, velocity=velocity, speed=np.linalg.norm(velocity, axis=1))
+
+    def _square(self, position: Array) -> None:
+        """Set the plane square to the travel so far, once that is long enough to have a direction."""
+        travel = position - self.plane.centre
+        if self.vehicle.plane == "free" and np.linalg.norm(travel) > DIRECTED:
+            centres = motion.centres(self.rig, self.state)
+            normal = squared(self.plane, travel).normal
+            self.state = replace(
+                self.state, normal=np.tile(normal, (len(self.state), 1)), distance=centres @ normal
+            )
 
     def _reach(self, dt: float) -> float:
         """How many pixels the fastest vehicle can move in ``dt``."""
@@ -252,6 +261,7 @@ class Tracker:
             self.status = "ended"
         elif self._unseen >= PATIENCE:
             self.status = "lost"
+        self._square(position)
         return Estimate(
             frame.index,
             frame.time,
@@ -329,17 +339,27 @@ def initial_state(plane: FirstPlane, vehicle: VehicleDocument, n: int, rng: np.r
     )
 
 
-def match_shift(first: NDArray[np.float32], now: NDArray[np.float32], quad: Array, reach: float) -> Array:
-    """Shift (2,) in pixels of the picture inside ``quad`` (4, 2) from ``first`` to ``now``, at most ``reach``."""
+def match(first: Image, now: Image, quad: Array, reach: float) -> tuple[Array, float]:
+    """Where the picture inside ``quad`` (4, 2) went from ``first`` to ``now``: its shift (2,) in pixels, at most
+    ``reach``, and the factor by which it grew."""
     x0, y0 = np.maximum(np.floor(quad.min(0)).astype(int), 0)
     x1, y1 = np.ceil(quad.max(0)).astype(int) + 1
     template = first[y0:y1, x0:x1]
-    rise = int(min(reach, 0.25 * reach + (y1 - y0)))
-    left, top = max(x0 - int(reach), 0), max(y0 - rise, 0)
-    window = now[top : y1 + rise, left : x1 + int(reach)]
-    score = cv2.matchTemplate(window, template, cv2.TM_CCOEFF_NORMED)
-    y, x = np.unravel_index(int(np.argmax(score)), score.shape)
-    return np.array([left + x - x0, top + y - y0], float)
+    across = int(reach) + (x1 - x0) // 4
+    down = int(min(reach, 0.25 * reach + (y1 - y0)))
+    left, top = max(x0 - across, 0), max(y0 - down, 0)
+    window = now[top : y1 + down, left : x1 + across]
+    best = (-1.0, np.zeros(2), 1.0)
+    for growth in GROWTHS:
+        scaled = cv2.resize(template, None, fx=growth, fy=growth, interpolation=cv2.INTER_LINEAR)
+        if scaled.shape[0] > window.shape[0] or scaled.shape[1] > window.shape[1]:
+            continue
+        scores = cv2.matchTemplate(window, scaled, cv2.TM_CCOEFF_NORMED)
+        y, x = np.unravel_index(int(np.argmax(scores)), scores.shape)
+        if scores[y, x] > best[0]:
+            middle = np.array([left + x + scaled.shape[1] / 2, top + y + scaled.shape[0] / 2])
+            best = (float(scores[y, x]), middle - np.array([x0 + x1, y0 + y1]) / 2, float(growth))
+    return best[1], best[2]
 
 
 def _likeness(a: likelihood.Floats, b: likelihood.Floats) -> float:

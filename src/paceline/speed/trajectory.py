@@ -15,7 +15,7 @@ from scipy.interpolate import CubicSpline
 
 from paceline.cameras import StereoRig
 from paceline.speed.likelihood import unit_square_to
-from paceline.speed.paths import Path, frame_of
+from paceline.speed.paths import Path, level_frames, rolled, rotation_minimising_roll
 from paceline.speed.planes import FirstPlane
 
 Array = NDArray[np.float64]
@@ -99,8 +99,9 @@ class Trajectory:
         T = F[:, :, 0] + yaw[:, None] * F[:, :, 1] + pitch[:, None] * F[:, :, 2]
         tangent = CubicSpline(u, T / np.linalg.norm(T, axis=1, keepdims=True))
         gone = tangent.antiderivative()
-        here = frame_of(np.asarray(tangent(0.0)))
-        R = frame_of(np.asarray(tangent(travelled))) @ here.T
+        roll = CubicSpline(u, rotation_minimising_roll(level_frames(np.asarray(tangent(u)))))
+        here = rolled(level_frames(np.asarray(tangent(0.0))), roll(0.0))
+        R = rolled(level_frames(np.asarray(tangent(travelled))), roll(travelled)) @ here.T
         t = start + gone(travelled) - gone(0.0) - R @ start
         n = here @ turned(self._normal_in_path_frame, theta[3], theta[4])
         return R, t, n, float(n @ start)

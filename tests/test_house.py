@@ -1,0 +1,231 @@
+"""The house itself: rooms that keep their order, documents whose links and examples hold, one version."""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+import yaml
+
+import paceline
+from paceline.documents import load_clip
+from paceline.schemas import ClipModel, PathModel, RigModel, UncertaintyModel, VehicleModel
+
+ROOT = Path(__file__).parents[1]
+SOURCE = ROOT / "src" / "paceline"
+DOCUMENTS = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md"))]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+FLOORS = {
+    1: ["errors", "units", "cameras", "geometry", "sources", "recordings"],
+    2: ["documents", "schemas", "plausibility"],
+    3: ["speed"],
+    4: ["simulation"],
+    5: ["reports"],
+    7: ["cli", "__main__"],
+}
+FLOOR = {room: floor for floor, rooms in FLOORS.items() for room in rooms}
+
+
+# --- rooms ---------------------------------------------------------------------------------------------------------
+
+
+def modules() -> dict[str, ast.Module]:
+    """Every module of the package below ``paceline`` itself, parsed."""
+    found = {}
+    for file in sorted(SOURCE.rglob("*.py")):
+        parts = file.relative_to(SOURCE).with_suffix("").parts
+        name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+        if name:
+            found[name] = ast.parse(file.read_text(encoding="utf-8"))
+    return found
+
+
+MODULES = modules()
+
+
+def imports(name: str) -> Iterator[str]:
+    """Modules of the package that a module imports anywhere in it; ``__version__`` alone belongs to no room."""
+    for node in ast.walk(MODULES[name]):
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                if alias.name.split(".")[0] == "paceline":
+                    yield alias.name.removeprefix("paceline").lstrip(".")
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{name}: expected absolute imports"
+            if node.module is None or node.module.split(".")[0] != "paceline":
+                continue
+            inside = node.module.removeprefix("paceline").lstrip(".")
+            for alias in node.names:
+                full = f"{inside}.{alias.name}".lstrip(".")
+                if full in MODULES:
+                    yield full
+                elif inside or alias.name != "__version__":
+                    yield inside
+
+
+IMPORTS = {name: set(imports(name)) for name in MODULES}
+
+
+def room(module: str) -> str:
+    return module.split(".")[0]
+
+
+def test_every_room_is_on_a_floor() -> None:
+    assert {room(name) for name in MODULES} == set(FLOOR)
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_lower_rooms_never_import_upper_ones(name: str) -> None:
+    for other in IMPORTS[name]:
+        assert other, f"{name} imports the API of the whole package"
+        assert FLOOR[room(other)] <= FLOOR[room(name)], f"{name} imports {other}"
+
+
+@pytest.mark.parametrize("unit", ["modules", "rooms"])
+def test_there_are_no_circles(unit: str) -> None:
+    if unit == "modules":
+        # a package that gathers names from its own modules is no circle, unless they import it back
+        graph = {name: others - {name} for name, others in IMPORTS.items()}
+    else:
+        graph = {r: set() for r in FLOOR}
+        for name, others in IMPORTS.items():
+            graph[room(name)] |= {room(o) for o in others} - {room(name)}
+    done: set[str] = set()
+
+    def visit(name: str, trail: tuple[str, ...]) -> None:
+        assert name not in trail, " → ".join([*trail, name])
+        if name not in done:
+            for other in graph[name]:
+                visit(other, (*trail, name))
+            done.add(name)
+
+    for name in graph:
+        visit(name, ())
+
+
+# --- the API -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", paceline.__all__)
+def test_the_names_of_the_api_exist(name: str) -> None:
+    assert getattr(paceline, name) is not None
+    assert name in dir(paceline)
+
+
+def test_an_unknown_name_is_refused() -> None:
+    with pytest.raises(AttributeError, match="no attribute 'mesure'"):
+        paceline.mesure  # noqa: B018
+
+
+def test_importing_the_package_loads_nothing_else() -> None:
+    code = "import sys; before = set(sys.modules); import paceline; print(*set(sys.modules) - before)"
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT / "src", capture_output=True, text=True, check=True)
+    assert {m for m in done.stdout.split() if m.split(".")[0] not in sys.stdlib_module_names} == {"paceline"}
+
+
+# --- version -------------------------------------------------------------------------------------------------------
+
+
+def test_there_is_one_version() -> None:
+    assert metadata.version("paceline") == paceline.__version__
+    headings = re.findall(r"^## \[(\d.*?)\]", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert headings[0] == paceline.__version__
+
+
+@pytest.mark.parametrize("name", ["requirements.txt", "requirements-dev.txt"])
+def test_locks_hold_hashes_and_no_addresses(name: str) -> None:
+    text = (ROOT / name).read_text(encoding="utf-8")
+    assert not re.search(r"://|--(index|extra|find|trusted)|^[./]", text, re.MULTILINE)
+    pinned = re.findall(r"^\S+==.*\\\n    --hash=sha256:[0-9a-f]{64}", text, re.MULTILINE)
+    assert len(pinned) == len(re.findall(r"^[a-z]", text, re.MULTILINE)) > 10
+
+
+# --- documents -----------------------------------------------------------------------------------------------------
+
+
+def anchors(document: Path) -> set[str]:
+    headings = re.findall(r"^#+ (.+)$", document.read_text(encoding="utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", h.lower()).strip().replace(" ", "-") for h in headings}
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda p: p.name)
+def test_links_lead_somewhere(document: Path) -> None:
+    prose = re.sub(r"^```.*?^```", "", document.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    for target in re.findall(r"\]\(([^)\s]+)\)", prose):
+        if "://" in target:
+            continue
+        where, _, anchor = target.partition("#")
+        file = document.parent / where if where else document
+        assert file.exists(), target
+        assert not anchor or anchor in anchors(file), target
+
+
+def blocks(language: str, document: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", document, re.MULTILINE | re.DOTALL)
+
+
+@pytest.fixture
+def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder to work in that holds the examples."""
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_the_readmes_session_is_what_the_command_prints(elsewhere: Path) -> None:
+    session = next(text for text in blocks("", README) if text.startswith("$ "))
+    command, printed = session.removeprefix("$ .venv/bin/paceline ").split("\n", 1)
+    done = subprocess.run([sys.executable, "-m", "paceline", *command.split()], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == printed
+
+
+def test_the_readme_measures_and_reports(elsewhere: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    exec(compile(blocks("python", README)[0], "README.md", "exec"), {})
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 2
+    for line, name, truth in zip(lines, ("v0", "v1"), (45, 38), strict=True):
+        found = re.fullmatch(rf"{name}: ([\d.]+) m/s, ([\d.]+) to ([\d.]+), measured ", line)
+        assert found, line
+        speed, low, high = map(float, found.groups())
+        assert low < truth * 0.44704 < high
+        assert speed == pytest.approx(truth * 0.44704, abs=0.15 * 0.44704)
+    assert (elsewhere / "out" / "report.html").exists()
+
+
+def test_the_readme_follows_a_stream(elsewhere: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    exec(compile(blocks("python", README)[1], "README.md", "exec"), {})
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 14
+    last = re.fullmatch(r"2\.6 s: ([\d.]+) ± [\d.]+ m/s, tracking", lines[-1])
+    assert last and float(last[1]) == pytest.approx(45 * 0.44704, abs=0.44704)
+
+
+def test_the_readmes_clip_can_be_read(tmp_path: Path) -> None:
+    (tmp_path / "clip.yaml").write_text(blocks("yaml", README)[0], encoding="utf-8")
+    (tmp_path / "rig.yaml").symlink_to(ROOT / "examples" / "straight" / "rig.yaml")
+    assert [v.id for v in load_clip(tmp_path / "clip.yaml").vehicles] == ["v0"]
+
+
+def test_every_key_is_documented() -> None:
+    text = (ROOT / "docs" / "files.md").read_text(encoding="utf-8")
+    RigModel.model_validate(yaml.safe_load(blocks("yaml", text)[0]))
+    for model in (RigModel, UncertaintyModel, ClipModel, PathModel, VehicleModel):
+        for key in model.model_fields:
+            assert re.search(rf"^\| [^|]*`{key}`", text, re.MULTILINE), f"{model.__name__}: {key}"
+
+
+def test_every_column_is_documented() -> None:
+    from paceline.reports.tables import COLUMNS
+
+    text = (ROOT / "docs" / "files.md").read_text(encoding="utf-8")
+    for column in COLUMNS:
+        side = re.fullmatch(r"(left|right)_[xy]\d", column)
+        assert f"`{side[1]}_x1` … `{side[1]}_y4`" in text if side else f"`{column}`" in text, column
