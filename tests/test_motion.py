@@ -91,7 +91,7 @@ def assert_same_plane_and_regions(a, b, atol):
 def test_regions_move_as_the_corners_in_space_do(rig, seed):
     state = random_state(rig, seed)
     dR, dt = random_motions(seed)
-    after = moved(state, rig, dR, dt)
+    after = moved(state, rig, dt, dR)
     for view, corners in enumerate(corners_in_space(rig, state)):
         there = np.einsum("nij,nkj->nki", dR, corners) + dt[:, None]
         expected = rig.project(there)[view]
@@ -103,7 +103,7 @@ def test_regions_move_as_the_corners_in_space_do(rig, seed):
 def test_the_plane_moves_as_three_of_its_points_do(rig, seed):
     state = random_state(rig, seed)
     dR, dt = random_motions(seed)
-    after = moved(state, rig, dR, dt)
+    after = moved(state, rig, dt, dR)
     there = np.einsum("nij,nkj->nki", dR, corners_in_space(rig, state)[0]) + dt[:, None]
     for i, (a, b, c, _) in enumerate(there):
         normal = np.cross(b - a, c - a)
@@ -117,11 +117,11 @@ def test_the_plane_moves_as_three_of_its_points_do(rig, seed):
 def test_two_moves_are_one(rig, seed):
     state = random_state(rig, seed)
     (dR, dt), (dR2, dt2) = random_motions(seed), random_motions(seed + 1)
-    twice = moved(moved(state, rig, dR, dt), rig, dR2, dt2)
-    assert_same_plane_and_regions(twice, moved(state, rig, dR2 @ dR, np.einsum("nij,nj->ni", dR2, dt) + dt2), 1e-8)
+    twice = moved(moved(state, rig, dt, dR), rig, dt2, dR2)
+    assert_same_plane_and_regions(twice, moved(state, rig, np.einsum("nij,nj->ni", dR2, dt) + dt2, dR2 @ dR), 1e-8)
     back = np.swapaxes(dR, 1, 2)
-    there = moved(state, rig, dR, dt)
-    assert_same_plane_and_regions(moved(there, rig, back, -np.einsum("nij,nj->ni", back, dt)), state, 1e-8)
+    there = moved(state, rig, dt, dR)
+    assert_same_plane_and_regions(moved(there, rig, -np.einsum("nij,nj->ni", back, dt), back), state, 1e-8)
 
 
 @settings(deadline=None, max_examples=25)

@@ -57,17 +57,18 @@ def pack(image: Floats) -> Packed:
     return packed
 
 
-def observe(left: Packed, right: Packed, quads_left: Array, quads_right: Array, cross: Array, grid: Grid) -> Observation:
+def observe(
+    left: Packed, right: Packed, quads_left: Array, quads_right: Array, cross: Array, grid: Grid
+) -> Observation:
     """What N particles see of the packed images.
 
     ``quads_left``, ``quads_right`` (N, 4, 2) are the 2-D substates, ``cross`` (N, 3, 3) the homographies H_c (15).
     """
     N = len(quads_left)
-    H = np.empty((N, 3, 3, 3))
-    H[:, 0], H[:, 1] = unit_square_to(quads_left), unit_square_to(quads_right)
-    H[:, 2] = cross @ H[:, 0]
-    edges = inward_edges(quads_right)
-    H, edges = H.reshape(N, 3, 9).astype(np.float32), edges.astype(np.float32)
+    to_left, to_right = unit_square_to(quads_left), unit_square_to(quads_right)
+    H = np.stack([to_left, to_right, cross @ to_left], axis=1).reshape(N, 3, 9).astype(np.float32)
+    edges = inward_edges(quads_right).astype(np.float32)
+    # a region without area has no map: it is looked at in one pixel, where it resembles nothing
     wild = ~(np.isfinite(H).all((1, 2)) & np.isfinite(edges).all((1, 2)))
     H[wild] = [0, 0, 0, 0, 0, 0, 0, 0, 1]
     edges[wild] = [0, 0, -1]
@@ -90,20 +91,24 @@ def observe(left: Packed, right: Packed, quads_left: Array, quads_right: Array, 
 def normalised(features: Floats) -> Floats:
     """Wavelet features (…, parts, 16) freed of each view's brightness and contrast.
 
-    The mean of all parts is taken from the averages, then each part is scaled to its own contrast; a part with little
-    contrast of its own keeps a smaller norm instead of showing its noise enlarged.
+    The median of all parts is taken from the averages, then each part is scaled to its own contrast; a part with
+    little contrast beside the usual one keeps a smaller norm instead of showing its noise enlarged. Medians, because
+    one part that is hidden must not change the others.
     """
-    f = features.copy()
-    f[..., 0] -= np.median(f[..., 0], -1, keepdims=True)
-    norm2 = (f * f).sum(-1, keepdims=True)
-    typical = np.median(norm2, -2, keepdims=True)
-    return np.asarray(f / np.sqrt(norm2 + CONTRAST_FLOOR**2 * typical + 1.0), np.float32)
+    f = np.ascontiguousarray(features, np.float32).copy()
+    pixels_cpu.normalise(f.reshape(-1, *f.shape[-2:]), np.float32(CONTRAST_FLOOR))
+    return f
 
 
 def distances(features: Floats, reference: Floats) -> Floats:
-    """D² of (13) in each view, shape (N, 2): the sum over parts, no part counting more than one that does not fit."""
-    per_part = ((features - reference) ** 2).sum(-1)
-    return np.asarray(np.minimum(per_part, PART_DISTANCE_CAP).sum(-1), np.float32)
+    """D² of (13) in each view, (N, 2): the sum over parts, no part counting more than one that does not fit.
+
+    ``features`` (N, 2, parts, 16) and ``reference`` (2, parts, 16) are normalised.
+    """
+    out = np.empty((2, len(features)), np.float32)
+    for view in (0, 1):
+        pixels_cpu.capped_distances(features[:, view], reference[view], np.float32(PART_DISTANCE_CAP), out[view])
+    return out.T
 
 
 def log_likelihood(seen: Observation, reference: Floats, lambda_single: float, lambda_cross: float) -> Array:

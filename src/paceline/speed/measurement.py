@@ -10,7 +10,8 @@ from pathlib import Path as FilePath
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm, t as student
+from scipy.stats import norm
+from scipy.stats import t as student
 
 from paceline import __version__
 from paceline.cameras import StereoRig
@@ -18,10 +19,12 @@ from paceline.documents import Clip, VehicleDocument, load_clip
 from paceline.errors import UnusableInput
 from paceline.recordings import StereoFrame, StereoRecording, open_recording
 from paceline.speed import paths
+from paceline.speed.bands import Glimpse
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.paths import Path
 from paceline.speed.planes import first_plane, squared
-from paceline.speed.refinement import Glimpse, Refined, refine
+from paceline.speed.reconstruction import path_of
+from paceline.speed.refinement import Refined, refine
 from paceline.speed.results import ClipResult, Measurement, PathDrawing, Track
 from paceline.speed.tracker import SEEN, Estimate, Tracker
 from paceline.speed.trajectory import Trajectory
@@ -99,15 +102,11 @@ def _reconstruct(clip: Clip, configuration: SpeedConfiguration) -> dict[str, Pat
     """The paths that vehicles drive on, not yet moved to their lanes' centres."""
     if configuration.motion == "free":
         return {}
+    shape = None if configuration.motion == "auto" else configuration.motion
     drawn = {}
     for name in dict.fromkeys(v.path for v in clip.vehicles if v.path is not None):
-        document = clip.paths[name]
-        shape = document.shape if configuration.motion == "auto" else configuration.motion
         try:
-            if document.points is not None:
-                drawn[name] = paths.from_points(name, shape, document.points)
-            elif document.left is not None and document.right is not None:
-                drawn[name] = paths.reconstruct(name, shape, clip.rig, document.left, document.right)
+            drawn[name] = path_of(clip.paths[name], clip.rig, shape)
         except UnusableInput as unusable:
             raise UnusableInput(f"{clip.path}: {unusable}") from None
     return drawn
@@ -160,7 +159,8 @@ class _Run:
         if not self.configuration.refine:
             return self._from_filter(tracked)
         try:
-            refined = refine(self.rig, self._trajectory(), self.glimpses, self._first_speed(tracked), self.path is not None)
+            speed = float(np.mean([e.speed for e in tracked[1:]]))
+            refined = refine(self._trajectory(), self.glimpses, speed, self.path is not None)
         except np.linalg.LinAlgError:
             return self._rejected("residuals: the region has too little texture for its motion to be determined")
         return self._judged(refined, len(tracked))
@@ -170,9 +170,6 @@ class _Run:
         how = {"ended": "left the image", "lost": "was lost"}.get(last, "was seen")
         when = "after" if last != "tracking" else "for only"
         return f"too few frames: the vehicle {how} {when} {frames} of at least {LEAST_FRAMES}"
-
-    def _first_speed(self, tracked: list[Estimate]) -> float:
-        return float(np.mean([e.speed for e in tracked[1:]]))
 
     def _trajectory(self) -> Trajectory:
         """The outline and the way it goes: the path in the sense of travel, or straight on as the filter saw it."""

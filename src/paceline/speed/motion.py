@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from paceline.cameras import StereoRig
-from paceline.geometry import plane_homography
+from paceline.cameras import Camera, StereoRig
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.paths import Path
 
@@ -49,28 +48,42 @@ class State:
         return State(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
 
 
-def moved(state: State, rig: StereoRig, dR: Array, dt: Array) -> State:
-    """``state`` after the rigid motions P' = ΔR P + Δt, given as (N, 3, 3) and (N, 3): equations (5)–(8), (10), (11)."""
+def moved(state: State, rig: StereoRig, dt: Array, dR: Array | None = None) -> State:
+    """``state`` after the rigid motions P' = ΔR P + Δt, given as (N, 3) and (N, 3, 3) (None: no rotation).
+
+    Equations (5)–(8), (10), (11) of [Zhu].
+    """
     n, d = state.normal, state.distance
     R, t = rig.R, rig.t
-    dR_right = R @ dR @ R.T  # T ΔT T⁻¹ of (8)
-    dt_right = dt @ R.T + t - np.einsum("nij,j->ni", dR_right, t)
     n_right = n @ R.T
     d_right = d + n_right @ t
-    normal = np.einsum("nij,nj->ni", dR, n)
+    dt_right = dt @ R.T  # with ΔR_right the decomposition of T ΔT T⁻¹ of (8)
+    dR_right = None
+    if dR is not None:
+        dR_right = R @ dR @ R.T
+        dt_right = dt_right + t - dR_right @ t
+        n = _combined(dR, n)
+    before = state.normal / d[:, None]
     return replace(
         state,
-        left=_mapped(state.left, plane_homography(rig.left.K, dR, dt, n, d)),
-        right=_mapped(state.right, plane_homography(rig.right.K, dR_right, dt_right, n_right, d_right)),
-        normal=normal,
-        distance=d + (dt * normal).sum(-1),
+        left=_mapped(state.left, rig.left, dR, dt, before),
+        right=_mapped(state.right, rig.right, dR_right, dt_right, n_right / d_right[:, None]),
+        normal=n,
+        distance=d + (dt * n).sum(-1),
     )
 
 
-def _mapped(quads: Array, H: Array) -> Array:
-    """(11): the vertices (N, 4, 2) taken through (N, 3, 3)."""
-    p = np.einsum("nij,nkj->nki", H[:, :, :2], quads) + H[:, None, :, 2]
+def _mapped(quads: Array, camera: Camera, dR: Array | None, dt: Array, plane: Array) -> Array:
+    """(11): vertices (N, 4, 2) taken through the homographies K (ΔR + Δt nᵀ/d) K⁻¹ of (5); ``plane`` is n/d."""
+    rays = camera.rays(quads)
+    turned = rays if dR is None else rays @ dR.swapaxes(1, 2)
+    p = (turned + (rays @ plane[..., None]) * dt[:, None]) @ camera.K.T
     return np.asarray(p[..., :2] / p[..., 2:])
+
+
+def _combined(columns: Array, weights: Array) -> Array:
+    """Σⱼ weightsⱼ·columnsⱼ (N, 3) of (N, 3, k) and (N, k)."""
+    return np.asarray((columns @ weights[..., None])[..., 0])
 
 
 def cross_homographies(rig: StereoRig, state: State) -> Array:
@@ -109,8 +122,7 @@ def corrected(
     covariance = (W[:, None] * deviation).T @ deviation
     gain = covariance[:, :3] @ np.linalg.inv(covariance[:3, :3] + noise)
     change = (seen - places) @ gain.T
-    still = np.broadcast_to(np.eye(3), (len(state), 3, 3))
-    after = moved(state, rig, still, change[:, :3])
+    after = moved(state, rig, change[:, :3])
     updates, at = {}, 3
     for f, column in zip(fields, columns[1:], strict=True):
         width = column.shape[1]
@@ -138,10 +150,14 @@ class FreeMotion:
         velocity = state.velocity + rng.normal(0.0, self.translation_noise * scale, (N, 3))
         dR = Rotation.from_euler("xyz", turning * dt).as_matrix()
         centre = centres(self.rig, state)
-        shift = centre + velocity * dt - np.einsum("nij,nj->ni", dR, centre)
-        after = moved(state, self.rig, dR, shift)
+        shift = centre + velocity * dt - _combined(dR, centre)
+        after = moved(state, self.rig, shift, dR)
         return replace(after, turning=turning, velocity=velocity, speed=np.linalg.norm(velocity, axis=1))
 
+
+    def yaw_rate(self, state: State, dt: float) -> float:
+        """Turning (rad/s) about the camera's y axis, to the right, of a state of one particle."""
+        return float(state.turning[0, 1])
 
     def followed(self, state: State, shift: Array) -> State:
         """``state`` whose planes were moved by ``shift`` (N, 3)."""
@@ -163,8 +179,7 @@ class PathMotion:
         self.name = path.shape
         self.speed_noise = configuration.speed_noise
         self.distance_noise = configuration.distance_noise
-        curved = path.shape == "curve"
-        self.drift = np.array([configuration.lateral_noise, configuration.vertical_noise]) * curved
+        self.drift = np.array([configuration.lateral_noise, configuration.vertical_noise])
 
     def propagate(self, state: State, dt: float, rng: np.random.Generator) -> State:
         """All particles ``dt`` seconds later."""
@@ -172,15 +187,24 @@ class PathMotion:
         scale = np.sqrt(dt / FRAME)
         speed = state.speed + rng.normal(0.0, self.speed_noise * scale, N)
         s = self._advanced(state.s, speed * dt + rng.normal(0.0, self.distance_noise * scale, N))
-        F, F_after = self.path.frames(state.s), self.path.frames(s)
-        dR = F_after @ np.swapaxes(F, -1, -2)  # (26)
+        F = self.path.frames(state.s)
         start = self.path.at(state.s)
         step = self.path.at(s) - start
         length = (step * F[:, :, 0]).sum(-1)
-        turned = step + length[:, None] * np.einsum("nij,nj->ni", F[:, :, 1:], state.heading)
-        drift = np.einsum("nij,nj->ni", F_after[:, :, 1:], rng.normal(0.0, 1.0, (N, 2)) * self.drift * scale)
-        shift = start + turned - np.einsum("nij,nj->ni", dR, start) + drift  # (27)
-        return replace(moved(state, self.rig, dR, shift), speed=speed, s=s)
+        shift = step + length[:, None] * _combined(F[:, :, 1:], state.heading)
+        if self.name == "line":
+            return replace(moved(state, self.rig, shift), speed=speed, s=s)  # (22)–(24)
+        F_after = self.path.frames(s)
+        dR = F_after @ np.swapaxes(F, -1, -2)  # (26)
+        drift = _combined(F_after[:, :, 1:], rng.normal(0.0, 1.0, (N, 2)) * self.drift * scale)
+        shift += start - _combined(dR, start) + drift  # (27)
+        return replace(moved(state, self.rig, shift, dR), speed=speed, s=s)
+
+    def yaw_rate(self, state: State, dt: float) -> float:
+        """Turning (rad/s) about the camera's y axis, to the right, over the last ``dt``, of one particle."""
+        s = np.array([state.s[0] - state.speed[0] * dt, state.s[0]])
+        before, now = self.path.frames(s)[:, :, 0]
+        return float(np.cross(before, now)[1] / dt)
 
     def followed(self, state: State, shift: Array) -> State:
         """``state`` whose planes were moved by ``shift`` (N, 3): their arc lengths follow."""

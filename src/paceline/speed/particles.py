@@ -7,7 +7,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -21,7 +20,7 @@ class Weights:
     """
 
     def __init__(self, lw: Array) -> None:
-        total = logsumexp(lw)
+        total = np.logaddexp.reduce(lw)
         if not np.isfinite(total):
             raise FloatingPointError("all particle weights vanish")
         self.lw = lw - total

@@ -5,16 +5,19 @@ Scalars in, scalars out. `pixels_cpu` compiles them with ``numba.njit``.
 
 from __future__ import annotations
 
+import numpy as np
+
 
 def interpolate(neighbourhood, fx, fy):
     """Bilinear value at fractions (fx, fy) within a 2×2 neighbourhood packed in one uint32.
 
-    Byte 0 is pixel (x, y), byte 1 (x + 1, y), byte 2 (x, y + 1), byte 3 (x + 1, y + 1).
+    Byte 0 is pixel (x, y), byte 1 (x + 1, y), byte 2 (x, y + 1), byte 3 (x + 1, y + 1). All in 32 bits: wider
+    intermediates would halve the vector width.
     """
-    a = neighbourhood & 255
-    b = (neighbourhood >> 8) & 255
-    c = (neighbourhood >> 16) & 255
-    d = neighbourhood >> 24
+    a = np.float32(np.int32(neighbourhood & np.uint32(255)))
+    b = np.float32(np.int32((neighbourhood >> np.uint32(8)) & np.uint32(255)))
+    c = np.float32(np.int32((neighbourhood >> np.uint32(16)) & np.uint32(255)))
+    d = np.float32(np.int32(neighbourhood >> np.uint32(24)))
     top = a + fx * (b - a)
     return top + fy * (c + fx * (d - c) - top)
 

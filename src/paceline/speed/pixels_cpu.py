@@ -20,7 +20,7 @@ _up_down = _inline(pixels.haar_up_down)
 _diagonal = _inline(pixels.haar_diagonal)
 
 CHUNKS = 32  # pieces of work shared out to the threads
-CROSS_ROWS = 2  # the cross-view correlation takes every second row of samples
+CROSS_ROWS = 4  # the cross-view correlation takes every fourth row of samples
 
 
 @njit(cache=True, nogil=True)
@@ -40,7 +40,7 @@ def pack(image, packed):
                 target[x] = above[x] | (above[x + 1] << 8) | (row[x] << 16) | (row[x + 1] << 24)
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@_inline
 def _sample_row(flat, width, height, H, v, n, px, py, index, fx, fy, word, out):
     """``out`` (n,): the packed image at the row ``v`` of the unit square's grid, mapped to (px, py) by ``H`` (9,)."""
     right = np.float32(width) - np.float32(1.001)
@@ -68,7 +68,7 @@ def _sample_row(flat, width, height, H, v, n, px, py, index, fx, fy, word, out):
         out[i] = _interpolate(word[i], fx[i], fy[i])
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@_inline
 def _sum_blocks(totals, blocks, samples):
     """Block sums of a row of sample ``totals``, ``samples`` of them to each block; the totals start anew."""
     for b in range(blocks.shape[0]):
@@ -116,6 +116,7 @@ def observe(left, right, H, edges, across, down, samples, features, ncc):
     n = across * 4 * samples[0]
     rows = down * 4 * samples[1]
     flat_left, flat_right = left.reshape(-1), right.reshape(-1)
+    (tall_l, wide_l), (tall_r, wide_r) = left.shape, right.shape
     least = np.float32(0.25) * n * rows / CROSS_ROWS
     chunks = min(N, CHUNKS)
     for chunk in prange(chunks):
@@ -123,35 +124,38 @@ def observe(left, right, H, edges, across, down, samples, features, ncc):
         fx, fy = np.empty(n, np.float32), np.empty(n, np.float32)
         index, word = np.empty(n, np.int32), np.empty(n, np.uint32)
         value, crossed = np.empty(n, np.float32), np.empty(n, np.float32)
-        totals = np.zeros((2, n), np.float32)
+        total_left, total_right = np.zeros(n, np.float32), np.zeros(n, np.float32)
         blocks = np.empty((2, down * 4, across * 4), np.float32)
         sums = np.empty(6, np.float32)
         for p in range(chunk * N // chunks, (chunk + 1) * N // chunks):
             sums[:] = 0.0
+            to_left, to_right, across_views, e = H[p, 0], H[p, 1], H[p, 2], edges[p]
             for r in range(rows):
                 v = (np.float32(r) + np.float32(0.5)) / np.float32(rows)
-                _sample_row(flat_left, left.shape[1], left.shape[0], H[p, 0], v, n, px, py, index, fx, fy, word, value)
-                for i in range(n):
-                    totals[0, i] += value[i]
-                if r % CROSS_ROWS == 0:
-                    _sample_row(
-                        flat_right, right.shape[1], right.shape[0], H[p, 2], v, n, px, py, index, fx, fy, word, crossed
-                    )
-                    _correlate_row(value, crossed, px, py, edges[p], sums)
                 _sample_row(
-                    flat_right, right.shape[1], right.shape[0], H[p, 1], v, n, px, py, index, fx, fy, word, value
+                    flat_left, wide_l, tall_l, to_left, v, n, px, py, index, fx, fy, word, value
                 )
                 for i in range(n):
-                    totals[1, i] += value[i]
+                    total_left[i] += value[i]
+                if r % CROSS_ROWS == 0:
+                    _sample_row(
+                        flat_right, wide_r, tall_r, across_views, v, n, px, py, index, fx, fy, word, crossed
+                    )
+                    _correlate_row(value, crossed, px, py, e, sums)
+                _sample_row(
+                    flat_right, wide_r, tall_r, to_right, v, n, px, py, index, fx, fy, word, value
+                )
+                for i in range(n):
+                    total_right[i] += value[i]
                 if r % samples[1] == samples[1] - 1:
-                    _sum_blocks(totals[0], blocks[0, r // samples[1]], samples[0])
-                    _sum_blocks(totals[1], blocks[1, r // samples[1]], samples[0])
+                    _sum_blocks(total_left, blocks[0, r // samples[1]], samples[0])
+                    _sum_blocks(total_right, blocks[1, r // samples[1]], samples[0])
             _wavelets(blocks[0], across, features[p, 0])
             _wavelets(blocks[1], across, features[p, 1])
             ncc[p] = _correlation(sums, least)
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@_inline
 def _correlate_row(a, b, px, py, e, sums):
     """Add to ``sums`` = Σ1, Σa, Σb, Σaa, Σbb, Σab over the samples whose (px, py) lie inside the edges ``e`` (4, 3)."""
     s0 = s1 = s2 = s3 = s4 = s5 = np.float32(0.0)
@@ -184,3 +188,112 @@ def _correlation(s, least):
     aa, bb, ab = s[3] - s[1] * s[1] / s[0], s[4] - s[2] * s[2] / s[0], s[5] - s[1] * s[2] / s[0]
     least_variance = np.float32(0.1) * s[0]
     return ab / np.sqrt(max(aa, least_variance) * max(bb, least_variance))
+
+
+@njit(cache=True, nogil=True)
+def _median(values, scratch):
+    """Median of a few ``values``, sorted in ``scratch`` of the same length."""
+    n = len(values)
+    for i in range(n):
+        v, j = values[i], i
+        while j > 0 and scratch[j - 1] > v:
+            scratch[j] = scratch[j - 1]
+            j -= 1
+        scratch[j] = v
+    return np.float32(0.5) * (scratch[(n - 1) // 2] + scratch[n // 2])
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def normalise(features, floor):
+    """Free wavelet features (N, parts, 16), in place, of brightness and contrast; see `likelihood.normalised`."""
+    N, parts, coefficients = features.shape
+    brightness, norm2, scratch = np.empty((3, parts), np.float32)
+    for p in range(N):
+        f = features[p]
+        for i in range(parts):
+            brightness[i] = f[i, 0]
+        middle = _median(brightness, scratch)
+        for i in range(parts):
+            f[i, 0] -= middle
+            total = np.float32(0.0)
+            for c in range(coefficients):
+                total += f[i, c] * f[i, c]
+            norm2[i] = total
+        least = floor * floor * _median(norm2, scratch) + np.float32(1.0)
+        for i in range(parts):
+            scale = np.float32(1.0) / np.sqrt(norm2[i] + least)
+            for c in range(coefficients):
+                f[i, c] *= scale
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def capped_distances(features, reference, cap, out):
+    """``out`` (N,): the sum over parts of squared distances (at most ``cap`` each) of (N, parts, 16) to (parts, 16)."""
+    N, parts, coefficients = features.shape
+    for p in range(N):
+        total = np.float32(0.0)
+        for i in range(parts):
+            distance = np.float32(0.0)
+            for c in range(coefficients):
+                d = features[p, i, c] - reference[i, c]
+                distance += d * d
+            total += min(distance, cap)
+        out[p] = total
+
+
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+def register_parts(image, K, R, t, points, texture, slopes, directions, gains, seen, A, score, variance):
+    """Gauss–Newton's normal equations of each part in one view, free of the part's own gain and offset.
+
+    ``image`` (H, W), ``K`` (3, 3) to its pixels, ``R``, ``t`` from the world to the camera, ``points``
+    (parts, samples, 3), zero-mean ``texture`` (parts, samples), its ``slopes`` in the image (2, parts, samples),
+    ``directions`` (3, k) of the shifts looked for, ``gains`` (least, most). Writes what is ``seen`` (parts, samples),
+    ``A`` (parts, k, k), ``score`` (parts, k) and the residuals' ``variance`` (parts,).
+    """
+    parts, samples = texture.shape
+    k = directions.shape[1]
+    turned = R @ directions
+    J = np.empty((samples, k), np.float64)
+    mean_J, along_T = np.empty(k), np.empty(k)
+    right, bottom = image.shape[1] - 1.001, image.shape[0] - 1.001
+    for p in range(parts):
+        T = texture[p]
+        TT, mean, IT = 1e-9, 0.0, 0.0
+        mean_J[:] = 0.0
+        along_T[:] = 0.0
+        for s in range(samples):
+            X = R[0, 0] * points[p, s, 0] + R[0, 1] * points[p, s, 1] + R[0, 2] * points[p, s, 2] + t[0]
+            Y = R[1, 0] * points[p, s, 0] + R[1, 1] * points[p, s, 1] + R[1, 2] * points[p, s, 2] + t[1]
+            Z = R[2, 0] * points[p, s, 0] + R[2, 1] * points[p, s, 1] + R[2, 2] * points[p, s, 2] + t[2]
+            x = min(max(K[0, 0] * X / Z + K[0, 2], 0.0), right)
+            y = min(max(K[1, 1] * Y / Z + K[1, 2], 0.0), bottom)
+            ix, iy = int(x), int(y)
+            fx, fy = x - ix, y - iy
+            top = image[iy, ix] + fx * (image[iy, ix + 1] - image[iy, ix])
+            low = image[iy + 1, ix] + fx * (image[iy + 1, ix + 1] - image[iy + 1, ix])
+            value = top + fy * (low - top)
+            seen[p, s] = value
+            a, b = slopes[0, p, s] * K[0, 0] / Z, slopes[1, p, s] * K[1, 1] / Z
+            c = -(a * X + b * Y) / Z
+            for i in range(k):
+                J[s, i] = a * turned[0, i] + b * turned[1, i] + c * turned[2, i]
+                mean_J[i] += J[s, i]
+                along_T[i] += J[s, i] * T[s]
+            mean += value
+            IT += value * T[s]
+            TT += T[s] * T[s]
+        mean /= samples
+        gain = min(max(IT / TT, gains[0]), gains[1])
+        A[p] = 0.0
+        score[p] = 0.0
+        total = 0.0
+        for s in range(samples):
+            r = (seen[p, s] - mean) / gain - T[s]
+            total += r * r
+            for i in range(k):
+                J[s, i] -= mean_J[i] / samples + along_T[i] / TT * T[s]
+            for i in range(k):
+                score[p, i] += J[s, i] * r
+                for j in range(k):
+                    A[p, i, j] += J[s, i] * J[s, j]
+        variance[p] = total / samples

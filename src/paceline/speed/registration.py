@@ -14,12 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from paceline.cameras import StereoRig
-from paceline.speed.likelihood import Grid
+from paceline.speed import pixels_cpu
+from paceline.speed.likelihood import Grid, unit_square_to
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
 
 ITERATIONS = 4
+GAINS = (0.2, 5.0)
 CORRELATED = 4.0  # a sample's noise is shared with about this many neighbours
 QUANTISED = 1.0 / 12.0  # grey levels², of 8-bit images
 INSET = 0.04  # of the region: its rim shows what is behind the vehicle
@@ -63,8 +65,8 @@ class PlaneGrid:
     def slopes(self, values: Array) -> Array:
         """∂/∂u and ∂/∂v (2, …, parts, samples) of ``values`` (…, parts, samples)."""
         whole = self.whole(values)
-        down, across = np.gradient(whole, self.step[1], self.step[0], axis=(-2, -1))
-        return np.stack([self._parts(across), self._parts(down)])
+        down, across = (np.gradient(whole, step, axis=a) for step, a in ((self.step[1], -2), (self.step[0], -1)))
+        return np.stack([self._parts(np.asarray(across)), self._parts(np.asarray(down))])
 
     def _parts(self, whole: Array) -> Array:
         d, y, a, x = self.shape
@@ -86,59 +88,50 @@ def register(
     ``texture`` (parts, samples) is what they should show; ``directions`` (3, k) spans the shifts looked for. Raises
     numpy.linalg.LinAlgError where the texture determines nothing.
     """
-    x = rig.project(points)
-    smooth, corners = [], []
-    for image, pixels in zip(images, x, strict=True):
-        crop, corner = _smoothed(image, pixels, grid)
-        smooth.append(crop)
-        corners.append(corner)
+    T = np.ascontiguousarray(texture - texture.mean(-1, keepdims=True))
+    TT = float((T * T).sum()) + 1e-9
     slopes = grid.slopes(texture)
-    T = texture - texture.mean(-1, keepdims=True)
-    TT = (T * T).sum(-1) + 1e-9
+    k, parts = directions.shape[1], len(texture)
+    pictures = []
+    for v in views:
+        pixels = rig.project(points)[v]
+        picture, corner = _smoothed(images[v], pixels, grid)
+        K = rig.cameras[v].K.copy()
+        K[:2, 2] -= corner
+        R, t = (np.eye(3), np.zeros(3)) if v == 0 else (rig.R, rig.t)
+        pictures.append((picture, K, R, t, _slopes_in_image(slopes, pixels, grid)))
     shift = np.zeros(3)
+    seen = np.empty((len(views), *texture.shape))
+    A, score = np.empty((len(views), parts, k, k)), np.empty((len(views), parts, k))
+    variance = np.empty((len(views), parts))
+    directions = np.ascontiguousarray(directions)
     for _ in range(ITERATIONS):
         moved = points + shift
-        A = np.zeros((directions.shape[1],) * 2)
-        scores, seen, likeness = [], [], []
-        for k in views:
-            camera = rig.cameras[k]
-            P = moved if k == 0 else rig.to_right(moved)
-            pixels = camera.project(P)
-            I = _sampled(smooth[k], pixels - corners[k])
-            seen.append(I)
-            I = I - I.mean(-1, keepdims=True)
-            gain = np.clip((I * T).sum(-1) / TT, 0.2, 5.0)[:, None]
-            r = I / gain - T
-            turn = directions if k == 0 else rig.R @ directions
-            J = _sensitivity(camera.K, P, pixels, slopes, turn, grid)
-            J -= J.mean(-2, keepdims=True)
-            J -= (J * T[..., None]).sum(-2, keepdims=True) / TT[:, None, None] * T[..., None]
-            variance = (r * r).mean(-1, keepdims=True)
-            w = 1.0 / (variance + 0.5 * np.median(variance) + QUANTISED)
-            Jw = J * w[..., None]
-            A += np.tensordot(Jw, J, ((0, 1), (0, 1)))
-            scores.append(np.einsum("psk,ps->pk", Jw, r))
-            likeness.append((I * T).sum() / np.sqrt(((I * I).sum() + 1e-9) * TT.sum()))
-        score = np.concatenate(scores)
-        inverse = np.linalg.inv(A)
-        step = -inverse @ score.sum(0)
+        for i, (picture, K, R, t, slope) in enumerate(pictures):
+            pixels_cpu.register_parts(
+                picture, K, R, t, moved, T, slope, directions, GAINS, seen[i], A[i], score[i], variance[i]
+            )
+        w = 1.0 / (variance + 0.5 * np.median(variance, axis=1, keepdims=True) + QUANTISED)
+        normal = np.einsum("vp,vpij->ij", w, A)
+        scores = (w[..., None] * score).reshape(-1, k)
+        inverse = np.linalg.inv(normal)
+        step = -inverse @ scores.sum(0)
         shift = shift + directions @ step
-        if step @ A @ step < 0.01:
+        if step @ normal @ step < 0.01:
             break
-    spread = inverse @ (score.T @ score + CORRELATED * A) @ inverse
-    return Registration(shift, directions @ spread @ directions.T, float(np.mean(likeness)), np.stack(seen))
+    spread = inverse @ (scores.T @ scores + CORRELATED * normal) @ inverse
+    centred = seen - seen.mean(-1, keepdims=True)
+    likeness = (centred * T).sum((1, 2)) / np.sqrt(((centred**2).sum((1, 2)) + 1e-9) * TT)
+    return Registration(shift, directions @ spread @ directions.T, float(likeness.mean()), seen)
 
 
-def _sensitivity(K: Array, P: Array, pixels: Array, slopes: Array, turn: Array, grid: PlaneGrid) -> Array:
-    """∂I/∂shift (parts, samples, k), from the slopes of the texture carried over to the image."""
-    z = P[..., 2]
+def _slopes_in_image(slopes: Array, pixels: Array, grid: PlaneGrid) -> Array:
+    """∂I/∂x and ∂I/∂y (2, parts, samples): the texture's ``slopes`` over the unit square carried to ``pixels``."""
     g = grid.slopes(np.moveaxis(pixels, -1, 0))  # (2 of uv, 2 of xy, parts, samples)
     det = g[0, 0] * g[1, 1] - g[1, 0] * g[0, 1]
-    gx = (slopes[0] * g[1, 1] - slopes[1] * g[0, 1]) / det
-    gy = (slopes[1] * g[0, 0] - slopes[0] * g[1, 0]) / det
-    fx, fy = K[0, 0] / z, K[1, 1] / z
-    along = np.stack([gx * fx, gy * fy, -(gx * fx * P[..., 0] + gy * fy * P[..., 1]) / z], axis=-1)
-    return np.asarray(along @ turn)
+    return np.stack(
+        [(slopes[0] * g[1, 1] - slopes[1] * g[0, 1]) / det, (slopes[1] * g[0, 0] - slopes[0] * g[1, 0]) / det]
+    )
 
 
 def _smoothed(image: Image, pixels: Array, grid: PlaneGrid) -> tuple[Image, Array]:
@@ -167,3 +160,41 @@ def sample(rig: StereoRig, images: tuple[Image, Image], points: Array, grid: Pla
         crop, corner = _smoothed(image, pixels, grid)
         seen.append(_sampled(crop, pixels - corner))
     return np.stack(seen)
+
+
+class Appearance:
+    """What the tracked plane looks like: one texture for both views, learned from every frame that shows it."""
+
+    def __init__(self, rig: StereoRig, grid: Grid, memory: float) -> None:
+        self.rig = rig
+        self.memory = memory  # ε of [Zhu] (14)
+        self.grid = PlaneGrid(grid)
+        self.texture = np.zeros((0, 0))
+
+    def begin(self, images: tuple[Image, Image], left: Array, normal: Array, distance: float) -> tuple[float, float]:
+        """Learn the left view's picture of the region (4, 2); how far the right view moves the plane, and how surely.
+
+        Returns the factor on the plane's distance at which the views agree, and its standard deviation.
+        """
+        points = self.surface(left, normal, distance)
+        self.texture = sample(self.rig, images, points, self.grid)[0]
+        centre = points.reshape(-1, 3).mean(0)
+        length = float(np.linalg.norm(centre))
+        ray = centre / length
+        found = register(self.rig, images, points, self.texture, self.grid, ray[:, None], (1,))
+        return 1.0 + float(found.shift @ ray) / length, float(np.sqrt(np.trace(found.covariance))) / length
+
+    def find(self, images: tuple[Image, Image], left: Array, normal: Array, distance: float) -> Registration:
+        """Where the plane is that was expected behind the left region (4, 2) at n·P = d."""
+        points = self.surface(left, normal, distance)
+        return register(self.rig, images, points, self.texture, self.grid, np.eye(3))
+
+    def learn(self, found: Registration) -> None:
+        """Update the texture by (14), as the features are."""
+        self.texture = self.memory * self.texture + (1 - self.memory) * found.texture.mean(0)
+
+    def surface(self, left: Array, normal: Array, distance: float) -> Array:
+        """Sample points (parts, samples, 3) on the plane behind the left region (4, 2)."""
+        H = unit_square_to(left[None])[0]
+        rays = np.moveaxis(np.tensordot(self.rig.left.K_inv @ H, self.grid.places, 1), 0, -1)
+        return np.asarray(rays * (distance / (rays @ normal))[..., None])

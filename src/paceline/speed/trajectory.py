@@ -50,7 +50,7 @@ DEPTH = 0.3
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """Independent of the images: mean (12,) of all parameters, which are ``free``, and their information (free, free)."""
+    """What is known without the images: the mean (12,) of all parameters, which are ``free``, and their information."""
 
     mean: Array
     free: NDArray[np.int64]
@@ -72,11 +72,11 @@ class Trajectory:
 
     @cached_property
     def _ray(self) -> Array:
-        return self.rig.left.rays(self.quad.mean(0))
+        return np.asarray(self.rig.left.rays(self.quad.mean(0)))
 
     @cached_property
     def _square(self) -> Array:
-        return unit_square_to(self.quad[None])[0]
+        return np.asarray(unit_square_to(self.quad[None])[0])
 
     @cached_property
     def _normal_in_path_frame(self) -> Array:
@@ -88,7 +88,7 @@ class Trajectory:
         return np.asarray(theta[1] * self.times + 0.5 * theta[2] * self.times**2)
 
     def motion(self, theta: Array) -> tuple[Array, Array, Array, float]:
-        """Rigid motions since time 0, rotations (F, 2, 3, 3) and translations (F, 2, 3), and the first plane n·P = d."""
+        """Rigid motions since time 0, rotations (F, 2, 3, 3) and translations (F, 2, 3); and the first n·P = d."""
         start = self._ray * np.exp(theta[0])
         s0 = self.path.nearest(start)
         travelled = self.distance(theta)
@@ -116,7 +116,7 @@ class Trajectory:
         t_view = np.stack([np.zeros(3), rig.t])
         H_d = K @ (R_view @ R) @ back
         shift = (R_view @ t[..., None])[..., 0] + t_view
-        return d * H_d + K @ (shift[..., None] * n) @ back, H_d
+        return np.asarray(d * H_d + K @ (shift[..., None] * n) @ back), H_d
 
     def quads(self, theta: Array) -> Array:
         """The region in both views at every frame, (F, 2, 4, 2) px."""
@@ -166,14 +166,11 @@ def prior(trajectory: Trajectory, speed: float, on_path: bool, accelerating: boo
         heading += _heading_covariance(trajectory, speed)
     if turning:
         heading[1, 1] += TURNING**2
-    if path.shape != "curve":
-        terms = np.array([0, 1, 4, 5])
-    else:
-        terms = np.arange(7)
+    terms = np.arange(7) if path.shape == "curve" else np.array([0, 1, 4, 5])
     index = 5 + terms
     variance[np.ix_(index, index)] = heading[np.ix_(terms, terms)]
     free = np.flatnonzero(np.diag(variance) > 0)
-    return Prior(mean, free, np.linalg.inv(variance[np.ix_(free, free)]))
+    return Prior(mean, free, np.asarray(np.linalg.inv(variance[np.ix_(free, free)]), float))
 
 
 def _heading_covariance(trajectory: Trajectory, speed: float) -> Array:

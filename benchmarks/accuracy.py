@@ -1,0 +1,137 @@
+"""Errors and intervals of the measured speeds on rendered clips with exact truth.
+
+python benchmarks/accuracy.py [--suite plain|hard|crossing] [--n 120] [--seed 1000] [--workers 2]
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from common import MPH, distances, head, machine, measured, plain_scene, rendered, rms, row, share_out, true_mean
+
+from paceline import UnusableInput
+from paceline.simulation.planar import Scene, random_crossing, random_scene
+from paceline.speed.results import Measurement
+
+SUITES = {"plain": plain_scene, "hard": random_scene, "crossing": random_crossing}
+NAN = float("nan")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One clip: what was in it and what was measured (mph)."""
+
+    seed: int
+    scene: str
+    curved: bool
+    true: float = NAN
+    error: float = NAN
+    half: float = NAN  # half the width of the 95 % interval
+    z: float = NAN  # the error in standard uncertainties
+    model: str = "none"
+    reason: str = ""  # why it was rejected
+
+    @property
+    def is_measured(self) -> bool:
+        return not self.reason
+
+
+def run(seed: int, suite: str) -> Outcome:
+    """Render, measure and compare the clip of ``seed``."""
+    scene = SUITES[suite](seed)
+    describe = partial(Outcome, seed, _describe(scene), scene.radius is not None)
+    with rendered(scene) as (clip, truth):
+        try:
+            m = measured(clip)[0]
+        except UnusableInput as unusable:
+            return describe(reason=f"unusable: {str(unusable).partition(': ')[2]}")
+        return describe(**_compared(m, true_mean(truth, m)))
+
+
+def _describe(scene: Scene) -> str:
+    vehicle, (near, far) = scene.vehicles[0], distances(scene)
+    way = f"{near:.0f} → {far:.0f} m" if vehicle.receding else f"{far:.0f} → {near:.0f} m"
+    if not scene.draw_path:
+        way = f"{far - near:.0f} m across, {scene.road_depth:.0f} m away"
+    pictures = scene.frames - len(scene.dropped)
+    extras = [
+        f"curve {scene.radius:.0f} m" if scene.radius else "",
+        f"{vehicle.acceleration:+.1f} m/s²" if vehicle.acceleration else "",
+        "pole" if scene.occluder else "",
+        "glare" if vehicle.glare else "",
+    ]
+    return ", ".join([way, f"{pictures} × {1 / scene.rate:.2f} s", f"f {scene.focal:.0f}", *filter(None, extras)])
+
+
+def _compared(m: Measurement, true: float) -> dict[str, Any]:
+    error = m.speed - true
+    return {
+        "true": true / MPH,
+        "error": error / MPH,
+        "half": (m.speed_hi - m.speed_lo) / 2 / MPH,
+        "z": error / m.random_std,
+        "model": m.model,
+        "reason": m.reason,
+    }
+
+
+def summary(outcomes: list[Outcome]) -> str:
+    """The table of groups; the first holds every clip that was measured."""
+    good = [o for o in outcomes if o.is_measured]
+    groups = {
+        "all measured": good,
+        "straight": [o for o in good if not o.curved],
+        "curved": [o for o in good if o.curved],
+        "interval up to ± 0.5 mph": [o for o in good if o.half <= 0.5],
+        "interval wider": [o for o in good if o.half > 0.5],
+    }
+    lines = [head("clips", "n", "RMS, mph", "median", "max", "RMS, % of speed", "median ±, mph", "covered", "z RMS")]
+    for name, group in groups.items():
+        if group:
+            lines.append(_summary_row(name, group))
+    return "\n".join(lines)
+
+
+def _summary_row(name: str, group: list[Outcome]) -> str:
+    error, half = np.array([o.error for o in group]), np.array([o.half for o in group])
+    size, share = np.abs(error), 100 * error / np.array([o.true for o in group])
+    return row(
+        name,
+        len(group),
+        f"{rms(error):.3f}",
+        f"{np.median(size):.3f}",
+        f"{size.max():.3f}",
+        f"{rms(share.tolist()):.2f}",
+        f"{np.median(half):.2f}",
+        f"{np.mean(size <= half):.0%}",
+        f"{rms([o.z for o in group]):.2f}",
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Errors and intervals on rendered clips with exact truth.")
+    parser.add_argument("--suite", choices=SUITES, default="hard")
+    parser.add_argument("--n", type=int, default=120, help="number of clips")
+    parser.add_argument("--seed", type=int, default=1000, help="seed of the first clip")
+    parser.add_argument("--workers", type=int, default=2, help="processes")
+    args = parser.parse_args()
+    begun, outcomes = time.perf_counter(), []
+    print(head("seed", "clip", "true, mph", "error", "95 % ±", "z", "model", "verdict"), flush=True)
+    for o in share_out(partial(run, suite=args.suite), range(args.seed, args.seed + args.n), args.workers):
+        outcomes.append(o)
+        numbers = (f"{o.true:.2f}", f"{o.error:+.3f}", f"{o.half:.3f}", f"{o.z:+.1f}")
+        verdict = "measured" if o.is_measured else f"rejected: {o.reason}"
+        print(row(o.seed, o.scene, *numbers, o.model, verdict), flush=True)
+    print(f"\nSuite {args.suite}, seeds {args.seed} to {args.seed + args.n - 1}:\n\n{summary(outcomes)}")
+    rejected = [str(o.seed) for o in outcomes if not o.is_measured]
+    print(f"\n{len(rejected)} of {args.n} rejected{': seeds ' + ', '.join(rejected) if rejected else ''}.")
+    print(f"{time.perf_counter() - begun:.0f} s with {args.workers} processes.\n\n{machine()}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,101 @@
+"""The particle filter alone, started 15 % too slow and 15 % too fast: how soon and how well it follows.
+
+python benchmarks/filter.py [--n 10] [--seed 1000] [--workers 2]
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+
+import numpy as np
+from common import (
+    MPH,
+    SHARED,
+    Array,
+    Rows,
+    guessed,
+    head,
+    machine,
+    measured,
+    plain_scene,
+    read_truth,
+    rendered,
+    rms,
+    row,
+    share_out,
+    true_speeds,
+)
+
+from paceline import load_clip
+from paceline.documents import Clip
+
+FACTORS = (0.85, 1.15)
+STEPS = 5  # the filter has to have converged after so many
+NEAR = 1.0  # mph
+
+
+@dataclass(frozen=True)
+class Run:
+    """One clip with one first guess: the filter's errors (N,) in mph, frame by frame, the outlined frame first."""
+
+    clip: str
+    factor: float
+    errors: Array
+
+    @property
+    def converged_after(self) -> str:
+        """Steps until the error is within 1 mph and stays there."""
+        far = np.flatnonzero(~(np.abs(self.errors) <= NEAR))
+        steps = int(far[-1]) + 1
+        return str(steps) if steps < len(self.errors) else "never"
+
+    @property
+    def later(self) -> Array:
+        """Absolute errors from step ``STEPS`` on, mph."""
+        return np.abs(self.errors[STEPS:])
+
+
+def run(name: str) -> list[Run]:
+    """Both first guesses on a clip: "plain 1000" is rendered, any other name is a folder of recordings."""
+    if name.startswith("plain "):
+        with rendered(plain_scene(int(name.split()[1]))) as (clip, truth):
+            return _both(name, clip, truth)
+    folder = SHARED / name
+    return _both(name, load_clip(folder / "clip.yaml"), read_truth(folder))
+
+
+def _both(name: str, clip: Clip, truth: Rows) -> list[Run]:
+    runs = []
+    for factor in FACTORS:
+        for m in measured(guessed(clip, factor, truth), refine=False):
+            tracked = np.array([s == "tracking" for s in m.track.status])
+            errors = (m.track.speed - true_speeds(truth, m)) / MPH
+            runs.append(Run(name, factor, errors[tracked]))
+    return runs
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="The particle filter alone, from a first guess that is 15 % off.")
+    parser.add_argument("--n", type=int, default=10, help="number of rendered clips")
+    parser.add_argument("--seed", type=int, default=1000, help="seed of the first rendered clip")
+    parser.add_argument("--workers", type=int, default=2, help="processes")
+    args = parser.parse_args()
+    names = [name for name in ("rendered/straight", "rendered/curve") if (SHARED / name).is_dir()]
+    if not names:
+        print(f"{SHARED / 'rendered'} is absent: only the clips rendered here.\n")
+    names += [f"plain {seed}" for seed in range(args.seed, args.seed + args.n)]
+    print(head("clip", "first guess", "steps until within 1 mph", "largest error after step 5, mph", "RMS"), flush=True)
+    runs = []
+    for pair in share_out(run, names, args.workers):
+        runs += pair
+        for r in pair:
+            print(row(r.clip, f"{r.factor - 1:+.0%}", r.converged_after, f"{r.later.max():.2f}", f"{rms(r.later):.2f}"))
+    soon = sum(bool((r.later <= NEAR).all()) for r in runs)
+    worst, typical = max(r.later.max() for r in runs), rms(np.concatenate([r.later for r in runs]))
+    print(f"\n{soon} of {len(runs)} within 1 mph from step {STEPS} on.")
+    print(f"Largest error from then on {worst:.2f} mph, RMS {typical:.2f} mph.\n\n{machine()}")
+
+
+if __name__ == "__main__":
+    main()

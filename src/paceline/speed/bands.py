@@ -1,0 +1,231 @@
+"""The pictures that the refinement compares: one band of resolution each, in patches, on the plane's own grid.
+
+A vehicle that comes near shows finer detail than it did far away. The first band holds what even the farthest view
+resolves; each further one the finer detail of the views that resolve it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+
+OPTICS = 0.8  # px, the blur of lens and pixel that most images have; what is left is fitted
+BAND = 1.5  # ratio of resolutions between bands
+DENSITY = 1.3  # samples per pixel of the coarsest view in a band
+PATCHES = 15
+INSET = 1.5  # px of a band's coarsest view: the rim shows what is behind
+REJECT = 4.0  # times the expected variance at which a patch loses half its say
+GAIN = (0.2, 5.0)
+CORRELATED = 12.0  # samples that share their noise, by blur and by sampling more densely than the pixels
+LEAST_VIEWS = 4
+SLOPE = np.array([[1.0, -8.0, 0.0, 8.0, -1.0]], np.float32) / 12
+
+
+@dataclass(frozen=True, eq=False)
+class Glimpse:
+    """What the refinement keeps of one frame: both images about the vehicle, and the filter's regions there."""
+
+    frame: int
+    times: tuple[float, float]  # s, each view's exposure
+    crops: tuple[Floats, Floats]
+    corners: Array  # (2, 2) first pixel of each crop
+    quads: Array  # (2, 4, 2) px, of the filter
+
+
+class Band:
+    """One band of resolution: the views that resolve it, their filtered crops and slopes, and its texture."""
+
+    def __init__(
+        self, views: NDArray[np.int64], pictures: list[tuple[Floats, ...]], corners: Array, size: Array
+    ) -> None:
+        down = max(1, round(np.sqrt(PATCHES * size[1] / size[0])))
+        across = max(1, round(PATCHES / down))
+        x = max(int(np.ceil(size[0] * DENSITY / across)), 4)
+        y = max(int(np.ceil(size[1] * DENSITY / down)), 4)
+        rim = np.clip(INSET / size, 0.03, 0.2)
+        u = rim[0] + (1 - 2 * rim[0]) * (np.arange(across * x) + 0.5) / (across * x)
+        v = rim[1] + (1 - 2 * rim[1]) * (np.arange(down * y) + 0.5) / (down * y)
+        grid = np.stack([*np.meshgrid(u, v), np.ones((down * y, across * x))])
+        patches = grid.reshape(3, down, y, across, x).swapaxes(2, 3)
+        self.patches, self.samples = down * across, y * x
+        self.places = patches.reshape(3, -1)
+        self.views = views
+        self.pictures = pictures
+        self.corners = corners
+        self.weights = np.ones((len(views), self.patches))
+        self.gain = np.ones((len(views), self.patches))
+        self.texture: Array | None = None
+        self.variance = np.ones((len(views), self.patches))
+        self.expected = np.ones((len(views), self.patches))
+
+    def normal_equations(self, H: Array, H_d: Array, relief: Array, dH: Array) -> tuple[Array, Array]:
+        """Normal matrices (patches, P + 1, P + 1) and scores (views, patches, P + 1) of the linearised problem.
+
+        ``H``, ``H_d`` (all views, 3, 3); ``relief`` (patches,) metres; ``dH`` (all views, 3, 3, P) the derivatives.
+        The last column is each patch's own relief.
+        """
+        M, r = self._linearised(H, H_d, relief)
+        V, K, m = r.shape
+        columns = np.concatenate([dH[self.views], H_d[self.views][..., None]], axis=-1).reshape(V, 9, -1)
+        J = (M.reshape(V, K * m, 9) @ columns.astype(np.float32)).reshape(V, K, m, -1)
+        w = (self.weights * self.gain**2).astype(np.float32)
+        # the shared texture moves along with the parameters: what all views have in common tells nothing
+        J -= np.einsum("vk,vkmp->kmp", w, J, optimize=True) / np.maximum(w.sum(0), 1e-12)[:, None, None]
+        Jw = J * w[:, :, None, None]
+        by_patch = [np.moveaxis(a, 1, 0).reshape(K, V * m, -1) for a in (Jw, J)]
+        A = by_patch[0].swapaxes(1, 2) @ by_patch[1]
+        return A.astype(float), (Jw.swapaxes(2, 3) @ r[..., None])[..., 0].astype(float)
+
+    def offsets(self, H: Array, H_d: Array, relief: Array) -> Array:
+        """By how many pixels (views, 2) each view's picture lies off where the motion puts it."""
+        M, r = self._linearised(H, H_d, relief)
+        V, K, m = r.shape
+        shifts = np.zeros((V, 3, 3, 2))
+        shifts[:, 0, :, 0] = shifts[:, 1, :, 1] = H[self.views][:, 2]
+        J = (M.reshape(V, K * m, 9) @ shifts.reshape(V, 9, 2).astype(np.float32)).reshape(V, K, m, 2)
+        Jw = (J * (self.weights * self.gain**2).astype(np.float32)[:, :, None, None]).reshape(V, K * m, 2)
+        A = Jw.swapaxes(1, 2) @ J.reshape(V, K * m, 2)
+        score = Jw.swapaxes(1, 2) @ r.reshape(V, K * m, 1)
+        return np.asarray(-np.linalg.solve(A.astype(float) + 1e-6 * np.eye(2), score.astype(float))[..., 0])
+
+    def _linearised(self, H: Array, H_d: Array, relief: Array) -> tuple[Floats, Floats]:
+        """∂I/∂H (views, patches, samples, 9) free of gain and offset, and the residuals (views, patches, samples)."""
+        V, K, m = len(self.views), self.patches, self.samples
+        H, H_d = H[self.views], H_d[self.views]
+        X = H @ self.places + (H_d @ self.places) * np.repeat(relief, m)
+        z = X[:, 2]
+        x = X[:, :2] / z[:, None]
+        B = (H[:, :2, :2, None] - x[:, :, None] * H[:, 2, :2][:, None, :, None]) / z[:, None, None]
+        I, slope, laplacian = self._sampled(x, B)
+        I -= I.mean(-1, keepdims=True)
+        T = self._share_texture(I)
+        # the texture's own slope, averaged over the views: the noise of a single view's slope would bias the step
+        w = self.weights * self.gain
+        mean_slope = np.einsum("vk,vckm->ckm", w, slope.reshape(V, 2, K, m), optimize=True)
+        g = (mean_slope / np.maximum((w * self.gain).sum(0), 1e-12)[:, None]).reshape(2, -1)
+        det = (B[:, 0, 0] * B[:, 1, 1] - B[:, 0, 1] * B[:, 1, 0]) * z
+        ax = (g[0] * B[:, 1, 1] - g[1] * B[:, 1, 0]) / det
+        ay = (g[1] * B[:, 0, 0] - g[0] * B[:, 0, 1]) / det
+        c = np.stack([ax, ay, -(ax * x[:, 0] + ay * x[:, 1])], axis=1)
+        M = (c[:, :, None] * self.places).reshape(V, 9, K, m)
+        M = np.ascontiguousarray(np.moveaxis(M, 1, -1), np.float32)
+        M -= M.mean(2, keepdims=True)
+        along = (T / np.maximum((T * T).sum(-1, keepdims=True), 1e-9)).astype(np.float32)
+        M -= (along[None, :, None] @ M) * T.astype(np.float32)[None, :, :, None]
+        r = (I / self.gain[..., None] - T).astype(np.float32)
+        # a view's own blur, which no model of the optics gets right, shows as a share of the texture's Laplacian;
+        # left in, it passes for a change of scale
+        blur = np.einsum("vk,vkm->km", w, laplacian)
+        blur -= blur.mean(-1, keepdims=True)
+        blur -= (blur * along).sum(-1, keepdims=True) * T
+        blur = (blur / np.sqrt(np.maximum((blur * blur).sum(-1, keepdims=True), 1e-12))).astype(np.float32)
+        r -= (r * blur).sum(-1, keepdims=True) * blur
+        M -= (blur[None, :, None] @ M) * blur[None, :, :, None]
+        self._reweigh((r * r).mean(-1) * self.gain**2)
+        return M, r
+
+    def _sampled(self, x: Array, B: Array) -> tuple[Array, Array, Array]:
+        """Intensities (V, K, m) at ``x`` (V, 2, N), their slopes (V, 2, N) over the unit square, their Laplacians."""
+        I, laplacian = np.empty((2, len(x), x.shape[2]))
+        slope = np.empty((len(x), 2, x.shape[2]))
+        for v, pictures in enumerate(self.pictures):
+            at = (x[v] - self.corners[v][:, None]).astype(np.float32).reshape(2, self.patches, -1)
+            values = [
+                cv2.remap(p, at[0], at[1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE).ravel()
+                for p in pictures
+            ]
+            I[v] = values[0]
+            slope[v] = values[1] * B[v, 0] + values[2] * B[v, 1]
+            laplacian[v] = values[3]
+        shape = len(x), self.patches, self.samples
+        return I.reshape(shape), slope, laplacian.reshape(shape)
+
+    def _share_texture(self, I: Array) -> Array:
+        """The texture (K, m) that all views share; it and each view's gain (V, K) by alternation from the last ones."""
+        T = I.mean(0) if self.texture is None else self.texture
+        for _ in range(3):
+            own = np.maximum((T * T).sum(-1), 1e-9)
+            self.gain = np.clip(np.einsum("vkm,km->vk", I, T) / own, *GAIN)
+            w = self.weights * self.gain
+            T = np.einsum("vk,vkm->km", w, I) / np.maximum((w * self.gain).sum(0), 1e-12)[:, None]
+        self.texture = T
+        return T
+
+    def _reweigh(self, variance: Array) -> None:
+        """Geman–McClure weights of views' patches, against what each view and each patch usually leaves over."""
+        overall = np.median(variance) + 1e-3
+        self.expected = np.maximum(np.median(variance, axis=1)[:, None], 0.05 * overall) * np.maximum(
+            np.median(variance, axis=0), 0.05 * overall
+        ) / overall + 0.02
+        self.variance = variance
+        self.weights = 1.0 / (CORRELATED * self.expected) / (1.0 + variance / (REJECT * self.expected)) ** 2
+
+
+def bands_of(glimpses: list[Glimpse], quads: Array, smoothing: float, fine: bool) -> list[Band]:
+    """The bands that ``glimpses`` allow, their regions at ``quads`` (F, 2, 4, 2): only the first unless ``fine``.
+
+    ``smoothing`` (px) holds at the coarsest view. Raises numpy.linalg.LinAlgError where too little is in view.
+    """
+    quads = quads.reshape(-1, 4, 2)
+    scale = np.sqrt(_areas(quads))
+    crops = [c for g in glimpses for c in g.crops]
+    corners = np.concatenate([g.corners for g in glimpses])
+    usable = np.array([_covers(c, o, q) for c, o, q in zip(crops, corners, quads, strict=True)])
+    if usable.sum() < LEAST_VIEWS:
+        raise np.linalg.LinAlgError(f"fewer than {LEAST_VIEWS} views hold the whole region")
+    smallest = scale[usable].min()
+    size = _sides(quads[usable][np.argmin(scale[usable])])
+    count = 1 + (int(np.log(scale[usable].max() / smallest) / np.log(BAND) + 1e-6) if fine else 0)
+    bands = []
+    for b in range(count):
+        resolution = smallest * BAND**b
+        views = np.flatnonzero(usable & (scale >= 0.999 * resolution))
+        if len(views) < LEAST_VIEWS:
+            break
+        pictures = []
+        for v in views:
+            picture = _smooth(crops[v], _blur(smoothing, scale[v] / resolution))
+            if b > 0:
+                picture = picture - _smooth(crops[v], _blur(smoothing, BAND * scale[v] / resolution))
+            pictures.append(_derivatives(picture))
+        bands.append(Band(views, pictures, corners[views], size * BAND**b))
+    return bands
+
+
+def _smooth(picture: Floats, sigma: float) -> Floats:
+    return np.asarray(cv2.GaussianBlur(picture, (0, 0), sigma), np.float32)
+
+
+def _blur(smoothing: float, ratio: float) -> float:
+    """σ in px that brings a view of ``ratio`` times the resolution down to it, ``smoothing`` px there included."""
+    return float(np.sqrt(max((OPTICS**2 + smoothing**2) * ratio**2 - OPTICS**2, 0.3**2)))
+
+
+def _derivatives(picture: Floats) -> tuple[Floats, ...]:
+    """``picture``, its slopes along x and y, and its Laplacian."""
+    along = [cv2.filter2D(picture, -1, kernel, borderType=cv2.BORDER_REPLICATE) for kernel in (SLOPE, SLOPE.T)]
+    laplacian = cv2.Laplacian(picture, cv2.CV_32F, borderType=cv2.BORDER_REPLICATE)
+    return picture, *(np.asarray(a, np.float32) for a in (*along, laplacian))
+
+
+def _areas(quads: Array) -> Array:
+    x, y = quads[..., 0], quads[..., 1]
+    return np.asarray(np.abs(0.5 * (x * np.roll(y, -1, -1) - y * np.roll(x, -1, -1)).sum(-1)))
+
+
+def _sides(quad: Array) -> Array:
+    """Mean width and height (2,) of a quadrilateral (4, 2)."""
+    d = np.linalg.norm(np.roll(quad, -1, 0) - quad, axis=1)
+    return np.array([d[0] + d[2], d[1] + d[3]]) / 2
+
+
+def _covers(crop: Floats, corner: Array, quad: Array) -> bool:
+    """Whether ``crop`` holds all of ``quad`` (4, 2)."""
+    inner = quad - corner
+    return bool((inner >= 0).all() and (inner <= np.array(crop.shape[::-1]) - 1).all())

@@ -1,0 +1,240 @@
+"""The refined speed on rendered clips: how near it is to the truth, what its interval covers, and what moves it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from scipy.stats import binom
+
+from paceline.simulation.planar import LaneChange, Scene, Vehicle, random_crossing, random_scene, render, write
+from paceline.speed.configuration import SpeedConfiguration
+from paceline.speed.measurement import measure_clip
+from paceline.speed.results import Measurement
+
+MPH = 0.44704  # m/s
+UNCERTAINTY: dict[str, Any] = {
+    "focal_length_px": 8.0,
+    "principal_point_px": 2.0,
+    "rotation_rad": [2e-3, 2e-4, 2e-3],
+    "translation_m": [0.004, 0.02, 0.02],
+}
+
+
+@pytest.fixture(scope="module")
+def rendered(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Scene], Path]:
+    """Renders a scene into files, once; gives the path of its clip.yaml."""
+
+    @cache
+    def of(scene: Scene) -> Path:
+        return write(render(scene), tmp_path_factory.mktemp("clip"))
+
+    return of
+
+
+def scene(kind: str, speed: float, seed: int, rate: float = 5.0, frames: int = 12, **vehicle: Any) -> Scene:
+    """One vehicle that drives down to 22 m before the cameras, or away from there, in small pictures."""
+    receding = kind == "receding"
+    start = 22.0 if receding else 23.0 + speed * (frames - 1) / rate
+    car = Vehicle("v0", speed, start_distance=start, receding=receding, texture_seed=seed)
+    radius = {"left": -150.0, "right": 150.0}.get(kind)
+    size: dict[str, Any] = {"image_size": (640, 480), "focal": 1400.0, "rate": rate, "frames": frames}
+    if radius is not None:
+        size |= {"radius": radius, "road_depth": 40.0}
+    return Scene(seed, (replace(car, **vehicle),), **size)
+
+
+def mean_speed(scene: Scene, measurement: Measurement) -> float:
+    """The true distance over the true time between the first and the last frame measured."""
+    v, t = scene.vehicles[0], measurement.track.time
+    return v.speed + v.acceleration * 0.5 * (t[0] + t[-1])
+
+
+def edited(clip: Path, name: str, **keys: Any) -> Path:
+    """Another clip.yaml beside ``clip`` with other ``keys``."""
+    document = yaml.safe_load(clip.read_text()) | keys
+    (other := clip.with_name(name)).write_text(yaml.safe_dump(document))
+    return other
+
+
+# --- accuracy ------------------------------------------------------------------------------------------------------
+
+PLAIN = [
+    scene("line", 13.0, 1, frames=14),
+    scene("line", 22.0, 2, frames=11),
+    scene("line", 35.0, 3, rate=10.0, frames=13),
+    scene("receding", 18.0, 4),
+    scene("receding", 28.0, 5, rate=10.0, frames=14),
+    scene("left", 16.0, 6),
+    scene("right", 19.0, 7, frames=11),
+    scene("right", 12.0, 8, frames=10),
+]
+
+
+@pytest.fixture(scope="module")
+def plain(rendered: Callable[[Scene], Path]) -> list[Measurement]:
+    return [measure_clip(rendered(s)).measurements[0] for s in PLAIN]
+
+
+@pytest.mark.parametrize("i", range(len(PLAIN)))
+def test_the_speed_is_right_within_015_mph(plain: list[Measurement], i: int) -> None:
+    m = plain[i]
+    assert (m.verdict, m.model) == ("measured", "constant speed")
+    assert abs(m.speed - PLAIN[i].vehicles[0].speed) < 0.15 * MPH
+    assert np.isnan(m.acceleration) and m.frames == PLAIN[i].frames
+    np.testing.assert_allclose(m.track.refined_speed, m.speed)
+    np.testing.assert_allclose(m.track.refined_std, m.random_std)
+    assert 0 < m.random_std < 0.2 and m.speed_lo < m.speed < m.speed_hi
+
+
+def test_the_speed_is_right_within_01_mph_rms(plain: list[Measurement]) -> None:
+    errors = [m.speed - s.vehicles[0].speed for m, s in zip(plain, PLAIN, strict=True)]
+    assert np.sqrt(np.mean(np.square(errors))) < 0.1 * MPH
+
+
+def varied(seed: int) -> Scene:
+    """A varied scene whose pictures are small."""
+    small = {"image_size": (640, 480), "focal": 1000.0 if seed % 4 == 3 else 1500.0}
+    if seed % 4 == 3:
+        return random_crossing(seed, **small)
+    return random_scene(seed, radius=None if seed % 4 else 180.0 * (-1) ** (seed // 4), **small)
+
+
+def test_intervals_cover_the_truth(rendered: Callable[[Scene], Path], plain: list[Measurement]) -> None:
+    """If 95 % of all did, as few as this would be seen once in more than a thousand times."""
+    scenes = [varied(seed) for seed in range(24)]
+    measured = [measure_clip(rendered(s)).measurements[0] for s in scenes]
+    found = [(m, s) for m, s in zip(measured + plain, scenes + PLAIN, strict=True) if m.verdict == "measured"]
+    assert len(found) >= 26
+    inside = [m.speed_lo <= mean_speed(s, m) <= m.speed_hi for m, s in found]
+    assert binom.cdf(sum(inside), len(inside), 0.95) > 1e-3
+
+
+# --- models --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("acceleration", [-3.0, 3.0])
+@pytest.mark.parametrize("kind", ["line", "right"])
+def test_a_change_of_speed_is_found(rendered: Callable[[Scene], Path], kind: str, acceleration: float) -> None:
+    s = scene(kind, 18.0, 9, frames=10, acceleration=acceleration, start_distance=58.0)
+    m = measure_clip(rendered(s)).measurements[0]
+    assert (m.verdict, m.model) == ("measured", "constant acceleration")
+    assert m.acceleration == pytest.approx(acceleration, abs=0.3)
+    assert abs(m.speed - mean_speed(s, m)) < 0.2 * MPH
+    true = 18.0 + acceleration * m.track.time
+    np.testing.assert_allclose(m.track.refined_speed, true, atol=0.4)
+    assert (np.abs(m.track.refined_speed - true) < 4 * m.track.refined_std).all()
+
+
+def test_a_lane_change_does_not_spoil_the_speed(rendered: Callable[[Scene], Path]) -> None:
+    s = scene("left", 18.0, 10, lane_change=LaneChange(5.0, 30.0, 0.8))
+    m = measure_clip(rendered(s)).measurements[0]
+    assert m.verdict == "measured" and abs(m.speed - 18.0) < 0.5 * MPH
+
+
+@pytest.mark.parametrize("kind", ["line", "right"])
+@pytest.mark.parametrize("what", ["glare", "occluder", "both"])
+def test_glare_and_poles(rendered: Callable[[Scene], Path], kind: str, what: str) -> None:
+    s = replace(scene(kind, 18.0, 11, glare=what != "occluder"), occluder=what != "glare")
+    m = measure_clip(rendered(s)).measurements[0]
+    assert m.verdict == "measured" and abs(m.speed - 18.0) < 0.3 * MPH
+
+
+# --- the systematic part -------------------------------------------------------------------------------------------
+
+
+def with_rig(clip: Path, name: str, change: Callable[[dict[str, Any]], None]) -> Path:
+    rig = yaml.safe_load((clip.parent / "rig.yaml").read_text())
+    change(rig)
+    (clip.parent / f"{name}.rig.yaml").write_text(yaml.safe_dump(rig))
+    return edited(clip, f"{name}.yaml", rig=f"{name}.rig.yaml")
+
+
+def perturbations(part: str) -> list[Callable[[dict[str, Any]], None]]:
+    """Changes of a rig document by one standard uncertainty of each parameter of one ``part``."""
+
+    def intrinsic(side: str, row: int, column: int) -> Callable[[dict[str, Any]], None]:
+        def change(rig: dict[str, Any]) -> None:
+            rig[side]["K"][row][column] += UNCERTAINTY[part]
+
+        return change
+
+    def pose(axis: int) -> Callable[[dict[str, Any]], None]:
+        def change(rig: dict[str, Any]) -> None:
+            if part == "translation_m":
+                rig["translation"][axis] += UNCERTAINTY[part][axis]
+            else:  # the right camera turns about its own axis
+                a = UNCERTAINTY[part][axis]
+                c, s, (i, j) = np.cos(a), np.sin(a), [k for k in (0, 1, 2) if k != axis]
+                turn = np.eye(3)
+                turn[[i, j], [i, j]] = c
+                turn[i, j], turn[j, i] = (s, -s) if axis == 1 else (-s, s)
+                rig["rotation"] = (turn @ np.array(rig["rotation"])).tolist()
+                rig["translation"] = (turn @ np.array(rig["translation"])).tolist()
+
+        return change
+
+    if part == "focal_length_px":
+        return [intrinsic(side, k, k) for side in ("left", "right") for k in (0, 1)]
+    if part == "principal_point_px":
+        return [intrinsic(side, k, 2) for side in ("left", "right") for k in (0, 1)]
+    return [pose(axis) for axis in (0, 1, 2)]
+
+
+@pytest.mark.parametrize("part", list(UNCERTAINTY))
+def test_the_systematic_part_is_what_another_rig_would_have_made(
+    rendered: Callable[[Scene], Path], part: str
+) -> None:
+    """End to end: clip and rig are read, tracked and refined again."""
+    s = replace(PLAIN[0], noise_sigma=0.5)
+    clip = rendered(s)
+    stated = with_rig(clip, f"{part}.stated", lambda rig: rig.update(uncertainty={part: UNCERTAINTY[part]}))
+    m = measure_clip(stated).measurements[0]
+    changes = [
+        measure_clip(with_rig(clip, f"{part}.{i}", change)).measurements[0].speed - m.speed
+        for i, change in enumerate(perturbations(part))
+    ]
+    print(part, m.systematic_std, np.hypot.reduce(changes), changes, m.random_std)
+    assert m.systematic_std == pytest.approx(np.sqrt(np.sum(np.square(changes))), rel=0.18)
+    assert m.systematic_std > 3 * m.random_std  # or else this would test nothing
+    assert not any("uncertainty" in notice for notice in m.notices)
+    assert m.speed_hi - m.speed > 1.96 * m.systematic_std
+
+
+def test_a_rig_without_uncertainty_says_so(plain: list[Measurement]) -> None:
+    assert np.isnan(plain[0].systematic_std)
+    assert any("uncertainty" in notice for notice in plain[0].notices)
+
+
+# --- the exact rail ------------------------------------------------------------------------------------------------
+
+
+def test_an_exact_rail_biases_and_the_refinement_does_not(rendered: Callable[[Scene], Path]) -> None:
+    """The road line is drawn again and again by a hand that scatters by 0.4 px."""
+    s = scene("line", 20.0, 12)
+    clip = rendered(s)
+    exact = yaml.safe_load(rendered(replace(s, line_sigma=0.0)).read_text())["paths"]["lane0"]
+    rng = np.random.default_rng(12)
+    rail, refined = [], []
+    for k in range(6):
+        lane = dict(exact)
+        for side in ("left", "right"):
+            drawn = np.array(exact[side])
+            lane[side] = (drawn + rng.normal(0, 0.4, drawn.shape)).tolist()
+        drawing = edited(clip, f"drawing{k}.yaml", paths={"lane0": lane})
+        rigid = SpeedConfiguration(guided=False, exact_path=True, refine=False, particles=1000, seed=k)
+        for settings, results in ((rigid, rail), (SpeedConfiguration(seed=k), refined)):
+            m = measure_clip(drawing, settings).measurements[0]
+            results.append((m.speed - 20.0, m.random_std))
+    (off, std), (off_refined, std_refined) = np.array(rail).T, np.array(refined).T
+    print(off, std, off_refined, std_refined)
+    assert np.sqrt(np.mean(off**2)) > 0.01 * 20.0  # per cents, as DESIGN says
+    assert np.sqrt(np.mean((off / std) ** 2)) > 2  # chi-squared of six: p < 1e-3
+    assert np.sqrt(np.mean(off_refined**2)) < 0.15 * MPH
+    assert np.sqrt(np.mean((off_refined / std_refined) ** 2)) < 2
