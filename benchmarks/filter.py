@@ -24,6 +24,7 @@ from common import (
     rms,
     row,
     share_out,
+    true_mean,
     true_speeds,
 )
 
@@ -40,6 +41,7 @@ class Run:
     """One clip with one first guess: the filter's errors (N,) in mph, frame by frame, the outlined frame first."""
 
     clip: str
+    scene: str
     factor: float
     errors: Array
 
@@ -71,7 +73,8 @@ def _both(name: str, clip: Clip, truth: Rows) -> list[Run]:
         for m in measured(guessed(clip, factor, truth), refine=False):
             tracked = np.array([s == "tracking" for s in m.track.status])
             errors = (m.track.speed - true_speeds(truth, m)) / MPH
-            runs.append(Run(name, factor, errors[tracked]))
+            speed, rate = true_mean(truth, m) / MPH, 1 / np.median(np.diff(m.track.time))
+            runs.append(Run(name, f"{speed:.0f} mph, {rate:.1f} frames/s", factor, errors[tracked]))
     return runs
 
 
@@ -85,15 +88,24 @@ def main() -> None:
     if not names:
         print(f"{SHARED / 'rendered'} is absent: only the clips rendered here.\n")
     names += [f"plain {seed}" for seed in range(args.seed, args.seed + args.n)]
-    print(head("clip", "first guess", "steps until within 1 mph", "largest error after step 5, mph", "RMS"), flush=True)
+    columns = (
+        "clip",
+        "scene",
+        "first guess",
+        f"steps to ± {NEAR:.0f} mph",
+        f"largest error from step {STEPS}, mph",
+        "RMS",
+    )
+    print(head(*columns), flush=True)
     runs = []
     for pair in share_out(run, names, args.workers):
         runs += pair
         for r in pair:
-            print(row(r.clip, f"{r.factor - 1:+.0%}", r.converged_after, f"{r.later.max():.2f}", f"{rms(r.later):.2f}"))
+            errors = (f"{r.later.max():.2f}", f"{rms(r.later):.2f}")
+            print(row(r.clip, r.scene, f"{r.factor - 1:+.0%}", r.converged_after, *errors), flush=True)
     soon = sum(bool((r.later <= NEAR).all()) for r in runs)
     worst, typical = max(r.later.max() for r in runs), rms(np.concatenate([r.later for r in runs]))
-    print(f"\n{soon} of {len(runs)} within 1 mph from step {STEPS} on.")
+    print(f"\n{soon} of {len(runs)} within {NEAR:.0f} mph from step {STEPS} on.")
     print(f"Largest error from then on {worst:.2f} mph, RMS {typical:.2f} mph.\n\n{machine()}")
 
 

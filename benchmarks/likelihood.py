@@ -19,7 +19,7 @@ from paceline import SpeedConfiguration, Tracker, open_recording
 from paceline.documents import Clip
 from paceline.speed import likelihood, pixels_cpu
 from paceline.speed.likelihood import Floats, Grid, Packed
-from paceline.speed.reconstruction import reconstruct
+from paceline.speed.reconstruction import path_of
 
 WIDTH, HEIGHT = 1024, 768
 REGION = np.array([[460.0, 380], [560, 380], [560, 420], [460, 420]])  # 10 parts of 16 blocks of 4 × 4: 2560 samples

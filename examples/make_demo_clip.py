@@ -37,8 +37,8 @@ SCENE = Scene(
 # What a careful calibration of such a rig with a large board reaches.
 UNCERTAINTY = {
     "focal_length_px": 1.0,
-    "principal_point_px": 0.5,
-    "rotation_rad": [5e-5, 5e-5, 5e-5],
+    "principal_point_px": 0.05,
+    "rotation_rad": [2e-5, 2e-5, 2e-5],
     "translation_m": [2e-4, 1e-4, 1e-4],
 }
 

@@ -24,7 +24,8 @@ class Clip:
         clip = render(scene)
         pairs = zip(clip.left, clip.right, strict=True)
         self.images = [(left.astype(np.float32), right.astype(np.float32)) for left, right in pairs]
-        self.grid = PlaneGrid(Grid.for_region(10, np.array(self.world.truth[0]["left"])))
+        region = np.array(self.world.truth[0]["left"])
+        self.grid = PlaneGrid(Grid.for_region(10, region), region)
         u, v, _ = self.grid.places
         flat = np.stack([(u - 0.5) * car.width, (v - 0.5) * car.height, 0 * u], axis=-1)
         self.poses = self.world.poses[0][0]
@@ -66,7 +67,7 @@ def normalised_squares(clips, prepare=lambda clip, frame: None):
             for offset in offsets([k, frame], 2):
                 found = clip.found(frame, offset, prepare(clip, frame))
                 error = found.shift + offset
-                assert np.abs(clip.pixel_error(frame, error)).max() < 0.1
+                assert np.abs(clip.pixel_error(frame, error)).max() < 0.12
                 assert found.likeness > 0.7
                 squares.append(error @ np.linalg.solve(found.covariance, error))
     return np.array(squares)
@@ -177,12 +178,15 @@ def test_planes_beyond_the_border_are_not_found_and_do_no_harm(clips, away):
     assert found.likeness < 0.6
 
 
+OUTLINE = np.array([[100.0, 100.0], [160.0, 100.0], [160.0, 130.0], [100.0, 130.0]])
+
+
 # --- the grid of samples -------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("grid", [Grid(5, 2, (3, 5)), Grid(1, 4, (6, 7)), Grid(4, 4, (3, 3))])
 def test_parts_of_the_grid_are_the_squares_of_the_region(grid):
-    plane = PlaneGrid(grid)
+    plane = PlaneGrid(grid, OUTLINE)
     u, v, one = plane.places
     samples = 16 * grid.samples[0] * grid.samples[1]
     assert u.shape == v.shape == (grid.parts, samples)
@@ -199,7 +203,7 @@ def test_parts_of_the_grid_are_the_squares_of_the_region(grid):
 
 
 def test_slopes_are_those_of_a_known_surface():
-    plane = PlaneGrid(Grid(5, 2, (3, 5)))
+    plane = PlaneGrid(Grid(5, 2, (3, 5)), OUTLINE)
     u, v, _ = plane.places
     surface = np.stack([3 * u - 2 * v, u * u + u * v])
     du, dv = plane.slopes(surface)

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from paceline.documents import Clip, load_clip
 from paceline.recordings import StereoFrame, open_recording
 from paceline.simulation.planar import Scene, Vehicle, render, write
-from paceline.speed import paths, reconstruction
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.paths import Path
+from paceline.speed.reconstruction import path_of
 from paceline.speed.tracker import PATIENCE, Estimate, Tracker
 
 Array = NDArray[np.float64]
@@ -52,10 +52,8 @@ def clip_of(scene: Scene) -> tuple[Clip, list[StereoFrame], Path | None, float]:
     """The clip, its frames from the vehicle's first one on, its path and lateral offset."""
     clip = load_clip(write(render(scene), FOLDERS[-1] / f"{len(list(FOLDERS[-1].iterdir()))}"))
     frames = list(open_recording(clip).frames(clip.vehicles[0].frame))
-    for name, drawn in clip.paths.items():
-        assert drawn.left is not None and drawn.right is not None
-        path = reconstruction.reconstruct(name, drawn.shape, clip.rig, drawn.left, drawn.right)
-        return clip, frames, path, drawn.lateral_offset
+    for drawn in clip.paths.values():
+        return clip, frames, path_of(drawn, clip.rig), drawn.lateral_offset
     return clip, frames, None, 0.0
 
 

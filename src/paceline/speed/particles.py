@@ -20,7 +20,8 @@ class Weights:
     """
 
     def __init__(self, lw: Array) -> None:
-        total = np.logaddexp.reduce(lw)
+        with np.errstate(invalid="ignore"):  # −∞ + −∞ where every weight vanishes: told below
+            total = np.logaddexp.reduce(lw)
         if not np.isfinite(total):
             raise FloatingPointError("all particle weights vanish")
         self.lw = lw - total

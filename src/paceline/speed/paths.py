@@ -77,6 +77,8 @@ class Path:
 
     def nearest(self, point: Array) -> float:
         """Arc length at which the plane through ``point`` (3,) normal to the path meets it."""
+        if self.shape == "line":
+            return float(self.s[0] + (point - self.points[0]) @ self._line_frame[:, 0])
         s = float(self.s[np.argmin(np.linalg.norm(self.points - point, axis=1))])
         for _ in range(20):
             t = self.frames(np.array(s))[:, 0]
@@ -113,10 +115,14 @@ def level_frames(directions: Array) -> Array:
     "Horizontal" is the camera's x–z plane; a path that runs along the camera's y axis takes x for its P.
     """
     T = directions / np.linalg.norm(directions, axis=-1, keepdims=True)
-    P = np.cross(np.array([0.0, 1.0, 0.0]), T)
-    length = np.linalg.norm(P, axis=-1, keepdims=True)
-    P = np.where(length > 1e-6, P / np.maximum(length, 1e-12), np.array([1.0, 0.0, 0.0]))
-    return np.stack([T, P, np.cross(T, P)], axis=-1)
+    x, y, z = T[..., 0], T[..., 1], T[..., 2]
+    length = np.hypot(x, z)
+    steep = length < 1e-6
+    px = np.where(steep, 1.0, z / np.maximum(length, 1e-12))
+    pz = np.where(steep, 0.0, -x / np.maximum(length, 1e-12))
+    P = np.stack([px, np.zeros_like(px), pz], axis=-1)
+    B = np.stack([y * pz, z * px - x * pz, -y * px], axis=-1)
+    return np.stack([T, P, B], axis=-1)
 
 
 def rotation_minimising_roll(level: Array) -> Array:

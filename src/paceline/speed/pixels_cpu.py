@@ -242,25 +242,22 @@ def capped_distances(features, reference, cap, out):
 
 
 @njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
-def register_parts(image, K, R, t, points, texture, slopes, directions, gains, seen, A, score, variance):
-    """Gauss–Newton's normal equations of each part in one view, free of the part's own gain and offset.
+def part_products(image, K, R, t, points, texture, slopes, directions, seen, JJ, JT, JI, TI, II):
+    """Inner products, part by part, of one view's picture I, the texture T and the sensitivities J to k shifts.
 
-    ``image`` (H, W), ``K`` (3, 3) to its pixels, ``R``, ``t`` from the world to the camera, ``points``
-    (parts, samples, 3), zero-mean ``texture`` (parts, samples), its ``slopes`` in the image (2, parts, samples),
-    ``directions`` (3, k) of the shifts looked for, ``gains`` (least, most). Writes what is ``seen`` (parts, samples),
-    ``A`` (parts, k, k), ``score`` (parts, k) and the residuals' ``variance`` (parts,).
+    All three are freed of their mean over the part. ``image`` (H, W); ``K`` (3, 3) to its pixels, ``R``, ``t`` from
+    the world to the camera; ``points`` (parts, samples, 3); zero-mean ``texture`` (parts, samples), its ``slopes`` in
+    the image (2, parts, samples); ``directions`` (3, k). Writes what is ``seen`` (parts, samples), ``JJ``
+    (parts, k, k), ``JT`` and ``JI`` (parts, k), ``TI`` and ``II`` (parts,).
     """
     parts, samples = texture.shape
     k = directions.shape[1]
     turned = R @ directions
-    J = np.empty((samples, k), np.float64)
-    mean_J, along_T = np.empty(k), np.empty(k)
+    J, mean = np.empty((samples, k)), np.empty(k)
     right, bottom = image.shape[1] - 1.001, image.shape[0] - 1.001
     for p in range(parts):
-        T = texture[p]
-        TT, mean, IT = 1e-9, 0.0, 0.0
-        mean_J[:] = 0.0
-        along_T[:] = 0.0
+        brightness = 0.0
+        mean[:] = 0.0
         for s in range(samples):
             X = R[0, 0] * points[p, s, 0] + R[0, 1] * points[p, s, 1] + R[0, 2] * points[p, s, 2] + t[0]
             Y = R[1, 0] * points[p, s, 0] + R[1, 1] * points[p, s, 1] + R[1, 2] * points[p, s, 2] + t[1]
@@ -271,29 +268,28 @@ def register_parts(image, K, R, t, points, texture, slopes, directions, gains, s
             fx, fy = x - ix, y - iy
             top = image[iy, ix] + fx * (image[iy, ix + 1] - image[iy, ix])
             low = image[iy + 1, ix] + fx * (image[iy + 1, ix + 1] - image[iy + 1, ix])
-            value = top + fy * (low - top)
-            seen[p, s] = value
+            seen[p, s] = top + fy * (low - top)
+            brightness += seen[p, s]
             a, b = slopes[0, p, s] * K[0, 0] / Z, slopes[1, p, s] * K[1, 1] / Z
             c = -(a * X + b * Y) / Z
             for i in range(k):
                 J[s, i] = a * turned[0, i] + b * turned[1, i] + c * turned[2, i]
-                mean_J[i] += J[s, i]
-                along_T[i] += J[s, i] * T[s]
-            mean += value
-            IT += value * T[s]
-            TT += T[s] * T[s]
-        mean /= samples
-        gain = min(max(IT / TT, gains[0]), gains[1])
-        A[p] = 0.0
-        score[p] = 0.0
-        total = 0.0
+                mean[i] += J[s, i]
+        brightness /= samples
+        JJ[p] = 0.0
+        JT[p] = 0.0
+        JI[p] = 0.0
+        ti, ii = 0.0, 0.0
         for s in range(samples):
-            r = (seen[p, s] - mean) / gain - T[s]
-            total += r * r
+            value, T = seen[p, s] - brightness, texture[p, s]
+            ti += value * T
+            ii += value * value
             for i in range(k):
-                J[s, i] -= mean_J[i] / samples + along_T[i] / TT * T[s]
+                J[s, i] -= mean[i] / samples
             for i in range(k):
-                score[p, i] += J[s, i] * r
+                JT[p, i] += J[s, i] * T
+                JI[p, i] += J[s, i] * value
                 for j in range(k):
-                    A[p, i, j] += J[s, i] * J[s, j]
-        variance[p] = total / samples
+                    JJ[p, i, j] += J[s, i] * J[s, j]
+        TI[p] = ti
+        II[p] = ii

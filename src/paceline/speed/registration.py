@@ -1,8 +1,8 @@
 """Sub-pixel registration of the tracked plane in both views at once.
 
 The picture of the plane is kept as one texture on a grid over the region. Registration finds the translation in space
-of the plane that makes both views show it, by Gauss–Newton on intensities, each part freed of its own gain and offset
-and weighted down where it does not fit.
+of the plane that makes both views show it, by Gauss–Newton on intensities. Each view has its
+own gain and each part its own offset; a part that does not fit is weighted down.
 """
 
 from __future__ import annotations
@@ -20,11 +20,12 @@ from paceline.speed.likelihood import Grid, unit_square_to
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
 
-ITERATIONS = 4
+ITERATIONS = 8
+CONVERGED = 0.01  # squared standard deviations of a step
 GAINS = (0.2, 5.0)
 CORRELATED = 4.0  # a sample's noise is shared with about this many neighbours
 QUANTISED = 1.0 / 12.0  # grey levels², of 8-bit images
-INSET = 0.04  # of the region: its rim shows what is behind the vehicle
+INSET = 2.0  # px of the first region: its rim shows what is behind the vehicle, and at another depth
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,13 +40,17 @@ class Registration:
 
 
 class PlaneGrid:
-    """Sample places (u, v) of the unit square, in ``parts`` rows of ``samples`` each: arrays (parts, samples)."""
+    """Sample places (u, v) of the unit square, in ``parts`` rows of ``samples`` each: arrays (parts, samples).
 
-    def __init__(self, grid: Grid) -> None:
+    ``region`` (4, 2) px is the outline, of which a rim is left out.
+    """
+
+    def __init__(self, grid: Grid, region: Array) -> None:
         x, y = 4 * grid.samples[0], 4 * grid.samples[1]
         self.shape = (grid.down, y, grid.across, x)
-        u = INSET + (1 - 2 * INSET) * (np.arange(grid.across * x) + 0.5) / (grid.across * x)
-        v = INSET + (1 - 2 * INSET) * (np.arange(grid.down * y) + 0.5) / (grid.down * y)
+        rim = np.clip(INSET / np.ptp(region, axis=0), 0.03, 0.2)
+        u = rim[0] + (1 - 2 * rim[0]) * (np.arange(grid.across * x) + 0.5) / (grid.across * x)
+        v = rim[1] + (1 - 2 * rim[1]) * (np.arange(grid.down * y) + 0.5) / (grid.down * y)
         U, V = np.meshgrid(u, v)
         self.places = np.stack([self.by_part(U), self.by_part(V), np.ones((grid.parts, x * y))])
         self.step = (u[1] - u[0], v[1] - v[0])
@@ -89,9 +94,8 @@ def register(
     numpy.linalg.LinAlgError where the texture determines nothing.
     """
     T = np.ascontiguousarray(texture - texture.mean(-1, keepdims=True))
-    TT = float((T * T).sum()) + 1e-9
     slopes = grid.slopes(texture)
-    k, parts = directions.shape[1], len(texture)
+    directions = np.ascontiguousarray(directions)
     pictures = []
     for v in views:
         pixels = rig.project(points)[v]
@@ -100,28 +104,32 @@ def register(
         K[:2, 2] -= corner
         R, t = (np.eye(3), np.zeros(3)) if v == 0 else (rig.R, rig.t)
         pictures.append((picture, K, R, t, _slopes_in_image(slopes, pixels, grid)))
+    V, (parts, samples), k = len(views), texture.shape, directions.shape[1]
+    TT = (T * T).sum(-1)
+    w = np.ones((V, parts))
     shift = np.zeros(3)
-    seen = np.empty((len(views), *texture.shape))
-    A, score = np.empty((len(views), parts, k, k)), np.empty((len(views), parts, k))
-    variance = np.empty((len(views), parts))
-    directions = np.ascontiguousarray(directions)
+    seen, JJ, JT, JI = np.empty((V, parts, samples)), np.empty((V, parts, k, k)), *np.empty((2, V, parts, k))
+    TI, II = np.empty((2, V, parts))
     for _ in range(ITERATIONS):
-        moved = points + shift
-        for i, (picture, K, R, t, slope) in enumerate(pictures):
-            pixels_cpu.register_parts(
-                picture, K, R, t, moved, T, slope, directions, GAINS, seen[i], A[i], score[i], variance[i]
+        for v, (picture, K, R, t, slope) in enumerate(pictures):
+            pixels_cpu.part_products(
+                picture, K, R, t, points + shift, T, slope, directions, seen[v], JJ[v], JT[v], JI[v], TI[v], II[v]
             )
+        gain = np.clip((w * TI).sum(1) / ((w * TT).sum(1) + 1e-9), *GAINS)[:, None]
+        variance = np.maximum(II / gain**2 - 2 * TI / gain + TT, 0.0) / samples
         w = 1.0 / (variance + 0.5 * np.median(variance, axis=1, keepdims=True) + QUANTISED)
-        normal = np.einsum("vp,vpij->ij", w, A)
-        scores = (w[..., None] * score).reshape(-1, k)
+        # the gain is common to the view: what it explains is taken from the sensitivities
+        along = np.einsum("vp,vpi->vi", w, JT) / ((w * TT).sum(1) + 1e-9)[:, None]
+        normal = np.einsum("vp,vpij->ij", w, JJ) - np.einsum("v,vi,vj->ij", (w * TT).sum(1), along, along)
+        scores = w[..., None] * (JI / gain[..., None] - JT - along[:, None] * (TI / gain - TT)[..., None])
+        scores = scores.reshape(-1, k)
         inverse = np.linalg.inv(normal)
         step = -inverse @ scores.sum(0)
         shift = shift + directions @ step
-        if step @ normal @ step < 0.01:
+        if step @ normal @ step < CONVERGED:
             break
     spread = inverse @ (scores.T @ scores + CORRELATED * normal) @ inverse
-    centred = seen - seen.mean(-1, keepdims=True)
-    likeness = (centred * T).sum((1, 2)) / np.sqrt(((centred**2).sum((1, 2)) + 1e-9) * TT)
+    likeness = TI.sum(1) / np.sqrt((II.sum(1) + 1e-9) * (TT.sum() + 1e-9))
     return Registration(shift, directions @ spread @ directions.T, float(likeness.mean()), seen)
 
 
@@ -165,10 +173,10 @@ def sample(rig: StereoRig, images: tuple[Image, Image], points: Array, grid: Pla
 class Appearance:
     """What the tracked plane looks like: one texture for both views, learned from every frame that shows it."""
 
-    def __init__(self, rig: StereoRig, grid: Grid, memory: float) -> None:
+    def __init__(self, rig: StereoRig, grid: Grid, region: Array, memory: float) -> None:
         self.rig = rig
         self.memory = memory  # ε of [Zhu] (14)
-        self.grid = PlaneGrid(grid)
+        self.grid = PlaneGrid(grid, region)
         self.texture = np.zeros((0, 0))
 
     def begin(self, images: tuple[Image, Image], left: Array, normal: Array, distance: float) -> tuple[float, float]:
@@ -178,11 +186,19 @@ class Appearance:
         """
         points = self.surface(left, normal, distance)
         self.texture = sample(self.rig, images, points, self.grid)[0]
-        centre = points.reshape(-1, 3).mean(0)
-        length = float(np.linalg.norm(centre))
-        ray = centre / length
-        found = register(self.rig, images, points, self.texture, self.grid, ray[:, None], (1,))
-        return 1.0 + float(found.shift @ ray) / length, float(np.sqrt(np.trace(found.covariance))) / length
+        scale = 1.0
+        for _ in range(ITERATIONS):
+            # what is behind the outline grows with its distance: the plane is laid anew after every step
+            points = self.surface(left, normal, distance * scale)
+            centre = points.reshape(-1, 3).mean(0)
+            length = float(np.linalg.norm(centre))
+            ray = centre / length
+            found = register(self.rig, images, points, self.texture, self.grid, ray[:, None], (1,))
+            step, std = float(found.shift @ ray) / length, float(np.sqrt(np.trace(found.covariance))) / length
+            scale *= 1.0 + step
+            if abs(step) < 0.1 * std:
+                break
+        return scale, std
 
     def find(self, images: tuple[Image, Image], left: Array, normal: Array, distance: float) -> Registration:
         """Where the plane is that was expected behind the left region (4, 2) at n·P = d."""
@@ -190,8 +206,11 @@ class Appearance:
         return register(self.rig, images, points, self.texture, self.grid, np.eye(3))
 
     def learn(self, found: Registration) -> None:
-        """Update the texture by (14), as the features are."""
-        self.texture = self.memory * self.texture + (1 - self.memory) * found.texture.mean(0)
+        """Update the texture by (14), as the features are: from the left view alone.
+
+        A mean of both views would repeat their present disparity, right or wrong, and keep it from being corrected.
+        """
+        self.texture = self.memory * self.texture + (1 - self.memory) * found.texture[0]
 
     def surface(self, left: Array, normal: Array, distance: float) -> Array:
         """Sample points (parts, samples, 3) on the plane behind the left region (4, 2)."""

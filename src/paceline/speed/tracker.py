@@ -75,7 +75,7 @@ class Tracker:
         self.rng = np.random.default_rng([c.seed, *vehicle.id.encode()])
         self.grid = Grid.for_region(c.parts, vehicle.left)
         self.plane = first_plane(rig, vehicle, path, c.click_sigma)
-        self.appearance = Appearance(rig, self.grid, c.reference_memory) if c.guided else None
+        self.appearance = Appearance(rig, self.grid, vehicle.left, c.reference_memory) if c.guided else None
         ways = [] if path is None else [path.shifted(lateral_offset), path.reversed().shifted(lateral_offset)]
         self._ways: list[PathMotion | FreeMotion] = [PathMotion(rig, way, c) for way in ways] or [FreeMotion(rig, c)]
         self.state: State

@@ -99,9 +99,9 @@ class Trajectory:
         T = F[:, :, 0] + yaw[:, None] * F[:, :, 1] + pitch[:, None] * F[:, :, 2]
         tangent = CubicSpline(u, T / np.linalg.norm(T, axis=1, keepdims=True))
         gone = tangent.antiderivative()
-        roll = CubicSpline(u, rotation_minimising_roll(level_frames(np.asarray(tangent(u)))))
-        here = rolled(level_frames(np.asarray(tangent(0.0))), roll(0.0))
-        R = rolled(level_frames(np.asarray(tangent(travelled))), roll(travelled)) @ here.T
+        roll = rotation_minimising_roll(level_frames(T))
+        here = rolled(level_frames(np.asarray(tangent(0.0))), np.asarray(np.interp(0.0, u, roll)))
+        R = rolled(level_frames(np.asarray(tangent(travelled))), np.interp(travelled, u, roll)) @ here.T
         t = start + gone(travelled) - gone(0.0) - R @ start
         n = here @ turned(self._normal_in_path_frame, theta[3], theta[4])
         return R, t, n, float(n @ start)

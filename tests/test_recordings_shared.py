@@ -1,0 +1,50 @@
+"""The recordings beside the repository, real ones and independently rendered ones, where they are at hand."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from paceline.speed.configuration import SpeedConfiguration
+from paceline.speed.measurement import measure_clip
+
+DATA = Path(__file__).parents[2] / "shared" / "data"
+MPH = 0.44704  # m/s
+CROSSING = {"minivan": 14.9, "estate": 14.1, "red": 14.9, "hatchback": 12.1}  # m/s, good to 2 % (its README)
+
+
+def recording(name: str) -> Path:
+    clip = DATA / name / "clip.yaml"
+    if not clip.exists():
+        pytest.skip(f"the recording {name} is not at ../shared/data")
+    return clip
+
+
+@pytest.mark.parametrize("name", ["straight", "curve"])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_physically_rendered_clip(name: str, seed: int) -> None:
+    clip = recording(f"rendered/{name}")
+    (m,) = measure_clip(clip, SpeedConfiguration(seed=seed)).measurements
+    truth = {row["frame"]: row for row in json.loads((clip.parent / "truth.json").read_text())}
+    rows = [truth[int(k)] for k in m.track.frame]
+    true = float(np.mean([row["speed_mps"] for row in rows]))
+    assert (m.verdict, m.frames) == ("measured", len(rows))
+    assert abs(m.speed - true) < 0.15 * MPH
+    assert m.speed_lo <= true <= m.speed_hi
+    np.testing.assert_allclose(m.track.refined_speed, [row["speed_mps"] for row in rows], atol=0.3)
+    depth = np.array([row["position"][2] for row in rows])
+    np.testing.assert_allclose(m.track.position[:, 2], depth, rtol=0.02)
+
+
+def test_a_real_crossing() -> None:
+    """Poles and signs pass before the cars, and light and shadow over them."""
+    result = measure_clip(recording("kitti_crossing"))
+    found = {m.vehicle: m for m in result.measurements}
+    assert {name: m.verdict for name, m in found.items()} == dict.fromkeys(CROSSING, "measured")
+    for name, speed in CROSSING.items():
+        assert found[name].speed == pytest.approx(speed, rel=0.04), name
+        to_the_right = np.diff(found[name].track.position[:, 0])
+        assert (to_the_right > 0).all(), name
