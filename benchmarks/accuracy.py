@@ -50,6 +50,8 @@ def run(seed: int, suite: str) -> Outcome:
             m = measured(clip)[0]
         except UnusableInput as unusable:
             return describe(reason=f"unusable: {str(unusable).partition(': ')[2]}")
+        except Exception as fault:  # of the program, not of the clip: shown in its row, and the others go on
+            return describe(reason=f"fault of the program: {type(fault).__name__}: {fault}")
         return describe(**_compared(m, true_mean(truth, m)))
 
 

@@ -142,8 +142,7 @@ def test_a_lane_change_does_not_pass_for_another_speed(rendered: Callable[[Scene
     assert m.reason if m.verdict == "rejected" else abs(m.speed - 18.0) < 0.3 * MPH
 
 
-@pytest.mark.parametrize("kind", ["line", "right"])
-@pytest.mark.parametrize("what", ["glare", "occluder", "both"])
+@pytest.mark.parametrize(("kind", "what"), [("line", "glare"), ("line", "occluder"), ("right", "both")])
 def test_glare_and_poles(rendered: Callable[[Scene], Path], kind: str, what: str) -> None:
     s = replace(scene(kind, 18.0, 11, glare=what != "occluder"), occluder=what != "glare")
     m = measure_clip(rendered(s)).measurements[0]

@@ -72,8 +72,8 @@ class OutputFolder:
         for file in files:  # all obstacles are found before the first file is replaced
             if (self.out / file).is_dir():
                 raise IsADirectoryError(errno.EISDIR, "a folder is in the way", str(self.out / file))
-            (self.out / file).parent.mkdir(parents=True, exist_ok=True)
         for file in files:
+            (self.out / file).parent.mkdir(parents=True, exist_ok=True)
             os.replace(self._partial / file, self.out / file)
 
     def _is_ours(self, error: OSError) -> bool:

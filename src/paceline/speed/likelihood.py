@@ -50,10 +50,18 @@ class Observation:
     ncc: Floats
 
 
-def pack(image: Floats) -> Packed:
-    """2×2 neighbourhoods (H, W) of ``image`` (H, W), 0–255, packed for sampling."""
-    packed = np.empty(image.shape, np.uint32)
-    pixels_cpu.pack(image, packed)
+def pack(image: Floats, quads: Array | None = None) -> Packed:
+    """2×2 neighbourhoods (H, W) of ``image`` (H, W), 0–255, packed for sampling.
+
+    Given ``quads`` (N, 4, 2), only in the rows that they reach; the other rows are zero.
+    """
+    first, last = 0, len(image)
+    if quads is not None:
+        y = quads[..., 1]
+        y = y[np.isfinite(y)]
+        first, last = (int(np.clip(v, 0, len(image))) for v in (y.min() - 2, y.max() + 3)) if y.size else (0, 0)
+    packed = np.zeros(image.shape, np.uint32)
+    pixels_cpu.pack(image, packed, first, last)
     return packed
 
 

@@ -47,6 +47,11 @@ class Weights:
         """Posterior mean (…) of ``values`` (N, …) ([Zhu] (3))."""
         return np.asarray(np.tensordot(self.W, values, 1))
 
+    def covariance(self, values: Array) -> Array:
+        """Posterior covariance (k, k) of ``values`` (N, k)."""
+        deviation = values - self.mean(values)
+        return np.asarray((self.W[:, None] * deviation).T @ deviation)
+
     def std(self, values: Array) -> Array:
         """Posterior standard deviation (…) of ``values`` (N, …)."""
         return np.asarray(np.sqrt(np.tensordot(self.W, (values - self.mean(values)) ** 2, 1)))

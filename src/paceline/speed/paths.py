@@ -178,22 +178,23 @@ def reconstruct_line(name: str, rig: StereoRig, left: Array, right: Array) -> Pa
         a, b = (Q[:3] / np.linalg.norm(Q[:3]) for Q in planes(x))
         return np.cross(a, b)
 
-    J = jacobian(space_line, x0, 1e-6)
     covariance = np.zeros((4, 4))
     for i, (_, cov, _) in enumerate(lines):
         covariance[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = cov
+    c = crossing(x0)
+    slope = c @ jacobian(crossing, x0, 1e-6)
+    parallel = UnusableInput(
+        f"path {name}: the drawn line is nearly parallel to the epipolar lines, so the two views do not determine "
+        "it in space; draw another line, or leave the vehicle without a path"
+    )
+    if c @ c <= LEAST_SEPARATION * np.sqrt(slope @ covariance @ slope):  # a standard deviation of |c|, times |c|
+        raise parallel
+    J = jacobian(space_line, x0, 1e-6)
     line = space_line(x0)
     k, foot = line[:3], line[3:]
     cov = J @ covariance @ J.T
-    c = crossing(x0)
-    slope = c @ jacobian(crossing, x0, 1e-6)
-    separation = c @ c / np.sqrt(slope @ covariance @ slope)  # of the planes, in standard deviations
-    uncertain = not np.isfinite(cov).all() or np.sqrt(np.linalg.eigvalsh(cov[:3, :3])[-1]) > MAX_DIRECTION_STD
-    if uncertain or separation < LEAST_SEPARATION:
-        raise UnusableInput(
-            f"path {name}: the drawn line is nearly parallel to the epipolar lines, so the two views do not determine "
-            "it in space; draw another line, or leave the vehicle without a path"
-        )
+    if np.sqrt(np.linalg.eigvalsh(cov[:3, :3])[-1]) > MAX_DIRECTION_STD:
+        raise parallel
     depths = np.array([_depth_on_line(rig.left, k, foot, p) for p in left])
     if not (depths > 0).any():
         raise UnusableInput(

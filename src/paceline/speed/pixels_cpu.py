@@ -24,17 +24,18 @@ CROSS_ROWS = 4  # the cross-view correlation takes every fourth row of samples
 
 
 @njit(cache=True, nogil=True)
-def pack(image, packed):
-    """Pack the 2×2 neighbourhoods of ``image`` (H, W) float32 0–255 into ``packed`` (H, W) uint32; borders repeat."""
+def pack(image, packed, first, last):
+    """Pack the 2×2 neighbourhoods of ``image`` (H, W) float32 0–255 into rows ``first`` to ``last`` of ``packed``
+    (H, W) uint32; at the right and lower border pixels repeat."""
     height, width = image.shape
     levels = np.empty((2, width + 1), np.uint32)
-    for y in range(height + 1):
+    for y in range(first, min(last, height) + 1):
         row = levels[y % 2]
         source = image[min(y, height - 1)]
         for x in range(width):
             row[x] = np.uint32(min(max(source[x] + np.float32(0.5), np.float32(0.0)), np.float32(255.0)))
         row[width] = row[width - 1]
-        if y > 0:
+        if y > first:
             above, target = levels[(y - 1) % 2], packed[y - 1]
             for x in range(width):
                 target[x] = above[x] | (above[x + 1] << 8) | (row[x] << 16) | (row[x + 1] << 24)
@@ -203,12 +204,13 @@ def _median(values, scratch):
     return np.float32(0.5) * (scratch[(n - 1) // 2] + scratch[n // 2])
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True, parallel=True)
 def normalise(features, floor):
     """Free wavelet features (N, parts, 16), in place, of brightness and contrast; see `likelihood.normalised`."""
     N, parts, coefficients = features.shape
-    brightness, norm2, scratch = np.empty((3, parts), np.float32)
-    for p in range(N):
+    for p in prange(N):
+        brightness, norm2 = np.empty(parts, np.float32), np.empty(parts, np.float32)
+        scratch = np.empty(parts, np.float32)
         f = features[p]
         for i in range(parts):
             brightness[i] = f[i, 0]

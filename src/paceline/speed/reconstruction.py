@@ -96,7 +96,8 @@ def reconstruct_curve(name: str, rig: StereoRig, left: Array, right: Array) -> P
     values, vectors = np.linalg.eigh(np.linalg.inv(information) * scatter**2)
     points = road.points(x)
     slopes = jacobian(lambda y: road.points(y).ravel(), x, 1e-5)
-    modes = np.array([(slopes @ v).reshape(-1, 3) * np.sqrt(a) for a, v in zip(values, vectors.T, strict=True)])
+    stds = np.sqrt(np.maximum(values, 0.0))
+    modes = np.array([(slopes @ v).reshape(-1, 3) * std for std, v in zip(stds, vectors.T, strict=True)])
     ahead = points[:, 2] > 1.0
     path = resampled(name, "curve", points[ahead], modes[:, ahead])
     if np.median(np.sqrt((path.heading_modes(path.s)[0] ** 2).sum(0))) > MAX_DIRECTION_STD:

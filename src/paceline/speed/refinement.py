@@ -49,11 +49,12 @@ class Refined:
     converged: bool
 
     def speeds(self) -> tuple[Array, Array]:
-        """Speed (F,) at every frame and its random standard deviation (F,)."""
+        """Speed (F,) at every frame and its standard deviation (F,), the systematic part, where known, included."""
         t = self.trajectory.times.mean(1)
         g = np.zeros((len(t), len(self.theta)))
         g[:, 1], g[:, 2] = 1.0, t
-        return g @ self.theta, np.sqrt(np.einsum("fi,ij,fj->f", g, self.covariance, g))
+        total = self.covariance + np.nan_to_num(self.systematic)
+        return g @ self.theta, np.sqrt(np.einsum("fi,ij,fj->f", g, total, g))
 
     def mean_speed(self) -> tuple[float, float, float]:
         """Distance over time, and its random and systematic standard deviations."""

@@ -7,7 +7,7 @@ own gain and each part its own offset; a part that does not fit is weighted down
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -21,7 +21,8 @@ Array = NDArray[np.float64]
 Image = NDArray[np.float32]
 
 ITERATIONS = 8
-CONVERGED = 0.01  # squared standard deviations of a step
+COARSE = (6.0, 2.5)  # grid steps of smoothing, for searches that begin farther away
+CONVERGED = 0.1  # squared standard deviations of a step: the next one, quadratically smaller, would not show
 GAINS = (0.2, 5.0)
 CORRELATED = 4.0  # a sample's noise is shared with about this many neighbours
 QUANTISED = 1.0 / 12.0  # grey levels², of 8-bit images
@@ -73,6 +74,12 @@ class PlaneGrid:
         down, across = (np.gradient(whole, step, axis=a) for step, a in ((self.step[1], -2), (self.step[0], -1)))
         return np.stack([self._parts(np.asarray(across)), self._parts(np.asarray(down))])
 
+    def smoothed(self, values: Array, coarseness: float) -> Array:
+        """``values`` (parts, samples) smoothed as a picture is that was smoothed ``coarseness`` times as much."""
+        sigma = 0.7 * np.sqrt(coarseness**2 - 1.0)
+        whole = cv2.GaussianBlur(self.whole(values), (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
+        return self._parts(np.asarray(whole))
+
     def _parts(self, whole: Array) -> Array:
         d, y, a, x = self.shape
         b = np.moveaxis(whole.reshape(*whole.shape[:-2], d, y, a, x), -3, -2)
@@ -87,19 +94,23 @@ def register(
     grid: PlaneGrid,
     directions: Array,
     views: tuple[int, ...] = (0, 1),
+    coarseness: float = 1.0,
 ) -> Registration:
     """Register the plane's sample ``points`` (parts, samples, 3), where expected, to the ``images`` of ``views``.
 
-    ``texture`` (parts, samples) is what they should show; ``directions`` (3, k) spans the shifts looked for. Raises
-    numpy.linalg.LinAlgError where the texture determines nothing.
+    ``texture`` (parts, samples) is what they should show; ``directions`` (3, k) spans the shifts looked for. With a
+    ``coarseness`` above 1, texture and images are smoothed by that many grid steps, to be found from farther away.
+    Raises numpy.linalg.LinAlgError where the texture determines nothing.
     """
+    if coarseness > 1.0:
+        texture = grid.smoothed(texture, coarseness)
     T = np.ascontiguousarray(texture - texture.mean(-1, keepdims=True))
     slopes = grid.slopes(texture)
     directions = np.ascontiguousarray(directions)
     pictures = []
     for v in views:
         pixels = rig.project(points)[v]
-        picture, corner = _smoothed(images[v], pixels, grid)
+        picture, corner = _smoothed(images[v], pixels, grid, coarseness)
         K = rig.cameras[v].K.copy()
         K[:2, 2] -= corner
         R, t = (np.eye(3), np.zeros(3)) if v == 0 else (rig.R, rig.t)
@@ -142,12 +153,13 @@ def _slopes_in_image(slopes: Array, pixels: Array, grid: PlaneGrid) -> Array:
     )
 
 
-def _smoothed(image: Image, pixels: Array, grid: PlaneGrid) -> tuple[Image, Array]:
-    """The part of ``image`` about ``pixels`` (…, 2), smoothed to the grid's spacing there, and its first pixel."""
+def _smoothed(image: Image, pixels: Array, grid: PlaneGrid, coarseness: float = 1.0) -> tuple[Image, Array]:
+    """The part of ``image`` about ``pixels`` (…, 2), smoothed to the grid's spacing there or ``coarseness`` times as
+    much, and its first pixel."""
     flat = pixels.reshape(-1, 2)
     low, high = flat.min(0), flat.max(0)
     size = (high - low) * np.array(grid.step)
-    sigma = max(0.6, 0.7 * float(size.max()))
+    sigma = max(0.6, 0.7 * float(size.max())) * coarseness
     corner = np.maximum(np.floor(low - 8 - 3 * sigma), 0).astype(int)
     end = np.ceil(high + 9 + 3 * sigma).astype(int)
     corner = np.minimum(corner, np.array(image.shape[1::-1]) - 1)
@@ -200,10 +212,23 @@ class Appearance:
                 break
         return scale, std
 
-    def find(self, images: tuple[Image, Image], left: Array, normal: Array, distance: float) -> Registration:
-        """Where the plane is that was expected behind the left region (4, 2) at n·P = d."""
+    def find(
+        self, images: tuple[Image, Image], left: Array, normal: Array, distance: float, doubt: float
+    ) -> Registration:
+        """Where the plane is that was expected behind the left region (4, 2) at n·P = d.
+
+        ``doubt`` is how far off that may be, in pixels: a picture is found from no farther away than its finest
+        detail is wide, so the search begins as coarse as need be.
+        """
         points = self.surface(left, normal, distance)
-        return register(self.rig, images, points, self.texture, self.grid, np.eye(3))
+        start = np.zeros(3)
+        step = float((np.ptp(left, axis=0) * self.grid.step).max())
+        for coarseness in [c for c in COARSE if 0.7 * c * step < doubt]:
+            start = start + register(
+                self.rig, images, points + start, self.texture, self.grid, np.eye(3), coarseness=coarseness
+            ).shift
+        found = register(self.rig, images, points + start, self.texture, self.grid, np.eye(3))
+        return replace(found, shift=start + found.shift)
 
     def learn(self, found: Registration) -> None:
         """Update the texture by (14), as the features are: from the left view alone.

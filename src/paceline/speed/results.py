@@ -28,7 +28,7 @@ class Track:
     particles_left: Array  # (N, P, 2) projected plane centres of the particles
     particles_right: Array  # (N, P, 2)
     refined_speed: Array  # (N,) m/s, NaN without refinement
-    refined_std: Array  # (N,) m/s, NaN without refinement
+    refined_std: Array  # (N,) m/s, systematic part included where known; NaN without refinement
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,6 +25,10 @@ ROUGHENING = 0.1  # share of a static parameter's spread that resampling gives b
 SEEN = 0.55  # likeness to the reference below which a frame teaches nothing
 LOST = 0.25  # likeness below which the vehicle is not in view
 PATIENCE = 4  # frames that may pass so before the vehicle is given up
+SURE = 0.9  # likeness at which even a surprising registration is believed
+SURPRISING = 50.0  # squared standard deviations, of three: so far off, something else may have been found
+ALIVE = 0.2  # share of the first particles that the second frame leaves alive
+TINY = 1e-12  # m², keeps a covariance positive definite
 DIRECTED = 2.0  # m, a travel that has a direction
 
 
@@ -89,7 +93,6 @@ class Tracker:
         """The estimate at ``frame``; raises RuntimeError once the track has ended."""
         if self.status != "tracking":
             raise RuntimeError(f"vehicle {self.vehicle.id} is {self.status}")
-        self._views = likelihood.pack(frame.left), likelihood.pack(frame.right)
         dt = frame.time - self._time
         if self._first is None:
             estimate = self._begin(frame)
@@ -99,6 +102,7 @@ class Tracker:
             else:
                 self.state = self.motion.propagate(self.state, dt, self.rng)
             self._guide(frame)
+            self._look(frame, self.state)
             self.weights = self.weights.updated(self._log_likelihood(self._observe(self.state)))
             estimate = self._estimate(frame, dt)
             self._resample()
@@ -119,6 +123,7 @@ class Tracker:
         searched = acquisition.SEARCH if self.vehicle.speed is None else 1
         self.state = acquisition.initial_state(plane, self.vehicle, c.particles * searched, self.rng)
         self.weights = Weights.equal(len(self.state))
+        self._look(frame, self.state)
         self.reference = self._observe(self.state[np.zeros(1, np.int64)]).features[0]
         self._first = frame
         return Estimate(
@@ -151,12 +156,13 @@ class Tracker:
                     self.state, self.plane, self.rig, self.vehicle, self._first.left, frame.left, dt, self.rng
                 )
             state = way.propagate(start, dt, self.rng)
+            self._look(frame, state)
             lw = self._log_likelihood(self._observe(state))
             outcomes.append((float(np.logaddexp.reduce(lw)), state, lw, way))
         _, self.state, lw, self.motion = max(outcomes, key=lambda o: o[0])
         if isinstance(self.motion, PathMotion):
             self.path = self.motion.path
-        self.weights = Weights(lw)
+        self.weights = Weights(lw) if self.appearance is None else _tempered(lw)
         self._resample()
 
     # --- every further frame -----------------------------------------------------------------------------------------
@@ -171,15 +177,22 @@ class Tracker:
             return
         w, state = self.weights, self.state
         mean = self._mean()
-        found = self.appearance.find(
-            (frame.left, frame.right), mean.left[0], mean.normal[0], float(mean.distance[0])
-        )
-        if found.likeness < SEEN:
+        doubt = float(np.hypot(*w.std(motion.diagonal_crossings(state.left))))
+        images = frame.left, frame.right
+        found = self.appearance.find(images, mean.left[0], mean.normal[0], float(mean.distance[0]), doubt)
+        places = motion.centres(self.rig, state)
+        spread = w.covariance(places) + found.covariance
+        surprise = float(found.shift @ np.linalg.solve(spread, found.shift))
+        if found.likeness < (SEEN if surprise < SURPRISING else SURE):
             return
         self.appearance.learn(found)
-        places = motion.centres(self.rig, state)
-        seen = w.mean(places) + found.shift + self.rng.multivariate_normal(np.zeros(3), found.covariance, len(state))
+        noise = self.rng.normal(0.0, 1.0, places.shape) @ np.linalg.cholesky(found.covariance + TINY * np.eye(3)).T
+        seen = w.mean(places) + found.shift + noise
         self.state = motion.corrected(self.rig, state, w.W, places, seen, found.covariance, self.motion)
+
+    def _look(self, frame: StereoFrame, state: State) -> None:
+        """Make the images ready for sampling where the particles look."""
+        self._views = likelihood.pack(frame.left, state.left), likelihood.pack(frame.right, state.right)
 
     def _observe(self, state: State) -> Observation:
         left, right = self._views
@@ -265,3 +278,12 @@ class Tracker:
         stirred = self.rng.normal(0.0, ROUGHENING, self.state.heading.shape) * spread
         self.state = replace(self.state, heading=mean + kept + stirred)
         self.weights = Weights.equal(len(index))
+
+
+def _tempered(lw: Array) -> Weights:
+    """Weights by a power of the likelihood that leaves enough particles alive for their covariance to mean something."""
+    weights = Weights(lw)
+    while weights.ESS < ALIVE * len(lw):
+        lw = 0.5 * lw
+        weights = Weights(lw)
+    return weights
