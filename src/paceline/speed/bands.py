@@ -65,7 +65,7 @@ class Band:
         self.expected = np.ones((len(views), self.patches))
 
     def normal_equations(self, H: Array, H_d: Array, relief: Array, dH: Array) -> tuple[Array, Array]:
-        """Normal matrices (patches, P + 1, P + 1) and scores (views, patches, P + 1) of the linearised problem.
+        """Normal matrices (views, patches, P + 1, P + 1) and scores (views, patches, P + 1) of the linearised problem.
 
         ``H``, ``H_d`` (all views, 3, 3); ``relief`` (patches,) metres; ``dH`` (all views, 3, 3, P) the derivatives.
         The last column is each patch's own relief.
@@ -78,8 +78,7 @@ class Band:
         # the shared texture moves along with the parameters: what all views have in common tells nothing
         J -= np.einsum("vk,vkmp->kmp", w, J, optimize=True) / np.maximum(w.sum(0), 1e-12)[:, None, None]
         Jw = J * w[:, :, None, None]
-        by_patch = [np.moveaxis(a, 1, 0).reshape(K, V * m, -1) for a in (Jw, J)]
-        A = by_patch[0].swapaxes(1, 2) @ by_patch[1]
+        A = Jw.swapaxes(2, 3) @ J
         return A.astype(float), (Jw.swapaxes(2, 3) @ r[..., None])[..., 0].astype(float)
 
     def offsets(self, H: Array, H_d: Array, relief: Array) -> Array:

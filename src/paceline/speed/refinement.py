@@ -110,7 +110,7 @@ class _Fit:
             if len(self.relief) != self.bands[0].patches:
                 self.relief = np.zeros(self.bands[0].patches)
             for _ in range(10):
-                A, score, per_view = self._assemble()
+                A, score, *cells = self._assemble()
                 change = -np.linalg.solve(A, score)
                 P = len(prior.free)
                 self.theta[prior.free] += change[:P]
@@ -120,7 +120,7 @@ class _Fit:
                     break
         self.converged = step < 1.0
         self.A = A
-        self._summarise(per_view)
+        self._summarise(*cells)
 
     def _from_filter(self) -> Array:
         """Parameters that fit the filter's regions best, robustly."""
@@ -148,56 +148,53 @@ class _Fit:
             columns.append(difference.reshape(-1, 3, 3) / (2 * STEPS[i]))
         return np.stack(columns, axis=-1)
 
-    def _assemble(self) -> tuple[Array, Array, Array]:
-        """The normal matrix and score over free parameters and relief, and every view's and patch's own score."""
-        p = self.prior
-        P, K = len(p.free), len(self.relief)
-        n = P + K
-        A, score = np.zeros((n, n)), np.zeros(n)
-        A[:P, :P] = p.information
-        score[:P] = p.information @ (self.theta - p.mean)[p.free]
-        patch = np.arange(P, n)
-        A[patch, patch] = 1.0 / RELIEF**2
-        score[P:] = self.relief / RELIEF**2
+    def _assemble(self) -> tuple[Array, Array, Array, Array]:
+        """The normal matrix and score over free parameters and relief, prior included, and what each view's patches
+        give to them: (views, patches, P + 1, P + 1) and (views, patches, P + 1), the patch's own relief last."""
+        p, K = self.prior, len(self.relief)
         H, H_d = (h.reshape(-1, 3, 3) for h in self.trajectory.homographies(self.theta))
         dH = self._derivatives(self.trajectory, p.free)
-        per_view = np.zeros((len(H), K, n))
+        n = len(p.free) + 1
+        cells_A, cells = np.zeros((len(H), K, n, n)), np.zeros((len(H), K, n))
         for band in self.bands:
             a, s = band.normal_equations(H, H_d, self.relief, dH)
-            A[:P, :P] += a[:, :P, :P].sum(0)
-            A[P:, :P] += a[:, P, :P]
-            A[:P, P:] += a[:, P, :P].T
-            A[patch, patch] += a[:, P, P]
-            score[:P] += s[..., :P].sum((0, 1))
-            score[P:] += s[..., P].sum(0)
-            per_view[band.views, :, :P] += s[..., :P]
-            per_view[band.views[:, None], np.arange(K), patch] += s[..., P]
-        return A, score, per_view
+            cells_A[band.views] += a
+            cells[band.views] += s
+        A, score = self._prior_information(), np.zeros(n - 1 + K)
+        score[: n - 1] = p.information @ (self.theta - p.mean)[p.free]
+        score[n - 1 :] = self.relief / RELIEF**2
+        return A + _spread(cells_A), score + _spread_scores(cells), cells_A, cells
 
-    def _summarise(self, per_view: Array) -> None:
+    def _prior_information(self) -> Array:
+        """Information of the prior over free parameters and relief."""
+        P, K = len(self.prior.free), len(self.relief)
+        information = np.zeros((P + K, P + K))
+        information[:P, :P] = self.prior.information
+        information[range(P, P + K), range(P, P + K)] = 1.0 / RELIEF**2
+        return information
+
+    def _summarise(self, cells_A: Array, cells: Array) -> None:
         """Covariance from how the scores of frames and of patches really scatter, not from the pixels' noise.
 
         Errors that a patch repeats in every frame and that a frame makes in every patch do not average out over
-        pixels: the scores are summed within each before they are squared (a sandwich estimate, clustered both ways).
+        pixels: the scores are summed within each before they are squared. That is a sandwich estimate, clustered both
+        ways and freed of its small-sample bias (Bell and McCaffrey 2002, "CR2"), of which the wider one is taken.
         """
         P, K = len(self.prior.free), len(self.relief)
         inverse = np.linalg.inv(self.A)
-        by_frame = per_view.reshape(-1, 2 * K, per_view.shape[-1]).sum(1)
-        by_patch = per_view.sum(0)
-        cells = per_view.reshape(-1, per_view.shape[-1])
-        F = len(by_frame)
-        scatter = [
-            by_frame.T @ by_frame * F / max(F - 1, 1),
-            by_patch.T @ by_patch * K / max(K - 1, 1),
-            cells.T @ cells,
+        frames = [np.s_[2 * f : 2 * f + 2] for f in range(len(self.glimpses))]
+        by_frame = [(_spread(cells_A[f]), _spread_scores(cells[f])) for f in frames]
+        only = np.eye(K)[:, :, None, None]
+        by_patch = [
+            (_spread(cells_A * only[k]), _spread_scores(cells * only[k, :, 0])) for k in range(K)
         ]
-        prior_part = np.zeros_like(self.A)
-        prior_part[:P, :P] = self.prior.information
-        prior_part[range(P, P + K), range(P, P + K)] = 1.0 / RELIEF**2
-        candidates = [(inverse @ (B + prior_part) @ inverse)[:P, :P] for B in scatter]
         speed = list(self.prior.free).index(INDEX["speed"])
+        candidates = []
+        for clusters in (by_frame, by_patch):
+            meat = sum((np.outer(s, s) for s in _unbiased(self.A, clusters)), self._prior_information())
+            candidates.append((inverse @ meat @ inverse)[:P, :P])
         self.covariance = max(candidates, key=lambda C: float(C[speed, speed]))
-        self.dof = float(min(F, K) - 1)
+        self.dof = float(min(len(frames), K) - 1)
         base = self.bands[0]
         self.residual = float(np.sqrt(np.median(base.variance)))
         self.share = float((base.variance < REJECT * base.expected).mean())
@@ -242,13 +239,45 @@ class _Fit:
         coupling = np.zeros((P + K, Q))
         for band in self.bands:
             a, _ = band.normal_equations(H, H_d, self.relief, dH)
-            coupling[:P] += a[:, :P, P : P + Q].sum(0)
-            coupling[P:] += a[:, P + Q, P : P + Q]
+            coupling[:P] += a[..., :P, P : P + Q].sum((0, 1))
+            coupling[P:] += a[..., P + Q, P : P + Q].sum(0)
         response = np.zeros((n, Q))
         response[p.free] = -np.linalg.solve(self.A, coupling)[:P]
         return np.asarray(response @ response.T)
 
 
+def _spread(cells_A: Array) -> Array:
+    """Normal matrices (views, K, P + 1, P + 1), each patch's own relief last, as one (P + K, P + K)."""
+    by_patch = cells_A.sum(0)
+    K, P = len(by_patch), by_patch.shape[-1] - 1
+    A = np.zeros((P + K, P + K))
+    A[:P, :P] = by_patch[:, :P, :P].sum(0)
+    A[P:, :P] = by_patch[:, P, :P]
+    A[:P, P:] = by_patch[:, P, :P].T
+    A[range(P, P + K), range(P, P + K)] = by_patch[:, P, P]
+    return A
+
+
+def _spread_scores(cells: Array) -> Array:
+    """Scores (views, K, P + 1), each patch's own relief last, as one (P + K,)."""
+    by_patch = cells.sum(0)
+    return np.concatenate([by_patch[:, :-1].sum(0), by_patch[:, -1]])
+
+
+def _unbiased(A: Array, clusters: list[tuple[Array, Array]]) -> list[Array]:
+    """Cluster scores, each enlarged for having drawn the fit to itself: A^½ (I − B)^−½ A^−½ s with B = A^−½ Aᵢ A^−½."""
+    values, vectors = np.linalg.eigh(A)
+    root = vectors * np.sqrt(values) @ vectors.T
+    back = vectors / np.sqrt(values) @ vectors.T
+    scores = []
+    for A_i, s in clusters:
+        share, axes = np.linalg.eigh(back @ A_i @ back)
+        enlarged = axes / np.sqrt(np.maximum(1.0 - share, LEAST_REST)) @ axes.T
+        scores.append(root @ enlarged @ back @ s)
+    return scores
+
+
+LEAST_REST = 0.05  # share of the information that a single cluster leaves to the others, at least
 SAFETY = 1.5  # a richer model must explain more than the covariance's own error
 STRONG = 3.0  # log Bayes factor, 20 to 1, that speaks for a richer model
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from paceline.cameras import StereoRig
 from paceline.speed import pixels_cpu
 from paceline.speed.likelihood import Grid, unit_square_to
+from paceline.speed.planes import FirstPlane
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -24,6 +25,7 @@ ITERATIONS = 8
 COARSE = (6.0, 2.5)  # grid steps of smoothing, for searches that begin farther away
 CONVERGED = 0.1  # squared standard deviations of a step: the next one, quadratically smaller, would not show
 GAINS = (0.2, 5.0)
+FARTHEST = 5.0  # standard deviations of the hand
 CORRELATED = 4.0  # a sample's noise is shared with about this many neighbours
 QUANTISED = 1.0 / 12.0  # grey levels², of 8-bit images
 INSET = 2.0  # px of the first region: its rim shows what is behind the vehicle, and at another depth
@@ -191,26 +193,31 @@ class Appearance:
         self.grid = PlaneGrid(grid, region)
         self.texture = np.zeros((0, 0))
 
-    def begin(self, images: tuple[Image, Image], left: Array, normal: Array, distance: float) -> tuple[float, float]:
-        """Learn the left view's picture of the region (4, 2); how far the right view moves the plane, and how surely.
+    def begin(self, images: tuple[Image, Image], left: Array, plane: FirstPlane) -> FirstPlane:
+        """Learn the left view's picture of the region (4, 2), and lay the plane where the right view agrees with it.
 
-        Returns the factor on the plane's distance at which the views agree, and its standard deviation.
+        A depth that the operator's hand can hardly have missed so far — a pole before the vehicle has another one —
+        is not believed: then the plane stays where it was outlined.
         """
-        points = self.surface(left, normal, distance)
-        self.texture = sample(self.rig, images, points, self.grid)[0]
+        normal = plane.normal
+        self.texture = sample(self.rig, images, self.surface(left, normal, plane.distance), self.grid)[0]
         scale = 1.0
         for _ in range(ITERATIONS):
             # what is behind the outline grows with its distance: the plane is laid anew after every step
-            points = self.surface(left, normal, distance * scale)
+            points = self.surface(left, normal, plane.distance * scale)
             centre = points.reshape(-1, 3).mean(0)
             length = float(np.linalg.norm(centre))
             ray = centre / length
             found = register(self.rig, images, points, self.texture, self.grid, ray[:, None], (1,))
             step, std = float(found.shift @ ray) / length, float(np.sqrt(np.trace(found.covariance))) / length
             scale *= 1.0 + step
+            if not abs(1.0 / max(scale, 0.1) - 1.0) < FARTHEST * plane.inverse_depth_std:
+                return plane
             if abs(step) < 0.1 * std:
                 break
-        return scale, std
+        return replace(
+            plane, centre=plane.centre * scale, distance=plane.distance * scale, inverse_depth_std=std
+        )
 
     def find(
         self, images: tuple[Image, Image], left: Array, normal: Array, distance: float, doubt: float

@@ -113,15 +113,11 @@ class Tracker:
 
     def _begin(self, frame: StereoFrame) -> Estimate:
         """The first frame: the reference, and the depth at which the views agree."""
-        c, plane = self.configuration, self.plane
+        c = self.configuration
         if self.appearance is not None:
-            images = frame.left, frame.right
-            scale, std = self.appearance.begin(images, self.vehicle.left, plane.normal, plane.distance)
-            self.plane = plane = replace(
-                plane, centre=plane.centre * scale, distance=plane.distance * scale, inverse_depth_std=std
-            )
+            self.plane = self.appearance.begin((frame.left, frame.right), self.vehicle.left, self.plane)
         searched = acquisition.SEARCH if self.vehicle.speed is None else 1
-        self.state = acquisition.initial_state(plane, self.vehicle, c.particles * searched, self.rng)
+        self.state = acquisition.initial_state(self.plane, self.vehicle, c.particles * searched, self.rng)
         self.weights = Weights.equal(len(self.state))
         self._look(frame, self.state)
         self.reference = self._observe(self.state[np.zeros(1, np.int64)]).features[0]
@@ -131,7 +127,7 @@ class Tracker:
             time=frame.time,
             speed=self.vehicle.speed or float("nan"),
             speed_std=float("nan"),
-            position=plane.centre,
+            position=self.plane.centre,
             yaw_rate=float("nan"),
             left=self.vehicle.left,
             right=self.vehicle.right,
@@ -281,9 +277,9 @@ class Tracker:
 
 
 def _tempered(lw: Array) -> Weights:
-    """Weights by a power of the likelihood that leaves enough particles alive for their covariance to mean something."""
+    """Weights by a power of the likelihood that leaves particles enough alive for a covariance that means something."""
     weights = Weights(lw)
-    while weights.ESS < ALIVE * len(lw):
+    while ALIVE * len(lw) > weights.ESS:
         lw = 0.5 * lw
         weights = Weights(lw)
     return weights
