@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 
 from paceline.cameras import Camera, StereoRig
-from paceline.geometry import epipolar_distance, nearest_match, plane_from_points, plane_homography, triangulate
+from paceline.geometry import epipolar_distance, nearest_match, triangulate
 
 
 def make_rig(rotation=(0.004, -0.02, 0.006), t=(-0.5, 0.02, -0.03)) -> StereoRig:
@@ -75,29 +75,3 @@ def test_epipolar_distance_is_that_of_a_point_to_the_line_through_two_projection
     along = (b - a) / np.linalg.norm(b - a)
     expected = abs(along[0] * (right - a)[1] - along[1] * (right - a)[0])
     assert abs(epipolar_distance(rig, left, right)) == pytest.approx(expected)
-
-
-@settings(deadline=None)
-@given(st.tuples(*[st.floats(-1, 1)] * 3), st.floats(1, 50))
-def test_a_plane_is_found_again_from_its_points(direction, d):
-    n = np.array([*direction[:2], direction[2] + 2.0])
-    n /= np.linalg.norm(n)
-    u = np.cross(n, [0.3, 1.0, 0.1])
-    points = d * n + np.random.default_rng(0).normal(size=(6, 2)) @ np.stack([u, np.cross(n, u)])
-    found, distance = plane_from_points(points)
-    np.testing.assert_allclose(found, n, atol=1e-6)
-    assert distance == pytest.approx(d)
-
-
-def test_a_plane_homography_moves_pixels_as_the_moved_points_project():
-    rng = np.random.default_rng(2)
-    camera = make_rig().left
-    n, d = np.array([0.1, -0.05, -1.0]), -40.0  # either sign of a plane is the same plane
-    points = rng.uniform([-2, -1, 0], [2, 1, 0], (30, 3))
-    points[:, 2] = (d - points[:, :2] @ n[:2]) / n[2]
-    dR = np.stack([cv2.Rodrigues(rng.normal(0, 0.05, 3))[0] for _ in range(3)])
-    dt = rng.normal(0, 1, (3, 3))
-    H = plane_homography(camera.K, dR, dt, np.tile(n, (3, 1)), np.full(3, d))
-    for i in range(3):
-        p = np.column_stack([camera.project(points), np.ones(30)]) @ H[i].T
-        np.testing.assert_allclose(p[:, :2] / p[:, 2:], camera.project(points @ dR[i].T + dt[i]), atol=1e-8)

@@ -1,4 +1,4 @@
-"""Planes, homographies, epipolar distances and triangulation. Pixels are ideal ones; leading axes broadcast."""
+"""Epipolar distances and triangulation. Pixels are ideal ones; leading axes broadcast."""
 
 from __future__ import annotations
 
@@ -56,20 +56,3 @@ def nearest_match(rig: StereoRig, left: Array, right: Array) -> tuple[Array, Arr
     n, m = n - (step * m) @ E.T, m - (step * n) @ E
     step = step * (2 * d / ((n * n).sum(-1) + (m * m).sum(-1)))[..., None]
     return y[..., :2] - step * m, x[..., :2] - step * n
-
-
-def plane_from_points(points: Array) -> tuple[Array, float]:
-    """The plane ``n · X = d`` nearest to ``points`` (N ≥ 3, 3): its unit normal n (3,), and d ≥ 0 in metres."""
-    centre = points.mean(axis=0)
-    n = np.linalg.svd(points - centre)[2][2]
-    d = float(n @ centre)
-    return (n, d) if d >= 0 else (-n, -d)
-
-
-def plane_homography(K: Array, dR: Array, dt: Array, n: Array, d: Array | float) -> Array:
-    """Homographies (…, 3, 3) from a view to the next, for a plane ``n · X = d`` in camera axes ([Zhu] (5)).
-
-    The plane's points move by X ↦ dR X + dt. ``dR`` (…, 3, 3), ``dt`` (…, 3), ``n`` (…, 3), ``d`` (…), ``K`` (3, 3).
-    """
-    scaled = np.asarray(n) / np.asarray(d, float)[..., None]
-    return np.asarray(K @ (dR + dt[..., :, None] * scaled[..., None, :]) @ np.linalg.inv(K))
