@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from collections.abc import Callable, Iterator
@@ -46,6 +47,7 @@ class Device(StrEnum):
 def main() -> None:
     """Runs the command line and exits with its status; every error is one plain line on standard error."""
     signal.signal(signal.SIGTERM, _terminate)
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # its threads, for matrices this small, only stand in the way
     try:
         status = app(prog_name="paceline", standalone_mode=False)
     except UnusableInput as error:

@@ -10,8 +10,7 @@ from pathlib import Path as FilePath
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
-from scipy.stats import t as student
+from scipy.special import ndtri, stdtrit
 
 from paceline import __version__
 from paceline.cameras import StereoRig
@@ -188,8 +187,8 @@ class _Run:
     def _judged(self, refined: Refined, frames: int) -> Measurement:
         speed, random_std, systematic_std = refined.mean_speed()
         half = np.hypot(
-            student.ppf(0.5 + CONFIDENCE / 2, refined.dof) * random_std,
-            norm.ppf(0.5 + CONFIDENCE / 2) * np.nan_to_num(systematic_std),
+            stdtrit(refined.dof, 0.5 + CONFIDENCE / 2) * random_std,
+            ndtri(0.5 + CONFIDENCE / 2) * np.nan_to_num(systematic_std),
         )
         across = np.nanmedian(refined.offsets[:, 1, 1] - refined.offsets[:, 0, 1])
         off = float(np.sqrt(np.nanmean(refined.offsets**2)))
@@ -241,7 +240,7 @@ class _Run:
         speeds = np.array([e.speed for e in tracked[1:]])
         spread = np.array([e.speed_std for e in tracked[1:]])
         speed, std = float(speeds.mean()), float(np.sqrt(np.mean(spread**2)))
-        half = norm.ppf(0.5 + CONFIDENCE / 2) * std
+        half = float(ndtri(0.5 + CONFIDENCE / 2)) * std
         reason = f"interval too wide: ± {half:.2f} m/s" if half > max(WIDEST[0] * speed, WIDEST[1]) else ""
         return Measurement(
             vehicle=self.vehicle.id,

@@ -7,6 +7,12 @@ scratch rows prove to the compiler that nothing aliases.
 
 from __future__ import annotations
 
+import os
+
+# Read when Numba starts its threads: between two kernels they sleep; spinning they would hold the cores that the rest
+# of a step needs, and a step would take three times as long on two cores.
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+
 import numpy as np
 from numba import njit, prange
 
