@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 LEVELS = ((2.5, False), (1.2, False), (0.7, True))  # smoothing at the farthest view, px; whether the finer bands join
 RELIEF = 0.04  # m, how far a patch may stand from the plane
 STEP = 0.1  # standard deviations: converged
+COARSE_STEP = 1.0  # the same before the last level, which starts where this ends
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +117,7 @@ class _Fit:
                 self.theta[prior.free] += change[:P]
                 self.relief += change[P:]
                 step = float(np.abs(change[:P] / np.sqrt(np.diag(np.linalg.inv(A))[:P])).max())
-                if step < STEP:
+                if step < (STEP if fine else COARSE_STEP):
                     break
         self.converged = step < 1.0
         self.A = A
