@@ -23,7 +23,7 @@ UNCERTAINTY: dict[str, Any] = {
     "focal_length_px": 8.0,
     "principal_point_px": 0.5,
     "rotation_rad": [2e-3, 2e-4, 2e-3],
-    "translation_m": [0.004, 0.02, 0.02],
+    "translation_m": [0.004, 0.004, 0.02],
 }
 
 

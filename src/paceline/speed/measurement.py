@@ -33,7 +33,7 @@ Progress = Callable[[int, int], None]
 
 CONFIDENCE = 0.95
 LEAST_FRAMES = 4
-MOST_GLIMPSES = 48  # frames kept for the refinement; of a longer track, evenly spread ones
+MOST_GLIMPSES = 32  # frames kept for the refinement; of a longer track, evenly spread ones
 MARGIN = (0.6, 24.0)  # kept about a region, as a share of its size and in pixels
 WIDEST = (0.05, 0.5)  # half-width of an interval that still counts: relative, and m/s
 MISFIT = 0.6  # share of the texture's contrast that may stay unexplained
