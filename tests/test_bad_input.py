@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from test_documents import changed
 
 from paceline import cli
 from paceline.simulation.planar import Scene, Vehicle, render, write
@@ -35,15 +36,7 @@ class Clip:
 
     def set(self, file: str, key: str, value: Any) -> None:
         """``value`` at ``key`` of a YAML file (``vehicles.0.left``); None takes the key away."""
-        document = yaml.safe_load((self.folder / file).read_text())
-        *parents, last = [int(k) if k.isdecimal() else k for k in key.split(".")]
-        place = document
-        for parent in parents:
-            place = place[parent]
-        if value is None:
-            del place[last]
-        else:
-            place[last] = value
+        document = changed(yaml.safe_load((self.folder / file).read_text()), key, value)
         (self.folder / file).write_text(yaml.safe_dump(document))
 
     def get(self, key: str) -> Any:

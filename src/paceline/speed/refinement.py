@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from paceline.cameras import Camera, RigUncertainty, StereoRig
-from paceline.speed.bands import REJECT, Glimpse, bands_of
+from paceline.speed.bands import Glimpse, bands_of
 from paceline.speed.trajectory import INDEX, STEPS, Prior, Trajectory, prior
 
 Array = NDArray[np.float64]
@@ -35,8 +35,8 @@ class Refined:
     """The refined motion: parameters ``theta`` (12,), their random ``covariance`` and the systematic one (12, 12).
 
     ``systematic`` is NaN where the rig states no uncertainty. ``residual`` is the median rms of a patch in grey
-    levels, ``contrast`` that of the texture; ``share`` of the patches kept their say; ``offsets`` (F, 2, 2) are the
-    pixels by which each view's picture lies off the motion (NaN where it was not used).
+    levels, ``contrast`` that of the texture; ``offsets`` (F, 2, 2) are the pixels by which each view's picture lies
+    off the motion (NaN where it was not used).
     """
 
     trajectory: Trajectory
@@ -45,7 +45,6 @@ class Refined:
     systematic: Array
     residual: float
     contrast: float
-    share: float
     offsets: Array
     accelerating: bool
     turning: bool
@@ -93,7 +92,6 @@ def refine(trajectory: Trajectory, glimpses: list[Glimpse], speed: float, on_pat
         fit.systematic(trajectory.rig.uncertainty),
         fit.residual,
         fit.contrast,
-        fit.share,
         fit.offsets(),
         accelerating,
         turning,
@@ -142,14 +140,14 @@ class _Fit:
         theta[p.free] = found.x
         return theta
 
-    def _derivatives(self, trajectory: Trajectory, index: NDArray[np.int64]) -> Array:
+    def _derivatives(self, index: NDArray[np.int64]) -> Array:
         """∂H/∂θ (views, 3, 3, len(index)) by central differences."""
         columns = []
         for i in index:
             e = np.zeros(len(STEPS))
             e[i] = STEPS[i]
-            difference = trajectory.homographies(self.theta + e)[0] - trajectory.homographies(self.theta - e)[0]
-            columns.append(difference.reshape(-1, 3, 3) / (2 * STEPS[i]))
+            ahead, behind = (self.trajectory.homographies(self.theta + sign * e)[0] for sign in (1, -1))
+            columns.append((ahead - behind).reshape(-1, 3, 3) / (2 * STEPS[i]))
         return np.stack(columns, axis=-1)
 
     def _assemble(self) -> tuple[Array, Array, Array, Array]:
@@ -157,7 +155,7 @@ class _Fit:
         give to them: (views, patches, P + 1, P + 1) and (views, patches, P + 1), the patch's own relief last."""
         p, K = self.prior, len(self.relief)
         H, H_d = (h.reshape(-1, 3, 3) for h in self.trajectory.homographies(self.theta))
-        dH = self._derivatives(self.trajectory, p.free)
+        dH = self._derivatives(p.free)
         n = len(p.free) + 1
         cells_A, cells = np.zeros((len(H), K, n, n)), np.zeros((len(H), K, n))
         for band in self.bands:
@@ -202,7 +200,6 @@ class _Fit:
         self.dof = float(min(len(frames), K) - 1)
         base = self.bands[0]
         self.residual = float(np.sqrt(np.median(base.variance)))
-        self.share = float((base.variance < REJECT * base.expected).mean())
         assert base.texture is not None
         self.contrast = float(np.sqrt((base.texture**2).mean()))
 
@@ -240,7 +237,7 @@ class _Fit:
             changes.append(other.homographies(self.theta)[0].reshape(-1, 3, 3) - H)
         p = self.prior
         P, K, Q = len(p.free), len(self.relief), len(changes)
-        dH = np.concatenate([self._derivatives(self.trajectory, p.free), np.stack(changes, axis=-1)], axis=-1)
+        dH = np.concatenate([self._derivatives(p.free), np.stack(changes, axis=-1)], axis=-1)
         coupling = np.zeros((P + K, Q))
         for band in self.bands:
             a, _ = band.normal_equations(H, H_d, self.relief, dH)

@@ -109,9 +109,10 @@ def register(
     T = np.ascontiguousarray(texture - texture.mean(-1, keepdims=True))
     slopes = grid.slopes(texture)
     directions = np.ascontiguousarray(directions)
+    projected = rig.project(points)
     pictures = []
     for v in views:
-        pixels = rig.project(points)[v]
+        pixels = projected[v]
         picture, corner = _smoothed(images[v], pixels, grid, coarseness)
         K = rig.cameras[v].K.copy()
         K[:2, 2] -= corner
