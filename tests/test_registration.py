@@ -5,8 +5,10 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+from scipy.ndimage import map_coordinates
 
 from paceline.simulation.planar import Scene, Vehicle, World, render
+from paceline.speed import registration_cpu
 from paceline.speed.likelihood import Grid
 from paceline.speed.registration import PlaneGrid, register, sample
 
@@ -202,12 +204,80 @@ def test_parts_of_the_grid_are_the_squares_of_the_region(grid):
     assert (np.diff(whole, axis=1) > 0).all() and (np.ptp(whole, axis=0) == 0).all()
 
 
-def test_slopes_are_those_of_a_known_surface():
-    plane = PlaneGrid(Grid(5, 2, (3, 5)), OUTLINE)
+@pytest.mark.parametrize("grid", [Grid(5, 2, (3, 5)), Grid(2, 3, (6, 7))])
+def test_slopes_in_the_image_are_those_of_a_known_surface(grid):
+    plane = PlaneGrid(grid, OUTLINE)
     u, v, _ = plane.places
-    surface = np.stack([3 * u - 2 * v, u * u + u * v])
-    du, dv = plane.slopes(surface)
-    np.testing.assert_allclose(du[0], 3, atol=1e-9)
-    np.testing.assert_allclose(dv[0], -2, atol=1e-9)
-    np.testing.assert_allclose(du[1], 2 * u + v, atol=0.05)
-    np.testing.assert_allclose(dv[1], u, atol=0.05)
+    depth = 1 + 0.05 * u - 0.03 * v
+    x, y = 60 * (u + 0.1 * v) / depth, 30 * (v - 0.05 * u) / depth  # the region, seen askew
+    pixels = np.stack([x, y])
+    du, dv = plane.slopes_in_image(3 * x - 2 * y, pixels)
+    np.testing.assert_allclose(du, 3, atol=1e-9)
+    np.testing.assert_allclose(dv, -2, atol=1e-9)
+    inner = (u > u.min()) & (u < u.max()) & (v > v.min()) & (v < v.max())
+    du, dv = plane.slopes_in_image(0.02 * x * x + 0.03 * x * y, pixels)[:, inner]
+    np.testing.assert_allclose(du, (0.04 * x + 0.03 * y)[inner], atol=0.02)
+    np.testing.assert_allclose(dv, 0.03 * x[inner], atol=0.02)
+
+
+# --- the sums, beside the same in plain NumPy ----------------------------------------------------------------------
+
+VIEWS, PARTS, SAMPLES = 2, 6, 35
+
+
+@pytest.mark.parametrize("k", [1, 3])
+def test_products_of_parts_are_those_of_the_sampled_picture(k):
+    rng = np.random.default_rng(k)
+    image = cv2.GaussianBlur(rng.uniform(0, 255, (60, 90)).astype(np.float32), (0, 0), 2.0)
+    K = np.array([[800.0, 0, 40], [0, 900, 31], [0, 0, 1]])
+    points = rng.uniform([-0.8, -0.6, 18], [0.8, 0.6, 22], (PARTS, SAMPLES, 3))
+    points[0, :9] *= [3, 3, 1]  # beyond the border, where its pixels repeat
+    shift, directions = rng.normal(0, 0.05, 3), rng.normal(0, 1, (3, k))
+    slopes, texture = rng.normal(0, 9, (2, PARTS, SAMPLES)), rng.normal(0, 30, (PARTS, SAMPLES))
+    texture -= texture.mean(1, keepdims=True)
+    seen, JJ, JT, JI = (np.empty((PARTS, *shape)) for shape in ((SAMPLES,), (k, k), (k,), (k,)))
+    TI, II = np.empty((2, PARTS))
+    registration_cpu.part_products(
+        image, K, np.ascontiguousarray(np.moveaxis(points, -1, 0)), shift, directions, texture, slopes,
+        seen, JJ, JT, JI, TI, II,
+    )  # fmt: skip
+    P = points + shift
+    x, y, _ = np.moveaxis(P @ K.T / P[..., 2:], -1, 0)
+    expected = map_coordinates(image.astype(float), [y, x], order=1, mode="nearest")
+    np.testing.assert_allclose(seen, expected, atol=0.05)  # the border is read a thousandth of a pixel inside
+    I = seen - seen.mean(1, keepdims=True)
+    for p in range(PARTS):
+        J = np.empty((SAMPLES, k))
+        for s, (X, Y, Z) in enumerate(P[p]):
+            projection = np.array([[K[0, 0] / Z, 0, -K[0, 0] * X / Z**2], [0, K[1, 1] / Z, -K[1, 1] * Y / Z**2]])
+            J[s] = slopes[:, p, s] @ projection @ directions
+        J -= J.mean(0)
+        for found, plain in ((JJ, J.T @ J), (JT, J.T @ texture[p]), (JI, J.T @ I[p])):
+            np.testing.assert_allclose(found[p], plain, rtol=1e-10, atol=1e-7)
+        np.testing.assert_allclose([TI[p], II[p]], [texture[p] @ I[p], I[p] @ I[p]], rtol=1e-10)
+
+
+@pytest.mark.parametrize("contrast", [0.0, 0.01, 1.0, 40.0])  # of the picture beside the texture's
+def test_normal_equations_are_those_of_weighted_least_squares_with_a_gain_for_each_view(contrast):
+    """Without reweighting in between: rows √w·(J, T) of every view, the columns T one for each view."""
+    rng, k = np.random.default_rng(1), 3
+    T = rng.normal(0, 1, (PARTS, SAMPLES))
+    J = rng.normal(0, 5, (VIEWS, PARTS, SAMPLES, k))
+    I = contrast * (T + 0.3 * rng.normal(0, 1, (VIEWS, PARTS, SAMPLES)))
+    JJ, JT = np.einsum("vpsi,vpsj->vpij", J, J), np.einsum("vpsi,ps->vpi", J, T)
+    JI, TT = np.einsum("vpsi,vps->vpi", J, I), (T * T).sum(1)
+    TI, II = np.einsum("ps,vps->vp", T, I), (I * I).sum(2)
+    before = rng.uniform(0.5, 2, (VIEWS, PARTS))
+    w, normal, scores = before.copy(), np.empty((k, k)), np.empty((VIEWS, PARTS, k))
+    registration_cpu.normal_equations(JJ, JT, JI, TT, TI, II, SAMPLES, (0.2, 5.0), 0.1, w, normal, scores)
+    gain = np.clip((before * TI).sum(1) / (before * TT).sum(1), 0.2, 5.0)
+    r = I / gain[:, None, None] - T
+    variance = (r * r).mean(2)
+    np.testing.assert_allclose(w, 1 / (variance + 0.5 * np.median(variance, axis=1, keepdims=True) + 0.1), rtol=1e-8)
+    root = np.sqrt(w)[..., None]
+    gains = np.stack([root[v] * T * (u == v) for u in range(VIEWS) for v in range(VIEWS)])
+    gains = gains.reshape(VIEWS, VIEWS * PARTS * SAMPLES).T
+    rows = (root[..., None] * J).reshape(-1, k)
+    rows -= gains @ np.linalg.lstsq(gains, rows, rcond=None)[0]  # what a gain explains
+    np.testing.assert_allclose(normal, rows.T @ rows, rtol=1e-7)
+    np.testing.assert_allclose(scores.sum((0, 1)), rows.T @ (root * r).ravel(), rtol=1e-6, atol=1e-6)

@@ -77,9 +77,12 @@ class Band:
         w = (self.weights * self.gain**2).astype(np.float32)
         # the shared texture moves along with the parameters: what all views have in common tells nothing
         J -= np.einsum("vk,vkmp->kmp", w, J, optimize=True) / np.maximum(w.sum(0), 1e-12)[:, None, None]
-        Jw = J * w[:, :, None, None]
-        A = Jw.swapaxes(2, 3) @ J
-        return A.astype(float), (Jw.swapaxes(2, 3) @ r[..., None])[..., 0].astype(float)
+        A, score = np.empty((V, K, J.shape[3], J.shape[3])), np.empty((V, K, J.shape[3]))
+        for v in range(V):  # in double precision: what hardly differs from the rest must not be lost in rounding
+            own = J[v].astype(float)
+            weighted = (own * w[v, :, None, None]).swapaxes(1, 2)
+            A[v], score[v] = weighted @ own, (weighted @ r[v, ..., None])[..., 0]
+        return A, score
 
     def offsets(self, H: Array, H_d: Array, relief: Array) -> Array:
         """By how many pixels (views, 2) each view's picture lies off where the motion puts it."""

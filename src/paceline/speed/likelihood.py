@@ -11,7 +11,7 @@ from paceline.speed import pixels_cpu
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
-Packed = NDArray[np.uint32]
+Packed = pixels_cpu.Packed
 
 SAMPLES = 2560  # about this many samples a region, 64 × 40 in [Zhu]'s terms
 CONTRAST_FLOOR = 0.3  # share of the typical part's contrast below which a part counts less: it is mostly noise
@@ -51,18 +51,27 @@ class Observation:
 
 
 def pack(image: Floats, quads: Array | None = None) -> Packed:
-    """2×2 neighbourhoods (H, W) of ``image`` (H, W), 0–255, packed for sampling.
+    """2×2 neighbourhoods of ``image`` (H, W), 0–255, packed for sampling.
 
-    Given ``quads`` (N, 4, 2), only in the rows that they reach; the other rows are zero.
+    Given ``quads`` (N, 4, 2), only in the upright rectangle that they reach.
     """
-    first, last = 0, len(image)
+    height, width = image.shape
+    (left, right), (top, bottom) = (0, width), (0, height)
     if quads is not None:
-        y = quads[..., 1]
-        y = y[np.isfinite(y)]
-        first, last = (int(np.clip(v, 0, len(image))) for v in (y.min() - 2, y.max() + 3)) if y.size else (0, 0)
-    packed = np.zeros(image.shape, np.uint32)
-    pixels_cpu.pack(image, packed, first, last)
+        (left, right), (top, bottom) = _reach(quads[..., 0], width), _reach(quads[..., 1], height)
+    packed = Packed(np.empty((bottom - top, right - left), np.uint32), left, top)
+    pixels_cpu.pack(image, packed)
     return packed
+
+
+def _reach(places: Array, size: int) -> tuple[int, int]:
+    """First and last pixel, the last excluded, of an axis of ``size`` pixels that sampling at ``places`` may read.
+
+    Places beyond the border read the pixels at the border; where no place is finite, any pixels will do.
+    """
+    known = places[np.isfinite(places)]
+    first, last = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
+    return int(min(max(first - 2, 0), max(size - 2, 0))), int(min(max(last + 3, 2), size))
 
 
 def observe(
@@ -73,27 +82,21 @@ def observe(
     ``quads_left``, ``quads_right`` (N, 4, 2) are the 2-D substates, ``cross`` (N, 3, 3) the homographies H_c (15).
     """
     N = len(quads_left)
-    to_left, to_right = unit_square_to(quads_left), unit_square_to(quads_right)
-    H = np.stack([to_left, to_right, cross @ to_left], axis=1).reshape(N, 3, 9).astype(np.float32)
+    H = np.empty((N, 3, 3, 3), np.float32)
+    to_left = unit_square_to(quads_left)
+    H[:, 0], H[:, 1], H[:, 2] = to_left, unit_square_to(quads_right), cross @ to_left
     edges = inward_edges(quads_right).astype(np.float32)
     # a region without area has no map: it is looked at in one pixel, where it resembles nothing
-    wild = ~(np.isfinite(H).all((1, 2)) & np.isfinite(edges).all((1, 2)))
-    H[wild] = [0, 0, 0, 0, 0, 0, 0, 0, 1]
+    wild = ~(np.isfinite(H).all((1, 2, 3)) & np.isfinite(edges).all((1, 2)))
+    H[wild] = [[0, 0, 0], [0, 0, 0], [0, 0, 1]]
     edges[wild] = [0, 0, -1]
     features = np.empty((N, 2, grid.parts, 16), np.float32)
     ncc = np.empty(N, np.float32)
     pixels_cpu.observe(
-        left,
-        right,
-        H,
-        edges,
-        grid.across,
-        grid.down,
-        grid.samples,
-        features,
-        ncc,
+        left, right, H.reshape(N, 3, 9), edges, grid.across, grid.down, grid.samples, features, ncc
     )
-    return Observation(normalised(features), ncc)
+    _normalise(features)
+    return Observation(features, ncc)
 
 
 def normalised(features: Floats) -> Floats:
@@ -103,9 +106,14 @@ def normalised(features: Floats) -> Floats:
     little contrast beside the usual one keeps a smaller norm instead of showing its noise enlarged. Medians, because
     one part that is hidden must not change the others.
     """
-    f = np.ascontiguousarray(features, np.float32).copy()
-    pixels_cpu.normalise(f.reshape(-1, *f.shape[-2:]), np.float32(CONTRAST_FLOOR))
+    f = np.array(features, np.float32, order="C")
+    _normalise(f)
     return f
+
+
+def _normalise(features: Floats) -> None:
+    """`normalised`, in place."""
+    pixels_cpu.normalise(features.reshape(-1, *features.shape[-2:]), np.float32(CONTRAST_FLOOR))
 
 
 def distances(features: Floats, reference: Floats) -> Floats:
@@ -127,23 +135,13 @@ def log_likelihood(seen: Observation, reference: Floats, lambda_single: float, l
 
 def unit_square_to(quads: Array) -> Array:
     """Homographies (N, 3, 3) that take the unit square's corners tl, tr, br, bl to ``quads`` (N, 4, 2)."""
-    a, b, c, d = np.moveaxis(np.asarray(quads, float), -2, 0)
-    s = a - b + c - d
-    e, f = b - c, d - c
-    det = e[:, 0] * f[:, 1] - f[:, 0] * e[:, 1]
-    g = (s[:, 0] * f[:, 1] - f[:, 0] * s[:, 1]) / det
-    h = (e[:, 0] * s[:, 1] - s[:, 0] * e[:, 1]) / det
     H = np.empty((len(quads), 3, 3))
-    H[:, :2, 0] = b - a + g[:, None] * b
-    H[:, :2, 1] = d - a + h[:, None] * d
-    H[:, :2, 2] = a
-    H[:, 2] = np.stack([g, h, np.ones_like(g)], axis=-1)
+    pixels_cpu.unit_square_to(np.ascontiguousarray(quads, float), H)
     return H
 
 
 def inward_edges(quads: Array) -> Array:
     """Lines (N, 4, 3) along the sides of ``quads`` (N, 4, 2), tl, tr, br, bl, positive inside."""
-    a = np.asarray(quads, float)
-    d = np.roll(a, -1, axis=-2) - a
-    normal = np.stack([-d[..., 1], d[..., 0]], axis=-1)
-    return np.concatenate([normal, -(normal * a).sum(-1, keepdims=True)], axis=-1)
+    edges = np.empty((len(quads), 4, 3))
+    pixels_cpu.inward_edges(np.ascontiguousarray(quads, float), edges)
+    return edges

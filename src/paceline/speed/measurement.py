@@ -25,8 +25,8 @@ from paceline.speed.planes import first_plane, squared
 from paceline.speed.reconstruction import path_of
 from paceline.speed.refinement import Refined, refine
 from paceline.speed.results import ClipResult, Measurement, PathDrawing, Track
-from paceline.speed.tracker import SEEN, Estimate, Tracker
-from paceline.speed.trajectory import Trajectory
+from paceline.speed.tracker import LOST, SEEN, Estimate, Tracker
+from paceline.speed.trajectory import Trajectory, bends
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
@@ -135,7 +135,7 @@ class _Run:
         """Follow the vehicle into ``frame``; whether it can be followed further."""
         estimate = self.tracker.update(frame)
         self.estimates.append(estimate)
-        if estimate.status == "tracking" and self.configuration.refine:
+        if estimate.status == "tracking" and estimate.likeness >= LOST and self.configuration.refine:
             self._keep(frame, estimate)
         return estimate.status == "tracking"
 
@@ -159,7 +159,7 @@ class _Run:
             return self._from_filter(tracked)
         try:
             speed = float(np.mean([e.speed for e in tracked[1:]]))
-            refined = refine(self._trajectory(), self.glimpses, speed, self.path is not None)
+            refined = refine(self._trajectory(speed), self.glimpses, speed, self.path is not None)
         except np.linalg.LinAlgError:
             return self._rejected("residuals: the region has too little texture for its motion to be determined")
         return self._judged(refined, len(tracked))
@@ -170,7 +170,7 @@ class _Run:
         when = "after" if last != "tracking" else "for only"
         return f"too few frames: the vehicle {how} {when} {frames} of at least {LEAST_FRAMES}"
 
-    def _trajectory(self) -> Trajectory:
+    def _trajectory(self, speed: float) -> Trajectory:
         """The outline and the way it goes: the path in the sense of travel, or straight on as the filter saw it."""
         first = self.glimpses[0]
         path = self.tracker.path
@@ -182,14 +182,16 @@ class _Run:
         else:
             plane = first_plane(self.rig, self.vehicle, path, self.configuration.click_sigma)
         times = np.array([g.times for g in self.glimpses]) - np.mean(first.times)
-        return Trajectory(self.rig, self.vehicle.left, plane, path, times)
+        length = 1.1 * speed * float(np.ptp(times))
+        way = bends(path, path.nearest(plane.centre), max(length, 5.0), self.path is not None)
+        return Trajectory(self.rig, self.vehicle.left, plane, path, times, way)
 
     def _judged(self, refined: Refined, frames: int) -> Measurement:
-        speed, random_std, systematic_std = refined.mean_speed()
-        half = np.hypot(
-            stdtrit(refined.dof, 0.5 + CONFIDENCE / 2) * random_std,
-            ndtri(0.5 + CONFIDENCE / 2) * np.nan_to_num(systematic_std),
-        )
+        speed, noise_std, doubt_std, systematic_std = refined.mean_speed()
+        random_std = float(np.hypot(noise_std, doubt_std))
+        # the noise is judged by few frames and patches; the other two are what they are
+        normal = ndtri(0.5 + CONFIDENCE / 2) * np.hypot(doubt_std, np.nan_to_num(systematic_std))
+        half = np.hypot(stdtrit(refined.dof, 0.5 + CONFIDENCE / 2) * noise_std, normal)
         across = np.nanmedian(refined.offsets[:, 1, 1] - refined.offsets[:, 0, 1])
         off = float(np.sqrt(np.nanmean(refined.offsets**2)))
         reason = ""
@@ -206,7 +208,9 @@ class _Run:
             reason = f"implausible: {speed:.1f} m/s"
         elif half > max(WIDEST[0] * speed, WIDEST[1]):
             reason = f"interval too wide: ± {half:.2f} m/s"
-        model = "constant acceleration" if refined.accelerating else "constant speed"
+        accelerating = "acceleration" in refined.extras
+        model = "constant acceleration" if accelerating else "constant speed"
+        model += ", turning" * ("turn" in refined.extras) + ", changing lane" * ("swerve" in refined.extras)
         return Measurement(
             vehicle=self.vehicle.id,
             track=self._track(refined),
@@ -218,8 +222,8 @@ class _Run:
             frames=frames,
             verdict="rejected" if reason else "measured",
             reason=reason,
-            model=model + (", turning" if refined.turning else ""),
-            acceleration=float(refined.theta[2]) if refined.accelerating else float("nan"),
+            model=model,
+            acceleration=float(refined.theta[2]) if accelerating else float("nan"),
             residual_rms=refined.residual,
             notices=self._notices(refined),
         )

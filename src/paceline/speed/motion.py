@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from paceline.cameras import Camera, StereoRig
+from paceline.speed import motion_cpu
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.paths import Path
 
@@ -45,7 +46,7 @@ class State:
         return len(self.speed)
 
     def __getitem__(self, index: Indices) -> State:
-        return State(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
+        return State(*(np.take(getattr(self, name), index, axis=0) for name in self.__dataclass_fields__))
 
 
 def moved(state: State, rig: StereoRig, dt: Array, dR: Array | None = None) -> State:
@@ -69,42 +70,41 @@ def moved(state: State, rig: StereoRig, dt: Array, dR: Array | None = None) -> S
         left=_mapped(state.left, rig.left, dR, dt, before),
         right=_mapped(state.right, rig.right, dR_right, dt_right, n_right / d_right[:, None]),
         normal=n,
-        distance=d + (dt * n).sum(-1),
+        distance=d + np.einsum("ni,ni->n", dt, n),
     )
 
 
 def _mapped(quads: Array, camera: Camera, dR: Array | None, dt: Array, plane: Array) -> Array:
     """(11): vertices (N, 4, 2) taken through the homographies K (ΔR + Δt nᵀ/d) K⁻¹ of (5); ``plane`` is n/d."""
-    rays = camera.rays(quads)
-    turned = rays if dR is None else rays @ dR.swapaxes(1, 2)
-    p = (turned + (rays @ plane[..., None]) * dt[:, None]) @ camera.K.T
-    return np.asarray(p[..., :2] / p[..., 2:])
+    turns = np.eye(3)[None] if dR is None else np.ascontiguousarray(dR)
+    carried = np.empty(quads.shape)
+    motion_cpu.carry(quads, turns, np.ascontiguousarray(dt), plane, camera.K, camera.K_inv, carried)
+    return carried
 
 
 def _combined(columns: Array, weights: Array) -> Array:
     """Σⱼ weightsⱼ·columnsⱼ (N, 3) of (N, 3, k) and (N, k)."""
-    return np.asarray((columns @ weights[..., None])[..., 0])
+    return np.asarray(np.einsum("nij,nj->ni", columns, weights))
 
 
 def cross_homographies(rig: StereoRig, state: State) -> Array:
-    """(15) for every particle's plane: H_c (N, 3, 3) from the left view to the right one."""
-    plane = (state.normal / state.distance[:, None])[:, None, :]
-    return np.asarray(rig.right.K @ (rig.R + rig.t[:, None] * plane) @ rig.left.K_inv)
+    """(15) for every particle's plane: H_c = K_r (R + t nᵀ/d) K_l⁻¹ (N, 3, 3) from the left view to the right one."""
+    plane = (state.normal / state.distance[:, None]) @ rig.left.K_inv
+    across = rig.right.K @ rig.R @ rig.left.K_inv
+    return np.asarray(across + (rig.right.K @ rig.t)[:, None] * plane[:, None, :])
 
 
 def centres(rig: StereoRig, state: State) -> Array:
     """Points (N, 3) in which the rays through the left regions' centres meet the planes."""
     rays = rig.left.rays(diagonal_crossings(state.left))
-    return np.asarray(rays * (state.distance / (rays * state.normal).sum(-1))[:, None])
+    return np.asarray(rays * (state.distance / np.einsum("ni,ni->n", rays, state.normal))[:, None])
 
 
 def diagonal_crossings(quads: Array) -> Array:
     """Projected centres (…, 2) of the planar regions ``quads`` (…, 4, 2): where their diagonals meet."""
-    a, b, c, d = (quads[..., i, :] for i in range(4))
-    ac, bd = c - a, d - b
-    cross = ac[..., 0] * bd[..., 1] - ac[..., 1] * bd[..., 0]
-    share = ((b - a)[..., 0] * bd[..., 1] - (b - a)[..., 1] * bd[..., 0]) / cross
-    return np.asarray(a + share[..., None] * ac)
+    crossings = np.empty((*quads.shape[:-2], 2))
+    motion_cpu.cross_diagonals(quads.reshape(-1, 4, 2), crossings.reshape(-1, 2))
+    return crossings
 
 
 def corrected(
@@ -190,7 +190,7 @@ class PathMotion:
         F = self.path.frames(state.s)
         start = self.path.at(state.s)
         step = self.path.at(s) - start
-        length = (step * F[:, :, 0]).sum(-1)
+        length = np.einsum("ni,ni->n", step, F[:, :, 0])
         shift = step + length[:, None] * _combined(F[:, :, 1:], state.heading)
         if self.name == "line":
             return replace(moved(state, self.rig, shift), speed=speed, s=s)  # (22)–(24)
@@ -213,10 +213,10 @@ class PathMotion:
 
     def _advanced(self, s: Array, length: Array) -> Array:
         """τ' with ‖C(τ') − C(τ)‖ = |length| on the side of its sign: (25), by two secant steps from the arc."""
-        start = self.path.at(s)
         after = s + length
         if self.name == "line":
             return after
+        start = self.path.at(s)
         for _ in range(2):
             chord = np.linalg.norm(self.path.at(after) - start, axis=-1)
             after = after + np.sign(length) * (np.abs(length) - chord)

@@ -45,7 +45,7 @@ class Weights:
 
     def mean(self, values: Array) -> Array:
         """Posterior mean (…) of ``values`` (N, …) ([Zhu] (3))."""
-        return np.asarray(np.tensordot(self.W, values, 1))
+        return np.asarray(self.W @ values.reshape(len(values), -1)).reshape(values.shape[1:])
 
     def covariance(self, values: Array) -> Array:
         """Posterior covariance (k, k) of ``values`` (N, k)."""
@@ -54,7 +54,7 @@ class Weights:
 
     def std(self, values: Array) -> Array:
         """Posterior standard deviation (…) of ``values`` (N, …)."""
-        return np.asarray(np.sqrt(np.tensordot(self.W, (values - self.mean(values)) ** 2, 1)))
+        return np.sqrt(self.mean((values - self.mean(values)) ** 2))
 
 
 def _inverse_cdf(points: Array, W: Array) -> Indices:

@@ -8,6 +8,7 @@ scratch rows prove to the compiler that nothing aliases.
 from __future__ import annotations
 
 import os
+from typing import NamedTuple
 
 # Read when Numba starts its threads: between two kernels they sleep; spinning they would hold the cores that the rest
 # of a step needs, and a step would take three times as long on two cores.
@@ -15,6 +16,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 import numpy as np
 from numba import njit, prange
+from numpy.typing import NDArray
 
 from paceline.speed import pixels
 
@@ -29,29 +31,75 @@ CHUNKS = 32  # pieces of work shared out to the threads
 CROSS_ROWS = 4  # the cross-view correlation takes every fourth row of samples
 
 
+class Packed(NamedTuple):
+    """2×2 neighbourhoods of the pixels from (``left``, ``top``) on: ``words`` (height, width)."""
+
+    words: NDArray[np.uint32]
+    left: int
+    top: int
+
+
 @njit(cache=True, nogil=True)
-def pack(image, packed, first, last):
-    """Pack the 2×2 neighbourhoods of ``image`` (H, W) float32 0–255 into rows ``first`` to ``last`` of ``packed``
-    (H, W) uint32; at the right and lower border pixels repeat."""
-    height, width = image.shape
+def pack(image, packed):
+    """Fill ``packed`` with 2×2 neighbourhoods of ``image`` (H, W) float32 0–255; at the right and lower border pixels
+    repeat."""
+    height, width = packed.words.shape
     levels = np.empty((2, width + 1), np.uint32)
-    for y in range(first, min(last, height) + 1):
+    for y in range(height + 1):
         row = levels[y % 2]
-        source = image[min(y, height - 1)]
-        for x in range(width):
+        source = image[min(packed.top + y, image.shape[0] - 1), packed.left :]
+        for x in range(min(width + 1, len(source))):
             row[x] = np.uint32(min(max(source[x] + np.float32(0.5), np.float32(0.0)), np.float32(255.0)))
-        row[width] = row[width - 1]
-        if y > first:
-            above, target = levels[(y - 1) % 2], packed[y - 1]
+        if len(source) == width:
+            row[width] = row[width - 1]
+        if y > 0:
+            above, target = levels[(y - 1) % 2], packed.words[y - 1]
             for x in range(width):
                 target[x] = above[x] | (above[x + 1] << 8) | (row[x] << 16) | (row[x + 1] << 24)
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def unit_square_to(quads, H):
+    """`likelihood.unit_square_to`, into ``H`` (N, 3, 3)."""
+    for p in range(len(quads)):
+        a, b, c, d = quads[p, 0], quads[p, 1], quads[p, 2], quads[p, 3]
+        sx, sy = a[0] - b[0] + c[0] - d[0], a[1] - b[1] + c[1] - d[1]
+        ex, ey = b[0] - c[0], b[1] - c[1]
+        fx, fy = d[0] - c[0], d[1] - c[1]
+        det = ex * fy - fx * ey
+        g, h = (sx * fy - fx * sy) / det, (ex * sy - sx * ey) / det
+        for i in range(2):
+            H[p, i, 0] = b[i] - a[i] + g * b[i]
+            H[p, i, 1] = d[i] - a[i] + h * d[i]
+            H[p, i, 2] = a[i]
+        H[p, 2, 0], H[p, 2, 1], H[p, 2, 2] = g, h, 1.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def inward_edges(quads, edges):
+    """`likelihood.inward_edges`, into ``edges`` (N, 4, 3)."""
+    for p in range(len(quads)):
+        for i in range(4):
+            x, y = quads[p, i]
+            across, down = quads[p, (i + 1) % 4, 0] - x, quads[p, (i + 1) % 4, 1] - y
+            edges[p, i, 0], edges[p, i, 1], edges[p, i, 2] = -down, across, down * x - across * y
+
+
 @_inline
-def _sample_row(flat, width, height, H, v, n, px, py, index, fx, fy, word, out):
+def _bounds(packed):
+    """The least and greatest x and y at which a packed image can be read, its width, and its first pixel's index."""
+    height, width = packed.words.shape
+    left, top = np.float32(packed.left), np.float32(packed.top)
+    right = left + np.float32(width) - np.float32(1.001)
+    bottom = top + np.float32(height) - np.float32(1.001)
+    return left, right, top, bottom, np.int32(width), np.int32(packed.top * width + packed.left)
+
+
+@_inline
+def _sample_row(flat, bounds, H, v, n, px, py, index, fx, fy, word, out):
     """``out`` (n,): the packed image at the row ``v`` of the unit square's grid, mapped to (px, py) by ``H`` (9,)."""
-    right = np.float32(width) - np.float32(1.001)
-    bottom = np.float32(height) - np.float32(1.001)
+    left, right, top, bottom, width, first = bounds
+    last = np.uint32(len(flat) - 1)
     ax, ay, az = H[0], H[3], H[6]
     bx, by, bz = H[1] * v + H[2], H[4] * v + H[5], H[7] * v + H[8]
     step = np.float32(1.0) / np.float32(n)
@@ -62,13 +110,13 @@ def _sample_row(flat, width, height, H, v, n, px, py, index, fx, fy, word, out):
         y = (ay * u + by) * z
         px[i] = x
         py[i] = y
-        x = min(max(x, np.float32(0.0)), right)
-        y = min(max(y, np.float32(0.0)), bottom)
+        x = min(max(x, left), right)
+        y = min(max(y, top), bottom)
         ix = np.int32(x)
         iy = np.int32(y)
         fx[i] = x - np.float32(ix)
         fy[i] = y - np.float32(iy)
-        index[i] = iy * np.int32(width) + ix
+        index[i] = min(np.uint32(iy * width + ix - first), last)  # a wild particle's samples may lie nowhere
     for i in range(n):
         word[i] = flat[index[i]]
     for i in range(n):
@@ -114,7 +162,7 @@ def _wavelets(blocks, across, features):
 def observe(left, right, H, edges, across, down, samples, features, ncc):
     """What every particle sees: wavelet features in both views, and their correlation across the views.
 
-    ``left``, ``right`` (H, W) packed images; ``H`` (N, 3, 9) homographies of the unit square to the left region, the
+    ``left``, ``right`` the packed images; ``H`` (N, 3, 9) homographies of the unit square to the left region, the
     right region, and the left region carried into the right view by (15); ``edges`` (N, 4, 3) lines of the right
     region, positive inside; ``across`` × ``down`` parts with ``samples`` (x, y) a block. Writes ``features``
     (N, 2, parts, 16) and ``ncc`` (N,), the normalised cross-correlation (17) over R_∩, −1 where R_∩ is all but empty.
@@ -122,14 +170,14 @@ def observe(left, right, H, edges, across, down, samples, features, ncc):
     N = H.shape[0]
     n = across * 4 * samples[0]
     rows = down * 4 * samples[1]
-    flat_left, flat_right = left.reshape(-1), right.reshape(-1)
-    (tall_l, wide_l), (tall_r, wide_r) = left.shape, right.shape
+    flat_left, flat_right = left.words.reshape(-1), right.words.reshape(-1)
+    within_left, within_right = _bounds(left), _bounds(right)
     least = np.float32(0.25) * n * rows / CROSS_ROWS
     chunks = min(N, CHUNKS)
     for chunk in prange(chunks):
         px, py = np.empty(n, np.float32), np.empty(n, np.float32)
         fx, fy = np.empty(n, np.float32), np.empty(n, np.float32)
-        index, word = np.empty(n, np.int32), np.empty(n, np.uint32)
+        index, word = np.empty(n, np.uint32), np.empty(n, np.uint32)
         value, crossed = np.empty(n, np.float32), np.empty(n, np.float32)
         total_left, total_right = np.zeros(n, np.float32), np.zeros(n, np.float32)
         blocks = np.empty((2, down * 4, across * 4), np.float32)
@@ -139,19 +187,13 @@ def observe(left, right, H, edges, across, down, samples, features, ncc):
             to_left, to_right, across_views, e = H[p, 0], H[p, 1], H[p, 2], edges[p]
             for r in range(rows):
                 v = (np.float32(r) + np.float32(0.5)) / np.float32(rows)
-                _sample_row(
-                    flat_left, wide_l, tall_l, to_left, v, n, px, py, index, fx, fy, word, value
-                )
+                _sample_row(flat_left, within_left, to_left, v, n, px, py, index, fx, fy, word, value)
                 for i in range(n):
                     total_left[i] += value[i]
                 if r % CROSS_ROWS == 0:
-                    _sample_row(
-                        flat_right, wide_r, tall_r, across_views, v, n, px, py, index, fx, fy, word, crossed
-                    )
+                    _sample_row(flat_right, within_right, across_views, v, n, px, py, index, fx, fy, word, crossed)
                     _correlate_row(value, crossed, px, py, e, sums)
-                _sample_row(
-                    flat_right, wide_r, tall_r, to_right, v, n, px, py, index, fx, fy, word, value
-                )
+                _sample_row(flat_right, within_right, to_right, v, n, px, py, index, fx, fy, word, value)
                 for i in range(n):
                     total_right[i] += value[i]
                 if r % samples[1] == samples[1] - 1:
@@ -247,57 +289,3 @@ def capped_distances(features, reference, cap, out):
                 distance += d * d
             total += min(distance, cap)
         out[p] = total
-
-
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
-def part_products(image, K, R, t, points, texture, slopes, directions, seen, JJ, JT, JI, TI, II):
-    """Inner products, part by part, of one view's picture I, the texture T and the sensitivities J to k shifts.
-
-    All three are freed of their mean over the part. ``image`` (H, W); ``K`` (3, 3) to its pixels, ``R``, ``t`` from
-    the world to the camera; ``points`` (parts, samples, 3); zero-mean ``texture`` (parts, samples), its ``slopes`` in
-    the image (2, parts, samples); ``directions`` (3, k). Writes what is ``seen`` (parts, samples), ``JJ``
-    (parts, k, k), ``JT`` and ``JI`` (parts, k), ``TI`` and ``II`` (parts,).
-    """
-    parts, samples = texture.shape
-    k = directions.shape[1]
-    turned = R @ directions
-    J, mean = np.empty((samples, k)), np.empty(k)
-    right, bottom = image.shape[1] - 1.001, image.shape[0] - 1.001
-    for p in range(parts):
-        brightness = 0.0
-        mean[:] = 0.0
-        for s in range(samples):
-            X = R[0, 0] * points[p, s, 0] + R[0, 1] * points[p, s, 1] + R[0, 2] * points[p, s, 2] + t[0]
-            Y = R[1, 0] * points[p, s, 0] + R[1, 1] * points[p, s, 1] + R[1, 2] * points[p, s, 2] + t[1]
-            Z = R[2, 0] * points[p, s, 0] + R[2, 1] * points[p, s, 1] + R[2, 2] * points[p, s, 2] + t[2]
-            x = min(max(K[0, 0] * X / Z + K[0, 2], 0.0), right)
-            y = min(max(K[1, 1] * Y / Z + K[1, 2], 0.0), bottom)
-            ix, iy = int(x), int(y)
-            fx, fy = x - ix, y - iy
-            top = image[iy, ix] + fx * (image[iy, ix + 1] - image[iy, ix])
-            low = image[iy + 1, ix] + fx * (image[iy + 1, ix + 1] - image[iy + 1, ix])
-            seen[p, s] = top + fy * (low - top)
-            brightness += seen[p, s]
-            a, b = slopes[0, p, s] * K[0, 0] / Z, slopes[1, p, s] * K[1, 1] / Z
-            c = -(a * X + b * Y) / Z
-            for i in range(k):
-                J[s, i] = a * turned[0, i] + b * turned[1, i] + c * turned[2, i]
-                mean[i] += J[s, i]
-        brightness /= samples
-        JJ[p] = 0.0
-        JT[p] = 0.0
-        JI[p] = 0.0
-        ti, ii = 0.0, 0.0
-        for s in range(samples):
-            value, T = seen[p, s] - brightness, texture[p, s]
-            ti += value * T
-            ii += value * value
-            for i in range(k):
-                J[s, i] -= mean[i] / samples
-            for i in range(k):
-                JT[p, i] += J[s, i] * T
-                JI[p, i] += J[s, i] * value
-                for j in range(k):
-                    JJ[p, i, j] += J[s, i] * J[s, j]
-        TI[p] = ti
-        II[p] = ii

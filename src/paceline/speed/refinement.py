@@ -8,7 +8,9 @@ behind the plane, and a patch that does not fit — glare, a pole — loses its 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -17,37 +19,42 @@ from scipy.optimize import least_squares
 
 from paceline.cameras import Camera, RigUncertainty, StereoRig
 from paceline.speed.bands import Glimpse, bands_of
-from paceline.speed.trajectory import INDEX, STEPS, Prior, Trajectory, prior
+from paceline.speed.trajectory import INDEX, Prior, Trajectory, prior
 
 Array = NDArray[np.float64]
 
 LEVELS = ((2.5, False), (1.2, False), (0.7, True))  # smoothing at the farthest view, px; whether the finer bands join
 RELIEF = 0.04  # m, how far a patch may stand from the plane
 STEP = 0.1  # standard deviations: converged
-# What scores cannot show: errors that all frames and patches share. Measured on rendered clips, benchmarks/accuracy.py;
-# on a curve the road's true shape has more freedom than the polynomial of the heading.
-CALIBRATION = {"line": 1.4, "curve": 2.0}
 COARSE_STEP = 1.0  # the same before the last level, which starts where this ends
+UNSETTLED = 1.0  # a last step from which no motion can be said to have been found
+MOST_STEPS = 10
+RARE = 1.1  # log odds, 3 to 1, against an extra of the motion before any picture is seen
+NEGLIGIBLE = 1e-3  # probability of a model that need not be thought of
+LEAST_GLIMPSES = 5  # for a choice among models
+# What scores cannot show: errors that all frames and patches share. Measured on rendered clips, benchmarks/accuracy.py.
+CALIBRATION = {"line": 1.4, "curve": 1.4}
 
 
 @dataclass(frozen=True, eq=False)
 class Refined:
-    """The refined motion: parameters ``theta`` (12,), their random ``covariance`` and the systematic one (12, 12).
+    """The refined motion: parameters ``theta`` (n,), and what makes them uncertain, as covariances (n, n).
 
-    ``systematic`` is NaN where the rig states no uncertainty. ``residual`` is the median rms of a patch in grey
-    levels, ``contrast`` that of the texture; ``offsets`` (F, 2, 2) are the pixels by which each view's picture lies
-    off the motion (NaN where it was not used).
+    ``covariance`` is of the pictures' noise, ``doubt`` of the choice among models, ``systematic`` of the calibration:
+    NaN where the rig states no uncertainty. ``residual`` is the median rms of a patch in grey levels, ``contrast``
+    that of the texture; ``offsets`` (F, 2, 2) are the pixels by which each view's picture lies off the motion (NaN
+    where it was not used).
     """
 
     trajectory: Trajectory
     theta: Array
     covariance: Array
+    doubt: Array
     systematic: Array
     residual: float
     contrast: float
     offsets: Array
-    accelerating: bool
-    turning: bool
+    extras: tuple[str, ...]  # of the motion, that the evidence spoke for: acceleration, turn, swerve
     dof: float
     converged: bool
 
@@ -56,45 +63,54 @@ class Refined:
         t = self.trajectory.times.mean(1)
         g = np.zeros((len(t), len(self.theta)))
         g[:, 1], g[:, 2] = 1.0, t
-        total = self.covariance + np.nan_to_num(self.systematic)
+        total = self.covariance + self.doubt + np.nan_to_num(self.systematic)
         return g @ self.theta, np.sqrt(np.einsum("fi,ij,fj->f", g, total, g))
 
-    def mean_speed(self) -> tuple[float, float, float]:
-        """Distance over time, and its random and systematic standard deviations."""
+    def mean_speed(self) -> tuple[float, float, float, float]:
+        """Distance over time, and its standard deviations: random, of the model's choice, and systematic."""
         t = self.trajectory.times.mean(1)
         g = np.zeros(len(self.theta))
         g[1], g[2] = 1.0, 0.5 * (t[0] + t[-1])
-        return float(g @ self.theta), float(np.sqrt(g @ self.covariance @ g)), float(np.sqrt(g @ self.systematic @ g))
+        random, doubt, systematic = (float(np.sqrt(g @ C @ g)) for C in (self.covariance, self.doubt, self.systematic))
+        return float(g @ self.theta), random, doubt, systematic
 
 
 def refine(trajectory: Trajectory, glimpses: list[Glimpse], speed: float, on_path: bool) -> Refined:
     """The motion that all ``glimpses`` agree on.
 
-    ``trajectory`` carries the operator's outline along the path, ``speed`` (m/s) is the filter's mean. Constant speed,
-    unless the evidence speaks for constant acceleration; without a path straight, unless it speaks for a turn. Raises
-    numpy.linalg.LinAlgError where the images determine nothing.
+    ``trajectory`` carries the operator's outline along the path, ``speed`` (m/s) is the filter's mean. Constant speed
+    along the path, unless the evidence speaks for a constant acceleration, for swerving — a change of lane — or,
+    without a path, for a turn. Raises numpy.linalg.LinAlgError where the images determine nothing.
     """
-    fit = _Fit(trajectory, glimpses, prior(trajectory, speed, on_path, accelerating=False), None)
-    accelerating = turning = False
-    if len(glimpses) >= 5:
-        for name in ("acceleration",) if on_path else ("curvature", "acceleration"):
-            wider = dict(accelerating=accelerating, turning=turning)
-            wider["accelerating" if name == "acceleration" else "turning"] = True
-            other = _Fit(trajectory, glimpses, prior(trajectory, speed, on_path, **wider), fit)
-            if other.log_evidence(name, fit.prior) > STRONG:
-                fit, accelerating, turning = other, wider["accelerating"], wider["turning"]
-    covariance = np.zeros((len(STEPS),) * 2)
-    covariance[np.ix_(fit.prior.free, fit.prior.free)] = fit.covariance
+    fit = _Fit(trajectory, glimpses, prior(trajectory, speed))
+    extras: tuple[str, ...] = ()
+    possible = {"acceleration", "swerve"} if on_path else {"acceleration", "swerve", "turn"}
+    others: list[tuple[float, _Fit]] = []
+    while len(glimpses) >= LEAST_GLIMPSES:
+        richer = {e: fit.extended(prior(trajectory, speed, (*extras, e)), e) for e in sorted(possible - {*extras})}
+        others = list(richer.values())
+        best = max(richer, key=lambda e: richer[e][0], default=None)
+        if best is None or richer[best][0] < STRONG:
+            break
+        extras, fit = (*extras, best), richer[best][1]
+    # a model not chosen may be the true one all the same: as likely as the evidence leaves it
+    odds = np.exp([0.0, *(evidence - RARE for evidence, _ in others)])
+    covariance, doubt = np.zeros((2, *fit.whole_covariance.shape))
+    for likely, model in zip(odds / odds.sum(), (fit, *(other for _, other in others)), strict=True):
+        if likely > NEGLIGIBLE:
+            apart = model.theta - fit.theta
+            covariance += likely * model.whole_covariance
+            doubt += likely * np.outer(apart, apart)
     return Refined(
         trajectory,
         fit.theta,
         covariance,
+        doubt,
         fit.systematic(trajectory.rig.uncertainty),
         fit.residual,
         fit.contrast,
         fit.offsets(),
-        accelerating,
-        turning,
+        extras,
         fit.dof,
         fit.converged,
     )
@@ -103,26 +119,57 @@ def refine(trajectory: Trajectory, glimpses: list[Glimpse], speed: float, on_pat
 class _Fit:
     """One model fitted to the images, coarse to fine."""
 
-    def __init__(self, trajectory: Trajectory, glimpses: list[Glimpse], prior: Prior, start: _Fit | None) -> None:
+    def __init__(self, trajectory: Trajectory, glimpses: list[Glimpse], prior: Prior) -> None:
         self.trajectory, self.glimpses, self.prior = trajectory, glimpses, prior
-        self.theta: Array = self._from_filter() if start is None else start.theta.copy()
-        self.relief: Array = np.zeros(0) if start is None else start.relief.copy()
-        for smoothing, fine in LEVELS if start is None else LEVELS[-1:]:
+        self.theta, self.relief = self._from_filter(), np.zeros(0)
+        for smoothing, fine in LEVELS:
             self.bands = bands_of(glimpses, trajectory.quads(self.theta), smoothing, fine)
             if len(self.relief) != self.bands[0].patches:
                 self.relief = np.zeros(self.bands[0].patches)
-            for _ in range(10):
-                A, score, *cells = self._assemble()
-                change = -np.linalg.solve(A, score)
-                P = len(prior.free)
-                self.theta[prior.free] += change[:P]
-                self.relief += change[P:]
-                step = float(np.abs(change[:P] / np.sqrt(np.diag(np.linalg.inv(A))[:P])).max())
-                if step < (STEP if fine else COARSE_STEP):
-                    break
-        self.converged = step < 1.0
-        self.A = A
-        self._summarise(*cells)
+            self.descend(STEP if fine else COARSE_STEP)
+
+    def extended(self, prior: Prior, extra: str) -> tuple[float, _Fit]:
+        """A model that has an ``extra`` too, and the log Bayes factor by which the evidence speaks for it.
+
+        Where one step from here finds little that does, it is left there; where it finds much, it is fitted from the
+        beginning, for what this one lacks may have led it astray.
+        """
+        other = copy(self)
+        other.prior, other.theta, other.relief = prior, self.theta.copy(), self.relief.copy()
+        other.bands = [copy(band) for band in self.bands]
+        other.descend(STEP, most=1)
+        evidence = other._log_evidence(extra, scatter=1.0)
+        if evidence < np.log(NEGLIGIBLE):
+            return evidence, other
+        if evidence > STRONG:
+            other = _Fit(self.trajectory, self.glimpses, prior)
+        speed = list(prior.free).index(INDEX["speed"])
+        scatter = other.covariance[speed, speed] / np.linalg.inv(other.A)[speed, speed]
+        return other._log_evidence(extra, max(scatter, 1.0)), other
+
+    def _log_evidence(self, extra: str, scatter: float) -> float:
+        """Log Bayes factor against the same model without ``extra`` (Savage–Dickey), its covariance being ``scatter``
+        times what the pixels' noise leaves."""
+        i = self.trajectory.index(extra)
+        free = np.isin(self.prior.free, i)
+        posterior = scatter * np.linalg.inv(self.A)[: len(free), : len(free)][np.ix_(free, free)]
+        value, information = self.theta[i], self.prior.information[np.ix_(free, free)]
+        shrunk = np.linalg.slogdet(posterior)[1] + np.linalg.slogdet(information)[1]
+        return float(0.5 * value @ np.linalg.solve(posterior, value) + 0.5 * min(shrunk, 0.0))
+
+    def descend(self, enough: float, most: int = MOST_STEPS) -> None:
+        """Gauss–Newton until no parameter moves by ``enough`` of its standard deviation."""
+        P = len(self.prior.free)
+        for _ in range(most):
+            self.A, score, *self._cells = self._assemble()
+            change = -np.linalg.solve(self.A, score)
+            self.theta[self.prior.free] += change[:P]
+            self.relief += change[P:]
+            step = float(np.abs(change[:P] / np.sqrt(np.diag(np.linalg.inv(self.A))[:P])).max())
+            if step < enough:
+                break
+        self.converged = step < UNSETTLED
+        self.__dict__.pop("covariance", None)
 
     def _from_filter(self) -> Array:
         """Parameters that fit the filter's regions best, robustly."""
@@ -144,10 +191,10 @@ class _Fit:
         """∂H/∂θ (views, 3, 3, len(index)) by central differences."""
         columns = []
         for i in index:
-            e = np.zeros(len(STEPS))
-            e[i] = STEPS[i]
+            e = np.zeros(len(self.theta))
+            e[i] = self.trajectory.steps[i]
             ahead, behind = (self.trajectory.homographies(self.theta + sign * e)[0] for sign in (1, -1))
-            columns.append((ahead - behind).reshape(-1, 3, 3) / (2 * STEPS[i]))
+            columns.append((ahead - behind).reshape(-1, 3, 3) / (2 * e[i]))
         return np.stack(columns, axis=-1)
 
     def _assemble(self) -> tuple[Array, Array, Array, Array]:
@@ -175,13 +222,15 @@ class _Fit:
         information[range(P, P + K), range(P, P + K)] = 1.0 / RELIEF**2
         return information
 
-    def _summarise(self, cells_A: Array, cells: Array) -> None:
+    @cached_property
+    def covariance(self) -> Array:
         """Covariance from how the scores of frames and of patches really scatter, not from the pixels' noise.
 
         Errors that a patch repeats in every frame and that a frame makes in every patch do not average out over
         pixels: the scores are summed within each before they are squared. That is a sandwich estimate, clustered both
         ways and freed of its small-sample bias (Bell and McCaffrey 2002, "CR2"), of which the wider one is taken.
         """
+        cells_A, cells = self._cells
         P, K = len(self.prior.free), len(self.relief)
         inverse = np.linalg.inv(self.A)
         frames = [np.s_[2 * f : 2 * f + 2] for f in range(len(self.glimpses))]
@@ -196,12 +245,31 @@ class _Fit:
             meat = sum((np.outer(s, s) for s in _unbiased(self.A, clusters)), self._prior_information())
             candidates.append((inverse @ meat @ inverse)[:P, :P])
         widest = max(candidates, key=lambda C: float(C[speed, speed]))
-        self.covariance = CALIBRATION[self.trajectory.path.shape] ** 2 * widest
-        self.dof = float(min(len(frames), K) - 1)
-        base = self.bands[0]
-        self.residual = float(np.sqrt(np.median(base.variance)))
-        assert base.texture is not None
-        self.contrast = float(np.sqrt((base.texture**2).mean()))
+        return np.asarray(CALIBRATION[self.trajectory.path.shape] ** 2 * widest)
+
+    @property
+    def whole_covariance(self) -> Array:
+        """The covariance (n, n) of all parameters: zero for those that are not free."""
+        whole = np.zeros((len(self.theta),) * 2)
+        whole[np.ix_(self.prior.free, self.prior.free)] = self.covariance
+        return whole
+
+    @property
+    def dof(self) -> float:
+        """Degrees of freedom of the covariance: the fewer of frames and patches, less one."""
+        return float(min(len(self.glimpses), len(self.relief)) - 1)
+
+    @property
+    def residual(self) -> float:
+        """Median rms (grey levels) of what a view's patch leaves unexplained."""
+        return float(np.sqrt(np.median(self.bands[0].variance)))
+
+    @property
+    def contrast(self) -> float:
+        """Rms (grey levels) of the texture."""
+        texture = self.bands[0].texture
+        assert texture is not None
+        return float(np.sqrt((texture**2).mean()))
 
     def offsets(self) -> Array:
         """Pixels (F, 2, 2) by which each view's picture lies off the fitted motion; NaN where it was not used."""
@@ -210,22 +278,10 @@ class _Fit:
         off[self.bands[0].views] = self.bands[0].offsets(H, H_d, self.relief)
         return off.reshape(-1, 2, 2)
 
-    def log_evidence(self, name: str, narrower: Prior) -> float:
-        """Log Bayes factor of this model against one in which ``name`` is held to ``narrower`` (Savage–Dickey)."""
-        i = list(self.prior.free).index(INDEX[name])
-        wide = 1.0 / np.sqrt(self.prior.information[i, i])
-        spread = float(np.sqrt(self.covariance[i, i]))
-        value = float(self.theta[INDEX[name]])
-        held = INDEX[name] in narrower.free
-        j = list(narrower.free).index(INDEX[name]) if held else 0
-        rest = 1.0 / np.sqrt(narrower.information[j, j]) if held else 0.0
-        s_wide, s_held = np.hypot(spread, wide), np.hypot(spread, rest)
-        return float(0.5 * (value / s_held) ** 2 - 0.5 * (value / s_wide) ** 2 - np.log(s_wide / s_held))
-
     def systematic(self, uncertainty: RigUncertainty | None) -> Array:
-        """Covariance (12, 12) that the rig's stated uncertainty causes: the refit's response to every calibration
+        """Covariance (n, n) that the rig's stated uncertainty causes: the refit's response to every calibration
         parameter, the images held fixed. NaN where none is stated."""
-        n = len(STEPS)
+        n = len(self.theta)
         if uncertainty is None:
             return np.full((n, n), np.nan)
         rig = self.trajectory.rig
@@ -233,7 +289,7 @@ class _Fit:
         changes = []
         for moved in perturbed(rig, uncertainty):
             t = self.trajectory
-            other = Trajectory(moved, t.quad, t.plane, t.path, t.times)
+            other = replace(t, rig=moved)
             changes.append(other.homographies(self.theta)[0].reshape(-1, 3, 3) - H)
         p = self.prior
         P, K, Q = len(p.free), len(self.relief), len(changes)
@@ -267,15 +323,14 @@ def _spread_scores(cells: Array) -> Array:
 
 
 def _unbiased(A: Array, clusters: list[tuple[Array, Array]]) -> list[Array]:
-    """Cluster scores, each enlarged for having drawn the fit to itself: A^½ (I − B)^−½ A^−½ s with B = A^−½ Aᵢ A^−½."""
-    values, vectors = np.linalg.eigh(A)
-    root = vectors * np.sqrt(values) @ vectors.T
-    back = vectors / np.sqrt(values) @ vectors.T
+    """Cluster scores, enlarged for having drawn the fit to themselves: L (I − B)^−½ L⁻¹ s, B = L⁻¹ Aᵢ L⁻ᵀ, A = L Lᵀ."""
+    L = np.linalg.cholesky(A)
+    back = np.linalg.inv(L)
     scores = []
     for A_i, s in clusters:
-        share, axes = np.linalg.eigh(back @ A_i @ back)
+        share, axes = np.linalg.eigh(back @ A_i @ back.T)
         enlarged = axes / np.sqrt(np.maximum(1.0 - share, LEAST_REST)) @ axes.T
-        scores.append(root @ enlarged @ back @ s)
+        scores.append(L @ enlarged @ back @ s)
     return scores
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from paceline.cameras import StereoRig
-from paceline.speed import pixels_cpu
+from paceline.speed import registration_cpu
 from paceline.speed.likelihood import Grid, unit_square_to
 from paceline.speed.planes import FirstPlane
 
@@ -57,6 +57,10 @@ class PlaneGrid:
         U, V = np.meshgrid(u, v)
         self.places = np.stack([self.by_part(U), self.by_part(V), np.ones((grid.parts, x * y))])
         self.step = (u[1] - u[0], v[1] - v[0])
+        sample = self.whole(np.arange(U.size).reshape(grid.parts, -1))
+        around = np.pad(sample, 1, mode="edge")  # at the rim a sample is its own neighbour
+        beside = around[1:-1, :-2], around[1:-1, 2:], around[:-2, 1:-1], around[2:, 1:-1]
+        self.neighbours = np.stack([self.by_part(places) for places in beside]).reshape(4, -1)
 
     def by_part(self, values: Array) -> Array:
         """(rows, columns) of the whole grid as (parts, samples)."""
@@ -64,28 +68,23 @@ class PlaneGrid:
         return a.reshape(self.shape[0] * self.shape[2], -1)
 
     def whole(self, values: Array) -> Array:
-        """(…, parts, samples) as (…, rows, columns)."""
+        """(parts, samples) as (rows, columns) of the whole grid."""
         d, y, a, x = self.shape
-        return np.moveaxis(values.reshape(*values.shape[:-2], d, a, y, x), -3, -2).reshape(
-            *values.shape[:-2], d * y, a * x
-        )
+        return values.reshape(d, a, y, x).swapaxes(1, 2).reshape(d * y, a * x)
 
-    def slopes(self, values: Array) -> Array:
-        """∂/∂u and ∂/∂v (2, …, parts, samples) of ``values`` (…, parts, samples)."""
-        whole = self.whole(values)
-        down, across = (np.gradient(whole, step, axis=a) for step, a in ((self.step[1], -2), (self.step[0], -1)))
-        return np.stack([self._parts(np.asarray(across)), self._parts(np.asarray(down))])
+    def slopes_in_image(self, texture: Array, pixels: Array) -> Array:
+        """∂I/∂x and ∂I/∂y (2, parts, samples) of a ``texture`` (parts, samples) that is seen at ``pixels``
+        (2, parts, samples)."""
+        slopes = np.empty(pixels.shape)
+        flat = pixels.reshape(2, -1), self.neighbours, slopes.reshape(2, -1)
+        registration_cpu.slopes_in_image(texture.reshape(-1), *flat)
+        return slopes
 
     def smoothed(self, values: Array, coarseness: float) -> Array:
         """``values`` (parts, samples) smoothed as a picture is that was smoothed ``coarseness`` times as much."""
         sigma = 0.7 * np.sqrt(coarseness**2 - 1.0)
         whole = cv2.GaussianBlur(self.whole(values), (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
-        return self._parts(np.asarray(whole))
-
-    def _parts(self, whole: Array) -> Array:
-        d, y, a, x = self.shape
-        b = np.moveaxis(whole.reshape(*whole.shape[:-2], d, y, a, x), -3, -2)
-        return np.asarray(b.reshape(*whole.shape[:-2], d * a, y * x))
+        return self.by_part(np.asarray(whole))
 
 
 def register(
@@ -106,83 +105,75 @@ def register(
     """
     if coarseness > 1.0:
         texture = grid.smoothed(texture, coarseness)
-    T = np.ascontiguousarray(texture - texture.mean(-1, keepdims=True))
-    slopes = grid.slopes(texture)
-    directions = np.ascontiguousarray(directions)
-    projected = rig.project(points)
-    pictures = []
+    T = texture - texture.mean(-1, keepdims=True)
+    seeing = []
     for v in views:
-        pixels = projected[v]
+        P, K, R = _in_camera(rig, v, points), rig.cameras[v].K.copy(), np.eye(3) if v == 0 else rig.R
+        pixels = _projected(K, P)
         picture, corner = _smoothed(images[v], pixels, grid, coarseness)
-        K = rig.cameras[v].K.copy()
         K[:2, 2] -= corner
-        R, t = (np.eye(3), np.zeros(3)) if v == 0 else (rig.R, rig.t)
-        pictures.append((picture, K, R, t, _slopes_in_image(slopes, pixels, grid)))
-    V, (parts, samples), k = len(views), texture.shape, directions.shape[1]
+        seeing.append((picture, K, R, P, R @ directions, grid.slopes_in_image(texture, pixels)))
+    V, (parts, samples), k = len(views), T.shape, directions.shape[1]
     TT = (T * T).sum(-1)
-    w = np.ones((V, parts))
-    shift = np.zeros(3)
+    shift, w = np.zeros(3), np.ones((V, parts))
     seen, JJ, JT, JI = np.empty((V, parts, samples)), np.empty((V, parts, k, k)), *np.empty((2, V, parts, k))
     TI, II = np.empty((2, V, parts))
+    normal, scores = np.empty((k, k)), np.empty((V, parts, k))
     for _ in range(ITERATIONS):
-        for v, (picture, K, R, t, slope) in enumerate(pictures):
-            pixels_cpu.part_products(
-                picture, K, R, t, points + shift, T, slope, directions, seen[v], JJ[v], JT[v], JI[v], TI[v], II[v]
+        for v, (picture, K, R, P, turned, slopes) in enumerate(seeing):
+            registration_cpu.part_products(
+                picture, K, P, R @ shift, turned, T, slopes, seen[v], JJ[v], JT[v], JI[v], TI[v], II[v]
             )
-        gain = np.clip((w * TI).sum(1) / ((w * TT).sum(1) + 1e-9), *GAINS)[:, None]
-        variance = np.maximum(II / gain**2 - 2 * TI / gain + TT, 0.0) / samples
-        w = 1.0 / (variance + 0.5 * np.median(variance, axis=1, keepdims=True) + QUANTISED)
-        # the gain is common to the view: what it explains is taken from the sensitivities
-        along = np.einsum("vp,vpi->vi", w, JT) / ((w * TT).sum(1) + 1e-9)[:, None]
-        normal = np.einsum("vp,vpij->ij", w, JJ) - np.einsum("v,vi,vj->ij", (w * TT).sum(1), along, along)
-        scores = w[..., None] * (JI / gain[..., None] - JT - along[:, None] * (TI / gain - TT)[..., None])
-        scores = scores.reshape(-1, k)
+        registration_cpu.normal_equations(JJ, JT, JI, TT, TI, II, samples, GAINS, QUANTISED, w, normal, scores)
         inverse = np.linalg.inv(normal)
-        step = -inverse @ scores.sum(0)
+        step = -inverse @ scores.sum((0, 1))
         shift = shift + directions @ step
         if step @ normal @ step < CONVERGED:
             break
-    spread = inverse @ (scores.T @ scores + CORRELATED * normal) @ inverse
+    flat = scores.reshape(-1, k)
+    spread = inverse @ (flat.T @ flat + CORRELATED * normal) @ inverse
     likeness = TI.sum(1) / np.sqrt((II.sum(1) + 1e-9) * (TT.sum() + 1e-9))
     return Registration(shift, directions @ spread @ directions.T, float(likeness.mean()), seen)
 
 
-def _slopes_in_image(slopes: Array, pixels: Array, grid: PlaneGrid) -> Array:
-    """∂I/∂x and ∂I/∂y (2, parts, samples): the texture's ``slopes`` over the unit square carried to ``pixels``."""
-    g = grid.slopes(np.moveaxis(pixels, -1, 0))  # (2 of uv, 2 of xy, parts, samples)
-    det = g[0, 0] * g[1, 1] - g[1, 0] * g[0, 1]
-    return np.stack(
-        [(slopes[0] * g[1, 1] - slopes[1] * g[0, 1]) / det, (slopes[1] * g[0, 0] - slopes[0] * g[1, 0]) / det]
-    )
+def _in_camera(rig: StereoRig, view: int, points: Array) -> Array:
+    """World ``points`` (parts, samples, 3) in the frame of the camera of ``view``, coordinate by coordinate:
+    (3, parts, samples)."""
+    P = np.ascontiguousarray(np.moveaxis(points, -1, 0))
+    if view == 0:
+        return P
+    return np.asarray((rig.R @ P.reshape(3, -1) + rig.t[:, None]).reshape(P.shape))
+
+
+def _projected(K: Array, P: Array) -> Array:
+    """Pixels (2, parts, samples) of points ``P`` (3, parts, samples) in the camera's frame ([Zhu] (4))."""
+    p = K @ P.reshape(3, -1)
+    return np.asarray((p[:2] / p[2]).reshape(2, *P.shape[1:]))
 
 
 def _smoothed(image: Image, pixels: Array, grid: PlaneGrid, coarseness: float = 1.0) -> tuple[Image, Array]:
-    """The part of ``image`` about ``pixels`` (…, 2), smoothed to the grid's spacing there or ``coarseness`` times as
+    """The part of ``image`` about ``pixels`` (2, …), smoothed to the grid's spacing there or ``coarseness`` times as
     much, and its first pixel."""
-    flat = pixels.reshape(-1, 2)
-    low, high = flat.min(0), flat.max(0)
+    low, high = (np.array([extreme(axis) for axis in pixels]) for extreme in (np.min, np.max))
     size = (high - low) * np.array(grid.step)
     sigma = max(0.6, 0.7 * float(size.max())) * coarseness
     corner = np.maximum(np.floor(low - 8 - 3 * sigma), 0).astype(int)
     end = np.ceil(high + 9 + 3 * sigma).astype(int)
-    corner = np.minimum(corner, np.array(image.shape[1::-1]) - 1)
-    end = np.maximum(end, corner + 1)
+    corner = np.minimum(corner, np.array(image.shape[1::-1]) - 2)  # two by two pixels at least, to interpolate between
+    end = np.maximum(end, corner + 2)
     crop = image[corner[1] : end[1], corner[0] : end[0]]
     return np.asarray(cv2.GaussianBlur(crop, (0, 0), sigma), np.float32), corner.astype(float)
-
-
-def _sampled(image: Image, pixels: Array) -> Array:
-    x, y = np.asarray(pixels[..., 0], np.float32), np.asarray(pixels[..., 1], np.float32)
-    return np.asarray(cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), float)
 
 
 def sample(rig: StereoRig, images: tuple[Image, Image], points: Array, grid: PlaneGrid) -> Array:
     """What both views show at ``points`` (parts, samples, 3), smoothed to the grid's spacing: (2, parts, samples)."""
     seen = []
-    for image, pixels in zip(images, rig.project(points), strict=True):
+    for v, image in enumerate(images):
+        pixels = _projected(rig.cameras[v].K, _in_camera(rig, v, points))
         crop, corner = _smoothed(image, pixels, grid)
-        seen.append(_sampled(crop, pixels - corner))
-    return np.stack(seen)
+        x, y = (pixels - corner[:, None, None]).astype(np.float32)
+        seen.append(cv2.remap(crop, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
+    return np.array(seen, float)
 
 
 class Appearance:
@@ -247,6 +238,7 @@ class Appearance:
 
     def surface(self, left: Array, normal: Array, distance: float) -> Array:
         """Sample points (parts, samples, 3) on the plane behind the left region (4, 2)."""
-        H = unit_square_to(left[None])[0]
-        rays = np.moveaxis(np.tensordot(self.rig.left.K_inv @ H, self.grid.places, 1), 0, -1)
-        return np.asarray(rays * (distance / (rays @ normal))[..., None])
+        to_rays = self.rig.left.K_inv @ unit_square_to(left[None])[0]
+        rays = to_rays @ self.grid.places.reshape(3, -1)
+        surface = (rays * (distance / (normal @ rays))).reshape(self.grid.places.shape)
+        return np.asarray(np.moveaxis(surface, 0, -1))

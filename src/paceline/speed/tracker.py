@@ -209,7 +209,10 @@ class Tracker:
         w, state, mean = self.weights, self.state, self._mean()
         position = w.mean(motion.centres(self.rig, state))
         likeness = self._learn(mean)
-        self._unseen = self._unseen + 1 if likeness < LOST else 0
+        if likeness < LOST:
+            self._unseen += 1
+        elif likeness > SEEN:  # a passing likeness of something else is no sight of it
+            self._unseen = 0
         if self._outside(mean, position):
             self.status = "ended"
         elif self._unseen >= PATIENCE:

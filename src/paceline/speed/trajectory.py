@@ -1,4 +1,4 @@
-"""The smooth motion of a plane along its path, as a function of a dozen parameters.
+"""The smooth motion of a plane along its path, as a function of a few parameters.
 
 A :class:`Trajectory` turns them into what the refinement compares with the images: the homographies from the unit
 square of the plane's region to both views at every frame.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from math import factorial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,23 +27,23 @@ NAMES = (
     "acceleration",  # m/s²
     "normal_yaw",  # rad, from the first plane's normal
     "normal_tilt",
-    "yaw",  # rad, of the travel from the drawn path, to the right
-    "curvature",  # 1/m and so on: the further terms of a polynomial in the distance travelled
-    "curvature_slope",
-    "curvature_bend",
-    "pitch",  # rad, downwards
-    "pitch_curvature",
-    "pitch_slope",
-)
+    "turn",  # 1/m, a curvature that the path does not have, to the right
+)  # and then the amplitudes of bends and swerves
 INDEX = {name: i for i, name in enumerate(NAMES)}
-STEPS = np.array([1e-5, 1e-4, 1e-4, 1e-5, 1e-5, 1e-5, 1e-6, 1e-7, 1e-8, 1e-5, 1e-6, 1e-7])
-YAWS, PITCHES = slice(5, 9), slice(9, 12)
+EXTRAS = ("acceleration", "turn", "swerve")
+BENDS = slice(len(NAMES), None)
+STEPS = np.array([1e-5, 1e-4, 1e-4, 1e-5, 1e-5, 1e-6])
+AMPLITUDE_STEP = 1e-3
 
-# How a driver departs from the path of the lane, one sigma: heading, curvature (lane keeping), and further terms
-DRIVER = np.array([np.radians(1.0), 3e-4, 1e-5, 1e-7, np.radians(0.3), 1e-4, 1e-6])
+# How a driver departs from the path of the lane, one sigma of each term of a polynomial in the distance: heading in
+# rad, curvature (lane keeping) in 1/m, and so on
+DRIVER = {"yaw": (np.radians(1.0), 3e-4, 1e-5, 1e-7), "pitch": (np.radians(0.3), 1e-4, 1e-6)}
 # Without a path the direction is what the filter found, no better than this; a turn is another model
-UNGUIDED = np.array([np.radians(15.0), 3e-4, 0.0, 0.0, np.radians(5.0), 1e-4, 0.0])
+UNGUIDED = {"yaw": (np.radians(15.0), 3e-4), "pitch": (np.radians(5.0), 1e-4)}
+LEAST_BEND = 1e-4  # rad, rms: a bend below moves nothing by a pixel's hundredth
 TURNING = 0.03  # 1/m, the curvature of a vehicle that turns
+SWERVING = 0.1, 8.0  # rad, m: the heading of a vehicle that changes lane, and over what distance it changes
+LEAST_SWERVE = 1e-3  # rad, rms
 FIRST_SPEED = 30.0  # m/s, acceleration and depth: so wide that only their finiteness matters
 HARD_BRAKING = 2.0  # m/s²
 DEPTH = 0.3
@@ -50,7 +51,7 @@ DEPTH = 0.3
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """What is known without the images: the mean (12,) of all parameters, which are ``free``, and their information."""
+    """What is known without the images: the mean (n,) of all parameters, which are ``free``, and their information."""
 
     mean: Array
     free: NDArray[np.int64]
@@ -58,10 +59,67 @@ class Prior:
 
 
 @dataclass(frozen=True, eq=False)
+class Bends:
+    """How a vehicle's own path may turn away from the drawn one: independent modes of one standard deviation each.
+
+    ``u`` (N,) are distances from where the vehicle was first seen, ``modes`` (K, 2, N) the changes of yaw, to the
+    right, and of pitch, downwards, in radians. The last ``swerves`` of them are those of a vehicle that leaves its
+    lane.
+    """
+
+    u: Array
+    modes: Array
+    swerves: int
+
+    @cached_property
+    def _spline(self) -> CubicSpline:
+        return CubicSpline(self.u, np.moveaxis(self.modes, -1, 0))
+
+    def turns(self, amplitudes: Array, u: Array) -> Array:
+        """Yaw and pitch (2, M) at distances ``u`` (M,); beyond what was foreseen they stay as they are there."""
+        return np.asarray(np.tensordot(amplitudes, self._spline(np.clip(u, self.u[0], self.u[-1])), (0, 1)).T)
+
+
+def bends(path: Path, start: float, length: float, on_path: bool) -> Bends:
+    """The bends of a vehicle that drives ``length`` metres along ``path`` from arc length ``start``.
+
+    They are the principal components of what the path's reconstruction leaves open and of how drivers keep to a lane.
+    No polynomial does: the reconstruction errs in many ways, and what a bend of the model cannot follow is taken for
+    a change of depth, so of speed.
+    """
+    u = np.linspace(-1.0, length + 1.0, 81)
+    orders = (4, 3) if path.shape == "curve" else (2, 2)
+    driver = DRIVER if on_path else UNGUIDED
+    modes = [
+        sigma * np.outer(axis, u**k / factorial(k))
+        for axis, order, sigmas in zip(np.eye(2), orders, driver.values(), strict=True)
+        for k, sigma in enumerate(sigmas[:order])
+    ]
+    if on_path:
+        modes += list(np.stack(path.heading_modes(start + u), axis=1))
+    _, size, shapes = np.linalg.svd(np.reshape(modes, (len(modes), -1)), full_matrices=False)
+    keep = size > LEAST_BEND * np.sqrt(len(u))
+    kept = (size[keep, None] * shapes[keep]).reshape(-1, 2, len(u))
+    swerves = _swerves(u)
+    return Bends(u, np.concatenate([kept, swerves]), len(swerves))
+
+
+def _swerves(u: Array) -> Array:
+    """Modes (S, 2, N) of a heading that is a Gaussian process over the distance ``u`` (N,)."""
+    sigma, length = SWERVING
+    kernel = sigma**2 * np.exp(-0.5 * ((u[:, None] - u) / length) ** 2)
+    variance, shapes = np.linalg.eigh(kernel)
+    keep = variance > LEAST_SWERVE**2 * len(u)
+    yaw = (np.sqrt(variance[keep]) * shapes[:, keep]).T
+    return np.stack([yaw, np.zeros_like(yaw)], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
 class Trajectory:
     """A plane region ``quad`` (4, 2), outlined in the left view at time 0, carried along ``path``.
 
-    ``plane`` gives the normal; ``times`` (F, 2) are each view's exposures in seconds since the outline.
+    ``plane`` gives the normal; ``times`` (F, 2) are each view's exposures in seconds since the outline. The parameters
+    ``theta`` (n,) are those of NAMES, followed by the amplitudes of ``bends``.
     """
 
     rig: StereoRig
@@ -69,6 +127,17 @@ class Trajectory:
     plane: FirstPlane
     path: Path
     times: Array
+    bends: Bends
+
+    @cached_property
+    def steps(self) -> Array:
+        """Steps (n,) at which differences give the parameters' derivatives."""
+        return np.concatenate([STEPS, np.full(len(self.bends.modes), AMPLITUDE_STEP)])
+
+    def index(self, name: str) -> NDArray[np.int64]:
+        """Where the parameters of an extra of the motion stand in ``theta``: one of NAMES, or "swerve"."""
+        n = len(self.steps)
+        return np.arange(n - self.bends.swerves, n) if name == "swerve" else np.array([INDEX[name]])
 
     @cached_property
     def _ray(self) -> Array:
@@ -94,7 +163,8 @@ class Trajectory:
         travelled = self.distance(theta)
         ends = np.array([min(travelled.min(), 0.0), max(travelled.max(), 0.0)])
         u = np.linspace(ends[0] - 1.0, ends[1] + 1.0, 97)
-        yaw, pitch = polynomial(theta[YAWS], u), polynomial(theta[PITCHES], u)
+        yaw, pitch = self.bends.turns(theta[BENDS], u)
+        yaw = yaw + theta[INDEX["turn"]] * u
         F = self.path.frames(s0 + u)
         T = F[:, :, 0] + yaw[:, None] * F[:, :, 1] + pitch[:, None] * F[:, :, 2]
         tangent = CubicSpline(u, T / np.linalg.norm(T, axis=1, keepdims=True))
@@ -128,12 +198,6 @@ class Trajectory:
         return np.asarray(R[:, 0] @ (self._ray * np.exp(theta[0])) + t[:, 0])
 
 
-def polynomial(coefficients: Array, u: Array) -> Array:
-    """c₀ + c₁ u + c₂ u²/2 + c₃ u³/6 at ``u`` (N,)."""
-    powers = np.stack([np.ones_like(u), u, u**2 / 2, u**3 / 6])
-    return np.asarray(coefficients @ powers[: len(coefficients)])
-
-
 def turned(normal: Array, yaw: float, tilt: float) -> Array:
     """A unit ``normal`` (3,) in path axes T, P, B, turned by ``yaw`` about B and by ``tilt`` about the horizontal."""
     B = np.array([0.0, 0.0, 1.0])
@@ -149,39 +213,19 @@ def corners_of(H: Array) -> Array:
     return np.asarray(p[..., :2] / p[..., 2:])
 
 
-def prior(trajectory: Trajectory, speed: float, on_path: bool, accelerating: bool, turning: bool = False) -> Prior:
-    """What is known before the images: the path's reconstruction, how drivers keep to it, how fronts stand.
+def prior(trajectory: Trajectory, speed: float, extras: tuple[str, ...] = ()) -> Prior:
+    """What is known before the images: how drivers brake, turn and swerve, how fronts stand, the bends by their making.
 
-    ``speed`` (m/s) is the first guess, on which the prior hardly depends.
+    ``speed`` (m/s) is the first guess, on which the prior hardly depends. ``extras`` ("acceleration", "turn", "swerve")
+    are held to zero where they are not named.
     """
-    path, plane = trajectory.path, trajectory.plane
-    mean = np.zeros(len(NAMES))
+    plane = trajectory.plane
+    std = np.ones(len(trajectory.steps))
+    std[: len(NAMES)] = DEPTH, FIRST_SPEED, HARD_BRAKING, *plane.normal_std, TURNING
+    for name in EXTRAS:
+        if name not in extras:
+            std[trajectory.index(name)] = 0.0
+    mean = np.zeros_like(std)
     mean[:2] = np.log(plane.centre[2]), speed
-    variance = np.zeros((len(NAMES),) * 2)
-    variance[range(5), range(5)] = (
-        np.array([DEPTH, FIRST_SPEED, HARD_BRAKING if accelerating else 0.0, *plane.normal_std]) ** 2
-    )
-    heading = np.diag((DRIVER if on_path else UNGUIDED) ** 2)
-    if on_path:
-        heading += _heading_covariance(trajectory, speed)
-    if turning:
-        heading[1, 1] += TURNING**2
-    terms = np.arange(7) if path.shape == "curve" else np.array([0, 1, 4, 5])
-    index = 5 + terms
-    variance[np.ix_(index, index)] = heading[np.ix_(terms, terms)]
-    free = np.flatnonzero(np.diag(variance) > 0)
-    return Prior(mean, free, np.asarray(np.linalg.inv(variance[np.ix_(free, free)]), float))
-
-
-def _heading_covariance(trajectory: Trajectory, speed: float) -> Array:
-    """Covariance (7, 7) of the heading's polynomial terms from the modes of the path's reconstruction."""
-    path = trajectory.path
-    length = max(abs(speed) * float(np.ptp(trajectory.times)), 5.0)
-    u = np.linspace(0.0, length, 25)
-    yaw, pitch = path.heading_modes(path.nearest(trajectory.plane.centre) + u)
-    orders = (4, 3) if path.shape == "curve" else (1, 1)
-    terms = np.zeros((len(yaw), 7))
-    for modes, order, first in ((yaw, orders[0], 0), (pitch, orders[1], 4)):
-        powers = np.stack([np.ones_like(u), u, u**2 / 2, u**3 / 6])[:order]
-        terms[:, first : first + order] = np.linalg.lstsq(powers.T, modes.T)[0].T
-    return np.asarray(terms.T @ terms)
+    free = np.flatnonzero(std > 0)
+    return Prior(mean, free, np.diag(1.0 / std[free] ** 2))
