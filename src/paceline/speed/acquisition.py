@@ -13,6 +13,7 @@ from paceline.documents import VehicleDocument
 from paceline.speed import motion
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.motion import PathMotion, State
+from paceline.speed.paths import DRIVEN
 from paceline.speed.planes import FirstPlane
 
 Array = NDArray[np.float64]
@@ -52,7 +53,8 @@ def along_path(
 ) -> State:
     """``state`` set off along ``model``'s path: at speeds about the ``guess`` (m/s), or over all that vehicles drive.
 
-    Each particle draws its own heading from the covariance of the path's reconstruction.
+    Each particle draws its own heading: from the covariance of the path's reconstruction, and from how drivers keep to
+    a path.
     """
     N = len(state)
     if guess is None:
@@ -64,6 +66,7 @@ def along_path(
     if not configuration.exact_path:
         yaw, pitch = model.path.heading_modes(np.array([start]))
         heading = rng.normal(0.0, 1.0, (N, len(yaw))) @ np.concatenate([yaw, pitch], axis=1)
+        heading += rng.normal(0.0, 1.0, (N, 2)) * DRIVEN
     forward = model.path.frames(np.array(start))[:, 0]
     s = start + (motion.centres(rig, state) - plane.centre) @ forward
     return replace(state, speed=speed, s=s, heading=heading)

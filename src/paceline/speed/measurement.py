@@ -35,7 +35,7 @@ CONFIDENCE = 0.95
 LEAST_FRAMES = 4
 MOST_GLIMPSES = 32  # frames kept for the refinement; of a longer track, evenly spread ones
 MARGIN = (0.6, 24.0)  # kept about a region, as a share of its size and in pixels
-WIDEST = (0.05, 0.5)  # half-width of an interval that still counts: relative, and m/s
+WIDEST = (0.06, 0.5)  # half-width of an interval that still counts: relative, and m/s
 MISFIT = 0.6  # share of the texture's contrast that may stay unexplained
 OFF = 0.6  # px, rms over the frames: how far the pictures may lie off the motion
 DISAGREE = 1.0  # px across the epipolar lines
@@ -240,10 +240,10 @@ class _Run:
         return notices
 
     def _from_filter(self, tracked: list[Estimate]) -> Measurement:
-        """Without refinement: the filter's mean speed, and the spread of its estimates."""
+        """Without refinement: the filter's speeds, averaged by what they claim to know, and how much they do."""
         speeds = np.array([e.speed for e in tracked[1:]])
-        spread = np.array([e.speed_std for e in tracked[1:]])
-        speed, std = float(speeds.mean()), float(np.sqrt(np.mean(spread**2)))
+        information = 1.0 / np.array([e.speed_std for e in tracked[1:]]) ** 2
+        speed, std = float(np.average(speeds, weights=information)), float(1.0 / np.sqrt(information.mean()))
         half = float(ndtri(0.5 + CONFIDENCE / 2)) * std
         reason = f"interval too wide: ± {half:.2f} m/s" if half > max(WIDEST[0] * speed, WIDEST[1]) else ""
         return Measurement(

@@ -24,6 +24,7 @@ DRAWING_SIGMA = 0.5  # px, the noise of a drawn point where too few points are d
 MAX_DIRECTION_STD = np.radians(6.0)  # a path less certain than this constrains nothing
 LEAST_SEPARATION = 5.0  # standard deviations by which the planes through a drawn line must differ
 SURVEY_SIGMA = 0.02  # m, of a surveyed point
+DRIVEN = np.radians([1.0, 0.3])  # yaw and pitch by which a vehicle's way differs from its lane's, one sigma
 SAMPLES = 128
 
 

@@ -29,7 +29,6 @@ STEP = 0.1  # standard deviations: converged
 COARSE_STEP = 1.0  # the same before the last level, which starts where this ends
 UNSETTLED = 1.0  # a last step from which no motion can be said to have been found
 MOST_STEPS = 10
-RARE = 1.1  # log odds, 3 to 1, against an extra of the motion before any picture is seen
 NEGLIGIBLE = 1e-3  # probability of a model that need not be thought of
 LEAST_GLIMPSES = 5  # for a choice among models
 # What scores cannot show: errors that all frames and patches share. Measured on rendered clips, benchmarks/accuracy.py.
@@ -90,7 +89,7 @@ def refine(trajectory: Trajectory, glimpses: list[Glimpse], speed: float, on_pat
         richer = {e: fit.extended(prior(trajectory, speed, (*extras, e)), e) for e in sorted(possible - {*extras})}
         others = list(richer.values())
         best = max(richer, key=lambda e: richer[e][0], default=None)
-        if best is None or richer[best][0] < STRONG:
+        if best is None or richer[best][0] < RARE:
             break
         extras, fit = (*extras, best), richer[best][1]
     # a model not chosen may be the true one all the same: as likely as the evidence leaves it
@@ -141,7 +140,7 @@ class _Fit:
         evidence = other._log_evidence(extra, scatter=1.0)
         if evidence < np.log(NEGLIGIBLE):
             return evidence, other
-        if evidence > STRONG:
+        if evidence > RARE:
             other = _Fit(self.trajectory, self.glimpses, prior)
         speed = list(prior.free).index(INDEX["speed"])
         scatter = other.covariance[speed, speed] / np.linalg.inv(other.A)[speed, speed]
@@ -335,7 +334,7 @@ def _unbiased(A: Array, clusters: list[tuple[Array, Array]]) -> list[Array]:
 
 
 LEAST_REST = 0.05  # share of the information that a single cluster leaves to the others, at least
-STRONG = 3.0  # log Bayes factor, 20 to 1, that speaks for a richer model
+RARE = 3.0  # log odds, 20 to 1, against an extra of the motion before any picture is seen
 
 
 def perturbed(rig: StereoRig, uncertainty: RigUncertainty) -> list[StereoRig]:

@@ -101,7 +101,7 @@ class Tracker:
                 self._acquire(frame, dt)
             else:
                 self.state = self.motion.propagate(self.state, dt, self.rng)
-            self._guide(frame)
+                self._guide(frame)
             self._look(frame, self.state)
             self.weights = self.weights.updated(self._log_likelihood(self._observe(self.state)))
             estimate = self._estimate(frame, dt)
@@ -140,17 +140,9 @@ class Tracker:
 
     def _acquire(self, frame: StereoFrame, dt: float) -> None:
         """The second frame: which way the vehicle drives, and how fast."""
-        assert self._first is not None
-        outcomes = []
+        outcomes, first = [], self.state
         for way in self._ways:
-            if isinstance(way, PathMotion):
-                start = acquisition.along_path(
-                    self.state, self.plane, way, self.rig, self.vehicle.speed, self.configuration, self.rng
-                )
-            else:
-                start = acquisition.as_matched(
-                    self.state, self.plane, self.rig, self.vehicle, self._first.left, frame.left, dt, self.rng
-                )
+            start = self._set_off(first, way, frame, dt, self.vehicle.speed)
             state = way.propagate(start, dt, self.rng)
             self._look(frame, state)
             lw = self._log_likelihood(self._observe(state))
@@ -159,7 +151,25 @@ class Tracker:
         if isinstance(self.motion, PathMotion):
             self.path = self.motion.path
         self.weights = Weights(lw) if self.appearance is None else _tempered(lw)
-        self._resample()
+        found = self._registered(frame)
+        if found is None:
+            self._resample()
+            return
+        # how sure the first speed is follows from registration alone: weights would leave too few particles to say
+        start, guess = first[np.arange(self.configuration.particles)], float(self.weights.mean(self.state.speed))
+        self.state = self.motion.propagate(self._set_off(start, self.motion, frame, dt, guess), dt, self.rng)
+        self.weights = Weights.equal(len(self.state))
+        self._correct(*found)
+
+    def _set_off(
+        self, start: State, way: PathMotion | FreeMotion, frame: StereoFrame, dt: float, guess: float | None
+    ) -> State:
+        """The first particles, set off along ``way``."""
+        if isinstance(way, PathMotion):
+            return acquisition.along_path(start, self.plane, way, self.rig, guess, self.configuration, self.rng)
+        assert self._first is not None
+        images = self._first.left, frame.left
+        return acquisition.as_matched(start, self.plane, self.rig, self.vehicle, *images, dt, self.rng)
 
     # --- every further frame -----------------------------------------------------------------------------------------
 
@@ -169,10 +179,15 @@ class Tracker:
         The paper's dynamics model alone proposes blindly. Here every particle takes the Kalman step that the whole
         cloud's covariance gives between where its plane is and everything else in its state.
         """
+        found = self._registered(frame)
+        if found is not None:
+            self._correct(*found)
+
+    def _registered(self, frame: StereoFrame) -> tuple[Array, Array] | None:
+        """Where registration saw the plane's centre (3,), and its covariance; None where it saw nothing to believe."""
         if self.appearance is None:
-            return
-        w, state = self.weights, self.state
-        mean = self._mean()
+            return None
+        w, state, mean = self.weights, self.state, self._mean()
         doubt = float(np.hypot(*w.std(motion.diagonal_crossings(state.left))))
         images = frame.left, frame.right
         found = self.appearance.find(images, mean.left[0], mean.normal[0], float(mean.distance[0]), doubt)
@@ -180,11 +195,16 @@ class Tracker:
         spread = w.covariance(places) + found.covariance
         surprise = float(found.shift @ np.linalg.solve(spread, found.shift))
         if found.likeness < (SEEN if surprise < SURPRISING else SURE):
-            return
+            return None
         self.appearance.learn(found)
-        noise = self.rng.normal(0.0, 1.0, places.shape) @ np.linalg.cholesky(found.covariance + TINY * np.eye(3)).T
-        seen = w.mean(places) + found.shift + noise
-        self.state = motion.corrected(self.rig, state, w.W, places, seen, found.covariance, self.motion)
+        return w.mean(places) + found.shift, found.covariance
+
+    def _correct(self, place: Array, covariance: Array) -> None:
+        """The ensemble Kalman step of all particles towards the ``place`` (3,) that was seen."""
+        places = motion.centres(self.rig, self.state)
+        noise = self.rng.normal(0.0, 1.0, places.shape) @ np.linalg.cholesky(covariance + TINY * np.eye(3)).T
+        W = self.weights.W
+        self.state = motion.corrected(self.rig, self.state, W, places, place + noise, covariance, self.motion)
 
     def _look(self, frame: StereoFrame, state: State) -> None:
         """Make the images ready for sampling where the particles look."""

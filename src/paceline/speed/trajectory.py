@@ -16,7 +16,7 @@ from scipy.interpolate import CubicSpline
 
 from paceline.cameras import StereoRig
 from paceline.speed.likelihood import unit_square_to
-from paceline.speed.paths import Path, level_frames, rolled, rotation_minimising_roll
+from paceline.speed.paths import DRIVEN, Path, level_frames, rolled, rotation_minimising_roll
 from paceline.speed.planes import FirstPlane
 
 Array = NDArray[np.float64]
@@ -37,7 +37,7 @@ AMPLITUDE_STEP = 1e-3
 
 # How a driver departs from the path of the lane, one sigma of each term of a polynomial in the distance: heading in
 # rad, curvature (lane keeping) in 1/m, and so on
-DRIVER = {"yaw": (np.radians(1.0), 3e-4, 1e-5, 1e-7), "pitch": (np.radians(0.3), 1e-4, 1e-6)}
+DRIVER = {"yaw": (DRIVEN[0], 3e-4, 1e-5, 1e-7), "pitch": (DRIVEN[1], 1e-4, 1e-6)}
 # Without a path the direction is what the filter found, no better than this; a turn is another model
 UNGUIDED = {"yaw": (np.radians(15.0), 3e-4), "pitch": (np.radians(5.0), 1e-4)}
 LEAST_BEND = 1e-4  # rad, rms: a bend below moves nothing by a pixel's hundredth
