@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from paceline.cameras import Camera, RigUncertainty, StereoRig
+from paceline.speed import scatter
 from paceline.speed.bands import Glimpse, bands_of
 from paceline.speed.trajectory import INDEX, Prior, Trajectory, prior
 
@@ -29,10 +30,11 @@ STEP = 0.1  # standard deviations: converged
 COARSE_STEP = 1.0  # the same before the last level, which starts where this ends
 UNSETTLED = 1.0  # a last step from which no motion can be said to have been found
 MOST_STEPS = 10
+RARE = 3.0  # log odds, 20 to 1, against an extra of the motion before any picture is seen
 NEGLIGIBLE = 1e-3  # probability of a model that need not be thought of
 LEAST_GLIMPSES = 5  # for a choice among models
 # What scores cannot show: errors that all frames and patches share. Measured on rendered clips, benchmarks/accuracy.py.
-CALIBRATION = {"line": 1.4, "curve": 1.4}
+CALIBRATION = 1.4
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,21 +139,21 @@ class _Fit:
         other.prior, other.theta, other.relief = prior, self.theta.copy(), self.relief.copy()
         other.bands = [copy(band) for band in self.bands]
         other.descend(STEP, most=1)
-        evidence = other._log_evidence(extra, scatter=1.0)
+        evidence = other._log_evidence(extra, 1.0)
         if evidence < np.log(NEGLIGIBLE):
             return evidence, other
         if evidence > RARE:
             other = _Fit(self.trajectory, self.glimpses, prior)
         speed = list(prior.free).index(INDEX["speed"])
-        scatter = other.covariance[speed, speed] / np.linalg.inv(other.A)[speed, speed]
-        return other._log_evidence(extra, max(scatter, 1.0)), other
+        wider = other.covariance[speed, speed] / np.linalg.inv(other.A)[speed, speed]
+        return other._log_evidence(extra, max(wider, 1.0)), other
 
-    def _log_evidence(self, extra: str, scatter: float) -> float:
-        """Log Bayes factor against the same model without ``extra`` (Savage–Dickey), its covariance being ``scatter``
+    def _log_evidence(self, extra: str, wider: float) -> float:
+        """Log Bayes factor against the same model without ``extra`` (Savage–Dickey), its covariance being ``wider``
         times what the pixels' noise leaves."""
         i = self.trajectory.index(extra)
         free = np.isin(self.prior.free, i)
-        posterior = scatter * np.linalg.inv(self.A)[: len(free), : len(free)][np.ix_(free, free)]
+        posterior = wider * np.linalg.inv(self.A)[: len(free), : len(free)][np.ix_(free, free)]
         value, information = self.theta[i], self.prior.information[np.ix_(free, free)]
         shrunk = np.linalg.slogdet(posterior)[1] + np.linalg.slogdet(information)[1]
         return float(0.5 * value @ np.linalg.solve(posterior, value) + 0.5 * min(shrunk, 0.0))
@@ -211,7 +213,7 @@ class _Fit:
         A, score = self._prior_information(), np.zeros(n - 1 + K)
         score[: n - 1] = p.information @ (self.theta - p.mean)[p.free]
         score[n - 1 :] = self.relief / RELIEF**2
-        return A + _spread(cells_A), score + _spread_scores(cells), cells_A, cells
+        return A + scatter.joined(cells_A), score + scatter.joined_scores(cells), cells_A, cells
 
     def _prior_information(self) -> Array:
         """Information of the prior over free parameters and relief."""
@@ -223,28 +225,10 @@ class _Fit:
 
     @cached_property
     def covariance(self) -> Array:
-        """Covariance from how the scores of frames and of patches really scatter, not from the pixels' noise.
-
-        Errors that a patch repeats in every frame and that a frame makes in every patch do not average out over
-        pixels: the scores are summed within each before they are squared. That is a sandwich estimate, clustered both
-        ways and freed of its small-sample bias (Bell and McCaffrey 2002, "CR2"), of which the wider one is taken.
-        """
-        cells_A, cells = self._cells
-        P, K = len(self.prior.free), len(self.relief)
-        inverse = np.linalg.inv(self.A)
-        frames = [np.s_[2 * f : 2 * f + 2] for f in range(len(self.glimpses))]
-        by_frame = [(_spread(cells_A[f]), _spread_scores(cells[f])) for f in frames]
-        only = np.eye(K)[:, :, None, None]
-        by_patch = [
-            (_spread(cells_A * only[k]), _spread_scores(cells * only[k, :, 0])) for k in range(K)
-        ]
+        """Covariance of the free parameters, from the scatter of the scores."""
         speed = list(self.prior.free).index(INDEX["speed"])
-        candidates = []
-        for clusters in (by_frame, by_patch):
-            meat = sum((np.outer(s, s) for s in _unbiased(self.A, clusters)), self._prior_information())
-            candidates.append((inverse @ meat @ inverse)[:P, :P])
-        widest = max(candidates, key=lambda C: float(C[speed, speed]))
-        return np.asarray(CALIBRATION[self.trajectory.path.shape] ** 2 * widest)
+        cells_A, cells = self._cells
+        return CALIBRATION**2 * scatter.covariance(self.A, self._prior_information(), cells_A, cells, speed)
 
     @property
     def whole_covariance(self) -> Array:
@@ -301,40 +285,6 @@ class _Fit:
         response = np.zeros((n, Q))
         response[p.free] = -np.linalg.solve(self.A, coupling)[:P]
         return np.asarray(response @ response.T)
-
-
-def _spread(cells_A: Array) -> Array:
-    """Normal matrices (views, K, P + 1, P + 1), each patch's own relief last, as one (P + K, P + K)."""
-    by_patch = cells_A.sum(0)
-    K, P = len(by_patch), by_patch.shape[-1] - 1
-    A = np.zeros((P + K, P + K))
-    A[:P, :P] = by_patch[:, :P, :P].sum(0)
-    A[P:, :P] = by_patch[:, P, :P]
-    A[:P, P:] = by_patch[:, P, :P].T
-    A[range(P, P + K), range(P, P + K)] = by_patch[:, P, P]
-    return A
-
-
-def _spread_scores(cells: Array) -> Array:
-    """Scores (views, K, P + 1), each patch's own relief last, as one (P + K,)."""
-    by_patch = cells.sum(0)
-    return np.concatenate([by_patch[:, :-1].sum(0), by_patch[:, -1]])
-
-
-def _unbiased(A: Array, clusters: list[tuple[Array, Array]]) -> list[Array]:
-    """Cluster scores, enlarged for having drawn the fit to themselves: L (I − B)^−½ L⁻¹ s, B = L⁻¹ Aᵢ L⁻ᵀ, A = L Lᵀ."""
-    L = np.linalg.cholesky(A)
-    back = np.linalg.inv(L)
-    scores = []
-    for A_i, s in clusters:
-        share, axes = np.linalg.eigh(back @ A_i @ back.T)
-        enlarged = axes / np.sqrt(np.maximum(1.0 - share, LEAST_REST)) @ axes.T
-        scores.append(L @ enlarged @ back @ s)
-    return scores
-
-
-LEAST_REST = 0.05  # share of the information that a single cluster leaves to the others, at least
-RARE = 3.0  # log odds, 20 to 1, against an extra of the motion before any picture is seen
 
 
 def perturbed(rig: StereoRig, uncertainty: RigUncertainty) -> list[StereoRig]:
