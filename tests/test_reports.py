@@ -201,7 +201,7 @@ def test_wide_pictures_are_scaled(result: ClipResult, tmp_path: Path) -> None:
 
 
 def test_a_missing_encoder_is_told(result: ClipResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("paceline.reports.overlay.CODECS", ["no-such-encoder"])
+    monkeypatch.setattr("paceline.reports.video.CODECS", ["no-such-encoder"])
     written = write_report(result, Recording(), tmp_path / "out")
     assert any("no H.264 encoder" in notice for notice in written.notices)
     assert "no H.264 encoder" in (tmp_path / "out" / "report.html").read_text()

@@ -9,34 +9,53 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from paceline.documents import load_clip, load_rig
+    from paceline.documents import load_clip, load_follow, load_rig
     from paceline.errors import UnusableInput
+    from paceline.follow.configuration import FollowConfiguration
+    from paceline.follow.following import follow_recording, tracker_for
+    from paceline.follow.tracker import FollowTracker
+    from paceline.monocular import open_camera
     from paceline.recordings import open_recording
     from paceline.reports import write_report
+    from paceline.reports.follow_report import follow_and_report
     from paceline.speed.configuration import SpeedConfiguration
     from paceline.speed.measurement import measure_clip as measure
     from paceline.speed.tracker import Tracker
 
 __version__ = "0.1.0"
 __all__ = [
+    "FollowConfiguration",
+    "FollowTracker",
     "SpeedConfiguration",
     "Tracker",
     "UnusableInput",
+    "follow_and_report",
+    "follow_recording",
     "load_clip",
+    "load_follow",
     "load_rig",
     "measure",
+    "open_camera",
     "open_recording",
+    "tracker_for",
     "write_report",
 ]
 
 _HOMES = {
+    "FollowConfiguration": ("paceline.follow.configuration", "FollowConfiguration"),
+    "FollowTracker": ("paceline.follow.tracker", "FollowTracker"),
     "SpeedConfiguration": ("paceline.speed.configuration", "SpeedConfiguration"),
     "Tracker": ("paceline.speed.tracker", "Tracker"),
     "UnusableInput": ("paceline.errors", "UnusableInput"),
+    "follow_and_report": ("paceline.reports.follow_report", "follow_and_report"),
+    "follow_recording": ("paceline.follow.following", "follow_recording"),
     "load_clip": ("paceline.documents", "load_clip"),
+    "load_follow": ("paceline.documents", "load_follow"),
     "load_rig": ("paceline.documents", "load_rig"),
     "measure": ("paceline.speed.measurement", "measure_clip"),
+    "open_camera": ("paceline.monocular", "open_camera"),
     "open_recording": ("paceline.recordings", "open_recording"),
+    "tracker_for": ("paceline.follow.following", "tracker_for"),
     "write_report": ("paceline.reports", "write_report"),
 }
 

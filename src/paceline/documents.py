@@ -1,7 +1,7 @@
-"""rig.yaml and clip.yaml, read and checked.
+"""rig.yaml, clip.yaml, camera.yaml, target.yaml and follow.yaml, read and checked.
 
-What is handed on is plain: a :class:`~paceline.cameras.StereoRig`, and a :class:`Clip` whose pixels are ideal ones
-(undistorted).
+What is handed on is plain: a :class:`~paceline.cameras.StereoRig`, a :class:`Clip` whose pixels are ideal ones
+(undistorted), a :class:`FollowClip` whose pixels are those of the images as recorded.
 """
 
 from __future__ import annotations
@@ -20,8 +20,10 @@ from paceline.errors import UnusableInput
 from paceline.schemas import (
     CameraModel,
     ClipModel,
+    FollowModel,
     PathModel,
     RigModel,
+    TargetModel,
     UncertaintyModel,
     VehicleModel,
     nearest_of,
@@ -29,6 +31,7 @@ from paceline.schemas import (
 )
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,11 +75,43 @@ class Clip:
     vehicles: list[VehicleDocument]
 
 
+@dataclass(frozen=True, eq=False)
+class TargetDocument:
+    """The line model of a vehicle's rear: ``corners`` (C, 2) in metres, and ``segments`` (S, 2), two corners each."""
+
+    name: str
+    nominal_range: float  # m, the range at which the scale is 1
+    corners: Array
+    segments: Indices
+
+    @property
+    def extent(self) -> Array:
+        """Width and height in metres of what the segments span, shape (2,)."""
+        return np.asarray(np.ptp(self.corners[self.segments].reshape(-1, 2), axis=0))
+
+
+@dataclass(frozen=True, eq=False)
+class FollowClip:
+    """One chase-camera recording, as follow.yaml describes it, with the operator's start."""
+
+    path: Path
+    video: str  # a folder, a pattern, a video file, a device or an address, relative paths resolved
+    rate: float | None  # frames per second
+    bit_depth: int | None  # bits used in 16-bit images
+    camera: Camera
+    target: TargetDocument
+    frame: int  # the first frame to use
+    center: Array  # (2,) pixels of the image as recorded
+    scale: float
+    odometry: Path | None
+    wheelbase: float | None  # m, of the chase vehicle
+
+
 def load_rig(path: str | Path) -> StereoRig:
     """The rig that a rig.yaml describes; raises UnusableInput, naming the key, for one that cannot be."""
     path = Path(path)
     model = read_document(RigModel, path)
-    left, right = _camera(path, "left", model.left), _camera(path, "right", model.right)
+    left, right = _camera(path, "left.", model.left), _camera(path, "right.", model.right)
     _refuse(path, "rotation", plausibility.wrong_rotation(model.rotation))
     R = plausibility.nearest_rotation(model.rotation)
     rig = StereoRig(left, right, R, model.translation, _stated(model.uncertainty))
@@ -111,9 +146,56 @@ def load_clip(path: str | Path) -> Clip:
     )
 
 
-def _camera(file: Path, key: str, m: CameraModel) -> Camera:
+def load_camera(path: str | Path) -> Camera:
+    """The camera that a camera.yaml describes; raises UnusableInput, naming the key, for one that cannot be."""
+    path = Path(path)
+    return _camera(path, "", read_document(CameraModel, path))
+
+
+def load_target(path: str | Path) -> TargetDocument:
+    """The line model that a target.yaml describes; raises UnusableInput, naming the key, for one that cannot be."""
+    path = Path(path)
+    model = read_document(TargetModel, path)
+    for i, (a, b) in enumerate(model.segments):
+        _refuse(path, f"segments[{i}]", plausibility.wrong_segment(a, b, model.corners))
+    place = {name: i for i, name in enumerate(model.corners)}
+    corners = np.array(list(model.corners.values())).reshape(-1, 2)
+    segments = np.array([[place[a], place[b]] for a, b in model.segments], np.int64).reshape(-1, 2)
+    _refuse(path, "segments", plausibility.wrong_target(corners[segments]))
+    return TargetDocument(model.name, model.nominal_range, corners, segments)
+
+
+def load_follow(path: str | Path) -> FollowClip:
+    """The chase-camera recording that a follow.yaml describes, with its camera and its target.
+
+    Raises UnusableInput, naming the key, where it cannot be.
+    """
+    path = Path(path)
+    model = read_document(FollowModel, path)
+    camera = load_camera(path.parent / model.camera)
+    target = load_target(path.parent / model.target)
+    start = model.start
+    extent = target.extent * camera.K[[0, 1], [0, 1]] / target.nominal_range
+    if wrong := plausibility.wrong_start(start.center, start.scale, extent, camera.image_size):
+        _refuse(path, f"start.{wrong[0]}", wrong[1])
+    return FollowClip(
+        path=path,
+        video=model.video if "://" in model.video else str(path.parent / model.video),
+        rate=model.rate,
+        bit_depth=model.bit_depth,
+        camera=camera,
+        target=target,
+        frame=start.frame,
+        center=start.center,
+        scale=start.scale,
+        odometry=None if model.odometry is None else path.parent / model.odometry,
+        wheelbase=model.wheelbase,
+    )
+
+
+def _camera(file: Path, prefix: str, m: CameraModel) -> Camera:
     camera = Camera((m.image_size[0], m.image_size[1]), m.K, np.array(m.distortion, float))
-    _refuse(file, f"{key}.K", plausibility.wrong_intrinsics(camera))
+    _refuse(file, f"{prefix}K", plausibility.wrong_intrinsics(camera))
     return camera
 
 

@@ -1,6 +1,8 @@
-"""Whether a rig, a drawn path or an outlined vehicle can be; each check returns what is wrong in words, or None."""
+"""Whether a rig, a drawn path, an outlined vehicle or a target can be; a check returns what is wrong, or None."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +16,9 @@ ORTHONORMAL = 1e-3  # largest entry of RᵀR − I that rounding in a file expla
 WIDEST_BASELINE = 100.0  # m
 SMALLEST_AREA, SHORTEST_SIDE = 64.0, 4.0  # px², px: less holds no texture to track
 SHORTEST_DRAWING = 2.0  # px
+OBLIQUE = 0.01  # drift of a segment across its direction, as a share of its length, that rounding in a file explains
+SHORTEST_SEGMENT, LARGEST_TARGET = 0.01, 20.0  # m
+SMALLEST_TARGET = 8.0  # px: less shows no lines
 CORNERS = ("top-left", "top-right", "bottom-right", "bottom-left")
 CORNER_ORDER = f"{', '.join(CORNERS)} as seen in the image"
 
@@ -124,6 +129,56 @@ def wrong_views(rig: StereoRig, left: Array, right: Array) -> str | None:
             f"the {CORNERS[int(np.argmax(behind))]} corner triangulates behind the cameras; "
             "expected the same corner in both views (are left and right swapped?)"
         )
+    return None
+
+
+def wrong_segment(name_a: str, name_b: str, corners: Mapping[str, Array]) -> str | None:
+    """What is wrong with the line between two named ``corners`` (2,) of a target, metres."""
+    for name in (name_a, name_b):
+        if name not in corners:
+            return f"no corner is called {name!r}; expected one of {', '.join(corners)}"
+    across, down = (float(d) for d in np.abs(corners[name_b] - corners[name_a]))
+    if max(across, down) < SHORTEST_SEGMENT:
+        return f"{name_a} and {name_b} lie in the same place; expected a line at least {SHORTEST_SEGMENT:g} m long"
+    if min(across, down) > OBLIQUE * max(across, down):
+        return (
+            f"the line from {name_a} to {name_b} is oblique, {across:g} m across and {down:g} m down; "
+            "expected a horizontal or vertical one"
+        )
+    return None
+
+
+def wrong_target(ends: Array) -> str | None:
+    """What is wrong with a target's lines as a whole; ``ends`` (S, 2, 2) in metres, each horizontal or vertical."""
+    if not len(ends):
+        return "expected at least one horizontal and one vertical line, found none"
+    extent = np.ptp(ends.reshape(-1, 2), axis=0)
+    if extent.max() > LARGEST_TARGET:
+        return f"the target is {extent.max():g} m large; expected metres (are these pixels or millimetres?)"
+    across, down = np.abs(ends[:, 1] - ends[:, 0]).T
+    vertical = down > across
+    for direction, there in (("horizontal", ~vertical), ("vertical", vertical)):
+        if not there.any():
+            return f"there is no {direction} line; expected at least one horizontal and one vertical one"
+    apart = [np.ptp(ends[lines].mean(axis=1)[:, axis]) for lines, axis in ((~vertical, 1), (vertical, 0))]
+    if max(apart) < SHORTEST_SEGMENT:
+        return "its lines show no size; expected two parallel ones, some distance apart"
+    return None
+
+
+def wrong_start(center: Array, scale: float, extent: Array, image_size: tuple[int, int]) -> tuple[str, str] | None:
+    """The key and what is wrong with it, where a target of ``extent`` (2,), its pixels at scale 1, cannot begin."""
+    size = np.array(image_size)
+    if ((center < 0) | (center > size - 1)).any():
+        x, y = center
+        return "center", f"[{x:g}, {y:g}] lies outside the image of {size[0]} × {size[1]} pixels"
+    width, height = scale * extent
+    if max(width, height) < SMALLEST_TARGET:
+        return "scale", (
+            f"{scale:g} makes the target {width:.2g} × {height:.2g} px large; expected at least {SMALLEST_TARGET:g} px"
+        )
+    if width > 2 * size[0] or height > 2 * size[1]:
+        return "scale", f"{scale:g} makes the target {width:.0f} × {height:.0f} px large, far more than the image"
     return None
 
 

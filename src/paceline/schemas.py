@@ -1,4 +1,4 @@
-"""What rig.yaml and clip.yaml may hold, as pydantic models, and the reading of files into them."""
+"""What the YAML files may hold, as pydantic models, and the reading of files into them."""
 
 from __future__ import annotations
 
@@ -40,10 +40,13 @@ def _array(columns: int, rows: int | None = None, what: str = "points") -> Befor
     return BeforeValidator(validate)
 
 
-def _vector(value: Any) -> Array:
-    if not (isinstance(value, list) and len(value) == 3 and all(map(_is_number, value))):
-        raise ValueError(f"expected three finite numbers, found {_shown(value)}")
-    return np.array(value, float)
+def _vector(length: int) -> BeforeValidator:
+    def validate(value: Any) -> Array:
+        if not (isinstance(value, list) and len(value) == length and all(map(_is_number, value))):
+            raise ValueError(f"expected {_WORDS[length]} finite numbers, found {_shown(value)}")
+        return np.array(value, float)
+
+    return BeforeValidator(validate)
 
 
 def _name(value: Any) -> Any:
@@ -58,8 +61,12 @@ Pixels = Annotated[Array, _array(2)]
 Corners = Annotated[Array, _array(2, 4)]
 Points = Annotated[Array, _array(3)]
 Matrix = Annotated[Array, _array(3, 3, "numbers")]
-Vector = Annotated[Array, BeforeValidator(_vector)]
+Vector = Annotated[Array, _vector(3)]
+Pair = Annotated[Array, _vector(2)]
 Name = Annotated[str, BeforeValidator(_name), Field(min_length=1)]
+Text = Annotated[str, Field(min_length=1)]
+Rate = Annotated[float, Field(ge=0.1, le=10000)]
+Bits = Annotated[int, Field(ge=8, le=16)]
 Size = Annotated[int, Field(ge=16, le=65536)]
 Sigma = Annotated[float, Field(ge=0)]
 
@@ -124,15 +131,39 @@ class VehicleModel(Document):
 
 
 class ClipModel(Document):
-    left: Annotated[str, Field(min_length=1)]
-    right: Annotated[str, Field(min_length=1)]
-    rate: Annotated[float, Field(ge=0.1, le=10000)] | None = None
+    left: Text
+    right: Text
+    rate: Rate | None = None
     times: str | None = None
     time_tolerance: Annotated[float, Field(gt=0)] | None = None
-    bit_depth: Annotated[int, Field(ge=8, le=16)] | None = None
+    bit_depth: Bits | None = None
     rig: str
     paths: dict[Name, PathModel] | None = None
     vehicles: list[VehicleModel] | None = None
+
+
+class TargetModel(Document):
+    name: Name
+    nominal_range: Annotated[float, Field(gt=0, le=1000)]
+    corners: dict[Name, Pair]
+    segments: list[Annotated[list[Name], Field(min_length=2, max_length=2)]]
+
+
+class StartModel(Document):
+    frame: Annotated[int, Field(ge=0)]
+    center: Pair
+    scale: Annotated[float, Field(gt=0)]
+
+
+class FollowModel(Document):
+    video: Text
+    rate: Rate | None = None
+    bit_depth: Bits | None = None
+    camera: Text
+    target: Text
+    start: StartModel
+    odometry: Text | None = None
+    wheelbase: Annotated[float, Field(ge=0.1, le=20)] | None = None
 
 
 # --- reading -------------------------------------------------------------------------------------------------------

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import base64
-import json
 from pathlib import Path
-
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from paceline.reports.overlay import Still
 from paceline.reports.plots import Plot
-from paceline.reports.tables import as_json
+from paceline.reports.rendering import flat, render
 from paceline.reports.wording import (
     MISSING,
     SpeedWords,
@@ -37,16 +33,6 @@ def write_page(
     colors: dict[str, str],
 ) -> None:
     """Writes the page; ``plots``, ``stills`` and ``colors`` are by vehicle. Needs no other file and no network."""
-    # Everything that comes from a person's files is escaped.
-    templates = Environment(
-        loader=PackageLoader("paceline.reports"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    templates.filters["jpeg"] = lambda data: _data_uri("image/jpeg", data)
-    templates.filters["svg"] = lambda text: _data_uri("image/svg+xml", text.encode())
     vehicles = [
         {
             "id": m.vehicle,
@@ -62,14 +48,15 @@ def write_page(
         }
         for m in result.measurements
     ]
-    text = templates.get_template("report.html.j2").render(
+    text = render(
+        "report.html.j2",
         result=result,
         unit=unit,
         vehicles=vehicles,
         measured=sum(m.verdict == "measured" for m in result.measurements),
         plan=plan,
         paths=[(path.name, number(path_length(path.points), 1)) for path in result.paths],
-        settings=_flat(result.configuration),
+        settings=flat(result.configuration),
         seconds=number(result.seconds, 1),
         missing=MISSING,
     )
@@ -121,19 +108,3 @@ def _rows(measurement: Measurement, unit: str) -> list[list[str]]:
             ]
         )
     return rows
-
-
-def _flat(settings: dict[str, object], prefix: str = "") -> list[tuple[str, str]]:
-    """Nested settings as (dotted name, value) pairs."""
-    pairs = []
-    for key, value in settings.items():
-        if isinstance(value, dict):
-            pairs += _flat(value, f"{prefix}{key}.")
-        else:
-            text = value if isinstance(value, str) else json.dumps(as_json(value), ensure_ascii=False)
-            pairs.append((f"{prefix}{key}", text))
-    return pairs
-
-
-def _data_uri(kind: str, data: bytes) -> str:
-    return f"data:{kind};base64,{base64.b64encode(data).decode()}"

@@ -70,9 +70,9 @@ def vehicle_plots(measurement: Measurement, unit: str, color: str) -> list[Plot]
     name, track = measurement.vehicle, measurement.track
     wide, half = (9.4, 3.5), (4.6, 3.0)
     return [
-        _plot("speed", f"Speed of {name} over time", wide, lambda figure: _draw_speed(figure, measurement, unit)),
-        _plot("depth", f"Distance of {name} over time", half, lambda figure: _draw_depth(figure, track, color)),
-        _plot(
+        make_plot("speed", f"Speed of {name} over time", wide, lambda figure: _draw_speed(figure, measurement, unit)),
+        make_plot("depth", f"Distance of {name} over time", half, lambda figure: _draw_depth(figure, track, color)),
+        make_plot(
             "particles",
             f"Spread of the particles and effective sample size of {name} over time",
             half,
@@ -83,12 +83,13 @@ def vehicle_plots(measurement: Measurement, unit: str, color: str) -> list[Plot]
 
 def plan_plot(result: ClipResult, colors: dict[str, str]) -> Plot:
     """All vehicles and paths from above, the left camera at the origin."""
-    return _plot(
+    return make_plot(
         "plan", "Vehicles and paths seen from above", (9.4, 3.8), lambda figure: _draw_plan(figure, result, colors)
     )
 
 
-def _plot(name: str, description: str, size: tuple[float, float], draw: Callable[[Figure], None]) -> Plot:
+def make_plot(name: str, description: str, size: tuple[float, float], draw: Callable[[Figure], None]) -> Plot:
+    """What ``draw`` puts onto a figure of ``size`` (inches), in the style of all plots."""
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=size, layout="constrained")
         draw(figure)

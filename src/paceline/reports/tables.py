@@ -34,12 +34,12 @@ def _rows(track: Track) -> Iterator[list[str]]:
         corners = [*track.left[i].ravel(), *track.right[i].ravel()]
         refined = [track.refined_speed[i], track.refined_std[i]]
         yield [
-            track.vehicle, str(track.frame[i]), *map(_cell, numbers), *map(_cell, corners),
-            _cell(track.ess[i]), track.status[i], *map(_cell, refined),
+            track.vehicle, str(track.frame[i]), *map(cell, numbers), *map(cell, corners),
+            cell(track.ess[i]), track.status[i], *map(cell, refined),
         ]  # fmt: skip
 
 
-def _cell(value: float) -> str:
+def cell(value: float) -> str:
     """The shortest text that reads back as the same number."""
     return repr(float(value)) if math.isfinite(value) else ""
 

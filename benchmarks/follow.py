@@ -1,0 +1,268 @@
+"""Following rendered vehicles: frames lost, range and lateral error, coverage and time, beside other trackers.
+
+python benchmarks/follow.py [--n 20] [--seed 500] [--preset nist|hd|full_hd] [--frames 450] [--workers 2] [--long]
+
+Every tracker sees the same frames in one run. OpenCV's trackers are started on the exact box of the rear plane and
+their range comes from the box's width and the vehicle's true one. --long instead follows one vehicle for 15,300 frames.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from importlib.util import find_spec
+from typing import Protocol
+
+import cv2
+import numpy as np
+from common import Array, head, machine, rms, row, share_out
+from numpy.typing import NDArray
+
+from paceline.follow.configuration import FollowConfiguration
+from paceline.follow.steering import Pose
+from paceline.follow.target import Target
+from paceline.follow.tracker import FollowTracker
+from paceline.simulation.following import (
+    PRESETS,
+    ChaseScene,
+    ChaseTruth,
+    random_chase,
+    render_frames,
+    start_document,
+    target_document,
+)
+
+Image = NDArray[np.uint8]
+
+LONG = 15_300  # frames: 17 minutes at 15 frames/s
+WARM = 300  # frames after which memory may grow no more
+SEEN = 0.6  # of the rear plane must be visible where a frame counts
+WRONG_RANGE, WRONG_PLACE = 0.15, 0.5  # relative, and in widths of the vehicle: an estimate that is of something else
+WITHIN = 1.96  # standard deviations, of a 95 % interval
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """An estimate that its tracker stands by: position and its standard deviation (3,) in metres."""
+
+    position: Array
+    std: Array | None
+
+
+class Follower(Protocol):
+    def update(self, image: Image, truth: ChaseTruth) -> Sight | None: ...
+
+
+class Paceline:
+    """`FollowTracker`, started as an operator would; of the truth it takes time and odometry."""
+
+    def __init__(self, scene: ChaseScene, first: ChaseTruth, configuration: FollowConfiguration) -> None:
+        document, start = target_document(scene), start_document(scene, first)
+        names = list(document["corners"])
+        target = Target(
+            document["name"],
+            document["nominal_range"],
+            np.array(list(document["corners"].values())),
+            np.array([[names.index(a), names.index(b)] for a, b in document["segments"]]),
+        )
+        self.tracker = FollowTracker(
+            scene.camera, target, np.array(start["center"]), float(start["scale"]), configuration
+        )
+
+    def update(self, image: Image, truth: ChaseTruth) -> Sight | None:
+        e = self.tracker.update(image, truth.time, truth.frame, Pose(truth.x, truth.y, truth.heading))
+        return Sight(e.position, e.position_std) if e.status == "tracking" else None
+
+
+class OpenCV:
+    """A tracker of boxes; range from the box's width."""
+
+    def __init__(self, make: Callable[[], cv2.Tracker], scene: ChaseScene, first: ChaseTruth) -> None:
+        self.tracker, self.camera, self.started = make(), scene.camera, False
+        x, y = np.rint(first.corners.min(0)).astype(int).tolist()
+        w, h = np.rint(np.ptp(first.corners, axis=0)).astype(int).tolist()
+        self.box: Sequence[int] = (x, y, w, h)
+        self.width = float(first.position[2] * self.box[2] / self.camera.K[0, 0])  # the true one, but for rounding
+
+    def update(self, image: Image, truth: ChaseTruth) -> Sight | None:
+        colour = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
+        found = True
+        if self.started:
+            found, self.box = self.tracker.update(colour)
+        else:
+            self.tracker.init(colour, self.box)
+            self.started = True
+        x, y, w, h = self.box
+        if not found or w <= 0:
+            return None
+        z = self.camera.K[0, 0] * self.width / w
+        ray = self.camera.rays(np.array([x + (w - 1) / 2, y + (h - 1) / 2]))
+        return Sight(z * ray, None)
+
+
+PUBLISHED = "Paceline, as published"
+Makers = dict[str, Callable[[ChaseScene, ChaseTruth], Follower]]
+
+
+def followers(peers: bool) -> Makers:
+    """Every tracker that is installed, by name."""
+    made: Makers = {
+        "Paceline": partial(Paceline, configuration=FollowConfiguration()),
+        PUBLISHED: partial(Paceline, configuration=FollowConfiguration.as_published()),
+    }
+    if peers:
+        for name in ("CSRT", "KCF", "MIL"):
+            if (tracker := getattr(cv2, f"Tracker{name}", None)) is not None:
+                made[f"OpenCV {name}"] = partial(OpenCV, tracker.create)
+    return made
+
+
+@dataclass
+class Record:
+    """What one tracker did on one clip, over the frames in which the vehicle can be seen."""
+
+    follower: str
+    scene: ChaseScene
+    frames: int = 0
+    lost: int = 0  # not claimed to be tracked
+    wrong: int = 0  # claimed, and far off
+    first_off: int = -1  # the first frame lost or wrong
+    range_errors: list[float] = field(default_factory=list)  # relative
+    lateral_errors: list[float] = field(default_factory=list)  # m
+    in_range: list[bool] = field(default_factory=list)  # within the stated ± 95 %
+    in_lateral: list[bool] = field(default_factory=list)
+    milliseconds: list[float] = field(default_factory=list)
+
+    def add(self, sight: Sight | None, truth: ChaseTruth, width: float, milliseconds: float) -> None:
+        self.milliseconds.append(milliseconds)
+        if truth.visible < SEEN:
+            return
+        self.frames += 1
+        if sight is None:
+            self.lost += 1
+            self.first_off = truth.frame if self.first_off < 0 else self.first_off
+            return
+        x, _, z = sight.position - truth.position
+        far = np.abs(sight.position / sight.position[2] - truth.position / truth.position[2]).max() * truth.position[2]
+        if abs(z) > WRONG_RANGE * truth.position[2] or far > WRONG_PLACE * width:
+            self.wrong += 1
+            self.first_off = truth.frame if self.first_off < 0 else self.first_off
+        self.range_errors.append(float(z / truth.position[2]))
+        self.lateral_errors.append(float(x))
+        if sight.std is not None:
+            self.in_range.append(bool(abs(z) <= WITHIN * sight.std[2]))
+            self.in_lateral.append(bool(abs(x) <= WITHIN * sight.std[0]))
+
+
+def run(scene: ChaseScene, makers: Makers, watch: Callable[[int], None] | None = None) -> list[Record]:
+    """All trackers over the frames of one clip; ``watch`` is told every frame's number."""
+    cv2.setNumThreads(1)
+    records = [Record(name, scene) for name in makers]
+    tracked: list[Follower] = []
+    for image, truth in render_frames(scene):
+        tracked = tracked or [make(scene, truth) for make in makers.values()]
+        width = float(np.linalg.norm(truth.corners[1] - truth.corners[0])) * truth.position[2] / scene.focal
+        for follower, record in zip(tracked, records, strict=True):
+            start = time.thread_time()
+            sight = follower.update(image, truth)
+            record.add(sight, truth, width, 1e3 * (time.thread_time() - start))
+        if watch is not None:
+            watch(truth.frame)
+    return records
+
+
+def _run_seed(seed: int, preset: str, frames: int, peers: bool) -> list[Record]:
+    return run(random_chase(seed, preset, frames=frames), followers(peers))
+
+
+COLUMNS = (
+    "frames",
+    "lost",
+    "wrong",
+    "range RMS, %",
+    "worst, %",
+    "lateral RMS, m",
+    "covered: range",
+    "lateral",
+    "ms, median",
+    "99 %",
+)
+
+
+def cells(records: Sequence[Record]) -> tuple[str, ...]:
+    """The columns of a table for some records together."""
+
+    def all_of(name: str) -> Array:
+        return np.concatenate([getattr(r, name) for r in records])
+
+    def share(name: str) -> str:
+        return f"{np.mean(all_of(name)):.0%}" if len(all_of(name)) else "–"
+
+    errors, lateral, ms = (all_of(n) for n in ("range_errors", "lateral_errors", "milliseconds"))
+    numbers = ("–", "–", "–")
+    if len(errors):
+        numbers = f"{100 * rms(errors):.2f}", f"{100 * np.abs(errors).max():.1f}", f"{rms(lateral):.3f}"
+    return (
+        *(str(sum(getattr(r, n) for r in records)) for n in ("frames", "lost", "wrong")),
+        *numbers,
+        share("in_range"),
+        share("in_lateral"),
+        f"{np.median(ms):.2f}",
+        f"{np.percentile(ms, 99):.2f}",
+    )
+
+
+def compare(args: argparse.Namespace) -> None:
+    if not hasattr(cv2, "TrackerCSRT"):
+        print("This OpenCV has no CSRT and KCF trackers (opencv-contrib has): left out.")
+    if find_spec("visp") is None:
+        print("ViSP is not installed: vpMbGenericTracker is left out.")
+    work = partial(_run_seed, preset=args.preset, frames=args.frames, peers=not args.no_peers)
+    print("\n" + head("clip", "vehicle", "tracker", *COLUMNS), flush=True)
+    records: list[Record] = []
+    for done in share_out(work, range(args.seed, args.seed + args.n), args.workers):
+        records += done
+        for r in done:
+            print(row(r.scene.seed, f"{r.scene.kind}, {r.scene.paint:.0f}", r.follower, *cells([r])), flush=True)
+    print("\n" + head("tracker", "clips without a frame lost or wrong", *COLUMNS))
+    for name in dict.fromkeys(r.follower for r in records):
+        mine = [r for r in records if r.follower == name]
+        whole = sum(r.lost + r.wrong == 0 for r in mine)
+        print(row(name, f"{whole} of {len(mine)}", *cells(mine)))
+
+
+def long_run(args: argparse.Namespace) -> None:
+    """One vehicle for as long as the paper's tape; memory before and after."""
+    scene = random_chase(args.seed, args.preset, frames=LONG)
+    held: dict[int, float] = {}
+
+    def watch(frame: int) -> None:
+        held[frame] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+    (record,) = run(scene, {"Paceline": followers(False)["Paceline"]}, watch)
+    print(head("seed", "vehicle", *COLUMNS))
+    print(row(scene.seed, f"{scene.kind}, {scene.paint:.0f}", *cells([record])))
+    early, late = held[WARM], held[LONG - 1]
+    print(f"\nPeak memory {early:.0f} MB after {WARM} frames and {late:.0f} MB after all, the renderer's included.")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Following rendered vehicles, beside other trackers.")
+    parser.add_argument("--n", type=int, default=20, help="number of clips")
+    parser.add_argument("--seed", type=int, default=500, help="seed of the first clip")
+    parser.add_argument("--preset", choices=sorted(PRESETS), default="nist", help="camera, speeds and distances")
+    parser.add_argument("--frames", type=int, default=450, help="frames of each clip")
+    parser.add_argument("--no-peers", action="store_true", help="leave OpenCV's trackers out")
+    parser.add_argument("--long", action="store_true", help=f"one clip of {LONG} frames instead")
+    parser.add_argument("--workers", type=int, default=2, help="processes")
+    args = parser.parse_args()
+    long_run(args) if args.long else compare(args)
+    print("\n" + machine())
+
+
+if __name__ == "__main__":
+    main()

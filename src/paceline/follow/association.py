@@ -1,0 +1,45 @@
+"""Stage 2 of [NIST]: which edge points belong to which feature of the model."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+Indices = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+NOBODY = -1
+
+
+@njit(cache=True, nogil=True)
+def associate(
+    points: Floats,
+    upright: bool,
+    vertical: Flags,
+    places: Array,
+    spans: Array,
+    gates: Array,
+    brighter: Indices,
+    owners: Indices,
+) -> None:
+    """``owners`` (≥ N,): for each edge point the nearest feature in reach, or NOBODY: (8)–(11) and the gate ζ.
+
+    ``points`` (N, 3) are rows (x, y, signed magnitude) of the near-vertical list where ``upright``, else of the
+    near-horizontal one; their direction (7) was tested when the list was made. ``places`` (S,) px is where every
+    feature is predicted across itself, ``spans`` (S, 2) px where along itself, ``gates`` (S,) px how far a point may
+    be. A feature whose ``brighter`` (S,) is 1 or −1 takes only edges with a step of this sign; 0 takes either.
+    """
+    across, along = (0, 1) if upright else (1, 0)
+    for i in range(len(points)):
+        p, q = points[i, across], points[i, along]
+        owner, least = NOBODY, np.inf
+        for j in range(len(places)):
+            if vertical[j] != upright:
+                continue
+            d = abs(places[j] - p)
+            if d < gates[j] and d < least and spans[j, 0] < q < spans[j, 1] and brighter[j] * points[i, 2] >= 0.0:
+                owner, least = j, d
+        owners[i] = owner

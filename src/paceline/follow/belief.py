@@ -1,0 +1,79 @@
+"""Whether the target is seen, coasted over or lost, and why."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from paceline.follow.configuration import FollowConfiguration
+
+Bytes = NDArray[np.uint8]
+
+EVERY = 8  # only every eighth row of an image is looked at to tell whether it shows anything
+DARK, BRIGHT, FLAT = 4, 251, 3  # grey levels: a black and a white image, and one without contrast
+CONFIRM = 3  # frames in a row that must show a target that was lost before it is believed
+
+
+class Picture:
+    """Tells whether an image shows anything new."""
+
+    def __init__(self) -> None:
+        self._last: Bytes | None = None
+
+    def fault(self, image: Bytes | None) -> str:
+        """Why ``image`` cannot be used; empty for one that can."""
+        if image is None:
+            return "the frame could not be read"
+        rows = image[::EVERY]
+        last, self._last = self._last, rows.copy()
+        low, high = int(rows.min()), int(rows.max())
+        if high <= DARK:
+            return "the picture is black"
+        if low >= BRIGHT:
+            return "the picture is white"
+        if high - low <= FLAT:
+            return "the picture has no contrast"
+        if last is not None and np.array_equal(rows, last):
+            return "the picture is frozen: the same as the one before"
+        return ""
+
+
+class Belief:
+    """The state machine tracking → coasting → lost → tracking again, by what each frame shows.
+
+    A target that is not seen is coasted over for ``coast_limit`` seconds; after that it is lost, and believed again
+    only when it was seen in several frames in a row.
+    """
+
+    def __init__(self, configuration: FollowConfiguration) -> None:
+        self._limit = configuration.coast_limit
+        self._confirm = CONFIRM if configuration.appearance else 1
+        self._unseen_since: float | None = None
+        self._streak = 0
+        self._seen = False
+        self.status = "tracking"
+
+    @property
+    def lost(self) -> bool:
+        return self.status == "lost" or self._streak > 0
+
+    def step(self, time: float, complaint: str) -> tuple[str, str]:
+        """The status and its reason at ``time``, s, with the target seen, or not seen because of ``complaint``."""
+        if complaint:
+            self._streak = 0
+            if self._unseen_since is None:
+                self._unseen_since = time
+            gone = time - self._unseen_since
+            self.status = "lost" if gone > self._limit or self.status == "lost" else "coasting"
+            return self.status, complaint
+        if self.status == "tracking":
+            self._seen = True
+            return "tracking", ""
+        if self.status == "lost" or not self._seen:
+            self._streak += 1
+            if self._streak < self._confirm:
+                return self.status, "something like the target is seen again; waiting to be sure"
+        since = time - (time if self._unseen_since is None else self._unseen_since)
+        self._seen = True
+        was, self.status, self._streak, self._unseen_since = self.status, "tracking", 0, None
+        return "tracking", f"reacquired after {since:.1f} s {'lost' if was == 'lost' else 'of coasting'}"

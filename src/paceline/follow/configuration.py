@@ -1,0 +1,65 @@
+"""Every knob of car following in one validated place: [NIST]'s constants, and one switch per remedy."""
+
+from __future__ import annotations
+
+from pydantic import BaseModel, ConfigDict, Field
+
+
+class FollowConfiguration(BaseModel):
+    """How to follow. The resolved configuration is written beside the results.
+
+    The paper prints the edge threshold, the direction's tolerance, the 0.3 of a length and the variance of 0.1; the
+    gate and the decay it leaves open.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    # the remedies, each of which may be switched off
+    subpixel: bool = True  # edge points between pixels
+    polarity: bool = True  # learn for each feature which side of it is the brighter one
+    wide_search: bool = True  # look for the whole model before its features, farther than the motion models reach
+    predicted_gates: bool = True  # association gates from the predicted uncertainty instead of a constant
+    competing_lines: bool = True  # several candidate lines per feature, robustly fitted
+    adaptive_decay: bool = True  # two decays per parameter, weighed by how well they predicted of late
+    appearance: bool = True  # learn what the target looks like, and do not believe what looks otherwise
+
+    # the method
+    edge_threshold: float = Field(4.0, ge=0, le=255)  # grey levels of 255
+    direction_tolerance: float = Field(25.0, gt=0, lt=45)  # δ of (7), degrees
+    gate: float = Field(5.0, gt=0)  # ζ, px: the constant one, and where nothing is known yet
+    minimum_share: float = Field(0.3, gt=0, le=1)  # of a feature's predicted length that must be matched
+    variance_floor: float = Field(0.1, gt=0)  # px², (14)
+    model_tolerance: float = Field(0.01, ge=0)  # m by which a feature's true place may differ from the model's
+    relief_tolerance: float = Field(0.015, ge=0)  # m, the same for horizontal ones: a bumper that stands off the plane
+    # appears higher or lower, for the camera looks down on it
+    decay: float = Field(0.8, gt=0, lt=1)  # λ of (18) for c_x and c_y, for each 1/15 s
+    scale_decay: float = Field(0.85, gt=0, lt=1)  # λ for the scale
+    slow_decay: float = Field(0.95, gt=0, lt=1)  # λ of the second models, where the decay is adaptive
+    slow_scale_decay: float = Field(0.95, gt=0, lt=1)
+
+    # when to believe
+    coast_limit: float = Field(2.0, ge=0)  # s without a sight of the target before it is lost
+    jump_limit: float = Field(1.0, gt=0)  # s between two frames beyond which nothing is predicted
+
+    # steering
+    wheelbase: float = Field(2.8, gt=0)  # m, of the chase vehicle
+    camera_ahead: float = 1.5  # m from its rear axle to the camera
+    lookahead_time: float = Field(0.8, ge=0)  # s of driving to the point that is pursued
+    lookahead_min: float = Field(3.0, gt=0)  # m
+    lookahead_max: float = Field(20.0, gt=0)  # m
+    steering_limit: float = Field(0.6, gt=0, lt=1.5)  # rad
+
+    @classmethod
+    def as_published(cls) -> FollowConfiguration:
+        """The paper's method, with every remedy off."""
+        return cls(
+            edge_threshold=8.0,
+            direction_tolerance=15.0,
+            subpixel=False,
+            polarity=False,
+            wide_search=False,
+            predicted_gates=False,
+            competing_lines=False,
+            adaptive_decay=False,
+            appearance=False,
+        )

@@ -1,0 +1,271 @@
+"""Stages 3 and 4 of [NIST]: where each feature is, and from that where the whole model is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from paceline.follow.motion import solved, triangularise
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+Indices = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+CANDIDATES = 3  # lines that may compete for one feature
+BIN = 0.5  # px, of the histogram in which they are found
+BINS = 256
+ROUNDS = 6  # of the robust fit
+UNCHECKED = 1.5
+BEYOND = 2.0  # times its reach from where it should be, a line does not belong to the model
+CONSISTENT = 0.1  # the residual (15) below which features agree as well as the pixel grid allows
+SINGULAR = 1e-6  # of the greatest diagonal of U: a location with less than that is not determined
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Where the model is: ``location`` (3,) c_x, c_y (px) and scale, its ``covariance`` (3, 3), the confidences
+    ``weights`` (3,) of (17), the residual J_l of (15), and which features it rests on, ``used`` (S,)."""
+
+    location: Array
+    covariance: Array
+    weights: Array
+    residual: float
+    offsets: Array  # (S,) px: measured minus fitted place of each feature; NaN where there is none
+    used: Flags
+
+
+@njit(cache=True, nogil=True)
+def locate_features(
+    points: Floats,
+    owners: Indices,
+    upright: bool,
+    lengths: Array,
+    minimum_share: float,
+    variance_floor: float,
+    places: Array,
+    weights: Array,
+    vertical: Flags,
+) -> None:
+    """The mean place of each feature's points (12) into ``places`` (S,) px, and its confidence (13), (14) into
+    ``weights`` (S,): 0 with fewer points than ``minimum_share`` of its predicted length in ``lengths`` (S,) px."""
+    across = 0 if upright else 1
+    count = np.zeros(len(lengths))
+    total = np.zeros(len(lengths))
+    squares = np.zeros(len(lengths))
+    for i in range(len(points)):
+        if owners[i] >= 0:
+            count[owners[i]] += 1.0
+            total[owners[i]] += points[i, across]
+    for j in range(len(lengths)):
+        if vertical[j] == upright:
+            places[j] = total[j] / count[j] if count[j] else np.nan
+    for i in range(len(points)):
+        if owners[i] >= 0:
+            squares[owners[i]] += (points[i, across] - places[owners[i]]) ** 2
+    for j in range(len(lengths)):
+        if vertical[j] == upright:
+            enough = count[j] > 0 and count[j] >= minimum_share * lengths[j]
+            weights[j] = 1.0 / np.sqrt(max(squares[j] / count[j], variance_floor)) if enough else 0.0
+
+
+@njit(cache=True, nogil=True)
+def _fill(places: Array, weights: Array, vertical: Flags, offsets: Array, rows: Array) -> None:
+    """The weighted rows [A | b] of (16) into ``rows`` (≥ S, 4); features of no weight give rows of zeros."""
+    for j in range(len(places)):
+        w = weights[j]
+        rows[j, 0] = w if vertical[j] else 0.0
+        rows[j, 1] = 0.0 if vertical[j] else w
+        rows[j, 2] = w * offsets[j]
+        rows[j, 3] = w * places[j] if w > 0.0 else 0.0
+
+
+@njit(cache=True, nogil=True)
+def _determined(pair: Array) -> bool:
+    a, b, c = abs(pair[0, 0]), abs(pair[1, 1]), abs(pair[2, 2])
+    return bool(min(a, b) > 0.0 and c > SINGULAR * max(a, b))
+
+
+@njit(cache=True, nogil=True)
+def candidate_lines(
+    points: Floats,
+    owners: Indices,
+    upright: bool,
+    expected: Array,
+    gates: Array,
+    breadth: float,
+    vertical: Flags,
+    lines: Array,
+) -> None:
+    """The lines that compete for each feature: rows (place, points, variance) of ``lines`` (S, CANDIDATES, 3).
+
+    They are the places where the feature's points crowd: peaks of a histogram across the feature about ``expected``
+    (S,) px, within ``gates`` (S,) px of it; points within ``breadth`` px of a peak belong to it.
+    """
+    across = 0 if upright else 1
+    histogram = np.zeros((len(expected), BINS), np.float32)
+    middle = BINS // 2
+    size = BIN
+    for j in range(len(expected)):
+        size = max(size, 2.2 * gates[j] / BINS)
+    for i in range(len(points)):
+        j = owners[i]
+        if j >= 0:
+            k = int(np.floor((points[i, across] - expected[j]) / size + 0.5)) + middle
+            if 0 <= k < BINS:
+                histogram[j, k] += 1.0
+    reach = max(1, int(breadth / size))
+    for j in range(len(expected)):
+        if vertical[j] != upright:
+            continue
+        lines[j] = 0.0
+        for c in range(CANDIDATES):
+            top, most = 0, np.float32(0.0)
+            for k in range(1, BINS - 1):
+                h = histogram[j, k - 1] + histogram[j, k] + histogram[j, k + 1]
+                if h > most or (h == most and most > 0 and abs(k - middle) < abs(top - middle)):
+                    top, most = k, h
+            if most < 2.0:
+                break
+            place = expected[j] + (top - middle) * size
+            n, total, squares = 0.0, 0.0, 0.0
+            for sweep in range(2):
+                n, total, squares = 0.0, 0.0, 0.0
+                for i in range(len(points)):
+                    if owners[i] == j:
+                        d = points[i, across] - place
+                        if abs(d) <= breadth:
+                            n += 1.0
+                            total += d
+                            squares += d * d
+                if n == 0.0:
+                    break
+                if sweep == 0:
+                    place += total / n
+            if n > 0.0:
+                lines[j, c, 0] = place + total / n
+                lines[j, c, 1] = n
+                lines[j, c, 2] = max(squares / n - (total / n) ** 2, 0.0)
+            for k in range(max(top - reach - 1, 0), min(top + reach + 2, BINS)):
+                histogram[j, k] = 0.0
+
+
+@njit(cache=True, nogil=True)
+def robust_lines(
+    lines: Array,
+    start: Array,
+    doubt: Array,
+    vertical: Flags,
+    offsets: Array,
+    lengths: Array,
+    minimum_share: float,
+    variance_floor: float,
+    tolerance: Array,
+    finest: float,
+) -> tuple[Array, Array]:
+    """The place and the confidence (S,) of each feature: of its competing ``lines`` the one that fits the others.
+
+    From ``start`` (3,), known to within ``doubt`` (3,), the reach of the robust weights narrows to ``finest`` px. The
+    variance of a line is that of its points over their number and ``tolerance`` (S,) px² for the model's own errors.
+    """
+    n = len(vertical)
+    places, weights = np.empty(n), np.empty(n)
+    x = start.copy()
+    rows = np.empty((n + 3, 4))
+    widest = 0.0
+    for j in range(n):
+        d = doubt[0] if vertical[j] else doubt[1]
+        widest = max(widest, np.sqrt(d * d + (offsets[j] * doubt[2]) ** 2))
+    reach = max(2.0 * widest, finest)
+    shrink = (finest / reach) ** (1.0 / (ROUNDS - 1))
+    for r in range(ROUNDS):
+        for j in range(n):
+            expected = (x[0] if vertical[j] else x[1]) + x[2] * offsets[j]
+            chosen, most = -1, 0.0
+            for c in range(lines.shape[1]):
+                if lines[j, c, 1] < minimum_share * lengths[j] or lines[j, c, 1] < 2.0:
+                    continue
+                away = (lines[j, c, 0] - expected) / reach
+                support = lines[j, c, 1] / lengths[j] * np.exp(-0.5 * away * away)
+                if support > most:
+                    chosen, most = c, support
+            weights[j] = 0.0
+            places[j] = np.nan
+            if chosen >= 0:
+                away = (lines[j, chosen, 0] - expected) / reach
+                if abs(away) < BEYOND:
+                    variance = max(lines[j, chosen, 2], variance_floor) / lines[j, chosen, 1] + tolerance[j]
+                    places[j] = lines[j, chosen, 0]
+                    weights[j] = 1.0 / (np.sqrt(variance) * (1.0 + away * away))
+        if r == ROUNDS - 1:
+            break
+        _fill(places, weights, vertical, offsets, rows)
+        for p in range(3):  # what is not seen stays where it is expected
+            rows[n + p] = 0.0
+            rows[n + p, p] = 1.0 / doubt[p]
+            rows[n + p, 3] = start[p] / doubt[p]
+        triangularise(rows)
+        x = solved(rows[:3])
+        reach *= shrink
+    return places, weights
+
+
+@njit(cache=True, nogil=True)
+def _locate(
+    places: Array, weights: Array, vertical: Flags, offsets: Array, residuals: Array
+) -> tuple[bool, Array, Array, float]:
+    rows = np.zeros((max(len(places), 3), 4))
+    _fill(places, weights, vertical, offsets, rows)
+    triangularise(rows)
+    pair = rows[:3].copy()
+    nothing = np.zeros(3)
+    inverse = np.zeros((3, 3))
+    if not _determined(pair):
+        return False, nothing, inverse, 0.0
+    x = solved(pair)
+    for p in range(3):  # U⁻¹, a column at a time
+        column = pair.copy()
+        column[:, 3] = 0.0
+        column[p, 3] = 1.0
+        inverse[:, p] = solved(column)
+    J = 0.0
+    for j in range(len(places)):
+        residuals[j] = np.nan
+        if weights[j] > 0.0:
+            residuals[j] = places[j] - (x[0] if vertical[j] else x[1]) - x[2] * offsets[j]
+            J += (weights[j] * residuals[j]) ** 2
+    return True, x, inverse @ inverse.T, J
+
+
+def locate(places: Array, weights: Array, vertical: Flags, offsets: Array) -> Fit | None:
+    """The location that fits the features best, (15)–(17); None where they do not determine one.
+
+    ``places`` (S,) px are the features' places, ``weights`` (S,) their confidences, ``offsets`` (S,) px their u or v
+    at scale 1. The covariance is (AᵀWA)⁻¹, enlarged where the residual shows that the features' confidences claim too
+    much.
+    """
+    residuals = np.empty(len(places))
+    good, x, covariance, J = _locate(places, weights, vertical, offsets, residuals)
+    if not good:
+        return None
+    used = weights > 0.0
+    freedom = int(used.sum()) - 3
+    squares = weights**2
+    wx, wy = float(squares[vertical].sum()), float(squares[~vertical].sum())
+    confidence = np.sqrt(np.array([wx, wy, wx + wy]) / max(J, CONSISTENT))
+    # few features more than unknowns hardly check each other
+    inflation = max(1.0, J / freedom) * (1.0 + UNCHECKED / freedom) if freedom > 0 else 1.0 + 2.0 * UNCHECKED
+    return Fit(x, covariance * inflation, confidence, J, residuals, used)
+
+
+def fused(fit: Fit, expected: Array, doubt: Array) -> Fit:
+    """A fit whose scale was also ``expected`` (3,), to within ``doubt`` (3,).
+
+    Only the scale: a bump moves the image, but not the vehicle.
+    """
+    gain = fit.covariance[:, 2] / (fit.covariance[2, 2] + doubt[2] ** 2)
+    location = fit.location + gain * (expected[2] - fit.location[2])
+    return replace(fit, location=location, covariance=fit.covariance - np.outer(gain, fit.covariance[2]))

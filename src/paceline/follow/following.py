@@ -1,0 +1,107 @@
+"""From a chase-camera recording to estimates: the operator's start, the tracker, the odometry beside it."""
+
+from __future__ import annotations
+
+import platform
+import time
+from collections.abc import Callable, Iterator
+from importlib import metadata
+from pathlib import Path
+
+from paceline import __version__
+from paceline.documents import FollowClip, load_follow
+from paceline.errors import UnusableInput
+from paceline.follow.configuration import FollowConfiguration
+from paceline.follow.history import History
+from paceline.follow.results import FollowEstimate, FollowResult
+from paceline.follow.steering import Pose
+from paceline.follow.target import Target
+from paceline.follow.tracker import FollowTracker
+from paceline.monocular import CameraFrame, CameraRecording, open_camera
+from paceline.odometry import read_odometry
+
+Progress = Callable[[int, int | None], None]
+
+
+def tracker_for(clip: FollowClip, configuration: FollowConfiguration | None = None) -> FollowTracker:
+    """A tracker that begins as ``clip`` says: its camera, its target, the operator's start and the wheelbase."""
+    document = clip.target
+    target = Target(document.name, document.nominal_range, document.corners, document.segments)
+    return FollowTracker(clip.camera, target, clip.center, clip.scale, resolved(clip, configuration))
+
+
+def resolved(clip: FollowClip, configuration: FollowConfiguration | None = None) -> FollowConfiguration:
+    """The configuration with what ``clip`` itself says put in."""
+    c = configuration or FollowConfiguration()
+    return c if clip.wheelbase is None else c.model_copy(update={"wheelbase": clip.wheelbase})
+
+
+def follow(
+    clip: FollowClip, recording: CameraRecording, configuration: FollowConfiguration | None = None
+) -> Iterator[tuple[CameraFrame, FollowEstimate]]:
+    """Every frame of ``recording`` from the operator's start on, with its estimate. Raises UnusableInput."""
+    if recording.total is not None and clip.frame >= recording.total:
+        raise UnusableInput(
+            f"{clip.path}: start.frame: frame {clip.frame} is not in the recording; expected one of its frames "
+            f"0 to {recording.total - 1}"
+        )
+    odometry = None if clip.odometry is None else read_odometry(clip.odometry)
+    tracker = tracker_for(clip, configuration)
+    begun = False
+    for frame in recording.frames(clip.frame):
+        if not begun and frame.image is None:
+            raise UnusableInput(
+                f"{clip.path}: start.frame: frame {frame.index} cannot be decoded; expected one that shows the target"
+            )
+        begun = True
+        pose = None
+        if odometry is not None:
+            where = odometry.at(frame.index)
+            if where is None:
+                raise UnusableInput(f"{clip.odometry}: has no row for frame {frame.index}; expected one for each frame")
+            pose = Pose(*map(float, where))
+        yield frame, tracker.update(frame.image, frame.time, frame.index, pose)
+    if not begun:
+        raise UnusableInput(f"{clip.path}: start.frame: {recording.name} ended before frame {clip.frame}")
+
+
+def follow_recording(
+    clip: FollowClip | Path | str, configuration: FollowConfiguration | None = None, progress: Progress | None = None
+) -> FollowResult:
+    """Follow the target of ``clip``, a follow.yaml or what `load_follow` made of it, to the end of its recording.
+
+    ``progress`` is called with frames done and frames in all (None where that is not known). Raises UnusableInput.
+    """
+    loaded = clip if isinstance(clip, FollowClip) else load_follow(clip)
+    recording = open_camera(loaded)
+    history = History(keep=None)
+    begun = time.perf_counter()
+    for _, estimate in follow(loaded, recording, configuration):
+        history.add(estimate)
+        if progress is not None:
+            progress(estimate.frame + 1, recording.total)
+    return result_of(loaded, recording, configuration, history, time.perf_counter() - begun)
+
+
+def result_of(
+    clip: FollowClip,
+    recording: CameraRecording,
+    configuration: FollowConfiguration | None,
+    history: History,
+    seconds: float,
+) -> FollowResult:
+    """What ``history`` kept of a run, with what it came from."""
+    return history.result(
+        clip=str(clip.path),
+        target=clip.target.name,
+        configuration=resolved(clip, configuration).model_dump(),
+        versions=versions(),
+        notices=list(recording.notices),
+        seconds=seconds,
+    )
+
+
+def versions() -> dict[str, str]:
+    """Versions of what computed the result."""
+    names = ("numpy", "numba", "opencv-python-headless", "av")
+    return {"paceline": __version__, "python": platform.python_version()} | {n: metadata.version(n) for n in names}

@@ -1,0 +1,70 @@
+"""Stage 8 of [NIST]: metres in the camera's axes from a location in pixels, with their uncertainty; and the lens."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import atan2, hypot
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from paceline.cameras import Camera
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+YAW = 0.1  # rad, standard deviation of the target's yaw against the camera
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """Where the centre of the target's rear plane is: ``position`` (3,) m in the camera's axes with its standard
+    deviations ``std`` (3,), and its ``bearing``, rad, positive to the right."""
+
+    position: Array
+    std: Array
+    bearing: float
+
+
+def place_of(
+    location: Array, covariance: Array, camera: Camera, nominal_range: float, tolerance: float, width: float
+) -> Place:
+    """(36) for a ``location`` (3,) c_x, c_y, scale in ideal pixels with its ``covariance`` (3, 3).
+
+    The range is the nominal one over the scale; the covariance is carried through the derivatives of (36). To this
+    comes what no fit can show: a model whose lines are true to within ``tolerance`` m has its centre and, over its
+    ``width`` m, its size no truer than that; and of a target that is yawed a little the nearer side looks the longer.
+    """
+    ray = camera.rays(location[:2])
+    z = nominal_range / location[2]
+    position = z * ray
+    to_metres = np.empty((3, 3))
+    to_metres[:, :2] = z * camera.K_inv[:, :2]
+    to_metres[:, 2] = -position / location[2]
+    variance = ((to_metres @ covariance) * to_metres).sum(1)
+    model = np.array([hypot(tolerance, YAW * (0.5 * width) ** 2 / z), tolerance, tolerance * z / width])
+    return Place(position, np.sqrt(np.maximum(variance, 0.0) + model**2), atan2(ray[0], 1.0))
+
+
+def recorded(camera: Camera, pixels: Array) -> Array:
+    """Pixels (…, 2) of the image as recorded, of ideal ``pixels`` (…, 2)."""
+    if not camera.has_distortion:
+        return pixels
+    rays = camera.rays(pixels).reshape(-1, 1, 3)
+    points, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), camera.K, camera.distortion)
+    return np.asarray(points, float).reshape(pixels.shape)
+
+
+def displaced(camera: Camera, lines: Array, vertical: Flags) -> tuple[Array, Array]:
+    """How far the lens moves ``lines`` (S, 2, 2), ideal pixels, across themselves (S,) and along themselves (S,).
+
+    A line that the lens bends keeps its mean place: edge points all along it have this mean as well.
+    """
+    n = len(lines)
+    if not camera.has_distortion:
+        return np.zeros(n), np.zeros(n)
+    shares = np.array([0.1, 0.3, 0.5, 0.7, 0.9])[:, None, None]
+    points = lines[None, :, 0] + shares * (lines[None, :, 1] - lines[None, :, 0])
+    moved = (recorded(camera, points) - points).mean(0)
+    return np.where(vertical, moved[:, 0], moved[:, 1]), np.where(vertical, moved[:, 1], moved[:, 0])

@@ -1,0 +1,168 @@
+"""Finding the target in an image and telling whether what was found is the target: its geometry and its appearance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import hypot
+
+import numpy as np
+from numpy.typing import NDArray
+
+from paceline.follow import fitting
+from paceline.follow.appearance import INSIDE, Appearance
+from paceline.follow.configuration import FollowConfiguration
+from paceline.follow.edges import Window
+from paceline.follow.features import Projection
+from paceline.follow.fitting import Fit
+from paceline.follow.measuring import Measurement, Measurer
+from paceline.follow.search import Search, Sighting
+
+Array = NDArray[np.float64]
+Bytes = NDArray[np.uint8]
+Indices = NDArray[np.int64]
+
+SUPPORT = 0.35  # share of the model's lines that must be found
+CLEAR = 0.5  # the same for a target that was lost
+FEATURES = 4  # that must agree
+SHARP = 0.012  # relative deviation of the scale with which the picture may still be learned
+VAGUE = 0.05  # relative standard deviation of the scale with which it is not told
+JUMP = 6.0  # standard deviations that the scale may be off the predicted one
+ALIKE = 0.4  # likeness of the picture below which the target is not believed
+SURE = 0.7  # the same for a target that was not seen for as many cycles as GONE
+GONE = 3.0
+HELD = 0.85  # likeness at which the picture alone is believed
+ALONE_FOR = 15  # frames in a row for which it is
+PROVEN = 10  # frames in which its features must have shown the target before
+HAND_AT_WORST = 5.0  # times as far as thought the operator's start may be off where nothing fits closer by
+BETTER = 0.2  # by so much must the model fit better there
+WIDEST = 8.0  # times as far as usual a target is looked for that was lost
+
+FEW = "too few of its features are found"
+APART = "what is found does not fit together"
+ALONE = "held by its picture: too few of its features are found"
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """What one image shows of the target, and the ``complaint`` that keeps it from being believed."""
+
+    complaint: str
+    window: Window = (0, 0, 0, 0)
+    fit: Fit | None = None
+    measurement: Measurement | None = None  # None where only the picture holds it
+    inside: float = 0.0  # share of the picture that lies in the image
+    evidence: Array | None = None  # (S,)
+    clear: bool = False  # enough to learn the picture from
+    fitness: float = -1.0  # share of the model's lines found, less their residual over what is allowed
+    note: str = ""
+
+
+class Recogniser:
+    """Looks for a target in images of one size, and learns what it looks like."""
+
+    def __init__(self, projection: Projection, configuration: FollowConfiguration) -> None:
+        c, target = configuration, projection.target
+        self._projection, self._c = projection, c
+        self._search = Search(target, projection.magnification, projection.camera.image_size, c.edge_threshold)
+        self._measurer = Measurer(projection, c)
+        self._proven = 0
+        self._held_for = 0  # frames, in a row, by the picture alone
+        self.appearance = Appearance(target)
+
+    def look(self, image: Bytes, expected: Array, doubt: Array, tau: float, lost: bool) -> Look:
+        """The target in ``image`` (H, W), where it is ``expected`` (3,) to within ``doubt`` (3,), ``tau`` cycles after
+        it was seen last; ``lost``: it may be anywhere."""
+        if not self._c.wide_search:
+            return self._measured(image, expected, doubt, expected, doubt, tau, lost)
+        if self.appearance.known:
+            width = WIDEST if lost else min(max(1.0, tau) ** 0.7, WIDEST)
+            return self._found(image, expected, doubt, width, tau, lost)
+        close = self._found(image, expected, doubt, 0.0, tau, lost)
+        if not close.complaint:
+            return close
+        wide = self._found(image, expected, HAND_AT_WORST * doubt, 0.0, tau, lost)
+        return wide if wide.fitness > close.fitness + BETTER else close
+
+    def learn(self, look: Look) -> None:
+        """Take in what a look that was believed has shown."""
+        self._held_for = self._held_for + 1 if look.note else 0
+        self._proven += not look.note
+        if look.evidence is not None:
+            self.appearance.learn(look.evidence, look.inside if look.clear or not self.appearance.known else 0.0)
+
+    def learn_start(self, image: Bytes, location: Array) -> None:
+        """Learn what is at the operator's start, though its features cannot be told there."""
+        shown = self._projection.shown(location)
+        if self._search.open_at(image, shown.location):
+            inside, evidence = self._search.evidence_at(shown.location, shown.shifts, self.appearance)
+            self.appearance.learn(evidence, max(inside, INSIDE))
+
+    def _found(self, image: Bytes, expected: Array, doubt: Array, width: float, tau: float, lost: bool) -> Look:
+        """Search for the whole model, then measure its features there."""
+        shown, c = self._projection.shown(expected), self._c
+        sighting = self._search.find(image, shown.location, doubt, shown.shifts, width, self.appearance, c.appearance)
+        if sighting is None:
+            return Look("nothing like the target is in reach")
+        start = self._projection.ideal(sighting.location)
+        look = self._measured(image, start, sighting.doubt, expected, doubt, tau, lost)
+        look = replace(look, window=sighting.window)
+        proven = self._proven >= PROVEN and self._held_for < ALONE_FOR and not lost
+        if look.complaint in (FEW, APART) and proven and sighting.picture > HELD:
+            return self._held(start, sighting)
+        return look
+
+    def _held(self, location: Array, sighting: Sighting) -> Look:
+        """The target by its picture alone, where its features cannot be told but everything looks as it did."""
+        n = len(self._projection.offsets)
+        doubt = sighting.doubt * np.array([1.0, 1.0, 1.0 + self._held_for / PROVEN])  # a picture's size drifts
+        fit = Fit(location, np.diag(doubt**2), np.zeros(3), 0.0, np.full(n, np.nan), np.zeros(n, bool))
+        shown = self._projection.shown(location)
+        inside, evidence = self._search.evidence_at(shown.location, shown.shifts, self.appearance)
+        return Look("", sighting.window, fit, None, inside, evidence, note=ALONE)
+
+    def _measured(
+        self, image: Bytes, start: Array, near: Array, expected: Array, doubt: Array, tau: float, lost: bool
+    ) -> Look:
+        """Stages 1 to 4 about ``start`` (3,), known to within ``near`` (3,), and what is to be thought of it."""
+        c = self._c
+        brighter = self.appearance.brighter() if c.polarity else np.zeros(len(self._projection.offsets), np.int64)
+        measurement, window = self._measurer.measure(image, start, near, brighter)
+        if measurement is None:
+            return Look(FEW, window)
+        fit = measurement.fit
+        if c.wide_search and c.appearance:
+            fit = fitting.fused(fit, start, near)
+        look = Look("", window, fit, measurement)
+        if not (c.wide_search or c.appearance or c.polarity):
+            return look
+        shown = self._projection.shown(fit.location)
+        if not c.wide_search and not self._search.open_at(image, shown.location):
+            return replace(look, complaint="too little of it is in the image")
+        inside, evidence = self._search.evidence_at(shown.location, shown.shifts, self.appearance)
+        look = replace(look, inside=inside, evidence=evidence)
+        return self._judged(look, fit, measurement, expected, doubt, tau, lost)
+
+    def _judged(
+        self, look: Look, fit: Fit, measurement: Measurement, expected: Array, doubt: Array, tau: float, lost: bool
+    ) -> Look:
+        """Its features must be there, fit together and look like it."""
+        agreeing, residual, breadth = measurement.agreeing, measurement.residual, measurement.breadth
+        support = float(self.appearance.lengths[agreeing].sum() / self.appearance.lengths.sum())
+        spread = float(np.sqrt(fit.covariance[2, 2])) / fit.location[2]
+        sharp = support >= CLEAR and residual < 0.6 * breadth and spread < SHARP
+        clear = sharp and abs(fit.location[2] / expected[2] - 1.0) < SHARP
+        complaint = ""
+        if self._c.appearance:
+            picture = self.appearance.likeness() if look.inside > 0.5 else 0.0
+            jump = abs(fit.location[2] - expected[2]) / hypot(doubt[2], spread * fit.location[2])
+            if support < (CLEAR if lost else SUPPORT) or agreeing.sum() < FEATURES:
+                complaint = FEW
+            elif residual > breadth:
+                complaint = APART
+            elif spread > VAGUE:
+                complaint = "its size cannot be told"
+            elif jump > JUMP and not (sharp and picture > SURE):
+                complaint = "its size jumps"
+            elif picture < (ALIKE if tau < GONE else SURE):
+                complaint = "what is found does not look like it"
+        return replace(look, complaint=complaint, clear=clear, fitness=support - 0.5 * residual / breadth)

@@ -1,0 +1,237 @@
+"""A search for the whole model in each image, ahead of [NIST]'s stages.
+
+The motion models cannot foresee a bump in the road, which moves the whole image by more than the distance between two
+features. So all locations within reach are tried: running sums over the evidence of edges give each feature's support
+in two look-ups, and what the features usually show, and the picture of the target, choose between the best of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from paceline.follow import search_cpu
+from paceline.follow.appearance import Appearance
+from paceline.follow.edges import Window, window_around
+from paceline.follow.target import Target
+
+Array = NDArray[np.float64]
+Bytes = NDArray[np.uint8]
+
+DETAIL = 32  # px: the smaller side of the target in the image that is searched
+VERTICAL = 0.045  # rad: a bump's pitch between two images
+LATERAL = 0.03  # rad
+ROUGH = 2.0  # times as far where the predictions have been that bad
+SCALES = 0.08  # relative change of scale
+WORK = 12_000  # locations tried at most for one image
+ROOM = 0.65  # sizes of the target from its centre that must be seen of it
+FINER = 3  # times as fine is the second look
+NEAR = 0.6  # px of the second look, to which it is right
+ALIGNED = 0.25  # px of the searched image to which an alignment of pictures may be trusted
+STEADY = 0.015  # relative scale to which it may be
+RIVALS = 3  # locations whose pictures are compared
+HOPELESS = 0.4  # likeness by which a rival may be behind the best one before the pictures are compared
+MODESTY = 0.01  # likeness that a location one standard deviation from the predicted one must have more
+HAND = 0.05  # the same at the operator's start
+PICTURE = 1.0  # weight of the picture's likeness against the features'
+
+
+@dataclass(frozen=True, eq=False)
+class Sighting:
+    """The best location (3,) found, to within ``doubt`` (3,), the ``window`` that was searched, and how alike the
+    ``picture`` there is, −1 to 1, where it was compared."""
+
+    location: Array
+    doubt: Array
+    window: Window
+    picture: float = 0.0
+
+
+class Search:
+    """Looks for the target in images of one size."""
+
+    def __init__(self, target: Target, magnification: Array, image_size: tuple[int, int], softness: float) -> None:
+        width, height = image_size
+        self._target, self._magnification, self._size = target, magnification, image_size
+        self._softness = softness
+        self._lengths = target.spans[:, 1] - target.spans[:, 0]
+        self._scratch = np.zeros((2, 3, width), np.float32)
+        self._pooled = np.zeros(width * height, np.uint8)
+        self._vertical = np.zeros((height + 1) * width, np.float32)
+        self._horizontal = np.zeros(height * (width + 1), np.float32)
+        self._scores = np.zeros(8 * WORK)
+        self._best = np.zeros((RIVALS, 4))
+        self._near = np.zeros((1, 4))
+        self._evidence = np.zeros(len(target.segments))
+
+    def find(
+        self,
+        image: Bytes,
+        expected: Array,
+        doubt: Array,
+        shifts: Array,
+        width: float,
+        appearance: Appearance,
+        compare: bool,
+    ) -> Sighting | None:
+        """The target in ``image`` (H, W), ``expected`` (3,) in recorded pixels with standard deviations ``doubt`` (3,).
+
+        ``shifts`` (S,) px is what the lens does to each feature beyond what it does to the centre. ``width`` is how
+        many times as far as usual to look; 0 stands for the operator's start, where nothing moves and only the hand may
+        be wrong. ``compare``: whether the picture has a say. None where no edge of the target is in the image.
+        """
+        size = self._target.size * self._magnification * expected[2]
+        focal = self._magnification * self._target.nominal_range
+        reach = 3.0 * doubt[:2]
+        if width > 0:
+            usual = np.array([LATERAL, VERTICAL]) * focal
+            reach = np.maximum(width * usual, np.minimum(reach, ROUGH * usual))
+        modesty = MODESTY if width > 0 else HAND
+        side = max(1, int(min(size) / (DETAIL if width <= 2.0 else DETAIL / 2)))
+        step = 2.0
+        ladder = self._ladder(expected[2], max(SCALES * max(width - 1.0, 0.0), 3.0 * doubt[2] / expected[2]), side)
+        steps = np.ceil(reach / side / step)
+        while len(ladder) * np.prod(2 * steps + 1) > WORK:
+            step *= 1.25
+            steps = np.ceil(reach / side / step)
+        window = window_around(expected[:2], ROOM * size + reach, self._size)
+        if not self._open(image, window, side):
+            return None
+        coarse = self._scan(expected, doubt, expected, steps, step, ladder, shifts, modesty, appearance, self._best)
+        if not len(coarse):
+            return None
+        if compare and appearance.known:
+            return self._closest(coarse, doubt, window, appearance)
+        place, pitch = coarse[0], step * side
+        fine = max(1, side // FINER)
+        if not self._open(image, window_around(place[:2], ROOM * size + pitch, self._size), fine):
+            return None
+        steps = np.full(2, np.ceil(0.75 * pitch / fine))
+        ladder = self._ladder(place[2], 0.5 * self._rung(place[2], side), fine)
+        closer = self._scan(expected, doubt, place[:3], steps, 1.0, ladder, shifts, modesty, appearance, self._near)
+        if not len(closer) or not self._open(image, window, side):
+            return None
+        found = closer[0]
+        blur = NEAR * fine
+        near = np.array([blur, blur, min(found[2] * self._rung(found[2], fine), doubt[2])])
+        return Sighting(found[:3], near, window)
+
+    def _closest(self, rivals: Array, doubt: Array, window: Window, appearance: Appearance) -> Sighting:
+        """Of the ``rivals`` (B, 4) the one whose picture is most like the learned one, aligned with that."""
+        best, best_score = None, -np.inf
+        units, origin = np.array([self._side, self._side, 1.0]), np.array([*self._origin, 0.0])
+        m = self._magnification / self._side
+        for rival in rivals[rivals[:, 3] > rivals[0, 3] - HOPELESS]:
+            place = (rival[:3] - origin) / units
+            steady = float(doubt[2] / rival[2])
+            covariance = appearance.align(self._pooled_view, place, m, steady)
+            inside = appearance.look(self._pooled_view, place[:2], place[2] * m)
+            picture = appearance.likeness() if inside > 0.5 else 0.0
+            if rival[3] + PICTURE * picture > best_score:
+                best_score = rival[3] + PICTURE * picture
+                floor = np.array([ALIGNED * self._side, ALIGNED * self._side, STEADY * rival[2]])
+                near = NEAR * units * np.array([1.0, 1.0, self._rung(rival[2], self._side) * rival[2]])
+                if covariance is not None:
+                    near = np.minimum(near, np.hypot(floor, np.sqrt(np.diag(covariance)) * units))
+                    best = Sighting(place * units + origin, near, window, picture)
+                else:
+                    best = Sighting(rival[:3], near, window)
+        assert best is not None
+        return best
+
+    def evidence_at(self, location: Array, shifts: Array, appearance: Appearance) -> tuple[float, Array]:
+        """Look at the target at ``location`` (3,), recorded pixels, in the part of the image searched last, for
+        ``appearance`` to compare or to learn: the share of its picture inside, and the evidence (S,) along its
+        features."""
+        m = location[2] * self._magnification / self._side
+        center = (location[:2] - self._origin) / self._side
+        search_cpu.responses(
+            self._vertical_view,
+            self._horizontal_view,
+            center[0],
+            center[1],
+            m[0],
+            m[1],
+            self._target.vertical,
+            self._target.places,
+            self._target.spans,
+            shifts / self._side,
+            self._evidence,
+        )
+        return appearance.look(self._pooled_view, center, m), self._evidence.copy()
+
+    def open_at(self, image: Bytes, location: Array) -> bool:
+        """Make the image about ``location`` (3,), recorded pixels, ready for a look at the target there."""
+        size = self._target.size * self._magnification * location[2]
+        side = max(1, int(min(size) / DETAIL) // FINER)
+        return self._open(image, window_around(location[:2], ROOM * size, self._size), side)
+
+    def _open(self, image: Bytes, window: Window, side: int) -> bool:
+        """Sum the evidence inside ``window``, over means of ``side`` × ``side`` pixels; False where there is too
+        little of it in the image."""
+        x0, y0, x1, y1 = window
+        h, w = max(y1 - y0, 0) // side, max(x1 - x0, 0) // side
+        if min(h, w) < 5:
+            return False
+        self._side = side
+        self._origin = np.array([x0, y0]) + 0.5 * (side - 1)
+        self._pooled_view = self._pooled[: h * w].reshape(h, w)
+        self._vertical_view = self._vertical[: (h + 1) * w].reshape(h + 1, w)
+        self._horizontal_view = self._horizontal[: h * (w + 1)].reshape(h, w + 1)
+        search_cpu.pool(image, x0, y0, side, self._pooled_view)
+        gx, gy = self._scratch
+        search_cpu.evidence(self._pooled_view, self._softness, gx, gy, self._vertical_view, self._horizontal_view)
+        return True
+
+    def _scan(
+        self,
+        expected: Array,
+        doubt: Array,
+        start: Array,
+        steps: Array,
+        step: float,
+        ladder: Array,
+        shifts: Array,
+        modesty: float,
+        appearance: Appearance,
+        best: Array,
+    ) -> Array:
+        """The best locations about ``start`` with their scores (B, 4), in recorded pixels, the highest first."""
+        units = np.array([self._side, self._side, 1.0])
+        origin = np.array([*self._origin, 0.0])
+        n = search_cpu.scan(
+            self._vertical_view,
+            self._horizontal_view,
+            (start - origin) / units,
+            (expected - origin) / units,
+            steps.astype(np.int64),
+            step,
+            ladder,
+            self._magnification / self._side,
+            self._target.vertical,
+            self._target.places,
+            self._target.spans,
+            shifts / self._side,
+            appearance.signed,
+            appearance.strength,
+            self._lengths,
+            np.maximum(doubt, 1e-6) / units,
+            modesty,
+            self._scores,
+            best,
+        )
+        found = best[:n].copy()
+        found[:, :3] = found[:, :3] * units + origin
+        return found
+
+    def _rung(self, scale: float, side: int) -> float:
+        """The relative change of scale that moves the target's outline by one pixel of the searched image."""
+        return float(side / (0.5 * max(self._target.size * self._magnification) * scale))
+
+    def _ladder(self, scale: float, share: float, side: int) -> Array:
+        """The scales to try, up to a ``share`` smaller and greater than ``scale``."""
+        rung = self._rung(scale, side)
+        n = max(1, int(np.ceil(min(share, 0.5) / rung)))
+        return np.asarray(scale * (1.0 + rung) ** np.arange(-n, n + 1), float)

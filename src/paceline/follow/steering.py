@@ -1,0 +1,111 @@
+"""Steering along the path that the vehicle ahead has driven ([NIST] stage 9): pure pursuit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import atan, cos, exp, hypot, sin
+
+import numpy as np
+from numpy.typing import NDArray
+
+from paceline.follow.configuration import FollowConfiguration
+
+Array = NDArray[np.float64]
+
+SPACING = 0.5  # m between two stored points of the path
+LONGEST = 512  # points kept, 256 m: a day's run holds no more than that
+SMOOTH = 0.3  # s over which the chase vehicle's speed is averaged
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where the chase vehicle's camera is in a level world frame: x and y in metres, heading in radians from x to y.
+
+    The world's y axis lies to the left of its x axis, as in odometry.
+    """
+
+    x: float
+    y: float
+    heading: float
+
+
+def in_world(pose: Pose, ahead: float, right: float) -> tuple[float, float]:
+    """World x and y of a point ``ahead`` and to the ``right`` of the camera, metres."""
+    c, s = cos(pose.heading), sin(pose.heading)
+    return pose.x + c * ahead + s * right, pose.y + s * ahead - c * right
+
+
+def seen_from(pose: Pose, path: Array) -> Array:
+    """World points (N, 2) as (ahead, right) of the camera, metres."""
+    c, s = cos(pose.heading), sin(pose.heading)
+    d = path - (pose.x, pose.y)
+    return np.column_stack([c * d[:, 0] + s * d[:, 1], s * d[:, 0] - c * d[:, 1]])
+
+
+def pure_pursuit(ahead: float, right: float, wheelbase: float) -> float:
+    """Steering angle, rad, positive to the right, of the arc from the vehicle's rear axle through a point: the arc's
+    curvature is twice the point's offset over its squared distance."""
+    return atan(2.0 * wheelbase * right / max(ahead**2 + right**2, 1e-6))
+
+
+def goal_on(path: Array, lookahead: float) -> tuple[float, float]:
+    """The point (ahead, right) at which ``path`` (N, 2), seen from the vehicle and in driving order, last enters the
+    circle of radius ``lookahead``; its end where it does not reach so far."""
+    distance = np.hypot(path[:, 0], path[:, 1])
+    nearest = int(distance.argmin())
+    beyond = np.flatnonzero(distance[nearest:] >= lookahead)
+    if not len(beyond):
+        return float(path[-1, 0]), float(path[-1, 1])
+    k = nearest + int(beyond[0])
+    if k == nearest:
+        return float(path[k, 0]), float(path[k, 1])
+    share = (lookahead - distance[k - 1]) / (distance[k] - distance[k - 1])
+    x, y = path[k - 1] + share * (path[k] - path[k - 1])
+    return float(x), float(y)
+
+
+class Steering:
+    """The angle that makes a vehicle follow the path of the one ahead; without odometry, the one ahead itself."""
+
+    def __init__(self, configuration: FollowConfiguration) -> None:
+        self._c = configuration
+        self._points = np.zeros((LONGEST, 2))
+        self._count = 0
+        self._last: tuple[float, Pose] | None = None
+        self.speed = 0.0  # m/s, of the chase vehicle
+
+    @property
+    def path(self) -> Array:
+        """World points (N, 2), m, that the vehicle ahead has passed, the oldest first; the oldest are forgotten."""
+        return self._points[: self._count]
+
+    def angle(self, time: float, ahead: float, right: float, seen: bool, pose: Pose | None) -> float:
+        """Steering angle, rad, positive to the right, at ``time``, s, with the vehicle ahead at ``ahead`` and ``right``
+        metres in the camera's axes; ``seen``: measured, not only expected there."""
+        c = self._c
+        goal = ahead, right
+        if pose is not None:
+            self._move(time, pose)
+            if seen:
+                self._append(*in_world(pose, ahead, right))
+            if self._count:
+                lookahead = min(max(self.speed * c.lookahead_time, c.lookahead_min), c.lookahead_max)
+                goal = goal_on(seen_from(pose, self.path), lookahead)
+        angle = pure_pursuit(goal[0] + c.camera_ahead, goal[1], c.wheelbase)
+        return min(max(angle, -c.steering_limit), c.steering_limit)
+
+    def _move(self, time: float, pose: Pose) -> None:
+        if self._last is not None and time > self._last[0]:
+            dt = time - self._last[0]
+            speed = hypot(pose.x - self._last[1].x, pose.y - self._last[1].y) / dt
+            self.speed += (1.0 - exp(-dt / SMOOTH)) * (speed - self.speed)
+        self._last = time, pose
+
+    def _append(self, x: float, y: float) -> None:
+        if self._count and hypot(x - self._points[self._count - 1, 0], y - self._points[self._count - 1, 1]) < SPACING:
+            return
+        if self._count == LONGEST:
+            self._points[: LONGEST // 2] = self._points[LONGEST // 2 :]
+            self._count = LONGEST // 2
+        self._points[self._count] = x, y
+        self._count += 1

@@ -1,0 +1,185 @@
+"""Following one vehicle by its edges: the stages of [NIST], and what makes them hold where the paper's failed."""
+
+from __future__ import annotations
+
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from paceline.cameras import Camera
+from paceline.errors import UnusableInput
+from paceline.follow import fitting
+from paceline.follow.belief import Belief, Picture
+from paceline.follow.configuration import FollowConfiguration
+from paceline.follow.features import Projection
+from paceline.follow.motion import CYCLE, MotionModels
+from paceline.follow.ranging import place_of, recorded
+from paceline.follow.recognition import Look, Recogniser
+from paceline.follow.results import FollowEstimate
+from paceline.follow.steering import Pose, Steering
+from paceline.follow.target import Target
+
+Array = NDArray[np.float64]
+Bytes = NDArray[np.uint8]
+
+HAND = 0.015  # share of the target's size by which an operator's start may be off
+SURPRISE = 2.0  # standard deviations of the scale beyond which a measurement counts less
+FLOOR = 0.3  # px: no prediction is taken to be better than that
+SCALE_FLOOR = 0.003  # nor of the scale, relative
+
+
+class FollowTracker:
+    """Follows one vehicle, a frame at a time::
+
+        tracker = FollowTracker(camera, target, center, scale)
+        for index, (time, image) in enumerate(frames):
+            estimate = tracker.update(image, time, index)
+
+    ``center`` (2,) px and ``scale`` are the operator's start on the first frame. Raises ValueError for a start that
+    is not in the image or has no size.
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        target: Target,
+        center: Array,
+        scale: float,
+        configuration: FollowConfiguration | None = None,
+    ) -> None:
+        center = np.asarray(center, float)
+        width, height = camera.image_size
+        if not (np.isfinite(scale) and scale > 0):
+            raise ValueError(f"scale: expected a number above 0, found {scale:g}")
+        if not (0 <= center[0] <= width - 1 and 0 <= center[1] <= height - 1):
+            raise ValueError(f"center: expected a pixel of the image, {width}×{height}, found {center.tolist()}")
+        self.camera, self.target = camera, target
+        self.configuration = c = configuration or FollowConfiguration()
+        self.projection = Projection(camera, target)
+        location = np.array([*camera.undistort_points(center), scale])
+        size = self.projection.size(scale)
+        self.motion = MotionModels(location, HAND * np.array([size, size, scale]), c)
+        self.recogniser = Recogniser(self.projection, c)
+        self.belief = Belief(c)
+        self.steering = Steering(c)
+        self._picture = Picture()
+        self._seen_at: float | None = None  # when the target was measured last
+        self._time: float | None = None  # of the frame before
+
+    def update(self, image: Bytes | None, time: float, frame: int, pose: Pose | None = None) -> FollowEstimate:
+        """The estimate for ``image`` (H, W), taken at ``time``, s; None for a frame that could not be read.
+
+        ``pose`` is the chase vehicle's odometry. Raises UnusableInput for an image of another size.
+        """
+        began = perf_counter()
+        jump = self._pass_time(time)
+        image = self._checked(image, frame)
+        fault = self._picture.fault(image)
+        tau = 0.0 if self._seen_at is None else (time - self._seen_at) / CYCLE
+        expected, doubt = self.motion.predict(tau)  # stage 6
+        look = Look(fault)
+        if image is not None and not fault:
+            look = self.recogniser.look(image, expected, doubt, tau, self.belief.lost)  # stages 7 and 1 to 4
+        status, reason = self.belief.step(time, look.complaint)
+        if look.fit is not None and status == "tracking":
+            self._learn(look, tau, time, expected, doubt)  # stage 5
+        elif image is not None and not fault and not self.recogniser.appearance.known:
+            self.recogniser.learn_start(image, expected)
+        return self._estimate(frame, time, pose, began, expected, doubt, look, status, reason or jump or look.note)
+
+    def _learn(self, look: Look, tau: float, time: float, expected: Array, doubt: Array) -> None:
+        """Stage 5, and what the target looks like."""
+        assert look.fit is not None
+        x, weights = look.fit.location, look.fit.weights
+        if self.configuration.adaptive_decay:
+            # (17) says how well the features agree, the covariance also how well they determine each parameter
+            weights = 1.0 / np.sqrt(np.diag(look.fit.covariance))
+            surprise = abs(x[2] - expected[2]) / doubt[2]
+            weights[2] *= min(1.0, SURPRISE / max(surprise, 1e-9))
+            if surprise > SURPRISE:
+                self.motion.doubt_scale()
+        if tau * CYCLE > self.configuration.jump_limit:
+            self.motion.restart(x, weights)
+        self.motion.observe(x, weights, tau, np.array([FLOOR, FLOOR, SCALE_FLOOR * x[2]]))
+        self._seen_at = time
+        self.recogniser.learn(look)
+
+    def _pass_time(self, time: float) -> str:
+        """Note the time of a frame; what is to be said about it where it jumps."""
+        last, self._time = self._time, time
+        if last is None or 0 < time - last <= self.configuration.jump_limit:
+            return ""
+        expected, _ = self.motion.predict((last - (last if self._seen_at is None else self._seen_at)) / CYCLE)
+        self.motion.restart(expected, np.ones(3))
+        if self._seen_at is not None:
+            self._seen_at = time - CYCLE
+        return f"the time jumps by {time - last:.2f} s: its motion is learned anew"
+
+    def _checked(self, image: Bytes | None, frame: int) -> Bytes | None:
+        if image is None:
+            return None
+        width, height = self.camera.image_size
+        if image.ndim != 2 or image.dtype != np.uint8 or image.shape != (height, width):
+            found = "×".join(str(n) for n in image.shape[1::-1])
+            raise UnusableInput(f"frame {frame}: expected a grey image of {width}×{height} pixels, found {found}")
+        return np.ascontiguousarray(image)
+
+    # --- stages 8 and 9 ----------------------------------------------------------------------------------------------
+
+    def _estimate(
+        self,
+        frame: int,
+        time: float,
+        pose: Pose | None,
+        began: float,
+        expected: Array,
+        doubt: Array,
+        look: Look,
+        status: str,
+        reason: str,
+    ) -> FollowEstimate:
+        measured = look.fit is not None and status == "tracking"
+        location, covariance = expected, np.diag(doubt**2)
+        if look.fit is not None and measured:
+            location, covariance = look.fit.location, look.fit.covariance
+            if self.configuration.adaptive_decay:
+                fit = fitting.fused(look.fit, expected, doubt)
+                location, covariance = fit.location, fit.covariance
+        m = look.measurement if measured else None
+        tolerance, width = self.configuration.model_tolerance, float(max(self.target.size))
+        place = place_of(location, covariance, self.camera, self.target.nominal_range, tolerance, width)
+        steering = self.steering.angle(time, float(place.position[2]), float(place.position[0]), measured, pose)
+        return FollowEstimate(
+            frame=frame,
+            time=time,
+            center=recorded(self.camera, location[:2]),
+            scale=float(location[2]),
+            weights=look.fit.weights if look.fit is not None and measured else np.zeros(3),
+            position=place.position,
+            position_std=place.std,
+            bearing=place.bearing,
+            steering=steering,
+            status=status,
+            reason=reason,
+            residual=float("nan") if m is None else m.residual,
+            lines=recorded(self.camera, self.projection.lines(location)),
+            points=np.zeros((0, 2)) if m is None else m.points,
+            owners=np.zeros(0, np.int64) if m is None else m.owners,
+            window=look.window,
+            latency=perf_counter() - began,
+        )
+
+
+def warm_up() -> None:
+    """Compile all that a tracker needs, or load it from the cache, so that the first frame is not late."""
+    camera = Camera((96, 96), np.array([[90.0, 0.0, 47.5], [0.0, 90.0, 47.5], [0.0, 0.0, 1.0]]))
+    corners = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    target = Target("square", 4.0, corners, np.array([[0, 1], [1, 2], [2, 3], [3, 0]]))
+    image = np.full((96, 96), 60, np.uint8)
+    image[25:71, 25:71] = 180
+    for configuration in (FollowConfiguration(), FollowConfiguration.as_published()):
+        tracker = FollowTracker(camera, target, np.array([47.5, 47.5]), 1.0, configuration)
+        for k in range(3):
+            image[0, k] = 61 + k  # no two frames alike
+            tracker.update(image, k / 15, k)

@@ -1,0 +1,298 @@
+"""What one camera recorded, or records now: grey frames by time.
+
+Frames are as recorded, not undistorted. One that cannot be decoded is handed on without a picture, so that whoever
+follows something through the recording knows that time has passed. Memory does not grow with the recording's length.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from statistics import median
+from time import monotonic
+from typing import Protocol
+
+import av
+import cv2
+import numpy as np
+from av.format import Flags
+from numpy.typing import NDArray
+
+from paceline.cameras import Camera
+from paceline.errors import UnusableInput
+from paceline.sources import ImageFiles, Source, open_source
+
+Array = NDArray[np.float64]
+Grey = NDArray[np.uint8]  # (H, W)
+
+LISTED = 8  # notices of one kind that are kept
+JUMP = 1.5  # usual intervals between two frames that are noticed
+RECENT = 31  # intervals that say what is usual
+LIVE_OPTIONS = {"rtsp_flags": "prefer_tcp"}  # of FFmpeg; sources without them ignore them
+OPENING, SILENCE = 15.0, 10.0  # s until a live source counts as unreachable, or as ended
+
+
+@dataclass(frozen=True, eq=False)
+class CameraFrame:
+    """One frame: ``index`` from 0, ``time`` in seconds, ``image`` (H, W) or None where it cannot be decoded."""
+
+    index: int
+    time: float
+    image: Grey | None
+
+
+class Description(Protocol):
+    """Where a chase-camera recording lies and how it is timed, as a follow.yaml says it."""
+
+    @property
+    def path(self) -> Path: ...
+    @property
+    def video(self) -> str: ...
+    @property
+    def rate(self) -> float | None: ...
+    @property
+    def bit_depth(self) -> int | None: ...
+    @property
+    def camera(self) -> Camera: ...
+
+
+class Feed(Protocol):
+    """Where frames come from."""
+
+    name: str
+    notices: list[str]
+
+    def read(self, start: int) -> Iterator[CameraFrame]: ...
+    def label(self, frame: int) -> str: ...
+
+
+class CameraRecording:
+    """The frames of one camera; iterate it for :class:`CameraFrame` after :class:`CameraFrame`.
+
+    ``total`` is how many there are, None for a live source, which can be iterated once only.
+    """
+
+    def __init__(self, camera: Camera, feed: Feed, total: int | None) -> None:
+        self.camera = camera
+        self.total = total
+        self.name = feed.name
+        self._feed = feed
+        self._missing = _Few()
+        self._jumps = _Few()
+        self._stopped = False
+
+    @property
+    def live(self) -> bool:
+        return self.total is None
+
+    @property
+    def notices(self) -> list[str]:
+        """What a user should know about the recording, one plain line each; iterating may add to it."""
+        undecoded = [f"{line}: cannot be decoded, and is passed over" for line in self._missing.lines()]
+        return [*self._feed.notices, *undecoded, *self._jumps.lines()]
+
+    def stop(self) -> None:
+        """Ends the iteration after the present frame, as if the recording ended there."""
+        self._stopped = True
+
+    def __iter__(self) -> Iterator[CameraFrame]:
+        return self.frames()
+
+    def frames(self, start: int = 0) -> Iterator[CameraFrame]:
+        """The frames from index ``start`` on. Raises UnusableInput, naming the frame, for one of another size."""
+        width, height = self.camera.image_size
+        steps: deque[float] = deque(maxlen=RECENT)
+        before: CameraFrame | None = None
+        for frame in self._feed.read(start):
+            if frame.image is None:
+                self._missing.add(self._feed.label(frame.index))
+            elif frame.image.shape != (height, width):
+                found = f"{frame.image.shape[1]} × {frame.image.shape[0]}"
+                raise UnusableInput(
+                    f"{self._feed.label(frame.index)}: has {found} pixels, but the camera has {width} × {height}"
+                )
+            if before is not None:
+                step = frame.time - before.time
+                if steps and step > JUMP * median(steps):
+                    between = f"frames {before.index} and {frame.index}"
+                    self._jumps.add(f"{between} lie {step:.3f} s apart instead of {median(steps):.3f} s")
+                steps.append(step)
+            before = frame
+            yield frame
+            if self._stopped:
+                return
+
+
+def open_camera(clip: Description) -> CameraRecording:
+    """The recording that a follow.yaml names: images, a video file, or a live source that PyAV opens.
+
+    An address (``rtsp://…``), a device (``/dev/video0``) or a named pipe is live. Raises UnusableInput for whatever
+    can be found out without reading all of it.
+    """
+    where = Path(clip.video)
+    if "://" in clip.video or where.is_char_device() or where.is_fifo():
+        live = LiveFeed(clip.video)
+        _note_unused_rate(clip, live)
+        return CameraRecording(clip.camera, live, None)
+    source = open_source(where, clip.bit_depth)
+    if isinstance(source, ImageFiles):
+        if clip.rate is None:
+            raise UnusableInput(f"{clip.path}: rate: missing; a folder of images needs it")
+        times = _counted(source) / clip.rate
+    elif source.times is None:
+        raise UnusableInput(f"{clip.video}: carries no times; expected a video that does, or images and their rate")
+    else:
+        times = source.times
+        _note_unused_rate(clip, source)
+    return CameraRecording(clip.camera, FileFeed(source, times), len(source))
+
+
+def _note_unused_rate(clip: Description, source: Source | Feed) -> None:
+    if clip.rate is not None:
+        source.notices.append(f"{clip.path}: rate is not used, because {source.name} carries its own time stamps")
+
+
+def _counted(images: ImageFiles) -> Array:
+    """The images' places in the recording (N,), from 0: numbers in their names that skip mean dropped frames."""
+    numbers = images.numbers
+    if numbers is not None:
+        passed = np.array(numbers, float) - numbers[0]
+        step = np.diff(passed).min()
+        if not (passed % step).any():  # clock readings are no counters
+            return np.asarray(passed / step)
+    return np.arange(len(images), dtype=float)
+
+
+class FileFeed:
+    """Images or a video file whose frames were taken at ``times`` (N,) seconds."""
+
+    def __init__(self, source: Source, times: Array) -> None:
+        self.name = source.name
+        self.notices = source.notices
+        self.label = source.label
+        self._source = source
+        self._times = times
+
+    def read(self, start: int) -> Iterator[CameraFrame]:
+        wanted = range(start, len(self._times))
+        for index, image in zip(wanted, self._images(wanted), strict=True):
+            # rounds, unlike a cast
+            grey = None if image is None else np.asarray(cv2.convertScaleAbs(image), np.uint8)
+            yield CameraFrame(index, float(self._times[index]), grey)
+
+    def _images(self, wanted: Sequence[int]) -> Iterator[NDArray[np.float32] | None]:
+        if not isinstance(self._source, ImageFiles):
+            yield from self._source.read(wanted)
+            return
+        for index in wanted:
+            try:
+                yield from self._source.read([index])
+            except UnusableInput:  # one bad file in a long run is passed over, as in a video
+                yield None
+
+
+class LiveFeed:
+    """A camera or stream that PyAV opens, read once; frames have its own time stamps, or that of their arrival."""
+
+    def __init__(self, address: str) -> None:
+        """Raises UnusableInput when it cannot be opened or shows no video."""
+        self.name = re.sub(r"//[^/@]*@", "//", address)  # a password belongs into no message
+        self.notices: list[str] = []
+        device = "v4l2" if Path(address).is_char_device() else None
+        try:
+            self._container = av.open(address, format=device, options=LIVE_OPTIONS, timeout=(OPENING, SILENCE))
+        except (av.FFmpegError, OSError, ValueError) as error:
+            problem = getattr(error, "strerror", None) or "not known to FFmpeg"
+            raise UnusableInput(f"{self.name}: cannot be opened as a live video ({problem})") from error
+        if not self._container.streams.video:
+            self._container.close()
+            raise UnusableInput(f"{self.name}: shows no video")
+        self._untimed = Flags.no_timestamps in Flags(self._container.format.flags)
+        if self._untimed:  # FFmpeg would make up times from a rate that it guesses
+            self.notices.append(f"{self.name}: carries no time stamps; frames are dated by their arrival")
+
+    def label(self, frame: int) -> str:
+        return f"{self.name}: frame {frame}"
+
+    def read(self, start: int) -> Iterator[CameraFrame]:
+        with self._container:
+            clock = _Clock(self.name, self.notices)
+            index = -1
+            for stamp, picture in self._pictures():
+                if stamp is None:
+                    continue
+                index += 1
+                time = clock.read(index, stamp)
+                if index >= start:
+                    yield CameraFrame(index, time, None if picture is None else _grey(picture))
+        if index < 0:
+            raise UnusableInput(f"{self.name}: sends no picture with a time stamp")
+
+    def _pictures(self) -> Iterator[tuple[float | None, av.VideoFrame | None]]:
+        """Time stamps in seconds and pictures; None for a picture that cannot be decoded."""
+        stream = self._container.streams.video[0]
+        stream.thread_type = "SLICE"  # whole frames in parallel would each arrive late
+        packets = self._container.demux(stream)
+        begun = monotonic()
+        while True:
+            try:
+                packet = next(packets)
+                arrival = monotonic() - begun
+            except StopIteration:
+                return
+            except (av.FFmpegError, OSError) as error:
+                self.notices.append(f"{self.name}: ended ({error.strerror})")
+                return
+            try:
+                for picture in packet.decode():
+                    if isinstance(picture, av.VideoFrame):
+                        yield arrival if self._untimed else picture.time, None if picture.is_corrupt else picture
+            except av.FFmpegError:
+                own = None if packet.pts is None or packet.time_base is None else float(packet.pts * packet.time_base)
+                yield arrival if self._untimed else own, None
+
+
+class _Clock:
+    """A live source's time, which goes on evenly where its time stamps jump back."""
+
+    def __init__(self, name: str, notices: list[str]) -> None:
+        self._name, self._notices = name, notices
+        self._offset = 0.0
+        self._last = -np.inf
+        self._step = 0.0
+
+    def read(self, index: int, stamp: float) -> float:
+        time = stamp + self._offset
+        if time <= self._last:
+            back, time = self._last - time, self._last + self._step
+            self._offset = time - stamp
+            if len(self._notices) < LISTED:
+                self._notices.append(f"{self._name}: times go back by {back:.3f} s at frame {index}; counted on")
+        elif np.isfinite(self._last):
+            self._step = time - self._last
+        self._last = time
+        return time
+
+
+def _grey(picture: av.VideoFrame) -> Grey:
+    return np.asarray(picture.reformat(format="gray").to_ndarray(), np.uint8)
+
+
+@dataclass
+class _Few:
+    """The first lines of a kind, and how many more there are."""
+
+    first: list[str] = field(default_factory=list)
+    count: int = 0
+
+    def add(self, line: str) -> None:
+        self.count += 1
+        if len(self.first) < LISTED:
+            self.first.append(line)
+
+    def lines(self) -> list[str]:
+        more = self.count - len(self.first)
+        return [*self.first[:-1], f"{self.first[-1]}, and {more} more like it"] if more else self.first

@@ -1,0 +1,65 @@
+"""Where a vehicle was at each frame of a recording, by its own odometry."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from paceline.errors import UnusableInput
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+HEADER = ["frame", "x_m", "y_m", "heading_rad"]
+
+
+@dataclass(frozen=True, eq=False)
+class Odometry:
+    """Where the vehicle was: ``frame`` (N,), increasing, and ``pose`` (N, 3) with x and y in metres, heading in rad."""
+
+    frame: Indices
+    pose: Array
+
+    def at(self, frame: int) -> Array | None:
+        """The pose (3,) at one frame, None where it is not known."""
+        i = int(np.searchsorted(self.frame, frame))
+        return self.pose[i] if i < len(self.frame) and self.frame[i] == frame else None
+
+
+def read_odometry(path: Path) -> Odometry:
+    """The rows of an odometry.csv (frame,x_m,y_m,heading_rad).
+
+    Raises UnusableInput, naming the line, for anything but finite numbers with frames that increase.
+    """
+    frames: list[int] = []
+    poses: list[list[float]] = []
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            rows = csv.reader(file)
+            header = [name.strip() for name in next(rows, [])]
+            if header[:4] != HEADER:
+                found = ",".join(header)
+                raise UnusableInput(f"{path}: the first line reads {found!r}; expected {','.join(HEADER)!r}")
+            for row in filter(None, rows):
+                where = f"{path}: line {rows.line_num}"
+                try:
+                    frame, pose = int(row[0]), [float(cell) for cell in row[1:4]]
+                except ValueError:
+                    raise UnusableInput(f"{where}: {','.join(row)!r}; expected a frame and three numbers") from None
+                if len(pose) < 3 or not np.isfinite(pose).all():
+                    raise UnusableInput(f"{where}: {','.join(row)!r}; expected a frame and three finite numbers")
+                if frames and frame <= frames[-1]:
+                    raise UnusableInput(f"{where}: frame {frame} follows frame {frames[-1]}; expected them to increase")
+                frames.append(frame)
+                poses.append(pose)
+    except OSError as error:
+        raise UnusableInput(f"{path}: cannot be read ({error.strerror})") from error
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise UnusableInput(f"{path}: is not a table of comma-separated text") from error
+    if not frames:
+        raise UnusableInput(f"{path}: has no rows; expected one per frame")
+    return Odometry(np.array(frames, np.int64), np.array(poses))

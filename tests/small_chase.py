@@ -1,0 +1,70 @@
+"""A tiny chase-camera recording with exact truth, drawn with OpenCV: a light van with dark glass on a grey road."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import yaml
+
+SIZE = (256, 242)
+F, CX, CY = 300.0, 127.5, 120.5
+NOMINAL = 10.0
+FINE = 8  # the pictures are drawn this much larger and averaged
+CAMERA = {"image_size": list(SIZE), "K": [[F, 0.0, CX], [0.0, F, CY], [0.0, 0.0, 1.0]]}
+BOXES = {  # left, top, right, bottom in metres, and grey level
+    "body": (-1.0, -0.75, 1.0, 0.75, 190),
+    "glass": (-0.72, -0.5, 0.72, 0.0, 40),
+    "bumper": (-1.0, 0.45, 1.0, 0.75, 95),
+}
+TARGET = {
+    "name": "small van",
+    "nominal_range": NOMINAL,
+    "corners": {
+        "a": [-1.0, -0.75], "b": [1.0, -0.75], "c": [1.0, 0.75], "d": [-1.0, 0.75],
+        "e": [-0.72, -0.5], "f": [0.72, -0.5], "g": [0.72, 0.0], "h": [-0.72, 0.0],
+        "i": [-1.0, 0.45], "j": [1.0, 0.45],
+    },
+    "segments": [
+        ["a", "b"], ["b", "c"], ["c", "d"], ["d", "a"], ["e", "f"], ["f", "g"], ["g", "h"], ["h", "e"], ["i", "j"],
+    ],
+}  # fmt: skip
+
+
+def truth(frame: int, rate: float = 15.0) -> np.ndarray:
+    """Position (3,) of the centre of the rear, camera axes, metres."""
+    t = frame / rate
+    return np.array([0.4 * np.sin(1.1 * t), 0.1 + 0.03 * np.sin(5.0 * t), 8.5 + 1.5 * np.sin(0.9 * t)])
+
+
+def picture(frame: int, seed: int = 3) -> np.ndarray:
+    """The image (H, W), uint8, of one frame."""
+    width, height = SIZE
+    image = np.full((height * FINE, width * FINE), 120.0, np.float32)
+    image[: int(115 * FINE)] = 150.0  # the sky
+    x, y, z = truth(frame)
+    for left, top, right, bottom, grey in BOXES.values():
+        u0, u1 = (CX + 0.5 + F * (x + side) / z for side in (left, right))
+        v0, v1 = (CY + 0.5 + F * (y + side) / z for side in (top, bottom))
+        image[round(v0 * FINE) : round(v1 * FINE), round(u0 * FINE) : round(u1 * FINE)] = grey
+    small = cv2.resize(image, SIZE, interpolation=cv2.INTER_AREA)
+    small = cv2.GaussianBlur(small, (0, 0), 0.6)
+    small += np.random.default_rng([seed, frame]).normal(0, 1.5, small.shape)
+    return np.clip(np.rint(small), 0, 255).astype(np.uint8)
+
+
+def start(frame: int = 0) -> dict[str, object]:
+    x, y, z = truth(frame)
+    return {"frame": frame, "center": [float(CX + F * x / z), float(CY + F * y / z)], "scale": float(NOMINAL / z)}
+
+
+def write(folder: Path, frames: int = 30) -> Path:
+    """Writes the recording as a folder of images; returns its follow.yaml."""
+    (folder / "frames").mkdir(parents=True)
+    for k in range(frames):
+        cv2.imwrite(str(folder / "frames" / f"{k:04d}.png"), picture(k))
+    document = {"video": "frames", "rate": 15, "camera": "camera.yaml", "target": "target.yaml", "start": start()}
+    for name, content in (("camera", CAMERA), ("target", TARGET), ("follow", document)):
+        (folder / f"{name}.yaml").write_text(yaml.safe_dump(content))
+    return folder / "follow.yaml"

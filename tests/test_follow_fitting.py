@@ -1,0 +1,142 @@
+"""Feature places, their confidences, and the location that fits them, against plain computations."""
+
+import numpy as np
+import pytest
+
+from paceline.follow import fitting
+
+VERTICAL = np.array([True, True, False, False, False])
+OFFSETS = np.array([-30.0, 30.0, -20.0, 5.0, 20.0])
+TRUTH = np.array([150.0, 90.0, 1.2])
+
+
+def ideal_places(x=TRUTH):
+    return np.where(VERTICAL, x[0], x[1]) + x[2] * OFFSETS
+
+
+def test_places_and_confidences_are_those_of_12_to_14():
+    rng = np.random.default_rng(0)
+    spread = [0.1, 1.0, 0.0]
+    counts = [40, 60, 14]
+    lengths = np.array([50.0, 50.0, 50.0])  # the third has 14 points, less than 0.3 of 50
+    vertical = np.array([True, True, True])
+    xs = [10 * (j + 1) + rng.normal(0, s, n) for j, (s, n) in enumerate(zip(spread, counts, strict=True))]
+    points = np.column_stack([np.concatenate(xs), np.zeros(114), np.ones(114)]).astype(np.float32)
+    owners = np.repeat([0, 1, 2], counts)
+    places, weights = np.empty(3), np.empty(3)
+    fitting.locate_features(points, owners, True, lengths, 0.3, 0.1, places, weights, vertical)
+    np.testing.assert_allclose(places, [x.mean() for x in xs], atol=1e-4)
+    assert weights[0] == pytest.approx(1 / np.sqrt(0.1))  # the cap of (14)
+    assert weights[1] == pytest.approx(1 / xs[1].std(), rel=1e-4)
+    assert weights[2] == 0.0
+    lengths[2] = 46.0
+    fitting.locate_features(points, owners, True, lengths, 0.3, 0.1, places, weights, vertical)
+    assert weights[2] > 0.0
+
+
+def test_the_location_is_the_weighted_least_squares_one_with_its_confidences():
+    rng = np.random.default_rng(1)
+    places, weights = ideal_places() + rng.normal(0, 1, 5), rng.uniform(0.5, 3, 5)
+    A = np.column_stack([VERTICAL, ~VERTICAL, OFFSETS]).astype(float)
+    x = np.linalg.lstsq(weights[:, None] * A, weights * places, rcond=None)[0]
+    J = ((weights * (places - A @ x)) ** 2).sum()
+    fit = fitting.locate(places, weights, VERTICAL, OFFSETS)
+    np.testing.assert_allclose(fit.location, x, rtol=1e-9)
+    assert fit.residual == pytest.approx(J, rel=1e-9)
+    wx, wy = (weights[VERTICAL] ** 2).sum(), (weights[~VERTICAL] ** 2).sum()
+    np.testing.assert_allclose(fit.weights, np.sqrt(np.array([wx, wy, wx + wy]) / J), rtol=1e-9)
+    normal = np.linalg.inv(A.T @ np.diag(weights**2) @ A)
+    np.testing.assert_allclose(fit.covariance, normal * max(1.0, J / 2) * (1 + fitting.UNCHECKED / 2), rtol=1e-8)
+
+
+def test_features_without_confidence_take_no_part():
+    places, weights = ideal_places(), np.ones(5)
+    places[3], weights[3] = np.nan, 0.0
+    fit = fitting.locate(places, weights, VERTICAL, OFFSETS)
+    np.testing.assert_allclose(fit.location, TRUTH, atol=1e-9)
+    assert fit.used.tolist() == [True, True, True, False, True]
+    assert np.isnan(fit.offsets[3])
+
+
+@pytest.mark.parametrize("seen", [[0, 1], [2, 3, 4], [0, 3], [0], []])
+def test_too_few_features_determine_nothing(seen):
+    weights = np.zeros(5)
+    weights[seen] = 1.0
+    assert fitting.locate(ideal_places(), weights, VERTICAL, OFFSETS) is None
+
+
+def test_the_stated_covariance_is_that_of_the_errors():
+    rng = np.random.default_rng(2)
+    sigma = np.array([0.3, 0.5, 0.2, 0.4, 0.3])
+    off, stated = [], []
+    for _ in range(3000):
+        fit = fitting.locate(ideal_places() + rng.normal(0, sigma), 1 / sigma, VERTICAL, OFFSETS)
+        off.append(fit.location - TRUTH)
+        stated.append(np.diag(fit.covariance))
+    ratio = np.sqrt((np.array(off) ** 2).mean(0) / np.mean(stated, axis=0))
+    assert np.all(ratio < 1.1)  # never less than the errors; a little more, for it is only ever enlarged
+    assert np.all(ratio > 0.5)
+
+
+def edge_points(places, rng, n=40, noise=0.2):
+    """Near-vertical and near-horizontal points about ``places``, with their owners."""
+    lists = []
+    for upright in (True, False):
+        chosen = np.flatnonzero(VERTICAL if upright else ~VERTICAL)
+        across = np.concatenate([places[j] + rng.normal(0, noise, n) for j in chosen])
+        rows = np.zeros((len(across), 3), np.float32)
+        rows[:, 0 if upright else 1] = across
+        lists.append((rows, np.repeat(chosen, n)))
+    return lists
+
+
+def robustly(lists, start, doubt, gate=8.0):
+    lines = np.zeros((5, fitting.CANDIDATES, 3))
+    expected = np.where(VERTICAL, start[0], start[1]) + start[2] * OFFSETS
+    for (points, owners), upright in zip(lists, (True, False), strict=True):
+        fitting.candidate_lines(points, owners, upright, expected, np.full(5, gate), 0.8, VERTICAL, lines)
+    lengths = np.full(5, 50.0)
+    places, weights = fitting.robust_lines(
+        lines, start, doubt, VERTICAL, OFFSETS, lengths, 0.3, 0.1, np.full(5, 0.04), 0.8
+    )
+    return lines, fitting.locate(places, weights, VERTICAL, OFFSETS)
+
+
+def test_a_stronger_line_beside_a_feature_does_not_move_the_model():
+    rng = np.random.default_rng(3)
+    lists = edge_points(ideal_places(), rng)
+    pole = np.zeros((70, 3), np.float32)  # beside the left side, straight, strong and longer than it
+    pole[:, 0] = ideal_places()[0] - 4.0
+    rows, owners = lists[0]
+    lists[0] = np.concatenate([rows, pole]), np.concatenate([owners, np.zeros(70, int)])
+    start = TRUTH + [0.8, -0.6, 0.01]
+    lines, fit = robustly(lists, start, np.array([1.0, 1.0, 0.02]))
+    assert (lines[0, :, 1] > 0).sum() == 2
+    assert np.all(np.abs(fit.location - TRUTH) < [0.15, 0.15, 0.01])
+
+    places, weights = np.empty(5), np.empty(5)
+    for (points, owner), upright in zip(lists, (True, False), strict=True):
+        fitting.locate_features(points, owner, upright, np.full(5, 50.0), 0.3, 0.1, places, weights, VERTICAL)
+    plain = fitting.locate(places, weights, VERTICAL, OFFSETS)
+    assert abs(plain.location[0] - TRUTH[0]) > 0.15  # the mean of (12) is drawn to the pole
+
+
+def test_candidates_are_the_places_where_points_crowd():
+    rng = np.random.default_rng(4)
+    rows = np.zeros((90, 3), np.float32)
+    rows[:50, 0] = 100.3 + rng.normal(0, 0.1, 50)
+    rows[50:, 0] = 104.1 + rng.normal(0, 0.1, 40)
+    lines = np.zeros((1, fitting.CANDIDATES, 3))
+    fitting.candidate_lines(
+        rows, np.zeros(90, int), True, np.array([102.0]), np.array([6.0]), 0.8, np.array([True]), lines
+    )
+    assert lines[0, 0, 0] == pytest.approx(rows[:50, 0].mean(), abs=1e-3)
+    assert lines[0, 1, 0] == pytest.approx(rows[50:, 0].mean(), abs=1e-3)
+    assert lines[0, :, 1].tolist() == [50, 40, 0]
+
+
+def test_a_fused_scale_lies_between_and_is_known_better():
+    fit = fitting.locate(ideal_places(), np.full(5, 2.0), VERTICAL, OFFSETS)
+    fused = fitting.fused(fit, np.array([0, 0, 1.3]), np.array([1, 1, np.sqrt(fit.covariance[2, 2])]))
+    assert fused.location[2] == pytest.approx(1.25)
+    assert fused.covariance[2, 2] == pytest.approx(fit.covariance[2, 2] / 2)

@@ -1,0 +1,96 @@
+"""Pure pursuit of the path that the vehicle ahead has driven."""
+
+import numpy as np
+import pytest
+
+from paceline.follow.configuration import FollowConfiguration
+from paceline.follow.steering import LONGEST, Pose, Steering, goal_on, in_world, pure_pursuit, seen_from
+
+C = FollowConfiguration()
+
+
+def test_world_and_camera_are_inverse_to_each_other():
+    pose = Pose(3.0, -2.0, 0.7)
+    x, y = in_world(pose, 8.0, 1.5)
+    np.testing.assert_allclose(seen_from(pose, np.array([[x, y]])), [[8.0, 1.5]], atol=1e-12)
+    assert in_world(Pose(0.0, 0.0, 0.0), 5.0, 2.0) == pytest.approx((5.0, -2.0))  # right is −y
+    assert in_world(Pose(0.0, 0.0, np.pi / 2), 5.0, 2.0) == pytest.approx((2.0, 5.0))
+
+
+def test_the_angle_is_that_of_the_circle_through_the_point():
+    radius, wheelbase, turned = 15.0, 2.8, 0.5
+    ahead, right = radius * np.sin(turned), radius * (1 - np.cos(turned))
+    assert pure_pursuit(ahead, right, wheelbase) == pytest.approx(np.arctan(wheelbase / radius))
+    assert pure_pursuit(ahead, -right, wheelbase) == pytest.approx(-np.arctan(wheelbase / radius))
+
+
+def test_the_goal_lies_on_the_path_at_the_lookahead():
+    path = np.column_stack([np.arange(-5.0, 30.0, 0.5), 0.02 * np.arange(-5.0, 30.0, 0.5) ** 2])
+    goal = np.array(goal_on(path, 6.0))
+    assert np.hypot(*goal) == pytest.approx(6.0, abs=0.02)
+    assert goal[0] > 0 and goal[1] == pytest.approx(0.02 * goal[0] ** 2, abs=0.01)
+    assert goal_on(path[:15], 20.0) == (path[14, 0], path[14, 1])  # the end of a short one
+
+
+def test_without_odometry_the_vehicle_itself_is_pursued():
+    angle = Steering(C).angle(0.0, 10.0, 1.0, True, None)
+    assert angle == pytest.approx(pure_pursuit(10.0 + C.camera_ahead, 1.0, C.wheelbase))
+    assert Steering(C).angle(0.0, 0.2, 5.0, True, None) == C.steering_limit
+
+
+def drive(path, gap, seconds=60.0, odometry=True):
+    """A bicycle model behind a vehicle that is ``gap`` m ahead on ``path`` (s → x, y); the offsets from the path."""
+    steering, dt, speed = Steering(C), 1 / 15, 6.0
+    x, y, heading, s = 0.0, 0.0, 0.0, gap
+    off = []
+    samples = path(np.arange(-20.0, 600.0, 0.1))
+    for k in range(int(seconds / dt)):
+        pose = Pose(x, y, heading)
+        ahead, right = seen_from(pose, path(np.array([s])))[0]
+        angle = steering.angle(k * dt, ahead, right, True, pose if odometry else None)
+        heading -= speed * np.tan(angle) / C.wheelbase * dt
+        # the pose is the camera's, ahead of the rear axle that the bicycle model moves
+        x += speed * dt * np.cos(heading)
+        y += speed * dt * np.sin(heading)
+        s += speed * dt
+        off.append(np.hypot(*(samples - (x, y)).T).min())
+    return np.array(off)
+
+
+def bend(s):
+    s = np.asarray(s, float)
+    turned = np.clip(s - 40.0, 0.0, 30.0) / 20.0  # straight, then 86 degrees with a radius of 20 m, then straight
+    x = np.where(s < 40, s, 40 + 20 * np.sin(turned)) + np.where(s > 70, (s - 70) * np.cos(1.5), 0.0)
+    y = np.where(s < 40, 0, 20 * (1 - np.cos(turned))) + np.where(s > 70, (s - 70) * np.sin(1.5), 0.0)
+    return np.column_stack([x, y])
+
+
+def test_with_odometry_a_bend_is_driven_where_the_other_drove_it():
+    followed, cut = drive(bend, 12.0, 25.0), drive(bend, 12.0, 25.0, odometry=False)
+    assert followed.max() < 0.8
+    assert cut.max() > 1.5 * followed.max()  # who aims at the vehicle itself cuts the corner
+
+
+def test_the_path_is_bounded():
+    steering = Steering(C)
+    for k in range(5000):
+        steering.angle(k / 15, 10.0, 0.0, True, Pose(0.5 * k, 0.0, 0.0))
+    assert len(steering.path) <= LONGEST
+    assert steering.path[-1, 0] == pytest.approx(0.5 * 4999 + 10.0, abs=0.6)
+
+
+def test_what_is_not_seen_does_not_enter_the_path():
+    steering = Steering(C)
+    for k in range(20):
+        steering.angle(k / 15, 10.0, 0.0, k < 10, Pose(float(k), 0.0, 0.0))
+    assert steering.path[-1, 0] == pytest.approx(19.0)
+
+
+def test_the_lookahead_grows_with_the_speed():
+    angles = []
+    for speed in (4.0, 16.0):
+        steering = Steering(C)
+        for k in range(60):  # a path 1 m to the right of the vehicle
+            angles.append(steering.angle(k / 15, 25.0, 1.0, True, Pose(speed * k / 15, 0.0, 0.0)))
+        assert steering.speed == pytest.approx(speed, rel=0.01)
+    assert 0 < angles[119] < angles[59]

@@ -1,0 +1,299 @@
+"""The whole loop on drawn clips with exact truth: follows, knows when it does not, and says why."""
+
+import tracemalloc
+
+import cv2
+import numpy as np
+import pytest
+
+from paceline.cameras import Camera
+from paceline.errors import UnusableInput
+from paceline.follow import association, edges_cpu, fitting, motion, picture_cpu, search_cpu
+from paceline.follow.configuration import FollowConfiguration
+from paceline.follow.ranging import recorded
+from paceline.follow.steering import Pose
+from paceline.follow.target import Target
+from paceline.follow.tracker import FollowTracker, warm_up
+
+K = np.array([[300.0, 0.0, 127.5], [0.0, 300.0, 120.5], [0.0, 0.0, 1.0]])
+CAMERA = Camera((256, 242), K)
+LENS = Camera((256, 242), K, np.array([-0.3, 0.1, 0.0, 0.0]))
+CORNERS = np.array(
+    [[-1, -0.75], [1, -0.75], [1, 0.75], [-1, 0.75], [-0.7, -0.5], [0.7, -0.5], [0.7, 0.05], [-0.7, 0.05]]
+    + [[-1, 0.4], [1, 0.4]]
+)
+TARGET = Target(
+    "van", 10.0, CORNERS, np.array([[0, 1], [1, 2], [2, 3], [3, 0], [4, 5], [5, 6], [6, 7], [7, 4], [8, 9]])
+)
+FACES = [
+    ((-1, -0.75, 1, 0.75), 150),
+    ((-0.7, -0.5, 0.7, 0.05), 60),
+    ((-1, 0.4, 1, 0.75), 80),
+    ((-0.3, 0.15, 0.3, 0.3), 200),
+]
+FINE = 6  # samples per pixel and axis
+
+
+def scenery(seed):
+    """A wide picture of poles, walls and ground behind the target, (H, W) grey levels."""
+    rng = np.random.default_rng(seed)
+    picture = np.full((600, 1600), 185.0)
+    picture[300:] = 110.0
+    for _ in range(60):
+        x, w, top, grey = rng.integers(0, 1580), rng.integers(4, 80), rng.integers(150, 300), rng.uniform(40, 160)
+        picture[top : rng.integers(300, 420), x : x + w] = grey
+    return cv2.GaussianBlur(picture, (0, 0), 1.2)
+
+
+def draw(position, background, shift, rng, camera=CAMERA):
+    """The target at ``position`` m before ``background`` moved by ``shift`` px, seen by ``camera``, with noise."""
+    w, h = camera.image_size
+    grid = (np.arange(w * FINE) + 0.5) / FINE - 0.5, (np.arange(h * FINE) + 0.5) / FINE - 0.5
+    x, y = np.meshgrid(*grid)
+    if camera.has_distortion:
+        coarse = camera.undistort_points(np.stack(np.meshgrid(np.arange(-1, w + 1.0), np.arange(-1, h + 1.0)), -1))
+        maps = [np.ascontiguousarray(coarse[..., k], np.float32) for k in (0, 1)]
+        at = [np.asarray(v + 1, np.float32) for v in (x, y)]
+        x, y = (cv2.remap(m, at[0], at[1], cv2.INTER_LINEAR).astype(float) for m in maps)
+    ground = [np.asarray(v, np.float32) for v in (x + 600 + shift[0], y + 180 + shift[1])]
+    image = cv2.remap(background.astype(np.float32), ground[0], ground[1], cv2.INTER_LINEAR)
+    u = (x - K[0, 2]) * position[2] / K[0, 0] - position[0]
+    v = (y - K[1, 2]) * position[2] / K[1, 1] - position[1]
+    for (x0, y0, x1, y1), grey in FACES:
+        image[(u >= x0) & (u < x1) & (v >= y0) & (v < y1)] = grey
+    image = cv2.resize(image, (w, h), interpolation=cv2.INTER_AREA)
+    image = cv2.GaussianBlur(image, (0, 0), 0.6) + rng.normal(0, 2.0, image.shape)
+    return np.clip(image.round(), 0, 255).astype(np.uint8)
+
+
+def film(frames=45, seed=0, bounce=3.0, camera=CAMERA, beside=0.0):
+    """Frames (F, H, W) and positions (F, 3) of a vehicle that weaves and changes its gap, seen from a bumpy ride."""
+    rng = np.random.default_rng(seed)
+    background = scenery(seed)
+    t = np.arange(frames) / 15
+    bumps = rng.normal(0, bounce / 300 * 9, frames)
+    phase = rng.uniform(0, 6, 3)
+    z = 9 + 2 * np.sin(0.9 * t + phase[0])
+    positions = np.column_stack([beside + 0.6 * np.sin(1.1 * t + phase[1]), 0.2 + bumps, z])
+    shifts = np.column_stack([40 * np.sin(0.8 * t + phase[2]), -bumps * 30])
+    images = [draw(p, background, s, rng, camera) for p, s in zip(positions, shifts, strict=True)]
+    return images, positions
+
+
+def begin(position, camera=CAMERA, configuration=None, off=(0.5, -0.4), size=1.005):
+    center = recorded(camera, CAMERA.project(position)) + off
+    return FollowTracker(camera, TARGET, center, 10.0 / position[2] * size, configuration)
+
+
+def follow(tracker, images, times=None, start=0):
+    times = np.arange(start, start + len(images)) / 15 if times is None else times
+    return [tracker.update(image, float(t), start + k) for k, (image, t) in enumerate(zip(images, times, strict=True))]
+
+
+def errors(estimates, positions):
+    off = np.array([e.position for e in estimates]) - positions
+    return off[:, 2] / positions[:, 2], off[:, 0]
+
+
+@pytest.fixture(scope="module")
+def clip():
+    return film()
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_follows_over_bumps_before_poles_and_walls(seed):
+    images, positions = film(seed=seed, bounce=4.0)
+    estimates = follow(begin(positions[0]), images)
+    assert [e.status for e in estimates] == ["tracking"] * len(images)
+    ranges, lateral = errors(estimates, positions)
+    assert np.sqrt((ranges**2).mean()) < 0.01 and np.abs(ranges).max() < 0.03
+    assert np.sqrt((lateral**2).mean()) < 0.03
+    inside = np.abs(np.array([e.position for e in estimates]) - positions) < 1.96 * np.array(
+        [e.position_std for e in estimates]
+    )
+    assert inside.mean() > 0.9
+
+
+def test_the_estimate_is_complete(clip):
+    images, positions = clip
+    estimate = follow(begin(positions[0]), images[:5])[-1]
+    assert (estimate.frame, estimate.time) == (4, pytest.approx(4 / 15))
+    np.testing.assert_allclose(estimate.center, CAMERA.project(positions[4]), atol=0.6)
+    np.testing.assert_allclose(10.0 / estimate.scale, estimate.position[2], rtol=1e-9)
+    assert estimate.bearing == pytest.approx(np.arctan2(estimate.position[0], estimate.position[2]))
+    assert estimate.weights.shape == (3,) and np.all(estimate.weights > 0)
+    assert estimate.lines.shape == (9, 2, 2)
+    assert len(estimate.points) == len(estimate.owners) > 100
+    ends = estimate.lines[estimate.owners]  # every believed point lies near the line that owns it
+    upright = TARGET.vertical[estimate.owners]
+    across = np.where(upright, ends[:, 0, 0] - estimate.points[:, 0], ends[:, 0, 1] - estimate.points[:, 1])
+    assert np.abs(across).max() < 4
+    x0, y0, x1, y1 = estimate.window
+    assert np.all(estimate.points >= [x0, y0]) and np.all(estimate.points < [x1, y1])
+    assert 0 <= estimate.residual < 0.8 and estimate.latency > 0 and estimate.reason == ""
+
+
+def test_a_lens_changes_nothing():
+    images, positions = film(20, seed=4, camera=LENS, beside=1.8)
+    estimates = follow(begin(positions[0], LENS), images)
+    assert {e.status for e in estimates} == {"tracking"}
+    ranges, lateral = errors(estimates, positions)
+    assert np.sqrt((ranges**2).mean()) < 0.01 and np.sqrt((lateral**2).mean()) < 0.03
+    pinhole = [recorded(LENS, CAMERA.project(p)) - CAMERA.project(p) for p in positions]
+    assert np.abs(pinhole).max() > 0.5  # and there was something to change
+
+
+def test_one_second_behind_another_vehicle_is_survived(clip):
+    images, positions = clip
+    hidden = [im.copy() for im in images]
+    for im in hidden[15:30]:
+        im[60:, :] = 95
+    estimates = follow(begin(positions[0]), hidden)
+    assert {e.status for e in estimates[15:30]} == {"coasting"}
+    assert all(e.reason for e in estimates[15:30])
+    assert [e.status for e in estimates[31:]] == ["tracking"] * 14
+    back = next(e for e in estimates[30:] if e.status == "tracking")
+    assert back.reason.startswith("reacquired after 1.")
+    ranges, _ = errors(estimates[31:], positions[31:])
+    assert np.abs(ranges).max() < 0.03
+    assert np.all(np.diff([e.position_std[2] for e in estimates[16:29]]) > 0)  # it knows less and less
+
+
+def test_a_target_that_goes_is_lost_and_nothing_else_is_taken_for_it(clip):
+    images, positions = clip
+    rng = np.random.default_rng(9)
+    background = scenery(0)
+    far = np.array([0.0, 0.0, 5000.0])
+    empty = [draw(far, background, (8.0 * k, 2 * rng.normal()), rng) for k in range(60)]
+    estimates = follow(begin(positions[0]), images[:20] + empty)
+    assert "tracking" not in {e.status for e in estimates[20:]}
+    assert estimates[-1].status == "lost" and estimates[-1].reason
+
+
+def test_a_start_on_something_else_is_never_tracked():
+    images, positions = film(30, seed=1)
+    for center in ([40.0, 60.0], [215.0, 200.0]):
+        estimates = follow(FollowTracker(CAMERA, TARGET, np.array(center), 0.9), images)
+        wrong = [e for e in estimates if e.status == "tracking" and abs(e.position[0] - positions[e.frame][0]) > 0.5]
+        assert len(wrong) <= 1, center
+
+
+@pytest.mark.parametrize(
+    ("spoil", "reason"),
+    [
+        (lambda image, last: np.zeros_like(image), "black"),
+        (lambda image, last: np.full_like(image, 255), "white"),
+        (lambda image, last: np.full_like(image, 90), "no contrast"),
+        (lambda image, last: last, "frozen"),
+        (lambda image, last: None, "could not be read"),
+    ],
+)
+def test_frames_that_show_nothing_are_coasted_over(clip, spoil, reason):
+    images, positions = clip
+    spoiled = list(images[:20])
+    spoiled[10] = spoil(images[10], images[9])
+    estimates = follow(begin(positions[0]), spoiled)
+    assert estimates[10].status == "coasting" and reason in estimates[10].reason
+    assert {e.status for e in estimates[:10] + estimates[11:]} == {"tracking"}
+    assert np.isnan(estimates[10].residual) and not estimates[10].weights.any() and not len(estimates[10].points)
+
+
+def test_a_first_frame_that_shows_nothing_only_delays(clip):
+    images, positions = clip
+    estimates = follow(begin(positions[0]), [np.zeros_like(images[0]), images[0], *images[1:12]])
+    assert estimates[0].status == "coasting" and estimates[-1].status == "tracking"
+
+
+def test_times_that_jump_are_told_and_survived(clip):
+    images, positions = clip
+    times = np.arange(len(images)) / 15
+    times[20:] += 7.0
+    times[30:] -= 3.0
+    estimates = follow(begin(positions[0]), images, times)
+    assert "jumps" in estimates[20].reason and "jumps" in estimates[30].reason
+    assert [e.status for e in estimates].count("tracking") >= len(images) - 2
+    assert all(np.isfinite(e.position).all() for e in estimates)
+
+
+def test_a_frame_of_another_size_is_refused_in_one_line(clip):
+    images, positions = clip
+    tracker = begin(positions[0])
+    tracker.update(images[0], 0.0, 0)
+    with pytest.raises(UnusableInput, match="frame 7: expected a grey image of 256×242 pixels, found 200×242"):
+        tracker.update(np.ascontiguousarray(images[1][:, :200]), 0.1, 7)
+
+
+@pytest.mark.parametrize(
+    ("center", "scale", "message"),
+    [
+        ([-1.0, 50.0], 1.0, "center"),
+        ([50.0, 242.0], 1.0, "center"),
+        ([50.0, 50.0], 0.0, "scale"),
+        ([50.0, 50.0], np.nan, "scale"),
+    ],
+)
+def test_a_start_that_cannot_be_is_refused(center, scale, message):
+    with pytest.raises(ValueError, match=message):
+        FollowTracker(CAMERA, TARGET, np.array(center), scale)
+
+
+def test_as_published_a_smooth_ride_is_followed():
+    images, positions = film(30, seed=5, bounce=0.0)
+    estimates = follow(begin(positions[0], configuration=FollowConfiguration.as_published()), images)
+    tracked = [e for e in estimates if e.status == "tracking"]
+    assert len(tracked) >= 25
+    ranges, _ = errors(tracked, positions[[e.frame for e in tracked]])
+    assert np.median(np.abs(ranges)) < 0.03
+
+
+def test_as_published_a_bump_loses_what_the_wide_search_keeps():
+    images, positions = film(30, seed=6, bounce=4.0)
+    shares = []
+    for configuration in (FollowConfiguration(), FollowConfiguration.as_published()):
+        estimates = follow(begin(positions[0], configuration=configuration), images)
+        ranges, lateral = errors(estimates, positions)
+        good = [e.status == "tracking" and abs(r) < 0.05 for e, r in zip(estimates, ranges, strict=True)]
+        shares.append(np.mean(good))
+    assert shares[0] > 0.9 and shares[1] < 0.7
+
+
+def test_a_pose_steers_along_the_path(clip):
+    images, positions = clip
+    tracker = begin(positions[0])
+    for k in range(10):
+        estimate = tracker.update(images[k], k / 15, k, Pose(0.5 * k, 0.0, 0.0))
+    assert np.isfinite(estimate.steering)
+    assert len(tracker.steering.path) >= 5
+
+
+def test_memory_is_flat(clip):
+    images, positions = clip
+    tracker = begin(positions[0])
+    order = [*range(45), *range(43, 0, -1)]
+    for k in range(88):
+        tracker.update(images[order[k % 88]], k / 15, k)
+    tracemalloc.start()
+    for k in range(88, 176):
+        tracker.update(images[order[k % 88]], k / 15, k)
+    first = tracemalloc.get_traced_memory()[0]
+    for k in range(176, 528):
+        tracker.update(images[order[k % 88]], k / 15, k)
+    grown = tracemalloc.get_traced_memory()[0] - first
+    tracemalloc.stop()
+    assert grown < 20_000
+
+
+def test_after_the_warm_up_nothing_is_left_to_compile(clip):
+    warm_up()
+    kernels = {
+        f"{room.__name__}.{name}": value
+        for room in (association, edges_cpu, fitting, motion, picture_cpu, search_cpu)
+        for name, value in vars(room).items()
+        if hasattr(value, "signatures")
+    }
+    before = {name: len(kernel.signatures) for name, kernel in kernels.items()}
+    assert before["paceline.follow.search_cpu.scan"] == 1
+    images, positions = clip
+    follow(begin(positions[0]), images[:10])
+    follow(begin(positions[0], configuration=FollowConfiguration.as_published()), images[:10])
+    assert {name: len(kernel.signatures) for name, kernel in kernels.items()} == before
