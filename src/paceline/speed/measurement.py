@@ -210,7 +210,7 @@ class _Run:
             reason = f"interval too wide: ± {half:.2f} m/s"
         accelerating = "acceleration" in refined.extras
         model = "constant acceleration" if accelerating else "constant speed"
-        model += ", turning" * ("turn" in refined.extras) + ", changing lane" * ("swerve" in refined.extras)
+        model += ", turning" * ("turn" in refined.extras) + ", swerving" * ("swerve" in refined.extras)
         return Measurement(
             vehicle=self.vehicle.id,
             track=self._track(refined),

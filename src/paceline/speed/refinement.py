@@ -31,6 +31,7 @@ COARSE_STEP = 1.0  # the same before the last level, which starts where this end
 UNSETTLED = 1.0  # a last step from which no motion can be said to have been found
 MOST_STEPS = 10
 RARE = 3.0  # log odds, 20 to 1, against an extra of the motion before any picture is seen
+HELD = 1e-4  # of its usual size: what an extra may be that is not there
 NEGLIGIBLE = 1e-3  # probability of a model that need not be thought of
 LEAST_GLIMPSES = 5  # for a choice among models
 # What scores cannot show: errors that all frames and patches share. Measured on rendered clips, benchmarks/accuracy.py.
@@ -139,24 +140,28 @@ class _Fit:
         other.prior, other.theta, other.relief = prior, self.theta.copy(), self.relief.copy()
         other.bands = [copy(band) for band in self.bands]
         other.descend(STEP, most=1)
-        evidence = other._log_evidence(extra, 1.0)
+        evidence = other._log_evidence(extra, self.prior, 1.0)
         if evidence < np.log(NEGLIGIBLE):
             return evidence, other
         if evidence > RARE:
             other = _Fit(self.trajectory, self.glimpses, prior)
         speed = list(prior.free).index(INDEX["speed"])
         wider = other.covariance[speed, speed] / np.linalg.inv(other.A)[speed, speed]
-        return other._log_evidence(extra, max(wider, 1.0)), other
+        return other._log_evidence(extra, self.prior, max(wider, 1.0)), other
 
-    def _log_evidence(self, extra: str, wider: float) -> float:
-        """Log Bayes factor against the same model without ``extra`` (Savage–Dickey), its covariance being ``wider``
-        times what the pixels' noise leaves."""
-        i = self.trajectory.index(extra)
-        free = np.isin(self.prior.free, i)
-        posterior = wider * np.linalg.inv(self.A)[: len(free), : len(free)][np.ix_(free, free)]
-        value, information = self.theta[i], self.prior.information[np.ix_(free, free)]
-        shrunk = np.linalg.slogdet(posterior)[1] + np.linalg.slogdet(information)[1]
-        return float(0.5 * value @ np.linalg.solve(posterior, value) + 0.5 * min(shrunk, 0.0))
+    def _log_evidence(self, extra: str, narrower: Prior, wider: float) -> float:
+        """Log Bayes factor against the same model under a ``narrower`` prior of its ``extra``, its covariance being
+        ``wider`` times what the pixels' noise leaves (Savage–Dickey, of two Gaussian priors)."""
+        free = np.isin(self.prior.free, self.trajectory.index(extra))
+        precision = np.linalg.inv(wider * np.linalg.inv(self.A)[: len(free), : len(free)][np.ix_(free, free)])
+        wide = self.prior.information[np.ix_(free, free)]
+        held = np.isin(narrower.free, self.trajectory.index(extra))
+        narrow = narrower.information[np.ix_(held, held)] if held.any() else wide / HELD**2
+        pull = precision @ self.theta[self.trajectory.index(extra)]
+        confined = precision - wide + narrow
+        logdet = [np.linalg.slogdet(m)[1] for m in (precision, wide, confined, narrow)]
+        misfit = pull @ (np.linalg.solve(precision, pull) - np.linalg.solve(confined, pull))
+        return float(0.5 * (misfit - logdet[0] + logdet[1] + logdet[2] - logdet[3]))
 
     def descend(self, enough: float, most: int = MOST_STEPS) -> None:
         """Gauss–Newton until no parameter moves by ``enough`` of its standard deviation."""

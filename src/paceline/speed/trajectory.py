@@ -46,6 +46,7 @@ SWERVING = 0.1, 8.0  # rad, m: the heading of a vehicle that changes lane, and o
 LEAST_SWERVE = 1e-3  # rad, rms
 FIRST_SPEED = 30.0  # m/s, acceleration and depth: so wide that only their finiteness matters
 HARD_BRAKING = 2.0  # m/s²
+STEADY = 0.15  # m/s², by which a driver who holds the speed fails to
 DEPTH = 0.3
 
 
@@ -216,16 +217,21 @@ def corners_of(H: Array) -> Array:
 def prior(trajectory: Trajectory, speed: float, extras: tuple[str, ...] = ()) -> Prior:
     """What is known before the images: how drivers brake, turn and swerve, how fronts stand, the bends by their making.
 
-    ``speed`` (m/s) is the first guess, on which the prior hardly depends. ``extras`` ("acceleration", "turn", "swerve")
-    are held to zero where they are not named.
+    ``speed`` (m/s) is the first guess, on which the prior hardly depends. Of the ``extras`` "acceleration", "turn" and
+    "swerve", those that are not named are held to zero, or, an acceleration, to what steady drivers do.
     """
-    plane = trajectory.plane
-    std = np.ones(len(trajectory.steps))
-    std[: len(NAMES)] = DEPTH, FIRST_SPEED, HARD_BRAKING, *plane.normal_std, TURNING
+    std = usual_sizes(trajectory)
     for name in EXTRAS:
         if name not in extras:
-            std[trajectory.index(name)] = 0.0
+            std[trajectory.index(name)] = STEADY if name == "acceleration" else 0.0
     mean = np.zeros_like(std)
-    mean[:2] = np.log(plane.centre[2]), speed
+    mean[:2] = np.log(trajectory.plane.centre[2]), speed
     free = np.flatnonzero(std > 0)
     return Prior(mean, free, np.diag(1.0 / std[free] ** 2))
+
+
+def usual_sizes(trajectory: Trajectory) -> Array:
+    """Standard deviations (n,) of all parameters where every extra is there."""
+    std = np.ones(len(trajectory.steps))
+    std[: len(NAMES)] = DEPTH, FIRST_SPEED, HARD_BRAKING, *trajectory.plane.normal_std, TURNING
+    return std
