@@ -188,8 +188,7 @@ class _Fit:
             theta[p.free] = x
             return np.concatenate([(self.trajectory.quads(theta) - seen).ravel(), root @ (x - p.mean[p.free])])
 
-        scale = 1.0 / np.sqrt(np.diag(p.information))
-        found = least_squares(residuals, p.mean[p.free], x_scale=scale, loss="soft_l1", max_nfev=40)
+        found = least_squares(residuals, p.mean[p.free], x_scale="jac", loss="soft_l1", max_nfev=40)
         theta[p.free] = found.x
         return theta
 

@@ -43,7 +43,8 @@ UNGUIDED = {"yaw": (np.radians(15.0), 3e-4), "pitch": (np.radians(5.0), 1e-4)}
 LEAST_BEND = 1e-4  # rad, rms: a bend below moves nothing by a pixel's hundredth
 TURNING = 0.03  # 1/m, the curvature of a vehicle that turns
 SWERVING = 0.1, 8.0  # rad, m: the heading of a vehicle that changes lane, and over what distance it changes
-LEAST_SWERVE = 1e-3  # rad, rms
+WEAVING = 0.01, 10.0  # the same of a driver who keeps his lane round a bend
+LEAST_SHARE = 0.01  # of the heading's standard deviation: a mode with less is left out
 FIRST_SPEED = 30.0  # m/s, acceleration and depth: so wide that only their finiteness matters
 HARD_BRAKING = 2.0  # m/s²
 STEADY = 0.15  # m/s², by which a driver who holds the speed fails to
@@ -98,19 +99,21 @@ def bends(path: Path, start: float, length: float, on_path: bool) -> Bends:
     ]
     if on_path:
         modes += list(np.stack(path.heading_modes(start + u), axis=1))
+    if path.shape == "curve":
+        modes += list(_wandering(u, *WEAVING))
     _, size, shapes = np.linalg.svd(np.reshape(modes, (len(modes), -1)), full_matrices=False)
     keep = size > LEAST_BEND * np.sqrt(len(u))
     kept = (size[keep, None] * shapes[keep]).reshape(-1, 2, len(u))
-    swerves = _swerves(u)
+    swerves = _wandering(u, *SWERVING)
     return Bends(u, np.concatenate([kept, swerves]), len(swerves))
 
 
-def _swerves(u: Array) -> Array:
-    """Modes (S, 2, N) of a heading that is a Gaussian process over the distance ``u`` (N,)."""
-    sigma, length = SWERVING
+def _wandering(u: Array, sigma: float, length: float) -> Array:
+    """Modes (S, 2, N) of a yaw that is a Gaussian process over the distance ``u`` (N,): of ``sigma`` rad, smooth over
+    ``length`` m."""
     kernel = sigma**2 * np.exp(-0.5 * ((u[:, None] - u) / length) ** 2)
     variance, shapes = np.linalg.eigh(kernel)
-    keep = variance > LEAST_SWERVE**2 * len(u)
+    keep = variance > (LEAST_SHARE * sigma) ** 2 * len(u)
     yaw = (np.sqrt(variance[keep]) * shapes[:, keep]).T
     return np.stack([yaw, np.zeros_like(yaw)], axis=1)
 
