@@ -249,6 +249,9 @@ RIG: dict[str, Case] = {
     "not a number": (lambda c: c.set("rig.yaml", "right.K.1.2", float("nan")), ["rig.yaml", "right.K", "nan"]),
     "infinite": (lambda c: c.set("rig.yaml", "translation.2", float("inf")), ["rig.yaml", "translation", "inf"]),
     "no baseline": (lambda c: c.set("rig.yaml", "translation", [0, 0, 0]), ["rig.yaml", "translation", "same place"]),
+    "both views the same": (
+        lambda c: c.set("clip.yaml", "right", "left"), ["is the same picture as", "two cameras"],
+    ),
     "swapped cameras": (swapped_rig, ["rig.yaml", "translation", "left and right are swapped"]),
     "unknown key": (lambda c: c.set("rig.yaml", "left.distorsion", []), ["'distorsion'", "'distortion'"]),
     "negative uncertainty": (
@@ -397,6 +400,23 @@ def test_unspoilt_it_is_measured(original: Path, command: Command) -> None:
     assert status == 0 and "measured" in stdout
 
 
+@pytest.mark.parametrize("grey", [0, 255])
+def test_blank_pictures_are_rejected_with_a_reason(grey: int, clip: Clip, command: Command) -> None:
+    for file in clip.folder.glob("*/*.png"):
+        cv2.imwrite(str(file), np.full((480, 640), grey, np.uint8))
+    status, stdout, _ = command(clip.folder)
+    assert status == 1 and "rejected: " in stdout
+
+
+def test_cameras_one_behind_the_other_are_rejected_in_time(clip: Clip, command: Command) -> None:
+    """Regions that fill the sky must not be smoothed for minutes."""
+    clip.set("rig.yaml", "translation", [0.0, 0.0, -0.5])
+    begun = time.monotonic()
+    status, stdout, _ = command(clip.folder)
+    assert status in (1, 2) and "measured" not in stdout
+    assert time.monotonic() - begun < 60.0
+
+
 @pytest.mark.parametrize("share", [0.6, 0.9])
 def test_a_video_cut_short_is_measured_as_far_as_it_goes(share: float, clip: Clip, command: Command) -> None:
     video_cut(clip, share)
@@ -418,6 +438,17 @@ def test_a_file_in_place_of_the_folder(original: Path, refused: Callable[..., st
 def test_a_folder_in_place_of_a_file(original: Path, refused: Callable[..., str], tmp_path: Path) -> None:
     (tmp_path / "out" / "report.html").mkdir(parents=True)
     assert "a folder is in the way" in refused(original)
+
+
+def test_a_file_in_place_of_a_folder_inside(original: Path, refused: Callable[..., str], tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "plots").write_text("mine")
+    line = refused(original)
+    assert "a file is in the way" in line and (tmp_path / "out" / "plots").read_text() == "mine"
+
+
+def test_a_name_too_long(original: Path, refused: Callable[..., str], tmp_path: Path) -> None:
+    assert "cannot be written" in refused(original, out=tmp_path / ("o" * 300))
 
 
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="needs /proc")

@@ -33,9 +33,9 @@ class OutputFolder:
         self._made: list[Path] = []  # folders created for the output, outermost first
 
     def __enter__(self) -> Path:
-        if self.out.exists() and not self.out.is_dir():
-            raise UnusableInput(f"{self.out}: is a file; expected a folder for the output")
         try:
+            if self.out.exists() and not self.out.is_dir():
+                raise UnusableInput(f"{self.out}: is a file; expected a folder for the output")
             # Inside an existing folder, which may be a mount point of its own, else beside the one to come.
             parent = self.out if self.out.is_dir() else self.out.parent
             for folder in reversed([p for p in (parent, *parent.parents) if not p.exists()]):
@@ -72,6 +72,8 @@ class OutputFolder:
         for file in files:  # all obstacles are found before the first file is replaced
             if (self.out / file).is_dir():
                 raise IsADirectoryError(errno.EISDIR, "a folder is in the way", str(self.out / file))
+            if any((self.out / folder).is_file() for folder in file.parents):
+                raise NotADirectoryError(errno.ENOTDIR, f"a file is in the way of {file}", str(self.out / file))
         for file in files:
             (self.out / file).parent.mkdir(parents=True, exist_ok=True)
             os.replace(self._partial / file, self.out / file)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from paceline.reports.overlay import Still
 from paceline.reports.plots import Plot
 from paceline.reports.rendering import flat, render
@@ -72,8 +74,9 @@ def _headline(measurement: Measurement, words: SpeedWords) -> str:
 
 def _facts(measurement: Measurement, unit: str) -> list[tuple[str, str]]:
     track = measurement.track
-    seconds = float(track.time[-1] - track.time[0]) if len(track.time) else 0.0
-    depth = track.position[:, 2]
+    tracked = np.array([status == "tracking" for status in track.status], bool)
+    seconds = float(np.ptp(track.time[tracked])) if tracked.any() else 0.0
+    depth = track.position[tracked, 2]
     facts = [
         ("frames measured", f"{measurement.frames}, over {seconds:.2f} s"),
         ("distance travelled", f"{number(distance_travelled(track), 1)} m"),

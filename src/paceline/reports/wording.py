@@ -92,7 +92,7 @@ def speed_at(track: Track, row: int) -> tuple[float, float]:
 
 def distance_travelled(track: Track) -> float:
     """Metres along the tracked positions, NaN without two of them."""
-    return path_length(track.position)
+    return path_length(track.position[[status == "tracking" for status in track.status]])
 
 
 def path_length(points: Array) -> float:

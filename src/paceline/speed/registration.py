@@ -28,6 +28,7 @@ GAINS = (0.2, 5.0)
 FARTHEST = 5.0  # standard deviations of the hand
 CORRELATED = 4.0  # a sample's noise is shared with about this many neighbours
 QUANTISED = 1.0 / 12.0  # grey levels², of 8-bit images
+WIDEST = 60.0  # px: a region smoothed by more is nowhere that pictures show
 INSET = 2.0  # px of the first region: its rim shows what is behind the vehicle, and at another depth
 
 
@@ -157,6 +158,8 @@ def _smoothed(image: Image, pixels: Array, grid: PlaneGrid, coarseness: float = 
     low, high = (np.array([extreme(axis) for axis in pixels]) for extreme in (np.min, np.max))
     size = (high - low) * np.array(grid.step)
     sigma = max(0.6, 0.7 * float(size.max())) * coarseness
+    if not sigma < WIDEST:
+        raise np.linalg.LinAlgError("the region fills more than the picture")
     corner = np.maximum(np.floor(low - 8 - 3 * sigma), 0).astype(int)
     end = np.ceil(high + 9 + 3 * sigma).astype(int)
     corner = np.minimum(corner, np.array(image.shape[1::-1]) - 2)  # two by two pixels at least, to interpolate between

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -115,7 +116,8 @@ class Tracker:
         """The first frame: the reference, and the depth at which the views agree."""
         c = self.configuration
         if self.appearance is not None:
-            self.plane = self.appearance.begin((frame.left, frame.right), self.vehicle.left, self.plane)
+            with suppress(np.linalg.LinAlgError):  # without texture the plane stays where it was outlined
+                self.plane = self.appearance.begin((frame.left, frame.right), self.vehicle.left, self.plane)
         searched = acquisition.SEARCH if self.vehicle.speed is None else 1
         self.state = acquisition.initial_state(self.plane, self.vehicle, c.particles * searched, self.rng)
         self.weights = Weights.equal(len(self.state))
@@ -190,7 +192,10 @@ class Tracker:
         w, state, mean = self.weights, self.state, self._mean()
         doubt = float(np.hypot(*w.std(motion.diagonal_crossings(state.left))))
         images = frame.left, frame.right
-        found = self.appearance.find(images, mean.left[0], mean.normal[0], float(mean.distance[0]), doubt)
+        try:
+            found = self.appearance.find(images, mean.left[0], mean.normal[0], float(mean.distance[0]), doubt)
+        except np.linalg.LinAlgError:  # nothing there that could be told from anything else
+            return None
         places = motion.centres(self.rig, state)
         spread = w.covariance(places) + found.covariance
         surprise = float(found.shift @ np.linalg.solve(spread, found.shift))
