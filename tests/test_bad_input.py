@@ -280,6 +280,9 @@ def parallel_to_epipolar_lines(clip: Clip, shape: str) -> None:
 
 PATHS: dict[str, Case] = {
     "one view only": (lambda c: c.set("clip.yaml", "paths.lane0.right", None), ["paths.lane0", "left view only"]),
+    "far beside the vehicle": (
+        lambda c: c.set("clip.yaml", "paths.lane0.lateral_offset", -1850.0), ["lane0", "beside vehicle v0", "metres"],
+    ),
     "no view": (lambda c: c.set("clip.yaml", "paths.lane0", {"shape": "line"}), ["paths.lane0", "not drawn"]),
     "level line": (lambda c: parallel_to_epipolar_lines(c, "line"), ["clip.yaml", "lane0", "parallel to the epipolar"]),
     "level curve": (

@@ -235,7 +235,7 @@ ORDER = "top-left, top-right, bottom-right, bottom-left as seen in the image"
         ("vehicles.0.path", "lane1", "vehicles[0].path: no path is called 'lane1'; did you mean 'lane0'?"),
         ("vehicles.0.frame", -1, "vehicles[0].frame: expected at least 0, found -1"),
         ("vehicles.0.frame", None, "vehicles[0].frame: missing"),
-        ("vehicles.0.speed", -3, "vehicles[0].speed: expected at least 0, found -3"),
+        ("vehicles.0.speed", -3, "vehicles[0].speed: expected a number above 0, found -3"),
         ("vehicles.0.plane", "top", "vehicles[0].plane: expected 'front', 'side' or 'free', found 'top'"),
         ("vehicles.0", "v0", "vehicles[0]: expected the keys id, path, frame, left, right, plane, speed, found 'v0'"),
         ("vehicles.0.left", LEFT[:3], "vehicles[0].left: expected four [x, y] points, found 3"),

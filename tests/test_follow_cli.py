@@ -287,6 +287,14 @@ def test_wrong_options(arguments: list[str], words: list[str], tmp_path: Path) -
     assert list(tmp_path.iterdir()) == []
 
 
+def test_the_picture_learned_from_is_not_written_over(tmp_path: Path) -> None:
+    picture = tmp_path / "target.png"
+    picture.write_bytes(b"mine")
+    learn = ("target", "learn", picture, "--box", "1,2,30,40", "--width", "2", "--camera", tmp_path / "camera.yaml")
+    assert_one_line_error(paceline(*learn, "-o", tmp_path / "target.yaml"), "--out", "target.png", "another name")
+    assert picture.read_bytes() == b"mine"
+
+
 def test_help_names_what_there_is() -> None:
     assert "--no-overlay" in paceline("follow", "--help").stdout
     assert "--camera" in paceline("target", "learn", "--help").stdout

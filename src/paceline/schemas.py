@@ -127,7 +127,7 @@ class VehicleModel(Document):
     left: Corners
     right: Corners
     plane: Literal["front", "side", "free"] | None = None
-    speed: Annotated[float, Field(ge=0, le=150)] | None = None
+    speed: Annotated[float, Field(gt=0, le=150)] | None = None
 
 
 class ClipModel(Document):

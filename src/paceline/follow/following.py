@@ -16,7 +16,7 @@ from paceline.follow.history import History
 from paceline.follow.results import FollowEstimate, FollowResult
 from paceline.follow.steering import Pose
 from paceline.follow.target import Target
-from paceline.follow.tracker import FollowTracker
+from paceline.follow.tracker import FollowTracker, warm_up
 from paceline.monocular import CameraFrame, CameraRecording, open_camera
 from paceline.odometry import read_odometry
 
@@ -46,6 +46,7 @@ def follow(
             f"0 to {recording.total - 1}"
         )
     odometry = None if clip.odometry is None else read_odometry(clip.odometry)
+    warm_up()
     tracker = tracker_for(clip, configuration)
     begun = False
     for frame in recording.frames(clip.frame):

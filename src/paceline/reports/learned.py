@@ -36,6 +36,7 @@ def write_learned(learned: LearnedTarget, image: Image, file: Path) -> Path:
     contents = {beside: bytes(png), file: target_yaml(learned).encode()}
     partial = {path: path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial") for path in contents}
     try:
+        file.parent.mkdir(parents=True, exist_ok=True)
         for path, content in contents.items():
             if path.is_dir():
                 raise UnusableInput(f"{path}: is a folder; expected the name of a file to write")

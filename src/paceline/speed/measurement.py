@@ -40,6 +40,7 @@ MISFIT = 0.6  # share of the texture's contrast that may stay unexplained
 OFF = 0.6  # px, rms over the frames: how far the pictures may lie off the motion
 DISAGREE = 1.0  # px across the epipolar lines
 FASTEST = 90.0  # m/s
+BESIDE = 15.0  # m from a vehicle, beyond which a path is not the one it drives on
 
 
 def measure_clip(
@@ -127,6 +128,15 @@ class _Run:
         self.path = drawn[on_path] if on_path is not None else None
         offset = clip.paths[on_path].lateral_offset if on_path is not None else 0.0
         self.tracker = Tracker(clip.rig, vehicle, self.path, offset, configuration)
+        if self.path is not None:
+            centre = self.tracker.plane.centre
+            ways = self.path.shifted(offset), self.path.reversed().shifted(offset)
+            beside = min(float(np.linalg.norm(w.at(np.array(w.nearest(centre))) - centre)) for w in ways)
+            if not beside < BESIDE:
+                raise UnusableInput(
+                    f"{clip.path}: paths.{on_path}: passes {beside:.0f} m beside vehicle {vehicle.id}; "
+                    "expected a line along which it drives, and lateral_offset in metres"
+                )
         self.estimates: list[Estimate] = []
         self.glimpses: list[Glimpse] = []
         self._stride = 1
@@ -206,8 +216,8 @@ class _Run:
             reason = f"views disagree: they lie {abs(across):.1f} px apart across the epipolar lines"
         elif not 0 <= speed <= FASTEST:
             reason = f"implausible: {speed:.1f} m/s"
-        elif half > max(WIDEST[0] * speed, WIDEST[1]):
-            reason = f"interval too wide: ± {half:.2f} m/s"
+        else:
+            reason = _too_wide(speed, float(half))
         accelerating = "acceleration" in refined.extras
         model = "constant acceleration" if accelerating else "constant speed"
         model += ", turning" * ("turn" in refined.extras) + ", swerving" * ("swerve" in refined.extras)
@@ -234,7 +244,7 @@ class _Run:
             notices.append("rig.yaml states no uncertainty: the interval holds no systematic part")
         hidden = sum(e.likeness < SEEN for e in self.estimates)
         if hidden:
-            notices.append(f"hidden or unlike itself in {hidden} frames")
+            notices.append(f"hidden or unlike itself in {hidden} {'frame' if hidden == 1 else 'frames'}")
         if self.estimates[-1].status == "lost":
             notices.append(f"lost at frame {self.estimates[-1].frame}")
         return notices
@@ -245,7 +255,7 @@ class _Run:
         information = 1.0 / np.array([e.speed_std for e in tracked[1:]]) ** 2
         speed, std = float(np.average(speeds, weights=information)), float(1.0 / np.sqrt(information.mean()))
         half = float(ndtri(0.5 + CONFIDENCE / 2)) * std
-        reason = f"interval too wide: ± {half:.2f} m/s" if half > max(WIDEST[0] * speed, WIDEST[1]) else ""
+        reason = _too_wide(speed, half)
         return Measurement(
             vehicle=self.vehicle.id,
             track=self._track(None),
@@ -294,6 +304,14 @@ class _Run:
             refined_speed=refined_speed,
             refined_std=refined_std,
         )
+
+
+def _too_wide(speed: float, half: float) -> str:
+    """Why an interval of ± ``half`` (m/s) is none to go by; empty where it is."""
+    if half <= max(WIDEST[0] * speed, WIDEST[1]):
+        return ""
+    share = half / max(speed, 1e-9)
+    return "interval too wide: " + (f"± {share:.1%} of the speed" if share < 1 else "the speed is not known")
 
 
 def _crop(image: NDArray[np.float32], quad: Array) -> tuple[NDArray[np.float32], Array]:

@@ -248,8 +248,10 @@ class _Fit:
 
     @property
     def residual(self) -> float:
-        """Median rms (grey levels) of what a view's patch leaves unexplained."""
-        return float(np.sqrt(np.median(self.bands[0].variance)))
+        """Median rms (grey levels) of what a patch leaves unexplained, in the view that shows it worse."""
+        base = self.bands[0]
+        sides = (base.variance[base.views % 2 == side] for side in (0, 1))
+        return float(np.sqrt(max(np.median(variance) for variance in sides if len(variance))))
 
     @property
     def contrast(self) -> float:
