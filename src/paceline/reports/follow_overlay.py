@@ -70,9 +70,12 @@ def words(e: FollowEstimate) -> str:
 
 
 def range_words(e: FollowEstimate) -> str:
-    """For example ``10.58 ± 0.05 m``, half of a 95 % interval."""
+    """For example ``10.58 ± 0.05 m``, half of a 95 % interval; what is only carried on is said to be."""
     distance, half = float(e.position[2]), COVERAGE * float(e.position_std[2])
-    return f"{number(distance, 2)} ± {number(half, 2)} m" if np.isfinite(distance) else MISSING
+    if not np.isfinite(distance):
+        return MISSING
+    measured = e.status == "tracking"
+    return f"{number(distance, 2)} ± {number(half, 2)} m" if measured else f"about {number(distance, 1)} m, not measured"
 
 
 def draw_estimate(view: Picture, e: FollowEstimate, scale: float, shift: Array | None = None) -> None:
