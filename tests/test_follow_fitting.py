@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from paceline.follow import fitting
+from paceline.follow import candidates, fitting
 
 VERTICAL = np.array([True, True, False, False, False])
 OFFSETS = np.array([-30.0, 30.0, -20.0, 5.0, 20.0])
@@ -91,10 +91,10 @@ def edge_points(places, rng, n=40, noise=0.2):
 
 
 def robustly(lists, start, doubt, gate=8.0):
-    lines = np.zeros((5, fitting.CANDIDATES, 3))
+    lines = np.zeros((5, candidates.CANDIDATES, 3))
     expected = np.where(VERTICAL, start[0], start[1]) + start[2] * OFFSETS
     for (points, owners), upright in zip(lists, (True, False), strict=True):
-        fitting.candidate_lines(points, owners, upright, expected, np.full(5, gate), 0.8, VERTICAL, lines)
+        candidates.candidate_lines(points, owners, upright, expected, np.full(5, gate), 0.8, VERTICAL, lines)
     lengths = np.full(5, 50.0)
     places, weights = fitting.robust_lines(
         lines, start, doubt, VERTICAL, OFFSETS, lengths, 0.3, 0.1, np.full(5, 0.04), 0.8
@@ -126,8 +126,8 @@ def test_candidates_are_the_places_where_points_crowd():
     rows = np.zeros((90, 3), np.float32)
     rows[:50, 0] = 100.3 + rng.normal(0, 0.1, 50)
     rows[50:, 0] = 104.1 + rng.normal(0, 0.1, 40)
-    lines = np.zeros((1, fitting.CANDIDATES, 3))
-    fitting.candidate_lines(
+    lines = np.zeros((1, candidates.CANDIDATES, 3))
+    candidates.candidate_lines(
         rows, np.zeros(90, int), True, np.array([102.0]), np.array([6.0]), 0.8, np.array([True]), lines
     )
     assert lines[0, 0, 0] == pytest.approx(rows[:50, 0].mean(), abs=1e-3)
@@ -135,8 +135,71 @@ def test_candidates_are_the_places_where_points_crowd():
     assert lines[0, :, 1].tolist() == [50, 40, 0]
 
 
-def test_a_fused_scale_lies_between_and_is_known_better():
+def test_a_fused_scale_gives_way_only_to_what_is_new_in_an_image():
     fit = fitting.locate(ideal_places(), np.full(5, 2.0), VERTICAL, OFFSETS)
-    fused = fitting.fused(fit, np.array([0, 0, 1.3]), np.array([1, 1, np.sqrt(fit.covariance[2, 2])]))
+    doubt = np.array([1, 1, np.sqrt(fitting.FRESH * fit.covariance[2, 2])])
+    fused = fitting.fused(fit, np.array([0, 0, 1.3]), doubt)
     assert fused.location[2] == pytest.approx(1.25)
-    assert fused.covariance[2, 2] == pytest.approx(fit.covariance[2, 2] / 2)
+    np.testing.assert_array_equal(fused.covariance, fit.covariance)
+
+
+def test_a_turned_target_is_not_taken_for_a_farther_one():
+    narrower = 1 - np.cos(np.radians(10))
+    places = ideal_places() - np.where(VERTICAL, narrower * TRUTH[2] * OFFSETS, 0.0)
+    weights = np.full(5, 5.0)
+    square = fitting.locate(places, weights, VERTICAL, OFFSETS)
+    turned = fitting.locate(places, weights, VERTICAL, OFFSETS, TRUTH[2], fitting.TURNED)
+    assert abs(turned.location[2] / TRUTH[2] - 1) < 0.6 * abs(square.location[2] / TRUTH[2] - 1)
+    assert turned.covariance[2, 2] > fit_variance(weights)
+
+
+def fit_variance(weights):
+    return fitting.locate(ideal_places(), weights, VERTICAL, OFFSETS).covariance[2, 2]
+
+
+def faint(image, brighter, length=40.0, reach=4.0):
+    """What is found of one vertical feature expected at x = 30."""
+    lines = np.zeros((1, candidates.CANDIDATES, 3))
+    candidates.faint_lines(
+        image,
+        np.array([30.0]),
+        np.array([[10.0, 10.0 + length]]),
+        reach,
+        np.array([True]),
+        np.array([brighter]),
+        0.3,
+        4.0,
+        lines,
+    )
+    return lines[0, 0]
+
+
+def test_a_step_smaller_than_the_noise_is_found_in_the_mean_profile():
+    rng = np.random.default_rng(5)
+    off, missed, other = [], 0, 0
+    for _ in range(200):
+        image = 100 + rng.normal(0, 2.0, (60, 60))
+        image[:, 32:] += 3.0  # the edge lies at x = 31.5
+        image = np.clip(image.round(), 0, 255).astype(np.uint8)
+        found = faint(image, 1)
+        missed += found[1] == 0
+        other += faint(image, -1)[1] > 0
+        if found[1]:
+            off.append(found[0] - 31.5)
+    assert missed < 10 and other < 30
+    assert np.sqrt(np.mean(np.square(off))) < 0.6
+
+
+def test_edge_points_that_suffice_are_left_alone_and_the_border_is_kept():
+    image = np.full((60, 60), 100, np.uint8)
+    image[:, 32:] = 130
+    lines = np.zeros((1, candidates.CANDIDATES, 3))
+    lines[0, 0] = 29.0, 35, 0.1
+    spans = np.array([[10.0, 50.0]])
+    one = np.array([True]), np.array([1]), 0.3, 4.0
+    candidates.faint_lines(image, np.array([30.0]), spans, 4.0, *one, lines)
+    assert lines[0, 0].tolist() == [29.0, 35, 0.1]
+    lines[:] = 0
+    candidates.faint_lines(image, np.array([58.0]), spans, 4.0, *one, lines)
+    candidates.faint_lines(image, np.array([30.0]), spans + 20, 4.0, *one, lines)
+    assert not lines.any()

@@ -19,7 +19,7 @@ def test_triangularise_is_an_orthogonal_transformation():
 @pytest.mark.parametrize("steady", [True, False])
 def test_the_recursion_equals_the_weighted_batch_solution(decay, steady):
     rng = np.random.default_rng(7)
-    pair = at_rest(3.0, 0.7)
+    pair = at_rest(3.0, np.full(3, 0.7))
     # (18)-(20) written out: every row [1, t, t² | c], t counted back from now, weighed by w·λ^(age/2)
     times, values, w = [], [], []
     now = 0.0
@@ -44,14 +44,14 @@ def test_a_parabola_is_predicted_exactly():
     def parabola(t):
         return 2.0 + 0.3 * t - 0.02 * t * t
 
-    pair = at_rest(2.0, 1e-6)
+    pair = at_rest(2.0, np.full(3, 1e-6))
     for t in range(1, 30):
         pair = updated(aged(pair, 1.0, 0.8), parabola(t), 2.0)
     assert extrapolated(pair, 1.0) == pytest.approx(parabola(30), abs=1e-6)
 
 
 def test_while_nothing_is_seen_a_motion_does_not_run_away():
-    pair = at_rest(0.0, 1e-3)
+    pair = at_rest(0.0, np.full(3, 1e-3))
     for t in range(1, 20):
         pair = updated(aged(pair, 1.0, 0.8), 0.5 * t * t, 1.0)
     near, far = extrapolated(pair, 10.0), extrapolated(pair, 100.0)

@@ -8,7 +8,7 @@ import pytest
 
 from paceline.cameras import Camera
 from paceline.errors import UnusableInput
-from paceline.follow import association, edges_cpu, fitting, motion, picture_cpu, search_cpu
+from paceline.follow import association, candidates, edges_cpu, fitting, motion, picture_cpu, search_cpu
 from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.ranging import recorded
 from paceline.follow.steering import Pose
@@ -287,7 +287,7 @@ def test_after_the_warm_up_nothing_is_left_to_compile(clip):
     warm_up()
     kernels = {
         f"{room.__name__}.{name}": value
-        for room in (association, edges_cpu, fitting, motion, picture_cpu, search_cpu)
+        for room in (association, candidates, edges_cpu, fitting, motion, picture_cpu, search_cpu)
         for name, value in vars(room).items()
         if hasattr(value, "signatures")
     }

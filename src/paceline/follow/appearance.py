@@ -96,7 +96,7 @@ class Appearance:
             self._seen,
             covariance,
         )
-        return covariance if good else None
+        return covariance if good and np.all(np.diag(covariance) > 0.0) else None
 
     def learn(self, evidence: Array, inside: float) -> None:
         """Take in what was looked at last, and the ``evidence`` (S,) along the features there."""

@@ -20,6 +20,8 @@ class FollowConfiguration(BaseModel):
     wide_search: bool = True  # look for the whole model before its features, farther than the motion models reach
     predicted_gates: bool = True  # association gates from the predicted uncertainty instead of a constant
     competing_lines: bool = True  # several candidate lines per feature, robustly fitted
+    faint_lines: bool = True  # features too faint for edge points, by the mean profile across them
+    foreshortening: bool = True  # a target at an angle looks narrower
     adaptive_decay: bool = True  # two decays per parameter, weighed by how well they predicted of late
     appearance: bool = True  # learn what the target looks like, and do not believe what looks otherwise
 
@@ -30,8 +32,7 @@ class FollowConfiguration(BaseModel):
     minimum_share: float = Field(0.3, gt=0, le=1)  # of a feature's predicted length that must be matched
     variance_floor: float = Field(0.1, gt=0)  # px², (14)
     model_tolerance: float = Field(0.01, ge=0)  # m by which a feature's true place may differ from the model's
-    relief_tolerance: float = Field(0.015, ge=0)  # m, the same for horizontal ones: a bumper that stands off the plane
-    # appears higher or lower, for the camera looks down on it
+    relief_tolerance: float = Field(0.2, ge=0)  # m by which horizontal ones, as a bumper, may stand off the rear plane
     decay: float = Field(0.8, gt=0, lt=1)  # λ of (18) for c_x and c_y, for each 1/15 s
     scale_decay: float = Field(0.85, gt=0, lt=1)  # λ for the scale
     slow_decay: float = Field(0.95, gt=0, lt=1)  # λ of the second models, where the decay is adaptive
@@ -60,6 +61,8 @@ class FollowConfiguration(BaseModel):
             wide_search=False,
             predicted_gates=False,
             competing_lines=False,
+            faint_lines=False,
+            foreshortening=False,
             adaptive_decay=False,
             appearance=False,
         )

@@ -15,13 +15,14 @@ Floats = NDArray[np.float32]
 Indices = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
-CANDIDATES = 3  # lines that may compete for one feature
-BIN = 0.5  # px, of the histogram in which they are found
-BINS = 256
 ROUNDS = 6  # of the robust fit
-UNCHECKED = 1.5
+UNCHECKED = 1.5  # times its variance that a fit with one feature to spare may claim too little
+FRESH = 0.1  # share of a fit's variance that is new in each image: the model errs alike in all of them
 BEYOND = 2.0  # times its reach from where it should be, a line does not belong to the model
+TURNED = 0.1  # rad, standard deviation of a target's angle to the camera, which makes it look narrower by 1 − cos
 CONSISTENT = 0.1  # the residual (15) below which features agree as well as the pixel grid allows
+SURELY = 1e9  # confidence of what is not in doubt
+SQRT_2 = 2.0**0.5
 SINGULAR = 1e-6  # of the greatest diagonal of U: a location with less than that is not determined
 
 
@@ -90,70 +91,6 @@ def _determined(pair: Array) -> bool:
 
 
 @njit(cache=True, nogil=True)
-def candidate_lines(
-    points: Floats,
-    owners: Indices,
-    upright: bool,
-    expected: Array,
-    gates: Array,
-    breadth: float,
-    vertical: Flags,
-    lines: Array,
-) -> None:
-    """The lines that compete for each feature: rows (place, points, variance) of ``lines`` (S, CANDIDATES, 3).
-
-    They are the places where the feature's points crowd: peaks of a histogram across the feature about ``expected``
-    (S,) px, within ``gates`` (S,) px of it; points within ``breadth`` px of a peak belong to it.
-    """
-    across = 0 if upright else 1
-    histogram = np.zeros((len(expected), BINS), np.float32)
-    middle = BINS // 2
-    size = BIN
-    for j in range(len(expected)):
-        size = max(size, 2.2 * gates[j] / BINS)
-    for i in range(len(points)):
-        j = owners[i]
-        if j >= 0:
-            k = int(np.floor((points[i, across] - expected[j]) / size + 0.5)) + middle
-            if 0 <= k < BINS:
-                histogram[j, k] += 1.0
-    reach = max(1, int(breadth / size))
-    for j in range(len(expected)):
-        if vertical[j] != upright:
-            continue
-        lines[j] = 0.0
-        for c in range(CANDIDATES):
-            top, most = 0, np.float32(0.0)
-            for k in range(1, BINS - 1):
-                h = histogram[j, k - 1] + histogram[j, k] + histogram[j, k + 1]
-                if h > most or (h == most and most > 0 and abs(k - middle) < abs(top - middle)):
-                    top, most = k, h
-            if most < 2.0:
-                break
-            place = expected[j] + (top - middle) * size
-            n, total, squares = 0.0, 0.0, 0.0
-            for sweep in range(2):
-                n, total, squares = 0.0, 0.0, 0.0
-                for i in range(len(points)):
-                    if owners[i] == j:
-                        d = points[i, across] - place
-                        if abs(d) <= breadth:
-                            n += 1.0
-                            total += d
-                            squares += d * d
-                if n == 0.0:
-                    break
-                if sweep == 0:
-                    place += total / n
-            if n > 0.0:
-                lines[j, c, 0] = place + total / n
-                lines[j, c, 1] = n
-                lines[j, c, 2] = max(squares / n - (total / n) ** 2, 0.0)
-            for k in range(max(top - reach - 1, 0), min(top + reach + 2, BINS)):
-                histogram[j, k] = 0.0
-
-
-@njit(cache=True, nogil=True)
 def robust_lines(
     lines: Array,
     start: Array,
@@ -181,21 +118,23 @@ def robust_lines(
         widest = max(widest, np.sqrt(d * d + (offsets[j] * doubt[2]) ** 2))
     reach = max(2.0 * widest, finest)
     shrink = (finest / reach) ** (1.0 / (ROUNDS - 1))
+    reaches = np.empty(n)
     for r in range(ROUNDS):
         for j in range(n):
+            reaches[j] = np.sqrt(reach * reach + tolerance[j])
             expected = (x[0] if vertical[j] else x[1]) + x[2] * offsets[j]
             chosen, most = -1, 0.0
             for c in range(lines.shape[1]):
                 if lines[j, c, 1] < minimum_share * lengths[j] or lines[j, c, 1] < 2.0:
                     continue
-                away = (lines[j, c, 0] - expected) / reach
+                away = (lines[j, c, 0] - expected) / reaches[j]
                 support = lines[j, c, 1] / lengths[j] * np.exp(-0.5 * away * away)
                 if support > most:
                     chosen, most = c, support
             weights[j] = 0.0
             places[j] = np.nan
             if chosen >= 0:
-                away = (lines[j, chosen, 0] - expected) / reach
+                away = (lines[j, chosen, 0] - expected) / reaches[j]
                 if abs(away) < BEYOND:
                     variance = max(lines[j, chosen, 2], variance_floor) / lines[j, chosen, 1] + tolerance[j]
                     places[j] = lines[j, chosen, 0]
@@ -215,40 +154,53 @@ def robust_lines(
 
 @njit(cache=True, nogil=True)
 def _locate(
-    places: Array, weights: Array, vertical: Flags, offsets: Array, residuals: Array
+    places: Array, weights: Array, vertical: Flags, offsets: Array, scale: float, turned: float, residuals: Array
 ) -> tuple[bool, Array, Array, float]:
-    rows = np.zeros((max(len(places), 3), 4))
-    _fill(places, weights, vertical, offsets, rows)
+    n = len(places)
+    rows = np.zeros((max(n, 3) + 1, 5))
+    for j in range(n):
+        rows[j, 0] = -weights[j] * scale * offsets[j] if vertical[j] else 0.0
+    _fill(places, weights, vertical, offsets, rows[:, 1:])
+    # A target turned by ψ looks narrower by κ = 1 − cos ψ. κ is the first unknown, known beforehand as well as ψ is;
+    # made triangular, the rows below the first hold the location whatever κ is.
+    rows[-1] = 0.0
+    rows[-1, 0] = SURELY if turned == 0.0 else SQRT_2 / (turned * turned)
+    rows[-1, 4] = rows[-1, 0] * 0.5 * turned * turned
     triangularise(rows)
-    pair = rows[:3].copy()
+    pair = rows[1:4, 1:].copy()
     nothing = np.zeros(3)
     inverse = np.zeros((3, 3))
     if not _determined(pair):
         return False, nothing, inverse, 0.0
     x = solved(pair)
+    narrower = (rows[0, 4] - rows[0, 1] * x[0] - rows[0, 2] * x[1] - rows[0, 3] * x[2]) / rows[0, 0]
     for p in range(3):  # U⁻¹, a column at a time
         column = pair.copy()
         column[:, 3] = 0.0
         column[p, 3] = 1.0
         inverse[:, p] = solved(column)
     J = 0.0
-    for j in range(len(places)):
+    for j in range(n):
         residuals[j] = np.nan
         if weights[j] > 0.0:
-            residuals[j] = places[j] - (x[0] if vertical[j] else x[1]) - x[2] * offsets[j]
+            seen = places[j] + (narrower * scale * offsets[j] if vertical[j] else 0.0)
+            residuals[j] = seen - (x[0] if vertical[j] else x[1]) - x[2] * offsets[j]
             J += (weights[j] * residuals[j]) ** 2
     return True, x, inverse @ inverse.T, J
 
 
-def locate(places: Array, weights: Array, vertical: Flags, offsets: Array) -> Fit | None:
+def locate(
+    places: Array, weights: Array, vertical: Flags, offsets: Array, scale: float = 1.0, turned: float = 0.0
+) -> Fit | None:
     """The location that fits the features best, (15)–(17); None where they do not determine one.
 
     ``places`` (S,) px are the features' places, ``weights`` (S,) their confidences, ``offsets`` (S,) px their u or v
     at scale 1. The covariance is (AᵀWA)⁻¹, enlarged where the residual shows that the features' confidences claim too
-    much.
+    much. The target's angle to the camera has the standard deviation ``turned``, rad: by as much its width, at a
+    ``scale`` of about that, is in doubt. At 0 it is seen squarely, as in the paper.
     """
     residuals = np.empty(len(places))
-    good, x, covariance, J = _locate(places, weights, vertical, offsets, residuals)
+    good, x, covariance, J = _locate(places, weights, vertical, offsets, scale, turned, residuals)
     if not good:
         return None
     used = weights > 0.0
@@ -264,8 +216,9 @@ def locate(places: Array, weights: Array, vertical: Flags, offsets: Array) -> Fi
 def fused(fit: Fit, expected: Array, doubt: Array) -> Fit:
     """A fit whose scale was also ``expected`` (3,), to within ``doubt`` (3,).
 
-    Only the scale: a bump moves the image, but not the vehicle.
+    Only the scale: a bump moves the image, but not the vehicle. Its covariance stays: what the expected scale rests on
+    are measurements that shared this one's errors of the model.
     """
-    gain = fit.covariance[:, 2] / (fit.covariance[2, 2] + doubt[2] ** 2)
-    location = fit.location + gain * (expected[2] - fit.location[2])
-    return replace(fit, location=location, covariance=fit.covariance - np.outer(gain, fit.covariance[2]))
+    fresh = FRESH * fit.covariance
+    gain = fresh[:, 2] / (fresh[2, 2] + doubt[2] ** 2)
+    return replace(fit, location=fit.location + gain * (expected[2] - fit.location[2]))

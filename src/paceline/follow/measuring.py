@@ -8,7 +8,7 @@ from math import hypot
 import numpy as np
 from numpy.typing import NDArray
 
-from paceline.follow import association, fitting
+from paceline.follow import association, candidates, fitting
 from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.edges import EdgeExtractor, EdgeLists, Window, window_around
 from paceline.follow.features import Features, Projection
@@ -27,13 +27,13 @@ CREDIBLE = 3.0  # times as large or as small as expected, it is something else
 
 @dataclass(frozen=True, eq=False)
 class Measurement:
-    """A ``fit``, the edge ``points`` (M, 2) px that were believed and their ``owners`` (M,), and how far such a point
-    may be from its line, ``breadth`` px."""
+    """A ``fit``, the edge ``points`` (M, 2) px that were believed and their ``owners`` (M,), and what each feature may
+    be off, with the model's own errors: ``allowed`` (S,) px."""
 
     fit: Fit
     points: Array
     owners: Indices
-    breadth: float
+    allowed: Array
 
     @property
     def residual(self) -> float:
@@ -41,9 +41,14 @@ class Measurement:
         return float(np.sqrt((self.fit.offsets[self.fit.used] ** 2).mean()))
 
     @property
+    def discord(self) -> float:
+        """The same, relative to what is allowed."""
+        return float(np.sqrt(((self.fit.offsets / self.allowed)[self.fit.used] ** 2).mean()))
+
+    @property
     def agreeing(self) -> NDArray[np.bool_]:
         """(S,): the features that lie where the model has them."""
-        return self.fit.used & (np.abs(np.nan_to_num(self.fit.offsets)) < 1.5 * self.breadth)
+        return self.fit.used & (np.abs(np.nan_to_num(self.fit.offsets)) < 1.5 * self.allowed)
 
 
 class Measurer:
@@ -52,6 +57,7 @@ class Measurer:
     def __init__(self, projection: Projection, configuration: FollowConfiguration) -> None:
         self._projection, self._c = projection, configuration
         self._vertical = projection.target.vertical
+        self._magnification = float(projection.magnification.mean())
         self._edges = EdgeExtractor(projection.camera.image_size, configuration)
         self._owners = np.empty((2, self._edges.capacity), np.int64)
 
@@ -75,13 +81,17 @@ class Measurer:
         for reach in (gate, min(gate, 3.0 * breadth)) if c.competing_lines else (gate,):
             features = projection.features(x)  # stage 7
             self._associate(edges, features, reach, brighter)  # stage 2
-            places, weights = self._locate_features(edges, features, x, doubt, reach, breadth)  # stage 3
-            fit = fitting.locate(places - features.shifts, weights, self._vertical, projection.offsets)  # stage 4
+            places, weights = self._locate_features(image, edges, features, x, doubt, reach, breadth, brighter)  # 3
+            turned = fitting.TURNED if c.foreshortening else 0.0
+            fit = fitting.locate(
+                places - features.shifts, weights, self._vertical, projection.offsets, x[2], turned
+            )  # stage 4
             if fit is None or not 1 / CREDIBLE < fit.location[2] / start[2] < CREDIBLE:
                 return None, window
             x, doubt = fit.location, np.minimum(doubt, 0.5 * breadth)
         assert fit is not None
-        return Measurement(fit, *self._believed(edges, fit), breadth), window
+        allowed = np.sqrt(breadth**2 + self._tolerance(fit.location))
+        return Measurement(fit, *self._believed(edges, fit), allowed), window
 
     def _associate(self, edges: EdgeLists, features: Features, reach: float, brighter: Indices) -> None:
         gates = np.full(len(features.places), reach)
@@ -91,7 +101,15 @@ class Measurer:
             )
 
     def _locate_features(
-        self, edges: EdgeLists, features: Features, start: Array, doubt: Array, reach: float, breadth: float
+        self,
+        image: Bytes,
+        edges: EdgeLists,
+        features: Features,
+        start: Array,
+        doubt: Array,
+        reach: float,
+        breadth: float,
+        brighter: Indices,
     ) -> tuple[Array, Array]:
         """The place and the confidence (S,) of each feature."""
         c, vertical, n = self._c, self._vertical, len(features.places)
@@ -111,12 +129,23 @@ class Measurer:
                     vertical,
                 )
             return places, weights
-        lines, gates = np.zeros((n, fitting.CANDIDATES, 3)), np.full(n, reach)
+        lines, gates = np.zeros((n, candidates.CANDIDATES, 3)), np.full(n, reach)
         for points, upright, owners in lists:
-            fitting.candidate_lines(points, owners, upright, features.places, gates, breadth, vertical, lines)
+            candidates.candidate_lines(points, owners, upright, features.places, gates, breadth, vertical, lines)
+        if c.faint_lines:
+            candidates.faint_lines(
+                image,
+                features.places,
+                features.spans,
+                reach,
+                vertical,
+                brighter,
+                c.minimum_share,
+                c.edge_threshold,
+                lines,
+            )
         lines[:, :, 0] -= features.shifts[:, None]
-        metres = np.where(vertical, c.model_tolerance, c.relief_tolerance)
-        tolerance = (metres * float(self._projection.magnification.mean()) * start[2]) ** 2 + SAMPLING**2
+        tolerance = self._tolerance(start)
         places, weights = fitting.robust_lines(
             lines,
             start,
@@ -130,6 +159,19 @@ class Measurer:
             breadth,
         )
         return places + features.shifts, weights
+
+    def _tolerance(self, location: Array) -> Array:
+        """(S,) px²: the variance of each feature's true place about the model's.
+
+        The model is drawn as it looks from its nominal range z0. A horizontal line Y below the camera's axis that
+        stands δ nearer than the rear plane appears lower by Y·δ·(1/z − 1/z0) at the range z.
+        """
+        c, projection = self._c, self._projection
+        z0 = projection.target.nominal_range
+        per_metre = self._magnification * location[2]
+        below = (location[1] + location[2] * projection.offsets - projection.camera.K[1, 2]) / per_metre
+        relief = np.where(self._vertical, 0.0, c.relief_tolerance * below * (location[2] - 1.0) / z0)
+        return np.asarray((c.model_tolerance**2 + relief**2) * per_metre**2 + SAMPLING**2)
 
     def _believed(self, edges: EdgeLists, fit: Fit) -> tuple[Array, Indices]:
         chosen, owned = [], []

@@ -18,6 +18,8 @@ RECENT = 0.9  # memory of how well the models have predicted, per cycle
 CALM = 0.006  # relative change of scale per cycle that cannot be foreseen: vehicles do not jump
 STARTLED = 2  # measurements that are left to the motion of a scale that surprised
 UNSURE = 8.0  # measurements after which a motion is about known
+APPROACH = 0.02  # relative change of scale per cycle, standard deviation: 3 m/s at 10 m
+BRAKING = 0.0013  # and per cycle², of its second-order coefficient: 6 m/s² at 10 m
 HONEST = 2.0  # cycles: a prediction farther ahead than that says nothing about the models
 
 
@@ -88,12 +90,12 @@ def solved(pair: Array) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def at_rest(value: float, weight: float) -> Array:
-    """The pair of a parameter that is ``value`` and does not move, each of its coefficients known with ``weight``."""
+def at_rest(value: float, weights: Array) -> Array:
+    """The pair of a parameter that is ``value`` and does not move, its coefficients known with ``weights`` (3,)."""
     pair = np.zeros((3, 4))
     for i in range(3):
-        pair[i, i] = weight
-    pair[0, 3] = weight * value
+        pair[i, i] = weights[i]
+    pair[0, 3] = weights[0] * value
     return pair
 
 
@@ -166,7 +168,10 @@ class MotionModels:
     def restart(self, location: Array, weights: Array) -> None:
         """Forget all motion: the target is at ``location`` (3,) and at rest."""
         for p in range(3):
-            self._pairs[p, :] = at_rest(float(location[p]), float(weights[p]))
+            known = np.full(3, weights[p])
+            if p == 2 and self._decays.shape[1] > 1:
+                known[1:] = 1.0 / (location[2] * np.array([APPROACH, BRAKING]))
+            self._pairs[p, :] = at_rest(float(location[p]), known)
         self._errors[:] = (self._doubt**2)[:, None]
         self._count = 0
 

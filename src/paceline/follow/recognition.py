@@ -25,7 +25,7 @@ SUPPORT = 0.35  # share of the model's lines that must be found
 CLEAR = 0.5  # the same for a target that was lost
 FEATURES = 4  # that must agree
 SHARP = 0.012  # relative deviation of the scale with which the picture may still be learned
-VAGUE = 0.05  # relative standard deviation of the scale with which it is not told
+VAGUE = 0.1  # relative standard deviation of the scale with which it is not told
 JUMP = 6.0  # standard deviations that the scale may be off the predicted one
 ALIKE = 0.4  # likeness of the picture below which the target is not believed
 SURE = 0.7  # the same for a target that was not seen for as many cycles as GONE
@@ -33,8 +33,9 @@ GONE = 3.0
 HELD = 0.85  # likeness at which the picture alone is believed
 ALONE_FOR = 15  # frames in a row for which it is
 PROVEN = 10  # frames in which its features must have shown the target before
-HAND_AT_WORST = 5.0  # times as far as thought the operator's start may be off where nothing fits closer by
-BETTER = 0.2  # by so much must the model fit better there
+HANDS = (4.0, 12.0)  # times as far as thought the operator's start may be off, where little fits closer by
+POOR, FAIR = 0.5, 0.7  # fitness from which the start is not doubted, and which a place farther off must have
+BETTER = 0.15  # by so much must the model fit better where it is farther off
 WIDEST = 8.0  # times as far as usual a target is looked for that was lost
 
 FEW = "too few of its features are found"
@@ -77,11 +78,14 @@ class Recogniser:
         if self.appearance.known:
             width = WIDEST if lost else min(max(1.0, tau) ** 0.7, WIDEST)
             return self._found(image, expected, doubt, width, tau, lost)
-        close = self._found(image, expected, doubt, 0.0, tau, lost)
-        if not close.complaint:
-            return close
-        wide = self._found(image, expected, HAND_AT_WORST * doubt, 0.0, tau, lost)
-        return wide if wide.fitness > close.fitness + BETTER else close
+        best = self._found(image, expected, doubt, 0.0, tau, lost)
+        for hand in HANDS:
+            if best.fitness >= POOR and not best.complaint:
+                break
+            wide = self._found(image, expected, hand * doubt, 0.0, tau, lost)
+            if not wide.complaint and wide.fitness > max(FAIR, best.fitness + BETTER):
+                best = wide
+        return best
 
     def learn(self, look: Look) -> None:
         """Take in what a look that was believed has shown."""
@@ -146,10 +150,10 @@ class Recogniser:
         self, look: Look, fit: Fit, measurement: Measurement, expected: Array, doubt: Array, tau: float, lost: bool
     ) -> Look:
         """Its features must be there, fit together and look like it."""
-        agreeing, residual, breadth = measurement.agreeing, measurement.residual, measurement.breadth
+        agreeing, discord = measurement.agreeing, measurement.discord
         support = float(self.appearance.lengths[agreeing].sum() / self.appearance.lengths.sum())
         spread = float(np.sqrt(fit.covariance[2, 2])) / fit.location[2]
-        sharp = support >= CLEAR and residual < 0.6 * breadth and spread < SHARP
+        sharp = support >= CLEAR and discord < 0.6 and spread < SHARP
         clear = sharp and abs(fit.location[2] / expected[2] - 1.0) < SHARP
         complaint = ""
         if self._c.appearance:
@@ -157,7 +161,7 @@ class Recogniser:
             jump = abs(fit.location[2] - expected[2]) / hypot(doubt[2], spread * fit.location[2])
             if support < (CLEAR if lost else SUPPORT) or agreeing.sum() < FEATURES:
                 complaint = FEW
-            elif residual > breadth:
+            elif discord > 1.0:
                 complaint = APART
             elif spread > VAGUE:
                 complaint = "its size cannot be told"
@@ -165,4 +169,4 @@ class Recogniser:
                 complaint = "its size jumps"
             elif picture < (ALIKE if tau < GONE else SURE):
                 complaint = "what is found does not look like it"
-        return replace(look, complaint=complaint, clear=clear, fitness=support - 0.5 * residual / breadth)
+        return replace(look, complaint=complaint, clear=clear, fitness=support - 0.5 * discord)

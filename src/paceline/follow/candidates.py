@@ -1,0 +1,145 @@
+"""The lines that compete for each feature of a model: where its edge points crowd, or where its mean profile steps."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Bytes = NDArray[np.uint8]
+Floats = NDArray[np.float32]
+Indices = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+CANDIDATES = 3  # lines that may compete for one feature
+BIN = 0.5  # px, of the histogram in which they are found
+BINS = 256
+FAINT = 2.0  # times the threshold of one edge point, over √points, that a line's mean step must reach to be told
+FAINT_PLACE = 0.4  # px: how well such a line is placed
+WITHIN = 0.15  # of a feature's length at either end, where others meet it
+
+
+@njit(cache=True, nogil=True)
+def candidate_lines(
+    points: Floats,
+    owners: Indices,
+    upright: bool,
+    expected: Array,
+    gates: Array,
+    breadth: float,
+    vertical: Flags,
+    lines: Array,
+) -> None:
+    """The lines that compete for each feature: rows (place, points, variance) of ``lines`` (S, CANDIDATES, 3).
+
+    They are the places where the feature's points crowd: peaks of a histogram across the feature about ``expected``
+    (S,) px, within ``gates`` (S,) px of it; points within ``breadth`` px of a peak belong to it.
+    """
+    across = 0 if upright else 1
+    histogram = np.zeros((len(expected), BINS), np.float32)
+    middle = BINS // 2
+    size = BIN
+    for j in range(len(expected)):
+        size = max(size, 2.2 * gates[j] / BINS)
+    for i in range(len(points)):
+        j = owners[i]
+        if j >= 0:
+            k = int(np.floor((points[i, across] - expected[j]) / size + 0.5)) + middle
+            if 0 <= k < BINS:
+                histogram[j, k] += 1.0
+    reach = max(1, int(breadth / size))
+    for j in range(len(expected)):
+        if vertical[j] != upright:
+            continue
+        lines[j] = 0.0
+        for c in range(CANDIDATES):
+            top, most = 0, np.float32(0.0)
+            for k in range(1, BINS - 1):
+                h = histogram[j, k - 1] + histogram[j, k] + histogram[j, k + 1]
+                if h > most or (h == most and most > 0 and abs(k - middle) < abs(top - middle)):
+                    top, most = k, h
+            if most < 2.0:
+                break
+            place = expected[j] + (top - middle) * size
+            n, total, squares = 0.0, 0.0, 0.0
+            for sweep in range(2):
+                n, total, squares = 0.0, 0.0, 0.0
+                for i in range(len(points)):
+                    if owners[i] == j:
+                        d = points[i, across] - place
+                        if abs(d) <= breadth:
+                            n += 1.0
+                            total += d
+                            squares += d * d
+                if n == 0.0:
+                    break
+                if sweep == 0:
+                    place += total / n
+            if n > 0.0:
+                lines[j, c, 0] = place + total / n
+                lines[j, c, 1] = n
+                lines[j, c, 2] = max(squares / n - (total / n) ** 2, 0.0)
+            for k in range(max(top - reach - 1, 0), min(top + reach + 2, BINS)):
+                histogram[j, k] = 0.0
+
+
+@njit(cache=True, nogil=True)
+def faint_lines(
+    image: Bytes,
+    features: Array,
+    spans: Array,
+    reach: float,
+    vertical: Flags,
+    brighter: Indices,
+    minimum_share: float,
+    threshold: float,
+    lines: Array,
+) -> None:
+    """A line for each feature whose edge points are too few for one in ``lines`` (S, CANDIDATES, 3).
+
+    The brightness of ``image`` (H, W) is averaged along the feature, from ``spans`` (S, 2) px, and the greatest step
+    across it taken within ``reach`` px of its place in ``features`` (S,) px: the mean of many pixels shows what none of
+    them shows alone. ``threshold`` is that of one edge point; the step must have the sign ``brighter`` (S,).
+    """
+    steps = int(np.ceil(reach))
+    profile = np.empty(2 * steps + 5)
+    for j in range(len(features)):
+        length = spans[j, 1] - spans[j, 0]
+        known = False
+        for c in range(lines.shape[1]):
+            known = known or lines[j, c, 1] >= max(minimum_share * length, 2.0)
+        first = int(np.floor(spans[j, 0] + WITHIN * length + 0.5))
+        last = int(np.floor(spans[j, 1] - WITHIN * length + 0.5))
+        begin = int(np.floor(features[j] + 0.5)) - steps - 2
+        width, height = (image.shape[1], image.shape[0]) if vertical[j] else (image.shape[0], image.shape[1])
+        if known or last < first or first < 0 or last >= height or begin < 0 or begin + len(profile) > width:
+            continue
+        n = last - first + 1
+        profile[:] = 0.0
+        if vertical[j]:
+            for q in range(first, last + 1):
+                for k in range(len(profile)):
+                    profile[k] += image[q, begin + k]
+        else:
+            for k in range(len(profile)):
+                for q in range(first, last + 1):
+                    profile[k] += image[begin + k, q]
+        top, most = -1, FAINT * threshold / np.sqrt(n)
+        for k in range(2, len(profile) - 2):
+            step = (profile[k + 1] - profile[k - 1]) / n
+            rise = abs(step) if brighter[j] == 0 else brighter[j] * step
+            if rise > most:
+                top, most = k, rise
+        if top < 0:
+            continue
+        sign = 1.0 if profile[top + 1] > profile[top - 1] else -1.0
+        before = sign * (profile[top] - profile[top - 2]) / n
+        after = sign * (profile[top + 2] - profile[top]) / n
+        bend = before - 2.0 * most + after
+        if bend >= 0.0 or before > most or after > most:
+            continue  # the step goes on beyond its reach
+        lines[j] = 0.0
+        lines[j, 0, 0] = begin + top + 0.5 * (before - after) / bend
+        lines[j, 0, 1] = length
+        lines[j, 0, 2] = FAINT_PLACE * FAINT_PLACE * length
