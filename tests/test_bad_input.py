@@ -250,7 +250,7 @@ RIG: dict[str, Case] = {
     "infinite": (lambda c: c.set("rig.yaml", "translation.2", float("inf")), ["rig.yaml", "translation", "inf"]),
     "no baseline": (lambda c: c.set("rig.yaml", "translation", [0, 0, 0]), ["rig.yaml", "translation", "same place"]),
     "both views the same": (
-        lambda c: c.set("clip.yaml", "right", "left"), ["is the same picture as", "two cameras"],
+        lambda c: c.set("clip.yaml", "right", "left"), ["left and right", "the same picture in both", "two cameras"],
     ),
     "swapped cameras": (swapped_rig, ["rig.yaml", "translation", "left and right are swapped"]),
     "unknown key": (lambda c: c.set("rig.yaml", "left.distorsion", []), ["'distorsion'", "'distortion'"]),

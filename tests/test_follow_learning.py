@@ -193,7 +193,7 @@ def test_the_file_gives_the_name(folder: Path) -> None:
     [
         ({"box": "1,2,3"}, ["--box 1,2,3", "four numbers"]),
         ({"box": "5,5,60,60"}, ["van.png: the box shows"]),
-        ({"out": "absent/target.yaml"}, ["absent/target.yaml", "cannot be written"]),
+        ({"out": "van.png/target.yaml"}, ["van.png/target.yaml", "cannot be written"]),
         ({"out": "target.png"}, ["target.png", "YAML"]),
         ({"out": "."}, ["expected"]),
     ],

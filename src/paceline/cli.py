@@ -195,7 +195,7 @@ def target_learn(
     from paceline.reports.learned import start_lines, write_learned
     from paceline.sources import read_image_file, to_grey
 
-    if image.resolve() in (out.resolve(), out.with_suffix(".png").resolve()):
+    if out.suffix and image.resolve() in (out.resolve(), out.with_suffix(".png").resolve()):
         raise UnusableInput(f"--out {out}: would write over the picture {image}; expected another name")
     corners, lens = _box(box), load_camera(camera)
     picture = to_grey(read_image_file(image), 16, str(image))

@@ -94,18 +94,11 @@ class StereoRecording:
         self._sources = left, right
         self._repeated: tuple[set[int], set[int]] = set(), set()
         self._damaged: tuple[set[int], set[int]] = set(), set()
-        first = []
         for side in (0, 1):
             image = next(self._sources[side].read([0]))
             if image is None:
                 raise UnusableInput(f"{self._sources[side].label(0)}: cannot be decoded")
             self._check_size(side, 0, image)
-            first.append(image)
-        if np.ptp(first[0]) > 0 and np.array_equal(first[0], first[1]):
-            raise UnusableInput(
-                f"{self._sources[1].label(0)}: is the same picture as {self._sources[0].label(0)}; "
-                "expected the views of two cameras"
-            )
 
     def __len__(self) -> int:
         return len(self.pairing.times)

@@ -74,8 +74,9 @@ def range_words(e: FollowEstimate) -> str:
     distance, half = float(e.position[2]), COVERAGE * float(e.position_std[2])
     if not np.isfinite(distance):
         return MISSING
-    measured = e.status == "tracking"
-    return f"{number(distance, 2)} ± {number(half, 2)} m" if measured else f"about {number(distance, 1)} m, not measured"
+    if e.status != "tracking":
+        return f"about {number(distance, 1)} m, not measured"
+    return f"{number(distance, 2)} ± {number(half, 2)} m"
 
 
 def draw_estimate(view: Picture, e: FollowEstimate, scale: float, shift: Array | None = None) -> None:

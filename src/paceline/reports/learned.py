@@ -37,6 +37,9 @@ def write_learned(learned: LearnedTarget, image: Image, file: Path) -> Path:
     partial = {path: path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial") for path in contents}
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UnusableInput(f"{file}: cannot be written ({error.strerror})") from error
+    try:
         for path, content in contents.items():
             if path.is_dir():
                 raise UnusableInput(f"{path}: is a folder; expected the name of a file to write")

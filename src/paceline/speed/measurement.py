@@ -72,6 +72,11 @@ def measure(
     done: dict[str, Measurement] = {}
     total = len(recording)
     for count, frame in enumerate(recording.frames(), start=1):
+        if np.ptp(frame.left) > 0 and np.array_equal(frame.left, frame.right):
+            raise UnusableInput(
+                f"{clip.path}: left and right: frame {frame.index} shows the same picture in both; "
+                "expected the views of two cameras"
+            )
         for vehicle in clip.vehicles:
             run = runs.get(vehicle.id)
             if run is not None and frame.index >= vehicle.frame and not frame.duplicate and not run.see(frame):
