@@ -219,7 +219,7 @@ def test_a_frame_of_another_size_is_refused_in_one_line(clip):
     images, positions = clip
     tracker = begin(positions[0])
     tracker.update(images[0], 0.0, 0)
-    with pytest.raises(UnusableInput, match="frame 7: expected a grey image of 256×242 pixels, found 200×242"):
+    with pytest.raises(UnusableInput, match="frame 7: expected a grey image of 256×242 bytes, found 200×242 of uint8"):
         tracker.update(np.ascontiguousarray(images[1][:, :200]), 0.1, 7)
 
 
@@ -235,6 +235,19 @@ def test_a_frame_of_another_size_is_refused_in_one_line(clip):
 def test_a_start_that_cannot_be_is_refused(center, scale, message):
     with pytest.raises(ValueError, match=message):
         FollowTracker(CAMERA, TARGET, np.array(center), scale)
+
+
+def test_a_frame_of_another_kind_or_without_a_time_changes_nothing(clip):
+    """A live loop may catch the error and go on."""
+    images, positions = clip
+    spoilt, kept = begin(positions[0]), begin(positions[0])
+    for k, image in enumerate(images[:4]):
+        with pytest.raises(UnusableInput, match=f"frame {k}: expected its time in seconds, found nan"):
+            spoilt.update(image, float("nan"), k)
+        with pytest.raises(UnusableInput, match=f"frame {k}: .* found 256×242×3 of uint8"):
+            spoilt.update(np.repeat(image[..., None], 3, axis=2), k / 15, k)
+        expected = kept.update(image, k / 15, k).position
+        np.testing.assert_array_equal(spoilt.update(image, k / 15, k).position, expected)
 
 
 def test_as_published_a_smooth_ride_is_followed():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import isfinite
 from time import perf_counter
 
 import numpy as np
@@ -70,11 +71,14 @@ class FollowTracker:
     def update(self, image: Bytes | None, time: float, frame: int, pose: Pose | None = None) -> FollowEstimate:
         """The estimate for ``image`` (H, W), taken at ``time``, s; None for a frame that could not be read.
 
-        ``pose`` is the chase vehicle's odometry. Raises UnusableInput for an image of another size.
+        ``pose`` is the chase vehicle's odometry. Raises UnusableInput, and stays as it was, for an image of another
+        size or kind and for a time that is none.
         """
         began = perf_counter()
-        jump = self._pass_time(time)
         image = self._checked(image, frame)
+        if not isfinite(time):
+            raise UnusableInput(f"frame {frame}: expected its time in seconds, found {time}")
+        jump = self._pass_time(time)
         fault = self._picture.fault(image)
         tau = 0.0 if self._seen_at is None else (time - self._seen_at) / CYCLE
         expected, doubt = self.motion.predict(tau)  # stage 6
@@ -121,8 +125,10 @@ class FollowTracker:
             return None
         width, height = self.camera.image_size
         if image.ndim != 2 or image.dtype != np.uint8 or image.shape != (height, width):
-            found = "×".join(str(n) for n in image.shape[1::-1])
-            raise UnusableInput(f"frame {frame}: expected a grey image of {width}×{height} pixels, found {found}")
+            found = "×".join(str(n) for n in (*image.shape[1::-1], *image.shape[2:]))
+            raise UnusableInput(
+                f"frame {frame}: expected a grey image of {width}×{height} bytes, found {found} of {image.dtype}"
+            )
         return np.ascontiguousarray(image)
 
     # --- stages 8 and 9 ----------------------------------------------------------------------------------------------
