@@ -91,6 +91,7 @@ def align(
     scale0 = location[2]
     rows = np.zeros((3, 4))
     normal = np.zeros((3, 3))
+    variance = 0.0
     for _ in range(steps):
         mx, my = location[2] * magnification[0], location[2] * magnification[1]
         dx, dy = (box[2] - box[0]) * mx / w, (box[3] - box[1]) * my / h
@@ -153,14 +154,14 @@ def align(
         location[0] += min(max(step[0], -STRIDE * dx), STRIDE * dx)
         location[1] += min(max(step[1], -STRIDE * dy), STRIDE * dy)
         location[2] *= np.exp(min(max(step[2], -0.05), 0.05))
-        for p in range(3):  # the inverse of the normal matrix, a column at a time
-            rows[:3, 3] = 0.0
-            for q in range(3):
-                for k in range(3):
-                    rows[q, k] = normal[min(q, k), max(q, k)]
-            rows[p, 3] = 1.0
-            triangularise(rows)
-            covariance[:, p] = variance * solved(rows)
+    for p in range(3):  # the inverse of the normal matrix, a column at a time
+        rows[:3, 3] = 0.0
+        for q in range(3):
+            for k in range(3):
+                rows[q, k] = normal[min(q, k), max(q, k)]
+        rows[p, 3] = 1.0
+        triangularise(rows)
+        covariance[:, p] = variance * solved(rows)
     covariance[2] *= location[2]
     covariance[:, 2] *= location[2]
     return True
