@@ -124,6 +124,8 @@ class Search:
         units, origin = np.array([self._side, self._side, 1.0]), np.array([*self._origin, 0.0])
         m = self._magnification / self._side
         for rival in rivals[rivals[:, 3] > rivals[0, 3] - HOPELESS]:
+            if rival[3] + PICTURE <= best_score:  # the highest come first: no picture can be as alike as it would need
+                break
             place = (rival[:3] - origin) / units
             steady = float(doubt[2] / rival[2])
             covariance = appearance.align(self._pooled_view, place, m, steady)
