@@ -1,0 +1,158 @@
+"""The motion along a path, its bends, and the evidence for an extra of it."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.stats import norm
+
+from paceline.cameras import Camera, StereoRig
+from paceline.speed import refinement, trajectory
+from paceline.speed.paths import DRIVEN, from_points, resampled
+from paceline.speed.planes import FirstPlane
+from paceline.speed.trajectory import BENDS, EXTRAS, INDEX, NAMES, Bends, Prior, Trajectory, bends, prior
+
+K = np.array([[2000.0, 0, 511.5], [0, 2000.0, 383.5], [0, 0, 1]])
+RIG = StereoRig(Camera((1024, 768), K), Camera((1024, 768), K), np.eye(3), np.array([-0.5, 0, 0]))
+QUAD = np.array([[480.0, 400.0], [540.0, 401.0], [541.0, 425.0], [481.0, 424.0]])
+
+
+def straight_away():
+    return from_points("lane", "line", np.array([[0.5, 1.5, 10.0], [1.5, 1.4, 40.0], [2.5, 1.3, 70.0]]))
+
+
+def bend(radius=120.0):
+    turn = np.linspace(0.0, 0.6, 60)
+    points = np.column_stack([radius * (1 - np.cos(turn)), np.full(60, 1.5), 10 + radius * np.sin(turn)])
+    sideways = 0.05 * np.sin(np.linspace(0, 5, 60))[:, None] * np.array([1.0, 0.0, 0.2])
+    return resampled("lane", "curve", points, sideways[None])
+
+
+def carried(path, times=np.array([0.0, 0.2, 0.4, 0.8])):
+    ray = RIG.left.rays(QUAD.mean(0))
+    plane = FirstPlane(
+        centre=30.0 * ray,
+        normal=np.array([0.0, 0.0, 1.0]),
+        distance=30.0,
+        normal_std=np.array([0.05, 0.05]),
+        inverse_depth_std=0.01,
+    )
+    way = bends(path, path.nearest(plane.centre), 20.0, on_path=True)
+    return Trajectory(RIG, QUAD, plane, path, np.stack([times, times], axis=1), way)
+
+
+def start_of(t, depth=30.0, speed=15.0):
+    theta = np.zeros(len(t.steps))
+    theta[[INDEX["log_depth"], INDEX["speed"]]] = np.log(depth), speed
+    return theta
+
+
+@pytest.mark.parametrize("acceleration", [0.0, -2.0])
+def test_on_a_straight_path_the_plane_moves_straight(acceleration):
+    t = carried(straight_away())
+    theta = start_of(t)
+    theta[INDEX["acceleration"]] = acceleration
+    forward = np.diff(t.path.at(np.array([0.0, 1.0])), axis=0)[0]
+    way = 15.0 * t.times[:, 0] + 0.5 * acceleration * t.times[:, 0] ** 2
+    expected = 30.0 * RIG.left.rays(QUAD.mean(0)) + way[:, None] * forward
+    np.testing.assert_allclose(t.centres(theta), expected, atol=1e-6)
+
+
+def test_round_a_bend_the_way_has_the_length_that_the_speed_says():
+    t = carried(bend(), times=np.linspace(0, 1.5, 200))
+    theta = start_of(t)
+    theta[BENDS] = np.random.default_rng(2).normal(0, 0.5, len(theta) - len(NAMES))
+    length = np.linalg.norm(np.diff(t.centres(theta), axis=0), axis=1).sum()
+    assert length == pytest.approx(15.0 * 1.5, rel=1e-4)
+
+
+def test_homographies_carry_the_planes_own_points():
+    """Points of the first plane, and of one that stands 5 cm off it, moved rigidly and projected into both views, are
+    where H and its change per metre put them."""
+    t = carried(bend())
+    theta = start_of(t)
+    theta[INDEX["normal_yaw"]], theta[INDEX["turn"]] = 0.05, 0.004
+    R, shift, n, d = t.motion(theta)
+    H, per_metre = t.homographies(theta)
+    rng = np.random.default_rng(3)
+    for u, v in rng.uniform(0, 1, (5, 2)):
+        first = H[0, 0] @ [u, v, 1.0]
+        ray = RIG.left.rays(first[:2] / first[2])
+        for off in (0.0, 0.05):
+            point = ray * (d + off) / (n @ ray)
+            for frame in range(len(t.times)):
+                for view in (0, 1):
+                    expected = RIG.project(R[frame, view] @ point + shift[frame, view])[view]
+                    seen = (H + off * per_metre)[frame, view] @ [u, v, 1.0]
+                    np.testing.assert_allclose(seen[:2] / seen[2], expected, atol=1e-6)
+
+
+def test_bends_hold_all_that_was_put_into_them():
+    """Their covariance is that of the reconstruction, the driver and his weaving, but for what is negligible."""
+    path = bend()
+    way = bends(path, 5.0, 40.0, on_path=True)
+    lane_keeping = way.modes[: len(way.modes) - way.swerves].reshape(-1, 2 * len(way.u))
+    yaw, pitch = path.heading_modes(5.0 + way.u)
+    sigma, length = trajectory.WEAVING
+    expected = np.zeros((2 * len(way.u),) * 2)
+    u, powers = way.u, (1.0, 1.0, 2.0, 6.0)
+    n = len(u)
+    expected[:n, :n] = sigma**2 * np.exp(-0.5 * ((u[:, None] - u) / length) ** 2) + yaw.T @ yaw
+    expected[n:, n:] = pitch.T @ pitch
+    expected[:n, n:] = yaw.T @ pitch
+    expected[n:, :n] = expected[:n, n:].T
+    for half, name in ((slice(0, n), "yaw"), (slice(n, 2 * n), "pitch")):
+        for k, s in enumerate(trajectory.DRIVER[name]):
+            term = s * u**k / powers[k]
+            expected[half, half] += np.outer(term, term)
+    assert trajectory.DRIVER["yaw"][0] == DRIVEN[0]
+    variance = np.diag(expected)
+    np.testing.assert_allclose(np.diag(lane_keeping.T @ lane_keeping), variance, atol=0.02 * variance.max())
+
+
+def test_turns_are_the_modes_and_stay_beyond_them():
+    u = np.linspace(0, 10, 21)
+    way = Bends(u, np.stack([np.stack([np.sin(u), 0 * u]), np.stack([0 * u, u / 10])]), swerves=0)
+    yaw, pitch = way.turns(np.array([2.0, 3.0]), np.array([-5.0, 0.0, 2.5, 10.0, 99.0]))
+    np.testing.assert_allclose(yaw, 2 * np.sin([0, 0, 2.5, 10, 10]), atol=1e-12)
+    np.testing.assert_allclose(pitch, [0, 0, 0.75, 3, 3], atol=1e-12)
+
+
+def test_extras_are_free_only_where_they_are_named():
+    t = carried(bend())
+    plain = prior(t, 15.0)
+    assert not set(t.index("swerve")) & set(plain.free) and INDEX["turn"] not in plain.free
+    i = list(plain.free).index(INDEX["acceleration"])  # steady drivers
+    assert plain.information[i, i] == pytest.approx(trajectory.STEADY**-2)
+    for extra in EXTRAS:
+        assert set(t.index(extra)) <= set(prior(t, 15.0, (extra,)).free)
+
+
+@pytest.mark.parametrize("held", [0.15, None])
+@pytest.mark.parametrize(("value", "spread"), [(0.1, 0.5), (1.2, 0.3), (0.02, 0.01)])
+def test_the_evidence_is_the_ratio_of_marginal_likelihoods(value, spread, held):
+    """Against numerical integration over one parameter, measured as ``value`` ± ``spread`` by the pictures alone."""
+    wide = 2.0
+    information = spread**-2 + wide**-2
+    posterior = value * spread**-2 / information
+    fit = SimpleNamespace(
+        trajectory=SimpleNamespace(index=lambda _: np.array([0])),
+        prior=Prior(np.zeros(1), np.array([0]), np.array([[wide**-2]])),
+        theta=np.array([posterior]),
+        A=np.array([[information]]),
+    )
+    free = np.array([0]) if held else np.array([], np.int64)
+    narrower = Prior(np.zeros(1), free, np.eye(len(free)) * (held or 1.0) ** -2)
+
+    def marginal(sigma):
+        reach = 8 * min(sigma, spread)
+        middle = value * sigma**2 / (sigma**2 + spread**2)
+        return quad(lambda a: norm.pdf(value, a, spread) * norm.pdf(a, 0, sigma), middle - reach, middle + reach)[0]
+
+    under_narrow = marginal(held) if held else norm.pdf(value, 0, spread)
+    expected = np.log(marginal(wide) / under_narrow)
+    found = refinement._Fit._log_evidence(fit, "acceleration", narrower, 1.0)
+    assert found == pytest.approx(expected, abs=2e-3)
