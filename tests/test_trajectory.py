@@ -31,7 +31,7 @@ def bend(radius=120.0):
     return resampled("lane", "curve", points, sideways[None])
 
 
-def carried(path, times=np.array([0.0, 0.2, 0.4, 0.8])):
+def carried(path, times=(0.0, 0.2, 0.4, 0.8)):
     ray = RIG.left.rays(QUAD.mean(0))
     plane = FirstPlane(
         centre=30.0 * ray,
