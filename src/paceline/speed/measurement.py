@@ -72,7 +72,7 @@ def measure(
     done: dict[str, Measurement] = {}
     total = len(recording)
     for count, frame in enumerate(recording.frames(), start=1):
-        if np.ptp(frame.left) > 0 and np.array_equal(frame.left, frame.right):
+        if count == 1 and np.ptp(frame.left) > 0 and np.array_equal(frame.left, frame.right):
             raise UnusableInput(
                 f"{clip.path}: left and right: frame {frame.index} shows the same picture in both; "
                 "expected the views of two cameras"
