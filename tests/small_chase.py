@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import av
 import cv2
 import numpy as np
 import yaml
@@ -68,3 +69,10 @@ def write(folder: Path, frames: int = 30) -> Path:
     for name, content in (("camera", CAMERA), ("target", TARGET), ("follow", document)):
         (folder / f"{name}.yaml").write_text(yaml.safe_dump(content))
     return folder / "follow.yaml"
+
+
+def damaged(packet: av.Packet, stream: av.VideoStream) -> av.Packet:
+    """The first third of a video's ``packet``, in its place."""
+    part = av.Packet(bytes(packet)[: packet.size // 3])
+    part.stream, part.pts, part.dts, part.time_base = stream, packet.pts, packet.dts, packet.time_base
+    return part

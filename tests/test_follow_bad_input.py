@@ -49,12 +49,7 @@ class Clip:
                 image = av.VideoFrame.from_ndarray(small_chase.picture(time), format="gray")
                 image.pts = time
                 for packet in stream.encode(image):
-                    if k in spoilt:
-                        damaged = av.Packet(bytes(packet)[: packet.size // 3])
-                        damaged.stream, damaged.pts, damaged.dts = stream, packet.pts, packet.dts
-                        damaged.time_base = packet.time_base
-                        packet = damaged
-                    out.mux(packet)
+                    out.mux(small_chase.damaged(packet, stream) if k in spoilt else packet)
             out.mux(stream.encode())
         self.set("follow.yaml", "video", "video.mkv")
         self.set("follow.yaml", "rate", None)

@@ -14,6 +14,7 @@ import av
 import cv2
 import numpy as np
 import pytest
+import small_chase
 
 from paceline.cameras import Camera
 from paceline.errors import UnusableInput
@@ -53,12 +54,7 @@ def video(path: Path, times: list[int] | range, spoilt: tuple[int, ...] = (), co
             frame = av.VideoFrame.from_ndarray(picture(k), format="gray")
             frame.pts = stamp
             for packet in stream.encode(frame):
-                if k in spoilt:
-                    damaged = av.Packet(bytes(packet)[: packet.size // 3])
-                    damaged.stream, damaged.pts, damaged.dts = stream, packet.pts, packet.dts
-                    damaged.time_base = packet.time_base
-                    packet = damaged
-                out.mux(packet)
+                out.mux(small_chase.damaged(packet, stream) if k in spoilt else packet)
         out.mux(stream.encode())
     return path
 

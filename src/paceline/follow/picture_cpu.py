@@ -40,26 +40,32 @@ def sample(image: Bytes, x0: float, y0: float, dx: float, dy: float, out: Floats
 
 
 @njit(cache=True, nogil=True)
+def _moments(a: Floats, b: Floats, x0: int, y0: int, cell: int) -> tuple[float, float, float, float, float]:
+    """Means of ``a`` and ``b`` in one square of ``cell`` samples, their variances and their covariance."""
+    n = float(cell * cell)
+    sa = sb = saa = sbb = sab = 0.0
+    for j in range(y0, y0 + cell):
+        for i in range(x0, x0 + cell):
+            u, v = float(a[j, i]), float(b[j, i])
+            sa += u
+            sb += v
+            saa += u * u
+            sbb += v * v
+            sab += u * v
+    return sa / n, sb / n, saa / n - (sa / n) ** 2, sbb / n - (sb / n) ** 2, sab / n - sa * sb / (n * n)
+
+
+@njit(cache=True, nogil=True)
 def cell_correlations(a: Floats, b: Floats, cell: int, least: float, out: Array) -> int:
     """Correlation of ``a`` and ``b`` (h, w) in each square of ``cell`` samples in which ``b`` has a standard deviation
     of at least ``least``, into ``out``; returns how many."""
-    n = float(cell * cell)
     count = 0
     for y in range(0, a.shape[0] - cell + 1, cell):
         for x in range(0, a.shape[1] - cell + 1, cell):
-            sa = sb = saa = sbb = sab = 0.0
-            for j in range(y, y + cell):
-                for i in range(x, x + cell):
-                    u, v = float(a[j, i]), float(b[j, i])
-                    sa += u
-                    sb += v
-                    saa += u * u
-                    sbb += v * v
-                    sab += u * v
-            va, vb = max(saa / n - (sa / n) ** 2, 0.0), sbb / n - (sb / n) ** 2
+            _, _, va, vb, together = _moments(a, b, x, y, cell)
             if vb < least * least:
                 continue
-            out[count] = (sab / n - sa * sb / (n * n)) / np.sqrt(max(va, 0.25 * least * least) * vb)
+            out[count] = together / np.sqrt(max(va, 0.25 * least * least) * vb)
             count += 1
     return count
 
@@ -99,22 +105,13 @@ def align(
         normal[:] = 0.0
         right = np.zeros(3)
         squares, count = 0.0, 0.0
-        n = float(cell * cell)
         for y0 in range(0, h - cell + 1, cell):
             for x0 in range(0, w - cell + 1, cell):
-                sa = sb = saa = sbb = sab = 0.0
-                for j in range(y0, y0 + cell):
-                    for i in range(x0, x0 + cell):
-                        a, b = float(seen[j, i]), float(picture[j, i])
-                        sa += a
-                        sb += b
-                        saa += a * a
-                        sbb += b * b
-                        sab += a * b
-                va, vb = max(saa / n - (sa / n) ** 2, 1e-3), sbb / n - (sb / n) ** 2
+                mean, usual, va, vb, together = _moments(seen, picture, x0, y0, cell)
+                va = max(va, 1e-3)
                 if vb < least * least:
                     continue
-                weight = min((sab / n - sa * sb / (n * n)) / np.sqrt(va * vb), ALIKE) - UNLIKE
+                weight = min(together / np.sqrt(va * vb), ALIKE) - UNLIKE
                 if weight <= 0.0:
                     continue
                 gain = min(np.sqrt(vb / va), CONTRAST)
@@ -126,7 +123,7 @@ def align(
                         gx = gain * 0.5 * (float(seen[j, i + 1]) - float(seen[j, i - 1])) / dx
                         gy = gain * 0.5 * (float(seen[j + 1, i]) - float(seen[j - 1, i])) / dy
                         gs = gx * u + gy * v
-                        r = (float(picture[j, i]) - sb / n) - gain * (float(seen[j, i]) - sa / n)
+                        r = (float(picture[j, i]) - usual) - gain * (float(seen[j, i]) - mean)
                         normal[0, 0] += weight * gx * gx
                         normal[0, 1] += weight * gx * gy
                         normal[0, 2] += weight * gx * gs

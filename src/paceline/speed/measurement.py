@@ -135,8 +135,8 @@ class _Run:
         self.tracker = Tracker(clip.rig, vehicle, self.path, offset, configuration)
         if self.path is not None:
             centre = self.tracker.plane.centre
-            ways = self.path.shifted(offset), self.path.reversed().shifted(offset)
-            beside = min(float(np.linalg.norm(w.at(np.array(w.nearest(centre))) - centre)) for w in ways)
+            nearest = [way.at(np.array(way.nearest(centre))) for way in self.tracker.ways]
+            beside = min(float(np.linalg.norm(place - centre)) for place in nearest)
             if not beside < BESIDE:
                 raise UnusableInput(
                     f"{clip.path}: paths.{on_path}: passes {beside:.0f} m beside vehicle {vehicle.id}; "

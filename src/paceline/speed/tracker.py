@@ -81,8 +81,9 @@ class Tracker:
         self.grid = Grid.for_region(c.parts, vehicle.left)
         self.plane = first_plane(rig, vehicle, path, c.click_sigma)
         self.appearance = Appearance(rig, self.grid, vehicle.left, c.reference_memory) if c.guided else None
-        ways = [] if path is None else [path.shifted(lateral_offset), path.reversed().shifted(lateral_offset)]
-        self._ways: list[PathMotion | FreeMotion] = [PathMotion(rig, way, c) for way in ways] or [FreeMotion(rig, c)]
+        self.ways = [] if path is None else [way.shifted(lateral_offset) for way in (path, path.reversed())]
+        moving = [PathMotion(rig, way, c) for way in self.ways]
+        self._motions: list[PathMotion | FreeMotion] = [*moving] or [FreeMotion(rig, c)]
         self.state: State
         self.weights: Weights
         self.motion: PathMotion | FreeMotion
@@ -143,7 +144,7 @@ class Tracker:
     def _acquire(self, frame: StereoFrame, dt: float) -> None:
         """The second frame: which way the vehicle drives, and how fast."""
         outcomes, first = [], self.state
-        for way in self._ways:
+        for way in self._motions:
             start = self._set_off(first, way, frame, dt, self.vehicle.speed)
             state = way.propagate(start, dt, self.rng)
             self._look(frame, state)
