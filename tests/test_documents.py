@@ -233,6 +233,8 @@ ORDER = "top-left, top-right, bottom-right, bottom-left as seen in the image"
                                                                   "[x, y, z] points, found 1"),
         ("vehicles", {"id": "v"}, "vehicles: expected a list"),
         ("vehicles.0.path", "lane1", "vehicles[0].path: no path is called 'lane1'; did you mean 'lane0'?"),
+        ("vehicles.0.id", "v\n0", "vehicles[0].id: expected at most 100 printable characters"),
+        ("vehicles.0.id", "v" * 101, "vehicles[0].id: expected at most 100 printable characters"),
         ("vehicles.0.frame", -1, "vehicles[0].frame: expected at least 0, found -1"),
         ("vehicles.0.frame", None, "vehicles[0].frame: missing"),
         ("vehicles.0.speed", -3, "vehicles[0].speed: expected a number above 0, found -3"),

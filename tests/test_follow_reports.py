@@ -239,6 +239,13 @@ def test_stills_are_spread_over_the_run() -> None:
     assert frames[0] == 0 and 3 <= len(frames) <= 6 and len(set(np.diff(frames))) == 1 and frames[-1] >= 250
 
 
+def test_stills_show_where_the_target_was_left() -> None:
+    stills = Stills()
+    for k in range(500):
+        stills.offer(small_chase.picture(0), estimate(k, "coasting" if 321 <= k < 330 else "tracking"))
+    assert [s.caption for s in stills.kept if s.frame == 321] == ["coasting"]
+
+
 def test_memory_is_flat() -> None:
     """Ten times as many frames, each with a reason of its own, take no more."""
     history, stills = History(keep=200), Stills()

@@ -24,7 +24,7 @@ import pytest
 from paceline.errors import UnusableInput
 from paceline.recordings import StereoFrame
 from paceline.reports import OutputFolder, write_report
-from paceline.reports.wording import advice, shown_speed, speed_words
+from paceline.reports.wording import advice, shown_speed, speed_at, speed_words
 from paceline.speed.results import ClipResult, Measurement, PathDrawing, Track
 
 NAN = float("nan")
@@ -173,6 +173,12 @@ def test_words_add_up() -> None:
     assert (words.random, words.systematic) == ("0.06", "0.08")
     assert shown_speed(20.123, "m/s", 0.04) == "20.12"
     assert speed_words(replace(measured("v"), systematic_std=NAN), "mph").systematic == "–"
+
+
+def test_the_speed_of_a_frame_has_an_interval_as_cautious_as_the_mean_s() -> None:
+    wide = replace(measured("v"), speed_lo=19.0, speed_hi=21.2)  # 1.1 where 0.05 is one standard uncertainty: 22
+    assert speed_at(wide, 0) == pytest.approx((20.1, 22 * 0.05))
+    assert speed_at(rejected("v"), 2)[1] == pytest.approx(1.96 * rejected("v").track.speed_std[2])
     assert "longer" in advice(rejected("v"))
 
 

@@ -11,12 +11,13 @@ from typing import Annotated, Any, Literal, TypeVar
 import numpy as np
 import yaml
 from numpy.typing import NDArray
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from paceline.errors import UnusableInput
 
 Array = NDArray[np.float64]
 
+LONGEST_NAME = 100
 LARGEST = 1e9  # no pixel or metre in these files comes near it; NaN and infinity are not below it either
 _WORDS = {2: "two", 3: "three", 4: "four"}
 
@@ -53,6 +54,13 @@ def _name(value: Any) -> Any:
     return str(value) if isinstance(value, int) and not isinstance(value, bool) else value
 
 
+def _legible(name: str) -> str:
+    """A name goes into tables, labels and file names."""
+    if len(name) > LONGEST_NAME or not name.isprintable():
+        raise ValueError(f"expected at most {LONGEST_NAME} printable characters")
+    return name
+
+
 def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < LARGEST
 
@@ -63,7 +71,7 @@ Points = Annotated[Array, _array(3)]
 Matrix = Annotated[Array, _array(3, 3, "numbers")]
 Vector = Annotated[Array, _vector(3)]
 Pair = Annotated[Array, _vector(2)]
-Name = Annotated[str, BeforeValidator(_name), Field(min_length=1)]
+Name = Annotated[str, BeforeValidator(_name), Field(min_length=1), AfterValidator(_legible)]
 Text = Annotated[str, Field(min_length=1)]
 Rate = Annotated[float, Field(ge=0.1, le=10000)]
 Bits = Annotated[int, Field(ge=8, le=16)]

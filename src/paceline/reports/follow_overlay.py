@@ -35,6 +35,7 @@ DOTS = 400  # edge points drawn at most
 STILL = (400, 300)  # width and height, pixels
 STILL_MARGIN = 1.8  # width of a still in widths of the target
 STILLS = 6
+TURNS = 2
 
 
 @dataclass(frozen=True)
@@ -100,21 +101,31 @@ def draw_estimate(view: Picture, e: FollowEstimate, scale: float, shift: Array |
 
 @dataclass
 class Stills:
-    """A few pictures spread over a run whose length is not known: every second is dropped when there are too many."""
+    """A few pictures spread over a run whose length is not known — every second is dropped when there are too many —
+    and the first moments at which the target was no longer seen."""
 
-    kept: list[Still] = field(default_factory=list)
+    spread: list[Still] = field(default_factory=list)
+    turns: list[Still] = field(default_factory=list)
     every: int = 1
     seen: int = 0
+    tracked: bool = False  # in the frame before
+
+    @property
+    def kept(self) -> list[Still]:
+        return sorted({still.frame: still for still in self.spread + self.turns}.values(), key=lambda s: s.frame)
 
     def offer(self, image: NDArray[np.uint8] | None, e: FollowEstimate) -> None:
+        left, self.tracked = self.tracked and e.status != "tracking", e.status == "tracking"
         if image is None or not np.isfinite(e.lines).all() or e.status == "lost":
             return
+        if left and len(self.turns) < TURNS:
+            self.turns.append(_still(image, e))
         if self.seen % self.every == 0:
-            if len(self.kept) == STILLS:
-                self.kept = self.kept[::2]
+            if len(self.spread) == STILLS:
+                self.spread = self.spread[::2]
                 self.every *= 2
             if self.seen % self.every == 0:
-                self.kept.append(_still(image, e))
+                self.spread.append(_still(image, e))
         self.seen += 1
 
 

@@ -90,6 +90,7 @@ class _Layer:
     """What is drawn for one vehicle."""
 
     def __init__(self, measurement: Measurement, color: Color) -> None:
+        self.measurement = measurement
         self.track: Track = measurement.track
         self.color = color
         self.rejected = measurement.verdict != "measured"
@@ -100,7 +101,7 @@ class _Layer:
     def label(self, row: int, unit: str) -> str:
         if self.track.status[row] != "tracking":
             return f"{self.track.vehicle}  {self.track.status[row]}"
-        speed, half = speed_at(self.track, row)
+        speed, half = speed_at(self.measurement, row)
         text = f"{self.track.vehicle}  {format_speed(speed, half, unit)}"
         return text + "  (rejected)" if self.rejected else text
 

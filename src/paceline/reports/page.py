@@ -97,7 +97,7 @@ def _rows(measurement: Measurement, unit: str) -> list[list[str]]:
     track = measurement.track
     rows = []
     for i, status in enumerate(track.status):
-        best, half = speed_at(track, i)
+        best, half = speed_at(measurement, i)
         spread = float(track.speed_std[i])
         rows.append(
             [

@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from paceline.reports.wording import COVERAGE
+from paceline.reports.wording import coverage_factor
 from paceline.speed.results import Array, ClipResult, Measurement, Track
 from paceline.units import convert
 
@@ -123,7 +123,7 @@ def _draw_speed(figure: Figure, measurement: Measurement, unit: str) -> None:
     visible = [mean]
     if refined.any():
         line = convert(track.refined_speed[refined], unit)
-        half = convert(COVERAGE * track.refined_std[refined], unit)
+        half = convert(coverage_factor(measurement) * track.refined_std[refined], unit)
         axes.fill_between(time[refined], line - half, line + half, color=REFINED, alpha=0.25, lw=0)
         axes.plot(time[refined], line, color=REFINED, lw=2, label="refined track (95 %)")
         visible += [line - half, line + half]

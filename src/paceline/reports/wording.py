@@ -57,9 +57,7 @@ def shown_speed(speed: float, unit: str, half_width: float = math.nan) -> str:
 def speed_words(measurement: Measurement, unit: str) -> SpeedWords:
     """The measured speed in ``unit``, with random and systematic parts that add up (in squares) to the interval."""
     half = (measurement.speed_hi - measurement.speed_lo) / 2
-    parts = np.array([measurement.random_std, measurement.systematic_std])
-    total = float(np.sqrt(np.nansum(parts**2)))
-    coverage = half / total if total > 0 else math.nan
+    coverage = coverage_factor(measurement)
     decimals = _decimals(convert(half, unit))
 
     def text(value: float) -> str:
@@ -79,14 +77,22 @@ def speed_words(measurement: Measurement, unit: str) -> SpeedWords:
     )
 
 
+def coverage_factor(measurement: Measurement) -> float:
+    """Half of the 95 % interval in standard uncertainties: more than 1.96 where these are known from few frames only.
+    NaN without an interval."""
+    total = float(np.sqrt(np.nansum([measurement.random_std**2, measurement.systematic_std**2])))
+    return (measurement.speed_hi - measurement.speed_lo) / 2 / total if total > 0 else math.nan
+
+
 def _decimals(half_width: float) -> int:
     return 2 if half_width < 0.095 else 1  # 0.095 would show as 0.1
 
 
-def speed_at(track: Track, row: int) -> tuple[float, float]:
+def speed_at(measurement: Measurement, row: int) -> tuple[float, float]:
     """The best speed at one row and half of its 95 % interval, m/s: refined where there is one, else the filter's."""
+    track = measurement.track
     if math.isfinite(track.refined_speed[row]):
-        return float(track.refined_speed[row]), COVERAGE * float(track.refined_std[row])
+        return float(track.refined_speed[row]), coverage_factor(measurement) * float(track.refined_std[row])
     return float(track.speed[row]), COVERAGE * float(track.speed_std[row])
 
 
