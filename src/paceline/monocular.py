@@ -11,7 +11,9 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from queue import Empty, Full, Queue
 from statistics import median
+from threading import Thread
 from time import monotonic
 from typing import Protocol
 
@@ -33,6 +35,8 @@ JUMP = 1.5  # usual intervals between two frames that are noticed
 RECENT = 31  # intervals that say what is usual
 LIVE_OPTIONS = {"rtsp_flags": "prefer_tcp"}  # of FFmpeg; sources without them ignore them
 OPENING, SILENCE = 15.0, 10.0  # s until a live source counts as unreachable, or as ended
+WAITING = 8  # pictures received and not yet asked for; beyond them the source has to wait
+PATIENCE = 0.1  # s between two looks at whether to stop
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +71,9 @@ class Feed(Protocol):
 
     def read(self, start: int) -> Iterator[CameraFrame]: ...
     def label(self, frame: int) -> str: ...
+    def stop(self) -> None:
+        """Ends :meth:`read` before the next frame, also while it waits for one."""
+        ...
 
 
 class CameraRecording:
@@ -82,7 +89,6 @@ class CameraRecording:
         self._feed = feed
         self._missing = _Few()
         self._jumps = _Few()
-        self._stopped = False
 
     @property
     def live(self) -> bool:
@@ -95,8 +101,8 @@ class CameraRecording:
         return [*self._feed.notices, *undecoded, *self._jumps.lines()]
 
     def stop(self) -> None:
-        """Ends the iteration after the present frame, as if the recording ended there."""
-        self._stopped = True
+        """Ends the iteration after the present frame, as if the recording ended there; a signal handler may call it."""
+        self._feed.stop()
 
     def __iter__(self) -> Iterator[CameraFrame]:
         return self.frames()
@@ -122,8 +128,6 @@ class CameraRecording:
                 steps.append(step)
             before = frame
             yield frame
-            if self._stopped:
-                return
 
 
 def open_camera(clip: Description) -> CameraRecording:
@@ -134,7 +138,7 @@ def open_camera(clip: Description) -> CameraRecording:
     """
     where = Path(clip.video)
     if "://" in clip.video or where.is_char_device() or where.is_fifo():
-        live = LiveFeed(clip.video)
+        live = LiveFeed(clip.video, clip.camera.image_size)
         _note_unused_rate(clip, live)
         return CameraRecording(clip.camera, live, None)
     source = open_source(where, clip.bit_depth)
@@ -175,6 +179,10 @@ class FileFeed:
         self.label = source.label
         self._source = source
         self._times = times
+        self._stopped = False
+
+    def stop(self) -> None:
+        self._stopped = True
 
     def read(self, start: int) -> Iterator[CameraFrame]:
         wanted = range(start, len(self._times))
@@ -182,6 +190,8 @@ class FileFeed:
             # rounds, unlike a cast
             grey = None if image is None else np.asarray(cv2.convertScaleAbs(image), np.uint8)
             yield CameraFrame(index, float(self._times[index]), grey)
+            if self._stopped:
+                return
 
     def _images(self, wanted: Sequence[int]) -> Iterator[NDArray[np.float32] | None]:
         if not isinstance(self._source, ImageFiles):
@@ -194,19 +204,35 @@ class FileFeed:
                 yield None
 
 
-class LiveFeed:
-    """A camera or stream that PyAV opens, read once; frames have its own time stamps, or that of their arrival."""
+@dataclass(frozen=True, eq=False)
+class _Picture:
+    """What came from a live source: its time stamp in seconds, None where it has none, and the picture (H, W), None
+    where it cannot be decoded."""
 
-    def __init__(self, address: str) -> None:
-        """Raises UnusableInput when it cannot be opened or shows no video."""
+    stamp: float | None
+    image: Grey | None
+
+
+class LiveFeed:
+    """A camera or stream that PyAV opens, read once; frames have its own time stamps, or that of their arrival.
+
+    It is received in a thread of its own: FFmpeg waits for data without hearing a signal, and what comes while nobody
+    reads would be lost.
+    """
+
+    def __init__(self, address: str, size: tuple[int, int]) -> None:
+        """Asks a device for pictures of ``size`` (width, height). Raises UnusableInput when the source cannot be opened
+        or shows no video."""
         self.name = re.sub(r"//[^/@]*@", "//", address)  # a password belongs into no message
         self.notices: list[str] = []
-        device = "v4l2" if Path(address).is_char_device() else None
+        self._stopped = False
+        device, options = None, LIVE_OPTIONS
+        if Path(address).is_char_device():
+            device, options = "v4l2", {"video_size": "{}x{}".format(*size)}
         try:
-            self._container = av.open(address, format=device, options=LIVE_OPTIONS, timeout=(OPENING, SILENCE))
+            self._container = av.open(address, format=device, options=options, timeout=(OPENING, 2 * SILENCE))
         except (av.FFmpegError, OSError, ValueError) as error:
-            problem = getattr(error, "strerror", None) or "not known to FFmpeg"
-            raise UnusableInput(f"{self.name}: cannot be opened as a live video ({problem})") from error
+            raise UnusableInput(f"{self.name}: cannot be opened as a live video ({_problem(error)})") from error
         if not self._container.streams.video:
             self._container.close()
             raise UnusableInput(f"{self.name}: shows no video")
@@ -217,22 +243,63 @@ class LiveFeed:
     def label(self, frame: int) -> str:
         return f"{self.name}: frame {frame}"
 
+    def stop(self) -> None:
+        self._stopped = True
+
     def read(self, start: int) -> Iterator[CameraFrame]:
-        with self._container:
-            clock = _Clock(self.name, self.notices)
-            index = -1
-            for stamp, picture in self._pictures():
-                if stamp is None:
+        received: Queue[_Picture | Exception | None] = Queue(WAITING)
+        Thread(target=self._receive, args=[received], daemon=True).start()
+        clock = _Clock(self.name, self.notices)
+        index = -1
+        try:
+            while (picture := self._next(received)) is not None:
+                if picture.stamp is None:  # as the first one of many streams
                     continue
                 index += 1
-                time = clock.read(index, stamp)
+                time = clock.read(index, picture.stamp)
                 if index >= start:
-                    yield CameraFrame(index, time, None if picture is None else _grey(picture))
+                    yield CameraFrame(index, time, picture.image)
+        finally:
+            self.stop()
         if index < 0:
             raise UnusableInput(f"{self.name}: sends no picture with a time stamp")
 
-    def _pictures(self) -> Iterator[tuple[float | None, av.VideoFrame | None]]:
-        """Time stamps in seconds and pictures; None for a picture that cannot be decoded."""
+    def _next(self, received: Queue[_Picture | Exception | None]) -> _Picture | None:
+        """The picture that came first of those not yet read; None at the end, or after too long a silence."""
+        begun = monotonic()
+        while not self._stopped:
+            try:
+                picture = received.get(timeout=PATIENCE)
+            except Empty:
+                if monotonic() - begun > SILENCE:
+                    self.notices.append(f"{self.name}: the source ended (nothing came for {SILENCE:.0f} s)")
+                    return None
+                continue
+            if isinstance(picture, Exception):
+                raise picture
+            return picture
+        return None
+
+    def _receive(self, received: Queue[_Picture | Exception | None]) -> None:
+        def hand_on(picture: _Picture | Exception | None) -> None:
+            while not self._stopped:
+                try:
+                    return received.put(picture, timeout=PATIENCE)
+                except Full:
+                    continue
+
+        try:
+            for picture in self._pictures():
+                hand_on(picture)
+                if self._stopped:
+                    break
+            hand_on(None)
+        except Exception as error:  # is raised where it is read
+            hand_on(error)
+        finally:
+            self._container.close()  # says goodbye, and waits for the answer
+
+    def _pictures(self) -> Iterator[_Picture]:
         stream = self._container.streams.video[0]
         stream.thread_type = "SLICE"  # whole frames in parallel would each arrive late
         packets = self._container.demux(stream)
@@ -242,17 +309,27 @@ class LiveFeed:
                 packet = next(packets)
                 arrival = monotonic() - begun
             except StopIteration:
+                self.notices.append(f"{self.name}: the source ended")
                 return
             except (av.FFmpegError, OSError) as error:
-                self.notices.append(f"{self.name}: ended ({error.strerror})")
+                if not self._stopped:
+                    self.notices.append(f"{self.name}: the source ended ({_problem(error)})")
                 return
             try:
                 for picture in packet.decode():
                     if isinstance(picture, av.VideoFrame):
-                        yield arrival if self._untimed else picture.time, None if picture.is_corrupt else picture
+                        stamp = arrival if self._untimed else picture.time
+                        yield _Picture(stamp, None if picture.is_corrupt else _grey(picture))
             except av.FFmpegError:
                 own = None if packet.pts is None or packet.time_base is None else float(packet.pts * packet.time_base)
-                yield arrival if self._untimed else own, None
+                yield _Picture(arrival if self._untimed else own, None)
+
+
+def _problem(error: Exception) -> str:
+    """What FFmpeg says of a live source, in words."""
+    if isinstance(error, av.error.ExitError):  # PyAV's own time limit
+        return f"no answer within {OPENING:.0f} s"
+    return getattr(error, "strerror", None) or "not known to FFmpeg"
 
 
 class _Clock:
