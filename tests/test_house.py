@@ -26,9 +26,9 @@ FLOORS = {
     1: ["errors", "units", "cameras", "geometry", "sources", "recordings", "monocular", "odometry"],
     2: ["documents", "schemas", "plausibility"],
     3: ["speed", "follow"],
-    4: ["simulation"],
+    4: ["simulation", "baselines"],
     5: ["reports"],
-    7: ["cli", "__main__"],
+    7: ["commands", "cli", "__main__"],
 }
 FLOOR = {room: floor for floor, rooms in FLOORS.items() for room in rooms}
 

@@ -13,10 +13,10 @@ import pytest
 from numpy.typing import NDArray
 
 from paceline.documents import load_follow
-from paceline.simulation.chase_motion import STEP, Road, place
+from paceline.simulation.chase_motion import STEP, Road, place, winding
+from paceline.simulation.chase_script import Script
 from paceline.simulation.chase_stage import Atlas, Eye, Sun, draw, faces_of
 from paceline.simulation.chase_vehicles import Face, Sheet
-from paceline.simulation.chase_worlds import ChaseWorld
 from paceline.simulation.following import (
     ChaseScene,
     ChaseTruth,
@@ -68,7 +68,7 @@ def centroid_within(outline: Array) -> Array:
 def test_a_plain_card_lies_where_its_projection_says(distance: float, yaw: float, n: int) -> None:
     K = np.array([[300.0, 0, 127.5], [0, 300, 120.5], [0, 0, 1]])
     R = np.asarray(cv2.Rodrigues(np.array([0.04, 0.0, 0.02]))[0], float)
-    road, atlas = Road(np.random.default_rng(1), 200.0, 1e9), Atlas()
+    road, atlas = Road(np.zeros(401), 200.0), Atlas()
     state = place(road, 20 + distance, 0.31, 0.0)
     card = Face(Sheet(1.9, 1.4, 200.0, density=50).finish(), (-0.95, -1.9, 0.0), (1.9, 0, 0), (0, 1.4, 0))
     faces = faces_of((card,), atlas, road, replace(state, heading=state.heading + yaw))
@@ -121,11 +121,11 @@ def test_the_leads_outline_lies_where_its_corners_say() -> None:
 
 def test_the_position_is_what_the_corners_tell() -> None:
     scene = replace(BEHIND, kind="van", yaw=0.1)
-    world = ChaseWorld(scene)
-    x, y = world.body.width / 2, world.body.height / 2
+    script = Script(scene)
+    x, y = script.world.body.width / 2, script.world.body.height / 2
     plane = np.array([[-x, -y, 0], [x, -y, 0], [x, y, 0], [-x, y, 0]])
     for t in (0.0, 0.7, 2.1):
-        moment = world.moment(t)
+        moment = script.moment(t)
         _, _, found = cv2.solvePnP(plane, moment.corners, scene.camera.K, None, flags=cv2.SOLVEPNP_ITERATIVE)
         np.testing.assert_allclose(found.ravel(), moment.position, atol=1e-4)
 
@@ -133,8 +133,8 @@ def test_the_position_is_what_the_corners_tell() -> None:
 def test_the_chase_vehicle_moves_where_it_heads_and_so_does_the_lead() -> None:
     """Odometry and positions, put together as a follower would, give two smooth paths along their headings."""
     scene = replace(BEHIND, radius=120.0, weave=0.7, bounce=0.0, tilt=0.0, frames=150)
-    world = ChaseWorld(scene)
-    moments = [world.moment(k / 15) for k in range(150)]
+    script = Script(scene)
+    moments = [script.moment(k / 15) for k in range(150)]
     eyes = np.array([[m.eye.x, m.eye.y, m.eye.heading] for m in moments])
     ahead, right = (np.array([m.position[i] for m in moments]) for i in (2, 0))
     c, s = np.cos(eyes[:, 2]), np.sin(eyes[:, 2])
@@ -153,14 +153,14 @@ def test_the_chase_vehicle_moves_where_it_heads_and_so_does_the_lead() -> None:
 def test_vehicles_accelerate_as_vehicles_can(preset: str) -> None:
     for seed in range(4):
         scene = random_chase(seed, preset, crowding=0.0, traffic=False)
-        world = ChaseWorld(scene)
-        gap = np.array([world.moment(k / scene.rate).gap for k in range(scene.frames)])
+        script = Script(scene)
+        gap = np.array([script.moment(k / scene.rate).gap for k in range(scene.frames)])
         assert scene.gap[0] - 1 < gap.min() < gap.max() < scene.gap[1] + 1
         assert np.abs(np.diff(gap, 2)).max() * scene.rate**2 < 6.0
 
 
 def test_road_and_things_lie_in_one_plan() -> None:
-    road = Road(np.random.default_rng(3), 400.0, 110.0)
+    road = winding(np.random.default_rng(3), 400.0, 110.0)
     for s0 in (20.0, 90.0, 200.0):
         origin = place(road, s0, 0.4, 0.02)
         eye = Eye(np.eye(3), np.eye(3), 2.0, origin.x, origin.y, origin.heading)
@@ -224,8 +224,8 @@ def test_shadows_and_brake_lamps_show() -> None:
     shaded, _ = frames(replace(BEHIND, seed=8, shadows=1.5))
     assert np.mean([np.mean(b < 0.8 * a.astype(float)) for a, b in zip(lit, shaded, strict=True)]) > 0.05
     scene = replace(BEHIND, brakes=True, gap=(8.0, 25.0), frames=300)
-    world = ChaseWorld(scene)
-    braking = [world.moment(k / 15).braking for k in range(300)]
+    script = Script(scene)
+    braking = [script.moment(k / 15).braking for k in range(300)]
     assert 0.05 < np.mean(braking) < 0.95
 
 

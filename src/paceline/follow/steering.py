@@ -14,6 +14,7 @@ Array = NDArray[np.float64]
 
 SPACING = 0.5  # m between two stored points of the path
 LONGEST = 512  # points kept, 256 m: a day's run holds no more than that
+STRETCH = 6  # points at its end that tell where the path leads on
 SMOOTH = 0.3  # s over which the chase vehicle's speed is averaged
 
 
@@ -64,6 +65,14 @@ def goal_on(path: Array, lookahead: float) -> tuple[float, float]:
     return float(x), float(y)
 
 
+def prolonged(path: Array, reach: float) -> Array:
+    """``path`` (N, 2), in driving order, carried straight on by ``reach`` metres beyond its end."""
+    last = path[-STRETCH:]
+    along = last[-1] - last[0]
+    length = hypot(along[0], along[1])
+    return np.vstack([path, path[-1] + reach / length * along]) if length > 0 else path
+
+
 class Steering:
     """The angle that makes a vehicle follow the path of the one ahead; without odometry, the one ahead itself."""
 
@@ -90,7 +99,9 @@ class Steering:
                 self._append(*in_world(pose, ahead, right))
             if self._count:
                 lookahead = min(max(self.speed * c.lookahead_time, c.lookahead_min), c.lookahead_max)
-                goal = goal_on(seen_from(pose, self.path), lookahead)
+                # a lead that is not seen any more has driven on: its path does not end where it was seen last
+                path = self.path if seen else prolonged(self.path, c.lookahead_max)
+                goal = goal_on(seen_from(pose, path), lookahead)
         angle = pure_pursuit(goal[0] + c.camera_ahead, goal[1], c.wheelbase)
         return min(max(angle, -c.steering_limit), c.steering_limit)
 

@@ -163,14 +163,19 @@ def _draw_depth(figure: Figure, track: Track, color: str) -> None:
 
 def _draw_particles(figure: Figure, track: Track) -> None:
     spread, sample = figure.subplots(2, sharex=True)
-    centred = track.particles_left - track.particles_left.mean(axis=1, keepdims=True)
-    _draw_frames(spread, track.time, np.sqrt((centred**2).sum(axis=2).mean(axis=1)), FILTER)
+    _draw_frames(spread, track.time, np.array([_spread(points) for points in track.particles_left]), FILTER)
     spread.set_ylim(bottom=0)
     spread.set_title("spread of the particles, pixels")
     _draw_frames(sample, track.time, track.ess, FILTER)
     sample.set_ylim(bottom=0)
     sample.set_title(f"effective sample size, of {track.particles_left.shape[1]}")
     _label_time(sample, track)
+
+
+def _spread(points: Array) -> float:
+    """Root mean square distance from their centre of those ``points`` (P, 2) that are finite; NaN where none is."""
+    known = points[np.isfinite(points).all(axis=1)]
+    return float(np.sqrt(((known - known.mean(0)) ** 2).sum(1).mean())) if len(known) else np.nan
 
 
 def _draw_plan(figure: Figure, result: ClipResult, colors: dict[str, str]) -> None:

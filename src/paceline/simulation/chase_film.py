@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -42,12 +40,10 @@ class Film:
         self.noise = np.random.default_rng([scene.seed, 29])
         self.vignette = self._vignette()
 
-    def pictures(self) -> Iterator[tuple[NDArray[np.uint8], Moment, float]]:
-        """Picture (H, W), the world's moment, and the part of the lead's rear plane that is visible."""
-        for k in range(self.scene.frames):
-            moment = self.world.moment(k / self.scene.rate)
-            grey, hidden = self._grey(moment)
-            yield self._exposed(grey, moment.time), moment, self._visible(moment, hidden)
+    def picture(self, moment: Moment) -> tuple[NDArray[np.uint8], float]:
+        """Picture (H, W), and the part of the lead's rear plane that is visible; each call draws new noise."""
+        grey, hidden = self._grey(moment)
+        return self._exposed(grey, moment.time), self._visible(moment, hidden)
 
     def _grey(self, moment: Moment) -> tuple[Image, Image | None]:
         """Grey levels (H, W) before the sensor, and what hides the lead (H, W), if anything."""
@@ -60,7 +56,7 @@ class Film:
         things, distance = self._things(moment)
         draw(image, things, self.world.atlas, eye, self.sun, self.shade, np.eye(3))
         grey = np.asarray(cv2.GaussianBlur(image[..., 0], (0, 0), blur[0], sigmaY=blur[1]), np.float32)
-        patch = self._patch(moment, blur)
+        patch = self._patch(moment, blur) if moment.shown else None
         if patch is None:
             return grey, None
         rows, columns = patch

@@ -80,17 +80,11 @@ class Gap:
 
 
 class Road:
-    """A road of straights and turns joined by clothoids, ``length`` metres long; no turn is tighter than ``radius``."""
+    """A road of ``length`` metres whose axis has a given ``curvature`` (N,), 1/m, positive to the left, every `STEP`
+    metres."""
 
-    def __init__(self, rng: np.random.Generator, length: float, radius: float) -> None:
-        self.s = np.arange(0.0, length + STEP, STEP)
-        # One row per bend, so that a longer road begins as a shorter one does.
-        draws = rng.random((int(length / (0.4 * radius)) + 2, 3))
-        ends = np.cumsum(0.4 + 0.8 * draws[:, 0]) * radius
-        bends = (np.floor(3 * draws[:, 1]) - 1) * (0.4 + 0.6 * draws[:, 2]) / radius
-        knots = np.concatenate([[0.0], np.ravel(np.column_stack([ends, ends + 0.3 * radius]))])
-        values = np.ravel(np.column_stack([bends, np.append(bends[1:], 0.0)]))
-        curvature = np.interp(self.s, knots, np.append(bends[0], values))
+    def __init__(self, curvature: Array, length: float) -> None:
+        self.s, self.curvature, self.length = STEP * np.arange(len(curvature)), curvature, length
         self.heading = cumulative_trapezoid(curvature, dx=STEP, initial=0.0)
         # The mid-point rule along the road: consistent to micrometres at these radii.
         middle = self.heading[:-1] + np.diff(self.heading) / 2
@@ -104,6 +98,17 @@ class Road:
         y = np.interp(s, self.s, self.y) - lateral * np.cos(heading)
         return x, y, heading
 
+    def beside(self, x: float, y: float, near: float) -> tuple[float, float]:
+        """Arc length and lateral position (m) of a point in plan, looked for from arc length ``near`` on."""
+        arc = near
+        for _ in range(50):
+            x0, y0, heading = (float(v) for v in self.frame(arc))
+            along = (x - x0) * np.cos(heading) + (y - y0) * np.sin(heading)
+            arc += along
+            if abs(along) < 1e-6:
+                break
+        return float(arc), float((x - x0) * np.sin(heading) - (y - y0) * np.cos(heading))
+
     def ahead(self, s0: float, x0: float, y0: float, heading: float, reach: float) -> Array:
         """The axis as seen by an observer beside ``s0``: rows (right, sine, cosine, arc - s0) every `STEP` metres
         ahead, for `raster.ground`."""
@@ -115,6 +120,18 @@ class Road:
         z = np.maximum.accumulate(z)
         at = np.arange(0.0, reach, STEP)
         return np.column_stack([np.interp(at, z, c) for c in (right, np.sin(turn), np.cos(turn), s - s0)])
+
+
+def winding(rng: np.random.Generator, length: float, radius: float) -> Road:
+    """A road of straights and turns joined by clothoids; no turn is tighter than ``radius``, m."""
+    s = np.arange(0.0, length + STEP, STEP)
+    # One row per bend, so that a longer road begins as a shorter one does.
+    draws = rng.random((int(length / (0.4 * radius)) + 2, 3))
+    ends = np.cumsum(0.4 + 0.8 * draws[:, 0]) * radius
+    bends = (np.floor(3 * draws[:, 1]) - 1) * (0.4 + 0.6 * draws[:, 2]) / radius
+    knots = np.concatenate([[0.0], np.ravel(np.column_stack([ends, ends + 0.3 * radius]))])
+    values = np.ravel(np.column_stack([bends, np.append(bends[1:], 0.0)]))
+    return Road(np.interp(s, knots, np.append(bends[0], values)), length)
 
 
 @dataclass(frozen=True)

@@ -130,6 +130,14 @@ class Eye:
         return np.asarray((points + np.array([0.0, self.height, 0.0])) @ self.R.T)
 
 
+def camera_rotation(pitch: float, roll: float) -> Array:
+    """From right, down, ahead to the axes of a camera that looks down by ``pitch`` and leans right by ``roll``, rad."""
+    c, s = np.cos(pitch), np.sin(pitch)
+    a, b = np.cos(roll), np.sin(roll)
+    lean = np.array([[a, b, 0], [-b, a, 0], [0, 0, 1]])
+    return np.asarray(lean @ np.array([[1, 0, 0], [0, c, -s], [0, s, c]]))
+
+
 def _turned(vectors: Array, angle: Array) -> Array:
     """``vectors`` (N, …, 3) right, down, ahead of axes turned by ``angle`` (N,) to the left, in unturned axes."""
     shape = (-1, *(1,) * (vectors.ndim - 2))

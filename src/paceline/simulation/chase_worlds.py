@@ -1,15 +1,16 @@
-"""A chase as a world in motion: where the camera, the lead and everything else are at any time."""
+"""The world of a chase: everything in it placed, and any moment of it, wherever the two vehicles are."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from paceline.simulation.chase_motion import Gap, Road, Shaking, State, Wander, place
-from paceline.simulation.chase_scenery import LANE, Thing, oncoming, roadside, upright
+from paceline.simulation.chase_motion import Road, State, place
+from paceline.simulation.chase_scenery import LANE, Thing, oncoming, roadside, standing, upright
 from paceline.simulation.chase_scenes import ChaseScene, Occlusion
 from paceline.simulation.chase_stage import Atlas, Eye, Faces, Sun, faces_of, joined, moved
 from paceline.simulation.chase_vehicles import Body, Face, Sheet, vehicle
@@ -34,32 +35,37 @@ class Moment:
     corners: Array
     sweep: tuple[float, float]  # rad/s, of the image to the right and down
     braking: bool
+    shown: bool  # False: the lead is not there to be seen
+    companions: tuple[State, ...]  # other vehicles on the same way, as the world's ``companions``
 
 
 class ChaseWorld:
-    """A scene with everything in it placed."""
+    """A scene with everything placed along its ``road``; whoever drives, a script or a controller, asks for moments.
 
-    def __init__(self, scene: ChaseScene) -> None:
-        self.scene = scene
-        rng = np.random.default_rng([scene.seed, 31])
-        duration = scene.frames / scene.rate
-        self.start = 10.0
-        self.speed, self.closing = Wander(rng, 8, 40), Gap(rng, scene.gap)
-        length = self.start + scene.top_speed * (duration + 5) + scene.gap[1] + 340
-        self.road = Road(np.random.default_rng([scene.seed, 61]), length, scene.radius)
-        self.weaving, self.straying = Wander(rng, 4.0, 12.0), Wander(rng, 8.0, 25.0)
-        self.pitching, self.yawing = (Shaking(rng, a * scene.bounce / 300) for a in (2.4, 0.25))
-        self.rolling, self.heaving = Shaking(rng, 0.004 * scene.bounce / 4), Shaking(rng, 0.02 * scene.bounce / 4)
-        self.leaning, self.lifting = Wander(rng, 0.8, 4.0), Wander(rng, 0.5, 3.0)
-        azimuth = float(self.road.frame(self.start)[2]) + scene.sun_azimuth
+    ``arc`` tells about where on the road the chase vehicle will be at a time, so that traffic meets it; ``start`` is
+    where it begins, m. Draws what it needs from ``rng``.
+    """
+
+    def __init__(
+        self,
+        scene: ChaseScene,
+        road: Road,
+        start: float,
+        arc: Callable[[float], float],
+        rng: np.random.Generator,
+        companions: tuple[Body, ...] = (),
+    ) -> None:
+        self.scene, self.road, self._arc = scene, road, arc
+        azimuth = float(road.frame(start)[2]) + scene.sun_azimuth
         self.sun = Sun(azimuth, scene.sun_elevation, scene.ambient)
         self.atlas = Atlas()
-        self.body = body_of(scene)
+        self.body, self.companions = body_of(scene), companions
         self._lead = self._faces(self.body.faces + self.body.lamps)
-        self._place_things(roadside(scene.seed, length - 30, scene.crowding, scene.parallel))
+        self._place_things(roadside(scene.seed, road.length - 30, scene.crowding, scene.parallel))
         self._oncoming = [self._faces(oncoming(rng)) for _ in range(3)]
         self.meeting = float(rng.uniform(5, 12)), rng.uniform(0.2, 0.8, 64)
         self._crossing = [self._faces(_crossing(rng, o, scene)) for o in scene.occlusions]
+        self._companions = [self._faces(standing(b.faces + b.lamps, b.clearance + b.height / 2)) for b in companions]
         self.atlas.close()
 
     def _faces(self, faces: tuple[Face, ...]) -> Faces:
@@ -79,7 +85,7 @@ class ChaseWorld:
         return self._things[int(first) : int(last)]
 
     def passing(self, moment: Moment) -> list[Faces]:
-        """Oncoming traffic, and what crosses before the lead."""
+        """Oncoming traffic, what crosses before the lead, and companions."""
         groups = []
         if self.scene.traffic:
             every, part = self.meeting
@@ -92,6 +98,8 @@ class ChaseWorld:
         for occlusion, faces in zip(self.scene.occlusions, self._crossing, strict=True):
             if abs(moment.time - occlusion.time) < 4 * occlusion.duration:
                 groups.append(moved(faces, self.road, self._crossing_state(moment, occlusion)))
+        for faces, state in zip(self._companions, moment.companions, strict=True):
+            groups.append(moved(faces, self.road, state))
         return groups
 
     def _crossing_state(self, moment: Moment, occlusion: Occlusion) -> State:
@@ -105,34 +113,27 @@ class ChaseWorld:
         x, y = moment.eye.x + ahead * c + right * s, moment.eye.y + ahead * s - right * c
         return State(moment.chase.arc + ahead, right, float(x), float(y), moment.eye.heading)
 
-    def _arc(self, t: float) -> float:
-        return self.start + self.scene.top_speed * (0.75 * t + 0.25 * self.speed.integral(t))
-
-    def moment(self, t: float) -> Moment:
-        """Everything at ``t`` seconds."""
-        scene, v = self.scene, self.scene.top_speed * (0.75 + 0.25 * self.speed(t))
-        chase = place(self.road, self._arc(t), 0.35 * self.straying(t), 0.35 * self.straying.rate(t) / v)
-        gap, closing = self.closing(t)
-        weave = 1.7 * scene.weave
-        lead = place(self.road, chase.arc + gap, weave * self.weaving(t), weave * self.weaving.rate(t) / (v + closing))
-        lead = State(lead.arc, lead.lateral, lead.x, lead.y, lead.heading + scene.yaw)
-        heading = chase.heading + self.yawing(t)
-        eye = Eye(
-            scene.camera.K,
-            _rotation(scene.tilt + self.pitching(t), self.rolling(t)),
-            scene.camera_height + self.heaving(t),
-            chase.x,
-            chase.y,
-            heading,
-        )
-        roll, lift = 0.008 * self.leaning(t), 0.015 * self.lifting(t)
-        plane = self._plane(eye, lead, roll, lift)
-        corners = scene.camera.project(plane[1:])
+    def moment(
+        self,
+        time: float,
+        eye: Eye,
+        chase: State,
+        lead: State,
+        *,
+        lead_roll: float = 0.0,
+        lead_lift: float = 0.0,
+        sweep: tuple[float, float] = (0.0, 0.0),
+        braking: bool = False,
+        shown: bool = True,
+        companions: tuple[State, ...] = (),
+    ) -> Moment:
+        """Everything at ``time``, s, with the camera and the vehicles where they are said to be."""
+        plane = self._plane(eye, lead, lead_roll, lead_lift)
+        corners = self.scene.camera.project(plane[1:])
         ahead = float(eye.level(lead.x, lead.y)[1])
-        sweep = self.yawing.rate(t), self.pitching.rate(t)
-        later = 0.25 * scene.top_speed * self.speed.rate(t) + (self.closing(t + 0.05)[1] - closing) / 0.05
-        braking = scene.brakes and later < -0.5
-        return Moment(t, eye, chase, lead, roll, lift, ahead, plane[0], corners, sweep, braking)
+        return Moment(
+            time, eye, chase, lead, lead_roll, lead_lift, ahead, plane[0], corners, sweep, braking, shown, companions
+        )
 
     def _plane(self, eye: Eye, lead: State, roll: float, lift: float) -> Array:
         """Centre and corners (5, 3) of the lead's rear plane in camera axes."""
@@ -156,19 +157,25 @@ class ChaseWorld:
         return moved(rolled, self.road, moment.lead)
 
     def casts(self, moment: Moment) -> tuple[Array, Array]:
-        """Outlines (2, E, 3) of the lead's shadow in the sun and of the dark under it; see
+        """Outlines (2 V, E, 3) of the shadow in the sun and of the dark under each of V vehicles; see
         `raster.ground`."""
-        half, length, body = self.body.width / 2, self.body.length, self.body
-        turn = moment.lead.heading - moment.eye.heading
+        vehicles = [(self.body, moment.lead)] if moment.shown else []
+        vehicles += zip(self.companions, moment.companions, strict=True)
+        outlines = [edges for body, state in vehicles for edges in self._cast(moment.eye, body, state)]
+        holds = [(0.0, 0.05), (0.8, 0.35)] * len(vehicles)
+        return np.array(outlines).reshape(-1, 8, 3), np.array(holds).reshape(-1, 2)
+
+    def _cast(self, eye: Eye, body: Body, state: State) -> tuple[Array, Array]:
+        half, length = body.width / 2, body.length
+        turn = state.heading - eye.heading
         box = np.array([[-half, 0], [half, 0], [half, length], [-half, length]])
         c, s = np.cos(turn), np.sin(turn)
-        r0, a0 = moment.eye.level(moment.lead.x, moment.lead.y)
+        r0, a0 = eye.level(state.x, state.y)
         foot = np.column_stack([a0 + box[:, 0] * s + box[:, 1] * c, r0 + box[:, 0] * c - box[:, 1] * s])
-        towards = self.sun.direction(moment.eye.heading)
+        towards = self.sun.direction(eye.heading)
         tall = body.clearance + body.height / 2 + body.top
         roof = foot + tall * towards[[2, 0]] / towards[1]
-        outlines = [_edges(np.vstack([foot, roof])), _edges(foot)]
-        return np.array(outlines), np.array([[0.0, 0.05], [0.8, 0.35]])
+        return _edges(np.vstack([foot, roof])), _edges(foot)
 
 
 def body_of(scene: ChaseScene) -> Body:
@@ -185,14 +192,6 @@ def _crossing(rng: np.random.Generator, occlusion: Occlusion, scene: ChaseScene)
         c.box(x, 0.15, 1.05, 0.5, 30)
     c.box(0, 1.25, CROSSING_LENGTH, 0.25, 15)
     return (upright(c.finish(), CROSSING_LENGTH, scene.camera_height * 0.5 + 1.2, foot=0.15),)
-
-
-def _rotation(pitch: float, roll: float) -> Array:
-    """From right, down, ahead to the axes of a camera that looks down by ``pitch`` and leans right by ``roll``."""
-    c, s = np.cos(pitch), np.sin(pitch)
-    a, b = np.cos(roll), np.sin(roll)
-    lean = np.array([[a, b, 0], [-b, a, 0], [0, 0, 1]])
-    return np.asarray(lean @ np.array([[1, 0, 0], [0, c, -s], [0, s, c]]))
 
 
 def _edges(points: Array) -> Array:

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from paceline.simulation.chase_film import Film
 from paceline.simulation.chase_scenes import PRESETS, ChaseScene, Occlusion, random_chase
-from paceline.simulation.chase_worlds import ChaseWorld, Moment, body_of
+from paceline.simulation.chase_script import Script
+from paceline.simulation.chase_worlds import Moment, body_of
 
 __all__ = [
     "PRESETS",
@@ -31,6 +32,7 @@ __all__ = [
     "render_frames",
     "start_document",
     "target_document",
+    "truth_of",
     "write",
 ]
 
@@ -61,11 +63,16 @@ class ChaseTruth:
 def render_frames(scene: ChaseScene) -> Iterator[tuple[NDArray[np.uint8], ChaseTruth]]:
     """Picture (H, W) and truth, frame by frame; the same scene gives the same pictures. Nothing is kept of the frames
     before."""
-    for frame, (image, moment, visible) in enumerate(Film(ChaseWorld(scene)).pictures()):
-        yield image, _truth(scene, frame, moment, visible)
+    script = Script(scene)
+    film = Film(script.world)
+    for frame in range(scene.frames):
+        moment = script.moment(frame / scene.rate)
+        image, visible = film.picture(moment)
+        yield image, truth_of(scene, frame, moment, visible)
 
 
-def _truth(scene: ChaseScene, frame: int, m: Moment, visible: float) -> ChaseTruth:
+def truth_of(scene: ChaseScene, frame: int, m: Moment, visible: float) -> ChaseTruth:
+    """The truth of the picture of a moment."""
     center = scene.camera.project(m.position)
     eye = m.eye
     return ChaseTruth(frame, m.time, m.position, center, m.corners, visible, eye.x, eye.y, eye.heading, m.braking)

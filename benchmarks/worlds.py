@@ -1,0 +1,258 @@
+"""Both trackers on ray-traced worlds: errors, coverage of the intervals, frames lost, by what was in the scenes.
+
+paceline simulate suite -n 60 --seed 7 --samples 12 -o worlds/speed
+paceline simulate suite -n 20 --seed 8 --kind follow -o worlds/follow
+python benchmarks/worlds.py worlds/speed [--workers 2]
+python benchmarks/worlds.py worlds/follow [--workers 2]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import yaml
+from common import head, machine, measured, read_truth, rms, row, share_out, true_mean
+
+from paceline import UnusableInput, load_clip, load_follow, open_camera
+from paceline.follow.following import follow
+from paceline.speed.results import Measurement
+from paceline.units import SpeedUnit
+
+KMH = SpeedUnit.KMH.mps
+NAN = float("nan")
+SEEN = 0.6  # of the rear plane must be visible where a frame counts
+OFF_RANGE, OFF_PLACE = 0.2, 0.25  # relative, and in widths of the vehicle: an estimate that is of something else
+WITHIN = 1.96  # standard deviations, of a 95 % interval
+
+Groups = dict[str, Callable[[Any], bool]]
+Outcome = TypeVar("Outcome")
+
+
+# --- speed ---------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Speed:
+    """One clip: what was in it and what was measured (km/h)."""
+
+    name: str
+    scene: dict[str, Any]
+    distance: float = NAN  # m, mean
+    true: float = NAN
+    error: float = NAN
+    half: float = NAN  # half the width of the 95 % interval
+    reason: str = ""  # why it was rejected
+
+    @property
+    def car(self) -> dict[str, Any]:
+        car: dict[str, Any] = self.scene["vehicles"][0]
+        return car
+
+    @property
+    def is_steady(self) -> bool:
+        return not self.car["acceleration"] and not self.car["lane_change"]
+
+    @property
+    def is_calibrated(self) -> bool:
+        return self.scene["rig"]["written"] is None
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation in mid-grey light, in shares of white."""
+        s = self.scene["sensor"]
+        return float(np.sqrt(0.2 * s["full_well"] + s["read_noise"] ** 2) / s["full_well"])
+
+    def describe(self) -> str:
+        car, rig, road = self.car, self.scene["rig"], self.scene["road"]
+        words = [
+            car["kind"],
+            "coming" if car["towards"] else "going",
+            f"{self.distance:.0f} m",
+            road["kind"] + (f" {road['radius']:.0f} m" if road["radius"] else ""),
+            f"{self.scene['frames']} × {1 / self.scene['rate']:.2f} s",
+            f"f {rig['focal']:.0f}",
+            f"{car['acceleration']:+.1f} m/s²" if car["acceleration"] else "",
+            "changes lane" if car["lane_change"] else "",
+            "" if self.is_calibrated else "miscalibrated",
+        ]
+        return ", ".join(filter(None, words))
+
+
+SPEED_GROUPS: Groups = {
+    "steady, calibrated": lambda o: o.is_steady and o.is_calibrated,
+    "all": lambda o: True,
+    "miscalibrated": lambda o: not o.is_calibrated,
+    "accelerates": lambda o: o.car["acceleration"] != 0,
+    "changes lane": lambda o: o.car["lane_change"] is not None,
+    "nearer than 35 m": lambda o: o.distance < 35,
+    "farther": lambda o: o.distance >= 35,
+    "to 60 km/h": lambda o: o.true < 60,
+    "faster": lambda o: o.true >= 60,
+    "less noise than most": lambda o: o.noise < 0.006,
+    "more": lambda o: o.noise >= 0.006,
+    "straight road": lambda o: o.scene["road"]["kind"] == "straight",
+    "bend": lambda o: o.scene["road"]["kind"] != "straight",
+    "cars": lambda o: o.car["kind"] in ("saloon", "estate"),
+    "vans, lorries, buses": lambda o: o.car["kind"] in ("van", "lorry", "bus"),
+    "motorcycles": lambda o: o.car["kind"] == "motorcycle",
+}
+
+
+def run_speed(folder: Path) -> Speed:
+    """Measure and compare the clip in ``folder``."""
+    scene = yaml.safe_load((folder / "scene.yaml").read_text())
+    rows = read_truth(folder)
+    make = partial(Speed, folder.name, scene, float(np.mean([r["distance_m"] for r in rows])))
+    try:
+        m: Measurement = measured(load_clip(folder / "clip.yaml"))[0]
+    except UnusableInput as unusable:
+        return make(reason=f"unusable: {str(unusable).partition(': ')[2]}")
+    except Exception as fault:  # of the program, not of the clip: shown in its row, and the others go on
+        return make(reason=f"fault of the program: {type(fault).__name__}: {fault}")
+    if np.isnan(m.speed):
+        return make(true=rows[0]["speed_mps"] / KMH, reason=m.reason)
+    true = true_mean(rows, m)
+    return make(
+        true=true / KMH, error=(m.speed - true) / KMH, half=(m.speed_hi - m.speed_lo) / 2 / KMH, reason=m.reason
+    )
+
+
+def print_speed(o: Speed) -> None:
+    verdict = f"rejected: {o.reason}" if o.reason else "measured"
+    print(row(o.name, o.describe(), f"{o.true:.2f}", f"{o.error:+.3f}", f"{o.half:.3f}", verdict), flush=True)
+
+
+def speed_summary(outcomes: Sequence[Speed]) -> str:
+    """Errors of what was measured, by group, km/h."""
+    columns = ("scenes", "measured", "mean error", "σ", "median size", "worst", "median ±", "covered", "over 1 km/h")
+    lines = [head("group", *columns)]
+    for name, group in grouped(outcomes, SPEED_GROUPS):
+        good = [o for o in group if not o.reason]
+        error, half = np.array([o.error for o in good]), np.array([o.half for o in good])
+        numbers = ["–"] * 7
+        if good:
+            size = np.abs(error)
+            numbers = [f"{v:.3f}" for v in (error.mean(), error.std(), np.median(size), size.max(), np.median(half))]
+            numbers += [f"{np.mean(size <= half):.0%}", str(int((size > 1).sum()))]
+        lines.append(row(name, len(group), len(good), *numbers))
+    return "\n".join(lines)
+
+
+# --- following -----------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class Chase:
+    """One clip, over the frames in which the vehicle can be seen."""
+
+    name: str
+    scene: dict[str, Any]
+    frames: int = 0
+    lost: int = 0
+    wrong: int = 0
+    range_errors: list[float] = field(default_factory=list)  # relative
+    lateral_errors: list[float] = field(default_factory=list)  # m
+    covered: list[bool] = field(default_factory=list)
+
+    def describe(self) -> str:
+        return f"{self.scene['lead']['kind']}, clouds {self.scene['light']['clouds']:.1f}"
+
+
+CHASE_GROUPS: Groups = {
+    "all": lambda o: True,
+    "sun": lambda o: o.scene["light"]["clouds"] < 0.5,
+    "clouds": lambda o: o.scene["light"]["clouds"] >= 0.5,
+    "cars": lambda o: o.scene["lead"]["kind"] in ("saloon", "estate"),
+    "vans, lorries, buses": lambda o: o.scene["lead"]["kind"] in ("van", "lorry", "bus"),
+}
+
+
+def run_chase(folder: Path) -> Chase:
+    """Follow and compare the clip in ``folder``."""
+    clip = load_follow(folder / "follow.yaml")
+    truth = {r["frame"]: r for r in json.loads((folder / "truth.json").read_text())}
+    done = Chase(folder.name, yaml.safe_load((folder / "scene.yaml").read_text()))
+    for frame, e in follow(clip, open_camera(clip)):
+        true = truth[frame.index]
+        if true["visible"] < SEEN:
+            continue
+        done.frames += 1
+        if e.status != "tracking":
+            done.lost += 1
+            continue
+        x, _, z = e.position - np.array(true["position"])
+        far = true["position"][2]
+        off = float(np.linalg.norm(e.center - np.array(true["center"])))
+        done.wrong += abs(z) > OFF_RANGE * far or off > OFF_PLACE * true["width_px"]
+        done.range_errors.append(float(z / far))
+        done.lateral_errors.append(float(x))
+        done.covered.append(bool(abs(z) <= WITHIN * e.position_std[2]))
+    return done
+
+
+def chase_cells(group: Sequence[Chase]) -> list[str]:
+    counts = [str(sum(getattr(o, name) for o in group)) for name in ("frames", "lost", "wrong")]
+    errors = np.concatenate([o.range_errors for o in group])
+    if not len(errors):
+        return [*counts, *["–"] * 5]
+    lateral, covered = (np.concatenate([getattr(o, n) for o in group]) for n in ("lateral_errors", "covered"))
+    numbers = (100 * errors.mean(), 100 * rms(errors), 100 * float(np.abs(errors).max()))
+    return [*counts, *(f"{v:.2f}" for v in numbers), f"{rms(lateral):.3f}", f"{covered.mean():.0%}"]
+
+
+CHASE_COLUMNS = ("frames", "lost", "wrong", "range mean, %", "RMS", "worst", "lateral RMS, m", "covered: range")
+
+
+def print_chase(o: Chase) -> None:
+    print(row(o.name, o.describe(), *chase_cells([o])), flush=True)
+
+
+def chase_summary(outcomes: Sequence[Chase]) -> str:
+    lines = [head("group", "clips", "without a frame lost or wrong", *CHASE_COLUMNS)]
+    for name, group in grouped(outcomes, CHASE_GROUPS):
+        whole = sum(not o.lost and not o.wrong for o in group)
+        lines.append(row(name, len(group), whole, *chase_cells(group)))
+    return "\n".join(lines)
+
+
+def grouped(outcomes: Sequence[Outcome], groups: Groups) -> list[tuple[str, list[Outcome]]]:
+    """The groups that are not empty."""
+    found = [(name, [o for o in outcomes if belongs(o)]) for name, belongs in groups.items()]
+    return [(name, group) for name, group in found if group]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Both trackers on ray-traced worlds.")
+    parser.add_argument("suite", type=Path, help="folder that paceline simulate suite has made")
+    parser.add_argument("--workers", type=int, default=2, help="processes")
+    args = parser.parse_args()
+    begun = time.perf_counter()
+    if speeds := sorted(p.parent for p in args.suite.glob("*/clip.yaml")):
+        print(head("clip", "scene", "true, km/h", "error", "95 % ±", "verdict"), flush=True)
+        measurements = []
+        for o in share_out(run_speed, speeds, args.workers):
+            measurements.append(o)
+            print_speed(o)
+        print(f"\n{speed_summary(measurements)}\n")
+    if chases := sorted(p.parent for p in args.suite.glob("*/follow.yaml")):
+        print(head("clip", "scene", *CHASE_COLUMNS), flush=True)
+        followed = []
+        for c in share_out(run_chase, chases, args.workers):
+            followed.append(c)
+            print_chase(c)
+        print(f"\n{chase_summary(followed)}\n")
+    if not speeds and not chases:
+        parser.error(f"{args.suite}: holds no clips; expected the folder of a suite")
+    print(f"{time.perf_counter() - begun:.0f} s with {args.workers} processes.\n\n{machine()}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,66 @@
+"""The places of a rigid body from its triangulated points in all frames.
+
+The body's points keep their places relative to it, and it turns as its way turns. What is wrong with a triangulated
+point is mostly its depth, and grows with its square; so each point counts by the fourth power of its nearness, and less
+where it lies off. The body's points are eliminated, which leaves a small system of the frames alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+ITERATIONS = 20
+HUBER = 0.9  # of a coordinate's standard deviation in each of three: the errors of matches have long tails
+CONVERGED = 1e-6  # m
+MEDIAN_CHI = 1.538  # of three degrees of freedom
+LEAST_SCATTER = 1e-9  # 1/m
+
+
+@dataclass(frozen=True, eq=False)
+class Aligned:
+    """``places`` (K, 3) m of the body, the first as given, and the ``covariance`` (3(K−1), 3(K−1)) of the others
+    relative to it."""
+
+    places: Array
+    covariance: Array
+
+
+def align(points: Array, seen: Mask, turns: Array, places: Array) -> Aligned:
+    """Aligns the ``points`` (P, K, 3) m of a body where they are ``seen`` (P, K), X = place + turn · point.
+
+    ``turns`` (K, 3, 3) are known; ``places`` (K, 3) are where to begin. Raises numpy.linalg.LinAlgError where the
+    frames are not joined by common points.
+    """
+    often = seen.sum(1) >= 2
+    points, seen = points[often], seen[often]
+    if not seen.any(axis=0).all():
+        raise np.linalg.LinAlgError("a frame shares no point with the others")
+    K = len(places)
+    depths = np.array([np.median(p[s, 2]) for p, s in zip(points.swapaxes(0, 1), seen.T, strict=True)])
+    own = np.einsum("kji,pkj->pki", turns, points - places[0])  # turned back, as seen from the first place
+    apart = np.einsum("kab,lcb->kalc", turns, turns)
+    w, found = seen.astype(float), places
+    for _ in range(ITERATIONS):
+        W = w / depths**4
+        total = W.sum(1)
+        S = -np.einsum("pk,pl,p->kl", W, W, 1 / total, optimize=True)[:, None, :, None] * apart
+        S[np.arange(K), :, np.arange(K)] += W.sum(0)[:, None, None] * np.eye(3)
+        mean = (W[..., None] * own).sum(1) / total[:, None]
+        pull = np.einsum("pk,kij,pkj->ki", W, turns, own - mean[:, None], optimize=True)
+        information = S[1:, :, 1:].reshape(3 * (K - 1), 3 * (K - 1))
+        before = found
+        found = places[0] + np.concatenate([np.zeros(3), np.linalg.solve(information, pull[1:].ravel())]).reshape(K, 3)
+        back = own - np.einsum("kji,kj->ki", turns, found - places[0])
+        body = (W[..., None] * back).sum(1) / total[:, None]
+        off = np.linalg.norm(back - body[:, None], axis=-1) / depths**2
+        scatter = max(float(np.median(off[seen])) / MEDIAN_CHI, LEAST_SCATTER)
+        w = np.where(seen, np.minimum(1.0, HUBER * np.sqrt(3) * scatter / np.maximum(off, 1e-15)), 0.0)
+        if np.abs(found - before).max() < CONVERGED:
+            break
+    return Aligned(found, scatter**2 * np.linalg.inv(information))

@@ -1,0 +1,275 @@
+"""Lucas–Kanade stereo: what a good engineer builds from OpenCV.
+
+Corners in the vehicle's region are tracked over time and matched across the views, both there and back, to a fraction
+of a pixel, and triangulated; the motion between frames is their robust common displacement. At the end the points of
+all frames are aligned together, and a straight line or a curve in time is fitted to the places.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from paceline.baselines import flow, smoothing
+from paceline.baselines.alignment import align
+from paceline.baselines.regions import Move, Regions, move_between
+from paceline.baselines.tracks import NO_TEXTURE, MeanSpeed, Sight, judged, rejected, too_few, unseen
+from paceline.baselines.triangulation import covariance
+from paceline.cameras import StereoRig
+from paceline.documents import VehicleDocument
+from paceline.geometry import epipolar_distance, triangulate
+from paceline.recordings import StereoFrame
+from paceline.speed.paths import level_frames
+from paceline.speed.results import Measurement
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+LEAST_POINTS = 4
+EPIPOLAR = 1.0  # px from the epipolar line
+APART = 1.5  # px from the region's common motion in an image
+DEEP = 4.0  # scaled median deviations of depth beyond which a match is a mistake
+SIGMA = 0.15  # px, of a matched coordinate
+HUBER = 1.5
+KEPT_SCALE = 1.2  # change of scale after which points are tracked from a new key frame
+KEPT_POINTS = 0.6  # share of the points, fewer than which call for a new one
+GROUPS = 8  # of points, left out one after the other
+PASSES = 2  # of aligning and of turning the body as its way turns
+MOST_FRAMES = 32  # in the alignment; of a longer track, evenly spread ones
+
+
+class LucasKanade:
+    """One vehicle on its way through the clip."""
+
+    def __init__(self, rig: StereoRig, vehicle: VehicleDocument) -> None:
+        self.rig, self.vehicle = rig, vehicle
+        self.sights: list[Sight] = []
+        self._regions: Regions | None = None
+        self._key: _Key
+        self._seen: list[tuple[int, _Matches]] = []  # by row of the sights
+        self._next = 0  # number of the next new point
+
+    def see(self, frame: StereoFrame) -> bool:
+        """Follow the vehicle into ``frame``; whether it can be followed further."""
+        if self._regions is None:
+            return self._begin(frame)
+        regions, before = self._regions, self._seen[-1][1]
+        moves = regions.find(frame)
+        found = None if moves is None else self._follow(frame, moves)
+        if found is None:
+            further = regions.miss(frame.time)
+            self.sights.append(unseen(frame, regions))
+            return further
+        matches, quads = found
+        dt = frame.time - regions.time
+        regions.accept(quads, frame)
+        displacement, spread = _displacement(self.rig, before, matches)
+        speed = float(np.linalg.norm(displacement)) / dt
+        ahead = displacement / np.maximum(speed * dt, 1e-12)
+        self._note(frame, matches, speed, float(np.sqrt(ahead @ spread @ ahead)) / dt)
+        return regions.status == "tracking"
+
+    def _begin(self, frame: StereoFrame) -> bool:
+        quads = np.stack([self.vehicle.left, self.vehicle.right])
+        nothing = _Matches(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2)), np.empty((0, 3)))
+        try:
+            self._regions = Regions(self.rig, quads, frame)
+        except np.linalg.LinAlgError:
+            return False
+        matches = self._with_new_points(frame, nothing, quads)
+        self._key = _Key((frame.left, frame.right), quads, matches)
+        self._note(frame, matches, self.vehicle.speed or float("nan"), float("nan"))
+        return len(matches.number) >= LEAST_POINTS
+
+    def _follow(self, frame: StereoFrame, moves: tuple[Move, Move]) -> tuple[_Matches, Array] | None:
+        """The points in ``frame`` and the regions (2, 4, 2) that moved with them; None where too few are found.
+
+        Points are tracked from the last key frame, not from the last one: what they slip then adds up less often.
+        """
+        assert self._regions is not None
+        key, expected = self._key, [m(q) for m, q in zip(moves, self._regions.quads, strict=True)]
+        left_move, right_move = (move_between(a, b) for a, b in zip(key.quads, expected, strict=True))
+        window = flow.window_for(expected[0])
+        left, good = flow.tracked(key.images[0], frame.left, key.matches.left, left_move, window)
+        good &= self._together(key.matches.left, left, good)
+        if good.sum() < LEAST_POINTS:
+            return None
+        from_key = key.matches.chosen(good)
+        left = left[good]
+        right, good = flow.matched(frame.left, frame.right, left, right_move(from_key.right), window)
+        good &= self._plausible(left, right, good)
+        if good.sum() < LEAST_POINTS:
+            return None
+        from_key, left, right = from_key.chosen(good), left[good], right[good]
+        matches = _Matches(from_key.number, left, right, triangulate(self.rig, left, right))
+        moved = _similarity(from_key.left, left), _similarity(from_key.right, right)
+        quads = [q @ m[:, :2].T + m[:, 2] for q, m in zip(key.quads, moved, strict=True) if m is not None]
+        if len(quads) < 2:
+            return None
+        grown = abs(np.log(move_between(key.quads[0], quads[0]).scale))
+        if grown > np.log(KEPT_SCALE) or len(left) < KEPT_POINTS * len(key.matches.number):
+            matches = self._with_new_points(frame, matches, np.stack(quads))
+            self._key = _Key((frame.left, frame.right), np.stack(quads), matches)
+        return matches, np.stack(quads)
+
+    def _with_new_points(self, frame: StereoFrame, matches: _Matches, quads: Array) -> _Matches:
+        """``matches`` and what new corners in the regions ``quads`` (2, 4, 2) add to them."""
+        new = flow.corners(frame.left, quads[0], matches.left)
+        if not len(new):
+            return matches
+        across = cv2.getPerspectiveTransform(quads[0].astype(np.float32), quads[1].astype(np.float32))
+        guess = np.asarray(cv2.perspectiveTransform(new[:, None], across), float)[:, 0]
+        right, good = flow.matched(frame.left, frame.right, new, guess, flow.window_for(quads[0]))
+        good &= self._plausible(new, right, good)
+        number = self._next + np.arange(int(good.sum()))
+        self._next += len(number)
+        return _Matches(
+            np.concatenate([matches.number, number]),
+            np.concatenate([matches.left, new[good]]),
+            np.concatenate([matches.right, right[good]]),
+            np.concatenate([matches.points, triangulate(self.rig, new[good], right[good])]),
+        )
+
+    def _together(self, before: Array, after: Array, good: Mask) -> Mask:
+        """Which points move as most of them do in the image."""
+        together = np.zeros(len(before), bool)
+        if good.sum() >= LEAST_POINTS and (move := _similarity(before[good], after[good])) is not None:
+            miss = np.linalg.norm(before @ move[:, :2].T + move[:, 2] - after, axis=1)
+            together = miss < APART * (1 + 0.01 * np.ptp(after[good]))
+        return together
+
+    def _plausible(self, left: Array, right: Array, good: Mask) -> Mask:
+        """Which matches lie on their epipolar lines and about as deep as most."""
+        plausible = good & (np.abs(epipolar_distance(self.rig, left, right)) < EPIPOLAR)
+        depth = triangulate(self.rig, left, right)[:, 2]
+        plausible &= np.isfinite(depth) & (depth > 1.0)
+        if plausible.any():
+            inverse = 1.0 / np.where(plausible, depth, 1.0)
+            off = np.abs(inverse - np.median(inverse[plausible]))
+            least = SIGMA / (self.rig.left.K[0, 0] * self.rig.baseline)
+            plausible &= off < DEEP * max(1.4826 * float(np.median(off[plausible])), least)
+        return plausible
+
+    def _note(self, frame: StereoFrame, matches: _Matches, speed: float, std: float) -> None:
+        assert self._regions is not None
+        quads = self._regions.quads
+        sight = Sight(
+            frame=frame.index,
+            time=frame.time,
+            left=quads[0],
+            right=quads[1],
+            status=self._regions.status,
+            speed=speed,
+            speed_std=std,
+            position=triangulate(self.rig, quads[0].mean(0), quads[1].mean(0)),
+            points_left=matches.left,
+            points_right=matches.right,
+            strength=float(len(matches.number)),
+        )
+        if sight.status == "tracking":
+            self._seen.append((len(self.sights), matches))
+        self.sights.append(sight)
+
+    def result(self) -> Measurement:
+        """The measurement, by all matches together."""
+        name = self.vehicle.id
+        if not self._seen or len(self._seen[0][1].number) < LEAST_POINTS:
+            return rejected(name, self.sights, NO_TEXTURE)
+        if few := too_few(self.sights):
+            return rejected(name, self.sights, few)
+        try:
+            way, places, groups = self._fit()
+        except np.linalg.LinAlgError:
+            return rejected(name, self.sights, "residuals: no motion explains what was matched")
+        times = np.array([s.time for s in self.sights])
+        rows = list(places)
+        speeds, stds = (np.full(len(times), np.nan) for _ in range(2))
+        speeds[rows], stds[rows] = way.speeds(times[rows])
+        for row, place in places.items():
+            self.sights[row] = replace(self.sights[row], position=place)
+        speed, scatter = way.mean_speed()
+        # frames scatter about the way, and the matches of one point err alike in all of them
+        std = float(np.hypot(scatter, np.sqrt((GROUPS - 1) * np.var(groups))))
+        stds *= std / max(scatter, 1e-12)
+        mean = MeanSpeed(speed, std, GROUPS - 1, way.model, speeds, stds)
+        return judged(name, self.sights, mean)
+
+    def _fit(self) -> tuple[smoothing.Way, dict[int, Array], list[float]]:
+        """The way through the aligned places, these by row of the sights, and the mean speeds that follow when one
+        group of points after the other is left out (a jackknife)."""
+        chosen = np.unique(np.linspace(0, len(self._seen) - 1, min(len(self._seen), MOST_FRAMES)).round().astype(int))
+        rows = [self._seen[i][0] for i in chosen]
+        matches = [self._seen[i][1] for i in chosen]
+        number = np.unique(np.concatenate([m.number for m in matches]))
+        seen = np.zeros((len(number), len(rows)), bool)
+        points = np.zeros((*seen.shape, 3))
+        for k, m in enumerate(matches):
+            at = np.searchsorted(number, m.number)
+            seen[at, k], points[at, k] = True, m.points
+        times = np.array([self.sights[row].time for row in rows])
+        places = np.array([self.sights[row].position for row in rows])
+        turns = np.tile(np.eye(3), (len(rows), 1, 1))
+        for _ in range(PASSES):
+            aligned = align(points, seen, turns, places)
+            way = smoothing.way_through(times, aligned.places, aligned.covariance)
+            if way.degree == 1:
+                break
+            frames = level_frames(way.velocities(times))
+            turns = frames @ frames[0].T
+        groups = []
+        for group in range(GROUPS):
+            kept = np.arange(len(seen)) % GROUPS != group
+            some = align(points[kept], seen[kept], turns, aligned.places)
+            groups.append(smoothing.way_through(times, some.places, some.covariance, way.degree).mean_speed()[0])
+        return way, dict(zip(rows, aligned.places, strict=True)), groups
+
+
+@dataclass(frozen=True, eq=False)
+class _Matches:
+    """Points of one frame: their ``number`` (n,), pixels ``left`` and ``right`` (n, 2), and ``points`` (n, 3) m."""
+
+    number: Indices
+    left: Array
+    right: Array
+    points: Array
+
+    def chosen(self, these: Mask) -> _Matches:
+        return _Matches(self.number[these], self.left[these], self.right[these], self.points[these])
+
+
+@dataclass(frozen=True, eq=False)
+class _Key:
+    """A frame from which points are tracked: its images, the regions (2, 4, 2) and the points there."""
+
+    images: tuple[flow.Image, flow.Image]
+    quads: Array
+    matches: _Matches
+
+
+def _displacement(rig: StereoRig, before: _Matches, after: _Matches) -> tuple[Array, Array]:
+    """The robust common displacement (3,) of the points seen in both frames, and its covariance (3, 3); NaN where no
+    point is."""
+    _, i, j = np.intersect1d(before.number, after.number, return_indices=True)
+    if not len(i):
+        return np.full(3, np.nan), np.full((3, 3), np.nan)
+    a, b = before.points[i], after.points[j]
+    W = np.linalg.inv(covariance(rig, a, SIGMA) + covariance(rig, b, SIGMA))
+    d, w = b - a, np.ones(len(a))
+    for _ in range(6):
+        A = np.einsum("n,nij->ij", w, W)
+        mean = np.linalg.solve(A, np.einsum("n,nij,nj->i", w, W, d))
+        off = np.sqrt(np.einsum("ni,nij,nj->n", d - mean, W, d - mean))
+        scale = max(float(np.median(off)) / 1.54, 1e-6)
+        w = np.minimum(1.0, 2 * HUBER * scale / np.maximum(off, 1e-12))
+    return mean, np.linalg.inv(A) * scale**2
+
+
+def _similarity(before: Array, after: Array) -> Array | None:
+    """The similarity (2, 3) by which most points move."""
+    cv2.setRNGSeed(0)
+    move = cv2.estimateAffinePartial2D(before, after, method=cv2.RANSAC, ransacReprojThreshold=APART)[0]
+    return None if move is None else np.asarray(move, float)

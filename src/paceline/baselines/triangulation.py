@@ -1,0 +1,36 @@
+"""How sure a triangulated point is: L. Matthies, S. A. Shafer, "Error modeling in stereo navigation", 1987."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from paceline.cameras import StereoRig
+
+Array = NDArray[np.float64]
+
+
+def image_jacobian(rig: StereoRig, points: Array) -> Array:
+    """∂(x_left, y_left, x_right, y_right)/∂(X, Y, Z), shape (…, 4, 3), px/m, of world ``points`` (…, 3)."""
+    left = _projection_jacobian(rig.left.K, points)
+    right = _projection_jacobian(rig.right.K, rig.to_right(points)) @ rig.R
+    return np.concatenate([left, right], axis=-2)
+
+
+def information(rig: StereoRig, points: Array, sigma: float) -> Array:
+    """Inverse covariance (…, 3, 3) of optimally triangulated ``points`` (…, 3), each of the four pixel coordinates of
+    which has the standard deviation ``sigma``."""
+    J = image_jacobian(rig, points)
+    return np.asarray(np.swapaxes(J, -1, -2) @ J) / sigma**2
+
+
+def covariance(rig: StereoRig, points: Array, sigma: float) -> Array:
+    """The covariance (…, 3, 3), m², to that information: to first order, of optimally triangulated points."""
+    return np.asarray(np.linalg.inv(information(rig, points, sigma)))
+
+
+def _projection_jacobian(K: Array, points: Array) -> Array:
+    """∂pixel/∂point (…, 2, 3) for points in the camera's own frame."""
+    p = points @ K.T
+    w = p[..., 2:3, None]
+    return np.asarray((K[:2] - (p[..., :2] / p[..., 2:3])[..., None] * K[2]) / w)

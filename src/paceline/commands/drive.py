@@ -1,0 +1,59 @@
+"""``paceline drive``: a closed loop in a rendered world, and whether what must hold does."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from paceline.commands.progress import progress_bar
+
+if TYPE_CHECKING:
+    from paceline.simulation.driving.results import DriveResult
+
+HOLDS, FAILS = 0, 1
+
+
+def drive(
+    scene: Annotated[str, typer.Argument(metavar="SCENE", help="A drive.yaml, or the name of a scene.")],
+    out: Annotated[Path, typer.Option("-o", "--out", help="Folder for the report and the tables.")],
+    latency: Annotated[
+        float, typer.Option(metavar="SECONDS", min=0.0, max=2.0, help="From a picture to the effect of its command.")
+    ] = 0.128,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of world, vehicles and light.")] = 1,
+    overlay: Annotated[bool, typer.Option("--overlay/--no-overlay", help="Write the overlay video.")] = True,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
+) -> int:
+    """Let a simulated vehicle follow the one ahead by its camera, and judge how it drives."""
+    from paceline.reports.drive_report import write_drive_files
+    from paceline.reports.output import OutputFolder
+    from paceline.simulation.driving.loop import ClosedLoop
+    from paceline.simulation.driving.scenes import scene_named
+
+    model = scene_named(scene, seed)
+    with OutputFolder(out) as folder, progress_bar("driving", sys.stderr.isatty() and not quiet) as advance:
+        result = write_drive_files(ClosedLoop(model, seed, latency), folder, overlay, advance)
+    if not quiet:
+        _print_drive(result)
+        print(f"\nReport: {out / 'report.html'}")
+    return HOLDS if result.holds else FAILS
+
+
+def _print_drive(result: DriveResult) -> None:
+    from paceline.reports.drive_page import requirement_words
+
+    f = result.figures
+    print(
+        f"{result.scene}, seed {result.seed}: {result.duration:.0f} s and {f.way:.0f} m behind a {result.target}, "
+        f"up to {3.6 * f.speed_max:.0f} km/h"
+    )
+    rows = [("what must hold", "found", "must be", ""), *map(requirement_words, result.requirements)]
+    widths = [max(len(row[i]) for row in rows) for i in range(3)]
+    for *cells, verdict in rows:
+        print("  ".join(cell.ljust(width) for cell, width in zip(cells, widths, strict=True)) + f"  {verdict}".rstrip())
+    taken = result.processing
+    print(f"processing time {1e3 * taken['median']:.2f} ms per picture, 99 of 100 within {1e3 * taken['p99']:.2f} ms")
+    for notice in result.notices:
+        print(f"note: {notice}", file=sys.stderr)

@@ -1,0 +1,80 @@
+"""``paceline follow``: where the vehicle ahead is, frame by frame."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from paceline.commands import DONE, NOTHING_MEASURED
+from paceline.commands.progress import progress_bar
+
+if TYPE_CHECKING:  # what computes is imported when the command runs, so that --help answers at once
+    from paceline.follow.history import Tally
+    from paceline.follow.results import FollowResult
+    from paceline.monocular import CameraRecording
+
+
+def follow_vehicle(
+    follow: Annotated[Path, typer.Argument(metavar="FOLLOW", help="A follow.yaml, or the folder that contains it.")],
+    out: Annotated[Path, typer.Option("-o", "--out", help="Folder for the report and the tables.")],
+    overlay: Annotated[
+        bool, typer.Option("--overlay/--no-overlay", help="Write the overlay video; it takes most of the time.")
+    ] = True,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
+) -> int:
+    """Follow the vehicle ahead in a recording, or live: where it is in metres, frame by frame."""
+    from paceline.documents import load_follow
+    from paceline.monocular import open_camera
+    from paceline.reports.follow_report import write_follow_files
+    from paceline.reports.output import OutputFolder
+
+    document = load_follow(follow / "follow.yaml" if follow.is_dir() else follow)
+    with OutputFolder(out) as folder:
+        recording = open_camera(document)
+        with progress_bar("following", sys.stderr.isatty() and not quiet) as advance, _ended_by_interrupt(recording):
+            result, tally = write_follow_files(document, recording, folder, None, overlay, advance)
+    if not quiet:
+        _print_follow(result, tally)
+        print(f"\nReport: {out / 'report.html'}")
+    return DONE if tally.tracked else NOTHING_MEASURED
+
+
+@contextmanager
+def _ended_by_interrupt(recording: CameraRecording) -> Iterator[None]:
+    """Ctrl-C ends a live recording, which has no other end; what was followed until then is reported."""
+    if not recording.live:
+        yield
+        return
+
+    def end(number: int, frame: FrameType | None) -> None:
+        recording.stop()
+        signal.signal(number, previous)  # the second one interrupts
+
+    previous = signal.signal(signal.SIGINT, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, previous)
+
+
+def _print_follow(result: FollowResult, tally: Tally) -> None:
+    from paceline.reports.follow_page import percent
+    from paceline.reports.follow_tables import middle
+
+    counts = ", ".join(f"{tally.status[name]} {name}" for name in ("tracking", "coasting", "lost"))
+    print(f"{result.target}: tracked in {percent(tally.share)} of {tally.frames} frames ({counts})")
+    if tally.tracked:
+        print(f"distance ahead {tally.range_min:.1f} to {tally.range_max:.1f} m, {tally.range_mean:.1f} m on average")
+    slowest = 1e3 * middle(result.latency, 0.99)
+    print(f"processing time {1e3 * middle(result.latency):.2f} ms per frame, 99 of 100 within {slowest:.2f} ms")
+    for reason, count in tally.reasons.most_common(5):
+        print(f"note: {reason}, in {count} frame{'' if count == 1 else 's'}", file=sys.stderr)
+    for notice in result.notices:
+        print(f"note: {notice}", file=sys.stderr)

@@ -1,0 +1,135 @@
+"""``paceline speed``: the speed of every vehicle in a stereo clip."""
+
+from __future__ import annotations
+
+import sys
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from paceline.commands import DONE, NOTHING_MEASURED
+from paceline.commands.progress import progress_bar
+from paceline.errors import UnusableInput
+
+if TYPE_CHECKING:  # what computes is imported when a command runs, so that --help answers at once
+    from paceline.speed.configuration import SpeedConfiguration
+    from paceline.speed.results import ClipResult
+    from paceline.units import SpeedUnit
+
+
+class Motion(StrEnum):
+    auto = "auto"
+    free = "free"
+    line = "line"
+    curve = "curve"
+
+
+class Method(StrEnum):
+    """Ours, or one that it is compared with."""
+
+    paceline = "paceline"
+    sift = "sift"
+    kalman = "kalman"
+    kalman_wander = "kalman-wander"
+    multimodal = "multimodal"
+    lucas_kanade = "lucas-kanade"
+
+
+class Device(StrEnum):
+    cpu = "cpu"
+    cuda = "cuda"
+
+
+def speed(
+    clip: Annotated[Path, typer.Argument(metavar="CLIP", help="A clip.yaml, or the folder that contains it.")],
+    out: Annotated[Path, typer.Option("-o", "--out", help="Folder for the report and the tables.")],
+    particles: Annotated[int | None, typer.Option(help="Number of particles of the filter.")] = None,
+    seed: Annotated[
+        int | None, typer.Option(help="Seed of the random numbers; the same seed gives the same result.")
+    ] = None,
+    motion: Annotated[
+        Motion | None, typer.Option(help="How vehicles may move; auto follows the path given in the clip.")
+    ] = None,
+    method: Annotated[
+        Method, typer.Option(help="How to measure: Paceline's way, or one that it is compared with.")
+    ] = Method.paceline,
+    device: Annotated[Device, typer.Option(help="Where to compute.")] = Device.cpu,
+    units: Annotated[
+        str, typer.Option(metavar="<mph|km/h|m/s>", help="Unit shown to people; files are always in m/s.")
+    ] = "mph",
+    parts: Annotated[int | None, typer.Option(help="Number of parts of the likelihood.")] = None,
+    refine: Annotated[
+        bool, typer.Option("--refine/--no-refine", help="Fit the whole track at the end; --no-refine only filters.")
+    ] = True,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
+) -> int:
+    """Measure the speed of every vehicle in a stereo clip."""
+    if device is Device.cuda:
+        raise UnusableInput("--device cuda: this release computes on the CPU only; use --device cpu")
+    unit = _unit(units)
+    given = {"particles": particles, "seed": seed, "motion": motion and motion.value, "parts": parts}
+    configuration = _configuration({key: value for key, value in given.items() if value is not None}, refine)
+
+    from paceline.documents import load_clip
+    from paceline.recordings import open_recording
+    from paceline.reports import OutputFolder, write_files
+
+    document = load_clip(clip / "clip.yaml" if clip.is_dir() else clip)
+    with OutputFolder(out) as folder:  # before the work, so that an unwritable folder is told at once
+        recording = open_recording(document)
+        with progress_bar("measuring", sys.stderr.isatty() and not quiet) as advance:
+            if method is Method.paceline:
+                from paceline.speed.measurement import measure
+
+                result = measure(document, recording, configuration, advance)
+            else:
+                from paceline.baselines.measurement import measure as measure_by
+
+                result = measure_by(document, recording, method.value, configuration, advance)
+        result = write_files(result, recording, folder, unit)
+    if not quiet:
+        _print_result(result, unit)
+        print(f"\nReport: {out / 'report.html'}")
+    return DONE if any(m.verdict == "measured" for m in result.measurements) else NOTHING_MEASURED
+
+
+def _unit(text: str) -> SpeedUnit:
+    from paceline.units import parse_unit
+
+    try:
+        return parse_unit(text)
+    except ValueError as error:
+        raise UnusableInput(f"--units: {error}") from error
+
+
+def _configuration(given: dict[str, object], refine: bool) -> SpeedConfiguration:
+    from pydantic import ValidationError
+
+    from paceline.speed.configuration import SpeedConfiguration
+
+    try:
+        return SpeedConfiguration.model_validate({**given, "refine": refine})
+    except ValidationError as error:
+        first = error.errors()[0]
+        expected = first["msg"].replace("Input should be", "expected")
+        raise UnusableInput(f"--{first['loc'][0]} {first['input']}: {expected}") from error
+
+
+def _print_result(result: ClipResult, unit: str) -> None:
+    from paceline.reports.wording import MISSING, speed_words
+
+    rows = [("vehicle", f"speed, {unit}", "95 % interval", "verdict")]
+    for m in result.measurements:
+        words = speed_words(m, unit)
+        interval = f"{words.lo} to {words.hi}" if words.lo != MISSING else MISSING
+        speed = f"{words.speed} ± {words.plus_minus}" if words.known else MISSING
+        rows.append((m.vehicle, speed, interval, f"{m.verdict}: {m.reason}" if m.reason else m.verdict))
+    widths = [max(len(row[i]) for row in rows) for i in range(3)]
+    for *cells, verdict in rows:
+        print("  ".join(cell.ljust(width) for cell, width in zip(cells, widths, strict=True)) + f"  {verdict}")
+    if not result.measurements:
+        print("no vehicle was found")
+    for notice in [*result.notices, *(f"{m.vehicle}: {text}" for m in result.measurements for text in m.notices)]:
+        print(f"note: {notice}", file=sys.stderr)

@@ -1,0 +1,52 @@
+"""``paceline target``: line models of vehicles to follow."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from paceline.commands import DONE
+from paceline.errors import UnusableInput
+
+target = typer.Typer(help="Line models of vehicles to follow.", rich_markup_mode=None)
+
+
+@target.command("learn")
+def target_learn(
+    image: Annotated[Path, typer.Argument(metavar="IMAGE", help="A picture of the vehicle's rear.")],
+    box: Annotated[str, typer.Option(metavar="X0,Y0,X1,Y1", help="Box around the rear, pixels.")],
+    width: Annotated[float, typer.Option(metavar="METRES", help="True width of what the box encloses.")],
+    camera: Annotated[
+        Path, typer.Option(help="The camera.yaml of the picture: its focal length turns pixels into metres.")
+    ],
+    out: Annotated[Path, typer.Option("-o", "--out", help="The target.yaml to write; a picture appears beside it.")],
+    name: Annotated[str | None, typer.Option(help="Name of the target; that of the file otherwise.")] = None,
+) -> int:
+    """Learn a line model from the strong horizontal and vertical edges inside a box."""
+    from paceline.documents import load_camera
+    from paceline.follow.learning import learn_target
+    from paceline.reports.learned import start_lines, write_learned
+    from paceline.sources import read_image_file, to_grey
+
+    if out.suffix and image.resolve() in (out.resolve(), out.with_suffix(".png").resolve()):
+        raise UnusableInput(f"--out {out}: would write over the picture {image}; expected another name")
+    corners, lens = _box(box), load_camera(camera)
+    picture = to_grey(read_image_file(image), 16, str(image))
+    try:
+        learned = learn_target(picture, corners, width, lens, name or out.stem)
+    except UnusableInput as unusable:
+        raise UnusableInput(f"{image}: {unusable}") from None
+    beside = write_learned(learned, picture, out)
+    print(f"{len(learned.target.segments)} lines in {out}; look at them in {beside}")
+    print(f"follow.yaml, where this picture is the first frame:\n{start_lines(learned)}")
+    return DONE
+
+
+def _box(text: str) -> tuple[float, float, float, float]:
+    try:
+        x0, y0, x1, y1 = map(float, text.split(","))
+    except ValueError:
+        raise UnusableInput(f"--box {text}: expected four numbers x0,y0,x1,y1 in pixels") from None
+    return x0, y0, x1, y1

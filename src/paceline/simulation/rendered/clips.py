@@ -1,0 +1,179 @@
+"""Writing rendered stereo clips, as `paceline speed` reads them, with truth.json beside them.
+
+The cameras stand still, so what does not move is rendered once for each of them, and every frame only where vehicles
+and their shadows are. Far from them a vehicle changes no pixel but by the light that it scatters, which is left out.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from paceline.cameras import StereoRig
+from paceline.simulation.planar import rig_document
+from paceline.simulation.rendered import folders
+from paceline.simulation.rendered.engine import default_variant
+from paceline.simulation.rendered.operator import clip_document
+from paceline.simulation.rendered.renderer import Radiance, Renderer, View, Window
+from paceline.simulation.rendered.scenes import SpeedScene
+from paceline.simulation.rendered.sensor import Lens, expose, photograph
+from paceline.simulation.rendered.solids import Array
+from paceline.simulation.rendered.stage import Car, Stage, sensor_of
+
+FEWER = 4  # times fewer samples for what stands still: it takes most of the time, and no vehicle is measured there
+AROUND = 1.2  # m around a vehicle in which it darkens the road
+LONGEST_SHADOW = 40.0  # m
+SUFFIX = {"png": ".png", "jpeg": ".jpg", "h264": ".png"}
+
+
+def write(
+    scene: SpeedScene, directory: Path | str, progress: folders.Progress = None, variant: str | None = None
+) -> Path:
+    """Render ``scene`` into ``directory`` and return the path of its clip.yaml.
+
+    Pictures that are there already, from a run that was interrupted, are kept. The same scene gives the same pictures
+    bit for bit on the same variant of the renderer. Raises UnusableInput where the scene or the folder cannot be used.
+    """
+    directory, variant = Path(directory), variant or default_variant()
+    stage = Stage(scene)
+    renderer = Renderer(stage.still(), stage.moving(), stage.light, variant)
+    truth = stage.truth(renderer)
+    clip = clip_document(stage, truth, renderer)
+    folders.begin(directory, scene, variant)
+    total, done = stage.clocks.size, 0
+    for i, side in enumerate(("left", "right")):
+        film = _Film(stage, renderer, i, directory / f".still-{side}.npy")
+        paths = [directory / side / f"{k:04d}{SUFFIX[scene.sensor.keep]}" for k in range(stage.clocks.shape[1])]
+        video = directory / f"{side}.mp4"
+        for k, path in enumerate(paths):
+            if not path.exists() and not (scene.sensor.keep == "h264" and video.exists()):
+                folders.write_picture(path, film.picture(k), scene.sensor.quality)
+            done += 1
+            if progress:
+                progress(done, total)
+        if scene.sensor.keep == "h264" and not video.exists():
+            folders.write_video(video, paths, stage.clocks[i].tolist(), scene.sensor.quality)
+    _write_documents(stage, clip, truth, directory)
+    _tidy(directory, scene)
+    return directory / "clip.yaml"
+
+
+def _write_documents(stage: Stage, clip: dict[str, Any], truth: list[dict[str, Any]], directory: Path) -> None:
+    folders.write_yaml(directory / "rig.yaml", _rig(stage.written))
+    folders.write_whole(directory / "truth.json", json.dumps(truth).encode())
+    folders.write_yaml(directory / "true_rig.yaml", _rig(stage.rig))
+    if "times" in clip:
+        table = io.StringIO()
+        table.write("frame,left_s,right_s\n")
+        for k, (left, right) in enumerate(stage.clocks.T.tolist()):
+            table.write(f"{k},{left:.6f},{right:.6f}\n")
+        folders.write_whole(directory / "times.csv", table.getvalue().encode())
+    folders.write_yaml(directory / "clip.yaml", clip)
+
+
+def _rig(rig: StereoRig) -> dict[str, Any]:
+    """The contents of rig.yaml, with distortion and uncertainty where there is any."""
+    document = rig_document(rig)
+    for side, camera in (("left", rig.left), ("right", rig.right)):
+        if camera.has_distortion:
+            document[side]["distortion"] = camera.distortion.tolist()
+    if u := rig.uncertainty:
+        document["uncertainty"] = {
+            "focal_length_px": u.focal_length_px,
+            "principal_point_px": u.principal_point_px,
+            "rotation_rad": list(u.rotation_rad),
+            "translation_m": list(u.translation_m),
+        }
+    return document
+
+
+def _tidy(directory: Path, scene: SpeedScene) -> None:
+    for side in ("left", "right"):
+        (directory / f".still-{side}.npy").unlink(missing_ok=True)
+        if scene.sensor.keep == "h264" and (directory / side).is_dir():
+            folders.remove_pictures(directory / side)
+
+
+class _Film:
+    """The pictures of one camera of a stage."""
+
+    def __init__(self, stage: Stage, renderer: Renderer, i: int, cache: Path) -> None:
+        self.stage, self.renderer, self.i, self.cache = stage, renderer, i, cache
+        true = stage.views[i]
+        self.lens = Lens.of(true.camera)
+        self.view = View(self.lens.pinhole, true.R, true.t)
+        self._still: Radiance | None = None
+
+    def picture(self, k: int) -> folders.Picture:
+        """The ``k``-th picture, (H, W) or (H, W, 3) uint8."""
+        scene, time = self.stage.scene, float(self.stage.clocks[self.i, k])
+        light = self.still().copy()
+        if window := self.window(time):
+            x0, y0, x1, y1 = window
+            own = int(np.random.SeedSequence([scene.seed, 17, self.i, k]).generate_state(1)[0])
+            light[y0:y1, x0:x1] = photograph(
+                self.renderer,
+                self.stage.placements,
+                lambda t: self.view,
+                time,
+                self.stage.shutter,
+                scene.samples,
+                own,
+                window,
+            )
+        white = self.stage.light.level_irradiance / np.pi
+        noise = np.random.default_rng([scene.seed, 19, self.i, k])
+        return expose(self.lens.bend(light), white, sensor_of(scene), noise)
+
+    def still(self) -> Radiance:
+        """The light (H, W, 3) without any vehicle, kept in a file in case of an interruption."""
+        if self._still is None and self.cache.exists():
+            self._still = np.load(self.cache)
+        if self._still is None:
+            self.renderer.place(self.stage.empty())
+            seed = int(np.random.SeedSequence([self.stage.scene.seed, 23, self.i]).generate_state(1)[0])
+            samples = max(1, self.stage.scene.samples // FEWER)
+            self._still = self.renderer.render(self.view, samples, seed)
+            content = io.BytesIO()
+            np.save(content, self._still)
+            folders.write_whole(self.cache, content.getvalue())
+        return self._still
+
+    def window(self, time: float) -> Window | None:
+        """The part of the picture in which vehicles or their shadows may be at ``time`` s; None where there is none."""
+        shutter = self.stage.shutter
+        reach = shutter.exposure / 2 + shutter.readout / 2
+        moments = sorted({time - reach, time, time + reach})
+        points = [
+            _reach(car, t, self.stage.light.direction) for car in self.stage.cars for t in moments if car.is_there(t)
+        ]
+        if not points:
+            return None
+        around = np.concatenate(points)
+        width, height = self.view.camera.image_size
+        depth = self.view.to_camera(around)[:, 2]
+        if (depth <= 0.5).all():
+            return None
+        if (depth <= 0.5).any():
+            return 0, 0, width, height
+        pixels = self.view.project(around)
+        low = np.clip(np.floor(pixels.min(0)).astype(int) - 4, 0, (width, height))
+        high = np.clip(np.ceil(pixels.max(0)).astype(int) + 5, 0, (width, height))
+        return (int(low[0]), int(low[1]), int(high[0]), int(high[1])) if (high > low).all() else None
+
+
+def _reach(car: Car, t: float, sun: Array) -> Array:
+    """Corners (16, 3), world, of a box around a vehicle with what lies close to it, and of its shadow."""
+    R, at = car.motion.pose(t)
+    solid = np.concatenate([s.vertices for s in car.body.solids])
+    low, high = solid.min(0) - [AROUND, AROUND, 0], solid.max(0) + [AROUND, AROUND, 0]
+    low[2] = -0.2
+    box = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
+    world = box @ R.T + at
+    drop = np.minimum((box[:, 2] + 0.2) / max(float(sun[2]), 1e-3), LONGEST_SHADOW)
+    shadow = world - drop[:, None] * sun
+    return np.concatenate([world, shadow])

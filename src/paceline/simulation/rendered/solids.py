@@ -1,0 +1,49 @@
+"""Triangle meshes with materials: what worlds are built from, whatever renders them.
+
+Every world has x east, y north and z up, in metres; a body's own axes are x forward, y left and z up.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+Texture = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Material:
+    """How a surface answers light.
+
+    ``kind`` is "matte", "paint" (a diffuse coat under clear varnish), "glass" (a dark pane that mirrors), "metal" or
+    "glow" (a lamp). ``color`` is its linear reflectance (3,), or, for a lamp, its radiance; ``texture`` (H, W, 3),
+    linear, takes its place where the solid has texture coordinates (v = 0 is the first row) and ``alpha`` (H, W) leaves
+    holes in it. ``roughness`` is that of the mirroring part.
+    """
+
+    kind: str
+    color: tuple[float, float, float]
+    texture: Texture | None = None
+    alpha: Texture | None = None
+    roughness: float = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """A mesh: ``vertices`` (V, 3) m, ``triangles`` (T, 3), counter-clockwise seen from outside, ``uv`` (V, 2) where its
+    material has a texture. Vertices are shared only where the surface is smooth; ``smooth`` tells to shade it so."""
+
+    name: str
+    vertices: Array
+    triangles: Indices
+    material: Material
+    uv: Array | None = None
+    smooth: bool = False
+
+    def moved(self, R: Array, t: Array) -> Solid:
+        """The solid at R X + t."""
+        return replace(self, vertices=self.vertices @ np.asarray(R).T + t)
