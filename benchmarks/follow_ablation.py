@@ -1,24 +1,30 @@
 """What each remedy for [NIST]'s stated failures is worth: each one off, in the scenes that it is for.
 
-python benchmarks/follow_ablation.py [--n 4] [--seed 900] [--frames 300] [--workers 2] [--scenario NAME ...]
+python benchmarks/follow_ablation.py [--n 4] [--seed 900] [--frames 300] [--workers 2] [--scenario NAME ...] [--starts]
 
 A row is one scenario and one configuration; "off" frames are those that were not tracked, or tracked wrongly, out of
-those in which the vehicle can be seen.
+those in which the vehicle can be seen. --starts instead begins beside the target, or with another size: a row is one
+error of the start, and a frame is wrong that is called tracking with the centre off by more than a tenth of the
+vehicle's width or the scale by more than a tenth.
 """
 
 from __future__ import annotations
 
 import argparse
+from collections import Counter
 from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 import numpy as np
 from common import head, machine, rms, row, share_out
-from follow import PUBLISHED, Makers, Paceline, Record, run
+from follow import PUBLISHED, SEEN, Makers, Paceline, Record, operators_start, run
 
 from paceline.follow.configuration import FollowConfiguration
-from paceline.simulation.following import ChaseScene, Occlusion, random_chase
+from paceline.follow.results import FollowEstimate
+from paceline.follow.tracker import FollowTracker
+from paceline.simulation.chase_vehicles import KINDS
+from paceline.simulation.following import ChaseScene, ChaseTruth, Occlusion, random_chase, render_frames
 
 CALM: dict[str, Any] = {"shadows": 0.0, "parallel": 0.0, "bounce": 2.0, "crowding": 0.5, "ambient": 0.6}
 SCENARIOS: dict[str, Callable[[int], dict[str, Any]]] = {
@@ -30,6 +36,27 @@ SCENARIOS: dict[str, Callable[[int], dict[str, Any]]] = {
     "turned by 10°": lambda seed: CALM | {"yaw": np.radians(10.0 if seed % 2 else -10.0)},
     "everything": lambda seed: {"shadows": 1.3, "parallel": 0.7, "bounce": 4.0, "occlusions": _crossings(seed)},
 }
+
+OFF = {  # of the start: x and y in sizes of the target, and the factor of its scale
+    "none": (0.0, 0.0, 1.0),
+    "right 0.05": (0.05, 0.0, 1.0),
+    "down 0.1": (0.0, 0.1, 1.0),
+    "left 0.1": (-0.1, 0.0, 1.0),
+    "scale 0.9": (0.0, 0.0, 0.9),
+    "scale 1.1": (0.0, 0.0, 1.1),
+    "right 0.25": (0.25, 0.0, 1.0),
+    "left 0.25": (-0.25, 0.0, 1.0),
+    "down 0.25": (0.0, 0.25, 1.0),
+    "up 0.25": (0.0, -0.25, 1.0),
+    "up and right 0.3": (0.3, -0.3, 1.0),
+    "scale 0.7": (0.0, 0.0, 0.7),
+    "scale 0.85": (0.0, 0.0, 0.85),
+    "scale 1.15": (0.0, 0.0, 1.15),
+    "scale 1.4": (0.0, 0.0, 1.4),
+    "right 0.2, down 0.15, scale 0.8": (0.2, 0.15, 0.8),
+    "left 0.2, down 0.1, scale 1.3": (-0.2, 0.1, 1.3),
+}
+WRONG = 0.1  # of the vehicle's width, and of the scale
 
 
 def _crossings(seed: int) -> tuple[Occlusion, ...]:
@@ -46,6 +73,8 @@ def configurations() -> Makers:
     """All remedies, all but one, none."""
     made = {"all remedies": FollowConfiguration()}
     made |= {f"without {name}": FollowConfiguration(**{name: False}) for name in remedies()}
+    neither = ("wide_search", "predicted_gates")  # the gates are for those who do without the search
+    made[f"without {' and '.join(neither)}"] = FollowConfiguration(**dict.fromkeys(neither, False))
     made[PUBLISHED] = FollowConfiguration.as_published()
     return {name: partial(Paceline, configuration=c) for name, c in made.items()}
 
@@ -56,14 +85,69 @@ def _run(item: tuple[str, int], frames: int) -> tuple[str, list[Record]]:
     return scenario, run(scene, configurations())
 
 
+# --- the operator's start --------------------------------------------------------------------------------------------
+
+
+def _begin(scene: ChaseScene, first: ChaseTruth, off: tuple[float, float, float], probation: bool) -> FollowTracker:
+    target, center, scale = operators_start(scene, first)
+    size = scale * target.size * target.magnification(scene.camera)
+    center = np.clip(center + size * np.array(off[:2]), 0.0, np.array(scene.image_size) - 1.0)
+    return FollowTracker(scene.camera, target, center, scale * off[2], FollowConfiguration(probation=probation))
+
+
+def _verdict(e: FollowEstimate, truth: ChaseTruth, nominal_range: float) -> str:
+    if e.status != "tracking":
+        return "none"
+    width = np.ptp(truth.corners[:, 0])
+    away = np.abs(e.center - truth.center).max() / width
+    grown = abs(e.scale * truth.position[2] / nominal_range - 1.0)
+    return "wrong" if max(away, grown) > WRONG else "right"
+
+
+def _run_starts(seed: int, frames: int) -> dict[tuple[str, bool], Counter[str]]:
+    """Verdicts by the start's error and whether there is a probation, over the frames of one clip."""
+    scene = random_chase(seed, frames=frames, kind=KINDS[seed % len(KINDS)])
+    counts = {(name, probation): Counter[str]() for name in OFF for probation in (True, False)}
+    trackers: dict[tuple[str, bool], FollowTracker] = {}
+    for image, truth in render_frames(scene):
+        trackers = trackers or {key: _begin(scene, truth, OFF[key[0]], key[1]) for key in counts}
+        for key, tracker in trackers.items():
+            estimate = tracker.update(image, truth.time, truth.frame)
+            if truth.visible >= SEEN:
+                counts[key][_verdict(estimate, truth, tracker.target.nominal_range)] += 1
+    return counts
+
+
+def compare_starts(args: argparse.Namespace) -> None:
+    total: dict[tuple[str, bool], Counter[str]] = {}
+    for counts in share_out(
+        partial(_run_starts, frames=args.frames), range(args.seed, args.seed + args.n), args.workers
+    ):
+        for key, count in counts.items():
+            total.setdefault(key, Counter()).update(count)
+    print(head("start off by", "configuration", "right, %", "wrong, %", "not tracking, %"))
+    for (name, probation), count in total.items():
+        shares = (f"{100 * count[v] / count.total():.2f}" for v in ("right", "wrong", "none"))
+        print(row(name, "all remedies" if probation else "without probation", *shares))
+
+
+# --- the remedies ----------------------------------------------------------------------------------------------------
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description="Remedies on and off, per scenario.")
     parser.add_argument("--n", type=int, default=4, help="clips per scenario")
     parser.add_argument("--seed", type=int, default=900, help="seed of the first clip")
     parser.add_argument("--frames", type=int, default=300, help="frames of each clip")
     parser.add_argument("--scenario", nargs="+", choices=list(SCENARIOS), default=list(SCENARIOS), metavar="NAME")
+    parser.add_argument("--starts", action="store_true", help="errors of the operator's start instead")
     parser.add_argument("--workers", type=int, default=2, help="processes")
     args = parser.parse_args()
+    compare_starts(args) if args.starts else compare_remedies(args)
+    print("\n" + machine())
+
+
+def compare_remedies(args: argparse.Namespace) -> None:
     items = [(name, seed) for name in args.scenario for seed in range(args.seed, args.seed + args.n)]
     columns = ("lost, %", "wrong, %", "whole clips", "range RMS, %", "worst, %", "lateral RMS, m")
     print(head("scenario", "configuration", *columns), flush=True)
@@ -73,7 +157,6 @@ def main() -> None:
         if len({r.scene.seed for r in gathered[scenario]}) == args.n:
             for name in configurations():
                 _print(scenario, name, [r for r in gathered[scenario] if r.follower == name])
-    print("\n" + machine())
 
 
 def _print(scenario: str, name: str, records: list[Record]) -> None:

@@ -200,9 +200,7 @@ BLIND: dict[str, Callable[[Clip], object]] = {
 
 
 @pytest.mark.parametrize("spoil", BLIND.values(), ids=BLIND)
-def test_it_coasts_and_goes_on(
-    spoil: Callable[[Clip], object], clip: Clip, command: Command, tmp_path: Path
-) -> None:
+def test_it_coasts_and_goes_on(spoil: Callable[[Clip], object], clip: Clip, command: Command, tmp_path: Path) -> None:
     """A third of a second without a picture: never reported as tracking, with a reason, and found again."""
     spoil(clip)
     status, stdout, stderr = command(clip)

@@ -106,9 +106,7 @@ def test_the_summary_is_right(followed: tuple[subprocess.CompletedProcess[str], 
     assert found["configuration"]["wheelbase"] > 0 and "paceline" in found["versions"]
 
 
-def test_the_overlay_plays_with_the_recordings_times(
-    followed: tuple[subprocess.CompletedProcess[str], Path]
-) -> None:
+def test_the_overlay_plays_with_the_recordings_times(followed: tuple[subprocess.CompletedProcess[str], Path]) -> None:
     with av.open(str(followed[1] / "overlay.mp4")) as container:
         frames = list(container.decode(video=0))
     np.testing.assert_allclose([f.time for f in frames], np.arange(FRAMES) / 15, atol=1e-3)

@@ -45,8 +45,9 @@ def scenery(seed):
     return cv2.GaussianBlur(picture, (0, 0), 1.2)
 
 
-def draw(position, background, shift, rng, camera=CAMERA):
-    """The target at ``position`` m before ``background`` moved by ``shift`` px, seen by ``camera``, with noise."""
+def draw(position, background, shift, rng, camera=CAMERA, behind=None):
+    """The target at ``position`` m before ``background`` moved by ``shift`` px, seen by ``camera``, with noise; what
+    stands at ``behind`` m has its outline and its window and nothing else of it."""
     w, h = camera.image_size
     grid = (np.arange(w * FINE) + 0.5) / FINE - 0.5, (np.arange(h * FINE) + 0.5) / FINE - 0.5
     x, y = np.meshgrid(*grid)
@@ -57,10 +58,12 @@ def draw(position, background, shift, rng, camera=CAMERA):
         x, y = (cv2.remap(m, at[0], at[1], cv2.INTER_LINEAR).astype(float) for m in maps)
     ground = [np.asarray(v, np.float32) for v in (x + 600 + shift[0], y + 180 + shift[1])]
     image = cv2.remap(background.astype(np.float32), ground[0], ground[1], cv2.INTER_LINEAR)
-    u = (x - K[0, 2]) * position[2] / K[0, 0] - position[0]
-    v = (y - K[1, 2]) * position[2] / K[1, 1] - position[1]
-    for (x0, y0, x1, y1), grey in FACES:
-        image[(u >= x0) & (u < x1) & (v >= y0) & (v < y1)] = grey
+    vehicles = [(position, FACES)] if behind is None else [(behind, FACES[:2]), (position, FACES)]
+    for place, faces in vehicles:
+        u = (x - K[0, 2]) * place[2] / K[0, 0] - place[0]
+        v = (y - K[1, 2]) * place[2] / K[1, 1] - place[1]
+        for (x0, y0, x1, y1), grey in faces:
+            image[(u >= x0) & (u < x1) & (v >= y0) & (v < y1)] = grey
     image = cv2.resize(image, (w, h), interpolation=cv2.INTER_AREA)
     image = cv2.GaussianBlur(image, (0, 0), 0.6) + rng.normal(0, 2.0, image.shape)
     return np.clip(image.round(), 0, 255).astype(np.uint8)
@@ -176,6 +179,74 @@ def test_a_start_on_something_else_is_never_tracked():
         estimates = follow(FollowTracker(CAMERA, TARGET, np.array(center), 0.9), images)
         wrong = [e for e in estimates if e.status == "tracking" and abs(e.position[0] - positions[e.frame][0]) > 0.5]
         assert len(wrong) <= 1, center
+
+
+@pytest.fixture(scope="module", params=[0, 1, 2])
+def short_clip(request):
+    return film(12, seed=request.param)
+
+
+@pytest.mark.parametrize(
+    "off", [(20.0, 0.0, 1.0), (0.0, -17.0, 1.0), (0.0, 0.0, 0.7), (0.0, 0.0, 1.4), (-12.0, 8.0, 0.85)]
+)
+def test_a_start_beside_the_target_is_put_right_or_not_believed(short_clip, off):
+    images, positions = short_clip
+    estimates = follow(begin(positions[0], off=off[:2], size=off[2]), images)
+    tracked = [e for e in estimates if e.status == "tracking"]
+    assert len(tracked) >= 8
+    for e in tracked:
+        assert abs(e.position[2] / positions[e.frame][2] - 1) < 0.05
+        assert abs(e.position[0] - positions[e.frame][0]) < 0.1
+    for e in estimates[: -len(tracked)]:
+        assert e.status == "coasting" and e.reason.startswith("the start is in doubt")
+    assert tracked[0].reason == "the start was off: the model fits better here"
+
+
+def test_without_probation_the_same_start_is_not_put_right(short_clip):
+    images, positions = short_clip
+    begun = begin(positions[0], off=(0.0, 0.0), size=0.7, configuration=FollowConfiguration(probation=False))
+    ranges, _ = errors(follow(begun, images), positions)
+    assert np.abs(ranges).min() > 0.1
+
+
+def film_beside_another(frames, shown, others):
+    """Frames and positions of a vehicle that is seen where ``shown`` (F,), and of one with most of its lines 0.9 m to
+    its left, that is seen where ``others`` (F,)."""
+    rng, background, t = np.random.default_rng(0), scenery(0), np.arange(frames) / 15
+    positions = np.column_stack([0.9 + 0.1 * np.sin(1.6 * t), np.full(frames, 0.2), 9 + 0.5 * np.sin(1.4 * t)])
+    beside = np.column_stack([positions[:, :2] - [0.9, 0.0], np.full(frames, 10.5)])
+    far = np.array([0.0, 0.0, 5000.0])
+    images = []
+    for k in range(frames):
+        shift = (10 * np.sin(1.5 * t[k]), 0.0)
+        behind = beside[k] if others[k] else None
+        images.append(draw(positions[k] if shown[k] else far, background, shift, rng, behind=behind))
+    return images, positions, beside
+
+
+def test_a_vehicle_taken_for_the_target_is_given_up_when_that_is_seen_beside_it():
+    """It was all there was at the start, and its picture was learned; only the patrol tells that there is a better."""
+    frames, comes = 80, 20
+    images, positions, beside = film_beside_another(frames, np.arange(frames) >= comes, np.ones(frames, bool))
+    patrolled, held = (
+        follow(begin(beside[0], configuration=FollowConfiguration(probation=on)), images) for on in (True, False)
+    )
+    (switched,) = [e.frame for e in patrolled if e.reason == "the model fits better here than where it was tracked"]
+    assert switched > comes
+    for e in patrolled[switched:]:
+        assert e.status == "tracking" and abs(e.position[0] - positions[e.frame][0]) < 0.1
+    assert all(abs(e.position[0] - positions[e.frame][0]) > 0.5 for e in held[comes:] if e.status == "tracking")
+
+
+def test_after_an_occlusion_another_vehicle_is_given_up_for_the_target():
+    """Whoever appears first in its place is taken for it."""
+    k, hidden, comes, back = np.arange(60), 15, 25, 45
+    images, positions, _ = film_beside_another(len(k), (k < hidden) | (k >= back), k >= comes)
+    estimates = follow(begin(positions[0]), images)
+    right = np.array([e.status == "tracking" and abs(e.position[0] - positions[e.frame][0]) < 0.1 for e in estimates])
+    assert right[:hidden].all() and estimates[back - 1].status != "lost"
+    assert any(e.status == "tracking" for e in estimates[comes:back])  # it was deceived
+    assert right[back + 5 :].all()
 
 
 @pytest.mark.parametrize(

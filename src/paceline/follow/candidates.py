@@ -85,6 +85,19 @@ def candidate_lines(
 
 
 @njit(cache=True, nogil=True)
+def add_shares(
+    points: Floats, owners: Indices, upright: bool, places: Array, lengths: Array, breadth: float, shares: Array
+) -> None:
+    """Add to ``shares`` (S,) the share of each feature's length along which it has edge points of its own, those within
+    ``breadth`` px of its measured place in ``places`` (S,) px; NaN there is a feature that was not found."""
+    across = 0 if upright else 1
+    for i in range(len(points)):
+        j = owners[i]
+        if j >= 0 and abs(points[i, across] - places[j]) <= breadth:
+            shares[j] += 1.0 / lengths[j]
+
+
+@njit(cache=True, nogil=True)
 def faint_lines(
     image: Bytes,
     features: Array,

@@ -23,6 +23,7 @@ class FollowConfiguration(BaseModel):
     faint_lines: bool = True  # features too faint for edge points, by the mean profile across them
     foreshortening: bool = True  # a target at an angle looks narrower
     adaptive_decay: bool = True  # two decays per parameter, weighed by how well they predicted of late
+    probation: bool = True  # follow other places in which the model may lie, until one stands out
     appearance: bool = True  # learn what the target looks like, and do not believe what looks otherwise
 
     # the method
@@ -64,5 +65,6 @@ class FollowConfiguration(BaseModel):
             faint_lines=False,
             foreshortening=False,
             adaptive_decay=False,
+            probation=False,
             appearance=False,
         )

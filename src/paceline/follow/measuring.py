@@ -27,13 +27,14 @@ CREDIBLE = 3.0  # times as large or as small as expected, it is something else
 
 @dataclass(frozen=True, eq=False)
 class Measurement:
-    """A ``fit``, the edge ``points`` (M, 2) px that were believed and their ``owners`` (M,), and what each feature may
-    be off, with the model's own errors: ``allowed`` (S,) px."""
+    """A ``fit``, the edge ``points`` (M, 2) px that were believed and their ``owners`` (M,), what each feature may be
+    off, with the model's own errors: ``allowed`` (S,) px, and how much of its length is found: ``shares`` (S,)."""
 
     fit: Fit
     points: Array
     owners: Indices
     allowed: Array
+    shares: Array
 
     @property
     def residual(self) -> float:
@@ -44,6 +45,15 @@ class Measurement:
     def discord(self) -> float:
         """The same, relative to what is allowed."""
         return float(np.sqrt(((self.fit.offsets / self.allowed)[self.fit.used] ** 2).mean()))
+
+    @property
+    def match(self) -> float:
+        """How much of the model shows, 0 to 1: the mean of all features' shares, each the less the more it is off.
+
+        A long line counts as a short one: what only looks like the target has the long lines in common with it.
+        """
+        off = np.where(self.fit.used, np.nan_to_num(self.fit.offsets), np.inf) / self.allowed
+        return float((self.shares * np.exp(-0.5 * off**2)).mean())
 
     @property
     def agreeing(self) -> NDArray[np.bool_]:
@@ -91,7 +101,10 @@ class Measurer:
             x, doubt = fit.location, np.minimum(doubt, 0.5 * breadth)
         assert fit is not None
         allowed = np.sqrt(breadth**2 + self._tolerance(fit.location))
-        return Measurement(fit, *self._believed(edges, fit), allowed), window
+        shares = np.zeros(len(places))
+        for points, upright, owners in zip(edges, (True, False), self._owners, strict=True):
+            candidates.add_shares(points, owners, upright, places, features.lengths, breadth, shares)
+        return Measurement(fit, *self._believed(edges, fit), allowed, np.minimum(shares, 1.0)), window
 
     def _associate(self, edges: EdgeLists, features: Features, reach: float, brighter: Indices) -> None:
         gates = np.full(len(features.places), reach)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from copy import copy
 from dataclasses import dataclass, replace
 from math import hypot
 
@@ -9,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from paceline.follow import fitting
-from paceline.follow.appearance import INSIDE, Appearance
+from paceline.follow.appearance import Appearance
 from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.edges import Window
 from paceline.follow.features import Projection
@@ -33,12 +35,11 @@ GONE = 3.0
 HELD = 0.85  # likeness at which the picture alone is believed
 ALONE_FOR = 15  # frames in a row for which it is
 PROVEN = 10  # frames in which its features must have shown the target before
-HANDS = (4.0, 12.0)  # times as far as thought the operator's start may be off, where little fits closer by
-POOR, FAIR = 0.5, 0.7  # fitness from which the start is not doubted, and which a place farther off must have
-BETTER = 0.15  # by so much must the model fit better where it is farther off
+ELSEWHERE = 0.08  # sizes of the target from its place, and relative change of scale, at which it is another
 WIDEST = 8.0  # times as far as usual a target is looked for that was lost
 
 FEW = "too few of its features are found"
+OUTSIDE = "too little of it is in the image"
 APART = "what is found does not fit together"
 ALONE = "held by its picture: too few of its features are found"
 
@@ -54,7 +55,6 @@ class Look:
     inside: float = 0.0  # share of the picture that lies in the image
     evidence: Array | None = None  # (S,)
     clear: bool = False  # enough to learn the picture from
-    fitness: float = -1.0  # share of the model's lines found, less their residual over what is allowed
     note: str = ""
 
 
@@ -63,7 +63,7 @@ class Recogniser:
 
     def __init__(self, projection: Projection, configuration: FollowConfiguration) -> None:
         c, target = configuration, projection.target
-        self._projection, self._c = projection, c
+        self.projection, self._c = projection, c
         self._search = Search(target, projection.magnification, projection.camera.image_size, c.edge_threshold)
         self._measurer = Measurer(projection, c)
         self._proven = 0
@@ -78,14 +78,49 @@ class Recogniser:
         if self.appearance.known:
             width = WIDEST if lost else min(max(1.0, tau) ** 0.7, WIDEST)
             return self._found(image, expected, doubt, width, tau, lost)
-        best = self._found(image, expected, doubt, 0.0, tau, lost)
-        for hand in HANDS:
-            if best.fitness >= POOR and not best.complaint:
-                break
-            wide = self._found(image, expected, hand * doubt, 0.0, tau, lost)
-            if not wide.complaint and wide.fitness > max(FAIR, best.fitness + BETTER):
-                best = wide
-        return best
+        return self._found(image, expected, doubt, 0.0, tau, lost)
+
+    def look_at(self, image: Bytes, location: Array, doubt: Array) -> Look:
+        """The target in ``image`` (H, W) at ``location`` (3,), known to within ``doubt`` (3,): nothing is searched."""
+        if not self._search.open_at(image, self.projection.shown(location).location):
+            return Look(OUTSIDE)
+        return self._measured(image, location, doubt, location, doubt, 0.0, False)
+
+    def afresh(self) -> Recogniser:
+        """Another one that has not learned anything; the two work with the same scratch."""
+        other = copy(self)
+        other._proven = other._held_for = 0
+        other.appearance = Appearance(self.projection.target)
+        return other
+
+    def survey(self, image: Bytes, location: Array, reach: float, count: int) -> list[Array]:
+        """Up to ``count`` places (3,) about ``location`` (3,) where the model may lie, the best match first; whatever
+        was learned has no say. Centres are up to ``reach`` sizes of the target away."""
+        shown = self.projection.shown(location)
+        sightings = self._search.survey(image, shown.location, shown.shifts, reach, count)
+        return [place for place, _ in sorted(self._matches(image, sightings), key=lambda found: -found[1])]
+
+    def patrol(self, image: Bytes, location: Array, reach: float, turn: int) -> tuple[Array, float] | None:
+        """As `survey`, in the image looked at last: the best place of one other size, in every ``turn`` another, that
+        shows as much of the model as the target at ``location`` (3,)."""
+        shown = self.projection.shown(location)
+        sightings = self._search.patrol(shown.location, shown.shifts, reach, turn)
+        size = self.projection.size(location[2])
+        elsewhere = [
+            s
+            for s in sightings
+            if hypot(*(s.location[:2] - shown.location[:2])) > ELSEWHERE * size
+            or abs(s.location[2] / location[2] - 1.0) > ELSEWHERE
+        ]
+        return max(self._matches(image, elsewhere), key=lambda found: found[1], default=None)
+
+    def _matches(self, image: Bytes, sightings: list[Sighting]) -> Iterator[tuple[Array, float]]:
+        anyhow = np.zeros(len(self.projection.offsets), np.int64)
+        for sighting in sightings:
+            place = self.projection.ideal(sighting.location)
+            measurement, _ = self._measurer.measure(image, place, sighting.doubt, anyhow)
+            if measurement is not None:
+                yield measurement.fit.location, measurement.match
 
     def learn(self, look: Look) -> None:
         """Take in what a look that was believed has shown."""
@@ -94,20 +129,13 @@ class Recogniser:
         if look.evidence is not None:
             self.appearance.learn(look.evidence, look.inside if look.clear or not self.appearance.known else 0.0)
 
-    def learn_start(self, image: Bytes, location: Array) -> None:
-        """Learn what is at the operator's start, though its features cannot be told there."""
-        shown = self._projection.shown(location)
-        if self._search.open_at(image, shown.location):
-            inside, evidence = self._search.evidence_at(shown.location, shown.shifts, self.appearance)
-            self.appearance.learn(evidence, max(inside, INSIDE))
-
     def _found(self, image: Bytes, expected: Array, doubt: Array, width: float, tau: float, lost: bool) -> Look:
         """Search for the whole model, then measure its features there."""
-        shown, c = self._projection.shown(expected), self._c
+        shown, c = self.projection.shown(expected), self._c
         sighting = self._search.find(image, shown.location, doubt, shown.shifts, width, self.appearance, c.appearance)
         if sighting is None:
             return Look("nothing like the target is in reach")
-        start = self._projection.ideal(sighting.location)
+        start = self.projection.ideal(sighting.location)
         look = self._measured(image, start, sighting.doubt, expected, doubt, tau, lost)
         look = replace(look, window=sighting.window)
         proven = self._proven >= PROVEN and self._held_for < ALONE_FOR and not lost
@@ -117,10 +145,10 @@ class Recogniser:
 
     def _held(self, location: Array, sighting: Sighting) -> Look:
         """The target by its picture alone, where its features cannot be told but everything looks as it did."""
-        n = len(self._projection.offsets)
+        n = len(self.projection.offsets)
         doubt = sighting.doubt * np.array([1.0, 1.0, 1.0 + self._held_for / PROVEN])  # a picture's size drifts
         fit = Fit(location, np.diag(doubt**2), np.zeros(3), 0.0, np.full(n, np.nan), np.zeros(n, bool))
-        shown = self._projection.shown(location)
+        shown = self.projection.shown(location)
         inside, evidence = self._search.evidence_at(shown.location, shown.shifts, self.appearance)
         return Look("", sighting.window, fit, None, inside, evidence, note=ALONE)
 
@@ -129,7 +157,7 @@ class Recogniser:
     ) -> Look:
         """Stages 1 to 4 about ``start`` (3,), known to within ``near`` (3,), and what is to be thought of it."""
         c = self._c
-        brighter = self.appearance.brighter() if c.polarity else np.zeros(len(self._projection.offsets), np.int64)
+        brighter = self.appearance.brighter() if c.polarity else np.zeros(len(self.projection.offsets), np.int64)
         measurement, window = self._measurer.measure(image, start, near, brighter)
         if measurement is None:
             return Look(FEW, window)
@@ -137,11 +165,11 @@ class Recogniser:
         if c.wide_search and c.appearance:
             fit = fitting.fused(fit, start, near)
         look = Look("", window, fit, measurement)
-        if not (c.wide_search or c.appearance or c.polarity):
+        if not (c.wide_search or c.appearance or c.polarity or c.probation):
             return look
-        shown = self._projection.shown(fit.location)
+        shown = self.projection.shown(fit.location)
         if not c.wide_search and not self._search.open_at(image, shown.location):
-            return replace(look, complaint="too little of it is in the image")
+            return replace(look, complaint=OUTSIDE)
         inside, evidence = self._search.evidence_at(shown.location, shown.shifts, self.appearance)
         look = replace(look, inside=inside, evidence=evidence)
         return self._judged(look, fit, measurement, expected, doubt, tau, lost)
@@ -169,4 +197,4 @@ class Recogniser:
                 complaint = "its size jumps"
             elif picture < (ALIKE if tau < GONE else SURE):
                 complaint = "what is found does not look like it"
-        return replace(look, complaint=complaint, clear=clear, fitness=support - 0.5 * discord)
+        return replace(look, complaint=complaint, clear=clear)

@@ -36,6 +36,11 @@ HOPELESS = 0.4  # likeness by which a rival may be behind the best one before th
 MODESTY = 0.01  # likeness that a location one standard deviation from the predicted one must have more
 HAND = 0.05  # the same at the operator's start
 PICTURE = 1.0  # weight of the picture's likeness against the features'
+SPREAD = 0.55, 1.8  # times the scale given between which a survey looks
+APART = 0.04  # sizes of the target, and relative change of scale, that two places of a survey differ by
+STRIDE = 2.0  # px of the searched image between the places of a survey
+WIDER = 3.0  # the same of a patrol, which has to be quick
+SKIP = 2  # rungs from one scale of a patrol to the next
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,6 +123,70 @@ class Search:
         near = np.array([blur, blur, min(found[2] * self._rung(found[2], fine), doubt[2])])
         return Sighting(found[:3], near, window)
 
+    def survey(self, image: Bytes, location: Array, shifts: Array, reach: float, count: int) -> list[Sighting]:
+        """The up to ``count`` places that show most of the model about ``location`` (3,), recorded pixels, the most
+        first: up to ``reach`` sizes of the target away, with scales within `SPREAD`. What was learned has no say."""
+        size = self._target.size * self._magnification * location[2]
+        side = max(1, int(SPREAD[0] * min(size) / DETAIL))
+        window = window_around(location[:2], (ROOM * SPREAD[1] + reach) * size, self._size)
+        if not self._open(image, window, side):
+            return []
+        return self._surveyed(location, shifts, reach, self._spread(location[2]), STRIDE, count, window, 0.0)
+
+    def patrol(self, location: Array, shifts: Array, reach: float, turn: int) -> list[Sighting]:
+        """Of a survey only one scale, in the part of the image searched last, and of that only places that show at
+        least as much of the model as ``location``; in every ``turn`` it is the turn of another scale."""
+        scales = self._spread(location[2])
+        self._respond(location, shifts)
+        least = float(np.minimum(np.abs(self._evidence), search_cpu.FULL).mean())
+        x0, y0 = self._origin.astype(int).tolist()
+        h, w = self._pooled_view.shape
+        window = (x0, y0, x0 + w * self._side, y0 + h * self._side)
+        scale = scales[SKIP * turn % len(scales) :][:1]
+        return self._surveyed(location, shifts, reach, scale, WIDER, 2, window, least)
+
+    def _surveyed(
+        self,
+        location: Array,
+        shifts: Array,
+        reach: float,
+        scales: Array,
+        step: float,
+        count: int,
+        window: Window,
+        least: float,
+    ) -> list[Sighting]:
+        side, size = self._side, max(self._target.size * self._magnification) * location[2]
+        steps = np.full(2, np.ceil(reach * size / side / step))
+        while len(scales) * np.prod(2 * steps + 1) > len(self._scores):
+            step *= 1.25
+            steps = np.full(2, np.ceil(reach * size / side / step))
+        best = np.zeros((count, 4))
+        n = search_cpu.survey(
+            self._vertical_view,
+            self._horizontal_view,
+            (location[:2] - self._origin) / side,
+            steps.astype(np.int64),
+            step,
+            scales,
+            np.log1p(self._rung(location[2], side)),
+            self._magnification / side,
+            self._target.vertical,
+            self._target.places,
+            self._target.spans,
+            shifts / side,
+            np.array([APART * size / side, APART]),
+            self._scores,
+            best,
+        )
+        best[:, :2] = best[:, :2] * side + self._origin
+        blur = 0.5 * step * side
+        return [
+            Sighting(place[:3], np.array([blur, blur, 0.5 * place[2] * self._rung(place[2], side)]), window)
+            for place in best[:n]
+            if place[3] >= least
+        ]
+
     def _closest(self, rivals: Array, doubt: Array, window: Window, appearance: Appearance) -> Sighting:
         """Of the ``rivals`` (B, 4) the one whose picture is most like the learned one, aligned with that."""
         best, best_score = None, -np.inf
@@ -147,6 +216,11 @@ class Search:
         """Look at the target at ``location`` (3,), recorded pixels, in the part of the image searched last, for
         ``appearance`` to compare or to learn: the share of its picture inside, and the evidence (S,) along its
         features."""
+        center, m = self._respond(location, shifts)
+        return appearance.look(self._pooled_view, center, m), self._evidence.copy()
+
+    def _respond(self, location: Array, shifts: Array) -> tuple[Array, Array]:
+        """The evidence along the features for ``location`` (3,); its centre and px per metre in the searched image."""
         m = location[2] * self._magnification / self._side
         center = (location[:2] - self._origin) / self._side
         search_cpu.responses(
@@ -162,12 +236,12 @@ class Search:
             shifts / self._side,
             self._evidence,
         )
-        return appearance.look(self._pooled_view, center, m), self._evidence.copy()
+        return center, m
 
     def open_at(self, image: Bytes, location: Array) -> bool:
         """Make the image about ``location`` (3,), recorded pixels, ready for a look at the target there."""
         size = self._target.size * self._magnification * location[2]
-        side = max(1, int(min(size) / DETAIL) // FINER)
+        side = max(1, int(min(size) / DETAIL))
         return self._open(image, window_around(location[:2], ROOM * size, self._size), side)
 
     def _open(self, image: Bytes, window: Window, side: int) -> bool:
@@ -231,6 +305,12 @@ class Search:
     def _rung(self, scale: float, side: int) -> float:
         """The relative change of scale that moves the target's outline by one pixel of the searched image."""
         return float(side / (0.5 * max(self._target.size * self._magnification) * scale))
+
+    def _spread(self, scale: float) -> Array:
+        """The scales of a survey, by `SPREAD` smaller and greater than ``scale``."""
+        step = np.log1p(self._rung(scale, self._side))
+        low, high = (int(np.ceil(abs(np.log(s)) / step)) for s in SPREAD)
+        return np.asarray(scale * np.exp(step * np.arange(-low, high + 1)), float)
 
     def _ladder(self, scale: float, share: float, side: int) -> Array:
         """The scales to try, up to a ``share`` smaller and greater than ``scale``."""

@@ -13,6 +13,7 @@ Bytes = NDArray[np.uint8]
 Floats = NDArray[np.float32]
 Indices = NDArray[np.int64]
 
+FULL = 1.1  # evidence along a clear line: none counts for more in a survey
 TOLD = 0.3  # share of its own strength that a feature's learned evidence must keep to tell which side is brighter
 
 
@@ -190,5 +191,80 @@ def scan(
         for kk in range(len(scales)):
             for jj in range(max(j - 3, 0), min(j + 4, ny)):
                 for ii in range(max(i - 3, 0), min(i + 4, nx)):
+                    scores[(kk * ny + jj) * nx + ii] = -1.0
+    return count
+
+
+@njit(cache=True, nogil=True)
+def shown(found: Array) -> float:
+    """How much of a model of which nothing is learned yet the evidence ``found`` (S,) along it shows: its mean."""
+    total = 0.0
+    for r in found:
+        total += min(abs(r), FULL)
+    return total / len(found)
+
+
+@njit(cache=True, nogil=True)
+def survey(
+    vertical_sums: Floats,
+    horizontal_sums: Floats,
+    start: Array,
+    reach: Indices,
+    step: float,
+    scales: Array,
+    rung: float,
+    magnification: Array,
+    vertical: NDArray[np.bool_],
+    places: Array,
+    spans: Array,
+    shifts: Array,
+    apart: Array,
+    scores: Array,
+    best: Array,
+) -> int:
+    """The places that show most of a model of which nothing is learned yet, as rows of ``best`` (B, 4): cx, cy, scale
+    and the mean evidence of the features, all of them alike; returns how many.
+
+    ``start`` (2,), ``reach`` (2,), ``step`` and ``scales`` (K,) as in `scan`; the logarithms of these are ``rung``
+    apart. Each place is the best within half a step of one of the grid; those of the grid are ``apart`` (2,) from each
+    other: px in x and y, and in the logarithm of the scale. ``scores`` (≥ K·(2rx+1)·(2ry+1),) is scratch.
+    """
+    nx, ny = 2 * reach[0] + 1, 2 * reach[1] + 1
+    found = np.empty(len(places))
+    for k in range(len(scales)):
+        mx, my = scales[k] * magnification[0], scales[k] * magnification[1]
+        for j in range(ny):
+            cy = start[1] + (j - reach[1]) * step
+            for i in range(nx):
+                cx = start[0] + (i - reach[0]) * step
+                responses(vertical_sums, horizontal_sums, cx, cy, mx, my, vertical, places, spans, shifts, found)
+                scores[(k * ny + j) * nx + i] = shown(found)
+    n = len(scales) * ny * nx
+    near = int(np.ceil(apart[0] / step))
+    count = 0
+    while count < len(best):
+        top = 0
+        for q in range(n):
+            if scores[q] > scores[top]:
+                top = q
+        if scores[top] <= 0.0:
+            break
+        i, j, k = top % nx, (top // nx) % ny, top // (nx * ny)
+        cx, cy = start[0] + (i - reach[0]) * step, start[1] + (j - reach[1]) * step
+        best[count, 3] = -1.0
+        for q in range(27):
+            x, y = cx + 0.5 * step * (q % 3 - 1), cy + 0.5 * step * (q // 3 % 3 - 1)
+            scale = scales[k] * np.exp(0.5 * rung * (q // 9 - 1))
+            mx, my = scale * magnification[0], scale * magnification[1]
+            responses(vertical_sums, horizontal_sums, x, y, mx, my, vertical, places, spans, shifts, found)
+            score = shown(found)
+            if score > best[count, 3]:
+                best[count] = x, y, scale, score
+        count += 1
+        for kk in range(len(scales)):
+            if abs(np.log(scales[kk] / scales[k])) >= apart[1]:
+                continue
+            for jj in range(max(j - near, 0), min(j + near + 1, ny)):
+                for ii in range(max(i - near, 0), min(i + near + 1, nx)):
                     scores[(kk * ny + jj) * nx + ii] = -1.0
     return count

@@ -14,7 +14,8 @@ from paceline.follow import fitting
 from paceline.follow.belief import Belief, Picture
 from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.features import Projection
-from paceline.follow.motion import CYCLE, MotionModels
+from paceline.follow.lock import Lock
+from paceline.follow.probation import Probation
 from paceline.follow.ranging import place_of, recorded
 from paceline.follow.recognition import Look, Recogniser
 from paceline.follow.results import FollowEstimate
@@ -23,11 +24,6 @@ from paceline.follow.target import Target
 
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
-
-HAND = 0.015  # share of the target's size by which an operator's start may be off
-SURPRISE = 2.0  # standard deviations of the scale beyond which a measurement counts less
-FLOOR = 0.3  # px: no prediction is taken to be better than that
-SCALE_FLOOR = 0.003  # nor of the scale, relative
 
 
 class FollowTracker:
@@ -59,13 +55,10 @@ class FollowTracker:
         self.configuration = c = configuration or FollowConfiguration()
         self.projection = Projection(camera, target)
         location = np.array([*camera.undistort_points(center), scale])
-        size = self.projection.size(scale)
-        self.motion = MotionModels(location, HAND * np.array([size, size, scale]), c)
-        self.recogniser = Recogniser(self.projection, c)
+        self.probation = Probation(Lock(location, Recogniser(self.projection, c), c), c)
         self.belief = Belief(c)
         self.steering = Steering(c)
         self._picture = Picture()
-        self._seen_at: float | None = None  # when the target was measured last
         self._time: float | None = None  # of the frame before
 
     def update(self, image: Bytes | None, time: float, frame: int, pose: Pose | None = None) -> FollowEstimate:
@@ -80,44 +73,32 @@ class FollowTracker:
             raise UnusableInput(f"frame {frame}: expected its time in seconds, found {time}")
         jump = self._pass_time(time)
         fault = self._picture.fault(image)
-        tau = 0.0 if self._seen_at is None else (time - self._seen_at) / CYCLE
-        expected, doubt = self.motion.predict(tau)  # stage 6
-        look = Look(fault)
+        for lock in self.probation.locks:
+            lock.predict(time)  # stage 6
+        look, note = Look(fault), ""
         if image is not None and not fault:
-            look = self.recogniser.look(image, expected, doubt, tau, self.belief.lost)  # stages 7 and 1 to 4
+            look = self.lock.look(image, self.belief.lost and not self.probation.pending)  # stages 7 and 1 to 4
+            was_pending = self.probation.pending
+            look, note = self.probation.judge(image, time, look)
+            if was_pending and not self.probation.pending:
+                self.belief = Belief(self.configuration)  # it was confirmed
         status, reason = self.belief.step(time, look.complaint)
         if look.fit is not None and status == "tracking":
-            self._learn(look, tau, time, expected, doubt)  # stage 5
-        elif image is not None and not fault and not self.recogniser.appearance.known:
-            self.recogniser.learn_start(image, expected)
-        return self._estimate(frame, time, pose, began, expected, doubt, look, status, reason or jump or look.note)
+            self.lock.learn(look, time)  # stage 5
+        return self._estimate(frame, time, pose, began, look, status, reason or note or jump or look.note)
 
-    def _learn(self, look: Look, tau: float, time: float, expected: Array, doubt: Array) -> None:
-        """Stage 5, and what the target looks like."""
-        assert look.fit is not None
-        x, weights = look.fit.location, look.fit.weights
-        if self.configuration.adaptive_decay:
-            # (17) says how well the features agree, the covariance also how well they determine each parameter
-            weights = 1.0 / np.sqrt(np.diag(look.fit.covariance))
-            surprise = abs(x[2] - expected[2]) / doubt[2]
-            weights[2] *= min(1.0, SURPRISE / max(surprise, 1e-9))
-            if surprise > SURPRISE:
-                self.motion.doubt_scale()
-        if tau * CYCLE > self.configuration.jump_limit:
-            self.motion.restart(x, weights)
-        self.motion.observe(x, weights, tau, np.array([FLOOR, FLOOR, SCALE_FLOOR * x[2]]))
-        self._seen_at = time
-        self.recogniser.learn(look)
+    @property
+    def lock(self) -> Lock:
+        """What is believed of the target."""
+        return self.probation.lock
 
     def _pass_time(self, time: float) -> str:
         """Note the time of a frame; what is to be said about it where it jumps."""
         last, self._time = self._time, time
         if last is None or 0 < time - last <= self.configuration.jump_limit:
             return ""
-        expected, _ = self.motion.predict((last - (last if self._seen_at is None else self._seen_at)) / CYCLE)
-        self.motion.restart(expected, np.ones(3))
-        if self._seen_at is not None:
-            self._seen_at = time - CYCLE
+        for lock in self.probation.locks:
+            lock.rest(last, time)
         return f"the time jumps by {time - last:.2f} s: its motion is learned anew"
 
     def _checked(self, image: Bytes | None, frame: int) -> Bytes | None:
@@ -139,13 +120,12 @@ class FollowTracker:
         time: float,
         pose: Pose | None,
         began: float,
-        expected: Array,
-        doubt: Array,
         look: Look,
         status: str,
         reason: str,
     ) -> FollowEstimate:
         measured = look.fit is not None and status == "tracking"
+        expected, doubt = self.lock.expected, self.lock.doubt
         location, covariance = expected, np.diag(doubt**2)
         if look.fit is not None and measured:
             location, covariance = look.fit.location, look.fit.covariance

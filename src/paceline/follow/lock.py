@@ -1,0 +1,76 @@
+"""One account of where the target is: how it moves, and what it looks like there."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from paceline.follow.configuration import FollowConfiguration
+from paceline.follow.motion import CYCLE, MotionModels
+from paceline.follow.recognition import Look, Recogniser
+
+Array = NDArray[np.float64]
+Bytes = NDArray[np.uint8]
+
+HAND = 0.015  # share of the target's size by which an operator's start may be off
+SURPRISE = 2.0  # standard deviations of the scale beyond which a measurement counts less
+FLOOR = 0.3  # px: no prediction is taken to be better than that
+SCALE_FLOOR = 0.003  # nor of the scale, relative
+
+
+class Lock:
+    """Follows the target from ``location`` (3,), ideal pixels and scale, which is known as well as a hand sets it.
+
+    ``expected`` (3,) is where it is predicted in the image looked at last, to within ``doubt`` (3,), ``tau`` cycles
+    after it was seen; ``credit`` is what its evidence adds up to where it has rivals.
+    """
+
+    def __init__(self, location: Array, recogniser: Recogniser, configuration: FollowConfiguration) -> None:
+        size = recogniser.projection.size(location[2])
+        self._c = configuration
+        self.seen_at: float | None = None
+        self.motion = MotionModels(location, HAND * np.array([size, size, location[2]]), configuration)
+        self.recogniser = recogniser
+        self.credit = 0.0
+        self.expected, self.doubt = self.motion.predict(0.0)
+        self.tau = 0.0
+
+    def predict(self, time: float) -> None:
+        """Stage 6: where the target is expected at ``time``, s."""
+        self.tau = self._cycles(time)
+        self.expected, self.doubt = self.motion.predict(self.tau)
+
+    def look(self, image: Bytes, lost: bool) -> Look:
+        """Stages 7 and 1 to 4 where the target is expected; ``lost``: it may be anywhere."""
+        return self.recogniser.look(image, self.expected, self.doubt, self.tau, lost)
+
+    def look_here(self, image: Bytes) -> Look:
+        """Stages 1 to 4 where the target is expected and nowhere else: a search would find what lies beside it."""
+        return self.recogniser.look_at(image, self.expected, self.doubt)
+
+    def learn(self, look: Look, time: float) -> None:
+        """Stage 5 with what a look at ``time``, s, has measured, and what the target looks like."""
+        assert look.fit is not None
+        x, weights = look.fit.location, look.fit.weights
+        if self._c.adaptive_decay:
+            # (17) says how well the features agree, the covariance also how well they determine each parameter
+            weights = 1.0 / np.sqrt(np.diag(look.fit.covariance))
+            surprise = abs(x[2] - self.expected[2]) / self.doubt[2]
+            weights[2] *= min(1.0, SURPRISE / max(surprise, 1e-9))
+            if surprise > SURPRISE:
+                self.motion.doubt_scale()
+        if self.tau * CYCLE > self._c.jump_limit:
+            self.motion.restart(x, weights)
+        self.motion.observe(x, weights, self.tau, np.array([FLOOR, FLOOR, SCALE_FLOOR * x[2]]))
+        self.seen_at = time
+        self.recogniser.learn(look)
+
+    def rest(self, last: float, time: float) -> None:
+        """The time jumps from ``last`` to ``time``, s: nothing is known of the motion since."""
+        expected, _ = self.motion.predict(self._cycles(last))
+        self.motion.restart(expected, np.ones(3))
+        if self.seen_at is not None:
+            self.seen_at = time - CYCLE
+
+    def _cycles(self, time: float) -> float:
+        return 0.0 if self.seen_at is None else (time - self.seen_at) / CYCLE

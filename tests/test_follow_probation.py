@@ -1,0 +1,190 @@
+"""The rules by which a start is believed, corrected or left in doubt, and a lock given up: with evidence that is known.
+
+A place of the model is where it is seen and how well it matches, image by image; nothing is drawn or measured.
+"""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from paceline.follow.configuration import FollowConfiguration
+from paceline.follow.fitting import Fit
+from paceline.follow.lock import Lock
+from paceline.follow.measuring import Measurement
+from paceline.follow.probation import CORRECTED, DOUBT, EVERY, NOWHERE, SWITCHED, Probation
+from paceline.follow.recognition import Look
+
+SIZE = 100.0  # px at scale 1
+LINES = 8
+START = np.array([200.0, 150.0, 1.0])
+IMAGE = np.zeros((4, 4), np.uint8)
+
+
+class Places:
+    """Stands for a recogniser that sees the model in known places: (x and y in sizes from the start, scale, match);
+    a match may be a function of the image's number."""
+
+    def __init__(self, *places):
+        self.places = places
+        self.image = 0
+        self.projection = self
+
+    def size(self, scale):
+        return SIZE * scale
+
+    def afresh(self):
+        return self
+
+    def learn(self, look):
+        pass
+
+    def all(self):
+        """Location and match of every place in this image."""
+        for x, y, scale, match in self.places:
+            yield START * [1, 1, scale] + [SIZE * x, SIZE * y, 0], match(self.image) if callable(match) else match
+
+    def look(self, image, expected, doubt, tau, lost):
+        return self.look_at(image, expected, doubt)
+
+    def look_at(self, image, location, doubt):
+        for place, match in self.all():
+            if np.abs((place - location) / [SIZE, SIZE, 1.0]).max() < 0.03:
+                return seen(place, match)
+        return Look("nothing is there")
+
+    def survey(self, image, location, reach, count):
+        return [place for place, match in sorted(self.all(), key=lambda found: -found[1]) if match > 0]
+
+    def patrol(self, image, location, reach, turn):
+        elsewhere = [f for f in self.all() if np.abs((f[0] - location) / [SIZE, SIZE, 1.0]).max() > 0.08 and f[1] > 0]
+        return max(elsewhere, key=lambda found: found[1], default=None)
+
+
+def seen(place, match):
+    used = np.ones(LINES, bool)
+    fit = Fit(place, np.diag([0.01, 0.01, 1e-6]), np.ones(3), 0.1, np.zeros(LINES), used)
+    none = np.zeros((0, 2)), np.zeros(0, np.int64)
+    return Look("", fit=fit, measurement=Measurement(fit, *none, np.ones(LINES), np.full(LINES, match)))
+
+
+class Watch:
+    """A probation fed with images, at 15 frames/s, as the tracker feeds it."""
+
+    def __init__(self, *places):
+        configuration = FollowConfiguration()
+        self.places = Places(*places)
+        self.probation = Probation(Lock(START, self.places, configuration), configuration)
+
+    def see(self, images=1, hidden=False):
+        """The complaint or else the note of each image."""
+        said = []
+        for _ in range(images):
+            time = self.places.image / 15
+            for lock in self.probation.locks:
+                lock.predict(time)
+            look = Look("hidden") if hidden else self.probation.lock.look(IMAGE, False)
+            look, note = self.probation.judge(IMAGE, time, look)
+            if not look.complaint:
+                self.probation.lock.learn(look, time)
+            said.append(look.complaint or note)
+            self.places.image += 1
+        return said
+
+    @property
+    def at(self):
+        """Where the lock is: x, y in sizes from the start, and scale."""
+        return (self.probation.lock.expected - START * [1, 1, 0]) / [SIZE, SIZE, 1.0]
+
+
+def test_a_start_that_is_no_worse_than_any_other_place_is_believed_at_once():
+    watch = Watch((0, 0, 1, 0.6), (0.3, 0, 1, 0.6), (0, 0.4, 0.7, 0.55))
+    assert watch.see(10) == [""] * 10 and not watch.probation.pending
+    np.testing.assert_allclose(watch.at, [0, 0, 1], atol=1e-6)
+
+
+def test_a_place_hardly_beside_it_raises_no_doubt_and_the_better_one_is_taken():
+    watch = Watch((0, 0, 1, 0.5), (0.05, 0, 1, 0.7))
+    assert watch.see(5) == [""] * 5
+    np.testing.assert_allclose(watch.at, [0.05, 0, 1], atol=1e-6)
+
+
+def test_a_better_place_is_doubted_first_and_then_believed_with_a_note():
+    watch = Watch((0, 0, 1, 0.4), (0.3, 0, 1, 0.8))
+    assert watch.see(4) == [DOUBT, CORRECTED, "", ""]
+    np.testing.assert_allclose(watch.at, [0.3, 0, 1], atol=1e-6)
+
+
+def test_where_two_places_match_alike_the_doubt_lasts_until_one_of_them_fades():
+    watch = Watch((0, 0, 1, 0.2), (-0.3, 0, 1, 0.7), (0.3, 0, 1, lambda image: 0.7 if image < 40 else 0.3))
+    assert watch.see(40) == [DOUBT] * 40 and watch.probation.pending
+    said = watch.see(20)
+    assert said[0] == DOUBT and CORRECTED in said and said[-1] == ""
+    np.testing.assert_allclose(watch.at, [-0.3, 0, 1], atol=1e-6)
+
+
+def test_of_two_that_match_alike_the_smaller_one_leads_not():
+    watch = Watch((0, 0, 1, 0.2), (-0.3, 0, 1.3, 0.7), (0.3, 0, 1 / 1.3, 0.7))
+    assert set(watch.see(5)) == {DOUBT}
+    assert watch.at[2] == pytest.approx(1.3, abs=1e-6)
+
+
+def test_a_start_where_hardly_anything_matches_is_never_believed():
+    watch = Watch((0, 0, 1, 0.3))
+    assert watch.see(30) == [NOWHERE] * 30
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.floats(0.6, 1.0),
+    st.permutations([(-0.4, 0.0), (0.3, 0.3), (0.0, -0.3), (0.45, -0.2), (0.0, 0.0)]),
+    st.lists(st.floats(0.0, 1.0), min_size=4, max_size=4),
+)
+def test_whatever_else_there_is_a_place_that_matches_clearly_better_is_found(match, places, shares):
+    """Every image tells the others apart by 0.15, of which 0.06 is not counted; 0.6 is what start and doubt cost."""
+    others = [(*place, 1.0, share * (match - 0.15)) for place, share in zip(places[1:], shares, strict=True)]
+    watch = Watch((*places[0], 1.0, match), *others)
+    said = watch.see(2 + int(0.6 / (0.15 - 0.06)))
+    assert said[-1] == "" and not watch.probation.pending
+    np.testing.assert_allclose(watch.at, [*places[0], 1.0], atol=1e-6)
+
+
+def test_a_lock_is_given_up_for_a_place_that_matches_better_in_several_images():
+    watch = Watch((0, 0, 1, 0.5), (0.3, 0, 1, lambda image: 0.8 if image >= 30 else 0.0))
+    said = watch.see(60)
+    assert said.count(SWITCHED) == 1 and said.index(SWITCHED) > 31 and set(said) == {"", SWITCHED}
+    np.testing.assert_allclose(watch.at, [0.3, 0, 1], atol=1e-6)
+
+
+def test_a_lock_is_kept_where_another_place_is_hardly_better():
+    watch = Watch((0, 0, 1, 0.5), (0.3, 0, 1, lambda image: 0.55 if image >= 5 else 0.0))
+    assert watch.see(120) == [""] * 120
+    np.testing.assert_allclose(watch.at, [0, 0, 1], atol=1e-6)
+
+
+def test_a_lock_is_kept_where_another_place_is_better_in_single_images():
+    watch = Watch((0, 0, 1, 0.5), (0.3, 0, 1, lambda image: 0.8 if image % EVERY == EVERY - 1 else 0.3))
+    followed = 0
+    for _ in range(120):
+        assert watch.see() == [""]
+        followed = max(followed, len(watch.probation.locks))
+    assert followed == 2  # it was tried
+    np.testing.assert_allclose(watch.at, [0, 0, 1], atol=1e-6)
+
+
+def test_while_the_target_is_hidden_what_stands_beside_it_does_not_take_over():
+    """A trial has just begun when it is hidden; the other place matches as well as it did, and no better."""
+    watch = Watch((0, 0, 1, 0.6), (0.3, 0, 1, lambda image: 0.8 if image == 2 * EVERY - 1 else 0.62))
+    watch.see(2 * EVERY)
+    assert len(watch.probation.locks) == 2
+    assert watch.see(20, hidden=True) == ["hidden"] * 20 and len(watch.probation.locks) == 1
+    assert watch.see(5) == [""] * 5
+    np.testing.assert_allclose(watch.at, [0, 0, 1], atol=1e-6)
+
+
+def test_without_probation_nothing_is_doubted():
+    configuration = FollowConfiguration(probation=False)
+    lock = Lock(START, Places((0, 0, 1, 0.4), (0.3, 0, 1, 0.9)), configuration)
+    probation = Probation(lock, configuration)
+    look = lock.look(IMAGE, False)
+    assert probation.judge(IMAGE, 0.0, look) == (look, "") and probation.locks == [lock]
