@@ -103,6 +103,12 @@ def test_a_start_that_is_no_worse_than_any_other_place_is_believed_at_once():
     np.testing.assert_allclose(watch.at, [0, 0, 1], atol=1e-6)
 
 
+@pytest.mark.parametrize(("better", "first"), [(0.09, ""), (0.11, DOUBT)])
+def test_a_start_is_doubted_from_the_first_image_on_only_where_another_place_is_clearly_better(better, first):
+    watch = Watch((0, 0, 1, 0.6), (0.12, 0, 1, 0.6 + better))
+    assert watch.see(1) == [first] and watch.probation.pending == bool(first)
+
+
 def test_a_place_hardly_beside_it_raises_no_doubt_and_the_better_one_is_taken():
     watch = Watch((0, 0, 1, 0.5), (0.05, 0, 1, 0.7))
     assert watch.see(5) == [""] * 5

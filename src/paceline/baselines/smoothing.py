@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 MOST_DEGREE = 4
-SAMPLES = 65
+SAMPLES = 257  # of the speed along a way, for its mean
 MODELS = {1: "constant velocity", 2: "constant acceleration"}
 
 

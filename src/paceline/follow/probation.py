@@ -23,6 +23,7 @@ SAME = 0.02  # of the size, in place and scale, within which two places are one
 BESIDE = 0.08  # the same of two locks: the start is not in doubt by the one, and only the better one is kept
 HAND_SET, CLOSE = 0.35, 0.1  # credit for being at the start, and in how many sizes from it most of that is gone
 SMALL = 0.15  # power of a place's scale with which it counts
+CLEAR = 0.1  # match by which another place must exceed the operator's to put it in doubt
 SURE = 0.25  # credit by which a lock is behind that is given up,
 SLIGHT = 0.06  # and so much more for every image: a small difference tells nothing, however long it lasts
 OFF = 0.06  # sizes from the start, or relative scale, at which the operator is told
@@ -82,6 +83,9 @@ class Probation:
             self.lock.credit, self._turn = self._near_start(looks[0], self.lock), 0
         pairs = list(zip(self.locks, looks, strict=True))
         pairs += self._newcomers(image, time, looks)
+        if self._is_good(looks[0], [look for _, look in pairs[1:]]):
+            self._turn += 1
+            return self._settle(image, time, looks[0])
         for lock, look in pairs:
             lock.credit += self._worth(look)
         leader, look = max(pairs, key=lambda pair: pair[0].credit)
@@ -104,6 +108,13 @@ class Probation:
             if not seen.complaint:
                 lock.learn(seen, time)
         return Look(DOUBT if rivals else NOWHERE, look.window), ""
+
+    def _is_good(self, own: Look, others: list[Look]) -> bool:
+        """Whether the first image leaves no doubt: the model fits where the operator put it, and nowhere clearly
+        better. Hands err less than a match does among frames within frames."""
+        if self._turn or own.complaint or own.fit is None or self._distance(own.fit.location, self._start) > BESIDE:
+            return False
+        return _match(own) >= max([LEAST, *(_match(other) - CLEAR for other in others)])
 
     def _newcomers(self, image: Bytes, time: float, looks: list[Look]) -> list[tuple[Lock, Look]]:
         """Locks on the best places about the start in the first image, and what they see; later on the best one alone,
