@@ -20,6 +20,7 @@ from typing import Any, TypeVar
 import numpy as np
 import yaml
 from common import head, machine, measured, read_truth, rms, row, share_out, true_mean
+from follow import OFF_PLACE, OFF_RANGE, SEEN, WITHIN
 
 from paceline import UnusableInput, load_clip, load_follow, open_camera
 from paceline.follow.following import follow
@@ -28,9 +29,6 @@ from paceline.units import SpeedUnit
 
 KMH = SpeedUnit.KMH.mps
 NAN = float("nan")
-SEEN = 0.6  # of the rear plane must be visible where a frame counts
-OFF_RANGE, OFF_PLACE = 0.2, 0.25  # relative, and in widths of the vehicle: an estimate that is of something else
-WITHIN = 1.96  # standard deviations, of a 95 % interval
 
 Groups = dict[str, Callable[[Any], bool]]
 Outcome = TypeVar("Outcome")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from paceline.commands import print_columns
 from paceline.commands.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -50,9 +51,7 @@ def _print_drive(result: DriveResult) -> None:
         f"up to {3.6 * f.speed_max:.0f} km/h"
     )
     rows = [("what must hold", "found", "must be", ""), *map(requirement_words, result.requirements)]
-    widths = [max(len(row[i]) for row in rows) for i in range(3)]
-    for *cells, verdict in rows:
-        print("  ".join(cell.ljust(width) for cell, width in zip(cells, widths, strict=True)) + f"  {verdict}".rstrip())
+    print_columns(rows)
     taken = result.processing
     print(f"processing time {1e3 * taken['median']:.2f} ms per picture, 99 of 100 within {1e3 * taken['p99']:.2f} ms")
     for notice in result.notices:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from paceline.commands import DONE, NOTHING_MEASURED
+from paceline.commands import DONE, NOTHING_MEASURED, print_columns
 from paceline.commands.progress import progress_bar
 from paceline.errors import UnusableInput
 
@@ -126,9 +126,7 @@ def _print_result(result: ClipResult, unit: str) -> None:
         interval = f"{words.lo} to {words.hi}" if words.lo != MISSING else MISSING
         speed = f"{words.speed} ± {words.plus_minus}" if words.known else MISSING
         rows.append((m.vehicle, speed, interval, f"{m.verdict}: {m.reason}" if m.reason else m.verdict))
-    widths = [max(len(row[i]) for row in rows) for i in range(3)]
-    for *cells, verdict in rows:
-        print("  ".join(cell.ljust(width) for cell, width in zip(cells, widths, strict=True)) + f"  {verdict}")
+    print_columns(rows)
     if not result.measurements:
         print("no vehicle was found")
     for notice in [*result.notices, *(f"{m.vehicle}: {text}" for m in result.measurements for text in m.notices)]:

@@ -82,10 +82,10 @@ class Probation:
         if not self._rivals:
             self.lock.credit, self._turn = self._near_start(looks[0], self.lock), 0
         pairs = list(zip(self.locks, looks, strict=True))
-        pairs += self._newcomers(image, time, looks)
+        pairs += self._newcomers(image, looks)
         if self._is_good(looks[0], [look for _, look in pairs[1:]]):
             self._turn += 1
-            return self._settle(image, time, looks[0])
+            return self._settle(image, looks[0])
         for lock, look in pairs:
             lock.credit += self._worth(look)
         leader, look = max(pairs, key=lambda pair: pair[0].credit)
@@ -103,7 +103,7 @@ class Probation:
         leader.credit = most
         self.lock, self._rivals = leader, [lock for lock, _ in rivals]
         if not rivals and not look.complaint and _match(look) >= LEAST:
-            return self._settle(image, time, look)
+            return self._settle(image, look)
         for lock, seen in [(leader, look), *rivals]:
             if not seen.complaint:
                 lock.learn(seen, time)
@@ -116,7 +116,7 @@ class Probation:
             return False
         return _match(own) >= max([LEAST, *(_match(other) - CLEAR for other in others)])
 
-    def _newcomers(self, image: Bytes, time: float, looks: list[Look]) -> list[tuple[Lock, Look]]:
+    def _newcomers(self, image: Bytes, looks: list[Look]) -> list[tuple[Lock, Look]]:
         """Locks on the best places about the start in the first image, and what they see; later on the best one alone,
         where it matches better than all that are followed."""
         places = self.lock.recogniser.survey(image, self._start, REACH, PLACES)
@@ -136,7 +136,7 @@ class Probation:
                 break
         return found
 
-    def _settle(self, image: Bytes, time: float, look: Look) -> tuple[Look, str]:
+    def _settle(self, image: Bytes, look: Look) -> tuple[Look, str]:
         """The target is where the lock is; what that has learned on its way there may be of another place."""
         self.pending = False
         place = _place(look, self.lock)

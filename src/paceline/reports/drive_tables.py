@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import csv
-import json
 from pathlib import Path
 from types import TracebackType
 
-from paceline.reports.tables import as_json, cell
+from paceline.reports.tables import cell, write_json
 from paceline.simulation.driving.loop import Step
 from paceline.simulation.driving.results import DriveResult
 
@@ -87,5 +86,4 @@ def write_drive_summary(result: DriveResult, file: Path) -> None:
         "versions": result.versions,
         "seconds": result.seconds,
     }
-    text = json.dumps(as_json(summary), indent=2, ensure_ascii=False, allow_nan=False)
-    file.write_text(text + "\n", encoding="utf-8")
+    write_json(summary, file)

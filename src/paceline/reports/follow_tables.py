@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 from pathlib import Path
 from types import TracebackType
 
@@ -11,7 +10,7 @@ import numpy as np
 
 from paceline.follow.history import Tally
 from paceline.follow.results import FollowEstimate, FollowResult
-from paceline.reports.tables import as_json, cell
+from paceline.reports.tables import cell, write_json
 
 COLUMNS = [
     "frame", "time_s", "cx", "cy", "scale", "w_x", "w_y", "w_scale", "x_m", "y_m", "z_m", "steering_rad", "status",
@@ -71,8 +70,7 @@ def write_summary(result: FollowResult, tally: Tally, file: Path) -> None:
         "versions": result.versions,
         "seconds": result.seconds,
     }  # fmt: skip
-    text = json.dumps(as_json(summary), indent=2, ensure_ascii=False, allow_nan=False)
-    file.write_text(text + "\n", encoding="utf-8")
+    write_json(summary, file)
 
 
 def middle(values: np.ndarray, share: float = 0.5) -> float:

@@ -54,8 +54,7 @@ def write_summary(result: ClipResult, file: Path) -> None:
         "versions": result.versions,
         "seconds": result.seconds,
     }
-    text = json.dumps(as_json(summary), indent=2, ensure_ascii=False, allow_nan=False)
-    file.write_text(text + "\n", encoding="utf-8")
+    write_json(summary, file)
 
 
 def _vehicle(measurement: Measurement) -> dict[str, object]:
@@ -74,6 +73,12 @@ def _vehicle(measurement: Measurement) -> dict[str, object]:
         "residual_rms": measurement.residual_rms,
         "notices": measurement.notices,
     }
+
+
+def write_json(document: dict[str, object], file: Path) -> None:
+    """Writes ``document`` as JSON for people too; what is not finite becomes null."""
+    text = json.dumps(as_json(document), indent=2, ensure_ascii=False, allow_nan=False)
+    file.write_text(text + "\n", encoding="utf-8")
 
 
 def as_json(value: object) -> object:

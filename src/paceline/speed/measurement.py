@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from importlib import metadata
 from pathlib import Path as FilePath
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,6 +59,29 @@ def measure(
 
     ``progress`` is called with frames done and frames in all. Raises UnusableInput.
     """
+    return measure_each(clip, recording, configuration, _Run, progress)
+
+
+class Run(Protocol):
+    """One vehicle on its way through a clip."""
+
+    def see(self, frame: StereoFrame) -> bool:
+        """Follow the vehicle into ``frame``; whether it can be followed further."""
+
+    def result(self) -> Measurement:
+        """The measurement by what was seen."""
+
+
+def measure_each(
+    clip: Clip,
+    recording: StereoRecording,
+    configuration: SpeedConfiguration,
+    begin: Callable[[Clip, VehicleDocument, dict[str, Path], SpeedConfiguration], Run],
+    progress: Progress | None = None,
+    *,
+    on_paths: bool = True,
+) -> ClipResult:
+    """As `measure`, by the runs that ``begin`` makes; drawn paths are reconstructed for them only if ``on_paths``."""
     begun = time.perf_counter()
     if not clip.vehicles:
         raise UnusableInput(f"{clip.path}: vehicles: none is outlined; expected at least one vehicle to measure")
@@ -67,8 +91,8 @@ def measure(
                 f"{clip.path}: vehicles: {vehicle.id}: frame {vehicle.frame} is not in the recording; "
                 f"expected one of its frames {recording.indices[0]} to {recording.indices[-1]}"
             )
-    drawn = _reconstruct(clip, configuration)
-    runs = {v.id: _Run(clip, v, drawn, configuration) for v in clip.vehicles}
+    drawn = _reconstruct(clip, configuration) if on_paths else {}
+    runs = {v.id: begin(clip, v, drawn, configuration) for v in clip.vehicles}
     done: dict[str, Measurement] = {}
     total = len(recording)
     for count, frame in enumerate(recording.frames(), start=1):
