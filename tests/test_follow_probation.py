@@ -33,6 +33,12 @@ class Places:
     def size(self, scale):
         return SIZE * scale
 
+    def distance(self, scale):
+        return 10 / scale
+
+    def drop(self, location):
+        return 0.0
+
     def afresh(self):
         return self
 

@@ -32,7 +32,7 @@ class Camera:
     K: Array
     distortion: Array = field(default_factory=lambda: np.zeros(0))
 
-    @property
+    @cached_property
     def has_distortion(self) -> bool:
         return bool(np.any(self.distortion))
 
@@ -80,13 +80,25 @@ class RigUncertainty:
     """Standard uncertainties of a calibration (one sigma), as stated under ``uncertainty`` in rig.yaml.
 
     ``focal_length_px`` and ``principal_point_px`` hold for each axis of each camera independently;
-    ``rotation_rad`` and ``translation_m`` are about and along the right camera's x, y, z.
+    ``rotation_rad`` and ``translation_m`` are about and along the right camera's x, y, z. ``covariance`` (14, 14),
+    where there is one, counts in their place: of the left fx, fy, cx, cy, the right ones, rotation, translation.
     """
 
     focal_length_px: float = 0.0
     principal_point_px: float = 0.0
     rotation_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
     translation_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    covariance: Array | None = field(default=None, compare=False)
+
+    @property
+    def moves(self) -> Array:
+        """Independent changes (M, 14) of the parameters, one standard uncertainty each: U with UᵀU the covariance."""
+        if self.covariance is None:
+            pinhole = [self.focal_length_px] * 2 + [self.principal_point_px] * 2
+            return np.diag([*pinhole, *pinhole, *self.rotation_rad, *self.translation_m])
+        size = np.sqrt(np.maximum(np.diag(self.covariance), 1e-300))  # of unlike units: axes of the correlations
+        share, axes = np.linalg.eigh(self.covariance / np.outer(size, size))
+        return np.asarray((axes * np.sqrt(np.maximum(share, 0.0))).T * size)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,3 +133,19 @@ class StereoRig:
         """F (3, 3) with ``x_rightᵀ F x_left = 0``."""
         tx = np.array([[0, -self.t[2], self.t[1]], [self.t[2], 0, -self.t[0]], [-self.t[1], self.t[0], 0]])
         return np.asarray(self.right.K_inv.T @ tx @ self.R @ self.left.K_inv)
+
+
+def moved_rig(rig: StereoRig, move: Array) -> StereoRig:
+    """``rig`` with its parameters changed by ``move`` (14,), in the order and about the axes of
+    :class:`RigUncertainty`; it keeps the lenses' distortion out, as everything above this room does."""
+    left, right = (
+        Camera(camera.image_size, camera.K + [[m[0], 0, m[2]], [0, m[1], m[3]], [0, 0, 0]])
+        for camera, m in zip(rig.cameras, (move[:4], move[4:8]), strict=True)
+    )
+    turn = np.asarray(cv2.Rodrigues(move[8:11])[0])
+    return StereoRig(left, right, turn @ rig.R, turn @ rig.t + move[11:])
+
+
+def moved_rigs(rig: StereoRig, uncertainty: RigUncertainty) -> list[StereoRig]:
+    """Rigs that each differ from ``rig`` by one standard uncertainty of its calibration, in independent ways."""
+    return [moved_rig(rig, move) for move in uncertainty.moves]

@@ -27,6 +27,12 @@ NEUTRAL = 0.5  # likeness where the picture shows nothing that could be compared
 UNKNOWN = 0.5  # evidence that a feature is expected to show before anything is learned
 PICTURE_RATE = 0.02  # of learning, per frame
 FEATURE_RATE = 0.1
+MATCH_RISES, MATCH_FALLS = 0.05, 0.01  # what hides a part of the target for long is not usual
+KEEPSAKE_RATE = 0.002  # of the picture that is kept for long
+OLD = 30  # pictures of which it is the mean at first
+DRIFTED = 0.04  # sizes of the target, or relative scale, by which the two pictures may disagree
+GAIN = 0.04  # likeness by which the place of the old one must be the better
+FREE, PATIENT = 0.3, 8  # relative deviation of the scale, and steps, when the old one is aligned
 INSIDE = 0.9  # share of the samples that must lie in the image
 
 
@@ -51,61 +57,103 @@ class Appearance:
         self.signed = np.zeros(len(target.segments))
         self.strength = np.full(len(target.segments), UNKNOWN)
         self.lengths: Array = target.spans[:, 1] - target.spans[:, 0]
+        self.match = 0.0  # how much of the model usually shows
         self.known = False
         grown = MARGIN * target.size
         self._box = target.box + np.concatenate([-grown, grown])
         self._picture = np.zeros(SHAPE, np.float32)
-        self._seen = np.zeros(SHAPE, np.float32)
+        self._keepsake = np.zeros(SHAPE, np.float32)
+        self._learned = 0
+        self._seen, self._there = np.zeros(SHAPE, np.float32), np.zeros(SHAPE, np.float32)
         self._correlations = np.zeros((SHAPE[0] // CELL) * (SHAPE[1] // CELL))
 
     def look(self, image: Bytes, center: Array, magnification: Array) -> float:
         """Sample ``image`` where the target would be centred at ``center`` (2,) px with ``magnification`` (2,) px per
         metre; returns the share of the samples inside the image."""
+        return self._sample(image, center, magnification, self._seen) / self._seen.size
+
+    def _sample(self, image: Bytes, center: Array, magnification: Array, out: Floats) -> int:
         x0, y0, x1, y1 = self._box
         dx, dy = (x1 - x0) * magnification[0] / SHAPE[1], (y1 - y0) * magnification[1] / SHAPE[0]
         left, top = center[0] + x0 * magnification[0] + 0.5 * dx, center[1] + y0 * magnification[1] + 0.5 * dy
-        inside = picture_cpu.sample(image, left, top, dx, dy, self._seen)
-        return inside / self._seen.size
+        return picture_cpu.sample(image, left, top, dx, dy, out)
 
     def likeness(self) -> float:
         """How alike what was looked at last and the learned picture are, −1 to 1; 1 where nothing is known yet."""
         if not self.known:
             return 1.0
-        n = picture_cpu.cell_correlations(self._seen, self._picture, CELL, PLAIN, self._correlations)
-        if n == 0:
-            return NEUTRAL
-        best = np.sort(self._correlations[:n])[n - max(1, round(BEST * n)) :]
-        return float(best.mean())
+        return self._alike(self._seen, self._picture)
+
+    def _alike(self, seen: Floats, picture: Floats) -> float:
+        return float(picture_cpu.likeness(seen, picture, CELL, PLAIN, BEST, NEUTRAL, self._correlations))
 
     def align(self, image: Bytes, location: Array, magnification: Array, steady: float) -> Array | None:
         """Move ``location`` (3,) until ``image`` shows the learned picture there; its covariance (3, 3), or None where
         nothing of the picture is found. ``magnification`` (2,) is in px per metre at scale 1, ``steady`` the relative
         standard deviation of the scale given."""
+        return self._align(image, self._picture, location, magnification, steady, STEPS, self._seen)
+
+    def went_from(self, image: Bytes, location: Array, magnification: Array) -> Array | None:
+        """Where, at the size it had then, the target lies that was looked at last at ``location`` (3,), by the picture
+        that was learned long ago; None where that agrees or cannot tell. The picture of late goes wherever a lock
+        slides, say from a pole to the next; ``magnification`` as in `align`."""
+        if self._learned < OLD:
+            return None
+        place, size = location.copy(), max(self._box[2:] - self._box[:2]) * magnification[0] * location[2]
+        if self._align(image, self._keepsake, place, magnification, FREE, PATIENT, self._there) is None:
+            return None
+        if max(np.abs(place[:2] - location[:2]).max() / size, abs(np.log(place[2] / location[2]))) < DRIFTED:
+            return None
+        here = self._alike(self._seen, self._keepsake)
+        self._sample(image, place[:2], magnification * place[2], self._there)
+        return place if self._alike(self._there, self._keepsake) > here + GAIN else None
+
+    def restore(self) -> None:
+        """Take the picture that was learned long ago for the one of late."""
+        self._picture[:] = self._keepsake
+
+    def _align(
+        self,
+        image: Bytes,
+        picture: Floats,
+        location: Array,
+        magnification: Array,
+        steady: float,
+        steps: int,
+        scratch: Floats,
+    ) -> Array | None:
         covariance = np.zeros((3, 3))
         good = picture_cpu.align(
             image,
-            self._picture,
+            picture,
             self._box,
             location,
             magnification,
             steady,
-            STEPS,
+            steps,
             CELL,
             PLAIN,
             BORDER,
-            self._seen,
+            scratch,
             covariance,
         )
         return covariance if good and np.all(np.diag(covariance) > 0.0) else None
 
-    def learn(self, evidence: Array, inside: float) -> None:
-        """Take in what was looked at last, and the ``evidence`` (S,) along the features there."""
+    def learn(self, evidence: Array, match: float | None, inside: float) -> None:
+        """Take in what was looked at last, the ``evidence`` (S,) along the features there, and what ``match`` the model
+        had where that was measured."""
+        if match is not None:
+            rate = (MATCH_RISES if match > self.match else MATCH_FALLS) if self.match else 1.0
+            self.match += rate * (match - self.match)
         rate = FEATURE_RATE if self.known else 1.0
         self.signed += rate * (evidence - self.signed)
         self.strength += (FEATURE_RATE if self.known else 0.5) * (np.abs(evidence) - self.strength)
         if inside >= INSIDE:
             rate = PICTURE_RATE if self.known else 1.0
             self._picture += np.float32(rate) * (self._seen - self._picture)
+            self._learned += 1
+            old = KEEPSAKE_RATE if self._learned > OLD else 1.0 / self._learned
+            self._keepsake += np.float32(old) * (self._seen - self._keepsake)
             self.known = True
 
     def brighter(self) -> Indices:

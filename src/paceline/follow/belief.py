@@ -12,6 +12,7 @@ Bytes = NDArray[np.uint8]
 EVERY = 8  # only every eighth row of an image is looked at to tell whether it shows anything
 DARK, BRIGHT, FLAT = 4, 251, 3  # grey levels: a black and a white image, and one without contrast
 CONFIRM = 3  # frames in a row that must show a target that was lost before it is believed
+TWICE, BRIEF = 2, 0.25  # and one that was only hidden, for so many s
 
 
 class Picture:
@@ -55,10 +56,11 @@ class Belief:
 
     @property
     def lost(self) -> bool:
-        return self.status == "lost" or self._streak > 0
+        return self.status == "lost" or (self._streak > 0 and not self._seen)
 
-    def step(self, time: float, complaint: str) -> tuple[str, str]:
-        """The status and its reason at ``time``, s, with the target seen, or not seen because of ``complaint``."""
+    def step(self, time: float, complaint: str, steady: bool = True) -> tuple[str, str]:
+        """The status and its reason at ``time``, s, with the target seen, or not seen because of ``complaint``;
+        ``steady``: where the frame before has shown it."""
         if complaint:
             self._streak = 0
             if self._unseen_since is None:
@@ -69,11 +71,16 @@ class Belief:
         if self.status == "tracking":
             self._seen = True
             return "tracking", ""
-        if self.status == "lost" or not self._seen:
-            self._streak += 1
-            if self._streak < self._confirm:
-                return self.status, "something like the target is seen again; waiting to be sure"
-        since = time - (time if self._unseen_since is None else self._unseen_since)
+        gone = 0.0 if self._unseen_since is None else time - self._unseen_since
+        self._streak = self._streak + 1 if steady else 1
+        if self._streak < self._needed(gone):
+            return self.status, "something like the target is seen again; waiting to be sure"
         self._seen = True
         was, self.status, self._streak, self._unseen_since = self.status, "tracking", 0, None
-        return "tracking", f"reacquired after {since:.1f} s {'lost' if was == 'lost' else 'of coasting'}"
+        return "tracking", f"reacquired after {gone:.1f} s {'lost' if was == 'lost' else 'of coasting'}"
+
+    def _needed(self, gone: float) -> int:
+        """How many frames in a row must show a target that was not seen for ``gone`` s."""
+        if self.status == "lost" or not self._seen:
+            return self._confirm
+        return min(TWICE, self._confirm) if gone > BRIEF else 1

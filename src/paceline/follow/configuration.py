@@ -25,6 +25,8 @@ class FollowConfiguration(BaseModel):
     adaptive_decay: bool = True  # two decays per parameter, weighed by how well they predicted of late
     probation: bool = True  # follow other places in which the model may lie, until one stands out
     appearance: bool = True  # learn what the target looks like, and do not believe what looks otherwise
+    keepsake: bool = True  # a picture learned long ago tells when the lock has slid along other edges
+    continuity: bool = True  # do not believe what leaps or flies
 
     # the method
     edge_threshold: float = Field(4.0, ge=0, le=255)  # grey levels of 255
@@ -67,4 +69,6 @@ class FollowConfiguration(BaseModel):
             adaptive_decay=False,
             probation=False,
             appearance=False,
+            keepsake=False,
+            continuity=False,
         )

@@ -49,6 +49,14 @@ class Projection:
         """The target's greater extent, px."""
         return float(max(self.target.size * self.magnification) * scale)
 
+    def distance(self, scale: float) -> float:
+        """m from the camera at this scale (36)."""
+        return float(self.target.nominal_range / scale)
+
+    def drop(self, location: Array) -> float:
+        """How far the target's centre is below a level camera, m."""
+        return float((location[1] - self.camera.K[1, 2]) / (self.magnification[1] * location[2]))
+
     def lines(self, location: Array) -> Array:
         """(S, 2, 2): the ends of all segments, ideal pixels."""
         return self.target.lines(location[:2], location[2], self.magnification)

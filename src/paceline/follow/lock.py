@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from paceline.follow.configuration import FollowConfiguration
+from paceline.follow.continuity import Continuity
 from paceline.follow.motion import CYCLE, MotionModels
 from paceline.follow.recognition import Look, Recogniser
 
@@ -34,6 +37,7 @@ class Lock:
         self.credit = 0.0
         self.expected, self.doubt = self.motion.predict(0.0)
         self.tau = 0.0
+        self.continuity = Continuity(recogniser.projection, location)
 
     def predict(self, time: float) -> None:
         """Stage 6: where the target is expected at ``time``, s."""
@@ -42,7 +46,13 @@ class Lock:
 
     def look(self, image: Bytes, lost: bool) -> Look:
         """Stages 7 and 1 to 4 where the target is expected; ``lost``: it may be anywhere."""
-        return self.recogniser.look(image, self.expected, self.doubt, self.tau, lost)
+        look = self.recogniser.look(image, self.expected, self.doubt, self.tau, lost)
+        if look.fit is None or look.slid:
+            return look
+        self.continuity.sight(look.fit.location)
+        if look.complaint or self.seen_at is None or not self._c.continuity:
+            return look
+        return replace(look, complaint=self.continuity.complaint(look.fit.location, self.expected, self.tau * CYCLE))
 
     def look_here(self, image: Bytes) -> Look:
         """Stages 1 to 4 where the target is expected and nowhere else: a search would find what lies beside it."""
@@ -59,10 +69,11 @@ class Lock:
             weights[2] *= min(1.0, SURPRISE / max(surprise, 1e-9))
             if surprise > SURPRISE:
                 self.motion.doubt_scale()
-        if self.tau * CYCLE > self._c.jump_limit:
+        if look.slid or self.tau * CYCLE > self._c.jump_limit:
             self.motion.restart(x, weights)
         self.motion.observe(x, weights, self.tau, np.array([FLOOR, FLOOR, SCALE_FLOOR * x[2]]))
         self.seen_at = time
+        self.continuity.learn(x)
         self.recogniser.learn(look)
 
     def rest(self, last: float, time: float) -> None:

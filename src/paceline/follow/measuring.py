@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from math import hypot
 
 import numpy as np
@@ -41,24 +42,24 @@ class Measurement:
         """px rms of the features' places about the fitted ones."""
         return float(np.sqrt((self.fit.offsets[self.fit.used] ** 2).mean()))
 
-    @property
+    @cached_property
     def discord(self) -> float:
         """The same, relative to what is allowed."""
         return float(np.sqrt(((self.fit.offsets / self.allowed)[self.fit.used] ** 2).mean()))
 
-    @property
+    @cached_property
     def match(self) -> float:
         """How much of the model shows, 0 to 1: the mean of all features' shares, each the less the more it is off.
 
         A long line counts as a short one: what only looks like the target has the long lines in common with it.
         """
-        off = np.where(self.fit.used, np.nan_to_num(self.fit.offsets), np.inf) / self.allowed
-        return float((self.shares * np.exp(-0.5 * off**2)).mean())
+        off = np.where(self.fit.used, self.fit.offsets, np.inf) / self.allowed
+        return float(self.shares @ np.exp(-0.5 * off * off)) / len(off)
 
-    @property
+    @cached_property
     def agreeing(self) -> NDArray[np.bool_]:
         """(S,): the features that lie where the model has them."""
-        return self.fit.used & (np.abs(np.nan_to_num(self.fit.offsets)) < 1.5 * self.allowed)
+        return self.fit.used & (np.abs(self.fit.offsets) < 1.5 * self.allowed)
 
 
 class Measurer:

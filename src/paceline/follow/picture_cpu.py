@@ -16,6 +16,7 @@ UNLIKE, ALIKE = 0.2, 0.8  # correlation of a square from which, and at which ful
 STRIDE = 1.5  # samples by which one step may move the picture
 CORRELATED = 1.5  # neighbouring samples do not err independently: so much greater is the variance
 CONTRAST = 4.0  # at most by so much are two squares' contrasts made equal
+STILL = 0.02  # samples: a step that moves no corner by more is the last one
 
 
 @njit(cache=True, nogil=True)
@@ -56,9 +57,12 @@ def _moments(a: Floats, b: Floats, x0: int, y0: int, cell: int) -> tuple[float, 
 
 
 @njit(cache=True, nogil=True)
-def cell_correlations(a: Floats, b: Floats, cell: int, least: float, out: Array) -> int:
-    """Correlation of ``a`` and ``b`` (h, w) in each square of ``cell`` samples in which ``b`` has a standard deviation
-    of at least ``least``, into ``out``; returns how many."""
+def likeness(a: Floats, b: Floats, cell: int, least: float, share: float, neutral: float, out: Array) -> float:
+    """The mean of the highest ``share`` of the correlations of ``a`` and ``b`` (h, w) in squares of ``cell`` samples.
+
+    Squares in which ``b`` has a standard deviation below ``least`` are left out; ``neutral`` where there is no other.
+    ``out`` is scratch.
+    """
     count = 0
     for y in range(0, a.shape[0] - cell + 1, cell):
         for x in range(0, a.shape[1] - cell + 1, cell):
@@ -67,7 +71,10 @@ def cell_correlations(a: Floats, b: Floats, cell: int, least: float, out: Array)
                 continue
             out[count] = together / np.sqrt(max(va, 0.25 * least * least) * vb)
             count += 1
-    return count
+    if count == 0:
+        return neutral
+    best = max(1, round(share * count))
+    return float(np.sort(out[:count])[count - best :].mean())
 
 
 @njit(cache=True, nogil=True)
@@ -151,6 +158,8 @@ def align(
         location[0] += min(max(step[0], -STRIDE * dx), STRIDE * dx)
         location[1] += min(max(step[1], -STRIDE * dy), STRIDE * dy)
         location[2] *= np.exp(min(max(step[2], -0.05), 0.05))
+        if abs(step[0]) < STILL * dx and abs(step[1]) < STILL * dy and abs(step[2]) * max(h, w) < 2.0 * STILL:
+            break
     for p in range(3):  # the inverse of the normal matrix, a column at a time
         rows[:3, 3] = 0.0
         for q in range(3):

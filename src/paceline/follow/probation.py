@@ -29,6 +29,7 @@ SLIGHT = 0.06  # and so much more for every image: a small difference tells noth
 OFF = 0.06  # sizes from the start, or relative scale, at which the operator is told
 LEAST = 0.35  # match of a target
 EVERY = 6  # images of which one is patrolled
+PATROLS = 24  # so many times: each size twice; later what fits better is another vehicle, or the target is half hidden
 USUAL = 0.25  # rate at which the usual match of the lock is learned, then
 BETTER = 0.1  # match by which a place must exceed that of the lock to be tried
 PROVEN = 0.5  # credit at which it takes its place
@@ -71,9 +72,18 @@ class Probation:
         if self._rivals:
             return self._try_rival(time, *looks)
         self._turn += 1
-        if self._turn % EVERY == 0 and look.measurement is not None and not look.complaint:
+        if (
+            self._turn % EVERY == 0
+            and self._turn <= EVERY * PATROLS
+            and look.measurement is not None
+            and not look.complaint
+        ):
             self._patrol(image, time, look.measurement)
         return look, ""
+
+    def resume(self) -> None:
+        """The target was lost and found again: look once more whether it is elsewhere."""
+        self._turn = 0
 
     # --- the start ---------------------------------------------------------------------------------------------------
 

@@ -29,18 +29,22 @@ FEATURES = 4  # that must agree
 SHARP = 0.012  # relative deviation of the scale with which the picture may still be learned
 VAGUE = 0.1  # relative standard deviation of the scale with which it is not told
 JUMP = 6.0  # standard deviations that the scale may be off the predicted one
-ALIKE = 0.4  # likeness of the picture below which the target is not believed
-SURE = 0.7  # the same for a target that was not seen for as many cycles as GONE
+RELATED = 1.4  # likeness of the picture and share of the usual match, together, below which it is something else
+AGAIN = 1.5  # the same for a target that was not seen for as many cycles as GONE
+FOUND = 1.75  # the same for one that was lost: among many places some look alike
 GONE = 3.0
+ALIKE = 0.7  # likeness of the picture with which the size may jump
 HELD = 0.85  # likeness at which the picture alone is believed
 ALONE_FOR = 15  # frames in a row for which it is
 PROVEN = 10  # frames in which its features must have shown the target before
 ELSEWHERE = 0.08  # sizes of the target from its place, and relative change of scale, at which it is another
+WATCH = 3  # images of which in one it is asked whether the lock has slid
 WIDEST = 8.0  # times as far as usual a target is looked for that was lost
 
 FEW = "too few of its features are found"
 OUTSIDE = "too little of it is in the image"
 APART = "what is found does not fit together"
+SLID = "its lock had slid along other edges: back to where it looks as it did"
 ALONE = "held by its picture: too few of its features are found"
 
 
@@ -56,6 +60,7 @@ class Look:
     evidence: Array | None = None  # (S,)
     clear: bool = False  # enough to learn the picture from
     note: str = ""
+    slid: bool = False  # it is where it looks as it did long ago, not where it was followed to
 
 
 class Recogniser:
@@ -68,6 +73,7 @@ class Recogniser:
         self._measurer = Measurer(projection, c)
         self._proven = 0
         self._held_for = 0  # frames, in a row, by the picture alone
+        self._turn = 0
         self.appearance = Appearance(target)
 
     def look(self, image: Bytes, expected: Array, doubt: Array, tau: float, lost: bool) -> Look:
@@ -124,10 +130,14 @@ class Recogniser:
 
     def learn(self, look: Look) -> None:
         """Take in what a look that was believed has shown."""
-        self._held_for = self._held_for + 1 if look.note else 0
-        self._proven += not look.note
+        self._held_for = self._held_for + 1 if look.measurement is None else 0
+        self._proven += look.measurement is not None
+        if look.slid:
+            self.appearance.restore()
         if look.evidence is not None:
-            self.appearance.learn(look.evidence, look.inside if look.clear or not self.appearance.known else 0.0)
+            match = None if look.measurement is None else look.measurement.match
+            inside = look.inside if look.clear or not self.appearance.known else 0.0
+            self.appearance.learn(look.evidence, match, inside)
 
     def _found(self, image: Bytes, expected: Array, doubt: Array, width: float, tau: float, lost: bool) -> Look:
         """Search for the whole model, then measure its features there."""
@@ -138,6 +148,14 @@ class Recogniser:
         start = self.projection.ideal(sighting.location)
         look = self._measured(image, start, sighting.doubt, expected, doubt, tau, lost)
         look = replace(look, window=sighting.window)
+        self._turn += 1
+        due = c.appearance and c.keepsake and self._turn % WATCH == 0
+        if due and not look.complaint and look.fit is not None:
+            old = self._search.went_from(self.projection.shown(look.fit.location).location, self.appearance)
+            if old is not None:
+                place = self.projection.ideal(old.location)
+                look = self._measured(image, place, old.doubt, place, doubt, tau, lost)
+                return replace(look, window=sighting.window, slid=True, note=SLID)
         proven = self._proven >= PROVEN and self._held_for < ALONE_FOR and not lost
         if look.complaint in (FEW, APART) and proven and sighting.picture > HELD:
             return self._held(start, sighting)
@@ -193,8 +211,13 @@ class Recogniser:
                 complaint = APART
             elif spread > VAGUE:
                 complaint = "its size cannot be told"
-            elif jump > JUMP and not (sharp and picture > SURE):
+            elif jump > JUMP and not (sharp and picture > ALIKE):
                 complaint = "its size jumps"
-            elif picture < (ALIKE if tau < GONE else SURE):
+            elif picture + self._usual_share(measurement) < (FOUND if lost else RELATED if tau < GONE else AGAIN):
                 complaint = "what is found does not look like it"
         return replace(look, complaint=complaint, clear=clear)
+
+    def _usual_share(self, measurement: Measurement) -> float:
+        """How much of the model shows, as a share of what usually does, up to 1."""
+        usual = self.appearance.match
+        return min(measurement.match / usual, 1.0) if usual else 1.0

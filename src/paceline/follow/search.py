@@ -31,6 +31,7 @@ FINER = 3  # times as fine is the second look
 NEAR = 0.6  # px of the second look, to which it is right
 ALIGNED = 0.25  # px of the searched image to which an alignment of pictures may be trusted
 STEADY = 0.03  # relative scale to which it may be
+FIRM = 0.01  # the same where a lock had slid, so that it does not slide again
 RIVALS = 3  # locations whose pictures are compared
 HOPELESS = 0.4  # likeness by which a rival may be behind the best one before the pictures are compared
 MODESTY = 0.01  # likeness that a location one standard deviation from the predicted one must have more
@@ -218,6 +219,15 @@ class Search:
         features."""
         center, m = self._respond(location, shifts)
         return appearance.look(self._pooled_view, center, m), self._evidence.copy()
+
+    def went_from(self, location: Array, appearance: Appearance) -> Sighting | None:
+        """`Appearance.went_from` in the part of the image searched last, for a ``location`` (3,) in recorded pixels."""
+        units, origin = np.array([self._side, self._side, 1.0]), np.array([*self._origin, 0.0])
+        place = appearance.went_from(self._pooled_view, (location - origin) / units, self._magnification / self._side)
+        if place is None:
+            return None
+        near = np.array([ALIGNED * self._side, ALIGNED * self._side, FIRM * place[2]])
+        return Sighting(place * units + origin, near, (0, 0, 0, 0))
 
     def _respond(self, location: Array, shifts: Array) -> tuple[Array, Array]:
         """The evidence along the features for ``location`` (3,); its centre and px per metre in the searched image."""

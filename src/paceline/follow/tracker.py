@@ -82,7 +82,10 @@ class FollowTracker:
             look, note = self.probation.judge(image, time, look)
             if was_pending and not self.probation.pending:
                 self.belief = Belief(self.configuration)  # it was confirmed
-        status, reason = self.belief.step(time, look.complaint)
+        was_lost = self.belief.status == "lost"
+        status, reason = self.belief.step(time, look.complaint, self.lock.continuity.steady)
+        if was_lost and status == "tracking":
+            self.probation.resume()
         if look.fit is not None and status == "tracking":
             self.lock.learn(look, time)  # stage 5
         return self._estimate(frame, time, pose, began, look, status, reason or note or jump or look.note)
@@ -129,7 +132,7 @@ class FollowTracker:
         location, covariance = expected, np.diag(doubt**2)
         if look.fit is not None and measured:
             location, covariance = look.fit.location, look.fit.covariance
-            if self.configuration.adaptive_decay:
+            if self.configuration.adaptive_decay and not look.slid:
                 fit = fitting.fused(look.fit, expected, doubt)
                 location, covariance = fit.location, fit.covariance
         m = look.measurement if measured else None

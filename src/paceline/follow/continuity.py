@@ -1,0 +1,52 @@
+"""Whether what is found can be the target that was seen before: a vehicle on a road neither leaps nor flies."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from paceline.follow.features import Projection
+
+Array = NDArray[np.float64]
+
+UNSTEADY = 0.06  # relative error of a scale that was measured, at most
+HASTE, BRAKING = 3.0, 3.0  # m/s, m/s²: by how much the distance may change otherwise than was foreseen
+NODDING = 0.06  # rad by which a bump and the road's grade may turn the camera up or down
+RISE = 0.3  # m by which what is measured of a target may lie higher or lower than usual
+RATE = 0.3  # of learning its usual height, per image
+SAME = 0.3  # sizes of the target, or relative scale, between two sights of the same
+
+LEAPT = "what is found is farther off or nearer than the target can be by now"
+ALOFT = "what is found is higher or lower than the target can be"
+
+
+class Continuity:
+    """Where the target was believed to be, at first at ``location`` (3,), ideal pixels and scale."""
+
+    def __init__(self, projection: Projection, location: Array) -> None:
+        self._projection = projection
+        self._scale = float(location[2])
+        self._drop = projection.drop(location)
+        self._sighted = location
+        self.steady = True  # the last two sights were of one place, whether believed or not
+
+    def complaint(self, location: Array, expected: Array, unseen: float) -> str:
+        """Why nothing that was seen ``unseen`` s ago and is ``expected`` (3,) somewhere can be at ``location`` (3,)."""
+        scale, distance = location[2], self._projection.distance(location[2])
+        moved = min(abs(np.log(scale / self._scale)), abs(np.log(scale / expected[2])))
+        if moved > UNSTEADY + (HASTE + BRAKING * unseen) * unseen / distance:
+            return LEAPT
+        if abs(self._projection.drop(location) - self._drop) > RISE + NODDING * distance:
+            return ALOFT
+        return ""
+
+    def sight(self, location: Array) -> None:
+        """Something like the target is seen at ``location`` (3,)."""
+        size = self._projection.size(location[2])
+        moved = np.abs(location - self._sighted) / (size, size, location[2])
+        self.steady, self._sighted = bool(moved.max() < SAME), location
+
+    def learn(self, location: Array) -> None:
+        """The target is believed to be at ``location`` (3,)."""
+        self._scale = float(location[2])
+        self._drop += RATE * (self._projection.drop(location) - self._drop)

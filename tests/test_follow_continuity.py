@@ -1,0 +1,75 @@
+"""What a vehicle on a road can do between two images, and what it cannot."""
+
+import numpy as np
+import pytest
+
+from paceline.cameras import Camera
+from paceline.follow.continuity import ALOFT, LEAPT, Continuity
+from paceline.follow.features import Projection
+from paceline.follow.target import Target
+
+FOCAL, CENTRE, NOMINAL = 300.0, (127.5, 120.5), 10.0
+CORNERS = np.array([[-0.9, -0.7], [0.9, -0.7], [0.9, 0.7], [-0.9, 0.7]])
+PROJECTION = Projection(
+    Camera((256, 242), np.array([[FOCAL, 0, CENTRE[0]], [0, FOCAL, CENTRE[1]], [0, 0, 1.0]])),
+    Target("rear", NOMINAL, CORNERS, np.array([[0, 1], [1, 2], [2, 3], [3, 0]])),
+)
+BEGIN = np.array([0.2, 0.9, 15.0])
+
+
+def at(x, y, z):
+    """The location of a target at this place before the camera, m."""
+    return np.array([CENTRE[0] + FOCAL * x / z, CENTRE[1] + FOCAL * y / z, NOMINAL / z])
+
+
+def test_distance_and_drop_are_those_of_the_place():
+    location = at(*BEGIN)
+    assert PROJECTION.distance(location[2]) == pytest.approx(15.0)
+    assert PROJECTION.drop(location) == pytest.approx(0.9)
+
+
+@pytest.mark.parametrize("braking", [-6.0, -2.0, 0.0, 2.0, 6.0])
+def test_a_lead_that_brakes_or_accelerates_while_hidden_is_believed(braking):
+    """Nothing of its new speed was foreseen."""
+    for unseen in (1 / 15, 0.3, 0.6, 1.0):
+        place = at(0.2, 0.9, 15.0 + 0.5 * braking * unseen**2)
+        assert Continuity(PROJECTION, at(*BEGIN)).complaint(place, at(*BEGIN), unseen) == ""
+
+
+@pytest.mark.parametrize("z", [12.9, 17.5])
+def test_it_is_not_two_metres_off_an_image_later(z):
+    assert Continuity(PROJECTION, at(*BEGIN)).complaint(at(0.2, 0.9, z), at(*BEGIN), 1 / 15) == LEAPT
+
+
+def test_what_was_foreseen_is_believed_however_far():
+    foreseen = at(0.2, 0.9, 12.0)
+    assert Continuity(PROJECTION, at(*BEGIN)).complaint(foreseen, foreseen, 0.5) == ""
+
+
+@pytest.mark.parametrize("z", [6.0, 15.0, 40.0])
+def test_it_may_nod_with_a_bump_but_not_rise_to_a_window(z):
+    there = Continuity(PROJECTION, at(0.0, 0.9, z))
+    for nod in (-0.045, 0.045):  # a bump, and the search follows no greater one
+        assert there.complaint(at(0.0, 0.9, z) + [0, FOCAL * nod, 0], at(0.0, 0.9, z), 1 / 15) == ""
+    assert there.complaint(at(0.0, 0.9 - 0.31 - 0.06 * z, z), at(0.0, 0.9, z), 1 / 15) == ALOFT
+
+
+def test_it_follows_what_is_believed():
+    lock = Continuity(PROJECTION, at(*BEGIN))
+    for k in range(1, 40):
+        place = at(0.2, 0.9 + 0.03 * k, 15.0 - 0.2 * k)
+        assert lock.complaint(place, place, 1 / 15) == ""
+        lock.learn(place)
+    assert lock.complaint(at(*BEGIN), place, 1 / 15) == LEAPT
+
+
+def test_two_sights_of_one_place_are_steady():
+    lock = Continuity(PROJECTION, at(*BEGIN))
+    lock.sight(at(0.5, 0.9, 15.0))
+    assert lock.steady
+    lock.sight(at(1.2, 0.9, 15.0))
+    assert not lock.steady
+    lock.sight(at(1.2, 0.9, 15.5))
+    assert lock.steady
+    lock.sight(at(1.2, 0.9, 24.0))
+    assert not lock.steady
