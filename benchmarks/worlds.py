@@ -1,7 +1,7 @@
 """Both trackers on ray-traced worlds: errors, coverage of the intervals, frames lost, by what was in the scenes.
 
-paceline simulate suite -n 60 --seed 7 --samples 12 -o worlds/speed
-paceline simulate suite -n 20 --seed 8 --kind follow -o worlds/follow
+paceline simulate suite -n 60 --seed 1 -o worlds/speed
+paceline simulate suite -n 20 --seed 1 --kind follow -o worlds/follow
 python benchmarks/worlds.py worlds/speed [--workers 2]
 python benchmarks/worlds.py worlds/follow [--workers 2]
 """
@@ -12,7 +12,7 @@ import argparse
 import json
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -32,6 +32,14 @@ NAN = float("nan")
 
 Groups = dict[str, Callable[[Any], bool]]
 Outcome = TypeVar("Outcome")
+
+LOUD = 0.006  # shares of white: half of the scenes have more noise
+
+
+def noise_of(scene: dict[str, Any]) -> float:
+    """Standard deviation of a scene's sensor in mid-grey light, in shares of white."""
+    s = scene["sensor"]
+    return float(np.sqrt(0.2 * s["full_well"] + s["read_noise"] ** 2) / s["full_well"])
 
 
 # --- speed ---------------------------------------------------------------------------------------------------------
@@ -62,12 +70,6 @@ class Speed:
     def is_calibrated(self) -> bool:
         return self.scene["rig"]["written"] is None
 
-    @property
-    def noise(self) -> float:
-        """Standard deviation in mid-grey light, in shares of white."""
-        s = self.scene["sensor"]
-        return float(np.sqrt(0.2 * s["full_well"] + s["read_noise"] ** 2) / s["full_well"])
-
     def describe(self) -> str:
         car, rig, road = self.car, self.scene["rig"], self.scene["road"]
         words = [
@@ -94,8 +96,8 @@ SPEED_GROUPS: Groups = {
     "farther": lambda o: o.distance >= 35,
     "to 60 km/h": lambda o: o.true < 60,
     "faster": lambda o: o.true >= 60,
-    "less noise than most": lambda o: o.noise < 0.006,
-    "more": lambda o: o.noise >= 0.006,
+    "less noise than most": lambda o: noise_of(o.scene) < LOUD,
+    "more": lambda o: noise_of(o.scene) >= LOUD,
     "straight road": lambda o: o.scene["road"]["kind"] == "straight",
     "bend": lambda o: o.scene["road"]["kind"] != "straight",
     "cars": lambda o: o.car["kind"] in ("saloon", "estate"),
@@ -147,29 +149,51 @@ def speed_summary(outcomes: Sequence[Speed]) -> str:
 # --- following -----------------------------------------------------------------------------------------------------
 
 
-@dataclass
+@dataclass(frozen=True)
+class Sight:
+    """One frame in which the vehicle can be seen: how far it is (m), and what following said of it."""
+
+    far: float
+    tracking: bool
+    wrong: bool = False
+    range_error: float = NAN  # relative
+    lateral_error: float = NAN  # m
+    covered: bool = False
+
+
+@dataclass(frozen=True)
 class Chase:
     """One clip, over the frames in which the vehicle can be seen."""
 
     name: str
     scene: dict[str, Any]
-    frames: int = 0
-    lost: int = 0
-    wrong: int = 0
-    range_errors: list[float] = field(default_factory=list)  # relative
-    lateral_errors: list[float] = field(default_factory=list)  # m
-    covered: list[bool] = field(default_factory=list)
+    sights: list[Sight]
+
+    @property
+    def kind(self) -> str:
+        return str(self.scene["lead"]["kind"])
 
     def describe(self) -> str:
-        return f"{self.scene['lead']['kind']}, clouds {self.scene['light']['clouds']:.1f}"
+        light, low = self.scene["light"], min(s.far for s in self.sights)
+        way = f"{low:.0f}–{max(s.far for s in self.sights):.0f} m"
+        return f"{self.kind}, {way}, clouds {light['clouds']:.1f}, noise {noise_of(self.scene):.4f}"
 
 
 CHASE_GROUPS: Groups = {
     "all": lambda o: True,
     "sun": lambda o: o.scene["light"]["clouds"] < 0.5,
     "clouds": lambda o: o.scene["light"]["clouds"] >= 0.5,
-    "cars": lambda o: o.scene["lead"]["kind"] in ("saloon", "estate"),
-    "vans, lorries, buses": lambda o: o.scene["lead"]["kind"] in ("van", "lorry", "bus"),
+    "less noise than most": lambda o: noise_of(o.scene) < LOUD,
+    "more": lambda o: noise_of(o.scene) >= LOUD,
+    "cars": lambda o: o.kind in ("saloon", "estate"),
+    "vans, lorries, buses": lambda o: o.kind in ("van", "lorry", "bus"),
+    "bends tighter than 120 m": lambda o: abs(o.scene["road"]["radius"]) < 120,
+    "wider": lambda o: abs(o.scene["road"]["radius"]) >= 120,
+}
+SIGHT_GROUPS: Groups = {
+    "frames nearer than 8 m": lambda s: s.far < 8,
+    "frames at 8 to 12 m": lambda s: 8 <= s.far < 12,
+    "frames farther": lambda s: s.far >= 12,
 }
 
 
@@ -177,47 +201,48 @@ def run_chase(folder: Path) -> Chase:
     """Follow and compare the clip in ``folder``."""
     clip = load_follow(folder / "follow.yaml")
     truth = {r["frame"]: r for r in json.loads((folder / "truth.json").read_text())}
-    done = Chase(folder.name, yaml.safe_load((folder / "scene.yaml").read_text()))
+    sights = []
     for frame, e in follow(clip, open_camera(clip)):
         true = truth[frame.index]
         if true["visible"] < SEEN:
             continue
-        done.frames += 1
+        far = true["position"][2]
         if e.status != "tracking":
-            done.lost += 1
+            sights.append(Sight(far, False))
             continue
         x, _, z = e.position - np.array(true["position"])
-        far = true["position"][2]
         off = float(np.linalg.norm(e.center - np.array(true["center"])))
-        done.wrong += abs(z) > OFF_RANGE * far or off > OFF_PLACE * true["width_px"]
-        done.range_errors.append(float(z / far))
-        done.lateral_errors.append(float(x))
-        done.covered.append(bool(abs(z) <= WITHIN * e.position_std[2]))
-    return done
-
-
-def chase_cells(group: Sequence[Chase]) -> list[str]:
-    counts = [str(sum(getattr(o, name) for o in group)) for name in ("frames", "lost", "wrong")]
-    errors = np.concatenate([o.range_errors for o in group])
-    if not len(errors):
-        return [*counts, *["–"] * 5]
-    lateral, covered = (np.concatenate([getattr(o, n) for o in group]) for n in ("lateral_errors", "covered"))
-    numbers = (100 * errors.mean(), 100 * rms(errors), 100 * float(np.abs(errors).max()))
-    return [*counts, *(f"{v:.2f}" for v in numbers), f"{rms(lateral):.3f}", f"{covered.mean():.0%}"]
+        wrong = bool(abs(z) > OFF_RANGE * far or off > OFF_PLACE * true["width_px"])
+        covered = bool(abs(z) <= WITHIN * e.position_std[2])
+        sights.append(Sight(far, True, wrong, float(z / far), float(x), covered))
+    return Chase(folder.name, yaml.safe_load((folder / "scene.yaml").read_text()), sights)
 
 
 CHASE_COLUMNS = ("frames", "lost", "wrong", "range mean, %", "RMS", "worst", "lateral RMS, m", "covered: range")
 
 
+def sight_cells(sights: Sequence[Sight]) -> list[str]:
+    found = [s for s in sights if s.tracking]
+    counts = [str(n) for n in (len(sights), len(sights) - len(found), sum(s.wrong for s in found))]
+    if not found:
+        return [*counts, *["–"] * 5]
+    errors, lateral = (np.array([getattr(s, name) for s in found]) for name in ("range_error", "lateral_error"))
+    numbers = (100 * errors.mean(), 100 * rms(errors), 100 * float(np.abs(errors).max()))
+    covered = np.mean([s.covered for s in found])
+    return [*counts, *(f"{v:.2f}" for v in numbers), f"{rms(lateral):.3f}", f"{covered:.0%}"]
+
+
 def print_chase(o: Chase) -> None:
-    print(row(o.name, o.describe(), *chase_cells([o])), flush=True)
+    print(row(o.name, o.describe(), *sight_cells(o.sights)), flush=True)
 
 
 def chase_summary(outcomes: Sequence[Chase]) -> str:
     lines = [head("group", "clips", "without a frame lost or wrong", *CHASE_COLUMNS)]
     for name, group in grouped(outcomes, CHASE_GROUPS):
-        whole = sum(not o.lost and not o.wrong for o in group)
-        lines.append(row(name, len(group), whole, *chase_cells(group)))
+        whole = sum(all(s.tracking and not s.wrong for s in o.sights) for o in group)
+        lines.append(row(name, len(group), whole, *sight_cells([s for o in group for s in o.sights])))
+    for name, sights in grouped([s for o in outcomes for s in o.sights], SIGHT_GROUPS):
+        lines.append(row(name, "–", "–", *sight_cells(sights)))
     return "\n".join(lines)
 
 

@@ -156,6 +156,27 @@ def test_the_same_seed_gives_the_same_picture() -> None:
     assert not np.array_equal(first, other)
 
 
+def test_a_picture_does_not_depend_on_those_before_it() -> None:
+    """What is compiled is kept and replayed, for other places and windows as well."""
+    places = [(np.eye(3), np.array([0.5, -1.0, h])) for h in (0.9, 1.4)]
+    used, view = corner_scene(default_variant())
+    for k, window in enumerate([(0, 0, 48, 36), (8, 6, 40, 30), (8, 6, 41, 33), (2, 2, 9, 9), (0, 0, 48, 36)]):
+        used.place([places[k % 2]])
+        used.render(view, 4, k, window)
+    used.place([places[1]])
+    fresh, _ = corner_scene(default_variant())
+    fresh.place([places[1]])
+    assert np.array_equal(used.render(view, 4, 9, (5, 3, 30, 20)), fresh.render(view, 4, 9, (5, 3, 30, 20)))
+
+
+def test_samples_are_spread_evenly_over_the_lights() -> None:
+    """Ground under sun and sky: each ray asks one of them, and 16 rays ask both as often as they should."""
+    R = np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]])
+    view = View(camera(16, 16, 40.0, 7.5, 7.5), R, -R @ np.array([0, 0, 3.0]))
+    picture = Renderer([ground(color=0.2)], [], DAY).render(view, 16, 5) @ LUMINANCE
+    assert picture.std() < 0.06 * picture.mean()  # by chance alone it is about 0.13
+
+
 def test_a_window_shows_what_the_whole_picture_shows() -> None:
     world, view = corner_scene(default_variant())
     world.place([(np.eye(3), np.array([0.5, -1.0, 0.9]))])

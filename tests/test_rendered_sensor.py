@@ -77,14 +77,16 @@ WIDTH, HEIGHT, SPEED, AWAY = 64, 48, 40.0, 10.0
 
 @pytest.fixture(scope="module")
 def bar() -> Renderer:
-    """An upright white bar before nothing."""
+    """An upright black bar before a wall that shines."""
     v = np.array([[-0.5, 0, -9], [0.5, 0, -9], [0.5, 0, 9], [-0.5, 0, 9.0]])
-    solid = Solid("bar", v, np.array([[0, 1, 2], [0, 2, 3]]), Material("glow", (1e4, 1e4, 1e4)))
-    return Renderer([], [[solid]], Light(0.0, -0.3, clouds=0.0))
+    triangles = np.array([[0, 1, 2], [0, 2, 3]])
+    wall = Solid("wall", 9 * v * [9, 1, 1] + [0, 2 * AWAY, 0], triangles, Material("glow", (1e4, 1e4, 1e4)))
+    solid = Solid("bar", v, triangles, Material("matte", (0.0, 0.0, 0.0)))
+    return Renderer([wall], [[solid]], Light(0.0, -0.3, clouds=0.0))
 
 
 def seen(bar: Renderer, shutter: Shutter) -> np.ndarray:
-    """The bar as it crosses at `SPEED` px/s, in the middle at time 2: the centre of its light in each row, px."""
+    """The bar as it crosses at `SPEED` px/s, in the middle at time 2: the light that it takes."""
     camera = Camera((WIDTH, HEIGHT), np.array([[64.0, 0, 31.5], [0, 64, 23.5], [0, 0, 1]]))
     view = View(camera, np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]), np.zeros(3))
 
@@ -92,7 +94,7 @@ def seen(bar: Renderer, shutter: Shutter) -> np.ndarray:
         return [(np.eye(3), np.array([(t - 2.0) * SPEED * AWAY / 64, AWAY, 0.0]))]
 
     light = photograph(bar, placements, lambda t: view, 2.0, shutter, 16, 3).sum(-1)
-    return np.asarray(light)
+    return np.asarray(3e4 - light)
 
 
 def centers(light: np.ndarray) -> np.ndarray:

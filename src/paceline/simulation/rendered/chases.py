@@ -17,12 +17,21 @@ from paceline.cameras import Camera
 from paceline.simulation.chase_motion import Gap, Shaking, Wander
 from paceline.simulation.rendered import folders
 from paceline.simulation.rendered.engine import default_variant
-from paceline.simulation.rendered.renderer import Placement, Renderer, View
+from paceline.simulation.rendered.renderer import Renderer, View
 from paceline.simulation.rendered.scenery import Scenery, scenery
 from paceline.simulation.rendered.scenes import FollowScene
 from paceline.simulation.rendered.sensor import expose, photograph
-from paceline.simulation.rendered.solids import Array, Solid
-from paceline.simulation.rendered.stage import light_of, parts, placed, road_of, sensor_of, shutter_of, visible_share
+from paceline.simulation.rendered.solids import Array, Placement, Solid
+from paceline.simulation.rendered.stage import (
+    AWAY,
+    light_of,
+    parts,
+    placed,
+    road_of,
+    sensor_of,
+    shutter_of,
+    visible_share,
+)
 from paceline.simulation.rendered.vehicles import build
 
 NOMINAL_RANGE = 10.0  # m
@@ -106,12 +115,12 @@ class Chase:
         return [k / self.scene.rate for k in range(self.scene.frames)]
 
     def row(self, k: int, renderer: Renderer) -> dict[str, Any]:
-        """The truth of one frame, its keys as `paceline.simulation.following` writes them."""
+        """The truth of one frame, its keys as `paceline.simulation.following` writes them; what may hide the lead is
+        what stands still."""
         t = self.times[k]
         view, (R, at), foot = self.view(t), self.pose(t), self.foot(t)[0]
         corners, center = self.plane.corners() @ R.T + at, R @ self.plane.center + at
         pixels = view.project(corners)
-        renderer.place(self.placements(t))
         return {
             "frame": k,
             "time_s": t,
@@ -159,6 +168,7 @@ def write(
     directory, variant = Path(directory), variant or default_variant()
     chase = Chase(_long_enough(scene))
     renderer = Renderer(chase.still(), chase.moving(), chase.light, variant)
+    renderer.place([AWAY] * len(chase.moving()))
     rows = [chase.row(k, renderer) for k in range(scene.frames)]
     folders.begin(directory, scene, variant)
     white, suffix = chase.light.level_irradiance / np.pi, ".jpg" if scene.sensor.keep == "jpeg" else ".png"

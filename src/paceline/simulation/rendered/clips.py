@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from paceline.cameras import StereoRig
 from paceline.simulation.planar import rig_document
 from paceline.simulation.rendered import folders
 from paceline.simulation.rendered.engine import default_variant
+from paceline.simulation.rendered.light import Light
 from paceline.simulation.rendered.operator import clip_document
 from paceline.simulation.rendered.renderer import Radiance, Renderer, View, Window
 from paceline.simulation.rendered.scenes import SpeedScene
@@ -24,7 +26,8 @@ from paceline.simulation.rendered.sensor import Lens, expose, photograph
 from paceline.simulation.rendered.solids import Array
 from paceline.simulation.rendered.stage import Car, Stage, sensor_of
 
-FEWER = 4  # times fewer samples for what stands still: it takes most of the time, and no vehicle is measured there
+FEWER = 4  # times fewer samples where there is no vehicle: it takes most of the time, and nothing is measured there
+CLOSE = 0.1  # m around a vehicle's box that get all samples
 AROUND = 1.2  # m around a vehicle in which it darkens the road
 LONGEST_SHADOW = 40.0  # m
 SUFFIX = {"png": ".png", "jpeg": ".jpg", "h264": ".png"}
@@ -112,19 +115,22 @@ class _Film:
         """The ``k``-th picture, (H, W) or (H, W, 3) uint8."""
         scene, time = self.stage.scene, float(self.stage.clocks[self.i, k])
         light = self.still().copy()
-        if window := self.window(time):
-            x0, y0, x1, y1 = window
-            own = int(np.random.SeedSequence([scene.seed, 17, self.i, k]).generate_state(1)[0])
-            light[y0:y1, x0:x1] = photograph(
-                self.renderer,
-                self.stage.placements,
-                lambda t: self.view,
-                time,
-                self.stage.shutter,
-                scene.samples,
-                own,
-                window,
-            )
+        around = self.window(time, lambda car, t: _reach(car, t, self.stage.light))
+        bodies = self.window(time, lambda car, t: _box(car, t, CLOSE))
+        for part, (window, samples) in enumerate(((around, scene.samples // FEWER), (bodies, scene.samples))):
+            if window:
+                x0, y0, x1, y1 = window
+                own = int(np.random.SeedSequence([scene.seed, 17, self.i, k, part]).generate_state(1)[0])
+                light[y0:y1, x0:x1] = photograph(
+                    self.renderer,
+                    self.stage.placements,
+                    lambda t: self.view,
+                    time,
+                    self.stage.shutter,
+                    max(1, samples),
+                    own,
+                    window,
+                )
         white = self.stage.light.level_irradiance / np.pi
         noise = np.random.default_rng([scene.seed, 19, self.i, k])
         return expose(self.lens.bend(light), white, sensor_of(scene), noise)
@@ -143,14 +149,13 @@ class _Film:
             folders.write_whole(self.cache, content.getvalue())
         return self._still
 
-    def window(self, time: float) -> Window | None:
-        """The part of the picture in which vehicles or their shadows may be at ``time`` s; None where there is none."""
+    def window(self, time: float, extent: Callable[[Car, float], Array]) -> Window | None:
+        """The part of the picture that the ``extent`` of vehicles, points (N, 3) of the world at a time, takes up at
+        ``time`` s; None where there is none."""
         shutter = self.stage.shutter
         reach = shutter.exposure / 2 + shutter.readout / 2
         moments = sorted({time - reach, time, time + reach})
-        points = [
-            _reach(car, t, self.stage.light.direction) for car in self.stage.cars for t in moments if car.is_there(t)
-        ]
+        points = [extent(car, t) for car in self.stage.cars for t in moments if car.is_there(t)]
         if not points:
             return None
         around = np.concatenate(points)
@@ -166,14 +171,21 @@ class _Film:
         return (int(low[0]), int(low[1]), int(high[0]), int(high[1])) if (high > low).all() else None
 
 
-def _reach(car: Car, t: float, sun: Array) -> Array:
-    """Corners (16, 3), world, of a box around a vehicle with what lies close to it, and of its shadow."""
+def _reach(car: Car, t: float, light: Light) -> Array:
+    """Corners (N, 3), world, of a box around a vehicle with what lies close to it, and of its shadow."""
+    box = _box(car, t, AROUND)
+    if light.clouds == 1:
+        return box
+    high = float(car.body.bounds[1][2]) + 0.2
+    drop = min(high / max(float(light.direction[2]), 1e-3), LONGEST_SHADOW)
+    return np.concatenate([box, box[1::2] - drop * light.direction])
+
+
+def _box(car: Car, t: float, margin: float) -> Array:
+    """Corners (8, 3), world, of a vehicle's box, ``margin`` m wider and 0.2 m deeper; every other one is at its top."""
     R, at = car.motion.pose(t)
-    solid = np.concatenate([s.vertices for s in car.body.solids])
-    low, high = solid.min(0) - [AROUND, AROUND, 0], solid.max(0) + [AROUND, AROUND, 0]
+    low, high = car.body.bounds
+    low, high = low - [margin, margin, 0], high + [margin, margin, 0]
     low[2] = -0.2
     box = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
-    world = box @ R.T + at
-    drop = np.minimum((box[:, 2] + 0.2) / max(float(sun[2]), 1e-3), LONGEST_SHADOW)
-    shadow = world - drop[:, None] * sun
-    return np.concatenate([world, shadow])
+    return np.asarray(box @ R.T + at)

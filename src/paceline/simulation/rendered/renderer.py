@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from paceline.cameras import Camera
 from paceline.simulation.rendered.engine import default_variant, mitsuba
 from paceline.simulation.rendered.light import Light
-from paceline.simulation.rendered.solids import Array, Material, Solid
+from paceline.simulation.rendered.solids import Array, Material, Placement, Solid
+from paceline.simulation.rendered.taking import Radiance, Window, taker
 
-Radiance = NDArray[np.float32]
-Placement = tuple[Array, Array]  # R (3, 3) and t (3,): world = R X + t
-Window = tuple[int, int, int, int]  # pixels x0, y0, x1, y1 of a part of a picture, the last two beyond it
+__all__ = ["Radiance", "Renderer", "View", "Window", "joined"]
+
 
 BOUNCES = 3  # what comes after lights no place that a picture shows
 OFTENEST = 0.75  # share of the rays towards lights that go to the sun
@@ -48,7 +48,7 @@ class View:
 class Renderer:
     """A world ready to be rendered: solids that stand still, and groups of solids that move as one.
 
-    Raises UnusableInput where the renderer is not installed.
+    Lamps may only be among what stands still. Raises UnusableInput where the renderer is not installed.
     """
 
     def __init__(
@@ -74,27 +74,26 @@ class Renderer:
             towards = {"direction": (-light.direction).tolist()}
             irradiance = {"irradiance": _rgb(light.sun), "sampling_weight": asked}
             scene["sun"] = {"type": "directional", **towards, **irradiance}
-        standing: dict[str, Any] = {}
-        lamps: dict[str, Any] = {}
-        for k, solid in enumerate(joined(still)):
-            (lamps if solid.material.kind == "glow" else standing)[f"still{k}"] = _mesh(mi, f"still{k}", solid)
-        scene |= lamps
-        if standing:  # as one instance it is sorted for the rays once, and not whenever something moves
-            scene["still"] = {"type": "shapegroup", **standing}
-            scene["standing"] = {"type": "instance", "group": {"type": "ref", "id": "still"}}
-        self._groups = [[(f"moving{g}_{k}", s) for k, s in enumerate(joined(group))] for g, group in enumerate(moving)]
-        for name, solid in (pair for group in self._groups for pair in group):
-            scene[name] = _mesh(mi, name, solid)
+        solids = joined(still)
+        scene |= {f"lamp{k}": _mesh(mi, f"lamp{k}", s) for k, s in enumerate(solids) if s.material.kind == "glow"}
+        scene |= _instance(mi, "still", [s for s in solids if s.material.kind != "glow"])
+        for g, group in enumerate(moving):
+            scene |= _instance(mi, f"moving{g}", joined(group))
+        self._moving = [f"moving{g}.to_world" for g in range(len(moving))]
         self._scene = mi.load_dict(scene)
         self._parameters = mi.traverse(self._scene)
+        self._parameters.keep(self._moving)
+        self._take = taker(mi, self._scene)
+        self._placed: Array = np.empty(0)
 
     def place(self, placements: Sequence[Placement]) -> None:
         """Moves each group to its placement."""
-        mitsuba(self.variant)
-        for group, (R, t) in zip(self._groups, placements, strict=True):
-            for name, solid in group:
-                key = f"{name}.vertex_positions"
-                self._parameters[key] = _flat(solid.vertices @ np.asarray(R).T + t)
+        now = np.array([np.column_stack(placement) for placement in placements])
+        if np.array_equal(now, self._placed):
+            return
+        mi, self._placed = mitsuba(self.variant), now
+        for key, place in zip(self._moving, now, strict=True):
+            self._parameters[key] = mi.ScalarTransform4f(np.vstack([place, [0.0, 0.0, 0.0, 1.0]]))
         self._parameters.update()
 
     def render(self, view: View, samples: int, seed: int, window: Window | None = None) -> Radiance:
@@ -102,14 +101,14 @@ class Renderer:
 
         Lens distortion is left out: see `paceline.simulation.rendered.sensor`. The same seed gives the same picture.
         """
-        mi = mitsuba(self.variant)
-        sensor = self._sensor(mi, view, window or (0, 0, *view.camera.image_size))
+        mitsuba(self.variant)
+        window = window or (0, 0, *view.camera.image_size)
         passes = [PASS] * (samples // PASS) + [n for n in (8, 4, 2, 1) if samples % PASS & n]
         seeds = np.random.SeedSequence(seed).generate_state(len(passes))
         total: Radiance | float = 0.0
         for count, own in zip(passes, seeds, strict=True):
-            picture = mi.render(self._scene, sensor=sensor, spp=count, seed=int(own))
-            total = total + np.array(picture, np.float32) * np.float32(count / samples)
+            picture = self._take(view.camera, view.R, view.t, window, count, int(own))
+            total = total + picture * np.float32(count / samples)
         return np.asarray(total, np.float32)
 
     def distance(self, origin: Array, points: Array) -> Array:
@@ -124,37 +123,6 @@ class Renderer:
         rays = mi.Ray3f(mi.Point3f(*origin.tolist()), mi.Vector3f(*towards.T.astype(np.float32)))
         hit = self._scene.ray_intersect_preliminary(rays)
         return np.asarray(np.where(np.array(hit.is_valid()), np.array(hit.t), np.inf), float)
-
-    def _sensor(self, mi: Any, view: View, window: Window) -> Any:
-        (width, height), K = view.camera.image_size, view.camera.K
-        to_world = np.eye(4)
-        to_world[:3, :3], to_world[:3, 3] = view.R.T, view.centre
-        film = {
-            "type": "hdrfilm",
-            "width": width,
-            "height": height,
-            "crop_offset_x": window[0],
-            "crop_offset_y": window[1],
-            "crop_width": window[2] - window[0],
-            "crop_height": window[3] - window[1],
-            "pixel_format": "rgb",
-            "component_format": "float32",
-            "rfilter": {"type": "box"},  # others add up in an order that differs from run to run
-        }
-        return mi.load_dict(
-            {
-                "type": "perspective",
-                "fov": float(np.degrees(2 * np.arctan(width / (2 * K[0, 0])))),
-                "fov_axis": "x",
-                "principal_point_offset_x": -(K[0, 2] + 0.5 - width / 2) / width,
-                "principal_point_offset_y": -(K[1, 2] + 0.5 - height / 2) / height,
-                "near_clip": 0.05,
-                "far_clip": 1e5,
-                "to_world": mi.ScalarTransform4f(to_world @ np.diag([-1.0, -1.0, 1.0, 1.0])),
-                "film": film,
-                "sampler": {"type": "independent"},
-            }
-        )
 
 
 def joined(solids: Iterable[Solid]) -> list[Solid]:
@@ -172,6 +140,15 @@ def _join(group: list[Solid]) -> Solid:
     uv = None if first.uv is None else np.concatenate([s.uv for s in group if s.uv is not None])
     vertices = np.concatenate([s.vertices for s in group])
     return Solid(first.name, vertices, triangles, first.material, uv, first.smooth)
+
+
+def _instance(mi: Any, name: str, solids: Sequence[Solid]) -> dict[str, Any]:
+    """Entries of a scene for solids that move as one."""
+    if not solids:
+        return {}
+    meshes = {f"{name}-{k}": _mesh(mi, f"{name}-{k}", solid) for k, solid in enumerate(solids)}
+    shape = {"type": "ref", "id": f"{name}-shape"}
+    return {f"{name}-shape": {"type": "shapegroup", **meshes}, name: {"type": "instance", "shape": shape}}
 
 
 def _mesh(mi: Any, name: str, solid: Solid) -> Any:

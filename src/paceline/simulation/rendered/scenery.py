@@ -40,7 +40,7 @@ def scenery(road: Road, spec: Scenery, start: float, end: float) -> list[Solid]:
         *_woods(rng, place, spec.trees),
         *_poles(rng, place, spec.poles),
         *_houses(rng, place, spec.buildings),
-        *_edges(rng, road, spec, start, end),
+        *_edges(rng, place, spec),
     ]
     made_of = _materials(rng)
     return [mesh.solid(name, made_of[name]) for name, mesh in grouped(named).items()]
@@ -76,12 +76,26 @@ class _Placer:
         self.road, self.start, self.end = road, start, end
         at = [(road.frame(s, lateral)[0], radius) for s, lateral, radius in spec.clear]
         self.clear = np.array([[*p[:2], r] for p, r in at]).reshape(-1, 3)
+        self._axis = road.frame(np.arange(start, end, 2.0))[0][:, :2]
+
+    def is_beside(self, s: float, lateral: float) -> bool:
+        """Whether a place is about as far from the whole road as from its own arc length: in a bend it may not be."""
+        point = self.road.frame(s, lateral)[0][:2]
+        return bool(np.linalg.norm(self._axis - point, axis=1).min() > 0.8 * abs(lateral))
 
     def stations(self, rng: Generator, spacing: float, chance: float) -> Array:
         """Arc lengths about ``spacing`` apart, each there with the given ``chance``."""
         s = np.arange(self.start, self.end, spacing)
         s = s + rng.uniform(0, spacing, len(s))
         return s[(rng.random(len(s)) < chance) & (s < self.end)]
+
+    def stretches(self, lateral: float, start: float, end: float) -> list[tuple[float, float]]:
+        """The parts, 5 m long at least, of the line at ``lateral`` that lie in no clear circle."""
+        s = np.linspace(start, end, int(end - start) + 2)
+        away = np.linalg.norm(self.road.frame(s, lateral)[0][:, None, :2] - self.clear[:, :2], axis=2)
+        free = s[(away > self.clear[:, 2] + 1.0).all(1)]
+        parts = np.split(free, np.flatnonzero(np.diff(free) > 1.5) + 1)
+        return [(float(p[0]), float(p[-1])) for p in parts if len(p) and p[-1] - p[0] >= 5.0]
 
     def put(self, named: list[Named], s: float, lateral: float, turn: float = 0.0, room: float = 0.0) -> list[Named]:
         """Parts moved to a place; their x along the road, turned by ``turn``, their y away from it. Nothing where a
@@ -120,7 +134,8 @@ def _woods(rng: Generator, place: _Placer, density: float) -> list[Named]:
                 kind = kinds[rng.integers(len(kinds))]
                 lateral = side * (edge + rng.uniform(inner, outer))
                 turn = rng.uniform(0, 2 * np.pi)
-                result += place.put([("wood", kind.wood), ("leaves", kind.leaves)], float(s), lateral, turn, room)
+                if place.is_beside(float(s), lateral):
+                    result += place.put([("wood", kind.wood), ("leaves", kind.leaves)], float(s), lateral, turn, room)
     return result
 
 
@@ -150,14 +165,16 @@ def _houses(rng: Generator, place: _Placer, density: float) -> list[Named]:
     return result
 
 
-def _edges(rng: Generator, road: Road, spec: Scenery, start: float, end: float) -> list[Named]:
+def _edges(rng: Generator, place: _Placer, spec: Scenery) -> list[Named]:
     """A parapet of concrete or a guard rail on both sides, or here and there a fence."""
-    start, end = max(start, 0.0), min(end, road.length)
+    road, start, end = place.road, max(place.start, 0.0), min(place.end, place.road.length)
     result: list[Named] = []
     if spec.parapet:
         make = built.wall if rng.random() < 0.5 else built.rail
         for side in (-1, 1):
             result += make(road, side, start, end)
     elif rng.random() < 0.5 * (spec.trees + spec.buildings):
-        result += built.fence(road, int(rng.choice([-1, 1])), start, end)
+        side = int(rng.choice([-1, 1]))
+        for a, b in place.stretches(side * (road.half_width + built.FENCE), start, end):
+            result += built.fence(road, side, a, b)
     return result

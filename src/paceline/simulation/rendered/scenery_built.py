@@ -14,6 +14,7 @@ WALL = np.array([[0.0, -0.4], [0.0, 0.08], [0.18, 0.33], [0.24, 0.85], [0.46, 0.
 BEAM = np.array(
     [[0.0, 0.43], [-0.05, 0.47], [-0.05, 0.52], [0.0, 0.57], [0.0, 0.61], [-0.05, 0.66], [-0.05, 0.71], [0.0, 0.75]]
 )
+FENCE = 5.0  # m from the road's edge
 
 
 def house(rng: np.random.Generator) -> list[Named]:
@@ -91,7 +92,7 @@ def wall(road: Road, side: int, start: float, end: float) -> list[Named]:
 
 def fence(road: Road, side: int, start: float, end: float) -> list[Named]:
     """A timber fence beyond the verge."""
-    lateral = side * (road.half_width + 5.0)
+    lateral = side * (road.half_width + FENCE)
     posts = along(road, box([0.1, 0.1, 1.8], [0, 0, 0.1]), lateral, np.arange(start, end, 2.4))
     rails = [
         drawn(road, np.array([[0.0, z], [0.0, z + 0.1], [0.04, z + 0.1]]) - [0, 0.35], lateral, start, end)

@@ -30,8 +30,7 @@ def leaf_palette(rng: np.random.Generator) -> Texture:
 
 def leaves(rng: np.random.Generator, centers: Array, spread: Array, count: int, size: float) -> Mesh:
     """Clumps of ``count`` leaves about ``size`` m long around ``centers`` (N, 3), scattered by ``spread`` (N,) m; each
-    is a pair of triangles bent along its middle.
-    """
+    is a triangle, for all are sorted for the rays whenever something moves."""
     n = len(centers) * count
     offset = rng.normal(size=(len(centers), count, 3)) * [1, 1, 0.7]
     offset *= (spread[:, None] / np.maximum(1.0, np.linalg.norm(offset, axis=-1) / 1.6))[..., None]
@@ -40,17 +39,13 @@ def leaves(rng: np.random.Generator, centers: Array, spread: Array, count: int, 
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     across = np.cross(along, rng.normal(size=(n, 3)))
     across /= np.linalg.norm(across, axis=1, keepdims=True)
-    bend = np.cross(along, across)
     length = size * rng.uniform(0.7, 1.3, (n, 1))
-    tips = [where - length / 2 * along, where + 0.3 * length * (across + 0.25 * bend)]
-    tips += [where + length / 2 * along, where + 0.3 * length * (0.25 * bend - across)]
-    vertices = np.stack(tips, 1).reshape(-1, 3)
-    first = 4 * np.arange(n)[:, None]
-    triangles = np.concatenate([first + [0, 1, 2], first + [0, 2, 3]])
+    vertices = where[:, None] + length[:, None] * np.stack([-along / 2, 0.6 * across, along / 2], 1)
+    triangles = np.arange(3 * n).reshape(n, 3)
     rim = np.linalg.norm(offset.reshape(-1, 3), axis=1) / np.repeat(spread, count) / 1.6
     shade = np.clip((PALETTE - 1) * (0.25 + 0.5 * rim) + rng.normal(0, 2.5, n), 0, PALETTE - 1)
-    u = np.repeat((np.floor(shade) + 0.5) / PALETTE, 4)
-    return Mesh(vertices, triangles, np.column_stack([u, np.full(4 * n, 0.5)]))
+    u = np.repeat((np.floor(shade) + 0.5) / PALETTE, 3)
+    return Mesh(vertices.reshape(-1, 3), triangles, np.column_stack([u, np.full(3 * n, 0.5)]))
 
 
 def tree(rng: np.random.Generator, height: float, detail: float = 1.0) -> Tree:
@@ -65,8 +60,8 @@ def tree(rng: np.random.Generator, height: float, detail: float = 1.0) -> Tree:
     far = rng.uniform(0.35, 0.95, (clumps, 1)) ** 0.6
     centers = middle + direction * far * [radius, radius, (height - base) / 2]
     spread = rng.uniform(0.14, 0.26, clumps) * radius + 0.1
-    count = max(8, int(80 * detail))
-    crown = leaves(rng, centers, spread, count, 0.05 * radius / np.sqrt(detail) + 0.06)
+    count = max(8, int(60 * detail))
+    crown = leaves(rng, centers, spread, count, 0.055 * radius / np.sqrt(detail) + 0.07)
     trunk = np.array([[0, 0, -1.0], [0, 0, 0.3], [*(0.5 * lean[:2]), base], [*lean[:2], 0.8 * height]])
     thick = 0.018 * height + 0.06
     wood = [tube(trunk, [1.3 * thick, thick, 0.75 * thick, 0.02], 9)]

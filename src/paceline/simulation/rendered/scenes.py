@@ -142,7 +142,7 @@ class SceneModel(Document):
     seed: Seed = 0
     frames: Annotated[int, Field(ge=1)]
     rate: Rate
-    samples: Annotated[int, Field(ge=1, le=4096)] = 24
+    samples: Annotated[int, Field(ge=1, le=4096)] = 16
     road: RoadModel = RoadModel()
     light: LightModel = LightModel()
     scenery: SceneryModel = SceneryModel()

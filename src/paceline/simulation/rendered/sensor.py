@@ -12,8 +12,8 @@ from scipy.special import ive
 
 from paceline.cameras import Camera
 from paceline.simulation.rendered.light import LUMINANCE
-from paceline.simulation.rendered.renderer import Placement, Radiance, Renderer, View, Window
-from paceline.simulation.rendered.solids import Array
+from paceline.simulation.rendered.renderer import Radiance, Renderer, View, Window
+from paceline.simulation.rendered.solids import Array, Placement
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Texture = NDArray[np.float32]
+Placement = tuple[Array, Array]  # R (3, 3) and t (3,): world = R X + t
 
 
 @dataclass(frozen=True, eq=False)

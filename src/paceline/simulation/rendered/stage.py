@@ -13,12 +13,12 @@ from paceline.cameras import Camera, RigUncertainty, StereoRig
 from paceline.errors import UnusableInput
 from paceline.simulation.rendered.light import Light
 from paceline.simulation.rendered.motions import Drive, LaneChange, Motion
-from paceline.simulation.rendered.renderer import Placement, Renderer, View
+from paceline.simulation.rendered.renderer import Renderer, View
 from paceline.simulation.rendered.roads import Road, RoadShape
 from paceline.simulation.rendered.scenery import Scenery, scenery
 from paceline.simulation.rendered.scenes import CarModel, PlaceModel, SceneModel, SpeedScene
 from paceline.simulation.rendered.sensor import Sensor, Shutter
-from paceline.simulation.rendered.solids import Array, Solid
+from paceline.simulation.rendered.solids import Array, Placement, Solid
 from paceline.simulation.rendered.vehicles import Body, Plane, build
 from paceline.simulation.worlds import is_inside
 
@@ -141,21 +141,22 @@ class Stage:
 
     def truth(self, renderer: Renderer) -> list[dict[str, Any]]:
         """One row for every vehicle and frame in which it is before both cameras."""
-        rows = []
-        for car in self.cars:
-            for k, times in enumerate(self.clocks.T.tolist()):
+        rows: dict[str, list[dict[str, Any]]] = {car.model.id: [] for car in self.cars}
+        for k, times in enumerate(self.clocks.T.tolist()):
+            renderer.place(self.placements(times[0]))
+            for car in self.cars:
                 if car.is_there(times[0]) and (row := self._row(car, k, times, renderer)):
-                    rows.append(row)
-        return rows
+                    rows[car.model.id].append(row)
+        return [row for own in rows.values() for row in own]
 
     def _row(self, car: Car, k: int, times: list[float], renderer: Renderer) -> dict[str, Any] | None:
+        """The row of one vehicle in a frame whose left picture the world is placed for."""
         corners = car.corners(times[0])
         if min(float(view.to_camera(corners)[:, 2].min()) for view in self.views) < 1.0:
             return None
         left, right = (self.seen(view, car, t) for view, t in zip(self.views, times, strict=True))
         size = self.rig.left.image_size
         center = car.center(times[0])
-        renderer.place(self.placements(times[0]))
         return {
             "frame": k,
             "time_s": times[0],

@@ -117,15 +117,17 @@ def random_follow_scene(seed: int, frames: int = 300) -> FollowScene:
         "tilt": float(rng.uniform(0.035, 0.08)),
         "bounce": float(rng.uniform(1, 4)),
     }
+    light, beside, sensor = _light(rng), _scenery(rng), _sensor(rng)
+    exposure = float(rng.uniform(0.001, 0.008))  # a short one moves nothing by more than a part of a pixel
     scene = {
         "kind": "follow",
         "seed": seed,
         "frames": frames,
         "rate": 15,
         "road": road,
-        "light": _light(rng),
-        "scenery": _scenery(rng),
-        "sensor": _sensor(rng) | {"open_for": float(rng.uniform(0.001, 0.008)), "steps": 2},
+        "light": light,
+        "scenery": beside,
+        "sensor": sensor | {"open_for": exposure, "steps": 1 if exposure < 0.004 else 2},
         "lead": lead,
         "chase": chase,
     }

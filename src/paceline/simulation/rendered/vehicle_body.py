@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -55,6 +56,12 @@ class Body:
     front: Plane
     rear: Plane
     edges: dict[str, Array]
+
+    @cached_property
+    def bounds(self) -> tuple[Array, Array]:
+        """The least and the greatest coordinates (3,) of its solids."""
+        vertices = np.concatenate([solid.vertices for solid in self.solids])
+        return vertices.min(0), vertices.max(0)
 
     def lines(self, end: str) -> Array:
         """The strong straight edges (S, 2, 3), horizontal or vertical, on or near the plane of ``end`` ("front" or
