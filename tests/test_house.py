@@ -25,7 +25,7 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 FLOORS = {
     1: ["errors", "units", "cameras", "geometry", "sources", "recordings", "monocular", "odometry"],
     2: ["documents", "schemas", "plausibility"],
-    3: ["speed", "follow"],
+    3: ["speed", "follow", "calibration"],
     4: ["simulation", "baselines"],
     5: ["reports"],
     7: ["commands", "cli", "__main__"],

@@ -55,16 +55,12 @@ class Camera:
         p = np.asarray(pixels, float)
         if not self.has_distortion:
             return p
-        ideal = cv2.undistortPoints(
-            p.reshape(-1, 1, 2), self.K, self.distortion, P=self.K, criteria=_TO_CONVERGENCE
-        )
+        ideal = cv2.undistortPoints(p.reshape(-1, 1, 2), self.K, self.distortion, P=self.K, criteria=_TO_CONVERGENCE)
         return np.asarray(ideal, float).reshape(p.shape)
 
     @cached_property
     def _undistortion_maps(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        a, b = cv2.initUndistortRectifyMap(
-            self.K, self.distortion, np.eye(3), self.K, self.image_size, cv2.CV_32FC1
-        )
+        a, b = cv2.initUndistortRectifyMap(self.K, self.distortion, np.eye(3), self.K, self.image_size, cv2.CV_32FC1)
         return np.asarray(a, np.float32), np.asarray(b, np.float32)
 
     def undistort_image(self, image: NDArray[np.float32]) -> NDArray[np.float32]:

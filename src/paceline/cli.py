@@ -11,8 +11,10 @@ from typing import Annotated
 import typer
 
 from paceline.commands import INTERRUPTED, UNUSABLE
+from paceline.commands.calibrate import calibrate
 from paceline.commands.drive import drive
 from paceline.commands.follow import follow_vehicle
+from paceline.commands.rig import rig
 from paceline.commands.simulate import simulate
 from paceline.commands.speed import speed
 from paceline.commands.target import target
@@ -27,6 +29,8 @@ app = typer.Typer(
 )
 app.command()(speed)
 app.command("follow")(follow_vehicle)
+app.command()(calibrate)
+app.add_typer(rig, name="rig")
 app.add_typer(target, name="target")
 app.add_typer(simulate, name="simulate")
 app.command()(drive)

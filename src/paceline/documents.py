@@ -203,7 +203,7 @@ def _stated(u: UncertaintyModel | None) -> RigUncertainty | None:
     if u is None:
         return None
     (a, b, c), (x, y, z) = u.rotation_rad, u.translation_m
-    return RigUncertainty(u.focal_length_px, u.principal_point_px, (a, b, c), (x, y, z))
+    return RigUncertainty(u.focal_length_px, u.principal_point_px, (a, b, c), (x, y, z), u.covariance)
 
 
 def _path(file: Path, rig: StereoRig, name: str, m: PathModel) -> PathDocument:

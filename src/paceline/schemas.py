@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 
 LONGEST_NAME = 100
 LARGEST = 1e9  # no pixel or metre in these files comes near it; NaN and infinity are not below it either
+RIG_PARAMETERS = 14  # fx, fy, cx, cy of each camera, rotation, translation
 _WORDS = {2: "two", 3: "three", 4: "four"}
 
 
@@ -50,6 +51,24 @@ def _vector(length: int) -> BeforeValidator:
     return BeforeValidator(validate)
 
 
+def _covariance(value: Any) -> Any:
+    if value is None:
+        return None
+    rows = value if isinstance(value, list) else []
+    if len(rows) != RIG_PARAMETERS or any(not isinstance(r, list) or len(r) != RIG_PARAMETERS for r in rows):
+        raise ValueError(f"expected {RIG_PARAMETERS} rows of {RIG_PARAMETERS} numbers, found {_shown(value)}")
+    if not all(_is_number(x) for row in rows for x in row):
+        raise ValueError("expected finite numbers")
+    C = np.array(rows, float)
+    size = np.sqrt(np.maximum(np.diag(C), 1e-300))
+    correlation = C / np.outer(size, size)
+    if (np.diag(C) < 0).any() or np.abs(correlation - correlation.T).max() > 1e-6:
+        raise ValueError("is no covariance: expected a symmetric matrix without negative variances")
+    if np.linalg.eigvalsh(correlation).min() < -1e-6:
+        raise ValueError("is no covariance: it gives some change of the rig a negative variance")
+    return C
+
+
 def _name(value: Any) -> Any:
     return str(value) if isinstance(value, int) and not isinstance(value, bool) else value
 
@@ -77,6 +96,7 @@ Rate = Annotated[float, Field(ge=0.1, le=10000)]
 Bits = Annotated[int, Field(ge=8, le=16)]
 Size = Annotated[int, Field(ge=16, le=65536)]
 Sigma = Annotated[float, Field(ge=0)]
+Covariance = Annotated[Array, BeforeValidator(_covariance)]
 
 
 class Document(BaseModel):
@@ -110,6 +130,7 @@ class UncertaintyModel(Document):
     principal_point_px: Sigma = 0.0
     rotation_rad: Annotated[list[Sigma], Field(min_length=3, max_length=3)] = [0.0, 0.0, 0.0]
     translation_m: Annotated[list[Sigma], Field(min_length=3, max_length=3)] = [0.0, 0.0, 0.0]
+    covariance: Covariance | None = None
 
 
 class RigModel(Document):

@@ -12,12 +12,11 @@ from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from paceline.cameras import Camera, RigUncertainty, StereoRig
+from paceline.cameras import RigUncertainty, moved_rigs
 from paceline.speed import scatter
 from paceline.speed.bands import Glimpse, bands_of
 from paceline.speed.trajectory import INDEX, Prior, Trajectory, prior
@@ -276,7 +275,7 @@ class _Fit:
         rig = self.trajectory.rig
         H, H_d = (h.reshape(-1, 3, 3) for h in self.trajectory.homographies(self.theta))
         changes = []
-        for moved in perturbed(rig, uncertainty):
+        for moved in moved_rigs(rig, uncertainty):
             t = self.trajectory
             other = replace(t, rig=moved)
             changes.append(other.homographies(self.theta)[0].reshape(-1, 3, 3) - H)
@@ -291,25 +290,3 @@ class _Fit:
         response = np.zeros((n, Q))
         response[p.free] = -np.linalg.solve(self.A, coupling)[:P]
         return np.asarray(response @ response.T)
-
-
-def perturbed(rig: StereoRig, uncertainty: RigUncertainty) -> list[StereoRig]:
-    """Rigs that each differ from ``rig`` by one standard uncertainty of one calibration parameter."""
-    rigs = []
-    for view in (0, 1):
-        for at, size in (
-            ((0, 0), uncertainty.focal_length_px),
-            ((1, 1), uncertainty.focal_length_px),
-            ((0, 2), uncertainty.principal_point_px),
-            ((1, 2), uncertainty.principal_point_px),
-        ):
-            K = rig.cameras[view].K.copy()
-            K[at] += size
-            camera = Camera(rig.cameras[view].image_size, K)
-            rigs.append(StereoRig(*((camera, rig.right) if view == 0 else (rig.left, camera)), rig.R, rig.t))
-    for axis in range(3):
-        turn = cv2.Rodrigues(np.eye(3)[axis] * uncertainty.rotation_rad[axis])[0]
-        rigs.append(StereoRig(rig.left, rig.right, turn @ rig.R, turn @ rig.t))
-        shift = np.eye(3)[axis] * uncertainty.translation_m[axis]
-        rigs.append(StereoRig(rig.left, rig.right, rig.R, rig.t + shift))
-    return rigs

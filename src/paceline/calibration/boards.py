@@ -1,0 +1,196 @@
+"""Calibration boards: what a board's name says, and where its corners are in an image."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from paceline.errors import UnusableInput
+
+Array = NDArray[np.float64]
+Image = NDArray[np.float32]
+Indices = NDArray[np.int64]
+Detector = Callable[[Image], "Corners"]
+
+EXPECTED = (
+    "expected charuco:COLUMNSxROWS:SQUARE:MARKER:DICTIONARY, squares counted and sizes in metres "
+    "(charuco:11x8:0.06:0.045:DICT_5X5_100), or chessboard:COLUMNSxROWS:SQUARE, inner corners counted "
+    "(chessboard:9x6:0.05)"
+)
+MOST_SQUARES = 100
+LARGEST_SQUARE = 2.0  # m
+CLEAR, WINDOW = 0.75, (2, 9)  # half a window, as a share of the way to the marker, and in px at least and at most
+SETTLED = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-4)
+NEAR = 1.5  # px, between a corner as OpenCV finds it and as it is found again
+LEAST_CORNERS = 8  # of one view of a ChArUco board: fewer hardly fix a pose beside a lens
+
+
+@dataclass(frozen=True)
+class Board:
+    """A flat board. ``columns`` × ``rows`` are squares of a ChArUco board, inner corners of a chessboard.
+
+    ``square`` and ``marker`` are in metres. ``legacy``: a ChArUco pattern as OpenCV printed it before version 4.6.
+    """
+
+    columns: int
+    rows: int
+    square: float
+    marker: float | None = None  # None: a chessboard
+    dictionary: str = ""
+    legacy: bool = False
+
+    @property
+    def points(self) -> Array:
+        """All inner corners (N, 3) in metres on the board's plane z = 0, row by row."""
+        columns, rows = (self.columns, self.rows) if self.marker is None else (self.columns - 1, self.rows - 1)
+        y, x = np.mgrid[:rows, :columns]
+        return self.square * np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1)
+
+    @property
+    def least_corners(self) -> int:
+        """Corners that a usable view shows: a chessboard is seen whole or not at all."""
+        return len(self.points) if self.marker is None else min(LEAST_CORNERS, len(self.points))
+
+    def charuco(self) -> cv2.aruco.CharucoBoard:
+        """OpenCV's description of a ChArUco board."""
+        assert self.marker is not None
+        dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, self.dictionary))
+        board = cv2.aruco.CharucoBoard((self.columns, self.rows), self.square, self.marker, dictionary)
+        board.setLegacyPattern(self.legacy)
+        return board
+
+
+@dataclass(frozen=True, eq=False)
+class Corners:
+    """Corners found in one image: places ``ids`` (n,) in :attr:`Board.points`, and ``pixels`` (n, 2) as recorded."""
+
+    ids: Indices
+    pixels: Array
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+
+def parse_board(text: str) -> Board:
+    """The board that ``text`` names, as ``--board`` takes it; raises UnusableInput for one that cannot be."""
+    kind, *rest = text.split(":")
+    legacy = kind == "charuco" and rest[4:] == ["legacy"]
+    if (kind, len(rest) - legacy) not in (("charuco", 4), ("chessboard", 2)):
+        raise UnusableInput(f"--board {text}: {EXPECTED}")
+    columns, rows = _counts(text, rest[0])
+    square = _size(text, "square", rest[1], LARGEST_SQUARE)
+    if kind == "chessboard":
+        if min(columns, rows) < 3:
+            raise UnusableInput(f"--board {text}: {columns}x{rows} corners; expected at least 3x3")
+        return Board(columns, rows, square)
+    if min(columns, rows) < 3:
+        raise UnusableInput(f"--board {text}: {columns}x{rows} squares; expected at least 3x3")
+    marker = _size(text, "marker", rest[2], square)
+    name = rest[3] if rest[3].startswith("DICT_") else f"DICT_{rest[3]}"
+    if not hasattr(cv2.aruco, name):
+        known = "DICT_4X4_50, DICT_5X5_100, DICT_6X6_250, DICT_APRILTAG_36h11 and others of OpenCV's"
+        raise UnusableInput(f"--board {text}: unknown dictionary {rest[3]!r}; expected one of {known}")
+    held = len(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)).bytesList)
+    if columns * rows // 2 > held:
+        raise UnusableInput(
+            f"--board {text}: {columns}x{rows} squares hold {columns * rows // 2} markers; {name} has {held}"
+        )
+    return Board(columns, rows, square, marker, name, legacy)
+
+
+def _counts(text: str, part: str) -> tuple[int, int]:
+    columns, cross, rows = part.partition("x")
+    if not (cross and columns.isdecimal() and rows.isdecimal()):
+        raise UnusableInput(f"--board {text}: {part!r} is no COLUMNSxROWS; {EXPECTED}")
+    if max(int(columns), int(rows)) > MOST_SQUARES:
+        raise UnusableInput(f"--board {text}: {part} is more than {MOST_SQUARES} a side")
+    return int(columns), int(rows)
+
+
+def _size(text: str, what: str, part: str, largest: float) -> float:
+    try:
+        size = float(part)
+    except ValueError:
+        raise UnusableInput(f"--board {text}: {what} {part!r} is no number; {EXPECTED}") from None
+    if not 1e-3 <= size <= LARGEST_SQUARE:
+        raise UnusableInput(f"--board {text}: the {what} measures {part}; expected metres, 0.001 to {LARGEST_SQUARE:g}")
+    if what == "marker" and size >= largest:
+        raise UnusableInput(f"--board {text}: the marker ({part} m) is not smaller than the square ({largest:g} m)")
+    return size
+
+
+def detector(board: Board) -> Detector:
+    """A function that finds the corners of ``board`` in an image (H, W), 0–255; none where the board is not seen."""
+    return _chessboard_detector(board) if board.marker is None else _charuco_detector(board)
+
+
+def _charuco_detector(board: Board) -> Detector:
+    pattern = board.charuco()
+    found = cv2.aruco.CharucoDetector(pattern)
+
+    def detect(image: Image) -> Corners:
+        pixels, ids, *_ = found.detectBoard(_bytes(image))
+        if ids is None or len(ids) < board.least_corners or pattern.checkCharucoCornersCollinear(ids):
+            return NOTHING
+        order = np.argsort(np.ravel(ids))
+        corners = Corners(np.ravel(ids)[order].astype(np.int64), np.reshape(pixels, (-1, 2))[order].astype(float))
+        return _refined(board, corners, _bytes(image))
+
+    return detect
+
+
+def _refined(board: Board, corners: Corners, image: NDArray[np.uint8]) -> Corners:
+    """ChArUco ``corners`` found again in windows that stay clear of the markers.
+
+    OpenCV's own windows are chosen for the image's size and may reach into a marker, whose edges draw the corner
+    towards it by tenths of a pixel.
+    """
+    assert board.marker is not None
+    on_board = board.points[corners.ids]
+    H = cv2.findHomography(on_board[:, :2], corners.pixels)[0]
+    if H is None:
+        return NOTHING
+    gap = (board.square - board.marker) / 2
+    steps = gap * np.array([[1, 0], [-1, 0], [0, 1], [0, -1.0]])
+    around = cv2.perspectiveTransform((on_board[:, None, :2] + steps).reshape(-1, 1, 2), H).reshape(-1, 4, 2)
+    clear = np.linalg.norm(around - corners.pixels[:, None], axis=2).min(1)
+    windows = np.clip(CLEAR * clear, *WINDOW).astype(int)
+    pixels = corners.pixels.copy()
+    for size in np.unique(windows):
+        mine = windows == size
+        start = pixels[mine].astype(np.float32).reshape(-1, 1, 2)
+        pixels[mine] = cv2.cornerSubPix(image, start, (size, size), (-1, -1), SETTLED).reshape(-1, 2)
+    near = np.linalg.norm(pixels - corners.pixels, axis=1) < NEAR  # elsewhere something else was found
+    return Corners(corners.ids[near], pixels[near]) if near.sum() >= board.least_corners else NOTHING
+
+
+def _chessboard_detector(board: Board) -> Detector:
+    size = board.columns, board.rows
+
+    def detect(image: Image) -> Corners:
+        found, pixels = cv2.findChessboardCornersSB(_bytes(image), size, flags=cv2.CALIB_CB_ACCURACY)
+        if not found:
+            return NOTHING
+        return Corners(np.arange(len(board.points)), np.reshape(pixels, (-1, 2)).astype(float))
+
+    return detect
+
+
+def same_way_round(left: Corners, right: Corners) -> Corners:
+    """``right`` with a chessboard's corners counted from the end that they are counted from in ``left``.
+
+    A chessboard looks the same turned by half a turn; the cameras of a rig are not turned against each other.
+    """
+    along = [c.pixels[-1] - c.pixels[0] for c in (left, right)]
+    return right if along[0] @ along[1] >= 0 else Corners(right.ids, right.pixels[::-1].copy())
+
+
+def _bytes(image: Image) -> NDArray[np.uint8]:
+    return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+
+
+NOTHING = Corners(np.empty(0, np.int64), np.empty((0, 2)))

@@ -1,0 +1,169 @@
+"""The model that a calibration fits: two lenses, the pose of the right camera, the pose of the board in every view.
+
+The 24 parameters of a rig, in this order: fx, fy, cx, cy, k1, k2, p1, p2, k3 of the left camera, the same of the right
+one, a turn (rad) about the right camera's x, y, z axes and a shift (m) along them. Turns and shifts are steps from a
+:class:`Rig`'s present rotation and translation: ``X_right = exp(turn) (R X_left + t) + shift``. Boards move alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from paceline.cameras import Camera, StereoRig
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+LENS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
+NAMES = (
+    *(f"{side} {name}" for side in ("left", "right") for name in LENS),
+    *(f"{what} {axis}" for what in ("rotation", "translation") for axis in "xyz"),
+)
+N_LENS, N_RIG = len(LENS), len(NAMES)
+POSE = np.s_[2 * N_LENS : N_RIG]  # of the right camera
+
+# Lens models from plain to rich: which of k1, k2, p1, p2, k3 are free.
+DISTORTIONS: dict[str, tuple[int, ...]] = {
+    "none": (),
+    "k1": (0,),
+    "k1, k2": (0, 1),
+    "k1, k2, p1, p2": (0, 1, 2, 3),
+    "k1, k2, p1, p2, k3": (0, 1, 2, 3, 4),
+}
+
+
+def free_parameters(distortion: str) -> Indices:
+    """Places in the 24 of what a calibration with that lens model estimates."""
+    lens = [0, 1, 2, 3, *(4 + k for k in DISTORTIONS[distortion])]
+    return np.array([*lens, *(N_LENS + k for k in lens), *range(2 * N_LENS, N_RIG)])
+
+
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """Two lenses (2, 9), in the order of ``LENS``, and ``X_right = R X_left + t``."""
+
+    lenses: Array
+    R: Array
+    t: Array
+
+    def moved(self, step: Array) -> Rig:
+        """The rig after a ``step`` (24,) of its parameters."""
+        turn = rotation(step[POSE][:3])
+        return Rig(self.lenses + step[: 2 * N_LENS].reshape(2, N_LENS), turn @ self.R, turn @ self.t + step[POSE][3:])
+
+    def stereo(self, sizes: Sequence[tuple[int, int]]) -> StereoRig:
+        """The same for everything else: cameras of the image ``sizes``, (width, height)."""
+        left, right = (camera_of(lens, size) for lens, size in zip(self.lenses, sizes, strict=True))
+        return StereoRig(left, right, self.R, self.t)
+
+
+def rig_of(stereo: StereoRig) -> Rig:
+    """The model of a rig whose lenses have at most k1, k2, p1, p2, k3."""
+    lenses = np.zeros((2, N_LENS))
+    for lens, camera in zip(lenses, stereo.cameras, strict=True):
+        lens[:4] = camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]
+        lens[4 : 4 + len(camera.distortion)] = camera.distortion
+    return Rig(lenses, stereo.R, stereo.t)
+
+
+def camera_of(lens: Array, size: tuple[int, int]) -> Camera:
+    fx, fy, cx, cy = lens[:4]
+    return Camera(size, np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), lens[4:] if lens[4:].any() else np.zeros(0))
+
+
+@dataclass(frozen=True, eq=False)
+class Poses:
+    """Where the board is in each of V views: ``X_left = R[v] X_board + t[v]``, (V, 3, 3) and (V, 3)."""
+
+    R: Array
+    t: Array
+
+    def moved(self, step: Array) -> Poses:
+        """The poses after steps (V, 6): turns about and shifts along the left camera's axes."""
+        turn = np.array([rotation(s) for s in step[:, :3]]).reshape(-1, 3, 3)
+        return Poses(turn @ self.R, np.einsum("vij,vj->vi", turn, self.t) + step[:, 3:])
+
+    def of(self, views: Indices) -> Poses:
+        return Poses(self.R[views], self.t[views])
+
+
+@dataclass(frozen=True, eq=False)
+class Observations:
+    """M corners: ``view`` and ``side`` (M,), 0 left, 1 right; ``points`` (M, 3) on the board, ``pixels`` (M, 2)."""
+
+    view: Indices
+    side: Indices
+    points: Array
+    pixels: Array
+
+    def where(self, chosen: NDArray[np.bool_]) -> Observations:
+        return Observations(self.view[chosen], self.side[chosen], self.points[chosen], self.pixels[chosen])
+
+
+def difference(rig: Rig, other: Rig) -> Array:
+    """The step (24,) that takes ``other`` to ``rig``."""
+    turn = rig.R @ other.R.T
+    vector = Rotation.from_matrix(turn).as_rotvec()  # OpenCV's is zero below 1e-5
+    return np.concatenate([(rig.lenses - other.lenses).ravel(), vector, rig.t - turn @ other.t])
+
+
+def rotation(vector: Array) -> Array:
+    """exp of a rotation ``vector`` (3,), shape (3, 3)."""
+    return np.asarray(cv2.Rodrigues(np.asarray(vector, float))[0])
+
+
+def lens_projection(lenses: Array, points: Array) -> tuple[Array, Array, Array]:
+    """Distorted pixels (M, 2) of ``points`` (M, 3) in camera axes through ``lenses`` (M, 9), one for each point, with
+    ∂pixel/∂lens (M, 2, 9) and ∂pixel/∂point (M, 2, 3). OpenCV's model with k1, k2, p1, p2, k3."""
+    fx, fy, cx, cy, k1, k2, p1, p2, k3 = lenses.T
+    X, Y, Z = points.T
+    x, y = X / Z, Y / Z
+    r2 = x * x + y * y
+    radial, slope = 1 + r2 * (k1 + r2 * (k2 + r2 * k3)), k1 + r2 * (2 * k2 + 3 * r2 * k3)
+    xd = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+    yd = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+
+    zero, one = np.zeros_like(x), np.ones_like(x)
+    of_lens = np.array(
+        [
+            [xd, zero, one, zero, fx * x * r2, fx * x * r2**2, fx * 2 * x * y, fx * (r2 + 2 * x * x), fx * x * r2**3],
+            [zero, yd, zero, one, fy * y * r2, fy * y * r2**2, fy * (r2 + 2 * y * y), fy * 2 * x * y, fy * y * r2**3],
+        ]
+    )
+    across = 2 * (x * y * slope + p1 * x + p2 * y)
+    xd_x, yd_y = (
+        radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x,
+        radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x,
+    )
+    u_x, u_y, v_x, v_y = fx * xd_x, fx * across, fy * across, fy * yd_y
+    of_point = np.array([[u_x, u_y, -(u_x * x + u_y * y)], [v_x, v_y, -(v_x * x + v_y * y)]]) / Z
+    return np.stack([fx * xd + cx, fy * yd + cy], -1), of_lens.transpose(2, 0, 1), of_point.transpose(2, 0, 1)
+
+
+def project(rig: Rig, poses: Poses, seen: Observations) -> tuple[Array, Array, Array]:
+    """Pixels (M, 2) at which corners should be seen, with derivatives by the rig (M, 2, 24) and by their own view's
+    pose (M, 2, 6)."""
+    R, right = poses.R[seen.view], (seen.side == 1)[:, None]
+    in_left = np.einsum("mij,mj->mi", R, seen.points) + poses.t[seen.view]
+    in_right = in_left @ rig.R.T + rig.t
+    pixels, of_lens, of_point = lens_projection(rig.lenses[seen.side], np.where(right, in_right, in_left))
+
+    by_rig = np.zeros((len(pixels), 2, N_RIG))
+    left_side, right_side = seen.side == 0, seen.side == 1
+    by_rig[left_side, :, :N_LENS] = of_lens[left_side]
+    by_rig[right_side, :, N_LENS : 2 * N_LENS] = of_lens[right_side]
+    by_rig[right_side, :, POSE] = _by_motion(of_point[right_side], in_right[right_side])
+    of_left = np.where(right[..., None], of_point @ rig.R, of_point)
+    return pixels, by_rig, _by_motion(of_left, in_left)
+
+
+def _by_motion(of_point: Array, points: Array) -> Array:
+    """∂pixel/∂(turn, shift) (M, 2, 6) of ``points`` (M, 3) about and along the axes that they are given in."""
+    (X, Y, Z), (a, b, c) = points.T[..., None], np.moveaxis(of_point, -1, 0)
+    return np.stack([Y * c - Z * b, Z * a - X * c, X * b - Y * a, a, b, c], axis=-1)  # g · (ω × X) = ω · (X × g)

@@ -1,0 +1,121 @@
+"""``paceline calibrate``: pictures of a board become a rig.yaml."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from paceline.commands import DONE, print_columns
+from paceline.commands.progress import progress_bar
+
+if TYPE_CHECKING:
+    from paceline.calibration.calibrating import Calibration
+
+GOOD, USABLE = 0.005, 0.02  # half a 95 % interval of a speed at JUDGED metres, as a share of it
+JUDGED = 50.0
+
+
+def calibrate(
+    left: Annotated[
+        Path,
+        typer.Argument(metavar="LEFT", help="The left camera's pictures of the board: a folder, a pattern, a video."),
+    ],
+    right: Annotated[Path, typer.Argument(metavar="RIGHT", help="The right camera's, taken at the same times.")],
+    board: Annotated[
+        str,
+        typer.Option(
+            metavar="BOARD",
+            help="charuco:COLUMNSxROWS:SQUARE:MARKER:DICTIONARY, squares counted, or chessboard:COLUMNSxROWS:SQUARE, "
+            "inner corners counted; sizes in metres.",
+        ),
+    ],
+    out: Annotated[
+        Path, typer.Option("-o", "--out", help="The rig.yaml to write; a picture and numbers appear beside it.")
+    ],
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
+) -> int:
+    """Calibrate a stereo rig from pictures of a board held before both cameras."""
+    from paceline.calibration.boards import parse_board
+    from paceline.calibration.calibrating import calibrate as calibrate_views
+    from paceline.calibration.views import collect_views
+    from paceline.reports.calibration import check_name, write_calibration
+
+    described = parse_board(board)
+    check_name(out)
+    with progress_bar("finding the board", sys.stderr.isatty() and not quiet) as advance:
+        views = collect_views(left, right, described, advance)
+    calibration = calibrate_views(views)
+    written = write_calibration(calibration, out)
+    if not quiet:
+        _print(calibration)
+        print(f"\n{out}; look at {written[1]}")
+    return DONE
+
+
+def _print(c: Calibration) -> None:
+    rows = [("", "left", "right"), *_lenses(c), *_pose(c)]
+    print_columns(rows)
+    print(f"\nviews       {len(c.used)} of {len(c.views.views) + len(c.views.empty)} used", end="")
+    print(f", {c.stray} stray corners left out" if c.stray else "")
+    models = ", ".join(f"{name} {error:.3f}" for name, error in c.held_out.items())
+    print(f"lens model  {c.distortion}; error on views held out, px: {models}")
+    effects = "   ".join(f"{e.distance:.0f} m ± {100 * c.factor * e.along:.2f} %" for e in c.effects)
+    print(f"speeds      {effects}   (95 %, from the calibration alone)")
+    print(f"verdict     {verdict(c)}")
+    for v, reason in c.rejected.items():
+        print(f"note: {c.views.views[v].name} is left out: {reason}", file=sys.stderr)
+    if c.views.empty:
+        print(f"note: no board is seen in {', '.join(c.views.empty[:8])}", end="", file=sys.stderr)
+        print(f" and {len(c.views.empty) - 8} more" if len(c.views.empty) > 8 else "", file=sys.stderr)
+    for notice in [*c.views.notices, *c.advice]:
+        print(f"note: {notice}", file=sys.stderr)
+
+
+def _lenses(c: Calibration) -> list[tuple[str, str, str]]:
+    """A row for each parameter of the lenses, with half its 95 % interval."""
+    from paceline.calibration.model import LENS, N_LENS
+
+    titles = dict(zip(LENS, ("focal length x, px", "focal length y, px", "centre x, px", "centre y, px"), strict=False))
+    rows = []
+    for k, name in enumerate(LENS):
+        if k < 4 or k in c.fit.free:
+            left, right = (
+                _with_interval(c.fit.rig.lenses[side, k], c.factor * c.std[side * N_LENS + k], 2 if k < 4 else 5)
+                for side in (0, 1)
+            )
+            rows.append((titles.get(name, name), left, right))
+    return rows
+
+
+def _pose(c: Calibration) -> list[tuple[str, str, str]]:
+    import cv2
+    import numpy as np
+
+    from paceline.calibration.model import POSE
+
+    std = c.factor * c.std[POSE]
+    angles = np.degrees(np.ravel(cv2.Rodrigues(c.rig.R)[0]))
+    along = c.rig.t / c.rig.baseline
+    of_baseline = c.factor * float(np.sqrt(along @ c.covariance[POSE, POSE][3:, 3:] @ along))
+    rows = [("distance apart, m", "", _with_interval(c.rig.baseline, of_baseline, 5))]
+    for k, axis in enumerate("xyz"):
+        rows.append((f"turned about {axis}, degrees", "", _with_interval(angles[k], float(np.degrees(std[k])), 4)))
+    return rows
+
+
+def _with_interval(value: float, half: float, digits: int) -> str:
+    return f"{value:.{digits}f} ± {half:.{digits}f}"
+
+
+def verdict(c: Calibration) -> str:
+    """One line on what this calibration is good for."""
+    share = c.factor * next(e.along for e in c.effects if e.distance == JUDGED)
+    what = f"the calibration leaves speeds at {JUDGED:.0f} m unsure by {100 * share:.2f} %"
+    if share <= GOOD:
+        return f"good: {what}"
+    if share <= USABLE:
+        return f"usable: {what}; more views, larger in the picture and more tilted, make it better"
+    return f"too unsure for speeds at {JUDGED:.0f} m: {what}; add views, larger in the picture and more tilted"

@@ -1,0 +1,182 @@
+"""``paceline rig``: calibrations of other programs, and whether a rig still stands as it was calibrated."""
+
+from __future__ import annotations
+
+import sys
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from paceline.commands import DONE, NOTHING_MEASURED, print_columns
+from paceline.commands.progress import progress_bar
+from paceline.errors import UnusableInput
+
+if TYPE_CHECKING:
+    from paceline.calibration.checking import Check, Refinement
+
+rig = typer.Typer(help="Rigs: import and check them.", rich_markup_mode=None)
+
+FACTOR = 1.96  # standard uncertainties in half a 95 % interval
+TURNS = ("nod (about x)", "pan (about y)", "roll (about z)")
+
+
+class Unit(StrEnum):
+    """Of the length in which a file states the distance between the cameras."""
+
+    m = "m"
+    cm = "cm"
+    mm = "mm"
+
+
+METRES = {Unit.m: 1.0, Unit.cm: 0.01, Unit.mm: 0.001}
+
+
+@rig.command("import")
+def rig_import(
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="FILE…", help="OpenCV YAML or XML, a Kalibr camchain, ROS camera_info left and right, KITTI."
+        ),
+    ],
+    out: Annotated[Path, typer.Option("-o", "--out", help="The rig.yaml to write.")],
+    size: Annotated[
+        str | None, typer.Option(metavar="WIDTHxHEIGHT", help="Size of the images, where the files do not say it.")
+    ] = None,
+    unit: Annotated[Unit, typer.Option(help="In which the files state the distance between the cameras.")] = Unit.m,
+    cameras: Annotated[
+        str, typer.Option(metavar="LEFT,RIGHT", help="Which cameras of a Kalibr chain or of KITTI's are the pair.")
+    ] = "0,1",
+    rectified: Annotated[
+        bool,
+        typer.Option("--rectified/--unrectified", help="Whether the pictures are rectified already (ROS and KITTI)."),
+    ] = True,
+) -> int:
+    """Write the rig.yaml of a calibration that another program made."""
+    from paceline.calibration.importing import Wishes, import_rig
+    from paceline.calibration.rig_file import rig_yaml
+    from paceline.reports.calibration import check_name, write_together
+
+    check_name(out)
+    found, kind = import_rig(files, Wishes(_size(size), METRES[unit], _pair(cameras), rectified))
+    comments = [
+        f"from {kind}: {', '.join(f.name for f in files)}",
+        "it states no uncertainty: see uncertainty in docs/files.md",
+    ]
+    write_together({out: rig_yaml(found, comments).encode()})
+    width, height = found.left.image_size
+    print(
+        f"{kind}: {width} × {height} pixels, focal length {found.left.K[0, 0]:.1f} px, cameras {found.baseline:.4f} m "
+        f"apart; {out}"
+    )
+    print("note: states no uncertainty, so speeds will have no systematic part; add it if you know it", file=sys.stderr)
+    return DONE
+
+
+@rig.command("check")
+def rig_check(
+    clip: Annotated[Path, typer.Argument(metavar="CLIP", help="A clip.yaml, or the folder that contains it.")],
+    other: Annotated[
+        Path | None, typer.Option("--rig", help="The rig.yaml to check in place of the clip's own.")
+    ] = None,
+    refine: Annotated[
+        bool, typer.Option("--refine", help="Set the rotation right by the scene, and write it to --out.")
+    ] = False,
+    out: Annotated[Path | None, typer.Option("-o", "--out", help="The rig.yaml to write with --refine.")] = None,
+) -> int:
+    """Check by points of the scene whether the cameras still stand as they were calibrated.
+
+    Ends with status 1 where they do not, or where the scene cannot tell.
+    """
+    if refine != (out is not None):
+        raise UnusableInput("--refine and --out belong together: the refined rig needs a file to go to")
+
+    from paceline.calibration.checking import check, enough
+    from paceline.calibration.checking import refine as refine_rig
+    from paceline.calibration.rig_file import rig_yaml
+    from paceline.calibration.scene import load_recorded, match_scene
+    from paceline.recordings import open_recording
+    from paceline.reports.calibration import check_name, write_together
+
+    if out is not None:
+        check_name(out)
+    document = load_recorded(clip / "clip.yaml" if clip.is_dir() else clip, other)
+    recording = open_recording(document)
+    with progress_bar("matching", sys.stderr.isatty()) as advance:
+        matches = match_scene(recording, advance)
+    if not enough(matches):
+        print(f"verdict  cannot tell: only {len(matches)} points of the scene match; film something with more texture")
+        return NOTHING_MEASURED
+    found = check(document.rig, matches)
+    _print_check(found, matches.frames)
+    if out is not None:
+        better = refine_rig(document.rig, found)
+        comments = [f"rotation refined by {found.matches} points of the scene in {clip.name}"]
+        write_together({out: rig_yaml(better.rig, comments).encode()})
+        _print_refinement(better, out)
+        return DONE
+    return NOTHING_MEASURED if found.moved else DONE
+
+
+def _print_check(found: Check, frames: int) -> None:
+    import numpy as np
+
+    turn, half = np.degrees(found.turn), np.degrees(FACTOR * found.std)
+    print_columns(
+        [
+            ("turned since its calibration", "degrees, 95 %"),
+            *((what, f"{t:+.4f} ± {h:.4f}") for what, t, h in zip(TURNS, turn, half, strict=True)),
+        ]
+    )
+    print(
+        f"\n{found.matches} points in {frames} frames, off their lines by {found.error:.2f} px (rms) through the turn "
+        f"and {found.scatter:.2f} px besides"
+    )
+    print(f"verdict  {verdict(found)}")
+    if not found.states_uncertainty:
+        print("note: the rig states no uncertainty, so every difference counts as a movement", file=sys.stderr)
+
+
+def verdict(found: Check) -> str:
+    """One line on whether the rig stands as it was calibrated."""
+    if not found.moved:
+        return f"the rig stands as calibrated; the scene agrees (chance of so large a difference: {found.chance:.2g})"
+    moved = "has moved" if found.states_uncertainty else "does not stand as its file says"
+    return (
+        f"the rig {moved}: points lie {found.error:.2f} px off their lines (chance otherwise: {found.chance:.1g}); "
+        "calibrate it again, or --refine -o rig.yaml"
+    )
+
+
+def _print_refinement(better: Refinement, out: Path) -> None:
+    import numpy as np
+
+    print()
+    rows = [("refined", "turned by, degrees, 95 %", "known from")]
+    for what, t, s, share in zip(
+        TURNS, np.degrees(better.turn), np.degrees(better.std), better.from_scene, strict=True
+    ):
+        source = "the scene" if share > 0.5 else "the calibration: the scene cannot tell it"
+        rows.append((what, f"{t:+.4f} ± {FACTOR * s:.4f}", source))
+    print_columns(rows)
+    effects = "   ".join(f"{e.distance:.0f} m ± {100 * FACTOR * e.along:.1f} %" for e in better.effects)
+    print(f"speeds   {effects}   (95 %, from the calibration alone)")
+    print(f"No scene tells the distance between the cameras: {out} keeps the calibration's.")
+
+
+def _size(text: str | None) -> tuple[int, int] | None:
+    if text is None:
+        return None
+    width, cross, height = text.partition("x")
+    if not (cross and width.isdecimal() and height.isdecimal() and 16 <= min(int(width), int(height)) <= 65536):
+        raise UnusableInput(f"--size {text}: expected WIDTHxHEIGHT in pixels, for instance 1280x960")
+    return int(width), int(height)
+
+
+def _pair(text: str) -> tuple[int, int]:
+    left, comma, right = text.partition(",")
+    if not (comma and left.isdecimal() and right.isdecimal() and left != right):
+        raise UnusableInput(f"--cameras {text}: expected two numbers, the left camera's first, for instance 0,1")
+    return int(left), int(right)

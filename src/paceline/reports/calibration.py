@@ -1,0 +1,163 @@
+"""A calibration as files: rig.yaml, a picture of where the board was seen and how well it fits, and all numbers."""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from paceline import __version__
+from paceline.calibration.calibrating import Calibration
+from paceline.calibration.model import NAMES
+from paceline.calibration.rig_file import rig_yaml
+from paceline.errors import UnusableInput
+from paceline.reports.plots import FILTER, INK, INTERVAL, MUTED, REFINED, make_plot
+
+SIDES = ("left", "right")
+SIZE = (9.4, 6.4)  # inches
+MOST_NAMES = 30  # views whose names fit under the bars
+
+
+def write_calibration(calibration: Calibration, file: Path) -> list[Path]:
+    """Writes rig.yaml to ``file`` and, beside it, the picture and the numbers; returns all three paths.
+
+    Raises UnusableInput where they cannot be written; then none is.
+    """
+    plot = make_plot("calibration", "Where the board was seen", SIZE, lambda figure: _draw(figure, calibration))
+    contents = {
+        file: rig_yaml(calibration.rig, head(calibration)).encode(),
+        file.with_suffix(".png"): plot.png,
+        file.with_suffix(".json"): (json.dumps(numbers(calibration), indent=1) + "\n").encode(),
+    }
+    write_together(contents)
+    return list(contents)
+
+
+def check_name(file: Path) -> None:
+    """Raises UnusableInput for a ``file`` that is no name for a rig.yaml."""
+    if file.suffix not in (".yaml", ".yml"):
+        raise UnusableInput(f"--out {file}: expected the name of a YAML file to write, for instance rig.yaml")
+    if file.is_dir():
+        raise UnusableInput(f"--out {file}: is a folder; expected the name of a file to write")
+
+
+def write_together(contents: dict[Path, bytes]) -> None:
+    """Writes all files or none. Raises UnusableInput where they cannot be written."""
+    partial = {path: path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial") for path in contents}
+    first = next(iter(contents))
+    try:
+        first.parent.mkdir(parents=True, exist_ok=True)
+        for path, content in contents.items():
+            if path.is_dir():
+                raise UnusableInput(f"{path}: is a folder; expected the name of a file to write")
+            partial[path].write_bytes(content)
+        for path in contents:
+            os.replace(partial[path], path)
+    except OSError as error:
+        raise UnusableInput(f"{first}: cannot be written ({error.strerror})") from error
+    finally:
+        for path in partial.values():
+            path.unlink(missing_ok=True)
+
+
+def head(calibration: Calibration) -> list[str]:
+    """What a rig.yaml says of its own making."""
+    c = calibration
+    return [
+        f"calibrated by paceline {__version__} from {len(c.used)} of {len(c.views.views)} views of a board",
+        f"lens model {c.distortion}; corners of views held out lie {c.held_out[c.distortion]:.3f} px off (rms)",
+    ]
+
+
+def numbers(calibration: Calibration) -> dict[str, Any]:
+    """Everything about a calibration, for programs: SI units and pixels."""
+    c = calibration
+    values = np.concatenate([c.fit.rig.lenses.ravel(), np.zeros(3), c.rig.t])
+    errors = c.errors
+    views = []
+    for v, view in enumerate(c.views.views):
+        entry: dict[str, Any] = {"view": view.name, "used": v in c.used}
+        entry |= {f"{side}_corners": len(corners) for side, corners in zip(SIDES, view.sides, strict=True)}
+        if v in c.used:
+            row = errors[c.used.index(v)]
+            entry |= {f"{s}_rms_px": None if np.isnan(e) else float(e) for s, e in zip(SIDES, row, strict=True)}
+        else:
+            entry["reason"] = c.rejected[v]
+        views.append(entry)
+    return {
+        "board": vars(c.views.board),
+        "parameters": list(NAMES),
+        "values": values.tolist(),
+        "std": c.std.tolist(),
+        "covariance": c.covariance.tolist(),
+        "lens_model": c.distortion,
+        "held_out_px": c.held_out,
+        "corner_std_px": c.fit.sigma,
+        "corner_std_by_views_px": float(np.sqrt(c.fit.dispersion)),
+        "speed_std_share": [{"distance_m": e.distance, "along": e.along, "across": e.across} for e in c.effects],
+        "views": views,
+        "without_a_board": c.views.empty,
+        "strays": c.stray,
+        "advice": c.advice,
+        "paceline": __version__,
+    }
+
+
+def _draw(figure: Figure, calibration: Calibration) -> None:
+    grid = figure.add_gridspec(2, 2, height_ratios=(1.55, 1))
+    for side, name in enumerate(SIDES):
+        _draw_coverage(figure.add_subplot(grid[0, side]), calibration, side, name)
+    _draw_errors(figure.add_subplot(grid[1, :]), calibration)
+    figure.axes[0].legend(loc="upper left", bbox_to_anchor=(0, -0.03), ncols=3, handletextpad=0.2, markerscale=4)
+
+
+def _draw_coverage(axes: Axes, calibration: Calibration, side: int, name: str) -> None:
+    c = calibration
+    width, height = c.views.sizes[side]
+    mine = c.seen.side == side
+    pixels = c.seen.pixels[mine]
+    axes.scatter(pixels[:, 0], pixels[:, 1], s=3, color=FILTER, lw=0, label="corners used")
+    left_out = [c.views.views[v].sides[side].pixels for v in c.rejected]
+    if left_out:
+        x, y = np.concatenate(left_out).T
+        axes.scatter(x, y, s=3, color=REFINED, lw=0, alpha=0.6, label="of views left out")
+    axes.set_title(f"{name} image, {len(pixels)} corners")
+    axes.set_xlim(-0.5, width - 0.5)
+    axes.set_ylim(height - 0.5, -0.5)
+    axes.set_aspect("equal")
+    axes.grid(False)
+    for spine in axes.spines.values():
+        spine.set_visible(True)
+    axes.set_xticks([])
+    axes.set_yticks([])
+
+
+def _draw_errors(axes: Axes, calibration: Calibration) -> None:
+    c = calibration
+    errors = np.full((len(c.views.views), 2), np.nan)
+    errors[c.used] = c.errors
+    usual = float(np.nanmedian(errors))
+    top = max(1.25 * float(np.nanmax(errors)), 2 * usual)
+    place = np.arange(len(errors))
+    for side, (name, color) in enumerate(zip(SIDES, (FILTER, MUTED), strict=True)):
+        axes.bar(place + (side - 0.5) * 0.38, errors[:, side], 0.36, color=color, label=name)
+    for v in c.rejected:
+        axes.axvspan(v - 0.45, v + 0.45, color=INTERVAL, alpha=0.25, lw=0)
+        axes.text(v, 0.96 * top, "left out", rotation=90, ha="center", va="top", color=INK, fontsize=7)
+    axes.axhline(usual, color=INK, lw=0.8, ls=(0, (4, 3)))
+    axes.set_ylim(0, top)
+    axes.set_title("error of each view, px (rms of a coordinate); dashed: the median")
+    axes.grid(axis="x", visible=False)
+    axes.margins(x=0.01)
+    axes.legend(loc="upper right", ncols=2)
+    names = [view.name for view in c.views.views]
+    if len(names) <= MOST_NAMES:
+        axes.set_xticks(place, [n.rsplit(".", 1)[0][-12:] for n in names], rotation=60, ha="right", fontsize=7)
+    else:
+        axes.set_xlabel("view")

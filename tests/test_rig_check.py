@@ -1,0 +1,195 @@
+"""Whether a rig stands as it was calibrated: from points that are known, and on pictures."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+
+from paceline.calibration import checking
+from paceline.calibration.checking import check, clustered_covariance, enough, refine, turned
+from paceline.calibration.scene import TILE, Matches, load_recorded, match_scene
+from paceline.cameras import RigUncertainty, StereoRig, moved_rig
+from paceline.documents import load_rig
+from paceline.recordings import open_recording
+
+ROOT = Path(__file__).parents[1]
+EXAMPLE = ROOT / "examples" / "straight"
+SHARED = ROOT.parent / "shared" / "data"
+STATED = RigUncertainty(0.5, 0.0, (2e-5, 2e-5, 2e-5), (1e-4, 1e-4, 1e-4))
+
+
+def with_uncertainty(rig: StereoRig, stated: RigUncertainty | None = STATED) -> StereoRig:
+    return StereoRig(rig.left, rig.right, rig.R, rig.t, stated)
+
+
+def scene(true: StereoRig, seed: int, count: int = 600, sigma: float = 0.3, mistakes: int = 40) -> Matches:
+    """Points at 8 to 100 m seen by the ``true`` rig with noise, some of them matched wrongly."""
+    rng = np.random.default_rng(seed)
+    width, height = true.left.image_size
+    pixels = rng.uniform(0, 1, (4 * count, 2)) * [width, height]
+    points = true.left.rays(pixels) * (1 / rng.uniform(1 / 100, 1 / 8, (4 * count, 1)))
+    left, right = true.project(points)
+    inside = ((right > 0) & (right < [width, height])).all(1)
+    left, right = left[inside][:count], right[inside][:count]
+    left, right = (p + rng.normal(0, sigma, p.shape) for p in (left, right))
+    right[:mistakes] += rng.uniform(-20, 20, (mistakes, 2))
+    x, y = (left // TILE).astype(np.int64).T
+    return Matches(left, right, y * 100 + x, 1)
+
+
+def random_rig(rig: StereoRig, seed: int) -> StereoRig:
+    """A rig off the stated one by as much as that states."""
+    return moved_rig(rig, STATED.moves.T @ np.random.default_rng(seed).normal(size=14))
+
+
+def test_a_rig_that_stands_is_seldom_said_to_have_moved(rig: StereoRig) -> None:
+    """At a chance of 1e-3 each, more than one of 40 has a chance of 8e-4."""
+    said = [check(with_uncertainty(rig), scene(random_rig(rig, s), s)) for s in range(40)]
+    assert sum(found.moved for found in said) <= 1
+    assert np.mean([found.chance < 0.5 for found in said]) < 0.85
+
+
+@pytest.mark.parametrize("degrees", [(0.03, 0, 0), (0, 0, 0.1), (-0.02, 0.05, 0.08)])
+def test_a_rig_that_was_knocked_is_found_and_set_right(rig: StereoRig, degrees: tuple[float, float, float]) -> None:
+    knock = np.radians(degrees)
+    file = with_uncertainty(rig)
+    for seed in range(5):
+        true = turned(random_rig(rig, seed), knock)
+        found = check(file, scene(true, seed))
+        assert found.moved
+        assert np.abs((found.turn - knock)[[0, 2]] / found.std[[0, 2]]).max() < 4
+        better = refine(file, found)
+        np.testing.assert_allclose(better.rig.R, turned(file, better.turn).R)
+        off = np.abs(better.turn - knock) / better.std
+        assert off[[0, 2]].max() < 4
+        assert off[1] < 4  # the pan, which the scene hardly shows, is stated to be as unsure as it is
+        assert (better.from_scene[[0, 2]] > 0.8).all()
+        assert better.std[1] > 5 * better.std[0]
+        assert better.effects[1].along > 3 * checking.speed_effects(file)[1].along
+
+
+def test_the_turn_is_that_of_the_covariance(rig: StereoRig) -> None:
+    z = []
+    for seed in range(40):
+        found = check(with_uncertainty(rig, None), scene(rig, seed, mistakes=0))
+        z.append(found.turn[[0, 2]] / np.sqrt(np.diag(found.scene_covariance))[[0, 2]])
+    assert 0.7 < np.sqrt(np.mean(np.square(z))) < 1.35  # 80 squares: 0.75 to 1.27 at a chance of 1e-3 on each side
+
+
+def test_wrong_matches_are_left_out(rig: StereoRig) -> None:
+    found = check(with_uncertainty(rig), scene(rig, 3, mistakes=100))
+    assert 80 <= found.mistakes <= 130
+    assert found.scatter == pytest.approx(0.3 * np.sqrt(2), rel=0.15)  # both views' noise
+
+
+def test_what_the_calibration_leaves_open_is_no_movement(rig: StereoRig) -> None:
+    """The same difference is a movement or not by what the rig states about itself."""
+    true = turned(rig, np.array([8e-5, 0, 0]))
+    sure, unsure = (
+        check(with_uncertainty(rig, RigUncertainty(rotation_rad=(s, s, s))), scene(true, 1)) for s in (1e-6, 1e-4)
+    )
+    assert sure.moved
+    assert not unsure.moved
+
+
+def test_refining_a_rig_that_stands_changes_it_within_its_uncertainty(rig: StereoRig) -> None:
+    file = with_uncertainty(rig)
+    found = check(file, scene(random_rig(rig, 7), 7))
+    better = refine(file, found)
+    assert np.abs(better.turn / np.array(STATED.rotation_rad)).max() < 4
+    assert (better.std <= np.array(STATED.rotation_rad) * 1.001).all()
+
+
+def test_clusters_count_once() -> None:
+    """A hundred copies of a residual know as much as one."""
+    rng = np.random.default_rng(0)
+    J, e = rng.normal(size=(200, 2)), rng.normal(size=200)
+    once = clustered_covariance(J, e, np.arange(200))
+    copied = clustered_covariance(np.repeat(J, 10, axis=0), np.repeat(e, 10), np.repeat(np.arange(200), 10))
+    np.testing.assert_allclose(once, copied, rtol=0.02)
+    bread = np.linalg.inv(J.T @ J)
+    by_hand = bread @ (J.T * e**2 @ J) @ bread * 200 / 199 * 199 / 198
+    np.testing.assert_allclose(once, by_hand)
+
+
+def test_a_few_points_are_not_enough(rig: StereoRig) -> None:
+    matches = scene(rig, 1)
+    assert enough(matches)
+    assert not enough(matches.where(np.arange(len(matches)) < 20))
+    assert not enough(Matches(matches.left, matches.right, np.zeros(len(matches), np.int64), 1))
+
+
+# --- on pictures ---------------------------------------------------------------------------------------------------
+
+
+def test_the_points_matched_in_the_example_lie_on_their_lines() -> None:
+    clip = load_recorded(EXAMPLE / "clip.yaml")
+    matches = match_scene(open_recording(clip))
+    assert enough(matches)
+    found = check(clip.rig, matches)
+    assert found.matches > 500
+    assert found.error < 0.1
+    assert not found.moved
+
+
+def paceline(*arguments: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "paceline", *map(str, arguments)], capture_output=True, text=True, timeout=300
+    )
+
+
+def test_the_command_notices_a_knock_and_sets_the_rig_right(tmp_path: Path) -> None:
+    shutil.copytree(EXAMPLE, tmp_path / "clip")
+    document = yaml.safe_load((EXAMPLE / "rig.yaml").read_text())
+    knock = np.radians([0.05, 0.0, -0.05])
+    true = load_rig(EXAMPLE / "rig.yaml")
+    knocked = turned(true, -knock)
+    document["rotation"], document["translation"] = knocked.R.tolist(), knocked.t.tolist()
+    (tmp_path / "clip" / "rig.yaml").write_text(yaml.safe_dump(document))
+    moved = paceline("rig", "check", tmp_path / "clip")
+    assert moved.returncode == 1
+    assert "the rig has moved" in moved.stdout
+
+    out = tmp_path / "refined.yaml"
+    refined = paceline("rig", "check", tmp_path / "clip", "--refine", "-o", out)
+    assert refined.returncode == 0, refined.stderr
+    assert "the scene cannot tell it" in refined.stdout
+    better = load_rig(out)
+    left_over = np.degrees(np.ravel(cv2.Rodrigues(better.R @ true.R.T)[0]))
+    assert np.abs(left_over[[0, 2]]).max() < 0.006
+    assert better.uncertainty is not None
+    assert better.uncertainty.covariance is not None
+    assert better.uncertainty.rotation_rad[1] > 2e-4
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--refine"], "--refine and --out belong together"),
+        (["-o", "rig.yaml"], "--refine and --out belong together"),
+        (["--rig", "nowhere.yaml"], "nowhere.yaml: no such file"),
+        (["--refine", "-o", "rig.csv"], "expected the name of a YAML file"),
+    ],
+)
+def test_wrong_options_are_one_plain_line(arguments: list[str], said: str) -> None:
+    done = paceline("rig", "check", EXAMPLE, *arguments)
+    assert done.returncode == 2
+    assert len(done.stderr.splitlines()) == 1
+    assert said in done.stderr
+
+
+def test_the_shared_rendered_rig_stands() -> None:
+    folder = SHARED / "rendered" / "straight"
+    if not folder.exists():
+        pytest.skip(f"{folder} is absent")
+    clip = load_recorded(folder / "clip.yaml")
+    found = check(clip.rig, match_scene(open_recording(clip)))
+    assert not found.moved
+    assert np.degrees(found.std[0]) < 0.01
