@@ -1,8 +1,9 @@
-# make demo   measures the bundled clip and names the report
-# make test   checks style and types and runs the tests
-# make lint   only the checks
-# make lock   renews the lock files (for maintainers; needs uv)
-# make clean  removes what the others made
+# make demo     measures the bundled clip and names the report
+# make test     checks style and types and runs the tests
+# make lint     only the checks
+# make results  reproduces both papers' tables and figures in docs/results.md; goes on where it was interrupted
+# make lock     renews the lock files (for maintainers; needs uv)
+# make clean    removes what the others made
 
 PYTHON = python3
 VENV = .venv
@@ -13,7 +14,7 @@ INSTALL_PACKAGE = $(PIP) install --no-deps --no-build-isolation --editable .
 LOCK = uv pip compile pyproject.toml --universal --python-version 3.11 --fork-strategy fewest --generate-hashes \
 	--no-emit-index-url --no-emit-find-links --no-annotate --custom-compile-command "make lock" --quiet --group build
 
-.PHONY: demo test lint lock clean
+.PHONY: demo test lint results lock clean
 
 demo: $(VENV)/installed
 	$(BIN)/paceline speed examples/straight/clip.yaml -o demo
@@ -25,6 +26,9 @@ test: lint
 lint: $(VENV)/installed-for-tests
 	$(BIN)/ruff check .
 	$(BIN)/mypy
+
+results: $(VENV)/installed-for-tests
+	PYTHONPATH=benchmarks OPENBLAS_NUM_THREADS=1 OMP_WAIT_POLICY=passive $(BIN)/python -m zhu2012.document
 
 lock:
 	$(LOCK) -o requirements.txt

@@ -231,12 +231,12 @@ def is_right(estimates, positions):
 
 def test_a_vehicle_taken_for_the_target_is_given_up_when_that_covers_part_of_it():
     """It was all there was at the start, and its picture was learned."""
-    frames, comes = 80, 20
+    frames, comes, noticed = 80, 20, 30
     images, positions, beside = film_beside_another(frames, np.arange(frames) >= comes, np.ones(frames, bool))
     estimates = follow(begin(beside[0]), images)
     assert is_right(estimates[:comes], beside).all()
-    assert is_right(estimates[comes + 30 :], positions).all()
-    between = estimates[comes : comes + 30]
+    assert is_right(estimates[noticed + 10 :], positions).all()
+    between = estimates[noticed : noticed + 10]
     assert all(right or e.status == "coasting" for e, right in zip(between, is_right(between, positions), strict=True))
 
 

@@ -58,9 +58,9 @@ class Belief:
     def lost(self) -> bool:
         return self.status == "lost" or (self._streak > 0 and not self._seen)
 
-    def step(self, time: float, complaint: str, steady: bool = True) -> tuple[str, str]:
+    def step(self, time: float, complaint: str, steady: bool = True, sure: bool = False) -> tuple[str, str]:
         """The status and its reason at ``time``, s, with the target seen, or not seen because of ``complaint``;
-        ``steady``: where the frame before has shown it."""
+        ``steady``: where the frame before has shown it; ``sure``: as well as ever."""
         if complaint:
             self._streak = 0
             if self._unseen_since is None:
@@ -73,7 +73,7 @@ class Belief:
             return "tracking", ""
         gone = 0.0 if self._unseen_since is None else time - self._unseen_since
         self._streak = self._streak + 1 if steady else 1
-        if self._streak < self._needed(gone):
+        if self._streak < self._needed(0.0 if sure else gone):
             return self.status, "something like the target is seen again; waiting to be sure"
         self._seen = True
         was, self.status, self._streak, self._unseen_since = self.status, "tracking", 0, None

@@ -29,7 +29,9 @@ FEATURES = 4  # that must agree
 SHARP = 0.012  # relative deviation of the scale with which the picture may still be learned
 VAGUE = 0.1  # relative standard deviation of the scale with which it is not told
 JUMP = 6.0  # standard deviations that the scale may be off the predicted one
-RELATED = 1.4  # likeness of the picture and share of the usual match, together, below which it is something else
+RELATED = 1.1  # likeness of the picture and share of the usual match, together, below which it is something else
+STRAYED = 1.4  # the same where its size is not the one foreseen, to within AS_FORESEEN
+AS_FORESEEN = 0.02
 AGAIN = 1.5  # the same for a target that was not seen for as many cycles as GONE
 FOUND = 1.75  # the same for one that was lost: among many places some look alike
 GONE = 3.0
@@ -60,6 +62,7 @@ class Look:
     evidence: Array | None = None  # (S,)
     clear: bool = False  # enough to learn the picture from
     note: str = ""
+    sure: bool = False  # no doubt that it is the target
     slid: bool = False  # it is where it looks as it did long ago, not where it was followed to
 
 
@@ -201,9 +204,11 @@ class Recogniser:
         spread = float(np.sqrt(fit.covariance[2, 2])) / fit.location[2]
         sharp = support >= CLEAR and discord < 0.6 and spread < SHARP
         clear = sharp and abs(fit.location[2] / expected[2] - 1.0) < SHARP
-        complaint = ""
+        complaint, related = "", 0.0
         if self._c.appearance:
             picture = self.appearance.likeness() if look.inside > 0.5 else 0.0
+            related = picture + self._usual_share(measurement)
+            grown = fit.location[2] / expected[2]
             jump = abs(fit.location[2] - expected[2]) / hypot(doubt[2], spread * fit.location[2])
             if support < (CLEAR if lost else SUPPORT) or agreeing.sum() < FEATURES:
                 complaint = FEW
@@ -213,9 +218,20 @@ class Recogniser:
                 complaint = "its size cannot be told"
             elif jump > JUMP and not (sharp and picture > ALIKE):
                 complaint = "its size jumps"
-            elif picture + self._usual_share(measurement) < (FOUND if lost else RELATED if tau < GONE else AGAIN):
+            elif related < self._needed(picture, grown, tau, lost):
                 complaint = "what is found does not look like it"
-        return replace(look, complaint=complaint, clear=clear)
+        return replace(look, complaint=complaint, clear=clear, sure=not complaint and related >= FOUND)
+
+    def _needed(self, picture: float, grown: float, tau: float, lost: bool) -> float:
+        """How much likeness, that of its ``picture``, and share of the usual match a target must have together that is
+        ``grown`` times the size foreseen, ``tau`` cycles after it was seen."""
+        if lost:
+            return FOUND
+        if picture > HELD:
+            return 0.0
+        if tau >= GONE:
+            return AGAIN
+        return RELATED if abs(grown - 1.0) < AS_FORESEEN else STRAYED
 
     def _usual_share(self, measurement: Measurement) -> float:
         """How much of the model shows, as a share of what usually does, up to 1."""

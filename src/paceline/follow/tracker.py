@@ -83,7 +83,7 @@ class FollowTracker:
             if was_pending and not self.probation.pending:
                 self.belief = Belief(self.configuration)  # it was confirmed
         was_lost = self.belief.status == "lost"
-        status, reason = self.belief.step(time, look.complaint, self.lock.continuity.steady)
+        status, reason = self.belief.step(time, look.complaint, self.lock.continuity.steady, look.sure)
         if was_lost and status == "tracking":
             self.probation.resume()
         if look.fit is not None and status == "tracking":

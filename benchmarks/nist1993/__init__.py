@@ -1,0 +1,1 @@
+"""The figures and the evaluation of [NIST], one script each."""

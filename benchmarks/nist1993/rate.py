@@ -1,0 +1,64 @@
+"""[NIST] section 3: update rate and delay, 15 Hz and 128 ms there."""
+
+from __future__ import annotations
+
+import numpy as np
+from common import head, row
+from zhu2012.items import Item, Numbers, run_alone
+
+from nist1993 import scenes
+from paceline.follow.configuration import FollowConfiguration
+from paceline.follow.tracker import warm_up
+from paceline.simulation.following import random_chase
+
+SETTINGS: Numbers = {"seeds": [980, 981, 982], "frames": 200}
+PAPER = ((128.0, 15.0),)  # ms of delay, pictures a second
+CONFIGURATIONS = {"as published": FollowConfiguration.as_published(), "all remedies": FollowConfiguration()}
+
+
+def compute() -> Numbers:
+    warm_up()
+    spent: dict[str, list[float]] = {name: [] for name in CONFIGURATIONS}
+    for seed in SETTINGS["seeds"]:
+        for _, _, estimates in scenes.followed(random_chase(seed, frames=SETTINGS["frames"]), CONFIGURATIONS):
+            for name, e in estimates.items():
+                spent[name].append(1e3 * e.latency)
+    shown = {
+        name: {
+            "frames": len(ms),
+            "median": float(np.median(ms)),
+            "p99": float(np.percentile(ms, 99)),
+            "max": float(np.max(ms)),
+            "rate": 1000 / float(np.mean(ms)),
+        }
+        for name, ms in spent.items()
+    }
+    return {"shown": shown, "drawn": {}}
+
+
+def text(shown: Numbers) -> str:
+    lines = [head("method", "frames", "median, ms", "99 %, ms", "slowest, ms", "frames/s, one core")]
+    lines += [row("[NIST]", "–", "–", "–", f"{delay:.0f}", f"{hertz:.0f}") for delay, hertz in PAPER]
+    for name, s in shown.items():
+        lines.append(row(name, s["frames"], *(f"{s[k]:.2f}" for k in ("median", "p99", "max")), f"{s['rate']:.0f}"))
+    return "\n".join(lines)
+
+
+ITEM = Item(
+    name="nist-rate",
+    script="nist1993.rate",
+    title="[NIST] section 3: rate and delay",
+    compute=compute,
+    text=text,
+    settings=SETTINGS,
+    rooms=("follow",),
+    helpers=(scenes,),
+)
+
+
+def main() -> None:
+    run_alone(ITEM)
+
+
+if __name__ == "__main__":
+    main()
