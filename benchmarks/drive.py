@@ -1,6 +1,6 @@
 """The closed loop over scenes and seeds: does what must hold hold, and how near to the lead's path does it drive?
 
-python benchmarks/drive.py [--scene NAME ...] [--n 3] [--seed 100] [--latency 0.128] [--workers 2]
+python benchmarks/drive.py [--scene NAME ...] [--n 3] [--seed 100] [--latency 0.128] [--without REMEDY ...] [--each]
 
 A row is one scene over --n seeds, each with vehicles, light and a way of its own; --each prints every drive as well.
 The scenes `long` and `motorway-100` take minutes a drive and are left out unless they are named.
@@ -9,12 +9,15 @@ The scenes `long` and `motorway-100` take minutes a drive and are left out unles
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 from common import head, machine, row, share_out
+from follow_ablation import remedies
 
+from paceline.follow.configuration import FollowConfiguration
 from paceline.simulation.driving.judging import Figures, Requirement, judged
 from paceline.simulation.driving.loop import LATENCY, ClosedLoop
 from paceline.simulation.driving.named import SCENES
@@ -37,9 +40,11 @@ class Drive:
         return [r.what for r in self.requirements if not r.holds]
 
 
-def run(item: tuple[str, int], latency: float) -> Drive:
+def run(item: tuple[str, int], latency: float, without: Sequence[str] = ()) -> Drive:
     scene, seed = item
-    loop, figures, taken = ClosedLoop(scene_named(scene, seed), seed, latency), Figures(), []
+    configuration = FollowConfiguration.model_validate(dict.fromkeys(without, False))
+    loop = ClosedLoop(scene_named(scene, seed), seed, latency, configuration=configuration)
+    figures, taken = Figures(), []
     for step in loop.steps():
         figures.add(step, loop.stage.world.body.width)
         taken.append(step.estimate.latency)
@@ -86,13 +91,14 @@ def main() -> None:
     parser.add_argument("--n", type=int, default=3, help="seeds per scene")
     parser.add_argument("--seed", type=int, default=100, help="the first one")
     parser.add_argument("--latency", type=float, default=LATENCY, help="s")
+    parser.add_argument("--without", nargs="+", choices=remedies(), default=[], metavar="REMEDY", help="switched off")
     parser.add_argument("--each", action="store_true", help="a row for every drive too")
     parser.add_argument("--workers", type=int, default=2, help="processes")
     args = parser.parse_args()
     items = [(name, seed) for name in args.scene for seed in range(args.seed, args.seed + args.n)]
     drives: list[Drive] = []
     print(head("scene", *COLUMNS, "what fails"), flush=True)
-    for done in share_out(partial(run, latency=args.latency), items, args.workers):
+    for done in share_out(partial(run, latency=args.latency, without=args.without), items, args.workers):
         drives.append(done)
         if args.each:
             name = f"{done.scene}, seed {done.seed}, {done.kind}"

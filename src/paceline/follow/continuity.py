@@ -10,7 +10,7 @@ from paceline.follow.features import Projection
 Array = NDArray[np.float64]
 
 UNSTEADY = 0.06  # relative error of a scale that was measured, at most
-HASTE, BRAKING = 3.0, 3.0  # m/s, m/s²: by how much the distance may change otherwise than was foreseen
+HASTE, BRAKING = 1.5, 3.0  # m/s, m/s²: by how much the distance may change otherwise than was foreseen
 NODDING = 0.06  # rad by which a bump and the road's grade may turn the camera up or down
 RISE = 0.3  # m by which what is measured of a target may lie higher or lower than usual
 RATE = 0.3  # of learning its usual height, per image
@@ -32,9 +32,10 @@ class Continuity:
 
     def complaint(self, location: Array, expected: Array, unseen: float) -> str:
         """Why nothing that was seen ``unseen`` s ago and is ``expected`` (3,) somewhere can be at ``location`` (3,)."""
-        scale, distance = location[2], self._projection.distance(location[2])
-        moved = min(abs(np.log(scale / self._scale)), abs(np.log(scale / expected[2])))
-        if moved > UNSTEADY + (HASTE + BRAKING * unseen) * unseen / distance:
+        distance = self._projection.distance(location[2])
+        before, foreseen = (self._projection.distance(s) for s in (self._scale, expected[2]))
+        moved = min(abs(distance - before), abs(distance - foreseen))
+        if moved > UNSTEADY * max(distance, before) + (HASTE + BRAKING * unseen) * unseen:
             return LEAPT
         if abs(self._projection.drop(location) - self._drop) > RISE + NODDING * distance:
             return ALOFT

@@ -30,10 +30,11 @@ SHARP = 0.012  # relative deviation of the scale with which the picture may stil
 VAGUE = 0.1  # relative standard deviation of the scale with which it is not told
 JUMP = 6.0  # standard deviations that the scale may be off the predicted one
 RELATED = 1.1  # likeness of the picture and share of the usual match, together, below which it is something else
-STRAYED = 1.4  # the same where its size is not the one foreseen, to within AS_FORESEEN
-AS_FORESEEN = 0.02
+STRAYED = 1.4  # the same where its size is not the one foreseen, to within AS_FORESEEN; after a gap, NEARLY
+AS_FORESEEN, NEARLY = 0.02, 0.15
+ASIDE = 0.75  # sizes of the target
 AGAIN = 1.5  # the same for a target that was not seen for as many cycles as GONE
-FOUND = 1.75  # the same for one that was lost: among many places some look alike
+FOUND = 1.8  # the same for one that was lost, or is ASIDE of where it was: among many places some look alike
 GONE = 3.0
 ALIKE = 0.7  # likeness of the picture with which the size may jump
 HELD = 0.85  # likeness at which the picture alone is believed
@@ -209,6 +210,7 @@ class Recogniser:
             picture = self.appearance.likeness() if look.inside > 0.5 else 0.0
             related = picture + self._usual_share(measurement)
             grown = fit.location[2] / expected[2]
+            aside = abs(fit.location[0] - expected[0]) / self.projection.size(expected[2])
             jump = abs(fit.location[2] - expected[2]) / hypot(doubt[2], spread * fit.location[2])
             if support < (CLEAR if lost else SUPPORT) or agreeing.sum() < FEATURES:
                 complaint = FEW
@@ -218,16 +220,16 @@ class Recogniser:
                 complaint = "its size cannot be told"
             elif jump > JUMP and not (sharp and picture > ALIKE):
                 complaint = "its size jumps"
-            elif related < self._needed(picture, grown, tau, lost):
+            elif related < self._needed(picture, grown, aside, tau, lost):
                 complaint = "what is found does not look like it"
         return replace(look, complaint=complaint, clear=clear, sure=not complaint and related >= FOUND)
 
-    def _needed(self, picture: float, grown: float, tau: float, lost: bool) -> float:
+    def _needed(self, picture: float, grown: float, aside: float, tau: float, lost: bool) -> float:
         """How much likeness, that of its ``picture``, and share of the usual match a target must have together that is
-        ``grown`` times the size foreseen, ``tau`` cycles after it was seen."""
-        if lost:
+        ``grown`` times the size foreseen and ``aside`` sizes, ``tau`` cycles after it was seen."""
+        if lost or (tau >= GONE and max(abs(grown - 1.0) / NEARLY, aside / ASIDE) > 1.0):
             return FOUND
-        if picture > HELD:
+        if picture > HELD and abs(grown - 1.0) < NEARLY:
             return 0.0
         if tau >= GONE:
             return AGAIN
