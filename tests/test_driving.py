@@ -98,7 +98,7 @@ def test_the_braking_needed_is_just_enough(speed: float, lead_speed: float, brak
     """Simulated: with it the gap shrinks to the least one, with a tenth less to below it."""
     needed = braking_needed(POLICY, speed, gap, lead_speed, -braking)
     least = POLICY.standstill - POLICY.margin
-    if not 0.05 < needed < 50.0:
+    if not 0.05 < needed < 50.0 or speed / (0.9 * needed) > 55.0:  # the simulation below ends after a minute
         return
 
     def nearest(deceleration: float) -> float:
