@@ -71,7 +71,7 @@ def seen(place, match):
     used = np.ones(LINES, bool)
     fit = Fit(place, np.diag([0.01, 0.01, 1e-6]), np.ones(3), 0.1, np.zeros(LINES), used)
     none = np.zeros((0, 2)), np.zeros(0, np.int64)
-    return Look("", fit=fit, measurement=Measurement(fit, *none, np.ones(LINES), np.full(LINES, match)))
+    return Look("", fit=fit, measurement=Measurement(fit, *none, 0.1, 0.1, match, used))
 
 
 class Watch:

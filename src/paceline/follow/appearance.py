@@ -57,6 +57,7 @@ class Appearance:
         self.signed = np.zeros(len(target.segments))
         self.strength = np.full(len(target.segments), UNKNOWN)
         self.lengths: Array = target.spans[:, 1] - target.spans[:, 0]
+        self.length = float(self.lengths.sum())
         self.match = 0.0  # how much of the model usually shows
         self.known = False
         grown = MARGIN * target.size

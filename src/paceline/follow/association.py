@@ -14,7 +14,7 @@ Flags = NDArray[np.bool_]
 NOBODY = -1
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def associate(
     points: Floats,
     upright: bool,
@@ -33,13 +33,13 @@ def associate(
     be. A feature whose ``brighter`` (S,) is 1 or −1 takes only edges with a step of this sign; 0 takes either.
     """
     across, along = (0, 1) if upright else (1, 0)
+    mine = np.flatnonzero(vertical == upright)
+    place, reach, first, last = places[mine], gates[mine], spans[mine, 0], spans[mine, 1]
     for i in range(len(points)):
         p, q = points[i, across], points[i, along]
         owner, least = NOBODY, np.inf
-        for j in range(len(places)):
-            if vertical[j] != upright:
-                continue
-            d = abs(places[j] - p)
-            if d < gates[j] and d < least and spans[j, 0] < q < spans[j, 1] and brighter[j] * points[i, 2] >= 0.0:
-                owner, least = j, d
+        for k in range(len(mine)):
+            d = abs(place[k] - p)
+            if d < reach[k] and d < least and first[k] < q < last[k] and brighter[mine[k]] * points[i, 2] >= 0.0:
+                owner, least = mine[k], d
         owners[i] = owner

@@ -20,7 +20,7 @@ FAINT_PLACE = 0.4  # px: how well such a line is placed
 WITHIN = 0.15  # of a feature's length at either end, where others meet it
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def candidate_lines(
     points: Floats,
     owners: Indices,
@@ -37,26 +37,29 @@ def candidate_lines(
     (S,) px, within ``gates`` (S,) px of it; points within ``breadth`` px of a peak belong to it.
     """
     across = 0 if upright else 1
-    histogram = np.zeros((len(expected), BINS), np.float32)
+    members, begins = _grouped(points, owners, across, len(expected))
+    histogram = np.zeros(BINS, np.float32)
     middle = BINS // 2
     size = BIN
     for j in range(len(expected)):
         size = max(size, 2.2 * gates[j] / BINS)
-    for i in range(len(points)):
-        j = owners[i]
-        if j >= 0:
-            k = int(np.floor((points[i, across] - expected[j]) / size + 0.5)) + middle
-            if 0 <= k < BINS:
-                histogram[j, k] += 1.0
     reach = max(1, int(breadth / size))
     for j in range(len(expected)):
         if vertical[j] != upright:
             continue
         lines[j] = 0.0
+        mine = members[begins[j] : begins[j + 1]]
+        low, high = BINS, -1
+        for p in mine:
+            k = int(np.floor((p - expected[j]) / size + 0.5)) + middle
+            if 0 <= k < BINS:
+                histogram[k] += 1.0
+                low, high = min(low, k), max(high, k)
+        low, high = max(low - 1, 1), min(high + 2, BINS - 1)
         for c in range(CANDIDATES):
             top, most = 0, np.float32(0.0)
-            for k in range(1, BINS - 1):
-                h = histogram[j, k - 1] + histogram[j, k] + histogram[j, k + 1]
+            for k in range(low, high):
+                h = histogram[k - 1] + histogram[k] + histogram[k + 1]
                 if h > most or (h == most and most > 0 and abs(k - middle) < abs(top - middle)):
                     top, most = k, h
             if most < 2.0:
@@ -65,13 +68,12 @@ def candidate_lines(
             n, total, squares = 0.0, 0.0, 0.0
             for sweep in range(2):
                 n, total, squares = 0.0, 0.0, 0.0
-                for i in range(len(points)):
-                    if owners[i] == j:
-                        d = points[i, across] - place
-                        if abs(d) <= breadth:
-                            n += 1.0
-                            total += d
-                            squares += d * d
+                for p in mine:
+                    d = p - place
+                    if abs(d) <= breadth:
+                        n += 1.0
+                        total += d
+                        squares += d * d
                 if n == 0.0:
                     break
                 if sweep == 0:
@@ -81,10 +83,28 @@ def candidate_lines(
                 lines[j, c, 1] = n
                 lines[j, c, 2] = max(squares / n - (total / n) ** 2, 0.0)
             for k in range(max(top - reach - 1, 0), min(top + reach + 2, BINS)):
-                histogram[j, k] = 0.0
+                histogram[k] = 0.0
+        histogram[low - 1 : high + 1] = 0.0
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
+def _grouped(points: Floats, owners: Indices, across: int, features: int) -> tuple[Array, Indices]:
+    """Where the points of each feature lie across it, one feature's after the other's, and where each one's begin."""
+    begins = np.zeros(features + 1, np.int64)
+    for i in range(len(points)):
+        if owners[i] >= 0:
+            begins[owners[i] + 1] += 1
+    begins = np.cumsum(begins)
+    members, filled = np.empty(begins[-1]), begins[:-1].copy()
+    for i in range(len(points)):
+        j = owners[i]
+        if j >= 0:
+            members[filled[j]] = points[i, across]
+            filled[j] += 1
+    return members, begins
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def add_shares(
     points: Floats, owners: Indices, upright: bool, places: Array, lengths: Array, breadth: float, shares: Array
 ) -> None:
@@ -97,7 +117,7 @@ def add_shares(
             shares[j] += 1.0 / lengths[j]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def faint_lines(
     image: Bytes,
     features: Array,

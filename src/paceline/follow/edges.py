@@ -36,14 +36,14 @@ class EdgeLists:
 
 
 class EdgeExtractor:
-    """Finds edge points in images of one size, without allocating anything for a frame."""
+    """Finds edge points in images of one size, into lists that are made once."""
 
     def __init__(self, image_size: tuple[int, int], configuration: FollowConfiguration) -> None:
         width, height = image_size
         self._threshold = configuration.edge_threshold
         self._tangent = tan(radians(configuration.direction_tolerance))
         self._subpixel = configuration.subpixel
-        self._scratch = np.zeros((2, 3, width), np.float32)
+        self._scratch = np.zeros((3, 3, width), np.float32)
         # of two neighbours across the edge only one is an edge point
         self.capacity = max((width // 2 + 1) * height, (height // 2 + 1) * width)
         self._points = np.zeros((2, self.capacity, 3), np.float32)
@@ -51,10 +51,9 @@ class EdgeExtractor:
     def extract(self, image: Bytes, window: Window) -> EdgeLists:
         """The edge points of ``image`` (H, W) in ``window``: 3×3 gradient (3)–(4), the greatest across the edge,
         threshold. The lists are views that the next call overwrites."""
-        gx, gy = self._scratch
         verticals, horizontals = self._points
         n, m = edges_cpu.extract(
-            image, *window, self._threshold, self._tangent, self._subpixel, gx, gy, verticals, horizontals
+            image, *window, self._threshold, self._tangent, self._subpixel, self._scratch, verticals, horizontals
         )
         return EdgeLists(verticals[:n], horizontals[:m])
 
@@ -65,15 +64,16 @@ def window_around(center: Array, half: Array, image_size: tuple[int, int]) -> Wi
     Each is smaller than the last by √2, the largest is the whole image; what lies outside of the image is cut off.
     """
     width, height = image_size
+    (x, y), (reach_x, reach_y) = center.tolist(), half.tolist()
     size = 1.0
     for _ in range(SIZES - 1):
-        if size * STEP * width < 2.0 * half[0] or size * STEP * height < 2.0 * half[1]:
+        if size * STEP * width < 2.0 * reach_x or size * STEP * height < 2.0 * reach_y:
             break
         size *= STEP
     rx, ry = (0.5 * size * width, 0.5 * size * height) if size < 1.0 else (float(width), float(height))
     return (
-        min(max(round(center[0] - rx), 0), width),
-        min(max(round(center[1] - ry), 0), height),
-        min(max(round(center[0] + rx) + 1, 0), width),
-        min(max(round(center[1] + ry) + 1, 0), height),
+        min(max(round(x - rx), 0), width),
+        min(max(round(y - ry), 0), height),
+        min(max(round(x + rx) + 1, 0), width),
+        min(max(round(y + ry) + 1, 0), height),
     )

@@ -10,27 +10,27 @@ Bytes = NDArray[np.uint8]
 Floats = NDArray[np.float32]
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def gradient_row(image: Bytes, y: int, x0: int, x1: int, gx: Floats, gy: Floats) -> None:
     """Sobel's 3×3 gradient of row ``y``, columns ``x0`` to ``x1``, into rows of scratch that start at ``x0``; a step of
     n grey levels across x or y gives n."""
-    above, here, below = image[y - 1], image[y], image[y + 1]
-    for x in range(x0, x1):
-        a, b, c = np.float32(above[x - 1]), np.float32(above[x]), np.float32(above[x + 1])
-        d, e = np.float32(here[x - 1]), np.float32(here[x + 1])
-        f, g, h = np.float32(below[x - 1]), np.float32(below[x]), np.float32(below[x + 1])
-        gx[x - x0] = np.float32(0.25) * (c - a + np.float32(2.0) * (e - d) + h - f)
-        gy[x - x0] = np.float32(0.25) * (f - a + np.float32(2.0) * (g - b) + h - c)
+    above, here, below = image[y - 1, x0 - 1 : x1 + 1], image[y, x0 - 1 : x1 + 1], image[y + 1, x0 - 1 : x1 + 1]
+    for i in range(x1 - x0):  # from 0, so that the compiler need not fear an index below
+        a, b, c = np.int32(above[i]), np.int32(above[i + 1]), np.int32(above[i + 2])
+        d, e = np.int32(here[i]), np.int32(here[i + 2])
+        f, g, h = np.int32(below[i]), np.int32(below[i + 1]), np.int32(below[i + 2])
+        gx[i] = np.float32(0.25) * np.float32(c - a + np.int32(2) * (e - d) + h - f)
+        gy[i] = np.float32(0.25) * np.float32(f - a + np.int32(2) * (g - b) + h - c)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _peak(before: float, here: float, after: float) -> float:
     """Where a parabola through three values is highest, in steps from the middle one, which is the highest."""
     bend = before - 2.0 * here + after
     return 0.5 * (before - after) / bend if bend < 0.0 else 0.0
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def extract(
     image: Bytes,
     x0: int,
@@ -40,51 +40,58 @@ def extract(
     threshold: float,
     tangent: float,
     subpixel: bool,
-    gx: Floats,
-    gy: Floats,
+    scratch: Floats,
     near_vertical: Floats,
     near_horizontal: Floats,
 ) -> tuple[int, int]:
     """Stage 1 of [NIST]: edge points inside x0 ≤ x < x1, y0 ≤ y < y1 as rows (x, y, signed magnitude) of two lists.
 
-    ``gx``, ``gy`` (3, W) are scratch. The sign is that of the step along +x of near-vertical and along +y of
-    near-horizontal edges. Returns how many rows of each list were filled.
+    ``scratch`` (3, 3, W) holds the gradient along x and y and its squared magnitude of three rows. The sign is that of
+    the step along +x of near-vertical and along +y of near-horizontal edges. Returns how many rows of each list were
+    filled.
     """
     x0, y0 = max(x0, 2), max(y0, 2)
     x1, y1 = min(x1, image.shape[1] - 2), min(y1, image.shape[0] - 2)
     verticals = horizontals = 0
     if x1 <= x0 or y1 <= y0:
         return 0, 0
-    least = threshold * threshold
+    least = np.float32(threshold * threshold)
+    t = np.float32(tangent)
+    w = x1 - x0
+    edge, found = np.empty(w, np.bool_), np.empty(w, np.int64)
     for y in range(y0 - 1, y1 + 1):
-        gradient_row(image, y, x0 - 1, x1 + 1, gx[y % 3], gy[y % 3])
+        dx, dy, squares = scratch[0, y % 3, : w + 2], scratch[1, y % 3, : w + 2], scratch[2, y % 3, : w + 2]
+        gradient_row(image, y, x0 - 1, x1 + 1, dx, dy)
+        for i in range(w + 2):
+            squares[i] = dx[i] * dx[i] + dy[i] * dy[i]
         if y <= y0:
             continue
-        above, here, below = (y - 2) % 3, (y - 1) % 3, y % 3
-        px, py = gx[here], gy[here]
-        for i in range(1, x1 - x0 + 1):
-            dx, dy = px[i], py[i]
-            m = dx * dx + dy * dy
-            if m < least:
-                continue
-            if abs(dy) <= tangent * abs(dx):
-                a = px[i - 1] * px[i - 1] + py[i - 1] * py[i - 1]
-                b = px[i + 1] * px[i + 1] + py[i + 1] * py[i + 1]
-                if m > a and m >= b:
-                    r = np.sqrt(m)
-                    shift = _peak(np.sqrt(a), r, np.sqrt(b)) if subpixel else 0.0
-                    near_vertical[verticals, 0] = x0 + i - 1 + shift
-                    near_vertical[verticals, 1] = y - 1
-                    near_vertical[verticals, 2] = r if dx > 0 else -r
-                    verticals += 1
-            elif abs(dx) <= tangent * abs(dy):
-                a = gx[above, i] * gx[above, i] + gy[above, i] * gy[above, i]
-                b = gx[below, i] * gx[below, i] + gy[below, i] * gy[below, i]
-                if m > a and m >= b:
-                    r = np.sqrt(m)
-                    shift = _peak(np.sqrt(a), r, np.sqrt(b)) if subpixel else 0.0
-                    near_horizontal[horizontals, 0] = x0 + i - 1
-                    near_horizontal[horizontals, 1] = y - 1 + shift
-                    near_horizontal[horizontals, 2] = r if dy > 0 else -r
-                    horizontals += 1
+        row = (y - 1) % 3
+        dx, dy, m = scratch[0, row, 1 : w + 1], scratch[1, row, 1 : w + 1], scratch[2, row, 1 : w + 1]
+        left, right = scratch[2, row, :w], scratch[2, row, 2 : w + 2]
+        above, below = scratch[2, (y - 2) % 3, 1 : w + 1], scratch[2, y % 3, 1 : w + 1]
+        # which pixels are edge points is told of all of them alike: a branch for each would be guessed wrong too often
+        for i in range(w):
+            across, down = abs(dx[i]), abs(dy[i])
+            upright = (down <= t * across) & (m[i] > left[i]) & (m[i] >= right[i])
+            level = (across <= t * down) & (m[i] > above[i]) & (m[i] >= below[i])
+            edge[i] = (m[i] >= least) & (upright | level)
+        n = 0
+        for i in range(w):
+            found[n] = i
+            n += edge[i]
+        for i in found[:n]:
+            r = np.sqrt(m[i])
+            if abs(dy[i]) <= t * abs(dx[i]):
+                shift = _peak(np.sqrt(left[i]), r, np.sqrt(right[i])) if subpixel else 0.0
+                near_vertical[verticals, 0] = x0 + i + shift
+                near_vertical[verticals, 1] = y - 1
+                near_vertical[verticals, 2] = r if dx[i] > 0 else -r
+                verticals += 1
+            else:
+                shift = _peak(np.sqrt(above[i]), r, np.sqrt(below[i])) if subpixel else 0.0
+                near_horizontal[horizontals, 0] = x0 + i
+                near_horizontal[horizontals, 1] = y - 1 + shift
+                near_horizontal[horizontals, 2] = r if dy[i] > 0 else -r
+                horizontals += 1
     return verticals, horizontals

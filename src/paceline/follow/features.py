@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from paceline.cameras import Camera
@@ -20,12 +21,8 @@ class Features:
 
     places: Array  # (S,) across themselves
     spans: Array  # (S, 2) along themselves
+    lengths: Array  # (S,)
     shifts: Array  # (S,) what the lens adds to the places
-
-    @property
-    def lengths(self) -> Array:
-        """(S,) px."""
-        return self.spans[:, 1] - self.spans[:, 0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +34,21 @@ class Shown:
     shifts: Array
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def _featured(
+    location: Array, magnification: Array, vertical: NDArray[np.bool_], offsets: Array, extents: Array
+) -> tuple[Array, Array, Array]:
+    """The features without the lens: their places (S,), spans (S, 2) and lengths (S,), px."""
+    n = len(offsets)
+    places, spans, lengths = np.empty(n), np.empty((n, 2)), np.empty(n)
+    for j in range(n):
+        across, along = (0, 1) if vertical[j] else (1, 0)
+        places[j] = location[across] + location[2] * offsets[j]
+        spans[j] = location[along] + location[2] * magnification[along] * extents[j]
+        lengths[j] = spans[j, 1] - spans[j, 0]
+    return places, spans, lengths
+
+
 class Projection:
     """A target as a camera sees it. Locations (3,) are c_x, c_y in ideal pixels and the scale."""
 
@@ -44,10 +56,13 @@ class Projection:
         self.camera, self.target = camera, target
         self.magnification = target.magnification(camera)  # (2,) px per metre at scale 1
         self.offsets = target.places * np.where(target.vertical, *self.magnification)  # u and v of (35), px
+        self.horizon = float(camera.K[1, 2])  # px, of a level camera
+        self._extent = float(max(target.size * self.magnification))
+        self._unmoved = np.zeros(len(self.offsets))
 
     def size(self, scale: float) -> float:
         """The target's greater extent, px."""
-        return float(max(self.target.size * self.magnification) * scale)
+        return self._extent * float(scale)
 
     def distance(self, scale: float) -> float:
         """m from the camera at this scale (36)."""
@@ -55,7 +70,7 @@ class Projection:
 
     def drop(self, location: Array) -> float:
         """How far the target's centre is below a level camera, m."""
-        return float((location[1] - self.camera.K[1, 2]) / (self.magnification[1] * location[2]))
+        return float((location[1] - self.horizon) / (self.magnification[1] * location[2]))
 
     def lines(self, location: Array) -> Array:
         """(S, 2, 2): the ends of all segments, ideal pixels."""
@@ -63,19 +78,17 @@ class Projection:
 
     def features(self, location: Array) -> Features:
         """The features where the lens shows them."""
-        t, m = self.target, location[2] * self.magnification
-        places = np.where(t.vertical, location[0], location[1]) + location[2] * self.offsets
-        spans = np.where(t.vertical, location[1], location[0])[:, None]
-        spans = spans + np.where(t.vertical, m[1], m[0])[:, None] * t.spans
+        vertical = self.target.vertical
+        places, spans, lengths = _featured(location, self.magnification, vertical, self.offsets, self.target.spans)
         if not self.camera.has_distortion:
-            return Features(places, spans, np.zeros(len(places)))
-        across, onward = displaced(self.camera, self.lines(location), t.vertical)
-        return Features(places + across, spans + onward[:, None], across)
+            return Features(places, spans, lengths, self._unmoved)
+        across, onward = displaced(self.camera, self.lines(location), vertical)
+        return Features(places + across, spans + onward[:, None], lengths, across)
 
     def shown(self, location: Array) -> Shown:
         """The location as recorded."""
         if not self.camera.has_distortion:
-            return Shown(location, np.zeros(len(self.offsets)))
+            return Shown(location, self._unmoved)
         center = recorded(self.camera, location[:2])
         shifts = self.features(location).shifts - np.where(self.target.vertical, *(center - location[:2]))
         return Shown(np.array([*center, location[2]]), shifts)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
@@ -39,7 +39,7 @@ class Fit:
     used: Flags
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def locate_features(
     points: Floats,
     owners: Indices,
@@ -73,7 +73,7 @@ def locate_features(
             weights[j] = 1.0 / np.sqrt(max(squares[j] / count[j], variance_floor)) if enough else 0.0
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _fill(places: Array, weights: Array, vertical: Flags, offsets: Array, rows: Array) -> None:
     """The weighted rows [A | b] of (16) into ``rows`` (≥ S, 4); features of no weight give rows of zeros."""
     for j in range(len(places)):
@@ -84,13 +84,13 @@ def _fill(places: Array, weights: Array, vertical: Flags, offsets: Array, rows: 
         rows[j, 3] = w * places[j] if w > 0.0 else 0.0
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _determined(pair: Array) -> bool:
     a, b, c = abs(pair[0, 0]), abs(pair[1, 1]), abs(pair[2, 2])
     return bool(min(a, b) > 0.0 and c > SINGULAR * max(a, b))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def robust_lines(
     lines: Array,
     start: Array,
@@ -152,10 +152,10 @@ def robust_lines(
     return places, weights
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _locate(
-    places: Array, weights: Array, vertical: Flags, offsets: Array, scale: float, turned: float, residuals: Array
-) -> tuple[bool, Array, Array, float]:
+    places: Array, weights: Array, vertical: Flags, offsets: Array, scale: float, turned: float
+) -> tuple[bool, Array, Array, Array, float, Array]:
     n = len(places)
     rows = np.zeros((max(n, 3) + 1, 5))
     for j in range(n):
@@ -168,10 +168,9 @@ def _locate(
     rows[-1, 4] = rows[-1, 0] * 0.5 * turned * turned
     triangularise(rows)
     pair = rows[1:4, 1:].copy()
-    nothing = np.zeros(3)
-    inverse = np.zeros((3, 3))
+    inverse, confidences, residuals = np.zeros((3, 3)), np.zeros(3), np.full(n, np.nan)
     if not _determined(pair):
-        return False, nothing, inverse, 0.0
+        return False, np.zeros(3), inverse, confidences, 0.0, residuals
     x = solved(pair)
     narrower = (rows[0, 4] - rows[0, 1] * x[0] - rows[0, 2] * x[1] - rows[0, 3] * x[2]) / rows[0, 0]
     for p in range(3):  # U⁻¹, a column at a time
@@ -179,14 +178,18 @@ def _locate(
         column[:, 3] = 0.0
         column[p, 3] = 1.0
         inverse[:, p] = solved(column)
-    J = 0.0
+    J, freedom = 0.0, -3
     for j in range(n):
-        residuals[j] = np.nan
         if weights[j] > 0.0:
             seen = places[j] + (narrower * scale * offsets[j] if vertical[j] else 0.0)
             residuals[j] = seen - (x[0] if vertical[j] else x[1]) - x[2] * offsets[j]
             J += (weights[j] * residuals[j]) ** 2
-    return True, x, inverse @ inverse.T, J
+            freedom += 1
+            confidences[0 if vertical[j] else 1] += weights[j] ** 2
+    confidences[2] = confidences[0] + confidences[1]
+    # few features more than unknowns hardly check each other
+    inflation = max(1.0, J / freedom) * (1.0 + UNCHECKED / freedom) if freedom > 0 else 1.0 + 2.0 * UNCHECKED
+    return True, x, inverse @ inverse.T * inflation, np.sqrt(confidences / max(J, CONSISTENT)), J, residuals
 
 
 def locate(
@@ -199,18 +202,8 @@ def locate(
     much. The target's angle to the camera has the standard deviation ``turned``, rad: by as much its width, at a
     ``scale`` of about that, is in doubt. At 0 it is seen squarely, as in the paper.
     """
-    residuals = np.empty(len(places))
-    good, x, covariance, J = _locate(places, weights, vertical, offsets, scale, turned, residuals)
-    if not good:
-        return None
-    used = weights > 0.0
-    freedom = int(used.sum()) - 3
-    squares = weights**2
-    wx, wy = float(squares[vertical].sum()), float(squares[~vertical].sum())
-    confidence = np.sqrt(np.array([wx, wy, wx + wy]) / max(J, CONSISTENT))
-    # few features more than unknowns hardly check each other
-    inflation = max(1.0, J / freedom) * (1.0 + UNCHECKED / freedom) if freedom > 0 else 1.0 + 2.0 * UNCHECKED
-    return Fit(x, covariance * inflation, confidence, J, residuals, used)
+    good, x, covariance, confidences, J, residuals = _locate(places, weights, vertical, offsets, scale, turned)
+    return Fit(x, covariance, confidences, J, residuals, weights > 0.0) if good else None
 
 
 def fused(fit: Fit, expected: Array, doubt: Array) -> Fit:
@@ -219,6 +212,7 @@ def fused(fit: Fit, expected: Array, doubt: Array) -> Fit:
     Only the scale: a bump moves the image, but not the vehicle. Its covariance stays: what the expected scale rests on
     are measurements that shared this one's errors of the model.
     """
-    fresh = FRESH * fit.covariance
-    gain = fresh[:, 2] / (fresh[2, 2] + doubt[2] ** 2)
-    return replace(fit, location=fit.location + gain * (expected[2] - fit.location[2]))
+    fresh = FRESH * fit.covariance[:, 2]
+    gain = fresh / (fresh[2] + doubt[2] ** 2)
+    location = fit.location + gain * (expected[2] - fit.location[2])
+    return Fit(location, fit.covariance, fit.weights, fit.residual, fit.offsets, fit.used)

@@ -52,7 +52,8 @@ class Lock:
         self.continuity.sight(look.fit.location)
         if look.complaint or self.seen_at is None or not self._c.continuity:
             return look
-        return replace(look, complaint=self.continuity.complaint(look.fit.location, self.expected, self.tau * CYCLE))
+        complaint = self.continuity.complaint(look.fit.location, self.expected, self.tau * CYCLE)
+        return replace(look, complaint=complaint) if complaint else look
 
     def look_here(self, image: Bytes) -> Look:
         """Stages 1 to 4 where the target is expected and nowhere else: a search would find what lies beside it."""

@@ -16,38 +16,49 @@ UNLIKE, ALIKE = 0.2, 0.8  # correlation of a square from which, and at which ful
 STRIDE = 1.5  # samples by which one step may move the picture
 CORRELATED = 1.5  # neighbouring samples do not err independently: so much greater is the variance
 CONTRAST = 4.0  # at most by so much are two squares' contrasts made equal
+SUMS = {"reassoc", "contract", "nsz"}  # sums may be taken in another order
 STILL = 0.02  # samples: a step that moves no corner by more is the last one
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def sample(image: Bytes, x0: float, y0: float, dx: float, dy: float, out: Floats) -> int:
     """``out`` (h, w): ``image`` interpolated at x0 + dx·column, y0 + dy·row; returns how many samples lie inside, the
     others repeat the border."""
     h, w = image.shape
+    n = out.shape[1]
+    within = 0
+    columns, shares = np.empty(n, np.int64), np.empty(n)
+    for c in range(n):
+        x = x0 + dx * c
+        within += 0.0 <= x <= w - 1
+        x = min(max(x, 0.0), w - 1.001)
+        columns[c] = int(x)
+        shares[c] = x - columns[c]
     inside = 0
     for r in range(out.shape[0]):
         y = y0 + dy * r
-        for c in range(out.shape[1]):
-            x = x0 + dx * c
-            if 0.0 <= x <= w - 1 and 0.0 <= y <= h - 1:
-                inside += 1
-            px, py = min(max(x, 0.0), w - 1.001), min(max(y, 0.0), h - 1.001)
-            i, j = int(px), int(py)
-            fx, fy = px - i, py - j
-            top = image[j, i] + fx * (np.float64(image[j, i + 1]) - image[j, i])
-            low = image[j + 1, i] + fx * (np.float64(image[j + 1, i + 1]) - image[j + 1, i])
-            out[r, c] = top + fy * (low - top)
+        if 0.0 <= y <= h - 1:
+            inside += within
+        y = min(max(y, 0.0), h - 1.001)
+        row = int(y)
+        share, upper, lower, seen = y - row, image[row], image[row + 1], out[r]
+        for c in range(n):
+            i, f = columns[c], shares[c]
+            top = upper[i] + f * (np.float64(upper[i + 1]) - upper[i])
+            low = lower[i] + f * (np.float64(lower[i + 1]) - lower[i])
+            seen[c] = top + share * (low - top)
     return inside
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath=SUMS, error_model="numpy")
 def _moments(a: Floats, b: Floats, x0: int, y0: int, cell: int) -> tuple[float, float, float, float, float]:
     """Means of ``a`` and ``b`` in one square of ``cell`` samples, their variances and their covariance."""
     n = float(cell * cell)
     sa = sb = saa = sbb = sab = 0.0
     for j in range(y0, y0 + cell):
-        for i in range(x0, x0 + cell):
-            u, v = float(a[j, i]), float(b[j, i])
+        row, other = a[j, x0:], b[j, x0:]
+        for i in range(cell):
+            u, v = float(row[i]), float(other[i])
             sa += u
             sb += v
             saa += u * u
@@ -56,7 +67,7 @@ def _moments(a: Floats, b: Floats, x0: int, y0: int, cell: int) -> tuple[float, 
     return sa / n, sb / n, saa / n - (sa / n) ** 2, sbb / n - (sb / n) ** 2, sab / n - sa * sb / (n * n)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def likeness(a: Floats, b: Floats, cell: int, least: float, share: float, neutral: float, out: Array) -> float:
     """The mean of the highest ``share`` of the correlations of ``a`` and ``b`` (h, w) in squares of ``cell`` samples.
 
@@ -77,7 +88,54 @@ def likeness(a: Floats, b: Floats, cell: int, least: float, share: float, neutra
     return float(np.sort(out[:count])[count - best :].mean())
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath=SUMS, error_model="numpy")
+def _products(
+    seen: Floats,
+    picture: Floats,
+    border: int,
+    y1: int,
+    y2: int,
+    weights: Array,
+    gains: Array,
+    levels: Array,
+    left: float,
+    top: float,
+    dx: float,
+    dy: float,
+) -> Array:
+    """(4, 4): the products of the slopes along c_x, c_y and the logarithm of the scale and of the difference that is
+    left, with each other, summed over the rows y1 ≤ y < y2 but for the ``border`` with the ``weights`` (w,).
+
+    ``gains`` (w,) and ``levels`` (w,) make what is ``seen`` (h, w) as bright as the ``picture``. Sample x, y lies
+    ``left`` + x·dx, ``top`` + y·dy px from the centre.
+    """
+    w = seen.shape[1]
+    weight, gain, level = weights[border : w - border], gains[border : w - border], levels[border : w - border]
+    xx = xy = xs = xr = yy = ys = yr = ss = sr = rr = 0.0
+    for y in range(y1, y2):
+        v = top + y * dy
+        above, below = seen[y - 1, border : w - border], seen[y + 1, border : w - border]
+        before, here, after = seen[y, border - 1 :], seen[y, border:], seen[y, border + 1 :]
+        wanted = picture[y, border : w - border]
+        for i in range(w - 2 * border):
+            gx = gain[i] * (0.5 / dx) * (after[i] - before[i])
+            gy = gain[i] * (0.5 / dy) * (below[i] - above[i])
+            gs = gx * (left + (border + i) * dx) + gy * v
+            r = wanted[i] - level[i] - gain[i] * here[i]
+            xx += weight[i] * gx * gx
+            xy += weight[i] * gx * gy
+            xs += weight[i] * gx * gs
+            xr += weight[i] * gx * r
+            yy += weight[i] * gy * gy
+            ys += weight[i] * gy * gs
+            yr += weight[i] * gy * r
+            ss += weight[i] * gs * gs
+            sr += weight[i] * gs * r
+            rr += weight[i] * r * r
+    return np.array([[xx, xy, xs, xr], [xy, yy, ys, yr], [xs, ys, ss, sr], [xr, yr, sr, rr]])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def align(
     image: Bytes,
     picture: Floats,
@@ -103,54 +161,39 @@ def align(
     h, w = picture.shape
     scale0 = location[2]
     rows = np.zeros((3, 4))
-    normal = np.zeros((3, 3))
+    weights, gains, levels = np.zeros(w), np.zeros(w), np.zeros(w)
+    total = np.zeros((4, 4))  # what `_products` sums up, over all squares
     variance = 0.0
     for _ in range(steps):
         mx, my = location[2] * magnification[0], location[2] * magnification[1]
         dx, dy = (box[2] - box[0]) * mx / w, (box[3] - box[1]) * my / h
-        sample(image, location[0] + box[0] * mx + 0.5 * dx, location[1] + box[1] * my + 0.5 * dy, dx, dy, seen)
-        normal[:] = 0.0
-        right = np.zeros(3)
-        squares, count = 0.0, 0.0
+        left, top = box[0] * mx + 0.5 * dx, box[1] * my + 0.5 * dy
+        sample(image, location[0] + left, location[1] + top, dx, dy, seen)
+        total[:] = 0.0
+        count = 0.0
         for y0 in range(0, h - cell + 1, cell):
+            y1, y2 = max(y0, border), min(y0 + cell, h - border)
+            weights[:] = 0.0
             for x0 in range(0, w - cell + 1, cell):
                 mean, usual, va, vb, together = _moments(seen, picture, x0, y0, cell)
                 va = max(va, 1e-3)
                 if vb < least * least:
                     continue
-                weight = min(together / np.sqrt(va * vb), ALIKE) - UNLIKE
-                if weight <= 0.0:
+                alike = min(together / np.sqrt(va * vb), ALIKE) - UNLIKE
+                if alike <= 0.0:
                     continue
                 gain = min(np.sqrt(vb / va), CONTRAST)
-                weight /= vb  # all squares alike, whatever their contrast
-                for j in range(max(y0, border), min(y0 + cell, h - border)):
-                    v = (box[1] + (j + 0.5) * (box[3] - box[1]) / h) * magnification[1] * location[2]
-                    for i in range(max(x0, border), min(x0 + cell, w - border)):
-                        u = (box[0] + (i + 0.5) * (box[2] - box[0]) / w) * magnification[0] * location[2]
-                        gx = gain * 0.5 * (float(seen[j, i + 1]) - float(seen[j, i - 1])) / dx
-                        gy = gain * 0.5 * (float(seen[j + 1, i]) - float(seen[j - 1, i])) / dy
-                        gs = gx * u + gy * v
-                        r = (float(picture[j, i]) - usual) - gain * (float(seen[j, i]) - mean)
-                        normal[0, 0] += weight * gx * gx
-                        normal[0, 1] += weight * gx * gy
-                        normal[0, 2] += weight * gx * gs
-                        normal[1, 1] += weight * gy * gy
-                        normal[1, 2] += weight * gy * gs
-                        normal[2, 2] += weight * gs * gs
-                        right[0] += weight * gx * r
-                        right[1] += weight * gy * r
-                        right[2] += weight * gs * r
-                        squares += weight * r * r
-                        count += weight * vb
+                gains[x0 : x0 + cell] = gain
+                levels[x0 : x0 + cell] = usual - gain * mean
+                weights[x0 : x0 + cell] = alike / vb  # all squares alike, whatever their contrast
+                count += alike * (y2 - y1) * (min(x0 + cell, w - border) - max(x0, border))
+            total += _products(seen, picture, border, y1, y2, weights, gains, levels, left, top, dx, dy)
         if count <= 0.0:
             return False
-        variance = CORRELATED * max(squares / count, 1e-4)  # of a sample, in units of its square's own variance
-        normal[2, 2] += variance / (steady * steady)
-        right[2] -= variance / (steady * steady) * np.log(location[2] / scale0)
-        for p in range(3):
-            for q in range(3):
-                rows[p, q] = normal[min(p, q), max(p, q)]
-            rows[p, 3] = right[p]
+        variance = CORRELATED * max(total[3, 3] / count, 1e-4)  # of a sample, in units of its square's own variance
+        total[2, 2] += variance / (steady * steady)
+        total[2, 3] -= variance / (steady * steady) * np.log(location[2] / scale0)
+        rows[:] = total[:3]
         triangularise(rows)
         if min(abs(rows[0, 0]), abs(rows[1, 1]), abs(rows[2, 2])) < 1e-9:
             return False
@@ -161,10 +204,8 @@ def align(
         if abs(step[0]) < STILL * dx and abs(step[1]) < STILL * dy and abs(step[2]) * max(h, w) < 2.0 * STILL:
             break
     for p in range(3):  # the inverse of the normal matrix, a column at a time
-        rows[:3, 3] = 0.0
-        for q in range(3):
-            for k in range(3):
-                rows[q, k] = normal[min(q, k), max(q, k)]
+        rows[:, :3] = total[:3, :3]
+        rows[:, 3] = 0.0
         rows[p, 3] = 1.0
         triangularise(rows)
         covariance[:, p] = variance * solved(rows)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import atan2, hypot
+from math import atan2
 
 import cv2
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from paceline.cameras import Camera
@@ -36,15 +37,23 @@ def place_of(
     comes what no fit can show: a model whose lines are true to within ``tolerance`` m has its centre and, over its
     ``width`` m, its size no truer than that; and of a target that is yawed a little the nearer side looks the longer.
     """
-    ray = camera.rays(location[:2])
+    position, std, across = _placed(location, covariance, camera.K_inv, nominal_range, tolerance, width)
+    return Place(position, std, atan2(across, 1.0))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _placed(
+    location: Array, covariance: Array, K_inv: Array, nominal_range: float, tolerance: float, width: float
+) -> tuple[Array, Array, float]:
+    ray = K_inv[:, 0] * location[0] + K_inv[:, 1] * location[1] + K_inv[:, 2]
     z = nominal_range / location[2]
     position = z * ray
     to_metres = np.empty((3, 3))
-    to_metres[:, :2] = z * camera.K_inv[:, :2]
+    to_metres[:, :2] = z * K_inv[:, :2]
     to_metres[:, 2] = -position / location[2]
+    model = np.array([np.hypot(tolerance, YAW * (0.5 * width) ** 2 / z), tolerance, tolerance * z / width])
     variance = ((to_metres @ covariance) * to_metres).sum(1)
-    model = np.array([hypot(tolerance, YAW * (0.5 * width) ** 2 / z), tolerance, tolerance * z / width])
-    return Place(position, np.sqrt(np.maximum(variance, 0.0) + model**2), atan2(ray[0], 1.0))
+    return position, np.sqrt(np.maximum(variance, 0.0) + model**2), ray[0]
 
 
 def recorded(camera: Camera, pixels: Array) -> Array:

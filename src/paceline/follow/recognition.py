@@ -186,43 +186,43 @@ class Recogniser:
         fit = measurement.fit
         if c.wide_search and c.appearance:
             fit = fitting.fused(fit, start, near)
-        look = Look("", window, fit, measurement)
         if not (c.wide_search or c.appearance or c.polarity or c.probation):
-            return look
+            return Look("", window, fit, measurement)
         shown = self.projection.shown(fit.location)
         if not c.wide_search and not self._search.open_at(image, shown.location):
-            return replace(look, complaint=OUTSIDE)
+            return Look(OUTSIDE, window, fit, measurement)
         inside, evidence = self._search.evidence_at(shown.location, shown.shifts, self.appearance)
-        look = replace(look, inside=inside, evidence=evidence)
-        return self._judged(look, fit, measurement, expected, doubt, tau, lost)
+        complaint, clear, sure = self._judged(fit, measurement, inside, expected, doubt, tau, lost)
+        return Look(complaint, window, fit, measurement, inside, evidence, clear, sure=sure)
 
     def _judged(
-        self, look: Look, fit: Fit, measurement: Measurement, expected: Array, doubt: Array, tau: float, lost: bool
-    ) -> Look:
-        """Its features must be there, fit together and look like it."""
+        self, fit: Fit, measurement: Measurement, inside: float, expected: Array, doubt: Array, tau: float, lost: bool
+    ) -> tuple[str, bool, bool]:
+        """Its features must be there, fit together and look like it: what there is to complain of, and whether it is
+        clear and sure, see `Look`."""
         agreeing, discord = measurement.agreeing, measurement.discord
-        support = float(self.appearance.lengths[agreeing].sum() / self.appearance.lengths.sum())
+        support = float(self.appearance.lengths[agreeing].sum()) / self.appearance.length
         spread = float(np.sqrt(fit.covariance[2, 2])) / fit.location[2]
+        grown = fit.location[2] / expected[2]
         sharp = support >= CLEAR and discord < 0.6 and spread < SHARP
-        clear = sharp and abs(fit.location[2] / expected[2] - 1.0) < SHARP
-        complaint, related = "", 0.0
-        if self._c.appearance:
-            picture = self.appearance.likeness() if look.inside > 0.5 else 0.0
-            related = picture + self._usual_share(measurement)
-            grown = fit.location[2] / expected[2]
-            aside = abs(fit.location[0] - expected[0]) / self.projection.size(expected[2])
-            jump = abs(fit.location[2] - expected[2]) / hypot(doubt[2], spread * fit.location[2])
-            if support < (CLEAR if lost else SUPPORT) or agreeing.sum() < FEATURES:
-                complaint = FEW
-            elif discord > 1.0:
-                complaint = APART
-            elif spread > VAGUE:
-                complaint = "its size cannot be told"
-            elif jump > JUMP and not (sharp and picture > ALIKE):
-                complaint = "its size jumps"
-            elif related < self._needed(picture, grown, aside, tau, lost):
-                complaint = "what is found does not look like it"
-        return replace(look, complaint=complaint, clear=clear, sure=not complaint and related >= FOUND)
+        clear = bool(sharp and abs(grown - 1.0) < SHARP)
+        if not self._c.appearance:
+            return "", clear, False
+        picture = self.appearance.likeness() if inside > 0.5 else 0.0
+        related = picture + self._usual_share(measurement)
+        aside = abs(fit.location[0] - expected[0]) / self.projection.size(expected[2])
+        jump = abs(fit.location[2] - expected[2]) / hypot(doubt[2], spread * fit.location[2])
+        if support < (CLEAR if lost else SUPPORT) or agreeing.sum() < FEATURES:
+            return FEW, clear, False
+        if discord > 1.0:
+            return APART, clear, False
+        if spread > VAGUE:
+            return "its size cannot be told", clear, False
+        if jump > JUMP and not (sharp and picture > ALIKE):
+            return "its size jumps", clear, False
+        if related < self._needed(picture, grown, aside, tau, lost):
+            return "what is found does not look like it", clear, False
+        return "", clear, related >= FOUND
 
     def _needed(self, picture: float, grown: float, aside: float, tau: float, lost: bool) -> float:
         """How much likeness, that of its ``picture``, and share of the usual match a target must have together that is

@@ -63,6 +63,9 @@ class Search:
         self._target, self._magnification, self._size = target, magnification, image_size
         self._softness = softness
         self._lengths = target.spans[:, 1] - target.spans[:, 0]
+        self._extents = target.size * magnification  # (2,) px at scale 1
+        self._extent = float(self._extents.max())
+        self._usual = np.array([LATERAL, VERTICAL]) * magnification * target.nominal_range
         self._scratch = np.zeros((2, 3, width), np.float32)
         self._pooled = np.zeros(width * height, np.uint8)
         self._vertical = np.zeros((height + 1) * width, np.float32)
@@ -88,12 +91,10 @@ class Search:
         many times as far as usual to look; 0 stands for the operator's start, where nothing moves and only the hand may
         be wrong. ``compare``: whether the picture has a say. None where no edge of the target is in the image.
         """
-        size = self._target.size * self._magnification * expected[2]
-        focal = self._magnification * self._target.nominal_range
+        size = self._extents * expected[2]
         reach = 3.0 * doubt[:2]
         if width > 0:
-            usual = np.array([LATERAL, VERTICAL]) * focal
-            reach = np.maximum(width * usual, np.minimum(reach, ROUGH * usual))
+            reach = np.maximum(width * self._usual, np.minimum(reach, ROUGH * self._usual))
         modesty = MODESTY if width > 0 else HAND
         side = max(1, int(min(size) / (DETAIL if width <= 2.0 else DETAIL / 2)))
         step = 2.0
@@ -127,7 +128,7 @@ class Search:
     def survey(self, image: Bytes, location: Array, shifts: Array, reach: float, count: int) -> list[Sighting]:
         """The up to ``count`` places that show most of the model about ``location`` (3,), recorded pixels, the most
         first: up to ``reach`` sizes of the target away, with scales within `SPREAD`. What was learned has no say."""
-        size = self._target.size * self._magnification * location[2]
+        size = self._extents * location[2]
         side = max(1, int(SPREAD[0] * min(size) / DETAIL))
         window = window_around(location[:2], (ROOM * SPREAD[1] + reach) * size, self._size)
         if not self._open(image, window, side):
@@ -157,7 +158,7 @@ class Search:
         window: Window,
         least: float,
     ) -> list[Sighting]:
-        side, size = self._side, max(self._target.size * self._magnification) * location[2]
+        side, size = self._side, self._extent * location[2]
         steps = np.full(2, np.ceil(reach * size / side / step))
         while len(scales) * np.prod(2 * steps + 1) > len(self._scores):
             step *= 1.25
@@ -191,7 +192,7 @@ class Search:
     def _closest(self, rivals: Array, doubt: Array, window: Window, appearance: Appearance) -> Sighting:
         """Of the ``rivals`` (B, 4) the one whose picture is most like the learned one, aligned with that."""
         best, best_score = None, -np.inf
-        units, origin = np.array([self._side, self._side, 1.0]), np.array([*self._origin, 0.0])
+        units, origin = self._units, self._zero
         m = self._magnification / self._side
         for rival in rivals[rivals[:, 3] > rivals[0, 3] - HOPELESS]:
             if rival[3] + PICTURE <= best_score:  # the highest come first: no picture can be as alike as it would need
@@ -222,7 +223,7 @@ class Search:
 
     def went_from(self, location: Array, appearance: Appearance) -> Sighting | None:
         """`Appearance.went_from` in the part of the image searched last, for a ``location`` (3,) in recorded pixels."""
-        units, origin = np.array([self._side, self._side, 1.0]), np.array([*self._origin, 0.0])
+        units, origin = self._units, self._zero
         place = appearance.went_from(self._pooled_view, (location - origin) / units, self._magnification / self._side)
         if place is None:
             return None
@@ -250,7 +251,7 @@ class Search:
 
     def open_at(self, image: Bytes, location: Array) -> bool:
         """Make the image about ``location`` (3,), recorded pixels, ready for a look at the target there."""
-        size = self._target.size * self._magnification * location[2]
+        size = self._extents * location[2]
         side = max(1, int(min(size) / DETAIL))
         return self._open(image, window_around(location[:2], ROOM * size, self._size), side)
 
@@ -263,6 +264,7 @@ class Search:
             return False
         self._side = side
         self._origin = np.array([x0, y0]) + 0.5 * (side - 1)
+        self._units, self._zero = np.array([side, side, 1.0]), np.array([*self._origin, 0.0])  # of locations in it
         self._pooled_view = self._pooled[: h * w].reshape(h, w)
         self._vertical_view = self._vertical[: (h + 1) * w].reshape(h + 1, w)
         self._horizontal_view = self._horizontal[: h * (w + 1)].reshape(h, w + 1)
@@ -285,8 +287,7 @@ class Search:
         best: Array,
     ) -> Array:
         """The best locations about ``start`` with their scores (B, 4), in recorded pixels, the highest first."""
-        units = np.array([self._side, self._side, 1.0])
-        origin = np.array([*self._origin, 0.0])
+        units, origin = self._units, self._zero
         n = search_cpu.scan(
             self._vertical_view,
             self._horizontal_view,
@@ -314,7 +315,7 @@ class Search:
 
     def _rung(self, scale: float, side: int) -> float:
         """The relative change of scale that moves the target's outline by one pixel of the searched image."""
-        return float(side / (0.5 * max(self._target.size * self._magnification) * scale))
+        return float(side / (0.5 * self._extent * scale))
 
     def _spread(self, scale: float) -> Array:
         """The scales of a survey, by `SPREAD` smaller and greater than ``scale``."""

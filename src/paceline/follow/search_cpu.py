@@ -12,63 +12,124 @@ Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 Floats = NDArray[np.float32]
 Indices = NDArray[np.int64]
+Flags = NDArray[np.bool_]
 
 FULL = 1.1  # evidence along a clear line: none counts for more in a survey
 TOLD = 0.3  # share of its own strength that a feature's learned evidence must keep to tell which side is brighter
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def pool(image: Bytes, x0: int, y0: int, side: int, out: Bytes) -> None:
     """``out`` (h, w): means of ``side`` × ``side`` squares of ``image``, the first of which begins at x0, y0."""
-    half = (side * side) // 2
-    sums = np.empty(out.shape[1], np.uint32)
-    for y in range(out.shape[0]):
-        sums[:] = half
-        for row in range(y0 + y * side, y0 + (y + 1) * side):
-            source = image[row]
-            for x in range(out.shape[1]):
-                total = np.uint32(0)
-                for column in range(x0 + x * side, x0 + (x + 1) * side):
-                    total += np.uint32(source[column])
-                sums[x] += total
-        for x in range(out.shape[1]):
-            out[y, x] = sums[x] // (side * side)
+    h, w = out.shape
+    if side == 1:
+        for y in range(h):
+            source, here = image[y0 + y, x0 : x0 + w], out[y]
+            for x in range(w):
+                here[x] = source[x]
+        return
+    n = side * side
+    sums = np.empty(w * side, np.uint32)
+    for y in range(h):
+        sums[:] = 0
+        for row in range(side):
+            source = image[y0 + y * side + row, x0 : x0 + w * side]
+            for x in range(w * side):
+                sums[x] += source[x]
+        for x in range(w):
+            total = np.uint32(n // 2)
+            for column in range(side):
+                total += sums[x * side + column]
+            out[y, x] = total // n
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
 def evidence(image: Bytes, soft: float, gx: Floats, gy: Floats, vertical: Floats, horizontal: Floats) -> None:
     """How much each pixel of ``image`` (h, w) looks like an edge, −1 to 1 by the sign of the step, in running sums.
 
     The evidence is the cosine squared of the edge's direction times m/(m + soft) of its magnitude m, so that a strong
     edge counts little more than a clear one. ``vertical`` (h + 1, w) sums it down the columns, ``horizontal``
-    (h, w + 1) along the rows. ``gx``, ``gy`` (3, ≥ w) are scratch.
+    (h, w + 1) along the rows. ``gx``, ``gy`` (3, ≥ w) are scratch; ``image`` has five rows and columns or more.
     """
     h, w = image.shape
+    n = w - 2
     s = np.float32(soft)
     vertical[:2] = 0.0
-    horizontal[:] = 0.0
-    for y in range(1, h - 1):
-        gradient_row(image, y, 1, w - 1, gx[0], gy[0])
-        total = np.float32(0.0)
-        vertical[y + 1, 0] = 0.0
-        vertical[y + 1, w - 1] = 0.0
-        for i in range(w - 2):
-            dx, dy = gx[0, i], gy[0, i]
-            mm = dx * dx + dy * dy + np.float32(1e-6)
-            m = np.sqrt(mm)
-            share = np.float32(1.0) / (m * (m + s))
-            gx[0, i] = dx * abs(dx) * share
-            gy[0, i] = dy * abs(dy) * share
-        for i in range(w - 2):
-            vertical[y + 1, i + 1] = vertical[y, i + 1] + gx[0, i]
-        for i in range(w - 2):
-            total += gy[0, i]
-            horizontal[y, i + 2] = total
-        horizontal[y, w] = total
+    horizontal[0] = 0.0
+    horizontal[h - 1] = 0.0
+    for first in range(1, h - 1, 3):
+        top = min(first, h - 4)
+        for r in range(3):
+            dx, dy = gx[r, :n], gy[r, :n]
+            gradient_row(image, top + r, 1, w - 1, dx, dy)
+            for i in range(n):
+                squares = dx[i] * dx[i] + dy[i] * dy[i] + np.float32(1e-6)
+                m = np.sqrt(squares)
+                share = np.float32(1.0) / (m * (m + s))
+                dx[i] *= abs(dx[i]) * share
+                dy[i] *= abs(dy[i]) * share
+            above, here = vertical[top + r], vertical[top + r + 1]
+            here[0] = here[w - 1] = 0.0
+            for i in range(n):
+                here[i + 1] = above[i + 1] + dx[i]
+            horizontal[top + r, :2] = 0.0
+        # each sum along a row waits for the one before it, but not for those of other rows
+        a = b = c = np.float32(0.0)
+        for i in range(n):
+            a += gy[0, i]
+            b += gy[1, i]
+            c += gy[2, i]
+            horizontal[top, i + 2] = a
+            horizontal[top + 1, i + 2] = b
+            horizontal[top + 2, i + 2] = c
+        horizontal[top, w], horizontal[top + 1, w], horizontal[top + 2, w] = a, b, c
     vertical[h] = vertical[h - 1]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
+def _laid(
+    centers: Array, m: float, across: Flags, places: Array, spans: Array, shifts: Array, limit: int, out: Indices
+) -> None:
+    """Where a model's segments lie along one axis, for each of the ``centers`` (N,) px it may have there.
+
+    ``out`` (N, S, 3) receives the row or column of the segments that are ``across`` (S,) the axis, of the others where
+    they begin and end inside 0 … ``limit``, and their whole length. ``m`` is in px per metre.
+    """
+    for i in range(len(centers)):
+        for j in range(len(places)):
+            if across[j]:
+                out[i, j, 0] = int(np.floor(centers[i] + m * places[j] + shifts[j] + 0.5))
+            else:
+                a = int(np.floor(centers[i] + m * spans[j, 0] + 0.5))
+                b = int(np.floor(centers[i] + m * spans[j, 1] + 0.5)) + 1
+                out[i, j, 0], out[i, j, 1], out[i, j, 2] = max(a, 0), min(b, limit), b - a
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _respond(
+    vertical_sums: Floats, horizontal_sums: Floats, vertical: Flags, in_x: Indices, in_y: Indices, out: Array
+) -> None:
+    """`responses` for a model laid as rows of `_laid` say, ``in_x`` (S, 3) and ``in_y`` (S, 3)."""
+    h, w = horizontal_sums.shape[0], vertical_sums.shape[1]
+    for j in range(len(vertical)):
+        out[j] = 0.0
+        if vertical[j]:
+            x, a, b, length = in_x[j, 0], in_y[j, 0], in_y[j, 1], in_y[j, 2]
+            if 1 <= x < w - 1 and a < b:
+                s = vertical_sums[b, x] - vertical_sums[a, x]
+                s += 0.5 * (vertical_sums[b, x - 1] - vertical_sums[a, x - 1])
+                s += 0.5 * (vertical_sums[b, x + 1] - vertical_sums[a, x + 1])
+                out[j] = s / length
+        else:
+            y, a, b, length = in_y[j, 0], in_x[j, 0], in_x[j, 1], in_x[j, 2]
+            if 1 <= y < h - 1 and a < b:
+                s = horizontal_sums[y, b] - horizontal_sums[y, a]
+                s += 0.5 * (horizontal_sums[y - 1, b] - horizontal_sums[y - 1, a])
+                s += 0.5 * (horizontal_sums[y + 1, b] - horizontal_sums[y + 1, a])
+                out[j] = s / length
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def responses(
     vertical_sums: Floats,
     horizontal_sums: Floats,
@@ -76,7 +137,7 @@ def responses(
     cy: float,
     mx: float,
     my: float,
-    vertical: NDArray[np.bool_],
+    vertical: Flags,
     places: Array,
     spans: Array,
     shifts: Array,
@@ -85,33 +146,13 @@ def responses(
     """``out`` (S,): mean evidence along every segment, the mean over one pixel to either side, for a model centred at
     cx, cy with mx, my pixels per metre; 0 where a segment is outside, and what is outside of a segment counts 0."""
     h, w = horizontal_sums.shape[0], vertical_sums.shape[1]
-    for j in range(len(places)):
-        out[j] = 0.0
-        if vertical[j]:
-            x = int(np.floor(cx + mx * places[j] + shifts[j] + 0.5))
-            a = int(np.floor(cy + my * spans[j, 0] + 0.5))
-            b = int(np.floor(cy + my * spans[j, 1] + 0.5)) + 1
-            length = b - a
-            a, b = max(a, 0), min(b, h)
-            if 1 <= x < w - 1 and a < b:
-                s = vertical_sums[b, x] - vertical_sums[a, x]
-                s += 0.5 * (vertical_sums[b, x - 1] - vertical_sums[a, x - 1])
-                s += 0.5 * (vertical_sums[b, x + 1] - vertical_sums[a, x + 1])
-                out[j] = s / length
-        else:
-            y = int(np.floor(cy + my * places[j] + shifts[j] + 0.5))
-            a = int(np.floor(cx + mx * spans[j, 0] + 0.5))
-            b = int(np.floor(cx + mx * spans[j, 1] + 0.5)) + 1
-            length = b - a
-            a, b = max(a, 0), min(b, w)
-            if 1 <= y < h - 1 and a < b:
-                s = horizontal_sums[y, b] - horizontal_sums[y, a]
-                s += 0.5 * (horizontal_sums[y - 1, b] - horizontal_sums[y - 1, a])
-                s += 0.5 * (horizontal_sums[y + 1, b] - horizontal_sums[y + 1, a])
-                out[j] = s / length
+    in_x, in_y = np.empty((1, len(places), 3), np.int64), np.empty((1, len(places), 3), np.int64)
+    _laid(np.full(1, cx), mx, vertical, places, spans, shifts, w, in_x)
+    _laid(np.full(1, cy), my, ~vertical, places, spans, shifts, h, in_y)
+    _respond(vertical_sums, horizontal_sums, vertical, in_x[0], in_y[0], out)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def likeness(found: Array, signed: Array, strength: Array, weights: Array) -> float:
     """How well the evidence ``found`` (S,) along a model agrees with what was learned: 1 for as strong as usual.
 
@@ -129,7 +170,13 @@ def likeness(found: Array, signed: Array, strength: Array, weights: Array) -> fl
     return total / full
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
+def _strike(scores: Array, i: int, j: int, near: int) -> None:
+    """Take the places up to ``near`` steps from column ``i`` and row ``j`` off the ``scores`` (ny, nx) of a scale."""
+    scores[max(j - near, 0) : j + near + 1, max(i - near, 0) : i + near + 1] = -1.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def scan(
     vertical_sums: Floats,
     horizontal_sums: Floats,
@@ -139,7 +186,7 @@ def scan(
     step: float,
     scales: Array,
     magnification: Array,
-    vertical: NDArray[np.bool_],
+    vertical: Flags,
     places: Array,
     spans: Array,
     shifts: Array,
@@ -161,41 +208,35 @@ def scan(
     """
     nx, ny = 2 * reach[0] + 1, 2 * reach[1] + 1
     found = np.empty(len(places))
+    xs, ys = start[0] + (np.arange(nx) - reach[0]) * step, start[1] + (np.arange(ny) - reach[1]) * step
+    in_x, in_y = np.empty((nx, len(places), 3), np.int64), np.empty((ny, len(places), 3), np.int64)
     for k in range(len(scales)):
         away_s = ((scales[k] - expected[2]) / doubt[2]) ** 2
-        mx, my = scales[k] * magnification[0], scales[k] * magnification[1]
+        m = scales[k] * magnification
+        _laid(xs, m[0], vertical, places, spans, shifts, vertical_sums.shape[1], in_x)
+        _laid(ys, m[1], ~vertical, places, spans, shifts, horizontal_sums.shape[0], in_y)
         for j in range(ny):
-            cy = start[1] + (j - reach[1]) * step
-            away_y = ((cy - expected[1]) / doubt[1]) ** 2
+            away_y = ((ys[j] - expected[1]) / doubt[1]) ** 2
             for i in range(nx):
-                cx = start[0] + (i - reach[0]) * step
-                away = away_y + ((cx - expected[0]) / doubt[0]) ** 2
-                responses(vertical_sums, horizontal_sums, cx, cy, mx, my, vertical, places, spans, shifts, found)
+                away = away_y + ((xs[i] - expected[0]) / doubt[0]) ** 2
+                _respond(vertical_sums, horizontal_sums, vertical, in_x[i], in_y[j], found)
                 loss = modesty * (away_s + away / (1.0 + away / 9.0))
                 scores[(k * ny + j) * nx + i] = likeness(found, signed, strength, weights) - loss
     n = len(scales) * ny * nx
     count = 0
     while count < len(best):
-        top = 0
-        for q in range(n):
-            if scores[q] > scores[top]:
-                top = q
+        top = np.argmax(scores[:n])
         if scores[top] < 0.0:
             break
         i, j, k = top % nx, (top // nx) % ny, top // (nx * ny)
-        best[count, 0] = start[0] + (i - reach[0]) * step
-        best[count, 1] = start[1] + (j - reach[1]) * step
-        best[count, 2] = scales[k]
-        best[count, 3] = scores[top]
+        best[count] = xs[i], ys[j], scales[k], scores[top]
         count += 1
         for kk in range(len(scales)):
-            for jj in range(max(j - 3, 0), min(j + 4, ny)):
-                for ii in range(max(i - 3, 0), min(i + 4, nx)):
-                    scores[(kk * ny + jj) * nx + ii] = -1.0
+            _strike(scores[kk * ny * nx : (kk + 1) * ny * nx].reshape(ny, nx), i, j, 3)
     return count
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def shown(found: Array) -> float:
     """How much of a model of which nothing is learned yet the evidence ``found`` (S,) along it shows: its mean."""
     total = 0.0
@@ -204,7 +245,7 @@ def shown(found: Array) -> float:
     return total / len(found)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def survey(
     vertical_sums: Floats,
     horizontal_sums: Floats,
@@ -214,7 +255,7 @@ def survey(
     scales: Array,
     rung: float,
     magnification: Array,
-    vertical: NDArray[np.bool_],
+    vertical: Flags,
     places: Array,
     spans: Array,
     shifts: Array,
@@ -231,29 +272,27 @@ def survey(
     """
     nx, ny = 2 * reach[0] + 1, 2 * reach[1] + 1
     found = np.empty(len(places))
+    xs, ys = start[0] + (np.arange(nx) - reach[0]) * step, start[1] + (np.arange(ny) - reach[1]) * step
+    in_x, in_y = np.empty((nx, len(places), 3), np.int64), np.empty((ny, len(places), 3), np.int64)
     for k in range(len(scales)):
-        mx, my = scales[k] * magnification[0], scales[k] * magnification[1]
+        m = scales[k] * magnification
+        _laid(xs, m[0], vertical, places, spans, shifts, vertical_sums.shape[1], in_x)
+        _laid(ys, m[1], ~vertical, places, spans, shifts, horizontal_sums.shape[0], in_y)
         for j in range(ny):
-            cy = start[1] + (j - reach[1]) * step
             for i in range(nx):
-                cx = start[0] + (i - reach[0]) * step
-                responses(vertical_sums, horizontal_sums, cx, cy, mx, my, vertical, places, spans, shifts, found)
+                _respond(vertical_sums, horizontal_sums, vertical, in_x[i], in_y[j], found)
                 scores[(k * ny + j) * nx + i] = shown(found)
     n = len(scales) * ny * nx
     near = int(np.ceil(apart[0] / step))
     count = 0
     while count < len(best):
-        top = 0
-        for q in range(n):
-            if scores[q] > scores[top]:
-                top = q
+        top = np.argmax(scores[:n])
         if scores[top] <= 0.0:
             break
         i, j, k = top % nx, (top // nx) % ny, top // (nx * ny)
-        cx, cy = start[0] + (i - reach[0]) * step, start[1] + (j - reach[1]) * step
         best[count, 3] = -1.0
         for q in range(27):
-            x, y = cx + 0.5 * step * (q % 3 - 1), cy + 0.5 * step * (q // 3 % 3 - 1)
+            x, y = xs[i] + 0.5 * step * (q % 3 - 1), ys[j] + 0.5 * step * (q // 3 % 3 - 1)
             scale = scales[k] * np.exp(0.5 * rung * (q // 9 - 1))
             mx, my = scale * magnification[0], scale * magnification[1]
             responses(vertical_sums, horizontal_sums, x, y, mx, my, vertical, places, spans, shifts, found)
@@ -264,7 +303,5 @@ def survey(
         for kk in range(len(scales)):
             if abs(np.log(scales[kk] / scales[k])) >= apart[1]:
                 continue
-            for jj in range(max(j - near, 0), min(j + near + 1, ny)):
-                for ii in range(max(i - near, 0), min(i + near + 1, nx)):
-                    scores[(kk * ny + jj) * nx + ii] = -1.0
+            _strike(scores[kk * ny * nx : (kk + 1) * ny * nx].reshape(ny, nx), i, j, near)
     return count

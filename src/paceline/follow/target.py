@@ -74,7 +74,7 @@ class Target:
         used = self.corners[self.segments.ravel()]
         return np.concatenate([used.min(0), used.max(0)])
 
-    @property
+    @cached_property
     def size(self) -> Array:
         """(2,) m: width and height."""
         return np.subtract(self.box[2:], self.box[:2])
