@@ -57,10 +57,29 @@ def test_it_may_nod_with_a_bump_but_not_rise_to_a_window(z):
 def test_it_follows_what_is_believed():
     lock = Continuity(PROJECTION, at(*BEGIN))
     for k in range(1, 40):
-        place = at(0.2, 0.9 + 0.03 * k, 15.0 - 0.2 * k)
+        place = at(0.2, 0.9 + 0.01 * k, 15.0 - 0.2 * k)
         assert lock.complaint(place, place, 1 / 15) == ""
         lock.learn(place)
     assert lock.complaint(at(*BEGIN), place, 1 / 15) == LEAPT
+
+
+def nodding(k):
+    """Bumps: up to 0.02 rad up or down, three times a second."""
+    return 0.02 * np.sin(1.3 * k)
+
+
+def test_bumps_pass_but_what_stays_lower_is_something_else():
+    """A car in between that looks like the target stands nearer, so lower in the picture, as large as it is taken."""
+    lock, refused = Continuity(PROJECTION, at(*BEGIN)), []
+    for k in range(150):
+        place = at(0.2, 0.9 + (1.0 if 60 <= k < 110 else 0.0), 15.0) + [0, FOCAL * nodding(k), 0]
+        if complaint := lock.complaint(place, place, 1 / 15):
+            assert complaint == ALOFT
+            refused.append(k)
+        else:
+            lock.learn(place)
+    assert min(refused) in range(60, 75) and max(refused) < 110
+    assert len(refused) > 0.7 * (110 - min(refused))
 
 
 def test_two_sights_of_one_place_are_steady():

@@ -3,6 +3,9 @@
 A place of the model is where it is seen and how well it matches, image by image; nothing is drawn or measured.
 """
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -12,7 +15,7 @@ from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.fitting import Fit
 from paceline.follow.lock import Lock
 from paceline.follow.measuring import Measurement
-from paceline.follow.probation import CORRECTED, DOUBT, EVERY, NOWHERE, SWITCHED, Probation
+from paceline.follow.probation import CORRECTED, DOUBT, DOUBTED, EVERY, NOWHERE, SWITCHED, UNTOLD, Probation
 from paceline.follow.recognition import Look
 
 SIZE = 100.0  # px at scale 1
@@ -128,11 +131,35 @@ def test_a_better_place_is_doubted_first_and_then_believed_with_a_note():
 
 
 def test_where_two_places_match_alike_the_doubt_lasts_until_one_of_them_fades():
-    watch = Watch((0, 0, 1, 0.2), (-0.3, 0, 1, 0.7), (0.3, 0, 1, lambda image: 0.7 if image < 40 else 0.3))
-    assert watch.see(40) == [DOUBT] * 40 and watch.probation.pending
-    said = watch.see(20)
+    watch = Watch((0, 0, 1, 0.2), (-0.3, 0, 1, 0.7), (0.3, 0, 1, lambda image: 0.7 if image < 15 else 0.3))
+    assert watch.see(15) == [DOUBT] * 15 and watch.probation.pending
+    said = watch.see(15)
     assert said[0] == DOUBT and CORRECTED in said and said[-1] == ""
     np.testing.assert_allclose(watch.at, [-0.3, 0, 1], atol=1e-6)
+
+
+def test_a_doubt_that_lasts_is_given_up_for_good():
+    watch = Watch((0, 0, 1, 0.2), (-0.3, 0, 1, 0.7), (0.3, 0, 1, lambda image: 0.7 if image < 40 else 0.3))
+    inside = int(15 * DOUBTED) + 1
+    assert watch.see(inside) == [DOUBT] * inside
+    assert watch.see(60) == [UNTOLD] * 60 and watch.probation.locks == [watch.probation.lock]
+
+
+def test_a_place_that_is_held_by_its_picture_alone_loses_no_credit():
+    """Of two that match alike neither falls behind when the features of one cannot be told for a while."""
+    watch = Watch((0, 0, 1, 0.2), (-0.3, 0, 1, 0.7), (0.3, 0, 1, 0.7))
+    watch.see(2)
+    places = watch.places
+    places.appearance = SimpleNamespace(match=0.7)
+    measured = places.look_at
+
+    def held(image, location, doubt):
+        look = measured(image, location, doubt)
+        return replace(look, measurement=None) if look.fit is not None and location[0] > START[0] else look
+
+    places.look_at = held
+    assert watch.see(20) == [DOUBT] * 20
+    np.testing.assert_allclose([lock.credit for lock in watch.probation.locks], watch.probation.lock.credit)
 
 
 def test_of_two_that_match_alike_the_smaller_one_leads_not():

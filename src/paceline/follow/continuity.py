@@ -13,7 +13,8 @@ UNSTEADY = 0.06  # relative error of a scale that was measured, at most
 HASTE, BRAKING = 1.5, 3.0  # m/s, m/s²: by how much the distance may change otherwise than was foreseen
 NODDING = 0.06  # rad by which a bump and the road's grade may turn the camera up or down
 RISE = 0.3  # m by which what is measured of a target may lie higher or lower than usual
-RATE = 0.3  # of learning its usual height, per image
+GRADE = 0.03  # rad by which the road's grade turns it for longer
+RATE, LATELY, LONG = 0.3, 0.2, 0.007  # of learning its height, per image: that of now, of half a second, of ten
 SAME = 0.3  # sizes of the target, or relative scale, between two sights of the same
 
 LEAPT = "what is found is farther off or nearer than the target can be by now"
@@ -26,20 +27,23 @@ class Continuity:
     def __init__(self, projection: Projection, location: Array) -> None:
         self._projection = projection
         self._scale = float(location[2])
-        self._drop = projection.drop(location)
+        self._drop = self._lately = self._level = projection.drop(location)
         self._sighted = location
         self.steady = True  # the last two sights were of one place, whether believed or not
 
     def complaint(self, location: Array, expected: Array, unseen: float) -> str:
-        """Why nothing that was seen ``unseen`` s ago and is ``expected`` (3,) somewhere can be at ``location`` (3,)."""
+        """Why nothing that was seen ``unseen`` s ago and is ``expected`` (3,) somewhere can be at ``location`` (3,), in the
+        image at hand: to be asked once for each."""
         distance = self._projection.distance(location[2])
         before, foreseen = (self._projection.distance(s) for s in (self._scale, expected[2]))
         moved = min(abs(distance - before), abs(distance - foreseen))
         if moved > UNSTEADY * max(distance, before) + (HASTE + BRAKING * unseen) * unseen:
             return LEAPT
-        if abs(self._projection.drop(location) - self._drop) > RISE + NODDING * distance:
+        drop = self._projection.drop(location)
+        if abs(drop - self._drop) > RISE + NODDING * distance:
             return ALOFT
-        return ""
+        self._lately += LATELY * (drop - self._lately)  # also of what is refused, or every other image were believed
+        return ALOFT if abs(self._lately - self._level) > RISE + GRADE * distance else ""
 
     def sight(self, location: Array) -> None:
         """Something like the target is seen at ``location`` (3,)."""
@@ -50,4 +54,6 @@ class Continuity:
     def learn(self, location: Array) -> None:
         """The target is believed to be at ``location`` (3,)."""
         self._scale = float(location[2])
-        self._drop += RATE * (self._projection.drop(location) - self._drop)
+        drop = self._projection.drop(location)
+        self._drop += RATE * (drop - self._drop)
+        self._level += LONG * (drop - self._level)

@@ -26,6 +26,7 @@ SMALL = 0.15  # power of a place's scale with which it counts
 CLEAR = 0.1  # match by which another place must exceed the operator's to put it in doubt
 SURE = 0.25  # credit by which a lock is behind that is given up,
 SLIGHT = 0.06  # and so much more for every image: a small difference tells nothing, however long it lasts
+DOUBTED = 2.0  # s for which a start may be in doubt: then the target is elsewhere, and what is there may be another
 OFF = 0.06  # sizes from the start, or relative scale, at which the operator is told
 LEAST = 0.35  # match of a target
 EVERY = 6  # images of which one is patrolled
@@ -37,6 +38,7 @@ TRIAL = 15  # images in which it must have reached that
 
 DOUBT = "the start is in doubt: the model fits in more than one place"
 NOWHERE = "the start is in doubt: the model fits nowhere near it"
+UNTOLD = "the start was in doubt for too long: place the model again"
 CORRECTED = "the start was off: the model fits better here"
 SWITCHED = "the model fits better here than where it was tracked"
 
@@ -51,6 +53,7 @@ class Probation:
         self._turn = 0  # images since the start, or since it was settled
         self._usual = 0.0  # match of the lock
         self._left = 0  # images of a trial
+        self._began: float | None = None  # s, when the start was looked at first
         self.lock = lock
         self.pending = configuration.probation
 
@@ -89,6 +92,10 @@ class Probation:
 
     def _try_start(self, image: Bytes, time: float, looks: list[Look]) -> tuple[Look, str]:
         """Add up the evidence of the locks about the start; it is settled where the last one is left."""
+        self._began = time if self._began is None else self._began
+        if time - self._began > DOUBTED:
+            self._rivals = []
+            return Look(UNTOLD, looks[0].window), ""
         if not self._rivals:
             self.lock.credit, self._turn = self._near_start(looks[0], self.lock), 0
         pairs = list(zip(self.locks, looks, strict=True))
@@ -97,7 +104,7 @@ class Probation:
             self._turn += 1
             return self._settle(image, looks[0])
         for lock, look in pairs:
-            lock.credit += self._worth(look)
+            lock.credit += self._worth(lock, look)
         leader, look = max(pairs, key=lambda pair: pair[0].credit)
         most = leader.credit
         least = most - SURE - SLIGHT * self._turn
@@ -109,7 +116,7 @@ class Probation:
         ]
         # of those beside it the one to keep has not slid there and learned other places on its way
         there = [(lock, seen) for lock, seen in pairs if lock is leader or self._apart(seen, look) <= BESIDE]
-        leader, look = max(there, key=lambda pair: (not pair[1].complaint, self._worth(pair[1])))
+        leader, look = max(there, key=lambda pair: (not pair[1].complaint, self._worth(*pair)))
         leader.credit = most
         self.lock, self._rivals = leader, [lock for lock, _ in rivals]
         if not rivals and not look.complaint and _match(look) >= LEAST:
@@ -199,11 +206,13 @@ class Probation:
             return np.inf
         return self._distance(look.fit.location, other.fit.location)
 
-    def _worth(self, look: Look) -> float:
+    def _worth(self, lock: Lock, look: Look) -> float:
         """The match of a look, for a small place a little less: there are more of them, and more that fit by chance."""
         if look.fit is None:
             return 0.0
-        return float(_match(look) * (look.fit.location[2] / self._start[2]) ** SMALL)
+        # a place that is held by its picture alone shows what it did
+        match = lock.recogniser.appearance.match if look.measurement is None else look.measurement.match
+        return float(match * (look.fit.location[2] / self._start[2]) ** SMALL)
 
     def _near_start(self, look: Look, lock: Lock) -> float:
         return float(HAND_SET * np.exp(-0.5 * (self._off(_place(look, lock)) / CLOSE) ** 2))

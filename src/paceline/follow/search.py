@@ -182,9 +182,9 @@ class Search:
             best,
         )
         best[:, :2] = best[:, :2] * side + self._origin
-        blur = 0.5 * step * side
+        blur = step * side
         return [
-            Sighting(place[:3], np.array([blur, blur, 0.5 * place[2] * self._rung(place[2], side)]), window)
+            Sighting(place[:3], np.array([blur, blur, place[2] * self._rung(place[2], side)]), window)
             for place in best[:n]
             if place[3] >= least
         ]
