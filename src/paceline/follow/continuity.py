@@ -32,8 +32,8 @@ class Continuity:
         self.steady = True  # the last two sights were of one place, whether believed or not
 
     def complaint(self, location: Array, expected: Array, unseen: float) -> str:
-        """Why nothing that was seen ``unseen`` s ago and is ``expected`` (3,) somewhere can be at ``location`` (3,), in the
-        image at hand: to be asked once for each."""
+        """Why nothing that was seen ``unseen`` s ago and is ``expected`` (3,) somewhere can be at ``location`` (3,) in
+        the image at hand; to be asked once for each."""
         distance = self._projection.distance(location[2])
         before, foreseen = (self._projection.distance(s) for s in (self._scale, expected[2]))
         moved = min(abs(distance - before), abs(distance - foreseen))
