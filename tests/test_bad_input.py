@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -17,27 +15,17 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from test_documents import changed
+from calling import COMMAND, ENVIRONMENT, Done, assert_one_line_error, paceline
+from spoiled import Folder
 
-from paceline import cli
 from paceline.simulation.planar import Scene, Vehicle, render, write
 
-ROOT = Path(__file__).parents[1]
-ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT / "src")}
-
 Case = tuple[Callable[["Clip"], object], list[str]]
+Command = Callable[..., Done]
 
 
-class Clip:
+class Clip(Folder):
     """A copy of a clip's folder that a case spoils."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-
-    def set(self, file: str, key: str, value: Any) -> None:
-        """``value`` at ``key`` of a YAML file (``vehicles.0.left``); None takes the key away."""
-        document = changed(yaml.safe_load((self.folder / file).read_text()), key, value)
-        (self.folder / file).write_text(yaml.safe_dump(document))
 
     def get(self, key: str) -> Any:
         place = yaml.safe_load((self.folder / "clip.yaml").read_text())
@@ -76,25 +64,13 @@ def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def clip(original: Path, tmp_path: Path) -> Clip:
-    return Clip(Path(shutil.copytree(original, tmp_path / "clip")))
-
-
-Command = Callable[..., tuple[int, str, str]]
+    return Clip.copied(original, tmp_path / "clip")
 
 
 @pytest.fixture
-def command(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path) -> Command:
-    """`paceline speed CLIP -o OUT` in this process; gives its status and what it prints to both streams."""
-
-    def run(clip: Path, out: Path = tmp_path / "out") -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["paceline", "speed", str(clip), "-o", str(out)])
-        monkeypatch.setattr(cli.signal, "signal", lambda *_: None)
-        capfd.readouterr()
-        with pytest.raises(SystemExit) as exit:
-            cli.main()
-        return int(exit.value.code or 0), *capfd.readouterr()
-
-    return run
+def command(tmp_path: Path) -> Command:
+    """`paceline speed CLIP -o OUT`."""
+    return lambda clip, out=tmp_path / "out": paceline("speed", clip, "-o", out)
 
 
 @pytest.fixture
@@ -103,11 +79,10 @@ def refused(command: Command, tmp_path: Path) -> Callable[..., str]:
 
     def run(clip: Path, **options: Path) -> str:
         before = set(tmp_path.rglob("*"))
-        status, stdout, stderr = command(clip, **options)
-        assert (status, stdout) == (2, ""), stderr
-        assert stderr.startswith("paceline: ") and stderr.endswith("\n") and stderr.count("\n") == 1, stderr
+        done = command(clip, **options)
+        assert_one_line_error(done)
         assert set(tmp_path.rglob("*")) == before, "something is left behind"
-        return stderr
+        return done.stderr
 
     return run
 
@@ -491,7 +466,7 @@ def test_an_interrupt_leaves_all_or_nothing(original: Path, tmp_path: Path, numb
     """At any moment after the work has begun; what stands in the folder is whole if it is there."""
     out = tmp_path / "work" / "out"
     out.parent.mkdir()
-    command = [sys.executable, "-m", "paceline", "speed", str(original), "-o", str(out), "--particles", "20000"]
+    command = [*COMMAND, "speed", str(original), "-o", str(out), "--particles", "20000"]
     process = subprocess.Popen(command, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 60
     while not list(out.parent.iterdir()) and process.poll() is None and time.monotonic() < deadline:

@@ -15,6 +15,7 @@ from paceline.baselines.alignment import align
 from paceline.baselines.disparity import Rectification
 from paceline.baselines.regions import Move, Regions, move_between
 from paceline.cameras import Camera, StereoRig
+from paceline.descriptors import matched
 from paceline.geometry import triangulate
 from paceline.recordings import StereoFrame
 from paceline.speed.paths import jacobian
@@ -374,12 +375,12 @@ def test_matches_are_mutual_and_clear() -> None:
     b[:20] = a[:20] + 0.1 * rng.normal(0, 1, (20, 128)).astype(np.float32)
     b[20] = a[0]  # two that are alike: neither is clear
     b[0] = a[0]
-    found = set(zip(*(rows.tolist() for rows in sift.matched(a, b)), strict=True))
+    found = set(zip(*(rows.tolist() for rows in matched(a, b, 0.8)), strict=True))
     distance = np.linalg.norm(a[:, None] - b, axis=2)
     expected = set()
     for i, row in enumerate(distance):
         order = np.argsort(row)
-        if row[order[0]] < sift.RATIO * row[order[1]] and distance[:, order[0]].argmin() == i:
+        if row[order[0]] < 0.8 * row[order[1]] and distance[:, order[0]].argmin() == i:
             expected.add((i, int(order[0])))
     assert found == expected and {(i, i) for i in range(1, 20)} <= found
     assert not any(i == 0 for i, _ in found)
@@ -388,12 +389,12 @@ def test_matches_are_mutual_and_clear() -> None:
 def test_few_features_match_nothing() -> None:
     none, one = np.empty((0, 128), np.float32), np.ones((1, 128), np.float32)
     for a, b in ((none, one), (one, one)):
-        assert [len(rows) for rows in sift.matched(a, b)] == [0, 0]
+        assert [len(rows) for rows in matched(a, b, 0.8)] == [0, 0]
 
 
 def test_features_stay_inside_their_region(texture: Image) -> None:
     quad = np.array([[200.0, 220], [290, 225], [285, 270], [205, 262]])
-    places, descriptors = sift.features(cv2.SIFT.create(), texture, quad)
+    places, descriptors = sift.inside(cv2.SIFT.create(), texture, quad)
     assert len(places) == len(descriptors) > 5
     inside = [cv2.pointPolygonTest(quad.astype(np.float32), tuple(map(float, p)), True) for p in places]
     assert min(inside) > -1.5  # the mask is made of whole pixels

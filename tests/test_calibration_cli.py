@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import json
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import av
 import cv2
 import numpy as np
 import pytest
+from calling import assert_one_line_error, paceline
 
-from paceline import cli
 from paceline.calibration import synthetic
 from paceline.calibration.boards import parse_board
 from paceline.calibration.model import Poses
@@ -54,27 +52,19 @@ def pictures(filmed: tuple[Path, Setup], tmp_path: Path, monkeypatch: pytest.Mon
     return tmp_path
 
 
-def refused(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+def refused(*arguments: str) -> str:
     """The one line on standard error of a command that ends with status 2 and leaves nothing behind."""
     before = sorted(Path().rglob("*"))
-    monkeypatch.setattr(sys, "argv", ["paceline", "calibrate", *arguments])
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    said = capsys.readouterr()
-    assert ended.value.code == 2
-    assert said.out == ""
-    assert len(said.err.splitlines()) == 1, said.err
+    done = paceline("calibrate", *arguments)
+    assert_one_line_error(done)
     assert sorted(Path().rglob("*")) == before
-    return said.err
+    return done.stderr
 
 
 def test_pictures_become_a_rig(filmed: tuple[Path, Setup], tmp_path: Path) -> None:
     folder, setup = filmed
     out = tmp_path / "new" / "rig.yaml"
-    done = subprocess.run(
-        [sys.executable, "-m", "paceline", "calibrate", folder / "left", folder / "right", "--board", BOARD, "-o", out],
-        capture_output=True, text=True, timeout=300,
-    )  # fmt: skip
+    done = paceline("calibrate", folder / "left", folder / "right", "--board", BOARD, "-o", out)
     assert done.returncode == 0, done.stderr
     assert sorted(p.name for p in out.parent.iterdir()) == ["rig.json", "rig.png", "rig.yaml"]
     assert f"{VIEWS - 2} of {VIEWS} used" in done.stdout
@@ -129,25 +119,19 @@ def test_videos_do_as_well(filmed: tuple[Path, Setup], tmp_path: Path, capsys: p
     ("board", "said"),
     [("chessboard:9by6:0.05", "'9by6' is no COLUMNSxROWS"), ("charuco:11x8:0.06:0.045:DICT_9X9", "unknown dictionary")],
 )
-def test_a_wrong_board_is_refused(
-    pictures: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], board: str, said: str
-) -> None:
-    assert said in refused(monkeypatch, capsys, "left", "right", "--board", board, "-o", "rig.yaml")
+def test_a_wrong_board_is_refused(pictures: Path, board: str, said: str) -> None:
+    assert said in refused("left", "right", "--board", board, "-o", "rig.yaml")
 
 
-def test_another_board_than_the_one_filmed_is_refused(
-    pictures: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_another_board_than_the_one_filmed_is_refused(pictures: Path) -> None:
     other = "charuco:7x5:0.09:0.065:DICT_7X7_50"
-    said = refused(monkeypatch, capsys, "left", "right", "--board", other, "-o", "rig.yaml")
+    said = refused("left", "right", "--board", other, "-o", "rig.yaml")
     assert "no picture shows the board" in said
 
 
-def test_a_missing_folder_a_wrong_name_and_a_bad_picture_are_refused(
-    pictures: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_missing_folder_a_wrong_name_and_a_bad_picture_are_refused(pictures: Path) -> None:
     def said(*arguments: str) -> str:
-        return refused(monkeypatch, capsys, *arguments)
+        return refused(*arguments)
 
     assert "left: is given for both cameras" in said("left", "left", "--board", BOARD, "-o", "rig.yaml")
     assert "nowhere: no such file or folder" in said("left", "nowhere", "--board", BOARD, "-o", "rig.yaml")
@@ -160,21 +144,17 @@ def test_a_missing_folder_a_wrong_name_and_a_bad_picture_are_refused(
     )
 
 
-def test_files_that_do_not_pair_are_refused(
-    pictures: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_files_that_do_not_pair_are_refused(pictures: Path) -> None:
     for k, file in enumerate(sorted((pictures / "right").iterdir())):
         file.rename(file.with_name(f"{'abcdefghi'[k]}.png"))
     (pictures / "right" / "i.png").unlink()
-    said = refused(monkeypatch, capsys, "left", "right", "--board", BOARD, "-o", "rig.yaml")
+    said = refused("left", "right", "--board", BOARD, "-o", "rig.yaml")
     assert "left has 9 images and right 8" in said
 
 
-def test_too_few_views_are_refused(
-    pictures: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_too_few_views_are_refused(pictures: Path) -> None:
     for side in ("left", "right"):
         for file in sorted((pictures / side).iterdir())[3:]:
             file.unlink()
-    said = refused(monkeypatch, capsys, "left", "right", "--board", BOARD, "-o", "rig.yaml")
+    said = refused("left", "right", "--board", BOARD, "-o", "rig.yaml")
     assert "3 of 3 pairs show the board to both cameras; expected at least 5" in said

@@ -81,6 +81,11 @@ def mistaken(pair: tuple[Corners, Corners]) -> tuple[Corners, Corners]:
     return pair[0], Corners(pair[1].ids, np.random.default_rng(6).permutation(pair[1].pixels))
 
 
+@pytest.fixture(scope="module")
+def clean() -> Calibration:
+    return calibrated(51)[1]
+
+
 @pytest.mark.parametrize(
     ("spoil", "said"),
     [
@@ -89,9 +94,8 @@ def mistaken(pair: tuple[Corners, Corners]) -> tuple[Corners, Corners]:
         (mistaken, "in the right picture"),
     ],
 )
-def test_a_wrong_view_is_found_and_named(spoil: object, said: str) -> None:
+def test_a_wrong_view_is_found_and_named(clean: Calibration, spoil: object, said: str) -> None:
     setup, pairs = corners(51)
-    clean = calibrate(views_of(setup, pairs))
     pairs[4] = spoil(pairs[4])  # type: ignore[operator]
     found = calibrate(views_of(setup, pairs))
     assert list(found.rejected) == [4]

@@ -4,37 +4,19 @@ from __future__ import annotations
 
 import csv
 import json
-import os
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import yaml
+from calling import COMMAND, ENVIRONMENT, Done, assert_one_line_error, in_a_process, paceline
 
 from paceline.simulation.planar import Scene, Vehicle, render, write
 
-ROOT = Path(__file__).parents[1]
-ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT / "src"), "COLUMNS": "100"}
-COMMAND = [sys.executable, "-m", "paceline"]
 SPEED = 20.0  # m/s
-
-
-def paceline(*arguments: str | Path, folder: Path | None = None) -> subprocess.CompletedProcess[str]:
-    command = [*COMMAND, *map(str, arguments)]
-    return subprocess.run(command, cwd=folder, env=ENVIRONMENT, capture_output=True, text=True, timeout=120)
-
-
-def assert_one_line_error(done: subprocess.CompletedProcess[str], *words: str) -> None:
-    """Status 2 and a single plain line on standard error with all ``words`` in it."""
-    assert done.returncode == 2, done.stderr
-    assert done.stdout == ""
-    assert done.stderr.startswith("paceline: ") and done.stderr.count("\n") == 1, done.stderr
-    for word in words:
-        assert word in done.stderr
 
 
 @pytest.fixture(scope="module")
@@ -46,13 +28,13 @@ def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def measured(clip: Path) -> Iterator[tuple[subprocess.CompletedProcess[str], Path]]:
+def measured(clip: Path) -> tuple[Done, Path]:
     """The command's answer for the clip's folder, and what it wrote."""
     out = clip.parent / "out"
-    yield paceline("speed", clip.parent, "-o", out, "--units", "m/s", "--seed", "1"), out
+    return in_a_process("speed", clip.parent, "-o", out, "--units", "m/s", "--seed", "1"), out
 
 
-def test_a_clip_is_measured(measured: tuple[subprocess.CompletedProcess[str], Path]) -> None:
+def test_a_clip_is_measured(measured: tuple[Done, Path]) -> None:
     done, out = measured
     assert done.returncode == 0, done.stderr
     header, row, *_ = done.stdout.splitlines()
@@ -72,7 +54,7 @@ def test_a_clip_is_measured(measured: tuple[subprocess.CompletedProcess[str], Pa
 
 
 def test_the_same_seed_gives_the_same_result(
-    clip: Path, measured: tuple[subprocess.CompletedProcess[str], Path], tmp_path: Path
+    clip: Path, measured: tuple[Done, Path], tmp_path: Path
 ) -> None:
     done = paceline("speed", clip, "-o", tmp_path / "again", "--seed", "1", "--quiet")
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
@@ -155,7 +137,7 @@ def test_a_clip_with_an_unknown_key(clip: Path, tmp_path: Path) -> None:
         (["speed", "c", "-o", "o", "--parts", "0"], ["--parts 0", "expected"]),
         (["speed", "c", "-o", "o", "--motion", "zigzag"], ["--motion", "zigzag", "auto"]),
         (["speed", "c", "-o", "o", "--device", "tpu"], ["--device", "cpu"]),
-        (["speed", "c", "-o", "o", "--device", "cuda"], ["--device cuda", "use --device cpu"]),
+        (["speed", "c", "-o", "o", "--device", "cuda", "--method", "sift"], ["--device cuda", "use --device cpu"]),
         (["speed", "c", "-o", "o", "--units", "knots"], ["--units", "knots", "mph", "km/h", "m/s"]),
     ],
 )
@@ -167,7 +149,7 @@ def test_wrong_options(arguments: list[str], words: list[str], tmp_path: Path) -
 def test_version_and_help() -> None:
     from paceline import __version__
 
-    assert paceline("--version").stdout == f"paceline {__version__}\n"
+    assert in_a_process("--version").stdout == f"paceline {__version__}\n"
     done = paceline("speed", "--help")
     assert done.returncode == 0
     for option in ("--particles", "--seed", "--motion", "--device", "--units", "--parts", "--no-refine", "--quiet"):

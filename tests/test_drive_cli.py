@@ -12,7 +12,7 @@ import av
 import numpy as np
 import pytest
 import yaml
-from test_cli import assert_one_line_error, paceline
+from calling import assert_one_line_error, paceline
 
 from paceline.errors import UnusableInput
 from paceline.reports.drive_tables import COLUMNS

@@ -6,34 +6,23 @@ import csv
 import json
 import re
 import shutil
-import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import av
 import cv2
 import numpy as np
 import pytest
 import small_chase
-import yaml
-from test_documents import changed
-
-from paceline import cli
+from calling import Done, assert_one_line_error, paceline
+from spoiled import Folder
 
 FRAMES = 40
 FIRST, LAST = 18, 22  # of the frames that show nothing
 
 
-class Clip:
+class Clip(Folder):
     """A copy of a recording's folder that a case spoils."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-
-    def set(self, file: str, key: str, value: Any) -> None:
-        document = changed(yaml.safe_load((self.folder / file).read_text()), key, value)
-        (self.folder / file).write_text(yaml.safe_dump(document))
 
     def picture(self, frame: int) -> Path:
         return self.folder / "frames" / f"{frame:04d}.png"
@@ -62,26 +51,16 @@ def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def clip(original: Path, tmp_path: Path) -> Clip:
-    return Clip(Path(shutil.copytree(original, tmp_path / "clip")))
+    return Clip.copied(original, tmp_path / "clip")
 
 
-Command = Callable[..., tuple[int, str, str]]
+Command = Callable[[], Done]
 
 
 @pytest.fixture
-def command(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path) -> Command:
-    """`paceline follow CLIP -o OUT --no-overlay` in this process; gives its status and what it prints."""
-
-    def run(clip: Clip) -> tuple[int, str, str]:
-        arguments = ["paceline", "follow", str(clip.folder), "-o", str(tmp_path / "out"), "--no-overlay"]
-        monkeypatch.setattr(sys, "argv", arguments)
-        monkeypatch.setattr(cli.signal, "signal", lambda *_: None)
-        capfd.readouterr()
-        with pytest.raises(SystemExit) as exit:
-            cli.main()
-        return int(exit.value.code or 0), *capfd.readouterr()
-
-    return run
+def command(clip: Clip, tmp_path: Path) -> Command:
+    """`paceline follow CLIP -o OUT --no-overlay`."""
+    return lambda: paceline("follow", clip.folder, "-o", tmp_path / "out", "--no-overlay")
 
 
 # --- refused -------------------------------------------------------------------------------------------------------
@@ -158,11 +137,7 @@ def test_it_is_refused_in_one_line(
 ) -> None:
     spoil(clip)
     before = set(tmp_path.rglob("*"))
-    status, stdout, stderr = command(clip)
-    assert (status, stdout) == (2, ""), stderr
-    assert stderr.startswith("paceline: ") and stderr.endswith("\n") and stderr.count("\n") == 1, stderr
-    for word in words:
-        assert word in stderr
+    assert_one_line_error(command(), *words)
     assert set(tmp_path.rglob("*")) == before, "something is left behind"
 
 
@@ -203,7 +178,7 @@ BLIND: dict[str, Callable[[Clip], object]] = {
 def test_it_coasts_and_goes_on(spoil: Callable[[Clip], object], clip: Clip, command: Command, tmp_path: Path) -> None:
     """A third of a second without a picture: never reported as tracking, with a reason, and found again."""
     spoil(clip)
-    status, stdout, stderr = command(clip)
+    status, stdout, stderr = command()
     assert status == 0, stderr
     rows = track(tmp_path)
     assert [int(r["frame"]) for r in rows] == list(range(FRAMES))
@@ -222,7 +197,7 @@ def test_it_coasts_and_goes_on(spoil: Callable[[Clip], object], clip: Clip, comm
 
 def test_damage_is_named(clip: Clip, command: Command) -> None:
     cut(clip)
-    _, _, stderr = command(clip)
+    _, _, stderr = command()
     assert f"{FIRST:04d}.png: cannot be decoded, and is passed over" in stderr
 
 
@@ -230,7 +205,7 @@ def test_times_that_jump_are_named(clip: Clip, command: Command, tmp_path: Path)
     """Four frames dropped on the way."""
     times = [k for k in range(FRAMES + 4) if not FIRST <= k < FIRST + 4]
     clip.video(times)
-    status, _, stderr = command(clip)
+    status, _, stderr = command()
     assert status == 0
     assert re.search(rf"frames {FIRST - 1} and {FIRST} lie 0\.33\d s apart instead of 0\.06\d s", stderr)
     rows = track(tmp_path)
@@ -242,6 +217,6 @@ def test_a_video_cut_short_is_followed_as_far_as_it_goes(clip: Clip, command: Co
     clip.video()
     path = clip.folder / "video.mkv"
     path.write_bytes(path.read_bytes()[: int(0.7 * path.stat().st_size)])
-    status, _, stderr = command(clip)
+    status, _, stderr = command()
     assert status == 0 and "video.mkv: is cut short" in stderr
     assert 0.5 * FRAMES < len(track(tmp_path)) < 0.8 * FRAMES

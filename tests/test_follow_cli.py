@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 import small_chase
 import yaml
-from test_cli import COMMAND, ENVIRONMENT, assert_one_line_error, paceline
+from calling import COMMAND, ENVIRONMENT, Done, assert_one_line_error, paceline
 
 from paceline.reports.follow_tables import COLUMNS
 from paceline.schemas import CameraModel, FollowModel, StartModel, TargetModel
@@ -44,7 +44,7 @@ def clip(original: Path, tmp_path: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def followed(original: Path) -> Iterator[tuple[subprocess.CompletedProcess[str], Path]]:
+def followed(original: Path) -> Iterator[tuple[Done, Path]]:
     out = original.parent / "out"
     yield paceline("follow", original, "-o", out), out
 
@@ -63,7 +63,7 @@ def summary(out: Path) -> dict:
     return json.loads((out / "summary.json").read_text())
 
 
-def test_a_recording_is_followed(followed: tuple[subprocess.CompletedProcess[str], Path]) -> None:
+def test_a_recording_is_followed(followed: tuple[Done, Path]) -> None:
     done, out = followed
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith(f"small van: tracked in 100 % of {FRAMES} frames")
@@ -72,7 +72,7 @@ def test_a_recording_is_followed(followed: tuple[subprocess.CompletedProcess[str
     assert not [p for p in out.parent.iterdir() if p.name.startswith(".")]
 
 
-def test_the_track_is_right(followed: tuple[subprocess.CompletedProcess[str], Path]) -> None:
+def test_the_track_is_right(followed: tuple[Done, Path]) -> None:
     track = rows(followed[1])
     assert ",".join(track[0]).startswith(REQUIRED)
     assert [int(r["frame"]) for r in track] == list(range(FRAMES))
@@ -94,7 +94,7 @@ def test_the_track_is_right(followed: tuple[subprocess.CompletedProcess[str], Pa
     assert 0 < row["latency_s"] < 0.5
 
 
-def test_the_summary_is_right(followed: tuple[subprocess.CompletedProcess[str], Path]) -> None:
+def test_the_summary_is_right(followed: tuple[Done, Path]) -> None:
     found = summary(followed[1])
     assert (found["frames"], found["tracked_share"], found["target"]) == (FRAMES, 1.0, "small van")
     assert found["status"] == {"tracking": FRAMES, "coasting": 0, "lost": 0}
@@ -106,7 +106,7 @@ def test_the_summary_is_right(followed: tuple[subprocess.CompletedProcess[str], 
     assert found["configuration"]["wheelbase"] > 0 and "paceline" in found["versions"]
 
 
-def test_the_overlay_plays_with_the_recordings_times(followed: tuple[subprocess.CompletedProcess[str], Path]) -> None:
+def test_the_overlay_plays_with_the_recordings_times(followed: tuple[Done, Path]) -> None:
     with av.open(str(followed[1] / "overlay.mp4")) as container:
         frames = list(container.decode(video=0))
     np.testing.assert_allclose([f.time for f in frames], np.arange(FRAMES) / 15, atol=1e-3)
@@ -117,7 +117,7 @@ def test_the_overlay_plays_with_the_recordings_times(followed: tuple[subprocess.
 
 
 def test_again_it_gives_the_same(
-    clip: Path, followed: tuple[subprocess.CompletedProcess[str], Path], tmp_path: Path
+    clip: Path, followed: tuple[Done, Path], tmp_path: Path
 ) -> None:
     done = paceline("follow", clip / "follow.yaml", "-o", tmp_path / "out", "--quiet", "--no-overlay")
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")

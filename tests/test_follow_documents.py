@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import small_chase
 import yaml
-from test_documents import changed
+from spoiled import changed
 
 from paceline.documents import load_camera, load_follow, load_target
 from paceline.errors import UnusableInput

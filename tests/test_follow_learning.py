@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import small_chase
 import yaml
-from test_cli import assert_one_line_error, paceline
+from calling import assert_one_line_error, paceline
 
 from paceline.cameras import Camera
 from paceline.documents import load_target

@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 import yaml
+from calling import paceline
 from small_scenes import small_speed
 
 
-def paceline(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, "-m", "paceline", "simulate", *arguments], capture_output=True, text=True)
-
-
 def test_list_names_the_scenes() -> None:
-    done = paceline("list")
+    done = paceline("simulate", "list")
     assert done.returncode == 0
     lines = done.stdout.splitlines()
     assert [line.split()[1] for line in lines if line.startswith("speed")] == [
@@ -42,7 +37,7 @@ def test_list_names_the_scenes() -> None:
     ],
 )
 def test_wrong_calls_end_with_one_line(arguments: list[str], text: str, tmp_path: Path) -> None:
-    done = paceline(*arguments, "-o", str(tmp_path / "out"))
+    done = paceline("simulate", *arguments, "-o", str(tmp_path / "out"))
     assert done.returncode == 2
     assert text in done.stderr and done.stderr.count("\n") == 1
     assert not (tmp_path / "out").exists()
@@ -51,12 +46,12 @@ def test_wrong_calls_end_with_one_line(arguments: list[str], text: str, tmp_path
 def test_a_scene_file_becomes_a_clip(tmp_path: Path) -> None:
     (tmp_path / "scene.yaml").write_text(yaml.safe_dump(small_speed(frames=1)))
     out = tmp_path / "out"
-    done = paceline("speed", str(tmp_path / "scene.yaml"), "-o", str(out), "--samples", "1", "--seed", "5")
+    done = paceline("simulate", "speed", str(tmp_path / "scene.yaml"), "-o", str(out), "--samples", "1", "--seed", "5")
     assert done.returncode == 0, done.stderr
     assert done.stdout == f"{out / 'clip.yaml'}\n"
     assert (out / "left" / "0000.png").exists() and (out / "truth.json").exists()
     again = yaml.safe_load((out / "scene.yaml").read_text())
     assert (again["samples"], again["seed"]) == (1, 5)
-    refused = paceline("speed", str(tmp_path / "scene.yaml"), "-o", str(out))
+    refused = paceline("simulate", "speed", str(tmp_path / "scene.yaml"), "-o", str(out))
     assert refused.returncode == 2
     assert refused.stderr.startswith(f"paceline: {out}: was begun with another scene")

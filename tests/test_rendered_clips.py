@@ -17,6 +17,8 @@ from paceline.monocular import open_camera
 from paceline.odometry import read_odometry
 from paceline.recordings import open_recording
 from paceline.simulation.rendered import chases, clips
+from paceline.simulation.rendered.engine import PORTABLE
+from paceline.simulation.rendered.folders import Progress
 from paceline.simulation.rendered.scenes import FollowScene, SpeedScene
 
 
@@ -24,10 +26,15 @@ def speed(**changes: Any) -> SpeedScene:
     return SpeedScene.model_validate(small_speed(**changes))
 
 
+def write_speed(scene: SpeedScene, folder: Path, progress: Progress = None) -> Path:
+    """As clips.write, by the renderer that compiles nothing: in pictures this small that takes longest."""
+    return clips.write(scene, folder, progress, PORTABLE)
+
+
 @pytest.fixture(scope="module")
 def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("clip") / "clip"
-    assert clips.write(speed(), folder) == folder / "clip.yaml"
+    assert write_speed(speed(), folder) == folder / "clip.yaml"
     return folder
 
 
@@ -93,11 +100,11 @@ def test_an_interrupted_clip_is_gone_on_with(written: Path, tmp_path: Path) -> N
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        clips.write(speed(), folder, stop)
+        write_speed(speed(), folder, stop)
     assert not (folder / "clip.yaml").exists()
     assert len(list((folder / "left").glob("*.png"))) == 2
     kept = (folder / "left" / "0000.png").stat().st_mtime_ns
-    clips.write(speed(), folder)
+    write_speed(speed(), folder)
     assert (folder / "left" / "0000.png").stat().st_mtime_ns == kept
     assert contents(folder) == whole  # as if nothing had happened: the same bytes
 
@@ -105,25 +112,25 @@ def test_an_interrupted_clip_is_gone_on_with(written: Path, tmp_path: Path) -> N
 def test_another_scene_does_not_go_into_the_same_folder(written: Path, tmp_path: Path) -> None:
     before = contents(written)
     with pytest.raises(UnusableInput, match="was begun with another scene"):
-        clips.write(speed(seed=4), written)
+        write_speed(speed(seed=4), written)
     assert contents(written) == before
     (tmp_path / "mine.txt").write_text("mine")
     with pytest.raises(UnusableInput, match="holds other files"):
-        clips.write(speed(), tmp_path)
+        write_speed(speed(), tmp_path)
     with pytest.raises(UnusableInput, match="cannot be written here"):
-        clips.write(speed(), tmp_path / "mine.txt")
+        write_speed(speed(), tmp_path / "mine.txt")
 
 
 def test_a_vehicle_that_is_never_seen_is_named(tmp_path: Path) -> None:
     away = {"id": "v9", "start": 79.0, "speed": 1.0, "towards": True}
     with pytest.raises(UnusableInput, match="vehicle v9: is never wholly visible"):
-        clips.write(speed(vehicles=[away], road={"length": 300.0}, frames=2), tmp_path / "clip")
+        write_speed(speed(vehicles=[away], road={"length": 300.0}, frames=2), tmp_path / "clip")
     assert not (tmp_path / "clip").exists()
 
 
 def test_videos_keep_their_times(tmp_path: Path) -> None:
     scene = speed(sensor={"keep": "h264", "color": True, "quality": 95}, dropped=[1], frames=4, skew=0.004)
-    clip = load_clip(clips.write(scene, tmp_path / "clip"))
+    clip = load_clip(write_speed(scene, tmp_path / "clip"))
     frames = list(open_recording(clip).frames(0))
     assert np.diff([f.time for f in frames]) == pytest.approx([0.2, 0.1], abs=1e-4)
     assert not (tmp_path / "clip" / "left").exists()
@@ -134,7 +141,7 @@ def test_dropped_frames_and_skew_stand_in_the_times(tmp_path: Path) -> None:
     vehicles = [*small_speed()["vehicles"], occluder | {"lane": 1}]
     rig = small_speed()["rig"] | {"distortion": [-0.1, 0.02, 0.0, 0.0, 0.0]}
     scene = speed(sensor={"keep": "jpeg", "quality": 80}, dropped=[1], skew=0.01, vehicles=vehicles, rig=rig)
-    folder = clips.write(scene, tmp_path / "clip").parent
+    folder = write_speed(scene, tmp_path / "clip").parent
     assert (folder / "times.csv").read_text().splitlines()[1:] == ["0,0.000000,0.010000", "1,0.200000,0.210000"]
     assert [p.name for p in sorted((folder / "right").iterdir())] == ["0000.jpg", "0001.jpg"]
     clip = load_clip(folder / "clip.yaml")
@@ -148,7 +155,7 @@ def test_dropped_frames_and_skew_stand_in_the_times(tmp_path: Path) -> None:
 
 def test_a_chase_is_one_that_paceline_reads(tmp_path: Path) -> None:
     scene = FollowScene.model_validate(small_follow())
-    folder = chases.write(scene, tmp_path / "chase").parent
+    folder = chases.write(scene, tmp_path / "chase", variant=PORTABLE).parent
     document = load_follow(folder / "follow.yaml")
     assert len(list(open_camera(document).frames())) == 2
     truth = json.loads((folder / "truth.json").read_text())
@@ -161,5 +168,5 @@ def test_a_chase_is_one_that_paceline_reads(tmp_path: Path) -> None:
     assert document.odometry is not None
     odometry = read_odometry(document.odometry)
     assert odometry.pose[1] == pytest.approx([truth[1]["chase"][k] for k in ("x_m", "y_m", "heading_rad")], abs=1e-5)
-    again = chases.write(scene, tmp_path / "again").parent
+    again = chases.write(scene, tmp_path / "again", variant=PORTABLE).parent
     assert contents(again) == contents(folder)

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from paceline.cameras import Camera
+from paceline.cameras import Camera, View
 from paceline.simulation.rendered import engine
 from paceline.simulation.rendered.engine import FAST, PORTABLE, default_variant, find_llvm
 from paceline.simulation.rendered.light import LUMINANCE, Light
-from paceline.simulation.rendered.renderer import Renderer, View, joined
+from paceline.simulation.rendered.renderer import Renderer, joined
 from paceline.simulation.rendered.solids import Material, Solid
 
 Array = NDArray[np.float64]

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from paceline.cameras import Camera
+from paceline.cameras import Camera, View
 from paceline.simulation.rendered.light import Light
-from paceline.simulation.rendered.renderer import Placement, Renderer, View
+from paceline.simulation.rendered.renderer import Placement, Renderer
 from paceline.simulation.rendered.sensor import Lens, Sensor, Shutter, blurred, distorted, expose, photograph, vignette
 from paceline.simulation.rendered.solids import Material, Solid
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import json
 import re
+import runpy
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,14 +15,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from paceline.simulation.planar import Scene, Vehicle, render, write
+
 ROOT = Path(__file__).parents[1]
 BENCHMARKS = ROOT / "benchmarks"
-SHARED = {"items", "drawing", "clips", "repeats", "tables", "methods", "figures", "document", "words", "scenes"}
 SCRIPTS = sorted(
     f"{folder}.{file.stem}"
     for folder in ("zhu2012", "nist1993")
     for file in (BENCHMARKS / folder).glob("*.py")
-    if file.stem not in SHARED | {"__init__"}
+    if "\nITEM = " in file.read_text(encoding="utf-8")
 )
 RESULTS: dict[str, Any] = json.loads((ROOT / "docs" / "results.json").read_text(encoding="utf-8"))
 TEXT = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
@@ -42,10 +44,17 @@ def writer() -> ModuleType:
 
 
 @pytest.mark.parametrize("name", SCRIPTS)
-def test_every_script_makes_an_item_and_can_be_run(name: str) -> None:
-    module = importlib.import_module(name)
-    assert module.ITEM.script == name
-    assert callable(module.main)
+def test_every_script_makes_an_item_and_can_be_run(
+    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    item = importlib.import_module(name).ITEM
+    assert item.script == name
+    monkeypatch.setattr(sys, "argv", [name, "--help"])
+    monkeypatch.delitem(sys.modules, name)  # or it would be said to be run a second time
+    with pytest.raises(SystemExit) as ended:
+        runpy.run_module(name, run_name="__main__")
+    assert ended.value.code == 0
+    assert " ".join(item.title.split()) in " ".join(capsys.readouterr().out.split())
 
 
 def test_every_script_is_in_the_document(writer: ModuleType) -> None:
@@ -119,3 +128,43 @@ def test_numbers_that_went_stale_are_computed_anew(writer: ModuleType, tmp_path:
     assert item(a=1).up_to_date()["shown"] == {"n": 1}
     assert item(a=2).up_to_date()["shown"] == {"n": 2}
     assert len(calls) == 2
+
+
+def test_changed_words_leave_the_numbers_and_changed_settings_do_not(writer: ModuleType) -> None:
+    """Of items whose parts are written once for several scripts: what only shows is no part of the key."""
+    item = importlib.import_module("zhu2012.figures_5_6").ITEM
+    computing = item._computing()
+    assert "def compute(" in computing and "all_methods" in computing
+    assert "def text(" not in computing and "def draw(" not in computing
+    others = [importlib.import_module(f"zhu2012.{name}").ITEM for name in ("figures_8_9", "figures_10_11")]
+    assert all(other.settings != item.settings for other in others)
+
+
+def test_what_is_not_run_stays_as_committed(writer: ModuleType, tmp_path: Path, monkeypatch: Any) -> None:
+    """A clone has no cached numbers; an item of other settings than those committed has none at all."""
+    monkeypatch.setattr(importlib.import_module("zhu2012.items"), "BUILD", tmp_path)
+    monkeypatch.setattr(writer, "PICTURES", tmp_path)
+    name, other = list(RESULTS["items"])[:2]
+    changed = {"items": RESULTS["items"] | {name: RESULTS["items"][name] | {"settings": {"particles": 1}}}}
+    found = writer.run([], True, changed)["items"]
+    assert name not in found and found[other] == RESULTS["items"][other]
+    assert set(found) == set(RESULTS["items"]) - {name}
+
+
+def test_disparities_are_drawn_where_the_vehicle_is(writer: ModuleType, tmp_path: Path, monkeypatch: Any) -> None:
+    """Middle grey is the disparity at the depth of the track: true ones leave the outline so, within half a pixel."""
+    clips, figures = (importlib.import_module(f"zhu2012.{name}") for name in ("clips", "figures"))
+    scene = Scene(31, (Vehicle("v0", 18.0, start_distance=40.0),), image_size=(640, 480), focal=1400.0, frames=3)
+    write(render(scene), tmp_path)
+    monkeypatch.setattr(clips, "clip_folder", lambda name: tmp_path)
+    view, frames = clips.loaded("planar"), [0, 1, 2]
+    truth = {"frame": frames, "left": view.true("v0", frames, "left").tolist()}
+    Z = view.true("v0", frames, "position")[:, 2]
+    run = {"frame": [0, 1], "left": truth["left"], "depth": Z.tolist()}
+    pictures = figures.disparities("planar", run, truth, frames, "multimodal")
+    half_pixel = 255 / (figures.NEAREST[1] - figures.NEAREST[0]) * 0.5 * Z / (1400.0 * scene.baseline)
+    across, down = figures.VIEW
+    for picture, slack in zip(pictures[:2], half_pixel, strict=False):
+        inside = picture[down // 2 - 10 : down // 2 + 10, across // 2 - 20 : across // 2 + 20]
+        assert np.median(inside) == pytest.approx(127.5, abs=slack)
+    assert pictures[2][down // 2 :].max() == 0  # lost

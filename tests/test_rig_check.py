@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 import yaml
+from calling import paceline
 
 from paceline.calibration import checking
 from paceline.calibration.checking import check, clustered_covariance, enough, refine, turned
-from paceline.calibration.scene import TILE, Matches, load_recorded, match_scene
+from paceline.calibration.scene import TILE, Matches, match_scene
 from paceline.cameras import RigUncertainty, StereoRig, moved_rig
-from paceline.documents import load_rig
+from paceline.documents import load_recorded, load_rig
 from paceline.recordings import open_recording
 
 ROOT = Path(__file__).parents[1]
@@ -137,12 +136,6 @@ def test_the_points_matched_in_the_example_lie_on_their_lines() -> None:
     assert found.matches > 500
     assert found.error < 0.1
     assert not found.moved
-
-
-def paceline(*arguments: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "paceline", *map(str, arguments)], capture_output=True, text=True, timeout=300
-    )
 
 
 def test_the_command_notices_a_knock_and_sets_the_rig_right(tmp_path: Path) -> None:

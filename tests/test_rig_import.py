@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 import yaml
+from calling import assert_one_line_error, paceline
 
-from paceline import cli
 from paceline.calibration.importing import Wishes, import_rig
 from paceline.cameras import Camera, StereoRig
 from paceline.documents import load_rig
@@ -213,12 +211,6 @@ def test_the_shared_recordings_rig_is_kittis(tmp_path: Path) -> None:
 # --- the command ---------------------------------------------------------------------------------------------------
 
 
-def paceline(*arguments: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "paceline", *map(str, arguments)], capture_output=True, text=True, timeout=120
-    )
-
-
 def test_the_command_writes_a_rig_that_is_read(tmp_path: Path, truth: StereoRig) -> None:
     (tmp_path / "camchain.yaml").write_text(yaml.safe_dump(kalibr(truth)))
     out = tmp_path / "new" / "rig.yaml"
@@ -228,6 +220,12 @@ def test_the_command_writes_a_rig_that_is_read(tmp_path: Path, truth: StereoRig)
     assert "states no uncertainty" in done.stderr
     same(load_rig(out), truth, lenses=False)
     assert load_rig(out).uncertainty is None
+
+
+def test_a_place_that_is_no_folder_is_one_plain_line(tmp_path: Path, truth: StereoRig) -> None:
+    (file := tmp_path / "camchain.yaml").write_text(yaml.safe_dump(kalibr(truth)))
+    done = paceline("rig", "import", file, "-o", file / "rig.yaml")
+    assert_one_line_error(done, str(file / "rig.yaml"), "cannot be written")
 
 
 BAD: list[tuple[str, str, list[str], str]] = [
@@ -248,23 +246,11 @@ BAD: list[tuple[str, str, list[str], str]] = [
 
 @pytest.mark.parametrize(("name", "content", "options", "said"), BAD)
 def test_a_file_that_is_no_rig_is_one_plain_line(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    name: str,
-    content: str,
-    options: list[str],
-    said: str,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, content: str, options: list[str], said: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path(name).write_text(content)
-    monkeypatch.setattr(sys, "argv", ["paceline", "rig", "import", name, "-o", "rig.yaml", *options])
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    printed = capsys.readouterr()
-    assert ended.value.code == 2
-    assert len(printed.err.splitlines()) == 1
-    assert said in printed.err
+    assert_one_line_error(paceline("rig", "import", name, "-o", "rig.yaml", *options), said)
     assert [p.name for p in tmp_path.iterdir()] == [name]
 
 

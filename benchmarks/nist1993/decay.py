@@ -9,7 +9,7 @@ from common import head, row
 from follow_ablation import CALM
 from matplotlib.figure import Figure
 from zhu2012 import drawing
-from zhu2012.items import Item, Numbers, image, run_alone
+from zhu2012.items import Numbers, image, run_alone
 
 from nist1993 import scenes
 from paceline.follow.configuration import FollowConfiguration
@@ -68,23 +68,7 @@ def draw(numbers: Numbers, folder: Path) -> None:
     drawing.plot(folder / "nist-decay.svg", (7.0, 4.0), curves)
 
 
-ITEM = Item(
-    name="nist-decay",
-    script="nist1993.decay",
-    title="[NIST] section 4: the decay's trade-off",
-    compute=compute,
-    text=text,
-    draw=draw,
-    pictures=("nist-decay.svg",),
-    settings=SETTINGS,
-    rooms=("follow",),
-    helpers=(scenes,),
-)
-
-
-def main() -> None:
-    run_alone(ITEM)
-
+ITEM = scenes.item("decay", "section 4: the decay's trade-off", SETTINGS, compute, text, draw, "nist-decay.svg")
 
 if __name__ == "__main__":
-    main()
+    run_alone(ITEM)

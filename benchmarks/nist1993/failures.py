@@ -9,7 +9,7 @@ import numpy as np
 from common import head, row
 from follow_ablation import SCENARIOS, remedies
 from zhu2012 import drawing
-from zhu2012.items import Item, Numbers, image, run_alone
+from zhu2012.items import Numbers, image, run_alone
 
 from nist1993 import scenes
 from paceline.follow.configuration import FollowConfiguration
@@ -98,23 +98,9 @@ def draw(numbers: Numbers, folder: Path) -> None:
     drawing.save(folder / "nist-failures.webp", drawing.montage(sheet))
 
 
-ITEM = Item(
-    name="nist-failures",
-    script="nist1993.failures",
-    title="[NIST] section 4: shadows and parallel edges",
-    compute=compute,
-    text=text,
-    draw=draw,
-    pictures=("nist-failures.webp",),
-    settings=SETTINGS,
-    rooms=("follow",),
-    helpers=(scenes,),
+ITEM = scenes.item(
+    "failures", "section 4: shadows and parallel edges", SETTINGS, compute, text, draw, "nist-failures.webp"
 )
 
-
-def main() -> None:
-    run_alone(ITEM)
-
-
 if __name__ == "__main__":
-    main()
+    run_alone(ITEM)

@@ -105,10 +105,5 @@ ITEM = Item(
     rooms=("follow", "simulation/driving"),
 )
 
-
-def main() -> None:
-    run_alone(ITEM)
-
-
 if __name__ == "__main__":
-    main()
+    run_alone(ITEM)

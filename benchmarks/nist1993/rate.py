@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from common import head, row
-from zhu2012.items import Item, Numbers, run_alone
+from zhu2012.items import Numbers, run_alone
 
 from nist1993 import scenes
 from paceline.follow.configuration import FollowConfiguration
@@ -44,21 +44,7 @@ def text(shown: Numbers) -> str:
     return "\n".join(lines)
 
 
-ITEM = Item(
-    name="nist-rate",
-    script="nist1993.rate",
-    title="[NIST] section 3: rate and delay",
-    compute=compute,
-    text=text,
-    settings=SETTINGS,
-    rooms=("follow",),
-    helpers=(scenes,),
-)
-
-
-def main() -> None:
-    run_alone(ITEM)
-
+ITEM = scenes.item("rate", "section 3: rate and delay", SETTINGS, compute, text)
 
 if __name__ == "__main__":
-    main()
+    run_alone(ITEM)

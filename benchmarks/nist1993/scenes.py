@@ -1,13 +1,16 @@
-"""Chases for the items of [NIST], each drawn by a seed, and a tracker on them."""
+"""The items of [NIST], their chases, each drawn by a seed, and a tracker on them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import sys
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from follow import OFF_PLACE, OFF_RANGE, SEEN, operators_start
 from numpy.typing import NDArray
+from zhu2012.items import Item, Numbers
 
 from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.results import FollowEstimate
@@ -16,6 +19,31 @@ from paceline.follow.tracker import FollowTracker
 from paceline.simulation.following import ChaseScene, ChaseTruth, render_frames
 
 Image = NDArray[np.uint8]
+
+
+def item(
+    script: str,
+    title: str,
+    settings: Numbers,
+    compute: Callable[[], Numbers],
+    text: Callable[[Numbers], str],
+    draw: Callable[[Numbers, Path], None] | None = None,
+    picture: str | None = None,
+    rooms: tuple[str, ...] = ("follow",),
+) -> Item:
+    """An item with one ``picture`` or none, whose numbers hang on the ``rooms`` of the package and on this module."""
+    return Item(
+        name=f"nist-{script}",
+        script=f"nist1993.{script}",
+        title=f"[NIST] {title}",
+        compute=compute,
+        text=text,
+        draw=draw,
+        pictures=() if picture is None else (picture,),
+        settings=settings,
+        rooms=rooms,
+        helpers=(sys.modules[__name__],),
+    )
 
 
 @dataclass

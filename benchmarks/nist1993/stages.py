@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from common import head, row
 from zhu2012 import drawing
-from zhu2012.items import Item, Numbers, image, run_alone
+from zhu2012.items import Numbers, image, run_alone
 
 from nist1993 import scenes
 from paceline.follow.configuration import FollowConfiguration
@@ -123,23 +123,7 @@ def draw(numbers: Numbers, folder: Path) -> None:
     drawing.save(folder / "nist-stages.webp", drawing.montage([sheet[:2], sheet[2:]]))
 
 
-ITEM = Item(
-    name="nist-stages",
-    script="nist1993.stages",
-    title="[NIST] figure 1: the stages on one frame",
-    compute=compute,
-    text=text,
-    draw=draw,
-    pictures=("nist-stages.webp",),
-    settings=SETTINGS,
-    rooms=("follow",),
-    helpers=(scenes,),
-)
-
-
-def main() -> None:
-    run_alone(ITEM)
-
+ITEM = scenes.item("stages", "figure 1: the stages on one frame", SETTINGS, compute, text, draw, "nist-stages.webp")
 
 if __name__ == "__main__":
-    main()
+    run_alone(ITEM)

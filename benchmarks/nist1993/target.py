@@ -9,7 +9,7 @@ import numpy as np
 from common import head, row
 from follow import operators_start
 from zhu2012 import drawing
-from zhu2012.items import Item, Numbers, image, run_alone
+from zhu2012.items import Numbers, image, run_alone
 
 from nist1993 import scenes
 from paceline.reports.drawing import DARK, draw_line, draw_text, scaled
@@ -68,23 +68,16 @@ def draw(numbers: Numbers, folder: Path) -> None:
     drawing.save(folder / "nist-target.webp", drawing.montage([[v[0] for v in views]]))
 
 
-ITEM = Item(
-    name="nist-target",
-    script="nist1993.target",
-    title="[NIST] figures 2 and 3: the target and its segments",
-    compute=compute,
-    text=text,
-    draw=draw,
-    pictures=("nist-target.webp",),
-    settings=SETTINGS,
+ITEM = scenes.item(
+    "target",
+    "figures 2 and 3: the target and its segments",
+    SETTINGS,
+    compute,
+    text,
+    draw,
+    "nist-target.webp",
     rooms=(),
-    helpers=(scenes,),
 )
 
-
-def main() -> None:
-    run_alone(ITEM)
-
-
 if __name__ == "__main__":
-    main()
+    run_alone(ITEM)

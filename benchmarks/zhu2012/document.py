@@ -3,7 +3,8 @@
 PYTHONPATH=benchmarks python -m zhu2012.document [--cached] [NAME ...]
 
 Runs the named items, or all of them, each as far as its last numbers are stale, and writes the document, its pictures
-and docs/results.json. --cached runs nothing and writes what the last runs found.
+and docs/results.json. Of the others it keeps what is cached, or else what stands in docs/results.json, as long as the
+settings are the same. --cached runs nothing.
 """
 
 from __future__ import annotations
@@ -14,7 +15,6 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-from common import machine
 from nist1993 import decay, failures, long_run, rate, stages, target
 
 from zhu2012 import (
@@ -36,6 +36,7 @@ from zhu2012.items import PICTURES, ROOT, Item, Numbers
 from zhu2012.words import HEADS, INTRODUCTION, WORDS
 
 DOCUMENT, NUMBERS = ROOT / "docs" / "results.md", ROOT / "docs" / "results.json"
+KEPT = ("settings", "shown", "processor_seconds", "load", "machine")  # of an item's numbers
 DIGITS = 6  # significant ones, of the numbers that are committed
 
 MODULES = (
@@ -87,21 +88,26 @@ def document(results: Numbers) -> str:
         parts.append(f"`{item.command}` — {one['processor_seconds']:.0f} processor seconds.")
     spent = sum(one["processor_seconds"] for one in found.values())
     busy = max(one["load"] for one in found.values())
+    machines = ". ".join(sorted({one["machine"] for one in found.values()}))
     parts.append(
-        f"{results['machine']}. All items together: {spent / 60:.0f} processor minutes, the rendering of the clips not "
-        f"counted. The system's load was up to {busy:.0f} meanwhile; ms/frame in [Zhu]'s tables is processor time."
+        f"{machines}. All items together: {spent / 60:.0f} processor minutes, the rendering of the clips not counted. "
+        f"The system's load was up to {busy:.0f} meanwhile; ms/frame in [Zhu]'s tables is processor time."
     )
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
-def run(names: Sequence[str], cached: bool) -> Numbers:
-    """The results of all items that have any, the named ones brought up to date."""
+def run(names: Sequence[str], cached: bool, committed: Numbers) -> Numbers:
+    """The results of all items that have any, the named ones brought up to date, the others at least as committed."""
     PICTURES.mkdir(parents=True, exist_ok=True)
     found: Numbers = {}
     for item in ITEMS:
         begun = time.perf_counter()
         wanted = not cached and (not names or item.name in names)
         numbers = item.up_to_date() if wanted else item.cached()
+        before = committed["items"].get(item.name)
+        if numbers is None and before is not None and before["settings"] == rounded(item.settings):
+            found[item.name] = before
+            continue
         if numbers is None:
             print(f"{item.name}: not run", flush=True)
             for name in item.pictures:
@@ -109,9 +115,9 @@ def run(names: Sequence[str], cached: bool) -> Numbers:
             continue
         if item.draw is not None:
             item.draw(numbers, PICTURES)
-        found[item.name] = rounded({k: numbers[k] for k in ("shown", "processor_seconds", "load")})
+        found[item.name] = rounded({k: numbers[k] for k in KEPT})
         print(f"{item.name}: {time.perf_counter() - begun:.0f} s", flush=True)
-    return {"machine": machine(), "items": found}
+    return {"items": found}
 
 
 def main() -> None:
@@ -120,7 +126,7 @@ def main() -> None:
     parser.add_argument("--cached", action="store_true", help="run nothing")
     args = parser.parse_args()
     begun = time.perf_counter()
-    results = run(args.names, args.cached)
+    results = run(args.names, args.cached, json.loads(NUMBERS.read_text(encoding="utf-8")))
     NUMBERS.write_text(json.dumps(results, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     DOCUMENT.write_text(document(json.loads(NUMBERS.read_text(encoding="utf-8"))), encoding="utf-8")
     size = sum(

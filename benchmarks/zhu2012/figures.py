@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
-from common import head, row
+from common import Array, head, row
 from matplotlib.figure import Figure
 
+from paceline.baselines.disparity import Rectification
+from paceline.recordings import StereoFrame
 from zhu2012 import drawing
 from zhu2012.clips import loaded
 from zhu2012.methods import Run
 
 SHOWN_FRAMES = (1, 3, 5, 7, 9)
 VIEW = (310, 200)  # pixels of one picture of a montage
+NEAREST = (0.85, 1.15)  # disparities drawn black and white, as shares of the tracked vehicle's
+NO_MATCH = (120, 60, 30)  # BGR
 BRIGHTER = 0.7  # exponent: the recordings leave room for glare
 LEGEND = {
     "as printed": "[Zhu]'s filter",
@@ -55,13 +60,10 @@ def strip(
 ) -> list[drawing.Picture]:
     """The track in some frames of the left view, one picture each: the particles, or the outline in green over the
     true one in red, with the parts of a ``grid`` (across, down)."""
-    images, views = {f.index: f.left for f in loaded(scene).frames}, []
-    for k in frames:
-        if k not in images or k not in truth["frame"]:
-            continue
-        true = np.array(truth["left"][truth["frame"].index(k)])
-        grey = (255 * (np.clip(images[k], 0, 255) / 255) ** BRIGHTER).astype(np.uint8)
-        view, scale, shift = drawing.crop(grey, true.mean(0), max(2.6 * float(np.ptp(true[:, 0])), 110.0), VIEW)
+    views = []
+    for k, frame, true in _shown(scene, truth, frames):
+        grey = (255 * (np.clip(frame.left, 0, 255) / 255) ** BRIGHTER).astype(np.uint8)
+        view, scale, shift = drawing.crop(grey, true.mean(0), _width(true), VIEW)
         if k not in run["frame"]:
             views.append(drawing.captioned(view, f"{name}, frame {k}: lost"))
             continue
@@ -77,12 +79,56 @@ def strip(
     return views
 
 
+def _shown(scene: str, truth: Run, frames: Sequence[int]) -> Iterator[tuple[int, StereoFrame, Array]]:
+    """Those of the ``frames`` in which the vehicle is, with its true outline (4, 2)."""
+    there = {f.index: f for f in loaded(scene).frames}
+    for k in frames:
+        if k in there and k in truth["frame"]:
+            yield k, there[k], np.array(truth["left"][truth["frame"].index(k)])
+
+
+def _width(true: Array) -> float:
+    """Pixels of the recording across a picture of a vehicle with the outline ``true`` (4, 2)."""
+    return max(2.6 * float(np.ptp(true[:, 0])), 110.0)
+
+
+def disparities(scene: str, run: Run, truth: Run, frames: Sequence[int], name: str) -> list[drawing.Picture]:
+    """The disparities that the multimodal tracker weighs its particles by, turned back into the left view: the lighter
+    the nearer, blue where the views do not match; with its outline in green over the true one in red."""
+    rig, views = loaded(scene).clip.rig, []
+    rectified = Rectification(rig)
+    for k, frame, true in _shown(scene, truth, frames):
+        blank, scale, shift = drawing.crop(np.zeros_like(frame.left, np.uint8), true.mean(0), _width(true), VIEW)
+        if k not in run["frame"]:
+            views.append(drawing.captioned(blank, f"{name}, frame {k}: lost"))
+            continue
+        at = run["frame"].index(k)
+        outline = np.array(run["left"][at])
+        corners = (np.array([[0, 0], [VIEW[0], 0], VIEW, [0, VIEW[1]]]) - shift) / scale
+        place = run["depth"][at] * rig.left.rays(outline.mean(0))
+        depth = float(rectified.rotation[2] @ place)
+        found = rectified.depths((frame.left, frame.right), rectified.project(rig.left.rays(corners)), depth)
+        tint = np.clip((depth / found.Z - NEAREST[0]) / (NEAREST[1] - NEAREST[0]), 0, 1)
+        colors = np.where(np.isnan(tint)[..., None], NO_MATCH, 255 * np.nan_to_num(tint)[..., None]).astype(np.uint8)
+        # from the rectified crop to the left view, and from there to the picture
+        of_crop = np.array([[1, 0, found.low[0]], [0, 1, found.low[1]], [0, 0, rectified.f]])
+        to_left = rig.left.K @ rectified.rotation.T @ of_crop
+        to_view = np.array([[scale, 0, shift[0]], [0, scale, shift[1]], [0, 0, 1]])
+        view = cv2.warpPerspective(colors, to_view @ to_left, VIEW, flags=cv2.INTER_NEAREST, borderValue=NO_MATCH)
+        drawing.outlined(view, scale, shift, true, drawing.RED, 1)
+        drawing.outlined(view, scale, shift, outline, drawing.GREEN)
+        views.append(drawing.captioned(view, f"disparity, frame {k}"))
+    return views
+
+
 def tracks(path: Path, scene: str, drawn: Any, names: Sequence[str], frames: Sequence[int] = SHOWN_FRAMES) -> None:
-    """Outlines and particles of some methods."""
+    """Outlines and particles of some methods, and the disparities of the multimodal tracker."""
     rows = []
     for name in names:
         for particles in (False, True):
             rows.append(strip(scene, drawn["runs"][name], drawn["truth"], frames, LEGEND.get(name, name), particles))
+    if "multimodal" in names:
+        rows.append(disparities(scene, drawn["runs"]["multimodal"], drawn["truth"], frames, LEGEND["multimodal"]))
     drawing.save(path, drawing.montage(rows))
 
 

@@ -68,10 +68,5 @@ ITEM = Item(
     helpers=(clips, methods),
 )
 
-
-def main() -> None:
-    run_alone(ITEM)
-
-
 if __name__ == "__main__":
-    main()
+    run_alone(ITEM)

@@ -40,10 +40,5 @@ ITEM = Item(
     helpers=(clips, repeats),
 )
 
-
-def main() -> None:
-    run_alone(ITEM)
-
-
 if __name__ == "__main__":
-    main()
+    run_alone(ITEM)

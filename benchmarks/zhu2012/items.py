@@ -20,6 +20,7 @@ from types import ModuleType
 from typing import Any
 
 import yaml
+from common import machine
 
 ROOT = Path(__file__).parents[2]
 BUILD = ROOT / "build" / "results"
@@ -75,11 +76,11 @@ class Item:
         return digest.hexdigest()
 
     def _computing(self) -> str:
-        """The script without what only shows the numbers."""
+        """The module of ``compute`` without what only shows the numbers."""
         module = inspect.getmodule(self.compute)
         source = inspect.getsource(module or self.compute)
         for shows in (self.text, self.draw):
-            if inspect.isfunction(shows):
+            if inspect.isroutine(shows):
                 source = source.replace(inspect.getsource(shows), "")
         return source
 
@@ -103,6 +104,7 @@ class Item:
             "seconds": round(time.perf_counter() - begun, 1),
             "processor_seconds": round(time.process_time() - used, 1),
             "load": round(max(load, os.getloadavg()[0]), 1),
+            "machine": machine(),
         }
         self.cache.parent.mkdir(parents=True, exist_ok=True)
         partial = self.cache.with_suffix(".part")

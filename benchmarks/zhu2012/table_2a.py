@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from zhu2012 import clips, repeats, tables
-from zhu2012.items import Item, Numbers, run_alone
+from zhu2012.items import run_alone
+from zhu2012.sweep import Sweep
 
 PAPER = (
     (27.03, 3.129, 142.5),
@@ -12,35 +12,19 @@ PAPER = (
     (27.83, 0.665, 598.0),
     (27.87, 0.575, 790.7),
 )
-SETTINGS: Numbers = {"particles": [100, 200, 400, 600, 800], "speed_noise": 0.15, "guess": 0.8}
-
-
-def compute() -> Numbers:
-    varied = [{"particles": n} for n in SETTINGS["particles"]]
-    noise, guess = SETTINGS["speed_noise"], SETTINGS["guess"]
-    shown = repeats.table("neil-28", guess, "particles", varied, speed_noise=noise)
-    return {"shown": shown | repeats.defaults("neil-28", guess), "drawn": {}}
-
-
-def text(shown: Numbers) -> str:
-    return "\n\n".join([tables.markdown(shown, "particles", PAPER, 3), tables.default_words(shown)])
-
-
-ITEM = Item(
-    name="table-2a",
-    script="zhu2012.table_2a",
-    title="[Zhu] Table II(a): particles, winding road, 28 mph",
-    compute=compute,
-    text=text,
-    settings=SETTINGS,
-    scenes=("neil-28",),
-    helpers=(clips, repeats),
-)
-
-
-def main() -> None:
-    run_alone(ITEM)
-
+ITEM = Sweep(
+    "2a",
+    "[Zhu] Table II(a): particles, winding road, 28 mph",
+    scene="neil-28",
+    setting="particles",
+    values=(100, 200, 400, 600, 800),
+    label="particles",
+    paper=PAPER,
+    digits=3,
+    guess=0.8,
+    fixed={"speed_noise": 0.15},
+    defaults=True,
+).item()
 
 if __name__ == "__main__":
-    main()
+    run_alone(ITEM)

@@ -30,6 +30,10 @@ _FIGURE = """\
 Green is the estimate, red the truth, blue the particles. In the table an error "frame by frame" counts from the
 second estimated speed on; the depth beside a refined speed is that of the filter before it."""
 
+_DISPARITIES = """\
+The last row shows the disparities that the multimodal particles are weighed by: the lighter the nearer, blue where the
+two views do not match."""
+
 WORDS = {
     "table-1a": """\
 Averages and maximum errors are those of the last frame over 20 seeds; the first guess is 10 % low. Drawn without
@@ -60,7 +64,7 @@ speed hardly depends on them.""",
     "first-guess": """\
 400 particles, drawn without error, 20 seeds; all else as in Tables I(a) and II(a). On the winding road the first guess
 explains that the average is low: begun at the true speed it is right. The single runs far off stay.""",
-    "figures-5-6": f"""{_FIGURE}
+    "figures-5-6": f"""{_FIGURE} {_DISPARITIES}
 
 800 particles. With the path the cloud stays small and the speed steady; without it both are wider, as in the
 paper. SIFT and the Kalman filter over it scatter as there, and the multimodal particles drift off the front.
@@ -72,11 +76,12 @@ though the true one is constant. `lucas-kanade` keeps the depth error of the out
 200 particles. The operator's line of this scene runs nearly along the epipolar lines and is refused with one plain
 line, so outline and way are the true ones here. As in the paper the speed settles at once, slightly low, and the
 angular velocity with it. The baselines lose the turning front after a few frames; no speed of theirs is shown.""",
-    "figures-10-11": f"""{_FIGURE}
+    "figures-10-11": f"""{_FIGURE} {_DISPARITIES}
 
 400 particles, a first guess 12 % low (the paper's was more than 10 % off). The filter settles within two frames,
 about 1 mph low;
-the multimodal particles drift and jump as there, and their speed is rejected as too uncertain.""",
+the multimodal particles drift and jump as there, and their speed is rejected as too uncertain. What lies beside the
+front has nearly its disparity, so that depth does not hold the outline where it is, as in the paper.""",
     "figures-12-13": f"""{_FIGURE}
 
 400 particles, seed 0: one of the runs of Table II(a) that settle on a wrong speed. The error of its depth is of the

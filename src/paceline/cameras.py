@@ -71,6 +71,31 @@ class Camera:
         return np.asarray(cv2.remap(image, a, b, cv2.INTER_CUBIC), np.float32)
 
 
+@dataclass(frozen=True, eq=False)
+class View:
+    """A camera and where it is: ``X_camera = R X_world + t``."""
+
+    camera: Camera
+    R: Array
+    t: Array
+
+    def to_camera(self, points: Array) -> Array:
+        """World ``points`` (…, 3) in camera axes."""
+        return np.asarray(np.asarray(points) @ self.R.T + self.t)
+
+    def project(self, points: Array) -> Array:
+        """Ideal pixels (…, 2) of world ``points`` (…, 3)."""
+        return self.camera.project(self.to_camera(points))
+
+    def depth(self, points: Array) -> Array:
+        """Metres (…) of world ``points`` (…, 3) ahead of the camera."""
+        return np.asarray(points @ self.R[2] + self.t[2])
+
+    @property
+    def centre(self) -> Array:
+        return np.asarray(-self.R.T @ self.t)
+
+
 @dataclass(frozen=True)
 class RigUncertainty:
     """Standard uncertainties of a calibration (one sigma), as stated under ``uncertainty`` in rig.yaml.

@@ -12,6 +12,7 @@ from paceline.baselines.regions import Regions
 from paceline.baselines.tracks import NO_TEXTURE, MeanSpeed, Sight, judged, rejected, too_few, unseen
 from paceline.baselines.triangulation import covariance
 from paceline.cameras import StereoRig
+from paceline.descriptors import Descriptors, features, matched
 from paceline.documents import VehicleDocument
 from paceline.geometry import epipolar_distance, triangulate
 from paceline.recordings import StereoFrame
@@ -62,9 +63,9 @@ class Sift:
     def _matches(self, frame: StereoFrame, quads: Array) -> tuple[Array, Array]:
         """Features (n, 2) of the regions ``quads`` (2, 4, 2) that match across the views."""
         (a, of_a), (b, of_b) = (
-            features(self._detector, image, quad) for image, quad in zip((frame.left, frame.right), quads, strict=True)
+            inside(self._detector, image, quad) for image, quad in zip((frame.left, frame.right), quads, strict=True)
         )
-        i, j = matched(of_a, of_b)
+        i, j = matched(of_a, of_b, RATIO)
         left, right = a[i], b[j]
         with np.errstate(invalid="ignore"):
             inverse = 1.0 / triangulate(self.rig, left, right)[:, 2]
@@ -134,27 +135,12 @@ def centroid_covariance(rig: StereoRig, place: Array, matches: int) -> Array:
     return covariance(rig, place, SIGMA) / matches
 
 
-def features(detector: cv2.SIFT, image: Image, quad: Array) -> tuple[Array, NDArray[np.float32]]:
+def inside(detector: cv2.SIFT, image: Image, quad: Array) -> tuple[Array, Descriptors]:
     """SIFT features (n, 2) px of ``image`` inside ``quad`` (4, 2), and their descriptors (n, 128)."""
     x0, y0 = np.maximum(np.floor(quad.min(0)).astype(int) - AROUND, 0)
     x1, y1 = np.ceil(quad.max(0)).astype(int) + 1 + AROUND
-    picture = np.clip(np.rint(image[y0:y1, x0:x1]), 0, 255).astype(np.uint8)
+    picture = image[y0:y1, x0:x1]
     mask = np.zeros(picture.shape, np.uint8)
     cv2.fillConvexPoly(mask, np.rint(quad - [x0, y0]).astype(np.int32), 255)
-    found, descriptors = detector.detectAndCompute(picture, mask)
-    if not found:
-        return np.empty((0, 2)), np.empty((0, 128), np.float32)
-    return np.array([f.pt for f in found]) + [x0, y0], np.asarray(descriptors, np.float32)
-
-
-def matched(a: NDArray[np.float32], b: NDArray[np.float32]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Rows of the descriptors ``a`` (n, 128) and ``b`` (m, 128) that are each other's best, clearly before the second
-    best."""
-    nobody = np.empty(0, np.int64)
-    if len(a) < 2 or len(b) < 2:
-        return nobody, nobody
-    distance = np.sqrt(np.maximum(((a[:, None] - b[None]) ** 2).sum(-1), 0.0))
-    best = distance.argmin(1)
-    first, second = np.partition(distance, 1, axis=1)[:, :2].T
-    rows = np.flatnonzero((first < RATIO * second) & (distance.argmin(0)[best] == np.arange(len(a))))
-    return rows, best[rows]
+    places, descriptors = features(detector, picture, mask)
+    return places + [x0, y0], descriptors

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from paceline.cameras import StereoRig
-from paceline.documents import Clip, load_rig
+from paceline.descriptors import features, matched
 from paceline.geometry import epipolar_distance, triangulate
 from paceline.recordings import StereoRecording
-from paceline.schemas import ClipModel, read_document
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -48,24 +46,6 @@ class Matches:
         return replace(self, left=self.left[chosen], right=self.right[chosen], tile=self.tile[chosen])
 
 
-def load_recorded(path: Path, rig: Path | None = None) -> Clip:
-    """What a clip.yaml says of its recording, with its rig or another; paths and vehicles are left aside, as a rig that
-    has moved would make them contradict each other."""
-    model = read_document(ClipModel, path)
-    return Clip(
-        path=path,
-        left=path.parent / model.left,
-        right=path.parent / model.right,
-        rate=model.rate,
-        times=None if model.times is None else path.parent / model.times,
-        tolerance=model.time_tolerance,
-        bit_depth=model.bit_depth,
-        rig=load_rig(rig or path.parent / model.rig),
-        paths={},
-        vehicles=[],
-    )
-
-
 def match_scene(recording: StereoRecording, progress: Progress | None = None) -> Matches:
     """Points matched across the views of a few frames."""
     chosen = np.unique(np.linspace(0, len(recording) - 1, min(FRAMES, len(recording))).round().astype(int))
@@ -86,25 +66,10 @@ def match_scene(recording: StereoRecording, progress: Progress | None = None) ->
 
 def match(rig: StereoRig, detector: cv2.SIFT, left: Image, right: Image) -> tuple[Array, Array]:
     """Features (n, 2) of two views that are each other's best match by far, near their epipolar lines and in front."""
-    (a, of_a), (b, of_b) = (_features(detector, image) for image in (left, right))
-    if len(a) < 2 or len(b) < 2:
-        return np.empty((0, 2)), np.empty((0, 2))
-    matcher = cv2.BFMatcher(cv2.NORM_L2)
-    there, back = matcher.knnMatch(of_a, of_b, k=2), matcher.match(of_b, of_a)
-    best = {m.queryIdx: m.trainIdx for m in back}
-    pairs = [
-        (m.queryIdx, m.trainIdx) for m, n in there if m.distance < RATIO * n.distance and best[m.trainIdx] == m.queryIdx
-    ]
-    if not pairs:
-        return np.empty((0, 2)), np.empty((0, 2))
-    i, j = np.array(pairs).T
+    (a, of_a), (b, of_b) = (features(detector, image) for image in (left, right))
+    i, j = matched(of_a, of_b, RATIO)
     p, q = a[i], b[j]
     with np.errstate(invalid="ignore", divide="ignore"):
         in_front = triangulate(rig, p, q)[:, 2] > 0
     near = np.abs(epipolar_distance(rig, p, q)) < ASTRAY * rig.left.image_size[1]
     return p[near & in_front], q[near & in_front]
-
-
-def _features(detector: cv2.SIFT, image: Image) -> tuple[Array, NDArray[np.float32]]:
-    found, descriptors = detector.detectAndCompute(np.clip(np.rint(image), 0, 255).astype(np.uint8), None)
-    return np.array([f.pt for f in found]).reshape(-1, 2), np.asarray(descriptors, np.float32)

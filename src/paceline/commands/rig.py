@@ -57,7 +57,8 @@ def rig_import(
     """Write the rig.yaml of a calibration that another program made."""
     from paceline.calibration.importing import Wishes, import_rig
     from paceline.calibration.rig_file import rig_yaml
-    from paceline.reports.calibration import check_name, write_together
+    from paceline.reports.calibration import check_name
+    from paceline.reports.output import write_together
 
     check_name(out)
     found, kind = import_rig(files, Wishes(_size(size), METRES[unit], _pair(cameras), rectified))
@@ -96,9 +97,11 @@ def rig_check(
     from paceline.calibration.checking import check, enough
     from paceline.calibration.checking import refine as refine_rig
     from paceline.calibration.rig_file import rig_yaml
-    from paceline.calibration.scene import load_recorded, match_scene
+    from paceline.calibration.scene import match_scene
+    from paceline.documents import load_recorded
     from paceline.recordings import open_recording
-    from paceline.reports.calibration import check_name, write_together
+    from paceline.reports.calibration import check_name
+    from paceline.reports.output import write_together
 
     if out is not None:
         check_name(out)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import secrets
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +15,7 @@ from paceline.calibration.calibrating import Calibration
 from paceline.calibration.model import NAMES
 from paceline.calibration.rig_file import rig_yaml
 from paceline.errors import UnusableInput
+from paceline.reports.output import write_together
 from paceline.reports.plots import FILTER, INK, INTERVAL, MUTED, REFINED, make_plot
 
 SIDES = ("left", "right")
@@ -45,25 +44,6 @@ def check_name(file: Path) -> None:
         raise UnusableInput(f"--out {file}: expected the name of a YAML file to write, for instance rig.yaml")
     if file.is_dir():
         raise UnusableInput(f"--out {file}: is a folder; expected the name of a file to write")
-
-
-def write_together(contents: dict[Path, bytes]) -> None:
-    """Writes all files or none. Raises UnusableInput where they cannot be written."""
-    partial = {path: path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial") for path in contents}
-    first = next(iter(contents))
-    try:
-        first.parent.mkdir(parents=True, exist_ok=True)
-        for path, content in contents.items():
-            if path.is_dir():
-                raise UnusableInput(f"{path}: is a folder; expected the name of a file to write")
-            partial[path].write_bytes(content)
-        for path in contents:
-            os.replace(partial[path], path)
-    except OSError as error:
-        raise UnusableInput(f"{first}: cannot be written ({error.strerror})") from error
-    finally:
-        for path in partial.values():
-            path.unlink(missing_ok=True)
 
 
 def head(calibration: Calibration) -> list[str]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import secrets
 from pathlib import Path
 
 import cv2
@@ -13,6 +11,7 @@ from numpy.typing import NDArray
 from paceline.errors import UnusableInput
 from paceline.follow.learning import LearnedTarget, corner_names
 from paceline.reports.drawing import DARK, WHITE, Color, Picture, draw_dots, draw_line, draw_text, scaled, text_width
+from paceline.reports.output import write_together
 
 Image = NDArray[np.float32]
 
@@ -33,24 +32,7 @@ def write_learned(learned: LearnedTarget, image: Image, file: Path) -> Path:
     beside = file.with_suffix(".png")
     done, png = cv2.imencode(".png", draw_learned(learned, image))
     assert done
-    contents = {beside: bytes(png), file: target_yaml(learned).encode()}
-    partial = {path: path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial") for path in contents}
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UnusableInput(f"{file}: cannot be written ({error.strerror})") from error
-    try:
-        for path, content in contents.items():
-            if path.is_dir():
-                raise UnusableInput(f"{path}: is a folder; expected the name of a file to write")
-            partial[path].write_bytes(content)
-        for path in contents:
-            os.replace(partial[path], path)
-    except OSError as error:
-        raise UnusableInput(f"{file}: cannot be written ({error.strerror})") from error
-    finally:
-        for path in partial.values():
-            path.unlink(missing_ok=True)
+    write_together({file: target_yaml(learned).encode(), beside: bytes(png)})
     return beside
 
 

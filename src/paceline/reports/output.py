@@ -1,4 +1,4 @@
-"""The output folder of a command: whole or absent, never half written."""
+"""The output of a command, a folder or a few files: whole or absent, never half written."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import shutil
 import signal
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType, TracebackType
 
@@ -92,6 +92,26 @@ class OutputFolder:
                 folder.rmdir()
             except OSError:  # someone else uses it by now
                 return
+
+
+def write_together(contents: dict[Path, bytes]) -> None:
+    """Writes all files or none. Raises UnusableInput, which names the first, where they cannot be written."""
+    partial = {path: path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial") for path in contents}
+    first = next(iter(contents))
+    try:
+        first.parent.mkdir(parents=True, exist_ok=True)
+        for path, content in contents.items():
+            if path.is_dir():
+                raise UnusableInput(f"{path}: is a folder; expected the name of a file to write")
+            partial[path].write_bytes(content)
+        for path in contents:
+            os.replace(partial[path], path)
+    except OSError as error:
+        raise UnusableInput(f"{first}: cannot be written ({error.strerror})") from error
+    finally:
+        for path in partial.values():
+            with suppress(OSError):  # most often it was put in place
+                path.unlink()
 
 
 @contextmanager

@@ -6,9 +6,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from paceline.cameras import View
 from paceline.simulation import textures
 from paceline.simulation.cards import Card, draw, paste
-from paceline.simulation.worlds import Pose, Road, Scene, View
+from paceline.simulation.worlds import Pose, Road, Scene
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]

@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from paceline.cameras import View
 from paceline.simulation.textures import LEVELS, Texture
-from paceline.simulation.worlds import View
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]

@@ -18,7 +18,8 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from paceline.cameras import StereoRig
+from paceline.calibration.rig_file import rig_yaml
+from paceline.cameras import StereoRig, View
 from paceline.simulation import textures
 from paceline.simulation.backdrops import Backdrop, occluder
 from paceline.simulation.cards import Card, draw, paste
@@ -32,7 +33,6 @@ from paceline.simulation.worlds import (
     Road,
     Scene,
     Vehicle,
-    View,
     is_inside,
     make_rig,
     views_of,
@@ -48,7 +48,6 @@ __all__ = [
     "random_crossing",
     "random_scene",
     "render",
-    "rig_document",
     "write",
     "write_documents",
 ]
@@ -278,15 +277,6 @@ def _rounded(points: Array) -> list[list[float]]:
     return [[round(float(x), 2), round(float(y), 2)] for x, y in points]
 
 
-def rig_document(rig: StereoRig) -> dict[str, Any]:
-    """The contents of rig.yaml."""
-    sides = {
-        name: {"image_size": list(camera.image_size), "K": camera.K.tolist()}
-        for name, camera in (("left", rig.left), ("right", rig.right))
-    }
-    return {**sides, "rotation": rig.R.tolist(), "translation": rig.t.tolist()}
-
-
 def write(rendered: RenderedClip, directory: Path | str) -> Path:
     """Write left/, right/, rig.yaml, clip.yaml, truth.json and, where the frames are not evenly timed, times.csv into
     ``directory``; returns the path of clip.yaml."""
@@ -301,7 +291,7 @@ def write(rendered: RenderedClip, directory: Path | str) -> Path:
 
 def write_documents(rendered: RenderedClip, directory: Path) -> None:
     """Everything of `write` but the pictures."""
-    (directory / "rig.yaml").write_text(yaml.safe_dump(rig_document(rendered.rig), sort_keys=False))
+    (directory / "rig.yaml").write_text(rig_yaml(rendered.rig))
     (directory / "clip.yaml").write_text(yaml.safe_dump(rendered.clip, sort_keys=False))
     (directory / "truth.json").write_text(json.dumps(rendered.truth))
     if "times" in rendered.clip:

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from paceline.simulation.worlds import Motion, Road, Scene, Vehicle, View, is_inside, make_rig, views_of, visible_line
+from paceline.cameras import View
+from paceline.simulation.worlds import Motion, Road, Scene, Vehicle, is_inside, make_rig, views_of, visible_line
 
 Array = NDArray[np.float64]
 

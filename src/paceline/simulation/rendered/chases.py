@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from paceline.cameras import Camera
+from paceline.cameras import Camera, View
 from paceline.simulation.chase_motion import Gap, Shaking, Wander
 from paceline.simulation.rendered import folders
 from paceline.simulation.rendered.engine import default_variant
-from paceline.simulation.rendered.renderer import Renderer, View
+from paceline.simulation.rendered.renderer import Renderer
 from paceline.simulation.rendered.scenery import Scenery, scenery
 from paceline.simulation.rendered.scenes import FollowScene
 from paceline.simulation.rendered.sensor import expose, photograph

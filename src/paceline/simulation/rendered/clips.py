@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from paceline.cameras import StereoRig
-from paceline.simulation.planar import rig_document
+from paceline.calibration.rig_file import rig_yaml
+from paceline.cameras import View
 from paceline.simulation.rendered import folders
 from paceline.simulation.rendered.engine import default_variant
 from paceline.simulation.rendered.light import Light
 from paceline.simulation.rendered.operator import clip_document
-from paceline.simulation.rendered.renderer import Radiance, Renderer, View, Window
+from paceline.simulation.rendered.renderer import Radiance, Renderer, Window
 from paceline.simulation.rendered.scenes import SpeedScene
 from paceline.simulation.rendered.sensor import Lens, expose, photograph
 from paceline.simulation.rendered.solids import Array
@@ -66,9 +66,9 @@ def write(
 
 
 def _write_documents(stage: Stage, clip: dict[str, Any], truth: list[dict[str, Any]], directory: Path) -> None:
-    folders.write_yaml(directory / "rig.yaml", _rig(stage.written))
+    folders.write_whole(directory / "rig.yaml", rig_yaml(stage.written).encode())
     folders.write_whole(directory / "truth.json", json.dumps(truth).encode())
-    folders.write_yaml(directory / "true_rig.yaml", _rig(stage.rig))
+    folders.write_whole(directory / "true_rig.yaml", rig_yaml(stage.rig).encode())
     if "times" in clip:
         table = io.StringIO()
         table.write("frame,left_s,right_s\n")
@@ -76,22 +76,6 @@ def _write_documents(stage: Stage, clip: dict[str, Any], truth: list[dict[str, A
             table.write(f"{k},{left:.6f},{right:.6f}\n")
         folders.write_whole(directory / "times.csv", table.getvalue().encode())
     folders.write_yaml(directory / "clip.yaml", clip)
-
-
-def _rig(rig: StereoRig) -> dict[str, Any]:
-    """The contents of rig.yaml, with distortion and uncertainty where there is any."""
-    document = rig_document(rig)
-    for side, camera in (("left", rig.left), ("right", rig.right)):
-        if camera.has_distortion:
-            document[side]["distortion"] = camera.distortion.tolist()
-    if u := rig.uncertainty:
-        document["uncertainty"] = {
-            "focal_length_px": u.focal_length_px,
-            "principal_point_px": u.principal_point_px,
-            "rotation_rad": list(u.rotation_rad),
-            "translation_m": list(u.translation_m),
-        }
-    return document
 
 
 def _tidy(directory: Path, scene: SpeedScene) -> None:

@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from paceline.cameras import View
 from paceline.errors import UnusableInput
-from paceline.simulation.rendered.renderer import Renderer, View
+from paceline.simulation.rendered.renderer import Renderer
 from paceline.simulation.rendered.sensor import distorted
 from paceline.simulation.rendered.solids import Array
 from paceline.simulation.rendered.stage import Car, Stage

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from paceline.cameras import Camera
+from paceline.cameras import View
 from paceline.simulation.rendered.engine import default_variant, mitsuba
 from paceline.simulation.rendered.light import Light
 from paceline.simulation.rendered.solids import Array, Material, Placement, Solid
@@ -22,27 +21,6 @@ BOUNCES = 3  # what comes after lights no place that a picture shows
 OFTENEST = 0.75  # share of the rays towards lights that go to the sun
 PASS = 16  # samples per pixel rendered at once, a power of two so that they always add up in the same order
 TEXTURE_FILTER = "bilinear"
-
-
-@dataclass(frozen=True, eq=False)
-class View:
-    """A camera and where it is: ``X_camera = R X_world + t``."""
-
-    camera: Camera
-    R: Array
-    t: Array
-
-    def project(self, points: Array) -> Array:
-        """Ideal pixels (…, 2) of world ``points`` (…, 3)."""
-        return self.camera.project(self.to_camera(points))
-
-    def to_camera(self, points: Array) -> Array:
-        """World ``points`` (…, 3) in camera axes."""
-        return np.asarray(np.asarray(points) @ self.R.T + self.t)
-
-    @property
-    def centre(self) -> Array:
-        return np.asarray(-self.R.T @ self.t)
 
 
 class Renderer:

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ive
 
-from paceline.cameras import Camera
+from paceline.cameras import Camera, View
 from paceline.simulation.rendered.light import LUMINANCE
-from paceline.simulation.rendered.renderer import Radiance, Renderer, View, Window
+from paceline.simulation.rendered.renderer import Radiance, Renderer, Window
 from paceline.simulation.rendered.solids import Array, Placement
 
 

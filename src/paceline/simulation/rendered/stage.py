@@ -9,11 +9,11 @@ from typing import Any
 import cv2
 import numpy as np
 
-from paceline.cameras import Camera, RigUncertainty, StereoRig
+from paceline.cameras import Camera, RigUncertainty, StereoRig, View
 from paceline.errors import UnusableInput
 from paceline.simulation.rendered.light import Light
 from paceline.simulation.rendered.motions import Drive, LaneChange, Motion
-from paceline.simulation.rendered.renderer import Renderer, View
+from paceline.simulation.rendered.renderer import Renderer
 from paceline.simulation.rendered.roads import Road, RoadShape
 from paceline.simulation.rendered.scenery import Scenery, scenery
 from paceline.simulation.rendered.scenes import CarModel, PlaceModel, SceneModel, SpeedScene

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from paceline.cameras import View
 from paceline.errors import UnusableInput
 from paceline.simulation.rendered.operator import NARROWEST
-from paceline.simulation.rendered.renderer import View
 from paceline.simulation.rendered.scenes import FollowScene, SpeedScene
 from paceline.simulation.rendered.stage import Stage
 from paceline.simulation.worlds import is_inside
