@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import copy
 import re
 from pathlib import Path
 
@@ -10,6 +9,7 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from spoiled import changed
 
 from paceline.documents import load_clip, load_rig
 from paceline.errors import UnusableInput
@@ -39,20 +39,6 @@ CLIP = {
 @pytest.fixture(autouse=True)
 def _here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-
-
-def changed(document, key, value):
-    """A copy of ``document`` with ``value`` at ``key`` (``vehicles.0.left``), or without that key for None."""
-    document = copy.deepcopy(document)
-    *parents, last = [int(k) if k.isdecimal() else k for k in key.split(".")]
-    place = document
-    for parent in parents:
-        place = place[parent]
-    if value is None:
-        del place[last]
-    else:
-        place[last] = value
-    return document
 
 
 def write(clip=CLIP, rig=RIG):

@@ -23,9 +23,9 @@ DOCUMENTS = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md"))]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 FLOORS = {
-    1: ["errors", "units", "cameras", "geometry", "sources", "recordings", "monocular", "odometry"],
+    1: ["errors", "units", "cameras", "geometry", "descriptors", "sources", "recordings", "monocular", "odometry"],
     2: ["documents", "schemas", "plausibility"],
-    3: ["speed", "follow", "calibration"],
+    3: ["speed", "follow", "calibration", "lanes"],
     4: ["simulation", "baselines"],
     5: ["reports"],
     7: ["commands", "cli", "__main__"],

@@ -14,6 +14,7 @@ from paceline.commands import INTERRUPTED, UNUSABLE
 from paceline.commands.calibrate import calibrate
 from paceline.commands.drive import drive
 from paceline.commands.follow import follow_vehicle
+from paceline.commands.lanes import lanes
 from paceline.commands.rig import rig
 from paceline.commands.simulate import simulate
 from paceline.commands.speed import speed
@@ -30,6 +31,7 @@ app = typer.Typer(
 app.command()(speed)
 app.command("follow")(follow_vehicle)
 app.command()(calibrate)
+app.command()(lanes)
 app.add_typer(rig, name="rig")
 app.add_typer(target, name="target")
 app.add_typer(simulate, name="simulate")

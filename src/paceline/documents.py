@@ -7,7 +7,7 @@ What is handed on is plain: a :class:`~paceline.cameras.StereoRig`, a :class:`Cl
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -23,6 +23,7 @@ from paceline.schemas import (
     FollowModel,
     PathModel,
     RigModel,
+    SiteModel,
     TargetModel,
     UncertaintyModel,
     VehicleModel,
@@ -123,15 +124,52 @@ def load_clip(path: str | Path) -> Clip:
     """The clip that a clip.yaml describes, with its rig; raises UnusableInput, naming the key, where it cannot be."""
     path = Path(path)
     model = read_document(ClipModel, path)
-    if model.rate is not None and model.times is not None:
-        raise UnusableInput(f"{path}: rate and times: expected one of them, found both")
-    rig = load_rig(path.parent / model.rig)
-    paths = {name: _path(path, rig, name, p) for name, p in (model.paths or {}).items()}
+    site, rig = _site(path, model)
+    clip = _recorded(path, model, rig)
+    paths = {name: _path(path, clip.rig, name, p) for name, p in (model.paths or {}).items()}
+    if model.site is not None and site is not None and site.paths:
+        for name, p in site.paths.items():
+            if name in paths:
+                raise UnusableInput(f"{path}: paths.{name}: {model.site} has a path of this name; expected another")
+            paths[name] = _path(path.parent / model.site, clip.rig, name, p)
     vehicles: list[VehicleDocument] = []
     for i, m in enumerate(model.vehicles or []):
         if any(m.id == v.id for v in vehicles):
             raise UnusableInput(f"{path}: vehicles[{i}].id: {m.id!r} occurs twice; expected one of its own")
-        vehicles.append(_vehicle(path, rig, paths, f"vehicles[{i}]", m))
+        vehicles.append(_vehicle(path, clip.rig, paths, f"vehicles[{i}]", m))
+    return replace(clip, paths=paths, vehicles=vehicles)
+
+
+def load_recorded(path: str | Path, rig: Path | None = None) -> Clip:
+    """What a clip.yaml says of its recording, with its rig or another; paths and vehicles are left aside, as a rig that
+    has moved would make them contradict each other."""
+    path = Path(path)
+    model = read_document(ClipModel, path)
+    return _recorded(path, model, rig or _site(path, model)[1])
+
+
+def rig_file(path: str | Path) -> Path:
+    """The rig.yaml of a clip.yaml, its own or its site's."""
+    path = Path(path)
+    return _site(path, read_document(ClipModel, path))[1]
+
+
+def _site(path: Path, model: ClipModel) -> tuple[SiteModel | None, Path]:
+    """The site.yaml that a clip names, if any, and the rig.yaml of either. Raises UnusableInput unless one names it."""
+    if model.site is None:
+        if model.rig is None:
+            raise UnusableInput(f"{path}: rig: missing; expected a rig.yaml, or a site that names one")
+        return None, path.parent / model.rig
+    if model.rig is not None:
+        raise UnusableInput(f"{path}: rig and site: expected one of them, as a site names its own rig; found both")
+    file = path.parent / model.site
+    site = read_document(SiteModel, file)
+    return site, file.parent / site.rig
+
+
+def _recorded(path: Path, model: ClipModel, rig: Path) -> Clip:
+    if model.rate is not None and model.times is not None:
+        raise UnusableInput(f"{path}: rate and times: expected one of them, found both")
     return Clip(
         path=path,
         left=path.parent / model.left,
@@ -140,9 +178,9 @@ def load_clip(path: str | Path) -> Clip:
         times=None if model.times is None else path.parent / model.times,
         tolerance=model.time_tolerance,
         bit_depth=model.bit_depth,
-        rig=rig,
-        paths=paths,
-        vehicles=vehicles,
+        rig=load_rig(rig),
+        paths={},
+        vehicles=[],
     )
 
 

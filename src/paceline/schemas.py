@@ -166,9 +166,15 @@ class ClipModel(Document):
     times: str | None = None
     time_tolerance: Annotated[float, Field(gt=0)] | None = None
     bit_depth: Bits | None = None
-    rig: str
+    rig: str | None = None
+    site: Text | None = None
     paths: dict[Name, PathModel] | None = None
     vehicles: list[VehicleModel] | None = None
+
+
+class SiteModel(Document):
+    rig: Text
+    paths: dict[Name, PathModel] | None = None
 
 
 class TargetModel(Document):

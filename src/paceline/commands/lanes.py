@@ -1,0 +1,136 @@
+"""``paceline lanes``: the lanes of a road, found in the recording of a stationary rig."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from paceline.commands import DONE, NOTHING_MEASURED, print_columns
+from paceline.commands.progress import progress_bar
+from paceline.errors import UnusableInput
+
+if TYPE_CHECKING:
+    from paceline.lanes.background import Background
+    from paceline.lanes.proposing import Lane, Line
+
+HALF = 1.96  # standard uncertainties in half a 95 % interval
+MOSTLY_UNSETTLED = 0.3  # share of the pictures without a background from which on the cameras cannot have stood still
+NOTABLY_UNSETTLED = 0.02
+
+
+def lanes(
+    clip: Annotated[Path, typer.Argument(metavar="CLIP", help="A clip.yaml, or the folder that contains it.")],
+    out: Annotated[Path | None, typer.Option("-o", "--out", help="The site.yaml to write.")] = None,
+    write: Annotated[bool, typer.Option("--write", help="Add the lanes to the clip.yaml itself.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
+) -> int:
+    """Find the lanes of a road and propose them as paths, with pictures to check.
+
+    Ends with status 1 where no lane can be found.
+    """
+    if write and out is not None:
+        raise UnusableInput("--write and --out exclude each other: the lanes go to the clip.yaml or to a site.yaml")
+
+    from paceline.documents import load_clip
+    from paceline.lanes.background import empty_scene
+    from paceline.lanes.finding import NoRoad, find_road
+    from paceline.lanes.proposing import lines_of, propose
+    from paceline.lanes.site_file import lane_names
+    from paceline.recordings import open_recording
+    from paceline.reports.calibration import check_name
+
+    if out is not None:
+        check_name(out)
+    file = clip / "clip.yaml" if clip.is_dir() else clip
+    document = load_clip(file)
+    with progress_bar("averaging", sys.stderr.isatty() and not quiet) as advance:
+        background = empty_scene(open_recording(document), advance)
+    if reason := _no_background(background):
+        print(f"no lane found: {reason}")
+        return NOTHING_MEASURED
+    try:
+        road = find_road(document.rig, background)
+    except NoRoad as error:
+        print(f"no lane found: {error}")
+        return NOTHING_MEASURED
+    lines = lines_of(road)
+    proposed, remarks = propose(document.rig, road)
+    kept = [lane for lane in proposed if lane.path is not None]
+    remarks += [lane.reason for lane in proposed if lane.path is None]
+    named = dict(zip(lane_names(len(kept), document.paths if write else ()), kept, strict=True))
+    if not quiet:
+        _print(lines, named, remarks)
+        if background.unsettled_share > NOTABLY_UNSETTLED:
+            print(
+                f"note: in {100 * background.unsettled_share:.0f} % of the pictures nothing stands still",
+                file=sys.stderr,
+            )
+    if not kept:
+        print("no lane found: no two neighbouring lines that both views determine are a lane's width apart")
+        return NOTHING_MEASURED
+    if write or out is not None:
+        where = _write(file, out, background, lines, named)
+        if not quiet:
+            print(f"\nLook at the pictures before you use them: {where}")
+    return DONE
+
+
+def _no_background(background: Background) -> str:
+    """Why the recording shows no empty road; empty where it does."""
+    from paceline.lanes.background import FEWEST
+
+    if background.frames < FEWEST:
+        return (
+            f"only {background.frames} frames, too few to tell what moves from what stands; expected {FEWEST} or more"
+        )
+    if background.unsettled_share > MOSTLY_UNSETTLED:
+        share = f"{100 * background.unsettled_share:.0f} % of the pictures"
+        return f"{share} never settle; the cameras must stand still, and the road be empty now and then"
+    return ""
+
+
+def _print(lines: list[Line], lanes: dict[str, Lane], remarks: list[str]) -> None:
+    rows = [("line", "marking", "across, 95 %")]
+    rows += [
+        (line.id, line.kind, f"± {HALF * line.sigma.min():.2f} to {HALF * line.sigma.max():.2f} m") for line in lines
+    ]
+    print_columns(rows)
+    if lanes:
+        print()
+        print_columns(
+            [
+                ("lane", "lines", "width, m, 95 %", "shape"),
+                *(
+                    (name, "–".join(lane.between), f"{lane.width:.2f} ± {HALF * lane.width_std:.2f}", lane.shape)
+                    for name, lane in lanes.items()
+                ),
+            ]
+        )
+    for remark in remarks:
+        print(f"left out: {remark}")
+
+
+def _write(file: Path, out: Path | None, background: Background, lines: list[Line], lanes: dict[str, Lane]) -> str:
+    """Writes the lanes and their pictures together; returns the names of the pictures."""
+    from paceline.documents import load_clip, rig_file
+    from paceline.lanes.site_file import site_yaml, with_lanes
+    from paceline.reports.lanes import lanes_picture, png
+    from paceline.reports.output import write_together
+
+    rig = load_clip(file).rig
+    if out is None:
+        target, text = file, with_lanes(file.read_text(encoding="utf-8"), str(file), lanes)
+        stem = file.parent / "lanes"
+    else:
+        relative = os.path.relpath(rig_file(file), out.parent)
+        target, text, stem = out, site_yaml(Path(relative).as_posix(), lanes), out.with_suffix("")
+    pictures = {
+        stem.with_name(f"{stem.name}-{name}.png"): png(lanes_picture(rig, background, side, lines, lanes))
+        for side, name in enumerate(("left", "right"))
+    }
+    write_together({target: text.encode(), **pictures})
+    return ", ".join(map(str, pictures))

@@ -1,0 +1,86 @@
+"""Proposed lanes as YAML: a site.yaml of their own, or put among the paths of a clip.yaml."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import yaml
+
+from paceline.errors import UnusableInput
+from paceline.lanes.proposing import Lane
+
+HALF = 1.96  # standard deviations in half a 95 % interval
+
+
+def lane_names(count: int, taken: Iterable[str] = ()) -> list[str]:
+    """``count`` names of lanes that are not among those ``taken``."""
+    names: list[str] = []
+    used, number = set(taken), 0
+    while len(names) < count:
+        number += 1
+        if f"lane{number}" not in used:
+            names.append(f"lane{number}")
+    return names
+
+
+def site_yaml(rig: str, lanes: dict[str, Lane]) -> str:
+    """The site.yaml of ``lanes`` by name; ``rig`` is the rig.yaml as seen from its folder."""
+    head = ["# lanes found by paceline lanes: look at the pictures beside this file before you use it"]
+    return "\n".join([*head, f"rig: {_quoted(rig)}", "paths:", *_entries(lanes, 2)]) + "\n"
+
+
+def with_lanes(text: str, file: str, lanes: dict[str, Lane]) -> str:
+    """``text`` of a clip.yaml with ``lanes`` added to its paths, everything else as it stands, comments too.
+
+    Raises UnusableInput where its paths are written in a way that cannot be added to.
+    """
+    root = yaml.compose(text)
+    assert isinstance(root, yaml.MappingNode), "a clip.yaml that was read is a mapping"
+    lines = text.splitlines()
+    found = {key.value: (key, value) for key, value in root.value}
+    if root.flow_style:
+        raise UnusableInput(f"{file}: is written in braces; expected one key per line, or use -o site.yaml")
+    if "paths" not in found:
+        return "\n".join([*lines, "paths:", *_entries(lanes, 2)]) + "\n"
+    key, value = found["paths"]
+    if isinstance(value, yaml.MappingNode) and value.value and not value.flow_style:
+        indent = value.value[0][0].start_mark.column
+        last = value.value[-1][1].end_mark
+        end = last.line if last.column == 0 else last.line + 1
+        while end > key.start_mark.line + 1 and _is_aside(lines[end - 1], indent):
+            end -= 1  # what stands between the paths and the next key belongs to that key
+        return "\n".join([*lines[:end], *_entries(lanes, indent), *lines[end:]]) + "\n"
+    if isinstance(value, yaml.MappingNode) and value.value:
+        raise UnusableInput(f"{file}: paths: is written in braces; expected one path per line, or use -o site.yaml")
+    row = key.start_mark.line
+    _, hash_, comment = lines[row].partition("#")
+    head = " " * key.start_mark.column + "paths:" + (f"  #{comment}" if hash_ else "")
+    return "\n".join([*lines[:row], head, *_entries(lanes, key.start_mark.column + 2), *lines[row + 1 :]]) + "\n"
+
+
+def _is_aside(line: str, indent: int) -> bool:
+    """Whether a line is empty or a comment that stands further left than the paths."""
+    bare = line.lstrip()
+    return not bare or (bare.startswith("#") and len(line) - len(bare) < indent)
+
+
+def _entries(lanes: dict[str, Lane], indent: int) -> list[str]:
+    pad, lines = " " * indent, []
+    for name, lane in lanes.items():
+        width = f"{lane.width:.2f} ± {HALF * lane.width_std:.2f} m wide (95 %)"
+        lines += [
+            f"{pad}{name}:  # between lines {lane.between[0]} and {lane.between[1]}, {width}",
+            f"{pad}  shape: {lane.shape}",
+            f"{pad}  left: {_points(lane.left.tolist())}",
+            f"{pad}  right: {_points(lane.right.tolist())}",
+            f"{pad}  lateral_offset: 0.0  # what is drawn is the middle of the lane, for travel in either direction",
+        ]
+    return lines
+
+
+def _points(points: Sequence[Sequence[float]]) -> str:
+    return "[" + ", ".join(f"[{x:.2f}, {y:.2f}]" for x, y in points) + "]"
+
+
+def _quoted(text: str) -> str:
+    return yaml.safe_dump(text, allow_unicode=True, width=10**6).splitlines()[0]

@@ -1,0 +1,255 @@
+"""Lanes: background, geometry, and lanes found on a road painted pixel by pixel, on its own."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from paceline.cameras import Camera, StereoRig
+from paceline.documents import load_clip
+from paceline.errors import UnusableInput
+from paceline.lanes.alignment import Alignment
+from paceline.lanes.background import steady
+from paceline.lanes.proposing import Lane
+from paceline.lanes.site_file import lane_names, site_yaml, with_lanes
+from paceline.lanes.surface import Surface, plane_surface, viewing
+from paceline.speed.reconstruction import path_of
+
+Array = NDArray[np.float64]
+
+SIZE = (800, 600)
+FOCAL, BASELINE, HEIGHT, TILT = 1100.0, 0.6, 3.5, 0.05
+EDGES = (-5.2, -1.7, 1.9)  # m to the right of the cameras, of the road's painted lines: 3.5 and 3.6 m wide
+WIDTHS = (3.5, 3.6)
+HEADING = -0.12  # rad
+
+
+def make_rig() -> StereoRig:
+    K = np.array([[FOCAL, 0, 399.5], [0, FOCAL, 299.5], [0, 0, 1]])
+    turn = np.asarray(cv2.Rodrigues(np.array([0.002, -0.003, 0.001]))[0])
+    return StereoRig(Camera(SIZE, K), Camera(SIZE, K), turn, np.array([-BASELINE, 0.01, 0.0]))
+
+
+DOWN = np.array([0.0, np.cos(TILT), np.sin(TILT)])
+AHEAD = np.array([0.0, -np.sin(TILT), np.cos(TILT)])
+
+
+def on_road(rig: StereoRig, side: int) -> tuple[Array, Array]:
+    """Road coordinates (H, W), right and along, of what a view's pixels show of the plane; NaN above the horizon."""
+    x, y = np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1]))
+    rays = np.stack([x, y, np.ones_like(x)], -1) @ np.linalg.inv(rig.cameras[side].K).T
+    centre = np.zeros(3) if side == 0 else -rig.R.T @ rig.t
+    rays = rays if side == 0 else rays @ rig.R
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depth = (HEIGHT - centre @ DOWN) / (rays @ DOWN)
+    points = centre + np.where(depth > 0, depth, np.nan)[..., None] * rays
+    a, b = points[..., 0], points @ AHEAD
+    return a * np.cos(HEADING) - b * np.sin(HEADING), a * np.sin(HEADING) + b * np.cos(HEADING)
+
+
+def painted(rig: StereoRig, side: int, rng: np.random.Generator) -> NDArray[np.float32]:
+    """A view of the road: gravelly asphalt, two solid edge lines, a dashed and worn middle line, a shadow across."""
+    right, along = on_road(rig, side)
+    stones = np.random.default_rng(7)
+    light = np.full(right.shape, 70.0)
+    for cell in (0.06, 0.25, 1.0):
+        noise = stones.normal(0, 1, (512, 512)).astype(np.float32)
+        u, v = (np.nan_to_num(c / cell % 511).astype(np.float32) for c in (right, along))
+        light += 7 * cv2.remap(noise, u, v, cv2.INTER_LINEAR)
+    worn = stones.random((4000, 40)) < 0.35
+    row, column = (np.nan_to_num(c).astype(int) for c in (along / 0.05 % 4000, right / 0.03 % 40))
+    for edge in EDGES:
+        paint = (np.abs(right - edge) < 0.07) & ((edge != EDGES[1]) | (along % 9.0 < 3.0))
+        light = np.where(paint & ~worn[row, column], 150.0, light)
+    light = np.where((along > 22) & (along < 27), 0.4 * light, light)  # a shadow
+    light = np.where(np.isnan(right) | (along > 150), 190.0, light)
+    return np.asarray(cv2.GaussianBlur(light + rng.normal(0, 1.0, light.shape), (0, 0), 0.6), np.float32)
+
+
+@pytest.fixture(scope="module")
+def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording of the painted road over which a dark lorry drives."""
+    folder, rig = tmp_path_factory.mktemp("lanes"), make_rig()
+    scenes = [painted(rig, side, np.random.default_rng(side)) for side in (0, 1)]
+    for side, name in enumerate(("left", "right")):
+        (folder / name).mkdir()
+        for k in range(8):
+            rng = np.random.default_rng([k, side])
+            image = scenes[side] + rng.normal(0, 2.0, SIZE[::-1])
+            image[250:420, 60 + 85 * k : 150 + 85 * k] = 30
+            cv2.imwrite(str(folder / name / f"{k:03d}.png"), np.clip(np.rint(image), 0, 255).astype(np.uint8))
+    document = {"rotation": rig.R.tolist(), "translation": rig.t.tolist()}
+    for name in ("left", "right"):
+        document[name] = {"image_size": list(SIZE), "K": rig.left.K.tolist()}  # type: ignore[assignment]
+    (folder / "rig.yaml").write_text(yaml.safe_dump(document))
+    (folder / "clip.yaml").write_text("left: left  # kept\nright: right\nrate: 5\nrig: rig.yaml\n")
+    return folder
+
+
+def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "paceline", "lanes", *map(str, arguments)], capture_output=True, text=True
+    )
+
+
+# --- end to end ----------------------------------------------------------------------------------------------------
+
+
+def test_lanes_of_a_painted_road_become_paths_that_can_be_measured_along(clip: Path) -> None:
+    done = run(clip, "--write")
+    assert done.returncode == 0, done.stderr + done.stdout
+    text = (clip / "clip.yaml").read_text()
+    assert text.startswith("left: left  # kept\nright: right\nrate: 5\nrig: rig.yaml\npaths:\n")
+    found = load_clip(clip / "clip.yaml")
+    assert list(found.paths) == ["lane1", "lane2"]
+    stated = [line.split("between")[1] for line in text.splitlines() if "between" in line]
+    rig = make_rig()
+    for document, words, width, edges in zip(
+        found.paths.values(), stated, WIDTHS, zip(EDGES, EDGES[1:], strict=False), strict=True
+    ):
+        value, half = (float(words.split(",")[1].split()[i]) for i in (0, 2))
+        assert abs(value - width) < 1.5 * half + 0.005, words  # 3 standard deviations, and what rounding hides
+        assert half < 0.25
+        path = path_of(document, rig)
+        near = path.points[(path.points[:, 2] > 12) & (path.points[:, 2] < 35)]
+        right = near[:, 0] * np.cos(HEADING) - (near @ AHEAD) * np.sin(HEADING)
+        assert np.abs(np.median(right) - np.mean(edges)) < 0.12
+        assert np.abs(np.median(near @ DOWN) - HEIGHT) < 0.15
+    for name in ("left", "right"):
+        assert cv2.imread(str(clip / f"lanes-{name}.png")).shape == (*SIZE[::-1], 3)
+
+
+def test_too_few_frames_are_said(clip: Path, tmp_path: Path) -> None:
+    for name in ("left", "right"):
+        (tmp_path / name).mkdir()
+        for k in range(3):
+            (tmp_path / name / f"{k}.png").symlink_to(clip / name / f"{k:03d}.png")
+    (tmp_path / "rig.yaml").symlink_to(clip / "rig.yaml")
+    (tmp_path / "clip.yaml").write_text("left: left\nright: right\nrate: 5\nrig: rig.yaml\n")
+    done = run(tmp_path, "-o", tmp_path / "site.yaml")
+    assert (done.returncode, done.stderr) == (1, "")
+    assert done.stdout.startswith("no lane found: only 3 frames")
+    assert not (tmp_path / "site.yaml").exists()
+
+
+def test_one_place_to_write_to(tmp_path: Path) -> None:
+    done = run(tmp_path / "clip.yaml", "--write", "-o", tmp_path / "site.yaml")
+    assert done.returncode == 2
+    assert done.stderr.startswith("paceline: --write and --out exclude each other")
+
+
+# --- parts ---------------------------------------------------------------------------------------------------------
+
+
+def test_the_background_outlasts_what_hides_it_in_half_of_the_frames() -> None:
+    rng = np.random.default_rng(3)
+    truth = rng.uniform(20, 200, (70, 40))
+    stack = truth + rng.normal(0, 1.5, (21, 70, 40))
+    stack[:11, 20:40] = rng.uniform(0, 255, (11, 20, 40))  # another vehicle each time
+    flicker = slice(60, 70)
+    stack[:, flicker] = rng.uniform(0, 255, (21, 10, 40))
+    image, settled = steady(stack.astype(np.float16))
+    assert np.abs(image - truth)[:60].max() < 6 * 1.5
+    assert np.sqrt(np.mean((image - truth)[:20] ** 2)) < 1.5 * 1.5 / np.sqrt(21)
+    assert settled[:20].mean() > 0.99
+    assert settled[flicker].mean() < 0.2
+
+
+def bent_surface(heights: list[float]) -> Surface:
+    flat = plane_surface(np.array([0.02, 1.0, 0.06]), 4.0, 30.0)
+    return flat.with_heights(np.array(heights))
+
+
+HEIGHTS = st.tuples(*(st.floats(-w, w) for w in (0.3, 1.0, 1.0, 2.0, 0.5, 0.5))).map(list)
+
+
+@settings(max_examples=40, deadline=None)
+@given(HEIGHTS, st.floats(-8, 8), st.floats(8, 50), st.sampled_from([0, 1]))
+def test_rays_meet_the_surface_where_it_projects(heights: list[float], x: float, z: float, side: int) -> None:
+    surface, rig = bent_surface(heights), make_rig()
+    ground = np.array([x, z])
+    pixel = rig.project(surface.points(ground))[side]
+    centre, _ = viewing(rig, side, pixel)
+    away = ground - ((surface.axes.T @ (centre - surface.origin))[[0, 2]])
+    above = (centre - surface.points(ground)) @ surface.axes[:, 1]
+    if above + surface.slopes(ground) @ away < 0.8:
+        return  # seen from behind a crest
+    assert surface.seen_at(rig, side, pixel) == pytest.approx(ground, abs=1e-4)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.floats(-1.5, 1.5), st.floats(-0.025, 0.025), st.floats(-40, 40), st.floats(-12, 12), st.floats(-0.5, 0.5))
+def test_road_coordinates_go_there_and_back(heading: float, curvature: float, s: float, d: float, bend: float) -> None:
+    road = Alignment(np.array([2.0, 30.0]), heading, curvature, np.array([0.0, 0.0, bend, 0.1, 0.0]))
+    back = road.from_ground(road.to_ground(np.array(s), d))
+    assert np.array(back) == pytest.approx([s, d], abs=1e-8)
+
+
+def test_an_arc_keeps_its_distance_from_its_centre() -> None:
+    road = Alignment(np.array([1.0, 20.0]), 0.3, 1 / 50.0)
+    centre = road.place + 50.0 * road.directions[1]
+    points = road.to_ground(np.linspace(-40, 40, 9), 3.0)
+    assert np.linalg.norm(points - centre, axis=1) == pytest.approx(np.full(9, 47.0))
+
+
+# --- files ---------------------------------------------------------------------------------------------------------
+
+LANE = Lane(
+    ("1", "2"), 3.5, 0.02, "line", np.array([[1.0, 2.0], [40.0, 90.0]]), np.array([[2.0, 3.0], [40.5, 90]]), None
+)
+HEAD = "left: a\n# a remark\nright: b  # another\nrig: rig.yaml\n"
+OWN = "paths:\n    mine:   # drawn by hand\n        shape: line\n        points: [[0, 0, 1], [0, 0, 9]]\n"
+TAIL = "\n# of the vehicles\nvehicles: []\n"
+
+
+@pytest.mark.parametrize(
+    "text", [HEAD, HEAD + "paths:  # none yet\n" + TAIL, HEAD + "paths: {}\n" + TAIL, HEAD + OWN + TAIL, HEAD + OWN]
+)
+def test_what_a_person_wrote_stays(text: str) -> None:
+    before = yaml.safe_load(text)
+    now = with_lanes(text, "clip.yaml", dict(zip(lane_names(2, before.get("paths") or ()), [LANE, LANE], strict=True)))
+    after = yaml.safe_load(now)
+    added = {name: after["paths"].pop(name) for name in ("lane1", "lane2")}
+    assert after == before | {"paths": before.get("paths") or {}}
+    assert added["lane1"]["left"] == [[1.0, 2.0], [40.0, 90.0]]
+    kept = [line for line in text.splitlines() if not line.startswith("paths")]
+    assert [line for line in now.splitlines() if line in kept] == kept
+    assert all(comment in now for comment in ("# none yet", "# of the vehicles") if comment in text)
+
+
+def test_paths_in_braces_are_refused_by_name() -> None:
+    with pytest.raises(UnusableInput, match="clip.yaml: paths: is written in braces"):
+        with_lanes(HEAD + "paths: {a: {shape: line, points: [[0, 0, 1], [0, 0, 9]]}}\n", "clip.yaml", {"lane1": LANE})
+
+
+def test_names_that_are_taken_are_passed_over() -> None:
+    assert lane_names(3, ["lane2", "mine"]) == ["lane1", "lane3", "lane4"]
+
+
+def test_a_clip_takes_rig_and_paths_from_its_site(clip: Path, tmp_path: Path) -> None:
+    (tmp_path / "sites").mkdir()
+    (tmp_path / "rig.yaml").symlink_to(clip / "rig.yaml")
+    (tmp_path / "sites" / "site.yaml").write_text(site_yaml("../rig.yaml", {"lane1": LANE}))
+    file = tmp_path / "clip.yaml"
+    file.write_text("left: a\nright: b\nsite: sites/site.yaml\n" + OWN)
+    found = load_clip(file)
+    assert list(found.paths) == ["mine", "lane1"]
+    assert found.rig.baseline == pytest.approx(make_rig().baseline)
+    for text, complaint in [
+        ("left: a\nright: b\nrig: rig.yaml\nsite: sites/site.yaml\n", "rig and site: expected one of them"),
+        ("left: a\nright: b\n", "rig: missing"),
+        ("left: a\nright: b\nsite: sites/site.yaml\n" + OWN.replace("mine", "lane1"), "paths.lane1: "),
+        ("left: a\nright: b\nsite: nowhere.yaml\n", "nowhere.yaml: no such file"),
+    ]:
+        file.write_text(text)
+        with pytest.raises(UnusableInput, match=complaint):
+            load_clip(file)
