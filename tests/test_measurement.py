@@ -345,6 +345,21 @@ def test_lenses_that_distort(command: Command, clip: Path, tmp_path: Path) -> No
     assert_right(command(moved))
 
 
+def test_a_filter_that_slid_off_is_not_believed(clip: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Though the refinement finds its way back from regions so far off, and by its own lights fits well."""
+    update = paceline.Tracker.update
+
+    def sliding(tracker: paceline.Tracker, frame: Any) -> Any:
+        estimate = update(tracker, frame)
+        slide = max(0, frame.index - 5) * np.array([3.0, 0.0])
+        return replace(estimate, left=estimate.left + slide, right=estimate.right + slide)
+
+    monkeypatch.setattr(paceline.Tracker, "update", sliding)
+    m = paceline.measure(paceline.load_clip(clip), paceline.SpeedConfiguration()).measurements[0]
+    assert abs(m.speed - SPEED) < 0.1 * SPEED
+    assert m.verdict == "rejected" and m.reason.startswith("filter astray: up to ")
+
+
 # --- from Python ---------------------------------------------------------------------------------------------------
 
 

@@ -112,10 +112,10 @@ def varied(seed: int) -> Scene:
 
 def test_intervals_cover_the_truth(rendered: Callable[[Scene], Path], plain: list[Measurement]) -> None:
     """If 95 % of all did, as few as this would be seen once in more than a thousand times."""
-    scenes = [varied(seed) for seed in range(24)]
+    scenes = [varied(seed) for seed in range(16)]
     measured = [measure_clip(rendered(s)).measurements[0] for s in scenes]
     found = [(m, s) for m, s in zip(measured + plain, scenes + PLAIN, strict=True) if m.verdict == "measured"]
-    assert len(found) >= 26
+    assert len(found) >= 20
     inside = [m.speed_lo <= mean_speed(s, m) <= m.speed_hi for m, s in found]
     assert binom.cdf(sum(inside), len(inside), 0.95) > 1e-3
 
@@ -134,6 +134,22 @@ def test_a_change_of_speed_is_found(rendered: Callable[[Scene], Path], kind: str
     true = 18.0 + acceleration * m.track.time
     np.testing.assert_allclose(m.track.refined_speed, true, atol=0.4)
     assert (np.abs(m.track.refined_speed - true) < 4 * m.track.refined_std).all()
+
+
+@pytest.mark.parametrize("acceleration", [-3.0, 3.0])
+def test_a_change_of_speed_that_begins_later_is_found(
+    rendered: Callable[[Scene], Path], acceleration: float
+) -> None:
+    """A constant acceleration, fitted to this, was wrong by 1 mph in the mean and by 5 mph at the worst frame."""
+    begins = 1.0
+    s = scene("line", 16.0, 9, frames=11, acceleration=acceleration, after=begins, start_distance=56.0)
+    m = measure_clip(rendered(s)).measurements[0]
+    assert (m.verdict, m.model) == ("measured", "changing acceleration")
+    t = m.track.time
+    true = 16.0 + acceleration * np.maximum(t - begins, 0.0)
+    assert abs(m.speed - np.trapezoid(true, t) / np.ptp(t)) < 0.2 * MPH
+    assert np.abs(m.track.refined_speed - true).max() < 1.0 * MPH
+    assert m.acceleration == pytest.approx((true[-1] - true[0]) / np.ptp(t), abs=0.2)
 
 
 @pytest.mark.parametrize("kind", ["line", "left", "right"])

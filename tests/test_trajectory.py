@@ -13,7 +13,7 @@ from paceline.cameras import Camera, StereoRig
 from paceline.speed import refinement, trajectory
 from paceline.speed.paths import DRIVEN, from_points, resampled
 from paceline.speed.planes import FirstPlane
-from paceline.speed.trajectory import BENDS, EXTRAS, INDEX, NAMES, Bends, Prior, Trajectory, bends, prior
+from paceline.speed.trajectory import EXTRAS, INDEX, NAMES, Bends, Prior, Trajectory, bends, prior
 
 K = np.array([[2000.0, 0, 511.5], [0, 2000.0, 383.5], [0, 0, 1]])
 RIG = StereoRig(Camera((1024, 768), K), Camera((1024, 768), K), np.eye(3), np.array([-0.5, 0, 0]))
@@ -64,9 +64,32 @@ def test_on_a_straight_path_the_plane_moves_straight(acceleration):
 def test_round_a_bend_the_way_has_the_length_that_the_speed_says():
     t = carried(bend(), times=np.linspace(0, 1.5, 200))
     theta = start_of(t)
-    theta[BENDS] = np.random.default_rng(2).normal(0, 0.5, len(theta) - len(NAMES))
+    theta[len(NAMES) :][: len(t.bends.modes)] = np.random.default_rng(2).normal(0, 0.5, len(t.bends.modes))
     length = np.linalg.norm(np.diff(t.centres(theta), axis=0), axis=1).sum()
     assert length == pytest.approx(15.0 * 1.5, rel=1e-4)
+
+
+def test_distance_is_the_speed_added_up():
+    t = carried(straight_away(), times=tuple(np.linspace(0.0, 1.2, 1201)))
+    rng = np.random.default_rng(3)
+    theta = start_of(t)
+    theta[INDEX["acceleration"]] = -1.5
+    theta[t.index("surge")] = rng.normal(0.0, 1.0, len(t.index("surge")))
+    v, seconds = t.speed_shares @ theta, t.times[:, 0]
+    expected = np.concatenate([[0.0], np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(seconds))])
+    np.testing.assert_allclose(t.distance(theta)[:, 0], expected, atol=1e-5)
+    assert t.mean_speed_shares @ theta == pytest.approx(expected[-1] / 1.2, abs=1e-5)
+    assert v[0] == pytest.approx(15.0) and np.ptp(np.diff(v)) > 1e-4  # it does change its acceleration
+
+
+def test_surges_are_as_large_and_as_sudden_as_they_are_said_to_be():
+    """Accelerations drawn from the prior have the stated deviation, and the stated correlation over time."""
+    t = carried(straight_away(), times=tuple(np.linspace(0.0, 2.0, 401)))
+    sigma, scale = trajectory.SURGING
+    a = np.gradient(t.speed_shares[:, t.index("surge")], t.times[:, 0], axis=0)[1:-1]
+    kernel, seconds = a @ a.T, t.times[1:-1, 0]
+    expected = sigma**2 * np.exp(-0.5 * ((seconds[:, None] - seconds) / scale) ** 2)
+    np.testing.assert_allclose(kernel, expected, atol=0.02 * sigma**2)
 
 
 def test_homographies_carry_the_planes_own_points():
@@ -127,8 +150,10 @@ def test_extras_are_free_only_where_they_are_named():
     assert not set(t.index("swerve")) & set(plain.free) and INDEX["turn"] not in plain.free
     i = list(plain.free).index(INDEX["acceleration"])  # steady drivers
     assert plain.information[i, i] == pytest.approx(trajectory.STEADY**-2)
-    for extra in EXTRAS:
-        assert set(t.index(extra)) <= set(prior(t, 15.0, (extra,)).free)
+    places = [set(t.index(extra)) for extra in EXTRAS]
+    assert sum(map(len, places)) == len(set().union(*places))
+    for extra, there in zip(EXTRAS, places, strict=True):
+        assert there <= set(prior(t, 15.0, (extra,)).free) and (extra == "acceleration" or not there & set(plain.free))
 
 
 @pytest.mark.parametrize("held", [0.15, None])

@@ -38,6 +38,7 @@ class Method(StrEnum):
 
 
 class Device(StrEnum):
+    auto = "auto"
     cpu = "cpu"
     cuda = "cuda"
 
@@ -55,7 +56,7 @@ def speed(
     method: Annotated[
         Method, typer.Option(help="How to measure: Paceline's way, or one that it is compared with.")
     ] = Method.paceline,
-    device: Annotated[Device, typer.Option(help="Where to compute.")] = Device.cpu,
+    device: Annotated[Device, typer.Option(help="Where to compute; auto takes a GPU where it can.")] = Device.cpu,
     units: Annotated[
         str, typer.Option(metavar="<mph|km/h|m/s>", help="Unit shown to people; files are always in m/s.")
     ] = "mph",
@@ -66,8 +67,8 @@ def speed(
     quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
 ) -> int:
     """Measure the speed of every vehicle in a stereo clip."""
-    if device is Device.cuda:
-        raise UnusableInput("--device cuda: this release computes on the CPU only; use --device cpu")
+    if device is Device.cuda and method is not Method.paceline:
+        raise UnusableInput(f"--device cuda: --method {method.value} computes on the CPU only; use --device cpu")
     unit = _unit(units)
     given = {"particles": particles, "seed": seed, "motion": motion and motion.value, "parts": parts}
     configuration = _configuration({key: value for key, value in given.items() if value is not None}, refine)
@@ -83,7 +84,7 @@ def speed(
             if method is Method.paceline:
                 from paceline.speed.measurement import measure
 
-                result = measure(document, recording, configuration, advance)
+                result = measure(document, recording, configuration, advance, device.value)
             else:
                 from paceline.baselines.measurement import measure as measure_by
 

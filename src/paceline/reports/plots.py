@@ -168,7 +168,7 @@ def _draw_particles(figure: Figure, track: Track) -> None:
     spread.set_title("spread of the particles, pixels")
     _draw_frames(sample, track.time, track.ess, FILTER)
     sample.set_ylim(bottom=0)
-    sample.set_title(f"effective sample size, of {track.particles_left.shape[1]}")
+    sample.set_title("effective sample size")
     _label_time(sample, track)
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.integrate import cumulative_simpson
 from scipy.interpolate import CubicSpline
 
-from paceline.cameras import Camera, StereoRig
+from paceline.cameras import Camera, StereoRig, View
 
 Array = NDArray[np.float64]
 
@@ -34,7 +34,8 @@ class LaneChange:
 class Vehicle:
     """A vehicle whose main plane — front, rear or side, ``width`` × ``height`` metres — is what a clip shows of it.
 
-    ``speed`` (m/s, positive) and ``acceleration`` (m/s²) are those of the plane's centre along its own path at time 0.
+    ``speed`` (m/s, positive) is that of the plane's centre along its own path at time 0; it changes by ``acceleration``
+    (m/s²) from ``after`` s on, all the time where that is 0.
     ``start_distance`` is the arc length along the road at time 0, in metres; see `Scene`. ``lane`` (m) puts the
     centre line of its lane to the right of the road's axis as seen towards growing arc length; ``lateral`` is what
     the vehicle deviates from that, in the same sense, and no drawing knows of. It drives at ``heading_error`` (rad,
@@ -58,6 +59,7 @@ class Vehicle:
     lane_change: LaneChange | None = None
     glare: bool = False
     guess: float | None = None
+    after: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -184,10 +186,14 @@ class Motion:
         self._path = CubicSpline(u, np.column_stack([arc, lateral, heading]))
 
     def travelled(self, t: Array) -> Array:
-        return np.asarray(self.vehicle.speed * t + self.vehicle.acceleration * t**2 / 2)
+        return np.asarray(self.vehicle.speed * t + self.vehicle.acceleration * self._changing(t) ** 2 / 2)
 
     def speed(self, t: float) -> float:
-        return self.vehicle.speed + self.vehicle.acceleration * t
+        return float(self.vehicle.speed + self.vehicle.acceleration * self._changing(np.array(t)))
+
+    def _changing(self, t: Array) -> Array:
+        """For how long the speed has been changing at times ``t``."""
+        return np.maximum(t - self.vehicle.after, 0.0) if self.vehicle.after else t
 
     def pose(self, t: float) -> Pose:
         """The main plane at time ``t`` s: a front perpendicular to the direction of travel, a side parallel to it."""
@@ -223,26 +229,6 @@ def make_rig(scene: Scene) -> StereoRig:
     t = -np.array([scene.baseline, *rng.normal(0, 0.004, 2)])
     return StereoRig(left, right, R, t)
 
-
-@dataclass(frozen=True, eq=False)
-class View:
-    """One camera of the rig with its place in the world: ``X_camera = R X + t``."""
-
-    camera: Camera
-    R: Array
-    t: Array
-
-    def project(self, points: Array) -> Array:
-        """Pixels (…, 2) of world ``points`` (…, 3)."""
-        p = (points @ self.R.T + self.t) @ self.camera.K.T
-        return np.asarray(p[..., :2] / p[..., 2:])
-
-    @property
-    def centre(self) -> Array:
-        return np.asarray(-self.R.T @ self.t)
-
-    def depth(self, points: Array) -> Array:
-        return np.asarray(points @ self.R[2] + self.t[2])
 
 
 def views_of(rig: StereoRig) -> tuple[View, View]:

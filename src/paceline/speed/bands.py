@@ -175,7 +175,7 @@ def bands_of(glimpses: list[Glimpse], quads: Array, smoothing: float, fine: bool
     ``smoothing`` (px) holds at the coarsest view. Raises numpy.linalg.LinAlgError where too little is in view.
     """
     quads = quads.reshape(-1, 4, 2)
-    scale = np.sqrt(_areas(quads))
+    scale = np.sqrt(areas(quads))
     crops = [c for g in glimpses for c in g.crops]
     corners = np.concatenate([g.corners for g in glimpses])
     usable = np.array([_covers(c, o, q) for c, o, q in zip(crops, corners, quads, strict=True)])
@@ -216,7 +216,8 @@ def _derivatives(picture: Floats) -> tuple[Floats, ...]:
     return picture, *(np.asarray(a, np.float32) for a in (*along, laplacian))
 
 
-def _areas(quads: Array) -> Array:
+def areas(quads: Array) -> Array:
+    """Areas (…) of quadrilaterals (…, 4, 2)."""
     x, y = quads[..., 0], quads[..., 1]
     return np.asarray(np.abs(0.5 * (x * np.roll(y, -1, -1) - y * np.roll(x, -1, -1)).sum(-1)))
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import platform
 import time
 from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from importlib import metadata
 from pathlib import Path as FilePath
 from typing import Protocol
@@ -19,8 +21,10 @@ from paceline.documents import Clip, VehicleDocument, load_clip
 from paceline.errors import UnusableInput
 from paceline.recordings import StereoFrame, StereoRecording, open_recording
 from paceline.speed import paths
-from paceline.speed.bands import Glimpse
+from paceline.speed.bands import Glimpse, areas
 from paceline.speed.configuration import SpeedConfiguration
+from paceline.speed.devices import DeviceName, open_device
+from paceline.speed.fleet import Fleet
 from paceline.speed.paths import Path
 from paceline.speed.planes import first_plane, squared
 from paceline.speed.reconstruction import path_of
@@ -40,26 +44,37 @@ WIDEST = (0.06, 0.5)  # half-width of an interval that still counts: relative, a
 MISFIT = 0.6  # share of the texture's contrast that may stay unexplained
 OFF = 0.6  # px, rms over the frames: how far the pictures may lie off the motion
 DISAGREE = 1.0  # px across the epipolar lines
+ASTRAY = 0.2  # of the vehicle's size: so far off the refined motion the filter followed something else
 FASTEST = 90.0  # m/s
 BESIDE = 15.0  # m from a vehicle, beyond which a path is not the one it drives on
 
 
 def measure_clip(
-    clip: Clip | FilePath | str, configuration: SpeedConfiguration | None = None, progress: Progress | None = None
+    clip: Clip | FilePath | str,
+    configuration: SpeedConfiguration | None = None,
+    progress: Progress | None = None,
+    device: DeviceName = "cpu",
 ) -> ClipResult:
     """Measure every vehicle of ``clip``, a clip.yaml or what `load_clip` made of it. Raises UnusableInput."""
     loaded = clip if isinstance(clip, Clip) else load_clip(FilePath(clip))
-    return measure(loaded, open_recording(loaded), configuration or SpeedConfiguration(), progress)
+    return measure(loaded, open_recording(loaded), configuration or SpeedConfiguration(), progress, device)
 
 
 def measure(
-    clip: Clip, recording: StereoRecording, configuration: SpeedConfiguration, progress: Progress | None = None
+    clip: Clip,
+    recording: StereoRecording,
+    configuration: SpeedConfiguration,
+    progress: Progress | None = None,
+    device: DeviceName = "cpu",
 ) -> ClipResult:
     """Measure every vehicle of ``clip`` in one pass over its ``recording``.
 
-    ``progress`` is called with frames done and frames in all. Raises UnusableInput.
+    ``progress`` is called with frames done and frames in all. Raises UnusableInput; a DeviceFailure where ``device``
+    is ``cuda`` and cannot be used to the end.
     """
-    return measure_each(clip, recording, configuration, _Run, progress)
+    fleet = Fleet(open_device(device), carry_on=device == "auto")
+    result = measure_each(clip, recording, configuration, partial(_Run, fleet=fleet), progress)
+    return replace(result, notices=[*result.notices, *fleet.notices])
 
 
 class Run(Protocol):
@@ -150,13 +165,19 @@ class _Run:
     """One vehicle on its way through the clip."""
 
     def __init__(
-        self, clip: Clip, vehicle: VehicleDocument, drawn: dict[str, Path], configuration: SpeedConfiguration
+        self,
+        clip: Clip,
+        vehicle: VehicleDocument,
+        drawn: dict[str, Path],
+        configuration: SpeedConfiguration,
+        fleet: Fleet,
     ) -> None:
+        self.fleet = fleet
         self.rig, self.vehicle, self.configuration = clip.rig, vehicle, configuration
         on_path = vehicle.path if vehicle.path in drawn else None
         self.path = drawn[on_path] if on_path is not None else None
         offset = clip.paths[on_path].lateral_offset if on_path is not None else 0.0
-        self.tracker = Tracker(clip.rig, vehicle, self.path, offset, configuration)
+        self.tracker = fleet.join(Tracker(clip.rig, vehicle, self.path, offset, configuration, fleet.device))
         if self.path is not None:
             centre = self.tracker.plane.centre
             nearest = [way.at(np.array(way.nearest(centre))) for way in self.tracker.ways]
@@ -172,7 +193,7 @@ class _Run:
 
     def see(self, frame: StereoFrame) -> bool:
         """Follow the vehicle into ``frame``; whether it can be followed further."""
-        estimate = self.tracker.update(frame)
+        estimate = self.fleet.update(self.tracker, frame)
         self.estimates.append(estimate)
         if estimate.status == "tracking" and estimate.likeness >= LOST and self.configuration.refine:
             self._keep(frame, estimate)
@@ -241,14 +262,19 @@ class _Run:
                 f"residuals: the pictures lie {off:.1f} px off the fitted motion and "
                 f"{refined.residual / max(refined.contrast, 1e-9):.0%} of their contrast is unexplained"
             )
+        elif (astray := self._astray(refined)) > ASTRAY:
+            reason = f"filter astray: up to {astray:.0%} of the vehicle's size off the fitted motion"
         elif abs(across) > DISAGREE:
             reason = f"views disagree: they lie {abs(across):.1f} px apart across the epipolar lines"
         elif not 0 <= speed <= FASTEST:
             reason = f"implausible: {speed:.1f} m/s"
         else:
             reason = _too_wide(speed, float(half))
-        accelerating = "acceleration" in refined.extras
+        speeds, times = refined.speeds()[0], refined.trajectory.times.mean(1)
+        acceleration = float((speeds[-1] - speeds[0]) / (times[-1] - times[0]))
+        accelerating = {"acceleration", "surge"} & {*refined.extras}
         model = "constant acceleration" if accelerating else "constant speed"
+        model = "changing acceleration" if "surge" in refined.extras else model
         model += ", turning" * ("turn" in refined.extras) + ", swerving" * ("swerve" in refined.extras)
         return Measurement(
             vehicle=self.vehicle.id,
@@ -262,10 +288,20 @@ class _Run:
             verdict="rejected" if reason else "measured",
             reason=reason,
             model=model,
-            acceleration=float(refined.theta[2]) if accelerating else float("nan"),
+            acceleration=acceleration if accelerating else float("nan"),
             residual_rms=refined.residual,
             notices=self._notices(refined),
         )
+
+    def _astray(self, refined: Refined) -> float:
+        """How far apart the filter's and the refined regions lie, as a share of the region's size: the largest distance
+        of those frames in which the filter saw the vehicle."""
+        seen = {e.frame for e in self.estimates if e.likeness >= SEEN}
+        kept = np.array([g.frame in seen for g in self.glimpses])
+        filtered = np.array([g.quads for g in self.glimpses])[kept]
+        quads = refined.trajectory.quads(refined.theta)[kept]
+        apart = np.sqrt(((filtered - quads) ** 2).sum(-1).mean(-1))
+        return float((apart / np.sqrt(areas(quads))).max(initial=0.0))
 
     def _notices(self, refined: Refined) -> list[str]:
         notices = []

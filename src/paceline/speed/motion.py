@@ -19,8 +19,10 @@ from paceline.speed.paths import Path
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
+Draws = list[tuple[float, int]]  # for each kind of noise, in the order of drawing: sigma, and numbers a particle
 
 FRAME = 0.2  # s, the frame interval of [Zhu], to which its noises per frame refer
+TINY = 1e-12  # m², keeps a covariance positive definite
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,8 +121,7 @@ def corrected(
     columns = [places, *(getattr(state, f).reshape(len(state), -1) for f in fields)]
     x = np.concatenate(columns, axis=1)
     deviation = x - W @ x
-    covariance = (W[:, None] * deviation).T @ deviation
-    gain = covariance[:, :3] @ np.linalg.inv(covariance[:3, :3] + noise)
+    gain = kalman_gain(((W[:, None] * deviation).T @ deviation)[:, :3], noise)
     change = (seen - places) @ gain.T
     after = moved(state, rig, change[:, :3])
     updates, at = {}, 3
@@ -129,6 +130,23 @@ def corrected(
         updates[f] = getattr(state, f) + change[:, at : at + width].reshape(getattr(state, f).shape)
         at += width
     return model.followed(replace(after, **updates), change[:, :3])
+
+
+def kalman_gain(covariance: Array, noise: Array) -> Array:
+    """The gain (k, 3) on what was seen of the plane's centre with covariance ``noise`` (3, 3).
+
+    ``covariance`` (k, 3) is that of everything, the centre first, with the centre.
+    """
+    return np.asarray(covariance @ np.linalg.inv(covariance[:3] + noise))
+
+
+def root(covariance: Array) -> Array:
+    """The lower triangular root (3, 3) of the ``covariance`` of a place."""
+    return np.asarray(np.linalg.cholesky(covariance + TINY * np.eye(3)), float)
+
+
+def _drawn(draws: Draws, N: int, rng: np.random.Generator) -> list[Array]:
+    return [rng.normal(0.0, sigma, N if k == 1 else (N, k)) for sigma, k in draws]
 
 
 class FreeMotion:
@@ -144,16 +162,18 @@ class FreeMotion:
 
     def propagate(self, state: State, dt: float, rng: np.random.Generator) -> State:
         """All particles ``dt`` seconds later. The plane turns about its own centre and is carried along."""
-        N = len(state)
-        scale = np.sqrt(dt / FRAME)
-        turning = state.turning + rng.normal(0.0, self.rotation_noise * scale, (N, 3))
-        velocity = state.velocity + rng.normal(0.0, self.translation_noise * scale, (N, 3))
+        turning, velocity = _drawn(self.draws(dt), len(state), rng)
+        turning, velocity = state.turning + turning, state.velocity + velocity
         dR = Rotation.from_euler("xyz", turning * dt).as_matrix()
         centre = centres(self.rig, state)
         shift = centre + velocity * dt - _combined(dR, centre)
         after = moved(state, self.rig, shift, dR)
         return replace(after, turning=turning, velocity=velocity, speed=np.linalg.norm(velocity, axis=1))
 
+    def draws(self, dt: float) -> Draws:
+        """The noise of ``dt`` seconds: of the turning, in rad/s, and of the velocity, in m/s."""
+        scale = float(np.sqrt(dt / FRAME))
+        return [(self.rotation_noise * scale, 3), (self.translation_noise * scale, 3)]
 
     def yaw_rate(self, state: State, dt: float) -> float:
         """Turning (rad/s) about the camera's y axis, to the right, of a state of one particle."""
@@ -183,10 +203,9 @@ class PathMotion:
 
     def propagate(self, state: State, dt: float, rng: np.random.Generator) -> State:
         """All particles ``dt`` seconds later."""
-        N = len(state)
-        scale = np.sqrt(dt / FRAME)
-        speed = state.speed + rng.normal(0.0, self.speed_noise * scale, N)
-        s = self._advanced(state.s, speed * dt + rng.normal(0.0, self.distance_noise * scale, N))
+        noise = _drawn(self.draws(dt), len(state), rng)
+        speed = state.speed + noise[0]
+        s = self._advanced(state.s, speed * dt + noise[1])
         F = self.path.frames(state.s)
         start = self.path.at(state.s)
         step = self.path.at(s) - start
@@ -196,9 +215,15 @@ class PathMotion:
             return replace(moved(state, self.rig, shift), speed=speed, s=s)  # (22)–(24)
         F_after = self.path.frames(s)
         dR = F_after @ np.swapaxes(F, -1, -2)  # (26)
-        drift = _combined(F_after[:, :, 1:], rng.normal(0.0, 1.0, (N, 2)) * self.drift * scale)
+        drift = _combined(F_after[:, :, 1:], noise[2] * self.drift * np.sqrt(dt / FRAME))
         shift += start - _combined(dR, start) + drift  # (27)
         return replace(moved(state, self.rig, shift, dR), speed=speed, s=s)
+
+    def draws(self, dt: float) -> Draws:
+        """The noise of ``dt`` seconds: of the speed, in m/s, of the way, in m, and on a curve of the drift's place."""
+        scale = float(np.sqrt(dt / FRAME))
+        along = [(self.speed_noise * scale, 1), (self.distance_noise * scale, 1)]
+        return along if self.name == "line" else [*along, (1.0, 2)]
 
     def yaw_rate(self, state: State, dt: float) -> float:
         """Turning (rad/s) about the camera's y axis, to the right, over the last ``dt``, of one particle."""

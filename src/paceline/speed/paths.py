@@ -76,6 +76,14 @@ class Path:
         level = level_frames(np.asarray(self._spline(inside, 1)))
         return rolled(level, np.interp(inside, self.s, self._roll))
 
+    def pieces(self) -> tuple[Array, Array, Array]:
+        """The path as cubics: breaks (K,) of the arc length, coefficients (K − 1, 3, 4) of each coordinate after each
+        break, the highest power first, and the roll (K,) of the frames at the breaks."""
+        if self.shape == "line":
+            slope = np.stack([np.zeros(3), np.zeros(3), self._line_frame[:, 0], self.points[0]], axis=-1)
+            return self.s[[0, -1]], slope[None], np.zeros(2)
+        return self.s, np.ascontiguousarray(self._spline.c.transpose(1, 2, 0)), self._roll
+
     def nearest(self, point: Array) -> float:
         """Arc length at which the plane through ``point`` (3,) normal to the path meets it."""
         if self.shape == "line":

@@ -18,17 +18,25 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from paceline.speed import pixels
+from paceline.speed import pixels, regions
+from paceline.speed.pixels import CROSS_ROWS, LEAST_OVERLAP
 
 _inline = njit(inline="always")
+_bounds = _inline(pixels.bounds)
+_middle = _inline(pixels.middle)
+_along_row = _inline(pixels.along_row)
+_clamped = _inline(pixels.clamped)
+_inside = _inline(pixels.inside)
 _interpolate = _inline(pixels.interpolate)
 _average = _inline(pixels.haar_average)
 _left_right = _inline(pixels.haar_left_right)
 _up_down = _inline(pixels.haar_up_down)
 _diagonal = _inline(pixels.haar_diagonal)
+_unit_square_to = _inline(regions.unit_square_to)
+_inward_edges = _inline(regions.inward_edges)
+_correlation = njit(cache=True, nogil=True)(pixels.correlation)
 
 CHUNKS = 32  # pieces of work shared out to the threads
-CROSS_ROWS = 4  # the cross-view correlation takes every fourth row of samples
 
 
 class Packed(NamedTuple):
@@ -62,37 +70,14 @@ def pack(image, packed):
 def unit_square_to(quads, H):
     """`likelihood.unit_square_to`, into ``H`` (N, 3, 3)."""
     for p in range(len(quads)):
-        a, b, c, d = quads[p, 0], quads[p, 1], quads[p, 2], quads[p, 3]
-        sx, sy = a[0] - b[0] + c[0] - d[0], a[1] - b[1] + c[1] - d[1]
-        ex, ey = b[0] - c[0], b[1] - c[1]
-        fx, fy = d[0] - c[0], d[1] - c[1]
-        det = ex * fy - fx * ey
-        g, h = (sx * fy - fx * sy) / det, (ex * sy - sx * ey) / det
-        for i in range(2):
-            H[p, i, 0] = b[i] - a[i] + g * b[i]
-            H[p, i, 1] = d[i] - a[i] + h * d[i]
-            H[p, i, 2] = a[i]
-        H[p, 2, 0], H[p, 2, 1], H[p, 2, 2] = g, h, 1.0
+        _unit_square_to(quads[p], H[p])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def inward_edges(quads, edges):
     """`likelihood.inward_edges`, into ``edges`` (N, 4, 3)."""
     for p in range(len(quads)):
-        for i in range(4):
-            x, y = quads[p, i]
-            across, down = quads[p, (i + 1) % 4, 0] - x, quads[p, (i + 1) % 4, 1] - y
-            edges[p, i, 0], edges[p, i, 1], edges[p, i, 2] = -down, across, down * x - across * y
-
-
-@_inline
-def _bounds(packed):
-    """The least and greatest x and y at which a packed image can be read, its width, and its first pixel's index."""
-    height, width = packed.words.shape
-    left, top = np.float32(packed.left), np.float32(packed.top)
-    right = left + np.float32(width) - np.float32(1.001)
-    bottom = top + np.float32(height) - np.float32(1.001)
-    return left, right, top, bottom, np.int32(width), np.int32(packed.top * width + packed.left)
+        _inward_edges(quads[p], edges[p])
 
 
 @_inline
@@ -100,18 +85,19 @@ def _sample_row(flat, bounds, H, v, n, px, py, index, fx, fy, word, out):
     """``out`` (n,): the packed image at the row ``v`` of the unit square's grid, mapped to (px, py) by ``H`` (9,)."""
     left, right, top, bottom, width, first = bounds
     last = np.uint32(len(flat) - 1)
-    ax, ay, az = H[0], H[3], H[6]
-    bx, by, bz = H[1] * v + H[2], H[4] * v + H[5], H[7] * v + H[8]
+    ax, bx = _along_row(H[0], H[1], H[2], v)
+    ay, by = _along_row(H[3], H[4], H[5], v)
+    az, bz = _along_row(H[6], H[7], H[8], v)
     step = np.float32(1.0) / np.float32(n)
     for i in range(n):
-        u = (np.float32(i) + np.float32(0.5)) * step
+        u = _middle(i, step)
         z = np.float32(1.0) / (az * u + bz)
         x = (ax * u + bx) * z
         y = (ay * u + by) * z
         px[i] = x
         py[i] = y
-        x = min(max(x, left), right)
-        y = min(max(y, top), bottom)
+        x = _clamped(x, left, right)
+        y = _clamped(y, top, bottom)
         ix = np.int32(x)
         iy = np.int32(y)
         fx[i] = x - np.float32(ix)
@@ -171,8 +157,9 @@ def observe(left, right, H, edges, across, down, samples, features, ncc):
     n = across * 4 * samples[0]
     rows = down * 4 * samples[1]
     flat_left, flat_right = left.words.reshape(-1), right.words.reshape(-1)
-    within_left, within_right = _bounds(left), _bounds(right)
-    least = np.float32(0.25) * n * rows / CROSS_ROWS
+    within_left = _bounds(left.words.shape, left.left, left.top)
+    within_right = _bounds(right.words.shape, right.left, right.top)
+    least = np.float32(LEAST_OVERLAP) * n * rows / CROSS_ROWS
     chunks = min(N, CHUNKS)
     for chunk in prange(chunks):
         px, py = np.empty(n, np.float32), np.empty(n, np.float32)
@@ -209,12 +196,7 @@ def _correlate_row(a, b, px, py, e, sums):
     """Add to ``sums`` = Σ1, Σa, Σb, Σaa, Σbb, Σab over the samples whose (px, py) lie inside the edges ``e`` (4, 3)."""
     s0 = s1 = s2 = s3 = s4 = s5 = np.float32(0.0)
     for i in range(a.shape[0]):
-        x, y = px[i], py[i]
-        nearest = min(
-            min(e[0, 0] * x + e[0, 1] * y + e[0, 2], e[1, 0] * x + e[1, 1] * y + e[1, 2]),
-            min(e[2, 0] * x + e[2, 1] * y + e[2, 2], e[3, 0] * x + e[3, 1] * y + e[3, 2]),
-        )
-        inside = np.float32(1.0) if nearest >= np.float32(0.0) else np.float32(0.0)
+        inside = _inside(e, px[i], py[i])
         left, right = (a[i] - np.float32(128.0)) * inside, (b[i] - np.float32(128.0)) * inside
         s0 += inside
         s1 += left
@@ -228,15 +210,6 @@ def _correlate_row(a, b, px, py, e, sums):
     sums[3] += s3
     sums[4] += s4
     sums[5] += s5
-
-
-@njit(cache=True, nogil=True)
-def _correlation(s, least):
-    if s[0] < least:
-        return np.float32(-1.0)
-    aa, bb, ab = s[3] - s[1] * s[1] / s[0], s[4] - s[2] * s[2] / s[0], s[5] - s[1] * s[2] / s[0]
-    least_variance = np.float32(0.1) * s[0]
-    return ab / np.sqrt(max(aa, least_variance) * max(bb, least_variance))
 
 
 @njit(cache=True, nogil=True)

@@ -19,7 +19,7 @@ from scipy.optimize import least_squares
 from paceline.cameras import RigUncertainty, moved_rigs
 from paceline.speed import scatter
 from paceline.speed.bands import Glimpse, bands_of
-from paceline.speed.trajectory import INDEX, Prior, Trajectory, prior
+from paceline.speed.trajectory import EXTRAS, Prior, Trajectory, prior
 
 Array = NDArray[np.float64]
 
@@ -55,23 +55,19 @@ class Refined:
     residual: float
     contrast: float
     offsets: Array
-    extras: tuple[str, ...]  # of the motion, that the evidence spoke for: acceleration, turn, swerve
+    extras: tuple[str, ...]  # of the motion, that the evidence spoke for, of EXTRAS
     dof: float
     converged: bool
 
     def speeds(self) -> tuple[Array, Array]:
         """Speed (F,) at every frame and its standard deviation (F,), the systematic part, where known, included."""
-        t = self.trajectory.times.mean(1)
-        g = np.zeros((len(t), len(self.theta)))
-        g[:, 1], g[:, 2] = 1.0, t
+        g = self.trajectory.speed_shares
         total = self.covariance + self.doubt + np.nan_to_num(self.systematic)
         return g @ self.theta, np.sqrt(np.einsum("fi,ij,fj->f", g, total, g))
 
     def mean_speed(self) -> tuple[float, float, float, float]:
         """Distance over time, and its standard deviations: random, of the model's choice, and systematic."""
-        t = self.trajectory.times.mean(1)
-        g = np.zeros(len(self.theta))
-        g[1], g[2] = 1.0, 0.5 * (t[0] + t[-1])
+        g = self.trajectory.mean_speed_shares
         random, doubt, systematic = (float(np.sqrt(g @ C @ g)) for C in (self.covariance, self.doubt, self.systematic))
         return float(g @ self.theta), random, doubt, systematic
 
@@ -80,18 +76,22 @@ def refine(trajectory: Trajectory, glimpses: list[Glimpse], speed: float, on_pat
     """The motion that all ``glimpses`` agree on.
 
     ``trajectory`` carries the operator's outline along the path, ``speed`` (m/s) is the filter's mean. Constant speed
-    along the path, unless the evidence speaks for a constant acceleration, for swerving — a change of lane — or,
-    without a path, for a turn. Raises numpy.linalg.LinAlgError where the images determine nothing.
+    along the path, unless the evidence speaks for a constant acceleration, for swerving — a change of lane — on a path
+    for an acceleration that changes, or, without one, for a turn. Raises numpy.linalg.LinAlgError where the images
+    determine nothing.
     """
     fit = _Fit(trajectory, glimpses, prior(trajectory, speed))
     extras: tuple[str, ...] = ()
-    possible = {"acceleration", "swerve"} if on_path else {"acceleration", "swerve", "turn"}
+    possible = {*EXTRAS} - ({"turn"} if on_path else {"surge"})
     others: list[tuple[float, _Fit]] = []
     while len(glimpses) >= LEAST_GLIMPSES:
         richer = {e: fit.extended(prior(trajectory, speed, (*extras, e)), e) for e in sorted(possible - {*extras})}
         others = list(richer.values())
-        best = max(richer, key=lambda e: richer[e][0], default=None)
-        if best is None or richer[best][0] < RARE:
+        convincing = {e for e in richer if richer[e][0] >= RARE}
+        if "acceleration" in convincing:  # whether it changes is the next question
+            convincing -= {"surge"}
+        best = max(sorted(convincing), key=lambda e: richer[e][0], default=None)
+        if best is None:
             break
         extras, fit = (*extras, best), richer[best][1]
     # a model not chosen may be the true one all the same: as likely as the evidence leaves it
@@ -144,9 +144,18 @@ class _Fit:
             return evidence, other
         if evidence > RARE:
             other = _Fit(self.trajectory, self.glimpses, prior)
-        speed = list(prior.free).index(INDEX["speed"])
-        wider = other.covariance[speed, speed] / np.linalg.inv(other.A)[speed, speed]
-        return other._log_evidence(extra, self.prior, max(wider, 1.0)), other
+        return other._log_evidence(extra, self.prior, other._wider), other
+
+    @property
+    def _wider(self) -> float:
+        """The mean speed's variance by the scores' scatter over that by the pixels' noise, at least 1."""
+        g = self._mean_speed
+        return max(float(g @ self.covariance @ g / (g @ np.linalg.inv(self.A)[: len(g), : len(g)] @ g)), 1.0)
+
+    @property
+    def _mean_speed(self) -> Array:
+        """What each free parameter contributes to the mean speed."""
+        return self.trajectory.mean_speed_shares[self.prior.free]
 
     def _log_evidence(self, extra: str, narrower: Prior, wider: float) -> float:
         """Log Bayes factor against the same model under a ``narrower`` prior of its ``extra``, its covariance being
@@ -229,9 +238,8 @@ class _Fit:
     @cached_property
     def covariance(self) -> Array:
         """Covariance of the free parameters, from the scatter of the scores."""
-        speed = list(self.prior.free).index(INDEX["speed"])
-        cells_A, cells = self._cells
-        return CALIBRATION**2 * scatter.covariance(self.A, self._prior_information(), cells_A, cells, speed)
+        known, (cells_A, cells) = self._prior_information(), self._cells
+        return CALIBRATION**2 * scatter.covariance(self.A, known, cells_A, cells, self._mean_speed)
 
     @property
     def whole_covariance(self) -> Array:

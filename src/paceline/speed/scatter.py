@@ -32,13 +32,14 @@ def joined_scores(cells: Array) -> Array:
     return np.concatenate([by_patch[:, :-1].sum(0), by_patch[:, -1]])
 
 
-def covariance(A: Array, known: Array, cells_A: Array, cells: Array, judged: int) -> Array:
+def covariance(A: Array, known: Array, cells_A: Array, cells: Array, judged: Array) -> Array:
     """Covariance (P, P) of the motion's parameters, whose normal matrix is ``A`` and prior information ``known``.
 
     Errors that a patch repeats in every frame and that a frame makes in every patch do not average out over pixels:
     the scores are summed within each before they are squared. That is a sandwich estimate, clustered both ways and
-    freed of its small-sample bias (Bell and McCaffrey 2002, "CR2"), of which that is taken which is wider for the
-    parameter ``judged``. Raises numpy.linalg.LinAlgError where the parameters are not determined.
+    freed of its small-sample bias (Bell and McCaffrey 2002, "CR2"), of which that is taken which is wider for
+    ``judged`` (P,), a linear function of the parameters. Raises numpy.linalg.LinAlgError where the parameters are not
+    determined.
     """
     views, K, n = cells.shape
     inverse = np.linalg.inv(A)
@@ -50,7 +51,7 @@ def covariance(A: Array, known: Array, cells_A: Array, cells: Array, judged: int
     for clusters in (by_frame, by_patch):
         meat = sum((np.outer(s, s) for s in _unbiased(A, clusters)), known)
         candidates.append((inverse @ meat @ inverse)[: n - 1, : n - 1])
-    return max(candidates, key=lambda C: float(C[judged, judged]))
+    return max(candidates, key=lambda C: float(judged @ C @ judged))
 
 
 def _unbiased(A: Array, clusters: list[tuple[Array, Array]]) -> list[Array]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,25 +13,27 @@ from numpy.typing import NDArray
 from paceline.cameras import StereoRig
 from paceline.documents import VehicleDocument
 from paceline.recordings import StereoFrame
-from paceline.speed import acquisition, likelihood, motion
+from paceline.speed import acquisition, likelihood, motion, randomness
+from paceline.speed.cloud import SHOWN, Cloud, Views, views
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.likelihood import Grid, Observation
 from paceline.speed.motion import FreeMotion, PathMotion, State
-from paceline.speed.particles import Weights, resample
+from paceline.speed.particles import Weights
 from paceline.speed.paths import Path
 from paceline.speed.planes import first_plane, squared
 from paceline.speed.registration import Appearance
 
+if TYPE_CHECKING:
+    from paceline.speed.cloud_cuda import CudaCloud, CudaDevice
+
 Array = NDArray[np.float64]
 
-ROUGHENING = 0.1  # share of a static parameter's spread that resampling gives back to it
 SEEN = 0.55  # likeness to the reference below which a frame teaches nothing
 LOST = 0.25  # likeness below which the vehicle is not in view
 PATIENCE = 4  # frames that may pass so before the vehicle is given up
 SURE = 0.9  # likeness at which even a surprising registration is believed
 SURPRISING = 50.0  # squared standard deviations, of three: so far off, something else may have been found
 ALIVE = 0.2  # share of the first particles that the second frame leaves alive
-TINY = 1e-12  # m², keeps a covariance positive definite
 DIRECTED = 2.0  # m, a travel that has a direction
 
 
@@ -48,7 +52,7 @@ class Estimate:
     ess: float
     status: str  # tracking | lost | ended
     likeness: float  # correlation with the reference, −1 … 1
-    particles_left: Array  # (N, 2)
+    particles_left: Array  # (N, 2) of at most `cloud.SHOWN` particles
     particles_right: Array  # (N, 2)
 
 
@@ -61,7 +65,8 @@ class Tracker:
 
     ``path`` (None for free motion) is the drawn one, not yet moved by ``lateral_offset`` to the lane's centre: which
     side is right is known only when the vehicle has moved. Afterwards ``self.path`` is the way that it goes. The first
-    update takes the operator's quadrilaterals as they are.
+    update takes the operator's quadrilaterals as they are. With a ``device`` the particles live there from the second
+    frame on. Raises ValueError for a resampling that the device does not know.
     """
 
     def __init__(
@@ -71,22 +76,25 @@ class Tracker:
         path: Path | None = None,
         lateral_offset: float = 0.0,
         configuration: SpeedConfiguration | None = None,
+        device: CudaDevice | None = None,
     ) -> None:
         self.rig = rig
         self.vehicle = vehicle
         self.configuration = c = configuration or SpeedConfiguration()
         self.path = path
         self.status = "tracking"
-        self.rng = np.random.default_rng([c.seed, *vehicle.id.encode()])
+        self.device = device
+        if device is not None and c.resampling != "systematic":
+            raise ValueError(f"resampling: {c.resampling}: expected systematic, the only scheme that there is on a GPU")
+        self.rng = randomness.generator([c.seed, *vehicle.id.encode()], c.particles)
         self.grid = Grid.for_region(c.parts, vehicle.left)
         self.plane = first_plane(rig, vehicle, path, c.click_sigma)
         self.appearance = Appearance(rig, self.grid, vehicle.left, c.reference_memory) if c.guided else None
         self.ways = [] if path is None else [way.shifted(lateral_offset) for way in (path, path.reversed())]
         moving = [PathMotion(rig, way, c) for way in self.ways]
         self._motions: list[PathMotion | FreeMotion] = [*moving] or [FreeMotion(rig, c)]
-        self.state: State
-        self.weights: Weights
-        self.motion: PathMotion | FreeMotion
+        self.cloud: Cloud | CudaCloud
+        self.views: Views
         self._first: StereoFrame | None = None
         self._time = 0.0
         self._unseen = 0
@@ -95,21 +103,47 @@ class Tracker:
         """The estimate at ``frame``; raises RuntimeError once the track has ended."""
         if self.status != "tracking":
             raise RuntimeError(f"vehicle {self.vehicle.id} is {self.status}")
-        dt = frame.time - self._time
-        if self._first is None:
-            estimate = self._begin(frame)
+        if self.begins:
+            return self._begin(frame)
+        self.propose(frame)
+        self.views = views(frame, [self.cloud.reach()])
+        if isinstance(self.cloud, Cloud):
+            self.cloud.weigh(self._log_likelihood(self.cloud.state))
         else:
-            if self._time == self._first.time:
-                self._acquire(frame, dt)
-            else:
-                self.state = self.motion.propagate(self.state, dt, self.rng)
-                self._guide(frame)
-            self._look(frame, self.state)
-            self.weights = self.weights.updated(self._log_likelihood(self._observe(self.state)))
-            estimate = self._estimate(frame, dt)
-            self._resample()
+            self.cloud.device.weigh([self])
+        return self.conclude(frame)
+
+    @property
+    def begins(self) -> bool:
+        """Whether the next frame is the first."""
+        return self._first is None
+
+    def propose(self, frame: StereoFrame) -> None:
+        """Move the particles to where they may be at ``frame``."""
+        assert self._first is not None
+        dt = frame.time - self._time
+        if self._time == self._first.time:
+            self._acquire(frame, dt)
+        else:
+            self.cloud.propagate(dt, self.rng)
+            self._guide(frame)
+
+    def conclude(self, frame: StereoFrame) -> Estimate:
+        """The estimate by the particles that were weighed at ``frame``, the reference's update, and resampling."""
+        estimate = self._estimate(frame)
+        self.cloud.resample(self.configuration, self.rng)
         self._time = frame.time
         return estimate
+
+    def checkpoint(self) -> dict[str, object]:
+        """All that the next update goes out from, in the computer's memory, to go on there by `restore`."""
+        kept = dict(self.__dict__, rng=copy.deepcopy(self.rng), appearance=copy.copy(self.appearance), device=None)
+        if "cloud" in kept:
+            kept["cloud"] = self.cloud.at_home()
+        return kept
+
+    def restore(self, kept: dict[str, object]) -> None:
+        self.__dict__.update(kept)
 
     # --- the first two frames ----------------------------------------------------------------------------------------
 
@@ -120,11 +154,12 @@ class Tracker:
             with suppress(np.linalg.LinAlgError):  # without texture the plane stays where it was outlined
                 self.plane = self.appearance.begin((frame.left, frame.right), self.vehicle.left, self.plane)
         searched = acquisition.SEARCH if self.vehicle.speed is None else 1
-        self.state = acquisition.initial_state(self.plane, self.vehicle, c.particles * searched, self.rng)
-        self.weights = Weights.equal(len(self.state))
-        self._look(frame, self.state)
-        self.reference = self._observe(self.state[np.zeros(1, np.int64)]).features[0]
-        self._first = frame
+        state = acquisition.initial_state(self.plane, self.vehicle, c.particles * searched, self.rng)
+        self.cloud = Cloud(self.rig, self._motions[0], state, Weights.equal(len(state)))
+        self.views = views(frame, [self.cloud.reach()])
+        self.reference = self._observe(state[np.zeros(1, np.int64)]).features[0]
+        self._first, self._time = frame, frame.time
+        shown = slice(None, c.particles, -(-c.particles // SHOWN))
         return Estimate(
             frame=frame.index,
             time=frame.time,
@@ -137,32 +172,34 @@ class Tracker:
             ess=float(c.particles),
             status="tracking",
             likeness=1.0,
-            particles_left=motion.diagonal_crossings(self.state.left[: c.particles]),
-            particles_right=motion.diagonal_crossings(self.state.right[: c.particles]),
+            particles_left=motion.diagonal_crossings(state.left[shown]),
+            particles_right=motion.diagonal_crossings(state.right[shown]),
         )
 
     def _acquire(self, frame: StereoFrame, dt: float) -> None:
         """The second frame: which way the vehicle drives, and how fast."""
-        outcomes, first = [], self.state
+        assert isinstance(self.cloud, Cloud)
+        outcomes, first = [], self.cloud.state
         for way in self._motions:
-            start = self._set_off(first, way, frame, dt, self.vehicle.speed)
-            state = way.propagate(start, dt, self.rng)
-            self._look(frame, state)
-            lw = self._log_likelihood(self._observe(state))
+            state = way.propagate(self._set_off(first, way, frame, dt, self.vehicle.speed), dt, self.rng)
+            self.views = views(frame, [(state.left, state.right)])
+            lw = self._log_likelihood(state)
             outcomes.append((float(np.logaddexp.reduce(lw)), state, lw, way))
-        _, self.state, lw, self.motion = max(outcomes, key=lambda o: o[0])
-        if isinstance(self.motion, PathMotion):
-            self.path = self.motion.path
-        self.weights = Weights(lw) if self.appearance is None else _tempered(lw)
+        _, state, lw, way = max(outcomes, key=lambda o: o[0])
+        if isinstance(way, PathMotion):
+            self.path = way.path
+        self.cloud = Cloud(self.rig, way, state, Weights(lw) if self.appearance is None else _tempered(lw))
         found = self._registered(frame)
         if found is None:
-            self._resample()
-            return
-        # how sure the first speed is follows from registration alone: weights would leave too few particles to say
-        start, guess = first[np.arange(self.configuration.particles)], float(self.weights.mean(self.state.speed))
-        self.state = self.motion.propagate(self._set_off(start, self.motion, frame, dt, guess), dt, self.rng)
-        self.weights = Weights.equal(len(self.state))
-        self._correct(*found)
+            self.cloud.resample(self.configuration, self.rng)
+        else:
+            # how sure the first speed is follows from registration alone: weights would leave too few particles to say
+            start, guess = first[np.arange(self.configuration.particles)], float(self.cloud.weights.mean(state.speed))
+            state = way.propagate(self._set_off(start, way, frame, dt, guess), dt, self.rng)
+            self.cloud = Cloud(self.rig, way, state, Weights.equal(len(state)))
+            self.cloud.correct(*found, self.rng)
+        if self.device is not None:
+            self.cloud = self.device.cloud(self.cloud)
 
     def _set_off(
         self, start: State, way: PathMotion | FreeMotion, frame: StereoFrame, dt: float, guess: float | None
@@ -184,56 +221,41 @@ class Tracker:
         """
         found = self._registered(frame)
         if found is not None:
-            self._correct(*found)
+            self.cloud.correct(*found, self.rng)
 
     def _registered(self, frame: StereoFrame) -> tuple[Array, Array] | None:
         """Where registration saw the plane's centre (3,), and its covariance; None where it saw nothing to believe."""
         if self.appearance is None:
             return None
-        w, state, mean = self.weights, self.state, self._mean()
-        doubt = float(np.hypot(*w.std(motion.diagonal_crossings(state.left))))
+        mean, doubt = self.cloud.mean(), self.cloud.doubt()
         images = frame.left, frame.right
         try:
             found = self.appearance.find(images, mean.left[0], mean.normal[0], float(mean.distance[0]), doubt)
         except np.linalg.LinAlgError:  # nothing there that could be told from anything else
             return None
-        places = motion.centres(self.rig, state)
-        spread = w.covariance(places) + found.covariance
-        surprise = float(found.shift @ np.linalg.solve(spread, found.shift))
+        centre, covariance = self.cloud.centre()
+        surprise = float(found.shift @ np.linalg.solve(covariance + found.covariance, found.shift))
         if found.likeness < (SEEN if surprise < SURPRISING else SURE):
             return None
         self.appearance.learn(found)
-        return w.mean(places) + found.shift, found.covariance
-
-    def _correct(self, place: Array, covariance: Array) -> None:
-        """The ensemble Kalman step of all particles towards the ``place`` (3,) that was seen."""
-        places = motion.centres(self.rig, self.state)
-        noise = self.rng.normal(0.0, 1.0, places.shape) @ np.linalg.cholesky(covariance + TINY * np.eye(3)).T
-        W = self.weights.W
-        self.state = motion.corrected(self.rig, self.state, W, places, place + noise, covariance, self.motion)
-
-    def _look(self, frame: StereoFrame, state: State) -> None:
-        """Make the images ready for sampling where the particles look."""
-        self._views = likelihood.pack(frame.left, state.left), likelihood.pack(frame.right, state.right)
+        return centre + found.shift, found.covariance
 
     def _observe(self, state: State) -> Observation:
-        left, right = self._views
+        left, right = self.views
         return likelihood.observe(
             left, right, state.left, state.right, motion.cross_homographies(self.rig, state), self.grid
         )
 
-    def _log_likelihood(self, seen: Observation) -> Array:
+    def _log_likelihood(self, state: State) -> Array:
+        if self.device is not None:
+            return self.device.log_likelihood(self, state)
         c = self.configuration
-        return likelihood.log_likelihood(seen, self.reference, c.lambda_single, c.lambda_cross)
+        return likelihood.log_likelihood(self._observe(state), self.reference, c.lambda_single, c.lambda_cross)
 
-    def _mean(self) -> State:
-        """The posterior mean (3), as a state of one particle."""
-        return State(*(self.weights.mean(getattr(self.state, name))[None] for name in State.__dataclass_fields__))
-
-    def _estimate(self, frame: StereoFrame, dt: float) -> Estimate:
+    def _estimate(self, frame: StereoFrame) -> Estimate:
         """The posterior mean (3), and the reference's update (14) from what it sees."""
-        w, state, mean = self.weights, self.state, self._mean()
-        position = w.mean(motion.centres(self.rig, state))
+        posterior = self.cloud.posterior()
+        mean, position = posterior.mean, posterior.position
         likeness = self._learn(mean)
         if likeness < LOST:
             self._unseen += 1
@@ -246,17 +268,17 @@ class Tracker:
         estimate = Estimate(
             frame=frame.index,
             time=frame.time,
-            speed=float(w.mean(state.speed)),
-            speed_std=float(w.std(state.speed)),
+            speed=posterior.speed,
+            speed_std=posterior.speed_std,
             position=position,
-            yaw_rate=self.motion.yaw_rate(mean, dt),
+            yaw_rate=self.cloud.motion.yaw_rate(mean, frame.time - self._time),
             left=mean.left[0],
             right=mean.right[0],
-            ess=w.ESS,
+            ess=posterior.ess,
             status=self.status,
             likeness=likeness,
-            particles_left=motion.diagonal_crossings(state.left),
-            particles_right=motion.diagonal_crossings(state.right),
+            particles_left=posterior.particles_left,
+            particles_right=posterior.particles_right,
         )
         self._square(position)
         return estimate
@@ -284,25 +306,7 @@ class Tracker:
         """Set a plane of unknown normal square to the travel so far, once that is long enough to have a direction."""
         travel = position - self.plane.centre
         if self.vehicle.plane == "free" and np.linalg.norm(travel) > DIRECTED:
-            centres = motion.centres(self.rig, self.state)
-            normal = squared(self.plane, travel).normal
-            self.state = replace(self.state, normal=np.tile(normal, (len(centres), 1)), distance=centres @ normal)
-
-    def _resample(self) -> None:
-        c, N = self.configuration, len(self.state)
-        if c.resample_below * N < self.weights.ESS and c.particles == N:
-            return
-        index = resample(c.resampling, self.weights.W, self.rng)
-        if c.particles < N:
-            index = self.rng.permutation(index)[: c.particles]
-        spread = self.weights.std(self.state.heading)
-        self.state = self.state[index]
-        # a static parameter is drawn to its mean as it is stirred, so that its spread stays what it was
-        mean = self.state.heading.mean(0)
-        kept = np.sqrt(1 - ROUGHENING**2) * (self.state.heading - mean)
-        stirred = self.rng.normal(0.0, ROUGHENING, self.state.heading.shape) * spread
-        self.state = replace(self.state, heading=mean + kept + stirred)
-        self.weights = Weights.equal(len(index))
+            self.cloud.square(squared(self.plane, travel).normal)
 
 
 def _tempered(lw: Array) -> Weights:

@@ -28,10 +28,9 @@ NAMES = (
     "normal_yaw",  # rad, from the first plane's normal
     "normal_tilt",
     "turn",  # 1/m, a curvature that the path does not have, to the right
-)  # and then the amplitudes of bends and swerves
+)  # and then the amplitudes of bends and swerves, and of surges
 INDEX = {name: i for i, name in enumerate(NAMES)}
-EXTRAS = ("acceleration", "turn", "swerve")
-BENDS = slice(len(NAMES), None)
+EXTRAS = ("acceleration", "surge", "turn", "swerve")
 STEPS = np.array([1e-5, 1e-4, 1e-4, 1e-5, 1e-5, 1e-6])
 AMPLITUDE_STEP = 1e-3
 
@@ -47,6 +46,7 @@ WEAVING = 0.01, 10.0  # the same of a driver who keeps his lane round a bend
 LEAST_SHARE = 0.01  # of the heading's standard deviation: a mode with less is left out
 FIRST_SPEED = 30.0  # m/s, acceleration and depth: so wide that only their finiteness matters
 HARD_BRAKING = 2.0  # m/s²
+SURGING = 2.0, 0.4  # m/s², s: an acceleration that does not stay as it is, and in what time it changes
 STEADY = 0.15  # m/s², by which a driver who holds the speed fails to
 DEPTH = 0.3
 
@@ -109,13 +109,19 @@ def bends(path: Path, start: float, length: float, on_path: bool) -> Bends:
 
 
 def _wandering(u: Array, sigma: float, length: float) -> Array:
-    """Modes (S, 2, N) of a yaw that is a Gaussian process over the distance ``u`` (N,): of ``sigma`` rad, smooth over
-    ``length`` m."""
-    kernel = sigma**2 * np.exp(-0.5 * ((u[:, None] - u) / length) ** 2)
-    variance, shapes = np.linalg.eigh(kernel)
-    keep = variance > (LEAST_SHARE * sigma) ** 2 * len(u)
-    yaw = (np.sqrt(variance[keep]) * shapes[:, keep]).T
+    """Modes (S, 2, N) of a yaw that changes smoothly over the distance ``u`` (N,): of ``sigma`` rad, over ``length``
+    m."""
+    yaw = _smooth(u, sigma, length)
     return np.stack([yaw, np.zeros_like(yaw)], axis=1)
+
+
+def _smooth(x: Array, sigma: float, scale: float) -> Array:
+    """Modes (S, N), of one standard deviation each, of a Gaussian process over ``x`` (N,) of ``sigma``, smooth over
+    ``scale``."""
+    kernel = sigma**2 * np.exp(-0.5 * ((x[:, None] - x) / scale) ** 2)
+    variance, shapes = np.linalg.eigh(kernel)
+    keep = variance > (LEAST_SHARE * sigma) ** 2 * len(x)
+    return np.asarray((np.sqrt(variance[keep]) * shapes[:, keep]).T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +129,8 @@ class Trajectory:
     """A plane region ``quad`` (4, 2), outlined in the left view at time 0, carried along ``path``.
 
     ``plane`` gives the normal; ``times`` (F, 2) are each view's exposures in seconds since the outline. The parameters
-    ``theta`` (n,) are those of NAMES, followed by the amplitudes of ``bends``.
+    ``theta`` (n,) are those of NAMES, followed by the amplitudes of ``bends`` and of surges: an acceleration that
+    changes in the course of the clip, as a smooth random one.
     """
 
     rig: StereoRig
@@ -136,12 +143,26 @@ class Trajectory:
     @cached_property
     def steps(self) -> Array:
         """Steps (n,) at which differences give the parameters' derivatives."""
-        return np.concatenate([STEPS, np.full(len(self.bends.modes), AMPLITUDE_STEP)])
+        return np.concatenate([STEPS, np.full(self._surges + len(self.bends.modes), AMPLITUDE_STEP)])
 
     def index(self, name: str) -> NDArray[np.int64]:
-        """Where the parameters of an extra of the motion stand in ``theta``: one of NAMES, or "swerve"."""
+        """Where the parameters of an extra of the motion stand in ``theta``: one of EXTRAS."""
         n = len(self.steps)
-        return np.arange(n - self.bends.swerves, n) if name == "swerve" else np.array([INDEX[name]])
+        if name == "surge":
+            return np.arange(n - self._surges, n)
+        if name == "swerve":
+            return np.arange(n - self._surges - self.bends.swerves, n - self._surges)
+        return np.array([INDEX[name]])
+
+    @cached_property
+    def _surging(self) -> CubicSpline:
+        """The accelerations (m/s²) of the surges by the time."""
+        t = np.linspace(self.times.min() - 0.1, self.times.max() + 0.1, 81)
+        return CubicSpline(t, _smooth(t, *SURGING).T)
+
+    @property
+    def _surges(self) -> int:
+        return int(self._surging.c.shape[-1])
 
     @cached_property
     def _ray(self) -> Array:
@@ -158,7 +179,35 @@ class Trajectory:
 
     def distance(self, theta: Array) -> Array:
         """Distance travelled (F, 2) along the vehicle's own path since time 0, metres."""
-        return np.asarray(theta[1] * self.times + 0.5 * theta[2] * self.times**2)
+        return np.asarray(self._driven @ theta)
+
+    @cached_property
+    def _driven(self) -> Array:
+        """What each parameter contributes (F, 2, n) to the distance, which is linear in all of them."""
+        gained = self._surging.antiderivative()
+        driven = gained.antiderivative()
+        shares = np.zeros((*self.times.shape, len(self.steps)))
+        shares[..., INDEX["speed"]], shares[..., INDEX["acceleration"]] = self.times, 0.5 * self.times**2
+        surges = driven(self.times) - driven(0.0) - gained(0.0) * self.times[..., None]
+        shares[..., self.index("surge")] = surges
+        return shares
+
+    @cached_property
+    def speed_shares(self) -> Array:
+        """What each parameter contributes (F, n) to the speed at the frames."""
+        t = self.times.mean(1)
+        gained = self._surging.antiderivative()
+        shares = np.zeros((len(t), len(self.steps)))
+        shares[:, INDEX["speed"]], shares[:, INDEX["acceleration"]] = 1.0, t
+        shares[:, self.index("surge")] = gained(t) - gained(0.0)
+        return shares
+
+    @cached_property
+    def mean_speed_shares(self) -> Array:
+        """What each parameter contributes (n,) to the distance between the first and the last frame, over the time."""
+        t = self.times.mean(1)
+        driven = self._driven.mean(1)
+        return np.asarray((driven[-1] - driven[0]) / (t[-1] - t[0]))
 
     def motion(self, theta: Array) -> tuple[Array, Array, Array, float]:
         """Rigid motions since time 0, rotations (F, 2, 3, 3) and translations (F, 2, 3); and the first n·P = d."""
@@ -167,7 +216,7 @@ class Trajectory:
         travelled = self.distance(theta)
         ends = np.array([min(travelled.min(), 0.0), max(travelled.max(), 0.0)])
         u = np.linspace(ends[0] - 1.0, ends[1] + 1.0, 97)
-        yaw, pitch = self.bends.turns(theta[BENDS], u)
+        yaw, pitch = self.bends.turns(theta[len(NAMES) :][: len(self.bends.modes)], u)
         yaw = yaw + theta[INDEX["turn"]] * u
         F = self.path.frames(s0 + u)
         T = F[:, :, 0] + yaw[:, None] * F[:, :, 1] + pitch[:, None] * F[:, :, 2]
@@ -220,8 +269,8 @@ def corners_of(H: Array) -> Array:
 def prior(trajectory: Trajectory, speed: float, extras: tuple[str, ...] = ()) -> Prior:
     """What is known before the images: how drivers brake, turn and swerve, how fronts stand, the bends by their making.
 
-    ``speed`` (m/s) is the first guess, on which the prior hardly depends. Of the ``extras`` "acceleration", "turn" and
-    "swerve", those that are not named are held to zero, or, an acceleration, to what steady drivers do.
+    ``speed`` (m/s) is the first guess, on which the prior hardly depends. Of the ``extras``, which are
+    of EXTRAS, those that are not named are held to zero, or, an acceleration, to what steady drivers do.
     """
     std = usual_sizes(trajectory)
     for name in EXTRAS:

@@ -1,0 +1,220 @@
+"""A filter step on the CPU and on a GPU, side by side, and how near the GPU comes to what it could do.
+
+python benchmarks/gpu.py [--seconds 480] [--seed 0]
+
+Without a GPU it measures the CPU alone, and says so.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numba
+import numpy as np
+from common import Array, head, machine, row
+from likelihood import HEIGHT, WIDTH, Work
+
+from paceline import SpeedConfiguration
+from paceline.cameras import Camera, StereoRig
+from paceline.recordings import StereoFrame
+from paceline.speed import likelihood, motion, paths
+from paceline.speed.cloud import Cloud, views
+from paceline.speed.devices import DeviceFailure, open_device
+from paceline.speed.likelihood import Grid, Packed
+from paceline.speed.motion import PathMotion, State
+from paceline.speed.particles import Weights
+
+PARTICLES = [100, 400, 1_000, 10_000, 100_000, 1_000_000]
+VEHICLES = [1, 4, 16, 64, 256]
+CELL = 6.0  # s, that one cell may take
+REPETITIONS = 15
+BYTES = 1_200  # of device memory a particle takes, generously
+DT = 1e-4  # s: the cloud stays where the pictures show the region
+MAPS, OUT = 39 * 4 + 4, 8  # bytes a particle that the kernel must read and write at least
+OPERATIONS = 60  # of single precision for a sample: its place, the clamps, the interpolation, the sums
+
+
+@dataclass
+class Followed:
+    """One vehicle, as far as a device needs to know."""
+
+    rig: StereoRig
+    grid: Grid
+    configuration: SpeedConfiguration
+    cloud: Any
+    rng: np.random.Generator
+    views: tuple[Packed, Packed] = field(init=False)
+    reference: Array = field(init=False)
+
+    def observed(self, state: State) -> likelihood.Observation:
+        cross = motion.cross_homographies(self.rig, state)
+        return likelihood.observe(*self.views, state.left, state.right, cross, self.grid)
+
+
+class Road:
+    """``vehicles`` vehicles of ``particles`` particles each, spread over a pair of textured pictures."""
+
+    def __init__(self, particles: int, vehicles: int, seed: int, device: Any) -> None:
+        work = Work(1, seed)
+        self.device = device
+        self.frame = StereoFrame(0, 0.0, work.left, work.right, 0.0, False)
+        K = np.array([[2200.0, 0, WIDTH / 2], [0, 2200.0, HEIGHT / 2], [0, 0, 1]])
+        rig = StereoRig(Camera((WIDTH, HEIGHT), K), Camera((WIDTH, HEIGHT), K), np.eye(3), np.array([-0.5, 0, 0]))
+        lane = paths.from_points("lane", "line", np.array([[0.0, 1.0, 80.0], [0.0, 1.0, 20.0]]))
+        c = SpeedConfiguration(particles=particles)
+        self.followed = []
+        for v in range(vehicles):
+            rng = np.random.default_rng([seed, v])
+            centre = np.array([rng.uniform(-8, 8), rng.uniform(-6, 6), 60.0])
+            corners = np.array([[-1.4, -0.6, 0], [1.4, -0.6, 0], [1.4, 0.6, 0], [-1.4, 0.6, 0]])
+            at = centre + rng.normal(0.0, [0.05, 0.05, 0.5], (particles, 3))
+            left, right = (q.reshape(-1, 4, 2) for q in rig.project((at[:, None] + corners).reshape(-1, 3)))
+            zeros = np.zeros((particles, 3))
+            normal = np.tile([0.0, 0.0, -1.0], (particles, 1))
+            state = State(left, right, normal, -at[:, 2], zeros[:, 0] + 20, zeros[:, 0], zeros[:, :2], zeros, zeros)
+            cloud: Any = Cloud(rig, PathMotion(rig, lane, c), state, Weights.equal(particles))
+            one = Followed(rig, Grid.for_region(c.parts, left[0]), c, cloud, rng)
+            one.views = views(self.frame, [cloud.reach()])
+            one.reference = one.observed(state[np.zeros(1, np.int64)]).features[0]
+            one.cloud = cloud if device is None else device.cloud(cloud)
+            self.followed.append(one)
+        self.samples = 16 * c.parts * self.followed[0].grid.samples[0] * self.followed[0].grid.samples[1]
+
+    def step(self) -> None:
+        """One stereo frame as [Zhu] has it, registration left out: propagate, weigh, estimate, resample."""
+        for one in self.followed:
+            one.cloud.propagate(DT, one.rng)
+        both = views(self.frame, [one.cloud.reach() for one in self.followed])
+        for one in self.followed:
+            one.views = both
+        if self.device is not None:
+            self.device.weigh(self.followed)
+        else:
+            for one in self.followed:
+                c, seen = one.configuration, one.observed(one.cloud.state)
+                ll = likelihood.log_likelihood(seen, one.reference, c.lambda_single, c.lambda_cross)
+                one.cloud.weigh(ll)
+        for one in self.followed:
+            one.cloud.posterior()
+            one.cloud.resample(one.configuration, one.rng)
+
+
+def milliseconds(work: Callable[[], object], until: float) -> float:
+    """Median time of ``work``, after one time not counted, within the CELL and not beyond ``until``."""
+    work()
+    times: list[float] = []
+    end = min(time.perf_counter() + CELL, until)
+    while len(times) < REPETITIONS and (not times or time.perf_counter() < end):
+        start = time.perf_counter()
+        work()
+        times.append(1e3 * (time.perf_counter() - start))
+    return float(np.median(times))
+
+
+def steps(seed: int, device: Any, until: float) -> None:
+    """The table of filter steps; what would take too long, or too much memory, is left out."""
+    cores = os.cpu_count() or 1
+    threads = sorted({1, 2, cores} & set(range(1, numba.config.NUMBA_NUM_THREADS + 1)))
+    names = [*(f"CPU, {n} thread{'s' * (n > 1)}" for n in threads), "GPU"]
+    print(head("vehicles", "particles each", *(f"{name}, ms" for name in names), "GPU, frames/s"))
+    per_particle = dict.fromkeys(names, 0.0)  # ms, as last measured
+    for vehicles in VEHICLES:
+        for particles in PARTICLES:
+            cells = dict.fromkeys(names, "")
+            for name, n in zip(names, [*threads, 0], strict=True):
+                there = name == "GPU"
+                expected = 1e-3 * per_particle[name] * vehicles * particles
+                if 2 * expected > CELL or time.perf_counter() + 2 * expected > until or (there and device is None):
+                    continue
+                if vehicles * particles > (device.free_memory() / BYTES if there else 300_000):
+                    continue
+                numba.set_num_threads(n or threads[-1])
+                ms = milliseconds(Road(particles, vehicles, seed, device if there else None).step, until)
+                per_particle[name] = ms / (vehicles * particles)
+                cells[name] = f"{ms:.3g}"
+            if any(cells.values()):
+                rate = f"{1e3 / float(cells['GPU']):.0f}" if cells["GPU"] else ""
+                print(row(vehicles, particles, *cells.values(), rate), flush=True)
+
+
+def limits(seed: int, device: Any) -> None:
+    """The likelihood's kernel beside the device's memory and arithmetic."""
+    from numba import cuda
+
+    gpu = cuda.get_current_device()
+    bandwidth = _copied()
+    arithmetic = 2 * 128 * gpu.MULTIPROCESSOR_COUNT * gpu.CLOCK_RATE * 1e3
+    clock, width = gpu.MEMORY_CLOCK_RATE * 1e3, gpu.GLOBAL_MEMORY_BUS_WIDTH / 8
+    print(f"\nMemory: {2 * clock * width / 1e9:.0f} GB/s by clock and width, {bandwidth:.0f} GB/s in a copy.")
+    print(f"Arithmetic: {arithmetic / 1e12:.0f} TFLOP/s of single precision by clock and number of processors.\n")
+    print(head("particles", "kernel, ms", "samples, 1e9/s", "memory, GB/s", "of the copy", "TFLOP/s", "of the limit"))
+    for particles in (1_000, 10_000, 100_000, 1_000_000):
+        if particles * BYTES > device.free_memory():
+            continue
+        road = Road(particles, 1, seed, device)
+        (one,) = road.followed
+        device.weigh([one])  # prepares the particles' maps, and compiles
+        _, owner, maps = device.prepared
+        seconds = _timed(lambda one=one, maps=maps, owner=owner: device.log_likelihoods([one], maps, owner))
+        samples = particles * road.samples * (2 + 1 / likelihood.pixels_cpu.CROSS_ROWS)
+        moved, done = particles * (MAPS + OUT) / seconds / 1e9, samples * OPERATIONS / seconds
+        cells = (
+            f"{1e3 * seconds:.3g}",
+            f"{samples / seconds / 1e9:.1f}",
+            f"{moved:.1f}",
+            f"{moved / bandwidth:.1%}",
+            f"{done / 1e12:.1f}",
+            f"{done / arithmetic:.0%}",
+        )
+        print(row(particles, *cells), flush=True)
+
+
+def _copied() -> float:
+    """GB/s, read and written, of a copy within the device's memory."""
+    from numba import cuda
+
+    words = cuda.device_array(1 << 28, np.float64)  # 2 GiB, far more than any cache holds
+    other = cuda.device_array_like(words)
+    return 2e-9 * words.nbytes / _timed(lambda: other.copy_to_device(words))
+
+
+def _timed(work: Callable[[], object]) -> float:
+    """Seconds that ``work`` takes on the device, the best of several, by the device's own clock."""
+    from numba import cuda
+
+    best = np.inf
+    for _ in range(REPETITIONS):
+        start, end = cuda.event(), cuda.event()
+        start.record()
+        work()
+        end.record()
+        end.synchronize()
+        best = min(best, 1e-3 * cuda.event_elapsed_time(start, end))
+    return float(best)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=480.0, help="no cell is begun that would end later")
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    until = time.perf_counter() + options.seconds
+    print(machine())
+    try:
+        device = open_device("cuda")
+    except DeviceFailure as failure:
+        device = None
+        print(f"No device was found ({failure.reason}): the CPU alone.\n")
+    if device is not None:
+        limits(options.seed, device)
+        print()
+    steps(options.seed, device, until)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,47 @@
+"""Where a filter's random numbers come from: the same ones for the same seed, wherever it computes."""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+MANY = 5000  # particles for which numbers drawn one after another would take longer than all the rest on a GPU
+
+
+def generator(seed: list[int], particles: int) -> np.random.Generator:
+    """Random numbers for a cloud of ``particles``: drawn one after another for few, by counting for many."""
+    if particles <= MANY:
+        return np.random.default_rng(seed)
+    key = np.random.SeedSequence(seed).generate_state(2, np.uint64).astype(np.uint64)
+    return CounterGenerator(np.random.PCG64(seed), key)
+
+
+class CounterGenerator(np.random.Generator):
+    """Normal numbers of which each depends on its place alone, so that any number of threads can make them at once.
+
+    The k numbers of particle p in the c-th call of `normal` come from Philox 4×64 under ``key`` (2,), at the counters
+    (p·⌈k/4⌉ + 1 …, c, 0, 0), as uniform ones in the way of NumPy and two by two as normal ones in that of Box and
+    Muller. Everything else comes from ``bits``.
+    """
+
+    def __init__(self, bits: np.random.BitGenerator, key: NDArray[np.uint64], calls: int = 0) -> None:
+        super().__init__(bits)
+        self.key = key
+        self.calls = calls
+
+    def __deepcopy__(self, memo: dict[int, object]) -> CounterGenerator:
+        return CounterGenerator(copy.deepcopy(self.bit_generator, memo), self.key, self.calls)
+
+    def normal(self, loc: float = 0.0, scale: float = 1.0, size: int | tuple[int, int] = 1) -> Array:  # type: ignore[override]
+        """Normal numbers (N,) or (N, k)."""
+        n, k = size if isinstance(size, tuple) else (size, 1)
+        bits = np.random.Philox(key=self.key, counter=np.array([0, self.calls, 0, 0], np.uint64))
+        self.calls += 1
+        u = np.random.Generator(bits).random((n, -(-k // 4), 2, 2))
+        radius, angle = np.sqrt(-2.0 * np.log(1.0 - u[..., 0])), 2.0 * np.pi * u[..., 1]
+        normal = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1).reshape(n, -1)[:, :k]
+        return np.asarray((loc + scale * normal).reshape(size))

@@ -1,0 +1,355 @@
+"""The GPU does what the CPU does. On a machine with a GPU: ``pytest tests/cuda_parity.py``; elsewhere `test_cuda` runs
+this file under CUDA's simulator, where one sample takes 50 µs: so everything here is tiny."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from calling import paceline
+from numpy.typing import NDArray
+
+from paceline.cameras import Camera, StereoRig
+from paceline.documents import Clip, load_clip
+from paceline.recordings import StereoFrame, open_recording
+from paceline.simulation.planar import Scene, Vehicle, render, write
+from paceline.speed import cloud_cuda, likelihood, motion, paths, randomness
+from paceline.speed.cloud import Cloud, views
+from paceline.speed.cloud_cuda import CudaDevice
+from paceline.speed.configuration import SpeedConfiguration
+from paceline.speed.devices import DeviceFailure
+from paceline.speed.fleet import Fleet
+from paceline.speed.likelihood import Grid
+from paceline.speed.motion import FreeMotion, PathMotion, State
+from paceline.speed.particles import Weights
+from paceline.speed.reconstruction import path_of
+from paceline.speed.tracker import Estimate, Tracker
+
+Array = NDArray[np.float64]
+
+ROUNDING = 1e-9  # of the state, in double precision: a few operations' worth at values of some hundreds
+FILTERED = 2e-4  # relative, of estimates by weights that differ by float32 rounding; measured: 1e-6 and less
+N = 9
+SETTINGS = SpeedConfiguration(parts=4).model_copy(update={"particles": 4})  # fewer than are of any use
+
+
+@pytest.fixture(autouse=True)
+def _tiny(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Few samples, and so few threads in a block that five particles fill two blocks."""
+    monkeypatch.setattr(likelihood, "SAMPLES", 256)
+    monkeypatch.setattr(cloud_cuda, "THREADS", 4)
+    monkeypatch.setattr(cloud_cuda, "BLOCK", 4)
+    monkeypatch.setattr(cloud_cuda, "MOST_BLOCKS", 2)
+
+
+@pytest.fixture(scope="module")
+def device() -> CudaDevice:
+    return CudaDevice()
+
+
+def camera(focal: float) -> Camera:
+    return Camera((160, 120), np.array([[focal, 0, 79.5], [0, 1.01 * focal, 59.5], [0, 0, 1]]))
+
+
+def rig() -> StereoRig:
+    """A pair whose right camera is turned a little."""
+    a, b = 0.02, -0.01
+    about_y = np.array([[np.cos(a), 0, np.sin(a)], [0, 1, 0], [-np.sin(a), 0, np.cos(a)]])
+    about_x = np.array([[1, 0, 0], [0, np.cos(b), -np.sin(b)], [0, np.sin(b), np.cos(b)]])
+    return StereoRig(camera(300.0), camera(310.0), about_y @ about_x, np.array([-0.5, 0.01, 0.02]))
+
+
+def path(shape: str) -> paths.Path:
+    z = np.linspace(40.0, 8.0, 30)
+    bend = 0.004 * (z - 8.0) ** 2 if shape == "curve" else 0.1 * z
+    return paths.from_points("lane", shape, np.stack([bend - 2.0, 1.2 + 0.02 * z, z], axis=1))
+
+
+def way(kind: str) -> PathMotion | FreeMotion:
+    return FreeMotion(rig(), SETTINGS) if kind == "free" else PathMotion(rig(), path(kind), SETTINGS)
+
+
+def particles(model: PathMotion | FreeMotion, seed: int, n: int = N) -> Cloud:
+    """``n`` weighted particles, each on a plane of its own that both cameras see."""
+    rng = np.random.default_rng(seed)
+    k = model.rig
+    centre = np.array([0.5, 0.8, 20.0]) + rng.normal(0.0, 0.3, (n, 3))
+    normal = np.array([0.1, 0.05, -1.0]) + rng.normal(0.0, 0.05, (n, 3))
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    corners = np.array([[-0.9, -0.6, 0], [0.9, -0.6, 0], [0.9, 0.6, 0], [-0.9, 0.6, 0]])
+    points = centre[:, None] + corners + rng.normal(0.0, 0.02, (n, 4, 3))
+    left, right = (q.reshape(n, 4, 2) for q in k.project(points.reshape(-1, 3)))
+    velocity = np.array([0.5, 0.1, -11.0]) + rng.normal(0.0, 0.4, (n, 3))
+    state = State(
+        left=left,
+        right=right,
+        normal=normal,
+        distance=(centre * normal).sum(1),
+        speed=np.linalg.norm(velocity, axis=1),
+        s=rng.uniform(-3.0, 40.0, n),  # beyond both ends of the path, too
+        heading=rng.normal(0.0, 0.02, (n, 2)),
+        velocity=velocity,
+        turning=rng.normal(0.0, 0.05, (n, 3)),
+    )
+    return Cloud(k, model, state, Weights(rng.normal(0.0, 1.0, n)))
+
+
+def assert_same(found: Cloud, expected: Cloud) -> None:
+    for name in State.__dataclass_fields__:
+        a, b = getattr(found.state, name), getattr(expected.state, name)
+        np.testing.assert_allclose(a, b, rtol=ROUNDING, atol=ROUNDING, err_msg=name)
+    np.testing.assert_allclose(found.weights.lw, expected.weights.lw, rtol=0, atol=1e-9)
+
+
+# --- random numbers ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("k", [1, 2, 3])
+def test_counted_numbers_are_those_of_the_cpu(device: CudaDevice, k: int) -> None:
+    """Those of the CPU come from NumPy's own Philox."""
+    cloud = device.cloud(particles(way("line"), 0))
+    here, there = (randomness.generator([5, 1], randomness.MANY + 1) for _ in range(2))
+    for sigma in (1.0, 0.3):
+        cloud._draw(there, sigma, 0, k)
+        expected = here.normal(0.0, sigma, (N, k))
+        np.testing.assert_allclose(cloud._noise.copy_to_host()[:k].T, expected, rtol=1e-12, atol=1e-14)
+
+
+# --- motion --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("counted", [False, True])
+@pytest.mark.parametrize("kind", ["line", "curve", "free"])
+def test_particles_move_as_on_the_cpu(
+    device: CudaDevice, kind: str, counted: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Three steps, a correction and a turn of the planes, by the same seed."""
+    monkeypatch.setattr(randomness, "MANY", 0 if counted else 10**9)
+    home = particles(way(kind), 1)
+    there = device.cloud(home.at_home())
+    clouds = [(home, randomness.generator([2], N)), (there, randomness.generator([2], N))]
+    seen, covariance = np.array([0.4, 0.75, 19.0]), np.diag([0.01, 0.02, 0.3]) + 0.001
+    for dt in (0.2, 0.05, 0.4):
+        for cloud, rng in clouds:
+            cloud.propagate(dt, rng)
+        assert_same(there.at_home(), home)
+    for cloud, rng in clouds:
+        cloud.correct(seen, covariance, rng)
+    assert_same(there.at_home(), home)
+    for cloud, rng in clouds:
+        cloud.square(np.array([0.0, 0.6, -0.8]))
+        cloud.propagate(0.2, rng)
+    assert_same(there.at_home(), home)
+
+
+# --- weights -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("kind", "n"), [("curve", 1), ("free", 13)])
+def test_the_posterior_is_that_of_the_cpu(device: CudaDevice, kind: str, n: int) -> None:
+    home = particles(way(kind), 3, n)
+    there = device.cloud(home)
+    ll = np.random.default_rng(4).normal(-30.0, 2.0, n + 2)
+    home.weigh(ll[2:])
+    there.reweigh(cloud_cuda.cuda.to_device(ll), 2)
+    here, found = home.posterior(), there.posterior()
+    for name in State.__dataclass_fields__:
+        np.testing.assert_allclose(getattr(found.mean, name), getattr(here.mean, name), rtol=1e-10, err_msg=name)
+    np.testing.assert_allclose(found.position, here.position, rtol=1e-10)
+    np.testing.assert_allclose([found.speed, found.ess], [here.speed, here.ess], rtol=1e-10)
+    assert found.speed_std == pytest.approx(here.speed_std, rel=1e-6, abs=1e-9)
+    np.testing.assert_allclose(found.particles_left, here.particles_left, rtol=1e-10)
+    np.testing.assert_allclose(found.particles_right, here.particles_right, rtol=1e-10)
+    assert there.doubt() == pytest.approx(home.doubt(), rel=1e-6, abs=1e-6)
+    for a, b in zip(there.centre(), home.centre(), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-8, atol=1e-10)
+    for corners, quads in zip(there.reach(), home.reach(), strict=True):
+        flat = quads.reshape(-1, 2)
+        np.testing.assert_array_equal(corners.reshape(-1, 2).min(0), flat.min(0))
+        np.testing.assert_array_equal(corners.reshape(-1, 2).max(0), flat.max(0))
+
+
+@pytest.mark.parametrize(("n", "scatter"), [(9, 1.0), (9, 30.0), (22, 3.0)])
+def test_the_same_particles_survive(device: CudaDevice, n: int, scatter: float) -> None:
+    home = particles(way("line"), 5, n)
+    home.weights = Weights(np.random.default_rng(6).normal(0.0, scatter, n))
+    there = device.cloud(home.at_home())
+    there.reweigh(cloud_cuda.cuda.to_device(np.zeros(n)), 0)
+    settings = SETTINGS.model_copy(update={"particles": n})
+    for cloud in (home, there):
+        cloud.resample(settings, np.random.default_rng(7))
+    assert_same(there.at_home(), home)
+    keep = settings.model_copy(update={"resample_below": 0.5})
+    before = there.at_home()
+    there.reweigh(cloud_cuda.cuda.to_device(np.zeros(n)), 0)
+    there.resample(keep, np.random.default_rng(7))
+    assert_same(there.at_home(), before)
+
+
+@pytest.mark.parametrize("ll", [-np.inf, np.nan])
+def test_weights_that_vanish_are_told(device: CudaDevice, ll: float) -> None:
+    there = device.cloud(particles(way("line"), 5))
+    there.reweigh(cloud_cuda.cuda.to_device(np.full(N, ll)), 0)
+    with pytest.raises(FloatingPointError, match="all particle weights vanish"):
+        there.posterior()
+
+
+# --- the likelihood ------------------------------------------------------------------------------------------------
+
+
+class Seeing:
+    """What the device asks a tracker for."""
+
+    def __init__(self, cloud: object, grid: Grid, frame: StereoFrame, settings: SpeedConfiguration) -> None:
+        self.cloud, self.grid, self.configuration, self.rig = cloud, grid, settings, rig()
+        first = particles(way("line"), 90, 1)
+        self.views = views(frame, [first.reach()])
+        self.reference = self._seen(first.state).features[0]
+
+    def _seen(self, state: State) -> likelihood.Observation:
+        cross = motion.cross_homographies(self.rig, state)
+        return likelihood.observe(*self.views, state.left, state.right, cross, self.grid)
+
+    def log_likelihood(self, state: State) -> Array:
+        c = self.configuration
+        return likelihood.log_likelihood(self._seen(state), self.reference, c.lambda_single, c.lambda_cross)
+
+
+def textured(seed: int) -> StereoFrame:
+    rng = np.random.default_rng(seed)
+    pictures = rng.uniform(0.0, 255.0, (2, 30, 40)).repeat(4, axis=1).repeat(4, axis=2).astype(np.float32)
+    return StereoFrame(index=0, time=0.0, left=pictures[0], right=pictures[1], skew=0.0, duplicate=False)
+
+
+@pytest.mark.parametrize("lambdas", [(15.0, 20.0), (15.0, 1e-9), (1e-9, 20.0)])
+def test_vehicles_are_weighed_together_as_each_on_the_cpu(device: CudaDevice, lambdas: tuple[float, float]) -> None:
+    """Three vehicles with grids and numbers of particles of their own; some particles see nothing, or nowhere."""
+    settings = SETTINGS.model_copy(update={"lambda_single": lambdas[0], "lambda_cross": lambdas[1]})
+    frame, homes, seeing = textured(8), [], []
+    grids = [Grid(2, 2, (2, 3)), Grid(4, 1, (2, 2)), Grid(1, 4, (3, 2))]
+    for seed, (grid, n) in enumerate(zip(grids, (3, 1, 4), strict=True)):
+        home = particles(way("line"), seed, n)
+        if n > 1:
+            home.state.left[0] = home.state.left[0, 0]  # without area
+            home.state.right[1, :, 0] += 300.0  # beyond the picture
+        homes.append(home)
+        seeing.append(Seeing(device.cloud(home), grid, frame, settings))
+    both = views(frame, [home.reach() for home in homes])
+    for tracker in seeing:
+        tracker.views = both
+    device.weigh(seeing)  # type: ignore[arg-type]
+    for home, tracker in zip(homes, seeing, strict=True):
+        ll = tracker.log_likelihood(home.state)
+        np.testing.assert_allclose(device.log_likelihood(tracker, home.state), ll, rtol=2e-6, atol=2e-4)  # type: ignore[arg-type]
+        home.weigh(ll)
+        np.testing.assert_allclose(tracker.cloud.at_home().weights.lw, home.weights.lw, rtol=2e-6, atol=4e-4)  # type: ignore[attr-defined]
+
+
+# --- whole clips ---------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def clips(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """A vehicle on a straight road and one on a bend, four frames each, in pictures of 320 × 240."""
+    small: dict[str, object] = {"image_size": (320, 240), "focal": 700.0, "click_sigma": 0.15, "line_sigma": 0.12}
+    vehicles = (Vehicle("v0", 11.0, start_distance=24.0, texture_seed=1, guess=11.0),)
+    scenes = {
+        "line": Scene(1, vehicles, frames=4, **small),  # type: ignore[arg-type]
+        "curve": Scene(2, vehicles, frames=4, radius=-150.0, road_depth=30.0, **small),  # type: ignore[arg-type]
+    }
+    folder = tmp_path_factory.mktemp("clips")
+    return {name: write(render(scene), folder / name) for name, scene in scenes.items()}
+
+
+def trackers(clip: Clip, settings: SpeedConfiguration, device: CudaDevice | None, copies: int = 1) -> list[Tracker]:
+    """``copies`` of each vehicle, each with random numbers of its own."""
+    found = []
+    for i in range(copies):
+        for v in clip.vehicles:
+            drawn = clip.paths[v.path] if v.path and settings.motion != "free" else None
+            line = None if drawn is None else path_of(drawn, clip.rig)
+            named = replace(v, id=f"{v.id}-{i}", speed=11.0)
+            offset = 0.0 if drawn is None else drawn.lateral_offset
+            found.append(Tracker(clip.rig, named, line, offset, settings, device))
+    return found
+
+
+def followed(clip: Clip, fleet: Fleet, each: list[Tracker]) -> list[list[Estimate]]:
+    for tracker in each:
+        fleet.join(tracker)
+    frames = list(open_recording(clip).frames(0))
+    return [[fleet.update(t, frame) for t in each if t.status == "tracking"] for frame in frames]
+
+
+def assert_same_estimates(found: list[list[Estimate]], expected: list[list[Estimate]]) -> None:
+    for frame, reference in zip(found, expected, strict=True):
+        assert len(frame) == len(reference)
+        for a, b in zip(frame, reference, strict=True):
+            assert (a.frame, a.status) == (b.frame, b.status)
+            for name in ("speed", "speed_std", "position", "left", "right", "ess", "likeness", "yaw_rate"):
+                x, y = getattr(a, name), getattr(b, name)
+                np.testing.assert_allclose(x, y, rtol=FILTERED, atol=1e-4, err_msg=f"frame {a.frame}: {name}")
+            np.testing.assert_allclose(a.particles_left, b.particles_left, rtol=FILTERED)
+
+
+CASES = [("line", "auto", False), ("curve", "auto", True), ("line", "free", True)]
+
+
+@pytest.mark.parametrize(("name", "kind", "guided"), CASES)
+def test_the_filter_sees_what_it_sees_on_the_cpu(
+    device: CudaDevice, clips: dict[str, Path], name: str, kind: str, guided: bool
+) -> None:
+    clip = load_clip(clips[name])
+    settings = SETTINGS.model_copy(update={"motion": kind, "guided": guided})
+    copies = 2 if name == "curve" else 1  # weighed in one launch
+    expected = followed(clip, Fleet(), trackers(clip, settings, None, copies))
+    assert_same_estimates(followed(clip, Fleet(device), trackers(clip, settings, device, copies)), expected)
+
+
+@pytest.mark.parametrize(("where", "breaks_at"), [("weigh", 0), ("reweigh", 0), ("at_home", 0), ("moments", 2)])
+def test_the_cpu_carries_on_from_the_same_frame(
+    clips: dict[str, Path], breaks_at: int, where: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever breaks, and whenever: the estimates are those of the CPU, and a note says from which frame on."""
+    clip, calls = load_clip(clips["line"]), []
+
+    class CudaAPIError(Exception):
+        pass
+
+    CudaAPIError.__module__ = "numba.cuda.cudadrv.driver"
+    owner = CudaDevice if where == "weigh" else cloud_cuda.CudaCloud
+    working = getattr(owner, where)
+
+    def breaking(self: object, *given: object) -> object:
+        calls.append(where)
+        if len(calls) > breaks_at:
+            raise CudaAPIError("[719] Call to cuCtxSynchronize results in CUDA_ERROR_LAUNCH_FAILED")
+        return working(self, *given)
+
+    expected = followed(clip, Fleet(), trackers(clip, SETTINGS, None))
+    monkeypatch.setattr(owner, where, breaking)
+    device = CudaDevice()
+    fleet = Fleet(device, carry_on=True)
+    assert_same_estimates(followed(clip, fleet, trackers(clip, SETTINGS, device)), expected)
+    assert len(calls) == breaks_at + 1
+    frame = int(fleet.notices[0].split("frame ")[1].split()[0])
+    assert 1 <= frame <= 3
+    assert fleet.notices == [
+        f"computed on the CPU from frame {frame} on: the GPU failed ([719] Call to cuCtxSynchronize results in "
+        "CUDA_ERROR_LAUNCH_FAILED)"
+    ]
+    if where == "weigh":
+        with pytest.raises(DeviceFailure, match="^--device cuda: the GPU failed .*; --device cpu computes"):
+            followed(clip, Fleet(device), trackers(clip, SETTINGS, device))
+
+
+def test_the_command_gives_the_same_tables(clips: dict[str, Path], tmp_path: Path) -> None:
+    command = ["speed", clips["line"], "--particles", "20", "--parts", "4", "--seed", "3", "--quiet", "--no-refine"]
+    done, tables = {}, {}
+    for device in ("cpu", "cuda"):
+        done[device] = paceline(*command, "--device", device, "-o", tmp_path / device)
+        tables[device] = np.genfromtxt(tmp_path / device / "estimates.csv", delimiter=",", skip_header=1)
+    assert done["cuda"] == done["cpu"]
+    np.testing.assert_allclose(tables["cuda"], tables["cpu"], rtol=FILTERED, atol=1e-4)
