@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -22,7 +23,7 @@ from paceline import UnusableInput, load_clip, open_recording
 from paceline.baselines.measurement import METHODS
 from paceline.baselines.measurement import measure as measure_by
 from paceline.documents import Clip
-from paceline.simulation.planar import random_crossing, random_scene
+from paceline.simulation.planar import Scene, random_crossing, random_scene
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.measurement import measure
 from paceline.speed.results import ClipResult, Measurement
@@ -70,11 +71,11 @@ def compared(method: str, m: Measurement, truth: Rows, seconds: float) -> Outcom
     return Outcome(method, error / MPH, half / MPH, *(o[np.isfinite(o)] for o in off), seconds, m.reason)
 
 
-def run(seed: int, suite: str, methods: list[str]) -> list[Outcome]:
-    """The clip of ``seed``, common.rendered once, by every method."""
+def by_each(scene: Scene, methods: Sequence[str]) -> list[Outcome]:
+    """The clip of ``scene``, rendered once, by every method."""
     cv2.setNumThreads(1)
     outcomes = []
-    with common.rendered(SUITES[suite](seed)) as (clip, truth):
+    with common.rendered(scene) as (clip, truth):
         for method in methods:
             try:
                 result, seconds = found_by(method, clip)
@@ -83,6 +84,10 @@ def run(seed: int, suite: str, methods: list[str]) -> list[Outcome]:
                 continue
             outcomes.append(compared(method, result.measurements[0], truth, seconds))
     return outcomes
+
+
+def run(seed: int, suite: str, methods: list[str]) -> list[Outcome]:
+    return by_each(SUITES[suite](seed), methods)
 
 
 def summary_row(method: str, all_of_it: list[Outcome]) -> str:

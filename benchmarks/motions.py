@@ -8,13 +8,11 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-import cv2
 import numpy as np
-from baselines import Outcome, compared, found_by
-from common import PLAIN_RIG, head, machine, rendered, rms, row, share_out
+from baselines import Outcome, by_each
+from common import PLAIN_RIG, head, machine, rms, row, share_out
 from numpy.typing import NDArray
 
-from paceline import UnusableInput
 from paceline.simulation.planar import LaneChange, Scene, random_scene
 from paceline.simulation.worlds import Motion, Road
 
@@ -71,17 +69,7 @@ def _suits(scene: Scene) -> bool:
 
 def run(item: tuple[str, int]) -> list[Outcome]:
     """The clip of a kind and a seed by every method."""
-    cv2.setNumThreads(1)
-    outcomes = []
-    with rendered(scene_of(*item)) as (clip, truth):
-        for method in METHODS:
-            try:
-                result, seconds = found_by(method, clip)
-            except UnusableInput as unusable:
-                outcomes.append(Outcome(method, reason=f"unusable: {unusable}"))
-                continue
-            outcomes.append(compared(method, result.measurements[0], truth, seconds))
-    return outcomes
+    return by_each(scene_of(*item), METHODS)
 
 
 def main() -> None:

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from calling import assert_one_line_error, paceline
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -226,9 +227,48 @@ def test_what_a_person_wrote_stays(text: str) -> None:
     assert all(comment in now for comment in ("# none yet", "# of the vehicles") if comment in text)
 
 
-def test_paths_in_braces_are_refused_by_name() -> None:
-    with pytest.raises(UnusableInput, match="clip.yaml: paths: is written in braces"):
-        with_lanes(HEAD + "paths: {a: {shape: line, points: [[0, 0, 1], [0, 0, 9]]}}\n", "clip.yaml", {"lane1": LANE})
+@pytest.mark.parametrize(
+    "text",
+    [
+        HEAD + "paths: {a: {shape: line, points: [[0, 0, 1], [0, 0, 9]]}}\n",
+        HEAD + "paths: {\n}\n",
+        HEAD + "paths:\n  null\n",
+        HEAD + "...\n",
+        "".join(f"  {line}\n" for line in HEAD.splitlines()),
+    ],
+)
+def test_what_cannot_be_added_to_is_refused_by_name_and_not_spoilt(text: str) -> None:
+    yaml.safe_load(text)
+    with pytest.raises(UnusableInput, match="clip.yaml: paths: is written in a way that cannot be added to"):
+        with_lanes(text, "clip.yaml", {"lane1": LANE})
+
+
+@pytest.mark.parametrize("own", ["", OWN, "paths: {}\n"])
+def test_that_it_can_be_added_to_is_known_before_there_is_a_lane(own: str) -> None:
+    with_lanes(HEAD + own, "clip.yaml", {})
+
+
+@pytest.mark.parametrize("name", ["clip.yaml", "rig.yaml"])
+def test_the_clip_and_its_rig_are_not_written_over(clip: Path, name: str) -> None:
+    before = (clip / name).read_bytes()
+    assert_one_line_error(paceline("lanes", clip, "-o", clip / name), "is the clip itself or its rig")
+    assert (clip / name).read_bytes() == before
+
+
+def test_a_read_only_clip_stays(clip: Path) -> None:
+    (clip / "clip.yaml").chmod(0o444)
+    try:
+        assert_one_line_error(paceline("lanes", clip, "--write"), "clip.yaml: cannot be written (it is read-only)")
+    finally:
+        (clip / "clip.yaml").chmod(0o644)
+
+
+def test_pictures_do_not_join_the_recording(clip: Path) -> None:
+    left = load_clip(clip / "clip.yaml").left
+    assert left.is_dir()
+    assert_one_line_error(paceline("lanes", clip, "-o", left / "site.yaml"), "would be taken for a frame")
+    assert_one_line_error(paceline("lanes", "x" * 300), "cannot be read")
+    assert_one_line_error(paceline("lanes", clip, "-o", "x" * 300 + ".yaml"), "cannot be written")
 
 
 def test_names_that_are_taken_are_passed_over() -> None:

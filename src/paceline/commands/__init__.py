@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
+
+from paceline.errors import UnusableInput
 
 DONE, NOTHING_MEASURED, UNUSABLE, INTERRUPTED = 0, 1, 2, 130  # exit statuses
 
@@ -12,3 +15,11 @@ def print_columns(rows: Sequence[Sequence[str]]) -> None:
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)][:-1]
     for *cells, last in rows:
         print("  ".join([*(cell.ljust(width) for cell, width in zip(cells, widths, strict=True)), last]).rstrip())
+
+
+def file_named(given: Path, usual: str) -> Path:
+    """The file that a person means by ``given``: itself, or the ``usual`` one in a folder. Raises UnusableInput."""
+    try:
+        return given / usual if given.is_dir() else given
+    except OSError as error:  # a name that is too long
+        raise UnusableInput(f"{given}: cannot be read ({error.strerror})") from error

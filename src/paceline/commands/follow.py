@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from paceline.commands import DONE, NOTHING_MEASURED
+from paceline.commands import DONE, NOTHING_MEASURED, file_named
 from paceline.commands.progress import progress_bar
 
 if TYPE_CHECKING:  # what computes is imported when the command runs, so that --help answers at once
@@ -35,7 +35,7 @@ def follow_vehicle(
     from paceline.reports.follow_report import write_follow_files
     from paceline.reports.output import OutputFolder
 
-    document = load_follow(follow / "follow.yaml" if follow.is_dir() else follow)
+    document = load_follow(file_named(follow, "follow.yaml"))
     with OutputFolder(out) as folder:
         recording = open_camera(document)
         with progress_bar("following", sys.stderr.isatty() and not quiet) as advance, _ended_by_interrupt(recording):

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from paceline.commands import DONE, NOTHING_MEASURED, print_columns
+from paceline.commands import DONE, NOTHING_MEASURED, file_named, print_columns
 from paceline.commands.progress import progress_bar
 from paceline.errors import UnusableInput
 
 if TYPE_CHECKING:
+    from paceline.documents import Clip
     from paceline.lanes.background import Background
     from paceline.lanes.proposing import Lane, Line
 
@@ -35,18 +36,26 @@ def lanes(
     if write and out is not None:
         raise UnusableInput("--write and --out exclude each other: the lanes go to the clip.yaml or to a site.yaml")
 
-    from paceline.documents import load_clip
+    from paceline.documents import load_clip, rig_file
     from paceline.lanes.background import empty_scene
     from paceline.lanes.finding import NoRoad, find_road
     from paceline.lanes.proposing import lines_of, propose
-    from paceline.lanes.site_file import lane_names
+    from paceline.lanes.site_file import lane_names, with_lanes
     from paceline.recordings import open_recording
     from paceline.reports.calibration import check_name
 
+    file = file_named(clip, "clip.yaml")
+    document = load_clip(file)
     if out is not None:
         check_name(out)
-    file = clip / "clip.yaml" if clip.is_dir() else clip
-    document = load_clip(file)
+        if out.resolve() in {file.resolve(), rig_file(file).resolve()}:
+            raise UnusableInput(f"--out {out}: is the clip itself or its rig; expected a name of its own, or --write")
+    elif write:
+        if not os.access(file, os.W_OK) or not file.stat().st_mode & 0o200:
+            raise UnusableInput(f"{file}: cannot be written (it is read-only); expected one to add to, or use -o")
+        with_lanes(file.read_text(encoding="utf-8"), str(file), {})  # refuses now what it would refuse at the end
+    if write or out is not None:
+        _check_pictures(document, _pictures(file, out))
     with progress_bar("averaging", sys.stderr.isatty() and not quiet) as advance:
         background = empty_scene(open_recording(document), advance)
     if reason := _no_background(background):
@@ -77,6 +86,23 @@ def lanes(
         if not quiet:
             print(f"\nLook at the pictures before you use them: {where}")
     return DONE
+
+
+def _pictures(file: Path, out: Path | None) -> tuple[Path, Path]:
+    """Where the pictures of both views go: beside the clip.yaml or the site.yaml."""
+    stem = file.with_name("lanes") if out is None else out.with_suffix("")
+    return stem.with_name(f"{stem.name}-left.png"), stem.with_name(f"{stem.name}-right.png")
+
+
+def _check_pictures(clip: Clip, pictures: tuple[Path, Path]) -> None:
+    """Refuse pictures that would be taken for frames of the recording."""
+    for picture in pictures:
+        for source in (clip.left, clip.right):
+            inside = source.is_dir() and picture.parent.resolve() == source.resolve()
+            if inside or picture.absolute().match(str(source.absolute())):
+                raise UnusableInput(
+                    f"{picture}: would be taken for a frame of {source}; expected an --out in another folder"
+                )
 
 
 def _no_background(background: Background) -> str:
@@ -123,14 +149,13 @@ def _write(file: Path, out: Path | None, background: Background, lines: list[Lin
 
     rig = load_clip(file).rig
     if out is None:
-        target, text = file, with_lanes(file.read_text(encoding="utf-8"), str(file), lanes)
-        stem = file.parent / "lanes"
+        target, text = file.resolve(), with_lanes(file.read_text(encoding="utf-8"), str(file), lanes)
     else:
-        relative = os.path.relpath(rig_file(file), out.parent)
-        target, text, stem = out, site_yaml(Path(relative).as_posix(), lanes), out.with_suffix("")
+        relative = os.path.relpath(rig_file(file).resolve(), out.parent.resolve())
+        target, text = out, site_yaml(Path(relative).as_posix(), lanes)
     pictures = {
-        stem.with_name(f"{stem.name}-{name}.png"): png(lanes_picture(rig, background, side, lines, lanes))
-        for side, name in enumerate(("left", "right"))
+        picture: png(lanes_picture(rig, background, side, lines, lanes))
+        for side, picture in enumerate(_pictures(file, out))
     }
     write_together({target: text.encode(), **pictures})
     return ", ".join(map(str, pictures))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from paceline.commands import DONE, NOTHING_MEASURED, print_columns
+from paceline.commands import DONE, NOTHING_MEASURED, file_named, print_columns
 from paceline.commands.progress import progress_bar
 from paceline.errors import UnusableInput
 
@@ -105,7 +105,7 @@ def rig_check(
 
     if out is not None:
         check_name(out)
-    document = load_recorded(clip / "clip.yaml" if clip.is_dir() else clip, other)
+    document = load_recorded(file_named(clip, "clip.yaml"), other)
     recording = open_recording(document)
     with progress_bar("matching", sys.stderr.isatty()) as advance:
         matches = match_scene(recording, advance)

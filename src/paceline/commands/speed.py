@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from paceline.commands import DONE, NOTHING_MEASURED, print_columns
+from paceline.commands import DONE, NOTHING_MEASURED, file_named, print_columns
 from paceline.commands.progress import progress_bar
 from paceline.errors import UnusableInput
 
@@ -77,7 +77,7 @@ def speed(
     from paceline.recordings import open_recording
     from paceline.reports import OutputFolder, write_files
 
-    document = load_clip(clip / "clip.yaml" if clip.is_dir() else clip)
+    document = load_clip(file_named(clip, "clip.yaml"))
     with OutputFolder(out) as folder:  # before the work, so that an unwritable folder is told at once
         recording = open_recording(document)
         with progress_bar("measuring", sys.stderr.isatty() and not quiet) as advance:

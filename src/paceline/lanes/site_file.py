@@ -34,12 +34,26 @@ def with_lanes(text: str, file: str, lanes: dict[str, Lane]) -> str:
 
     Raises UnusableInput where its paths are written in a way that cannot be added to.
     """
+    added = _with_lanes(text, lanes)
+    before, new = yaml.safe_load(text), yaml.safe_load("\n".join(_entries(lanes, 0))) or {}
+    wanted = before | {"paths": (before.get("paths") or {}) | new}
+    try:
+        after = yaml.safe_load(added)
+    except yaml.YAMLError:
+        after = {}
+    if after | {"paths": after.get("paths") or {}} != wanted:
+        raise UnusableInput(
+            f"{file}: paths: is written in a way that cannot be added to; expected one path per line below a line "
+            "'paths:', or use -o site.yaml"
+        )
+    return added
+
+
+def _with_lanes(text: str, lanes: dict[str, Lane]) -> str:
     root = yaml.compose(text)
     assert isinstance(root, yaml.MappingNode), "a clip.yaml that was read is a mapping"
     lines = text.splitlines()
     found = {key.value: (key, value) for key, value in root.value}
-    if root.flow_style:
-        raise UnusableInput(f"{file}: is written in braces; expected one key per line, or use -o site.yaml")
     if "paths" not in found:
         return "\n".join([*lines, "paths:", *_entries(lanes, 2)]) + "\n"
     key, value = found["paths"]
@@ -50,8 +64,6 @@ def with_lanes(text: str, file: str, lanes: dict[str, Lane]) -> str:
         while end > key.start_mark.line + 1 and _is_aside(lines[end - 1], indent):
             end -= 1  # what stands between the paths and the next key belongs to that key
         return "\n".join([*lines[:end], *_entries(lanes, indent), *lines[end:]]) + "\n"
-    if isinstance(value, yaml.MappingNode) and value.value:
-        raise UnusableInput(f"{file}: paths: is written in braces; expected one path per line, or use -o site.yaml")
     row = key.start_mark.line
     _, hash_, comment = lines[row].partition("#")
     head = " " * key.start_mark.column + "paths:" + (f"  #{comment}" if hash_ else "")

@@ -42,7 +42,11 @@ def check_name(file: Path) -> None:
     """Raises UnusableInput for a ``file`` that is no name for a rig.yaml."""
     if file.suffix not in (".yaml", ".yml"):
         raise UnusableInput(f"--out {file}: expected the name of a YAML file to write, for instance rig.yaml")
-    if file.is_dir():
+    try:
+        folder = file.is_dir()
+    except OSError as error:  # a name that is too long
+        raise UnusableInput(f"--out {file}: cannot be written ({error.strerror})") from error
+    if folder:
         raise UnusableInput(f"--out {file}: is a folder; expected the name of a file to write")
 
 

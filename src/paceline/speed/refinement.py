@@ -29,7 +29,7 @@ STEP = 0.1  # standard deviations: converged
 COARSE_STEP = 1.0  # the same before the last level, which starts where this ends
 UNSETTLED = 1.0  # a last step from which no motion can be said to have been found
 MOST_STEPS = 10
-RARE = 3.0  # log odds, 20 to 1, against an extra of the motion before any picture is seen
+RARE = 3.0  # log odds, 20 to 1, against an extra of the motion before any picture is seen; a second is as rare again
 HELD = 1e-4  # of its usual size: what an extra may be that is not there
 NEGLIGIBLE = 1e-3  # probability of a model that need not be thought of
 LEAST_GLIMPSES = 5  # for a choice among models
@@ -84,18 +84,20 @@ def refine(trajectory: Trajectory, glimpses: list[Glimpse], speed: float, on_pat
     extras: tuple[str, ...] = ()
     possible = {*EXTRAS} - ({"turn"} if on_path else {"surge"})
     others: list[tuple[float, _Fit]] = []
+    rare = RARE
     while len(glimpses) >= LEAST_GLIMPSES:
         richer = {e: fit.extended(prior(trajectory, speed, (*extras, e)), e) for e in sorted(possible - {*extras})}
         others = list(richer.values())
-        convincing = {e for e in richer if richer[e][0] >= RARE}
+        convincing = {e for e in richer if richer[e][0] >= rare}
         if "acceleration" in convincing:  # whether it changes is the next question
             convincing -= {"surge"}
         best = max(sorted(convincing), key=lambda e: richer[e][0], default=None)
         if best is None:
             break
         extras, fit = (*extras, best), richer[best][1]
+        rare += RARE
     # a model not chosen may be the true one all the same: as likely as the evidence leaves it
-    odds = np.exp([0.0, *(evidence - RARE for evidence, _ in others)])
+    odds = np.exp([0.0, *(evidence - rare for evidence, _ in others)])
     covariance, doubt = np.zeros((2, *fit.whole_covariance.shape))
     for likely, model in zip(odds / odds.sum(), (fit, *(other for _, other in others)), strict=True):
         if likely > NEGLIGIBLE:
