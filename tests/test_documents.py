@@ -199,7 +199,7 @@ ORDER = "top-left, top-right, bottom-right, bottom-left as seen in the image"
         ("times", "times.csv", "rate and times: expected one of them, found both"),
         ("ratte", 5, "unknown key 'ratte'; did you mean 'rate'?"),
         ("zzz", 5, "unknown key 'zzz'; expected one of left, right, rate, times, time_tolerance, bit_depth, rig, "
-                   "paths, vehicles"),
+                   "site, paths, vehicles"),
         ("rig", None, "rig: missing"),
         ("bit_depth", 20, "bit_depth: expected at most 16, found 20"),
         ("time_tolerance", 0, "time_tolerance: expected a number above 0"),
