@@ -346,7 +346,7 @@ def test_the_cpu_carries_on_from_the_same_frame(
 
 
 def test_the_command_gives_the_same_tables(clips: dict[str, Path], tmp_path: Path) -> None:
-    command = ["speed", clips["line"], "--particles", "10", "--parts", "4", "--seed", "3", "--quiet", "--no-refine"]
+    command = ["speed", clips["line"], "--particles", "20", "--parts", "4", "--seed", "3", "--quiet", "--no-refine"]
     done, tables = {}, {}
     for device in ("cpu", "cuda"):
         done[device] = paceline(*command, "--device", device, "-o", tmp_path / device)
