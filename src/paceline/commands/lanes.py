@@ -14,6 +14,7 @@ from paceline.commands.progress import progress_bar
 from paceline.errors import UnusableInput
 
 if TYPE_CHECKING:
+    from paceline.cameras import StereoRig
     from paceline.documents import Clip
     from paceline.lanes.background import Background
     from paceline.lanes.proposing import Lane, Line
@@ -82,7 +83,7 @@ def lanes(
         print("no lane found: no two neighbouring lines that both views determine are a lane's width apart")
         return NOTHING_MEASURED
     if write or out is not None:
-        where = _write(file, out, background, lines, named)
+        where = _write(file, out, document.rig, background, lines, named)
         if not quiet:
             print(f"\nLook at the pictures before you use them: {where}")
     return DONE
@@ -140,14 +141,15 @@ def _print(lines: list[Line], lanes: dict[str, Lane], remarks: list[str]) -> Non
         print(f"left out: {remark}")
 
 
-def _write(file: Path, out: Path | None, background: Background, lines: list[Line], lanes: dict[str, Lane]) -> str:
+def _write(
+    file: Path, out: Path | None, rig: StereoRig, background: Background, lines: list[Line], lanes: dict[str, Lane]
+) -> str:
     """Writes the lanes and their pictures together; returns the names of the pictures."""
-    from paceline.documents import load_clip, rig_file
+    from paceline.documents import rig_file
     from paceline.lanes.site_file import site_yaml, with_lanes
     from paceline.reports.lanes import lanes_picture, png
     from paceline.reports.output import write_together
 
-    rig = load_clip(file).rig
     if out is None:
         target, text = file.resolve(), with_lanes(file.read_text(encoding="utf-8"), str(file), lanes)
     else:
