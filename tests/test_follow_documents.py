@@ -50,7 +50,7 @@ def test_a_recording_is_read_whole() -> None:
     assert (target.name, target.nominal_range, len(target.corners)) == ("small van", 10.0, 10)
     np.testing.assert_array_equal(target.segments[:5], [[0, 1], [1, 2], [2, 3], [3, 0], [4, 5]])
     np.testing.assert_array_equal(target.corners[5], [0.72, -0.5])
-    np.testing.assert_allclose(target.extent, [2.0, 1.5])
+    np.testing.assert_allclose(np.ptp(target.ends, axis=0), [2.0, 1.5])
 
 
 def test_paths_are_relative_to_the_file_and_addresses_are_not() -> None:
@@ -99,6 +99,7 @@ def test_corners_may_be_numbers() -> None:
         ("follow", "start.scale", 1e-3, ["start.scale", "0.06 × 0.045 px", "at least 8 px"]),
         ("follow", "start.scale", 40.0, ["start.scale", "far more than the image"]),
         ("follow", "start.scale", float("nan"), ["start.scale", "finite"]),
+        ("follow", "start.center", [2.0, 3.0], ["start.center", "leaves 2", "image of 256 × 242", "at least 50 %"]),
         ("follow", "start.center", [256.0, 100.0], ["start.center", "[256, 100]", "256 × 242"]),
         ("follow", "start.center", [100.0, -3.0], ["start.center", "[100, -3]", "outside"]),
         ("follow", "start.center", [100.0], ["start.center", "two finite numbers"]),

@@ -86,9 +86,9 @@ class TargetDocument:
     segments: Indices
 
     @property
-    def extent(self) -> Array:
-        """Width and height in metres of what the segments span, shape (2,)."""
-        return np.asarray(np.ptp(self.corners[self.segments].reshape(-1, 2), axis=0))
+    def ends(self) -> Array:
+        """Where the segments end, shape (2 S, 2), metres from the target's centre."""
+        return self.corners[self.segments].reshape(-1, 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,8 +213,8 @@ def load_follow(path: str | Path) -> FollowClip:
     camera = load_camera(path.parent / model.camera)
     target = load_target(path.parent / model.target)
     start = model.start
-    extent = target.extent * camera.K[[0, 1], [0, 1]] / target.nominal_range
-    if wrong := plausibility.wrong_start(start.center, start.scale, extent, camera.image_size):
+    ends = target.ends * camera.K[[0, 1], [0, 1]] / target.nominal_range
+    if wrong := plausibility.wrong_start(start.center, start.scale, ends, camera.image_size):
         _refuse(path, f"start.{wrong[0]}", wrong[1])
     return FollowClip(
         path=path,

@@ -19,6 +19,7 @@ SHORTEST_DRAWING = 2.0  # px
 OBLIQUE = 0.01  # drift of a segment across its direction, as a share of its length, that rounding in a file explains
 SHORTEST_SEGMENT, LARGEST_TARGET = 0.01, 20.0  # m
 SMALLEST_TARGET = 8.0  # px: less shows no lines
+SHOWN = 0.5  # share of a target that its first frame has to show
 CORNERS = ("top-left", "top-right", "bottom-right", "bottom-left")
 CORNER_ORDER = f"{', '.join(CORNERS)} as seen in the image"
 
@@ -166,19 +167,29 @@ def wrong_target(ends: Array) -> str | None:
     return None
 
 
-def wrong_start(center: Array, scale: float, extent: Array, image_size: tuple[int, int]) -> tuple[str, str] | None:
-    """The key and what is wrong with it, where a target of ``extent`` (2,), its pixels at scale 1, cannot begin."""
+def wrong_start(center: Array, scale: float, ends: Array, image_size: tuple[int, int]) -> tuple[str, str] | None:
+    """The key and what is wrong with it, where a target cannot begin.
+
+    ``ends`` (N, 2) of its lines are px from its centre at scale 1.
+    """
     size = np.array(image_size)
+    x, y = center
     if ((center < 0) | (center > size - 1)).any():
-        x, y = center
         return "center", f"[{x:g}, {y:g}] lies outside the image of {size[0]} × {size[1]} pixels"
-    width, height = scale * extent
+    low, high = scale * ends.min(axis=0), scale * ends.max(axis=0)
+    width, height = high - low
     if max(width, height) < SMALLEST_TARGET:
         return "scale", (
             f"{scale:g} makes the target {width:.2g} × {height:.2g} px large; expected at least {SMALLEST_TARGET:g} px"
         )
     if width > 2 * size[0] or height > 2 * size[1]:
         return "scale", f"{scale:g} makes the target {width:.0f} × {height:.0f} px large, far more than the image"
+    inside = np.prod(np.minimum(center + high, size - 1) - np.maximum(center + low, 0)) / (width * height)
+    if inside < SHOWN:
+        return "center", (
+            f"[{x:g}, {y:g}] leaves {100 * inside:.0f} % of the target, {width:.0f} × {height:.0f} px, in the image of "
+            f"{size[0]} × {size[1]}; expected at least {100 * SHOWN:.0f} %"
+        )
     return None
 
 
