@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from paceline.documents import VehicleDocument
 from paceline.speed.paths import Path
 from paceline.speed.planes import TURNED, UPRIGHT, first_plane, normal_from_corners
+from paceline.speed.trajectory import turned
 
 
 def rectangle(centre, yaw, tilt, width=1.8, height=0.7):
@@ -100,7 +101,21 @@ def test_fronts_stand_across_their_path_and_sides_along_it(rig, direction):
         assert found.distance > 0
         assert found.distance == pytest.approx(expected @ found.centre)
         assert (np.abs(found.centre - [0.3, 0.8, 36.0]) < [0.02, 0.02, 0.05]).all()
-        assert (found.normal_std < np.radians(10)).all()
+        assert (found.normal_std <= np.radians(10)).all()
+
+
+@pytest.mark.parametrize("direction", [[0.0, 0.0, 1.0], [0.05, 0.0, -1.0]])
+def test_fronts_and_rears_lean_back(rig, direction):
+    """Their upper rim is most likely farther from the cameras than the lower one, whichever way they drive."""
+    path, _ = straight_path(direction, [-1.0, 1.4, 35.0])
+    corners, _ = rectangle([0.3, 0.8, 36.0], 0.0, 0.0)
+    found = first_plane(rig, document(*rig.project(corners), "front", "lane0"), path, 0.5)
+    F = path.frames(path.s[:1])[0]
+    normal = F @ turned(F.T @ found.normal, 0.0, found.lean)
+    over, under = np.array([0.0, -0.4, 0.0]), np.array([0.0, 0.4, 0.0])
+    # behind the centre by so much along the line of sight, on the plane n·P = d
+    back = [-(normal @ rim) / normal[2] for rim in (over, under)]
+    assert back[0] - back[1] == pytest.approx(0.8 * np.tan(np.radians(8.0)), rel=0.05)
 
 
 def test_a_free_plane_does_not_ask_its_path(rig):

@@ -136,6 +136,19 @@ def test_a_change_of_speed_is_found(rendered: Callable[[Scene], Path], kind: str
     assert (np.abs(m.track.refined_speed - true) < 4 * m.track.refined_std).all()
 
 
+def test_frames_at_the_end_in_which_it_is_hidden_are_not_measured(tmp_path: Path) -> None:
+    """A braking vehicle that something covers at last: the mean speed is that of the frames before."""
+    braking = scene("left", 22.0, 4, acceleration=-3.0)
+    hidden, film = 2, render(braking)
+    walls = [*np.random.default_rng(1).integers(10, 240, (hidden, *film.left[0].shape), np.uint8)]
+    covered = replace(film, left=[*film.left[:-hidden], *walls], right=[*film.right[:-hidden], *walls])
+    m = measure_clip(write(covered, tmp_path)).measurements[0]
+    assert m.track.status == ["tracking"] * (braking.frames - hidden) + ["lost"] * hidden
+    assert m.verdict == "measured" and m.frames == braking.frames - hidden
+    duration = (braking.frames - hidden - 1) / braking.rate
+    assert m.speed_lo <= 22.0 - 1.5 * duration <= m.speed_hi and m.speed_hi - m.speed_lo < 0.5
+
+
 @pytest.mark.parametrize("acceleration", [-3.0, 3.0])
 def test_a_change_of_speed_that_begins_later_is_found(
     rendered: Callable[[Scene], Path], acceleration: float

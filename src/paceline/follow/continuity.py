@@ -13,7 +13,7 @@ UNSTEADY = 0.06  # relative error of a scale that was measured, at most
 HASTE, BRAKING = 1.5, 3.0  # m/s, m/s²: by how much the distance may change otherwise than was foreseen
 NODDING = 0.06  # rad by which a bump and the road's grade may turn the camera up or down
 RISE = 0.3  # m by which what is measured of a target may lie higher or lower than usual
-GRADE = 0.03  # rad by which the road's grade turns it for longer
+LASTING, GRADE = 0.4, 0.025  # m and rad by which it may for longer, by the road's grade, say
 RATE, LATELY, LONG = 0.3, 0.2, 0.007  # of learning its height, per image: that of now, of half a second, of ten
 SAME = 0.3  # sizes of the target, or relative scale, between two sights of the same
 
@@ -43,7 +43,7 @@ class Continuity:
         if abs(drop - self._drop) > RISE + NODDING * distance:
             return ALOFT
         self._lately += LATELY * (drop - self._lately)  # also of what is refused, or every other image were believed
-        return ALOFT if abs(self._lately - self._level) > RISE + GRADE * distance else ""
+        return ALOFT if abs(self._lately - self._level) > LASTING + GRADE * distance else ""
 
     def sight(self, location: Array) -> None:
         """Something like the target is seen at ``location`` (3,)."""

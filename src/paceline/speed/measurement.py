@@ -212,6 +212,7 @@ class _Run:
 
     def result(self) -> Measurement:
         """The measurement, refined where enough was seen."""
+        self.estimates = _until_hidden(self.estimates)
         tracked = [e for e in self.estimates if e.status == "tracking"]
         if len(tracked) < LEAST_FRAMES:
             return self._rejected(self._too_few(len(tracked)))
@@ -310,8 +311,8 @@ class _Run:
         hidden = sum(e.likeness < SEEN for e in self.estimates)
         if hidden:
             notices.append(f"hidden or unlike itself in {hidden} {'frame' if hidden == 1 else 'frames'}")
-        if self.estimates[-1].status == "lost":
-            notices.append(f"lost at frame {self.estimates[-1].frame}")
+        if lost := [e.frame for e in self.estimates if e.status == "lost"]:
+            notices.append(f"lost at frame {lost[0]}")
         return notices
 
     def _from_filter(self, tracked: list[Estimate]) -> Measurement:
@@ -369,6 +370,14 @@ class _Run:
             refined_speed=refined_speed,
             refined_std=refined_std,
         )
+
+
+def _until_hidden(estimates: list[Estimate]) -> list[Estimate]:
+    """``estimates`` with those ``lost`` that come after the last frame in which the vehicle was in view: the mean speed
+    is that of the frames before."""
+    last = max((k for k, e in enumerate(estimates) if e.status == "tracking" and e.likeness >= LOST), default=-1)
+    after = [replace(e, status="lost") if e.status == "tracking" else e for e in estimates[last + 1 :]]
+    return estimates[: last + 1] + after
 
 
 def _too_wide(speed: float, half: float) -> str:

@@ -16,8 +16,9 @@ Array = NDArray[np.float64]
 
 UPRIGHT = np.radians(6.0)  # fronts and sides of vehicles stand upright to about this
 TURNED = np.radians(30.0)  # a side outlined for measurement faces the cameras to about this
-SQUARE = np.array([np.radians(3.0), np.radians(6.0)])  # the same without a path, where the travel is a guess
-ALONG_PATH = np.array([np.radians(1.5), np.radians(5.0)])  # a front or side follows its path to this: yaw, tilt
+ALONG_PATH, SQUARE = np.radians(1.5), np.radians(3.0)  # to this its yaw follows a path, or a travel that is a guess
+# How faces stand, mean and deviation of the tilt: fronts and rears lean back, the more of bonnet or boot they hold
+LEANING = {"front": np.radians((8.0, 10.0)), "side": np.radians((0.0, 5.0))}
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +26,8 @@ class FirstPlane:
     """The plane n·P = d at the first frame.
 
     ``centre`` (3,) m; ``normal`` (3,), away from the cameras, so that ``distance`` > 0; ``normal_std`` (2,) rad: of
-    its yaw and its tilt; ``inverse_depth_std``: relative, from the operator's hand.
+    its yaw and its tilt; ``lean``: the tilt away from it that is most likely, rad; ``inverse_depth_std``: relative,
+    from the operator's hand.
     """
 
     centre: Array
@@ -33,6 +35,7 @@ class FirstPlane:
     normal_std: Array
     distance: float
     inverse_depth_std: float
+    lean: float = 0.0
 
 
 def first_plane(rig: StereoRig, vehicle: VehicleDocument, path: Path | None, click_sigma: float) -> FirstPlane:
@@ -46,12 +49,15 @@ def first_plane(rig: StereoRig, vehicle: VehicleDocument, path: Path | None, cli
     relative = float(disparity_std * centre[2] / (rig.left.K[0, 0] * rig.baseline))
     if vehicle.plane == "free" or path is None:
         normal, std = normal_from_corners(rig, vehicle.left, vehicle.right, click_sigma)
+        lean = 0.0
     else:
         T, P, _ = path.frames(np.array(path.nearest(centre))).T
-        normal, std = (T if vehicle.plane == "front" else P), ALONG_PATH
+        normal = T if vehicle.plane == "front" else P
+        lean, doubt = LEANING[vehicle.plane]
+        std = np.array([ALONG_PATH, doubt])
     if normal @ centre < 0:
         normal = -normal
-    return FirstPlane(centre, normal, std, float(normal @ centre), relative)
+    return FirstPlane(centre, normal, std, float(normal @ centre), relative, lean)
 
 
 def squared(plane: FirstPlane, travel: Array) -> FirstPlane:
@@ -65,14 +71,14 @@ def squared(plane: FirstPlane, travel: Array) -> FirstPlane:
     oblique = np.degrees(np.arccos(np.clip(abs(along), 0.0, 1.0)))  # 0° a front, 90° a side
     doubt = 2.0 * np.degrees(float(plane.normal_std[0])) + 5.0
     if 90.0 - oblique <= min(doubt, oblique):
-        normal = plane.normal - along * k
+        normal, (lean, std) = plane.normal - along * k, LEANING["side"]
     elif oblique <= doubt:
-        normal = k * np.sign(along)
+        normal, (lean, std) = k * np.sign(along), LEANING["front"]
     else:
         return plane
     normal /= np.linalg.norm(normal)
     return FirstPlane(
-        plane.centre, normal, SQUARE, float(normal @ plane.centre), plane.inverse_depth_std
+        plane.centre, normal, np.array([SQUARE, std]), float(normal @ plane.centre), plane.inverse_depth_std, lean
     )
 
 

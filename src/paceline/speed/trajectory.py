@@ -278,6 +278,7 @@ def prior(trajectory: Trajectory, speed: float, extras: tuple[str, ...] = ()) ->
             std[trajectory.index(name)] = STEADY if name == "acceleration" else 0.0
     mean = np.zeros_like(std)
     mean[:2] = np.log(trajectory.plane.centre[2]), speed
+    mean[INDEX["normal_tilt"]] = trajectory.plane.lean
     free = np.flatnonzero(std > 0)
     return Prior(mean, free, np.diag(1.0 / std[free] ** 2))
 
