@@ -24,7 +24,10 @@ from paceline.speed.motion import (
 from paceline.speed.paths import Path
 
 SEEDS = st.integers(0, 2**32 - 1)
-SILENT = {"distance_noise": 0.0, "lateral_noise": 0.0, "vertical_noise": 0.0, "speed_noise": 1e-13}
+SILENT = {
+    **dict.fromkeys(("distance_noise", "lateral_noise", "vertical_noise", "heading_noise"), 0.0),
+    "speed_noise": 1e-13,
+}
 RECTANGLE = np.array([[-0.9, -0.35], [0.9, -0.35], [0.9, 0.35], [-0.9, 0.35]])
 
 
@@ -251,7 +254,9 @@ def test_without_noise_the_generator_does_not_matter(rig):
 
 def test_the_noises_have_the_stated_size_and_grow_with_the_root_of_time(rig):
     N = 20000
-    c = SpeedConfiguration(speed_noise=0.2, distance_noise=0.05, lateral_noise=0.1, vertical_noise=0.03)
+    c = SpeedConfiguration(
+        speed_noise=0.2, distance_noise=0.05, lateral_noise=0.1, vertical_noise=0.03, heading_noise=0.02
+    )
     path, _ = circle(5000.0, 1)
     T, P, B = path.frames(np.array(20.0)).T
     one = planes_at(rig, path.at(np.array([20.0])), -T[None])
@@ -263,8 +268,10 @@ def test_the_noises_have_the_stated_size_and_grow_with_the_root_of_time(rig):
         along = np.hypot(0.2 * scale * dt, 0.05 * scale)
         np.testing.assert_allclose((after.speed - 20.0).std(), 0.2 * scale, rtol=0.03)
         np.testing.assert_allclose((shift @ T).std(), along, rtol=0.03)
-        np.testing.assert_allclose((shift @ P).std(), 0.1 * scale, rtol=0.03)
-        np.testing.assert_allclose((shift @ B).std(), 0.03 * scale, rtol=0.03)
+        np.testing.assert_allclose(after.heading.std(axis=0), [0.02 * scale, 0.006 * scale], rtol=0.03)
+        aside = 20.0 * dt * after.heading.std(axis=0)
+        np.testing.assert_allclose((shift @ P).std(), np.hypot(0.1 * scale, aside[0]), rtol=0.03)
+        np.testing.assert_allclose((shift @ B).std(), np.hypot(0.03 * scale, aside[1]), rtol=0.03)
         np.testing.assert_allclose((shift @ T).mean(), 20.0 * dt, atol=5 * along / np.sqrt(N) + 1e-4)
 
 

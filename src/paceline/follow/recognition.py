@@ -47,6 +47,7 @@ WIDEST = 8.0  # times as far as usual a target is looked for that was lost
 FEW = "too few of its features are found"
 OUTSIDE = "too little of it is in the image"
 APART = "what is found does not fit together"
+STILL = 0.9  # share of the match that there must be where a lock had slid from
 SLID = "its lock had slid along other edges: back to where it looks as it did"
 ALONE = "held by its picture: too few of its features are found"
 
@@ -158,8 +159,9 @@ class Recogniser:
             old = self._search.went_from(self.projection.shown(look.fit.location).location, self.appearance)
             if old is not None:
                 place = self.projection.ideal(old.location)
-                look = self._measured(image, place, old.doubt, place, doubt, tau, lost)
-                return replace(look, window=sighting.window, slid=True, note=SLID)
+                back = self._measured(image, place, old.doubt, place, doubt, tau, lost)
+                if _as_good(back, look):
+                    return replace(back, window=sighting.window, slid=True, note=SLID)
         proven = self._proven >= PROVEN and self._held_for < ALONE_FOR and not lost
         if look.complaint in (FEW, APART) and proven and sighting.picture > HELD:
             return self._held(start, sighting)
@@ -239,3 +241,11 @@ class Recogniser:
         """How much of the model shows, as a share of what usually does, up to 1."""
         usual = self.appearance.match
         return min(measurement.match / usual, 1.0) if usual else 1.0
+
+
+def _as_good(back: Look, look: Look) -> bool:
+    """Whether the model's edges are ``back`` there too, almost as many: a shadow that has just passed changes the
+    picture, not the edges."""
+    if back.measurement is None or look.measurement is None:
+        return False
+    return back.measurement.match > STILL * look.measurement.match

@@ -35,6 +35,7 @@ class SpeedConfiguration(BaseModel):
     distance_noise: float = Field(0.02, ge=0)  # σ_d, m per frame
     lateral_noise: float = Field(0.10, ge=0)  # σ_P, m per frame, curved paths
     vertical_noise: float = Field(0.03, ge=0)  # σ_B, m per frame, curved paths
+    heading_noise: float = Field(0.01, ge=0)  # rad per frame, by which a vehicle turns from its path; none in [Zhu]
     rotation_noise: float = Field(0.01, ge=0)  # σ of each Euler angle's rate, rad/s per frame, free motion
     translation_noise: float = Field(0.15, ge=0)  # σ of each velocity component, m/s per frame, free motion
     speed_guess_spread: float = Field(0.15, gt=0)  # relative spread of the first particles about a given speed

@@ -41,6 +41,7 @@ LEAST_FRAMES = 4
 MOST_GLIMPSES = 32  # frames kept for the refinement; of a longer track, evenly spread ones
 MARGIN = (0.6, 24.0)  # kept about a region, as a share of its size and in pixels
 WIDEST = (0.06, 0.5)  # half-width of an interval that still counts: relative, and m/s
+OWN = 0.5  # share of that which may be the vehicle's own, not the calibration's
 MISFIT = 0.6  # share of the texture's contrast that may stay unexplained
 OFF = 0.6  # px, rms over the frames: how far the pictures may lie off the motion
 DISAGREE = 1.0  # px across the epipolar lines
@@ -111,11 +112,8 @@ def measure_each(
     done: dict[str, Measurement] = {}
     total = len(recording)
     for count, frame in enumerate(recording.frames(), start=1):
-        if count == 1 and np.ptp(frame.left) > 0 and np.array_equal(frame.left, frame.right):
-            raise UnusableInput(
-                f"{clip.path}: left and right: frame {frame.index} shows the same picture in both; "
-                "expected the views of two cameras"
-            )
+        if count == 1:
+            refuse_one_view(clip, frame)
         for vehicle in clip.vehicles:
             run = runs.get(vehicle.id)
             if run is not None and frame.index >= vehicle.frame and not frame.duplicate and not run.see(frame):
@@ -134,6 +132,15 @@ def measure_each(
         notices=list(recording.notices),
         seconds=time.perf_counter() - begun,
     )
+
+
+def refuse_one_view(clip: Clip, frame: StereoFrame) -> None:
+    """Raises UnusableInput where both views of a clip's first ``frame`` are one picture."""
+    if np.ptp(frame.left) > 0 and np.array_equal(frame.left, frame.right):
+        raise UnusableInput(
+            f"{clip.path}: left and right: frame {frame.index} shows the same picture in both; "
+            "expected the views of two cameras"
+        )
 
 
 def versions() -> dict[str, str]:
@@ -251,8 +258,9 @@ class _Run:
         speed, noise_std, doubt_std, systematic_std = refined.mean_speed()
         random_std = float(np.hypot(noise_std, doubt_std))
         # the noise is judged by few frames and patches; the other two are what they are
-        normal = ndtri(0.5 + CONFIDENCE / 2) * np.hypot(doubt_std, np.nan_to_num(systematic_std))
-        half = np.hypot(stdtrit(refined.dof, 0.5 + CONFIDENCE / 2) * noise_std, normal)
+        usual, wider = ndtri(0.5 + CONFIDENCE / 2), stdtrit(refined.dof, 0.5 + CONFIDENCE / 2)
+        own = float(np.hypot(wider * noise_std, usual * doubt_std))
+        half = float(np.hypot(own, usual * np.nan_to_num(systematic_std)))
         across = np.nanmedian(refined.offsets[:, 1, 1] - refined.offsets[:, 0, 1])
         off = float(np.sqrt(np.nanmean(refined.offsets**2)))
         reason = ""
@@ -270,7 +278,7 @@ class _Run:
         elif not 0 <= speed <= FASTEST:
             reason = f"implausible: {speed:.1f} m/s"
         else:
-            reason = _too_wide(speed, float(half))
+            reason = _too_wide(speed, half) or _too_wide(speed, own, OWN)
         speeds, times = refined.speeds()[0], refined.trajectory.times.mean(1)
         acceleration = float((speeds[-1] - speeds[0]) / (times[-1] - times[0]))
         accelerating = {"acceleration", "surge"} & {*refined.extras}
@@ -281,8 +289,8 @@ class _Run:
             vehicle=self.vehicle.id,
             track=self._track(refined),
             speed=speed,
-            speed_lo=speed - float(half),
-            speed_hi=speed + float(half),
+            speed_lo=speed - half,
+            speed_hi=speed + half,
             random_std=random_std,
             systematic_std=systematic_std,
             frames=frames,
@@ -380,12 +388,13 @@ def _until_hidden(estimates: list[Estimate]) -> list[Estimate]:
     return estimates[: last + 1] + after
 
 
-def _too_wide(speed: float, half: float) -> str:
-    """Why an interval of ± ``half`` (m/s) is none to go by; empty where it is."""
-    if half <= max(WIDEST[0] * speed, WIDEST[1]):
+def _too_wide(speed: float, half: float, allowed: float = 1.0) -> str:
+    """Why an interval of ± ``half`` (m/s) is none to go by where a share of the widest is ``allowed``; empty where it
+    is."""
+    if half <= allowed * max(WIDEST[0] * speed, WIDEST[1]):
         return ""
-    share = half / max(speed, 1e-9)
-    return "interval too wide: " + (f"± {share:.1%} of the speed" if share < 1 else "the speed is not known")
+    share, cause = half / max(speed, 1e-9), "" if allowed == 1.0 else " without the calibration's part"
+    return "interval too wide: " + (f"± {share:.1%} of the speed{cause}" if share < 1 else "the speed is not known")
 
 
 def _crop(image: NDArray[np.float32], quad: Array) -> tuple[NDArray[np.float32], Array]:

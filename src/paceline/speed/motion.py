@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from paceline.cameras import Camera, StereoRig
 from paceline.speed import motion_cpu
 from paceline.speed.configuration import SpeedConfiguration
-from paceline.speed.paths import Path
+from paceline.speed.paths import DRIVEN, Path
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -187,8 +187,8 @@ class FreeMotion:
 class PathMotion:
     """Along a path: one speed, and the rotation of the path's frame ([Zhu] (22)–(27)).
 
-    The path is a prior: every particle follows its own version of it, turned by its ``heading``. On a curve the
-    noise (27) across the path is added.
+    The path is a prior: every particle follows its own version of it, turned by its ``heading``, which changes a little
+    from frame to frame, as that of a vehicle which leaves its lane. On a curve the noise (27) across the path is added.
     """
 
     linear = ("speed", "heading")
@@ -200,29 +200,33 @@ class PathMotion:
         self.speed_noise = configuration.speed_noise
         self.distance_noise = configuration.distance_noise
         self.drift = np.array([configuration.lateral_noise, configuration.vertical_noise])
+        self.turning = np.zeros(2) if configuration.exact_path else configuration.heading_noise * DRIVEN / DRIVEN[0]
 
     def propagate(self, state: State, dt: float, rng: np.random.Generator) -> State:
         """All particles ``dt`` seconds later."""
         noise = _drawn(self.draws(dt), len(state), rng)
         speed = state.speed + noise[0]
+        heading = state.heading + np.stack(noise[2:4], axis=1)
         s = self._advanced(state.s, speed * dt + noise[1])
         F = self.path.frames(state.s)
         start = self.path.at(state.s)
         step = self.path.at(s) - start
         length = np.einsum("ni,ni->n", step, F[:, :, 0])
-        shift = step + length[:, None] * _combined(F[:, :, 1:], state.heading)
+        shift = step + length[:, None] * _combined(F[:, :, 1:], heading)
         if self.name == "line":
-            return replace(moved(state, self.rig, shift), speed=speed, s=s)  # (22)–(24)
+            return replace(moved(state, self.rig, shift), speed=speed, s=s, heading=heading)  # (22)–(24)
         F_after = self.path.frames(s)
         dR = F_after @ np.swapaxes(F, -1, -2)  # (26)
-        drift = _combined(F_after[:, :, 1:], noise[2] * self.drift * np.sqrt(dt / FRAME))
+        drift = _combined(F_after[:, :, 1:], noise[4] * self.drift * np.sqrt(dt / FRAME))
         shift += start - _combined(dR, start) + drift  # (27)
-        return replace(moved(state, self.rig, shift, dR), speed=speed, s=s)
+        return replace(moved(state, self.rig, shift, dR), speed=speed, s=s, heading=heading)
 
     def draws(self, dt: float) -> Draws:
-        """The noise of ``dt`` seconds: of the speed, in m/s, of the way, in m, and on a curve of the drift's place."""
+        """The noise of ``dt`` seconds: of the speed, in m/s, of the way, in m, of the yaw and the pitch, in rad, and on
+        a curve of the drift's place."""
         scale = float(np.sqrt(dt / FRAME))
-        along = [(self.speed_noise * scale, 1), (self.distance_noise * scale, 1)]
+        sigmas = self.speed_noise, self.distance_noise, *self.turning.tolist()
+        along = [(sigma * scale, 1) for sigma in sigmas]
         return along if self.name == "line" else [*along, (1.0, 2)]
 
     def yaw_rate(self, state: State, dt: float) -> float:

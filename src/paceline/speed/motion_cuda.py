@@ -195,7 +195,8 @@ def _frame(breaks, cubics, roll, s, F):
 def propagate_along_path(rows, noise, rig, breaks, cubics, roll, turns, drift_across, drift_down, dt):
     """`motion.PathMotion.propagate`: (22)–(24) on a line, (25)–(27) where the path ``turns``.
 
-    ``noise`` (4, N): m/s of the speed, m along the path, and standard normal ones of the drift across and down.
+    ``noise`` (6, N): m/s of the speed, m along the path, rad of the heading's yaw and pitch, and standard normal ones
+    of the drift across and down.
     """
     p = cuda.grid(1)
     if p >= rows.shape[1]:
@@ -210,6 +211,8 @@ def propagate_along_path(rows, noise, rig, breaks, cubics, roll, turns, drift_ac
     before = rows[S, p]
     speed = rows[SPEED, p] + noise[0, p]
     length = speed * dt + noise[1, p]
+    rows[HEADING, p] += noise[2, p]
+    rows[HEADING + 1, p] += noise[3, p]
     s = before + length
     _at(breaks, cubics, before, start)
     if turns:
@@ -231,7 +234,7 @@ def propagate_along_path(rows, noise, rig, breaks, cubics, roll, turns, drift_ac
         _frame(breaks, cubics, roll, s, after)
         _multiply_transposed(after, F, dR)  # (26)
         _apply(dR, start, turned)
-        across, down = noise[2, p] * drift_across, noise[3, p] * drift_down
+        across, down = noise[4, p] * drift_across, noise[5, p] * drift_down
         for i in range(3):
             shift[i] += start[i] - turned[i] + (after[i, 1] * across + after[i, 2] * down)  # (27)
     rows[SPEED, p] = speed
