@@ -58,6 +58,15 @@ class Camera:
         ideal = cv2.undistortPoints(p.reshape(-1, 1, 2), self.K, self.distortion, P=self.K, criteria=_TO_CONVERGENCE)
         return np.asarray(ideal, float).reshape(p.shape)
 
+    def distort_points(self, pixels: Array) -> Array:
+        """Pixels (…, 2) of the distorted image, of ideal ``pixels`` (…, 2)."""
+        p = np.asarray(pixels, float)
+        if not self.has_distortion:
+            return p
+        rays = self.rays(p).reshape(-1, 1, 3)
+        distorted = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), self.K, self.distortion)[0]
+        return np.asarray(distorted, float).reshape(p.shape)
+
     @cached_property
     def _undistortion_maps(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         a, b = cv2.initUndistortRectifyMap(self.K, self.distortion, np.eye(3), self.K, self.image_size, cv2.CV_32FC1)

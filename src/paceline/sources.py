@@ -7,6 +7,7 @@ import re
 import struct
 import zlib
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, Protocol
@@ -111,6 +112,7 @@ class Video:
         self.notices: list[str] = []
         self._path = path
         self._bit_depth = bit_depth
+        self._enterable = True  # at key frames; not where only the decoder knows the time stamps
         self._pts, self._time_base = self._scan()
         self.times: Array | None = np.array([float(p * self._time_base) for p in self._pts])
 
@@ -123,7 +125,7 @@ class Video:
     def read(self, frames: Sequence[int]) -> Iterator[Image | None]:
         wanted = {self._pts[f]: f for f in frames}
         order = list(frames)
-        for picture in self._decode():
+        for picture in self._decode_from(order[0] if order else 0):
             frame = wanted.get(picture.pts) if picture.pts is not None else None
             if frame is None:
                 continue
@@ -137,6 +139,19 @@ class Video:
             if not order:
                 return
         yield from [None] * len(order)
+
+    def _decode_from(self, frame: int) -> Iterator[av.VideoFrame]:
+        """Pictures from the key frame at or before ``frame``; from the first where a file cannot be entered there."""
+        if frame and self._enterable:
+            pictures = self._decode(self._pts[frame])
+            first = None
+            with suppress(av.FFmpegError):
+                first = next(pictures, None)
+            if first is not None and first.pts is not None and first.pts <= self._pts[frame]:
+                yield first
+                yield from pictures
+                return
+        yield from self._decode()
 
     def _decode(self, start: int | None = None) -> Iterator[av.VideoFrame]:
         """Whole pictures in presentation order, from the key frame at or before time stamp ``start``."""
@@ -168,6 +183,7 @@ class Video:
             raise UnusableInput(f"{self.name}: cannot be read as a video ({error.strerror})") from error
         if pts and None in pts:  # the container numbers its packets only; the decoder may know better
             pts, key = [picture.pts for picture in self._decode()], None
+            self._enterable = False
             if None in pts:
                 raise UnusableInput(
                     f"{self.name}: carries no presentation time stamps; expected a video that does, or images"

@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+
+from paceline.console.telling import TOLD, telling
 
 
 @contextmanager
 def progress_bar(doing: str, show: bool) -> Iterator[Callable[[int, int | None], None] | None]:
-    """A progress bar on standard error, moved on by calls with (frames done, frames in all if that is known)."""
+    """A progress bar on standard error, moved on by calls with (frames done, frames in all if that is known).
+
+    A program that started the command may ask for lines instead; once it reads them no more, the command ends.
+    """
+    if os.environ.get(TOLD) == "lines":
+        yield lambda done, total: print(telling(doing, done, total), file=sys.stderr, flush=True)
+        return
     if not show:
         yield None
         return

@@ -1,0 +1,30 @@
+"""``paceline console``: set up, measure and read clips in the browser."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from paceline.commands import DONE
+from paceline.errors import UnusableInput
+
+
+def console(
+    folder: Annotated[Path, typer.Argument(metavar="[DIR]", help="The folder that holds the clips.")] = Path("."),
+    host: Annotated[
+        str, typer.Option(help="Address to listen on; any but this machine's own asks for the token that is printed.")
+    ] = "127.0.0.1",
+    port: Annotated[int | None, typer.Option(min=0, max=65535, help="Port; the first free one from 8640 on.")] = None,
+    browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open a browser window.")] = True,
+) -> int:
+    """Set up, measure and read clips in the browser."""
+    if importlib.util.find_spec("nicegui") is None:
+        raise UnusableInput("the console needs NiceGUI; install it with: pip install 'paceline[console]'")
+
+    from paceline.console.server import serve
+
+    serve(folder, host, port, browser, lambda text: print(text, flush=True))
+    return DONE

@@ -1,0 +1,321 @@
+"""What the pages ask for and send: pictures, set-ups, imports, runs and their files."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import json
+from collections.abc import AsyncIterator
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from fastapi import APIRouter, FastAPI, Request
+from fastapi.responses import FileResponse, JSONResponse, Response
+from starlette.concurrency import run_in_threadpool
+
+from paceline.cameras import StereoRig
+from paceline.console.clip_file import Changed, Entry, Setup, read_lanes, read_setup, read_site_paths, save_setup
+from paceline.console.editing import check_setup, epipolar_line, propose
+from paceline.console.importing import LARGEST_RIG, Imports, add_rig
+from paceline.console.library import Library
+from paceline.console.results import DOWNLOADS
+from paceline.console.runs import Run
+from paceline.console.safety import NotHere, file_below
+from paceline.console.snapping import snapped
+from paceline.errors import UnusableInput
+
+LARGEST_BODY = 4 << 20  # bytes of JSON
+MOST_PARTICLES, MOST_POINTS = 100_000, 1000
+MOTIONS, UNITS = ("auto", "free", "line", "curve"), ("mph", "km/h", "m/s")
+# A report is a page of its own, and made from names in files: it may show pictures and run nothing.
+REPORT_POLICY = (
+    "sandbox allow-same-origin allow-downloads allow-popups; default-src 'none'; img-src 'self' data:; "
+    "media-src 'self'; style-src 'unsafe-inline'; frame-ancestors 'none'"
+)
+
+
+def add_api(app: FastAPI, library: Library, imports: Imports) -> None:
+    """Adds every address below /api and /results to ``app``."""
+    app.include_router(_pictures(library))
+    app.include_router(_set_up(library))
+    app.include_router(_imports(library, imports))
+    app.include_router(_runs(library))
+
+    @app.exception_handler(UnusableInput)
+    async def unusable(request: Request, error: UnusableInput) -> JSONResponse:
+        return JSONResponse({"reason": library.shown(error)}, 422)
+
+    @app.exception_handler(NotHere)
+    async def not_here(request: Request, error: NotHere) -> JSONResponse:
+        return JSONResponse({"reason": "there is no such clip, run or file"}, 404)
+
+    @app.exception_handler(Changed)
+    async def changed(request: Request, error: Changed) -> JSONResponse:
+        return JSONResponse({"reason": "clip.yaml was changed elsewhere in the meantime"}, 409)
+
+
+def _pictures(library: Library) -> APIRouter:
+    router = APIRouter()
+
+    @router.get("/api/frame")
+    def frame(clip: str, view: int, frame: int) -> Response:
+        return _jpeg(library.gallery.jpeg(library.file(clip), _view(view), frame))
+
+    @router.get("/api/thumbnail")
+    def thumbnail(clip: str) -> Response:
+        return _jpeg(library.gallery.thumbnail(library.file(clip)))
+
+    @router.get("/api/epipolar")
+    def epipolar(clip: str, view: int, x: float, y: float) -> dict[str, Any]:
+        rig = library.gallery.open(library.file(clip)).clip.rig
+        return epipolar_line(rig, _view(view), np.array([_number(x), _number(y)]))
+
+    @router.get("/api/snap")
+    def snap(clip: str, view: int, frame: int, x: float, y: float, reach: float) -> list[float]:
+        picture = library.gallery.open(library.file(clip)).picture(_view(view), frame)
+        place = snapped(picture, np.array([_number(x), _number(y)]), max(_number(reach), 1.0))
+        return [round(float(value), 2) for value in place]
+
+    return router
+
+
+def _set_up(library: Library) -> APIRouter:
+    router = APIRouter()
+
+    @router.get("/api/setup")
+    def get(clip: str) -> dict[str, Any]:
+        file = library.file(clip)
+        pictures = library.gallery.open(file)
+        setup = read_setup(file)
+        rig = pictures.clip.rig
+        return {
+            "sizes": [camera.image_size for camera in rig.cameras],
+            "frames": pictures.frames,
+            "times": [round(float(t), 4) for t in pictures.recording.times],
+            "notices": pictures.recording.notices,
+            "sitePaths": read_site_paths(file),
+            "paths": setup.paths,
+            "vehicles": setup.vehicles,
+            "revision": setup.revision,
+        }
+
+    @router.put("/api/setup")
+    async def put(clip: str, request: Request) -> dict[str, Any]:
+        body = await _json(request)
+        setup, file = Setup(*_drawn(body), str(body.get("revision"))), library.file(clip)
+        await run_in_threadpool(library.gallery.open, file)  # refuses what leads out of the folder
+        saved = await run_in_threadpool(save_setup, file, setup)
+        return {"paths": saved.paths, "vehicles": saved.vehicles, "revision": saved.revision}
+
+    @router.post("/api/check")
+    async def check(clip: str, request: Request) -> dict[str, Any]:
+        paths, vehicles = _drawn(await _json(request))
+        rig = (await run_in_threadpool(library.gallery.open, library.file(clip))).clip.rig
+        return await run_in_threadpool(_check, rig, json.dumps([paths, vehicles]))
+
+    @router.post("/api/propose")
+    async def propose_other(clip: str, request: Request) -> dict[str, Any]:
+        body = await _json(request)
+        return await run_in_threadpool(_propose, library, clip, body)
+
+    return router
+
+
+@lru_cache(maxsize=64)
+def _check(rig: StereoRig, drawn: str) -> dict[str, Any]:
+    paths, vehicles = json.loads(drawn)
+    return check_setup(rig, paths, vehicles)
+
+
+def _propose(library: Library, clip: str, body: dict[str, Any]) -> dict[str, Any]:
+    pictures = library.gallery.open(library.file(clip))
+    view, frame = _view(body.get("view")), _whole(body.get("frame"), 10**9)
+    entry, path = _entry(body.get("entry")), body.get("path")
+    shown = pictures.picture(0, frame), pictures.picture(1, frame)
+    pixels, alike = propose(pictures.clip.rig, view, shown, entry, None if path is None else _entry(path))
+    return {"pixels": np.round(pixels, 2).tolist(), "alike": round(alike, 3)}
+
+
+def _imports(library: Library, imports: Imports) -> APIRouter:
+    router = APIRouter()
+
+    @router.post("/api/import")
+    async def begin(request: Request) -> dict[str, str]:
+        return {"key": imports.begin(str((await _json(request)).get("name", "")))}
+
+    @router.put("/api/import/{key}/{slot}")
+    async def receive(key: str, slot: str, name: str, request: Request) -> dict[str, str]:
+        announced = request.headers.get("content-length", "")
+        size = int(announced) if announced.isdecimal() else None
+        await imports.receive(key, slot, name, size, request.stream())
+        return {}
+
+    @router.post("/api/import/{key}")
+    async def finish(key: str, request: Request) -> dict[str, str]:
+        rate = (await _json(request)).get("rate")
+        given = None if rate is None else _number(rate)
+        return {"name": await run_in_threadpool(imports.finish, key, given)}
+
+    @router.delete("/api/import/{key}")
+    def give_up(key: str) -> dict[str, str]:
+        imports.give_up(key)
+        return {}
+
+    @router.put("/api/rig")
+    async def rig(clip: str, request: Request) -> dict[str, str]:
+        content = await _body(request.stream(), LARGEST_RIG)
+        await run_in_threadpool(add_rig, library.file(clip), content)
+        return {}
+
+    return router
+
+
+def _runs(library: Library) -> APIRouter:
+    router = APIRouter()
+
+    @router.post("/api/run")
+    async def start(clip: str, request: Request) -> dict[str, Any]:
+        body = await _json(request)
+        kind, options = body.get("kind"), body.get("options", {})
+        if kind not in ("speed", "lanes", "vehicles") or not isinstance(options, dict):
+            raise UnusableInput("kind: expected speed, lanes or vehicles")
+        arguments = speed_options(options) if kind == "speed" else []
+        return _shown(await run_in_threadpool(library.runs.start, clip, kind, arguments))
+
+    @router.get("/api/run")
+    def get(clip: str, number: int) -> dict[str, Any]:
+        return _shown(_found(library, clip, number))
+
+    @router.delete("/api/run")
+    def cancel(clip: str, number: int) -> dict[str, str]:
+        library.runs.cancel(clip, _found(library, clip, number).number)
+        return {}
+
+    @router.get("/api/proposed")
+    def proposed(clip: str, number: int) -> dict[str, Any]:
+        run = _found(library, clip, number)
+        if run.kind == "lanes":
+            return {"paths": read_lanes(file_below(library.runs.folder(run), "site.yaml")), "vehicles": []}
+        return {"paths": {}, "vehicles": read_setup(file_below(library.runs.folder(run), "clip.yaml")).vehicles}
+
+    @router.get("/results/{clip}/{number}/{name}")
+    def result(clip: str, number: int, name: str, save: bool = False) -> FileResponse:
+        run = _found(library, clip_of(clip), number)
+        if name not in DOWNLOADS:
+            raise NotHere(name)
+        file = file_below(library.runs.out(run), name)
+        answer = FileResponse(file, filename=name if save else None)
+        if file.suffix == ".html":
+            answer.headers["Content-Security-Policy"] = REPORT_POLICY
+        return answer
+
+    return router
+
+
+def results_address(clip: str, number: int, name: str) -> str:
+    """Where a file of a run is; a clip's name may hold what addresses do not keep as it is."""
+    return f"/results/{base64.urlsafe_b64encode(clip.encode()).decode().rstrip('=')}/{number}/{name}"
+
+
+def clip_of(address: str) -> str:
+    """The clip that `results_address` named. Raises NotHere."""
+    try:
+        return base64.urlsafe_b64decode(address + "=" * (-len(address) % 4)).decode()
+    except (binascii.Error, ValueError) as error:
+        raise NotHere(address) from error
+
+
+def speed_options(given: dict[str, Any]) -> list[str]:
+    """Arguments of ``paceline speed`` for what a page asks. Raises UnusableInput, naming the option."""
+    arguments: list[str] = []
+    for option, most in (("particles", MOST_PARTICLES), ("seed", 2**31)):
+        if given.get(option) is not None:
+            arguments += [f"--{option}", str(_whole(given[option], most))]
+    for option, valid in (("motion", MOTIONS), ("units", UNITS)):
+        if given.get(option) is not None:
+            if given[option] not in valid:
+                raise UnusableInput(f"{option}: expected one of {', '.join(valid)}")
+            arguments += [f"--{option}", str(given[option])]
+    return arguments
+
+
+def _found(library: Library, clip: str, number: int) -> Run:
+    run = library.runs.get(clip, number)
+    if run is None:
+        raise NotHere(f"{clip} {number}")
+    return run
+
+
+def _shown(run: Run) -> dict[str, Any]:
+    return {"number": run.number, "state": run.state, "reason": run.reason, "done": run.done, "total": run.total}
+
+
+def _drawn(body: dict[str, Any]) -> tuple[dict[str, Entry], list[Entry]]:
+    paths, vehicles = body.get("paths"), body.get("vehicles")
+    if not isinstance(paths, dict) or not isinstance(vehicles, list):
+        raise UnusableInput("expected paths by name and a list of vehicles")
+    return {str(name): _entry(path) for name, path in paths.items()}, [_entry(v) for v in vehicles]
+
+
+def _entry(value: object) -> Entry:
+    if not isinstance(value, dict):
+        raise UnusableInput("expected a path or a vehicle with its keys")
+    for key, length in (("left", 2), ("right", 2), ("points", 3)):
+        points = value.get(key, [])
+        if not isinstance(points, list) or len(points) > MOST_POINTS:
+            raise UnusableInput(f"{key}: expected a list of at most {MOST_POINTS} points")
+        for point in points:
+            if not isinstance(point, list) or len(point) != length:
+                raise UnusableInput(f"{key}: expected points of {length} numbers")
+            for number in point:
+                _number(number)
+    if value.get("shape", "line") not in ("line", "curve") or not isinstance(value.get("path", ""), str):
+        raise UnusableInput("expected shape line or curve, and the name of a path")
+    return value
+
+
+def _view(value: object) -> int:
+    if value not in (0, 1):
+        raise UnusableInput("view: expected 0 for left or 1 for right")
+    return int(value)
+
+
+def _whole(value: object, most: int) -> int:
+    if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value <= most:
+        raise UnusableInput(f"expected a whole number from 0 to {most}, found {str(value)[:40]!r}")
+    return value
+
+
+def _number(value: object) -> float:
+    if not isinstance(value, int | float) or isinstance(value, bool) or not abs(value) < 1e9:
+        raise UnusableInput(f"expected a number, found {str(value)[:40]!r}")
+    return float(value)
+
+
+def _jpeg(content: bytes) -> Response:
+    return Response(content, media_type="image/jpeg", headers={"Cache-Control": "private, no-cache"})
+
+
+async def _json(request: Request) -> dict[str, Any]:
+    body = await _body(request.stream(), LARGEST_BODY)
+    try:
+        found = json.loads(body, parse_constant=_no_constant)
+    except (ValueError, RecursionError) as error:
+        raise UnusableInput("the request is no JSON") from error
+    if not isinstance(found, dict):
+        raise UnusableInput("the request is no JSON object")
+    return found
+
+
+def _no_constant(name: str) -> float:
+    raise ValueError(name)
+
+
+async def _body(stream: AsyncIterator[bytes], most: int) -> bytes:
+    content = bytearray()
+    async for chunk in stream:
+        content += chunk
+        if len(content) > most:
+            raise UnusableInput(f"the request is larger than {most >> 20} MiB")
+    return bytes(content)

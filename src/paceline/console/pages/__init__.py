@@ -1,0 +1,13 @@
+"""The console's pages."""
+
+from __future__ import annotations
+
+from paceline.console.library import Library
+from paceline.console.pages import clips, runs, setup
+
+
+def add_pages(library: Library) -> None:
+    """Adds every page to the application."""
+    clips.add(library)
+    setup.add(library)
+    runs.add(library)

@@ -1,0 +1,309 @@
+"""Runs of the command line, one after the other, each in a process and a folder of its own.
+
+A run of clip C lives in ``C/runs/0001/``: ``run.json`` says what was asked and how it ended, ``out/`` is what the
+command wrote. The command puts its output in place at the end and touches nothing else, so however a run ends the clip
+is as it was. A run that says it is under way, while no process of this console works on it, was interrupted.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+from paceline.console.clip_file import without_vehicles
+from paceline.console.safety import NotHere, check_clip, file_below, folder_below
+from paceline.console.telling import TOLD, told
+from paceline.errors import UnusableInput
+
+RUNS = "runs"
+DONE, NOTHING_MEASURED, UNUSABLE = 0, 1, 2  # how the command line ends
+PATIENCE = 5.0  # s, for a cancelled command to clear up before it is killed
+LAST_WORDS = 20  # lines of a command's messages that are kept
+LONGEST_LINE = 400
+
+WAITING, RUNNING = "waiting", "running"
+MEASURED, NOTHING, FAILED, CANCELLED, INTERRUPTED = "measured", "nothing measured", "failed", "cancelled", "interrupted"
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run: what was asked, ``state`` and plain ``reason``, seconds since the epoch, and how far it is."""
+
+    clip: str
+    number: int
+    kind: str  # speed | lanes | vehicles
+    options: tuple[str, ...]
+    state: str
+    created: float
+    started: float | None = None
+    ended: float | None = None
+    reason: str = ""
+    doing: str = ""  # looking, averaging, measuring: one after the other
+    done: int = 0
+    total: int | None = None
+    first: float | None = None  # when its first frame was done; what came before is no measure of the rest
+
+    @property
+    def active(self) -> bool:
+        return self.state in (WAITING, RUNNING)
+
+    def seconds_left(self, now: float) -> float | None:
+        """Seconds to go by the pace so far, or None where that is not known yet."""
+        if self.state != RUNNING or self.first is None or self.total is None or self.done < 2:
+            return None
+        return (now - self.first) / (self.done - 1) * (self.total - self.done)
+
+
+class Runs:
+    """All runs below ``root``, the resolved folder of the console, and the one that is under way."""
+
+    def __init__(self, root: Path, folder: Callable[[str], Path]) -> None:
+        self._root, self._folder = root, folder
+        self._lock = threading.Condition()
+        self._active: dict[tuple[str, int], Run] = {}
+        self._queue: deque[tuple[str, int]] = deque()
+        self._process: tuple[tuple[str, int], subprocess.Popen[str]] | None = None
+        self._cancelled: set[tuple[str, int]] = set()
+        self._closed = False
+        self._known: dict[Path, tuple[int, Run | None]] = {}
+        self._held = _only_one(root)
+        self._worker = threading.Thread(target=self._work, name="runs", daemon=True)
+        self._worker.start()
+
+    def start(self, clip: str, kind: str, options: Sequence[str] = ()) -> Run:
+        """Queues ``paceline KIND CLIP OPTIONS``. Raises UnusableInput where no run can be kept."""
+        folder = self._folder(clip)
+        check_clip(self._root, folder / "clip.yaml")
+        with self._lock:
+            number = _make_folder(folder)
+            run = Run(clip, number, kind, tuple(options), WAITING, time.time())
+            where = self.folder(run)
+            try:
+                shutil.copyfile(folder / "clip.yaml", where / "clip-as-asked.yaml")
+                _write(where, run)
+            except OSError as error:
+                raise UnusableInput(f"{where}: cannot be written ({error.strerror})") from error
+            self._active[clip, number] = run
+            self._queue.append((clip, number))
+            self._lock.notify_all()
+        return run
+
+    def cancel(self, clip: str, number: int) -> None:
+        """Ends a run that waits or is under way; its folder says so."""
+        key = clip, number
+        with self._lock:
+            if key in self._queue:
+                self._queue.remove(key)
+                self._end(replace(self._active[key], state=CANCELLED))
+            elif key in self._active:
+                self._cancelled.add(key)
+                if self._process is not None and self._process[0] == key:
+                    _stop(self._process[1])
+
+    def of(self, clip: str) -> list[Run]:
+        """The runs of a clip, latest first."""
+        try:
+            found = [int(p.name) for p in folder_below(self._folder(clip), RUNS).iterdir() if p.name.isdecimal()]
+        except (NotHere, OSError):
+            return []
+        runs = (self.get(clip, number) for number in sorted(found, reverse=True))
+        return [run for run in runs if run is not None]
+
+    def get(self, clip: str, number: int) -> Run | None:
+        """A run, or None where there is none of this number."""
+        with self._lock:
+            if (clip, number) in self._active:
+                return self._active[clip, number]
+        try:
+            return self._read(clip, number, _folder_of(self._folder(clip), number))
+        except (NotHere, OSError):
+            return None
+
+    def active(self) -> list[Run]:
+        """The run under way and those that wait, in their order."""
+        with self._lock:
+            return sorted(self._active.values(), key=lambda run: (run.state != RUNNING, run.created))
+
+    def folder(self, run: Run) -> Path:
+        """Where a run is kept. Raises NotHere for a folder that is a link."""
+        return _folder_of(self._folder(run.clip), run.number)
+
+    def out(self, run: Run) -> Path:
+        """Where the command's output is, once it has ended well."""
+        return self.folder(run) / "out"
+
+    def close(self) -> None:
+        """Ends what is under way and waits for it to clear up."""
+        with self._lock:
+            self._closed = True
+            self._queue.clear()
+            if self._process is not None:
+                _stop(self._process[1])
+            self._lock.notify_all()
+        self._worker.join(2 * PATIENCE)
+        os.close(self._held)
+
+    def _read(self, clip: str, number: int, folder: Path) -> Run | None:
+        """As `_read`, again only for a file that has changed: pages ask twice a second."""
+        changed = (folder / "run.json").stat().st_mtime_ns
+        known = self._known.get(folder)
+        if known is None or known[0] != changed:
+            known = self._known[folder] = changed, _read(clip, number, folder)
+        return known[1]
+
+    # --- the worker ------------------------------------------------------------------------------------------------
+
+    def _work(self) -> None:
+        while True:
+            with self._lock:
+                self._lock.wait_for(lambda: self._queue or self._closed)
+                if self._closed:
+                    return
+                key = self._queue.popleft()
+                run = self._active[key] = replace(self._active[key], state=RUNNING, started=time.time())
+            try:
+                ended = self._run(run)
+            except (OSError, NotHere, UnusableInput) as error:
+                ended = replace(run, state=FAILED, reason=f"could not be run ({error})")
+            with self._lock:
+                self._process = None
+                self._end(ended)
+
+    def _run(self, run: Run) -> Run:
+        key = run.clip, run.number
+        folder, where = self._folder(run.clip), self.folder(run)
+        check_clip(self._root, folder / "clip.yaml")
+        _write(where, run)
+        command = [sys.executable, "-m", "paceline", run.kind, *_arguments(run.kind, folder / "clip.yaml", where)]
+        with self._lock:
+            if self._closed or key in self._cancelled:
+                return replace(run, state=INTERRUPTED if self._closed else CANCELLED)
+            process = subprocess.Popen(
+                [*command, *run.options],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                text=True,
+                errors="replace",
+                env={**os.environ, TOLD: "lines"},
+                start_new_session=True,  # Ctrl-C is the console's, which ends its runs itself
+            )
+            self._process = key, process
+        words = self._listen(key, process)
+        status = process.wait()
+        for partial in where.glob(".*.partial"):  # what a killed command could not clear up
+            shutil.rmtree(partial, ignore_errors=True)
+        reason = words[-1].removeprefix("paceline: ") if words else ""
+        run = self._active[key]
+        if key in self._cancelled:
+            return replace(run, state=CANCELLED)
+        if self._closed:
+            return replace(run, state=INTERRUPTED, reason="the console was closed")
+        if status in (DONE, NOTHING_MEASURED):
+            return replace(run, state=MEASURED if status == DONE else NOTHING, reason=reason if status else "")
+        if status == UNUSABLE:
+            return replace(run, state=FAILED, reason=self._shown(reason))
+        killed = f"its process was killed (signal {-status})" if status < 0 else f"it ended with status {status}"
+        return replace(run, state=INTERRUPTED, reason=killed)
+
+    def _listen(self, key: tuple[str, int], process: subprocess.Popen[str]) -> list[str]:
+        """Follows what the command says until it ends; returns the last of its messages."""
+        words: deque[str] = deque(maxlen=LAST_WORDS)
+        assert process.stdout is not None
+        with process.stdout:
+            while line := process.stdout.readline(LONGEST_LINE):
+                progress = told(line)
+                if progress is None:
+                    words.append(line.strip())
+                    continue
+                with self._lock:
+                    run, (doing, done, total) = self._active[key], progress
+                    first = run.first if run.first and run.doing == doing else time.time()
+                    self._active[key] = replace(run, doing=doing, done=done, total=total, first=first)
+        return [word for word in words if word]
+
+    def _end(self, run: Run) -> None:
+        with contextlib.suppress(NotHere, OSError):  # someone removed the folder in the meantime
+            _write(self.folder(run), replace(run, ended=time.time()))
+        del self._active[run.clip, run.number]
+
+    def _shown(self, reason: str) -> str:
+        return reason.replace(f"{self._root}/", "")
+
+
+def _arguments(kind: str, file: Path, where: Path) -> list[str]:
+    """What a command is told, so that all it writes is below ``where``."""
+    if kind == "vehicles":  # this one adds to the clip.yaml that it is given
+        copy = where / "clip.yaml"
+        copy.write_text(without_vehicles(file, where), encoding="utf-8")
+        return [str(copy), "--write"]
+    return [str(file), "-o", str(where / ("out" if kind == "speed" else "site.yaml"))]
+
+
+def _stop(process: subprocess.Popen[str]) -> None:
+    """Asks a process to end, and kills it if it has not within PATIENCE."""
+    with contextlib.suppress(ProcessLookupError):
+        process.send_signal(signal.SIGTERM)
+    timer = threading.Timer(PATIENCE, process.kill)
+    timer.daemon = True
+    timer.start()
+
+
+def _make_folder(clip: Path) -> int:
+    runs = clip / RUNS
+    try:
+        runs.mkdir(exist_ok=True)
+        if runs.resolve() != runs:
+            raise UnusableInput(f"{runs}: is a link; expected a folder for the runs")
+        number = max((int(p.name) for p in runs.iterdir() if p.name.isdecimal()), default=0) + 1
+        (runs / f"{number:04d}").mkdir()
+    except OSError as error:
+        raise UnusableInput(f"{runs}: cannot be written ({error.strerror}); runs are kept there") from error
+    return number
+
+
+def _write(folder: Path, run: Run) -> None:
+    partial = folder / ".run.json.partial"
+    partial.write_text(json.dumps(asdict(run), indent=2) + "\n", encoding="utf-8")
+    partial.replace(folder / "run.json")
+
+
+def _folder_of(clip: Path, number: int) -> Path:
+    return folder_below(clip, f"{RUNS}/{number:04d}")
+
+
+def _read(clip: str, number: int, folder: Path) -> Run | None:
+    try:
+        found = json.loads(file_below(folder, "run.json").read_text(encoding="utf-8"))
+        run = Run(**{**found, "clip": clip, "number": number, "options": tuple(found["options"])})
+    except (ValueError, TypeError, KeyError):
+        return None
+    if not run.active:
+        return run
+    if (folder / "out" / "summary.json").is_file():  # its output appears whole, so it had ended
+        return replace(run, state=MEASURED)
+    return replace(run, state=INTERRUPTED, reason="the console or the computer was stopped while it ran")
+
+
+def _only_one(root: Path) -> int:
+    """A lock on ``root``, held until this process ends. Raises UnusableInput where another console holds it."""
+    try:
+        held = os.open(root, os.O_RDONLY)
+        fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        raise UnusableInput(f"{root}: another console serves this folder already") from error
+    except OSError as error:
+        raise UnusableInput(f"{root}: cannot be read ({error.strerror})") from error
+    return held

@@ -1,0 +1,131 @@
+"""What the console may touch: files below one folder, and nothing that a link, a path or a playlist leads to elsewhere.
+
+Names of clips come from addresses and files from clip.yaml, so both are distrusted.
+"""
+
+from __future__ import annotations
+
+import glob
+import re
+from pathlib import Path
+
+import av
+
+from paceline.errors import UnusableInput
+from paceline.schemas import ClipModel, SiteModel, read_document
+from paceline.sources import IMAGE_SUFFIXES
+
+LONGEST_NAME = 80
+# Containers that hold their own pictures; a playlist would make the decoder open the files that it names.
+CONTAINERS = "mov,matroska,avi,mpegts,mpeg,ogg,flv,asf,mxf,nut,dv,h264,hevc,mjpeg,m4v,mpegvideo,ivf"
+
+
+class NotHere(LookupError):
+    """No such clip, run or file below the console's folder."""
+
+
+def check_name(name: str) -> str:
+    """``name``, if a new clip may be called so. Raises UnusableInput."""
+    plain = 0 < len(name) <= LONGEST_NAME and name.isprintable() and name == name.strip()
+    if not plain or name.startswith(".") or re.search(r'[/\\:*?"<>|]', name):
+        raise UnusableInput(
+            f'name {name[:LONGEST_NAME]!r}: expected at most {LONGEST_NAME} characters without / \\ : * ? " < > |, '
+            "not beginning with a dot"
+        )
+    return name
+
+
+def folder_below(root: Path, name: str) -> Path:
+    """The folder called ``name`` ("." or "a/b") below ``root``, itself resolved. Raises NotHere for anything else:
+    a name that climbs, is hidden or absolute, or leads through a link."""
+    folder = root if name == "." else root.joinpath(*_parts(name))
+    try:
+        there = folder.is_dir() and folder.resolve() == folder
+    except OSError:  # a name that is too long
+        there = False
+    if not there:
+        raise NotHere(name)
+    return folder
+
+
+def file_below(folder: Path, name: str) -> Path:
+    """The plain file called ``name`` below ``folder``, itself resolved. Raises NotHere, for links too."""
+    file = folder.joinpath(*_parts(name))
+    try:
+        there = file.is_file() and file.resolve() == file
+    except OSError:
+        there = False
+    if not there:
+        raise NotHere(name)
+    return file
+
+
+def _parts(name: str) -> list[str]:
+    parts = name.split("/")
+    if any(not part or part.startswith(".") or "\\" in part or not part.isprintable() for part in parts):
+        raise NotHere(name)
+    return parts
+
+
+def check_clip(root: Path, file: Path) -> None:
+    """Raises UnusableInput where something that the clip.yaml ``file`` names lies outside ``root`` or is a playlist."""
+    model = read_document(ClipModel, _inside(root, file, file, "clip.yaml"))
+    named = {"left": model.left, "right": model.right, "rig": model.rig, "site": model.site, "times": model.times}
+    for key, given in named.items():
+        if given is not None:
+            path = _inside(root, file, file.parent / given, key)
+            if key in ("left", "right"):
+                _check_recorded(root, file, path, key)
+    if model.site is not None and (site := file.parent / model.site).is_file():
+        _inside(root, site, site.parent / read_document(SiteModel, site).rig, "rig")
+
+
+def named_files(root: Path, file: Path) -> list[Path]:
+    """The clip.yaml ``file``, its folder and, so far as it can be read below ``root``, all that it names."""
+    found = [file, file.parent]
+    try:
+        model = read_document(ClipModel, file)
+        named = [model.left, model.right, model.rig, model.site, model.times]
+        found += [file.parent / given for given in named if given is not None]
+        if model.site is not None:
+            site = _inside(root, file, file.parent / model.site, "site")
+            found.append(site.parent / read_document(SiteModel, site).rig)
+    except UnusableInput:
+        pass
+    return found
+
+
+def _check_recorded(root: Path, file: Path, where: Path, key: str) -> None:
+    if where.is_dir():
+        images = [p for p in where.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES]
+    elif where.exists():
+        return check_container(where)
+    else:
+        images = [Path(p) for p in glob.glob(re.sub(r"%0(\d+)d", lambda m: "[0-9]" * int(m[1]), str(where)))]
+    for folder in {image.parent for image in images}:
+        _inside(root, file, folder, key)
+    for image in images:
+        if image.is_symlink():
+            _inside(root, file, image, key)
+
+
+def check_container(video: Path) -> None:
+    """Raises UnusableInput unless ``video`` holds its own pictures."""
+    try:
+        with av.open(video, options={"format_whitelist": CONTAINERS}):
+            pass
+    except av.FFmpegError as error:
+        raise UnusableInput(
+            f"{video}: cannot be read as a video ({error.strerror}); expected MP4, MOV, MKV, WebM, AVI or the like"
+        ) from error
+
+
+def _inside(root: Path, file: Path, path: Path, key: str) -> Path:
+    """``path``, if all links followed it lies below ``root``; what is not there is for others to complain of."""
+    try:
+        inside = path.resolve().is_relative_to(root)
+    except (OSError, RuntimeError) as error:  # a name that is too long, links in a circle
+        raise UnusableInput(f"{file}: {key}: {str(path)[:200]!r} cannot be read") from error
+    if not inside:
+        raise UnusableInput(f"{file}: {key}: leads out of {root}; the console reads nothing outside its folder")
+    return path

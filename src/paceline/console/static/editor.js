@@ -1,0 +1,448 @@
+// The stereo editor: both views side by side, road lines and vehicles drawn in them, proposals and checks by the server.
+
+import { ask, make } from "./importer.js";
+import { Model, VIEWS, ordered, rounded, sortedCorners } from "./model.js";
+import { Panel } from "./panel.js";
+import { Pointers } from "./pointers.js";
+import { Proposals } from "./proposals.js";
+import { COLORS, View } from "./view.js";
+
+const NEAR = 12; // px on the screen
+const KEPT = 48; // pictures
+const TOOLS = {
+  move: ["Look", "v", "Drag a point to move it, the picture to pan; the wheel zooms."],
+  line: ["Road line", "l", "Click along a road line; Enter ends it. Then the same line in the other view, or let it be proposed."],
+  vehicle: ["Vehicle", "r", "Drag across a flat front, rear or side, or click its four corners."],
+};
+const KEYS = "V look, L line, R outline, ← → frames, space plays, arrows nudge a chosen point (Shift: more), N next point, "
+  + "Del removes, Ctrl-Z undoes, Ctrl-S saves, + − 0 zoom, S snapping, Esc leaves";
+
+class Editor extends HTMLElement {
+  async connectedCallback() {
+    if (this.started) return;
+    this.started = true;
+    this.clip = encodeURIComponent(this.getAttribute("clip"));
+    try {
+      this.setup = await ask("GET", `/api/setup?clip=${this.clip}`);
+    } catch (error) {
+      this.append(make("div", { className: "pl-error", role: "alert", textContent: error.message }));
+      return;
+    }
+    this.model = new Model(this.setup);
+    this.views = VIEWS.map((side, i) => new View(side, this.setup.sizes[i]));
+    this.tool = "move";
+    this.snapping = true;
+    this.linked = true;
+    this.pair = 0;
+    this.chosen = null;
+    this.draft = null; // {kind, view, points}
+    this.moving = null; // where the chosen point is dragged to just now
+    this.pictures = new Map();
+    this.build();
+    this.model.listeners.push(() => this.changed());
+    const first = this.model.vehicles[0];
+    if (first) this.pair = Math.max(this.setup.frames.indexOf(first.frame), 0);
+    new ResizeObserver(() => this.resized()).observe(this.views[0].canvas);
+    this.goTo(this.pair);
+    this.changed();
+    window.addEventListener("beforeunload", (event) => { if (this.model.dirty) event.preventDefault(); });
+    window.addEventListener("keydown", (event) => this.key(event));
+  }
+
+  get frame() { return this.setup.frames[this.pair]; }
+
+  // --- the page ----------------------------------------------------------------------------------------------------
+
+  build() {
+    const button = (text, action, title = "") => make("button", { className: "pl-button", type: "button", textContent: text, title, onclick: action });
+    this.toolButtons = Object.fromEntries(Object.entries(TOOLS).map(([tool, [text, key, hint]]) =>
+      [tool, button(text, () => this.take(tool), `${hint} (${key.toUpperCase()})`)]));
+    this.undoButton = button("Undo", () => this.model.undo(), "Ctrl-Z");
+    this.redoButton = button("Redo", () => this.model.redo(), "Ctrl-Y");
+    this.snapButton = button("Snap", () => this.toggleSnapping(), "Points move to the nearest edge or corner (S); Alt does the opposite for one point");
+    this.linkButton = button("Both views", () => { this.linked = !this.linked; this.buttons(); }, "Zoom and pan both views as one");
+    this.lanesButton = button("Propose lanes", () => this.proposals.lanes(), "Find the painted lines of the empty road; this reads the whole recording");
+    this.vehiclesButton = button("Propose vehicles", () => this.proposals.vehicles(), "Find what drives along the paths; this reads the whole recording");
+    this.saveButton = button("Save", () => this.save(), "Writes clip.yaml (Ctrl-S)");
+    this.saveButton.classList.add("primary");
+    this.measureButton = make("a", { className: "pl-button", href: this.getAttribute("runs"), textContent: "Measure…" });
+    this.measureButton.style.textDecoration = "none";
+    this.hint = make("div", { className: "ed-hint", role: "status", "aria-live": "polite" });
+    this.scrub = make("input", { type: "range", min: 0, max: this.setup.frames.length - 1, value: 0, "aria-label": "Frame" });
+    this.scrub.oninput = () => this.goTo(Number(this.scrub.value));
+    this.playButton = button("Play", () => this.play(), "Space");
+    this.time = make("span", { className: "pl-fact" });
+    this.time.style.minWidth = "150px";
+    const gap = make("span", { className: "gap" });
+    const bar = make("div", { className: "ed-bar", role: "toolbar", "aria-label": "Tools" }, ...Object.values(this.toolButtons), this.undoButton, this.redoButton,
+      this.snapButton, this.linkButton, gap, this.saveButton, this.measureButton);
+    const boxes = this.views.map((view) => {
+      view.canvas.setAttribute("aria-label", `${view.side} view`);
+      const box = make("div", { className: "ed-view" }, view.canvas, make("span", { className: "tag", textContent: view.side }));
+      return box;
+    });
+    this.panel = new Panel(this);
+    this.pointers = new Pointers(this);
+    this.proposals = new Proposals(this);
+    const keys = make("details", { className: "pl-fact" }, make("summary", { textContent: "Keys" }), KEYS);
+    this.append(
+      make("div", { className: "ed-work" }, bar, this.hint, make("div", { className: "ed-views" }, ...boxes),
+        make("div", { className: "ed-scrub" }, this.playButton, this.scrub, this.time), keys),
+      this.panel.element);
+    this.take("move");
+    this.say(this.next());
+    for (const notice of this.setup.notices) this.panel.element.append(make("div", { className: "pl-fact", textContent: `Note: ${notice}` }));
+  }
+
+  buttons() {
+    for (const [tool, element] of Object.entries(this.toolButtons)) element.setAttribute("aria-pressed", String(tool === this.tool));
+    this.snapButton.setAttribute("aria-pressed", String(this.snapping));
+    this.linkButton.setAttribute("aria-pressed", String(this.linked));
+    this.undoButton.disabled = !this.model.past.length;
+    this.redoButton.disabled = !this.model.future.length;
+    this.saveButton.disabled = !this.model.dirty;
+  }
+
+  say(text, bad = false) {
+    this.hint.textContent = text;
+    this.hint.classList.toggle("pl-error", bad);
+  }
+
+  next() { // what a person would do next
+    const { paths, vehicles, sitePaths } = this.model;
+    if (!vehicles.length && !Object.keys({ ...paths, ...sitePaths }).length) {
+      return "First draw the road line that the vehicles follow, or let lanes be proposed. Then outline the vehicles.";
+    }
+    if (!vehicles.length) return "Now outline each vehicle, in a frame that shows it well and early.";
+    return TOOLS[this.tool][2];
+  }
+
+  take(tool) {
+    this.pointers.then(() => this.finishDraft());
+    this.tool = tool;
+    this.say(TOOLS[tool][2]);
+    this.buttons();
+    this.paint();
+  }
+
+  toggleSnapping() {
+    this.snapping = !this.snapping;
+    this.buttons();
+  }
+
+  resized() {
+    if (!this.sized) for (const view of this.views) view.fit();
+    this.sized = this.views[0].width > 0;
+    this.paint();
+  }
+
+  // --- pictures ----------------------------------------------------------------------------------------------------
+
+  async goTo(pair) {
+    this.pair = Math.min(Math.max(pair, 0), this.setup.frames.length - 1);
+    this.scrub.value = this.pair;
+    this.time.textContent = `frame ${this.frame}, ${this.setup.times[this.pair].toFixed(2)} s`;
+    const wanted = this.pair;
+    try {
+      const images = await Promise.all([0, 1].map((view) => this.picture(view, this.setup.frames[wanted])));
+      if (wanted !== this.pair) return;
+      this.views.forEach((view, i) => { view.image = images[i]; });
+    } catch (error) {
+      if (wanted !== this.pair) return;
+      this.views.forEach((view) => { view.image = null; });
+      this.say(error.message, true);
+    }
+    this.paint();
+  }
+
+  picture(view, frame) {
+    const key = `${view}:${frame}`;
+    const known = this.pictures.get(key);
+    this.pictures.delete(key);
+    const picture = known ?? this.load(view, frame);
+    this.pictures.set(key, picture);
+    if (this.pictures.size > KEPT) this.pictures.delete(this.pictures.keys().next().value);
+    picture.catch(() => this.pictures.delete(key));
+    return picture;
+  }
+
+  async load(view, frame) {
+    const answer = await fetch(`/api/frame?clip=${this.clip}&view=${view}&frame=${frame}`);
+    if (!answer.ok) throw new Error((await answer.json()).reason ?? "this picture cannot be shown");
+    return createImageBitmap(await answer.blob());
+  }
+
+  async play() {
+    this.playing = !this.playing;
+    this.playButton.textContent = this.playing ? "Pause" : "Play";
+    while (this.playing) {
+      const next = (this.pair + 1) % this.setup.frames.length;
+      const wait = next ? 1000 * (this.setup.times[next] - this.setup.times[this.pair]) : 600;
+      const begun = performance.now();
+      await this.goTo(next);
+      await new Promise((done) => { setTimeout(done, Math.max(wait - (performance.now() - begun), 15)); });
+    }
+  }
+
+  paint() {
+    if (this.painting) return;
+    this.painting = true;
+    requestAnimationFrame(() => {
+      this.painting = false;
+      this.views.forEach((view, i) => view.draw(this.drawings(i), this.magnified?.view === i ? this.magnified.place : null));
+    });
+  }
+
+  drawings(view) {
+    const side = VIEWS[view];
+    const list = [];
+    for (const entry of Object.values(this.model.sitePaths)) {
+      if (entry[side]) list.push({ points: entry[side], color: "#b9c2cc", faint: true });
+    }
+    Object.entries(this.model.paths).forEach(([name, entry], i) => {
+      if (entry[side]?.length) list.push(this.drawing({ kind: "path", id: name }, entry[side], false, i, view));
+    });
+    this.model.vehicles.forEach((entry, i) => {
+      if (entry[side]?.length) list.push({ ...this.drawing({ kind: "vehicle", id: i }, entry[side], true, i, view), faint: entry.frame !== this.frame });
+    });
+    if (this.draft?.view === view) list.push({ points: this.draft.points, color: "#fff", chosen: true, closed: this.draft.closed });
+    return list.filter((drawing) => drawing.points.length);
+  }
+
+  drawing(item, points, closed, i, view) {
+    const chosen = this.isChosen(item);
+    const point = chosen && this.chosen.view === view ? this.chosen.point : undefined;
+    if (point !== undefined && this.moving) points = points.map((p, k) => (k === point ? this.moving : p));
+    return { points, closed, color: COLORS[i % COLORS.length], chosen, point };
+  }
+
+  // --- choosing ----------------------------------------------------------------------------------------------------
+
+  isChosen(item) { return this.chosen?.kind === item.kind && this.chosen.id === item.id; }
+
+  choose(item) {
+    this.chosen = item;
+    const entry = this.model.entry(item);
+    if (item?.kind === "vehicle" && entry.frame !== this.frame) this.goTo(this.setup.frames.indexOf(entry.frame));
+    this.panel.show();
+    this.paint();
+  }
+
+  show(item) {
+    this.choose(item);
+    const entry = this.model.entry(item);
+    const drawn = this.views.filter((view) => entry[view.side]?.length);
+    for (const view of drawn) view.show(entry[view.side]);
+    const least = Math.min(...drawn.map((view) => view.scale));
+    for (const view of this.linked ? drawn : []) view.scale = least;
+    if (drawn.length === 1 && this.linked) {
+      const other = this.views.find((view) => view !== drawn[0]);
+      other.scale = least;
+      other.centre = [...drawn[0].centre];
+    }
+    this.paint();
+  }
+
+  remove(item) {
+    this.chosen = null;
+    this.model.change((m) => m.remove(item));
+  }
+
+  // What lies under a place on the screen: the chosen item's points first, then anything drawn.
+  hit(view, at) {
+    const side = VIEWS[view];
+    const items = [
+      ...Object.keys(this.model.paths).map((id) => ({ kind: "path", id })),
+      ...this.model.vehicles.map((_, id) => ({ kind: "vehicle", id })),
+    ].filter((item) => item.kind === "path" || this.model.entry(item).frame === this.frame);
+    items.sort((a, b) => Number(this.isChosen(b)) - Number(this.isChosen(a)));
+    for (const item of items) {
+      const points = (this.model.entry(item)[side] ?? []).map((p) => this.views[view].toScreen(p));
+      const gaps = points.map((p) => Math.hypot(p[0] - at[0], p[1] - at[1]));
+      const nearest = gaps.indexOf(Math.min(...gaps));
+      if (gaps[nearest] <= NEAR) return { ...item, view, point: nearest };
+    }
+    return null;
+  }
+
+  // --- places ------------------------------------------------------------------------------------------------------
+
+  async snapped(view, place, opposite) {
+    if (this.snapping === opposite) return rounded(place);
+    const reach = Math.min(Math.max(8 / this.views[view].scale, 1.5), 6);
+    try {
+      return await ask("GET", `/api/snap?clip=${this.clip}&view=${view}&frame=${this.frame}&x=${place[0]}&y=${place[1]}&reach=${reach}`);
+    } catch {
+      return rounded(place); // where it was put
+    }
+  }
+
+  async trace(view, place) { // the epipolar line of the cursor, one question at a time
+    this.tracing = { view, place };
+    if (this.asking) return;
+    this.asking = true;
+    while (this.tracing) {
+      const now = this.tracing;
+      this.tracing = null;
+      try {
+        const found = await ask("GET", `/api/epipolar?clip=${this.clip}&view=${now.view}&x=${now.place[0]}&y=${now.place[1]}`);
+        this.views[1 - now.view].epipolar = found;
+        this.views[now.view].epipolar = null;
+      } catch (error) {
+        this.say(error.message, true);
+        break;
+      }
+      this.paint();
+    }
+    this.asking = false;
+  }
+
+  // --- drawing -----------------------------------------------------------------------------------------------------
+
+  async clicked(view, place) {
+    const kind = this.tool === "line" ? "path" : "vehicle";
+    if (this.draft && (this.draft.view !== view || this.draft.kind !== kind)) await this.finishDraft();
+    this.draft ??= { kind, view, points: [] };
+    this.draft.points.push(place);
+    if (kind === "vehicle" && this.draft.points.length === 4) {
+      const points = sortedCorners(this.draft.points);
+      this.draft = null;
+      await this.outlined(view, points);
+    } else if (kind === "path") this.say("Click further along the line; Enter or a double click ends it.");
+    else this.say(`${4 - this.draft.points.length} more corner${this.draft.points.length === 3 ? "" : "s"}`);
+  }
+
+  async finishDraft() {
+    const { draft } = this;
+    this.draft = null;
+    if (draft?.kind !== "path") return this.paint();
+    const points = draft.points.filter((p, i) => !i || Math.hypot(p[0] - draft.points[i - 1][0], p[1] - draft.points[i - 1][1]) > 1);
+    if (points.length < 2) return this.paint();
+    const side = VIEWS[draft.view];
+    const waiting = this.chosen?.kind === "path" && !this.model.entry(this.chosen)?.[side]?.length;
+    let item = this.chosen;
+    this.model.change((m) => {
+      if (waiting) m.paths[item.id] = ordered({ ...m.paths[item.id], [side]: points });
+      else item = m.addPath({ shape: "line", [side]: points, lateral_offset: 0 });
+    });
+    this.choose({ kind: "path", id: item.id });
+    if (!waiting) await this.proposals.other(this.chosen, draft.view);
+    else this.say("The line is drawn in both views. Next: the vehicles.");
+  }
+
+  async outlined(view, points) {
+    const side = VIEWS[view];
+    const now = this.chosen?.kind === "vehicle" ? this.model.entry(this.chosen) : null;
+    const waiting = now && now.frame === this.frame && !now[side]?.length;
+    let item = this.chosen;
+    this.model.change((m) => {
+      if (waiting) m.vehicles[item.id] = ordered({ ...m.vehicles[item.id], [side]: points });
+      else {
+        const names = Object.keys(m.allPaths);
+        item = m.addVehicle(ordered({ path: names.length === 1 ? names[0] : undefined, frame: this.frame, [side]: points }));
+      }
+    });
+    this.choose({ kind: "vehicle", id: item.id });
+    if (!waiting) await this.proposals.other(this.chosen, view);
+    else this.say("The vehicle is outlined in both views.");
+  }
+
+  put(place) { // the chosen point
+    if (this.chosen?.point === undefined) return;
+    const { view, point } = this.chosen;
+    this.model.change((m) => { m.entry(this.chosen)[VIEWS[view]][point] = place; });
+  }
+
+  // --- changes -----------------------------------------------------------------------------------------------------
+
+  changed() {
+    if (this.chosen && !this.model.entry(this.chosen)) this.chosen = null;
+    const points = this.chosen?.view === undefined ? null : this.model.entry(this.chosen)[VIEWS[this.chosen.view]];
+    if (points && !(this.chosen.point < points.length)) this.chosen = { kind: this.chosen.kind, id: this.chosen.id };
+    this.buttons();
+    this.panel.show();
+    this.paint();
+    clearTimeout(this.timer);
+    this.timer = setTimeout(() => this.check(), 120);
+  }
+
+  async check() {
+    const asked = this.model.text();
+    try {
+      const found = await ask("POST", `/api/check?clip=${this.clip}`, { paths: this.model.allPaths, vehicles: this.model.vehicles });
+      if (asked !== this.model.text()) return;
+      this.checks = found;
+      this.panel.show();
+    } catch (error) {
+      this.say(error.message, true);
+    }
+  }
+
+  async save() {
+    if (!this.model.dirty) return;
+    try {
+      const body = { paths: this.model.paths, vehicles: this.model.vehicles, revision: this.model.revision };
+      this.model.accept(await ask("PUT", `/api/setup?clip=${this.clip}`, body));
+      this.say("Saved in clip.yaml.");
+    } catch (error) {
+      this.say(error.status === 409 ? `Not saved: ${error.message}. Reload the page to see it; what is drawn here is then lost.` : `Not saved: ${error.message}`, true);
+    }
+  }
+
+  // --- keys --------------------------------------------------------------------------------------------------------
+
+  key(event) {
+    const command = event.ctrlKey || event.metaKey;
+    const pressed = event.key.toLowerCase();
+    if (command && pressed === "s") { event.preventDefault(); this.save(); return; }
+    if (event.target.closest?.("input, select, textarea, dialog")) return;
+    if (command && pressed === "z") { event.preventDefault(); if (event.shiftKey) this.model.redo(); else this.model.undo(); return; }
+    if (command && pressed === "y") { event.preventDefault(); this.model.redo(); return; }
+    if (command || event.altKey) return;
+    const arrows = { arrowleft: [-1, 0], arrowright: [1, 0], arrowup: [0, -1], arrowdown: [0, 1] };
+    const tool = Object.keys(TOOLS).find((name) => TOOLS[name][1] === pressed);
+    if (pressed in arrows) this.arrow(arrows[pressed], event.shiftKey);
+    else if (tool) this.take(tool);
+    else if (pressed === " " && !event.target.closest?.("button, a, summary")) this.play();
+    else if (pressed === "enter" && this.draft) this.pointers.then(() => this.finishDraft());
+    else if (pressed === "escape") { if (this.draft) { this.draft = null; this.paint(); } else if (this.tool !== "move") this.take("move"); else this.choose(null); }
+    else if (pressed === "delete" || pressed === "backspace") this.erase();
+    else if (pressed === "s") this.toggleSnapping();
+    else if (pressed === "n") this.nextPoint();
+    else if (pressed === "0") { for (const view of this.views) view.fit(); this.paint(); }
+    else if (pressed === "+" || pressed === "=" || pressed === "-") {
+      this.pointers.zoom(0, pressed === "-" ? 0.8 : 1.25, [this.views[0].width / 2, this.views[0].height / 2]);
+    } else return;
+    event.preventDefault();
+  }
+
+  arrow([x, y], far) {
+    if (this.chosen?.point === undefined) { if (x) this.goTo(this.pair + x); return; }
+    const step = far ? 2 : 0.25;
+    const [px, py] = this.model.entry(this.chosen)[VIEWS[this.chosen.view]][this.chosen.point];
+    this.put(rounded([px + x * step, py + y * step]));
+    const place = this.model.entry(this.chosen)[VIEWS[this.chosen.view]][this.chosen.point];
+    this.magnified = { view: this.chosen.view, place };
+    this.trace(this.chosen.view, place);
+  }
+
+  nextPoint() {
+    const entry = this.model.entry(this.chosen);
+    if (!entry) return;
+    const places = VIEWS.flatMap((side, view) => (entry[side] ?? []).map((_, point) => ({ view, point })));
+    const now = places.findIndex(({ view, point }) => view === this.chosen.view && point === this.chosen.point);
+    if (places.length) this.choose({ kind: this.chosen.kind, id: this.chosen.id, ...places[(now + 1) % places.length] });
+  }
+
+  erase() {
+    if (!this.chosen) return;
+    const points = this.chosen.point === undefined ? null : this.model.entry(this.chosen)[VIEWS[this.chosen.view]];
+    if (this.chosen.kind === "path" && points && points.length > 2) {
+      const { view, point } = this.chosen;
+      this.chosen = { kind: "path", id: this.chosen.id };
+      this.model.change((m) => { m.entry(this.chosen)[VIEWS[view]].splice(point, 1); });
+    } else this.remove(this.chosen);
+  }
+}
+
+if (!customElements.get("pl-editor")) customElements.define("pl-editor", Editor);

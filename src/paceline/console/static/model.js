@@ -1,0 +1,109 @@
+// What is drawn: paths by name and vehicles in order, with undo. No browser needed.
+
+export const VIEWS = ["left", "right"];
+const DEPTH = 200; // steps that can be undone
+
+export class Model {
+  constructor({ paths, vehicles, sitePaths, revision }) {
+    Object.assign(this, { paths, vehicles, sitePaths, revision });
+    this.saved = this.text();
+    this.past = [];
+    this.future = [];
+    this.listeners = [];
+  }
+
+  text() { return JSON.stringify([this.paths, this.vehicles]); }
+  get dirty() { return this.text() !== this.saved; }
+  get allPaths() { return { ...this.sitePaths, ...this.paths }; }
+
+  change(edit) { // one step that can be undone
+    const before = this.text();
+    edit(this);
+    if (this.text() === before) return;
+    this.past.push(before);
+    if (this.past.length > DEPTH) this.past.shift();
+    this.future = [];
+    this.tell();
+  }
+
+  undo() { this.step(this.past, this.future); }
+  redo() { this.step(this.future, this.past); }
+  step(from, to) {
+    if (!from.length) return;
+    to.push(this.text());
+    [this.paths, this.vehicles] = JSON.parse(from.pop());
+    this.tell();
+  }
+
+  accept({ paths, vehicles, revision }) { // what the server has written
+    Object.assign(this, { paths, vehicles, revision });
+    this.saved = this.text();
+    this.tell();
+  }
+
+  tell() { for (const listener of this.listeners) listener(); }
+
+  entry(chosen) {
+    if (!chosen) return undefined;
+    return chosen.kind === "path" ? this.paths[chosen.id] : this.vehicles[chosen.id];
+  }
+
+  freeName(stem, taken) {
+    for (let number = 0; ; number += 1) if (!taken.includes(`${stem}${number}`)) return `${stem}${number}`;
+  }
+
+  addPath(entry) {
+    const name = this.freeName("lane", Object.keys(this.allPaths));
+    this.paths[name] = entry;
+    return { kind: "path", id: name };
+  }
+
+  addVehicle(entry) {
+    const id = this.freeName("v", this.vehicles.map((v) => v.id));
+    this.vehicles.push({ id, ...entry });
+    return { kind: "vehicle", id: this.vehicles.length - 1 };
+  }
+
+  rename(chosen, name) {
+    if (chosen.kind === "vehicle") {
+      if (!this.vehicles.some((v, i) => v.id === name && i !== chosen.id)) this.vehicles[chosen.id].id = name;
+      return chosen;
+    }
+    if (name in this.allPaths) return chosen;
+    this.paths = Object.fromEntries(Object.entries(this.paths).map(([key, value]) => [key === chosen.id ? name : key, value]));
+    for (const vehicle of this.vehicles) if (vehicle.path === chosen.id) vehicle.path = name;
+    return { ...chosen, id: name };
+  }
+
+  remove(chosen) {
+    if (chosen.kind === "vehicle") this.vehicles.splice(chosen.id, 1);
+    else {
+      delete this.paths[chosen.id];
+      for (const vehicle of this.vehicles) if (vehicle.path === chosen.id) delete vehicle.path;
+    }
+  }
+}
+
+// Keys in the order of the file format, so that a file reads as a person would write it.
+export function ordered(entry) {
+  const keys = ["shape", "id", "path", "frame", "left", "right", "points", "lateral_offset", "plane", "speed"];
+  return Object.fromEntries(keys.filter((key) => entry[key] !== undefined && entry[key] !== null).map((key) => [key, entry[key]]));
+}
+
+// Four corners as top-left, top-right, bottom-right, bottom-left, however they were clicked.
+export function sortedCorners(points) {
+  const cx = points.reduce((sum, p) => sum + p[0], 0) / 4;
+  const cy = points.reduce((sum, p) => sum + p[1], 0) / 4;
+  const around = [...points].sort((a, b) => Math.atan2(a[1] - cy, a[0] - cx) - Math.atan2(b[1] - cy, b[0] - cx));
+  let best = around;
+  let least = Infinity;
+  for (let turn = 0; turn < 4; turn += 1) {
+    const q = [...around.slice(turn), ...around.slice(0, turn)];
+    const sides = q.map((p, i) => [q[(i + 1) % 4][0] - p[0], q[(i + 1) % 4][1] - p[1]]);
+    const score = -(sides[0][0] - sides[2][0] + sides[1][1] - sides[3][1]);
+    if (score < least) [least, best] = [score, q];
+  }
+  return best;
+}
+
+export function rounded(point) { return point.map((value) => Math.round(value * 100) / 100); }

@@ -1,0 +1,69 @@
+// What the server proposes: the same thing in the other view, lanes, vehicles.
+
+import { ask } from "./importer.js";
+import { VIEWS, ordered } from "./model.js";
+
+function searching(kind, { state, done, total }) {
+  if (state === "waiting") return `Looking for ${kind}: waits for the run before it`;
+  if (!done) return `Looking for ${kind}: starting`;
+  return done < total ? `Looking for ${kind}: ${done} of ${total} frames read` : `Looking for ${kind}: nearly there`;
+}
+
+export class Proposals {
+  constructor(editor) { this.editor = editor; }
+
+  async other(item, view) {
+    const other = VIEWS[1 - view];
+    const entry = this.editor.model.entry(item);
+    this.editor.say(`Looking for it in the ${other} view…`);
+    try {
+      const body = { view, frame: item.kind === "vehicle" ? entry.frame : this.editor.frame, entry: { ...entry, [other]: [] }, path: this.editor.model.allPaths[entry.path] ?? null };
+      const { pixels, alike } = await ask("POST", `/api/propose?clip=${this.editor.clip}`, body);
+      const [width, height] = this.editor.setup.sizes[1 - view];
+      const inside = item.kind === "path" ? pixels.filter(([x, y]) => x >= 0 && y >= 0 && x < width && y < height) : pixels;
+      if (inside.length < 2) throw new Error("it lies outside the other view");
+      this.editor.model.change((m) => {
+        const proposed = ordered({ ...m.entry(item), [other]: inside });
+        if (item.kind === "path") m.paths[item.id] = proposed; else m.vehicles[item.id] = proposed;
+      });
+      this.editor.say(`Proposed in the ${other} view (${Math.round(100 * alike)} % alike). Look at it closely, and drag what is off.`);
+    } catch (error) {
+      this.editor.say(`In the ${other} view: ${error.message}`, true);
+    }
+    this.editor.paint();
+  }
+
+  async search(kind, button) { // by a run of the command; what it proposes, or null after saying why
+    button.disabled = true;
+    try {
+      let run = await ask("POST", `/api/run?clip=${this.editor.clip}`, { kind });
+      while (["waiting", "running"].includes(run.state)) {
+        this.editor.say(searching(kind, run));
+        await new Promise((done) => { setTimeout(done, 500); });
+        run = await ask("GET", `/api/run?clip=${this.editor.clip}&number=${run.number}`);
+      }
+      if (run.state !== "measured") throw new Error(run.reason || `the search was ${run.state}`);
+      return await ask("GET", `/api/proposed?clip=${this.editor.clip}&number=${run.number}`);
+    } catch (error) {
+      this.editor.say(error.message, true);
+      return null;
+    } finally {
+      button.disabled = false;
+    }
+  }
+
+  async lanes() {
+    const found = await this.search("lanes", this.editor.lanesButton);
+    if (!found) return;
+    this.editor.model.change((m) => { for (const entry of Object.values(found.paths)) m.addPath(entry); });
+    this.editor.say(`${Object.keys(found.paths).length} proposed. What is drawn is the middle of each lane. Look at them, and remove what is wrong.`);
+  }
+
+  async vehicles() {
+    if (this.editor.model.dirty) { this.editor.say("Save first: vehicles are looked for along the paths that are saved.", true); return; }
+    const found = await this.search("vehicles", this.editor.vehiclesButton);
+    if (!found) return;
+    this.editor.model.change((m) => { for (const { id, ...entry } of found.vehicles) m.addVehicle(entry); });
+    this.editor.say(`${found.vehicles.length} proposed. Look at each outline closely, and remove what is wrong.`);
+  }
+}

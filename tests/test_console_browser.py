@@ -1,0 +1,262 @@
+"""The whole way in a real browser, against the real command: import, set up, measure, read; and many tabs at once."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import signal
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from calling import COMMAND, ENVIRONMENT, assert_one_line_error, paceline
+from chromium import CHROMIUM, Tab, browser
+from small_clips import put_clip, rendered
+
+from paceline.reports.wording import shown_speed
+
+needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
+CTRL, SHIFT = 2, 8
+
+
+@contextmanager
+def serving(folder: Path, *options: str, cwd: Path | None = None) -> Iterator[tuple[str, subprocess.Popen[str]]]:
+    """`paceline console FOLDER` on a free port, and the address that it prints."""
+    command = [*COMMAND, "console", str(folder), "--no-browser", "--port", "0", *options]
+    streams: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen(command, env=ENVIRONMENT, cwd=cwd or folder, **streams) as process:
+        try:
+            assert process.stdout is not None and process.stderr is not None
+            line = process.stdout.readline()
+            assert " is at http" in line, process.stderr.read()
+            yield line.split(" is at ")[1].strip().rstrip("/"), process
+        finally:
+            if process.poll() is None:
+                process.send_signal(signal.SIGINT)
+                assert process.wait(60) == 0, process.stderr.read()
+                assert "Traceback" not in (said := process.stderr.read()), said
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return put_clip(tmp_path_factory.mktemp("recording"))
+
+
+def on_screen(tab: Tab, view: int, point: list[float]) -> tuple[float, float]:
+    """Where a pixel of a picture is on the screen."""
+    x, y = tab.run(
+        f"(() => {{ const e = document.querySelector('pl-editor'); const v = e.views[{view}];"
+        f" const b = v.canvas.getBoundingClientRect(); const p = v.toScreen({json.dumps(point)});"
+        " return [b.x + p[0], b.y + p[1]]; })()"
+    )
+    return x, y
+
+
+@pytest.fixture(scope="module")
+def console(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, str, Callable[[], Tab]]]:
+    """The folder of a console, its address, and what opens tabs of a browser."""
+    base = tmp_path_factory.mktemp("console")
+    for name in ("clips", "elsewhere"):
+        (base / name).mkdir()
+    with serving(base / "clips", cwd=base / "elsewhere") as (address, _), browser(base / "profile") as new:
+        yield base / "clips", address, new
+    assert list((base / "elsewhere").iterdir()) == []
+
+
+@needs_chromium
+def test_from_import_to_report(recording: Path, console: tuple[Path, str, Callable[[], Tab]]) -> None:
+    (root, address, new), truth = console, next(r for r in rendered().truth if r["frame"] == 0)
+    tab = new()
+    tab.size(1280, 800)
+    tab.open(address)
+    tab.wait_for("There is no clip below")
+
+    tab.click("Import a clip")
+    for side in ("left", "right"):
+        tab.choose_files(f"[data-slot={side}] input", *sorted((recording / side).iterdir()))
+    tab.drop_files("document.querySelector('[data-slot=rig]')", recording / "rig.yaml")
+    tab.wait("document.querySelectorAll('.pl-slot.full').length === 3")
+    evil = "<img src=x onerror=alert(1)>"
+    for name in (evil, "north"):  # the first is refused, for its < and >
+        tab.run(f"(() => {{ const i = document.querySelector('pl-import'); i.name.value = {json.dumps(name)};"
+                " i.rate.value = '5'; i.show(); })()")  # fmt: skip
+        tab.click("Import")
+        if name == evil:
+            tab.wait("document.querySelector('.pl-error').innerText.includes('expected at most')")
+    tab.wait_for("Draw a road line that the vehicles follow")
+    assert yaml.safe_load((root / "north" / "clip.yaml").read_text()) == {
+        "left": "left", "right": "right", "rate": 5, "rig": "rig.yaml",
+    }  # fmt: skip
+
+    line = rendered().clip["paths"]["lane0"]["left"]
+    tab.wait("!!document.querySelector('pl-editor').views[1].image")
+    tab.key("s")  # the points go where they are put
+    tab.click("Road line")
+    for point in sorted(line, key=lambda p: -p[1])[::4]:
+        tab.drag(on_screen(tab, 0, point))
+    tab.key("Enter")
+    tab.wait_for("Proposed in the right view")
+    tab.wait_for("direction known to")
+    tab.key("r")
+    corners = truth["left"]
+    tab.run("document.querySelector('pl-editor').show({kind: 'path', id: 'lane0'})")
+    for point in corners:
+        tab.drag(on_screen(tab, 0, point))
+    tab.wait_for("width × height")
+    tab.key("v")
+    tab.drag(on_screen(tab, 0, corners[0]))
+    tab.key("ArrowLeft", SHIFT)
+    nudged = tab.run("document.querySelector('pl-editor').model.vehicles[0].left[0]")
+    assert nudged[0] == pytest.approx(corners[0][0] - 2, abs=0.7)
+    tab.key("z", CTRL)
+    tab.key("s", CTRL)
+    tab.wait_for("Saved in clip.yaml.")
+    saved = yaml.safe_load((root / "north" / "clip.yaml").read_text())
+    (vehicle,) = saved["vehicles"]
+    assert vehicle["path"] == "lane0" and vehicle["frame"] == 0
+    for side in ("left", "right"):
+        assert np.abs(np.array(vehicle[side]) - truth[side]).max() < 1.5
+
+    tab.click("Measure…")
+    tab.wait_for("Nothing measured yet")
+    other = new()
+    other.open(f"{address}/runs?clip=north")
+    other.wait_for("Nothing measured yet")
+    tab.click("Start")
+    other.wait_for("Cancel")  # every tab sees it
+    tab.call("Page.reload")
+    tab.wait_for("Cancel")
+    tab.wait_for("Open the report")
+    other.wait_for("measured")
+    (entry,) = json.loads((root / "north" / "runs" / "0001" / "out" / "summary.json").read_text())["vehicles"]
+    assert entry["verdict"] == "measured" and entry["speed_mps"] == pytest.approx(18.0, abs=0.5)
+    assert shown_speed(entry["speed_mps"], "mph", (entry["speed_hi_mps"] - entry["speed_lo_mps"]) / 2) in tab.text()
+    tab.wait("document.querySelectorAll('.pl-chart canvas').length > 0")
+    report = tab.run("[...document.links].find((a) => a.innerText === 'Open the report').href")
+    tab.open(report)
+    tab.wait_for("v0")
+    assert f"{entry['speed_mps'] / 0.44704:.1f}" in tab.text()
+    tab.open(address)
+    tab.wait_for("last run")
+
+    complaints = [c for t in (tab, other) for c in t.complaints() if "422" not in c]
+    assert complaints == []
+    asked = {a for t in (tab, other) for a in t.addresses() if not a.startswith(("data:", "blob:", "about:"))}
+    assert asked and all(a.startswith(address) for a in asked)
+    assert sorted(p.name for p in root.iterdir()) == ["north"]
+
+
+@needs_chromium
+def test_what_files_say_is_only_text(console: tuple[Path, str, Callable[[], Tab]]) -> None:
+    """Names of vehicles, paths and folders, and reasons made from YAML, are shown as they are and never run."""
+    evil = "<img src=x onerror=window.hit=1>"
+    root, address, new = console
+    clip = put_clip(root, f"a {evil}")
+    given = yaml.safe_load((clip / "clip.yaml").read_text())
+    path = given["paths"]["lane0"]
+    given["vehicles"][0] |= {"id": evil, "path": evil}
+    (clip / "clip.yaml").write_text(yaml.safe_dump(given | {"paths": {evil: path}}))
+    broken = put_clip(root, "broken")
+    (broken / "clip.yaml").write_text(yaml.safe_dump({**given, evil: 1}))
+    out = clip / "runs" / "0001" / "out"
+    out.mkdir(parents=True)
+    record = {"clip": "", "number": 1, "kind": "speed", "options": [], "state": "measured", "created": 1.0}
+    (out.parent / "run.json").write_text(json.dumps(record))
+    vehicle = {"vehicle": evil, "speed_mps": 20.0, "speed_lo_mps": 19.0, "speed_hi_mps": 21.0, "frames": 5}
+    summary = {"vehicles": [vehicle | {"verdict": "measured", "reason": evil}], "notices": [evil]}
+    (out / "summary.json").write_text(json.dumps(summary))
+    header = "vehicle,time_s,speed_mps,speed_std_mps,refined_speed_mps,refined_std_mps\n"
+    (out / "estimates.csv").write_text(header + f"{evil},0,20,1,20,1\n{evil},1,20,1,20,1\n")
+    (out / "report.html").write_text("<script>document.title = 'hit'</script><p>report</p>")
+    tab = new()
+    tab.open(address)
+    tab.wait("document.querySelectorAll('.pl-card').length >= 2 && document.body.innerText.includes('unreadable')")
+    assert tab.text().count(evil) >= 2
+    links = tab.run("[...document.querySelectorAll('.pl-card')].map((a) => a.href)")
+    tab.open(next(link for link in links if "/runs" in link and "onerror" in link))
+    tab.wait("document.querySelectorAll('.pl-chart canvas').length > 0")
+    assert tab.text().count(evil) >= 4
+    tab.mouse("mouseMoved", tab.place("document.querySelector('.pl-chart')"))
+    time.sleep(0.3)
+    assert not tab.run("window.hit || document.querySelectorAll('img[src=x]').length")
+    report = tab.run("[...document.links].find((a) => a.innerText === 'Open the report').href")
+    tab.click("Set up")
+    tab.wait(f"document.body.innerText.includes('width × height') && {json.dumps(evil)}")
+    tab.run("document.querySelectorAll('.ed-item button')[1].click()")
+    assert not tab.run("window.hit || document.querySelectorAll('img[src=x]').length")
+    tab.open(report)
+    tab.wait_for("report")
+    assert tab.run("document.title") != "hit"
+
+
+@needs_chromium
+def test_corners_are_sorted_however_they_are_clicked(console: tuple[Path, str, Callable[[], Tab]]) -> None:
+    _, address, new = console
+    tab = new()
+    tab.open(address)
+    tab.wait_for("Clips")
+    quads = [
+        [[10, 10], [50, 12], [49, 31], [11, 30]],
+        [[0, 0], [9, 4], [9, 50], [0, 60]],
+        [[5, 0], [9, 1], [6, 9], [1, 8]],
+    ]
+    for quad in quads:
+        for order in itertools.permutations(quad):
+            script = f"import('/static/model.js').then((m) => m.sortedCorners({json.dumps(order)}))"
+            assert tab.run(script) == quad, order
+
+
+def test_a_console_is_served_guarded_and_ends_without_a_trace(tmp_path: Path) -> None:
+    root = tmp_path / "clips"
+    root.mkdir()
+    with serving(root, "--host", "0.0.0.0", cwd=root) as (printed, process):
+        where, token = printed.split("/?token=")
+        port = where.rsplit(":", 1)[1]
+        assert len(token) >= 32
+        for query, status in (("", 403), ("?token=no", 403), (f"?token={token}", 200)):
+            try:
+                with urllib.request.urlopen(f"http://127.0.0.1:{port}/{query}") as answer:
+                    assert answer.status == status and "paceline-token" in answer.headers["set-cookie"]
+            except urllib.error.HTTPError as error:
+                assert error.code == status
+        done = paceline("console", "--no-browser", tmp_path, "--port", port, "--host", "0.0.0.0")
+        assert_one_line_error(done, f"--port {port}", "cannot be used")
+        assert_one_line_error(paceline("console", "--no-browser", root, "--port", 0), "another console serves")
+        process.send_signal(signal.SIGINT)
+        assert process.wait(60) == 0
+    assert list(root.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["nowhere"], ["nowhere", "is no folder"]),
+        ([".", "--host", "192.0.2.1"], ["--host 192.0.2.1", "cannot be used"]),
+        ([".", "--host", "no such host"], ["--host no such host", "cannot be used"]),
+        ([".", "--port", "70000"], ["--port", "65535"]),
+    ],
+)
+def test_what_cannot_be_served_is_one_plain_line(tmp_path: Path, arguments: list[str], words: list[str]) -> None:
+    assert_one_line_error(paceline("console", "--no-browser", *arguments, folder=tmp_path), *words)
+
+
+def test_without_nicegui_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "nicegui", None)  # as where it is not installed
+    done = paceline("console", "--no-browser", folder=tmp_path)
+    assert_one_line_error(done, "the console needs NiceGUI; install it with: pip install 'paceline[console]'")
+
+
+def test_the_static_files_are_in_the_package() -> None:
+    from importlib import resources
+
+    names = {file.name for file in (resources.files("paceline.console") / "static").iterdir()}
+    assert {"console.css", "editor.js", "importer.js"} <= names

@@ -1,0 +1,299 @@
+"""Runs of the console: real child processes that are queued, cancelled, killed and found again."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+import yaml
+from calling import ENVIRONMENT, paceline
+from small_clips import copy_of, put_clip
+
+from paceline.console import library as library_module
+from paceline.console.clip_file import without_vehicles
+from paceline.console.library import Library
+from paceline.console.results import differences, read_series, read_summary, vehicle_rows
+from paceline.console.runs import Run, Runs
+from paceline.console.telling import TOLD, telling, told
+from paceline.documents import load_clip
+from paceline.errors import UnusableInput
+
+FAST = ["--particles", "20", "--motion", "line"]
+
+
+@pytest.fixture(autouse=True)
+def the_package_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTHONPATH", ENVIRONMENT["PYTHONPATH"])
+
+
+@pytest.fixture
+def library(tmp_path: Path) -> Iterator[Library]:
+    put_clip(tmp_path.resolve())
+    library = Library(tmp_path.resolve())
+    yield library
+    library.runs.close()
+
+
+def wait(condition: Callable[[], object], seconds: float = 120) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.02)
+
+
+def ended(library: Library, number: int) -> Run:
+    wait(lambda: (run := library.runs.get("road", number)) is not None and not run.active)
+    run = library.runs.get("road", number)
+    assert run is not None
+    return run
+
+
+def contents(clip: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(clip)): p.read_bytes() for p in clip.rglob("*") if p.is_file() and "runs" not in p.parts}
+
+
+@contextmanager
+def watched(library: Library, number: int) -> Iterator[set[str]]:
+    """The states of a run that anybody sees who asks all the time."""
+    seen: set[str] = set()
+    stop = threading.Event()
+
+    def look() -> None:
+        while not stop.wait(0.001):
+            run = library.runs.get("road", number)
+            seen.add("none" if run is None else run.state)
+
+    watcher = threading.Thread(target=look)
+    watcher.start()
+    yield seen
+    stop.set()
+    watcher.join()
+
+
+def test_runs_wait_for_each_other_are_read_and_are_cancelled(library: Library) -> None:
+    clip = library.folder("road")
+    before = contents(clip)
+    for _ in range(3):
+        library.runs.start("road", "speed", FAST)
+    assert [r.number for r in library.runs.active()] == [1, 2, 3]
+    library.runs.cancel("road", 3)
+    assert ended(library, 3).state == "cancelled"
+    wait(lambda: (run := library.runs.get("road", 1)) is not None and run.state == "running" and run.done > 0)
+    waiting = library.runs.get("road", 2)
+    assert waiting is not None and waiting.state == "waiting" and library.entry("road").state == "running"
+    with watched(library, 1) as seen:
+        first = ended(library, 1)
+        wait(lambda: (run := library.runs.get("road", 2)) is not None and run.state == "running")
+    assert seen == {"running", "measured"}  # and never interrupted, or absent, in between
+    library.runs.cancel("road", 2)
+    second = ended(library, 2)
+    assert (first.state, second.state) == ("measured", "cancelled") and library.entry("road").state == "measured"
+    assert first.done == first.total == 5 and first.ended is not None
+    assert second.started is not None and second.started >= first.ended
+    assert [p.name for p in library.runs.folder(second).iterdir() if p.name.startswith(("out", "."))] == []
+
+    out = library.runs.out(first)
+    assert {"report.html", "overlay.mp4", "estimates.csv", "summary.json"} <= {p.name for p in out.iterdir()}
+    (vehicle,) = read_summary(out)["vehicles"]
+    assert vehicle["speed_mps"] == pytest.approx(18.0, abs=0.5)
+    (row,) = vehicle_rows([vehicle], "km/h")
+    assert row["vehicle"] == "v0" and row["verdict"] == "measured" and row["speed"].startswith("6")
+    (series,) = read_series(out)
+    assert series.refined and series.time[0] == 0 and series.speed[-1] == pytest.approx(18.0, abs=0.5)
+    faster = vehicle | {"speed_mps": vehicle["speed_mps"] + 0.25}
+    assert [r["change"] for r in differences([vehicle], [faster], "m/s")] == ["+0.25"]
+    assert [r["change"] for r in differences([faster], [vehicle], "km/h")] == ["−0.90"]
+    nearly = vehicle | {"speed_mps": vehicle["speed_mps"] - 1e-6}
+    assert [r["change"] for r in differences([vehicle], [nearly, {"vehicle": "other"}], "m/s")] == ["0.00"]
+    assert contents(clip) == before
+    assert (library.runs.folder(first) / "clip-as-asked.yaml").read_bytes() == before["clip.yaml"]
+
+
+def test_a_run_whose_process_is_killed_is_interrupted(library: Library) -> None:
+    before = contents(library.folder("road"))
+    run = library.runs.start("road", "speed", FAST)
+    wait(lambda: (now := library.runs.get("road", run.number)) is not None and now.done > 0)
+    process = library.runs._process
+    assert process is not None
+    os.kill(process[1].pid, signal.SIGKILL)
+    found = ended(library, run.number)
+    assert found.state == "interrupted" and "killed (signal 9)" in found.reason
+    assert [p.name for p in library.runs.folder(run).iterdir() if p.name.startswith(("out", "."))] == []
+    assert contents(library.folder("road")) == before and library.entry("road").state == "interrupted"
+
+
+def test_what_cannot_be_measured_says_why(library: Library) -> None:
+    file = library.file("road")
+    file.write_text(file.read_text().replace("frame: 0", "frame: 99"))
+    found = ended(library, library.runs.start("road", "speed", FAST).number)
+    assert found.state == "failed"
+    assert found.reason.startswith("road/clip.yaml: vehicles: v0: frame 99 is not in the recording")
+
+
+SERVING = """
+import sys, time
+from pathlib import Path
+from paceline.console.library import Library
+library = Library(Path(sys.argv[1]))
+library.runs.start("road", "speed", sys.argv[2:])
+while not library.runs.get("road", 1).done:
+    time.sleep(0.02)
+print(library.runs._process[1].pid, flush=True)
+time.sleep(600)
+"""
+
+
+def test_a_killed_console_takes_its_run_along(tmp_path: Path) -> None:
+    """Nobody reads what the command says of its progress any more: it ends, and its run is found interrupted."""
+    root = tmp_path.resolve()
+    clip = put_clip(root)
+    before = contents(clip)
+    command = [sys.executable, "-c", SERVING, str(root), *FAST, "--particles", "4000"]
+    with subprocess.Popen(command, env=ENVIRONMENT, stdout=subprocess.PIPE, text=True) as console:
+        assert console.stdout is not None
+        child = int(console.stdout.readline())
+        with pytest.raises(UnusableInput, match="another console serves this folder already"):
+            Library(root)
+        console.kill()
+        console.wait()
+    wait(lambda: not _alive(child), 60)
+    library = Library(root)
+    (run,) = library.runs.of("road")
+    assert run.state == "interrupted" and "stopped while it ran" in run.reason
+    assert contents(clip) == before and library.entry("road").state == "interrupted"
+    library.runs.close()
+
+
+def _alive(pid: int) -> bool:
+    try:
+        return "Z" not in Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
+    except OSError:
+        return False
+
+
+def test_closing_ends_what_is_under_way(tmp_path: Path) -> None:
+    put_clip(tmp_path.resolve())
+    library = Library(tmp_path.resolve())
+    library.runs.start("road", "speed", FAST)
+    wait(lambda: library.runs._process is not None)
+    library.runs.close()
+    again = Library(tmp_path.resolve())
+    (run,) = again.runs.of("road")
+    assert run.state == "interrupted" and run.reason == "the console was closed"
+    again.runs.close()
+
+
+# --- the list --------------------------------------------------------------------------------------------------------
+
+
+def test_every_clip_has_a_state(library: Library) -> None:
+    road = library.folder("road")
+    without = {"no-rig": ["rig"], "no-vehicles": ["vehicles"], "no-paths": ["vehicles", "paths"]}
+    for name, keys in without.items():
+        file = copy_of(road, name) / "clip.yaml"
+        given = yaml.safe_load(file.read_text())
+        file.write_text(yaml.safe_dump({key: value for key, value in given.items() if key not in keys}))
+    (copy_of(road, "broken") / "clip.yaml").write_text("left: [")
+    (copy_of(road, "empty-picture") / "left" / "0000.png").write_bytes(b"")
+    (road.parent / "deep" / "er").mkdir(parents=True)
+    copy_of(road, "deep/er/clip")
+    copy_of(road, "deep/er/.hidden/clip")
+    (road.parent / "linked").symlink_to(road)
+    states = {name: library.entry(name) for name in library.names()}
+    assert {name: entry.state for name, entry in states.items()} == {
+        "broken": "unreadable", "deep/er/clip": "ready", "empty-picture": "unreadable", "no-paths": "no paths",
+        "no-rig": "no rig", "no-vehicles": "no vehicles", "road": "ready",
+    }  # fmt: skip
+    assert states["broken"].reason.startswith("broken/clip.yaml: line ")
+    assert states["empty-picture"].reason == "empty-picture/left/0000.png: is empty; expected an image"
+
+
+def test_the_folder_itself_may_be_a_clip(tmp_path: Path) -> None:
+    clip = put_clip(tmp_path.resolve())
+    library = Library(clip)
+    assert library.names() == ["."] and library.entry(".").state == "ready"
+    library.runs.close()
+
+
+def test_a_recording_is_opened_once_to_be_listed(library: Library, monkeypatch: pytest.MonkeyPatch) -> None:
+    opened: list[Path] = []
+    before = library_module.Gallery.open
+    monkeypatch.setattr(library_module.Gallery, "open", lambda self, file: opened.append(file) or before(self, file))
+    for _ in range(3):
+        library.entry("road")
+    assert len(opened) == 1
+    rig = library.root / "shared.yaml"  # elsewhere: it counts as well
+    file = library.file("road")
+    rig.write_bytes((file.parent / "rig.yaml").read_bytes())
+    file.write_text(file.read_text().replace("rig.yaml", "../shared.yaml"))
+    assert library.entry("road").state == "ready" and len(opened) == 2
+    rig.write_text("left:")
+    assert library.entry("road").reason.startswith("road/../shared.yaml: ")
+    rig.write_bytes((file.parent / "rig.yaml").read_bytes())
+    assert library.entry("road").state == "ready" and len(opened) == 3
+    (library.folder("road") / "left").rename(library.folder("road") / "gone")
+    assert library.entry("road").state == "unreadable" and len(opened) == 4
+
+
+def test_a_run_folder_that_cannot_be_made_is_told(library: Library) -> None:
+    (library.folder("road") / "runs").write_text("a file is in the way")
+    with pytest.raises(UnusableInput, match="road/runs: cannot be written"):
+        library.runs.start("road", "speed", FAST)
+    assert library.runs.of("road") == [] and library.runs.active() == []
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"state": "running"}', '{"state": 5, "options": 3}'])
+def test_a_damaged_record_is_no_run(library: Library, text: str) -> None:
+    folder = library.folder("road") / "runs" / "0001"
+    folder.mkdir(parents=True)
+    (folder / "run.json").write_text(text)
+    assert library.runs.of("road") == [] and library.entry("road").state == "ready"
+
+
+def test_time_left_follows_the_pace() -> None:
+    run = Run("c", 1, "speed", (), "running", 0.0, started=5.0, done=3, total=11, first=20.0)
+    assert run.seconds_left(24.0) == pytest.approx(16.0)  # two frames took 4 s, eight are left
+    assert Run("c", 1, "speed", (), "running", 0.0, done=1, total=11, first=20.0).seconds_left(24.0) is None
+
+
+def test_progress_is_told_in_lines() -> None:
+    assert told(telling("measuring", 3, 12) + "\n") == ("measuring", 3, 12)
+    assert told(telling("averaging", 3, None)) == ("averaging", 3, None)
+    for line in ("", "note: measuring 3 of 12", "progress: measuring x 12", "progress: measuring 3 12 4"):
+        assert told(line) is None
+
+
+def test_the_command_tells_its_progress_when_asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(TOLD, "lines")
+    done = paceline("lanes", put_clip(tmp_path), "-o", tmp_path / "site.yaml")
+    assert done.returncode == 1 and done.stdout.startswith("no lane found: ")
+    assert [told(line) for line in done.stderr.splitlines()][-1] == ("averaging", 5, 5)
+    assert all(told(line) for line in done.stderr.splitlines())
+
+
+def test_runs_are_numbered_on(library: Library) -> None:
+    (library.folder("road") / "runs" / "0041").mkdir(parents=True)
+    run = library.runs.start("road", "speed", FAST)
+    assert run.number == 42 and isinstance(library.runs, Runs)
+    library.runs.cancel("road", run.number)
+    assert ended(library, 42).state == "cancelled"
+
+
+def test_vehicles_are_looked_for_in_a_copy_of_the_clip(tmp_path: Path) -> None:
+    """The command adds to the clip.yaml that it is given, which is one in the run's own folder."""
+    clip = put_clip(tmp_path.resolve())
+    folder = clip / "runs" / "0001"
+    folder.mkdir(parents=True)
+    (folder / "clip.yaml").write_text(without_vehicles(clip / "clip.yaml", folder))
+    copy, here = load_clip(folder / "clip.yaml"), load_clip(clip / "clip.yaml")
+    assert [p.resolve() for p in (copy.left, copy.right)] == [here.left, here.right]
+    assert copy.paths.keys() == here.paths.keys() and copy.rate == here.rate
+    assert here.vehicles and not copy.vehicles
