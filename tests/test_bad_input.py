@@ -291,8 +291,6 @@ def corners(clip: Clip, change: Callable[[np.ndarray], np.ndarray], *sides: str)
 
 
 VEHICLES: dict[str, Case] = {
-    "none": (lambda c: c.set("clip.yaml", "vehicles", []), ["clip.yaml", "vehicles", "expected at least one"]),
-    "key absent": (lambda c: c.set("clip.yaml", "vehicles", None), ["clip.yaml", "vehicles", "expected at least one"]),
     "crosses itself": (lambda c: corners(c, lambda q: q[[0, 2, 1, 3]], "left"), ["vehicles[0].left", "cross"]),
     "counter-clockwise": (lambda c: corners(c, lambda q: q[::-1], "right"), ["vehicles[0].right", "counter-clockwise"]),
     "outside": (lambda c: corners(c, lambda q: q + [400, 0], "left"), ["vehicles[0].left", "outside", "640 × 480"]),

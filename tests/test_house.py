@@ -23,11 +23,13 @@ DOCUMENTS = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md"))]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 FLOORS = {
-    1: ["errors", "units", "cameras", "geometry", "descriptors", "sources", "recordings", "monocular", "odometry"],
+    1: ["errors", "units", "cameras", "geometry", "descriptors", "sources", "recordings", "monocular", "live_views",
+        "odometry"],
     2: ["documents", "schemas", "plausibility"],
-    3: ["speed", "follow", "calibration", "lanes"],
+    3: ["speed", "follow", "calibration", "lanes", "vehicles"],
     4: ["simulation", "baselines"],
     5: ["reports"],
+    6: ["console"],
     7: ["commands", "cli", "__main__"],
 }
 FLOOR = {room: floor for floor, rooms in FLOORS.items() for room in rooms}

@@ -56,7 +56,7 @@ def write_video(path, pts, pictures, codec="ffv1", pixels="gray", time_base=Frac
 def clip(left="left", right="right", rate=5.0, **more):
     base = Clip(
         path=Path("clip.yaml"), left=Path(left), right=Path(right), rate=rate, times=None, tolerance=None,
-        bit_depth=None, rig=RIG, paths={}, vehicles=[],
+        bit_depth=None, rig=RIG, paths={}, vehicles=[], addresses=(str(left), str(right)),
     )  # fmt: skip
     return dataclasses.replace(base, **more)
 

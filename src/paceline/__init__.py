@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from paceline.reports import write_report
     from paceline.reports.follow_report import follow_and_report
     from paceline.speed.configuration import SpeedConfiguration
-    from paceline.speed.measurement import measure_clip as measure
     from paceline.speed.tracker import Tracker
+    from paceline.vehicles.measuring import measure_clip as measure
 
 __version__ = "0.1.0"
 __all__ = [
@@ -52,7 +52,7 @@ _HOMES = {
     "load_clip": ("paceline.documents", "load_clip"),
     "load_follow": ("paceline.documents", "load_follow"),
     "load_rig": ("paceline.documents", "load_rig"),
-    "measure": ("paceline.speed.measurement", "measure_clip"),
+    "measure": ("paceline.vehicles.measuring", "measure_clip"),
     "open_camera": ("paceline.monocular", "open_camera"),
     "open_recording": ("paceline.recordings", "open_recording"),
     "tracker_for": ("paceline.follow.following", "tracker_for"),

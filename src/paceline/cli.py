@@ -12,6 +12,7 @@ import typer
 
 from paceline.commands import INTERRUPTED, UNUSABLE
 from paceline.commands.calibrate import calibrate
+from paceline.commands.console import console
 from paceline.commands.drive import drive
 from paceline.commands.follow import follow_vehicle
 from paceline.commands.lanes import lanes
@@ -19,6 +20,7 @@ from paceline.commands.rig import rig
 from paceline.commands.simulate import simulate
 from paceline.commands.speed import speed
 from paceline.commands.target import target
+from paceline.commands.vehicles import vehicles
 from paceline.errors import UnusableInput
 
 app = typer.Typer(
@@ -32,10 +34,12 @@ app.command()(speed)
 app.command("follow")(follow_vehicle)
 app.command()(calibrate)
 app.command()(lanes)
+app.command()(vehicles)
 app.add_typer(rig, name="rig")
 app.add_typer(target, name="target")
 app.add_typer(simulate, name="simulate")
 app.command()(drive)
+app.command()(console)
 
 
 def main() -> None:

@@ -74,6 +74,7 @@ class Clip:
     rig: StereoRig
     paths: dict[str, PathDocument]
     vehicles: list[VehicleDocument]
+    addresses: tuple[str, str]  # of both views, as live sources
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,7 +182,13 @@ def _recorded(path: Path, model: ClipModel, rig: Path) -> Clip:
         rig=load_rig(rig),
         paths={},
         vehicles=[],
+        addresses=(_address(path, model.left), _address(path, model.right)),
     )
+
+
+def _address(path: Path, video: str) -> str:
+    """Where a view can be reached: an address as it stands, anything else relative to the file that names it."""
+    return video if "://" in video else str(path.parent / video)
 
 
 def load_camera(path: str | Path) -> Camera:
@@ -218,7 +225,7 @@ def load_follow(path: str | Path) -> FollowClip:
         _refuse(path, f"start.{wrong[0]}", wrong[1])
     return FollowClip(
         path=path,
-        video=model.video if "://" in model.video else str(path.parent / model.video),
+        video=_address(path, model.video),
         rate=model.rate,
         bit_depth=model.bit_depth,
         camera=camera,

@@ -81,6 +81,17 @@ class Description(Protocol):
     def rig(self) -> StereoRig: ...
 
 
+class StereoFrames(Protocol):
+    """Frames of a rig with what is to be said of them, to be gone through as often as needed."""
+
+    @property
+    def indices(self) -> Indices: ...
+    @property
+    def notices(self) -> list[str]: ...
+    def __len__(self) -> int: ...
+    def frames(self) -> Iterator[StereoFrame]: ...
+
+
 class StereoRecording:
     """Pairs of frames of a rig; iterate it, as often as needed, for :class:`StereoFrame` after :class:`StereoFrame`.
 
@@ -105,6 +116,11 @@ class StereoRecording:
 
     def __iter__(self) -> Iterator[StereoFrame]:
         return self.frames()
+
+    @property
+    def sources(self) -> tuple[Source, Source]:
+        """What the left and the right camera recorded, distorted as it is."""
+        return self._sources
 
     @property
     def image_size(self) -> tuple[int, int]:

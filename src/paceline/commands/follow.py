@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import signal
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from paceline.commands import DONE, NOTHING_MEASURED, file_named
+from paceline.commands.interrupts import ended_by_interrupt
 from paceline.commands.progress import progress_bar
 
 if TYPE_CHECKING:  # what computes is imported when the command runs, so that --help answers at once
@@ -38,7 +36,7 @@ def follow_vehicle(
     document = load_follow(file_named(follow, "follow.yaml"))
     with OutputFolder(out) as folder:
         recording = open_camera(document)
-        with progress_bar("following", sys.stderr.isatty() and not quiet) as advance, _ended_by_interrupt(recording):
+        with progress_bar("following", sys.stderr.isatty() and not quiet) as advance, _ended(recording):
             result, tally = write_follow_files(document, recording, folder, None, overlay, advance)
     if not quiet:
         _print_follow(result, tally)
@@ -46,22 +44,9 @@ def follow_vehicle(
     return DONE if tally.tracked else NOTHING_MEASURED
 
 
-@contextmanager
-def _ended_by_interrupt(recording: CameraRecording) -> Iterator[None]:
+def _ended(recording: CameraRecording) -> AbstractContextManager[None]:
     """Ctrl-C ends a live recording, which has no other end; what was followed until then is reported."""
-    if not recording.live:
-        yield
-        return
-
-    def end(number: int, frame: FrameType | None) -> None:
-        recording.stop()
-        signal.signal(number, previous)  # the second one interrupts
-
-    previous = signal.signal(signal.SIGINT, end)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, previous)
+    return ended_by_interrupt(recording.stop) if recording.live else nullcontext()
 
 
 def _print_follow(result: FollowResult, tally: Tally) -> None:

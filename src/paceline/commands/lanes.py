@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from paceline.lanes.proposing import Lane, Line
 
 HALF = 1.96  # standard uncertainties in half a 95 % interval
-MOSTLY_UNSETTLED = 0.3  # share of the pictures without a background from which on the cameras cannot have stood still
 NOTABLY_UNSETTLED = 0.02
 
 
@@ -38,7 +37,7 @@ def lanes(
         raise UnusableInput("--write and --out exclude each other: the lanes go to the clip.yaml or to a site.yaml")
 
     from paceline.documents import load_clip, rig_file
-    from paceline.lanes.background import empty_scene
+    from paceline.lanes.background import empty_scene, no_background
     from paceline.lanes.finding import NoRoad, find_road
     from paceline.lanes.proposing import lines_of, propose
     from paceline.lanes.site_file import lane_names, with_lanes
@@ -59,7 +58,7 @@ def lanes(
         _check_pictures(document, _pictures(file, out))
     with progress_bar("averaging", sys.stderr.isatty() and not quiet) as advance:
         background = empty_scene(open_recording(document), advance)
-    if reason := _no_background(background):
+    if reason := no_background(background):
         print(f"no lane found: {reason}")
         return NOTHING_MEASURED
     try:
@@ -104,20 +103,6 @@ def _check_pictures(clip: Clip, pictures: tuple[Path, Path]) -> None:
                 raise UnusableInput(
                     f"{picture}: would be taken for a frame of {source}; expected an --out in another folder"
                 )
-
-
-def _no_background(background: Background) -> str:
-    """Why the recording shows no empty road; empty where it does."""
-    from paceline.lanes.background import FEWEST
-
-    if background.frames < FEWEST:
-        return (
-            f"only {background.frames} frames, too few to tell what moves from what stands; expected {FEWEST} or more"
-        )
-    if background.unsettled_share > MOSTLY_UNSETTLED:
-        share = f"{100 * background.unsettled_share:.0f} % of the pictures"
-        return f"{share} never settle; the cameras must stand still, and the road be empty now and then"
-    return ""
 
 
 def _print(lines: list[Line], lanes: dict[str, Lane], remarks: list[str]) -> None:

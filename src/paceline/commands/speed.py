@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -64,9 +65,15 @@ def speed(
     refine: Annotated[
         bool, typer.Option("--refine/--no-refine", help="Fit the whole track at the end; --no-refine only filters.")
     ] = True,
+    live: Annotated[
+        bool, typer.Option("--live", help="Measure vehicle after vehicle as the cameras record, until Ctrl-C.")
+    ] = False,
+    learn: Annotated[
+        float | None, typer.Option(help="Seconds in which --live learns what the empty road looks like.")
+    ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
 ) -> int:
-    """Measure the speed of every vehicle in a stereo clip."""
+    """Measure the speed of every vehicle in a stereo clip: those that it outlines, or else those found in it."""
     if device is Device.cuda and method is not Method.paceline:
         raise UnusableInput(f"--device cuda: --method {method.value} computes on the CPU only; use --device cpu")
     unit = _unit(units)
@@ -78,10 +85,28 @@ def speed(
     from paceline.reports import OutputFolder, write_files
 
     document = load_clip(file_named(clip, "clip.yaml"))
+    if live:
+        from paceline.commands.live import measure_live
+
+        if method is not Method.paceline or device is not Device.cpu:
+            raise UnusableInput("--live: measures by Paceline's own method on the CPU; leave --method and --device out")
+        return measure_live(document, out, configuration, unit, learn, quiet)
+    if learn is not None:
+        raise UnusableInput("--learn: goes with --live only")
     with OutputFolder(out) as folder:  # before the work, so that an unwritable folder is told at once
-        recording = open_recording(document)
+        recording, search = open_recording(document), None
+        if not document.vehicles:
+            from paceline.vehicles.measuring import find_vehicles
+
+            with progress_bar("looking", sys.stderr.isatty() and not quiet) as advance:
+                search = find_vehicles(document, recording, advance)
+            document = search.clip
         with progress_bar("measuring", sys.stderr.isatty() and not quiet) as advance:
-            if method is Method.paceline:
+            if search and search.reason:
+                from paceline.vehicles.measuring import nothing_measured
+
+                result = nothing_measured(search, recording, configuration)
+            elif method is Method.paceline:
                 from paceline.speed.measurement import measure
 
                 result = measure(document, recording, configuration, advance, device.value)
@@ -89,6 +114,8 @@ def speed(
                 from paceline.baselines.measurement import measure as measure_by
 
                 result = measure_by(document, recording, method.value, configuration, advance)
+        if search and not search.reason:
+            result = replace(result, notices=[*result.notices, *search.notices])
         result = write_files(result, recording, folder, unit)
     if not quiet:
         _print_result(result, unit)

@@ -22,6 +22,7 @@ NEAR = 3.0  # standard deviations within which a value belongs to what stands st
 LEAST_NOISE = 0.5  # grey levels, of rounding
 BUSIEST = 4.0  # times the usual noise: more is no noise but something that moves
 SETTLED = 0.5  # share of the frames that must show a pixel's background
+MOSTLY_UNSETTLED = 0.3  # share of the pictures without a background from which on the cameras cannot have stood still
 STRIP = 64  # rows worked on at once
 COARSE = 4  # px between those that tell the usual noise
 
@@ -58,6 +59,18 @@ def empty_scene(recording: StereoRecording, progress: Progress | None = None) ->
             progress(done, len(chosen))
     found = [steady(np.stack(stack)) for stack in stacks]
     return Background((found[0][0], found[1][0]), (found[0][1], found[1][1]), len(stacks[0]))
+
+
+def no_background(background: Background) -> str:
+    """Why the recording shows no empty road; empty where it does."""
+    if background.frames < FEWEST:
+        return (
+            f"only {background.frames} frames, too few to tell what moves from what stands; expected {FEWEST} or more"
+        )
+    if background.unsettled_share > MOSTLY_UNSETTLED:
+        share = f"{100 * background.unsettled_share:.0f} % of the pictures"
+        return f"{share} never settle; the cameras must stand still, and the road be empty now and then"
+    return ""
 
 
 def steady(stack: NDArray[np.float16]) -> tuple[Image, Mask]:

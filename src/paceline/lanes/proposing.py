@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from paceline.cameras import Camera, StereoRig, moved_rigs
+from paceline.cameras import StereoRig, moved_rigs
 from paceline.errors import UnusableInput
 from paceline.geometry import triangulate
 from paceline.lanes.matching import Road
@@ -149,7 +148,7 @@ def _lane(
 
     drawn = [_drawn(rig, side, centre, span) for side in (0, 1)]
     shape = "line" if max(map(_bend, drawn)) < STRAIGHT else "curve"
-    recorded = [_as_recorded(camera, pixels) for camera, pixels in zip(rig.cameras, drawn, strict=True)]
+    recorded = [camera.distort_points(pixels) for camera, pixels in zip(rig.cameras, drawn, strict=True)]
     path, reason = None, ""
     name = f"between lines {names[0]} and {names[1]}"
     if min(np.linalg.norm(np.ptp(pixels, axis=0)) for pixels in drawn) < SMALLEST:
@@ -178,11 +177,3 @@ def _drawn(rig: StereoRig, side: int, centre: Callable[[Array], Array], span: tu
 def _bend(pixels: Array) -> float:
     """Root mean square departure of pixels (N, 2) from a straight line, px."""
     return float(np.linalg.svd(pixels - pixels.mean(0), compute_uv=False)[1] / np.sqrt(len(pixels)))
-
-
-def _as_recorded(camera: Camera, pixels: Array) -> Array:
-    """Pixels (N, 2) of the image as recorded, of ideal ones."""
-    if not camera.has_distortion:
-        return pixels
-    at = cv2.projectPoints(camera.rays(pixels), np.zeros(3), np.zeros(3), camera.K, camera.distortion)[0]
-    return np.asarray(at, float).reshape(-1, 2)

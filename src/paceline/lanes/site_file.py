@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable
 
+import numpy as np
 import yaml
+from numpy.typing import NDArray
 
 from paceline.errors import UnusableInput
 from paceline.lanes.proposing import Lane
+
+Array = NDArray[np.float64]
 
 HALF = 1.96  # standard deviations in half a 95 % interval
 
@@ -50,24 +54,30 @@ def with_lanes(text: str, file: str, lanes: dict[str, Lane]) -> str:
 
 
 def _with_lanes(text: str, lanes: dict[str, Lane]) -> str:
+    return added_below(text, "paths", lambda indent: _entries(lanes, indent))
+
+
+def added_below(text: str, name: str, entries: Callable[[int], list[str]]) -> str:
+    """``text`` of a YAML mapping with ``entries``, made for an indent, added to what stands below the key ``name``, or
+    below a new key."""
     root = yaml.compose(text)
-    assert isinstance(root, yaml.MappingNode), "a clip.yaml that was read is a mapping"
+    assert isinstance(root, yaml.MappingNode), "a document that was read is a mapping"
     lines = text.splitlines()
     found = {key.value: (key, value) for key, value in root.value}
-    if "paths" not in found:
-        return "\n".join([*lines, "paths:", *_entries(lanes, 2)]) + "\n"
-    key, value = found["paths"]
+    if name not in found:
+        return "\n".join([*lines, f"{name}:", *entries(2)]) + "\n"
+    key, value = found[name]
     if isinstance(value, yaml.MappingNode) and value.value and not value.flow_style:
         indent = value.value[0][0].start_mark.column
         last = value.value[-1][1].end_mark
         end = last.line if last.column == 0 else last.line + 1
         while end > key.start_mark.line + 1 and _is_aside(lines[end - 1], indent):
-            end -= 1  # what stands between the paths and the next key belongs to that key
-        return "\n".join([*lines[:end], *_entries(lanes, indent), *lines[end:]]) + "\n"
+            end -= 1  # what stands between these entries and the next key belongs to that key
+        return "\n".join([*lines[:end], *entries(indent), *lines[end:]]) + "\n"
     row = key.start_mark.line
     _, hash_, comment = lines[row].partition("#")
-    head = " " * key.start_mark.column + "paths:" + (f"  #{comment}" if hash_ else "")
-    return "\n".join([*lines[:row], head, *_entries(lanes, key.start_mark.column + 2), *lines[row + 1 :]]) + "\n"
+    head = " " * key.start_mark.column + f"{name}:" + (f"  #{comment}" if hash_ else "")
+    return "\n".join([*lines[:row], head, *entries(key.start_mark.column + 2), *lines[row + 1 :]]) + "\n"
 
 
 def _is_aside(line: str, indent: int) -> bool:
@@ -83,14 +93,15 @@ def _entries(lanes: dict[str, Lane], indent: int) -> list[str]:
         lines += [
             f"{pad}{name}:  # between lines {lane.between[0]} and {lane.between[1]}, {width}",
             f"{pad}  shape: {lane.shape}",
-            f"{pad}  left: {_points(lane.left.tolist())}",
-            f"{pad}  right: {_points(lane.right.tolist())}",
+            f"{pad}  left: {pixels(lane.left)}",
+            f"{pad}  right: {pixels(lane.right)}",
             f"{pad}  lateral_offset: 0.0  # what is drawn is the middle of the lane, for travel in either direction",
         ]
     return lines
 
 
-def _points(points: Sequence[Sequence[float]]) -> str:
+def pixels(points: Array) -> str:
+    """``points`` (N, 2) as a line of YAML."""
     return "[" + ", ".join(f"[{x:.2f}, {y:.2f}]" for x, y in points) + "]"
 
 

@@ -25,10 +25,11 @@ def write_estimates(result: ClipResult, file: Path) -> None:
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(COLUMNS)
         for measurement in result.measurements:
-            writer.writerows(_rows(measurement.track))
+            writer.writerows(estimate_rows(measurement.track))
 
 
-def _rows(track: Track) -> Iterator[list[str]]:
+def estimate_rows(track: Track) -> Iterator[list[str]]:
+    """The rows of estimates.csv for one vehicle."""
     for i in range(len(track.frame)):
         numbers = [track.time[i], track.speed[i], track.speed_std[i], *track.position[i], track.yaw_rate[i]]
         corners = [*track.left[i].ravel(), *track.right[i].ravel()]
@@ -48,7 +49,7 @@ def write_summary(result: ClipResult, file: Path) -> None:
     """Writes summary.json: a verdict per vehicle, the resolved configuration and the versions."""
     summary = {
         "clip": result.clip,
-        "vehicles": [_vehicle(m) for m in result.measurements],
+        "vehicles": [summary_of(m) for m in result.measurements],
         "notices": result.notices,
         "configuration": result.configuration,
         "versions": result.versions,
@@ -57,7 +58,8 @@ def write_summary(result: ClipResult, file: Path) -> None:
     write_json(summary, file)
 
 
-def _vehicle(measurement: Measurement) -> dict[str, object]:
+def summary_of(measurement: Measurement) -> dict[str, object]:
+    """What summary.json says of one vehicle."""
     return {
         "vehicle": measurement.vehicle,
         "speed_mps": measurement.speed,

@@ -19,7 +19,7 @@ from paceline import __version__
 from paceline.cameras import StereoRig
 from paceline.documents import Clip, VehicleDocument, load_clip
 from paceline.errors import UnusableInput
-from paceline.recordings import StereoFrame, StereoRecording, open_recording
+from paceline.recordings import StereoFrame, StereoFrames, open_recording
 from paceline.speed import paths
 from paceline.speed.bands import Glimpse, areas
 from paceline.speed.configuration import SpeedConfiguration
@@ -63,7 +63,7 @@ def measure_clip(
 
 def measure(
     clip: Clip,
-    recording: StereoRecording,
+    recording: StereoFrames,
     configuration: SpeedConfiguration,
     progress: Progress | None = None,
     device: DeviceName = "cpu",
@@ -90,7 +90,7 @@ class Run(Protocol):
 
 def measure_each(
     clip: Clip,
-    recording: StereoRecording,
+    recording: StereoFrames,
     configuration: SpeedConfiguration,
     begin: Callable[[Clip, VehicleDocument, dict[str, Path], SpeedConfiguration], Run],
     progress: Progress | None = None,

@@ -1,0 +1,87 @@
+"""``paceline vehicles``: the vehicles that drive through a stereo clip, found without a person's outlines."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from paceline.commands import DONE, NOTHING_MEASURED, file_named, print_columns
+from paceline.commands.progress import progress_bar
+from paceline.errors import UnusableInput
+
+if TYPE_CHECKING:
+    from paceline.vehicles.measuring import Search
+
+
+def vehicles(
+    clip: Annotated[Path, typer.Argument(metavar="CLIP", help="A clip.yaml, or the folder that contains it.")],
+    write: Annotated[
+        bool, typer.Option("--write", help="Add the vehicles to the clip.yaml, with a picture of each beside it.")
+    ] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
+) -> int:
+    """Find the vehicles that drive along the paths of a stereo clip and propose their outlines.
+
+    Ends with status 1 where no vehicle can be found.
+    """
+    from paceline.documents import load_clip
+    from paceline.recordings import open_recording
+    from paceline.vehicles.clip_file import with_vehicles
+    from paceline.vehicles.measuring import find_vehicles
+
+    file = file_named(clip, "clip.yaml")
+    document = load_clip(file)
+    if write:
+        if not os.access(file, os.W_OK) or not file.stat().st_mode & 0o200:
+            raise UnusableInput(f"{file}: cannot be written (it is read-only); expected one to add to")
+        if not document.paths:
+            raise UnusableInput(f"{file}: paths: none; expected some, such as paceline lanes --write adds")
+        # refuses now what it would refuse at the end
+        with_vehicles(file.read_text(encoding="utf-8"), str(file), document.rig, [])
+    with progress_bar("looking", sys.stderr.isatty() and not quiet) as advance:
+        search = find_vehicles(document, open_recording(document), advance)
+    if not quiet:
+        _print(search)
+    if search.reason:
+        return NOTHING_MEASURED
+    if write:
+        pictures = _write(file, search)
+        if not quiet:
+            print(f"\nLook at the pictures before you use them: {', '.join(map(str, pictures))}")
+    return DONE
+
+
+def _print(search: Search) -> None:
+    rows = [("vehicle", "path", "seen, s", "outlined", "away", "large")]
+    for f in search.found:
+        if f.vehicle is not None:
+            away = float(f.place @ f.place) ** 0.5
+            width, height = (f.vehicle.left.max(0) - f.vehicle.left.min(0)).tolist()
+            seen = f"{f.times[0]:.2f} to {f.times[1]:.2f}"
+            frame, size = f"frame {f.vehicle.frame}", f"{width:.0f} × {height:.0f} px"
+            rows.append((f.vehicle.id, f.path, seen, frame, f"{away:.0f} m", size))
+    if len(rows) > 1:
+        print_columns(rows)
+    for notice in search.notices:
+        print(notice)
+
+
+def _write(file: Path, search: Search) -> list[Path]:
+    """Writes the vehicles and their pictures together; returns where the pictures are."""
+    from paceline.reports.lanes import png
+    from paceline.reports.output import write_together
+    from paceline.reports.vehicles import vehicle_picture
+    from paceline.vehicles.clip_file import with_vehicles
+
+    text = with_vehicles(file.read_text(encoding="utf-8"), str(file), search.clip.rig, search.found)
+    pictures = {
+        file.with_name(f"vehicle-{f.vehicle.id}.png"): png(vehicle_picture(f))
+        for f in search.found
+        if f.vehicle is not None
+    }
+    write_together({file.resolve(): text.encode(), **pictures})
+    return list(pictures)

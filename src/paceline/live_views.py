@@ -1,0 +1,219 @@
+"""Two cameras as they record: pairs of frames, of which those are left out that come faster than they are used.
+
+Each view is received in a thread of its own. A live source (an address, a device, a named pipe) is dated by its own
+clock, a file is played at the pace of its time stamps.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from statistics import median
+from threading import Condition, Thread
+from typing import Protocol
+
+import numpy as np
+
+from paceline.cameras import Camera, StereoRig
+from paceline.monocular import CameraFrame, CameraRecording, Grey, open_camera
+from paceline.recordings import StereoFrame
+
+HELD = 3  # frames of a view that wait to be used; beyond them the oldest is dropped
+SETTLING = 8  # frames of each live view that tell by how much their clocks differ
+ALIKE = 0.25, 0.5  # of the interval between frames: how far apart two of a pair may be dated, by one clock or by two
+PATIENCE = 0.1  # s between two looks at whether to stop
+
+
+@dataclass(frozen=True, eq=False)
+class RawPair:
+    """What both cameras recorded at ``time``, s: pictures (H, W) as they came, not undistorted; ``index`` counts the
+    left view's frames from 0, ``skew`` is right minus left, s."""
+
+    index: int
+    time: float
+    left: Grey
+    right: Grey
+    skew: float
+
+
+class Description(Protocol):
+    """Where both cameras can be reached, as a clip.yaml says it."""
+
+    @property
+    def path(self) -> Path: ...
+    @property
+    def addresses(self) -> tuple[str, str]: ...
+    @property
+    def rate(self) -> float | None: ...
+    @property
+    def bit_depth(self) -> int | None: ...
+    @property
+    def rig(self) -> StereoRig: ...
+
+
+class LiveViews:
+    """The pairs of frames of a rig as they come; to be iterated once. Memory does not grow with time.
+
+    ``dropped`` counts the left view's frames that were not used because newer ones had come. Raises UnusableInput for
+    sources that cannot be opened.
+    """
+
+    def __init__(self, clip: Description) -> None:
+        self._views = [
+            _View(open_camera(_OneView(clip.path, address, clip.rate, clip.bit_depth, camera)))
+            for address, camera in zip(clip.addresses, clip.rig.cameras, strict=True)
+        ]
+        self._own_notices: list[str] = []
+        if any(view.recording.live for view in self._views):
+            self._own_notices.append("no common clock: frames that come together are taken as exposed together")
+
+    @property
+    def dropped(self) -> int:
+        return self._views[0].dropped
+
+    @property
+    def notices(self) -> list[str]:
+        """What a user should know about the sources, one plain line each."""
+        return [*self._own_notices, *(line for view in self._views for line in view.recording.notices)]
+
+    def stop(self) -> None:
+        """Ends the iteration after the present pair, as if the sources ended there; a signal handler may call it."""
+        for view in self._views:
+            view.stop()
+
+    def __iter__(self) -> Iterator[RawPair]:
+        left, right = self._views
+        begun = time.monotonic()
+        for view in self._views:
+            view.begin(begun)
+        try:
+            ahead = self._ahead()
+            yield from _paired(left, right, ahead)
+        finally:
+            self.stop()
+        for view in self._views:
+            if view.error is not None:
+                raise view.error
+
+    def _ahead(self) -> float:
+        """Seconds by which the right view's clock is ahead of the left one's: none between files, which share one."""
+        if not any(view.recording.live for view in self._views):
+            return 0.0
+        late = [view.lateness() for view in self._views]
+        return late[0] - late[1]
+
+
+@dataclass(frozen=True)
+class _OneView:
+    """A view as `monocular.open_camera` wants it described."""
+
+    path: Path
+    video: str
+    rate: float | None
+    bit_depth: int | None
+    camera: Camera
+
+
+@dataclass(eq=False)
+class _View:
+    """A view and the thread that receives it."""
+
+    recording: CameraRecording
+    interval: float = np.inf  # s, the shortest between two of its frames
+    dropped: int = 0
+    error: Exception | None = None
+    _waiting: deque[tuple[CameraFrame, float]] = field(default_factory=deque)  # with its arrival
+    _changed: Condition = field(default_factory=Condition)
+    _last: float = -np.inf
+    _ended: bool = False
+    _stopped: bool = False
+
+    def begin(self, begun: float) -> None:
+        Thread(target=self._receive, args=[begun], daemon=True).start()
+
+    def stop(self) -> None:
+        self._stopped = True
+        self.recording.stop()
+
+    def head(self) -> CameraFrame | None:
+        """The oldest frame not yet taken, when there is one and an interval is known; None at the end."""
+        with self._changed:
+            while not (self._waiting and np.isfinite(self.interval)):
+                if self._ended or self._stopped:
+                    return None
+                self._changed.wait(PATIENCE)
+            return self._waiting[0][0]
+
+    def take(self, frame: CameraFrame) -> None:
+        """Take ``frame``, unless it has been dropped meanwhile."""
+        with self._changed:
+            if self._waiting and self._waiting[0][0] is frame:
+                self._waiting.popleft()
+
+    def lateness(self) -> float:
+        """How much later than their own time stamps its frames come, s, in the median of the first ones."""
+        late: list[float] = []
+        while len(late) < SETTLING and self.head() is not None:
+            with self._changed:
+                frame, arrival = self._waiting.popleft()
+            late.append(arrival - frame.time)
+        return median(late) if late else 0.0
+
+    def _receive(self, begun: float) -> None:
+        try:
+            for frame in self.recording:
+                if not self.recording.live:
+                    self._wait_until(begun + frame.time)
+                if self._stopped:
+                    break
+                if frame.image is not None:
+                    self._hand_on(frame)
+        except Exception as error:  # is raised where the pairs are read
+            self.error = error
+        with self._changed:
+            self._ended = True
+            self._changed.notify()
+
+    def _wait_until(self, moment: float) -> None:
+        while not self._stopped and (left := moment - time.monotonic()) > 0:
+            time.sleep(min(left, PATIENCE))
+
+    def _hand_on(self, frame: CameraFrame) -> None:
+        with self._changed:
+            self.interval, self._last = min(self.interval, frame.time - self._last), frame.time
+            if len(self._waiting) == HELD:
+                self._waiting.popleft()
+                self.dropped += 1
+            self._waiting.append((frame, time.monotonic()))
+            self._changed.notify()
+
+
+def _paired(left: _View, right: _View, ahead: float) -> Iterator[RawPair]:
+    """Pairs of frames that were taken together; what has no partner is left out."""
+    files = not (left.recording.live or right.recording.live)
+    while (a := left.head()) is not None and (b := right.head()) is not None:
+        skew = b.time - ahead - a.time
+        if abs(skew) <= ALIKE[not files] * left.interval:
+            left.take(a)
+            right.take(b)
+            assert a.image is not None and b.image is not None
+            yield RawPair(a.index, a.time + 0.5 * skew * files, a.image, b.image, skew * files)
+        elif skew > 0:
+            left.take(a)
+        else:
+            right.take(b)
+
+
+def undistorted(pair: RawPair, rig: StereoRig, before: RawPair | None) -> StereoFrame:
+    """``pair`` in ideal pixels; a copy of a picture of the pair ``before`` makes it a duplicate."""
+    left, right = (
+        camera.undistort_image(image.astype(np.float32))
+        for camera, image in zip(rig.cameras, (pair.left, pair.right), strict=True)
+    )
+    repeated = before is not None and (
+        np.array_equal(pair.left, before.left) or np.array_equal(pair.right, before.right)
+    )
+    return StereoFrame(pair.index, pair.time, left, right, pair.skew, repeated)

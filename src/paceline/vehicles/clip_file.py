@@ -1,0 +1,45 @@
+"""Found vehicles put into a clip.yaml."""
+
+from __future__ import annotations
+
+import yaml
+
+from paceline.cameras import StereoRig
+from paceline.errors import UnusableInput
+from paceline.lanes.site_file import added_below, pixels
+from paceline.vehicles.finding import Found
+
+
+def with_vehicles(text: str, file: str, rig: StereoRig, found: list[Found]) -> str:
+    """``text`` of a clip.yaml that outlines no vehicle, with those ``found`` added, everything else as it stands.
+
+    Raises UnusableInput where it outlines vehicles already, or is written in a way that cannot be added to.
+    """
+    before = yaml.safe_load(text)
+    if before.get("vehicles"):
+        raise UnusableInput(f"{file}: vehicles: some are outlined already; expected none, to be found without a person")
+    added = added_below(text, "vehicles", lambda indent: _entries(rig, found, indent))
+    new = yaml.safe_load("\n".join(_entries(rig, found, 0))) or None
+    try:
+        after = yaml.safe_load(added)
+    except yaml.YAMLError:
+        after = {}
+    if after | {"vehicles": after.get("vehicles")} != before | {"vehicles": new}:
+        raise UnusableInput(f"{file}: vehicles: is written in a way that cannot be added to; expected no such key")
+    return added
+
+
+def _entries(rig: StereoRig, found: list[Found], indent: int) -> list[str]:
+    pad, lines = " " * indent, []
+    for f in found:
+        v = f.vehicle
+        if v is None:
+            continue
+        lines += [
+            f"{pad}- id: {v.id}  # found by paceline vehicles, seen from {f.times[0]:.2f} to {f.times[1]:.2f} s",
+            f"{pad}  path: {yaml.safe_dump(v.path, allow_unicode=True, width=10**6).splitlines()[0]}",
+            f"{pad}  frame: {v.frame}",
+            f"{pad}  left: {pixels(rig.left.distort_points(v.left))}",
+            f"{pad}  right: {pixels(rig.right.distort_points(v.right))}",
+        ]
+    return lines

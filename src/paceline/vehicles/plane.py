@@ -1,0 +1,236 @@
+"""The part of a vehicle's face that is measured: what stays the same on one plane, in both views and over time.
+
+A number plate, lamps and a bumper lie in one card and keep their picture there while the vehicle drives; a windscreen
+slopes away and mirrors what is around, a bonnet moves against the bumper as the view on it changes. So the sightings of
+a vehicle are laid on each other, and the rectangle is taken in which they agree most.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from paceline.vehicles.agreement import Texture, correlation
+from paceline.vehicles.sightings import AGREE, GRID, Sighting
+from paceline.vehicles.tracks import Track
+from paceline.vehicles.ways import Grid
+
+Array = NDArray[np.float64]
+Image = NDArray[np.float32]
+
+FINE = Grid(left=-2.0, top=1.6, bottom=0.15, cell=0.025)
+WINDOW = 9  # cells over which pictures are compared
+REACH, STEPS = 3.0, 25  # m about a sighting in which its face is looked for, in so many steps
+UNUSUAL = 0.02  # correlation, per m² that a face lies elsewhere against its sighting than in the reference
+SHIFT = 0.4  # m that the face may lie off where it was in another frame, on the card
+CONTRAST = 1.0  # grey levels of a texture
+AGREED = 0.78, 0.66, 0.54  # correlation that speaks for a place as much as against it; less where noise leaves none
+NARROWEST, LOWEST = 0.4, 0.3  # m of a rectangle
+INSET = 0.075  # m: a correlation sees half its window beyond the place where it stands
+MOST_OF = 0.7  # of a face's width that a rectangle takes at least
+WIDEST = 1.8, 2.3  # m, of a rectangle on a car, and on what is taller than `TALLER`
+HIGHEST = 1.1, 1.6  # m, of the same
+TALLER = 2.2  # m
+COST = 0.02  # of a place without texture
+COARSE = 2  # cells of the map on which rectangles are tried
+WHOLE = 0.7  # of the largest area seen of a face, of a reference
+MATCHED = 0.55  # correlation with the reference of a frame that counts
+
+
+@dataclass(frozen=True, eq=False)
+class Aligned:
+    """A sighting whose face was found at arc length ``s``, with the reference's origin at ``origin`` (2,) m on the
+    card; ``score`` is the mean correlation of both views with the reference."""
+
+    sighting: Sighting
+    s: float
+    origin: Array
+    score: float
+
+    def cards(self) -> tuple[Image, Image]:
+        return self.sighting.cards(self.s, FINE, self.origin)
+
+
+@dataclass(frozen=True, eq=False)
+class Face:
+    """The rectangle to track: ``x`` and ``y`` (2,) m from the reference's origin; ``aligned`` where each sighting has
+    it. ``agreement`` is the mean correlation inside."""
+
+    x: tuple[float, float]
+    y: tuple[float, float]
+    aligned: list[Aligned]
+    agreement: float
+
+    def corners(self, at: Aligned) -> Array:
+        """Card coordinates (4, 2) of its corners in a frame: tl, tr, br, bl."""
+        (x0, x1), (y0, y1) = self.x, self.y
+        return np.array([[x0, y1], [x1, y1], [x1, y0], [x0, y0]]) + at.origin
+
+
+def face_of(track: Track) -> Face | None:
+    """The rectangle on a vehicle's face that all its sightings agree on; None where they agree on none."""
+    uncut = [s for s in track.kept if min(s.x[0] - GRID.left, -GRID.left - s.x[1]) > 0.5 * GRID.cell] or track.kept
+    largest = max(sighting.area for sighting in uncut)
+    reference = max((s for s in uncut if s.area >= WHOLE * largest), key=_size)
+    half = min(0.5 * (reference.x[1] - reference.x[0]), -FINE.left)
+    x, y = (-half, half), (FINE.bottom, HIGHEST[reference.y[1] > TALLER])
+    face: Face | None = None
+    for _ in range(2):
+        aligned = _lay_on_each_other(track.kept, reference, x, y)
+        if len(aligned) < 2:
+            return None
+        face = _rectangle(aligned, reference)
+        if face is None:
+            return None
+        x, y = face.x, face.y
+    return face
+
+
+def _size(sighting: Sighting) -> float:
+    """Pixels per metre."""
+    left = sighting.way.pixels(sighting.s, sighting.middle + np.array([[-0.5, 0.5], [0.5, 0.5]]))[0]
+    return float(np.linalg.norm(left[1] - left[0]))
+
+
+def _window(x: tuple[float, float], y: tuple[float, float]) -> tuple[slice, slice]:
+    """Rows and columns of the fine grid within a rectangle."""
+    columns, rows = (
+        np.flatnonzero((FINE.x >= x[0]) & (FINE.x <= x[1])),
+        np.flatnonzero((FINE.y >= y[0]) & (FINE.y <= y[1])),
+    )
+    return slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+
+
+def _lay_on_each_other(
+    sightings: list[Sighting], reference: Sighting, x: tuple[float, float], y: tuple[float, float]
+) -> list[Aligned]:
+    """Where each sighting has what the ``reference`` shows inside a rectangle: from one frame to the next."""
+    rows, columns = _window(x, y)
+    s = _where_views_agree(reference, rows, columns)
+    first = Aligned(reference, s, np.array([reference.middle, 0.0]), 1.0)
+    template = first.cards()[0][rows, columns]
+    start, found = sightings.index(reference), [first]
+    for others in (sightings[start + 1 :], sightings[:start][::-1]):
+        near = first
+        for sighting in others:
+            at = _searched(sighting, template, rows, columns, near.origin, s - reference.s)
+            if at.score >= MATCHED:
+                found.append(at)
+                near = at
+    return sorted(found, key=lambda at: at.sighting.frame)
+
+
+def _where_views_agree(sighting: Sighting, rows: slice, columns: slice) -> float:
+    """The arc length at which the two views of a face agree over the largest part of a window."""
+    origin = np.array([sighting.middle, 0.0])
+    ahead, areas = np.linspace(-REACH, REACH, STEPS), []
+    for s in sighting.s + ahead:
+        left, right = (Texture(card, WINDOW) for card in sighting.cards(float(s), FINE, origin))
+        agree = np.clip((correlation(left, right) - AGREE[0]) / (AGREE[1] - AGREE[0]), 0.0, 1.0)
+        areas.append(float((agree * _textured(left))[rows, columns].sum()))
+    best = int(np.argmax(areas))
+    return float(sighting.s + ahead[best] + _vertex(np.array(areas), best) * (ahead[1] - ahead[0]))
+
+
+def _textured(texture: Texture) -> Image:
+    """How much each place has to say, 0 to 1: strong edges count no more than clear ones."""
+    return np.asarray(np.clip(texture.std / (4 * CONTRAST), 0.0, 1.0) * (texture.std > CONTRAST), np.float32)
+
+
+def _searched(sighting: Sighting, template: Image, rows: slice, columns: slice, origin: Array, usual: float) -> Aligned:
+    """Where both views of a sighting look most like the ``template``: about the ``origin`` that it has in a frame near
+    by, and about the ``usual`` metres past where the sighting is."""
+    ahead, scores, moves = np.linspace(usual - REACH, usual + REACH, STEPS), [], []
+    reach = round(SHIFT / FINE.cell)
+    for s in sighting.s + ahead:
+        cards = sighting.cards(float(s), FINE, origin)
+        left, right = (_match(card, template, rows, columns, reach) for card in cards)
+        maps = 0.5 * (left + right)
+        peak = np.unravel_index(int(np.argmax(maps)), maps.shape)
+        scores.append(float(maps[peak]))
+        moves.append(_subpixel(maps, peak) - reach)
+    preferred = np.array(scores) - UNUSUAL * (ahead - usual) ** 2
+    best = int(np.argmax(preferred))
+    s = sighting.s + ahead[best] + _vertex(preferred, best) * (ahead[1] - ahead[0])
+    down, across = moves[best]
+    return Aligned(sighting, float(s), origin + np.array([across, -down]) * FINE.cell, scores[best])
+
+
+def _match(card: Image, template: Image, rows: slice, columns: slice, reach: int) -> Image:
+    pad = cv2.copyMakeBorder(card, reach, reach, reach, reach, cv2.BORDER_REPLICATE)
+    window = np.ascontiguousarray(pad[rows.start : rows.stop + 2 * reach, columns.start : columns.stop + 2 * reach])
+    scores = cv2.matchTemplate(window, np.ascontiguousarray(template), cv2.TM_CCOEFF_NORMED)
+    return np.asarray(np.nan_to_num(scores, nan=-1.0, posinf=-1.0, neginf=-1.0), np.float32)
+
+
+def _vertex(values: Array, best: int) -> float:
+    """Where between −0.5 and 0.5 steps of the ``best`` of ``values`` (N,) a parabola has its top."""
+    if not 0 < best < len(values) - 1:
+        return 0.0
+    a, b, c = values[best - 1 : best + 2]
+    return float(np.clip(0.5 * (a - c) / min(a - 2 * b + c, -1e-9), -0.5, 0.5))
+
+
+def _subpixel(scores: Image, peak: tuple[np.intp, ...]) -> Array:
+    row, column = int(peak[0]), int(peak[1])
+    return np.array(
+        [
+            row + _vertex(scores[:, column].astype(float), row),
+            column + _vertex(scores[row].astype(float), column),
+        ]
+    )
+
+
+def _rectangle(aligned: list[Aligned], reference: Sighting) -> Face | None:
+    """The rectangle in which all that is aligned agrees with the reference most."""
+    first = next(a for a in aligned if a.sighting is reference)
+    template = Texture(first.cards()[0], WINDOW)
+    correlations = []
+    for a in aligned:
+        for card in a.cards()[a is first :]:
+            correlations.append(correlation(template, Texture(card, WINDOW)))
+    agreement = np.median(correlations, axis=0)  # a shadow that passes over a face is there in few frames
+    weight = _textured(template)
+    widest, highest = WIDEST[reference.y[1] > TALLER], HIGHEST[reference.y[1] > TALLER]
+    narrowest = max(NARROWEST, MOST_OF * min(reference.x[1] - reference.x[0], widest))
+    cell = COARSE * FINE.cell
+    widths = round((narrowest + 2 * INSET) / cell), round((widest + 2 * INSET) / cell)
+    for agreed in AGREED:
+        votes = np.asarray((np.maximum(agreement, 0.0) - agreed) * weight - COST, float)
+        votes[FINE.y > highest] = -1.0
+        found = best_rectangle(votes[::COARSE, ::COARSE], round((LOWEST + 2 * INSET) / cell), widths)
+        if found is not None:
+            break
+    else:
+        return None
+    top, bottom, left, right = (COARSE * k for k in found)
+    x, y = FINE.x[[left, min(right, len(FINE.x)) - 1]], FINE.y[[min(bottom, len(FINE.y)) - 1, top]]
+    part = np.s_[top:bottom, left:right]
+    mean = float((agreement[part] * weight[part]).sum() / max(weight[part].sum(), 1e-9))
+    return Face(_inset(x), _inset(y), aligned, mean)
+
+
+def _inset(span: Array) -> tuple[float, float]:
+    return float(span[0]) + INSET, float(span[1]) - INSET
+
+
+def best_rectangle(votes: Array, height: int, widths: tuple[int, int]) -> tuple[int, int, int, int] | None:
+    """The rows and columns, from where and to before where, of the rectangle of ``votes`` (H, W) with the largest sum,
+    at least ``height`` high and between ``widths`` wide; None where no sum is positive."""
+    H, W = votes.shape
+    narrowest, widest = widths
+    sums = np.zeros((H + 1, W + 1))
+    sums[1:, 1:] = votes.cumsum(0).cumsum(1)
+    best, where = 0.0, None
+    for top in range(H - height + 1):
+        rows = sums[top + height :] - sums[top]  # (bottoms, W + 1): sums from the left
+        for width in range(narrowest, min(widest, W) + 1):
+            gains = rows[:, width:] - rows[:, : W + 1 - width]
+            bottom, left = np.unravel_index(int(np.argmax(gains)), gains.shape)
+            if gains[bottom, left] > best:
+                best = float(gains[bottom, left])
+                where = (top, top + height + int(bottom), int(left), int(left) + width)
+    return where

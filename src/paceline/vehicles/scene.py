@@ -1,0 +1,31 @@
+"""The empty scene as it changes with the light and with what comes to stand in it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from paceline.recordings import StereoFrame
+
+Image = NDArray[np.float32]
+
+DRIFT = 2.0  # grey levels per second by which a scene follows what is seen
+
+
+class EmptyScene:
+    """Both views of the scene behind the traffic; each frame pulls every pixel a little towards what it shows.
+
+    The pull does not grow with the difference, so that a vehicle that passes leaves no trace: what is followed is the
+    running median.
+    """
+
+    def __init__(self, images: tuple[Image, Image]) -> None:
+        self.images = (images[0].copy(), images[1].copy())
+        self._time: float | None = None
+
+    def follow(self, frame: StereoFrame) -> None:
+        if self._time is not None:
+            step = DRIFT * (frame.time - self._time)
+            for image, now in zip(self.images, (frame.left, frame.right), strict=True):
+                image += np.clip(now - image, -step, step)
+        self._time = frame.time

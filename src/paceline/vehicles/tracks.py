@@ -1,0 +1,144 @@
+"""Sightings joined over time: what moves along a way as vehicles do is one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from paceline.speed.measurement import FASTEST
+from paceline.vehicles.sightings import GRID, Sighting
+
+Array = NDArray[np.float64]
+Image = NDArray[np.float32]
+
+ALIKE = 0.5  # correlation of the faces of one vehicle in two frames,
+SETTLED = 3  # and sightings from which on where it must be tells more: something may have hidden part of it
+ASIDE = 1.3  # m across the way that a vehicle moves at most from one sighting to the next
+ERROR = 2.5, 1.5  # m along the way, and px of disparity, by which a sighting is off at most
+CHANGING = 8.0  # m/s², by which a vehicle gathers or loses speed at most
+LOW = 1.3  # m, up to where faces are compared: windscreens mirror what is around
+SHIFT = 0.35  # m that a face may have moved on its card
+PATIENCE = 3, 0.7  # frames, and seconds, without a sighting after which a vehicle has gone
+BODY = 6.0, 2.5  # m along and across, within which there is no second vehicle
+KEPT = 12  # sightings of a vehicle that are kept, evenly spread
+
+
+@dataclass(eq=False)
+class Track:
+    """Sightings of one vehicle, in order of time; ``kept`` are evenly spread ones from the first to about the last."""
+
+    way_s: list[float] = field(default_factory=list)  # m along the first sighting's way
+    times: list[float] = field(default_factory=list)
+    areas: list[float] = field(default_factory=list)
+    kept: list[Sighting] = field(default_factory=list)
+    last: Sighting | None = None
+    unseen: int = 0
+    _stride: int = 1
+
+    def add(self, sighting: Sighting) -> None:
+        if len(self.times) % self._stride == 0:
+            self.kept.append(sighting)
+            if len(self.kept) > KEPT:
+                self.kept, self._stride = self.kept[::2], 2 * self._stride
+        self.way_s.append(self.along(sighting))
+        self.times.append(sighting.time)
+        self.areas.append(sighting.area)
+        self.last, self.unseen = sighting, 0
+
+    @property
+    def first(self) -> Sighting:
+        return self.kept[0]
+
+    def along(self, sighting: Sighting) -> float:
+        """Arc length of a sighting on this track's way, m."""
+        if not self.kept or sighting.way is self.first.way:
+            return sighting.s
+        return self.first.way.path.nearest(sighting.place)
+
+    @property
+    def speed(self) -> float:
+        """Metres per second along the way, over all of it; NaN for a single sighting."""
+        return slope(np.array(self.times), np.array(self.way_s))
+
+    def fits(self, sighting: Sighting) -> bool:
+        """Whether a vehicle seen so far may be where ``sighting`` is."""
+        assert self.last is not None, "a track begins with a sighting"
+        dt = sighting.time - self.times[-1]
+        s, way = self.along(sighting), self.first.way
+        aside = (sighting.place - self.last.place) @ way.axes(s)[1]
+        if abs(aside) > ASIDE:
+            return False
+        rig, depth = way.rig, float(sighting.place[2])
+        error = max(ERROR[0], ERROR[1] * depth**2 / (rig.left.K[0, 0] * rig.baseline))
+        if len(self.times) == 1:
+            return bool(abs(s - self.way_s[-1]) <= FASTEST * dt + error)
+        recent = slice(-4, None)
+        v = slope(np.array(self.times[recent]), np.array(self.way_s[recent]))
+        doubt = error * (1 + dt / (self.times[-1] - self.times[recent][0])) + 0.5 * CHANGING * dt**2
+        return bool(abs(s - self.way_s[-1] - v * dt) <= doubt)
+
+
+def slope(t: Array, s: Array) -> float:
+    """The median of the slopes of all pairs (Theil and Sen); NaN where there is none."""
+    i, j = np.triu_indices(len(t), 1)
+    return float(np.median((s[j] - s[i]) / (t[j] - t[i]))) if len(i) else float("nan")
+
+
+def likeness(a: Sighting, b: Sighting) -> float:
+    """The best correlation of the lower part of face ``a`` with the card of ``b``, shifted a little."""
+    template, card = (s.cards(s.s, GRID, np.array([s.middle, 0.0]))[0] for s in (a, b))
+    columns = np.flatnonzero(np.abs(GRID.x) <= 0.5 * (a.x[1] - a.x[0]))
+    rows = np.flatnonzero(GRID.y <= max(LOW, a.y[0] + 0.4))
+    shift = round(SHIFT / GRID.cell)
+    pad = cv2.copyMakeBorder(card, shift, shift, shift, shift, cv2.BORDER_REPLICATE)
+    window = pad[rows[0] : rows[-1] + 1 + 2 * shift, columns[0] : columns[-1] + 1 + 2 * shift].copy()
+    face = template[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1].copy()
+    scores = cv2.matchTemplate(window, face, cv2.TM_CCOEFF_NORMED)
+    return float(np.nan_to_num(scores, nan=-1.0, posinf=-1.0).max())
+
+
+def is_one(a: Sighting, b: Sighting) -> bool:
+    """Whether two sightings in one frame are so near each other that they are parts of one vehicle."""
+    apart = a.place - b.place
+    forward, right, _ = b.way.path.frames(np.array(b.s)).T
+    return bool(abs(apart @ forward) < BODY[0] and abs(apart @ right) < BODY[1])
+
+
+class Linker:
+    """Takes the sightings of frame after frame; gives each vehicle's track when it has gone."""
+
+    def __init__(self) -> None:
+        self.tracks: list[Track] = []
+
+    def link(self, time: float, sightings: list[Sighting]) -> list[Track]:
+        """The tracks that have ended by now; ``sightings`` at ``time`` go to those that go on, or begin new ones."""
+        pairs = [
+            (likeness(track.last, sighting), i, j)
+            for i, track in enumerate(self.tracks)
+            for j, sighting in enumerate(sightings)
+            if track.last is not None and track.fits(sighting)
+        ]
+        taken_tracks: set[int] = set()
+        taken: set[int] = set()
+        for score, i, j in sorted(pairs, reverse=True):
+            known = score >= ALIKE or len(self.tracks[i].times) >= SETTLED
+            if known and i not in taken_tracks and j not in taken:
+                self.tracks[i].add(sightings[j])
+                taken_tracks.add(i)
+                taken.add(j)
+        ended = []
+        for i, track in enumerate(self.tracks):
+            if i not in taken_tracks:
+                track.unseen += 1
+                if track.unseen > PATIENCE[0] and time - track.times[-1] > PATIENCE[1]:
+                    ended.append(track)
+        self.tracks = [track for track in self.tracks if track not in ended]
+        seen = [sightings[j] for j in taken]
+        for j, sighting in enumerate(sightings):
+            if j not in taken and not any(is_one(sighting, other) for other in seen):
+                self.tracks.append(Track())
+                self.tracks[-1].add(sighting)
+        return ended

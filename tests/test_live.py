@@ -1,0 +1,223 @@
+"""Live surveys: two recordings played as streams, and how views are paired and dropped."""
+
+from __future__ import annotations
+
+import csv
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from calling import assert_one_line_error, paceline
+from numpy.typing import NDArray
+
+from paceline.cameras import Camera
+from paceline.live_views import HELD, _paired, _View
+from paceline.monocular import CameraFrame, CameraRecording
+from paceline.simulation.backdrops import Backdrop
+from paceline.simulation.planar import RenderedClip, Scene, Vehicle, World, render, write
+
+SIZE = (64, 48)
+RATE, PLAYED = 5.0, 2.0  # frames/s, as rendered and as played: slow enough for any machine to keep up
+SPEEDS = [speed * PLAYED / RATE for speed in (13.0, 16.0, 19.0)]  # m/s
+TWO = (
+    Vehicle("v0", 16.0, start_distance=64.0, lane=-1.85, texture_seed=6, relief=0.03),
+    Vehicle("v1", 13.0, start_distance=26.0, lane=1.85, texture_seed=9, relief=0.03, receding=True),
+)
+LATER = (Vehicle("v0", 19.0, start_distance=68.0, lane=-1.85, texture_seed=12, relief=0.03),)
+
+
+# --- two views -------------------------------------------------------------------------------------------------------
+
+
+class Source:
+    """A view whose frames come at ``times``, s of the computer's clock, dated by a clock that is ``ahead``."""
+
+    name, notices = "camera", []  # noqa: RUF012
+
+    def __init__(self, times: list[float], ahead: float = 0.0, value: int = 0) -> None:
+        self.times, self.ahead, self.value = times, ahead, value
+
+    def read(self, start: int) -> Iterator[CameraFrame]:
+        begun = time.monotonic()
+        for index, moment in enumerate(self.times):
+            time.sleep(max(0.0, begun + moment - time.monotonic()))
+            yield CameraFrame(index, moment + self.ahead, np.full(SIZE[::-1], self.value + index % 50, np.uint8))
+
+    def label(self, frame: int) -> str:
+        return f"frame {frame}"
+
+    def stop(self) -> None:
+        pass
+
+
+def view(source: Source, total: int | None = None) -> _View:
+    camera = Camera(SIZE, np.array([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]]))
+    return _View(CameraRecording(camera, source, total))
+
+
+def begun(*views: _View) -> None:
+    for v in views:
+        v.begin(time.monotonic())
+
+
+def test_frames_that_belong_together_are_paired_and_others_left_out() -> None:
+    every = [0.05 * k for k in range(12)]
+    left, right = view(Source(every)), view(Source([t + 0.004 for k, t in enumerate(every) if k not in (4, 5)]))
+    begun(left, right)
+    pairs = list(_paired(left, right, 0.0))
+    assert [p.index for p in pairs] == [k for k in range(12) if k not in (4, 5)]
+    assert [p.right[0, 0] for p in pairs] == [*range(10)]
+
+
+def test_cameras_with_clocks_of_their_own_are_paired_by_their_arrival() -> None:
+    times = [0.05 * k for k in range(30)]
+    left, right = view(Source(times)), view(Source(times, ahead=1234.5))
+    begun(left, right)
+    late = [v.lateness() for v in (left, right)]
+    assert late[0] - late[1] == pytest.approx(1234.5, abs=0.02)
+    pairs = list(_paired(left, right, late[0] - late[1]))
+    assert len(pairs) >= 12 and all(p.left[0, 0] == p.right[0, 0] == p.index for p in pairs)
+    assert all(p.skew == 0.0 for p in pairs)
+
+
+def test_what_is_not_used_in_time_is_dropped_and_counted() -> None:
+    times = [0.01 * k for k in range(40)]
+    left, right = view(Source(times)), view(Source(times))
+    begun(left, right)
+    taken = 0
+    for _ in _paired(left, right, 0.0):
+        taken += 1
+        time.sleep(0.05)
+    assert left.dropped >= 20 and taken + left.dropped <= 40
+    assert taken + left.dropped >= 40 - HELD - 5  # the rest lost its partner
+
+
+# --- a survey --------------------------------------------------------------------------------------------------------
+
+
+def scene(*vehicles: Vehicle) -> Scene:
+    return Scene(
+        seed=5,
+        vehicles=vehicles,
+        image_size=(640, 480),
+        focal=1300.0,
+        camera_height=2.6,
+        tilt=0.025,
+        road_direction=0.015,
+        road_depth=40.0,
+        noise_sigma=0.8,
+        frames=9,
+    )
+
+
+def road(of: Scene, frames: int, seed: int) -> dict[str, list[NDArray[np.uint8]]]:
+    """The same road without vehicles."""
+    world, rng = World(of), np.random.default_rng(seed)
+    stills = [Backdrop(world.scene, world.road, world.scene.seed).draw(v) for v in world.views]
+    return {
+        side: [np.clip(still + rng.normal(0, 0.8, still.shape), 0, 255).astype(np.uint8) for _ in range(frames)]
+        for side, still in zip(("left", "right"), stills, strict=True)
+    }
+
+
+@cache
+def traffic() -> RenderedClip:
+    """An empty road, two vehicles, an empty road, one vehicle, an empty road."""
+    first, second = render(scene(*TWO)), render(scene(*LATER))
+    gaps = [road(scene(*TWO), frames, seed) for seed, frames in enumerate((10, 4, 4))]
+    pictures = {
+        side: [*gaps[0][side], *getattr(first, side), *gaps[1][side], *getattr(second, side), *gaps[2][side]]
+        for side in ("left", "right")
+    }
+    times = np.arange(len(pictures["left"])) / PLAYED
+    return replace(first, **pictures, times=times, right_times=times)
+
+
+def survey_file(folder: Path, **keys: Any) -> Path:
+    file = write(traffic(), folder)
+    document = {**yaml.safe_load(file.read_text(encoding="utf-8")), "rate": PLAYED, **keys}
+    for key in ("vehicles", "times"):
+        document.pop(key, None)
+    file.write_text(yaml.safe_dump(document), encoding="utf-8")
+    return file
+
+
+def test_every_vehicle_is_measured_once_as_it_passes(tmp_path: Path) -> None:
+    file, out = survey_file(tmp_path / "clip"), tmp_path / "out"
+    done = paceline("speed", file, "-o", out, "--live", "--learn", "4")
+    assert done.returncode == 0, done.stderr
+    summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
+    assert [v["vehicle"] for v in summary["vehicles"]] == ["v0", "v1", "v2"]
+    assert [v["verdict"] for v in summary["vehicles"]] == ["measured"] * 3
+    speeds = [v["speed_mps"] for v in summary["vehicles"]]
+    assert sorted(speeds[:2]) == pytest.approx(SPEEDS[:2], abs=0.1) and speeds[2] == pytest.approx(SPEEDS[2], abs=0.1)
+    for v in summary["vehicles"]:
+        assert v["speed_lo_mps"] < min(SPEEDS, key=lambda s: abs(s - v["speed_mps"])) < v["speed_hi_mps"]
+        assert v["seen_to_s"] > v["seen_from_s"] >= 4.0
+    with (out / "estimates.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert {r["vehicle"] for r in rows} == {"v0", "v1", "v2"}
+    assert sum(line.rstrip().endswith("measured") for line in done.stdout.splitlines()) == 3
+
+
+def test_what_was_measured_stays_when_it_is_ended(tmp_path: Path) -> None:
+    """Ctrl-C ends a survey; the vehicles that have passed by then are in the tables."""
+    file, out = survey_file(tmp_path / "clip"), tmp_path / "out"
+    command = [sys.executable, "-m", "paceline", "speed", str(file), "-o", str(out), "--live", "--learn", "4"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
+        assert running.stdout is not None
+        for line in running.stdout:
+            if line.rstrip().endswith("measured"):
+                running.send_signal(signal.SIGINT)
+                break
+        rest, errors = running.communicate(timeout=120)
+    assert running.returncode == 0, errors
+    assert "Traceback" not in errors
+    summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
+    assert summary["vehicles"] and all(v["verdict"] == "measured" for v in summary["vehicles"])
+    assert f"{len(summary['vehicles'])} of {len(summary['vehicles'])} vehicles measured" in rest
+
+
+@pytest.mark.parametrize(
+    ("arguments", "keys", "words"),
+    [
+        (["--live", "--method", "sift"], {}, ["--live", "--method"]),
+        (["--learn", "3"], {}, ["--learn", "--live"]),
+        (["--live", "--quiet", "--learn", "60"], {}, ["clip.yaml", "ended within the 60 s"]),
+        (["--live"], {"left": "nowhere.mp4"}, ["nowhere.mp4"]),
+        (["--live", "--quiet"], {"right": "left"}, ["left and right", "same picture"]),
+        (["--live"], {"right": "rtsp://127.0.0.1:9/none"}, ["rtsp://127.0.0.1:9/none", "cannot be opened"]),
+        (["--live"], {"rate": None}, ["clip.yaml", "rate"]),
+    ],
+)
+def test_bad_input_is_one_plain_line(
+    tmp_path: Path, arguments: list[str], keys: dict[str, Any], words: list[str]
+) -> None:
+    short = replace(traffic(), **{s: getattr(traffic(), s)[:6] for s in ("left", "right", "times", "right_times")})
+    file = write(short, tmp_path / "clip")
+    document = {**yaml.safe_load(file.read_text(encoding="utf-8")), "rate": PLAYED, **keys}
+    file.write_text(
+        yaml.safe_dump({k: v for k, v in document.items() if k not in ("vehicles", "times")}), encoding="utf-8"
+    )
+    done = paceline("speed", file, "-o", tmp_path / "out", *arguments)
+    assert_one_line_error(done, *words)
+    assert not (tmp_path / "out").exists()
+
+
+def test_tables_of_another_survey_are_not_written_over(tmp_path: Path) -> None:
+    file, out = survey_file(tmp_path / "clip"), tmp_path / "out"
+    out.mkdir()
+    (out / "estimates.csv").write_text("mine\n")
+    done = paceline("speed", file, "-o", out, "--live")
+    assert_one_line_error(done, "estimates.csv", "is there already")
+    assert (out / "estimates.csv").read_text() == "mine\n"
