@@ -169,8 +169,16 @@ def test_of_two_that_match_alike_the_smaller_one_leads_not():
 
 
 def test_a_start_where_hardly_anything_matches_is_never_believed():
-    watch = Watch((0, 0, 1, 0.3))
+    watch = Watch((0, 0, 1, 0.19))
     assert watch.see(30) == [NOWHERE] * 30
+
+
+def test_in_dim_light_a_start_is_believed_at_once_or_not():
+    """Few of its edges show, but all lines are where the operator put them, and nothing else matches as well."""
+    assert Watch((0, 0, 1, 0.25), (0.3, 0, 1, 0.2)).see(3) == [""] * 3
+    better, later, beside = (0.3, 0, 1, 0.26), (0, 0, 1, lambda image: 0.25 if image else 0.0), (0.045, 0, 1, 0.25)
+    for places in ([(0, 0, 1, 0.25), better], [later], [beside]):
+        assert {*Watch(*places).see(9)} <= {DOUBT, NOWHERE}
 
 
 @settings(max_examples=40, deadline=None)

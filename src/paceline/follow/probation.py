@@ -28,7 +28,9 @@ SURE = 0.25  # credit by which a lock is behind that is given up,
 SLIGHT = 0.06  # and so much more for every image: a small difference tells nothing, however long it lasts
 DOUBTED = 2.0  # s for which a start may be in doubt: then the target is elsewhere, and what is there may be another
 OFF = 0.06  # sizes from the start, or relative scale, at which the operator is told
-LEAST = 0.35  # match of a target
+LEAST = 0.35  # match of a target,
+FAINT, PLACED, MOST = 0.2, 0.04, 0.7  # and of one in dim light: within so many sizes of the start so many lines agree,
+# and nothing else matches as well
 EVERY = 6  # images of which one is patrolled
 PATROLS = 24  # so many times: each size twice; later what fits better is another vehicle, or the target is half hidden
 USUAL = 0.25  # rate at which the usual match of the lock is learned, then
@@ -100,7 +102,7 @@ class Probation:
             self.lock.credit, self._turn = self._near_start(looks[0], self.lock), 0
         pairs = list(zip(self.locks, looks, strict=True))
         pairs += self._newcomers(image, looks)
-        if self._is_good(looks[0], [look for _, look in pairs[1:]]):
+        if self._is_good(looks[0], [look for _, look in pairs[1:]], time == self._began):
             self._turn += 1
             return self._settle(image, looks[0])
         for lock, look in pairs:
@@ -126,12 +128,21 @@ class Probation:
                 lock.learn(seen, time)
         return Look(DOUBT if rivals else NOWHERE, look.window), ""
 
-    def _is_good(self, own: Look, others: list[Look]) -> bool:
-        """Whether the first image leaves no doubt: the model fits where the operator put it, and nowhere clearly
-        better. Hands err less than a match does among frames within frames."""
+    def _is_good(self, own: Look, others: list[Look], first: bool) -> bool:
+        """Whether there is no doubt before any rival: the model fits where the operator put it, and nowhere clearly
+        better. Hands err less than a match does among frames within frames. In the ``first`` image it may fit faintly.
+        """
         if self._turn or own.complaint or own.fit is None or self._distance(own.fit.location, self._start) > BESIDE:
             return False
-        return _match(own) >= max([LEAST, *(_match(other) - CLEAR for other in others)])
+        elsewhere = [_match(other) for other in others if self._apart(own, other) > BESIDE]
+        faint = (
+            first
+            and own.measurement is not None
+            and own.measurement.agreeing.mean() >= MOST
+            and self._distance(own.fit.location, self._start) < PLACED
+            and _match(own) >= max(elsewhere, default=0.0)
+        )
+        return _match(own) >= max([FAINT if faint else LEAST, *(_match(other) - CLEAR for other in others)])
 
     def _newcomers(self, image: Bytes, looks: list[Look]) -> list[tuple[Lock, Look]]:
         """Locks on the best places about the start in the first image, and what they see; later on the best one alone,

@@ -216,7 +216,8 @@ class Recogniser:
         jump = abs(fit.location[2] - expected[2]) / hypot(doubt[2], spread * fit.location[2])
         if support < (CLEAR if lost else SUPPORT) or agreeing.sum() < FEATURES:
             return FEW, clear, False
-        if discord > 1.0:
+        astray = np.isfinite(measurement.fit.offsets).sum() - agreeing.sum()
+        if discord > 1.0 and astray > 1:  # a single edge that is another's tells nothing against all the others
             return APART, clear, False
         if spread > VAGUE:
             return "its size cannot be told", clear, False
