@@ -1,18 +1,18 @@
 """Vehicles found without clicking, and their speeds, against the exact truth of rendered clips and against clicks.
 
-python benchmarks/vehicles.py CLIP…   (folders that `paceline simulate speed` or `simulate suite` wrote)
+python benchmarks/vehicles.py CLIP...   (folders that `paceline simulate speed` or `simulate suite` wrote)
 """
 
 from __future__ import annotations
 
-import sys
+import argparse
 import time
 from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from common import MPH, Rows, head, read_truth, rms, row, true_mean
+from common import MPH, Rows, head, machine, read_truth, rms, row, true_mean
 
 from paceline.documents import Clip, VehicleDocument, load_clip
 from paceline.geometry import triangulate
@@ -70,10 +70,13 @@ def speeds(clip: Clip, recording: StereoRecording, names: list[str], truth: Rows
 
 
 def main() -> None:
+    parser = argparse.ArgumentParser(description="Vehicles found without clicking, and their speeds.")
+    parser.add_argument("clips", nargs="+", type=Path, metavar="CLIP", help="folder of a rendered clip")
+    folders: list[Path] = parser.parse_args().clips
     print(head("clip", "vehicles", "once", "twice", "false", "error found, mph", "error clicked, mph", "s per frame"))
     totals: Counter[str] = Counter()
     both: list[tuple[Speed | None, Speed]] = []
-    for folder in map(Path, sys.argv[1:]):
+    for folder in folders:
         clip, truth = load_clip(folder / "clip.yaml"), read_truth(folder)
         recording, begun = open_recording(clip), time.process_time()
         search = find_vehicles(replace(clip, vehicles=[]), recording)
@@ -101,6 +104,7 @@ def main() -> None:
         print(f"{what}: {rms(errors):.2f} mph rms, {inside} of {len(chosen)} within their 95 % intervals")
     measured = [sum(s is not None and s.verdict == "measured" for s in side) for side in zip(*both, strict=True)]
     print(f"measured: {measured[0]} of {len(both)} as found, {measured[1]} as clicked")
+    print(f"\n{machine()}")
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.stats import theilslopes
+from small_road import TWO, scene
 
 from paceline.cameras import StereoRig
 from paceline.documents import VehicleDocument, load_clip
@@ -24,7 +25,7 @@ from paceline.geometry import epipolar_distance, triangulate
 from paceline.lanes.background import steady
 from paceline.recordings import StereoFrame, open_recording
 from paceline.simulation.backdrops import Backdrop
-from paceline.simulation.planar import RenderedClip, Scene, Vehicle, World, render, write
+from paceline.simulation.planar import RenderedClip, Vehicle, World, render, write
 from paceline.speed.paths import from_points
 from paceline.vehicles.agreement import Texture, correlation
 from paceline.vehicles.clip_file import with_vehicles
@@ -158,24 +159,6 @@ def test_a_passing_vehicle_leaves_no_trace_and_slow_light_is_followed() -> None:
 # --- whole clips -----------------------------------------------------------------------------------------------------
 
 
-def scene(*vehicles: Vehicle, **more: object) -> Scene:
-    """A small rig beside a straight road with these vehicles, or with one that comes nearer."""
-    vehicles = vehicles or (Vehicle("v0", 16.0, start_distance=60.0, lane=-1.85, texture_seed=6, relief=0.03),)
-    plain = Scene(
-        seed=5,
-        vehicles=vehicles,
-        image_size=(640, 480),
-        focal=1300.0,
-        camera_height=2.6,
-        tilt=0.025,
-        road_direction=0.015,
-        road_depth=40.0,
-        noise_sigma=0.8,
-        frames=9,
-    )
-    return replace(plain, **more)  # type: ignore[arg-type]
-
-
 def unclicked(rendered: RenderedClip, folder: Path) -> Path:
     """The clip in files, without the operator's outlines."""
     file = write(rendered, folder)
@@ -191,12 +174,6 @@ def found_in(file: Path) -> list[Found]:
 
 def outlines(found: list[Found]) -> list[VehicleDocument]:
     return [f.vehicle for f in found if f.vehicle is not None]
-
-
-TWO = (
-    Vehicle("v0", 16.0, start_distance=64.0, lane=-1.85, texture_seed=6, relief=0.03),
-    Vehicle("v1", 13.0, start_distance=26.0, lane=1.85, texture_seed=9, relief=0.03, receding=True),
-)
 
 
 @cache
@@ -231,6 +208,25 @@ def test_they_are_measured_as_if_they_had_been_outlined(tmp_path: Path) -> None:
     assert measured == pytest.approx([13.0, 16.0], abs=0.2)
     for m in result.measurements:
         assert m.speed_lo < min((13.0, 16.0), key=lambda v: abs(v - m.speed)) < m.speed_hi
+
+
+def test_three_vehicles_two_of_them_in_one_lane_are_told_apart(tmp_path: Path) -> None:
+    behind = replace(TWO[0], id="v1", start_distance=62.0, speed=14.0, texture_seed=7)
+    opposite = Vehicle("v2", 15.0, start_distance=20.0, lane=1.85, texture_seed=8, relief=0.03, receding=True)
+    first = replace(TWO[0], start_distance=40.0, speed=15.0)
+    rendered = render(scene(first, behind, opposite))
+    file = unclicked(rendered, tmp_path)
+    rig, names = load_clip(file).rig, []
+    for v in outlines(found_in(file)):
+        place = triangulate(rig, v.left.mean(0), v.right.mean(0))
+        apart = {
+            row["vehicle"]: float(np.linalg.norm(np.array(row["position"]) - place))
+            for row in rendered.truth
+            if row["frame"] == v.frame
+        }
+        names.append(min(apart, key=lambda k: apart[k]))
+        assert apart[names[-1]] < 2.5  # m; half a pixel of disparity 60 m away
+    assert sorted(names) == ["v0", "v1", "v2"]
 
 
 def empty_road(world: World, frames: int) -> list[StereoFrame]:
