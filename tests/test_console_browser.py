@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -119,7 +120,8 @@ def test_from_import_to_report(recording: Path, console: tuple[Path, str, Callab
     assert nudged[0] == pytest.approx(corners[0][0] - 2, abs=0.7)
     tab.key("z", CTRL)
     tab.key("s", CTRL)
-    tab.wait_for("Saved in clip.yaml.")
+    tab.wait_for("Saved in clip.yaml. Next: measure.")
+    assert "primary" in tab.run("document.querySelector('pl-editor').measureButton.className")
     saved = yaml.safe_load((root / "north" / "clip.yaml").read_text())
     (vehicle,) = saved["vehicles"]
     assert vehicle["path"] == "lane0" and vehicle["frame"] == 0
@@ -240,6 +242,7 @@ def test_a_console_is_served_guarded_and_ends_without_a_trace(tmp_path: Path) ->
     ("arguments", "words"),
     [
         (["nowhere"], ["nowhere", "is no folder"]),
+        (["x" * 300], ["xxx", "cannot be read"]),
         ([".", "--host", "192.0.2.1"], ["--host 192.0.2.1", "cannot be used"]),
         ([".", "--host", "no such host"], ["--host no such host", "cannot be used"]),
         ([".", "--port", "70000"], ["--port", "65535"]),
@@ -247,6 +250,19 @@ def test_a_console_is_served_guarded_and_ends_without_a_trace(tmp_path: Path) ->
 )
 def test_what_cannot_be_served_is_one_plain_line(tmp_path: Path, arguments: list[str], words: list[str]) -> None:
     assert_one_line_error(paceline("console", "--no-browser", *arguments, folder=tmp_path), *words)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="the superuser may write everywhere")
+def test_a_folder_that_cannot_be_written_is_one_plain_line(tmp_path: Path) -> None:
+    tmp_path.chmod(0o500)
+    done = paceline("console", "--no-browser", tmp_path)
+    tmp_path.chmod(0o700)
+    assert_one_line_error(done, "cannot be written")
+
+
+def test_a_folder_in_a_circle_of_links_is_one_plain_line(tmp_path: Path) -> None:
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    assert_one_line_error(paceline("console", "--no-browser", tmp_path / "loop"), "loop", "cannot be read")
 
 
 def test_without_nicegui_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -138,7 +138,9 @@ def test_a_set_up_is_saved_whole_or_not_at_all(tmp_path: Path) -> None:
     with pytest.raises(UnusableInput, match="colour"):
         save_setup(file, Setup(setup.paths, [unknown], setup.revision))
     assert file.read_text() == text
+    file.chmod(0o664)  # colleagues may write it too
     saved = save_setup(file, Setup(setup.paths, [{**setup.vehicles[0], "id": "car"}], setup.revision))
+    assert file.stat().st_mode & 0o777 == 0o664
     assert saved.vehicles[0]["id"] == "car" and [v.id for v in load_clip(file).vehicles] == ["car"]
     with pytest.raises(Changed):
         save_setup(file, setup)

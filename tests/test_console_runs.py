@@ -18,6 +18,7 @@ from calling import ENVIRONMENT, paceline
 from small_clips import copy_of, put_clip
 
 from paceline.console import library as library_module
+from paceline.console import runs as runs_module
 from paceline.console.clip_file import without_vehicles
 from paceline.console.library import Library
 from paceline.console.results import differences, read_series, read_summary, vehicle_rows
@@ -250,12 +251,47 @@ def test_a_run_folder_that_cannot_be_made_is_told(library: Library) -> None:
     assert library.runs.of("road") == [] and library.runs.active() == []
 
 
-@pytest.mark.parametrize("text", ["", "{", "[]", '{"state": "running"}', '{"state": 5, "options": 3}'])
+def test_on_a_full_disk_no_run_begins_and_the_end_of_one_is_told(
+    library: Library, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write = runs_module._write
+
+    def full(folder: Path, run: Run) -> None:
+        if run.active and run.number == 1:
+            return write(folder, run)
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(runs_module, "_write", full)
+    library.runs.start("road", "speed", ["--particles", "0"])
+    run = ended(library, 1)
+    assert run.state == "failed" and "--particles 0" in run.reason
+    with pytest.raises(UnusableInput, match="runs/0002: cannot be written .No space left"):
+        library.runs.start("road", "speed", FAST)
+    assert [p.name for p in (library.folder("road") / "runs").iterdir()] == ["0001"]
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"state": "running"}', '{"state": 5, "options": 3}',
+                                  '{"kind": "speed", "options": [], "state": "measured", "created": "x"}'])  # fmt: skip
 def test_a_damaged_record_is_no_run(library: Library, text: str) -> None:
     folder = library.folder("road") / "runs" / "0001"
     folder.mkdir(parents=True)
     (folder / "run.json").write_text(text)
     assert library.runs.of("road") == [] and library.entry("road").state == "ready"
+
+
+def test_results_are_not_read_through_links(library: Library, tmp_path: Path) -> None:
+    """Somebody may have put them there after the run."""
+    folder = library.folder("road") / "runs" / "0001"
+    elsewhere = tmp_path / "elsewhere"
+    for made in (folder, elsewhere):
+        made.mkdir(parents=True)
+    (elsewhere / "summary.json").write_text('{"vehicles": [], "notices": ["secret"]}')
+    (elsewhere / "estimates.csv").write_text("vehicle,time_s\n")
+    out = folder / "out"
+    out.symlink_to(elsewhere)
+    for read in (read_summary, read_series):
+        with pytest.raises(UnusableInput, match="is no "):
+            read(out)
 
 
 def test_time_left_follows_the_pace() -> None:

@@ -121,6 +121,21 @@ def test_a_clip_that_leads_out_is_refused(tmp_path: Path, key: str, value: str) 
         check_clip(root, file)
 
 
+@pytest.mark.parametrize("value", ['"a\\0b"', "x" * 5000, "loop"])
+def test_one_clip_that_names_no_file_leaves_the_others_shown(tmp_path: Path, value: str) -> None:
+    root = tmp_path.resolve()
+    put_clip(root)
+    clip = put_clip(root, "odd")
+    (clip / "loop").symlink_to(clip / "loop")
+    text = (clip / "clip.yaml").read_text().replace("left: left\n", f"left: {value}\n")
+    (clip / "clip.yaml").write_text(text)
+    library = Library(root)
+    shown = {name: library.entry(name) for name in library.names()}
+    library.runs.close()
+    assert shown["road"].state == "ready" and shown["odd"].state == "unreadable"
+    assert "left: " in shown["odd"].reason and "cannot be read" in shown["odd"].reason
+
+
 def test_a_clip_of_its_own_is_let_through(folder: Path) -> None:
     check_clip(folder, folder / "road" / "clip.yaml")
 
@@ -330,7 +345,8 @@ def test_a_request_of_json_is_bounded(client: TestClient) -> None:
 @pytest.mark.parametrize("body", [b"", b"[]", b"{", b"{}", b'{"paths": [], "vehicles": {}}', b"[" * 100_000,
                                   b'{"paths": {}, "vehicles": [{"left": [[NaN, 1]]}]}',
                                   b'{"paths": {}, "vehicles": [{"left": "x"}]}',
-                                  b'{"paths": {"a": {"shape": "spiral"}}, "vehicles": []}'])  # fmt: skip
+                                  b'{"paths": {"a": {"shape": "spiral"}}, "vehicles": []}',
+                                  b'{"paths": {"a": {"left": [[1, 1]]}}, "vehicles": []}'])  # fmt: skip
 def test_what_is_no_set_up_is_refused(client: TestClient, body: bytes) -> None:
     for method, address in (("POST", "/api/check"), ("PUT", "/api/setup")):
         answer = client.request(method, f"{address}?clip=road", content=body, headers=SAME)
@@ -346,6 +362,63 @@ def test_only_known_settings_reach_the_command(client: TestClient, options: dict
     answer = client.post("/api/run?clip=road", json={"kind": "speed", "options": options}, headers=SAME)
     assert answer.status_code == 422
     assert client.post("/api/run?clip=road", json={"kind": "simulate"}, headers=SAME).status_code == 422
+
+
+def test_a_name_may_be_too_long_in_bytes(client: TestClient) -> None:
+    answer = client.post("/api/import", json={"name": "\N{AUTOMOBILE}" * 80}, headers=SAME)
+    assert answer.status_code == 422 and "cannot be used" in answer.json()["reason"]
+
+
+def test_a_file_that_comes_twice_keeps_the_first(folder: Path, client: TestClient) -> None:
+    key = begin(client)
+    assert send(client, key, "left", "one/a.png", b"first").status_code == 200
+    again = send(client, key, "left", "two/a.png", b"second")
+    assert again.status_code == 422 and "came twice" in again.json()["reason"]
+    long = send(client, key, "left", "x" * 300 + ".png", b"x")
+    assert long.status_code == 422 and "cannot be written" in long.json()["reason"]
+    assert [p.read_bytes() for p in folder.glob(".paceline-import.*/left/*")] == [b"first"]
+    client.request("DELETE", f"/api/import/{key}", headers=SAME)
+
+
+@pytest.mark.parametrize(("where", "words"), [(slice(60, 200), "cannot be unpacked"), (slice(-30, -20), "unpacked")])
+def test_a_damaged_zip_is_told_and_leaves_nothing(folder: Path, client: TestClient, where: slice, words: str) -> None:
+    archive = bytearray(zipped(images(folder, "left")))
+    archive[where] = b"\xff" * len(archive[where])
+    key = begin(client)
+    for view in ("left", "right"):
+        assert send(client, key, view, "a.zip", bytes(archive)).status_code == 200
+    for _ in range(2):  # asked again, it says the same
+        done = client.post(f"/api/import/{key}", json={"rate": 5}, headers=SAME)
+        assert done.status_code == 422 and words in done.json()["reason"]
+    assert not list(folder.glob(".paceline-import.*/left"))
+    client.request("DELETE", f"/api/import/{key}", headers=SAME)
+
+
+def test_aliases_that_multiply_are_refused(folder: Path, client: TestClient) -> None:
+    """A kilobyte of YAML may stand for a thousand million numbers."""
+    rows = ["&a0 [1, 1, 1, 1, 1, 1, 1, 1, 1, 1]", *(f"&a{i} [{f'*a{i - 1}, ' * 10}]" for i in range(1, 9))]
+    bomb = f"left: {{K: [{', '.join(rows)}]}}\n".encode()
+    key = begin(client)
+    for view in ("left", "right"):
+        assert send(client, key, view, "a.zip", zipped(images(folder, view))).status_code == 200
+    assert send(client, key, "rig", "rig.yaml", bomb).status_code == 200
+    done = client.post(f"/api/import/{key}", json={"rate": 5}, headers=SAME)
+    assert done.status_code == 422 and "holds more than 1000000 values" in done.json()["reason"]
+    client.request("DELETE", f"/api/import/{key}", headers=SAME)
+
+
+def test_nothing_is_imported_into_a_clip(tmp_path: Path) -> None:
+    """It would lie in the clip and be listed nowhere."""
+    clip = put_clip(tmp_path.resolve())
+    with pytest.raises(UnusableInput, match="open the console on the folder above"):
+        Imports(clip).begin("new")
+
+
+@pytest.mark.parametrize("entry", [{}, {"left": []}, {"left": [[1, 1], [9, 9]]}, {"left": [[1, 1]] * 5}])
+def test_only_lines_and_outlines_are_proposed(client: TestClient, entry: dict[str, Any]) -> None:
+    body = {"view": 0, "frame": 0, "entry": entry}
+    answer = client.post("/api/propose?clip=road", json=body, headers=SAME)
+    assert answer.status_code == 422 and "four corners" in answer.json()["reason"]
 
 
 def test_half_done_imports_are_cleared_away(tmp_path: Path) -> None:

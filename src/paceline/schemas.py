@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 
 LONGEST_NAME = 100
 LARGEST = 1e9  # no pixel or metre in these files comes near it; NaN and infinity are not below it either
+MOST_VALUES = 1_000_000  # in one document; more is a mistake, or meant to exhaust the memory
 RIG_PARAMETERS = 14  # fx, fy, cx, cy of each camera, rotation, translation
 _WORDS = {2: "two", 3: "three", 4: "four"}
 
@@ -207,6 +208,13 @@ class FollowModel(Document):
 class _Loader(yaml.SafeLoader):
     """Safe YAML that refuses a key given twice and reads 1e-3 as a number, as YAML 1.2 does."""
 
+    def get_single_node(self) -> yaml.Node | None:
+        node: yaml.Node | None = super().get_single_node()
+        if node is not None and _values(node, {}) > MOST_VALUES:
+            problem = f"holds more than {MOST_VALUES} values, those repeated by * included"
+            raise yaml.constructor.ConstructorError(None, None, problem, node.start_mark)
+        return node
+
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen = set()
         for key, _ in node.value:
@@ -215,6 +223,17 @@ class _Loader(yaml.SafeLoader):
                 raise yaml.constructor.ConstructorError(None, None, problem, key.start_mark)
             seen.add(key.value if isinstance(key, yaml.ScalarNode) else key)
         return super().construct_mapping(node, deep)
+
+
+def _values(node: yaml.Node, known: dict[int, int]) -> int:
+    """How many values ``node`` holds, one that an alias repeats counted each time."""
+    if isinstance(node, yaml.ScalarNode):
+        return 1
+    if id(node) not in known:
+        known[id(node)] = 1  # while it is counted: it may hold itself
+        inner = node.value if isinstance(node, yaml.SequenceNode) else [part for pair in node.value for part in pair]
+        known[id(node)] = 1 + sum(_values(part, known) for part in inner)
+    return known[id(node)]
 
 
 _Loader.add_implicit_resolver(

@@ -17,6 +17,7 @@ from starlette.concurrency import run_in_threadpool
 from paceline.cameras import StereoRig
 from paceline.console.clip_file import Changed, Entry, Setup, read_lanes, read_setup, read_site_paths, save_setup
 from paceline.console.editing import check_setup, epipolar_line, propose
+from paceline.console.frames import VIEWS
 from paceline.console.importing import LARGEST_RIG, Imports, add_rig
 from paceline.console.library import Library
 from paceline.console.results import DOWNLOADS
@@ -132,8 +133,10 @@ def _propose(library: Library, clip: str, body: dict[str, Any]) -> dict[str, Any
     pictures = library.gallery.open(library.file(clip))
     view, frame = _view(body.get("view")), _whole(body.get("frame"), 10**9)
     entry, path = _entry(body.get("entry")), body.get("path")
+    if "shape" not in entry and len(entry.get(VIEWS[view], [])) != 4:
+        raise UnusableInput("entry: expected a path with its shape, or a vehicle with four corners")
     shown = pictures.picture(0, frame), pictures.picture(1, frame)
-    pixels, alike = propose(pictures.clip.rig, view, shown, entry, None if path is None else _entry(path))
+    pixels, alike = propose(pictures.clip.rig, view, shown, entry, None if path is None else _path(path))
     return {"pixels": np.round(pixels, 2).tolist(), "alike": round(alike, 3)}
 
 
@@ -255,7 +258,14 @@ def _drawn(body: dict[str, Any]) -> tuple[dict[str, Entry], list[Entry]]:
     paths, vehicles = body.get("paths"), body.get("vehicles")
     if not isinstance(paths, dict) or not isinstance(vehicles, list):
         raise UnusableInput("expected paths by name and a list of vehicles")
-    return {str(name): _entry(path) for name, path in paths.items()}, [_entry(v) for v in vehicles]
+    return {str(name): _path(path) for name, path in paths.items()}, [_entry(v) for v in vehicles]
+
+
+def _path(value: object) -> Entry:
+    path = _entry(value)
+    if "shape" not in path:
+        raise UnusableInput("a path: expected shape line or curve")
+    return path
 
 
 def _entry(value: object) -> Entry:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import secrets
+import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -89,6 +90,7 @@ def save_setup(file: Path, setup: Setup) -> Setup:
     partial = file.with_name(f".{file.name}.{secrets.token_hex(4)}.partial")
     try:
         partial.write_text(text, encoding="utf-8")
+        shutil.copymode(file, partial)
         try:
             load_clip(partial)
         except UnusableInput as error:

@@ -137,7 +137,7 @@ def stamps_of(files: list[Path]) -> Stamps:
         try:
             stat = file.stat()
             found.append((file, stat.st_mtime_ns, stat.st_size))
-        except OSError:
+        except (OSError, ValueError):  # a name with a zero byte
             found.append((file, 0, 0))
     return tuple(found)
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import lzma
 import re
 import secrets
 import shutil
 import zipfile
+import zlib
 from collections.abc import AsyncIterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -29,6 +31,8 @@ LARGEST_RIG = 1 << 20
 MOST_IMAGES = 100_000  # of one view
 SPARE = 256 << 20  # bytes that stay free on the disk
 CHUNK = 1 << 20
+# What a zip that is damaged, locked or too large for the disk makes unpacking raise.
+DAMAGED = (OSError, RuntimeError, ValueError, EOFError, zipfile.BadZipFile, zlib.error, lzma.LZMAError)
 
 
 @dataclass
@@ -52,8 +56,14 @@ class Imports:
 
     def begin(self, name: str) -> str:
         """Makes room for a clip; returns the key of its import. Raises UnusableInput."""
-        if (self._root / check_name(name)).exists():
+        try:
+            taken = (self._root / check_name(name)).exists()
+        except OSError as error:  # 80 characters may be too many bytes
+            raise UnusableInput(f"name {name!r}: cannot be used ({error.strerror})") from error
+        if taken:
             raise UnusableInput(f"name {name!r}: there is a clip or folder of this name; expected another")
+        if (self._root / "clip.yaml").is_file():
+            raise UnusableInput("the console's folder is a clip itself; open the console on the folder above it")
         key = secrets.token_urlsafe(12)
         folder = self._root / f"{PARTIAL}{secrets.token_hex(6)}"
         try:
@@ -77,7 +87,13 @@ class Imports:
         written = 0
         try:
             file.parent.mkdir(exist_ok=True)
-            with file.open("xb") as stream:
+            stream = file.open("xb")
+        except FileExistsError as error:
+            raise UnusableInput(f"{shown}: came twice; expected different names") from error
+        except OSError as error:
+            raise UnusableInput(f"{shown}: cannot be written ({error.strerror})") from error
+        try:
+            with stream:
                 async for part in _gathered(body):
                     written += len(part)
                     if written > most:
@@ -87,8 +103,6 @@ class Imports:
                 raise UnusableInput(f"{shown}: came incomplete; try again")
         except BaseException as error:
             file.unlink(missing_ok=True)
-            if isinstance(error, FileExistsError):
-                raise UnusableInput(f"{shown}: came twice; expected different names") from error
             if isinstance(error, OSError):
                 raise UnusableInput(f"{shown}: cannot be written ({error.strerror})") from error
             raise
@@ -105,7 +119,10 @@ class Imports:
         target = self._root / found.name
         if target.exists():
             raise UnusableInput(f"name {found.name!r}: there is a clip or folder of this name; expected another")
-        found.folder.rename(target)
+        try:
+            found.folder.rename(target)
+        except OSError as error:
+            raise UnusableInput(f"name {found.name!r}: cannot be written ({error.strerror})") from error
         del self._open[key]
         return found.name
 
@@ -119,7 +136,10 @@ class Imports:
         if "rig" in found.received:
             clip["rig"] = "rig.yaml"
         file = found.folder / "clip.yaml"
-        file.write_text(yaml.safe_dump(clip, sort_keys=False, allow_unicode=True), encoding="utf-8")
+        try:
+            file.write_text(yaml.safe_dump(clip, sort_keys=False, allow_unicode=True), encoding="utf-8")
+        except OSError as error:
+            raise UnusableInput(f"{file}: cannot be written ({error.strerror})") from error
         read_document(ClipModel, file)
         check_clip(self._root, file)
         if "rig" in clip:
@@ -231,15 +251,13 @@ def _unpack(archive: Path, folder: Path) -> None:
                 file = folder / re.sub(r"[^\w.()+-]", "_", Path(member.filename).name)
                 with packed.open(member) as source, file.open("xb") as target:
                     total = _copy(source, target, total, archive)
-    except FileExistsError as error:
+    except BaseException as error:
         shutil.rmtree(folder, ignore_errors=True)
-        raise UnusableInput(f"{archive.name}: holds two images of one name") from error
-    except UnusableInput:
-        shutil.rmtree(folder, ignore_errors=True)
+        if isinstance(error, FileExistsError):
+            raise UnusableInput(f"{archive.name}: holds two images of one name") from error
+        if isinstance(error, DAMAGED):
+            raise UnusableInput(f"{archive.name}: cannot be unpacked ({error})") from error
         raise
-    except (OSError, RuntimeError, NotImplementedError, EOFError, zipfile.BadZipFile, zipfile.LargeZipFile) as error:
-        shutil.rmtree(folder, ignore_errors=True)
-        raise UnusableInput(f"{archive.name}: cannot be unpacked ({error})") from error
 
 
 def _copy(source: IO[bytes], target: IO[bytes], total: int, archive: Path) -> int:

@@ -110,19 +110,19 @@ def _state(contents: Contents, runs: list[Run]) -> tuple[str, str]:
     if done:
         return done[0].state, done[0].reason
     if not contents.vehicles and not contents.paths:
-        return "no paths", "draw the road line that vehicles follow, or let lanes be proposed"
+        return "no paths", "draw the road line that vehicles follow, or measure: lanes are then looked for"
     if not contents.vehicles:
         return "no vehicles", "outline the vehicles, or measure: they are then looked for"
-    return "ready", ""
+    return "ready", "look the set-up over, then measure"
 
 
 def _search(root: Path, below: Path, deep: int) -> Iterator[str]:
-    if (root / below / "clip.yaml").is_file():
-        yield below.as_posix()
-        return
-    if not deep:
-        return
     try:
+        if (root / below / "clip.yaml").is_file():
+            yield below.as_posix()
+            return
+        if not deep:
+            return
         with os.scandir(root / below) as entries:
             folders = [e.name for e in entries if not e.name.startswith(".") and e.is_dir(follow_symlinks=False)]
     except OSError:  # not ours to read

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from paceline.console.safety import NotHere, file_below
 from paceline.errors import UnusableInput
 from paceline.reports.wording import COVERAGE, MISSING, number, shown_speed
 from paceline.units import convert
@@ -32,9 +33,9 @@ def read_summary(out: Path) -> dict[str, Any]:
     """summary.json of a run. Raises UnusableInput."""
     file = out / "summary.json"
     try:
-        summary = json.loads(file.read_text(encoding="utf-8"))
+        summary = json.loads(file_below(out, file.name).read_text(encoding="utf-8"))
         return {"vehicles": list(summary["vehicles"]), "notices": list(map(str, summary["notices"]))}
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, NotHere, ValueError, KeyError, TypeError) as error:
         raise UnusableInput(f"{file}: is no summary of a measurement") from error
 
 
@@ -43,11 +44,11 @@ def read_series(out: Path) -> list[Series]:
     file = out / "estimates.csv"
     rows: dict[str, list[dict[str, str]]] = {}
     try:
-        with file.open(newline="", encoding="utf-8") as stream:
+        with file_below(out, file.name).open(newline="", encoding="utf-8") as stream:
             for row in csv.DictReader(stream):
                 rows.setdefault(row["vehicle"], []).append(row)
         return [_series(vehicle, found) for vehicle, found in rows.items()]
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, NotHere, ValueError, KeyError, TypeError) as error:
         raise UnusableInput(f"{file}: is no table of estimates") from error
 
 

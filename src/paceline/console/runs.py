@@ -22,6 +22,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
+from pydantic import TypeAdapter
+
 from paceline.console.clip_file import without_vehicles
 from paceline.console.safety import NotHere, check_clip, file_below, folder_below
 from paceline.console.telling import TOLD, told
@@ -66,6 +68,9 @@ class Run:
         return (now - self.first) / (self.done - 1) * (self.total - self.done)
 
 
+RUN = TypeAdapter(Run)
+
+
 class Runs:
     """All runs below ``root``, the resolved folder of the console, and the one that is under way."""
 
@@ -94,6 +99,7 @@ class Runs:
                 shutil.copyfile(folder / "clip.yaml", where / "clip-as-asked.yaml")
                 _write(where, run)
             except OSError as error:
+                shutil.rmtree(where, ignore_errors=True)
                 raise UnusableInput(f"{where}: cannot be written ({error.strerror})") from error
             self._active[clip, number] = run
             self._queue.append((clip, number))
@@ -235,8 +241,13 @@ class Runs:
         return [word for word in words if word]
 
     def _end(self, run: Run) -> None:
+        ended = replace(run, ended=time.time())
         with contextlib.suppress(NotHere, OSError):  # someone removed the folder in the meantime
-            _write(self.folder(run), replace(run, ended=time.time()))
+            folder = self.folder(run)
+            try:
+                _write(folder, ended)
+            except OSError:  # a full disk; how it ended is told as long as this console runs
+                self._known[folder] = (folder / "run.json").stat().st_mtime_ns, ended
         del self._active[run.clip, run.number]
 
     def _shown(self, reason: str) -> str:
@@ -287,8 +298,8 @@ def _folder_of(clip: Path, number: int) -> Path:
 def _read(clip: str, number: int, folder: Path) -> Run | None:
     try:
         found = json.loads(file_below(folder, "run.json").read_text(encoding="utf-8"))
-        run = Run(**{**found, "clip": clip, "number": number, "options": tuple(found["options"])})
-    except (ValueError, TypeError, KeyError):
+        run = RUN.validate_python({**found, "clip": clip, "number": number})
+    except (ValueError, TypeError):
         return None
     if not run.active:
         return run

@@ -75,7 +75,10 @@ def check_clip(root: Path, file: Path) -> None:
         if given is not None:
             path = _inside(root, file, file.parent / given, key)
             if key in ("left", "right"):
-                _check_recorded(root, file, path, key)
+                try:
+                    _check_recorded(root, file, path, key)
+                except OSError as error:  # a folder that is not ours to read
+                    raise UnusableInput(f"{file}: {key}: cannot be read ({error.strerror})") from error
     if model.site is not None and (site := file.parent / model.site).is_file():
         _inside(root, site, site.parent / read_document(SiteModel, site).rig, "rig")
 
@@ -101,7 +104,7 @@ def _check_recorded(root: Path, file: Path, where: Path, key: str) -> None:
     elif where.exists():
         return check_container(where)
     else:
-        images = [Path(p) for p in glob.glob(re.sub(r"%0(\d+)d", lambda m: "[0-9]" * int(m[1]), str(where)))]
+        images = [Path(p) for p in glob.glob(re.sub(r"%0(\d{1,2})d", lambda m: "[0-9]" * int(m[1]), str(where)))]
     for folder in {image.parent for image in images}:
         _inside(root, file, folder, key)
     for image in images:
@@ -124,7 +127,7 @@ def _inside(root: Path, file: Path, path: Path, key: str) -> Path:
     """``path``, if all links followed it lies below ``root``; what is not there is for others to complain of."""
     try:
         inside = path.resolve().is_relative_to(root)
-    except (OSError, RuntimeError) as error:  # a name that is too long, links in a circle
+    except (OSError, RuntimeError, ValueError) as error:  # a name too long, links in a circle, a zero byte
         raise UnusableInput(f"{file}: {key}: {str(path)[:200]!r} cannot be read") from error
     if not inside:
         raise UnusableInput(f"{file}: {key}: leads out of {root}; the console reads nothing outside its folder")

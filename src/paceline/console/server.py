@@ -28,9 +28,15 @@ TRIED = 10  # ports from the default one on, where none is asked for
 
 def serve(folder: Path, host: str, port: int | None, browse: bool, say: Callable[[str], None]) -> None:
     """Serves the clips below ``folder`` until the process is told to end. Raises UnusableInput."""
-    root = folder.resolve()
-    if not root.is_dir():
+    try:
+        root = folder.resolve()
+        there = root.is_dir()
+    except (OSError, RuntimeError) as error:  # not ours to see, a name too long, links in a circle
+        raise UnusableInput(f"{str(folder)[:200]}: cannot be read") from error
+    if not there:
         raise UnusableInput(f"{folder}: is no folder; expected the one that holds the clips")
+    if not os.access(root, os.W_OK | os.X_OK):
+        raise UnusableInput(f"{folder}: cannot be written; clips, set-ups and runs are kept there")
     listening = _listen(host, port)
     with contextlib.closing(listening):
         address, token = _address(host, listening.getsockname()[1])

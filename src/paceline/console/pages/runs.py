@@ -7,7 +7,7 @@ from typing import Any
 from nicegui import run, ui
 
 from paceline.console.api import UNITS, results_address, speed_options
-from paceline.console.library import Library
+from paceline.console.library import Entry, Library
 from paceline.console.pages.charts import speed_chart
 from paceline.console.pages.layout import PATIENCE, badge, duration, moment, not_here, page, progress, runs_address
 from paceline.console.results import differences, read_series, read_summary, vehicle_rows
@@ -39,20 +39,21 @@ def add(library: Library) -> None:
     @ui.page("/runs", response_timeout=PATIENCE)
     async def runs(clip: str = ".", number: int | None = None, unit: str = "mph") -> None:
         try:
-            library.file(clip)
+            entry = await run.io_bound(library.entry, clip)
         except NotHere:
             return not_here()
+        assert entry is not None, "is None only while the server ends"
         if unit not in UNITS:
             unit = "mph"
         with page(f"Measure {clip}", clip, "Measure and read"):
-            _Page(library, clip, number, unit)
+            _Page(library, clip, number, unit, _before(entry))
 
 
 class _Page:
     """One tab's view of a clip's runs; what it shows is read anew from the runs whenever they change."""
 
-    def __init__(self, library: Library, clip: str, number: int | None, unit: str) -> None:
-        self.library, self.clip, self.unit = library, clip, unit
+    def __init__(self, library: Library, clip: str, number: int | None, unit: str, before: str) -> None:
+        self.library, self.clip, self.unit, self.before = library, clip, unit, before
         self.chosen = number
         self.other: int | None = None
         self.listed: object = None  # what the list and the result show now, to leave them alone until it changes
@@ -70,7 +71,9 @@ class _Page:
     def _ask(self) -> None:
         with ui.element("div").classes("pl-panel"):
             ui.label("Measure the speeds").classes("pl-subtitle")
-            ui.button("Start", on_click=self.start).props("unelevated no-caps").classes("pl-start")
+            ui.button("Start", on_click=self.start, color=None).props("unelevated no-caps").classes("pl-start")
+            if self.before:
+                ui.label(self.before).classes("pl-fact")
             with ui.expansion("Settings").classes("pl-settings").props("dense"):
                 self.particles = ui.number("Particles", min=1, max=100_000, precision=0).props("dense clearable")
                 self.particles.tooltip("More are slower and steadier; empty takes the usual number.")
@@ -138,7 +141,7 @@ class _Page:
             for r in runs:
                 with ui.element("div").classes("pl-run" + (" pl-here" if r.number == self.chosen else "")):
                     with ui.element("div").classes("pl-row"):
-                        name = ui.button(f"Run {r.number}", on_click=lambda _, n=r.number: self.choose(n))
+                        name = ui.button(f"Run {r.number}", on_click=lambda _, n=r.number: self.choose(n), color=None)
                         name.props("flat dense no-caps").classes("pl-run-name")
                         badge(r.state)
                     if r.active:
@@ -146,9 +149,8 @@ class _Page:
                         with ui.element("div").classes("pl-row"):
                             words = ui.label(progress(r)).classes("pl-fact")
                             self.going[r.number] = bar, words
-                            ui.button("Cancel", on_click=lambda _, n=r.number: self.cancel(n)).props(
-                                "flat dense no-caps"
-                            )
+                            cancel = ui.button("Cancel", on_click=lambda _, n=r.number: self.cancel(n), color=None)
+                            cancel.props("flat dense no-caps")
                     else:
                         took = duration(r.ended - r.started) if r.ended and r.started else ""
                         ui.label(", ".join(filter(None, [moment(r), took]))).classes("pl-fact")
@@ -209,6 +211,15 @@ class _Page:
     def compare(self, event: Any) -> None:
         self.other = event.value
         self.look()
+
+
+def _before(entry: Entry) -> str:
+    """What a person should know before they start a run."""
+    if entry.state in ("unreadable", "no rig"):
+        return f"This clip cannot be measured yet: {entry.reason}"
+    if entry.vehicles:
+        return ""
+    return f"No vehicle is outlined: {'vehicles' if entry.paths else 'lanes and vehicles'} are looked for."
 
 
 def _ended(run: Run) -> str:

@@ -60,26 +60,23 @@ class Editor extends HTMLElement {
     this.undoButton = button("Undo", () => this.model.undo(), "Ctrl-Z");
     this.redoButton = button("Redo", () => this.model.redo(), "Ctrl-Y");
     this.snapButton = button("Snap", () => this.toggleSnapping(), "Points move to the nearest edge or corner (S); Alt does the opposite for one point");
-    this.linkButton = button("Both views", () => { this.linked = !this.linked; this.buttons(); }, "Zoom and pan both views as one");
+    this.linkButton = button("Zoom together", () => { this.linked = !this.linked; this.buttons(); }, "Zoom and pan both views as one");
     this.lanesButton = button("Propose lanes", () => this.proposals.lanes(), "Find the painted lines of the empty road; this reads the whole recording");
     this.vehiclesButton = button("Propose vehicles", () => this.proposals.vehicles(), "Find what drives along the paths; this reads the whole recording");
     this.saveButton = button("Save", () => this.save(), "Writes clip.yaml (Ctrl-S)");
     this.saveButton.classList.add("primary");
     this.measureButton = make("a", { className: "pl-button", href: this.getAttribute("runs"), textContent: "Measure…" });
-    this.measureButton.style.textDecoration = "none";
     this.hint = make("div", { className: "ed-hint", role: "status", "aria-live": "polite" });
     this.scrub = make("input", { type: "range", min: 0, max: this.setup.frames.length - 1, value: 0, "aria-label": "Frame" });
     this.scrub.oninput = () => this.goTo(Number(this.scrub.value));
     this.playButton = button("Play", () => this.play(), "Space");
     this.time = make("span", { className: "pl-fact" });
     this.time.style.minWidth = "150px";
-    const gap = make("span", { className: "gap" });
     const bar = make("div", { className: "ed-bar", role: "toolbar", "aria-label": "Tools" }, ...Object.values(this.toolButtons), this.undoButton, this.redoButton,
-      this.snapButton, this.linkButton, gap, this.saveButton, this.measureButton);
+      this.snapButton, this.linkButton, make("span", { className: "end" }, this.saveButton, this.measureButton));
     const boxes = this.views.map((view) => {
       view.canvas.setAttribute("aria-label", `${view.side} view`);
-      const box = make("div", { className: "ed-view" }, view.canvas, make("span", { className: "tag", textContent: view.side }));
-      return box;
+      return make("div", { className: "ed-view" }, view.canvas, make("span", { className: "tag", textContent: view.side }));
     });
     this.panel = new Panel(this);
     this.pointers = new Pointers(this);
@@ -101,6 +98,7 @@ class Editor extends HTMLElement {
     this.undoButton.disabled = !this.model.past.length;
     this.redoButton.disabled = !this.model.future.length;
     this.saveButton.disabled = !this.model.dirty;
+    this.measureButton.classList.toggle("primary", !this.model.dirty && this.model.vehicles.length > 0); // the next step
   }
 
   say(text, bad = false) {
@@ -111,7 +109,8 @@ class Editor extends HTMLElement {
   next() { // what a person would do next
     const { paths, vehicles, sitePaths } = this.model;
     if (!vehicles.length && !Object.keys({ ...paths, ...sitePaths }).length) {
-      return "First draw the road line that the vehicles follow, or let lanes be proposed. Then outline the vehicles.";
+      return "First draw the road line that the vehicles follow, or let lanes be proposed. Then outline the vehicles. "
+        + "Or just measure: lanes and vehicles are then looked for.";
     }
     if (!vehicles.length) return "Now outline each vehicle, in a frame that shows it well and early.";
     return TOOLS[this.tool][2];
@@ -147,8 +146,10 @@ class Editor extends HTMLElement {
       const images = await Promise.all([0, 1].map((view) => this.picture(view, this.setup.frames[wanted])));
       if (wanted !== this.pair) return;
       this.views.forEach((view, i) => { view.image = images[i]; });
+      if (this.unread) { this.unread = false; this.say(this.next()); }
     } catch (error) {
       if (wanted !== this.pair) return;
+      this.unread = true;
       this.views.forEach((view) => { view.image = null; });
       this.say(error.message, true);
     }
@@ -383,7 +384,7 @@ class Editor extends HTMLElement {
     try {
       const body = { paths: this.model.paths, vehicles: this.model.vehicles, revision: this.model.revision };
       this.model.accept(await ask("PUT", `/api/setup?clip=${this.clip}`, body));
-      this.say("Saved in clip.yaml.");
+      this.say(`Saved in clip.yaml. Next: ${this.model.vehicles.length ? "measure" : "outline the vehicles, or let them be proposed"}.`);
     } catch (error) {
       this.say(error.status === 409 ? `Not saved: ${error.message}. Reload the page to see it; what is drawn here is then lost.` : `Not saved: ${error.message}`, true);
     }

@@ -33,8 +33,9 @@ export class Proposals {
     this.editor.paint();
   }
 
-  async search(kind, button) { // by a run of the command; what it proposes, or null after saying why
-    button.disabled = true;
+  async search(kind) { // by a run of the command; what it proposes, or null after saying why
+    const buttons = [this.editor.lanesButton, this.editor.vehiclesButton]; // one search at a time: its words stand alone
+    for (const button of buttons) button.disabled = true;
     try {
       let run = await ask("POST", `/api/run?clip=${this.editor.clip}`, { kind });
       while (["waiting", "running"].includes(run.state)) {
@@ -48,22 +49,22 @@ export class Proposals {
       this.editor.say(error.message, true);
       return null;
     } finally {
-      button.disabled = false;
+      for (const button of buttons) button.disabled = false;
     }
   }
 
   async lanes() {
-    const found = await this.search("lanes", this.editor.lanesButton);
+    const found = await this.search("lanes");
     if (!found) return;
     this.editor.model.change((m) => { for (const entry of Object.values(found.paths)) m.addPath(entry); });
-    this.editor.say(`${Object.keys(found.paths).length} proposed. What is drawn is the middle of each lane. Look at them, and remove what is wrong.`);
+    this.editor.say(`${Object.keys(found.paths).length} proposed. What is drawn is the middle of each lane. Look at them, remove what is wrong, and save. The vehicles are next.`);
   }
 
   async vehicles() {
     if (this.editor.model.dirty) { this.editor.say("Save first: vehicles are looked for along the paths that are saved.", true); return; }
-    const found = await this.search("vehicles", this.editor.vehiclesButton);
+    const found = await this.search("vehicles");
     if (!found) return;
     this.editor.model.change((m) => { for (const { id, ...entry } of found.vehicles) m.addVehicle(entry); });
-    this.editor.say(`${found.vehicles.length} proposed. Look at each outline closely, and remove what is wrong.`);
+    this.editor.say(`${found.vehicles.length} proposed. Look at each outline closely, remove what is wrong, and save. Then measure.`);
   }
 }
