@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -23,3 +24,9 @@ def file_named(given: Path, usual: str) -> Path:
         return given / usual if given.is_dir() else given
     except OSError as error:  # a name that is too long
         raise UnusableInput(f"{given}: cannot be read ({error.strerror})") from error
+
+
+def refuse_read_only(file: Path, otherwise: str = "") -> None:
+    """Raises UnusableInput where a person's ``file`` is not to be added to; ``otherwise`` says what to do instead."""
+    if not os.access(file, os.W_OK) or not file.stat().st_mode & 0o200:
+        raise UnusableInput(f"{file}: cannot be written (it is read-only); expected one to add to{otherwise}")

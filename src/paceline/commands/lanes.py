@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from paceline.commands import DONE, NOTHING_MEASURED, file_named, print_columns
+from paceline.commands import DONE, NOTHING_MEASURED, file_named, print_columns, refuse_read_only
 from paceline.commands.progress import progress_bar
 from paceline.errors import UnusableInput
 
@@ -51,8 +51,7 @@ def lanes(
         if out.resolve() in {file.resolve(), rig_file(file).resolve()}:
             raise UnusableInput(f"--out {out}: is the clip itself or its rig; expected a name of its own, or --write")
     elif write:
-        if not os.access(file, os.W_OK) or not file.stat().st_mode & 0o200:
-            raise UnusableInput(f"{file}: cannot be written (it is read-only); expected one to add to, or use -o")
+        refuse_read_only(file, ", or use -o")
         with_lanes(file.read_text(encoding="utf-8"), str(file), {})  # refuses now what it would refuse at the end
     if write or out is not None:
         _check_pictures(document, _pictures(file, out))

@@ -65,12 +65,12 @@ def measure_live(
 
 def _line(found: Found, measurement: Measurement | None, reason: str, unit: SpeedUnit) -> str:
     """What is shown of a vehicle that has passed."""
-    from paceline.reports.wording import speed_words
+    from paceline.reports.wording import MISSING, speed_words, verdict_words
 
-    name = found.vehicle.id if found.vehicle is not None else "–"
+    name = found.vehicle.id if found.vehicle is not None else MISSING
     when = f"{time.strftime('%H:%M:%S')}  {name:<5} {found.path:<8}"
     if measurement is None:
         return f"{when} {reason}"
     words = speed_words(measurement, unit)
-    speed = f"{words.speed} ± {words.plus_minus} {unit}" if words.known else "–"
-    return f"{when} {speed}  {measurement.verdict}" + (f": {measurement.reason}" if measurement.reason else "")
+    speed = f"{words.speed} ± {words.plus_minus} {unit}" if words.known else MISSING
+    return f"{when} {speed}  {verdict_words(measurement)}"

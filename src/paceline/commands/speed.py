@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,6 +14,7 @@ from paceline.commands.progress import progress_bar
 from paceline.errors import UnusableInput
 
 if TYPE_CHECKING:  # what computes is imported when a command runs, so that --help answers at once
+    from paceline.documents import Clip
     from paceline.speed.configuration import SpeedConfiguration
     from paceline.speed.results import ClipResult
     from paceline.units import SpeedUnit
@@ -94,28 +94,26 @@ def speed(
     if learn is not None:
         raise UnusableInput("--learn: goes with --live only")
     with OutputFolder(out) as folder:  # before the work, so that an unwritable folder is told at once
-        recording, search = open_recording(document), None
-        if not document.vehicles:
-            from paceline.vehicles.measuring import find_vehicles
+        recording, shown = open_recording(document), sys.stderr.isatty() and not quiet
 
-            with progress_bar("looking", sys.stderr.isatty() and not quiet) as advance:
-                search = find_vehicles(document, recording, advance)
-            document = search.clip
-        with progress_bar("measuring", sys.stderr.isatty() and not quiet) as advance:
-            if search and search.reason:
-                from paceline.vehicles.measuring import nothing_measured
+        def measured(document: Clip) -> ClipResult:
+            with progress_bar("measuring", shown) as advance:
+                if method is Method.paceline:
+                    from paceline.speed.measurement import measure
 
-                result = nothing_measured(search, recording, configuration)
-            elif method is Method.paceline:
-                from paceline.speed.measurement import measure
-
-                result = measure(document, recording, configuration, advance, device.value)
-            else:
+                    return measure(document, recording, configuration, advance, device.value)
                 from paceline.baselines.measurement import measure as measure_by
 
-                result = measure_by(document, recording, method.value, configuration, advance)
-        if search and not search.reason:
-            result = replace(result, notices=[*result.notices, *search.notices])
+                return measure_by(document, recording, method.value, configuration, advance)
+
+        if document.vehicles:
+            result = measured(document)
+        else:
+            from paceline.vehicles.measuring import find_vehicles, measure_found
+
+            with progress_bar("looking", shown) as advance:
+                search = find_vehicles(document, recording, advance)
+            result = measure_found(search, recording, configuration, measured)
         result = write_files(result, recording, folder, unit)
     if not quiet:
         _print_result(result, unit)
@@ -146,14 +144,14 @@ def _configuration(given: dict[str, object], refine: bool) -> SpeedConfiguration
 
 
 def _print_result(result: ClipResult, unit: str) -> None:
-    from paceline.reports.wording import MISSING, speed_words
+    from paceline.reports.wording import MISSING, speed_words, verdict_words
 
     rows = [("vehicle", f"speed, {unit}", "95 % interval", "verdict")]
     for m in result.measurements:
         words = speed_words(m, unit)
         interval = f"{words.lo} to {words.hi}" if words.lo != MISSING else MISSING
         speed = f"{words.speed} ± {words.plus_minus}" if words.known else MISSING
-        rows.append((m.vehicle, speed, interval, f"{m.verdict}: {m.reason}" if m.reason else m.verdict))
+        rows.append((m.vehicle, speed, interval, verdict_words(m)))
     print_columns(rows)
     if not result.measurements:
         print("no vehicle was found")

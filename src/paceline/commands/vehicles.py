@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from paceline.commands import DONE, NOTHING_MEASURED, file_named, print_columns
+from paceline.commands import DONE, NOTHING_MEASURED, file_named, print_columns, refuse_read_only
 from paceline.commands.progress import progress_bar
 from paceline.errors import UnusableInput
 
@@ -36,8 +35,7 @@ def vehicles(
     file = file_named(clip, "clip.yaml")
     document = load_clip(file)
     if write:
-        if not os.access(file, os.W_OK) or not file.stat().st_mode & 0o200:
-            raise UnusableInput(f"{file}: cannot be written (it is read-only); expected one to add to")
+        refuse_read_only(file)
         if not document.paths:
             raise UnusableInput(f"{file}: paths: none; expected some, such as paceline lanes --write adds")
         # refuses now what it would refuse at the end

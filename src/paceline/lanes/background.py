@@ -57,8 +57,13 @@ def empty_scene(recording: StereoRecording, progress: Progress | None = None) ->
                 stacks[1].append(frame.right.astype(np.float16))
         if progress:
             progress(done, len(chosen))
-    found = [steady(np.stack(stack)) for stack in stacks]
-    return Background((found[0][0], found[1][0]), (found[0][1], found[1][1]), len(stacks[0]))
+    return background_of(*stacks)
+
+
+def background_of(left: list[NDArray[np.float16]], right: list[NDArray[np.float16]]) -> Background:
+    """The background behind as many pictures (H, W) of either view."""
+    found = [steady(np.stack(stack)) for stack in (left, right)]
+    return Background((found[0][0], found[1][0]), (found[0][1], found[1][1]), len(left))
 
 
 def no_background(background: Background) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from typing import Any
 
 import numpy as np
 import yaml
@@ -30,7 +31,7 @@ def lane_names(count: int, taken: Iterable[str] = ()) -> list[str]:
 def site_yaml(rig: str, lanes: dict[str, Lane]) -> str:
     """The site.yaml of ``lanes`` by name; ``rig`` is the rig.yaml as seen from its folder."""
     head = ["# lanes found by paceline lanes: look at the pictures beside this file before you use it"]
-    return "\n".join([*head, f"rig: {_quoted(rig)}", "paths:", *_entries(lanes, 2)]) + "\n"
+    return "\n".join([*head, f"rig: {quoted(rig)}", "paths:", *_entries(lanes, 2)]) + "\n"
 
 
 def with_lanes(text: str, file: str, lanes: dict[str, Lane]) -> str:
@@ -38,23 +39,16 @@ def with_lanes(text: str, file: str, lanes: dict[str, Lane]) -> str:
 
     Raises UnusableInput where its paths are written in a way that cannot be added to.
     """
-    added = _with_lanes(text, lanes)
+    added = added_below(text, "paths", lambda indent: _entries(lanes, indent))
     before, new = yaml.safe_load(text), yaml.safe_load("\n".join(_entries(lanes, 0))) or {}
     wanted = before | {"paths": (before.get("paths") or {}) | new}
-    try:
-        after = yaml.safe_load(added)
-    except yaml.YAMLError:
-        after = {}
+    after = read_back(added)
     if after | {"paths": after.get("paths") or {}} != wanted:
         raise UnusableInput(
             f"{file}: paths: is written in a way that cannot be added to; expected one path per line below a line "
             "'paths:', or use -o site.yaml"
         )
     return added
-
-
-def _with_lanes(text: str, lanes: dict[str, Lane]) -> str:
-    return added_below(text, "paths", lambda indent: _entries(lanes, indent))
 
 
 def added_below(text: str, name: str, entries: Callable[[int], list[str]]) -> str:
@@ -78,6 +72,15 @@ def added_below(text: str, name: str, entries: Callable[[int], list[str]]) -> st
     _, hash_, comment = lines[row].partition("#")
     head = " " * key.start_mark.column + f"{name}:" + (f"  #{comment}" if hash_ else "")
     return "\n".join([*lines[:row], head, *entries(key.start_mark.column + 2), *lines[row + 1 :]]) + "\n"
+
+
+def read_back(text: str) -> dict[str, Any]:
+    """What ``text`` holds after something was added to it; empty where it is no YAML any more."""
+    try:
+        found: dict[str, Any] = yaml.safe_load(text)
+    except yaml.YAMLError:
+        return {}
+    return found
 
 
 def _is_aside(line: str, indent: int) -> bool:
@@ -105,5 +108,6 @@ def pixels(points: Array) -> str:
     return "[" + ", ".join(f"[{x:.2f}, {y:.2f}]" for x, y in points) + "]"
 
 
-def _quoted(text: str) -> str:
+def quoted(text: str) -> str:
+    """``text`` as a value of YAML in one line."""
     return yaml.safe_dump(text, allow_unicode=True, width=10**6).splitlines()[0]

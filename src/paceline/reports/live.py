@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import csv
-import json
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from paceline.errors import UnusableInput
 from paceline.reports.output import write_together
-from paceline.reports.tables import COLUMNS, as_json, estimate_rows, summary_of
+from paceline.reports.tables import COLUMNS, estimate_rows, json_text, summary_of
 from paceline.speed.results import Measurement
 
 
@@ -49,6 +48,5 @@ class LiveTables:
         write_together(self._summary(notices))
 
     def _summary(self, notices: list[str]) -> dict[Path, bytes]:
-        document = as_json({**self.about, "vehicles": self.vehicles, "notices": notices})
-        text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)
-        return {self.out / "summary.json": (text + "\n").encode()}
+        text = json_text({**self.about, "vehicles": self.vehicles, "notices": notices})
+        return {self.out / "summary.json": text.encode()}

@@ -78,9 +78,13 @@ def summary_of(measurement: Measurement) -> dict[str, object]:
 
 
 def write_json(document: dict[str, object], file: Path) -> None:
-    """Writes ``document`` as JSON for people too; what is not finite becomes null."""
-    text = json.dumps(as_json(document), indent=2, ensure_ascii=False, allow_nan=False)
-    file.write_text(text + "\n", encoding="utf-8")
+    """Writes ``document`` as `json_text`."""
+    file.write_text(json_text(document), encoding="utf-8")
+
+
+def json_text(document: dict[str, object]) -> str:
+    """``document`` as JSON for people too; what is not finite becomes null."""
+    return json.dumps(as_json(document), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def as_json(value: object) -> object:

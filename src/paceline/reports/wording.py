@@ -77,6 +77,11 @@ def speed_words(measurement: Measurement, unit: str) -> SpeedWords:
     )
 
 
+def verdict_words(measurement: Measurement) -> str:
+    """The verdict, with its reason where there is one."""
+    return f"{measurement.verdict}: {measurement.reason}" if measurement.reason else measurement.verdict
+
+
 def coverage_factor(measurement: Measurement) -> float:
     """Half of the 95 % interval in standard uncertainties: more than 1.96 where these are known from few frames only.
     NaN without an interval."""

@@ -6,7 +6,7 @@ import yaml
 
 from paceline.cameras import StereoRig
 from paceline.errors import UnusableInput
-from paceline.lanes.site_file import added_below, pixels
+from paceline.lanes.site_file import added_below, pixels, quoted, read_back
 from paceline.vehicles.finding import Found
 
 
@@ -20,10 +20,7 @@ def with_vehicles(text: str, file: str, rig: StereoRig, found: list[Found]) -> s
         raise UnusableInput(f"{file}: vehicles: some are outlined already; expected none, to be found without a person")
     added = added_below(text, "vehicles", lambda indent: _entries(rig, found, indent))
     new = yaml.safe_load("\n".join(_entries(rig, found, 0))) or None
-    try:
-        after = yaml.safe_load(added)
-    except yaml.YAMLError:
-        after = {}
+    after = read_back(added)
     if after | {"vehicles": after.get("vehicles")} != before | {"vehicles": new}:
         raise UnusableInput(f"{file}: vehicles: is written in a way that cannot be added to; expected no such key")
     return added
@@ -37,7 +34,7 @@ def _entries(rig: StereoRig, found: list[Found], indent: int) -> list[str]:
             continue
         lines += [
             f"{pad}- id: {v.id}  # found by paceline vehicles, seen from {f.times[0]:.2f} to {f.times[1]:.2f} s",
-            f"{pad}  path: {yaml.safe_dump(v.path, allow_unicode=True, width=10**6).splitlines()[0]}",
+            f"{pad}  path: {quoted(f.path)}",
             f"{pad}  frame: {v.frame}",
             f"{pad}  left: {pixels(rig.left.distort_points(v.left))}",
             f"{pad}  right: {pixels(rig.right.distort_points(v.right))}",

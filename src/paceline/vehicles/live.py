@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from paceline.documents import Clip
 from paceline.errors import UnusableInput
-from paceline.lanes.background import FRAMES, Background, no_background, steady
+from paceline.lanes.background import FRAMES, Background, background_of, no_background
 from paceline.lanes.finding import NoRoad
 from paceline.live_views import LiveViews, RawPair, undistorted
 from paceline.recordings import StereoFrame
@@ -127,8 +127,7 @@ def _learned(clip: Clip, pairs: Iterator[RawPair], learning: float) -> Backgroun
         raise UnusableInput(
             f"{clip.path}: left and right: ended within the {learning:g} s in which the empty road is learned"
         )
-    left, right = (steady(np.stack(stack)) for stack in stacks)
-    return Background((left[0], right[0]), (left[1], right[1]), len(stacks[0]))
+    return background_of(*stacks)
 
 
 class _Desk:
@@ -144,16 +143,16 @@ class _Desk:
     def take(self, found: Found, recent: Iterable[RawPair]) -> None:
         reason, future = found.reason, None
         if found.vehicle is not None:
-            found = replace(found, vehicle=replace(found.vehicle, id=f"v{self._count}"))
+            vehicle = replace(found.vehicle, id=f"v{self._count}")
+            found = replace(found, vehicle=vehicle)
             self._count += 1
-            assert found.vehicle is not None
-            pairs = [pair for pair in recent if pair.index >= found.vehicle.frame]
+            pairs = [pair for pair in recent if pair.index >= vehicle.frame]
             if sum(waiting is not None for _, waiting, _ in self._waiting) >= BACKLOG:
                 reason = BUSY
-            elif not pairs or pairs[0].index > found.vehicle.frame:
+            elif not pairs or pairs[0].index > vehicle.frame:
                 reason = FORGOTTEN
             else:
-                clip = replace(self._clip, vehicles=[found.vehicle])
+                clip = replace(self._clip, vehicles=[vehicle])
                 future = self._measuring.submit(_measured, clip, pairs, self._configuration)
         self._waiting.append((found, future, reason))
 

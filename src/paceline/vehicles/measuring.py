@@ -56,16 +56,24 @@ def measure_clip(
     if loaded.vehicles:
         return measure(loaded, recording, configuration, progress, device)
     search = find_vehicles(loaded, recording, progress)
+    return measure_found(
+        search, recording, configuration, lambda found: measure(found, recording, configuration, progress, device)
+    )
+
+
+def measure_found(
+    search: Search,
+    recording: StereoRecording,
+    configuration: SpeedConfiguration,
+    measured: Callable[[Clip], ClipResult],
+) -> ClipResult:
+    """What ``measured`` makes of the clip with the vehicles found in it, and what the ``search`` has to say; where
+    there is no vehicle, why."""
     if search.reason:
-        return nothing_measured(search, recording, configuration)
-    result = measure(search.clip, recording, configuration, progress, device)
+        notices = [*recording.notices, *search.notices]
+        return ClipResult(str(search.clip.path), [], [], configuration.model_dump(), versions(), notices, 0.0)
+    result = measured(search.clip)
     return replace(result, notices=[*result.notices, *search.notices])
-
-
-def nothing_measured(search: Search, recording: StereoRecording, configuration: SpeedConfiguration) -> ClipResult:
-    """The result where there is no vehicle to measure, which says why."""
-    notices = [*recording.notices, *search.notices]
-    return ClipResult(str(search.clip.path), [], [], configuration.model_dump(), versions(), notices, 0.0)
 
 
 def find_vehicles(clip: Clip, recording: StereoRecording, progress: Progress | None = None) -> Search:

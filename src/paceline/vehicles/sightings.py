@@ -89,6 +89,7 @@ class Lookout:
 
     def __init__(self, ways: list[Way]) -> None:
         self._stations = [(way, float(s)) for way in ways for s in way.stations()]
+        self._homographies = [way.homographies(s) for way, s in self._stations]
         self._boxes = np.array([_box(way, s) for way, s in self._stations], np.int64).reshape(-1, 4)
         self._bounds = np.cumsum([0, *(sum(w is way for w, _ in self._stations) for way in ways)])
 
@@ -99,8 +100,8 @@ class Lookout:
         least = max(CONTRAST[0], CONTRAST[1] * noise_of(frame.left, empty[0]))
         blank = np.zeros(GRID.size[::-1], np.float32)
         counts = [
-            self._counting(views, scene, way.homographies(s), least) if busy else blank
-            for (way, s), busy in zip(self._stations, self._busy(views[0], scene[0], least), strict=True)
+            self._counting(views, scene, H, least) if busy else blank
+            for H, busy in zip(self._homographies, self._busy(views[0], scene[0], least), strict=True)
         ]
         found: list[Sighting] = []
         explained = np.zeros(frame.left.shape, np.uint8)
@@ -116,11 +117,11 @@ class Lookout:
             sighting = self._sighting(frame, way, self._between(areas, best), standing)
             found.append(sighting)
             cv2.fillConvexPoly(explained, _outline(sighting), 1)
-            for k, (other, at) in enumerate(self._stations):
+            flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
+            for k, (H, _) in enumerate(self._homographies):
                 if areas[k] >= SMALLEST:
-                    H = other.homographies(at)[0] @ GRID.to_metres
-                    flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
-                    counts[k] = counts[k] * (cv2.warpPerspective(explained, H, GRID.size, flags=flags) == 0)
+                    hidden = cv2.warpPerspective(explained, H @ GRID.to_metres, GRID.size, flags=flags)
+                    counts[k] = counts[k] * (hidden == 0)
         return found
 
     def _busy(self, view: list[Image], scene: list[Image], least: float) -> NDArray[np.bool_]:
