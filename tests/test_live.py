@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -22,10 +23,15 @@ from numpy.typing import NDArray
 from small_road import TWO, scene
 
 from paceline.cameras import Camera
-from paceline.live_views import HELD, _paired, _View
+from paceline.documents import load_clip
+from paceline.live_views import HELD, RawPair, _paired, _View
 from paceline.monocular import CameraFrame, CameraRecording
 from paceline.simulation.backdrops import Backdrop
 from paceline.simulation.planar import RenderedClip, Scene, Vehicle, World, render, write
+from paceline.speed.configuration import SpeedConfiguration
+from paceline.speed.results import Measurement
+from paceline.vehicles.finding import Found
+from paceline.vehicles.live import survey
 
 SIZE = (64, 48)
 RATE, PLAYED = 5.0, 2.0  # frames/s, as rendered and as played: slow enough for any machine to keep up
@@ -134,34 +140,76 @@ def survey_file(folder: Path, **keys: Any) -> Path:
     return file
 
 
-def test_every_vehicle_is_measured_once_as_it_passes(tmp_path: Path) -> None:
+@dataclass
+class Given:
+    """Views that give these frames of the traffic, as fast as they are taken."""
+
+    frames: list[int]
+
+    def __iter__(self) -> Iterator[RawPair]:
+        clip = traffic()
+        for k in self.frames:
+            yield RawPair(k, float(clip.times[k]), clip.left[k], clip.right[k], 0.0)
+
+
+ALL = list(range(len(traffic().times)))
+GAPS = [k for k in ALL if k not in (9, 10, 12, 13, 18, 21, 22, 23, 28, 34)]  # as a busy computer left them out
+
+
+def surveyed(folder: Path, frames: list[int]) -> list[tuple[Found, Measurement]]:
+    passed: list[tuple[Found, Measurement]] = []
+
+    def told(found: Found, measurement: Measurement | None, reason: str) -> None:
+        assert measurement is not None, reason
+        passed.append((found, measurement))
+
+    survey(load_clip(survey_file(folder)), Given(frames), SpeedConfiguration(), told, 4.0)  # type: ignore[arg-type]
+    return passed
+
+
+@pytest.mark.parametrize("frames", [ALL, GAPS], ids=["all frames", "frames missing"])
+def test_every_vehicle_is_measured_once(tmp_path: Path, frames: list[int]) -> None:
+    passed = surveyed(tmp_path / "clip", frames)
+    assert [found.vehicle.id for found, _ in passed if found.vehicle] == ["v0", "v1", "v2"]
+    assert [m.verdict for _, m in passed] == ["measured"] * 3
+    speeds = [m.speed for _, m in passed]
+    assert sorted(speeds[:2]) == pytest.approx(SPEEDS[:2], abs=0.1) and speeds[2] == pytest.approx(SPEEDS[2], abs=0.1)
+    for found, m in passed:
+        error = min(abs(speed - m.speed) for speed in SPEEDS)
+        assert error < 2 * (m.speed_hi - m.speed)  # of three vehicles one may lie beyond its 95 %
+        assert 4.0 <= found.times[0] < found.times[1] <= found.times[0] + 5.0  # never two vehicles as one
+
+
+def test_tables_hold_every_vehicle_that_passed(tmp_path: Path) -> None:
+    """The streams play in real time: on a busy computer frames are left out, and what suffers is rejected by name."""
     file, out = survey_file(tmp_path / "clip"), tmp_path / "out"
     done = paceline("speed", file, "-o", out, "--live", "--learn", "4")
     assert done.returncode == 0, done.stderr
     summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
-    assert [v["vehicle"] for v in summary["vehicles"]] == ["v0", "v1", "v2"]
-    assert [v["verdict"] for v in summary["vehicles"]] == ["measured"] * 3
-    speeds = [v["speed_mps"] for v in summary["vehicles"]]
-    assert sorted(speeds[:2]) == pytest.approx(SPEEDS[:2], abs=0.1) and speeds[2] == pytest.approx(SPEEDS[2], abs=0.1)
-    for v in summary["vehicles"]:
-        error = min(abs(speed - v["speed_mps"]) for speed in SPEEDS)
-        assert error < 2 * (v["speed_hi_mps"] - v["speed_mps"])  # of three vehicles one may lie beyond its 95 %
+    vehicles = summary["vehicles"]
+    dropped = any("dropped" in notice for notice in summary["notices"])
+    assert dropped or [v["verdict"] for v in vehicles] == ["measured"] * 3
+    assert [v["vehicle"] for v in vehicles] == [f"v{k}" for k in range(len(vehicles))]
+    for v in vehicles:
         assert v["seen_to_s"] > v["seen_from_s"] >= 4.0
+        assert v["reason"] or min(abs(speed - v["speed_mps"]) for speed in SPEEDS) < 0.2
     with (out / "estimates.csv").open(newline="") as stream:
         rows = list(csv.DictReader(stream))
-    assert {r["vehicle"] for r in rows} == {"v0", "v1", "v2"}
-    assert sum(line.rstrip().endswith("measured") for line in done.stdout.splitlines()) == 3
+    assert {r["vehicle"] for r in rows} == {v["vehicle"] for v in vehicles}
+    measured = sum(v["verdict"] == "measured" for v in vehicles)
+    assert sum(line.rstrip().endswith("measured") for line in done.stdout.splitlines()) >= measured > 0
 
 
 def test_what_was_measured_stays_when_it_is_ended(tmp_path: Path) -> None:
-    """Ctrl-C ends a survey; the vehicles that have passed by then are in the tables."""
+    """Ctrl-C, which reaches every process at a terminal, ends a survey; what has passed by then is in the tables."""
     file, out = survey_file(tmp_path / "clip"), tmp_path / "out"
     command = [sys.executable, "-m", "paceline", "speed", str(file), "-o", str(out), "--live", "--learn", "4"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen(command, start_new_session=True, **pipes) as running:  # type: ignore[call-overload]
         assert running.stdout is not None
         for line in running.stdout:
             if line.rstrip().endswith("measured"):
-                running.send_signal(signal.SIGINT)
+                os.killpg(running.pid, signal.SIGINT)
                 break
         rest, errors = running.communicate(timeout=120)
     assert running.returncode == 0, errors

@@ -6,6 +6,7 @@ that has gone is measured on the frames of the last seconds, in a process of its
 
 from __future__ import annotations
 
+import signal
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
@@ -97,7 +98,7 @@ def survey(
             recent.append(pair)
             yield pair
 
-    with ProcessPoolExecutor(1, get_context("spawn")) as measuring:
+    with _another_process() as measuring:
         desk = _Desk(clip, configuration, measuring, told)
         for frame in in_ideal_pixels(remembered(), clip):
             for found in finder.see(frame):
@@ -106,6 +107,18 @@ def survey(
         for found in finder.finish():
             desk.take(found, recent)
         desk.close()
+
+
+def _another_process() -> ProcessPoolExecutor:
+    """A process for the measuring. Ctrl-C at a terminal reaches every process: this one goes on, so that what has
+    passed is still measured."""
+    executor = ProcessPoolExecutor(1, get_context("spawn"))
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        executor.submit(int)  # begins the process, which inherits what is blocked
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    return executor
 
 
 def _learned(clip: Clip, pairs: Iterator[RawPair], learning: float) -> Background:

@@ -15,13 +15,15 @@ Array = NDArray[np.float64]
 Image = NDArray[np.float32]
 
 ALIKE = 0.5  # correlation of the faces of one vehicle in two frames,
-SETTLED = 3  # and sightings from which on where it must be tells more: something may have hidden part of it
+SETTLED = 3, 1.0  # sightings from which on, and seconds since the last up to which, where it must be tells more:
+# something may have hidden part of it
 ASIDE = 1.3  # m across the way that a vehicle moves at most from one sighting to the next
 ERROR = 2.5, 1.5  # m along the way, and px of disparity, by which a sighting is off at most
 CHANGING = 8.0  # m/s², by which a vehicle gathers or loses speed at most
 LOW = 1.3  # m, up to where faces are compared: windscreens mirror what is around
 SHIFT = 0.35  # m that a face may have moved on its card
-PATIENCE = 3, 0.7  # frames, and seconds, without a sighting after which a vehicle has gone
+PATIENCE = 3, 0.7  # frames, and seconds, without a sighting after which a vehicle has gone,
+GONE = 1.5  # s after which it has in any case: frames may be missing, and where it would be is not known any more
 BODY = 6.0, 2.5  # m along and across, within which there is no second vehicle
 KEPT = 12  # sightings of a vehicle that are kept, evenly spread
 
@@ -63,10 +65,16 @@ class Track:
         """Metres per second along the way, over all of it; NaN for a single sighting."""
         return slope(np.array(self.times), np.array(self.way_s))
 
+    def settled(self, time: float) -> bool:
+        """Whether at ``time`` it is known well where the vehicle must be."""
+        return len(self.times) >= SETTLED[0] and time - self.times[-1] <= SETTLED[1]
+
     def fits(self, sighting: Sighting) -> bool:
         """Whether a vehicle seen so far may be where ``sighting`` is."""
         assert self.last is not None, "a track begins with a sighting"
         dt = sighting.time - self.times[-1]
+        if dt > GONE:
+            return False
         s, way = self.along(sighting), self.first.way
         aside = (sighting.place - self.last.place) @ way.axes(s)[1]
         if abs(aside) > ASIDE:
@@ -124,7 +132,7 @@ class Linker:
         taken_tracks: set[int] = set()
         taken: set[int] = set()
         for score, i, j in sorted(pairs, reverse=True):
-            known = score >= ALIKE or len(self.tracks[i].times) >= SETTLED
+            known = score >= ALIKE or self.tracks[i].settled(time)
             if known and i not in taken_tracks and j not in taken:
                 self.tracks[i].add(sightings[j])
                 taken_tracks.add(i)
@@ -133,7 +141,8 @@ class Linker:
         for i, track in enumerate(self.tracks):
             if i not in taken_tracks:
                 track.unseen += 1
-                if track.unseen > PATIENCE[0] and time - track.times[-1] > PATIENCE[1]:
+                unseen = time - track.times[-1]
+                if unseen > GONE or (track.unseen > PATIENCE[0] and unseen > PATIENCE[1]):
                     ended.append(track)
         self.tracks = [track for track in self.tracks if track not in ended]
         seen = [sightings[j] for j in taken]
