@@ -15,7 +15,7 @@ from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.fitting import Fit
 from paceline.follow.lock import Lock
 from paceline.follow.measuring import Measurement
-from paceline.follow.probation import CORRECTED, DOUBT, DOUBTED, EVERY, NOWHERE, SWITCHED, UNTOLD, Probation
+from paceline.follow.probation import CORRECTED, DOUBT, DOUBTED, EVERY, NOWHERE, PATIENT, SWITCHED, UNTOLD, Probation
 from paceline.follow.recognition import Look
 
 SIZE = 100.0  # px at scale 1
@@ -173,12 +173,27 @@ def test_a_start_where_hardly_anything_matches_is_never_believed():
     assert watch.see(30) == [NOWHERE] * 30
 
 
-def test_in_dim_light_a_start_is_believed_at_once_or_not():
+def test_in_dim_light_a_start_is_believed_where_the_operator_put_it_and_nothing_fits_better():
     """Few of its edges show, but all lines are where the operator put them, and nothing else matches as well."""
     assert Watch((0, 0, 1, 0.25), (0.3, 0, 1, 0.2)).see(3) == [""] * 3
-    better, later, beside = (0.3, 0, 1, 0.26), (0, 0, 1, lambda image: 0.25 if image else 0.0), (0.045, 0, 1, 0.25)
-    for places in ([(0, 0, 1, 0.25), better], [later], [beside]):
-        assert {*Watch(*places).see(9)} <= {DOUBT, NOWHERE}
+    assert {*Watch((0.045, 0, 1, 0.25)).see(31)} <= {DOUBT, NOWHERE}
+    watch = Watch((0, 0, 1, 0.25), (0.3, 0, 1, 0.45))
+    assert CORRECTED in watch.see(31)
+    np.testing.assert_allclose(watch.at, [0.3, 0, 1], atol=1e-6)
+
+
+def test_in_dim_light_a_start_that_shows_nothing_at_once_is_believed_when_it_goes_on_to_show_faintly():
+    watch = Watch((0, 0, 1, lambda image: 0.25 if image else 0.0))
+    waiting = int(np.ceil(15 * PATIENT))
+    assert watch.see(waiting + 5) == [NOWHERE] * waiting + [""] * 5
+
+
+def test_in_dim_light_what_matches_hardly_less_is_given_up_where_the_operator_put_the_start_elsewhere():
+    places = [(0, 0, 1, lambda image: 0.25 if image else 0.0), (0.3, 0, 1, 0.2)]
+    said = Watch(*places).see(28)
+    assert said[:9] == [DOUBT] * 9 and said[-1] == ""
+    off = [(0.05, 0, 1, lambda image: 0.25 if image else 0.0), (0.35, 0, 1, 0.2)]
+    assert {*Watch(*off).see(31)} <= {DOUBT, NOWHERE}
 
 
 @settings(max_examples=40, deadline=None)

@@ -31,6 +31,7 @@ OFF = 0.06  # sizes from the start, or relative scale, at which the operator is 
 LEAST = 0.35  # match of a target,
 FAINT, PLACED, MOST = 0.2, 0.04, 0.7  # and of one in dim light: within so many sizes of the start so many lines agree,
 # and nothing else matches as well
+PATIENT = 0.5  # s after which faint lines will do where the operator put it, as nothing else has stood out
 EVERY = 6  # images of which one is patrolled
 PATROLS = 24  # so many times: each size twice; later what fits better is another vehicle, or the target is half hidden
 USUAL = 0.25  # rate at which the usual match of the lock is learned, then
@@ -102,6 +103,9 @@ class Probation:
             self.lock.credit, self._turn = self._near_start(looks[0], self.lock), 0
         pairs = list(zip(self.locks, looks, strict=True))
         pairs += self._newcomers(image, looks)
+        if time == self._began:
+            for lock, look in pairs:
+                lock.by_hand = look.fit is not None and self._off(look.fit.location) < PLACED
         if self._is_good(looks[0], [look for _, look in pairs[1:]], time == self._began):
             self._turn += 1
             return self._settle(image, looks[0])
@@ -109,7 +113,10 @@ class Probation:
             lock.credit += self._worth(lock, look)
         leader, look = max(pairs, key=lambda pair: pair[0].credit)
         most = leader.credit
-        least = most - SURE - SLIGHT * self._turn
+        slight = SLIGHT * self._turn
+        if leader.by_hand:  # with what the hand gave it counted out
+            slight = min(slight, HAND_SET)
+        least = most - SURE - slight
         self._turn += 1
         rivals = [
             (lock, seen)
@@ -119,9 +126,10 @@ class Probation:
         # of those beside it the one to keep has not slid there and learned other places on its way
         there = [(lock, seen) for lock, seen in pairs if lock is leader or self._apart(seen, look) <= BESIDE]
         leader, look = max(there, key=lambda pair: (not pair[1].complaint, self._worth(*pair)))
-        leader.credit = most
+        leader.credit, leader.by_hand = most, any(lock.by_hand for lock, _ in there)
         self.lock, self._rivals = leader, [lock for lock, _ in rivals]
-        if not rivals and not look.complaint and _match(look) >= LEAST:
+        faint = leader.by_hand and time - self._began >= PATIENT
+        if not rivals and not look.complaint and _match(look) >= (FAINT if faint else LEAST):
             return self._settle(image, look)
         for lock, seen in [(leader, look), *rivals]:
             if not seen.complaint:

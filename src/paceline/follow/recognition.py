@@ -36,6 +36,8 @@ ASIDE = 0.75  # sizes of the target
 AGAIN = 1.5  # the same for a target that was not seen for as many cycles as GONE
 FOUND = 1.8  # the same for one that was lost, or is ASIDE of where it was: among many places some look alike
 GONE = 3.0
+LOOSE, MOSTLY = 1.3, 0.7  # discord of its features with which a target that looks as it did may be believed, where this
+# share of the usual match shows: a half hidden one looks as it did as well
 ALIKE = 0.7  # likeness of the picture with which the size may jump
 HELD = 0.85  # likeness at which the picture alone is believed
 ALONE_FOR = 15  # frames in a row for which it is
@@ -217,7 +219,9 @@ class Recogniser:
         if support < (CLEAR if lost else SUPPORT) or agreeing.sum() < FEATURES:
             return FEW, clear, False
         astray = np.isfinite(measurement.fit.offsets).sum() - agreeing.sum()
-        if discord > 1.0 and astray > 1:  # a single edge that is another's tells nothing against all the others
+        as_ever = picture > ALIKE and self._usual_share(measurement) > MOSTLY
+        # a single edge that is another's tells nothing against all the others
+        if discord > (LOOSE if as_ever else 1.0) and astray > 1:
             return APART, clear, False
         if spread > VAGUE:
             return "its size cannot be told", clear, False
