@@ -17,7 +17,8 @@ Floats = NDArray[np.float32]
 Indices = NDArray[np.int64]
 
 BORDER = 4  # samples of the picture that lie outside of the model, where the background moves by itself
-STEPS = 4  # of an alignment
+OUTLINE = 2  # the same where the scale is asked: the outline tells most of it
+STEPS, FEW = 4, 3  # of an alignment, and of one from where the target is to a fraction of a sample
 CELL = 8  # samples along the side of a square that is correlated by itself
 SHAPE = (32, 40)  # samples of the picture, down and across
 MARGIN = 0.1  # of the model's size that the picture takes in around it, with the outline in the midst of its squares
@@ -32,7 +33,7 @@ KEEPSAKE_RATE = 0.002  # of the picture that is kept for long
 OLD = 30  # pictures of which it is the mean at first
 DRIFTED = 0.04  # sizes of the target, or relative scale, by which the two pictures may disagree
 GAIN = 0.04  # likeness by which the place of the old one must be the better
-FREE, PATIENT = 0.3, 8  # relative deviation of the scale, and steps, when the old one is aligned
+FREE, PATIENT = 0.3, 8  # relative deviation of the scale where only the picture says it; steps of the old one
 INSIDE = 0.9  # share of the samples that must lie in the image
 
 
@@ -94,6 +95,12 @@ class Appearance:
         standard deviation of the scale given."""
         return self._align(image, self._picture, location, magnification, steady, STEPS, self._seen)
 
+    def scale_at(self, image: Bytes, place: Array, magnification: Array) -> float | None:
+        """The scale at which ``image`` shows the learned picture about ``place`` (3,), which is moved there, by nothing
+        but the picture; None where it does not. ``magnification`` as in `align`."""
+        found = self._align(image, self._picture, place, magnification, FREE, FEW, self._there, OUTLINE)
+        return None if found is None else float(place[2])
+
     def went_from(self, image: Bytes, location: Array, magnification: Array) -> Array | None:
         """Where, at the size it had then, the target lies that was looked at last at ``location`` (3,), by the picture
         that was learned long ago; None where that agrees or cannot tell. The picture of late goes wherever a lock
@@ -122,6 +129,7 @@ class Appearance:
         steady: float,
         steps: int,
         scratch: Floats,
+        border: int = BORDER,
     ) -> Array | None:
         covariance = np.zeros((3, 3))
         good = picture_cpu.align(
@@ -134,11 +142,11 @@ class Appearance:
             steps,
             CELL,
             PLAIN,
-            BORDER,
+            border,
             scratch,
             covariance,
         )
-        return covariance if good and np.all(np.diag(covariance) > 0.0) else None
+        return covariance if good else None
 
     def learn(self, evidence: Array, match: float | None, inside: float) -> None:
         """Take in what was looked at last, the ``evidence`` (S,) along the features there, and what ``match`` the model

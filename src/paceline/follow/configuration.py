@@ -25,6 +25,7 @@ class FollowConfiguration(BaseModel):
     adaptive_decay: bool = True  # two decays per parameter, weighed by how well they predicted of late
     probation: bool = True  # follow other places in which the model may lie, until one stands out
     appearance: bool = True  # learn what the target looks like, and do not believe what looks otherwise
+    steady_scale: bool = True  # the size by the picture, and by the edges only what size that has
     keepsake: bool = True  # a picture learned long ago tells when the lock has slid along other edges
     continuity: bool = True  # do not believe what leaps or flies
 
@@ -69,6 +70,7 @@ class FollowConfiguration(BaseModel):
             adaptive_decay=False,
             probation=False,
             appearance=False,
+            steady_scale=False,
             keepsake=False,
             continuity=False,
         )

@@ -216,3 +216,9 @@ def fused(fit: Fit, expected: Array, doubt: Array) -> Fit:
     gain = fresh / (fresh[2] + doubt[2] ** 2)
     location = fit.location + gain * (expected[2] - fit.location[2])
     return Fit(location, fit.covariance, fit.weights, fit.residual, fit.offsets, fit.used)
+
+
+def scaled(fit: Fit, scale: float) -> Fit:
+    """A fit whose ``scale`` is known better from elsewhere; its covariance stays, as in `fused`."""
+    location = fit.location + fit.covariance[:, 2] / fit.covariance[2, 2] * (scale - fit.location[2])
+    return Fit(location, fit.covariance, fit.weights, fit.residual, fit.offsets, fit.used)

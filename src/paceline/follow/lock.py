@@ -67,7 +67,7 @@ class Lock:
         x, weights = look.fit.location, look.fit.weights
         if self._c.adaptive_decay:
             # (17) says how well the features agree, the covariance also how well they determine each parameter
-            weights = 1.0 / np.sqrt(np.diag(look.fit.covariance))
+            weights = 1.0 / np.sqrt(look.fit.covariance.diagonal())
             surprise = abs(x[2] - self.expected[2]) / self.doubt[2]
             weights[2] *= min(1.0, SURPRISE / max(surprise, 1e-9))
             if surprise > SURPRISE:

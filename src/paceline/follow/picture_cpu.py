@@ -211,4 +211,4 @@ def align(
         covariance[:, p] = variance * solved(rows)
     covariance[2] *= location[2]
     covariance[:, 2] *= location[2]
-    return True
+    return bool(covariance[0, 0] > 0.0 and covariance[1, 1] > 0.0 and covariance[2, 2] > 0.0)

@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from paceline.follow import fitting
-from paceline.follow.appearance import Appearance
+from paceline.follow.appearance import PICTURE_RATE, Appearance
 from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.edges import Window
-from paceline.follow.features import Projection
+from paceline.follow.features import Projection, Shown
 from paceline.follow.fitting import Fit
+from paceline.follow.gauge import Gauge
 from paceline.follow.measuring import Measurement, Measurer
 from paceline.follow.search import Search, Sighting
 
@@ -67,6 +68,7 @@ class Look:
     clear: bool = False  # enough to learn the picture from
     note: str = ""
     sure: bool = False  # no doubt that it is the target
+    gauge: Gauge | None = None  # of its picture, where that told the scale
     slid: bool = False  # it is where it looks as it did long ago, not where it was followed to
 
 
@@ -82,6 +84,7 @@ class Recogniser:
         self._held_for = 0  # frames, in a row, by the picture alone
         self._turn = 0
         self.appearance = Appearance(target)
+        self.gauge = Gauge()
 
     def look(self, image: Bytes, expected: Array, doubt: Array, tau: float, lost: bool) -> Look:
         """The target in ``image`` (H, W), where it is ``expected`` (3,) to within ``doubt`` (3,), ``tau`` cycles after
@@ -103,7 +106,7 @@ class Recogniser:
         """Another one that has not learned anything; the two work with the same scratch."""
         other = copy(self)
         other._proven = other._held_for = 0
-        other.appearance = Appearance(self.projection.target)
+        other.appearance, other.gauge = Appearance(self.projection.target), Gauge()
         return other
 
     def survey(self, image: Bytes, location: Array, reach: float, count: int) -> list[Array]:
@@ -138,6 +141,8 @@ class Recogniser:
     def learn(self, look: Look) -> None:
         """Take in what a look that was believed has shown."""
         self._held_for = self._held_for + 1 if look.measurement is None else 0
+        if look.gauge is not None:
+            self.gauge = look.gauge
         self._proven += look.measurement is not None
         if look.slid:
             self.appearance.restore()
@@ -145,6 +150,7 @@ class Recogniser:
             match = None if look.measurement is None else look.measurement.match
             inside = look.inside if look.clear or not self.appearance.known else 0.0
             self.appearance.learn(look.evidence, match, inside)
+            self.gauge = self.gauge.learned(PICTURE_RATE)
 
     def _found(self, image: Bytes, expected: Array, doubt: Array, width: float, tau: float, lost: bool) -> Look:
         """Search for the whole model, then measure its features there."""
@@ -195,9 +201,23 @@ class Recogniser:
         shown = self.projection.shown(fit.location)
         if not c.wide_search and not self._search.open_at(image, shown.location):
             return Look(OUTSIDE, window, fit, measurement)
+        steadied, gauge = self._steadied(fit, shown, float(start[2]), tau)
+        shown = self.projection.shown(steadied.location)
         inside, evidence = self._search.evidence_at(shown.location, shown.shifts, self.appearance)
         complaint, clear, sure = self._judged(fit, measurement, inside, expected, doubt, tau, lost)
-        return Look(complaint, window, fit, measurement, inside, evidence, clear, sure=sure)
+        fit = fit if complaint else steadied
+        return Look(complaint, window, fit, measurement, inside, evidence, clear, sure=sure, gauge=gauge)
+
+    def _steadied(self, fit: Fit, shown: Shown, guess: float, tau: float) -> tuple[Fit, Gauge | None]:
+        """The ``fit`` with its scale by the picture, and what that is worth now; as it is where the picture is not
+        known or not found."""
+        if not (self._c.steady_scale and self._c.appearance and self.appearance.known):
+            return fit, None
+        picture = self._search.scale_at(shown.location[:2], guess, self.appearance)
+        if picture is None:
+            return fit, None
+        scale, gauge = self.gauge.set(float(fit.location[2]), picture, tau)
+        return fitting.scaled(fit, scale), gauge
 
     def _judged(
         self, fit: Fit, measurement: Measurement, inside: float, expected: Array, doubt: Array, tau: float, lost: bool

@@ -207,7 +207,7 @@ class Search:
                 floor = np.array([ALIGNED * self._side, ALIGNED * self._side, STEADY * rival[2]])
                 near = NEAR * units * np.array([1.0, 1.0, self._rung(rival[2], self._side) * rival[2]])
                 if covariance is not None:
-                    near = np.minimum(near, np.hypot(floor, np.sqrt(np.diag(covariance)) * units))
+                    near = np.minimum(near, np.hypot(floor, np.sqrt(covariance.diagonal()) * units))
                     best = Sighting(place * units + origin, near, window, picture)
                 else:
                     best = Sighting(rival[:3], near, window)
@@ -220,6 +220,11 @@ class Search:
         features."""
         center, m = self._respond(location, shifts)
         return appearance.look(self._pooled_view, center, m), self._evidence.copy()
+
+    def scale_at(self, center: Array, guess: float, appearance: Appearance) -> float | None:
+        """`Appearance.scale_at` in the part of the image searched last, for a ``center`` (2,) in recorded pixels."""
+        place = np.array([*(center - self._origin) / self._side, guess])
+        return appearance.scale_at(self._pooled_view, place, self._magnification / self._side)
 
     def went_from(self, location: Array, appearance: Appearance) -> Sighting | None:
         """`Appearance.went_from` in the part of the image searched last, for a ``location`` (3,) in recorded pixels."""

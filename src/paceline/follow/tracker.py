@@ -129,12 +129,13 @@ class FollowTracker:
     ) -> FollowEstimate:
         measured = look.fit is not None and status == "tracking"
         expected, doubt = self.lock.expected, self.lock.doubt
-        location, covariance = expected, np.diag(doubt**2)
         if look.fit is not None and measured:
-            location, covariance = look.fit.location, look.fit.covariance
+            fit = look.fit
             if self.configuration.adaptive_decay and not look.slid:
-                fit = fitting.fused(look.fit, expected, doubt)
-                location, covariance = fit.location, fit.covariance
+                fit = fitting.fused(fit, expected, doubt)
+            location, covariance = fit.location, fit.covariance
+        else:
+            location, covariance = expected, np.diag(doubt**2)
         m = look.measurement if measured else None
         tolerance, width = self.configuration.model_tolerance, float(max(self.target.size))
         place = place_of(location, covariance, self.camera, self.target.nominal_range, tolerance, width)
