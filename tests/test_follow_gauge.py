@@ -82,3 +82,9 @@ def test_edges_that_slide_for_a_moment_hardly_move_the_scale():
 def test_a_picture_learned_anew_takes_over_part_of_the_ratio():
     gauge = Gauge(log_ratio=0.02, variance=1e-6)
     assert gauge.learned(0.25).log_ratio == pytest.approx(0.015)
+
+
+def test_the_picture_alone_tells_the_scale_once_it_is_known_what_it_is_worth():
+    _, gauge = gauged(series(200, 0.002, 8)[1], series(200, 0.001, 9)[1] - RATIO)
+    assert gauge.scale(0.8) == pytest.approx(0.8 * np.exp(RATIO), rel=4 * 0.002 / np.sqrt(100) + module.DRIFT * 3)
+    assert Gauge().scale(0.8) == pytest.approx(0.8)

@@ -59,6 +59,10 @@ class Gauge(NamedTuple):
         scale = exp(by_edges.last - share * surprise)
         return scale, Gauge(self.log_ratio + gain * surprise, (1.0 - gain) * before, by_edges, by_picture)
 
+    def scale(self, picture: float) -> float:
+        """The target's scale where only its ``picture`` tells one."""
+        return picture * exp(self.log_ratio)
+
     def learned(self, rate: float) -> Gauge:
         """Once the picture was learned anew, at this ``rate``, with the size that the gauge gave the target."""
-        return Gauge((1.0 - rate) * self.log_ratio, self.variance, self.edges, self.picture)
+        return self._replace(log_ratio=(1.0 - rate) * self.log_ratio)

@@ -178,6 +178,10 @@ class Recogniser:
     def _held(self, location: Array, sighting: Sighting) -> Look:
         """The target by its picture alone, where its features cannot be told but everything looks as it did."""
         n = len(self.projection.offsets)
+        if self._c.steady_scale:
+            center = self.projection.shown(location).location[:2]
+            picture = self._search.scale_at(center, float(location[2]), self.appearance)
+            location = location if picture is None else np.array([*location[:2], self.gauge.scale(picture)])
         doubt = sighting.doubt * np.array([1.0, 1.0, 1.0 + self._held_for / PROVEN])  # a picture's size drifts
         fit = Fit(location, np.diag(doubt**2), np.zeros(3), 0.0, np.full(n, np.nan), np.zeros(n, bool))
         shown = self.projection.shown(location)
