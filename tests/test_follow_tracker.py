@@ -1,5 +1,6 @@
 """The whole loop on drawn clips with exact truth: follows, knows when it does not, and says why."""
 
+import gc
 import tracemalloc
 
 import cv2
@@ -359,12 +360,14 @@ def test_memory_is_flat(clip):
     tracemalloc.start()
     for k in range(88, 176):
         tracker.update(images[order[k % 88]], k / 15, k)
+    gc.collect()  # what is free already, but not yet given back, is not counted
     first = tracemalloc.get_traced_memory()[0]
     for k in range(176, 528):
         tracker.update(images[order[k % 88]], k / 15, k)
+    gc.collect()
     grown = tracemalloc.get_traced_memory()[0] - first
     tracemalloc.stop()
-    assert grown < 20_000
+    assert grown < 5_000
 
 
 def test_after_the_warm_up_nothing_is_left_to_compile(clip):

@@ -1,0 +1,41 @@
+"""The console's addresses as a browser asks them, without one: a folder with one clip, beside one it may not see."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from fastapi import FastAPI
+from fastapi.testclient import TestClient
+from small_clips import put_clip
+
+from paceline.console.api import add_api
+from paceline.console.guard import Guard
+from paceline.console.importing import Imports
+from paceline.console.library import Library
+
+HOST = "127.0.0.1:8640"
+SAME = {"host": HOST, "origin": f"http://{HOST}", "sec-fetch-site": "same-origin"}
+
+
+def put_folder(base: Path) -> Path:
+    """A folder with one clip, beside another folder that the console must not see."""
+    put_clip(base / "mine")
+    secret = put_clip(base, "secret")
+    (secret / "secret.txt").write_text("secret")
+    return base / "mine"
+
+
+@contextmanager
+def asked(folder: Path) -> Iterator[TestClient]:
+    """What asks the console of a ``folder``, as its own pages do if the headers say so."""
+    library, imports = Library(folder), Imports(folder)
+    app = FastAPI()
+    add_api(app, library, imports)
+    guarded: Any = Guard(app, {HOST}, None)
+    with TestClient(guarded, base_url=f"http://{HOST}") as client:
+        yield client
+    library.runs.close()
+    imports.close()
