@@ -68,7 +68,10 @@ class Measurer:
         x, fit = start, None
         for reach in (gate, min(gate, 3.0 * breadth)) if c.competing_lines else (gate,):
             features = projection.features(x)  # stage 7
-            places, weights = self._places(image, edges, features, x, doubt, reach, breadth, brighter)  # 2 and 3
+            tolerance = self._tolerance(x)
+            places, weights = self._places(  # stages 2 and 3
+                image, edges, features, x, doubt, reach, breadth, brighter, tolerance
+            )
             turned = fitting.TURNED if c.foreshortening else 0.0
             fit = fitting.locate(
                 places - features.shifts, weights, self._vertical, projection.offsets, x[2], turned
@@ -80,7 +83,7 @@ class Measurer:
         lists = edges.near_vertical, edges.near_horizontal, self._owners
         shares = measuring_cpu.shares_found(*lists, places, features.lengths, breadth)
         points, owners = measuring_cpu.believed(*lists, fit.used)
-        allowed = np.sqrt(breadth**2 + self._tolerance(fit.location))
+        allowed = np.sqrt(breadth**2 + tolerance)
         told = measuring_cpu.agreement(fit.offsets, fit.used, allowed, shares)
         return Measurement(fit, points, owners, *told), window
 
@@ -94,6 +97,7 @@ class Measurer:
         reach: float,
         breadth: float,
         brighter: Indices,
+        tolerance: Array,
     ) -> tuple[Array, Array]:
         """The place and the confidence (S,) of each feature, by the edge points that belong to it."""
         c = self._c
@@ -130,7 +134,7 @@ class Measurer:
             start,
             doubt,
             self._projection.offsets,
-            self._tolerance(start),
+            tolerance,
             breadth,
         )
 

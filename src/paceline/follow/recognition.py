@@ -159,8 +159,7 @@ class Recogniser:
         if sighting is None:
             return Look("nothing like the target is in reach")
         start = self.projection.ideal(sighting.location)
-        look = self._measured(image, start, sighting.doubt, expected, doubt, tau, lost)
-        look = replace(look, window=sighting.window)
+        look = self._measured(image, start, sighting.doubt, expected, doubt, tau, lost, sighting.window)
         self._turn += 1
         due = c.appearance and c.keepsake and self._turn % WATCH == 0
         if due and not look.complaint and look.fit is not None:
@@ -189,12 +188,22 @@ class Recogniser:
         return Look("", sighting.window, fit, None, inside, evidence, note=ALONE)
 
     def _measured(
-        self, image: Bytes, start: Array, near: Array, expected: Array, doubt: Array, tau: float, lost: bool
+        self,
+        image: Bytes,
+        start: Array,
+        near: Array,
+        expected: Array,
+        doubt: Array,
+        tau: float,
+        lost: bool,
+        searched: Window | None = None,
     ) -> Look:
-        """Stages 1 to 4 about ``start`` (3,), known to within ``near`` (3,), and what is to be thought of it."""
+        """Stages 1 to 4 about ``start`` (3,), known to within ``near`` (3,), and what is to be thought of it. The
+        look's window is the one ``searched``, if any."""
         c = self._c
         brighter = self.appearance.brighter() if c.polarity else np.zeros(len(self.projection.offsets), np.int64)
         measurement, window = self._measurer.measure(image, start, near, brighter)
+        window = searched or window
         if measurement is None:
             return Look(FEW, window)
         fit = measurement.fit
