@@ -18,7 +18,7 @@ Indices = NDArray[np.int64]
 
 BORDER = 4  # samples of the picture that lie outside of the model, where the background moves by itself
 OUTLINE = 2  # the same where the scale is asked: the outline tells most of it
-STEPS, FEW = 3, 2  # of an alignment, and of one from where the target is to a fraction of a sample
+STEPS, FEW = 4, 2  # of an alignment, and of one from where the target is to a fraction of a sample
 CELL = 8  # samples along the side of a square that is correlated by itself
 SHAPE = (32, 40)  # samples of the picture, down and across
 MARGIN = 0.1  # of the model's size that the picture takes in around it, with the outline in the midst of its squares

@@ -33,7 +33,7 @@ FAINT, PLACED, MOST = 0.2, 0.04, 0.7  # and of one in dim light: within so many 
 # and nothing else matches as well
 PATIENT = 0.5  # s after which faint lines will do where the operator put it, as nothing else has stood out
 EVERY = 6  # images of which one is patrolled
-PATROLS = 24  # so many times: each size twice; later what fits better is another vehicle, or the target is half hidden
+PATROLS = 12  # so many times: each size once; later what fits better is another vehicle, or the target is half hidden
 USUAL = 0.25  # rate at which the usual match of the lock is learned, then
 BETTER = 0.1  # match by which a place must exceed that of the lock to be tried
 PROVEN = 0.5  # credit at which it takes its place
