@@ -10,7 +10,7 @@ import subprocess
 import time
 import urllib.request
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +40,13 @@ class Tab:
 
     def open(self, address: str) -> None:
         self.call("Page.navigate", url=address)
+
+    def reload(self) -> None:
+        """Loads the page again; where it asks whether to leave what is not saved, yes."""
+        self.call("Page.reload")
+        time.sleep(0.3)
+        with suppress(AssertionError):  # it did not ask
+            self.call("Page.handleJavaScriptDialog", accept=True)
 
     def run(self, script: str) -> Any:
         """The value of a JavaScript expression, a promise's too."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 from collections.abc import Callable, Iterator
@@ -48,6 +49,19 @@ def consoled(base: Path, *before: str) -> Iterator[Console]:
     with at_once as (address, _), browser(base / "profile") as new:
         yield base / "clips", address, new
     assert list((base / "elsewhere").iterdir()) == []
+
+
+@contextmanager
+def halted(clip: Path) -> Iterator[None]:
+    """What measures ``clip`` stands still for a while."""
+    wanted = f"{clip}/".encode()
+    found = [p for p in Path("/proc").glob("[0-9]*/cmdline") if wanted in p.read_bytes() + b"/"]
+    (pid,) = (int(p.parent.name) for p in found)
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        yield
+    finally:
+        os.kill(pid, signal.SIGCONT)
 
 
 def on_screen(tab: Tab, view: int, point: list[float], editor: str = "pl-editor") -> tuple[float, float]:

@@ -2,49 +2,25 @@
 
 from __future__ import annotations
 
+import csv
 import itertools
 import json
-import os
 import signal
-import subprocess
 import sys
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import yaml
-from calling import COMMAND, ENVIRONMENT, assert_one_line_error, paceline
-from chromium import CHROMIUM, Tab, browser
+from calling import assert_one_line_error, paceline
+from console_served import CTRL, SHIFT, Console, consoled, halted, needs_chromium, on_screen, serving
 from small_clips import put_clip, rendered
 
 from paceline.reports.wording import shown_speed
-
-needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
-CTRL, SHIFT = 2, 8
-
-
-@contextmanager
-def serving(folder: Path, *options: str, cwd: Path | None = None) -> Iterator[tuple[str, subprocess.Popen[str]]]:
-    """`paceline console FOLDER` on a free port, and the address that it prints."""
-    command = [*COMMAND, "console", str(folder), "--no-browser", "--port", "0", *options]
-    streams: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    with subprocess.Popen(command, env=ENVIRONMENT, cwd=cwd or folder, **streams) as process:
-        try:
-            assert process.stdout is not None and process.stderr is not None
-            line = process.stdout.readline()
-            assert " is at http" in line, process.stderr.read()
-            yield line.split(" is at ")[1].strip().rstrip("/"), process
-        finally:
-            if process.poll() is None:
-                process.send_signal(signal.SIGINT)
-                assert process.wait(60) == 0, process.stderr.read()
-                assert "Traceback" not in (said := process.stderr.read()), said
 
 
 @pytest.fixture(scope="module")
@@ -52,29 +28,14 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return put_clip(tmp_path_factory.mktemp("recording"))
 
 
-def on_screen(tab: Tab, view: int, point: list[float]) -> tuple[float, float]:
-    """Where a pixel of a picture is on the screen."""
-    x, y = tab.run(
-        f"(() => {{ const e = document.querySelector('pl-editor'); const v = e.views[{view}];"
-        f" const b = v.canvas.getBoundingClientRect(); const p = v.toScreen({json.dumps(point)});"
-        " return [b.x + p[0], b.y + p[1]]; })()"
-    )
-    return x, y
-
-
 @pytest.fixture(scope="module")
-def console(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, str, Callable[[], Tab]]]:
-    """The folder of a console, its address, and what opens tabs of a browser."""
-    base = tmp_path_factory.mktemp("console")
-    for name in ("clips", "elsewhere"):
-        (base / name).mkdir()
-    with serving(base / "clips", cwd=base / "elsewhere") as (address, _), browser(base / "profile") as new:
-        yield base / "clips", address, new
-    assert list((base / "elsewhere").iterdir()) == []
+def console(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Console]:
+    with consoled(tmp_path_factory.mktemp("console")) as console:
+        yield console
 
 
 @needs_chromium
-def test_from_import_to_report(recording: Path, console: tuple[Path, str, Callable[[], Tab]]) -> None:
+def test_from_import_to_report(recording: Path, console: Console) -> None:
     (root, address, new), truth = console, next(r for r in rendered().truth if r["frame"] == 0)
     tab = new()
     tab.size(1280, 800)
@@ -135,10 +96,24 @@ def test_from_import_to_report(recording: Path, console: tuple[Path, str, Callab
     other.wait_for("Nothing measured yet")
     tab.click("Start")
     other.wait_for("Cancel")  # every tab sees it
-    tab.call("Page.reload")
-    tab.wait_for("Cancel")
+    other.wait_for("Close-up of v0")
+    with halted(root / "north"):
+        tab.call("Page.reload")
+        tab.wait_for("Close-up of v0")
+        tab.wait_for("Cancel")
+        believed = [json.loads(t.run("document.querySelector('pl-watch').getAttribute('scene')")) for t in (tab, other)]
+        other.click("Close-up of v0")
     tab.wait_for("Open the report")
     other.wait_for("measured")
+    with (root / "north" / "runs" / "0001" / "out" / "estimates.csv").open(newline="") as stream:
+        filtered = {int(row["frame"]): row for row in csv.DictReader(stream)}
+    for scene in believed:
+        (shown,), row = scene["vehicles"], filtered[scene["frame"]]
+        speed = shown_speed(float(row["speed_mps"]), "mph") if row["speed_mps"] else ""
+        assert shown["label"] == f"v0  {speed} mph" if speed else "v0"
+        corners = [[float(row[f"left_{axis}{k}"]) for axis in "xy"] for k in (1, 2, 3, 4)]
+        assert np.abs(np.array(shown["outlines"][0]) - corners).max() < 0.06
+        assert np.abs(np.array(shown["particles"][0]) - np.mean(corners, axis=0)).max() < 5
     (entry,) = json.loads((root / "north" / "runs" / "0001" / "out" / "summary.json").read_text())["vehicles"]
     assert entry["verdict"] == "measured" and entry["speed_mps"] == pytest.approx(18.0, abs=0.5)
     assert shown_speed(entry["speed_mps"], "mph", (entry["speed_hi_mps"] - entry["speed_lo_mps"]) / 2) in tab.text()
@@ -158,7 +133,7 @@ def test_from_import_to_report(recording: Path, console: tuple[Path, str, Callab
 
 
 @needs_chromium
-def test_what_files_say_is_only_text(console: tuple[Path, str, Callable[[], Tab]]) -> None:
+def test_what_files_say_is_only_text(console: Console) -> None:
     """Names of vehicles, paths and folders, and reasons made from YAML, are shown as they are and never run."""
     evil = "<img src=x onerror=window.hit=1>"
     root, address, new = console
@@ -201,7 +176,7 @@ def test_what_files_say_is_only_text(console: tuple[Path, str, Callable[[], Tab]
 
 
 @needs_chromium
-def test_corners_are_sorted_however_they_are_clicked(console: tuple[Path, str, Callable[[], Tab]]) -> None:
+def test_corners_are_sorted_however_they_are_clicked(console: Console) -> None:
     _, address, new = console
     tab = new()
     tab.open(address)
@@ -250,14 +225,6 @@ def test_a_console_is_served_guarded_and_ends_without_a_trace(tmp_path: Path) ->
 )
 def test_what_cannot_be_served_is_one_plain_line(tmp_path: Path, arguments: list[str], words: list[str]) -> None:
     assert_one_line_error(paceline("console", "--no-browser", *arguments, folder=tmp_path), *words)
-
-
-@pytest.mark.skipif(os.geteuid() == 0, reason="the superuser may write everywhere")
-def test_a_folder_that_cannot_be_written_is_one_plain_line(tmp_path: Path) -> None:
-    tmp_path.chmod(0o500)
-    done = paceline("console", "--no-browser", tmp_path)
-    tmp_path.chmod(0o700)
-    assert_one_line_error(done, "cannot be written")
 
 
 def test_a_folder_in_a_circle_of_links_is_one_plain_line(tmp_path: Path) -> None:

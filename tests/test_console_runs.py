@@ -108,7 +108,7 @@ def test_runs_wait_for_each_other_are_read_and_are_cancelled(library: Library) -
     (row,) = vehicle_rows([vehicle], "km/h")
     assert row["vehicle"] == "v0" and row["verdict"] == "measured" and row["speed"].startswith("6")
     (series,) = read_series(out)
-    assert series.refined and series.time[0] == 0 and series.speed[-1] == pytest.approx(18.0, abs=0.5)
+    assert series.refined and series.time[0] == 0 and series.value[-1] == pytest.approx(18.0, abs=0.5)
     faster = vehicle | {"speed_mps": vehicle["speed_mps"] + 0.25}
     assert [r["change"] for r in differences([vehicle], [faster], "m/s")] == ["+0.25"]
     assert [r["change"] for r in differences([faster], [vehicle], "km/h")] == ["−0.90"]

@@ -1,4 +1,4 @@
-"""``paceline console``: set up, measure and read clips in the browser."""
+"""``paceline console``: set up, watch and read measurements in the browser."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def console(
     port: Annotated[int | None, typer.Option(min=0, max=65535, help="Port; the first free one from 8640 on.")] = None,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open a browser window.")] = True,
 ) -> int:
-    """Set up, measure and read clips in the browser."""
+    """Set up, watch and read measurements in the browser."""
     if importlib.util.find_spec("nicegui") is None:
         raise UnusableInput("the console needs NiceGUI; install it with: pip install 'paceline[console]'")
 

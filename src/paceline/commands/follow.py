@@ -11,7 +11,7 @@ import typer
 
 from paceline.commands import DONE, NOTHING_MEASURED, file_named
 from paceline.commands.interrupts import ended_by_interrupt
-from paceline.commands.progress import progress_bar
+from paceline.commands.progress import progress_bar, range_teller
 
 if TYPE_CHECKING:  # what computes is imported when the command runs, so that --help answers at once
     from paceline.follow.history import Tally
@@ -37,7 +37,8 @@ def follow_vehicle(
     with OutputFolder(out) as folder:
         recording = open_camera(document)
         with progress_bar("following", sys.stderr.isatty() and not quiet) as advance, _ended(recording):
-            result, tally = write_follow_files(document, recording, folder, None, overlay, advance)
+            teller = range_teller(document.target.name)
+            result, tally = write_follow_files(document, recording, folder, None, overlay, advance, teller)
     if not quiet:
         _print_follow(result, tally)
         print(f"\nReport: {out / 'report.html'}")

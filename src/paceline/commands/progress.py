@@ -1,4 +1,4 @@
-"""How far a command is."""
+"""How far a command is, and what it sees on its way."""
 
 from __future__ import annotations
 
@@ -6,8 +6,47 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
-from paceline.console.telling import TOLD, telling
+from paceline.console.telling import TOLD, telling, telling_estimate
+
+if TYPE_CHECKING:
+    from paceline.cameras import StereoRig
+    from paceline.follow.results import FollowEstimate
+    from paceline.speed.tracker import Estimate
+
+
+def is_told() -> bool:
+    """Whether a program that started the command asks for lines."""
+    return os.environ.get(TOLD) == "lines"
+
+
+def speed_teller(rig: StereoRig) -> Callable[[str, Estimate], None] | None:
+    """What tells each estimate of a vehicle's speed while it is measured, where that is asked for."""
+    if not is_told():
+        return None
+
+    def tell(vehicle: str, e: Estimate) -> None:
+        views = zip(rig.cameras, (e.left, e.right), (e.particles_left, e.particles_right), strict=True)
+        outlines, particles = zip(*((c.distort_points(o), c.distort_points(p)) for c, o, p in views), strict=True)
+        line = telling_estimate(vehicle, e.frame, e.time, e.speed, e.speed_std, e.status, outlines, particles)
+        print(line, file=sys.stderr, flush=True)
+
+    return tell
+
+
+def range_teller(target: str) -> Callable[[FollowEstimate], None] | None:
+    """What tells each estimate of the distance of the vehicle ahead while it is followed, where that is asked for."""
+    if not is_told():
+        return None
+
+    def tell(e: FollowEstimate) -> None:
+        outlines, points = ([], []) if e.status == "lost" else ([e.lines], [e.points])
+        distance, std = float(e.position[2]), float(e.position_std[2])
+        line = telling_estimate(target, e.frame, e.time, distance, std, e.status, outlines, points)
+        print(line, file=sys.stderr, flush=True)
+
+    return tell
 
 
 @contextmanager
@@ -16,7 +55,7 @@ def progress_bar(doing: str, show: bool) -> Iterator[Callable[[int, int | None],
 
     A program that started the command may ask for lines instead; once it reads them no more, the command ends.
     """
-    if os.environ.get(TOLD) == "lines":
+    if is_told():
         yield lambda done, total: print(telling(doing, done, total), file=sys.stderr, flush=True)
         return
     if not show:

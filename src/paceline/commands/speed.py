@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from paceline.commands import DONE, NOTHING_MEASURED, file_named, print_columns
-from paceline.commands.progress import progress_bar
+from paceline.commands.progress import progress_bar, speed_teller
 from paceline.errors import UnusableInput
 
 if TYPE_CHECKING:  # what computes is imported when a command runs, so that --help answers at once
@@ -101,7 +101,9 @@ def speed(
                 if method is Method.paceline:
                     from paceline.speed.measurement import measure
 
-                    return measure(document, recording, configuration, advance, device.value)
+                    return measure(
+                        document, recording, configuration, advance, device.value, speed_teller(document.rig)
+                    )
                 from paceline.baselines.measurement import measure as measure_by
 
                 return measure_by(document, recording, method.value, configuration, advance)

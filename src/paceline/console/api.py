@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import binascii
 import json
-from collections.abc import AsyncIterator
 from functools import lru_cache
 from typing import Any
 
@@ -15,20 +14,22 @@ from fastapi.responses import FileResponse, JSONResponse, Response
 from starlette.concurrency import run_in_threadpool
 
 from paceline.cameras import StereoRig
+from paceline.console.asking import options_of, to_number, to_whole
 from paceline.console.clip_file import Changed, Entry, Setup, read_lanes, read_setup, read_site_paths, save_setup
 from paceline.console.editing import check_setup, epipolar_line, propose
 from paceline.console.frames import VIEWS
 from paceline.console.importing import LARGEST_RIG, Imports, add_rig
+from paceline.console.kinds import KINDS, LANES
 from paceline.console.library import Library
-from paceline.console.results import DOWNLOADS
+from paceline.console.receiving import received, received_json
+from paceline.console.results import FILES
 from paceline.console.runs import Run
 from paceline.console.safety import NotHere, file_below
 from paceline.console.snapping import snapped
+from paceline.console.target_api import target_router
 from paceline.errors import UnusableInput
 
-LARGEST_BODY = 4 << 20  # bytes of JSON
-MOST_PARTICLES, MOST_POINTS = 100_000, 1000
-MOTIONS, UNITS = ("auto", "free", "line", "curve"), ("mph", "km/h", "m/s")
+MOST_POINTS = 1000
 # A report is a page of its own, and made from names in files: it may show pictures and run nothing.
 REPORT_POLICY = (
     "sandbox allow-same-origin allow-downloads allow-popups; default-src 'none'; img-src 'self' data:; "
@@ -40,6 +41,7 @@ def add_api(app: FastAPI, library: Library, imports: Imports) -> None:
     """Adds every address below /api and /results to ``app``."""
     app.include_router(_pictures(library))
     app.include_router(_set_up(library))
+    app.include_router(target_router(library))
     app.include_router(_imports(library, imports))
     app.include_router(_runs(library))
 
@@ -53,7 +55,7 @@ def add_api(app: FastAPI, library: Library, imports: Imports) -> None:
 
     @app.exception_handler(Changed)
     async def changed(request: Request, error: Changed) -> JSONResponse:
-        return JSONResponse({"reason": "clip.yaml was changed elsewhere in the meantime"}, 409)
+        return JSONResponse({"reason": "the file was changed elsewhere in the meantime"}, 409)
 
 
 def _pictures(library: Library) -> APIRouter:
@@ -69,13 +71,13 @@ def _pictures(library: Library) -> APIRouter:
 
     @router.get("/api/epipolar")
     def epipolar(clip: str, view: int, x: float, y: float) -> dict[str, Any]:
-        rig = library.gallery.open(library.file(clip)).clip.rig
-        return epipolar_line(rig, _view(view), np.array([_number(x), _number(y)]))
+        rig = library.gallery.stereo(library.file(clip)).clip.rig
+        return epipolar_line(rig, _view(view), np.array([to_number(x), to_number(y)]))
 
     @router.get("/api/snap")
     def snap(clip: str, view: int, frame: int, x: float, y: float, reach: float) -> list[float]:
         picture = library.gallery.open(library.file(clip)).picture(_view(view), frame)
-        place = snapped(picture, np.array([_number(x), _number(y)]), max(_number(reach), 1.0))
+        place = snapped(picture, np.array([to_number(x), to_number(y)]), max(to_number(reach), 1.0))
         return [round(float(value), 2) for value in place]
 
     return router
@@ -87,13 +89,13 @@ def _set_up(library: Library) -> APIRouter:
     @router.get("/api/setup")
     def get(clip: str) -> dict[str, Any]:
         file = library.file(clip)
-        pictures = library.gallery.open(file)
+        pictures = library.gallery.stereo(file)
         setup = read_setup(file)
         rig = pictures.clip.rig
         return {
             "sizes": [camera.image_size for camera in rig.cameras],
             "frames": pictures.frames,
-            "times": [round(float(t), 4) for t in pictures.recording.times],
+            "times": [round(float(t), 4) for t in pictures.times],
             "notices": pictures.recording.notices,
             "sitePaths": read_site_paths(file),
             "paths": setup.paths,
@@ -103,21 +105,22 @@ def _set_up(library: Library) -> APIRouter:
 
     @router.put("/api/setup")
     async def put(clip: str, request: Request) -> dict[str, Any]:
-        body = await _json(request)
+        library.refuse_read_only()
+        body = await received_json(request)
         setup, file = Setup(*_drawn(body), str(body.get("revision"))), library.file(clip)
-        await run_in_threadpool(library.gallery.open, file)  # refuses what leads out of the folder
+        await run_in_threadpool(library.gallery.stereo, file)  # refuses what leads out of the folder
         saved = await run_in_threadpool(save_setup, file, setup)
         return {"paths": saved.paths, "vehicles": saved.vehicles, "revision": saved.revision}
 
     @router.post("/api/check")
     async def check(clip: str, request: Request) -> dict[str, Any]:
-        paths, vehicles = _drawn(await _json(request))
-        rig = (await run_in_threadpool(library.gallery.open, library.file(clip))).clip.rig
+        paths, vehicles = _drawn(await received_json(request))
+        rig = (await run_in_threadpool(library.gallery.stereo, library.file(clip))).clip.rig
         return await run_in_threadpool(_check, rig, json.dumps([paths, vehicles]))
 
     @router.post("/api/propose")
     async def propose_other(clip: str, request: Request) -> dict[str, Any]:
-        body = await _json(request)
+        body = await received_json(request)
         return await run_in_threadpool(_propose, library, clip, body)
 
     return router
@@ -130,8 +133,8 @@ def _check(rig: StereoRig, drawn: str) -> dict[str, Any]:
 
 
 def _propose(library: Library, clip: str, body: dict[str, Any]) -> dict[str, Any]:
-    pictures = library.gallery.open(library.file(clip))
-    view, frame = _view(body.get("view")), _whole(body.get("frame"), 10**9)
+    pictures = library.gallery.stereo(library.file(clip))
+    view, frame = _view(body.get("view")), to_whole(body.get("frame"), 10**9)
     entry, path = _entry(body.get("entry")), body.get("path")
     if "shape" not in entry and len(entry.get(VIEWS[view], [])) != 4:
         raise UnusableInput("entry: expected a path with its shape, or a vehicle with four corners")
@@ -145,7 +148,9 @@ def _imports(library: Library, imports: Imports) -> APIRouter:
 
     @router.post("/api/import")
     async def begin(request: Request) -> dict[str, str]:
-        return {"key": imports.begin(str((await _json(request)).get("name", "")))}
+        library.refuse_read_only()
+        body = await received_json(request)
+        return {"key": imports.begin(str(body.get("name", "")), body.get("kind") == "chase")}
 
     @router.put("/api/import/{key}/{slot}")
     async def receive(key: str, slot: str, name: str, request: Request) -> dict[str, str]:
@@ -156,8 +161,8 @@ def _imports(library: Library, imports: Imports) -> APIRouter:
 
     @router.post("/api/import/{key}")
     async def finish(key: str, request: Request) -> dict[str, str]:
-        rate = (await _json(request)).get("rate")
-        given = None if rate is None else _number(rate)
+        rate = (await received_json(request)).get("rate")
+        given = None if rate is None else to_number(rate)
         return {"name": await run_in_threadpool(imports.finish, key, given)}
 
     @router.delete("/api/import/{key}")
@@ -167,7 +172,8 @@ def _imports(library: Library, imports: Imports) -> APIRouter:
 
     @router.put("/api/rig")
     async def rig(clip: str, request: Request) -> dict[str, str]:
-        content = await _body(request.stream(), LARGEST_RIG)
+        library.refuse_read_only()
+        content = await received(request.stream(), LARGEST_RIG)
         await run_in_threadpool(add_rig, library.file(clip), content)
         return {}
 
@@ -179,12 +185,12 @@ def _runs(library: Library) -> APIRouter:
 
     @router.post("/api/run")
     async def start(clip: str, request: Request) -> dict[str, Any]:
-        body = await _json(request)
+        library.refuse_read_only()
+        body = await received_json(request)
         kind, options = body.get("kind"), body.get("options", {})
-        if kind not in ("speed", "lanes", "vehicles") or not isinstance(options, dict):
-            raise UnusableInput("kind: expected speed, lanes or vehicles")
-        arguments = speed_options(options) if kind == "speed" else []
-        return _shown(await run_in_threadpool(library.runs.start, clip, kind, arguments))
+        if kind not in KINDS or not isinstance(options, dict):
+            raise UnusableInput(f"kind: expected one of {', '.join(KINDS)}")
+        return _shown(await run_in_threadpool(library.runs.start, clip, kind, options_of(kind, options)))
 
     @router.get("/api/run")
     def get(clip: str, number: int) -> dict[str, Any]:
@@ -198,14 +204,14 @@ def _runs(library: Library) -> APIRouter:
     @router.get("/api/proposed")
     def proposed(clip: str, number: int) -> dict[str, Any]:
         run = _found(library, clip, number)
-        if run.kind == "lanes":
+        if run.kind == LANES:
             return {"paths": read_lanes(file_below(library.runs.folder(run), "site.yaml")), "vehicles": []}
         return {"paths": {}, "vehicles": read_setup(file_below(library.runs.folder(run), "clip.yaml")).vehicles}
 
     @router.get("/results/{clip}/{number}/{name}")
     def result(clip: str, number: int, name: str, save: bool = False) -> FileResponse:
         run = _found(library, clip_of(clip), number)
-        if name not in DOWNLOADS:
+        if name not in FILES:
             raise NotHere(name)
         file = file_below(library.runs.out(run), name)
         answer = FileResponse(file, filename=name if save else None)
@@ -227,20 +233,6 @@ def clip_of(address: str) -> str:
         return base64.urlsafe_b64decode(address + "=" * (-len(address) % 4)).decode()
     except (binascii.Error, ValueError) as error:
         raise NotHere(address) from error
-
-
-def speed_options(given: dict[str, Any]) -> list[str]:
-    """Arguments of ``paceline speed`` for what a page asks. Raises UnusableInput, naming the option."""
-    arguments: list[str] = []
-    for option, most in (("particles", MOST_PARTICLES), ("seed", 2**31)):
-        if given.get(option) is not None:
-            arguments += [f"--{option}", str(_whole(given[option], most))]
-    for option, valid in (("motion", MOTIONS), ("units", UNITS)):
-        if given.get(option) is not None:
-            if given[option] not in valid:
-                raise UnusableInput(f"{option}: expected one of {', '.join(valid)}")
-            arguments += [f"--{option}", str(given[option])]
-    return arguments
 
 
 def _found(library: Library, clip: str, number: int) -> Run:
@@ -279,7 +271,7 @@ def _entry(value: object) -> Entry:
             if not isinstance(point, list) or len(point) != length:
                 raise UnusableInput(f"{key}: expected points of {length} numbers")
             for number in point:
-                _number(number)
+                to_number(number)
     if value.get("shape", "line") not in ("line", "curve") or not isinstance(value.get("path", ""), str):
         raise UnusableInput("expected shape line or curve, and the name of a path")
     return value
@@ -291,41 +283,5 @@ def _view(value: object) -> int:
     return int(value)
 
 
-def _whole(value: object, most: int) -> int:
-    if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value <= most:
-        raise UnusableInput(f"expected a whole number from 0 to {most}, found {str(value)[:40]!r}")
-    return value
-
-
-def _number(value: object) -> float:
-    if not isinstance(value, int | float) or isinstance(value, bool) or not abs(value) < 1e9:
-        raise UnusableInput(f"expected a number, found {str(value)[:40]!r}")
-    return float(value)
-
-
 def _jpeg(content: bytes) -> Response:
     return Response(content, media_type="image/jpeg", headers={"Cache-Control": "private, no-cache"})
-
-
-async def _json(request: Request) -> dict[str, Any]:
-    body = await _body(request.stream(), LARGEST_BODY)
-    try:
-        found = json.loads(body, parse_constant=_no_constant)
-    except (ValueError, RecursionError) as error:
-        raise UnusableInput("the request is no JSON") from error
-    if not isinstance(found, dict):
-        raise UnusableInput("the request is no JSON object")
-    return found
-
-
-def _no_constant(name: str) -> float:
-    raise ValueError(name)
-
-
-async def _body(stream: AsyncIterator[bytes], most: int) -> bytes:
-    content = bytearray()
-    async for chunk in stream:
-        content += chunk
-        if len(content) > most:
-            raise UnusableInput(f"the request is larger than {most >> 20} MiB")
-    return bytes(content)

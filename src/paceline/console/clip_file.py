@@ -15,6 +15,7 @@ import numpy as np
 import yaml
 from pydantic import ValidationError
 
+from paceline.console.naming import STREAM
 from paceline.documents import load_clip
 from paceline.errors import UnusableInput
 from paceline.schemas import ClipModel, PathModel, SiteModel, VehicleModel, read_document
@@ -40,7 +41,7 @@ class Setup:
 
 def read_setup(file: Path) -> Setup:
     """The set-up in a clip.yaml. Raises UnusableInput."""
-    revision = _revision(file)
+    revision = revision_of(file)
     model = read_document(ClipModel, file)
     paths = {name: _plain(path) for name, path in (model.paths or {}).items()}
     return Setup(paths, [_plain(vehicle) for vehicle in model.vehicles or []], revision)
@@ -62,7 +63,7 @@ def without_vehicles(file: Path, folder: Path) -> str:
     model = read_document(ClipModel, file)
     given: Entry = {key: getattr(model, key) for key in ClipModel.model_fields if key not in ("paths", "vehicles")}
     for key in ("left", "right", "times", "rig", "site"):
-        if given[key] is not None:
+        if given[key] is not None and not STREAM.fullmatch(given[key]):
             given[key] = os.path.relpath(file.parent / given[key], folder)
     given["paths"] = {name: _plain(path) for name, path in (model.paths or {}).items()} or None
     return yaml.safe_dump({key: value for key, value in given.items() if value is not None}, allow_unicode=True)
@@ -83,7 +84,7 @@ def checked(paths: Mapping[str, Entry], vehicles: list[Entry]) -> tuple[dict[str
 def save_setup(file: Path, setup: Setup) -> Setup:
     """Puts ``setup`` into the clip.yaml ``file`` in one step. Raises Changed where it is not of the setup's revision,
     UnusableInput where it could not be measured from then on."""
-    if _revision(file) != setup.revision:
+    if revision_of(file) != setup.revision:
         raise Changed
     paths, vehicles = checked(setup.paths, setup.vehicles)
     text = with_setup(file.read_text(encoding="utf-8"), str(file), paths, vehicles)
@@ -125,7 +126,8 @@ def _contents(model: ClipModel) -> tuple[dict[str, Entry], list[Entry]]:
     return paths, [_plain(vehicle) for vehicle in model.vehicles or []]
 
 
-def _revision(file: Path) -> str:
+def revision_of(file: Path) -> str:
+    """What changes when the ``file`` does. Raises UnusableInput."""
     try:
         return hashlib.sha256(file.read_bytes()).hexdigest()[:16]
     except OSError as error:
@@ -205,14 +207,14 @@ def _with_comments(lines: list[str], start: int, begin: int, indent: int) -> int
 def _lines(section: str, name: str, entry: Entry, indent: int) -> list[str]:
     pad = " " * indent
     if section == "paths":
-        return [f"{pad}{_flow(name)}:", *(f"{pad}  {key}: {_flow(value)}" for key, value in entry.items())]
+        return [f"{pad}{flow(name)}:", *(f"{pad}  {key}: {flow(value)}" for key, value in entry.items())]
     marks = ["- ", *["  "] * (len(entry) - 1)]
-    return [f"{pad}{mark}{key}: {_flow(value)}" for mark, (key, value) in zip(marks, entry.items(), strict=True)]
+    return [f"{pad}{mark}{key}: {flow(value)}" for mark, (key, value) in zip(marks, entry.items(), strict=True)]
 
 
-def _flow(value: object) -> str:
+def flow(value: object) -> str:
     """``value`` in one line of YAML."""
-    text = yaml.dump(value, Dumper=_Flow, default_flow_style=True, allow_unicode=True, width=2**30)
+    text = yaml.dump(value, Dumper=_Flow, default_flow_style=True, allow_unicode=True, sort_keys=False, width=2**30)
     return str(text).removesuffix("...\n").strip()
 
 

@@ -4,18 +4,24 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from paceline.console.safety import check_clip, named_files
-from paceline.documents import Clip, load_recorded
+from paceline.cameras import Camera
+from paceline.console.naming import ChaseModel, is_chase, live_views
+from paceline.console.safety import NotHere, check_document, named_files
+from paceline.documents import Clip, load_camera, load_recorded
 from paceline.errors import UnusableInput
 from paceline.recordings import StereoRecording, open_recording
+from paceline.schemas import read_document
+from paceline.sources import Source, open_source
 
+Array = NDArray[np.float64]
+Numbers = NDArray[np.int64]
 Image = NDArray[np.float32]
 Stamps = tuple[tuple[Path, int, int], ...]
 
@@ -28,48 +34,83 @@ THUMBNAIL = 320  # px wide
 
 
 class Pictures:
-    """The pairs of one recording in any order, though fastest forwards; several threads may ask."""
+    """The pictures of a recording in any order, though fastest forwards; several threads may ask.
 
-    def __init__(self, clip: Clip) -> None:
-        self.clip = clip
-        self.recording: StereoRecording = open_recording(clip)
+    ``frames`` are the numbers that its document counts by, ``times`` (N,) their seconds; picture k of view v is the one
+    with the number ``numbers[v][k]`` of ``sources[v]``.
+    """
+
+    def __init__(self, sources: Sequence[Source], numbers: Sequence[Numbers], frames: Numbers, times: Array) -> None:
+        self.frames = [int(i) for i in frames]
+        self.times = times
+        self._sources, self._numbers = sources, numbers
         self._lock = threading.Lock()
-        self._streams: list[Iterator[Image | None] | None] = [None, None]
-        self._next = [0, 0]  # pair at which each stream stands
+        self._streams: list[Iterator[Image | None] | None] = [None for _ in sources]
+        self._next = [0 for _ in sources]  # picture at which each stream stands
 
-    @property
-    def frames(self) -> list[int]:
-        """The left frames' numbers, which clip.yaml counts by."""
-        return [int(i) for i in self.recording.indices]
-
-    def pair_of(self, frame: int) -> int:
-        """The place of the left frame ``frame``. Raises UnusableInput where it has no pair."""
-        pair = int(np.searchsorted(self.recording.indices, frame))
-        if pair >= len(self.recording) or self.recording.indices[pair] != frame:
+    def place_of(self, frame: int) -> int:
+        """The place of the ``frame`` in the recording. Raises UnusableInput where it is not there."""
+        place = int(np.searchsorted(self.frames, frame))
+        if place >= len(self.frames) or self.frames[place] != frame:
             raise UnusableInput(f"frame {frame}: is not in the recording")
-        return pair
+        return place
 
     def picture(self, view: int, frame: int) -> Image:
-        """The grey image (H, W), 0–255, of a ``view`` (0 left, 1 right) in ``frame``, as recorded."""
-        pair = self.pair_of(frame)
+        """The grey image (H, W), 0–255, of a ``view`` (0 left or the only one, 1 right) in ``frame``, as recorded."""
+        if view >= len(self._sources):
+            raise UnusableInput(f"view {view}: the recording has one view only")
+        place = self.place_of(frame)
         with self._lock:
             stream = self._streams[view]
-            if stream is None or not 0 <= pair - self._next[view] <= READ_ON:
-                pairing = self.recording.pairing
-                numbers = (pairing.left, pairing.right)[view][pair:].tolist()
-                stream = self._streams[view] = self.recording.sources[view].read(numbers)
-                self._next[view] = pair
+            if stream is None or not 0 <= place - self._next[view] <= READ_ON:
+                stream = self._streams[view] = self._sources[view].read(self._numbers[view][place:].tolist())
+                self._next[view] = place
             image = None
             try:
-                while self._next[view] <= pair:
+                while self._next[view] <= place:
                     image = next(stream)
                     self._next[view] += 1
             except BaseException:
                 self._streams[view] = None
                 raise
         if image is None:
-            raise UnusableInput(f"{VIEWS[view]}: frame {frame} cannot be decoded")
+            raise UnusableInput(f"{self._name(view)}: frame {frame} cannot be decoded")
         return image
+
+    def _name(self, view: int) -> str:
+        return VIEWS[view] if len(self._sources) > 1 else "video"
+
+
+class StereoPictures(Pictures):
+    """The pairs of a clip.yaml's recording; frames are the left view's."""
+
+    def __init__(self, file: Path) -> None:
+        self.clip: Clip = load_recorded(file)
+        self.recording: StereoRecording = open_recording(self.clip)
+        pairing = self.recording.pairing
+        super().__init__(
+            self.recording.sources, (pairing.left, pairing.right), self.recording.indices, self.recording.times
+        )
+
+
+class ChasePictures(Pictures):
+    """The frames of a follow.yaml's recording."""
+
+    def __init__(self, file: Path) -> None:
+        model = read_document(ChaseModel, file)
+        self.camera: Camera = load_camera(file.parent / model.camera)
+        source = open_source(file.parent / model.video, model.bit_depth)
+        if source.times is None and model.rate is None:
+            raise UnusableInput(f"{file}: rate: missing; a folder of images needs it")
+        numbers = np.arange(len(source))
+        times = numbers / (model.rate or 1.0) if source.times is None else source.times
+        self.notices = source.notices
+        first = next(iter(source.read([0])), None)
+        if first is not None and first.shape != self.camera.image_size[::-1]:
+            width, height = self.camera.image_size
+            found = f"{first.shape[1]} × {first.shape[0]}"
+            raise UnusableInput(f"{file}: video: has {found} pixels, but the camera has {width} × {height}")
+        super().__init__([source], [numbers], numbers, times)
 
 
 class Gallery:
@@ -78,20 +119,36 @@ class Gallery:
     def __init__(self, root: Path) -> None:
         self._root = root
         self._lock = threading.Lock()
-        self._opened: OrderedDict[Path, tuple[Stamps, Pictures]] = OrderedDict()
+        self._opened: OrderedDict[Path, tuple[Stamps, StereoPictures | ChasePictures]] = OrderedDict()
         self._jpegs: OrderedDict[tuple[Pictures, int, int], bytes] = OrderedDict()  # view -1: a thumbnail
         self._size = 0
 
-    def open(self, file: Path) -> Pictures:
-        """The pictures of a clip.yaml, opened anew when a file of it has changed. Raises UnusableInput."""
+    def stereo(self, file: Path) -> StereoPictures:
+        """The pairs of a clip.yaml. Raises UnusableInput, NotHere for another document."""
+        pictures = self.open(file)
+        if not isinstance(pictures, StereoPictures):
+            raise NotHere(file.name)
+        return pictures
+
+    def chase(self, file: Path) -> ChasePictures:
+        """The frames of a follow.yaml. Raises UnusableInput, NotHere for another document."""
+        pictures = self.open(file)
+        if not isinstance(pictures, ChasePictures):
+            raise NotHere(file.name)
+        return pictures
+
+    def open(self, file: Path) -> StereoPictures | ChasePictures:
+        """The pictures of a clip.yaml or follow.yaml, opened anew once a file has changed. Raises UnusableInput."""
         with self._lock:
             known = self._opened.get(file)
             if known is not None and is_unchanged(known[0]):
                 self._opened.move_to_end(file)
                 return known[1]
-        check_clip(self._root, file)
+        check_document(self._root, file)
+        if views := live_views(file):
+            raise UnusableInput(f"{file}: {views[0]} is a live source; its pictures are not shown here")
         stamps = stamps_of(named_files(self._root, file))
-        pictures = Pictures(load_recorded(file))
+        pictures = ChasePictures(file) if is_chase(file) else StereoPictures(file)
         with self._lock:
             self._opened[file] = stamps, pictures
             while len(self._opened) > OPEN_AT_ONCE:
@@ -104,7 +161,7 @@ class Gallery:
         return self._kept(key) or self._keep(key, _jpeg(key[0].picture(view, frame)))
 
     def thumbnail(self, file: Path) -> bytes:
-        """The first left picture, small, as JPEG."""
+        """The first picture, of the left view, small, as JPEG."""
         pictures = self.open(file)
         key = pictures, -1, 0
         kept = self._kept(key)

@@ -16,7 +16,9 @@ from typing import IO
 
 import yaml
 
-from paceline.console.safety import check_clip, check_container, check_name
+from paceline.console.frames import ChasePictures
+from paceline.console.naming import CLIP, FOLLOW, ChaseModel
+from paceline.console.safety import check_container, check_document, check_name
 from paceline.documents import load_recorded, load_rig
 from paceline.errors import UnusableInput
 from paceline.recordings import open_recording
@@ -24,7 +26,8 @@ from paceline.schemas import ClipModel, read_document
 from paceline.sources import IMAGE_SUFFIXES, open_source
 
 PARTIAL = ".paceline-import."
-VIEWS = ("left", "right")
+STEREO, CHASE = ("left", "right"), ("video",)  # recordings of a clip
+TEXTS = {"rig": "rig.yaml", "camera": "camera.yaml", "target": "target.yaml"}  # and what belongs to them
 VIDEO_SUFFIXES = {".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".ts", ".mts", ".mpg", ".mpeg", ".ogv", ".mxf"}
 LARGEST_FILE = 64 << 30  # bytes, of one video, of one zip, and of what a zip holds
 LARGEST_RIG = 1 << 20
@@ -37,10 +40,12 @@ DAMAGED = (OSError, RuntimeError, ValueError, EOFError, zipfile.BadZipFile, zlib
 
 @dataclass
 class Import:
-    """A clip on its way in: its hidden folder, and what has come so far, by slot."""
+    """A clip on its way in: its hidden folder, and what has come so far, by slot. It is of two cameras, or, as a
+    ``chase``, of one that follows a vehicle."""
 
     name: str
     folder: Path
+    chase: bool = False
     received: dict[str, list[Path]] = field(default_factory=dict)
 
 
@@ -54,7 +59,7 @@ class Imports:
             if not left_over.is_symlink():
                 shutil.rmtree(left_over, ignore_errors=True)
 
-    def begin(self, name: str) -> str:
+    def begin(self, name: str, chase: bool = False) -> str:
         """Makes room for a clip; returns the key of its import. Raises UnusableInput."""
         try:
             taken = (self._root / check_name(name)).exists()
@@ -70,15 +75,16 @@ class Imports:
             folder.mkdir()
         except OSError as error:
             raise UnusableInput(f"the folder of the console cannot be written ({error.strerror})") from error
-        self._open[key] = Import(name, folder)
+        self._open[key] = Import(name, folder, chase)
         return key
 
     async def receive(self, key: str, slot: str, name: str, size: int | None, body: AsyncIterator[bytes]) -> None:
-        """Writes one file into the ``slot`` (left, right or rig) as it comes; ``size`` is what the browser announces.
+        """Writes one file into the ``slot`` (left, right, rig; or video, camera, target) as it comes; ``size`` is what
+        the browser announces.
         Raises UnusableInput, after which nothing of the file is left."""
         found = self._find(key)
         file = _place(found, slot, name)
-        most = LARGEST_RIG if slot == "rig" else LARGEST_FILE
+        most = LARGEST_RIG if slot in TEXTS else LARGEST_FILE
         shown = Path(name).name[:80]
         if size is not None and size > most:
             raise UnusableInput(f"{shown}: is larger than {_bytes(most)}")
@@ -127,25 +133,29 @@ class Imports:
         return found.name
 
     def _complete(self, found: Import, rate: float | None) -> None:
-        """Writes the clip.yaml and checks that its recordings can be read."""
-        clip: dict[str, object] = {view: _recorded(found, view) for view in VIEWS}
-        if any((found.folder / str(clip[view])).is_dir() for view in VIEWS):
+        """Writes the clip.yaml or follow.yaml and checks that its recordings can be read."""
+        views = CHASE if found.chase else STEREO
+        clip: dict[str, object] = {view: _recorded(found, view) for view in views}
+        if any((found.folder / str(clip[view])).is_dir() for view in views):
             if rate is None:
                 raise UnusableInput("frames per second: missing; images do not tell when they were taken")
             clip["rate"] = rate
-        if "rig" in found.received:
-            clip["rig"] = "rig.yaml"
-        file = found.folder / "clip.yaml"
+        clip |= {slot: name for slot, name in TEXTS.items() if slot in found.received}
+        if found.chase and "camera" not in clip:
+            raise UnusableInput("camera: missing; expected the camera.yaml of the camera")
+        file = found.folder / (FOLLOW if found.chase else CLIP)
         try:
             file.write_text(yaml.safe_dump(clip, sort_keys=False, allow_unicode=True), encoding="utf-8")
         except OSError as error:
             raise UnusableInput(f"{file}: cannot be written ({error.strerror})") from error
-        read_document(ClipModel, file)
-        check_clip(self._root, file)
-        if "rig" in clip:
+        read_document(ChaseModel if found.chase else ClipModel, file)
+        check_document(self._root, file)
+        if found.chase:
+            ChasePictures(file)
+        elif "rig" in clip:
             open_recording(load_recorded(file))
         else:
-            for view in VIEWS:
+            for view in views:
                 open_source(found.folder / str(clip[view]))
 
     def give_up(self, key: str) -> None:
@@ -195,21 +205,22 @@ def _place(found: Import, slot: str, name: str) -> Path:
     base = re.sub(r"[^\w.()+-]", "_", name.replace("\\", "/").rsplit("/", 1)[-1])
     suffix = Path(base).suffix.lower()
     here = found.received.get(slot, [])
-    if slot == "rig" and suffix in (".yaml", ".yml"):
+    views, texts = (CHASE, ("camera", "target")) if found.chase else (STEREO, ("rig",))
+    if slot in texts and suffix in (".yaml", ".yml"):
         if here:
-            raise UnusableInput("rig: came twice; expected one rig file")
-        return found.folder / "rig.yaml"
-    if slot in VIEWS and suffix in VIDEO_SUFFIXES | {".zip"}:
+            raise UnusableInput(f"{slot}: came twice; expected one file")
+        return found.folder / TEXTS[slot]
+    if slot in views and suffix in VIDEO_SUFFIXES | {".zip"}:
         if here:
             raise UnusableInput(f"{slot}: expected one video, one zip or several images")
         return found.folder / f"{slot}{suffix}"
-    if slot in VIEWS and suffix in IMAGE_SUFFIXES:
+    if slot in views and suffix in IMAGE_SUFFIXES:
         if any(path.parent == found.folder for path in here) or base.startswith("."):
             raise UnusableInput(f"{slot}: expected one video, one zip or several images")
         if len(here) >= MOST_IMAGES:
             raise UnusableInput(f"{slot}: more than {MOST_IMAGES} images")
         return found.folder / slot / base
-    raise UnusableInput(f"{base[:80]}: is no {'rig.yaml' if slot == 'rig' else 'video, zip or image'}")
+    raise UnusableInput(f"{base[:80]}: is no {TEXTS.get(slot, 'video, zip or image')}")
 
 
 def _recorded(found: Import, view: str) -> str:

@@ -4,18 +4,36 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from paceline.console.frames import Gallery, Stamps, is_unchanged, stamps_of
+from paceline.console.kinds import MEASURING
+from paceline.console.naming import CLIP, FOLLOW, ChaseModel, is_chase, live_views
 from paceline.console.runs import CANCELLED, RUNNING, Run, Runs
-from paceline.console.safety import check_clip, file_below, folder_below, named_files
-from paceline.documents import load_clip
+from paceline.console.safety import NotHere, check_document, file_below, folder_below, named_files
+from paceline.documents import load_clip, load_follow
 from paceline.errors import UnusableInput
 from paceline.schemas import ClipModel, read_document
 
 DEEPEST = 4  # folders below the console's own in which clips are looked for
 MOST = 1000  # clips
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What a clip.yaml or follow.yaml holds, and why it cannot be measured if it cannot; ``state`` is empty while it
+    can. ``live`` are its live sources, ``target`` is the vehicle ahead, ``pictures`` whether there are any to see."""
+
+    vehicles: int = 0
+    paths: int = 0
+    state: str = ""
+    reason: str = ""
+    chase: bool = False
+    target: str = ""
+    live: tuple[str, ...] = ()
+    pictures: bool = True
 
 
 @dataclass(frozen=True)
@@ -25,39 +43,36 @@ class Entry:
     name: str
     state: str
     reason: str
-    vehicles: int
-    paths: int
+    contents: Contents
     runs: list[Run]
 
 
-@dataclass(frozen=True)
-class Contents:
-    """What a clip.yaml holds, and why it cannot be measured if it cannot; ``state`` is empty while it can."""
-
-    vehicles: int = 0
-    paths: int = 0
-    state: str = ""
-    reason: str = ""
-
-
 class Library:
-    """The clips below ``root``, a resolved folder."""
+    """The clips below ``root``, a resolved folder; where it is ``read_only`` they are looked at and nothing else."""
 
     def __init__(self, root: Path) -> None:
         self.root = root
+        self.read_only = not os.access(root, os.W_OK | os.X_OK)
         self.gallery = Gallery(root)
         self.runs = Runs(root, self.folder)
         self._known: dict[Path, tuple[Stamps, Contents]] = {}
 
+    def refuse_read_only(self) -> None:
+        """Raises UnusableInput where the console's folder cannot be written."""
+        if self.read_only:
+            raise UnusableInput("this folder cannot be written: its clips can be looked at and read, nothing else")
+
     def folder(self, name: str) -> Path:
         """The folder of the clip ``name``. Raises NotHere."""
-        folder = folder_below(self.root, name)
-        file_below(folder, "clip.yaml")
-        return folder
+        return self.file(name).parent
 
     def file(self, name: str) -> Path:
-        """The clip.yaml of the clip ``name``. Raises NotHere."""
-        return self.folder(name) / "clip.yaml"
+        """The clip.yaml or follow.yaml of the clip ``name``. Raises NotHere."""
+        folder = folder_below(self.root, name)
+        for document in (CLIP, FOLLOW):
+            with suppress(NotHere):
+                return file_below(folder, document)
+        raise NotHere(name)
 
     def names(self) -> list[str]:
         """The clips by name; links, hidden folders and what lies inside a clip are passed over."""
@@ -71,11 +86,11 @@ class Library:
     def entry(self, name: str) -> Entry:
         """How far the clip ``name`` is. Raises NotHere."""
         contents = self._contents(self.file(name))
-        runs = [run for run in self.runs.of(name) if run.kind == "speed" or run.active]
+        runs = [run for run in self.runs.of(name) if run.kind in MEASURING or run.active]
         state, reason = contents.state, contents.reason
         if not state:
             state, reason = _state(contents, runs)
-        return Entry(name, state, reason, contents.vehicles, contents.paths, runs)
+        return Entry(name, state, reason, contents, runs)
 
     def _contents(self, file: Path) -> Contents:
         """As `_examine`, again only when a file has changed: every open list asks every other second."""
@@ -86,17 +101,35 @@ class Library:
         return known[1]
 
     def _examine(self, file: Path) -> Contents:
+        chase = is_chase(file)
         try:
-            check_clip(self.root, file)
-            model = read_document(ClipModel, file)
-            vehicles, paths = len(model.vehicles or []), len(model.paths or {})
-            if model.rig is None and model.site is None:
-                return Contents(vehicles, paths, "no rig", "add the rig file of its cameras")
-            clip = load_clip(file)
-            self.gallery.open(file)
+            check_document(self.root, file)
+            live = tuple(live_views(file))
+            return self._examine_chase(file, live) if chase else self._examine_clip(file, live)
         except UnusableInput as error:
-            return Contents(0, 0, "unreadable", self.shown(error))
-        return Contents(len(clip.vehicles), len(clip.paths))
+            return Contents(state="unreadable", reason=self.shown(error), chase=chase, pictures=False)
+
+    def _examine_clip(self, file: Path, live: tuple[str, ...]) -> Contents:
+        model = read_document(ClipModel, file)
+        vehicles, paths = len(model.vehicles or []), len(model.paths or {})
+        if model.rig is None and model.site is None:
+            return Contents(vehicles, paths, "no rig", "add the rig file of its cameras", live=live, pictures=False)
+        clip = load_clip(file)
+        if not live:
+            self.gallery.open(file)
+        return Contents(len(clip.vehicles), len(clip.paths), live=live, pictures=not live)
+
+    def _examine_chase(self, file: Path, live: tuple[str, ...]) -> Contents:
+        model = read_document(ChaseModel, file)
+        if not live:
+            self.gallery.open(file)
+        reason = "outline the vehicle ahead, or place its model"
+        if model.target is not None and model.start is not None:
+            try:
+                return Contents(chase=True, target=load_follow(file).target.name, live=live, pictures=not live)
+            except UnusableInput as error:
+                reason = self.shown(error)
+        return Contents(state="no target", reason=reason, chase=True, live=live, pictures=not live)
 
     def shown(self, error: UnusableInput) -> str:
         """The error's line with names of files as seen from the console's folder."""
@@ -109,6 +142,10 @@ def _state(contents: Contents, runs: list[Run]) -> tuple[str, str]:
     done = [run for run in runs if run.state != CANCELLED]
     if done:
         return done[0].state, done[0].reason
+    if contents.live:
+        return "live", f"{' and '.join(contents.live)}: measured while recording"
+    if contents.chase:
+        return "ready", f"see that the lines lie on the {contents.target}, then follow it"
     if not contents.vehicles and not contents.paths:
         return "no paths", "draw the road line that vehicles follow, or measure: lanes are then looked for"
     if not contents.vehicles:
@@ -118,7 +155,7 @@ def _state(contents: Contents, runs: list[Run]) -> tuple[str, str]:
 
 def _search(root: Path, below: Path, deep: int) -> Iterator[str]:
     try:
-        if (root / below / "clip.yaml").is_file():
+        if any((root / below / document).is_file() for document in (CLIP, FOLLOW)):
             yield below.as_posix()
             return
         if not deep:

@@ -1,8 +1,9 @@
 """Runs of the command line, one after the other, each in a process and a folder of its own.
 
 A run of clip C lives in ``C/runs/0001/``: ``run.json`` says what was asked and how it ended, ``out/`` is what the
-command wrote. The command puts its output in place at the end and touches nothing else, so however a run ends the clip
-is as it was. A run that says it is under way, while no process of this console works on it, was interrupted.
+command wrote. The command puts its output in place at the end (a live one vehicle by vehicle) and touches nothing
+else, so however a run ends the clip is as it was. A run that says it is under way, while no process of this console
+works on it, was interrupted.
 """
 
 from __future__ import annotations
@@ -21,19 +22,23 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from pydantic import TypeAdapter
 
-from paceline.console.clip_file import without_vehicles
-from paceline.console.safety import NotHere, check_clip, file_below, folder_below
-from paceline.console.telling import TOLD, told
+from paceline.console.kinds import LIVE, MEASURING, arguments, document_of
+from paceline.console.results import Series, why_nothing
+from paceline.console.safety import NotHere, check_document, file_below, folder_below
+from paceline.console.telling import LONGEST, TOLD, told, told_estimate
+from paceline.console.watching import Watch
 from paceline.errors import UnusableInput
 
 RUNS = "runs"
+ASKED = "clip-as-asked.yaml"  # the document at the moment that the run was asked for
 DONE, NOTHING_MEASURED, UNUSABLE = 0, 1, 2  # how the command line ends
 PATIENCE = 5.0  # s, for a cancelled command to clear up before it is killed
 LAST_WORDS = 20  # lines of a command's messages that are kept
-LONGEST_LINE = 400
+LONGEST_WORDS = 400  # characters of one of them
 
 WAITING, RUNNING = "waiting", "running"
 MEASURED, NOTHING, FAILED, CANCELLED, INTERRUPTED = "measured", "nothing measured", "failed", "cancelled", "interrupted"
@@ -45,14 +50,14 @@ class Run:
 
     clip: str
     number: int
-    kind: str  # speed | lanes | vehicles
+    kind: str  # one of kinds
     options: tuple[str, ...]
     state: str
     created: float
     started: float | None = None
     ended: float | None = None
     reason: str = ""
-    doing: str = ""  # looking, averaging, measuring: one after the other
+    doing: str = ""  # looking, averaging, measuring, following: one after the other
     done: int = 0
     total: int | None = None
     first: float | None = None  # when its first frame was done; what came before is no measure of the rest
@@ -81,6 +86,8 @@ class Runs:
         self._queue: deque[tuple[str, int]] = deque()
         self._process: tuple[tuple[str, int], subprocess.Popen[str]] | None = None
         self._cancelled: set[tuple[str, int]] = set()
+        self._stopped: set[tuple[str, int]] = set()
+        self._watches: dict[tuple[str, int], Watch] = {}
         self._closed = False
         self._known: dict[Path, tuple[int, Run | None]] = {}
         self._held = _only_one(root)
@@ -88,15 +95,17 @@ class Runs:
         self._worker.start()
 
     def start(self, clip: str, kind: str, options: Sequence[str] = ()) -> Run:
-        """Queues ``paceline KIND CLIP OPTIONS``. Raises UnusableInput where no run can be kept."""
+        """Queues a run of the command with ``options``. Raises UnusableInput where no run can be kept, NotHere where
+        the clip has no document of the ``kind``."""
         folder = self._folder(clip)
-        check_clip(self._root, folder / "clip.yaml")
+        file = file_below(folder, document_of(kind))
+        check_document(self._root, file)
         with self._lock:
             number = _make_folder(folder)
             run = Run(clip, number, kind, tuple(options), WAITING, time.time())
             where = self.folder(run)
             try:
-                shutil.copyfile(folder / "clip.yaml", where / "clip-as-asked.yaml")
+                shutil.copyfile(file, where / ASKED)
                 _write(where, run)
             except OSError as error:
                 shutil.rmtree(where, ignore_errors=True)
@@ -117,6 +126,26 @@ class Runs:
                 self._cancelled.add(key)
                 if self._process is not None and self._process[0] == key:
                     _stop(self._process[1])
+
+    def stop(self, clip: str, number: int) -> None:
+        """Ends a live run as Ctrl-C does: what has been seen is measured, and kept."""
+        key = clip, number
+        with self._lock:
+            if self._process is not None and self._process[0] == key and key not in self._stopped:
+                self._stopped.add(key)
+                with contextlib.suppress(ProcessLookupError):
+                    self._process[1].send_signal(signal.SIGINT)
+
+    def is_stopping(self, run: Run) -> bool:
+        """Whether a live run has been asked to end, and is still at it."""
+        with self._lock:
+            return (run.clip, run.number) in self._stopped
+
+    def watch(self, run: Run) -> tuple[list[Series], dict[str, Any]]:
+        """What a run under way has told so far: values over time, and the scene of its last frame."""
+        with self._lock:
+            watch = self._watches.get((run.clip, run.number))
+            return ([], {}) if watch is None else (watch.series(), watch.scene)
 
     def of(self, clip: str) -> list[Run]:
         """The runs of a clip, latest first."""
@@ -190,9 +219,10 @@ class Runs:
     def _run(self, run: Run) -> Run:
         key = run.clip, run.number
         folder, where = self._folder(run.clip), self.folder(run)
-        check_clip(self._root, folder / "clip.yaml")
+        file = file_below(folder, document_of(run.kind))
+        check_document(self._root, file)
         _write(where, run)
-        command = [sys.executable, "-m", "paceline", run.kind, *_arguments(run.kind, folder / "clip.yaml", where)]
+        command = [sys.executable, "-m", "paceline", *arguments(run.kind, file, where)]
         with self._lock:
             if self._closed or key in self._cancelled:
                 return replace(run, state=INTERRUPTED if self._closed else CANCELLED)
@@ -207,6 +237,7 @@ class Runs:
                 start_new_session=True,  # Ctrl-C is the console's, which ends its runs itself
             )
             self._process = key, process
+            self._watches[key] = Watch()
         words = self._listen(key, process)
         status = process.wait()
         for partial in where.glob(".*.partial"):  # what a killed command could not clear up
@@ -215,10 +246,15 @@ class Runs:
         run = self._active[key]
         if key in self._cancelled:
             return replace(run, state=CANCELLED)
+        if key in self._stopped and status not in (DONE, NOTHING_MEASURED):
+            return replace(run, state=CANCELLED, reason="it was stopped before anything could be measured")
         if self._closed:
             return replace(run, state=INTERRUPTED, reason="the console was closed")
-        if status in (DONE, NOTHING_MEASURED):
-            return replace(run, state=MEASURED if status == DONE else NOTHING, reason=reason if status else "")
+        if status == DONE:
+            return replace(run, state=MEASURED)
+        if status == NOTHING_MEASURED:
+            why = why_nothing(self.out(run)) if run.kind in MEASURING else reason
+            return replace(run, state=NOTHING, reason=why)
         if status == UNUSABLE:
             return replace(run, state=FAILED, reason=self._shown(reason))
         killed = f"its process was killed (signal {-status})" if status < 0 else f"it ended with status {status}"
@@ -229,12 +265,17 @@ class Runs:
         words: deque[str] = deque(maxlen=LAST_WORDS)
         assert process.stdout is not None
         with process.stdout:
-            while line := process.stdout.readline(LONGEST_LINE):
-                progress = told(line)
+            while line := process.stdout.readline(LONGEST):
+                progress, estimate = told(line), told_estimate(line)
+                if estimate is not None:
+                    with self._lock:
+                        self._watches[key].add(estimate)
+                    continue
                 if progress is None:
-                    words.append(line.strip())
+                    words.append(line.strip()[:LONGEST_WORDS])
                     continue
                 with self._lock:
+                    self._watches[key].turn()
                     run, (doing, done, total) = self._active[key], progress
                     first = run.first if run.first and run.doing == doing else time.time()
                     self._active[key] = replace(run, doing=doing, done=done, total=total, first=first)
@@ -248,26 +289,26 @@ class Runs:
                 _write(folder, ended)
             except OSError:  # a full disk; how it ended is told as long as this console runs
                 self._known[folder] = (folder / "run.json").stat().st_mtime_ns, ended
-        del self._active[run.clip, run.number]
+        key = run.clip, run.number
+        del self._active[key]
+        self._watches.pop(key, None)
+        self._stopped.discard(key)
 
     def _shown(self, reason: str) -> str:
         return reason.replace(f"{self._root}/", "")
 
 
-def _arguments(kind: str, file: Path, where: Path) -> list[str]:
-    """What a command is told, so that all it writes is below ``where``."""
-    if kind == "vehicles":  # this one adds to the clip.yaml that it is given
-        copy = where / "clip.yaml"
-        copy.write_text(without_vehicles(file, where), encoding="utf-8")
-        return [str(copy), "--write"]
-    return [str(file), "-o", str(where / ("out" if kind == "speed" else "site.yaml"))]
-
-
 def _stop(process: subprocess.Popen[str]) -> None:
-    """Asks a process to end, and kills it if it has not within PATIENCE."""
+    """Asks a process to end, and kills it and its own if it has not within PATIENCE."""
+
+    def kill() -> None:
+        if process.poll() is None:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+
     with contextlib.suppress(ProcessLookupError):
         process.send_signal(signal.SIGTERM)
-    timer = threading.Timer(PATIENCE, process.kill)
+    timer = threading.Timer(PATIENCE, kill)
     timer.daemon = True
     timer.start()
 
@@ -303,7 +344,7 @@ def _read(clip: str, number: int, folder: Path) -> Run | None:
         return None
     if not run.active:
         return run
-    if (folder / "out" / "summary.json").is_file():  # its output appears whole, so it had ended
+    if run.kind != LIVE and (folder / "out" / "summary.json").is_file():  # its output appears whole, so it had ended
         return replace(run, state=MEASURED)
     return replace(run, state=INTERRUPTED, reason="the console or the computer was stopped while it ran")
 

@@ -1,6 +1,6 @@
 """What the console may touch: files below one folder, and nothing that a link, a path or a playlist leads to elsewhere.
 
-Names of clips come from addresses and files from clip.yaml, so both are distrusted.
+Names of clips come from addresses and files from their documents, so both are distrusted.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ from pathlib import Path
 
 import av
 
+from paceline.console.naming import files_of, is_live, recordings_of, rig_of_site
 from paceline.errors import UnusableInput
-from paceline.schemas import ClipModel, SiteModel, read_document
 from paceline.sources import IMAGE_SUFFIXES
 
 LONGEST_NAME = 80
@@ -67,32 +67,34 @@ def _parts(name: str) -> list[str]:
     return parts
 
 
-def check_clip(root: Path, file: Path) -> None:
-    """Raises UnusableInput where something that the clip.yaml ``file`` names lies outside ``root`` or is a playlist."""
-    model = read_document(ClipModel, _inside(root, file, file, "clip.yaml"))
-    named = {"left": model.left, "right": model.right, "rig": model.rig, "site": model.site, "times": model.times}
-    for key, given in named.items():
-        if given is not None:
-            path = _inside(root, file, file.parent / given, key)
-            if key in ("left", "right"):
-                try:
-                    _check_recorded(root, file, path, key)
-                except OSError as error:  # a folder that is not ours to read
-                    raise UnusableInput(f"{file}: {key}: cannot be read ({error.strerror})") from error
-    if model.site is not None and (site := file.parent / model.site).is_file():
-        _inside(root, site, site.parent / read_document(SiteModel, site).rig, "rig")
+def check_document(root: Path, file: Path) -> None:
+    """Raises UnusableInput where something that the document ``file`` names lies outside ``root`` or is a playlist.
+
+    Live sources are let through: a run may open them, for a person to start.
+    """
+    _inside(root, file, file, file.name)
+    for key, given in files_of(file).items():
+        _inside(root, file, file.parent / given, key)
+    for key, given in recordings_of(file).items():
+        if is_live(file, given) and not (file.parent / given).is_fifo():
+            continue
+        path = _inside(root, file, file.parent / given, key)
+        try:
+            _check_recorded(root, file, path, key)
+        except OSError as error:  # a folder that is not ours to read
+            raise UnusableInput(f"{file}: {key}: cannot be read ({error.strerror})") from error
+    if (site := files_of(file).get("site")) is not None and (file.parent / site).is_file():
+        _inside(root, file.parent / site, rig_of_site(file.parent / site), "rig")
 
 
 def named_files(root: Path, file: Path) -> list[Path]:
-    """The clip.yaml ``file``, its folder and, so far as it can be read below ``root``, all that it names."""
+    """The document ``file``, its folder and, so far as it can be read below ``root``, all that it names."""
     found = [file, file.parent]
     try:
-        model = read_document(ClipModel, file)
-        named = [model.left, model.right, model.rig, model.site, model.times]
-        found += [file.parent / given for given in named if given is not None]
-        if model.site is not None:
-            site = _inside(root, file, file.parent / model.site, "site")
-            found.append(site.parent / read_document(SiteModel, site).rig)
+        others = files_of(file)
+        found += [file.parent / given for given in [*others.values(), *recordings_of(file).values()]]
+        if "site" in others:
+            found.append(rig_of_site(_inside(root, file, file.parent / others["site"], "site")))
     except UnusableInput:
         pass
     return found
@@ -101,6 +103,8 @@ def named_files(root: Path, file: Path) -> list[Path]:
 def _check_recorded(root: Path, file: Path, where: Path, key: str) -> None:
     if where.is_dir():
         images = [p for p in where.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES]
+    elif where.is_fifo():
+        return  # opening it would wait for whoever writes into it
     elif where.exists():
         return check_container(where)
     else:

@@ -35,8 +35,8 @@ def serve(folder: Path, host: str, port: int | None, browse: bool, say: Callable
         raise UnusableInput(f"{str(folder)[:200]}: cannot be read") from error
     if not there:
         raise UnusableInput(f"{folder}: is no folder; expected the one that holds the clips")
-    if not os.access(root, os.W_OK | os.X_OK):
-        raise UnusableInput(f"{folder}: cannot be written; clips, set-ups and runs are kept there")
+    if not os.access(root, os.R_OK | os.X_OK):
+        raise UnusableInput(f"{folder}: cannot be read; expected a folder of clips")
     listening = _listen(host, port)
     with contextlib.closing(listening):
         address, token = _address(host, listening.getsockname()[1])
@@ -49,6 +49,8 @@ def serve(folder: Path, host: str, port: int | None, browse: bool, say: Callable
                 guarded, log_level="warning", server_header=False, ws="websockets-sansio", timeout_graceful_shutdown=2
             )
             say(f"The console of {root} is at {address}\nCtrl-C ends it.")
+            if library.read_only:
+                say("The folder cannot be written: its clips can be looked at and read, not changed or measured.")
             if browse:
                 webbrowser.open(address)
             with contextlib.suppress(KeyboardInterrupt):  # the usual way to end it

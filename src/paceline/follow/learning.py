@@ -130,7 +130,7 @@ def find_lines(image: Image, box: tuple[float, float, float, float]) -> list[Lin
     found: list[Line] = []
     for sign in (1, -1):
         points = _edge_points(sign * image, box)
-        while len(points):
+        while len(points) and _most(points[:, 0], 2 * tolerance) > 0.5 * shortest:  # fewer make no line so long
             line, used = _best_line(points, tolerance)
             if line.length >= shortest:
                 found.append(line)
@@ -164,8 +164,10 @@ def _best_line(points: Array, tolerance: float) -> tuple[Line, NDArray[np.bool_]
     """The line with the most edge points within ``tolerance``, and which of ``points`` (N, 3) it uses up."""
     x, y, gradient = points.T
     weight = np.minimum(gradient, CLEAR)
-    near = np.abs(x[:, None] - x) <= tolerance
-    place = float(x[np.argmax(near @ weight)])
+    order = np.argsort(x, kind="stable")
+    total = np.concatenate([[0.0], np.cumsum(weight[order])])
+    near = total[np.searchsorted(x[order], x + tolerance, "right")] - total[np.searchsorted(x[order], x - tolerance)]
+    place = float(x[np.argmax(near)])
     for _ in range(3):
         on = np.abs(x - place) <= tolerance
         start, stop = _longest_run(y[on])
@@ -173,6 +175,12 @@ def _best_line(points: Array, tolerance: float) -> tuple[Line, NDArray[np.bool_]
         place = float(np.average(x[on], weights=weight[on]))
     # a row's pixel reaches half a pixel beyond its centre
     return Line(place, start - 0.5, stop + 0.5, float(weight[on].sum())), on
+
+
+def _most(x: Array, width: float) -> int:
+    """How many of ``x`` (N,) lie in one interval of this ``width``, at most."""
+    x = np.sort(x)
+    return int((np.searchsorted(x, x + width, "right") - np.arange(len(x))).max())
 
 
 def _longest_run(rows: Array) -> tuple[float, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +15,7 @@ from paceline.documents import FollowClip
 from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.following import Progress, follow, result_of
 from paceline.follow.history import History, Tally
-from paceline.follow.results import FollowResult
+from paceline.follow.results import FollowEstimate, FollowResult
 from paceline.monocular import CameraRecording, open_camera
 from paceline.reports.follow_overlay import Stills, draw_frame
 from paceline.reports.follow_page import write_follow_page
@@ -50,8 +51,10 @@ def write_follow_files(
     configuration: FollowConfiguration | None = None,
     overlay: bool = True,
     progress: Progress | None = None,
+    told: Callable[[FollowEstimate], None] | None = None,
 ) -> tuple[FollowResult, Tally]:
-    """As `follow_and_report`, straight into an existing ``folder``; memory does not grow with the recording."""
+    """As `follow_and_report`, straight into an existing ``folder``; ``told`` is called with every estimate as it is
+    made. Memory does not grow with the recording."""
     begun = time.perf_counter()
     history, stills = History(), Stills()
     with ExitStack() as stack:
@@ -61,6 +64,8 @@ def write_follow_files(
         for frame, estimate in follow(clip, recording, configuration):
             table.add(estimate)
             history.add(estimate)
+            if told is not None:
+                told(estimate)
             stills.offer(frame.image, estimate)
             if video is not None:  # where there is no picture, the last one stands still
                 seen = seen if frame.image is None else frame.image

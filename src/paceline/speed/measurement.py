@@ -35,6 +35,7 @@ from paceline.speed.trajectory import Trajectory, bends
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
+Seen = Callable[[str, Estimate], None]
 
 CONFIDENCE = 0.95
 LEAST_FRAMES = 4
@@ -67,14 +68,16 @@ def measure(
     configuration: SpeedConfiguration,
     progress: Progress | None = None,
     device: DeviceName = "cpu",
+    seen: Seen | None = None,
 ) -> ClipResult:
     """Measure every vehicle of ``clip`` in one pass over its ``recording``.
 
-    ``progress`` is called with frames done and frames in all. Raises UnusableInput; a DeviceFailure where ``device``
-    is ``cuda`` and cannot be used to the end.
+    ``progress`` is called with frames done and frames in all, ``seen`` with a vehicle and each of the filter's
+    estimates as it is made. Raises UnusableInput; a DeviceFailure where ``device`` is ``cuda`` and cannot be used to
+    the end.
     """
     fleet = Fleet(open_device(device), carry_on=device == "auto")
-    result = measure_each(clip, recording, configuration, partial(_Run, fleet=fleet), progress)
+    result = measure_each(clip, recording, configuration, partial(_Run, fleet=fleet, seen=seen), progress)
     return replace(result, notices=[*result.notices, *fleet.notices])
 
 
@@ -178,8 +181,9 @@ class _Run:
         drawn: dict[str, Path],
         configuration: SpeedConfiguration,
         fleet: Fleet,
+        seen: Seen | None = None,
     ) -> None:
-        self.fleet = fleet
+        self.fleet, self.seen = fleet, seen
         self.rig, self.vehicle, self.configuration = clip.rig, vehicle, configuration
         on_path = vehicle.path if vehicle.path in drawn else None
         self.path = drawn[on_path] if on_path is not None else None
@@ -202,6 +206,8 @@ class _Run:
         """Follow the vehicle into ``frame``; whether it can be followed further."""
         estimate = self.fleet.update(self.tracker, frame)
         self.estimates.append(estimate)
+        if self.seen is not None:
+            self.seen(self.vehicle.id, estimate)
         if estimate.status == "tracking" and estimate.likeness >= LOST and self.configuration.refine:
             self._keep(frame, estimate)
         return estimate.status == "tracking"

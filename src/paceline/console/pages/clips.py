@@ -9,6 +9,7 @@ from nicegui import run, ui
 from paceline.console.library import Entry, Library
 from paceline.console.pages.layout import (
     PATIENCE,
+    READ_ONLY,
     badge,
     moment,
     page,
@@ -20,10 +21,11 @@ from paceline.console.pages.layout import (
 from paceline.console.safety import NotHere
 
 AGAIN = 1.5  # s between looks at the folder
+NOT_YET = ("no paths", "no vehicles", "ready", "unreadable", "no rig", "no target")
 
 HELP = (
     "A clip is one recording of a road by two fixed cameras. Import one, draw the road line and the vehicles, measure, "
-    "and read the speeds with their uncertainty."
+    "and read the speeds with their uncertainty. Or a recording by one camera behind a vehicle: how far ahead it is."
 )
 
 
@@ -33,8 +35,9 @@ def add(library: Library) -> None:
         with page("Clips"):
             with ui.element("div").classes("pl-row"):
                 ui.label("Clips").classes("pl-title").props('role="heading" aria-level="1"')
-                ui.element("pl-import")
-            ui.label(HELP).classes("pl-help")
+                if not library.read_only:
+                    ui.element("pl-import")
+            ui.label(READ_ONLY if library.read_only else HELP).classes("pl-help")
             grid = ui.element("div").classes("pl-grid")
             ui.add_body_html('<script type="module" src="/static/importer.js"></script>')
         shown: list[Entry] | None = None
@@ -66,10 +69,10 @@ def _entries(library: Library) -> list[Entry]:
 
 
 def _card(entry: Entry) -> None:
-    measured = bool(entry.runs) and entry.state not in ("no paths", "no vehicles", "ready", "unreadable", "no rig")
+    measured = entry.contents.live or (bool(entry.runs) and entry.state not in NOT_YET)
     target = runs_address(entry.name) if measured else setup_address(entry.name)
     with ui.link(target=target).classes("pl-card"):
-        if entry.state in ("unreadable", "no rig"):
+        if not entry.contents.pictures:
             ui.element("div").classes("pl-thumbnail")
         else:
             source = f"/api/thumbnail?clip={quote(entry.name, safe='')}"
@@ -77,7 +80,11 @@ def _card(entry: Entry) -> None:
         with ui.element("div").classes("pl-row"):
             ui.label(shown_name(entry.name)).classes("pl-name")
             badge(entry.state)
-        counts = [_count(entry.vehicles, "vehicle"), _count(entry.paths, "path"), _count(len(entry.runs), "run")]
+        what, runs = entry.contents, _count(len(entry.runs), "run")
+        if what.chase:
+            counts = [f"follows the {what.target}" if what.target else "one camera", runs]
+        else:
+            counts = [_count(what.vehicles, "vehicle"), _count(what.paths, "path"), runs]
         if entry.state != "unreadable":
             ui.label(", ".join(counts)).classes("pl-fact")
         active = next((r for r in reversed(entry.runs) if r.active), None)

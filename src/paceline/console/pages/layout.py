@@ -9,6 +9,8 @@ from urllib.parse import quote
 
 from nicegui import ui
 
+from paceline.console.kinds import AHEAD, LIVE
+from paceline.console.library import Entry
 from paceline.console.runs import (
     CANCELLED,
     FAILED,
@@ -23,25 +25,30 @@ from paceline.console.runs import (
 HEAD = '<link rel="stylesheet" href="/static/console.css">'
 ACCENT = "#2f7ac4"
 DOING = {"looking": "looking for vehicles: ", "averaging": "looking for lanes: "}
+SET_UP, READ_AND_MEASURE = "Set up", "Measure and read"
+TARGET, READ_AND_FOLLOW = "Target", "Follow and read"
+READ_ONLY = "This folder cannot be written: its clips can be looked at and read, not changed or measured."
 PATIENCE = 60.0  # s, for a page whose clip lies on a slow disk
 TONES = {
     MEASURED: "good", "ready": "good", RUNNING: "busy", WAITING: "busy", NOTHING: "warn", INTERRUPTED: "warn",
     CANCELLED: "calm", FAILED: "bad", "unreadable": "bad", "no rig": "warn", "no paths": "calm", "no vehicles": "calm",
+    "no target": "calm", "live": "busy",
 }  # fmt: skip
 
 
 @contextmanager
-def page(title: str, clip: str | None = None, here: str = "") -> Iterator[None]:
-    """The head of a page and, within the context, its contents; ``here`` is the tab that is shown of a ``clip``."""
+def page(title: str, entry: Entry | None = None, here: str = "") -> Iterator[None]:
+    """The head of a page and, within the context, its contents; ``here`` is the tab that is shown of a clip."""
     ui.page_title(f"{title} – Paceline")
     ui.add_head_html(HEAD)
     ui.colors(primary=ACCENT)
     with ui.header(elevated=False).classes("pl-header"):
         ui.link("Paceline", "/").classes("pl-brand")
-        if clip is not None:
-            ui.label(shown_name(clip)).classes("pl-clip")
+        if entry is not None:
+            tabs = (TARGET, READ_AND_FOLLOW) if entry.contents.chase else (SET_UP, READ_AND_MEASURE)
+            ui.label(shown_name(entry.name)).classes("pl-clip")
             with ui.element("nav").classes("pl-tabs").props('aria-label="Parts of this clip"'):
-                for name, target in (("Set up", setup_address(clip)), ("Measure and read", runs_address(clip))):
+                for name, target in zip(tabs, (setup_address(entry.name), runs_address(entry.name)), strict=True):
                     link = ui.link(name, target).classes("pl-tab")
                     if name == here:
                         link.classes("pl-here").props('aria-current="page"')
@@ -94,9 +101,11 @@ def progress(run: Run) -> str:
         return "waits for the run before it"
     if run.state != RUNNING:
         return ""
+    if run.kind == LIVE and run.started is not None:
+        return f"for {duration(time.time() - run.started)}"
     if run.done == 0:
         return "starting"
-    if run.done == run.total and run.doing == "measuring":
+    if run.done == run.total and run.doing == ("following" if run.kind == AHEAD else "measuring"):
         return "writing the report"
     told = DOING.get(run.doing, "") + f"frame {run.done}" + ("" if run.total is None else f" of {run.total}")
     left = run.seconds_left(time.time())

@@ -1,6 +1,9 @@
 // The stereo editor: both views side by side, road lines and vehicles drawn in them, proposals and checks by the server.
 
+import { Film } from "./film.js";
 import { ask, make } from "./importer.js";
+import { Keeper } from "./keeping.js";
+import { Keys } from "./keys.js";
 import { Model, VIEWS, ordered, rounded, sortedCorners } from "./model.js";
 import { Panel } from "./panel.js";
 import { Pointers } from "./pointers.js";
@@ -8,14 +11,22 @@ import { Proposals } from "./proposals.js";
 import { COLORS, View } from "./view.js";
 
 const NEAR = 12; // px on the screen
-const KEPT = 48; // pictures
 const TOOLS = {
   move: ["Look", "v", "Drag a point to move it, the picture to pan; the wheel zooms."],
   line: ["Road line", "l", "Click along a road line; Enter ends it. Then the same line in the other view, or let it be proposed."],
   vehicle: ["Vehicle", "r", "Drag across a flat front, rear or side, or click its four corners."],
 };
-const KEYS = "V look, L line, R outline, ← → frames, space plays, arrows nudge a chosen point (Shift: more), N next point, "
-  + "Del removes, Ctrl-Z undoes, Ctrl-S saves, + − 0 zoom, S snapping, Esc leaves";
+const KEYS = "V look, L line, R outline; drawing: arrows move a cross (Shift: finely), X the other view, Space puts a point, Enter ends a line. "
+  + "Looking: ← → frames, Space plays, N next point, arrows nudge it (Shift: more). "
+  + "Always: , . frames, Del removes, Ctrl-Z undoes, Ctrl-S saves, + − 0 zoom, S snapping, Esc leaves";
+
+const READ_ONLY = "This folder cannot be written: look around; nothing here is changed.";
+
+// What two people may have changed, by name, for comparing.
+function parts([paths, vehicles]) {
+  return Object.fromEntries([...Object.entries(paths).map(([name, entry]) => [`path ${name}`, entry]),
+    ...vehicles.map((entry) => [`vehicle ${entry.id}`, entry])]);
+}
 
 class Editor extends HTMLElement {
   async connectedCallback() {
@@ -29,27 +40,29 @@ class Editor extends HTMLElement {
       return;
     }
     this.model = new Model(this.setup);
+    this.readonly = this.model.frozen = this.hasAttribute("readonly");
     this.views = VIEWS.map((side, i) => new View(side, this.setup.sizes[i]));
     this.tool = "move";
     this.snapping = true;
     this.linked = true;
-    this.pair = 0;
     this.chosen = null;
     this.draft = null; // {kind, view, points}
     this.moving = null; // where the chosen point is dragged to just now
-    this.pictures = new Map();
     this.build();
     this.model.listeners.push(() => this.changed());
-    const first = this.model.vehicles[0];
-    if (first) this.pair = Math.max(this.setup.frames.indexOf(first.frame), 0);
+    this.keeper = new Keeper(this, { address: `/api/setup?clip=${this.clip}`, file: "clip.yaml", parts,
+      send: ({ paths, vehicles }) => ({ paths, vehicles }) });
     new ResizeObserver(() => this.resized()).observe(this.views[0].canvas);
-    this.goTo(this.pair);
+    const first = this.model.vehicles[0];
+    this.film.goTo(first ? Math.max(this.setup.frames.indexOf(first.frame), 0) : 0);
+    if (!this.readonly && this.keeper.recall()) this.say("What you had drawn and not saved is back. Undo leaves it.");
     this.changed();
+    if (!this.readonly) this.proposals.resume();
     window.addEventListener("beforeunload", (event) => { if (this.model.dirty) event.preventDefault(); });
-    window.addEventListener("keydown", (event) => this.key(event));
+    this.keys = new Keys(this, TOOLS);
   }
 
-  get frame() { return this.setup.frames[this.pair]; }
+  get frame() { return this.film.frame; }
 
   // --- the page ----------------------------------------------------------------------------------------------------
 
@@ -65,26 +78,24 @@ class Editor extends HTMLElement {
     this.vehiclesButton = button("Propose vehicles", () => this.proposals.vehicles(), "Find what drives along the paths; this reads the whole recording");
     this.saveButton = button("Save", () => this.save(), "Writes clip.yaml (Ctrl-S)");
     this.saveButton.classList.add("primary");
-    this.measureButton = make("a", { className: "pl-button", href: this.getAttribute("runs"), textContent: "Measure…" });
+    this.measureButton = make("a", { className: "pl-button", href: this.getAttribute("runs"), textContent: this.readonly ? "Read…" : "Measure…" });
     this.hint = make("div", { className: "ed-hint", role: "status", "aria-live": "polite" });
-    this.scrub = make("input", { type: "range", min: 0, max: this.setup.frames.length - 1, value: 0, "aria-label": "Frame" });
-    this.scrub.oninput = () => this.goTo(Number(this.scrub.value));
-    this.playButton = button("Play", () => this.play(), "Space");
-    this.time = make("span", { className: "pl-fact" });
-    this.time.style.minWidth = "150px";
-    const bar = make("div", { className: "ed-bar", role: "toolbar", "aria-label": "Tools" }, ...Object.values(this.toolButtons), this.undoButton, this.redoButton,
-      this.snapButton, this.linkButton, make("span", { className: "end" }, this.saveButton, this.measureButton));
+    const drawing = [...Object.values(this.toolButtons), this.undoButton, this.redoButton, this.snapButton];
+    for (const element of [...drawing, this.saveButton, this.lanesButton, this.vehiclesButton]) element.hidden = this.readonly;
+    const bar = make("div", { className: "ed-bar", role: "toolbar", "aria-label": "Tools" }, ...drawing, this.linkButton,
+      make("span", { className: "end" }, this.saveButton, this.measureButton));
     const boxes = this.views.map((view) => {
       view.canvas.setAttribute("aria-label", `${view.side} view`);
       return make("div", { className: "ed-view" }, view.canvas, make("span", { className: "tag", textContent: view.side }));
     });
+    this.film = new Film(this, [0, 1], this.setup);
     this.panel = new Panel(this);
     this.pointers = new Pointers(this);
     this.proposals = new Proposals(this);
     const keys = make("details", { className: "pl-fact" }, make("summary", { textContent: "Keys" }), KEYS);
     this.append(
       make("div", { className: "ed-work" }, bar, this.hint, make("div", { className: "ed-views" }, ...boxes),
-        make("div", { className: "ed-scrub" }, this.playButton, this.scrub, this.time), keys),
+        this.film.element, keys),
       this.panel.element);
     this.take("move");
     this.say(this.next());
@@ -98,7 +109,7 @@ class Editor extends HTMLElement {
     this.undoButton.disabled = !this.model.past.length;
     this.redoButton.disabled = !this.model.future.length;
     this.saveButton.disabled = !this.model.dirty;
-    this.measureButton.classList.toggle("primary", !this.model.dirty && this.model.vehicles.length > 0); // the next step
+    this.measureButton.classList.toggle("primary", !this.readonly && !this.model.dirty && this.model.vehicles.length > 0); // the next step
   }
 
   say(text, bad = false) {
@@ -107,6 +118,7 @@ class Editor extends HTMLElement {
   }
 
   next() { // what a person would do next
+    if (this.readonly) return READ_ONLY;
     const { paths, vehicles, sitePaths } = this.model;
     if (!vehicles.length && !Object.keys({ ...paths, ...sitePaths }).length) {
       return "First draw the road line that the vehicles follow, or let lanes be proposed. Then outline the vehicles. "
@@ -117,9 +129,10 @@ class Editor extends HTMLElement {
   }
 
   take(tool) {
+    if (this.readonly) tool = "move";
     this.pointers.then(() => this.finishDraft());
     this.tool = tool;
-    this.say(TOOLS[tool][2]);
+    this.say(this.readonly ? READ_ONLY : TOOLS[tool][2]);
     this.buttons();
     this.paint();
   }
@@ -137,53 +150,7 @@ class Editor extends HTMLElement {
 
   // --- pictures ----------------------------------------------------------------------------------------------------
 
-  async goTo(pair) {
-    this.pair = Math.min(Math.max(pair, 0), this.setup.frames.length - 1);
-    this.scrub.value = this.pair;
-    this.time.textContent = `frame ${this.frame}, ${this.setup.times[this.pair].toFixed(2)} s`;
-    const wanted = this.pair;
-    try {
-      const images = await Promise.all([0, 1].map((view) => this.picture(view, this.setup.frames[wanted])));
-      if (wanted !== this.pair) return;
-      this.views.forEach((view, i) => { view.image = images[i]; });
-      if (this.unread) { this.unread = false; this.say(this.next()); }
-    } catch (error) {
-      if (wanted !== this.pair) return;
-      this.unread = true;
-      this.views.forEach((view) => { view.image = null; });
-      this.say(error.message, true);
-    }
-    this.paint();
-  }
-
-  picture(view, frame) {
-    const key = `${view}:${frame}`;
-    const known = this.pictures.get(key);
-    this.pictures.delete(key);
-    const picture = known ?? this.load(view, frame);
-    this.pictures.set(key, picture);
-    if (this.pictures.size > KEPT) this.pictures.delete(this.pictures.keys().next().value);
-    picture.catch(() => this.pictures.delete(key));
-    return picture;
-  }
-
-  async load(view, frame) {
-    const answer = await fetch(`/api/frame?clip=${this.clip}&view=${view}&frame=${frame}`);
-    if (!answer.ok) throw new Error((await answer.json()).reason ?? "this picture cannot be shown");
-    return createImageBitmap(await answer.blob());
-  }
-
-  async play() {
-    this.playing = !this.playing;
-    this.playButton.textContent = this.playing ? "Pause" : "Play";
-    while (this.playing) {
-      const next = (this.pair + 1) % this.setup.frames.length;
-      const wait = next ? 1000 * (this.setup.times[next] - this.setup.times[this.pair]) : 600;
-      const begun = performance.now();
-      await this.goTo(next);
-      await new Promise((done) => { setTimeout(done, Math.max(wait - (performance.now() - begun), 15)); });
-    }
-  }
+  arrived() { this.paint(); } // another frame is shown
 
   paint() {
     if (this.painting) return;
@@ -224,7 +191,7 @@ class Editor extends HTMLElement {
   choose(item) {
     this.chosen = item;
     const entry = this.model.entry(item);
-    if (item?.kind === "vehicle" && entry.frame !== this.frame) this.goTo(this.setup.frames.indexOf(entry.frame));
+    if (item?.kind === "vehicle" && entry.frame !== this.frame) this.film.goTo(this.setup.frames.indexOf(entry.frame));
     this.panel.show();
     this.paint();
   }
@@ -249,13 +216,14 @@ class Editor extends HTMLElement {
     this.model.change((m) => m.remove(item));
   }
 
+  items() { // all that is drawn
+    return [...Object.keys(this.model.paths).map((id) => ({ kind: "path", id })), ...this.model.vehicles.map((_, id) => ({ kind: "vehicle", id }))];
+  }
+
   // What lies under a place on the screen: the chosen item's points first, then anything drawn.
   hit(view, at) {
     const side = VIEWS[view];
-    const items = [
-      ...Object.keys(this.model.paths).map((id) => ({ kind: "path", id })),
-      ...this.model.vehicles.map((_, id) => ({ kind: "vehicle", id })),
-    ].filter((item) => item.kind === "path" || this.model.entry(item).frame === this.frame);
+    const items = this.items().filter((item) => item.kind === "path" || this.model.entry(item).frame === this.frame);
     items.sort((a, b) => Number(this.isChosen(b)) - Number(this.isChosen(a)));
     for (const item of items) {
       const points = (this.model.entry(item)[side] ?? []).map((p) => this.views[view].toScreen(p));
@@ -381,58 +349,8 @@ class Editor extends HTMLElement {
 
   async save() {
     if (!this.model.dirty) return;
-    try {
-      const body = { paths: this.model.paths, vehicles: this.model.vehicles, revision: this.model.revision };
-      this.model.accept(await ask("PUT", `/api/setup?clip=${this.clip}`, body));
-      this.say(`Saved in clip.yaml. Next: ${this.model.vehicles.length ? "measure" : "outline the vehicles, or let them be proposed"}.`);
-    } catch (error) {
-      this.say(error.status === 409 ? `Not saved: ${error.message}. Reload the page to see it; what is drawn here is then lost.` : `Not saved: ${error.message}`, true);
-    }
-  }
-
-  // --- keys --------------------------------------------------------------------------------------------------------
-
-  key(event) {
-    const command = event.ctrlKey || event.metaKey;
-    const pressed = event.key.toLowerCase();
-    if (command && pressed === "s") { event.preventDefault(); this.save(); return; }
-    if (event.target.closest?.("input, select, textarea, dialog")) return;
-    if (command && pressed === "z") { event.preventDefault(); if (event.shiftKey) this.model.redo(); else this.model.undo(); return; }
-    if (command && pressed === "y") { event.preventDefault(); this.model.redo(); return; }
-    if (command || event.altKey) return;
-    const arrows = { arrowleft: [-1, 0], arrowright: [1, 0], arrowup: [0, -1], arrowdown: [0, 1] };
-    const tool = Object.keys(TOOLS).find((name) => TOOLS[name][1] === pressed);
-    if (pressed in arrows) this.arrow(arrows[pressed], event.shiftKey);
-    else if (tool) this.take(tool);
-    else if (pressed === " " && !event.target.closest?.("button, a, summary")) this.play();
-    else if (pressed === "enter" && this.draft) this.pointers.then(() => this.finishDraft());
-    else if (pressed === "escape") { if (this.draft) { this.draft = null; this.paint(); } else if (this.tool !== "move") this.take("move"); else this.choose(null); }
-    else if (pressed === "delete" || pressed === "backspace") this.erase();
-    else if (pressed === "s") this.toggleSnapping();
-    else if (pressed === "n") this.nextPoint();
-    else if (pressed === "0") { for (const view of this.views) view.fit(); this.paint(); }
-    else if (pressed === "+" || pressed === "=" || pressed === "-") {
-      this.pointers.zoom(0, pressed === "-" ? 0.8 : 1.25, [this.views[0].width / 2, this.views[0].height / 2]);
-    } else return;
-    event.preventDefault();
-  }
-
-  arrow([x, y], far) {
-    if (this.chosen?.point === undefined) { if (x) this.goTo(this.pair + x); return; }
-    const step = far ? 2 : 0.25;
-    const [px, py] = this.model.entry(this.chosen)[VIEWS[this.chosen.view]][this.chosen.point];
-    this.put(rounded([px + x * step, py + y * step]));
-    const place = this.model.entry(this.chosen)[VIEWS[this.chosen.view]][this.chosen.point];
-    this.magnified = { view: this.chosen.view, place };
-    this.trace(this.chosen.view, place);
-  }
-
-  nextPoint() {
-    const entry = this.model.entry(this.chosen);
-    if (!entry) return;
-    const places = VIEWS.flatMap((side, view) => (entry[side] ?? []).map((_, point) => ({ view, point })));
-    const now = places.findIndex(({ view, point }) => view === this.chosen.view && point === this.chosen.point);
-    if (places.length) this.choose({ kind: this.chosen.kind, id: this.chosen.id, ...places[(now + 1) % places.length] });
+    const next = () => (this.model.vehicles.length ? "measure" : "outline the vehicles, or let them be proposed");
+    await this.keeper.save(() => `Saved in clip.yaml. Next: ${next()}.`);
   }
 
   erase() {

@@ -1,13 +1,22 @@
-// Importing a clip: two recordings and a rig file, chosen or dropped, sent one after the other as they are.
+// Importing a clip: recordings and what belongs to them, chosen or dropped, sent one after the other as they are.
 
 const IMAGE = /\.(png|jpe?g|tiff?|bmp|pgm|ppm|webp)$/i;
 const MEDIA = /\.(png|jpe?g|tiff?|bmp|pgm|ppm|webp|zip|mp4|mov|m4v|mkv|webm|avi|m?ts|mpe?g|ogv|mxf)$/i;
 const RIG = /\.ya?ml$/i;
-const SLOTS = {
-  left: ["Left camera", "a video, a zip of images, or images"],
-  right: ["Right camera", "a video, a zip of images, or images"],
-  rig: ["Rig file", "rig.yaml of the two cameras; may follow later"],
+const KINDS = {
+  stereo: ["Two fixed cameras at a road", {
+    left: ["Left camera", "a video, a zip of images, or images"],
+    right: ["Right camera", "a video, a zip of images, or images"],
+    rig: ["Rig file", "rig.yaml of the two cameras; may follow later"],
+  }],
+  chase: ["One camera behind a vehicle", {
+    video: ["Recording", "a video, a zip of images, or images"],
+    camera: ["Camera file", "camera.yaml of the camera"],
+    target: ["Model of the vehicle", "target.yaml; may be learned later"],
+  }],
 };
+const TEXTS = ["rig", "camera", "target"];
+const LATER = ["rig", "target"];
 
 export function make(tag, properties = {}, ...children) {
   const element = Object.assign(document.createElement(tag), properties);
@@ -60,7 +69,6 @@ async function dropped(transfer) {
 class Importer extends HTMLElement {
   connectedCallback() {
     if (this.firstChild) return;
-    this.files = { left: [], right: [], rig: [] };
     this.open = make("button", { className: "pl-button primary", textContent: "Import a clip", onclick: () => this.dialog.showModal() });
     this.name = make("input", { required: true, maxLength: 80, autocomplete: "off" });
     this.rate = make("input", { type: "number", min: 0.1, max: 10000, step: "any" });
@@ -70,24 +78,36 @@ class Importer extends HTMLElement {
     this.progress = make("progress", { max: 1, value: 0, hidden: true });
     this.send = make("button", { className: "pl-button primary", textContent: "Import", disabled: true, onclick: () => this.run() });
     this.cancel = make("button", { className: "pl-button", textContent: "Cancel", onclick: () => this.stop() });
-    this.slots = {};
-    const slots = make("div", { className: "pl-slots" }, ...Object.keys(SLOTS).map((slot) => this.makeSlot(slot)));
+    this.places = make("div", { className: "pl-slots" });
+    this.kinds = Object.fromEntries(Object.entries(KINDS).map(([kind, [title]]) =>
+      [kind, make("button", { className: "pl-button", type: "button", textContent: title, onclick: () => this.recorded(kind) })]));
     this.dialog = make("dialog", { "aria-label": "Import a clip" },
       make("div", { className: "pl-subtitle", textContent: "Import a clip" }),
       make("div", { className: "pl-fact", textContent: "Drop a file on its place, or all of them anywhere here: names that say left and right sort themselves." }),
-      make("label", { className: "pl-field" }, "Name of the clip", this.name), slots, this.rateField, this.missing, this.error, this.progress,
+      make("div", { className: "ed-bar", role: "group", "aria-label": "What recorded it" }, ...Object.values(this.kinds)),
+      make("label", { className: "pl-field" }, "Name of the clip", this.name), this.places, this.rateField, this.missing, this.error, this.progress,
       make("div", { className: "pl-row" }, this.cancel, this.send));
     this.name.oninput = this.rate.oninput = () => this.show();
     this.dialog.oncancel = (event) => { event.preventDefault(); this.stop(); };
     this.dialog.ondragover = (event) => event.preventDefault();
     this.dialog.ondrop = async (event) => { event.preventDefault(); this.sort(await dropped(event.dataTransfer)); };
     this.append(this.open, this.dialog);
+    this.recorded("stereo");
+  }
+
+  recorded(kind) { // by two cameras, or by one
+    this.kind = kind;
+    this.slots = {};
+    this.files = Object.fromEntries(Object.keys(KINDS[kind][1]).map((slot) => [slot, []]));
+    this.places.replaceChildren(...Object.keys(this.files).map((slot) => this.makeSlot(slot)));
+    for (const [name, button] of Object.entries(this.kinds)) button.setAttribute("aria-pressed", String(name === kind));
+    this.error.textContent = "";
     this.show();
   }
 
   makeSlot(slot) {
-    const [title, what] = SLOTS[slot];
-    const input = make("input", { type: "file", multiple: slot !== "rig", onchange: () => this.take(slot, [...input.files]) });
+    const [title, what] = KINDS[this.kind][1][slot];
+    const input = make("input", { type: "file", multiple: !TEXTS.includes(slot), onchange: () => this.take(slot, [...input.files]) });
     const told = make("span", { className: "pl-fact", textContent: what });
     const box = make("div", { className: "pl-slot" }, make("strong", { textContent: title }), told, input,
       make("button", { className: "pl-button", textContent: "Choose…", onclick: () => input.click() }));
@@ -97,7 +117,9 @@ class Importer extends HTMLElement {
     box.ondrop = async (event) => {
       event.preventDefault(); event.stopPropagation();
       box.classList.remove("over");
-      this.take(slot, await dropped(event.dataTransfer));
+      const files = await dropped(event.dataTransfer);
+      const fits = files.length === 1 || (!TEXTS.includes(slot) && files.every((file) => IMAGE.test(file.name)));
+      if (fits) this.take(slot, files); else this.sort(files); // all at once, let go by chance over this place
     };
     this.slots[slot] = { box, told };
     return box;
@@ -106,11 +128,18 @@ class Importer extends HTMLElement {
   sort(files) {
     const rest = files.filter((file) => MEDIA.test(file.name));
     const texts = files.filter((file) => RIG.test(file.name));
-    const rig = texts.find((file) => /rig/i.test(file.name)) ?? (texts.length === 1 ? texts[0] : null);
-    if (rig) this.take("rig", [rig]);
+    const named = (slot) => texts.find((file) => new RegExp(slot, "i").test(file.name));
+    for (const slot of Object.keys(this.files).filter((name) => TEXTS.includes(name))) {
+      const found = named(slot) ?? (texts.length === 1 && slot !== "target" && !named("target") ? texts[0] : null);
+      if (found) this.take(slot, [found]);
+    }
     const path = (file) => (file.path ?? file.name).split("/").slice(-2).join("/");
     const folder = files[0]?.path?.split("/") ?? [];
     if (!this.name.value && folder.length > 2) this.name.value = folder[1].slice(0, 80);
+    if (this.kind === "chase") {
+      if (rest.length) this.take("video", rest);
+      return;
+    }
     const lefts = rest.filter((file) => /left|cam_?0|_l\b/i.test(path(file)));
     const rights = rest.filter((file) => /right|cam_?1|_r\b/i.test(path(file)));
     if (lefts.length && rights.length) { this.take("left", lefts); this.take("right", rights); }
@@ -119,10 +148,10 @@ class Importer extends HTMLElement {
   }
 
   take(slot, files) {
-    if (slot !== "rig" && files.length > 1) files = files.filter((file) => IMAGE.test(file.name));
+    if (!TEXTS.includes(slot) && files.length > 1) files = files.filter((file) => IMAGE.test(file.name));
     this.files[slot] = files;
     this.error.textContent = "";
-    if (!this.name.value && slot === "left" && files.length === 1) {
+    if (!this.name.value && ["left", "video"].includes(slot) && files.length === 1) {
       this.name.value = files[0].name.replace(/\.\w+$/, "").replace(/[_-]?left$/i, "").slice(0, 80);
     }
     this.show();
@@ -132,12 +161,13 @@ class Importer extends HTMLElement {
     for (const [slot, { box, told }] of Object.entries(this.slots)) {
       const files = this.files[slot];
       box.classList.toggle("full", files.length > 0);
-      told.textContent = !files.length ? SLOTS[slot][1] : files.length === 1 ? files[0].name : `${files.length} images`;
+      told.textContent = !files.length ? KINDS[this.kind][1][slot][1] : files.length === 1 ? files[0].name : `${files.length} images`;
     }
-    const images = [...this.files.left, ...this.files.right].some((file) => IMAGE.test(file.name) || /\.zip$/i.test(file.name));
+    const images = Object.values(this.files).flat().some((file) => IMAGE.test(file.name) || /\.zip$/i.test(file.name));
     this.rateField.hidden = !images;
     const missing = [
-      [!this.name.value.trim(), "a name"], [!this.files.left.length, "the left camera"], [!this.files.right.length, "the right camera"],
+      [!this.name.value.trim(), "a name"],
+      ...Object.entries(this.files).map(([slot, files]) => [!files.length && !LATER.includes(slot), `the ${KINDS[this.kind][1][slot][0].toLowerCase()}`]),
       [images && !this.rate.value, "frames per second"],
     ].filter(([lacks]) => lacks).map(([, what]) => what);
     this.missing.textContent = missing.length ? `Still needed: ${missing.join(", ")}.` : "";
@@ -153,7 +183,7 @@ class Importer extends HTMLElement {
     let sent = 0;
     this.progress.hidden = false;
     try {
-      this.key = (await ask("POST", "/api/import", { name: this.name.value.trim() })).key;
+      this.key = (await ask("POST", "/api/import", { name: this.name.value.trim(), kind: this.kind })).key;
       for (const [slot, file] of all) {
         await this.upload(slot, file, (part) => { this.progress.value = (sent + part) / total; });
         sent += file.size;

@@ -1,47 +1,25 @@
 // What is drawn: paths by name and vehicles in order, with undo. No browser needed.
 
+import { History } from "./history.js";
+
 export const VIEWS = ["left", "right"];
-const DEPTH = 200; // steps that can be undone
 
-export class Model {
+export class Model extends History {
   constructor({ paths, vehicles, sitePaths, revision }) {
+    super();
     Object.assign(this, { paths, vehicles, sitePaths, revision });
-    this.saved = this.text();
-    this.past = [];
-    this.future = [];
-    this.listeners = [];
+    this.begin();
   }
 
-  text() { return JSON.stringify([this.paths, this.vehicles]); }
-  get dirty() { return this.text() !== this.saved; }
+  state() { return [this.paths, this.vehicles]; }
+  restore([paths, vehicles]) { Object.assign(this, { paths, vehicles }); }
   get allPaths() { return { ...this.sitePaths, ...this.paths }; }
-
-  change(edit) { // one step that can be undone
-    const before = this.text();
-    edit(this);
-    if (this.text() === before) return;
-    this.past.push(before);
-    if (this.past.length > DEPTH) this.past.shift();
-    this.future = [];
-    this.tell();
-  }
-
-  undo() { this.step(this.past, this.future); }
-  redo() { this.step(this.future, this.past); }
-  step(from, to) {
-    if (!from.length) return;
-    to.push(this.text());
-    [this.paths, this.vehicles] = JSON.parse(from.pop());
-    this.tell();
-  }
 
   accept({ paths, vehicles, revision }) { // what the server has written
     Object.assign(this, { paths, vehicles, revision });
     this.saved = this.text();
     this.tell();
   }
-
-  tell() { for (const listener of this.listeners) listener(); }
 
   entry(chosen) {
     if (!chosen) return undefined;

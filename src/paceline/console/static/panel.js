@@ -59,7 +59,7 @@ export class Panel {
     }
     if (found?.problem) box.append(make("p", { className: "problem", textContent: found.problem }));
     if (found?.doubt) box.append(make("p", { className: "doubt", textContent: found.doubt }));
-    if (now) box.append(...this.fields(chosen, name, entry));
+    if (now && !editor.readonly) box.append(...this.fields(chosen, name, entry));
     return box;
   }
 

@@ -33,38 +33,57 @@ export class Proposals {
     this.editor.paint();
   }
 
-  async search(kind) { // by a run of the command; what it proposes, or null after saying why
+  async search(kind) { // by a run of the command, which goes on when the page is left
+    try {
+      const run = await ask("POST", `/api/run?clip=${this.editor.clip}`, { kind });
+      sessionStorage.setItem(this.key, JSON.stringify([kind, run.number]));
+      await this.wait(kind, run);
+    } catch (error) {
+      this.editor.say(error.message, true);
+    }
+  }
+
+  get key() { return `paceline search in ${this.editor.clip}`; }
+
+  resume() { // what was looked for when the page was left
+    const [kind, number] = JSON.parse(sessionStorage.getItem(this.key) ?? "[]");
+    if (kind) this.wait(kind, { number, state: "waiting" });
+  }
+
+  async wait(kind, run) { // until it ends, and take over what it proposes
     const buttons = [this.editor.lanesButton, this.editor.vehiclesButton]; // one search at a time: its words stand alone
     for (const button of buttons) button.disabled = true;
+    const address = `clip=${this.editor.clip}&number=${run.number}`;
     try {
-      let run = await ask("POST", `/api/run?clip=${this.editor.clip}`, { kind });
       while (["waiting", "running"].includes(run.state)) {
         this.editor.say(searching(kind, run));
         await new Promise((done) => { setTimeout(done, 500); });
-        run = await ask("GET", `/api/run?clip=${this.editor.clip}&number=${run.number}`);
+        run = await ask("GET", `/api/run?${address}`);
       }
       if (run.state !== "measured") throw new Error(run.reason || `the search was ${run.state}`);
-      return await ask("GET", `/api/proposed?clip=${this.editor.clip}&number=${run.number}`);
+      this[kind === "lanes" ? "takeLanes" : "takeVehicles"](await ask("GET", `/api/proposed?${address}`));
     } catch (error) {
       this.editor.say(error.message, true);
-      return null;
     } finally {
+      sessionStorage.removeItem(this.key);
       for (const button of buttons) button.disabled = false;
     }
   }
 
-  async lanes() {
-    const found = await this.search("lanes");
-    if (!found) return;
-    this.editor.model.change((m) => { for (const entry of Object.values(found.paths)) m.addPath(entry); });
-    this.editor.say(`${Object.keys(found.paths).length} proposed. What is drawn is the middle of each lane. Look at them, remove what is wrong, and save. The vehicles are next.`);
+  lanes() { return this.search("lanes"); }
+
+  takeLanes({ paths }) {
+    this.editor.model.change((m) => { for (const entry of Object.values(paths)) m.addPath(entry); });
+    this.editor.say(`${Object.keys(paths).length} proposed. What is drawn is the middle of each lane. Look at them, remove what is wrong, and save. The vehicles are next.`);
   }
 
   async vehicles() {
-    if (this.editor.model.dirty) { this.editor.say("Save first: vehicles are looked for along the paths that are saved.", true); return; }
-    const found = await this.search("vehicles");
-    if (!found) return;
-    this.editor.model.change((m) => { for (const { id, ...entry } of found.vehicles) m.addVehicle(entry); });
-    this.editor.say(`${found.vehicles.length} proposed. Look at each outline closely, remove what is wrong, and save. Then measure.`);
+    if (this.editor.model.dirty) this.editor.say("Save first: vehicles are looked for along the paths that are saved.", true);
+    else await this.search("vehicles");
+  }
+
+  takeVehicles({ vehicles }) {
+    this.editor.model.change((m) => { for (const { id, ...entry } of vehicles) m.addVehicle(entry); });
+    this.editor.say(`${vehicles.length} proposed. Look at each outline closely, remove what is wrong, and save. Then measure.`);
   }
 }

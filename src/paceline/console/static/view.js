@@ -41,15 +41,15 @@ export class View {
     this.centre = this.centre.map((c, i) => c + before[i] - after[i]);
   }
 
-  show(points) { // all of them, with room around
+  show(points, room = 2.5) { // all of them, with room around
     const xs = points.map((p) => p[0]);
     const ys = points.map((p) => p[1]);
     const span = [Math.max(...xs) - Math.min(...xs), Math.max(...ys) - Math.min(...ys)];
     this.centre = [(Math.max(...xs) + Math.min(...xs)) / 2, (Math.max(...ys) + Math.min(...ys)) / 2];
-    this.scale = Math.min(Math.max(Math.min(this.width / (span[0] * 2.5 + 1), this.height / (span[1] * 2.5 + 1)), this.fitting), 24);
+    this.scale = Math.min(Math.max(Math.min(this.width / (span[0] * room + 1), this.height / (span[1] * room + 1)), this.fitting), 24);
   }
 
-  // `drawings`: {points, closed, color, chosen, faint, point}; `cursor`: the image place under the magnifier, if any.
+  // `drawings`: {points, closed, color, chosen, bold, faint, point}, or {points, dots}, or {points, words}; `cursor`: the image place under the magnifier, if any.
   draw(drawings, cursor) {
     const ratio = window.devicePixelRatio || 1;
     const { canvas, width, height } = this;
@@ -76,17 +76,21 @@ export class View {
   marks(context, place, drawings) {
     if (this.epipolar) this.line(context, place);
     for (const drawing of drawings) {
-      const { points, closed, color, chosen, faint, point } = drawing;
+      const { points, closed, color, chosen, bold, faint, point } = drawing;
+      if (drawing.dots || drawing.words) {
+        this.annotate(context, place, drawing);
+        continue;
+      }
       context.globalAlpha = faint ? 0.4 : 1;
       context.beginPath();
       points.map(place).forEach(([x, y], i) => (i ? context.lineTo(x, y) : context.moveTo(x, y)));
       if (closed) context.closePath();
       context.lineJoin = "round";
       context.strokeStyle = "#000a";
-      context.lineWidth = chosen ? 4 : 3;
+      context.lineWidth = chosen || bold ? 4 : 3;
       context.stroke();
       context.strokeStyle = color;
-      context.lineWidth = chosen ? 2 : 1.4;
+      context.lineWidth = chosen || bold ? 2.4 : 1.4;
       context.stroke();
       if (chosen || points.length === 1) {
         points.map(place).forEach(([x, y], i) => {
@@ -100,6 +104,18 @@ export class View {
         });
       }
       context.globalAlpha = 1;
+    }
+  }
+
+  annotate(context, place, { points, color, words }) {
+    context.font = "600 13px system-ui, sans-serif";
+    for (const [x, y] of points.map(place)) {
+      context.fillStyle = words ? "#000b" : color;
+      if (words) context.fillRect(x - 4, y - 24, context.measureText(words).width + 8, 19);
+      else context.fillRect(x - 1, y - 1, 2, 2);
+      if (!words) continue;
+      context.fillStyle = "#fff";
+      context.fillText(words, x, y - 10);
     }
   }
 

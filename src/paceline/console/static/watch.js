@@ -1,0 +1,95 @@
+// The last frame of a run under way, with what is believed of its vehicles: outlines, particles, values.
+
+import { make } from "./importer.js";
+import { View } from "./view.js";
+
+const CLOSE = 3; // the close-up shows this many outlines' sizes
+
+class Watch extends HTMLElement { // attributes are never called as its own fields are: the framework would set these
+  static observedAttributes = ["scene"];
+
+  connectedCallback() {
+    if (this.views) return;
+    const count = Number(this.getAttribute("cameras"));
+    this.views = (count === 1 ? ["camera"] : ["left", "right"]).map((side) => new View(side, [16, 9]));
+    this.close = null; // the vehicle in the close-up
+    this.caption = make("div", { className: "pl-fact", role: "status" });
+    this.choices = make("div", { className: "ed-bar", role: "group", "aria-label": "What is shown" });
+    const boxes = this.views.map((view) => {
+      view.canvas.setAttribute("aria-label", `${view.side} view`);
+      return make("div", { className: "ed-view" }, view.canvas, make("span", { className: "tag", textContent: view.side }));
+    });
+    this.pictures = make("div", { className: "ed-views" }, ...boxes);
+    this.pictures.style.gridTemplateColumns = `repeat(${count}, 1fr)`;
+    this.append(make("div", { className: "pl-row pl-wrap" }, this.choices, this.caption), this.pictures);
+    new ResizeObserver(() => this.paint()).observe(this.views[0].canvas);
+    this.attributeChangedCallback();
+  }
+
+  async attributeChangedCallback() { // one frame at a time: what comes while its pictures are on their way waits
+    this.coming = this.getAttribute("scene");
+    if (!this.views || this.loading) return;
+    this.loading = true;
+    while (this.coming) {
+      const scene = JSON.parse(this.coming);
+      this.coming = null;
+      try {
+        const images = await Promise.all(this.views.map((_, view) => this.picture(view, scene.frame)));
+        this.views.forEach((view, i) => {
+          view.image = images[i];
+          view.size = [images[i].width, images[i].height];
+        });
+        this.pictures.style.aspectRatio = images.length * images[0].width / images[0].height;
+        this.drawn = scene;
+        this.caption.textContent = `frame ${scene.frame}, ${scene.time.toFixed(2)} s`;
+        this.choose(this.close);
+      } catch (error) {
+        this.caption.textContent = error.message;
+      }
+    }
+    this.loading = false;
+  }
+
+  async picture(view, frame) {
+    const clip = encodeURIComponent(this.getAttribute("clip"));
+    const answer = await fetch(`/api/frame?clip=${clip}&view=${view}&frame=${frame}`);
+    if (!answer.ok) throw new Error((await answer.json()).reason ?? "this picture cannot be shown");
+    return createImageBitmap(await answer.blob());
+  }
+
+  choose(name) {
+    this.close = this.drawn.vehicles.some((v) => v.name === name) ? name : null;
+    const button = (text, value) => make("button", { className: "pl-button", type: "button", textContent: text,
+      "aria-pressed": String(this.close === value), onclick: () => this.choose(value) });
+    const names = this.drawn.vehicles.filter((v) => v.outlines.length).map((v) => v.name);
+    const wanted = ["Whole picture", ...names];
+    if (wanted.join("\n") !== this.offered) {
+      this.offered = wanted.join("\n");
+      this.choices.replaceChildren(button("Whole picture", null), ...names.map((n) => button(`Close-up of ${n}`, n)));
+    }
+    [...this.choices.children].forEach((element, i) => element.setAttribute("aria-pressed", String(this.close === (i ? names[i - 1] : null))));
+    this.paint();
+  }
+
+  paint() {
+    if (!this.drawn) return;
+    const close = this.drawn.vehicles.find((v) => v.name === this.close);
+    this.views.forEach((view, i) => {
+      view.fit();
+      if (close?.outlines[i]) view.show(close.outlines[i].flat(Array.isArray(close.outlines[i][0][0]) ? 1 : 0), CLOSE);
+      view.draw(this.drawn.vehicles.flatMap((v) => this.drawings(v, i)), null);
+    });
+  }
+
+  drawings({ outlines, particles, color, label }, view) {
+    const outline = outlines[view] ?? [];
+    const lines = Array.isArray(outline[0]?.[0]) ? outline.map((points) => ({ points, color })) : [{ points: outline, closed: true, color }];
+    const dots = { points: particles[view] ?? [], color: "#ffe26a", dots: true };
+    const all = outline.flat(Array.isArray(outline[0]?.[0]) ? 1 : 0);
+    const top = all.length ? [Math.min(...all.map((p) => p[0])), Math.min(...all.map((p) => p[1]))] : null;
+    const words = top ? [{ points: [top], color, words: label }] : [];
+    return [...lines, dots, ...words].filter((drawing) => drawing.points.length);
+  }
+}
+
+if (!customElements.get("pl-watch")) customElements.define("pl-watch", Watch);

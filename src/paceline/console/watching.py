@@ -1,0 +1,58 @@
+"""What a run under way has told of its vehicles: values over time, and the last frame with all that is drawn on it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from paceline.console.results import Series
+from paceline.reports.wording import COVERAGE
+
+MOST = 600  # values of one vehicle that are kept; of more, every second one goes
+
+
+@dataclass
+class Values:
+    """Values of one vehicle: seconds, value and standard deviation, of which every ``stride``-th is kept."""
+
+    rows: list[tuple[float, float, float]] = field(default_factory=list)
+    stride: int = 1
+    count: int = 0
+
+    def add(self, time: float, value: float, std: float) -> None:
+        if self.count % self.stride == 0:
+            self.rows.append((time, value, std))
+            if len(self.rows) > MOST:
+                self.rows, self.stride = self.rows[::2], 2 * self.stride
+        self.count += 1
+
+
+@dataclass
+class Watch:
+    """What has been told of one run. Memory does not grow with the recording."""
+
+    values: dict[str, Values] = field(default_factory=dict)
+    scene: dict[str, Any] = field(default_factory=dict)  # frame, time_s, and the vehicles in it
+    _coming: dict[str, Any] = field(default_factory=dict)
+
+    def add(self, told: dict[str, Any]) -> None:
+        """Note one estimate, as `telling.told_estimate` gives it."""
+        if told["value"] is not None:
+            values = self.values.setdefault(told["vehicle"], Values())
+            values.add(told["time_s"], told["value"], told["std"] or 0.0)
+        if self._coming.get("frame") != told["frame"]:
+            self._coming = {"frame": told["frame"], "time_s": told["time_s"], "vehicles": []}
+        self._coming["vehicles"].append(told)
+
+    def turn(self) -> None:
+        """The frame is through: all of its vehicles have been told."""
+        if self._coming:
+            self.scene, self._coming = self._coming, {}
+
+    def series(self) -> list[Series]:
+        """The values so far, for a chart."""
+        return [_series(name, values.rows) for name, values in self.values.items()]
+
+
+def _series(name: str, rows: list[tuple[float, float, float]]) -> Series:
+    return Series(name, [t for t, _, _ in rows], [x for _, x, _ in rows], [COVERAGE * s for *_, s in rows], False)

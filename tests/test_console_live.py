@@ -1,0 +1,204 @@
+"""Live sources in the console: shown, never opened to be looked at, and measured by a run that a person stops."""
+
+from __future__ import annotations
+
+import json
+import os
+import threading
+from collections.abc import Iterator
+from contextlib import suppress
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import pytest
+import small_chase
+import yaml
+from calling import ENVIRONMENT
+from console_client import SAME, asked
+from small_clips import put_clip
+from test_console_runs import wait
+
+from paceline.console.asking import options_of
+from paceline.console.clip_file import without_vehicles
+from paceline.console.kinds import AHEAD, LIVE, arguments
+from paceline.console.library import Library
+from paceline.console.naming import is_live, live_views
+from paceline.console.results import LATEST, files_of, read_series, read_summary, why_nothing
+from paceline.documents import load_clip
+from paceline.errors import UnusableInput
+
+CAMERAS = ["rtsp://camera/left", "RTSPS://u:p@10.0.0.7:554/a?b=c", "http://camera/mjpg", "udp://0.0.0.0:5000",
+           "srt://host:9", "/dev/video0", "/dev/video12"]  # fmt: skip
+NO_CAMERAS = ["file:///etc/passwd", "concat://a|b", "subfile:,start,0://x", "ftp://host/x", "rtsp://", "async:file://x",
+              "rtsp://host /x"]  # fmt: skip
+FILES = ["left", "left.mp4", "/dev/null", "/dev/video", "/dev/videos", "left/%04d.png", "../left", "x" * 5000, "a\0b"]
+
+
+@pytest.mark.parametrize("given", CAMERAS)
+def test_cameras_and_streams_are_live(tmp_path: Path, given: str) -> None:
+    assert is_live(tmp_path / "clip.yaml", given)
+
+
+@pytest.mark.parametrize("given", NO_CAMERAS)
+def test_addresses_of_other_things_are_refused(tmp_path: Path, given: str) -> None:
+    with pytest.raises(UnusableInput, match="expected a file, or an rtsp"):
+        is_live(tmp_path / "clip.yaml", given)
+
+
+@pytest.mark.parametrize("given", FILES)
+def test_files_are_not_live(tmp_path: Path, given: str) -> None:
+    assert not is_live(tmp_path / "clip.yaml", given)
+
+
+def change(file: Path, **values: object) -> None:
+    given = yaml.safe_load(file.read_text())
+    file.write_text(yaml.safe_dump({key: value for key, value in {**given, **values}.items() if value is not None}))
+
+
+@pytest.fixture
+def library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Library]:
+    """Over a clip with live cameras; to open anything that decodes is a failure."""
+    root = tmp_path.resolve() / "clips"
+    change(put_clip(root, "gate") / "clip.yaml", left="rtsp://user:secret@camera/left", right="/dev/video1", rate=None)
+    change(small_chase.write(root / "drive", 2), video="rtsp://user:secret@car/rear", rate=None)
+    os.mkfifo(put_clip(root, "pipe") / "fifo")
+    change(root / "pipe" / "clip.yaml", left="fifo", right="rtsp://camera/right", rate=None)
+    monkeypatch.setattr(av, "open", lambda *_, **__: pytest.fail("a live source was opened"))
+    library = Library(root)
+    yield library
+    library.runs.close()
+
+
+def test_live_clips_are_listed_and_not_opened(library: Library) -> None:
+    found = {name: library.entry(name) for name in library.names()}
+    assert {name: entry.state for name, entry in found.items()} == {"drive": "live", "gate": "live", "pipe": "live"}
+    assert found["gate"].contents.live == ("rtsp://camera/left", "/dev/video1")
+    assert found["gate"].reason == "rtsp://camera/left and /dev/video1: measured while recording"
+    assert not any(entry.contents.pictures for entry in found.values())
+    assert "secret" not in repr(found)
+    assert live_views(library.file("pipe")) == ["fifo", "rtsp://camera/right"]
+
+
+def test_their_pictures_are_not_fetched(library: Library) -> None:
+    root = library.root
+    library.runs.close()
+    with asked(root) as client:
+        for clip in ("gate", "drive", "pipe"):
+            for address in ("/api/thumbnail?", "/api/frame?view=0&frame=0&", "/api/setup?", "/api/target?"):
+                answer = client.get(f"{address}clip={clip}", headers=SAME)
+                assert answer.status_code in (404, 422) and "secret" not in answer.text
+    library.runs = Library(root).runs  # for the fixture to close
+
+
+def test_a_live_source_may_not_stand_in_for_a_file(tmp_path: Path) -> None:
+    root = tmp_path.resolve() / "clips"
+    clip = put_clip(root)
+    os.mkfifo(tmp_path / "fifo")
+    library = Library(root)
+    for key, value, words in (
+        ("left", "../../fifo", "leads out of"), ("left", "file:///etc/passwd", "expected a file, or an rtsp"),
+        ("rig", "rtsp://camera/rig.yaml", "no such file"), ("right", "/dev/null", "leads out of"),
+    ):  # fmt: skip
+        put_clip(root)
+        change(clip / "clip.yaml", **{key: value})
+        entry = library.entry("road")
+        assert entry.state == "unreadable" and words in entry.reason
+    library.runs.close()
+
+
+def test_a_run_goes_out_from_a_copy_without_vehicles(tmp_path: Path) -> None:
+    clip = put_clip(tmp_path.resolve())
+    change(clip / "clip.yaml", right="rtsp://camera/right", rate=None)
+    where = clip / "runs" / "0001"
+    where.mkdir(parents=True)
+    command = arguments(LIVE, clip / "clip.yaml", where)
+    assert command == ["speed", str(where / "clip.yaml"), "-o", str(where / "out"), "--live"]
+    copy = load_clip(where / "clip.yaml")
+    assert copy.left.resolve() == clip / "left" and copy.addresses[1] == "rtsp://camera/right"
+    assert copy.paths and not copy.vehicles and "vehicles" not in without_vehicles(clip / "clip.yaml", where)
+
+
+def test_only_known_settings_reach_a_live_run() -> None:
+    given = {"learn": 12.5, "particles": 99, "seed": None, "motion": "line", "units": "km/h", "overlay": False}
+    assert options_of(LIVE, given) == ["--particles", "99", "--motion", "line", "--units", "km/h", "--learn", "12.5"]
+    assert options_of(AHEAD, given) == ["--no-overlay"] and options_of(AHEAD, {"overlay": True}) == []
+    for learn in (1, 1e9, "30", True, float("nan")):
+        with pytest.raises(UnusableInput):
+            options_of(LIVE, {"learn": learn})
+
+
+def test_what_a_killed_console_had_measured_can_be_read(tmp_path: Path) -> None:
+    """Its tables grow vehicle by vehicle, so that their being there does not say that the run had ended."""
+    root = tmp_path.resolve()
+    put_clip(root)
+    out = root / "road" / "runs" / "0001" / "out"
+    out.mkdir(parents=True)
+    record = {"clip": "road", "number": 1, "kind": "live", "options": [], "state": "running", "created": 1.0}
+    (out.parent / "run.json").write_text(json.dumps(record))
+    (out / "summary.json").write_text('{"vehicles": [{"vehicle": "v0", "speed_mps": 20.0}], "notices": []}')
+    header = "vehicle,time_s,speed_mps,speed_std_mps,refined_speed_mps,refined_std_mps\n"
+    rows = [f"v{k // 10},{k},20,1,21,0.5\n" for k in range(100_000)]
+    (out / "estimates.csv").write_text(header + "".join(rows) + "v10000,7,2")  # the last row is on its way
+    library = Library(root)
+    run = library.runs.get("road", 1)
+    assert run is not None and run.state == "interrupted" and library.entry("road").state == "interrupted"
+    assert read_summary(out)["vehicles"][0]["speed_mps"] == 20.0
+    series = read_series(out, growing=True)
+    assert series[-1].vehicle == "v9999" and series[-1].time == list(range(99_990, 100_000))
+    assert len(series) == LATEST and all(s.value == [21.0] * 10 for s in series)
+    library.runs.close()
+
+
+@pytest.mark.parametrize(
+    ("summary", "why"),
+    [
+        ({"vehicles": [{"vehicle": "v0", "reason": ""}, {"vehicle": "v1", "reason": "too few"}]}, "v1: too few"),
+        ({"vehicles": [], "notices": ["no vehicle was found: fog"]}, "no vehicle was found: fog"),
+        ({"reasons": {"too few of its features are found": 9}}, "too few of its features are found"),
+        ({"vehicles": [], "notices": []}, "nothing came by that could be measured"),
+        ([], ""),
+    ],
+)
+def test_why_nothing_was_measured_is_said_in_a_line(tmp_path: Path, summary: object, why: str) -> None:
+    (tmp_path / "summary.json").write_text(json.dumps(summary))
+    assert why_nothing(tmp_path.resolve()) == why
+
+
+def test_a_vehicle_is_followed_live_until_it_is_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Through a named pipe below the folder, which only the run opens."""
+    monkeypatch.setenv("PYTHONPATH", ENVIRONMENT["PYTHONPATH"])
+    root = tmp_path.resolve() / "clips"
+    file = small_chase.write(root / "drive", 2)
+    change(file, video="pipe", rate=None)
+    os.mkfifo(root / "drive" / "pipe")
+    library = Library(root)
+    run = library.runs.start("drive", AHEAD, ["--no-overlay"])
+    ended = threading.Event()
+
+    def play() -> None:
+        with suppress(OSError), av.open(str(root / "drive" / "pipe"), "w", format="nut") as container:
+            stream = container.add_stream("ffv1", rate=15)
+            stream.width, stream.height, stream.pix_fmt = *small_chase.SIZE, "gray"
+            for k in range(10_000):
+                picture = av.VideoFrame.from_ndarray(small_chase.picture(k), format="gray")
+                picture.pts, picture.time_base = k, Fraction(1, 15)
+                container.mux(stream.encode(picture))
+                if ended.wait(1 / 15):
+                    return
+
+    player = threading.Thread(target=play)
+    player.start()
+    wait(lambda: library.runs.watch(run)[1].get("frame", 0) >= 5)
+    (series,), _ = library.runs.watch(run)
+    assert series.vehicle == "small van" and not library.runs.is_stopping(run)
+    for time_s, value in zip(series.time, series.value, strict=True):
+        assert value == pytest.approx(small_chase.truth(round(15 * time_s))[2], abs=0.35)
+    library.runs.stop("drive", run.number)
+    wait(lambda: (now := library.runs.get("drive", run.number)) is not None and not now.active)
+    ended.set()
+    player.join()
+    now = library.runs.get("drive", run.number)
+    assert now is not None and now.state == "measured", now
+    assert {"report.html", "track.csv"} <= set(files_of(library.runs.out(now)))
+    library.runs.close()
