@@ -1,6 +1,6 @@
 """Vehicles found without clicking, and their speeds, against the exact truth of rendered clips and against clicks.
 
-python benchmarks/vehicles.py CLIP...   (folders that `paceline simulate speed` or `simulate suite` wrote)
+python benchmarks/vehicles.py [--count] CLIP...   (folders that `paceline simulate speed` or `simulate suite` wrote)
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from paceline.vehicles.measuring import find_vehicles
 
 FRAMES = 8  # in which a vehicle has to be wholly visible, to count
 VISIBLE = 0.97  # of its plane
-SAME = 3.0  # m between a found plane and the true one of the same vehicle
+SAME = 3.0, 1.0  # m, or px of disparity, between a found plane and the true one of the same vehicle
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,8 @@ def who(clip: Clip, vehicle: VehicleDocument, truth: Rows) -> str | None:
         if row["frame"] == vehicle.frame
     }
     name = min(apart, key=lambda k: apart[k], default=None)
-    return name if name is not None and apart[name] < SAME else None
+    most = max(SAME[0], SAME[1] * float(place[2]) ** 2 / float(clip.rig.left.K[0, 0] * clip.rig.baseline))
+    return name if name is not None and apart[name] < most else None
 
 
 def speeds(clip: Clip, recording: StereoRecording, names: list[str], truth: Rows) -> dict[str, Speed]:
@@ -72,7 +73,9 @@ def speeds(clip: Clip, recording: StereoRecording, names: list[str], truth: Rows
 def main() -> None:
     parser = argparse.ArgumentParser(description="Vehicles found without clicking, and their speeds.")
     parser.add_argument("clips", nargs="+", type=Path, metavar="CLIP", help="folder of a rendered clip")
-    folders: list[Path] = parser.parse_args().clips
+    parser.add_argument("--count", action="store_true", help="find them, but do not measure")
+    args = parser.parse_args()
+    folders: list[Path] = args.clips
     print(head("clip", "vehicles", "once", "twice", "false", "error found, mph", "error clicked, mph", "s per frame"))
     totals: Counter[str] = Counter()
     both: list[tuple[Speed | None, Speed]] = []
@@ -90,6 +93,9 @@ def main() -> None:
             "false": names.count(None),
         }
         totals.update(counts)
+        if args.count:
+            print(row(folder.name, *counts.values(), "", "", f"{seconds:.2f}"), flush=True)
+            continue
         real = {name: v for v, name in zip(search.clip.vehicles, names, strict=True) if name is not None}
         found = speeds(replace(clip, vehicles=list(real.values())), recording, list(real), truth)
         clicked = speeds(clip, recording, [v.id for v in clip.vehicles], truth)
@@ -97,6 +103,9 @@ def main() -> None:
         cells = [", ".join(str(s[name]) for name in wanted if name in s) for s in (found, clicked)]
         print(row(folder.name, *counts.values(), *cells, f"{seconds:.2f}"), flush=True)
     print(f"\n{totals['once']} of {totals['vehicles']} found once, {totals['twice']} twice, {totals['false']} false.")
+    if args.count:
+        print(f"\n{machine()}")
+        return
     fair = [(a, b) for a, b in both if a and a.verdict == b.verdict == "measured"]
     for what, chosen in (("found", [a for a, _ in fair]), ("clicked", [b for _, b in fair])):
         inside = sum(abs(s.error) <= s.half for s in chosen)

@@ -22,6 +22,8 @@ def measure_live(
     clip: Clip, out: Path, configuration: SpeedConfiguration, unit: SpeedUnit, learning: float | None, quiet: bool
 ) -> int:
     """Measure every vehicle that passes, until the sources end or Ctrl-C; a line and a row for each."""
+    import cv2
+
     from paceline.errors import UnusableInput
     from paceline.live_views import LiveViews
     from paceline.reports.live import LiveTables
@@ -30,6 +32,7 @@ def measure_live(
 
     if clip.vehicles:
         raise UnusableInput(f"{clip.path}: vehicles: --live finds them itself; expected none")
+    cv2.setNumThreads(1)  # the cards are small: a second thread costs more than it does, and is wanted for measuring
     views = LiveViews(clip)
     tables = LiveTables(
         out, {"clip": str(clip.path), "configuration": configuration.model_dump(), "versions": versions()}

@@ -13,17 +13,20 @@ from paceline.recordings import StereoFrame
 from paceline.vehicles.plane import Aligned, Face, face_of
 from paceline.vehicles.scene import EmptyScene
 from paceline.vehicles.sightings import Lookout
-from paceline.vehicles.tracks import Linker, Track
+from paceline.vehicles.tracks import Linker, Track, slope
 from paceline.vehicles.ways import Way
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
 
-LEAST_SIGHTINGS = 4
-LEAST_TRAVEL = 1.5  # m: what moves less stands
+LEAST_SIGHTINGS = 4  # and as many as there are frames between them in which it is not seen
+LEAST_TRAVEL = 1.5, 1.5  # m, and px of disparity: what moves less stands
+ASIDE = 1.9  # m from the middle of the way: what is farther does not drive on it
 LEAST_AREA = 0.35  # m² of a face that both views agree on, in the median
 LEAST_HEIGHT = 0.8  # m above the road that a vehicle reaches: less is a shadow
 SMALLEST = 16.0, 6.0  # px, width and height of an outline
+NEIGHBOURS = 5  # frames that say where a vehicle is in another one
+OFF = 1.0, 1.0  # m, and px of disparity, by which it is off at most
 BORDER = 4.0  # px between an outline and the edge of the picture
 
 
@@ -65,58 +68,95 @@ class Finder:
 
     def see(self, frame: StereoFrame) -> list[Found]:
         """The vehicles that have gone by the time of ``frame``."""
+        return [found_on(track) for track in self.gone(frame)]
+
+    def finish(self) -> list[Found]:
+        """The vehicles that were still there at the last frame."""
+        return [found_on(track) for track in self.rest()]
+
+    def gone(self, frame: StereoFrame) -> list[Track]:
+        """As `see`, but what was seen of them, on which `found_on` has yet to find what can be measured: that takes
+        longer than a frame lasts, and a program that has to keep up leaves it to another process."""
         if frame.duplicate:
             return []
         sightings = self._lookout.see(frame, self._scene.images)
         self._scene.follow(frame)
-        return [found_on(track) for track in self._linker.link(frame.time, sightings) if is_vehicle(track)]
+        return [track for track in self._linker.link(frame.time, sightings) if is_vehicle(track)]
 
-    def finish(self) -> list[Found]:
-        """The vehicles that were still there at the last frame."""
+    def rest(self) -> list[Track]:
+        """As `finish`, of what was seen."""
         tracks, self._linker = self._linker.tracks, Linker()
-        return [found_on(track) for track in tracks if is_vehicle(track)]
+        return [track for track in tracks if is_vehicle(track)]
 
 
 def is_vehicle(track: Track) -> bool:
     """Whether what was seen is upright and large enough, and drives along its way."""
-    if len(track.times) < LEAST_SIGHTINGS or float(np.median(track.areas)) < LEAST_AREA:
+    if len(track.times) < max(LEAST_SIGHTINGS, track.missed) or float(np.median(track.areas)) < LEAST_AREA:
         return False
-    return _height(track) >= LEAST_HEIGHT and abs(track.way_s[-1] - track.way_s[0]) >= LEAST_TRAVEL
+    if _height(track) < LEAST_HEIGHT or abs(float(np.median([s.middle for s in track.kept]))) > ASIDE:
+        return False
+    return abs(track.travel) >= track.kept[len(track.kept) // 2].error(*LEAST_TRAVEL)
 
 
-def found_on(track: Track) -> Found:
-    """The vehicle that a track saw, with its outline in the first frame that shows it well."""
+def as_seen(track: Track, reason: str) -> Found:
+    """The vehicle that a track saw, without an outline for a ``reason``."""
     first = track.first
-    found = Found(
+    return Found(
         path=first.way.name,
         times=(track.times[0], track.times[-1]),
         width=float(np.median([s.x[1] - s.x[0] for s in track.kept])),
         height=_height(track),
         place=first.place,
         vehicle=None,
-        reason="",
+        reason=reason,
         crops=first.crops,
         corners=first.corners,
     )
+
+
+def found_on(track: Track) -> Found:
+    """The vehicle that a track saw, with its outline in the first frame that shows it well."""
     face = face_of(track)
     if face is None:
-        return replace(found, reason="no part of its face keeps its picture in both views and over time")
-    at = _first_clear(face, first.way.rig)
+        return as_seen(track, "no part of its face keeps its picture in both views and over time")
+    at = _first_clear(face, track.first.way.rig)
     if at is None:
-        return replace(found, reason="its face is never large enough and wholly inside both pictures")
+        return as_seen(track, "its face is never large enough and wholly inside both pictures")
     sighting = at.sighting
     left, right = sighting.way.pixels(at.s, face.corners(at))
     document = VehicleDocument("", sighting.way.name, sighting.frame, left, right, "front", None)
-    return replace(found, path=sighting.way.name, vehicle=document, crops=sighting.crops, corners=sighting.corners)
+    return replace(
+        as_seen(track, ""),
+        path=sighting.way.name,
+        vehicle=document,
+        crops=sighting.crops,
+        corners=sighting.corners,
+    )
 
 
 def _height(track: Track) -> float:
     return float(np.median([s.y[1] for s in track.kept]))
 
 
+def in_step(aligned: list[Aligned]) -> list[Aligned]:
+    """Those that are where the others near in time say that the vehicle was, by the median of them."""
+    way = aligned[0].sighting.way
+    places = [a.sighting.way.place(a.s, a.sighting.middle, 0.0) for a in aligned]
+    t, s = np.array([a.sighting.time for a in aligned]), np.array([way.path.nearest(place) for place in places])
+    kept = []
+    for i, at in enumerate(aligned):
+        others = np.argsort(np.abs(t - t[i]), kind="stable")[1 : NEIGHBOURS + 1]
+        if len(others) > 1:
+            there = s[others] + slope(t[others], s[others]) * (t[i] - t[others])
+            if abs(s[i] - np.median(there)) > at.sighting.error(*OFF):
+                continue
+        kept.append(at)
+    return kept
+
+
 def _first_clear(face: Face, rig: StereoRig) -> Aligned | None:
     """The first frame in which a face is large enough, and wholly inside both pictures."""
-    for at in face.aligned:
+    for at in in_step(face.aligned):
         for quad, camera in zip(at.sighting.way.pixels(at.s, face.corners(at)), rig.cameras, strict=True):
             inside = (quad >= BORDER) & (quad <= np.array(camera.image_size) - 1 - BORDER)
             if not inside.all() or (np.ptp(quad, axis=0) < SMALLEST).any():

@@ -1,7 +1,8 @@
 """Vehicle after vehicle, measured while the cameras record.
 
-First the empty scene is learned; from then on every pair of frames is looked through for vehicles, and each vehicle
-that has gone is measured on the frames of the last seconds, in a process of its own so that the looking goes on.
+First the empty scene is learned; from then on every pair of frames is looked through for vehicles. Each vehicle that
+has gone is outlined, and measured on the frames of the last seconds, in a process of its own so that the looking goes
+on.
 """
 
 from __future__ import annotations
@@ -25,14 +26,16 @@ from paceline.recordings import StereoFrame
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.measurement import measure, refuse_one_view
 from paceline.speed.results import Measurement
-from paceline.vehicles.finding import Finder, Found
+from paceline.vehicles.finding import Finder, Found, as_seen, found_on
 from paceline.vehicles.measuring import with_lanes_found
 from paceline.vehicles.scene import EmptyScene
+from paceline.vehicles.tracks import Track
 from paceline.vehicles.ways import ways_of
 
 LEARNING = 30.0  # s in which the empty scene is learned
 REMEMBERED = 150  # pairs of frames that are kept for the vehicles in view
-BACKLOG = 4  # vehicles that wait to be measured, at most
+ENOUGH, APART = 24, 0.2  # pairs to measure on: of more, every second or third one as long as they are no more s apart
+BACKLOG = 8  # vehicles that wait to be measured, at most
 BUSY = "not measured: vehicles come faster than this computer measures them"
 FORGOTTEN = "not measured: it was in view for longer than frames are kept"
 
@@ -101,11 +104,11 @@ def survey(
     with _another_process() as measuring:
         desk = _Desk(clip, configuration, measuring, told)
         for frame in in_ideal_pixels(remembered(), clip):
-            for found in finder.see(frame):
-                desk.take(found, recent)
+            for track in finder.gone(frame):
+                desk.take(track, recent)
             desk.tell()
-        for found in finder.finish():
-            desk.take(found, recent)
+        for track in finder.rest():
+            desk.take(track, recent)
         desk.close()
 
 
@@ -143,6 +146,17 @@ def _learned(clip: Clip, pairs: Iterator[RawPair], learning: float) -> Backgroun
     return background_of(*stacks)
 
 
+@dataclass(eq=False)
+class _Case:
+    """A vehicle that waits: first for its outline, then, known as ``found``, for its measurement on the ``pairs`` since
+    it appeared."""
+
+    outlined: Future[Found]
+    pairs: list[RawPair]
+    found: Found | None = None
+    measured: Future[Measurement] | None = None
+
+
 class _Desk:
     """Takes vehicles that have gone, has them measured one after the other, and tells what came of it."""
 
@@ -150,44 +164,68 @@ class _Desk:
         self, clip: Clip, configuration: SpeedConfiguration, measuring: ProcessPoolExecutor, told: Told
     ) -> None:
         self._clip, self._configuration, self._measuring, self._told = clip, configuration, measuring, told
-        self._waiting: deque[tuple[Found, Future[Measurement] | None, str]] = deque()
+        self._cases: deque[_Case] = deque()
         self._count = 0
 
-    def take(self, found: Found, recent: Iterable[RawPair]) -> None:
-        reason, future = found.reason, None
-        if found.vehicle is not None:
-            vehicle = replace(found.vehicle, id=f"v{self._count}")
-            found = replace(found, vehicle=vehicle)
-            self._count += 1
-            pairs = [pair for pair in recent if pair.index >= vehicle.frame]
-            if sum(waiting is not None for _, waiting, _ in self._waiting) >= BACKLOG:
-                reason = BUSY
-            elif not pairs or pairs[0].index > vehicle.frame:
-                reason = FORGOTTEN
-            else:
-                clip = replace(self._clip, vehicles=[vehicle])
-                future = self._measuring.submit(_measured, clip, pairs, self._configuration)
-        self._waiting.append((found, future, reason))
+    def take(self, track: Track, recent: Iterable[RawPair]) -> None:
+        if sum(bool(case.pairs) for case in self._cases) >= BACKLOG:
+            outlined: Future[Found] = Future()
+            outlined.set_result(as_seen(track, BUSY))
+            self._cases.append(_Case(outlined, []))
+        else:
+            pairs = [pair for pair in recent if pair.index >= track.first.frame]
+            self._cases.append(_Case(self._measuring.submit(found_on, track), pairs))
 
     def tell(self) -> None:
         """What is known by now, in order."""
-        while self._waiting and ((future := self._waiting[0][1]) is None or future.done()):
+        for case in self._cases:
+            if case.found is None and not case.outlined.done():
+                break
+            self._go_on(case)
+        while self._cases and (first := self._cases[0]).found and (first.measured is None or first.measured.done()):
             self._tell_first()
 
     def close(self) -> None:
         """Wait for what is being measured."""
-        while self._waiting:
+        for case in self._cases:
+            self._go_on(case)
+        while self._cases:
             self._tell_first()
 
+    def _go_on(self, case: _Case) -> None:
+        """Have a vehicle measured, once it is known what its outline is."""
+        if case.found is not None:
+            return
+        case.found = case.outlined.result()
+        if (vehicle := case.found.vehicle) is None:
+            return
+        vehicle = replace(vehicle, id=f"v{self._count}")
+        self._count += 1
+        case.found = replace(case.found, vehicle=vehicle)
+        pairs = [pair for pair in case.pairs if pair.index >= vehicle.frame]
+        if not pairs or pairs[0].index > vehicle.frame:
+            case.found = replace(case.found, reason=FORGOTTEN)
+        else:
+            clip = replace(self._clip, vehicles=[vehicle])
+            case.measured = self._measuring.submit(_measured, clip, thinned(pairs), self._configuration)
+
     def _tell_first(self) -> None:
-        found, future, reason = self._waiting.popleft()
-        measurement = None
-        if future is not None:
+        case = self._cases.popleft()
+        assert case.found is not None, "what is told is known"
+        measurement, reason = None, case.found.reason
+        if case.measured is not None:
             try:
-                measurement = future.result()
+                measurement = case.measured.result()
             except UnusableInput as unusable:
                 reason = str(unusable)
-        self._told(found, measurement, reason)
+        self._told(case.found, measurement, reason)
+
+
+def thinned(pairs: list[RawPair]) -> list[RawPair]:
+    """The first of ``pairs`` and as many of the others, evenly spread, as a vehicle is measured on."""
+    interval = (pairs[-1].time - pairs[0].time) / max(len(pairs) - 1, 1)
+    most = int(APART / interval + 0.1) if interval > 0 else 1
+    return pairs[:: max(min(-(-len(pairs) // ENOUGH), most), 1)]
 
 
 def _measured(clip: Clip, pairs: list[RawPair], configuration: SpeedConfiguration) -> Measurement:

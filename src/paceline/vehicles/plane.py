@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from paceline.vehicles.agreement import Texture, correlation
-from paceline.vehicles.sightings import AGREE, GRID, Sighting
+from paceline.vehicles.agreement import Texture, agreement, correlation
+from paceline.vehicles.sightings import GRID, Sighting
 from paceline.vehicles.tracks import Track
 from paceline.vehicles.ways import Grid
 
@@ -129,8 +129,7 @@ def _where_views_agree(sighting: Sighting, rows: slice, columns: slice) -> float
     ahead, areas = np.linspace(-REACH, REACH, STEPS), []
     for s in sighting.s + ahead:
         left, right = (Texture(card, WINDOW) for card in sighting.cards(float(s), FINE, origin))
-        agree = np.clip((correlation(left, right) - AGREE[0]) / (AGREE[1] - AGREE[0]), 0.0, 1.0)
-        areas.append(float((agree * _textured(left))[rows, columns].sum()))
+        areas.append(float((agreement(left, right) * _textured(left))[rows, columns].sum()))
     best = int(np.argmax(areas))
     return float(sighting.s + ahead[best] + _vertex(np.array(areas), best) * (ahead[1] - ahead[0]))
 

@@ -15,22 +15,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from paceline.recordings import StereoFrame
-from paceline.vehicles.agreement import Texture, correlation, local_mean
-from paceline.vehicles.ways import Grid, Way, laid_out, pyramid
+from paceline.vehicles.agreement import Texture, correlation, counting, local_mean, stands
+from paceline.vehicles.sheets import Sheets
+from paceline.vehicles.ways import LEVELS, Grid, Way, laid_out, pyramid
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
-Mask = NDArray[np.uint8]
+Mask = NDArray[np.bool_]
+Indices = NDArray[np.int64]
 
 GRID = Grid(left=-3.2, top=2.6, bottom=0.2, cell=0.05)  # m; what lies lower is road
 WINDOW = 7  # cells, over which pictures are compared
-AGREE = (0.6, 1.0)  # correlation of the views at which a place begins to count, and counts wholly
-CHANGED = 0.3  # one minus the correlation with the empty scene, from which on something else is there
+SEARCH, SEARCH_WINDOW = Grid(left=-3.2, top=2.6, bottom=0.2, cell=0.1), 5  # of the coarse look at all stations
+SPARSE = 2  # stations from one of the coarse look to the next
+PROMISING = 0.2  # m² of places that count in a coarse look, about which a fine one is worth while
+RIVAL, RIVALS = 0.5, 4  # of the most that counts coarsely, and stations: a fine look may see another as the highest
+REFRESHED = 0.5  # s after which the coarse look takes the empty scene anew
 CONTRAST = (1.0, 2.0)  # grey levels, and times the noise: less is no texture
 COARSE = 2  # level of the pyramid at which a glance tells where nothing has changed
+PART = 0.2  # of a vehicle's smallest area that is other than the empty scene at a glance
 UNCHANGED = 0.5  # of the contrast that makes a texture
+SOME = 8  # rows from one to the next that tell the noise
 SMALLEST = 0.25  # m² of places that count, of a motorcycle far away
-FLATTEST = 0.8  # of the views' agreement if it stands, that may be left if it lies on the road: shadows have all of it
+STANDS = 1.0, 1.2  # times worse that the views agree if it lies on the road, coarsely and finely: shadows do not
 BODY = 5.0, 14.0  # m that a car, and what is taller than a van, reaches behind its face
 BEFORE = 2.5  # m that its face may lie before where most of it was seen
 TALL = 2.3  # m from which on a vehicle may be a lorry or a bus
@@ -40,9 +47,6 @@ SLENDER = 0.3  # of a face's height: columns of less are not of the face, but of
 ASIDE = 1.6  # m from the middle of a way, from where on what counts belongs to the next lane more and more
 HALF_WIDTH = 1.3  # m, of a bus
 MARGIN = 0.9  # m about a face that are kept of the pictures
-
-
-_CENTRED = np.clip(1.0 - 0.4 * (np.abs(GRID.x) - ASIDE), 0.3, 1.0).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +74,11 @@ class Sighting:
         """Metres from the middle of the way to the middle of the face."""
         return 0.5 * sum(self.x)
 
+    def error(self, least: float, pixels: float) -> float:
+        """Metres along the way of an error of so many ``pixels`` of disparity, but ``least`` metres."""
+        rig, depth = self.way.rig, float(self.place[2])
+        return max(least, pixels * depth**2 / float(rig.left.K[0, 0] * rig.baseline))
+
     @cached_property
     def _levels(self) -> list[list[Image]]:
         return [pyramid(crop) for crop in self.crops]
@@ -85,82 +94,140 @@ class Sighting:
 
 
 class Lookout:
-    """Looks along ``ways`` at the frames of a stationary rig."""
+    """Looks along ``ways`` at the frames of a stationary rig: coarsely at the cards of all stations at once, and then
+    finely at those about which most counts."""
 
     def __init__(self, ways: list[Way]) -> None:
         self._stations = [(way, float(s)) for way in ways for s in way.stations()]
         self._homographies = [way.homographies(s) for way, s in self._stations]
-        self._boxes = np.array([_box(way, s) for way, s in self._stations], np.int64).reshape(-1, 4)
         self._bounds = np.cumsum([0, *(sum(w is way for w, _ in self._stations) for way in ways)])
+        coarse = range(0, len(self._stations), SPARSE)
+        standing = [self._homographies[k] for k in coarse]
+        lying = [_lying(*self._stations[k]) for k in coarse]
+        self._standing, self._lying = (Sheets(cards, SEARCH, SEARCH_WINDOW) for cards in (standing, lying))
+        self._boxes = np.array([[_box(H) for H in views] for views in standing], int).reshape(-1, 2, 4)
+        per_metre = (self._boxes[:, 0, 2] - self._boxes[:, 0, 0]) / (-2 * GRID.left)
+        self._least_changed = PART * SMALLEST * per_metre**2
+        self._scene: list[list[Image]] = []
+        self._empty: dict[int, list[Texture]] = {}
+        self._learned = -np.inf
 
     def see(self, frame: StereoFrame, empty: tuple[Image, Image]) -> list[Sighting]:
         """The faces in ``frame`` before the ``empty`` scene (both views of it), the largest first."""
+        if frame.time - self._learned >= REFRESHED:
+            self._learned, self._scene, self._empty = frame.time, [pyramid(image.copy()) for image in empty], {}
         views = [pyramid(image) for image in (frame.left, frame.right)]
-        scene = [pyramid(image) for image in empty]
         least = max(CONTRAST[0], CONTRAST[1] * noise_of(frame.left, empty[0]))
-        blank = np.zeros(GRID.size[::-1], np.float32)
-        counts = [
-            self._counting(views, scene, H, least) if busy else blank
-            for H, busy in zip(self._homographies, self._busy(views[0], scene[0], least), strict=True)
-        ]
+        look = _Look(views, self._scene, self._homographies, least)
+        coarse = self._coarsely(views, least)
         found: list[Sighting] = []
-        explained = np.zeros(frame.left.shape, np.uint8)
-        while counts:
-            areas = np.array([float((c * _CENTRED).sum()) for c in counts]) * GRID.cell**2
-            best = int(np.argmax(areas))
-            if areas[best] < SMALLEST:
+        while len(coarse):
+            areas = _areas(coarse, SEARCH)
+            peaks = self._peaks(areas)
+            if not len(peaks):
                 break
-            way, s = self._stations[best]
-            standing, counts[best] = counts[best], np.zeros_like(counts[best])
-            if _flat(views, way, s, standing) > FLATTEST:
+            best = max((self._highest(look, SPARSE * k) for k in peaks), key=look.area)
+            if look.area(best) < SMALLEST:
+                coarse[peaks] = 0.0
                 continue
-            sighting = self._sighting(frame, way, self._between(areas, best), standing)
-            found.append(sighting)
-            cv2.fillConvexPoly(explained, _outline(sighting), 1)
-            flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
-            for k, (H, _) in enumerate(self._homographies):
-                if areas[k] >= SMALLEST:
-                    hidden = cv2.warpPerspective(explained, H @ GRID.to_metres, GRID.size, flags=flags)
-                    counts[k] = counts[k] * (hidden == 0)
+            counts = look.counts(best)
+            piece = _largest_piece(counts)
+            s = self._between(look, best)
+            look.forget(best, piece)
+            if stands(counts * piece, self._as_lying(views, best)) < STANDS[1]:
+                continue
+            first, behind = self._way_of(best)
+            sighting = self._sighting(frame, self._stations[best][0], s, counts, piece)
+            if first < best < behind - 1:  # what counts most at an end of the way is beyond it
+                found.append(sighting)
+            look.explain(sighting)
+            self._hide(coarse, areas, look.explained)
         return found
 
-    def _busy(self, view: list[Image], scene: list[Image], least: float) -> NDArray[np.bool_]:
-        """Where (stations,) the coarse left view about a card is not that of the empty scene: elsewhere is nothing."""
-        changed = np.abs(view[COARSE] - scene[COARSE]) > UNCHANGED * least
-        sums = cv2.integral(changed.astype(np.uint8))
-        rows, columns = np.array(changed.shape)
-        left, right = self._boxes[:, [0, 2]].clip(0, columns).T
-        top, bottom = self._boxes[:, [1, 3]].clip(0, rows).T
-        return np.asarray(sums[bottom, right] - sums[top, right] - sums[bottom, left] + sums[top, left] > 0)
+    def _coarsely(self, views: list[list[Image]], least: float) -> Image:
+        """How much each place of the coarse cards (some stations, rows, columns) counts, without those that show what
+        lies on the road."""
+        busy = self._busy(views, least)
+        counts = np.zeros((len(busy), *SEARCH.size[::-1]), np.float32)
+        for k, batch in enumerate(self._standing.batches):
+            if busy[batch].any():
+                if k not in self._empty:
+                    self._empty[k] = self._textures(self._scene, batch)
+                counts[batch] = self._standing.cards(counting(self._textures(views, batch), self._empty[k], least))
+        areas = _areas(counts, SEARCH)
+        for batch in self._standing.batches:
+            chosen = batch[areas[batch] >= PROMISING]
+            if len(chosen):
+                left, road = (Texture(self._lying.lay_out(v, i, chosen), SEARCH_WINDOW) for i, v in enumerate(views))
+                better = stands(counts[chosen], self._lying.cards(correlation(left, road)))
+                counts[chosen[better < STANDS[0]]] = 0.0
+        return counts
 
-    @staticmethod
-    def _counting(views: list[list[Image]], scene: list[list[Image]], H: tuple[Array, Array], least: float) -> Image:
-        """How much each place of a card counts, 0 to 1."""
-        left, right = (Texture(laid_out(v, h, GRID), WINDOW) for v, h in zip(views, H, strict=True))
-        textured = np.minimum(left.std, right.std) > least
-        if textured.sum() * GRID.cell**2 < SMALLEST:
-            return np.zeros_like(left.image)
-        changed = np.ones_like(textured)
-        for now, before, h in zip((left, right), scene, H, strict=True):
-            changed &= correlation(now, Texture(laid_out(before, h, GRID), WINDOW)) < 1 - CHANGED
-        agree = np.clip((correlation(left, right) - AGREE[0]) / (AGREE[1] - AGREE[0]), 0.0, 1.0)
-        return np.asarray(np.where(textured & changed, agree, 0.0), np.float32)
+    def _as_lying(self, views: list[list[Image]], station: int) -> Image:
+        """The correlation of the views at each place of a fine card if what it shows the left one lies on the road."""
+        both = zip(views, _lying(*self._stations[station]), strict=True)
+        return correlation(*(Texture(laid_out(view, H, GRID), WINDOW) for view, H in both))
 
-    def _between(self, areas: Array, best: int) -> float:
+    def _textures(self, views: list[list[Image]], batch: Indices) -> list[Texture]:
+        return [Texture(self._standing.lay_out(levels, i, batch), SEARCH_WINDOW) for i, levels in enumerate(views)]
+
+    def _busy(self, views: list[list[Image]], least: float) -> NDArray[np.bool_]:
+        """Where (stations,) both coarse views about a card are not those of the empty scene: elsewhere is nothing."""
+        busy = np.ones(len(self._boxes), bool)
+        for i, (view, scene) in enumerate(zip(views, self._scene, strict=True)):
+            changed = np.abs(view[COARSE] - scene[COARSE]) > UNCHANGED * least
+            sums = cv2.integral(changed.astype(np.uint8))
+            rows, columns = np.array(changed.shape)
+            left, right = self._boxes[:, i, [0, 2]].clip(0, columns).T
+            top, bottom = self._boxes[:, i, [1, 3]].clip(0, rows).T
+            busy &= sums[bottom, right] - sums[top, right] - sums[bottom, left] + sums[top, left] > self._least_changed
+        return busy
+
+    def _hide(self, coarse: Image, areas: Array, explained: Image) -> None:
+        """Take from what counts what lies in the part of the left picture that is ``explained``."""
+        levels = [np.ascontiguousarray(explained[:: 2**k, :: 2**k]) for k in range(LEVELS)]
+        for batch in self._standing.batches:
+            if (areas[batch] >= PROMISING).any():
+                hidden = self._standing.cards(self._standing.lay_out(levels, 0, batch, cv2.INTER_NEAREST))
+                coarse[batch] *= hidden == 0
+
+    def _peaks(self, areas: Array) -> list[int]:
+        """The stations between whose neighbours most counts, if it is promising; not those where far less does than at
+        the first one."""
+        before, behind = np.append(0.0, areas[:-1]), np.append(areas[1:], 0.0)
+        least = max(PROMISING, RIVAL * float(areas.max()))
+        peaks = np.flatnonzero((areas >= before) & (areas >= behind) & (areas >= least))
+        return [int(k) for k in peaks[np.argsort(-areas[peaks])][:RIVALS]]
+
+    def _highest(self, look: _Look, k: int) -> int:
+        """The station up the hill from ``k`` at which most counts."""
+        first, last = self._way_of(k)
+        while True:
+            best = max(range(max(k - 1, first), min(k + 2, last)), key=look.area)
+            if look.area(best) <= look.area(k):
+                return k
+            k = best
+
+    def _between(self, look: _Look, best: int) -> float:
         """The arc length at the top of a parabola through the best station and its neighbours."""
-        first, last = self._bounds[np.searchsorted(self._bounds, best, "right") - 1 :][:2]
+        first, last = self._way_of(best)
         s = self._stations[best][1]
         if not first < best < last - 1:
             return s
-        a, b, c = areas[best - 1 : best + 2]
+        a, b, c = (look.area(k) for k in (best - 1, best, best + 1))
         offset = 0.5 * (a - c) / min(a - 2 * b + c, -1e-9)
         neighbour = self._stations[best + (1 if offset > 0 else -1)][1]
         return s + float(min(abs(offset), 0.5)) * (neighbour - s)
 
+    def _way_of(self, station: int) -> tuple[int, int]:
+        """The first station of the same way, and the one behind its last."""
+        first, behind = self._bounds[np.searchsorted(self._bounds, station, "right") - 1 :][:2]
+        return int(first), int(behind)
+
     @staticmethod
-    def _sighting(frame: StereoFrame, way: Way, s: float, counts: Image) -> Sighting:
-        area = float(counts.sum()) * GRID.cell**2
-        x, y = _extent(counts)
+    def _sighting(frame: StereoFrame, way: Way, s: float, counts: Image, piece: Mask) -> Sighting:
+        area = float((counts * piece).sum()) * GRID.cell**2
+        x, y = _extent(piece)
         card = np.array([[a, b] for a in (x[0] - MARGIN, x[1] + MARGIN) for b in (0.0, GRID.top)])
         around = [way.pixels(s + ahead, card) for ahead in (-BEFORE, BEFORE)]
         crops, corners = [], []
@@ -173,38 +240,92 @@ class Lookout:
         return Sighting(frame.index, frame.time, way, s, x, y, area, (crops[0], crops[1]), np.array(corners, float))
 
 
-def _box(way: Way, s: float) -> list[int]:
-    """Left, top, right and bottom of a card in the coarse left view, px."""
-    card = np.array([[x, y] for x in (GRID.left, -GRID.left) for y in (GRID.bottom, GRID.top)])
-    pixels = way.pixels(s, card)[0] / 2**COARSE
+class _Look:
+    """A fine look at the cards of single stations in one frame; what is ``explained`` (H, W: not 0) in the left picture
+    counts no more."""
+
+    def __init__(
+        self, views: list[list[Image]], scene: list[list[Image]], homographies: list[tuple[Array, Array]], least: float
+    ) -> None:
+        self._views, self._scene, self._homographies, self._least = views, scene, homographies, least
+        self._counts: dict[int, Image] = {}
+        self._areas: dict[int, float] = {}
+        self.explained = np.zeros(views[0][0].shape, np.float32)
+
+    def counts(self, station: int) -> Image:
+        """How much each place of a card counts, 0 to 1."""
+        if station not in self._counts:
+            views, empty = (
+                [Texture(laid_out(v, H, GRID), WINDOW) for v, H in zip(pair, self._homographies[station], strict=True)]
+                for pair in (self._views, self._scene)
+            )
+            self._counts[station] = counting(views, empty, self._least)
+            self._hide(station)
+        return self._counts[station]
+
+    def area(self, station: int) -> float:
+        """What counts on a card, m²."""
+        if station not in self._areas:
+            self._areas[station] = float(_areas(self.counts(station), GRID))
+        return self._areas[station]
+
+    def forget(self, station: int, piece: Mask) -> None:
+        """Count nothing in a ``piece`` (rows, columns) of a card any more."""
+        self._counts[station] = np.where(piece, np.float32(0.0), self._counts[station])
+        self._areas.pop(station, None)
+
+    def explain(self, sighting: Sighting) -> None:
+        """Count nothing any more of what belongs to a vehicle that was seen."""
+        cv2.fillConvexPoly(self.explained, _outline(sighting), 1)
+        self._areas = {}
+        for station in self._counts:
+            self._hide(station)
+
+    def _hide(self, station: int) -> None:
+        H = self._homographies[station][0] @ GRID.to_metres
+        flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
+        hidden = cv2.warpPerspective(self.explained, H, GRID.size, flags=flags)
+        self._counts[station] = self._counts[station] * (hidden == 0)
+
+
+def _areas(counts: Image, grid: Grid) -> Array:
+    """What counts on cards (…, rows, columns), m² (…); less of it beside the lane."""
+    centred = np.clip(1.0 - 0.4 * (np.abs(grid.x) - ASIDE), 0.3, 1.0).astype(np.float32)
+    return np.asarray(counts.sum(-2) @ centred * grid.cell**2, float)
+
+
+def _box(homography: Array) -> list[int]:
+    """Left, top, right and bottom of a card in a coarse view, px."""
+    corners = np.array([[x, y, 1.0] for x in (GRID.left, -GRID.left) for y in (GRID.bottom, GRID.top)]) @ homography.T
+    pixels = corners[:, :2] / corners[:, 2:] / 2**COARSE
     return [*np.floor(pixels.min(0)).astype(int).tolist(), *(np.ceil(pixels.max(0)).astype(int) + 1).tolist()]
 
 
-def _flat(views: list[list[Image]], way: Way, s: float, counts: Image) -> float:
-    """How well the views agree on what ``counts`` on the card at ``s`` if it lies on the road, relative to how well
-    they agree if it stands."""
+def _lying(way: Way, s: float) -> tuple[Array, Array]:
+    """As `Way.homographies`, but what a card shows the left view lies on the road for the right one."""
     left, _ = way.homographies(s)
-    seen = Texture(laid_out(views[0], left, GRID), WINDOW)
-    road = Texture(laid_out(views[1], way.over_road(s) @ left, GRID), WINDOW)
-    agree = np.clip((correlation(seen, road) - AGREE[0]) / (AGREE[1] - AGREE[0]), 0.0, 1.0)
-    return float(agree[counts > 0].sum() / counts.sum())
+    return left, way.over_road(s) @ left
 
 
-def _extent(counts: Image) -> tuple[tuple[float, float], tuple[float, float]]:
-    """From where to where on the card, across and up in m, the largest piece of what counts reaches."""
+def _largest_piece(counts: Image) -> Mask:
+    """Where on a card (rows, columns) the largest piece of what counts is; all of it where nothing hangs together."""
     dense = (local_mean(counts, WINDOW) > PIECE).astype(np.uint8)
     _, labels, stats, _ = cv2.connectedComponentsWithStats(dense)
     if len(stats) < 2:
-        return (-0.5, 0.5), (GRID.bottom, 1.0)
-    piece = labels == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
+        return np.ones(counts.shape, bool)
+    return np.asarray(labels == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA])))
+
+
+def _extent(piece: Mask) -> tuple[tuple[float, float], tuple[float, float]]:
+    """From where to where on the card, across and up in m, a piece reaches."""
     columns = np.flatnonzero(piece.sum(0) >= SLENDER * piece.sum(0).max())
     rows = np.flatnonzero(piece.any(1))
     return (float(GRID.x[columns[0]]), float(GRID.x[columns[-1]])), (float(GRID.y[rows[-1]]), float(GRID.y[rows[0]]))
 
 
 def noise_of(image: Image, empty: Image) -> float:
-    """The standard deviation of a picture's noise, grey levels, where it shows the empty scene."""
-    differences = np.abs(np.diff((image - empty)[::2], axis=1))
+    """The standard deviation of a picture's noise, grey levels, where it shows the empty scene; from some rows."""
+    differences = np.abs(np.diff((image[::SOME] - empty[::SOME]), axis=1))
     return float(1.4826 * np.median(differences) / np.sqrt(2.0))
 
 

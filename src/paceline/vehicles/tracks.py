@@ -17,7 +17,8 @@ Image = NDArray[np.float32]
 ALIKE = 0.5  # correlation of the faces of one vehicle in two frames,
 SETTLED = 3, 1.0  # sightings from which on, and seconds since the last up to which, where it must be tells more:
 # something may have hidden part of it
-ASIDE = 1.3  # m across the way that a vehicle moves at most from one sighting to the next
+ASIDE = 1.3  # m across the way that a vehicle moves at most from one sighting to the next,
+GAP = 0.5  # or that may lie between what is seen of it on either side of a pole
 ERROR = 2.5, 1.5  # m along the way, and px of disparity, by which a sighting is off at most
 CHANGING = 8.0  # m/s², by which a vehicle gathers or loses speed at most
 LOW = 1.3  # m, up to where faces are compared: windscreens mirror what is around
@@ -37,7 +38,8 @@ class Track:
     areas: list[float] = field(default_factory=list)
     kept: list[Sighting] = field(default_factory=list)
     last: Sighting | None = None
-    unseen: int = 0
+    unseen: int = 0  # frames since it was seen last,
+    missed: int = 0  # and before that, since it was seen first
     _stride: int = 1
 
     def add(self, sighting: Sighting) -> None:
@@ -48,6 +50,7 @@ class Track:
         self.way_s.append(self.along(sighting))
         self.times.append(sighting.time)
         self.areas.append(sighting.area)
+        self.missed += self.unseen
         self.last, self.unseen = sighting, 0
 
     @property
@@ -65,6 +68,13 @@ class Track:
         """Metres per second along the way, over all of it; NaN for a single sighting."""
         return slope(np.array(self.times), np.array(self.way_s))
 
+    @property
+    def travel(self) -> float:
+        """Metres along the way that it has moved, by the medians of the first and of the last third."""
+        third = -(-len(self.way_s) // 3)
+        early, late = np.median(self.way_s[:third]), np.median(self.way_s[-third:])
+        return float(late - early) * (len(self.way_s) - 1) / max(len(self.way_s) - third, 1)
+
     def settled(self, time: float) -> bool:
         """Whether at ``time`` it is known well where the vehicle must be."""
         return len(self.times) >= SETTLED[0] and time - self.times[-1] <= SETTLED[1]
@@ -77,10 +87,10 @@ class Track:
             return False
         s, way = self.along(sighting), self.first.way
         aside = (sighting.place - self.last.place) @ way.axes(s)[1]
-        if abs(aside) > ASIDE:
+        half_widths = 0.5 * (sighting.x[1] - sighting.x[0] + self.last.x[1] - self.last.x[0])
+        if abs(aside) > max(ASIDE, half_widths + GAP):
             return False
-        rig, depth = way.rig, float(sighting.place[2])
-        error = max(ERROR[0], ERROR[1] * depth**2 / (rig.left.K[0, 0] * rig.baseline))
+        error = sighting.error(*ERROR)
         if len(self.times) == 1:
             return bool(abs(s - self.way_s[-1]) <= FASTEST * dt + error)
         recent = slice(-4, None)
@@ -96,13 +106,17 @@ def slope(t: Array, s: Array) -> float:
 
 
 def likeness(a: Sighting, b: Sighting) -> float:
-    """The best correlation of the lower part of face ``a`` with the card of ``b``, shifted a little."""
+    """The best correlation of the lower part of the narrower face with the card of the other, shifted a little, and
+    anywhere within a wider one, which may show more than the vehicle."""
+    if b.x[1] - b.x[0] < a.x[1] - a.x[0]:
+        a, b = b, a
     template, card = (s.cards(s.s, GRID, np.array([s.middle, 0.0]))[0] for s in (a, b))
-    columns = np.flatnonzero(np.abs(GRID.x) <= 0.5 * (a.x[1] - a.x[0]))
+    width, wider = a.x[1] - a.x[0], b.x[1] - b.x[0]
+    columns = np.flatnonzero(np.abs(GRID.x) <= 0.5 * width)
     rows = np.flatnonzero(GRID.y <= max(LOW, a.y[0] + 0.4))
-    shift = round(SHIFT / GRID.cell)
-    pad = cv2.copyMakeBorder(card, shift, shift, shift, shift, cv2.BORDER_REPLICATE)
-    window = pad[rows[0] : rows[-1] + 1 + 2 * shift, columns[0] : columns[-1] + 1 + 2 * shift].copy()
+    down, across = round(SHIFT / GRID.cell), round((SHIFT + 0.5 * (wider - width)) / GRID.cell)
+    pad = cv2.copyMakeBorder(card, down, down, across, across, cv2.BORDER_REPLICATE)
+    window = pad[rows[0] : rows[-1] + 1 + 2 * down, columns[0] : columns[-1] + 1 + 2 * across].copy()
     face = template[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1].copy()
     scores = cv2.matchTemplate(window, face, cv2.TM_CCOEFF_NORMED)
     return float(np.nan_to_num(scores, nan=-1.0, posinf=-1.0).max())

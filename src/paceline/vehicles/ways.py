@@ -7,7 +7,9 @@ and only there, the two views agree on it.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -112,21 +114,21 @@ class Grid:
     bottom: float
     cell: float
 
-    @property
+    @cached_property
     def size(self) -> tuple[int, int]:
         """(columns, rows)."""
         return round(-2 * self.left / self.cell) + 1, round((self.top - self.bottom) / self.cell) + 1
 
-    @property
+    @cached_property
     def to_metres(self) -> Array:
         """(3, 3): card coordinates (x, y, 1) of (column, row, 1)."""
         return np.array([[self.cell, 0, self.left], [0, -self.cell, self.top], [0, 0, 1.0]])
 
-    @property
+    @cached_property
     def x(self) -> Array:
         return np.asarray(self.left + self.cell * np.arange(self.size[0]), float)
 
-    @property
+    @cached_property
     def y(self) -> Array:
         return np.asarray(self.top - self.cell * np.arange(self.size[1]), float)
 
@@ -139,14 +141,19 @@ def pyramid(image: Image) -> list[Image]:
     return levels
 
 
+def level_of(homography: Array, grid: Grid) -> int:
+    """The level of a picture's pyramid that is about as fine as the ``grid`` of a card seen through ``homography``."""
+    columns, rows = grid.size
+    x, y, w = homography @ grid.to_metres @ [0.5 * columns, rows - 1.0, 1.0]
+    across = homography[:, 0] * grid.cell
+    scale = math.hypot(across[0] - across[2] * x / w, across[1] - across[2] * y / w) / abs(w)  # px per column
+    return min(max(math.floor(math.log2(max(scale, 1e-6))), 0), LEVELS - 1)
+
+
 def laid_out(levels: list[Image], homography: Array, grid: Grid) -> Image:
     """The picture on a card (rows, columns) as seen through ``homography``, from the level that is about as fine."""
-    H = homography @ grid.to_metres
-    columns, rows = grid.size
-    middle = H @ [0.5 * columns, rows - 1.0, 1.0]
-    scale = np.hypot(*(H[:2, 0] - H[2, 0] * middle[:2] / middle[2])) / abs(middle[2])  # px per column
-    level = int(np.clip(np.floor(np.log2(max(scale, 1e-6))), 0, len(levels) - 1))
-    H = np.diag([0.5**level, 0.5**level, 1.0]) @ H
+    level = level_of(homography, grid)
+    H = homography @ grid.to_metres * np.array([[0.5**level], [0.5**level], [1.0]])
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     border = cv2.BORDER_REPLICATE
     return np.asarray(cv2.warpPerspective(levels[level], H, grid.size, flags=flags, borderMode=border), np.float32)

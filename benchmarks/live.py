@@ -1,0 +1,164 @@
+"""Whether a live survey keeps up: two 1280 × 960 streams at 10 frames/s with two vehicles in view most of the time.
+
+python benchmarks/live.py [--groups 6]
+
+First the work for each pair of frames alone, not paced, in processor time; then the survey itself, paced as cameras
+would, which on a busy computer drops frames that an idle one would not.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import tempfile
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import yaml
+from common import MPH, head, machine, rms, row
+from numpy.typing import NDArray
+
+from paceline.calibration.rig_file import rig_yaml
+from paceline.documents import Clip, load_clip
+from paceline.live_views import LiveViews, RawPair, undistorted
+from paceline.simulation.backdrops import Backdrop
+from paceline.simulation.planar import Scene, Vehicle, World, render
+from paceline.speed.configuration import SpeedConfiguration
+from paceline.speed.results import Measurement
+from paceline.vehicles.finding import Finder, Found
+from paceline.vehicles.live import survey
+from paceline.vehicles.scene import EmptyScene
+from paceline.vehicles.ways import ways_of
+
+RATE = 10.0  # frames/s
+FRAMES, GAP = 34, 10  # of a group of two vehicles, and without any behind it
+LEARNED = 8.0  # s of empty road
+NOISE = 1.0  # grey levels
+
+
+@dataclass(frozen=True, eq=False)
+class Film:
+    """Pictures (H, W) of both views, and in which of them two vehicles are in view."""
+
+    views: tuple[list[NDArray[np.uint8]], list[NDArray[np.uint8]]]
+    busy: list[bool]
+    speeds: list[float]  # m/s, of the vehicles
+
+
+def scene(k: int) -> Scene:
+    """The k-th group: one that comes nearer and one that goes away."""
+    near = Vehicle("v0", 15.0 + k % 4, start_distance=66.0, lane=-1.85, texture_seed=20 + k, relief=0.03)
+    away = Vehicle("v1", 12.0 + k % 3, start_distance=22.0, lane=1.85, texture_seed=60 + k, relief=0.03, receding=True)
+    return Scene(
+        seed=5,
+        vehicles=(near, away),
+        image_size=(1280, 960),
+        focal=2300.0,
+        camera_height=3.0,
+        tilt=0.03,
+        road_direction=0.015,
+        road_depth=40.0,
+        noise_sigma=NOISE,
+        rate=RATE,
+        frames=FRAMES,
+    )
+
+
+def film(groups: int) -> Film:
+    """An empty road, and group after group on it."""
+    world, rng = World(scene(0)), np.random.default_rng(3)
+    stills = [Backdrop(world.scene, world.road, world.scene.seed).draw(view) for view in world.views]
+    views: tuple[list[NDArray[np.uint8]], list[NDArray[np.uint8]]] = [], []
+    busy: list[bool] = []
+
+    def empty(frames: int) -> None:
+        for still, pictures in zip(stills, views, strict=True):
+            noise = rng.normal(0, NOISE, (frames, *still.shape)).astype(np.float32)
+            pictures.extend(np.clip(still + n, 0, 255).astype(np.uint8) for n in noise)
+        busy.extend([False] * frames)
+
+    empty(int((LEARNED + 1) * RATE))
+    speeds = []
+    for k in range(groups):
+        rendered = render(scene(k))
+        for pictures, more in zip(views, (rendered.left, rendered.right), strict=True):
+            pictures.extend(more)
+        shown = [
+            {row["vehicle"] for row in rendered.truth if row["frame"] == j and row["inside"]} for j in range(FRAMES)
+        ]
+        busy.extend(len(vehicles) == 2 for vehicles in shown)
+        speeds += [v.speed for v in scene(k).vehicles]
+        empty(GAP)
+    return Film(views, busy, speeds)
+
+
+def write(of: Film, folder: Path) -> Clip:
+    """The film as two H.264 videos, as network cameras send them, with a rig.yaml whose (very slight) distortion costs
+    what a strong one does."""
+    world = World(scene(0))
+    cameras = [replace(camera, distortion=np.array([1e-7, 0, 0, 0])) for camera in world.rig.cameras]
+    (folder / "rig.yaml").write_text(rig_yaml(replace(world.rig, left=cameras[0], right=cameras[1])))
+    for name, pictures in zip(("left", "right"), of.views, strict=True):
+        with av.open(folder / f"{name}.mp4", "w") as container:
+            stream = container.add_stream("libx264", rate=int(RATE), options={"crf": "16", "preset": "veryfast"})
+            stream.width, stream.height, stream.pix_fmt = 1280, 960, "yuv420p"
+            for picture in pictures:
+                container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, "gray").reformat(format="yuv420p")))
+            container.mux(stream.encode())
+    document = {**world.clip, "left": "left.mp4", "right": "right.mp4", "rate": None, "vehicles": None}
+    (folder / "clip.yaml").write_text(yaml.safe_dump({k: v for k, v in document.items() if v is not None}))
+    return load_clip(folder / "clip.yaml")
+
+
+def alone(of: Film, clip: Clip) -> list[float]:
+    """Processor seconds for each pair: undistortion, and everything that the finder does while it looks."""
+    empty = [pictures[0].astype(np.float32) for pictures in of.views]
+    finder, before, seconds = Finder(ways_of(clip), EmptyScene((empty[0], empty[1]))), None, []
+    for k, (left, right) in enumerate(zip(*of.views, strict=True)):
+        pair, begun = RawPair(k, k / RATE, left, right, 0.0), time.process_time()
+        finder.gone(undistorted(pair, clip.rig, before))
+        seconds.append(time.process_time() - begun)
+        before = pair
+    return seconds
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Whether a live survey keeps up with two cameras.")
+    parser.add_argument("--groups", type=int, default=6, help="pairs of vehicles that pass")
+    args = parser.parse_args()
+    cv2.setNumThreads(1)  # as the command does
+    of = film(args.groups)
+    with tempfile.TemporaryDirectory() as folder:
+        clip = write(of, Path(folder))
+        seconds, busy = np.array(alone(of, clip)), np.array(of.busy)
+        print(head("pairs of frames", "number", "median, ms", "95 %, ms", "most, ms"))
+        for name, chosen in (("two vehicles in view", busy), ("none", ~busy)):
+            ms = 1000 * seconds[chosen]
+            print(row(name, len(ms), *(f"{np.percentile(ms, p):.0f}" for p in (50, 95, 100))), flush=True)
+        told: list[Measurement | None] = []
+
+        def note(found: Found, measurement: Measurement | None, reason: str) -> None:
+            told.append(measurement)
+
+        views = LiveViews(clip)
+        looking, begun = time.process_time(), time.monotonic()
+        survey(clip, views, SpeedConfiguration(), note, LEARNED)
+        looking, passed = time.process_time() - looking, time.monotonic() - begun
+        children = resource.getrusage(resource.RUSAGE_CHILDREN)
+    measured = [m for m in told if m is not None and m.verdict == "measured"]
+    errors = [min((m.speed - v for v in of.speeds), key=abs) / MPH for m in measured]
+    pairs = len(of.busy)
+    print(
+        f"\nAs streams: {pairs} pairs in {passed:.0f} s, {views.dropped} dropped; {looking / pairs * 1000:.0f} ms of "
+        f"processor time for each, decoding included, besides {children.ru_utime + children.ru_stime:.0f} s in all for "
+        f"the measuring process.\n{len(told)} vehicles told of {len(of.speeds)}, {len(measured)} measured, "
+        f"{rms(errors):.2f} mph rms.\n\n{machine()}"
+    )
+
+
+if __name__ == "__main__":
+    main()
