@@ -108,7 +108,7 @@ class Item:
         }
         self.cache.parent.mkdir(parents=True, exist_ok=True)
         partial = self.cache.with_suffix(".part")
-        partial.write_text(json.dumps(about | numbers))
+        partial.write_text(json.dumps(about | numbers, default=lambda number: number.item()))  # of NumPy
         partial.replace(self.cache)
         return json.loads(self.cache.read_text())
 

@@ -252,7 +252,7 @@ class Recogniser:
         if support < (CLEAR if lost else SUPPORT) or agreeing.sum() < FEATURES:
             return FEW, clear, False
         astray = np.isfinite(measurement.fit.offsets).sum() - agreeing.sum()
-        as_ever = picture > ALIKE and self._usual_share(measurement) > MOSTLY
+        as_ever = self._proven >= PROVEN and picture > ALIKE and self._usual_share(measurement) > MOSTLY
         # a single edge that is another's tells nothing against all the others
         if discord > (LOOSE if as_ever else 1.0) and astray > 1:
             return APART, clear, False
