@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -229,6 +230,28 @@ def test_a_search_that_was_left_is_taken_up_again(console: Console) -> None:
     tab.wait_for("not saved is back")
     assert setup_of(tab)[1] == [drawn] and file.read_bytes() == before
     assert tab.run("sessionStorage.getItem('paceline search in search')") is None
+    assert complaints(tab) == []
+
+
+def test_leaving_an_import_asks_and_leaves_nothing(tmp_path: Path, console: Console) -> None:
+    root, address, new = console
+    (tmp_path / "cam.mp4").write_bytes(bytes(1000))
+    tab = new()
+    tab.open(address)
+    tab.click("Import a clip")
+    tab.run("window.XMLHttpRequest.prototype.send = () => {}")  # one that takes for ever
+    for side in ("left", "right"):
+        tab.choose_files(f"[data-slot={side}] input", tmp_path / "cam.mp4")
+    tab.click("Import")
+    tab.wait("document.querySelector('pl-import').key")
+    assert list(root.glob(".paceline-import.*"))
+    tab.reload()
+    tab.wait("!document.querySelector('pl-import')?.key")
+    end = time.monotonic() + 30
+    while list(root.glob(".paceline-import.*")):
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    assert any(e.get("method") == "Page.javascriptDialogOpening" for e in tab.events)
     assert complaints(tab) == []
 
 

@@ -118,6 +118,18 @@ def test_runs_wait_for_each_other_are_read_and_are_cancelled(library: Library) -
     assert (library.runs.folder(first) / "clip-as-asked.yaml").read_bytes() == before["clip.yaml"]
 
 
+def test_a_run_that_waited_tells_the_set_up_that_it_measured(library: Library) -> None:
+    file = library.file("road")
+    for _ in range(2):
+        library.runs.start("road", "speed", FAST)
+    wait(lambda: (run := library.runs.get("road", 1)) is not None and run.done > 0)
+    file.write_text(file.read_text().replace("id: v0", "id: renamed"))
+    second = ended(library, 2)
+    (vehicle,) = read_summary(library.runs.out(second))["vehicles"]
+    assert vehicle["vehicle"] == "renamed"
+    assert (library.runs.folder(second) / "clip-as-asked.yaml").read_bytes() == file.read_bytes()
+
+
 def test_a_run_whose_process_is_killed_is_interrupted(library: Library) -> None:
     before = contents(library.folder("road"))
     run = library.runs.start("road", "speed", FAST)

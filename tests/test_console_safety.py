@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -128,3 +129,19 @@ def test_a_playlist_is_no_video(tmp_path: Path, folder: Path) -> None:
             importing.check_container(root / video)
     with pytest.raises(UnusableInput, match="cannot be read as a video"):
         check_document(root, root / "clip.yaml")
+
+
+@pytest.mark.parametrize("name", ["clip.yaml", "rig.yaml"])
+def test_a_huge_document_does_not_keep_the_others_waiting(tmp_path: Path, name: str) -> None:
+    root = tmp_path.resolve()
+    put_clip(root, "fine")
+    document = put_clip(root, "huge") / name
+    with document.open("a") as stream:
+        stream.write("# " + 30 * (1 << 20) * "x")
+    library = Library(root)
+    began = time.process_time()
+    entries = {clip: library.entry(clip) for clip in library.names()}
+    assert time.process_time() - began < 5  # s; to read it takes forty
+    library.runs.close()
+    assert entries["fine"].state == "ready"
+    assert entries["huge"].state == "unreadable" and f"huge/{name}: is larger than" in entries["huge"].reason

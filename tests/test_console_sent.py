@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import io
+import json
+import signal
+import socket
+import time
+import urllib.request
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from console_client import SAME, asked, put_folder
+from console_served import serving
 from fastapi.testclient import TestClient
 from small_clips import put_clip
 
@@ -142,7 +148,7 @@ def test_what_is_no_set_up_is_refused(client: TestClient, body: bytes) -> None:
 @pytest.mark.parametrize(
     "options",
     [{"particles": "1; rm"}, {"particles": 10**9}, {"seed": -1}, {"motion": "--out=/tmp/x"}, {"units": "furlong"},
-     {"particles": True}, {"particles": [1]}, {"seed": 1.5}],
+     {"particles": True}, {"particles": [1]}, {"particles": 19}, {"seed": 1.5}],
 )  # fmt: skip
 def test_only_known_settings_reach_the_command(client: TestClient, options: dict[str, object]) -> None:
     answer = client.post("/api/run?clip=road", json={"kind": "speed", "options": options}, headers=SAME)
@@ -200,11 +206,47 @@ def test_nothing_is_imported_into_a_clip(tmp_path: Path) -> None:
         Imports(clip).begin("new")
 
 
-@pytest.mark.parametrize("entry", [{}, {"left": []}, {"left": [[1, 1], [9, 9]]}, {"left": [[1, 1]] * 5}])
+@pytest.mark.parametrize("entry", [{}, {"left": []}, {"left": [[1, 1], [9, 9]]}, {"left": [[1, 1]] * 5},
+                                   {"shape": "line"}, {"shape": "curve", "left": [[1, 1]]}])  # fmt: skip
 def test_only_lines_and_outlines_are_proposed(client: TestClient, entry: dict[str, Any]) -> None:
     body = {"view": 0, "frame": 0, "entry": entry}
     answer = client.post("/api/propose?clip=road", json=body, headers=SAME)
     assert answer.status_code == 422 and "four corners" in answer.json()["reason"]
+
+
+def test_an_outline_in_a_frame_that_is_not_there_is_told(client: TestClient) -> None:
+    given = client.get("/api/setup?clip=road", headers=SAME).json()
+    (vehicle,), paths = given["vehicles"], given["paths"]
+    body = {"paths": paths, "vehicles": [vehicle, vehicle | {"frame": 99_999}, vehicle | {"frame": [0]}]}
+    facts = client.post("/api/check?clip=road", json=body, headers=SAME).json()["vehicles"]
+    assert "problem" not in facts[0] and "frame 99999 is not in the recording" in facts[1]["problem"]
+    assert "is not in the recording" in facts[2]["problem"]
+
+
+def test_a_file_that_ends_half_way_leaves_nothing_and_no_word(tmp_path: Path) -> None:
+    """As when its tab is closed, or the network goes."""
+    root = tmp_path / "clips"
+    root.mkdir()
+    with serving(root) as (address, process):
+        host = address.removeprefix("http://")
+        given = urllib.request.Request(f"{address}/api/import", data=b'{"name": "new"}')
+        with urllib.request.urlopen(given) as answer:
+            key = json.load(answer)["key"]
+        with socket.create_connection((host.split(":")[0], int(host.split(":")[1]))) as line:
+            head = f"PUT /api/import/{key}/left?name=a.mp4 HTTP/1.1\r\nHost: {host}\r\nContent-Length: 9000000\r\n\r\n"
+            line.sendall(head.encode() + bytes(2 << 20))
+            wait_until(lambda: [f for f in root.glob(".*/left.mp4") if f.stat().st_size > 0])
+        wait_until(lambda: not list(root.glob(".*/left.mp4")))
+        process.send_signal(signal.SIGINT)
+        assert process.wait(60) == 0 and process.stderr is not None and process.stderr.read() == ""
+    assert list(root.iterdir()) == []
+
+
+def wait_until(true: Callable[[], object]) -> None:
+    end = time.monotonic() + 30
+    while not true():
+        assert time.monotonic() < end
+        time.sleep(0.05)
 
 
 def test_half_done_imports_are_cleared_away(tmp_path: Path) -> None:

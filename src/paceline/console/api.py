@@ -115,8 +115,14 @@ def _set_up(library: Library) -> APIRouter:
     @router.post("/api/check")
     async def check(clip: str, request: Request) -> dict[str, Any]:
         paths, vehicles = _drawn(await received_json(request))
-        rig = (await run_in_threadpool(library.gallery.stereo, library.file(clip))).clip.rig
-        return await run_in_threadpool(_check, rig, json.dumps([paths, vehicles]))
+        pictures = await run_in_threadpool(library.gallery.stereo, library.file(clip))
+        found = await run_in_threadpool(_check, pictures.clip.rig, json.dumps([paths, vehicles]))
+        seen = [
+            facts if vehicle.get("frame") in (None, *pictures.frames)
+            else {"problem": f"frame {str(vehicle['frame'])[:40]} is not in the recording; outline it in one that is"}
+            for vehicle, facts in zip(vehicles, found["vehicles"], strict=True)
+        ]  # fmt: skip
+        return {**found, "vehicles": seen}
 
     @router.post("/api/propose")
     async def propose_other(clip: str, request: Request) -> dict[str, Any]:
@@ -136,8 +142,9 @@ def _propose(library: Library, clip: str, body: dict[str, Any]) -> dict[str, Any
     pictures = library.gallery.stereo(library.file(clip))
     view, frame = _view(body.get("view")), to_whole(body.get("frame"), 10**9)
     entry, path = _entry(body.get("entry")), body.get("path")
-    if "shape" not in entry and len(entry.get(VIEWS[view], [])) != 4:
-        raise UnusableInput("entry: expected a path with its shape, or a vehicle with four corners")
+    drawn = len(entry.get(VIEWS[view], []))
+    if drawn < 2 if "shape" in entry else drawn != 4:
+        raise UnusableInput("entry: expected a path with its shape and two points, or a vehicle with four corners")
     shown = pictures.picture(0, frame), pictures.picture(1, frame)
     pixels, alike = propose(pictures.clip.rig, view, shown, entry, None if path is None else _path(path))
     return {"pixels": np.round(pixels, 2).tolist(), "alike": round(alike, 3)}

@@ -7,7 +7,7 @@ from typing import Any
 from paceline.console.kinds import AHEAD, LIVE, SPEED
 from paceline.errors import UnusableInput
 
-MOST_PARTICLES = 100_000
+LEAST_PARTICLES, MOST_PARTICLES = 20, 100_000
 MOTIONS, UNITS = ("auto", "free", "line", "curve"), ("mph", "km/h", "m/s")
 LEAST_LEARNING, MOST_LEARNING = 2.0, 3600.0  # s
 
@@ -20,6 +20,8 @@ def options_of(kind: str, given: dict[str, Any]) -> list[str]:
     for option, most in (("particles", MOST_PARTICLES), ("seed", 2**31)):
         if given.get(option) is not None:
             arguments += [f"--{option}", str(to_whole(given[option], most))]
+    if given.get("particles") is not None and given["particles"] < LEAST_PARTICLES:
+        raise UnusableInput(f"particles: expected {LEAST_PARTICLES} to {MOST_PARTICLES}")
     for option, valid in (("motion", MOTIONS), ("units", UNITS)):
         if given.get(option) is not None:
             if given[option] not in valid:

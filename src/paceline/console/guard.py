@@ -8,6 +8,7 @@ from http.cookies import CookieError, SimpleCookie
 from urllib.parse import parse_qs, urlsplit
 
 from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import ClientDisconnect
 from starlette.responses import HTMLResponse, PlainTextResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -60,7 +61,7 @@ class Guard:
 
         try:
             await self.app(scope, receive_noting, send_guarded)
-        except RuntimeError:  # the framework has no answer ready when a browser leaves a page half way; nor need it
+        except (RuntimeError, ClientDisconnect):  # a browser that leaves half way needs no answer, and gets none
             if not gone:
                 raise
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import TypeVar
 
 from paceline.errors import UnusableInput
-from paceline.schemas import ClipModel, FollowModel, SiteModel, StartModel, Text, read_document
+from paceline.schemas import ClipModel, Document, FollowModel, SiteModel, StartModel, Text, read_document
 
 CLIP, FOLLOW = "clip.yaml", "follow.yaml"  # a folder that holds both is a stereo clip
 # What may be opened beyond the console's folder, by a run that a person starts: cameras, and nothing on the disk.
@@ -14,11 +15,33 @@ STREAM = re.compile(r"(rtsps?|https?|udp|rtp|srt|rtmps?)://\S+", re.IGNORECASE)
 DEVICE = re.compile(r"/dev/video\d+")
 
 
+LARGEST_DOCUMENT = 2 << 20  # bytes; reading YAML takes seconds for each MiB, and every page waits for it
+
+M = TypeVar("M", bound=Document)
+
+
 class ChaseModel(FollowModel):
     """A follow.yaml on its way: the target and where it starts may still be missing."""
 
     target: Text | None = None  # type: ignore[assignment]
     start: StartModel | None = None  # type: ignore[assignment]
+
+
+def read_small(model: type[M], file: Path) -> M:
+    """`read_document`, of a file that is not too large to be read while pages wait. Raises UnusableInput."""
+    check_small(file)
+    return read_document(model, file)
+
+
+def check_small(file: Path) -> None:
+    """Raises UnusableInput where the document ``file`` is larger than LARGEST_DOCUMENT; others complain of one that is
+    not there."""
+    try:
+        size = file.stat().st_size
+    except (OSError, ValueError):
+        return
+    if size > LARGEST_DOCUMENT:
+        raise UnusableInput(f"{file}: is larger than {LARGEST_DOCUMENT >> 20} MiB, which no such file needs to be")
 
 
 def is_chase(file: Path) -> bool:
@@ -29,25 +52,25 @@ def is_chase(file: Path) -> bool:
 def recordings_of(file: Path) -> dict[str, str]:
     """The recordings that a document names, by key. Raises UnusableInput."""
     if is_chase(file):
-        return {"video": read_document(ChaseModel, file).video}
-    model = read_document(ClipModel, file)
+        return {"video": read_small(ChaseModel, file).video}
+    model = read_small(ClipModel, file)
     return {"left": model.left, "right": model.right}
 
 
 def files_of(file: Path) -> dict[str, str]:
     """The other files that a document names, by key. Raises UnusableInput."""
     if is_chase(file):
-        chase = read_document(ChaseModel, file)
+        chase = read_small(ChaseModel, file)
         named = {"camera": chase.camera, "target": chase.target, "odometry": chase.odometry}
     else:
-        clip = read_document(ClipModel, file)
+        clip = read_small(ClipModel, file)
         named = {"rig": clip.rig, "site": clip.site, "times": clip.times}
     return {key: given for key, given in named.items() if given is not None}
 
 
 def rig_of_site(site: Path) -> Path:
     """The rig.yaml that a site.yaml names. Raises UnusableInput."""
-    return site.parent / read_document(SiteModel, site).rig
+    return site.parent / read_small(SiteModel, site).rig
 
 
 def is_live(file: Path, given: str) -> bool:

@@ -34,7 +34,7 @@ from paceline.console.watching import Watch
 from paceline.errors import UnusableInput
 
 RUNS = "runs"
-ASKED = "clip-as-asked.yaml"  # the document at the moment that the run was asked for
+ASKED = "clip-as-asked.yaml"  # the document as the run measures it, or would have while it waits
 DONE, NOTHING_MEASURED, UNUSABLE = 0, 1, 2  # how the command line ends
 PATIENCE = 5.0  # s, for a cancelled command to clear up before it is killed
 LAST_WORDS = 20  # lines of a command's messages that are kept
@@ -221,6 +221,7 @@ class Runs:
         folder, where = self._folder(run.clip), self.folder(run)
         file = file_below(folder, document_of(run.kind))
         check_document(self._root, file)
+        shutil.copyfile(file, where / ASKED)  # it may have been saved anew while the run waited
         _write(where, run)
         command = [sys.executable, "-m", "paceline", *arguments(run.kind, file, where)]
         with self._lock:

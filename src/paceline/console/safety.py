@@ -11,11 +11,12 @@ from pathlib import Path
 
 import av
 
-from paceline.console.naming import files_of, is_live, recordings_of, rig_of_site
+from paceline.console.naming import check_small, files_of, is_live, recordings_of, rig_of_site
 from paceline.errors import UnusableInput
 from paceline.sources import IMAGE_SUFFIXES
 
 LONGEST_NAME = 80
+DOCUMENTS = ("rig", "site", "camera", "target")  # that a clip names and that are read as YAML
 # Containers that hold their own pictures; a playlist would make the decoder open the files that it names.
 CONTAINERS = "mov,matroska,avi,mpegts,mpeg,ogg,flv,asf,mxf,nut,dv,h264,hevc,mjpeg,m4v,mpegvideo,ivf"
 
@@ -74,7 +75,9 @@ def check_document(root: Path, file: Path) -> None:
     """
     _inside(root, file, file, file.name)
     for key, given in files_of(file).items():
-        _inside(root, file, file.parent / given, key)
+        path = _inside(root, file, file.parent / given, key)
+        if key in DOCUMENTS:
+            check_small(path)
     for key, given in recordings_of(file).items():
         if is_live(file, given) and not (file.parent / given).is_fifo():
             continue
@@ -84,7 +87,7 @@ def check_document(root: Path, file: Path) -> None:
         except OSError as error:  # a folder that is not ours to read
             raise UnusableInput(f"{file}: {key}: cannot be read ({error.strerror})") from error
     if (site := files_of(file).get("site")) is not None and (file.parent / site).is_file():
-        _inside(root, file.parent / site, rig_of_site(file.parent / site), "rig")
+        check_small(_inside(root, file.parent / site, rig_of_site(file.parent / site), "rig"))
 
 
 def named_files(root: Path, file: Path) -> list[Path]:
@@ -134,5 +137,5 @@ def _inside(root: Path, file: Path, path: Path, key: str) -> Path:
     except (OSError, RuntimeError, ValueError) as error:  # a name too long, links in a circle, a zero byte
         raise UnusableInput(f"{file}: {key}: {str(path)[:200]!r} cannot be read") from error
     if not inside:
-        raise UnusableInput(f"{file}: {key}: leads out of {root}; the console reads nothing outside its folder")
+        raise UnusableInput(f"{file}: {key}: leads out of the console's folder, and nothing else is read")
     return path

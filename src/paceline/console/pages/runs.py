@@ -6,7 +6,7 @@ from typing import Any
 
 from nicegui import run, ui
 
-from paceline.console.asking import UNITS, options_of
+from paceline.console.asking import LEAST_PARTICLES, MOST_PARTICLES, UNITS, options_of
 from paceline.console.kinds import AHEAD, LIVE, MEASURING, SPEED
 from paceline.console.library import Entry, Library
 from paceline.console.pages import measured
@@ -30,6 +30,7 @@ from paceline.console.safety import NotHere
 from paceline.errors import UnusableInput
 
 AGAIN = 0.5  # s between looks at the runs
+GONE = "The clip is no longer there."
 ENDING = "ending; what has passed is measured"
 LEARNING = 30.0  # s, as the command has it
 
@@ -92,7 +93,8 @@ class _Page:
         if entry.contents.chase:
             self.fields["overlay"] = ui.checkbox("Write the video, which takes most of the time", value=True)
             return
-        particles = ui.number("Particles", min=1, max=100_000, precision=0).props("dense clearable")
+        particles = ui.number("Particles", min=LEAST_PARTICLES, max=MOST_PARTICLES, precision=0)
+        particles.props("dense clearable")
         particles.tooltip("More are slower and steadier; empty takes the usual number.")
         seed = ui.number("Seed", min=0, precision=0).props("dense clearable")
         seed.tooltip("The same seed gives the same result.")
@@ -121,8 +123,9 @@ class _Page:
         try:
             options = options_of(self.kind, asked)
             started = await run.io_bound(self.library.runs.start, self.clip, self.kind, options)
-        except UnusableInput as error:
-            ui.notify(self.library.shown(error), type="negative", multi_line=True, timeout=10_000)
+        except (UnusableInput, NotHere) as error:
+            words = GONE if isinstance(error, NotHere) else self.library.shown(error)
+            ui.notify(words, type="negative", multi_line=True, timeout=10_000)
             return
         if started is not None:
             self.choose(started.number)

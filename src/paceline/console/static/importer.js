@@ -93,6 +93,8 @@ class Importer extends HTMLElement {
     this.dialog.ondrop = async (event) => { event.preventDefault(); this.sort(await dropped(event.dataTransfer)); };
     this.append(this.open, this.dialog);
     this.recorded("stereo");
+    window.addEventListener("beforeunload", (event) => { if (this.key) event.preventDefault(); });
+    window.addEventListener("pagehide", () => this.giveUp());
   }
 
   recorded(kind) { // by two cameras, or by one
@@ -217,7 +219,7 @@ class Importer extends HTMLElement {
   }
 
   giveUp() {
-    if (this.key) ask("DELETE", `/api/import/${this.key}`).catch(() => {});
+    if (this.key) fetch(`/api/import/${this.key}`, { method: "DELETE", keepalive: true }).catch(() => {}); // also as the page goes
     this.key = null;
   }
 
