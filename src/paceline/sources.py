@@ -113,6 +113,7 @@ class Video:
         self._path = path
         self._bit_depth = bit_depth
         self._enterable = True  # at key frames; not where only the decoder knows the time stamps
+        self._threads = "SLICE"  # of one picture: with a picture each, chance decides what a damaged end costs
         self._pts, self._time_base = self._scan()
         self.times: Array | None = np.array([float(p * self._time_base) for p in self._pts])
 
@@ -157,7 +158,7 @@ class Video:
         """Whole pictures in presentation order, from the key frame at or before time stamp ``start``."""
         with av.open(self._path) as container:
             stream = container.streams.video[0]
-            stream.thread_type = "AUTO"
+            stream.thread_type = self._threads
             if start is not None:
                 container.seek(start, stream=stream)
             packets = container.demux(stream)
@@ -204,6 +205,8 @@ class Video:
         last_duration = float(max(np.median(np.diff(stamps)), stamps[-1] - stamps[-2]) * time_base)
         if cut or (promised is not None and promised > end + 1.5 * last_duration):
             self.notices.append(f"{self.name}: is cut short; it ends after frame {len(stamps) - 1} at {end:.3f} s")
+        else:
+            self._threads = "AUTO"
         return stamps, time_base
 
     def _grey(self, picture: av.VideoFrame, frame: int) -> Image:
