@@ -1,10 +1,17 @@
 from __future__ import annotations
 
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
 import cv2
 import numpy as np
 import pytest
 
 from paceline.cameras import Camera, StereoRig
+
+if TYPE_CHECKING:
+    from fastapi.testclient import TestClient
 
 
 @pytest.fixture(scope="session")
@@ -13,3 +20,20 @@ def rig() -> StereoRig:
     left = Camera((1024, 768), np.array([[2200.0, 0, 511.5], [0, 2210, 383.5], [0, 0, 1]]))
     right = Camera((1024, 768), np.array([[2150.0, 0, 505.0], [0, 2145, 390.0], [0, 0, 1]]))
     return StereoRig(left, right, cv2.Rodrigues(np.array([0.004, -0.02, 0.006]))[0], np.array([-0.5, 0.02, -0.03]))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The console's folder, with one clip, beside another folder that it must not see."""
+    from console_client import put_folder
+
+    return put_folder(tmp_path_factory.mktemp("safety").resolve())
+
+
+@pytest.fixture(scope="module")
+def client(folder: Path) -> Iterator[TestClient]:
+    """What asks the console of that folder."""
+    from console_client import asked
+
+    with asked(folder) as client:
+        yield client

@@ -2,31 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import anyio
 import pytest
-from console_client import HOST, SAME, asked, put_folder
+from console_client import HOST, SAME
 from fastapi import FastAPI, WebSocket
 from fastapi.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
 from paceline.console.guard import Guard
 from paceline.console.server import _address, _names
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return put_folder(tmp_path_factory.mktemp("safety").resolve())
-
-
-@pytest.fixture(scope="module")
-def client(folder: Path) -> Iterator[TestClient]:
-    with asked(folder) as client:
-        yield client
-
 
 FOREIGN = [
     {"host": "evil.example"},  # another name pointed at this machine

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from console_client import asked, put_folder
 from fastapi.testclient import TestClient
 from small_clips import put_clip
 
@@ -16,18 +14,6 @@ from paceline.console.api import clip_of, results_address
 from paceline.console.library import Library
 from paceline.console.safety import NotHere, check_document, file_below, folder_below
 from paceline.errors import UnusableInput
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return put_folder(tmp_path_factory.mktemp("safety").resolve())
-
-
-@pytest.fixture(scope="module")
-def client(folder: Path) -> Iterator[TestClient]:
-    with asked(folder) as client:
-        yield client
-
 
 CLIMBING = [
     "../secret", "road/../../secret", "/etc", "//etc", "", "..", "...", ".hidden", "road/", "./road", "road/.",

@@ -9,12 +9,12 @@ import socket
 import time
 import urllib.request
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
-from console_client import SAME, asked, put_folder
+from console_client import SAME
 from console_served import serving
 from fastapi.testclient import TestClient
 from small_clips import put_clip
@@ -23,17 +23,6 @@ from paceline.console import importing
 from paceline.console.importing import Imports
 from paceline.console.safety import check_name
 from paceline.errors import UnusableInput
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return put_folder(tmp_path_factory.mktemp("safety").resolve())
-
-
-@pytest.fixture(scope="module")
-def client(folder: Path) -> Iterator[TestClient]:
-    with asked(folder) as client:
-        yield client
 
 
 def begin(client: TestClient, name: str = "new") -> str:

@@ -74,7 +74,8 @@ def check_document(root: Path, file: Path) -> None:
     Live sources are let through: a run may open them, for a person to start.
     """
     _inside(root, file, file, file.name)
-    for key, given in files_of(file).items():
+    others = files_of(file)
+    for key, given in others.items():
         path = _inside(root, file, file.parent / given, key)
         if key in DOCUMENTS:
             check_small(path)
@@ -86,7 +87,7 @@ def check_document(root: Path, file: Path) -> None:
             _check_recorded(root, file, path, key)
         except OSError as error:  # a folder that is not ours to read
             raise UnusableInput(f"{file}: {key}: cannot be read ({error.strerror})") from error
-    if (site := files_of(file).get("site")) is not None and (file.parent / site).is_file():
+    if (site := others.get("site")) is not None and (file.parent / site).is_file():
         check_small(_inside(root, file.parent / site, rig_of_site(file.parent / site), "rig"))
 
 

@@ -212,10 +212,9 @@ def fused(fit: Fit, expected: Array, doubt: Array) -> Fit:
     Only the scale: a bump moves the image, but not the vehicle. Its covariance stays: what the expected scale rests on
     are measurements that shared this one's errors of the model.
     """
-    fresh = FRESH * fit.covariance[:, 2]
-    gain = fresh / (fresh[2] + doubt[2] ** 2)
-    location = fit.location + gain * (expected[2] - fit.location[2])
-    return Fit(location, fit.covariance, fit.weights, fit.residual, fit.offsets, fit.used)
+    fresh = FRESH * fit.covariance[2, 2]
+    share = fresh / (fresh + doubt[2] ** 2)
+    return scaled(fit, fit.location[2] + share * (expected[2] - fit.location[2]))
 
 
 def scaled(fit: Fit, scale: float) -> Fit:

@@ -1,5 +1,6 @@
 // The stereo editor: both views side by side, road lines and vehicles drawn in them, proposals and checks by the server.
 
+import { Editing, NEAR, pushButton, READ_ONLY } from "./editing.js";
 import { Film } from "./film.js";
 import { ask, make } from "./importer.js";
 import { Keeper } from "./keeping.js";
@@ -10,7 +11,6 @@ import { Pointers } from "./pointers.js";
 import { Proposals } from "./proposals.js";
 import { COLORS, View } from "./view.js";
 
-const NEAR = 12; // px on the screen
 const TOOLS = {
   move: ["Look", "v", "Drag a point to move it, the picture to pan; the wheel zooms."],
   line: ["Road line", "l", "Click along a road line; Enter ends it. Then the same line in the other view, or let it be proposed."],
@@ -20,25 +20,15 @@ const KEYS = "V look, L line, R outline; drawing: arrows move a cross (Shift: fi
   + "Looking: ← → frames, Space plays, N next point, arrows nudge it (Shift: more). "
   + "Always: , . frames, Del removes, Ctrl-Z undoes, Ctrl-S saves, + − 0 zoom, S snapping, Esc leaves";
 
-const READ_ONLY = "This folder cannot be written: look around; nothing here is changed.";
-
 // What two people may have changed, by name, for comparing.
 function parts([paths, vehicles]) {
   return Object.fromEntries([...Object.entries(paths).map(([name, entry]) => [`path ${name}`, entry]),
     ...vehicles.map((entry) => [`vehicle ${entry.id}`, entry])]);
 }
 
-class Editor extends HTMLElement {
+class Editor extends Editing {
   async connectedCallback() {
-    if (this.started) return;
-    this.started = true;
-    this.clip = encodeURIComponent(this.getAttribute("clip"));
-    try {
-      this.setup = await ask("GET", `/api/setup?clip=${this.clip}`);
-    } catch (error) {
-      this.append(make("div", { className: "pl-error", role: "alert", textContent: error.message }));
-      return;
-    }
+    if (!await this.opened("setup")) return;
     this.model = new Model(this.setup);
     this.readonly = this.model.frozen = this.hasAttribute("readonly");
     this.views = VIEWS.map((side, i) => new View(side, this.setup.sizes[i]));
@@ -62,25 +52,19 @@ class Editor extends HTMLElement {
     this.keys = new Keys(this, TOOLS);
   }
 
-  get frame() { return this.film.frame; }
-
   // --- the page ----------------------------------------------------------------------------------------------------
 
   build() {
-    const button = (text, action, title = "") => make("button", { className: "pl-button", type: "button", textContent: text, title, onclick: action });
-    this.toolButtons = Object.fromEntries(Object.entries(TOOLS).map(([tool, [text, key, hint]]) =>
-      [tool, button(text, () => this.take(tool), `${hint} (${key.toUpperCase()})`)]));
-    this.undoButton = button("Undo", () => this.model.undo(), "Ctrl-Z");
-    this.redoButton = button("Redo", () => this.model.redo(), "Ctrl-Y");
-    this.snapButton = button("Snap", () => this.toggleSnapping(), "Points move to the nearest edge or corner (S); Alt does the opposite for one point");
-    this.linkButton = button("Zoom together", () => { this.linked = !this.linked; this.buttons(); }, "Zoom and pan both views as one");
-    this.lanesButton = button("Propose lanes", () => this.proposals.lanes(), "Find the painted lines of the empty road; this reads the whole recording");
-    this.vehiclesButton = button("Propose vehicles", () => this.proposals.vehicles(), "Find what drives along the paths; this reads the whole recording");
-    this.saveButton = button("Save", () => this.save(), "Writes clip.yaml (Ctrl-S)");
+    const drawing = this.buildTools(TOOLS);
+    this.snapButton = pushButton("Snap", () => this.toggleSnapping(), "Points move to the nearest edge or corner (S); Alt does the opposite for one point");
+    this.linkButton = pushButton("Zoom together", () => { this.linked = !this.linked; this.buttons(); }, "Zoom and pan both views as one");
+    this.lanesButton = pushButton("Propose lanes", () => this.proposals.lanes(), "Find the painted lines of the empty road; this reads the whole recording");
+    this.vehiclesButton = pushButton("Propose vehicles", () => this.proposals.vehicles(), "Find what drives along the paths; this reads the whole recording");
+    this.saveButton = pushButton("Save", () => this.save(), "Writes clip.yaml (Ctrl-S)");
     this.saveButton.classList.add("primary");
     this.measureButton = make("a", { className: "pl-button", href: this.getAttribute("runs"), textContent: this.readonly ? "Read…" : "Measure…" });
     this.hint = make("div", { className: "ed-hint", role: "status", "aria-live": "polite" });
-    const drawing = [...Object.values(this.toolButtons), this.undoButton, this.redoButton, this.snapButton];
+    drawing.push(this.snapButton);
     for (const element of [...drawing, this.saveButton, this.lanesButton, this.vehiclesButton]) element.hidden = this.readonly;
     const bar = make("div", { className: "ed-bar", role: "toolbar", "aria-label": "Tools" }, ...drawing, this.linkButton,
       make("span", { className: "end" }, this.saveButton, this.measureButton));
@@ -103,18 +87,11 @@ class Editor extends HTMLElement {
   }
 
   buttons() {
-    for (const [tool, element] of Object.entries(this.toolButtons)) element.setAttribute("aria-pressed", String(tool === this.tool));
+    this.markTools();
     this.snapButton.setAttribute("aria-pressed", String(this.snapping));
     this.linkButton.setAttribute("aria-pressed", String(this.linked));
-    this.undoButton.disabled = !this.model.past.length;
-    this.redoButton.disabled = !this.model.future.length;
     this.saveButton.disabled = !this.model.dirty;
     this.measureButton.classList.toggle("primary", !this.readonly && !this.model.dirty && this.model.vehicles.length > 0); // the next step
-  }
-
-  say(text, bad = false) {
-    this.hint.textContent = text;
-    this.hint.classList.toggle("pl-error", bad);
   }
 
   next() { // what a person would do next
@@ -142,24 +119,9 @@ class Editor extends HTMLElement {
     this.buttons();
   }
 
-  resized() {
-    if (!this.sized) for (const view of this.views) view.fit();
-    this.sized = this.views[0].width > 0;
-    this.paint();
-  }
-
   // --- pictures ----------------------------------------------------------------------------------------------------
 
   arrived() { this.paint(); } // another frame is shown
-
-  paint() {
-    if (this.painting) return;
-    this.painting = true;
-    requestAnimationFrame(() => {
-      this.painting = false;
-      this.views.forEach((view, i) => view.draw(this.drawings(i), this.magnified?.view === i ? this.magnified.place : null));
-    });
-  }
 
   drawings(view) {
     const side = VIEWS[view];

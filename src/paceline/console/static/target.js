@@ -1,5 +1,6 @@
 // The vehicle ahead: a line model placed on the camera's picture, learned from a box, saved for following.
 
+import { Editing, NEAR, pushButton, READ_ONLY } from "./editing.js";
 import { Film } from "./film.js";
 import { Hands } from "./hands.js";
 import { History } from "./history.js";
@@ -8,13 +9,11 @@ import { Keeper } from "./keeping.js";
 import { keyFor } from "./keys.js";
 import { View } from "./view.js";
 
-const NEAR = 12; // px on the screen
 const TOOLS = {
   look: ["Look", "v", "Drag the picture to pan; the wheel zooms. Click a line of the model to choose it."],
   place: ["Place", "p", "Drag the model onto the vehicle; drag a corner to scale it. Arrows and [ ] do it finely."],
   box: ["Learn from a box", "b", "Drag a box tightly around the rear: from one side of the body to the other."],
 };
-const READ_ONLY = "This folder cannot be written: look around; nothing here is changed.";
 const KEYS = "V look, P place: arrows move by ¼ px (Shift: 2 px), [ ] smaller and larger by 0.2 % (Shift: 2 %); "
   + "B box: arrows move it by 1 px (Shift: its lower right corner), Enter learns. "
   + "Always: , . frames, Space plays, N next line, Del removes it, Ctrl-Z undoes, Ctrl-S saves, + − 0 zoom, Esc leaves";
@@ -62,17 +61,9 @@ class TargetHands extends Hands {
   }
 }
 
-class TargetEditor extends HTMLElement {
+class TargetEditor extends Editing {
   async connectedCallback() {
-    if (this.begun) return;
-    this.begun = true;
-    this.clip = encodeURIComponent(this.getAttribute("clip"));
-    try {
-      this.setup = await ask("GET", `/api/target?clip=${this.clip}`);
-    } catch (error) {
-      this.append(make("div", { className: "pl-error", role: "alert", textContent: error.message }));
-      return;
-    }
+    if (!await this.opened("target")) return;
     this.model = new Placement(this.setup);
     this.readonly = this.model.frozen = this.hasAttribute("readonly");
     this.views = [new View("camera", this.setup.size)];
@@ -99,21 +90,14 @@ class TargetEditor extends HTMLElement {
     window.addEventListener("keydown", (event) => this.key(event));
   }
 
-  get frame() { return this.film.frame; }
-
   // --- the page ----------------------------------------------------------------------------------------------------
 
   build() {
-    const button = (text, action, title = "") => make("button", { className: "pl-button", type: "button", textContent: text, title, onclick: action });
-    this.toolButtons = Object.fromEntries(Object.entries(TOOLS).map(([tool, [text, key, hint]]) =>
-      [tool, button(text, () => this.take(tool), `${hint} (${key.toUpperCase()})`)]));
-    this.undoButton = button("Undo", () => this.model.undo(), "Ctrl-Z");
-    this.redoButton = button("Redo", () => this.model.redo(), "Ctrl-Y");
-    this.saveButton = button("Save", () => this.save(), "Writes follow.yaml, and a new model beside it (Ctrl-S)");
+    const drawing = this.buildTools(TOOLS);
+    this.saveButton = pushButton("Save", () => this.save(), "Writes follow.yaml, and a new model beside it (Ctrl-S)");
     this.saveButton.classList.add("primary");
     this.followButton = make("a", { className: "pl-button", href: this.getAttribute("runs"), textContent: this.readonly ? "Read…" : "Follow…" });
     this.hint = make("div", { className: "ed-hint", role: "status", "aria-live": "polite" });
-    const drawing = [...Object.values(this.toolButtons), this.undoButton, this.redoButton];
     for (const element of [...drawing, this.saveButton]) element.hidden = this.readonly;
     const bar = make("div", { className: "ed-bar", role: "toolbar", "aria-label": "Tools" }, ...drawing,
       make("span", { className: "end" }, this.saveButton, this.followButton));
@@ -122,34 +106,29 @@ class TargetEditor extends HTMLElement {
     const views = make("div", { className: "ed-views" }, box);
     views.style.gridTemplateColumns = "1fr";
     this.work = make("div", { className: "ed-work" }, bar, this.hint, views);
-    this.append(this.work, this.buildSide(button));
+    this.append(this.work, this.buildSide());
     for (const notice of this.setup.notices) this.lastChild.append(make("div", { className: "pl-fact", textContent: `Note: ${notice}` }));
   }
 
-  buildSide(button) {
+  buildSide() {
     this.facts = make("dl");
     this.problem = make("p", { className: "problem" });
     this.doubt = make("p", { className: "doubt" });
     this.width = make("input", { type: "number", min: 0.2, max: 10, step: 0.01, value: 1.75 });
     this.name = make("input", { maxLength: 100, disabled: this.readonly, value: this.setup.target?.name ?? "vehicle ahead" });
     this.name.onchange = () => { if (this.name.value.trim() && this.model.target) this.model.change((m) => { m.target = { ...m.target, name: this.name.value.trim() }; }); };
-    this.learnButton = button("Learn the lines in the box", () => this.learn(), "Finds the strong horizontal and vertical edges (Enter)");
-    this.startButton = button("Start in this frame", () => this.start({ ...this.model.start, frame: this.frame }), "Following begins in the frame that is shown");
+    this.learnButton = pushButton("Learn the lines in the box", () => this.learn(), "Finds the strong horizontal and vertical edges (Enter)");
+    this.startButton = pushButton("Start in this frame", () => this.start({ ...this.model.start, frame: this.frame }), "Following begins in the frame that is shown");
     const file = make("input", { type: "file", accept: ".yaml,.yml", hidden: true, onchange: () => this.open(file) });
     const label = (text, input) => make("label", {}, text, input);
     const model = make("section", { className: "pl-panel ed-item", "aria-label": "Vehicle ahead" },
       make("div", { className: "pl-subtitle", textContent: "Vehicle ahead" }), label("name", this.name), this.facts, this.problem, this.doubt,
-      make("div", { className: "ed-bar", hidden: this.readonly }, this.startButton, button("Open a model file…", () => file.click(), "A target.yaml from elsewhere"), file));
+      make("div", { className: "ed-bar", hidden: this.readonly }, this.startButton, pushButton("Open a model file…", () => file.click(), "A target.yaml from elsewhere"), file));
     const learn = make("section", { className: "pl-panel ed-item", "aria-label": "Learn a model", hidden: this.readonly },
       make("div", { className: "pl-subtitle", textContent: "Learn a model" }),
       make("div", { className: "pl-fact", textContent: "Drag a box around the rear in a picture in which it is near. Distances will be as exact as the width that you give." }),
       label("width of the box, m", this.width), make("div", { className: "ed-bar" }, this.learnButton));
     return make("div", { className: "ed-side" }, model, learn);
-  }
-
-  say(text, bad = false) {
-    this.hint.textContent = text;
-    this.hint.classList.toggle("pl-error", bad);
   }
 
   next() { return this.readonly ? READ_ONLY : TOOLS[this.tool][2]; }
@@ -163,20 +142,12 @@ class TargetEditor extends HTMLElement {
 
   buttons() {
     const { model } = this;
-    for (const [tool, element] of Object.entries(this.toolButtons)) element.setAttribute("aria-pressed", String(tool === this.tool));
+    this.markTools();
     this.toolButtons.place.disabled = !model.target;
-    this.undoButton.disabled = !model.past.length;
-    this.redoButton.disabled = !model.future.length;
     this.saveButton.disabled = !model.dirty || !model.target || !model.start;
     this.learnButton.disabled = !this.box;
     this.startButton.disabled = !model.start || model.start.frame === this.frame;
     this.followButton.classList.toggle("primary", !this.readonly && !model.dirty && Boolean(model.target && model.start));
-  }
-
-  resized() {
-    if (!this.sized) this.views[0].fit();
-    this.sized = this.views[0].width > 0;
-    this.paint();
   }
 
   arrived() { // another frame is shown
@@ -311,15 +282,6 @@ class TargetEditor extends HTMLElement {
   }
 
   // --- drawing and keys --------------------------------------------------------------------------------------------
-
-  paint() {
-    if (this.painting) return;
-    this.painting = true;
-    requestAnimationFrame(() => {
-      this.painting = false;
-      this.views[0].draw(this.drawings(), null);
-    });
-  }
 
   drawings() {
     const here = (this.moving ?? this.model.start)?.frame === this.frame;

@@ -1,0 +1,61 @@
+// What the editors share: how they open, their tools, undo and redo, what they say, and when they paint.
+
+import { ask, make } from "./importer.js";
+
+export const NEAR = 12; // px on the screen
+export const READ_ONLY = "This folder cannot be written: look around; nothing here is changed.";
+
+export function pushButton(text, action, title = "") {
+  return make("button", { className: "pl-button", type: "button", textContent: text, title, onclick: action });
+}
+
+export class Editing extends HTMLElement { // of a clip: a subclass has a model, views, film, tool and hint, take() and drawings()
+  async opened(kind) { // whether it opens now, with the clip's set-up of this kind
+    if (this.begun) return false;
+    this.begun = true;
+    this.clip = encodeURIComponent(this.getAttribute("clip"));
+    try {
+      this.setup = await ask("GET", `/api/${kind}?clip=${this.clip}`);
+    } catch (error) {
+      this.append(make("div", { className: "pl-error", role: "alert", textContent: error.message }));
+      return false;
+    }
+    return true;
+  }
+
+  get frame() { return this.film.frame; }
+
+  buildTools(tools) { // the buttons of ``tools``, {name: [text, key, hint]}, and those that undo
+    this.toolButtons = Object.fromEntries(Object.entries(tools).map(([tool, [text, key, hint]]) =>
+      [tool, pushButton(text, () => this.take(tool), `${hint} (${key.toUpperCase()})`)]));
+    this.undoButton = pushButton("Undo", () => this.model.undo(), "Ctrl-Z");
+    this.redoButton = pushButton("Redo", () => this.model.redo(), "Ctrl-Y");
+    return [...Object.values(this.toolButtons), this.undoButton, this.redoButton];
+  }
+
+  markTools() {
+    for (const [tool, element] of Object.entries(this.toolButtons)) element.setAttribute("aria-pressed", String(tool === this.tool));
+    this.undoButton.disabled = !this.model.past.length;
+    this.redoButton.disabled = !this.model.future.length;
+  }
+
+  say(text, bad = false) {
+    this.hint.textContent = text;
+    this.hint.classList.toggle("pl-error", bad);
+  }
+
+  resized() {
+    if (!this.sized) for (const view of this.views) view.fit();
+    this.sized = this.views[0].width > 0;
+    this.paint();
+  }
+
+  paint() {
+    if (this.painting) return;
+    this.painting = true;
+    requestAnimationFrame(() => {
+      this.painting = false;
+      this.views.forEach((view, i) => view.draw(this.drawings(i), this.magnified?.view === i ? this.magnified.place : null));
+    });
+  }
+}
