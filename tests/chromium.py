@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import json
-import re
 import shutil
 import subprocess
 import time
@@ -155,16 +154,21 @@ def browser(folder: Path) -> Iterator[Any]:
     quiet = ["--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync"]
     command = [str(CHROMIUM), "--headless", "--no-sandbox", "--disable-gpu", *quiet, "--remote-debugging-port=0"]
     command += [f"--user-data-dir={folder}", "about:blank"]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process, ExitStack() as sockets:
+    told = folder / "DevToolsActivePort"
+    with subprocess.Popen(command, stderr=subprocess.DEVNULL) as process, ExitStack() as sockets:
         try:
-            assert process.stderr is not None
-            port = next(found[1] for line in process.stderr if (found := re.search(r"ws://[^:]+:(\d+)/", line)))
+            end = time.monotonic() + PATIENCE
+            while not (told.is_file() and "\n" in told.read_text()):
+                assert process.poll() is None and time.monotonic() < end, "the browser did not start"
+                time.sleep(0.1)
+            port = int(told.read_text().split()[0])
 
             def tab() -> Tab:
                 ask = urllib.request.Request(f"http://127.0.0.1:{port}/json/new?about:blank", method="PUT")
                 with urllib.request.urlopen(ask) as answer:
                     where = json.load(answer)["webSocketDebuggerUrl"]
-                return Tab(sockets.enter_context(connect(where, max_size=None)))
+                # A tab that nobody reads for a while answers no ping, and must not be closed for it.
+                return Tab(sockets.enter_context(connect(where, max_size=None, ping_interval=None)))
 
             yield tab
         finally:
