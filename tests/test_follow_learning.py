@@ -88,8 +88,39 @@ def test_the_file_reads_back(tmp_path: Path) -> None:
     target = load_target(tmp_path / "target.yaml")
     assert target.name == "Anna's van: #1"
     assert target.nominal_range == learned.target.nominal_range
+    assert target.tolerance == learned.target.tolerance > 0
     np.testing.assert_array_equal(target.corners, learned.target.corners)
     np.testing.assert_array_equal(target.segments, learned.target.segments)
+
+
+def test_a_wheel_beside_a_faint_side_is_not_taken_for_it() -> None:
+    """The right side of the body cannot be told from what is behind it; 1.5 px beside it stands a short dark wheel."""
+    image = np.full((242, 256), 110.0, np.float32)
+    image[100:141, 100:157] = 60.0
+    image[108:120, 110:147] = 140.0
+    image[125:127, 100:157] = 20.0
+    image[100:141, 157:] = 60.0  # the rest of the right half has the body's grey
+    image[133:141, 153:159] = 10.0
+    image = cv2.GaussianBlur(image, (0, 0), 0.6)
+    learned = learn_target(image, (99.5, 99.5, 156.5, 140.5), 2.0, CAMERA, "van")
+    f, sides = small_chase.F, 57.0
+    assert learned.center[0] == pytest.approx(128.0, abs=0.1)
+    assert learned.target.nominal_range == pytest.approx(f * 2.0 / sides, rel=0.003)
+    # one side is a line, the other is where the hand put it
+    assert learned.target.tolerance == pytest.approx(np.hypot(0.4, 1.0) * 2.0 / sides, rel=0.01)
+
+
+def test_the_width_is_as_uncertain_as_the_model_says() -> None:
+    """Over hands that err by a pixel: the nominal range's error in units of what the tolerance makes of it."""
+    z = []
+    for frame in range(40):
+        image, _, (x, y, far) = van(frame)
+        rng = np.random.default_rng([frame, 1])
+        size = np.array([[-1.0, -0.75], [1.0, 0.75]]) * small_chase.F / far
+        box = (np.array([small_chase.CX, small_chase.CY]) + np.array([x, y]) * small_chase.F / far + size).ravel()
+        target = learn_target(image, tuple(box + rng.normal(0, 1, 4)), 2.0, CAMERA, "van").target
+        z.append((target.nominal_range / far - 1) / (target.tolerance / 2.0))
+    assert np.sqrt(np.mean(np.square(z))) < 1.2
 
 
 def test_a_line_runs_as_far_as_its_edge() -> None:

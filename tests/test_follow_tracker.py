@@ -384,3 +384,19 @@ def test_after_the_warm_up_nothing_is_left_to_compile(clip):
     follow(begin(positions[0]), images[:10])
     follow(begin(positions[0], configuration=FollowConfiguration.as_published()), images[:10])
     assert {name: len(kernel.signatures) for name, kernel in kernels.items()} == before
+
+
+def test_a_model_of_doubtful_width_has_wide_ranges() -> None:
+    """Of a width known to 3 % the range is known to 3 % at best, wherever its lines are found."""
+    doubtful = Target(TARGET.name, TARGET.nominal_range, TARGET.corners, TARGET.segments, tolerance=0.06)
+    image = draw((0.1, 0.2, 9.0), scenery(1), (0, 0), np.random.default_rng(1))
+    sure, unsure = (
+        FollowTracker(CAMERA, target, (127.5 + 300 * 0.1 / 9, 120.5 + 300 * 0.2 / 9), 10 / 9).update(image, 0.0, 0)
+        for target in (TARGET, doubtful)
+    )
+    assert sure.status == unsure.status == "tracking"
+    np.testing.assert_array_equal(sure.position, unsure.position)
+    more = (0.06**2 - 0.01**2) * (sure.position[2] / 2.0) ** 2
+    assert unsure.position_std[2] ** 2 == pytest.approx(sure.position_std[2] ** 2 + more, rel=1e-6)
+    with pytest.raises(ValueError, match="tolerance: expected metres"):
+        Target("x", 10.0, TARGET.corners, TARGET.segments, tolerance=-1.0)

@@ -85,6 +85,7 @@ class TargetDocument:
     nominal_range: float  # m, the range at which the scale is 1
     corners: Array
     segments: Indices
+    tolerance: float = 0.0  # m, standard deviation of the width that the lines have together
 
     @property
     def ends(self) -> Array:
@@ -207,7 +208,7 @@ def load_target(path: str | Path) -> TargetDocument:
     corners = np.array(list(model.corners.values())).reshape(-1, 2)
     segments = np.array([[place[a], place[b]] for a, b in model.segments], np.int64).reshape(-1, 2)
     _refuse(path, "segments", plausibility.wrong_target(corners[segments]))
-    return TargetDocument(model.name, model.nominal_range, corners, segments)
+    return TargetDocument(model.name, model.nominal_range, corners, segments, model.tolerance or 0.0)
 
 
 def load_follow(path: str | Path) -> FollowClip:

@@ -183,6 +183,7 @@ class TargetModel(Document):
     nominal_range: Annotated[float, Field(gt=0, le=1000)]
     corners: dict[Name, Pair]
     segments: list[Annotated[list[Name], Field(min_length=2, max_length=2)]]
+    tolerance: Annotated[float, Field(ge=0, le=1)] | None = None
 
 
 class StartModel(Document):

@@ -103,6 +103,8 @@ def target_text(target: TargetModel) -> str:
     corners = [f"  {flow(n)}: {flow([round(float(v), 4) for v in c])}" for n, c in target.corners.items() if n in used]
     segments = [f"  - {flow(list(pair))}" for pair in target.segments]
     head = [f"name: {flow(target.name)}", f"nominal_range: {flow(target.nominal_range)}"]
+    if target.tolerance is not None:
+        head.append(f"tolerance: {flow(target.tolerance)}")
     return "\n".join([*head, "corners:", *corners, "segments:", *segments]) + "\n"
 
 

@@ -96,6 +96,7 @@ def learned(camera: Camera, picture: Image, frame: int, box: list[float], width:
         "nominal_range": found.target.nominal_range,
         "corners": {n: np.round(corner, 4).tolist() for n, corner in zip(names, found.target.corners, strict=True)},
         "segments": [[names[a], names[b]] for a, b in found.target.segments],
+        "tolerance": found.target.tolerance,
     }
     return {"target": target, "start": {"frame": frame, "center": found.center.tolist(), "scale": 1.0}}
 
@@ -111,7 +112,7 @@ def placed(camera: Camera, target: TargetModel, frame: int) -> Plain:
 def plain_target(model: TargetModel) -> Plain:
     """``model`` as values that JSON and YAML know."""
     corners = {name: corner.tolist() for name, corner in model.corners.items()}
-    return {**model.model_dump(exclude={"corners"}), "corners": corners, "segments": model.segments}
+    return {**model.model_dump(exclude={"corners"}, exclude_none=True), "corners": corners, "segments": model.segments}
 
 
 def _magnification(camera: Camera, target: TargetModel) -> Array:

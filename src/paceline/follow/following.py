@@ -26,7 +26,7 @@ Progress = Callable[[int, int | None], None]
 def tracker_for(clip: FollowClip, configuration: FollowConfiguration | None = None) -> FollowTracker:
     """A tracker that begins as ``clip`` says: its camera, its target, the operator's start and the wheelbase."""
     document = clip.target
-    target = Target(document.name, document.nominal_range, document.corners, document.segments)
+    target = Target(document.name, document.nominal_range, document.corners, document.segments, document.tolerance)
     return FollowTracker(clip.camera, target, clip.center, clip.scale, resolved(clip, configuration))
 
 

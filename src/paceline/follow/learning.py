@@ -33,7 +33,9 @@ MARGIN = (1.5, 0.03)  # beyond the box within which its own outline may lie, px 
 GAP = 1.0  # what a missing edge point costs a line, in points
 MEET = (3.0, 0.06)  # between the ends of two lines that share a corner, px and share
 SIDE = (2.0, 0.04)  # from a side of the box to the line that is taken for it, px and share
+LONG = 0.4  # of the box's height: a shorter line, as of a wheel or a lamp, is not taken for a side
 FAINT = 0.4  # strength, relative to the strongest line there, below which a line is not taken for a side
+ON_LINE, BY_HAND = 0.4, 1.0  # px, standard deviations of a side that is a line and of one that is the box's
 LEAST, MOST = 2, 7  # lines in each direction
 LEAST_IN_ALL = 5
 SMALLEST_BOX = 16.0  # px
@@ -68,7 +70,8 @@ def learn_target(
 ) -> LearnedTarget:
     """The model of what ``box`` (x0, y0, x1, y1) of ``image`` (H, W), 0–255, encloses.
 
-    ``width`` in metres is that of the box; a side of the box with a vertical line beside it is taken to be there.
+    ``width`` in metres is that of the box; a side of the box with a long vertical line beside it is taken to be there.
+    What this leaves open of the width is the model's tolerance.
     Raises UnusableInput for a box that cannot be, or that encloses too few lines.
     """
     if image.shape != camera.image_size[::-1]:
@@ -86,7 +89,7 @@ def learn_target(
             f"the box shows {len(horizontal)} horizontal and {len(vertical)} vertical lines; expected at least {LEAST} "
             f"of each and {LEAST_IN_ALL} in all; draw it around the whole rear, or choose a sharper or nearer picture"
         )
-    sides = [_side(vertical, x, size[0]) for x in (x0, x1)]
+    sides, doubts = zip(*(_side(vertical, x, size) for x in (x0, x1)), strict=True)
     corners, segments = join(horizontal, vertical, np.maximum(MEET[0], MEET[1] * size))
     center = np.array([0.5 * (sides[0] + sides[1]), 0.5 * (y0 + y1)])
 
@@ -96,7 +99,8 @@ def learn_target(
     f = camera.K[[0, 1], [0, 1]]
     nominal_range = f[0] * width / (edges[1, 0] - edges[0, 0])
     metres = _squared((ideal - middle) * nominal_range / f, segments)
-    target = TargetDocument(name, round(float(nominal_range), 4), np.round(metres, 4), segments)
+    tolerance = float(np.hypot(*doubts) * nominal_range / f[0])
+    target = TargetDocument(name, round(float(nominal_range), 4), np.round(metres, 4), segments, round(tolerance, 4))
     return LearnedTarget(target, np.round(center, 2), corners)
 
 
@@ -201,11 +205,13 @@ def _beside(line: Line, other: Line, apart: float) -> bool:
     return overlap > 0 and abs(line.place - other.place) < apart
 
 
-def _side(vertical: list[Line], x: float, width: float) -> float:
-    """Where a side of the box is: on the clear line nearest to it, if one is near, or else at ``x``."""
-    near = [line for line in vertical if abs(line.place - x) <= max(SIDE[0], SIDE[1] * width)]
+def _side(vertical: list[Line], x: float, size: Array) -> tuple[float, float]:
+    """Where a side of a box of this ``size`` (2,) is, and its standard deviation: on the clear line nearest to it, if
+    a long one is near, or else at ``x``."""
+    reach, least = max(SIDE[0], SIDE[1] * size[0]), LONG * size[1]
+    near = [line for line in vertical if abs(line.place - x) <= reach and line.length >= least]
     clear = [line.place for line in near if line.strength >= FAINT * max(n.strength for n in near)]
-    return min(clear, key=lambda place: abs(place - x)) if clear else x
+    return (min(clear, key=lambda place: abs(place - x)), ON_LINE) if clear else (x, BY_HAND)
 
 
 # --- corners -------------------------------------------------------------------------------------------------------

@@ -22,7 +22,8 @@ class Target:
     """Line segments on the rear plane of the vehicle ahead, in metres, x right and y down from its centre.
 
     ``corners`` (C, 2) are the points and ``segments`` (S, 2) the two corners that each line joins; scale 1 is the size
-    at ``nominal_range`` metres. Raises ValueError, in one line, for a model that cannot be located: each segment must
+    at ``nominal_range`` metres; ``tolerance`` is the standard deviation of their width in metres, for a model that was
+    not measured by hand. Raises ValueError, in one line, for a model that cannot be located: each segment must
     join two corners there are along x or along y, and both directions must occur.
     """
 
@@ -30,6 +31,7 @@ class Target:
     nominal_range: float
     corners: Array
     segments: Indices
+    tolerance: float = 0.0
     vertical: Flags = field(init=False)  # (S,)
 
     def __post_init__(self) -> None:
@@ -37,6 +39,8 @@ class Target:
         segments = np.array(self.segments, np.int64).reshape(-1, 2)
         if not (np.isfinite(self.nominal_range) and self.nominal_range > 0):
             raise ValueError(f"nominal_range: expected metres above 0, found {self.nominal_range:g}")
+        if not (np.isfinite(self.tolerance) and self.tolerance >= 0):
+            raise ValueError(f"tolerance: expected metres, 0 or above, found {self.tolerance:g}")
         if not np.isfinite(corners).all():
             raise ValueError("corners: expected finite metres")
         for i, (a, b) in enumerate(segments):

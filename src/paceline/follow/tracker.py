@@ -137,7 +137,8 @@ class FollowTracker:
         else:
             location, covariance = expected, np.diag(doubt**2)
         m = look.measurement if measured else None
-        tolerance, width = self.configuration.model_tolerance, float(max(self.target.size))
+        tolerance = max(self.configuration.model_tolerance, self.target.tolerance)
+        width = float(max(self.target.size))
         place = place_of(location, covariance, self.camera, self.target.nominal_range, tolerance, width)
         steering = self.steering.angle(time, float(place.position[2]), float(place.position[0]), measured, pose)
         return FollowEstimate(

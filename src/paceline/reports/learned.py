@@ -43,7 +43,7 @@ def target_yaml(learned: LearnedTarget) -> str:
     corners = [f"  {name}: [{x:.4f}, {y:.4f}]" for name, (x, y) in zip(names, target.corners, strict=True)]
     segments = [f"  - [{names[a]}, {names[b]}]" for a, b in target.segments]
     quoted = target.name.replace("'", "''")
-    head = [f"name: '{quoted}'", f"nominal_range: {target.nominal_range:.4f}"]
+    head = [f"name: '{quoted}'", f"nominal_range: {target.nominal_range:.4f}", f"tolerance: {target.tolerance:.4f}"]
     return "\n".join([*head, "corners:", *corners, "segments:", *segments]) + "\n"
 
 
