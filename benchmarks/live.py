@@ -120,7 +120,7 @@ def alone(of: Film, clip: Clip) -> list[float]:
     finder, before, seconds = Finder(ways_of(clip), EmptyScene((empty[0], empty[1]))), None, []
     for k, (left, right) in enumerate(zip(*of.views, strict=True)):
         pair, begun = RawPair(k, k / RATE, left, right, 0.0), time.process_time()
-        finder.gone(undistorted(pair, clip.rig, before))
+        finder.gone(undistorted(pair, clip.rig, before, finder.rows))
         seconds.append(time.process_time() - begun)
         before = pair
     return seconds
@@ -146,14 +146,16 @@ def main() -> None:
 
         views = LiveViews(clip)
         looking, begun = time.process_time(), time.monotonic()
-        survey(clip, views, SpeedConfiguration(), note, LEARNED)
+        learned: list[int] = []
+        survey(clip, views, SpeedConfiguration(), note, LEARNED, lambda paths: learned.append(views.dropped))
         looking, passed = time.process_time() - looking, time.monotonic() - begun
         children = resource.getrusage(resource.RUSAGE_CHILDREN)
     measured = [m for m in told if m is not None and m.verdict == "measured"]
     errors = [min((m.speed - v for v in of.speeds), key=abs) / MPH for m in measured]
     pairs = len(of.busy)
     print(
-        f"\nAs streams: {pairs} pairs in {passed:.0f} s, {views.dropped} dropped; {looking / pairs * 1000:.0f} ms of "
+        f"\nAs streams: {pairs} pairs in {passed:.0f} s, {views.dropped} dropped, {learned[0]} of them while the "
+        f"empty road was made out of what had been seen; {looking / pairs * 1000:.0f} ms of "
         f"processor time for each, decoding included, besides {children.ru_utime + children.ru_stime:.0f} s in all for "
         f"the measuring process.\n{len(told)} vehicles told of {len(of.speeds)}, {len(measured)} measured, "
         f"{rms(errors):.2f} mph rms.\n\n{machine()}"

@@ -92,6 +92,22 @@ def test_surges_are_as_large_and_as_sudden_as_they_are_said_to_be():
     np.testing.assert_allclose(kernel, expected, atol=0.02 * sigma**2)
 
 
+@pytest.mark.parametrize("path", [straight_away(), bend()])
+def test_many_motions_at_once_are_those_one_by_one(path):
+    t = carried(path)
+    rng = np.random.default_rng(5)
+    thetas = start_of(t) + rng.normal(0, 30, (3, 2, len(t.steps))) * t.steps
+    R, shift, n, d = t.motion(thetas)
+    H, per_metre = t.homographies(thetas)
+    for i in np.ndindex(3, 2):
+        # the ways are laid out on knots of their own: nothing that a pixel shows
+        for many, one in zip((R[i], shift[i], n[i], d[i]), t.motion(thetas[i]), strict=True):
+            np.testing.assert_allclose(many, one, atol=1e-6)
+        np.testing.assert_allclose(t.quads(thetas)[i], t.quads(thetas[i]), atol=1e-4)
+        np.testing.assert_allclose(per_metre[i], t.homographies(thetas[i])[1], rtol=1e-4, atol=1e-4)
+    assert H.shape == (3, 2, len(t.times), 2, 3, 3)
+
+
 def test_homographies_carry_the_planes_own_points():
     """Points of the first plane, and of one that stands 5 cm off it, moved rigidly and projected into both views, are
     where H and its change per metre put them."""

@@ -82,6 +82,15 @@ def test_stations_lie_in_both_pictures_and_equally_apart_in_disparity(way: Way) 
     np.testing.assert_allclose(steps, np.median(steps), rtol=0.02)
 
 
+def test_ways_are_one_where_they_run_alike(rig: StereoRig) -> None:
+    """Two lines give one where they run alike, in the same sense."""
+    path = from_points("", "line", np.array([[-2.0, 1.8, 12.0], [3.0, 1.6, 70.0]]))
+    lane = Way("near", rig, path)
+    assert lane.is_that_of(Way("far", rig, path.shifted(0.2)))
+    assert not lane.is_that_of(Way("far", rig, path.shifted(3.5)))
+    assert not lane.is_that_of(Way("far", rig, path.reversed()))
+
+
 def test_a_card_shows_what_is_painted_on_it(way: Way) -> None:
     """A picture whose grey levels are a function of where the card is seen is that function on the card."""
     grid, s = Grid(left=-1.0, top=1.5, bottom=0.5, cell=0.05), 40.0

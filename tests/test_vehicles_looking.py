@@ -22,12 +22,12 @@ from paceline.simulation.backdrops import Backdrop
 from paceline.simulation.planar import RenderedClip, World, render
 from paceline.speed.paths import from_points
 from paceline.vehicles import live
-from paceline.vehicles.agreement import Texture, correlation, counting, stands
-from paceline.vehicles.finding import as_seen, found_on, in_step
+from paceline.vehicles.agreement import CHANGED, Texture, agreement, correlation, stands
+from paceline.vehicles.cards import Card, Views, card_of
+from paceline.vehicles.finding import Register, as_seen, found_on, in_step
 from paceline.vehicles.live import APART, ENOUGH, thinned
 from paceline.vehicles.plane import Aligned
-from paceline.vehicles.sheets import Sheets
-from paceline.vehicles.sightings import GRID, REFRESHED, SEARCH, SEARCH_WINDOW, WINDOW, Lookout, Sighting
+from paceline.vehicles.sightings import GRID, SEARCH, SEARCH_WINDOW, WINDOW, Lookout, Sighting
 from paceline.vehicles.tracks import Track, likeness
 from paceline.vehicles.ways import Grid, Way, laid_out, pyramid
 
@@ -62,35 +62,81 @@ def frame(index: int) -> StereoFrame:
     return StereoFrame(index, float(clip().times[index]), left, right, 0.0, duplicate=False)
 
 
-# --- sheets ----------------------------------------------------------------------------------------------------------
+# --- cards -----------------------------------------------------------------------------------------------------------
 
 
-def test_cards_on_sheets_are_those_laid_out_one_by_one() -> None:
-    stations = way().stations()[::7]
-    homographies = [way().homographies(s) for s in stations]
-    sheets, views = Sheets(homographies, SEARCH, SEARCH_WINDOW), [pyramid(i) for i in (frame(2).left, frame(2).right)]
-    assert sorted(np.concatenate(sheets.batches)) == list(range(len(stations)))
-    for batch in sheets.batches:
-        for view in (0, 1):
-            cards = sheets.cards(sheets.lay_out(views[view], view, batch))
-            for card, k in zip(cards, batch, strict=True):
-                alone = laid_out(views[view], homographies[k][view], SEARCH)
-                assert np.abs(card - alone).mean() < 0.5  # grey levels; positions are rounded to 1/32 px in one of them
+def counting(views: list[Texture], empty: list[Texture], least: float) -> Image:
+    """What `Card.counts` says, in whole pictures."""
+    left, right = views
+    counts = agreement(left, right) * (np.minimum(left.std, right.std) > least)
+    for now, before in zip(views, empty, strict=True):
+        counts *= correlation(now, before) < 1 - CHANGED
+    return counts
 
 
-def test_neighbours_on_a_sheet_do_not_mix() -> None:
-    """What counts on a card is the same on a sheet as alone, up to its edges."""
-    stations = way().stations()[10::9]
-    homographies = [way().homographies(s) for s in stations]
-    sheets = Sheets(homographies, SEARCH, SEARCH_WINDOW)
-    views, scenes = ([pyramid(i) for i in pair] for pair in ((frame(2).left, frame(2).right), empty()))
-    for batch in sheets.batches:
-        now, before = ([sheets.lay_out(v, i, batch) for i, v in enumerate(pair)] for pair in (views, scenes))
-        now_on, before_on = ([Texture(p, SEARCH_WINDOW) for p in pair] for pair in (now, before))
-        together = sheets.cards(counting(now_on, before_on, 2.0))
-        for k, counts in enumerate(together):
-            a, b = ([Texture(sheets.cards(p)[k].copy(), SEARCH_WINDOW) for p in pair] for pair in (now, before))
-            assert np.abs(counts - counting(a, b, 2.0)).max() < 2e-3
+def textures(views: Views, card: Card) -> list[Texture]:
+    """Both pictures on a card, laid out by OpenCV."""
+    grid, found = card.grid, []
+    for levels, cells in zip(views, card.cells, strict=True):
+        H = np.diag([0.5**card.level, 0.5**card.level, 1.0]) @ cells
+        flags, border = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, cv2.BORDER_REPLICATE
+        laid = cv2.warpPerspective(levels[card.level], H, grid.size, flags=flags, borderMode=border)
+        found.append(Texture(np.asarray(laid, np.float32), card.window))
+    return found
+
+
+def card_and_views(k: int, grid: Grid, window: int) -> tuple[Card, Views, Views]:
+    """A card at the ``k``-th station, a frame and the empty scene, without the pictures' first 16 rows."""
+    card = card_of(way().homographies(way().stations()[k]), grid, window, 16)
+    views, scenes = ([pyramid(i[16:]) for i in pair] for pair in ((frame(2).left, frame(2).right), empty()))
+    return card, views, scenes
+
+
+@pytest.mark.parametrize(("grid", "window"), [(GRID, WINDOW), (SEARCH, SEARCH_WINDOW)])
+@pytest.mark.parametrize("k", [3, 24, 50])
+def test_a_card_counts_what_whole_pictures_say(grid: Grid, window: int, k: int) -> None:
+    """But for OpenCV's rounding of places to 1/32 px."""
+    card, views, scenes = card_and_views(k, grid, window)
+    now, before = textures(views, card), textures(scenes, card)
+    np.testing.assert_allclose(card.correlation(views), correlation(*now), atol=0.1)
+    assert np.abs(card.correlation(views) - correlation(*now)).mean() < 0.005
+    expected = counting(now, before, 2.0)
+    assert np.abs(card.counts(views, scenes, 2.0) - expected).mean() < 0.01
+    assert expected.sum() == pytest.approx(card.counts(views, scenes, 2.0).sum(), rel=0.05, abs=2.0)
+
+
+def test_nothing_counts_on_a_card_where_it_would_not_be_enough() -> None:
+    card, views, scenes = card_and_views(24, SEARCH, SEARCH_WINDOW)
+    counts = card.counts(views, scenes, 2.0)
+    area = float(counts.sum()) * SEARCH.cell**2
+    assert area > 0
+    np.testing.assert_array_equal(card.counts(views, scenes, 2.0, 0.99 * area), counts)
+    assert not card.counts(views, scenes, 2.0, 1.01 * area).any()
+
+
+def test_what_is_explained_counts_no_more() -> None:
+    card, views, _ = card_and_views(24, GRID, WINDOW)
+    explained = np.zeros(views[0][0].shape, np.uint8)
+    explained[:, : explained.shape[1] // 3] = 1
+    flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
+    expected = cv2.warpPerspective(explained, card.cells[0], GRID.size, flags=flags) == 0
+    counts = np.ones(GRID.size[::-1], np.float32)
+    card.hide(counts, explained)
+    assert 0 < expected.mean() < 1 or explained.all()
+    assert ((counts > 0) != expected).mean() < 0.01  # on the edge
+
+
+def test_rows_without_anything_to_look_at_are_not_looked_at() -> None:
+    """What is found is the same when the other rows are black."""
+    lookout, before = Lookout([way()]), empty()
+    height = len(before[0])
+    assert 0 < lookout.rows.start < lookout.rows.stop <= height
+    kept = np.zeros((height, 1), np.float32)
+    kept[lookout.rows] = 1.0
+    whole, cut = frame(4), replace(frame(4), left=frame(4).left * kept, right=frame(4).right * kept)
+    (a, b) = (lookout.see(f, e)[0] for f, e in ((whole, before), (cut, (before[0] * kept, before[1] * kept))))
+    assert (a.s, a.x, a.y, a.area) == (b.s, b.x, b.y, b.area)
+    np.testing.assert_array_equal(a.crops[0], b.crops[0])
 
 
 def test_the_coarse_look_misses_nothing_that_a_fine_one_at_all_stations_sees() -> None:
@@ -110,13 +156,10 @@ def test_the_coarse_look_misses_nothing_that_a_fine_one_at_all_stations_sees() -
         assert stations[best - 1] <= sighting.s <= stations[best + 1]
 
 
-def test_the_empty_scene_is_taken_anew_as_it_changes() -> None:
-    """Something that stood in the empty scene and is gone is no change any more once the scene is taken anew."""
-    lookout, still = Lookout([way()]), StereoFrame(0, 0.0, *empty(), 0.0, duplicate=False)
-    assert lookout.see(still, (frame(2).left, frame(2).right)) == []  # the views agree on nothing new
-    later = replace(frame(2), time=2 * REFRESHED)
-    assert lookout.see(later, (frame(2).left, frame(2).right)) == []
-    assert lookout.see(replace(later, time=4 * REFRESHED), empty())
+def test_what_stands_in_the_empty_scene_is_not_seen() -> None:
+    lookout = Lookout([way()])
+    assert lookout.see(frame(2), (frame(2).left, frame(2).right)) == []
+    assert lookout.see(frame(2), empty())
 
 
 # --- what stands -----------------------------------------------------------------------------------------------------
@@ -254,6 +297,45 @@ def seen_at(index: int) -> Track:
     track = Track()
     track.add(replace(sighting(0.1 * index, 10.0), frame=index))
     return track
+
+
+def driven(times: NDArray[np.float64], s: NDArray[np.float64], x: tuple[float, float] = (-0.9, 0.9)) -> Track:
+    track = Track()
+    for t, at in zip(times, s, strict=True):
+        track.add(sighting(float(t), float(at), x))
+    return track
+
+
+@given(st.integers(0, 2**16), st.floats(5, 25), st.floats(0.0, 1.0))
+def test_where_a_vehicle_is_between_and_beyond_its_sightings(seed: int, speed: float, away: float) -> None:
+    """Two sightings in five far off, at either end too, move nothing."""
+    rng = np.random.default_rng(seed)
+    times = np.arange(12) / 10
+    s = 3.0 + speed * times
+    s[rng.choice([0, 5, 11], 2, replace=False)] += rng.choice([-1.0, 1.0]) * 12.0
+    track = driven(times, s)
+    for time in (-away, 0.53, 1.1 + away):
+        assert track.where(time) == pytest.approx(3.0 + speed * time, abs=1e-6)
+
+
+def test_no_vehicle_is_told_twice_and_two_are_told_as_two() -> None:
+    """The left and the right lamp of one, followed one after the other, and a second vehicle 10 m behind it."""
+    times = np.arange(10) / 10
+    left, right = driven(times, 4 + 15 * times, (-0.9, -0.5)), driven(times + 1.2, 22 + 15 * times, (0.5, 0.9))
+    behind, later = driven(times + 0.5, 1.5 + 15 * times, (-0.9, 0.9)), driven(times + 9.0, 4 + 15 * times)
+    register = Register()
+    assert register.is_new(left, replace(as_seen(left, ""), vehicle=outlined(2)))
+    assert not register.is_new(right, replace(as_seen(right, ""), vehicle=outlined(13)))
+    assert not register.is_new(right, as_seen(right, "too small"))
+    for other in (behind, later):
+        assert register.is_new(other, replace(as_seen(other, ""), vehicle=outlined(other.first.frame)))
+
+
+def test_what_has_no_outline_hides_none_that_has_one() -> None:
+    times = np.arange(10) / 10
+    track, register = driven(times, 4 + 15 * times), Register()
+    assert register.is_new(track, as_seen(track, "too small"))
+    assert register.is_new(track, replace(as_seen(track, ""), vehicle=outlined(2)))
 
 
 def outlined(index: int) -> VehicleDocument:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 from common import head, row
+from follow import operators_start
 from zhu2012.items import Numbers, run_alone
 
 from nist1993 import scenes
 from paceline.follow.configuration import FollowConfiguration
-from paceline.follow.tracker import warm_up
-from paceline.simulation.following import random_chase
+from paceline.follow.steering import Pose
+from paceline.follow.tracker import FollowTracker, warm_up
+from paceline.simulation.following import random_chase, render_frames
 
 SETTINGS: Numbers = {"seeds": [980, 981, 982], "frames": 200}
 PAPER = ((128.0, 15.0),)  # ms of delay, pictures a second
@@ -20,9 +22,13 @@ def compute() -> Numbers:
     warm_up()
     spent: dict[str, list[float]] = {name: [] for name in CONFIGURATIONS}
     for seed in SETTINGS["seeds"]:
-        for _, _, estimates in scenes.followed(random_chase(seed, frames=SETTINGS["frames"]), CONFIGURATIONS):
-            for name, e in estimates.items():
-                spent[name].append(1e3 * e.latency)
+        scene = random_chase(seed, frames=SETTINGS["frames"])
+        film = list(render_frames(scene))  # beforehand: rendering between two frames would empty the caches
+        for name, configuration in CONFIGURATIONS.items():
+            tracker = FollowTracker(scene.camera, *operators_start(scene, film[0][1]), configuration)
+            for image, truth in film:
+                pose = Pose(truth.x, truth.y, truth.heading)
+                spent[name].append(1e3 * tracker.update(image, truth.time, truth.frame, pose).latency)
     shown = {
         name: {
             "frames": len(ms),

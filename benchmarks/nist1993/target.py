@@ -18,7 +18,7 @@ from paceline.simulation.following import random_chase, render_frames
 
 SETTINGS: Numbers = {"seed": 907, "kind": "van", "gap": [7.0, 9.0], "shadows": 0.4, "paint": 150.0}
 VIEW = (480, 454)
-TEN = 10  # segments, as [NIST] has; the body's lower edge, the last of the file, comes and goes with the shadow under it
+TEN = 10  # segments, as [NIST] has; the last of the file, the body's lower edge, comes and goes with the shadow there
 
 
 def _first() -> tuple[np.ndarray, list, np.ndarray, list]:
@@ -50,9 +50,9 @@ def text(shown: Numbers) -> str:
         lines.append(row(s["number"], "vertical" if s["upright"] else "horizontal", *ends, f"{s['length']:.2f}"))
     picture = image("nist-target.webp", "The back of a van, and the line segments that model it")
     words = (
-        f"The back of a rendered van and {len(shown['segments'])} segments that model it, as many as in [NIST], numbered "
-        "as in the table; x to the right and y down from the middle of the rear plane. Its `target.yaml` holds one more, "
-        "the lower edge of the body, which comes and goes with the shadow under it."
+        f"The back of a rendered van and {len(shown['segments'])} segments that model it, as many as in [NIST], "
+        "numbered as in the table; x to the right and y down from the middle of the rear plane. Its `target.yaml` "
+        "holds one more, the lower edge of the body, which comes and goes with the shadow under it."
     )
     return "\n\n".join([picture, words, "\n".join(lines)])
 

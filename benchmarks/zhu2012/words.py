@@ -118,6 +118,6 @@ vehicle, a short one follows the shadows. What the last row loses is one saloon 
 In a first version the camera was shaken instead; there every decay lost most frames,
 since a bump's velocity does not last, and no trade-off showed.""",
     "nist-rate": """\
-256 × 242 pixels. Wall clock from picture to steering angle; it includes waiting for the other programs that kept the
-machine busy (the load stands at the end). [benchmarks](../benchmarks/README.md) have 0.7 ms median on a free core.""",
+256 × 242 pixels, rendered beforehand, then tracked one after the other. Wall clock from picture to steering angle, so
+what else the machine did meanwhile is in it, above all in the slowest frames.""",
 }

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-
+EVERY = slice(None)  # row of a picture
 _TO_CONVERGENCE = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-10)  # the default stops 0.2 px short
 
 
@@ -72,12 +72,15 @@ class Camera:
         a, b = cv2.initUndistortRectifyMap(self.K, self.distortion, np.eye(3), self.K, self.image_size, cv2.CV_32FC1)
         return np.asarray(a, np.float32), np.asarray(b, np.float32)
 
-    def undistort_image(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The ideal image (H, W) of a distorted one; the same array where there is no distortion."""
+    def undistort_image(self, image: NDArray[np.float32], rows: slice = EVERY) -> NDArray[np.float32]:
+        """The ideal image (H, W) of a distorted one, outside of ``rows`` black; the same array where there is no
+        distortion."""
         if not self.has_distortion:
             return image
         a, b = self._undistortion_maps
-        return np.asarray(cv2.remap(image, a, b, cv2.INTER_CUBIC), np.float32)
+        ideal = np.zeros(image.shape, np.float32)
+        cv2.remap(image, a[rows], b[rows], cv2.INTER_CUBIC, dst=ideal[rows])
+        return ideal
 
 
 @dataclass(frozen=True, eq=False)

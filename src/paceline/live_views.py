@@ -17,7 +17,7 @@ from typing import Protocol
 
 import numpy as np
 
-from paceline.cameras import Camera, StereoRig
+from paceline.cameras import EVERY, Camera, StereoRig
 from paceline.monocular import CameraFrame, CameraRecording, Grey, open_camera
 from paceline.recordings import StereoFrame
 
@@ -207,10 +207,11 @@ def _paired(left: _View, right: _View, ahead: float) -> Iterator[RawPair]:
             right.take(b)
 
 
-def undistorted(pair: RawPair, rig: StereoRig, before: RawPair | None) -> StereoFrame:
-    """``pair`` in ideal pixels; a copy of a picture of the pair ``before`` makes it a duplicate."""
+def undistorted(pair: RawPair, rig: StereoRig, before: RawPair | None, rows: slice = EVERY) -> StereoFrame:
+    """``pair`` in ideal pixels, outside of ``rows`` black; a copy of a picture of the pair ``before`` makes it a
+    duplicate."""
     left, right = (
-        camera.undistort_image(image.astype(np.float32))
+        camera.undistort_image(image.astype(np.float32), rows)
         for camera, image in zip(rig.cameras, (pair.left, pair.right), strict=True)
     )
     repeated = before is not None and (

@@ -12,6 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from paceline.speed.bands_cpu import linearise
+
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
@@ -41,9 +43,7 @@ class Glimpse:
 class Band:
     """One band of resolution: the views that resolve it, their filtered crops and slopes, and its texture."""
 
-    def __init__(
-        self, views: NDArray[np.int64], pictures: list[tuple[Floats, ...]], corners: Array, size: Array
-    ) -> None:
+    def __init__(self, views: NDArray[np.int64], pictures: list[Floats], corners: Array, size: Array) -> None:
         down = max(1, round(np.sqrt(PATCHES * size[1] / size[0])))
         across = max(1, round(PATCHES / down))
         x = max(int(np.ceil(size[0] * DENSITY / across)), 4)
@@ -73,15 +73,15 @@ class Band:
         M, r = self._linearised(H, H_d, relief)
         V, K, m = r.shape
         columns = np.concatenate([dH[self.views], H_d[self.views][..., None]], axis=-1).reshape(V, 9, -1)
-        J = (M.reshape(V, K * m, 9) @ columns.astype(np.float32)).reshape(V, K, m, -1)
+        J = np.swapaxes(columns, 1, 2)[:, None].astype(np.float32) @ M
         w = (self.weights * self.gain**2).astype(np.float32)
         # the shared texture moves along with the parameters: what all views have in common tells nothing
-        J -= np.einsum("vk,vkmp->kmp", w, J, optimize=True) / np.maximum(w.sum(0), 1e-12)[:, None, None]
-        A, score = np.empty((V, K, J.shape[3], J.shape[3])), np.empty((V, K, J.shape[3]))
+        J -= np.einsum("vk,vkpm->kpm", w, J, optimize=True) / np.maximum(w.sum(0), 1e-12)[:, None, None]
+        A, score = np.empty((V, K, J.shape[2], J.shape[2])), np.empty((V, K, J.shape[2]))
         for v in range(V):  # in double precision: what hardly differs from the rest must not be lost in rounding
             own = J[v].astype(float)
-            weighted = (own * w[v, :, None, None]).swapaxes(1, 2)
-            A[v], score[v] = weighted @ own, (weighted @ r[v, ..., None])[..., 0]
+            weighted = own * w[v, :, None, None]
+            A[v], score[v] = weighted @ own.swapaxes(1, 2), (weighted @ r[v, ..., None])[..., 0]
         return A, score
 
     def offsets(self, H: Array, H_d: Array, relief: Array) -> Array:
@@ -90,14 +90,14 @@ class Band:
         V, K, m = r.shape
         shifts = np.zeros((V, 3, 3, 2))
         shifts[:, 0, :, 0] = shifts[:, 1, :, 1] = H[self.views][:, 2]
-        J = (M.reshape(V, K * m, 9) @ shifts.reshape(V, 9, 2).astype(np.float32)).reshape(V, K, m, 2)
-        Jw = (J * (self.weights * self.gain**2).astype(np.float32)[:, :, None, None]).reshape(V, K * m, 2)
-        A = Jw.swapaxes(1, 2) @ J.reshape(V, K * m, 2)
-        score = Jw.swapaxes(1, 2) @ r.reshape(V, K * m, 1)
+        J = np.swapaxes(shifts.reshape(V, 9, 2), 1, 2)[:, None].astype(np.float32) @ M
+        Jw = J * (self.weights * self.gain**2).astype(np.float32)[:, :, None, None]
+        A = (Jw @ J.swapaxes(2, 3)).sum(1)
+        score = (Jw @ r[..., None]).sum(1)
         return np.asarray(-np.linalg.solve(A.astype(float) + 1e-6 * np.eye(2), score.astype(float))[..., 0])
 
     def _linearised(self, H: Array, H_d: Array, relief: Array) -> tuple[Floats, Floats]:
-        """∂I/∂H (views, patches, samples, 9) free of gain and offset, and the residuals (views, patches, samples)."""
+        """∂I/∂H (views, patches, 9, samples) free of gain and offset, and the residuals (views, patches, samples)."""
         V, K, m = len(self.views), self.patches, self.samples
         H, H_d = H[self.views], H_d[self.views]
         X = H @ self.places + (H_d @ self.places) * np.repeat(relief, m)
@@ -111,24 +111,17 @@ class Band:
         w = self.weights * self.gain
         mean_slope = np.einsum("vk,vckm->ckm", w, slope.reshape(V, 2, K, m), optimize=True)
         g = (mean_slope / np.maximum((w * self.gain).sum(0), 1e-12)[:, None]).reshape(2, -1)
-        det = (B[:, 0, 0] * B[:, 1, 1] - B[:, 0, 1] * B[:, 1, 0]) * z
-        ax = (g[0] * B[:, 1, 1] - g[1] * B[:, 1, 0]) / det
-        ay = (g[1] * B[:, 0, 0] - g[0] * B[:, 0, 1]) / det
-        c = np.stack([ax, ay, -(ax * x[:, 0] + ay * x[:, 1])], axis=1)
-        M = (c[:, :, None] * self.places).reshape(V, 9, K, m)
-        M = np.ascontiguousarray(np.moveaxis(M, 1, -1), np.float32)
-        M -= M.mean(2, keepdims=True)
-        along = (T / np.maximum((T * T).sum(-1, keepdims=True), 1e-9)).astype(np.float32)
-        M -= (along[None, :, None] @ M) * T.astype(np.float32)[None, :, :, None]
+        along = T / np.sqrt(np.maximum((T * T).sum(-1, keepdims=True), 1e-9))
         r = (I / self.gain[..., None] - T).astype(np.float32)
         # a view's own blur, which no model of the optics gets right, shows as a share of the texture's Laplacian;
         # left in, it passes for a change of scale
         blur = np.einsum("vk,vkm->km", w, laplacian)
         blur -= blur.mean(-1, keepdims=True)
-        blur -= (blur * along).sum(-1, keepdims=True) * T
+        blur -= (blur * along).sum(-1, keepdims=True) * along
         blur = (blur / np.sqrt(np.maximum((blur * blur).sum(-1, keepdims=True), 1e-12))).astype(np.float32)
         r -= (r * blur).sum(-1, keepdims=True) * blur
-        M -= (blur[None, :, None] @ M) * blur[None, :, :, None]
+        M = np.empty((V, K, 9, m), np.float32)
+        linearise(x, z, B, self.places, g, np.stack([along.astype(np.float32), blur]), M)
         self._reweigh((r * r).mean(-1) * self.gain**2)
         return M, r
 
@@ -138,10 +131,8 @@ class Band:
         slope = np.empty((len(x), 2, x.shape[2]))
         for v, pictures in enumerate(self.pictures):
             at = (x[v] - self.corners[v][:, None]).astype(np.float32).reshape(2, self.patches, -1)
-            values = [
-                cv2.remap(p, at[0], at[1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE).ravel()
-                for p in pictures
-            ]
+            sampled = cv2.remap(pictures, at[0], at[1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+            values = sampled.reshape(-1, 4).T
             I[v] = values[0]
             slope[v] = values[1] * B[v, 0] + values[2] * B[v, 1]
             laplacian[v] = values[3]
@@ -209,11 +200,11 @@ def _blur(smoothing: float, ratio: float) -> float:
     return float(np.sqrt(max((OPTICS**2 + smoothing**2) * ratio**2 - OPTICS**2, 0.3**2)))
 
 
-def _derivatives(picture: Floats) -> tuple[Floats, ...]:
-    """``picture``, its slopes along x and y, and its Laplacian."""
+def _derivatives(picture: Floats) -> Floats:
+    """``picture``, its slopes along x and y, and its Laplacian (H, W, 4)."""
     along = [cv2.filter2D(picture, -1, kernel, borderType=cv2.BORDER_REPLICATE) for kernel in (SLOPE, SLOPE.T)]
     laplacian = cv2.Laplacian(picture, cv2.CV_32F, borderType=cv2.BORDER_REPLICATE)
-    return picture, *(np.asarray(a, np.float32) for a in (*along, laplacian))
+    return np.asarray(cv2.merge([picture, *along, laplacian]), np.float32)
 
 
 def areas(quads: Array) -> Array:

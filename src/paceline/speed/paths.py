@@ -135,10 +135,10 @@ def level_frames(directions: Array) -> Array:
 
 
 def rotation_minimising_roll(level: Array) -> Array:
-    """Angles (N,) about T by which level frames (N, 3, 3) along a curve must roll not to turn about T at all."""
-    P, B = level[:, :, 1], level[:, :, 2]
-    turns = 0.5 * (np.diff(P, axis=0) * (B[:-1] + B[1:])).sum(-1)
-    return np.concatenate([[0.0], -np.cumsum(turns)])
+    """Angles (…, N) about T by which level frames (…, N, 3, 3) along curves must roll not to turn about T at all."""
+    P, B = level[..., 1], level[..., 2]
+    turns = 0.5 * (np.diff(P, axis=-2) * (B[..., :-1, :] + B[..., 1:, :])).sum(-1)
+    return np.concatenate([np.zeros((*turns.shape[:-1], 1)), -np.cumsum(turns, axis=-1)], axis=-1)
 
 
 def rolled(frames: Array, roll: Array) -> Array:

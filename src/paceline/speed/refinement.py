@@ -198,19 +198,29 @@ class _Fit:
             theta[p.free] = x
             return np.concatenate([(self.trajectory.quads(theta) - seen).ravel(), root @ (x - p.mean[p.free])])
 
-        found = least_squares(residuals, p.mean[p.free], x_scale="jac", loss="soft_l1", max_nfev=40)
+        def slopes(x: Array) -> Array:
+            theta[p.free] = x
+            moved, steps = self._moved(theta, p.free)
+            ahead, behind = self.trajectory.quads(moved).reshape(2, len(x), -1)
+            return np.concatenate([((ahead - behind) / (2 * steps[:, None])).T, root])
+
+        found = least_squares(residuals, p.mean[p.free], slopes, x_scale="jac", loss="soft_l1", max_nfev=40)
         theta[p.free] = found.x
         return theta
 
     def _derivatives(self, index: NDArray[np.int64]) -> Array:
         """∂H/∂θ (views, 3, 3, len(index)) by central differences."""
-        columns = []
-        for i in index:
-            e = np.zeros(len(self.theta))
-            e[i] = self.trajectory.steps[i]
-            ahead, behind = (self.trajectory.homographies(self.theta + sign * e)[0] for sign in (1, -1))
-            columns.append((ahead - behind).reshape(-1, 3, 3) / (2 * e[i]))
-        return np.stack(columns, axis=-1)
+        moved, steps = self._moved(self.theta, index)
+        ahead, behind = self.trajectory.homographies(moved)[0].reshape(2, len(index), -1, 3, 3)
+        return np.moveaxis((ahead - behind) / (2 * steps[:, None, None, None]), 0, -1)
+
+    def _moved(self, theta: Array, index: NDArray[np.int64]) -> tuple[Array, Array]:
+        """``theta`` (n,) with each of the parameters at ``index`` moved ahead and back, (2, len(index), n), and by how
+        much, (len(index),)."""
+        steps = self.trajectory.steps[index]
+        change = np.zeros((len(index), len(theta)))
+        change[np.arange(len(index)), index] = steps
+        return theta + np.stack([change, -change]), steps
 
     def _assemble(self) -> tuple[Array, Array, Array, Array]:
         """The normal matrix and score over free parameters and relief, prior included, and what each view's patches

@@ -12,7 +12,7 @@ from math import factorial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, PPoly
 
 from paceline.cameras import StereoRig
 from paceline.speed.likelihood import unit_square_to
@@ -78,8 +78,10 @@ class Bends:
         return CubicSpline(self.u, np.moveaxis(self.modes, -1, 0))
 
     def turns(self, amplitudes: Array, u: Array) -> Array:
-        """Yaw and pitch (2, M) at distances ``u`` (M,); beyond what was foreseen they stay as they are there."""
-        return np.asarray(np.tensordot(amplitudes, self._spline(np.clip(u, self.u[0], self.u[-1])), (0, 1)).T)
+        """Yaw and pitch (2, …, M), by ``amplitudes`` (…, K), at distances ``u`` (M,); beyond what was foreseen they
+        stay as they are there."""
+        at = self._spline(np.clip(u, self.u[0], self.u[-1]))
+        return np.asarray(np.moveaxis(np.tensordot(amplitudes, at, (-1, 1)), -1, 0))
 
 
 def bends(path: Path, start: float, length: float, on_path: bool) -> Bends:
@@ -209,28 +211,37 @@ class Trajectory:
         driven = self._driven.mean(1)
         return np.asarray((driven[-1] - driven[0]) / (t[-1] - t[0]))
 
-    def motion(self, theta: Array) -> tuple[Array, Array, Array, float]:
-        """Rigid motions since time 0, rotations (F, 2, 3, 3) and translations (F, 2, 3); and the first n·P = d."""
-        start = self._ray * np.exp(theta[0])
-        s0 = self.path.nearest(start)
-        travelled = self.distance(theta)
-        ends = np.array([min(travelled.min(), 0.0), max(travelled.max(), 0.0)])
-        u = np.linspace(ends[0] - 1.0, ends[1] + 1.0, 97)
-        yaw, pitch = self.bends.turns(theta[len(NAMES) :][: len(self.bends.modes)], u)
-        yaw = yaw + theta[INDEX["turn"]] * u
-        F = self.path.frames(s0 + u)
-        T = F[:, :, 0] + yaw[:, None] * F[:, :, 1] + pitch[:, None] * F[:, :, 2]
-        tangent = CubicSpline(u, T / np.linalg.norm(T, axis=1, keepdims=True))
+    def motion(self, theta: Array) -> tuple[Array, Array, Array, Array]:
+        """Rigid motions since time 0 by ``theta`` (…, n), rotations (…, F, 2, 3, 3) and translations (…, F, 2, 3); and
+        the first n·P = d: n (…, 3) and d (…)."""
+        many = theta.reshape(-1, theta.shape[-1])
+        shape = theta.shape[:-1]
+        start = self._ray * np.exp(many[:, :1])
+        depths, which = np.unique(many[:, 0], return_inverse=True)
+        s0 = np.array([self.path.nearest(self._ray * np.exp(depth)) for depth in depths])[which]
+        travelled = np.tensordot(many, self._driven, (1, 2))
+        u = np.linspace(min(travelled.min(), 0.0) - 1.0, max(travelled.max(), 0.0) + 1.0, 97)
+        yaw, pitch = self.bends.turns(many[:, len(NAMES) :][:, : len(self.bends.modes)], u)
+        yaw = yaw + many[:, INDEX["turn"], None] * u
+        F = self.path.frames(s0[:, None] + u)
+        T = F[..., 0] + yaw[..., None] * F[..., 1] + pitch[..., None] * F[..., 2]
+        tangent = CubicSpline(u, T / np.linalg.norm(T, axis=-1, keepdims=True), axis=1)
         gone = tangent.antiderivative()
         roll = rotation_minimising_roll(level_frames(T))
-        here = rolled(level_frames(np.asarray(tangent(0.0))), np.asarray(np.interp(0.0, u, roll)))
-        R = rolled(level_frames(np.asarray(tangent(travelled))), np.interp(travelled, u, roll)) @ here.T
-        t = start + gone(travelled) - gone(0.0) - R @ start
-        n = here @ turned(self._normal_in_path_frame, theta[3], theta[4])
-        return R, t, n, float(n @ start)
+        first = np.zeros((len(many), 1))
+        here = rolled(level_frames(_each(tangent, first)), _each_between(u, roll, first))[:, 0]
+        there = rolled(level_frames(_each(tangent, travelled)), _each_between(u, roll, travelled))
+        R = there @ np.swapaxes(here, -1, -2)[:, None, None]
+        origin = start[:, None, None]
+        t = origin + _each(gone, travelled) - _each(gone, first)[:, None] - (R @ origin[..., None])[..., 0]
+        turn = turned(self._normal_in_path_frame, many[:, INDEX["normal_yaw"]], many[:, INDEX["normal_tilt"]])
+        n = (here @ turn[..., None])[..., 0]
+        d = (n * start).sum(-1)
+        return R.reshape(*shape, *R.shape[1:]), t.reshape(*shape, *t.shape[1:]), n.reshape(*shape, 3), d.reshape(shape)
 
     def homographies(self, theta: Array) -> tuple[Array, Array]:
-        """H (F, 2, 3, 3) from the unit square to both views, and its change per metre of the plane's distance d."""
+        """By ``theta`` (…, n), H (…, F, 2, 3, 3) from the unit square to both views, and its change per metre of the
+        plane's distance d."""
         R, t, n, d = self.motion(theta)
         rig = self.rig
         back = rig.left.K_inv @ self._square
@@ -239,10 +250,11 @@ class Trajectory:
         t_view = np.stack([np.zeros(3), rig.t])
         H_d = K @ (R_view @ R) @ back
         shift = (R_view @ t[..., None])[..., 0] + t_view
-        return np.asarray(d * H_d + K @ (shift[..., None] * n) @ back), H_d
+        plane = shift[..., None] * n[..., None, None, None, :]
+        return np.asarray(d[..., None, None, None, None] * H_d + K @ plane @ back), H_d
 
     def quads(self, theta: Array) -> Array:
-        """The region in both views at every frame, (F, 2, 4, 2) px."""
+        """The region in both views at every frame by ``theta`` (…, n), (…, F, 2, 4, 2) px."""
         return corners_of(self.homographies(theta)[0])
 
     def centres(self, theta: Array) -> Array:
@@ -251,12 +263,36 @@ class Trajectory:
         return np.asarray(R[:, 0] @ (self._ray * np.exp(theta[0])) + t[:, 0])
 
 
-def turned(normal: Array, yaw: float, tilt: float) -> Array:
-    """A unit ``normal`` (3,) in path axes T, P, B, turned by ``yaw`` about B and by ``tilt`` about the horizontal."""
+def _each(spline: PPoly, x: Array) -> Array:
+    """The values (N, …, 3) of each of N curves, which ``spline`` holds together, at places ``x`` (N, …) of its own."""
+    piece, curve = _pieces(spline.x, x)
+    from_knot, value = (x - spline.x[piece])[..., None], np.zeros(())
+    for coefficient in spline.c:
+        value = value * from_knot + coefficient[piece, curve]
+    return np.asarray(value)
+
+
+def _each_between(u: Array, values: Array, x: Array) -> Array:
+    """Each of N rows of ``values`` (N, M) over ``u`` (M,), interpolated at places ``x`` (N, …) of its own."""
+    piece, row = _pieces(u, x)
+    share = (x - u[piece]) / (u[piece + 1] - u[piece])
+    return np.asarray((1.0 - share) * values[row, piece] + share * values[row, piece + 1])
+
+
+def _pieces(u: Array, x: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Between which knots ``u`` places ``x`` (N, …) lie, and which of the N each belongs to."""
+    piece = np.clip(np.searchsorted(u, x, "right") - 1, 0, len(u) - 2)
+    return piece, np.arange(len(x)).reshape(-1, *(1,) * (x.ndim - 1))
+
+
+def turned(normal: Array, yaw: Array | float, tilt: Array | float) -> Array:
+    """A unit ``normal`` (3,) in path axes T, P, B, turned by ``yaw`` (…) about B and by ``tilt`` (…) about the
+    horizontal: (…, 3)."""
     B = np.array([0.0, 0.0, 1.0])
     across = np.cross(B, normal)
-    n = normal + yaw * across / max(float(np.linalg.norm(across)), 1e-9) + tilt * B
-    return np.asarray(n / np.linalg.norm(n))
+    across /= max(float(np.linalg.norm(across)), 1e-9)
+    n = normal + np.asarray(yaw)[..., None] * across + np.asarray(tilt)[..., None] * B
+    return np.asarray(n / np.linalg.norm(n, axis=-1, keepdims=True))
 
 
 def corners_of(H: Array) -> Array:

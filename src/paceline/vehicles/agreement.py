@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +11,7 @@ Image = NDArray[np.float32]
 
 AGREE = (0.6, 1.0)  # correlation of the views at which a place begins to count, and counts wholly
 CHANGED = 0.3  # one minus the correlation with the empty scene, from which on something else is there
+FLAT = 1e-3  # product of two pictures' contrasts up to which there is nothing to compare, squared grey levels
 
 
 def local_mean(image: Image, window: int) -> Image:
@@ -33,23 +32,12 @@ def correlation(a: Texture, b: Texture) -> Image:
     """Local normalised correlation (H, W) of two pictures, −1 to 1; 0 where either has no contrast."""
     covariance = local_mean(a.image * b.image, a.window) - a.mean * b.mean
     contrast = a.std * b.std
-    return np.asarray(np.where(contrast > 1e-3, covariance / np.maximum(contrast, 1e-3), 0.0), np.float32)
+    return np.asarray(np.where(contrast > FLAT, covariance / np.maximum(contrast, FLAT), 0.0), np.float32)
 
 
 def agreement(a: Texture, b: Texture) -> Image:
     """How much two pictures agree at each place (H, W), 0 to 1."""
     return np.asarray(np.clip((correlation(a, b) - AGREE[0]) / (AGREE[1] - AGREE[0]), 0.0, 1.0), np.float32)
-
-
-def counting(views: Sequence[Texture], empty: Sequence[Texture], least: float) -> Image:
-    """How much each place (H, W) of a card counts, 0 to 1: where the two ``views`` of it have a contrast of ``least``
-    grey levels and agree with each other, and neither with its picture of the ``empty`` scene."""
-    left, right = views
-    counts = agreement(left, right) * (np.minimum(left.std, right.std) > least)
-    for now, before in zip(views, empty, strict=True):
-        if counts.any():
-            counts *= correlation(now, before) < 1 - CHANGED
-    return np.asarray(counts, np.float32)
 
 
 def stands(counts: Image, lying: Image) -> Array:

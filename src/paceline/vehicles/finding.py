@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +13,7 @@ from paceline.documents import VehicleDocument
 from paceline.recordings import StereoFrame
 from paceline.vehicles.plane import Aligned, Face, face_of
 from paceline.vehicles.scene import EmptyScene
-from paceline.vehicles.sightings import Lookout
+from paceline.vehicles.sightings import Lookout, Sighting
 from paceline.vehicles.tracks import Linker, Track, slope
 from paceline.vehicles.ways import Way
 
@@ -22,11 +23,13 @@ Image = NDArray[np.float32]
 LEAST_SIGHTINGS = 4  # and as many as there are frames between them in which it is not seen
 LEAST_TRAVEL = 1.5, 1.5  # m, and px of disparity: what moves less stands
 ASIDE = 1.9  # m from the middle of the way: what is farther does not drive on it
-LEAST_AREA = 0.35  # m² of a face that both views agree on, in the median
+LEAST_AREA = 0.35, 0.25  # m² of a face that both views agree on, in the median; less where it was seen so
+LONG = 16  # many times: two lamps in the dark are small
 LEAST_HEIGHT = 0.8  # m above the road that a vehicle reaches: less is a shadow
 SMALLEST = 16.0, 6.0  # px, width and height of an outline
 NEIGHBOURS = 5  # frames that say where a vehicle is in another one
 OFF = 1.0, 1.0  # m, and px of disparity, by which it is off at most
+KNOWN = 8  # vehicles of which a next one may be a part
 BORDER = 4.0  # px between an outline and the edge of the picture
 
 
@@ -65,14 +68,24 @@ class Finder:
 
     def __init__(self, ways: list[Way], scene: EmptyScene) -> None:
         self._lookout, self._linker, self._scene = Lookout(ways), Linker(), scene
+        self._register = Register()
+
+    @property
+    def rows(self) -> slice:
+        """The rows of the pictures outside which nothing is looked at."""
+        return self._lookout.rows
 
     def see(self, frame: StereoFrame) -> list[Found]:
         """The vehicles that have gone by the time of ``frame``."""
-        return [found_on(track) for track in self.gone(frame)]
+        return self._outlined(self.gone(frame))
 
     def finish(self) -> list[Found]:
         """The vehicles that were still there at the last frame."""
-        return [found_on(track) for track in self.rest()]
+        return self._outlined(self.rest())
+
+    def _outlined(self, tracks: list[Track]) -> list[Found]:
+        both = [(track, found_on(track)) for track in tracks]
+        return [found for track, found in both if self._register.is_new(track, found)]
 
     def gone(self, frame: StereoFrame) -> list[Track]:
         """As `see`, but what was seen of them, on which `found_on` has yet to find what can be measured: that takes
@@ -80,8 +93,13 @@ class Finder:
         if frame.duplicate:
             return []
         sightings = self._lookout.see(frame, self._scene.images)
-        self._scene.follow(frame)
+        self._scene.follow(frame, self.rows)
         return [track for track in self._linker.link(frame.time, sightings) if is_vehicle(track)]
+
+    @property
+    def in_view(self) -> list[Track]:
+        """What moves along the ways in the last frame, and may turn out to be a vehicle."""
+        return [track for track in self._linker.tracks if not track.unseen and _moves(track)]
 
     def rest(self) -> list[Track]:
         """As `finish`, of what was seen."""
@@ -89,13 +107,36 @@ class Finder:
         return [track for track in tracks if is_vehicle(track)]
 
 
+class Register:
+    """The last vehicles that were found, so that none is told twice: at night two lamps, or a halo and what is in it,
+    may have been followed apart from each other."""
+
+    def __init__(self) -> None:
+        self._known: deque[tuple[Track, Sighting]] = deque(maxlen=KNOWN)
+
+    def is_new(self, track: Track, found: Found) -> bool:
+        """Whether what was ``found`` on a ``track`` is none of those; from now on it is known."""
+        vehicle = found.vehicle
+        seen = track.first if vehicle is None else min(track.kept, key=lambda s: abs(s.frame - vehicle.frame))
+        if any(other.passed(seen) or track.passed(there) for other, there in self._known):
+            return False
+        if vehicle is not None:
+            self._known.append((track, seen))
+        return True
+
+
 def is_vehicle(track: Track) -> bool:
     """Whether what was seen is upright and large enough, and drives along its way."""
-    if len(track.times) < max(LEAST_SIGHTINGS, track.missed) or float(np.median(track.areas)) < LEAST_AREA:
+    count = len(track.times)
+    if count < max(LEAST_SIGHTINGS, track.missed) or float(np.median(track.areas)) < LEAST_AREA[count >= LONG]:
         return False
     if _height(track) < LEAST_HEIGHT or abs(float(np.median([s.middle for s in track.kept]))) > ASIDE:
         return False
-    return abs(track.travel) >= track.kept[len(track.kept) // 2].error(*LEAST_TRAVEL)
+    return _moves(track)
+
+
+def _moves(track: Track) -> bool:
+    return len(track.times) > 1 and abs(track.travel) >= track.kept[len(track.kept) // 2].error(*LEAST_TRAVEL)
 
 
 def as_seen(track: Track, reason: str) -> Found:

@@ -17,6 +17,7 @@ from multiprocessing import get_context
 import numpy as np
 from numpy.typing import NDArray
 
+from paceline.cameras import EVERY
 from paceline.documents import Clip
 from paceline.errors import UnusableInput
 from paceline.lanes.background import FRAMES, Background, background_of, no_background
@@ -26,7 +27,7 @@ from paceline.recordings import StereoFrame
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.measurement import measure, refuse_one_view
 from paceline.speed.results import Measurement
-from paceline.vehicles.finding import Finder, Found, as_seen, found_on
+from paceline.vehicles.finding import Finder, Found, Register, as_seen, found_on
 from paceline.vehicles.measuring import with_lanes_found
 from paceline.vehicles.scene import EmptyScene
 from paceline.vehicles.tracks import Track
@@ -40,6 +41,7 @@ BUSY = "not measured: vehicles come faster than this computer measures them"
 FORGOTTEN = "not measured: it was in view for longer than frames are kept"
 
 Told = Callable[[Found, Measurement | None, str], None]
+Looked = Callable[[RawPair, list[Track]], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +50,7 @@ class Recent:
 
     clip: Clip
     pairs: list[RawPair]
+    rows: slice  # outside which nothing is looked at
     notices: list[str] = field(default_factory=list)
 
     @property
@@ -58,14 +61,22 @@ class Recent:
         return len(self.pairs)
 
     def frames(self) -> Iterator[StereoFrame]:
-        return in_ideal_pixels(self.pairs, self.clip)
+        return in_ideal_pixels(self.pairs, self.clip, self.rows)
 
 
-def in_ideal_pixels(pairs: Iterable[RawPair], clip: Clip) -> Iterator[StereoFrame]:
-    """The frames of ``pairs`` as the measurement takes them."""
+def last_seen(track: Track) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The face (4, 2) of what a ``track`` has seen last, in ideal pixels of both views, clockwise from the top left."""
+    assert track.last is not None, "a track begins with a sighting"
+    (left, right), (low, high) = track.last.x, track.last.y
+    corners = np.array([[left, high], [right, high], [right, low], [left, low]])
+    return track.last.way.pixels(track.last.s, corners)
+
+
+def in_ideal_pixels(pairs: Iterable[RawPair], clip: Clip, rows: slice = EVERY) -> Iterator[StereoFrame]:
+    """The frames of ``pairs`` as the measurement takes them, outside of ``rows`` black."""
     before = None
     for pair in pairs:
-        yield undistorted(pair, clip.rig, before)
+        yield undistorted(pair, clip.rig, before, rows)
         before = pair
 
 
@@ -76,15 +87,23 @@ def survey(
     told: Told,
     learning: float = LEARNING,
     ready: Callable[[int], None] = lambda paths: None,
+    looked: Looked = lambda pair, tracks: None,
 ) -> None:
     """Measure every vehicle that passes, until the sources end or are stopped.
 
     ``told`` is called once for each vehicle that has gone, in the order in which they were found, with its measurement,
-    or None and why it has none; ``ready`` with the number of paths once the scene is learned. Raises UnusableInput
-    where no empty road is seen in the first ``learning`` seconds, or where there are neither paths nor lanes.
+    or None and why it has none; ``ready`` with the number of paths once the scene is learned; ``looked`` with every
+    pair of frames that has been looked through, and what moves in it. Raises UnusableInput where no empty road is seen
+    in the first ``learning`` seconds, or where there are neither paths nor lanes.
     """
     pairs = iter(views)
-    background = _learned(clip, pairs, learning)
+
+    def first() -> Iterator[RawPair]:
+        for pair in pairs:
+            looked(pair, [])
+            yield pair
+
+    background = _learned(clip, first(), learning)
     if reason := no_background(background):
         raise UnusableInput(f"{clip.path}: {reason}")
     if not clip.paths:
@@ -102,11 +121,12 @@ def survey(
             yield pair
 
     with _another_process() as measuring:
-        desk = _Desk(clip, configuration, measuring, told)
-        for frame in in_ideal_pixels(remembered(), clip):
+        desk = _Desk(clip, configuration, measuring, told, finder.rows)
+        for frame in in_ideal_pixels(remembered(), clip, finder.rows):
             for track in finder.gone(frame):
                 desk.take(track, recent)
             desk.tell()
+            looked(recent[-1], finder.in_view)
         for track in finder.rest():
             desk.take(track, recent)
         desk.close()
@@ -151,9 +171,11 @@ class _Case:
     """A vehicle that waits: first for its outline, then, known as ``found``, for its measurement on the ``pairs`` since
     it appeared."""
 
+    track: Track
     outlined: Future[Found]
     pairs: list[RawPair]
     found: Found | None = None
+    again: bool = False  # one that was found before
     measured: Future[Measurement] | None = None
 
 
@@ -161,20 +183,25 @@ class _Desk:
     """Takes vehicles that have gone, has them measured one after the other, and tells what came of it."""
 
     def __init__(
-        self, clip: Clip, configuration: SpeedConfiguration, measuring: ProcessPoolExecutor, told: Told
+        self,
+        clip: Clip,
+        configuration: SpeedConfiguration,
+        measuring: ProcessPoolExecutor,
+        told: Told,
+        rows: slice = EVERY,
     ) -> None:
         self._clip, self._configuration, self._measuring, self._told = clip, configuration, measuring, told
-        self._cases: deque[_Case] = deque()
-        self._count = 0
+        self._rows, self._cases = rows, deque[_Case]()
+        self._register, self._count = Register(), 0
 
     def take(self, track: Track, recent: Iterable[RawPair]) -> None:
         if sum(bool(case.pairs) for case in self._cases) >= BACKLOG:
             outlined: Future[Found] = Future()
             outlined.set_result(as_seen(track, BUSY))
-            self._cases.append(_Case(outlined, []))
+            self._cases.append(_Case(track, outlined, []))
         else:
             pairs = [pair for pair in recent if pair.index >= track.first.frame]
-            self._cases.append(_Case(self._measuring.submit(found_on, track), pairs))
+            self._cases.append(_Case(track, self._measuring.submit(found_on, track), pairs))
 
     def tell(self) -> None:
         """What is known by now, in order."""
@@ -197,6 +224,9 @@ class _Desk:
         if case.found is not None:
             return
         case.found = case.outlined.result()
+        case.again = not self._register.is_new(case.track, case.found)
+        if case.again:
+            return
         if (vehicle := case.found.vehicle) is None:
             return
         vehicle = replace(vehicle, id=f"v{self._count}")
@@ -207,11 +237,13 @@ class _Desk:
             case.found = replace(case.found, reason=FORGOTTEN)
         else:
             clip = replace(self._clip, vehicles=[vehicle])
-            case.measured = self._measuring.submit(_measured, clip, thinned(pairs), self._configuration)
+            case.measured = self._measuring.submit(_measured, clip, thinned(pairs), self._rows, self._configuration)
 
     def _tell_first(self) -> None:
         case = self._cases.popleft()
         assert case.found is not None, "what is told is known"
+        if case.again:
+            return
         measurement, reason = None, case.found.reason
         if case.measured is not None:
             try:
@@ -228,5 +260,5 @@ def thinned(pairs: list[RawPair]) -> list[RawPair]:
     return pairs[:: max(min(-(-len(pairs) // ENOUGH), most), 1)]
 
 
-def _measured(clip: Clip, pairs: list[RawPair], configuration: SpeedConfiguration) -> Measurement:
-    return measure(clip, Recent(clip, pairs), configuration).measurements[0]
+def _measured(clip: Clip, pairs: list[RawPair], rows: slice, configuration: SpeedConfiguration) -> Measurement:
+    return measure(clip, Recent(clip, pairs, rows), configuration).measurements[0]

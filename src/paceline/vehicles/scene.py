@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
+from paceline.cameras import EVERY
 from paceline.recordings import StereoFrame
 
 Image = NDArray[np.float32]
@@ -23,9 +25,19 @@ class EmptyScene:
         self.images = (images[0].copy(), images[1].copy())
         self._time: float | None = None
 
-    def follow(self, frame: StereoFrame) -> None:
+    def follow(self, frame: StereoFrame, rows: slice = EVERY) -> None:
+        """Draw the scene, or only its ``rows``, towards what ``frame`` shows."""
         if self._time is not None:
             step = DRIFT * (frame.time - self._time)
             for image, now in zip(self.images, (frame.left, frame.right), strict=True):
-                image += np.clip(now - image, -step, step)
+                _draw(image[rows], now[rows], step)
         self._time = frame.time
+
+
+@njit(cache=True, nogil=True)
+def _draw(image: Image, now: Image, step: float) -> None:
+    """Move every pixel of ``image`` (H, W), in place, towards ``now``, by ``step`` grey levels at most."""
+    most = np.float32(step)
+    for y in range(len(image)):
+        for x in range(image.shape[1]):
+            image[y, x] += min(max(now[y, x] - image[y, x], -most), most)

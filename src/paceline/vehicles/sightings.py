@@ -7,16 +7,18 @@ road, leaves and rain are nowhere on the way for both views: they leave too litt
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property, partial
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from paceline.recordings import StereoFrame
-from paceline.vehicles.agreement import Texture, correlation, counting, local_mean, stands
-from paceline.vehicles.sheets import Sheets
+from paceline.vehicles import cards_cpu
+from paceline.vehicles.agreement import local_mean, stands
+from paceline.vehicles.cards import Card, Views, card_of
 from paceline.vehicles.ways import LEVELS, Grid, Way, laid_out, pyramid
 
 Array = NDArray[np.float64]
@@ -30,12 +32,11 @@ SEARCH, SEARCH_WINDOW = Grid(left=-3.2, top=2.6, bottom=0.2, cell=0.1), 5  # of 
 SPARSE = 2  # stations from one of the coarse look to the next
 PROMISING = 0.2  # m² of places that count in a coarse look, about which a fine one is worth while
 RIVAL, RIVALS = 0.5, 4  # of the most that counts coarsely, and stations: a fine look may see another as the highest
-REFRESHED = 0.5  # s after which the coarse look takes the empty scene anew
 CONTRAST = (1.0, 2.0)  # grey levels, and times the noise: less is no texture
 COARSE = 2  # level of the pyramid at which a glance tells where nothing has changed
 PART = 0.2  # of a vehicle's smallest area that is other than the empty scene at a glance
 UNCHANGED = 0.5  # of the contrast that makes a texture
-SOME = 8  # rows from one to the next that tell the noise
+SOME = 16  # rows from one to the next that tell the noise
 SMALLEST = 0.25  # m² of places that count, of a motorcycle far away
 STANDS = 1.0, 1.2  # times worse that the views agree if it lies on the road, coarsely and finely: shadows do not
 BODY = 5.0, 14.0  # m that a car, and what is taller than a van, reaches behind its face
@@ -94,88 +95,72 @@ class Sighting:
 
 
 class Lookout:
-    """Looks along ``ways`` at the frames of a stationary rig: coarsely at the cards of all stations at once, and then
-    finely at those about which most counts."""
+    """Looks along ``ways`` at the frames of a stationary rig: coarsely at the cards about which something has changed,
+    and then finely at those about which most counts. Nothing is looked at outside certain ``rows`` of the pictures."""
 
     def __init__(self, ways: list[Way]) -> None:
         self._stations = [(way, float(s)) for way in ways for s in way.stations()]
-        self._homographies = [way.homographies(s) for way, s in self._stations]
         self._bounds = np.cumsum([0, *(sum(w is way for w, _ in self._stations) for way in ways)])
-        coarse = range(0, len(self._stations), SPARSE)
-        standing = [self._homographies[k] for k in coarse]
-        lying = [_lying(*self._stations[k]) for k in coarse]
-        self._standing, self._lying = (Sheets(cards, SEARCH, SEARCH_WINDOW) for cards in (standing, lying))
-        self._boxes = np.array([[_box(H) for H in views] for views in standing], int).reshape(-1, 2, 4)
+        self.rows = _rows_of(self._stations)
+        top, coarse = self.rows.start, self._stations[::SPARSE]
+        self._fine = [card_of(way.homographies(s), GRID, WINDOW, top) for way, s in self._stations]
+        self._standing = [card_of(way.homographies(s), SEARCH, SEARCH_WINDOW, top) for way, s in coarse]
+        self._lying = [card_of(_lying(way, s), SEARCH, SEARCH_WINDOW, top) for way, s in coarse]
+        boxes = [[_box(H, SEARCH) for H in card.cells] for card in self._standing]
+        self._boxes = np.array(boxes, int).reshape(-1, 2, 4)
         per_metre = (self._boxes[:, 0, 2] - self._boxes[:, 0, 0]) / (-2 * GRID.left)
         self._least_changed = PART * SMALLEST * per_metre**2
-        self._scene: list[list[Image]] = []
-        self._empty: dict[int, list[Texture]] = {}
-        self._learned = -np.inf
 
     def see(self, frame: StereoFrame, empty: tuple[Image, Image]) -> list[Sighting]:
         """The faces in ``frame`` before the ``empty`` scene (both views of it), the largest first."""
-        if frame.time - self._learned >= REFRESHED:
-            self._learned, self._scene, self._empty = frame.time, [pyramid(image.copy()) for image in empty], {}
-        views = [pyramid(image) for image in (frame.left, frame.right)]
-        least = max(CONTRAST[0], CONTRAST[1] * noise_of(frame.left, empty[0]))
-        look = _Look(views, self._scene, self._homographies, least)
-        coarse = self._coarsely(views, least)
+        if not self._stations:
+            return []
+        views, scene = ([pyramid(i[self.rows]) for i in pair] for pair in ((frame.left, frame.right), empty))
+        least = max(CONTRAST[0], CONTRAST[1] * noise_of(views[0][0], scene[0][0]))
+        look = _Look(views, scene, self._fine, least)
+        coarse, areas = self._coarsely(views, scene, least)
+        upright = partial(self._stands, coarse, views)
         found: list[Sighting] = []
-        while len(coarse):
-            areas = _areas(coarse, SEARCH)
-            peaks = self._peaks(areas)
-            if not len(peaks):
-                break
+        while len(peaks := self._peaks(areas, upright)):
             best = max((self._highest(look, SPARSE * k) for k in peaks), key=look.area)
             if look.area(best) < SMALLEST:
-                coarse[peaks] = 0.0
+                areas[peaks] = 0.0
                 continue
             counts = look.counts(best)
             piece = _largest_piece(counts)
             s = self._between(look, best)
             look.forget(best, piece)
-            if stands(counts * piece, self._as_lying(views, best)) < STANDS[1]:
+            lying = card_of(_lying(*self._stations[best]), GRID, WINDOW, self.rows.start)
+            if stands(counts * piece, lying.correlation(views)) < STANDS[1]:
                 continue
             first, behind = self._way_of(best)
             sighting = self._sighting(frame, self._stations[best][0], s, counts, piece)
             if first < best < behind - 1:  # what counts most at an end of the way is beyond it
                 found.append(sighting)
-            look.explain(sighting)
-            self._hide(coarse, areas, look.explained)
+            look.explain(sighting, self.rows.start)
+            for k in np.flatnonzero(areas).tolist():
+                self._standing[k].hide(coarse[k], look.explained)
+                areas[k] = _area(coarse[k], SEARCH)
         return found
 
-    def _coarsely(self, views: list[list[Image]], least: float) -> Image:
-        """How much each place of the coarse cards (some stations, rows, columns) counts, without those that show what
-        lies on the road."""
-        busy = self._busy(views, least)
-        counts = np.zeros((len(busy), *SEARCH.size[::-1]), np.float32)
-        for k, batch in enumerate(self._standing.batches):
-            if busy[batch].any():
-                if k not in self._empty:
-                    self._empty[k] = self._textures(self._scene, batch)
-                counts[batch] = self._standing.cards(counting(self._textures(views, batch), self._empty[k], least))
-        areas = _areas(counts, SEARCH)
-        for batch in self._standing.batches:
-            chosen = batch[areas[batch] >= PROMISING]
-            if len(chosen):
-                left, road = (Texture(self._lying.lay_out(v, i, chosen), SEARCH_WINDOW) for i, v in enumerate(views))
-                better = stands(counts[chosen], self._lying.cards(correlation(left, road)))
-                counts[chosen[better < STANDS[0]]] = 0.0
-        return counts
+    def _coarsely(self, views: Views, scene: Views, least: float) -> tuple[dict[int, Image], Array]:
+        """How much each place (rows, columns) of the coarse cards counts about which something has changed, and what
+        counts (stations,) on all of them, m²."""
+        busy = np.flatnonzero(self._busy(views, scene, least)).tolist()
+        counts = {k: self._standing[k].counts(views, scene, least, PROMISING) for k in busy}
+        areas = np.zeros(len(self._standing))
+        areas[busy] = [_area(counts[k], SEARCH) for k in busy]
+        return counts, areas
 
-    def _as_lying(self, views: list[list[Image]], station: int) -> Image:
-        """The correlation of the views at each place of a fine card if what it shows the left one lies on the road."""
-        both = zip(views, _lying(*self._stations[station]), strict=True)
-        return correlation(*(Texture(laid_out(view, H, GRID), WINDOW) for view, H in both))
+    def _stands(self, coarse: dict[int, Image], views: Views, k: int) -> bool:
+        """Whether what counts on a coarse card stands there, rather than lies on the road."""
+        return bool(stands(coarse[k], self._lying[k].correlation(views)) >= STANDS[0])
 
-    def _textures(self, views: list[list[Image]], batch: Indices) -> list[Texture]:
-        return [Texture(self._standing.lay_out(levels, i, batch), SEARCH_WINDOW) for i, levels in enumerate(views)]
-
-    def _busy(self, views: list[list[Image]], least: float) -> NDArray[np.bool_]:
+    def _busy(self, views: Views, scene: Views, least: float) -> NDArray[np.bool_]:
         """Where (stations,) both coarse views about a card are not those of the empty scene: elsewhere is nothing."""
         busy = np.ones(len(self._boxes), bool)
-        for i, (view, scene) in enumerate(zip(views, self._scene, strict=True)):
-            changed = np.abs(view[COARSE] - scene[COARSE]) > UNCHANGED * least
+        for i, (view, before) in enumerate(zip(views, scene, strict=True)):
+            changed = np.abs(view[COARSE] - before[COARSE]) > UNCHANGED * least
             sums = cv2.integral(changed.astype(np.uint8))
             rows, columns = np.array(changed.shape)
             left, right = self._boxes[:, i, [0, 2]].clip(0, columns).T
@@ -183,21 +168,18 @@ class Lookout:
             busy &= sums[bottom, right] - sums[top, right] - sums[bottom, left] + sums[top, left] > self._least_changed
         return busy
 
-    def _hide(self, coarse: Image, areas: Array, explained: Image) -> None:
-        """Take from what counts what lies in the part of the left picture that is ``explained``."""
-        levels = [np.ascontiguousarray(explained[:: 2**k, :: 2**k]) for k in range(LEVELS)]
-        for batch in self._standing.batches:
-            if (areas[batch] >= PROMISING).any():
-                hidden = self._standing.cards(self._standing.lay_out(levels, 0, batch, cv2.INTER_NEAREST))
-                coarse[batch] *= hidden == 0
-
-    def _peaks(self, areas: Array) -> list[int]:
-        """The stations between whose neighbours most counts, if it is promising; not those where far less does than at
-        the first one."""
-        before, behind = np.append(0.0, areas[:-1]), np.append(areas[1:], 0.0)
-        least = max(PROMISING, RIVAL * float(areas.max()))
-        peaks = np.flatnonzero((areas >= before) & (areas >= behind) & (areas >= least))
-        return [int(k) for k in peaks[np.argsort(-areas[peaks])][:RIVALS]]
+    def _peaks(self, areas: Array, upright: Callable[[int], bool]) -> list[int]:
+        """The stations between whose neighbours most counts, if it is promising and ``upright``; not those where far
+        less does than at the first one. What is not upright is taken off the ``areas``."""
+        while True:
+            before, behind = np.append(0.0, areas[:-1]), np.append(areas[1:], 0.0)
+            least = max(PROMISING, RIVAL * float(areas.max()))
+            found = np.flatnonzero((areas >= before) & (areas >= behind) & (areas >= least))
+            peaks = [int(k) for k in found[np.argsort(-areas[found])][:RIVALS]]
+            lying = [k for k in peaks if not upright(k)]
+            if not lying:
+                return peaks
+            areas[lying] = 0.0
 
     def _highest(self, look: _Look, k: int) -> int:
         """The station up the hill from ``k`` at which most counts."""
@@ -241,32 +223,26 @@ class Lookout:
 
 
 class _Look:
-    """A fine look at the cards of single stations in one frame; what is ``explained`` (H, W: not 0) in the left picture
-    counts no more."""
+    """A fine look at single ``cards`` in one frame; what is ``explained`` (H, W: not 0) in the left picture counts no
+    more."""
 
-    def __init__(
-        self, views: list[list[Image]], scene: list[list[Image]], homographies: list[tuple[Array, Array]], least: float
-    ) -> None:
-        self._views, self._scene, self._homographies, self._least = views, scene, homographies, least
+    def __init__(self, views: Views, scene: Views, cards: list[Card], least: float) -> None:
+        self._views, self._scene, self._cards, self._least = views, scene, cards, least
         self._counts: dict[int, Image] = {}
         self._areas: dict[int, float] = {}
-        self.explained = np.zeros(views[0][0].shape, np.float32)
+        self.explained = np.zeros(views[0][0].shape, np.uint8)
 
     def counts(self, station: int) -> Image:
         """How much each place of a card counts, 0 to 1."""
         if station not in self._counts:
-            views, empty = (
-                [Texture(laid_out(v, H, GRID), WINDOW) for v, H in zip(pair, self._homographies[station], strict=True)]
-                for pair in (self._views, self._scene)
-            )
-            self._counts[station] = counting(views, empty, self._least)
-            self._hide(station)
+            self._counts[station] = self._cards[station].counts(self._views, self._scene, self._least)
+            self._cards[station].hide(self._counts[station], self.explained)
         return self._counts[station]
 
     def area(self, station: int) -> float:
         """What counts on a card, m²."""
         if station not in self._areas:
-            self._areas[station] = float(_areas(self.counts(station), GRID))
+            self._areas[station] = _area(self.counts(station), GRID)
         return self._areas[station]
 
     def forget(self, station: int, piece: Mask) -> None:
@@ -274,31 +250,42 @@ class _Look:
         self._counts[station] = np.where(piece, np.float32(0.0), self._counts[station])
         self._areas.pop(station, None)
 
-    def explain(self, sighting: Sighting) -> None:
-        """Count nothing any more of what belongs to a vehicle that was seen."""
-        cv2.fillConvexPoly(self.explained, _outline(sighting), 1)
+    def explain(self, sighting: Sighting, top: int) -> None:
+        """Count nothing any more of what belongs to a vehicle that was seen; the picture begins at the row ``top``."""
+        cv2.fillConvexPoly(self.explained, _outline(sighting) - np.array([0, top], np.int32), 1)
         self._areas = {}
-        for station in self._counts:
-            self._hide(station)
-
-    def _hide(self, station: int) -> None:
-        H = self._homographies[station][0] @ GRID.to_metres
-        flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
-        hidden = cv2.warpPerspective(self.explained, H, GRID.size, flags=flags)
-        self._counts[station] = self._counts[station] * (hidden == 0)
+        for station, counts in self._counts.items():
+            self._cards[station].hide(counts, self.explained)
 
 
-def _areas(counts: Image, grid: Grid) -> Array:
-    """What counts on cards (…, rows, columns), m² (…); less of it beside the lane."""
-    centred = np.clip(1.0 - 0.4 * (np.abs(grid.x) - ASIDE), 0.3, 1.0).astype(np.float32)
-    return np.asarray(counts.sum(-2) @ centred * grid.cell**2, float)
+def _area(counts: Image, grid: Grid) -> float:
+    """What counts on a card (rows, columns), m²; less of it beside the lane."""
+    return float(cards_cpu.weighted(counts, _centred(grid))) * grid.cell**2
 
 
-def _box(homography: Array) -> list[int]:
-    """Left, top, right and bottom of a card in a coarse view, px."""
-    corners = np.array([[x, y, 1.0] for x in (GRID.left, -GRID.left) for y in (GRID.bottom, GRID.top)]) @ homography.T
+@cache
+def _centred(grid: Grid) -> Image:
+    return np.clip(1.0 - 0.4 * (np.abs(grid.x) - ASIDE), 0.3, 1.0).astype(np.float32)
+
+
+def _box(cells: Array, grid: Grid) -> list[int]:
+    """Left, top, right and bottom of a card, whose ``cells`` (3, 3) lie at these pixels, in a coarse view, px."""
+    columns, rows = grid.size
+    corners = np.array([[x, y, 1.0] for x in (0, columns - 1) for y in (0, rows - 1)]) @ cells.T
     pixels = corners[:, :2] / corners[:, 2:] / 2**COARSE
     return [*np.floor(pixels.min(0)).astype(int).tolist(), *(np.ceil(pixels.max(0)).astype(int) + 1).tolist()]
+
+
+def _rows_of(stations: list[tuple[Way, float]]) -> slice:
+    """The rows of both pictures in which there may be something to see from the ``stations``."""
+    x = GRID.left - MARGIN
+    card = np.array([[a, b] for a in (x, -x) for b in (0.0, GRID.top)])
+    rows = [way.pixels(s + d, card)[side][:, 1] for way, s in stations for d in (-BEFORE, BEFORE) for side in (0, 1)]
+    if not rows:
+        return slice(0, 0)
+    height, whole = stations[0][0].rig.left.image_size[1], 2 ** (LEVELS - 1)
+    top = int(np.min(rows) // whole) * whole
+    return slice(max(top, 0), min(int(np.max(rows)) + 2, height))
 
 
 def _lying(way: Way, s: float) -> tuple[Array, Array]:

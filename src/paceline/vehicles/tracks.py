@@ -26,6 +26,8 @@ SHIFT = 0.35  # m that a face may have moved on its card
 PATIENCE = 3, 0.7  # frames, and seconds, without a sighting after which a vehicle has gone,
 GONE = 1.5  # s after which it has in any case: frames may be missing, and where it would be is not known any more
 BODY = 6.0, 2.5  # m along and across, within which there is no second vehicle
+NEIGHBOURS = 7  # sightings that say where a vehicle is between and beyond them
+TWICE = 3.0, 1.0  # m along the way, and px of disparity, within which what two tracks saw is one vehicle
 KEPT = 12  # sightings of a vehicle that are kept, evenly spread
 
 
@@ -74,6 +76,21 @@ class Track:
         third = -(-len(self.way_s) // 3)
         early, late = np.median(self.way_s[:third]), np.median(self.way_s[-third:])
         return float(late - early) * (len(self.way_s) - 1) / max(len(self.way_s) - third, 1)
+
+    def where(self, time: float) -> float:
+        """Arc length at ``time``, m, by the median of the sightings nearest to it."""
+        t, s = np.array(self.times), np.array(self.way_s)
+        near = np.argsort(np.abs(t - time), kind="stable")[:NEIGHBOURS]
+        return float(np.median(s[near] + slope(t[near], s[near]) * (time - t[near])))
+
+    def passed(self, sighting: Sighting) -> bool:
+        """Whether it is this vehicle that was seen in a ``sighting`` of another track."""
+        time, way = sighting.time, self.first.way
+        if not self.times[0] - GONE <= time <= self.times[-1] + GONE:
+            return False
+        s = self.along(sighting)
+        aside = (sighting.place - way.place(s, self.first.middle, 0.0)) @ way.axes(s)[1]
+        return bool(abs(self.where(time) - s) <= sighting.error(*TWICE) and abs(aside) <= BODY[1])
 
     def settled(self, time: float) -> bool:
         """Whether at ``time`` it is known well where the vehicle must be."""

@@ -26,7 +26,8 @@ Image = NDArray[np.float32]
 
 NEAREST, FARTHEST = 5.0, 150.0  # m of depth at which vehicles are looked for
 BEYOND = 12.0  # m past its drawn ends that a way is believed to run on
-SAME = 0.3  # m: with an offset as small, both senses of travel use one way
+SAME = 0.3  # m: with an offset as small, both senses of travel use one way, and so near each other two ways are one
+COMPARED = 5  # places along a way at which it is compared with another
 STEP = 0.7  # px of disparity between neighbouring cards
 DENSE = 0.1  # m of arc length at which depth is looked up
 LEVELS = 4  # of a picture's pyramid
@@ -71,6 +72,16 @@ class Way:
         origin, right, up = self.axes(s)
         return np.asarray(origin + x * right + y * up)
 
+    def is_that_of(self, other: Way) -> bool:
+        """Whether it runs where another one does, in the same sense."""
+        for s in np.linspace(self.path.s[0], self.path.s[-1], COMPARED):
+            place = self.path.at(np.array(s))
+            there = np.array(other.path.nearest(place))
+            along = self.path.frames(np.array(s))[:, 0] @ other.path.frames(there)[:, 0]
+            if along <= 0 or np.linalg.norm(other.path.at(there) - place) > SAME:
+                return False
+        return True
+
     def stations(self) -> Array:
         """Arc lengths (N,) at which to look, `STEP` px of disparity apart, where the road is in both pictures."""
         s = np.arange(self.path.s[0] - BEYOND, self.path.s[-1] + BEYOND, DENSE)
@@ -90,8 +101,9 @@ class Way:
 
 def ways_of(clip: Clip) -> list[Way]:
     """The ways along the paths of ``clip``, on both sides of a line beside a lane: which one is meant depends on the
-    sense of travel. Raises UnusableInput for a path that its drawing does not determine."""
-    found = []
+    sense of travel. Where the lines on both sides of a lane give it twice, it is that of the line drawn in its sense.
+    Raises UnusableInput for a path that its drawing does not determine."""
+    found, other_sense = [], []
     for name, document in clip.paths.items():
         try:
             path = path_of(document, clip.rig)
@@ -101,7 +113,11 @@ def ways_of(clip: Clip) -> list[Way]:
         if abs(offset) <= SAME:
             found.append(Way(name, clip.rig, path.shifted(offset)))
         else:
-            found += [Way(name, clip.rig, way.shifted(offset)) for way in (path, path.reversed())]
+            found.append(Way(name, clip.rig, path.shifted(offset)))
+            other_sense.append(Way(name, clip.rig, path.reversed().shifted(offset)))
+    for way in other_sense:
+        if not any(way.is_that_of(other) for other in found):
+            found.append(way)
     return found
 
 

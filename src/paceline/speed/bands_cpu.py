@@ -1,0 +1,48 @@
+"""The loop over a band's samples, compiled by Numba: how the parameters of the homographies move the intensities."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+
+SUMS = {"reassoc", "contract", "nsz"}  # sums may be taken in another order
+
+
+@njit(cache=True, nogil=True, fastmath=SUMS, error_model="numpy")
+def linearise(x: Array, z: Array, B: Array, places: Array, g: Array, free_of: Floats, M: Floats) -> None:
+    """∂I/∂H into ``M`` (views, patches, 9, samples), free of each patch's mean and of what ``free_of`` (C, patches,
+    samples; of length 1) holds, one after the other.
+
+    ``x`` (views, 2, N) px is where the N samples at ``places`` (3, N) of the unit square lie, ``z`` (views, N) their
+    scale and ``B`` (views, 2, 2, N) ∂x over the square; ``g`` (2, N) the texture's slope there.
+    """
+    V, K, _, m = M.shape
+    c = np.empty((3, m), np.float32)
+    for v in range(V):
+        for k in range(K):
+            own, first = M[v, k], k * m
+            for i in range(m):
+                n = first + i
+                det = (B[v, 0, 0, n] * B[v, 1, 1, n] - B[v, 0, 1, n] * B[v, 1, 0, n]) * z[v, n]
+                ax = (g[0, n] * B[v, 1, 1, n] - g[1, n] * B[v, 1, 0, n]) / det
+                ay = (g[1, n] * B[v, 0, 0, n] - g[0, n] * B[v, 0, 1, n]) / det
+                c[0, i], c[1, i], c[2, i] = ax, ay, -(ax * x[v, 0, n] + ay * x[v, 1, n])
+            for j in range(9):
+                row, factor, place = own[j], c[j // 3], places[j % 3, first : first + m]
+                total = 0.0
+                for i in range(m):
+                    row[i] = factor[i] * place[i]
+                    total += row[i]
+                mean = np.float32(total / m)
+                for i in range(m):
+                    row[i] -= mean
+                for known in free_of[:, k]:
+                    share = np.float32(0.0)
+                    for i in range(m):
+                        share += row[i] * known[i]
+                    for i in range(m):
+                        row[i] -= share * known[i]

@@ -1,0 +1,60 @@
+"""Cards at the stations of ways, as both pictures of a pair show them: how much each place of one counts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from paceline.vehicles import cards_cpu
+from paceline.vehicles.ways import Grid, level_of
+
+Array = NDArray[np.float64]
+Image = NDArray[np.float32]
+Views = list[list[Image]]  # the pyramids of the left and of the right picture
+
+
+@dataclass(frozen=True, eq=False)
+class Card:
+    """The cells of a ``grid``, which the left and the right picture show at the pixels ``cells`` (2, 3, 3) makes of
+    (column, row, 1); pictures are compared over ``window`` cells, at the ``level`` of their pyramids."""
+
+    grid: Grid
+    window: int
+    level: int
+    cells: Array
+
+    def counts(self, views: Views, scene: Views, least: float, enough: float = 0.0) -> Image:
+        """How much each place (rows, columns) counts, 0 to 1: where the views have a contrast of ``least``
+        grey levels and agree with each other, and neither with its picture of the empty ``scene``. Nothing does where
+        less than ``enough`` m² of it would."""
+        found = np.empty(self.grid.size[::-1], np.float32)
+        left, right, left_before, right_before = (levels[self.level] for levels in (*views, *scene))
+        cells = enough / self.grid.cell**2
+        cards_cpu.count(
+            left, right, left_before, right_before, self.cells, self._scale, self.window, least, cells, found
+        )
+        return found
+
+    def correlation(self, views: Views) -> Image:
+        """The correlation of both pictures at each place (rows, columns)."""
+        found = np.empty(self.grid.size[::-1], np.float32)
+        left, right = (levels[self.level] for levels in views)
+        cards_cpu.correlate(left, right, self.cells, self._scale, self.window, found)
+        return found
+
+    def hide(self, counts: Image, explained: NDArray[np.uint8]) -> None:
+        """Count nothing, in place, where the left picture is ``explained`` (H, W: not 0)."""
+        cards_cpu.hide(counts, explained, self.cells[0])
+
+    @property
+    def _scale(self) -> float:
+        return float(0.5**self.level)
+
+
+def card_of(homographies: tuple[Array, Array], grid: Grid, window: int, top: int = 0) -> Card:
+    """The card that both views see through ``homographies``, in pictures that begin at the row ``top``."""
+    moved = np.array([[1.0, 0, 0], [0, 1, -top], [0, 0, 1]])
+    cells = np.stack([moved @ H @ grid.to_metres for H in homographies])
+    return Card(grid, window, level_of(homographies[0], grid), cells)
