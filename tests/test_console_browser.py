@@ -40,7 +40,7 @@ def test_from_import_to_report(recording: Path, console: Console) -> None:
     tab = new()
     tab.size(1280, 800)
     tab.open(address)
-    tab.wait_for("There is no clip below")
+    tab.wait_for("There is no clip in this folder yet")
 
     tab.click("Import a clip")
     for side in ("left", "right"):

@@ -21,7 +21,6 @@ from paceline.console.clip_file import (
     read_site_paths,
     save_setup,
     with_setup,
-    without_vehicles,
 )
 from paceline.console.editing import check_setup, epipolar_line, propose
 from paceline.console.frames import Gallery
@@ -158,9 +157,6 @@ def test_the_paths_of_a_site_are_kept_apart_and_may_be_driven_on(tmp_path: Path)
     assert setup.paths == {} and list(read_site_paths(file)) == ["lane0"]
     saved = save_setup(file, Setup({}, [{**setup.vehicles[0], "id": "car"}], setup.revision))
     assert saved.vehicles[0]["path"] == "lane0" and load_clip(file).vehicles[0].id == "car"
-    (clip / "runs").mkdir()
-    (clip / "runs" / "copy.yaml").write_text(without_vehicles(file, clip / "runs"))
-    assert list(load_clip(clip / "runs" / "copy.yaml").paths) == ["lane0"]
 
 
 # --- in space --------------------------------------------------------------------------------------------------------

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from fractions import Fraction
 from pathlib import Path
 
 import av
+import cv2
+import numpy as np
 import pytest
 import small_chase
 import yaml
@@ -18,13 +22,20 @@ from calling import ENVIRONMENT
 from console_client import SAME, asked
 from small_clips import put_clip
 from test_console_runs import wait
+from test_live import survey_file
 
+from paceline.commands.progress import small_pictures
+from paceline.console.api import results_address
+from paceline.console.asked import copy_documents
 from paceline.console.asking import options_of
-from paceline.console.clip_file import without_vehicles
 from paceline.console.kinds import AHEAD, LIVE, arguments
 from paceline.console.library import Library
 from paceline.console.naming import is_live, live_views
-from paceline.console.results import LATEST, files_of, read_series, read_summary, why_nothing
+from paceline.console.results import LATEST, files_of, picture_of, read_series, read_summary, why_nothing
+from paceline.console.safety import NotHere
+from paceline.console.telling import LONGEST, telling_pictures, told, told_estimate, told_pictures
+from paceline.console.watching import LATEST as KEPT_FRAMES
+from paceline.console.watching import Watch
 from paceline.documents import load_clip
 from paceline.errors import UnusableInput
 
@@ -108,15 +119,18 @@ def test_a_live_source_may_not_stand_in_for_a_file(tmp_path: Path) -> None:
 
 
 def test_a_run_goes_out_from_a_copy_without_vehicles(tmp_path: Path) -> None:
-    clip = put_clip(tmp_path.resolve())
+    root = tmp_path.resolve()
+    clip = put_clip(root)
     change(clip / "clip.yaml", right="rtsp://camera/right", rate=None)
-    where = clip / "runs" / "0001"
-    where.mkdir(parents=True)
-    command = arguments(LIVE, clip / "clip.yaml", where)
-    assert command == ["speed", str(where / "clip.yaml"), "-o", str(where / "out"), "--live"]
-    copy = load_clip(where / "clip.yaml")
-    assert copy.left.resolve() == clip / "left" and copy.addresses[1] == "rtsp://camera/right"
-    assert copy.paths and not copy.vehicles and "vehicles" not in without_vehicles(clip / "clip.yaml", where)
+    copy_documents(root, clip / "clip.yaml", clip / "asked", vehicles=False)
+    command = arguments(LIVE, "road/clip.yaml", clip)
+    assert command == ["speed", "road/clip.yaml", "-o", str(clip / "out"), "--live"]
+    copy = load_clip(clip / "asked" / "road" / "clip.yaml")
+    assert copy.left == clip / "left" and copy.addresses == (str(clip / "left"), "rtsp://camera/right")
+    assert copy.paths and not copy.vehicles
+    change(clip / "clip.yaml", right="/dev/video1")
+    copy_documents(root, clip / "clip.yaml", clip / "again", vehicles=False)
+    assert load_clip(clip / "again" / "road" / "clip.yaml").addresses[1] == "/dev/video1"
 
 
 def test_only_known_settings_reach_a_live_run() -> None:
@@ -157,6 +171,7 @@ def test_what_a_killed_console_had_measured_can_be_read(tmp_path: Path) -> None:
         ({"vehicles": [], "notices": ["no vehicle was found: fog"]}, "no vehicle was found: fog"),
         ({"reasons": {"too few of its features are found": 9}}, "too few of its features are found"),
         ({"vehicles": [], "notices": []}, "nothing came by that could be measured"),
+        ({"vehicles": [], "unmeasured": [{"reason": "not measured: fog"}], "notices": ["note"]}, "not measured: fog"),
         ([], ""),
     ],
 )
@@ -190,7 +205,10 @@ def test_a_vehicle_is_followed_live_until_it_is_stopped(tmp_path: Path, monkeypa
     player = threading.Thread(target=play)
     player.start()
     wait(lambda: library.runs.watch(run)[1].get("frame", 0) >= 5)
-    (series,), _ = library.runs.watch(run)
+    (series,), scene = library.runs.watch(run)
+    jpeg = np.frombuffer(library.runs.picture(run, scene["frame"], 0), np.uint8)
+    assert cv2.imdecode(jpeg, cv2.IMREAD_UNCHANGED).shape == small_chase.SIZE[::-1] == tuple(scene["size"][::-1])
+    assert [v["vehicle"] for v in scene["vehicles"]] == ["small van"] and scene["vehicles"][0]["outlines"][0]
     assert series.vehicle == "small van" and not library.runs.is_stopping(run)
     for time_s, value in zip(series.time, series.value, strict=True):
         assert value == pytest.approx(small_chase.truth(round(15 * time_s))[2], abs=0.35)
@@ -202,3 +220,95 @@ def test_a_vehicle_is_followed_live_until_it_is_stopped(tmp_path: Path, monkeypa
     assert now is not None and now.state == "measured", now
     assert {"report.html", "track.csv"} <= set(files_of(library.runs.out(now)))
     library.runs.close()
+
+
+# --- pictures ---------------------------------------------------------------------------------------------------------
+
+
+def test_pictures_come_through_as_they_were_told() -> None:
+    """Even those that are all noise, which JPEG cannot make small."""
+    noise = np.random.default_rng(1).integers(0, 2, (2, 1200, 1600)).astype(np.uint8) * 255
+    small = small_pictures(*noise)
+    line = telling_pictures(7, 1.25, (1600, 1200), small) + "\n"
+    assert len(line) < LONGEST and told(line) is None and told_estimate(line) is None
+    found = told_pictures(line)
+    assert found == {"frame": 7, "time_s": 1.25, "size": [1600, 1200], "pictures": small}
+    assert cv2.imdecode(np.frombuffer(small[1], np.uint8), cv2.IMREAD_UNCHANGED).shape == (360, 480)
+    (tiny,) = small_pictures(noise[0, :48, :64])
+    assert cv2.imdecode(np.frombuffer(tiny, np.uint8), cv2.IMREAD_UNCHANGED).shape == (48, 64)
+
+
+@pytest.mark.parametrize(
+    "rest", ["", "[]", "{}", '{"frame":1,"time_s":2,"size":[1],"pictures":[]}', '{"frame":1,"time_s":0,"size":[4,4],'
+             '"pictures":["no base64!"]}'],
+)  # fmt: skip
+def test_other_lines_are_no_pictures(rest: str) -> None:
+    assert told_pictures(f"pictures: {rest}") is None
+
+
+def test_the_latest_pictures_are_kept_with_what_is_in_them() -> None:
+    watch = Watch()
+    for frame in range(100):
+        told_of = {"frame": frame, "time_s": frame / 2, "value": 9.0, "std": None}
+        if frame % 2:
+            watch.add({"vehicle": "lane0", **told_of})
+        watch.show({"frame": frame, "time_s": frame / 2, "size": [64, 48], "pictures": [bytes([frame]), b"right"]})
+        assert watch.scene["frame"] == frame and len(watch.scene["vehicles"]) == frame % 2
+    assert list(watch.pictures) == list(range(100 - KEPT_FRAMES, 100)) and watch.pictures[99][0] == bytes([99])
+
+
+def test_a_live_run_is_watched_and_leaves_a_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTHONPATH", ENVIRONMENT["PYTHONPATH"])
+    root = tmp_path.resolve() / "clips"
+    survey_file(root / "road")
+    library = Library(root)
+    run = library.runs.start("road", LIVE, ["--learn", "4"])
+    frames, doing = set(), set()
+    end = time.monotonic() + 180
+    while (now := library.runs.get("road", 1)) is not None and now.active:
+        assert time.monotonic() < end
+        doing.add(now.doing)
+        _, scene = library.runs.watch(now)
+        if scene and scene["frame"] not in frames:
+            frames.add(scene["frame"])
+            jpeg = np.frombuffer(library.runs.picture(now, scene["frame"], 1), np.uint8)
+            assert scene["size"] == [640, 480] and cv2.imdecode(jpeg, cv2.IMREAD_UNCHANGED).shape == (360, 480)
+        time.sleep(0.02)
+    assert now is not None and now.state == "measured", now
+    assert doing >= {"learning", "measuring"} and len(frames) >= 8
+    assert "report.html" in files_of(library.runs.out(now))
+    with pytest.raises(NotHere):
+        library.runs.picture(now, max(frames), 0)  # nothing is kept of it in memory
+    vehicle = read_summary(library.runs.out(now))["vehicles"][0]["vehicle"]
+    library.runs.close()
+    with asked(root) as client:
+        address = results_address("road", run.number, picture_of(vehicle))
+        assert client.get(address, headers=SAME).headers["content-type"] == "image/jpeg"
+        for name in ("..%2Fsummary", "v99", ".v0", "x" * 999):
+            assert client.get(address.replace(vehicle, name), headers=SAME).status_code == 404
+
+
+def test_a_live_run_that_is_killed_holds_nothing_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its measuring is a process of its own, and has the same standard error."""
+    monkeypatch.setenv("PYTHONPATH", ENVIRONMENT["PYTHONPATH"])
+    root = tmp_path.resolve() / "clips"
+    survey_file(root / "road")
+    library = Library(root)
+    run = library.runs.start("road", LIVE, ["--learn", "4"])
+    out = library.runs.out(run)
+    until(lambda: (out / "summary.json").is_file() and bool(read_summary(out)["vehicles"]))
+    process = library.runs._process
+    assert process is not None
+    os.kill(process[1].pid, signal.SIGKILL)
+    until(lambda: not library.runs.active())
+    found = library.runs.get("road", run.number)
+    assert found is not None and found.state == "interrupted" and "killed (signal 9)" in found.reason
+    assert read_summary(out)["vehicles"]
+    library.runs.close()
+
+
+def until(is_so: Callable[[], bool]) -> None:
+    end = time.monotonic() + 120
+    while not is_so():
+        assert time.monotonic() < end
+        time.sleep(0.05)

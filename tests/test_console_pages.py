@@ -136,18 +136,26 @@ def test_a_survey_goes_on_until_it_is_stopped(console: Console) -> None:
     tab.run("document.querySelector('.pl-settings .q-item').click()")
     tab.wait_for("Play it as a live stream")
     tab.run("document.querySelector('.q-checkbox').click()")
+    tab.wait_for("This recording lasts 17.5 s, and the empty road would be learned for 30 s of them")
+    tab.click("Start")
+    assert not (root / "survey" / "runs").exists()
     field = "[...document.querySelectorAll('input')].find((e) => e.getAttribute('aria-label')?.startsWith('Learn'))"
     tab.wait(f"{field}.offsetParent && ({field}.focus(), {field}.select(), true)")
     tab.call("Input.insertText", text="4")
+    tab.wait("!document.querySelector('.pl-warning').offsetParent")
     tab.click("Start")
     tab.wait_for("The empty road is being learned")
+    tab.wait("document.querySelector('pl-watch')?.drawn")
     tab.wait("document.querySelectorAll('tbody tr').length > 0")
+    tab.wait("[...document.querySelectorAll('.pl-passed img')].some((e) => e.naturalHeight === 240)")
+    shown = "document.querySelector('pl-watch').views[0].image"
+    assert tab.run(f"[{shown}.width, {shown}.height]") == [480, 360]
     tab.click("Stop")
     tab.wait_for("Summary (JSON)")
     run = root / "survey" / "runs" / "0001"
     assert json.loads((run / "run.json").read_text())["state"] == "measured"
     vehicles = json.loads((run / "out" / "summary.json").read_text())["vehicles"]
-    assert vehicles and "Open the report" not in tab.text()
+    assert vehicles and "Open the report" in tab.text()
     assert len(vehicles) == tab.run("document.querySelector('tbody').children.length")
     for vehicle in vehicles:
         assert vehicle["reason"] or min(abs(speed - vehicle["speed_mps"]) for speed in SPEEDS) < 0.2
@@ -160,7 +168,22 @@ def test_a_survey_goes_on_until_it_is_stopped(console: Console) -> None:
     tab.click("Start")
     tab.wait_for("could not be measured")
     tab.wait_for("rtsp://127.0.0.1:9/x: cannot be opened")
-    assert "secret" not in tab.text() and complaints(tab) == []
+    assert "secret" not in tab.text()
+
+    summary = json.loads((run / "out" / "summary.json").read_text())
+    summary["vehicles"] = [{**vehicles[0], "vehicle": f"v{k}"} for k in range(1200)]
+    summary["unmeasured"] = [{"reason": "not measured: <i>too small</i>"}] * 2
+    (run / "out" / "summary.json").write_text(json.dumps(summary))
+    pictures = run / "out" / "pictures"
+    for k in (1197, 1198, 1199):
+        shutil.copyfile(pictures / f"{vehicles[-1]['vehicle']}.jpg", pictures / f"v{k}.jpg")
+    tab.open(f"{address}/runs?clip=survey")
+    tab.wait_for("The last 1000 of 1200 vehicles; the files have all of them.")
+    assert "2 vehicles were seen and not measured: <i>too small</i>" in tab.text() and "v1199" in tab.text()
+    (run / "out" / "summary.json").write_text("[")
+    tab.open(f"{address}/runs?clip=survey")
+    tab.wait_for("survey/runs/0001/out/summary.json: is no summary of a measurement")
+    assert str(root) not in tab.text() and complaints(tab) == []
 
 
 def test_drafts_come_back_and_a_file_changed_elsewhere_is_settled(console: Console) -> None:
@@ -210,10 +233,10 @@ def test_a_search_that_was_left_is_taken_up_again(console: Console) -> None:
     root, address, new = console
     file = put_clip(root, "search") / "clip.yaml"
     where = root / "search" / "runs" / "0007"
-    where.mkdir(parents=True)
+    (where / "asked" / "search").mkdir(parents=True)
     record = {"clip": "search", "number": 7, "kind": "vehicles", "options": [], "state": "measured", "created": 1.0}
     (where / "run.json").write_text(json.dumps(record))
-    shutil.copyfile(file, where / "clip.yaml")
+    shutil.copyfile(file, where / "asked" / "search" / "clip.yaml")
     given = yaml.safe_load(file.read_text())
     (found,) = given.pop("vehicles")
     file.write_text(yaml.safe_dump(given))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -19,7 +20,7 @@ from small_clips import copy_of, put_clip
 
 from paceline.console import library as library_module
 from paceline.console import runs as runs_module
-from paceline.console.clip_file import without_vehicles
+from paceline.console.asked import copy_documents
 from paceline.console.library import Library
 from paceline.console.results import differences, read_series, read_summary, vehicle_rows
 from paceline.console.runs import Run, Runs
@@ -115,19 +116,44 @@ def test_runs_wait_for_each_other_are_read_and_are_cancelled(library: Library) -
     nearly = vehicle | {"speed_mps": vehicle["speed_mps"] - 1e-6}
     assert [r["change"] for r in differences([vehicle], [nearly, {"vehicle": "other"}], "m/s")] == ["0.00"]
     assert contents(clip) == before
-    assert (library.runs.folder(first) / "clip-as-asked.yaml").read_bytes() == before["clip.yaml"]
+    asked, here = load_clip(library.runs.asked(first)), load_clip(clip / "clip.yaml")
+    assert asked.left == here.left and asked.vehicles[0].left.tolist() == here.vehicles[0].left.tolist()
 
 
-def test_a_run_that_waited_tells_the_set_up_that_it_measured(library: Library) -> None:
-    file = library.file("road")
-    for _ in range(2):
+def test_each_run_measures_what_was_saved_when_it_was_asked_for(library: Library) -> None:
+    """Not what is saved while it waits, in none of its documents; and its results name the clip, not the copy."""
+    file, rig = library.file("road"), library.folder("road") / "rig.yaml"
+    for name in ("v0", "later"):
+        file.write_text(file.read_text().replace("id: v0", f"id: {name}"))
         library.runs.start("road", "speed", FAST)
-    wait(lambda: (run := library.runs.get("road", 1)) is not None and run.done > 0)
-    file.write_text(file.read_text().replace("id: v0", "id: renamed"))
-    second = ended(library, 2)
-    (vehicle,) = read_summary(library.runs.out(second))["vehicles"]
-    assert vehicle["vehicle"] == "renamed"
-    assert (library.runs.folder(second) / "clip-as-asked.yaml").read_bytes() == file.read_bytes()
+    file.write_text("left: [")
+    rig.write_text("left: [")
+    for number, name in ((1, "v0"), (2, "later")):
+        run = ended(library, number)
+        assert run.state == "measured", run.reason
+        summary = json.loads((library.runs.out(run) / "summary.json").read_text())
+        assert [v["vehicle"] for v in summary["vehicles"]] == [name] and summary["clip"] == "road/clip.yaml"
+        assert "<h1>road/clip.yaml</h1>" in (library.runs.out(run) / "report.html").read_text()
+
+
+def test_the_copies_of_documents_say_what_the_originals_do(tmp_path: Path) -> None:
+    """A site elsewhere that names a rig elsewhere, and names that go through a link."""
+    root = tmp_path.resolve()
+    road = put_clip(root)
+    (root / "sites").mkdir()
+    (road / "rig.yaml").rename(root / "sites" / "rig.yaml")
+    (root / "linked").symlink_to(root / "sites")
+    given = yaml.safe_load((road / "clip.yaml").read_text())
+    (root / "sites" / "site.yaml").write_text(yaml.safe_dump({"rig": "rig.yaml", "paths": given.pop("paths")}))
+    del given["rig"]
+    (road / "clip.yaml").write_text(yaml.safe_dump({**given, "site": "../linked/site.yaml"}))
+    copy_documents(root, road / "clip.yaml", road / "asked", vehicles=True)
+    copy, here = (load_clip(road / file) for file in ("asked/road/clip.yaml", "clip.yaml"))
+    assert (copy.left, copy.right, copy.rate) == (here.left, here.right, here.rate)
+    assert copy.paths.keys() == here.paths.keys() and copy.vehicles[0].id == here.vehicles[0].id
+    assert copy.rig.R.tolist() == here.rig.R.tolist()
+    (root / "sites" / "rig.yaml").write_text("left: [")
+    assert load_clip(road / "asked" / "road" / "clip.yaml").rig.t.tolist() == here.rig.t.tolist()
 
 
 def test_a_run_whose_process_is_killed_is_interrupted(library: Library) -> None:
@@ -337,11 +363,10 @@ def test_runs_are_numbered_on(library: Library) -> None:
 
 def test_vehicles_are_looked_for_in_a_copy_of_the_clip(tmp_path: Path) -> None:
     """The command adds to the clip.yaml that it is given, which is one in the run's own folder."""
-    clip = put_clip(tmp_path.resolve())
-    folder = clip / "runs" / "0001"
-    folder.mkdir(parents=True)
-    (folder / "clip.yaml").write_text(without_vehicles(clip / "clip.yaml", folder))
-    copy, here = load_clip(folder / "clip.yaml"), load_clip(clip / "clip.yaml")
-    assert [p.resolve() for p in (copy.left, copy.right)] == [here.left, here.right]
+    root = tmp_path.resolve()
+    clip = put_clip(root)
+    copy_documents(root, clip / "clip.yaml", clip / "asked", vehicles=False)
+    copy, here = load_clip(clip / "asked" / "road" / "clip.yaml"), load_clip(clip / "clip.yaml")
+    assert [copy.left, copy.right] == [here.left, here.right]
     assert copy.paths.keys() == here.paths.keys() and copy.rate == here.rate
     assert here.vehicles and not copy.vehicles

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from pathlib import Path
 
@@ -9,10 +10,10 @@ import pytest
 from fastapi.testclient import TestClient
 from small_clips import put_clip
 
-from paceline.console import importing
+from paceline.console import importing, naming
 from paceline.console.api import clip_of, results_address
-from paceline.console.library import Library
-from paceline.console.safety import NotHere, check_document, file_below, folder_below
+from paceline.console.library import Contents, Library
+from paceline.console.safety import NotHere, check_document, file_below, folder_below, named_files
 from paceline.errors import UnusableInput
 
 CLIMBING = [
@@ -115,6 +116,59 @@ def test_a_playlist_is_no_video(tmp_path: Path, folder: Path) -> None:
             importing.check_container(root / video)
     with pytest.raises(UnusableInput, match="cannot be read as a video"):
         check_document(root, root / "clip.yaml")
+
+
+def test_a_document_is_parsed_once_for_all_questions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    root = tmp_path.resolve()
+    file = put_clip(root) / "clip.yaml"
+    parsed: list[Path] = []
+    read = naming.read_document
+    monkeypatch.setattr(naming, "read_document", lambda model, path: parsed.append(path) or read(model, path))
+    for _ in range(3):
+        check_document(root, file)
+        named_files(root, file)
+        naming.live_views(file)
+    assert parsed == [file]
+    file.write_text("left: [")  # and once for what is wrong with it
+    for _ in range(3):
+        with pytest.raises(UnusableInput, match="line 1"):
+            check_document(root, file)
+    assert parsed == [file, file]
+
+
+def test_the_list_does_not_wait_for_a_document_that_takes_long(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    root = tmp_path.resolve()
+    for name in ("fine", "slow"):
+        put_clip(root, name)
+    may_go_on = threading.Event()
+    examine = Library._examine
+
+    def slowly(library: Library, file: Path) -> Contents:
+        if file.parent.name == "slow":
+            may_go_on.wait(60)
+        return examine(library, file)
+
+    monkeypatch.setattr(Library, "_examine", slowly)
+    library = Library(root)
+    for _ in range(2):
+        slow, fine = library.entry("slow", 0.1), library.entry("fine", 30)
+        assert (slow.state, fine.state) == ("being read", "ready") and not slow.contents.pictures
+    may_go_on.set()
+    assert library.entry("slow").state == library.entry("slow", 0).state == "ready"
+    library.runs.close()
+
+
+def test_a_document_above_the_bound_is_refused_unread(tmp_path: Path) -> None:
+    root = tmp_path.resolve()
+    file = put_clip(root) / "clip.yaml"
+    text = file.read_bytes() + b"\n#"
+    file.write_bytes(text.ljust(naming.LARGEST_DOCUMENT, b"x"))
+    check_document(root, file)
+    file.write_bytes(text.ljust(naming.LARGEST_DOCUMENT + 1, b"x"))
+    with pytest.raises(UnusableInput, match="clip.yaml: is larger than 512 KiB; no such file needs to be"):
+        check_document(root, file)
 
 
 @pytest.mark.parametrize("name", ["clip.yaml", "rig.yaml"])

@@ -9,12 +9,14 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from datetime import datetime
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 import yaml
@@ -31,7 +33,8 @@ from paceline.simulation.planar import RenderedClip, Scene, Vehicle, World, rend
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.results import Measurement
 from paceline.vehicles.finding import Found
-from paceline.vehicles.live import survey
+from paceline.vehicles.live import last_seen, survey
+from paceline.vehicles.tracks import Track
 
 SIZE = (64, 48)
 RATE, PLAYED = 5.0, 2.0  # frames/s, as rendered and as played: slow enough for any machine to keep up
@@ -156,14 +159,17 @@ ALL = list(range(len(traffic().times)))
 GAPS = [k for k in ALL if k not in (9, 10, 12, 13, 18, 21, 22, 23, 28, 34)]  # as a busy computer left them out
 
 
-def surveyed(folder: Path, frames: list[int]) -> list[tuple[Found, Measurement]]:
+def surveyed(
+    folder: Path, frames: list[int], looked: Callable[[RawPair, list[Track]], None] = lambda pair, tracks: None
+) -> list[tuple[Found, Measurement]]:
     passed: list[tuple[Found, Measurement]] = []
 
     def told(found: Found, measurement: Measurement | None, reason: str) -> None:
         assert measurement is not None, reason
         passed.append((found, measurement))
 
-    survey(load_clip(survey_file(folder)), Given(frames), SpeedConfiguration(), told, 4.0)  # type: ignore[arg-type]
+    views: Any = Given(frames)
+    survey(load_clip(survey_file(folder)), views, SpeedConfiguration(), told, 4.0, looked=looked)
     return passed
 
 
@@ -180,9 +186,36 @@ def test_every_vehicle_is_measured_once(tmp_path: Path, frames: list[int]) -> No
         assert 4.0 <= found.times[0] < found.times[1] <= found.times[0] + 5.0  # never two vehicles as one
 
 
+def covered(box: NDArray[np.float64], plane: NDArray[np.float64]) -> float:
+    """The share of a quadrilateral's bounding box that lies in that of another, unless that is four times as large."""
+    shared = np.prod(np.maximum(np.minimum(box.max(0), plane.max(0)) - np.maximum(box.min(0), plane.min(0)), 0))
+    area = np.prod(np.ptp(plane, axis=0))
+    return float(shared / area) if np.prod(np.ptp(box, axis=0)) < 4 * area else 0.0
+
+
+def test_what_is_in_view_is_boxed_where_it_is(tmp_path: Path) -> None:
+    """The whole face, of which the rendered plane is the lower part."""
+    truth: dict[int, list[list[NDArray[np.float64]]]] = {}
+    for first, vehicles in ((10, TWO), (23, LATER)):
+        for row in World(scene(*vehicles)).truth:
+            truth.setdefault(first + row["frame"], []).append([np.array(row[side]) for side in ("left", "right")])
+    seen: list[int] = []
+    alike: list[float] = []
+
+    def looked(pair: RawPair, tracks: list[Track]) -> None:
+        seen.append(pair.index)
+        for track in tracks:
+            boxes = last_seen(track)
+            alike.append(max(min(map(covered, boxes, planes)) for planes in truth[pair.index]))
+
+    surveyed(tmp_path / "clip", ALL, looked)
+    assert seen == ALL and len(alike) >= 16  # of 27 frames in which a vehicle is there, two to see that it moves
+    assert min(alike) > 0.8, sorted(alike)
+
+
 def test_tables_hold_every_vehicle_that_passed(tmp_path: Path) -> None:
     """The streams play in real time: on a busy computer frames are left out, and what suffers is rejected by name."""
-    file, out = survey_file(tmp_path / "clip"), tmp_path / "out"
+    file, out, begun = survey_file(tmp_path / "clip"), tmp_path / "out", datetime.now().astimezone()
     done = paceline("speed", file, "-o", out, "--live", "--learn", "4")
     assert done.returncode == 0, done.stderr
     summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
@@ -196,7 +229,15 @@ def test_tables_hold_every_vehicle_that_passed(tmp_path: Path) -> None:
     with (out / "estimates.csv").open(newline="") as stream:
         rows = list(csv.DictReader(stream))
     assert {r["vehicle"] for r in rows} == {v["vehicle"] for v in vehicles}
+    assert all(v["path"] in ("lane0", "lane1") and 20 < v["first_seen_m"][1] < 90 for v in vehicles)
+    page = (out / "report.html").read_text(encoding="utf-8")
+    for v in vehicles:
+        height, width = cv2.imread(str(out / "pictures" / f"{v['vehicle']}.jpg")).shape[:2]
+        assert (height, width > height) == (240, True) and f"{v['vehicle']} in both views" in page
+        at = datetime.fromisoformat(v["seen_at"])
+        assert begun < at < datetime.now().astimezone() and at.strftime("%H:%M:%S") in page
     measured = sum(v["verdict"] == "measured" for v in vehicles)
+    assert f"{measured} of {len(vehicles)} vehicles measured" in " ".join(page.split())
     assert sum(line.rstrip().endswith("measured") for line in done.stdout.splitlines()) >= measured > 0
 
 
@@ -217,6 +258,27 @@ def test_what_was_measured_stays_when_it_is_ended(tmp_path: Path) -> None:
     summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
     assert summary["vehicles"] and all(v["verdict"] == "measured" for v in summary["vehicles"])
     assert f"{len(summary['vehicles'])} of {len(summary['vehicles'])} vehicles measured" in rest
+    assert "v0 in both views" in (out / "report.html").read_text(encoding="utf-8")
+
+
+MEASURES = """
+import os, time
+from paceline.vehicles.live import another_process
+if __name__ == "__main__":
+    with another_process() as measuring:
+        print(measuring.submit(os.getpid).result(), flush=True)
+        time.sleep(600)
+"""
+
+
+def test_nothing_goes_on_measuring_for_a_survey_that_was_killed(tmp_path: Path) -> None:
+    (tmp_path / "measures.py").write_text(MEASURES, encoding="utf-8")
+    command = [sys.executable, str(tmp_path / "measures.py")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as running:
+        assert running.stdout is not None
+        assert int(running.stdout.readline()) != running.pid
+        running.kill()
+        running.communicate(timeout=60)  # which waits until nobody has the pipe open any more
 
 
 @pytest.mark.parametrize(

@@ -37,7 +37,7 @@ def follow_vehicle(
     with OutputFolder(out) as folder:
         recording = open_camera(document)
         with progress_bar("following", sys.stderr.isatty() and not quiet) as advance, _ended(recording):
-            teller = range_teller(document.target.name)
+            teller = range_teller(document.target.name, recording.live)
             result, tally = write_follow_files(document, recording, folder, None, overlay, advance, teller)
     if not quiet:
         _print_follow(result, tally)

@@ -4,18 +4,25 @@ from __future__ import annotations
 
 import sys
 import time
+from concurrent.futures import BrokenExecutor
+from dataclasses import dataclass, field
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from paceline.commands import DONE, NOTHING_MEASURED
 from paceline.commands.interrupts import ended_by_interrupt
+from paceline.commands.progress import live_teller, tell_progress
 
 if TYPE_CHECKING:
+    from paceline.cameras import StereoRig
     from paceline.documents import Clip
+    from paceline.live_views import RawPair
     from paceline.speed.configuration import SpeedConfiguration
     from paceline.speed.results import Measurement
     from paceline.units import SpeedUnit
     from paceline.vehicles.finding import Found
+    from paceline.vehicles.tracks import Track
 
 
 def measure_live(
@@ -26,7 +33,7 @@ def measure_live(
 
     from paceline.errors import UnusableInput
     from paceline.live_views import LiveViews
-    from paceline.reports.live import LiveTables
+    from paceline.reports.live import LiveResults
     from paceline.speed.measurement import versions
     from paceline.vehicles.live import LEARNING, survey
 
@@ -34,36 +41,82 @@ def measure_live(
         raise UnusableInput(f"{clip.path}: vehicles: --live finds them itself; expected none")
     cv2.setNumThreads(1)  # the cards are small: a second thread costs more than it does, and is wanted for measuring
     views = LiveViews(clip)
-    tables = LiveTables(
-        out, {"clip": str(clip.path), "configuration": configuration.model_dump(), "versions": versions()}
-    )
     learning = LEARNING if learning is None else learning
+    settings = {**configuration.model_dump(), "learn": learning}
+    results = LiveResults(out, {"clip": str(clip.path), "configuration": settings, "versions": versions()}, unit)
+    looking = _Looking(clip.rig, learning)
 
     def say(text: str) -> None:
         if not quiet:
             print(text, flush=True)
 
     def told(found: Found, measurement: Measurement | None, reason: str) -> None:
+        seen_at = looking.time_of_day(found.times[0])
         if measurement is not None:
-            tables.add(measurement, found.path, found.times)
+            results.add(measurement, found, seen_at)
+        else:
+            results.pass_by(found, seen_at, reason)
         say(_line(found, measurement, reason, unit))
 
+    def looked(pair: RawPair, tracks: list[Track]) -> None:
+        results.save()
+        looking.looked(pair, tracks)
+
     def ready(paths: int) -> None:
-        tables.begin()
+        looking.has_learned()
+        results.begin()
         say(f"{paths} {'path' if paths == 1 else 'paths'}; measuring until Ctrl-C")
 
     say(f"learning the empty road for {learning:g} s")
-    with ended_by_interrupt(views.stop):
-        survey(clip, views, configuration, told, learning, ready)
-    notices = list(views.notices)
-    if views.dropped:
-        notices.append(f"{views.dropped} frames were dropped: they came faster than this computer looks through them")
-    tables.write(notices)
-    for notice in notices:
+    with results:
+        with ended_by_interrupt(views.stop):
+            try:
+                survey(clip, views, configuration, told, learning, ready, looked)
+            except BrokenExecutor as error:
+                killed = "the process that measures was killed; is there memory enough?"
+                raise UnusableInput(f"{clip.path}: {killed}") from error
+        results.notices += views.notices
+        if views.dropped:
+            notice = f"{views.dropped} frames were dropped: they came faster than this computer looks through them"
+            results.notices.append(notice)
+    for notice in results.notices:
         print(f"note: {notice}", file=sys.stderr)
-    measured = sum(vehicle["verdict"] == "measured" for vehicle in tables.vehicles)
-    say(f"{measured} of {len(tables.vehicles)} vehicles measured; tables in {out}")
+    measured = sum(vehicle["verdict"] == "measured" for vehicle in results.vehicles)
+    say(f"{measured} of {len(results.vehicles)} vehicles measured; report: {out / 'report.html'}")
     return DONE if measured else NOTHING_MEASURED
+
+
+@dataclass
+class _Looking:
+    """What goes on while the cameras are looked at: what is told of it, and what time of day it is."""
+
+    rig: StereoRig
+    learning: float  # s
+    _begun: float | None = None  # s, by the cameras' clock
+    _learned: bool = False
+    _ahead: float = field(default_factory=time.time)  # s, of the time of day over the cameras' clock
+
+    def __post_init__(self) -> None:
+        self._tell = live_teller(self.rig)
+
+    def looked(self, pair: RawPair, tracks: list[Track]) -> None:
+        """Note that a ``pair`` has been looked through, with these ``tracks`` in view."""
+        self._ahead = time.time() - pair.time
+        if self._tell is None:
+            return
+        if self._begun is None:
+            self._begun = pair.time
+        if self._tell(pair, tracks) and not self._learned:
+            tell_progress("learning", int(pair.time - self._begun), int(self.learning))
+
+    def has_learned(self) -> None:
+        self._learned = True
+        if self._tell is not None:
+            tell_progress("measuring", 0, None)
+
+    def time_of_day(self, moment: float) -> str:
+        """When a ``moment`` of the cameras' clock was, s, where they are played or come without delay."""
+        return datetime.fromtimestamp(self._ahead + moment).astimezone().isoformat(timespec="seconds")
 
 
 def _line(found: Found, measurement: Measurement | None, reason: str, unit: SpeedUnit) -> str:

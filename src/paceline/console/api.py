@@ -22,7 +22,7 @@ from paceline.console.importing import LARGEST_RIG, Imports, add_rig
 from paceline.console.kinds import KINDS, LANES
 from paceline.console.library import Library
 from paceline.console.receiving import received, received_json
-from paceline.console.results import FILES
+from paceline.console.results import FILES, picture_of
 from paceline.console.runs import Run
 from paceline.console.safety import NotHere, file_below
 from paceline.console.snapping import snapped
@@ -213,7 +213,16 @@ def _runs(library: Library) -> APIRouter:
         run = _found(library, clip, number)
         if run.kind == LANES:
             return {"paths": read_lanes(file_below(library.runs.folder(run), "site.yaml")), "vehicles": []}
-        return {"paths": {}, "vehicles": read_setup(file_below(library.runs.folder(run), "clip.yaml")).vehicles}
+        return {"paths": {}, "vehicles": read_setup(library.runs.asked(run)).vehicles}
+
+    @router.get("/api/live")
+    def live(clip: str, number: int, frame: int, view: int) -> Response:
+        return _jpeg(library.runs.picture(_found(library, clip, number), frame, view))
+
+    @router.get("/results/{clip}/{number}/pictures/{vehicle}.jpg")
+    def picture(clip: str, number: int, vehicle: str) -> FileResponse:
+        run = _found(library, clip_of(clip), number)
+        return FileResponse(file_below(library.runs.out(run), picture_of(vehicle)))
 
     @router.get("/results/{clip}/{number}/{name}")
     def result(clip: str, number: int, name: str, save: bool = False) -> FileResponse:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import secrets
 import shutil
 from collections.abc import Mapping
@@ -15,7 +14,6 @@ import numpy as np
 import yaml
 from pydantic import ValidationError
 
-from paceline.console.naming import STREAM
 from paceline.documents import load_clip
 from paceline.errors import UnusableInput
 from paceline.schemas import ClipModel, PathModel, SiteModel, VehicleModel, read_document
@@ -56,17 +54,6 @@ def read_site_paths(file: Path) -> dict[str, Entry]:
 def read_lanes(file: Path) -> dict[str, Entry]:
     """The paths of a site.yaml. Raises UnusableInput."""
     return {name: _plain(path) for name, path in (read_document(SiteModel, file).paths or {}).items()}
-
-
-def without_vehicles(file: Path, folder: Path) -> str:
-    """The clip.yaml ``file`` as it would stand in another ``folder``, without its vehicles. Raises UnusableInput."""
-    model = read_document(ClipModel, file)
-    given: Entry = {key: getattr(model, key) for key in ClipModel.model_fields if key not in ("paths", "vehicles")}
-    for key in ("left", "right", "times", "rig", "site"):
-        if given[key] is not None and not STREAM.fullmatch(given[key]):
-            given[key] = os.path.relpath(file.parent / given[key], folder)
-    given["paths"] = {name: _plain(path) for name, path in (model.paths or {}).items()} or None
-    return yaml.safe_dump({key: value for key, value in given.items() if value is not None}, allow_unicode=True)
 
 
 def checked(paths: Mapping[str, Entry], vehicles: list[Entry]) -> tuple[dict[str, Entry], list[Entry]]:

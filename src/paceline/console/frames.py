@@ -12,12 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from paceline.cameras import Camera
-from paceline.console.naming import ChaseModel, is_chase, live_views
+from paceline.console.naming import ChaseModel, is_chase, live_views, read_small
 from paceline.console.safety import NotHere, check_document, named_files
 from paceline.documents import Clip, load_camera, load_recorded
 from paceline.errors import UnusableInput
 from paceline.recordings import StereoRecording, open_recording
-from paceline.schemas import read_document
 from paceline.sources import Source, open_source
 
 Array = NDArray[np.float64]
@@ -47,6 +46,11 @@ class Pictures:
         self._lock = threading.Lock()
         self._streams: list[Iterator[Image | None] | None] = [None for _ in sources]
         self._next = [0 for _ in sources]  # picture at which each stream stands
+
+    @property
+    def seconds(self) -> float:
+        """How long the recording lasts."""
+        return float(self.times[-1] - self.times[0]) if len(self.times) else 0.0
 
     def place_of(self, frame: int) -> int:
         """The place of the ``frame`` in the recording. Raises UnusableInput where it is not there."""
@@ -97,7 +101,7 @@ class ChasePictures(Pictures):
     """The frames of a follow.yaml's recording."""
 
     def __init__(self, file: Path) -> None:
-        model = read_document(ChaseModel, file)
+        model = read_small(ChaseModel, file)
         self.camera: Camera = load_camera(file.parent / model.camera)
         source = open_source(file.parent / model.video, model.bit_depth)
         if source.times is None and model.rate is None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from paceline.console.clip_file import without_vehicles
 from paceline.console.naming import CLIP, FOLLOW
 
 SPEED, LIVE, AHEAD, LANES, VEHICLES = "speed", "live", "follow", "lanes", "vehicles"
@@ -17,11 +16,16 @@ def document_of(kind: str) -> str:
     return FOLLOW if kind == AHEAD else CLIP
 
 
-def arguments(kind: str, file: Path, where: Path) -> list[str]:
-    """The command for the document ``file``, such that all it writes is below ``where``. Raises UnusableInput."""
-    out = str(where / "out")
-    if kind in (LIVE, VEHICLES):  # neither wants outlined vehicles, and one adds to the clip.yaml that it is given
-        copy = where / CLIP
-        copy.write_text(without_vehicles(file, where), encoding="utf-8")
-        return ["speed", str(copy), "-o", out, "--live"] if kind == LIVE else ["vehicles", str(copy), "--write"]
-    return [kind, str(file), "-o", out if kind in MEASURING else str(where / "site.yaml")]
+def keeps_vehicles(kind: str) -> bool:
+    """Whether a run of this ``kind`` wants to know the vehicles that are outlined; the others look for them."""
+    return kind not in (LIVE, VEHICLES)
+
+
+def arguments(kind: str, file: str, where: Path) -> list[str]:
+    """The command for ``file``, the run's own copy of the document, such that all it writes is below ``where``."""
+    if kind == LANES:
+        return ["lanes", file, "-o", str(where / "site.yaml")]
+    if kind == VEHICLES:  # adds to the clip.yaml that it is given
+        return ["vehicles", file, "--write"]
+    live = ["--live"] if kind == LIVE else []
+    return [AHEAD if kind == AHEAD else SPEED, file, "-o", str(where / "out"), *live]

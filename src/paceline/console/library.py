@@ -3,28 +3,33 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from paceline.console.frames import Gallery, Stamps, is_unchanged, stamps_of
 from paceline.console.kinds import MEASURING
-from paceline.console.naming import CLIP, FOLLOW, ChaseModel, is_chase, live_views
+from paceline.console.naming import CLIP, FOLLOW, ChaseModel, is_chase, live_views, read_small
 from paceline.console.runs import CANCELLED, RUNNING, Run, Runs
 from paceline.console.safety import NotHere, check_document, file_below, folder_below, named_files
 from paceline.documents import load_clip, load_follow
 from paceline.errors import UnusableInput
-from paceline.schemas import ClipModel, read_document
+from paceline.schemas import ClipModel
 
 DEEPEST = 4  # folders below the console's own in which clips are looked for
 MOST = 1000  # clips
+READERS = 2  # documents that are read at once
+BEING_READ = "being read"
 
 
 @dataclass(frozen=True)
 class Contents:
     """What a clip.yaml or follow.yaml holds, and why it cannot be measured if it cannot; ``state`` is empty while it
-    can. ``live`` are its live sources, ``target`` is the vehicle ahead, ``pictures`` whether there are any to see."""
+    can. ``live`` are its live sources, ``target`` is the vehicle ahead, ``pictures`` whether there are any to see, and
+    ``seconds`` how long the recording lasts where that is known."""
 
     vehicles: int = 0
     paths: int = 0
@@ -34,6 +39,7 @@ class Contents:
     target: str = ""
     live: tuple[str, ...] = ()
     pictures: bool = True
+    seconds: float | None = None
 
 
 @dataclass(frozen=True)
@@ -56,6 +62,9 @@ class Library:
         self.gallery = Gallery(root)
         self.runs = Runs(root, self.folder)
         self._known: dict[Path, tuple[Stamps, Contents]] = {}
+        self._readers = ThreadPoolExecutor(READERS, "reading")
+        self._reading: dict[Path, Future[tuple[Stamps, Contents]]] = {}
+        self._lock = threading.Lock()
 
     def refuse_read_only(self) -> None:
         """Raises UnusableInput where the console's folder cannot be written."""
@@ -83,22 +92,37 @@ class Library:
                 break
         return sorted(found, key=str.lower)
 
-    def entry(self, name: str) -> Entry:
-        """How far the clip ``name`` is. Raises NotHere."""
-        contents = self._contents(self.file(name))
+    def entry(self, name: str, patience: float | None = None) -> Entry:
+        """How far the clip ``name`` is; of one that takes longer than ``patience``, s, to be read, that it is being
+        read. Raises NotHere."""
+        contents = self._contents(self.file(name), patience)
         runs = [run for run in self.runs.of(name) if run.kind in MEASURING or run.active]
         state, reason = contents.state, contents.reason
         if not state:
             state, reason = _state(contents, runs)
         return Entry(name, state, reason, contents, runs)
 
-    def _contents(self, file: Path) -> Contents:
+    def _contents(self, file: Path, patience: float | None) -> Contents:
         """As `_examine`, again only when a file has changed: every open list asks every other second."""
         known = self._known.get(file)
-        if known is None or not is_unchanged(known[0]):
-            stamps = stamps_of(named_files(self.root, file))
-            known = self._known[file] = stamps, self._examine(file)
+        if known is not None and is_unchanged(known[0]):
+            return known[1]
+        with self._lock:
+            reading = self._reading.get(file)
+            if reading is None:
+                reading = self._reading[file] = self._readers.submit(self._read, file)
+        try:
+            known = self._known[file] = reading.result(patience)
+        except TimeoutError:
+            reason = "its files are large, or far away"
+            return Contents(state=BEING_READ, reason=reason, chase=is_chase(file), pictures=False)
+        finally:
+            if reading.done():
+                self._reading.pop(file, None)
         return known[1]
+
+    def _read(self, file: Path) -> tuple[Stamps, Contents]:
+        return stamps_of(named_files(self.root, file)), self._examine(file)
 
     def _examine(self, file: Path) -> Contents:
         chase = is_chase(file)
@@ -110,17 +134,16 @@ class Library:
             return Contents(state="unreadable", reason=self.shown(error), chase=chase, pictures=False)
 
     def _examine_clip(self, file: Path, live: tuple[str, ...]) -> Contents:
-        model = read_document(ClipModel, file)
+        model = read_small(ClipModel, file)
         vehicles, paths = len(model.vehicles or []), len(model.paths or {})
         if model.rig is None and model.site is None:
             return Contents(vehicles, paths, "no rig", "add the rig file of its cameras", live=live, pictures=False)
         clip = load_clip(file)
-        if not live:
-            self.gallery.open(file)
-        return Contents(len(clip.vehicles), len(clip.paths), live=live, pictures=not live)
+        seconds = None if live else self.gallery.open(file).seconds
+        return Contents(len(clip.vehicles), len(clip.paths), live=live, pictures=not live, seconds=seconds)
 
     def _examine_chase(self, file: Path, live: tuple[str, ...]) -> Contents:
-        model = read_document(ChaseModel, file)
+        model = read_small(ChaseModel, file)
         if not live:
             self.gallery.open(file)
         reason = "outline the vehicle ahead, or place its model"

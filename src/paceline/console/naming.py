@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
+from functools import lru_cache
 from pathlib import Path
-from typing import TypeVar
+from typing import TypeVar, cast
 
 from paceline.errors import UnusableInput
 from paceline.schemas import ClipModel, Document, FollowModel, SiteModel, StartModel, Text, read_document
@@ -15,7 +16,8 @@ STREAM = re.compile(r"(rtsps?|https?|udp|rtp|srt|rtmps?)://\S+", re.IGNORECASE)
 DEVICE = re.compile(r"/dev/video\d+")
 
 
-LARGEST_DOCUMENT = 2 << 20  # bytes; reading YAML takes seconds for each MiB, and every page waits for it
+LARGEST_DOCUMENT = 512 << 10  # bytes, of some 2500 outlined vehicles; reading YAML takes ten seconds for each MiB
+REMEMBERED = 64  # documents
 
 M = TypeVar("M", bound=Document)
 
@@ -28,9 +30,25 @@ class ChaseModel(FollowModel):
 
 
 def read_small(model: type[M], file: Path) -> M:
-    """`read_document`, of a file that is not too large to be read while pages wait. Raises UnusableInput."""
+    """`read_document`, of a file that is not too large, again only once it has changed. Raises UnusableInput."""
     check_small(file)
-    return read_document(model, file)
+    try:
+        stat = file.stat()
+    except (OSError, ValueError):  # for the reading to complain of
+        return read_document(model, file)
+    found = _read(model, file, stat.st_mtime_ns, stat.st_size)
+    if isinstance(found, str):
+        raise UnusableInput(found)
+    return cast(M, found)
+
+
+@lru_cache(REMEMBERED)
+def _read(model: type[M], file: Path, changed: int, size: int) -> M | str:
+    """The document, or what is wrong with it: several questions are asked of the same one."""
+    try:
+        return read_document(model, file)
+    except UnusableInput as error:
+        return str(error)
 
 
 def check_small(file: Path) -> None:
@@ -41,7 +59,7 @@ def check_small(file: Path) -> None:
     except (OSError, ValueError):
         return
     if size > LARGEST_DOCUMENT:
-        raise UnusableInput(f"{file}: is larger than {LARGEST_DOCUMENT >> 20} MiB, which no such file needs to be")
+        raise UnusableInput(f"{file}: is larger than {LARGEST_DOCUMENT >> 10} KiB; no such file needs to be")
 
 
 def is_chase(file: Path) -> bool:

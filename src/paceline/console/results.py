@@ -42,11 +42,16 @@ class Series:
 
 
 def read_summary(out: Path) -> dict[str, Any]:
-    """summary.json of a run. Raises UnusableInput."""
+    """summary.json of a run; ``unmeasured`` are the reasons of those that a live one saw and could not measure. Raises
+    UnusableInput."""
     file = out / "summary.json"
     try:
         summary = json.loads(file_below(out, file.name).read_text(encoding="utf-8"))
-        return {"vehicles": list(summary["vehicles"]), "notices": list(map(str, summary["notices"]))}
+        return {
+            "vehicles": list(summary["vehicles"]),
+            "notices": list(map(str, summary["notices"])),
+            "unmeasured": [str(passage["reason"]) for passage in summary.get("unmeasured", [])],
+        }
     except (OSError, NotHere, ValueError, KeyError, TypeError) as error:
         raise UnusableInput(f"{file}: is no summary of a measurement") from error
 
@@ -56,10 +61,16 @@ def why_nothing(out: Path) -> str:
     try:
         summary = json.loads(file_below(out, "summary.json").read_text(encoding="utf-8"))
         said = [f"{v['vehicle']}: {v['reason']}" for v in summary.get("vehicles", []) if v.get("reason")]
+        said += [passage["reason"] for passage in summary.get("unmeasured", [])]
         said += [*summary.get("reasons", {}), *summary.get("notices", [])]
     except (OSError, NotHere, ValueError, KeyError, TypeError, AttributeError):
         return ""
     return str(said[0]) if said else "nothing came by that could be measured"
+
+
+def picture_of(vehicle: str) -> str:
+    """Where the picture of a live run's ``vehicle`` is, in its output."""
+    return f"pictures/{vehicle}.jpg"
 
 
 def files_of(out: Path) -> dict[str, str]:

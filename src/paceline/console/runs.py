@@ -1,9 +1,9 @@
 """Runs of the command line, one after the other, each in a process and a folder of its own.
 
-A run of clip C lives in ``C/runs/0001/``: ``run.json`` says what was asked and how it ended, ``out/`` is what the
-command wrote. The command puts its output in place at the end (a live one vehicle by vehicle) and touches nothing
-else, so however a run ends the clip is as it was. A run that says it is under way, while no process of this console
-works on it, was interrupted.
+A run of clip C lives in ``C/runs/0001/``: ``run.json`` says what was asked and how it ended, ``asked/`` holds the
+documents as they were then, which it measures, and ``out/`` is what the command wrote. The command puts its output in
+place at the end (a live one vehicle by vehicle) and touches nothing else, so however a run ends the clip is as it was.
+A run that says it is under way, while no process of this console works on it, was interrupted.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from paceline.console.kinds import LIVE, MEASURING, arguments, document_of
+from paceline.console.asked import ASKED, copy_documents
+from paceline.console.kinds import LIVE, MEASURING, arguments, document_of, keeps_vehicles
 from paceline.console.results import Series, why_nothing
 from paceline.console.safety import NotHere, check_document, file_below, folder_below
-from paceline.console.telling import LONGEST, TOLD, told, told_estimate
+from paceline.console.telling import LONGEST, TOLD, told, told_estimate, told_pictures
 from paceline.console.watching import Watch
 from paceline.errors import UnusableInput
 
 RUNS = "runs"
-ASKED = "clip-as-asked.yaml"  # the document as the run measures it, or would have while it waits
 DONE, NOTHING_MEASURED, UNUSABLE = 0, 1, 2  # how the command line ends
 PATIENCE = 5.0  # s, for a cancelled command to clear up before it is killed
 LAST_WORDS = 20  # lines of a command's messages that are kept
@@ -102,14 +102,18 @@ class Runs:
         check_document(self._root, file)
         with self._lock:
             number = _make_folder(folder)
-            run = Run(clip, number, kind, tuple(options), WAITING, time.time())
-            where = self.folder(run)
-            try:
-                shutil.copyfile(file, where / ASKED)
-                _write(where, run)
-            except OSError as error:
-                shutil.rmtree(where, ignore_errors=True)
-                raise UnusableInput(f"{where}: cannot be written ({error.strerror})") from error
+        run = Run(clip, number, kind, tuple(options), WAITING, time.time())
+        where = self.folder(run)
+        try:  # while pages go on: it takes seconds where thousands of vehicles are outlined
+            copy_documents(self._root, file, where / ASKED, keeps_vehicles(kind))
+            _write(where, run)
+        except OSError as error:
+            shutil.rmtree(where, ignore_errors=True)
+            raise UnusableInput(f"{where}: cannot be written ({error.strerror})") from error
+        except UnusableInput:
+            shutil.rmtree(where, ignore_errors=True)
+            raise
+        with self._lock:
             self._active[clip, number] = run
             self._queue.append((clip, number))
             self._lock.notify_all()
@@ -147,6 +151,15 @@ class Runs:
             watch = self._watches.get((run.clip, run.number))
             return ([], {}) if watch is None else (watch.series(), watch.scene)
 
+    def picture(self, run: Run, frame: int, view: int) -> bytes:
+        """What a live run under way has just seen in a ``view``, as JPEG. Raises NotHere."""
+        with self._lock:
+            watch = self._watches.get((run.clip, run.number))
+            pictures = watch.pictures.get(frame, []) if watch is not None else []
+        if not 0 <= view < len(pictures):
+            raise NotHere(f"frame {frame}")
+        return pictures[view]
+
     def of(self, clip: str) -> list[Run]:
         """The runs of a clip, latest first."""
         try:
@@ -174,6 +187,11 @@ class Runs:
     def folder(self, run: Run) -> Path:
         """Where a run is kept. Raises NotHere for a folder that is a link."""
         return _folder_of(self._folder(run.clip), run.number)
+
+    def asked(self, run: Run) -> Path:
+        """The document that a run measures, as it was when it was asked for. Raises NotHere."""
+        name = document_of(run.kind)
+        return file_below(self.folder(run), f"{ASKED}/{name if run.clip == '.' else f'{run.clip}/{name}'}")
 
     def out(self, run: Run) -> Path:
         """Where the command's output is, once it has ended well."""
@@ -211,34 +229,36 @@ class Runs:
             try:
                 ended = self._run(run)
             except (OSError, NotHere, UnusableInput) as error:
-                ended = replace(run, state=FAILED, reason=f"could not be run ({error})")
+                reason = self._shown(run, f"could not be run ({error})")
+                ended = replace(run, state=FAILED, reason=reason)
             with self._lock:
                 self._process = None
                 self._end(ended)
 
     def _run(self, run: Run) -> Run:
         key = run.clip, run.number
-        folder, where = self._folder(run.clip), self.folder(run)
-        file = file_below(folder, document_of(run.kind))
-        check_document(self._root, file)
-        shutil.copyfile(file, where / ASKED)  # it may have been saved anew while the run waited
+        where = self.folder(run)
+        file, asked = self.asked(run), where / ASKED
+        check_document(self._root, file)  # what it names may have become something else while the run waited
         _write(where, run)
-        command = [sys.executable, "-m", "paceline", *arguments(run.kind, file, where)]
+        command = [sys.executable, "-P", "-m", "paceline", *arguments(run.kind, str(file.relative_to(asked)), where)]
         with self._lock:
             if self._closed or key in self._cancelled:
                 return replace(run, state=INTERRUPTED if self._closed else CANCELLED)
             process = subprocess.Popen(
                 [*command, *run.options],
+                cwd=asked,  # where the copies are called as the originals are from the console's folder
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,
                 text=True,
                 errors="replace",
-                env={**os.environ, TOLD: "lines"},
+                env=_environment(),
                 start_new_session=True,  # Ctrl-C is the console's, which ends its runs itself
             )
             self._process = key, process
             self._watches[key] = Watch()
+        threading.Thread(target=_leave_nothing, args=[process], daemon=True).start()
         words = self._listen(key, process)
         status = process.wait()
         for partial in where.glob(".*.partial"):  # what a killed command could not clear up
@@ -254,10 +274,10 @@ class Runs:
         if status == DONE:
             return replace(run, state=MEASURED)
         if status == NOTHING_MEASURED:
-            why = why_nothing(self.out(run)) if run.kind in MEASURING else reason
+            why = why_nothing(self.out(run)) if run.kind in MEASURING else self._shown(run, reason)
             return replace(run, state=NOTHING, reason=why)
         if status == UNUSABLE:
-            return replace(run, state=FAILED, reason=self._shown(reason))
+            return replace(run, state=FAILED, reason=self._shown(run, reason))
         killed = f"its process was killed (signal {-status})" if status < 0 else f"it ended with status {status}"
         return replace(run, state=INTERRUPTED, reason=killed)
 
@@ -271,6 +291,10 @@ class Runs:
                 if estimate is not None:
                     with self._lock:
                         self._watches[key].add(estimate)
+                    continue
+                if (pictures := told_pictures(line)) is not None:
+                    with self._lock:
+                        self._watches[key].show(pictures)
                     continue
                 if progress is None:
                     words.append(line.strip()[:LONGEST_WORDS])
@@ -295,8 +319,18 @@ class Runs:
         self._watches.pop(key, None)
         self._stopped.discard(key)
 
-    def _shown(self, reason: str) -> str:
-        return reason.replace(f"{self._root}/", "")
+    def _shown(self, run: Run, reason: str) -> str:
+        """``reason`` with files as seen from the console's folder, and copies called as what they are copies of."""
+        asked = self._root / run.clip / RUNS / f"{run.number:04d}" / ASKED
+        return reason.replace(f"{asked}/", "").replace(f"{self._root}/", "")
+
+
+def _environment() -> dict[str, str]:
+    """That of a command which tells how far it is, and is started from another folder."""
+    environment = {**os.environ, TOLD: "lines"}
+    if found := environment.get("PYTHONPATH"):
+        environment["PYTHONPATH"] = os.pathsep.join(os.path.abspath(path) for path in found.split(os.pathsep))
+    return environment
 
 
 def _stop(process: subprocess.Popen[str]) -> None:
@@ -312,6 +346,13 @@ def _stop(process: subprocess.Popen[str]) -> None:
     timer = threading.Timer(PATIENCE, kill)
     timer.daemon = True
     timer.start()
+
+
+def _leave_nothing(process: subprocess.Popen[str]) -> None:
+    """Once a process has ended, however that was, ends its own: they would hold on to what is listened to."""
+    process.wait()
+    with contextlib.suppress(ProcessLookupError):  # most often there are none
+        os.killpg(process.pid, signal.SIGKILL)
 
 
 def _make_folder(clip: Path) -> int:

@@ -24,6 +24,7 @@ from paceline.errors import UnusableInput
 
 DEFAULT_PORT = 8640
 TRIED = 10  # ports from the default one on, where none is asked for
+PATIENCE = 30.0  # s without a sign of a page: runs may take all of the computer
 
 
 def serve(folder: Path, host: str, port: int | None, browse: bool, say: Callable[[str], None]) -> None:
@@ -77,7 +78,7 @@ def make_app(library: Library, imports: Imports) -> FastAPI:
     with resources.as_file(resources.files("paceline.console") / "static") as static:
         app.mount("/static", StaticFiles(directory=static))
     add_pages(library)
-    ui.run_with(app, title="Paceline", dark=None, show_welcome_message=False, reconnect_timeout=10)
+    ui.run_with(app, title="Paceline", dark=None, show_welcome_message=False, reconnect_timeout=PATIENCE)
     return app
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import math
 import re
@@ -15,9 +16,9 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 TOLD = "PACELINE_PROGRESS"  # environment variable; "lines" asks for lines
-ESTIMATE = "estimate: "
+ESTIMATE, PICTURES = "estimate: ", "pictures: "
 PARTICLES = 40  # of each view that are told
-LONGEST = 16_384  # characters of a line
+LONGEST = 1 << 19  # characters of a line
 
 
 def telling(doing: str, done: int, total: int | None) -> str:
@@ -58,6 +59,28 @@ def told_estimate(line: str) -> dict[str, Any] | None:
     except ValueError:
         return None
     return found if isinstance(found, dict) and {"vehicle", "frame", "time_s", "value", "std"} <= found.keys() else None
+
+
+def telling_pictures(frame: int, time: float, size: tuple[int, int], pictures: Sequence[bytes]) -> str:
+    """The line with what a live source shows in a frame: one JPEG per view, of pictures that are ``size`` (width,
+    height) as recorded. The estimates of this frame have been told before."""
+    data = [base64.b64encode(picture).decode() for picture in pictures]
+    content = {"frame": frame, "time_s": round(time, 4), "size": size, "pictures": data}
+    return PICTURES + json.dumps(content, separators=(",", ":"))
+
+
+def told_pictures(line: str) -> dict[str, Any] | None:
+    """What `telling_pictures` was told, the JPEGs as bytes, if ``line`` says it."""
+    if not line.startswith(PICTURES):
+        return None
+    try:
+        found = json.loads(line.removeprefix(PICTURES))
+        pictures = [base64.b64decode(data, validate=True) for data in found["pictures"]]
+        width, height = map(int, found["size"])
+        return {"frame": int(found["frame"]), "time_s": float(found["time_s"]), "size": [width, height],
+                "pictures": pictures}  # fmt: skip
+    except (ValueError, KeyError, TypeError):
+        return None
 
 
 def _known(value: float) -> float | None:

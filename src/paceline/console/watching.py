@@ -9,6 +9,7 @@ from paceline.console.results import Series
 from paceline.reports.wording import COVERAGE
 
 MOST = 600  # values of one vehicle that are kept; of more, every second one goes
+LATEST = 6  # live frames whose pictures are kept: a page asks for them a moment after it has heard of them
 
 
 @dataclass
@@ -32,7 +33,8 @@ class Watch:
     """What has been told of one run. Memory does not grow with the recording."""
 
     values: dict[str, Values] = field(default_factory=dict)
-    scene: dict[str, Any] = field(default_factory=dict)  # frame, time_s, and the vehicles in it
+    scene: dict[str, Any] = field(default_factory=dict)  # frame, time_s, and the vehicles in it; live, the size
+    pictures: dict[int, list[bytes]] = field(default_factory=dict)  # of the latest live frames, one JPEG per view
     _coming: dict[str, Any] = field(default_factory=dict)
 
     def add(self, told: dict[str, Any]) -> None:
@@ -45,9 +47,19 @@ class Watch:
         self._coming["vehicles"].append(told)
 
     def turn(self) -> None:
-        """The frame is through: all of its vehicles have been told."""
-        if self._coming:
-            self.scene, self._coming = self._coming, {}
+        """The frame is through: its vehicles have been told. Live, only frames whose pictures are told are shown."""
+        if self._coming and not self.pictures:
+            self.scene = self._coming
+        self._coming = {}
+
+    def show(self, told: dict[str, Any]) -> None:
+        """Note the pictures of a live frame, as `telling.told_pictures` gives them; its vehicles have been told."""
+        vehicles = self._coming["vehicles"] if self._coming.get("frame") == told["frame"] else []
+        self.scene = {key: told[key] for key in ("frame", "time_s", "size")} | {"vehicles": vehicles}
+        self.pictures[told["frame"]] = told["pictures"]
+        if len(self.pictures) > LATEST:
+            del self.pictures[next(iter(self.pictures))]
+        self._coming = {}
 
     def series(self) -> list[Series]:
         """The values so far, for a chart."""

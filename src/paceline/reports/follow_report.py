@@ -16,7 +16,7 @@ from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.following import Progress, follow, result_of
 from paceline.follow.history import History, Tally
 from paceline.follow.results import FollowEstimate, FollowResult
-from paceline.monocular import CameraRecording, open_camera
+from paceline.monocular import CameraFrame, CameraRecording, open_camera
 from paceline.reports.follow_overlay import Stills, draw_frame
 from paceline.reports.follow_page import write_follow_page
 from paceline.reports.follow_plots import follow_plots
@@ -51,10 +51,10 @@ def write_follow_files(
     configuration: FollowConfiguration | None = None,
     overlay: bool = True,
     progress: Progress | None = None,
-    told: Callable[[FollowEstimate], None] | None = None,
+    told: Callable[[CameraFrame, FollowEstimate], None] | None = None,
 ) -> tuple[FollowResult, Tally]:
-    """As `follow_and_report`, straight into an existing ``folder``; ``told`` is called with every estimate as it is
-    made. Memory does not grow with the recording."""
+    """As `follow_and_report`, straight into an existing ``folder``; ``told`` is called with every frame and its
+    estimate as it is made. Memory does not grow with the recording."""
     begun = time.perf_counter()
     history, stills = History(), Stills()
     with ExitStack() as stack:
@@ -65,7 +65,7 @@ def write_follow_files(
             table.add(estimate)
             history.add(estimate)
             if told is not None:
-                told(estimate)
+                told(frame, estimate)
             stills.offer(frame.image, estimate)
             if video is not None:  # where there is no picture, the last one stands still
                 seen = seen if frame.image is None else frame.image

@@ -5,12 +5,12 @@ from __future__ import annotations
 import csv
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from paceline.speed.results import ClipResult, Measurement, Track
+from paceline.speed.results import Array, ClipResult, Measurement, Track
 
 COLUMNS = [
     "vehicle", "frame", "time_s", "speed_mps", "speed_std_mps", "x_m", "y_m", "z_m", "yaw_rate_radps",
@@ -75,6 +75,11 @@ def summary_of(measurement: Measurement) -> dict[str, object]:
         "residual_rms": measurement.residual_rms,
         "notices": measurement.notices,
     }
+
+
+def numbers_of(vehicles: Sequence[Mapping[str, object]], key: str) -> Array:
+    """The numbers (V,) that `summary_of` gives to the ``key``."""
+    return np.array([vehicle[key] for vehicle in vehicles], float)
 
 
 def write_json(document: dict[str, object], file: Path) -> None:

@@ -7,12 +7,14 @@ on.
 
 from __future__ import annotations
 
+import os
 import signal
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
+from threading import Thread
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,7 +122,7 @@ def survey(
             recent.append(pair)
             yield pair
 
-    with _another_process() as measuring:
+    with another_process() as measuring:
         desk = _Desk(clip, configuration, measuring, told, finder.rows)
         for frame in in_ideal_pixels(remembered(), clip, finder.rows):
             for track in finder.gone(frame):
@@ -132,16 +134,27 @@ def survey(
         desk.close()
 
 
-def _another_process() -> ProcessPoolExecutor:
+def another_process() -> ProcessPoolExecutor:
     """A process for the measuring. Ctrl-C at a terminal reaches every process: this one goes on, so that what has
-    passed is still measured."""
-    executor = ProcessPoolExecutor(1, get_context("spawn"))
+    passed is still measured. Where the process that looks is killed, there is nobody to measure for."""
+    executor = ProcessPoolExecutor(1, get_context("spawn"), _end_with_parent)
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         executor.submit(int)  # begins the process, which inherits what is blocked
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
     return executor
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    assert parent is not None
+
+    def wait() -> None:
+        parent.join()
+        os._exit(1)
+
+    Thread(target=wait, daemon=True).start()
 
 
 def _learned(clip: Clip, pairs: Iterator[RawPair], learning: float) -> Background:

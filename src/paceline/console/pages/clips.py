@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import time
 from urllib.parse import quote
 
 from nicegui import run, ui
 
-from paceline.console.library import Entry, Library
+from paceline.console.library import BEING_READ, Entry, Library
 from paceline.console.pages.layout import (
     PATIENCE,
     READ_ONLY,
@@ -21,7 +22,8 @@ from paceline.console.pages.layout import (
 from paceline.console.safety import NotHere
 
 AGAIN = 1.5  # s between looks at the folder
-NOT_YET = ("no paths", "no vehicles", "ready", "unreadable", "no rig", "no target")
+PATIENT = 1.0  # s for clips to be read; the list does not wait for longer
+NOT_YET = ("no paths", "no vehicles", "ready", "unreadable", "no rig", "no target", BEING_READ)
 
 HELP = (
     "A clip is one recording of a road by two fixed cameras. Import one, draw the road line and the vehicles, measure, "
@@ -51,7 +53,7 @@ def add(library: Library) -> None:
             grid.clear()
             with grid:
                 if not entries:
-                    ui.label(f"There is no clip below {library.root} yet.").classes("pl-empty")
+                    ui.label("There is no clip in this folder yet.").classes("pl-empty")
                 for entry in entries:
                     _card(entry)
 
@@ -59,10 +61,10 @@ def add(library: Library) -> None:
 
 
 def _entries(library: Library) -> list[Entry]:
-    found = []
+    found, until = [], time.monotonic() + PATIENT
     for name in library.names():
         try:
-            found.append(library.entry(name))
+            found.append(library.entry(name, max(until - time.monotonic(), 0.0)))
         except NotHere:  # removed in the meantime
             continue
     return found
@@ -85,7 +87,7 @@ def _card(entry: Entry) -> None:
             counts = [f"follows the {what.target}" if what.target else "one camera", runs]
         else:
             counts = [_count(what.vehicles, "vehicle"), _count(what.paths, "path"), runs]
-        if entry.state != "unreadable":
+        if entry.state not in ("unreadable", BEING_READ):
             ui.label(", ".join(counts)).classes("pl-fact")
         active = next((r for r in reversed(entry.runs) if r.active), None)
         latest = moment(entry.runs[0]) if entry.runs else ""

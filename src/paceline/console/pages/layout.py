@@ -10,7 +10,7 @@ from urllib.parse import quote
 from nicegui import ui
 
 from paceline.console.kinds import AHEAD, LIVE
-from paceline.console.library import Entry
+from paceline.console.library import BEING_READ, Entry
 from paceline.console.runs import (
     CANCELLED,
     FAILED,
@@ -25,6 +25,7 @@ from paceline.console.runs import (
 HEAD = '<link rel="stylesheet" href="/static/console.css">'
 ACCENT = "#2f7ac4"
 DOING = {"looking": "looking for vehicles: ", "averaging": "looking for lanes: "}
+LEARNING = "learning"
 SET_UP, READ_AND_MEASURE = "Set up", "Measure and read"
 TARGET, READ_AND_FOLLOW = "Target", "Follow and read"
 READ_ONLY = "This folder cannot be written: its clips can be looked at and read, not changed or measured."
@@ -32,7 +33,7 @@ PATIENCE = 60.0  # s, for a page whose clip lies on a slow disk
 TONES = {
     MEASURED: "good", "ready": "good", RUNNING: "busy", WAITING: "busy", NOTHING: "warn", INTERRUPTED: "warn",
     CANCELLED: "calm", FAILED: "bad", "unreadable": "bad", "no rig": "warn", "no paths": "calm", "no vehicles": "calm",
-    "no target": "calm", "live": "busy",
+    "no target": "calm", "live": "busy", BEING_READ: "calm",
 }  # fmt: skip
 
 
@@ -101,6 +102,8 @@ def progress(run: Run) -> str:
         return "waits for the run before it"
     if run.state != RUNNING:
         return ""
+    if run.kind == LIVE and run.doing == LEARNING:
+        return f"learning the empty road, {run.done} of {run.total} s"
     if run.kind == LIVE and run.started is not None:
         return f"for {duration(time.time() - run.started)}"
     if run.done == 0:

@@ -15,6 +15,7 @@ from paceline.console.pages.layout import moment
 from paceline.console.results import (
     differences,
     files_of,
+    picture_of,
     read_distance,
     read_followed,
     read_series,
@@ -38,6 +39,8 @@ COLUMNS = [
 ]  # fmt: skip
 SEEN = {"name": "seen", "label": "seen, s", "field": "seen", "align": "left"}
 PAGE = 50  # rows
+MOST = 1000  # rows; with ten times as many, all pages would wait for a second until they are sent
+LATEST = 3  # vehicles whose pictures are shown; the report has more
 COMPARE = Callable[[Any], None]
 
 
@@ -55,6 +58,8 @@ def speeds(library: Library, run: Run, runs: list[Run], unit: str, other: int | 
     """Verdicts, speeds and their course. Raises UnusableInput."""
     out = library.runs.out(run)
     summary, series = read_summary(out), read_series(out, growing=run.kind == LIVE)
+    if run.kind == LIVE:
+        passed(run, summary, unit)
     vehicle_table(summary["vehicles"], unit)
     if not summary["vehicles"]:
         ui.label("No vehicle was found.").classes("pl-reason")
@@ -76,8 +81,12 @@ def speeds(library: Library, run: Run, runs: list[Run], unit: str, other: int | 
         ui.echart(speed_chart(series, compared, unit)).classes("pl-chart")
 
 
-def vehicle_table(vehicles: list[dict[str, Any]], unit: str) -> None:
-    """One row per vehicle; those of a live run with the time at which they were seen, the latest first."""
+def vehicle_table(vehicles: list[dict[str, Any]], unit: str, most: int = MOST) -> None:
+    """A row for each of the last ``most`` vehicles; those of a live run with the time at which they were seen, the
+    latest first."""
+    if len(vehicles) > most:
+        ui.label(f"The last {most} of {len(vehicles)} vehicles; the files have all of them.").classes("pl-fact")
+        vehicles = vehicles[-most:]
     live = any("seen_from_s" in vehicle for vehicle in vehicles)
     rows = vehicle_rows(vehicles, unit)
     columns = [{**column, "label": column["label"].format(unit=unit)} for column in COLUMNS]
@@ -89,6 +98,24 @@ def vehicle_table(vehicles: list[dict[str, Any]], unit: str) -> None:
     pages = PAGE if len(rows) > PAGE else None
     table = ui.table(columns=columns, rows=rows, row_key="vehicle", pagination=pages)
     table.props("flat dense wrap-cells").classes("pl-table").add_slot("body-cell-verdict", VERDICT)
+
+
+def passed(run: Run, summary: dict[str, Any], unit: str) -> None:
+    """The pictures of the latest vehicles that a live run has measured, the last one first, and how many it could not
+    measure."""
+    if unmeasured := summary["unmeasured"]:
+        more = "1 vehicle was" if len(unmeasured) == 1 else f"{len(unmeasured)} vehicles were"
+        ui.label(f"{more} seen and {unmeasured[-1]}").classes("pl-fact")
+    rows = vehicle_rows(summary["vehicles"][-LATEST:], unit)
+    with ui.element("div").classes("pl-passed"):
+        for row in reversed(rows):
+            name = row["vehicle"]
+            with ui.element("figure"):
+                picture = ui.element("img")
+                picture.props["src"] = results_address(run.clip, run.number, picture_of(name))
+                picture.props["alt"] = f"{name} in both views"
+                speed = f"{row['speed']} {unit}" if row["verdict"] == "measured" else row["reason"]
+                ui.label(f"{name}: {speed}").classes("pl-fact")
 
 
 def ahead(library: Library, run: Run, runs: list[Run], other: int | None, compare: COMPARE) -> None:

@@ -6,7 +6,14 @@ from typing import Any
 
 from nicegui import run, ui
 
-from paceline.console.asking import LEAST_PARTICLES, MOST_PARTICLES, UNITS, options_of
+from paceline.console.asking import (
+    LEAST_LEARNING,
+    LEAST_PARTICLES,
+    MOST_LEARNING,
+    MOST_PARTICLES,
+    UNITS,
+    options_of,
+)
 from paceline.console.kinds import AHEAD, LIVE, MEASURING, SPEED
 from paceline.console.library import Entry, Library
 from paceline.console.pages import measured
@@ -32,7 +39,7 @@ from paceline.errors import UnusableInput
 AGAIN = 0.5  # s between looks at the runs
 GONE = "The clip is no longer there."
 ENDING = "ending; what has passed is measured"
-LEARNING = 30.0  # s, as the command has it
+LEARNS = 30.0  # s, as the command has it
 
 
 def add(library: Library) -> None:
@@ -57,6 +64,7 @@ class _Page:
     def __init__(self, library: Library, entry: Entry, number: int | None, unit: str) -> None:
         self.library, self.clip, self.unit = library, entry.name, unit
         self.live, self.pictures = bool(entry.contents.live), entry.contents.pictures
+        self.seconds = entry.contents.seconds
         self.chosen = number
         self.other: int | None = None
         self.listed: object = None  # what the list and the result show now, to leave them alone until it changes
@@ -84,7 +92,9 @@ class _Page:
                 ui.button("Start", on_click=self.start, color=None).props("unelevated no-caps").classes("pl-start")
                 if words := _before(entry):
                     ui.label(words).classes("pl-fact")
-                with ui.expansion("Settings").classes("pl-settings").props("dense"):
+                self.warning = ui.label().classes("pl-reason pl-warning").props('role="status"')
+                self.warning.set_visibility(False)
+                with ui.expansion("Settings").classes("pl-settings").props("dense") as self.settings:
                     self._settings(entry)
             if not contents.chase:
                 ui.select(list(UNITS), value=self.unit, label="Speeds in", on_change=self.change_unit).props("dense")
@@ -107,15 +117,26 @@ class _Page:
         if not entry.contents.live:
             live = ui.checkbox("Play it as a live stream", on_change=self.change_kind)
             live.tooltip("To try what live measuring does: vehicle after vehicle, as if the cameras recorded now.")
-        self.learn = ui.number("Learn the empty road for, s", value=LEARNING, min=2, max=3600).props("dense")
+        self.learn = ui.number(
+            "Learn the empty road for, s", value=LEARNS, min=LEAST_LEARNING, max=MOST_LEARNING, on_change=self.warn
+        ).props("dense")
         self.learn.set_visibility(self.kind == LIVE)
         self.fields["learn"] = self.learn
 
     def change_kind(self, event: Any) -> None:
         self.kind = LIVE if event.value else SPEED
         self.learn.set_visibility(event.value)
+        self.warn()
+
+    def warn(self) -> None:
+        """Says before the start what cannot come to anything."""
+        self.warning.text = _too_short(self.seconds, self.learn.value) if self.kind == LIVE else ""
+        self.warning.set_visibility(bool(self.warning.text))
 
     async def start(self) -> None:
+        if self.warning.text:
+            ui.notify(self.warning.text, type="warning", multi_line=True, timeout=10_000)
+            return
         asked: dict[str, Any] = {"units": self.unit}
         for name, field in self.fields.items():
             value = field.value
@@ -128,6 +149,7 @@ class _Page:
             ui.notify(words, type="negative", multi_line=True, timeout=10_000)
             return
         if started is not None:
+            self.settings.close()  # it would stand before what is to be watched
             self.choose(started.number)
 
     def change_unit(self, event: Any) -> None:
@@ -225,7 +247,8 @@ class _Page:
                 if ended or (chosen.kind == LIVE and files_of(self.library.runs.out(chosen))):
                     self._show_measured(chosen, runs)
             except (UnusableInput, NotHere) as error:
-                ui.label(str(error)).classes("pl-reason")
+                words = GONE if isinstance(error, NotHere) else self.library.shown(error)
+                ui.label(words).classes("pl-reason")
 
     def _show_measured(self, chosen: Run, runs: list[Run]) -> None:
         measured.links(self.library, chosen)
@@ -247,10 +270,22 @@ def _before(entry: Entry) -> str:
     if contents.live:
         sources = " and ".join(contents.live)
         road = "" if contents.paths else " Lanes are looked for first, unless the site has them."
-        return f"Live, from {sources}. The empty road is learned first, then every vehicle that passes measured.{road}"
+        learn = f"The empty road is learned first, {LEARNS:.0f} s long if you set nothing else"
+        return f"Live, from {sources}. {learn}; then every vehicle that passes is measured, until you stop it.{road}"
     if contents.vehicles or contents.chase:
         return ""
     return f"No vehicle is outlined: {'vehicles' if contents.paths else 'lanes and vehicles'} are looked for."
+
+
+def _too_short(seconds: float | None, learn: float | None) -> str:
+    """Why a recording of ``seconds`` cannot be played as a live one whose first ``learn`` seconds show the road."""
+    learn = LEARNS if learn is None else learn
+    if seconds is None or learn < seconds:
+        return ""
+    return (
+        f"This recording lasts {seconds:.1f} s, and the empty road would be learned for {learn:g} s of them: nothing "
+        "would be measured. Learn for less, or take a longer recording."
+    )
 
 
 def _ended(run: Run) -> str:

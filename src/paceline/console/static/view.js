@@ -1,6 +1,7 @@
 // One camera's picture on a canvas: zoom, pan, and everything drawn over it. Pixel centres are at whole numbers.
 
 const HANDLE = 5;
+const LABEL = 19; // px high
 const LOUPE = 84; // radius on the screen
 const LOUPE_ZOOM = 8;
 export const COLORS = ["#4aa3ff", "#ff9d42", "#53c87d", "#d17cf0", "#ff6b75", "#41c9d6", "#e3c847", "#b9c2cc"];
@@ -74,6 +75,7 @@ export class View {
   }
 
   marks(context, place, drawings) {
+    this.labels = []; // that are drawn already: another one goes above
     if (this.epipolar) this.line(context, place);
     for (const drawing of drawings) {
       const { points, closed, color, chosen, bold, faint, point } = drawing;
@@ -111,11 +113,17 @@ export class View {
     context.font = "600 13px system-ui, sans-serif";
     for (const [x, y] of points.map(place)) {
       context.fillStyle = words ? "#000b" : color;
-      if (words) context.fillRect(x - 4, y - 24, context.measureText(words).width + 8, 19);
-      else context.fillRect(x - 1, y - 1, 2, 2);
-      if (!words) continue;
+      if (!words) {
+        context.fillRect(x - 1, y - 1, 2, 2);
+        continue;
+      }
+      const box = { x: x - 4, y: y - 24, width: context.measureText(words).width + 8 };
+      const hides = (other) => Math.abs(other.y - box.y) < LABEL && other.x < box.x + box.width && box.x < other.x + other.width;
+      while (this.labels.some(hides)) box.y -= 1;
+      this.labels.push(box);
+      context.fillRect(box.x, box.y, box.width, LABEL);
       context.fillStyle = "#fff";
-      context.fillText(words, x, y - 10);
+      context.fillText(words, x, box.y + 14);
     }
   }
 

@@ -37,9 +37,10 @@ class Watch extends HTMLElement { // attributes are never called as its own fiel
         const images = await Promise.all(this.views.map((_, view) => this.picture(view, scene.frame)));
         this.views.forEach((view, i) => {
           view.image = images[i];
-          view.size = [images[i].width, images[i].height];
+          view.size = scene.size ?? [images[i].width, images[i].height];
         });
-        this.pictures.style.aspectRatio = images.length * images[0].width / images[0].height;
+        const [width, height] = this.views[0].size;
+        this.pictures.style.aspectRatio = images.length * width / height;
         this.drawn = scene;
         this.caption.textContent = `frame ${scene.frame}, ${scene.time.toFixed(2)} s`;
         this.choose(this.close);
@@ -52,7 +53,9 @@ class Watch extends HTMLElement { // attributes are never called as its own fiel
 
   async picture(view, frame) {
     const clip = encodeURIComponent(this.getAttribute("clip"));
-    const answer = await fetch(`/api/frame?clip=${clip}&view=${view}&frame=${frame}`);
+    const run = this.getAttribute("live"); // of a live one the latest pictures are kept for a moment, made smaller
+    const where = run ? `/api/live?number=${run}&` : "/api/frame?";
+    const answer = await fetch(`${where}clip=${clip}&view=${view}&frame=${frame}`);
     if (!answer.ok) throw new Error((await answer.json()).reason ?? "this picture cannot be shown");
     return createImageBitmap(await answer.blob());
   }
