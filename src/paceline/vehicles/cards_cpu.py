@@ -96,14 +96,23 @@ def _correlated(a: Image, of_a: Image, b: Image, of_b: Image, window: int, corre
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def correlate(left: Image, right: Image, H: Array, scale: float, window: int, correlation: Image) -> None:
-    """The local ``correlation`` (rows, columns) of what two pictures show on a card, ``H`` (2, 3, 3)."""
-    rows, columns = correlation.shape
-    ones, cards = np.ones((rows, columns), np.float32), np.empty((2, rows, columns), np.float32)
-    moments = np.empty((2, 2, rows, columns), np.float32)
+def _laid_out(
+    left: Image, right: Image, H: Array, scale: float, window: int, size: tuple[int, int]
+) -> tuple[Image, Image]:
+    """What two pictures show on a card of ``size`` (rows, columns), (2, rows, columns), with the local means and
+    standard deviations (2, 2, rows, columns)."""
+    ones, cards = np.ones(size, np.float32), np.empty((2, *size), np.float32)
+    moments = np.empty((2, 2, *size), np.float32)
     for view, image in enumerate((left, right)):
         lay_out(image, H[view], scale, cards[view])
         _moments(cards[view], ones, window, moments[view, 0], moments[view, 1])
+    return cards, moments
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def correlate(left: Image, right: Image, H: Array, scale: float, window: int, correlation: Image) -> None:
+    """The local ``correlation`` (rows, columns) of what two pictures show on a card, ``H`` (2, 3, 3)."""
+    cards, moments = _laid_out(left, right, H, scale, window, correlation.shape)
     _correlated(cards[0], moments[0], cards[1], moments[1], window, correlation)
 
 
@@ -116,11 +125,7 @@ def count(
     ``least`` grey levels and agree with each other, and neither with what it showed ``before``. Nothing does where
     they count less than ``enough`` in all."""
     rows, columns = counts.shape
-    ones, cards = np.ones((rows, columns), np.float32), np.empty((2, rows, columns), np.float32)
-    moments = np.empty((2, 2, rows, columns), np.float32)
-    for view, image in enumerate((left, right)):
-        lay_out(image, H[view], scale, cards[view])
-        _moments(cards[view], ones, window, moments[view, 0], moments[view, 1])
+    cards, moments = _laid_out(left, right, H, scale, window, counts.shape)
     _correlated(cards[0], moments[0], cards[1], moments[1], window, counts)
     total = 0.0
     for r in range(rows):
@@ -129,7 +134,7 @@ def count(
             counts[r, c] = agree if min(moments[0, 1, r, c], moments[1, 1, r, c]) > least else 0.0
             total += counts[r, c]
     before, of_before = np.empty((rows, columns), np.float32), np.empty((2, rows, columns), np.float32)
-    same = np.empty((rows, columns), np.float32)
+    ones, same = np.ones((rows, columns), np.float32), np.empty((rows, columns), np.float32)
     for view, image in enumerate((left_before, right_before)):
         if total >= enough:
             lay_out(image, H[view], scale, before)
