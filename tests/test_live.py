@@ -24,9 +24,10 @@ from calling import assert_one_line_error, paceline
 from numpy.typing import NDArray
 from small_road import TWO, scene
 
+from paceline import live_views
 from paceline.cameras import Camera
 from paceline.documents import load_clip
-from paceline.live_views import HELD, RawPair, _paired, _View
+from paceline.live_views import RawPair, _paired, _View
 from paceline.monocular import CameraFrame, CameraRecording
 from paceline.simulation.backdrops import Backdrop
 from paceline.simulation.planar import RenderedClip, Scene, Vehicle, World, render, write
@@ -96,7 +97,21 @@ def test_cameras_with_clocks_of_their_own_are_paired_by_their_arrival() -> None:
     assert all(p.skew == 0.0 for p in pairs)
 
 
-def test_what_is_not_used_in_time_is_dropped_and_counted() -> None:
+def test_a_pause_loses_nothing() -> None:
+    """As when the empty road is made of what was learned."""
+    times = [0.02 * k for k in range(40)]
+    left, right = view(Source(times)), view(Source(times))
+    begun(left, right)
+    indices = []
+    for pair in _paired(left, right, 0.0):
+        if not indices:
+            time.sleep(0.6)
+        indices.append(pair.index)
+    assert indices == [*range(40)] and left.dropped == 0
+
+
+def test_what_is_not_used_in_time_is_dropped_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live_views, "HELD", held := 3)
     times = [0.01 * k for k in range(40)]
     left, right = view(Source(times)), view(Source(times))
     begun(left, right)
@@ -105,7 +120,7 @@ def test_what_is_not_used_in_time_is_dropped_and_counted() -> None:
         taken += 1
         time.sleep(0.05)
     assert left.dropped >= 20 and taken + left.dropped <= 40
-    assert taken + left.dropped >= 40 - HELD - 5  # the rest lost its partner
+    assert taken + left.dropped >= 40 - held - 5  # the rest lost its partner
 
 
 # --- a survey --------------------------------------------------------------------------------------------------------

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
@@ -37,7 +37,7 @@ def drives(draw: st.DrawFn) -> Drive:
     if draw(st.booleans()):
         shift = draw(st.floats(1.5, 4.0)) * draw(st.sampled_from([-1, 1]))
         change = LaneChange(draw(st.floats(-1.0, 1.0)), draw(st.floats(3.0, 6.0)), shift)
-    return Drive(
+    drive = Drive(
         150.0 if towards else 50.0,
         speed,
         draw(st.sampled_from([-1.8, 1.8])),
@@ -47,6 +47,10 @@ def drives(draw: st.DrawFn) -> Drive:
         change,
         towards,
     )
+    # what brakes nearly to a stand cannot change its lane meanwhile, and is refused
+    slowest = drive.speed + min(drive.acceleration, 0.0) * drive.lasting
+    assume(change is None or slowest > 2 * 2.0 * abs(change.shift) / change.duration)
+    return drive
 
 
 @pytest.mark.parametrize("shape", ROADS)

@@ -21,7 +21,7 @@ from paceline.cameras import EVERY, Camera, StereoRig
 from paceline.monocular import CameraFrame, CameraRecording, Grey, open_camera
 from paceline.recordings import StereoFrame
 
-HELD = 3  # frames of a view that wait to be used; beyond them the oldest is dropped
+HELD = 64  # frames of a view that wait to be used, so that a pause of seconds loses none; beyond, the oldest is dropped
 SETTLING = 8  # frames of each live view that tell by how much their clocks differ
 ALIKE = 0.25, 0.5  # of the interval between frames: how far apart two of a pair may be dated, by one clock or by two
 PATIENCE = 0.1  # s between two looks at whether to stop

@@ -53,6 +53,16 @@ class Card:
         return float(0.5**self.level)
 
 
+def warm_up() -> None:
+    """Compile or load the kernels, which takes seconds at first: better before cameras are waited for."""
+    picture = np.zeros((16, 16), np.float32)
+    card = Card(Grid(-1.0, 1.0, 0.0, 0.5), 3, 0, np.stack([np.eye(3)] * 2))
+    counts = card.counts([[picture], [picture]], [[picture], [picture]], 1.0)
+    card.correlation([[picture], [picture]])
+    card.hide(counts, np.zeros(picture.shape, np.uint8))
+    cards_cpu.weighted(counts, counts[0])
+
+
 def card_of(homographies: tuple[Array, Array], grid: Grid, window: int, top: int = 0) -> Card:
     """The card that both views see through ``homographies``, in pictures that begin at the row ``top``."""
     moved = np.array([[1.0, 0, 0], [0, 1, -top], [0, 0, 1]])

@@ -29,6 +29,7 @@ from paceline.recordings import StereoFrame
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.measurement import measure, refuse_one_view
 from paceline.speed.results import Measurement
+from paceline.vehicles import cards
 from paceline.vehicles.finding import Finder, Found, Register, as_seen, found_on
 from paceline.vehicles.measuring import with_lanes_found
 from paceline.vehicles.scene import EmptyScene
@@ -98,6 +99,7 @@ def survey(
     pair of frames that has been looked through, and what moves in it. Raises UnusableInput where no empty road is seen
     in the first ``learning`` seconds, or where there are neither paths nor lanes.
     """
+    cards.warm_up()
     pairs = iter(views)
 
     def first() -> Iterator[RawPair]:

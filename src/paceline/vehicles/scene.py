@@ -30,12 +30,12 @@ class EmptyScene:
         if self._time is not None:
             step = DRIFT * (frame.time - self._time)
             for image, now in zip(self.images, (frame.left, frame.right), strict=True):
-                _draw(image[rows], now[rows], step)
+                draw(image[rows], now[rows], step)
         self._time = frame.time
 
 
 @njit(cache=True, nogil=True)
-def _draw(image: Image, now: Image, step: float) -> None:
+def draw(image: Image, now: Image, step: float) -> None:
     """Move every pixel of ``image`` (H, W), in place, towards ``now``, by ``step`` grey levels at most."""
     most = np.float32(step)
     for y in range(len(image)):
