@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import time
 import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -52,12 +53,17 @@ def consoled(base: Path, *before: str) -> Iterator[Console]:
 
 
 @contextmanager
-def halted(clip: Path) -> Iterator[None]:
-    """What measures ``clip`` stands still for a while."""
+def halted(clip: Path, far: Callable[[], bool]) -> Iterator[None]:
+    """What measures ``clip`` stands still for a while, from when it is so ``far``; until then it goes in short steps."""
     wanted = f"{clip}/".encode()
     found = [p for p in Path("/proc").glob("[0-9]*/cmdline") if wanted in p.read_bytes() + b"/"]
     (pid,) = (int(p.parent.name) for p in found)
     os.kill(pid, signal.SIGSTOP)
+    while not far():
+        os.kill(pid, signal.SIGCONT)
+        time.sleep(0.1)
+        os.kill(pid, signal.SIGSTOP)
+        time.sleep(0.2)
     try:
         yield
     finally:

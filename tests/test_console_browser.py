@@ -96,8 +96,7 @@ def test_from_import_to_report(recording: Path, console: Console) -> None:
     other.wait_for("Nothing measured yet")
     tab.click("Start")
     other.wait_for("Cancel")  # every tab sees it
-    other.wait_for("Close-up of v0")
-    with halted(root / "north"):
+    with halted(root / "north", lambda: "Close-up of v0" in other.text()):
         tab.call("Page.reload")
         tab.wait_for("Close-up of v0")
         tab.wait_for("Cancel")
