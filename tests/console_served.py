@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 import os
 import signal
-import time
 import subprocess
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -54,7 +54,7 @@ def consoled(base: Path, *before: str) -> Iterator[Console]:
 
 @contextmanager
 def halted(clip: Path, far: Callable[[], bool]) -> Iterator[None]:
-    """What measures ``clip`` stands still for a while, from when it is so ``far``; until then it goes in short steps."""
+    """What measures ``clip`` stands still for a while once it is so ``far``; until then it goes in short steps."""
     wanted = f"{clip}/".encode()
     found = [p for p in Path("/proc").glob("[0-9]*/cmdline") if wanted in p.read_bytes() + b"/"]
     (pid,) = (int(p.parent.name) for p in found)
