@@ -24,10 +24,19 @@ from paceline.speed.paths import from_points
 from paceline.vehicles import live
 from paceline.vehicles.agreement import CHANGED, Texture, agreement, correlation, stands
 from paceline.vehicles.cards import Card, Views, card_of
-from paceline.vehicles.finding import Register, as_seen, found_on, in_step
+from paceline.vehicles.finding import Register, as_seen, found_on, in_step, is_vehicle
 from paceline.vehicles.live import APART, ENOUGH, thinned
 from paceline.vehicles.plane import Aligned
-from paceline.vehicles.sightings import GRID, SEARCH, SEARCH_WINDOW, WINDOW, Lookout, Sighting
+from paceline.vehicles.sightings import (
+    GRID,
+    SEARCH,
+    SEARCH_WINDOW,
+    WINDOW,
+    Lookout,
+    Sighting,
+    apart_from,
+    largest_piece,
+)
 from paceline.vehicles.tracks import Track, likeness
 from paceline.vehicles.ways import Grid, Way, laid_out, pyramid
 
@@ -304,6 +313,41 @@ def driven(times: NDArray[np.float64], s: NDArray[np.float64], x: tuple[float, f
     for t, at in zip(times, s, strict=True):
         track.add(sighting(float(t), float(at), x))
     return track
+
+
+@given(st.integers(0, 2**16), st.floats(0.5, 4.0), st.floats(0.0, 1.5))
+def test_forgetting_piece_after_piece_ends(seed: int, grain: float, sparse: float) -> None:
+    """Each takes something away, also a ring's empty middle."""
+    noise = np.random.default_rng(seed).standard_normal(GRID.size[::-1]).astype(np.float32)
+    smooth = cv2.GaussianBlur(noise, (0, 0), grain)
+    counts = np.clip(smooth / smooth.std() - sparse, 0, 1).astype(np.float32)
+    while counts.any():
+        piece = largest_piece(counts)
+        left = apart_from(piece, counts)
+        assert left.sum() < counts.sum()
+        assert not left[piece].any()
+        assert ((left == counts) | (left == 0)).all()
+        counts = left
+
+
+@given(st.integers(0, 2**16), st.floats(8, 35), st.floats(-4, 4), st.integers(6, 30))
+def test_what_drives_is_steadier_than_two_things_that_sway(seed: int, v: float, a: float, n: int) -> None:
+    rng = np.random.default_rng(seed)
+    times = np.sort(rng.choice(40, n, replace=False)) / 10
+    driving = driven(times, 5.0 + v * times + 0.5 * a * times**2)
+    assert driving.unsteadiness < 1e-6
+    change = rng.integers(1, n)
+    swaying = driven(times, np.where(np.arange(n) < change, 29.0, 29.0 + v))
+    assert swaying.unsteadiness > 1e3
+
+
+def test_two_bushes_in_the_wind_are_no_vehicle() -> None:
+    """One is seen ten times and then another one eight metres on, each off by half a metre; a vehicle as far off."""
+    rng = np.random.default_rng(3)
+    for _ in range(50):
+        times, off = np.arange(16) / 10, rng.normal(0, 0.5, 16)
+        assert not is_vehicle(driven(times, np.where(times < 1.0, 29.0, 37.0) + off))
+        assert is_vehicle(driven(times, 29.0 + 8.0 * times + off))
 
 
 @given(st.integers(0, 2**16), st.floats(5, 25), st.floats(0.0, 1.0))

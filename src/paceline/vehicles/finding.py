@@ -22,9 +22,10 @@ Image = NDArray[np.float32]
 
 LEAST_SIGHTINGS = 4  # and as many as there are frames between them in which it is not seen
 LEAST_TRAVEL = 1.5, 1.5  # m, and px of disparity: what moves less stands
+UNSTEADY = 0.5  # from which on it does not drive, but two things were seen in turn: bushes in the wind
 ASIDE = 1.9  # m from the middle of the way: what is farther does not drive on it
 LEAST_AREA = 0.35, 0.25  # m² of a face that both views agree on, in the median; less where it was seen so
-LONG = 16  # many times: two lamps in the dark are small
+LONG = 8  # many times: two lamps in the dark are small
 LEAST_HEIGHT = 0.8  # m above the road that a vehicle reaches: less is a shadow
 SMALLEST = 16.0, 6.0  # px, width and height of an outline
 NEIGHBOURS = 5  # frames that say where a vehicle is in another one
@@ -132,7 +133,7 @@ def is_vehicle(track: Track) -> bool:
         return False
     if _height(track) < LEAST_HEIGHT or abs(float(np.median([s.middle for s in track.kept]))) > ASIDE:
         return False
-    return _moves(track)
+    return _moves(track) and track.unsteadiness < UNSTEADY
 
 
 def _moves(track: Track) -> bool:

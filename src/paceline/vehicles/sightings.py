@@ -111,12 +111,14 @@ class Lookout:
         per_metre = (self._boxes[:, 0, 2] - self._boxes[:, 0, 0]) / (-2 * GRID.left)
         self._least_changed = PART * SMALLEST * per_metre**2
 
-    def see(self, frame: StereoFrame, empty: tuple[Image, Image]) -> list[Sighting]:
-        """The faces in ``frame`` before the ``empty`` scene (both views of it), the largest first."""
+    def see(self, frame: StereoFrame, empty: tuple[Image, Image], noise: float | None = None) -> list[Sighting]:
+        """The faces in ``frame`` before the ``empty`` scene (both views of it), the largest first. The ``noise`` is the
+        left view's standard deviation, grey levels, where its difference from the scene does not tell it."""
         if not self._stations:
             return []
         views, scene = ([pyramid(i[self.rows]) for i in pair] for pair in ((frame.left, frame.right), empty))
-        least = max(CONTRAST[0], CONTRAST[1] * noise_of(views[0][0], scene[0][0]))
+        noise = noise_of(views[0][0], scene[0][0]) if noise is None else noise
+        least = max(CONTRAST[0], CONTRAST[1] * noise)
         look = _Look(views, scene, self._fine, least)
         coarse, areas = self._coarsely(views, scene, least)
         upright = partial(self._stands, coarse, views)
@@ -127,7 +129,7 @@ class Lookout:
                 areas[peaks] = 0.0
                 continue
             counts = look.counts(best)
-            piece = _largest_piece(counts)
+            piece = largest_piece(counts)
             s = self._between(look, best)
             look.forget(best, piece)
             lying = card_of(_lying(*self._stations[best]), GRID, WINDOW, self.rows.start)
@@ -246,8 +248,8 @@ class _Look:
         return self._areas[station]
 
     def forget(self, station: int, piece: Mask) -> None:
-        """Count nothing in a ``piece`` (rows, columns) of a card any more."""
-        self._counts[station] = np.where(piece, np.float32(0.0), self._counts[station])
+        """Count nothing any more in a ``piece`` (rows, columns) of a card, nor about it, which made it one."""
+        self._counts[station] = apart_from(piece, self._counts[station])
         self._areas.pop(station, None)
 
     def explain(self, sighting: Sighting, top: int) -> None:
@@ -294,13 +296,20 @@ def _lying(way: Way, s: float) -> tuple[Array, Array]:
     return left, way.over_road(s) @ left
 
 
-def _largest_piece(counts: Image) -> Mask:
+def largest_piece(counts: Image) -> Mask:
     """Where on a card (rows, columns) the largest piece of what counts is; all of it where nothing hangs together."""
     dense = (local_mean(counts, WINDOW) > PIECE).astype(np.uint8)
     _, labels, stats, _ = cv2.connectedComponentsWithStats(dense)
     if len(stats) < 2:
         return np.ones(counts.shape, bool)
     return np.asarray(labels == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA])))
+
+
+def apart_from(piece: Mask, counts: Image) -> Image:
+    """What ``counts`` on a card (rows, columns) but not in a ``piece`` of it, nor so near that it is part of its mean:
+    a piece may lie between what counts."""
+    about = cv2.dilate(piece.astype(np.uint8), np.ones((WINDOW, WINDOW), np.uint8))
+    return np.where(about, np.float32(0.0), counts)
 
 
 def _extent(piece: Mask) -> tuple[tuple[float, float], tuple[float, float]]:

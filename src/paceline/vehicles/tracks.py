@@ -77,6 +77,15 @@ class Track:
         early, late = np.median(self.way_s[:third]), np.median(self.way_s[-third:])
         return float(late - early) * (len(self.way_s) - 1) / max(len(self.way_s) - third, 1)
 
+    @property
+    def unsteadiness(self) -> float:
+        """How badly a constant acceleration fits where it was, beside two places where it stood, with one jump from
+        one to the other (metres by metres): near 0 for what drives, above 1 for what sways here and then there."""
+        t, s = np.array(self.times) - self.times[0], np.array(self.way_s)
+        smooth = float(np.abs(s - np.polyval(np.polyfit(t, s, 2), t)).sum())
+        jumping = min(_scatter(s[:k]) + _scatter(s[k:]) for k in range(1, len(s)))
+        return smooth / max(jumping, 1e-9)
+
     def where(self, time: float) -> float:
         """Arc length at ``time``, m, by the median of the sightings nearest to it."""
         t, s = np.array(self.times), np.array(self.way_s)
@@ -114,6 +123,10 @@ class Track:
         v = slope(np.array(self.times[recent]), np.array(self.way_s[recent]))
         doubt = error * (1 + dt / (self.times[-1] - self.times[recent][0])) + 0.5 * CHANGING * dt**2
         return bool(abs(s - self.way_s[-1] - v * dt) <= doubt)
+
+
+def _scatter(s: Array) -> float:
+    return float(np.abs(s - np.median(s)).sum())
 
 
 def slope(t: Array, s: Array) -> float:
