@@ -26,7 +26,13 @@ if TYPE_CHECKING:
 
 
 def measure_live(
-    clip: Clip, out: Path, configuration: SpeedConfiguration, unit: SpeedUnit, learning: float | None, quiet: bool
+    clip: Clip,
+    out: Path,
+    configuration: SpeedConfiguration,
+    unit: SpeedUnit,
+    learning: float | None,
+    quiet: bool,
+    detector: Path | None = None,
 ) -> int:
     """Measure every vehicle that passes, until the sources end or Ctrl-C; a line and a row for each."""
     import cv2
@@ -35,14 +41,21 @@ def measure_live(
     from paceline.live_views import LiveViews
     from paceline.reports.live import LiveResults
     from paceline.speed.measurement import versions
+    from paceline.vehicles.detector import Detector
     from paceline.vehicles.live import LEARNING, survey
 
     if clip.vehicles:
         raise UnusableInput(f"{clip.path}: vehicles: --live finds them itself; expected none")
+    at_once = detector is not None and bool(clip.paths)
+    if at_once and learning is not None:
+        raise UnusableInput("--learn: nothing is learned with --detector along given paths; leave it out")
     cv2.setNumThreads(1)  # the cards are small: a second thread costs more than it does, and is wanted for measuring
+    detect = None if detector is None else Detector(detector)
     views = LiveViews(clip)
-    learning = LEARNING if learning is None else learning
+    learning = 0.0 if at_once else LEARNING if learning is None else learning
     settings = {**configuration.model_dump(), "learn": learning}
+    if detect is not None:
+        settings["detector"] = detect.name
     results = LiveResults(out, {"clip": str(clip.path), "configuration": settings, "versions": versions()}, unit)
     looking = _Looking(clip.rig, learning)
 
@@ -67,11 +80,12 @@ def measure_live(
         results.begin()
         say(f"{paths} {'path' if paths == 1 else 'paths'}; measuring until Ctrl-C")
 
-    say(f"learning the empty road for {learning:g} s")
+    if not at_once:
+        say(f"learning the empty road for {learning:g} s")
     with results:
         with ended_by_interrupt(views.stop):
             try:
-                survey(clip, views, configuration, told, learning, ready, looked)
+                survey(clip, views, configuration, told, learning, ready, looked, detect)
             except BrokenExecutor as error:
                 killed = "the process that measures was killed; is there memory enough?"
                 raise UnusableInput(f"{clip.path}: {killed}") from error

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -71,6 +72,10 @@ def speed(
     learn: Annotated[
         float | None, typer.Option(help="Seconds in which --live learns what the empty road looks like.")
     ] = None,
+    detector: Annotated[
+        Path | None,
+        typer.Option(metavar="MODEL.onnx", help="A detector of your own, in whose boxes vehicles are looked for."),
+    ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
 ) -> int:
     """Measure the speed of every vehicle in a stereo clip: those that it outlines, or else those found in it."""
@@ -90,9 +95,11 @@ def speed(
 
         if method is not Method.paceline or device is not Device.cpu:
             raise UnusableInput("--live: measures by Paceline's own method on the CPU; leave --method and --device out")
-        return measure_live(document, out, configuration, unit, learn, quiet)
+        return measure_live(document, out, configuration, unit, learn, quiet, detector)
     if learn is not None:
         raise UnusableInput("--learn: goes with --live only")
+    if detector is not None and document.vehicles:
+        raise UnusableInput(f"{document.path}: vehicles: --detector is to find them; expected none")
     with OutputFolder(out) as folder:  # before the work, so that an unwritable folder is told at once
         recording, shown = open_recording(document), sys.stderr.isatty() and not quiet
 
@@ -111,11 +118,15 @@ def speed(
         if document.vehicles:
             result = measured(document)
         else:
+            from paceline.vehicles.detector import Detector
             from paceline.vehicles.measuring import find_vehicles, measure_found
 
+            detect = None if detector is None else Detector(detector)
             with progress_bar("looking", shown) as advance:
-                search = find_vehicles(document, recording, advance)
+                search = find_vehicles(document, recording, advance, detect)
             result = measure_found(search, recording, configuration, measured)
+            if detect is not None:
+                result = replace(result, configuration={**result.configuration, "detector": detect.name})
         result = write_files(result, recording, folder, unit)
     if not quiet:
         _print_result(result, unit)

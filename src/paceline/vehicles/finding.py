@@ -12,7 +12,7 @@ from paceline.cameras import StereoRig
 from paceline.documents import VehicleDocument
 from paceline.recordings import StereoFrame
 from paceline.vehicles.plane import Aligned, Face, face_of
-from paceline.vehicles.scene import EmptyScene
+from paceline.vehicles.scene import Scene
 from paceline.vehicles.sightings import Lookout, Sighting
 from paceline.vehicles.tracks import Linker, Track, slope
 from paceline.vehicles.ways import Way
@@ -67,7 +67,7 @@ class Finder:
     Memory does not grow with the recording.
     """
 
-    def __init__(self, ways: list[Way], scene: EmptyScene) -> None:
+    def __init__(self, ways: list[Way], scene: Scene) -> None:
         self._lookout, self._linker, self._scene = Lookout(ways), Linker(), scene
         self._register = Register()
 
@@ -93,7 +93,8 @@ class Finder:
         longer than a frame lasts, and a program that has to keep up leaves it to another process."""
         if frame.duplicate:
             return []
-        sightings = self._lookout.see(frame, self._scene.images)
+        before = self._scene.before(frame, self.rows)
+        sightings = self._lookout.see(frame, before.images, before.noise)
         self._scene.follow(frame, self.rows)
         return [track for track in self._linker.link(frame.time, sightings) if is_vehicle(track)]
 

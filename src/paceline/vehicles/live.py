@@ -1,8 +1,8 @@
 """Vehicle after vehicle, measured while the cameras record.
 
-First the empty scene is learned; from then on every pair of frames is looked through for vehicles. Each vehicle that
-has gone is outlined, and measured on the frames of the last seconds, in a process of its own so that the looking goes
-on.
+First the empty scene is learned, unless a detector proposes the vehicles along given paths; from then on every pair of
+frames is looked through for vehicles. Each vehicle that has gone is outlined, and measured on the frames of the last
+seconds, in a process of its own so that the looking goes on.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from paceline.speed.results import Measurement
 from paceline.vehicles import cards
 from paceline.vehicles.finding import Finder, Found, Register, as_seen, found_on
 from paceline.vehicles.measuring import with_lanes_found
-from paceline.vehicles.scene import EmptyScene
+from paceline.vehicles.scene import Detect, DetectedScene, EmptyScene, Scene
 from paceline.vehicles.tracks import Track
 from paceline.vehicles.ways import ways_of
 
@@ -91,13 +91,15 @@ def survey(
     learning: float = LEARNING,
     ready: Callable[[int], None] = lambda paths: None,
     looked: Looked = lambda pair, tracks: None,
+    detect: Detect | None = None,
 ) -> None:
     """Measure every vehicle that passes, until the sources end or are stopped.
 
     ``told`` is called once for each vehicle that has gone, in the order in which they were found, with its measurement,
     or None and why it has none; ``ready`` with the number of paths once the scene is learned; ``looked`` with every
-    pair of frames that has been looked through, and what moves in it. Raises UnusableInput where no empty road is seen
-    in the first ``learning`` seconds, or where there are neither paths nor lanes.
+    pair of frames that has been looked through, and what moves in it. With ``detect`` there are vehicles only in its
+    boxes, and nothing is learned where the clip has paths. Raises UnusableInput where no empty road is seen in the
+    first ``learning`` seconds, or where there are neither paths nor lanes.
     """
     cards.warm_up()
     pairs = iter(views)
@@ -107,16 +109,21 @@ def survey(
             looked(pair, [])
             yield pair
 
-    background = _learned(clip, first(), learning)
-    if reason := no_background(background):
-        raise UnusableInput(f"{clip.path}: {reason}")
-    if not clip.paths:
-        try:
-            clip = with_lanes_found(clip, background)
-        except NoRoad as error:
-            raise UnusableInput(f"{clip.path}: paths: there are none, and no lane was found: {error}") from None
+    scene: Scene | None = None if detect is None else DetectedScene(detect)
+    if scene is None or not clip.paths:
+        background = _learned(clip, first(), learning)
+        if reason := no_background(background):
+            raise UnusableInput(f"{clip.path}: {reason}")
+        if not clip.paths:
+            try:
+                clip = with_lanes_found(clip, background)
+            except NoRoad as error:
+                raise UnusableInput(f"{clip.path}: paths: there are none, and no lane was found: {error}") from None
+        scene = scene or EmptyScene(background.images)
+    else:
+        _begun(clip, pairs)
     ready(len(clip.paths))
-    finder = Finder(ways_of(clip), EmptyScene(background.images))
+    finder = Finder(ways_of(clip), scene)
     recent: deque[RawPair] = deque(maxlen=REMEMBERED)
 
     def remembered() -> Iterator[RawPair]:
@@ -126,7 +133,8 @@ def survey(
 
     with another_process() as measuring:
         desk = _Desk(clip, configuration, measuring, told, finder.rows)
-        for frame in in_ideal_pixels(remembered(), clip, finder.rows):
+        rows = finder.rows if detect is None else EVERY  # a detector knows whole vehicles
+        for frame in in_ideal_pixels(remembered(), clip, rows):
             for track in finder.gone(frame):
                 desk.take(track, recent)
             desk.tell()
@@ -157,6 +165,14 @@ def _end_with_parent() -> None:
         os._exit(1)
 
     Thread(target=wait, daemon=True).start()
+
+
+def _begun(clip: Clip, pairs: Iterator[RawPair]) -> None:
+    """Judge the first of the ``pairs``."""
+    frame = next(in_ideal_pixels(pairs, clip), None)
+    if frame is None:
+        raise UnusableInput(f"{clip.path}: left and right: ended before they showed anything")
+    refuse_one_view(clip, frame)
 
 
 def _learned(clip: Clip, pairs: Iterator[RawPair], learning: float) -> Background:

@@ -17,7 +17,7 @@ from paceline.speed.devices import DeviceName
 from paceline.speed.measurement import measure, refuse_one_view, versions
 from paceline.speed.results import ClipResult
 from paceline.vehicles.finding import Finder, Found
-from paceline.vehicles.scene import EmptyScene
+from paceline.vehicles.scene import Detect, DetectedScene, EmptyScene, Scene
 from paceline.vehicles.ways import ways_of
 
 Progress = Callable[[int, int | None], None]
@@ -48,14 +48,15 @@ def measure_clip(
     configuration: SpeedConfiguration | None = None,
     progress: Progress | None = None,
     device: DeviceName = "cpu",
+    detect: Detect | None = None,
 ) -> ClipResult:
     """Measure every vehicle of ``clip``, a clip.yaml or what `load_clip` made of it; where it outlines none, the
-    vehicles in it are found first. Raises UnusableInput."""
+    vehicles in it are found first, with ``detect`` only in its boxes. Raises UnusableInput."""
     loaded = clip if isinstance(clip, Clip) else load_clip(Path(clip))
     recording, configuration = open_recording(loaded), configuration or SpeedConfiguration()
     if loaded.vehicles:
         return measure(loaded, recording, configuration, progress, device)
-    search = find_vehicles(loaded, recording, progress)
+    search = find_vehicles(loaded, recording, progress, detect)
     return measure_found(
         search, recording, configuration, lambda found: measure(found, recording, configuration, progress, device)
     )
@@ -76,23 +77,29 @@ def measure_found(
     return replace(result, notices=[*result.notices, *search.notices])
 
 
-def find_vehicles(clip: Clip, recording: StereoRecording, progress: Progress | None = None) -> Search:
+def find_vehicles(
+    clip: Clip, recording: StereoRecording, progress: Progress | None = None, detect: Detect | None = None
+) -> Search:
     """The vehicles that drive along the paths of ``clip``, or along the lanes found in it where it has no paths, called
     v0, v1, … in the order in which they appear.
 
-    It goes through the recording twice: some frames of it for the empty scene, then all of them. Raises UnusableInput
-    for a recording that cannot be used, and a path that its drawing does not determine.
+    It goes through the recording twice: some frames of it for the empty scene, then all of them. With ``detect`` there
+    are vehicles only in its boxes, and the empty scene is left out where the clip has paths. Raises UnusableInput for a
+    recording that cannot be used, and a path that its drawing does not determine.
     """
     refuse_one_view(clip, next(recording.frames()))
-    background = empty_scene(recording, progress)
-    if reason := no_background(background):
-        return Search(clip, [], reason)
-    if not clip.paths:
-        try:
-            clip = with_lanes_found(clip, background)
-        except NoRoad as error:
-            return Search(clip, [], f"there are no paths, and no lane was found: {error}")
-    finder, found = Finder(ways_of(clip), EmptyScene(background.images)), []
+    scene: Scene | None = None if detect is None else DetectedScene(detect)
+    if scene is None or not clip.paths:
+        background = empty_scene(recording, progress)
+        if reason := no_background(background):
+            return Search(clip, [], reason)
+        if not clip.paths:
+            try:
+                clip = with_lanes_found(clip, background)
+            except NoRoad as error:
+                return Search(clip, [], f"there are no paths, and no lane was found: {error}")
+        scene = scene or EmptyScene(background.images)
+    finder, found = Finder(ways_of(clip), scene), []
     for count, frame in enumerate(recording.frames(), start=1):
         found += finder.see(frame)
         if progress:

@@ -1,6 +1,11 @@
-"""The empty scene as it changes with the light and with what comes to stand in it."""
+"""What both views would show without vehicles: the empty scene, as it changes with the light and with what comes to
+stand in it, or else all that a detector takes for no vehicle."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numba import njit
@@ -8,10 +13,32 @@ from numpy.typing import NDArray
 
 from paceline.cameras import EVERY
 from paceline.recordings import StereoFrame
+from paceline.vehicles.sightings import noise_of
 
 Image = NDArray[np.float32]
+Detect = Callable[[Image], NDArray[np.float64]]  # a picture (H, W): left, top, right, bottom (N, 4), px
 
 DRIFT = 2.0  # grey levels per second by which a scene follows what is seen
+WIDER = 0.05  # of a box's size, on either side: detectors clip bumpers
+
+
+@dataclass(frozen=True, eq=False)
+class Before:
+    """Both views (H, W) with what there was before any vehicle; the ``noise`` of the left view, grey levels, where its
+    difference from it does not tell it."""
+
+    images: tuple[Image, Image]
+    noise: float | None = None
+
+
+class Scene(Protocol):
+    """What is there without vehicles."""
+
+    def before(self, frame: StereoFrame, rows: slice = EVERY) -> Before:
+        """What ``frame`` would show, of which only the ``rows`` are looked at."""
+
+    def follow(self, frame: StereoFrame, rows: slice = EVERY) -> None:
+        """Take note of what ``frame`` shows."""
 
 
 class EmptyScene:
@@ -25,6 +52,10 @@ class EmptyScene:
         self.images = (images[0].copy(), images[1].copy())
         self._time: float | None = None
 
+    def before(self, frame: StereoFrame, rows: slice = EVERY) -> Before:
+        """The same for every frame."""
+        return Before(self.images)
+
     def follow(self, frame: StereoFrame, rows: slice = EVERY) -> None:
         """Draw the scene, or only its ``rows``, towards what ``frame`` shows."""
         if self._time is not None:
@@ -32,6 +63,38 @@ class EmptyScene:
             for image, now in zip(self.images, (frame.left, frame.right), strict=True):
                 draw(image[rows], now[rows], step)
         self._time = frame.time
+
+
+class DetectedScene:
+    """Both views as they are where ``detect`` finds no vehicle; in its boxes nothing is as it was before."""
+
+    def __init__(self, detect: Detect) -> None:
+        self._detect = detect
+        self._last: Image | None = None
+
+    def before(self, frame: StereoFrame, rows: slice = EVERY) -> Before:
+        """With the noise by which ``frame`` differs from the last one; none for the first frame."""
+        images = (_outside(frame.left, self._detect(frame.left)), _outside(frame.right, self._detect(frame.right)))
+        if self._last is None:
+            return Before(images)
+        return Before(images, noise_of(frame.left[rows], self._last[rows]) / float(np.sqrt(2.0)))
+
+    def follow(self, frame: StereoFrame, rows: slice = EVERY) -> None:
+        """Remember ``frame`` to tell the noise of the next one."""
+        self._last = frame.left
+
+
+def _outside(view: Image, boxes: NDArray[np.float64]) -> Image:
+    """A ``view`` (H, W), but its negative about their mean in the ``boxes`` (N, 4), with which nothing agrees."""
+    before, size = view.copy(), np.array(view.shape[::-1])
+    for box in boxes:
+        more = WIDER * (box[2:] - box[:2])
+        left, top = np.floor(np.clip(box[:2] - more, 0, size)).astype(int)
+        right, bottom = np.ceil(np.clip(box[2:] + more, 0, size)).astype(int)
+        part = np.s_[top:bottom, left:right]
+        if view[part].size:
+            before[part] = 2 * view[part].mean() - view[part]
+    return before
 
 
 @njit(cache=True, nogil=True)

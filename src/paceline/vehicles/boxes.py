@@ -1,0 +1,139 @@
+"""What detectors put out, read as boxes around vehicles: the layouts that are common, told apart by their shapes.
+
+Boxes that overlap are not thinned out: a place lies in a box or it does not.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Outputs = list[NDArray[np.generic]]
+
+LEAST_SCORE = 0.25  # that most detectors are used with; what is boxed wrongly has yet to stand upright and to drive
+STRIDES = 8, 16, 32  # px of the cells that raw outputs have rows for
+VEHICLES = {
+    "ambulance", "bus", "car", "coach", "lorry", "minibus", "motor", "motorbike", "motorcycle", "pickup", "rickshaw",
+    "scooter", "suv", "taxi", "tractor", "trailer", "tricycle", "truck", "van", "vehicle",
+}  # fmt: skip
+COCO = {80: (2, 3, 5, 7), 91: (3, 4, 6, 8)}  # car, motorcycle, bus and truck where there are so many classes
+EXPECTED = (
+    "expected one output (1, N, 6), (1, 4 + classes, N) or (1, N, 5 + classes), "
+    "or three: boxes (N, 4), labels (N) and scores (N)"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """Boxes (N, 4): left, top, right and bottom, px of the input, with their ``scores`` and ``classes`` (N,)."""
+
+    boxes: Array
+    scores: Array
+    classes: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """How to ``read`` the outputs of a detector whose input has ``white`` for white, and how many ``classes`` it tells
+    apart, if its outputs say so."""
+
+    read: Callable[[Outputs], Candidates]
+    white: float = 1.0
+    classes: int | None = None
+
+
+def layout_of(outputs: Outputs, size: tuple[int, int]) -> Layout | None:
+    """The layout of what a detector put out for a plain picture of ``size`` (width, height); None if it is none that
+    is known."""
+    if len(outputs) == 3 and (order := _apart(outputs)):
+        return Layout(lambda found: _of_lists(*(found[k] for k in order)))
+    tables = [k for k, output in enumerate(outputs) if output.ndim == 3 and len(output) == 1]
+    if len(tables) != 1:
+        return None
+    at = tables[0]
+    _, rows, columns = outputs[at].shape
+    cells = sum((size[0] // stride) * (size[1] // stride) for stride in STRIDES)
+    if columns == 6 and rows < cells:
+        return Layout(lambda found: _of_rows(_table(found, at)))
+    if 5 <= rows < columns:
+        return Layout(lambda found: _of_scores(_table(found, at).T), classes=rows - 4)
+    if not 6 <= columns < rows:
+        return None
+    if rows == cells and _table(outputs, at)[:, 2:4].min() < 0:  # logarithms: places and sizes by cell, as YOLOX has it
+        grid = _grid(size)
+        return Layout(lambda found: _of_objects(_in_pixels(_table(found, at), grid)), 255.0, columns - 5)
+    return Layout(lambda found: _of_objects(_table(found, at)), classes=columns - 5)
+
+
+def vehicle_classes(names: dict[int, str] | None, count: int | None) -> Array | None:
+    """Which of ``count`` classes are vehicles', by their ``names`` where they have some; None: all of them."""
+    if names is not None:
+        return np.array([k for k, name in names.items() if _is_vehicle(name)], float)
+    return np.array(COCO[count], float) if count in COCO else None
+
+
+def chosen(candidates: Candidates, classes: Array | None) -> Array:
+    """The boxes (N, 4) that score enough, of these ``classes``."""
+    kept = (candidates.scores >= LEAST_SCORE) & np.isfinite(candidates.boxes).all(1)
+    if classes is not None:
+        kept &= np.isin(candidates.classes, classes)
+    return candidates.boxes[kept]
+
+
+def _is_vehicle(name: str) -> bool:
+    """Whether the last word of a class's name is a vehicle's: of a police car, but not of a car wheel."""
+    words = re.findall(r"[a-z]+", name.lower())
+    return bool(words) and any(words[-1].removesuffix(plural) in VEHICLES for plural in ("", "s", "es"))
+
+
+def _apart(outputs: Outputs) -> tuple[int, int, int] | None:
+    """Which of three outputs are the boxes (N, 4), the labels (N) and the scores (N)."""
+    whole = [np.issubdtype(output.dtype, np.integer) for output in outputs]
+    boxes = [k for k, output in enumerate(outputs) if output.ndim == 2 and output.shape[1] == 4]
+    labels = [k for k, output in enumerate(outputs) if output.ndim == 1 and whole[k]]
+    scores = [k for k, output in enumerate(outputs) if output.ndim == 1 and not whole[k]]
+    return (boxes[0], labels[0], scores[0]) if len(boxes) == len(labels) == len(scores) == 1 else None
+
+
+def _table(outputs: Outputs, at: int) -> Array:
+    return np.asarray(outputs[at][0], float)
+
+
+def _of_lists(boxes: NDArray[np.generic], labels: NDArray[np.generic], scores: NDArray[np.generic]) -> Candidates:
+    return Candidates(np.asarray(boxes, float), np.asarray(scores, float), np.asarray(labels, float))
+
+
+def _of_rows(rows: Array) -> Candidates:
+    """Of rows of left, top, right, bottom, score and class."""
+    return Candidates(rows[:, :4], rows[:, 4], rows[:, 5])
+
+
+def _of_scores(rows: Array) -> Candidates:
+    """Of rows of a centre, width and height, and a score for each class."""
+    centre, half = rows[:, :2], rows[:, 2:4] / 2
+    boxes = np.concatenate([centre - half, centre + half], axis=1)
+    return Candidates(boxes, rows[:, 4:].max(1), rows[:, 4:].argmax(1).astype(float))
+
+
+def _of_objects(rows: Array) -> Candidates:
+    """As `_of_scores`, of rows in which before these stands how surely there is anything."""
+    return _of_scores(np.concatenate([rows[:, :4], rows[:, 4:5] * rows[:, 5:]], axis=1))
+
+
+def _grid(size: tuple[int, int]) -> Array:
+    """Column, row and stride (N, 3) of the cells in a picture, those of the smallest stride first."""
+    cells = []
+    for stride in STRIDES:
+        y, x = np.mgrid[: size[1] // stride, : size[0] // stride]
+        cells.append(np.stack([x.ravel(), y.ravel(), np.full(x.size, stride)], axis=1))
+    return np.concatenate(cells).astype(float)
+
+
+def _in_pixels(rows: Array, grid: Array) -> Array:
+    stride = grid[:, 2:]
+    return np.concatenate([(rows[:, :2] + grid[:, :2]) * stride, np.exp(rows[:, 2:4]) * stride, rows[:, 4:]], axis=1)
