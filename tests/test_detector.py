@@ -23,9 +23,11 @@ from paceline.documents import load_clip
 from paceline.errors import UnusableInput
 from paceline.recordings import StereoFrame, open_recording
 from paceline.simulation.planar import RenderedClip, render, write
+from paceline.vehicles.boxes import MOST
 from paceline.vehicles.detector import Detector
 from paceline.vehicles.measuring import find_vehicles
 from paceline.vehicles.scene import WIDER, DetectedScene
+from paceline.vehicles.sightings import Lookout, Sighting
 
 Image = NDArray[np.float32]
 
@@ -147,10 +149,38 @@ def by_cell(file: Path, **more: Any) -> Path:
     return bright(file, {"output": table}, {"output": (0, 40 * 20 + 20 + 2, 4)}, **more)
 
 
+def decoded(file: Path, **more: Any) -> Path:
+    """As `by_cell`, but with places and sizes in pixels."""
+    table = np.ones((1, CELLS, 7), np.float32)
+    table[0, :, 4:] = 0.0
+    table[0, 8] = [*centred(BOX), 0.0, 0.1 / 255, 1.0 / 255]
+    return bright(file, {"output": table}, {"output": (0, 8, 4)}, **more)
+
+
+def something(file: Path, **more: Any) -> Path:
+    """As `decoded`, of a network that sees something everywhere, and white as 1."""
+    table = np.ones((1, CELLS, 7), np.float32)
+    table[0, :, 5:] = 0.0
+    table[0, 8, :4] = centred(BOX)
+    return bright(file, {"output": table}, {"output": (0, 8, 6)}, **more)
+
+
+def shares(file: Path, **more: Any) -> Path:
+    """As `rows`, but shares of the input's size; and what is no box."""
+    table = np.zeros((1, 7, 6), np.float32)
+    table[0, 0] = [*BOX / np.tile(SIZE, 2), 0.0, 1]
+    for k, box in enumerate(
+        [[0.2, 0.2, 0.2, 0.4], [0.4, 0.2, 0.2, 0.4], [np.nan, 0, 1, 1], [0, 0, np.inf, 1]], start=1
+    ):
+        table[0, k] = [*box, 0.9, 1]
+    table[0, 5] = [0, 0, 1, 1, np.nan, 1]
+    return bright(file, {"output0": table}, {"output0": (0, 0, 4)}, **{"names": CAR, **more})
+
+
 Network = Callable[..., Path]
 
 
-@pytest.mark.parametrize("network", [rows, classes, objects, one_class, lists, by_cell])
+@pytest.mark.parametrize("network", [rows, classes, objects, one_class, lists, by_cell, decoded, something, shares])
 @pytest.mark.parametrize("kind", [TensorProto.FLOAT, TensorProto.FLOAT16])
 def test_boxes_are_read_from_every_layout(tmp_path: Path, network: Network, kind: int) -> None:
     """Each finds its box where the picture, of other proportions than its input, has at least a quarter of white."""
@@ -171,6 +201,15 @@ def test_an_input_of_any_size_is_as_large_as_usual(tmp_path: Path) -> None:
 def test_without_names_every_class_counts_where_none_is_known(tmp_path: Path) -> None:
     detect = Detector(rows(tmp_path / "model.onnx", names=None))
     assert len(detect(np.full((480, 640), 200, np.float32))) == 2  # the wheel, too
+
+
+def test_of_countless_boxes_those_count_that_score_best(tmp_path: Path) -> None:
+    table = np.zeros((1, 5, 20_000), np.float32)
+    table[0, :4] = np.tile(centred(BOX), (20_000, 1)).T
+    table[0, 4] = np.linspace(0.3, 0.9, 20_000)
+    table[0, :2, -1] += 8.0  # the best one lies elsewhere
+    boxes = Detector(bright(tmp_path / "model.onnx", {"output0": table}, {}))(np.zeros((480, 960), np.float32))
+    np.testing.assert_allclose(boxes, [SHOWN + 24.0] + [SHOWN] * (MOST - 1), rtol=1e-5)
 
 
 def contrast(file: Path, gain: float, side: int = 320, box: float = 24.0) -> Path:
@@ -222,6 +261,28 @@ def with_inputs(file: Path, **inputs: tuple[int, list[int | str]]) -> Path:
     return saved(file, nodes, {"rows0": table}, {"rows": (TensorProto.FLOAT, [1, 5, 6])}, inputs)
 
 
+def named(file: Path, text: str) -> Path:
+    """A detector with a ``text`` for its names."""
+    model = onnx.load(rows(file, names=None))
+    helper.set_model_props(model, {"names": text})
+    onnx.save(model, file)
+    return file
+
+
+def parted(file: Path) -> Path:
+    """A detector whose numbers lay in another file."""
+    model = onnx.load(rows(file))
+    onnx.save(model, file, save_as_external_data=True, location="numbers.bin", size_threshold=0)
+    file.with_name("numbers.bin").unlink()
+    return file
+
+
+def cut(file: Path) -> Path:
+    whole = rows(file).read_bytes()
+    file.write_bytes(whole[: len(whole) // 2])
+    return file
+
+
 PICTURE: tuple[int, list[int | str]] = (TensorProto.FLOAT, [1, 3, 160, 320])
 UNUSABLE: dict[str, tuple[Network, list[str]]] = {
     "missing": (lambda file: file, ["no such file", "ONNX"]),
@@ -229,12 +290,32 @@ UNUSABLE: dict[str, tuple[Network, list[str]]] = {
     "outputs": (unlike, ["heat (1, 20, 40, 2)", "expected one output (1, N, 6)", "boxes (N, 4)"]),
     "two inputs": (
         lambda file: with_inputs(file, images=PICTURE, sizes=(TensorProto.INT64, [1, 2])),
-        ["images (1, 3, 160, 320), sizes (1, 2)", "expected one picture", "(1, 3, height, width)"],
+        ["images (1, 3, 160, 320) float, sizes (1, 2) int64", "expected one picture", "(1, 3, height, width)"],
     ),
     "flat input": (lambda file: with_inputs(file, images=(1, [1, 1000])), ["images (1, 1000)", "expected one picture"]),
     "no input": (with_inputs, ["inputs none", "expected one picture"]),
-    "bytes": (lambda file: with_inputs(file, images=(TensorProto.UINT8, PICTURE[1])), ["images", "floating-point"]),
+    "bytes": (
+        lambda file: with_inputs(file, images=(TensorProto.UINT8, PICTURE[1])),
+        ["images (1, 3, 160, 320) uint8", "floating-point"],
+    ),
     "more classes": (lambda file: classes(file, names=["car"]), ["names 1 classes", "outputs have 3"]),
+    "four pictures": (
+        lambda file: with_inputs(file, images=(1, [4, 3, 160, 320])),
+        ["(4, 3, 160, 320)", "one picture"],
+    ),
+    "colours last": (
+        lambda file: with_inputs(file, images=(1, [1, "height", "width", 3])),
+        ["(1, height, width, 3)", "(1, 3, height, width)"],
+    ),
+    "endless": (lambda file: with_inputs(file, images=(1, [1, 3, 10**6, 10**6])), ["(1, 3, 1000000", "one picture"]),
+    "folder": (lambda file: file.mkdir() or file, ["is no file", "ONNX"]),
+    "empty": (lambda file: file.write_bytes(b"") or file, ["cannot be read", "ONNX"]),
+    "cut": (cut, ["cannot be read", "ONNX"]),
+    "parted": (parted, ["cannot be read", "numbers.bin"]),
+    "text": (lambda file: named(file, "person, car"), ["names: person, car: expected such as {0: 'person', 1: 'car'}"]),
+    "nest": (lambda file: named(file, "-" * 100_000), ["names: ---", "expected such as"]),
+    "infinite": (lambda file: named(file, "{1e999: 'car'}"), ["names: {1e999", "expected such as"]),
+    "long": (lambda file: named(file, repr(["cat\x1b" * 9999])), ["names: catcat", "…; expected some vehicles"]),
     "no vehicle": (lambda file: rows(file, names=["cat", "dog"]), ["names: cat, dog", "expected some vehicles"]),
 }
 
@@ -245,6 +326,30 @@ def test_what_is_no_detector_is_told_in_one_line(tmp_path: Path, network: Networ
     done = paceline("speed", clip_file(tmp_path / "clip"), "-o", tmp_path / "out", "--detector", file)
     assert_one_line_error(done, "model.onnx", *words)
     assert not (tmp_path / "out").exists()
+
+
+def test_lists_that_come_apart_are_told(tmp_path: Path) -> None:
+    """Of a bright picture this one puts out fewer scores than boxes."""
+    tables = {"boxes": np.tile(BOX, (9, 1)).astype(np.float32), "labels": np.ones(9, int)}
+    nodes = [helper.make_node("Identity", [f"{name}0"], [name]) for name in tables]
+    nodes += [
+        helper.make_node("ReduceMean", ["picture"], ["mean"], keepdims=0),
+        helper.make_node("Less", ["mean", "half"], ["dark"]),
+        helper.make_node("Where", ["dark", "all", "few"], ["count"]),
+        helper.make_node("Slice", ["scores0", "none", "count"], ["scores"]),
+    ]
+    counts = {"none": np.array([0]), "few": np.array([4]), "all": np.array([9])}
+    constants = {f"{name}0": table for name, table in tables.items()}
+    constants |= {"scores0": np.ones(9, np.float32), "half": np.float32(0.6), **counts}
+    outputs: dict[str, tuple[int, list[int | str]]] = {
+        "boxes": (TensorProto.FLOAT, [9, 4]),
+        "labels": (TensorProto.INT64, [9]),
+        "scores": (TensorProto.FLOAT, ["N"]),
+    }
+    detect = Detector(saved(tmp_path / "model.onnx", nodes, constants, outputs, {"picture": PICTURE}))
+    assert len(detect(np.zeros((480, 960), np.float32))) == 9
+    with pytest.raises(UnusableInput, match=r"model\.onnx: outputs .*scores \(4\).*unlike those for a plain picture"):
+        detect(np.full((480, 960), 255, np.float32))
 
 
 def test_without_onnx_runtime_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -286,6 +391,7 @@ def test_the_noise_is_that_between_two_frames() -> None:
         for k in range(2)
     ]
     seen = DetectedScene(lambda picture: np.zeros((0, 4)))
+    assert "in none of 0 pictures" in seen.nothing
     assert seen.before(frames[0]).noise is None
     seen.follow(frames[0])
     assert seen.before(frames[1]).noise == pytest.approx(2.5, rel=0.05)
@@ -327,14 +433,46 @@ def test_a_vehicle_in_boxes_is_found_and_measured(tmp_path: Path) -> None:
     (vehicle,) = summary["vehicles"]
     assert vehicle["verdict"] == "measured" and vehicle["speed_lo_mps"] < 16.0 < vehicle["speed_hi_mps"]
     assert summary["configuration"]["detector"].startswith("model.onnx (SHA-256 ")
+    assert summary["versions"]["onnxruntime"]
 
 
 def test_where_nothing_is_boxed_nothing_is_measured(tmp_path: Path) -> None:
     file, model, out = clip_file(tmp_path / "clip"), contrast(tmp_path / "model.onnx", 1e-3), tmp_path / "out"
     done = paceline("speed", file, "-o", out, "--detector", model)
     assert done.returncode == 1, done.stderr
-    assert "no vehicle was found" in done.stdout and "drives along the paths" in done.stderr
-    assert summary_of(out)["vehicles"] == [] and (out / "report.html").exists()
+    why = f"no vehicle was found: the detector saw a vehicle in none of {2 * len(two().left)} pictures"
+    assert "no vehicle was found" in done.stdout and why in done.stderr
+    assert summary_of(out)["vehicles"] == [] and why in summary_of(out)["notices"] and (out / "report.html").exists()
+
+
+def test_boxes_in_which_nothing_drives_are_told_from_none(tmp_path: Path) -> None:
+    clip = load_clip(clip_file(tmp_path / "clip"))
+    views = iter([np.array([[0.0, 0.0, 9.0, 9.0]]), np.zeros((0, 4))] * len(two().left))
+    reason = find_vehicles(clip, open_recording(clip), detect=lambda picture: next(views)).reason
+    count = len(two().left)
+    assert reason.startswith(f"the detector saw a vehicle in {count} of {2 * count} pictures, but nothing that")
+
+
+def test_the_second_frame_tells_the_noise_of_the_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    clip, told = load_clip(clip_file(tmp_path / "clip")), []
+
+    def see(lookout: Lookout, frame: StereoFrame, empty: object, noise: float | None) -> list[Sighting]:
+        told.append(noise)
+        return []
+
+    monkeypatch.setattr(Lookout, "see", see)
+    find_vehicles(clip, open_recording(clip), detect=lambda picture: np.zeros((0, 4)))
+    assert len(told) == len(two().left) and told[0] == told[1] and None not in told
+
+
+def test_what_is_found_in_boxes_is_outlined_in_the_clip(tmp_path: Path) -> None:
+    file, model = clip_file(tmp_path / "clip", one()), contrast(tmp_path / "model.onnx", 300.0)
+    done = paceline("vehicles", file, "--write", "--detector", model)
+    assert done.returncode == 0, done.stderr
+    assert [vehicle.id for vehicle in load_clip(file).vehicles] == ["v0"]
+    nothing = contrast(tmp_path / "nothing.onnx", 1e-3)
+    done = paceline("vehicles", clip_file(tmp_path / "again", one()), "--detector", nothing)
+    assert done.returncode == 1 and "the detector saw a vehicle in none of" in done.stdout
 
 
 def test_a_vehicle_without_a_box_in_one_view_is_not_found(tmp_path: Path) -> None:
@@ -359,5 +497,9 @@ def test_live_nothing_has_to_be_learned(tmp_path: Path) -> None:
     speeds = sorted(v["speed_mps"] for v in summary["vehicles"])
     assert speeds == pytest.approx([13.0 * 2 / 5, 16.0 * 2 / 5], abs=0.1)  # m/s, at two frames a second instead of five
     assert summary["configuration"]["detector"].startswith("model.onnx (SHA-256 ")
+    assert summary["versions"]["onnxruntime"] and summary["notices"] == []
+    nothing = contrast(tmp_path / "nothing.onnx", 1e-3)
+    done = paceline("speed", file, "-o", tmp_path / "nothing", "--live", "--detector", nothing)
+    assert done.returncode == 1 and "no vehicle was found: the detector saw a vehicle in none of" in done.stderr
     done = paceline("speed", file, "-o", tmp_path / "again", "--live", "--detector", model, "--learn", "5")
     assert_one_line_error(done, "--learn", "--detector")

@@ -110,6 +110,20 @@ def test_a_pause_loses_nothing() -> None:
     assert indices == [*range(40)] and left.dropped == 0
 
 
+def test_once_stopped_nothing_that_waits_is_handed_out() -> None:
+    times = [0.01 * k for k in range(40)]
+    left, right = view(Source(times)), view(Source(times))
+    begun(left, right)
+    indices = []
+    for pair in _paired(left, right, 0.0):
+        indices.append(pair.index)
+        if pair.index == 1:
+            time.sleep(0.2)  # many are waiting
+            left.stop()
+            right.stop()
+    assert indices == [0, 1]
+
+
 def test_what_is_not_used_in_time_is_dropped_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(live_views, "HELD", held := 3)
     times = [0.01 * k for k in range(40)]

@@ -139,13 +139,14 @@ class _View:
         self.recording.stop()
 
     def head(self) -> CameraFrame | None:
-        """The oldest frame not yet taken, when there is one and an interval is known; None at the end."""
+        """The oldest frame not yet taken, when there is one and an interval is known; None at the end, and as soon as
+        the views are stopped."""
         with self._changed:
-            while not (self._waiting and np.isfinite(self.interval)):
-                if self._ended or self._stopped:
+            while not (self._stopped or (self._waiting and np.isfinite(self.interval))):
+                if self._ended:
                     return None
                 self._changed.wait(PATIENCE)
-            return self._waiting[0][0]
+            return None if self._stopped else self._waiting[0][0]
 
     def take(self, frame: CameraFrame) -> None:
         """Take ``frame``, unless it has been dropped meanwhile."""

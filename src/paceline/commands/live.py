@@ -53,10 +53,10 @@ def measure_live(
     detect = None if detector is None else Detector(detector)
     views = LiveViews(clip)
     learning = 0.0 if at_once else LEARNING if learning is None else learning
-    settings = {**configuration.model_dump(), "learn": learning}
+    settings, used = {**configuration.model_dump(), "learn": learning}, versions()
     if detect is not None:
-        settings["detector"] = detect.name
-    results = LiveResults(out, {"clip": str(clip.path), "configuration": settings, "versions": versions()}, unit)
+        settings["detector"], used["onnxruntime"] = detect.name, detect.runtime
+    results = LiveResults(out, {"clip": str(clip.path), "configuration": settings, "versions": used}, unit)
     looking = _Looking(clip.rig, learning)
 
     def say(text: str) -> None:
@@ -85,11 +85,13 @@ def measure_live(
     with results:
         with ended_by_interrupt(views.stop):
             try:
-                survey(clip, views, configuration, told, learning, ready, looked, detect)
+                nothing = survey(clip, views, configuration, told, learning, ready, looked, detect)
             except BrokenExecutor as error:
                 killed = "the process that measures was killed; is there memory enough?"
                 raise UnusableInput(f"{clip.path}: {killed}") from error
         results.notices += views.notices
+        if detect is not None and not (results.vehicles or results.unmeasured):
+            results.notices.append(f"no vehicle was found: {nothing}")
         if views.dropped:
             notice = f"{views.dropped} frames were dropped: they came faster than this computer looks through them"
             results.notices.append(notice)

@@ -126,7 +126,11 @@ def speed(
                 search = find_vehicles(document, recording, advance, detect)
             result = measure_found(search, recording, configuration, measured)
             if detect is not None:
-                result = replace(result, configuration={**result.configuration, "detector": detect.name})
+                result = replace(
+                    result,
+                    configuration={**result.configuration, "detector": detect.name},
+                    versions={**result.versions, "onnxruntime": detect.runtime},
+                )
         result = write_files(result, recording, folder, unit)
     if not quiet:
         _print_result(result, unit)

@@ -21,6 +21,10 @@ def vehicles(
     write: Annotated[
         bool, typer.Option("--write", help="Add the vehicles to the clip.yaml, with a picture of each beside it.")
     ] = False,
+    detector: Annotated[
+        Path | None,
+        typer.Option(metavar="MODEL.onnx", help="A detector of your own, in whose boxes vehicles are looked for."),
+    ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
 ) -> int:
     """Find the vehicles that drive along the paths of a stereo clip and propose their outlines.
@@ -30,6 +34,7 @@ def vehicles(
     from paceline.documents import load_clip
     from paceline.recordings import open_recording
     from paceline.vehicles.clip_file import with_vehicles
+    from paceline.vehicles.detector import Detector
     from paceline.vehicles.measuring import find_vehicles
 
     file = file_named(clip, "clip.yaml")
@@ -40,8 +45,9 @@ def vehicles(
             raise UnusableInput(f"{file}: paths: none; expected some, such as paceline lanes --write adds")
         # refuses now what it would refuse at the end
         with_vehicles(file.read_text(encoding="utf-8"), str(file), document.rig, [])
+    detect = None if detector is None else Detector(detector)
     with progress_bar("looking", sys.stderr.isatty() and not quiet) as advance:
-        search = find_vehicles(document, open_recording(document), advance)
+        search = find_vehicles(document, open_recording(document), advance, detect)
     if not quiet:
         _print(search)
     if search.reason:

@@ -16,6 +16,8 @@ Array = NDArray[np.float64]
 Outputs = list[NDArray[np.generic]]
 
 LEAST_SCORE = 0.25  # that most detectors are used with; what is boxed wrongly has yet to stand upright and to drive
+MOST = 1000  # boxes of a picture, those that score best
+SHARE = 1.5  # px, within which no box of a vehicle lies: such boxes are shares of the input's size
 STRIDES = 8, 16, 32  # px of the cells that raw outputs have rows for
 VEHICLES = {
     "ambulance", "bus", "car", "coach", "lorry", "minibus", "motor", "motorbike", "motorcycle", "pickup", "rickshaw",
@@ -50,6 +52,8 @@ class Layout:
 def layout_of(outputs: Outputs, size: tuple[int, int]) -> Layout | None:
     """The layout of what a detector put out for a plain picture of ``size`` (width, height); None if it is none that
     is known."""
+    if not all(np.issubdtype(output.dtype, np.number) for output in outputs):
+        return None
     if len(outputs) == 3 and (order := _apart(outputs)):
         return Layout(lambda found: _of_lists(*(found[k] for k in order)))
     tables = [k for k, output in enumerate(outputs) if output.ndim == 3 and len(output) == 1]
@@ -64,10 +68,13 @@ def layout_of(outputs: Outputs, size: tuple[int, int]) -> Layout | None:
         return Layout(lambda found: _of_scores(_table(found, at).T), classes=rows - 4)
     if not 6 <= columns < rows:
         return None
-    if rows == cells and _table(outputs, at)[:, 2:4].min() < 0:  # logarithms: places and sizes by cell, as YOLOX has it
-        grid = _grid(size)
+    if rows != cells:
+        return Layout(lambda found: _of_objects(_table(found, at)), classes=columns - 5)
+    plain, grid = _table(outputs, at), _grid(size)  # a row for each cell, as YOLOX and YOLOv6 have it
+    if plain[:, 2:4].min() < 0:  # logarithms of sizes, and places in the cell: as YOLOX leaves them
         return Layout(lambda found: _of_objects(_in_pixels(_table(found, at), grid)), 255.0, columns - 5)
-    return Layout(lambda found: _of_objects(_table(found, at)), classes=columns - 5)
+    white = 1.0 if plain[:, 4].min() > LEAST_SCORE else 255.0  # that there is something everywhere says only YOLOv6
+    return Layout(lambda found: _of_objects(_table(found, at)), white, columns - 5)
 
 
 def vehicle_classes(names: dict[int, str] | None, count: int | None) -> Array | None:
@@ -77,12 +84,16 @@ def vehicle_classes(names: dict[int, str] | None, count: int | None) -> Array | 
     return np.array(COCO[count], float) if count in COCO else None
 
 
-def chosen(candidates: Candidates, classes: Array | None) -> Array:
-    """The boxes (N, 4) that score enough, of these ``classes``."""
-    kept = (candidates.scores >= LEAST_SCORE) & np.isfinite(candidates.boxes).all(1)
+def chosen(candidates: Candidates, classes: Array | None, size: tuple[int, int]) -> Array:
+    """The boxes (N, 4) that score enough, of these ``classes``, in px of an input of ``size`` (width, height)."""
+    boxes, scores = candidates.boxes, candidates.scores
+    scoring = (scores >= LEAST_SCORE) & np.isfinite(boxes).all(1) & (boxes[:, 2:] > boxes[:, :2]).all(1)
+    if scoring.any() and np.abs(boxes[scoring]).max() <= SHARE:
+        boxes = boxes * np.tile(size, 2)
     if classes is not None:
-        kept &= np.isin(candidates.classes, classes)
-    return candidates.boxes[kept]
+        scoring &= np.isin(candidates.classes, classes)
+    kept = np.flatnonzero(scoring)
+    return boxes[kept[np.argsort(-scores[kept], kind="stable")[:MOST]]]
 
 
 def _is_vehicle(name: str) -> bool:
@@ -97,7 +108,8 @@ def _apart(outputs: Outputs) -> tuple[int, int, int] | None:
     boxes = [k for k, output in enumerate(outputs) if output.ndim == 2 and output.shape[1] == 4]
     labels = [k for k, output in enumerate(outputs) if output.ndim == 1 and whole[k]]
     scores = [k for k, output in enumerate(outputs) if output.ndim == 1 and not whole[k]]
-    return (boxes[0], labels[0], scores[0]) if len(boxes) == len(labels) == len(scores) == 1 else None
+    apart = len(boxes) == len(labels) == len(scores) == 1 and len({len(output) for output in outputs}) == 1
+    return (boxes[0], labels[0], scores[0]) if apart else None
 
 
 def _table(outputs: Outputs, at: int) -> Array:

@@ -92,8 +92,9 @@ def survey(
     ready: Callable[[int], None] = lambda paths: None,
     looked: Looked = lambda pair, tracks: None,
     detect: Detect | None = None,
-) -> None:
-    """Measure every vehicle that passes, until the sources end or are stopped.
+) -> str:
+    """Measure every vehicle that passes, until the sources end or are stopped; returns why there was none, where that
+    is so.
 
     ``told`` is called once for each vehicle that has gone, in the order in which they were found, with its measurement,
     or None and why it has none; ``ready`` with the number of paths once the scene is learned; ``looked`` with every
@@ -121,7 +122,7 @@ def survey(
                 raise UnusableInput(f"{clip.path}: paths: there are none, and no lane was found: {error}") from None
         scene = scene or EmptyScene(background.images)
     else:
-        _begun(clip, pairs)
+        scene.follow(_begun(clip, pairs))
     ready(len(clip.paths))
     finder = Finder(ways_of(clip), scene)
     recent: deque[RawPair] = deque(maxlen=REMEMBERED)
@@ -142,6 +143,7 @@ def survey(
         for track in finder.rest():
             desk.take(track, recent)
         desk.close()
+    return scene.nothing
 
 
 def another_process() -> ProcessPoolExecutor:
@@ -167,12 +169,13 @@ def _end_with_parent() -> None:
     Thread(target=wait, daemon=True).start()
 
 
-def _begun(clip: Clip, pairs: Iterator[RawPair]) -> None:
-    """Judge the first of the ``pairs``."""
+def _begun(clip: Clip, pairs: Iterator[RawPair]) -> StereoFrame:
+    """The first of the ``pairs``, judged."""
     frame = next(in_ideal_pixels(pairs, clip), None)
     if frame is None:
         raise UnusableInput(f"{clip.path}: left and right: ended before they showed anything")
     refuse_one_view(clip, frame)
+    return frame
 
 
 def _learned(clip: Clip, pairs: Iterator[RawPair], learning: float) -> Background:

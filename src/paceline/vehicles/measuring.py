@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 
 from paceline.documents import Clip, PathDocument, load_clip
@@ -88,7 +89,11 @@ def find_vehicles(
     recording that cannot be used, and a path that its drawing does not determine.
     """
     refuse_one_view(clip, next(recording.frames()))
-    scene: Scene | None = None if detect is None else DetectedScene(detect)
+    scene: Scene | None = None
+    if detect is not None:
+        scene = DetectedScene(detect)
+        for second in islice(recording.frames(), 1, 2):
+            scene.follow(second)  # tells the noise of the first
     if scene is None or not clip.paths:
         background = empty_scene(recording, progress)
         if reason := no_background(background):
@@ -106,8 +111,7 @@ def find_vehicles(
             progress(count, len(recording))
     found = in_order(found + finder.finish())
     vehicles = [f.vehicle for f in found if f.vehicle is not None]
-    reason = "" if vehicles else "nothing that could be measured drives along the paths"
-    return Search(replace(clip, vehicles=vehicles), found, reason)
+    return Search(replace(clip, vehicles=vehicles), found, "" if vehicles else scene.nothing)
 
 
 def in_order(found: list[Found]) -> list[Found]:

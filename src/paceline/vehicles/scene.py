@@ -18,6 +18,7 @@ from paceline.vehicles.sightings import noise_of
 Image = NDArray[np.float32]
 Detect = Callable[[Image], NDArray[np.float64]]  # a picture (H, W): left, top, right, bottom (N, 4), px
 
+NOTHING = "nothing that could be measured drives along the paths"
 DRIFT = 2.0  # grey levels per second by which a scene follows what is seen
 WIDER = 0.05  # of a box's size, on either side: detectors clip bumpers
 
@@ -39,6 +40,10 @@ class Scene(Protocol):
 
     def follow(self, frame: StereoFrame, rows: slice = EVERY) -> None:
         """Take note of what ``frame`` shows."""
+
+    @property
+    def nothing(self) -> str:
+        """Why no vehicle was found, where that is so."""
 
 
 class EmptyScene:
@@ -64,6 +69,11 @@ class EmptyScene:
                 draw(image[rows], now[rows], step)
         self._time = frame.time
 
+    @property
+    def nothing(self) -> str:
+        """Why no vehicle was found, where that is so."""
+        return NOTHING
+
 
 class DetectedScene:
     """Both views as they are where ``detect`` finds no vehicle; in its boxes nothing is as it was before."""
@@ -71,10 +81,14 @@ class DetectedScene:
     def __init__(self, detect: Detect) -> None:
         self._detect = detect
         self._last: Image | None = None
+        self._pictures = self._boxed = 0
 
     def before(self, frame: StereoFrame, rows: slice = EVERY) -> Before:
         """With the noise by which ``frame`` differs from the last one; none for the first frame."""
-        images = (_outside(frame.left, self._detect(frame.left)), _outside(frame.right, self._detect(frame.right)))
+        boxes = self._detect(frame.left), self._detect(frame.right)
+        self._pictures += 2
+        self._boxed += sum(len(of) > 0 for of in boxes)
+        images = _outside(frame.left, boxes[0]), _outside(frame.right, boxes[1])
         if self._last is None:
             return Before(images)
         return Before(images, noise_of(frame.left[rows], self._last[rows]) / float(np.sqrt(2.0)))
@@ -82,6 +96,12 @@ class DetectedScene:
     def follow(self, frame: StereoFrame, rows: slice = EVERY) -> None:
         """Remember ``frame`` to tell the noise of the next one."""
         self._last = frame.left
+
+    @property
+    def nothing(self) -> str:
+        """Why no vehicle was found, where that is so."""
+        seen = f"the detector saw a vehicle in {self._boxed or 'none'} of {self._pictures} pictures"
+        return f"{seen}, but {NOTHING}" if self._boxed else seen
 
 
 def _outside(view: Image, boxes: NDArray[np.float64]) -> Image:
