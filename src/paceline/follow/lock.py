@@ -25,8 +25,7 @@ class Lock:
     """Follows the target from ``location`` (3,), ideal pixels and scale, which is known as well as a hand sets it.
 
     ``expected`` (3,) is where it is predicted in the image looked at last, to within ``doubt`` (3,), ``tau`` cycles
-    after it was seen; ``credit`` is what its evidence adds up to where it has rivals, ``by_hand`` whether it began
-    where the operator put it.
+    after it was seen.
     """
 
     def __init__(self, location: Array, recogniser: Recogniser, configuration: FollowConfiguration) -> None:
@@ -35,8 +34,6 @@ class Lock:
         self.seen_at: float | None = None
         self.motion = MotionModels(location, HAND * np.array([size, size, location[2]]), configuration)
         self.recogniser = recogniser
-        self.credit = 0.0
-        self.by_hand = False
         self.expected, self.doubt = self.motion.predict(0.0)
         self.tau = 0.0
         self.continuity = Continuity(recogniser.projection, location)

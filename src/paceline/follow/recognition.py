@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from paceline.follow import fitting
 from paceline.follow.appearance import PICTURE_RATE, Appearance
+from paceline.follow.carrying import Carried
 from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.edges import Window
 from paceline.follow.features import Projection, Shown
@@ -108,6 +109,10 @@ class Recogniser:
         other._proven = other._held_for = 0
         other.appearance, other.gauge = Appearance(self.projection.target), Gauge()
         return other
+
+    def carry(self, image: Bytes, location: Array) -> Carried:
+        """What carries ``location`` (3,) on from ``image`` by what it looks like there."""
+        return Carried(image, self.projection, location, self._search.usual)
 
     def survey(self, image: Bytes, location: Array, reach: float, count: int) -> list[Array]:
         """Up to ``count`` places (3,) about ``location`` (3,) where the model may lie, the best match first; whatever

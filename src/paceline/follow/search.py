@@ -65,7 +65,8 @@ class Search:
         self._lengths = target.spans[:, 1] - target.spans[:, 0]
         self._extents = target.size * magnification  # (2,) px at scale 1
         self._extent = float(self._extents.max())
-        self._usual = np.array([LATERAL, VERTICAL]) * magnification * target.nominal_range
+        #: (2,) px by which a bump moves the target from one image to the next
+        self.usual = np.array([LATERAL, VERTICAL]) * magnification * target.nominal_range
         self._scratch = np.zeros((2, 3, width), np.float32)
         self._pooled = np.zeros(width * height, np.uint8)
         self._vertical = np.zeros((height + 1) * width, np.float32)
@@ -94,7 +95,7 @@ class Search:
         size = self._extents * expected[2]
         reach = 3.0 * doubt[:2]
         if width > 0:
-            reach = np.maximum(width * self._usual, np.minimum(reach, ROUGH * self._usual))
+            reach = np.maximum(width * self.usual, np.minimum(reach, ROUGH * self.usual))
         modesty = MODESTY if width > 0 else HAND
         side = max(1, int(min(size) / (DETAIL if width <= 2.0 else DETAIL / 2)))
         step = 2.0

@@ -1,0 +1,68 @@
+"""A place of the target carried from image to image by what it looked like in the first one, whatever its edges say."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from paceline.follow.features import Projection
+
+Array = NDArray[np.float64]
+Bytes = NDArray[np.uint8]
+
+DETAIL = 32  # px: the smaller side of the target in the image that is searched
+GROWN = 1.1  # times the target's size that the picture shows
+BLUR = 0.8  # px, of noise
+STEP = 0.025  # relative change of scale that is tried
+
+
+class Carried:
+    """A ``place`` (3,), ideal pixels and scale, first that in the ``image`` (H, W) given, then by `step` that in each
+    next one, up to ``reach`` (2,) px from the one before: where the picture of the first correlates best."""
+
+    def __init__(self, image: Bytes, projection: Projection, place: Array, reach: Array) -> None:
+        self._projection, self.place = projection, place
+        self._size = projection.target.size * projection.magnification  # px at scale 1
+        self._side = max(1, int(min(self._size) * place[2] / DETAIL))
+        self._reach = np.ceil(reach / self._side).astype(int)
+        self._first = float(place[2])
+        shown = projection.shown(place).location
+        self._picture = _cut(
+            self._made_ready(image), shown[:2] / self._side, GROWN * self._size * place[2] / self._side
+        )
+
+    def step(self, image: Bytes) -> Array:
+        """The place (3,) in the next ``image`` (H, W); its scale to a fraction of `STEP`."""
+        seen, shown = self._made_ready(image), self._projection.shown(self.place).location
+        scales = shown[2] * np.exp(STEP * np.array([-1.0, 0.0, 1.0]))
+        found = [self._best(seen, self._smaller(shown), scale) for scale in scales]
+        scores = np.array([score for score, _ in found])
+        best = int(scores.argmax())
+        bend = min(scores[0] - 2 * scores[1] + scores[2], -1e-9)  # the top of a parabola tells the scale
+        scale = shown[2] * np.exp(STEP * np.clip(0.5 * (scores[0] - scores[2]) / bend, -1.0, 1.0))
+        center = (found[best][1] + 0.5) * self._side - 0.5
+        self.place = self._projection.ideal(np.array([*center, scale]))
+        return self.place
+
+    def _best(self, seen: Bytes, center: Array, scale: float) -> tuple[float, Array]:
+        """How well the picture at a ``scale`` correlates where it does so best, and the centre (2,) there."""
+        picture = cv2.resize(self._picture, None, fx=scale / self._first, fy=scale / self._first)
+        part = _cut(seen, center, np.array(picture.shape[::-1]) + 2 * self._reach)
+        _, score, _, at = cv2.minMaxLoc(cv2.matchTemplate(part, picture, cv2.TM_CCOEFF_NORMED))
+        return float(score), center + np.array(at) - self._reach
+
+    def _smaller(self, shown: Array) -> Array:
+        """The centre (2,) of a place in the smaller image that is searched."""
+        return (shown[:2] + 0.5) / self._side - 0.5
+
+    def _made_ready(self, image: Bytes) -> Bytes:
+        smaller = (image.shape[1] // self._side, image.shape[0] // self._side)
+        small = image if self._side == 1 else cv2.resize(image, smaller, interpolation=cv2.INTER_AREA)
+        return np.asarray(cv2.GaussianBlur(small, (0, 0), BLUR), np.uint8)
+
+
+def _cut(image: Bytes, center: Array, size: Array) -> Bytes:
+    """The part of ``image`` of ``size`` (width, height) about ``center`` (2,), px; its border goes on."""
+    width, height = np.maximum(np.rint(size), 4).astype(int).tolist()
+    return np.asarray(cv2.getRectSubPix(image, (width, height), (float(center[0]), float(center[1]))), np.uint8)

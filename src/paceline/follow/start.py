@@ -1,0 +1,148 @@
+"""Whether the operator's start is right. Hands err by a few hundredths of the target's size; edges, where the target is
+as dark as the road, by all of it. So another place has to fit far better, in image after image.
+
+The places are compared by their *match*, see :mod:`paceline.follow.measuring`, and carried on by their pictures: what
+was chosen in the first image as the best of many is measured in the next ones where it went, not searched again.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from paceline.follow.configuration import FollowConfiguration
+from paceline.follow.lock import Lock
+from paceline.follow.recognition import Look, Recogniser
+
+Array = NDArray[np.float64]
+Bytes = NDArray[np.uint8]
+
+REACH = 0.55  # sizes of the target by which a start may be off
+PLACES, FOLLOWED = 48, 5  # that are measured in the first image, and the best of them that are followed
+BESIDE = 0.08  # of the size, in place and scale, within which two places are one
+PLACED = 0.04  # the same of a place and of what is measured there
+CLEAR = 0.1  # match by which another place must exceed the operator's to put it in doubt
+LEAST = 0.35  # match at which a start is believed at once,
+FAINT, MOST = 0.2, 0.7  # and one in dim light: so many lines agree, and nothing else matches as well
+FLOOR = 0.16  # mean match with which it is believed at all
+CONVINCING = 0.35  # mean match of another place that is believed instead,
+MUCH, FARTHER = 0.05, 1.0  # by how much it is more, and more by its distance, as hands hardly err that far;
+STRIKING = 0.6  # but where it is as much as hardly ever by chance, by CLEAR;
+ALIKE = 0.04  # by so little more than a third one's it is not
+EARLY, SEVERAL = 3, 7  # images after the first that tell where there is no doubt, and where there was
+DOUBTED = 2.0  # s for which a start may be in doubt: then the target is elsewhere, and what is there may be another
+OFF = 0.06  # sizes from the start, or relative scale, at which the operator is told
+
+DOUBT = "the start is in doubt: the model fits in more than one place"
+NOWHERE = "the start is in doubt: the model fits nowhere near it"
+UNTOLD = "the start was in doubt for too long: place the model again"
+CORRECTED = "the start was off: the model fits better here"
+
+
+class Start:
+    """A start at ``location`` (3,), ideal pixels and scale, on trial. It is ``pending`` until it has proved right or
+    was corrected; ``lock`` is at the place to go by."""
+
+    def __init__(self, lock: Lock, configuration: FollowConfiguration) -> None:
+        self._c, self._recogniser, self._hand = configuration, lock.recogniser, lock.expected
+        self._began: float | None = None  # s, when it was looked at first
+        self.lock, self.pending = lock, True
+
+    def judge(self, image: Bytes, time: float, own: Look) -> tuple[Look, str]:
+        """The look to go by at ``image``, which carries a complaint while the start is pending, and a note where it was
+        corrected. ``own`` is what the lock sees in the first image."""
+        if self._began is None:
+            self._began = time
+            return self._first(image, own)
+        if time - self._began > DOUBTED:
+            return Look(UNTOLD, own.window), ""
+        locks = [self._lock_at(carried.step(image)) for carried in self._places]
+        looks = [lock.look_here(image) for lock in locks]
+        self._matches.append([match_of(look) for look in looks])
+        k = told(np.array(self._matches), self._away)
+        if k is not None and self._is_there(locks[k], looks[k]):
+            return self._settle(locks[k], looks[k], k > 0)
+        self.lock = locks[0]
+        return Look(DOUBT if len(locks) > 1 else NOWHERE, own.window), ""
+
+    def _first(self, image: Bytes, own: Look) -> tuple[Look, str]:
+        others = self._elsewhere(image)
+        if self._is_good(own, [look for _, look in others]):
+            assert own.fit is not None, "it fits"
+            return self._settle(self.lock, own, self._off(own.fit.location) > OFF)
+        places = [self._hand]
+        for lock, _ in others:
+            if all(self._distance(lock.expected, place) > BESIDE for place in places):
+                places.append(lock.expected)
+        self._places = [self._recogniser.carry(image, place) for place in places[: 1 + FOLLOWED]]
+        self._away = np.array([self._off(carried.place) for carried in self._places])
+        self._matches: list[list[float]] = []
+        return Look(DOUBT if len(places) > 1 else NOWHERE, own.window), ""
+
+    def _elsewhere(self, image: Bytes) -> list[tuple[Lock, Look]]:
+        """Locks on the best places about the start, and what they see, the best first."""
+        places = self._recogniser.survey(image, self._hand, REACH, PLACES)
+        locks = [self._lock_at(place) for place in places]
+        return [(lock, look) for lock in locks if match_of(look := lock.look_here(image)) > 0]
+
+    def _is_good(self, own: Look, others: list[Look]) -> bool:
+        """Whether there is no doubt: the model fits where the operator put it, and nowhere clearly better. It may fit
+        faintly."""
+        if own.complaint or own.fit is None or self._off(own.fit.location) > BESIDE:
+            return False
+        elsewhere = [match_of(look) for look in others if self._apart(own, look) > BESIDE]
+        faint = (
+            own.measurement is not None
+            and own.measurement.agreeing.mean() >= MOST
+            and self._off(own.fit.location) < PLACED
+            and match_of(own) >= max(elsewhere, default=0.0)
+        )
+        return match_of(own) >= max([FAINT if faint else LEAST, *(match - CLEAR for match in elsewhere)])
+
+    def _is_there(self, lock: Lock, look: Look) -> bool:
+        """Whether a ``look`` is to be believed, and of the place at which it was."""
+        return look.fit is not None and not look.complaint and self._distance(look.fit.location, lock.expected) < PLACED
+
+    def _settle(self, lock: Lock, look: Look, corrected: bool) -> tuple[Look, str]:
+        self.lock, self.pending = lock, False
+        return look, CORRECTED if corrected else ""
+
+    def _lock_at(self, place: Array) -> Lock:
+        return Lock(place, self._recogniser.afresh(), self._c)
+
+    def _apart(self, look: Look, other: Look) -> float:
+        if look.fit is None or other.fit is None:
+            return np.inf
+        return self._distance(look.fit.location, other.fit.location)
+
+    def _off(self, place: Array) -> float:
+        return self._distance(place, self._hand)
+
+    def _distance(self, a: Array, b: Array) -> float:
+        return distance(a, b, self._recogniser)
+
+
+def told(matches: Array, away: Array) -> int | None:
+    """Which of several places is the target's, the operator's being the first, by their ``matches`` (images, places) in
+    the images after the first, and how far ``away`` (places,) from the operator's they are; None while that cannot be
+    told."""
+    images, means = len(matches), matches.mean(0)
+    cost = np.where(means >= STRIKING, CLEAR, MUCH + FARTHER * np.maximum(away - BESIDE, 0.0))
+    cost[0] = 0.0
+    worth = np.where((means >= CONVINCING) | (cost == 0.0), means - cost, 0.0)
+    best = int(worth.argmax())
+    ahead = worth[best] - np.delete(worth, best).max(initial=0.0)
+    if images < (EARLY if ahead > CLEAR else SEVERAL) or means[best] < FLOOR:
+        return None
+    return best if best == 0 or ahead > ALIKE else None
+
+
+def match_of(look: Look) -> float:
+    """How much of the model matches in a look; 0 where nothing was measured."""
+    return 0.0 if look.measurement is None else look.measurement.match
+
+
+def distance(a: Array, b: Array, recogniser: Recogniser) -> float:
+    """By how many sizes of the target, or which relative difference in scale, ``a`` and ``b`` (3,) are apart."""
+    size = recogniser.projection.size(b[2])
+    return float(max(np.abs(a[:2] - b[:2]).max() / size, abs(np.log(a[2] / b[2]))))
