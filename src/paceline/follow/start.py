@@ -40,8 +40,8 @@ CORRECTED = "the start was off: the model fits better here"
 
 
 class Start:
-    """A start at ``location`` (3,), ideal pixels and scale, on trial. It is ``pending`` until it has proved right or
-    was corrected; ``lock`` is at the place to go by."""
+    """The operator's start, where a ``lock`` begins, on trial. It is ``pending`` until it has proved right or was
+    corrected; ``lock`` is then at the place to go by."""
 
     def __init__(self, lock: Lock, configuration: FollowConfiguration) -> None:
         self._c, self._recogniser, self._hand = configuration, lock.recogniser, lock.expected
