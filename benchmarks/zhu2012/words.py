@@ -109,8 +109,8 @@ Red is the published method, green all remedies, in the last frame before the pu
 frames later. The middle part of the table adds one remedy at a time to the published method, the last part takes one
 away. Alone the wide search, adaptive decay and polarity help most; from the whole the wide search and the
 predicted gates are missed most. On these few clips the checks of appearance and polarity and the steady scale cost a
-few frames under strong shadows in place of saving any; what they are for is shown in [benchmarks](../benchmarks/README.md),
-`follow_ablation.py`.""",
+few frames under strong shadows in place of saving any; what they are for is shown in
+[benchmarks](../benchmarks/README.md), `follow_ablation.py`.""",
     "nist-decay": """\
 The published method with one decay for all three parameters, beside the present one. *Abrupt motion* is a lead
 that weaves by 2.5 m, *shadows* are dense and dark. The paper's trade-off shows: a long memory loses the weaving
