@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from paceline.follow.features import Projection
+from paceline.follow.search import DETAIL
 
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 
-DETAIL = 32  # px: the smaller side of the target in the image that is searched
 GROWN = 1.1  # times the target's size that the picture shows
 BLUR = 0.8  # px, of noise
 STEP = 0.025  # relative change of scale that is tried

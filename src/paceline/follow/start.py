@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from paceline.follow.carrying import Carried
 from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.lock import Lock
 from paceline.follow.recognition import Look, Recogniser
@@ -46,6 +47,9 @@ class Start:
     def __init__(self, lock: Lock, configuration: FollowConfiguration) -> None:
         self._c, self._recogniser, self._hand = configuration, lock.recogniser, lock.expected
         self._began: float | None = None  # s, when it was looked at first
+        self._places: list[Carried] = []  # the operator's first,
+        self._away = np.zeros(0)  # how far from that they are,
+        self._matches: list[list[float]] = []  # and what they have matched in the images after the first
         self.lock, self.pending = lock, True
 
     def judge(self, image: Bytes, time: float, own: Look) -> tuple[Look, str]:
@@ -76,7 +80,6 @@ class Start:
                 places.append(lock.expected)
         self._places = [self._recogniser.carry(image, place) for place in places[: 1 + FOLLOWED]]
         self._away = np.array([self._off(carried.place) for carried in self._places])
-        self._matches: list[list[float]] = []
         return Look(DOUBT if len(places) > 1 else NOWHERE, own.window), ""
 
     def _elsewhere(self, image: Bytes) -> list[tuple[Lock, Look]]:

@@ -88,12 +88,13 @@ def find_vehicles(
     are vehicles only in its boxes, and the empty scene is left out where the clip has paths. Raises UnusableInput for a
     recording that cannot be used, and a path that its drawing does not determine.
     """
-    refuse_one_view(clip, next(recording.frames()))
+    first, *second = islice(recording.frames(), 1 if detect is None else 2)
+    refuse_one_view(clip, first)
     scene: Scene | None = None
     if detect is not None:
         scene = DetectedScene(detect)
-        for second in islice(recording.frames(), 1, 2):
-            scene.follow(second)  # tells the noise of the first
+        for frame in second:
+            scene.follow(frame)  # tells the noise of the first
     if scene is None or not clip.paths:
         background = empty_scene(recording, progress)
         if reason := no_background(background):

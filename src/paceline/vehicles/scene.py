@@ -66,7 +66,7 @@ class EmptyScene:
         if self._time is not None:
             step = DRIFT * (frame.time - self._time)
             for image, now in zip(self.images, (frame.left, frame.right), strict=True):
-                draw(image[rows], now[rows], step)
+                _draw(image[rows], now[rows], step)
         self._time = frame.time
 
     @property
@@ -118,7 +118,7 @@ def _outside(view: Image, boxes: NDArray[np.float64]) -> Image:
 
 
 @njit(cache=True, nogil=True)
-def draw(image: Image, now: Image, step: float) -> None:
+def _draw(image: Image, now: Image, step: float) -> None:
     """Move every pixel of ``image`` (H, W), in place, towards ``now``, by ``step`` grey levels at most."""
     most = np.float32(step)
     for y in range(len(image)):
