@@ -138,9 +138,33 @@ def test_a_start_is_doubted_from_the_first_image_on_only_where_another_place_is_
 
 
 def test_a_place_hardly_beside_it_raises_no_doubt():
-    watch = Watch((0, 0, 1, 0.5), (0.05, 0, 1, 0.7))
+    watch = Watch((0, 0, 1, 0.5), (0.035, 0, 1, 0.7))
     assert watch.see(5) == [""] * 5
     np.testing.assert_allclose(watch.at, [0, 0, 1], atol=1e-6)
+
+
+def test_a_clearly_better_place_is_told_however_near():
+    watch = Watch((0, 0, 1, 0.5), (0.06, 0, 1, 0.7))
+    assert watch.see(6) == [DOUBT] * EARLY + [CORRECTED, "", ""]
+    np.testing.assert_allclose(watch.at, [0.06, 0, 1], atol=1e-6)
+
+
+def test_a_fit_that_goes_to_another_place_tells_nothing_of_its_own():
+    """What is found from the operator's place lies nearer to the other one: it does not hold the doubt up."""
+    watch = Watch((0.0, 0.0, 1, 0.3), (0.12, 0.0, 1, 0.6))
+    look_at = watch.places.look_at
+    watch.places.look_at = lambda image, location, doubt: look_at(
+        image, START + [12.0, 0.0, 0.0] if watch.places.image else location, doubt
+    )
+    assert CORRECTED in watch.see(EARLY + 1)
+    np.testing.assert_allclose(watch.at, [0.12, 0, 1], atol=1e-6)
+
+
+def test_places_that_a_hand_reaches_are_followed_before_better_ones_that_it_hardly_does():
+    far = [(0.3 * np.cos(a), 0.3 * np.sin(a), 1, 0.55) for a in np.arange(8) * np.pi / 4]
+    watch = Watch((0, 0, 1, 0.2), *far, (0.1, 0.1, 1, lambda image: 0.5 if image < 1 else 0.8))
+    assert CORRECTED in watch.see(EARLY + 1)
+    np.testing.assert_allclose(watch.at, [0.1, 0.1, 1], atol=1e-6)
 
 
 def test_a_much_better_place_is_doubted_first_and_soon_believed_with_a_note():
@@ -206,7 +230,7 @@ def test_the_place_told_is_the_one_that_is_worth_most(seed, images, count):
     means = [sum(column) / images for column in matches.T.tolist()]
     assert images >= EARLY and means[k] >= FLOOR
     farther = zip(means[1:], away[1:].tolist(), strict=True)
-    cost = [0.0] + [CLEAR if m >= STRIKING else MUCH + FARTHER * (d - BESIDE) for m, d in farther]
+    cost = [0.0] + [min(CLEAR if m >= STRIKING else 1.0, MUCH + FARTHER * (d - BESIDE)) for m, d in farther]
     if k > 0:
         assert all(means[k] - cost[k] > means[j] - cost[j] for j in range(count) if j != k and means[j] >= CONVINCING)
         assert means[k] - cost[k] > means[0]

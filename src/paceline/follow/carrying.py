@@ -29,7 +29,7 @@ class Carried:
         self._first = float(place[2])
         shown = projection.shown(place).location
         self._picture = _cut(
-            self._made_ready(image), shown[:2] / self._side, GROWN * self._size * place[2] / self._side
+            self._made_ready(image), self._smaller(shown), GROWN * self._size * place[2] / self._side
         )
 
     def step(self, image: Bytes) -> Array:
@@ -38,10 +38,8 @@ class Carried:
         scales = shown[2] * np.exp(STEP * np.array([-1.0, 0.0, 1.0]))
         found = [self._best(seen, self._smaller(shown), scale) for scale in scales]
         scores = np.array([score for score, _ in found])
-        best = int(scores.argmax())
-        bend = min(scores[0] - 2 * scores[1] + scores[2], -1e-9)  # the top of a parabola tells the scale
-        scale = shown[2] * np.exp(STEP * np.clip(0.5 * (scores[0] - scores[2]) / bend, -1.0, 1.0))
-        center = (found[best][1] + 0.5) * self._side - 0.5
+        scale = shown[2] * np.exp(STEP * _top(scores)[0])
+        center = (found[int(scores.argmax())][1] + 0.5) * self._side - 0.5
         self.place = self._projection.ideal(np.array([*center, scale]))
         return self.place
 
@@ -49,8 +47,11 @@ class Carried:
         """How well the picture at a ``scale`` correlates where it does so best, and the centre (2,) there."""
         picture = cv2.resize(self._picture, None, fx=scale / self._first, fy=scale / self._first)
         part = _cut(seen, center, np.array(picture.shape[::-1]) + 2 * self._reach)
-        _, score, _, at = cv2.minMaxLoc(cv2.matchTemplate(part, picture, cv2.TM_CCOEFF_NORMED))
-        return float(score), center + np.array(at) - self._reach
+        scores = cv2.matchTemplate(part, picture, cv2.TM_CCOEFF_NORMED)
+        _, score, _, (column, row) = cv2.minMaxLoc(scores)
+        about = np.pad(scores, 1, mode="edge").astype(float)[row : row + 3, column : column + 3]
+        (right, by_column), (down, by_row) = _top(about[1]), _top(about[:, 1])
+        return by_column + by_row - score, center + np.array([column + right, row + down]) - self._reach
 
     def _smaller(self, shown: Array) -> Array:
         """The centre (2,) of a place in the smaller image that is searched."""
@@ -66,3 +67,12 @@ def _cut(image: Bytes, center: Array, size: Array) -> Bytes:
     """The part of ``image`` of ``size`` (width, height) about ``center`` (2,), px; its border goes on."""
     width, height = np.maximum(np.rint(size), 4).astype(int).tolist()
     return np.asarray(cv2.getRectSubPix(image, (width, height), (float(center[0]), float(center[1]))), np.uint8)
+
+
+def _top(scores: Array) -> tuple[float, float]:
+    """Where the parabola through three ``scores``, one step apart, has its top, from the middle one and within a step;
+    and how high it is there."""
+    low, middle, high = scores.tolist()
+    bend = min(low - 2.0 * middle + high, -1e-9)
+    at = min(max(0.5 * (low - high) / bend, -1.0), 1.0)
+    return at, middle + 0.5 * at * (high - low) + 0.5 * at * at * bend

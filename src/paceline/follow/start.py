@@ -28,7 +28,7 @@ FAINT, MOST = 0.2, 0.7  # and one in dim light: so many lines agree, and nothing
 FLOOR = 0.16  # mean match with which it is believed at all
 CONVINCING = 0.35  # mean match of another place that is believed instead,
 MUCH, FARTHER = 0.05, 1.0  # by how much it is more, and more by its distance, as hands hardly err that far;
-STRIKING = 0.6  # but where it is as much as hardly ever by chance, by CLEAR;
+STRIKING = 0.6  # but where it is as much as hardly ever by chance, by CLEAR at most;
 ALIKE = 0.04  # by so little more than a third one's it is not
 EARLY, SEVERAL = 3, 7  # images after the first that tell where there is no doubt, and where there was
 DOUBTED = 2.0  # s for which a start may be in doubt: then the target is elsewhere, and what is there may be another
@@ -62,7 +62,7 @@ class Start:
             return Look(UNTOLD, own.window), ""
         locks = [self._lock_at(carried.step(image)) for carried in self._places]
         looks = [lock.look_here(image) for lock in locks]
-        self._matches.append([match_of(look) for look in looks])
+        self._matches.append(self._matches_of(looks))
         k = told(np.array(self._matches), self._away)
         if k is not None and self._is_there(locks[k], looks[k]):
             return self._settle(locks[k], looks[k], k > 0)
@@ -70,37 +70,48 @@ class Start:
         return Look(DOUBT if len(locks) > 1 else NOWHERE, own.window), ""
 
     def _first(self, image: Bytes, own: Look) -> tuple[Look, str]:
-        others = self._elsewhere(image)
-        if self._is_good(own, [look for _, look in others]):
+        fits, matches = self._elsewhere(image)
+        if self._is_good(own, fits, matches):
             assert own.fit is not None, "it fits"
             return self._settle(self.lock, own, self._off(own.fit.location) > OFF)
         places = [self._hand]
-        for lock, _ in others:
-            if all(self._distance(lock.expected, place) > BESIDE for place in places):
-                places.append(lock.expected)
+        for k in np.argsort([price(self._off(fit)) for fit in fits] - matches, kind="stable"):
+            away = [self._distance(fits[k], place) for place in places]
+            if away[0] > PLACED and min(away[1:], default=np.inf) > BESIDE:
+                places.append(fits[k])
         self._places = [self._recogniser.carry(image, place) for place in places[: 1 + FOLLOWED]]
         self._away = np.array([self._off(carried.place) for carried in self._places])
         return Look(DOUBT if len(places) > 1 else NOWHERE, own.window), ""
 
-    def _elsewhere(self, image: Bytes) -> list[tuple[Lock, Look]]:
-        """Locks on the best places about the start, and what they see, the best first."""
+    def _elsewhere(self, image: Bytes) -> tuple[list[Array], Array]:
+        """Where the model fits about the start, and how it matches there."""
         places = self._recogniser.survey(image, self._hand, REACH, PLACES)
-        locks = [self._lock_at(place) for place in places]
-        return [(lock, look) for lock in locks if match_of(look := lock.look_here(image)) > 0]
+        looks = [self._lock_at(place).look_here(image) for place in places]
+        found = [(look.fit.location, match_of(look)) for look in looks if look.fit is not None]
+        return [place for place, _ in found], np.array([match for _, match in found])
 
-    def _is_good(self, own: Look, others: list[Look]) -> bool:
+    def _is_good(self, own: Look, fits: list[Array], matches: Array) -> bool:
         """Whether there is no doubt: the model fits where the operator put it, and nowhere clearly better. It may fit
         faintly."""
         if own.complaint or own.fit is None or self._off(own.fit.location) > BESIDE:
             return False
-        elsewhere = [match_of(look) for look in others if self._apart(own, look) > BESIDE]
+        apart = np.array([self._distance(own.fit.location, fit) for fit in fits])
         faint = (
             own.measurement is not None
             and own.measurement.agreeing.mean() >= MOST
             and self._off(own.fit.location) < PLACED
-            and match_of(own) >= max(elsewhere, default=0.0)
+            and match_of(own) >= matches[apart > BESIDE].max(initial=0.0)
         )
-        return match_of(own) >= max([FAINT if faint else LEAST, *(match - CLEAR for match in elsewhere)])
+        return bool(match_of(own) >= max(FAINT if faint else LEAST, matches[apart > PLACED].max(initial=0.0) - CLEAR))
+
+    def _matches_of(self, looks: list[Look]) -> list[float]:
+        """What the places have matched in an image; nothing where the fit went from one to another."""
+        return [match_of(look) if self._nearest(look) == k else 0.0 for k, look in enumerate(looks)]
+
+    def _nearest(self, look: Look) -> int | None:
+        if look.fit is None:
+            return None
+        return int(np.argmin([self._distance(look.fit.location, carried.place) for carried in self._places]))
 
     def _is_there(self, lock: Lock, look: Look) -> bool:
         """Whether a ``look`` is to be believed, and of the place at which it was."""
@@ -112,11 +123,6 @@ class Start:
 
     def _lock_at(self, place: Array) -> Lock:
         return Lock(place, self._recogniser.afresh(), self._c)
-
-    def _apart(self, look: Look, other: Look) -> float:
-        if look.fit is None or other.fit is None:
-            return np.inf
-        return self._distance(look.fit.location, other.fit.location)
 
     def _off(self, place: Array) -> float:
         return self._distance(place, self._hand)
@@ -130,7 +136,8 @@ def told(matches: Array, away: Array) -> int | None:
     the images after the first, and how far ``away`` (places,) from the operator's they are; None while that cannot be
     told."""
     images, means = len(matches), matches.mean(0)
-    cost = np.where(means >= STRIKING, CLEAR, MUCH + FARTHER * np.maximum(away - BESIDE, 0.0))
+    cost = np.array([price(d) for d in away.tolist()])
+    cost = np.where(means >= STRIKING, np.minimum(cost, CLEAR), cost)
     cost[0] = 0.0
     worth = np.where((means >= CONVINCING) | (cost == 0.0), means - cost, 0.0)
     best = int(worth.argmax())
@@ -138,6 +145,11 @@ def told(matches: Array, away: Array) -> int | None:
     if images < (EARLY if ahead > CLEAR else SEVERAL) or means[best] < FLOOR:
         return None
     return best if best == 0 or ahead > ALIKE else None
+
+
+def price(away: float) -> float:
+    """By how much more a place must match that is so far ``away`` from the operator's."""
+    return MUCH + FARTHER * max(away - BESIDE, 0.0)
 
 
 def match_of(look: Look) -> float:
