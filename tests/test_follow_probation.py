@@ -17,6 +17,7 @@ from paceline.follow.measuring import Measurement
 from paceline.follow.probation import EVERY, SWITCHED, Probation
 from paceline.follow.recognition import Look
 from paceline.follow.start import (
+    AMISS,
     BESIDE,
     CLEAR,
     CONVINCING,
@@ -176,9 +177,14 @@ def test_a_much_better_place_is_doubted_first_and_soon_believed_with_a_note():
 def test_a_place_that_is_better_by_less_than_hands_err_is_not_believed():
     """The farther off it is the better it has to match."""
     for away, right in ((0.12, True), (0.3, False)):
-        watch = Watch((0, 0, 1, 0.3), (away, 0, 1, 0.5))
+        watch = Watch((0, 0, 1, 0.34), (away, 0, 1, 0.48))
         assert (CORRECTED in watch.see(SEVERAL + 1)) == right and not watch.probation.pending
         np.testing.assert_allclose(watch.at, [away if right else 0, 0, 1], atol=1e-6)
+
+
+def test_a_start_is_not_believed_either_where_something_far_off_matches_much_better():
+    watch = Watch((0, 0, 1, 0.2), (0.3, 0, 1, 0.5 - CLEAR))
+    assert watch.see(25) == [DOUBT] * 25
 
 
 def test_where_two_places_match_alike_the_doubt_lasts_until_one_of_them_fades():
@@ -235,6 +241,7 @@ def test_the_place_told_is_the_one_that_is_worth_most(seed, images, count):
         assert all(means[k] - cost[k] > means[j] - cost[j] for j in range(count) if j != k and means[j] >= CONVINCING)
         assert means[k] - cost[k] > means[0]
     else:
+        assert all(means[0] > m - AMISS for m in means if m >= CONVINCING)
         assert all(means[0] >= means[j] - cost[j] for j in range(1, count) if means[j] >= CONVINCING)
 
 

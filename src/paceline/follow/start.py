@@ -30,6 +30,7 @@ CONVINCING = 0.35  # mean match of another place that is believed instead,
 MUCH, FARTHER = 0.05, 1.0  # by how much it is more, and more by its distance, as hands hardly err that far;
 STRIKING = 0.6  # but where it is as much as hardly ever by chance, by CLEAR at most;
 ALIKE = 0.04  # by so little more than a third one's it is not
+AMISS = 0.15  # match by which the operator's is not believed either where another one is more
 EARLY, SEVERAL = 3, 7  # images after the first that tell where there is no doubt, and where there was
 DOUBTED = 2.0  # s for which a start may be in doubt: then the target is elsewhere, and what is there may be another
 OFF = 0.06  # sizes from the start, or relative scale, at which the operator is told
@@ -143,6 +144,8 @@ def told(matches: Array, away: Array) -> int | None:
     best = int(worth.argmax())
     ahead = worth[best] - np.delete(worth, best).max(initial=0.0)
     if images < (EARLY if ahead > CLEAR else SEVERAL) or means[best] < FLOOR:
+        return None
+    if best == 0 and means.max() >= max(CONVINCING, means[0] + AMISS):
         return None
     return best if best == 0 or ahead > ALIKE else None
 

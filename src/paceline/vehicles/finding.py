@@ -14,7 +14,7 @@ from paceline.recordings import StereoFrame
 from paceline.vehicles.plane import Aligned, Face, face_of
 from paceline.vehicles.scene import Scene
 from paceline.vehicles.sightings import Lookout, Sighting
-from paceline.vehicles.tracks import Linker, Track, slope
+from paceline.vehicles.tracks import Linker, Track, off_course
 from paceline.vehicles.ways import Way
 
 Array = NDArray[np.float64]
@@ -114,16 +114,14 @@ class Register:
     may have been followed apart from each other."""
 
     def __init__(self) -> None:
-        self._known: deque[tuple[Track, Sighting]] = deque(maxlen=KNOWN)
+        self._known: deque[Track] = deque(maxlen=KNOWN)
 
     def is_new(self, track: Track, found: Found) -> bool:
         """Whether what was ``found`` on a ``track`` is none of those; from now on it is known."""
-        vehicle = found.vehicle
-        seen = track.first if vehicle is None else min(track.kept, key=lambda s: abs(s.frame - vehicle.frame))
-        if any(other.passed(seen) or track.passed(there) for other, there in self._known):
+        if any(track.is_of(other) for other in self._known):
             return False
-        if vehicle is not None:
-            self._known.append((track, seen))
+        if found.vehicle is not None:
+            self._known.append(track)
         return True
 
 
@@ -186,15 +184,8 @@ def in_step(aligned: list[Aligned]) -> list[Aligned]:
     way = aligned[0].sighting.way
     places = [a.sighting.way.place(a.s, a.sighting.middle, 0.0) for a in aligned]
     t, s = np.array([a.sighting.time for a in aligned]), np.array([way.path.nearest(place) for place in places])
-    kept = []
-    for i, at in enumerate(aligned):
-        others = np.argsort(np.abs(t - t[i]), kind="stable")[1 : NEIGHBOURS + 1]
-        if len(others) > 1:
-            there = s[others] + slope(t[others], s[others]) * (t[i] - t[others])
-            if abs(s[i] - np.median(there)) > at.sighting.error(*OFF):
-                continue
-        kept.append(at)
-    return kept
+    off = off_course(t, s, np.array([a.sighting.error(*OFF) for a in aligned]))
+    return [a for a, one in zip(aligned, off, strict=True) if abs(one) <= 1]
 
 
 def _first_clear(face: Face, rig: StereoRig) -> Aligned | None:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from paceline.speed.measurement import FASTEST
 from paceline.vehicles.sightings import GRID, Sighting
+from paceline.vehicles.ways import Way
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -26,8 +27,9 @@ SHIFT = 0.35  # m that a face may have moved on its card
 PATIENCE = 3, 0.7  # frames, and seconds, without a sighting after which a vehicle has gone,
 GONE = 1.5  # s after which it has in any case: frames may be missing, and where it would be is not known any more
 BODY = 6.0, 2.5  # m along and across, within which there is no second vehicle
-NEIGHBOURS = 7  # sightings that say where a vehicle is between and beyond them
-TWICE = 3.0, 1.0  # m along the way, and px of disparity, within which what two tracks saw is one vehicle
+RECENT = 8  # sightings that say where a vehicle is next
+TOGETHER = 0.5  # of their errors, by which sightings of one vehicle are off its course at most, in the median
+REFITTED, EXACT = 10, 0.05  # times, and parts of an error, of a fit by the sum of what is off
 KEPT = 12  # sightings of a vehicle that are kept, evenly spread
 
 
@@ -38,6 +40,8 @@ class Track:
     way_s: list[float] = field(default_factory=list)  # m along the first sighting's way
     times: list[float] = field(default_factory=list)
     areas: list[float] = field(default_factory=list)
+    places: list[Array] = field(default_factory=list)  # (3,) m each, in the world
+    errors: list[float] = field(default_factory=list)  # m along the way, by which one is off at most
     kept: list[Sighting] = field(default_factory=list)
     last: Sighting | None = None
     unseen: int = 0  # frames since it was seen last,
@@ -52,6 +56,8 @@ class Track:
         self.way_s.append(self.along(sighting))
         self.times.append(sighting.time)
         self.areas.append(sighting.area)
+        self.places.append(sighting.place)
+        self.errors.append(sighting.error(*ERROR))
         self.missed += self.unseen
         self.last, self.unseen = sighting, 0
 
@@ -86,20 +92,33 @@ class Track:
         jumping = min(_scatter(s[:k]) + _scatter(s[k:]) for k in range(1, len(s)))
         return smooth / max(jumping, 1e-9)
 
-    def where(self, time: float) -> float:
-        """Arc length at ``time``, m, by the median of the sightings nearest to it."""
-        t, s = np.array(self.times), np.array(self.way_s)
-        near = np.argsort(np.abs(t - time), kind="stable")[:NEIGHBOURS]
-        return float(np.median(s[near] + slope(t[near], s[near]) * (time - t[near])))
-
-    def passed(self, sighting: Sighting) -> bool:
-        """Whether it is this vehicle that was seen in a ``sighting`` of another track."""
-        time, way = sighting.time, self.first.way
-        if not self.times[0] - GONE <= time <= self.times[-1] + GONE:
+    def is_of(self, other: Track) -> bool:
+        """Whether it saw the vehicle of another track: then one course leads through what both saw about the time of
+        both."""
+        begun, ended = max(self.times[0], other.times[0]), min(self.times[-1], other.times[-1])
+        if begun - ended > GONE:
             return False
-        s = self.along(sighting)
-        aside = (sighting.place - way.place(s, self.first.middle, 0.0)) @ way.axes(s)[1]
-        return bool(abs(self.where(time) - s) <= sighting.error(*TWICE) and abs(aside) <= BODY[1])
+        way, shared = self.first.way, (min(begun, ended) - GONE, max(begun, ended) + GONE)
+        (t, s, x, error), (t_other, s_other, x_other, error_other) = (one._on(way, *shared) for one in (self, other))
+        if abs(np.median(x) - np.median(x_other)) > BODY[1]:
+            return False
+        a, b = np.split(
+            off_course(
+                np.concatenate([t, t_other]), np.concatenate([s, s_other]), np.concatenate([error, error_other])
+            ),
+            [len(t)],
+        )
+        return bool(max(np.median(np.abs(a)), np.median(np.abs(b))) <= TOGETHER)
+
+    def _on(self, way: Way, start: float, end: float) -> Array:
+        """Times, arc lengths and metres aside on a ``way``, and errors (4, N), of what was seen from ``start`` to
+        ``end``."""
+        found = []
+        for time, place, error in zip(self.times, self.places, self.errors, strict=True):
+            if start <= time <= end:
+                s = way.path.nearest(place)
+                found.append((time, s, (place - way.place(s, 0.0, 0.0)) @ way.axes(s)[1], error))
+        return np.array(found).T
 
     def settled(self, time: float) -> bool:
         """Whether at ``time`` it is known well where the vehicle must be."""
@@ -119,10 +138,12 @@ class Track:
         error = sighting.error(*ERROR)
         if len(self.times) == 1:
             return bool(abs(s - self.way_s[-1]) <= FASTEST * dt + error)
-        recent = slice(-4, None)
-        v = slope(np.array(self.times[recent]), np.array(self.way_s[recent]))
-        doubt = error * (1 + dt / (self.times[-1] - self.times[recent][0])) + 0.5 * CHANGING * dt**2
-        return bool(abs(s - self.way_s[-1] - v * dt) <= doubt)
+        recent = slice(-RECENT, None)
+        t, places = np.array(self.times[recent]) - sighting.time, np.array(self.way_s[recent])
+        v = slope(t, places)
+        there = float(np.median((places - v * t)[-4:]))
+        doubt = error + self.errors[-1] * dt / (t[-1] - t[0]) + 0.5 * CHANGING * dt**2
+        return bool(abs(s - there) <= doubt)
 
 
 def _scatter(s: Array) -> float:
@@ -133,6 +154,16 @@ def slope(t: Array, s: Array) -> float:
     """The median of the slopes of all pairs (Theil and Sen); NaN where there is none."""
     i, j = np.triu_indices(len(t), 1)
     return float(np.median((s[j] - s[i]) / (t[j] - t[i]))) if len(i) else float("nan")
+
+
+def off_course(t: Array, s: Array, error: Array) -> Array:
+    """How far, in parts of its ``error``, each place ``s`` at a time ``t`` (N,) is off the parabola from which all are
+    off least in sum."""
+    t, weight = t - t.mean(), 1.0 / error
+    for _ in range(REFITTED):
+        off = (s - np.polyval(np.polyfit(t, s, min(2, len(t) - 1), w=weight), t)) / error
+        weight = 1.0 / (error * np.sqrt(np.maximum(np.abs(off), EXACT)))
+    return np.asarray(off)
 
 
 def likeness(a: Sighting, b: Sighting) -> float:
