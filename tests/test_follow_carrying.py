@@ -1,43 +1,11 @@
 """A place carried on by its picture lies where the picture was moved to."""
 
-import cv2
 import numpy as np
 import pytest
+from moved_scenery import REACH, TARGET, camera, moved, scenery
 
-from paceline.cameras import Camera
-from paceline.follow.carrying import STEP, Carried
+from paceline.follow.carrying import FARTHEST, STEP, Carried
 from paceline.follow.features import Projection
-from paceline.follow.target import Target
-
-TARGET = Target(
-    "rear",
-    10.0,
-    np.array([[-0.9, -0.7], [0.9, -0.7], [0.9, 0.7], [-0.9, 0.7]]),
-    np.array([[0, 1], [1, 2], [2, 3], [3, 0]]),
-)
-REACH = np.array([9.0, 14.0])
-
-
-def camera(size, focal, distortion=()):
-    width, height = size
-    K = np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1.0]])
-    return Camera(size, K, np.array(distortion)) if len(distortion) else Camera(size, K)
-
-
-def scenery(size, seed):
-    """A picture (H, W) of grey patches of several sizes."""
-    rng = np.random.default_rng(seed)
-    noise = sum(cv2.GaussianBlur(rng.normal(0, s, size[::-1]), (0, 0), s) for s in (2.0, 5.0))
-    return 120 + 30 * noise / noise.std()
-
-
-def moved(scene, center, shift, grown, noise, seed):
-    """The scene with what is at ``center`` moved by ``shift`` px and ``grown``, and with noise."""
-    turn = np.array([[grown, 0, center[0] + shift[0] - grown * center[0]], [0, grown, 0.0]])
-    turn[1, 2] = center[1] + shift[1] - grown * center[1]
-    image = cv2.warpAffine(scene, turn, scene.shape[::-1], flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
-    image += np.random.default_rng(seed).normal(0, noise, scene.shape)
-    return np.clip(np.rint(image), 0, 255).astype(np.uint8)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -75,3 +43,14 @@ def test_a_lens_is_taken_into_account():
     there = projection.ideal(np.array([*(shown[:2] + [5, -8]), shown[2]]))
     np.testing.assert_allclose(found[:2], there[:2], atol=1.0)
     assert found[2] == pytest.approx(there[2], rel=STEP)
+
+
+@pytest.mark.parametrize("grown", [0.91, 1.1])
+def test_a_change_of_size_is_found_as_far_as_it_is_tried(grown):
+    scene, center = scenery((256, 242), 3), np.array([128.0, 130.0])
+    projection = Projection(camera((256, 242), 300.0), TARGET)
+    carried = Carried(moved(scene, center, (0, 0), 1.0, 4.0, 0), projection, np.array([*center, 1.0]), REACH)
+    assert abs(np.log(grown)) < STEP * FARTHEST
+    found = carried.step(moved(scene, center, (2, -3), grown, 4.0, 1))
+    assert (np.abs(found - [130.0, 127.0, grown]) < [0.7, 0.7, 0.8 * STEP]).all()
+    assert 0.8 < carried.likeness < 1.0

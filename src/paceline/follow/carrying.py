@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import exp
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -11,10 +13,12 @@ from paceline.follow.search import DETAIL
 
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
+Floats = NDArray[np.float32]
 
 GROWN = 1.1  # times the target's size that the picture shows
 BLUR = 0.8  # px, of noise
-STEP = 0.025  # relative change of scale that is tried
+STEP = 0.025  # relative change of scale that is tried,
+FARTHEST = 5  # and so many of them at most
 
 
 class Carried:
@@ -23,6 +27,7 @@ class Carried:
 
     def __init__(self, image: Bytes, projection: Projection, place: Array, reach: Array) -> None:
         self._projection, self.place = projection, place
+        self.likeness = 1.0  # correlation at the place
         self._size = projection.target.size * projection.magnification  # px at scale 1
         self._side = max(1, int(min(self._size) * place[2] / DETAIL))
         self._reach = np.ceil(reach / self._side).astype(int)
@@ -33,24 +38,34 @@ class Carried:
         )
 
     def step(self, image: Bytes) -> Array:
-        """The place (3,) in the next ``image`` (H, W); its scale to a fraction of `STEP`."""
+        """The place (3,) in the next ``image``; its scale to a fraction of `STEP`."""
         seen, shown = self._made_ready(image), self._projection.shown(self.place).location
-        scales = shown[2] * np.exp(STEP * np.array([-1.0, 0.0, 1.0]))
-        found = [self._best(seen, self._smaller(shown), scale) for scale in scales]
+        center = self._smaller(shown)
+        found = [self._best(seen, center, shown[2] * exp(STEP * k)) for k in (-1, 0, 1)]
+        first = -1  # of three steps, of which the middle one is to be the best
+        while first > -FARTHEST and found[0][0] > max(found[1][0], found[2][0]):
+            first -= 1
+            found = [self._best(seen, center, shown[2] * exp(STEP * first)), *found[:2]]
+        while first < FARTHEST - 2 and found[2][0] > max(found[0][0], found[1][0]):
+            first += 1
+            found = [*found[1:], self._best(seen, center, shown[2] * exp(STEP * (first + 2)))]
         scores = np.array([score for score, _ in found])
-        scale = shown[2] * np.exp(STEP * _top(scores)[0])
-        center = (found[int(scores.argmax())][1] + 0.5) * self._side - 0.5
+        scale = shown[2] * exp(STEP * (first + 1 + _top(scores)[0]))
+        best = int(scores.argmax())
+        self.likeness = float(scores[best])
+        center = (found[best][1] + 0.5) * self._side - 0.5
         self.place = self._projection.ideal(np.array([*center, scale]))
         return self.place
 
     def _best(self, seen: Bytes, center: Array, scale: float) -> tuple[float, Array]:
         """How well the picture at a ``scale`` correlates where it does so best, and the centre (2,) there."""
-        picture = cv2.resize(self._picture, None, fx=scale / self._first, fy=scale / self._first)
+        grown = scale / self._first
+        how = cv2.INTER_AREA if grown < 1.0 else cv2.INTER_LINEAR
+        picture = cv2.resize(self._picture, None, fx=grown, fy=grown, interpolation=how)
         part = _cut(seen, center, np.array(picture.shape[::-1]) + 2 * self._reach)
-        scores = cv2.matchTemplate(part, picture, cv2.TM_CCOEFF_NORMED)
+        scores = np.asarray(cv2.matchTemplate(part, picture, cv2.TM_CCOEFF_NORMED), np.float32)
         _, score, _, (column, row) = cv2.minMaxLoc(scores)
-        about = np.pad(scores, 1, mode="edge").astype(float)[row : row + 3, column : column + 3]
-        (right, by_column), (down, by_row) = _top(about[1]), _top(about[:, 1])
+        (right, by_column), (down, by_row) = _top(_three(scores[row], column)), _top(_three(scores[:, column], row))
         return by_column + by_row - score, center + np.array([column + right, row + down]) - self._reach
 
     def _smaller(self, shown: Array) -> Array:
@@ -67,6 +82,11 @@ def _cut(image: Bytes, center: Array, size: Array) -> Bytes:
     """The part of ``image`` of ``size`` (width, height) about ``center`` (2,), px; its border goes on."""
     width, height = np.maximum(np.rint(size), 4).astype(int).tolist()
     return np.asarray(cv2.getRectSubPix(image, (width, height), (float(center[0]), float(center[1]))), np.uint8)
+
+
+def _three(line: Floats, k: int) -> Array:
+    """What is at ``k`` and on either side of it; the ends of the ``line`` (n,) go on."""
+    return line[[max(k - 1, 0), k, min(k + 1, len(line) - 1)]].astype(float)
 
 
 def _top(scores: Array) -> tuple[float, float]:

@@ -27,6 +27,7 @@ class FollowConfiguration(BaseModel):
     appearance: bool = True  # learn what the target looks like, and do not believe what looks otherwise
     steady_scale: bool = True  # the size by the picture, and by the edges only what size that has
     keepsake: bool = True  # a picture learned long ago tells when the lock has slid along other edges
+    snapshot: bool = True  # where too few features show, what the target looked like once tells where it is
     continuity: bool = True  # do not believe what leaps or flies
 
     # the method
@@ -72,5 +73,6 @@ class FollowConfiguration(BaseModel):
             appearance=False,
             steady_scale=False,
             keepsake=False,
+            snapshot=False,
             continuity=False,
         )

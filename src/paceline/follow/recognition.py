@@ -20,6 +20,7 @@ from paceline.follow.fitting import Fit
 from paceline.follow.gauge import Gauge
 from paceline.follow.measuring import Measurement, Measurer
 from paceline.follow.search import Search, Sighting
+from paceline.follow.snapshot import RIGHT, Snapshot
 
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
@@ -41,8 +42,8 @@ GONE = 3.0
 LOOSE, MOSTLY = 1.3, 0.7  # discord of its features with which a target that looks as it did may be believed, where this
 # share of the usual match shows: a half hidden one looks as it did as well
 ALIKE = 0.7  # likeness of the picture with which the size may jump
-HELD = 0.85  # likeness at which the picture alone is believed
-ALONE_FOR = 15  # frames in a row for which it is
+HELD = 0.85  # likeness at which the picture alone tells that it is the target
+UNSURE = 3.0  # times as much as it claims a fit that is not sure may be off
 PROVEN = 10  # frames in which its features must have shown the target before
 ELSEWHERE = 0.08  # sizes of the target from its place, and relative change of scale, at which it is another
 WATCH = 3  # images of which in one it is asked whether the lock has slid
@@ -82,7 +83,8 @@ class Recogniser:
         self._search = Search(target, projection.magnification, projection.camera.image_size, c.edge_threshold)
         self._measurer = Measurer(projection, c)
         self._proven = 0
-        self._held_for = 0  # frames, in a row, by the picture alone
+        self._snapshot: Snapshot | None = None
+        self._image: Bytes | None = None  # looked at last
         self._turn = 0
         self.appearance = Appearance(target)
         self.gauge = Gauge()
@@ -90,12 +92,25 @@ class Recogniser:
     def look(self, image: Bytes, expected: Array, doubt: Array, tau: float, lost: bool) -> Look:
         """The target in ``image`` (H, W), where it is ``expected`` (3,) to within ``doubt`` (3,), ``tau`` cycles after
         it was seen last; ``lost``: it may be anywhere."""
+        self._image = image
         if not self._c.wide_search:
             return self._measured(image, expected, doubt, expected, doubt, tau, lost)
+        width = 0.0
         if self.appearance.known:
             width = WIDEST if lost else min(max(1.0, tau) ** 0.7, WIDEST)
-            return self._found(image, expected, doubt, width, tau, lost)
-        return self._found(image, expected, doubt, 0.0, tau, lost)
+        look = self._found(image, expected, doubt, width, tau, lost)
+        if lost or self._snapshot is None:
+            return look
+        if look.complaint or look.fit is None:
+            place = self._snapshot.find(image, expected)
+            return look if place is None else self._held(place, look.window)
+        place = self._snapshot.compare(image, look.fit.location, look.sure)
+        return look if place is None else replace(look, fit=self._weighed(look.fit, place))
+
+    def _weighed(self, fit: Fit, place: Array) -> Fit:
+        """A ``fit`` that is not sure, and the ``place`` that the snapshot tells."""
+        size = self.projection.size(place[2])
+        return fitting.fused(replace(fit, covariance=UNSURE**2 * fit.covariance), place, RIGHT * [size, size, place[2]])
 
     def look_at(self, image: Bytes, location: Array, doubt: Array) -> Look:
         """The target in ``image`` (H, W) at ``location`` (3,), known to within ``doubt`` (3,): nothing is searched."""
@@ -106,7 +121,7 @@ class Recogniser:
     def afresh(self) -> Recogniser:
         """Another one that has not learned anything; the two work with the same scratch."""
         other = copy(self)
-        other._proven = other._held_for = 0
+        other._proven, other._snapshot = 0, None
         other.appearance, other.gauge = Appearance(self.projection.target), Gauge()
         return other
 
@@ -145,7 +160,6 @@ class Recogniser:
 
     def learn(self, look: Look) -> None:
         """Take in what a look that was believed has shown."""
-        self._held_for = self._held_for + 1 if look.measurement is None else 0
         if look.gauge is not None:
             self.gauge = look.gauge
         self._proven += look.measurement is not None
@@ -156,6 +170,8 @@ class Recogniser:
             inside = look.inside if look.clear or not self.appearance.known else 0.0
             self.appearance.learn(look.evidence, match, inside)
             self.gauge = self.gauge.learned(PICTURE_RATE)
+        if self._c.snapshot:
+            self._remember(look)
 
     def _found(self, image: Bytes, expected: Array, doubt: Array, width: float, tau: float, lost: bool) -> Look:
         """Search for the whole model, then measure its features there."""
@@ -174,23 +190,24 @@ class Recogniser:
                 back = self._measured(image, place, old.doubt, place, doubt, tau, lost)
                 if _as_good(back, look):
                     return replace(back, window=sighting.window, slid=True, note=SLID)
-        proven = self._proven >= PROVEN and self._held_for < ALONE_FOR and not lost
-        if look.complaint in (FEW, APART) and proven and sighting.picture > HELD:
-            return self._held(start, sighting)
         return look
 
-    def _held(self, location: Array, sighting: Sighting) -> Look:
-        """The target by its picture alone, where its features cannot be told but everything looks as it did."""
-        n = len(self.projection.offsets)
-        if self._c.steady_scale:
-            center = self.projection.shown(location).location[:2]
-            picture = self._search.scale_at(center, float(location[2]), self.appearance)
-            location = location if picture is None else np.array([*location[:2], self.gauge.scale(picture)])
-        doubt = sighting.doubt * np.array([1.0, 1.0, 1.0 + self._held_for / PROVEN])  # a picture's size drifts
+    def _held(self, location: Array, window: Window) -> Look:
+        """The target by its snapshot alone."""
+        n, size = len(self.projection.offsets), self.projection.size(location[2])
+        doubt = RIGHT * [size, size, location[2]]
         fit = Fit(location, np.diag(doubt**2), np.zeros(3), 0.0, np.full(n, np.nan), np.zeros(n, bool))
         shown = self.projection.shown(location)
         inside, evidence = self._search.evidence_at(shown.location, shown.shifts, self.appearance)
-        return Look("", sighting.window, fit, None, inside, evidence, note=ALONE)
+        return Look("", window, fit, None, inside, evidence, note=ALONE)
+
+    def _remember(self, look: Look) -> None:
+        """Keep what the target looks like where its features have shown it, and again where that is another picture."""
+        if look.fit is None or look.measurement is None or look.slid or self._image is None:
+            return
+        place = look.fit.location
+        if self._snapshot is None or (look.clear and self._proven >= PROVEN and self._snapshot.is_old(place[2])):
+            self._snapshot = Snapshot(self.carry(self._image, place), self.projection.size(1.0))
 
     def _measured(
         self,

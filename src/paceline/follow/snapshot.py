@@ -1,0 +1,73 @@
+"""The target as one image has shown it: where its lines are lost in noise or shadows, that picture still tells where it
+is. It is never learned anew little by little, so that it goes nowhere else, as a lock may that slides along edges."""
+
+from __future__ import annotations
+
+from math import exp, log
+
+import numpy as np
+from numpy.typing import NDArray
+
+from paceline.follow.carrying import Carried
+
+Array = NDArray[np.float64]
+Bytes = NDArray[np.uint8]
+
+FIRST, RATE = 0.5, 0.2  # likeness that is usual before any is known; of learning it
+LIKE, LEAST = 0.7, 0.4  # share of the usual likeness, and likeness, at which the target is believed to be there
+AGES = 1.3  # times as large or small as it was: then its picture is another
+MOST = 2.5  # times as large or small nothing is told by it
+EVERY = 6  # images of which in one the lock is compared with it, while the two agree
+APART = np.array([0.1, 0.1, 0.07])  # sizes, and relative scale, by which they may disagree
+OFF = 0.03  # the same by which it may be set right
+RIGHT = np.array([0.02, 0.02, 0.04])  # standard deviations of what it tells, in sizes and of the scale
+
+
+class Snapshot:
+    """What is ``carried`` is put where the target is expected in an image; ``size`` is the target's, px at scale 1."""
+
+    def __init__(self, carried: Carried, size: float) -> None:
+        self._carried, self._size = carried, size
+        self._first = float(carried.place[2])
+        self._usual = FIRST
+        self._off = np.zeros(3)  # what is to be added to what it tells, where the lock was sure
+        self.agreed = self._surely = 0  # images in which the two agreed; of those in which the lock was sure
+        self._wait = 0  # images until they are compared again
+
+    def is_old(self, scale: float) -> bool:
+        """Whether a target of this ``scale`` looks otherwise."""
+        return not 1 / AGES < scale / self._first < AGES
+
+    def find(self, image: Bytes, expected: Array) -> Array | None:
+        """The target's place (3,) in ``image``, about where it is ``expected`` (3,); None where it is not seen."""
+        if not 1 / MOST < expected[2] / self._first < MOST:
+            return None
+        place = self._place(image, expected)
+        return place if self._is_alike() else None
+
+    def compare(self, image: Bytes, place: Array, sure: bool) -> Array | None:
+        """As `find`, for a target that its features show at ``place`` (3,). Where that is ``sure`` nothing is told but
+        learned, and that in some images only."""
+        if sure and self._wait > 0:
+            self._wait -= 1
+            return None
+        found = self.find(image, place)
+        if found is None:
+            return None
+        off = np.array([*(place[:2] - found[:2]) / (self._size * place[2]), log(place[2] / found[2])])
+        if (np.abs(off) < APART).all():
+            self.agreed += 1
+            self._usual += max(RATE, 1 / self.agreed) * (self._carried.likeness - self._usual)
+            if sure:
+                self._surely, self._wait = self._surely + 1, EVERY
+                self._off = np.clip(self._off + off / (1 + self._surely), -OFF, OFF)
+        return None if sure else found
+
+    def _place(self, image: Bytes, expected: Array) -> Array:
+        self._carried.place = expected
+        told = self._carried.step(image)
+        scale = told[2] * exp(self._off[2])
+        return np.array([*(told[:2] + self._off[:2] * self._size * scale), scale])
+
+    def _is_alike(self) -> bool:
+        return self._carried.likeness >= max(LIKE * self._usual, LEAST)

@@ -1,0 +1,72 @@
+"""What a target has looked like once tells where it is, unless it is not there."""
+
+import numpy as np
+import pytest
+from moved_scenery import REACH, TARGET, camera, moved, scenery
+
+from paceline.follow.carrying import Carried
+from paceline.follow.features import Projection
+from paceline.follow.snapshot import AGES, EVERY, MOST, OFF, Snapshot
+
+SIZE, CENTER = (256, 242), np.array([128.0, 130.0])
+PROJECTION = Projection(camera(SIZE, 300.0), TARGET)
+WHOLE = PROJECTION.size(1.0)
+SCENE = scenery(SIZE, 5)
+
+
+def begun(place=(128.0, 130.0, 1.0)):
+    carried = Carried(moved(SCENE, CENTER, (0, 0), 1.0, 6.0, 0), PROJECTION, np.array(place), REACH)
+    return Snapshot(carried, WHOLE)
+
+
+def test_a_target_is_found_about_where_it_is_expected():
+    snapshot = begun()
+    for k in range(1, 6):
+        image = moved(SCENE, CENTER, (k, -2 * k), 1 + 0.02 * k, 6.0, k)
+        place = snapshot.find(image, np.array([128.0, 130.0, 1.0]))
+        assert (np.abs(place - [128 + k, 130 - 2 * k, 1 + 0.02 * k]) < [0.7, 0.7, 0.02]).all()
+
+
+def test_nothing_is_found_where_the_target_is_hidden_or_another_size_is_expected():
+    snapshot, there = begun(), np.array([128.0, 130.0, 1.0])
+    for seed in range(6, 12):
+        assert snapshot.find(moved(scenery(SIZE, seed), CENTER, (0, 0), 1.0, 6.0, 0), there) is None
+    for scale in (1.1 * MOST, 0.9 / MOST):
+        assert snapshot.find(moved(SCENE, CENTER, (0, 0), 1.0, 6.0, 1), np.array([128.0, 130.0, scale])) is None
+
+
+def test_what_is_usual_is_learned_where_the_lock_agrees():
+    """In strong noise the same picture is less alike; half hidden it is less alike than that."""
+    snapshot, there = begun(), np.array([128.0, 130.0, 1.0])
+    for k in range(1, 30):
+        snapshot.compare(moved(SCENE, CENTER, (0, 0), 1.0, 6.0, k), there, False)
+    half = SCENE.copy()
+    half[:, 128:] = scenery(SIZE, 9)[:, 128:]
+    assert snapshot.find(moved(half, CENTER, (0, 0), 1.0, 6.0, 31), there) is None
+    for k in range(32, 42):
+        assert snapshot.find(moved(SCENE, CENTER, (0, 0), 1.0, 6.0, k), there) is not None
+
+
+@pytest.mark.parametrize("off", [0.015, 0.1])
+def test_it_is_set_right_by_a_lock_that_is_sure_but_not_by_much(off):
+    """Its own place was wrong by a pixel and ``off`` in the scale: what a lock tells in a few images mends that, within
+    limits, and is asked for in one image of several."""
+    snapshot = begun((129.0, 130.0, 1.0 + off))
+    there = np.array([128.0, 130.0, 1.0])
+    times = 0
+    for k in range(1, 20 * EVERY):
+        before = snapshot.agreed
+        assert snapshot.compare(moved(SCENE, CENTER, (0, 0), 1.0, 6.0, k), there, True) is None
+        times += snapshot.agreed > before
+    told = snapshot.find(moved(SCENE, CENTER, (0, 0), 1.0, 6.0, 999), there)
+    assert times <= 20
+    if off < OFF:
+        assert (np.abs(told - there) < [0.7, 0.7, 0.01]).all()
+    else:
+        assert told[2] > 1.0 + off - OFF - 0.01 and times == 0
+
+
+def test_a_snapshot_is_old_where_the_target_has_grown_or_shrunk():
+    snapshot = begun()
+    assert snapshot.is_old(0.99 / AGES) and snapshot.is_old(1.01 * AGES)
+    assert not (snapshot.is_old(1.01 / AGES) or snapshot.is_old(0.99 * AGES))
