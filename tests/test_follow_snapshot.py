@@ -23,28 +23,28 @@ def test_a_target_is_found_about_where_it_is_expected():
     snapshot = begun()
     for k in range(1, 6):
         image = moved(SCENE, CENTER, (k, -2 * k), 1 + 0.02 * k, 6.0, k)
-        place = snapshot.find(image, np.array([128.0, 130.0, 1.0]))
+        place = snapshot.find(image, np.array([128.0, 130.0, 1.0]), 1.0)
         assert (np.abs(place - [128 + k, 130 - 2 * k, 1 + 0.02 * k]) < [0.7, 0.7, 0.02]).all()
 
 
 def test_nothing_is_found_where_the_target_is_hidden_or_another_size_is_expected():
     snapshot, there = begun(), np.array([128.0, 130.0, 1.0])
     for seed in range(6, 12):
-        assert snapshot.find(moved(scenery(SIZE, seed), CENTER, (0, 0), 1.0, 6.0, 0), there) is None
+        assert snapshot.find(moved(scenery(SIZE, seed), CENTER, (0, 0), 1.0, 6.0, 0), there, 1.0) is None
     for scale in (1.1 * MOST, 0.9 / MOST):
-        assert snapshot.find(moved(SCENE, CENTER, (0, 0), 1.0, 6.0, 1), np.array([128.0, 130.0, scale])) is None
+        assert snapshot.find(moved(SCENE, CENTER, (0, 0), 1.0, 6.0, 1), np.array([128.0, 130.0, scale]), 1.0) is None
 
 
 def test_what_is_usual_is_learned_where_the_lock_agrees():
     """In strong noise the same picture is less alike; half hidden it is less alike than that."""
     snapshot, there = begun(), np.array([128.0, 130.0, 1.0])
     for k in range(1, 30):
-        snapshot.compare(moved(SCENE, CENTER, (0, 0), 1.0, 6.0, k), there, False)
+        snapshot.compare(moved(SCENE, CENTER, (0, 0), 1.0, 6.0, k), there, 1.0, False)
     half = SCENE.copy()
     half[:, 128:] = scenery(SIZE, 9)[:, 128:]
-    assert snapshot.find(moved(half, CENTER, (0, 0), 1.0, 6.0, 31), there) is None
+    assert snapshot.find(moved(half, CENTER, (0, 0), 1.0, 6.0, 31), there, 1.0) is None
     for k in range(32, 42):
-        assert snapshot.find(moved(SCENE, CENTER, (0, 0), 1.0, 6.0, k), there) is not None
+        assert snapshot.find(moved(SCENE, CENTER, (0, 0), 1.0, 6.0, k), there, 1.0) is not None
 
 
 @pytest.mark.parametrize("off", [0.015, 0.1])
@@ -56,9 +56,9 @@ def test_it_is_set_right_by_a_lock_that_is_sure_but_not_by_much(off):
     times = 0
     for k in range(1, 20 * EVERY):
         before = snapshot.agreed
-        assert snapshot.compare(moved(SCENE, CENTER, (0, 0), 1.0, 6.0, k), there, True) is None
+        assert snapshot.compare(moved(SCENE, CENTER, (0, 0), 1.0, 6.0, k), there, 1.0, True) is None
         times += snapshot.agreed > before
-    told = snapshot.find(moved(SCENE, CENTER, (0, 0), 1.0, 6.0, 999), there)
+    told = snapshot.find(moved(SCENE, CENTER, (0, 0), 1.0, 6.0, 999), there, 1.0)
     assert times <= 20
     if off < OFF:
         assert (np.abs(told - there) < [0.7, 0.7, 0.01]).all()

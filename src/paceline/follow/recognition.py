@@ -102,9 +102,9 @@ class Recogniser:
         if lost or self._snapshot is None:
             return look
         if look.complaint or look.fit is None:
-            place = self._snapshot.find(image, expected)
+            place = self._snapshot.find(image, expected, tau)
             return look if place is None else self._held(place, look.window)
-        place = self._snapshot.compare(image, look.fit.location, look.sure)
+        place = self._snapshot.compare(image, look.fit.location, tau, look.sure)
         return look if place is None else replace(look, fit=self._weighed(look.fit, place))
 
     def _weighed(self, fit: Fit, place: Array) -> Fit:

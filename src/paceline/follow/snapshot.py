@@ -15,9 +15,11 @@ Bytes = NDArray[np.uint8]
 
 FIRST, RATE = 0.5, 0.2  # likeness that is usual before any is known; of learning it
 LIKE, LEAST = 0.7, 0.4  # share of the usual likeness, and likeness, at which the target is believed to be there
+CLEAR = 5  # sure sights after which it is known to show well: what then makes it look otherwise stands before it,
+LESS, GONE = 0.1, 3.0  # and it has to be as alike as that, and to have been seen so many cycles ago at most
 AGES = 1.3  # times as large or small as it was: then its picture is another
 MOST = 2.5  # times as large or small nothing is told by it
-EVERY = 6  # images of which in one the lock is compared with it, while the two agree
+EVERY = 7  # sure sights of which one is compared with it
 APART = np.array([0.1, 0.1, 0.07])  # sizes, and relative scale, by which they may disagree
 OFF = 0.03  # the same by which it may be set right
 RIGHT = np.array([0.02, 0.02, 0.04])  # standard deviations of what it tells, in sizes and of the scale
@@ -32,36 +34,40 @@ class Snapshot:
         self._usual = FIRST
         self._off = np.zeros(3)  # what is to be added to what it tells, where the lock was sure
         self.agreed = self._surely = 0  # images in which the two agreed; of those in which the lock was sure
-        self._wait = 0  # images until they are compared again
 
     def is_old(self, scale: float) -> bool:
         """Whether a target of this ``scale`` looks otherwise."""
         return not 1 / AGES < scale / self._first < AGES
 
-    def find(self, image: Bytes, expected: Array) -> Array | None:
-        """The target's place (3,) in ``image``, about where it is ``expected`` (3,); None where it is not seen."""
-        if not 1 / MOST < expected[2] / self._first < MOST:
+    @property
+    def _shows_well(self) -> bool:
+        return self._surely >= CLEAR
+
+    def find(self, image: Bytes, expected: Array, tau: float) -> Array | None:
+        """The target's place (3,) in ``image``, about where it is ``expected`` (3,), ``tau`` cycles after it was seen;
+        None where it is not seen."""
+        if not 1 / MOST < expected[2] / self._first < MOST or (self._shows_well and tau >= GONE):
             return None
         place = self._place(image, expected)
         return place if self._is_alike() else None
 
-    def compare(self, image: Bytes, place: Array, sure: bool) -> Array | None:
-        """As `find`, for a target that its features show at ``place`` (3,). Where that is ``sure`` nothing is told but
-        learned, and that in some images only."""
-        if sure and self._wait > 0:
-            self._wait -= 1
+    def compare(self, image: Bytes, place: Array, tau: float, sure: bool) -> Array | None:
+        """As `find`, for a target that its features show at ``place`` (3,). Where it shows well, or this is ``sure``,
+        nothing is told but learned, and that in some images only."""
+        self._surely += sure
+        if sure and self._surely % EVERY != 1:
             return None
-        found = self.find(image, place)
+        found = self.find(image, place, tau)
         if found is None:
             return None
         off = np.array([*(place[:2] - found[:2]) / (self._size * place[2]), log(place[2] / found[2])])
         if (np.abs(off) < APART).all():
             self.agreed += 1
-            self._usual += max(RATE, 1 / self.agreed) * (self._carried.likeness - self._usual)
+            if sure or not self._shows_well:
+                self._usual += max(RATE, 1 / self.agreed) * (self._carried.likeness - self._usual)
             if sure:
-                self._surely, self._wait = self._surely + 1, EVERY
-                self._off = np.clip(self._off + off / (1 + self._surely), -OFF, OFF)
-        return None if sure else found
+                self._off = np.clip(self._off + off / (2 + self._surely // EVERY), -OFF, OFF)
+        return None if sure or self._shows_well else found
 
     def _place(self, image: Bytes, expected: Array) -> Array:
         self._carried.place = expected
@@ -70,4 +76,5 @@ class Snapshot:
         return np.array([*(told[:2] + self._off[:2] * self._size * scale), scale])
 
     def _is_alike(self) -> bool:
-        return self._carried.likeness >= max(LIKE * self._usual, LEAST)
+        usual = self._usual - LESS if self._shows_well else LIKE * self._usual
+        return self._carried.likeness >= max(usual, LEAST)
