@@ -8,12 +8,15 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 import yaml
+from numpy.typing import NDArray
 from scipy.stats import binom
 
 from paceline.simulation.planar import LaneChange, Scene, Vehicle, random_crossing, random_scene, render, write
+from paceline.speed.bands import Band, Glimpse, bands_of
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.measurement import measure_clip
 from paceline.speed.results import Measurement
@@ -171,6 +174,8 @@ def test_a_change_of_lane_is_found(rendered: Callable[[Scene], Path], kind: str,
     s = scene(kind, 18.0, 10, lane_change=LaneChange(8.0, 35.0, shift))
     m = measure_clip(rendered(s)).measurements[0]
     found = {"constant speed, swerving"} | ({"constant speed"} if kind != "line" and abs(shift) < 1 else set())
+    if kind == "right":  # the road's own bend leaves an acceleration open: it may be taken in beside the swerve
+        found |= {"changing acceleration, swerving"}
     assert m.verdict == "measured" and m.model in found  # round a bend drivers weave by nearly as much anyway
     assert abs(m.speed - 18.0) < 0.15 * MPH and m.speed_lo <= 18.0 <= m.speed_hi
 
@@ -189,6 +194,52 @@ def test_glare_and_poles(rendered: Callable[[Scene], Path], kind: str, what: str
     s = replace(scene(kind, 18.0, 11, glare=what != "occluder"), occluder=what != "glare")
     m = measure_clip(rendered(s)).measurements[0]
     assert m.verdict == "measured" and abs(m.speed - 18.0) < 0.3 * MPH
+
+
+# --- light ---------------------------------------------------------------------------------------------------------
+
+
+def standing(ramp: float, seed: int) -> tuple[Band, NDArray[np.float64]]:
+    """What six frames see of a face that stands still, in light that lies over it as another ramp in each view, of
+    ``ramp`` grey levels; and the homographies (views, 3, 3) to it."""
+    rng = np.random.default_rng(seed)
+    face = cv2.GaussianBlur(rng.standard_normal((90, 160)), (0, 0), 3.0)
+    face = 110.0 + 20.0 * face / face.std()
+    left, top, width, height = 20.0, 15.0, 119.0, 59.0
+    to_face = np.array([[width, 0, left], [0, height, top], [0, 0, 1]])
+    quad = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * [width, height] + [left, top]
+
+    def picture() -> NDArray[np.float32]:
+        light = ramp * rng.standard_normal() * np.linspace(-1.0, 1.0, face.shape[1])
+        return np.asarray(face + light + 0.6 * rng.standard_normal(face.shape), np.float32)
+
+    glimpses = [Glimpse(k, (k, k), (picture(), picture()), np.zeros((2, 2)), np.stack([quad] * 2)) for k in range(6)]
+    (band,) = bands_of(glimpses, np.stack([g.quads for g in glimpses]), 0.7, fine=False)
+    return band, np.stack([to_face] * 12)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_light_that_changes_from_view_to_view_moves_nothing(seed: int) -> None:
+    """Left in, a ramp of a contrast's size moves the pictures by twice to thirty times what noise does."""
+    off = {}
+    for ramp in (0.0, 20.0):
+        band, H = standing(ramp, seed)
+        off[ramp] = [band.offsets(H, np.zeros_like(H), np.zeros(band.patches)) for _ in range(3)][-1]
+    noise, with_light = (float(np.sqrt((o**2).mean())) for o in off.values())
+    assert 0 < with_light < 1.3 * noise
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_where_the_light_does_not_change_nothing_is_lost(seed: int) -> None:
+    band, H = standing(0.0, seed)
+    shift = np.zeros((len(H), 3, 3, 1))
+    shift[:, 0, :, 0] = H[:, 2] * np.where(np.arange(len(H)) % 2, 1, -1)[:, None]  # the views part
+    information = []
+    for ramps in (band.ramps, np.zeros_like(band.ramps)):
+        band.ramps = ramps
+        A, _ = band.normal_equations(H, np.zeros_like(H), np.zeros(band.patches), shift)
+        information.append(A[..., 0, 0].sum())
+    assert information[0] == pytest.approx(information[1], rel=0.02)
 
 
 # --- the systematic part -------------------------------------------------------------------------------------------

@@ -55,6 +55,7 @@ class Band:
         patches = grid.reshape(3, down, y, across, x).swapaxes(2, 3)
         self.patches, self.samples = down * across, y * x
         self.places = patches.reshape(3, -1)
+        self.ramps = self.places[:2].reshape(2, self.patches, self.samples)
         self.views = views
         self.pictures = pictures
         self.corners = corners
@@ -111,17 +112,26 @@ class Band:
         w = self.weights * self.gain
         mean_slope = np.einsum("vk,vckm->ckm", w, slope.reshape(V, 2, K, m), optimize=True)
         g = (mean_slope / np.maximum((w * self.gain).sum(0), 1e-12)[:, None]).reshape(2, -1)
-        along = T / np.sqrt(np.maximum((T * T).sum(-1, keepdims=True), 1e-9))
+        along = _apart(T, [])
         r = (I / self.gain[..., None] - T).astype(np.float32)
         # a view's own blur, which no model of the optics gets right, shows as a share of the texture's Laplacian;
         # left in, it passes for a change of scale
-        blur = np.einsum("vk,vkm->km", w, laplacian)
-        blur -= blur.mean(-1, keepdims=True)
-        blur -= (blur * along).sum(-1, keepdims=True) * along
-        blur = (blur / np.sqrt(np.maximum((blur * blur).sum(-1, keepdims=True), 1e-12))).astype(np.float32)
+        blur = _apart(np.einsum("vk,vkm->km", w, laplacian), [along])
         r -= (r * blur).sum(-1, keepdims=True) * blur
+        free_of = [along, blur]
+        # light that changes from view to view as a ramp over a patch passes for one too; how much of it is taken out
+        # is what noise does not explain, for a patch freed of all ramps has less to go by
+        noise = CORRELATED * np.median((r * r).mean(-1), axis=0)
+        known = [along, blur]
+        for ramp in self.ramps:
+            ramp = _apart(ramp, known)
+            known.append(ramp)
+            share = (r * ramp).sum(-1)
+            taken = 1.0 - np.sqrt(np.minimum(noise / np.maximum((share**2).mean(0), 1e-9), 1.0))
+            r -= (taken * share)[..., None] * ramp
+            free_of.append(np.sqrt(taken)[:, None] * ramp)
         M = np.empty((V, K, 9, m), np.float32)
-        linearise(x, z, B, self.places, g, np.stack([along.astype(np.float32), blur]), M)
+        linearise(x, z, B, self.places, g, np.stack(free_of).astype(np.float32), M)
         self._reweigh((r * r).mean(-1) * self.gain**2)
         return M, r
 
@@ -189,6 +199,15 @@ def bands_of(glimpses: list[Glimpse], quads: Array, smoothing: float, fine: bool
             pictures.append(_derivatives(picture))
         bands.append(Band(views, pictures, corners[views], size * BAND**b))
     return bands
+
+
+def _apart(field: Array, known: list[Array]) -> Array:
+    """What of ``field`` (patches, samples) each patch's mean and the ``known`` ones do not hold; of length 1, as they
+    are."""
+    rest = field - field.mean(-1, keepdims=True)
+    for other in known:
+        rest -= (rest * other).sum(-1, keepdims=True) * other
+    return np.asarray(rest / np.sqrt(np.maximum((rest * rest).sum(-1, keepdims=True), 1e-12)))
 
 
 def _smooth(picture: Floats, sigma: float) -> Floats:
