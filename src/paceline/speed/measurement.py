@@ -30,7 +30,7 @@ from paceline.speed.planes import first_plane, squared
 from paceline.speed.reconstruction import path_of
 from paceline.speed.refinement import Refined, refine
 from paceline.speed.results import ClipResult, Measurement, PathDrawing, Track
-from paceline.speed.tracker import LOST, SEEN, Estimate, Tracker
+from paceline.speed.tracker import LOST, SEEN, SURE, Estimate, Tracker
 from paceline.speed.trajectory import Trajectory, bends
 
 Array = NDArray[np.float64]
@@ -310,8 +310,11 @@ class _Run:
 
     def _astray(self, refined: Refined) -> float:
         """How far apart the filter's and the refined regions lie, as a share of the region's size: the largest distance
-        of those frames in which the filter saw the vehicle."""
-        seen = {e.frame for e in self.estimates if e.likeness >= SEEN}
+        of those frames in which the filter saw the vehicle. Just after it did not, say as the vehicle has left, what
+        is only somewhat alike is another thing."""
+        before = [self.estimates[0], *self.estimates]
+        pairs = zip(before, self.estimates, strict=False)
+        seen = {e.frame for last, e in pairs if e.likeness >= (SEEN if last.likeness >= SEEN else SURE)}
         kept = np.array([g.frame in seen for g in self.glimpses])
         filtered = np.array([g.quads for g in self.glimpses])[kept]
         quads = refined.trajectory.quads(refined.theta)[kept]

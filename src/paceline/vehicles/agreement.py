@@ -40,9 +40,10 @@ def agreement(a: Texture, b: Texture) -> Image:
     return np.asarray(np.clip((correlation(a, b) - AGREE[0]) / (AGREE[1] - AGREE[0]), 0.0, 1.0), np.float32)
 
 
-def stands(counts: Image, lying: Image) -> Array:
+def stands(counts: Image, lying: Image, contrast: Image) -> Array:
     """How many times worse the views agree on what ``counts`` on cards (…, H, W) if it lies on the road, where their
-    correlation is ``lying``, than if it stands (…): less than once for a shadow, and for light on the road."""
-    on = counts > 0
-    as_standing = (AGREE[1] - AGREE[0]) * ((1.0 - counts) * on).sum((-2, -1), dtype=float)
-    return np.asarray(((1.0 - lying) * on).sum((-2, -1), dtype=float) / np.maximum(as_standing, 1e-9))
+    correlation is ``lying``, than if it stands (…): less than once for a shadow, and for light on the road. Places
+    weigh by their ``contrast``: the wide light about a lamp agrees anywhere."""
+    weight = contrast * counts
+    as_standing = (AGREE[1] - AGREE[0]) * ((1.0 - counts) * weight).sum((-2, -1), dtype=float)
+    return np.asarray(((1.0 - lying) * weight).sum((-2, -1), dtype=float) / np.maximum(as_standing, 1e-9))

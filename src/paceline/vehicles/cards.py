@@ -12,6 +12,7 @@ from paceline.vehicles.ways import Grid, level_of
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
+Mask = NDArray[np.bool_]
 Views = list[list[Image]]  # the pyramids of the left and of the right picture
 
 
@@ -37,12 +38,22 @@ class Card:
         )
         return found
 
-    def correlation(self, views: Views) -> Image:
-        """The correlation of both pictures at each place (rows, columns)."""
-        found = np.empty(self.grid.size[::-1], np.float32)
+    def correlation(self, views: Views) -> tuple[Image, Image]:
+        """The correlation of both pictures, and the contrast of the left one, at each place (rows, columns)."""
+        found, contrast = np.empty((2, *self.grid.size[::-1]), np.float32)
         left, right = (levels[self.level] for levels in views)
-        cards_cpu.correlate(left, right, self.cells, self._scale, self.window, found)
-        return found
+        cards_cpu.correlate(left, right, self.cells, self._scale, self.window, found, contrast)
+        return found, contrast
+
+    def sharpness(self, views: Views, piece: Mask) -> float:
+        """How well the pictures of a ``piece`` (rows, columns) fit each other, the more of it the more contrast both
+        have: places with little of it agree at any distance."""
+        left, right = (levels[self.level] for levels in views)
+        rows, columns = (np.flatnonzero(piece.any(axis)) for axis in (1, 0))
+        row, column = (max(int(places[0]) - self.window, 0) for places in (rows, columns))
+        part = np.ascontiguousarray(piece[row : rows[-1] + 1 + self.window, column : columns[-1] + 1 + self.window])
+        cells = self.cells @ np.array([[1.0, 0, column], [0, 1, row], [0, 0, 1]])
+        return float(cards_cpu.sharpness(left, right, cells, self._scale, self.window, part))
 
     def hide(self, counts: Image, explained: NDArray[np.uint8]) -> None:
         """Count nothing, in place, where the left picture is ``explained`` (H, W: not 0)."""
@@ -59,6 +70,7 @@ def warm_up() -> None:
     card = Card(Grid(-1.0, 1.0, 0.0, 0.5), 3, 0, np.stack([np.eye(3)] * 2))
     counts = card.counts([[picture], [picture]], [[picture], [picture]], 1.0)
     card.correlation([[picture], [picture]])
+    card.sharpness([[picture], [picture]], counts == 0)
     card.hide(counts, np.zeros(picture.shape, np.uint8))
     cards_cpu.weighted(counts, counts[0])
 

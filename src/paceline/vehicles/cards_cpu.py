@@ -14,6 +14,7 @@ from paceline.vehicles import agreement
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
 Bytes = NDArray[np.uint8]
+Mask = NDArray[np.bool_]
 
 AGREE, CHANGED, FLAT = agreement.AGREE, agreement.CHANGED, agreement.FLAT
 SUMS = {"reassoc", "contract", "nsz"}  # sums may be taken in another order
@@ -110,10 +111,14 @@ def _laid_out(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def correlate(left: Image, right: Image, H: Array, scale: float, window: int, correlation: Image) -> None:
-    """The local ``correlation`` (rows, columns) of what two pictures show on a card, ``H`` (2, 3, 3)."""
+def correlate(
+    left: Image, right: Image, H: Array, scale: float, window: int, correlation: Image, contrast: Image
+) -> None:
+    """The local ``correlation`` of what two pictures show on a card, ``H`` (2, 3, 3), and the local ``contrast`` of the
+    left one, both (rows, columns)."""
     cards, moments = _laid_out(left, right, H, scale, window, correlation.shape)
     _correlated(cards[0], moments[0], cards[1], moments[1], window, correlation)
+    contrast[:] = moments[0, 1]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -173,3 +178,20 @@ def weighted(counts: Image, weights: Image) -> float:
         for c in range(counts.shape[1]):
             total += counts[r, c] * weights[c]
     return total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def sharpness(left: Image, right: Image, H: Array, scale: float, window: int, piece: Mask) -> float:
+    """The correlation of what two pictures show in a ``piece`` (rows, columns) of a card, ``H`` (2, 3, 3), the more of
+    it the more contrast both have, −1 to 1."""
+    cards, moments = _laid_out(left, right, H, scale, window, piece.shape)
+    correlation = np.empty(piece.shape, np.float32)
+    _correlated(cards[0], moments[0], cards[1], moments[1], window, correlation)
+    alike, contrast = 0.0, 1e-9
+    for r in range(piece.shape[0]):
+        for c in range(piece.shape[1]):
+            if piece[r, c]:
+                a, b = moments[0, 1, r, c], moments[1, 1, r, c]
+                alike += correlation[r, c] * min(a, b) ** 2
+                contrast += max(a, b) ** 2
+    return alike / contrast

@@ -13,22 +13,21 @@ from paceline.documents import VehicleDocument
 from paceline.recordings import StereoFrame
 from paceline.vehicles.plane import Aligned, Face, face_of
 from paceline.vehicles.scene import Scene
-from paceline.vehicles.sightings import Lookout, Sighting
+from paceline.vehicles.sightings import Lookout
 from paceline.vehicles.tracks import Linker, Track, off_course
 from paceline.vehicles.ways import Way
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
 
-LEAST_SIGHTINGS = 4  # and as many as there are frames between them in which it is not seen
-LEAST_TRAVEL = 1.5, 1.5  # m, and px of disparity: what moves less stands
+LEAST_SIGHTINGS = 4  # and half as many as there are frames between them in which it is not seen; in all, as many
 UNSTEADY = 0.5  # from which on it does not drive, but two things were seen in turn: bushes in the wind
 ASIDE = 1.9  # m from the middle of the way: what is farther does not drive on it
-LEAST_AREA = 0.35, 0.25  # m² of a face that both views agree on, in the median; less where it was seen so
-LONG = 8  # many times: two lamps in the dark are small
+LEAST_AREA = 0.7  # m² of a face that both views agree on, in the median, times the root of the number of sightings:
+# two lamps in the dark are small, but there again and again
+MANY = 16  # of them, from which on more say no more
 LEAST_HEIGHT = 0.8  # m above the road that a vehicle reaches: less is a shadow
 SMALLEST = 16.0, 6.0  # px, width and height of an outline
-NEIGHBOURS = 5  # frames that say where a vehicle is in another one
 OFF = 1.0, 1.0  # m, and px of disparity, by which it is off at most
 KNOWN = 8  # vehicles of which a next one may be a part
 BORDER = 4.0  # px between an outline and the edge of the picture
@@ -96,12 +95,13 @@ class Finder:
         before = self._scene.before(frame, self.rows)
         sightings = self._lookout.see(frame, before.images, before.noise)
         self._scene.follow(frame, self.rows)
-        return [track for track in self._linker.link(frame.time, sightings) if is_vehicle(track)]
+        gone = [track for track in self._linker.link(frame.time, sightings) if is_vehicle(track)]
+        return [track for track in gone if not any(goes_on(track, other) for other in self._linker.tracks)]
 
     @property
     def in_view(self) -> list[Track]:
         """What moves along the ways in the last frame, and may turn out to be a vehicle."""
-        return [track for track in self._linker.tracks if not track.unseen and _moves(track)]
+        return [track for track in self._linker.tracks if not track.unseen and track.moves]
 
     def rest(self) -> list[Track]:
         """As `finish`, of what was seen."""
@@ -128,15 +128,17 @@ class Register:
 def is_vehicle(track: Track) -> bool:
     """Whether what was seen is upright and large enough, and drives along its way."""
     count = len(track.times)
-    if count < max(LEAST_SIGHTINGS, track.missed) or float(np.median(track.areas)) < LEAST_AREA[count >= LONG]:
+    area = float(np.median(track.areas))
+    if count < max(LEAST_SIGHTINGS + track.missed / 2, track.missed) or area * np.sqrt(min(count, MANY)) < LEAST_AREA:
         return False
     if _height(track) < LEAST_HEIGHT or abs(float(np.median([s.middle for s in track.kept]))) > ASIDE:
         return False
-    return _moves(track) and track.unsteadiness < UNSTEADY
+    return track.moves and track.unsteadiness < UNSTEADY
 
 
-def _moves(track: Track) -> bool:
-    return len(track.times) > 1 and abs(track.travel) >= track.kept[len(track.kept) // 2].error(*LEAST_TRAVEL)
+def goes_on(track: Track, other: Track) -> bool:
+    """Whether the vehicle of a ``track`` that has ended is followed further, and better, by another one."""
+    return len(other.times) > len(track.times) and is_vehicle(other) and other.is_of(track)
 
 
 def as_seen(track: Track, reason: str) -> Found:
@@ -180,7 +182,7 @@ def _height(track: Track) -> float:
 
 
 def in_step(aligned: list[Aligned]) -> list[Aligned]:
-    """Those that are where the others near in time say that the vehicle was, by the median of them."""
+    """Those that are on the course of all."""
     way = aligned[0].sighting.way
     places = [a.sighting.way.place(a.s, a.sighting.middle, 0.0) for a in aligned]
     t, s = np.array([a.sighting.time for a in aligned]), np.array([way.path.nearest(place) for place in places])

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from paceline.vehicles.agreement import Texture, agreement, correlation
 from paceline.vehicles.sightings import GRID, Sighting
 from paceline.vehicles.tracks import Track
-from paceline.vehicles.ways import Grid
+from paceline.vehicles.ways import Grid, Way
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -49,6 +49,15 @@ class Aligned:
     s: float
     origin: Array
     score: float
+
+    def on(self, way: Way) -> Array:
+        """Its origin on the cards of another ``way``."""
+        if way is self.sighting.way:
+            return self.origin
+        place = self.sighting.way.place(self.s, *self.origin)
+        s = way.path.nearest(place)
+        aside, up = (float((place - way.place(s, 0.0, 0.0)) @ axis) for axis in way.axes(s)[1:])
+        return np.array([aside, up])
 
     def cards(self) -> tuple[Image, Image]:
         return self.sighting.cards(self.s, FINE, self.origin)
@@ -116,7 +125,7 @@ def _lay_on_each_other(
     for others in (sightings[start + 1 :], sightings[:start][::-1]):
         near = first
         for sighting in others:
-            at = _searched(sighting, template, rows, columns, near.origin, s - reference.s)
+            at = _searched(sighting, template, rows, columns, near.on(sighting.way), s - reference.s)
             if at.score >= MATCHED:
                 found.append(at)
                 near = at

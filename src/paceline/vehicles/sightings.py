@@ -32,6 +32,7 @@ SEARCH, SEARCH_WINDOW = Grid(left=-3.2, top=2.6, bottom=0.2, cell=0.1), 5  # of 
 SPARSE = 2  # stations from one of the coarse look to the next
 PROMISING = 0.2  # m² of places that count in a coarse look, about which a fine one is worth while
 RIVAL, RIVALS = 0.5, 4  # of the most that counts coarsely, and stations: a fine look may see another as the highest
+PLATEAU, WIDEST = 0.9, 4  # of the most that counts, and stations on either side, where as much counts
 CONTRAST = (1.0, 2.0)  # grey levels, and times the noise: less is no texture
 COARSE = 2  # level of the pyramid at which a glance tells where nothing has changed
 PART = 0.2  # of a vehicle's smallest area that is other than the empty scene at a glance
@@ -130,10 +131,10 @@ class Lookout:
                 continue
             counts = look.counts(best)
             piece = largest_piece(counts)
-            s = self._between(look, best)
+            s = self._between(look, best, piece)
             look.forget(best, piece)
             lying = card_of(_lying(*self._stations[best]), GRID, WINDOW, self.rows.start)
-            if stands(counts * piece, lying.correlation(views)) < STANDS[1]:
+            if stands(counts * piece, *lying.correlation(views)) < STANDS[1]:
                 continue
             first, behind = self._way_of(best)
             sighting = self._sighting(frame, self._stations[best][0], s, counts, piece)
@@ -156,7 +157,7 @@ class Lookout:
 
     def _stands(self, coarse: dict[int, Image], views: Views, k: int) -> bool:
         """Whether what counts on a coarse card stands there, rather than lies on the road."""
-        return bool(stands(coarse[k], self._lying[k].correlation(views)) >= STANDS[0])
+        return bool(stands(coarse[k], *self._lying[k].correlation(views)) >= STANDS[0])
 
     def _busy(self, views: Views, scene: Views, least: float) -> NDArray[np.bool_]:
         """Where (stations,) both coarse views about a card are not those of the empty scene: elsewhere is nothing."""
@@ -192,13 +193,22 @@ class Lookout:
                 return k
             k = best
 
-    def _between(self, look: _Look, best: int) -> float:
-        """The arc length at the top of a parabola through the best station and its neighbours."""
+    def _between(self, look: _Look, best: int, piece: Mask) -> float:
+        """The arc length at the top of a parabola through the best station and its neighbours; of stations at which as
+        much counts, as in a halo, the best one is where the pictures of the ``piece`` fit each other sharply."""
         first, last = self._way_of(best)
+        least, low, high, height = PLATEAU * look.area(best), best, best, look.area
+        while low > max(first, best - WIDEST) and look.area(low - 1) >= least:
+            low -= 1
+        while high < min(last - 1, best + WIDEST) and look.area(high + 1) >= least:
+            high += 1
+        if low < high:
+            height = cache(partial(look.sharpness, piece=piece))
+            best = max(range(low, high + 1), key=height)
         s = self._stations[best][1]
         if not first < best < last - 1:
             return s
-        a, b, c = (look.area(k) for k in (best - 1, best, best + 1))
+        a, b, c = (height(k) for k in (best - 1, best, best + 1))
         offset = 0.5 * (a - c) / min(a - 2 * b + c, -1e-9)
         neighbour = self._stations[best + (1 if offset > 0 else -1)][1]
         return s + float(min(abs(offset), 0.5)) * (neighbour - s)
@@ -246,6 +256,10 @@ class _Look:
         if station not in self._areas:
             self._areas[station] = _area(self.counts(station), GRID)
         return self._areas[station]
+
+    def sharpness(self, station: int, piece: Mask) -> float:
+        """How well the pictures of a ``piece`` of a card fit each other."""
+        return self._cards[station].sharpness(self._views, piece)
 
     def forget(self, station: int, piece: Mask) -> None:
         """Count nothing any more in a ``piece`` (rows, columns) of a card, nor about it, which made it one."""

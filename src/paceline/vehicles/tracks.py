@@ -21,14 +21,16 @@ SETTLED = 3, 1.0  # sightings from which on, and seconds since the last up to wh
 ASIDE = 1.3  # m across the way that a vehicle moves at most from one sighting to the next,
 GAP = 0.5  # or that may lie between what is seen of it on either side of a pole
 ERROR = 2.5, 1.5  # m along the way, and px of disparity, by which a sighting is off at most
+LEAST_TRAVEL = 1.5, 1.5  # m along the way, and px of disparity: what moves less stands
 CHANGING = 8.0  # m/s², by which a vehicle gathers or loses speed at most
 LOW = 1.3  # m, up to where faces are compared: windscreens mirror what is around
 SHIFT = 0.35  # m that a face may have moved on its card
 PATIENCE = 3, 0.7  # frames, and seconds, without a sighting after which a vehicle has gone,
 GONE = 1.5  # s after which it has in any case: frames may be missing, and where it would be is not known any more
 BODY = 6.0, 2.5  # m along and across, within which there is no second vehicle
-RECENT = 8  # sightings that say where a vehicle is next
-TOGETHER = 0.5  # of their errors, by which sightings of one vehicle are off its course at most, in the median
+RECENT, LATEST = 8, 4  # sightings that say how fast a vehicle is, and from where on it is next
+TOGETHER = 0.8  # of their errors, by which sightings of one vehicle are off its course at most, in the median
+BENT = 1.0  # m/s², of a course: as unlikely as to be off by one error
 REFITTED, EXACT = 10, 0.05  # times, and parts of an error, of a fit by the sum of what is off
 KEPT = 12  # sightings of a vehicle that are kept, evenly spread
 
@@ -84,6 +86,11 @@ class Track:
         return float(late - early) * (len(self.way_s) - 1) / max(len(self.way_s) - third, 1)
 
     @property
+    def moves(self) -> bool:
+        """Whether it has moved by more than an error."""
+        return len(self.times) > 1 and abs(self.travel) >= self.kept[len(self.kept) // 2].error(*LEAST_TRAVEL)
+
+    @property
     def unsteadiness(self) -> float:
         """How badly a constant acceleration fits where it was, beside two places where it stood, with one jump from
         one to the other (metres by metres): near 0 for what drives, above 1 for what sways here and then there."""
@@ -99,25 +106,21 @@ class Track:
         if begun - ended > GONE:
             return False
         way, shared = self.first.way, (min(begun, ended) - GONE, max(begun, ended) + GONE)
-        (t, s, x, error), (t_other, s_other, x_other, error_other) = (one._on(way, *shared) for one in (self, other))
-        if abs(np.median(x) - np.median(x_other)) > BODY[1]:
+        mine, others = self._on(way, *shared), other._on(way, *shared)
+        if abs(np.median(mine[3]) - np.median(others[3])) > BODY[1]:
             return False
-        a, b = np.split(
-            off_course(
-                np.concatenate([t, t_other]), np.concatenate([s, s_other]), np.concatenate([error, error_other])
-            ),
-            [len(t)],
-        )
-        return bool(max(np.median(np.abs(a)), np.median(np.abs(b))) <= TOGETHER)
+        off = np.abs(off_course(*np.hstack([mine, others])[:3]))
+        count = mine.shape[1]
+        return bool(max(np.median(off[:count]), np.median(off[count:])) <= TOGETHER)
 
     def _on(self, way: Way, start: float, end: float) -> Array:
-        """Times, arc lengths and metres aside on a ``way``, and errors (4, N), of what was seen from ``start`` to
+        """Times, arc lengths on a ``way``, errors, and metres aside (4, N), of what was seen from ``start`` to
         ``end``."""
         found = []
         for time, place, error in zip(self.times, self.places, self.errors, strict=True):
             if start <= time <= end:
                 s = way.path.nearest(place)
-                found.append((time, s, (place - way.place(s, 0.0, 0.0)) @ way.axes(s)[1], error))
+                found.append((time, s, error, (place - way.place(s, 0.0, 0.0)) @ way.axes(s)[1]))
         return np.array(found).T
 
     def settled(self, time: float) -> bool:
@@ -141,7 +144,7 @@ class Track:
         recent = slice(-RECENT, None)
         t, places = np.array(self.times[recent]) - sighting.time, np.array(self.way_s[recent])
         v = slope(t, places)
-        there = float(np.median((places - v * t)[-4:]))
+        there = float(np.median((places - v * t)[-LATEST:]))
         doubt = error + self.errors[-1] * dt / (t[-1] - t[0]) + 0.5 * CHANGING * dt**2
         return bool(abs(s - there) <= doubt)
 
@@ -157,13 +160,17 @@ def slope(t: Array, s: Array) -> float:
 
 
 def off_course(t: Array, s: Array, error: Array) -> Array:
-    """How far, in parts of its ``error``, each place ``s`` at a time ``t`` (N,) is off the parabola from which all are
-    off least in sum."""
-    t, weight = t - t.mean(), 1.0 / error
+    """How far, in parts of its ``error``, each place ``s`` at a time ``t`` (N,) is off the course that they are
+    off least in sum: a line, bent as little as they are worth."""
+    powers, places = np.vander(t - t.mean(), 3) / error[:, None], s / error
+    bend = np.array([[2.0 / BENT, 0.0, 0.0]])
+    weight = np.ones(len(t) + 1)
     for _ in range(REFITTED):
-        off = (s - np.polyval(np.polyfit(t, s, min(2, len(t) - 1), w=weight), t)) / error
-        weight = 1.0 / (error * np.sqrt(np.maximum(np.abs(off), EXACT)))
-    return np.asarray(off)
+        A, b = weight[:, None] * np.concatenate([powers, bend]), weight * np.append(places, 0.0)
+        course = np.linalg.lstsq(A, b, rcond=None)[0]
+        off = np.append(places - powers @ course, bend @ course)
+        weight = 1.0 / np.sqrt(np.maximum(np.abs(off), EXACT))
+    return np.asarray(off[:-1])
 
 
 def likeness(a: Sighting, b: Sighting) -> float:
@@ -198,15 +205,15 @@ class Linker:
 
     def link(self, time: float, sightings: list[Sighting]) -> list[Track]:
         """The tracks that have ended by now; ``sightings`` at ``time`` go to those that go on, or begin new ones."""
-        pairs = [
-            (likeness(track.last, sighting), i, j)
+        pairs = [  # what has moved goes first: what stands, as a bush does, is hidden by it, and will be seen again
+            (track.moves, likeness(track.last, sighting), i, j)
             for i, track in enumerate(self.tracks)
             for j, sighting in enumerate(sightings)
             if track.last is not None and track.fits(sighting)
         ]
         taken_tracks: set[int] = set()
         taken: set[int] = set()
-        for score, i, j in sorted(pairs, reverse=True):
+        for _, score, i, j in sorted(pairs, reverse=True):
             known = score >= ALIKE or self.tracks[i].settled(time)
             if known and i not in taken_tracks and j not in taken:
                 self.tracks[i].add(sightings[j])
