@@ -2,6 +2,7 @@
 
 import gc
 import tracemalloc
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -400,3 +401,23 @@ def test_a_model_of_doubtful_width_has_wide_ranges() -> None:
     assert unsure.position_std[2] ** 2 == pytest.approx(sure.position_std[2] ** 2 + more, rel=1e-6)
     with pytest.raises(ValueError, match="tolerance: expected metres"):
         Target("x", 10.0, TARGET.corners, TARGET.segments, tolerance=-1.0)
+
+
+def test_a_snapshot_does_not_gainsay_what_the_search_sees_well(clip):
+    """One that tells another place, for sure and unasked, moves nothing while the target shows well."""
+    images, positions = clip
+    trackers = begin(positions[0]), begin(positions[0])
+    for k in range(20):
+        for tracker in trackers:
+            tracker.update(images[k], k / 15, k)
+    recogniser = trackers[1].lock.recogniser
+    astray = recogniser.projection.size(1.0) * np.array([0.3, 0.0, 0.0])
+    recogniser._snapshot = SimpleNamespace(
+        compare=lambda image, place, tau, sure: place + astray,
+        find=lambda image, expected, tau: expected + astray,
+        is_old=lambda scale: False,
+    )
+    for k in range(20, 40):
+        told, gainsaid = (tracker.update(images[k], k / 15, k) for tracker in trackers)
+        assert gainsaid.status == told.status == "tracking"
+        np.testing.assert_allclose(gainsaid.position, told.position, rtol=0.01, atol=0.02)

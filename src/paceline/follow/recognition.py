@@ -43,6 +43,7 @@ LOOSE, MOSTLY = 1.3, 0.7  # discord of its features with which a target that loo
 # share of the usual match shows: a half hidden one looks as it did as well
 ALIKE = 0.7  # likeness of the picture with which the size may jump
 HELD = 0.85  # likeness at which the picture alone tells that it is the target
+WELL = 0.7  # likeness with which a search has seen it well
 UNSURE = 3.0  # times as much as it claims a fit that is not sure may be off
 PROVEN = 10  # frames in which its features must have shown the target before
 ELSEWHERE = 0.08  # sizes of the target from its place, and relative change of scale, at which it is another
@@ -71,6 +72,7 @@ class Look:
     note: str = ""
     sure: bool = False  # no doubt that it is the target
     gauge: Gauge | None = None  # of its picture, where that told the scale
+    sighting: Sighting | None = None  # what the search saw
     slid: bool = False  # it is where it looks as it did long ago, not where it was followed to
 
 
@@ -103,9 +105,19 @@ class Recogniser:
             return look
         if look.complaint or look.fit is None:
             place = self._snapshot.find(image, expected, tau)
-            return look if place is None else self._held(place, look.window)
+            return look if place is None or self._conflicts(look, place) else self._held(place, look.window)
         place = self._snapshot.compare(image, look.fit.location, tau, look.sure)
-        return look if place is None else replace(look, fit=self._weighed(look.fit, place))
+        if place is None or self._conflicts(look, place):
+            return look
+        return replace(look, fit=self._weighed(look.fit, place))
+
+    def _conflicts(self, look: Look, place: Array) -> bool:
+        """Whether the search saw the picture of late well, and not at the ``place`` (3,) that the snapshot tells."""
+        if look.sighting is None or look.sighting.picture < WELL:
+            return False
+        off = np.abs(self.projection.ideal(look.sighting.location) - place)
+        size = self.projection.size(place[2])
+        return bool((off > ELSEWHERE * np.array([size, size, place[2]])).any())
 
     def _weighed(self, fit: Fit, place: Array) -> Fit:
         """A ``fit`` that is not sure, and the ``place`` that the snapshot tells."""
@@ -181,6 +193,7 @@ class Recogniser:
             return Look("nothing like the target is in reach")
         start = self.projection.ideal(sighting.location)
         look = self._measured(image, start, sighting.doubt, expected, doubt, tau, lost, sighting.window)
+        look = replace(look, sighting=sighting)
         self._turn += 1
         due = c.appearance and c.keepsake and self._turn % WATCH == 0
         if due and not look.complaint and look.fit is not None:
