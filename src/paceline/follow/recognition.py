@@ -42,7 +42,8 @@ GONE = 3.0
 LOOSE, MOSTLY = 1.3, 0.7  # discord of its features with which a target that looks as it did may be believed, where this
 # share of the usual match shows: a half hidden one looks as it did as well
 ALIKE = 0.7  # likeness of the picture with which the size may jump
-HELD = 0.85  # likeness at which the picture alone tells that it is the target
+HELD = 0.85  # likeness at which the picture alone is believed
+ALONE_FOR = 15  # frames in a row for which it is
 WELL = 0.7  # likeness with which a search has seen it well
 UNSURE = 3.0  # times as much as it claims a fit that is not sure may be off
 PROVEN = 10  # frames in which its features must have shown the target before
@@ -85,6 +86,7 @@ class Recogniser:
         self._search = Search(target, projection.magnification, projection.camera.image_size, c.edge_threshold)
         self._measurer = Measurer(projection, c)
         self._proven = 0
+        self._held_for = 0  # frames, in a row, by a picture alone
         self._snapshot: Snapshot | None = None
         self._image: Bytes | None = None  # looked at last
         self._turn = 0
@@ -105,7 +107,10 @@ class Recogniser:
             return look
         if look.complaint or look.fit is None:
             place = self._snapshot.find(image, expected, tau)
-            return look if place is None or self._conflicts(look, place) else self._held(place, look.window)
+            if place is None or self._conflicts(look, place):
+                return look
+            size = self.projection.size(place[2])
+            return self._held(place, RIGHT * [size, size, place[2]], look.window)
         place = self._snapshot.compare(image, look.fit.location, tau, look.sure)
         if place is None or self._conflicts(look, place):
             return look
@@ -133,7 +138,7 @@ class Recogniser:
     def afresh(self) -> Recogniser:
         """Another one that has not learned anything; the two work with the same scratch."""
         other = copy(self)
-        other._proven, other._snapshot = 0, None
+        other._proven, other._held_for, other._snapshot = 0, 0, None
         other.appearance, other.gauge = Appearance(self.projection.target), Gauge()
         return other
 
@@ -172,6 +177,7 @@ class Recogniser:
 
     def learn(self, look: Look) -> None:
         """Take in what a look that was believed has shown."""
+        self._held_for = self._held_for + 1 if look.measurement is None else 0
         if look.gauge is not None:
             self.gauge = look.gauge
         self._proven += look.measurement is not None
@@ -203,12 +209,23 @@ class Recogniser:
                 back = self._measured(image, place, old.doubt, place, doubt, tau, lost)
                 if _as_good(back, look):
                     return replace(back, window=sighting.window, slid=True, note=SLID)
+        proven = self._proven >= PROVEN and self._held_for < ALONE_FOR and not lost
+        if look.complaint in (FEW, APART) and proven and sighting.picture > HELD:
+            return self._by_picture(start, sighting)
         return look
 
-    def _held(self, location: Array, window: Window) -> Look:
-        """The target by its snapshot alone."""
-        n, size = len(self.projection.offsets), self.projection.size(location[2])
-        doubt = RIGHT * [size, size, location[2]]
+    def _by_picture(self, location: Array, sighting: Sighting) -> Look:
+        """The target by its picture of late alone."""
+        if self._c.steady_scale:
+            center = self.projection.shown(location).location[:2]
+            picture = self._search.scale_at(center, float(location[2]), self.appearance)
+            location = location if picture is None else np.array([*location[:2], self.gauge.scale(picture)])
+        doubt = sighting.doubt * np.array([1.0, 1.0, 1.0 + self._held_for / PROVEN])  # a picture's size drifts
+        return self._held(location, doubt, sighting.window)
+
+    def _held(self, location: Array, doubt: Array, window: Window) -> Look:
+        """The target where its features cannot be told, but its picture is, to within ``doubt`` (3,)."""
+        n = len(self.projection.offsets)
         fit = Fit(location, np.diag(doubt**2), np.zeros(3), 0.0, np.full(n, np.nan), np.zeros(n, bool))
         shown = self.projection.shown(location)
         inside, evidence = self._search.evidence_at(shown.location, shown.shifts, self.appearance)
