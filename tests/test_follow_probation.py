@@ -183,7 +183,7 @@ def test_a_place_that_is_better_by_less_than_hands_err_is_not_believed():
 
 
 def test_a_start_is_not_believed_either_where_something_far_off_matches_much_better():
-    watch = Watch((0, 0, 1, 0.2), (0.3, 0, 1, 0.5 - CLEAR))
+    watch = Watch((0, 0, 1, 0.18), (0.3, 0, 1, 0.19 + AMISS))
     assert watch.see(25) == [DOUBT] * 25
 
 

@@ -21,7 +21,8 @@ Array = NDArray[np.float64]
 Image = NDArray[np.float32]
 
 LEAST_SIGHTINGS = 4  # and half as many as there are frames between them in which it is not seen; in all, as many
-UNSTEADY = 0.5  # from which on it does not drive, but two things were seen in turn: bushes in the wind
+UNSTEADY = 0.4, 0.5  # from which on it does not drive, but two things were seen in turn: bushes in the wind; more is
+FAR = 10.0  # allowed to what has come so many m
 ASIDE = 1.9  # m from the middle of the way: what is farther does not drive on it
 LEAST_AREA = 0.7  # m² of a face that both views agree on, in the median, times the root of the number of sightings:
 # two lamps in the dark are small, but there again and again
@@ -133,7 +134,7 @@ def is_vehicle(track: Track) -> bool:
         return False
     if _height(track) < LEAST_HEIGHT or abs(float(np.median([s.middle for s in track.kept]))) > ASIDE:
         return False
-    return track.moves and track.unsteadiness < UNSTEADY
+    return track.moves and track.unsteadiness < UNSTEADY[abs(track.travel) > FAR]
 
 
 def goes_on(track: Track, other: Track) -> bool:
