@@ -55,7 +55,7 @@ class Snapshot:
         """As `find`, for a target that its features show at ``place`` (3,). Where it shows well, or this is ``sure``,
         nothing is told but learned, and that in some images only."""
         self._surely += sure
-        if sure and self._surely % EVERY != 1:
+        if self._surely % EVERY != 1 if sure else self._shows_well:
             return None
         found = self.find(image, place, tau)
         if found is None:
@@ -63,11 +63,10 @@ class Snapshot:
         off = np.array([*(place[:2] - found[:2]) / (self._size * place[2]), log(place[2] / found[2])])
         if (np.abs(off) < APART).all():
             self.agreed += 1
-            if sure or not self._shows_well:
-                self._usual += max(RATE, 1 / self.agreed) * (self._carried.likeness - self._usual)
+            self._usual += max(RATE, 1 / self.agreed) * (self._carried.likeness - self._usual)
             if sure:
                 self._off = np.clip(self._off + off / (2 + self._surely // EVERY), -OFF, OFF)
-        return None if sure or self._shows_well else found
+        return None if sure else found
 
     def _place(self, image: Bytes, expected: Array) -> Array:
         self._carried.place = expected
