@@ -19,7 +19,8 @@ CLEAR = 5  # sure sights after which it is known to show well: what then makes i
 LESS, GONE = 0.1, 3.0  # and it has to be as alike as that, and to have been seen so many cycles ago at most
 AGES = 1.3  # times as large or small as it was: then its picture is another
 MOST = 2.5  # times as large or small nothing is told by it
-EVERY = 7  # sure sights of which one is compared with it
+EVERY, LATER = 7, 300  # sure sights of which one is compared with it, at first and after TWICE as many: it costs a ms
+TWICE = 2
 APART = np.array([0.1, 0.1, 0.07])  # sizes, and relative scale, by which they may disagree
 OFF = 0.03  # the same by which it may be set right
 RIGHT = np.array([0.02, 0.02, 0.04])  # standard deviations of what it tells, in sizes and of the scale
@@ -33,7 +34,8 @@ class Snapshot:
         self._first = float(carried.place[2])
         self._usual = FIRST
         self._off = np.zeros(3)  # what is to be added to what it tells, where the lock was sure
-        self.agreed = self._surely = 0  # images in which the two agreed; of those in which the lock was sure
+        self.agreed = self._surely = 0  # images in which the two agreed, and in which the lock was sure
+        self._compared = 0  # of those, images in which both were so
 
     def is_old(self, scale: float) -> bool:
         """Whether a target of this ``scale`` looks otherwise."""
@@ -42,6 +44,10 @@ class Snapshot:
     @property
     def _shows_well(self) -> bool:
         return self._surely >= CLEAR
+
+    @property
+    def _is_due(self) -> bool:
+        return self._surely % (EVERY if self._surely <= TWICE * EVERY + 1 else LATER) == 1
 
     def find(self, image: Bytes, expected: Array, tau: float) -> Array | None:
         """The target's place (3,) in ``image``, about where it is ``expected`` (3,), ``tau`` cycles after it was seen;
@@ -55,7 +61,7 @@ class Snapshot:
         """As `find`, for a target that its features show at ``place`` (3,). Where it shows well, or this is ``sure``,
         nothing is told but learned, and that in some images only."""
         self._surely += sure
-        if self._surely % EVERY != 1 if sure else self._shows_well:
+        if not self._is_due if sure else self._shows_well:
             return None
         found = self.find(image, place, tau)
         if found is None:
@@ -65,7 +71,8 @@ class Snapshot:
             self.agreed += 1
             self._usual += max(RATE, 1 / self.agreed) * (self._carried.likeness - self._usual)
             if sure:
-                self._off = np.clip(self._off + off / (2 + self._surely // EVERY), -OFF, OFF)
+                self._compared += 1
+                self._off = np.clip(self._off + off / (1 + self._compared), -OFF, OFF)
         return None if sure else found
 
     def _place(self, image: Bytes, expected: Array) -> Array:
