@@ -105,29 +105,29 @@ class Recogniser:
         look = self._found(image, expected, doubt, width, tau, lost)
         if lost or self._snapshot is None:
             return look
-        if look.complaint or look.fit is None:
+        fit = None if look.complaint else look.fit
+        if fit is None:
             place = self._snapshot.find(image, expected, tau)
-            if place is None or self._conflicts(look, place):
-                return look
-            size = self.projection.size(place[2])
-            return self._held(place, RIGHT * [size, size, place[2]], look.window)
-        place = self._snapshot.compare(image, look.fit.location, tau, look.sure)
+        else:
+            place = self._snapshot.compare(image, fit.location, tau, look.sure)
         if place is None or self._conflicts(look, place):
             return look
-        return replace(look, fit=self._weighed(look.fit, place))
+        near = RIGHT * self._sizes(place)
+        if fit is None:
+            return self._held(place, near, look.window)
+        return replace(look, fit=fitting.fused(replace(fit, covariance=UNSURE**2 * fit.covariance), place, near))
 
     def _conflicts(self, look: Look, place: Array) -> bool:
         """Whether the search saw the picture of late well, and not at the ``place`` (3,) that the snapshot tells."""
         if look.sighting is None or look.sighting.picture < WELL:
             return False
         off = np.abs(self.projection.ideal(look.sighting.location) - place)
-        size = self.projection.size(place[2])
-        return bool((off > ELSEWHERE * np.array([size, size, place[2]])).any())
+        return bool((off > ELSEWHERE * self._sizes(place)).any())
 
-    def _weighed(self, fit: Fit, place: Array) -> Fit:
-        """A ``fit`` that is not sure, and the ``place`` that the snapshot tells."""
+    def _sizes(self, place: Array) -> Array:
+        """(3,): what a size of the target and its whole scale are at a ``place`` (3,)."""
         size = self.projection.size(place[2])
-        return fitting.fused(replace(fit, covariance=UNSURE**2 * fit.covariance), place, RIGHT * [size, size, place[2]])
+        return np.array([size, size, place[2]])
 
     def look_at(self, image: Bytes, location: Array, doubt: Array) -> Look:
         """The target in ``image`` (H, W) at ``location`` (3,), known to within ``doubt`` (3,): nothing is searched."""
