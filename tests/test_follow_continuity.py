@@ -82,6 +82,22 @@ def test_bumps_pass_but_what_stays_lower_is_something_else():
     assert len(refused) > 0.7 * (110 - min(refused))
 
 
+@pytest.mark.parametrize("tilt", [-0.08, 0.04, 0.08])
+def test_a_camera_that_looks_down_or_up_sees_a_nearer_target_lower_or_higher(tilt):
+    """By as much as it is tilted for every metre, and nobody says how much that is: it is learned."""
+
+    def place(k, below=0.9):
+        z = 10.0 + 5.0 * np.cos(0.04 * k)
+        return at(0.2, below - tilt * z, z) + [0, FOCAL * nodding(k), 0]
+
+    lock = Continuity(PROJECTION, place(0))
+    for k in range(1, 150):
+        assert lock.complaint(place(k), place(k), 1 / 15) == ""
+        lock.learn(place(k))
+    raised = [lock.complaint(place(k, -0.4), place(k), 1 / 15) for k in range(150, 180)]
+    assert raised.count(ALOFT) > 20
+
+
 def test_two_sights_of_one_place_are_steady():
     lock = Continuity(PROJECTION, at(*BEGIN))
     lock.sight(at(0.5, 0.9, 15.0))

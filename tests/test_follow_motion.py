@@ -58,6 +58,16 @@ def test_while_nothing_is_seen_a_motion_does_not_run_away():
     assert near == pytest.approx(far)
 
 
+def test_what_a_motion_foregoes_is_how_much_farther_its_speed_would_lead():
+    models = MotionModels(np.array([50.0, 60.0, 1.0]), np.array([1.0, 1.0, 0.02]), FollowConfiguration())
+    speed = np.array([2.0, 0.0, -0.004])
+    for t in range(1, 40):
+        models.observe(np.array([50.0, 60.0, 1.0]) + t * speed, np.array([3.0, 3.0, 300.0]), 1.0, np.full(3, 1e-3))
+    assert (models.foregone(3.0) == 0.0).all()
+    there = np.array([50.0, 60.0, 1.0]) + (39 + 20) * speed
+    np.testing.assert_allclose(models.predict(20.0)[0] + models.foregone(20.0), there, rtol=0.02)
+
+
 def test_predictions_cover_what_is_measured():
     """The stated deviation of a prediction is the size of the errors that it makes."""
     rng = np.random.default_rng(1)

@@ -79,6 +79,25 @@ def test_the_path_is_bounded():
     assert steering.path[-1, 0] == pytest.approx(0.5 * 4999 + 10.0, abs=0.6)
 
 
+@pytest.mark.parametrize("unseen", [1.0, 1.7, 1.9, 60.0])
+def test_a_straight_path_is_driven_straight_though_part_of_it_was_not_seen(unseen):
+    """Also where the vehicle has passed the point at which it was seen last, for good or for a while."""
+    steering, away, times = Steering(C), 0.1, np.arange(240) / 15
+    angles = [
+        steering.angle(t, 12.0, away, not 4.0 <= t < 4.0 + unseen, Pose(10.0 * t, 0.0, 0.0)) for t in times
+    ]
+    assert np.abs(angles).max() < 1.1 * pure_pursuit(C.lookahead_min, away, C.wheelbase)
+    assert (np.diff(steering.path[:, 0]) < 0.51).all()
+
+
+def test_a_long_way_that_was_not_seen_replaces_the_path():
+    steering = Steering(C)
+    for k, x in enumerate((0.0, 1.0, 5000.0)):
+        steering.angle(k / 15, 10.0, 0.0, True, Pose(x, 0.0, 0.0))
+    assert len(steering.path) <= LONGEST
+    assert steering.path[-1, 0] == pytest.approx(5010.0, abs=0.5) and steering.path[0, 0] > 4700.0
+
+
 def test_what_is_not_seen_does_not_enter_the_path():
     steering = Steering(C)
     for k in range(20):

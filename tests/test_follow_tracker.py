@@ -10,7 +10,7 @@ import pytest
 
 from paceline.cameras import Camera
 from paceline.errors import UnusableInput
-from paceline.follow import association, candidates, edges_cpu, fitting, motion, picture_cpu, search_cpu
+from paceline.follow import association, candidates, edges_cpu, fitting, motion, picture_cpu, recognition, search_cpu
 from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.ranging import recorded
 from paceline.follow.steering import Pose
@@ -286,6 +286,56 @@ def test_times_that_jump_are_told_and_survived(clip):
     assert "jumps" in estimates[20].reason and "jumps" in estimates[30].reason
     assert [e.status for e in estimates].count("tracking") >= len(images) - 2
     assert all(np.isfinite(e.position).all() for e in estimates)
+
+
+def test_a_clock_that_goes_back_does_not_undo_for_how_long_a_target_was_not_seen(clip):
+    images, positions = clip
+    black = np.zeros_like(images[0])
+    shown = [*images[:15], *(black + k % 2 for k in range(45)), *images[15:25]]
+    times = np.arange(len(shown)) / 15
+    times[20:] -= 1000.0
+    estimates = follow(begin(positions[0]), shown, times)
+    assert [e.status for e in estimates[15:60]].count("lost") > 10
+    assert estimates[60].status == "lost" and "waiting to be sure" in estimates[60].reason
+    assert next(e.reason for e in estimates[60:] if e.status == "tracking").startswith("reacquired after 3.")
+
+
+def test_after_a_start_in_doubt_its_snapshot_is_of_the_image_that_settled_it():
+    images, positions = film(12, seed=1, bounce=3.0)
+    tracker = begin(positions[0], off=(12, 0), size=1.0)
+    estimates = follow(tracker, images)
+    assert estimates[0].status == "coasting" and estimates[-1].status == "tracking"
+    snapshot = tracker.lock.recogniser._snapshot
+    there = np.array([*CAMERA.project(positions[-1]), 10.0 / positions[-1][2]])
+    told = snapshot.find(images[-1], there, 1.0)
+    assert (np.abs(told - there) / tracker.lock.recogniser._sizes(there) < [0.02, 0.02, 0.02]).all()
+
+
+def test_what_was_learned_long_ago_and_is_not_believed_changes_nothing(monkeypatch):
+    """Another place is looked at and refused: what is learned is the place that is believed."""
+    images, positions = film(40, seed=2)
+    plain, asked = begin(positions[0]), begin(positions[0])
+    follow(plain, images)
+    recogniser = asked.lock.recogniser
+
+    def elsewhere(location, appearance):
+        place = location + [4.0, 0.0, 0.0]
+        return SimpleNamespace(location=place, doubt=np.array([1.0, 1.0, 0.01]))
+
+    monkeypatch.setattr(recogniser._search, "went_from", elsewhere)
+    monkeypatch.setattr(recognition, "_as_good", lambda back, look: False)
+    follow(asked, images)
+    for name in ("_picture", "_keepsake", "signed"):
+        np.testing.assert_array_equal(*(getattr(t.lock.recogniser.appearance, name) for t in (plain, asked)))
+
+
+def test_a_learned_width_is_no_truer_for_a_target_that_is_tall():
+    tall = Target("lorry", 10.0, CORNERS * [0.8, 1.8], TARGET.segments, 0.04)
+    tracker = FollowTracker(CAMERA, tall, np.array([127.5, 120.5]), 0.7)
+    estimate = tracker.update(np.full((242, 256), 90, np.uint8), 0.0, 0)
+    z = estimate.position[2]
+    assert estimate.position_std[2] >= 0.04 * z / 1.6
+    assert estimate.position_std[2] == pytest.approx(np.hypot(0.04 * z / 1.6, 0.015 * z), rel=0.05)
 
 
 def test_a_frame_of_another_size_is_refused_in_one_line(clip):

@@ -79,6 +79,11 @@ class Belief:
         was, self.status, self._streak, self._unseen_since = self.status, "tracking", 0, None
         return "tracking", f"reacquired after {gone:.1f} s {'lost' if was == 'lost' else 'of coasting'}"
 
+    def rest(self, last: float, time: float) -> None:
+        """The clock goes back from ``last`` to ``time``, s."""
+        if self._unseen_since is not None:
+            self._unseen_since += time - last
+
     def _needed(self, gone: float) -> int:
         """How many frames in a row must show a target that was not seen for ``gone`` s."""
         if self.status == "lost" or not self._seen:

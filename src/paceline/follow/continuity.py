@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import sqrt
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,12 +15,50 @@ UNSTEADY = 0.06  # relative error of a scale that was measured, at most
 HASTE, BRAKING = 1.5, 3.0  # m/s, m/s²: by how much the distance may change otherwise than was foreseen
 NODDING = 0.06  # rad by which a bump and the road's grade may turn the camera up or down
 RISE = 0.3  # m by which what is measured of a target may lie higher or lower than usual
-LASTING, GRADE = 0.4, 0.025  # m and rad by which it may for longer, by the road's grade, say
-RATE, LATELY, LONG = 0.3, 0.2, 0.007  # of learning its height, per image: that of now, of half a second, of ten
+LASTING, GRADE = 0.3, 0.025  # m and rad by which it may for longer, by the road's grade, say
+RATE, LATELY = 0.3, 0.2  # of learning its height, per image: that of now, and of half a second
+TILTED = 0.06  # rad, standard deviation of the angle between the camera's axis and the road ahead,
+KEPT = 0.999  # of which so much stays from one image to the next
+FIRST, WANDERS = 0.1, 0.006  # m, that of the height at one distance, at first and from image to image
+ROUGH = 0.06  # rad, that of a bump, were it another in every image
+DOUBTS = 2.0  # standard deviations by which the line may be off
 SAME = 0.3  # sizes of the target, or relative scale, between two sights of the same
 
 LEAPT = "what is found is farther off or nearer than the target can be by now"
 ALOFT = "what is found is higher or lower than the target can be"
+
+
+class Level:
+    """How far below the camera's axis a target is that stays on the road, by its distance: ``height`` m at the distance
+    ``at`` m where it was seen first, and ``tilt`` rad for every metre farther, as nobody says how the camera is tilted.
+    A Kalman filter of the two."""
+
+    def __init__(self, drop: float, distance: float) -> None:
+        self._at = distance
+        self._height, self._tilt = drop, 0.0
+        self._hh, self._ht, self._tt = FIRST**2, 0.0, TILTED**2  # their covariance
+
+    def expected(self, distance: float) -> tuple[float, float]:
+        """The drop at a ``distance``, m, and its standard deviation."""
+        away = distance - self._at
+        variance = self._hh + 2.0 * away * self._ht + away * away * self._tt
+        return self._height + away * self._tilt, sqrt(variance)
+
+    def learn(self, drop: float, distance: float) -> None:
+        """In the next image the target is believed to be ``drop`` m below at a ``distance``, m."""
+        self._tilt *= KEPT
+        self._hh += WANDERS**2
+        self._ht *= KEPT
+        self._tt = KEPT**2 * self._tt + (1.0 - KEPT**2) * TILTED**2
+        away = distance - self._at
+        h, t = self._hh + away * self._ht, self._ht + away * self._tt
+        variance = h + away * t + (ROUGH * distance) ** 2
+        surprise = drop - self._height - away * self._tilt
+        self._height += h / variance * surprise
+        self._tilt += t / variance * surprise
+        self._hh -= h * h / variance
+        self._ht -= h * t / variance
+        self._tt -= t * t / variance
 
 
 class Continuity:
@@ -27,7 +67,8 @@ class Continuity:
     def __init__(self, projection: Projection, location: Array) -> None:
         self._projection = projection
         self._scale = float(location[2])
-        self._drop = self._lately = self._level = projection.drop(location)
+        self._drop = self._lately = projection.drop(location)
+        self._level = Level(self._drop, projection.distance(self._scale))
         self._sighted = location
         self.steady = True  # the last two sights were of one place, whether believed or not
 
@@ -43,7 +84,8 @@ class Continuity:
         if abs(drop - self._drop) > RISE + NODDING * distance:
             return ALOFT
         self._lately += LATELY * (drop - self._lately)  # also of what is refused, or every other image were believed
-        return ALOFT if abs(self._lately - self._level) > LASTING + GRADE * distance else ""
+        usual, doubt = self._level.expected(distance)
+        return ALOFT if abs(self._lately - usual) > LASTING + GRADE * distance + DOUBTS * doubt else ""
 
     def sight(self, location: Array) -> None:
         """Something like the target is seen at ``location`` (3,)."""
@@ -56,4 +98,4 @@ class Continuity:
         self._scale = float(location[2])
         drop = self._projection.drop(location)
         self._drop += RATE * (drop - self._drop)
-        self._level += LONG * (drop - self._level)
+        self._level.learn(drop, self._projection.distance(self._scale))

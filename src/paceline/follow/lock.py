@@ -43,6 +43,11 @@ class Lock:
         self.tau = self._cycles(time)
         self.expected, self.doubt = self.motion.predict(self.tau)
 
+    @property
+    def foregone(self) -> Array:
+        """(3,): how far its motion would have taken it beyond where it is expected, had it been trusted to go on."""
+        return self.motion.foregone(self.tau)
+
     def look(self, image: Bytes, lost: bool) -> Look:
         """Stages 7 and 1 to 4 where the target is expected; ``lost``: it may be anywhere."""
         look = self.recogniser.look(image, self.expected, self.doubt, self.tau, lost)

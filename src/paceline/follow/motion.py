@@ -182,6 +182,13 @@ class MotionModels:
         stds[2] = min(stds[2], CALM * (1.0 + UNSURE / (1.0 + self._count)) * self._values[2] * max(1.0, tau))
         return self._values.copy(), stds
 
+    def foregone(self, tau: float) -> Array:
+        """(3,): how much farther each would be ``tau`` cycles after the last measurement at the speed that `predict`
+        does not trust to last."""
+        rates = np.array([[solved(pair)[1] for pair in pairs] for pairs in self._pairs]) * self._moving
+        shares = 1.0 / self._errors**2
+        return np.asarray((rates * shares).sum(1) / shares.sum(1) * max(tau - LINEAR, 0.0))
+
     def doubt_scale(self) -> None:
         """The scale was not foreseen: its motion may have changed, and the next one is as uncertain as early on."""
         self._count = min(self._count, STARTLED)

@@ -114,6 +114,8 @@ class Recogniser:
             return look
         near = RIGHT * self._sizes(place)
         if fit is None:
+            if look.sighting is None and not self._search.open_at(image, self.projection.shown(place).location):
+                return look
             return self._held(place, near, look.window)
         return replace(look, fit=fitting.fused(replace(fit, covariance=UNSURE**2 * fit.covariance), place, near))
 
@@ -131,6 +133,7 @@ class Recogniser:
 
     def look_at(self, image: Bytes, location: Array, doubt: Array) -> Look:
         """The target in ``image`` (H, W) at ``location`` (3,), known to within ``doubt`` (3,): nothing is searched."""
+        self._image = image
         if not self._search.open_at(image, self.projection.shown(location).location):
             return Look(OUTSIDE)
         return self._measured(image, location, doubt, location, doubt, 0.0, False)
@@ -183,6 +186,7 @@ class Recogniser:
         self._proven += look.measurement is not None
         if look.slid:
             self.appearance.restore()
+            self.gauge = Gauge()  # it was that of the picture that slid
         if look.evidence is not None:
             match = None if look.measurement is None else look.measurement.match
             inside = look.inside if look.clear or not self.appearance.known else 0.0
@@ -209,6 +213,8 @@ class Recogniser:
                 back = self._measured(image, place, old.doubt, place, doubt, tau, lost)
                 if _as_good(back, look):
                     return replace(back, window=sighting.window, slid=True, note=SLID)
+                shown = self.projection.shown(look.fit.location)
+                self._search.evidence_at(shown.location, shown.shifts, self.appearance)  # the picture to learn from
         proven = self._proven >= PROVEN and self._held_for < ALONE_FOR and not lost
         if look.complaint in (FEW, APART) and proven and sighting.picture > HELD:
             return self._by_picture(start, sighting)
@@ -266,7 +272,7 @@ class Recogniser:
         shown = self.projection.shown(fit.location)
         if not c.wide_search and not self._search.open_at(image, shown.location):
             return Look(OUTSIDE, window, fit, measurement)
-        steadied, gauge = self._steadied(fit, shown, float(start[2]), tau)
+        steadied, gauge = self._steadied(fit, shown, float(start[2]), tau + self._held_for)
         shown = self.projection.shown(steadied.location)
         inside, evidence = self._search.evidence_at(shown.location, shown.shifts, self.appearance)
         complaint, clear, sure = self._judged(fit, measurement, inside, expected, doubt, tau, lost)

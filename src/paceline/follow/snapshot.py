@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 
 FIRST, RATE = 0.5, 0.2  # likeness that is usual before any is known; of learning it
-LIKE, LEAST = 0.7, 0.4  # share of the usual likeness, and likeness, at which the target is believed to be there
+LIKE, LEAST = 0.7, 0.46  # share of the usual likeness, and likeness, at which the target is believed to be there
 CLEAR = 5  # sure sights after which it is known to show well: what then makes it look otherwise stands before it,
 LESS, GONE = 0.1, 3.0  # and it has to be as alike as that, and to have been seen so many cycles ago at most
 AGES = 1.3  # times as large or small as it was: then its picture is another
@@ -23,7 +23,7 @@ EVERY, LATER = 7, 300  # sure sights of which one is compared with it, at first 
 TWICE = 2
 APART = np.array([0.1, 0.1, 0.07])  # sizes, and relative scale, by which they may disagree
 OFF = 0.03  # the same by which it may be set right
-RIGHT = np.array([0.02, 0.02, 0.04])  # standard deviations of what it tells, in sizes and of the scale
+RIGHT = np.array([0.02, 0.02, 0.05])  # standard deviations of what it tells, in sizes and of the scale
 
 
 class Snapshot:
@@ -67,12 +67,13 @@ class Snapshot:
         if found is None:
             return None
         off = np.array([*(place[:2] - found[:2]) / (self._size * place[2]), log(place[2] / found[2])])
-        if (np.abs(off) < APART).all():
-            self.agreed += 1
-            self._usual += max(RATE, 1 / self.agreed) * (self._carried.likeness - self._usual)
-            if sure:
-                self._compared += 1
-                self._off = np.clip(self._off + off / (1 + self._compared), -OFF, OFF)
+        if (np.abs(off) >= APART).any():
+            return None
+        self.agreed += 1
+        self._usual += max(RATE, 1 / self.agreed) * (self._carried.likeness - self._usual)
+        if sure:
+            self._compared += 1
+            self._off = np.clip(self._off + off / (1 + self._compared), -OFF, OFF)
         return None if sure else found
 
     def _place(self, image: Bytes, expected: Array) -> Array:

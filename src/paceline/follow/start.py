@@ -59,6 +59,7 @@ class Start:
         if self._began is None:
             self._began = time
             return self._first(image, own)
+        self._began = min(self._began, time)  # a clock may go back
         if time - self._began > DOUBTED:
             return Look(UNTOLD, own.window), ""
         locks = [self._lock_at(carried.step(image)) for carried in self._places]

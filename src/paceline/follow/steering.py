@@ -50,8 +50,9 @@ def pure_pursuit(ahead: float, right: float, wheelbase: float) -> float:
 
 
 def goal_on(path: Array, lookahead: float) -> tuple[float, float]:
-    """The point (ahead, right) at which ``path`` (N, 2), seen from the vehicle and in driving order, last enters the
-    circle of radius ``lookahead``; its end where it does not reach so far."""
+    """The point (ahead, right) at which ``path`` (N, 2), seen from the vehicle and in driving order, leaves the circle
+    of radius ``lookahead`` after its point nearest to the vehicle; its end where it does not reach so far. Its points
+    are close beside each other as compared with the circle."""
     distance = np.hypot(path[:, 0], path[:, 1])
     nearest = int(distance.argmin())
     beyond = np.flatnonzero(distance[nearest:] >= lookahead)
@@ -66,11 +67,12 @@ def goal_on(path: Array, lookahead: float) -> tuple[float, float]:
 
 
 def prolonged(path: Array, reach: float) -> Array:
-    """``path`` (N, 2), in driving order, carried straight on by ``reach`` metres beyond its end."""
+    """``path`` (N, 2), in driving order, carried straight on by ``reach`` metres beyond its end, every `SPACING`."""
     last = path[-STRETCH:]
     along = last[-1] - last[0]
     length = hypot(along[0], along[1])
-    return np.vstack([path, path[-1] + reach / length * along]) if length > 0 else path
+    steps = np.arange(SPACING, reach + SPACING, SPACING)[:, None]
+    return np.vstack([path, path[-1] + steps / length * along]) if length > 0 else path
 
 
 class Steering:
@@ -100,7 +102,8 @@ class Steering:
             if self._count:
                 lookahead = min(max(self.speed * c.lookahead_time, c.lookahead_min), c.lookahead_max)
                 # a lead that is not seen any more has driven on: its path does not end where it was seen last
-                path = self.path if seen else prolonged(self.path, c.lookahead_max)
+                gone = hypot(*(self.path[-1] - (pose.x, pose.y)))  # the vehicle may have passed its end by now
+                path = self.path if seen else prolonged(self.path, gone + c.lookahead_max)
                 goal = goal_on(seen_from(pose, path), lookahead)
         angle = pure_pursuit(goal[0] + c.camera_ahead, goal[1], c.wheelbase)
         return min(max(angle, -c.steering_limit), c.steering_limit)
@@ -113,8 +116,18 @@ class Steering:
         self._last = time, pose
 
     def _append(self, x: float, y: float) -> None:
-        if self._count and hypot(x - self._points[self._count - 1, 0], y - self._points[self._count - 1, 1]) < SPACING:
+        """Lead the path on to a point, straight where the vehicle ahead was not seen on its way there."""
+        if not self._count:
+            self._add(x, y)
             return
+        last = self.path[-1].copy()
+        way = np.array([x, y]) - last
+        length = hypot(*way)
+        n = int(length / SPACING)
+        for k in range(max(1, n + 1 - LONGEST), n + 1):
+            self._add(*(last + k * SPACING / length * way))
+
+    def _add(self, x: float, y: float) -> None:
         if self._count == LONGEST:
             self._points[: LONGEST // 2] = self._points[LONGEST // 2 :]
             self._count = LONGEST // 2

@@ -102,6 +102,8 @@ class FollowTracker:
             return ""
         for lock in self.probation.locks:
             lock.rest(last, time)
+        if time < last:
+            self.belief.rest(last, time)
         return f"the time jumps by {time - last:.2f} s: its motion is learned anew"
 
     def _checked(self, image: Bytes | None, frame: int) -> Bytes | None:
@@ -135,10 +137,10 @@ class FollowTracker:
                 fit = fitting.fused(fit, expected, doubt)
             location, covariance = fit.location, fit.covariance
         else:
-            location, covariance = expected, np.diag(doubt**2)
+            location, covariance = expected, np.diag(doubt**2 + self.lock.foregone**2)
         m = look.measurement if measured else None
         tolerance = max(self.configuration.model_tolerance, self.target.tolerance)
-        width = float(max(self.target.size))
+        width = float(self.target.size[0])
         place = place_of(location, covariance, self.camera, self.target.nominal_range, tolerance, width)
         steering = self.steering.angle(time, float(place.position[2]), float(place.position[0]), measured, pose)
         return FollowEstimate(
