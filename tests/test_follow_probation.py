@@ -34,6 +34,7 @@ from paceline.follow.start import (
     UNTOLD,
     told,
 )
+from paceline.follow.target import Target
 
 SIZE = 100.0  # px at scale 1
 LINES = 8
@@ -41,14 +42,21 @@ START = np.array([200.0, 150.0, 1.0])
 IMAGE = np.zeros((4, 4), np.uint8)
 
 
+CORNERS = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+RING = np.array([[0, 1], [1, 2], [2, 3], [3, 0]])
+BOX = Target("box", 10.0, CORNERS, RING)
+FRAMED = Target("framed", 10.0, np.vstack([CORNERS, 0.8 * CORNERS]), np.vstack([RING, RING + 4]))  # by a tenth of it
+
+
 class Places:
     """Stands for a recogniser that sees the model in known places: (x and y in sizes from the start, scale, match);
     a match may be a function of the image's number."""
 
-    def __init__(self, *places):
+    def __init__(self, *places, target=BOX):
         self.places = places
         self.image = 0
         self.projection = self
+        self.target = target
 
     def size(self, scale):
         return SIZE * scale
@@ -64,6 +72,10 @@ class Places:
 
     def learn(self, look):
         pass
+
+    def measured_at(self, image, location):
+        look = self.look_at(image, location, None)
+        return None if look.fit is None else (look.fit.location, look.measurement.match)
 
     def all(self):
         """Location and match of every place in this image."""
@@ -100,9 +112,9 @@ def seen(place, match):
 class Watch:
     """A probation fed with images, at 15 frames/s, as the tracker feeds it."""
 
-    def __init__(self, *places):
+    def __init__(self, *places, target=BOX):
         configuration = FollowConfiguration()
-        self.places = Places(*places)
+        self.places = Places(*places, target=target)
         self.probation = Probation(Lock(START, self.places, configuration), configuration)
 
     def see(self, images=1, hidden=False):
@@ -296,6 +308,16 @@ def test_while_the_target_is_hidden_what_stands_beside_it_does_not_take_over():
     assert watch.see(20, hidden=True) == ["hidden"] * 20 and len(watch.probation.locks) == 1
     assert watch.see(5) == [""] * 5
     np.testing.assert_allclose(watch.at, [0, 0, 1], atol=1e-6)
+
+
+def test_a_lock_that_is_a_line_off_goes_where_a_little_more_of_the_model_shows():
+    """By less than a rival has to be ahead; only models with lines side by side have such a place."""
+    places = (0, 0, 1, 0.5), (0.05, 0.05, 0.9, lambda image: 0.54 if image >= 8 else 0.0)
+    watch = Watch(*places, target=FRAMED)
+    said = watch.see(90)
+    assert said.count(SWITCHED) == 1 and set(said) == {"", SWITCHED}
+    np.testing.assert_allclose(watch.at, [0.05, 0.05, 0.9], atol=1e-6)
+    assert set(Watch(*places).see(90)) == {""}
 
 
 def test_without_probation_nothing_is_doubted():

@@ -13,9 +13,11 @@ from numpy.typing import NDArray
 from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.lock import Lock
 from paceline.follow.measuring import Measurement
+from paceline.follow.nested import Nested
 from paceline.follow.recognition import Look
 from paceline.follow.start import LEAST, REACH, Start, distance, match_of
 
+Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 
 EVERY = 6  # images of which one is patrolled
@@ -44,6 +46,7 @@ class Probation:
         self._left = 0  # images of a trial
         self._credit = 0.0  # of the rival
         self.lock = lock
+        self._nested = Nested(lock.recogniser.projection.target)
         self.pending = configuration.probation
 
     @property
@@ -65,6 +68,10 @@ class Probation:
             return look, note
         if self._rival is not None:
             return self._try(self._rival, image, time, look)
+        if look.measurement is not None and not look.complaint:
+            place = self._nested.better(image, look.measurement.fit.location, self.lock.recogniser)
+            if place is not None:
+                return self._moved(place, image, look)
         self._turn += 1
         if (
             self._turn % EVERY == 0
@@ -108,6 +115,15 @@ class Probation:
         elif not seen.complaint:
             rival.learn(seen, time)
         return look, ""
+
+    def _moved(self, place: Array, image: Bytes, look: Look) -> tuple[Look, str]:
+        """The lock goes to a ``place`` (3,) a line beside, unless the target is not there now."""
+        lock = Lock(place, self.lock.recogniser.afresh(), self._c)
+        seen = lock.look_here(image)
+        if seen.complaint:
+            return look, ""
+        self.lock, self._usual = lock, match_of(seen)
+        return seen, SWITCHED
 
     def _is_same(self, look: Look, other: Look) -> bool:
         if look.fit is None or other.fit is None:

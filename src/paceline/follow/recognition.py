@@ -48,6 +48,7 @@ WELL = 0.7  # likeness with which a search has seen it well
 UNSURE = 3.0  # times as much as it claims a fit that is not sure may be off
 PROVEN = 10  # frames in which its features must have shown the target before
 ELSEWHERE = 0.08  # sizes of the target from its place, and relative change of scale, at which it is another
+ABOUT = 0.01  # sizes, and relative scale, within which a place is looked at by itself
 WATCH = 3  # images of which in one it is asked whether the lock has slid
 WIDEST = 8.0  # times as far as usual a target is looked for that was lost
 
@@ -170,13 +171,21 @@ class Recogniser:
         ]
         return max(self._matches(image, elsewhere), key=lambda found: found[1], default=None)
 
+    def measured_at(self, image: Bytes, location: Array) -> tuple[Array, float] | None:
+        """Where the model fits in ``image`` (H, W) at ``location`` (3,), and how it matches there, whatever was learned;
+        None where it does not."""
+        return self._match(image, location, ABOUT * self._sizes(location))
+
     def _matches(self, image: Bytes, sightings: list[Sighting]) -> Iterator[tuple[Array, float]]:
-        anyhow = np.zeros(len(self.projection.offsets), np.int64)
         for sighting in sightings:
-            place = self.projection.ideal(sighting.location)
-            measurement, _ = self._measurer.measure(image, place, sighting.doubt, anyhow)
-            if measurement is not None:
-                yield measurement.fit.location, measurement.match
+            found = self._match(image, self.projection.ideal(sighting.location), sighting.doubt)
+            if found is not None:
+                yield found
+
+    def _match(self, image: Bytes, place: Array, doubt: Array) -> tuple[Array, float] | None:
+        anyhow = np.zeros(len(self.projection.offsets), np.int64)
+        measurement, _ = self._measurer.measure(image, place, doubt, anyhow)
+        return None if measurement is None else (measurement.fit.location, measurement.match)
 
     def learn(self, look: Look) -> None:
         """Take in what a look that was believed has shown."""

@@ -1,0 +1,81 @@
+"""Whether a lock is a line off. Many models have lines side by side, as a frame inside an outline. Where one is taken
+for the other on one side of the target, and above or below it as well, all the rest may fit, at a size that is wrong by
+some per cent. But more of the model shows where it is right: a little in each image, and in image after image.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from paceline.follow.recognition import Recogniser
+from paceline.follow.start import distance
+from paceline.follow.target import Target
+
+Array = NDArray[np.float64]
+Bytes = NDArray[np.uint8]
+
+NEAREST, FARTHEST = 0.02, 0.15  # shares of the model's width by which two upright lines side by side are apart
+ONE = 1.25  # times as far apart, two others are so by about as much
+EVERY = 3  # images of which in one another place is asked
+SLIGHT = 0.01  # difference of two matches that tells nothing, however long it lasts
+ABSENT = -0.05  # what an image counts in which the model does not fit at the other place
+PROVEN = 0.25  # sum of what there is more of the model, at which the other place is right
+
+
+class Nested:
+    """Asks the places at which ``target`` lies where a lock is a line off, by turns; the one that has done best is asked
+    in the images between as well, until that is settled."""
+
+    def __init__(self, target: Target) -> None:
+        self._moves = moves_of(target)
+        self._credit = np.zeros(len(self._moves))
+        self._turn = 0
+
+    def better(self, image: Bytes, here: Array, recogniser: Recogniser) -> Array | None:
+        """The place (3,) at which the target has proved to be in ``image`` rather than ``here`` (3,); None while there
+        is none."""
+        if not len(self._moves):
+            return None
+        self._turn += 1
+        k = self._turn // EVERY % len(self._moves)
+        if self._turn % EVERY:
+            k = int(self._credit.argmax())
+            if self._credit[k] == 0.0:
+                return None
+        right, down, factor = self._moves[k]
+        size = recogniser.projection.size(here[2])
+        there: Array = here * (1.0, 1.0, factor) + (right * size, down * size, 0.0)
+        gain = self._gain(image, here, there, recogniser)
+        self._credit[k] = max(self._credit[k] + gain, 0.0)
+        if self._credit[k] < PROVEN:
+            return None
+        self._credit[:] = 0.0
+        return there
+
+    def _gain(self, image: Bytes, here: Array, there: Array, recogniser: Recogniser) -> float:
+        now, then = recogniser.measured_at(image, here), recogniser.measured_at(image, there)
+        if then is None or distance(then[0], there, recogniser) > distance(then[0], here, recogniser):
+            return ABSENT
+        return then[1] - (0.0 if now is None else now[1]) - SLIGHT
+
+
+def moves_of(target: Target) -> Array:
+    """From where a lock is to where it may have to be (N, 3): right and down in sizes of the target, and the factor of
+    its scale. With lines a gap g apart in a width w one side off makes it 1 ± g/w, and both sides 1 ± 2 g/w."""
+    width, size = float(target.size[0]), float(max(target.size))
+    upright = np.unique(target.places[target.vertical])
+    gaps: list[float] = []
+    for k, x in enumerate(upright):
+        for gap in upright[k + 1 :] - x:
+            beside = NEAREST < gap / width < FARTHEST
+            if beside and not any(1 / ONE < gap / other < ONE for other in gaps):
+                gaps.append(float(gap))
+    moves = []
+    for gap, sign in product(gaps, (1.0, -1.0)):
+        aside, factor = 0.5 * gap / size, sign * gap / width
+        moves += [(x, y, 1.0 + factor) for x, y in product((-aside, aside), repeat=2)]
+        moves.append((0.0, 0.0, 1.0 + 2.0 * factor))
+    return np.array(moves).reshape(-1, 3)
