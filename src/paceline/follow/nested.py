@@ -26,8 +26,8 @@ PROVEN = 0.25  # sum of what there is more of the model, at which the other plac
 
 
 class Nested:
-    """Asks the places at which ``target`` lies where a lock is a line off, by turns; the one that has done best is asked
-    in the images between as well, until that is settled."""
+    """Asks the places at which ``target`` lies where a lock is a line off, by turns; the one that has done best is
+    asked in the images between as well, until that is settled."""
 
     def __init__(self, target: Target) -> None:
         self._moves = moves_of(target)

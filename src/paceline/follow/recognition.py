@@ -172,8 +172,8 @@ class Recogniser:
         return max(self._matches(image, elsewhere), key=lambda found: found[1], default=None)
 
     def measured_at(self, image: Bytes, location: Array) -> tuple[Array, float] | None:
-        """Where the model fits in ``image`` (H, W) at ``location`` (3,), and how it matches there, whatever was learned;
-        None where it does not."""
+        """Where the model fits in ``image`` (H, W) at ``location`` (3,), and how it matches there; None where it does
+        not. Whatever was learned has no say."""
         return self._match(image, location, ABOUT * self._sizes(location))
 
     def _matches(self, image: Bytes, sightings: list[Sighting]) -> Iterator[tuple[Array, float]]:
