@@ -45,7 +45,7 @@ IMAGE = np.zeros((4, 4), np.uint8)
 CORNERS = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 RING = np.array([[0, 1], [1, 2], [2, 3], [3, 0]])
 BOX = Target("box", 10.0, CORNERS, RING)
-FRAMED = Target("framed", 10.0, np.vstack([CORNERS, 0.8 * CORNERS]), np.vstack([RING, RING + 4]))  # by a tenth of it
+FRAMED = Target("framed", 10.0, np.vstack([CORNERS, 0.9 * CORNERS]), np.vstack([RING, RING + 4]))
 
 
 class Places:
@@ -312,12 +312,12 @@ def test_while_the_target_is_hidden_what_stands_beside_it_does_not_take_over():
 
 def test_a_lock_that_is_a_line_off_goes_where_a_little_more_of_the_model_shows():
     """By less than a rival has to be ahead; only models with lines side by side have such a place."""
-    places = (0, 0, 1, 0.5), (0.05, 0.05, 0.9, lambda image: 0.54 if image >= 8 else 0.0)
+    places = (0, 0, 1, 0.5), (0.025, 0.025, 0.95, lambda image: 0.54 if image >= 8 else 0.0)
     watch = Watch(*places, target=FRAMED)
-    said = watch.see(90)
+    said = watch.see(120)
     assert said.count(SWITCHED) == 1 and set(said) == {"", SWITCHED}
-    np.testing.assert_allclose(watch.at, [0.05, 0.05, 0.9], atol=1e-6)
-    assert set(Watch(*places).see(90)) == {""}
+    np.testing.assert_allclose(watch.at, [0.025, 0.025, 0.95], atol=1e-6)
+    assert set(Watch(*places).see(120)) == {""}
 
 
 def test_without_probation_nothing_is_doubted():

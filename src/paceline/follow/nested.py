@@ -17,12 +17,12 @@ from paceline.follow.target import Target
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 
-NEAREST, FARTHEST = 0.02, 0.15  # shares of the model's width by which two upright lines side by side are apart
+NEAREST, FARTHEST = 0.02, 0.08  # shares of the model's width by which two upright lines side by side are apart
 ONE = 1.25  # times as far apart, two others are so by about as much
 EVERY = 3  # images of which in one another place is asked
 SLIGHT = 0.01  # difference of two matches that tells nothing, however long it lasts
 ABSENT = -0.05  # what an image counts in which the model does not fit at the other place
-PROVEN = 0.25  # sum of what there is more of the model, at which the other place is right
+PROVEN = 0.5  # sum of what there is more of the model, at which the other place is right
 
 
 class Nested:
