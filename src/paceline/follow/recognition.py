@@ -195,7 +195,6 @@ class Recogniser:
         self._proven += look.measurement is not None
         if look.slid:
             self.appearance.restore()
-            self.gauge = Gauge()  # it was that of the picture that slid
         if look.evidence is not None:
             match = None if look.measurement is None else look.measurement.match
             inside = look.inside if look.clear or not self.appearance.known else 0.0
