@@ -40,6 +40,19 @@ def test_two_bushes_in_the_wind_are_no_vehicle() -> None:
         assert is_vehicle(driven(times, 29.0 + 8.0 * times + off))
 
 
+@pytest.mark.parametrize(("metres", "off"), [(6.0, 0.2), (8.0, 0.25)])
+def test_what_comes_a_short_way_as_smoothly_as_it_can_be_measured_is_a_vehicle(metres: float, off: float) -> None:
+    """In a second and a half, each place ``off`` by so many pixels of disparity: two places fit almost as well."""
+    rng, t, found = np.random.default_rng(5), np.arange(16) / 10, 0
+    pixel = driven(t[:3], 29.0 + t[:3]).kept[1].error(0.0, 1.0)
+    for _ in range(50):
+        track = driven(t, 29.0 + metres / t[-1] * t + rng.normal(0, off * pixel, len(t)))
+        assert track.roughness == pytest.approx(off, abs=0.15)
+        assert track.unsteadiness < 1.1
+        found += is_vehicle(track)
+    assert found > 40
+
+
 @given(st.integers(0, 2**16), st.floats(-30, 30), st.integers(6, 30), st.booleans())
 def test_a_course_leads_through_most_places(seed: int, speed: float, n: int, brakes: bool) -> None:
     """One in four far off, at either end too, moves nothing by more than the others are off."""

@@ -14,7 +14,8 @@ Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 
 FIRST, RATE = 0.5, 0.2  # likeness that is usual before any is known; of learning it
-LIKE, LEAST = 0.7, 0.46  # share of the usual likeness, and likeness, at which the target is believed to be there
+LIKE, LEAST = 0.7, 0.46  # share of the usual likeness, and likeness, at which the target is believed to be there,
+LATE = 0.6  # and the latter where it was not seen for as long as GONE: among many places some look alike
 CLEAR = 5  # sure sights after which it is known to show well: what then makes it look otherwise stands before it,
 LESS, GONE = 0.1, 3.0  # and it has to be as alike as that, and to have been seen so many cycles ago at most
 AGES = 1.3  # times as large or small as it was: then its picture is another
@@ -55,7 +56,7 @@ class Snapshot:
         if not 1 / MOST < expected[2] / self._first < MOST or (self._shows_well and tau >= GONE):
             return None
         place = self._place(image, expected)
-        return place if self._is_alike() else None
+        return place if self._is_alike(tau) else None
 
     def compare(self, image: Bytes, place: Array, tau: float, sure: bool) -> Array | None:
         """As `find`, for a target that its features show at ``place`` (3,). Where it shows well, or this is ``sure``,
@@ -82,6 +83,6 @@ class Snapshot:
         scale = told[2] * exp(self._off[2])
         return np.array([*(told[:2] + self._off[:2] * self._size * scale), scale])
 
-    def _is_alike(self) -> bool:
+    def _is_alike(self, tau: float) -> bool:
         usual = self._usual - LESS if self._shows_well else LIKE * self._usual
-        return self._carried.likeness >= max(usual, LEAST)
+        return self._carried.likeness >= max(usual, LATE if tau >= GONE else LEAST)

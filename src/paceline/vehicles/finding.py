@@ -23,6 +23,8 @@ Image = NDArray[np.float32]
 LEAST_SIGHTINGS = 4  # and half as many as there are frames between them in which it is not seen; in all, as many
 UNSTEADY = 0.4, 0.5  # from which on it does not drive, but two things were seen in turn: bushes in the wind; more is
 FAR = 10.0  # allowed to what has come so many m
+QUIET, OFTEN = 0.5, 8  # px of disparity, rms, and sightings: so far beside its course what drives is measured, too; a
+# track as smooth and long only has to fit the course better than two places
 ASIDE = 1.9  # m from the middle of the way: what is farther does not drive on it
 LEAST_AREA = 0.7  # m² of a face that both views agree on, in the median, times the root of the number of sightings:
 # two lamps in the dark are small, but there again and again
@@ -134,7 +136,9 @@ def is_vehicle(track: Track) -> bool:
         return False
     if _height(track) < LEAST_HEIGHT or abs(float(np.median([s.middle for s in track.kept]))) > ASIDE:
         return False
-    return track.moves and track.unsteadiness < UNSTEADY[abs(track.travel) > FAR]
+    quiet = count >= OFTEN and track.roughness < QUIET
+    limit = 1.0 if quiet else UNSTEADY[abs(track.travel) > FAR]
+    return track.moves and track.unsteadiness < limit
 
 
 def goes_on(track: Track, other: Track) -> bool:

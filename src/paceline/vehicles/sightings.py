@@ -33,6 +33,7 @@ SPARSE = 2  # stations from one of the coarse look to the next
 PROMISING = 0.2  # m² of places that count in a coarse look, about which a fine one is worth while
 RIVAL, RIVALS = 0.5, 4  # of the most that counts coarsely, and stations: a fine look may see another as the highest
 PLATEAU, WIDEST = 0.9, 4  # of the most that counts, and stations on either side, where as much counts
+SHARPER = 0.6  # times the misfit of the pictures at the best of them, below which another of those stations is better
 CONTRAST = (1.0, 2.0)  # grey levels, and times the noise: less is no texture
 COARSE = 2  # level of the pyramid at which a glance tells where nothing has changed
 PART = 0.2  # of a vehicle's smallest area that is other than the empty scene at a glance
@@ -195,7 +196,8 @@ class Lookout:
 
     def _between(self, look: _Look, best: int, piece: Mask) -> float:
         """The arc length at the top of a parabola through the best station and its neighbours; of stations at which as
-        much counts, as in a halo, the best one is where the pictures of the ``piece`` fit each other sharply."""
+        much counts, as in a halo, the best one is where the pictures of the ``piece`` fit each other far more sharply.
+        By day they hardly do, and what counts tells the place better."""
         first, last = self._way_of(best)
         least, low, high, height = PLATEAU * look.area(best), best, best, look.area
         while low > max(first, best - WIDEST) and look.area(low - 1) >= least:
@@ -203,8 +205,10 @@ class Lookout:
         while high < min(last - 1, best + WIDEST) and look.area(high + 1) >= least:
             high += 1
         if low < high:
-            height = cache(partial(look.sharpness, piece=piece))
-            best = max(range(low, high + 1), key=height)
+            sharpness = cache(partial(look.sharpness, piece=piece))
+            sharp = max(range(low, high + 1), key=sharpness)
+            if 1.0 - sharpness(sharp) < SHARPER * (1.0 - sharpness(best)):
+                best, height = sharp, sharpness
         s = self._stations[best][1]
         if not first < best < last - 1:
             return s

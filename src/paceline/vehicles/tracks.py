@@ -94,10 +94,19 @@ class Track:
     def unsteadiness(self) -> float:
         """How badly a constant acceleration fits where it was, beside two places where it stood, with one jump from
         one to the other (metres by metres): near 0 for what drives, above 1 for what sways here and then there."""
-        t, s = np.array(self.times) - self.times[0], np.array(self.way_s)
-        smooth = float(np.abs(s - np.polyval(np.polyfit(t, s, 2), t)).sum())
+        s = np.array(self.way_s)
         jumping = min(_scatter(s[:k]) + _scatter(s[k:]) for k in range(1, len(s)))
-        return smooth / max(jumping, 1e-9)
+        return float(np.abs(self._off_smooth).sum()) / max(jumping, 1e-9)
+
+    @property
+    def roughness(self) -> float:
+        """How far it was, rms, from where a constant acceleration fits best, px of disparity."""
+        return float(np.sqrt(np.mean(self._off_smooth**2))) / self.kept[len(self.kept) // 2].error(0.0, 1.0)
+
+    @property
+    def _off_smooth(self) -> Array:
+        t, s = np.array(self.times) - self.times[0], np.array(self.way_s)
+        return np.asarray(s - np.polyval(np.polyfit(t, s, 2), t))
 
     def is_of(self, other: Track) -> bool:
         """Whether it saw the vehicle of another track: then one course leads through what both saw about the time of
