@@ -148,24 +148,22 @@ class Appearance:
         )
         return covariance if good else None
 
-    def learn(self, evidence: Array, match: float | None, inside: float) -> bool:
+    def learn(self, evidence: Array, match: float | None, inside: float) -> None:
         """Take in what was looked at last, the ``evidence`` (S,) along the features there, and what ``match`` the model
-        had where that was measured. Returns whether so much of it is ``inside`` that the picture was learned, too."""
+        had where that was measured; its picture, where nearly all of that is ``inside`` the image."""
         if match is not None:
             rate = (MATCH_RISES if match > self.match else MATCH_FALLS) if self.match else 1.0
             self.match += rate * (match - self.match)
         rate = FEATURE_RATE if self.known else 1.0
         self.signed += rate * (evidence - self.signed)
         self.strength += (FEATURE_RATE if self.known else 0.5) * (np.abs(evidence) - self.strength)
-        if inside < INSIDE:
-            return False
-        rate = PICTURE_RATE if self.known else 1.0
-        self._picture += np.float32(rate) * (self._seen - self._picture)
-        self._learned += 1
-        old = KEEPSAKE_RATE if self._learned > OLD else 1.0 / self._learned
-        self._keepsake += np.float32(old) * (self._seen - self._keepsake)
-        self.known = True
-        return True
+        if inside >= INSIDE:
+            rate = PICTURE_RATE if self.known else 1.0
+            self._picture += np.float32(rate) * (self._seen - self._picture)
+            self._learned += 1
+            old = KEEPSAKE_RATE if self._learned > OLD else 1.0 / self._learned
+            self._keepsake += np.float32(old) * (self._seen - self._keepsake)
+            self.known = True
 
     def brighter(self) -> Indices:
         """(S,): 1 or −1 for features whose step in brightness has had this sign of late, 0 for the others."""

@@ -64,5 +64,6 @@ class Gauge(NamedTuple):
         return picture * exp(self.log_ratio)
 
     def learned(self, rate: float) -> Gauge:
-        """Once the picture was learned anew, at this ``rate``, with the size that the gauge gave the target."""
+        """An image later. Where the picture was learned anew, at this ``rate``, it was with the size that the gauge
+        gave the target; where it was not, the picture's own scale, which a hand has set, is trusted a little more."""
         return self._replace(log_ratio=(1.0 - rate) * self.log_ratio)
