@@ -38,6 +38,10 @@ class Lock:
         self.tau = 0.0
         self.continuity = Continuity(recogniser.projection, location)
 
+    def afresh(self, location: Array) -> Lock:
+        """Another one, at ``location`` (3,), that has not learned anything."""
+        return Lock(location, self.recogniser.afresh(), self._c)
+
     def predict(self, time: float) -> None:
         """Stage 6: where the target is expected at ``time``, s."""
         self.tau = self._cycles(time)

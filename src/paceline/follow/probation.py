@@ -39,7 +39,7 @@ class Probation:
 
     def __init__(self, lock: Lock, configuration: FollowConfiguration) -> None:
         self._c = configuration
-        self._start = Start(lock, configuration)
+        self._start = Start(lock)
         self._rival: Lock | None = None
         self._turn = 0  # images since the start was settled
         self._usual = 0.0  # match of the lock
@@ -94,7 +94,7 @@ class Probation:
         if found is None or distance(found[0], here, recogniser) > NEARBY:
             return
         if found[1] > max(self._usual + BETTER, LEAST):
-            rival = Lock(found[0], recogniser.afresh(), self._c)
+            rival = self.lock.afresh(found[0])
             look = rival.look_here(image)
             if not look.complaint:
                 rival.learn(look, time)
@@ -118,7 +118,7 @@ class Probation:
 
     def _moved(self, place: Array, image: Bytes, look: Look) -> tuple[Look, str]:
         """The lock goes to a ``place`` (3,) a line beside, unless the target is not there now."""
-        lock = Lock(place, self.lock.recogniser.afresh(), self._c)
+        lock = self.lock.afresh(place)
         seen = lock.look_here(image)
         if seen.complaint:
             return look, ""

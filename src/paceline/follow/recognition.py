@@ -221,8 +221,7 @@ class Recogniser:
                 back = self._measured(image, place, old.doubt, place, doubt, tau, lost)
                 if _as_good(back, look):
                     return replace(back, window=sighting.window, slid=True, note=SLID)
-                shown = self.projection.shown(look.fit.location)
-                self._search.evidence_at(shown.location, shown.shifts, self.appearance)  # the picture to learn from
+                self._evidence_at(look.fit.location)  # what is learned is the picture looked at last
         proven = self._proven >= PROVEN and self._held_for < ALONE_FOR and not lost
         if look.complaint in (FEW, APART) and proven and sighting.picture > HELD:
             return self._by_picture(start, sighting)
@@ -241,9 +240,13 @@ class Recogniser:
         """The target where its features cannot be told, but its picture is, to within ``doubt`` (3,)."""
         n = len(self.projection.offsets)
         fit = Fit(location, np.diag(doubt**2), np.zeros(3), 0.0, np.full(n, np.nan), np.zeros(n, bool))
-        shown = self.projection.shown(location)
-        inside, evidence = self._search.evidence_at(shown.location, shown.shifts, self.appearance)
+        inside, evidence = self._evidence_at(location)
         return Look("", window, fit, None, inside, evidence, note=ALONE)
+
+    def _evidence_at(self, location: Array) -> tuple[float, Array]:
+        """`Search.evidence_at` a ``location`` (3,) of the model, in the part of the image searched last."""
+        shown = self.projection.shown(location)
+        return self._search.evidence_at(shown.location, shown.shifts, self.appearance)
 
     def _remember(self, look: Look) -> None:
         """Keep what the target looks like where its features have shown it, and again where that is another picture."""
@@ -281,8 +284,7 @@ class Recogniser:
         if not c.wide_search and not self._search.open_at(image, shown.location):
             return Look(OUTSIDE, window, fit, measurement)
         steadied, gauge = self._steadied(fit, shown, float(start[2]), tau + self._held_for)
-        shown = self.projection.shown(steadied.location)
-        inside, evidence = self._search.evidence_at(shown.location, shown.shifts, self.appearance)
+        inside, evidence = self._evidence_at(steadied.location)
         complaint, clear, sure = self._judged(fit, measurement, inside, expected, doubt, tau, lost)
         fit = fit if complaint else steadied
         return Look(complaint, window, fit, measurement, inside, evidence, clear, sure=sure, gauge=gauge)

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from paceline.follow.carrying import Carried
-from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.lock import Lock
 from paceline.follow.recognition import Look, Recogniser
 
@@ -45,8 +44,8 @@ class Start:
     """The operator's start, where a ``lock`` begins, on trial. It is ``pending`` until it has proved right or was
     corrected; ``lock`` is then at the place to go by."""
 
-    def __init__(self, lock: Lock, configuration: FollowConfiguration) -> None:
-        self._c, self._recogniser, self._hand = configuration, lock.recogniser, lock.expected
+    def __init__(self, lock: Lock) -> None:
+        self._recogniser, self._hand = lock.recogniser, lock.expected
         self._began: float | None = None  # s, when it was looked at first
         self._places: list[Carried] = []  # the operator's first,
         self._away = np.zeros(0)  # how far from that they are,
@@ -62,7 +61,7 @@ class Start:
         self._began = min(self._began, time)  # a clock may go back
         if time - self._began > DOUBTED:
             return Look(UNTOLD, own.window), ""
-        locks = [self._lock_at(carried.step(image)) for carried in self._places]
+        locks = [self.lock.afresh(carried.step(image)) for carried in self._places]
         looks = [lock.look_here(image) for lock in locks]
         self._matches.append(self._matches_of(looks))
         k = told(np.array(self._matches), self._away)
@@ -88,7 +87,7 @@ class Start:
     def _elsewhere(self, image: Bytes) -> tuple[list[Array], Array]:
         """Where the model fits about the start, and how it matches there."""
         places = self._recogniser.survey(image, self._hand, REACH, PLACES)
-        looks = [self._lock_at(place).look_here(image) for place in places]
+        looks = [self.lock.afresh(place).look_here(image) for place in places]
         found = [(look.fit.location, match_of(look)) for look in looks if look.fit is not None]
         return [place for place, _ in found], np.array([match for _, match in found])
 
@@ -122,9 +121,6 @@ class Start:
     def _settle(self, lock: Lock, look: Look, corrected: bool) -> tuple[Look, str]:
         self.lock, self.pending = lock, False
         return look, CORRECTED if corrected else ""
-
-    def _lock_at(self, place: Array) -> Lock:
-        return Lock(place, self._recogniser.afresh(), self._c)
 
     def _off(self, place: Array) -> float:
         return self._distance(place, self._hand)

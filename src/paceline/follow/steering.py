@@ -101,9 +101,10 @@ class Steering:
                 self._append(*in_world(pose, ahead, right))
             if self._count:
                 lookahead = min(max(self.speed * c.lookahead_time, c.lookahead_min), c.lookahead_max)
-                # a lead that is not seen any more has driven on: its path does not end where it was seen last
-                gone = hypot(*(self.path[-1] - (pose.x, pose.y)))  # the vehicle may have passed its end by now
-                path = self.path if seen else prolonged(self.path, gone + c.lookahead_max)
+                path = self.path
+                if not seen:  # the lead has driven on, and the vehicle may have passed where it was seen last
+                    gone = hypot(*(path[-1] - (pose.x, pose.y)))
+                    path = prolonged(path, gone + c.lookahead_max)
                 goal = goal_on(seen_from(pose, path), lookahead)
         angle = pure_pursuit(goal[0] + c.camera_ahead, goal[1], c.wheelbase)
         return min(max(angle, -c.steering_limit), c.steering_limit)

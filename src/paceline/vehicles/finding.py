@@ -130,6 +130,8 @@ class Register:
 
 def is_vehicle(track: Track) -> bool:
     """Whether what was seen is upright and large enough, and drives along its way."""
+    if not track.moves:
+        return False
     count = len(track.times)
     area = float(np.median(track.areas))
     if count < max(LEAST_SIGHTINGS + track.missed / 2, track.missed) or area * np.sqrt(min(count, MANY)) < LEAST_AREA:
@@ -137,8 +139,7 @@ def is_vehicle(track: Track) -> bool:
     if _height(track) < LEAST_HEIGHT or abs(float(np.median([s.middle for s in track.kept]))) > ASIDE:
         return False
     quiet = count >= OFTEN and track.roughness < QUIET
-    limit = 1.0 if quiet else UNSTEADY[abs(track.travel) > FAR]
-    return track.moves and track.unsteadiness < limit
+    return track.unsteadiness < (1.0 if quiet else UNSTEADY[abs(track.travel) > FAR])
 
 
 def goes_on(track: Track, other: Track) -> bool:

@@ -54,10 +54,8 @@ class Aligned:
         """Its origin on the cards of another ``way``."""
         if way is self.sighting.way:
             return self.origin
-        place = self.sighting.way.place(self.s, *self.origin)
-        s = way.path.nearest(place)
-        aside, up = (float((place - way.place(s, 0.0, 0.0)) @ axis) for axis in way.axes(s)[1:])
-        return np.array([aside, up])
+        _, x, y = way.on_card(self.sighting.way.place(self.s, *self.origin))
+        return np.array([x, y])
 
     def cards(self) -> tuple[Image, Image]:
         return self.sighting.cards(self.s, FINE, self.origin)

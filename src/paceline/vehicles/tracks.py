@@ -128,8 +128,8 @@ class Track:
         found = []
         for time, place, error in zip(self.times, self.places, self.errors, strict=True):
             if start <= time <= end:
-                s = way.path.nearest(place)
-                found.append((time, s, error, (place - way.place(s, 0.0, 0.0)) @ way.axes(s)[1]))
+                s, aside, _ = way.on_card(place)
+                found.append((time, s, error, aside))
         return np.array(found).T
 
     def settled(self, time: float) -> bool:

@@ -72,6 +72,13 @@ class Way:
         origin, right, up = self.axes(s)
         return np.asarray(origin + x * right + y * up)
 
+    def on_card(self, place: Array) -> tuple[float, float, float]:
+        """Of a world ``place`` (3,) the arc length of the card that it lies on, and its (x, y) there: the inverse of
+        `place`."""
+        s = self.path.nearest(place)
+        origin, right, up = self.axes(s)
+        return s, float((place - origin) @ right), float((place - origin) @ up)
+
     def is_that_of(self, other: Way) -> bool:
         """Whether it runs where another one does, in the same sense."""
         for s in np.linspace(self.path.s[0], self.path.s[-1], COMPARED):
