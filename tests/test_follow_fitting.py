@@ -153,6 +153,11 @@ def test_a_turned_target_is_not_taken_for_a_farther_one():
     assert turned.covariance[2, 2] > fit_variance(weights)
 
 
+def test_a_target_seen_squarely_is_hardly_taken_for_a_nearer_one():
+    turned = fitting.locate(ideal_places(), np.full(5, 5.0), VERTICAL, OFFSETS, TRUTH[2], fitting.TURNED)
+    assert 0.0 <= turned.location[2] / TRUTH[2] - 1.0 <= fitting.LIKELY * fitting.TURNED**2
+
+
 def fit_variance(weights):
     return fitting.locate(ideal_places(), weights, VERTICAL, OFFSETS).covariance[2, 2]
 

@@ -338,6 +338,26 @@ def test_a_learned_width_is_no_truer_for_a_target_that_is_tall():
     assert estimate.position_std[2] == pytest.approx(np.hypot(0.04 * z / 1.6, 0.015 * z), rel=0.05)
 
 
+@pytest.mark.parametrize("greys", [(220, 50), (50, 220)])
+def test_a_target_whose_lamps_are_switched_is_followed(greys, monkeypatch):
+    lamps = [(-0.9, -0.3, -0.6, 0.0), (0.6, -0.3, 0.9, 0.0)]
+    body = [((-1, -0.6, 1, 0.6), 160), ((-1, 0.3, 1, 0.6), 80), ((-0.4, -0.2, 0.4, 0.1), 190)]
+    boxes = [*lamps, body[0][0]]
+    corners = np.array([[x, y] for x0, y0, x1, y1 in boxes for x, y in [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]])
+    ring, others = np.array([[0, 1], [1, 2], [2, 3], [3, 0]]), [[8, 11], [9, 10], [12, 13]]
+    target = Target("saloon", 10.0, np.vstack([corners, [[-1, 0.3], [1, 0.3]]]), np.vstack([ring, ring + 4, others]))
+    rng, wall, images = np.random.default_rng(3), np.full((600, 1600), 130.0), []
+    positions = np.array([[0.3 * np.sin(0.2 * k), 0.2, 9.0] for k in range(24)])
+    for k, position in enumerate(positions):
+        monkeypatch.setattr(f"{__name__}.FACES", [*body, *((lamp, greys[k >= 8]) for lamp in lamps)])
+        images.append(draw(position, wall, (0.0, 0.0), rng))
+    tracker = FollowTracker(CAMERA, target, CAMERA.project(positions[0]), 10.0 / 9.0)
+    estimates = follow(tracker, images)
+    assert [e.status for e in estimates] == ["tracking"] * 24
+    off, aside = errors(estimates, positions)
+    assert np.abs(off).max() < 0.03 and np.abs(aside).max() < 0.05
+
+
 def test_a_frame_of_another_size_is_refused_in_one_line(clip):
     images, positions = clip
     tracker = begin(positions[0])

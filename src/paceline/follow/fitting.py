@@ -22,7 +22,8 @@ BEYOND = 2.0  # times its reach from where it should be, a line does not belong 
 TURNED = 0.1  # rad, standard deviation of a target's angle to the camera, which makes it look narrower by 1 − cos
 CONSISTENT = 0.1  # the residual (15) below which features agree as well as the pixel grid allows
 SURELY = 1e9  # confidence of what is not in doubt
-SQRT_2 = 2.0**0.5
+# in squares of that, the rms of 1 − cos, and what of it is likely: between the most likely, 0, and the mean, 0.5
+RMS, LIKELY = 0.5 * 3.0**0.5, 0.125
 SINGULAR = 1e-6  # of the greatest diagonal of U: a location with less than that is not determined
 
 
@@ -161,11 +162,11 @@ def _locate(
     for j in range(n):
         rows[j, 0] = -weights[j] * scale * offsets[j] if vertical[j] else 0.0
     _fill(places, weights, vertical, offsets, rows[:, 1:])
-    # A target turned by ψ looks narrower by κ = 1 − cos ψ. κ is the first unknown, known beforehand as well as ψ is;
-    # made triangular, the rows below the first hold the location whatever κ is.
+    # A target turned by ψ looks narrower by κ = 1 − cos ψ. κ is the first unknown; made triangular, the rows below the
+    # first hold the location whatever κ is.
     rows[-1] = 0.0
-    rows[-1, 0] = SURELY if turned == 0.0 else SQRT_2 / (turned * turned)
-    rows[-1, 4] = rows[-1, 0] * 0.5 * turned * turned
+    rows[-1, 0] = SURELY if turned == 0.0 else 1.0 / (RMS * turned * turned)
+    rows[-1, 4] = rows[-1, 0] * LIKELY * turned * turned
     triangularise(rows)
     pair = rows[1:4, 1:].copy()
     inverse, confidences, residuals = np.zeros((3, 3)), np.zeros(3), np.full(n, np.nan)

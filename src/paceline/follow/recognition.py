@@ -91,6 +91,7 @@ class Recogniser:
         self._snapshot: Snapshot | None = None
         self._image: Bytes | None = None  # looked at last
         self._turn = 0
+        self._either = np.zeros(len(self.projection.offsets), np.int64)  # which side is brighter is not known
         self.appearance = Appearance(target)
         self.gauge = Gauge()
 
@@ -183,8 +184,7 @@ class Recogniser:
                 yield found
 
     def _match(self, image: Bytes, place: Array, doubt: Array) -> tuple[Array, float] | None:
-        anyhow = np.zeros(len(self.projection.offsets), np.int64)
-        measurement, _ = self._measurer.measure(image, place, doubt, anyhow)
+        measurement, _ = self._measurer.measure(image, place, doubt, self._either)
         return None if measurement is None else (measurement.fit.location, measurement.match)
 
     def learn(self, look: Look) -> None:
@@ -269,8 +269,28 @@ class Recogniser:
     ) -> Look:
         """Stages 1 to 4 about ``start`` (3,), known to within ``near`` (3,), and what is to be thought of it. The
         look's window is the one ``searched``, if any."""
+        brighter = self.appearance.brighter() if self._c.polarity else self._either
+        look = self._measured_with(brighter, image, start, near, expected, doubt, tau, lost, searched)
+        if look.complaint != FEW or not brighter.any():
+            return look
+        # lamps that are switched on or off are brighter than what is about them, or darker, from one image to the next
+        other = self._measured_with(self._either, image, start, near, expected, doubt, tau, lost, searched)
+        return look if other.complaint else other
+
+    def _measured_with(
+        self,
+        brighter: Indices,
+        image: Bytes,
+        start: Array,
+        near: Array,
+        expected: Array,
+        doubt: Array,
+        tau: float,
+        lost: bool,
+        searched: Window | None,
+    ) -> Look:
+        """The same with only such edges of a feature as have the sign ``brighter`` (S,), where that is not 0."""
         c = self._c
-        brighter = self.appearance.brighter() if c.polarity else np.zeros(len(self.projection.offsets), np.int64)
         measurement, window = self._measurer.measure(image, start, near, brighter)
         window = searched or window
         if measurement is None:
