@@ -92,7 +92,7 @@ class Places:
         return Look("nothing is there")
 
     def carry(self, image, location):
-        return SimpleNamespace(place=location, step=lambda image: location)  # nothing moves
+        return SimpleNamespace(place=location, first=location[2], step=lambda image: location)  # nothing moves
 
     def survey(self, image, location, reach, count):
         return [place for place, match in sorted(self.all(), key=lambda found: -found[1]) if match > 0]
@@ -106,7 +106,7 @@ def seen(place, match):
     used = np.ones(LINES, bool)
     fit = Fit(place, np.diag([0.01, 0.01, 1e-6]), np.ones(3), 0.1, np.zeros(LINES), used)
     none = np.zeros((0, 2)), np.zeros(0, np.int64)
-    return Look("", fit=fit, measurement=Measurement(fit, *none, 0.1, 0.1, match, used))
+    return Look("", fit=fit, measurement=Measurement(fit, *none, 0.1, 0.1, match, 1.0, used))
 
 
 class Watch:

@@ -110,10 +110,14 @@ def test_how_well_features_agree_is_told_as_by_the_formulas():
     used = np.array([True, False, True, True, True])
     offsets, allowed, shares = rng.normal(0, 1, 5), rng.uniform(0.4, 1.0, 5), rng.uniform(0, 1, 5)
     offsets[~used] = np.nan
-    residual, discord, match, agreeing = measuring_cpu.agreement(offsets, used, allowed, shares)
+    lengths, shown = rng.uniform(10, 50, 5), np.array([1.0, 0.7, 1.0, 0.0, 1.0])
+    residual, discord, match, support, agreeing = measuring_cpu.agreement(
+        offsets, used, allowed, shares, lengths, shown
+    )
     ratio = offsets[used] / allowed[used]
     assert residual == pytest.approx(np.sqrt((offsets[used] ** 2).mean()))
     assert discord == pytest.approx(np.sqrt((ratio**2).mean()))
-    assert match == pytest.approx((shares[used] * np.exp(-0.5 * ratio**2)).sum() / 5)
+    assert match == pytest.approx((shares[used] * np.exp(-0.5 * ratio**2)).sum() / 3.7)
+    assert support == pytest.approx(lengths[agreeing].sum() / (lengths * shown).sum())
     np.testing.assert_array_equal(agreeing[used], np.abs(ratio) < 1.5)
     assert not agreeing[1]

@@ -164,6 +164,37 @@ def test_one_second_behind_another_vehicle_is_survived(clip):
     assert np.all(np.diff([e.position_std[2] for e in estimates[16:29]]) > 0)  # it knows less and less
 
 
+def test_a_target_of_which_the_image_shows_six_tenths_is_reacquired():
+    rng, background = np.random.default_rng(5), scenery(5)
+    aside = -2.2 - np.clip(0.085 * (np.arange(45) - 7), 0.0, 1.0)
+    positions = np.column_stack([aside, np.full(45, 0.2), np.full(45, 8.0)])
+    images = [draw(p, background, (8 * k, 0.0), rng) for k, p in enumerate(positions)]
+    shown = 0.5 * (positions[:, 0] + 1.0 - 8.0 * CAMERA.rays(np.zeros(2))[0])
+    assert shown[20:].max() < 0.62
+    images[22:27] = [None] * 5
+    estimates = follow(begin(positions[0]), images)
+    status = [e.status for e in estimates]
+    assert status[:22] == ["tracking"] * 22 and status[35:] == ["tracking"] * 10
+    off, aside = errors(estimates, positions)
+    believed = np.array([s == "tracking" for s in status])
+    assert np.abs(off[believed]).max() < 0.02 and np.abs(aside[believed]).max() < 0.05
+
+
+def test_a_target_that_was_not_seen_for_a_while_is_found_wherever_it_is():
+    rng, background, place = np.random.default_rng(7), scenery(7), np.array([0.0, 0.3, 14.0])
+    tracker = begin(place)
+    follow(tracker, [draw(place, background, (k, 0.0), rng) for k in range(20)])
+    lock = tracker.lock
+    search, appearance = lock.recogniser._search, lock.recogniser.appearance
+    doubt = np.array([15.0, 15.0, 0.05 * lock.expected[2]])
+    for k in range(12):
+        there = place + rng.uniform([-2, -1, -1.5], [2, 1, 1.5])
+        image = draw(there, background, (50 + 9 * k, 3.0), rng)
+        found = search.find(image, lock.expected, doubt, np.zeros(len(TARGET.segments)), 8.0, appearance, True)
+        assert np.abs(found.location[:2] - CAMERA.project(there)).max() < 0.6
+        assert found.location[2] == pytest.approx(10.0 / there[2], rel=0.08)
+
+
 def test_a_target_that_goes_is_lost_and_nothing_else_is_taken_for_it(clip):
     images, positions = clip
     rng = np.random.default_rng(9)

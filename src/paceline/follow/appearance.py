@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from paceline.follow import picture_cpu
 from paceline.follow.search_cpu import TOLD
+from paceline.follow.sweep import sweep
 from paceline.follow.target import Target
 
 Array = NDArray[np.float64]
@@ -57,8 +58,6 @@ class Appearance:
     def __init__(self, target: Target) -> None:
         self.signed = np.zeros(len(target.segments))
         self.strength = np.full(len(target.segments), UNKNOWN)
-        self.lengths: Array = target.spans[:, 1] - target.spans[:, 0]
-        self.length = float(self.lengths.sum())
         self.match = 0.0  # how much of the model usually shows
         self.known = False
         grown = MARGIN * target.size
@@ -94,6 +93,10 @@ class Appearance:
         nothing of the picture is found. ``magnification`` (2,) is in px per metre at scale 1, ``steady`` the relative
         standard deviation of the scale given."""
         return self._align(image, self._picture, location, magnification, steady, STEPS, self._seen)
+
+    def sweep(self, image: Bytes, magnification: Array, scale: float, share: float, count: int) -> Array:
+        """Up to ``count`` places (N, 3) anywhere in ``image`` that look like the learned picture, see `sweep.sweep`."""
+        return sweep(image, self._picture, self._box, magnification, scale, share, count)
 
     def scale_at(self, image: Bytes, place: Array, magnification: Array) -> float | None:
         """The scale at which ``image`` shows the learned picture about ``place`` (3,), which is moved there, by nothing

@@ -31,7 +31,7 @@ class Carried:
         self._size = projection.target.size * projection.magnification  # px at scale 1
         self._side = max(1, int(min(self._size) * place[2] / DETAIL))
         self._reach = np.ceil(reach / self._side).astype(int)
-        self._first = float(place[2])
+        self.first = float(place[2])  # its scale
         shown = projection.shown(place).location
         self._picture = _cut(
             self._made_ready(image), self._smaller(shown), GROWN * self._size * place[2] / self._side
@@ -59,7 +59,7 @@ class Carried:
 
     def _best(self, seen: Bytes, center: Array, scale: float) -> tuple[float, Array]:
         """How well the picture at a ``scale`` correlates where it does so best, and the centre (2,) there."""
-        grown = scale / self._first
+        grown = scale / self.first
         how = cv2.INTER_AREA if grown < 1.0 else cv2.INTER_LINEAR
         picture = cv2.resize(self._picture, None, fx=grown, fy=grown, interpolation=how)
         part = _cut(seen, center, np.array(picture.shape[::-1]) + 2 * self._reach)

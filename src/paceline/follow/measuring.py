@@ -35,7 +35,8 @@ class Measurement:
     owners: Indices
     residual: float  # px rms of the features' places about the fitted ones
     discord: float  # the same, relative to what each may be off
-    match: float  # how much of the model shows, 0 to 1
+    match: float  # how much of the model shows, 0 to 1, of what the image can show
+    support: float  # share of the length of its lines that agree, as well
     agreeing: Flags  # (S,): the features that lie where the model has them
 
 
@@ -84,7 +85,8 @@ class Measurer:
         shares = measuring_cpu.shares_found(*lists, places, features.lengths, breadth)
         points, owners = measuring_cpu.believed(*lists, fit.used)
         allowed = np.sqrt(breadth**2 + tolerance)
-        told = measuring_cpu.agreement(fit.offsets, fit.used, allowed, shares)
+        shown = measuring_cpu.in_view(self._vertical, features.places, features.spans, *projection.camera.image_size)
+        told = measuring_cpu.agreement(fit.offsets, fit.used, allowed, shares, features.lengths, shown)
         return Measurement(fit, points, owners, *told), window
 
     def _places(

@@ -17,6 +17,7 @@ Indices = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
 AGREEING = 1.5  # times what is allowed that a feature may be off to agree
+LEAST_SHOWN = 0.5  # share of the model to which what shows of it is related
 SAMPLING = 0.2  # px: what the grid of pixels leaves uncertain of a line
 
 
@@ -129,25 +130,47 @@ def shares_found(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def agreement(offsets: Array, used: Flags, allowed: Array, shares: Array) -> tuple[float, float, float, Flags]:
+def in_view(vertical: Flags, places: Array, spans: Array, width: int, height: int) -> Array:
+    """(S,): the share of each feature's length that lies in an image of ``width`` × ``height`` px."""
+    shares = np.zeros(len(places))
+    for j in range(len(places)):
+        across, along = (width, height) if vertical[j] else (height, width)
+        if 0.0 <= places[j] <= across - 1.0:
+            seen = min(spans[j, 1], along - 1.0) - max(spans[j, 0], 0.0)
+            shares[j] = max(seen, 0.0) / (spans[j, 1] - spans[j, 0])
+    return shares
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def agreement(
+    offsets: Array, used: Flags, allowed: Array, shares: Array, lengths: Array, shown: Array
+) -> tuple[float, float, float, float, Flags]:
     """How well the features lie where the model has them, from their ``offsets`` (S,) px, what each is ``allowed`` to
-    be off with the model's own errors, (S,) px, and how much of its length is found, ``shares`` (S,).
+    be off with the model's own errors, (S,) px, how much of its length is found, ``shares`` (S,), their ``lengths``
+    (S,) and how much of those the image can show, ``shown`` (S,).
 
     The rms of the offsets and of their ratios to what is allowed, over the features that are ``used`` (S,); how much
-    of the model shows, 0 to 1: the mean of all features' shares, each the less the more it is off; and which features
-    agree (S,). A long line counts as a short one: what only looks like the target has the long lines in common with it.
+    of the model shows, 0 to 1: the mean of all features' shares, each the less the more it is off; the share of the
+    lines' length that agrees; and which features agree (S,). Both shares are of what the image can show, of half the
+    model at least. A long line counts as a short one in the first: what only looks like the target has the long lines
+    in common with it.
     """
-    squares, ratios, match = 0.0, 0.0, 0.0
+    squares, ratios, match, agreed, full, most = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     agreeing = np.zeros(len(offsets), np.bool_)
     for j in range(len(offsets)):
+        full += lengths[j]
+        most += lengths[j] * shown[j]
         if used[j]:
             ratio = offsets[j] / allowed[j]
             squares += offsets[j] ** 2
             ratios += ratio * ratio
             match += shares[j] * np.exp(-0.5 * ratio * ratio)
             agreeing[j] = abs(ratio) < AGREEING
+            agreed += lengths[j] * agreeing[j]
     n = used.sum()
-    return np.sqrt(squares / n), np.sqrt(ratios / n), match / len(offsets), agreeing
+    match /= max(shown.sum(), LEAST_SHOWN * len(offsets))
+    support = agreed / max(most, LEAST_SHOWN * full)
+    return np.sqrt(squares / n), np.sqrt(ratios / n), match, support, agreeing
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -325,8 +325,7 @@ class Recogniser:
     ) -> tuple[str, bool, bool]:
         """Its features must be there, fit together and look like it: what there is to complain of, and whether it is
         clear and sure, see `Look`."""
-        agreeing, discord = measurement.agreeing, measurement.discord
-        support = float(self.appearance.lengths[agreeing].sum()) / self.appearance.length
+        agreeing, discord, support = measurement.agreeing, measurement.discord, measurement.support
         spread = float(np.sqrt(fit.covariance[2, 2])) / fit.location[2]
         grown = fit.location[2] / expected[2]
         sharp = support >= CLEAR and discord < 0.6 and spread < SHARP

@@ -24,7 +24,8 @@ DETAIL = 32  # px: the smaller side of the target in the image that is searched
 VERTICAL = 0.045  # rad: a bump's pitch between two images
 LATERAL = 0.03  # rad
 ROUGH = 2.0  # times as far where the predictions have been that bad
-SCALES = 0.08  # relative change of scale
+SCALES, MOST = 0.08, 0.5  # relative change of scale, and the most that is tried
+FAR = 2.0  # times as far as usual beyond which the grid of places is too coarse to be searched alone
 WORK = 12_000  # locations tried at most for one image
 ROOM = 0.65  # sizes of the target from its centre that must be seen of it
 FINER = 3  # times as fine is the second look
@@ -97,9 +98,10 @@ class Search:
         if width > 0:
             reach = np.maximum(width * self.usual, np.minimum(reach, ROUGH * self.usual))
         modesty = MODESTY if width > 0 else HAND
-        side = max(1, int(min(size) / (DETAIL if width <= 2.0 else DETAIL / 2)))
+        side = max(1, int(min(size) / (DETAIL if width <= FAR else DETAIL / 2)))
         step = 2.0
-        ladder = self._ladder(expected[2], max(SCALES * max(width - 1.0, 0.0), 3.0 * doubt[2] / expected[2]), side)
+        share = min(max(SCALES * max(width - 1.0, 0.0), 3.0 * doubt[2] / expected[2]), MOST)
+        ladder = self._ladder(expected[2], share, side)
         steps = np.ceil(reach / side / step)
         while len(ladder) * np.prod(2 * steps + 1) > WORK:
             step *= 1.25
@@ -108,6 +110,8 @@ class Search:
         if not self._open(image, window, side):
             return None
         coarse = self._scan(expected, doubt, expected, steps, step, ladder, shifts, modesty, appearance, self._best)
+        if compare and appearance.known and width > FAR:
+            coarse = self._with_swept(coarse, float(expected[2]), share, doubt, shifts, appearance)
         if not len(coarse):
             return None
         if compare and appearance.known:
@@ -189,6 +193,21 @@ class Search:
             for place in best[:n]
             if place[3] >= least
         ]
+
+    def _with_swept(
+        self, rivals: Array, scale: float, share: float, doubt: Array, shifts: Array, appearance: Appearance
+    ) -> Array:
+        """The ``rivals`` (B, 4) and the places that the learned picture tells by itself, the highest first."""
+        m = self._magnification / self._side
+        found = []
+        for place in appearance.sweep(self._pooled_view, m, scale, share, RIVALS):
+            appearance.align(self._pooled_view, place, m, float(doubt[2] / scale))
+            location = place * self._units + self._zero
+            self._respond(location, shifts)
+            score = search_cpu.likeness(self._evidence, appearance.signed, appearance.strength, self._lengths)
+            found.append([*location, score])
+        together = np.vstack([rivals, np.array(found).reshape(-1, 4)])
+        return together[np.argsort(-together[:, 3], kind="stable")]
 
     def _closest(self, rivals: Array, doubt: Array, window: Window, appearance: Appearance) -> Sighting:
         """Of the ``rivals`` (B, 4) the one whose picture is most like the learned one, aligned with that."""
@@ -332,5 +351,5 @@ class Search:
     def _ladder(self, scale: float, share: float, side: int) -> Array:
         """The scales to try, up to a ``share`` smaller and greater than ``scale``."""
         rung = self._rung(scale, side)
-        n = max(1, int(np.ceil(min(share, 0.5) / rung)))
+        n = max(1, int(np.ceil(min(share, MOST) / rung)))
         return np.asarray(scale * (1.0 + rung) ** np.arange(-n, n + 1), float)

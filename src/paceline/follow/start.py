@@ -20,7 +20,8 @@ Bytes = NDArray[np.uint8]
 REACH = 0.55  # sizes of the target by which a start may be off
 PLACES, FOLLOWED = 48, 5  # that are measured in the first image, and the best of them that are followed
 BESIDE = 0.08  # of the size, in place and scale, within which two places are one
-PLACED = 0.04  # the same of a place and of what is measured there
+PLACED = 0.04  # the same of a place and of what is measured there,
+GROWN = 0.1  # and more by the logarithm of its growth: a rear is not flat, so that its picture grows otherwise
 CLEAR = 0.1  # match by which another place must exceed the operator's to put it in doubt
 LEAST = 0.35  # match at which a start is believed at once,
 FAINT, MOST = 0.2, 0.7  # and one in dim light: so many lines agree, and nothing else matches as well
@@ -65,7 +66,7 @@ class Start:
         looks = [lock.look_here(image) for lock in locks]
         self._matches.append(self._matches_of(looks))
         k = told(np.array(self._matches), self._away)
-        if k is not None and self._is_there(locks[k], looks[k]):
+        if k is not None and self._is_there(k, looks[k]):
             return self._settle(locks[k], looks[k], k > 0)
         self.lock = locks[0]
         return Look(DOUBT if len(locks) > 1 else NOWHERE, own.window), ""
@@ -114,9 +115,13 @@ class Start:
             return None
         return int(np.argmin([self._distance(look.fit.location, carried.place) for carried in self._places]))
 
-    def _is_there(self, lock: Lock, look: Look) -> bool:
-        """Whether a ``look`` is to be believed, and of the place at which it was."""
-        return look.fit is not None and not look.complaint and self._distance(look.fit.location, lock.expected) < PLACED
+    def _is_there(self, k: int, look: Look) -> bool:
+        """Whether a ``look`` at the place ``k`` is to be believed, and is of it."""
+        if look.fit is None or look.complaint:
+            return False
+        carried = self._places[k]
+        near = PLACED + GROWN * abs(float(np.log(carried.place[2] / carried.first)))
+        return self._distance(look.fit.location, carried.place) < near
 
     def _settle(self, lock: Lock, look: Look, corrected: bool) -> tuple[Look, str]:
         self.lock, self.pending = lock, False
