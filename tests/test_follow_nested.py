@@ -77,6 +77,18 @@ def test_a_lock_stays_where_it_matches_better_or_nothing_fits_beside_it(seed):
     assert told(Matches(lambda place: 0.3 if place is HERE else None))[1] is None
 
 
+def test_while_a_part_of_the_target_is_hidden_another_place_proves_nothing():
+    rng, images = np.random.default_rng(0), 0
+
+    def match(place):
+        nonlocal images
+        images += place is HERE
+        hidden = images > 20
+        return rng.normal((0.33 if hidden else 0.55) if place is HERE else 0.42 if hidden else 0.5, 0.02)
+
+    assert told(Matches(match), 300)[1] is None
+
+
 def test_a_right_lock_asks_one_place_in_several_images():
     matches = Matches(lambda place: 0.5 if place is HERE else 0.4)
     told(matches, 40 * EVERY)

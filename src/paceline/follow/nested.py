@@ -22,6 +22,8 @@ ONE = 1.25  # times as far apart, two others are so by about as much
 EVERY = 3  # images of which in one another place is asked
 SLIGHT = 0.01  # difference of two matches that tells nothing, however long it lasts
 ABSENT = -0.05  # what an image counts in which the model does not fit at the other place
+WHOLE = 0.7  # share of what the lock usually matches below which a part of the target is hidden: that tells nothing
+FADES = 0.9995  # factor of that for an image in which there is less
 PROVEN = 0.5  # sum of what there is more of the model, at which the other place is right
 
 
@@ -33,6 +35,7 @@ class Nested:
         self._moves = moves_of(target)
         self._credit = np.zeros(len(self._moves))
         self._turn = 0
+        self._usual = 0.0  # match of the lock
 
     def better(self, image: Bytes, here: Array, recogniser: Recogniser) -> Array | None:
         """The place (3,) at which the target has proved to be in ``image`` rather than ``here`` (3,); None while there
@@ -56,10 +59,15 @@ class Nested:
         return there
 
     def _gain(self, image: Bytes, here: Array, there: Array, recogniser: Recogniser) -> float:
-        now, then = recogniser.measured_at(image, here), recogniser.measured_at(image, there)
+        measured = recogniser.measured_at(image, here)
+        now = 0.0 if measured is None else measured[1]
+        self._usual = max(now, FADES * self._usual)
+        if now < WHOLE * self._usual:
+            return 0.0
+        then = recogniser.measured_at(image, there)
         if then is None or distance(then[0], there, recogniser) > distance(then[0], here, recogniser):
             return ABSENT
-        return then[1] - (0.0 if now is None else now[1]) - SLIGHT
+        return then[1] - now - SLIGHT
 
 
 def moves_of(target: Target) -> Array:
