@@ -19,7 +19,7 @@ def test_the_share_of_a_feature_in_view_is_that_of_its_points(vertical, place, e
     )
     along = np.linspace(begin, begin + length, 2001)
     across, onward = (WIDTH, HEIGHT) if vertical else (HEIGHT, WIDTH)
-    seen = (0 <= place <= across - 1) * ((along >= 0) & (along <= onward - 1)).mean()
+    seen = (2 <= place <= across - 3) * ((along >= 0) & (along <= onward - 1)).mean()
     assert told[0] == pytest.approx(seen, abs=1e-3)
 
 
@@ -36,7 +36,17 @@ def test_what_the_image_cannot_show_is_not_missed():
     assert half[2:4] == pytest.approx((1.6 / 2.5, 7 / 8))
 
 
-def test_of_a_model_that_is_nearly_out_of_view_half_is_missed():
+def test_of_a_line_that_is_partly_shown_that_part_agrees():
+    assert told([1.0, 1.0, 0.5, 0.0], [True, False, True, False])[3] == pytest.approx(5 / 8)
+
+
+def test_of_a_model_that_is_nearly_out_of_view_most_is_missed():
     _, _, match, support, agreeing = told([0.25, 0.0, 0.0, 0.0], [True, False, False, False])
-    assert (match, support) == pytest.approx((0.4, 0.8))
+    assert (match, support) == pytest.approx((0.8 / 2.4, 1.0 / 6.0))
     assert agreeing.tolist() == [True, False, False, False]
+
+
+@given(st.lists(st.floats(0, 1), min_size=4, max_size=4), st.lists(st.booleans(), min_size=4, max_size=4))
+def test_the_shares_are_at_most_one(shown, used):
+    if any(used):
+        assert max(told(shown, used)[2:4]) <= 1.0

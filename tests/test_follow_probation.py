@@ -32,6 +32,7 @@ from paceline.follow.start import (
     SEVERAL,
     STRIKING,
     UNTOLD,
+    Start,
     told,
 )
 from paceline.follow.target import Target
@@ -160,6 +161,13 @@ def test_a_clearly_better_place_is_told_however_near():
     watch = Watch((0, 0, 1, 0.5), (0.06, 0, 1, 0.7))
     assert watch.see(6) == [DOUBT] * EARLY + [CORRECTED, "", ""]
     np.testing.assert_allclose(watch.at, [0.06, 0, 1], atol=1e-6)
+
+
+@pytest.mark.parametrize(("grown", "off", "there"), [(1.0, 0.05, False), (1.6, 0.05, True), (1.6, 0.1, False)])
+def test_a_picture_that_has_grown_much_may_be_a_little_too_large(grown, off, there):
+    start = Start(Lock(START, Places((0, 0, 1, 0.6)), FollowConfiguration()))
+    start._places = [SimpleNamespace(place=START * [1, 1, grown], first=START[2])]
+    assert start._is_there(0, seen(START * [1, 1, grown * np.exp(-off)], 0.6)) == there
 
 
 def test_a_fit_that_goes_to_another_place_tells_nothing_of_its_own():

@@ -118,6 +118,6 @@ def test_how_well_features_agree_is_told_as_by_the_formulas():
     assert residual == pytest.approx(np.sqrt((offsets[used] ** 2).mean()))
     assert discord == pytest.approx(np.sqrt((ratio**2).mean()))
     assert match == pytest.approx((shares[used] * np.exp(-0.5 * ratio**2)).sum() / 3.7)
-    assert support == pytest.approx(lengths[agreeing].sum() / (lengths * shown).sum())
+    assert support == pytest.approx((lengths * shown)[agreeing].sum() / (lengths * shown).sum())
     np.testing.assert_array_equal(agreeing[used], np.abs(ratio) < 1.5)
     assert not agreeing[1]

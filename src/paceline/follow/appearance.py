@@ -94,9 +94,9 @@ class Appearance:
         standard deviation of the scale given."""
         return self._align(image, self._picture, location, magnification, steady, STEPS, self._seen)
 
-    def sweep(self, image: Bytes, magnification: Array, scale: float, share: float, count: int) -> Array:
-        """Up to ``count`` places (N, 3) anywhere in ``image`` that look like the learned picture, see `sweep.sweep`."""
-        return sweep(image, self._picture, self._box, magnification, scale, share, count)
+    def sweep(self, image: Bytes, magnification: Array, place: Array, share: float, count: int) -> Array:
+        """Up to ``count`` places (N, 3) in ``image`` that look like the learned picture, see `sweep.sweep`."""
+        return sweep(image, self._picture, self._box, magnification, place, share, count)
 
     def scale_at(self, image: Bytes, place: Array, magnification: Array) -> float | None:
         """The scale at which ``image`` shows the learned picture about ``place`` (3,), which is moved there, by nothing

@@ -17,7 +17,8 @@ Indices = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
 AGREEING = 1.5  # times what is allowed that a feature may be off to agree
-LEAST_SHOWN = 0.5  # share of the model to which what shows of it is related
+BORDER = 2.0  # px of the image in which no edge is looked for
+LEAST_SHOWN = 0.6  # share of the model to which what shows of it is related
 SAMPLING = 0.2  # px: what the grid of pixels leaves uncertain of a line
 
 
@@ -135,7 +136,7 @@ def in_view(vertical: Flags, places: Array, spans: Array, width: int, height: in
     shares = np.zeros(len(places))
     for j in range(len(places)):
         across, along = (width, height) if vertical[j] else (height, width)
-        if 0.0 <= places[j] <= across - 1.0:
+        if BORDER <= places[j] <= across - 1.0 - BORDER:
             seen = min(spans[j, 1], along - 1.0) - max(spans[j, 0], 0.0)
             shares[j] = max(seen, 0.0) / (spans[j, 1] - spans[j, 0])
     return shares
@@ -151,8 +152,8 @@ def agreement(
 
     The rms of the offsets and of their ratios to what is allowed, over the features that are ``used`` (S,); how much
     of the model shows, 0 to 1: the mean of all features' shares, each the less the more it is off; the share of the
-    lines' length that agrees; and which features agree (S,). Both shares are of what the image can show, of half the
-    model at least. A long line counts as a short one in the first: what only looks like the target has the long lines
+    lines' length that agrees; and which features agree (S,). Both shares are of what the image can show, or of
+    `LEAST_SHOWN`. A long line counts as a short one in the first: what only looks like the target has the long lines
     in common with it.
     """
     squares, ratios, match, agreed, full, most = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -166,9 +167,9 @@ def agreement(
             ratios += ratio * ratio
             match += shares[j] * np.exp(-0.5 * ratio * ratio)
             agreeing[j] = abs(ratio) < AGREEING
-            agreed += lengths[j] * agreeing[j]
+            agreed += lengths[j] * shown[j] * agreeing[j]
     n = used.sum()
-    match /= max(shown.sum(), LEAST_SHOWN * len(offsets))
+    match = min(match / max(shown.sum(), LEAST_SHOWN * len(offsets)), 1.0)
     support = agreed / max(most, LEAST_SHOWN * full)
     return np.sqrt(squares / n), np.sqrt(ratios / n), match, support, agreeing
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from paceline.follow import fitting
-from paceline.follow.appearance import PICTURE_RATE, Appearance
+from paceline.follow.appearance import INSIDE, PICTURE_RATE, Appearance
 from paceline.follow.carrying import Carried
 from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.edges import Window
@@ -273,9 +273,10 @@ class Recogniser:
         look = self._measured_with(brighter, image, start, near, expected, doubt, tau, lost, searched)
         if look.complaint != FEW or not brighter.any():
             return look
-        # lamps that are switched on or off are brighter than what is about them, or darker, from one image to the next
+        # Lamps that are switched on or off are brighter than what is about them, or darker, from one image to the next.
+        # Where the image cuts off the outline a line inside, of the other sign, is mostly something else.
         other = self._measured_with(self._either, image, start, near, expected, doubt, tau, lost, searched)
-        return look if other.complaint else other
+        return look if other.complaint or other.inside < INSIDE else other
 
     def _measured_with(
         self,

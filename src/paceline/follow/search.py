@@ -111,7 +111,7 @@ class Search:
             return None
         coarse = self._scan(expected, doubt, expected, steps, step, ladder, shifts, modesty, appearance, self._best)
         if compare and appearance.known and width > FAR:
-            coarse = self._with_swept(coarse, float(expected[2]), share, doubt, shifts, appearance)
+            coarse = self._with_swept(coarse, expected, doubt, reach, share, shifts, appearance)
         if not len(coarse):
             return None
         if compare and appearance.known:
@@ -195,17 +195,29 @@ class Search:
         ]
 
     def _with_swept(
-        self, rivals: Array, scale: float, share: float, doubt: Array, shifts: Array, appearance: Appearance
+        self,
+        rivals: Array,
+        expected: Array,
+        doubt: Array,
+        reach: Array,
+        share: float,
+        shifts: Array,
+        appearance: Appearance,
     ) -> Array:
-        """The ``rivals`` (B, 4) and the places that the learned picture tells by itself, the highest first."""
-        m = self._magnification / self._side
+        """The ``rivals`` (B, 4) and the places within ``reach`` (2,) px that the learned picture tells by itself, the
+        highest first; those lose as much as `search_cpu.scan` takes off the others."""
+        units, origin, m = self._units, self._zero, self._magnification / self._side
         found = []
-        for place in appearance.sweep(self._pooled_view, m, scale, share, RIVALS):
-            appearance.align(self._pooled_view, place, m, float(doubt[2] / scale))
-            location = place * self._units + self._zero
+        for place in appearance.sweep(self._pooled_view, m, (expected - origin) / units, share, RIVALS):
+            appearance.align(self._pooled_view, place, m, float(doubt[2] / expected[2]))
+            location = place * units + origin
+            if (np.abs(location[:2] - expected[:2]) > reach).any():
+                continue
             self._respond(location, shifts)
             score = search_cpu.likeness(self._evidence, appearance.signed, appearance.strength, self._lengths)
-            found.append([*location, score])
+            x, y, s = ((location - expected) / np.maximum(doubt, 1e-6)).tolist()
+            away = x * x + y * y
+            found.append([*location, score - MODESTY * (s * s + away / (1.0 + away / 9.0))])
         together = np.vstack([rivals, np.array(found).reshape(-1, 4)])
         return together[np.argsort(-together[:, 3], kind="stable")]
 

@@ -14,39 +14,52 @@ Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 Floats = NDArray[np.float32]
 
-SMALL = 12  # px: the smaller side of the picture that is compared
+SMALL, LEAST = 12, 8  # px: the smaller side of the picture that is compared, and the same in a large view
 STEP = 0.07  # relative change from one size that is tried to the next
+WORK = 200_000  # pixels of the small view, times sizes tried, that are compared at most
 APART = 0.25  # sizes of the picture that two places are from each other
 
 
 def sweep(
-    view: Bytes, picture: Floats, box: Array, magnification: Array, scale: float, share: float, count: int
+    view: Bytes, picture: Floats, box: Array, magnification: Array, place: Array, share: float, count: int
 ) -> Array:
     """Up to ``count`` places (N, 3) in ``view`` (H, W), px and scale, where a ``picture`` (h, w) correlates best.
 
     The picture shows ``box`` (4,) m about the target's centre; ``magnification`` (2,) is in px per metre at scale 1.
-    The scales tried are up to a ``share`` smaller and greater than ``scale``.
+    The scales tried are up to a ``share`` greater than that of ``place`` (3,), and by as large a factor smaller. In a
+    view that is too large for `WORK` only the part about that place is looked through.
     """
-    extent = (box[2:] - box[:2]) * magnification * scale
-    shrunk = max(float(extent.min()) / SMALL, 1.0)
+    extent = (box[2:] - box[:2]) * magnification * place[2]
+    steps = int(np.ceil(np.log1p(share) / np.log1p(STEP)))
+    work = view.size * (2 * steps + 1) / WORK
+    shrunk = max(float(extent.min()) / SMALL, min(float(extent.min()) / LEAST, work**0.5), 1.0)
+    first, view = _about(view, place[:2], min(shrunk / work**0.5, 1.0))
     height, width = view.shape
-    small = cv2.resize(view, (round(width / shrunk), round(height / shrunk)), interpolation=cv2.INTER_AREA)
-    unit = np.array([width / small.shape[1], height / small.shape[0]])  # px of the view in one of the small one
-    steps = int(np.ceil(share / STEP))
+    shape = np.maximum(np.rint(np.array([width, height]) / shrunk), 1).astype(int)
+    small = cv2.resize(view, shape.tolist(), interpolation=cv2.INTER_AREA)
+    unit = np.array([width, height]) / shape  # px of the view in one of the small one
     found = []
     for grown in (1.0 + STEP) ** np.arange(-steps, steps + 1):
         size = np.rint(extent * grown / unit).astype(int)
-        if size.min() < 4 or (size > small.shape[::-1]).any():
+        if size.min() < 4 or (size > shape).any():
             continue
         template = cv2.resize(picture, size.tolist(), interpolation=cv2.INTER_AREA)
         scores = cv2.matchTemplate(small.astype(np.float32), template, cv2.TM_CCOEFF_NORMED)
         near = np.maximum(APART * size, 1).astype(int)
         for _ in range(count):
             _, score, _, (column, row) = cv2.minMaxLoc(scores)
-            center = np.array([column, row]) * unit - 0.5 - box[:2] * magnification * scale * grown
-            found.append((score, *center, scale * grown))
+            center = first + np.array([column, row]) * unit - 0.5 - box[:2] * magnification * place[2] * grown
+            found.append((score, *center, place[2] * grown))
             scores[max(row - near[1], 0) : row + near[1] + 1, max(column - near[0], 0) : column + near[0] + 1] = -1.0
     return _apart(np.array(found).reshape(-1, 4), APART * extent, count)
+
+
+def _about(view: Bytes, center: Array, share: float) -> tuple[Array, Bytes]:
+    """The part of a ``view`` (H, W) about ``center`` (2,) that has a ``share`` of its width and height, and the pixel
+    (2,) at which it begins."""
+    size = np.maximum(np.ceil(share * np.array(view.shape[::-1])), 1).astype(int)
+    x, y = np.clip(np.rint(center - 0.5 * size), 0, np.array(view.shape[::-1]) - size).astype(int).tolist()
+    return np.array([x, y], float), view[y : y + size[1], x : x + size[0]]
 
 
 def _apart(found: Array, near: Array, count: int) -> Array:
