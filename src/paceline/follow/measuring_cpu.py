@@ -18,7 +18,7 @@ Flags = NDArray[np.bool_]
 
 AGREEING = 1.5  # times what is allowed that a feature may be off to agree
 BORDER = 2.0  # px of the image in which no edge is looked for
-LEAST_SHOWN = 0.6  # share of the model to which what shows of it is related
+LEAST_SHOWN = 0.6  # share of the model to which what shows of it is related at least
 SAMPLING = 0.2  # px: what the grid of pixels leaves uncertain of a line
 
 
@@ -152,9 +152,9 @@ def agreement(
 
     The rms of the offsets and of their ratios to what is allowed, over the features that are ``used`` (S,); how much
     of the model shows, 0 to 1: the mean of all features' shares, each the less the more it is off; the share of the
-    lines' length that agrees; and which features agree (S,). Both shares are of what the image can show, or of
-    `LEAST_SHOWN`. A long line counts as a short one in the first: what only looks like the target has the long lines
-    in common with it.
+    lines' length that agrees; and which features agree (S,). Both shares are of what the image can show, and of
+    `LEAST_SHOWN` of the model at least. A long line counts as a short one in the first: what only looks like the target
+    has the long lines in common with it.
     """
     squares, ratios, match, agreed, full, most = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     agreeing = np.zeros(len(offsets), np.bool_)
