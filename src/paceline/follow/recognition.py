@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from copy import copy
 from dataclasses import dataclass, replace
 from math import hypot
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,6 +61,16 @@ SLID = "its lock had slid along other edges: back to where it looks as it did"
 ALONE = "held by its picture: too few of its features are found"
 
 
+class Foreseen(NamedTuple):
+    """Where the target is expected: at ``location`` (3,) to within ``doubt`` (3,), ``tau`` cycles after it was seen
+    last; ``lost``: it may be anywhere."""
+
+    location: Array
+    doubt: Array
+    tau: float = 0.0
+    lost: bool = False
+
+
 @dataclass(frozen=True, eq=False)
 class Look:
     """What one image shows of the target, and the ``complaint`` that keeps it from being believed."""
@@ -99,12 +110,13 @@ class Recogniser:
         """The target in ``image`` (H, W), where it is ``expected`` (3,) to within ``doubt`` (3,), ``tau`` cycles after
         it was seen last; ``lost``: it may be anywhere."""
         self._image = image
+        foreseen = Foreseen(expected, doubt, tau, lost)
         if not self._c.wide_search:
-            return self._measured(image, expected, doubt, expected, doubt, tau, lost)
+            return self._measured(image, expected, doubt, foreseen)
         width = 0.0
         if self.appearance.known:
             width = WIDEST if lost else min(max(1.0, tau) ** 0.7, WIDEST)
-        look = self._found(image, expected, doubt, width, tau, lost)
+        look = self._found(image, foreseen, width)
         if lost or self._snapshot is None:
             return look
         fit = None if look.complaint else look.fit
@@ -138,7 +150,7 @@ class Recogniser:
         self._image = image
         if not self._search.open_at(image, self.projection.shown(location).location):
             return Look(OUTSIDE)
-        return self._measured(image, location, doubt, location, doubt, 0.0, False)
+        return self._measured(image, location, doubt, Foreseen(location, doubt))
 
     def afresh(self) -> Recogniser:
         """Another one that has not learned anything; the two work with the same scratch."""
@@ -203,14 +215,16 @@ class Recogniser:
         if self._c.snapshot:
             self._remember(look)
 
-    def _found(self, image: Bytes, expected: Array, doubt: Array, width: float, tau: float, lost: bool) -> Look:
+    def _found(self, image: Bytes, foreseen: Foreseen, width: float) -> Look:
         """Search for the whole model, then measure its features there."""
-        shown, c = self.projection.shown(expected), self._c
-        sighting = self._search.find(image, shown.location, doubt, shown.shifts, width, self.appearance, c.appearance)
+        shown, c = self.projection.shown(foreseen.location), self._c
+        sighting = self._search.find(
+            image, shown.location, foreseen.doubt, shown.shifts, width, self.appearance, c.appearance
+        )
         if sighting is None:
             return Look("nothing like the target is in reach")
         start = self.projection.ideal(sighting.location)
-        look = self._measured(image, start, sighting.doubt, expected, doubt, tau, lost, sighting.window)
+        look = self._measured(image, start, sighting.doubt, foreseen, sighting.window)
         look = replace(look, sighting=sighting)
         self._turn += 1
         due = c.appearance and c.keepsake and self._turn % WATCH == 0
@@ -218,11 +232,11 @@ class Recogniser:
             old = self._search.went_from(self.projection.shown(look.fit.location).location, self.appearance)
             if old is not None:
                 place = self.projection.ideal(old.location)
-                back = self._measured(image, place, old.doubt, place, doubt, tau, lost)
+                back = self._measured(image, place, old.doubt, foreseen._replace(location=place))
                 if _as_good(back, look):
                     return replace(back, window=sighting.window, slid=True, note=SLID)
                 self._evidence_at(look.fit.location)  # what is learned is the picture looked at last
-        proven = self._proven >= PROVEN and self._held_for < ALONE_FOR and not lost
+        proven = self._proven >= PROVEN and self._held_for < ALONE_FOR and not foreseen.lost
         if look.complaint in (FEW, APART) and proven and sighting.picture > HELD:
             return self._by_picture(start, sighting)
         return look
@@ -257,38 +271,21 @@ class Recogniser:
             self._snapshot = Snapshot(self.carry(self._image, place), self.projection.size(1.0))
 
     def _measured(
-        self,
-        image: Bytes,
-        start: Array,
-        near: Array,
-        expected: Array,
-        doubt: Array,
-        tau: float,
-        lost: bool,
-        searched: Window | None = None,
+        self, image: Bytes, start: Array, near: Array, foreseen: Foreseen, searched: Window | None = None
     ) -> Look:
         """Stages 1 to 4 about ``start`` (3,), known to within ``near`` (3,), and what is to be thought of it. The
         look's window is the one ``searched``, if any."""
         brighter = self.appearance.brighter() if self._c.polarity else self._either
-        look = self._measured_with(brighter, image, start, near, expected, doubt, tau, lost, searched)
+        look = self._measured_with(brighter, image, start, near, foreseen, searched)
         if look.complaint != FEW or not brighter.any():
             return look
         # Lamps that are switched on or off are brighter than what is about them, or darker, from one image to the next.
         # Where the image cuts off the outline a line inside, of the other sign, is mostly something else.
-        other = self._measured_with(self._either, image, start, near, expected, doubt, tau, lost, searched)
+        other = self._measured_with(self._either, image, start, near, foreseen, searched)
         return look if other.complaint or other.inside < INSIDE else other
 
     def _measured_with(
-        self,
-        brighter: Indices,
-        image: Bytes,
-        start: Array,
-        near: Array,
-        expected: Array,
-        doubt: Array,
-        tau: float,
-        lost: bool,
-        searched: Window | None,
+        self, brighter: Indices, image: Bytes, start: Array, near: Array, foreseen: Foreseen, searched: Window | None
     ) -> Look:
         """The same with only such edges of a feature as have the sign ``brighter`` (S,), where that is not 0."""
         c = self._c
@@ -304,9 +301,9 @@ class Recogniser:
         shown = self.projection.shown(fit.location)
         if not c.wide_search and not self._search.open_at(image, shown.location):
             return Look(OUTSIDE, window, fit, measurement)
-        steadied, gauge = self._steadied(fit, shown, float(start[2]), tau + self._held_for)
+        steadied, gauge = self._steadied(fit, shown, float(start[2]), foreseen.tau + self._held_for)
         inside, evidence = self._evidence_at(steadied.location)
-        complaint, clear, sure = self._judged(fit, measurement, inside, expected, doubt, tau, lost)
+        complaint, clear, sure = self._judged(fit, measurement, inside, foreseen)
         fit = fit if complaint else steadied
         return Look(complaint, window, fit, measurement, inside, evidence, clear, sure=sure, gauge=gauge)
 
@@ -322,10 +319,11 @@ class Recogniser:
         return fitting.scaled(fit, scale), gauge
 
     def _judged(
-        self, fit: Fit, measurement: Measurement, inside: float, expected: Array, doubt: Array, tau: float, lost: bool
+        self, fit: Fit, measurement: Measurement, inside: float, foreseen: Foreseen
     ) -> tuple[str, bool, bool]:
         """Its features must be there, fit together and look like it: what there is to complain of, and whether it is
         clear and sure, see `Look`."""
+        expected, doubt, tau, lost = foreseen
         agreeing, discord, support = measurement.agreeing, measurement.discord, measurement.support
         spread = float(np.sqrt(fit.covariance[2, 2])) / fit.location[2]
         grown = fit.location[2] / expected[2]

@@ -110,11 +110,12 @@ class Search:
         if not self._open(image, window, side):
             return None
         coarse = self._scan(expected, doubt, expected, steps, step, ladder, shifts, modesty, appearance, self._best)
-        if compare and appearance.known and width > FAR:
+        known = compare and appearance.known
+        if known and width > FAR:
             coarse = self._with_swept(coarse, expected, doubt, reach, share, shifts, appearance)
         if not len(coarse):
             return None
-        if compare and appearance.known:
+        if known:
             return self._closest(coarse, doubt, window, appearance)
         place, pitch = coarse[0], step * side
         fine = max(1, side // FINER)
@@ -205,7 +206,7 @@ class Search:
         appearance: Appearance,
     ) -> Array:
         """The ``rivals`` (B, 4) and the places within ``reach`` (2,) px that the learned picture tells by itself, the
-        highest first; those lose as much as `search_cpu.scan` takes off the others."""
+        highest first."""
         units, origin, m = self._units, self._zero, self._magnification / self._side
         found = []
         for place in appearance.sweep(self._pooled_view, m, (expected - origin) / units, share, RIVALS):
@@ -216,8 +217,7 @@ class Search:
             self._respond(location, shifts)
             score = search_cpu.likeness(self._evidence, appearance.signed, appearance.strength, self._lengths)
             x, y, s = ((location - expected) / np.maximum(doubt, 1e-6)).tolist()
-            away = x * x + y * y
-            found.append([*location, score - MODESTY * (s * s + away / (1.0 + away / 9.0))])
+            found.append([*location, score - search_cpu.loss(MODESTY, x * x + y * y, s * s)])
         together = np.vstack([rivals, np.array(found).reshape(-1, 4)])
         return together[np.argsort(-together[:, 3], kind="stable")]
 
@@ -363,5 +363,5 @@ class Search:
     def _ladder(self, scale: float, share: float, side: int) -> Array:
         """The scales to try, up to a ``share`` smaller and greater than ``scale``."""
         rung = self._rung(scale, side)
-        n = max(1, int(np.ceil(min(share, MOST) / rung)))
+        n = max(1, int(np.ceil(share / rung)))
         return np.asarray(scale * (1.0 + rung) ** np.arange(-n, n + 1), float)

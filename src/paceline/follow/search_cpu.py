@@ -177,6 +177,14 @@ def _strike(scores: Array, i: int, j: int, near: int) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def loss(modesty: float, away: float, away_s: float) -> float:
+    """What a place loses that is off the expected one by so many squared standard deviations, ``away`` in the image
+    and ``away_s`` in scale: ``modesty`` for one. In the image this levels off, for a bump moves the whole of it, but
+    never changes the scale."""
+    return modesty * (away_s + away / (1.0 + away / 9.0))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def scan(
     vertical_sums: Floats,
     horizontal_sums: Floats,
@@ -201,8 +209,7 @@ def scan(
     """The highest of all locations about ``start`` (3,): cx, cy, scale.
 
     ``reach`` (2,) is how many steps of ``step`` px are tried to either side along x and y, ``scales`` (K,) are the
-    scales tried. What is ``doubt`` (3,) away from ``expected`` (3,) loses ``modesty``, what is twice as far four times
-    that; in x and y this levels off, for a bump moves the whole image, but never changes the scale. ``scores``
+    scales tried. What is ``doubt`` (3,) away from ``expected`` (3,) loses ``modesty``, see `loss`. ``scores``
     (≥ K·(2rx+1)·(2ry+1),) is scratch. ``best`` (B, 4) receives locations and their scores, highest first, no two of
     them neighbours; returns how many.
     """
@@ -220,8 +227,8 @@ def scan(
             for i in range(nx):
                 away = away_y + ((xs[i] - expected[0]) / doubt[0]) ** 2
                 _respond(vertical_sums, horizontal_sums, vertical, in_x[i], in_y[j], found)
-                loss = modesty * (away_s + away / (1.0 + away / 9.0))
-                scores[(k * ny + j) * nx + i] = likeness(found, signed, strength, weights) - loss
+                alike = likeness(found, signed, strength, weights)
+                scores[(k * ny + j) * nx + i] = alike - loss(modesty, away, away_s)
     n = len(scales) * ny * nx
     count = 0
     while count < len(best):
