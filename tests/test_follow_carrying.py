@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from moved_scenery import REACH, TARGET, camera, moved, scenery
 
-from paceline.follow.carrying import FARTHEST, STEP, Carried
+from paceline.follow.carrying import FARTHEST, STEP, UPRIGHT, Carried
 from paceline.follow.features import Projection
+from paceline.follow.target import Target
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -54,3 +55,27 @@ def test_a_change_of_size_is_found_as_far_as_it_is_tried(grown):
     found = carried.step(moved(scene, center, (2, -3), grown, 4.0, 1))
     assert (np.abs(found - [130.0, 127.0, grown]) < [0.7, 0.7, 0.8 * STEP]).all()
     assert 0.8 < carried.likeness < 1.0
+
+
+LOW = Target("low", 10.0, TARGET.corners * [0.9, 0.25], TARGET.segments)
+
+
+def carried_right(upright, noise, seeds):
+    """How often a low target is carried to where it went."""
+    right, center = 0, np.array([128.0, 130.0])
+    projection = Projection(camera((256, 242), 300.0), LOW)
+    for seed in seeds:
+        scene, at = scenery((256, 242), seed), np.array([5.0, -7.0])
+        first = moved(scene, center, (0, 0), 1.0, noise, 2 * seed)
+        carried = Carried(first, projection, np.array([*center, 1.0]), 2 * REACH, upright)
+        found = carried.step(moved(scene, center, at, 1.03, noise, 2 * seed + 1))
+        right += bool((np.abs(found - [*(center + at), 1.03]) < [1.5, 1.5, 2 * STEP]).all())
+    return right
+
+
+def test_a_low_target_is_carried_by_what_is_above_and_below_it():
+    """A band of a car between its lamps and bumper says little in noise: with its window and its wheels it is told."""
+    seeds = range(100, 130)
+    alone, whole = (carried_right(upright, 80.0, seeds) for upright in (0.0, UPRIGHT))
+    assert whole >= 18 and alone <= 15
+    assert carried_right(0.0, 6.0, seeds) == carried_right(UPRIGHT, 6.0, seeds) == len(seeds)

@@ -6,7 +6,7 @@ from moved_scenery import REACH, TARGET, camera, moved, scenery
 
 from paceline.follow.carrying import Carried
 from paceline.follow.features import Projection
-from paceline.follow.snapshot import AGES, APART, EVERY, MOST, OFF, Snapshot
+from paceline.follow.snapshot import AGES, APART, CLEAR, EVERY, MOST, OFF, Snapshot
 
 SIZE, CENTER = (256, 242), np.array([128.0, 130.0])
 PROJECTION = Projection(camera(SIZE, 300.0), TARGET)
@@ -39,7 +39,7 @@ def test_what_is_usual_is_learned_where_the_lock_agrees():
     """In strong noise the same picture is less alike; half hidden it is less alike than that."""
     snapshot, there = begun(), np.array([128.0, 130.0, 1.0])
     for k in range(1, 30):
-        snapshot.compare(moved(SCENE, CENTER, (0, 0), 1.0, 6.0, k), there, 1.0, False)
+        snapshot.compare(moved(SCENE, CENTER, (0, 0), 1.0, 6.0, k), there, there, 1.0, False)
     half = SCENE.copy()
     half[:, 128:] = scenery(SIZE, 9)[:, 128:]
     assert snapshot.find(moved(half, CENTER, (0, 0), 1.0, 6.0, 31), there, 1.0) is None
@@ -56,7 +56,7 @@ def test_it_is_set_right_by_a_lock_that_is_sure_but_not_by_much(off):
     times = 0
     for k in range(1, 20 * EVERY):
         before = snapshot.agreed
-        assert snapshot.compare(moved(SCENE, CENTER, (0, 0), 1.0, 6.0, k), there, 1.0, True) is None
+        assert snapshot.compare(moved(SCENE, CENTER, (0, 0), 1.0, 6.0, k), there, there, 1.0, True) is None
         times += snapshot.agreed > before
     told = snapshot.find(moved(SCENE, CENTER, (0, 0), 1.0, 6.0, 999), there, 1.0)
     assert times == (3 if off < APART[2] else 0)  # the 1st, 8th and 15th of 139
@@ -70,7 +70,7 @@ def test_it_is_set_right_by_a_lock_that_is_sure_but_not_by_much(off):
 def well_seen():
     snapshot, there = begun(), np.array([128.0, 130.0, 1.0])
     for k in range(1, EVERY + 2):
-        snapshot.compare(moved(SCENE, CENTER, (0, 0), 1.0, 6.0, k), there, 1.0, True)
+        snapshot.compare(moved(SCENE, CENTER, (0, 0), 1.0, 6.0, k), there, there, 1.0, True)
     return snapshot, there
 
 
@@ -96,12 +96,57 @@ def test_a_target_that_has_shown_well_is_held_only_soon_after_it_was_believed():
     assert begun().find(image, there, 3.0) is not None
 
 
-def test_what_disagrees_with_a_lock_is_not_told():
-    snapshot = begun()
+def off_by(far):
+    """A place across from where the target is, ``far`` times as much as the two may disagree."""
+    return np.array([128.0 + far * APART[0] * WHOLE, 130.0, 1.0])
+
+
+def agreed(last=None, times=CLEAR):
+    """A snapshot that has agreed with a lock that is never sure."""
+    there = np.array([128.0, 130.0, 1.0])
+    snapshot = begun() if last is None else Snapshot(last._carried, WHOLE, last)
+    for k in range(1, times + 1):
+        snapshot.compare(moved(SCENE, CENTER, (0, 0), 1.0, 6.0, k), there, there, 1.0, False)
+    return snapshot, there
+
+
+def test_what_disagrees_with_a_lock_is_not_told_by_a_snapshot_that_is_not_known_yet():
+    snapshot, there = begun(), np.array([128.0, 130.0, 1.0])
     for far in (0.5, 1.5):
-        there = np.array([128.0 + far * APART[0] * WHOLE, 130.0, 1.0])
-        told = snapshot.compare(moved(SCENE, CENTER, (0, 0), 1.0, 6.0, 5), there, 1.0, False)
+        told = snapshot.compare(moved(SCENE, CENTER, (0, 0), 1.0, 6.0, 5), off_by(far), there, 1.0, False)
         assert (told is None) == (far > 1)
+
+
+def test_one_that_is_known_and_as_alike_as_usual_is_believed_against_a_lock_that_is_not_sure():
+    for last in (None, agreed()[0]):  # what follows a known one is known
+        snapshot, there = agreed(last, CLEAR if last is None else 0)
+        told = snapshot.compare(veiled(0.0), off_by(1.5), there, 1.0, False)
+        assert (np.abs(told - there) < [0.7, 0.7, 0.02]).all()
+        assert snapshot.is_apart(off_by(1.5), told) and not snapshot.is_apart(off_by(0.5), told)
+        assert snapshot.compare(veiled(0.45), off_by(1.5), there, 1.0, False) is None
+        assert snapshot.compare(veiled(0.0), off_by(1.5), there, 1.0, True) is None
+
+
+def test_the_two_confirm_each_other_where_they_agree_closely():
+    snapshot, there = agreed()
+    for far, share, confirmed in ((0.0, 0.0, True), (0.5, 0.0, False), (0.0, 0.45, False)):
+        snapshot.compare(veiled(share), off_by(far), there, 1.0, False)
+        assert snapshot.confirmed == confirmed
+    unknown = begun()
+    unknown.compare(veiled(0.0), there, there, 1.0, False)
+    assert not unknown.confirmed
+
+
+def test_one_that_is_old_is_asked_even_where_the_target_shows_well():
+    """For another is to be taken in its place; it tells nothing, and it is asked now and then."""
+    snapshot, there = well_seen()
+    asked = 0
+    for k in range(4 * EVERY):
+        image = moved(SCENE, CENTER, (0, 0), 1.1 * AGES, 6.0, 100 + k)
+        grown = there * [1.0, 1.0, 1.1 * AGES]
+        assert snapshot.compare(image, grown, grown, 1.0, False) is None
+        asked += snapshot.confirmed
+    assert asked == 4
 
 
 def test_a_snapshot_is_old_where_the_target_has_grown_or_shrunk():

@@ -504,6 +504,28 @@ def test_a_model_of_doubtful_width_has_wide_ranges() -> None:
         Target("x", 10.0, TARGET.corners, TARGET.segments, tolerance=-1.0)
 
 
+def test_a_target_is_held_where_a_snapshot_gainsays_its_features(clip, monkeypatch):
+    """In dim light, where the search sees nothing well."""
+    images, positions = clip
+    tracker = begin(positions[0])
+    for k in range(20):
+        tracker.update(images[k], k / 15, k)
+    recogniser = tracker.lock.recogniser
+    aside = recogniser.projection.size(1.0) * np.array([0.3, 0.0, 0.0])
+    monkeypatch.setattr(recogniser, "_conflicts", lambda look, place: False)
+    recogniser._snapshot = SimpleNamespace(
+        compare=lambda image, place, expected, tau, sure: expected + aside,
+        is_old=lambda scale: False,
+        is_apart=lambda place, found: True,
+    )
+    tracker.lock.predict(20 / 15)
+    look = tracker.lock.look(images[20], False)
+    assert look.note == recognition.ALONE and not look.complaint and look.measurement is None
+    np.testing.assert_allclose(look.fit.location, tracker.lock.expected + aside)
+    recogniser._snapshot.is_apart = lambda place, found: False
+    assert tracker.lock.look(images[20], False).measurement is not None
+
+
 def test_a_snapshot_does_not_gainsay_what_the_search_sees_well(clip):
     """One that tells another place, for sure and unasked, moves nothing while the target shows well."""
     images, positions = clip
@@ -514,9 +536,10 @@ def test_a_snapshot_does_not_gainsay_what_the_search_sees_well(clip):
     recogniser = trackers[1].lock.recogniser
     astray = recogniser.projection.size(1.0) * np.array([0.3, 0.0, 0.0])
     recogniser._snapshot = SimpleNamespace(
-        compare=lambda image, place, tau, sure: place + astray,
+        compare=lambda image, place, expected, tau, sure: place + astray,
         find=lambda image, expected, tau: expected + astray,
         is_old=lambda scale: False,
+        is_apart=lambda place, found: True,
     )
     for k in range(20, 40):
         told, gainsaid = (tracker.update(images[k], k / 15, k) for tracker in trackers)

@@ -15,7 +15,9 @@ Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 Floats = NDArray[np.float32]
 
-GROWN = 1.1  # times the target's size that the picture shows
+GROWN = 1.1  # times the target's size that the picture shows,
+# and of its width at least so much in height, as vehicles are, of what is added so much above
+UPRIGHT, ABOVE = 0.7, 0.67
 BLUR = 0.8  # px, of noise
 STEP = 0.025  # relative change of scale that is tried,
 FARTHEST = 5  # and so many of them at most
@@ -23,19 +25,24 @@ FARTHEST = 5  # and so many of them at most
 
 class Carried:
     """A ``place`` (3,), ideal pixels and scale, first that in the ``image`` (H, W) given, then by `step` that in each
-    next one, up to ``reach`` (2,) px from the one before: where the picture of the first correlates best."""
+    next one, up to ``reach`` (2,) px from the one before: where the picture of the first correlates best. It shows what
+    is above and below the model as well, where that is lower than ``upright`` times its width."""
 
-    def __init__(self, image: Bytes, projection: Projection, place: Array, reach: Array) -> None:
+    def __init__(
+        self, image: Bytes, projection: Projection, place: Array, reach: Array, upright: float = 0.0
+    ) -> None:
         self._projection, self.place = projection, place
         self.likeness = 1.0  # correlation at the place
         self._size = projection.target.size * projection.magnification  # px at scale 1
         self._side = max(1, int(min(self._size) * place[2] / DETAIL))
         self._reach = np.ceil(reach / self._side).astype(int)
         self.first = float(place[2])  # its scale
+        width, height = GROWN * self._size
+        taller = max(upright * width - height, 0.0)
+        self._up = (ABOVE - 0.5) * taller / self._side  # from the place to the picture's middle, at scale 1
         shown = projection.shown(place).location
-        self._picture = _cut(
-            self._made_ready(image), self._smaller(shown), GROWN * self._size * place[2] / self._side
-        )
+        shows = np.array([width, height + taller]) * place[2] / self._side
+        self._picture = _cut(self._made_ready(image), self._smaller(shown), shows)
 
     def step(self, image: Bytes) -> Array:
         """The place (3,) in the next ``image``; its scale to a fraction of `STEP`."""
@@ -53,7 +60,7 @@ class Carried:
         scale = shown[2] * exp(STEP * (first + 1 + _top(scores)[0]))
         best = int(scores.argmax())
         self.likeness = float(scores[best])
-        center = (found[best][1] + 0.5) * self._side - 0.5
+        center = (found[best][1] + np.array([0.0, self._up * scale]) + 0.5) * self._side - 0.5
         self.place = self._projection.ideal(np.array([*center, scale]))
         return self.place
 
@@ -69,8 +76,8 @@ class Carried:
         return by_column + by_row - score, center + np.array([column + right, row + down]) - self._reach
 
     def _smaller(self, shown: Array) -> Array:
-        """The centre (2,) of a place in the smaller image that is searched."""
-        return (shown[:2] + 0.5) / self._side - 0.5
+        """The picture's middle (2,) at a place in the smaller image that is searched."""
+        return np.asarray((shown[:2] + 0.5) / self._side - 0.5 - np.array([0.0, self._up * shown[2]]))
 
     def _made_ready(self, image: Bytes) -> Bytes:
         smaller = (image.shape[1] // self._side, image.shape[0] // self._side)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from paceline.follow import fitting
 from paceline.follow.appearance import INSIDE, PICTURE_RATE, Appearance
-from paceline.follow.carrying import Carried
+from paceline.follow.carrying import UPRIGHT, Carried
 from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.edges import Window
 from paceline.follow.features import Projection, Shown
@@ -123,11 +123,11 @@ class Recogniser:
         if fit is None:
             place = self._snapshot.find(image, expected, tau)
         else:
-            place = self._snapshot.compare(image, fit.location, tau, look.sure)
+            place = self._snapshot.compare(image, fit.location, expected, tau, look.sure)
         if place is None or self._conflicts(look, place):
             return look
         near = RIGHT * self._sizes(place)
-        if fit is None:
+        if fit is None or self._snapshot.is_apart(fit.location, place):
             if look.sighting is None and not self._search.open_at(image, self.projection.shown(place).location):
                 return look
             return self._held(place, near, look.window)
@@ -267,8 +267,11 @@ class Recogniser:
         if look.fit is None or look.measurement is None or look.slid or self._image is None:
             return
         place = look.fit.location
-        if self._snapshot is None or (look.clear and self._proven >= PROVEN and self._snapshot.is_old(place[2])):
-            self._snapshot = Snapshot(self.carry(self._image, place), self.projection.size(1.0))
+        last = self._snapshot
+        anew = last is not None and last.is_old(place[2]) and (look.clear or last.confirmed)
+        if last is None or (anew and self._proven >= PROVEN):
+            carried = Carried(self._image, self.projection, place, self._search.usual, UPRIGHT)
+            self._snapshot = Snapshot(carried, self.projection.size(1.0), last)
 
     def _measured(
         self, image: Bytes, start: Array, near: Array, foreseen: Foreseen, searched: Window | None = None

@@ -23,20 +23,24 @@ MOST = 2.5  # times as large or small nothing is told by it
 EVERY, LATER = 7, 300  # sure sights of which one is compared with it, at first and after TWICE as many: it costs a ms
 TWICE = 2
 APART = np.array([0.1, 0.1, 0.07])  # sizes, and relative scale, by which they may disagree
+CLOSELY = 0.2  # share of that within which they confirm each other, so that another may be taken there
 OFF = 0.03  # the same by which it may be set right
 RIGHT = np.array([0.02, 0.02, 0.05])  # standard deviations of what it tells, in sizes and of the scale
 
 
 class Snapshot:
-    """What is ``carried`` is put where the target is expected in an image; ``size`` is the target's, px at scale 1."""
+    """What is ``carried`` is put where the target is expected in an image; ``size`` is the target's, px at scale 1.
+    What is known of the ``last`` snapshot of the same target holds for this one."""
 
-    def __init__(self, carried: Carried, size: float) -> None:
+    def __init__(self, carried: Carried, size: float, last: Snapshot | None = None) -> None:
         self._carried, self._size = carried, size
         self._first = float(carried.place[2])
-        self._usual = FIRST
         self._off = np.zeros(3)  # what is to be added to what it tells, where the lock was sure
-        self.agreed = self._surely = 0  # images in which the two agreed, and in which the lock was sure
-        self._compared = 0  # of those, images in which both were so
+        self._usual: float = last._usual if last else FIRST
+        self.agreed: int = last.agreed if last else 0  # images in which the lock agreed with it,
+        self._surely = self._compared = 0  # in which it was sure, and in which both were so
+        self._turn = 0
+        self.confirmed = False  # closely, in the image compared last
 
     def is_old(self, scale: float) -> bool:
         """Whether a target of this ``scale`` looks otherwise."""
@@ -58,17 +62,26 @@ class Snapshot:
         place = self._place(image, expected)
         return place if self._is_alike(tau) else None
 
-    def compare(self, image: Bytes, place: Array, tau: float, sure: bool) -> Array | None:
+    def compare(self, image: Bytes, place: Array, expected: Array, tau: float, sure: bool) -> Array | None:
         """As `find`, for a target that its features show at ``place`` (3,). Where it shows well, or this is ``sure``,
-        nothing is told but learned, and that in some images only."""
+        nothing is told but learned, and that in some images only. Where it does not, and is as alike as usual, it is
+        believed elsewhere, too: edges in dim light are anybody's."""
         self._surely += sure
-        if not self._is_due if sure else self._shows_well:
+        self._turn += 1
+        self.confirmed = False
+        asked = self._is_due if sure else not self._shows_well
+        if not asked and not (self.is_old(place[2]) and self._turn % EVERY == 0):
             return None
-        found = self.find(image, place, tau)
+        found = self.find(image, expected, tau)
         if found is None:
             return None
-        off = np.array([*(place[:2] - found[:2]) / (self._size * place[2]), log(place[2] / found[2])])
-        if (np.abs(off) >= APART).any():
+        known = self.agreed >= CLEAR or (self._shows_well and self.agreed > 0)
+        as_usual = known and self._carried.likeness >= self._usual - LESS
+        if self.is_apart(place, found):
+            return found if asked and not sure and as_usual else None
+        off = self._off_it(place, found)
+        self.confirmed = as_usual and bool((np.abs(off) < CLOSELY * APART).all())
+        if not asked:
             return None
         self.agreed += 1
         self._usual += max(RATE, 1 / self.agreed) * (self._carried.likeness - self._usual)
@@ -76,6 +89,14 @@ class Snapshot:
             self._compared += 1
             self._off = np.clip(self._off + off / (1 + self._compared), -OFF, OFF)
         return None if sure else found
+
+    def is_apart(self, place: Array, found: Array) -> bool:
+        """Whether two places (3,) cannot both be the target's."""
+        return bool((np.abs(self._off_it(place, found)) >= APART).any())
+
+    def _off_it(self, place: Array, found: Array) -> Array:
+        """(3,): by how many sizes, and which logarithm of the scale, the one is off the other."""
+        return np.array([*(place[:2] - found[:2]) / (self._size * place[2]), log(place[2] / found[2])])
 
     def _place(self, image: Bytes, expected: Array) -> Array:
         self._carried.place = expected
