@@ -1,7 +1,7 @@
 """Two cameras as they record: pairs of frames, of which those are left out that come faster than they are used.
 
-Each view is received in a thread of its own. A live source (an address, a device, a named pipe) is dated by its own
-clock, a file is played at the pace of its time stamps.
+Each view is received in a thread of its own. An address or a named pipe is dated by its own clock, a device by this
+computer's, a file is played at the pace of its time stamps.
 """
 
 from __future__ import annotations
@@ -19,11 +19,12 @@ import numpy as np
 
 from paceline.cameras import EVERY, Camera, StereoRig
 from paceline.monocular import CameraFrame, CameraRecording, Grey, open_camera
-from paceline.recordings import StereoFrame
+from paceline.recordings import NOTABLE_SKEW, StereoFrame
 
 HELD = 64  # frames of a view that wait to be used, so that a pause of seconds loses none; beyond, the oldest is dropped
 SETTLING = 8  # frames of each live view that tell by how much their clocks differ
-ALIKE = 0.25, 0.5  # of the interval between frames: how far apart two of a pair may be dated, by one clock or by two
+ALIKE = 0.25, 0.5  # of the interval between frames: how far apart two of a pair may be dated, in files or live
+LATE = 1.0  # s, more than one camera's pictures take longer than another's to arrive
 PATIENCE = 0.1  # s between two looks at whether to stop
 
 
@@ -66,9 +67,8 @@ class LiveViews:
             _View(open_camera(_OneView(clip.path, address, clip.rate, clip.bit_depth, camera)))
             for address, camera in zip(clip.addresses, clip.rig.cameras, strict=True)
         ]
-        self._own_notices: list[str] = []
-        if any(view.recording.live for view in self._views):
-            self._own_notices.append("no common clock: frames that come together are taken as exposed together")
+        self._ahead = 0.0  # s, the right view's clock over the left one's; 0 where they share one
+        self._apart = 0.0  # s, between the two of a pair, at most
 
     @property
     def dropped(self) -> int:
@@ -77,7 +77,12 @@ class LiveViews:
     @property
     def notices(self) -> list[str]:
         """What a user should know about the sources, one plain line each."""
-        return [*self._own_notices, *(line for view in self._views for line in view.recording.notices)]
+        own = []
+        if self._ahead:
+            own.append("no common clock: frames that come together are taken as exposed together")
+        if self._apart > NOTABLE_SKEW:
+            own.append(f"left and right frames are taken up to {1e3 * self._apart:.1f} ms apart, which is allowed for")
+        return [*own, *(line for view in self._views for line in view.recording.notices)]
 
     def stop(self) -> None:
         """Ends the iteration after the present pair, as if the sources ended there; a signal handler may call it."""
@@ -90,20 +95,15 @@ class LiveViews:
         for view in self._views:
             view.begin(begun)
         try:
-            ahead = self._ahead()
-            yield from _paired(left, right, ahead)
+            self._ahead = _ahead(left, right)
+            for pair in _paired(left, right, self._ahead):
+                self._apart = max(self._apart, abs(pair.skew))
+                yield pair
         finally:
             self.stop()
         for view in self._views:
             if view.error is not None:
                 raise view.error
-
-    def _ahead(self) -> float:
-        """Seconds by which the right view's clock is ahead of the left one's: none between files, which share one."""
-        if not any(view.recording.live for view in self._views):
-            return 0.0
-        late = [view.lateness() for view in self._views]
-        return late[0] - late[1]
 
 
 @dataclass(frozen=True)
@@ -155,12 +155,17 @@ class _View:
                 self._waiting.popleft()
 
     def lateness(self) -> float:
-        """How much later than their own time stamps its frames come, s, in the median of the first ones."""
-        late: list[float] = []
-        while len(late) < SETTLING and self.head() is not None:
+        """How much later than their own time stamps its frames come, s, in the median of the first ones that come as
+        evenly as they were taken: what was taken while nobody read comes first, and all at once."""
+        late: deque[float] = deque(maxlen=SETTLING)
+        for _ in range(HELD):
+            if self.head() is None:
+                break
             with self._changed:
                 frame, arrival = self._waiting.popleft()
             late.append(arrival - frame.time)
+            if len(late) == SETTLING and max(late) - min(late) < ALIKE[True] * self.interval:
+                break
         return median(late) if late else 0.0
 
     def _receive(self, begun: float) -> None:
@@ -192,16 +197,26 @@ class _View:
             self._changed.notify()
 
 
+def _ahead(left: _View, right: _View) -> float:
+    """Seconds by which the right view's clock is ahead of the left one's, 0 where they share one, as files do."""
+    if not (left.recording.live or right.recording.live):
+        return 0.0
+    ahead = left.lateness() - right.lateness()
+    devices = left.recording.device and right.recording.device
+    return 0.0 if devices and abs(ahead) < LATE else ahead
+
+
 def _paired(left: _View, right: _View, ahead: float) -> Iterator[RawPair]:
     """Pairs of frames that were taken together; what has no partner is left out."""
     files = not (left.recording.live or right.recording.live)
+    one_clock = ahead == 0.0
     while (a := left.head()) is not None and (b := right.head()) is not None:
         skew = b.time - ahead - a.time
         if abs(skew) <= ALIKE[not files] * left.interval:
             left.take(a)
             right.take(b)
             assert a.image is not None and b.image is not None
-            yield RawPair(a.index, a.time + 0.5 * skew * files, a.image, b.image, skew * files)
+            yield RawPair(a.index, a.time + 0.5 * skew * one_clock, a.image, b.image, skew * one_clock)
         elif skew > 0:
             left.take(a)
         else:

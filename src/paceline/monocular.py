@@ -6,6 +6,7 @@ follows something through the recording knows that time has passed. Memory does 
 
 from __future__ import annotations
 
+import errno
 import re
 from collections import deque
 from collections.abc import Iterator, Sequence
@@ -20,6 +21,7 @@ from typing import Protocol
 import av
 import cv2
 import numpy as np
+from av.container import InputContainer
 from av.format import Flags
 from numpy.typing import NDArray
 
@@ -34,6 +36,13 @@ LISTED = 8  # notices of one kind that are kept
 JUMP = 1.5  # usual intervals between two frames that are noticed
 RECENT = 31  # intervals that say what is usual
 LIVE_OPTIONS = {"rtsp_flags": "prefer_tcp"}  # of FFmpeg; sources without them ignore them
+PROBLEMS = {  # of a device, where the system's own words mislead
+    errno.EBUSY: "it is in use already",
+    errno.EINVAL: "it offers no format that FFmpeg can read",
+    errno.ENODEV: "it is no camera that FFmpeg can read",
+    errno.ENOTTY: "it is no camera that FFmpeg can read",
+    errno.ENOSPC: "its USB bus has no bandwidth left; each camera needs a bus of its own, or smaller pictures",
+}
 OPENING, SILENCE = 15.0, 10.0  # s until a live source counts as unreachable, or as ended
 WAITING = 8  # pictures received and not yet asked for; beyond them the source has to wait
 PATIENCE = 0.1  # s between two looks at whether to stop
@@ -93,6 +102,11 @@ class CameraRecording:
     @property
     def live(self) -> bool:
         return self.total is None
+
+    @property
+    def device(self) -> bool:
+        """Whether it is a live camera of this computer, whose time stamps are those of `time.monotonic`."""
+        return self.live and _is_device(self.name)
 
     @property
     def notices(self) -> list[str]:
@@ -226,13 +240,13 @@ class LiveFeed:
         self.name = re.sub(r"//[^/@]*@", "//", address)  # a password belongs into no message
         self.notices: list[str] = []
         self._stopped = False
-        device, options = None, LIVE_OPTIONS
-        if Path(address).is_char_device():
-            device, options = "v4l2", {"video_size": "{}x{}".format(*size)}
         try:
-            self._container = av.open(address, format=device, options=options, timeout=(OPENING, 2 * SILENCE))
+            self._container = _opened(address, size)
+        except UnusableInput:
+            raise
         except (av.FFmpegError, OSError, ValueError) as error:
-            raise UnusableInput(f"{self.name}: cannot be opened as a live video ({_problem(error)})") from error
+            reason = (PROBLEMS.get(getattr(error, "errno", 0)) if _is_device(address) else None) or _problem(error)
+            raise UnusableInput(f"{self.name}: cannot be opened as a live video ({reason})") from error
         if not self._container.streams.video:
             self._container.close()
             raise UnusableInput(f"{self.name}: shows no video")
@@ -253,7 +267,7 @@ class LiveFeed:
         index = -1
         try:
             while (picture := self._next(received)) is not None:
-                if picture.stamp is None:  # as the first one of many streams
+                if picture.stamp is None or (index < 0 and picture.image is None):  # as the first ones of many sources
                     continue
                 index += 1
                 time = clock.read(index, picture.stamp)
@@ -262,7 +276,7 @@ class LiveFeed:
         finally:
             self.stop()
         if index < 0:
-            raise UnusableInput(f"{self.name}: sends no picture with a time stamp")
+            raise UnusableInput(f"{self.name}: sends no picture that can be decoded and has a time stamp")
 
     def _next(self, received: Queue[_Picture | Exception | None]) -> _Picture | None:
         """The picture that came first of those not yet read; None at the end, or after too long a silence."""
@@ -325,6 +339,57 @@ class LiveFeed:
                 yield _Picture(arrival if self._untimed else own, None)
 
 
+def _is_device(address: str) -> bool:
+    return Path(address).is_char_device()
+
+
+def _opened(address: str, size: tuple[int, int]) -> InputContainer:
+    """What FFmpeg opens at an ``address``. It waits for the first picture of a device, and for whoever writes into a
+    pipe, without end and without hearing a signal: hence in a thread of its own."""
+    answer: Queue[InputContainer | Exception] = Queue()
+
+    def ask() -> None:
+        try:
+            if _is_device(address):
+                answer.put(_camera(address, size))
+            else:
+                answer.put(av.open(address, options=LIVE_OPTIONS, timeout=(OPENING, 2 * SILENCE)))
+        except Exception as error:  # is raised where the answer is wanted
+            answer.put(error)
+
+    Thread(target=ask, daemon=True).start()
+    try:
+        opened = answer.get(timeout=None if "://" in address else OPENING)
+    except Empty:
+        raise TimeoutError(errno.ETIMEDOUT, f"no answer within {OPENING:.0f} s") from None
+    if isinstance(opened, Exception):
+        raise opened
+    return opened
+
+
+def _camera(device: str, size: tuple[int, int]) -> InputContainer:
+    """A ``device`` that sends pictures of ``size`` (width, height), in the format that FFmpeg prefers or else as JPEG:
+    many offer their larger ones only so. Raises UnusableInput when it offers other sizes only."""
+    wanted, offered = "{} × {}".format(*size), ""
+    for preferred in {}, {"input_format": "mjpeg"}:
+        # as mere "options" they would be the decoder's, too, which then takes pictures of any size for those
+        options = {"video_size": wanted.replace(" × ", "x"), **preferred}
+        try:
+            container = av.open(device, format="v4l2", container_options=options)
+        except (av.FFmpegError, OSError):
+            if offered:
+                break
+            raise
+        video = container.streams.video[0]
+        if (video.width, video.height) == size:
+            return container
+        offered = offered or f"{video.width} × {video.height}"
+        container.close()
+    raise UnusableInput(
+        f"{device}: offers {offered} pixels where {wanted} are asked for; expected the image_size of its calibration"
+    )
+
+
 def _problem(error: Exception) -> str:
     """What FFmpeg says of a live source, in words."""
     if isinstance(error, av.error.ExitError):  # PyAV's own time limit
@@ -355,7 +420,8 @@ class _Clock:
 
 
 def _grey(picture: av.VideoFrame) -> Grey:
-    return np.asarray(picture.reformat(format="gray").to_ndarray(), np.uint8)
+    # a copy: what a grey camera shows lies in the driver's memory, which is gone once the device is closed
+    return np.array(picture.reformat(format="gray").to_ndarray(), np.uint8)
 
 
 @dataclass
