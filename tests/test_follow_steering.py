@@ -4,7 +4,18 @@ import numpy as np
 import pytest
 
 from paceline.follow.configuration import FollowConfiguration
-from paceline.follow.steering import LONGEST, Pose, Steering, goal_on, in_world, pure_pursuit, seen_from
+from paceline.follow.steering import (
+    DOUBTED,
+    LONGEST,
+    SPACING,
+    Pose,
+    Steering,
+    goal_on,
+    in_world,
+    prolonged,
+    pure_pursuit,
+    seen_from,
+)
 
 C = FollowConfiguration()
 
@@ -113,3 +124,41 @@ def test_the_lookahead_grows_with_the_speed():
             angles.append(steering.angle(k / 15, 25.0, 1.0, True, Pose(speed * k / 15, 0.0, 0.0)))
         assert steering.speed == pytest.approx(speed, rel=0.01)
     assert 0 < angles[119] < angles[59]
+
+
+def circle(radius, count):
+    """Points (count, 2) every `SPACING` on a circle to the left, the last at the origin and there along x."""
+    turned = SPACING / radius * np.arange(1 - count, 1)
+    return radius * np.column_stack([np.sin(turned), 1 - np.cos(turned)])
+
+
+@pytest.mark.parametrize("radius", [60.0, -90.0, 1e6])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_path_leads_on_as_it_bends(radius, seed):
+    """15 m on, in noise of 2 cm; the end of it, at which what came between drew the lead aside, has no say."""
+    path = circle(radius, 60) + np.random.default_rng(seed).normal(0, 0.02, (60, 2))
+    path[-DOUBTED:, 1] += 0.5 * np.arange(1, DOUBTED + 1) / DOUBTED
+    on = prolonged(path, 15.0, 10.0)[60 - DOUBTED :]
+    center = np.array([0.0, radius])
+    off = np.abs(np.hypot(*(on - center).T) - abs(radius))
+    assert np.hypot(*(on[-1] - path[-DOUBTED - 1])) > 14.0
+    assert off.max() < 0.4
+    np.testing.assert_allclose(np.hypot(*np.diff(on, axis=0).T), SPACING, rtol=1e-6)
+    assert np.hypot(*(on[0] - path[-DOUBTED - 1])) < 2 * SPACING
+
+
+def test_fast_vehicles_hardly_turn():
+    """The same points tell less of a bend the faster they were passed."""
+    path, turns = circle(60.0, 60), []
+    for speed in (5.0, 30.0):
+        first, *_, last = np.diff(prolonged(path, 20.0, speed)[-40:], axis=0)
+        turns.append(np.arctan2(last[1], last[0]) - np.arctan2(first[1], first[0]))
+    assert turns[0] == pytest.approx(20.0 / 60.0, rel=0.1) and 0.0 < turns[1] < 0.5 * turns[0]
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, DOUBTED + 1, 10])
+def test_a_short_path_leads_straight_on(count):
+    path = np.column_stack([SPACING * np.arange(count), np.zeros(count)])
+    on = prolonged(path, 5.0, 10.0)
+    np.testing.assert_allclose(on[:, 1], 0.0, atol=1e-9)
+    assert on[-1, 0] >= 5.0 if count > 1 else len(on) == 1

@@ -14,7 +14,10 @@ Array = NDArray[np.float64]
 
 SPACING = 0.5  # m between two stored points of the path
 LONGEST = 512  # points kept, 256 m: a day's run holds no more than that
-STRETCH = 6  # points at its end that tell where the path leads on
+DOUBTED = 4  # points at its end that are not believed of a lead that is not seen any more: what hid it drew them aside
+STRETCH = 24  # points before those that tell where the path leads on,
+ASIDE = 0.05  # m, by how much they are off it,
+TURN = 1.5  # m/s², and how hard vehicles turn
 SMOOTH = 0.3  # s over which the chase vehicle's speed is averaged
 
 
@@ -66,13 +69,25 @@ def goal_on(path: Array, lookahead: float) -> tuple[float, float]:
     return float(x), float(y)
 
 
-def prolonged(path: Array, reach: float) -> Array:
-    """``path`` (N, 2), in driving order, carried straight on by ``reach`` metres beyond its end, every `SPACING`."""
-    last = path[-STRETCH:]
+def prolonged(path: Array, reach: float, speed: float) -> Array:
+    """``path`` (N, 2), in driving order, carried on by ``reach`` metres beyond what is believed of it, every `SPACING`,
+    by the arc that its end goes on to, as a vehicle turns at a ``speed`` in m/s."""
+    known = path[: max(len(path) - DOUBTED, 2)]
+    last = known[-STRETCH:]
     along = last[-1] - last[0]
     length = hypot(along[0], along[1])
-    steps = np.arange(SPACING, reach + SPACING, SPACING)[:, None]
-    return np.vstack([path, path[-1] + steps / length * along]) if length > 0 else path
+    if not length > 0:
+        return path
+    axes = np.array([along, [-along[1], along[0]]]) / length
+    s, aside = (last - last[-1]) @ axes.T, TURN / max(speed, 1.0) ** 2
+    # a parabola aside = slope · s + bend · s² / 2 through the last point, its bend known beforehand to be small
+    rows = np.column_stack([s[:, 0], 0.5 * s[:, 0] ** 2, np.ones(len(s))]) / ASIDE
+    A = np.vstack([rows, [0.0, 1.0 / aside, 0.0]])
+    slope, bend, off = np.linalg.lstsq(A, np.append(s[:, 1] / ASIDE, 0.0), rcond=None)[0]
+    steps = np.arange(SPACING, reach + SPACING, SPACING)
+    heading = np.arctan(slope) + bend * (steps - 0.5 * SPACING)
+    on = np.cumsum(np.column_stack([np.cos(heading), np.sin(heading)]), axis=0) * SPACING
+    return np.vstack([known, known[-1] + (on + [0.0, off]) @ axes])
 
 
 class Steering:
@@ -104,7 +119,7 @@ class Steering:
                 path = self.path
                 if not seen:  # the lead has driven on, and the vehicle may have passed where it was seen last
                     gone = hypot(*(path[-1] - (pose.x, pose.y)))
-                    path = prolonged(path, gone + c.lookahead_max)
+                    path = prolonged(path, gone + c.lookahead_max, self.speed)
                 goal = goal_on(seen_from(pose, path), lookahead)
         angle = pure_pursuit(goal[0] + c.camera_ahead, goal[1], c.wheelbase)
         return min(max(angle, -c.steering_limit), c.steering_limit)
