@@ -219,13 +219,16 @@ def test_sharp_lamps_stand_in_spite_of_wide_light_on_the_road() -> None:
     assert stands(counts, lying, 3.0 * faint) == pytest.approx(stands(counts, lying, faint))
 
 
-def lit(s: float) -> tuple[Image, Image]:
-    """Both views of two lamps at ``s``, with light about them that lies four metres in front of them in one piece."""
+Spot = tuple[float, float, float, float, float]  # m ahead, aside and up, and wide (one sigma); grey levels at its peak
+
+
+def lit(s: float, spots: list[Spot]) -> tuple[Image, Image]:
+    """Both views of the road by the light of ``spots`` about ``s``."""
     pictures = []
     for view, picture in enumerate(empty()):
         image, v, u = 0.07 * picture, *np.mgrid[: picture.shape[0], : picture.shape[1]]
-        for at, x, y, sigma, peak in ((s, -0.7, 0.6, 0.1, 700), (s, 0.7, 0.6, 0.1, 700), (s + 4.0, 0.0, 0.5, 0.9, 60)):
-            centre, beside = (way().pixels(at, np.array([x + d, y]))[view] for d in (0.0, sigma))
+        for ahead, x, y, sigma, peak in spots:
+            centre, beside = (way().pixels(s + ahead, np.array([x + d, y]))[view] for d in (0.0, sigma))
             width = np.linalg.norm(beside - centre)
             image += peak * np.exp(-((u - centre[0]) ** 2 + (v - centre[1]) ** 2) / (2 * width**2))
         noise = np.random.default_rng(view).normal(0, 1.0, image.shape)
@@ -233,13 +236,27 @@ def lit(s: float) -> tuple[Image, Image]:
     return pictures[0], pictures[1]
 
 
+def off(s: float, spots: list[Spot]) -> float:
+    """How far from ``s`` the first vehicle is seen, px of disparity."""
+    dark = [np.asarray(0.07 * i, np.float32) for i in empty()]
+    left, right = lit(s, spots)
+    first, *_ = Lookout([way()]).see(replace(frame(0), left=left, right=right), (dark[0], dark[1]), 1.0)
+    return abs(first.s - s) / first.error(0.0, 1.0)
+
+
 @pytest.mark.parametrize("k", [24, 36, 48])
 def test_lamps_are_where_they_are_and_not_where_their_light_lies(k: int) -> None:
-    s = float(way().stations()[k])
-    dark = [np.asarray(0.07 * i, np.float32) for i in empty()]
-    left, right = lit(s)
-    found = Lookout([way()]).see(replace(frame(0), left=left, right=right), (dark[0], dark[1]), 1.0)
-    assert found and abs(found[0].s - s) < found[0].error(0.0, 0.25)  # a quarter of a pixel of disparity
+    """It lies four metres behind them in one piece."""
+    spots = [(0.0, -0.7, 0.6, 0.1, 700.0), (0.0, 0.7, 0.6, 0.1, 700.0), (4.0, 0.0, 0.5, 0.9, 60.0)]
+    assert off(float(way().stations()[k]), spots) < 0.25
+
+
+@pytest.mark.parametrize("s", [2.0, 2.25, 3.0, 3.5])
+@pytest.mark.parametrize("x", [0.25, 0.3])
+def test_lamps_near_by_are_not_where_the_wide_light_about_them_agrees_too(s: float, x: float) -> None:
+    """As much of it counts at stations that are many pixels of disparity apart."""
+    lamps = ((0.0, 0.3, 0.12, 700.0), (0.0, 0.3, 0.6, 35.0), (-4.0, -0.3, 0.84, 21.0))
+    assert off(s, [(ahead, side * x, *lamp) for side in (-1, 1) for ahead, *lamp in lamps]) < 0.25
 
 
 # --- over time -------------------------------------------------------------------------------------------------------
@@ -247,7 +264,7 @@ def test_lamps_are_where_they_are_and_not_where_their_light_lies(k: int) -> None
 
 def sighting(time: float, s: float, x: tuple[float, float] = (-0.9, 0.9), of: StereoFrame | None = None) -> Sighting:
     crops = (empty() if of is None else (of.left, of.right), np.zeros((2, 2)))
-    return Sighting(round(10 * time), time, way(), s, x, (0.2, 1.5), 1.5, *crops)
+    return Sighting(round(10 * time), time, way(), s, x, (0.2, 1.5), 1.5, 9.0, *crops)
 
 
 def test_a_start_out_of_step_is_not_taken() -> None:
@@ -257,6 +274,16 @@ def test_a_start_out_of_step_is_not_taken() -> None:
     wrong = [replace(aligned[0], s=9.0), *aligned[1:]]
     assert in_step(wrong) == aligned[1:]
     assert in_step(aligned[:2]) == aligned[:2]
+
+
+@pytest.mark.parametrize("off", [-12.0, -9.0, 9.0, 12.0])
+def test_a_start_out_of_step_does_not_bend_the_course_to_itself(off: float) -> None:
+    """A vehicle that goes was seen once, and again from a second later on: places far away, which may be off by more,
+    would give way."""
+    times = np.array([0.0, *(1.1 + 0.5 * np.arange(7))])
+    aligned = [Aligned(sighting(t, 8 + 13 * (t - 1.1)), 8 + 13 * (t - 1.1), np.zeros(2), 0.8) for t in times]
+    assert in_step(aligned) == aligned
+    assert in_step([replace(aligned[0], s=aligned[0].s + off), *aligned[1:]]) == aligned[1:]
 
 
 @given(speed=st.floats(-30, 30), n=st.integers(4, 30), seed=st.integers(0, 1000))

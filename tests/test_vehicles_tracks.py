@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from test_vehicles_looking import driven, outlined, sighting
 
 from paceline.vehicles.finding import Register, as_seen, goes_on, is_vehicle
-from paceline.vehicles.tracks import Linker, off_course
+from paceline.vehicles.plane import showing_face
+from paceline.vehicles.tracks import Linker, Track, off_course
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -105,6 +106,26 @@ def test_what_is_small_has_to_be_seen_often(area: float, count: int) -> None:
     track = driven(times, 4 + 25 * times)
     track.areas = [area] * count
     assert is_vehicle(track) == ((area, count) in ENOUGH_OF_IT)
+
+
+def test_what_now_and_then_seems_to_stand_lies_on_the_road() -> None:
+    """Two shadows one behind the other, as they were seen, and a van in rain."""
+    times = np.arange(5) / 10
+    track = driven(times, 4 + 25 * times)
+    for upright, vehicle in (([14.2, 1.7, 2.7, 1.7, 1.5], False), ([1.5, 4.4, 6.0, 2.6, 5.7], True)):
+        track.upright = upright
+        assert is_vehicle(track) == vehicle
+
+
+@pytest.mark.parametrize(("shown", "vehicle"), [(0, False), (1, False), (2, True), (10, True)])
+def test_what_hangs_above_the_road_is_no_vehicle(shown: int, vehicle: bool) -> None:
+    """A skyline, or the roof of a van that is hidden by the car before it, until its face comes into view."""
+    times, track = np.arange(10) / 10, Track()
+    for k, t in enumerate(times.tolist()):
+        at = sighting(t, 4 + 15 * t)
+        track.add(at if k >= 10 - shown else replace(at, y=(1.9, 2.5)))
+    assert is_vehicle(track) == vehicle
+    assert len(showing_face(track)) == shown
 
 
 def test_a_vehicle_that_passes_a_bush_is_not_taken_for_it() -> None:

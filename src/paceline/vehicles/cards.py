@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -48,12 +49,20 @@ class Card:
     def sharpness(self, views: Views, piece: Mask) -> float:
         """How well the pictures of a ``piece`` (rows, columns) fit each other, the more of it the more contrast both
         have: places with little of it agree at any distance."""
+        if not piece.any():
+            return -1.0
         left, right = (levels[self.level] for levels in views)
         rows, columns = (np.flatnonzero(piece.any(axis)) for axis in (1, 0))
         row, column = (max(int(places[0]) - self.window, 0) for places in (rows, columns))
         part = np.ascontiguousarray(piece[row : rows[-1] + 1 + self.window, column : columns[-1] + 1 + self.window])
         cells = self.cells @ np.array([[1.0, 0, column], [0, 1, row], [0, 0, 1]])
         return float(cards_cpu.sharpness(left, right, cells, self._scale, self.window, part))
+
+    def showing(self, piece: Mask, other: Card) -> Mask:
+        """Where (rows, columns) the left picture shows what it shows in a ``piece`` of another card."""
+        there = np.linalg.solve(other.cells[0], self.cells[0])
+        flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
+        return np.asarray(cv2.warpPerspective(piece.astype(np.uint8), there, self.grid.size, flags=flags) > 0)
 
     def hide(self, counts: Image, explained: NDArray[np.uint8]) -> None:
         """Count nothing, in place, where the left picture is ``explained`` (H, W: not 0)."""

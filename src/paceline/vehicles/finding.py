@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from paceline.cameras import StereoRig
 from paceline.documents import VehicleDocument
 from paceline.recordings import StereoFrame
-from paceline.vehicles.plane import Aligned, Face, face_of
+from paceline.vehicles.plane import Aligned, Face, face_of, showing_face
 from paceline.vehicles.scene import Scene
 from paceline.vehicles.sightings import Lookout
 from paceline.vehicles.tracks import Linker, Track, off_course
@@ -30,8 +30,12 @@ LEAST_AREA = 0.7  # m² of a face that both views agree on, in the median, times
 # two lamps in the dark are small, but there again and again
 MANY = 16  # of them, from which on more say no more
 LEAST_HEIGHT = 0.8  # m above the road that a vehicle reaches: less is a shadow
+UPRIGHT = 2.0  # times better that the views agree than if it lay on the road, in the median: so much better two shadows
+# one behind the other do now and then, and vehicles in every second frame at least
 SMALLEST = 16.0, 6.0  # px, width and height of an outline
 OFF = 1.0, 1.0  # m, and px of disparity, by which it is off at most
+MOST_OFF = 2.0  # of these errors: what is more off says no more against a course
+NO_SAY = 1e3  # times its error, with which a place has no say
 KNOWN = 8  # vehicles of which a next one may be a part
 BORDER = 4.0  # px between an outline and the edge of the picture
 
@@ -138,6 +142,8 @@ def is_vehicle(track: Track) -> bool:
         return False
     if _height(track) < LEAST_HEIGHT or abs(float(np.median([s.middle for s in track.kept]))) > ASIDE:
         return False
+    if float(np.median(track.upright)) < UPRIGHT or len(showing_face(track)) < 2:
+        return False
     quiet = count >= OFTEN and track.roughness < QUIET
     return track.unsteadiness < (1.0 if quiet else UNSTEADY[abs(track.travel) > FAR])
 
@@ -188,11 +194,13 @@ def _height(track: Track) -> float:
 
 
 def in_step(aligned: list[Aligned]) -> list[Aligned]:
-    """Those that are on the course of all."""
+    """Those that are on the course of all, or of all but one, which far off at an end would bend it to itself."""
     way = aligned[0].sighting.way
     places = [a.sighting.way.place(a.s, a.sighting.middle, 0.0) for a in aligned]
     t, s = np.array([a.sighting.time for a in aligned]), np.array([way.path.nearest(place) for place in places])
-    off = off_course(t, s, np.array([a.sighting.error(*OFF) for a in aligned]))
+    error, no_say = np.array([a.sighting.error(*OFF) for a in aligned]), np.where(np.eye(len(t)), NO_SAY, 1.0)
+    courses = [off_course(t, s, error), *(doubt * off_course(t, s, doubt * error) for doubt in no_say)]
+    off = min(courses, key=lambda off: float(np.minimum(np.abs(off), MOST_OFF).sum()))
     return [a for a, one in zip(aligned, off, strict=True) if abs(one) <= 1]
 
 

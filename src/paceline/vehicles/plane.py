@@ -34,6 +34,7 @@ MOST_OF = 0.7  # of a face's width that a rectangle takes at least
 WIDEST = 1.8, 2.3  # m, of a rectangle on a car, and on what is taller than `TALLER`
 HIGHEST = 1.1, 1.6  # m, of the same
 TALLER = 2.2  # m
+FOOT = 1.5  # m above the road, below which a sighting begins that shows a face: so high up are the lamps of lorries
 COST = 0.02  # of a place without texture
 COARSE = 2  # cells of the map on which rectangles are tried
 WHOLE = 0.7  # of the largest area seen of a face, of a reference
@@ -79,14 +80,17 @@ class Face:
 
 def face_of(track: Track) -> Face | None:
     """The rectangle on a vehicle's face that all its sightings agree on; None where they agree on none."""
-    uncut = [s for s in track.kept if min(s.x[0] - GRID.left, -GRID.left - s.x[1]) > 0.5 * GRID.cell] or track.kept
+    shown = showing_face(track)
+    if not shown:
+        return None
+    uncut = [sighting for sighting in shown if _is_uncut(sighting)] or shown
     largest = max(sighting.area for sighting in uncut)
     reference = max((s for s in uncut if s.area >= WHOLE * largest), key=_size)
     half = min(0.5 * (reference.x[1] - reference.x[0]), -FINE.left)
     x, y = (-half, half), (FINE.bottom, HIGHEST[reference.y[1] > TALLER])
     face: Face | None = None
     for _ in range(2):
-        aligned = _lay_on_each_other(track.kept, reference, x, y)
+        aligned = _lay_on_each_other(shown, reference, x, y)
         if len(aligned) < 2:
             return None
         face = _rectangle(aligned, reference)
@@ -94,6 +98,21 @@ def face_of(track: Track) -> Face | None:
             return None
         x, y = face.x, face.y
     return face
+
+
+def showing_face(track: Track) -> list[Sighting]:
+    """The sightings that reach down to a face: what hangs higher is a roof behind another vehicle, or none."""
+    return [sighting for sighting in track.kept if sighting.y[0] < FOOT]
+
+
+def _is_uncut(sighting: Sighting) -> bool:
+    """Whether neither its card nor a picture ends at a face: beyond its edge a picture repeats itself in both views."""
+    (left, right), (bottom, top) = sighting.x, sighting.y
+    if min(left - GRID.left, -GRID.left - right) <= 0.5 * GRID.cell:
+        return False
+    corners = np.array([[x, y] for x in (left, right) for y in (bottom, min(top, HIGHEST[top > TALLER]))])
+    views = zip(sighting.way.pixels(sighting.s, corners), sighting.way.rig.cameras, strict=True)
+    return all(((quad >= 0) & (quad <= np.array(camera.image_size) - 1)).all() for quad, camera in views)
 
 
 def _size(sighting: Sighting) -> float:

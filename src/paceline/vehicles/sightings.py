@@ -32,8 +32,8 @@ SEARCH, SEARCH_WINDOW = Grid(left=-3.2, top=2.6, bottom=0.2, cell=0.1), 5  # of 
 SPARSE = 2  # stations from one of the coarse look to the next
 PROMISING = 0.2  # m² of places that count in a coarse look, about which a fine one is worth while
 RIVAL, RIVALS = 0.5, 4  # of the most that counts coarsely, and stations: a fine look may see another as the highest
-PLATEAU, WIDEST = 0.9, 4  # of the most that counts, and stations on either side, where as much counts
-SHARPER = 0.6  # times the misfit of the pictures at the best of them, below which another of those stations is better
+WIDE, CLOSE = (0.7, 1000, 0.4), (0.9, 4, 0.6)  # of the most that counts, and stations on either side at which as much
+# counts; times the misfit of the pictures at the best one, below which another of those is better: more clearly if far
 CONTRAST = (1.0, 2.0)  # grey levels, and times the noise: less is no texture
 COARSE = 2  # level of the pyramid at which a glance tells where nothing has changed
 PART = 0.2  # of a vehicle's smallest area that is other than the empty scene at a glance
@@ -55,7 +55,8 @@ MARGIN = 0.9  # m about a face that are kept of the pictures
 @dataclass(frozen=True, eq=False)
 class Sighting:
     """The face of a vehicle in one frame, at arc length ``s`` of a ``way``: ``x`` and ``y``, each (2,), from where to
-    where on the card, m; ``area`` m² of it agree. ``crops`` of both views begin at the pixels ``corners`` (2, 2)."""
+    where on the card, m; ``area`` m² of it agree, ``upright`` times better than if they lay on the road. ``crops`` of
+    both views begin at the pixels ``corners`` (2, 2)."""
 
     frame: int
     time: float
@@ -64,6 +65,7 @@ class Sighting:
     x: tuple[float, float]
     y: tuple[float, float]
     area: float
+    upright: float
     crops: tuple[Image, Image]
     corners: Array
 
@@ -123,23 +125,21 @@ class Lookout:
         least = max(CONTRAST[0], CONTRAST[1] * noise)
         look = _Look(views, scene, self._fine, least)
         coarse, areas = self._coarsely(views, scene, least)
-        upright = partial(self._stands, coarse, views)
+        coarsely_upright = partial(self._stands, coarse, views)
         found: list[Sighting] = []
-        while len(peaks := self._peaks(areas, upright)):
+        while len(peaks := self._peaks(areas, coarsely_upright)):
             best = max((self._highest(look, SPARSE * k) for k in peaks), key=look.area)
             if look.area(best) < SMALLEST:
                 areas[peaks] = 0.0
                 continue
-            counts = look.counts(best)
-            piece = largest_piece(counts)
-            s = self._between(look, best, piece)
-            look.forget(best, piece)
-            lying = card_of(_lying(*self._stations[best]), GRID, WINDOW, self.rows.start)
-            if stands(counts * piece, *lying.correlation(views)) < STANDS[1]:
+            station, s, counts, piece = self._placed(look, best)
+            lying = card_of(_lying(*self._stations[station]), GRID, WINDOW, self.rows.start)
+            upright = float(stands(counts * piece, *lying.correlation(views)))
+            if upright < STANDS[1]:
                 continue
-            first, behind = self._way_of(best)
-            sighting = self._sighting(frame, self._stations[best][0], s, counts, piece)
-            if first < best < behind - 1:  # what counts most at an end of the way is beyond it
+            first, behind = self._way_of(station)
+            sighting = self._sighting(frame, self._stations[station][0], s, counts, piece, upright)
+            if first < station < behind - 1:  # what counts most at an end of the way is beyond it
                 found.append(sighting)
             look.explain(sighting, self.rows.start)
             for k in np.flatnonzero(areas).tolist():
@@ -194,27 +194,43 @@ class Lookout:
                 return k
             k = best
 
-    def _between(self, look: _Look, best: int, piece: Mask) -> float:
-        """The arc length at the top of a parabola through the best station and its neighbours; of stations at which as
-        much counts, as in a halo, the best one is where the pictures of the ``piece`` fit each other far more sharply.
-        By day they hardly do, and what counts tells the place better."""
+    def _placed(self, look: _Look, best: int) -> tuple[int, float, Image, Mask]:
+        """Where a vehicle is that counts most at the ``best`` station: its station and arc length, what counts there,
+        and the piece of it that is the vehicle, which counts no more from now on."""
+        most = largest_piece(look.counts(best))
+        station, height = self._sharpest(look, best, most)
+        s, counts = self._between(station, height), look.counts(station)
+        piece = largest_piece(counts)
+        look.forget(best, most)
+        look.forget(station, piece)
+        return station, s, counts, piece
+
+    def _sharpest(self, look: _Look, best: int, piece: Mask) -> tuple[int, Callable[[int], float]]:
+        """The station where a vehicle is whose ``piece`` counts most at the ``best`` one, and what is highest there: as
+        much counts all through a halo, and of those stations it is the one where the pictures fit each other far more
+        sharply. By day they hardly do, and what counts tells the place better."""
         first, last = self._way_of(best)
-        least, low, high, height = PLATEAU * look.area(best), best, best, look.area
-        while low > max(first, best - WIDEST) and look.area(low - 1) >= least:
-            low -= 1
-        while high < min(last - 1, best + WIDEST) and look.area(high + 1) >= least:
-            high += 1
-        if low < high:
-            sharpness = cache(partial(look.sharpness, piece=piece))
+        sharpness = cache(partial(look.sharpness, piece=piece, of=best))
+        for share, reach, sharper in (WIDE, CLOSE):
+            least, low, high = share * look.area(best), best, best
+            while low > max(first, best - reach) and look.area(low - 1) >= least:
+                low -= 1
+            while high < min(last - 1, best + reach) and look.area(high + 1) >= least:
+                high += 1
             sharp = max(range(low, high + 1), key=sharpness)
-            if 1.0 - sharpness(sharp) < SHARPER * (1.0 - sharpness(best)):
-                best, height = sharp, sharpness
-        s = self._stations[best][1]
-        if not first < best < last - 1:
+            if 1.0 - sharpness(sharp) < sharper * (1.0 - sharpness(best)):
+                return sharp, sharpness
+        return best, look.area
+
+    def _between(self, station: int, height: Callable[[int], float]) -> float:
+        """The arc length at the top of a parabola through the heights of a station and of its neighbours."""
+        first, last = self._way_of(station)
+        s = self._stations[station][1]
+        if not first < station < last - 1:
             return s
-        a, b, c = (height(k) for k in (best - 1, best, best + 1))
+        a, b, c = (height(k) for k in (station - 1, station, station + 1))
         offset = 0.5 * (a - c) / min(a - 2 * b + c, -1e-9)
-        neighbour = self._stations[best + (1 if offset > 0 else -1)][1]
+        neighbour = self._stations[station + (1 if offset > 0 else -1)][1]
         return s + float(min(abs(offset), 0.5)) * (neighbour - s)
 
     def _way_of(self, station: int) -> tuple[int, int]:
@@ -223,7 +239,7 @@ class Lookout:
         return int(first), int(behind)
 
     @staticmethod
-    def _sighting(frame: StereoFrame, way: Way, s: float, counts: Image, piece: Mask) -> Sighting:
+    def _sighting(frame: StereoFrame, way: Way, s: float, counts: Image, piece: Mask, upright: float) -> Sighting:
         area = float((counts * piece).sum()) * GRID.cell**2
         x, y = _extent(piece)
         card = np.array([[a, b] for a in (x[0] - MARGIN, x[1] + MARGIN) for b in (0.0, GRID.top)])
@@ -235,7 +251,8 @@ class Lookout:
             high = np.maximum(np.ceil(pixels.max(0)).astype(int) + 1, low + 2)
             crops.append(image[low[1] : high[1], low[0] : high[0]].copy())
             corners.append(low)
-        return Sighting(frame.index, frame.time, way, s, x, y, area, (crops[0], crops[1]), np.array(corners, float))
+        views, at = (crops[0], crops[1]), np.array(corners, float)
+        return Sighting(frame.index, frame.time, way, s, x, y, area, upright, views, at)
 
 
 class _Look:
@@ -261,9 +278,10 @@ class _Look:
             self._areas[station] = _area(self.counts(station), GRID)
         return self._areas[station]
 
-    def sharpness(self, station: int, piece: Mask) -> float:
-        """How well the pictures of a ``piece`` of a card fit each other."""
-        return self._cards[station].sharpness(self._views, piece)
+    def sharpness(self, station: int, piece: Mask, of: int) -> float:
+        """How well the pictures fit each other if what is a ``piece`` of the card ``of`` in the left one stands at a
+        ``station``."""
+        return self._cards[station].sharpness(self._views, self._cards[station].showing(piece, self._cards[of]))
 
     def forget(self, station: int, piece: Mask) -> None:
         """Count nothing any more in a ``piece`` (rows, columns) of a card, nor about it, which made it one."""

@@ -42,6 +42,7 @@ class Track:
     way_s: list[float] = field(default_factory=list)  # m along the first sighting's way
     times: list[float] = field(default_factory=list)
     areas: list[float] = field(default_factory=list)
+    upright: list[float] = field(default_factory=list)  # times better that it is seen than if it lay on the road
     places: list[Array] = field(default_factory=list)  # (3,) m each, in the world
     errors: list[float] = field(default_factory=list)  # m along the way, by which one is off at most
     kept: list[Sighting] = field(default_factory=list)
@@ -58,6 +59,7 @@ class Track:
         self.way_s.append(self.along(sighting))
         self.times.append(sighting.time)
         self.areas.append(sighting.area)
+        self.upright.append(sighting.upright)
         self.places.append(sighting.place)
         self.errors.append(sighting.error(*ERROR))
         self.missed += self.unseen

@@ -1,0 +1,43 @@
+"""The part of a vehicle's face that is measured, over all that was seen of it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from small_road import scene
+
+from paceline.recordings import StereoFrame
+from paceline.simulation.planar import Vehicle, World, render
+from paceline.speed.paths import from_points
+from paceline.vehicles.plane import face_of
+from paceline.vehicles.sightings import Sighting
+from paceline.vehicles.tracks import Track
+from paceline.vehicles.ways import Way
+
+HEIGHT = 1.6  # m, of all that is seen
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+@pytest.mark.parametrize(("lane", "width"), [(-1.85, 0.8), (-3.0, 0.8), (-3.0, 1.8)])
+def test_a_face_is_where_it_is_though_the_vehicle_leaves_the_pictures_at_last(
+    seed: int, lane: float, width: float
+) -> None:
+    """It is seen best when the pictures cut it off already, and what they repeat beyond their edges agrees anywhere."""
+    of = scene(Vehicle("v0", 16.0, start_distance=60.0, lane=lane, texture_seed=seed, width=width), frames=17)
+    clip, world = render(of), World(of)
+    way = Way("lane0", world.rig, from_points("lane0", "line", world.road.point(np.array([80.0, 12.0]), lane)))
+    track, true, whole = Track(), {}, {}
+    for row in clip.truth:
+        k, left = row["frame"], np.array(row["left"])
+        if left[:, 0].max() > 20:  # px of it are left
+            views = np.float32(clip.left[k]), np.float32(clip.right[k])
+            pair = StereoFrame(k, float(clip.times[k]), *views, 0.0, duplicate=False)
+            true[k], whole[k] = way.on_card(np.array(row["position"]))[0], row["inside"]
+            x, y = (-0.5 * width, 0.5 * width), (0.2, HEIGHT)
+            track.add(Sighting(k, pair.time, way, true[k], x, y, 1.5, 9.0, views, np.zeros((2, 2))))
+    assert not whole[track.kept[-1].frame]
+    face = face_of(track)
+    assert face is not None
+    found = {at.sighting.frame: at.s for at in face.aligned if whole[at.sighting.frame]}
+    assert set(found) == {s.frame for s in track.kept if whole[s.frame]}
+    assert all(abs(found[k] - true[k]) < 0.25 for k in found)  # m
