@@ -191,6 +191,17 @@ def test_plots_of_short_runs(status: str, count: int) -> None:
     assert all(p.png and "mathdefault" not in p.svg for p in plots)
 
 
+def test_plots_count_from_the_first_frame() -> None:
+    """A device's clock counts from when the computer was switched on."""
+    begun = 2.0**15  # s, so that nothing is rounded
+    early, late = History(), History()
+    for k in range(0, 60, 15):
+        early.add(run(k))
+        late.add(replace(run(k), time=run(k).time + begun))
+    plots = [follow_plots(history.result("c", "t", {}, {}, [], 1.0)) for history in (early, late)]
+    assert [a.svg for a in plots[0]] == [b.svg for b in plots[1]]
+
+
 def test_a_picture_shows_what_was_found() -> None:
     image = small_chase.picture(5)
     frame = CameraFrame(5, 5 / 15, image)

@@ -35,8 +35,9 @@ def _draw_range(figure: Figure, result: FollowResult) -> None:
     axes = figure.subplots()
     distance = _tracked(result, result.position[:, 2])
     half = COVERAGE * result.position_std[:, 2]
-    axes.fill_between(result.time, distance - half, distance + half, color=FILTER, alpha=0.35, lw=0, label="95 %")
-    axes.plot(result.time, distance, color=FILTER, lw=1.4, label="distance ahead")
+    time = _since_first(result)
+    axes.fill_between(time, distance - half, distance + half, color=FILTER, alpha=0.35, lw=0, label="95 %")
+    axes.plot(time, distance, color=FILTER, lw=1.4, label="distance ahead")
     known = distance[np.isfinite(distance)]
     if len(known):
         margin = max(0.08 * float(np.ptp(known)), 0.2)
@@ -49,8 +50,8 @@ def _draw_range(figure: Figure, result: FollowResult) -> None:
 
 def _draw_bearing(figure: Figure, result: FollowResult) -> None:
     axes = figure.subplots()
-    axes.plot(result.time, np.degrees(_tracked(result, result.bearing)), color=FILTER, lw=1.2, label="bearing")
-    axes.plot(result.time, np.degrees(result.steering), color=REFINED, lw=1.0, label="steering")
+    axes.plot(_since_first(result), np.degrees(_tracked(result, result.bearing)), color=FILTER, lw=1.2, label="bearing")
+    axes.plot(_since_first(result), np.degrees(result.steering), color=REFINED, lw=1.0, label="steering")
     _shade(axes, result, label=False)
     axes.set_ylabel("degrees, to the right")
     _label_time(axes, result)
@@ -62,7 +63,7 @@ def _draw_confidence(figure: Figure, result: FollowResult) -> None:
     names = "across (w_x)", "down (w_y)", "size (w_scale)"
     for values, color, name in zip(result.weights.T, (FILTER, REFINED, INK), names, strict=True):
         shown = np.where(values > 0, values, np.nan)
-        axes.plot(result.time, shown, color=color, lw=1.1, label=name)
+        axes.plot(_since_first(result), shown, color=color, lw=1.1, label=name)
     if (result.weights > 0).any():
         _make_logarithmic(axes)
     _shade(axes, result, label=False)
@@ -73,7 +74,7 @@ def _draw_confidence(figure: Figure, result: FollowResult) -> None:
 
 def _draw_residual(figure: Figure, result: FollowResult) -> None:
     axes = figure.subplots()
-    axes.plot(result.time, result.residual, color=FILTER, lw=1.1)
+    axes.plot(_since_first(result), result.residual, color=FILTER, lw=1.1)
     axes.set_ylim(bottom=0)
     _shade(axes, result, label=False)
     axes.set_ylabel("misfit, pixels rms")
@@ -82,7 +83,7 @@ def _draw_residual(figure: Figure, result: FollowResult) -> None:
 
 def _draw_latency(figure: Figure, result: FollowResult) -> None:
     axes = figure.subplots()
-    axes.plot(result.time, 1e3 * result.latency, color=FILTER, lw=0, marker=".", ms=3)
+    axes.plot(_since_first(result), 1e3 * result.latency, color=FILTER, lw=0, marker=".", ms=3)
     if (result.latency > 0).any():
         _make_logarithmic(axes)
     axes.set_ylabel("processing time, ms")
@@ -102,19 +103,25 @@ def _tracked(result: FollowResult, values: Array) -> Array:
     return np.where([status == "tracking" for status in result.status], values, np.nan)
 
 
+def _since_first(result: FollowResult) -> Array:
+    """Seconds (F,) since the first frame: a camera's own clock may count from when the computer was switched on."""
+    return result.time - result.time[:1]
+
+
 def _shade(axes: Axes, result: FollowResult, label: bool = True) -> None:
     """A coloured background where the target was not tracked."""
     named: set[str] = set()
+    time = _since_first(result)
     for status, rows in groupby(range(len(result.status)), key=lambda row: result.status[row]):
         if status in SHADES:
             inside = list(rows)
-            stop = result.time[min(inside[-1] + 1, len(result.time) - 1)]
+            stop = time[min(inside[-1] + 1, len(time) - 1)]
             name = status if label and status not in named else None
             named.add(status)
-            axes.axvspan(result.time[inside[0]], stop, color=SHADES[status], alpha=0.25, lw=0, label=name)
+            axes.axvspan(time[inside[0]], stop, color=SHADES[status], alpha=0.25, lw=0, label=name)
 
 
 def _label_time(axes: Axes, result: FollowResult) -> None:
-    axes.set_xlabel("time, s")
+    axes.set_xlabel("time since the first frame, s")
     if len(result.time) > 1:
-        axes.set_xlim(result.time[0], result.time[-1])
+        axes.set_xlim(0.0, _since_first(result)[-1])

@@ -27,6 +27,7 @@ def _draw(figure: Figure, vehicles: Vehicles, unit: str) -> None:
     axes = figure.subplots()
     measured = [v for v in vehicles if v["verdict"] == "measured"]
     time = numbers_of(measured, "seen_from_s")
+    time = time - (time.min() if len(time) else 0.0)
     minutes = bool(len(time)) and time.max() > LONG
     time = time / 60 if minutes else time
     mean, lo, hi = (convert(numbers_of(measured, k), unit) for k in ("speed_mps", "speed_lo_mps", "speed_hi_mps"))
@@ -36,7 +37,7 @@ def _draw(figure: Figure, vehicles: Vehicles, unit: str) -> None:
         _draw_path(axes, time[on], mean[on], np.stack([lo[on], hi[on]]), VEHICLES[i % len(VEHICLES)], path)
     if not measured:
         axes.text(0.5, 0.5, "no vehicle was measured", transform=axes.transAxes, ha="center", color=MUTED)
-    axes.set_xlabel(f"seen first, {'minutes' if minutes else 's'} since the beginning")
+    axes.set_xlabel(f"seen first, {'minutes' if minutes else 's'} since the first vehicle")
     axes.set_ylabel(f"speed, {unit}")
     if measured:
         figure.legend(loc="outside upper left", ncols=6, handlelength=1.6, columnspacing=1.6)
