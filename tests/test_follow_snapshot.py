@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from moved_scenery import REACH, TARGET, camera, moved, scenery
 
-from paceline.follow.carrying import Carried
+from paceline.follow.carrying import UPRIGHT, Carried
 from paceline.follow.features import Projection
 from paceline.follow.snapshot import AGES, APART, CLEAR, EVERY, MOST, OFF, Snapshot
+from paceline.follow.target import Target
 
 SIZE, CENTER = (256, 242), np.array([128.0, 130.0])
 PROJECTION = Projection(camera(SIZE, 300.0), TARGET)
@@ -15,8 +16,9 @@ SCENE = scenery(SIZE, 5)
 
 
 def begun(place=(128.0, 130.0, 1.0)):
-    carried = Carried(moved(SCENE, CENTER, (0, 0), 1.0, 6.0, 0), PROJECTION, np.array(place), REACH)
-    return Snapshot(carried, WHOLE)
+    first = moved(SCENE, CENTER, (0, 0), 1.0, 6.0, 0)
+    carried, own = (Carried(first, PROJECTION, np.array(place), reach) for reach in (REACH, np.full(2, 1.0)))
+    return Snapshot(carried, own, WHOLE)
 
 
 def test_a_target_is_found_about_where_it_is_expected():
@@ -104,7 +106,7 @@ def off_by(far):
 def agreed(last=None, times=CLEAR):
     """A snapshot that has agreed with a lock that is never sure."""
     there = np.array([128.0, 130.0, 1.0])
-    snapshot = begun() if last is None else Snapshot(last._carried, WHOLE, last)
+    snapshot = begun() if last is None else Snapshot(last._carried, last._own, WHOLE, last)
     for k in range(1, times + 1):
         snapshot.compare(moved(SCENE, CENTER, (0, 0), 1.0, 6.0, k), there, there, 1.0, False)
     return snapshot, there
@@ -147,6 +149,26 @@ def test_one_that_is_old_is_asked_even_where_the_target_shows_well():
         assert snapshot.compare(image, grown, grown, 1.0, False) is None
         asked += snapshot.confirmed
     assert asked == 4
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_what_is_about_a_low_target_does_not_stand_for_it(seed):
+    """The target leaves, and what its snapshot shows above and below it stays."""
+    low = Target("low", 10.0, TARGET.corners * [0.9, 0.25], TARGET.segments)
+    projection, there = Projection(camera(SIZE, 300.0), low), np.array([128.0, 130.0, 1.0])
+    first = moved(SCENE, CENTER, (0, 0), 1.0, 6.0, 0)
+    whole = Carried(first, projection, there, REACH, UPRIGHT)
+    snapshot = Snapshot(whole, Carried(first, projection, there, np.full(2, 1.0)), projection.size(1.0))
+    for k in range(1, CLEAR + 1):
+        snapshot.compare(moved(SCENE, CENTER, (0, 0), 1.0, 6.0, k), there, there, 1.0, False)
+    assert snapshot.find(moved(SCENE, CENTER, (0, 0), 1.0, 6.0, 50), there, 1.0) is not None
+    gone = SCENE.copy()
+    right, down = np.ceil(0.5 * projection.target.size * 30.0).astype(int)
+    box = np.s_[130 - down : 131 + down, 128 - right : 129 + right]
+    gone[box] = scenery(SIZE, 20 + seed)[box]
+    image = moved(gone, CENTER, (0, 0), 1.0, 6.0, 51)
+    assert snapshot.find(image, there, 1.0) is None
+    assert whole.likeness > 0.5  # what is about it is as alike as it was
 
 
 def test_a_snapshot_is_old_where_the_target_has_grown_or_shrunk():

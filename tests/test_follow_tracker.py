@@ -504,6 +504,29 @@ def test_a_model_of_doubtful_width_has_wide_ranges() -> None:
         Target("x", 10.0, TARGET.corners, TARGET.segments, tolerance=-1.0)
 
 
+@pytest.mark.parametrize(
+    ("narrow", "wide", "complaint", "taken"),
+    [(0.6, 0.9, "", True), (0.6, 0.9, "it is not it", False), (0.6, 0.63, "", False), (0.95, 1.2, "", False)],
+)
+def test_where_less_shows_than_usual_lines_are_looked_for_farther_away(
+    clip, monkeypatch, narrow, wide, complaint, taken
+):
+    """As shares of the usual match; what adds little, or is not the target, is not taken."""
+    images, positions = clip
+    tracker = begin(positions[0])
+    for k in range(20):
+        tracker.update(images[k], k / 15, k)
+    recogniser, there = tracker.lock.recogniser, tracker.lock.expected
+    usual, near = recogniser.appearance.match, np.array([1.0, 1.0, 0.01])
+    looks = {
+        reach: recognition.Look(said, inside=1.0, measurement=SimpleNamespace(match=share * usual))
+        for reach, share, said in ((1.0, narrow, ""), (recognition.WIDER, wide, complaint))
+    }
+    monkeypatch.setattr(recogniser, "_measured_with", lambda signs, image, start, near, *rest: looks[near[0]])
+    look = recogniser._measured(images[20], there, near, recognition.Foreseen(there, near))
+    assert look is looks[recognition.WIDER if taken else 1.0]
+
+
 def test_a_target_is_held_where_a_snapshot_gainsays_its_features(clip, monkeypatch):
     """In dim light, where the search sees nothing well."""
     images, positions = clip

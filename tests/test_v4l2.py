@@ -12,6 +12,7 @@ import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -22,7 +23,7 @@ import yaml
 from calling import COMMAND, ENVIRONMENT, Done, assert_one_line_error, paceline
 
 from paceline.cameras import Camera
-from paceline.live_views import HELD, SETTLING, _View
+from paceline.live_views import HELD, SETTLING, _paired, _View
 from paceline.monocular import CameraFrame, CameraRecording
 
 SIZE = WIDTH, HEIGHT = 64, 48
@@ -220,6 +221,31 @@ def test_two_devices_are_paired_by_their_common_clock(driver: Path, tmp_path: Pa
     np.testing.assert_allclose(moments - moments[0], 0.05 * (numbers - numbers[0]) / 4, atol=4e-6)
     assert "left and right frames are taken up to 10.0 ms apart, which is allowed for" in notices
     assert not any("common clock" in notice for notice in notices)
+
+
+class Taken:
+    """A view whose frames have all come, dated by ``times``."""
+
+    interval, recording = 1 / 30, SimpleNamespace(live=True)
+
+    def __init__(self, times: np.ndarray) -> None:
+        self.waiting = [CameraFrame(k, float(t), np.zeros((2, 2), np.uint8)) for k, t in enumerate(times)]
+
+    def head(self) -> CameraFrame | None:
+        return self.waiting[0] if self.waiting else None
+
+    def take(self, frame: CameraFrame) -> None:
+        assert self.waiting.pop(0) is frame
+
+
+@pytest.mark.parametrize("skew", [-0.4, -0.2, 0.0, 0.3, 0.4])
+def test_jitter_breaks_no_pairs_up(skew: float) -> None:
+    """Of 2 ms, about a skew of almost half an interval between two devices that share a clock."""
+    rng, times = np.random.default_rng(1), np.arange(400) / 30
+    left, right = (Taken(times + off / 30 + rng.normal(0, 0.002, 400)) for off in (0.0, skew))
+    pairs = list(_paired(left, right, 0.0))  # type: ignore[arg-type]
+    assert len(pairs) > 380
+    assert np.mean([pair.skew for pair in pairs]) == pytest.approx(skew / 30, abs=0.001)
 
 
 class Backlog:

@@ -23,7 +23,9 @@ from paceline.recordings import NOTABLE_SKEW, StereoFrame
 
 HELD = 64  # frames of a view that wait to be used, so that a pause of seconds loses none; beyond, the oldest is dropped
 SETTLING = 8  # frames of each live view that tell by how much their clocks differ
-ALIKE = 0.25, 0.5  # of the interval between frames: how far apart two of a pair may be dated, in files or live
+ALIKE = 0.25, 0.5  # of the interval between frames: how far apart two of a pair may be dated, in files or live,
+STILL = 1.5  # and times as far once a pair was found: jitter about half an interval breaks none up
+RECENT = 15  # intervals of a view, of which the median counts: light and load make single ones long or short
 LATE = 1.0  # s, more than one camera's pictures take longer than another's to arrive
 PATIENCE = 0.1  # s between two looks at whether to stop
 
@@ -122,11 +124,12 @@ class _View:
     """A view and the thread that receives it."""
 
     recording: CameraRecording
-    interval: float = np.inf  # s, the shortest between two of its frames
+    interval: float = np.inf  # s, between two of its frames, of late
     dropped: int = 0
     error: Exception | None = None
     _waiting: deque[tuple[CameraFrame, float]] = field(default_factory=deque)  # with its arrival
     _changed: Condition = field(default_factory=Condition)
+    _intervals: deque[float] = field(default_factory=lambda: deque(maxlen=RECENT))
     _last: float = -np.inf
     _ended: bool = False
     _stopped: bool = False
@@ -189,7 +192,8 @@ class _View:
 
     def _hand_on(self, frame: CameraFrame) -> None:
         with self._changed:
-            self.interval, self._last = min(self.interval, frame.time - self._last), frame.time
+            self._intervals.append(frame.time - self._last)
+            self.interval, self._last = median(self._intervals), frame.time
             if len(self._waiting) == HELD:
                 self._waiting.popleft()
                 self.dropped += 1
@@ -210,9 +214,11 @@ def _paired(left: _View, right: _View, ahead: float) -> Iterator[RawPair]:
     """Pairs of frames that were taken together; what has no partner is left out."""
     files = not (left.recording.live or right.recording.live)
     one_clock = ahead == 0.0
+    alike = ALIKE[not files]
     while (a := left.head()) is not None and (b := right.head()) is not None:
         skew = b.time - ahead - a.time
-        if abs(skew) <= ALIKE[not files] * left.interval:
+        if abs(skew) <= alike * left.interval:
+            alike = STILL * ALIKE[not files]
             left.take(a)
             right.take(b)
             assert a.image is not None and b.image is not None

@@ -264,10 +264,11 @@ class LiveFeed:
         received: Queue[_Picture | Exception | None] = Queue(WAITING)
         Thread(target=self._receive, args=[received], daemon=True).start()
         clock = _Clock(self.name, self.notices)
-        index = -1
+        index, begun = -1, monotonic()
         try:
             while (picture := self._next(received)) is not None:
-                if picture.stamp is None or (index < 0 and picture.image is None):  # as the first ones of many sources
+                damaged = index < 0 and picture.image is None and monotonic() - begun < SILENCE
+                if picture.stamp is None or damaged:  # as the first ones of many sources
                     continue
                 index += 1
                 time = clock.read(index, picture.stamp)

@@ -34,11 +34,12 @@ class Carried:
         self._projection, self.place = projection, place
         self.likeness = 1.0  # correlation at the place
         self._size = projection.target.size * projection.magnification  # px at scale 1
-        self._side = max(1, int(min(self._size) * place[2] / DETAIL))
+        width, height = GROWN * self._size
+        upright *= GROWN * projection.target.size[0] * projection.magnification[1]
+        taller = max(upright - height, 0.0)
+        self._side = max(1, int(min(width, height + taller) / GROWN * place[2] / DETAIL))
         self._reach = np.ceil(reach / self._side).astype(int)
         self.first = float(place[2])  # its scale
-        width, height = GROWN * self._size
-        taller = max(upright * width - height, 0.0)
         self._up = (ABOVE - 0.5) * taller / self._side  # from the place to the picture's middle, at scale 1
         shown = projection.shown(place).location
         shows = np.array([width, height + taller]) * place[2] / self._side

@@ -50,6 +50,8 @@ UNSURE = 3.0  # times as much as it claims a fit that is not sure may be off
 PROVEN = 10  # frames in which its features must have shown the target before
 ELSEWHERE = 0.08  # sizes of the target from its place, and relative change of scale, at which it is another
 ABOUT = 0.01  # sizes, and relative scale, within which a place is looked at by itself
+LESS, WIDER = 0.85, 4.0  # share of the usual match below which lines are looked for so many times as far away,
+MORE = 0.08  # and match that these must add
 WATCH = 3  # images of which in one it is asked whether the lock has slid
 WIDEST = 8.0  # times as far as usual a target is looked for that was lost
 
@@ -270,8 +272,10 @@ class Recogniser:
         last = self._snapshot
         anew = last is not None and last.is_old(place[2]) and (look.clear or last.confirmed)
         if last is None or (anew and self._proven >= PROVEN):
-            carried = Carried(self._image, self.projection, place, self._search.usual, UPRIGHT)
-            self._snapshot = Snapshot(carried, self.projection.size(1.0), last)
+            size = self.projection.size(1.0)
+            whole = Carried(self._image, self.projection, place, self._search.usual, UPRIGHT)
+            own = Carried(self._image, self.projection, place, np.full(2, ABOUT * size * place[2]))
+            self._snapshot = Snapshot(whole, own, size, last)
 
     def _measured(
         self, image: Bytes, start: Array, near: Array, foreseen: Foreseen, searched: Window | None = None
@@ -280,6 +284,12 @@ class Recogniser:
         look's window is the one ``searched``, if any."""
         brighter = self.appearance.brighter() if self._c.polarity else self._either
         look = self._measured_with(brighter, image, start, near, foreseen, searched)
+        m, usual = look.measurement, self.appearance.match or 0.0
+        if m is not None and look.inside >= INSIDE and m.match < LESS * usual:
+            # a size that is off puts the lines of one side out of reach, and those of the other agree with it
+            wide = self._measured_with(brighter, image, start, WIDER * near, foreseen, searched)
+            if wide.measurement is not None and not wide.complaint and wide.measurement.match > m.match + MORE:
+                look = wide
         if look.complaint != FEW or not brighter.any():
             return look
         # Lamps that are switched on or off are brighter than what is about them, or darker, from one image to the next.

@@ -121,9 +121,12 @@ class Search:
         fine = max(1, side // FINER)
         if not self._open(image, window_around(place[:2], ROOM * size + pitch, self._size), fine):
             return None
+        step, ladder = 1.0, self._ladder(place[2], 0.5 * self._rung(place[2], side), fine)
         steps = np.full(2, np.ceil(0.75 * pitch / fine))
-        ladder = self._ladder(place[2], 0.5 * self._rung(place[2], side), fine)
-        closer = self._scan(expected, doubt, place[:3], steps, 1.0, ladder, shifts, modesty, appearance, self._near)
+        while len(ladder) * np.prod(2 * steps + 1) > WORK:
+            step *= 1.25
+            steps = np.full(2, np.ceil(0.75 * pitch / fine / step))
+        closer = self._scan(expected, doubt, place[:3], steps, step, ladder, shifts, modesty, appearance, self._near)
         if not len(closer) or not self._open(image, window, side):
             return None
         found = closer[0]

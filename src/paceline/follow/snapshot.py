@@ -18,6 +18,7 @@ LIKE, LEAST = 0.7, 0.46  # share of the usual likeness, and likeness, at which t
 LATE = 0.6  # and the latter where it was not seen for as long as GONE: among many places some look alike
 CLEAR = 5  # sure sights after which it is known to show well: what then makes it look otherwise stands before it,
 LESS, GONE = 0.06, 3.0  # and it has to be as alike as that, and to have been seen so many cycles ago at most
+ALONE = 0.2  # likeness by which the model's own part may be less alike than usual
 AGES = 1.3  # times as large or small as it was: then its picture is another
 MOST = 2.5  # times as large or small nothing is told by it
 EVERY, LATER = 7, 300  # sure sights of which one is compared with it, at first and after TWICE as many: it costs a ms
@@ -29,14 +30,16 @@ RIGHT = np.array([0.02, 0.02, 0.05])  # standard deviations of what it tells, in
 
 
 class Snapshot:
-    """What is ``carried`` is put where the target is expected in an image; ``size`` is the target's, px at scale 1.
-    What is known of the ``last`` snapshot of the same target holds for this one."""
+    """What is ``carried`` is put where the target is expected in an image, and its ``own`` part, without what is above
+    and below the model, where that is found; ``size`` is the target's, px at scale 1. What is known of the ``last``
+    snapshot of the same target holds for this one."""
 
-    def __init__(self, carried: Carried, size: float, last: Snapshot | None = None) -> None:
-        self._carried, self._size = carried, size
+    def __init__(self, carried: Carried, own: Carried, size: float, last: Snapshot | None = None) -> None:
+        self._carried, self._own, self._size = carried, own, size
         self._first = float(carried.place[2])
         self._off = np.zeros(3)  # what is to be added to what it tells, where the lock was sure
         self._usual: float = last._usual if last else FIRST
+        self._usual_own: float = last._usual_own if last else FIRST
         self.agreed: int = last.agreed if last else 0  # images in which the lock agreed with it,
         self._surely = self._compared = 0  # in which it was sure, and in which both were so
         self._turn = 0
@@ -57,6 +60,7 @@ class Snapshot:
     def find(self, image: Bytes, expected: Array, tau: float) -> Array | None:
         """The target's place (3,) in ``image``, about where it is ``expected`` (3,), ``tau`` cycles after it was seen;
         None where it is not seen."""
+        self.confirmed = False
         if not 1 / MOST < expected[2] / self._first < MOST or (self._shows_well and tau >= GONE):
             return None
         place = self._place(image, expected)
@@ -84,7 +88,9 @@ class Snapshot:
         if not asked:
             return None
         self.agreed += 1
-        self._usual += max(RATE, 1 / self.agreed) * (self._carried.likeness - self._usual)
+        rate = max(RATE, 1 / self.agreed)
+        self._usual += rate * (self._carried.likeness - self._usual)
+        self._usual_own += rate * (self._own.likeness - self._usual_own)
         if sure:
             self._compared += 1
             self._off = np.clip(self._off + off / (1 + self._compared), -OFF, OFF)
@@ -101,9 +107,13 @@ class Snapshot:
     def _place(self, image: Bytes, expected: Array) -> Array:
         self._carried.place = expected
         told = self._carried.step(image)
+        self._own.place = told
+        self._own.step(image)
         scale = told[2] * exp(self._off[2])
         return np.array([*(told[:2] + self._off[:2] * self._size * scale), scale])
 
     def _is_alike(self, tau: float) -> bool:
         usual = self._usual - LESS if self._shows_well else LIKE * self._usual
+        if self._own.likeness < self._usual_own - ALONE:  # what is about it is there, and it is not
+            return False
         return self._carried.likeness >= max(usual, LATE if tau >= GONE else LEAST)

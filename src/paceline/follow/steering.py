@@ -15,9 +15,9 @@ Array = NDArray[np.float64]
 SPACING = 0.5  # m between two stored points of the path
 LONGEST = 512  # points kept, 256 m: a day's run holds no more than that
 DOUBTED = 4  # points at its end that are not believed of a lead that is not seen any more: what hid it drew them aside
-STRETCH = 24  # points before those that tell where the path leads on,
-ASIDE = 0.05  # m, by how much they are off it,
-TURN = 1.5  # m/s², and how hard vehicles turn
+STRETCH = 24  # points before those that tell where the path leads on, as far on as they reach back,
+ASIDE = 0.1  # m, by how much each may be off it, as several next to each other are alike,
+TURN, SHARPEST = 1.5, 0.05  # m/s² and 1/m, and how hard vehicles turn
 SMOOTH = 0.3  # s over which the chase vehicle's speed is averaged
 
 
@@ -70,22 +70,23 @@ def goal_on(path: Array, lookahead: float) -> tuple[float, float]:
 
 
 def prolonged(path: Array, reach: float, speed: float) -> Array:
-    """``path`` (N, 2), in driving order, carried on by ``reach`` metres beyond what is believed of it, every `SPACING`,
-    by the arc that its end goes on to, as a vehicle turns at a ``speed`` in m/s."""
-    known = path[: max(len(path) - DOUBTED, 2)]
+    """``path`` (N, 2), in driving order, carried on by ``reach`` metres beyond what is believed of it, every `SPACING`:
+    by the arc that its end goes on to, as a vehicle turns at a ``speed`` in m/s, and from where that is not told
+    straight on."""
+    known = path[: max(len(path) - DOUBTED, (len(path) + 1) // 2, 2)]
     last = known[-STRETCH:]
     along = last[-1] - last[0]
     length = hypot(along[0], along[1])
     if not length > 0:
         return path
     axes = np.array([along, [-along[1], along[0]]]) / length
-    s, aside = (last - last[-1]) @ axes.T, TURN / max(speed, 1.0) ** 2
-    # a parabola aside = slope · s + bend · s² / 2 through the last point, its bend known beforehand to be small
+    s, sharp = (last - last[-1]) @ axes.T, min(TURN / max(speed, 1.0) ** 2, SHARPEST)
+    # a parabola aside = slope · s + bend · s² / 2 + off at its points, of a bend that is known beforehand to be small
     rows = np.column_stack([s[:, 0], 0.5 * s[:, 0] ** 2, np.ones(len(s))]) / ASIDE
-    A = np.vstack([rows, [0.0, 1.0 / aside, 0.0]])
+    A = np.vstack([rows, [0.0, 1.0 / sharp, 0.0]])
     slope, bend, off = np.linalg.lstsq(A, np.append(s[:, 1] / ASIDE, 0.0), rcond=None)[0]
     steps = np.arange(SPACING, reach + SPACING, SPACING)
-    heading = np.arctan(slope) + bend * (steps - 0.5 * SPACING)
+    heading = np.arctan(slope) + bend * np.minimum(steps - 0.5 * SPACING, length)
     on = np.cumsum(np.column_stack([np.cos(heading), np.sin(heading)]), axis=0) * SPACING
     return np.vstack([known, known[-1] + (on + [0.0, off]) @ axes])
 
