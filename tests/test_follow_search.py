@@ -6,7 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.ndimage import correlate
 
+from paceline.cameras import Camera
 from paceline.follow import measuring_cpu, search_cpu
+from paceline.follow.appearance import Appearance
+from paceline.follow.search import Search
+from paceline.follow.target import Target
 
 VERTICAL = np.array([True, True, False, False, False])
 PLACES = np.array([-1.0, 1.0, -0.7, 0.1, 0.7])
@@ -121,3 +125,25 @@ def test_how_well_features_agree_is_told_as_by_the_formulas():
     assert support == pytest.approx((lengths * shown)[agreeing].sum() / (lengths * shown).sum())
     np.testing.assert_array_equal(agreeing[used], np.abs(ratio) < 1.5)
     assert not agreeing[1]
+
+
+@pytest.mark.parametrize("flat", [0.03, 0.3, 1.0])
+@pytest.mark.parametrize("scale", [0.5, 7.0, 12.0])
+def test_no_search_needs_more_than_its_scratch(monkeypatch, flat, scale):
+    """Compiled code would write beyond it: a flat target, wider than the picture, whose place is doubtful."""
+    scan, asked = search_cpu.scan, []
+
+    def checked(vertical, horizontal, start, expected, steps, step, ladder, *rest):
+        asked.append(len(ladder) * np.prod(2 * steps + 1) / len(rest[-2]))
+        return scan(vertical, horizontal, start, expected, steps, step, ladder, *rest)
+
+    monkeypatch.setattr(search_cpu, "scan", checked)
+    corners = np.array([[-1.0, -0.75], [1.0, -0.75], [1.0, 0.75], [-1.0, 0.75]]) * [1.0, flat]
+    target = Target("v", 10.0, corners, np.array([[0, 1], [1, 2], [2, 3], [3, 0]]))
+    camera = Camera((256, 242), np.array([[200.0, 0, 127.5], [0, 200.0, 120.5], [0, 0, 1.0]]))
+    search = Search(target, target.magnification(camera), camera.image_size, 4.0)
+    image = np.random.default_rng(0).integers(0, 255, (242, 256)).astype(np.uint8)
+    for doubt in (5.0, 120.0, 250.0):
+        doubts = np.array([doubt, doubt, 0.01 * doubt * scale])
+        search.find(image, np.array([128.0, 120.0, scale]), doubts, np.zeros(4), 0.0, Appearance(target), True)
+    assert asked and max(asked) <= 1.0
