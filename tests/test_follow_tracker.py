@@ -523,6 +523,9 @@ def test_where_less_shows_than_usual_lines_are_looked_for_farther_away(
         for reach, share, said in ((1.0, narrow, ""), (recognition.WIDER, wide, complaint))
     }
     monkeypatch.setattr(recogniser, "_measured_with", lambda signs, image, start, near, *rest: looks[near[0]])
+    monkeypatch.setattr(recogniser, "_thought_of", lambda measurement, image, start, near, *rest: looks[near[0]])
+    measure = SimpleNamespace(measure=lambda image, start, near, signs: (looks[near[0]].measurement, (0, 0, 0, 0)))
+    monkeypatch.setattr(recogniser, "_measurer", measure)
     look = recogniser._measured(images[20], there, near, recognition.Foreseen(there, near))
     assert look is looks[recognition.WIDER if taken else 1.0]
 

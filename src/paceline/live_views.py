@@ -192,8 +192,10 @@ class _View:
 
     def _hand_on(self, frame: CameraFrame) -> None:
         with self._changed:
-            self._intervals.append(frame.time - self._last)
-            self.interval, self._last = median(self._intervals), frame.time
+            if np.isfinite(self._last):
+                self._intervals.append(frame.time - self._last)
+                self.interval = median(self._intervals)
+            self._last = frame.time
             if len(self._waiting) == HELD:
                 self._waiting.popleft()
                 self.dropped += 1

@@ -284,12 +284,16 @@ class Recogniser:
         look's window is the one ``searched``, if any."""
         brighter = self.appearance.brighter() if self._c.polarity else self._either
         look = self._measured_with(brighter, image, start, near, foreseen, searched)
-        m, usual = look.measurement, self.appearance.match or 0.0
-        if m is not None and look.inside >= INSIDE and m.match < LESS * usual:
+        m = look.measurement
+        if m is not None and look.inside >= INSIDE and self._usual_share(m) < LESS:
             # a size that is off puts the lines of one side out of reach, and those of the other agree with it
-            wide = self._measured_with(brighter, image, start, WIDER * near, foreseen, searched)
-            if wide.measurement is not None and not wide.complaint and wide.measurement.match > m.match + MORE:
-                look = wide
+            wide, window = self._measurer.measure(image, start, WIDER * near, brighter)
+            if wide is not None and wide.match > m.match + MORE:
+                found = self._thought_of(wide, image, start, WIDER * near, foreseen, searched or window)
+                if not found.complaint:
+                    look = found
+                elif look.fit is not None:
+                    self._evidence_at(look.fit.location)  # what is learned is the picture looked at last
         if look.complaint != FEW or not brighter.any():
             return look
         # Lamps that are switched on or off are brighter than what is about them, or darker, from one image to the next.
@@ -301,12 +305,16 @@ class Recogniser:
         self, brighter: Indices, image: Bytes, start: Array, near: Array, foreseen: Foreseen, searched: Window | None
     ) -> Look:
         """The same with only such edges of a feature as have the sign ``brighter`` (S,), where that is not 0."""
-        c = self._c
         measurement, window = self._measurer.measure(image, start, near, brighter)
-        window = searched or window
         if measurement is None:
-            return Look(FEW, window)
-        fit = measurement.fit
+            return Look(FEW, searched or window)
+        return self._thought_of(measurement, image, start, near, foreseen, searched or window)
+
+    def _thought_of(
+        self, measurement: Measurement, image: Bytes, start: Array, near: Array, foreseen: Foreseen, window: Window
+    ) -> Look:
+        """What is to be thought of a ``measurement`` about ``start`` (3,), known to within ``near`` (3,)."""
+        c, fit = self._c, measurement.fit
         if c.wide_search and c.appearance:
             fit = fitting.fused(fit, start, near)
         if not (c.wide_search or c.appearance or c.polarity or c.probation):
