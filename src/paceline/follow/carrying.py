@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from math import exp
+from dataclasses import dataclass
+from math import exp, sqrt
 
 import cv2
 import numpy as np
@@ -14,6 +15,7 @@ from paceline.follow.search import DETAIL
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 Floats = NDArray[np.float32]
+Indices = NDArray[np.int64]
 
 GROWN = 1.1  # times the target's size that the picture shows,
 # and of its width at least so much in height, as vehicles are, of what is added so much above
@@ -31,65 +33,107 @@ class Carried:
     def __init__(
         self, image: Bytes, projection: Projection, place: Array, reach: Array, upright: float = 0.0
     ) -> None:
-        self._projection, self.place = projection, place
+        self._projection, self.place, self._reach = projection, place, reach
         self.likeness = 1.0  # correlation at the place
-        self._size = projection.target.size * projection.magnification  # px at scale 1
-        width, height = GROWN * self._size
-        upright *= GROWN * projection.target.size[0] * projection.magnification[1]
-        taller = max(upright - height, 0.0)
-        self._side = max(1, int(min(width, height + taller) / GROWN * place[2] / DETAIL))
-        self._reach = np.ceil(reach / self._side).astype(int)
         self.first = float(place[2])  # its scale
-        self._up = (ABOVE - 0.5) * taller / self._side  # from the place to the picture's middle, at scale 1
-        shown = projection.shown(place).location
-        shows = np.array([width, height + taller]) * place[2] / self._side
-        self._picture = _cut(self._made_ready(image), self._smaller(shown), shows)
+        width, height = GROWN * projection.target.size * projection.magnification  # px at scale 1
+        taller = max(upright * GROWN * projection.target.size[0] * projection.magnification[1] - height, 0.0)
+        self._up = np.array([0.0, (ABOVE - 0.5) * taller])  # from the picture's middle to the place
+        self._shows = np.array([width, height + taller])
+        self._side = max(1.0, float(min(self._shows)) / GROWN * self.first / DETAIL)
+        middle = self._middle(projection.shown(place).location)
+        size = np.maximum(np.rint(self._shows * self.first / self._side), 4).astype(int)
+        seen = _seen(image, middle, self._shows * self.first, self._side)
+        self._picture = _sampled(seen, middle, self._side, size)
 
     def step(self, image: Bytes) -> Array:
         """The place (3,) in the next ``image``; its scale to a fraction of `STEP`."""
-        seen, shown = self._made_ready(image), self._projection.shown(self.place).location
-        center = self._smaller(shown)
-        found = [self._best(seen, center, shown[2] * exp(STEP * k)) for k in (-1, 0, 1)]
+        shown = self._projection.shown(self.place).location
+        middle, seen = self._middle(shown), self._about(image, shown)
+        found = [self._best(seen, middle, shown[2] * exp(STEP * k)) for k in (-1, 0, 1)]
         first = -1  # of three steps, of which the middle one is to be the best
         while first > -FARTHEST and found[0][0] > max(found[1][0], found[2][0]):
             first -= 1
-            found = [self._best(seen, center, shown[2] * exp(STEP * first)), *found[:2]]
+            found = [self._best(seen, middle, shown[2] * exp(STEP * first)), *found[:2]]
         while first < FARTHEST - 2 and found[2][0] > max(found[0][0], found[1][0]):
             first += 1
-            found = [*found[1:], self._best(seen, center, shown[2] * exp(STEP * (first + 2)))]
+            found = [*found[1:], self._best(seen, middle, shown[2] * exp(STEP * (first + 2)))]
         scores = np.array([score for score, _ in found])
         scale = shown[2] * exp(STEP * (first + 1 + _top(scores)[0]))
         best = int(scores.argmax())
         self.likeness = float(scores[best])
-        center = (found[best][1] + np.array([0.0, self._up * scale]) + 0.5) * self._side - 0.5
-        self.place = self._projection.ideal(np.array([*center, scale]))
+        self.place = self._projection.ideal(np.array([*(found[best][1] + self._up * scale), scale]))
         return self.place
 
-    def _best(self, seen: Bytes, center: Array, scale: float) -> tuple[float, Array]:
-        """How well the picture at a ``scale`` correlates where it does so best, and the centre (2,) there."""
+    def likeness_at(self, image: Bytes, place: Array) -> float:
+        """How well the picture correlates in ``image`` about a ``place`` (3,), of its scale; nothing is carried on."""
+        shown = self._projection.shown(place).location
+        return self._best(self._about(image, shown), self._middle(shown), float(shown[2]))[0]
+
+    def _about(self, image: Bytes, shown: Array) -> _Seen:
+        """All that a step from a place ``shown`` (3,) there may look at."""
+        largest = self._shows * shown[2] * exp(STEP * FARTHEST) + 2.0 * self._reach
+        return _seen(image, self._middle(shown), largest, self._side * max(shown[2] / self.first, 1.0))
+
+    def _best(self, seen: _Seen, middle: Array, scale: float) -> tuple[float, Array]:
+        """How well the picture at a ``scale`` correlates where it does so best, and its middle (2,) there."""
         grown = scale / self.first
-        how = cv2.INTER_AREA if grown < 1.0 else cv2.INTER_LINEAR
-        picture = cv2.resize(self._picture, None, fx=grown, fy=grown, interpolation=how)
-        part = _cut(seen, center, np.array(picture.shape[::-1]) + 2 * self._reach)
+        side = self._side * max(grown, 1.0)  # the larger one of picture and image is made smaller
+        picture = self._picture if grown >= 1.0 else _shrunk(self._picture, grown)
+        reach = np.ceil(self._reach / side).astype(int)
+        part = _sampled(seen, middle, side, np.array(picture.shape[::-1]) + 2 * reach)
         scores = np.asarray(cv2.matchTemplate(part, picture, cv2.TM_CCOEFF_NORMED), np.float32)
         _, score, _, (column, row) = cv2.minMaxLoc(scores)
         (right, by_column), (down, by_row) = _top(_three(scores[row], column)), _top(_three(scores[:, column], row))
-        return by_column + by_row - score, center + np.array([column + right, row + down]) - self._reach
+        return by_column + by_row - score, middle + side * (np.array([column + right, row + down]) - reach)
 
-    def _smaller(self, shown: Array) -> Array:
-        """The picture's middle (2,) at a place in the smaller image that is searched."""
-        return np.asarray((shown[:2] + 0.5) / self._side - 0.5 - np.array([0.0, self._up * shown[2]]))
-
-    def _made_ready(self, image: Bytes) -> Bytes:
-        smaller = (image.shape[1] // self._side, image.shape[0] // self._side)
-        small = image if self._side == 1 else cv2.resize(image, smaller, interpolation=cv2.INTER_AREA)
-        return np.asarray(cv2.GaussianBlur(small, (0, 0), BLUR), np.uint8)
+    def _middle(self, shown: Array) -> Array:
+        """The picture's middle (2,), recorded pixels, where the target is ``shown`` (3,)."""
+        return np.asarray(shown[:2] - self._up * shown[2])
 
 
-def _cut(image: Bytes, center: Array, size: Array) -> Bytes:
-    """The part of ``image`` of ``size`` (width, height) about ``center`` (2,), px; its border goes on."""
-    width, height = np.maximum(np.rint(size), 4).astype(int).tolist()
-    return np.asarray(cv2.getRectSubPix(image, (width, height), (float(center[0]), float(center[1]))), np.uint8)
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """A part of an image, blurred, of whose pixels each is ``pool`` × ``pool`` of the image; ``origin`` (2,) px is
+    where in the image its first one lies."""
+
+    pixels: Bytes
+    origin: Array
+    pool: int
+
+
+def _seen(image: Bytes, middle: Array, size: Array, side: float) -> _Seen:
+    """What there is of an image (H, W) of ``size`` (2,) px about ``middle`` (2,), to be sampled every ``side`` px."""
+    pool = max(1, int(side))
+    border = 3.0 * side
+    low = np.floor((middle - 0.5 * size - border) / pool).astype(int)
+    high = np.ceil((middle + 0.5 * size + border) / pool).astype(int)
+    most = np.array(image.shape[::-1]) // pool
+    low = np.clip(low, 0, most - 1)
+    high = np.clip(high, low + 1, most)
+    (x0, y0), (x1, y1) = low * pool, high * pool
+    part = image[y0:y1, x0:x1]
+    if pool > 1:
+        part = np.asarray(cv2.resize(part, (high - low).tolist(), interpolation=cv2.INTER_AREA), np.uint8)
+    blurred = np.asarray(cv2.GaussianBlur(part, (0, 0), BLUR * side / pool), np.uint8)
+    return _Seen(blurred, low * pool + 0.5 * (pool - 1), pool)
+
+
+def _sampled(seen: _Seen, middle: Array, side: float, size: Indices) -> Bytes:
+    """``size`` (2,) pixels about ``middle`` (2,) px, ``side`` px of the image apart; the border goes on."""
+    step = side / seen.pool
+    start = (middle - seen.origin) / seen.pool - 0.5 * step * (size - 1)
+    grid = np.array([[step, 0.0, start[0]], [0.0, step, start[1]]])
+    how = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+    return np.asarray(cv2.warpAffine(seen.pixels, grid, size.tolist(), flags=how, borderMode=cv2.BORDER_REPLICATE))
+
+
+def _shrunk(picture: Bytes, grown: float) -> Bytes:
+    """A ``picture`` ``grown`` to a size below its own, its middle in its middle, and as blurred as it was."""
+    size = np.array(picture.shape[::-1])
+    smooth = np.asarray(cv2.GaussianBlur(picture, (0, 0), BLUR * sqrt(max(grown**-2 - 1.0, 1e-9))), np.uint8)
+    whole = _Seen(smooth, np.zeros(2), 1)
+    return _sampled(whole, 0.5 * (size - 1.0), 1.0 / grown, np.maximum(np.rint(grown * size), 4).astype(int))
 
 
 def _three(line: Floats, k: int) -> Array:

@@ -44,6 +44,7 @@ class Snapshot:
         self._surely = self._compared = 0  # in which it was sure, and in which both were so
         self._turn = 0
         self.confirmed = False  # closely, in the image compared last
+        self._own_likeness = 1.0  # of its own part there
 
     def is_old(self, scale: float) -> bool:
         """Whether a target of this ``scale`` looks otherwise."""
@@ -90,7 +91,7 @@ class Snapshot:
         self.agreed += 1
         rate = max(RATE, 1 / self.agreed)
         self._usual += rate * (self._carried.likeness - self._usual)
-        self._usual_own += rate * (self._own.likeness - self._usual_own)
+        self._usual_own += rate * (self._own_likeness - self._usual_own)
         if sure:
             self._compared += 1
             self._off = np.clip(self._off + off / (1 + self._compared), -OFF, OFF)
@@ -107,13 +108,12 @@ class Snapshot:
     def _place(self, image: Bytes, expected: Array) -> Array:
         self._carried.place = expected
         told = self._carried.step(image)
-        self._own.place = told
-        self._own.step(image)
+        self._own_likeness = self._own.likeness_at(image, told)
         scale = told[2] * exp(self._off[2])
         return np.array([*(told[:2] + self._off[:2] * self._size * scale), scale])
 
     def _is_alike(self, tau: float) -> bool:
         usual = self._usual - LESS if self._shows_well else LIKE * self._usual
-        if self._own.likeness < self._usual_own - ALONE:  # what is about it is there, and it is not
+        if self._own_likeness < self._usual_own - ALONE:  # what is about it is there, and it is not
             return False
         return self._carried.likeness >= max(usual, LATE if tau >= GONE else LEAST)
