@@ -20,6 +20,7 @@ STARTLED = 2  # measurements that are left to the motion of a scale that surpris
 UNSURE = 8.0  # measurements after which a motion is about known
 APPROACH = 0.02  # relative change of scale per cycle, standard deviation: 3 m/s at 10 m
 BRAKING = 0.0013  # and per cycle², of its second-order coefficient: 6 m/s² at 10 m
+FORGOTTEN = 0.3  # what is left of its weight where a motion was wrong
 HONEST = 2.0  # cycles: a prediction farther ahead than that says nothing about the models
 
 
@@ -188,6 +189,10 @@ class MotionModels:
         rates = np.array([[solved(pair)[1] for pair in pairs] for pairs in self._pairs]) * self._moving
         shares = 1.0 / self._errors**2
         return np.asarray((rates * shares).sum(1) / shares.sum(1) * max(tau - LINEAR, 0.0))
+
+    def forget_scale(self) -> None:
+        """What is known of the motion of the scale counts much less against what is measured from now on."""
+        self._pairs[2] *= FORGOTTEN
 
     def doubt_scale(self) -> None:
         """The scale was not foreseen: its motion may have changed, and the next one is as uncertain as early on."""
