@@ -195,5 +195,5 @@ def test_the_evidence_is_the_ratio_of_marginal_likelihoods(value, spread, held):
 
     under_narrow = marginal(held) if held else norm.pdf(value, 0, spread)
     expected = np.log(marginal(wide) / under_narrow)
-    found = refinement._Fit._log_evidence(fit, "acceleration", narrower, 1.0)
+    found = refinement.Fit._log_evidence(fit, "acceleration", narrower, 1.0)
     assert found == pytest.approx(expected, abs=2e-3)

@@ -80,10 +80,10 @@ def refine(trajectory: Trajectory, glimpses: list[Glimpse], speed: float, on_pat
     for an acceleration that changes, or, without one, for a turn. Raises numpy.linalg.LinAlgError where the images
     determine nothing.
     """
-    fit = _Fit(trajectory, glimpses, prior(trajectory, speed))
+    fit = Fit(trajectory, glimpses, prior(trajectory, speed))
     extras: tuple[str, ...] = ()
     possible = {*EXTRAS} - ({"turn"} if on_path else {"surge"})
-    others: list[tuple[float, _Fit]] = []
+    others: list[tuple[float, Fit]] = []
     rare = RARE
     while len(glimpses) >= LEAST_GLIMPSES:
         richer = {e: fit.extended(prior(trajectory, speed, (*extras, e)), e) for e in sorted(possible - {*extras})}
@@ -119,7 +119,7 @@ def refine(trajectory: Trajectory, glimpses: list[Glimpse], speed: float, on_pat
     )
 
 
-class _Fit:
+class Fit:
     """One model fitted to the images, coarse to fine."""
 
     def __init__(self, trajectory: Trajectory, glimpses: list[Glimpse], prior: Prior) -> None:
@@ -131,7 +131,7 @@ class _Fit:
                 self.relief = np.zeros(self.bands[0].patches)
             self.descend(STEP if fine else COARSE_STEP)
 
-    def extended(self, prior: Prior, extra: str) -> tuple[float, _Fit]:
+    def extended(self, prior: Prior, extra: str) -> tuple[float, Fit]:
         """A model that has an ``extra`` too, and the log Bayes factor by which the evidence speaks for it.
 
         Where one step from here finds little that does, it is left there; where it finds much, it is fitted from the
@@ -145,14 +145,32 @@ class _Fit:
         if evidence < np.log(NEGLIGIBLE):
             return evidence, other
         if evidence > RARE:
-            other = _Fit(self.trajectory, self.glimpses, prior)
+            other = Fit(self.trajectory, self.glimpses, prior)
         return other._log_evidence(extra, self.prior, other._wider), other
+
+    def outlined(self, quad: Array, most: int) -> Fit:
+        """The same model fitted to another outline ``quad`` (4, 2) of its plane, px of the first left view, in at most
+        so many steps from here."""
+        other = copy(self)
+        other.trajectory = replace(self.trajectory, quad=quad)
+        other.bands = bands_of(self.glimpses, other.trajectory.quads(self.theta), *LEVELS[-1])
+        other.theta, other.relief = self.theta.copy(), np.zeros(other.bands[0].patches)
+        other.descend(STEP, most)
+        return other
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation of the mean speed, m/s, if the pixels' noise were all. Raises numpy.linalg.LinAlgError
+        where the images do not determine it."""
+        shares = np.zeros(len(self.A))
+        shares[: len(self.prior.free)] = self._mean_speed
+        return float(np.linalg.norm(np.linalg.solve(np.linalg.cholesky(self.A), shares)))
 
     @property
     def _wider(self) -> float:
         """The mean speed's variance by the scores' scatter over that by the pixels' noise, at least 1."""
         g = self._mean_speed
-        return max(float(g @ self.covariance @ g / (g @ np.linalg.inv(self.A)[: len(g), : len(g)] @ g)), 1.0)
+        return max(float(g @ self.covariance @ g) / self.noise**2, 1.0)
 
     @property
     def _mean_speed(self) -> Array:

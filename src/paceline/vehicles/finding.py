@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from paceline.cameras import StereoRig
 from paceline.documents import VehicleDocument
 from paceline.recordings import StereoFrame
 from paceline.vehicles.plane import Aligned, Face, face_of, showing_face
 from paceline.vehicles.scene import Scene
 from paceline.vehicles.sightings import Lookout
 from paceline.vehicles.tracks import Linker, Track, off_course
+from paceline.vehicles.trimming import trimmed
 from paceline.vehicles.ways import Way
 
 Array = NDArray[np.float64]
@@ -174,9 +174,13 @@ def found_on(track: Track) -> Found:
     face = face_of(track)
     if face is None:
         return as_seen(track, "no part of its face keeps its picture in both views and over time")
-    at = _first_clear(face, track.first.way.rig)
+    steady = in_step(face.aligned)
+    at = _first_clear(face, steady)
     if at is None:
         return as_seen(track, "its face is never large enough and wholly inside both pictures")
+    lower = trimmed(face, steady[steady.index(at) :])
+    if _first_clear(lower, [at]) is not None:
+        face = lower
     sighting = at.sighting
     left, right = sighting.way.pixels(at.s, face.corners(at))
     document = VehicleDocument("", sighting.way.name, sighting.frame, left, right, "front", None)
@@ -204,10 +208,11 @@ def in_step(aligned: list[Aligned]) -> list[Aligned]:
     return [a for a, one in zip(aligned, off, strict=True) if abs(one) <= 1]
 
 
-def _first_clear(face: Face, rig: StereoRig) -> Aligned | None:
-    """The first frame in which a face is large enough, and wholly inside both pictures."""
-    for at in in_step(face.aligned):
-        for quad, camera in zip(at.sighting.way.pixels(at.s, face.corners(at)), rig.cameras, strict=True):
+def _first_clear(face: Face, steady: list[Aligned]) -> Aligned | None:
+    """The first of these frames in which a face is large enough, and wholly inside both pictures."""
+    for at in steady:
+        way = at.sighting.way
+        for quad, camera in zip(way.pixels(at.s, face.corners(at)), way.rig.cameras, strict=True):
             inside = (quad >= BORDER) & (quad <= np.array(camera.image_size) - 1 - BORDER)
             if not inside.all() or (np.ptp(quad, axis=0) < SMALLEST).any():
                 break

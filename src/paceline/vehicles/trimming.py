@@ -1,0 +1,88 @@
+"""The top of a face that is left away: what adds little to what is known of the motion, and may lie behind the plane.
+
+A bonnet or a windscreen above a face agrees in both views and over time nearly as well as the face does. Far away no
+parallax tells it from the face, but in the fit of the motion it passes for a lean, and what it could tell goes into
+that. So the motion is fitted to outlines of several heights, and the lowest is taken that tells the speed nearly as
+well as any.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from paceline.documents import VehicleDocument
+from paceline.speed.bands import Glimpse
+from paceline.speed.measurement import LEAST_FRAMES
+from paceline.speed.planes import first_plane
+from paceline.speed.refinement import Fit
+from paceline.speed.trajectory import Trajectory, bends, prior
+from paceline.vehicles.plane import Aligned, Face
+from paceline.vehicles.tracks import slope
+
+Array = NDArray[np.float64]
+
+LOWER = 0.075  # m by which one outline of a face is lower than the next
+LEAST_HEIGHT = 0.35  # m, of an outline
+NEARLY = 1.15  # times the smallest standard deviation of the speed
+HOPELESS = 1.4  # times the same, from which on no lower outline is tried
+OUTLINED = 0.5  # px, as by hand
+LEAST_WAY = 5.0  # m
+STEPS = 2  # of a fit that begins where one to nearly the same outline ended
+
+
+def trimmed(face: Face, seen: list[Aligned]) -> Face:
+    """The lowest outline of a ``face``, cut at its top, by which what was ``seen`` of it (in order of time) tells the
+    speed nearly as well as by any."""
+    low, high = face.y
+    lower = np.arange(high - LOWER, low + LEAST_HEIGHT, -LOWER).tolist()
+    if not lower or len(seen) < LEAST_FRAMES:
+        return face
+    outlines = [face, *(replace(face, y=(low, top)) for top in lower)]
+    doubts = _doubts(outlines, seen)
+    return outlines[int(np.flatnonzero(doubts <= NEARLY * doubts.min())[-1])]
+
+
+def _doubts(outlines: list[Face], seen: list[Aligned]) -> Array:
+    """The standard deviations of the mean speed, m/s, by what is ``seen`` in each of the ``outlines``, if the pixels'
+    noise were all; only of the first ones where the others tell too little."""
+    glimpses = [_glimpse(outlines[0], at) for at in seen]
+    trajectory, speed = _carried(glimpses, seen)
+    found = [0.0]
+    try:
+        fit = Fit(trajectory, glimpses, prior(trajectory, speed))
+        found = [fit.noise]
+        for face in outlines[1:]:
+            fit = fit.outlined(_pixels(face, seen[0])[0], STEPS)
+            found.append(fit.noise)
+            if found[-1] > HOPELESS * min(found):
+                break
+    except np.linalg.LinAlgError:
+        pass  # lower outlines tell less still
+    return np.array(found)
+
+
+def _pixels(face: Face, at: Aligned) -> Array:
+    """An outline (2, 4, 2) in both views of a frame, px."""
+    return np.stack(at.sighting.way.pixels(at.s, face.corners(at)))
+
+
+def _glimpse(face: Face, at: Aligned) -> Glimpse:
+    s = at.sighting
+    return Glimpse(s.frame, (s.time, s.time), s.crops, s.corners, _pixels(face, at))
+
+
+def _carried(glimpses: list[Glimpse], seen: list[Aligned]) -> tuple[Trajectory, float]:
+    """The outline in the first of the ``glimpses`` carried along its way, and how fast, m/s."""
+    way, (left, right) = seen[0].sighting.way, glimpses[0].quads
+    times = np.array([g.times for g in glimpses]) - glimpses[0].times[0]
+    along = np.array([way.path.nearest(a.sighting.way.place(a.s, a.sighting.middle, 0.0)) for a in seen])
+    speed = slope(times[:, 0], along)
+    path = way.path if speed > 0 else way.path.reversed()
+    document = VehicleDocument("", way.name, glimpses[0].frame, left, right, "front", None)
+    plane = first_plane(way.rig, document, path, OUTLINED)
+    length = max(1.1 * abs(speed) * float(np.ptp(times)), LEAST_WAY)
+    way_on = bends(path, path.nearest(plane.centre), length, on_path=True)
+    return Trajectory(way.rig, left, plane, path, times, way_on), abs(speed)
