@@ -79,3 +79,32 @@ def test_a_low_target_is_carried_by_what_is_above_and_below_it():
     alone, whole = (carried_right(upright, 80.0, seeds) for upright in (0.0, UPRIGHT))
     assert whole >= 18 and alone <= 15
     assert carried_right(0.0, 6.0, seeds) == carried_right(UPRIGHT, 6.0, seeds) == len(seeds)
+
+
+@pytest.mark.parametrize("grown", [0.97, 1.0, 1.03])
+@pytest.mark.parametrize("size", [1.0, 1.8])
+def test_noise_makes_nothing_larger_or_smaller(grown, size):
+    """What is sampled between pixels is smoother than the pixels, and noise that is smooth is alike."""
+    scales, center = [], np.array([128.0, 130.0])
+    projection = Projection(camera((256, 242), 300.0), Target("low", 10.0, size * LOW.corners, LOW.segments))
+    for seed in range(40):
+        scene = scenery((256, 242), seed)
+        first = moved(scene, center, (0, 0), 1.0, 60.0, 2 * seed)
+        carried = Carried(first, projection, np.array([*center, 1.0]), REACH, UPRIGHT)
+        scales.append(carried.step(moved(scene, center, (5.0, -7.0), grown, 60.0, 2 * seed + 1))[2])
+    off = np.log(np.array(scales) / grown)
+    assert abs(off.mean()) < 3.0 * off.std() / np.sqrt(len(off))
+
+
+def test_the_likeness_at_a_place_is_that_of_a_step_there_and_less_elsewhere():
+    scene, center = scenery((256, 242), 3), np.array([128.0, 130.0])
+    projection, there = Projection(camera((256, 242), 300.0), TARGET), np.array([130.0, 127.0, 1.02])
+    carried = Carried(moved(scene, center, (0, 0), 1.0, 4.0, 0), projection, np.array([*center, 1.0]), np.full(2, 2.0))
+    image = moved(scene, center, (2, -3), 1.02, 4.0, 1)
+    at = carried.likeness_at(image, there)
+    np.testing.assert_array_equal(carried.place, [*center, 1.0])
+    carried.place = there
+    carried.step(image)
+    assert at == pytest.approx(carried.likeness, abs=0.01) and at > 0.9
+    for elsewhere in ([20.0, 0.0, 0.0], [0.0, 20.0, 0.0], [0.0, 0.0, 0.4]):
+        assert carried.likeness_at(image, there + elsewhere) < at - 0.2

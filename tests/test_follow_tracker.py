@@ -13,6 +13,7 @@ from paceline.errors import UnusableInput
 from paceline.follow import association, candidates, edges_cpu, fitting, motion, picture_cpu, recognition, search_cpu
 from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.ranging import recorded
+from paceline.follow.search import Sighting
 from paceline.follow.steering import Pose
 from paceline.follow.target import Target
 from paceline.follow.tracker import FollowTracker, warm_up
@@ -528,6 +529,47 @@ def test_where_less_shows_than_usual_lines_are_looked_for_farther_away(
     monkeypatch.setattr(recogniser, "_measurer", measure)
     look = recogniser._measured(images[20], there, near, recognition.Foreseen(there, near))
     assert look is looks[recognition.WIDER if taken else 1.0]
+
+
+@pytest.mark.parametrize(
+    ("share", "beside", "complaint", "alike", "taken"),
+    [
+        (0.5, 0.8, "", 0.75, True),
+        (0.5, 0.8, "it is not it", 0.75, False),
+        (0.5, 0.8, "", 0.5, False),  # there is another vehicle
+        (0.5, 0.53, "", 0.75, False),
+        (0.9, 1.0, "", 0.75, False),
+    ],
+)
+def test_where_lamps_are_switched_the_model_may_be_where_the_search_saw_it_less_well(
+    clip, monkeypatch, share, beside, complaint, alike, taken
+):
+    """As shares of the usual match, at the best place and at another one."""
+    images, positions = clip
+    tracker = begin(positions[0])
+    for k in range(20):
+        tracker.update(images[k], k / 15, k)
+    recogniser, there = tracker.lock.recogniser, tracker.lock.expected
+    usual, other = recogniser.appearance.match, there + [15.0, 0.0, 0.0]
+    here, found = (
+        recognition.Look(said, inside=1.0, measurement=SimpleNamespace(match=s * usual), fit=SimpleNamespace(location=x))
+        for s, said, x in ((share, "", there), (beside, complaint, other))
+    )
+    asked = []
+
+    def measure(image, start, near, signs):
+        asked.append((start, signs))
+        return found.measurement, (0, 0, 0, 0)
+
+    monkeypatch.setattr(recogniser, "_measurer", SimpleNamespace(measure=measure))
+    monkeypatch.setattr(recogniser, "_thought_of", lambda *given: found)
+    monkeypatch.setattr(recogniser.appearance, "likeness", lambda: alike)
+    sighting = Sighting(there, np.ones(3), (0, 0, 256, 242), 0.8, (other,))
+    look = recogniser._or_elsewhere(here, sighting, images[20], recognition.Foreseen(there, np.ones(3)))
+    assert look is (found if taken else here)
+    for start, signs in asked:
+        np.testing.assert_allclose(start, other)
+        assert not signs.any()
 
 
 def test_a_target_is_held_where_a_snapshot_gainsays_its_features(clip, monkeypatch):

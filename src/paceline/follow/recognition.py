@@ -52,6 +52,7 @@ ELSEWHERE = 0.08  # sizes of the target from its place, and relative change of s
 ABOUT = 0.01  # sizes, and relative scale, within which a place is looked at by itself
 LESS, WIDER = 0.85, 4.0  # share of the usual match below which lines are looked for so many times as far away,
 MORE = 0.08  # and match that these must add
+SHOWING, OTHERS = 0.7, 3.0  # the same below which other places that the search saw are looked at, so many times as far
 WATCH = 3  # images of which in one it is asked whether the lock has slid
 WIDEST = 8.0  # times as far as usual a target is looked for that was lost
 
@@ -227,7 +228,7 @@ class Recogniser:
             return Look("nothing like the target is in reach")
         start = self.projection.ideal(sighting.location)
         look = self._measured(image, start, sighting.doubt, foreseen, sighting.window)
-        look = replace(look, sighting=sighting)
+        look = replace(self._or_elsewhere(look, sighting, image, foreseen), sighting=sighting)
         self._turn += 1
         due = c.appearance and c.keepsake and self._turn % WATCH == 0
         if due and not look.complaint and look.fit is not None:
@@ -241,6 +242,25 @@ class Recogniser:
         proven = self._proven >= PROVEN and self._held_for < ALONE_FOR and not foreseen.lost
         if look.complaint in (FEW, APART) and proven and sighting.picture > HELD:
             return self._by_picture(start, sighting)
+        return look
+
+    def _or_elsewhere(self, look: Look, sighting: Sighting, image: Bytes, foreseen: Foreseen) -> Look:
+        """The ``look`` where the search saw the target best, or one where it saw it less well and more of the model's
+        lines are, whichever side of them is brighter: lamps that were switched on are no longer as they look."""
+        m = look.measurement
+        if m is None or look.inside < INSIDE or self._usual_share(m) >= SHOWING:
+            return look
+        for place in sighting.others:
+            start = self.projection.ideal(place)
+            near = sighting.doubt * np.array([OTHERS, OTHERS, 1.0])
+            other, _ = self._measurer.measure(image, start, near, self._either)
+            if other is None or other.match < m.match + MORE:
+                continue
+            found = self._thought_of(other, image, start, near, foreseen, sighting.window)
+            if not found.complaint and self.appearance.likeness() > ALIKE:
+                return found
+        if look.fit is not None:
+            self._evidence_at(look.fit.location)  # what is learned is the picture looked at last
         return look
 
     def _by_picture(self, location: Array, sighting: Sighting) -> Look:

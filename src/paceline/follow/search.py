@@ -7,7 +7,7 @@ in two look-ups, and what the features usually show, and the picture of the targ
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,13 +47,14 @@ SKIP = 2  # rungs from one scale of a patrol to the next
 
 @dataclass(frozen=True, eq=False)
 class Sighting:
-    """The best location (3,) found, to within ``doubt`` (3,), the ``window`` that was searched, and how alike the
-    ``picture`` there is, −1 to 1, where it was compared."""
+    """The best location (3,) found, to within ``doubt`` (3,), the ``window`` that was searched, how alike the
+    ``picture`` there is, −1 to 1, where it was compared, and the ``others`` (3,) it was compared with."""
 
     location: Array
     doubt: Array
     window: Window
     picture: float = 0.0
+    others: tuple[Array, ...] = ()
 
 
 class Search:
@@ -226,10 +227,11 @@ class Search:
 
     def _closest(self, rivals: Array, doubt: Array, window: Window, appearance: Appearance) -> Sighting:
         """Of the ``rivals`` (B, 4) the one whose picture is most like the learned one, aligned with that."""
-        best, best_score = None, -np.inf
+        best, best_score, chosen = None, -np.inf, -1
         units, origin = self._units, self._zero
         m = self._magnification / self._side
-        for rival in rivals[rivals[:, 3] > rivals[0, 3] - HOPELESS]:
+        rivals = rivals[rivals[:, 3] > rivals[0, 3] - HOPELESS]
+        for k, rival in enumerate(rivals):
             if rival[3] + PICTURE <= best_score:  # the highest come first: no picture can be as alike as it would need
                 break
             place = (rival[:3] - origin) / units
@@ -238,7 +240,7 @@ class Search:
             inside = appearance.look(self._pooled_view, place[:2], place[2] * m)
             picture = appearance.likeness() if inside > 0.5 else 0.0
             if rival[3] + PICTURE * picture > best_score:
-                best_score = rival[3] + PICTURE * picture
+                best_score, chosen = rival[3] + PICTURE * picture, k
                 floor = np.array([ALIGNED * self._side, ALIGNED * self._side, STEADY * rival[2]])
                 near = NEAR * units * np.array([1.0, 1.0, self._rung(rival[2], self._side) * rival[2]])
                 if covariance is not None:
@@ -247,7 +249,7 @@ class Search:
                 else:
                     best = Sighting(rival[:3], near, window)
         assert best is not None
-        return best
+        return replace(best, others=tuple(np.delete(rivals[:, :3], chosen, axis=0)))
 
     def evidence_at(self, location: Array, shifts: Array, appearance: Appearance) -> tuple[float, Array]:
         """Look at the target at ``location`` (3,), recorded pixels, in the part of the image searched last, for
