@@ -552,7 +552,9 @@ def test_where_lamps_are_switched_the_model_may_be_where_the_search_saw_it_less_
     recogniser, there = tracker.lock.recogniser, tracker.lock.expected
     usual, other = recogniser.appearance.match, there + [15.0, 0.0, 0.0]
     here, found = (
-        recognition.Look(said, inside=1.0, measurement=SimpleNamespace(match=s * usual), fit=SimpleNamespace(location=x))
+        recognition.Look(
+            said, inside=1.0, measurement=SimpleNamespace(match=s * usual), fit=SimpleNamespace(location=x)
+        )
         for s, said, x in ((share, "", there), (beside, complaint, other))
     )
     asked = []
