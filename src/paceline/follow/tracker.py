@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import isfinite
 from time import perf_counter
 
@@ -15,6 +16,7 @@ from paceline.follow.belief import Belief, Picture
 from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.features import Projection
 from paceline.follow.lock import Lock
+from paceline.follow.pace import DRIVES, Pace
 from paceline.follow.probation import Probation
 from paceline.follow.ranging import place_of, recorded
 from paceline.follow.recognition import Look, Recogniser
@@ -58,6 +60,7 @@ class FollowTracker:
         self.probation = Probation(Lock(location, Recogniser(self.projection, c), c), c)
         self.belief = Belief(c)
         self.steering = Steering(c)
+        self.pace = Pace()
         self._picture = Picture()
         self._time: float | None = None  # of the frame before
 
@@ -72,6 +75,7 @@ class FollowTracker:
         if not isfinite(time):
             raise UnusableInput(f"frame {frame}: expected its time in seconds, found {time}")
         jump = self._pass_time(time)
+        self.pace.move(pose)
         fault = self._picture.fault(image)
         for lock in self.probation.locks:
             lock.predict(time)  # stage 6
@@ -82,12 +86,14 @@ class FollowTracker:
             look, note = self.probation.judge(image, time, look)
             if was_pending and not self.probation.pending:
                 self.belief = Belief(self.configuration)  # it was confirmed
+            look = self._in_pace(look, time)
         was_lost = self.belief.status == "lost"
         status, reason = self.belief.step(time, look.complaint, self.lock.continuity.steady, look.sure)
         if was_lost and status == "tracking":
             self.probation.resume()
         if look.fit is not None and status == "tracking":
             self.lock.learn(look, time)  # stage 5
+            self.pace.learn(time, self.projection.distance(look.fit.location[2]))
         return self._estimate(frame, time, pose, began, look, status, reason or note or jump or look.note)
 
     @property
@@ -95,11 +101,19 @@ class FollowTracker:
         """What is believed of the target."""
         return self.probation.lock
 
+    def _in_pace(self, look: Look, time: float) -> Look:
+        """The ``look`` at a target that was not seen for a while, with a complaint where it drives as that cannot."""
+        if look.fit is None or look.complaint or self.belief.status == "tracking":
+            return look
+        odd = self.pace.complains(time, self.projection.distance(look.fit.location[2]))
+        return replace(look, complaint=DRIVES) if odd else look
+
     def _pass_time(self, time: float) -> str:
         """Note the time of a frame; what is to be said about it where it jumps."""
         last, self._time = self._time, time
         if last is None or 0 < time - last <= self.configuration.jump_limit:
             return ""
+        self.pace = Pace()
         for lock in self.probation.locks:
             lock.rest(last, time)
         if time < last:
