@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
-from paceline.follow.pace import AFTER, FASTER, HARD, OFF, PATIENT, PAUSE, Pace, needed
+from paceline.follow.pace import AFTER, FASTER, HARD, OFF, PAUSE, WATCHED, Pace, needed
 from paceline.follow.steering import Pose
 
 RATE = 15  # images a second
@@ -108,7 +108,8 @@ def test_a_target_that_has_braked_is_believed_after_half_a_second(braking):
     ride = Ride(braking=braking, noise=0.003)
     speeds = np.maximum(10.0 - braking * np.arange(1, 1 + round(1.4 * RATE)) / RATE, 0.0)
     ride.hide(1.4, speeds)
-    assert ride.find(1.0, speed=speeds[-1]) == [True] * (PATIENT - 1) + [False] * (RATE - PATIENT + 1)
+    awaited = int(np.ceil(WATCHED * RATE))
+    assert ride.find(1.0, speed=speeds[-1]) == [True] * awaited + [False] * (RATE - awaited)
 
 
 def test_nothing_is_asked_that_was_seen_a_moment_ago_or_for_a_moment_only():
@@ -117,7 +118,20 @@ def test_nothing_is_asked_that_was_seen_a_moment_ago_or_for_a_moment_only():
     assert not any(ride.find(0.1, behind=6.0))
     new = Pace()
     new.learn(0.0, 18.0)
-    assert not any(new.complains(2.0 + k / RATE, 10.0) for k in range(2 * PATIENT))
+    assert not any(new.complains(2.0 + k / RATE, 10.0) for k in range(RATE))
+
+
+@pytest.mark.parametrize("every", [0.1, 0.25, 1.0])
+def test_what_is_seen_seldom_is_awaited_but_not_for_ever(every):
+    """A target that has braked, in images so many seconds apart: where they are too few, nothing is asked."""
+    pace, said = Pace(), []
+    for time in np.arange(-2.0, 4.0, every):
+        place = 10.0 * time if time < 0 else 10.0 * time - 3.0 * min(time, 1.5) ** 2 - 9.0 * max(time - 1.5, 0.0)
+        if time < 0:
+            pace.learn(time, 18.0 + place)
+        elif time > 1.2:
+            said.append(pace.complains(time, 18.0 + place))
+    assert not any(said[round(0.8 / every) :])
 
 
 def test_nothing_grows():

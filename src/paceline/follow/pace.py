@@ -11,8 +11,8 @@ import numpy as np
 from paceline.follow.steering import Pose
 
 PAUSE = 1.0  # s for which a target was not seen, after which it is asked
-LATELY = 1.0  # s before, from which its speed is known,
-PATIENT = 8  # sights that tell the speed of what is found
+LATELY, OFTEN = 1.0, 6  # s before, from which its speed is known, if it was seen for half of them and so often
+WATCHED, LEAST = 0.5, 3  # s, and sights, that tell the speed of what is found
 BROKEN, AFTER = 0.3, 3.0  # s without a sight, after which the next may be of something else, and is,
 FASTEST = 40.0  # m/s, and beyond
 STEADY = 2.0  # m/s², if what was found has not gone on by then at about its speed
@@ -55,7 +55,9 @@ class Pace:
 
     def move(self, pose: Pose | None) -> None:
         """The chase vehicle is at a ``pose`` now."""
-        if pose is not None and self._pose is not None:
+        if pose is None:
+            return
+        if self._pose is not None:
             self._travelled += hypot(pose.x - self._pose.x, pose.y - self._pose.y)
         self._pose = pose
 
@@ -71,18 +73,21 @@ class Pace:
         here = Sight(time, self._travelled + distance)
         if not self._goes_on(here, off, harder * STEADY):
             self._found, self._latest = [], []
-        self._found = [*self._found, here][:PATIENT]
-        self._latest = [*self._latest, here][-PATIENT:]
-        first = self._found[0]
-        if len(self._seen) < PATIENT or first.time - self._seen[-1].time < PAUSE:
+        first = self._found[0] if self._found else here
+        if time - first.time <= WATCHED or len(self._found) < LEAST:
+            self._found.append(here)
+        self._latest = [*(sight for sight in self._latest if time - sight.time <= WATCHED), here]
+        if len(self._seen) < OFTEN or self._seen[-1].time - self._seen[0].time < 0.5 * LATELY:
             return False
         last = self._seen[-1].time
+        if first.time - last < PAUSE:
+            return False
         place, speed = _motion(self._seen, last)
         lasting = first.time - last
         ahead, off = first.place - place - speed * lasting, sqrt(2.0) * off  # it was seen before, too
         if 2.0 * max(abs(ahead) - off, 0.0) / lasting**2 < harder * EASILY:
             return False
-        if len(self._found) < PATIENT:
+        if time - first.time < WATCHED or len(self._found) < LEAST:
             return True
         faster = _motion(self._found, first.time)[1] - speed
         ways = [needed(ahead - a, faster + f, lasting) for a in (-off, 0.0, off) for f in (-FASTER, 0.0, FASTER)]
@@ -95,7 +100,7 @@ class Pace:
         gap = here.time - self._latest[-1].time
         if 0.0 < gap <= BROKEN:
             return abs(here.place - self._latest[-1].place) < 2.0 * off + FASTEST * gap
-        if len(self._latest) < PATIENT or not 0.0 < gap <= AFTER:
+        if len(self._latest) < LEAST or not 0.0 < gap <= AFTER:
             return False
         place, _ = _motion(self._latest, here.time)
         return abs(here.place - place) < off + FASTER * gap + 0.5 * steady * gap**2

@@ -103,7 +103,8 @@ class FollowTracker:
 
     def _in_pace(self, look: Look, time: float) -> Look:
         """The ``look`` at a target that was not seen for a while, with a complaint where it drives as that cannot."""
-        if look.fit is None or look.complaint or self.belief.status == "tracking":
+        asked = self.configuration.continuity and self.belief.status != "tracking"
+        if look.fit is None or look.complaint or not asked:
             return look
         odd = self.pace.complains(time, self.projection.distance(look.fit.location[2]))
         return replace(look, complaint=DRIVES) if odd else look
