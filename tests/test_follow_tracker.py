@@ -532,32 +532,34 @@ def test_where_less_shows_than_usual_lines_are_looked_for_farther_away(
 
 
 @pytest.mark.parametrize(
-    ("share", "beside", "complaint", "alike", "taken"),
+    ("share", "beside", "complaint", "likeness", "tau", "taken"),
     [
-        (0.5, 0.8, "", 0.75, True),
-        (0.5, 0.8, "it is not it", 0.75, False),
-        (0.5, 0.8, "", 0.5, False),  # there is another vehicle
-        (0.5, 0.53, "", 0.75, False),
-        (0.9, 1.0, "", 0.75, False),
+        (0.5, 0.8, "", (0.7, 0.75), 1.0, True),
+        (0.5, 0.8, "it is not it", (0.7, 0.75), 1.0, False),
+        (0.5, 0.8, "", (0.6, 0.65), 1.0, False),  # there is another vehicle
+        (0.5, 0.8, "", (0.9, 0.75), 1.0, False),  # or what stands before half of it
+        (0.5, 0.8, "", (0.7, 0.75), 5.0, False),  # or its twin, while it was hidden
+        (0.5, 0.53, "", (0.7, 0.75), 1.0, False),
+        (0.9, 1.0, "", (0.7, 0.75), 1.0, False),
     ],
 )
 def test_where_lamps_are_switched_the_model_may_be_where_the_search_saw_it_less_well(
-    clip, monkeypatch, share, beside, complaint, alike, taken
+    clip, monkeypatch, share, beside, complaint, likeness, tau, taken
 ):
-    """As shares of the usual match, at the best place and at another one."""
+    """As shares of the usual match, at the best place and at another one a size aside."""
     images, positions = clip
     tracker = begin(positions[0])
     for k in range(20):
         tracker.update(images[k], k / 15, k)
     recogniser, there = tracker.lock.recogniser, tracker.lock.expected
-    usual, other = recogniser.appearance.match, there + [15.0, 0.0, 0.0]
+    usual, other = recogniser.appearance.match, there + [recogniser.projection.size(there[2]), 0.0, 0.0]
     here, found = (
         recognition.Look(
             said, inside=1.0, measurement=SimpleNamespace(match=s * usual), fit=SimpleNamespace(location=x)
         )
         for s, said, x in ((share, "", there), (beside, complaint, other))
     )
-    asked = []
+    asked, told = [], list(likeness)
 
     def measure(image, start, near, signs):
         asked.append((start, signs))
@@ -565,9 +567,10 @@ def test_where_lamps_are_switched_the_model_may_be_where_the_search_saw_it_less_
 
     monkeypatch.setattr(recogniser, "_measurer", SimpleNamespace(measure=measure))
     monkeypatch.setattr(recogniser, "_thought_of", lambda *given: found)
-    monkeypatch.setattr(recogniser.appearance, "likeness", lambda: alike)
+    monkeypatch.setattr(recogniser.appearance, "likeness", lambda: told.pop(0))
     sighting = Sighting(there, np.ones(3), (0, 0, 256, 242), 0.8, (other,))
-    look = recogniser._or_elsewhere(here, sighting, images[20], recognition.Foreseen(there, np.ones(3)))
+    foreseen = recognition.Foreseen(there, np.ones(3), tau)
+    look = recogniser._or_elsewhere(here, sighting, images[20], foreseen)
     assert look is (found if taken else here)
     for start, signs in asked:
         np.testing.assert_allclose(start, other)

@@ -104,7 +104,7 @@ class _Seen:
 
 def _seen(image: Bytes, middle: Array, size: Array, side: float) -> _Seen:
     """What there is of an image (H, W) of ``size`` (2,) px about ``middle`` (2,), to be sampled every ``side`` px."""
-    pool = max(1, int(side))
+    pool = max(1, min(int(side), *image.shape))
     border = 3.0 * side
     low = np.floor((middle - 0.5 * size - border) / pool).astype(int)
     high = np.ceil((middle + 0.5 * size + border) / pool).astype(int)

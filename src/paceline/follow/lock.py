@@ -85,6 +85,7 @@ class Lock:
                 self.motion.forget_scale()
         if look.slid or self.tau * CYCLE > self._c.jump_limit:
             self.motion.restart(x, weights)
+            self._surprises[:] = 0.0
         self.motion.observe(x, weights, self.tau, np.array([FLOOR, FLOOR, SCALE_FLOOR * x[2]]))
         self.seen_at = time
         self.continuity.learn(x)
@@ -94,6 +95,7 @@ class Lock:
         """The time jumps from ``last`` to ``time``, s: nothing is known of the motion since."""
         expected, _ = self.motion.predict(self._cycles(last))
         self.motion.restart(expected, np.ones(3))
+        self._surprises[:] = 0.0
         if self.seen_at is not None:
             self.seen_at = time - CYCLE
 

@@ -52,7 +52,9 @@ ELSEWHERE = 0.08  # sizes of the target from its place, and relative change of s
 ABOUT = 0.01  # sizes, and relative scale, within which a place is looked at by itself
 LESS, WIDER = 0.85, 4.0  # share of the usual match below which lines are looked for so many times as far away,
 MORE = 0.08  # and match that these must add
-SHOWING, OTHERS = 0.7, 3.0  # the same below which other places that the search saw are looked at, so many times as far
+SHOWING = 0.7  # the same below which other places that the search saw are looked at,
+OTHERS = 3.0  # as far about as that many times the best one's doubt, for they are a grid's;
+AS_ALIKE = 0.05  # likeness that they may have less
 WATCH = 3  # images of which in one it is asked whether the lock has slid
 WIDEST = 8.0  # times as far as usual a target is looked for that was lost
 
@@ -246,22 +248,46 @@ class Recogniser:
 
     def _or_elsewhere(self, look: Look, sighting: Sighting, image: Bytes, foreseen: Foreseen) -> Look:
         """The ``look`` where the search saw the target best, or one where it saw it less well and more of the model's
-        lines are, whichever side of them is brighter: lamps that were switched on are no longer as they look."""
-        m = look.measurement
-        if m is None or look.inside < INSIDE or self._usual_share(m) >= SHOWING:
+        lines are, whichever side of them is brighter: lamps that were switched on are no longer as they look. It has
+        to look like it as well as here, or what stands before half of it would be taken for it."""
+        m, alike = look.measurement, self.appearance.likeness()
+        if m is None or look.fit is None or look.inside < INSIDE or self._usual_share(m) >= SHOWING:
             return look
         for place in sighting.others:
             start = self.projection.ideal(place)
-            near = sighting.doubt * np.array([OTHERS, OTHERS, 1.0])
-            other, _ = self._measurer.measure(image, start, near, self._either)
-            if other is None or other.match < m.match + MORE:
+            far = np.abs(start - look.fit.location)[:2].max() / self.projection.size(start[2])
+            if foreseen.tau >= GONE and far > ASIDE:
                 continue
-            found = self._thought_of(other, image, start, near, foreseen, sighting.window)
-            if not found.complaint and self.appearance.likeness() > ALIKE:
+            near = sighting.doubt * np.array([OTHERS, OTHERS, 1.0])
+            least = max(ALIKE, alike - AS_ALIKE)
+            found = self._better(look, image, start, near, self._either, foreseen, sighting.window, least)
+            if found is not None:
                 return found
+        return look
+
+    def _better(
+        self,
+        look: Look,
+        image: Bytes,
+        start: Array,
+        near: Array,
+        brighter: Indices,
+        foreseen: Foreseen,
+        window: Window | None,
+        least: float = -1.0,
+    ) -> Look | None:
+        """A look about ``start`` (3,), known to within ``near`` (3,), at which nothing is to be complained of and
+        which shows clearly more of the model than this one, with a likeness above the ``least``."""
+        assert look.measurement is not None
+        more, searched = self._measurer.measure(image, start, near, brighter)
+        if more is None or more.match <= look.measurement.match + MORE:
+            return None
+        found = self._thought_of(more, image, start, near, foreseen, window or searched)
+        if not found.complaint and found.inside >= INSIDE and self.appearance.likeness() > least:
+            return found
         if look.fit is not None:
             self._evidence_at(look.fit.location)  # what is learned is the picture looked at last
-        return look
+        return None
 
     def _by_picture(self, location: Array, sighting: Sighting) -> Look:
         """The target by its picture of late alone."""
@@ -307,13 +333,7 @@ class Recogniser:
         m = look.measurement
         if m is not None and look.inside >= INSIDE and self._usual_share(m) < LESS:
             # a size that is off puts the lines of one side out of reach, and those of the other agree with it
-            wide, window = self._measurer.measure(image, start, WIDER * near, brighter)
-            if wide is not None and wide.match > m.match + MORE:
-                found = self._thought_of(wide, image, start, WIDER * near, foreseen, searched or window)
-                if not found.complaint:
-                    look = found
-                elif look.fit is not None:
-                    self._evidence_at(look.fit.location)  # what is learned is the picture looked at last
+            look = self._better(look, image, start, WIDER * near, brighter, foreseen, searched) or look
         if look.complaint != FEW or not brighter.any():
             return look
         # Lamps that are switched on or off are brighter than what is about them, or darker, from one image to the next.

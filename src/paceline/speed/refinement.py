@@ -197,6 +197,8 @@ class Fit:
         for _ in range(most):
             self.A, score, *self._cells = self._assemble()
             change = -np.linalg.solve(self.A, score)
+            if not np.isfinite(change).all():
+                raise np.linalg.LinAlgError("the images determine no step")
             self.theta[self.prior.free] += change[:P]
             self.relief += change[P:]
             step = float(np.abs(change[:P] / np.sqrt(np.diag(np.linalg.inv(self.A))[:P])).max())

@@ -178,9 +178,7 @@ def found_on(track: Track) -> Found:
     at = _first_clear(face, steady)
     if at is None:
         return as_seen(track, "its face is never large enough and wholly inside both pictures")
-    lower = trimmed(face, steady[steady.index(at) :])
-    if _first_clear(lower, [at]) is not None:
-        face = lower
+    face = trimmed(face, steady[steady.index(at) :], lambda lower: _first_clear(lower, [at]) is not None)
     sighting = at.sighting
     left, right = sighting.way.pixels(at.s, face.corners(at))
     document = VehicleDocument("", sighting.way.name, sighting.frame, left, right, "front", None)

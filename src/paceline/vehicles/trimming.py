@@ -8,6 +8,7 @@ well as any.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -25,7 +26,8 @@ from paceline.vehicles.tracks import slope
 Array = NDArray[np.float64]
 
 LOWER = 0.075  # m by which one outline of a face is lower than the next
-LEAST_HEIGHT = 0.35  # m, of an outline
+LOWEST = 0.35  # m, of an outline
+KNOWN = 0.03  # relative standard deviation of a speed of which something is known
 NEARLY = 1.15  # times the smallest standard deviation of the speed
 HOPELESS = 1.4  # times the same, from which on no lower outline is tried
 OUTLINED = 0.5  # px, as by hand
@@ -33,14 +35,14 @@ LEAST_WAY = 5.0  # m
 STEPS = 2  # of a fit that begins where one to nearly the same outline ended
 
 
-def trimmed(face: Face, seen: list[Aligned]) -> Face:
-    """The lowest outline of a ``face``, cut at its top, by which what was ``seen`` of it (in order of time) tells the
-    speed nearly as well as by any."""
+def trimmed(face: Face, seen: list[Aligned], is_clear: Callable[[Face], bool]) -> Face:
+    """The lowest outline of a ``face``, cut at its top, that ``is_clear`` enough and by which what was ``seen`` of it
+    (in order of time) tells the speed nearly as well as by any."""
     low, high = face.y
-    lower = np.arange(high - LOWER, low + LEAST_HEIGHT, -LOWER).tolist()
-    if not lower or len(seen) < LEAST_FRAMES:
+    lower = [replace(face, y=(low, top)) for top in np.arange(high - LOWER, low + LOWEST, -LOWER).tolist()]
+    outlines = [face, *filter(is_clear, lower)]
+    if len(outlines) == 1 or len(seen) < LEAST_FRAMES:
         return face
-    outlines = [face, *(replace(face, y=(low, top)) for top in lower)]
     doubts = _doubts(outlines, seen)
     return outlines[int(np.flatnonzero(doubts <= NEARLY * doubts.min())[-1])]
 
@@ -49,19 +51,19 @@ def _doubts(outlines: list[Face], seen: list[Aligned]) -> Array:
     """The standard deviations of the mean speed, m/s, by what is ``seen`` in each of the ``outlines``, if the pixels'
     noise were all; only of the first ones where the others tell too little."""
     glimpses = [_glimpse(outlines[0], at) for at in seen]
-    trajectory, speed = _carried(glimpses, seen)
-    found = [0.0]
+    found: list[float] = []
     try:
+        trajectory, speed = _carried(glimpses, seen)
         fit = Fit(trajectory, glimpses, prior(trajectory, speed))
-        found = [fit.noise]
+        found.append(fit.noise)
         for face in outlines[1:]:
+            if found[-1] > HOPELESS * min(found) or found[0] > KNOWN * speed:
+                break
             fit = fit.outlined(_pixels(face, seen[0])[0], STEPS)
             found.append(fit.noise)
-            if found[-1] > HOPELESS * min(found):
-                break
     except np.linalg.LinAlgError:
-        pass  # lower outlines tell less still
-    return np.array(found)
+        pass  # of what determines nothing no part does: the whole stays, or what was fitted by then
+    return np.array(found or [0.0])
 
 
 def _pixels(face: Face, at: Aligned) -> Array:
