@@ -31,7 +31,7 @@ from paceline.speed.reconstruction import path_of
 from paceline.speed.refinement import Refined, refine
 from paceline.speed.results import ClipResult, Measurement, PathDrawing, Track
 from paceline.speed.tracker import LOST, SEEN, SURE, Estimate, Tracker
-from paceline.speed.trajectory import Trajectory, bends
+from paceline.speed.trajectory import Trajectory, way_of
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
@@ -256,8 +256,7 @@ class _Run:
         else:
             plane = first_plane(self.rig, self.vehicle, path, self.configuration.click_sigma)
         times = np.array([g.times for g in self.glimpses]) - np.mean(first.times)
-        length = 1.1 * speed * float(np.ptp(times))
-        way = bends(path, path.nearest(plane.centre), max(length, 5.0), self.path is not None)
+        way = way_of(path, plane, times, speed, self.path is not None)
         return Trajectory(self.rig, self.vehicle.left, plane, path, times, way)
 
     def _judged(self, refined: Refined, frames: int) -> Measurement:

@@ -39,6 +39,7 @@ AMPLITUDE_STEP = 1e-3
 DRIVER = {"yaw": (DRIVEN[0], 3e-4, 1e-5, 1e-7), "pitch": (DRIVEN[1], 1e-4, 1e-6)}
 # Without a path the direction is what the filter found, no better than this; a turn is another model
 UNGUIDED = {"yaw": (np.radians(15.0), 3e-4), "pitch": (np.radians(5.0), 1e-4)}
+FARTHER, LEAST_WAY = 1.1, 5.0  # times as far as at the speed given, and m: the way whose bends are asked for
 LEAST_BEND = 1e-4  # rad, rms: a bend below moves nothing by a pixel's hundredth
 TURNING = 0.03  # 1/m, the curvature of a vehicle that turns
 SWERVING = 0.1, 8.0  # rad, m: the heading of a vehicle that changes lane, and over what distance it changes
@@ -82,6 +83,12 @@ class Bends:
         stay as they are there."""
         at = self._spline(np.clip(u, self.u[0], self.u[-1]))
         return np.asarray(np.moveaxis(np.tensordot(amplitudes, at, (-1, 1)), -1, 0))
+
+
+def way_of(path: Path, plane: FirstPlane, times: Array, speed: float, on_path: bool) -> Bends:
+    """The bends of the way that a ``plane`` goes along ``path`` at about ``speed``, m/s, in ``times`` (F, 2), s."""
+    length = FARTHER * speed * float(np.ptp(times))
+    return bends(path, path.nearest(plane.centre), max(length, LEAST_WAY), on_path)
 
 
 def bends(path: Path, start: float, length: float, on_path: bool) -> Bends:

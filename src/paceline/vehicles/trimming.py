@@ -19,7 +19,7 @@ from paceline.speed.bands import Glimpse
 from paceline.speed.measurement import LEAST_FRAMES
 from paceline.speed.planes import first_plane
 from paceline.speed.refinement import Fit
-from paceline.speed.trajectory import Trajectory, bends, prior
+from paceline.speed.trajectory import Trajectory, prior, way_of
 from paceline.vehicles.plane import Aligned, Face
 from paceline.vehicles.tracks import slope
 
@@ -31,7 +31,6 @@ KNOWN = 0.03  # relative standard deviation of a speed of which something is kno
 NEARLY = 1.15  # times the smallest standard deviation of the speed
 HOPELESS = 1.4  # times the same, from which on no lower outline is tried
 OUTLINED = 0.5  # px, as by hand
-LEAST_WAY = 5.0  # m
 STEPS = 2  # of a fit that begins where one to nearly the same outline ended
 
 
@@ -85,6 +84,5 @@ def _carried(glimpses: list[Glimpse], seen: list[Aligned]) -> tuple[Trajectory, 
     path = way.path if speed > 0 else way.path.reversed()
     document = VehicleDocument("", way.name, glimpses[0].frame, left, right, "front", None)
     plane = first_plane(way.rig, document, path, OUTLINED)
-    length = max(1.1 * abs(speed) * float(np.ptp(times)), LEAST_WAY)
-    way_on = bends(path, path.nearest(plane.centre), length, on_path=True)
-    return Trajectory(way.rig, left, plane, path, times, way_on), abs(speed)
+    bends = way_of(path, plane, times, abs(speed), on_path=True)
+    return Trajectory(way.rig, left, plane, path, times, bends), abs(speed)
