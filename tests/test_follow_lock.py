@@ -7,8 +7,8 @@ import pytest
 
 from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.fitting import Fit
-from paceline.follow.lock import WRONG, Lock
-from paceline.follow.motion import MotionModels
+from paceline.follow.lock import Lock
+from paceline.follow.motion import WRONG, MotionModels
 from paceline.follow.recognition import Look
 
 START = np.array([128.0, 120.0, 1.0])

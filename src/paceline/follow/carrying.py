@@ -15,7 +15,6 @@ from paceline.follow.search import DETAIL
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 Floats = NDArray[np.float32]
-Indices = NDArray[np.int64]
 
 GROWN = 1.1  # times the target's size that the picture shows,
 # and of its width at least so much in height, as vehicles are, of what is added so much above
@@ -42,9 +41,8 @@ class Carried:
         self._shows = np.array([width, height + taller])
         self._side = max(1.0, float(min(self._shows)) / GROWN * self.first / DETAIL)
         middle = self._middle(projection.shown(place).location)
-        size = np.maximum(np.rint(self._shows * self.first / self._side), 4).astype(int)
         seen = _seen(image, middle, self._shows * self.first, self._side)
-        self._picture = _sampled(seen, middle, self._side, size)
+        self._picture = _sampled(seen, middle, self._side, self._shows * self.first / self._side)
 
     def step(self, image: Bytes) -> Array:
         """The place (3,) in the next ``image``; its scale to a fraction of `STEP`."""
@@ -80,7 +78,7 @@ class Carried:
         grown = scale / self.first
         side = self._side * max(grown, 1.0)  # the larger one of picture and image is made smaller
         picture = self._picture if grown >= 1.0 else _shrunk(self._picture, grown)
-        reach = np.ceil(self._reach / side).astype(int)
+        reach = np.ceil(self._reach / side)
         part = _sampled(seen, middle, side, np.array(picture.shape[::-1]) + 2 * reach)
         scores = np.asarray(cv2.matchTemplate(part, picture, cv2.TM_CCOEFF_NORMED), np.float32)
         _, score, _, (column, row) = cv2.minMaxLoc(scores)
@@ -119,13 +117,15 @@ def _seen(image: Bytes, middle: Array, size: Array, side: float) -> _Seen:
     return _Seen(blurred, low * pool + 0.5 * (pool - 1), pool)
 
 
-def _sampled(seen: _Seen, middle: Array, side: float, size: Indices) -> Bytes:
-    """``size`` (2,) pixels about ``middle`` (2,) px, ``side`` px of the image apart; the border goes on."""
+def _sampled(seen: _Seen, middle: Array, side: float, count: Array) -> Bytes:
+    """About ``count`` (2,) pixels about ``middle`` (2,) px, ``side`` px of the image apart; the border goes on."""
+    count = np.maximum(np.rint(count), 4)
     step = side / seen.pool
-    start = (middle - seen.origin) / seen.pool - 0.5 * step * (size - 1)
+    start = (middle - seen.origin) / seen.pool - 0.5 * step * (count - 1)
     grid = np.array([[step, 0.0, start[0]], [0.0, step, start[1]]])
     how = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
-    return np.asarray(cv2.warpAffine(seen.pixels, grid, size.tolist(), flags=how, borderMode=cv2.BORDER_REPLICATE))
+    size = count.astype(int).tolist()
+    return np.asarray(cv2.warpAffine(seen.pixels, grid, size, flags=how, borderMode=cv2.BORDER_REPLICATE))
 
 
 def _shrunk(picture: Bytes, grown: float) -> Bytes:
@@ -133,7 +133,7 @@ def _shrunk(picture: Bytes, grown: float) -> Bytes:
     size = np.array(picture.shape[::-1])
     smooth = np.asarray(cv2.GaussianBlur(picture, (0, 0), BLUR * sqrt(max(grown**-2 - 1.0, 1e-9))), np.uint8)
     whole = _Seen(smooth, np.zeros(2), 1)
-    return _sampled(whole, 0.5 * (size - 1.0), 1.0 / grown, np.maximum(np.rint(grown * size), 4).astype(int))
+    return _sampled(whole, 0.5 * (size - 1.0), 1.0 / grown, grown * size)
 
 
 def _three(line: Floats, k: int) -> Array:

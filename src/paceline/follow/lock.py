@@ -9,15 +9,13 @@ from numpy.typing import NDArray
 
 from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.continuity import Continuity
-from paceline.follow.motion import CYCLE, MotionModels
+from paceline.follow.motion import CYCLE, SURPRISE, MotionModels
 from paceline.follow.recognition import Look, Recogniser
 
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 
 HAND = 0.015  # share of the target's size by which an operator's start may be off
-SURPRISE = 2.0  # standard deviations of the scale beyond which a measurement counts less
-WRONG = 3  # so many in a row and to the same side, and it is the motion that is wrong
 FLOOR = 0.3  # px: no prediction is taken to be better than that
 SCALE_FLOOR = 0.003  # nor of the scale, relative
 
@@ -37,7 +35,6 @@ class Lock:
         self.recogniser = recogniser
         self.expected, self.doubt = self.motion.predict(0.0)
         self.tau = 0.0
-        self._surprises = np.zeros(WRONG)  # of the scale, in standard deviations, as learned last
         self.continuity = Continuity(recogniser.projection, location)
 
     def afresh(self, location: Array) -> Lock:
@@ -78,14 +75,9 @@ class Lock:
             weights = 1.0 / np.sqrt(look.fit.covariance.diagonal())
             surprise = float((x[2] - self.expected[2]) / self.doubt[2])
             weights[2] *= min(1.0, SURPRISE / max(abs(surprise), 1e-9))
-            if abs(surprise) > SURPRISE:
-                self.motion.doubt_scale()
-            self._surprises = np.append(self._surprises[1:], surprise)
-            if abs(surprise) > SURPRISE and (self._surprises[:-1] * surprise > SURPRISE**2).all():
-                self.motion.forget_scale()
+            self.motion.compare_scale(surprise)
         if look.slid or self.tau * CYCLE > self._c.jump_limit:
             self.motion.restart(x, weights)
-            self._surprises[:] = 0.0
         self.motion.observe(x, weights, self.tau, np.array([FLOOR, FLOOR, SCALE_FLOOR * x[2]]))
         self.seen_at = time
         self.continuity.learn(x)
@@ -95,7 +87,6 @@ class Lock:
         """The time jumps from ``last`` to ``time``, s: nothing is known of the motion since."""
         expected, _ = self.motion.predict(self._cycles(last))
         self.motion.restart(expected, np.ones(3))
-        self._surprises[:] = 0.0
         if self.seen_at is not None:
             self.seen_at = time - CYCLE
 

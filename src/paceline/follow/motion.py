@@ -20,6 +20,8 @@ STARTLED = 2  # measurements that are left to the motion of a scale that surpris
 UNSURE = 8.0  # measurements after which a motion is about known
 APPROACH = 0.02  # relative change of scale per cycle, standard deviation: 3 m/s at 10 m
 BRAKING = 0.0013  # and per cycle², of its second-order coefficient: 6 m/s² at 10 m
+SURPRISE = 2.0  # standard deviations of the scale beyond which it was not foreseen
+WRONG = 3  # so many in a row and to the same side, and it is the motion that is wrong
 FORGOTTEN = 0.3  # what is left of its weight where a motion was wrong
 HONEST = 2.0  # cycles: a prediction farther ahead than that says nothing about the models
 
@@ -175,6 +177,7 @@ class MotionModels:
             self._pairs[p, :] = at_rest(float(location[p]), known)
         self._errors[:] = (self._doubt**2)[:, None]
         self._count = 0
+        self._surprises = np.zeros(WRONG)  # of the scale, in standard deviations, by what was observed last
 
     def predict(self, tau: float) -> tuple[Array, Array]:
         """The location (3,) ``tau`` cycles after the last measurement, and its standard deviation (3,)."""
@@ -190,13 +193,20 @@ class MotionModels:
         shares = 1.0 / self._errors**2
         return np.asarray((rates * shares).sum(1) / shares.sum(1) * max(tau - LINEAR, 0.0))
 
+    def compare_scale(self, surprise: float) -> None:
+        """The scale that is about to be observed is off the one foreseen, by so many standard deviations. Where it was
+        not foreseen its motion may have changed, and the next one is as uncertain as early on; where that goes on to
+        one side, it has."""
+        self._surprises = np.append(self._surprises[1:], surprise)
+        if abs(surprise) <= SURPRISE:
+            return
+        self._count = min(self._count, STARTLED)
+        if (self._surprises[:-1] * surprise > SURPRISE**2).all():
+            self.forget_scale()
+
     def forget_scale(self) -> None:
         """What is known of the motion of the scale counts much less against what is measured from now on."""
         self._pairs[2] *= FORGOTTEN
-
-    def doubt_scale(self) -> None:
-        """The scale was not foreseen: its motion may have changed, and the next one is as uncertain as early on."""
-        self._count = min(self._count, STARTLED)
 
     def observe(self, location: Array, weights: Array, tau: float, floors: Array) -> None:
         """Add the measured ``location`` (3,), of confidence ``weights`` (3,), ``tau`` cycles after the last one; no

@@ -250,16 +250,16 @@ class Recogniser:
         """The ``look`` where the search saw the target best, or one where it saw it less well and more of the model's
         lines are, whichever side of them is brighter: lamps that were switched on are no longer as they look. It has
         to look like it as well as here, or what stands before half of it would be taken for it."""
-        m, alike = look.measurement, self.appearance.likeness()
+        m = look.measurement
         if m is None or look.fit is None or look.inside < INSIDE or self._usual_share(m) >= SHOWING:
             return look
+        least = max(ALIKE, self.appearance.likeness() - AS_ALIKE)
+        near = sighting.doubt * np.array([OTHERS, OTHERS, 1.0])
         for place in sighting.others:
             start = self.projection.ideal(place)
             far = np.abs(start - look.fit.location)[:2].max() / self.projection.size(start[2])
             if foreseen.tau >= GONE and far > ASIDE:
                 continue
-            near = sighting.doubt * np.array([OTHERS, OTHERS, 1.0])
-            least = max(ALIKE, alike - AS_ALIKE)
             found = self._better(look, image, start, near, self._either, foreseen, sighting.window, least)
             if found is not None:
                 return found

@@ -100,13 +100,9 @@ class Search:
             reach = np.maximum(width * self.usual, np.minimum(reach, ROUGH * self.usual))
         modesty = MODESTY if width > 0 else HAND
         side = max(1, int(min(size) / (DETAIL if width <= FAR else DETAIL / 2)))
-        step = 2.0
         share = min(max(SCALES * max(width - 1.0, 0.0), 3.0 * doubt[2] / expected[2]), MOST)
         ladder = self._ladder(expected[2], share, side)
-        steps = np.ceil(reach / side / step)
-        while len(ladder) * np.prod(2 * steps + 1) > WORK:
-            step *= 1.25
-            steps = np.ceil(reach / side / step)
+        steps, step = _grid(reach / side, 2.0, len(ladder), WORK)
         window = window_around(expected[:2], ROOM * size + reach, self._size)
         if not self._open(image, window, side):
             return None
@@ -122,11 +118,8 @@ class Search:
         fine = max(1, side // FINER)
         if not self._open(image, window_around(place[:2], ROOM * size + pitch, self._size), fine):
             return None
-        step, ladder = 1.0, self._ladder(place[2], 0.5 * self._rung(place[2], side), fine)
-        steps = np.full(2, np.ceil(0.75 * pitch / fine))
-        while len(ladder) * np.prod(2 * steps + 1) > WORK:
-            step *= 1.25
-            steps = np.full(2, np.ceil(0.75 * pitch / fine / step))
+        ladder = self._ladder(place[2], 0.5 * self._rung(place[2], side), fine)
+        steps, step = _grid(np.full(2, 0.75 * pitch / fine), 1.0, len(ladder), WORK)
         closer = self._scan(expected, doubt, place[:3], steps, step, ladder, shifts, modesty, appearance, self._near)
         if not len(closer) or not self._open(image, window, side):
             return None
@@ -169,10 +162,7 @@ class Search:
         least: float,
     ) -> list[Sighting]:
         side, size = self._side, self._extent * location[2]
-        steps = np.full(2, np.ceil(reach * size / side / step))
-        while len(scales) * np.prod(2 * steps + 1) > len(self._scores):
-            step *= 1.25
-            steps = np.full(2, np.ceil(reach * size / side / step))
+        steps, step = _grid(np.full(2, reach * size / side), step, len(scales), len(self._scores))
         best = np.zeros((count, 4))
         n = search_cpu.survey(
             self._vertical_view,
@@ -249,7 +239,7 @@ class Search:
                 else:
                     best = Sighting(rival[:3], near, window)
         assert best is not None
-        return replace(best, others=tuple(np.delete(rivals[:, :3], chosen, axis=0)))
+        return replace(best, others=tuple(rival[:3] for k, rival in enumerate(rivals) if k != chosen))
 
     def evidence_at(self, location: Array, shifts: Array, appearance: Appearance) -> tuple[float, Array]:
         """Look at the target at ``location`` (3,), recorded pixels, in the part of the image searched last, for
@@ -370,3 +360,13 @@ class Search:
         rung = self._rung(scale, side)
         n = max(1, int(np.ceil(share / rung)))
         return np.asarray(scale * (1.0 + rung) ** np.arange(-n, n + 1), float)
+
+
+def _grid(reach: Array, step: float, scales: int, most: int) -> tuple[Array, float]:
+    """How many steps (2,) to either side a grid takes that goes as far as ``reach`` (2,), and how long they are:
+    ``step``, or longer, so that at so many ``scales`` it has no more than ``most`` places."""
+    steps = np.ceil(reach / step)
+    while scales * np.prod(2 * steps + 1) > most:
+        step *= 1.25
+        steps = np.ceil(reach / step)
+    return steps, step

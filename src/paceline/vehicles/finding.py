@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -175,10 +176,10 @@ def found_on(track: Track) -> Found:
     if face is None:
         return as_seen(track, "no part of its face keeps its picture in both views and over time")
     steady = in_step(face.aligned)
-    at = _first_clear(face, steady)
+    at = next((at for at in steady if _is_clear(face, at)), None)
     if at is None:
         return as_seen(track, "its face is never large enough and wholly inside both pictures")
-    face = trimmed(face, steady[steady.index(at) :], lambda lower: _first_clear(lower, [at]) is not None)
+    face = trimmed(face, steady[steady.index(at) :], partial(_is_clear, at=at))
     sighting = at.sighting
     left, right = sighting.way.pixels(at.s, face.corners(at))
     document = VehicleDocument("", sighting.way.name, sighting.frame, left, right, "front", None)
@@ -198,22 +199,18 @@ def _height(track: Track) -> float:
 def in_step(aligned: list[Aligned]) -> list[Aligned]:
     """Those that are on the course of all, or of all but one, which far off at an end would bend it to itself."""
     way = aligned[0].sighting.way
-    places = [a.sighting.way.place(a.s, a.sighting.middle, 0.0) for a in aligned]
-    t, s = np.array([a.sighting.time for a in aligned]), np.array([way.path.nearest(place) for place in places])
+    t, s = np.array([a.sighting.time for a in aligned]), np.array([a.along(way.path) for a in aligned])
     error, no_say = np.array([a.sighting.error(*OFF) for a in aligned]), np.where(np.eye(len(t)), NO_SAY, 1.0)
     courses = [off_course(t, s, error), *(doubt * off_course(t, s, doubt * error) for doubt in no_say)]
     off = min(courses, key=lambda off: float(np.minimum(np.abs(off), MOST_OFF).sum()))
     return [a for a, one in zip(aligned, off, strict=True) if abs(one) <= 1]
 
 
-def _first_clear(face: Face, steady: list[Aligned]) -> Aligned | None:
-    """The first of these frames in which a face is large enough, and wholly inside both pictures."""
-    for at in steady:
-        way = at.sighting.way
-        for quad, camera in zip(way.pixels(at.s, face.corners(at)), way.rig.cameras, strict=True):
-            inside = (quad >= BORDER) & (quad <= np.array(camera.image_size) - 1 - BORDER)
-            if not inside.all() or (np.ptp(quad, axis=0) < SMALLEST).any():
-                break
-        else:
-            return at
-    return None
+def _is_clear(face: Face, at: Aligned) -> bool:
+    """Whether a face is large enough in a frame, and wholly inside both pictures."""
+    way = at.sighting.way
+    for quad, camera in zip(way.pixels(at.s, face.corners(at)), way.rig.cameras, strict=True):
+        inside = (quad >= BORDER) & (quad <= np.array(camera.image_size) - 1 - BORDER)
+        if not inside.all() or (np.ptp(quad, axis=0) < SMALLEST).any():
+            return False
+    return True

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from paceline.speed.paths import Path
 from paceline.vehicles.agreement import Texture, agreement, correlation
 from paceline.vehicles.sightings import GRID, Sighting
 from paceline.vehicles.tracks import Track
@@ -50,6 +51,10 @@ class Aligned:
     s: float
     origin: Array
     score: float
+
+    def along(self, path: Path) -> float:
+        """The arc length of a ``path`` at which its face stands, m."""
+        return path.nearest(self.sighting.way.place(self.s, self.sighting.middle, 0.0))
 
     def on(self, way: Way) -> Array:
         """Its origin on the cards of another ``way``."""

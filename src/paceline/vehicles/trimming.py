@@ -79,8 +79,7 @@ def _carried(glimpses: list[Glimpse], seen: list[Aligned]) -> tuple[Trajectory, 
     """The outline in the first of the ``glimpses`` carried along its way, and how fast, m/s."""
     way, (left, right) = seen[0].sighting.way, glimpses[0].quads
     times = np.array([g.times for g in glimpses]) - glimpses[0].times[0]
-    along = np.array([way.path.nearest(a.sighting.way.place(a.s, a.sighting.middle, 0.0)) for a in seen])
-    speed = slope(times[:, 0], along)
+    speed = slope(times[:, 0], np.array([a.along(way.path) for a in seen]))
     path = way.path if speed > 0 else way.path.reversed()
     document = VehicleDocument("", way.name, glimpses[0].frame, left, right, "front", None)
     plane = first_plane(way.rig, document, path, OUTLINED)
