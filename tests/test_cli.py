@@ -10,10 +10,15 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 from calling import COMMAND, ENVIRONMENT, Done, assert_one_line_error, in_a_process, paceline
+from numba import njit
+from numba.core import serialize
+from numpy.typing import NDArray
 
+from paceline import cli
 from paceline.simulation.planar import Scene, Vehicle, render, write
 
 SPEED = 20.0  # m/s
@@ -96,6 +101,41 @@ def test_an_interrupt_leaves_nothing_behind(clip: Path, tmp_path: Path) -> None:
     stdout, stderr = process.communicate(timeout=60)
     assert (process.returncode, stdout, stderr) == (130, "", "paceline: interrupted\n")
     assert list(tmp_path.iterdir()) == []
+
+
+@njit
+def _pair() -> tuple[NDArray[np.float64], float]:
+    return np.ones(2), 1.0
+
+
+@pytest.mark.parametrize(("end", "status"), [(KeyboardInterrupt(), 130), (SystemExit(143), 143)])
+def test_an_interrupt_while_compiled_code_calls_python(
+    end: BaseException, status: int, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Numba asks Python for the type of an array in a tuple that it returns; what is raised there is a SystemError."""
+
+    def ended(data: bytes) -> None:
+        raise end
+
+    _pair()
+    monkeypatch.setattr(serialize, "_unpickled_memo", {})
+    monkeypatch.setattr(serialize.cloudpickle, "loads", ended)
+    monkeypatch.setattr(cli, "app", lambda **options: _pair())
+    monkeypatch.setattr(signal, "signal", lambda number, handler: None)
+    with pytest.raises(SystemExit) as exit:
+        cli.main()
+    assert exit.value.code == status
+    assert capfd.readouterr().err == ("paceline: interrupted\n" if status == 130 else "")
+
+
+def test_another_system_error_is_no_interrupt(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(**options: object) -> None:
+        raise SystemError("broken") from ValueError("cause")
+
+    monkeypatch.setattr(cli, "app", broken)
+    monkeypatch.setattr(signal, "signal", lambda number, handler: None)
+    with pytest.raises(SystemError, match="broken"):
+        cli.main()
 
 
 def test_an_output_that_is_a_file(clip: Path, tmp_path: Path) -> None:

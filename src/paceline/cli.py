@@ -55,9 +55,24 @@ def main() -> None:
         text = " ".join(error.format_message().split()).replace("Value error, ", "").rstrip(".")
         print(f"paceline: {text}; see paceline --help", file=sys.stderr)
         status = UNUSABLE
+    except SystemError as error:
+        status = _ended_within(error)
     if status == INTERRUPTED:  # how Typer answers Ctrl-C
         print("paceline: interrupted", file=sys.stderr)
     sys.exit(status)
+
+
+def _ended_within(error: SystemError) -> str | int | None:
+    """The exit status of a Ctrl-C or a termination that came while compiled code called Python, which makes a
+    SystemError of it; any other ``error`` is raised again."""
+    cause = error.__cause__
+    while cause is not None:
+        if isinstance(cause, KeyboardInterrupt):
+            return INTERRUPTED
+        if isinstance(cause, SystemExit):
+            return cause.code
+        cause = cause.__cause__
+    raise error
 
 
 def _terminate(number: int, frame: FrameType | None) -> None:
