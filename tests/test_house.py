@@ -23,8 +23,8 @@ DOCUMENTS = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md"))]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 FLOORS = {
-    1: ["errors", "units", "cameras", "geometry", "descriptors", "sources", "recordings", "monocular", "live_views",
-        "odometry"],
+    1: ["errors", "units", "cameras", "geometry", "peaks", "descriptors", "sources", "recordings", "monocular",
+        "live_views", "odometry"],
     2: ["documents", "schemas", "plausibility"],
     3: ["speed", "follow", "calibration", "lanes", "vehicles"],
     4: ["simulation", "baselines"],

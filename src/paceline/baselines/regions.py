@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from paceline.cameras import StereoRig
 from paceline.geometry import epipolar_distance, triangulate
+from paceline.peaks import vertex
 from paceline.recordings import StereoFrame
 
 Array = NDArray[np.float64]
@@ -177,9 +178,7 @@ def _vertex(values: Array, i: int) -> float:
     """Offset from index ``i`` of the vertex of the parabola through the values about it."""
     if not 0 < i < len(values) - 1:
         return 0.0
-    a, b, c = map(float, values[i - 1 : i + 2])
-    bend = a - 2 * b + c
-    return 0.5 * (a - c) / bend if bend < 0 else 0.0
+    return vertex(*map(float, values[i - 1 : i + 2]))
 
 
 def _area(quad: Array) -> float:

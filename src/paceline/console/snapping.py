@@ -6,6 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from paceline.peaks import vertex
+
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
 
@@ -52,6 +54,5 @@ def _on_edge(strength: Image, gx: Image, gy: Image, at: tuple[np.intp, ...]) -> 
     along = np.array([gx[row, column], gy[row, column]], float)
     along /= np.linalg.norm(along)
     samples = (place + np.outer([-1.0, 0.0, 1.0], along)).astype(np.float32).reshape(1, 3, 2)
-    a, b, c = cv2.remap(strength, samples[..., 0], samples[..., 1], cv2.INTER_LINEAR)[0].astype(float)
-    curve = a - 2 * b + c
-    return np.asarray(place + along * (np.clip(0.5 * (a - c) / curve, -1, 1) if curve < 0 else 0.0))
+    before, there, behind = cv2.remap(strength, samples[..., 0], samples[..., 1], cv2.INTER_LINEAR)[0].tolist()
+    return np.asarray(place + along * vertex(before, there, behind, reach=1.0))

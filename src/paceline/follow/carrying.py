@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from paceline.follow.features import Projection
 from paceline.follow.search import DETAIL
+from paceline.peaks import vertex
 
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
@@ -145,6 +146,5 @@ def _top(scores: Array) -> tuple[float, float]:
     """Where the parabola through three ``scores``, one step apart, has its top, from the middle one and within a step;
     and how high it is there."""
     low, middle, high = scores.tolist()
-    bend = min(low - 2.0 * middle + high, -1e-9)
-    at = min(max(0.5 * (low - high) / bend, -1.0), 1.0)
-    return at, middle + 0.5 * at * (high - low) + 0.5 * at * at * bend
+    at = vertex(low, middle, high, reach=1.0)
+    return at, middle + 0.5 * at * (high - low) + 0.5 * at * at * (low - 2.0 * middle + high)

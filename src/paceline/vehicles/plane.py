@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from paceline.peaks import vertex
 from paceline.speed.paths import Path
 from paceline.vehicles.agreement import Texture, agreement, correlation
 from paceline.vehicles.sightings import GRID, Sighting
@@ -200,8 +201,7 @@ def _vertex(values: Array, best: int) -> float:
     """Where between −0.5 and 0.5 steps of the ``best`` of ``values`` (N,) a parabola has its top."""
     if not 0 < best < len(values) - 1:
         return 0.0
-    a, b, c = values[best - 1 : best + 2]
-    return float(np.clip(0.5 * (a - c) / min(a - 2 * b + c, -1e-9), -0.5, 0.5))
+    return vertex(*values[best - 1 : best + 2].tolist())
 
 
 def _subpixel(scores: Image, peak: tuple[np.intp, ...]) -> Array:
