@@ -19,7 +19,7 @@ from paceline.documents import VehicleDocument
 from paceline.live_views import RawPair
 from paceline.recordings import StereoFrame
 from paceline.simulation.backdrops import Backdrop
-from paceline.simulation.planar import RenderedClip, World, render
+from paceline.simulation.planar import RenderedClip, Vehicle, World, render
 from paceline.speed.paths import from_points
 from paceline.vehicles import live
 from paceline.vehicles.agreement import CHANGED, Texture, agreement, correlation, stands
@@ -135,6 +135,25 @@ def test_what_is_explained_counts_no_more() -> None:
     card.hide(counts, explained)
     assert 0 < expected.mean() < 1 or explained.all()
     assert ((counts > 0) != expected).mean() < 0.01  # on the edge
+
+
+@pytest.mark.parametrize("height", [4.0, 4.5, 5.0])
+def test_a_vehicle_is_seen_over_the_roof_of_the_one_before_it(height: float) -> None:
+    """Nothing of its face is hidden; the one before reaches five metres back, not eighteen."""
+    before = Vehicle("v0", 15.0, start_distance=27.0, lane=-1.85, texture_seed=6)
+    behind = replace(before, id="v1", start_distance=46.0, texture_seed=9)
+    of = scene(before, behind, camera_height=height, tilt=height / 45.0, frames=1)
+    world, clip = World(of), render(of)
+    points = world.road.point(np.array([80.0, 12.0]), -1.85)
+    lane = Way("lane0", world.rig, from_points("lane0", "line", points))
+    left, right = (Backdrop(of, world.road, of.seed).draw(view) for view in world.views)
+    pair = (np.asarray(pictures[0], np.float32) for pictures in (clip.left, clip.right))
+    sightings = Lookout([lane]).see(StereoFrame(0, 0.0, *pair, 0.0, duplicate=False), (left, right))
+    truth = sorted(lane.on_card(np.array(row["position"]))[0] for row in clip.truth)
+    assert len(sightings) == 2
+    for sighting, s in zip(sorted(sightings, key=lambda at: at.s), truth, strict=True):
+        assert abs(sighting.s - s) < sighting.error(1.0, 1.0)
+        assert sighting.y[0] < 0.5  # its face is seen, not its roof alone
 
 
 def test_rows_without_anything_to_look_at_are_not_looked_at() -> None:

@@ -117,6 +117,16 @@ def test_what_now_and_then_seems_to_stand_lies_on_the_road() -> None:
         assert is_vehicle(track) == vehicle
 
 
+@pytest.mark.parametrize(("upright", "vehicle"), [(3.0, False), (8.0, False), (20.0, True)])
+def test_what_is_low_is_a_shadow_unless_it_clearly_stands(upright: float, vehicle: bool) -> None:
+    """At night a row of lamps is all that shows of a car: 34 times, 45 times better than if it lay on the road."""
+    times, track = np.arange(10) / 10, Track()
+    for t in times.tolist():
+        track.add(replace(sighting(t, 4 + 15 * t), y=(0.2, 0.6)))
+    track.upright = [upright] * 10
+    assert is_vehicle(track) == vehicle
+
+
 @pytest.mark.parametrize(("shown", "vehicle"), [(0, False), (1, False), (2, True), (10, True)])
 def test_what_hangs_above_the_road_is_no_vehicle(shown: int, vehicle: bool) -> None:
     """A skyline, or the roof of a van that is hidden by the car before it, until its face comes into view."""

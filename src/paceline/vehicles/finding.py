@@ -30,7 +30,8 @@ ASIDE = 1.9  # m from the middle of the way: what is farther does not drive on i
 LEAST_AREA = 0.7  # m² of a face that both views agree on, in the median, times the root of the number of sightings:
 # two lamps in the dark are small, but there again and again
 MANY = 16  # of them, from which on more say no more
-LEAST_HEIGHT = 0.8  # m above the road that a vehicle reaches: less is a shadow
+LEAST_HEIGHT = 0.8  # m above the road that a vehicle reaches: less is a shadow,
+CLEARLY = 10.0  # unless the views agree so many times better than if it lay on the road: lamps in the dark
 UPRIGHT = 2.0  # times better that the views agree than if it lay on the road, in the median: so much better two shadows
 # one behind the other do now and then, and vehicles in every second frame at least
 SMALLEST = 16.0, 6.0  # px, width and height of an outline
@@ -141,9 +142,10 @@ def is_vehicle(track: Track) -> bool:
     area = float(np.median(track.areas))
     if count < max(LEAST_SIGHTINGS + track.missed / 2, track.missed) or area * np.sqrt(min(count, MANY)) < LEAST_AREA:
         return False
-    if _height(track) < LEAST_HEIGHT or abs(float(np.median([s.middle for s in track.kept]))) > ASIDE:
+    upright = float(np.median(track.upright))
+    if upright < UPRIGHT or (_height(track) < LEAST_HEIGHT and upright < CLEARLY):
         return False
-    if float(np.median(track.upright)) < UPRIGHT or len(showing_face(track)) < 2:
+    if abs(float(np.median([s.middle for s in track.kept]))) > ASIDE or len(showing_face(track)) < 2:
         return False
     quiet = count >= OFTEN and track.roughness < QUIET
     return track.unsteadiness < (1.0 if quiet else UNSTEADY[abs(track.travel) > FAR])

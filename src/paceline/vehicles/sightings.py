@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from paceline.peaks import vertex
 from paceline.recordings import StereoFrame
 from paceline.vehicles import cards_cpu
 from paceline.vehicles.agreement import local_mean, stands
@@ -42,6 +43,7 @@ SOME = 16  # rows from one to the next that tell the noise
 SMALLEST = 0.25  # m² of places that count, of a motorcycle far away
 STANDS = 1.0, 1.2  # times worse that the views agree if it lies on the road, coarsely and finely: shadows do not
 BODY = 5.0, 14.0  # m that a car, and what is taller than a van, reaches behind its face
+CLEAR = 2.5  # m behind that, from where on what is seen over its roof is another vehicle
 BEFORE = 2.5  # m that its face may lie before where most of it was seen
 TALL = 2.3  # m from which on a vehicle may be a lorry or a bus
 CEILING = 4.5  # m, of the tallest
@@ -106,6 +108,7 @@ class Lookout:
         self._stations = [(way, float(s)) for way in ways for s in way.stations()]
         self._bounds = np.cumsum([0, *(sum(w is way for w, _ in self._stations) for way in ways)])
         self.rows = _rows_of(self._stations)
+        self._places = np.array([way.place(s, 0.0, 0.0) for way, s in self._stations]).reshape(-1, 3)
         top, coarse = self.rows.start, self._stations[::SPARSE]
         self._fine = [card_of(way.homographies(s), GRID, WINDOW, top) for way, s in self._stations]
         self._standing = [card_of(way.homographies(s), SEARCH, SEARCH_WINDOW, top) for way, s in coarse]
@@ -123,7 +126,7 @@ class Lookout:
         views, scene = ([pyramid(i[self.rows]) for i in pair] for pair in ((frame.left, frame.right), empty))
         noise = noise_of(views[0][0], scene[0][0]) if noise is None else noise
         least = max(CONTRAST[0], CONTRAST[1] * noise)
-        look = _Look(views, scene, self._fine, least)
+        look = _Look(views, scene, self._fine, self._places, least)
         coarse, areas = self._coarsely(views, scene, least)
         coarsely_upright = partial(self._stands, coarse, views)
         found: list[Sighting] = []
@@ -143,7 +146,7 @@ class Lookout:
                 found.append(sighting)
             look.explain(sighting, self.rows.start)
             for k in np.flatnonzero(areas).tolist():
-                self._standing[k].hide(coarse[k], look.explained)
+                look.hide(coarse[k], self._standing[k], SPARSE * k)
                 areas[k] = _area(coarse[k], SEARCH)
         return found
 
@@ -228,10 +231,9 @@ class Lookout:
         s = self._stations[station][1]
         if not first < station < last - 1:
             return s
-        a, b, c = (height(k) for k in (station - 1, station, station + 1))
-        offset = 0.5 * (a - c) / min(a - 2 * b + c, -1e-9)
+        offset = vertex(height(station - 1), height(station), height(station + 1))
         neighbour = self._stations[station + (1 if offset > 0 else -1)][1]
-        return s + float(min(abs(offset), 0.5)) * (neighbour - s)
+        return s + abs(offset) * (neighbour - s)
 
     def _way_of(self, station: int) -> tuple[int, int]:
         """The first station of the same way, and the one behind its last."""
@@ -256,20 +258,21 @@ class Lookout:
 
 
 class _Look:
-    """A fine look at single ``cards`` in one frame; what is ``explained`` (H, W: not 0) in the left picture counts no
-    more."""
+    """A fine look at single ``cards`` at ``places`` (stations, 3) in one frame; what vehicles that were seen explain in
+    the left picture counts no more."""
 
-    def __init__(self, views: Views, scene: Views, cards: list[Card], least: float) -> None:
-        self._views, self._scene, self._cards, self._least = views, scene, cards, least
+    def __init__(self, views: Views, scene: Views, cards: list[Card], places: Array, least: float) -> None:
+        self._views, self._scene, self._cards, self._places, self._least = views, scene, cards, places, least
         self._counts: dict[int, Image] = {}
         self._areas: dict[int, float] = {}
-        self.explained = np.zeros(views[0][0].shape, np.uint8)
+        self._explained: list[_Explained] = []
 
     def counts(self, station: int) -> Image:
         """How much each place of a card counts, 0 to 1."""
         if station not in self._counts:
             self._counts[station] = self._cards[station].counts(self._views, self._scene, self._least)
-            self._cards[station].hide(self._counts[station], self.explained)
+            for vehicle in self._explained:
+                self._cards[station].hide(self._counts[station], vehicle.at(station))
         return self._counts[station]
 
     def area(self, station: int) -> float:
@@ -290,10 +293,14 @@ class _Look:
 
     def explain(self, sighting: Sighting, top: int) -> None:
         """Count nothing any more of what belongs to a vehicle that was seen; the picture begins at the row ``top``."""
-        cv2.fillConvexPoly(self.explained, _outline(sighting) - np.array([0, top], np.int32), 1)
+        self._explained.append(_explained_by(sighting, self._places, self._views[0][0].shape, top))
         self._areas = {}
         for station, counts in self._counts.items():
-            self._cards[station].hide(counts, self.explained)
+            self.hide(counts, self._cards[station], station)
+
+    def hide(self, counts: Image, card: Card, station: int) -> None:
+        """Count nothing, in place, on a ``card`` at a ``station``, of what the vehicle explained last explains."""
+        card.hide(counts, self._explained[-1].at(station))
 
 
 def _area(counts: Image, grid: Grid) -> float:
@@ -361,16 +368,38 @@ def noise_of(image: Image, empty: Image) -> float:
     return float(1.4826 * np.median(differences) / np.sqrt(2.0))
 
 
-def _outline(sighting: Sighting) -> NDArray[np.int32]:
-    """The left view's pixels (N, 2) around all that belongs to a vehicle whose face was seen."""
+@dataclass(frozen=True, eq=False)
+class _Explained:
+    """What a vehicle that was seen explains in the left picture (H, W: not 0): all about its ``body`` at the stations
+    (stations,) ``near`` that, only what its ``face`` hides at the others. What stands farther behind and is seen over
+    its roof is another one."""
+
+    body: NDArray[np.uint8]
+    face: NDArray[np.uint8]
+    near: NDArray[np.bool_]
+
+    def at(self, station: int) -> NDArray[np.uint8]:
+        return self.body if self.near[station] else self.face
+
+
+def _explained_by(sighting: Sighting, places: Array, shape: tuple[int, ...], top: int) -> _Explained:
+    """What a ``sighting`` explains to stations at ``places`` (stations, 3), in a picture that begins at the row
+    ``top``."""
     way, s = sighting.way, sighting.s
-    top, body = (CEILING, BODY[1]) if sighting.y[1] > TALL else (sighting.y[1] + 0.2, BODY[0])
+    high, length = (CEILING, BODY[1]) if sighting.y[1] > TALL else (sighting.y[1] + 0.2, BODY[0])
     x = (sighting.x[0] - 0.2, sighting.x[1] + 0.2)
     if abs(sighting.middle) < ASIDE:  # a lane holds one vehicle across, of which only parts may have been seen
         x = min(x[0], -HALF_WIDTH), max(x[1], HALF_WIDTH)
-    card = np.array([[a, b] for a in x for b in (0.0, top)])
-    ahead = np.sign(way.path.at(np.array(s + 0.1))[2] - way.path.at(np.array(s))[2]) or 1.0
-    near, far = (way.pixels(s + ahead * d, card)[0] for d in (-BEFORE, body))
-    depth = way.path.at(np.array(s - ahead * BEFORE))[2]
-    points = np.concatenate([near, far]) if depth > 1.0 else far
-    return np.asarray(cv2.convexHull(np.clip(points, -1e4, 1e4).round().astype(np.int32)), np.int32)
+    card = np.array([[a, b] for a in x for b in (0.0, high)])
+    forward = way.path.frames(np.array(s))[:, 0]
+    ahead = np.sign(forward[2]) or 1.0
+    before, at, behind = (way.pixels(s + ahead * d, card)[0] for d in (-BEFORE, 0.0, length))
+    if way.path.at(np.array(s - ahead * BEFORE))[2] <= 1.0:
+        before = at
+    masks = []
+    for points in ((before, behind), (before, at)):
+        pixels = np.clip(np.concatenate(points) - [0, top], -1e4, 1e4).round().astype(np.int32)
+        masks.append(np.zeros(shape, np.uint8))
+        cv2.fillConvexPoly(masks[-1], cv2.convexHull(pixels), 1)
+    beyond = ahead * ((places - sighting.place) @ forward)
+    return _Explained(masks[0], masks[1], beyond < length + CLEAR)
