@@ -127,6 +127,15 @@ def test_what_is_low_is_a_shadow_unless_it_clearly_stands(upright: float, vehicl
     assert is_vehicle(track) == vehicle
 
 
+@pytest.mark.parametrize(("middles", "vehicle"), [((1.5, 2.6), True), ((-3.6, 0.0), True), ((2.3, 2.3), False)])
+def test_what_changes_its_lane_drives_on_both(middles: tuple[float, float], vehicle: bool) -> None:
+    """As a motorcycle was seen that left its lane; what stays two metres aside drives elsewhere."""
+    times, track = np.arange(11) / 15, Track()
+    for t, middle in zip(times.tolist(), np.linspace(*middles, 11).tolist(), strict=True):
+        track.add(replace(sighting(t, 4 + 22 * t), x=(middle - 0.6, middle + 0.6)))
+    assert is_vehicle(track) == vehicle
+
+
 @pytest.mark.parametrize(("shown", "vehicle"), [(0, False), (1, False), (2, True), (10, True)])
 def test_what_hangs_above_the_road_is_no_vehicle(shown: int, vehicle: bool) -> None:
     """A skyline, or the roof of a van that is hidden by the car before it, until its face comes into view."""

@@ -26,7 +26,8 @@ UNSTEADY = 0.4, 0.5  # from which on it does not drive, but two things were seen
 FAR = 10.0  # allowed to what has come so many m
 QUIET, OFTEN = 0.5, 8  # px of disparity, rms, and sightings: so far beside its course what drives is measured, too; a
 # track as smooth and long only has to fit the course better than two places
-ASIDE = 1.9  # m from the middle of the way: what is farther does not drive on it
+ASIDE, BRIEFLY = 1.9, 0.25  # m from the middle of the way, and share of its sightings: what is farther in more of them
+# does not drive on it, and what is nearer in some may be changing its lane
 LEAST_AREA = 0.7  # m² of a face that both views agree on, in the median, times the root of the number of sightings:
 # two lamps in the dark are small, but there again and again
 MANY = 16  # of them, from which on more say no more
@@ -145,7 +146,8 @@ def is_vehicle(track: Track) -> bool:
     upright = float(np.median(track.upright))
     if upright < UPRIGHT or (_height(track) < LEAST_HEIGHT and upright < CLEARLY):
         return False
-    if abs(float(np.median([s.middle for s in track.kept]))) > ASIDE or len(showing_face(track)) < 2:
+    aside = np.abs([s.middle for s in track.kept])
+    if float(np.quantile(aside, BRIEFLY)) > ASIDE or len(showing_face(track)) < 2:
         return False
     quiet = count >= OFTEN and track.roughness < QUIET
     return track.unsteadiness < (1.0 if quiet else UNSTEADY[abs(track.travel) > FAR])
