@@ -41,6 +41,7 @@ NEAR, FAR = 8.0, 80.0  # m away,
 LARGE = 16.0, 6.0  # px wide and high
 SECONDS = 5.0  # of a scene
 APART = 18.0  # m between two vehicles in a lane at least
+COLUMNS = "measured of all found", "mph rms", "within 95 %"
 EMPTY_RATE, EMPTY_SIZE = 10.0, (480, 360)
 LEARNED = 30.0  # s of the empty road
 
@@ -212,7 +213,7 @@ class Tally:
         good = [s for s in self.speeds if s.verdict == "measured"]
         covered = f"{sum(abs(s.error) <= s.half for s in good)} of {len(good)}"
         return [
-            *(self.counts[name] for name in ("vehicles", "once", "twice", "missed", "false")),
+            *(self.counts[name] for name in ("vehicles", "once", "twice", "missed", "false", "with a speed")),
             f"{len(good)} of {len(self.speeds)}",
             f"{rms([s.error for s in good]):.2f}" if good else "",
             covered,
@@ -239,6 +240,7 @@ def play(seed: int, kind: str, tally: Tally, count: bool) -> list[str]:
         for name, m in zip(real, _measured(replace(clip, vehicles=list(real.values())), recording), strict=True):
             error = (m.speed - true_mean(truth, replace(m, vehicle=name))) / MPH
             tally.speeds.append(Speed(error, (m.speed_hi - m.speed) / MPH, m.verdict))
+            tally.counts["with a speed"] += name in wanted and m.verdict == "measured"
     wrong = {
         "missed": [n for n in wanted if times[n] == 0],
         "twice": [n for n, count in times.items() if count > 1],
@@ -316,7 +318,7 @@ def main() -> None:
         kind = args.kinds[k % len(args.kinds)]
         for line in play(args.seed + k, kind, tallies[kind], args.count):
             print(line, flush=True)
-    print(head("kind", "vehicles", "once", "twice", "missed", "false", "measured", "mph rms", "within 95 %"))
+    print(head("kind", "vehicles", "once", "twice", "missed", "false", "with a speed", *COLUMNS))
     for kind, tally in tallies.items():
         print(row(kind, *tally.cells()))
     print(row("all", *sum(tallies.values(), Tally()).cells()), flush=True)
