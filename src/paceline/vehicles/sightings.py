@@ -43,7 +43,8 @@ SOME = 16  # rows from one to the next that tell the noise
 SMALLEST = 0.25  # m² of places that count, of a motorcycle far away
 STANDS = 1.0, 1.2  # times worse that the views agree if it lies on the road, coarsely and finely: shadows do not
 BODY = 5.0, 14.0  # m that a car, and what is taller than a van, reaches behind its face
-CLEAR = 2.5  # m behind that, from where on what is seen over its roof is another vehicle
+CLEAR = 2.0  # m behind the longest, from where on what is seen over a roof is another vehicle: a lorry whose top the
+# picture cuts off looks as a car does
 BEFORE = 2.5  # m that its face may lie before where most of it was seen
 TALL = 2.3  # m from which on a vehicle may be a lorry or a bus
 CEILING = 4.5  # m, of the tallest
@@ -402,4 +403,4 @@ def _explained_by(sighting: Sighting, places: Array, shape: tuple[int, ...], top
         masks.append(np.zeros(shape, np.uint8))
         cv2.fillConvexPoly(masks[-1], cv2.convexHull(pixels), 1)
     beyond = ahead * ((places - sighting.place) @ forward)
-    return _Explained(masks[0], masks[1], beyond < length + CLEAR)
+    return _Explained(masks[0], masks[1], beyond < BODY[1] + CLEAR)
