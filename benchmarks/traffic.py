@@ -41,7 +41,7 @@ NEAR, FAR = 8.0, 80.0  # m away,
 LARGE = 16.0, 6.0  # px wide and high
 SECONDS = 5.0  # of a scene
 APART = 18.0  # m between two vehicles in a lane at least
-COLUMNS = "measured of all found", "mph rms", "within 95 %"
+COUNTED = "vehicles", "once", "twice", "missed", "false", "with a speed"
 EMPTY_RATE, EMPTY_SIZE = 10.0, (480, 360)
 LEARNED = 30.0  # s of the empty road
 
@@ -213,7 +213,7 @@ class Tally:
         good = [s for s in self.speeds if s.verdict == "measured"]
         covered = f"{sum(abs(s.error) <= s.half for s in good)} of {len(good)}"
         return [
-            *(self.counts[name] for name in ("vehicles", "once", "twice", "missed", "false", "with a speed")),
+            *(self.counts[name] for name in COUNTED),
             f"{len(good)} of {len(self.speeds)}",
             f"{rms([s.error for s in good]):.2f}" if good else "",
             covered,
@@ -318,7 +318,7 @@ def main() -> None:
         kind = args.kinds[k % len(args.kinds)]
         for line in play(args.seed + k, kind, tallies[kind], args.count):
             print(line, flush=True)
-    print(head("kind", "vehicles", "once", "twice", "missed", "false", "with a speed", *COLUMNS))
+    print(head("kind", *COUNTED, "measured of all found", "mph rms", "within 95 %"))
     for kind, tally in tallies.items():
         print(row(kind, *tally.cells()))
     print(row("all", *sum(tallies.values(), Tally()).cells()), flush=True)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from paceline.peaks import vertex
+from paceline.peaks import vertex, vertex_at
 
 
 @given(st.floats(-0.5, 0.5), st.floats(-5, -0.1), st.floats(-3, 3))
@@ -22,3 +22,10 @@ def test_the_top_of_a_parabola_is_where_it_was_put(at: float, bend: float, high:
 def test_what_has_no_top_within_reach_goes_towards_the_greater(before: int, at: int, behind: int, sign: int) -> None:
     assert vertex(before, at, behind) == 0.5 * sign
     assert vertex(before, at, behind, reach=2.0) == 2.0 * sign
+
+
+@given(st.lists(st.floats(-3, 3), min_size=1, max_size=6), st.integers(0, 5))
+def test_nothing_is_beyond_the_ends_of_the_samples(values: list[float], k: int) -> None:
+    best = k % len(values)
+    inside = 0 < best < len(values) - 1
+    assert vertex_at(np.array(values), best) == (vertex(*values[best - 1 : best + 2]) if inside else 0.0)

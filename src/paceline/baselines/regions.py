@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from paceline.cameras import StereoRig
 from paceline.geometry import epipolar_distance, triangulate
-from paceline.peaks import vertex
+from paceline.peaks import vertex_at
 from paceline.recordings import StereoFrame
 
 Array = NDArray[np.float64]
@@ -155,7 +155,7 @@ def _search(before: Image, quad: Array, image: Image, centre: Array, scales: Arr
         score = np.nan_to_num(score, posinf=-1.0, neginf=-1.0)
         _, likeness, _, (x, y) = cv2.minMaxLoc(score)
         if likeness > best[1]:
-            peak = np.array([x + _vertex(score[y], x), y + _vertex(score[:, x], y)])
+            peak = np.array([x + vertex_at(score[y], x), y + vertex_at(score[:, x], y)])
             found = peak / shrink + [x0 - 0.5, y0 - 0.5]
             best = (Move(scale, found - scale * edge), float(likeness))
     return best
@@ -172,13 +172,6 @@ def _shrunk(image: Image, factor: float) -> Image:
     if factor == 1.0 or not image.size:
         return image
     return np.asarray(cv2.resize(image, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA), np.float32)
-
-
-def _vertex(values: Array, i: int) -> float:
-    """Offset from index ``i`` of the vertex of the parabola through the values about it."""
-    if not 0 < i < len(values) - 1:
-        return 0.0
-    return vertex(*map(float, values[i - 1 : i + 2]))
 
 
 def _area(quad: Array) -> float:

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from paceline.peaks import vertex
+from paceline.peaks import vertex_at
 from paceline.speed.paths import Path
 from paceline.vehicles.agreement import Texture, agreement, correlation
 from paceline.vehicles.sightings import GRID, Sighting
@@ -163,7 +163,7 @@ def _where_views_agree(sighting: Sighting, rows: slice, columns: slice) -> float
         left, right = (Texture(card, WINDOW) for card in sighting.cards(float(s), FINE, origin))
         areas.append(float((agreement(left, right) * _textured(left))[rows, columns].sum()))
     best = int(np.argmax(areas))
-    return float(sighting.s + ahead[best] + _vertex(np.array(areas), best) * (ahead[1] - ahead[0]))
+    return float(sighting.s + ahead[best] + vertex_at(np.array(areas), best) * (ahead[1] - ahead[0]))
 
 
 def _textured(texture: Texture) -> Image:
@@ -185,7 +185,7 @@ def _searched(sighting: Sighting, template: Image, rows: slice, columns: slice, 
         moves.append(_subpixel(maps, peak) - reach)
     preferred = np.array(scores) - UNUSUAL * (ahead - usual) ** 2
     best = int(np.argmax(preferred))
-    s = sighting.s + ahead[best] + _vertex(preferred, best) * (ahead[1] - ahead[0])
+    s = sighting.s + ahead[best] + vertex_at(preferred, best) * (ahead[1] - ahead[0])
     down, across = moves[best]
     return Aligned(sighting, float(s), origin + np.array([across, -down]) * FINE.cell, scores[best])
 
@@ -197,19 +197,12 @@ def _match(card: Image, template: Image, rows: slice, columns: slice, reach: int
     return np.asarray(np.nan_to_num(scores, nan=-1.0, posinf=-1.0, neginf=-1.0), np.float32)
 
 
-def _vertex(values: Array, best: int) -> float:
-    """Where between −0.5 and 0.5 steps of the ``best`` of ``values`` (N,) a parabola has its top."""
-    if not 0 < best < len(values) - 1:
-        return 0.0
-    return vertex(*values[best - 1 : best + 2].tolist())
-
-
 def _subpixel(scores: Image, peak: tuple[np.intp, ...]) -> Array:
     row, column = int(peak[0]), int(peak[1])
     return np.array(
         [
-            row + _vertex(scores[:, column].astype(float), row),
-            column + _vertex(scores[row].astype(float), column),
+            row + vertex_at(scores[:, column].astype(float), row),
+            column + vertex_at(scores[row].astype(float), column),
         ]
     )
 

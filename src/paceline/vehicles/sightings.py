@@ -145,9 +145,9 @@ class Lookout:
             sighting = self._sighting(frame, self._stations[station][0], s, counts, piece, upright)
             if first < station < behind - 1:  # what counts most at an end of the way is beyond it
                 found.append(sighting)
-            look.explain(sighting, self.rows.start)
+            explained = look.explain(sighting, self.rows.start)
             for k in np.flatnonzero(areas).tolist():
-                look.hide(coarse[k], self._standing[k], SPARSE * k)
+                self._standing[k].hide(coarse[k], explained.at(SPARSE * k))
                 areas[k] = _area(coarse[k], SEARCH)
         return found
 
@@ -292,16 +292,15 @@ class _Look:
         self._counts[station] = apart_from(piece, self._counts[station])
         self._areas.pop(station, None)
 
-    def explain(self, sighting: Sighting, top: int) -> None:
-        """Count nothing any more of what belongs to a vehicle that was seen; the picture begins at the row ``top``."""
-        self._explained.append(_explained_by(sighting, self._places, self._views[0][0].shape, top))
+    def explain(self, sighting: Sighting, top: int) -> _Explained:
+        """Count nothing any more of what belongs to a vehicle that was seen, which is returned; the picture begins at
+        the row ``top``."""
+        explained = _explained_by(sighting, self._places, self._views[0][0].shape, top)
+        self._explained.append(explained)
         self._areas = {}
         for station, counts in self._counts.items():
-            self.hide(counts, self._cards[station], station)
-
-    def hide(self, counts: Image, card: Card, station: int) -> None:
-        """Count nothing, in place, on a ``card`` at a ``station``, of what the vehicle explained last explains."""
-        card.hide(counts, self._explained[-1].at(station))
+            self._cards[station].hide(counts, explained.at(station))
+        return explained
 
 
 def _area(counts: Image, grid: Grid) -> float:
