@@ -118,6 +118,17 @@ def test_without_a_guess(kind: str) -> None:
     assert len(estimates[-1].particles_left) == 400
 
 
+@pytest.mark.parametrize("seed", [2, 11, 16, 32, 35])
+def test_the_second_frame_tells_how_fast_a_near_vehicle_leaves(seed: int) -> None:
+    """The picture of a vehicle that leaves close by shrinks much, and from the mean of all speeds it is far."""
+    rng = np.random.default_rng(seed)
+    speed, start = float(rng.uniform(6, 28)), float(rng.uniform(13, 24))
+    lane, width = float(rng.choice([-1.85, 1.85, 3.4])), float(rng.choice([0.8, 1.75, 2.4]))
+    vehicle = Vehicle("v0", speed, start_distance=start, receding=True, lane=lane, texture_seed=seed, width=width)
+    s = Scene(seed, (vehicle,), image_size=(640, 480), focal=float(rng.uniform(700, 1400)), frames=4)
+    assert track(s, None, clip_of(s)[1][:2])[1].speed == pytest.approx(speed, rel=0.1)
+
+
 def test_the_same_seed_gives_the_same_bits() -> None:
     s = small("left", 15.0, seed=2)
     one, two, other = (track(s, 1.1, seed=seed) for seed in (4, 4, 5))

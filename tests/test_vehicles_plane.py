@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from painted_faces import CARD, FRAMES, face_with, texture_up_to
 from small_road import scene
 
 from paceline.recordings import StereoFrame
 from paceline.simulation.planar import Vehicle, World, render
 from paceline.speed.paths import from_points
-from paceline.vehicles.plane import face_of
+from paceline.vehicles.finding import ALIKE
+from paceline.vehicles.plane import face_of, likeness
 from paceline.vehicles.sightings import Sighting
 from paceline.vehicles.tracks import Track
 from paceline.vehicles.ways import Way
@@ -41,3 +43,15 @@ def test_a_face_is_where_it_is_though_the_vehicle_leaves_the_pictures_at_last(
     found = {at.sighting.frame: at.s for at in face.aligned if whole[at.sighting.frame]}
     assert set(found) == {s.frame for s in track.kept if whole[s.frame]}
     assert all(abs(found[k] - true[k]) < 0.25 for k in found)  # m
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_face_that_is_partly_covered_looks_less_like_itself(seed: int, side: int) -> None:
+    """By a third at its side, in some of the frames, by something with as much contrast."""
+    texture, covered = texture_up_to(CARD.top, seed), 4
+    other = np.where(side * CARD.x > 0.25, texture_up_to(CARD.top, seed + 10), texture).astype(np.float32)
+    face = face_with(texture, seed, (other, covered))
+    alike = likeness(face, face.aligned)
+    assert alike.shape == (FRAMES,)
+    assert alike[:covered].max() < ALIKE * np.median(alike) < alike[covered:].min()

@@ -64,6 +64,7 @@ class Band:
         self.texture: Array | None = None
         self.variance = np.ones((len(views), self.patches))
         self.expected = np.ones((len(views), self.patches))
+        self.power = np.ones((len(views), self.patches))
 
     def normal_equations(self, H: Array, H_d: Array, relief: Array, dH: Array) -> tuple[Array, Array]:
         """Normal matrices (views, patches, P + 1, P + 1) and scores (views, patches, P + 1) of the linearised problem.
@@ -97,6 +98,11 @@ class Band:
         score = (Jw @ r[..., None]).sum(1)
         return np.asarray(-np.linalg.solve(A.astype(float) + 1e-6 * np.eye(2), score.astype(float))[..., 0])
 
+    @property
+    def explained(self) -> Array:
+        """What share (views,) of each view's contrast, squared, the motion explained when it was last linearised."""
+        return np.asarray(1.0 - self.variance.sum(1) / np.maximum(self.power.sum(1), 1e-9))
+
     def _linearised(self, H: Array, H_d: Array, relief: Array) -> tuple[Floats, Floats]:
         """∂I/∂H (views, patches, 9, samples) free of gain and offset, and the residuals (views, patches, samples)."""
         V, K, m = len(self.views), self.patches, self.samples
@@ -107,6 +113,7 @@ class Band:
         B = (H[:, :2, :2, None] - x[:, :, None] * H[:, 2, :2][:, None, :, None]) / z[:, None, None]
         I, slope, laplacian = self._sampled(x, B)
         I -= I.mean(-1, keepdims=True)
+        self.power = (I * I).mean(-1)
         T = self._share_texture(I)
         # the texture's own slope, averaged over the views: the noise of a single view's slope would bias the step
         w = self.weights * self.gain

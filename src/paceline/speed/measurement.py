@@ -20,8 +20,8 @@ from paceline.cameras import StereoRig
 from paceline.documents import Clip, VehicleDocument, load_clip
 from paceline.errors import UnusableInput
 from paceline.recordings import StereoFrame, StereoFrames, open_recording
-from paceline.speed import paths
-from paceline.speed.bands import Glimpse, areas
+from paceline.speed import paths, verdict
+from paceline.speed.bands import Glimpse
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.devices import DeviceName, open_device
 from paceline.speed.fleet import Fleet
@@ -30,7 +30,7 @@ from paceline.speed.planes import first_plane, squared
 from paceline.speed.reconstruction import path_of
 from paceline.speed.refinement import Refined, refine
 from paceline.speed.results import ClipResult, Measurement, PathDrawing, Track
-from paceline.speed.tracker import LOST, SEEN, SURE, Estimate, Tracker
+from paceline.speed.tracker import LOST, SEEN, Estimate, Tracker
 from paceline.speed.trajectory import Trajectory, way_of
 
 Array = NDArray[np.float64]
@@ -39,15 +39,8 @@ Seen = Callable[[str, Estimate], None]
 
 CONFIDENCE = 0.95
 LEAST_FRAMES = 4
-MOST_GLIMPSES = 32  # frames kept for the refinement; of a longer track, evenly spread ones
+MOST_GLIMPSES = 32  # frames kept for the refinement; of a longer track, evenly spread ones, besides the last
 MARGIN = (0.6, 24.0)  # kept about a region, as a share of its size and in pixels
-WIDEST = (0.06, 0.5)  # half-width of an interval that still counts: relative, and m/s
-OWN = 2 / 3  # share of that which may be the vehicle's own, not the calibration's
-MISFIT = 0.6  # share of the texture's contrast that may stay unexplained
-OFF = 0.6  # px, rms over the frames: how far the pictures may lie off the motion
-DISAGREE = 1.0  # px across the epipolar lines
-ASTRAY = 0.2  # of the vehicle's size: so far off the refined motion the filter followed something else
-FASTEST = 90.0  # m/s
 BESIDE = 15.0  # m from a vehicle, beyond which a path is not the one it drives on
 
 
@@ -200,7 +193,7 @@ class _Run:
                 )
         self.estimates: list[Estimate] = []
         self.glimpses: list[Glimpse] = []
-        self._stride = 1
+        self._stride, self._passing = 1, False  # frames from one kept to the next; whether the last one is beside these
 
     def see(self, frame: StereoFrame) -> bool:
         """Follow the vehicle into ``frame``; whether it can be followed further."""
@@ -213,14 +206,16 @@ class _Run:
         return estimate.status == "tracking"
 
     def _keep(self, frame: StereoFrame, estimate: Estimate) -> None:
-        if (len(self.estimates) - 1) % self._stride:
-            return
+        """Keep what evenly spread frames show, and the last one, to which the mean speed is counted."""
         quads = np.stack([estimate.left, estimate.right])
         crops, corners = zip(*(_crop(i, q) for i, q in zip((frame.left, frame.right), quads, strict=True)), strict=True)
         half = 0.5 * frame.skew
         times = (frame.time - half, frame.time + half)
+        if self._passing:
+            self.glimpses.pop()
         self.glimpses.append(Glimpse(frame.index, times, crops, np.stack(corners), quads))
-        if len(self.glimpses) > MOST_GLIMPSES:
+        self._passing = (len(self.estimates) - 1) % self._stride > 0
+        if len(self.glimpses) > MOST_GLIMPSES and not self._passing:
             self.glimpses, self._stride = self.glimpses[::2], 2 * self._stride
 
     def result(self) -> Measurement:
@@ -229,14 +224,23 @@ class _Run:
         tracked = [e for e in self.estimates if e.status == "tracking"]
         if len(tracked) < LEAST_FRAMES:
             return self._rejected(self._too_few(len(tracked)))
+        if (seen := sum(e.likeness >= SEEN for e in tracked)) < LEAST_FRAMES:
+            return self._rejected(f"too few frames: it looks like the outlined region in {seen} of {len(tracked)}")
         if not self.configuration.refine:
             return self._from_filter(tracked)
         try:
-            speed = float(np.mean([e.speed for e in tracked[1:]]))
-            refined = refine(self._trajectory(speed), self.glimpses, speed, self.path is not None)
+            refined = self._refined()
+            while LEAST_FRAMES <= (kept := verdict.part_in_view(refined)) < len(self.glimpses):
+                self.glimpses = self.glimpses[:kept]
+                self.estimates = _lost_after(self.estimates, self.glimpses[-1].frame)
+                refined = self._refined()
         except np.linalg.LinAlgError:
             return self._rejected("residuals: the region has too little texture for its motion to be determined")
-        return self._judged(refined, len(tracked))
+        return self._judged(refined, sum(e.status == "tracking" for e in self.estimates))
+
+    def _refined(self) -> Refined:
+        speed = float(np.mean([e.speed for e in self.estimates[1:] if e.status == "tracking"]))
+        return refine(self._trajectory(speed), self.glimpses, speed, self.path is not None)
 
     def _too_few(self, frames: int) -> str:
         last = self.estimates[-1].status if self.estimates else "tracking"
@@ -266,24 +270,7 @@ class _Run:
         usual, wider = ndtri(0.5 + CONFIDENCE / 2), stdtrit(refined.dof, 0.5 + CONFIDENCE / 2)
         own = float(np.hypot(wider * noise_std, usual * doubt_std))
         half = float(np.hypot(own, usual * np.nan_to_num(systematic_std)))
-        across = np.nanmedian(refined.offsets[:, 1, 1] - refined.offsets[:, 0, 1])
-        off = float(np.sqrt(np.nanmean(refined.offsets**2)))
-        reason = ""
-        if not np.isfinite([speed, half]).all() or not refined.converged:
-            reason = "residuals: no motion explains the pictures"
-        elif refined.residual > MISFIT * refined.contrast or off > OFF:
-            reason = (
-                f"residuals: the pictures lie {off:.1f} px off the fitted motion and "
-                f"{refined.residual / max(refined.contrast, 1e-9):.0%} of their contrast is unexplained"
-            )
-        elif (astray := self._astray(refined)) > ASTRAY:
-            reason = f"filter astray: up to {astray:.0%} of the vehicle's size off the fitted motion"
-        elif abs(across) > DISAGREE:
-            reason = f"views disagree: they lie {abs(across):.1f} px apart across the epipolar lines"
-        elif not 0 <= speed <= FASTEST:
-            reason = f"implausible: {speed:.1f} m/s"
-        else:
-            reason = _too_wide(speed, half) or _too_wide(speed, own, OWN)
+        reason = verdict.against(refined, speed, half, own)
         speeds, times = refined.speeds()[0], refined.trajectory.times.mean(1)
         acceleration = float((speeds[-1] - speeds[0]) / (times[-1] - times[0]))
         accelerating = {"acceleration", "surge"} & {*refined.extras}
@@ -307,19 +294,6 @@ class _Run:
             notices=self._notices(refined),
         )
 
-    def _astray(self, refined: Refined) -> float:
-        """How far apart the filter's and the refined regions lie, as a share of the region's size: the largest distance
-        of those frames in which the filter saw the vehicle. Just after it did not, say as the vehicle has left, what
-        is only somewhat alike is another thing."""
-        before = [self.estimates[0], *self.estimates]
-        pairs = zip(before, self.estimates, strict=False)
-        seen = {e.frame for last, e in pairs if e.likeness >= (SEEN if last.likeness >= SEEN else SURE)}
-        kept = np.array([g.frame in seen for g in self.glimpses])
-        filtered = np.array([g.quads for g in self.glimpses])[kept]
-        quads = refined.trajectory.quads(refined.theta)[kept]
-        apart = np.sqrt(((filtered - quads) ** 2).sum(-1).mean(-1))
-        return float((apart / np.sqrt(areas(quads))).max(initial=0.0))
-
     def _notices(self, refined: Refined) -> list[str]:
         notices = []
         if np.isnan(refined.systematic).any():
@@ -337,7 +311,7 @@ class _Run:
         information = 1.0 / np.array([e.speed_std for e in tracked[1:]]) ** 2
         speed, std = float(np.average(speeds, weights=information)), float(1.0 / np.sqrt(information.mean()))
         half = float(ndtri(0.5 + CONFIDENCE / 2)) * std
-        reason = _too_wide(speed, half)
+        reason = verdict.too_wide(speed, half)
         return Measurement(
             vehicle=self.vehicle.id,
             track=self._track(None),
@@ -389,20 +363,14 @@ class _Run:
 
 
 def _until_hidden(estimates: list[Estimate]) -> list[Estimate]:
-    """``estimates`` with those ``lost`` that come after the last frame in which the vehicle was in view: the mean speed
-    is that of the frames before."""
-    last = max((k for k, e in enumerate(estimates) if e.status == "tracking" and e.likeness >= LOST), default=-1)
-    after = [replace(e, status="lost") if e.status == "tracking" else e for e in estimates[last + 1 :]]
-    return estimates[: last + 1] + after
+    """``estimates`` with those ``lost`` that come after the last frame in which the vehicle was in view."""
+    seen = [e.frame for e in estimates if e.status == "tracking" and e.likeness >= LOST]
+    return _lost_after(estimates, max(seen, default=-1))
 
 
-def _too_wide(speed: float, half: float, allowed: float = 1.0) -> str:
-    """Why an interval of ± ``half`` (m/s) is none to go by where a share of the widest is ``allowed``; empty where it
-    is."""
-    if half <= allowed * max(WIDEST[0] * speed, WIDEST[1]):
-        return ""
-    share, cause = half / max(speed, 1e-9), "" if allowed == 1.0 else " without the calibration's part"
-    return "interval too wide: " + (f"± {share:.1%} of the speed{cause}" if share < 1 else "the speed is not known")
+def _lost_after(estimates: list[Estimate], frame: int) -> list[Estimate]:
+    """``estimates`` with those ``lost`` that come after ``frame``: the mean speed is that of the frames before."""
+    return [replace(e, status="lost") if e.frame > frame and e.status == "tracking" else e for e in estimates]
 
 
 def _crop(image: NDArray[np.float32], quad: Array) -> tuple[NDArray[np.float32], Array]:

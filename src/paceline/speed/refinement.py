@@ -43,8 +43,8 @@ class Refined:
 
     ``covariance`` is of the pictures' noise, ``doubt`` of the choice among models, ``systematic`` of the calibration:
     NaN where the rig states no uncertainty. ``residual`` is the median rms of a patch in grey levels, ``contrast``
-    that of the texture; ``offsets`` (F, 2, 2) are the pixels by which each view's picture lies off the motion (NaN
-    where it was not used).
+    that of the texture; ``offsets`` (F, 2, 2) are the pixels by which each view's picture lies off the motion and
+    ``explained`` (F, 2) the share of its contrast, squared, that the motion explains (NaN where it was not used).
     """
 
     trajectory: Trajectory
@@ -55,6 +55,7 @@ class Refined:
     residual: float
     contrast: float
     offsets: Array
+    explained: Array
     extras: tuple[str, ...]  # of the motion, that the evidence spoke for, of EXTRAS
     dof: float
     converged: bool
@@ -112,7 +113,7 @@ def refine(trajectory: Trajectory, glimpses: list[Glimpse], speed: float, on_pat
         fit.systematic(trajectory.rig.uncertainty),
         fit.residual,
         fit.contrast,
-        fit.offsets(),
+        *fit.agreement(),
         extras,
         fit.dof,
         fit.converged,
@@ -299,12 +300,15 @@ class Fit:
         assert texture is not None
         return float(np.sqrt((texture**2).mean()))
 
-    def offsets(self) -> Array:
-        """Pixels (F, 2, 2) by which each view's picture lies off the fitted motion; NaN where it was not used."""
+    def agreement(self) -> tuple[Array, Array]:
+        """Pixels (F, 2, 2) by which each view's picture lies off the fitted motion, and the share (F, 2) of its
+        contrast, squared, that the motion explains; NaN where it was not used."""
         H, H_d = (h.reshape(-1, 3, 3) for h in self.trajectory.homographies(self.theta))
-        off = np.full((len(H), 2), np.nan)
-        off[self.bands[0].views] = self.bands[0].offsets(H, H_d, self.relief)
-        return off.reshape(-1, 2, 2)
+        off, explained = np.full((len(H), 2), np.nan), np.full(len(H), np.nan)
+        base = self.bands[0]
+        off[base.views] = base.offsets(H, H_d, self.relief)
+        explained[base.views] = base.explained
+        return off.reshape(-1, 2, 2), explained.reshape(-1, 2)
 
     def systematic(self, uncertainty: RigUncertainty | None) -> Array:
         """Covariance (n, n) that the rig's stated uncertainty causes: the refit's response to every calibration

@@ -21,7 +21,7 @@ from paceline.speed.motion import FreeMotion, PathMotion, State
 from paceline.speed.particles import Weights
 from paceline.speed.paths import Path
 from paceline.speed.planes import first_plane, squared
-from paceline.speed.registration import Appearance
+from paceline.speed.registration import Appearance, Registration
 
 if TYPE_CHECKING:
     from paceline.speed.cloud_cuda import CudaCloud, CudaDevice
@@ -34,6 +34,7 @@ PATIENCE = 4  # frames that may pass so before the vehicle is given up
 SURE = 0.9  # likeness at which even a surprising registration is believed
 SURPRISING = 50.0  # squared standard deviations, of three: so far off, something else may have been found
 ALIVE = 0.2  # share of the first particles that the second frame leaves alive
+REPEATED, NEAR = 4, 0.02  # times that the first registration is repeated, and share of the way by which it then moves
 DIRECTED = 2.0  # m, a travel that has a direction
 
 
@@ -54,6 +55,16 @@ class Estimate:
     likeness: float  # correlation with the reference, −1 … 1
     particles_left: Array  # (N, 2) of at most `cloud.SHOWN` particles
     particles_right: Array  # (N, 2)
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """Where registration saw the plane's centre: its ``place`` (3,), m, what was ``found`` there, and whether that is
+    to be ``believed``."""
+
+    place: Array
+    found: Registration
+    believed: bool
 
 
 class Tracker:
@@ -189,17 +200,33 @@ class Tracker:
         if isinstance(way, PathMotion):
             self.path = way.path
         self.cloud = Cloud(self.rig, way, state, Weights(lw) if self.appearance is None else _tempered(lw))
-        found = self._registered(frame)
-        if found is None:
-            self.cloud.resample(self.configuration, self.rng)
+        likeliest, sight = self.cloud, self._led(frame, way, first, dt)
+        if sight is not None and sight.believed:
+            self._believe(sight)
         else:
-            # how sure the first speed is follows from registration alone: weights would leave too few particles to say
-            start, guess = first[np.arange(self.configuration.particles)], float(self.cloud.weights.mean(state.speed))
-            state = way.propagate(self._set_off(start, way, frame, dt, guess), dt, self.rng)
-            self.cloud = Cloud(self.rig, way, state, Weights.equal(len(state)))
-            self.cloud.correct(*found, self.rng)
+            self.cloud = likeliest
+            self.cloud.resample(self.configuration, self.rng)
         if self.device is not None:
             self.cloud = self.device.cloud(self.cloud)
+
+    def _led(self, frame: StereoFrame, way: PathMotion | FreeMotion, first: State, dt: float) -> Sight | None:
+        """Where registration leads from the likeliest speeds, the particles set off anew with what it found.
+
+        By weights the likeliest of many speeds may be far off, and would leave too few particles to say how sure it
+        is. Registration is repeated from where it leads: speeds that lie far apart have no mean region to begin from.
+        """
+        start, sight = first[np.arange(self.configuration.particles)], self._sought(frame)
+        for _ in range(REPEATED):
+            if sight is None or sight.found.likeness < SEEN:
+                break
+            before, gone = sight.place, float(np.linalg.norm(sight.place - self.plane.centre))
+            guess = min(gone / dt, acquisition.SPEED_RANGE[1])
+            state = way.propagate(self._set_off(start, way, frame, dt, guess), dt, self.rng)
+            self.cloud = Cloud(self.rig, way, state, Weights.equal(len(state)))
+            sight = self._sought(frame)
+            if sight is not None and float(np.linalg.norm(sight.place - before)) < NEAR * gone:
+                break
+        return sight
 
     def _set_off(
         self, start: State, way: PathMotion | FreeMotion, frame: StereoFrame, dt: float, guess: float | None
@@ -219,26 +246,32 @@ class Tracker:
         The paper's dynamics model alone proposes blindly. Here every particle takes the Kalman step that the whole
         cloud's covariance gives between where its plane is and everything else in its state.
         """
-        found = self._registered(frame)
-        if found is not None:
-            self.cloud.correct(*found, self.rng)
+        sight = self._sought(frame)
+        if sight is not None and sight.believed:
+            self._believe(sight)
 
-    def _registered(self, frame: StereoFrame) -> tuple[Array, Array] | None:
-        """Where registration saw the plane's centre (3,), and its covariance; None where it saw nothing to believe."""
+    def _believe(self, sight: Sight) -> None:
+        """Correct the particles by what was seen, and learn what it looks like."""
+        assert self.appearance is not None
+        self.cloud.correct(sight.place, sight.found.covariance, self.rng)
+        self.appearance.learn(sight.found)
+
+    def _sought(self, frame: StereoFrame) -> Sight | None:
+        """Where registration sees the plane; None where nothing there could be told from anything else."""
         if self.appearance is None:
             return None
         mean, doubt = self.cloud.mean(), self.cloud.doubt()
         images = frame.left, frame.right
         try:
             found = self.appearance.find(images, mean.left[0], mean.normal[0], float(mean.distance[0]), doubt)
-        except np.linalg.LinAlgError:  # nothing there that could be told from anything else
+        except np.linalg.LinAlgError:
             return None
+        # the mean region is not where the mean of the planes projects to, while the speed is hardly known
+        place = motion.centres(self.rig, mean)[0] + found.shift
         centre, covariance = self.cloud.centre()
-        surprise = float(found.shift @ np.linalg.solve(covariance + found.covariance, found.shift))
-        if found.likeness < (SEEN if surprise < SURPRISING else SURE):
-            return None
-        self.appearance.learn(found)
-        return centre + found.shift, found.covariance
+        aside = place - centre
+        surprise = float(aside @ np.linalg.solve(covariance + found.covariance, aside))
+        return Sight(place, found, found.likeness >= (SEEN if surprise < SURPRISING else SURE))
 
     def _observe(self, state: State) -> Observation:
         left, right = self.views

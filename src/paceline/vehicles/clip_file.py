@@ -39,4 +39,6 @@ def _entries(rig: StereoRig, found: list[Found], indent: int) -> list[str]:
             f"{pad}  left: {pixels(rig.left.distort_points(v.left))}",
             f"{pad}  right: {pixels(rig.right.distort_points(v.right))}",
         ]
+        if v.speed is not None:
+            lines.append(f"{pad}  speed: {v.speed}  # a first guess, m/s")
     return lines

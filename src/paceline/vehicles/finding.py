@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from paceline.documents import VehicleDocument
 from paceline.recordings import StereoFrame
-from paceline.vehicles.plane import Aligned, Face, face_of, showing_face
+from paceline.vehicles.plane import Aligned, Face, face_of, likeness, showing_face
 from paceline.vehicles.scene import Scene
 from paceline.vehicles.sightings import Lookout
-from paceline.vehicles.tracks import Linker, Track, off_course
+from paceline.vehicles.tracks import Linker, Track, off_course, slope
 from paceline.vehicles.trimming import trimmed
 from paceline.vehicles.ways import Way
 
@@ -40,6 +40,7 @@ OFF = 1.0, 1.0  # m, and px of disparity, by which it is off at most
 MOST_OFF = 2.0  # of these errors: what is more off says no more against a course
 NO_SAY = 1e3  # times its error, with which a place has no say
 KNOWN = 8  # vehicles of which a next one may be a part
+ALIKE = 0.9  # of the usual likeness to the face's picture, in the frame in which it is outlined: nothing hides it there
 BORDER = 4.0  # px between an outline and the edge of the picture
 
 
@@ -180,13 +181,16 @@ def found_on(track: Track) -> Found:
     if face is None:
         return as_seen(track, "no part of its face keeps its picture in both views and over time")
     steady = in_step(face.aligned)
-    at = next((at for at in steady if _is_clear(face, at)), None)
-    if at is None:
+    clear = [at for at in steady if _is_clear(face, at)]
+    if not clear:
         return as_seen(track, "its face is never large enough and wholly inside both pictures")
-    face = trimmed(face, steady[steady.index(at) :], partial(_is_clear, at=at))
+    alike = likeness(face, clear)
+    at = clear[int(np.argmax(alike >= ALIKE * np.median(alike)))]
+    seen = steady[steady.index(at) :]
+    face = trimmed(face, seen, partial(_is_clear, at=at))
     sighting = at.sighting
     left, right = sighting.way.pixels(at.s, face.corners(at))
-    document = VehicleDocument("", sighting.way.name, sighting.frame, left, right, "front", None)
+    document = VehicleDocument("", sighting.way.name, sighting.frame, left, right, "front", _first_speed(seen))
     return replace(
         as_seen(track, ""),
         path=sighting.way.name,
@@ -208,6 +212,16 @@ def in_step(aligned: list[Aligned]) -> list[Aligned]:
     courses = [off_course(t, s, error), *(doubt * off_course(t, s, doubt * error) for doubt in no_say)]
     off = min(courses, key=lambda off: float(np.minimum(np.abs(off), MOST_OFF).sum()))
     return [a for a, one in zip(aligned, off, strict=True) if abs(one) <= 1]
+
+
+def _first_speed(seen: list[Aligned]) -> float | None:
+    """About how fast it drives at first, m/s, by the first half of where it was ``seen``; None where that is too
+    little to tell."""
+    early = seen[: max(LEAST_SIGHTINGS, len(seen) // 2)]
+    if len(early) < LEAST_SIGHTINGS:
+        return None
+    way, t = seen[0].sighting.way, np.array([a.sighting.time for a in early])
+    return round(abs(slope(t, np.array([a.along(way.path) for a in early]))), 1)
 
 
 def _is_clear(face: Face, at: Aligned) -> bool:

@@ -111,6 +111,17 @@ def showing_face(track: Track) -> list[Sighting]:
     return [sighting for sighting in track.kept if sighting.y[0] < FOOT]
 
 
+def likeness(face: Face, aligned: list[Aligned]) -> Array:
+    """How much each of the frames ``aligned`` (N,) looks like most of them inside the rectangle of a ``face``: the
+    correlation with the median of their pictures, in the view that shows it worse."""
+    rows, columns = _window(face.x, face.y)
+    pictures = np.array([[card[rows, columns] for card in at.cards()] for at in aligned], float)
+    pictures -= pictures.mean((2, 3), keepdims=True)
+    pictures /= np.maximum(pictures.std((2, 3), keepdims=True), 1e-6)
+    usual = np.median(pictures, axis=(0, 1))
+    return np.asarray((pictures * usual).mean((2, 3)).min(1) / max(float(usual.std()), 1e-6))
+
+
 def _is_uncut(sighting: Sighting) -> bool:
     """Whether neither its card nor a picture ends at a face: beyond its edge a picture repeats itself in both views."""
     (left, right), (bottom, top) = sighting.x, sighting.y

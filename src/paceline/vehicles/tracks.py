@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from paceline.speed.measurement import FASTEST
+from paceline.speed.verdict import FASTEST
 from paceline.vehicles.sightings import GRID, Sighting
 from paceline.vehicles.ways import Way
 

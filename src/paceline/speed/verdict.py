@@ -1,0 +1,77 @@
+"""Whether a refined motion is a measurement: what the pictures of every frame say, and how sure the speed is."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from paceline.speed.refinement import Refined
+
+MISFIT = 0.6  # share of the texture's contrast that may stay unexplained
+OFF = 0.6  # px, rms over the frames: how far the pictures may lie off the motion
+SHOWN = 0.5  # share of the frames that have to show the vehicle where the fitted motion puts it
+DISAGREE = 1.0  # px across the epipolar lines
+FASTEST = 90.0  # m/s
+WIDEST = (0.06, 0.5)  # half-width of an interval that still counts: relative, and m/s
+OWN = 2 / 3  # share of that which may be the vehicle's own, not the calibration's
+
+
+def against(refined: Refined, speed: float, half: float, own: float) -> str:
+    """Why a ``speed`` (m/s), known to ± ``half`` and but for the calibration to ± ``own``, is no measurement; empty
+    where it is one."""
+    if not np.isfinite([speed, half]).all():
+        return "residuals: no motion explains the pictures"
+    if reason := unexplained(refined):
+        return reason
+    across = float(np.nanmedian(refined.offsets[:, 1, 1] - refined.offsets[:, 0, 1]))
+    if abs(across) > DISAGREE:
+        return f"views disagree: they lie {abs(across):.1f} px apart across the epipolar lines"
+    if not 0 <= speed <= FASTEST:
+        return f"implausible: {speed:.1f} m/s"
+    return too_wide(speed, half) or too_wide(speed, own, OWN)
+
+
+def frames_shown(refined: Refined) -> NDArray[np.bool_]:
+    """Which frames (F,) show the vehicle where the fitted motion puts it, in all views that were used of them."""
+    used = np.isfinite(refined.explained)
+    fits = (refined.explained >= 1.0 - MISFIT**2) & (np.linalg.norm(refined.offsets, axis=-1) <= OFF)
+    return np.asarray(used.any(1) & (fits | ~used).all(1))
+
+
+def unexplained(refined: Refined) -> str:
+    """Why the pictures are none of the fitted motion; empty where they are."""
+    off = float(np.sqrt(np.nanmean(refined.offsets**2)))
+    if not refined.converged:
+        return "residuals: no motion explains the pictures"
+    if refined.residual > MISFIT * refined.contrast or off > OFF:
+        left_over = refined.residual / max(refined.contrast, 1e-9)
+        return (
+            f"residuals: the pictures lie {off:.1f} px off the fitted motion and "
+            f"{left_over:.0%} of their contrast is unexplained"
+        )
+    if (share := float(frames_shown(refined).mean())) < SHOWN:
+        return f"residuals: only {share:.0%} of the frames show the vehicle where the fitted motion puts it"
+    return ""
+
+
+def part_in_view(refined: Refined) -> int:
+    """How many of the first frames to fit next, where something hides the vehicle in the others; all where nothing
+    does. Where no motion explains the pictures, something may have hidden it early on: then half of them at most."""
+    shown = frames_shown(refined)
+    return min(in_view(shown), len(shown) // 2 if unexplained(refined) else len(shown))
+
+
+def in_view(shown: NDArray[np.bool_]) -> int:
+    """How many of the first frames to keep: beyond them, fewer of the frames than not have ``shown`` (F,) the vehicle.
+    Something hides it there, which the filter may well have followed instead."""
+    balance = np.cumsum(np.where(shown, 1, -1))
+    return len(shown) - int(np.argmax(balance[::-1]))
+
+
+def too_wide(speed: float, half: float, allowed: float = 1.0) -> str:
+    """Why an interval of ± ``half`` (m/s) is none to go by where a share of the widest is ``allowed``; empty where it
+    is."""
+    if half <= allowed * max(WIDEST[0] * speed, WIDEST[1]):
+        return ""
+    share, cause = half / max(speed, 1e-9), "" if allowed == 1.0 else " without the calibration's part"
+    return "interval too wide: " + (f"± {share:.1%} of the speed{cause}" if share < 1 else "the speed is not known")
