@@ -129,6 +129,18 @@ def test_the_second_frame_tells_how_fast_a_near_vehicle_leaves(seed: int) -> Non
     assert track(s, None, clip_of(s)[1][:2])[1].speed == pytest.approx(speed, rel=0.1)
 
 
+@pytest.mark.parametrize(("rate", "speed"), [(30.0, 3.0), (60.0, 9.0)])
+@pytest.mark.parametrize("guess", [None, 1.0])
+def test_a_first_speed_is_as_uncertain_as_two_frames_leave_it(rate: float, speed: float, guess: float | None) -> None:
+    """In which a vehicle far off hardly moves by more than it is seen to by chance."""
+    z = []
+    for seed in range(8):
+        s = small("line", speed, seed, rate=rate, frames=6)
+        last = track(s, guess)[-1]
+        z.append((last.speed - speed) / last.speed_std)
+    assert np.sqrt(np.mean(np.square(z))) < 3.0  # 1.5 or less, as it should be; 4 to 7 where that place is taken as sure
+
+
 def test_the_same_seed_gives_the_same_bits() -> None:
     s = small("left", 15.0, seed=2)
     one, two, other = (track(s, 1.1, seed=seed) for seed in (4, 4, 5))

@@ -203,6 +203,7 @@ def test_vehicles_in_both_senses_are_found_once_where_they_are(tmp_path: Path) -
         # within the plane, and at its distance to half a pixel of disparity
         pixel = place[2] ** 2 / (clip.rig.left.K[0, 0] * clip.rig.baseline)
         assert abs(place[2] - at[name]["position"][2]) < 0.5 * pixel + 0.3
+        assert v.speed == pytest.approx({"v0": 16.0, "v1": 13.0}[name], rel=0.15)  # as sure as a first guess has to be
         corners = np.array(at[name]["left"])
         around = 0.1 * np.ptp(corners[:, 0])  # a vehicle's bumper and the lower edge of its window may be part of it
         assert (v.left > corners.min(0) - around).all() and (v.left < corners.max(0) + around).all()
@@ -308,7 +309,7 @@ def test_the_command_writes_what_speed_reads(tmp_path: Path) -> None:
     assert file.read_text(encoding="utf-8").startswith("# a survey\n")
     written, found = load_clip(file).vehicles, outlines(found_in(unclicked(two(), tmp_path / "again")))
     for a, b in zip(written, found, strict=True):
-        assert (a.id, a.path, a.frame, a.plane) == (b.id, b.path, b.frame, b.plane)
+        assert (a.id, a.path, a.frame, a.plane, a.speed) == (b.id, b.path, b.frame, b.plane, b.speed)
         np.testing.assert_allclose([a.left, a.right], [b.left, b.right], atol=0.006)
     for name in ("v0", "v1"):
         picture = cv2.imread(str(tmp_path / f"vehicle-{name}.png"))
@@ -331,9 +332,10 @@ def test_one_view_shown_twice_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("before", ["", "vehicles:\n", "vehicles: []  # none yet\n"])
-def test_vehicles_are_added_and_nothing_else_changes(before: str) -> None:
+@pytest.mark.parametrize("speed", [None, 16.3])
+def test_vehicles_are_added_and_nothing_else_changes(before: str, speed: float | None) -> None:
     quad = np.array([[1.0, 2], [9, 2], [9, 7], [1, 7]])
-    vehicle = VehicleDocument("v0", "lane: 0", 3, quad, quad + 0.25, "front", None)
+    vehicle = VehicleDocument("v0", "lane: 0", 3, quad, quad + 0.25, "front", speed)
     found = Found(
         "lane: 0", (0.6, 2.0), 1.8, 1.5, np.ones(3), vehicle, "", (np.zeros((1, 1), np.float32),) * 2, quad[:2]
     )
@@ -341,7 +343,7 @@ def test_vehicles_are_added_and_nothing_else_changes(before: str) -> None:
     added = with_vehicles(text, "clip.yaml", make_rig(), [found])
     (entry,) = yaml.safe_load(added)["vehicles"]
     assert entry["id"] == "v0" and entry["path"] == "lane: 0" and entry["frame"] == 3
-    assert entry["right"] == (quad + 0.25).tolist()
+    assert entry["right"] == (quad + 0.25).tolist() and entry.get("speed") == speed
     assert (
         "left: a  # camera 1\n" in added
         and "rate: 5\n" in added

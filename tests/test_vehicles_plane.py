@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from painted_faces import CARD, FRAMES, face_with, texture_up_to
@@ -10,7 +12,7 @@ from small_road import scene
 from paceline.recordings import StereoFrame
 from paceline.simulation.planar import Vehicle, World, render
 from paceline.speed.paths import from_points
-from paceline.vehicles.finding import ALIKE
+from paceline.vehicles.finding import ALIKE, first_speed
 from paceline.vehicles.plane import face_of, likeness
 from paceline.vehicles.sightings import Sighting
 from paceline.vehicles.tracks import Track
@@ -55,3 +57,11 @@ def test_a_face_that_is_partly_covered_looks_less_like_itself(seed: int, side: i
     alike = likeness(face, face.aligned)
     assert alike.shape == (FRAMES,)
     assert alike[:covered].max() < ALIKE * np.median(alike) < alike[covered:].min()
+
+
+def test_the_first_speed_is_that_of_the_first_half_if_it_moves() -> None:
+    seen = face_with(texture_up_to(CARD.top, 1), 1).aligned
+    assert first_speed(seen) == pytest.approx(20.0)  # 2 m in a tenth of a second
+    assert first_speed(seen[:3]) is None
+    standing = [replace(a, s=seen[0].s) for a in seen[:5]] + seen[5:]
+    assert first_speed(standing) is None  # clip.yaml holds no speed of zero

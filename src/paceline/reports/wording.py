@@ -21,6 +21,7 @@ ADVICE = {
     "residual": "Check that the outline follows a flat part of the vehicle; glare and objects in front of it harm.",
     "occlu": "Choose a stretch of road where nothing stands between the cameras and the vehicle.",
     "wide": "More frames, a longer focal length or a wider spacing of the cameras narrow the interval.",
+    "unlike": "Check the outline in both views, state about how fast it drives, or outline it where it is larger.",
     "lost": "Check the outline in the first frame and find the moment in the overlay at which it leaves the vehicle.",
     "image": "Begin at an earlier frame, or aim the cameras so that the vehicle stays in both pictures for longer.",
     "few": "Let the clip show the vehicle for longer, record more frames per second, or outline it earlier.",

@@ -47,20 +47,18 @@ def along_path(
     plane: FirstPlane,
     model: PathMotion,
     rig: StereoRig,
-    guess: float | None,
+    guess: tuple[float, float] | None,
     configuration: SpeedConfiguration,
     rng: np.random.Generator,
 ) -> State:
-    """``state`` set off along ``model``'s path: at speeds about the ``guess`` (m/s), or over all that vehicles drive.
+    """``state`` set off along ``model``'s path: at speeds about a ``guess`` and its standard deviation (m/s), or over
+    all that vehicles drive.
 
     Each particle draws its own heading: from the covariance of the path's reconstruction, and from how drivers keep to
     a path.
     """
     N = len(state)
-    if guess is None:
-        speed = np.linspace(*SPEED_RANGE, N)
-    else:
-        speed = np.abs(rng.normal(guess, configuration.speed_guess_spread * guess, N))
+    speed = np.linspace(*SPEED_RANGE, N) if guess is None else np.abs(rng.normal(*guess, N))
     start = model.path.nearest(plane.centre)
     heading = np.zeros((N, 2))
     if not configuration.exact_path:

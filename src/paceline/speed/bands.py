@@ -86,8 +86,9 @@ class Band:
             A[v], score[v] = weighted @ own.swapaxes(1, 2), (weighted @ r[v, ..., None])[..., 0]
         return A, score
 
-    def offsets(self, H: Array, H_d: Array, relief: Array) -> Array:
-        """By how many pixels (views, 2) each view's picture lies off where the motion puts it."""
+    def agreement(self, H: Array, H_d: Array, relief: Array) -> tuple[Array, Array]:
+        """By how many pixels (views, 2) each view's picture lies off where the motion puts it, and what share (views,)
+        of its contrast, squared, the motion explains."""
         M, r = self._linearised(H, H_d, relief)
         V, K, m = r.shape
         shifts = np.zeros((V, 3, 3, 2))
@@ -96,12 +97,8 @@ class Band:
         Jw = J * (self.weights * self.gain**2).astype(np.float32)[:, :, None, None]
         A = (Jw @ J.swapaxes(2, 3)).sum(1)
         score = (Jw @ r[..., None]).sum(1)
-        return np.asarray(-np.linalg.solve(A.astype(float) + 1e-6 * np.eye(2), score.astype(float))[..., 0])
-
-    @property
-    def explained(self) -> Array:
-        """What share (views,) of each view's contrast, squared, the motion explained when it was last linearised."""
-        return np.asarray(1.0 - self.variance.sum(1) / np.maximum(self.power.sum(1), 1e-9))
+        off = -np.linalg.solve(A.astype(float) + 1e-6 * np.eye(2), score.astype(float))[..., 0]
+        return np.asarray(off), np.asarray(1.0 - self.variance.sum(1) / np.maximum(self.power.sum(1), 1e-9))
 
     def _linearised(self, H: Array, H_d: Array, relief: Array) -> tuple[Floats, Floats]:
         """∂I/∂H (views, patches, 9, samples) free of gain and offset, and the residuals (views, patches, samples)."""

@@ -32,13 +32,13 @@ from paceline.speed.refinement import Refined, refine
 from paceline.speed.results import ClipResult, Measurement, PathDrawing, Track
 from paceline.speed.tracker import LOST, SEEN, Estimate, Tracker
 from paceline.speed.trajectory import Trajectory, way_of
+from paceline.speed.verdict import LEAST_FRAMES
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 Seen = Callable[[str, Estimate], None]
 
 CONFIDENCE = 0.95
-LEAST_FRAMES = 4
 MOST_GLIMPSES = 32  # frames kept for the refinement; of a longer track, evenly spread ones, besides the last
 MARGIN = (0.6, 24.0)  # kept about a region, as a share of its size and in pixels
 BESIDE = 15.0  # m from a vehicle, beyond which a path is not the one it drives on
@@ -225,7 +225,7 @@ class _Run:
         if len(tracked) < LEAST_FRAMES:
             return self._rejected(self._too_few(len(tracked)))
         if (seen := sum(e.likeness >= SEEN for e in tracked)) < LEAST_FRAMES:
-            return self._rejected(f"too few frames: it looks like the outlined region in {seen} of {len(tracked)}")
+            return self._rejected(f"unlike itself: only {seen} of {len(tracked)} frames look like the outlined region")
         if not self.configuration.refine:
             return self._from_filter(tracked)
         try:

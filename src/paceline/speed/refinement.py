@@ -306,8 +306,7 @@ class Fit:
         H, H_d = (h.reshape(-1, 3, 3) for h in self.trajectory.homographies(self.theta))
         off, explained = np.full((len(H), 2), np.nan), np.full(len(H), np.nan)
         base = self.bands[0]
-        off[base.views] = base.offsets(H, H_d, self.relief)
-        explained[base.views] = base.explained
+        off[base.views], explained[base.views] = base.agreement(H, H_d, self.relief)
         return off.reshape(-1, 2, 2), explained.reshape(-1, 2)
 
     def systematic(self, uncertainty: RigUncertainty | None) -> Array:

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from paceline.speed.cloud_cuda import CudaCloud, CudaDevice
 
 Array = NDArray[np.float64]
+Guess = tuple[float, float]  # a speed and its standard deviation, m/s
 
 SEEN = 0.55  # likeness to the reference below which a frame teaches nothing
 LOST = 0.25  # likeness below which the vehicle is not in view
@@ -35,6 +36,7 @@ SURE = 0.9  # likeness at which even a surprising registration is believed
 SURPRISING = 50.0  # squared standard deviations, of three: so far off, something else may have been found
 ALIVE = 0.2  # share of the first particles that the second frame leaves alive
 REPEATED, NEAR = 4, 0.02  # times that the first registration is repeated, and share of the way by which it then moves
+DOUBTED = 2.0  # times the standard deviation of a speed by two sights: the spread of speeds that has hardly a say
 DIRECTED = 2.0  # m, a travel that has a direction
 
 
@@ -192,7 +194,7 @@ class Tracker:
         assert isinstance(self.cloud, Cloud)
         outcomes, first = [], self.cloud.state
         for way in self._motions:
-            state = way.propagate(self._set_off(first, way, frame, dt, self.vehicle.speed), dt, self.rng)
+            state = way.propagate(self._set_off(first, way, frame, dt, self._stated), dt, self.rng)
             self.views = views(frame, [(state.left, state.right)])
             lw = self._log_likelihood(state)
             outcomes.append((float(np.logaddexp.reduce(lw)), state, lw, way))
@@ -209,27 +211,52 @@ class Tracker:
         if self.device is not None:
             self.cloud = self.device.cloud(self.cloud)
 
+    @property
+    def _stated(self) -> Guess | None:
+        """The operator's guess of the speed, m/s, with its standard deviation."""
+        speed = self.vehicle.speed
+        return None if speed is None else (speed, self.configuration.speed_guess_spread * speed)
+
     def _led(self, frame: StereoFrame, way: PathMotion | FreeMotion, first: State, dt: float) -> Sight | None:
         """Where registration leads from the likeliest speeds, the particles set off anew with what it found.
 
         By weights the likeliest of many speeds may be far off, and would leave too few particles to say how sure it
-        is. Registration is repeated from where it leads: speeds that lie far apart have no mean region to begin from.
+        is. Along a path registration is repeated from where it leads: speeds that lie far apart have no mean region to
+        begin from.
         """
         start, sight = first[np.arange(self.configuration.particles)], self._sought(frame)
-        for _ in range(REPEATED):
+        for _ in range(REPEATED if isinstance(way, PathMotion) else 1):
             if sight is None or sight.found.likeness < SEEN:
                 break
-            before, gone = sight.place, float(np.linalg.norm(sight.place - self.plane.centre))
-            guess = min(gone / dt, acquisition.SPEED_RANGE[1])
+            before, guess = sight.place, self._guessed(sight, way, dt)
             state = way.propagate(self._set_off(start, way, frame, dt, guess), dt, self.rng)
             self.cloud = Cloud(self.rig, way, state, Weights.equal(len(state)))
             sight = self._sought(frame)
-            if sight is not None and float(np.linalg.norm(sight.place - before)) < NEAR * gone:
+            if sight is not None and float(np.linalg.norm(sight.place - before)) < NEAR * guess[0] * dt:
                 break
         return sight
 
+    def _guessed(self, sight: Sight, way: PathMotion | FreeMotion, dt: float) -> Guess:
+        """The speed, m/s, by which the plane is where it was seen, as uncertain as both places leave it or more: what
+        the particles then make of the sight must not count it twice. A stated speed is worth as much as it is sure."""
+        gone = sight.place - self.plane.centre
+        forward = gone / max(float(np.linalg.norm(gone)), 1e-9)
+        if isinstance(way, PathMotion):
+            forward = way.path.frames(np.array(way.path.nearest(self.plane.centre)))[:, 0]
+        doubt = float(np.hypot(np.sqrt(forward @ sight.found.covariance @ forward), self._depth_std)) / dt
+        speed = float(np.clip(gone @ forward / dt, 0.0, acquisition.SPEED_RANGE[1]))
+        if self._stated is None:
+            return speed, max(self.configuration.speed_guess_spread * speed, DOUBTED * doubt)
+        stated, std = self._stated
+        return stated + (speed - stated) * std**2 / (std**2 + doubt**2), std
+
+    @property
+    def _depth_std(self) -> float:
+        """Standard deviation of the plane's distance in the first frame, m."""
+        return self.plane.inverse_depth_std * float(np.linalg.norm(self.plane.centre))
+
     def _set_off(
-        self, start: State, way: PathMotion | FreeMotion, frame: StereoFrame, dt: float, guess: float | None
+        self, start: State, way: PathMotion | FreeMotion, frame: StereoFrame, dt: float, guess: Guess | None
     ) -> State:
         """The first particles, set off along ``way``."""
         if isinstance(way, PathMotion):

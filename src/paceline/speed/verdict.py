@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from paceline.speed.refinement import Refined
 
+LEAST_FRAMES = 4
 MISFIT = 0.6  # share of the texture's contrast that may stay unexplained
 OFF = 0.6  # px, rms over the frames: how far the pictures may lie off the motion
 SHOWN = 0.5  # share of the frames that have to show the vehicle where the fitted motion puts it
@@ -49,16 +50,19 @@ def unexplained(refined: Refined) -> str:
             f"residuals: the pictures lie {off:.1f} px off the fitted motion and "
             f"{left_over:.0%} of their contrast is unexplained"
         )
-    if (share := float(frames_shown(refined).mean())) < SHOWN:
-        return f"residuals: only {share:.0%} of the frames show the vehicle where the fitted motion puts it"
+    shown = frames_shown(refined)
+    if shown.mean() < SHOWN or shown.sum() < LEAST_FRAMES:
+        return f"residuals: only {shown.sum()} of {len(shown)} frames show the vehicle where the fitted motion puts it"
     return ""
 
 
 def part_in_view(refined: Refined) -> int:
     """How many of the first frames to fit next, where something hides the vehicle in the others; all where nothing
-    does. Where no motion explains the pictures, something may have hidden it early on: then half of them at most."""
+    does. Where no motion explains the pictures, something may have hidden it early on: then half of them."""
     shown = frames_shown(refined)
-    return min(in_view(shown), len(shown) // 2 if unexplained(refined) else len(shown))
+    if LEAST_FRAMES <= (kept := in_view(shown)) < len(shown):
+        return kept
+    return len(shown) // 2 if unexplained(refined) else len(shown)
 
 
 def in_view(shown: NDArray[np.bool_]) -> int:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from paceline.documents import VehicleDocument
 from paceline.recordings import StereoFrame
+from paceline.speed.acquisition import SPEED_RANGE
 from paceline.vehicles.plane import Aligned, Face, face_of, likeness, showing_face
 from paceline.vehicles.scene import Scene
 from paceline.vehicles.sightings import Lookout
@@ -190,7 +191,7 @@ def found_on(track: Track) -> Found:
     face = trimmed(face, seen, partial(_is_clear, at=at))
     sighting = at.sighting
     left, right = sighting.way.pixels(at.s, face.corners(at))
-    document = VehicleDocument("", sighting.way.name, sighting.frame, left, right, "front", _first_speed(seen))
+    document = VehicleDocument("", sighting.way.name, sighting.frame, left, right, "front", first_speed(seen))
     return replace(
         as_seen(track, ""),
         path=sighting.way.name,
@@ -214,14 +215,15 @@ def in_step(aligned: list[Aligned]) -> list[Aligned]:
     return [a for a, one in zip(aligned, off, strict=True) if abs(one) <= 1]
 
 
-def _first_speed(seen: list[Aligned]) -> float | None:
+def first_speed(seen: list[Aligned]) -> float | None:
     """About how fast it drives at first, m/s, by the first half of where it was ``seen``; None where that is too
-    little to tell."""
+    little to tell, or it hardly moves there."""
     early = seen[: max(LEAST_SIGHTINGS, len(seen) // 2)]
     if len(early) < LEAST_SIGHTINGS:
         return None
     way, t = seen[0].sighting.way, np.array([a.sighting.time for a in early])
-    return round(abs(slope(t, np.array([a.along(way.path) for a in early]))), 1)
+    speed = round(abs(slope(t, np.array([a.along(way.path) for a in early]))), 1)
+    return speed if speed >= SPEED_RANGE[0] else None
 
 
 def _is_clear(face: Face, at: Aligned) -> bool:

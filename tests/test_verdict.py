@@ -1,0 +1,63 @@
+"""Whether a refined motion is a measurement, from what its frames say."""
+
+from __future__ import annotations
+
+from typing import cast
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from paceline.speed.refinement import Refined
+from paceline.speed.trajectory import Trajectory
+from paceline.speed.verdict import LEAST_FRAMES, MISFIT, OFF, frames_shown, in_view, part_in_view, unexplained
+
+
+def refined(explained: list[float], off: float = 0.0, converged: bool = True) -> Refined:
+    """A motion that explains so much of each frame, all of them ``off`` by so many pixels to the right."""
+    both = np.repeat(np.array(explained)[:, None], 2, axis=1)
+    offsets = np.where(np.isnan(both)[..., None], np.nan, [off, 0.0])
+    nothing = np.zeros((1, 1))
+    trajectory = cast(Trajectory, None)  # of the motion only what it explains is asked
+    return Refined(
+        trajectory, np.zeros(1), nothing, nothing, nothing, 1.0, 10.0, offsets, both, (), 9.0, converged=converged
+    )
+
+
+def test_a_frame_shows_the_vehicle_where_all_views_that_were_used_fit() -> None:
+    enough = 1.0 - MISFIT**2
+    r = refined([0.99, enough + 1e-6, enough - 1e-6, np.nan, 0.99])
+    r.explained[4, 1] = 0.0  # one view shows something else
+    r.explained[0, 0] = np.nan  # and one was not used
+    assert frames_shown(r).tolist() == [True, True, False, False, False]
+    assert frames_shown(refined([0.99] * 3, off=1.01 * OFF)).tolist() == [False] * 3
+
+
+@pytest.mark.parametrize(
+    ("shown", "frames", "reason"),
+    [(10, 10, ""), (5, 10, ""), (4, 10, "residuals: only 4 of 10 frames"), (3, 5, "residuals: only 3 of 5 frames")],
+)
+def test_half_of_the_frames_have_to_show_the_vehicle_and_four_of_them(shown: int, frames: int, reason: str) -> None:
+    said = unexplained(refined([0.9] * shown + [0.1] * (frames - shown)))
+    assert said.startswith(reason) and bool(said) == bool(reason)
+
+
+def test_a_track_is_cut_where_it_is_known_to_end_and_halved_where_nothing_is_known() -> None:
+    seen, hidden = [0.9], [0.1]
+    assert part_in_view(refined(20 * seen)) == 20
+    assert part_in_view(refined(17 * seen + 3 * hidden)) == 17
+    assert part_in_view(refined(5 * seen + 15 * hidden, converged=False)) == 5
+    assert part_in_view(refined(20 * hidden)) == 10
+    assert part_in_view(refined(20 * seen, converged=False)) == 10
+    assert part_in_view(refined(3 * seen + 17 * hidden)) == 10  # too few to be measured by themselves
+    assert LEAST_FRAMES == 4
+
+
+@given(st.lists(st.booleans(), min_size=1, max_size=40))
+def test_frames_are_kept_as_long_as_most_of_them_show_the_vehicle(shown: list[bool]) -> None:
+    kept = in_view(np.array(shown))
+    tails = [shown[kept:end] for end in range(kept + 1, len(shown) + 1)]
+    assert all(sum(tail) < len(tail) / 2 for tail in tails)  # nothing beyond it is worth its hidden frames
+    heads = [shown[start:kept] for start in range(1, kept)]
+    assert all(sum(head) >= len(head) / 2 for head in heads)  # and nothing of it would be better left away
