@@ -138,7 +138,7 @@ def test_a_first_speed_is_as_uncertain_as_two_frames_leave_it(rate: float, speed
         s = small("line", speed, seed, rate=rate, frames=6)
         last = track(s, guess)[-1]
         z.append((last.speed - speed) / last.speed_std)
-    assert np.sqrt(np.mean(np.square(z))) < 3.0  # 1.5 or less, as it should be; 4 to 7 where that place is taken as sure
+    assert np.sqrt(np.mean(np.square(z))) < 3.0  # 1.5 or less; 4 to 7 where that place is taken as sure
 
 
 def test_the_same_seed_gives_the_same_bits() -> None:
