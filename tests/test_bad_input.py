@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import signal
 import subprocess
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -457,6 +458,23 @@ def test_an_earlier_output_survives_a_later_failure(
     cut(clip, "left/0004.png", 0.5)
     refused(clip.folder)
     assert (tmp_path / "out" / "summary.json").read_text() == "earlier"
+
+
+def test_an_interrupt_inside_an_exec_ends_with_its_status(tmp_path: Path) -> None:
+    """As where dataclasses are made, while modules are imported: by ``python -m`` the signal itself would end it."""
+    (tmp_path / "interrupted.py").write_text(
+        "from paceline import cli\n"
+        "def app(**options):\n"
+        "    try:\n"
+        "        exec('raise KeyboardInterrupt')\n"
+        "    except KeyboardInterrupt:\n"
+        "        return cli.INTERRUPTED\n"
+        "cli.app = app\n"
+        "cli.main()\n"
+    )
+    command = [sys.executable, "-m", "interrupted"]
+    done = subprocess.run(command, cwd=tmp_path, env=ENVIRONMENT, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (130, "paceline: interrupted\n")
 
 
 @pytest.mark.parametrize(("number", "moment"), [(signal.SIGINT, 1.0), (signal.SIGTERM, 0.0)])

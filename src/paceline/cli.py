@@ -59,6 +59,9 @@ def main() -> None:
         status = _ended_within(error)
     if status == INTERRUPTED:  # how Typer answers Ctrl-C
         print("paceline: interrupted", file=sys.stderr)
+        # where Ctrl-C came inside an exec of a string, as dataclasses are made by, ``python -m`` would be ended by the
+        # signal itself, with another status; the next exec clears that
+        exec("")
     sys.exit(status)
 
 
