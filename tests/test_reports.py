@@ -402,3 +402,19 @@ def test_interrupt_while_files_change_places(tmp_path: Path, monkeypatch: pytest
         (folder / "a").write_text("new")
         (folder / "b").write_text("new")
     assert sorted(os.listdir(tmp_path / "out")) == ["a", "b"]
+
+
+def test_an_interrupt_just_after_the_folder_is_made_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make = Path.mkdir
+
+    def interrupted(folder: Path, *args: object) -> None:
+        make(folder)
+        if folder.name.endswith(".partial"):
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, "mkdir", interrupted)
+    with pytest.raises(KeyboardInterrupt), OutputFolder(tmp_path / "new" / "out"):
+        pass
+    assert list(tmp_path.iterdir()) == []

@@ -31,6 +31,7 @@ class OutputFolder:
     def __init__(self, out: str | Path) -> None:
         self.out = Path(out)
         self._made: list[Path] = []  # folders created for the output, outermost first
+        self._partial = self.out.parent / f".{self.out.name or 'paceline'}.{secrets.token_hex(4)}.partial"
 
     def __enter__(self) -> Path:
         try:
@@ -41,11 +42,14 @@ class OutputFolder:
             for folder in reversed([p for p in (parent, *parent.parents) if not p.exists()]):
                 folder.mkdir()
                 self._made.append(folder)
-            self._partial = parent / f".{self.out.name or 'paceline'}.{secrets.token_hex(4)}.partial"
+            self._partial = parent / self._partial.name
             self._partial.mkdir()
         except OSError as error:
             self._remove_made()
             raise self._unwritable(error) from error
+        except BaseException:  # Ctrl-C just after a folder was made
+            self._leave()
+            raise
         return self._partial
 
     def __exit__(
@@ -61,8 +65,12 @@ class OutputFolder:
         except OSError as failure:
             raise self._unwritable(failure) from failure
         finally:
-            shutil.rmtree(self._partial, ignore_errors=True)
-            self._remove_made()
+            self._leave()
+
+    def _leave(self) -> None:
+        """Takes away what is not put in place."""
+        shutil.rmtree(self._partial, ignore_errors=True)
+        self._remove_made()
 
     def _put_in_place(self) -> None:
         if not self.out.exists():
