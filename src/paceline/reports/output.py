@@ -44,11 +44,10 @@ class OutputFolder:
                 self._made.append(folder)
             self._partial = parent / self._partial.name
             self._partial.mkdir()
-        except OSError as error:
-            self._remove_made()
-            raise self._unwritable(error) from error
-        except BaseException:  # Ctrl-C just after a folder was made
+        except BaseException as error:  # Ctrl-C, too, just after a folder was made
             self._leave()
+            if isinstance(error, OSError):
+                raise self._unwritable(error) from error
             raise
         return self._partial
 

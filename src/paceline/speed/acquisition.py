@@ -18,6 +18,7 @@ from paceline.speed.planes import FirstPlane
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
+Guess = tuple[float, float]  # a speed and its standard deviation, m/s
 
 SPEED_RANGE = (0.5, 75.0)  # m/s, searched where no first guess is given
 SEARCH = 8  # times as many particles while the speed is unknown
@@ -47,12 +48,11 @@ def along_path(
     plane: FirstPlane,
     model: PathMotion,
     rig: StereoRig,
-    guess: tuple[float, float] | None,
+    guess: Guess | None,
     configuration: SpeedConfiguration,
     rng: np.random.Generator,
 ) -> State:
-    """``state`` set off along ``model``'s path: at speeds about a ``guess`` and its standard deviation (m/s), or over
-    all that vehicles drive.
+    """``state`` set off along ``model``'s path: at speeds about a ``guess``, or over all that vehicles drive.
 
     Each particle draws its own heading: from the covariance of the path's reconstruction, and from how drivers keep to
     a path.

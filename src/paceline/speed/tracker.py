@@ -14,6 +14,7 @@ from paceline.cameras import StereoRig
 from paceline.documents import VehicleDocument
 from paceline.recordings import StereoFrame
 from paceline.speed import acquisition, likelihood, motion, randomness
+from paceline.speed.acquisition import Guess
 from paceline.speed.cloud import SHOWN, Cloud, Views, views
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.likelihood import Grid, Observation
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
     from paceline.speed.cloud_cuda import CudaCloud, CudaDevice
 
 Array = NDArray[np.float64]
-Guess = tuple[float, float]  # a speed and its standard deviation, m/s
 
 SEEN = 0.55  # likeness to the reference below which a frame teaches nothing
 LOST = 0.25  # likeness below which the vehicle is not in view

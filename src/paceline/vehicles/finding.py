@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from paceline.documents import VehicleDocument
 from paceline.recordings import StereoFrame
 from paceline.speed.acquisition import SPEED_RANGE
-from paceline.vehicles.plane import Aligned, Face, face_of, likeness, showing_face
+from paceline.vehicles.plane import Aligned, Face, course, face_of, likeness, showing_face
 from paceline.vehicles.scene import Scene
 from paceline.vehicles.sightings import Lookout
 from paceline.vehicles.tracks import Linker, Track, off_course, slope
@@ -207,8 +207,7 @@ def _height(track: Track) -> float:
 
 def in_step(aligned: list[Aligned]) -> list[Aligned]:
     """Those that are on the course of all, or of all but one, which far off at an end would bend it to itself."""
-    way = aligned[0].sighting.way
-    t, s = np.array([a.sighting.time for a in aligned]), np.array([a.along(way.path) for a in aligned])
+    t, s = course(aligned)
     error, no_say = np.array([a.sighting.error(*OFF) for a in aligned]), np.where(np.eye(len(t)), NO_SAY, 1.0)
     courses = [off_course(t, s, error), *(doubt * off_course(t, s, doubt * error) for doubt in no_say)]
     off = min(courses, key=lambda off: float(np.minimum(np.abs(off), MOST_OFF).sum()))
@@ -221,8 +220,7 @@ def first_speed(seen: list[Aligned]) -> float | None:
     early = seen[: max(LEAST_SIGHTINGS, len(seen) // 2)]
     if len(early) < LEAST_SIGHTINGS:
         return None
-    way, t = seen[0].sighting.way, np.array([a.sighting.time for a in early])
-    speed = round(abs(slope(t, np.array([a.along(way.path) for a in early]))), 1)
+    speed = round(abs(slope(*course(early))), 1)
     return speed if speed >= SPEED_RANGE[0] else None
 
 

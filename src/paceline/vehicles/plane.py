@@ -111,6 +111,13 @@ def showing_face(track: Track) -> list[Sighting]:
     return [sighting for sighting in track.kept if sighting.y[0] < FOOT]
 
 
+def course(aligned: list[Aligned]) -> tuple[Array, Array]:
+    """When, s, and at which arc lengths of the first one's way, m, each of the frames ``aligned`` has the face: (N,)
+    each."""
+    path = aligned[0].sighting.way.path
+    return np.array([a.sighting.time for a in aligned]), np.array([a.along(path) for a in aligned])
+
+
 def likeness(face: Face, aligned: list[Aligned]) -> Array:
     """How much each of the frames ``aligned`` (N,) looks like most of them inside the rectangle of a ``face``: the
     correlation with the median of their pictures, in the view that shows it worse."""

@@ -20,7 +20,7 @@ from paceline.speed.planes import first_plane
 from paceline.speed.refinement import Fit
 from paceline.speed.trajectory import Trajectory, prior, way_of
 from paceline.speed.verdict import LEAST_FRAMES
-from paceline.vehicles.plane import Aligned, Face
+from paceline.vehicles.plane import Aligned, Face, course
 from paceline.vehicles.tracks import slope
 
 Array = NDArray[np.float64]
@@ -79,7 +79,7 @@ def _carried(glimpses: list[Glimpse], seen: list[Aligned]) -> tuple[Trajectory, 
     """The outline in the first of the ``glimpses`` carried along its way, and how fast, m/s."""
     way, (left, right) = seen[0].sighting.way, glimpses[0].quads
     times = np.array([g.times for g in glimpses]) - glimpses[0].times[0]
-    speed = slope(times[:, 0], np.array([a.along(way.path) for a in seen]))
+    speed = slope(*course(seen))
     path = way.path if speed > 0 else way.path.reversed()
     document = VehicleDocument("", way.name, glimpses[0].frame, left, right, "front", None)
     plane = first_plane(way.rig, document, path, OUTLINED)
