@@ -166,7 +166,7 @@ def as_seen(track: Track, reason: str) -> Found:
     return Found(
         path=first.way.name,
         times=(track.times[0], track.times[-1]),
-        width=float(np.median([s.x[1] - s.x[0] for s in track.kept])),
+        width=track.width,
         height=_height(track),
         place=first.place,
         vehicle=None,

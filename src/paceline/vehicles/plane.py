@@ -22,11 +22,15 @@ from paceline.vehicles.ways import Grid, Way
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
+Span = tuple[float, float]
 
 FINE = Grid(left=-2.0, top=1.6, bottom=0.15, cell=0.025)
 WINDOW = 9  # cells over which pictures are compared
-REACH, STEPS = 3.0, 25  # m about a sighting in which its face is looked for, in so many steps
-UNUSUAL = 0.02  # correlation, per m² that a face lies elsewhere against its sighting than in the reference
+REACH, STEPS = (3.0, 1.0), 25  # m, and px of disparity, about a sighting in which its face is looked for, in so many
+# steps
+UNUSUAL = 0.06  # correlation that it costs if a face lies as far elsewhere against its sighting than in the reference
+SHARPER = 0.5, 0.7  # of the most that agrees; times the misfit of the views there, below which as much that fits better
+# tells where a face is
 SHIFT = 0.4  # m that the face may lie off where it was in another frame, on the card
 CONTRAST = 1.0  # grey levels of a texture
 AGREED = 0.78, 0.66, 0.54  # correlation that speaks for a place as much as against it; less where noise leaves none
@@ -35,6 +39,7 @@ INSET = 0.075  # m: a correlation sees half its window beyond the place where it
 MOST_OF = 0.7  # of a face's width that a rectangle takes at least
 WIDEST = 1.8, 2.3  # m, of a rectangle on a car, and on what is taller than `TALLER`
 HIGHEST = 1.1, 1.6  # m, of the same
+BEGUN = 1.0, 0.57  # of the height, up to where all is first laid on each other: a bonnet or a windscreen may mislead it
 TALLER = 2.2  # m
 FOOT = 1.5  # m above the road, below which a sighting begins that shows a face: so high up are the lamps of lorries
 COST = 0.02  # of a place without texture
@@ -71,12 +76,12 @@ class Aligned:
 @dataclass(frozen=True, eq=False)
 class Face:
     """The rectangle to track: ``x`` and ``y`` (2,) m from the reference's origin; ``aligned`` where each sighting has
-    it. ``agreement`` is the mean correlation inside."""
+    it. ``votes`` is how much it tells, of what all agree on."""
 
-    x: tuple[float, float]
-    y: tuple[float, float]
+    x: Span
+    y: Span
     aligned: list[Aligned]
-    agreement: float
+    votes: float
 
     def corners(self, at: Aligned) -> Array:
         """Card coordinates (4, 2) of its corners in a frame: tl, tr, br, bl."""
@@ -93,7 +98,14 @@ def face_of(track: Track) -> Face | None:
     largest = max(sighting.area for sighting in uncut)
     reference = max((s for s in uncut if s.area >= WHOLE * largest), key=_size)
     half = min(0.5 * (reference.x[1] - reference.x[0]), -FINE.left)
-    x, y = (-half, half), (FINE.bottom, HIGHEST[reference.y[1] > TALLER])
+    top = HIGHEST[reference.y[1] > TALLER]
+    faces = [_face_within((-half, half), (FINE.bottom, share * top), shown, reference) for share in BEGUN]
+    return max((face for face in faces if face is not None), key=lambda face: face.votes, default=None)
+
+
+def _face_within(x: Span, y: Span, shown: list[Sighting], reference: Sighting) -> Face | None:
+    """The rectangle that all that is ``shown`` agrees on if it is first laid on each other by what lies between these
+    ``x`` and ``y`` of the ``reference``, and then by that rectangle."""
     face: Face | None = None
     for _ in range(2):
         aligned = _lay_on_each_other(shown, reference, x, y)
@@ -145,7 +157,7 @@ def _size(sighting: Sighting) -> float:
     return float(np.linalg.norm(left[1] - left[0]))
 
 
-def _window(x: tuple[float, float], y: tuple[float, float]) -> tuple[slice, slice]:
+def _window(x: Span, y: Span) -> tuple[slice, slice]:
     """Rows and columns of the fine grid within a rectangle."""
     columns, rows = (
         np.flatnonzero((FINE.x >= x[0]) & (FINE.x <= x[1])),
@@ -155,7 +167,7 @@ def _window(x: tuple[float, float], y: tuple[float, float]) -> tuple[slice, slic
 
 
 def _lay_on_each_other(
-    sightings: list[Sighting], reference: Sighting, x: tuple[float, float], y: tuple[float, float]
+    sightings: list[Sighting], reference: Sighting, x: Span, y: Span
 ) -> list[Aligned]:
     """Where each sighting has what the ``reference`` shows inside a rectangle: from one frame to the next."""
     rows, columns = _window(x, y)
@@ -174,14 +186,21 @@ def _lay_on_each_other(
 
 
 def _where_views_agree(sighting: Sighting, rows: slice, columns: slice) -> float:
-    """The arc length at which the two views of a face agree over the largest part of a window."""
-    origin = np.array([sighting.middle, 0.0])
-    ahead, areas = np.linspace(-REACH, REACH, STEPS), []
+    """The arc length at which the two views of a face agree over the largest part of a window; or, of those at which
+    they do over much of it, that at which they fit each other far more sharply: the wide light about lamps agrees
+    anywhere."""
+    origin, reach = np.array([sighting.middle, 0.0]), sighting.error(*REACH)
+    ahead, found = np.linspace(-reach, reach, STEPS), []
     for s in sighting.s + ahead:
         left, right = (Texture(card, WINDOW) for card in sighting.cards(float(s), FINE, origin))
-        areas.append(float((agreement(left, right) * _textured(left))[rows, columns].sum()))
-    best = int(np.argmax(areas))
-    return float(sighting.s + ahead[best] + vertex_at(np.array(areas), best) * (ahead[1] - ahead[0]))
+        alike = np.corrcoef(left.image[rows, columns].ravel(), right.image[rows, columns].ravel())[0, 1]
+        found.append(((agreement(left, right) * _textured(left))[rows, columns].sum(), np.nan_to_num(alike)))
+    areas, alike = np.array(found, float).T
+    heights, best = areas, int(np.argmax(areas))
+    sharp = np.where(areas >= SHARPER[0] * areas[best], alike, -1.0)
+    if 1.0 - sharp.max() < SHARPER[1] * (1.0 - alike[best]):
+        heights, best = alike, int(np.argmax(sharp))
+    return float(sighting.s + ahead[best] + vertex_at(heights, best) * (ahead[1] - ahead[0]))
 
 
 def _textured(texture: Texture) -> Image:
@@ -192,8 +211,8 @@ def _textured(texture: Texture) -> Image:
 def _searched(sighting: Sighting, template: Image, rows: slice, columns: slice, origin: Array, usual: float) -> Aligned:
     """Where both views of a sighting look most like the ``template``: about the ``origin`` that it has in a frame near
     by, and about the ``usual`` metres past where the sighting is."""
-    ahead, scores, moves = np.linspace(usual - REACH, usual + REACH, STEPS), [], []
-    reach = round(SHIFT / FINE.cell)
+    along, reach = sighting.error(*REACH), round(SHIFT / FINE.cell)
+    ahead, scores, moves = np.linspace(usual - along, usual + along, STEPS), [], []
     for s in sighting.s + ahead:
         cards = sighting.cards(float(s), FINE, origin)
         left, right = (_match(card, template, rows, columns, reach) for card in cards)
@@ -201,7 +220,7 @@ def _searched(sighting: Sighting, template: Image, rows: slice, columns: slice, 
         peak = np.unravel_index(int(np.argmax(maps)), maps.shape)
         scores.append(float(maps[peak]))
         moves.append(_subpixel(maps, peak) - reach)
-    preferred = np.array(scores) - UNUSUAL * (ahead - usual) ** 2
+    preferred = np.array(scores) - UNUSUAL * ((ahead - usual) / along) ** 2
     best = int(np.argmax(preferred))
     s = sighting.s + ahead[best] + vertex_at(preferred, best) * (ahead[1] - ahead[0])
     down, across = moves[best]
@@ -240,7 +259,7 @@ def _rectangle(aligned: list[Aligned], reference: Sighting) -> Face | None:
     cell = COARSE * FINE.cell
     widths = round((narrowest + 2 * INSET) / cell), round((widest + 2 * INSET) / cell)
     for agreed in AGREED:
-        votes = np.asarray((np.maximum(agreement, 0.0) - agreed) * weight - COST, float)
+        votes = _votes(agreement, weight, agreed)
         votes[FINE.y > highest] = -1.0
         found = best_rectangle(votes[::COARSE, ::COARSE], round((LOWEST + 2 * INSET) / cell), widths)
         if found is not None:
@@ -250,11 +269,15 @@ def _rectangle(aligned: list[Aligned], reference: Sighting) -> Face | None:
     top, bottom, left, right = (COARSE * k for k in found)
     x, y = FINE.x[[left, min(right, len(FINE.x)) - 1]], FINE.y[[min(bottom, len(FINE.y)) - 1, top]]
     part = np.s_[top:bottom, left:right]
-    mean = float((agreement[part] * weight[part]).sum() / max(weight[part].sum(), 1e-9))
-    return Face(_inset(x), _inset(y), aligned, mean)
+    return Face(_inset(x), _inset(y), aligned, float(_votes(agreement[part], weight[part], AGREED[-1]).sum()))
 
 
-def _inset(span: Array) -> tuple[float, float]:
+def _votes(agreement: Image, weight: Image, agreed: float) -> Array:
+    """What each place (rows, columns) says for a rectangle that holds it, if it takes ``agreed`` to speak for it."""
+    return np.asarray((np.maximum(agreement, 0.0) - agreed) * weight - COST, float)
+
+
+def _inset(span: Array) -> Span:
     return float(span[0]) + INSET, float(span[1]) - INSET
 
 

@@ -49,7 +49,8 @@ BEFORE = 2.5  # m that its face may lie before where most of it was seen
 TALL = 2.3  # m from which on a vehicle may be a lorry or a bus
 CEILING = 4.5  # m, of the tallest
 PIECE = 0.25  # mean of what counts about a place that belongs to a face
-SLENDER = 0.3  # of a face's height: columns of less are not of the face, but of a mirror or a shadow
+SLENDER = 0.3  # of a face's height and width: columns and rows of less are not of the face, but of a mirror, a shadow
+# or another vehicle's roof
 ASIDE = 1.6  # m from the middle of a way, from where on what counts belongs to the next lane more and more
 HALF_WIDTH = 1.3  # m, of a bus
 MARGIN = 0.9  # m about a face that are kept of the pictures
@@ -358,7 +359,7 @@ def apart_from(piece: Mask, counts: Image) -> Image:
 def _extent(piece: Mask) -> tuple[tuple[float, float], tuple[float, float]]:
     """From where to where on the card, across and up in m, a piece reaches."""
     columns = np.flatnonzero(piece.sum(0) >= SLENDER * piece.sum(0).max())
-    rows = np.flatnonzero(piece.any(1))
+    rows = np.flatnonzero(piece.sum(1) >= SLENDER * piece.sum(1).max())
     return (float(GRID.x[columns[0]]), float(GRID.x[columns[-1]])), (float(GRID.y[rows[-1]]), float(GRID.y[rows[0]]))
 
 

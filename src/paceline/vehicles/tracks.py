@@ -69,6 +69,11 @@ class Track:
     def first(self) -> Sighting:
         return self.kept[0]
 
+    @property
+    def width(self) -> float:
+        """Metres across, in the median, of what is seen of it."""
+        return float(np.median([s.x[1] - s.x[0] for s in self.kept]))
+
     def along(self, sighting: Sighting) -> float:
         """Arc length of a sighting on this track's way, m."""
         if not self.kept or sighting.way is self.first.way:
@@ -118,7 +123,8 @@ class Track:
             return False
         way, shared = self.first.way, (min(begun, ended) - GONE, max(begun, ended) + GONE)
         mine, others = self._on(way, *shared), other._on(way, *shared)
-        if abs(np.median(mine[3]) - np.median(others[3])) > BODY[1]:
+        apart = abs(np.median(mine[3]) - np.median(others[3]))
+        if apart > max(BODY[1], 0.5 * (self.width + other.width) + GAP):
             return False
         off = np.abs(off_course(*np.hstack([mine, others])[:3]))
         count = mine.shape[1]
