@@ -35,6 +35,7 @@ from paceline.vehicles.sightings import (
     Lookout,
     Sighting,
     apart_from,
+    extent,
     largest_piece,
 )
 from paceline.vehicles.tracks import Track, likeness
@@ -402,6 +403,16 @@ def driven(times: NDArray[np.float64], s: NDArray[np.float64], x: tuple[float, f
     for t, at in zip(times, s, strict=True):
         track.add(sighting(float(t), float(at), x))
     return track
+
+
+@pytest.mark.parametrize(("wide", "top"), [(0.4, 1.5), (1.4, 2.3)])
+def test_a_narrow_piece_above_a_face_makes_it_no_taller(wide: float, top: float) -> None:
+    """Of the next vehicle's roof, whose level edges agree at any distance; a wide one is the vehicle's own. The same
+    holds for a mirror beside it."""
+    x, y = GRID.x[None], GRID.y[:, None]
+    face, above = (np.abs(x) < 0.9) & (y < 1.5), (np.abs(x - 0.1) < wide / 2) & (y < 2.3)
+    mirror = (x > 0) & (x < 1.2) & (np.abs(y - 1.0) < 0.1)
+    np.testing.assert_allclose(extent(face | above | mirror), ((-0.9, 0.9), (0.2, top)), atol=1.01 * GRID.cell)
 
 
 @given(st.integers(0, 2**16), st.floats(0.5, 4.0), st.floats(0.0, 1.5))

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from painted_faces import CARD, FRAMES, face_with, texture_up_to
 from small_road import scene
+from test_vehicles_looking import frame, lit
+from test_vehicles_looking import way as lane
 
 from paceline.recordings import StereoFrame
 from paceline.simulation.planar import Vehicle, World, render
@@ -18,7 +21,7 @@ from paceline.vehicles.sightings import Sighting
 from paceline.vehicles.tracks import Track
 from paceline.vehicles.ways import Way
 
-HEIGHT = 1.6  # m, of all that is seen
+HEIGHT, FOOT = 1.6, 0.62  # m, of all that is seen, and of a windscreen's lower edge
 
 
 @pytest.mark.parametrize("seed", [2, 3])
@@ -45,6 +48,46 @@ def test_a_face_is_where_it_is_though_the_vehicle_leaves_the_pictures_at_last(
     found = {at.sighting.frame: at.s for at in face.aligned if whole[at.sighting.frame]}
     assert set(found) == {s.frame for s in track.kept if whole[s.frame]}
     assert all(abs(found[k] - true[k]) < 0.25 for k in found)  # m
+
+
+@pytest.mark.parametrize("light", [2.0, 2.5])
+def test_a_face_at_night_is_where_its_lamps_are_and_not_where_their_light_lies(light: float) -> None:
+    """It was seen so many metres nearer, as far as the light on the road reaches."""
+    track, true = Track(), 10.0 + 2.5 * np.arange(6)
+    spots = [(0.0, x, 0.6, width, peak) for x in (-0.6, 0.6) for width, peak in ((0.1, 700.0), (0.7, 60.0))]
+    for k, s in enumerate(true):
+        views = lit(s, [*spots, (light, 0.0, 0.5, 0.9, 60.0)])
+        at = frame(k)
+        track.add(Sighting(k, at.time, lane(), s + light, (-1.2, 1.2), (0.2, 1.5), 1.5, 9.0, views, np.zeros((2, 2))))
+    face = face_of(track)
+    assert face is not None
+    off = [(at.s - s) / at.sighting.error(0.0, 1.0) for at, s in zip(face.aligned, true, strict=True)]
+    assert np.abs(off).max() < 0.3  # px of disparity
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("slope", [2.0, 3.5])
+def test_a_face_is_not_taken_for_the_windscreen_above_it(seed: int, slope: float) -> None:
+    """That has far more contrast, and leans back by so many metres a metre."""
+    world, track, rng = World(scene(Vehicle("v0", 16.0, start_distance=60.0))), Track(), np.random.default_rng(seed)
+    way = Way("lane0", world.rig, from_points("lane0", "line", world.road.point(np.array([80.0, 12.0]), 1.85)))
+    texture, true = texture_up_to(CARD.top, seed) - 100.0, 34.0 + 4.0 * np.arange(FRAMES)
+    texture[:, np.abs(CARD.x) > 0.85] = 0.0
+    strips = [(0.0, 0.0, FOOT), *((slope * (y - FOOT), y, y + 0.06) for y in np.arange(FOOT, 1.3, 0.06))]
+    for k, s in enumerate(true):
+        pictures = [np.full(camera.image_size[::-1], 100.0) for camera in world.rig.cameras]
+        for behind, low, high in strips:
+            rows = (CARD.y >= low) & (CARD.y < high)
+            card = np.where(rows[:, None], texture * (1.0 if low < FOOT else 3.0), 0.0)
+            for picture, H in zip(pictures, way.homographies(s - behind), strict=True):
+                picture += cv2.warpPerspective(card, H @ CARD.to_metres, picture.shape[::-1])
+        views = [np.float32(cv2.GaussianBlur(p, (0, 0), 0.8) + rng.normal(0.0, 1.0, p.shape)) for p in pictures]
+        pair = views[0], views[1]
+        track.add(Sighting(k, 0.2 * k, way, s - slope / 4, (-0.85, 0.85), (0.2, 1.6), 1.5, 9.0, pair, np.zeros((2, 2))))
+    found = face_of(track)
+    assert found is not None
+    off = [(at.s - s) / at.sighting.error(0.0, 1.0) for at, s in zip(found.aligned, true, strict=True)]
+    assert np.abs(off).max() < 0.3  # px of disparity
 
 
 @pytest.mark.parametrize("side", [-1, 1])

@@ -88,6 +88,14 @@ def test_no_vehicle_is_told_twice_and_two_are_told_as_two() -> None:
         assert register.is_new(other, replace(as_seen(other, ""), vehicle=outlined(other.first.frame)))
 
 
+@pytest.mark.parametrize(("wide", "one"), [(3.0, True), (1.8, False)])
+def test_what_overlaps_is_one_vehicle_and_what_lies_apart_are_two(wide: float, one: bool) -> None:
+    """A lorry was seen with the bush beside it, and then with the one on its other side; two cars abreast."""
+    times = np.arange(10) / 10
+    left, right = (driven(times, 4 + 15 * times, (x - wide / 2, x + wide / 2)) for x in (-1.4, 1.4))
+    assert left.is_of(right) == right.is_of(left) == one
+
+
 def test_a_vehicle_that_is_followed_further_has_not_gone() -> None:
     """Its halo was lost after five frames; the vehicle is in view. Neither is another one a reason to wait."""
     times = np.arange(12) / 10

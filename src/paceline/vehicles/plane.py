@@ -44,7 +44,8 @@ TALLER = 2.2  # m
 FOOT = 1.5  # m above the road, below which a sighting begins that shows a face: so high up are the lamps of lorries
 COST = 0.02  # of a place without texture
 COARSE = 2  # cells of the map on which rectangles are tried
-WHOLE = 0.7  # of the largest area seen of a face, of a reference
+LARGE, WHOLE = 0.75, 0.7  # of all areas seen of a face, the one that most are below, and as much of that one that a
+# reference shows it: more at times is of something else, too
 MATCHED = 0.55  # correlation with the reference of a frame that counts
 
 
@@ -95,8 +96,8 @@ def face_of(track: Track) -> Face | None:
     if not shown:
         return None
     uncut = [sighting for sighting in shown if _is_uncut(sighting)] or shown
-    largest = max(sighting.area for sighting in uncut)
-    reference = max((s for s in uncut if s.area >= WHOLE * largest), key=_size)
+    whole = float(np.quantile([sighting.area for sighting in uncut], LARGE))
+    reference = max((s for s in uncut if s.area >= WHOLE * whole), key=_size)
     half = min(0.5 * (reference.x[1] - reference.x[0]), -FINE.left)
     top = HIGHEST[reference.y[1] > TALLER]
     faces = [_face_within((-half, half), (FINE.bottom, share * top), shown, reference) for share in BEGUN]
@@ -172,6 +173,8 @@ def _lay_on_each_other(
     """Where each sighting has what the ``reference`` shows inside a rectangle: from one frame to the next."""
     rows, columns = _window(x, y)
     s = _where_views_agree(reference, rows, columns)
+    if s is None:
+        return []
     first = Aligned(reference, s, np.array([reference.middle, 0.0]), 1.0)
     template = first.cards()[0][rows, columns]
     start, found = sightings.index(reference), [first]
@@ -185,10 +188,10 @@ def _lay_on_each_other(
     return sorted(found, key=lambda at: at.sighting.frame)
 
 
-def _where_views_agree(sighting: Sighting, rows: slice, columns: slice) -> float:
+def _where_views_agree(sighting: Sighting, rows: slice, columns: slice) -> float | None:
     """The arc length at which the two views of a face agree over the largest part of a window; or, of those at which
     they do over much of it, that at which they fit each other far more sharply: the wide light about lamps agrees
-    anywhere."""
+    anywhere. None where they agree more and more towards the end of what is looked at."""
     origin, reach = np.array([sighting.middle, 0.0]), sighting.error(*REACH)
     ahead, found = np.linspace(-reach, reach, STEPS), []
     for s in sighting.s + ahead:
@@ -196,11 +199,21 @@ def _where_views_agree(sighting: Sighting, rows: slice, columns: slice) -> float
         alike = np.corrcoef(left.image[rows, columns].ravel(), right.image[rows, columns].ravel())[0, 1]
         found.append(((agreement(left, right) * _textured(left))[rows, columns].sum(), np.nan_to_num(alike)))
     areas, alike = np.array(found, float).T
-    heights, best = areas, int(np.argmax(areas))
-    sharp = np.where(areas >= SHARPER[0] * areas[best], alike, -1.0)
-    if 1.0 - sharp.max() < SHARPER[1] * (1.0 - alike[best]):
-        heights, best = alike, int(np.argmax(sharp))
+    best = _highest(areas, areas)
+    if best is None:
+        return None
+    heights, fitting = areas, np.where(areas >= SHARPER[0] * areas[best], alike, -1.0)
+    sharp = _highest(alike, fitting)
+    if sharp is not None and 1.0 - fitting[sharp] < SHARPER[1] * (1.0 - alike[best]):
+        heights, best = alike, sharp
     return float(sighting.s + ahead[best] + vertex_at(heights, best) * (ahead[1] - ahead[0]))
+
+
+def _highest(heights: Array, preferred: Array) -> int | None:
+    """Where, of the places at which ``heights`` (N,) are higher than about them, they are most ``preferred`` (N,)."""
+    inner = heights[1:-1]
+    tops = 1 + np.flatnonzero((inner >= heights[:-2]) & (inner >= heights[2:]))
+    return int(tops[np.argmax(preferred[tops])]) if len(tops) else None
 
 
 def _textured(texture: Texture) -> Image:

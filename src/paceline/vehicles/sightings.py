@@ -245,7 +245,7 @@ class Lookout:
     @staticmethod
     def _sighting(frame: StereoFrame, way: Way, s: float, counts: Image, piece: Mask, upright: float) -> Sighting:
         area = float((counts * piece).sum()) * GRID.cell**2
-        x, y = _extent(piece)
+        x, y = extent(piece)
         card = np.array([[a, b] for a in (x[0] - MARGIN, x[1] + MARGIN) for b in (0.0, GRID.top)])
         around = [way.pixels(s + ahead, card) for ahead in (-BEFORE, BEFORE)]
         crops, corners = [], []
@@ -356,11 +356,13 @@ def apart_from(piece: Mask, counts: Image) -> Image:
     return np.where(about, np.float32(0.0), counts)
 
 
-def _extent(piece: Mask) -> tuple[tuple[float, float], tuple[float, float]]:
-    """From where to where on the card, across and up in m, a piece reaches."""
+def extent(piece: Mask) -> tuple[tuple[float, float], tuple[float, float]]:
+    """From where to where on the card, across and up in m, a piece (rows, columns) reaches, but for what is slender at
+    its sides and above it."""
     columns = np.flatnonzero(piece.sum(0) >= SLENDER * piece.sum(0).max())
-    rows = np.flatnonzero(piece.sum(1) >= SLENDER * piece.sum(1).max())
-    return (float(GRID.x[columns[0]]), float(GRID.x[columns[-1]])), (float(GRID.y[rows[-1]]), float(GRID.y[rows[0]]))
+    top = int(np.argmax(piece.sum(1) >= SLENDER * piece.sum(1).max()))
+    bottom = np.flatnonzero(piece.any(1))[-1]
+    return (float(GRID.x[columns[0]]), float(GRID.x[columns[-1]])), (float(GRID.y[bottom]), float(GRID.y[top]))
 
 
 def noise_of(image: Image, empty: Image) -> float:
