@@ -7,6 +7,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from painted_faces import CARD, FRAMES, face_with, texture_up_to
 from small_road import scene
 from test_vehicles_looking import frame, lit
@@ -21,7 +22,9 @@ from paceline.vehicles.sightings import Sighting
 from paceline.vehicles.tracks import Track
 from paceline.vehicles.ways import Way
 
-HEIGHT, FOOT = 1.6, 0.62  # m, of all that is seen, and of a windscreen's lower edge
+Array = NDArray[np.float64]
+
+HEIGHT, FOOT = 1.6, 0.75  # m, of all that is seen, and of a windscreen's lower edge
 
 
 @pytest.mark.parametrize("seed", [2, 3])
@@ -50,43 +53,63 @@ def test_a_face_is_where_it_is_though_the_vehicle_leaves_the_pictures_at_last(
     assert all(abs(found[k] - true[k]) < 0.25 for k in found)  # m
 
 
-@pytest.mark.parametrize("light", [2.0, 2.5])
-def test_a_face_at_night_is_where_its_lamps_are_and_not_where_their_light_lies(light: float) -> None:
-    """It was seen so many metres nearer, as far as the light on the road reaches."""
-    track, true = Track(), 10.0 + 2.5 * np.arange(6)
+def lamps_seen(true: Array, ahead: float) -> Track:
+    """Two lamps at night at the ``true`` arc lengths, and the light that they throw on the road, by which the vehicle
+    was seen so many metres ``ahead`` of them."""
+    track = Track()
     spots = [(0.0, x, 0.6, width, peak) for x in (-0.6, 0.6) for width, peak in ((0.1, 700.0), (0.7, 60.0))]
     for k, s in enumerate(true):
-        views = lit(s, [*spots, (light, 0.0, 0.5, 0.9, 60.0)])
-        at = frame(k)
-        track.add(Sighting(k, at.time, lane(), s + light, (-1.2, 1.2), (0.2, 1.5), 1.5, 9.0, views, np.zeros((2, 2))))
-    face = face_of(track)
+        views, at = lit(s, [*spots, (ahead, 0.0, 0.5, 0.9, 60.0)]), frame(k)
+        seen = Sighting(k, at.time, lane(), s + ahead, (-1.2, 1.2), (0.2, 1.5), 1.5, 9.0, views, np.zeros((2, 2)))
+        track.add(seen)
+    return track
+
+
+@pytest.mark.parametrize("ahead", [2.0, 2.5])
+def test_a_face_at_night_is_where_its_lamps_are_and_not_where_their_light_lies(ahead: float) -> None:
+    true = 10.0 + 2.5 * np.arange(6)
+    face = face_of(lamps_seen(true, ahead))
     assert face is not None
     off = [(at.s - s) / at.sighting.error(0.0, 1.0) for at, s in zip(face.aligned, true, strict=True)]
     assert np.abs(off).max() < 0.3  # px of disparity
 
 
+def test_what_lies_farther_than_is_looked_is_no_face() -> None:
+    """It looks more and more like one towards the end of what is looked at."""
+    assert face_of(lamps_seen(25.0 + 2.5 * np.arange(6), 3.4)) is None
+
+
+def test_a_face_is_known_by_what_most_frames_show_of_it() -> None:
+    """At last another thing, and more of it, was seen in its place."""
+    own = face_with(texture_up_to(CARD.top, 1), 1).aligned
+    other = face_with(texture_up_to(CARD.top, 2), 2).aligned
+    track = Track()
+    for at, instead in zip(own, other, strict=True):
+        last = at.sighting.frame >= FRAMES - 2
+        track.add(replace(instead.sighting, area=4.0) if last else at.sighting)
+    face = face_of(track)
+    assert face is not None and [at.sighting.frame for at in face.aligned] == list(range(FRAMES - 2))
+
+
 @pytest.mark.parametrize("seed", [1, 2, 3])
-@pytest.mark.parametrize("slope", [2.0, 3.5])
-def test_a_face_is_not_taken_for_the_windscreen_above_it(seed: int, slope: float) -> None:
-    """That has far more contrast, and leans back by so many metres a metre."""
+@pytest.mark.parametrize("contrast", [2.0, 4.0])
+def test_a_face_is_found_below_what_mirrors_something_else_each_time(seed: int, contrast: float) -> None:
+    """With so many times its contrast; where each frame has it is not known but by the face."""
     world, track, rng = World(scene(Vehicle("v0", 16.0, start_distance=60.0))), Track(), np.random.default_rng(seed)
     way = Way("lane0", world.rig, from_points("lane0", "line", world.road.point(np.array([80.0, 12.0]), 1.85)))
-    texture, true = texture_up_to(CARD.top, seed) - 100.0, 34.0 + 4.0 * np.arange(FRAMES)
-    texture[:, np.abs(CARD.x) > 0.85] = 0.0
-    strips = [(0.0, 0.0, FOOT), *((slope * (y - FOOT), y, y + 0.06) for y in np.arange(FOOT, 1.3, 0.06))]
+    own, above, true = texture_up_to(CARD.top, seed), (CARD.y > FOOT)[:, None], 34.0 + 2.0 * np.arange(FRAMES)
     for k, s in enumerate(true):
-        pictures = [np.full(camera.image_size[::-1], 100.0) for camera in world.rig.cameras]
-        for behind, low, high in strips:
-            rows = (CARD.y >= low) & (CARD.y < high)
-            card = np.where(rows[:, None], texture * (1.0 if low < FOOT else 3.0), 0.0)
-            for picture, H in zip(pictures, way.homographies(s - behind), strict=True):
-                picture += cv2.warpPerspective(card, H @ CARD.to_metres, picture.shape[::-1])
-        views = [np.float32(cv2.GaussianBlur(p, (0, 0), 0.8) + rng.normal(0.0, 1.0, p.shape)) for p in pictures]
+        mirrored = 100.0 + contrast * (texture_up_to(CARD.top, 100 * seed + k) - 100.0)
+        card, views = np.where(above, mirrored, own), []
+        for H, camera in zip(way.homographies(s), world.rig.cameras, strict=True):
+            view = cv2.warpPerspective(card, H @ CARD.to_metres, camera.image_size, borderValue=100.0)
+            views.append(np.float32(cv2.GaussianBlur(view, (0, 0), 0.8) + rng.normal(0.0, 1.0, view.shape)))
+        seen = s + rng.uniform(-1.5, 1.5)
         pair = views[0], views[1]
-        track.add(Sighting(k, 0.2 * k, way, s - slope / 4, (-0.85, 0.85), (0.2, 1.6), 1.5, 9.0, pair, np.zeros((2, 2))))
-    found = face_of(track)
-    assert found is not None
-    off = [(at.s - s) / at.sighting.error(0.0, 1.0) for at, s in zip(found.aligned, true, strict=True)]
+        track.add(Sighting(k, 0.1 * k, way, seen, (-0.85, 0.85), (0.2, 1.6), 1.5, 9.0, pair, np.zeros((2, 2))))
+    face = face_of(track)
+    assert face is not None and len(face.aligned) == FRAMES and face.y[1] < FOOT + 0.1
+    off = [(at.s - s) / at.sighting.error(0.0, 1.0) for at, s in zip(face.aligned, true, strict=True)]
     assert np.abs(off).max() < 0.3  # px of disparity
 
 
