@@ -49,8 +49,8 @@ BEFORE = 2.5  # m that its face may lie before where most of it was seen
 TALL = 2.3  # m from which on a vehicle may be a lorry or a bus
 CEILING = 4.5  # m, of the tallest
 PIECE = 0.25  # mean of what counts about a place that belongs to a face
-SLENDER = 0.3  # of a face's height and width: columns and rows of less are not of the face, but of a mirror, a shadow
-# or another vehicle's roof
+SLENDER, LONG = 0.3, 0.3  # of a face's height and width: columns and rows of less are not of the face, but of a mirror
+# or a shadow; or, if they reach so many m above it, of another vehicle's roof: lamps and roofs are round
 ASIDE = 1.6  # m from the middle of a way, from where on what counts belongs to the next lane more and more
 HALF_WIDTH = 1.3  # m, of a bus
 MARGIN = 0.9  # m about a face that are kept of the pictures
@@ -358,10 +358,12 @@ def apart_from(piece: Mask, counts: Image) -> Image:
 
 def extent(piece: Mask) -> tuple[tuple[float, float], tuple[float, float]]:
     """From where to where on the card, across and up in m, a piece (rows, columns) reaches, but for what is slender at
-    its sides and above it."""
+    its sides, and slender and long above it."""
     columns = np.flatnonzero(piece.sum(0) >= SLENDER * piece.sum(0).max())
-    top = int(np.argmax(piece.sum(1) >= SLENDER * piece.sum(1).max()))
-    bottom = np.flatnonzero(piece.any(1))[-1]
+    top, *_, bottom = np.flatnonzero(piece.any(1))
+    wide = int(np.argmax(piece.sum(1) >= SLENDER * piece.sum(1).max()))
+    if GRID.y[top] - GRID.y[wide] > LONG:
+        top = wide
     return (float(GRID.x[columns[0]]), float(GRID.x[columns[-1]])), (float(GRID.y[bottom]), float(GRID.y[top]))
 
 
