@@ -415,6 +415,12 @@ def test_a_narrow_piece_above_a_face_makes_it_no_taller(wide: float, top: float)
     np.testing.assert_allclose(extent(face | above | mirror), ((-0.9, 0.9), (0.2, top)), atol=1.01 * GRID.cell)
 
 
+def test_a_motorcycle_is_as_tall_as_its_rider_beside_something_low_and_wide() -> None:
+    x, y = GRID.x[None], GRID.y[:, None]
+    piece = (np.abs(x) < 0.35) & (y < 1.7) | (np.abs(x) < 1.2) & (y < 0.5)
+    np.testing.assert_allclose(extent(piece), ((-0.35, 0.35), (0.2, 1.7)), atol=1.01 * GRID.cell)
+
+
 @given(st.integers(0, 2**16), st.floats(0.5, 4.0), st.floats(0.0, 1.5))
 def test_forgetting_piece_after_piece_ends(seed: int, grain: float, sparse: float) -> None:
     """Each takes something away, also a ring's empty middle."""

@@ -25,6 +25,7 @@ from paceline.vehicles.ways import Way
 Array = NDArray[np.float64]
 
 HEIGHT, FOOT = 1.6, 0.75  # m, of all that is seen, and of a windscreen's lower edge
+MIRRORED_AT = 34.0 + 2.0 * np.arange(FRAMES)  # m along its way
 
 
 @pytest.mark.parametrize("seed", [2, 3])
@@ -53,6 +54,24 @@ def test_a_face_is_where_it_is_though_the_vehicle_leaves_the_pictures_at_last(
     assert all(abs(found[k] - true[k]) < 0.25 for k in found)  # m
 
 
+def below_a_mirror(seed: int, contrast: float, alike: int) -> Track:
+    """A face, and above it so many times its contrast, the same in the last ``alike`` frames only, which are the
+    nearest."""
+    world, track, rng = World(scene(Vehicle("v0", 16.0, start_distance=60.0))), Track(), np.random.default_rng(seed)
+    way = Way("lane0", world.rig, from_points("lane0", "line", world.road.point(np.array([80.0, 12.0]), 1.85)))
+    own, above = texture_up_to(CARD.top, seed), (CARD.y > FOOT)[:, None]
+    for k, s in enumerate(MIRRORED_AT):
+        mirrored = 100.0 + contrast * (texture_up_to(CARD.top, 100 * seed + min(k, FRAMES - alike)) - 100.0)
+        card, views = np.where(above, mirrored, own), []
+        for H, camera in zip(way.homographies(s), world.rig.cameras, strict=True):
+            view = cv2.warpPerspective(card, H @ CARD.to_metres, camera.image_size, borderValue=100.0)
+            views.append(np.float32(cv2.GaussianBlur(view, (0, 0), 0.8) + rng.normal(0.0, 1.0, view.shape)))
+        seen = s + rng.uniform(-1.5, 1.5)
+        pair = views[0], views[1]
+        track.add(Sighting(k, 0.1 * k, way, seen, (-0.85, 0.85), (0.2, 1.6), 1.5, 9.0, pair, np.zeros((2, 2))))
+    return track
+
+
 def lamps_seen(true: Array, ahead: float) -> Track:
     """Two lamps at night at the ``true`` arc lengths, and the light that they throw on the road, by which the vehicle
     was seen so many metres ``ahead`` of them."""
@@ -65,51 +84,67 @@ def lamps_seen(true: Array, ahead: float) -> Track:
     return track
 
 
-@pytest.mark.parametrize("ahead", [2.0, 2.5])
-def test_a_face_at_night_is_where_its_lamps_are_and_not_where_their_light_lies(ahead: float) -> None:
-    true = 10.0 + 2.5 * np.arange(6)
+@pytest.mark.parametrize("start", [10.0, 25.0])
+@pytest.mark.parametrize("ahead", [-2.5, -2.0, 2.0, 2.5])
+def test_a_face_at_night_is_where_its_lamps_are_and_not_where_their_light_lies(start: float, ahead: float) -> None:
+    true = start + 2.5 * np.arange(6)
     face = face_of(lamps_seen(true, ahead))
     assert face is not None
     off = [(at.s - s) / at.sighting.error(0.0, 1.0) for at, s in zip(face.aligned, true, strict=True)]
     assert np.abs(off).max() < 0.3  # px of disparity
 
 
-def test_what_lies_farther_than_is_looked_is_no_face() -> None:
+@pytest.mark.parametrize("ahead", [-3.8, -3.4, 3.4, 3.8])
+def test_what_lies_farther_than_is_looked_is_no_face(ahead: float) -> None:
     """It looks more and more like one towards the end of what is looked at."""
-    assert face_of(lamps_seen(25.0 + 2.5 * np.arange(6), 3.4)) is None
+    assert face_of(lamps_seen(25.0 + 2.5 * np.arange(6), ahead)) is None
 
 
-def test_a_face_is_known_by_what_most_frames_show_of_it() -> None:
-    """At last another thing, and more of it, was seen in its place."""
+def test_far_away_a_face_is_looked_for_farther_from_its_sighting() -> None:
+    """By a pixel of disparity, which is more than three metres there."""
+    true = np.array([46.0, 48.0, 50.0, 52.0])
+    track = lamps_seen(true, -3.5)
+    face = face_of(track)
+    assert face is not None
+    assert np.abs([at.s - s for at, s in zip(face.aligned, true, strict=True)]).max() < 1.0
+
+
+@pytest.mark.filterwarnings("error")
+def test_pictures_without_any_contrast_show_no_face() -> None:
+    seen, track = face_with(np.full_like(texture_up_to(CARD.top, 1), 100.0), 1).aligned, Track()
+    for at in seen:
+        left, right = (np.full_like(crop, 100.0) for crop in at.sighting.crops)
+        track.add(replace(at.sighting, crops=(left, right)))
+    assert face_of(track) is None
+
+
+@pytest.mark.parametrize("odd", [{0, 1}, {FRAMES - 2, FRAMES - 1}, {0, 4, FRAMES - 1}, {0, 1, FRAMES - 1}])
+def test_a_face_is_known_by_what_most_frames_show_of_it(odd: set[int]) -> None:
+    """In the odd ones another thing, and more of it, was seen in its place."""
     own = face_with(texture_up_to(CARD.top, 1), 1).aligned
     other = face_with(texture_up_to(CARD.top, 2), 2).aligned
     track = Track()
-    for at, instead in zip(own, other, strict=True):
-        last = at.sighting.frame >= FRAMES - 2
-        track.add(replace(instead.sighting, area=4.0) if last else at.sighting)
+    for k, (at, instead) in enumerate(zip(own, other, strict=True)):
+        track.add(replace(instead.sighting, area=4.0) if k in odd else at.sighting)
     face = face_of(track)
-    assert face is not None and [at.sighting.frame for at in face.aligned] == list(range(FRAMES - 2))
+    assert face is not None and {at.sighting.frame for at in face.aligned} == set(range(FRAMES)) - odd
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_face_seen_in_all_frames_goes_before_more_that_is_seen_in_few(seed: int) -> None:
+    """A windscreen mirrors the same in the two nearest ones, and another thing in each of the others."""
+    track = below_a_mirror(seed, 4.0, 2)
+    face = face_of(track)
+    assert face is not None and len(face.aligned) == FRAMES
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 @pytest.mark.parametrize("contrast", [2.0, 4.0])
 def test_a_face_is_found_below_what_mirrors_something_else_each_time(seed: int, contrast: float) -> None:
-    """With so many times its contrast; where each frame has it is not known but by the face."""
-    world, track, rng = World(scene(Vehicle("v0", 16.0, start_distance=60.0))), Track(), np.random.default_rng(seed)
-    way = Way("lane0", world.rig, from_points("lane0", "line", world.road.point(np.array([80.0, 12.0]), 1.85)))
-    own, above, true = texture_up_to(CARD.top, seed), (CARD.y > FOOT)[:, None], 34.0 + 2.0 * np.arange(FRAMES)
-    for k, s in enumerate(true):
-        mirrored = 100.0 + contrast * (texture_up_to(CARD.top, 100 * seed + k) - 100.0)
-        card, views = np.where(above, mirrored, own), []
-        for H, camera in zip(way.homographies(s), world.rig.cameras, strict=True):
-            view = cv2.warpPerspective(card, H @ CARD.to_metres, camera.image_size, borderValue=100.0)
-            views.append(np.float32(cv2.GaussianBlur(view, (0, 0), 0.8) + rng.normal(0.0, 1.0, view.shape)))
-        seen = s + rng.uniform(-1.5, 1.5)
-        pair = views[0], views[1]
-        track.add(Sighting(k, 0.1 * k, way, seen, (-0.85, 0.85), (0.2, 1.6), 1.5, 9.0, pair, np.zeros((2, 2))))
-    face = face_of(track)
+    """Where each frame has it is not known but by the face."""
+    face = face_of(below_a_mirror(seed, contrast, 1))
     assert face is not None and len(face.aligned) == FRAMES and face.y[1] < FOOT + 0.1
-    off = [(at.s - s) / at.sighting.error(0.0, 1.0) for at, s in zip(face.aligned, true, strict=True)]
+    off = [(at.s - s) / at.sighting.error(0.0, 1.0) for at, s in zip(face.aligned, MIRRORED_AT, strict=True)]
     assert np.abs(off).max() < 0.3  # px of disparity
 
 

@@ -88,11 +88,13 @@ def test_no_vehicle_is_told_twice_and_two_are_told_as_two() -> None:
         assert register.is_new(other, replace(as_seen(other, ""), vehicle=outlined(other.first.frame)))
 
 
-@pytest.mark.parametrize(("wide", "one"), [(3.0, True), (1.8, False)])
-def test_what_overlaps_is_one_vehicle_and_what_lies_apart_are_two(wide: float, one: bool) -> None:
-    """A lorry was seen with the bush beside it, and then with the one on its other side; two cars abreast."""
+@pytest.mark.parametrize(
+    ("apart", "wide", "one"), [(2.8, 3.0, True), (2.8, 1.8, False), (3.25, 2.9, False), (3.5, 6.4, False)]
+)
+def test_what_overlaps_is_one_vehicle_and_what_lies_apart_are_two(apart: float, wide: float, one: bool) -> None:
+    """A lorry seen with the bush beside it, and then with the one on its other side; two cars, or lorries, abreast."""
     times = np.arange(10) / 10
-    left, right = (driven(times, 4 + 15 * times, (x - wide / 2, x + wide / 2)) for x in (-1.4, 1.4))
+    left, right = (driven(times, 4 + 15 * times, (x - wide / 2, x + wide / 2)) for x in (-apart / 2, apart / 2))
     assert left.is_of(right) == right.is_of(left) == one
 
 

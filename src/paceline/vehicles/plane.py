@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from paceline.peaks import vertex_at
 from paceline.speed.paths import Path
-from paceline.vehicles.agreement import Texture, agreement, correlation
+from paceline.vehicles.agreement import FLAT, Texture, agreement, correlation
 from paceline.vehicles.sightings import GRID, Sighting
 from paceline.vehicles.tracks import Track
 from paceline.vehicles.ways import Grid, Way
@@ -26,12 +26,13 @@ Span = tuple[float, float]
 
 FINE = Grid(left=-2.0, top=1.6, bottom=0.15, cell=0.025)
 WINDOW = 9  # cells over which pictures are compared
-REACH, STEPS = (3.0, 1.0), 25  # m, and px of disparity, about a sighting in which its face is looked for, in so many
-# steps
-UNUSUAL = 0.06  # correlation that it costs if a face lies as far elsewhere against its sighting than in the reference
-SHARPER = 0.5, 0.7  # of the most that agrees; times the misfit of the views there, below which as much that fits better
-# tells where a face is
+REACH, STEPS = (3.0, 1.0), 25  # m at least, or px of disparity: so far about its sighting a face is looked for, at so
+# many places
+UNUSUAL = 0.06  # correlation that it costs if it lies farther from its sighting, by the reach, than in the reference
+SHARPER = 0.5, 0.7  # of the largest area that agrees, and times the misfit of the views where it does: a place at which
+# more than that agrees, and which fits better than that, is taken before it
 SHIFT = 0.4  # m that the face may lie off where it was in another frame, on the card
+RAISED = 0.5  # correlation that it costs if it lies as much higher or lower: on a card at a wrong place it does
 CONTRAST = 1.0  # grey levels of a texture
 AGREED = 0.78, 0.66, 0.54  # correlation that speaks for a place as much as against it; less where noise leaves none
 NARROWEST, LOWEST = 0.4, 0.3  # m of a rectangle
@@ -44,8 +45,8 @@ TALLER = 2.2  # m
 FOOT = 1.5  # m above the road, below which a sighting begins that shows a face: so high up are the lamps of lorries
 COST = 0.02  # of a place without texture
 COARSE = 2  # cells of the map on which rectangles are tried
-LARGE, WHOLE = 0.75, 0.7  # of all areas seen of a face, the one that most are below, and as much of that one that a
-# reference shows it: more at times is of something else, too
+UNLIKE = 0.7, 1.5  # of the usual area that is seen of it, outside which a face is not the reference: part of it is
+# hidden, or something else was seen with it
 MATCHED = 0.55  # correlation with the reference of a frame that counts
 
 
@@ -77,7 +78,7 @@ class Aligned:
 @dataclass(frozen=True, eq=False)
 class Face:
     """The rectangle to track: ``x`` and ``y`` (2,) m from the reference's origin; ``aligned`` where each sighting has
-    it. ``votes`` is how much it tells, of what all agree on."""
+    it. ``votes`` are those of its cells (`_votes`), at the least correlation that may speak for a place."""
 
     x: Span
     y: Span
@@ -96,12 +97,13 @@ def face_of(track: Track) -> Face | None:
     if not shown:
         return None
     uncut = [sighting for sighting in shown if _is_uncut(sighting)] or shown
-    whole = float(np.quantile([sighting.area for sighting in uncut], LARGE))
-    reference = max((s for s in uncut if s.area >= WHOLE * whole), key=_size)
+    usual = float(np.quantile([sighting.area for sighting in uncut], 0.5, method="higher"))  # that of one of them
+    reference = max((s for s in uncut if UNLIKE[0] * usual <= s.area <= UNLIKE[1] * usual), key=_size)
     half = min(0.5 * (reference.x[1] - reference.x[0]), -FINE.left)
     top = HIGHEST[reference.y[1] > TALLER]
     faces = [_face_within((-half, half), (FINE.bottom, share * top), shown, reference) for share in BEGUN]
-    return max((face for face in faces if face is not None), key=lambda face: face.votes, default=None)
+    found = [face for face in faces if face is not None]
+    return max(found, key=lambda face: face.votes * len(face.aligned), default=None)
 
 
 def _face_within(x: Span, y: Span, shown: list[Sighting], reference: Sighting) -> Face | None:
@@ -175,13 +177,14 @@ def _lay_on_each_other(
     s = _where_views_agree(reference, rows, columns)
     if s is None:
         return []
+    usual = float(np.clip(s - reference.s, -REACH[0], REACH[0]))
     first = Aligned(reference, s, np.array([reference.middle, 0.0]), 1.0)
     template = first.cards()[0][rows, columns]
     start, found = sightings.index(reference), [first]
     for others in (sightings[start + 1 :], sightings[:start][::-1]):
         near = first
         for sighting in others:
-            at = _searched(sighting, template, rows, columns, near.on(sighting.way), s - reference.s)
+            at = _searched(sighting, template, rows, columns, near.on(sighting.way), usual)
             if at.score >= MATCHED:
                 found.append(at)
                 near = at
@@ -191,29 +194,29 @@ def _lay_on_each_other(
 def _where_views_agree(sighting: Sighting, rows: slice, columns: slice) -> float | None:
     """The arc length at which the two views of a face agree over the largest part of a window; or, of those at which
     they do over much of it, that at which they fit each other far more sharply: the wide light about lamps agrees
-    anywhere. None where they agree more and more towards the end of what is looked at."""
+    anywhere. None where that is the end of what is looked at."""
     origin, reach = np.array([sighting.middle, 0.0]), sighting.error(*REACH)
     ahead, found = np.linspace(-reach, reach, STEPS), []
     for s in sighting.s + ahead:
         left, right = (Texture(card, WINDOW) for card in sighting.cards(float(s), FINE, origin))
-        alike = np.corrcoef(left.image[rows, columns].ravel(), right.image[rows, columns].ravel())[0, 1]
-        found.append(((agreement(left, right) * _textured(left))[rows, columns].sum(), np.nan_to_num(alike)))
-    areas, alike = np.array(found, float).T
-    best = _highest(areas, areas)
-    if best is None:
+        area = (agreement(left, right) * _textured(left))[rows, columns].sum()
+        found.append((area, _fit(left.image[rows, columns], right.image[rows, columns])))
+    areas, fits = np.array(found, float).T
+    best, heights = int(np.argmax(areas)), areas
+    fitting = np.where(areas >= SHARPER[0] * areas[best], fits, -1.0)
+    sharp = int(np.argmax(fitting))
+    if 1.0 - fits[sharp] < SHARPER[1] * (1.0 - fits[best]):
+        best, heights = sharp, fits
+    if not areas[best] > 0.0 or not 0 < best < STEPS - 1:
         return None
-    heights, fitting = areas, np.where(areas >= SHARPER[0] * areas[best], alike, -1.0)
-    sharp = _highest(alike, fitting)
-    if sharp is not None and 1.0 - fitting[sharp] < SHARPER[1] * (1.0 - alike[best]):
-        heights, best = alike, sharp
     return float(sighting.s + ahead[best] + vertex_at(heights, best) * (ahead[1] - ahead[0]))
 
 
-def _highest(heights: Array, preferred: Array) -> int | None:
-    """Where, of the places at which ``heights`` (N,) are higher than about them, they are most ``preferred`` (N,)."""
-    inner = heights[1:-1]
-    tops = 1 + np.flatnonzero((inner >= heights[:-2]) & (inner >= heights[2:]))
-    return int(tops[np.argmax(preferred[tops])]) if len(tops) else None
+def _fit(left: Image, right: Image) -> float:
+    """The correlation of two pictures (H, W) as a whole; 0 where either has no contrast."""
+    a, b = left - left.mean(), right - right.mean()
+    contrast = float(np.sqrt((a * a).mean() * (b * b).mean()))
+    return float((a * b).mean()) / contrast if contrast > FLAT else 0.0
 
 
 def _textured(texture: Texture) -> Image:
@@ -223,21 +226,25 @@ def _textured(texture: Texture) -> Image:
 
 def _searched(sighting: Sighting, template: Image, rows: slice, columns: slice, origin: Array, usual: float) -> Aligned:
     """Where both views of a sighting look most like the ``template``: about the ``origin`` that it has in a frame near
-    by, and about the ``usual`` metres past where the sighting is."""
+    by, at its height rather than not, and about the ``usual`` metres past where the sighting is."""
     along, reach = sighting.error(*REACH), round(SHIFT / FINE.cell)
-    ahead, scores, moves = np.linspace(usual - along, usual + along, STEPS), [], []
+    off, found, moves = np.linspace(-1.0, 1.0, STEPS), [], []
+    ahead = usual + along * off
+    raised = RAISED * np.linspace(-1.0, 1.0, 2 * reach + 1, dtype=np.float32)[:, None] ** 2
     for s in sighting.s + ahead:
         cards = sighting.cards(float(s), FINE, origin)
         left, right = (_match(card, template, rows, columns, reach) for card in cards)
-        maps = 0.5 * (left + right)
-        peak = np.unravel_index(int(np.argmax(maps)), maps.shape)
-        scores.append(float(maps[peak]))
-        moves.append(_subpixel(maps, peak) - reach)
-    preferred = np.array(scores) - UNUSUAL * ((ahead - usual) / along) ** 2
+        alike = 0.5 * (left + right)
+        likely = alike - raised
+        peak = np.unravel_index(int(np.argmax(likely)), likely.shape)
+        found.append((alike[peak], likely[peak]))
+        moves.append(_subpixel(likely, peak) - reach)
+    scores, preferred = np.array(found, float).T
+    preferred -= UNUSUAL * off**2
     best = int(np.argmax(preferred))
     s = sighting.s + ahead[best] + vertex_at(preferred, best) * (ahead[1] - ahead[0])
     down, across = moves[best]
-    return Aligned(sighting, float(s), origin + np.array([across, -down]) * FINE.cell, scores[best])
+    return Aligned(sighting, float(s), origin + np.array([across, -down]) * FINE.cell, float(scores[best]))
 
 
 def _match(card: Image, template: Image, rows: slice, columns: slice, reach: int) -> Image:

@@ -53,7 +53,8 @@ SLENDER, LONG = 0.3, 0.3  # of a face's height and width: columns and rows of le
 # or a shadow; or, if they reach so many m above it, of another vehicle's roof: lamps and roofs are round
 ASIDE = 1.6  # m from the middle of a way, from where on what counts belongs to the next lane more and more
 HALF_WIDTH = 1.3  # m, of a bus
-MARGIN = 0.9  # m about a face that are kept of the pictures
+MARGIN, KEPT = 0.9, 1.0  # m about a face that are kept of the pictures, and px of disparity before and behind it, or
+# `BEFORE`
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,8 +86,7 @@ class Sighting:
 
     def error(self, least: float, pixels: float) -> float:
         """Metres along the way of an error of so many ``pixels`` of disparity, but ``least`` metres."""
-        rig, depth = self.way.rig, float(self.place[2])
-        return max(least, pixels * depth**2 / float(rig.left.K[0, 0] * rig.baseline))
+        return error_at(self.way, float(self.place[2]), least, pixels)
 
     @cached_property
     def _levels(self) -> list[list[Image]]:
@@ -100,6 +100,11 @@ class Sighting:
             kept = np.array([[1, 0, -corner[0]], [0, 1, -corner[1]], [0, 0, 1.0]])
             found.append(laid_out(levels, kept @ H @ move, grid))
         return found[0], found[1]
+
+
+def error_at(way: Way, depth: float, least: float, pixels: float) -> float:
+    """Metres along a ``way`` at a ``depth``, m, of an error of so many ``pixels`` of disparity, but ``least`` m."""
+    return max(least, pixels * depth**2 / float(way.rig.left.K[0, 0] * way.rig.baseline))
 
 
 class Lookout:
@@ -247,7 +252,8 @@ class Lookout:
         area = float((counts * piece).sum()) * GRID.cell**2
         x, y = extent(piece)
         card = np.array([[a, b] for a in (x[0] - MARGIN, x[1] + MARGIN) for b in (0.0, GRID.top)])
-        around = [way.pixels(s + ahead, card) for ahead in (-BEFORE, BEFORE)]
+        kept = error_at(way, float(way.path.at(np.array(s))[2]), BEFORE, KEPT)
+        around = [way.pixels(s + ahead, card) for ahead in (-kept, kept)]
         crops, corners = [], []
         for side, image in enumerate((frame.left, frame.right)):
             pixels = np.concatenate([pair[side] for pair in around])
@@ -360,8 +366,9 @@ def extent(piece: Mask) -> tuple[tuple[float, float], tuple[float, float]]:
     """From where to where on the card, across and up in m, a piece (rows, columns) reaches, but for what is slender at
     its sides, and slender and long above it."""
     columns = np.flatnonzero(piece.sum(0) >= SLENDER * piece.sum(0).max())
-    top, *_, bottom = np.flatnonzero(piece.any(1))
-    wide = int(np.argmax(piece.sum(1) >= SLENDER * piece.sum(1).max()))
+    top, *_, bottom = np.flatnonzero(piece.any(1)).tolist()
+    widths = piece[:, columns].sum(1)
+    wide = int(np.argmax(widths >= SLENDER * widths.max()))
     if GRID.y[top] - GRID.y[wide] > LONG:
         top = wide
     return (float(GRID.x[columns[0]]), float(GRID.x[columns[-1]])), (float(GRID.y[bottom]), float(GRID.y[top]))

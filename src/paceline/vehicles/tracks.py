@@ -28,6 +28,7 @@ SHIFT = 0.35  # m that a face may have moved on its card
 PATIENCE = 3, 0.7  # frames, and seconds, without a sighting after which a vehicle has gone,
 GONE = 1.5  # s after which it has in any case: frames may be missing, and where it would be is not known any more
 BODY = 6.0, 2.5  # m along and across, within which there is no second vehicle
+ABREAST = 3.0  # m across, from which on there may be one in any case
 RECENT, LATEST = 8, 4  # sightings that say how fast a vehicle is, and from where on it is next
 TOGETHER = 0.8  # of their errors, by which sightings of one vehicle are off its course at most, in the median
 BENT = 1.0  # m/s², of a course: as unlikely as to be off by one error
@@ -124,7 +125,7 @@ class Track:
         way, shared = self.first.way, (min(begun, ended) - GONE, max(begun, ended) + GONE)
         mine, others = self._on(way, *shared), other._on(way, *shared)
         apart = abs(np.median(mine[3]) - np.median(others[3]))
-        if apart > max(BODY[1], 0.5 * (self.width + other.width) + GAP):
+        if apart > max(BODY[1], min(0.5 * (self.width + other.width), ABREAST)):
             return False
         off = np.abs(off_course(*np.hstack([mine, others])[:3]))
         count = mine.shape[1]
