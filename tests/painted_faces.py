@@ -27,16 +27,20 @@ def face_with(texture: Image, seed: int, covered: tuple[Image, int] | None = Non
     way = Way("lane0", world.rig, from_points("lane0", "line", world.road.point(np.array([80.0, 12.0]), 1.85)))
     aligned = []
     for k in range(FRAMES):
-        s, views = 35.0 + SPEED * k, []
-        shown = covered[0] if covered is not None and k < covered[1] else texture
-        for H, camera in zip(way.homographies(s), world.rig.cameras, strict=True):
-            view = cv2.warpPerspective(shown, H @ CARD.to_metres, camera.image_size, borderValue=100.0)
-            view = cv2.GaussianBlur(view, (0, 0), 0.8) + rng.normal(0.0, 1.0, view.shape)
-            views.append(np.float32(view))
-        pair = views[0], views[1]
+        s = 35.0 + SPEED * k
+        pair = painted_on(way, s, covered[0] if covered is not None and k < covered[1] else texture, rng)
         sighting = Sighting(k, 0.1 * k, way, s, X, (BOTTOM, TOP), 1.5, 9.0, pair, np.zeros((2, 2)))
         aligned.append(Aligned(sighting, s, np.zeros(2), 1.0))
     return Face(X, (BOTTOM, TOP), aligned, 0.9)
+
+
+def painted_on(way: Way, s: float, texture: Image, rng: np.random.Generator) -> tuple[Image, Image]:
+    """Both views of nothing but a ``texture`` on the card at ``s``."""
+    views = []
+    for H, camera in zip(way.homographies(s), way.rig.cameras, strict=True):
+        view = cv2.warpPerspective(texture, H @ CARD.to_metres, camera.image_size, borderValue=100.0)
+        views.append(np.float32(cv2.GaussianBlur(view, (0, 0), 0.8) + rng.normal(0.0, 1.0, view.shape)))
+    return views[0], views[1]
 
 
 def texture_up_to(height: float, seed: int) -> Image:

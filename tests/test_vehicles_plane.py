@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from painted_faces import CARD, FRAMES, face_with, texture_up_to
+from painted_faces import CARD, FRAMES, face_with, painted_on, texture_up_to
 from small_road import scene
 from test_vehicles_looking import frame, lit
 from test_vehicles_looking import way as lane
@@ -62,12 +61,8 @@ def below_a_mirror(seed: int, contrast: float, alike: int) -> Track:
     own, above = texture_up_to(CARD.top, seed), (CARD.y > FOOT)[:, None]
     for k, s in enumerate(MIRRORED_AT):
         mirrored = 100.0 + contrast * (texture_up_to(CARD.top, 100 * seed + min(k, FRAMES - alike)) - 100.0)
-        card, views = np.where(above, mirrored, own), []
-        for H, camera in zip(way.homographies(s), world.rig.cameras, strict=True):
-            view = cv2.warpPerspective(card, H @ CARD.to_metres, camera.image_size, borderValue=100.0)
-            views.append(np.float32(cv2.GaussianBlur(view, (0, 0), 0.8) + rng.normal(0.0, 1.0, view.shape)))
+        pair = painted_on(way, s, np.where(above, mirrored, own), rng)
         seen = s + rng.uniform(-1.5, 1.5)
-        pair = views[0], views[1]
         track.add(Sighting(k, 0.1 * k, way, seen, (-0.85, 0.85), (0.2, 1.6), 1.5, 9.0, pair, np.zeros((2, 2))))
     return track
 

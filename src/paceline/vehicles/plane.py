@@ -169,9 +169,7 @@ def _window(x: Span, y: Span) -> tuple[slice, slice]:
     return slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
 
 
-def _lay_on_each_other(
-    sightings: list[Sighting], reference: Sighting, x: Span, y: Span
-) -> list[Aligned]:
+def _lay_on_each_other(sightings: list[Sighting], reference: Sighting, x: Span, y: Span) -> list[Aligned]:
     """Where each sighting has what the ``reference`` shows inside a rectangle: from one frame to the next."""
     rows, columns = _window(x, y)
     s = _where_views_agree(reference, rows, columns)
