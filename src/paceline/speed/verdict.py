@@ -53,6 +53,8 @@ def unexplained(refined: Refined) -> str:
     shown = frames_shown(refined)
     if shown.mean() < SHOWN or shown.sum() < LEAST_FRAMES:
         return f"residuals: only {shown.sum()} of {len(shown)} frames show the vehicle where the fitted motion puts it"
+    if not shown[:LEAST_FRAMES].any():  # it is that of what came to hide the vehicle, and drives on in its place
+        return f"residuals: none of the first {LEAST_FRAMES} frames shows the vehicle where the fitted motion puts it"
     return ""
 
 
