@@ -16,7 +16,7 @@ from paceline.recordings import StereoFrame
 from paceline.simulation.planar import Vehicle, World, render
 from paceline.speed.paths import from_points
 from paceline.vehicles.finding import ALIKE, first_speed
-from paceline.vehicles.plane import face_of, likeness
+from paceline.vehicles.plane import FINE, face_of, likeness
 from paceline.vehicles.sightings import Sighting
 from paceline.vehicles.tracks import Track
 from paceline.vehicles.ways import Way
@@ -24,6 +24,7 @@ from paceline.vehicles.ways import Way
 Array = NDArray[np.float64]
 
 HEIGHT, FOOT = 1.6, 0.75  # m, of all that is seen, and of a windscreen's lower edge
+EDGES = np.array([[0.5, 0.4], [0.5, 1.0]])  # m, on a card
 MIRRORED_AT = 34.0 + 2.0 * np.arange(FRAMES)  # m along its way
 
 
@@ -67,16 +68,40 @@ def below_a_mirror(seed: int, contrast: float, alike: int) -> Track:
     return track
 
 
-def lamps_seen(true: Array, ahead: float) -> Track:
-    """Two lamps at night at the ``true`` arc lengths, and the light that they throw on the road, by which the vehicle
-    was seen so many metres ``ahead`` of them."""
+def lamps_seen(true: Array, ahead: float, lamps: float = 0.6, x: tuple[float, float] = (-1.2, 1.2)) -> Track:
+    """Two ``lamps`` at night, so many metres off the middle, at the ``true`` arc lengths, and the light that they throw
+    on the road, by which the vehicle was seen so many metres ``ahead`` of them; of all that, what lies within ``x``."""
     track = Track()
-    spots = [(0.0, x, 0.6, width, peak) for x in (-0.6, 0.6) for width, peak in ((0.1, 700.0), (0.7, 60.0))]
+    spots = [(0.0, at, 0.6, width, peak) for at in (-lamps, lamps) for width, peak in ((0.1, 700.0), (0.7, 60.0))]
     for k, s in enumerate(true):
         views, at = lit(s, [*spots, (ahead, 0.0, 0.5, 0.9, 60.0)]), frame(k)
-        seen = Sighting(k, at.time, lane(), s + ahead, (-1.2, 1.2), (0.2, 1.5), 1.5, 9.0, views, np.zeros((2, 2)))
-        track.add(seen)
+        track.add(Sighting(k, at.time, lane(), s + ahead, x, (0.2, 1.5), 1.5, 9.0, views, np.zeros((2, 2))))
     return track
+
+
+@pytest.mark.parametrize("start", [10.0, 25.0])
+@pytest.mark.parametrize("lamps", [0.6, 0.95])
+@pytest.mark.parametrize("part", [(-1.2, 1.2), (-1.9, 1.9), (-1.0, 0.4), (-0.4, 1.0)])
+def test_both_lamps_are_of_the_face_and_little_of_their_light(
+    start: float, lamps: float, part: tuple[float, float]
+) -> None:
+    """One lamp and the wide light beside it keep their picture as well, and tell a wrong speed."""
+    face = face_of(lamps_seen(start + 2.5 * np.arange(6), 0.0, lamps, (lamps / 0.6 * part[0], lamps / 0.6 * part[1])))
+    assert face is not None
+    for at in face.aligned:
+        x = face.corners(at)[:, 0]
+        assert abs(x.min() + lamps) < 0.45 and abs(x.max() - lamps) < 0.45  # m beyond the lamps
+
+
+def test_what_was_not_kept_of_the_pictures_is_none_of_a_face() -> None:
+    """At their edges both views repeat themselves, and agree."""
+    for at in face_with(texture_up_to(CARD.top, 1), 1).aligned:
+        whole = at.sighting
+        first, behind = (np.floor(points.mean(0)).astype(int) for points in whole.way.pixels(whole.s, EDGES))
+        cut = replace(whole, crops=(whole.crops[0][:, : first[0]], whole.crops[1][:, : behind[0]]))
+        shown = cut.shows(whole.s, FINE, np.zeros(2))
+        across = np.flatnonzero(shown.all(0))
+        assert FINE.x[across[-1]] == pytest.approx(EDGES[0, 0], abs=0.1) and shown.any(0)[: across[-1]].all()
 
 
 @pytest.mark.parametrize("start", [10.0, 25.0])

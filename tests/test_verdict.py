@@ -54,6 +54,14 @@ def test_a_track_is_cut_where_it_is_known_to_end_and_halved_where_nothing_is_kno
     assert LEAST_FRAMES == 4
 
 
+@pytest.mark.parametrize(("hidden", "reason"), [(3, ""), (4, "residuals: none of the first 4 frames")])
+def test_a_motion_that_no_frame_shows_at_first_is_that_of_something_else(hidden: int, reason: str) -> None:
+    """What came to hide the vehicle drove on in its place for longer than that was seen."""
+    r = refined([0.1] * hidden + [0.9] * 20)
+    assert unexplained(r).startswith(reason) and bool(unexplained(r)) == bool(reason)
+    assert part_in_view(r) == (10 + hidden // 2 if reason else 20 + hidden)
+
+
 @given(st.lists(st.booleans(), min_size=1, max_size=40))
 def test_frames_are_kept_as_long_as_most_of_them_show_the_vehicle(shown: list[bool]) -> None:
     kept = in_view(np.array(shown))
