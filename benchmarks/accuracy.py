@@ -1,13 +1,13 @@
 """Errors and intervals of the measured speeds on rendered clips with exact truth.
 
-python benchmarks/accuracy.py [--suite plain|hard|crossing] [--n 120] [--seed 1000] [--workers 2]
+python benchmarks/accuracy.py [--suite plain|hard|crossing] [--n 120] [--seed 1000] [--gamma 1] [--workers 2]
 """
 
 from __future__ import annotations
 
 import argparse
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -41,9 +41,9 @@ class Outcome:
         return not self.reason
 
 
-def run(seed: int, suite: str) -> Outcome:
-    """Render, measure and compare the clip of ``seed``."""
-    scene = SUITES[suite](seed)
+def run(seed: int, suite: str, gamma: float) -> Outcome:
+    """Render, measure and compare the clip of ``seed`` by a camera of ``gamma``."""
+    scene = replace(SUITES[suite](seed), gamma=gamma)
     describe = partial(Outcome, seed, _describe(scene), scene.radius is not None)
     with rendered(scene) as (clip, truth):
         try:
@@ -120,11 +120,13 @@ def main() -> None:
     parser.add_argument("--suite", choices=SUITES, default="hard")
     parser.add_argument("--n", type=int, default=120, help="number of clips")
     parser.add_argument("--seed", type=int, default=1000, help="seed of the first clip")
+    parser.add_argument("--gamma", type=float, default=1.0, help="values go as light to the power 1 / γ")
     parser.add_argument("--workers", type=int, default=2, help="processes")
     args = parser.parse_args()
     begun, outcomes = time.perf_counter(), []
     print(head("seed", "clip", "true, mph", "error", "95 % ±", "z", "model", "verdict"), flush=True)
-    for o in share_out(partial(run, suite=args.suite), range(args.seed, args.seed + args.n), args.workers):
+    seeds = range(args.seed, args.seed + args.n)
+    for o in share_out(partial(run, suite=args.suite, gamma=args.gamma), seeds, args.workers):
         outcomes.append(o)
         numbers = (f"{o.true:.2f}", f"{o.error:+.3f}", f"{o.half:.3f}", f"{o.z:+.1f}")
         verdict = "measured" if o.is_measured else f"rejected: {o.reason}"

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import csv
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -182,10 +182,12 @@ class _Film:
         self.world, self.scene = world, world.scene
         rng = np.random.default_rng([self.scene.seed, 17])
         self.backdrop = Backdrop(self.scene, world.road, self.scene.seed)
-        self.pole = occluder(world.road, world.poses[0][0], rng) if self.scene.occluder else None
+        pole = occluder(world.road, world.poses[0][0], rng) if self.scene.occluder else None
+        self.pole = pole and replace(pole, texture=pole.texture.lit(self.scene.gamma))
         self.phases = rng.uniform(0, 2 * np.pi, 2)
         self.glares = [_Glare(rng, len(world.clocks[0])) for _ in self.scene.vehicles]
-        self.parts = [_vehicle_parts(v) for v in self.scene.vehicles]
+        self.parts = [_vehicle_parts(v, self.scene.gamma) for v in self.scene.vehicles]
+        self.shadow = _SHADOW.lit(self.scene.gamma)
 
     def pictures(self) -> tuple[list[NDArray[np.uint8]], list[NDArray[np.uint8]]]:
         left, right = (self._seen_by(i) for i in (0, 1))
@@ -193,7 +195,7 @@ class _Film:
 
     def _seen_by(self, i: int) -> list[NDArray[np.uint8]]:
         scene, view, poses = self.scene, self.world.views[i], self.world.poses[i]
-        still = self.backdrop.draw(view)
+        still = textures.light_of(self.backdrop.draw(view), scene.gamma)
         mask = draw([self.pole], view, scene.blur_sigma, SUPERSAMPLING) if self.pole else None
         sensor = np.random.default_rng([scene.seed, 19, i])
         images = []
@@ -201,13 +203,14 @@ class _Film:
             image = still.copy()
             for j in np.argsort([-track[k].centre[2] for track in poses]):
                 vehicle, pose = scene.vehicles[j], poses[j][k]
-                paste(image, draw([_shadow(vehicle, pose)], view, scene.blur_sigma, 1))
+                paste(image, draw([_shadow(self.shadow, vehicle, pose)], view, scene.blur_sigma, 1))
                 paste(image, draw(_vehicle_cards(self.parts[j], pose), view, scene.blur_sigma, SUPERSAMPLING))
                 if vehicle.glare:
                     self.glares[j].add(image, vehicle, pose, view, k)
             paste(image, mask)
             sun = np.sin(1.3 * t + self.phases[0]) + 0.3 * np.sin(2.9 * t + self.phases[1] + i)
-            images.append(_expose(image * np.float32(1 + scene.gain_drift * sun), scene, sensor))
+            light = image * np.float32(1 + scene.gain_drift * sun)
+            images.append(_expose(textures.values_of(light, scene.gamma), scene, sensor))
         return images
 
 
@@ -244,9 +247,10 @@ class _Glare:
         image += (self.peak * wide * tall).astype(np.float32)
 
 
-def _vehicle_parts(vehicle: Vehicle) -> list[Part]:
+def _vehicle_parts(vehicle: Vehicle, gamma: float) -> list[Part]:
     make = textures.front if vehicle.plane == "front" else textures.side
-    return make(np.random.default_rng([vehicle.texture_seed, 7]), vehicle.width, vehicle.height, vehicle.relief)
+    parts = make(np.random.default_rng([vehicle.texture_seed, 7]), vehicle.width, vehicle.height, vehicle.relief)
+    return [replace(part, texture=part.texture.lit(gamma)) for part in parts]
 
 
 def _vehicle_cards(parts: list[Part], pose: Pose) -> list[Card]:
@@ -257,11 +261,11 @@ def _vehicle_cards(parts: list[Part], pose: Pose) -> list[Card]:
     return [card(p) for p in parts]
 
 
-def _shadow(vehicle: Vehicle, pose: Pose) -> Card:
+def _shadow(texture: Texture, vehicle: Vehicle, pose: Pose) -> Card:
     """The dark patch on the road under a vehicle."""
     length = 4.2 if vehicle.plane == "front" else 1.8
     corner = pose.centre + pose.axes @ np.array([-0.53 * vehicle.width, vehicle.height / 2 + CLEARANCE - 0.01, length])
-    return Card(_SHADOW, corner, 1.06 * vehicle.width * pose.axes[:, 0], -(length + 0.1) * pose.axes[:, 2])
+    return Card(texture, corner, 1.06 * vehicle.width * pose.axes[:, 0], -(length + 0.1) * pose.axes[:, 2])
 
 
 def _soft_shadow() -> Texture:

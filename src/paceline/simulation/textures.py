@@ -36,6 +36,20 @@ class Texture:
             levels.append(np.asarray(half, np.float32))
         return levels
 
+    def lit(self, gamma: float) -> Texture:
+        """The light of which these are the grey values, as it goes by their power ``gamma``."""
+        return self if gamma == 1.0 else Texture(light_of(self.value, gamma), self.alpha)
+
+
+def light_of(values: Image, gamma: float) -> Image:
+    """The light, 255 where they are that, of which ``values`` are the power 1 / ``gamma``."""
+    return values if gamma == 1.0 else np.asarray(255 * (np.clip(values, 0, None) / 255) ** gamma, np.float32)
+
+
+def values_of(light: Image, gamma: float) -> Image:
+    """The inverse of `light_of`."""
+    return light_of(light, 1.0 / gamma)
+
 
 class Canvas:
     """A texture being drawn; coordinates in metres from the top-left corner of a rectangle ``width`` × ``height``."""

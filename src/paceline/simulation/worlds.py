@@ -73,7 +73,8 @@ class Scene:
     or runs straight (None).
 
     Grey levels: ``noise_sigma`` is the standard deviation of the sensor's noise, to whose variance ``shot_noise`` adds
-    its part per grey level; ``gain_drift`` is the amplitude of the slow change of exposure. ``line_offset`` puts the
+    its part per grey level; ``gain_drift`` is the amplitude of the slow change of exposure. They go as light, which
+    the lens blurs by ``blur_sigma`` (px), to the power 1 / ``gamma``. ``line_offset`` puts the
     drawn line that many metres to the right of each lane's centre as seen towards growing arc length.
 
     ``dropped`` are the ticks of the clock whose pictures are missing; the right camera fires ``skew_s``
@@ -102,6 +103,7 @@ class Scene:
     noise_sigma: float = 1.5
     shot_noise: float = 0.0
     blur_sigma: float = 0.6
+    gamma: float = 1.0
     gain_drift: float = 0.0
     occluder: bool = False
     dropped: tuple[int, ...] = ()

@@ -1,12 +1,14 @@
 """The pictures that the refinement compares: one band of resolution each, in patches, on the plane's own grid.
 
 A vehicle that comes near shows finer detail than it did far away. The first band holds what even the farthest view
-resolves; each further one the finer detail of the views that resolve it.
+resolves; each further one the finer detail of the views that resolve it. The far view was blurred by its lens, which
+blurs light; so the near ones are blurred as light to match it, not as the values of their pixels.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import reduce
 
 import cv2
 import numpy as np
@@ -18,6 +20,7 @@ Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
 OPTICS = 0.8  # px, the blur of lens and pixel that most images have; what is left is fitted
+GAMMA_STEP = 0.1
 BAND = 1.5  # ratio of resolutions between bands
 DENSITY = 1.3  # samples per pixel of the coarsest view in a band
 PATCHES = 15
@@ -43,7 +46,9 @@ class Glimpse:
 class Band:
     """One band of resolution: the views that resolve it, their filtered crops and slopes, and its texture."""
 
-    def __init__(self, views: NDArray[np.int64], pictures: list[Floats], corners: Array, size: Array) -> None:
+    def __init__(
+        self, views: NDArray[np.int64], pictures: list[tuple[Floats, Floats]], gamma: float, corners: Array, size: Array
+    ) -> None:
         down = max(1, round(np.sqrt(PATCHES * size[1] / size[0])))
         across = max(1, round(PATCHES / down))
         x = max(int(np.ceil(size[0] * DENSITY / across)), 4)
@@ -58,6 +63,7 @@ class Band:
         self.ramps = self.places[:2].reshape(2, self.patches, self.samples)
         self.views = views
         self.pictures = pictures
+        self.gamma = gamma
         self.corners = corners
         self.weights = np.ones((len(views), self.patches))
         self.gain = np.ones((len(views), self.patches))
@@ -66,16 +72,20 @@ class Band:
         self.expected = np.ones((len(views), self.patches))
         self.power = np.ones((len(views), self.patches))
 
-    def normal_equations(self, H: Array, H_d: Array, relief: Array, dH: Array) -> tuple[Array, Array]:
-        """Normal matrices (views, patches, P + 1, P + 1) and scores (views, patches, P + 1) of the linearised problem.
+    def normal_equations(self, H: Array, H_d: Array, relief: Array, gamma: float, dH: Array) -> tuple[Array, Array]:
+        """Normal matrices (views, patches, P + 2, P + 2) and scores (views, patches, P + 2) of the linearised problem.
 
-        ``H``, ``H_d`` (all views, 3, 3); ``relief`` (patches,) metres; ``dH`` (all views, 3, 3, P) the derivatives.
-        The last column is each patch's own relief.
+        ``H``, ``H_d`` (all views, 3, 3); ``relief`` (patches,) metres; ``gamma`` of the camera; ``dH`` (all views, 3,
+        3, P) the derivatives. The last two columns are γ and each patch's own relief.
         """
-        M, r = self._linearised(H, H_d, relief)
+        M, r = self._linearised(H, H_d, relief, gamma)
         V, K, m = r.shape
-        columns = np.concatenate([dH[self.views], H_d[self.views][..., None]], axis=-1).reshape(V, 9, -1)
-        J = np.swapaxes(columns, 1, 2)[:, None].astype(np.float32) @ M
+        P = dH.shape[-1]
+        columns = np.zeros((V, 10, P + 2), np.float32)
+        columns[:, :9, :P] = dH[self.views].reshape(V, 9, P)
+        columns[:, 9, P] = 1.0
+        columns[:, :9, P + 1] = H_d[self.views].reshape(V, 9)
+        J = np.swapaxes(columns, 1, 2)[:, None] @ M
         w = (self.weights * self.gain**2).astype(np.float32)
         # the shared texture moves along with the parameters: what all views have in common tells nothing
         J -= np.einsum("vk,vkpm->kpm", w, J, optimize=True) / np.maximum(w.sum(0), 1e-12)[:, None, None]
@@ -86,29 +96,31 @@ class Band:
             A[v], score[v] = weighted @ own.swapaxes(1, 2), (weighted @ r[v, ..., None])[..., 0]
         return A, score
 
-    def agreement(self, H: Array, H_d: Array, relief: Array) -> tuple[Array, Array]:
+    def agreement(self, H: Array, H_d: Array, relief: Array, gamma: float) -> tuple[Array, Array]:
         """By how many pixels (views, 2) each view's picture lies off where the motion puts it, and what share (views,)
         of its contrast, squared, the motion explains."""
-        M, r = self._linearised(H, H_d, relief)
+        M, r = self._linearised(H, H_d, relief, gamma)
         V, K, m = r.shape
         shifts = np.zeros((V, 3, 3, 2))
         shifts[:, 0, :, 0] = shifts[:, 1, :, 1] = H[self.views][:, 2]
-        J = np.swapaxes(shifts.reshape(V, 9, 2), 1, 2)[:, None].astype(np.float32) @ M
+        J = np.swapaxes(shifts.reshape(V, 9, 2), 1, 2)[:, None].astype(np.float32) @ M[:, :, :9]
         Jw = J * (self.weights * self.gain**2).astype(np.float32)[:, :, None, None]
         A = (Jw @ J.swapaxes(2, 3)).sum(1)
         score = (Jw @ r[..., None]).sum(1)
         off = -np.linalg.solve(A.astype(float) + 1e-6 * np.eye(2), score.astype(float))[..., 0]
         return np.asarray(off), np.asarray(1.0 - self.variance.sum(1) / np.maximum(self.power.sum(1), 1e-9))
 
-    def _linearised(self, H: Array, H_d: Array, relief: Array) -> tuple[Floats, Floats]:
-        """∂I/∂H (views, patches, 9, samples) free of gain and offset, and the residuals (views, patches, samples)."""
+    def _linearised(self, H: Array, H_d: Array, relief: Array, gamma: float) -> tuple[Floats, Floats]:
+        """∂I/∂H and, last, ∂I/∂γ (views, patches, 10, samples) free of gain and offset, and the residuals (views,
+        patches, samples)."""
         V, K, m = len(self.views), self.patches, self.samples
         H, H_d = H[self.views], H_d[self.views]
         X = H @ self.places + (H_d @ self.places) * np.repeat(relief, m)
         z = X[:, 2]
         x = X[:, :2] / z[:, None]
         B = (H[:, :2, :2, None] - x[:, :, None] * H[:, 2, :2][:, None, :, None]) / z[:, None, None]
-        I, slope, laplacian = self._sampled(x, B)
+        I, slope, laplacian, by_gamma = self._sampled(x, B)
+        I += (gamma - self.gamma) * by_gamma
         I -= I.mean(-1, keepdims=True)
         self.power = (I * I).mean(-1)
         T = self._share_texture(I)
@@ -134,24 +146,27 @@ class Band:
             taken = 1.0 - np.sqrt(np.minimum(noise / np.maximum((share**2).mean(0), 1e-9), 1.0))
             r -= (taken * share)[..., None] * ramp
             free_of.append(np.sqrt(taken)[:, None] * ramp)
-        M = np.empty((V, K, 9, m), np.float32)
+        M = np.empty((V, K, 10, m), np.float32)
+        M[:, :, 9] = by_gamma / self.gain[..., None]
         linearise(x, z, B, self.places, g, np.stack(free_of).astype(np.float32), M)
         self._reweigh((r * r).mean(-1) * self.gain**2)
         return M, r
 
-    def _sampled(self, x: Array, B: Array) -> tuple[Array, Array, Array]:
-        """Intensities (V, K, m) at ``x`` (V, 2, N), their slopes (V, 2, N) over the unit square, their Laplacians."""
-        I, laplacian = np.empty((2, len(x), x.shape[2]))
+    def _sampled(self, x: Array, B: Array) -> tuple[Array, Array, Array, Array]:
+        """Intensities (V, K, m) at ``x`` (V, 2, N), their slopes (V, 2, N) over the unit square, their Laplacians and
+        their derivatives by γ."""
+        I, laplacian, by_gamma = np.empty((3, len(x), x.shape[2]))
         slope = np.empty((len(x), 2, x.shape[2]))
-        for v, pictures in enumerate(self.pictures):
+        for v, (pictures, change) in enumerate(self.pictures):
             at = (x[v] - self.corners[v][:, None]).astype(np.float32).reshape(2, self.patches, -1)
             sampled = cv2.remap(pictures, at[0], at[1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
             values = sampled.reshape(-1, 4).T
             I[v] = values[0]
             slope[v] = values[1] * B[v, 0] + values[2] * B[v, 1]
             laplacian[v] = values[3]
+            by_gamma[v] = cv2.remap(change, at[0], at[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).ravel()
         shape = len(x), self.patches, self.samples
-        return I.reshape(shape), slope, laplacian.reshape(shape)
+        return I.reshape(shape), slope, laplacian.reshape(shape), by_gamma.reshape(shape)
 
     def _share_texture(self, I: Array) -> Array:
         """The texture (K, m) that all views share; it and each view's gain (V, K) by alternation from the last ones."""
@@ -174,10 +189,11 @@ class Band:
         self.weights = 1.0 / (CORRELATED * self.expected) / (1.0 + variance / (REJECT * self.expected)) ** 2
 
 
-def bands_of(glimpses: list[Glimpse], quads: Array, smoothing: float, fine: bool) -> list[Band]:
+def bands_of(glimpses: list[Glimpse], quads: Array, gamma: float, smoothing: float, fine: bool) -> list[Band]:
     """The bands that ``glimpses`` allow, their regions at ``quads`` (F, 2, 4, 2): only the first unless ``fine``.
 
-    ``smoothing`` (px) holds at the coarsest view. Raises numpy.linalg.LinAlgError where too little is in view.
+    Light goes as their values to the power ``gamma``; ``smoothing`` (px) holds at the coarsest view. Raises
+    numpy.linalg.LinAlgError where too little is in view.
     """
     quads = quads.reshape(-1, 4, 2)
     scale = np.sqrt(areas(quads))
@@ -197,11 +213,11 @@ def bands_of(glimpses: list[Glimpse], quads: Array, smoothing: float, fine: bool
             break
         pictures = []
         for v in views:
-            picture = _smooth(crops[v], _blur(smoothing, scale[v] / resolution))
-            if b > 0:
-                picture = picture - _smooth(crops[v], _blur(smoothing, BAND * scale[v] / resolution))
-            pictures.append(_derivatives(picture))
-        bands.append(Band(views, pictures, corners[views], size * BAND**b))
+            ratio = scale[v] / resolution
+            blurs = [_blur(smoothing, r) for r in ((ratio, BAND * ratio) if b > 0 else (ratio,))]
+            less, picture, more = (_band(crops[v], blurs, gamma + step) for step in (-GAMMA_STEP, 0.0, GAMMA_STEP))
+            pictures.append((_derivatives(picture), (more - less) / (2 * GAMMA_STEP)))
+        bands.append(Band(views, pictures, gamma, corners[views], size * BAND**b))
     return bands
 
 
@@ -214,8 +230,15 @@ def _apart(field: Array, known: list[Array]) -> Array:
     return np.asarray(rest / np.sqrt(np.maximum((rest * rest).sum(-1, keepdims=True), 1e-12)))
 
 
-def _smooth(picture: Floats, sigma: float) -> Floats:
-    return np.asarray(cv2.GaussianBlur(picture, (0, 0), sigma), np.float32)
+def _band(picture: Floats, blurs: list[float], gamma: float) -> Floats:
+    """What of a ``picture`` the first of the ``blurs`` (px) leaves and the second, where there is one, does not."""
+    return np.asarray(reduce(np.subtract, (_smooth(picture, sigma, gamma) for sigma in blurs)))
+
+
+def _smooth(picture: Floats, sigma: float, gamma: float) -> Floats:
+    """The ``picture`` blurred as by a lens: as light, which goes as its values to the power ``gamma``."""
+    light = cv2.GaussianBlur(cv2.pow(picture, gamma), (0, 0), sigma)
+    return np.asarray(cv2.pow(light, 1.0 / gamma), np.float32)
 
 
 def _blur(smoothing: float, ratio: float) -> float:

@@ -14,8 +14,8 @@ SUMS = {"reassoc", "contract", "nsz"}  # sums may be taken in another order
 
 @njit(cache=True, nogil=True, fastmath=SUMS, error_model="numpy")
 def linearise(x: Array, z: Array, B: Array, places: Array, g: Array, free_of: Floats, M: Floats) -> None:
-    """∂I/∂H into ``M`` (views, patches, 9, samples), free of each patch's mean and of what ``free_of`` (C, patches,
-    samples; of length 1) holds, one after the other.
+    """∂I/∂H into ``M`` (views, patches, 10, samples), and that and what it holds last freed of each patch's mean and of
+    what ``free_of`` (C, patches, samples; of length 1) holds, one after the other.
 
     ``x`` (views, 2, N) px is where the N samples at ``places`` (3, N) of the unit square lie, ``z`` (views, N) their
     scale and ``B`` (views, 2, 2, N) ∂x over the square; ``g`` (2, N) the texture's slope there.
@@ -31,11 +31,14 @@ def linearise(x: Array, z: Array, B: Array, places: Array, g: Array, free_of: Fl
                 ax = (g[0, n] * B[v, 1, 1, n] - g[1, n] * B[v, 1, 0, n]) / det
                 ay = (g[1, n] * B[v, 0, 0, n] - g[0, n] * B[v, 0, 1, n]) / det
                 c[0, i], c[1, i], c[2, i] = ax, ay, -(ax * x[v, 0, n] + ay * x[v, 1, n])
-            for j in range(9):
-                row, factor, place = own[j], c[j // 3], places[j % 3, first : first + m]
+            for j in range(10):
+                row = own[j]
+                if j < 9:
+                    factor, place = c[j // 3], places[j % 3, first : first + m]
+                    for i in range(m):
+                        row[i] = factor[i] * place[i]
                 total = 0.0
                 for i in range(m):
-                    row[i] = factor[i] * place[i]
                     total += row[i]
                 mean = np.float32(total / m)
                 for i in range(m):

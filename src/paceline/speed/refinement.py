@@ -3,7 +3,8 @@
 One texture of the plane is shared by every frame of both views; depth, speed, the path's direction and the plane's
 normal are found so that all of them agree, by Gauss–Newton on intensities. The texture is eliminated exactly
 (variable projection), each patch of each view has its own gain and offset, patches may stand a little before or
-behind the plane, and a patch that does not fit — glare, a pole — loses its say.
+behind the plane, and a patch that does not fit — glare, a pole — loses its say. How the camera's values go as light
+is found with the motion.
 """
 
 from __future__ import annotations
@@ -25,6 +26,9 @@ Array = NDArray[np.float64]
 
 LEVELS = ((2.5, False), (1.2, False), (0.7, True))  # smoothing at the farthest view, px; whether the finer bands join
 RELIEF = 0.04  # m, how far a patch may stand from the plane
+GAMMA = 1.7, 0.6  # γ of a camera, whose values go as light to the power 1 / γ
+GAMMAS = 1.0, 2.4  # the least and the most: what else changes from picture to picture may pass for any
+FIRM = 1e8  # information of what is held
 STEP = 0.1  # standard deviations: converged
 COARSE_STEP = 1.0  # the same before the last level, which starts where this ends
 UNSETTLED = 1.0  # a last step from which no motion can be said to have been found
@@ -43,8 +47,9 @@ class Refined:
 
     ``covariance`` is of the pictures' noise, ``doubt`` of the choice among models, ``systematic`` of the calibration:
     NaN where the rig states no uncertainty. ``residual`` is the median rms of a patch in grey levels, ``contrast``
-    that of the texture; ``offsets`` (F, 2, 2) are the pixels by which each view's picture lies off the motion and
-    ``explained`` (F, 2) the share of its contrast, squared, that the motion explains (NaN where it was not used).
+    that of the texture, and ``gamma`` the camera's, as the pictures tell it; ``offsets`` (F, 2, 2) are the pixels by
+    which each view's picture lies off the motion and ``explained`` (F, 2) the share of its contrast, squared, that the
+    motion explains (NaN where it was not used).
     """
 
     trajectory: Trajectory
@@ -54,6 +59,7 @@ class Refined:
     systematic: Array
     residual: float
     contrast: float
+    gamma: float
     offsets: Array
     explained: Array
     extras: tuple[str, ...]  # of the motion, that the evidence spoke for, of EXTRAS
@@ -113,6 +119,7 @@ def refine(trajectory: Trajectory, glimpses: list[Glimpse], speed: float, on_pat
         fit.systematic(trajectory.rig.uncertainty),
         fit.residual,
         fit.contrast,
+        fit.gamma,
         *fit.agreement(),
         extras,
         fit.dof,
@@ -125,9 +132,9 @@ class Fit:
 
     def __init__(self, trajectory: Trajectory, glimpses: list[Glimpse], prior: Prior) -> None:
         self.trajectory, self.glimpses, self.prior = trajectory, glimpses, prior
-        self.theta, self.relief = self._from_filter(), np.zeros(0)
+        self.theta, self.relief, self.gamma = self._from_filter(), np.zeros(0), GAMMA[0]
         for smoothing, fine in LEVELS:
-            self.bands = bands_of(glimpses, trajectory.quads(self.theta), smoothing, fine)
+            self.bands = bands_of(glimpses, trajectory.quads(self.theta), self.gamma, smoothing, fine)
             if len(self.relief) != self.bands[0].patches:
                 self.relief = np.zeros(self.bands[0].patches)
             self.descend(STEP if fine else COARSE_STEP)
@@ -154,7 +161,7 @@ class Fit:
         so many steps from here."""
         other = copy(self)
         other.trajectory = replace(self.trajectory, quad=quad)
-        other.bands = bands_of(self.glimpses, other.trajectory.quads(self.theta), *LEVELS[-1])
+        other.bands = bands_of(self.glimpses, other.trajectory.quads(self.theta), self.gamma, *LEVELS[-1])
         other.theta, other.relief = self.theta.copy(), np.zeros(other.bands[0].patches)
         other.descend(STEP, most)
         return other
@@ -198,10 +205,16 @@ class Fit:
         for _ in range(most):
             self.A, score, *self._cells = self._assemble()
             change = -np.linalg.solve(self.A, score)
+            left = float(np.clip(self.gamma + change[P], *GAMMAS)) - self.gamma
+            if left != change[P]:
+                self.A[P, P] += FIRM
+                score[P] -= FIRM * left
+                change = -np.linalg.solve(self.A, score)
             if not np.isfinite(change).all():
                 raise np.linalg.LinAlgError("the images determine no step")
             self.theta[self.prior.free] += change[:P]
-            self.relief += change[P:]
+            self.gamma = float(np.clip(self.gamma + change[P], *GAMMAS))
+            self.relief += change[P + 1 :]
             step = float(np.abs(change[:P] / np.sqrt(np.diag(np.linalg.inv(self.A))[:P])).max())
             if step < enough:
                 break
@@ -244,35 +257,36 @@ class Fit:
         return theta + np.stack([change, -change]), steps
 
     def _assemble(self) -> tuple[Array, Array, Array, Array]:
-        """The normal matrix and score over free parameters and relief, prior included, and what each view's patches
-        give to them: (views, patches, P + 1, P + 1) and (views, patches, P + 1), the patch's own relief last."""
+        """The normal matrix and score over free parameters, gamma and relief, prior included, and what each view's
+        patches give to them: (views, patches, P + 2, P + 2) and (views, patches, P + 2), their own relief last."""
         p, K = self.prior, len(self.relief)
         H, H_d = (h.reshape(-1, 3, 3) for h in self.trajectory.homographies(self.theta))
         dH = self._derivatives(p.free)
-        n = len(p.free) + 1
+        n = len(p.free) + 2
         cells_A, cells = np.zeros((len(H), K, n, n)), np.zeros((len(H), K, n))
         for band in self.bands:
-            a, s = band.normal_equations(H, H_d, self.relief, dH)
+            a, s = band.normal_equations(H, H_d, self.relief, self.gamma, dH)
             cells_A[band.views] += a
             cells[band.views] += s
         A, score = self._prior_information(), np.zeros(n - 1 + K)
-        score[: n - 1] = p.information @ (self.theta - p.mean)[p.free]
+        score[: n - 2] = p.information @ (self.theta - p.mean)[p.free]
+        score[n - 2] = (self.gamma - GAMMA[0]) / GAMMA[1] ** 2
         score[n - 1 :] = self.relief / RELIEF**2
         return A + scatter.joined(cells_A), score + scatter.joined_scores(cells), cells_A, cells
 
     def _prior_information(self) -> Array:
-        """Information of the prior over free parameters and relief."""
-        P, K = len(self.prior.free), len(self.relief)
-        information = np.zeros((P + K, P + K))
+        """Information of the prior over free parameters, gamma and relief."""
+        P = len(self.prior.free)
+        information = np.diag([*np.zeros(P), GAMMA[1] ** -2, *np.full(len(self.relief), RELIEF**-2)])
         information[:P, :P] = self.prior.information
-        information[range(P, P + K), range(P, P + K)] = 1.0 / RELIEF**2
         return information
 
     @cached_property
     def covariance(self) -> Array:
         """Covariance of the free parameters, from the scatter of the scores."""
         known, (cells_A, cells) = self._prior_information(), self._cells
-        return CALIBRATION**2 * scatter.covariance(self.A, known, cells_A, cells, self._mean_speed)
+        P, judged = len(self.prior.free), np.append(self._mean_speed, 0.0)
+        return CALIBRATION**2 * scatter.covariance(self.A, known, cells_A, cells, judged)[:P, :P]
 
     @property
     def whole_covariance(self) -> Array:
@@ -306,7 +320,7 @@ class Fit:
         H, H_d = (h.reshape(-1, 3, 3) for h in self.trajectory.homographies(self.theta))
         off, explained = np.full((len(H), 2), np.nan), np.full(len(H), np.nan)
         base = self.bands[0]
-        off[base.views], explained[base.views] = base.agreement(H, H_d, self.relief)
+        off[base.views], explained[base.views] = base.agreement(H, H_d, self.relief, self.gamma)
         return off.reshape(-1, 2, 2), explained.reshape(-1, 2)
 
     def systematic(self, uncertainty: RigUncertainty | None) -> Array:
@@ -325,11 +339,12 @@ class Fit:
         p = self.prior
         P, K, Q = len(p.free), len(self.relief), len(changes)
         dH = np.concatenate([self._derivatives(p.free), np.stack(changes, axis=-1)], axis=-1)
-        coupling = np.zeros((P + K, Q))
+        coupling = np.zeros((P + 1 + K, Q))
         for band in self.bands:
-            a, _ = band.normal_equations(H, H_d, self.relief, dH)
+            a, _ = band.normal_equations(H, H_d, self.relief, self.gamma, dH)
             coupling[:P] += a[..., :P, P : P + Q].sum((0, 1))
-            coupling[P:] += a[..., P + Q, P : P + Q].sum(0)
+            coupling[P] += a[..., P + Q, P : P + Q].sum((0, 1))
+            coupling[P + 1 :] += a[..., P + Q + 1, P : P + Q].sum(0)
         response = np.zeros((n, Q))
         response[p.free] = -np.linalg.solve(self.A, coupling)[:P]
         return np.asarray(response @ response.T)
