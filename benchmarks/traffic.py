@@ -210,7 +210,7 @@ class Tally:
         return Tally(self.counts + other.counts, self.speeds + other.speeds)
 
     def cells(self) -> list[object]:
-        good = [s for s in self.speeds if s.verdict == "measured"]
+        good = [s for s in self.speeds if s.is_measured]
         covered = f"{sum(abs(s.error) <= s.half for s in good)} of {len(good)}"
         return [
             *(self.counts[name] for name in COUNTED),
@@ -237,10 +237,12 @@ def play(seed: int, kind: str, tally: Tally, count: bool) -> list[str]:
         times, wanted = Counter(name for name in names if name is not None), countable(of, kind)
         both = zip(search.clip.vehicles, names, strict=True)
         real = {n: replace(v, id=n) for v, n in both if n is not None and not count}
+        speeds: dict[str, Speed] = {}
         for name, m in zip(real, _measured(replace(clip, vehicles=list(real.values())), recording), strict=True):
             error = (m.speed - true_mean(truth, replace(m, vehicle=name))) / MPH
-            tally.speeds.append(Speed(error, (m.speed_hi - m.speed) / MPH, m.verdict))
+            speeds[name] = Speed(error, (m.speed_hi - m.speed) / MPH, m.verdict)
             tally.counts["with a speed"] += name in wanted and m.verdict == "measured"
+        tally.speeds.extend(speeds.values())
     wrong = {
         "missed": [n for n in wanted if times[n] == 0],
         "twice": [n for n, count in times.items() if count > 1],
@@ -248,6 +250,7 @@ def play(seed: int, kind: str, tally: Tally, count: bool) -> list[str]:
     }
     tally.counts.update(vehicles=len(wanted), once=sum(times[n] == 1 for n in wanted))
     tally.counts.update({what: len(who) for what, who in wrong.items()})
+    wrong["outside its interval"] = [f"{n} {s}" for n, s in speeds.items() if s.is_measured and abs(s.error) > s.half]
     return [f"{kind} {seed}: {', '.join(names)} {what}" for what, names in wrong.items() if names]
 
 

@@ -34,8 +34,12 @@ class Speed:
     half: float
     verdict: str
 
+    @property
+    def is_measured(self) -> bool:
+        return self.verdict == "measured"
+
     def __str__(self) -> str:
-        return f"{self.error:+.2f} ± {self.half:.2f}" + (" (rejected)" if self.verdict != "measured" else "")
+        return f"{self.error:+.2f} ± {self.half:.2f}" + ("" if self.is_measured else " (rejected)")
 
 
 def countable(truth: Rows) -> list[str]:
@@ -106,12 +110,12 @@ def main() -> None:
     if args.count:
         print(f"\n{machine()}")
         return
-    fair = [(a, b) for a, b in both if a and a.verdict == b.verdict == "measured"]
+    fair = [(a, b) for a, b in both if a and a.is_measured and b.is_measured]
     for what, chosen in (("found", [a for a, _ in fair]), ("clicked", [b for _, b in fair])):
         inside = sum(abs(s.error) <= s.half for s in chosen)
         errors = [s.error for s in chosen]
         print(f"{what}: {rms(errors):.2f} mph rms, {inside} of {len(chosen)} within their 95 % intervals")
-    measured = [sum(s is not None and s.verdict == "measured" for s in side) for side in zip(*both, strict=True)]
+    measured = [sum(s is not None and s.is_measured for s in side) for side in zip(*both, strict=True)]
     print(f"measured: {measured[0]} of {len(both)} as found, {measured[1]} as clicked")
     print(f"\n{machine()}")
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -13,7 +15,7 @@ from test_vehicles_looking import frame, lit
 from test_vehicles_looking import way as lane
 
 from paceline.recordings import StereoFrame
-from paceline.simulation.planar import Vehicle, World, render
+from paceline.simulation.planar import Scene, Vehicle, World, render
 from paceline.speed.paths import from_points
 from paceline.vehicles.finding import ALIKE, first_speed
 from paceline.vehicles.plane import FINE, face_of, likeness
@@ -52,6 +54,45 @@ def test_a_face_is_where_it_is_though_the_vehicle_leaves_the_pictures_at_last(
     found = {at.sighting.frame: at.s for at in face.aligned if whole[at.sighting.frame]}
     assert set(found) == {s.frame for s in track.kept if whole[s.frame]}
     assert all(abs(found[k] - true[k]) < 0.25 for k in found)  # m
+
+
+@pytest.mark.parametrize("seed", [1, 3, 39])
+@pytest.mark.parametrize("contrast", [0.3, 0.5])
+@pytest.mark.parametrize("plate", [False, True])
+def test_the_line_beside_a_dim_vehicle_is_none_of_it(seed: int, contrast: float, plate: bool) -> None:
+    """A painted line looks the same wherever a card stands across it."""
+    rng = np.random.default_rng([seed, 7])
+    height, speed = rng.uniform(2.2, 4.5), rng.uniform(11, 17)
+    face_seed = int(rng.integers(1e6))
+    car = Vehicle("v0", speed, start_distance=20.0, receding=True, lane=-1.85, texture_seed=face_seed, relief=0.03)
+    size: dict[str, Any] = {"image_size": (640, 480), "focal": 900.0, "frames": 16, "rate": 6.0, "noise_sigma": 1.2}
+    of = Scene(seed, (car,), camera_height=height, tilt=height / 45, road_direction=0.015, road_depth=40.0, **size)
+    clip, world, track = render(of), World(of), Track()
+    way = Way("lane0", world.rig, from_points("lane0", "line", world.road.point(np.array([12.0, 80.0]), -1.85)))
+    for row in clip.truth:
+        if row["inside"] and row["position"][2] < 70:
+            k, (s, x, _) = row["frame"], way.on_card(np.array(row["position"]))
+            left, right = (np.array(row[side]) for side in ("left", "right"))
+            pair = dimmed(clip.left[k], left, contrast, plate), dimmed(clip.right[k], right, contrast, plate)
+            at, wide = s + rng.uniform(-0.8, 0.8), (x - 0.9, x + 0.9)
+            time = float(clip.times[k])
+            track.add(Sighting(k, time, way, at, wide, (0.2, 1.5), 1.5, 9.0, pair, np.zeros((2, 2))))
+    face = face_of(track)
+    assert face is not None
+    for aligned in face.aligned:
+        _, middle, _ = way.on_card(np.array(clip.truth[aligned.sighting.frame]["position"]))
+        assert np.abs(face.corners(aligned)[:, 0] - middle).max() < 1.2  # m
+
+
+def dimmed(picture: NDArray[np.uint8], outline: Array, contrast: float, plate: bool) -> NDArray[np.float32]:
+    """The ``picture`` with only so much of the ``contrast`` inside an ``outline`` (4, 2), but for a ``plate``."""
+    dim, inside = 50 + contrast * (picture.astype(np.float32) - 50), np.zeros(picture.shape, np.uint8)
+    cv2.fillConvexPoly(inside, np.rint(outline).astype(np.int32), 1)
+    if plate:
+        tl, tr, _, bl = outline
+        part = [tl + u * (tr - tl) + v * (bl - tl) for u, v in ((0.36, 0.6), (0.64, 0.6), (0.64, 0.8), (0.36, 0.8))]
+        cv2.fillConvexPoly(inside, np.rint(part).astype(np.int32), 0)
+    return np.where(inside > 0, dim, picture).astype(np.float32)
 
 
 def below_a_mirror(seed: int, contrast: float, alike: int) -> Track:
@@ -127,6 +168,13 @@ def test_far_away_a_face_is_looked_for_farther_from_its_sighting() -> None:
     face = face_of(track)
     assert face is not None
     assert np.abs([at.s - s for at, s in zip(face.aligned, true, strict=True)]).max() < 1.0
+
+
+def test_what_is_seen_of_a_vehicle_may_be_one_column_wide() -> None:
+    seen, track = face_with(texture_up_to(CARD.top, 1), 1).aligned, Track()
+    for at in seen:
+        track.add(replace(at.sighting, x=(0.0, 0.0)))
+    assert face_of(track) is not None
 
 
 @pytest.mark.filterwarnings("error")

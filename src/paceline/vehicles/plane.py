@@ -44,6 +44,7 @@ BEGUN = 1.0, 0.57  # of the height, up to where all is first laid on each other:
 TALLER = 2.2  # m
 FOOT = 1.5  # m above the road, below which a sighting begins that shows a face: so high up are the lamps of lorries
 CLEAR = 0.6, 0.98  # of the contrast that so much of a face does not exceed: what has more says all that it can
+FAINT = 0.08  # so much of what it may say against a rectangle a place says for one: less than `COST`, where all agrees
 COST = 0.02  # of a place without texture
 COARSE = 2  # cells of the map on which rectangles are tried
 UNLIKE = 0.7, 1.5  # of the usual area that is seen of it, outside which a face is not the reference: part of it is
@@ -100,7 +101,7 @@ def face_of(track: Track) -> Face | None:
     uncut = [sighting for sighting in shown if _is_uncut(sighting)] or shown
     usual = float(np.quantile([sighting.area for sighting in uncut], 0.5, method="higher"))  # that of one of them
     reference = max((s for s in uncut if UNLIKE[0] * usual <= s.area <= UNLIKE[1] * usual), key=_size)
-    half = min(0.5 * (reference.x[1] - reference.x[0]), -FINE.left)
+    half = _half_width(reference)
     top = HIGHEST[reference.y[1] > TALLER]
     faces = [_face_within((-half, half), (FINE.bottom, share * top), shown, reference) for share in BEGUN]
     found = [face for face in faces if face is not None]
@@ -223,15 +224,26 @@ def _textured(texture: Texture) -> Image:
     return np.asarray(np.clip(texture.std / (4 * CONTRAST), 0.0, 1.0) * (texture.std > CONTRAST), np.float32)
 
 
-def _telling(texture: Texture, at: Aligned) -> Image:
-    """How much each place about a face has to say for a rectangle, 0 to 1: as its contrast tells of its motion, by its
-    square, beside that of the face's clearest edges. The wide light about lamps keeps its picture as they do."""
-    sighting = at.sighting
-    half = 0.5 * (sighting.x[1] - sighting.x[0])
-    rows, columns = _window((-half, half), (FINE.bottom, FINE.top))
-    clear = max(CLEAR[0] * float(np.quantile(texture.std[rows, columns], CLEAR[1])), 4 * CONTRAST)
-    weight = np.clip(texture.std / clear, 0.0, 1.0) ** 2 * (texture.std > CONTRAST)
-    return np.asarray(weight * sighting.shows(at.s, FINE, at.origin), np.float32)
+def _weights(texture: Texture, at: Aligned) -> Image:
+    """How much each place (2, rows, columns) about a face has to say, 0 to 1: for a rectangle as its contrast tells of
+    its motion, by its square, beside that of the face's clearest edges, for the wide light about lamps keeps its
+    picture as they do; and against one as it is textured, for a road does not keep it."""
+    clear = max(CLEAR[0] * float(np.quantile(texture.std[_middle(at.sighting)], CLEAR[1])), 4 * CONTRAST)
+    textured = _textured(texture)
+    telling = np.clip(texture.std / clear, 0.0, 1.0) ** 2 * (texture.std > CONTRAST)
+    shown = at.sighting.shows(at.s, FINE, at.origin)
+    return np.asarray([np.maximum(telling, FAINT * textured) * shown, textured * shown], np.float32)
+
+
+def _middle(sighting: Sighting) -> tuple[slice, slice]:
+    """Rows and columns of the fine grid about as wide as a sighting."""
+    half = _half_width(sighting)
+    return _window((-half, half), (FINE.bottom, FINE.top))
+
+
+def _half_width(sighting: Sighting) -> float:
+    """Half of a sighting's width, as far as the fine grid reaches, m."""
+    return float(np.clip(0.5 * (sighting.x[1] - sighting.x[0]), FINE.cell, -FINE.left))
 
 
 def _searched(sighting: Sighting, template: Image, rows: slice, columns: slice, origin: Array, usual: float) -> Aligned:
@@ -283,14 +295,14 @@ def _rectangle(aligned: list[Aligned], reference: Sighting) -> Face | None:
         for card in a.cards()[a is first :]:
             correlations.append(correlation(template, Texture(card, WINDOW)))
     agreement = np.median(correlations, axis=0)  # a shadow that passes over a face is there in few frames
-    weight = _telling(template, first)
+    weights = _weights(template, first)
     highest = HIGHEST[reference.y[1] > TALLER]
     narrowest = max(NARROWEST, MOST_OF * min(reference.x[1] - reference.x[0], WIDEST))
     cell = COARSE * FINE.cell
     widths = round((narrowest + 2 * INSET) / cell), round((WIDEST + 2 * INSET) / cell)
     middle = len(FINE.x[::COARSE]) // 2
     for agreed in AGREED:
-        votes = _votes(agreement, weight, agreed)
+        votes = _votes(agreement, weights, agreed)
         votes[FINE.y > highest] = -1.0
         found = best_rectangle(votes[::COARSE, ::COARSE], round((LOWEST + 2 * INSET) / cell), widths, middle)
         if found is not None:
@@ -299,13 +311,15 @@ def _rectangle(aligned: list[Aligned], reference: Sighting) -> Face | None:
         return None
     top, bottom, left, right = (COARSE * k for k in found)
     x, y = FINE.x[[left, min(right, len(FINE.x)) - 1]], FINE.y[[min(bottom, len(FINE.y)) - 1, top]]
-    part = np.s_[top:bottom, left:right]
-    return Face(_inset(x), _inset(y), aligned, float(_votes(agreement[part], weight[part], AGREED[-1]).sum()))
+    part = np.s_[..., top:bottom, left:right]
+    return Face(_inset(x), _inset(y), aligned, float(_votes(agreement[part], weights[part], AGREED[-1]).sum()))
 
 
-def _votes(agreement: Image, weight: Image, agreed: float) -> Array:
-    """What each place (rows, columns) says for a rectangle that holds it, if it takes ``agreed`` to speak for it."""
-    return np.asarray((np.maximum(agreement, 0.0) - agreed) * weight - COST, float)
+def _votes(agreement: Image, weights: Image, agreed: float) -> Array:
+    """What each place (rows, columns) says for a rectangle that holds it, if it takes ``agreed`` to speak for it, by
+    its `_weights`."""
+    more = np.maximum(agreement, 0.0) - agreed
+    return np.asarray(more * np.where(more > 0, *weights) - COST, float)
 
 
 def _inset(span: Array) -> Span:
