@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
 OPTICS = 0.8  # px, the blur of lens and pixel that most images have; what is left is fitted
-GAMMA_STEP = 0.1
+GAMMA_STEP = 0.02
 BAND = 1.5  # ratio of resolutions between bands
 DENSITY = 1.3  # samples per pixel of the coarsest view in a band
 PATCHES = 15
@@ -215,8 +215,8 @@ def bands_of(glimpses: list[Glimpse], quads: Array, gamma: float, smoothing: flo
         for v in views:
             ratio = scale[v] / resolution
             blurs = [_blur(smoothing, r) for r in ((ratio, BAND * ratio) if b > 0 else (ratio,))]
-            less, picture, more = (_band(crops[v], blurs, gamma + step) for step in (-GAMMA_STEP, 0.0, GAMMA_STEP))
-            pictures.append((_derivatives(picture), (more - less) / (2 * GAMMA_STEP)))
+            picture, ahead = (_band(crops[v], blurs, gamma + step) for step in (0.0, GAMMA_STEP))
+            pictures.append((_derivatives(picture), (ahead - picture) / GAMMA_STEP))
         bands.append(Band(views, pictures, gamma, corners[views], size * BAND**b))
     return bands
 
