@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 from scipy.stats import binom
 
 from paceline.simulation.planar import LaneChange, Scene, Vehicle, random_crossing, random_scene, render, write
-from paceline.speed import measurement
 from paceline.speed.bands import OPTICS, Band, Glimpse, areas, bands_of
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.measurement import measure_clip
-from paceline.speed.refinement import GAMMAS, Refined, refine
+from paceline.speed.refinement import FIRM, GAMMAS, Fit
 from paceline.speed.results import Measurement
 
 MPH = 0.44704  # m/s
@@ -248,23 +247,23 @@ def test_where_the_light_does_not_change_nothing_is_lost(seed: int) -> None:
 
 
 @pytest.fixture(scope="module")
-def responses(rendered: Callable[[Scene], Path]) -> Callable[[float], list[tuple[Refined, Measurement]]]:
+def responses(rendered: Callable[[Scene], Path]) -> Callable[[float], list[tuple[Fit, Measurement]]]:
     """What is found of the plain scenes by cameras whose values go as light to the power 1 / γ."""
 
     @cache
-    def of(gamma: float) -> list[tuple[Refined, Measurement]]:
-        refined: list[Refined] = []
+    def of(gamma: float) -> list[tuple[Fit, Measurement]]:
+        fits: list[Fit] = []
+        found, agreement = [], Fit.agreement
 
-        def kept(*given: Any) -> Refined:
-            refined.append(refine(*given))
-            return refined[-1]
+        def asked(fit: Fit) -> Any:
+            fits.append(fit)
+            return agreement(fit)
 
-        found = []
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(measurement, "refine", kept)
+            patch.setattr(Fit, "agreement", asked)
             for s in PLAIN:
                 m = measure_clip(rendered(replace(s, gamma=gamma))).measurements[0]
-                found.append((refined[-1], m))
+                found.append((fits[-1], m))
         return found
 
     return of
@@ -280,16 +279,35 @@ def test_speeds_are_as_exact_by_whatever_response(responses: Any, gamma: float) 
 
 
 def test_gamma_is_told_by_the_pictures(responses: Any) -> None:
-    linear, usual = (np.array([r.gamma for r, _ in responses(gamma)]) for gamma in (1.0, 2.2))
+    linear, usual = (np.array([fit.gamma for fit, _ in responses(gamma)]) for gamma in (1.0, 2.2))
     assert (linear >= GAMMAS[0]).all() and np.median(linear) < 1.3
     assert (usual <= GAMMAS[1]).all() and np.median(usual) == pytest.approx(2.2, abs=0.2)
+    for fit, _ in responses(2.2):  # where it is not held it is as uncertain as the pictures leave it
+        at = len(fit.prior.free)
+        assert (fit.A[at, at] < 0.01 * FIRM) == (GAMMAS[0] < fit.gamma < GAMMAS[1])
 
 
 def test_no_camera_has_a_gamma_that_is_not_possible(responses: Any) -> None:
     """Where pictures tell one that none has, the nearest is held and the rest found under it."""
-    for refined, m in responses(0.5):
-        assert refined.gamma == pytest.approx(GAMMAS[0], abs=1e-3)
-        assert m.verdict == "measured" and np.isfinite(refined.covariance).all() and 0 < m.random_std < 0.5
+    for fit, m in responses(0.5):
+        assert fit.gamma == pytest.approx(GAMMAS[0], abs=1e-3)
+        assert m.verdict == "measured" and np.isfinite(fit.covariance).all() and 0 < m.random_std < 0.5
+
+
+@pytest.mark.parametrize("k1", [-0.02, 0.02])
+def test_black_beside_bright_edges_is_no_obstacle_where_a_lens_distorts(
+    tmp_path: Path, k1: float
+) -> None:
+    """Taking the distortion out interpolates by cubics, which reach below black."""
+    film = render(replace(PLAIN[0], gamma=2.2))
+    dark = {side: [np.maximum(picture, 60) - 60 for picture in getattr(film, side)] for side in ("left", "right")}
+    clip = write(replace(film, **dark), tmp_path)
+    rig = yaml.safe_load((tmp_path / "rig.yaml").read_text())
+    for side in ("left", "right"):
+        rig[side]["distortion"] = [k1, 0.0, 0.0, 0.0, 0.0]
+    (tmp_path / "rig.yaml").write_text(yaml.safe_dump(rig))
+    m = measure_clip(clip).measurements[0]
+    assert m.verdict == "measured" and abs(m.speed - PLAIN[0].vehicles[0].speed) < 0.01 * m.speed
 
 
 def test_near_views_are_blurred_as_light() -> None:

@@ -237,7 +237,8 @@ def _band(picture: Floats, blurs: list[float], gamma: float) -> Floats:
 
 def _smooth(picture: Floats, sigma: float, gamma: float) -> Floats:
     """The ``picture`` blurred as by a lens: as light, which goes as its values to the power ``gamma``."""
-    light = cv2.GaussianBlur(cv2.pow(picture, gamma), (0, 0), sigma)
+    values = np.maximum(picture, 0.0)  # where its distortion was taken out, cubics reach below black beside an edge
+    light = cv2.GaussianBlur(cv2.pow(values, gamma), (0, 0), sigma)
     return np.asarray(cv2.pow(light, 1.0 / gamma), np.float32)
 
 

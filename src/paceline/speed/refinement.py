@@ -205,10 +205,9 @@ class Fit:
         for _ in range(most):
             self.A, score, *self._cells = self._assemble()
             change = -np.linalg.solve(self.A, score)
-            left = float(np.clip(self.gamma + change[P], *GAMMAS)) - self.gamma
-            if left != change[P]:
+            if not GAMMAS[0] <= self.gamma + change[P] <= GAMMAS[1]:  # it goes as far as it can, and the others with it
                 self.A[P, P] += FIRM
-                score[P] -= FIRM * left
+                score[P] -= FIRM * (np.clip(self.gamma + change[P], *GAMMAS) - self.gamma)
                 change = -np.linalg.solve(self.A, score)
             if not np.isfinite(change).all():
                 raise np.linalg.LinAlgError("the images determine no step")

@@ -1,7 +1,7 @@
 """How sure a fit is, from how the scores of frames and of patches really scatter, not from the pixels' noise.
 
 Normal equations come in *cells*, one for each patch of each view: matrices (views, K, P + 1, P + 1) and scores
-(views, K, P + 1) over the P parameters of the motion and, last, the patch's own relief.
+(views, K, P + 1) over the P parameters that patches share and, last, the patch's own relief.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def joined_scores(cells: Array) -> Array:
 
 
 def covariance(A: Array, known: Array, cells_A: Array, cells: Array, judged: Array) -> Array:
-    """Covariance (P, P) of the motion's parameters, whose normal matrix is ``A`` and prior information ``known``.
+    """Covariance (P, P) of the shared parameters, whose normal matrix is ``A`` and prior information ``known``.
 
     Errors that a patch repeats in every frame and that a frame makes in every patch do not average out over pixels:
     the scores are summed within each before they are squared. That is a sandwich estimate, clustered both ways and
