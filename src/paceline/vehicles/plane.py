@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 Image = NDArray[np.float32]
 Span = tuple[float, float]
 
-FINE = Grid(left=-2.4, top=1.6, bottom=0.15, cell=0.025)
+FINE = Grid(left=-2.0, top=1.6, bottom=0.15, cell=0.025)
 WINDOW = 9  # cells over which pictures are compared
 REACH, STEPS = (3.0, 1.0), 25  # m at least, or px of disparity: so far about its sighting a face is looked for, at so
 # many places
@@ -38,13 +38,11 @@ AGREED = 0.78, 0.66, 0.54  # correlation that speaks for a place as much as agai
 NARROWEST, LOWEST = 0.4, 0.3  # m of a rectangle
 INSET = 0.075  # m: a correlation sees half its window beyond the place where it stands
 MOST_OF = 0.7  # of a face's width that a rectangle takes at least
-WIDEST = 2.3  # m, of a rectangle: the lamps of a lorry
-HIGHEST = 1.1, 1.6  # m, of a rectangle on a car, and on what is taller than `TALLER`
+WIDEST = 1.8, 2.3  # m, of a rectangle on a car, and on what is taller than `TALLER`
+HIGHEST = 1.1, 1.6  # m, of the same
 BEGUN = 1.0, 0.57  # of the height, up to where all is first laid on each other: a bonnet or a windscreen may mislead it
 TALLER = 2.2  # m
 FOOT = 1.5  # m above the road, below which a sighting begins that shows a face: so high up are the lamps of lorries
-CLEAR = 0.6, 0.98  # of the contrast that so much of a face does not exceed: what has more says all that it can
-FAINT = 0.08  # so much of what it may say against a rectangle a place says for one: less than `COST`, where all agrees
 COST = 0.02  # of a place without texture
 COARSE = 2  # cells of the map on which rectangles are tried
 UNLIKE = 0.7, 1.5  # of the usual area that is seen of it, outside which a face is not the reference: part of it is
@@ -101,7 +99,7 @@ def face_of(track: Track) -> Face | None:
     uncut = [sighting for sighting in shown if _is_uncut(sighting)] or shown
     usual = float(np.quantile([sighting.area for sighting in uncut], 0.5, method="higher"))  # that of one of them
     reference = max((s for s in uncut if UNLIKE[0] * usual <= s.area <= UNLIKE[1] * usual), key=_size)
-    half = _half_width(reference)
+    half = min(0.5 * (reference.x[1] - reference.x[0]), -FINE.left)
     top = HIGHEST[reference.y[1] > TALLER]
     faces = [_face_within((-half, half), (FINE.bottom, share * top), shown, reference) for share in BEGUN]
     found = [face for face in faces if face is not None]
@@ -224,28 +222,6 @@ def _textured(texture: Texture) -> Image:
     return np.asarray(np.clip(texture.std / (4 * CONTRAST), 0.0, 1.0) * (texture.std > CONTRAST), np.float32)
 
 
-def _weights(texture: Texture, at: Aligned) -> Image:
-    """How much each place (2, rows, columns) about a face has to say, 0 to 1: for a rectangle as its contrast tells of
-    its motion, by its square, beside that of the face's clearest edges, for the wide light about lamps keeps its
-    picture as they do; and against one as it is textured, for a road does not keep it."""
-    clear = max(CLEAR[0] * float(np.quantile(texture.std[_middle(at.sighting)], CLEAR[1])), 4 * CONTRAST)
-    textured = _textured(texture)
-    telling = np.clip(texture.std / clear, 0.0, 1.0) ** 2 * (texture.std > CONTRAST)
-    shown = at.sighting.shows(at.s, FINE, at.origin)
-    return np.asarray([np.maximum(telling, FAINT * textured) * shown, textured * shown], np.float32)
-
-
-def _middle(sighting: Sighting) -> tuple[slice, slice]:
-    """Rows and columns of the fine grid about as wide as a sighting."""
-    half = _half_width(sighting)
-    return _window((-half, half), (FINE.bottom, FINE.top))
-
-
-def _half_width(sighting: Sighting) -> float:
-    """Half of a sighting's width, as far as the fine grid reaches, m."""
-    return float(np.clip(0.5 * (sighting.x[1] - sighting.x[0]), FINE.cell, -FINE.left))
-
-
 def _searched(sighting: Sighting, template: Image, rows: slice, columns: slice, origin: Array, usual: float) -> Aligned:
     """Where both views of a sighting look most like the ``template``: about the ``origin`` that it has in a frame near
     by, at its height rather than not, and about the ``usual`` metres past where the sighting is."""
@@ -295,42 +271,37 @@ def _rectangle(aligned: list[Aligned], reference: Sighting) -> Face | None:
         for card in a.cards()[a is first :]:
             correlations.append(correlation(template, Texture(card, WINDOW)))
     agreement = np.median(correlations, axis=0)  # a shadow that passes over a face is there in few frames
-    weights = _weights(template, first)
-    highest = HIGHEST[reference.y[1] > TALLER]
-    narrowest = max(NARROWEST, MOST_OF * min(reference.x[1] - reference.x[0], WIDEST))
+    weight = _textured(template)
+    widest, highest = WIDEST[reference.y[1] > TALLER], HIGHEST[reference.y[1] > TALLER]
+    narrowest = max(NARROWEST, MOST_OF * min(reference.x[1] - reference.x[0], widest))
     cell = COARSE * FINE.cell
-    widths = round((narrowest + 2 * INSET) / cell), round((WIDEST + 2 * INSET) / cell)
-    middle = len(FINE.x[::COARSE]) // 2
+    widths = round((narrowest + 2 * INSET) / cell), round((widest + 2 * INSET) / cell)
     for agreed in AGREED:
-        votes = _votes(agreement, weights, agreed)
+        votes = _votes(agreement, weight, agreed)
         votes[FINE.y > highest] = -1.0
-        found = best_rectangle(votes[::COARSE, ::COARSE], round((LOWEST + 2 * INSET) / cell), widths, middle)
+        found = best_rectangle(votes[::COARSE, ::COARSE], round((LOWEST + 2 * INSET) / cell), widths)
         if found is not None:
             break
     else:
         return None
     top, bottom, left, right = (COARSE * k for k in found)
     x, y = FINE.x[[left, min(right, len(FINE.x)) - 1]], FINE.y[[min(bottom, len(FINE.y)) - 1, top]]
-    part = np.s_[..., top:bottom, left:right]
-    return Face(_inset(x), _inset(y), aligned, float(_votes(agreement[part], weights[part], AGREED[-1]).sum()))
+    part = np.s_[top:bottom, left:right]
+    return Face(_inset(x), _inset(y), aligned, float(_votes(agreement[part], weight[part], AGREED[-1]).sum()))
 
 
-def _votes(agreement: Image, weights: Image, agreed: float) -> Array:
-    """What each place (rows, columns) says for a rectangle that holds it, if it takes ``agreed`` to speak for it, by
-    its `_weights`."""
-    more = np.maximum(agreement, 0.0) - agreed
-    return np.asarray(more * np.where(more > 0, *weights) - COST, float)
+def _votes(agreement: Image, weight: Image, agreed: float) -> Array:
+    """What each place (rows, columns) says for a rectangle that holds it, if it takes ``agreed`` to speak for it."""
+    return np.asarray((np.maximum(agreement, 0.0) - agreed) * weight - COST, float)
 
 
 def _inset(span: Array) -> Span:
     return float(span[0]) + INSET, float(span[1]) - INSET
 
 
-def best_rectangle(
-    votes: Array, height: int, widths: tuple[int, int], column: int
-) -> tuple[int, int, int, int] | None:
+def best_rectangle(votes: Array, height: int, widths: tuple[int, int]) -> tuple[int, int, int, int] | None:
     """The rows and columns, from where and to before where, of the rectangle of ``votes`` (H, W) with the largest sum,
-    at least ``height`` high and between ``widths`` wide, that holds a ``column``; None where no sum is positive."""
+    at least ``height`` high and between ``widths`` wide; None where no sum is positive."""
     H, W = votes.shape
     narrowest, widest = widths
     sums = np.zeros((H + 1, W + 1))
@@ -339,10 +310,9 @@ def best_rectangle(
     for top in range(H - height + 1):
         rows = sums[top + height :] - sums[top]  # (bottoms, W + 1): sums from the left
         for width in range(narrowest, min(widest, W) + 1):
-            least, behind = max(column + 1 - width, 0), min(column, W - width) + 1
-            gains = rows[:, least + width : behind + width] - rows[:, least:behind]
+            gains = rows[:, width:] - rows[:, : W + 1 - width]
             bottom, left = np.unravel_index(int(np.argmax(gains)), gains.shape)
             if gains[bottom, left] > best:
                 best = float(gains[bottom, left])
-                where = (top, top + height + int(bottom), least + int(left), least + int(left) + width)
+                where = (top, top + height + int(bottom), int(left), int(left) + width)
     return where
