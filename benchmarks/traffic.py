@@ -15,21 +15,18 @@ from itertools import islice
 
 import cv2
 import numpy as np
-from common import MPH, head, machine, rms, row, true_mean
+from common import head, machine, rms, row
 from nuisances import Array, Bush, Image, Shade, bushes, night, rain, shades
 from numpy.typing import NDArray
-from vehicles import Speed, who
+from vehicles import Speed, speeds, who
 
 from paceline.documents import Clip, load_clip
 from paceline.lanes.background import background_of
-from paceline.recordings import StereoFrame, StereoRecording, open_recording
+from paceline.recordings import StereoFrame, open_recording
 from paceline.simulation.backdrops import Backdrop, occluder
 from paceline.simulation.cards import Card
 from paceline.simulation.planar import RenderedClip, Scene, Vehicle, World, render, write
 from paceline.simulation.worlds import Pose
-from paceline.speed.configuration import SpeedConfiguration
-from paceline.speed.measurement import measure
-from paceline.speed.results import Measurement
 from paceline.vehicles.finding import Finder
 from paceline.vehicles.measuring import find_vehicles
 from paceline.vehicles.scene import EmptyScene
@@ -237,12 +234,9 @@ def play(seed: int, kind: str, tally: Tally, count: bool) -> list[str]:
         times, wanted = Counter(name for name in names if name is not None), countable(of, kind)
         both = zip(search.clip.vehicles, names, strict=True)
         real = {n: replace(v, id=n) for v, n in both if n is not None and not count}
-        speeds: dict[str, Speed] = {}
-        for name, m in zip(real, _measured(replace(clip, vehicles=list(real.values())), recording), strict=True):
-            error = (m.speed - true_mean(truth, replace(m, vehicle=name))) / MPH
-            speeds[name] = Speed(error, (m.speed_hi - m.speed) / MPH, m.verdict)
-            tally.counts["with a speed"] += name in wanted and m.verdict == "measured"
-        tally.speeds.extend(speeds.values())
+        told = speeds(replace(clip, vehicles=list(real.values())), recording, list(real), truth)
+        tally.speeds.extend(told.values())
+        tally.counts["with a speed"] += sum(s.is_measured for name, s in told.items() if name in wanted)
     wrong = {
         "missed": [n for n in wanted if times[n] == 0],
         "twice": [n for n, count in times.items() if count > 1],
@@ -250,12 +244,8 @@ def play(seed: int, kind: str, tally: Tally, count: bool) -> list[str]:
     }
     tally.counts.update(vehicles=len(wanted), once=sum(times[n] == 1 for n in wanted))
     tally.counts.update({what: len(who) for what, who in wrong.items()})
-    wrong["outside its interval"] = [f"{n} {s}" for n, s in speeds.items() if s.is_measured and abs(s.error) > s.half]
+    wrong["outside its interval"] = [f"{n} {s}" for n, s in told.items() if s.is_measured and abs(s.error) > s.half]
     return [f"{kind} {seed}: {', '.join(names)} {what}" for what, names in wrong.items() if names]
-
-
-def _measured(clip: Clip, recording: StereoRecording) -> list[Measurement]:
-    return measure(clip, recording, SpeedConfiguration()).measurements if clip.vehicles else []
 
 
 def empty_scene(seed: int) -> Scene:

@@ -38,7 +38,7 @@ class Texture:
 
     def lit(self, gamma: float) -> Texture:
         """The light of which these are the grey values, as it goes by their power ``gamma``."""
-        return self if gamma == 1.0 else Texture(light_of(self.value, gamma), self.alpha)
+        return Texture(light_of(self.value, gamma), self.alpha)
 
 
 def light_of(values: Image, gamma: float) -> Image:

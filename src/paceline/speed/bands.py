@@ -231,15 +231,12 @@ def _apart(field: Array, known: list[Array]) -> Array:
 
 
 def _band(picture: Floats, blurs: list[float], gamma: float) -> Floats:
-    """What of a ``picture`` the first of the ``blurs`` (px) leaves and the second, where there is one, does not."""
-    return np.asarray(reduce(np.subtract, (_smooth(picture, sigma, gamma) for sigma in blurs)))
-
-
-def _smooth(picture: Floats, sigma: float, gamma: float) -> Floats:
-    """The ``picture`` blurred as by a lens: as light, which goes as its values to the power ``gamma``."""
+    """What of a ``picture`` the first of the ``blurs`` (px) leaves and the second, where there is one, does not; each
+    blurs as a lens does: light, which goes as the picture's values to the power ``gamma``."""
     values = np.maximum(picture, 0.0)  # where its distortion was taken out, cubics reach below black beside an edge
-    light = cv2.GaussianBlur(cv2.pow(values, gamma), (0, 0), sigma)
-    return np.asarray(cv2.pow(light, 1.0 / gamma), np.float32)
+    light = cv2.pow(values, gamma)
+    blurred = (cv2.pow(cv2.GaussianBlur(light, (0, 0), sigma), 1.0 / gamma) for sigma in blurs)
+    return np.asarray(reduce(np.subtract, blurred), np.float32)
 
 
 def _blur(smoothing: float, ratio: float) -> float:

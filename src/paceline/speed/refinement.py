@@ -47,9 +47,8 @@ class Refined:
 
     ``covariance`` is of the pictures' noise, ``doubt`` of the choice among models, ``systematic`` of the calibration:
     NaN where the rig states no uncertainty. ``residual`` is the median rms of a patch in grey levels, ``contrast``
-    that of the texture, and ``gamma`` the camera's, as the pictures tell it; ``offsets`` (F, 2, 2) are the pixels by
-    which each view's picture lies off the motion and ``explained`` (F, 2) the share of its contrast, squared, that the
-    motion explains (NaN where it was not used).
+    that of the texture; ``offsets`` (F, 2, 2) are the pixels by which each view's picture lies off the motion and
+    ``explained`` (F, 2) the share of its contrast, squared, that the motion explains (NaN where it was not used).
     """
 
     trajectory: Trajectory
@@ -59,7 +58,6 @@ class Refined:
     systematic: Array
     residual: float
     contrast: float
-    gamma: float
     offsets: Array
     explained: Array
     extras: tuple[str, ...]  # of the motion, that the evidence spoke for, of EXTRAS
@@ -119,7 +117,6 @@ def refine(trajectory: Trajectory, glimpses: list[Glimpse], speed: float, on_pat
         fit.systematic(trajectory.rig.uncertainty),
         fit.residual,
         fit.contrast,
-        fit.gamma,
         *fit.agreement(),
         extras,
         fit.dof,
