@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from paceline.cameras import View
 from paceline.simulation import textures
 from paceline.simulation.cards import Card, draw, paste
-from paceline.simulation.planar import World
-from paceline.simulation.worlds import Road
+from paceline.simulation.planar import Vehicle, World
+from paceline.simulation.worlds import Pose, Road
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -129,32 +129,52 @@ def rain(image: Image, rng: np.random.Generator, drops: int) -> None:
 
 
 def night(image: Image, world: World, i: int, k: int) -> None:
-    """The picture of view ``i`` in frame ``k`` without the sun, by the vehicles' own lamps, in place."""
-    view = world.views[i]
+    """The picture of view ``i`` in frame ``k`` without the sun, by the vehicles' own lamps, in place. What a nearer
+    vehicle hides does not shine, nor does it dazzle."""
+    view, blur = world.views[i], world.scene.blur_sigma
     image *= DAYLIGHT
-    for vehicle, track in zip(world.scene.vehicles, world.poses[i], strict=True):
-        pose = track[k]
+    hidden = np.zeros(image.shape, np.uint8)
+    poses = [(vehicle, track[k]) for vehicle, track in zip(world.scene.vehicles, world.poses[i], strict=True)]
+    for vehicle, pose in sorted(poses, key=lambda each: float(view.depth(each[1].centre))):
         if view.depth(pose.centre) < 3.0:
             continue
         peak, size = (45.0, 0.09) if vehicle.receding else (700.0, 0.12)
         for side in (-1, 1):
             spot = np.array([side * LAMPS[0] * vehicle.width, LAMPS[1] * vehicle.height])
             centre = pose.centre + pose.axes[:, :2] @ spot
-            sigma = size * view.camera.K[0, 0] / float(view.depth(centre))
-            _glow(image, view.project(centre), max(sigma, 0.7), peak)
+            at, sigma = view.project(centre), size * view.camera.K[0, 0] / float(view.depth(centre))
+            seen = np.hypot(sigma, blur)
+            shown = _glow(image, at, seen, peak * (sigma / seen) ** 2, hidden)
             if not vehicle.receding:
-                _glow(image, view.project(centre), 5 * sigma, 0.05 * peak)
+                _glow(image, at, 5 * sigma, 0.05 * peak * shown, None)
                 ahead = centre + world.road.down * 0.6 - 4.0 * pose.axes[:, 2]
                 if view.depth(ahead) > 3.0:
-                    _glow(image, view.project(ahead), 7 * sigma, 0.03 * peak)
+                    _glow(image, view.project(ahead), 7 * sigma, 0.03 * peak, hidden)
+        fill(hidden, view.project(body(vehicle, pose)))
 
 
-def _glow(image: Image, at: Array, sigma: float, peak: float) -> None:
+def body(vehicle: Vehicle, pose: Pose) -> Array:
+    """The corners (4, 3) of a vehicle's face with what stands above it."""
+    centre = pose.centre - pose.axes[:, 1] * 0.5 * vehicle.height
+    return replace(pose, centre=centre).corners(1.1 * vehicle.width, 2.2 * vehicle.height)
+
+
+def fill(mask: NDArray[np.uint8], corners: Array) -> None:
+    """Mark what lies between ``corners`` (4, 2), px, in a ``mask``, in place."""
+    cv2.fillConvexPoly(mask, np.clip(corners, -1e4, 1e4).round().astype(np.int32), 1)
+
+
+def _glow(image: Image, at: Array, sigma: float, peak: float, hidden: NDArray[np.uint8] | None) -> float:
+    """Light but for what is ``hidden``, in place, and the share of it that is shown."""
     reach = int(np.ceil(3.5 * sigma))
     x, y = at.round().astype(int)
     rows, columns = slice(max(y - reach, 0), max(y + reach, 0)), slice(max(x - reach, 0), max(x + reach, 0))
     part = image[rows, columns]
-    if part.size:
-        v, u = np.ogrid[rows.start : rows.start + part.shape[0], columns.start : columns.start + part.shape[1]]
-        across, down = np.exp(-((u - at[0]) ** 2) / (2 * sigma**2)), np.exp(-((v - at[1]) ** 2) / (2 * sigma**2))
-        part += (peak * across * down).astype(np.float32)
+    if not part.size:
+        return 0.0
+    v, u = np.ogrid[rows.start : rows.start + part.shape[0], columns.start : columns.start + part.shape[1]]
+    across, down = np.exp(-((u - at[0]) ** 2) / (2 * sigma**2)), np.exp(-((v - at[1]) ** 2) / (2 * sigma**2))
+    light = across * down
+    shown = light if hidden is None else light * (hidden[rows, columns] == 0)
+    part += (peak * shown).astype(np.float32)
+    return float(shown.sum() / light.sum())

@@ -13,10 +13,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from itertools import islice
 
-import cv2
 import numpy as np
 from common import head, machine, rms, row
-from nuisances import Array, Bush, Image, Shade, bushes, night, rain, shades
+from nuisances import Bush, Image, Shade, body, bushes, fill, night, rain, shades
 from numpy.typing import NDArray
 from vehicles import Speed, speeds, who
 
@@ -26,7 +25,6 @@ from paceline.recordings import StereoFrame, open_recording
 from paceline.simulation.backdrops import Backdrop, occluder
 from paceline.simulation.cards import Card
 from paceline.simulation.planar import RenderedClip, Scene, Vehicle, World, render, write
-from paceline.simulation.worlds import Pose
 from paceline.vehicles.finding import Finder
 from paceline.vehicles.measuring import find_vehicles
 from paceline.vehicles.scene import EmptyScene
@@ -135,7 +133,7 @@ def _spoil(image: Image, world: World, i: int, k: int, t: float, dark: list[Shad
         nearer = np.zeros(image.shape, np.uint8)
         for vehicle, track in zip(world.scene.vehicles, world.poses[i], strict=True):
             if 1.0 < view.depth(track[k].centre) < view.depth(bush.card.corner):
-                _fill(nearer, view.project(_around(vehicle, track[k])))
+                fill(nearer, view.project(body(vehicle, track[k])))
         behind = image.copy()
         bush.wave(image, view, t)
         image[nearer > 0] = behind[nearer > 0]
@@ -178,22 +176,12 @@ def _clear_in(world: World, i: int, k: int, before: list[Card]) -> Iterator[str]
         corners = pose.corners(vehicle.width, vehicle.height)
         if view.depth(corners).min() > 1.0:
             while cards and view.depth(cards[0].corner) < view.depth(pose.centre):
-                _fill(nearer, view.project(cards.pop(0).corners()))
+                fill(nearer, view.project(cards.pop(0).corners()))
             mine = np.zeros_like(nearer)
-            _fill(mine, view.project(corners))
+            fill(mine, view.project(corners))
             if mine.any() and (mine & ~nearer & 1).sum() >= VISIBLE * mine.sum():
                 yield vehicle.id
-            _fill(nearer, view.project(_around(vehicle, pose)))
-
-
-def _around(vehicle: Vehicle, pose: Pose) -> Array:
-    """The corners (4, 3) of a vehicle's face with what stands above it."""
-    centre = pose.centre - pose.axes[:, 1] * 0.5 * vehicle.height
-    return replace(pose, centre=centre).corners(1.1 * vehicle.width, 2.2 * vehicle.height)
-
-
-def _fill(mask: NDArray[np.uint8], corners: Array) -> None:
-    cv2.fillConvexPoly(mask, np.clip(corners, -1e4, 1e4).round().astype(np.int32), 1)
+            fill(nearer, view.project(body(vehicle, pose)))
 
 
 @dataclass
