@@ -12,11 +12,13 @@ from small_road import scene
 from test_vehicles_looking import frame, lit
 from test_vehicles_looking import way as lane
 
+from paceline.documents import VehicleDocument
+from paceline.geometry import triangulate
 from paceline.recordings import StereoFrame
 from paceline.simulation.planar import Vehicle, World, render
 from paceline.speed.paths import from_points
-from paceline.vehicles.finding import ALIKE, first_speed
-from paceline.vehicles.plane import face_of, likeness
+from paceline.vehicles.finding import ALIKE, first_speed, found_on
+from paceline.vehicles.plane import face_of, likeness, showing_face
 from paceline.vehicles.sightings import Sighting
 from paceline.vehicles.tracks import Track
 from paceline.vehicles.ways import Way
@@ -46,7 +48,7 @@ def test_a_face_is_where_it_is_though_the_vehicle_leaves_the_pictures_at_last(
             x, y = (-0.5 * width, 0.5 * width), (0.2, HEIGHT)
             track.add(Sighting(k, pair.time, way, true[k], x, y, 1.5, 9.0, views, np.zeros((2, 2))))
     assert not whole[track.kept[-1].frame]
-    face = face_of(track)
+    face = face_of(showing_face(track))
     assert face is not None
     found = {at.sighting.frame: at.s for at in face.aligned if whole[at.sighting.frame]}
     assert set(found) == {s.frame for s in track.kept if whole[s.frame]}
@@ -83,23 +85,51 @@ def lamps_seen(true: Array, ahead: float) -> Track:
 @pytest.mark.parametrize("ahead", [-2.5, -2.0, 2.0, 2.5])
 def test_a_face_at_night_is_where_its_lamps_are_and_not_where_their_light_lies(start: float, ahead: float) -> None:
     true = start + 2.5 * np.arange(6)
-    face = face_of(lamps_seen(true, ahead))
+    face = face_of(showing_face(lamps_seen(true, ahead)))
     assert face is not None
     off = [(at.s - s) / at.sighting.error(0.0, 1.0) for at, s in zip(face.aligned, true, strict=True)]
     assert np.abs(off).max() < 0.3  # px of disparity
 
 
+def rear_lamps_seen(apart: float, x: tuple[float, float], whole: int) -> Track:
+    """Of two lamps so far apart, m, the left one, from ``x`` to ``x`` on the card; the other one shows in as many
+    frames as it is ``whole``, the nearest."""
+    track, rng = Track(), np.random.default_rng(1)
+    for k, s in enumerate(30.0 + 3.0 * np.arange(10)):
+        spots = [(0.0, side * 0.5 * apart, 0.6, 0.1, 60.0) for side in ((-1, 1) if k < whole else (-1,))]
+        left, right = (view + 0.5 * rng.standard_normal(view.shape, np.float32) for view in lit(s, spots))
+        track.add(Sighting(k, 0.1 * k, lane(), s, x, (0.2, 1.5), 1.5, 9.0, (left, right), np.zeros((2, 2))))
+    return track
+
+
+def width_of(vehicle: VehicleDocument) -> float:
+    """m."""
+    corners = triangulate(lane().rig, vehicle.left, vehicle.right)
+    return float(np.linalg.norm(corners[1] - corners[0]))
+
+
+@pytest.mark.parametrize("x", [(-1.2, -0.6), (-0.9, -0.9)])
+def test_where_one_lamp_of_a_lorry_was_seen_its_outline_reaches_to_the_other_one(x: tuple[float, float]) -> None:
+    found = found_on(rear_lamps_seen(1.8, x, 10))
+    assert found.vehicle is not None and width_of(found.vehicle) > 1.8
+
+
+def test_a_vehicle_that_another_one_hides_farther_away_is_outlined_as_it_was_nearer() -> None:
+    found = found_on(rear_lamps_seen(1.2, (-0.9, -0.3), 4))
+    assert found.vehicle is not None and found.vehicle.frame < 4 and width_of(found.vehicle) > 1.2
+
+
 @pytest.mark.parametrize("ahead", [-3.8, -3.4, 3.4, 3.8])
 def test_what_lies_farther_than_is_looked_is_no_face(ahead: float) -> None:
     """It looks more and more like one towards the end of what is looked at."""
-    assert face_of(lamps_seen(25.0 + 2.5 * np.arange(6), ahead)) is None
+    assert face_of(showing_face(lamps_seen(25.0 + 2.5 * np.arange(6), ahead))) is None
 
 
 def test_far_away_a_face_is_looked_for_farther_from_its_sighting() -> None:
     """By a pixel of disparity, which is more than three metres there."""
     true = np.array([46.0, 48.0, 50.0, 52.0])
     track = lamps_seen(true, -3.5)
-    face = face_of(track)
+    face = face_of(showing_face(track))
     assert face is not None
     assert np.abs([at.s - s for at, s in zip(face.aligned, true, strict=True)]).max() < 1.0
 
@@ -110,7 +140,7 @@ def test_pictures_without_any_contrast_show_no_face() -> None:
     for at in seen:
         left, right = (np.full_like(crop, 100.0) for crop in at.sighting.crops)
         track.add(replace(at.sighting, crops=(left, right)))
-    assert face_of(track) is None
+    assert face_of(showing_face(track)) is None
 
 
 @pytest.mark.parametrize("odd", [{0, 1}, {FRAMES - 2, FRAMES - 1}, {0, 4, FRAMES - 1}, {0, 1, FRAMES - 1}])
@@ -121,7 +151,7 @@ def test_a_face_is_known_by_what_most_frames_show_of_it(odd: set[int]) -> None:
     track = Track()
     for k, (at, instead) in enumerate(zip(own, other, strict=True)):
         track.add(replace(instead.sighting, area=4.0) if k in odd else at.sighting)
-    face = face_of(track)
+    face = face_of(showing_face(track))
     assert face is not None and {at.sighting.frame for at in face.aligned} == set(range(FRAMES)) - odd
 
 
@@ -129,7 +159,7 @@ def test_a_face_is_known_by_what_most_frames_show_of_it(odd: set[int]) -> None:
 def test_a_face_seen_in_all_frames_goes_before_more_that_is_seen_in_few(seed: int) -> None:
     """A windscreen mirrors the same in the two nearest ones, and another thing in each of the others."""
     track = below_a_mirror(seed, 4.0, 2)
-    face = face_of(track)
+    face = face_of(showing_face(track))
     assert face is not None and len(face.aligned) == FRAMES
 
 
@@ -137,7 +167,7 @@ def test_a_face_seen_in_all_frames_goes_before_more_that_is_seen_in_few(seed: in
 @pytest.mark.parametrize("contrast", [2.0, 4.0])
 def test_a_face_is_found_below_what_mirrors_something_else_each_time(seed: int, contrast: float) -> None:
     """Where each frame has it is not known but by the face."""
-    face = face_of(below_a_mirror(seed, contrast, 1))
+    face = face_of(showing_face(below_a_mirror(seed, contrast, 1)))
     assert face is not None and len(face.aligned) == FRAMES and face.y[1] < FOOT + 0.1
     off = [(at.s - s) / at.sighting.error(0.0, 1.0) for at, s in zip(face.aligned, MIRRORED_AT, strict=True)]
     assert np.abs(off).max() < 0.3  # px of disparity

@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 Image = NDArray[np.float32]
 Span = tuple[float, float]
 
-FINE = Grid(left=-2.0, top=1.6, bottom=0.15, cell=0.025)
+FINE = Grid(left=-2.4, top=1.6, bottom=0.15, cell=0.025)
 WINDOW = 9  # cells over which pictures are compared
 REACH, STEPS = (3.0, 1.0), 25  # m at least, or px of disparity: so far about its sighting a face is looked for, at so
 # many places
@@ -38,8 +38,8 @@ AGREED = 0.78, 0.66, 0.54  # correlation that speaks for a place as much as agai
 NARROWEST, LOWEST = 0.4, 0.3  # m of a rectangle
 INSET = 0.075  # m: a correlation sees half its window beyond the place where it stands
 MOST_OF = 0.7  # of a face's width that a rectangle takes at least
-WIDEST = 1.8, 2.3  # m, of a rectangle on a car, and on what is taller than `TALLER`
-HIGHEST = 1.1, 1.6  # m, of the same
+WIDEST = 2.3  # m, of a rectangle: the lamps of a lorry
+HIGHEST = 1.1, 1.6  # m, of a rectangle on a car, and on what is taller than `TALLER`
 BEGUN = 1.0, 0.57  # of the height, up to where all is first laid on each other: a bonnet or a windscreen may mislead it
 TALLER = 2.2  # m
 FOOT = 1.5  # m above the road, below which a sighting begins that shows a face: so high up are the lamps of lorries
@@ -91,15 +91,15 @@ class Face:
         return np.array([[x0, y1], [x1, y1], [x1, y0], [x0, y0]]) + at.origin
 
 
-def face_of(track: Track) -> Face | None:
-    """The rectangle on a vehicle's face that all its sightings agree on; None where they agree on none."""
-    shown = showing_face(track)
+def face_of(shown: list[Sighting]) -> Face | None:
+    """The rectangle on a vehicle's face that all sightings in which it is ``shown`` agree on; None where they agree on
+    none."""
     if not shown:
         return None
     uncut = [sighting for sighting in shown if _is_uncut(sighting)] or shown
     usual = float(np.quantile([sighting.area for sighting in uncut], 0.5, method="higher"))  # that of one of them
     reference = max((s for s in uncut if UNLIKE[0] * usual <= s.area <= UNLIKE[1] * usual), key=_size)
-    half = min(0.5 * (reference.x[1] - reference.x[0]), -FINE.left)
+    half = float(np.clip(0.5 * (reference.x[1] - reference.x[0]), FINE.cell, -FINE.left))
     top = HIGHEST[reference.y[1] > TALLER]
     faces = [_face_within((-half, half), (FINE.bottom, share * top), shown, reference) for share in BEGUN]
     found = [face for face in faces if face is not None]
@@ -124,6 +124,12 @@ def _face_within(x: Span, y: Span, shown: list[Sighting], reference: Sighting) -
 def showing_face(track: Track) -> list[Sighting]:
     """The sightings that reach down to a face: what hangs higher is a roof behind another vehicle, or none."""
     return [sighting for sighting in track.kept if sighting.y[0] < FOOT]
+
+
+def nearer_half(sightings: list[Sighting]) -> list[Sighting]:
+    """The half of some ``sightings`` in which the vehicle is larger."""
+    usual = np.median([_size(sighting) for sighting in sightings])
+    return [sighting for sighting in sightings if _size(sighting) >= usual]
 
 
 def course(aligned: list[Aligned]) -> tuple[Array, Array]:
@@ -272,10 +278,10 @@ def _rectangle(aligned: list[Aligned], reference: Sighting) -> Face | None:
             correlations.append(correlation(template, Texture(card, WINDOW)))
     agreement = np.median(correlations, axis=0)  # a shadow that passes over a face is there in few frames
     weight = _textured(template)
-    widest, highest = WIDEST[reference.y[1] > TALLER], HIGHEST[reference.y[1] > TALLER]
-    narrowest = max(NARROWEST, MOST_OF * min(reference.x[1] - reference.x[0], widest))
+    highest = HIGHEST[reference.y[1] > TALLER]
+    narrowest = max(NARROWEST, MOST_OF * min(reference.x[1] - reference.x[0], WIDEST))
     cell = COARSE * FINE.cell
-    widths = round((narrowest + 2 * INSET) / cell), round((widest + 2 * INSET) / cell)
+    widths = round((narrowest + 2 * INSET) / cell), round((WIDEST + 2 * INSET) / cell)
     for agreed in AGREED:
         votes = _votes(agreement, weight, agreed)
         votes[FINE.y > highest] = -1.0

@@ -54,7 +54,8 @@ SLENDER, LONG = 0.3, 0.3  # of a face's height and width: columns and rows of le
 ASIDE = 1.6  # m from the middle of a way, from where on what counts belongs to the next lane more and more
 HALF_WIDTH = 1.3  # m, of a bus
 MARGIN, KEPT = 0.9, 1.0  # m about a face that are kept of the pictures, and px of disparity before and behind it, or
-# `BEFORE`
+# `BEFORE`;
+LANE = 2.0  # m to either side of its way are in any case: one lamp may be all that was seen of a vehicle
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,7 +252,8 @@ class Lookout:
     def _sighting(frame: StereoFrame, way: Way, s: float, counts: Image, piece: Mask, upright: float) -> Sighting:
         area = float((counts * piece).sum()) * GRID.cell**2
         x, y = extent(piece)
-        card = np.array([[a, b] for a in (x[0] - MARGIN, x[1] + MARGIN) for b in (0.0, GRID.top)])
+        across = min(x[0] - MARGIN, -LANE), max(x[1] + MARGIN, LANE)
+        card = np.array([[a, b] for a in across for b in (0.0, GRID.top)])
         kept = error_at(way, float(way.path.at(np.array(s))[2]), BEFORE, KEPT)
         around = [way.pixels(s + ahead, card) for ahead in (-kept, kept)]
         crops, corners = [], []
