@@ -49,16 +49,16 @@ def countable(truth: Rows) -> list[str]:
 
 
 def who(clip: Clip, vehicle: VehicleDocument, truth: Rows) -> str | None:
-    """The true vehicle whose plane is where ``vehicle`` is outlined."""
+    """The true vehicle whose plane is where ``vehicle`` is outlined; of several, as far as its depth is known, the one
+    that stands there in the pictures."""
     place = triangulate(clip.rig, vehicle.left.mean(0), vehicle.right.mean(0))
-    apart = {
-        row["vehicle"]: float(np.linalg.norm(np.array(row["position"]) - place))
-        for row in truth
-        if row["frame"] == vehicle.frame
-    }
-    name = min(apart, key=lambda k: apart[k], default=None)
     most = max(SAME[0], SAME[1] * float(place[2]) ** 2 / float(clip.rig.left.K[0, 0] * clip.rig.baseline))
-    return name if name is not None and apart[name] < most else None
+    beside = {
+        row["vehicle"]: float(np.linalg.norm(np.array(row["left"]).mean(0) - vehicle.left.mean(0)))
+        for row in truth
+        if row["frame"] == vehicle.frame and np.linalg.norm(np.array(row["position"]) - place) < most
+    }
+    return min(beside, key=lambda k: beside[k], default=None)
 
 
 def speeds(clip: Clip, recording: StereoRecording, names: list[str], truth: Rows) -> dict[str, Speed]:

@@ -241,6 +241,17 @@ def test_only_rejections_are_status_1_and_said_why(command: Command, clip: Path,
         assert len(list(video.decode(video=0))) >= 5
 
 
+@pytest.mark.parametrize(("off", "verdict"), [(1.0, "measured"), (4.0, "rejected")])
+def test_what_is_not_where_both_outlines_say_is_not_measured(
+    command: Command, clip: Path, tmp_path: Path, off: float, verdict: str
+) -> None:
+    """The right one lies so many pixels beside what the left one marks, as it does where something else is outlined."""
+    (vehicle,) = yaml.safe_load(clip.read_text())["vehicles"]
+    vehicle["right"] = [[x + off, y] for x, y in vehicle["right"]]
+    v = command(variant(clip, tmp_path / "off", vehicles=[vehicle])).vehicles["v0"]
+    assert v["verdict"] == verdict and v["reason"].startswith("outline: " if off > 2 else "")
+
+
 def test_a_vehicle_that_leaves_ends_and_is_measured(command: Command, tmp_path: Path) -> None:
     leaving = Vehicle("v0", SPEED, start_distance=45.0, texture_seed=4)
     answer = command(write(render(scene(vehicles=(leaving,), frames=14)), tmp_path / "clip"))

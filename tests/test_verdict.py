@@ -2,16 +2,33 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
 from typing import cast
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.stats import f
 
 from paceline.speed.refinement import Refined
 from paceline.speed.trajectory import Trajectory
-from paceline.speed.verdict import LEAST_FRAMES, MISFIT, OFF, frames_shown, in_view, part_in_view, unexplained
+from paceline.speed.verdict import (
+    LEAST_FRAMES,
+    MISFIT,
+    OFF,
+    OUTLINED,
+    frames_shown,
+    in_view,
+    off_outline,
+    part_in_view,
+    unexplained,
+)
+
+Array = NDArray[np.float64]
+OUTLINE = np.array([[100.0, 100.0], [160.0, 100.0], [160.0, 130.0], [100.0, 130.0]])
 
 
 def refined(explained: list[float], off: float = 0.0, converged: bool = True) -> Refined:
@@ -23,6 +40,12 @@ def refined(explained: list[float], off: float = 0.0, converged: bool = True) ->
     return Refined(
         trajectory, np.zeros(1), nothing, nothing, nothing, 1.0, 10.0, offsets, both, (), 9.0, converged=converged
     )
+
+
+def moving_with(right: Array) -> Refined:
+    """A motion whose outline in the first right view is ``right`` (4, 2)."""
+    moved = SimpleNamespace(quads=lambda theta: np.stack([[right - 30.0, right]]))
+    return replace(refined([0.9] * 10), trajectory=cast(Trajectory, moved))
 
 
 def test_a_frame_shows_the_vehicle_where_all_views_that_were_used_fit() -> None:
@@ -52,6 +75,23 @@ def test_a_track_is_cut_where_it_is_known_to_end_and_halved_where_nothing_is_kno
     assert part_in_view(refined(20 * seen, converged=False)) == 10
     assert part_in_view(refined(3 * seen + 17 * hidden)) == 10  # too few to be measured by themselves
     assert LEAST_FRAMES == 4
+
+
+@pytest.mark.parametrize("hand", [0.5, 5.0])  # px
+def test_a_motion_is_seldom_off_outlines_however_well_they_are_drawn(hand: float) -> None:
+    """A careless hand shows in corners that do not fit each other: then it is an F test, of 2 and 6 degrees of
+    freedom."""
+    drawn = OUTLINE + np.random.default_rng(1).normal(0, hand * np.sqrt(2.0), (20_000, 4, 2))  # of both outlines
+    off = np.mean([off_outline(moving_with(OUTLINE), one, 0.5) != "" for one in drawn])
+    expected = np.exp(-0.5 * OUTLINED**2) if hand == 0.5 else f.sf(0.5 * OUTLINED**2, 2, 6)
+    assert off == pytest.approx(expected, abs=4 * np.sqrt(expected / len(drawn)) + 1e-4)
+
+
+def test_a_motion_that_lies_off_the_outline_in_the_other_view_is_that_of_something_else() -> None:
+    assert off_outline(moving_with(OUTLINE), OUTLINE + [1.7, 0.0], 0.5) == ""
+    said = off_outline(moving_with(OUTLINE), OUTLINE + [0.0, -3.0], 0.5)
+    assert said == "outline: what the pictures show lies 3.0 px off it in the right view, more than 1.8"
+    assert off_outline(moving_with(OUTLINE), OUTLINE + [3.0, 0.0], 1.0) == ""
 
 
 @pytest.mark.parametrize(("hidden", "reason"), [(3, ""), (4, "residuals: none of the first 4 frames")])

@@ -270,7 +270,9 @@ class _Run:
         usual, wider = ndtri(0.5 + CONFIDENCE / 2), stdtrit(refined.dof, 0.5 + CONFIDENCE / 2)
         own = float(np.hypot(wider * noise_std, usual * doubt_std))
         half = float(np.hypot(own, usual * np.nan_to_num(systematic_std)))
-        reason = verdict.against(refined, speed, half, own)
+        reason = verdict.against(refined, speed, half, own) or verdict.off_outline(
+            refined, self.vehicle.right, self.configuration.click_sigma
+        )
         speeds, times = refined.speeds()[0], refined.trajectory.times.mean(1)
         acceleration = float((speeds[-1] - speeds[0]) / (times[-1] - times[0]))
         accelerating = {"acceleration", "surge"} & {*refined.extras}

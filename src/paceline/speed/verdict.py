@@ -13,6 +13,7 @@ OFF = 0.6  # px, rms over the frames: how far the pictures may lie off the motio
 SHOWN = 0.5  # share of the frames that have to show the vehicle where the fitted motion puts it
 DISAGREE = 1.0  # px across the epipolar lines
 FASTEST = 90.0  # m/s
+OUTLINED = 5.0  # standard deviations of an outline's place, by its corners, that the motion may lie off it
 WIDEST = (0.06, 0.5)  # half-width of an interval that still counts: relative, and m/s
 OWN = 2 / 3  # share of that which may be the vehicle's own, not the calibration's
 
@@ -30,6 +31,20 @@ def against(refined: Refined, speed: float, half: float, own: float) -> str:
     if not 0 <= speed <= FASTEST:
         return f"implausible: {speed:.1f} m/s"
     return too_wide(speed, half) or too_wide(speed, own, OWN)
+
+
+def off_outline(refined: Refined, right: NDArray[np.float64], click_sigma: float) -> str:
+    """Why a motion is not that of the vehicle that is outlined by the corners ``right`` (4, 2), px, too, each known to
+    ``click_sigma`` px, or as well as they fit each other; empty where it is. The motion has the left outline for its
+    own: both views of something that hides the vehicle agree as well, but not on the distance of both outlines."""
+    apart = refined.trajectory.quads(refined.theta)[0, 1] - right
+    off = apart.mean(0)
+    scatter = float(np.sqrt(((apart - off) ** 2).sum() / (apart.size - off.size)))
+    lies = float(np.linalg.norm(off))
+    most = OUTLINED * max(float(np.sqrt(2.0)) * click_sigma, scatter) / float(np.sqrt(len(apart)))
+    if lies <= most:
+        return ""
+    return f"outline: what the pictures show lies {lies:.1f} px off it in the right view, more than {most:.1f}"
 
 
 def frames_shown(refined: Refined) -> NDArray[np.bool_]:
