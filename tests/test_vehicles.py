@@ -121,8 +121,16 @@ def rng() -> np.random.Generator:
 
 
 @settings(max_examples=40)
-@given(seed=st.integers(0, 10**6), height=st.integers(1, 4), narrowest=st.integers(1, 4), more=st.integers(0, 5))
-def test_the_best_rectangle_is_that_of_all(seed: int, height: int, narrowest: int, more: int) -> None:
+@given(
+    seed=st.integers(0, 10**6),
+    height=st.integers(1, 4),
+    narrowest=st.integers(1, 4),
+    more=st.integers(0, 5),
+    column=st.integers(0, 8),
+)
+def test_the_best_rectangle_is_that_of_all_that_hold_a_column(
+    seed: int, height: int, narrowest: int, more: int, column: int
+) -> None:
     votes = np.random.default_rng(seed).normal(-0.3, 1.0, (7, 9))
     sums = {
         (t, b, left, r): votes[t:b, left:r].sum()
@@ -130,9 +138,10 @@ def test_the_best_rectangle_is_that_of_all(seed: int, height: int, narrowest: in
         for b in range(t + height, 8)
         for left in range(9)
         for r in range(left + narrowest, min(left + narrowest + more, 9) + 1)
+        if left <= column < r
     }
     best = max(sums, key=lambda k: sums[k])
-    found = best_rectangle(votes, height, (narrowest, narrowest + more))
+    found = best_rectangle(votes, height, (narrowest, narrowest + more), column)
     if sums[best] > 1e-9:
         assert found is not None and sums[found] == pytest.approx(sums[best])
     else:

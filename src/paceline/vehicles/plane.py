@@ -38,7 +38,8 @@ AGREED = 0.78, 0.66, 0.54  # correlation that speaks for a place as much as agai
 NARROWEST, LOWEST = 0.4, 0.3  # m of a rectangle
 INSET = 0.075  # m: a correlation sees half its window beyond the place where it stands
 MOST_OF = 0.7  # of a face's width that a rectangle takes at least
-WIDEST = 2.3  # m, of a rectangle: the lamps of a lorry
+WIDEST = 1.8, 2.3  # m, of a rectangle on a car, and on what is taller than `TALLER`, or wider, or narrower than
+PART = 1.0  # m: it may be one lamp of a lorry. A rail beside the road agrees in all frames as well as a face does
 HIGHEST = 1.1, 1.6  # m, of a rectangle on a car, and on what is taller than `TALLER`
 BEGUN = 1.0, 0.57  # of the height, up to where all is first laid on each other: a bonnet or a windscreen may mislead it
 TALLER = 2.2  # m
@@ -278,14 +279,15 @@ def _rectangle(aligned: list[Aligned], reference: Sighting) -> Face | None:
             correlations.append(correlation(template, Texture(card, WINDOW)))
     agreement = np.median(correlations, axis=0)  # a shadow that passes over a face is there in few frames
     weight = _textured(template)
-    highest = HIGHEST[reference.y[1] > TALLER]
-    narrowest = max(NARROWEST, MOST_OF * min(reference.x[1] - reference.x[0], WIDEST))
+    highest, widest = HIGHEST[reference.y[1] > TALLER], _widest(reference)
+    narrowest = max(NARROWEST, MOST_OF * min(reference.x[1] - reference.x[0], widest))
     cell = COARSE * FINE.cell
-    widths = round((narrowest + 2 * INSET) / cell), round((WIDEST + 2 * INSET) / cell)
+    widths = round((narrowest + 2 * INSET) / cell), round((widest + 2 * INSET) / cell)
+    middle = len(FINE.x[::COARSE]) // 2
     for agreed in AGREED:
         votes = _votes(agreement, weight, agreed)
         votes[FINE.y > highest] = -1.0
-        found = best_rectangle(votes[::COARSE, ::COARSE], round((LOWEST + 2 * INSET) / cell), widths)
+        found = best_rectangle(votes[::COARSE, ::COARSE], round((LOWEST + 2 * INSET) / cell), widths, middle)
         if found is not None:
             break
     else:
@@ -294,6 +296,12 @@ def _rectangle(aligned: list[Aligned], reference: Sighting) -> Face | None:
     x, y = FINE.x[[left, min(right, len(FINE.x)) - 1]], FINE.y[[min(bottom, len(FINE.y)) - 1, top]]
     part = np.s_[top:bottom, left:right]
     return Face(_inset(x), _inset(y), aligned, float(_votes(agreement[part], weight[part], AGREED[-1]).sum()))
+
+
+def _widest(reference: Sighting) -> float:
+    """How wide a rectangle may be on what is as large as the ``reference``, m."""
+    width = reference.x[1] - reference.x[0]
+    return WIDEST[1] if reference.y[1] > TALLER or width < PART else float(np.clip(width, *WIDEST))
 
 
 def _votes(agreement: Image, weight: Image, agreed: float) -> Array:
@@ -305,9 +313,11 @@ def _inset(span: Array) -> Span:
     return float(span[0]) + INSET, float(span[1]) - INSET
 
 
-def best_rectangle(votes: Array, height: int, widths: tuple[int, int]) -> tuple[int, int, int, int] | None:
+def best_rectangle(
+    votes: Array, height: int, widths: tuple[int, int], column: int
+) -> tuple[int, int, int, int] | None:
     """The rows and columns, from where and to before where, of the rectangle of ``votes`` (H, W) with the largest sum,
-    at least ``height`` high and between ``widths`` wide; None where no sum is positive."""
+    at least ``height`` high and between ``widths`` wide, that holds a ``column``; None where no sum is positive."""
     H, W = votes.shape
     narrowest, widest = widths
     sums = np.zeros((H + 1, W + 1))
@@ -316,9 +326,10 @@ def best_rectangle(votes: Array, height: int, widths: tuple[int, int]) -> tuple[
     for top in range(H - height + 1):
         rows = sums[top + height :] - sums[top]  # (bottoms, W + 1): sums from the left
         for width in range(narrowest, min(widest, W) + 1):
-            gains = rows[:, width:] - rows[:, : W + 1 - width]
+            first, last = max(column + 1 - width, 0), min(column, W - width)
+            gains = rows[:, first + width : last + width + 1] - rows[:, first : last + 1]
             bottom, left = np.unravel_index(int(np.argmax(gains)), gains.shape)
             if gains[bottom, left] > best:
                 best = float(gains[bottom, left])
-                where = (top, top + height + int(bottom), int(left), int(left) + width)
+                where = (top, top + height + int(bottom), first + int(left), first + int(left) + width)
     return where
