@@ -137,6 +137,7 @@ def night(image: Image, world: World, i: int, k: int) -> None:
     poses = [(vehicle, track[k]) for vehicle, track in zip(world.scene.vehicles, world.poses[i], strict=True)]
     for vehicle, pose in sorted(poses, key=lambda each: float(view.depth(each[1].centre))):
         if view.depth(pose.centre) < 3.0:
+            _hide(hidden, view, body(vehicle, pose))
             continue
         peak, size = (45.0, 0.09) if vehicle.receding else (700.0, 0.12)
         for side in (-1, 1):
@@ -150,7 +151,13 @@ def night(image: Image, world: World, i: int, k: int) -> None:
                 ahead = centre + world.road.down * 0.6 - 4.0 * pose.axes[:, 2]
                 if view.depth(ahead) > 3.0:
                     _glow(image, view.project(ahead), 7 * sigma, 0.03 * peak, hidden)
-        fill(hidden, view.project(body(vehicle, pose)))
+        _hide(hidden, view, body(vehicle, pose))
+
+
+def _hide(hidden: NDArray[np.uint8], view: View, corners: Array) -> None:
+    """Mark what lies between ``corners`` (4, 3) m before the camera as ``hidden``, in place."""
+    if view.depth(corners).min() > 0.5:
+        fill(hidden, view.project(corners))
 
 
 def body(vehicle: Vehicle, pose: Pose) -> Array:
@@ -165,13 +172,14 @@ def fill(mask: NDArray[np.uint8], corners: Array) -> None:
 
 
 def _glow(image: Image, at: Array, sigma: float, peak: float, hidden: NDArray[np.uint8] | None) -> float:
-    """Light but for what is ``hidden``, in place, and the share of it that is shown."""
+    """Light but for what is ``hidden``, in place, and the share of it that is not; all of it where it lies outside the
+    picture, since nothing is known to hide it."""
     reach = int(np.ceil(3.5 * sigma))
     x, y = at.round().astype(int)
     rows, columns = slice(max(y - reach, 0), max(y + reach, 0)), slice(max(x - reach, 0), max(x + reach, 0))
     part = image[rows, columns]
     if not part.size:
-        return 0.0
+        return 1.0
     v, u = np.ogrid[rows.start : rows.start + part.shape[0], columns.start : columns.start + part.shape[1]]
     across, down = np.exp(-((u - at[0]) ** 2) / (2 * sigma**2)), np.exp(-((v - at[1]) ** 2) / (2 * sigma**2))
     light = across * down

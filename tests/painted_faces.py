@@ -29,7 +29,7 @@ def face_with(texture: Image, seed: int, covered: tuple[Image, int] | None = Non
     for k in range(FRAMES):
         s = 35.0 + SPEED * k
         pair = painted_on(way, s, covered[0] if covered is not None and k < covered[1] else texture, rng)
-        sighting = Sighting(k, 0.1 * k, way, s, X, (BOTTOM, TOP), 1.5, 9.0, pair, np.zeros((2, 2)))
+        sighting = Sighting(k, 0.1 * k, way, s, X, (BOTTOM, TOP), 1.5, 9.0, pair, flat(pair), np.zeros((2, 2)))
         aligned.append(Aligned(sighting, s, np.zeros(2), 1.0))
     return Face(X, (BOTTOM, TOP), aligned, 0.9)
 
@@ -41,6 +41,11 @@ def painted_on(way: Way, s: float, texture: Image, rng: np.random.Generator) -> 
         view = cv2.warpPerspective(texture, H @ CARD.to_metres, camera.image_size, borderValue=100.0)
         views.append(np.float32(cv2.GaussianBlur(view, (0, 0), 0.8) + rng.normal(0.0, 1.0, view.shape)))
     return views[0], views[1]
+
+
+def flat(views: tuple[Image, Image]) -> tuple[Image, Image]:
+    """Both views of nothing at all, as large as these."""
+    return np.full_like(views[0], 100.0), np.full_like(views[1], 100.0)
 
 
 def texture_up_to(height: float, seed: int) -> Image:

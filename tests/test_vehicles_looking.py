@@ -256,11 +256,16 @@ def lit(s: float, spots: list[Spot]) -> tuple[Image, Image]:
     return pictures[0], pictures[1]
 
 
+def unlit() -> tuple[Image, Image]:
+    """Both views of the road without them."""
+    left, right = (np.asarray(0.07 * picture, np.float32) for picture in empty())
+    return left, right
+
+
 def off(s: float, spots: list[Spot]) -> float:
     """How far from ``s`` the first vehicle is seen, px of disparity."""
-    dark = [np.asarray(0.07 * i, np.float32) for i in empty()]
     left, right = lit(s, spots)
-    first, *_ = Lookout([way()]).see(replace(frame(0), left=left, right=right), (dark[0], dark[1]), 1.0)
+    first, *_ = Lookout([way()]).see(replace(frame(0), left=left, right=right), unlit(), 1.0)
     return abs(first.s - s) / first.error(0.0, 1.0)
 
 
@@ -279,11 +284,23 @@ def test_lamps_near_by_are_not_where_the_wide_light_about_them_agrees_too(s: flo
     assert off(s, [(ahead, side * x, *lamp) for side in (-1, 1) for ahead, *lamp in lamps]) < 0.25
 
 
+@pytest.mark.parametrize("side", [-1, 1])
+def test_of_a_vehicle_of_which_one_lamp_was_seen_the_other_one_is_kept(side: int) -> None:
+    left, right = lit(20.0, [(0.0, 0.9 * side, 0.6, 0.1, 700.0)])
+    seen, *_ = Lookout([way()]).see(replace(frame(0), left=left, right=right), unlit(), 1.0)
+    assert np.abs(seen.x).max() < 1.5
+    for crop, before, corner, lamp in zip(
+        seen.crops, seen.before, seen.corners, way().pixels(20.0, np.array([[-0.95 * side, 0.6]])), strict=True
+    ):
+        assert crop.shape == before.shape
+        assert (lamp - corner > 0).all() and (lamp - corner < crop.shape[::-1]).all()
+
+
 # --- over time -------------------------------------------------------------------------------------------------------
 
 
 def sighting(time: float, s: float, x: tuple[float, float] = (-0.9, 0.9), of: StereoFrame | None = None) -> Sighting:
-    crops = (empty() if of is None else (of.left, of.right), np.zeros((2, 2)))
+    crops = (empty() if of is None else (of.left, of.right), empty(), np.zeros((2, 2)))
     return Sighting(round(10 * time), time, way(), s, x, (0.2, 1.5), 1.5, 9.0, *crops)
 
 
@@ -419,6 +436,12 @@ def test_a_motorcycle_is_as_tall_as_its_rider_beside_something_low_and_wide() ->
     x, y = GRID.x[None], GRID.y[:, None]
     piece = (np.abs(x) < 0.35) & (y < 1.7) | (np.abs(x) < 1.2) & (y < 0.5)
     np.testing.assert_allclose(extent(piece), ((-0.35, 0.35), (0.2, 1.7)), atol=1.01 * GRID.cell)
+
+
+def test_a_piece_may_be_one_row_high() -> None:
+    row = (np.abs(GRID.x) < 0.5) & (np.arange(len(GRID.y)) == 20)[:, None]
+    x, y = extent(row)
+    assert y == (GRID.y[20], GRID.y[20]) and np.allclose(x, (-0.5, 0.5), atol=1.01 * GRID.cell)
 
 
 @given(st.integers(0, 2**16), st.floats(0.5, 4.0), st.floats(0.0, 1.5))

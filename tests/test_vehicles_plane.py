@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from painted_faces import CARD, FRAMES, face_with, painted_on, texture_up_to
+from painted_faces import CARD, FRAMES, face_with, flat, painted_on, texture_up_to
 from small_road import scene
-from test_vehicles_looking import frame, lit
+from test_vehicles_looking import frame, lit, unlit
 from test_vehicles_looking import way as lane
 
 from paceline.documents import VehicleDocument
@@ -46,7 +47,7 @@ def test_a_face_is_where_it_is_though_the_vehicle_leaves_the_pictures_at_last(
             pair = StereoFrame(k, float(clip.times[k]), *views, 0.0, duplicate=False)
             true[k], whole[k] = way.on_card(np.array(row["position"]))[0], row["inside"]
             x, y = (-0.5 * width, 0.5 * width), (0.2, HEIGHT)
-            track.add(Sighting(k, pair.time, way, true[k], x, y, 1.5, 9.0, views, np.zeros((2, 2))))
+            track.add(Sighting(k, pair.time, way, true[k], x, y, 1.5, 9.0, views, flat(views), np.zeros((2, 2))))
     assert not whole[track.kept[-1].frame]
     face = face_of(showing_face(track))
     assert face is not None
@@ -65,7 +66,8 @@ def below_a_mirror(seed: int, contrast: float, alike: int) -> Track:
         mirrored = 100.0 + contrast * (texture_up_to(CARD.top, 100 * seed + min(k, FRAMES - alike)) - 100.0)
         pair = painted_on(way, s, np.where(above, mirrored, own), rng)
         seen = s + rng.uniform(-1.5, 1.5)
-        track.add(Sighting(k, 0.1 * k, way, seen, (-0.85, 0.85), (0.2, 1.6), 1.5, 9.0, pair, np.zeros((2, 2))))
+        x, y = (-0.85, 0.85), (0.2, 1.6)
+        track.add(Sighting(k, 0.1 * k, way, seen, x, y, 1.5, 9.0, pair, flat(pair), np.zeros((2, 2))))
     return track
 
 
@@ -76,8 +78,8 @@ def lamps_seen(true: Array, ahead: float) -> Track:
     spots = [(0.0, x, 0.6, width, peak) for x in (-0.6, 0.6) for width, peak in ((0.1, 700.0), (0.7, 60.0))]
     for k, s in enumerate(true):
         views, at = lit(s, [*spots, (ahead, 0.0, 0.5, 0.9, 60.0)]), frame(k)
-        seen = Sighting(k, at.time, lane(), s + ahead, (-1.2, 1.2), (0.2, 1.5), 1.5, 9.0, views, np.zeros((2, 2)))
-        track.add(seen)
+        x, y = (-1.2, 1.2), (0.2, 1.5)
+        track.add(Sighting(k, at.time, lane(), s + ahead, x, y, 1.5, 9.0, views, unlit(), np.zeros((2, 2))))
     return track
 
 
@@ -98,8 +100,47 @@ def rear_lamps_seen(apart: float, x: tuple[float, float], whole: int) -> Track:
     for k, s in enumerate(30.0 + 3.0 * np.arange(10)):
         spots = [(0.0, side * 0.5 * apart, 0.6, 0.1, 60.0) for side in ((-1, 1) if k < whole else (-1,))]
         left, right = (view + 0.5 * rng.standard_normal(view.shape, np.float32) for view in lit(s, spots))
-        track.add(Sighting(k, 0.1 * k, lane(), s, x, (0.2, 1.5), 1.5, 9.0, (left, right), np.zeros((2, 2))))
+        of = (0.2, 1.5), 1.5, 9.0, (left, right), unlit(), np.zeros((2, 2))
+        track.add(Sighting(k, 0.1 * k, lane(), s, x, *of))
     return track
+
+
+def narrow_beside_a_wall(width: float, x: tuple[float, float], contrast: float) -> Track:
+    """What is as wide as ``width`` m in the middle of its way and was seen from ``x`` to ``x``; a wall with edges along
+    the road stands 1.6 m beside it."""
+    track, rng, way = Track(), np.random.default_rng(2), lane()
+    stripes = np.float32(100.0 + contrast * np.tile(rng.normal(0.0, 1.0, (8, 1)).repeat(5, 0), 2))
+    texture = texture_up_to(1.2, 1)
+    shown = np.float32((np.abs(CARD.x) < 0.5 * width) & (CARD.y[:, None] < 1.2))
+    for k, s in enumerate(30.0 + 2.0 * np.arange(8)):
+        views, before = [], []
+        for side, (H, camera) in enumerate(zip(way.homographies(s), way.rig.cameras, strict=True)):
+            ends = [way.pixels(at, np.array([[-1.6, 1.2], [-1.6, 0.0]]))[side] for at in (70.0, 4.0)]
+            cells = np.float32([[0, 0], [0, 39], [1, 0], [1, 39]])
+            wall = cv2.getPerspectiveTransform(cells, np.concatenate(ends).astype(np.float32))
+            scene = cv2.warpPerspective(stripes, wall, camera.image_size, borderValue=100.0)
+            cover = cv2.warpPerspective(shown, H @ CARD.to_metres, camera.image_size)
+            view = cv2.warpPerspective(texture, H @ CARD.to_metres, camera.image_size, borderValue=100.0)
+            before.append(np.float32(cv2.GaussianBlur(scene, (0, 0), 0.8)))
+            view = cv2.GaussianBlur(scene + cover * (view - scene), (0, 0), 0.8)
+            views.append(np.float32(view + rng.normal(0.0, 1.0, view.shape)))
+        of = (0.2, 1.4), 1.0, 9.0, (views[0], views[1]), (before[0], before[1]), np.zeros((2, 2))
+        track.add(Sighting(k, 0.1 * k, way, s, x, *of))
+    return track
+
+
+@pytest.mark.parametrize(("width", "x"), [(0.8, (-0.4, 0.4)), (1.8, (-0.9, -0.1))])
+@pytest.mark.parametrize("contrast", [8.0, 25.0])
+def test_a_wall_beside_what_is_narrow_or_seen_in_part_is_none_of_it(
+    width: float, x: tuple[float, float], contrast: float
+) -> None:
+    """Its picture is the same in all frames, and in both views at any distance."""
+    found = found_on(narrow_beside_a_wall(width, x, contrast))
+    assert found.vehicle is not None
+    corners = triangulate(lane().rig, found.vehicle.left, found.vehicle.right)
+    s, across, _ = lane().on_card(corners.mean(0))
+    assert abs(across) + 0.5 * width_of(found.vehicle) < 0.5 * width + 0.2
+    assert abs(s - 30.0 - 2.0 * found.vehicle.frame) < 0.25
 
 
 def width_of(vehicle: VehicleDocument) -> float:
@@ -132,6 +173,13 @@ def test_far_away_a_face_is_looked_for_farther_from_its_sighting() -> None:
     face = face_of(showing_face(track))
     assert face is not None
     assert np.abs([at.s - s for at, s in zip(face.aligned, true, strict=True)]).max() < 1.0
+
+
+@pytest.mark.filterwarnings("error")
+def test_what_hangs_above_the_road_in_all_frames_has_no_outline() -> None:
+    track = lamps_seen(25.0 + 2.5 * np.arange(6), 0.0)
+    track.kept[:] = [replace(seen, y=(1.9, 2.5)) for seen in track.kept]
+    assert found_on(track).vehicle is None
 
 
 @pytest.mark.filterwarnings("error")

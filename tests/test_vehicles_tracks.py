@@ -119,10 +119,12 @@ def test_what_is_small_has_to_be_seen_often(area: float, count: int) -> None:
 
 
 def test_what_now_and_then_seems_to_stand_lies_on_the_road() -> None:
-    """Two shadows one behind the other, as they were seen, and a van in rain."""
+    """Two shadows one behind the other, as they were seen, and a van in rain; the most that a shadow had, and the least
+    of a vehicle at night."""
     times = np.arange(5) / 10
     track = driven(times, 4 + 25 * times)
-    for upright, vehicle in (([14.2, 1.7, 2.7, 1.7, 1.5], False), ([1.5, 4.4, 6.0, 2.6, 5.7], True)):
+    seen = ([14.2, 1.7, 2.7, 1.7, 1.5], False), ([1.5, 4.4, 6.0, 2.6, 5.7], True), ([2.0] * 5, False), ([2.9] * 5, True)
+    for upright, vehicle in seen:
         track.upright = upright
         assert is_vehicle(track) == vehicle
 

@@ -181,7 +181,7 @@ def found_on(track: Track) -> Found:
     it leaves none, by the nearer half, for farther away another one may hide most of it."""
     shown = showing_face(track)
     whole = _found_by(track, shown)
-    if whole.vehicle is not None:
+    if whole.vehicle is not None or not shown:
         return whole
     nearer = _found_by(track, nearer_half(shown))
     return whole if nearer.vehicle is None else nearer

@@ -15,13 +15,14 @@ from numpy.typing import NDArray
 
 from paceline.peaks import vertex_at
 from paceline.speed.paths import Path
-from paceline.vehicles.agreement import FLAT, Texture, agreement, correlation
+from paceline.vehicles.agreement import FLAT, Texture, agreement, correlation, local_mean
 from paceline.vehicles.sightings import GRID, Sighting
 from paceline.vehicles.tracks import Track
 from paceline.vehicles.ways import Grid, Way
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
+Mask = NDArray[np.bool_]
 Span = tuple[float, float]
 
 FINE = Grid(left=-2.4, top=1.6, bottom=0.15, cell=0.025)
@@ -34,6 +35,9 @@ SHARPER = 0.5, 0.7  # of the largest area that agrees, and times the misfit of t
 SHIFT = 0.4  # m that the face may lie off where it was in another frame, on the card
 RAISED = 0.5  # correlation that it costs if it lies as much higher or lower: on a card at a wrong place it does
 CONTRAST = 1.0  # grey levels of a texture
+CHANGED = 0.5  # of its contrast, by which a place must differ from what was there before the vehicle,
+SHADOW = 0.3, 1.1  # in so much of the light;
+SELDOM = 0.3  # of the views, that do so where there is no vehicle
 AGREED = 0.78, 0.66, 0.54  # correlation that speaks for a place as much as against it; less where noise leaves none
 NARROWEST, LOWEST = 0.4, 0.3  # m of a rectangle
 INSET = 0.075  # m: a correlation sees half its window beyond the place where it stands
@@ -74,6 +78,11 @@ class Aligned:
 
     def cards(self) -> tuple[Image, Image]:
         return self.sighting.cards(self.s, FINE, self.origin)
+
+    def changed(self) -> list[Mask]:
+        """Where (rows, columns) each view shows something else than before the vehicle, be that in its shadow."""
+        before = self.sighting.cards_before(self.s, FINE, self.origin)
+        return [_is_changed(Texture(view, WINDOW), scene) for view, scene in zip(self.cards(), before, strict=True)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,6 +233,12 @@ def _fit(left: Image, right: Image) -> float:
     return float((a * b).mean()) / contrast if contrast > FLAT else 0.0
 
 
+def _is_changed(view: Texture, before: Image) -> Mask:
+    """Where a ``view`` shows something else than ``before``."""
+    light = np.clip(view.mean / np.maximum(local_mean(before, WINDOW), 1.0), *SHADOW).astype(np.float32)
+    return np.asarray(local_mean((view.image - light * before) ** 2, WINDOW) > (CHANGED * view.std) ** 2)
+
+
 def _textured(texture: Texture) -> Image:
     """How much each place has to say, 0 to 1: strong edges count no more than clear ones."""
     return np.asarray(np.clip(texture.std / (4 * CONTRAST), 0.0, 1.0) * (texture.std > CONTRAST), np.float32)
@@ -278,6 +293,9 @@ def _rectangle(aligned: list[Aligned], reference: Sighting) -> Face | None:
         for card in a.cards()[a is first :]:
             correlations.append(correlation(template, Texture(card, WINDOW)))
     agreement = np.median(correlations, axis=0)  # a shadow that passes over a face is there in few frames
+    changed = np.mean([view for a in aligned for view in a.changed()], axis=0)
+    beside = np.abs(FINE.x) > 0.5 * (reference.x[1] - reference.x[0])
+    agreement[(changed < SELDOM) & beside] = 0.0  # what was there before looks the same in all frames as well
     weight = _textured(template)
     highest, widest = HIGHEST[reference.y[1] > TALLER], _widest(reference)
     narrowest = max(NARROWEST, MOST_OF * min(reference.x[1] - reference.x[0], widest))

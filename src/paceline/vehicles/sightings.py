@@ -62,7 +62,7 @@ LANE = 2.0  # m to either side of its way are in any case: one lamp may be all t
 class Sighting:
     """The face of a vehicle in one frame, at arc length ``s`` of a ``way``: ``x`` and ``y``, each (2,), from where to
     where on the card, m; ``area`` m² of it agree, ``upright`` times better than if they lay on the road. ``crops`` of
-    both views begin at the pixels ``corners`` (2, 2)."""
+    both views, and of what was there ``before`` it, begin at the pixels ``corners`` (2, 2)."""
 
     frame: int
     time: float
@@ -73,6 +73,7 @@ class Sighting:
     area: float
     upright: float
     crops: tuple[Image, Image]
+    before: tuple[Image, Image]
     corners: Array
 
     @property
@@ -93,11 +94,22 @@ class Sighting:
     def _levels(self) -> list[list[Image]]:
         return [pyramid(crop) for crop in self.crops]
 
+    @cached_property
+    def _levels_before(self) -> list[list[Image]]:
+        return [pyramid(crop) for crop in self.before]
+
     def cards(self, s: float, grid: Grid, origin: Array) -> tuple[Image, Image]:
         """Both views on the card at ``s``, its grid moved to ``origin`` (2,) m, from what was kept of them."""
+        return self._laid_out(self._levels, s, grid, origin)
+
+    def cards_before(self, s: float, grid: Grid, origin: Array) -> tuple[Image, Image]:
+        """As `cards`, of what was there before."""
+        return self._laid_out(self._levels_before, s, grid, origin)
+
+    def _laid_out(self, views: list[list[Image]], s: float, grid: Grid, origin: Array) -> tuple[Image, Image]:
         move = np.array([[1, 0, origin[0]], [0, 1, origin[1]], [0, 0, 1.0]])
         found = []
-        for levels, corner, H in zip(self._levels, self.corners, self.way.homographies(s), strict=True):
+        for levels, corner, H in zip(views, self.corners, self.way.homographies(s), strict=True):
             kept = np.array([[1, 0, -corner[0]], [0, 1, -corner[1]], [0, 0, 1.0]])
             found.append(laid_out(levels, kept @ H @ move, grid))
         return found[0], found[1]
@@ -149,7 +161,7 @@ class Lookout:
             if upright < STANDS[1]:
                 continue
             first, behind = self._way_of(station)
-            sighting = self._sighting(frame, self._stations[station][0], s, counts, piece, upright)
+            sighting = self._sighting(frame, empty, self._stations[station][0], s, counts, piece, upright)
             if first < station < behind - 1:  # what counts most at an end of the way is beyond it
                 found.append(sighting)
             explained = look.explain(sighting, self.rows.start)
@@ -249,22 +261,26 @@ class Lookout:
         return int(first), int(behind)
 
     @staticmethod
-    def _sighting(frame: StereoFrame, way: Way, s: float, counts: Image, piece: Mask, upright: float) -> Sighting:
+    def _sighting(
+        frame: StereoFrame, empty: tuple[Image, Image], way: Way, s: float, counts: Image, piece: Mask, upright: float
+    ) -> Sighting:
         area = float((counts * piece).sum()) * GRID.cell**2
         x, y = extent(piece)
         across = min(x[0] - MARGIN, -LANE), max(x[1] + MARGIN, LANE)
         card = np.array([[a, b] for a in across for b in (0.0, GRID.top)])
         kept = error_at(way, float(way.path.at(np.array(s))[2]), BEFORE, KEPT)
         around = [way.pixels(s + ahead, card) for ahead in (-kept, kept)]
-        crops, corners = [], []
-        for side, image in enumerate((frame.left, frame.right)):
+        crops, before, corners = [], [], []
+        for side, (image, scene) in enumerate(zip((frame.left, frame.right), empty, strict=True)):
             pixels = np.concatenate([pair[side] for pair in around])
             low = np.clip(np.floor(pixels.min(0)), 0, np.array(image.shape[::-1]) - 2).astype(int)
             high = np.maximum(np.ceil(pixels.max(0)).astype(int) + 1, low + 2)
-            crops.append(image[low[1] : high[1], low[0] : high[0]].copy())
+            part = np.s_[low[1] : high[1], low[0] : high[0]]
+            crops.append(image[part].copy())
+            before.append(scene[part].copy())
             corners.append(low)
-        views, at = (crops[0], crops[1]), np.array(corners, float)
-        return Sighting(frame.index, frame.time, way, s, x, y, area, upright, views, at)
+        views, scenes, at = (crops[0], crops[1]), (before[0], before[1]), np.array(corners, float)
+        return Sighting(frame.index, frame.time, way, s, x, y, area, upright, views, scenes, at)
 
 
 class _Look:
@@ -368,7 +384,8 @@ def extent(piece: Mask) -> tuple[tuple[float, float], tuple[float, float]]:
     """From where to where on the card, across and up in m, a piece (rows, columns) reaches, but for what is slender at
     its sides, and slender and long above it."""
     columns = np.flatnonzero(piece.sum(0) >= SLENDER * piece.sum(0).max())
-    top, *_, bottom = np.flatnonzero(piece.any(1)).tolist()
+    rows = np.flatnonzero(piece.any(1)).tolist()
+    top, bottom = rows[0], rows[-1]
     widths = piece[:, columns].sum(1)
     wide = int(np.argmax(widths >= SLENDER * widths.max()))
     if GRID.y[top] - GRID.y[wide] > LONG:
