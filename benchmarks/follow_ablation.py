@@ -21,8 +21,10 @@ from common import head, machine, rms, row, share_out
 from follow import PUBLISHED, SEEN, Makers, Paceline, Record, operators_start, run
 
 from paceline.follow.configuration import FollowConfiguration
+from paceline.follow.hindsight import in_hindsight
 from paceline.follow.results import FollowEstimate
 from paceline.follow.tracker import FollowTracker
+from paceline.monocular import CameraFrame
 from paceline.simulation.chase_vehicles import KINDS
 from paceline.simulation.following import ChaseScene, ChaseTruth, Occlusion, random_chase, render_frames
 
@@ -104,31 +106,50 @@ def _verdict(e: FollowEstimate, truth: ChaseTruth, nominal_range: float) -> str:
     return "wrong" if max(away, grown) > WRONG else "right"
 
 
-def _run_starts(seed: int, frames: int) -> dict[tuple[str, bool], Counter[str]]:
-    """Verdicts by the start's error and whether there is a probation, over the frames of one clip."""
+Told = Callable[[FollowTracker, list[CameraFrame]], list[FollowEstimate]]
+
+
+def _live(tracker: FollowTracker, frames: list[CameraFrame]) -> list[FollowEstimate]:
+    return [tracker.update(frame.image, frame.time, frame.index) for frame in frames]
+
+
+def _recorded(tracker: FollowTracker, frames: list[CameraFrame]) -> list[FollowEstimate]:
+    return [estimate for _, estimate in in_hindsight(tracker, ((frame, None) for frame in frames))]
+
+
+STARTED: dict[str, tuple[bool, Told]] = {  # whether there is a probation, and what is told of it
+    "all remedies, live": (True, _live),
+    "all remedies, a recording": (True, _recorded),
+    "without probation": (False, _live),
+}
+
+
+def _run_starts(seed: int, frames: int) -> dict[tuple[str, str], Counter[str]]:
+    """Verdicts by the start's error and how it is followed, over the frames of one clip."""
     scene = random_chase(seed, frames=frames, kind=KINDS[seed % len(KINDS)])
-    counts = {(name, probation): Counter[str]() for name in OFF for probation in (True, False)}
-    trackers: dict[tuple[str, bool], FollowTracker] = {}
-    for image, truth in render_frames(scene):
-        trackers = trackers or {key: _begin(scene, truth, OFF[key[0]], key[1]) for key in counts}
-        for key, tracker in trackers.items():
-            estimate = tracker.update(image, truth.time, truth.frame)
+    pictures, truths = zip(*render_frames(scene), strict=True)
+    taken = [CameraFrame(truth.frame, truth.time, picture) for picture, truth in zip(pictures, truths, strict=True)]
+    counts = {(name, how): Counter[str]() for name in OFF for how in STARTED}
+    for (name, how), count in counts.items():
+        probation, told = STARTED[how]
+        tracker = _begin(scene, truths[0], OFF[name], probation)
+        for estimate, truth in zip(told(tracker, taken), truths, strict=True):
             if truth.visible >= SEEN:
-                counts[key][_verdict(estimate, truth, tracker.target.nominal_range)] += 1
+                count[_verdict(estimate, truth, tracker.target.nominal_range)] += 1
     return counts
 
 
 def compare_starts(args: argparse.Namespace) -> None:
-    total: dict[tuple[str, bool], Counter[str]] = {}
+    total: dict[tuple[str, str], Counter[str]] = {}
     for counts in share_out(
         partial(_run_starts, frames=args.frames), range(args.seed, args.seed + args.n), args.workers
     ):
         for key, count in counts.items():
             total.setdefault(key, Counter()).update(count)
     print(head("start off by", "configuration", "right, %", "wrong, %", "not tracking, %"))
-    for (name, probation), count in total.items():
+    for (name, how), count in total.items():
         shares = (f"{100 * count[v] / count.total():.2f}" for v in ("right", "wrong", "none"))
-        print(row(name, "all remedies" if probation else "without probation", *shares))
+        print(row(name, how, *shares))
 
 
 # --- the remedies ----------------------------------------------------------------------------------------------------

@@ -8,6 +8,7 @@ import tracemalloc
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -69,7 +70,9 @@ class Feed:
 
 @dataclass
 class Prepared:
-    """In place of the tracker: estimates made before."""
+    """In place of the tracker: estimates made before, of a start in no doubt."""
+
+    probation = SimpleNamespace(undecided=False)
 
     def update(self, image: np.ndarray | None, time: float, frame: int, pose: object) -> FollowEstimate:
         return run(frame)

@@ -12,6 +12,7 @@ from paceline import __version__
 from paceline.documents import FollowClip, load_follow
 from paceline.errors import UnusableInput
 from paceline.follow.configuration import FollowConfiguration
+from paceline.follow.hindsight import in_hindsight
 from paceline.follow.history import History
 from paceline.follow.results import FollowEstimate, FollowResult
 from paceline.follow.steering import Pose
@@ -39,15 +40,26 @@ def resolved(clip: FollowClip, configuration: FollowConfiguration | None = None)
 def follow(
     clip: FollowClip, recording: CameraRecording, configuration: FollowConfiguration | None = None
 ) -> Iterator[tuple[CameraFrame, FollowEstimate]]:
-    """Every frame of ``recording`` from the operator's start on, with its estimate. Raises UnusableInput."""
+    """Every frame of ``recording`` from the operator's start on, with its estimate; in a recording that is not live a
+    start in doubt is settled first (`hindsight`). Raises UnusableInput."""
     if recording.total is not None and clip.frame >= recording.total:
         raise UnusableInput(
             f"{clip.path}: start.frame: frame {clip.frame} is not in the recording; expected one of its frames "
             f"0 to {recording.total - 1}"
         )
-    odometry = None if clip.odometry is None else read_odometry(clip.odometry)
+    frames = _posed(clip, recording)
     warm_up()
     tracker = tracker_for(clip, configuration)
+    if not recording.live:
+        yield from in_hindsight(tracker, frames)
+        return
+    for frame, pose in frames:
+        yield frame, tracker.update(frame.image, frame.time, frame.index, pose)
+
+
+def _posed(clip: FollowClip, recording: CameraRecording) -> Iterator[tuple[CameraFrame, Pose | None]]:
+    """The frames from the operator's start on, which has to be readable, each with the odometry."""
+    odometry = None if clip.odometry is None else read_odometry(clip.odometry)
     begun = False
     for frame in recording.frames(clip.frame):
         if not begun and frame.image is None:
@@ -61,7 +73,7 @@ def follow(
             if where is None:
                 raise UnusableInput(f"{clip.odometry}: has no row for frame {frame.index}; expected one for each frame")
             pose = Pose(*map(float, where))
-        yield frame, tracker.update(frame.image, frame.time, frame.index, pose)
+        yield frame, pose
     if not begun:
         raise UnusableInput(f"{clip.path}: start.frame: {recording.name} ended before frame {clip.frame}")
 

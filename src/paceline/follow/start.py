@@ -43,15 +43,19 @@ CORRECTED = "the start was off: the model fits better here"
 
 class Start:
     """The operator's start, where a ``lock`` begins, on trial. It is ``pending`` until it has proved right or was
-    corrected; ``lock`` is then at the place to go by."""
+    corrected; ``lock`` is then at the place to go by, and ``first`` (3,), if there was a doubt, where that was in the
+    first image."""
 
     def __init__(self, lock: Lock) -> None:
         self._recogniser, self._hand = lock.recogniser, lock.expected
         self._began: float | None = None  # s, when it was looked at first
         self._places: list[Carried] = []  # the operator's first,
+        self._began_at: list[Array] = []  # where they were in the first image,
         self._away = np.zeros(0)  # how far from that they are,
         self._matches: list[list[float]] = []  # and what they have matched in the images after the first
         self.lock, self.pending = lock, True
+        self.first: Array | None = None
+        self.given_up = False
 
     def judge(self, image: Bytes, time: float, own: Look) -> tuple[Look, str]:
         """The look to go by at ``image``, which carries a complaint while the start is pending, and a note where it was
@@ -61,12 +65,14 @@ class Start:
             return self._first(image, own)
         self._began = min(self._began, time)  # a clock may go back
         if time - self._began > DOUBTED:
+            self.given_up = True
             return Look(UNTOLD, own.window), ""
         locks = [self.lock.afresh(carried.step(image)) for carried in self._places]
         looks = [lock.look_here(image) for lock in locks]
         self._matches.append(self._matches_of(looks))
         k = told(np.array(self._matches), self._away)
         if k is not None and self._is_there(k, looks[k]):
+            self.first = self._began_at[k]
             return self._settle(locks[k], looks[k], k > 0)
         self.lock = locks[0]
         return Look(DOUBT if len(locks) > 1 else NOWHERE, own.window), ""
@@ -82,7 +88,8 @@ class Start:
             if away[0] > PLACED and min(away[1:], default=np.inf) > BESIDE:
                 places.append(fits[k])
         self._places = [self._recogniser.carry(image, place) for place in places[: 1 + FOLLOWED]]
-        self._away = np.array([self._off(carried.place) for carried in self._places])
+        self._began_at = [carried.place for carried in self._places]
+        self._away = np.array([self._off(place) for place in self._began_at])
         return Look(DOUBT if len(places) > 1 else NOWHERE, own.window), ""
 
     def _elsewhere(self, image: Bytes) -> tuple[list[Array], Array]:

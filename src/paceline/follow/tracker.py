@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import replace
 from math import isfinite
 from time import perf_counter
@@ -54,9 +55,12 @@ class FollowTracker:
         if not (0 <= center[0] <= width - 1 and 0 <= center[1] <= height - 1):
             raise ValueError(f"center: expected a pixel of the image, {width}×{height}, found {center.tolist()}")
         self.camera, self.target = camera, target
-        self.configuration = c = configuration or FollowConfiguration()
+        self.configuration = configuration or FollowConfiguration()
         self.projection = Projection(camera, target)
-        location = np.array([*camera.undistort_points(center), scale])
+        self._begin(np.array([*camera.undistort_points(center), scale]))
+
+    def _begin(self, location: Array) -> None:
+        c = self.configuration
         self.probation = Probation(Lock(location, Recogniser(self.projection, c), c), c)
         self.belief = Belief(c)
         self.steering = Steering(c)
@@ -95,6 +99,14 @@ class FollowTracker:
             self.lock.learn(look, time)  # stage 5
             self.pace.learn(time, self.projection.distance(look.fit.location[2]))
         return self._estimate(frame, time, pose, began, look, status, reason or note or jump or look.note)
+
+    def beginning_at(self, location: Array) -> FollowTracker:
+        """Another one, which has seen nothing yet and begins without doubt at ``location`` (3,), ideal pixels and
+        scale."""
+        other = copy(self)
+        other.configuration = self.configuration.model_copy(update={"probation": False})
+        other._begin(location)
+        return other
 
     @property
     def lock(self) -> Lock:
