@@ -43,9 +43,10 @@ def painted_on(way: Way, s: float, texture: Image, rng: np.random.Generator) -> 
     return views[0], views[1]
 
 
-def flat(views: tuple[Image, Image]) -> tuple[Image, Image]:
+def flat(views: tuple[Image, Image]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     """Both views of nothing at all, as large as these."""
-    return np.full_like(views[0], 100.0), np.full_like(views[1], 100.0)
+    left, right = (np.full(view.shape, 100, np.uint8) for view in views)
+    return left, right
 
 
 def texture_up_to(height: float, seed: int) -> Image:

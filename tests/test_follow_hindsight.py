@@ -1,25 +1,32 @@
-"""The first frames of a recording whose start is in doubt: looked at again once that is settled, and not before."""
+"""Frames of a recording in which the target was not tracked at first: looked at again once it is known where it is, and
+not before."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from small_chase import NOMINAL, SIZE, picture, start, truth, write
 
 from paceline.documents import FollowClip, load_follow
 from paceline.errors import UnusableInput
+from paceline.follow import hindsight
 from paceline.follow.following import follow, follow_recording, tracker_for
 from paceline.follow.hindsight import AGAIN, in_hindsight
 from paceline.follow.results import FollowEstimate
-from paceline.follow.start import CORRECTED, DOUBTED, UNTOLD
+from paceline.follow.start import CORRECTED, DOUBTED, PLACED, UNTOLD
 from paceline.follow.tracker import FollowTracker
 from paceline.monocular import CameraFrame, CameraRecording, open_camera
 
+Image = NDArray[np.uint8]
+
 FRAMES = 20
 ASIDE = 24.0  # px that a hand errs here, a third of the width
+LATE = round(15 * DOUBTED) + 1  # frames that may be kept
 
 
 @pytest.fixture(scope="module")
@@ -38,74 +45,109 @@ def clip_of(folder: Path, aside: float) -> FollowClip:
     return load_follow(moved)
 
 
-def tracker(folder: Path) -> FollowTracker:
-    return tracker_for(clip_of(folder, ASIDE))
+def tracker(folder: Path, aside: float = ASIDE) -> FollowTracker:
+    return tracker_for(clip_of(folder, aside))
 
 
-def frames(first: int = 0, count: int = FRAMES) -> Iterator[tuple[CameraFrame, None]]:
-    return ((CameraFrame(k, k / 15, picture(k)), None) for k in range(first, first + count))
+def frames(count: int = FRAMES, shown: Callable[[int], Image | None] = picture) -> list[tuple[CameraFrame, None]]:
+    return [(CameraFrame(k, k / 15, shown(k)), None) for k in range(count)]
 
 
-def at_once(tracker: FollowTracker) -> list[FollowEstimate]:
+def at_once(tracker: FollowTracker, frames: list[tuple[CameraFrame, None]]) -> list[FollowEstimate]:
     """What a live camera's user is told."""
-    return [tracker.update(frame.image, frame.time, frame.index) for frame, _ in frames()]
+    return [tracker.update(frame.image, frame.time, frame.index) for frame, _ in frames]
 
 
-def test_a_start_that_is_settled_was_followed_from_the_first_frame_on(folder: Path) -> None:
-    live, seen = at_once(tracker(folder)), list(in_hindsight(tracker(folder), frames()))
-    doubtful = [e.status for e in live].index("tracking")
-    assert doubtful > 2 and live[doubtful].reason == CORRECTED
-    assert [frame.index for frame, _ in seen] == list(range(FRAMES)) == [e.frame for _, e in seen]
-    assert [e.reason for _, e in seen] == [AGAIN] * doubtful + [e.reason for e in live[doubtful:]]
-    for frame, estimate in seen:
-        assert estimate.status == "tracking"
-        assert np.abs((estimate.position - truth(frame.index)) / estimate.position_std).max() < 4
-    for (_, estimate), told in zip(seen[doubtful:], live[doubtful:], strict=True):
-        np.testing.assert_array_equal(estimate.position, told.position)
+def recorded(tracker: FollowTracker, frames: list[tuple[CameraFrame, None]]) -> list[FollowEstimate]:
+    return [estimate for _, estimate in in_hindsight(tracker, frames)]
 
 
-def test_a_start_in_no_doubt_is_told_at_once(folder: Path) -> None:
+def latest(tracker: FollowTracker, frames: list[tuple[CameraFrame, None]]) -> int:
+    """By how many frames the estimates were kept back at most."""
     given: list[int] = []
 
     def watched() -> Iterator[tuple[CameraFrame, None]]:
-        for frame, pose in frames():
+        for frame, pose in frames:
             given.append(frame.index)
             yield frame, pose
 
-    for frame, estimate in in_hindsight(tracker_for(clip_of(folder, 0.0)), watched()):
-        assert estimate.status == "tracking" and estimate.reason == ""
-        assert given[-1] == frame.index
+    return max(given[-1] - frame.index for frame, _ in in_hindsight(tracker, watched()))
+
+
+def is_right(estimate: FollowEstimate) -> bool:
+    off = (estimate.position - truth(estimate.frame)) / estimate.position_std
+    return estimate.status == "tracking" and bool(np.abs(off).max() < 4)
+
+
+def test_a_start_that_is_settled_was_followed_from_the_first_frame_on(folder: Path) -> None:
+    own = tracker(folder)
+    live, seen = at_once(tracker(folder), frames()), recorded(own, frames())
+    doubtful = [e.status for e in live].index("tracking")
+    assert doubtful > 2 and live[doubtful].reason == CORRECTED
+    assert [e.frame for e in seen] == list(range(FRAMES)) and all(is_right(e) for e in seen)
+    assert [e.time for e in seen] == [e.time for e in live]
+    assert [e.reason for e in seen] == [AGAIN] * doubtful + [e.reason for e in live[doubtful:]]
+    for estimate, told in zip(seen, live, strict=True):
+        assert estimate.steering == told.steering
+        assert (estimate.position == told.position).all() == (told.status == "tracking")
+    assert own.probation.first is not None
+    x, y, z = truth(0)
+    there = np.array([127.5 + 300.0 * x / z, 120.5 + 300.0 * y / z])
+    assert np.abs(own.probation.first[:2] - there).max() < 1.5
+    assert own.probation.first[2] == pytest.approx(NOMINAL / z, rel=0.02)
+    assert not own.beginning_at(own.probation.first).probation.pending
+
+
+def test_a_start_in_no_doubt_is_told_at_once(folder: Path) -> None:
+    assert latest(tracker(folder, 0.0), frames()) == 0
+    assert all(is_right(e) and not e.reason for e in recorded(tracker(folder, 0.0), frames()))
 
 
 def test_a_start_that_is_given_up_is_kept_no_longer_and_told_as_it_was(folder: Path) -> None:
     """There is nothing to see but the noise."""
-    noise, count = np.random.default_rng(4), round(15 * DOUBTED) + 10
-    nothing = [CameraFrame(k, k / 15, noise.integers(90, 110, SIZE[::-1], np.uint8)) for k in range(count)]
-    given: list[int] = []
-
-    def watched() -> Iterator[tuple[CameraFrame, None]]:
-        for frame in nothing:
-            given.append(frame.index)
-            yield frame, None
-
-    seen = []
-    for frame, estimate in in_hindsight(tracker(folder), watched()):
-        seen.append(estimate)
-        assert given[-1] <= max(frame.index, round(15 * DOUBTED) + 1)
-    assert [e.frame for e in seen] == list(range(count))
+    noise = np.random.default_rng(4)
+    nothing = frames(LATE + 10, lambda _: noise.integers(90, 110, SIZE[::-1], np.uint8))
+    assert latest(tracker(folder), nothing) <= LATE
+    seen = recorded(tracker(folder), nothing)
+    assert [e.frame for e in seen] == list(range(LATE + 10))
     assert seen[-1].reason == UNTOLD and not any(e.status == "tracking" for e in seen)
 
 
-def test_what_does_not_lead_to_where_the_target_is_stays_in_doubt(
+@pytest.mark.parametrize("begins", [0, 2])
+@pytest.mark.parametrize("image", [None, np.zeros(SIZE[::-1], np.uint8)])
+def test_pictures_that_show_nothing_are_not_kept_for_ever(folder: Path, image: Image | None, begins: int) -> None:
+    """Before the first that does, while the start is in doubt, or after it."""
+    dark = frames(3 * LATE, lambda k: picture(k) if k < begins or k > 2 * LATE else image)
+    assert latest(tracker(folder), dark) <= LATE
+    assert [e.frame for e in recorded(tracker(folder), dark)] == list(range(3 * LATE))
+
+
+def test_what_does_not_lead_to_where_the_target_is_stays_as_it_was(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As if the first image had shown it somewhere else."""
-    wrong = np.array([60.0, 60.0, 0.5 * NOMINAL / truth(0)[2]])
-    begin = FollowTracker.beginning_at
-    monkeypatch.setattr(FollowTracker, "beginning_at", lambda self, place: begin(self, wrong))
-    live, seen = at_once(tracker(folder)), [e for _, e in in_hindsight(tracker(folder), frames())]
-    assert [e.status for e in seen] == [e.status for e in live]
-    assert [e.reason for e in seen] == [e.reason for e in live]
+    live = at_once(tracker(folder), frames())
+    monkeypatch.setattr(hindsight, "distance", lambda *_: PLACED)
+    assert [(e.status, e.reason) for e in recorded(tracker(folder), frames())] == [(e.status, e.reason) for e in live]
+
+
+def test_a_picture_that_cannot_be_read_stays_one(folder: Path) -> None:
+    shots = frames(FRAMES, lambda k: None if k == 3 else picture(k))
+    seen = recorded(tracker(folder), shots)
+    assert [e.frame for e in seen if e.reason == "the frame could not be read"] == [3]
+    assert [e.frame for e in seen if e.status != "tracking"] == [3]
+    assert all(is_right(e) for e in seen if e.status == "tracking")
+
+
+def test_two_estimates_are_the_same_if_both_track_and_are_at_one_place(folder: Path) -> None:
+    own = tracker(folder, 0.0)
+    e = at_once(own, frames(3))[-1]
+    size = own.lock.recogniser.projection.size(e.scale)
+    assert hindsight._is_same(e, e, own)
+    assert not hindsight._is_same(replace(e, status="coasting"), e, own)
+    assert not hindsight._is_same(e, replace(e, status="lost"), own)
+    for share, same in ((0.9, True), (1.1, False)):
+        assert hindsight._is_same(e, replace(e, center=e.center + [0.0, share * PLACED * size]), own) == same
+        assert hindsight._is_same(e, replace(e, scale=e.scale * np.exp(-share * PLACED)), own) == same
 
 
 def test_frames_before_one_that_cannot_be_used_are_told(folder: Path) -> None:
@@ -113,20 +155,17 @@ def test_frames_before_one_that_cannot_be_used_are_told(folder: Path) -> None:
     small = CameraFrame(2, 2 / 15, np.zeros((10, 10), np.uint8))
     seen: list[FollowEstimate] = []
     with pytest.raises(UnusableInput, match="frame 2: expected a grey image"):
-        for _, estimate in in_hindsight(tracker(folder), [*frames(count=2), (small, None)]):
+        for _, estimate in in_hindsight(tracker(folder), [*frames(2), (small, None)]):
             seen.append(estimate)
     assert [e.frame for e in seen] == [0, 1]
 
 
 def test_a_recording_that_ends_in_doubt_is_told_as_it_was(folder: Path) -> None:
-    seen = [e for _, e in in_hindsight(tracker(folder), frames(count=3))]
-    assert [e.status for e in seen] == ["coasting"] * 3
+    assert [e.status for e in recorded(tracker(folder), frames(3))] == ["coasting"] * 3
 
 
 def test_a_recording_waits_and_a_live_camera_does_not(folder: Path) -> None:
     clip = clip_of(folder, ASIDE)
     assert set(follow_recording(clip).status) == {"tracking"}
-    recording = open_camera(clip)
-    live = CameraRecording(clip.camera, recording._feed, None)
-    told = follow(clip, live)
+    told = follow(clip, CameraRecording(clip.camera, open_camera(clip)._feed, None))
     assert next(told)[1].status == "coasting"

@@ -5,10 +5,9 @@ from __future__ import annotations
 import csv
 import json
 import tracemalloc
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -70,12 +69,16 @@ class Feed:
 
 @dataclass
 class Prepared:
-    """In place of the tracker: estimates made before, of a start in no doubt."""
-
-    probation = SimpleNamespace(undecided=False)
+    """In place of the tracker: estimates made before."""
 
     def update(self, image: np.ndarray | None, time: float, frame: int, pose: object) -> FollowEstimate:
         return run(frame)
+
+
+def as_it_comes(
+    tracker: Prepared, frames: Iterable[tuple[CameraFrame, None]]
+) -> Iterator[tuple[CameraFrame, FollowEstimate]]:
+    return ((frame, tracker.update(frame.image, frame.time, frame.index, pose)) for frame, pose in frames)
 
 
 @pytest.fixture(scope="module")
@@ -91,6 +94,7 @@ def out(clip: FollowClip, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def report(clip: FollowClip, out: Path) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("paceline.follow.following.tracker_for", lambda *_: Prepared())
+        patch.setattr("paceline.follow.following.in_hindsight", as_it_comes)
         patch.setattr(follow_report, "open_camera", lambda c: CameraRecording(c.camera, Feed(), FRAMES))
         follow_and_report(clip, out)
     return out

@@ -262,6 +262,12 @@ def unlit() -> tuple[Image, Image]:
     return left, right
 
 
+def dark() -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """The same as it is kept."""
+    left, right = (np.rint(picture).astype(np.uint8) for picture in unlit())
+    return left, right
+
+
 def off(s: float, spots: list[Spot]) -> float:
     """How far from ``s`` the first vehicle is seen, px of disparity."""
     left, right = lit(s, spots)
@@ -289,18 +295,37 @@ def test_of_a_vehicle_of_which_one_lamp_was_seen_the_other_one_is_kept(side: int
     left, right = lit(20.0, [(0.0, 0.9 * side, 0.6, 0.1, 700.0)])
     seen, *_ = Lookout([way()]).see(replace(frame(0), left=left, right=right), unlit(), 1.0)
     assert np.abs(seen.x).max() < 1.5
-    for crop, before, corner, lamp in zip(
-        seen.crops, seen.before, seen.corners, way().pixels(20.0, np.array([[-0.95 * side, 0.6]])), strict=True
+    for crop, corner, lamp in zip(
+        seen.crops, seen.corners, way().pixels(20.0, np.array([[-0.95 * side, 0.6]])), strict=True
     ):
-        assert crop.shape == before.shape
         assert (lamp - corner > 0).all() and (lamp - corner < crop.shape[::-1]).all()
+
+
+def test_a_vehicle_is_kept_with_what_was_there_before_it() -> None:
+    """Of which the scene may later be changed."""
+    now, scene = frame(0), tuple(view.copy() for view in empty())
+    seen, *_ = Lookout([way()]).see(now, scene)
+    for view in scene:
+        view[:] = 0.0
+    for crop, before, corner, view, behind in zip(
+        seen.crops, seen.before, seen.corners.astype(int), (now.left, now.right), empty(), strict=True
+    ):
+        part = np.s_[corner[1] : corner[1] + crop.shape[0], corner[0] : corner[0] + crop.shape[1]]
+        np.testing.assert_array_equal(crop, view[part])
+        np.testing.assert_array_equal(before, np.rint(behind[part]))
+        assert np.abs(crop - before).max() > 30
 
 
 # --- over time -------------------------------------------------------------------------------------------------------
 
 
+def nothing() -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    left, right = (np.zeros(view.shape, np.uint8) for view in empty())
+    return left, right
+
+
 def sighting(time: float, s: float, x: tuple[float, float] = (-0.9, 0.9), of: StereoFrame | None = None) -> Sighting:
-    crops = (empty() if of is None else (of.left, of.right), empty(), np.zeros((2, 2)))
+    crops = (empty() if of is None else (of.left, of.right), nothing(), np.zeros((2, 2)))
     return Sighting(round(10 * time), time, way(), s, x, (0.2, 1.5), 1.5, 9.0, *crops)
 
 

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from painted_faces import CARD, FRAMES, face_with, flat, painted_on, texture_up_to
 from small_road import scene
-from test_vehicles_looking import frame, lit, unlit
+from test_vehicles_looking import dark, frame, lit
 from test_vehicles_looking import way as lane
 
 from paceline.documents import VehicleDocument
@@ -79,7 +79,7 @@ def lamps_seen(true: Array, ahead: float) -> Track:
     for k, s in enumerate(true):
         views, at = lit(s, [*spots, (ahead, 0.0, 0.5, 0.9, 60.0)]), frame(k)
         x, y = (-1.2, 1.2), (0.2, 1.5)
-        track.add(Sighting(k, at.time, lane(), s + ahead, x, y, 1.5, 9.0, views, unlit(), np.zeros((2, 2))))
+        track.add(Sighting(k, at.time, lane(), s + ahead, x, y, 1.5, 9.0, views, dark(), np.zeros((2, 2))))
     return track
 
 
@@ -100,14 +100,14 @@ def rear_lamps_seen(apart: float, x: tuple[float, float], whole: int) -> Track:
     for k, s in enumerate(30.0 + 3.0 * np.arange(10)):
         spots = [(0.0, side * 0.5 * apart, 0.6, 0.1, 60.0) for side in ((-1, 1) if k < whole else (-1,))]
         left, right = (view + 0.5 * rng.standard_normal(view.shape, np.float32) for view in lit(s, spots))
-        of = (0.2, 1.5), 1.5, 9.0, (left, right), unlit(), np.zeros((2, 2))
+        of = (0.2, 1.5), 1.5, 9.0, (left, right), dark(), np.zeros((2, 2))
         track.add(Sighting(k, 0.1 * k, lane(), s, x, *of))
     return track
 
 
-def narrow_beside_a_wall(width: float, x: tuple[float, float], contrast: float) -> Track:
+def narrow_beside_a_wall(width: float, x: tuple[float, float], contrast: float, light: float) -> Track:
     """What is as wide as ``width`` m in the middle of its way and was seen from ``x`` to ``x``; a wall with edges along
-    the road stands 1.6 m beside it."""
+    the road, which was seen in ``light`` times as much light before, stands 1.6 m beside it."""
     track, rng, way = Track(), np.random.default_rng(2), lane()
     stripes = np.float32(100.0 + contrast * np.tile(rng.normal(0.0, 1.0, (8, 1)).repeat(5, 0), 2))
     texture = texture_up_to(1.2, 1)
@@ -121,7 +121,7 @@ def narrow_beside_a_wall(width: float, x: tuple[float, float], contrast: float) 
             scene = cv2.warpPerspective(stripes, wall, camera.image_size, borderValue=100.0)
             cover = cv2.warpPerspective(shown, H @ CARD.to_metres, camera.image_size)
             view = cv2.warpPerspective(texture, H @ CARD.to_metres, camera.image_size, borderValue=100.0)
-            before.append(np.float32(cv2.GaussianBlur(scene, (0, 0), 0.8)))
+            before.append(np.uint8(np.rint(light * cv2.GaussianBlur(scene, (0, 0), 0.8))))
             view = cv2.GaussianBlur(scene + cover * (view - scene), (0, 0), 0.8)
             views.append(np.float32(view + rng.normal(0.0, 1.0, view.shape)))
         of = (0.2, 1.4), 1.0, 9.0, (views[0], views[1]), (before[0], before[1]), np.zeros((2, 2))
@@ -130,12 +130,12 @@ def narrow_beside_a_wall(width: float, x: tuple[float, float], contrast: float) 
 
 
 @pytest.mark.parametrize(("width", "x"), [(0.8, (-0.4, 0.4)), (1.8, (-0.9, -0.1))])
-@pytest.mark.parametrize("contrast", [8.0, 25.0])
+@pytest.mark.parametrize(("contrast", "light"), [(8.0, 1.0), (25.0, 1.0), (8.0, 0.7), (25.0, 0.3), (25.0, 1.5)])
 def test_a_wall_beside_what_is_narrow_or_seen_in_part_is_none_of_it(
-    width: float, x: tuple[float, float], contrast: float
+    width: float, x: tuple[float, float], contrast: float, light: float
 ) -> None:
     """Its picture is the same in all frames, and in both views at any distance."""
-    found = found_on(narrow_beside_a_wall(width, x, contrast))
+    found = found_on(narrow_beside_a_wall(width, x, contrast, light))
     assert found.vehicle is not None
     corners = triangulate(lane().rig, found.vehicle.left, found.vehicle.right)
     s, across, _ = lane().on_card(corners.mean(0))

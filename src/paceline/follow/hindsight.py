@@ -9,52 +9,69 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from paceline.errors import UnusableInput
 from paceline.follow.results import FollowEstimate
-from paceline.follow.start import PLACED, distance
+from paceline.follow.start import DOUBTED, PLACED, distance
 from paceline.follow.steering import Pose
 from paceline.follow.tracker import FollowTracker
 from paceline.monocular import CameraFrame
 
-Seen = tuple[CameraFrame, Pose | None, FollowEstimate]
+Told = tuple[CameraFrame, FollowEstimate]
 
+MOST = 150  # frames that are kept, for `DOUBTED` s at most
 AGAIN = "the start was in doubt here: looked at again when it was settled"
 
 
-def in_hindsight(
-    tracker: FollowTracker, frames: Iterable[tuple[CameraFrame, Pose | None]]
-) -> Iterator[tuple[CameraFrame, FollowEstimate]]:
-    """The ``frames`` with the estimates of a ``tracker`` that has seen none yet; those of a start in doubt are kept
-    until it is settled, or given up. Raises UnusableInput as the tracker does, after what was kept."""
-    kept: list[Seen] = []
+def in_hindsight(tracker: FollowTracker, frames: Iterable[tuple[CameraFrame, Pose | None]]) -> Iterator[Told]:
+    """The ``frames`` with the estimates of a ``tracker`` that has seen none yet; the first ones are kept back while the
+    start is in doubt, unless that takes too long. What is raised on the way is raised after what was kept."""
+    kept: list[Told] = []
+    waits = True
     try:
         for frame, pose in frames:
-            kept.append((frame, pose, tracker.update(frame.image, frame.time, frame.index, pose)))
-            if not tracker.probation.undecided:
+            told = frame, tracker.update(frame.image, frame.time, frame.index, pose)
+            if not waits:
+                yield told
+                continue
+            kept.append(told)
+            waits = _is_in_doubt(tracker, kept)
+            if not waits:
                 yield from _settled(tracker, kept)
                 kept = []
-    except UnusableInput:
-        yield from _as_seen(kept)
+    except Exception:
+        yield from kept
         raise
-    yield from _as_seen(kept)
+    yield from kept
 
 
-def _as_seen(seen: list[Seen]) -> Iterator[tuple[CameraFrame, FollowEstimate]]:
-    return ((frame, estimate) for frame, _, estimate in seen)
+def _is_in_doubt(tracker: FollowTracker, kept: list[Told]) -> bool:
+    """Whether the start is, and not for too long: pictures that show nothing tell nothing of it."""
+    elapsed = kept[-1][0].time - kept[0][0].time
+    return tracker.probation.pending and 0.0 <= elapsed <= DOUBTED and len(kept) < MOST
 
 
-def _settled(tracker: FollowTracker, seen: list[Seen]) -> Iterator[tuple[CameraFrame, FollowEstimate]]:
-    """What was ``seen`` up to the frame that settled the start. From where it has proved to be in the first frame the
-    others are followed anew, and that is believed if it leads to where the ``tracker`` is."""
-    *doubtful, (last, pose, settled) = seen
-    if doubtful and tracker.probation.first is not None:
-        anew = tracker.beginning_at(tracker.probation.first)
-        again = [(f, p, anew.update(f.image, f.time, f.index, p)) for f, p, _ in doubtful]
-        there = anew.update(last.image, last.time, last.index, pose)
-        apart = distance(_place(there), _place(settled), tracker.lock.recogniser)
-        if there.status == settled.status == "tracking" and apart < PLACED:
-            doubtful = [(f, p, replace(e, reason=e.reason or AGAIN)) for f, p, e in again]
-    yield from _as_seen([*doubtful, (last, pose, settled)])
+def _settled(tracker: FollowTracker, seen: list[Told]) -> list[Told]:
+    """What was ``seen`` up to the frame that settled the start, now followed from where that has proved to be in the
+    first one; believed if this leads to where the ``tracker`` is. The steering stays: nothing was known then of where
+    the target is."""
+    if len(seen) < 2 or tracker.probation.first is None:
+        return seen
+    anew = tracker.beginning_at(tracker.probation.first)
+    again = [anew.update(frame.image, frame.time, frame.index) for frame, _ in seen]
+    if not _is_same(again[-1], seen[-1][1], tracker):
+        return seen
+    return [
+        (frame, replace(e, reason=AGAIN, steering=old.steering))
+        if old.status != "tracking" and e.status == "tracking"
+        else (frame, old)
+        for (frame, old), e in zip(seen, again, strict=True)
+    ]
+
+
+def _is_same(estimate: FollowEstimate, other: FollowEstimate, tracker: FollowTracker) -> bool:
+    """Whether both track the target, at the same place."""
+    if estimate.status != "tracking" or other.status != "tracking":
+        return False
+    return distance(_place(estimate), _place(other), tracker.lock.recogniser) < PLACED
 
 
 def _place(estimate: FollowEstimate) -> NDArray[np.float64]:

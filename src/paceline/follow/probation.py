@@ -55,13 +55,9 @@ class Probation:
         return [self.lock] if self._rival is None else [self.lock, self._rival]
 
     @property
-    def undecided(self) -> bool:
-        """Whether the start is pending and not given up."""
-        return self.pending and not self._start.given_up
-
-    @property
     def first(self) -> Array | None:
-        """Where (3,) the start has proved to be in the first image; None where it is pending, or was in no doubt."""
+        """Where (3,) the start has proved to be in the first image that it was judged by; None where it is pending, or
+        was in no doubt."""
         return self._start.first
 
     def judge(self, image: Bytes, time: float, look: Look) -> tuple[Look, str]:

@@ -31,13 +31,13 @@ class FollowEstimate:
     bearing: float  # rad, positive to the right
     steering: float  # rad, positive to the right
     status: str  # tracking | coasting | lost
-    reason: str  # why it does not track, or how it came back; empty otherwise
+    reason: str  # why it does not track, or how it came to; empty otherwise
     residual: float  # px rms of the segments' offsets; NaN where nothing was measured
     lines: Array
     points: Array
     owners: Indices
     window: tuple[int, int, int, int]
-    latency: float  # s, from the frame's arrival to this estimate
+    latency: float  # s, from the frame's arrival to this estimate; if it was looked at again, what that took
 
 
 @dataclass(frozen=True, eq=False)

@@ -44,7 +44,7 @@ CORRECTED = "the start was off: the model fits better here"
 class Start:
     """The operator's start, where a ``lock`` begins, on trial. It is ``pending`` until it has proved right or was
     corrected; ``lock`` is then at the place to go by, and ``first`` (3,), if there was a doubt, where that was in the
-    first image."""
+    first image that was judged."""
 
     def __init__(self, lock: Lock) -> None:
         self._recogniser, self._hand = lock.recogniser, lock.expected
@@ -55,7 +55,6 @@ class Start:
         self._matches: list[list[float]] = []  # and what they have matched in the images after the first
         self.lock, self.pending = lock, True
         self.first: Array | None = None
-        self.given_up = False
 
     def judge(self, image: Bytes, time: float, own: Look) -> tuple[Look, str]:
         """The look to go by at ``image``, which carries a complaint while the start is pending, and a note where it was
@@ -65,7 +64,6 @@ class Start:
             return self._first(image, own)
         self._began = min(self._began, time)  # a clock may go back
         if time - self._began > DOUBTED:
-            self.given_up = True
             return Look(UNTOLD, own.window), ""
         locks = [self.lock.afresh(carried.step(image)) for carried in self._places]
         looks = [lock.look_here(image) for lock in locks]

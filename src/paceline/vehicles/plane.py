@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from paceline.peaks import vertex_at
 from paceline.speed.paths import Path
-from paceline.vehicles.agreement import FLAT, Texture, agreement, correlation, local_mean
+from paceline.vehicles.agreement import FLAT, Texture, agreement, correlation
 from paceline.vehicles.sightings import GRID, Sighting
 from paceline.vehicles.tracks import Track
 from paceline.vehicles.ways import Grid, Way
@@ -35,9 +35,8 @@ SHARPER = 0.5, 0.7  # of the largest area that agrees, and times the misfit of t
 SHIFT = 0.4  # m that the face may lie off where it was in another frame, on the card
 RAISED = 0.5  # correlation that it costs if it lies as much higher or lower: on a card at a wrong place it does
 CONTRAST = 1.0  # grey levels of a texture
-CHANGED = 0.5  # of its contrast, by which a place must differ from what was there before the vehicle,
-SHADOW = 0.3, 1.1  # in so much of the light;
-SELDOM = 0.3  # of the views, that do so where there is no vehicle
+SAME = 0.85  # correlation with what was there before the vehicle, above which that is what a view shows;
+SELDOM = 0.3  # of the views: where only so few show something else, there is no vehicle
 AGREED = 0.78, 0.66, 0.54  # correlation that speaks for a place as much as against it; less where noise leaves none
 NARROWEST, LOWEST = 0.4, 0.3  # m of a rectangle
 INSET = 0.075  # m: a correlation sees half its window beyond the place where it stands
@@ -80,9 +79,10 @@ class Aligned:
         return self.sighting.cards(self.s, FINE, self.origin)
 
     def changed(self) -> list[Mask]:
-        """Where (rows, columns) each view shows something else than before the vehicle, be that in its shadow."""
+        """Where (rows, columns) each view shows something else than before the vehicle, whatever the light."""
         before = self.sighting.cards_before(self.s, FINE, self.origin)
-        return [_is_changed(Texture(view, WINDOW), scene) for view, scene in zip(self.cards(), before, strict=True)]
+        pairs = zip(self.cards(), before, strict=True)
+        return [correlation(*(Texture(card, WINDOW) for card in pair)) <= SAME for pair in pairs]
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,12 +231,6 @@ def _fit(left: Image, right: Image) -> float:
     a, b = left - left.mean(), right - right.mean()
     contrast = float(np.sqrt((a * a).mean() * (b * b).mean()))
     return float((a * b).mean()) / contrast if contrast > FLAT else 0.0
-
-
-def _is_changed(view: Texture, before: Image) -> Mask:
-    """Where a ``view`` shows something else than ``before``."""
-    light = np.clip(view.mean / np.maximum(local_mean(before, WINDOW), 1.0), *SHADOW).astype(np.float32)
-    return np.asarray(local_mean((view.image - light * before) ** 2, WINDOW) > (CHANGED * view.std) ** 2)
 
 
 def _textured(texture: Texture) -> Image:

@@ -25,6 +25,7 @@ from paceline.vehicles.ways import LEVELS, Grid, Way, laid_out, pyramid
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
+Bytes = NDArray[np.uint8]
 Indices = NDArray[np.int64]
 
 GRID = Grid(left=-3.2, top=2.6, bottom=0.2, cell=0.05)  # m; what lies lower is road
@@ -73,7 +74,7 @@ class Sighting:
     area: float
     upright: float
     crops: tuple[Image, Image]
-    before: tuple[Image, Image]
+    before: tuple[Bytes, Bytes]
     corners: Array
 
     @property
@@ -96,7 +97,7 @@ class Sighting:
 
     @cached_property
     def _levels_before(self) -> list[list[Image]]:
-        return [pyramid(crop) for crop in self.before]
+        return [pyramid(crop.astype(np.float32)) for crop in self.before]
 
     def cards(self, s: float, grid: Grid, origin: Array) -> tuple[Image, Image]:
         """Both views on the card at ``s``, its grid moved to ``origin`` (2,) m, from what was kept of them."""
@@ -277,7 +278,7 @@ class Lookout:
             high = np.maximum(np.ceil(pixels.max(0)).astype(int) + 1, low + 2)
             part = np.s_[low[1] : high[1], low[0] : high[0]]
             crops.append(image[part].copy())
-            before.append(scene[part].copy())
+            before.append(np.clip(np.rint(scene[part]), 0, 255).astype(np.uint8))
             corners.append(low)
         views, scenes, at = (crops[0], crops[1]), (before[0], before[1]), np.array(corners, float)
         return Sighting(frame.index, frame.time, way, s, x, y, area, upright, views, scenes, at)
@@ -405,11 +406,11 @@ class _Explained:
     (stations,) ``near`` that, only what its ``face`` hides at the others. What stands farther behind and is seen over
     its roof is another one."""
 
-    body: NDArray[np.uint8]
-    face: NDArray[np.uint8]
+    body: Bytes
+    face: Bytes
     near: NDArray[np.bool_]
 
-    def at(self, station: int) -> NDArray[np.uint8]:
+    def at(self, station: int) -> Bytes:
         return self.body if self.near[station] else self.face
 
 
