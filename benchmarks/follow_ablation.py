@@ -21,7 +21,7 @@ from common import head, machine, rms, row, share_out
 from follow import PUBLISHED, SEEN, Makers, Paceline, Record, operators_start, run
 
 from paceline.follow.configuration import FollowConfiguration
-from paceline.follow.hindsight import in_hindsight
+from paceline.follow.hindsight import at_once, in_hindsight
 from paceline.follow.results import FollowEstimate
 from paceline.follow.tracker import FollowTracker
 from paceline.monocular import CameraFrame
@@ -106,21 +106,10 @@ def _verdict(e: FollowEstimate, truth: ChaseTruth, nominal_range: float) -> str:
     return "wrong" if max(away, grown) > WRONG else "right"
 
 
-Told = Callable[[FollowTracker, list[CameraFrame]], list[FollowEstimate]]
-
-
-def _live(tracker: FollowTracker, frames: list[CameraFrame]) -> list[FollowEstimate]:
-    return [tracker.update(frame.image, frame.time, frame.index) for frame in frames]
-
-
-def _recorded(tracker: FollowTracker, frames: list[CameraFrame]) -> list[FollowEstimate]:
-    return [estimate for _, estimate in in_hindsight(tracker, ((frame, None) for frame in frames))]
-
-
-STARTED: dict[str, tuple[bool, Told]] = {  # whether there is a probation, and what is told of it
-    "all remedies, live": (True, _live),
-    "all remedies, a recording": (True, _recorded),
-    "without probation": (False, _live),
+STARTED = {  # whether there is a probation, and when it is told what came of it
+    "all remedies, live": (True, at_once),
+    "all remedies, a recording": (True, in_hindsight),
+    "without probation": (False, at_once),
 }
 
 
@@ -128,12 +117,12 @@ def _run_starts(seed: int, frames: int) -> dict[tuple[str, str], Counter[str]]:
     """Verdicts by the start's error and how it is followed, over the frames of one clip."""
     scene = random_chase(seed, frames=frames, kind=KINDS[seed % len(KINDS)])
     pictures, truths = zip(*render_frames(scene), strict=True)
-    taken = [CameraFrame(truth.frame, truth.time, picture) for picture, truth in zip(pictures, truths, strict=True)]
+    taken = [(CameraFrame(t.frame, t.time, picture), None) for picture, t in zip(pictures, truths, strict=True)]
     counts = {(name, how): Counter[str]() for name in OFF for how in STARTED}
     for (name, how), count in counts.items():
         probation, told = STARTED[how]
         tracker = _begin(scene, truths[0], OFF[name], probation)
-        for estimate, truth in zip(told(tracker, taken), truths, strict=True):
+        for (_, estimate), truth in zip(told(tracker, taken), truths, strict=True):
             if truth.visible >= SEEN:
                 count[_verdict(estimate, truth, tracker.target.nominal_range)] += 1
     return counts

@@ -131,33 +131,34 @@ def rain(image: Image, rng: np.random.Generator, drops: int) -> None:
 def night(image: Image, world: World, i: int, k: int) -> None:
     """The picture of view ``i`` in frame ``k`` without the sun, by the vehicles' own lamps, in place. What a nearer
     vehicle hides does not shine, nor does it dazzle."""
-    view, blur = world.views[i], world.scene.blur_sigma
+    view = world.views[i]
     image *= DAYLIGHT
     hidden = np.zeros(image.shape, np.uint8)
     poses = [(vehicle, track[k]) for vehicle, track in zip(world.scene.vehicles, world.poses[i], strict=True)]
     for vehicle, pose in sorted(poses, key=lambda each: float(view.depth(each[1].centre))):
-        if view.depth(pose.centre) < 3.0:
-            _hide(hidden, view, body(vehicle, pose))
-            continue
-        peak, size = (45.0, 0.09) if vehicle.receding else (700.0, 0.12)
-        for side in (-1, 1):
-            spot = np.array([side * LAMPS[0] * vehicle.width, LAMPS[1] * vehicle.height])
-            centre = pose.centre + pose.axes[:, :2] @ spot
-            at, sigma = view.project(centre), size * view.camera.K[0, 0] / float(view.depth(centre))
-            seen = np.hypot(sigma, blur)
-            shown = _glow(image, at, seen, peak * (sigma / seen) ** 2, hidden)
-            if not vehicle.receding:
-                _glow(image, at, 5 * sigma, 0.05 * peak * shown, None)
-                ahead = centre + world.road.down * 0.6 - 4.0 * pose.axes[:, 2]
-                if view.depth(ahead) > 3.0:
-                    _glow(image, view.project(ahead), 7 * sigma, 0.03 * peak, hidden)
-        _hide(hidden, view, body(vehicle, pose))
+        if view.depth(pose.centre) >= 3.0:
+            _shine(image, world, view, vehicle, pose, hidden)
+        corners = body(vehicle, pose)
+        if view.depth(corners).min() > 0.5:
+            fill(hidden, view.project(corners))
 
 
-def _hide(hidden: NDArray[np.uint8], view: View, corners: Array) -> None:
-    """Mark what lies between ``corners`` (4, 3) m before the camera as ``hidden``, in place."""
-    if view.depth(corners).min() > 0.5:
-        fill(hidden, view.project(corners))
+def _shine(
+    image: Image, world: World, view: View, vehicle: Vehicle, pose: Pose, hidden: NDArray[np.uint8]
+) -> None:
+    """The light of a vehicle's lamps but for what is ``hidden`` of it, in place."""
+    peak, size = (45.0, 0.09) if vehicle.receding else (700.0, 0.12)
+    for side in (-1, 1):
+        spot = np.array([side * LAMPS[0] * vehicle.width, LAMPS[1] * vehicle.height])
+        centre = pose.centre + pose.axes[:, :2] @ spot
+        at, sigma = view.project(centre), size * view.camera.K[0, 0] / float(view.depth(centre))
+        seen = np.hypot(sigma, world.scene.blur_sigma)
+        shown = _glow(image, at, seen, peak * (sigma / seen) ** 2, hidden)
+        if not vehicle.receding:
+            _glow(image, at, 5 * sigma, 0.05 * peak * shown, None)
+            ahead = centre + world.road.down * 0.6 - 4.0 * pose.axes[:, 2]
+            if view.depth(ahead) > 3.0:
+                _glow(image, view.project(ahead), 7 * sigma, 0.03 * peak, hidden)
 
 
 def body(vehicle: Vehicle, pose: Pose) -> Array:

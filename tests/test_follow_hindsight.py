@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from small_chase import NOMINAL, SIZE, picture, start, truth, write
+from small_chase import SIZE, picture, start, truth, write
 
 from paceline.documents import FollowClip, load_follow
 from paceline.errors import UnusableInput
@@ -91,10 +91,9 @@ def test_a_start_that_is_settled_was_followed_from_the_first_frame_on(folder: Pa
         assert estimate.steering == told.steering
         assert (estimate.position == told.position).all() == (told.status == "tracking")
     assert own.probation.first is not None
-    x, y, z = truth(0)
-    there = np.array([127.5 + 300.0 * x / z, 120.5 + 300.0 * y / z])
-    assert np.abs(own.probation.first[:2] - there).max() < 1.5
-    assert own.probation.first[2] == pytest.approx(NOMINAL / z, rel=0.02)
+    there = start()
+    assert np.abs(own.probation.first[:2] - there["center"]).max() < 1.5
+    assert own.probation.first[2] == pytest.approx(there["scale"], rel=0.02)
     assert not own.beginning_at(own.probation.first).probation.pending
 
 

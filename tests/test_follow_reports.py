@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import tracemalloc
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,6 +17,7 @@ from test_reports import CHROMIUM, Page, browse
 
 from paceline.documents import FollowClip, load_follow
 from paceline.follow.following import follow_recording
+from paceline.follow.hindsight import at_once
 from paceline.follow.history import History
 from paceline.follow.results import FollowEstimate
 from paceline.monocular import CameraFrame, CameraRecording
@@ -75,12 +76,6 @@ class Prepared:
         return run(frame)
 
 
-def as_it_comes(
-    tracker: Prepared, frames: Iterable[tuple[CameraFrame, None]]
-) -> Iterator[tuple[CameraFrame, FollowEstimate]]:
-    return ((frame, tracker.update(frame.image, frame.time, frame.index, pose)) for frame, pose in frames)
-
-
 @pytest.fixture(scope="module")
 def clip(tmp_path_factory: pytest.TempPathFactory) -> FollowClip:
     return load_follow(small_chase.write(tmp_path_factory.mktemp("chase"), 2))
@@ -94,7 +89,7 @@ def out(clip: FollowClip, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def report(clip: FollowClip, out: Path) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("paceline.follow.following.tracker_for", lambda *_: Prepared())
-        patch.setattr("paceline.follow.following.in_hindsight", as_it_comes)
+        patch.setattr("paceline.follow.following.in_hindsight", at_once)
         patch.setattr(follow_report, "open_camera", lambda c: CameraRecording(c.camera, Feed(), FRAMES))
         follow_and_report(clip, out)
     return out

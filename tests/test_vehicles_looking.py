@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from painted_faces import flat
 from small_road import TWO, scene
 
 from paceline.documents import VehicleDocument
@@ -319,13 +320,8 @@ def test_a_vehicle_is_kept_with_what_was_there_before_it() -> None:
 # --- over time -------------------------------------------------------------------------------------------------------
 
 
-def nothing() -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    left, right = (np.zeros(view.shape, np.uint8) for view in empty())
-    return left, right
-
-
 def sighting(time: float, s: float, x: tuple[float, float] = (-0.9, 0.9), of: StereoFrame | None = None) -> Sighting:
-    crops = (empty() if of is None else (of.left, of.right), nothing(), np.zeros((2, 2)))
+    crops = (empty() if of is None else (of.left, of.right), flat(empty()), np.zeros((2, 2)))
     return Sighting(round(10 * time), time, way(), s, x, (0.2, 1.5), 1.5, 9.0, *crops)
 
 

@@ -12,14 +12,14 @@ from paceline import __version__
 from paceline.documents import FollowClip, load_follow
 from paceline.errors import UnusableInput
 from paceline.follow.configuration import FollowConfiguration
-from paceline.follow.hindsight import in_hindsight
+from paceline.follow.hindsight import at_once, in_hindsight
 from paceline.follow.history import History
 from paceline.follow.results import FollowEstimate, FollowResult
 from paceline.follow.steering import Pose
 from paceline.follow.target import Target
 from paceline.follow.tracker import FollowTracker, warm_up
 from paceline.monocular import CameraFrame, CameraRecording, open_camera
-from paceline.odometry import read_odometry
+from paceline.odometry import Odometry, read_odometry
 
 Progress = Callable[[int, int | None], None]
 
@@ -47,19 +47,16 @@ def follow(
             f"{clip.path}: start.frame: frame {clip.frame} is not in the recording; expected one of its frames "
             f"0 to {recording.total - 1}"
         )
-    frames = _posed(clip, recording)
+    odometry = None if clip.odometry is None else read_odometry(clip.odometry)
     warm_up()
     tracker = tracker_for(clip, configuration)
-    if not recording.live:
-        yield from in_hindsight(tracker, frames)
-        return
-    for frame, pose in frames:
-        yield frame, tracker.update(frame.image, frame.time, frame.index, pose)
+    yield from (at_once if recording.live else in_hindsight)(tracker, _posed(clip, recording, odometry))
 
 
-def _posed(clip: FollowClip, recording: CameraRecording) -> Iterator[tuple[CameraFrame, Pose | None]]:
-    """The frames from the operator's start on, which has to be readable, each with the odometry."""
-    odometry = None if clip.odometry is None else read_odometry(clip.odometry)
+def _posed(
+    clip: FollowClip, recording: CameraRecording, odometry: Odometry | None
+) -> Iterator[tuple[CameraFrame, Pose | None]]:
+    """The frames from the operator's start on, which has to be readable, each with the ``odometry``."""
     begun = False
     for frame in recording.frames(clip.frame):
         if not begun and frame.image is None:

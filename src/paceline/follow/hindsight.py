@@ -21,26 +21,31 @@ MOST = 150  # frames that are kept, for `DOUBTED` s at most
 AGAIN = "the start was in doubt here: looked at again when it was settled"
 
 
+def at_once(tracker: FollowTracker, frames: Iterable[tuple[CameraFrame, Pose | None]]) -> Iterator[Told]:
+    """The ``frames`` with the estimates of a ``tracker``, each as soon as it is made."""
+    return ((frame, tracker.update(frame.image, frame.time, frame.index, pose)) for frame, pose in frames)
+
+
 def in_hindsight(tracker: FollowTracker, frames: Iterable[tuple[CameraFrame, Pose | None]]) -> Iterator[Told]:
     """The ``frames`` with the estimates of a ``tracker`` that has seen none yet; the first ones are kept back while the
     start is in doubt, unless that takes too long. What is raised on the way is raised after what was kept."""
+    told = at_once(tracker, frames)
+    yield from _first_ones(tracker, told)
+    yield from told
+
+
+def _first_ones(tracker: FollowTracker, told: Iterator[Told]) -> Iterator[Told]:
+    """What is ``told`` up to the frame that ends the doubt."""
     kept: list[Told] = []
-    waits = True
     try:
-        for frame, pose in frames:
-            told = frame, tracker.update(frame.image, frame.time, frame.index, pose)
-            if not waits:
-                yield told
-                continue
-            kept.append(told)
-            waits = _is_in_doubt(tracker, kept)
-            if not waits:
-                yield from _settled(tracker, kept)
-                kept = []
+        for each in told:
+            kept.append(each)
+            if not _is_in_doubt(tracker, kept):
+                break
     except Exception:
         yield from kept
         raise
-    yield from kept
+    yield from _settled(tracker, kept)
 
 
 def _is_in_doubt(tracker: FollowTracker, kept: list[Told]) -> bool:

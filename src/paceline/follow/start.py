@@ -50,7 +50,7 @@ class Start:
         self._recogniser, self._hand = lock.recogniser, lock.expected
         self._began: float | None = None  # s, when it was looked at first
         self._places: list[Carried] = []  # the operator's first,
-        self._began_at: list[Array] = []  # where they were in the first image,
+        self._at_first: list[Array] = []  # where they were in the first image,
         self._away = np.zeros(0)  # how far from that they are,
         self._matches: list[list[float]] = []  # and what they have matched in the images after the first
         self.lock, self.pending = lock, True
@@ -70,7 +70,7 @@ class Start:
         self._matches.append(self._matches_of(looks))
         k = told(np.array(self._matches), self._away)
         if k is not None and self._is_there(k, looks[k]):
-            self.first = self._began_at[k]
+            self.first = self._at_first[k]
             return self._settle(locks[k], looks[k], k > 0)
         self.lock = locks[0]
         return Look(DOUBT if len(locks) > 1 else NOWHERE, own.window), ""
@@ -86,8 +86,8 @@ class Start:
             if away[0] > PLACED and min(away[1:], default=np.inf) > BESIDE:
                 places.append(fits[k])
         self._places = [self._recogniser.carry(image, place) for place in places[: 1 + FOLLOWED]]
-        self._began_at = [carried.place for carried in self._places]
-        self._away = np.array([self._off(place) for place in self._began_at])
+        self._at_first = [carried.place for carried in self._places]
+        self._away = np.array([self._off(place) for place in self._at_first])
         return Look(DOUBT if len(places) > 1 else NOWHERE, own.window), ""
 
     def _elsewhere(self, image: Bytes) -> tuple[list[Array], Array]:

@@ -22,7 +22,6 @@ from paceline.vehicles.ways import Grid, Way
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
-Mask = NDArray[np.bool_]
 Span = tuple[float, float]
 
 FINE = Grid(left=-2.4, top=1.6, bottom=0.15, cell=0.025)
@@ -78,11 +77,8 @@ class Aligned:
     def cards(self) -> tuple[Image, Image]:
         return self.sighting.cards(self.s, FINE, self.origin)
 
-    def changed(self) -> list[Mask]:
-        """Where (rows, columns) each view shows something else than before the vehicle, whatever the light."""
-        before = self.sighting.cards_before(self.s, FINE, self.origin)
-        pairs = zip(self.cards(), before, strict=True)
-        return [correlation(*(Texture(card, WINDOW) for card in pair)) <= SAME for pair in pairs]
+    def cards_before(self) -> tuple[Image, Image]:
+        return self.sighting.cards_before(self.s, FINE, self.origin)
 
 
 @dataclass(frozen=True, eq=False)
@@ -282,12 +278,13 @@ def _rectangle(aligned: list[Aligned], reference: Sighting) -> Face | None:
     """The rectangle in which all that is aligned agrees with the reference most."""
     first = next(a for a in aligned if a.sighting is reference)
     template = Texture(first.cards()[0], WINDOW)
-    correlations = []
+    correlations, changes = [], []
     for a in aligned:
-        for card in a.cards()[a is first :]:
-            correlations.append(correlation(template, Texture(card, WINDOW)))
+        views, before = ([Texture(card, WINDOW) for card in cards] for cards in (a.cards(), a.cards_before()))
+        correlations += [correlation(template, view) for view in views[a is first :]]
+        changes += [correlation(view, scene) <= SAME for view, scene in zip(views, before, strict=True)]
     agreement = np.median(correlations, axis=0)  # a shadow that passes over a face is there in few frames
-    changed = np.mean([view for a in aligned for view in a.changed()], axis=0)
+    changed = np.mean(changes, axis=0)
     beside = np.abs(FINE.x) > 0.5 * (reference.x[1] - reference.x[0])
     agreement[(changed < SELDOM) & beside] = 0.0  # what was there before looks the same in all frames as well
     weight = _textured(template)
