@@ -1,10 +1,12 @@
 """A place carried on by its picture lies where the picture was moved to."""
 
+import cv2
 import numpy as np
 import pytest
 from moved_scenery import REACH, TARGET, camera, moved, scenery
 
 from paceline.follow.carrying import FARTHEST, STEP, UPRIGHT, Carried
+from paceline.follow.carrying_cpu import correlated, sampled
 from paceline.follow.features import Projection
 from paceline.follow.target import Target
 
@@ -108,3 +110,48 @@ def test_the_likeness_at_a_place_is_that_of_a_step_there_and_less_elsewhere():
     assert at == pytest.approx(carried.likeness, abs=0.01) and at > 0.9
     for elsewhere in ([20.0, 0.0, 0.0], [0.0, 20.0, 0.0], [0.0, 0.0, 0.4]):
         assert carried.likeness_at(image, there + elsewhere) < at - 0.2
+
+
+# --- the loops -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("step", [0.6, 1.0, 1.37])
+@pytest.mark.parametrize("first", [(7.3, 5.9), (-2.4, -1.0), (30.2, 21.7)])  # the last two reach beyond the border
+def test_samples_are_those_of_cubics_and_the_border_goes_on(first, step):
+    pixels = np.random.default_rng(3).uniform(0.0, 255.0, (31, 40)).astype(np.float32)
+    out = np.empty((14, 17), np.float32)
+    sampled(pixels, *first, step, out)
+    x, y = np.meshgrid(first[0] + step * np.arange(17), first[1] + step * np.arange(14))
+    wanted = cv2.remap(
+        np.pad(pixels, 20, mode="edge"), (x + 20).astype(np.float32), (y + 20).astype(np.float32), cv2.INTER_CUBIC
+    )
+    np.testing.assert_allclose(out, wanted, atol=3.0)  # it places samples on a 32nd of a pixel
+
+
+@pytest.mark.parametrize("shape", [(9, 13), (20, 4)])
+def test_correlations_are_those_of_every_whole_shift(shape):
+    rng = np.random.default_rng(4)
+    part = rng.uniform(0.0, 255.0, (24, 21)).astype(np.float32)
+    part[:12, :14] = 90.0  # nothing shows there
+    picture = rng.standard_normal(shape).astype(np.float32)
+    picture -= picture.mean()
+    picture /= np.linalg.norm(picture)
+    scores = correlated(picture, part)
+    h, w = shape
+    assert scores.shape == (24 - h + 1, 21 - w + 1)
+    for y, x in np.ndindex(scores.shape):
+        under = part[y : y + h, x : x + w]
+        flat = under.std() == 0.0
+        wanted = 0.0 if flat else np.corrcoef(picture.ravel(), under.ravel())[0, 1]
+        assert scores[y, x] == pytest.approx(wanted, abs=2e-4)
+
+
+def test_a_place_is_looked_for_no_farther_than_its_reach():
+    """Whatever is there: each size is looked for beside the place of the one before, but not ever farther away."""
+    projection, center = Projection(camera((256, 242), 300.0), TARGET), np.array([128.0, 130.0])
+    reach = np.array([6.0, 9.0])
+    for seed in range(12):
+        first = moved(scenery((256, 242), seed), center, (0, 0), 1.0, 4.0, 0)
+        carried = Carried(first, projection, np.array([*center, 1.0]), reach)
+        found = carried.step(moved(scenery((256, 242), 50 + seed), center, (0, 0), 1.0, 4.0, 1))
+        assert (np.abs(found[:2] - center) <= reach + 2.5).all()  # a sample beyond, and the peak's own fraction

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import exp, sqrt
+from math import ceil, exp, floor, log, sqrt
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from paceline.follow import carrying_cpu
 from paceline.follow.features import Projection
 from paceline.follow.search import DETAIL
 from paceline.peaks import vertex
@@ -23,6 +24,7 @@ UPRIGHT, ABOVE = 0.7, 0.67
 BLUR = 0.8  # px, of noise
 STEP = 0.025  # relative change of scale that is tried,
 FARTHEST = 5  # and so many of them at most
+BESIDE = 2  # samples on either side of where one size was found within which the next one is
 
 
 class Carried:
@@ -44,47 +46,69 @@ class Carried:
         middle = self._middle(projection.shown(place).location)
         seen = _seen(image, middle, self._shows * self.first, self._side)
         self._picture = _sampled(seen, middle, self._side, self._shows * self.first / self._side)
+        self._pictures: dict[int, Floats] = {}
 
     def step(self, image: Bytes) -> Array:
         """The place (3,) in the next ``image``; its scale to a fraction of `STEP`."""
         shown = self._projection.shown(self.place).location
-        middle, seen = self._middle(shown), self._about(image, shown)
-        found = [self._best(seen, middle, shown[2] * exp(STEP * k)) for k in (-1, 0, 1)]
+        middle, seen, rung = self._middle(shown), self._about(image, shown), self._rung(shown[2])
+        at = self._best(seen, middle, rung)
+        found = [self._best(seen, middle, rung + k, at[1]) if k else at for k in (-1, 0, 1)]
         first = -1  # of three steps, of which the middle one is to be the best
         while first > -FARTHEST and found[0][0] > max(found[1][0], found[2][0]):
             first -= 1
-            found = [self._best(seen, middle, shown[2] * exp(STEP * first)), *found[:2]]
+            found = [self._best(seen, middle, rung + first, found[0][1]), *found[:2]]
         while first < FARTHEST - 2 and found[2][0] > max(found[0][0], found[1][0]):
             first += 1
-            found = [*found[1:], self._best(seen, middle, shown[2] * exp(STEP * (first + 2)))]
+            found = [*found[1:], self._best(seen, middle, rung + first + 2, found[2][1])]
         scores = np.array([score for score, _ in found])
-        scale = shown[2] * exp(STEP * (first + 1 + _top(scores)[0]))
+        scale = self._scale(rung + first + 1 + _top(scores)[0])
         best = int(scores.argmax())
         self.likeness = float(scores[best])
         self.place = self._projection.ideal(np.array([*(found[best][1] + self._up * scale), scale]))
         return self.place
 
     def likeness_at(self, image: Bytes, place: Array) -> float:
-        """How well the picture correlates in ``image`` about a ``place`` (3,), of its scale; nothing is carried on."""
+        """How well the picture correlates in ``image`` about a ``place`` (3,), of its scale to half a `STEP`; nothing
+        is carried on."""
         shown = self._projection.shown(place).location
-        return self._best(self._about(image, shown), self._middle(shown), float(shown[2]))[0]
+        return self._best(self._about(image, shown), self._middle(shown), self._rung(shown[2]))[0]
 
     def _about(self, image: Bytes, shown: Array) -> _Seen:
         """All that a step from a place ``shown`` (3,) there may look at."""
         largest = self._shows * shown[2] * exp(STEP * FARTHEST) + 2.0 * self._reach
         return _seen(image, self._middle(shown), largest, self._side * max(shown[2] / self.first, 1.0))
 
-    def _best(self, seen: _Seen, middle: Array, scale: float) -> tuple[float, Array]:
-        """How well the picture at a ``scale`` correlates where it does so best, and its middle (2,) there."""
-        grown = scale / self.first
-        side = self._side * max(grown, 1.0)  # the larger one of picture and image is made smaller
-        picture = self._picture if grown >= 1.0 else _shrunk(self._picture, grown)
-        reach = np.ceil(self._reach / side)
-        part = _sampled(seen, middle, side, np.array(picture.shape[::-1]) + 2 * reach)
-        scores = np.asarray(cv2.matchTemplate(part, picture, cv2.TM_CCOEFF_NORMED), np.float32)
-        _, score, _, (column, row) = cv2.minMaxLoc(scores)
+    def _best(self, seen: _Seen, middle: Array, rung: int, about: Array | None = None) -> tuple[float, Array]:
+        """How well the picture, by ``rung`` steps larger, correlates where it does so best within reach of the
+        ``middle`` (2,), and its own middle (2,) there. It is looked for next to a place ``about`` which (2,) it is, if
+        that is known."""
+        side = self._side * max(exp(STEP * rung), 1.0)  # the larger one of picture and image is made smaller
+        picture, samples = self._picture_at(rung), np.ceil(self._reach / side)
+        if about is not None:
+            beside = np.minimum(samples, BESIDE)
+            farthest = side * (samples - beside)
+            middle, samples = middle + np.clip(about - middle, -farthest, farthest), beside
+        part = _sampled(seen, middle, side, np.array(picture.shape[::-1]) + 2 * samples)
+        scores = carrying_cpu.correlated(picture, part)
+        row, column = divmod(int(scores.argmax()), scores.shape[1])
         (right, by_column), (down, by_row) = _top(_three(scores[row], column)), _top(_three(scores[:, column], row))
-        return by_column + by_row - score, middle + side * (np.array([column + right, row + down]) - reach)
+        likeness = by_column + by_row - float(scores[row, column])
+        return likeness, middle + side * (np.array([column + right, row + down]) - samples)
+
+    def _picture_at(self, rung: int) -> Floats:
+        """The picture by ``-rung`` steps smaller than it is, or as it is; with a mean of 0 and a norm of 1."""
+        rung = min(rung, 0)
+        if rung not in self._pictures:
+            self._pictures[rung] = _normal(_shrunk(self._picture, exp(STEP * rung)) if rung else self._picture)
+        return self._pictures[rung]
+
+    def _rung(self, scale: float) -> int:
+        """The number of steps from the first scale to about this one."""
+        return round(log(scale / self.first) / STEP)
+
+    def _scale(self, rung: float) -> float:
+        return self.first * exp(STEP * rung)
 
     def _middle(self, shown: Array) -> Array:
         """The picture's middle (2,), recorded pixels, where the target is ``shown`` (3,)."""
@@ -96,7 +120,7 @@ class _Seen:
     """A part of an image, blurred, of whose pixels each is ``pool`` × ``pool`` of the image; ``origin`` (2,) px is
     where in the image its first one lies."""
 
-    pixels: Bytes
+    pixels: Floats
     origin: Array
     pool: int
 
@@ -104,37 +128,46 @@ class _Seen:
 def _seen(image: Bytes, middle: Array, size: Array, side: float) -> _Seen:
     """What there is of an image (H, W) of ``size`` (2,) px about ``middle`` (2,), to be sampled every ``side`` px."""
     pool = max(1, min(int(side), *image.shape))
-    border = 3.0 * side
-    low = np.floor((middle - 0.5 * size - border) / pool).astype(int)
-    high = np.ceil((middle + 0.5 * size + border) / pool).astype(int)
-    most = np.array(image.shape[::-1]) // pool
-    low = np.clip(low, 0, most - 1)
-    high = np.clip(high, low + 1, most)
-    (x0, y0), (x1, y1) = low * pool, high * pool
-    part = image[y0:y1, x0:x1]
+    columns, rows = (
+        _stretch(float(middle[k]), 0.5 * float(size[k]) + 3.0 * side, pool, image.shape[1 - k]) for k in (0, 1)
+    )
+    part = image[rows.start * pool : rows.stop * pool, columns.start * pool : columns.stop * pool]
     if pool > 1:
-        part = np.asarray(cv2.resize(part, (high - low).tolist(), interpolation=cv2.INTER_AREA), np.uint8)
-    blurred = np.asarray(cv2.GaussianBlur(part, (0, 0), BLUR * side / pool), np.uint8)
-    return _Seen(blurred, low * pool + 0.5 * (pool - 1), pool)
+        part = np.asarray(cv2.resize(part, (len(columns), len(rows)), interpolation=cv2.INTER_AREA), np.uint8)
+    blurred = np.asarray(cv2.GaussianBlur(part.astype(np.float32), (0, 0), BLUR * side / pool), np.float32)
+    return _Seen(blurred, np.array([columns.start, rows.start]) * pool + 0.5 * (pool - 1), pool)
 
 
-def _sampled(seen: _Seen, middle: Array, side: float, count: Array) -> Bytes:
+def _stretch(middle: float, half: float, pool: int, length: int) -> range:
+    """The pixels of ``pool`` px each, along a side of ``length`` px, that lie up to ``half`` px from the ``middle``:
+    one at least."""
+    most = length // pool
+    low = min(max(floor((middle - half) / pool), 0), most - 1)
+    return range(low, min(max(ceil((middle + half) / pool), low + 1), most))
+
+
+def _sampled(seen: _Seen, middle: Array, side: float, count: Array) -> Floats:
     """About ``count`` (2,) pixels about ``middle`` (2,) px, ``side`` px of the image apart; the border goes on."""
-    count = np.maximum(np.rint(count), 4)
+    columns, rows = np.maximum(np.rint(count), 4).astype(int).tolist()
     step = side / seen.pool
-    start = (middle - seen.origin) / seen.pool - 0.5 * step * (count - 1)
-    grid = np.array([[step, 0.0, start[0]], [0.0, step, start[1]]])
-    how = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
-    size = count.astype(int).tolist()
-    return np.asarray(cv2.warpAffine(seen.pixels, grid, size, flags=how, borderMode=cv2.BORDER_REPLICATE))
+    x, y = ((middle - seen.origin) / seen.pool).tolist()
+    out = np.empty((rows, columns), np.float32)
+    carrying_cpu.sampled(seen.pixels, x - 0.5 * step * (columns - 1), y - 0.5 * step * (rows - 1), step, out)
+    return out
 
 
-def _shrunk(picture: Bytes, grown: float) -> Bytes:
+def _shrunk(picture: Floats, grown: float) -> Floats:
     """A ``picture`` ``grown`` to a size below its own, its middle in its middle, and as blurred as it was."""
     size = np.array(picture.shape[::-1])
-    smooth = np.asarray(cv2.GaussianBlur(picture, (0, 0), BLUR * sqrt(max(grown**-2 - 1.0, 1e-9))), np.uint8)
-    whole = _Seen(smooth, np.zeros(2), 1)
+    smooth = cv2.GaussianBlur(picture, (0, 0), BLUR * sqrt(max(grown**-2 - 1.0, 1e-9)))
+    whole = _Seen(np.asarray(smooth, np.float32), np.zeros(2), 1)
     return _sampled(whole, 0.5 * (size - 1.0), 1.0 / grown, grown * size)
+
+
+def _normal(picture: Floats) -> Floats:
+    """The same with a mean of 0 and a norm of 1."""
+    about = picture - picture.mean()
+    return np.asarray(about / max(float(np.linalg.norm(about)), 1e-9), np.float32)
 
 
 def _three(line: Floats, k: int) -> Array:
