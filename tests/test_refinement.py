@@ -21,6 +21,8 @@ from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.measurement import measure_clip
 from paceline.speed.refinement import FIRM, GAMMAS, Fit
 from paceline.speed.results import Measurement
+from paceline.speed.trajectory import NAMES
+from paceline.speed.verdict import STRAYED
 
 MPH = 0.44704  # m/s
 UNCERTAINTY: dict[str, Any] = {
@@ -60,6 +62,21 @@ def mean_speed(scene: Scene, measurement: Measurement) -> float:
     """The true distance over the true time between the first and the last frame measured."""
     v, t = scene.vehicles[0], measurement.track.time
     return v.speed + v.acceleration * 0.5 * (t[0] + t[-1])
+
+
+def fitted(clip: Path) -> tuple[Fit, Measurement]:
+    """The first vehicle's measurement, and the fit that was believed."""
+    fits: list[Fit] = []
+    agreement = Fit.agreement
+
+    def asked(fit: Fit) -> Any:
+        fits.append(fit)
+        return agreement(fit)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Fit, "agreement", asked)
+        m = measure_clip(clip).measurements[0]
+    return fits[-1], m
 
 
 def edited(clip: Path, name: str, **keys: Any) -> Path:
@@ -181,6 +198,25 @@ def test_a_change_of_lane_is_found(rendered: Callable[[Scene], Path], kind: str,
     assert abs(m.speed - 18.0) < 0.15 * MPH and m.speed_lo <= 18.0 <= m.speed_hi
 
 
+@pytest.fixture(scope="module")
+def lane_changes(rendered: Callable[[Scene], Path]) -> list[Fit]:
+    of = (scene("line", 18.0, 10, lane_change=LaneChange(8.0, 35.0, shift)) for shift in (-1.6, 1.6))
+    return [fitted(rendered(s))[0] for s in of]
+
+
+def test_a_driver_who_changes_lane_strays_no_farther_than_drivers_do(responses: Any, lane_changes: list[Fit]) -> None:
+    """The rms of what the prior gives a standard deviation of 1: the bends of its way, and its swerves where it has
+    any."""
+    for fit in [*lane_changes, *(fit for fit, _ in responses(1.0))]:
+        bends = fit.trajectory.bends
+        amplitudes = fit.theta[len(NAMES) :][: len(bends.modes)]
+        if not (swerves := np.abs(amplitudes[-bends.swerves :]).max() > 0):
+            amplitudes = amplitudes[: -bends.swerves]
+        assert swerves == (fit in lane_changes)
+        assert fit.strayed == pytest.approx(float(np.sqrt((amplitudes**2).mean())))
+        assert fit.strayed < 0.5 * STRAYED
+
+
 @pytest.mark.parametrize("kind", ["line", "right"])
 def test_a_swerve_too_wild_to_follow_does_not_pass_for_another_speed(
     rendered: Callable[[Scene], Path], kind: str
@@ -252,19 +288,7 @@ def responses(rendered: Callable[[Scene], Path]) -> Callable[[float], list[tuple
 
     @cache
     def of(gamma: float) -> list[tuple[Fit, Measurement]]:
-        fits: list[Fit] = []
-        found, agreement = [], Fit.agreement
-
-        def asked(fit: Fit) -> Any:
-            fits.append(fit)
-            return agreement(fit)
-
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(Fit, "agreement", asked)
-            for s in PLAIN:
-                m = measure_clip(rendered(replace(s, gamma=gamma))).measurements[0]
-                found.append((fits[-1], m))
-        return found
+        return [fitted(rendered(replace(s, gamma=gamma))) for s in PLAIN]
 
     return of
 

@@ -20,6 +20,8 @@ from paceline.speed.verdict import (
     MISFIT,
     OFF,
     OUTLINED,
+    STRAYED,
+    against,
     frames_shown,
     in_view,
     off_outline,
@@ -38,7 +40,7 @@ def refined(explained: list[float], off: float = 0.0, converged: bool = True) ->
     nothing = np.zeros((1, 1))
     trajectory = cast(Trajectory, None)  # of the motion only what it explains is asked
     return Refined(
-        trajectory, np.zeros(1), nothing, nothing, nothing, 1.0, 10.0, offsets, both, (), 9.0, converged=converged
+        trajectory, np.zeros(1), nothing, nothing, nothing, 1.0, 10.0, offsets, both, (), 0.0, 9.0, converged=converged
     )
 
 
@@ -100,6 +102,15 @@ def test_a_motion_that_no_frame_shows_at_first_is_that_of_something_else(hidden:
     r = refined([0.1] * hidden + [0.9] * 20)
     assert unexplained(r).startswith(reason) and bool(unexplained(r)) == bool(reason)
     assert part_in_view(r) == (10 + hidden // 2 if reason else 20 + hidden)
+
+
+@pytest.mark.parametrize(
+    ("strayed", "reason"),
+    [(STRAYED, ""), (6.4, "implausible: its way bends 6 times as much as roads and drivers make likely")],
+)
+def test_a_way_that_nobody_drives_is_not_believed(strayed: float, reason: str) -> None:
+    """A lorry front of three grey levels was followed pixels aside from where it was, and read 6 % too fast."""
+    assert against(replace(refined([0.9] * 10), strayed=strayed), 7.0, 0.2, 0.2) == reason
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=40))

@@ -61,6 +61,7 @@ class Refined:
     offsets: Array
     explained: Array
     extras: tuple[str, ...]  # of the motion, that the evidence spoke for, of EXTRAS
+    strayed: float  # rms over the modes of its own way, in standard deviations of what roads and drivers make likely
     dof: float
     converged: bool
 
@@ -119,6 +120,7 @@ def refine(trajectory: Trajectory, glimpses: list[Glimpse], speed: float, on_pat
         fit.contrast,
         *fit.agreement(),
         extras,
+        fit.strayed,
         fit.dof,
         fit.converged,
     )
@@ -290,6 +292,13 @@ class Fit:
         whole = np.zeros((len(self.theta),) * 2)
         whole[np.ix_(self.prior.free, self.prior.free)] = self.covariance
         return whole
+
+    @property
+    def strayed(self) -> float:
+        """How far the vehicle's own way departs from the drawn one: rms of the bends' amplitudes, each of which has a
+        standard deviation of 1."""
+        amplitudes = self.theta[np.intersect1d(self.trajectory.index("way"), self.prior.free)]
+        return float(np.sqrt((amplitudes**2).mean())) if len(amplitudes) else 0.0
 
     @property
     def dof(self) -> float:

@@ -155,8 +155,10 @@ class Trajectory:
         return np.concatenate([STEPS, np.full(self._surges + len(self.bends.modes), AMPLITUDE_STEP)])
 
     def index(self, name: str) -> NDArray[np.int64]:
-        """Where the parameters of an extra of the motion stand in ``theta``: one of EXTRAS."""
+        """Where the parameters of an extra of the motion stand in ``theta``: one of EXTRAS, or all of the "way"."""
         n = len(self.steps)
+        if name == "way":
+            return np.arange(len(NAMES), n - self._surges)
         if name == "surge":
             return np.arange(n - self._surges, n)
         if name == "swerve":

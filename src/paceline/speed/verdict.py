@@ -13,6 +13,7 @@ OFF = 0.6  # px, rms over the frames: how far the pictures may lie off the motio
 SHOWN = 0.5  # share of the frames that have to show the vehicle where the fitted motion puts it
 DISAGREE = 1.0  # px across the epipolar lines
 FASTEST = 90.0  # m/s
+STRAYED = 3.0  # standard deviations, rms over the modes of a way, that it may bend more than roads and drivers do
 OUTLINED = 5.0  # standard deviations of an outline's place, by its corners, that the motion may lie off it
 WIDEST = (0.06, 0.5)  # half-width of an interval that still counts: relative, and m/s
 OWN = 2 / 3  # share of that which may be the vehicle's own, not the calibration's
@@ -30,6 +31,8 @@ def against(refined: Refined, speed: float, half: float, own: float) -> str:
         return f"views disagree: they lie {abs(across):.1f} px apart across the epipolar lines"
     if not 0 <= speed <= FASTEST:
         return f"implausible: {speed:.1f} m/s"
+    if refined.strayed > STRAYED:  # a face that shows hardly anything was followed to where it is not
+        return f"implausible: its way bends {refined.strayed:.0f} times as much as roads and drivers make likely"
     return too_wide(speed, half) or too_wide(speed, own, OWN)
 
 
