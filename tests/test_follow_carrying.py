@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from moved_scenery import REACH, TARGET, camera, moved, scenery
 
-from paceline.follow.carrying import FARTHEST, STEP, UPRIGHT, Carried
-from paceline.follow.carrying_cpu import correlated, sampled
+from paceline.follow.carrying import FARTHEST, MANY, STEP, UPRIGHT, Carried, correlated
+from paceline.follow.carrying_cpu import sampled
 from paceline.follow.features import Projection
 from paceline.follow.target import Target
 
@@ -128,22 +128,33 @@ def test_samples_are_those_of_cubics_and_the_border_goes_on(first, step):
     np.testing.assert_allclose(out, wanted, atol=3.0)  # it places samples on a 32nd of a pixel
 
 
-@pytest.mark.parametrize("shape", [(9, 13), (20, 4)])
-def test_correlations_are_those_of_every_whole_shift(shape):
+@pytest.mark.parametrize(("shape", "many"), [((9, 13), False), ((20, 4), False), ((5, 6), True)])
+def test_correlations_are_those_of_every_whole_shift(shape, many):
     rng = np.random.default_rng(4)
-    part = rng.uniform(0.0, 255.0, (24, 21)).astype(np.float32)
-    part[:12, :14] = 90.0  # nothing shows there
+    part = rng.uniform(0.0, 255.0, (34, 25)).astype(np.float32)
+    part[:20, :14] = 90.0  # nothing shows there
     picture = rng.standard_normal(shape).astype(np.float32)
     picture -= picture.mean()
     picture /= np.linalg.norm(picture)
     scores = correlated(picture, part)
     h, w = shape
-    assert scores.shape == (24 - h + 1, 21 - w + 1)
+    assert scores.shape == (34 - h + 1, 25 - w + 1) and (scores.size >= MANY) == many
     for y, x in np.ndindex(scores.shape):
         under = part[y : y + h, x : x + w]
         flat = under.std() == 0.0
         wanted = 0.0 if flat else np.corrcoef(picture.ravel(), under.ravel())[0, 1]
         assert scores[y, x] == pytest.approx(wanted, abs=2e-4)
+
+
+@pytest.mark.parametrize("grey", [0, 1, 30, 90, 200, 255])
+@pytest.mark.parametrize("scale", [0.9, 1.0, 1.3])
+def test_a_face_that_shows_nothing_is_like_nothing(grey, scale):
+    """An overexposed face, or a black one: the rounding of its grey is no picture."""
+    projection, center = Projection(camera((256, 242), 300.0), TARGET), np.array([128.0, 130.0])
+    carried = Carried(np.full((242, 256), grey, np.uint8), projection, np.array([*center, 1.0]), REACH)
+    carried.place = np.array([*center, scale])
+    carried.step(moved(scenery((256, 242), 5), center, (0, 0), 1.0, 4.0, 0))
+    assert carried.likeness == 0.0
 
 
 def test_a_place_is_looked_for_no_farther_than_its_reach():

@@ -16,6 +16,7 @@ from scipy.stats import f
 from paceline.speed.refinement import Refined
 from paceline.speed.trajectory import Trajectory
 from paceline.speed.verdict import (
+    FAINT,
     LEAST_FRAMES,
     MISFIT,
     OFF,
@@ -105,12 +106,19 @@ def test_a_motion_that_no_frame_shows_at_first_is_that_of_something_else(hidden:
 
 
 @pytest.mark.parametrize(
-    ("strayed", "reason"),
-    [(STRAYED, ""), (6.4, "implausible: its way bends 6 times as much as roads and drivers make likely")],
+    ("strayed", "contrast", "reason"),
+    [
+        (6.4, 2.6, "implausible: its way bends 6 times as much as is likely, by a face of 2.6 grey levels"),
+        (STRAYED, 2.6, ""),
+        (6.4, FAINT, ""),  # a crest, a tight turn: a face that shows well knows its way
+    ],
 )
-def test_a_way_that_nobody_drives_is_not_believed(strayed: float, reason: str) -> None:
-    """A lorry front of three grey levels was followed pixels aside from where it was, and read 6 % too fast."""
-    assert against(replace(refined([0.9] * 10), strayed=strayed), 7.0, 0.2, 0.2) == reason
+def test_a_way_that_nobody_drives_is_not_believed_of_a_face_that_hardly_shows(
+    strayed: float, contrast: float, reason: str
+) -> None:
+    """A lorry front of 2.6 grey levels was followed pixels aside from where it was, and read 6 % too fast."""
+    r = replace(refined([0.9] * 10), strayed=strayed, contrast=contrast, residual=0.3)
+    assert against(r, 7.0, 0.2, 0.2) == reason
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=40))

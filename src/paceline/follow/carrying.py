@@ -24,6 +24,7 @@ UPRIGHT, ABOVE = 0.7, 0.67
 BLUR = 0.8  # px, of noise
 STEP = 0.025  # relative change of scale that is tried,
 FARTHEST = 5  # and so many of them at most
+MANY = 400  # places: transforms are quicker from there on
 BESIDE = 2  # samples on either side of where one size was found within which the next one is
 
 
@@ -90,7 +91,7 @@ class Carried:
             farthest = side * (samples - beside)
             middle, samples = middle + np.clip(about - middle, -farthest, farthest), beside
         part = _sampled(seen, middle, side, np.array(picture.shape[::-1]) + 2 * samples)
-        scores = carrying_cpu.correlated(picture, part)
+        scores = correlated(picture, part)
         row, column = divmod(int(scores.argmax()), scores.shape[1])
         (right, by_column), (down, by_row) = _top(_three(scores[row], column)), _top(_three(scores[:, column], row))
         likeness = by_column + by_row - float(scores[row, column])
@@ -165,9 +166,24 @@ def _shrunk(picture: Floats, grown: float) -> Floats:
 
 
 def _normal(picture: Floats) -> Floats:
-    """The same with a mean of 0 and a norm of 1."""
-    about = picture - picture.mean()
-    return np.asarray(about / max(float(np.linalg.norm(about)), 1e-9), np.float32)
+    """The same with a mean of 0 and a norm of 1; nothing but zeros where nothing shows."""
+    about = picture - picture.mean(dtype=float)
+    norm = float(np.linalg.norm(about))
+    if norm <= carrying_cpu.FAINT * sqrt(picture.size):
+        return np.zeros_like(picture)
+    return np.asarray(about / norm, np.float32)
+
+
+def correlated(picture: Floats, part: Floats) -> Floats:
+    """(H − h + 1, W − w + 1): how ``part`` (H, W) correlates with a ``picture`` (h, w), of mean 0 and norm 1, at every
+    whole sample at which that lies in it; 0 where nothing shows."""
+    h, w = picture.shape
+    if (part.shape[0] - h + 1) * (part.shape[1] - w + 1) < MANY:
+        scores = carrying_cpu.products(picture, part)
+    else:  # it goes by way of Fourier transforms
+        scores = np.asarray(cv2.matchTemplate(part, picture, cv2.TM_CCORR), np.float32)
+    carrying_cpu.normalise(scores, part, h, w)
+    return scores
 
 
 def _three(line: Floats, k: int) -> Array:

@@ -73,10 +73,27 @@ def _dot(one: Floats, other: Floats) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def correlated(picture: Floats, part: Floats) -> Floats:
-    """(H − h + 1, W − w + 1): how ``part`` (H, W) correlates with a ``picture`` (h, w), of mean 0 and norm 1, at every
-    whole sample at which that lies in it; 0 where nothing shows."""
+def products(picture: Floats, part: Floats) -> Floats:
+    """(H − h + 1, W − w + 1): the sums of the products of a ``picture`` (h, w) with ``part`` (H, W) at every whole
+    sample at which it lies in that."""
     (h, w), (height, width) = picture.shape, part.shape
+    padded = np.zeros((h, width), np.float32)  # as wide as the part, so that one long sum does: zeros count for nothing
+    padded[:, :w] = picture
+    long = (h - 1) * width + w
+    wanted, given = padded.ravel()[:long], part.ravel()
+    sums = np.empty((height - h + 1, width - w + 1), np.float32)
+    for y in range(height - h + 1):
+        for x in range(width - w + 1):
+            first = y * width + x
+            sums[y, x] = _dot(wanted, given[first : first + long])
+    return sums
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def normalise(scores: Floats, part: Floats, h: int, w: int) -> None:
+    """Make ``scores`` (H − h + 1, W − w + 1), `products` of a picture (h, w) of mean 0 and norm 1 with ``part`` (H, W),
+    its correlations; 0 where nothing shows."""
+    height, width = part.shape
     sums = np.zeros((height + 1, width + 1))  # of all samples above and to the left,
     squares = np.zeros((height + 1, width + 1))  # and of their squares
     for y in range(height):
@@ -87,17 +104,12 @@ def correlated(picture: Floats, part: Floats) -> Floats:
             q += value * value
             sums[y + 1, x + 1] = sums[y, x + 1] + s
             squares[y + 1, x + 1] = squares[y, x + 1] + q
-    padded = np.zeros((h, width), np.float32)  # as wide as the part, so that one long sum does: zeros count for nothing
-    padded[:, :w] = picture
-    long = (h - 1) * width + w
-    wanted, given = padded.ravel()[:long], part.ravel()
-    scores = np.empty((height - h + 1, width - w + 1), np.float32)
     for y in range(height - h + 1):
         for x in range(width - w + 1):
             s = sums[y + h, x + w] - sums[y, x + w] - sums[y + h, x] + sums[y, x]
             q = squares[y + h, x + w] - squares[y, x + w] - squares[y + h, x] + squares[y, x]
             spread = q - s * s / (h * w)
-            first = y * width + x
-            together = _dot(wanted, given[first : first + long])
-            scores[y, x] = together / sqrt(spread) if spread > FAINT**2 * h * w else 0.0
-    return scores
+            if spread > FAINT**2 * h * w:
+                scores[y, x] /= np.float32(sqrt(spread))
+            else:
+                scores[y, x] = 0.0

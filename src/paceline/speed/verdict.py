@@ -13,7 +13,8 @@ OFF = 0.6  # px, rms over the frames: how far the pictures may lie off the motio
 SHOWN = 0.5  # share of the frames that have to show the vehicle where the fitted motion puts it
 DISAGREE = 1.0  # px across the epipolar lines
 FASTEST = 90.0  # m/s
-STRAYED = 3.0  # standard deviations, rms over the modes of a way, that it may bend more than roads and drivers do
+STRAYED = 3.0  # standard deviations, rms over the modes of a way, that it may bend by a face with a contrast below
+FAINT = 5.0  # grey levels: such a one is easily followed to where it is not
 OUTLINED = 5.0  # standard deviations of an outline's place, by its corners, that the motion may lie off it
 WIDEST = (0.06, 0.5)  # half-width of an interval that still counts: relative, and m/s
 OWN = 2 / 3  # share of that which may be the vehicle's own, not the calibration's
@@ -31,8 +32,11 @@ def against(refined: Refined, speed: float, half: float, own: float) -> str:
         return f"views disagree: they lie {abs(across):.1f} px apart across the epipolar lines"
     if not 0 <= speed <= FASTEST:
         return f"implausible: {speed:.1f} m/s"
-    if refined.strayed > STRAYED:  # a face that shows hardly anything was followed to where it is not
-        return f"implausible: its way bends {refined.strayed:.0f} times as much as roads and drivers make likely"
+    if refined.strayed > STRAYED and refined.contrast < FAINT:
+        return (
+            f"implausible: its way bends {refined.strayed:.0f} times as much as is likely, "
+            f"by a face of {refined.contrast:.1f} grey levels"
+        )
     return too_wide(speed, half) or too_wide(speed, own, OWN)
 
 
