@@ -54,7 +54,7 @@ class Carried:
         shown = self._projection.shown(self.place).location
         middle, seen, rung = self._middle(shown), self._about(image, shown), self._rung(shown[2])
         at = self._best(seen, middle, rung)
-        found = [self._best(seen, middle, rung + k, at[1]) if k else at for k in (-1, 0, 1)]
+        found = [self._best(seen, middle, rung - 1, at[1]), at, self._best(seen, middle, rung + 1, at[1])]
         first = -1  # of three steps, of which the middle one is to be the best
         while first > -FARTHEST and found[0][0] > max(found[1][0], found[2][0]):
             first -= 1
@@ -63,7 +63,7 @@ class Carried:
             first += 1
             found = [*found[1:], self._best(seen, middle, rung + first + 2, found[2][1])]
         scores = np.array([score for score, _ in found])
-        scale = self._scale(rung + first + 1 + _top(scores)[0])
+        scale = self.first * exp(STEP * (rung + first + 1 + _top(scores)[0]))
         best = int(scores.argmax())
         self.likeness = float(scores[best])
         self.place = self._projection.ideal(np.array([*(found[best][1] + self._up * scale), scale]))
@@ -107,9 +107,6 @@ class Carried:
     def _rung(self, scale: float) -> int:
         """The number of steps from the first scale to about this one."""
         return round(log(scale / self.first) / STEP)
-
-    def _scale(self, rung: float) -> float:
-        return self.first * exp(STEP * rung)
 
     def _middle(self, shown: Array) -> Array:
         """The picture's middle (2,), recorded pixels, where the target is ``shown`` (3,)."""

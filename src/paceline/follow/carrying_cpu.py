@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from paceline.follow.picture_cpu import SUMS
 
-Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
 FAINT = 0.1  # grey levels: what varies by less shows nothing
