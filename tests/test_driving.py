@@ -264,6 +264,17 @@ def test_a_short_drive_follows_and_its_figures_hold() -> None:
     assert np.ptp(np.diff(log.time)) < 1e-9
 
 
+@pytest.mark.parametrize("seed", [387, 390])
+def test_a_twin_that_cuts_in_is_not_followed(seed: int) -> None:
+    """A van between that looks as the van ahead, and a saloon before a saloon: what was seen to come is not the lead.
+    Before, both were taken for it after seconds."""
+    loop, figures = ClosedLoop(scene_named("cuts-in", seed), seed), Figures()
+    for step in loop.steps():
+        figures.add(step, loop.stage.world.body.width)
+    assert figures.wrong == 0
+    assert all(r.holds for r in judged(loop.model, figures))
+
+
 def test_pictures_come_from_where_the_plant_is() -> None:
     """The lead's place in the camera's axes is that of both vehicles in plan, whatever body and road do."""
     for step in loop_of(look=SHORT["look"] | {"bounce": 5.0}).steps():

@@ -12,6 +12,7 @@ from paceline.cameras import Camera
 from paceline.errors import UnusableInput
 from paceline.follow import association, candidates, edges_cpu, fitting, motion, picture_cpu, recognition, search_cpu
 from paceline.follow.configuration import FollowConfiguration
+from paceline.follow.origin import CAME
 from paceline.follow.ranging import recorded
 from paceline.follow.search import Sighting
 from paceline.follow.steering import Pose
@@ -34,6 +35,7 @@ FACES = [
     ((-1, 0.4, 1, 0.75), 80),
     ((-0.3, 0.15, 0.3, 0.3), 200),
 ]
+UNLIKE = "what is found does not look like it"
 FINE = 6  # samples per pixel and axis
 
 
@@ -263,15 +265,15 @@ def is_right(estimates, positions):
     return np.array([e.status == "tracking" and abs(e.position[0] - positions[e.frame][0]) < 0.1 for e in estimates])
 
 
-def test_a_vehicle_taken_for_the_target_is_given_up_when_that_covers_part_of_it():
-    """It was all there was at the start, and its picture was learned."""
-    frames, comes, noticed = 80, 20, 30
+def test_what_covers_part_of_a_target_is_not_taken_for_it():
+    """It shows more of the model than that does now, and as much as that ever did; but it was not there before."""
+    frames, comes = 80, 20
     images, positions, beside = film_beside_another(frames, np.arange(frames) >= comes, np.ones(frames, bool))
     estimates = follow(begin(beside[0]), images)
-    assert is_right(estimates[:comes], beside).all()
-    assert is_right(estimates[noticed + 10 :], positions).all()
-    between = estimates[noticed : noticed + 10]
-    assert all(right or e.status == "coasting" for e, right in zip(between, is_right(between, positions), strict=True))
+    right = is_right(estimates, beside)
+    assert right[:comes].all()
+    assert all(right[k] or estimates[k].status != "tracking" for k in range(comes, frames))
+    assert any(CAME in e.reason for e in estimates[comes:])
 
 
 def test_whoever_appears_where_the_target_was_hidden_is_not_taken_for_it():
@@ -575,6 +577,28 @@ def test_where_lamps_are_switched_the_model_may_be_where_the_search_saw_it_less_
     for start, signs in asked:
         np.testing.assert_allclose(start, other)
         assert not signs.any()
+
+
+def test_half_a_target_is_believed_where_it_was_foreseen_and_not_aside(clip, monkeypatch):
+    """What covers the lead from one side draws a lock onto itself at once; after a while it may have driven there."""
+    images, positions = clip
+    tracker = begin(positions[0])
+    for k in range(20):
+        tracker.update(images[k], k / 15, k)
+    recogniser = tracker.lock.recogniser
+    look = tracker.lock.look_here(images[19])
+    monkeypatch.setattr(recogniser, "_usual_share", lambda measurement: 0.75)
+    monkeypatch.setattr(recogniser.appearance, "likeness", lambda: 0.75)
+
+    def complaint(sizes, tau):
+        aside = [sizes * recogniser.projection.size(look.fit.location[2]), 0.0, 0.0]
+        foreseen = recognition.Foreseen(look.fit.location + aside, tracker.lock.doubt, tau)
+        return recogniser._judged(look.fit, look.measurement, 1.0, foreseen)[0]
+
+    assert [complaint(sizes, 1.0) for sizes in (-0.3, 0.0, 0.3)] == [UNLIKE, "", UNLIKE]
+    assert [complaint(sizes, 10.0) for sizes in (-0.3, 0.0, 0.3)] == ["", "", ""]
+    monkeypatch.setattr(recogniser, "_c", FollowConfiguration(continuity=False))
+    assert complaint(0.3, 1.0) == ""
 
 
 def test_a_target_is_held_where_a_snapshot_gainsays_its_features(clip, monkeypatch):

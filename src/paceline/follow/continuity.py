@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from paceline.follow.features import Projection
+from paceline.follow.motion import CYCLE
 
 Array = NDArray[np.float64]
 
@@ -20,12 +21,26 @@ RATE, LATELY = 0.3, 0.2  # of learning its height, per image: that of now, and o
 TILTED = 0.06  # rad, standard deviation of the angle between the camera's axis and the road ahead,
 KEPT = 0.999  # of which so much stays from one image to the next
 FIRST, WANDERS = 0.1, 0.006  # m, that of the height at one distance, at first and from image to image
+SWAY, DRIFT, TURNING = 0.015, 0.15, 0.15  # rad, m and rad/s² by which it may be aside of where it was foreseen
 ROUGH = 0.06  # rad, that of a bump, were it another in every image
 DOUBTS = 2.0  # standard deviations by which the line may be off
 SAME = 0.3  # sizes of the target, or relative scale, between two sights of the same
 
 LEAPT = "what is found is farther off or nearer than the target can be by now"
 ALOFT = "what is found is higher or lower than the target can be"
+
+
+def leaps(projection: Projection, aside: float, scale: float, tau: float) -> bool:
+    """Whether a target of this ``scale`` is farther ``aside``, px, of where it was foreseen ``tau`` cycles after it was
+    seen than a vehicle drives and a camera turns: unlike up and down, bumps move little there."""
+    time = tau * CYCLE
+    angle = SWAY + DRIFT / projection.distance(scale) + TURNING * time * time
+    return aside > angle * float(projection.camera.K[0, 0])
+
+
+def moves(time: float) -> float:
+    """By how many metres a distance may change otherwise than was foreseen, within a ``time``, s."""
+    return (HASTE + BRAKING * time) * time
 
 
 class Level:
@@ -78,7 +93,7 @@ class Continuity:
         distance = self._projection.distance(location[2])
         before, foreseen = (self._projection.distance(s) for s in (self._scale, expected[2]))
         moved = min(abs(distance - before), abs(distance - foreseen))
-        if moved > UNSTEADY * max(distance, before) + (HASTE + BRAKING * unseen) * unseen:
+        if moved > UNSTEADY * max(distance, before) + moves(unseen):
             return LEAPT
         drop = self._projection.drop(location)
         if abs(drop - self._drop) > RISE + NODDING * distance:

@@ -17,6 +17,7 @@ from paceline.follow.belief import Belief, Picture
 from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.features import Projection
 from paceline.follow.lock import Lock
+from paceline.follow.origin import CAME, Origin
 from paceline.follow.pace import DRIVES, Pace
 from paceline.follow.probation import Probation
 from paceline.follow.ranging import place_of, recorded
@@ -64,7 +65,7 @@ class FollowTracker:
         self.probation = Probation(Lock(location, Recogniser(self.projection, c), c), c)
         self.belief = Belief(c)
         self.steering = Steering(c)
-        self.pace = Pace()
+        self.pace, self.origin = Pace(), Origin(self.projection)
         self._picture = Picture()
         self._time: float | None = None  # of the frame before
 
@@ -90,11 +91,14 @@ class FollowTracker:
             look, note = self.probation.judge(image, time, look)
             if was_pending and not self.probation.pending:
                 self.belief = Belief(self.configuration)  # it was confirmed
-            look = self._in_pace(look, time)
+            look = self._plausible(image, look, time)
         was_lost = self.belief.status == "lost"
         status, reason = self.belief.step(time, look.complaint, self.lock.continuity.steady, look.sure)
         if was_lost and status == "tracking":
             self.probation.resume()
+        if image is not None and not fault and self.configuration.continuity:
+            seen = look.fit if status == "tracking" else None
+            self.origin.keep(image, *((seen.location, 0.0) if seen else (self.lock.expected, self.lock.tau)))
         if look.fit is not None and status == "tracking":
             self.lock.learn(look, time)  # stage 5
             self.pace.learn(time, self.projection.distance(look.fit.location[2]))
@@ -113,20 +117,22 @@ class FollowTracker:
         """What is believed of the target."""
         return self.probation.lock
 
-    def _in_pace(self, look: Look, time: float) -> Look:
-        """The ``look`` at a target that was not seen for a while, with a complaint where it drives as that cannot."""
+    def _plausible(self, image: Bytes, look: Look, time: float) -> Look:
+        """The ``look`` at a target that was not seen for a while, with a complaint where it drives as that cannot, or
+        has come from where that was not."""
         asked = self.configuration.continuity and self.belief.status != "tracking"
         if look.fit is None or look.complaint or not asked:
             return look
-        odd = self.pace.complains(time, self.projection.distance(look.fit.location[2]))
-        return replace(look, complaint=DRIVES) if odd else look
+        if self.pace.complains(time, self.projection.distance(look.fit.location[2])):
+            return replace(look, complaint=DRIVES)
+        return replace(look, complaint=CAME) if self.origin.complains(image, look.fit.location) else look
 
     def _pass_time(self, time: float) -> str:
         """Note the time of a frame; what is to be said about it where it jumps."""
         last, self._time = self._time, time
         if last is None or 0 < time - last <= self.configuration.jump_limit:
             return ""
-        self.pace = Pace()
+        self.pace, self.origin = Pace(), Origin(self.projection)
         for lock in self.probation.locks:
             lock.rest(last, time)
         if time < last:
