@@ -2,6 +2,7 @@
 
 import gc
 import tracemalloc
+from dataclasses import replace
 from types import SimpleNamespace
 
 import cv2
@@ -357,10 +358,29 @@ def test_what_was_learned_long_ago_and_is_not_believed_changes_nothing(monkeypat
         return SimpleNamespace(location=place, doubt=np.array([1.0, 1.0, 0.01]))
 
     monkeypatch.setattr(recogniser._search, "went_from", elsewhere)
-    monkeypatch.setattr(recognition, "_as_good", lambda back, look: False)
+    monkeypatch.setattr(recogniser, "_as_good", lambda back, look: False)
     follow(asked, images)
     for name in ("_picture", "_keepsake", "signed"):
         np.testing.assert_array_equal(*(getattr(t.lock.recogniser.appearance, name) for t in (plain, asked)))
+
+
+@pytest.mark.parametrize(("back", "believed"), [(0.38, True), (0.34, False), (0.26, False)])
+def test_a_lock_is_not_put_back_to_where_much_is_hidden(clip, back, believed):
+    """A part of the target looks as the whole did, farther off; where the lock is, 0.4 of the model shows, and 0.5
+    does so usually."""
+    images, positions = clip
+    tracker = begin(positions[0])
+    follow(tracker, images[:20])
+    recogniser = tracker.lock.recogniser
+    tracker.lock.predict(20 / 15)
+    look = tracker.lock.look(images[20], False)
+    recogniser.appearance.match = 0.5
+
+    def showing(match):
+        return replace(look, measurement=replace(look.measurement, match=match))
+
+    assert recogniser._as_good(showing(back), showing(0.4)) == believed
+    assert not recogniser._as_good(showing(0.3), showing(0.3))  # of both much is hidden
 
 
 def test_a_learned_width_is_no_truer_for_a_target_that_is_tall():

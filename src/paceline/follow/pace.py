@@ -10,7 +10,7 @@ import numpy as np
 
 from paceline.follow.steering import Pose
 
-PAUSE = 1.0  # s for which a target was not seen, after which it is asked
+PAUSE = 0.5  # s for which a target was not seen, after which it is asked
 LATELY, OFTEN = 1.0, 6  # s before, from which its speed is known, if it was seen for half of them and so often
 WATCHED, LEAST = 0.5, 3  # s, and sights, that tell the speed of what is found
 BROKEN, AFTER = 0.3, 3.0  # s without a sight, after which the next may be of something else, and is,

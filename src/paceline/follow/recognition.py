@@ -239,7 +239,7 @@ class Recogniser:
             if old is not None:
                 place = self.projection.ideal(old.location)
                 back = self._measured(image, place, old.doubt, foreseen._replace(location=place))
-                if _as_good(back, look):
+                if self._as_good(back, look):
                     return replace(back, window=sighting.window, slid=True, note=SLID)
                 self._evidence_at(look.fit.location)  # what is learned is the picture looked at last
         proven = self._proven >= PROVEN and self._held_for < ALONE_FOR and not foreseen.lost
@@ -424,15 +424,14 @@ class Recogniser:
             return AGAIN
         return RELATED if abs(grown - 1.0) < AS_FORESEEN else STRAYED
 
+    def _as_good(self, back: Look, look: Look) -> bool:
+        """Whether the model's edges are ``back`` there too, almost as many: a shadow that has just passed changes the
+        picture, not the edges. Where much is hidden, part of the target looks as the whole farther off."""
+        if back.measurement is None or look.measurement is None:
+            return False
+        return back.measurement.match > STILL * look.measurement.match and self._usual_share(back.measurement) > MOSTLY
+
     def _usual_share(self, measurement: Measurement) -> float:
         """How much of the model shows, as a share of what usually does, up to 1."""
         usual = self.appearance.match
         return min(measurement.match / usual, 1.0) if usual else 1.0
-
-
-def _as_good(back: Look, look: Look) -> bool:
-    """Whether the model's edges are ``back`` there too, almost as many: a shadow that has just passed changes the
-    picture, not the edges."""
-    if back.measurement is None or look.measurement is None:
-        return False
-    return back.measurement.match > STILL * look.measurement.match
