@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from paceline.cameras import Camera
-from paceline.follow.continuity import ALOFT, LEAPT, Continuity, leaps, moves
+from paceline.follow.continuity import ALOFT, LEAPT, Continuity, may_move, veers
 from paceline.follow.features import Projection
 from paceline.follow.target import Target
 
@@ -49,7 +49,7 @@ def test_what_was_foreseen_is_believed_however_far():
 def test_what_a_distance_may_change_by_is_a_motion():
     """Another speed by so much, and then a change of it."""
     times = np.linspace(0.0, 2.0, 2001)
-    moved = np.array([moves(time) for time in times])
+    moved = np.array([may_move(time) for time in times])
     speed, change = np.gradient(moved, times)[[1, -2]]
     assert speed == pytest.approx(1.5, abs=0.01) and change == pytest.approx(1.5 + 2 * 3.0 * 2.0, rel=0.01)
 
@@ -60,12 +60,12 @@ def test_aside_it_may_be_as_far_as_drives_have_shown(z):
     foreseen at most, 0.008 rad and 0.12 m in 99 of 100; and 0.035, 0.041 and 0.06 rad at most after 0.27, 0.5 and
     0.67 s without an image."""
     scale = NOMINAL / z
-    assert not leaps(PROJECTION, FOCAL * (0.008 + 0.12 / z) - 1e-6, scale, 1.0)
+    assert not veers(PROJECTION, FOCAL * (0.008 + 0.12 / z) - 1e-6, scale, 1.0)
     for unseen, angle in ((0.27, 0.035), (0.5, 0.041), (0.67, 0.06)):
-        assert not leaps(PROJECTION, FOCAL * angle * 0.8, scale, 15 * unseen)
+        assert not veers(PROJECTION, FOCAL * angle * 0.8, scale, 15 * unseen)
     car = 0.5 * 1.8 / z  # half a car's width in an instant is too much
-    assert leaps(PROJECTION, FOCAL * car, scale, 1.0)
-    assert not leaps(PROJECTION, FOCAL * car, scale, 15.0)
+    assert veers(PROJECTION, FOCAL * car, scale, 1.0)
+    assert not veers(PROJECTION, FOCAL * car, scale, 15.0)
 
 
 @pytest.mark.parametrize("z", [6.0, 15.0, 40.0])

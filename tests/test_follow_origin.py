@@ -6,7 +6,7 @@ import pytest
 from moved_scenery import TARGET, camera, scenery
 
 from paceline.follow.features import Projection
-from paceline.follow.origin import BEFORE, MOST, Origin
+from paceline.follow.origin import MOST, SIGHTS, SURE, Origin
 
 SIZE, FOCAL, SCALE = (256, 242), 300.0, 0.9
 PROJECTION = Projection(camera(SIZE, FOCAL), TARGET)
@@ -57,12 +57,14 @@ def hidden(film, gap):
     """An `Origin` that has seen the lead, then what hides it for a ``gap`` of images and the image after."""
     origin = Origin(PROJECTION)
     for _ in range(10):
-        origin.keep(film.image(1.6), film.place(0.0), 0.0)
+        origin.see(film.image(1.6), film.place(0.0))
     for k in range(gap):
         aside = max(1.6 - 1.6 * (k + 1) / COVERS, 0.0)
         image = film.image(aside)
-        seen = aside > 0.8
-        origin.keep(image, film.place(0.0), 0.0 if seen else k - COVERS / 2 + 1)
+        if aside > 0.8:
+            origin.see(image, film.place(0.0))
+        else:
+            origin.miss(image, k / 15, film.place(0.0), k - COVERS / 2 + 1)
     return origin
 
 
@@ -86,7 +88,7 @@ def test_the_target_is_itself_when_it_shows_again(gap, alike):
         origin = hidden(film, gap)
         for k in range(COVERS):
             aside = -1.6 * (k + 1) / COVERS
-            origin.keep(film.image(aside), film.place(0.0), gap - COVERS / 2 + 1 + k)
+            origin.miss(film.image(aside), (gap + k) / 15, film.place(0.0), gap - COVERS / 2 + 1 + k)
         image = film.image(-1.6)
         assert not origin.complains(image, film.place(0.0)), seed
 
@@ -95,42 +97,93 @@ def test_nothing_is_held_against_a_target_in_full_view():
     """Images that could not be used, say: it is where it was before."""
     for seed in range(5):
         film, origin = Film(seed), Origin(PROJECTION)
-        for k in range(20):
-            origin.keep(film.image(None), film.place(0.0), max(0.0, k - 12.0))
+        for _ in range(12):
+            origin.see(film.image(None), film.place(0.0))
+        for k in range(8):
+            origin.miss(film.image(None), k / 15, film.place(0.0), k + 1.0)
         image = film.image(None)
         assert not origin.complains(image, film.place(0.0))
 
 
+def behind_another(seed=4):
+    """A film in which another vehicle stands before the lead from one image to the next."""
+    film, origin = Film(seed, grown=1.7), Origin(PROJECTION)
+    for _ in range(8):
+        origin.see(film.image(None), film.place(0.0))
+    for k in range(8):
+        origin.miss(film.image(0.0), k / 15, film.place(0.0), k + 1.0)
+    return film, origin
+
+
 def test_what_is_much_nearer_than_the_target_was_is_another():
-    """It has hidden it from straight before it."""
-    film = Film(4, grown=1.7)
-    origin = Origin(PROJECTION)
-    for k in range(16):
-        shows = k >= 8
-        origin.keep(film.image(0.0 if shows else None), film.place(0.0), k - 7.0 if shows else 0.0)
+    film, origin = behind_another()
     image = film.image(0.0)
     assert origin.complains(image, film.place(0.0, film.grown))
 
 
-def test_a_day_without_the_target_needs_no_more_memory():
+def test_what_is_much_farther_off_has_not_hidden_it():
+    """A picture that is carried to there has slid away."""
+    film, origin = behind_another()
+    slid = film.place(0.7, 0.5)
+    assert origin._is_elsewhere(slid, origin._since[0]) and origin._has_slid(slid, origin._since[0])
+    origin._is_elsewhere = lambda place, past: True  # what comes first decides
+    origin._has_slid = lambda place, past: True
+    image = film.image(0.0)
+    assert not origin.complains(image, film.place(0.0, film.grown))
+
+
+def test_of_a_target_that_was_not_seen_nothing_is_known():
+    """A start in doubt, or a time that has jumped: what is in the images may be it."""
+    film, origin = Film(3), Origin(PROJECTION)
+    for k in range(8):
+        origin.miss(film.image(1.0), k / 15, film.place(0.0), k + 1.0)
+    image = film.image(1.0)
+    assert not origin.complains(image, film.place(1.0, film.grown))
+
+
+def test_after_a_while_nothing_is_asked_and_memory_is_bounded():
     film, origin = Film(1), Origin(PROJECTION)
     image = film.image(None)
     for _ in range(40):
-        origin.keep(image, film.place(0.0), 0.0)
-    assert len(origin._past) == BEFORE
-    for k in range(2000):
-        origin.keep(image, film.place(0.0), k + 1.0)
-        assert len(origin._past) <= MOST
-    assert origin._past[0].tau == 0.0
-    origin.keep(image, film.place(0.0), 0.0)
-    assert len(origin._past) == 1
+        origin.see(image, film.place(0.0))
+    assert len(origin._seen) == SIGHTS
+    for k in range(2 * MOST):  # 30 images a second: every other one
+        origin.miss(image, k / 30, film.place(0.0), 0.5 * (k + 1.0))
+    assert len(origin._seen) == SIGHTS and len(origin._since) == MOST
+    for k in range(2 * MOST, 4 * MOST):
+        origin.miss(image, k / 30, film.place(0.0), 0.5 * (k + 1.0))
+    assert not origin._seen and not origin._since
+    for _ in range(SURE):
+        origin.see(image, film.place(0.0))
+    assert len(origin._seen) == SURE
 
 
-def test_an_image_is_kept_as_it_was():
+def test_a_glimpse_of_something_else_is_held_against_nothing():
+    """After a jump of the time, say, one image is taken for the target beside it; then it is seen where it is."""
+    film, origin = Film(6), Origin(PROJECTION)
+    for _ in range(SURE - 1):
+        origin.see(film.image(None), film.place(1.0))
+    for k in range(4):
+        origin.miss(film.image(None), k / 15, film.place(1.0), k + 1.0)
+    image = film.image(None)
+    assert not origin.complains(image, film.place(0.0))
+    for _ in range(SURE):  # and the same after it was seen well, and for a moment elsewhere
+        origin.see(film.image(None), film.place(0.0))
+    origin.miss(film.image(None), 1.0, film.place(0.0), 1.0)
+    origin.see(film.image(None), film.place(1.0))
+    origin.miss(film.image(None), 1.2, film.place(1.0), 1.0)
+    image = film.image(None)
+    assert not origin.complains(image, film.place(0.0))
+
+
+def test_images_are_kept_as_they_were():
     """A camera may write the next one into the same memory."""
     film, origin = Film(2), Origin(PROJECTION)
     image = film.image(None)
     before = image.copy()
-    origin.keep(image, film.place(0.0), 0.0)
+    for _ in range(SURE):
+        origin.see(image, film.place(0.0))
+    origin.miss(image, 0.1, film.place(0.0), 1.0)
     image[:] = 0
-    np.testing.assert_array_equal(origin._past[0].image, before)
+    for past in (*origin._seen, *origin._since):
+        np.testing.assert_array_equal(past.image, before)

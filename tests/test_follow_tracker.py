@@ -277,6 +277,23 @@ def test_what_covers_part_of_a_target_is_not_taken_for_it():
     assert any(CAME in e.reason for e in estimates[comes:])
 
 
+@pytest.mark.parametrize(("off", "size"), [((-25.0, 10.0), 0.85), ((0.0, 0.0), 0.7)])
+def test_a_start_that_was_put_right_is_not_held_against_the_target(off, size):
+    """Nor is what was taken for it before: an image is missing right afterwards."""
+    images, positions = film(60, seed=0)
+    settled = next(e.frame for e in follow(begin(positions[0], off=off, size=size), images) if e.status == "tracking")
+    images[settled + 2] = None
+    estimates = follow(begin(positions[0], off=off, size=size), images)
+    assert is_right(estimates[settled + 8 :], positions).all()
+
+
+def test_where_the_target_was_before_the_time_jumped_is_not_held_against_it():
+    images, positions = (np.concatenate(parts) for parts in zip(film(40), film(40, beside=1.0), strict=True))
+    k = np.arange(80)
+    estimates = follow(begin(positions[0]), list(images), k / 15 + 3.0 * (k >= 40))
+    assert is_right(estimates[:40], positions).all() and is_right(estimates[60:], positions).all()
+
+
 def test_whoever_appears_where_the_target_was_hidden_is_not_taken_for_it():
     k, hidden, comes, back = np.arange(60), 15, 25, 45
     images, positions, _ = film_beside_another(len(k), (k < hidden) | (k >= back), k >= comes)

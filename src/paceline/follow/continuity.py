@@ -30,7 +30,7 @@ LEAPT = "what is found is farther off or nearer than the target can be by now"
 ALOFT = "what is found is higher or lower than the target can be"
 
 
-def leaps(projection: Projection, aside: float, scale: float, tau: float) -> bool:
+def veers(projection: Projection, aside: float, scale: float, tau: float) -> bool:
     """Whether a target of this ``scale`` is farther ``aside``, px, of where it was foreseen ``tau`` cycles after it was
     seen than a vehicle drives and a camera turns: unlike up and down, bumps move little there."""
     time = tau * CYCLE
@@ -38,7 +38,7 @@ def leaps(projection: Projection, aside: float, scale: float, tau: float) -> boo
     return aside > angle * float(projection.camera.K[0, 0])
 
 
-def moves(time: float) -> float:
+def may_move(time: float) -> float:
     """By how many metres a distance may change otherwise than was foreseen, within a ``time``, s."""
     return (HASTE + BRAKING * time) * time
 
@@ -93,7 +93,7 @@ class Continuity:
         distance = self._projection.distance(location[2])
         before, foreseen = (self._projection.distance(s) for s in (self._scale, expected[2]))
         moved = min(abs(distance - before), abs(distance - foreseen))
-        if moved > UNSTEADY * max(distance, before) + moves(unseen):
+        if moved > UNSTEADY * max(distance, before) + may_move(unseen):
             return LEAPT
         drop = self._projection.drop(location)
         if abs(drop - self._drop) > RISE + NODDING * distance:

@@ -15,7 +15,7 @@ from paceline.follow import fitting
 from paceline.follow.appearance import INSIDE, PICTURE_RATE, Appearance
 from paceline.follow.carrying import UPRIGHT, Carried
 from paceline.follow.configuration import FollowConfiguration
-from paceline.follow.continuity import leaps
+from paceline.follow.continuity import veers
 from paceline.follow.edges import Window
 from paceline.follow.features import Projection, Shown
 from paceline.follow.fitting import Fit
@@ -39,7 +39,7 @@ STRAYED = 1.4  # the same where its size is not the one foreseen, to within AS_F
 AS_FORESEEN, NEARLY = 0.02, 0.15
 ASIDE = 0.75  # sizes of the target
 AGAIN = 1.5  # the same for a target that was not seen for as many cycles as GONE
-FOUND = 1.8  # the same for one that was lost, leapt, or is ASIDE of where it was: among many places some look alike
+FOUND = 1.8  # the same for one that was lost, veered, or is ASIDE of where it was: among many places some look alike
 GONE = 3.0
 LOOSE, MOSTLY = 1.3, 0.7  # discord of its features with which a target that looks as it did may be believed, where this
 # share of the usual match shows: a half hidden one looks as it did as well
@@ -396,7 +396,8 @@ class Recogniser:
         picture = self.appearance.likeness() if inside > 0.5 else 0.0
         related = picture + self._usual_share(measurement)
         moved = abs(fit.location[0] - expected[0])
-        aside, leapt = moved / self.projection.size(expected[2]), leaps(self.projection, moved, expected[2], tau)
+        aside = moved / self.projection.size(expected[2])
+        veered = self._c.continuity and veers(self.projection, moved, expected[2], tau)
         jump = abs(fit.location[2] - expected[2]) / hypot(doubt[2], spread * fit.location[2])
         if support < (CLEAR if lost else SUPPORT) or agreeing.sum() < FEATURES:
             return FEW, clear, False
@@ -409,14 +410,14 @@ class Recogniser:
             return "its size cannot be told", clear, False
         if jump > JUMP and not (sharp and picture > ALIKE):
             return "its size jumps", clear, False
-        if related < self._needed(picture, grown, aside, leapt and self._c.continuity, tau, lost):
+        if related < self._needed(picture, grown, aside, veered, tau, lost):
             return "what is found does not look like it", clear, False
         return "", clear, related >= FOUND
 
-    def _needed(self, picture: float, grown: float, aside: float, leapt: bool, tau: float, lost: bool) -> float:
+    def _needed(self, picture: float, grown: float, aside: float, veered: bool, tau: float, lost: bool) -> float:
         """How much likeness, that of its ``picture``, and share of the usual match a target must have together that is
-        ``grown`` times the size foreseen and ``aside`` sizes, ``tau`` cycles after it was seen; it has ``leapt``."""
-        if lost or leapt or (tau >= GONE and max(abs(grown - 1.0) / NEARLY, aside / ASIDE) > 1.0):
+        ``grown`` times the size foreseen and ``aside`` sizes, ``tau`` cycles after it was seen; it has ``veered``."""
+        if lost or veered or (tau >= GONE and max(abs(grown - 1.0) / NEARLY, aside / ASIDE) > 1.0):
             return FOUND
         if picture > HELD and abs(grown - 1.0) < NEARLY:
             return 0.0

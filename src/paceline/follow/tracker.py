@@ -16,6 +16,7 @@ from paceline.follow import fitting
 from paceline.follow.belief import Belief, Picture
 from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.features import Projection
+from paceline.follow.fitting import Fit
 from paceline.follow.lock import Lock
 from paceline.follow.origin import CAME, Origin
 from paceline.follow.pace import DRIVES, Pace
@@ -85,9 +86,9 @@ class FollowTracker:
         for lock in self.probation.locks:
             lock.predict(time)  # stage 6
         look, note = Look(fault), ""
+        followed, was_pending = self.lock, self.probation.pending
         if image is not None and not fault:
-            look = self.lock.look(image, self.belief.lost and not self.probation.pending)  # stages 7 and 1 to 4
-            was_pending = self.probation.pending
+            look = self.lock.look(image, self.belief.lost and not was_pending)  # stages 7 and 1 to 4
             look, note = self.probation.judge(image, time, look)
             if was_pending and not self.probation.pending:
                 self.belief = Belief(self.configuration)  # it was confirmed
@@ -96,9 +97,10 @@ class FollowTracker:
         status, reason = self.belief.step(time, look.complaint, self.lock.continuity.steady, look.sure)
         if was_lost and status == "tracking":
             self.probation.resume()
+        if was_pending or look.slid or self.lock is not followed:
+            self.origin = Origin(self.projection)  # what was followed was elsewhere
         if image is not None and not fault and self.configuration.continuity:
-            seen = look.fit if status == "tracking" else None
-            self.origin.keep(image, *((seen.location, 0.0) if seen else (self.lock.expected, self.lock.tau)))
+            self._keep(image, time, look.fit if status == "tracking" else None)
         if look.fit is not None and status == "tracking":
             self.lock.learn(look, time)  # stage 5
             self.pace.learn(time, self.projection.distance(look.fit.location[2]))
@@ -118,14 +120,21 @@ class FollowTracker:
         return self.probation.lock
 
     def _plausible(self, image: Bytes, look: Look, time: float) -> Look:
-        """The ``look`` at a target that was not seen for a while, with a complaint where it drives as that cannot, or
-        has come from where that was not."""
+        """The ``look`` at a target that was not seen in the image before, with a complaint where it drives as that
+        cannot, or has come from where that was not."""
         asked = self.configuration.continuity and self.belief.status != "tracking"
         if look.fit is None or look.complaint or not asked:
             return look
         if self.pace.complains(time, self.projection.distance(look.fit.location[2])):
             return replace(look, complaint=DRIVES)
         return replace(look, complaint=CAME) if self.origin.complains(image, look.fit.location) else look
+
+    def _keep(self, image: Bytes, time: float, seen: Fit | None) -> None:
+        """Remember the image for later questions of where something has come from."""
+        if seen is not None:
+            self.origin.see(image, seen.location)
+        else:
+            self.origin.miss(image, time, self.lock.expected, self.lock.tau)
 
     def _pass_time(self, time: float) -> str:
         """Note the time of a frame; what is to be said about it where it jumps."""
