@@ -30,12 +30,11 @@ class Film:
         width, height = np.rint(TARGET.size * PROJECTION.magnification).astype(int)
         return 60 + 0.6 * scenery((width, height), seed)
 
-    def image(self, aside, lead=True):
+    def image(self, aside):
         """The other vehicle ``aside`` of the lead by so many sizes of that; None: it is not there."""
         self.bump = self.rng.uniform(-1, 1, 2) * (0.5, 4.0)
         picture = self._behind.copy()
-        if lead:
-            self._put(picture, self._lead, self.place(0.0))
+        self._put(picture, self._lead, self.place(0.0))
         if aside is not None:
             self._put(picture, self._other, self.place(aside, self.grown))
         picture += self.rng.normal(0, 3.0, picture.shape)
@@ -54,7 +53,7 @@ class Film:
 
 
 def hidden(film, gap):
-    """An `Origin` that has seen the lead, then what hides it for a ``gap`` of images and the image after."""
+    """An `Origin` that has seen the lead, then what comes before it and hides it, in ``gap`` images."""
     origin = Origin(PROJECTION)
     for _ in range(10):
         origin.see(film.image(1.6), film.place(0.0))

@@ -99,6 +99,14 @@ def follow(tracker, images, times=None, start=0):
     return [tracker.update(image, float(t), start + k) for k, (image, t) in enumerate(zip(images, times, strict=True))]
 
 
+def followed(clip):
+    """A tracker that has followed the first 20 frames of a clip."""
+    images, positions = clip
+    tracker = begin(positions[0])
+    follow(tracker, images[:20])
+    return tracker
+
+
 def errors(estimates, positions):
     off = np.array([e.position for e in estimates]) - positions
     return off[:, 2] / positions[:, 2], off[:, 0]
@@ -385,9 +393,7 @@ def test_what_was_learned_long_ago_and_is_not_believed_changes_nothing(monkeypat
 def test_a_lock_is_not_put_back_to_where_much_is_hidden(clip, back, believed):
     """A part of the target looks as the whole did, farther off; where the lock is, 0.4 of the model shows, and 0.5
     does so usually."""
-    images, positions = clip
-    tracker = begin(positions[0])
-    follow(tracker, images[:20])
+    images, tracker = clip[0], followed(clip)
     recogniser = tracker.lock.recogniser
     tracker.lock.predict(20 / 15)
     look = tracker.lock.look(images[20], False)
@@ -552,10 +558,7 @@ def test_where_less_shows_than_usual_lines_are_looked_for_farther_away(
     clip, monkeypatch, narrow, wide, complaint, taken
 ):
     """As shares of the usual match; what adds little, or is not the target, is not taken."""
-    images, positions = clip
-    tracker = begin(positions[0])
-    for k in range(20):
-        tracker.update(images[k], k / 15, k)
+    images, tracker = clip[0], followed(clip)
     recogniser, there = tracker.lock.recogniser, tracker.lock.expected
     usual, near = recogniser.appearance.match, np.array([1.0, 1.0, 0.01])
     looks = {
@@ -586,10 +589,7 @@ def test_where_lamps_are_switched_the_model_may_be_where_the_search_saw_it_less_
     clip, monkeypatch, share, beside, complaint, likeness, tau, taken
 ):
     """As shares of the usual match, at the best place and at another one a size aside."""
-    images, positions = clip
-    tracker = begin(positions[0])
-    for k in range(20):
-        tracker.update(images[k], k / 15, k)
+    images, tracker = clip[0], followed(clip)
     recogniser, there = tracker.lock.recogniser, tracker.lock.expected
     usual, other = recogniser.appearance.match, there + [recogniser.projection.size(there[2]), 0.0, 0.0]
     here, found = (
@@ -618,10 +618,7 @@ def test_where_lamps_are_switched_the_model_may_be_where_the_search_saw_it_less_
 
 def test_half_a_target_is_believed_where_it_was_foreseen_and_not_aside(clip, monkeypatch):
     """What covers the lead from one side draws a lock onto itself at once; after a while it may have driven there."""
-    images, positions = clip
-    tracker = begin(positions[0])
-    for k in range(20):
-        tracker.update(images[k], k / 15, k)
+    images, tracker = clip[0], followed(clip)
     recogniser = tracker.lock.recogniser
     look = tracker.lock.look_here(images[19])
     monkeypatch.setattr(recogniser, "_usual_share", lambda measurement: 0.75)
@@ -640,10 +637,7 @@ def test_half_a_target_is_believed_where_it_was_foreseen_and_not_aside(clip, mon
 
 def test_a_target_is_held_where_a_snapshot_gainsays_its_features(clip, monkeypatch):
     """In dim light, where the search sees nothing well."""
-    images, positions = clip
-    tracker = begin(positions[0])
-    for k in range(20):
-        tracker.update(images[k], k / 15, k)
+    images, tracker = clip[0], followed(clip)
     recogniser = tracker.lock.recogniser
     aside = recogniser.projection.size(1.0) * np.array([0.3, 0.0, 0.0])
     monkeypatch.setattr(recogniser, "_conflicts", lambda look, place: False)

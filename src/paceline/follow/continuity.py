@@ -14,6 +14,7 @@ Array = NDArray[np.float64]
 
 UNSTEADY = 0.06  # relative error of a scale that was measured, at most
 HASTE, BRAKING = 1.5, 3.0  # m/s, m/s²: by how much the distance may change otherwise than was foreseen
+SWAY, DRIFT, TURNING = 0.015, 0.15, 0.15  # rad, m and rad/s² by which it may be aside of where it was foreseen
 NODDING = 0.06  # rad by which a bump and the road's grade may turn the camera up or down
 RISE = 0.3  # m by which what is measured of a target may lie higher or lower than usual
 LASTING, GRADE = 0.3, 0.025  # m and rad by which it may for longer, by the road's grade, say
@@ -21,7 +22,6 @@ RATE, LATELY = 0.3, 0.2  # of learning its height, per image: that of now, and o
 TILTED = 0.06  # rad, standard deviation of the angle between the camera's axis and the road ahead,
 KEPT = 0.999  # of which so much stays from one image to the next
 FIRST, WANDERS = 0.1, 0.006  # m, that of the height at one distance, at first and from image to image
-SWAY, DRIFT, TURNING = 0.015, 0.15, 0.15  # rad, m and rad/s² by which it may be aside of where it was foreseen
 ROUGH = 0.06  # rad, that of a bump, were it another in every image
 DOUBTS = 2.0  # standard deviations by which the line may be off
 SAME = 0.3  # sizes of the target, or relative scale, between two sights of the same

@@ -66,7 +66,7 @@ class Origin:
         if 0 < len(run) < SURE:  # who was seen then, and is expected now, nobody knows
             self._since += [replace(sight, tau=inf) for sight in run]
         if not self._since or time - self._last >= APART * CYCLE:
-            unsure = any(past.tau == inf for past in self._since)
+            unsure = bool(self._since) and self._since[-1].tau == inf
             self._since.append(Past(image.copy(), place, inf if unsure else tau))
             self._last = time
         if len(self._since) > self._most:
