@@ -2,9 +2,9 @@
 
 python benchmarks/follow.py [--n 20] [--seed 500] [--preset nist|hd|full_hd] [--frames 450] [--workers 2] [--long]
 
-Every tracker sees the same frames in one run. OpenCV's trackers are started on the exact box of the rear plane and
-their range comes from the box's width and the vehicle's true one. ViSP's have Paceline's model and start; they are
-compiled where libvisp-dev is installed. --long instead follows one vehicle for 15,300 frames.
+Every tracker sees the same frames in one run, rendered beforehand. OpenCV's trackers are started on the exact box of
+the rear plane and their range comes from the box's width and the vehicle's true one. ViSP's have Paceline's model and
+start; they are compiled where libvisp-dev is installed. --long instead follows one vehicle for 15,300 frames.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import argparse
 import resource
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -138,7 +138,8 @@ class OpenCV(InThisThread):
 
 
 PUBLISHED = "Paceline, as published"
-Makers = dict[str, Callable[[ChaseScene, ChaseTruth], Follower]]
+Maker = Callable[[ChaseScene, ChaseTruth], Follower]
+Makers = dict[str, Maker]
 
 
 def followers(peers: bool, visp: Path | None = None) -> Makers:
@@ -196,21 +197,26 @@ class Record:
             self.in_lateral.append(bool(abs(x) <= WITHIN * sight.std[0]))
 
 
-def run(scene: ChaseScene, makers: Makers, watch: Callable[[int], None] | None = None) -> list[Record]:
-    """All trackers over the frames of one clip; ``watch`` is told every frame's number."""
+Frames = Iterable[tuple[Image, ChaseTruth]]
+
+
+def run(scene: ChaseScene, makers: Makers) -> list[Record]:
+    """All trackers over the frames of one clip, one after the other: a tracker has the processor's caches to itself."""
+    frames = list(render_frames(scene))
+    return [followed(scene, name, make, frames) for name, make in makers.items()]
+
+
+def followed(scene: ChaseScene, name: str, make: Maker, frames: Frames) -> Record:
+    """One tracker over the ``frames`` of a clip."""
     cv2.setNumThreads(1)
-    records = [Record(name, scene) for name in makers]
-    tracked: list[Follower] = []
-    for image, truth in render_frames(scene):
-        tracked = tracked or [make(scene, truth) for make in makers.values()]
+    record, follower = Record(name, scene), None
+    for image, truth in frames:
+        follower = follower or make(scene, truth)
         width = float(np.linalg.norm(truth.corners[1] - truth.corners[0])) * truth.position[2] / scene.focal
-        for follower, record in zip(tracked, records, strict=True):
-            before = follower.spent()
-            sight = follower.update(image, truth)
-            record.add(sight, truth, width, 1e3 * (follower.spent() - before))
-        if watch is not None:
-            watch(truth.frame)
-    return records
+        before = follower.spent()
+        sight = follower.update(image, truth)
+        record.add(sight, truth, width, 1e3 * (follower.spent() - before))
+    return record
 
 
 def _run_seed(seed: int, preset: str, frames: int, makers: Makers) -> list[Record]:
@@ -290,10 +296,12 @@ def long_run(args: argparse.Namespace) -> None:
     scene = random_chase(args.seed, args.preset, frames=LONG)
     held: dict[int, float] = {}
 
-    def watch(frame: int) -> None:
-        held[frame] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    def watched() -> Iterator[tuple[Image, ChaseTruth]]:
+        for image, truth in render_frames(scene):
+            yield image, truth
+            held[truth.frame] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
-    (record,) = run(scene, {"Paceline": followers(False)["Paceline"]}, watch)
+    record = followed(scene, "Paceline", followers(False)["Paceline"], watched())
     print(head("seed", "vehicle", *COLUMNS))
     print(row(scene.seed, f"{scene.kind}, {scene.paint:.0f}", *cells([record])))
     early, late = held[WARM], held[LONG - 1]

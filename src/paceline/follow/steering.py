@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from math import atan, cos, exp, hypot, sin
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from paceline.follow.configuration import FollowConfiguration
@@ -41,9 +42,17 @@ def in_world(pose: Pose, ahead: float, right: float) -> tuple[float, float]:
 
 def seen_from(pose: Pose, path: Array) -> Array:
     """World points (N, 2) as (ahead, right) of the camera, metres."""
-    c, s = cos(pose.heading), sin(pose.heading)
-    d = path - (pose.x, pose.y)
-    return np.column_stack([c * d[:, 0] + s * d[:, 1], s * d[:, 0] - c * d[:, 1]])
+    return np.asarray(_turned(path, pose.x, pose.y, cos(pose.heading), sin(pose.heading)))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _turned(path: Array, x: float, y: float, c: float, s: float) -> Array:
+    """``path`` (N, 2) in axes whose origin is x, y: the first has the direction (c, s), the second is to its right."""
+    out = np.empty_like(path)
+    for i in range(len(path)):
+        dx, dy = path[i, 0] - x, path[i, 1] - y
+        out[i, 0], out[i, 1] = c * dx + s * dy, s * dx - c * dy
+    return out
 
 
 def pure_pursuit(ahead: float, right: float, wheelbase: float) -> float:
@@ -52,21 +61,20 @@ def pure_pursuit(ahead: float, right: float, wheelbase: float) -> float:
     return atan(2.0 * wheelbase * right / max(ahead**2 + right**2, 1e-6))
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
 def goal_on(path: Array, lookahead: float) -> tuple[float, float]:
     """The point (ahead, right) at which ``path`` (N, 2), seen from the vehicle and in driving order, leaves the circle
     of radius ``lookahead`` after its point nearest to the vehicle; its end where it does not reach so far. Its points
     are close beside each other as compared with the circle."""
     distance = np.hypot(path[:, 0], path[:, 1])
-    nearest = int(distance.argmin())
-    beyond = np.flatnonzero(distance[nearest:] >= lookahead)
-    if not len(beyond):
-        return float(path[-1, 0]), float(path[-1, 1])
-    k = nearest + int(beyond[0])
-    if k == nearest:
-        return float(path[k, 0]), float(path[k, 1])
+    nearest = k = int(distance.argmin())
+    while k < len(path) - 1 and distance[k] < lookahead:
+        k += 1
+    if k == nearest or distance[k] < lookahead:
+        return path[k, 0], path[k, 1]
     share = (lookahead - distance[k - 1]) / (distance[k] - distance[k - 1])
-    x, y = path[k - 1] + share * (path[k] - path[k - 1])
-    return float(x), float(y)
+    last, step = path[k - 1], path[k] - path[k - 1]
+    return last[0] + share * step[0], last[1] + share * step[1]
 
 
 def prolonged(path: Array, reach: float, speed: float) -> Array:
