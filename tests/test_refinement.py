@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 from scipy.stats import binom
 
 from paceline.simulation.planar import LaneChange, Scene, Vehicle, random_crossing, random_scene, render, write
-from paceline.speed.bands import OPTICS, Band, Glimpse, areas, bands_of
+from paceline.speed.bands import OPTICS, WHOLE, Band, Glimpse, Layout, areas, bands_of
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.measurement import measure_clip
-from paceline.speed.refinement import FIRM, GAMMAS, Fit
+from paceline.speed.refinement import FIRM, GAMMAS, LAYOUTS, Fit
 from paceline.speed.results import Measurement
+from paceline.speed.scatter import LEAST_LEFT
 from paceline.speed.trajectory import NAMES
 from paceline.speed.verdict import STRAYED
 
@@ -231,6 +232,43 @@ def test_glare_and_poles(rendered: Callable[[Scene], Path], kind: str, what: str
     s = replace(scene(kind, 18.0, 11, glare=what != "occluder"), occluder=what != "glare")
     m = measure_clip(rendered(s)).measurements[0]
     assert m.verdict == "measured" and abs(m.speed - 18.0) < 0.3 * MPH
+
+
+# --- layouts of patches ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("patches", "share"), [(15, (1.0, 1.0)), (8, (1.0, 1.0)), (30, (0.8, 1.0)), (24, (1.0, 0.7))])
+def test_a_layout_divides_its_share_of_the_outline(patches: int, share: tuple[float, float]) -> None:
+    band, _ = standing(0.0, 1)
+    other = band.laid_out(Layout(patches, share))
+    assert other.patches == pytest.approx(patches, rel=0.25) and other.pictures is band.pictures
+    whole, part = (np.ptp(b.places[:2], axis=1) for b in (band.laid_out(WHOLE), other))
+    np.testing.assert_allclose(part / whole, share, atol=0.02)
+    np.testing.assert_allclose(other.places[:2].mean(1), 0.5)
+
+
+def test_the_speed_is_the_mean_over_layouts(rendered: Callable[[Scene], Path]) -> None:
+    fit, m = fitted(rendered(scene("approaching", 14.0, 1)))
+    speeds = fit.trajectory.mean_speed_shares
+    own = [float(speeds @ f.theta) for f in (fit, *map(fit.laid_out, LAYOUTS))]
+    assert min(own) < m.speed < max(own) and m.speed != pytest.approx(own[0], abs=1e-9)
+    theta, share = fit.over_layouts()
+    assert m.speed == pytest.approx(float(speeds @ theta), abs=1e-9)
+    assert LEAST_LEFT < share < 2.0
+
+
+def test_a_layout_that_determines_nothing_is_left_out(
+    rendered: Callable[[Scene], Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fit, _ = fitted(rendered(scene("approaching", 14.0, 1)))
+
+    def fails(*_: object) -> Fit:
+        raise np.linalg.LinAlgError
+
+    monkeypatch.setattr(Fit, "laid_out", fails)
+    theta, share = fit.over_layouts()
+    np.testing.assert_array_equal(theta, fit.theta)
+    assert share == pytest.approx(1.0)
 
 
 # --- light ---------------------------------------------------------------------------------------------------------

@@ -23,7 +23,6 @@ OPTICS = 0.8  # px, the blur of lens and pixel that most images have; what is le
 GAMMA_STEP = 0.02
 BAND = 1.5  # ratio of resolutions between bands
 DENSITY = 1.3  # samples per pixel of the coarsest view in a band
-PATCHES = 15
 INSET = 1.5  # px of a band's coarsest view: the rim shows what is behind
 REJECT = 4.0  # times the expected variance at which a patch loses half its say
 GAIN = (0.2, 5.0)
@@ -43,19 +42,42 @@ class Glimpse:
     quads: Array  # (2, 4, 2) px, of the filter
 
 
+@dataclass(frozen=True)
+class Layout:
+    """Into about how many ``patches`` the middle of an outline is divided, and which ``share`` of its width and height
+    that is."""
+
+    patches: int = 15
+    share: tuple[float, float] = (1.0, 1.0)
+
+
+WHOLE = Layout()
+
+
 class Band:
-    """One band of resolution: the views that resolve it, their filtered crops and slopes, and its texture."""
+    """One band of resolution: the views that resolve it, their filtered crops and slopes, and its texture.
+
+    ``size`` (2,) px is that of the outline in the coarsest of the ``views``.
+    """
 
     def __init__(
-        self, views: NDArray[np.int64], pictures: list[tuple[Floats, Floats]], gamma: float, corners: Array, size: Array
+        self,
+        views: NDArray[np.int64],
+        pictures: list[tuple[Floats, Floats]],
+        gamma: float,
+        corners: Array,
+        size: Array,
+        layout: Layout = WHOLE,
     ) -> None:
-        down = max(1, round(np.sqrt(PATCHES * size[1] / size[0])))
-        across = max(1, round(PATCHES / down))
-        x = max(int(np.ceil(size[0] * DENSITY / across)), 4)
-        y = max(int(np.ceil(size[1] * DENSITY / down)), 4)
-        rim = np.clip(INSET / size, 0.03, 0.2)
-        u = rim[0] + (1 - 2 * rim[0]) * (np.arange(across * x) + 0.5) / (across * x)
-        v = rim[1] + (1 - 2 * rim[1]) * (np.arange(down * y) + 0.5) / (down * y)
+        self.size = size
+        w, h = size * layout.share
+        down = max(1, round(np.sqrt(layout.patches * h / w)))
+        across = max(1, round(layout.patches / down))
+        x = max(int(np.ceil(w * DENSITY / across)), 4)
+        y = max(int(np.ceil(h * DENSITY / down)), 4)
+        within = (1 - 2 * np.clip(INSET / size, 0.03, 0.2)) * layout.share
+        u = 0.5 + within[0] * ((np.arange(across * x) + 0.5) / (across * x) - 0.5)
+        v = 0.5 + within[1] * ((np.arange(down * y) + 0.5) / (down * y) - 0.5)
         grid = np.stack([*np.meshgrid(u, v), np.ones((down * y, across * x))])
         patches = grid.reshape(3, down, y, across, x).swapaxes(2, 3)
         self.patches, self.samples = down * across, y * x
@@ -71,6 +93,10 @@ class Band:
         self.variance = np.ones((len(views), self.patches))
         self.expected = np.ones((len(views), self.patches))
         self.power = np.ones((len(views), self.patches))
+
+    def laid_out(self, layout: Layout) -> Band:
+        """The same pictures in patches of another ``layout``."""
+        return Band(self.views, self.pictures, self.gamma, self.corners, self.size, layout)
 
     def normal_equations(self, H: Array, H_d: Array, relief: Array, gamma: float, dH: Array) -> tuple[Array, Array]:
         """Normal matrices (views, patches, P + 2, P + 2) and scores (views, patches, P + 2) of the linearised problem.

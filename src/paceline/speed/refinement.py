@@ -4,7 +4,8 @@ One texture of the plane is shared by every frame of both views; depth, speed, t
 normal are found so that all of them agree, by Gauss–Newton on intensities. The texture is eliminated exactly
 (variable projection), each patch of each view has its own gain and offset, patches may stand a little before or
 behind the plane, and a patch that does not fit — glare, a pole — loses its say. How the camera's values go as light
-is found with the motion.
+is found with the motion. Into which patches the plane is divided is arbitrary, and moves the speed by as much as noise
+does: the motion is the mean over several layouts.
 """
 
 from __future__ import annotations
@@ -19,12 +20,14 @@ from scipy.optimize import least_squares
 
 from paceline.cameras import RigUncertainty, moved_rigs
 from paceline.speed import scatter
-from paceline.speed.bands import Glimpse, bands_of
+from paceline.speed.bands import Band, Glimpse, Layout, bands_of
 from paceline.speed.trajectory import EXTRAS, Prior, Trajectory, prior
 
 Array = NDArray[np.float64]
 
 LEVELS = ((2.5, False), (1.2, False), (0.7, True))  # smoothing at the farthest view, px; whether the finer bands join
+LAYOUTS = Layout(8), Layout(30), Layout(share=(0.8, 1.0)), Layout(share=(1.0, 0.8))  # besides the first one
+RELAID = 3  # steps of a fit to another layout, at most
 RELIEF = 0.04  # m, how far a patch may stand from the plane
 GAMMA = 1.7, 0.6  # γ of a camera, whose values go as light to the power 1 / γ
 GAMMAS = 1.0, 2.4  # the least and the most: what else changes from picture to picture may pass for any
@@ -102,6 +105,7 @@ def refine(trajectory: Trajectory, glimpses: list[Glimpse], speed: float, on_pat
             break
         extras, fit = (*extras, best), richer[best][1]
         rare += RARE
+    theta, share = fit.over_layouts()
     # a model not chosen may be the true one all the same: as likely as the evidence leaves it
     odds = np.exp([0.0, *(evidence - rare for evidence, _ in others)])
     covariance, doubt = np.zeros((2, *fit.whole_covariance.shape))
@@ -112,8 +116,8 @@ def refine(trajectory: Trajectory, glimpses: list[Glimpse], speed: float, on_pat
             doubt += likely * np.outer(apart, apart)
     return Refined(
         trajectory,
-        fit.theta,
-        covariance,
+        theta,
+        share * covariance,
         doubt,
         fit.systematic(trajectory.rig.uncertainty),
         fit.residual,
@@ -145,8 +149,8 @@ class Fit:
         beginning, for what this one lacks may have led it astray.
         """
         other = copy(self)
-        other.prior, other.theta, other.relief = prior, self.theta.copy(), self.relief.copy()
-        other.bands = [copy(band) for band in self.bands]
+        other.prior = prior
+        other._begin_at(self.theta, [copy(band) for band in self.bands], self.relief)
         other.descend(STEP, most=1)
         evidence = other._log_evidence(extra, self.prior, 1.0)
         if evidence < np.log(NEGLIGIBLE):
@@ -160,10 +164,39 @@ class Fit:
         so many steps from here."""
         other = copy(self)
         other.trajectory = replace(self.trajectory, quad=quad)
-        other.bands = bands_of(self.glimpses, other.trajectory.quads(self.theta), self.gamma, *LEVELS[-1])
-        other.theta, other.relief = self.theta.copy(), np.zeros(other.bands[0].patches)
+        quads = other.trajectory.quads(self.theta)
+        other._begin_at(self.theta, bands_of(self.glimpses, quads, self.gamma, *LEVELS[-1]))
         other.descend(STEP, most)
         return other
+
+    def laid_out(self, layout: Layout) -> Fit:
+        """The same model fitted to patches of another ``layout``, from here. Raises numpy.linalg.LinAlgError where
+        these determine nothing."""
+        other = copy(self)
+        other._begin_at(self.theta, [band.laid_out(layout) for band in self.bands])
+        other.descend(STEP, RELAID)
+        return other
+
+    def over_layouts(self) -> tuple[Array, float]:
+        """The parameters (n,) as the mean over several layouts, each weighed by how well it tells the mean speed, and
+        the variance of that by this mean over its variance by this fit."""
+        fits = [self]
+        for layout in LAYOUTS:
+            try:
+                fits.append(self.laid_out(layout))
+            except np.linalg.LinAlgError:  # patches too small for what they show: the others tell
+                continue
+        fits = [self, *(fit for fit in fits[1:] if fit.converged)]
+        variances = np.array([fit._variance for fit in fits])
+        speeds = np.array([self.trajectory.mean_speed_shares @ fit.theta for fit in fits])
+        weights, variance = scatter.averaged(speeds, variances)
+        return weights @ np.array([fit.theta for fit in fits]), variance / self._variance
+
+    def _begin_at(self, theta: Array, bands: list[Band], relief: Array | None = None) -> None:
+        """Take ``bands`` for its own, and begin at ``theta`` (n,), with patches in the plane unless their ``relief``
+        is known."""
+        self.theta, self.bands = theta.copy(), bands
+        self.relief = np.zeros(bands[0].patches) if relief is None else relief.copy()
 
     @property
     def noise(self) -> float:
@@ -176,8 +209,13 @@ class Fit:
     @property
     def _wider(self) -> float:
         """The mean speed's variance by the scores' scatter over that by the pixels' noise, at least 1."""
+        return max(self._variance / self.noise**2, 1.0)
+
+    @property
+    def _variance(self) -> float:
+        """That of the mean speed, m²/s², by the scores' scatter."""
         g = self._mean_speed
-        return max(float(g @ self.covariance @ g) / self.noise**2, 1.0)
+        return float(g @ self.covariance @ g)
 
     @property
     def _mean_speed(self) -> Array:

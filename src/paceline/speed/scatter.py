@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+LEAST_LEFT = 0.5  # share of estimates' variance that their mean has left, at least
 LEAST_REST = 0.05  # share of the information that a single cluster leaves to the others, at least
 
 
@@ -64,3 +65,18 @@ def _unbiased(A: Array, clusters: list[tuple[Array, Array]]) -> list[Array]:
         enlarged = axes / np.sqrt(np.maximum(1.0 - share, LEAST_REST)) @ axes.T
         scores.append(L @ enlarged @ back @ s)
     return scores
+
+
+def averaged(values: Array, variances: Array) -> tuple[Array, float]:
+    """The weights (N,) of N estimates of one number in their mean, and the variance of that.
+
+    They rest on the same pictures, so their errors do not average out as independent ones would; but by what they
+    differ from each other they cannot all be wrong. The squared error of a weighted mean is the mean squared error less
+    the spread about the mean (Krogh and Vedelsby 1995). ``variances`` (N,) are themselves known from few scores, so
+    that a small one may be so by chance: none counts for more than by their mean.
+    """
+    weights = 1.0 / (variances + variances.mean())
+    weights /= weights.sum()
+    mean_variance = float(weights @ variances)
+    spread = float(weights @ (values - weights @ values) ** 2)
+    return weights, max(mean_variance - spread, LEAST_LEFT * mean_variance)
