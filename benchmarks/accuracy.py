@@ -1,6 +1,9 @@
 """Errors and intervals of the measured speeds on rendered clips with exact truth.
 
-python benchmarks/accuracy.py [--suite plain|hard|crossing] [--n 120] [--seed 1000] [--gamma 1] [--workers 2]
+python benchmarks/accuracy.py [--suite plain|hard|crossing] [--n 120] [--seed 1000] [--gamma 1] [--rig exact|stated|unstated]
+
+--rig stated moves every clip's rig at random by what its file states as its uncertainty; --rig unstated moves it as
+much, and the file states nothing: it is taken as exact.
 """
 
 from __future__ import annotations
@@ -15,10 +18,12 @@ import numpy as np
 from common import MPH, distances, head, machine, measured, plain_scene, rendered, rms, row, share_out, true_mean
 
 from paceline import UnusableInput
+from paceline.cameras import RigUncertainty, StereoRig, moved_rig
 from paceline.simulation.planar import Scene, random_crossing, random_scene
 from paceline.speed.results import Measurement
 
 SUITES = {"plain": plain_scene, "hard": random_scene, "crossing": random_crossing}
+RIGS = "exact", "stated", "unstated"
 NAN = float("nan")
 
 
@@ -41,11 +46,22 @@ class Outcome:
         return not self.reason
 
 
-def run(seed: int, suite: str, gamma: float) -> Outcome:
-    """Render, measure and compare the clip of ``seed`` by a camera of ``gamma``."""
+def off(rig: StereoRig, seed: int, stated: bool) -> StereoRig:
+    """``rig``, off by a draw from an uncertainty like that of a careful calibration, which it states or not."""
+    rng = np.random.default_rng([seed, 11])
+    turn, shift = rng.uniform(1e-5, 6e-5, 3), rng.uniform(1e-4, 4e-4, 3)
+    uncertainty = RigUncertainty(float(rng.uniform(0.3, 2.0)), 0.0, tuple(turn), tuple(shift))
+    moved = moved_rig(rig, rng.standard_normal(14) @ uncertainty.moves)
+    return replace(moved, uncertainty=uncertainty) if stated else moved
+
+
+def run(seed: int, suite: str, gamma: float, rig: str) -> Outcome:
+    """Render, measure and compare the clip of ``seed`` by a camera of ``gamma`` and a ``rig`` as in RIGS."""
     scene = replace(SUITES[suite](seed), gamma=gamma)
     describe = partial(Outcome, seed, _describe(scene), scene.radius is not None)
     with rendered(scene) as (clip, truth):
+        if rig != "exact":
+            clip = replace(clip, rig=off(clip.rig, seed, rig == "stated"))
         try:
             m = measured(clip)[0]
         except UnusableInput as unusable:
@@ -76,7 +92,7 @@ def _compared(m: Measurement, true: float) -> dict[str, Any]:
         "true": true / MPH,
         "error": error / MPH,
         "half": (m.speed_hi - m.speed_lo) / 2 / MPH,
-        "z": error / m.random_std,
+        "z": error / float(np.hypot(m.random_std, np.nan_to_num(m.systematic_std))),
         "model": m.model,
         "reason": m.reason,
     }
@@ -121,12 +137,13 @@ def main() -> None:
     parser.add_argument("--n", type=int, default=120, help="number of clips")
     parser.add_argument("--seed", type=int, default=1000, help="seed of the first clip")
     parser.add_argument("--gamma", type=float, default=1.0, help="values go as light to the power 1 / γ")
+    parser.add_argument("--rig", choices=RIGS, default="exact", help="whether the rig is off, and its file says so")
     parser.add_argument("--workers", type=int, default=2, help="processes")
     args = parser.parse_args()
     begun, outcomes = time.perf_counter(), []
     print(head("seed", "clip", "true, mph", "error", "95 % ±", "z", "model", "verdict"), flush=True)
     seeds = range(args.seed, args.seed + args.n)
-    for o in share_out(partial(run, suite=args.suite, gamma=args.gamma), seeds, args.workers):
+    for o in share_out(partial(run, suite=args.suite, gamma=args.gamma, rig=args.rig), seeds, args.workers):
         outcomes.append(o)
         numbers = (f"{o.true:.2f}", f"{o.error:+.3f}", f"{o.half:.3f}", f"{o.z:+.1f}")
         verdict = "measured" if o.is_measured else f"rejected: {o.reason}"

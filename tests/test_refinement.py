@@ -13,8 +13,10 @@ import numpy as np
 import pytest
 import yaml
 from numpy.typing import NDArray
-from scipy.stats import binom
+from scipy.stats import binom, chi2
 
+from paceline.cameras import RigUncertainty, moved_rig
+from paceline.documents import load_clip
 from paceline.simulation.planar import LaneChange, Scene, Vehicle, random_crossing, random_scene, render, write
 from paceline.speed.bands import OPTICS, WHOLE, Band, Glimpse, Layout, areas, bands_of
 from paceline.speed.configuration import SpeedConfiguration
@@ -438,19 +440,48 @@ def perturbations(part: str) -> list[Callable[[dict[str, Any]], None]]:
 def test_the_systematic_part_is_what_another_rig_would_have_made(
     rendered: Callable[[Scene], Path], part: str
 ) -> None:
-    """End to end: clip and rig are read, tracked and refined again."""
+    """End to end: clip and rig are read, tracked and refined again, the rig put right as far as the pictures tell."""
     s = replace(PLAIN[0], noise_sigma=0.5)
     clip = rendered(s)
-    stated = with_rig(clip, f"{part}.stated", lambda rig: rig.update(uncertainty={part: UNCERTAINTY[part]}))
-    m = measure_clip(stated).measurements[0]
-    changes = [
-        measure_clip(with_rig(clip, f"{part}.{i}", change)).measurements[0].speed - m.speed
-        for i, change in enumerate(perturbations(part))
-    ]
-    assert m.systematic_std == pytest.approx(np.sqrt(np.sum(np.square(changes))), rel=0.18)
-    assert m.systematic_std > 3 * m.random_std  # or else this would test nothing
+    state = {"uncertainty": {part: UNCERTAINTY[part]}}
+    m = measure_clip(with_rig(clip, f"{part}.stated", lambda rig: rig.update(state))).measurements[0]
+    changes = []
+    for i, change in enumerate(perturbations(part)):
+        other = with_rig(clip, f"{part}.{i}", lambda rig, change=change: (change(rig), rig.update(state)))
+        changes.append(measure_clip(other).measurements[0].speed - m.speed)
+    response = float(np.sqrt(np.sum(np.square(changes))))
+    if part == "translation_m":  # how long the baseline is no picture tells; the others they tell to within their noise
+        assert m.systematic_std == pytest.approx(response, rel=0.1) and m.systematic_std > 3 * m.random_std
+    assert response < 1.5 * np.hypot(m.systematic_std, m.random_std)
     assert not any("uncertainty" in notice for notice in m.notices)
-    assert m.speed_hi - m.speed > 1.95 * m.systematic_std
+    assert m.speed_hi - m.speed > 1.95 * np.hypot(m.systematic_std, m.random_std)
+
+
+def test_a_rig_that_is_off_is_put_right_by_the_pictures(rendered: Callable[[Scene], Path]) -> None:
+    """Rigs that are off by what they state, and the same ones that state nothing and are taken as exact."""
+    known = RigUncertainty(1.0, 0.0, (4e-5, 4e-5, 4e-5), (3e-4, 3e-4, 3e-4))
+    held, free, z = [], [], []
+    for seed in range(8):
+        s = scene("approaching", 14.0, seed, frames=14)
+        clip = load_clip(rendered(s))
+        move = np.random.default_rng(seed).standard_normal(14) @ known.moves
+        rig = moved_rig(clip.rig, move)
+        m = measure_clip(replace(clip, rig=rig)).measurements[0]
+        held.append(m.speed - mean_speed(s, m))
+        m = measure_clip(replace(clip, rig=replace(rig, uncertainty=known))).measurements[0]
+        free.append(m.speed - mean_speed(s, m))
+        z.append(free[-1] / np.hypot(m.random_std, m.systematic_std))
+    assert np.sqrt(np.mean(np.square(free))) < 0.6 * np.sqrt(np.mean(np.square(held)))
+    assert np.sum(np.square(z)) < chi2.ppf(0.999, len(z))
+
+
+def test_a_rig_that_is_farther_off_than_it_states_is_rejected(rendered: Callable[[Scene], Path]) -> None:
+    clip = load_clip(rendered(scene("approaching", 14.0, 3, frames=14)))
+    known = RigUncertainty(0.0, 0.0, (2e-5, 2e-5, 2e-5), (0.0, 0.0, 0.0))
+    for turn, verdict in ((0.0, "measured"), (20.0, "rejected")):  # about y, by so many standard uncertainties
+        rig = moved_rig(clip.rig, turn * known.moves[9])
+        m = measure_clip(replace(clip, rig=replace(rig, uncertainty=known))).measurements[0]
+        assert m.verdict == verdict and m.reason.startswith("calibration" if turn else "")
 
 
 def test_a_rig_without_uncertainty_says_so(plain: list[Measurement]) -> None:

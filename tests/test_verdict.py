@@ -41,7 +41,7 @@ def refined(explained: list[float], off: float = 0.0, converged: bool = True) ->
     nothing = np.zeros((1, 1))
     trajectory = cast(Trajectory, None)  # of the motion only what it explains is asked
     return Refined(
-        trajectory, np.zeros(1), nothing, nothing, nothing, 1.0, 10.0, offsets, both, (), 0.0, 9.0, converged=converged
+        trajectory, np.zeros(3), np.zeros(1), nothing, nothing, nothing, 1.0, 10.0, offsets, both, (), 0.0, 9.0, converged=converged
     )
 
 

@@ -6,6 +6,9 @@ normal are found so that all of them agree, by Gauss–Newton on intensities. Th
 behind the plane, and a patch that does not fit — glare, a pole — loses its say. How the camera's values go as light
 is found with the motion. Into which patches the plane is divided is arbitrary, and moves the speed by as much as noise
 does: the motion is the mean over several layouts.
+
+Where rig.yaml states how well the cameras are known, that is a prior as well, and no rail: they are moved along with
+the motion. A vehicle that comes nearer tells by how its pictures grow what its disparities ought to be.
 """
 
 from __future__ import annotations
@@ -18,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from paceline.cameras import RigUncertainty, moved_rigs
+from paceline.cameras import StereoRig, moved_rig
 from paceline.speed import scatter
 from paceline.speed.bands import Band, Glimpse, Layout, bands_of
 from paceline.speed.trajectory import EXTRAS, Prior, Trajectory, prior
@@ -27,6 +30,8 @@ Array = NDArray[np.float64]
 
 LEVELS = ((2.5, False), (1.2, False), (0.7, True))  # smoothing at the farthest view, px; whether the finer bands join
 LAYOUTS = Layout(8), Layout(30), Layout(share=(0.8, 1.0)), Layout(share=(1.0, 0.8))  # besides the first one
+FREED = 6  # steps of a fit with the rig free, at most
+UNTOLD = 1e-3  # share of a calibration's variance that pictures take away which tell nothing of it
 RELAID = 3  # steps of a fit to another layout, at most
 RELIEF = 0.04  # m, how far a patch may stand from the plane
 GAMMA = 1.7, 0.6  # γ of a camera, whose values go as light to the power 1 / γ
@@ -48,13 +53,17 @@ CALIBRATION = 1.4
 class Refined:
     """The refined motion: parameters ``theta`` (n,), and what makes them uncertain, as covariances (n, n).
 
-    ``covariance`` is of the pictures' noise, ``doubt`` of the choice among models, ``systematic`` of the calibration:
-    NaN where the rig states no uncertainty. ``residual`` is the median rms of a patch in grey levels, ``contrast``
-    that of the texture; ``offsets`` (F, 2, 2) are the pixels by which each view's picture lies off the motion and
-    ``explained`` (F, 2) the share of its contrast, squared, that the motion explains (NaN where it was not used).
+    ``trajectory`` has the rig as it was moved, ``rig_pulls`` (Q,) are these moves in independent directions, each over
+    the standard deviation that it has where the calibration is as uncertain as it states.
+    ``covariance`` is of the pictures' noise, ``doubt`` of the choice among models, ``systematic`` of what is left open
+    of the calibration: NaN where the rig states no uncertainty. ``residual`` is the median rms of a patch in grey
+    levels, ``contrast`` that of the texture; ``offsets`` (F, 2, 2) are the pixels by which each view's picture lies off
+    the motion and ``explained`` (F, 2) the share of its contrast, squared, that the motion explains (NaN where it was
+    not used).
     """
 
     trajectory: Trajectory
+    rig_pulls: Array
     theta: Array
     covariance: Array
     doubt: Array
@@ -105,7 +114,8 @@ def refine(trajectory: Trajectory, glimpses: list[Glimpse], speed: float, on_pat
             break
         extras, fit = (*extras, best), richer[best][1]
         rare += RARE
-    theta, share = fit.over_layouts()
+    believed = fit.with_rig_free()
+    trajectory, theta, variance = believed.over_layouts()
     # a model not chosen may be the true one all the same: as likely as the evidence leaves it
     odds = np.exp([0.0, *(evidence - rare for evidence, _ in others)])
     covariance, doubt = np.zeros((2, *fit.whole_covariance.shape))
@@ -116,25 +126,28 @@ def refine(trajectory: Trajectory, glimpses: list[Glimpse], speed: float, on_pat
             doubt += likely * np.outer(apart, apart)
     return Refined(
         trajectory,
+        believed.pulls,
         theta,
-        share * covariance,
+        variance / fit.variance * covariance,
         doubt,
-        fit.systematic(trajectory.rig.uncertainty),
-        fit.residual,
-        fit.contrast,
-        *fit.agreement(),
+        believed.systematic,
+        believed.residual,
+        believed.contrast,
+        *believed.agreement(),
         extras,
-        fit.strayed,
-        fit.dof,
-        fit.converged,
+        believed.strayed,
+        believed.dof,
+        believed.converged,
     )
 
 
 class Fit:
-    """One model fitted to the images, coarse to fine."""
+    """One model fitted to the images, coarse to fine, with the rig as it is stated."""
 
     def __init__(self, trajectory: Trajectory, glimpses: list[Glimpse], prior: Prior) -> None:
         self.trajectory, self.glimpses, self.prior = trajectory, glimpses, prior
+        self._rig = _FreeRig(trajectory.rig, np.zeros((0, 14)), 0.0)
+        self.moves = np.zeros(0)  # of the rig, in standard uncertainties
         self.theta, self.relief, self.gamma = self._from_filter(), np.zeros(0), GAMMA[0]
         for smoothing, fine in LEVELS:
             self.bands = bands_of(glimpses, trajectory.quads(self.theta), self.gamma, smoothing, fine)
@@ -177,9 +190,24 @@ class Fit:
         other.descend(STEP, RELAID)
         return other
 
-    def over_layouts(self) -> tuple[Array, float]:
-        """The parameters (n,) as the mean over several layouts, each weighed by how well it tells the mean speed, and
-        the variance of that by this mean over its variance by this fit."""
+    def with_rig_free(self) -> Fit:
+        """The same model with the rig free as far as it is uncertain, from here; itself where the rig states no
+        uncertainty."""
+        rig = self.trajectory.rig
+        if rig.uncertainty is None:
+            return self
+        other = copy(self)
+        directions = rig.uncertainty.moves
+        # pictures tell less than their pixels' noise makes believe, and the calibration is told by pictures here
+        other._rig = _FreeRig(rig, directions[directions.any(1)], self._wider)
+        other.moves = np.zeros(len(other._rig.directions))
+        other._begin_at(self.theta, [copy(band) for band in self.bands], self.relief)
+        other.descend(STEP, FREED)
+        return other
+
+    def over_layouts(self) -> tuple[Trajectory, Array, float]:
+        """The mean over several layouts, each weighed by how well it tells the mean speed: the trajectory with the rig
+        as moved, the parameters (n,), and the variance of the mean speed, m²/s²."""
         fits = [self]
         for layout in LAYOUTS:
             try:
@@ -187,10 +215,11 @@ class Fit:
             except np.linalg.LinAlgError:  # patches too small for what they show: the others tell
                 continue
         fits = [self, *(fit for fit in fits[1:] if fit.converged)]
-        variances = np.array([fit._variance for fit in fits])
         speeds = np.array([self.trajectory.mean_speed_shares @ fit.theta for fit in fits])
-        weights, variance = scatter.averaged(speeds, variances)
-        return weights @ np.array([fit.theta for fit in fits]), variance / self._variance
+        weights, variance = scatter.averaged(speeds, np.array([fit.variance for fit in fits]))
+        moves = weights @ np.array([fit.moves for fit in fits])
+        theta = weights @ np.array([fit.theta for fit in fits])
+        return self._moved_to(moves), theta, variance
 
     def _begin_at(self, theta: Array, bands: list[Band], relief: Array | None = None) -> None:
         """Take ``bands`` for its own, and begin at ``theta`` (n,), with patches in the plane unless their ``relief``
@@ -209,10 +238,10 @@ class Fit:
     @property
     def _wider(self) -> float:
         """The mean speed's variance by the scores' scatter over that by the pixels' noise, at least 1."""
-        return max(self._variance / self.noise**2, 1.0)
+        return max(self.variance / self.noise**2, 1.0)
 
     @property
-    def _variance(self) -> float:
+    def variance(self) -> float:
         """That of the mean speed, m²/s², by the scores' scatter."""
         g = self._mean_speed
         return float(g @ self.covariance @ g)
@@ -238,24 +267,32 @@ class Fit:
 
     def descend(self, enough: float, most: int = MOST_STEPS) -> None:
         """Gauss–Newton until no parameter moves by ``enough`` of its standard deviation."""
-        P = len(self.prior.free)
+        P, Q = len(self.prior.free), len(self.moves)
         for _ in range(most):
             self.A, score, *self._cells = self._assemble()
             change = -np.linalg.solve(self.A, score)
-            if not GAMMAS[0] <= self.gamma + change[P] <= GAMMAS[1]:  # it goes as far as it can, and the others with it
-                self.A[P, P] += FIRM
-                score[P] -= FIRM * (np.clip(self.gamma + change[P], *GAMMAS) - self.gamma)
+            at = P + Q  # γ: it goes as far as it can, and the others with it
+            if not GAMMAS[0] <= self.gamma + change[at] <= GAMMAS[1]:
+                self.A[at, at] += FIRM
+                score[at] -= FIRM * (np.clip(self.gamma + change[at], *GAMMAS) - self.gamma)
                 change = -np.linalg.solve(self.A, score)
             if not np.isfinite(change).all():
                 raise np.linalg.LinAlgError("the images determine no step")
             self.theta[self.prior.free] += change[:P]
-            self.gamma = float(np.clip(self.gamma + change[P], *GAMMAS))
-            self.relief += change[P + 1 :]
+            self.moves = self.moves + change[P:at]
+            self.gamma = float(np.clip(self.gamma + change[at], *GAMMAS))
+            self.relief += change[at + 1 :]
+            if Q:
+                self.trajectory = self._moved_to(self.moves)
             step = float(np.abs(change[:P] / np.sqrt(np.diag(np.linalg.inv(self.A))[:P])).max())
             if step < enough:
                 break
         self.converged = step < UNSETTLED
         self.__dict__.pop("covariance", None)
+
+    def _moved_to(self, moves: Array) -> Trajectory:
+        """The trajectory with the rig moved by ``moves`` (Q,)."""
+        return replace(self.trajectory, rig=self._rig.moved(moves)) if len(moves) else self.trajectory
 
     def _from_filter(self) -> Array:
         """Parameters that fit the filter's regions best, robustly."""
@@ -292,36 +329,47 @@ class Fit:
         change[np.arange(len(index)), index] = steps
         return theta + np.stack([change, -change]), steps
 
+    def _derivatives_by_rig(self, H: Array) -> Array:
+        """∂H/∂moves (views, 3, 3, Q) at ``H`` (views, 3, 3), by differences of a standard uncertainty: the motion stays
+        in the left camera's axes."""
+        if not len(self.moves):
+            return np.zeros((*H.shape, 0))
+        rigs = [self._rig.moved(self.moves + unit) for unit in np.eye(len(self.moves))]
+        seen = self.trajectory.by_rigs(rigs, self.theta).reshape(len(rigs), *H.shape)
+        return np.moveaxis(seen - H, 0, -1)
+
     def _assemble(self) -> tuple[Array, Array, Array, Array]:
-        """The normal matrix and score over free parameters, gamma and relief, prior included, and what each view's
-        patches give to them: (views, patches, P + 2, P + 2) and (views, patches, P + 2), their own relief last."""
-        p, K = self.prior, len(self.relief)
+        """The normal matrix and score over free parameters, the rig's moves, gamma and relief, prior included, and what
+        each view's patches give to them: (views, patches, n, n) and (views, patches, n) with n = P + Q + 2, their own
+        relief last."""
+        p, P, Q, K = self.prior, len(self.prior.free), len(self.moves), len(self.relief)
         H, H_d = (h.reshape(-1, 3, 3) for h in self.trajectory.homographies(self.theta))
-        dH = self._derivatives(p.free)
-        n = len(p.free) + 2
+        dH = np.concatenate([self._derivatives(p.free), self._derivatives_by_rig(H)], axis=-1)
+        n = P + Q + 2
         cells_A, cells = np.zeros((len(H), K, n, n)), np.zeros((len(H), K, n))
         for band in self.bands:
             a, s = band.normal_equations(H, H_d, self.relief, self.gamma, dH)
             cells_A[band.views] += a
             cells[band.views] += s
-        A, score = self._prior_information(), np.zeros(n - 1 + K)
-        score[: n - 2] = p.information @ (self.theta - p.mean)[p.free]
+        A, score = self._prior_information(self._rig.firmness), np.zeros(n - 1 + K)
+        score[:P] = p.information @ (self.theta - p.mean)[p.free]
+        score[P : P + Q] = self._rig.firmness * self.moves
         score[n - 2] = (self.gamma - GAMMA[0]) / GAMMA[1] ** 2
         score[n - 1 :] = self.relief / RELIEF**2
         return A + scatter.joined(cells_A), score + scatter.joined_scores(cells), cells_A, cells
 
-    def _prior_information(self) -> Array:
-        """Information of the prior over free parameters, gamma and relief."""
-        P = len(self.prior.free)
-        information = np.diag([*np.zeros(P), GAMMA[1] ** -2, *np.full(len(self.relief), RELIEF**-2)])
+    def _prior_information(self, of_rig: float) -> Array:
+        """Information of the prior over free parameters, the rig's moves, ``of_rig`` for each, gamma and relief."""
+        P, Q, K = len(self.prior.free), len(self.moves), len(self.relief)
+        information = np.diag([*np.zeros(P), *np.full(Q, of_rig), GAMMA[1] ** -2, *np.full(K, RELIEF**-2)])
         information[:P, :P] = self.prior.information
         return information
 
     @cached_property
     def covariance(self) -> Array:
-        """Covariance of the free parameters, from the scatter of the scores."""
-        known, (cells_A, cells) = self._prior_information(), self._cells
-        P, judged = len(self.prior.free), np.append(self._mean_speed, 0.0)
+        """Covariance of the free parameters, from the scatter of the scores: but for what the calibration does."""
+        known, (cells_A, cells) = self._prior_information(0.0), self._cells
+        P, judged = len(self.prior.free), np.append(self._mean_speed, np.zeros(len(self.moves) + 1))
         return CALIBRATION**2 * scatter.covariance(self.A, known, cells_A, cells, judged)[:P, :P]
 
     @property
@@ -366,28 +414,35 @@ class Fit:
         off[base.views], explained[base.views] = base.agreement(H, H_d, self.relief, self.gamma)
         return off.reshape(-1, 2, 2), explained.reshape(-1, 2)
 
-    def systematic(self, uncertainty: RigUncertainty | None) -> Array:
-        """Covariance (n, n) that the rig's stated uncertainty causes: the refit's response to every calibration
-        parameter, the images held fixed. NaN where none is stated."""
-        n = len(self.theta)
-        if uncertainty is None:
+    @property
+    def pulls(self) -> Array:
+        """The rig's moves (Q,) over the standard deviations that they have if the calibration is as uncertain as it
+        states: the less the pictures tell of one, the less it moves. Zero for those of which they tell nothing."""
+        rig = slice(len(self.prior.free), len(self.prior.free) + len(self.moves))
+        told = 1.0 - self._rig.firmness * np.diag(np.linalg.inv(self.A))[rig]
+        return np.where(told > UNTOLD, self.moves / np.sqrt(np.maximum(told, UNTOLD)), 0.0)
+
+    @property
+    def systematic(self) -> Array:
+        """Covariance (n, n) that is due to the calibration: how the fit responds where the rig is off by each of its
+        standard uncertainties, less what the pictures put right of it. NaN where none is stated."""
+        n, p, P, Q = len(self.theta), self.prior.free, len(self.prior.free), len(self.moves)
+        if self._rig.stated.uncertainty is None:
             return np.full((n, n), np.nan)
-        rig = self.trajectory.rig
-        H, H_d = (h.reshape(-1, 3, 3) for h in self.trajectory.homographies(self.theta))
-        changes = []
-        for moved in moved_rigs(rig, uncertainty):
-            t = self.trajectory
-            other = replace(t, rig=moved)
-            changes.append(other.homographies(self.theta)[0].reshape(-1, 3, 3) - H)
-        p = self.prior
-        P, K, Q = len(p.free), len(self.relief), len(changes)
-        dH = np.concatenate([self._derivatives(p.free), np.stack(changes, axis=-1)], axis=-1)
-        coupling = np.zeros((P + 1 + K, Q))
-        for band in self.bands:
-            a, _ = band.normal_equations(H, H_d, self.relief, self.gamma, dH)
-            coupling[:P] += a[..., :P, P : P + Q].sum((0, 1))
-            coupling[P] += a[..., P + Q, P : P + Q].sum((0, 1))
-            coupling[P + 1 :] += a[..., P + Q + 1, P : P + Q].sum(0)
         response = np.zeros((n, Q))
-        response[p.free] = -np.linalg.solve(self.A, coupling)[:P]
+        response[p] = self._rig.firmness * np.linalg.inv(self.A)[:P, P : P + Q]
         return np.asarray(response @ response.T)
+
+
+@dataclass(frozen=True, eq=False)
+class _FreeRig:
+    """The rig as ``stated``, the ``directions`` (Q, 14) in which it may move, one standard uncertainty each, and how
+    much more ``firmness`` than one each has, as a picture's information is counted."""
+
+    stated: StereoRig
+    directions: Array
+    firmness: float
+
+    def moved(self, moves: Array) -> StereoRig:
+        """The rig moved by ``moves`` (Q,) standard uncertainties; it goes on stating these."""
+        return replace(moved_rig(self.stated, moves @ self.directions), uncertainty=self.stated.uncertainty)

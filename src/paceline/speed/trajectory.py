@@ -251,8 +251,15 @@ class Trajectory:
     def homographies(self, theta: Array) -> tuple[Array, Array]:
         """By ``theta`` (…, n), H (…, F, 2, 3, 3) from the unit square to both views, and its change per metre of the
         plane's distance d."""
-        R, t, n, d = self.motion(theta)
-        rig = self.rig
+        return self._seen_by(self.rig, *self.motion(theta))
+
+    def by_rigs(self, rigs: list[StereoRig], theta: Array) -> Array:
+        """H (Q, F, 2, 3, 3) by ``theta`` (n,) as each of Q ``rigs`` that differ little sees the motion."""
+        motion = self.motion(theta)
+        return np.array([self._seen_by(rig, *motion)[0] for rig in rigs])
+
+    def _seen_by(self, rig: StereoRig, R: Array, t: Array, n: Array, d: Array) -> tuple[Array, Array]:
+        """`homographies` of a motion, as ``rig`` sees it."""
         back = rig.left.K_inv @ self._square
         K = np.stack([rig.left.K, rig.right.K])
         R_view = np.stack([np.eye(3), rig.R])

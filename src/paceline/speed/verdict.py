@@ -16,6 +16,7 @@ FASTEST = 90.0  # m/s
 STRAYED = 3.0  # standard deviations, rms over the modes of a way, that it may bend by a face with a contrast below
 FAINT = 5.0  # grey levels: such a one is easily followed to where it is not
 OUTLINED = 5.0  # standard deviations of an outline's place, by its corners, that the motion may lie off it
+CONTRADICTED = 5.0  # standard deviations of what pictures put right of a calibration, beyond which it is another one
 WIDEST = (0.06, 0.5)  # half-width of an interval that still counts: relative, and m/s
 OWN = 2 / 3  # share of that which may be the vehicle's own, not the calibration's
 
@@ -30,6 +31,11 @@ def against(refined: Refined, speed: float, half: float, own: float) -> str:
     across = float(np.nanmedian(refined.offsets[:, 1, 1] - refined.offsets[:, 0, 1]))
     if abs(across) > DISAGREE:
         return f"views disagree: they lie {abs(across):.1f} px apart across the epipolar lines"
+    if (pull := float(np.abs(refined.rig_pulls).max(initial=0.0))) > CONTRADICTED:
+        return (
+            f"calibration: these pictures want the cameras elsewhere, by {pull:.1f} times as much as the uncertainty "
+            "in rig.yaml makes usual"
+        )
     if not 0 <= speed <= FASTEST:
         return f"implausible: {speed:.1f} m/s"
     if refined.strayed > STRAYED and refined.contrast < FAINT:
