@@ -1,6 +1,6 @@
 """Errors and intervals of the measured speeds on rendered clips with exact truth.
 
-python benchmarks/accuracy.py [--suite plain|hard|crossing] [--n 120] [--seed 1000] [--gamma 1] [--rig exact|stated|unstated]
+python benchmarks/accuracy.py [--suite plain|hard|crossing] [--n 120] [--seed 1000] [--gamma 1] [--rig exact]
 
 --rig stated moves every clip's rig at random by what its file states as its uncertainty; --rig unstated moves it as
 much, and the file states nothing: it is taken as exact.
