@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 LEVELS = ((2.5, False), (1.2, False), (0.7, True))  # smoothing at the farthest view, px; whether the finer bands join
 LAYOUTS = Layout(8), Layout(30), Layout(share=(0.8, 1.0)), Layout(share=(1.0, 0.8))  # besides the first one
 FREED = 6  # steps of a fit with the rig free, at most
-UNTOLD = 1e-3  # share of a calibration's variance that pictures take away which tell nothing of it
+UNTOLD = 0.05  # share of the variance of a move that pictures have to take away to tell anything of it
 RELAID = 3  # steps of a fit to another layout, at most
 RELIEF = 0.04  # m, how far a patch may stand from the plane
 GAMMA = 1.7, 0.6  # γ of a camera, whose values go as light to the power 1 / γ
@@ -417,7 +417,7 @@ class Fit:
     @property
     def pulls(self) -> Array:
         """The rig's moves (Q,) over the standard deviations that they have if the calibration is as uncertain as it
-        states: the less the pictures tell of one, the less it moves. Zero for those of which they tell nothing."""
+        states: the less the pictures tell of one, the less it moves. Zero for those of which they tell next to nothing."""
         rig = slice(len(self.prior.free), len(self.prior.free) + len(self.moves))
         told = 1.0 - self._rig.firmness * np.diag(np.linalg.inv(self.A))[rig]
         return np.where(told > UNTOLD, self.moves / np.sqrt(np.maximum(told, UNTOLD)), 0.0)
