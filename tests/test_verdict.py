@@ -38,11 +38,9 @@ def refined(explained: list[float], off: float = 0.0, converged: bool = True) ->
     """A motion that explains so much of each frame, all of them ``off`` by so many pixels to the right."""
     both = np.repeat(np.array(explained)[:, None], 2, axis=1)
     offsets = np.where(np.isnan(both)[..., None], np.nan, [off, 0.0])
-    nothing = np.zeros((1, 1))
     trajectory = cast(Trajectory, None)  # of the motion only what it explains is asked
-    return Refined(
-        trajectory, np.zeros(3), np.zeros(1), nothing, nothing, nothing, 1.0, 10.0, offsets, both, (), 0.0, 9.0, converged=converged
-    )
+    theta, unsure, pulls = np.zeros(1), [np.zeros((1, 1))] * 3, np.zeros(3)
+    return Refined(trajectory, pulls, theta, *unsure, 1.0, 10.0, offsets, both, (), 0.0, 9.0, converged)
 
 
 def moving_with(right: Array) -> Refined:

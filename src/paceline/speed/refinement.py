@@ -417,7 +417,7 @@ class Fit:
     @property
     def pulls(self) -> Array:
         """The rig's moves (Q,) over the standard deviations that they have if the calibration is as uncertain as it
-        states: the less the pictures tell of one, the less it moves. Zero for those of which they tell next to nothing."""
+        states: the less the pictures tell of one, the less it moves. Zero for those of which they hardly tell."""
         rig = slice(len(self.prior.free), len(self.prior.free) + len(self.moves))
         told = 1.0 - self._rig.firmness * np.diag(np.linalg.inv(self.A))[rig]
         return np.where(told > UNTOLD, self.moves / np.sqrt(np.maximum(told, UNTOLD)), 0.0)
