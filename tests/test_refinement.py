@@ -6,7 +6,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import cv2
 import numpy as np
@@ -21,10 +22,10 @@ from paceline.simulation.planar import LaneChange, Scene, Vehicle, random_crossi
 from paceline.speed.bands import OPTICS, WHOLE, Band, Glimpse, Layout, areas, bands_of
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.measurement import measure_clip
-from paceline.speed.refinement import FIRM, GAMMAS, LAYOUTS, Fit
+from paceline.speed.refinement import FIRM, GAMMAS, LAYOUTS, Fit, _FreeRig
 from paceline.speed.results import Measurement
 from paceline.speed.scatter import LEAST_LEFT
-from paceline.speed.trajectory import NAMES
+from paceline.speed.trajectory import NAMES, Prior, Trajectory
 from paceline.speed.verdict import STRAYED
 
 MPH = 0.44704  # m/s
@@ -254,9 +255,9 @@ def test_the_speed_is_the_mean_over_layouts(rendered: Callable[[Scene], Path]) -
     speeds = fit.trajectory.mean_speed_shares
     own = [float(speeds @ f.theta) for f in (fit, *map(fit.laid_out, LAYOUTS))]
     assert min(own) < m.speed < max(own) and m.speed != pytest.approx(own[0], abs=1e-9)
-    theta, share = fit.over_layouts()
+    _, theta, variance = fit.over_layouts()
     assert m.speed == pytest.approx(float(speeds @ theta), abs=1e-9)
-    assert LEAST_LEFT < share < 2.0
+    assert LEAST_LEFT < variance / fit.variance < 2.0
 
 
 def test_a_layout_that_determines_nothing_is_left_out(
@@ -268,9 +269,9 @@ def test_a_layout_that_determines_nothing_is_left_out(
         raise np.linalg.LinAlgError
 
     monkeypatch.setattr(Fit, "laid_out", fails)
-    theta, share = fit.over_layouts()
+    trajectory, theta, variance = fit.over_layouts()
     np.testing.assert_array_equal(theta, fit.theta)
-    assert share == pytest.approx(1.0)
+    assert trajectory is fit.trajectory and variance == pytest.approx(fit.variance)
 
 
 # --- light ---------------------------------------------------------------------------------------------------------
@@ -473,6 +474,48 @@ def test_a_rig_that_is_off_is_put_right_by_the_pictures(rendered: Callable[[Scen
         z.append(free[-1] / np.hypot(m.random_std, m.systematic_std))
     assert np.sqrt(np.mean(np.square(free))) < 0.6 * np.sqrt(np.mean(np.square(held)))
     assert np.sum(np.square(z)) < chi2.ppf(0.999, len(z))
+
+
+def test_what_is_put_right_of_a_rig_and_what_is_left_of_it() -> None:
+    """A linear model of four parameters and three moves, whose scores scatter wider than the pixels' noise."""
+    rng, wider, n = np.random.default_rng(4), 2.5, 40_000
+    J = rng.standard_normal((30, 7)) * [1, 1, 1, 1, 3, 1, 0.1]
+    images = J.T @ J
+    fit = object.__new__(Fit)
+    fit.prior, fit.theta = Prior(np.zeros(4), np.arange(4), np.eye(4)), np.zeros(4)
+    fit.trajectory = cast(Trajectory, SimpleNamespace(rig=SimpleNamespace(uncertainty=RigUncertainty())))
+    fit._rig = _FreeRig(fit.trajectory, np.eye(3, 14), wider)
+    fit.A = images + np.diag([0, 0, 0, 0, wider, wider, wider])
+    # rigs that are off by what they state, and pictures of them
+    scores = images[:, 4:] @ rng.standard_normal((3, n)) + np.sqrt(wider) * J.T @ rng.standard_normal((30, n))
+    fit.moves = np.linalg.solve(fit.A, scores)[4:].std(1)
+    np.testing.assert_allclose(fit.pulls[:2], 1.0, rtol=5.0 / np.sqrt(2 * n))
+    assert fit.moves[2] < 0.3 and fit.pulls[2] in (0.0, pytest.approx(1.0, rel=0.02))  # hardly told
+    response = np.linalg.solve(fit.A, images[:, 4:])[:4]  # to a rig that is off by one of each, without noise
+    np.testing.assert_allclose(fit.systematic, response @ response.T, rtol=1e-9)
+
+
+@pytest.mark.parametrize("p", [0.01, 0.03])
+def test_how_long_the_baseline_is_no_picture_tells(rendered: Callable[[Scene], Path], p: float) -> None:
+    """In a bend, whose path is reconstructed as much too large as everything else."""
+    s = scene("left", 16.0, 6)
+    clip = load_clip(rendered(s))
+    move = np.append(np.zeros(11), p * clip.rig.t)
+    rig = replace(moved_rig(clip.rig, move), uncertainty=RigUncertainty(covariance=np.outer(move, move)))
+    m = measure_clip(replace(clip, rig=rig)).measurements[0]
+    true = mean_speed(s, m)
+    assert m.systematic_std == pytest.approx(p * true, rel=0.05)
+    assert m.speed == pytest.approx((1.0 + p) * true, abs=4 * m.random_std)
+
+
+def test_no_picture_shows_that_all_is_larger(rendered: Callable[[Scene], Path]) -> None:
+    """A rig and a reconstruction three per cent larger, a motion as much faster and farther away."""
+    fit, _ = fitted(rendered(scene("left", 16.0, 6)))
+    move = np.append(np.zeros(11), 0.03 * fit.trajectory.rig.t)
+    grown = replace(fit.trajectory.grown(1.03), rig=moved_rig(fit.trajectory.rig, move))
+    theta = fit.theta * [1.0, 1.03, 1.03, *np.ones(len(fit.theta) - 3)]
+    theta[0] += np.log(1.03)
+    np.testing.assert_allclose(grown.quads(theta), fit.trajectory.quads(fit.theta), atol=1e-3)
 
 
 def test_a_rig_that_is_farther_off_than_it_states_is_rejected(rendered: Callable[[Scene], Path]) -> None:

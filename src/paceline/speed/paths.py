@@ -112,6 +112,10 @@ class Path:
         points = self.points + lateral_offset * self.frames(self.s)[:, :, 1]
         return resampled(self.name, self.shape, points, self.modes)
 
+    def scaled(self, factor: float) -> Path:
+        """The path as cameras ``factor`` times as far apart would have reconstructed it."""
+        return Path(self.name, self.shape, factor * self.s, factor * self.points, factor * self.modes)
+
     def reversed(self) -> Path:
         """The same curve travelled the other way."""
         s = self.s[-1] - self.s[::-1]

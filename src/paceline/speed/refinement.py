@@ -30,6 +30,7 @@ Array = NDArray[np.float64]
 
 LEVELS = ((2.5, False), (1.2, False), (0.7, True))  # smoothing at the farthest view, px; whether the finer bands join
 LAYOUTS = Layout(8), Layout(30), Layout(share=(0.8, 1.0)), Layout(share=(1.0, 0.8))  # besides the first one
+RIG_STEP = 1e-3  # standard uncertainties, or a share of the baseline, by which differences tell a derivative
 FREED = 6  # steps of a fit with the rig free, at most
 UNTOLD = 0.05  # share of the variance of a move that pictures have to take away to tell anything of it
 RELAID = 3  # steps of a fit to another layout, at most
@@ -98,7 +99,7 @@ def refine(trajectory: Trajectory, glimpses: list[Glimpse], speed: float, on_pat
     for an acceleration that changes, or, without one, for a turn. Raises numpy.linalg.LinAlgError where the images
     determine nothing.
     """
-    fit = Fit(trajectory, glimpses, prior(trajectory, speed))
+    fit = Fit(trajectory, glimpses, prior(trajectory, speed)).with_rig_free()
     extras: tuple[str, ...] = ()
     possible = {*EXTRAS} - ({"turn"} if on_path else {"surge"})
     others: list[tuple[float, Fit]] = []
@@ -114,8 +115,7 @@ def refine(trajectory: Trajectory, glimpses: list[Glimpse], speed: float, on_pat
             break
         extras, fit = (*extras, best), richer[best][1]
         rare += RARE
-    believed = fit.with_rig_free()
-    trajectory, theta, variance = believed.over_layouts()
+    trajectory, theta, variance = fit.over_layouts()
     # a model not chosen may be the true one all the same: as likely as the evidence leaves it
     odds = np.exp([0.0, *(evidence - rare for evidence, _ in others)])
     covariance, doubt = np.zeros((2, *fit.whole_covariance.shape))
@@ -126,18 +126,18 @@ def refine(trajectory: Trajectory, glimpses: list[Glimpse], speed: float, on_pat
             doubt += likely * np.outer(apart, apart)
     return Refined(
         trajectory,
-        believed.pulls,
+        fit.pulls,
         theta,
         variance / fit.variance * covariance,
         doubt,
-        believed.systematic,
-        believed.residual,
-        believed.contrast,
-        *believed.agreement(),
+        fit.systematic,
+        fit.residual,
+        fit.contrast,
+        *fit.agreement(),
         extras,
-        believed.strayed,
-        believed.dof,
-        believed.converged,
+        fit.strayed,
+        fit.dof,
+        fit.converged,
     )
 
 
@@ -146,7 +146,7 @@ class Fit:
 
     def __init__(self, trajectory: Trajectory, glimpses: list[Glimpse], prior: Prior) -> None:
         self.trajectory, self.glimpses, self.prior = trajectory, glimpses, prior
-        self._rig = _FreeRig(trajectory.rig, np.zeros((0, 14)), 0.0)
+        self._rig = _FreeRig(trajectory, np.zeros((0, 14)), 0.0)
         self.moves = np.zeros(0)  # of the rig, in standard uncertainties
         self.theta, self.relief, self.gamma = self._from_filter(), np.zeros(0), GAMMA[0]
         for smoothing, fine in LEVELS:
@@ -169,7 +169,7 @@ class Fit:
         if evidence < np.log(NEGLIGIBLE):
             return evidence, other
         if evidence > RARE:
-            other = Fit(self.trajectory, self.glimpses, prior)
+            other = Fit(self._rig.stated, self.glimpses, prior).with_rig_free()
         return other._log_evidence(extra, self.prior, other._wider), other
 
     def outlined(self, quad: Array, most: int) -> Fit:
@@ -193,16 +193,17 @@ class Fit:
     def with_rig_free(self) -> Fit:
         """The same model with the rig free as far as it is uncertain, from here; itself where the rig states no
         uncertainty."""
-        rig = self.trajectory.rig
-        if rig.uncertainty is None:
+        uncertainty = self.trajectory.rig.uncertainty
+        if uncertainty is None:
             return self
         other = copy(self)
-        directions = rig.uncertainty.moves
-        # pictures tell less than their pixels' noise makes believe, and the calibration is told by pictures here
-        other._rig = _FreeRig(rig, directions[directions.any(1)], self._wider)
-        other.moves = np.zeros(len(other._rig.directions))
+        directions = uncertainty.moves[uncertainty.moves.any(1)]
+        other.moves = np.zeros(len(directions))
         other._begin_at(self.theta, [copy(band) for band in self.bands], self.relief)
-        other.descend(STEP, FREED)
+        # pictures tell less than their pixels' noise makes believe: how much less is seen once the rig misleads no more
+        for fit in (self, other):
+            other._rig = _FreeRig(self.trajectory, directions, fit._wider)
+            other.descend(STEP, FREED)
         return other
 
     def over_layouts(self) -> tuple[Trajectory, Array, float]:
@@ -233,7 +234,15 @@ class Fit:
         where the images do not determine it."""
         shares = np.zeros(len(self.A))
         shares[: len(self.prior.free)] = self._mean_speed
-        return float(np.linalg.norm(np.linalg.solve(np.linalg.cholesky(self.A), shares)))
+        root = np.linalg.cholesky(self.A)
+        response = np.linalg.solve(root.T, np.linalg.solve(root, shares))
+        of_rig = self._rig.firmness * np.square(response[self._rig_rows]).sum()
+        return float(np.sqrt(max(shares @ response - of_rig, 0.0)))
+
+    @property
+    def _rig_rows(self) -> slice:
+        """Where the rig's moves stand among all that is fitted."""
+        return slice(len(self.prior.free), len(self.prior.free) + len(self.moves))
 
     @property
     def _wider(self) -> float:
@@ -291,8 +300,10 @@ class Fit:
         self.__dict__.pop("covariance", None)
 
     def _moved_to(self, moves: Array) -> Trajectory:
-        """The trajectory with the rig moved by ``moves`` (Q,)."""
-        return replace(self.trajectory, rig=self._rig.moved(moves)) if len(moves) else self.trajectory
+        """The trajectory with the rig moved by ``moves`` (Q,), and as large as that would have reconstructed it."""
+        if not len(moves):
+            return self.trajectory
+        return replace(self._rig.stated.grown(self._rig.farther_apart(moves)), rig=self._rig.moved(moves))
 
     def _from_filter(self) -> Array:
         """Parameters that fit the filter's regions best, robustly."""
@@ -330,13 +341,18 @@ class Fit:
         return theta + np.stack([change, -change]), steps
 
     def _derivatives_by_rig(self, H: Array) -> Array:
-        """∂H/∂moves (views, 3, 3, Q) at ``H`` (views, 3, 3), by differences of a standard uncertainty: the motion stays
-        in the left camera's axes."""
+        """∂H/∂moves (views, 3, 3, Q) at ``H`` (views, 3, 3), by differences: the motion stays as it is, but that its
+        path grows as the cameras part."""
         if not len(self.moves):
             return np.zeros((*H.shape, 0))
-        rigs = [self._rig.moved(self.moves + unit) for unit in np.eye(len(self.moves))]
-        seen = self.trajectory.by_rigs(rigs, self.theta).reshape(len(rigs), *H.shape)
-        return np.moveaxis(seen - H, 0, -1)
+        moved = self.moves + RIG_STEP * np.eye(len(self.moves))
+        seen = self.trajectory.by_rigs([self._rig.moved(m) for m in moved], self.theta)
+        changes = np.moveaxis((seen.reshape(-1, *H.shape) - H) / RIG_STEP, 0, -1)
+        here = self._rig.farther_apart(self.moves)
+        growth = np.array([self._rig.farther_apart(m) / here - 1.0 for m in moved]) / RIG_STEP
+        grown = self.trajectory.grown(1.0 + RIG_STEP).homographies(self.theta)[0]
+        by_path = (grown.reshape(H.shape) - H) / RIG_STEP
+        return np.asarray(changes + by_path[..., None] * growth)
 
     def _assemble(self) -> tuple[Array, Array, Array, Array]:
         """The normal matrix and score over free parameters, the rig's moves, gamma and relief, prior included, and what
@@ -418,31 +434,35 @@ class Fit:
     def pulls(self) -> Array:
         """The rig's moves (Q,) over the standard deviations that they have if the calibration is as uncertain as it
         states: the less the pictures tell of one, the less it moves. Zero for those of which they hardly tell."""
-        rig = slice(len(self.prior.free), len(self.prior.free) + len(self.moves))
-        told = 1.0 - self._rig.firmness * np.diag(np.linalg.inv(self.A))[rig]
+        told = 1.0 - self._rig.firmness * np.diag(np.linalg.inv(self.A))[self._rig_rows]
         return np.where(told > UNTOLD, self.moves / np.sqrt(np.maximum(told, UNTOLD)), 0.0)
 
     @property
     def systematic(self) -> Array:
         """Covariance (n, n) that is due to the calibration: how the fit responds where the rig is off by each of its
         standard uncertainties, less what the pictures put right of it. NaN where none is stated."""
-        n, p, P, Q = len(self.theta), self.prior.free, len(self.prior.free), len(self.moves)
-        if self._rig.stated.uncertainty is None:
+        n, p = len(self.theta), self.prior.free
+        if self.trajectory.rig.uncertainty is None:
             return np.full((n, n), np.nan)
-        response = np.zeros((n, Q))
-        response[p] = self._rig.firmness * np.linalg.inv(self.A)[:P, P : P + Q]
+        response = np.zeros((n, len(self.moves)))
+        response[p] = self._rig.firmness * np.linalg.inv(self.A)[: len(p), self._rig_rows]
         return np.asarray(response @ response.T)
 
 
 @dataclass(frozen=True, eq=False)
 class _FreeRig:
-    """The rig as ``stated``, the ``directions`` (Q, 14) in which it may move, one standard uncertainty each, and how
-    much more ``firmness`` than one each has, as a picture's information is counted."""
+    """The trajectory as ``stated``, the ``directions`` (Q, 14) in which its rig may move, one standard uncertainty
+    each, and the ``firmness`` of each: how much information it counts for."""
 
-    stated: StereoRig
+    stated: Trajectory
     directions: Array
     firmness: float
 
     def moved(self, moves: Array) -> StereoRig:
         """The rig moved by ``moves`` (Q,) standard uncertainties; it goes on stating these."""
-        return replace(moved_rig(self.stated, moves @ self.directions), uncertainty=self.stated.uncertainty)
+        rig = self.stated.rig
+        return replace(moved_rig(rig, moves @ self.directions), uncertainty=rig.uncertainty)
+
+    def farther_apart(self, moves: Array) -> float:
+        """How many times as far apart the cameras are then."""
+        return self.moved(moves).baseline / self.stated.rig.baseline

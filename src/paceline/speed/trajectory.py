@@ -6,7 +6,7 @@ square of the plane's region to both views at every frame.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import factorial
 
@@ -174,6 +174,15 @@ class Trajectory:
     @property
     def _surges(self) -> int:
         return int(self._surging.c.shape[-1])
+
+    def grown(self, factor: float) -> Trajectory:
+        """All that was reconstructed, by cameras ``factor`` times as far apart: no picture shows a difference."""
+        return replace(
+            self,
+            path=self.path.scaled(factor),
+            plane=replace(self.plane, centre=factor * self.plane.centre),
+            bends=replace(self.bends, u=factor * self.bends.u),
+        )
 
     @cached_property
     def _ray(self) -> Array:
