@@ -36,7 +36,7 @@ class SpeedEffect:
 
 def speed_effects(rig: StereoRig, distances: Sequence[float] = DISTANCES) -> list[SpeedEffect]:
     """What the stated uncertainty of ``rig`` does to speeds in the middle of the picture: every move that it allows,
-    with the pixels held fixed, as it enters the systematic part of every interval."""
+    with the pixels held fixed, before any vehicle's pictures put some of it right."""
     assert rig.uncertainty is not None
     moves = moved_rigs(rig, rig.uncertainty)
     effects = []

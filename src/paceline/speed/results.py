@@ -35,9 +35,9 @@ class Track:
 class Measurement:
     """The result for one vehicle: the mean speed over the frames measured, its interval, and the verdict.
 
-    ``random_std`` is the vehicle's own standard uncertainty, ``systematic_std`` the part that comes from the rig's
-    stated calibration uncertainty and is common to every vehicle (NaN where rig.yaml states none). The interval is
-    the 95 % interval of both together. Speeds are NaN where nothing could be estimated.
+    ``random_std`` is the vehicle's own standard uncertainty, ``systematic_std`` what its pictures leave open of the
+    rig's stated calibration, common to all vehicles (NaN where rig.yaml states none). The interval is the 95 % interval
+    of both together. Speeds are NaN where nothing could be estimated.
     """
 
     vehicle: str
