@@ -21,8 +21,9 @@ from paceline.documents import load_clip
 from paceline.simulation.planar import LaneChange, Scene, Vehicle, random_crossing, random_scene, render, write
 from paceline.speed.bands import OPTICS, WHOLE, Band, Glimpse, Layout, areas, bands_of
 from paceline.speed.configuration import SpeedConfiguration
+from paceline.speed.free_rig import FreeRig
 from paceline.speed.measurement import measure_clip
-from paceline.speed.refinement import FIRM, GAMMAS, LAYOUTS, Fit, _FreeRig
+from paceline.speed.refinement import FIRM, GAMMAS, LAYOUTS, Fit
 from paceline.speed.results import Measurement
 from paceline.speed.scatter import LEAST_LEFT
 from paceline.speed.trajectory import NAMES, Prior, Trajectory
@@ -484,7 +485,7 @@ def test_what_is_put_right_of_a_rig_and_what_is_left_of_it() -> None:
     fit = object.__new__(Fit)
     fit.prior, fit.theta = Prior(np.zeros(4), np.arange(4), np.eye(4)), np.zeros(4)
     fit.trajectory = cast(Trajectory, SimpleNamespace(rig=SimpleNamespace(uncertainty=RigUncertainty())))
-    fit._rig = _FreeRig(fit.trajectory, np.eye(3, 14), wider)
+    fit._rig = FreeRig(fit.trajectory, np.eye(3, 14), wider)
     fit.A = images + np.diag([0, 0, 0, 0, wider, wider, wider])
     # rigs that are off by what they state, and pictures of them
     scores = images[:, 4:] @ rng.standard_normal((3, n)) + np.sqrt(wider) * J.T @ rng.standard_normal((30, n))

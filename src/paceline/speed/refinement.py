@@ -21,16 +21,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from paceline.cameras import StereoRig, moved_rig
 from paceline.speed import scatter
 from paceline.speed.bands import Band, Glimpse, Layout, bands_of
+from paceline.speed.free_rig import FreeRig, held
 from paceline.speed.trajectory import EXTRAS, Prior, Trajectory, prior
 
 Array = NDArray[np.float64]
 
 LEVELS = ((2.5, False), (1.2, False), (0.7, True))  # smoothing at the farthest view, px; whether the finer bands join
 LAYOUTS = Layout(8), Layout(30), Layout(share=(0.8, 1.0)), Layout(share=(1.0, 0.8))  # besides the first one
-RIG_STEP = 1e-3  # standard uncertainties, or a share of the baseline, by which differences tell a derivative
 FREED = 6  # steps of a fit with the rig free, at most
 UNTOLD = 0.05  # share of the variance of a move that pictures have to take away to tell anything of it
 RELAID = 3  # steps of a fit to another layout, at most
@@ -146,7 +145,7 @@ class Fit:
 
     def __init__(self, trajectory: Trajectory, glimpses: list[Glimpse], prior: Prior) -> None:
         self.trajectory, self.glimpses, self.prior = trajectory, glimpses, prior
-        self._rig = _FreeRig(trajectory, np.zeros((0, 14)), 0.0)
+        self._rig = held(trajectory)
         self.moves = np.zeros(0)  # of the rig, in standard uncertainties
         self.theta, self.relief, self.gamma = self._from_filter(), np.zeros(0), GAMMA[0]
         for smoothing, fine in LEVELS:
@@ -202,7 +201,7 @@ class Fit:
         other._begin_at(self.theta, [copy(band) for band in self.bands], self.relief)
         # pictures tell less than their pixels' noise makes believe: how much less is seen once the rig misleads no more
         for fit in (self, other):
-            other._rig = _FreeRig(self.trajectory, directions, fit._wider)
+            other._rig = FreeRig(self.trajectory, directions, fit._wider)
             other.descend(STEP, FREED)
         return other
 
@@ -220,7 +219,7 @@ class Fit:
         weights, variance = scatter.averaged(speeds, np.array([fit.variance for fit in fits]))
         moves = weights @ np.array([fit.moves for fit in fits])
         theta = weights @ np.array([fit.theta for fit in fits])
-        return self._moved_to(moves), theta, variance
+        return self._rig.trajectory(moves) if len(moves) else self.trajectory, theta, variance
 
     def _begin_at(self, theta: Array, bands: list[Band], relief: Array | None = None) -> None:
         """Take ``bands`` for its own, and begin at ``theta`` (n,), with patches in the plane unless their ``relief``
@@ -292,18 +291,12 @@ class Fit:
             self.gamma = float(np.clip(self.gamma + change[at], *GAMMAS))
             self.relief += change[at + 1 :]
             if Q:
-                self.trajectory = self._moved_to(self.moves)
+                self.trajectory = self._rig.trajectory(self.moves)
             step = float(np.abs(change[:P] / np.sqrt(np.diag(np.linalg.inv(self.A))[:P])).max())
             if step < enough:
                 break
         self.converged = step < UNSETTLED
         self.__dict__.pop("covariance", None)
-
-    def _moved_to(self, moves: Array) -> Trajectory:
-        """The trajectory with the rig moved by ``moves`` (Q,), and as large as that would have reconstructed it."""
-        if not len(moves):
-            return self.trajectory
-        return replace(self._rig.stated.grown(self._rig.farther_apart(moves)), rig=self._rig.moved(moves))
 
     def _from_filter(self) -> Array:
         """Parameters that fit the filter's regions best, robustly."""
@@ -340,27 +333,15 @@ class Fit:
         change[np.arange(len(index)), index] = steps
         return theta + np.stack([change, -change]), steps
 
-    def _derivatives_by_rig(self, H: Array) -> Array:
-        """∂H/∂moves (views, 3, 3, Q) at ``H`` (views, 3, 3), by differences: the motion stays as it is, but that its
-        path grows as the cameras part."""
-        if not len(self.moves):
-            return np.zeros((*H.shape, 0))
-        moved = self.moves + RIG_STEP * np.eye(len(self.moves))
-        seen = self.trajectory.by_rigs([self._rig.moved(m) for m in moved], self.theta)
-        changes = np.moveaxis((seen.reshape(-1, *H.shape) - H) / RIG_STEP, 0, -1)
-        here = self._rig.farther_apart(self.moves)
-        growth = np.array([self._rig.farther_apart(m) / here - 1.0 for m in moved]) / RIG_STEP
-        grown = self.trajectory.grown(1.0 + RIG_STEP).homographies(self.theta)[0]
-        by_path = (grown.reshape(H.shape) - H) / RIG_STEP
-        return np.asarray(changes + by_path[..., None] * growth)
-
     def _assemble(self) -> tuple[Array, Array, Array, Array]:
         """The normal matrix and score over free parameters, the rig's moves, gamma and relief, prior included, and what
         each view's patches give to them: (views, patches, n, n) and (views, patches, n) with n = P + Q + 2, their own
         relief last."""
         p, P, Q, K = self.prior, len(self.prior.free), len(self.moves), len(self.relief)
         H, H_d = (h.reshape(-1, 3, 3) for h in self.trajectory.homographies(self.theta))
-        dH = np.concatenate([self._derivatives(p.free), self._derivatives_by_rig(H)], axis=-1)
+        dH = self._derivatives(p.free)
+        if Q:
+            dH = np.concatenate([dH, self._rig.slopes(self.theta, self.moves, H)], axis=-1)
         n = P + Q + 2
         cells_A, cells = np.zeros((len(H), K, n, n)), np.zeros((len(H), K, n))
         for band in self.bands:
@@ -447,22 +428,3 @@ class Fit:
         response = np.zeros((n, len(self.moves)))
         response[p] = self._rig.firmness * np.linalg.inv(self.A)[: len(p), self._rig_rows]
         return np.asarray(response @ response.T)
-
-
-@dataclass(frozen=True, eq=False)
-class _FreeRig:
-    """The trajectory as ``stated``, the ``directions`` (Q, 14) in which its rig may move, one standard uncertainty
-    each, and the ``firmness`` of each: how much information it counts for."""
-
-    stated: Trajectory
-    directions: Array
-    firmness: float
-
-    def moved(self, moves: Array) -> StereoRig:
-        """The rig moved by ``moves`` (Q,) standard uncertainties; it goes on stating these."""
-        rig = self.stated.rig
-        return replace(moved_rig(rig, moves @ self.directions), uncertainty=rig.uncertainty)
-
-    def farther_apart(self, moves: Array) -> float:
-        """How many times as far apart the cameras are then."""
-        return self.moved(moves).baseline / self.stated.rig.baseline
