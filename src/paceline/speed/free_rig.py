@@ -27,26 +27,22 @@ class FreeRig:
     def trajectory(self, moves: Array) -> Trajectory:
         """The trajectory with the rig moved by ``moves`` (Q,) standard uncertainties, and all that was reconstructed as
         large as that rig would have made it."""
-        return replace(self.stated.grown(self._farther_apart(moves)), rig=self._moved(moves))
+        rig = self._moved(moves)
+        return replace(self.stated.grown(rig.baseline / self.stated.rig.baseline), rig=rig)
 
-    def slopes(self, theta: Array, moves: Array, H: Array) -> Array:
-        """∂H/∂moves (views, 3, 3, Q) at ``H`` (views, 3, 3), of ``theta`` (n,) and ``moves`` (Q,), by differences: the
-        motion stays as it is, but that its path grows as the cameras part."""
-        here, further = self.trajectory(moves), moves + STEP * np.eye(len(moves))
-        seen = here.by_rigs([self._moved(m) for m in further], theta)
-        by_rig = np.moveaxis((seen.reshape(-1, *H.shape) - H) / STEP, 0, -1)
+    def slopes(self, here: Trajectory, theta: Array, moves: Array, H: Array) -> Array:
+        """∂H/∂moves (views, 3, 3, Q) at ``H`` (views, 3, 3), of ``theta`` (n,) and the trajectory ``here`` by ``moves``
+        (Q,), by differences: the motion stays as it is, but that its path grows as the cameras part."""
+        rigs = [self._moved(further) for further in moves + STEP * np.eye(len(moves))]
+        by_rig = np.moveaxis((here.by_rigs(rigs, theta).reshape(-1, *H.shape) - H) / STEP, 0, -1)
         by_size = (here.grown(1.0 + STEP).homographies(theta)[0].reshape(H.shape) - H) / STEP
-        growth = [(self._farther_apart(m) / self._farther_apart(moves) - 1.0) / STEP for m in further]
-        return np.asarray(by_rig + by_size[..., None] * np.array(growth))
+        growth = np.array([rig.baseline / here.rig.baseline - 1.0 for rig in rigs]) / STEP
+        return np.asarray(by_rig + by_size[..., None] * growth)
 
     def _moved(self, moves: Array) -> StereoRig:
         """The rig moved so; it goes on stating its uncertainty."""
         rig = self.stated.rig
         return replace(moved_rig(rig, moves @ self.directions), uncertainty=rig.uncertainty)
-
-    def _farther_apart(self, moves: Array) -> float:
-        """How many times as far apart the cameras are then."""
-        return self._moved(moves).baseline / self.stated.rig.baseline
 
 
 def held(trajectory: Trajectory) -> FreeRig:

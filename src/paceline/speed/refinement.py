@@ -176,6 +176,7 @@ class Fit:
         so many steps from here."""
         other = copy(self)
         other.trajectory = replace(self.trajectory, quad=quad)
+        other._rig = replace(self._rig, stated=replace(self._rig.stated, quad=quad))
         quads = other.trajectory.quads(self.theta)
         other._begin_at(self.theta, bands_of(self.glimpses, quads, self.gamma, *LEVELS[-1]))
         other.descend(STEP, most)
@@ -196,7 +197,8 @@ class Fit:
         if uncertainty is None:
             return self
         other = copy(self)
-        directions = uncertainty.moves[uncertainty.moves.any(1)]
+        directions = uncertainty.moves
+        directions = directions[directions.any(1)]
         other.moves = np.zeros(len(directions))
         other._begin_at(self.theta, [copy(band) for band in self.bands], self.relief)
         # pictures tell less than their pixels' noise makes believe: how much less is seen once the rig misleads no more
@@ -211,10 +213,11 @@ class Fit:
         fits = [self]
         for layout in LAYOUTS:
             try:
-                fits.append(self.laid_out(layout))
+                other = self.laid_out(layout)
             except np.linalg.LinAlgError:  # patches too small for what they show: the others tell
                 continue
-        fits = [self, *(fit for fit in fits[1:] if fit.converged)]
+            if other.converged:
+                fits.append(other)
         speeds = np.array([self.trajectory.mean_speed_shares @ fit.theta for fit in fits])
         weights, variance = scatter.averaged(speeds, np.array([fit.variance for fit in fits]))
         moves = weights @ np.array([fit.moves for fit in fits])
@@ -341,7 +344,7 @@ class Fit:
         H, H_d = (h.reshape(-1, 3, 3) for h in self.trajectory.homographies(self.theta))
         dH = self._derivatives(p.free)
         if Q:
-            dH = np.concatenate([dH, self._rig.slopes(self.theta, self.moves, H)], axis=-1)
+            dH = np.concatenate([dH, self._rig.slopes(self.trajectory, self.theta, self.moves, H)], axis=-1)
         n = P + Q + 2
         cells_A, cells = np.zeros((len(H), K, n, n)), np.zeros((len(H), K, n))
         for band in self.bands:

@@ -72,8 +72,8 @@ def averaged(values: Array, variances: Array) -> tuple[Array, float]:
 
     They rest on the same pictures, so their errors do not average out as independent ones would; but by what they
     differ from each other they cannot all be wrong. The squared error of a weighted mean is the mean squared error less
-    the spread about the mean (Krogh and Vedelsby 1995). ``variances`` (N,) are themselves known from few scores, so
-    that a small one may be so by chance: none counts for more than by their mean.
+    the spread about the mean (Krogh and Vedelsby 1995). ``variances`` (N,) are themselves known from few scores, and a
+    small one may be so by chance: each is weighed by its own and the mean one together.
     """
     weights = 1.0 / (variances + variances.mean())
     weights /= weights.sum()
