@@ -175,6 +175,7 @@ def test_a_clip_with_an_unknown_key(clip: Path, tmp_path: Path) -> None:
         (["speed", "c", "-o", "o", "--particles", "many"], ["--particles", "integer"]),
         (["speed", "c", "-o", "o", "--seed", "-1"], ["--seed -1", "expected greater"]),
         (["speed", "c", "-o", "o", "--parts", "0"], ["--parts 0", "expected"]),
+        (["speed", "c", "-o", "o", "--tolerance", "0", "--units", "km/h"], ["--tolerance 0", "km/h above 0"]),
         (["speed", "c", "-o", "o", "--motion", "zigzag"], ["--motion", "zigzag", "auto"]),
         (["speed", "c", "-o", "o", "--device", "tpu"], ["--device", "cpu"]),
         (["speed", "c", "-o", "o", "--device", "cuda", "--method", "sift"], ["--device cuda", "use --device cpu"]),
@@ -192,7 +193,7 @@ def test_version_and_help() -> None:
     assert in_a_process("--version").stdout == f"paceline {__version__}\n"
     done = paceline("speed", "--help")
     assert done.returncode == 0
-    for option in ("--particles", "--seed", "--motion", "--device", "--units", "--parts", "--no-refine", "--quiet"):
+    for option in ("--particles", "--seed", "--motion", "--device", "--units", "--parts", "--no-refine", "--tolerance"):
         assert option in done.stdout
 
 

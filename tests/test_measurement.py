@@ -222,6 +222,19 @@ def test_units_are_for_people_only(command: Command, clip: Path, unit: str, show
     assert f"speed, {unit}" in answer.stdout and unit in (answer.out / "report.html").read_text()
 
 
+def test_a_tolerance_is_in_the_unit_that_people_are_shown(command: Command, clip: Path) -> None:
+    v = command(clip).vehicles["v0"]
+    half = (v["speed_hi_mps"] - v["speed_lo_mps"]) / 2
+    in_kmh = 3.6 * half
+    for factor, verdict in ((1.1, "measured"), (0.5, "rejected")):
+        answer = command(clip, "--units", "km/h", "--tolerance", f"{factor * in_kmh:.6f}")
+        assert answer.configuration["tolerance"] == pytest.approx(factor * half, rel=1e-3)
+        (found,) = answer.vehicles.values()
+        assert found["verdict"] == verdict and found["speed_mps"] == v["speed_mps"]
+        assert answer.status == int(verdict == "rejected")
+    assert found["reason"] == "interval too wide: 2.00 times the tolerance"
+
+
 def test_only_rejections_are_status_1_and_said_why(command: Command, clip: Path, tmp_path: Path) -> None:
     """A picture in which nothing moves: what is outlined never appears again."""
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.stats import f
 
 from paceline.speed.refinement import Refined
+from paceline.speed.results import Measurement, Track
 from paceline.speed.trajectory import Trajectory
 from paceline.speed.verdict import (
     FAINT,
@@ -28,6 +29,7 @@ from paceline.speed.verdict import (
     off_outline,
     part_in_view,
     unexplained,
+    within,
 )
 
 Array = NDArray[np.float64]
@@ -126,3 +128,14 @@ def test_frames_are_kept_as_long_as_most_of_them_show_the_vehicle(shown: list[bo
     assert all(sum(tail) < len(tail) / 2 for tail in tails)  # nothing beyond it is worth its hidden frames
     heads = [shown[start:kept] for start in range(1, kept)]
     assert all(sum(head) >= len(head) / 2 for head in heads)  # and nothing of it would be better left away
+
+
+def test_a_tolerance_rejects_what_is_known_less_well_and_nothing_else() -> None:
+    nan = float("nan")
+    good = Measurement("v0", cast(Track, None), 20.0, 19.7, 20.3, 0.15, nan, 9, "measured", "", "constant speed")
+    assert within(good, None) is good and within(good, 0.31) is good
+    refused = within(good, 0.2)
+    assert (refused.verdict, refused.reason) == ("rejected", "interval too wide: 1.50 times the tolerance")
+    assert (refused.speed, refused.speed_lo, refused.speed_hi) == (20.0, 19.7, 20.3)
+    bad = replace(good, speed=nan, speed_lo=nan, speed_hi=nan, verdict="rejected", reason="lost")
+    assert within(bad, 0.2) is bad

@@ -62,6 +62,10 @@ def speed(
     units: Annotated[
         str, typer.Option(metavar="<mph|km/h|m/s>", help="Unit shown to people; files are always in m/s.")
     ] = "mph",
+    tolerance: Annotated[
+        float | None,
+        typer.Option(help="Reject every speed whose 95 % interval is wider than ± this, in the unit of --units."),
+    ] = None,
     parts: Annotated[int | None, typer.Option(help="Number of parts of the likelihood.")] = None,
     refine: Annotated[
         bool, typer.Option("--refine/--no-refine", help="Fit the whole track at the end; --no-refine only filters.")
@@ -82,7 +86,13 @@ def speed(
     if device is Device.cuda and method is not Method.paceline:
         raise UnusableInput(f"--device cuda: --method {method.value} computes on the CPU only; use --device cpu")
     unit = _unit(units)
-    given = {"particles": particles, "seed": seed, "motion": motion and motion.value, "parts": parts}
+    given = {
+        "particles": particles,
+        "seed": seed,
+        "motion": motion and motion.value,
+        "parts": parts,
+        "tolerance": None if tolerance is None else _tolerance(tolerance, unit),
+    }
     configuration = _configuration({key: value for key, value in given.items() if value is not None}, refine)
 
     from paceline.documents import load_clip
@@ -145,6 +155,13 @@ def _unit(text: str) -> SpeedUnit:
         return parse_unit(text)
     except ValueError as error:
         raise UnusableInput(f"--units: {error}") from error
+
+
+def _tolerance(value: float, unit: SpeedUnit) -> float:
+    """In m/s."""
+    if not 0 < value < float("inf"):
+        raise UnusableInput(f"--tolerance {value:g}: expected {unit} above 0")
+    return value * unit.mps
 
 
 def _configuration(given: dict[str, object], refine: bool) -> SpeedConfiguration:

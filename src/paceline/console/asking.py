@@ -9,6 +9,7 @@ from paceline.errors import UnusableInput
 
 LEAST_PARTICLES, MOST_PARTICLES = 20, 100_000
 MOTIONS, UNITS = ("auto", "free", "line", "curve"), ("mph", "km/h", "m/s")
+MOST_TOLERANCE = 100.0  # in the unit in which speeds are shown
 LEAST_LEARNING, MOST_LEARNING = 2.0, 3600.0  # s
 
 
@@ -27,6 +28,10 @@ def options_of(kind: str, given: dict[str, Any]) -> list[str]:
             if given[option] not in valid:
                 raise UnusableInput(f"{option}: expected one of {', '.join(valid)}")
             arguments += [f"--{option}", str(given[option])]
+    if given.get("tolerance") is not None:
+        if not 0 < (half := to_number(given["tolerance"])) <= MOST_TOLERANCE:
+            raise UnusableInput(f"tolerance: expected a speed above 0, at most {MOST_TOLERANCE:g}")
+        arguments += ["--tolerance", f"{half:g}"]
     if kind == LIVE and given.get("learn") is not None:
         seconds = to_number(given["learn"])
         if not LEAST_LEARNING <= seconds <= MOST_LEARNING:

@@ -24,6 +24,7 @@ class SpeedConfiguration(BaseModel):
     parts: Literal[4, 6, 8, 10, 12, 16] = 10  # N_p
     refine: bool = True
     resampling: Literal["systematic", "stratified", "residual", "multinomial"] = "systematic"
+    tolerance: float | None = Field(None, gt=0, allow_inf_nan=False)  # m/s, half of the widest interval to accept
     exact_path: bool = False  # take the drawn path as an exact rail, as [Zhu] does: biased, for comparison
 
     guided: bool = True  # move the particles by sub-pixel registration before weighing them; False: as [Zhu]

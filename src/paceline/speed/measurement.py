@@ -121,7 +121,7 @@ def measure_each(
     done |= {name: run.result() for name, run in runs.items()}
     return ClipResult(
         clip=str(clip.path),
-        measurements=[done[v.id] for v in clip.vehicles],
+        measurements=[verdict.within(done[v.id], configuration.tolerance) for v in clip.vehicles],
         paths=[_drawing(clip.rig, p) for p in drawn.values()],
         configuration=configuration.model_dump(),
         versions=versions(),

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from paceline.speed.refinement import Refined
+from paceline.speed.results import Measurement
 
 LEAST_FRAMES = 4
 MISFIT = 0.6  # share of the texture's contrast that may stay unexplained
@@ -109,3 +112,12 @@ def too_wide(speed: float, half: float, allowed: float = 1.0) -> str:
         return ""
     share, cause = half / max(speed, 1e-9), "" if allowed == 1.0 else " without the calibration's part"
     return "interval too wide: " + (f"± {share:.1%} of the speed{cause}" if share < 1 else "the speed is not known")
+
+
+def within(m: Measurement, tolerance: float | None) -> Measurement:
+    """``m``, rejected if it is measured but its 95 % interval is wider than ± ``tolerance``, m/s, that a user asks
+    for."""
+    half = (m.speed_hi - m.speed_lo) / 2
+    if tolerance is None or m.verdict != "measured" or half <= tolerance:
+        return m
+    return replace(m, verdict="rejected", reason=f"interval too wide: {half / tolerance:.2f} times the tolerance")

@@ -11,6 +11,7 @@ from paceline.console.asking import (
     LEAST_PARTICLES,
     MOST_LEARNING,
     MOST_PARTICLES,
+    MOST_TOLERANCE,
     UNITS,
     options_of,
 )
@@ -35,6 +36,7 @@ from paceline.console.results import files_of
 from paceline.console.runs import MEASURED, NOTHING, Run
 from paceline.console.safety import NotHere
 from paceline.errors import UnusableInput
+from paceline.units import convert, parse_unit
 
 AGAIN = 0.5  # s between looks at the runs
 GONE = "The clip is no longer there."
@@ -113,7 +115,9 @@ class _Page:
             value="auto",
             label="Vehicles move",
         )
-        self.fields |= {"particles": particles, "seed": seed, "motion": motion.props("dense")}
+        tolerance = ui.number(f"Tolerance ±, {self.unit}", min=0, max=MOST_TOLERANCE).props("dense clearable")
+        tolerance.tooltip("Speeds that are known less well are rejected as well; empty takes the usual limits alone.")
+        self.fields |= {"particles": particles, "seed": seed, "motion": motion.props("dense"), "tolerance": tolerance}
         if not entry.contents.live:
             live = ui.checkbox("Play it as a live stream", on_change=self.change_kind)
             live.tooltip("To try what live measuring does: vehicle after vehicle, as if the cameras recorded now.")
@@ -153,6 +157,10 @@ class _Page:
             self.choose(started.number)
 
     def change_unit(self, event: Any) -> None:
+        if tolerance := self.fields.get("tolerance"):
+            tolerance.props["label"] = f"Tolerance ±, {event.value}"
+            if tolerance.value is not None:  # it stays as much as it was
+                tolerance.value = round(convert(tolerance.value * parse_unit(self.unit).mps, event.value), 2)
         self.unit = event.value
         self.read = None
         self.look()
