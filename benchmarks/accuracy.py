@@ -1,17 +1,21 @@
 """Errors and intervals of the measured speeds on rendered clips with exact truth.
 
 python benchmarks/accuracy.py [--suite plain|hard|crossing] [--n 120] [--seed 1000] [--gamma 1] [--rig exact]
+    [--together 1]
 
 --rig stated moves every clip's rig at random by what its file states as its uncertainty; --rig unstated moves it as
-much, and the file states nothing: it is taken as exact.
+much, and the file states nothing: it is taken as exact. With --together 10 the clips are by one rig ten by ten, and
+what their vehicles tell of it puts all of them right, as if they had passed in one recording.
 """
 
 from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -21,6 +25,7 @@ from paceline import UnusableInput
 from paceline.cameras import RigUncertainty, StereoRig, moved_rig
 from paceline.simulation.planar import Scene, random_crossing, random_scene
 from paceline.speed.results import Measurement
+from paceline.speed.shared_rig import together
 
 SUITES = {"plain": plain_scene, "hard": random_scene, "crossing": random_crossing}
 RIGS = "exact", "stated", "unstated"
@@ -55,20 +60,30 @@ def off(rig: StereoRig, seed: int, stated: bool) -> StereoRig:
     return replace(moved, uncertainty=uncertainty) if stated else moved
 
 
-def run(seed: int, suite: str, gamma: float, rig: str) -> Outcome:
-    """Render, measure and compare the clip of ``seed`` by a camera of ``gamma`` and a ``rig`` as in RIGS."""
-    scene = replace(SUITES[suite](seed), gamma=gamma)
-    describe = partial(Outcome, seed, _describe(scene), scene.radius is not None)
-    with rendered(scene) as (clip, truth):
-        if rig != "exact":
-            clip = replace(clip, rig=off(clip.rig, seed, rig == "stated"))
-        try:
-            m = measured(clip)[0]
-        except UnusableInput as unusable:
-            return describe(reason=f"unusable: {str(unusable).partition(': ')[2]}")
-        except Exception as fault:  # of the program, not of the clip: shown in its row, and the others go on
-            return describe(reason=f"fault of the program: {type(fault).__name__}: {fault}")
-        return describe(**_compared(m, true_mean(truth, m)))
+def run(seeds: Sequence[int], suite: str, gamma: float, rig: str) -> list[Outcome]:
+    """Render, measure and compare the clips of ``seeds`` by cameras of ``gamma`` and one ``rig`` as in RIGS."""
+    outcomes: dict[int, Outcome] = {}
+    measurements: dict[int, Measurement] = {}
+    true: dict[int, float] = {}
+    for seed in seeds:
+        scene = replace(SUITES[suite](seed), gamma=gamma)
+        outcomes[seed] = Outcome(seed, _describe(scene), scene.radius is not None)
+        with rendered(scene) as (clip, truth):
+            if rig != "exact":
+                clip = replace(clip, rig=off(clip.rig, seeds[0], rig == "stated"))
+            try:
+                m = measurements[seed] = measured(clip)[0]
+            except UnusableInput as unusable:
+                reason = f"unusable: {str(unusable).partition(': ')[2]}"
+                outcomes[seed] = replace(outcomes[seed], reason=reason)
+            except Exception as fault:  # of the program, not of the clip: shown in its row, and the others go on
+                reason = f"fault of the program: {type(fault).__name__}: {fault}"
+                outcomes[seed] = replace(outcomes[seed], reason=reason)
+            else:
+                true[seed] = true_mean(truth, m)
+    for seed, m in zip(measurements, together(list(measurements.values()))[0], strict=True):
+        outcomes[seed] = replace(outcomes[seed], **_compared(m, true[seed]))
+    return list(outcomes.values())
 
 
 def _describe(scene: Scene) -> str:
@@ -138,12 +153,17 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1000, help="seed of the first clip")
     parser.add_argument("--gamma", type=float, default=1.0, help="values go as light to the power 1 / γ")
     parser.add_argument("--rig", choices=RIGS, default="exact", help="whether the rig is off, and its file says so")
+    parser.add_argument("--together", type=int, default=1, help="clips by one rig")
     parser.add_argument("--workers", type=int, default=2, help="processes")
     args = parser.parse_args()
+    if args.together > 1 and args.suite != "plain":
+        parser.error("--together: goes with --suite plain, whose clips are all by the same cameras")
     begun, outcomes = time.perf_counter(), []
     print(head("seed", "clip", "true, mph", "error", "95 % ±", "z", "model", "verdict"), flush=True)
     seeds = range(args.seed, args.seed + args.n)
-    for o in share_out(partial(run, suite=args.suite, gamma=args.gamma, rig=args.rig), seeds, args.workers):
+    by_rig = [seeds[i : i + args.together] for i in range(0, args.n, args.together)]
+    measuring = partial(run, suite=args.suite, gamma=args.gamma, rig=args.rig)
+    for o in chain.from_iterable(share_out(measuring, by_rig, args.workers)):
         outcomes.append(o)
         numbers = (f"{o.true:.2f}", f"{o.error:+.3f}", f"{o.half:.3f}", f"{o.z:+.1f}")
         verdict = "measured" if o.is_measured else f"rejected: {o.reason}"

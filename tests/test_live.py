@@ -215,6 +215,27 @@ def test_every_vehicle_is_measured_once(tmp_path: Path, frames: list[int]) -> No
         assert 4.0 <= found.times[0] < found.times[1] <= found.times[0] + 5.0  # never two vehicles as one
 
 
+def test_vehicles_that_pass_put_the_calibration_right_together(tmp_path: Path) -> None:
+    """The first is measured alone, and each further one with what those before it told of the cameras."""
+    stated = {"uncertainty": {"focal_length_px": 1.0, "rotation_rad": [4e-5] * 3, "translation_m": [3e-4] * 3}}
+    rig = survey_file(tmp_path / "clip").parent / "rig.yaml"
+    rig.write_text(yaml.safe_dump({**yaml.safe_load(rig.read_text()), **stated}))
+    passed: list[Measurement] = []
+
+    def told(found: Found, measurement: Measurement | None, reason: str) -> None:
+        assert measurement is not None, reason
+        passed.append(measurement)
+
+    views: Any = Given(ALL)
+    survey(load_clip(rig.parent / "clip.yaml"), views, SpeedConfiguration(), told, 4.0)
+    first, *others = passed
+    assert first.rig is not None and [m.rig for m in others] == [None, None]
+    assert [m.verdict for m in passed] == ["measured"] * 3
+    for m in passed:
+        error = min(abs(speed - m.speed) for speed in SPEEDS)
+        assert error < 2 * (m.speed_hi - m.speed) and 0 < m.systematic_std < 0.1
+
+
 def covered(box: NDArray[np.float64], plane: NDArray[np.float64]) -> float:
     """The share of a quadrilateral's bounding box that lies in that of another, unless that is four times as large."""
     shared = np.prod(np.maximum(np.minimum(box.max(0), plane.max(0)) - np.maximum(box.min(0), plane.min(0)), 0))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -17,11 +18,11 @@ from numpy.typing import NDArray
 from scipy.stats import binom, chi2
 
 from paceline.cameras import RigUncertainty, moved_rig
-from paceline.documents import load_clip
+from paceline.documents import Clip, load_clip
 from paceline.simulation.planar import LaneChange, Scene, Vehicle, random_crossing, random_scene, render, write
 from paceline.speed.bands import OPTICS, WHOLE, Band, Glimpse, Layout, areas, bands_of
 from paceline.speed.configuration import SpeedConfiguration
-from paceline.speed.free_rig import FreeRig
+from paceline.speed.free_rig import FreeRig, held
 from paceline.speed.measurement import measure_clip
 from paceline.speed.refinement import FIRM, GAMMAS, LAYOUTS, Fit
 from paceline.speed.results import Measurement
@@ -69,7 +70,7 @@ def mean_speed(scene: Scene, measurement: Measurement) -> float:
     return v.speed + v.acceleration * 0.5 * (t[0] + t[-1])
 
 
-def fitted(clip: Path) -> tuple[Fit, Measurement]:
+def fitted(clip: Clip | Path) -> tuple[Fit, Measurement]:
     """The first vehicle's measurement, and the fit that was believed."""
     fits: list[Fit] = []
     agreement = Fit.agreement
@@ -256,7 +257,8 @@ def test_the_speed_is_the_mean_over_layouts(rendered: Callable[[Scene], Path]) -
     speeds = fit.trajectory.mean_speed_shares
     own = [float(speeds @ f.theta) for f in (fit, *map(fit.laid_out, LAYOUTS))]
     assert min(own) < m.speed < max(own) and m.speed != pytest.approx(own[0], abs=1e-9)
-    _, theta, variance = fit.over_layouts()
+    moves, theta, variance = fit.over_layouts()
+    assert len(moves) == 0 and fit.told(moves, 1.0) is None
     assert m.speed == pytest.approx(float(speeds @ theta), abs=1e-9)
     assert LEAST_LEFT < variance / fit.variance < 2.0
 
@@ -270,9 +272,9 @@ def test_a_layout_that_determines_nothing_is_left_out(
         raise np.linalg.LinAlgError
 
     monkeypatch.setattr(Fit, "laid_out", fails)
-    trajectory, theta, variance = fit.over_layouts()
+    moves, theta, variance = fit.over_layouts()
     np.testing.assert_array_equal(theta, fit.theta)
-    assert trajectory is fit.trajectory and variance == pytest.approx(fit.variance)
+    assert fit.trajectory_by(moves) is fit.trajectory and variance == pytest.approx(fit.variance)
 
 
 # --- light ---------------------------------------------------------------------------------------------------------
@@ -494,6 +496,30 @@ def test_what_is_put_right_of_a_rig_and_what_is_left_of_it() -> None:
     assert fit.moves[2] < 0.3 and fit.pulls[2] in (0.0, pytest.approx(1.0, rel=0.02))  # hardly told
     response = np.linalg.solve(fit.A, images[:, 4:])[:4]  # to a rig that is off by one of each, without noise
     np.testing.assert_allclose(fit.systematic, response @ response.T, rtol=1e-9)
+
+
+def test_what_a_fit_tells_of_its_rig_is_how_it_follows_when_that_is_moved(rendered: Callable[[Scene], Path]) -> None:
+    """Fitted again with the rig held a step farther, and a step back."""
+    clip = load_clip(rendered(scene("approaching", 14.0, 2, frames=14)))
+    stated = replace(clip.rig, uncertainty=RigUncertainty(1.0, 0.0, (4e-5, 4e-5, 4e-5), (3e-4, 3e-4, 3e-4)))
+    fit, _ = fitted(replace(clip, rig=stated))
+    told = fit.told(fit.moves, 1.0)
+    assert told is not None
+    mean = fit.trajectory.mean_speed_shares
+    for q in np.argsort(np.abs(mean @ told.response))[-3:]:
+        speeds = []
+        for step in (-0.5, 0.5):
+            held_there = copy(fit)
+            held_there.trajectory = fit.trajectory_by(fit.moves + step * np.eye(len(fit.moves))[q])
+            held_there._rig, held_there.moves = held(held_there.trajectory), np.zeros(0)
+            held_there._begin_at(fit.theta, [copy(band) for band in fit.bands], fit.relief)
+            held_there.descend(1e-3)
+            speeds.append(mean @ held_there.theta)
+        assert speeds[1] - speeds[0] == pytest.approx(mean @ told.response[:, q], rel=0.1)
+    own = np.linalg.eigvalsh(told.information)
+    assert own.min() > -1e-6 and own.max() > 1.0  # nothing is known less well for having been seen
+    known = float(np.sqrt(mean @ told.covariance @ mean))
+    assert 0 < known < np.sqrt(fit.variance)
 
 
 @pytest.mark.parametrize("p", [0.01, 0.03])

@@ -28,6 +28,7 @@ from paceline.speed.verdict import (
     in_view,
     off_outline,
     part_in_view,
+    too_wide,
     unexplained,
     within,
 )
@@ -42,7 +43,7 @@ def refined(explained: list[float], off: float = 0.0, converged: bool = True) ->
     offsets = np.where(np.isnan(both)[..., None], np.nan, [off, 0.0])
     trajectory = cast(Trajectory, None)  # of the motion only what it explains is asked
     theta, unsure, pulls = np.zeros(1), [np.zeros((1, 1))] * 3, np.zeros(3)
-    return Refined(trajectory, pulls, theta, *unsure, 1.0, 10.0, offsets, both, (), 0.0, 9.0, converged)
+    return Refined(trajectory, pulls, theta, *unsure, None, 1.0, 10.0, offsets, both, (), 0.0, 9.0, converged)
 
 
 def moving_with(right: Array) -> Refined:
@@ -118,7 +119,7 @@ def test_a_way_that_nobody_drives_is_not_believed_of_a_face_that_hardly_shows(
 ) -> None:
     """A lorry front of 2.6 grey levels was followed pixels aside from where it was, and read 6 % too fast."""
     r = replace(refined([0.9] * 10), strayed=strayed, contrast=contrast, residual=0.3)
-    assert against(r, 7.0, 0.2, 0.2) == reason
+    assert against(r, 7.0, 0.2) == reason
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=40))
@@ -128,6 +129,21 @@ def test_frames_are_kept_as_long_as_most_of_them_show_the_vehicle(shown: list[bo
     assert all(sum(tail) < len(tail) / 2 for tail in tails)  # nothing beyond it is worth its hidden frames
     heads = [shown[start:kept] for start in range(1, kept)]
     assert all(sum(head) >= len(head) / 2 for head in heads)  # and nothing of it would be better left away
+
+
+@pytest.mark.parametrize(
+    ("speed", "half", "own", "reason"),
+    [
+        (20.0, 1.19, 0.79, ""),
+        (20.0, 1.21, 0.0, "± 6.0% of the speed"),
+        (20.0, 1.0, 0.81, "± 4.0% of the speed without the calibration's part"),
+        (5.0, 0.49, 0.33, ""),
+        (5.0, 0.51, 0.0, "± 10.2% of the speed"),
+        (0.1, 0.6, 0.0, "the speed is not known"),
+    ],
+)
+def test_how_wide_an_interval_may_be(speed: float, half: float, own: float, reason: str) -> None:
+    assert too_wide(speed, half, own) == (f"interval too wide: {reason}" if reason else "")
 
 
 def test_a_tolerance_rejects_what_is_known_less_well_and_nothing_else() -> None:

@@ -16,6 +16,7 @@ from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.measurement import Progress, Run, measure_each
 from paceline.speed.paths import Path
 from paceline.speed.results import ClipResult
+from paceline.speed.verdict import within
 
 Method = Callable[[Clip, VehicleDocument, Path | None, SpeedConfiguration], Run]
 
@@ -48,4 +49,5 @@ def measure(
         return METHODS[method](clip, vehicle, drawn.get(vehicle.path or ""), configuration)
 
     result = measure_each(clip, recording, configuration, begin, progress, on_paths=method in ON_A_PATH)
-    return replace(result, configuration={"method": method} | result.configuration)
+    tolerated = [within(m, configuration.tolerance) for m in result.measurements]
+    return replace(result, measurements=tolerated, configuration={"method": method} | result.configuration)

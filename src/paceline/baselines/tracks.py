@@ -11,8 +11,7 @@ from scipy.special import stdtrit
 
 from paceline.baselines.regions import Regions
 from paceline.recordings import StereoFrame
-from paceline.speed.measurement import CONFIDENCE
-from paceline.speed.results import Measurement, Track
+from paceline.speed.results import CONFIDENCE, Measurement, Track
 from paceline.speed.verdict import FASTEST, LEAST_FRAMES, WIDEST
 
 Array = NDArray[np.float64]

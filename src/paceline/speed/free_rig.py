@@ -16,6 +16,18 @@ STEP = 1e-3  # standard uncertainties, or a share of the baseline, by which diff
 
 
 @dataclass(frozen=True, eq=False)
+class Told:
+    """What a fit tells of its rig, Q directions in which that may move, in standard uncertainties: the ``moves`` (Q,)
+    at which its parameters are, the ``information`` (Q, Q) that its pictures add to what is stated, the ``response``
+    (n, Q) of its parameters to further moves, and their ``covariance`` (n, n) if the rig were known."""
+
+    moves: Array
+    information: Array
+    response: Array
+    covariance: Array
+
+
+@dataclass(frozen=True, eq=False)
 class FreeRig:
     """The trajectory as ``stated``, the ``directions`` (Q, 14) in which its rig may move, one standard uncertainty
     each, and the ``firmness`` of each: how much information it counts for."""

@@ -25,11 +25,13 @@ from paceline.speed.bands import Glimpse
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.devices import DeviceName, open_device
 from paceline.speed.fleet import Fleet
+from paceline.speed.free_rig import Told
 from paceline.speed.paths import Path
 from paceline.speed.planes import first_plane, squared
 from paceline.speed.reconstruction import path_of
 from paceline.speed.refinement import Refined, refine
-from paceline.speed.results import ClipResult, Measurement, PathDrawing, Track
+from paceline.speed.results import CONFIDENCE, ClipResult, Measurement, PathDrawing, RigTold, Track
+from paceline.speed.shared_rig import together
 from paceline.speed.tracker import LOST, SEEN, Estimate, Tracker
 from paceline.speed.trajectory import Trajectory, way_of
 from paceline.speed.verdict import LEAST_FRAMES
@@ -38,7 +40,6 @@ Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 Seen = Callable[[str, Estimate], None]
 
-CONFIDENCE = 0.95
 MOST_GLIMPSES = 32  # frames kept for the refinement; of a longer track, evenly spread ones, besides the last
 MARGIN = (0.6, 24.0)  # kept about a region, as a share of its size and in pixels
 BESIDE = 15.0  # m from a vehicle, beyond which a path is not the one it drives on
@@ -71,7 +72,10 @@ def measure(
     """
     fleet = Fleet(open_device(device), carry_on=device == "auto")
     result = measure_each(clip, recording, configuration, partial(_Run, fleet=fleet, seen=seen), progress)
-    return replace(result, notices=[*result.notices, *fleet.notices])
+    measurements, agree = together(result.measurements)
+    put_right = [f"the calibration is put right by the pictures of {agree} vehicles together"] if agree else []
+    tolerated = [verdict.within(m, configuration.tolerance) for m in measurements]
+    return replace(result, measurements=tolerated, notices=[*result.notices, *put_right, *fleet.notices])
 
 
 class Run(Protocol):
@@ -121,7 +125,7 @@ def measure_each(
     done |= {name: run.result() for name, run in runs.items()}
     return ClipResult(
         clip=str(clip.path),
-        measurements=[verdict.within(done[v.id], configuration.tolerance) for v in clip.vehicles],
+        measurements=[done[v.id] for v in clip.vehicles],
         paths=[_drawing(clip.rig, p) for p in drawn.values()],
         configuration=configuration.model_dump(),
         versions=versions(),
@@ -270,9 +274,11 @@ class _Run:
         usual, wider = ndtri(0.5 + CONFIDENCE / 2), stdtrit(refined.dof, 0.5 + CONFIDENCE / 2)
         own = float(np.hypot(wider * noise_std, usual * doubt_std))
         half = float(np.hypot(own, usual * np.nan_to_num(systematic_std)))
-        reason = verdict.against(refined, speed, half, own) or verdict.off_outline(
+        reason = verdict.against(refined, speed, half) or verdict.off_outline(
             refined, self.vehicle.right, self.configuration.click_sigma
         )
+        rig = None if reason or refined.told is None else self._told(refined, refined.told, wider)
+        reason = reason or verdict.too_wide(speed, half, own)
         speeds, times = refined.speeds()[0], refined.trajectory.times.mean(1)
         acceleration = float((speeds[-1] - speeds[0]) / (times[-1] - times[0]))
         accelerating = {"acceleration", "surge"} & {*refined.extras}
@@ -294,7 +300,32 @@ class _Run:
             acceleration=acceleration if accelerating else float("nan"),
             residual_rms=refined.residual,
             notices=self._notices(refined),
+            rig=rig,
         )
+
+    def _told(self, refined: Refined, told: Told, wider: float) -> RigTold:
+        """What the fit tells of the rig, and its speeds if that were known; their noise is ``wider`` than it seems."""
+        mean, shares = refined.trajectory.mean_speed_shares, refined.trajectory.speed_shares
+        noise, doubt = (float(np.sqrt(mean @ C @ mean)) for C in (told.covariance, refined.doubt))
+        variances = np.einsum("fi,ij,fj->f", shares, told.covariance + refined.doubt, shares)
+        return RigTold(
+            moves=told.moves,
+            information=told.information,
+            speed=mean @ told.response,
+            std=float(np.hypot(noise, doubt)),
+            half=float(np.hypot(wider * noise, ndtri(0.5 + CONFIDENCE / 2) * doubt)),
+            speeds=self._by_row(shares @ told.response),
+            stds=self._by_row(np.sqrt(variances)),
+        )
+
+    def _by_row(self, fitted: Array) -> Array:
+        """What is ``fitted`` (F, …) at the frames that were kept, by the rows of the track: NaN at the others."""
+        rows = np.full((len(self.estimates), *fitted.shape[1:]), np.nan)
+        kept = {g.frame: i for i, g in enumerate(self.glimpses)}
+        for row, e in enumerate(self.estimates):
+            if e.frame in kept:
+                rows[row] = fitted[kept[e.frame]]
+        return rows
 
     def _notices(self, refined: Refined) -> list[str]:
         notices = []
@@ -340,11 +371,7 @@ class _Run:
         E = self.estimates
         refined_speed, refined_std = np.full(len(E), np.nan), np.full(len(E), np.nan)
         if refined is not None:
-            speeds, stds = refined.speeds()
-            at = {g.frame: i for i, g in enumerate(self.glimpses)}
-            for i, e in enumerate(E):
-                if e.frame in at:
-                    refined_speed[i], refined_std[i] = speeds[at[e.frame]], stds[at[e.frame]]
+            refined_speed, refined_std = (self._by_row(values) for values in refined.speeds())
         return Track(
             vehicle=self.vehicle.id,
             frame=np.array([e.frame for e in E], np.int64),

@@ -23,7 +23,7 @@ from scipy.optimize import least_squares
 
 from paceline.speed import scatter
 from paceline.speed.bands import Band, Glimpse, Layout, bands_of
-from paceline.speed.free_rig import FreeRig, held
+from paceline.speed.free_rig import FreeRig, Told, held
 from paceline.speed.trajectory import EXTRAS, Prior, Trajectory, prior
 
 Array = NDArray[np.float64]
@@ -54,12 +54,12 @@ class Refined:
     """The refined motion: parameters ``theta`` (n,), and what makes them uncertain, as covariances (n, n).
 
     ``trajectory`` has the rig as it was moved, ``rig_pulls`` (Q,) are these moves in independent directions, each over
-    the standard deviation that it has where the calibration is as uncertain as it states.
-    ``covariance`` is of the pictures' noise, ``doubt`` of the choice among models, ``systematic`` of what is left open
-    of the calibration: NaN where the rig states no uncertainty. ``residual`` is the median rms of a patch in grey
-    levels, ``contrast`` that of the texture; ``offsets`` (F, 2, 2) are the pixels by which each view's picture lies off
-    the motion and ``explained`` (F, 2) the share of its contrast, squared, that the motion explains (NaN where it was
-    not used).
+    the standard deviation that it has where the calibration is as uncertain as it states, and ``told`` is what the
+    pictures tell of it. ``covariance`` is of the pictures' noise, ``doubt`` of the choice among models, ``systematic``
+    of what is left open of the calibration: NaN where the rig states no uncertainty, and ``told`` None. ``residual`` is
+    the median rms of a patch in grey levels, ``contrast`` that of the texture; ``offsets`` (F, 2, 2) are the pixels by
+    which each view's picture lies off the motion and ``explained`` (F, 2) the share of its contrast, squared, that the
+    motion explains (NaN where it was not used).
     """
 
     trajectory: Trajectory
@@ -68,6 +68,7 @@ class Refined:
     covariance: Array
     doubt: Array
     systematic: Array
+    told: Told | None
     residual: float
     contrast: float
     offsets: Array
@@ -114,7 +115,8 @@ def refine(trajectory: Trajectory, glimpses: list[Glimpse], speed: float, on_pat
             break
         extras, fit = (*extras, best), richer[best][1]
         rare += RARE
-    trajectory, theta, variance = fit.over_layouts()
+    moves, theta, variance = fit.over_layouts()
+    less = variance / fit.variance
     # a model not chosen may be the true one all the same: as likely as the evidence leaves it
     odds = np.exp([0.0, *(evidence - rare for evidence, _ in others)])
     covariance, doubt = np.zeros((2, *fit.whole_covariance.shape))
@@ -124,12 +126,13 @@ def refine(trajectory: Trajectory, glimpses: list[Glimpse], speed: float, on_pat
             covariance += likely * model.whole_covariance
             doubt += likely * np.outer(apart, apart)
     return Refined(
-        trajectory,
+        fit.trajectory_by(moves),
         fit.pulls,
         theta,
-        variance / fit.variance * covariance,
+        less * covariance,
         doubt,
         fit.systematic,
+        fit.told(moves, less),
         fit.residual,
         fit.contrast,
         *fit.agreement(),
@@ -207,9 +210,9 @@ class Fit:
             other.descend(STEP, FREED)
         return other
 
-    def over_layouts(self) -> tuple[Trajectory, Array, float]:
-        """The mean over several layouts, each weighed by how well it tells the mean speed: the trajectory with the rig
-        as moved, the parameters (n,), and the variance of the mean speed, m²/s²."""
+    def over_layouts(self) -> tuple[Array, Array, float]:
+        """The mean over several layouts, each weighed by how well it tells the mean speed: the rig's moves (Q,), the
+        parameters (n,), and the variance of the mean speed, m²/s²."""
         fits = [self]
         for layout in LAYOUTS:
             try:
@@ -222,7 +225,11 @@ class Fit:
         weights, variance = scatter.averaged(speeds, np.array([fit.variance for fit in fits]))
         moves = weights @ np.array([fit.moves for fit in fits])
         theta = weights @ np.array([fit.theta for fit in fits])
-        return self._rig.trajectory(moves) if len(moves) else self.trajectory, theta, variance
+        return moves, theta, variance
+
+    def trajectory_by(self, moves: Array) -> Trajectory:
+        """The trajectory with the rig moved by ``moves`` (Q,), where it is free."""
+        return self._rig.trajectory(moves) if len(moves) else self.trajectory
 
     def _begin_at(self, theta: Array, bands: list[Band], relief: Array | None = None) -> None:
         """Take ``bands`` for its own, and begin at ``theta`` (n,), with patches in the plane unless their ``relief``
@@ -368,15 +375,26 @@ class Fit:
     @cached_property
     def covariance(self) -> Array:
         """Covariance of the free parameters, from the scatter of the scores: but for what the calibration does."""
+        return self._covariance(len(self.moves))
+
+    def _covariance(self, Q: int) -> Array:
+        """The same where ``Q`` moves of the rig are not known: all that are free, or none."""
+        P, held = len(self.prior.free), self._rig_rows if Q == 0 else slice(0)
         known, (cells_A, cells) = self._prior_information(0.0), self._cells
-        P, judged = len(self.prior.free), np.append(self._mean_speed, np.zeros(len(self.moves) + 1))
-        return CALIBRATION**2 * scatter.covariance(self.A, known, cells_A, cells, judged)[:P, :P]
+        A, known = (np.delete(np.delete(m, held, 0), held, 1) for m in (self.A, known))
+        cells_A, cells = np.delete(np.delete(cells_A, held, -2), held, -1), np.delete(cells, held, -1)
+        judged = np.append(self._mean_speed, np.zeros(Q + 1))
+        return CALIBRATION**2 * scatter.covariance(A, known, cells_A, cells, judged)[:P, :P]
 
     @property
     def whole_covariance(self) -> Array:
         """The covariance (n, n) of all parameters: zero for those that are not free."""
+        return self._whole(self.covariance)
+
+    def _whole(self, covariance: Array) -> Array:
+        """That of the free parameters among those of all."""
         whole = np.zeros((len(self.theta),) * 2)
-        whole[np.ix_(self.prior.free, self.prior.free)] = self.covariance
+        whole[np.ix_(self.prior.free, self.prior.free)] = covariance
         return whole
 
     @property
@@ -431,3 +449,15 @@ class Fit:
         response = np.zeros((n, len(self.moves)))
         response[p] = self._rig.firmness * np.linalg.inv(self.A)[: len(p), self._rig_rows]
         return np.asarray(response @ response.T)
+
+    def told(self, moves: Array, less: float) -> Told | None:
+        """What the pictures tell of the rig, which their mean over layouts moves by ``moves`` (Q,) and knows with
+        ``less`` of the variance; None where no uncertainty is stated."""
+        if self.trajectory.rig.uncertainty is None:
+            return None
+        p, inverse = self.prior.free, np.linalg.inv(self.A)
+        precision = np.linalg.inv(inverse[self._rig_rows, self._rig_rows])
+        response = np.zeros((len(self.theta), len(moves)))
+        response[p] = inverse[: len(p), self._rig_rows] @ precision
+        information = precision / self._rig.firmness - np.eye(len(moves))
+        return Told(moves, information, response, less * self._whole(self._covariance(0)))

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+CONFIDENCE = 0.95  # of every interval
 
 @dataclass(frozen=True, eq=False)
 class Track:
@@ -32,12 +33,32 @@ class Track:
 
 
 @dataclass(frozen=True, eq=False)
+class RigTold:
+    """What one vehicle's pictures tell of the rig, in Q directions in which its calibration may be off, in standard
+    uncertainties of it: the ``moves`` (Q,) at which the speeds are, and the ``information`` (Q, Q) that these pictures
+    add to what rig.yaml states.
+
+    ``speed`` (Q,) and ``speeds`` (N, Q) are what a further move changes of the mean speed and of the refined ones of
+    the track, m/s. If the rig were known these would have the standard uncertainties ``std`` and ``stds`` (N,), and
+    the mean one the interval ± ``half``.
+    """
+
+    moves: Array
+    information: Array
+    speed: Array
+    std: float
+    half: float
+    speeds: Array
+    stds: Array
+
+
+@dataclass(frozen=True, eq=False)
 class Measurement:
     """The result for one vehicle: the mean speed over the frames measured, its interval, and the verdict.
 
-    ``random_std`` is the vehicle's own standard uncertainty, ``systematic_std`` what its pictures leave open of the
-    rig's stated calibration, common to all vehicles (NaN where rig.yaml states none). The interval is the 95 % interval
-    of both together. Speeds are NaN where nothing could be estimated.
+    ``random_std`` is the vehicle's own standard uncertainty, ``systematic_std`` what the pictures leave open of the
+    rig's stated calibration, common to all vehicles that are measured together (NaN where rig.yaml states none). The
+    interval is the 95 % interval of both together. Speeds are NaN where nothing could be estimated.
     """
 
     vehicle: str
@@ -54,6 +75,7 @@ class Measurement:
     acceleration: float = float("nan")  # m/s², NaN for a constant-speed model
     residual_rms: float = float("nan")  # grey levels of 255, of the refined fit
     notices: list[str] = field(default_factory=list)
+    rig: RigTold | None = None  # where rig.yaml states how uncertain it is
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,12 +21,13 @@ FAINT = 5.0  # grey levels: such a one is easily followed to where it is not
 OUTLINED = 5.0  # standard deviations of an outline's place, by its corners, that the motion may lie off it
 CONTRADICTED = 5.0  # standard deviations of what pictures put right of a calibration, beyond which it is another one
 WIDEST = (0.06, 0.5)  # half-width of an interval that still counts: relative, and m/s
+UNKNOWN = "the speed is not known"
 OWN = 2 / 3  # share of that which may be the vehicle's own, not the calibration's
 
 
-def against(refined: Refined, speed: float, half: float, own: float) -> str:
-    """Why a ``speed`` (m/s), known to ± ``half`` and but for the calibration to ± ``own``, is no measurement; empty
-    where it is one."""
+def against(refined: Refined, speed: float, half: float) -> str:
+    """Why a ``speed`` (m/s), known to ± ``half``, is no measurement; empty where it is one, if it is known well
+    enough."""
     if not np.isfinite([speed, half]).all():
         return "residuals: no motion explains the pictures"
     if reason := unexplained(refined):
@@ -46,7 +47,7 @@ def against(refined: Refined, speed: float, half: float, own: float) -> str:
             f"implausible: its way bends {refined.strayed:.0f} times as much as is likely, "
             f"by a face of {refined.contrast:.1f} grey levels"
         )
-    return too_wide(speed, half) or too_wide(speed, own, OWN)
+    return ""
 
 
 def off_outline(refined: Refined, right: NDArray[np.float64], click_sigma: float) -> str:
@@ -105,13 +106,14 @@ def in_view(shown: NDArray[np.bool_]) -> int:
     return len(shown) - int(np.argmax(balance[::-1]))
 
 
-def too_wide(speed: float, half: float, allowed: float = 1.0) -> str:
-    """Why an interval of ± ``half`` (m/s) is none to go by where a share of the widest is ``allowed``; empty where it
-    is."""
-    if half <= allowed * max(WIDEST[0] * speed, WIDEST[1]):
-        return ""
-    share, cause = half / max(speed, 1e-9), "" if allowed == 1.0 else " without the calibration's part"
-    return "interval too wide: " + (f"± {share:.1%} of the speed{cause}" if share < 1 else "the speed is not known")
+def too_wide(speed: float, half: float, own: float = 0.0) -> str:
+    """Why an interval of ± ``half`` (m/s), but for the calibration's part of ± ``own``, is none to go by; empty where
+    it is."""
+    for width, share, cause in ((half, 1.0, ""), (own, OWN, " without the calibration's part")):
+        if width > share * max(WIDEST[0] * speed, WIDEST[1]):
+            of_it = width / max(speed, 1e-9)
+            return "interval too wide: " + (f"± {of_it:.1%} of the speed{cause}" if of_it < 1 else UNKNOWN)
+    return ""
 
 
 def within(m: Measurement, tolerance: float | None) -> Measurement:
