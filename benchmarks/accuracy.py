@@ -81,7 +81,7 @@ def run(seeds: Sequence[int], suite: str, gamma: float, rig: str) -> list[Outcom
                 outcomes[seed] = replace(outcomes[seed], reason=reason)
             else:
                 true[seed] = true_mean(truth, m)
-    for seed, m in zip(measurements, together(list(measurements.values()))[0], strict=True):
+    for seed, m in zip(measurements, together(list(measurements.values())), strict=True):
         outcomes[seed] = replace(outcomes[seed], **_compared(m, true[seed]))
     return list(outcomes.values())
 

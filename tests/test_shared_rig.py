@@ -162,9 +162,8 @@ def test_the_one_that_contradicts_all_others_is_left_out_and_rejected() -> None:
     vehicles = several(5, 5)
     good = [v.alone() for v in vehicles]
     bad = wants_elsewhere(vehicles[2], 20.0).alone()
-    measured, agree = together([*good[:2], bad, *good[3:]])
-    expected, all_of_them = together([*good[:2], *good[3:]])
-    assert agree == all_of_them == 4
+    measured, expected = together([*good[:2], bad, *good[3:]]), together([*good[:2], *good[3:]])
+    assert [m.calibrated_by for m in measured] == [4, 4, 1, 4, 4]
     assert [m.verdict for m in measured] == ["measured", "measured", "rejected", "measured", "measured"]
     assert measured[2].reason.startswith("calibration") and measured[2].speed == bad.speed
     for m, right in zip([*measured[:2], *measured[3:]], expected, strict=True):
@@ -179,26 +178,26 @@ def test_of_two_that_contradict_each_other_nobody_says_which_is_right() -> None:
     two = [vehicles[0].alone(), wants_elsewhere(vehicles[1], 20.0).alone()]
     told = [m.rig for m in two if m.rig is not None]
     assert contradiction(told[0], stated(Q).taking(told[1])) > CONTRADICTED
-    assert together(two) == (two, 0)
+    assert together(two) == two
     assert after(two[1], told[:1]) is two[1]
 
 
 def test_one_alone_and_those_that_tell_nothing_stay_as_they_are() -> None:
     one = several(7, 1)[0].alone()
     silent = replace(one, rig=None)
-    assert together([]) == ([], 0)
-    assert together([silent, one, silent]) == ([silent, one, silent], 0)
+    assert together([]) == []
+    assert together([silent, one, silent]) == [silent, one, silent]
     assert after(silent, [one.rig] if one.rig else []) is silent and after(one, []) is one
 
 
 def test_what_was_too_wide_alone_may_be_known_well_enough_together() -> None:
     alone = [v.alone() for v in several(8, 8)]
     wide = replace(alone[0], verdict="rejected", reason="interval too wide: ± 9.0% of the speed")
-    (mended, *_), _ = together([wide, *alone[1:]])
+    mended, *_ = together([wide, *alone[1:]])
     assert (mended.verdict, mended.reason) == ("measured", "")
     assert wide.rig is not None
     unsure = replace(wide, rig=replace(wide.rig, half=0.05 * FAST, std=0.025 * FAST))
-    (still, *_), _ = together([unsure, *alone[1:]])
+    still, *_ = together([unsure, *alone[1:]])
     assert still.verdict == "rejected" and "without the calibration's part" in still.reason
 
 
@@ -212,7 +211,7 @@ def test_vehicles_of_one_clip_put_each_other_right(tmp_path: Path) -> None:
     clip = replace(clip, rig=replace(moved_rig(clip.rig, move), uncertainty=KNOWN))
     alone = [measure_clip(replace(clip, vehicles=[v])).measurements[0] for v in clip.vehicles]
     result = measure_clip(clip)
-    assert "the calibration is put right by the pictures of 2 vehicles together" in result.notices
+    assert [m.calibrated_by for m in result.measurements] == [2, 2] and result.notices == []
     z = []
     for one, m, vehicle in zip(alone, result.measurements, TWO, strict=True):
         assert one.verdict == m.verdict == "measured" and m.vehicle == vehicle.id

@@ -70,6 +70,7 @@ def summary_of(measurement: Measurement) -> dict[str, object]:
         "reason": measurement.reason,
         "random_std_mps": measurement.random_std,
         "systematic_std_mps": measurement.systematic_std,
+        "calibrated_by": measurement.calibrated_by,
         "model": measurement.model,
         "acceleration_mps2": measurement.acceleration,
         "residual_rms": measurement.residual_rms,

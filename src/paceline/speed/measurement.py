@@ -72,10 +72,8 @@ def measure(
     """
     fleet = Fleet(open_device(device), carry_on=device == "auto")
     result = measure_each(clip, recording, configuration, partial(_Run, fleet=fleet, seen=seen), progress)
-    measurements, agree = together(result.measurements)
-    put_right = [f"the calibration is put right by the pictures of {agree} vehicles together"] if agree else []
-    tolerated = [verdict.within(m, configuration.tolerance) for m in measurements]
-    return replace(result, measurements=tolerated, notices=[*result.notices, *put_right, *fleet.notices])
+    measurements = [verdict.within(m, configuration.tolerance) for m in together(result.measurements)]
+    return replace(result, measurements=measurements, notices=[*result.notices, *fleet.notices])
 
 
 class Run(Protocol):

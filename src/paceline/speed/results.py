@@ -75,7 +75,8 @@ class Measurement:
     acceleration: float = float("nan")  # m/s², NaN for a constant-speed model
     residual_rms: float = float("nan")  # grey levels of 255, of the refined fit
     notices: list[str] = field(default_factory=list)
-    rig: RigTold | None = None  # where rig.yaml states how uncertain it is
+    calibrated_by: int = 1  # vehicles whose pictures have put right what rig.yaml states
+    rig: RigTold | None = None  # where that is uncertain, and the vehicle is still to be measured together with others
 
 
 @dataclass(frozen=True, eq=False)

@@ -102,32 +102,31 @@ def put_right(m: Measurement, belief: Belief) -> Measurement:
     )
 
 
-def among(m: Measurement, belief: Belief, agrees: bool) -> Measurement:
-    """``m``, one of several vehicles that have this ``belief`` of the rig in common: put right and judged anew by how
-    wide its interval is then, if it ``agrees`` with them, and else rejected."""
-    if m.rig is None or not agrees:
-        reason = "calibration: its pictures want the cameras elsewhere than those of the other vehicles do"
-    else:
-        own, m = m.rig.half, put_right(m, belief)
-        reason = verdict.too_wide(m.speed, (m.speed_hi - m.speed_lo) / 2, own)
-    return replace(m, verdict="rejected" if reason else "measured", reason=reason, rig=None)
-
-
-def together(measurements: Sequence[Measurement]) -> tuple[list[Measurement], int]:
-    """The vehicles of one recording with what they tell of its rig in common, and how many agree on that: none where
-    there are not two."""
+def together(measurements: Sequence[Measurement]) -> list[Measurement]:
+    """The vehicles of one recording with what they tell of its rig in common; as they were where no two agree."""
     told = {i: m.rig for i, m in enumerate(measurements) if m.rig is not None}
     belief, agree = agreed(list(told.values()))
     shared = list(measurements)
     if agree.any():
         for i, agrees in zip(told, agree, strict=True):
-            shared[i] = among(shared[i], belief, bool(agrees))
-    return shared, int(agree.sum())
+            shared[i] = _among(shared[i], belief, int(agree.sum()) if agrees else 0)
+    return shared
 
 
 def after(m: Measurement, before: Sequence[RigTold]) -> Measurement:
-    """``m`` with what those ``before`` it told of the rig, too; as it is where nobody agrees on that."""
+    """``m`` with what those ``before`` it told of the rig, too; as it is where no two agree."""
     if m.rig is None:
         return m
     belief, agree = agreed([*before, m.rig])
-    return among(m, belief, bool(agree[-1])) if agree.any() else m
+    return _among(m, belief, int(agree.sum()) if agree[-1] else 0) if agree.any() else m
+
+
+def _among(m: Measurement, belief: Belief, agree: int) -> Measurement:
+    """``m`` as one of those that ``agree`` on this ``belief`` of the rig: put right, and judged anew by how wide its
+    interval is then; rejected if they are 0, for it is none of them."""
+    if m.rig is None or not agree:
+        reason = "calibration: its pictures want the cameras elsewhere than those of the other vehicles do"
+    else:
+        own, m = m.rig.half, replace(put_right(m, belief), calibrated_by=agree)
+        reason = verdict.too_wide(m.speed, (m.speed_hi - m.speed_lo) / 2, own)
+    return replace(m, verdict="rejected" if reason else "measured", reason=reason, rig=None)
