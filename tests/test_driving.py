@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from paceline.follow.steering import Pose
 from paceline.simulation.chase_motion import STEP, Road, winding
-from paceline.simulation.driving.judging import Figures, judged
+from paceline.simulation.driving.judging import LAST, Figures, judged
 from paceline.simulation.driving.lead import LaneChange, Lead, Weave, road_of
 from paceline.simulation.driving.loop import ClosedLoop, Step
 from paceline.simulation.driving.named import SCENES
@@ -319,6 +319,20 @@ def test_what_does_not_hold_is_told() -> None:
             break
     failed = {r.what for r in judged(loop.model, figures) if not r.holds}
     assert failed == {"least distance to another vehicle", "path error, RMS", "path error, greatest"}
+
+
+@pytest.mark.parametrize(
+    ("ending", "follows"),
+    [
+        (["tracking"] * LAST, True),
+        (["tracking"] * 3 + ["coasting"] + ["tracking"] * (LAST - 4), True),
+        (["coasting"] + ["tracking"] * (LAST - 1) + ["tracking"], True),
+        (["coasting"] * 2 + ["tracking"] * (LAST - 2), False),
+        (["tracking"] * (LAST - 1) + ["lost"], False),
+    ],
+)
+def test_who_follows_at_the_end_may_have_coasted_over_one_frame(ending: list[str], follows: bool) -> None:
+    assert Figures(_ending=ending[-LAST:]).ends_tracking == follows
 
 
 @pytest.mark.parametrize("name", SCENES)
