@@ -94,6 +94,11 @@ def test_from_import_to_report(recording: Path, console: Console) -> None:
     other = new()
     other.open(f"{address}/runs?clip=north")
     other.wait_for("Nothing measured yet")
+    tab.drag(tab.place("document.querySelector('.pl-settings .q-item')"))
+    tolerance = "document.querySelector('input[aria-label^=Tolerance]')"
+    tab.wait(f"{tolerance}?.offsetHeight > 0")
+    tab.run(f"{tolerance}.focus()")
+    tab.call("Input.insertText", text="5")
     tab.click("Start")
     other.wait_for("Cancel")  # every tab sees it
     with halted(root / "north", lambda: "Close-up of v0" in other.text()):
@@ -113,7 +118,9 @@ def test_from_import_to_report(recording: Path, console: Console) -> None:
         corners = [[float(row[f"left_{axis}{k}"]) for axis in "xy"] for k in (1, 2, 3, 4)]
         assert np.abs(np.array(shown["outlines"][0]) - corners).max() < 0.06
         assert np.abs(np.array(shown["particles"][0]) - np.mean(corners, axis=0)).max() < 5
-    (entry,) = json.loads((root / "north" / "runs" / "0001" / "out" / "summary.json").read_text())["vehicles"]
+    summary = json.loads((root / "north" / "runs" / "0001" / "out" / "summary.json").read_text())
+    assert summary["configuration"]["tolerance"] == pytest.approx(5 * 0.44704, rel=1e-3)
+    (entry,) = summary["vehicles"]
     assert entry["verdict"] == "measured" and entry["speed_mps"] == pytest.approx(18.0, abs=0.5)
     assert shown_speed(entry["speed_mps"], "mph", (entry["speed_hi_mps"] - entry["speed_lo_mps"]) / 2) in tab.text()
     tab.wait("document.querySelectorAll('.pl-chart canvas').length > 0")

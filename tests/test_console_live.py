@@ -27,7 +27,7 @@ from test_live import survey_file
 from paceline.commands.progress import small_pictures
 from paceline.console.api import results_address
 from paceline.console.asked import copy_documents
-from paceline.console.asking import options_of
+from paceline.console.asking import in_unit, options_of
 from paceline.console.kinds import AHEAD, LIVE, arguments
 from paceline.console.library import Library
 from paceline.console.naming import is_live, live_views
@@ -144,6 +144,11 @@ def test_only_known_settings_reach_a_live_run() -> None:
     for learn in (1, 1e9, "30", True, float("nan")):
         with pytest.raises(UnusableInput):
             options_of(LIVE, {"learn": learn})
+
+
+def test_a_tolerance_stays_as_much_as_it_was_in_another_unit() -> None:
+    assert in_unit(5.0, "mph", "km/h") == 8.05 and in_unit(8.05, "km/h", "mph") == 5.0
+    assert in_unit(1.0, "m/s", "km/h") == 3.6
 
 
 def test_what_a_killed_console_had_measured_can_be_read(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ from typing import Any
 
 from paceline.console.kinds import AHEAD, LIVE, SPEED
 from paceline.errors import UnusableInput
+from paceline.units import convert, parse_unit
 
 LEAST_PARTICLES, MOST_PARTICLES = 20, 100_000
 MOTIONS, UNITS = ("auto", "free", "line", "curve"), ("mph", "km/h", "m/s")
@@ -38,6 +39,11 @@ def options_of(kind: str, given: dict[str, Any]) -> list[str]:
             raise UnusableInput(f"learn: expected {LEAST_LEARNING:g} to {MOST_LEARNING:g} seconds")
         arguments += ["--learn", f"{seconds:g}"]
     return arguments
+
+
+def in_unit(tolerance: float, before: str, unit: str) -> float:
+    """A tolerance in the unit ``before`` in another ``unit``, as many of them as make it as much as it was."""
+    return round(convert(tolerance * parse_unit(before).mps, unit), 2)
 
 
 def to_whole(value: object, most: int) -> int:

@@ -13,6 +13,7 @@ from paceline.console.asking import (
     MOST_PARTICLES,
     MOST_TOLERANCE,
     UNITS,
+    in_unit,
     options_of,
 )
 from paceline.console.kinds import AHEAD, LIVE, MEASURING, SPEED
@@ -36,7 +37,6 @@ from paceline.console.results import files_of
 from paceline.console.runs import MEASURED, NOTHING, Run
 from paceline.console.safety import NotHere
 from paceline.errors import UnusableInput
-from paceline.units import convert, parse_unit
 
 AGAIN = 0.5  # s between looks at the runs
 GONE = "The clip is no longer there."
@@ -159,8 +159,8 @@ class _Page:
     def change_unit(self, event: Any) -> None:
         if tolerance := self.fields.get("tolerance"):
             tolerance.props["label"] = f"Tolerance ±, {event.value}"
-            if tolerance.value is not None:  # it stays as much as it was
-                tolerance.value = round(convert(tolerance.value * parse_unit(self.unit).mps, event.value), 2)
+            if tolerance.value is not None:
+                tolerance.value = in_unit(tolerance.value, self.unit, event.value)
         self.unit = event.value
         self.read = None
         self.look()
