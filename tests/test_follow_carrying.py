@@ -12,18 +12,19 @@ from paceline.follow.target import Target
 
 
 @pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("evened", [False, True])
 @pytest.mark.parametrize(
     ("size", "focal", "scale", "reach"),
     [((256, 242), 300.0, 1.0, REACH), ((1280, 720), 1500.0, 1.1, 5 * REACH)],
 )
-def test_a_place_is_carried_through_bumps_growth_and_noise(seed, size, focal, scale, reach):
+def test_a_place_is_carried_through_bumps_growth_and_noise(seed, evened, size, focal, scale, reach):
     """Twenty images, each up to a bump from the one before and up to 2 % larger or smaller, in noise of a third of the
     contrast: to 0.7 px of the image that is searched and 2 % in the scale, however many images there were."""
     rng = np.random.default_rng(seed)
     scene, center = scenery(size, seed), np.array([0.5 * size[0], 0.55 * size[1]])
     projection = Projection(camera(size, focal), TARGET)
     place = np.array([*center, scale])
-    carried = Carried(moved(scene, center, (0, 0), 1.0, 10.0, 100), projection, place, reach)
+    carried = Carried(moved(scene, center, (0, 0), 1.0, 10.0, 100), projection, place, reach, evened=evened)
     side = max(1, int(min(TARGET.size * projection.magnification) * scale / 32))
     at, grown = np.zeros(2), 1.0
     for k in range(20):
@@ -33,6 +34,25 @@ def test_a_place_is_carried_through_bumps_growth_and_noise(seed, size, focal, sc
         assert np.abs(found[:2] - center - at).max() <= 0.7 * side
         assert found[2] / scale == pytest.approx(grown, rel=0.8 * STEP)
     assert carried.place is found
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_shadow_that_passes_does_not_take_a_place_along(seed):
+    """Its edge goes over the target by 6 px an image, to a third of the light; the target stays. A picture that is not
+    evened goes farther off, and becomes larger or smaller by 7 % and more."""
+    scene, center = scenery((256, 242), seed), np.array([128.0, 130.0])
+    projection = Projection(camera((256, 242), 300.0), TARGET)
+
+    def image(k):
+        shaded = np.where(np.arange(256) < 100 + 6 * k, 0.33, 1.0)
+        return moved(scene * shaded, center, (0, 0), 1.0, 2.0, k)
+
+    off = {}
+    for evened in (False, True):
+        carried = Carried(image(0), projection, np.array([*center, 1.0]), REACH, evened=evened)
+        off[evened] = np.max([np.abs(carried.step(image(k)) - [*center, 1.0]) for k in range(1, 10)], axis=0)
+    assert off[True][:2].max() < 1.5 and off[True][:2].max() < 0.9 * off[False][:2].max()
+    assert off[True][2] < 0.8 * off[False][2]
 
 
 def test_a_lens_is_taken_into_account():

@@ -181,6 +181,23 @@ def test_a_fit_that_goes_to_another_place_tells_nothing_of_its_own():
     np.testing.assert_allclose(watch.at, [0.12, 0, 1], atol=1e-6)
 
 
+def test_two_places_that_are_one_do_not_take_each_other_s_matches():
+    """What is found from the operator's place is as near to another beside it; it counts for both, and a third one that
+    matches better, but not by as much as it is farther off, is not believed."""
+    watch = Watch((0.0, 0.0, 1, 0.36), (0.05, 0.0, 1, 0.36), (0.3, 0.0, 1, 0.52))
+    look_at = watch.places.look_at
+
+    def drawn(image, location, doubt):
+        look = look_at(image, location, doubt)
+        if look.fit is None or look.fit.location[0] > START[0] + 10.0 or not watch.places.image:
+            return look
+        return seen(START + [2.0 if watch.places.image % 2 else 3.0, 0.0, 0.0], look.measurement.match)
+
+    watch.places.look_at = drawn
+    assert CORRECTED not in watch.see(SEVERAL + 1) and not watch.probation.pending
+    assert abs(watch.at[0]) < 0.05
+
+
 def test_places_that_a_hand_reaches_are_followed_before_better_ones_that_it_hardly_does():
     far = [(0.3 * np.cos(a), 0.3 * np.sin(a), 1, 0.55) for a in np.arange(8) * np.pi / 4]
     watch = Watch((0, 0, 1, 0.2), *far, (0.1, 0.1, 1, lambda image: 0.5 if image < 1 else 0.8))

@@ -5,7 +5,9 @@ import pytest
 
 from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.steering import (
+    BEFORE,
     DOUBTED,
+    HIDING,
     LONGEST,
     SPACING,
     STRETCH,
@@ -146,6 +148,30 @@ def test_a_path_leads_on_as_it_bends(radius, seed):
     assert off.max() < 0.7  # straight on it would be 1.9 m in the sharpest
     np.testing.assert_allclose(np.hypot(*np.diff(on, axis=0).T), SPACING, rtol=1e-6)
     assert np.hypot(*(on[0] - path[-DOUBTED - 1])) < 2 * SPACING
+
+
+@pytest.mark.parametrize("unsure", [DOUBTED, HIDING])
+def test_what_was_not_seen_for_sure_before_it_was_hidden_has_no_say_in_where_the_path_leads(unsure):
+    """The points since the lead was seen for sure, and two before, are drawn aside; where it was hardly ever sure they
+    are as good as any."""
+    path = circle(60.0, 60)
+    drawn = path.copy()
+    drawn[-unsure - BEFORE :, 1] -= np.linspace(0.05, 0.5, unsure + BEFORE)
+    np.testing.assert_allclose(prolonged(drawn, 15.0, 10.0, unsure), prolonged(path, 15.0, 10.0, unsure))
+    np.testing.assert_allclose(prolonged(drawn, 15.0, 10.0, HIDING + 1), prolonged(drawn, 15.0, 10.0))
+    assert np.abs(prolonged(drawn, 15.0, 10.0)[-1] - prolonged(path, 15.0, 10.0)[-1]).max() > 0.1
+
+
+def test_a_lead_that_is_drawn_aside_while_it_is_being_hidden_is_followed_where_it_went():
+    """Straight on, by the angle; it would be an offset of 0.4 m and more were the last sights believed."""
+    for sure, straight in ((False, True), (True, False)):
+        steering, angles = Steering(C), []
+        for k in range(90):
+            hidden = max(k - 60, 0)
+            aside = 0.1 * min(hidden, 8)
+            pose = Pose(10.0 * k / 15, 0.0, 0.0)
+            angles.append(steering.angle(k / 15, 12.0, aside, hidden <= 8, pose, sure or not hidden))
+        assert (np.abs(angles[70:]).max() < 0.002) == straight
 
 
 def test_fast_vehicles_hardly_turn():

@@ -22,8 +22,11 @@ GROWN = 1.1  # times the target's size that the picture shows,
 # and of its width at least so much in height, as vehicles are, of what is added so much above
 UPRIGHT, ABOVE = 0.7, 0.67
 BLUR = 0.8  # px, of noise
+ABOUT = 0.2  # of the lesser side of what is shown: standard deviation of what is about a point, where that is evened,
+FLAT = 4.0  # grey levels: the contrast there below which a point hardly counts
 STEP = 0.025  # relative change of scale that is tried,
 FARTHEST = 5  # and so many of them at most
+LEAST = 4  # samples along a side
 MANY = 400  # places: transforms are quicker from there on
 BESIDE = 2  # samples on either side of where one size was found within which the next one is
 
@@ -31,10 +34,18 @@ BESIDE = 2  # samples on either side of where one size was found within which th
 class Carried:
     """A ``place`` (3,), ideal pixels and scale, first that in the ``image`` (H, W) given, then by `step` that in each
     next one, up to ``reach`` (2,) px from the one before: where the picture of the first correlates best. It shows what
-    is above and below the model as well, where that is lower than ``upright`` times its width."""
+    is above and below the model as well, where that is lower than ``upright`` times its width. ``evened``: each point
+    is compared with what is about it, in units of the contrast there, or a shadow that passes over the target, with
+    the strongest edges of all, takes the place along."""
 
     def __init__(
-        self, image: Bytes, projection: Projection, place: Array, reach: Array, upright: float = 0.0
+        self,
+        image: Bytes,
+        projection: Projection,
+        place: Array,
+        reach: Array,
+        upright: float = 0.0,
+        evened: bool = False,
     ) -> None:
         self._projection, self.place, self._reach = projection, place, reach
         self.likeness = 1.0  # correlation at the place
@@ -45,8 +56,11 @@ class Carried:
         self._shows = np.array([width, height + taller])
         self._side = max(1.0, float(min(self._shows)) / GROWN * self.first / DETAIL)
         middle = self._middle(projection.shown(place).location)
-        seen = _seen(image, middle, self._shows * self.first, self._side)
-        self._picture = _sampled(seen, middle, self._side, self._shows * self.first / self._side)
+        size = self._shows * self.first
+        self._about_it = ABOUT * float(min(size)) / self._side if evened else 0.0  # samples
+        self._margin = ceil(3.0 * self._about_it)  # what is evened depends on
+        seen = _seen(image, middle, size + 2.0 * self._margin * self._side, self._side)
+        self._picture = self._part(seen, middle, self._side, np.maximum(np.rint(size / self._side), LEAST))
         self._pictures: dict[int, Floats] = {}
 
     def step(self, image: Bytes) -> Array:
@@ -77,8 +91,16 @@ class Carried:
 
     def _about(self, image: Bytes, shown: Array) -> _Seen:
         """All that a step from a place ``shown`` (3,) there may look at."""
-        largest = self._shows * shown[2] * exp(STEP * FARTHEST) + 2.0 * self._reach
-        return _seen(image, self._middle(shown), largest, self._side * max(shown[2] / self.first, 1.0))
+        side = self._side * max(shown[2] / self.first, 1.0)
+        largest = (self._shows * shown[2] + 2.0 * self._margin * side) * exp(STEP * FARTHEST) + 2.0 * self._reach
+        return _seen(image, self._middle(shown), largest, side)
+
+    def _part(self, seen: _Seen, middle: Array, side: float, count: Array, grown: float = 1.0) -> Floats:
+        """As `_sampled`, for a target ``grown`` to a size, and evened where that is asked for."""
+        part, m = _sampled(seen, middle, side, count + 2 * self._margin), self._margin
+        if not m:
+            return part
+        return np.ascontiguousarray(_evened(part, self._about_it * grown)[m:-m, m:-m])
 
     def _best(self, seen: _Seen, middle: Array, rung: int, about: Array | None = None) -> tuple[float, Array]:
         """How well the picture, by ``rung`` steps larger, correlates where it does so best within reach of the
@@ -90,7 +112,7 @@ class Carried:
             beside = np.minimum(samples, BESIDE)
             farthest = side * (samples - beside)
             middle, samples = middle + np.clip(about - middle, -farthest, farthest), beside
-        part = _sampled(seen, middle, side, np.array(picture.shape[::-1]) + 2 * samples)
+        part = self._part(seen, middle, side, picture.shape[::-1] + 2 * samples, min(exp(STEP * rung), 1.0))
         scores = correlated(picture, part)
         row, column = divmod(int(scores.argmax()), scores.shape[1])
         (right, by_column), (down, by_row) = _top(_three(scores[row], column)), _top(_three(scores[:, column], row))
@@ -146,12 +168,20 @@ def _stretch(middle: float, half: float, pool: int, length: int) -> range:
 
 def _sampled(seen: _Seen, middle: Array, side: float, count: Array) -> Floats:
     """About ``count`` (2,) pixels about ``middle`` (2,) px, ``side`` px of the image apart; the border goes on."""
-    columns, rows = np.maximum(np.rint(count), 4).astype(int).tolist()
+    columns, rows = np.maximum(np.rint(count), LEAST).astype(int).tolist()
     step = side / seen.pool
     x, y = ((middle - seen.origin) / seen.pool).tolist()
     out = np.empty((rows, columns), np.float32)
     carrying_cpu.sampled(seen.pixels, x - 0.5 * step * (columns - 1), y - 0.5 * step * (rows - 1), step, out)
     return out
+
+
+def _evened(part: Floats, about: float) -> Floats:
+    """By how much each point of ``part`` (H, W) is brighter than what lies ``about`` so many samples about it, in units
+    of the contrast there."""
+    brighter = part - cv2.GaussianBlur(part, (0, 0), about)
+    contrast = np.sqrt(cv2.GaussianBlur(brighter * brighter, (0, 0), about))
+    return np.asarray(brighter / (contrast + FLAT), np.float32)
 
 
 def _shrunk(picture: Floats, grown: float) -> Floats:

@@ -167,7 +167,7 @@ class Recogniser:
 
     def carry(self, image: Bytes, location: Array) -> Carried:
         """What carries ``location`` (3,) on from ``image`` by what it looks like there."""
-        return Carried(image, self.projection, location, self._search.usual)
+        return Carried(image, self.projection, location, self._search.usual, evened=True)
 
     def survey(self, image: Bytes, location: Array, reach: float, count: int) -> list[Array]:
         """Up to ``count`` places (3,) about ``location`` (3,) where the model may lie, the best match first; whatever

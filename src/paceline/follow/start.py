@@ -113,12 +113,15 @@ class Start:
 
     def _matches_of(self, looks: list[Look]) -> list[float]:
         """What the places have matched in an image; nothing where the fit went from one to another."""
-        return [match_of(look) if self._nearest(look) == k else 0.0 for k, look in enumerate(looks)]
+        return [match_of(look) if self._is_of(k, look) else 0.0 for k, look in enumerate(looks)]
 
-    def _nearest(self, look: Look) -> int | None:
+    def _is_of(self, k: int, look: Look) -> bool:
+        """Whether a ``look`` tells of the place ``k``: its fit is nearest to that, or right there, as two places may
+        have come to be one."""
         if look.fit is None:
-            return None
-        return int(np.argmin([self._distance(look.fit.location, carried.place) for carried in self._places]))
+            return False
+        away = [self._distance(look.fit.location, carried.place) for carried in self._places]
+        return away[k] < PLACED or away[k] == min(away)
 
     def _is_there(self, k: int, look: Look) -> bool:
         """Whether a ``look`` at the place ``k`` is to be believed, and is of it."""

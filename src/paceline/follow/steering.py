@@ -16,6 +16,8 @@ Array = NDArray[np.float64]
 SPACING = 0.5  # m between two stored points of the path
 LONGEST = 512  # points kept, 256 m: a day's run holds no more than that
 DOUBTED = 4  # points at its end that are not believed of a lead that is not seen any more: what hid it drew them aside
+BEFORE, HIDING = 2, 12  # points before those that were not seen for sure, which are not believed either unless there
+# are more than so many of them: nothing takes so long to hide a vehicle, but in dim light it is never sure
 STRETCH = 24  # points before those that tell where the path leads on, as far on as they reach back,
 ASIDE = 0.1  # m, by how much each may be off it, as several next to each other are alike,
 TURN, SHARPEST = 1.5, 0.05  # m/s² and 1/m, and how hard vehicles turn
@@ -77,11 +79,12 @@ def goal_on(path: Array, lookahead: float) -> tuple[float, float]:
     return last[0] + share * step[0], last[1] + share * step[1]
 
 
-def prolonged(path: Array, reach: float, speed: float) -> Array:
+def prolonged(path: Array, reach: float, speed: float, unsure: int = 0) -> Array:
     """``path`` (N, 2), in driving order, carried on by ``reach`` metres beyond what is believed of it, every `SPACING`:
     by the arc that its end goes on to, as a vehicle turns at a ``speed`` in m/s, and from where that is not told
-    straight on."""
-    known = path[: max(len(path) - DOUBTED, (len(path) + 1) // 2, 2)]
+    straight on. At its last ``unsure`` points the lead was not seen for sure."""
+    doubted = max(DOUBTED, unsure + BEFORE) if unsure <= HIDING else DOUBTED
+    known = path[: max(len(path) - doubted, (len(path) + 1) // 2, 2)]
     last = known[-STRETCH:]
     along = last[-1] - last[0]
     length = hypot(along[0], along[1])
@@ -106,6 +109,7 @@ class Steering:
         self._c = configuration
         self._points = np.zeros((LONGEST, 2))
         self._count = 0
+        self._unsure = 0  # points at its end at which the vehicle ahead was not seen for sure
         self._last: tuple[float, Pose] | None = None
         self.speed = 0.0  # m/s, of the chase vehicle
 
@@ -114,21 +118,24 @@ class Steering:
         """World points (N, 2), m, that the vehicle ahead has passed, the oldest first; the oldest are forgotten."""
         return self._points[: self._count]
 
-    def angle(self, time: float, ahead: float, right: float, seen: bool, pose: Pose | None) -> float:
+    def angle(
+        self, time: float, ahead: float, right: float, seen: bool, pose: Pose | None, sure: bool = True
+    ) -> float:
         """Steering angle, rad, positive to the right, at ``time``, s, with the vehicle ahead at ``ahead`` and ``right``
-        metres in the camera's axes; ``seen``: measured, not only expected there."""
+        metres in the camera's axes; ``seen``: measured, not only expected there; ``sure``: as well as ever."""
         c = self._c
         goal = ahead, right
         if pose is not None:
             self._move(time, pose)
             if seen:
-                self._append(*in_world(pose, ahead, right))
+                added = self._append(*in_world(pose, ahead, right))
+                self._unsure = 0 if sure else self._unsure + added
             if self._count:
                 lookahead = min(max(self.speed * c.lookahead_time, c.lookahead_min), c.lookahead_max)
                 path = self.path
                 if not seen:  # the lead has driven on, and the vehicle may have passed where it was seen last
                     gone = hypot(*(path[-1] - (pose.x, pose.y)))
-                    path = prolonged(path, gone + c.lookahead_max, self.speed)
+                    path = prolonged(path, gone + c.lookahead_max, self.speed, self._unsure)
                 goal = goal_on(seen_from(pose, path), lookahead)
         angle = pure_pursuit(goal[0] + c.camera_ahead, goal[1], c.wheelbase)
         return min(max(angle, -c.steering_limit), c.steering_limit)
@@ -140,17 +147,19 @@ class Steering:
             self.speed += (1.0 - exp(-dt / SMOOTH)) * (speed - self.speed)
         self._last = time, pose
 
-    def _append(self, x: float, y: float) -> None:
-        """Lead the path on to a point, straight where the vehicle ahead was not seen on its way there."""
+    def _append(self, x: float, y: float) -> int:
+        """Lead the path on to a point, straight where the vehicle ahead was not seen on its way there; by how many
+        points it has grown."""
         if not self._count:
             self._add(x, y)
-            return
+            return 1
         last = self.path[-1].copy()
         way = np.array([x, y]) - last
         length = hypot(*way)
         n = int(length / SPACING)
         for k in range(max(1, n + 1 - LONGEST), n + 1):
             self._add(*(last + k * SPACING / length * way))
+        return n
 
     def _add(self, x: float, y: float) -> None:
         if self._count == LONGEST:

@@ -184,7 +184,8 @@ class FollowTracker:
         tolerance = max(self.configuration.model_tolerance, self.target.tolerance)
         width = float(self.target.size[0])
         place = place_of(location, covariance, self.camera, self.target.nominal_range, tolerance, width)
-        steering = self.steering.angle(time, float(place.position[2]), float(place.position[0]), measured, pose)
+        right, _, ahead = place.position.tolist()
+        steering = self.steering.angle(time, ahead, right, measured, pose, look.sure)
         return FollowEstimate(
             frame=frame,
             time=time,
