@@ -89,7 +89,7 @@ class Speed:
 SPEED_GROUPS: Groups = {
     "steady, calibrated": lambda o: o.is_steady and o.is_calibrated,
     "all": lambda o: True,
-    "all with --tolerance 1 --units km/h": lambda o: o.half <= 1,
+    "known to ± 1 km/h (--tolerance 1)": lambda o: o.half <= 1,
     "miscalibrated": lambda o: not o.is_calibrated,
     "accelerates": lambda o: o.car["acceleration"] != 0,
     "changes lane": lambda o: o.car["lane_change"] is not None,
