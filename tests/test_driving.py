@@ -325,13 +325,13 @@ def test_what_does_not_hold_is_told() -> None:
     ("ending", "follows"),
     [
         (["tracking"] * LAST, True),
-        (["tracking"] * 3 + ["coasting"] + ["tracking"] * (LAST - 4), True),
-        (["coasting"] + ["tracking"] * (LAST - 1) + ["tracking"], True),
-        (["coasting"] * 2 + ["tracking"] * (LAST - 2), False),
+        (["coasting", "tracking", "coasting"] + ["tracking"] * 9 + ["coasting"] + ["tracking"] * 2, True),
+        (["coasting"] * 4 + ["tracking"] * (LAST - 4), False),
+        (["coasting"] * 5 + ["tracking"] * LAST, True),
         (["tracking"] * (LAST - 1) + ["lost"], False),
     ],
 )
-def test_who_follows_at_the_end_may_have_coasted_over_one_frame(ending: list[str], follows: bool) -> None:
+def test_who_follows_at_the_end_may_have_coasted_over_single_frames(ending: list[str], follows: bool) -> None:
     assert Figures(_ending=ending[-LAST:]).ends_tracking == follows
 
 

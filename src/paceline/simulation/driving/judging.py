@@ -13,7 +13,7 @@ from paceline.simulation.driving.scenes import DriveModel
 SEEN = 0.6  # of the rear plane must be visible where a frame counts as one that shows the lead
 WRONG_RANGE, WRONG_PLACE = 0.15, 0.5  # relative, and in widths of the lead: an estimate that is of something else
 STANDING = 0.1  # m/s
-LAST = 15  # frames that tell how a drive ends
+LAST, FOLLOWED = 15, 0.8  # frames that tell how a drive ends, and the share of them that must be tracked
 
 
 @dataclass(frozen=True)
@@ -112,8 +112,8 @@ class Figures:
 
     @property
     def ends_tracking(self) -> bool:
-        """A single frame may be coasted over: the lead is followed all the same."""
-        return self._ending.count("tracking") >= len(self._ending) - 1 and "lost" not in self._ending
+        """Single frames may be coasted over: the lead is followed all the same."""
+        return self._ending.count("tracking") >= FOLLOWED * len(self._ending) and "lost" not in self._ending
 
 
 def judged(model: DriveModel, f: Figures) -> list[Requirement]:
