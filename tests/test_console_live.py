@@ -137,7 +137,7 @@ def test_only_known_settings_reach_a_live_run() -> None:
     given = {"learn": 12.5, "particles": 99, "seed": None, "motion": "line", "units": "km/h", "overlay": False}
     assert options_of(LIVE, given) == ["--particles", "99", "--motion", "line", "--units", "km/h", "--learn", "12.5"]
     assert options_of(LIVE, {"tolerance": 0.5}) == ["--tolerance", "0.5"]
-    for tolerance in (0, -1, 101, "1", float("nan")):
+    for tolerance in (0, -1, 1001, "1", float("nan")):
         with pytest.raises(UnusableInput):
             options_of(LIVE, {"tolerance": tolerance})
     assert options_of(AHEAD, given) == ["--no-overlay"] and options_of(AHEAD, {"overlay": True}) == []

@@ -227,12 +227,17 @@ def test_vehicles_that_pass_put_the_calibration_right_together(tmp_path: Path) -
         passed.append(measurement)
 
     views: Any = Given(ALL)
-    survey(load_clip(rig.parent / "clip.yaml"), views, SpeedConfiguration(), told, 4.0)
+    clip = load_clip(rig.parent / "clip.yaml")
+    survey(clip, views, SpeedConfiguration(), told, 4.0)
     assert [m.calibrated_by for m in passed] == [1, 2, 3]
     assert [m.verdict for m in passed] == ["measured"] * 3
-    for m in passed:
+    halves = [(m.speed_hi - m.speed_lo) / 2 for m in passed]
+    for m, half in zip(passed, halves, strict=True):
         error = min(abs(speed - m.speed) for speed in SPEEDS)
-        assert error < 2 * (m.speed_hi - m.speed) and 0 < m.systematic_std < 0.1
+        assert error < 4 * half and 0 < m.systematic_std < 0.1
+    passed.clear()
+    survey(clip, views, SpeedConfiguration(tolerance=float(np.median(halves))), told, 4.0)
+    assert [m.verdict for m in passed] == ["measured" if half <= np.median(halves) else "rejected" for half in halves]
 
 
 def covered(box: NDArray[np.float64], plane: NDArray[np.float64]) -> float:

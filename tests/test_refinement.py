@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import yaml
 from numpy.typing import NDArray
+from scipy.special import stdtrit
 from scipy.stats import binom, chi2
 
 from paceline.cameras import RigUncertainty, moved_rig
@@ -24,7 +25,7 @@ from paceline.speed.bands import OPTICS, WHOLE, Band, Glimpse, Layout, areas, ba
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.free_rig import FreeRig, held
 from paceline.speed.measurement import measure_clip
-from paceline.speed.refinement import FIRM, GAMMAS, LAYOUTS, Fit
+from paceline.speed.refinement import FIRM, GAMMAS, LAYOUTS, Fit, Refined, refine
 from paceline.speed.results import Measurement
 from paceline.speed.scatter import LEAST_LEFT
 from paceline.speed.trajectory import NAMES, Prior, Trajectory
@@ -258,7 +259,7 @@ def test_the_speed_is_the_mean_over_layouts(rendered: Callable[[Scene], Path]) -
     own = [float(speeds @ f.theta) for f in (fit, *map(fit.laid_out, LAYOUTS))]
     assert min(own) < m.speed < max(own) and m.speed != pytest.approx(own[0], abs=1e-9)
     moves, theta, variance = fit.over_layouts()
-    assert len(moves) == 0 and fit.told(moves, 1.0) is None
+    assert len(moves) == 0 and fit.rig_fit(moves, fit.covariance_by_rig) is None
     assert m.speed == pytest.approx(float(speeds @ theta), abs=1e-9)
     assert LEAST_LEFT < variance / fit.variance < 2.0
 
@@ -503,7 +504,7 @@ def test_what_a_fit_tells_of_its_rig_is_how_it_follows_when_that_is_moved(render
     clip = load_clip(rendered(scene("approaching", 14.0, 2, frames=14)))
     stated = replace(clip.rig, uncertainty=RigUncertainty(1.0, 0.0, (4e-5, 4e-5, 4e-5), (3e-4, 3e-4, 3e-4)))
     fit, _ = fitted(replace(clip, rig=stated))
-    told = fit.told(fit.moves, 1.0)
+    told = fit.rig_fit(fit.moves, fit.covariance_by_rig)
     assert told is not None
     mean = fit.trajectory.mean_speed_shares
     for q in np.argsort(np.abs(mean @ told.response))[-3:]:
@@ -520,6 +521,32 @@ def test_what_a_fit_tells_of_its_rig_is_how_it_follows_when_that_is_moved(render
     assert own.min() > -1e-6 and own.max() > 1.0  # nothing is known less well for having been seen
     known = float(np.sqrt(mean @ told.covariance @ mean))
     assert 0 < known < np.sqrt(fit.variance)
+
+
+def test_what_is_told_of_the_rig_is_of_the_motion_that_is_reported(
+    rendered: Callable[[Scene], Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of the mean over layouts, with every model that may be the true one."""
+    clip = load_clip(rendered(scene("approaching", 14.0, 2, frames=14)))
+    known = RigUncertainty(1.0, 0.0, (4e-5, 4e-5, 4e-5), (3e-4, 3e-4, 3e-4))
+    seen: list[Refined] = []
+
+    def refined(*given: Any) -> Refined:
+        seen.append(refine(*given))
+        return seen[-1]
+
+    monkeypatch.setattr("paceline.speed.measurement.refine", refined)
+    (m,) = measure_clip(replace(clip, rig=replace(clip.rig, uncertainty=known))).measurements
+    fit, shares = seen[-1].rig_fit, seen[-1].trajectory.mean_speed_shares
+    assert fit is not None and m.rig is not None
+    moved = moved_rig(clip.rig, fit.moves @ known.moves[known.moves.any(1)])
+    np.testing.assert_allclose(seen[-1].trajectory.rig.t, moved.t, atol=1e-12)
+    np.testing.assert_allclose(seen[-1].trajectory.rig.left.K, moved.left.K, atol=1e-9)
+    noise, doubt = (float(np.sqrt(shares @ C @ shares)) for C in (fit.covariance, seen[-1].doubt))
+    assert m.rig.std == pytest.approx(np.hypot(noise, doubt)) and doubt > 0
+    wider = stdtrit(seen[-1].dof, 0.975)
+    assert wider > 2.1 and m.rig.half == pytest.approx(np.hypot(wider * noise, 1.95996 * doubt), rel=1e-5)
+    np.testing.assert_array_equal(np.isfinite(m.rig.stds), np.isfinite(m.track.refined_std))
 
 
 @pytest.mark.parametrize("p", [0.01, 0.03])

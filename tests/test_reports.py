@@ -156,7 +156,7 @@ def test_summary_is_exact(out: Path) -> None:
     first, _, last = summary["vehicles"]
     assert first == {
         "vehicle": "v0", "speed_mps": 20.1, "speed_lo_mps": 20.0, "speed_hi_mps": 20.2, "frames": 10,
-        "verdict": "measured", "reason": "", "random_std_mps": 0.03, "systematic_std_mps": 0.04, "calibrated_by": 1,
+        "verdict": "measured", "reason": "", "random_std_mps": 0.03, "systematic_std_mps": 0.04, "calibrated_by": 0,
         "model": "constant speed", "acceleration_mps2": None, "residual_rms": 3.2, "notices": [],
     }  # fmt: skip
     assert last["verdict"] == "rejected" and last["reason"].startswith("too few frames")

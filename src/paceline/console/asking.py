@@ -10,7 +10,7 @@ from paceline.units import convert, parse_unit
 
 LEAST_PARTICLES, MOST_PARTICLES = 20, 100_000
 MOTIONS, UNITS = ("auto", "free", "line", "curve"), ("mph", "km/h", "m/s")
-MOST_TOLERANCE = 100.0  # in the unit in which speeds are shown
+MOST_TOLERANCE = 1000.0  # of any unit
 LEAST_LEARNING, MOST_LEARNING = 2.0, 3600.0  # s
 
 
@@ -43,7 +43,7 @@ def options_of(kind: str, given: dict[str, Any]) -> list[str]:
 
 def in_unit(tolerance: float, before: str, unit: str) -> float:
     """A tolerance in the unit ``before`` in another ``unit``, as many of them as make it as much as it was."""
-    return round(convert(tolerance * parse_unit(before).mps, unit), 2)
+    return float(f"{convert(tolerance * parse_unit(before).mps, unit):.3g}")
 
 
 def to_whole(value: object, most: int) -> int:

@@ -16,10 +16,10 @@ STEP = 1e-3  # standard uncertainties, or a share of the baseline, by which diff
 
 
 @dataclass(frozen=True, eq=False)
-class Told:
-    """What a fit tells of its rig, Q directions in which that may move, in standard uncertainties: the ``moves`` (Q,)
-    at which its parameters are, the ``information`` (Q, Q) that its pictures add to what is stated, the ``response``
-    (n, Q) of its parameters to further moves, and their ``covariance`` (n, n) if the rig were known."""
+class RigFit:
+    """What a fit tells of its rig in Q directions in which that may move, in standard uncertainties: the ``moves``
+    (Q,) at which its parameters are, the ``information`` (Q, Q) that its pictures add to what is stated, the
+    ``response`` (n, Q) of its parameters to further moves, and their ``covariance`` (n, n) if the rig were known."""
 
     moves: Array
     information: Array

@@ -25,7 +25,7 @@ from paceline.speed.bands import Glimpse
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.devices import DeviceName, open_device
 from paceline.speed.fleet import Fleet
-from paceline.speed.free_rig import Told
+from paceline.speed.free_rig import RigFit
 from paceline.speed.paths import Path
 from paceline.speed.planes import first_plane, squared
 from paceline.speed.reconstruction import path_of
@@ -275,7 +275,7 @@ class _Run:
         reason = verdict.against(refined, speed, half) or verdict.off_outline(
             refined, self.vehicle.right, self.configuration.click_sigma
         )
-        rig = None if reason or refined.told is None else self._told(refined, refined.told, wider)
+        rig = None if reason or refined.rig_fit is None else self._told(refined, refined.rig_fit, wider)
         reason = reason or verdict.too_wide(speed, half, own)
         speeds, times = refined.speeds()[0], refined.trajectory.times.mean(1)
         acceleration = float((speeds[-1] - speeds[0]) / (times[-1] - times[0]))
@@ -298,21 +298,22 @@ class _Run:
             acceleration=acceleration if accelerating else float("nan"),
             residual_rms=refined.residual,
             notices=self._notices(refined),
+            calibrated_by=int(refined.rig_fit is not None),
             rig=rig,
         )
 
-    def _told(self, refined: Refined, told: Told, wider: float) -> RigTold:
+    def _told(self, refined: Refined, fit: RigFit, wider: float) -> RigTold:
         """What the fit tells of the rig, and its speeds if that were known; their noise is ``wider`` than it seems."""
         mean, shares = refined.trajectory.mean_speed_shares, refined.trajectory.speed_shares
-        noise, doubt = (float(np.sqrt(mean @ C @ mean)) for C in (told.covariance, refined.doubt))
-        variances = np.einsum("fi,ij,fj->f", shares, told.covariance + refined.doubt, shares)
+        noise, doubt = (float(np.sqrt(mean @ C @ mean)) for C in (fit.covariance, refined.doubt))
+        variances = np.einsum("fi,ij,fj->f", shares, fit.covariance + refined.doubt, shares)
         return RigTold(
-            moves=told.moves,
-            information=told.information,
-            speed=mean @ told.response,
+            moves=fit.moves,
+            information=fit.information,
+            speed=mean @ fit.response,
             std=float(np.hypot(noise, doubt)),
             half=float(np.hypot(wider * noise, ndtri(0.5 + CONFIDENCE / 2) * doubt)),
-            speeds=self._by_row(shares @ told.response),
+            speeds=self._by_row(shares @ fit.response),
             stds=self._by_row(np.sqrt(variances)),
         )
 

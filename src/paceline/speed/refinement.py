@@ -23,7 +23,7 @@ from scipy.optimize import least_squares
 
 from paceline.speed import scatter
 from paceline.speed.bands import Band, Glimpse, Layout, bands_of
-from paceline.speed.free_rig import FreeRig, Told, held
+from paceline.speed.free_rig import FreeRig, RigFit, held
 from paceline.speed.trajectory import EXTRAS, Prior, Trajectory, prior
 
 Array = NDArray[np.float64]
@@ -54,12 +54,12 @@ class Refined:
     """The refined motion: parameters ``theta`` (n,), and what makes them uncertain, as covariances (n, n).
 
     ``trajectory`` has the rig as it was moved, ``rig_pulls`` (Q,) are these moves in independent directions, each over
-    the standard deviation that it has where the calibration is as uncertain as it states, and ``told`` is what the
+    the standard deviation that it has where the calibration is as uncertain as it states, and ``rig_fit`` is what the
     pictures tell of it. ``covariance`` is of the pictures' noise, ``doubt`` of the choice among models, ``systematic``
-    of what is left open of the calibration: NaN where the rig states no uncertainty, and ``told`` None. ``residual`` is
-    the median rms of a patch in grey levels, ``contrast`` that of the texture; ``offsets`` (F, 2, 2) are the pixels by
-    which each view's picture lies off the motion and ``explained`` (F, 2) the share of its contrast, squared, that the
-    motion explains (NaN where it was not used).
+    of what is left open of the calibration: NaN where the rig states no uncertainty. ``rig_fit`` is None where it may
+    not move. ``residual`` is the median rms of a patch in grey levels, ``contrast`` that of the texture; ``offsets``
+    (F, 2, 2) are the pixels by which each view's picture lies off the motion and ``explained`` (F, 2) the share of its
+    contrast, squared, that the motion explains (NaN where it was not used).
     """
 
     trajectory: Trajectory
@@ -68,7 +68,7 @@ class Refined:
     covariance: Array
     doubt: Array
     systematic: Array
-    told: Told | None
+    rig_fit: RigFit | None
     residual: float
     contrast: float
     offsets: Array
@@ -119,11 +119,12 @@ def refine(trajectory: Trajectory, glimpses: list[Glimpse], speed: float, on_pat
     less = variance / fit.variance
     # a model not chosen may be the true one all the same: as likely as the evidence leaves it
     odds = np.exp([0.0, *(evidence - rare for evidence, _ in others)])
-    covariance, doubt = np.zeros((2, *fit.whole_covariance.shape))
+    covariance, known, doubt = np.zeros((3, *fit.whole_covariance.shape))
     for likely, model in zip(odds / odds.sum(), (fit, *(other for _, other in others)), strict=True):
         if likely > NEGLIGIBLE:
             apart = model.theta - fit.theta
             covariance += likely * model.whole_covariance
+            known += likely * model.covariance_by_rig
             doubt += likely * np.outer(apart, apart)
     return Refined(
         fit.trajectory_by(moves),
@@ -132,7 +133,7 @@ def refine(trajectory: Trajectory, glimpses: list[Glimpse], speed: float, on_pat
         less * covariance,
         doubt,
         fit.systematic,
-        fit.told(moves, less),
+        fit.rig_fit(moves, less * known),
         fit.residual,
         fit.contrast,
         *fit.agreement(),
@@ -391,6 +392,11 @@ class Fit:
         """The covariance (n, n) of all parameters: zero for those that are not free."""
         return self._whole(self.covariance)
 
+    @property
+    def covariance_by_rig(self) -> Array:
+        """The same if the rig were known."""
+        return self._whole(self._covariance(0))
+
     def _whole(self, covariance: Array) -> Array:
         """That of the free parameters among those of all."""
         whole = np.zeros((len(self.theta),) * 2)
@@ -450,14 +456,15 @@ class Fit:
         response[p] = self._rig.firmness * np.linalg.inv(self.A)[: len(p), self._rig_rows]
         return np.asarray(response @ response.T)
 
-    def told(self, moves: Array, less: float) -> Told | None:
-        """What the pictures tell of the rig, which their mean over layouts moves by ``moves`` (Q,) and knows with
-        ``less`` of the variance; None where no uncertainty is stated."""
-        if self.trajectory.rig.uncertainty is None:
+    def rig_fit(self, moves: Array, known: Array) -> RigFit | None:
+        """What the pictures tell of the rig, which the mean over layouts moves by ``moves`` (Q,); ``known`` (n, n) is
+        the covariance of the parameters if it were known. None where it may not move."""
+        if not len(moves):
             return None
         p, inverse = self.prior.free, np.linalg.inv(self.A)
         precision = np.linalg.inv(inverse[self._rig_rows, self._rig_rows])
         response = np.zeros((len(self.theta), len(moves)))
         response[p] = inverse[: len(p), self._rig_rows] @ precision
-        information = precision / self._rig.firmness - np.eye(len(moves))
-        return Told(moves, information, response, less * self._whole(self._covariance(0)))
+        share, axes = np.linalg.eigh(precision / self._rig.firmness)
+        information = axes * np.maximum(share - 1.0, 0.0) @ axes.T  # no picture takes anything from what is stated
+        return RigFit(moves, information, response, known)

@@ -11,6 +11,7 @@ Array = NDArray[np.float64]
 
 CONFIDENCE = 0.95  # of every interval
 
+
 @dataclass(frozen=True, eq=False)
 class Track:
     """One vehicle's estimates, one entry per frame in aligned arrays (SI units; N frames, P particles)."""
@@ -75,7 +76,7 @@ class Measurement:
     acceleration: float = float("nan")  # m/s², NaN for a constant-speed model
     residual_rms: float = float("nan")  # grey levels of 255, of the refined fit
     notices: list[str] = field(default_factory=list)
-    calibrated_by: int = 1  # vehicles whose pictures have put right what rig.yaml states
+    calibrated_by: int = 0  # vehicles whose pictures have put right what rig.yaml states
     rig: RigTold | None = None  # where that is uncertain, and the vehicle is still to be measured together with others
 
 

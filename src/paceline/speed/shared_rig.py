@@ -1,34 +1,44 @@
 """One rig, many vehicles: what all their pictures together tell of the calibration puts each of their speeds right.
 
 Each vehicle's fit is a Gaussian in its own motion and in the rig's moves (`speed/free_rig.py`). The rig is the same for
-all of them, so that what their pictures tell of it adds up, and each motion follows where all of them move the rig.
+all of them, so that what their pictures tell of it adds up, and each motion follows where all of them move the rig. But
+a rig is not the same for ever, as it warms up by day: each vehicle is put right by those that passed about when it did.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from paceline.speed import verdict
-from paceline.speed.results import CONFIDENCE, Measurement, RigTold
+from paceline.speed.refinement import UNTOLD
+from paceline.speed.results import CONFIDENCE, Measurement, RigTold, Track
 
 Array = NDArray[np.float64]
 
-CONTRADICTED = 5.0  # standard deviations that one vehicle's pictures may want the rig away from where the others do
-UNTOLD = 0.05  # share of the variance in a direction that pictures have to take away to tell anything of it
+TOGETHER, MEANWHILE = 8, 600.0  # other vehicles that one is put right by, and seconds within which they pass
+ONE = 2.0  # m between the planes of two outlines below which they are of one vehicle
+
+OTHERS = "calibration: its pictures want the cameras elsewhere than those of the other vehicles do"
 
 
 @dataclass(frozen=True, eq=False)
 class Belief:
-    """A Gaussian of the rig's moves: its ``precision`` (Q, Q), and that times its mean, the ``score`` (Q,)."""
+    """A Gaussian of the rig's moves, or what makes it one: the ``precision`` (Q, Q), and that times the mean, the
+    ``score`` (Q,)."""
 
     precision: Array
     score: Array
+
+    def __add__(self, other: Belief) -> Belief:
+        return Belief(self.precision + other.precision, self.score + other.score)
+
+    def __sub__(self, other: Belief) -> Belief:
+        return Belief(self.precision - other.precision, self.score - other.score)
 
     @property
     def covariance(self) -> Array:
@@ -38,45 +48,40 @@ class Belief:
     def mean(self) -> Array:
         return np.asarray(np.linalg.solve(self.precision, self.score))
 
-    def taking(self, told: RigTold, times: float = 1.0) -> Belief:
-        """With what is ``told`` taken in; with ``times`` −1, taken out again."""
-        of_it = told.information @ told.moves + told.moves  # it is found under the stated prior
-        return Belief(self.precision + times * told.information, self.score + times * of_it)
-
 
 def stated(Q: int) -> Belief:
     """What rig.yaml states: no move in any of ``Q`` directions, by one standard uncertainty."""
     return Belief(np.eye(Q), np.zeros(Q))
 
 
-def contradiction(told: RigTold, others: Belief) -> float:
-    """By how many standard deviations, at most, one vehicle's pictures move the rig away from where the ``others``
-    have it: in independent directions, of those that its pictures tell something of."""
-    root = np.linalg.cholesky(others.covariance)
-    information, axes = np.linalg.eigh(root.T @ told.information @ root)
-    moved = axes.T @ np.linalg.solve(root, others.taking(told).mean - others.mean)
+def evidence(told: RigTold) -> Belief:
+    """What a vehicle's pictures add to any belief; its own moves were found under what is stated."""
+    return Belief(told.information, told.information @ told.moves + told.moves)
+
+
+def pull(belief: Belief, more: Belief) -> float:
+    """By how many standard deviations, at most, ``more`` evidence moves the rig away from a ``belief``: in independent
+    directions, of those that it tells something of."""
+    root = np.linalg.cholesky(belief.covariance)
+    information, axes = np.linalg.eigh(root.T @ more.precision @ root)
+    moved = axes.T @ np.linalg.solve(root, (belief + more).mean - belief.mean)
     share = np.maximum(information, 0.0) / (1.0 + np.maximum(information, 0.0))
-    known = share > UNTOLD
-    return float((np.abs(moved[known]) / np.sqrt(share[known])).max(initial=0.0))
+    told = share > UNTOLD
+    return float((np.abs(moved[told]) / np.sqrt(share[told])).max(initial=0.0))
 
 
-def agreed(told: Sequence[RigTold]) -> tuple[Belief, NDArray[np.bool_]]:
-    """What all that was ``told`` of one rig amounts to, and which (V,) of it went in: the one that contradicts the
-    others most is left out, and the next. Where only two are left that contradict each other none goes in, for nothing
-    says which is right."""
-    kept = np.full(len(told), True)
-    Q = len(told[0].moves) if len(told) else 0
+def agreed(told: Sequence[Belief]) -> tuple[Belief, NDArray[np.bool_]]:
+    """What all that was ``told`` of one rig amounts to, what is stated included, and which (V,) of it went in: the one
+    that contradicts the others most is left out, and the next. Where only two are left that contradict each other none
+    goes in, for nothing says which is right."""
+    kept, prior = np.full(len(told), True), stated(len(told[0].score))
     while kept.sum() > 1:
-        belief = reduce(Belief.taking, (t for t, k in zip(told, kept, strict=True) if k), stated(Q))
-        against = np.zeros(len(told))
-        for v, t in enumerate(told):
-            against[v] = contradiction(t, belief.taking(t, -1.0)) if kept[v] else 0.0
-        if against.max() <= CONTRADICTED:
+        belief = sum((t for t, k in zip(told, kept, strict=True) if k), prior)
+        against = np.array([pull(belief - t, t) if k else 0.0 for t, k in zip(told, kept, strict=True)])
+        if against.max() <= verdict.CONTRADICTED:
             return belief, kept
-        if kept.sum() == 2:
-            break
         kept[np.argmax(against)] = False
-    return stated(Q), np.full(len(told), False)
+    return prior, np.full(len(told), False)
 
 
 def put_right(m: Measurement, belief: Belief) -> Measurement:
@@ -102,31 +107,48 @@ def put_right(m: Measurement, belief: Belief) -> Measurement:
     )
 
 
-def together(measurements: Sequence[Measurement]) -> list[Measurement]:
-    """The vehicles of one recording with what they tell of its rig in common; as they were where no two agree."""
-    told = {i: m.rig for i, m in enumerate(measurements) if m.rig is not None}
-    belief, agree = agreed(list(told.values()))
-    shared = list(measurements)
-    if agree.any():
-        for i, agrees in zip(told, agree, strict=True):
-            shared[i] = _among(shared[i], belief, int(agree.sum()) if agrees else 0)
-    return shared
+def beside(m: Measurement, others: Iterable[Measurement]) -> list[Measurement]:
+    """Those of the ``others`` that tell of the rig as it was when ``m`` passed, the nearest in time first: none twice,
+    however often it is outlined."""
+    apart = [(abs(float(o.track.time.mean() - m.track.time.mean())), o) for o in others if o.rig is not None]
+    found: list[Measurement] = []
+    for away, other in sorted(apart, key=lambda pair: pair[0]):
+        if away <= MEANWHILE and not any(is_one(other.track, known.track) for known in [m, *found]):
+            found.append(other)
+    return found[:TOGETHER]
 
 
-def after(m: Measurement, before: Sequence[RigTold]) -> Measurement:
-    """``m`` with what those ``before`` it told of the rig, too; as it is where no two agree."""
+def is_one(track: Track, other: Track) -> bool:
+    """Whether two tracks are of one vehicle, by the frames that they have in common."""
+    _, here, there = np.intersect1d(track.frame, other.frame, return_indices=True)
+    apart = np.linalg.norm(track.position[here] - other.position[there], axis=1)
+    return len(apart) > 0 and float(np.median(apart)) < ONE
+
+
+def among(m: Measurement, others: Iterable[Measurement]) -> Measurement:
+    """``m`` with what the vehicles ``beside`` it tell of the rig, too, and judged anew by that: rejected if it
+    contradicts them, or all of them what rig.yaml states. As it is where no two agree."""
     if m.rig is None:
         return m
-    belief, agree = agreed([*before, m.rig])
-    return _among(m, belief, int(agree.sum()) if agree[-1] else 0) if agree.any() else m
+    told = [evidence(o.rig) for o in [*beside(m, others), m] if o.rig is not None]
+    belief, agree = agreed(told)
+    if not agree.any():
+        return m
+    count, prior = int(agree.sum()), stated(len(m.rig.moves))
+    if not agree[-1]:
+        return replace(m, verdict="rejected", reason=OTHERS, rig=None)
+    if (by := pull(prior, belief - prior)) > verdict.CONTRADICTED:
+        reason = (
+            f"calibration: the pictures of {count} vehicles together want the cameras elsewhere, by {by:.1f} times as "
+            "much as the uncertainty in rig.yaml makes usual"
+        )
+        return replace(m, verdict="rejected", reason=reason, rig=None)
+    right = put_right(m, belief)
+    reason = verdict.too_wide(right.speed, (right.speed_hi - right.speed_lo) / 2, m.rig.half)
+    judged = "rejected" if reason else "measured"
+    return replace(right, verdict=judged, reason=reason, calibrated_by=count, rig=None)
 
 
-def _among(m: Measurement, belief: Belief, agree: int) -> Measurement:
-    """``m`` as one of those that ``agree`` on this ``belief`` of the rig: put right, and judged anew by how wide its
-    interval is then; rejected if they are 0, for it is none of them."""
-    if m.rig is None or not agree:
-        reason = "calibration: its pictures want the cameras elsewhere than those of the other vehicles do"
-    else:
-        own, m = m.rig.half, replace(put_right(m, belief), calibrated_by=agree)
-        reason = verdict.too_wide(m.speed, (m.speed_hi - m.speed_lo) / 2, own)
-    return replace(m, verdict="rejected" if reason else "measured", reason=reason, rig=None)
+def together(measurements: Sequence[Measurement]) -> list[Measurement]:
+    """The vehicles of one recording with what they tell of its rig in common."""
+    return [among(m, [o for o in measurements if o is not m]) for m in measurements]

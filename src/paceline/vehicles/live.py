@@ -28,8 +28,8 @@ from paceline.live_views import LiveViews, RawPair, undistorted
 from paceline.recordings import StereoFrame
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.measurement import measure, refuse_one_view
-from paceline.speed.results import Measurement, RigTold
-from paceline.speed.shared_rig import after
+from paceline.speed.results import Measurement
+from paceline.speed.shared_rig import TOGETHER, among
 from paceline.speed.verdict import within
 from paceline.vehicles import cards
 from paceline.vehicles.finding import Finder, Found, Register, as_seen, found_on
@@ -42,7 +42,7 @@ LEARNING = 30.0  # s in which the empty scene is learned
 REMEMBERED = 150  # pairs of frames that are kept for the vehicles in view
 ENOUGH, APART = 24, 0.2  # pairs to measure on: of more, every second or third one as long as they are no more s apart
 BACKLOG = 8  # vehicles that wait to be measured, at most
-TOGETHER = 64  # vehicles that tell of one rig together: over a day it changes with the weather
+LATEST = 2 * TOGETHER  # vehicles that are remembered for what they tell of the rig: some are told twice
 BUSY = "not measured: vehicles come faster than this computer measures them"
 FORGOTTEN = "not measured: it was in view for longer than frames are kept"
 
@@ -230,7 +230,7 @@ class _Desk:
         self._clip, self._configuration, self._measuring, self._told = clip, configuration, measuring, told
         self._rows, self._cases = rows, deque[_Case]()
         self._register, self._count = Register(), 0
-        self._of_rig = deque[RigTold](maxlen=TOGETHER)
+        self._latest = deque[Measurement](maxlen=LATEST)
 
     def take(self, track: Track, recent: Iterable[RawPair]) -> None:
         if sum(bool(case.pairs) for case in self._cases) >= BACKLOG:
@@ -292,9 +292,9 @@ class _Desk:
 
     def _put_right(self, m: Measurement) -> Measurement:
         """``m`` with what the latest vehicles tell of the rig, too."""
-        right = within(after(m, self._of_rig), self._configuration.tolerance)
+        right = within(among(m, self._latest), self._configuration.tolerance)
         if m.rig is not None:
-            self._of_rig.append(m.rig)
+            self._latest.append(m)
         return right
 
 
