@@ -23,9 +23,10 @@ from paceline.documents import Clip, load_clip
 from paceline.simulation.planar import LaneChange, Scene, Vehicle, random_crossing, random_scene, render, write
 from paceline.speed.bands import OPTICS, WHOLE, Band, Glimpse, Layout, areas, bands_of
 from paceline.speed.configuration import SpeedConfiguration
+from paceline.speed.fit import FIRM, GAMMAS, LAYOUTS, Fit
 from paceline.speed.free_rig import FreeRig, held
 from paceline.speed.measurement import measure_clip
-from paceline.speed.refinement import FIRM, GAMMAS, LAYOUTS, Fit, Refined, refine
+from paceline.speed.refinement import Refined, refine
 from paceline.speed.results import Measurement
 from paceline.speed.scatter import LEAST_LEFT
 from paceline.speed.trajectory import NAMES, Prior, Trajectory
@@ -535,7 +536,7 @@ def test_what_is_told_of_the_rig_is_of_the_motion_that_is_reported(
         seen.append(refine(*given))
         return seen[-1]
 
-    monkeypatch.setattr("paceline.speed.measurement.refine", refined)
+    monkeypatch.setattr("paceline.speed.vehicle_run.refine", refined)
     (m,) = measure_clip(replace(clip, rig=replace(clip.rig, uncertainty=known))).measurements
     fit, shares = seen[-1].rig_fit, seen[-1].trajectory.mean_speed_shares
     assert fit is not None and m.rig is not None

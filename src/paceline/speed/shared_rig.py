@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from paceline.speed import verdict
-from paceline.speed.refinement import UNTOLD
+from paceline.speed.fit import UNTOLD
 from paceline.speed.results import CONFIDENCE, Measurement, RigTold, Track
 
 Array = NDArray[np.float64]

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from paceline.documents import VehicleDocument
 from paceline.speed.bands import Glimpse
+from paceline.speed.fit import Fit
 from paceline.speed.planes import first_plane
-from paceline.speed.refinement import Fit
 from paceline.speed.trajectory import Trajectory, prior, way_of
 from paceline.speed.verdict import LEAST_FRAMES
 from paceline.vehicles.plane import Aligned, Face, course
