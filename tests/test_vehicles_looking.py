@@ -5,7 +5,7 @@ from __future__ import annotations
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -21,6 +21,7 @@ from paceline.live_views import RawPair
 from paceline.recordings import StereoFrame
 from paceline.simulation.backdrops import Backdrop
 from paceline.simulation.planar import RenderedClip, Vehicle, World, render
+from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.paths import from_points
 from paceline.vehicles import live
 from paceline.vehicles.agreement import CHANGED, Texture, agreement, correlation, stands
@@ -408,6 +409,15 @@ class OneClip:
     vehicles: list[VehicleDocument]
 
 
+class Seen(NamedTuple):
+    """A measurement that tells on which frames it was made, and nothing of the rig."""
+
+    vehicle: str
+    frames: list[int]
+    verdict: str = "rejected"
+    rig: None = None
+
+
 class Slow:
     """A measuring process that answers only when asked to: outlines as given, and a measurement for each clip."""
 
@@ -428,7 +438,8 @@ class Slow:
                 vehicle = self.outlines[track.first.frame]
                 future.set_result(replace(as_seen(track, "" if vehicle else "smooth"), vehicle=vehicle))
             else:
-                future.set_result((arguments[0].vehicles[0].id, [pair.index for pair in arguments[1]]))
+                seen = Seen(arguments[0].vehicles[0].id, [pair.index for pair in arguments[1]])
+                future.set_result(seen)
 
 
 def seen_at(index: int) -> Track:
@@ -490,7 +501,7 @@ def test_vehicles_are_told_in_order_and_only_those_outlined_are_numbered() -> No
     told: list[Any] = []
     recent = [RawPair(k, 0.1 * k, blank, blank, 0.0) for k in range(5, 15)]
     process = Slow({6: outlined(7), 8: None, 9: outlined(9), 2: outlined(2)})
-    desk = live._Desk(OneClip([]), None, process, lambda *said: told.append(said))  # type: ignore[arg-type]
+    desk = live._Desk(OneClip([]), SpeedConfiguration(), process, lambda *said: told.append(said))  # type: ignore[arg-type]
     for index in (6, 8, 9, 2):
         desk.take(seen_at(index), recent)
     desk.tell()
@@ -501,9 +512,9 @@ def test_vehicles_are_told_in_order_and_only_those_outlined_are_numbered() -> No
     names = [found.vehicle and found.vehicle.id for found, _, _ in told]
     assert names == ["v0", None, "v1", "v2"]
     assert [measurement for _, measurement, _ in told] == [
-        ("v0", list(range(7, 15))),
+        Seen("v0", list(range(7, 15))),
         None,
-        ("v1", list(range(9, 15))),
+        Seen("v1", list(range(9, 15))),
         None,
     ]
     assert [reason for _, _, reason in told] == ["", "smooth", "", live.FORGOTTEN]

@@ -119,7 +119,6 @@ def too_wide(speed: float, half: float, own: float = 0.0) -> str:
 def within(m: Measurement, tolerance: float | None) -> Measurement:
     """``m``, rejected if it is measured but its 95 % interval is wider than ± ``tolerance``, m/s, that a user asks
     for."""
-    half = (m.speed_hi - m.speed_lo) / 2
-    if tolerance is None or m.verdict != "measured" or half <= tolerance:
+    if tolerance is None or m.verdict != "measured" or (half := (m.speed_hi - m.speed_lo) / 2) <= tolerance:
         return m
     return replace(m, verdict="rejected", reason=f"interval too wide: {half / tolerance:.2f} times the tolerance")
