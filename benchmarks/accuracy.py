@@ -19,9 +19,21 @@ from itertools import chain
 from typing import Any
 
 import numpy as np
-from common import MPH, distances, head, machine, measured, plain_scene, rendered, rms, row, share_out, true_mean
+from common import (
+    MPH,
+    distances,
+    head,
+    machine,
+    measured,
+    plain_scene,
+    rendered,
+    rms,
+    row,
+    share_out,
+    true_mean,
+    why_not,
+)
 
-from paceline import UnusableInput
 from paceline.cameras import RigUncertainty, StereoRig, moved_rig
 from paceline.simulation.planar import Scene, random_crossing, random_scene
 from paceline.speed.results import Measurement
@@ -73,17 +85,13 @@ def run(seeds: Sequence[int], suite: str, gamma: float, rig: str) -> list[Outcom
                 clip = replace(clip, rig=off(clip.rig, seeds[0], rig == "stated"))
             try:
                 m = measured(clip)[0]
-            except UnusableInput as unusable:
-                reason = f"unusable: {str(unusable).partition(': ')[2]}"
-                outcomes[seed] = replace(outcomes[seed], reason=reason)
-            except Exception as fault:  # of the program, not of the clip: shown in its row, and the others go on
-                reason = f"fault of the program: {type(fault).__name__}: {fault}"
-                outcomes[seed] = replace(outcomes[seed], reason=reason)
-            else:
-                true[seed] = true_mean(truth, m)
-                later = len(measurements)  # as if it had passed after those before it
-                track = replace(m.track, frame=m.track.frame + 1000 * later, time=m.track.time + 20.0 * later)
-                measurements[seed] = replace(m, track=track)
+            except Exception as error:  # shown in its row, and the others go on
+                outcomes[seed] = replace(outcomes[seed], reason=why_not(error))
+                continue
+            true[seed] = true_mean(truth, m)
+        later = len(measurements)  # as if it had passed after those before it
+        track = replace(m.track, frame=m.track.frame + 1000 * later, time=m.track.time + 20.0 * later)
+        measurements[seed] = replace(m, track=track)
     for seed, m in zip(measurements, together(list(measurements.values())), strict=True):
         outcomes[seed] = replace(outcomes[seed], **_compared(m, true[seed]))
     return list(outcomes.values())

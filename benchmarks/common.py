@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from paceline import load_clip, open_recording
+from paceline import UnusableInput, load_clip, open_recording
 from paceline.documents import Clip
 from paceline.simulation.planar import Scene, random_scene, render, write
 from paceline.speed.configuration import SpeedConfiguration
@@ -77,6 +77,13 @@ def guessed(clip: Clip, factor: float, truth: Rows) -> Clip:
 def measured(clip: Clip, **settings: Any) -> list[Measurement]:
     """The measurements of ``clip`` with the default configuration but for ``settings``."""
     return measure(clip, open_recording(clip), SpeedConfiguration(**settings)).measurements
+
+
+def why_not(error: Exception) -> str:
+    """Why there is no measurement, for a row of a table: an error of the clip, or a fault of the program."""
+    if isinstance(error, UnusableInput):
+        return f"unusable: {str(error).partition(': ')[2]}"
+    return f"fault of the program: {type(error).__name__}: {error}"
 
 
 def rows_of(truth: Rows, vehicle: str) -> dict[int, dict[str, Any]]:

@@ -19,10 +19,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 import yaml
-from common import head, machine, measured, read_truth, rms, row, share_out, true_mean
+from common import head, machine, measured, read_truth, rms, row, share_out, true_mean, why_not
 from follow import OFF_PLACE, OFF_RANGE, SEEN, WITHIN
 
-from paceline import UnusableInput, load_clip, load_follow, open_camera
+from paceline import load_clip, load_follow, open_camera
 from paceline.follow.following import follow
 from paceline.speed.results import Measurement
 from paceline.units import SpeedUnit
@@ -114,10 +114,8 @@ def run_speed(folder: Path) -> Speed:
     make = partial(Speed, folder.name, scene, float(np.mean([r["distance_m"] for r in rows])))
     try:
         m: Measurement = measured(load_clip(folder / "clip.yaml"))[0]
-    except UnusableInput as unusable:
-        return make(reason=f"unusable: {str(unusable).partition(': ')[2]}")
-    except Exception as fault:  # of the program, not of the clip: shown in its row, and the others go on
-        return make(reason=f"fault of the program: {type(fault).__name__}: {fault}")
+    except Exception as error:  # shown in its row, and the others go on
+        return make(reason=why_not(error))
     if np.isnan(m.speed):
         return make(true=rows[0]["speed_mps"] / KMH, reason=m.reason)
     true = true_mean(rows, m)

@@ -16,7 +16,7 @@ from scipy.stats import binom, chi2
 from small_road import TWO, scene
 
 from paceline.cameras import RigUncertainty, moved_rig
-from paceline.documents import load_clip
+from paceline.documents import Clip, load_clip
 from paceline.simulation.planar import render, write
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.measurement import measure_clip
@@ -284,14 +284,19 @@ def test_what_was_too_wide_alone_may_be_known_well_enough_together() -> None:
     assert still.verdict == "rejected" and "without the calibration's part" in still.reason
 
 
+@pytest.fixture(scope="module")
+def two(tmp_path_factory: pytest.TempPathFactory) -> Clip:
+    """A clip of two vehicles."""
+    return load_clip(write(render(scene(*TWO)), tmp_path_factory.mktemp("two")))
+
+
 KNOWN = RigUncertainty(1.0, 0.0, (4e-5, 4e-5, 4e-5), (3e-4, 3e-4, 3e-4))
 
 
-def test_vehicles_of_one_clip_put_each_other_right(tmp_path: Path) -> None:
+def test_vehicles_of_one_clip_put_each_other_right(two: Clip) -> None:
     """End to end, with a rig that is off by what it states."""
-    clip = load_clip(write(render(scene(*TWO)), tmp_path))
     move = np.random.default_rng(3).standard_normal(14) @ KNOWN.moves
-    clip = replace(clip, rig=replace(moved_rig(clip.rig, move), uncertainty=KNOWN))
+    clip = replace(two, rig=replace(moved_rig(two.rig, move), uncertainty=KNOWN))
     alone = [measure_clip(replace(clip, vehicles=[v])).measurements[0] for v in clip.vehicles]
     result = measure_clip(clip)
     assert [m.calibrated_by for m in result.measurements] == [2, 2] and result.notices == []
@@ -308,10 +313,9 @@ def test_vehicles_of_one_clip_put_each_other_right(tmp_path: Path) -> None:
     assert np.sum(np.square(z)) < chi2.ppf(0.999, len(z))
 
 
-def test_what_is_rejected_for_itself_has_no_say_and_stays_rejected(tmp_path: Path) -> None:
+def test_what_is_rejected_for_itself_has_no_say_and_stays_rejected(two: Clip) -> None:
     """A third outline, whose right corners are not those of the left ones."""
-    clip = load_clip(write(render(scene(*TWO)), tmp_path))
-    clip = replace(clip, rig=replace(clip.rig, uncertainty=KNOWN))
+    clip = replace(two, rig=replace(two.rig, uncertainty=KNOWN))
     wrong = replace(clip.vehicles[0], id="v2", right=clip.vehicles[0].right + [5.0, 0.0])
     *good, bad = measure_clip(replace(clip, vehicles=[*clip.vehicles, wrong])).measurements
     assert bad.verdict == "rejected" and bad.reason.startswith("outline") and bad.calibrated_by < 2
@@ -336,9 +340,8 @@ def test_what_a_vehicle_tells_is_of_its_speed_as_it_is_told(tmp_path: Path) -> N
     assert alone == pytest.approx(np.hypot(m.random_std, m.systematic_std), rel=0.15)  # another way to the same
 
 
-def test_a_tolerance_is_asked_of_what_was_put_right(tmp_path: Path) -> None:
-    clip = load_clip(write(render(scene(*TWO)), tmp_path))
-    clip = replace(clip, rig=replace(clip.rig, uncertainty=KNOWN))
+def test_a_tolerance_is_asked_of_what_was_put_right(two: Clip) -> None:
+    clip = replace(two, rig=replace(two.rig, uncertainty=KNOWN))
     halves = [(m.speed_hi - m.speed_lo) / 2 for m in measure_clip(clip).measurements]
     between = float(np.mean(halves))
     verdicts = [m.verdict for m in measure_clip(clip, SpeedConfiguration(tolerance=between)).measurements]

@@ -12,7 +12,7 @@ from scipy.special import stdtrit
 from paceline.baselines.regions import Regions
 from paceline.recordings import StereoFrame
 from paceline.speed.results import CONFIDENCE, Measurement, Track
-from paceline.speed.verdict import FASTEST, LEAST_FRAMES, WIDEST
+from paceline.speed.verdict import FASTEST, LEAST_FRAMES, too_wide
 
 Array = NDArray[np.float64]
 
@@ -78,9 +78,8 @@ def judged(vehicle: str, sights: Sequence[Sight], mean: MeanSpeed, notices: Sequ
         reason = "residuals: no motion explains what was matched"
     elif mean.speed > FASTEST:
         reason = f"implausible: {mean.speed:.1f} m/s"
-    elif half > max(WIDEST[0] * mean.speed, WIDEST[1]):
-        share = half / max(mean.speed, 1e-9)
-        reason = "interval too wide: " + (f"± {share:.1%} of the speed" if share < 1 else "the speed is not known")
+    else:
+        reason = too_wide(mean.speed, half)
     return Measurement(
         vehicle=vehicle,
         track=track_of(vehicle, sights, mean.speeds, mean.stds),

@@ -297,8 +297,8 @@ class Fit:
 
     @property
     def covariance_by_rig(self) -> Array:
-        """The same if the rig were known."""
-        return self._whole(self._covariance(0))
+        """The same if the rig were known, as it is where it may not move."""
+        return self._whole(self._covariance(0)) if len(self.moves) else self.whole_covariance
 
     def _whole(self, covariance: Array) -> Array:
         """That of the free parameters among those of all."""

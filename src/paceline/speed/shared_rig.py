@@ -64,8 +64,9 @@ def pull(belief: Belief, more: Belief) -> float:
     directions, of those that it tells something of."""
     root = np.linalg.cholesky(belief.covariance)
     information, axes = np.linalg.eigh(root.T @ more.precision @ root)
+    information = np.maximum(information, 0.0)
     moved = axes.T @ np.linalg.solve(root, (belief + more).mean - belief.mean)
-    share = np.maximum(information, 0.0) / (1.0 + np.maximum(information, 0.0))
+    share = information / (1.0 + information)
     told = share > UNTOLD
     return float((np.abs(moved[told]) / np.sqrt(share[told])).max(initial=0.0))
 
@@ -92,18 +93,18 @@ def put_right(m: Measurement, belief: Belief) -> Measurement:
     half = float(np.hypot(m.rig.half, ndtri(0.5 + CONFIDENCE / 2) * systematic))
     speed = m.speed + float(m.rig.speed @ further)
     of_rows = np.einsum("nq,qr,nr->n", m.rig.speeds, left, m.rig.speeds)
-    speeds = m.track.refined_speed + m.rig.speeds @ further
-    fitted = np.flatnonzero(np.isfinite(speeds))[[0, -1]]
-    gained = (m.rig.speeds @ further)[fitted]
+    gained = m.rig.speeds @ further
+    ends = np.flatnonzero(np.isfinite(gained))[[0, -1]]
+    speeds, stds = m.track.refined_speed + gained, np.sqrt(m.rig.stds**2 + of_rows)
     return replace(
         m,
-        track=replace(m.track, refined_speed=speeds, refined_std=np.sqrt(m.rig.stds**2 + of_rows)),
+        track=replace(m.track, refined_speed=speeds, refined_std=stds),
         speed=speed,
         speed_lo=speed - half,
         speed_hi=speed + half,
         random_std=m.rig.std,
         systematic_std=systematic,
-        acceleration=m.acceleration + float(np.diff(gained)[0] / np.diff(m.track.time[fitted])[0]),
+        acceleration=m.acceleration + float(np.diff(gained[ends])[0] / np.diff(m.track.time[ends])[0]),
     )
 
 
@@ -113,9 +114,11 @@ def beside(m: Measurement, others: Iterable[Measurement]) -> list[Measurement]:
     apart = [(abs(float(o.track.time.mean() - m.track.time.mean())), o) for o in others if o.rig is not None]
     found: list[Measurement] = []
     for away, other in sorted(apart, key=lambda pair: pair[0]):
-        if away <= MEANWHILE and not any(is_one(other.track, known.track) for known in [m, *found]):
+        if away > MEANWHILE or len(found) == TOGETHER:
+            break
+        if not any(is_one(other.track, known.track) for known in [m, *found]):
             found.append(other)
-    return found[:TOGETHER]
+    return found
 
 
 def is_one(track: Track, other: Track) -> bool:
@@ -136,17 +139,16 @@ def among(m: Measurement, others: Iterable[Measurement]) -> Measurement:
         return m
     count, prior = int(agree.sum()), stated(len(m.rig.moves))
     if not agree[-1]:
-        return replace(m, verdict="rejected", reason=OTHERS, rig=None)
-    if (by := pull(prior, belief - prior)) > verdict.CONTRADICTED:
+        reason = OTHERS
+    elif (by := pull(prior, belief - prior)) > verdict.CONTRADICTED:
         reason = (
             f"calibration: the pictures of {count} vehicles together want the cameras elsewhere, by {by:.1f} times as "
             "much as the uncertainty in rig.yaml makes usual"
         )
-        return replace(m, verdict="rejected", reason=reason, rig=None)
-    right = put_right(m, belief)
-    reason = verdict.too_wide(right.speed, (right.speed_hi - right.speed_lo) / 2, m.rig.half)
-    judged = "rejected" if reason else "measured"
-    return replace(right, verdict=judged, reason=reason, calibrated_by=count, rig=None)
+    else:
+        own, m = m.rig.half, replace(put_right(m, belief), calibrated_by=count)
+        reason = verdict.too_wide(m.speed, (m.speed_hi - m.speed_lo) / 2, own)
+    return replace(m, verdict="rejected" if reason else "measured", reason=reason, rig=None)
 
 
 def together(measurements: Sequence[Measurement]) -> list[Measurement]:
