@@ -21,7 +21,7 @@ from scipy.stats import binom, chi2
 from paceline.cameras import RigUncertainty, moved_rig
 from paceline.documents import Clip, load_clip
 from paceline.simulation.planar import LaneChange, Scene, Vehicle, random_crossing, random_scene, render, write
-from paceline.speed.bands import OPTICS, WHOLE, Band, Glimpse, Layout, areas, bands_of
+from paceline.speed.bands import OPTICS, STRIPS, WHOLE, Band, Glimpse, Layout, areas, bands_of
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.fit import FIRM, GAMMAS, LAYOUTS, Fit
 from paceline.speed.free_rig import FreeRig, held
@@ -307,7 +307,8 @@ def test_light_that_changes_from_view_to_view_moves_nothing(seed: int) -> None:
     off = {}
     for ramp in (0.0, 20.0):
         band, H = standing(ramp, seed)
-        off[ramp] = [band.agreement(H, np.zeros_like(H), np.zeros(band.patches), 1.0)[0] for _ in range(3)][-1]
+        flat = np.zeros((band.patches, STRIPS))
+        off[ramp] = [band.agreement(H, np.zeros_like(H), flat, 1.0)[0] for _ in range(3)][-1]
     noise, with_light = (float(np.sqrt((o**2).mean())) for o in off.values())
     assert 0 < with_light < 1.3 * noise
 
@@ -320,9 +321,45 @@ def test_where_the_light_does_not_change_nothing_is_lost(seed: int) -> None:
     information = []
     for ramps in (band.ramps, np.zeros_like(band.ramps)):
         band.ramps = ramps
-        A, _ = band.normal_equations(H, np.zeros_like(H), np.zeros(band.patches), 1.0, shift)
+        A, _ = band.normal_equations(H, np.zeros_like(H), np.zeros((band.patches, STRIPS)), 1.0, shift)
         information.append(A[..., 0, 0].sum())
     assert information[0] == pytest.approx(information[1], rel=0.02)
+
+
+# --- what does not lie in the plane ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_strips_of_patches_are_found_where_they_stand(seed: int) -> None:
+    """Twelve views see what stands off the plane by a metre moved aside by up to 60 px."""
+    rng = np.random.default_rng(seed)
+    face = cv2.GaussianBlur(rng.standard_normal((90, 160)), (0, 0), 2.0)
+    face = np.asarray(110.0 + 20.0 * face / face.std(), np.float32)
+    left, top, width, height = 20.0, 15.0, 119.0, 59.0
+    quad = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * [width, height] + [left, top]
+    H, H_d = np.stack([np.array([[width, 0, left], [0, height, top], [0, 0, 1]])] * 12), np.zeros((12, 3, 3))
+    H_d[:, 0, 2] = rng.uniform(-60.0, 60.0, 12)
+
+    def seen(pictures: list[NDArray[np.float32]]) -> Band:
+        pairs = zip(pictures[::2], pictures[1::2], strict=True)
+        glimpses = [Glimpse(k, (k, k), pair, np.zeros((2, 2)), np.stack([quad] * 2)) for k, pair in enumerate(pairs)]
+        (band,) = bands_of(glimpses, np.stack([g.quads for g in glimpses]), 1.0, 0.7, fine=False)
+        return band
+
+    band = seen([face] * 12)
+    v = band.places[1].reshape(band.patches, band.samples)
+    middles = v @ band.strips.T / band.strips.sum(1)
+    heights, which = np.unique(middles.round(6), return_inverse=True)
+    true = rng.uniform(-0.03, 0.03, len(heights))
+    y, x = np.mgrid[:90, :160].astype(np.float32)
+    off = true[np.abs((y - top) / height - heights[:, None, None]).argmin(0)].astype(np.float32)
+    pictures = [cv2.remap(face, x - np.float32(shift) * off, y, cv2.INTER_CUBIC) for shift in H_d[:, 0, 2]]
+    band = seen([np.asarray(p + 0.5 * rng.standard_normal(p.shape), np.float32) for p in pictures])
+    relief = np.zeros((band.patches, STRIPS))
+    for _ in range(6):
+        A, score = (cells.sum(0) for cells in band.normal_equations(H, H_d, relief, 1.0, np.zeros((12, 3, 3, 0))))
+        relief -= np.linalg.solve(A[:, 1:, 1:], score[:, 1:, None])[..., 0]  # the first is γ
+    assert np.sqrt(np.mean((relief - true[which.reshape(relief.shape)]) ** 2)) < 0.004
 
 
 # --- the camera's response ------------------------------------------------------------------------------------------

@@ -26,6 +26,7 @@ DENSITY = 1.3  # samples per pixel of the coarsest view in a band
 INSET = 1.5  # px of a band's coarsest view: the rim shows what is behind
 REJECT = 4.0  # times the expected variance at which a patch loses half its say
 GAIN = (0.2, 5.0)
+STRIPS = 3  # of a patch, one above the other: a bumper's edge or a window's runs through many a patch
 CORRELATED = 12.0  # samples that share their noise, by blur and by sampling more densely than the pixels
 LEAST_VIEWS = 4
 SLOPE = np.array([[1.0, -8.0, 0.0, 8.0, -1.0]], np.float32) / 12
@@ -83,6 +84,8 @@ class Band:
         self.patches, self.samples = down * across, y * x
         self.places = patches.reshape(3, -1)
         self.ramps = self.places[:2].reshape(2, self.patches, self.samples)
+        rows = np.arange(y) * STRIPS // y
+        self.strips = np.repeat(rows == np.arange(STRIPS)[:, None], x, axis=1).astype(np.float32)
         self.views = views
         self.pictures = pictures
         self.gamma = gamma
@@ -99,19 +102,18 @@ class Band:
         return Band(self.views, self.pictures, self.gamma, self.corners, self.size, layout)
 
     def normal_equations(self, H: Array, H_d: Array, relief: Array, gamma: float, dH: Array) -> tuple[Array, Array]:
-        """Normal matrices (views, patches, P + 2, P + 2) and scores (views, patches, P + 2) of the linearised problem.
+        """Normal matrices (views, patches, n, n) and scores (views, patches, n) of the linearised problem, n = P + 1 +
+        STRIPS.
 
-        ``H``, ``H_d`` (all views, 3, 3); ``relief`` (patches,) metres; ``gamma`` of the camera; ``dH`` (all views, 3,
-        3, P) the derivatives. The last two columns are γ and each patch's own relief.
+        ``H``, ``H_d`` (all views, 3, 3); ``relief`` (patches, STRIPS) metres; ``gamma`` of the camera; ``dH`` (all
+        views, 3, 3, P) the derivatives. The last columns are γ and each patch's own relief.
         """
         M, r = self._linearised(H, H_d, relief, gamma)
         V, K, m = r.shape
         P = dH.shape[-1]
-        columns = np.zeros((V, 10, P + 2), np.float32)
-        columns[:, :9, :P] = dH[self.views].reshape(V, 9, P)
-        columns[:, 9, P] = 1.0
-        columns[:, :9, P + 1] = H_d[self.views].reshape(V, 9)
-        J = np.swapaxes(columns, 1, 2)[:, None] @ M
+        J = np.empty((V, K, P + 1 + STRIPS, m), np.float32)
+        J[:, :, :P] = dH[self.views].reshape(V, 1, 9, P).swapaxes(2, 3).astype(np.float32) @ M[:, :, :9]
+        J[:, :, P], J[:, :, P + 1 :] = M[:, :, -1], M[:, :, 9:-1]
         w = (self.weights * self.gain**2).astype(np.float32)
         # the shared texture moves along with the parameters: what all views have in common tells nothing
         J -= np.einsum("vk,vkpm->kpm", w, J, optimize=True) / np.maximum(w.sum(0), 1e-12)[:, None, None]
@@ -137,11 +139,11 @@ class Band:
         return np.asarray(off), np.asarray(1.0 - self.variance.sum(1) / np.maximum(self.power.sum(1), 1e-9))
 
     def _linearised(self, H: Array, H_d: Array, relief: Array, gamma: float) -> tuple[Floats, Floats]:
-        """∂I/∂H and, last, ∂I/∂γ (views, patches, 10, samples) free of gain and offset, and the residuals (views,
-        patches, samples)."""
+        """∂I/∂H, over each strip's relief and, last, ∂I/∂γ (views, patches, 9 + STRIPS + 1, samples) free of gain and
+        offset, and the residuals (views, patches, samples)."""
         V, K, m = len(self.views), self.patches, self.samples
         H, H_d = H[self.views], H_d[self.views]
-        X = H @ self.places + (H_d @ self.places) * np.repeat(relief, m)
+        X = H @ self.places + (H_d @ self.places) * (relief @ self.strips).ravel()
         z = X[:, 2]
         x = X[:, :2] / z[:, None]
         B = (H[:, :2, :2, None] - x[:, :, None] * H[:, 2, :2][:, None, :, None]) / z[:, None, None]
@@ -172,9 +174,10 @@ class Band:
             taken = 1.0 - np.sqrt(np.minimum(noise / np.maximum((share**2).mean(0), 1e-9), 1.0))
             r -= (taken * share)[..., None] * ramp
             free_of.append(np.sqrt(taken)[:, None] * ramp)
-        M = np.empty((V, K, 10, m), np.float32)
-        M[:, :, 9] = by_gamma / self.gain[..., None]
-        linearise(x, z, B, self.places, g, np.stack(free_of).astype(np.float32), M)
+        M = np.empty((V, K, 9 + STRIPS + 1, m), np.float32)
+        M[:, :, -1] = by_gamma / self.gain[..., None]
+        gone = np.stack(free_of).astype(np.float32)
+        linearise(x, z, B, self.places, g, H_d.reshape(V, 9), self.strips, gone, M)
         self._reweigh((r * r).mean(-1) * self.gain**2)
         return M, r
 

@@ -1,10 +1,10 @@
 """One model of a vehicle's motion, fitted to its whole track in both views by Gauss–Newton on intensities.
 
 One texture of the plane is shared by every frame of both views. It is eliminated exactly (variable projection), each
-patch of each view has its own gain and offset, patches may stand a little before or behind the plane, and a patch that
-does not fit — glare, a pole — loses its say. How the camera's values go as light is found with the motion. Into which
-patches the plane is divided is arbitrary, and moves the speed by as much as noise does: the motion is the mean over
-several layouts.
+patch of each view has its own gain and offset, strips of patches may stand a little before or behind the plane, and a
+patch that does not fit — glare, a pole — loses its say. How the camera's values go as light is found with the motion.
+Into which patches the plane is divided is arbitrary, and moves the speed by as much as noise does: the motion is the
+mean over several layouts.
 
 Where rig.yaml states how well the cameras are known, that is a prior as well, and no rail: they are moved along with
 the motion. A vehicle that comes nearer tells by how its pictures grow what its disparities ought to be.
@@ -18,10 +18,11 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 from scipy.optimize import least_squares
 
 from paceline.speed import scatter
-from paceline.speed.bands import Band, Glimpse, Layout, bands_of
+from paceline.speed.bands import STRIPS, Band, Glimpse, Layout, bands_of
 from paceline.speed.free_rig import FreeRig, RigFit, held
 from paceline.speed.trajectory import Prior, Trajectory
 
@@ -32,7 +33,7 @@ LAYOUTS = Layout(8), Layout(30), Layout(share=(0.8, 1.0)), Layout(share=(1.0, 0.
 FREED = 6  # steps of a fit with the rig free, at most
 UNTOLD = 0.05  # share of the variance of a move that pictures have to take away to tell anything of it
 RELAID = 3  # steps of a fit to another layout, at most
-RELIEF = 0.04  # m, how far a patch may stand from the plane
+RELIEF = 0.04, 0.05  # m, how far a patch may stand from the plane, and each of its strips from that
 GAMMA = 1.7, 0.6  # γ of a camera, whose values go as light to the power 1 / γ
 GAMMAS = 1.0, 2.4  # the least and the most: what else changes from picture to picture may pass for any
 FIRM = 1e8  # information of what is held
@@ -46,6 +47,8 @@ NEGLIGIBLE = 1e-3  # probability of a model that need not be thought of
 # What scores cannot show: errors that all frames and patches share. Measured on rendered clips, benchmarks/accuracy.py.
 CALIBRATION = 1.4
 
+RELIEF_INFORMATION = np.linalg.inv(np.full((STRIPS, STRIPS), RELIEF[0] ** 2) + RELIEF[1] ** 2 * np.eye(STRIPS))
+
 
 class Fit:
     """One model fitted to the images, coarse to fine, with the rig as it is stated."""
@@ -54,11 +57,11 @@ class Fit:
         self.trajectory, self.glimpses, self.prior = trajectory, glimpses, prior
         self._rig = held(trajectory)
         self.moves = np.zeros(0)  # of the rig, in standard uncertainties
-        self.theta, self.relief, self.gamma = self._from_filter(), np.zeros(0), GAMMA[0]
+        self.theta, self.relief, self.gamma = self._from_filter(), np.zeros((0, STRIPS)), GAMMA[0]
         for smoothing, fine in LEVELS:
             self.bands = bands_of(glimpses, trajectory.quads(self.theta), self.gamma, smoothing, fine)
             if len(self.relief) != self.bands[0].patches:
-                self.relief = np.zeros(self.bands[0].patches)
+                self.relief = _flat(self.bands)
             self.descend(STEP if fine else COARSE_STEP)
 
     def extended(self, prior: Prior, extra: str) -> tuple[float, Fit]:
@@ -139,7 +142,7 @@ class Fit:
         """Take ``bands`` for its own, and begin at ``theta`` (n,), with patches in the plane unless their ``relief``
         is known."""
         self.theta, self.bands = theta.copy(), bands
-        self.relief = np.zeros(bands[0].patches) if relief is None else relief.copy()
+        self.relief = _flat(bands) if relief is None else relief.copy()
 
     @property
     def noise(self) -> float:
@@ -203,7 +206,7 @@ class Fit:
             self.theta[self.prior.free] += change[:P]
             self.moves = self.moves + change[P:at]
             self.gamma = float(np.clip(self.gamma + change[at], *GAMMAS))
-            self.relief += change[at + 1 :]
+            self.relief += change[at + 1 :].reshape(self.relief.shape)
             if Q:
                 self.trajectory = self._rig.trajectory(self.moves)
             step = float(np.abs(change[:P] / np.sqrt(np.diag(np.linalg.inv(self.A))[:P])).max())
@@ -249,32 +252,33 @@ class Fit:
 
     def _assemble(self) -> tuple[Array, Array, Array, Array]:
         """The normal matrix and score over free parameters, the rig's moves, gamma and relief, prior included, and what
-        each view's patches give to them: (views, patches, n, n) and (views, patches, n) with n = P + Q + 2, their own
-        relief last."""
+        each view's patches give to them: (views, patches, n, n) and (views, patches, n) with n = P + Q + 1 + STRIPS,
+        their own relief last."""
         p, P, Q, K = self.prior, len(self.prior.free), len(self.moves), len(self.relief)
         H, H_d = (h.reshape(-1, 3, 3) for h in self.trajectory.homographies(self.theta))
         dH = self._derivatives(p.free)
         if Q:
             dH = np.concatenate([dH, self._rig.slopes(self.trajectory, self.theta, self.moves, H)], axis=-1)
-        n = P + Q + 2
-        cells_A, cells = np.zeros((len(H), K, n, n)), np.zeros((len(H), K, n))
+        shared = P + Q + 1
+        cells = np.zeros((len(H), K, shared + STRIPS))
+        cells_A = np.zeros((*cells.shape, shared + STRIPS))
         for band in self.bands:
             a, s = band.normal_equations(H, H_d, self.relief, self.gamma, dH)
             cells_A[band.views] += a
             cells[band.views] += s
-        A, score = self._prior_information(self._rig.firmness), np.zeros(n - 1 + K)
+        A, score = self._prior_information(self._rig.firmness), np.zeros(shared + self.relief.size)
         score[:P] = p.information @ (self.theta - p.mean)[p.free]
         score[P : P + Q] = self._rig.firmness * self.moves
-        score[n - 2] = (self.gamma - GAMMA[0]) / GAMMA[1] ** 2
-        score[n - 1 :] = self.relief / RELIEF**2
-        return A + scatter.joined(cells_A), score + scatter.joined_scores(cells), cells_A, cells
+        score[shared - 1] = (self.gamma - GAMMA[0]) / GAMMA[1] ** 2
+        score[shared:] = (self.relief @ RELIEF_INFORMATION).ravel()
+        return A + scatter.joined(cells_A, shared), score + scatter.joined_scores(cells, shared), cells_A, cells
 
     def _prior_information(self, of_rig: float) -> Array:
         """Information of the prior over free parameters, the rig's moves, ``of_rig`` for each, gamma and relief."""
         P, Q, K = len(self.prior.free), len(self.moves), len(self.relief)
-        information = np.diag([*np.zeros(P), *np.full(Q, of_rig), GAMMA[1] ** -2, *np.full(K, RELIEF**-2)])
-        information[:P, :P] = self.prior.information
-        return information
+        shared = np.diag([*np.zeros(P), *np.full(Q, of_rig), GAMMA[1] ** -2])
+        shared[:P, :P] = self.prior.information
+        return np.asarray(block_diag(shared, *[RELIEF_INFORMATION] * K))
 
     @cached_property
     def covariance(self) -> Array:
@@ -371,3 +375,8 @@ class Fit:
         share, axes = np.linalg.eigh(precision / self._rig.firmness)
         information = axes * np.maximum(share - 1.0, 0.0) @ axes.T  # no picture takes anything from what is stated
         return RigFit(moves, information, response, known)
+
+
+def _flat(bands: list[Band]) -> Array:
+    """The relief (patches, STRIPS) of a face that is the plane."""
+    return np.zeros((bands[0].patches, STRIPS))

@@ -1,13 +1,14 @@
 """How sure a fit is, from how the scores of frames and of patches really scatter, not from the pixels' noise.
 
-Normal equations come in *cells*, one for each patch of each view: matrices (views, K, P + 1, P + 1) and scores
-(views, K, P + 1) over the P parameters that patches share and, last, the patch's own relief.
+Normal equations come in *cells*, one for each patch of each view: matrices (views, K, P + S, P + S) and scores
+(views, K, P + S) over the P parameters that patches share and, last, the S of the patch's own relief.
 """
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 Array = NDArray[np.float64]
 
@@ -15,22 +16,17 @@ LEAST_LEFT = 0.5  # share of estimates' variance that their mean has left, at le
 LEAST_REST = 0.05  # share of the information that a single cluster leaves to the others, at least
 
 
-def joined(cells_A: Array) -> Array:
-    """Normal matrices of cells as one (P + K, P + K) over parameters and reliefs."""
+def joined(cells_A: Array, P: int) -> Array:
+    """Normal matrices of cells as one (P + K S, P + K S) over ``P`` shared parameters and the reliefs."""
     by_patch = cells_A.sum(0)
-    K, P = len(by_patch), by_patch.shape[-1] - 1
-    A = np.zeros((P + K, P + K))
-    A[:P, :P] = by_patch[:, :P, :P].sum(0)
-    A[P:, :P] = by_patch[:, P, :P]
-    A[:P, P:] = by_patch[:, P, :P].T
-    A[range(P, P + K), range(P, P + K)] = by_patch[:, P, P]
-    return A
+    of_reliefs = by_patch[:, P:, :P].reshape(-1, P)
+    return np.block([[by_patch[:, :P, :P].sum(0), of_reliefs.T], [of_reliefs, block_diag(*by_patch[:, P:, P:])]])
 
 
-def joined_scores(cells: Array) -> Array:
-    """Scores of cells as one (P + K,)."""
+def joined_scores(cells: Array, P: int) -> Array:
+    """Scores of cells as one (P + K S,)."""
     by_patch = cells.sum(0)
-    return np.concatenate([by_patch[:, :-1].sum(0), by_patch[:, -1]])
+    return np.concatenate([by_patch[:, :P].sum(0), by_patch[:, P:].ravel()])
 
 
 def covariance(A: Array, known: Array, cells_A: Array, cells: Array, judged: Array) -> Array:
@@ -42,16 +38,17 @@ def covariance(A: Array, known: Array, cells_A: Array, cells: Array, judged: Arr
     ``judged`` (P,), a linear function of the parameters. Raises numpy.linalg.LinAlgError where the parameters are not
     determined.
     """
-    views, K, n = cells.shape
+    views, K, _ = cells.shape
+    P = len(judged)
     inverse = np.linalg.inv(A)
     frames = [np.s_[v : v + 2] for v in range(0, views, 2)]
-    by_frame = [(joined(cells_A[f]), joined_scores(cells[f])) for f in frames]
+    by_frame = [(joined(cells_A[f], P), joined_scores(cells[f], P)) for f in frames]
     only = np.eye(K)[:, :, None, None]
-    by_patch = [(joined(cells_A * only[k]), joined_scores(cells * only[k, :, 0])) for k in range(K)]
+    by_patch = [(joined(cells_A * only[k], P), joined_scores(cells * only[k, :, 0], P)) for k in range(K)]
     candidates = []
     for clusters in (by_frame, by_patch):
         meat = sum((np.outer(s, s) for s in _unbiased(A, clusters)), known)
-        candidates.append((inverse @ meat @ inverse)[: n - 1, : n - 1])
+        candidates.append((inverse @ meat @ inverse)[:P, :P])
     return max(candidates, key=lambda C: float(judged @ C @ judged))
 
 
