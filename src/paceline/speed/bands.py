@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from paceline.speed.bands_cpu import linearise
+from paceline.speed import bands_cpu
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -109,19 +109,12 @@ class Band:
         views, 3, 3, P) the derivatives. The last columns are γ and each patch's own relief.
         """
         M, r = self._linearised(H, H_d, relief, gamma)
-        V, K, m = r.shape
-        P = dH.shape[-1]
-        J = np.empty((V, K, P + 1 + STRIPS, m), np.float32)
-        J[:, :, :P] = dH[self.views].reshape(V, 1, 9, P).swapaxes(2, 3).astype(np.float32) @ M[:, :, :9]
-        J[:, :, P], J[:, :, P + 1 :] = M[:, :, -1], M[:, :, 9:-1]
+        (V, K), P = r.shape[:2], dH.shape[-1]
+        by_H = np.ascontiguousarray(dH[self.views].reshape(V, 9, P).swapaxes(1, 2), np.float32)
         w = (self.weights * self.gain**2).astype(np.float32)
-        # the shared texture moves along with the parameters: what all views have in common tells nothing
-        J -= np.einsum("vk,vkpm->kpm", w, J, optimize=True) / np.maximum(w.sum(0), 1e-12)[:, None, None]
-        A, score = np.empty((V, K, J.shape[2], J.shape[2])), np.empty((V, K, J.shape[2]))
-        for v in range(V):  # in double precision: what hardly differs from the rest must not be lost in rounding
-            own = J[v].astype(float)
-            weighted = own * w[v, :, None, None]
-            A[v], score[v] = weighted @ own.swapaxes(1, 2), (weighted @ r[v, ..., None])[..., 0]
+        score = np.empty((V, K, P + 1 + STRIPS))
+        A = np.empty((*score.shape, score.shape[-1]))
+        bands_cpu.normal_equations(M, by_H, w, r, A, score)
         return A, score
 
     def agreement(self, H: Array, H_d: Array, relief: Array, gamma: float) -> tuple[Array, Array]:
@@ -177,7 +170,7 @@ class Band:
         M = np.empty((V, K, 9 + STRIPS + 1, m), np.float32)
         M[:, :, -1] = by_gamma / self.gain[..., None]
         gone = np.stack(free_of).astype(np.float32)
-        linearise(x, z, B, self.places, g, H_d.reshape(V, 9), self.strips, gone, M)
+        bands_cpu.linearise(x, z, B, self.places, g, H_d.reshape(V, 9), self.strips, gone, M)
         self._reweigh((r * r).mean(-1) * self.gain**2)
         return M, r
 

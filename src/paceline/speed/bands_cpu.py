@@ -1,4 +1,4 @@
-"""The loop over a band's samples, compiled by Numba: how the parameters of the homographies move the intensities."""
+"""The loops over a band's samples, compiled by Numba: how the parameters move the intensities, and what follows."""
 
 from __future__ import annotations
 
@@ -26,44 +26,72 @@ def linearise(
 ) -> None:
     """∂I/∂H, and by how far each of the S strips stands off the plane, into the first 9 and the next S rows of ``M``
     (views, patches, 9 + S + 1, samples); and these and what the last row holds freed of each patch's mean and of what
-    ``free_of`` (C, patches, samples; of length 1) holds, one after the other.
+    ``free_of`` (C, patches, samples) holds: fields that neither have a mean nor anything in common.
 
     ``x`` (views, 2, N) px is where the N samples at ``places`` (3, N) of the unit square lie, ``z`` (views, N) their
     scale and ``B`` (views, 2, 2, N) ∂x over the square; ``g`` (2, N) the texture's slope there. ``H_d`` (views, 9) is
     the change of H per metre off the plane, ``strips`` (S, samples) are 1 where a patch's samples are of each.
     """
-    V, K, rows, m = M.shape
+    V, K, _, m = M.shape
     c, off = np.empty((3, m), np.float32), np.empty(m, np.float32)
-    for v in range(V):
-        for k in range(K):
-            own, first = M[v, k], k * m
+    gone = np.empty((1 + len(free_of), m), np.float32)
+    gone[0] = 1.0 / np.sqrt(m)
+    for k in range(K):
+        first = k * m
+        gone[1:] = free_of[:, k]
+        by_sample = gone.T.copy()
+        for v in range(V):
+            own = M[v, k]
             for i in range(m):
                 n = first + i
                 det = (B[v, 0, 0, n] * B[v, 1, 1, n] - B[v, 0, 1, n] * B[v, 1, 0, n]) * z[v, n]
                 ax = (g[0, n] * B[v, 1, 1, n] - g[1, n] * B[v, 1, 0, n]) / det
                 ay = (g[1, n] * B[v, 0, 0, n] - g[0, n] * B[v, 0, 1, n]) / det
                 c[0, i], c[1, i], c[2, i] = ax, ay, -(ax * x[v, 0, n] + ay * x[v, 1, n])
-                off[i] = 0.0
-                for j in range(9):
-                    off[i] += H_d[v, j] * c[j // 3, i] * places[j % 3, n]
-            for j in range(rows):
-                row = own[j]
-                if 9 <= j < rows - 1:
-                    for i in range(m):
-                        row[i] = off[i] * strips[j - 9, i]
-                elif j < 9:
-                    factor, place = c[j // 3], places[j % 3, first : first + m]
-                    for i in range(m):
-                        row[i] = factor[i] * place[i]
-                total = 0.0
+            off[:] = 0.0
+            for j in range(9):
+                row, factor, place = own[j], c[j // 3], places[j % 3, first : first + m]
+                per_metre = np.float32(H_d[v, j])
                 for i in range(m):
-                    total += row[i]
-                mean = np.float32(total / m)
+                    row[i] = factor[i] * place[i]
                 for i in range(m):
-                    row[i] -= mean
-                for known in free_of[:, k]:
-                    share = np.float32(0.0)
-                    for i in range(m):
-                        share += row[i] * known[i]
-                    for i in range(m):
-                        row[i] -= share * known[i]
+                    off[i] += per_metre * row[i]
+            for j in range(len(strips)):
+                row, strip = own[9 + j], strips[j]
+                for i in range(m):
+                    row[i] = off[i] * strip[i]
+            own -= np.dot(np.dot(own, by_sample), gone)
+
+
+@njit(cache=True, nogil=True, fastmath=SUMS, error_model="numpy")
+def normal_equations(M: Floats, dH: Floats, w: Floats, r: Floats, A: Array, score: Array) -> None:
+    """The normal matrices ``A`` (views, patches, n, n) and scores ``score`` (views, patches, n) of residuals ``r``
+    (views, patches, samples) with weights ``w`` (views, patches), by ``M`` of `linearise`, over n = P + 1 + S
+    parameters: those that move H by ``dH`` (views, P, 9), γ, and the strips' relief.
+
+    The shared texture moves along with the parameters: what all views have in common tells nothing. In double
+    precision: what hardly differs from the rest must not be lost in rounding.
+    """
+    V, K, rows, m = M.shape
+    P, n = dH.shape[1], A.shape[-1]
+    J, common = np.empty((V, n, m), np.float32), np.empty((n, m), np.float32)
+    own, weighted = np.empty((n, m)), np.empty(m)
+    for k in range(K):
+        common[:] = 0.0
+        total = max(w[:, k].sum(), np.float32(1e-12))
+        for v in range(V):
+            J[v, :P] = np.dot(dH[v], M[v, k, :9])
+            J[v, P] = M[v, k, rows - 1]
+            J[v, P + 1 :] = M[v, k, 9 : rows - 1]
+            share = w[v, k] / total
+            for j in range(n):
+                for i in range(m):
+                    common[j, i] += share * J[v, j, i]
+        for v in range(V):
+            for j in range(n):
+                for i in range(m):
+                    own[j, i] = J[v, j, i] - common[j, i]
+            for i in range(m):
+                weighted[i] = w[v, k] * r[v, k, i]
+            A[v, k] = w[v, k] * np.dot(own, own.T)
+            score[v, k] = np.dot(own, weighted)
