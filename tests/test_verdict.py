@@ -137,8 +137,9 @@ def test_frames_are_kept_as_long_as_most_of_them_show_the_vehicle(shown: list[bo
         (20.0, 1.19, 0.79, ""),
         (20.0, 1.21, 0.0, "± 6.0% of the speed"),
         (20.0, 1.0, 0.81, "± 4.0% of the speed without the calibration's part"),
-        (5.0, 0.49, 0.33, ""),
-        (5.0, 0.51, 0.0, "± 10.2% of the speed"),
+        (4.0, 0.27, 0.18, ""),
+        (4.0, 0.28, 0.0, "± 7.0% of the speed"),
+        (4.0, 0.2, 0.19, "± 4.8% of the speed without the calibration's part"),
         (0.1, 0.6, 0.0, "the speed is not known"),
     ],
 )

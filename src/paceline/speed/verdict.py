@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from paceline.speed.refinement import Refined
 from paceline.speed.results import Measurement
+from paceline.units import SpeedUnit
 
 LEAST_FRAMES = 4
 MISFIT = 0.6  # share of the texture's contrast that may stay unexplained
@@ -20,7 +21,7 @@ STRAYED = 3.0  # standard deviations, rms over the modes of a way, that it may b
 FAINT = 5.0  # grey levels: such a one is easily followed to where it is not
 OUTLINED = 5.0  # standard deviations of an outline's place, by its corners, that the motion may lie off it
 CONTRADICTED = 5.0  # standard deviations of what pictures put right of a calibration, beyond which it is another one
-WIDEST = (0.06, 0.5)  # half-width of an interval that still counts: relative, and m/s
+WIDEST = (0.06, SpeedUnit.KMH.mps)  # half-width of an interval that still counts: relative, and m/s
 UNKNOWN = "the speed is not known"
 OWN = 2 / 3  # share of that which may be the vehicle's own, not the calibration's
 
