@@ -526,7 +526,7 @@ def test_what_is_put_right_of_a_rig_and_what_is_left_of_it() -> None:
     fit = object.__new__(Fit)
     fit.prior, fit.theta = Prior(np.zeros(4), np.arange(4), np.eye(4)), np.zeros(4)
     fit.trajectory = cast(Trajectory, SimpleNamespace(rig=SimpleNamespace(uncertainty=RigUncertainty())))
-    fit._rig = FreeRig(fit.trajectory, np.eye(3, 14), wider)
+    fit._rig, fit.firmness = FreeRig(fit.trajectory, np.eye(3, 14)), wider
     fit.A = images + np.diag([0, 0, 0, 0, wider, wider, wider])
     # rigs that are off by what they state, and pictures of them
     scores = images[:, 4:] @ rng.standard_normal((3, n)) + np.sqrt(wider) * J.T @ rng.standard_normal((30, n))
