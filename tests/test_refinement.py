@@ -15,15 +15,17 @@ import numpy as np
 import pytest
 import yaml
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 from scipy.special import stdtrit
 from scipy.stats import binom, chi2
 
 from paceline.cameras import RigUncertainty, moved_rig
 from paceline.documents import Clip, load_clip
 from paceline.simulation.planar import LaneChange, Scene, Vehicle, random_crossing, random_scene, render, write
+from paceline.speed import bands_cpu, scatter
 from paceline.speed.bands import OPTICS, STRIPS, WHOLE, Band, Glimpse, Layout, areas, bands_of
 from paceline.speed.configuration import SpeedConfiguration
-from paceline.speed.fit import FIRM, GAMMAS, LAYOUTS, Fit
+from paceline.speed.fit import FIRM, GAMMA, GAMMAS, LAYOUTS, RELIEF, Fit
 from paceline.speed.free_rig import FreeRig, held
 from paceline.speed.measurement import measure_clip
 from paceline.speed.refinement import Refined, refine
@@ -214,14 +216,14 @@ def lane_changes(rendered: Callable[[Scene], Path]) -> list[Fit]:
 
 def test_a_driver_who_changes_lane_strays_no_farther_than_drivers_do(responses: Any, lane_changes: list[Fit]) -> None:
     """The rms of what the prior gives a standard deviation of 1: the bends of its way, and its swerves where it has
-    any."""
+    any; about as much once priors are held as firmly as they should be."""
     for fit in [*lane_changes, *(fit for fit, _ in responses(1.0))]:
         bends = fit.trajectory.bends
         amplitudes = fit.theta[len(NAMES) :][: len(bends.modes)]
         if not (swerves := np.abs(amplitudes[-bends.swerves :]).max() > 0):
             amplitudes = amplitudes[: -bends.swerves]
         assert swerves == (fit in lane_changes)
-        assert fit.strayed == pytest.approx(float(np.sqrt((amplitudes**2).mean())))
+        assert fit.strayed == pytest.approx(float(np.sqrt((amplitudes**2).mean())), rel=0.3)
         assert fit.strayed < 0.5 * STRAYED
 
 
@@ -330,8 +332,9 @@ def test_where_the_light_does_not_change_nothing_is_lost(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_strips_of_patches_are_found_where_they_stand(seed: int) -> None:
-    """Twelve views see what stands off the plane by a metre moved aside by up to 60 px."""
+def test_what_stands_off_the_plane_is_found_by_strips(seed: int) -> None:
+    """Five stripes across a face, 2 cm before or behind its plane, by twelve views that see a metre off the plane moved
+    aside by up to 60 px. One depth for each patch could not be as near to them."""
     rng = np.random.default_rng(seed)
     face = cv2.GaussianBlur(rng.standard_normal((90, 160)), (0, 0), 2.0)
     face = np.asarray(110.0 + 20.0 * face / face.std(), np.float32)
@@ -340,26 +343,117 @@ def test_strips_of_patches_are_found_where_they_stand(seed: int) -> None:
     H, H_d = np.stack([np.array([[width, 0, left], [0, height, top], [0, 0, 1]])] * 12), np.zeros((12, 3, 3))
     H_d[:, 0, 2] = rng.uniform(-60.0, 60.0, 12)
 
-    def seen(pictures: list[NDArray[np.float32]]) -> Band:
-        pairs = zip(pictures[::2], pictures[1::2], strict=True)
-        glimpses = [Glimpse(k, (k, k), pair, np.zeros((2, 2)), np.stack([quad] * 2)) for k, pair in enumerate(pairs)]
-        (band,) = bands_of(glimpses, np.stack([g.quads for g in glimpses]), 1.0, 0.7, fine=False)
-        return band
+    def true(v: NDArray[Any]) -> NDArray[np.float32]:
+        return np.asarray(0.02 * (-1.0) ** np.searchsorted([0.24, 0.44, 0.56, 0.76], v), np.float32)
 
-    band = seen([face] * 12)
-    v = band.places[1].reshape(band.patches, band.samples)
-    middles = v @ band.strips.T / band.strips.sum(1)
-    heights, which = np.unique(middles.round(6), return_inverse=True)
-    true = rng.uniform(-0.03, 0.03, len(heights))
     y, x = np.mgrid[:90, :160].astype(np.float32)
-    off = true[np.abs((y - top) / height - heights[:, None, None]).argmin(0)].astype(np.float32)
-    pictures = [cv2.remap(face, x - np.float32(shift) * off, y, cv2.INTER_CUBIC) for shift in H_d[:, 0, 2]]
-    band = seen([np.asarray(p + 0.5 * rng.standard_normal(p.shape), np.float32) for p in pictures])
+    seen = [cv2.remap(face, x - np.float32(px) * true((y - top) / height), y, cv2.INTER_CUBIC) for px in H_d[:, 0, 2]]
+    noisy = [np.asarray(p + 0.5 * rng.standard_normal(p.shape), np.float32) for p in seen]
+    pairs = zip(noisy[::2], noisy[1::2], strict=True)
+    glimpses = [Glimpse(k, (k, k), pair, np.zeros((2, 2)), np.stack([quad] * 2)) for k, pair in enumerate(pairs)]
+    (band,) = bands_of(glimpses, np.stack([g.quads for g in glimpses]), 1.0, 0.7, fine=False)
     relief = np.zeros((band.patches, STRIPS))
     for _ in range(6):
         A, score = (cells.sum(0) for cells in band.normal_equations(H, H_d, relief, 1.0, np.zeros((12, 3, 3, 0))))
         relief -= np.linalg.solve(A[:, 1:, 1:], score[:, 1:, None])[..., 0]  # the first is γ
-    assert np.sqrt(np.mean((relief - true[which.reshape(relief.shape)]) ** 2)) < 0.004
+    stands = true(band.places[1].reshape(band.patches, -1))
+    off = np.sqrt(np.mean((relief @ band.strips - stands) ** 2))
+    by_patch = np.sqrt(np.mean((stands.mean(1, keepdims=True) - stands) ** 2))
+    assert off < 0.6 * by_patch
+
+
+@pytest.fixture(scope="module")
+def unsure(rendered: Callable[[Scene], Path]) -> Fit:
+    """A fit to what a model of a plane in steady light does not hold: parts that stand off by 6 cm, and glare."""
+    s = random_scene(1003, vehicle={"relief": 0.06, "glare": True, "acceleration": 0.0}, occluder=False)
+    stated = RigUncertainty(1.0, 0.0, (4e-5, 4e-5, 4e-5), (3e-4, 3e-4, 3e-4))
+    clip = load_clip(rendered(s))
+    return fitted(replace(clip, rig=replace(clip.rig, uncertainty=stated)))[0]
+
+
+def test_priors_are_as_firm_as_pictures_tell_less_than_their_noise(unsure: Fit) -> None:
+    assert unsure.firmness > 1.5
+    assert unsure.firmness == pytest.approx(max(unsure.variance / unsure.noise**2, 1.0), rel=0.3)
+
+
+def test_every_prior_is_held_as_firmly(unsure: Fit) -> None:
+    """Those of the motion, the rig, γ and the relief: in the normal matrix and in the scores."""
+    fit = copy(unsure)
+    fit._begin_at(unsure.theta, [copy(band) for band in unsure.bands], unsure.relief)
+    found = []
+    for fit.firmness in (1.0, 11.0):
+        A, score, *_ = fit._assemble()
+        found.append((A, score))
+        fit._begin_at(unsure.theta, [copy(band) for band in unsure.bands], unsure.relief)
+    (A, score), (firm_A, firm_score) = found
+    p, own = fit.prior, np.linalg.inv(RELIEF[0] ** 2 * np.ones((STRIPS, STRIPS)) + RELIEF[1] ** 2 * np.eye(STRIPS))
+    blocks = [p.information, np.eye(len(fit.moves)), [[GAMMA[1] ** -2]], *[own] * len(fit.relief)]
+    off = [(fit.theta - p.mean)[p.free], fit.moves, [fit.gamma - GAMMA[0]], fit.relief.ravel()]
+    information, departure = block_diag(*blocks), np.concatenate(off)
+    scale = np.sqrt(np.outer(np.diag(A), np.diag(A)))
+    np.testing.assert_allclose((firm_A - A) / scale, 10.0 * information / scale, atol=1e-9)
+    np.testing.assert_allclose(firm_score - score, 10.0 * information @ departure, atol=1e-6 * np.abs(score).max())
+
+
+def test_what_firm_priors_leave_open(unsure: Fit) -> None:
+    """If they are true, by draws of what they are of and of the scores of pictures that tell as much less."""
+    fit, f, n = copy(unsure), 6.0, 40_000
+    rng, J = np.random.default_rng(5), np.random.default_rng(6).standard_normal((12, 5))
+    fit.prior = Prior(np.zeros(4), np.arange(4), np.diag([0.1, 4.0, 8.0, 2.0]))
+    fit.trajectory = cast(Trajectory, SimpleNamespace(mean_speed_shares=np.array([1.0, 0.5, 0.0, 0.0])))
+    fit.moves, fit.firmness, fit.relief = np.zeros(0), f, np.zeros((0, STRIPS))
+    known = block_diag(fit.prior.information, GAMMA[1] ** -2)
+    fit.A = J.T @ J + f * known
+    true = np.linalg.cholesky(np.linalg.inv(known)) @ rng.standard_normal((5, n))
+    errors = np.linalg.solve(fit.A, f * known @ true + np.sqrt(f) * J.T @ rng.standard_normal((12, n)))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("paceline.speed.fit.CALIBRATION", 1.0)
+        patch.setattr(scatter, "covariance", lambda A, of_priors, *_: np.linalg.inv(A) @ of_priors @ np.linalg.inv(A))
+        fit._cells = [np.zeros((0, 0, 5, 5)), np.zeros((0, 0, 5))]
+        left = fit._covariance(0)
+    by_pictures = np.linalg.solve(fit.A, np.linalg.solve(fit.A, f * J.T @ J).T)[:4, :4]
+    np.testing.assert_allclose(left + by_pictures, np.cov(errors)[:4, :4], atol=0.03 * np.cov(errors).max())
+
+
+# --- the compiled loops ----------------------------------------------------------------------------------------------
+
+
+def test_the_compiled_loops_are_what_they_say() -> None:
+    """In double precision, one sample and one projection after the other."""
+    rng, (V, K, m, P, S) = np.random.default_rng(7), (3, 2, 20, 4, 3)
+    N = K * m
+    x, z, g = rng.uniform(0, 50, (V, 2, N)), rng.uniform(0.5, 2, (V, N)), rng.standard_normal((2, N))
+    B = rng.standard_normal((V, 2, 2, N)) + 5 * np.eye(2)[:, :, None]
+    places = np.concatenate([rng.uniform(0, 1, (2, N)), np.ones((1, N))])
+    H_d, strips = rng.standard_normal((V, 9)), np.eye(S).repeat(7, axis=1)[:, :m]
+    centred = rng.standard_normal((K, m, 2))
+    centred -= centred.mean(1, keepdims=True)
+    free_of = np.moveaxis(np.linalg.qr(centred)[0], -1, 0) * np.array([1.0, 0.7])[:, None, None]
+    last = rng.standard_normal((V, K, m))
+    M = np.zeros((V, K, 9 + S + 1, m), np.float32)
+    M[:, :, -1] = last
+    bands_cpu.linearise(x, z, B, places, g, H_d, strips.astype(np.float32), free_of.astype(np.float32), M)
+    expected = np.zeros(M.shape)
+    for v in range(V):
+        slope = np.einsum("dn,dcn->cn", g, np.linalg.inv(B[v].transpose(2, 0, 1)).transpose(1, 2, 0)) / z[v]
+        by_point = np.stack([slope[0], slope[1], -(slope * x[v]).sum(0)])
+        by_H = (by_point[:, None] * places).reshape(9, K, m)
+        expected[v, :, :9] = by_H.swapaxes(0, 1)
+        expected[v, :, 9:-1] = np.einsum("j,jkm,sm->ksm", H_d[v], by_H, strips)
+    expected[:, :, -1] = last
+    expected -= expected.mean(-1, keepdims=True)
+    for field in free_of:
+        expected -= (expected * field[:, None]).sum(-1, keepdims=True) * field[:, None]
+    np.testing.assert_allclose(M, expected, atol=1e-5 * np.abs(expected).max())
+
+    dH, w, r = rng.standard_normal((V, P, 9)), rng.uniform(0, 1, (V, K)), rng.standard_normal((V, K, m))
+    A, score = np.empty((V, K, P + 1 + S, P + 1 + S)), np.empty((V, K, P + 1 + S))
+    bands_cpu.normal_equations(*(a.astype(np.float32) for a in (M, dH, w, r)), A, score)
+    by_motion = np.einsum("vph,vkhm->vkpm", dH, expected[:, :, :9])
+    J = np.concatenate([by_motion, expected[:, :, -1:], expected[:, :, 9:-1]], axis=2)
+    J -= np.einsum("vk,vkpm->kpm", w / w.sum(0), J)
+    np.testing.assert_allclose(A, np.einsum("vk,vkpm,vkqm->vkpq", w, J, J), atol=1e-5 * np.abs(A).max())
+    np.testing.assert_allclose(score, np.einsum("vk,vkpm,vkm->vkp", w, J, r), atol=1e-5 * np.abs(score).max())
 
 
 # --- the camera's response ------------------------------------------------------------------------------------------

@@ -67,6 +67,8 @@ class Fit:
             if len(self.relief) != self.bands[0].patches:
                 self.relief = _flat(self.bands)
             self.descend(STEP if fine else COARSE_STEP)
+        # before its way is held firmly: one that was followed to where it is not bends, and would be straightened
+        self.strayed = self._straying()
 
     def extended(self, prior: Prior, extra: str) -> tuple[float, Fit]:
         """A model that has an ``extra`` too, and the log Bayes factor by which the evidence speaks for it.
@@ -147,14 +149,16 @@ class Fit:
 
     @property
     def noise(self) -> float:
-        """Standard deviation of the mean speed, m/s, if the pixels' noise were all. Raises numpy.linalg.LinAlgError
-        where the images do not determine it."""
+        """Standard deviation of the mean speed, m/s, if the pixels' noise were all and priors as much firmer as they
+        are. Raises numpy.linalg.LinAlgError where the images do not determine it."""
         shares = np.zeros(len(self.A))
         shares[: len(self.prior.free)] = self._mean_speed
         root = np.linalg.cholesky(self.A)
         response = np.linalg.solve(root.T, np.linalg.solve(root, shares))
         of_rig = self.firmness * np.square(response[self._rig_rows]).sum()
-        return float(np.sqrt(max(shares @ response - of_rig, 0.0)))
+        if not (variance := float(shares @ response - of_rig)) > 0.0:
+            raise np.linalg.LinAlgError("the images do not determine the mean speed")
+        return float(np.sqrt(variance))
 
     @property
     def _rig_rows(self) -> slice:
@@ -179,7 +183,8 @@ class Fit:
 
     def _log_evidence(self, extra: str, narrower: Prior, wider: float) -> float:
         """Log Bayes factor against the same model under a ``narrower`` prior of its ``extra``, its covariance being
-        ``wider`` times what the pixels' noise leaves (Savage–Dickey, of two Gaussian priors)."""
+        ``wider`` times what the pixels' noise leaves: its priors count firmness / wider times (Savage–Dickey, of two
+        Gaussian priors)."""
         free = np.isin(self.prior.free, self.trajectory.index(extra))
         precision = np.linalg.inv(wider * np.linalg.inv(self.A)[: len(free), : len(free)][np.ix_(free, free)])
         firm = self.firmness / wider
@@ -277,8 +282,8 @@ class Fit:
         return A + scatter.joined(cells_A, shared), score + scatter.joined_scores(cells, shared), cells_A, cells
 
     def _prior_information(self, rig: bool) -> Array:
-        """Information of the priors over free parameters, the rig's moves, gamma and relief: without that of the moves
-        unless ``rig``."""
+        """Information of the priors, as firm as they are, over free parameters, the rig's moves, gamma and relief:
+        without that of the moves unless ``rig``."""
         P, Q, K = len(self.prior.free), len(self.moves), len(self.relief)
         shared = np.diag([*np.zeros(P), *np.full(Q, float(rig)), GAMMA[1] ** -2])
         shared[:P, :P] = self.prior.information
@@ -293,7 +298,9 @@ class Fit:
         """The same where ``Q`` moves of the rig are not known: all that are free, or none."""
         P, held = len(self.prior.free), self._rig_rows if Q == 0 else slice(0)
         known, (cells_A, cells) = self._prior_information(rig=False), self._cells
-        known *= self.firmness / CALIBRATION**2  # the scatter that firm priors' scores have where they are true
+        # where priors Λ are true their scores, f Λ δ, scatter by f² Λ; CALIBRATION, which all is multiplied by, is not
+        # for these
+        known *= self.firmness / CALIBRATION**2
         A, known = (np.delete(np.delete(m, held, 0), held, 1) for m in (self.A, known))
         cells_A, cells = np.delete(np.delete(cells_A, held, -2), held, -1), np.delete(cells, held, -1)
         judged = np.append(self._mean_speed, np.zeros(Q + 1))
@@ -315,8 +322,7 @@ class Fit:
         whole[np.ix_(self.prior.free, self.prior.free)] = covariance
         return whole
 
-    @property
-    def strayed(self) -> float:
+    def _straying(self) -> float:
         """How far the vehicle's own way departs from the drawn one: rms of the bends' amplitudes, each of which has a
         standard deviation of 1."""
         amplitudes = self.theta[np.intersect1d(self.trajectory.index("way"), self.prior.free)]
