@@ -15,17 +15,16 @@ import numpy as np
 import pytest
 import yaml
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 from scipy.special import stdtrit
 from scipy.stats import binom, chi2
 
 from paceline.cameras import RigUncertainty, moved_rig
 from paceline.documents import Clip, load_clip
 from paceline.simulation.planar import LaneChange, Scene, Vehicle, random_crossing, random_scene, render, write
-from paceline.speed import bands_cpu, scatter
+from paceline.speed import bands_cpu
 from paceline.speed.bands import OPTICS, STRIPS, WHOLE, Band, Glimpse, Layout, areas, bands_of
 from paceline.speed.configuration import SpeedConfiguration
-from paceline.speed.fit import FIRM, GAMMA, GAMMAS, LAYOUTS, RELIEF, Fit
+from paceline.speed.fit import FIRM, GAMMAS, LAYOUTS, Fit
 from paceline.speed.free_rig import FreeRig, held
 from paceline.speed.measurement import measure_clip
 from paceline.speed.refinement import Refined, refine
@@ -216,14 +215,14 @@ def lane_changes(rendered: Callable[[Scene], Path]) -> list[Fit]:
 
 def test_a_driver_who_changes_lane_strays_no_farther_than_drivers_do(responses: Any, lane_changes: list[Fit]) -> None:
     """The rms of what the prior gives a standard deviation of 1: the bends of its way, and its swerves where it has
-    any; about as much once priors are held as firmly as they should be."""
+    any."""
     for fit in [*lane_changes, *(fit for fit, _ in responses(1.0))]:
         bends = fit.trajectory.bends
         amplitudes = fit.theta[len(NAMES) :][: len(bends.modes)]
         if not (swerves := np.abs(amplitudes[-bends.swerves :]).max() > 0):
             amplitudes = amplitudes[: -bends.swerves]
         assert swerves == (fit in lane_changes)
-        assert fit.strayed == pytest.approx(float(np.sqrt((amplitudes**2).mean())), rel=0.3)
+        assert fit.strayed == pytest.approx(float(np.sqrt((amplitudes**2).mean())))
         assert fit.strayed < 0.5 * STRAYED
 
 
@@ -360,59 +359,6 @@ def test_what_stands_off_the_plane_is_found_by_strips(seed: int) -> None:
     off = np.sqrt(np.mean((relief @ band.strips - stands) ** 2))
     by_patch = np.sqrt(np.mean((stands.mean(1, keepdims=True) - stands) ** 2))
     assert off < 0.6 * by_patch
-
-
-@pytest.fixture(scope="module")
-def unsure(rendered: Callable[[Scene], Path]) -> Fit:
-    """A fit to what a model of a plane in steady light does not hold: parts that stand off by 6 cm, and glare."""
-    s = random_scene(1003, vehicle={"relief": 0.06, "glare": True, "acceleration": 0.0}, occluder=False)
-    stated = RigUncertainty(1.0, 0.0, (4e-5, 4e-5, 4e-5), (3e-4, 3e-4, 3e-4))
-    clip = load_clip(rendered(s))
-    return fitted(replace(clip, rig=replace(clip.rig, uncertainty=stated)))[0]
-
-
-def test_priors_are_as_firm_as_pictures_tell_less_than_their_noise(unsure: Fit) -> None:
-    assert unsure.firmness > 1.5
-    assert unsure.firmness == pytest.approx(max(unsure.variance / unsure.noise**2, 1.0), rel=0.3)
-
-
-def test_every_prior_is_held_as_firmly(unsure: Fit) -> None:
-    """Those of the motion, the rig, γ and the relief: in the normal matrix and in the scores."""
-    fit = copy(unsure)
-    fit._begin_at(unsure.theta, [copy(band) for band in unsure.bands], unsure.relief)
-    found = []
-    for fit.firmness in (1.0, 11.0):
-        A, score, *_ = fit._assemble()
-        found.append((A, score))
-        fit._begin_at(unsure.theta, [copy(band) for band in unsure.bands], unsure.relief)
-    (A, score), (firm_A, firm_score) = found
-    p, own = fit.prior, np.linalg.inv(RELIEF[0] ** 2 * np.ones((STRIPS, STRIPS)) + RELIEF[1] ** 2 * np.eye(STRIPS))
-    blocks = [p.information, np.eye(len(fit.moves)), [[GAMMA[1] ** -2]], *[own] * len(fit.relief)]
-    off = [(fit.theta - p.mean)[p.free], fit.moves, [fit.gamma - GAMMA[0]], fit.relief.ravel()]
-    information, departure = block_diag(*blocks), np.concatenate(off)
-    scale = np.sqrt(np.outer(np.diag(A), np.diag(A)))
-    np.testing.assert_allclose((firm_A - A) / scale, 10.0 * information / scale, atol=1e-9)
-    np.testing.assert_allclose(firm_score - score, 10.0 * information @ departure, atol=1e-6 * np.abs(score).max())
-
-
-def test_what_firm_priors_leave_open(unsure: Fit) -> None:
-    """If they are true, by draws of what they are of and of the scores of pictures that tell as much less."""
-    fit, f, n = copy(unsure), 6.0, 40_000
-    rng, J = np.random.default_rng(5), np.random.default_rng(6).standard_normal((12, 5))
-    fit.prior = Prior(np.zeros(4), np.arange(4), np.diag([0.1, 4.0, 8.0, 2.0]))
-    fit.trajectory = cast(Trajectory, SimpleNamespace(mean_speed_shares=np.array([1.0, 0.5, 0.0, 0.0])))
-    fit.moves, fit.firmness, fit.relief = np.zeros(0), f, np.zeros((0, STRIPS))
-    known = block_diag(fit.prior.information, GAMMA[1] ** -2)
-    fit.A = J.T @ J + f * known
-    true = np.linalg.cholesky(np.linalg.inv(known)) @ rng.standard_normal((5, n))
-    errors = np.linalg.solve(fit.A, f * known @ true + np.sqrt(f) * J.T @ rng.standard_normal((12, n)))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("paceline.speed.fit.CALIBRATION", 1.0)
-        patch.setattr(scatter, "covariance", lambda A, of_priors, *_: np.linalg.inv(A) @ of_priors @ np.linalg.inv(A))
-        fit._cells = [np.zeros((0, 0, 5, 5)), np.zeros((0, 0, 5))]
-        left = fit._covariance(0)
-    by_pictures = np.linalg.solve(fit.A, np.linalg.solve(fit.A, f * J.T @ J).T)[:4, :4]
-    np.testing.assert_allclose(left + by_pictures, np.cov(errors)[:4, :4], atol=0.03 * np.cov(errors).max())
 
 
 # --- the compiled loops ----------------------------------------------------------------------------------------------
@@ -620,7 +566,7 @@ def test_what_is_put_right_of_a_rig_and_what_is_left_of_it() -> None:
     fit = object.__new__(Fit)
     fit.prior, fit.theta = Prior(np.zeros(4), np.arange(4), np.eye(4)), np.zeros(4)
     fit.trajectory = cast(Trajectory, SimpleNamespace(rig=SimpleNamespace(uncertainty=RigUncertainty())))
-    fit._rig, fit.firmness = FreeRig(fit.trajectory, np.eye(3, 14)), wider
+    fit._rig = FreeRig(fit.trajectory, np.eye(3, 14), wider)
     fit.A = images + np.diag([0, 0, 0, 0, wider, wider, wider])
     # rigs that are off by what they state, and pictures of them
     scores = images[:, 4:] @ rng.standard_normal((3, n)) + np.sqrt(wider) * J.T @ rng.standard_normal((30, n))

@@ -84,7 +84,7 @@ class Band:
         self.patches, self.samples = down * across, y * x
         self.places = patches.reshape(3, -1)
         self.ramps = self.places[:2].reshape(2, self.patches, self.samples)
-        rows = np.arange(y) * STRIPS // y
+        rows = (2 * np.arange(y) + 1) * STRIPS // (2 * y)
         self.strips = np.repeat(rows == np.arange(STRIPS)[:, None], x, axis=1).astype(np.float32)
         self.views = views
         self.pictures = pictures

@@ -8,9 +8,6 @@ mean over several layouts.
 
 Where rig.yaml states how well the cameras are known, that is a prior as well, and no rail: they are moved along with
 the motion. A vehicle that comes nearer tells by how its pictures grow what its disparities ought to be.
-
-Pictures tell less than their pixels' noise makes believe: light and shape are not quite as the model has them. How much
-less is seen from the scatter of the scores, and by that much more firmly is held to what is known before.
 """
 
 from __future__ import annotations
@@ -33,7 +30,7 @@ Array = NDArray[np.float64]
 
 LEVELS = ((2.5, False), (1.2, False), (0.7, True))  # smoothing at the farthest view, px; whether the finer bands join
 LAYOUTS = Layout(8), Layout(30), Layout(share=(0.8, 1.0)), Layout(share=(1.0, 0.8))  # besides the first one
-FREED = 6  # steps of a fit with the rig free and all priors as firm as they should be, at most
+FREED = 6  # steps of a fit with the rig free, at most
 UNTOLD = 0.05  # share of the variance of a move that pictures have to take away to tell anything of it
 RELAID = 3  # steps of a fit to another layout, at most
 RELIEF = 0.04, 0.05  # m, how far a patch may stand from the plane, and each of its strips from that
@@ -54,21 +51,18 @@ RELIEF_INFORMATION = np.linalg.inv(np.full((STRIPS, STRIPS), RELIEF[0] ** 2) + R
 
 
 class Fit:
-    """One model fitted to the images, coarse to fine, with the rig as it is stated and the pixels' noise for all."""
+    """One model fitted to the images, coarse to fine, with the rig as it is stated."""
 
     def __init__(self, trajectory: Trajectory, glimpses: list[Glimpse], prior: Prior) -> None:
         self.trajectory, self.glimpses, self.prior = trajectory, glimpses, prior
         self._rig = held(trajectory)
         self.moves = np.zeros(0)  # of the rig, in standard uncertainties
-        self.firmness = 1.0  # of all priors: by how much more variance the pictures leave than their pixels' noise
         self.theta, self.relief, self.gamma = self._from_filter(), np.zeros((0, STRIPS)), GAMMA[0]
         for smoothing, fine in LEVELS:
             self.bands = bands_of(glimpses, trajectory.quads(self.theta), self.gamma, smoothing, fine)
             if len(self.relief) != self.bands[0].patches:
                 self.relief = _flat(self.bands)
             self.descend(STEP if fine else COARSE_STEP)
-        # before its way is held firmly: one that was followed to where it is not bends, and would be straightened
-        self.strayed = self._straying()
 
     def extended(self, prior: Prior, extra: str) -> tuple[float, Fit]:
         """A model that has an ``extra`` too, and the log Bayes factor by which the evidence speaks for it.
@@ -84,7 +78,7 @@ class Fit:
         if evidence < np.log(NEGLIGIBLE):
             return evidence, other
         if evidence > RARE:
-            other = Fit(self._rig.stated, self.glimpses, prior).weighed()
+            other = Fit(self._rig.stated, self.glimpses, prior).with_rig_free()
         return other._log_evidence(extra, self.prior, other._wider), other
 
     def outlined(self, quad: Array, most: int) -> Fit:
@@ -106,17 +100,20 @@ class Fit:
         other.descend(STEP, RELAID)
         return other
 
-    def weighed(self) -> Fit:
-        """The same model with all priors as firm as they should be, and with the rig free as far as it is uncertain,
-        from here."""
+    def with_rig_free(self) -> Fit:
+        """The same model with the rig free as far as it is uncertain, from here; itself where the rig states no
+        uncertainty."""
+        uncertainty = self.trajectory.rig.uncertainty
+        if uncertainty is None:
+            return self
         other = copy(self)
-        if (uncertainty := self.trajectory.rig.uncertainty) is not None:
-            directions = uncertainty.moves
-            other._rig = FreeRig(self.trajectory, directions[directions.any(1)])
-            other.moves = np.zeros(len(other._rig.directions))
+        directions = uncertainty.moves
+        directions = directions[directions.any(1)]
+        other.moves = np.zeros(len(directions))
         other._begin_at(self.theta, [copy(band) for band in self.bands], self.relief)
-        for fit in (self, other):  # how much less the pictures tell is seen once the rig misleads no more
-            other.firmness = fit._wider
+        # pictures tell less than their pixels' noise makes believe: how much less is seen once the rig misleads no more
+        for fit in (self, other):
+            other._rig = FreeRig(self.trajectory, directions, fit._wider)
             other.descend(STEP, FREED)
         return other
 
@@ -149,13 +146,13 @@ class Fit:
 
     @property
     def noise(self) -> float:
-        """Standard deviation of the mean speed, m/s, if the pixels' noise were all and priors as much firmer as they
-        are. Raises numpy.linalg.LinAlgError where the images do not determine it."""
+        """Standard deviation of the mean speed, m/s, if the pixels' noise were all. Raises numpy.linalg.LinAlgError
+        where the images do not determine it."""
         shares = np.zeros(len(self.A))
         shares[: len(self.prior.free)] = self._mean_speed
         root = np.linalg.cholesky(self.A)
         response = np.linalg.solve(root.T, np.linalg.solve(root, shares))
-        of_rig = self.firmness * np.square(response[self._rig_rows]).sum()
+        of_rig = self._rig.firmness * np.square(response[self._rig_rows]).sum()
         if not (variance := float(shares @ response - of_rig)) > 0.0:
             raise np.linalg.LinAlgError("the images do not determine the mean speed")
         return float(np.sqrt(variance))
@@ -183,14 +180,12 @@ class Fit:
 
     def _log_evidence(self, extra: str, narrower: Prior, wider: float) -> float:
         """Log Bayes factor against the same model under a ``narrower`` prior of its ``extra``, its covariance being
-        ``wider`` times what the pixels' noise leaves: its priors count firmness / wider times (Savage–Dickey, of two
-        Gaussian priors)."""
+        ``wider`` times what the pixels' noise leaves (Savage–Dickey, of two Gaussian priors)."""
         free = np.isin(self.prior.free, self.trajectory.index(extra))
         precision = np.linalg.inv(wider * np.linalg.inv(self.A)[: len(free), : len(free)][np.ix_(free, free)])
-        firm = self.firmness / wider
-        wide = firm * self.prior.information[np.ix_(free, free)]
+        wide = self.prior.information[np.ix_(free, free)]
         held = np.isin(narrower.free, self.trajectory.index(extra))
-        narrow = firm * narrower.information[np.ix_(held, held)] if held.any() else wide / HELD**2
+        narrow = narrower.information[np.ix_(held, held)] if held.any() else wide / HELD**2
         pull = precision @ self.theta[self.trajectory.index(extra)]
         confined = precision - wide + narrow
         logdet = [np.linalg.slogdet(m)[1] for m in (precision, wide, confined, narrow)]
@@ -273,21 +268,19 @@ class Fit:
             a, s = band.normal_equations(H, H_d, self.relief, self.gamma, dH)
             cells_A[band.views] += a
             cells[band.views] += s
-        A, score = self._prior_information(rig=True), np.zeros(shared + self.relief.size)
+        A, score = self._prior_information(self._rig.firmness), np.zeros(shared + self.relief.size)
         score[:P] = p.information @ (self.theta - p.mean)[p.free]
-        score[P : P + Q] = self.moves
+        score[P : P + Q] = self._rig.firmness * self.moves
         score[shared - 1] = (self.gamma - GAMMA[0]) / GAMMA[1] ** 2
         score[shared:] = (self.relief @ RELIEF_INFORMATION).ravel()
-        score *= self.firmness
         return A + scatter.joined(cells_A, shared), score + scatter.joined_scores(cells, shared), cells_A, cells
 
-    def _prior_information(self, rig: bool) -> Array:
-        """Information of the priors, as firm as they are, over free parameters, the rig's moves, gamma and relief:
-        without that of the moves unless ``rig``."""
+    def _prior_information(self, of_rig: float) -> Array:
+        """Information of the prior over free parameters, the rig's moves, ``of_rig`` for each, gamma and relief."""
         P, Q, K = len(self.prior.free), len(self.moves), len(self.relief)
-        shared = np.diag([*np.zeros(P), *np.full(Q, float(rig)), GAMMA[1] ** -2])
+        shared = np.diag([*np.zeros(P), *np.full(Q, of_rig), GAMMA[1] ** -2])
         shared[:P, :P] = self.prior.information
-        return np.asarray(self.firmness * block_diag(shared, *[RELIEF_INFORMATION] * K))
+        return np.asarray(block_diag(shared, *[RELIEF_INFORMATION] * K))
 
     @cached_property
     def covariance(self) -> Array:
@@ -297,10 +290,7 @@ class Fit:
     def _covariance(self, Q: int) -> Array:
         """The same where ``Q`` moves of the rig are not known: all that are free, or none."""
         P, held = len(self.prior.free), self._rig_rows if Q == 0 else slice(0)
-        known, (cells_A, cells) = self._prior_information(rig=False), self._cells
-        # where priors Λ are true their scores, f Λ δ, scatter by f² Λ; CALIBRATION, which all is multiplied by, is not
-        # for these
-        known *= self.firmness / CALIBRATION**2
+        known, (cells_A, cells) = self._prior_information(0.0), self._cells
         A, known = (np.delete(np.delete(m, held, 0), held, 1) for m in (self.A, known))
         cells_A, cells = np.delete(np.delete(cells_A, held, -2), held, -1), np.delete(cells, held, -1)
         judged = np.append(self._mean_speed, np.zeros(Q + 1))
@@ -322,7 +312,8 @@ class Fit:
         whole[np.ix_(self.prior.free, self.prior.free)] = covariance
         return whole
 
-    def _straying(self) -> float:
+    @property
+    def strayed(self) -> float:
         """How far the vehicle's own way departs from the drawn one: rms of the bends' amplitudes, each of which has a
         standard deviation of 1."""
         amplitudes = self.theta[np.intersect1d(self.trajectory.index("way"), self.prior.free)]
@@ -360,7 +351,7 @@ class Fit:
     def pulls(self) -> Array:
         """The rig's moves (Q,) over the standard deviations that they have if the calibration is as uncertain as it
         states: the less the pictures tell of one, the less it moves. Zero for those of which they hardly tell."""
-        told = 1.0 - self.firmness * np.diag(np.linalg.inv(self.A))[self._rig_rows]
+        told = 1.0 - self._rig.firmness * np.diag(np.linalg.inv(self.A))[self._rig_rows]
         return np.where(told > UNTOLD, self.moves / np.sqrt(np.maximum(told, UNTOLD)), 0.0)
 
     @property
@@ -371,7 +362,7 @@ class Fit:
         if self.trajectory.rig.uncertainty is None:
             return np.full((n, n), np.nan)
         response = np.zeros((n, len(self.moves)))
-        response[p] = self.firmness * np.linalg.inv(self.A)[: len(p), self._rig_rows]
+        response[p] = self._rig.firmness * np.linalg.inv(self.A)[: len(p), self._rig_rows]
         return np.asarray(response @ response.T)
 
     def rig_fit(self, moves: Array, known: Array) -> RigFit | None:
@@ -383,7 +374,7 @@ class Fit:
         precision = np.linalg.inv(inverse[self._rig_rows, self._rig_rows])
         response = np.zeros((len(self.theta), len(moves)))
         response[p] = inverse[: len(p), self._rig_rows] @ precision
-        share, axes = np.linalg.eigh(precision / self.firmness)
+        share, axes = np.linalg.eigh(precision / self._rig.firmness)
         information = axes * np.maximum(share - 1.0, 0.0) @ axes.T  # no picture takes anything from what is stated
         return RigFit(moves, information, response, known)
 

@@ -29,11 +29,12 @@ class RigFit:
 
 @dataclass(frozen=True, eq=False)
 class FreeRig:
-    """The trajectory as ``stated``, and the ``directions`` (Q, 14) in which its rig may move, one standard uncertainty
-    each."""
+    """The trajectory as ``stated``, the ``directions`` (Q, 14) in which its rig may move, one standard uncertainty
+    each, and the ``firmness`` of each: how much information it counts for."""
 
     stated: Trajectory
     directions: Array
+    firmness: float
 
     def trajectory(self, moves: Array) -> Trajectory:
         """The trajectory with the rig moved by ``moves`` (Q,) standard uncertainties, and all that was reconstructed as
@@ -58,4 +59,4 @@ class FreeRig:
 
 def held(trajectory: Trajectory) -> FreeRig:
     """A rig that may not move."""
-    return FreeRig(trajectory, np.zeros((0, 14)))
+    return FreeRig(trajectory, np.zeros((0, 14)), 0.0)

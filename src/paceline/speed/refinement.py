@@ -71,7 +71,7 @@ def refine(trajectory: Trajectory, glimpses: list[Glimpse], speed: float, on_pat
     for an acceleration that changes, or, without one, for a turn. Raises numpy.linalg.LinAlgError where the images
     determine nothing.
     """
-    fit = Fit(trajectory, glimpses, prior(trajectory, speed)).weighed()
+    fit = Fit(trajectory, glimpses, prior(trajectory, speed)).with_rig_free()
     extras: tuple[str, ...] = ()
     possible = {*EXTRAS} - ({"turn"} if on_path else {"surge"})
     others: list[tuple[float, Fit]] = []

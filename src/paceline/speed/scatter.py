@@ -30,8 +30,7 @@ def joined_scores(cells: Array, P: int) -> Array:
 
 
 def covariance(A: Array, known: Array, cells_A: Array, cells: Array, judged: Array) -> Array:
-    """Covariance (P, P) of the shared parameters, whose normal matrix is ``A`` and whose priors' scores
-    scatter by ``known``.
+    """Covariance (P, P) of the shared parameters, whose normal matrix is ``A`` and prior information ``known``.
 
     Errors that a patch repeats in every frame and that a frame makes in every patch do not average out over pixels:
     the scores are summed within each before they are squared. That is a sandwich estimate, clustered both ways and
