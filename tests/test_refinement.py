@@ -577,14 +577,17 @@ def test_what_is_put_right_of_a_rig_and_what_is_left_of_it() -> None:
     np.testing.assert_allclose(fit.systematic, response @ response.T, rtol=1e-9)
 
 
-def test_what_a_fit_tells_of_its_rig_is_how_it_follows_when_that_is_moved(rendered: Callable[[Scene], Path]) -> None:
-    """Fitted again with the rig held a step farther, and a step back."""
+def test_what_a_fit_tells_of_its_rig_is_how_it_follows_when_that_is_moved(
+    rendered: Callable[[Scene], Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Fitted again with the rig held a step farther, and a step back, and every patch's say as it is."""
     clip = load_clip(rendered(scene("approaching", 14.0, 2, frames=14)))
     stated = replace(clip.rig, uncertainty=RigUncertainty(1.0, 0.0, (4e-5, 4e-5, 4e-5), (3e-4, 3e-4, 3e-4)))
     fit, _ = fitted(replace(clip, rig=stated))
     told = fit.rig_fit(fit.moves, fit.covariance_by_rig)
     assert told is not None
     mean = fit.trajectory.mean_speed_shares
+    monkeypatch.setattr(Band, "_reweigh", lambda *_: None)
     for q in np.argsort(np.abs(mean @ told.response))[-3:]:
         speeds = []
         for step in (-0.5, 0.5):
