@@ -25,7 +25,7 @@ from paceline.speed.likelihood import Grid
 from paceline.speed.motion import FreeMotion, PathMotion, State
 from paceline.speed.particles import Weights
 from paceline.speed.reconstruction import path_of
-from paceline.speed.tracker import Estimate, Tracker
+from paceline.speed.tracker import LOST, Estimate, Tracker
 
 Array = NDArray[np.float64]
 
@@ -148,12 +148,16 @@ def test_particles_move_as_on_the_cpu(
 
 
 @pytest.mark.parametrize(("kind", "n"), [("curve", 1), ("free", 13)])
-def test_the_posterior_is_that_of_the_cpu(device: CudaDevice, kind: str, n: int) -> None:
+@pytest.mark.parametrize("taken_back", [False, True])
+def test_the_posterior_is_that_of_the_cpu(device: CudaDevice, kind: str, n: int, taken_back: bool) -> None:
     home = particles(way(kind), 3, n)
     there = device.cloud(home)
     ll = np.random.default_rng(4).normal(-30.0, 2.0, n + 2)
     home.weigh(ll[2:])
     there.reweigh(cloud_cuda.cuda.to_device(ll), 2)
+    if taken_back:
+        home.unweigh()
+        there.unweigh()
     here, found = home.posterior(), there.posterior()
     for name in State.__dataclass_fields__:
         np.testing.assert_allclose(getattr(found.mean, name), getattr(here.mean, name), rtol=1e-10, err_msg=name)
@@ -276,10 +280,13 @@ def trackers(clip: Clip, settings: SpeedConfiguration, device: CudaDevice | None
     return found
 
 
-def followed(clip: Clip, fleet: Fleet, each: list[Tracker]) -> list[list[Estimate]]:
+def followed(clip: Clip, fleet: Fleet, each: list[Tracker], hidden: int = -1) -> list[list[Estimate]]:
+    """The estimates, frame by frame; a wall stands before the cameras in the ``hidden`` frame."""
     for tracker in each:
         fleet.join(tracker)
+    wall = np.random.default_rng(8).uniform(0.0, 255.0, (240, 320)).astype(np.float32)
     frames = list(open_recording(clip).frames(0))
+    frames = [replace(f, left=wall, right=wall[:, ::-1]) if f.index == hidden else f for f in frames]
     return [[fleet.update(t, frame) for t in each if t.status == "tracking"] for frame in frames]
 
 
@@ -306,6 +313,13 @@ def test_the_filter_sees_what_it_sees_on_the_cpu(
     copies = 2 if name == "curve" else 1  # weighed in one launch
     expected = followed(clip, Fleet(), trackers(clip, settings, None, copies))
     assert_same_estimates(followed(clip, Fleet(device), trackers(clip, settings, device, copies)), expected)
+
+
+def test_a_vehicle_that_is_hidden_is_awaited_as_on_the_cpu(device: CudaDevice, clips: dict[str, Path]) -> None:
+    clip = load_clip(clips["line"])
+    expected = followed(clip, Fleet(), trackers(clip, SETTINGS, None), hidden=2)
+    assert expected[2][0].likeness < LOST and expected[2][0].ess == pytest.approx(SETTINGS.particles)
+    assert_same_estimates(followed(clip, Fleet(device), trackers(clip, SETTINGS, device), hidden=2), expected)
 
 
 @pytest.mark.parametrize(("where", "breaks_at"), [("weigh", 0), ("reweigh", 0), ("at_home", 0), ("moments", 2)])

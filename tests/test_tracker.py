@@ -212,6 +212,19 @@ def test_a_vehicle_hidden_for_a_moment_is_found_again(kind: str, hidden: tuple[i
     assert all(estimates[i].likeness < 0.5 for i in hidden) and estimates[-1].likeness > 0.8
 
 
+@pytest.mark.parametrize("kind", ["line", "left"])
+def test_what_hides_a_vehicle_chooses_none_of_its_particles(kind: str) -> None:
+    """While it is hidden all of them count, and know less from frame to frame."""
+    s, hidden = small(kind, 15.0, seed=2), (4, 5)
+    for seed in range(4):
+        estimates = track(s, 0.95, walled(clip_of(s)[1], hidden), seed=seed)
+        assert all(estimates[i].ess == pytest.approx(400) for i in hidden)
+        stds = [e.speed_std for e in estimates[3:6]]
+        assert stds == sorted(stds)
+        deviations = [x / e.speed_std for x, e in zip(errors(s, estimates)[6:] * MPH, estimates[6:], strict=True)]
+        assert np.abs(deviations).max() < 4.0
+
+
 def test_a_wall_from_the_second_frame_on_is_no_vehicle() -> None:
     s = small("line", 15.0, seed=2)
     estimates = track(s, 1.0, walled(clip_of(s)[1], range(1, 99)))

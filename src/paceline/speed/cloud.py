@@ -46,6 +46,7 @@ class Cloud:
     def __init__(self, rig: StereoRig, motion: PathMotion | FreeMotion, state: State, weights: Weights) -> None:
         self.rig, self.motion = rig, motion
         self.state, self.weights = state, weights
+        self._unweighed = weights
 
     def propagate(self, dt: float, rng: np.random.Generator) -> None:
         """Move all particles on by ``dt`` seconds."""
@@ -77,7 +78,12 @@ class Cloud:
 
     def weigh(self, log_likelihood: Array) -> None:
         """Update the weights by log p(z | x) (N,) ([Zhu] (2))."""
+        self._unweighed = self.weights
         self.weights = self.weights.updated(log_likelihood)
+
+    def unweigh(self) -> None:
+        """Take the last update of the weights back."""
+        self.weights = self._unweighed
 
     def posterior(self) -> Posterior:
         w, state = self.weights, self.state

@@ -150,6 +150,7 @@ class CudaCloud:
         self._threads = min(THREADS, 1 << (N - 1).bit_length())
         self._partial = cuda.device_array((len(self.pairs), blocks + 1))
         self._heading_partial = cuda.device_array((2, blocks + 1))
+        self._observed: tuple[OnDevice, int] = (None, 0)  # what the weights were last updated by
         self._told, self._extremes = cuda.to_device(np.zeros(2)), cuda.device_array((NORMAL, 2))
         self._every = -(-N // SHOWN)
         self._shown = cuda.device_array((4, -(-N // self._every)))
@@ -212,7 +213,14 @@ class CudaCloud:
 
     def reweigh(self, log_likelihood: OnDevice, first: int) -> None:
         """Update the weights by log p(z | x) of these particles, the ``first`` and the following of a batch."""
-        particles_cuda.reweigh[1, self._threads](self._lw, log_likelihood, first, self._W, self._told)
+        self._observed = log_likelihood, first
+        self._reweigh(1.0)
+
+    def unweigh(self) -> None:
+        self._reweigh(-1.0)
+
+    def _reweigh(self, times: float) -> None:
+        particles_cuda.reweigh[1, self._threads](self._lw, *self._observed, times, self._W, self._told)
         self._moments = None
 
     def posterior(self) -> Posterior:

@@ -75,17 +75,17 @@ def extremes(rows, found):
 
 
 @cuda.jit(cache=True)
-def reweigh(lw, log_likelihood, first, W, told):
+def reweigh(lw, log_likelihood, first, times, W, told):
     """The normalised weights after an observation ([Zhu] (2)), in logarithms ``lw`` (N,) and as ``W`` (N,).
 
-    Theirs are the ``log_likelihood`` (M,) from the ``first`` on. ``told`` (2,) becomes the logarithm of what all
-    weighed together, and Σ W². By one block.
+    Theirs are the ``log_likelihood`` (M,) from the ``first`` on; ``times`` is 1, and −1 takes an observation back.
+    ``told`` (2,) becomes the logarithm of what all weighed together, and Σ W². By one block.
     """
     t, n = cuda.threadIdx.x, cuda.blockDim.x
     scratch = cuda.shared.array(THREADS, np.float64)
     greatest = -math.inf
     for p in range(t, lw.shape[0], n):
-        lw[p] += log_likelihood[first + p]
+        lw[p] += times * log_likelihood[first + p]
         if lw[p] > greatest:
             greatest = lw[p]
     scratch[t] = greatest

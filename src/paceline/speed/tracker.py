@@ -144,7 +144,8 @@ class Tracker:
     def conclude(self, frame: StereoFrame) -> Estimate:
         """The estimate by the particles that were weighed at ``frame``, the reference's update, and resampling."""
         estimate = self._estimate(frame)
-        self.cloud.resample(self.configuration, self.rng)
+        if estimate.likeness >= LOST:
+            self.cloud.resample(self.configuration, self.rng)
         self._time = frame.time
         return estimate
 
@@ -318,6 +319,10 @@ class Tracker:
         mean, position = posterior.mean, posterior.position
         likeness = self._learn(mean)
         if likeness < LOST:
+            # what hides the vehicle would choose among its particles by chance, and leave but a few
+            self.cloud.unweigh()
+            posterior = self.cloud.posterior()
+            mean, position = posterior.mean, posterior.position
             self._unseen += 1
         elif likeness > SEEN:  # a passing likeness of something else is no sight of it
             self._unseen = 0
