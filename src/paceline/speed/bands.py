@@ -90,12 +90,14 @@ class Band:
         self.pictures = pictures
         self.gamma = gamma
         self.corners = corners
+        self.trust = np.ones((self.patches, self.samples))
         self.weights = np.ones((len(views), self.patches))
         self.gain = np.ones((len(views), self.patches))
         self.texture: Array | None = None
         self.variance = np.ones((len(views), self.patches))
         self.expected = np.ones((len(views), self.patches))
-        self.power = np.ones((len(views), self.patches))
+        self.power = np.ones((len(views), self.patches))  # of what is seen, as much as it is trusted
+        self.unexplained = np.ones((len(views), self.patches))  # what of that no motion explains
 
     def laid_out(self, layout: Layout) -> Band:
         """The same pictures in patches of another ``layout``."""
@@ -129,11 +131,11 @@ class Band:
         A = (Jw @ J.swapaxes(2, 3)).sum(1)
         score = (Jw @ r[..., None]).sum(1)
         off = -np.linalg.solve(A.astype(float) + 1e-6 * np.eye(2), score.astype(float))[..., 0]
-        return np.asarray(off), np.asarray(1.0 - self.variance.sum(1) / np.maximum(self.power.sum(1), 1e-9))
+        return np.asarray(off), np.asarray(1.0 - self.unexplained.sum(1) / np.maximum(self.power.sum(1), 1e-9))
 
     def _linearised(self, H: Array, H_d: Array, relief: Array, gamma: float) -> tuple[Floats, Floats]:
         """∂I/∂H, over each strip's relief and, last, ∂I/∂γ (views, patches, 9 + STRIPS + 1, samples) free of gain and
-        offset, and the residuals (views, patches, samples)."""
+        offset, and the residuals (views, patches, samples); both as much as each sample is trusted."""
         V, K, m = len(self.views), self.patches, self.samples
         H, H_d = H[self.views], H_d[self.views]
         X = H @ self.places + (H_d @ self.places) * (relief @ self.strips).ravel()
@@ -141,37 +143,39 @@ class Band:
         x = X[:, :2] / z[:, None]
         B = (H[:, :2, :2, None] - x[:, :, None] * H[:, 2, :2][:, None, :, None]) / z[:, None, None]
         I, slope, laplacian, by_gamma = self._sampled(x, B)
-        I += (gamma - self.gamma) * by_gamma
-        I -= I.mean(-1, keepdims=True)
+        trust = np.sqrt(self.trust)
+        even = trust / np.linalg.norm(trust, axis=-1, keepdims=True)
+        I = trust * (I + (gamma - self.gamma) * by_gamma)
+        I -= (I * even).sum(-1, keepdims=True) * even
         self.power = (I * I).mean(-1)
-        T = self._share_texture(I)
+        T = self._share_texture(I, trust)
         # the texture's own slope, averaged over the views: the noise of a single view's slope would bias the step
         w = self.weights * self.gain
         mean_slope = np.einsum("vk,vckm->ckm", w, slope.reshape(V, 2, K, m), optimize=True)
-        g = (mean_slope / np.maximum((w * self.gain).sum(0), 1e-12)[:, None]).reshape(2, -1)
-        along = _apart(T, [])
+        g = (trust * mean_slope / np.maximum((w * self.gain).sum(0), 1e-12)[:, None]).reshape(2, -1)
+        along = _apart(T, [even])
         r = (I / self.gain[..., None] - T).astype(np.float32)
         # a view's own blur, which no model of the optics gets right, shows as a share of the texture's Laplacian;
         # left in, it passes for a change of scale
-        blur = _apart(np.einsum("vk,vkm->km", w, laplacian), [along])
+        blur = _apart(trust * np.einsum("vk,vkm->km", w, laplacian), [even, along])
         r -= (r * blur).sum(-1, keepdims=True) * blur
-        free_of = [along, blur]
+        free_of, known = [even, along, blur], [even, along, blur]
         # light that changes from view to view as a ramp over a patch passes for one too; how much of it is taken out
         # is what noise does not explain, for a patch freed of all ramps has less to go by
         noise = CORRELATED * np.median((r * r).mean(-1), axis=0)
-        known = [along, blur]
         for ramp in self.ramps:
-            ramp = _apart(ramp, known)
+            ramp = _apart(trust * ramp, known)
             known.append(ramp)
             share = (r * ramp).sum(-1)
             taken = 1.0 - np.sqrt(np.minimum(noise / np.maximum((share**2).mean(0), 1e-9), 1.0))
             r -= (taken * share)[..., None] * ramp
             free_of.append(np.sqrt(taken)[:, None] * ramp)
         M = np.empty((V, K, 9 + STRIPS + 1, m), np.float32)
-        M[:, :, -1] = by_gamma / self.gain[..., None]
+        M[:, :, -1] = trust * by_gamma / self.gain[..., None]
         gone = np.stack(free_of).astype(np.float32)
         bands_cpu.linearise(x, z, B, self.places, g, H_d.reshape(V, 9), self.strips, gone, M)
-        self._reweigh((r * r).mean(-1) * self.gain**2)
+        self.unexplained = (r * r).mean(-1) * self.gain**2
+        self._reweigh(np.square(r / trust))
         return M, r
 
     def _sampled(self, x: Array, B: Array) -> tuple[Array, Array, Array, Array]:
@@ -190,23 +194,38 @@ class Band:
         shape = len(x), self.patches, self.samples
         return I.reshape(shape), slope, laplacian.reshape(shape), by_gamma.reshape(shape)
 
-    def _share_texture(self, I: Array) -> Array:
-        """The texture (K, m) that all views share; it and each view's gain (V, K) by alternation from the last ones."""
-        T = I.mean(0) if self.texture is None else self.texture
+    def _share_texture(self, I: Array, trust: Array) -> Array:
+        """The texture (K, m) that all views share, as much as it is trusted; it and each view's gain (V, K) by
+        alternation from the last ones."""
+        T = I.mean(0) if self.texture is None else trust * self.texture
         for _ in range(3):
             own = np.maximum((T * T).sum(-1), 1e-9)
             self.gain = np.clip(np.einsum("vkm,km->vk", I, T) / own, *GAIN)
             w = self.weights * self.gain
             T = np.einsum("vk,vkm->km", w, I) / np.maximum((w * self.gain).sum(0), 1e-12)[:, None]
-        self.texture = T
-        return T
+        # gains and texture are known but for a factor: as bright as the views show it
+        usual = np.sqrt((self.weights * self.gain**2).sum(0) / np.maximum(self.weights.sum(0), 1e-12))
+        self.gain = self.gain / usual
+        self.texture = usual[:, None] * T / trust
+        return np.asarray(usual[:, None] * T)
 
-    def _reweigh(self, variance: Array) -> None:
-        """Geman–McClure weights of views' patches, against what each view and each patch usually leaves over."""
+    def _reweigh(self, squares: Array) -> None:
+        """Weights of views' patches, and how far each place on the face is trusted, by the ``squares`` (V, K, m) of
+        what is left over.
+
+        A patch of a view has Geman–McClure weights, against what each view and each patch usually leaves over. What a
+        glossy face mirrors moves over it as it comes nearer, and passes for a motion: a place where the views differ
+        more than elsewhere is trusted less. It counts for its patch as well, for such errors are alike in many views
+        and do not average out as their variance alone would tell.
+        """
+        variance = squares.mean(-1) * self.gain**2
         overall = np.median(variance) + 1e-3
         self.expected = np.maximum(np.median(variance, axis=1)[:, None], 0.05 * overall) * np.maximum(
             np.median(variance, axis=0), 0.05 * overall
         ) / overall + 0.02
+        say = self.weights * self.gain**2
+        by_place = np.einsum("vk,vkm->km", say, squares, optimize=True) / np.maximum(say.sum(0), 1e-12)[:, None]
+        self.trust = 1.0 / (1.0 + by_place / (np.median(by_place) + 1e-3))
         self.variance = variance
         self.weights = 1.0 / (CORRELATED * self.expected) / (1.0 + variance / (REJECT * self.expected)) ** 2
 
@@ -244,9 +263,8 @@ def bands_of(glimpses: list[Glimpse], quads: Array, gamma: float, smoothing: flo
 
 
 def _apart(field: Array, known: list[Array]) -> Array:
-    """What of ``field`` (patches, samples) each patch's mean and the ``known`` ones do not hold; of length 1, as they
-    are."""
-    rest = field - field.mean(-1, keepdims=True)
+    """What of ``field`` (patches, samples) the ``known`` ones, of length 1, do not hold; of length 1 as well."""
+    rest = np.array(field)
     for other in known:
         rest -= (rest * other).sum(-1, keepdims=True) * other
     return np.asarray(rest / np.sqrt(np.maximum((rest * rest).sum(-1, keepdims=True), 1e-12)))

@@ -25,8 +25,8 @@ def linearise(
     M: Floats,
 ) -> None:
     """∂I/∂H, and by how far each of the S strips stands off the plane, into the first 9 and the next S rows of ``M``
-    (views, patches, 9 + S + 1, samples); and these and what the last row holds freed of each patch's mean and of what
-    ``free_of`` (C, patches, samples) holds: fields that neither have a mean nor anything in common.
+    (views, patches, 9 + S + 1, samples); and these and what the last row holds freed of what ``free_of`` (C, patches,
+    samples) holds: fields that have nothing in common.
 
     ``x`` (views, 2, N) px is where the N samples at ``places`` (3, N) of the unit square lie, ``z`` (views, N) their
     scale and ``B`` (views, 2, 2, N) ∂x over the square; ``g`` (2, N) the texture's slope there. ``H_d`` (views, 9) is
@@ -34,11 +34,9 @@ def linearise(
     """
     V, K, _, m = M.shape
     c, off = np.empty((3, m), np.float32), np.empty(m, np.float32)
-    gone = np.empty((1 + len(free_of), m), np.float32)
-    gone[0] = 1.0 / np.sqrt(m)
     for k in range(K):
         first = k * m
-        gone[1:] = free_of[:, k]
+        gone = np.ascontiguousarray(free_of[:, k])
         by_sample = gone.T.copy()
         for v in range(V):
             own = M[v, k]

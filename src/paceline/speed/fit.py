@@ -333,10 +333,10 @@ class Fit:
 
     @property
     def contrast(self) -> float:
-        """Rms (grey levels) of the texture."""
+        """Rms (grey levels) of the texture about each patch's mean."""
         texture = self.bands[0].texture
         assert texture is not None
-        return float(np.sqrt((texture**2).mean()))
+        return float(np.sqrt(texture.var(-1).mean()))
 
     def agreement(self) -> tuple[Array, Array]:
         """Pixels (F, 2, 2) by which each view's picture lies off the fitted motion, and the share (F, 2) of its
