@@ -39,10 +39,10 @@ WORDS = {
 Averages and maximum errors are those of the last frame over 20 seeds; the first guess is 10 % low. Drawn without
 error the averages are the paper's, and the maximum error falls with the number of particles as there, but stays
 two to four times as large. Drawn by an operator the same filter is more than 1 mph low, whatever the number of
-particles: see [what the hand does](#what-the-operators-hand-does-to-these-tables). The refined speed misses its stated
-interval here, with and without the hand, so what is wrong is not in the drawing. Over many clips with flat fronts
-the same refinement has 0.04 mph root mean square ([accuracy.md](accuracy.md)); what a solid, ray-traced front adds
-is not yet taken apart.""",
+particles: see [what the hand does](#what-the-operators-hand-does-to-these-tables). The refined speed is
+a little too fast here, with and without the hand. What is wrong is what the car mirrors: with matte paint the same car
+is measured within 0.01 mph ([method.md](method.md#refinement)). Over many clips with flat fronts the same refinement
+has 0.03 mph root mean square ([accuracy.md](accuracy.md)).""",
     "table-1b": """\
 200 particles, as in the paper. Its steep gain from 4 to 10 parts does not show: the averages differ by less than the
 maximum errors, and 4 parts are hardly worse than 10. In the picture the centre is as near with 4 parts as with 10
