@@ -67,7 +67,8 @@ def main() -> None:
     print("\n" + head("face", "measured", "mean error", "RMS", "worst"))
     for face, found in errors.items():
         e = np.array(found)
-        print(row(face, len(e), f"{e.mean():+.3f}", f"{rms(e):.3f}", f"{np.abs(e).max():.3f}"))
+        if len(e):
+            print(row(face, len(e), f"{e.mean():+.3f}", f"{rms(e):.3f}", f"{np.abs(e).max():.3f}"))
     print(f"\n{machine()}")
 
 

@@ -322,7 +322,9 @@ def test_a_vehicle_that_is_hidden_is_awaited_as_on_the_cpu(device: CudaDevice, c
     assert_same_estimates(followed(clip, Fleet(device), trackers(clip, SETTINGS, device), hidden=2), expected)
 
 
-@pytest.mark.parametrize(("where", "breaks_at"), [("weigh", 0), ("reweigh", 0), ("at_home", 0), ("moments", 2)])
+@pytest.mark.parametrize(
+    ("where", "breaks_at"), [("weigh", 0), ("reweigh", 0), ("unweigh", 0), ("at_home", 0), ("moments", 2)]
+)
 def test_the_cpu_carries_on_from_the_same_frame(
     clips: dict[str, Path], breaks_at: int, where: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -342,11 +344,12 @@ def test_the_cpu_carries_on_from_the_same_frame(
             raise CudaAPIError("[719] Call to cuCtxSynchronize results in CUDA_ERROR_LAUNCH_FAILED")
         return working(self, *given)
 
-    expected = followed(clip, Fleet(), trackers(clip, SETTINGS, None))
+    hidden = 2 if where == "unweigh" else -1
+    expected = followed(clip, Fleet(), trackers(clip, SETTINGS, None), hidden)
     monkeypatch.setattr(owner, where, breaking)
     device = CudaDevice()
     fleet = Fleet(device, carry_on=True)
-    assert_same_estimates(followed(clip, fleet, trackers(clip, SETTINGS, device)), expected)
+    assert_same_estimates(followed(clip, fleet, trackers(clip, SETTINGS, device), hidden), expected)
     assert len(calls) == breaks_at + 1
     frame = int(fleet.notices[0].split("frame ")[1].split()[0])
     assert 1 <= frame <= 3

@@ -121,7 +121,7 @@ class Band:
 
     def agreement(self, H: Array, H_d: Array, relief: Array, gamma: float) -> tuple[Array, Array]:
         """By how many pixels (views, 2) each view's picture lies off where the motion puts it, and what share (views,)
-        of its contrast, squared, the motion explains."""
+        of its contrast, squared, the motion explains, as far as each place is trusted."""
         M, r = self._linearised(H, H_d, relief, gamma)
         V, K, m = r.shape
         shifts = np.zeros((V, 3, 3, 2))

@@ -340,7 +340,7 @@ class Fit:
 
     def agreement(self) -> tuple[Array, Array]:
         """Pixels (F, 2, 2) by which each view's picture lies off the fitted motion, and the share (F, 2) of its
-        contrast, squared, that the motion explains; NaN where it was not used."""
+        contrast, squared, that the motion explains, as far as each place is trusted; NaN where it was not used."""
         H, H_d = (h.reshape(-1, 3, 3) for h in self.trajectory.homographies(self.theta))
         off, explained = np.full((len(H), 2), np.nan), np.full(len(H), np.nan)
         base = self.bands[0]

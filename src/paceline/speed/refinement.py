@@ -31,7 +31,7 @@ class Refined:
     of what is left open of the calibration: NaN where the rig states no uncertainty. ``rig_fit`` is None where it may
     not move. ``residual`` is the median rms of a patch in grey levels, ``contrast`` that of the texture; ``offsets``
     (F, 2, 2) are the pixels by which each view's picture lies off the motion and ``explained`` (F, 2) the share of its
-    contrast, squared, that the motion explains (NaN where it was not used).
+    contrast, squared, that the motion explains, as far as places are trusted (NaN where it was not used).
     """
 
     trajectory: Trajectory

@@ -142,7 +142,8 @@ class Tracker:
             self._guide(frame)
 
     def conclude(self, frame: StereoFrame) -> Estimate:
-        """The estimate by the particles that were weighed at ``frame``, the reference's update, and resampling."""
+        """The estimate by the particles that were weighed at ``frame``, the reference's update, and resampling where
+        the vehicle is in view."""
         estimate = self._estimate(frame)
         if estimate.likeness >= LOST:
             self.cloud.resample(self.configuration, self.rng)
