@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from paceline.speed import bands_cpu
+from paceline.speed import bands_cpu, drift
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -25,6 +25,7 @@ BAND = 1.5  # ratio of resolutions between bands
 DENSITY = 1.3  # samples per pixel of the coarsest view in a band
 INSET = 1.5  # px of a band's coarsest view: the rim shows what is behind
 REJECT = 4.0  # times the expected variance at which a patch loses half its say
+HIDDEN = 9.0  # the same, at which it has a tenth of the usual say: it shows something else
 GAIN = (0.2, 5.0)
 STRIPS = 3  # of a patch, one above the other: a bumper's edge or a window's runs through many a patch
 CORRELATED = 12.0  # samples that share their noise, by blur and by sampling more densely than the pixels
@@ -103,20 +104,29 @@ class Band:
         """The same pictures in patches of another ``layout``."""
         return Band(self.views, self.pictures, self.gamma, self.corners, self.size, layout)
 
-    def normal_equations(self, H: Array, H_d: Array, relief: Array, gamma: float, dH: Array) -> tuple[Array, Array]:
+    def normal_equations(
+        self, H: Array, H_d: Array, relief: Array, gamma: float, dH: Array, directions: Array | None = None
+    ) -> tuple[Array, Array]:
         """Normal matrices (views, patches, n, n) and scores (views, patches, n) of the linearised problem, n = P + 1 +
         STRIPS.
 
         ``H``, ``H_d`` (all views, 3, 3); ``relief`` (patches, STRIPS) metres; ``gamma`` of the camera; ``dH`` (all
-        views, 3, 3, P) the derivatives. The last columns are γ and each patch's own relief.
+        views, 3, 3, P) the derivatives; ``directions`` (all views, 3) from which they are seen, where what the face
+        shows may drift with these. The last columns are γ and each patch's own relief.
         """
         M, r = self._linearised(H, H_d, relief, gamma)
         (V, K), P = r.shape[:2], dH.shape[-1]
         by_H = np.ascontiguousarray(dH[self.views].reshape(V, 9, P).swapaxes(1, 2), np.float32)
-        w = (self.weights * self.gain**2).astype(np.float32)
+        say = self.weights * self.gain**2
+        if directions is None:
+            white = drift.centred(say)
+        else:
+            shown = self.variance < HIDDEN * self.expected
+            white = drift.whitened(r, np.where(shown, say, 0.0), directions[self.views])
         score = np.empty((V, K, P + 1 + STRIPS))
         A = np.empty((*score.shape, score.shape[-1]))
-        bands_cpu.normal_equations(M, by_H, w, r, A, score)
+        by_patch = np.ascontiguousarray(r.swapaxes(0, 1))
+        bands_cpu.normal_equations(M, by_H, np.ascontiguousarray(white, np.float32), by_patch, A, score)
         return A, score
 
     def agreement(self, H: Array, H_d: Array, relief: Array, gamma: float) -> tuple[Array, Array]:

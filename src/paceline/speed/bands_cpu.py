@@ -62,34 +62,26 @@ def linearise(
 
 
 @njit(cache=True, nogil=True, fastmath=SUMS, error_model="numpy")
-def normal_equations(M: Floats, dH: Floats, w: Floats, r: Floats, A: Array, score: Array) -> None:
+def normal_equations(M: Floats, dH: Floats, white: Floats, r: Floats, A: Array, score: Array) -> None:
     """The normal matrices ``A`` (views, patches, n, n) and scores ``score`` (views, patches, n) of residuals ``r``
-    (views, patches, samples) with weights ``w`` (views, patches), by ``M`` of `linearise`, over n = P + 1 + S
-    parameters: those that move H by ``dH`` (views, P, 9), γ, and the strips' relief.
+    (patches, views, samples), by ``M`` of `linearise`, over n = P + 1 + S parameters: those that move H by ``dH``
+    (views, P, 9), γ, and the strips' relief.
 
-    The shared texture moves along with the parameters: what all views have in common tells nothing. In double
-    precision: what hardly differs from the rest must not be lost in rounding.
+    ``white`` (patches, views, views) weighs and joins each patch's views, and leaves out what all have in common: the
+    shared texture moves along with the parameters, so that this tells nothing. Products are summed in double precision.
+    ``white`` and ``r`` are contiguous.
     """
     V, K, rows, m = M.shape
     P, n = dH.shape[1], A.shape[-1]
-    J, common = np.empty((V, n, m), np.float32), np.empty((n, m), np.float32)
-    own, weighted = np.empty((n, m)), np.empty(m)
+    J = np.empty((V, n, m), np.float32)
     for k in range(K):
-        common[:] = 0.0
-        total = max(w[:, k].sum(), np.float32(1e-12))
         for v in range(V):
             J[v, :P] = np.dot(dH[v], M[v, k, :9])
             J[v, P] = M[v, k, rows - 1]
             J[v, P + 1 :] = M[v, k, 9 : rows - 1]
-            share = w[v, k] / total
-            for j in range(n):
-                for i in range(m):
-                    common[j, i] += share * J[v, j, i]
+        told = np.dot(white[k], J.reshape(V, n * m)).reshape(V, n, m)
+        left = np.dot(white[k], r[k])
         for v in range(V):
-            for j in range(n):
-                for i in range(m):
-                    own[j, i] = J[v, j, i] - common[j, i]
-            for i in range(m):
-                weighted[i] = w[v, k] * r[v, k, i]
-            A[v, k] = w[v, k] * np.dot(own, own.T)
-            score[v, k] = np.dot(own, weighted)
+            own = told[v].astype(np.float64)
+            A[v, k] = np.dot(own, own.T)
+            score[v, k] = np.dot(own, left[v].astype(np.float64))

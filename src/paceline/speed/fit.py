@@ -3,6 +3,7 @@
 One texture of the plane is shared by every frame of both views. It is eliminated exactly (variable projection), each
 patch of each view has its own gain and offset, strips of patches may stand a little before or behind the plane, and a
 patch that does not fit — glare, a pole — loses its say. How the camera's values go as light is found with the motion.
+Last of all, what patches show may drift with the direction that they are seen from.
 Into which patches the plane is divided is arbitrary, and moves the speed by as much as noise does: the motion is the
 mean over several layouts.
 
@@ -30,7 +31,7 @@ Array = NDArray[np.float64]
 
 LEVELS = ((2.5, False), (1.2, False), (0.7, True))  # smoothing at the farthest view, px; whether the finer bands join
 LAYOUTS = Layout(8), Layout(30), Layout(share=(0.8, 1.0)), Layout(share=(1.0, 0.8))  # besides the first one
-FREED = 6  # steps of a fit with the rig free, at most
+RESUMED = 6  # steps of a fit that goes on from another one under wider assumptions, at most
 UNTOLD = 0.05  # share of the variance of a move that pictures have to take away to tell anything of it
 RELAID = 3  # steps of a fit to another layout, at most
 RELIEF = 0.04, 0.05  # m, how far a patch may stand from the plane, and each of its strips from that
@@ -57,6 +58,7 @@ class Fit:
         self.trajectory, self.glimpses, self.prior = trajectory, glimpses, prior
         self._rig = held(trajectory)
         self.moves = np.zeros(0)  # of the rig, in standard uncertainties
+        self._drifts = False
         self.theta, self.relief, self.gamma = self._from_filter(), np.zeros((0, STRIPS)), GAMMA[0]
         for smoothing, fine in LEVELS:
             self.bands = bands_of(glimpses, trajectory.quads(self.theta), self.gamma, smoothing, fine)
@@ -114,7 +116,22 @@ class Fit:
         # pictures tell less than their pixels' noise makes believe: how much less is seen once the rig misleads no more
         for fit in (self, other):
             other._rig = FreeRig(self.trajectory, directions, fit._wider)
-            other.descend(STEP, FREED)
+            other.descend(STEP, RESUMED)
+        return other
+
+    def with_drift(self) -> Fit:
+        """The same model where what the face shows drifts with the direction that it is seen from, from here.
+
+        It comes last: while the model lacks something, an acceleration or a move of the rig, what that leaves over
+        would pass for a drift.
+        """
+        other = copy(self)
+        other._drifts = True
+        other._begin_at(self.theta, [copy(band) for band in self.bands], self.relief)
+        other.descend(STEP, RESUMED)
+        if len(self.moves):
+            other._rig = replace(self._rig, firmness=other._wider)
+            other.descend(STEP, RESUMED)
         return other
 
     def over_layouts(self) -> tuple[Array, Array, float]:
@@ -264,8 +281,9 @@ class Fit:
         shared = P + Q + 1
         cells = np.zeros((len(H), K, shared + STRIPS))
         cells_A = np.zeros((*cells.shape, shared + STRIPS))
+        directions = self.trajectory.directions(self.theta).reshape(-1, 3) if self._drifts else None
         for band in self.bands:
-            a, s = band.normal_equations(H, H_d, self.relief, self.gamma, dH)
+            a, s = band.normal_equations(H, H_d, self.relief, self.gamma, dH, directions)
             cells_A[band.views] += a
             cells[band.views] += s
         A, score = self._prior_information(self._rig.firmness), np.zeros(shared + self.relief.size)

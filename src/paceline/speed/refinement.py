@@ -87,16 +87,19 @@ def refine(trajectory: Trajectory, glimpses: list[Glimpse], speed: float, on_pat
             break
         extras, fit = (*extras, best), richer[best][1]
         rare += RARE
+    chosen, fit = fit, fit.with_drift()
     moves, theta, variance = fit.over_layouts()
     less = variance / fit.variance
     # a model not chosen may be the true one all the same: as likely as the evidence leaves it
     odds = np.exp([0.0, *(evidence - rare for evidence, _ in others)])
-    covariance, known, doubt = np.zeros((3, *fit.whole_covariance.shape))
-    for likely, model in zip(odds / odds.sum(), (fit, *(other for _, other in others)), strict=True):
+    odds /= odds.sum()
+    covariance, known = odds[0] * fit.whole_covariance, odds[0] * fit.covariance_by_rig
+    doubt = np.zeros_like(covariance)
+    for likely, (_, other) in zip(odds[1:], others, strict=True):
         if likely > NEGLIGIBLE:
-            apart = model.theta - fit.theta
-            covariance += likely * model.whole_covariance
-            known += likely * model.covariance_by_rig
+            apart = other.theta - chosen.theta
+            covariance += likely * other.whole_covariance
+            known += likely * other.covariance_by_rig
             doubt += likely * np.outer(apart, apart)
     return Refined(
         fit.trajectory_by(moves),

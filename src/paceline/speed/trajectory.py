@@ -282,6 +282,13 @@ class Trajectory:
         """The region in both views at every frame by ``theta`` (…, n), (…, F, 2, 4, 2) px."""
         return corners_of(self.homographies(theta)[0])
 
+    def directions(self, theta: Array) -> Array:
+        """Unit vectors (F, 2, 3), in the vehicle's axes, from the region's centre to the cameras, by ``theta`` (n,)."""
+        R, t, _, _ = self.motion(theta)
+        cameras = np.stack([np.zeros(3), -self.rig.R.T @ self.rig.t])
+        seen_from = ((cameras - t)[..., None, :] @ R)[..., 0, :] - self._ray * np.exp(theta[0])
+        return np.asarray(seen_from / np.linalg.norm(seen_from, axis=-1, keepdims=True))
+
     def centres(self, theta: Array) -> Array:
         """World points (F, 3) of the region's centre."""
         R, t, _, _ = self.motion(theta)
