@@ -3,9 +3,8 @@
 One texture of the plane is shared by every frame of both views. It is eliminated exactly (variable projection), each
 patch of each view has its own gain and offset, strips of patches may stand a little before or behind the plane, and a
 patch that does not fit — glare, a pole — loses its say. How the camera's values go as light is found with the motion.
-Last of all, what patches show may drift with the direction that they are seen from.
-Into which patches the plane is divided is arbitrary, and moves the speed by as much as noise does: the motion is the
-mean over several layouts.
+Last of all, what patches show may drift with the direction that they are seen from. Into which patches the plane is
+divided is arbitrary, and moves the speed by as much as noise does: the motion is the mean over several layouts.
 
 Where rig.yaml states how well the cameras are known, that is a prior as well, and no rail: they are moved along with
 the motion. A vehicle that comes nearer tells by how its pictures grow what its disparities ought to be.
