@@ -23,16 +23,27 @@ def seen_from(frames: int) -> Array:
     return np.asarray(v / np.linalg.norm(v, axis=1, keepdims=True))
 
 
+def between(directions: Array) -> Array:
+    """How far apart (V, V) they are."""
+    return np.asarray(np.linalg.norm(directions[:, None] - directions, axis=-1))
+
+
+def contrasts_of(pace: float, say: Array, directions: Array) -> tuple[Array, Array]:
+    """All contrasts (V − 1, V) of the views of one patch, of ``say`` (V, 1), and their covariance over the noise's."""
+    contrasts = null_space(np.ones((1, len(say)))).T
+    drift = -pace * unit(say, directions) * between(directions)
+    return contrasts, contrasts @ (np.diag(1.0 / say[:, 0]) + drift) @ contrasts.T
+
+
 def unit(say: Array, directions: Array) -> Array:
     """The drift (K,), per radian, whose variance is that of noise in the mean over the weighted views."""
-    apart = np.linalg.norm(directions[:, None] - directions, axis=-1)
-    size = np.trace(centred(say) @ -apart @ centred(say).swapaxes(1, 2), axis1=1, axis2=2)
+    size = np.trace(centred(say) @ -between(directions) @ centred(say).swapaxes(1, 2), axis1=1, axis2=2)
     return np.asarray(len(say) / size)
 
 
 def drifting(pace: float, say: Array, directions: Array, m: int, seed: int) -> Array:
     """Residuals (V, K, m) with noise of variance 1 / say and a drift of so many times that."""
-    rng, apart = np.random.default_rng(seed), np.linalg.norm(directions[:, None] - directions, axis=-1)
+    rng, apart = np.random.default_rng(seed), between(directions)
     root = np.linalg.cholesky(2.0 * apart.max() - apart)
     V, K = say.shape
     drift = np.einsum("vu,ukm->vkm", root, rng.standard_normal((V, K, m)))
@@ -60,13 +71,12 @@ def test_views_are_weighed_as_the_likeliest_drift_asks_for(pace: float) -> None:
     directions, rng = seen_from(8), np.random.default_rng(5)
     say = rng.uniform(0.2, 2.0, (16, 2))
     r = drifting(pace, say, directions, 50, 11)
-    apart = np.linalg.norm(directions[:, None] - directions, axis=-1)
-    contrasts = null_space(np.ones((1, 16))).T
     found = whitened(r, say, directions)
     for k in range(2):
-        seen, likely, noises, precisions = contrasts @ r[:, k], [], [], []
+        likely, noises, precisions = [], [], []
         for p in PACES:
-            C = contrasts @ (np.diag(1.0 / say[:, k]) - p * unit(say, directions)[k] * apart) @ contrasts.T
+            contrasts, C = contrasts_of(p, say[:, k : k + 1], directions)
+            seen = contrasts @ r[:, k]
             noise = np.trace(np.linalg.solve(C, seen @ seen.T)) / seen.size
             likely.append(multivariate_normal(cov=noise * C).logpdf(seen.T).sum())
             noises.append(noise)
@@ -88,9 +98,7 @@ def test_a_pace_is_told_by_what_is_left_over() -> None:
         return np.asarray(np.square(W @ grows).sum(-1) / np.square(centred(of) @ grows).sum(-1) / noise)
 
     def known(pace: float) -> float:
-        apart = np.linalg.norm(directions[:, None] - directions, axis=-1)
-        contrasts = null_space(np.ones((1, 24))).T
-        C = contrasts @ (np.eye(24) - pace * unit(say, directions)[0] * apart) @ contrasts.T
+        contrasts, C = contrasts_of(pace, say[:, :1], directions)
         seen = contrasts @ grows
         return float(seen @ np.linalg.solve(C, seen) / np.square(seen).sum())
 

@@ -343,8 +343,8 @@ def test_what_a_glossy_face_mirrors_has_less_say() -> None:
 
 
 def mirroring_all_over(clip: Path, seed: int) -> tuple[Fit, float]:
-    """A fit of the vehicle of ``clip`` with another face: a texture, and spots of light
-    that wander over it by 0.6 of its width per radian by which the direction changes; and the mean speed, m/s."""
+    """A fit of the vehicle of ``clip`` with another face: a texture, and spots of light that wander over it by 0.6 of
+    its width per radian by which the direction changes; and the mean speed, m/s."""
     believed, _ = fitted(clip)
     trajectory, theta = believed.trajectory, believed.theta
     rng, shape = np.random.default_rng(seed), (200, 400)

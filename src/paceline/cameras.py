@@ -153,6 +153,11 @@ class StereoRig:
         """Distance between the two centres of projection, metres."""
         return float(np.linalg.norm(self.t))
 
+    @property
+    def centres(self) -> Array:
+        """World points (2, 3) of the two centres of projection."""
+        return np.stack([np.zeros(3), -self.R.T @ self.t])
+
     def to_right(self, points: Array) -> Array:
         """World points (…, 3) in the right camera's frame ([Zhu] (7))."""
         return np.asarray(points, float) @ self.R.T + self.t

@@ -126,7 +126,7 @@ class Rectification:
 
 def rectification(rig: StereoRig, width: int) -> Rectification:
     """Of any rig, its pictures reduced to about ``width`` px."""
-    x = -rig.R.T @ rig.t / rig.baseline
+    x = rig.centres[1] / rig.baseline
     y = np.cross(np.array([0.0, 0.0, 1.0]) + rig.R[2], x)
     y /= np.linalg.norm(y)
     rotation = np.stack([x, y, np.cross(x, y)])

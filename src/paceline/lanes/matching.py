@@ -161,8 +161,7 @@ def _across_per_height(
 ) -> Array:
     """∂d/∂h (N,): by how much what a view shows moves to the right when the surface is raised by 1 m."""
     ground = course.to_ground(s, d)
-    centres = np.stack([np.zeros(3), -rig.R.T @ rig.t])[side]
-    local = (centres - surface.origin) @ surface.axes
+    local = (rig.centres[side] - surface.origin) @ surface.axes
     above = local[:, 1] - surface.basis(ground) @ surface.heights
     away = ground - local[:, [0, 2]]
     descent = above + (surface.slopes(ground) * away).sum(1)  # of the ray towards the surface, over the way to it

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from paceline.cameras import Camera, StereoRig
+from paceline.cameras import StereoRig
 
 Array = NDArray[np.float64]
 
@@ -80,10 +80,8 @@ class Surface:
 
 def viewing(rig: StereoRig, side: int, pixels: Array) -> tuple[Array, Array]:
     """Centre (3,) of a camera of ``rig`` and the directions (…, 3) of its ``pixels`` (…, 2), in the world."""
-    camera: Camera = rig.cameras[side]
-    if side == 0:
-        return np.zeros(3), camera.rays(pixels)
-    return np.asarray(-rig.R.T @ rig.t), camera.rays(pixels) @ rig.R
+    rays = rig.cameras[side].rays(pixels)
+    return rig.centres[side], rays if side == 0 else rays @ rig.R
 
 
 def plane_surface(normal: Array, distance: float, middle_ahead: float) -> Surface:

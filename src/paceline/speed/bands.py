@@ -117,7 +117,7 @@ class Band:
         M, r = self._linearised(H, H_d, relief, gamma)
         (V, K), P = r.shape[:2], dH.shape[-1]
         by_H = np.ascontiguousarray(dH[self.views].reshape(V, 9, P).swapaxes(1, 2), np.float32)
-        say = self.weights * self.gain**2
+        say = self._say
         if directions is None:
             white = drift.centred(say)
         else:
@@ -137,11 +137,16 @@ class Band:
         shifts = np.zeros((V, 3, 3, 2))
         shifts[:, 0, :, 0] = shifts[:, 1, :, 1] = H[self.views][:, 2]
         J = np.swapaxes(shifts.reshape(V, 9, 2), 1, 2)[:, None].astype(np.float32) @ M[:, :, :9]
-        Jw = J * (self.weights * self.gain**2).astype(np.float32)[:, :, None, None]
+        Jw = J * self._say.astype(np.float32)[:, :, None, None]
         A = (Jw @ J.swapaxes(2, 3)).sum(1)
         score = (Jw @ r[..., None]).sum(1)
         off = -np.linalg.solve(A.astype(float) + 1e-6 * np.eye(2), score.astype(float))[..., 0]
         return np.asarray(off), np.asarray(1.0 - self.unexplained.sum(1) / np.maximum(self.power.sum(1), 1e-9))
+
+    @property
+    def _say(self) -> Array:
+        """What each patch of each view (V, K) counts for in the fit to the texture."""
+        return np.asarray(self.weights * self.gain**2)
 
     def _linearised(self, H: Array, H_d: Array, relief: Array, gamma: float) -> tuple[Floats, Floats]:
         """∂I/∂H, over each strip's relief and, last, ∂I/∂γ (views, patches, 9 + STRIPS + 1, samples) free of gain and
@@ -233,7 +238,7 @@ class Band:
         self.expected = np.maximum(np.median(variance, axis=1)[:, None], 0.05 * overall) * np.maximum(
             np.median(variance, axis=0), 0.05 * overall
         ) / overall + 0.02
-        say = self.weights * self.gain**2
+        say = self._say
         by_place = np.einsum("vk,vkm->km", say, squares, optimize=True) / np.maximum(say.sum(0), 1e-12)[:, None]
         self.trust = 1.0 / (1.0 + by_place / (np.median(by_place) + 1e-3))
         self.variance = variance

@@ -71,9 +71,8 @@ class Fit:
         Where one step from here finds little that does, it is left there; where it finds much, it is fitted from the
         beginning, for what this one lacks may have led it astray.
         """
-        other = copy(self)
+        other = self._resumed()
         other.prior = prior
-        other._begin_at(self.theta, [copy(band) for band in self.bands], self.relief)
         other.descend(STEP, most=1)
         evidence = other._log_evidence(extra, self.prior, 1.0)
         if evidence < np.log(NEGLIGIBLE):
@@ -107,11 +106,10 @@ class Fit:
         uncertainty = self.trajectory.rig.uncertainty
         if uncertainty is None:
             return self
-        other = copy(self)
+        other = self._resumed()
         directions = uncertainty.moves
         directions = directions[directions.any(1)]
         other.moves = np.zeros(len(directions))
-        other._begin_at(self.theta, [copy(band) for band in self.bands], self.relief)
         # pictures tell less than their pixels' noise makes believe: how much less is seen once the rig misleads no more
         for fit in (self, other):
             other._rig = FreeRig(self.trajectory, directions, fit._wider)
@@ -124,9 +122,8 @@ class Fit:
         It comes last: while the model lacks something, an acceleration or a move of the rig, what that leaves over
         would pass for a drift.
         """
-        other = copy(self)
+        other = self._resumed()
         other._drifts = True
-        other._begin_at(self.theta, [copy(band) for band in self.bands], self.relief)
         other.descend(STEP, RESUMED)
         if len(self.moves):
             other._rig = replace(self._rig, firmness=other._wider)
@@ -153,6 +150,12 @@ class Fit:
     def trajectory_by(self, moves: Array) -> Trajectory:
         """The trajectory with the rig moved by ``moves`` (Q,), where it is free."""
         return self._rig.trajectory(moves) if len(moves) else self.trajectory
+
+    def _resumed(self) -> Fit:
+        """A fit that goes on from here, with bands of its own."""
+        other = copy(self)
+        other._begin_at(self.theta, [copy(band) for band in self.bands], self.relief)
+        return other
 
     def _begin_at(self, theta: Array, bands: list[Band], relief: Array | None = None) -> None:
         """Take ``bands`` for its own, and begin at ``theta`` (n,), with patches in the plane unless their ``relief``

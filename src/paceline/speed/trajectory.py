@@ -285,8 +285,7 @@ class Trajectory:
     def directions(self, theta: Array) -> Array:
         """Unit vectors (F, 2, 3), in the vehicle's axes, from the region's centre to the cameras, by ``theta`` (n,)."""
         R, t, _, _ = self.motion(theta)
-        cameras = np.stack([np.zeros(3), -self.rig.R.T @ self.rig.t])
-        seen_from = ((cameras - t)[..., None, :] @ R)[..., 0, :] - self._ray * np.exp(theta[0])
+        seen_from = ((self.rig.centres - t)[..., None, :] @ R)[..., 0, :] - self._ray * np.exp(theta[0])
         return np.asarray(seen_from / np.linalg.norm(seen_from, axis=-1, keepdims=True))
 
     def centres(self, theta: Array) -> Array:
