@@ -22,7 +22,7 @@ from likelihood import HEIGHT, WIDTH, Work
 from paceline import SpeedConfiguration
 from paceline.cameras import Camera, StereoRig
 from paceline.recordings import StereoFrame
-from paceline.speed import likelihood, motion, paths
+from paceline.speed import likelihood, motion, paths, randomness
 from paceline.speed.cloud import Cloud, views
 from paceline.speed.devices import DeviceFailure, open_device
 from paceline.speed.likelihood import Grid, Packed
@@ -69,7 +69,7 @@ class Road:
         c = SpeedConfiguration(particles=particles)
         self.followed = []
         for v in range(vehicles):
-            rng = np.random.default_rng([seed, v])
+            rng = randomness.generator([seed, v], particles)
             centre = np.array([rng.uniform(-8, 8), rng.uniform(-6, 6), 60.0])
             corners = np.array([[-1.4, -0.6, 0], [1.4, -0.6, 0], [1.4, 0.6, 0], [-1.4, 0.6, 0]])
             at = centre + rng.normal(0.0, [0.05, 0.05, 0.5], (particles, 3))

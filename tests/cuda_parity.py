@@ -3,22 +3,37 @@ this file under CUDA's simulator, where one sample takes 50 µs: so everything h
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from calling import paceline
+from numba import cuda
 from numpy.typing import NDArray
 
 from paceline.cameras import Camera, StereoRig
 from paceline.documents import Clip, load_clip
 from paceline.recordings import StereoFrame, open_recording
 from paceline.simulation.planar import Scene, Vehicle, render, write
-from paceline.speed import cloud_cuda, likelihood, motion, paths, randomness
+from paceline.speed import (
+    device_cuda,
+    layout_cuda,
+    likelihood,
+    motion,
+    motion_cuda,
+    particles_cuda,
+    paths,
+    pixels_cuda,
+    randomness,
+    randomness_cuda,
+)
 from paceline.speed.cloud import Cloud, views
-from paceline.speed.cloud_cuda import CudaDevice
+from paceline.speed.cloud_cuda import CudaCloud, key_words
 from paceline.speed.configuration import SpeedConfiguration
+from paceline.speed.device_cuda import CudaDevice
 from paceline.speed.devices import DeviceFailure
 from paceline.speed.fleet import Fleet
 from paceline.speed.likelihood import Grid
@@ -39,9 +54,10 @@ SETTINGS = SpeedConfiguration(parts=4).model_copy(update={"particles": 4})  # fe
 def _tiny(monkeypatch: pytest.MonkeyPatch) -> None:
     """Few samples, and so few threads in a block that five particles fill two blocks."""
     monkeypatch.setattr(likelihood, "SAMPLES", 256)
-    monkeypatch.setattr(cloud_cuda, "THREADS", 4)
-    monkeypatch.setattr(cloud_cuda, "BLOCK", 4)
-    monkeypatch.setattr(cloud_cuda, "MOST_BLOCKS", 2)
+    monkeypatch.setattr(device_cuda, "THREADS", 4)
+    monkeypatch.setattr(device_cuda, "SURVEYORS", 2)
+    monkeypatch.setattr(device_cuda, "BLOCK", 4)
+    monkeypatch.setattr(device_cuda, "MOST_BLOCKS", 2)
 
 
 @pytest.fixture(scope="module")
@@ -103,18 +119,34 @@ def assert_same(found: Cloud, expected: Cloud) -> None:
     np.testing.assert_allclose(found.weights.lw, expected.weights.lw, rtol=0, atol=1e-9)
 
 
+def seen(there: CudaCloud, ll: Array) -> None:
+    """``there``, weighed by log p(z | x) ``ll`` (N,) as if that had been seen."""
+    device, order = there.device, there.device.orders[there.slot]
+    device.carry_out()
+    first, half = int(order[layout_cuda.FIRST]), int(order[layout_cuda.NOW])
+    device._pool[half, layout_cuda.LIKELIHOOD, first : first + len(there)] = ll
+    device._table()[there.slot, layout_cuda.TIMES] = 1
+    device._sights.send(device._sights.home.size)
+    device._reweigh([there])
+
+
 # --- random numbers ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("k", [1, 2, 3])
-def test_counted_numbers_are_those_of_the_cpu(device: CudaDevice, k: int) -> None:
+@pytest.mark.parametrize("k", [1, 2, 3, 4])
+@pytest.mark.parametrize("key", [(1, 2), (2**64 - 1, 2**63 + 5), (0x9E3779B97F4A7C15, 0xBB67AE8584CAA73B)])
+def test_counted_numbers_are_those_of_the_cpu(key: tuple[int, int], k: int) -> None:
     """Those of the CPU come from NumPy's own Philox."""
-    cloud = device.cloud(particles(way("line"), 0))
-    here, there = (randomness.generator([5, 1], randomness.MANY + 1) for _ in range(2))
-    for sigma in (1.0, 0.3):
-        cloud._draw(there, sigma, 0, k)
-        expected = here.normal(0.0, sigma, (N, k))
-        np.testing.assert_allclose(cloud._noise.copy_to_host()[:k].T, expected, rtol=1e-12, atol=1e-14)
+    rng = randomness.CounterGenerator(np.random.PCG64(1), np.array(key, np.uint64), calls=7)
+    numbers = cuda.device_array((N, k))
+    _normals[1, N](cuda.to_device(np.array(key_words(rng.key), float)), 7, 0.3, numbers)
+    np.testing.assert_allclose(numbers.copy_to_host(), rng.normal(0.0, 0.3, (N, k)), rtol=1e-12, atol=1e-14)
+
+
+@cuda.jit  # type: ignore[untyped-decorator]
+def _normals(key: Array, call: int, scale: float, out: Array) -> None:
+    p = cuda.threadIdx.x
+    randomness_cuda.counted_normals(key, call, scale, p, out.shape[1], out[p], 0)
 
 
 # --- motion --------------------------------------------------------------------------------------------------------
@@ -130,13 +162,13 @@ def test_particles_move_as_on_the_cpu(
     home = particles(way(kind), 1)
     there = device.cloud(home.at_home())
     clouds = [(home, randomness.generator([2], N)), (there, randomness.generator([2], N))]
-    seen, covariance = np.array([0.4, 0.75, 19.0]), np.diag([0.01, 0.02, 0.3]) + 0.001
+    place, covariance = np.array([0.4, 0.75, 19.0]), np.diag([0.01, 0.02, 0.3]) + 0.001
     for dt in (0.2, 0.05, 0.4):
         for cloud, rng in clouds:
             cloud.propagate(dt, rng)
         assert_same(there.at_home(), home)
     for cloud, rng in clouds:
-        cloud.correct(seen, covariance, rng)
+        cloud.correct(place, covariance, rng)
     assert_same(there.at_home(), home)
     for cloud, rng in clouds:
         cloud.square(np.array([0.0, 0.6, -0.8]))
@@ -152,9 +184,9 @@ def test_particles_move_as_on_the_cpu(
 def test_the_posterior_is_that_of_the_cpu(device: CudaDevice, kind: str, n: int, taken_back: bool) -> None:
     home = particles(way(kind), 3, n)
     there = device.cloud(home)
-    ll = np.random.default_rng(4).normal(-30.0, 2.0, n + 2)
-    home.weigh(ll[2:])
-    there.reweigh(cloud_cuda.cuda.to_device(ll), 2)
+    ll = np.random.default_rng(4).normal(-30.0, 2.0, n)
+    home.weigh(ll)
+    seen(there, ll)
     if taken_back:
         home.unweigh()
         there.unweigh()
@@ -180,14 +212,14 @@ def test_the_same_particles_survive(device: CudaDevice, n: int, scatter: float) 
     home = particles(way("line"), 5, n)
     home.weights = Weights(np.random.default_rng(6).normal(0.0, scatter, n))
     there = device.cloud(home.at_home())
-    there.reweigh(cloud_cuda.cuda.to_device(np.zeros(n)), 0)
+    seen(there, np.zeros(n))
     settings = SETTINGS.model_copy(update={"particles": n})
     for cloud in (home, there):
         cloud.resample(settings, np.random.default_rng(7))
     assert_same(there.at_home(), home)
     keep = settings.model_copy(update={"resample_below": 0.5})
     before = there.at_home()
-    there.reweigh(cloud_cuda.cuda.to_device(np.zeros(n)), 0)
+    seen(there, np.zeros(n))
     there.resample(keep, np.random.default_rng(7))
     assert_same(there.at_home(), before)
 
@@ -195,9 +227,115 @@ def test_the_same_particles_survive(device: CudaDevice, n: int, scatter: float) 
 @pytest.mark.parametrize("ll", [-np.inf, np.nan])
 def test_weights_that_vanish_are_told(device: CudaDevice, ll: float) -> None:
     there = device.cloud(particles(way("line"), 5))
-    there.reweigh(cloud_cuda.cuda.to_device(np.full(N, ll)), 0)
+    seen(there, np.full(N, ll))
     with pytest.raises(FloatingPointError, match="all particle weights vanish"):
         there.posterior()
+
+
+# --- many clouds ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_clouds_come_and_go_in_any_order(seed: int) -> None:
+    """Whatever is done to which cloud, and whoever joins and leaves meanwhile: all are as on the CPU."""
+    device, drawing = CudaDevice(), np.random.default_rng([9, seed])
+    pairs: list[tuple[Cloud, CudaCloud, tuple[np.random.Generator, np.random.Generator]]] = []
+
+    def join() -> None:
+        n, number = int(drawing.integers(1, 12)), int(drawing.integers(1000))
+        home = particles(way(str(drawing.choice(["line", "curve", "free"]))), number, n)
+        if drawing.random() < 0.5:
+            key = np.array([number, 5], np.uint64)
+            here, there = (randomness.CounterGenerator(np.random.PCG64(number), key) for _ in range(2))
+        else:
+            here, there = np.random.default_rng(number), np.random.default_rng(number)
+        pairs.append((home, device.cloud(home.at_home()), (here, there)))
+
+    join()
+    for _ in range(14):
+        what = str(drawing.choice(["join", "leave", "propagate", "propagate", "square", "correct", "resample"]))
+        if what == "join" or not pairs:
+            join()
+            continue
+        at = int(drawing.integers(len(pairs)))
+        if what == "leave":
+            pairs.pop(at)
+            continue
+        home, there, (rng, same) = pairs[at]
+        ll = drawing.normal(0.0, 2.0, len(there))
+        for cloud, numbers in ((home, rng), (there, same)):
+            if what == "propagate":
+                cloud.propagate(0.1, numbers)
+            elif what == "square":
+                cloud.square(np.array([0.0, 0.6, -0.8]))
+            elif what == "correct":
+                cloud.correct(np.array([0.4, 0.75, 19.0]), np.diag([0.01, 0.02, 0.3]), numbers)
+            else:
+                seen(cloud, ll) if isinstance(cloud, CudaCloud) else cloud.weigh(ll)
+                cloud.resample(SETTINGS.model_copy(update={"particles": len(there)}), numbers)
+    for home, there, _ in pairs:
+        assert_same(there.at_home(), home)
+
+
+def test_room_is_used_again() -> None:
+    """A cloud that nobody holds leaves its columns, and its place in the tables, to the next that fits."""
+    device = CudaDevice()
+    first, second, third = (device.cloud(particles(way("line"), i, n)) for i, n in enumerate((5, 4, 3)))
+    columns = device._pool.shape[2]
+    del second
+    another = device.cloud(particles(way("line"), 7, 4))
+    assert (another.slot, device._pool.shape[2]) == (1, columns)
+    assert_same(another.at_home(), particles(way("line"), 7, 4))
+    for i, (cloud, n) in enumerate(((first, 5), (third, 3))):
+        assert_same(cloud.at_home(), particles(way("line"), 2 * i, n))
+
+
+class Counting:
+    """A kernel that counts its launches."""
+
+    def __init__(self, kernel: Any, counts: Counter[str], name: str) -> None:
+        self.kernel, self.counts, self.name = kernel, counts, name
+
+    def __getitem__(self, configuration: object) -> Any:
+        self.counts[self.name] += 1
+        return self.kernel[configuration]
+
+
+KERNELS = [
+    (motion_cuda, ("carry_out", "collect", "settle")),
+    (particles_cuda, ("cumulate", "survey", "reweigh")),
+    (pixels_cuda, ("log_likelihood",)),
+]
+
+
+@pytest.mark.parametrize("vehicles", [1, 3])
+def test_launches_do_not_grow_with_the_number_of_vehicles(vehicles: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    counts: Counter[str] = Counter()
+    for module, names in KERNELS:
+        for name in names:
+            monkeypatch.setattr(module, name, Counting(getattr(module, name), counts, name))
+    device, frame, grid = CudaDevice(), textured(8), Grid(2, 2, (2, 3))
+    homes = [particles(way("curve"), seed, 3) for seed in range(vehicles)]
+    each = [Seeing(device.cloud(home), grid, frame, SETTINGS) for home in homes]
+    settings = SETTINGS.model_copy(update={"particles": 3, "resample_below": 1.0})
+    rng = np.random.default_rng(1)
+    for _ in range(2):
+        counts.clear()
+        for tracker in each:
+            tracker.cloud.propagate(0.01, rng)
+        for tracker in each:
+            tracker.cloud.mean()
+            tracker.cloud.correct(np.array([0.5, 0.8, 20.0]), np.eye(3), rng)
+        both = views(frame, [tracker.cloud.reach() for tracker in each])
+        for tracker in each:
+            tracker.views = both
+        device.weigh(each)
+        for tracker in each:
+            tracker.cloud.posterior()
+            tracker.cloud.resample(settings, rng)
+            tracker.cloud.square(np.array([0.0, 0.6, -0.8]))
+    # the orders of a frame begin with what the frame before left to be done
+    assert counts == {"cumulate": 1, "carry_out": 2, "survey": 3, "log_likelihood": 1, "reweigh": 1}
 
 
 # --- the likelihood ------------------------------------------------------------------------------------------------
@@ -206,7 +344,7 @@ def test_weights_that_vanish_are_told(device: CudaDevice, ll: float) -> None:
 class Seeing:
     """What the device asks a tracker for."""
 
-    def __init__(self, cloud: object, grid: Grid, frame: StereoFrame, settings: SpeedConfiguration) -> None:
+    def __init__(self, cloud: CudaCloud, grid: Grid, frame: StereoFrame, settings: SpeedConfiguration) -> None:
         self.cloud, self.grid, self.configuration, self.rig = cloud, grid, settings, rig()
         first = particles(way("line"), 90, 1)
         self.views = views(frame, [first.reach()])
@@ -323,7 +461,7 @@ def test_a_vehicle_that_is_hidden_is_awaited_as_on_the_cpu(device: CudaDevice, c
 
 
 @pytest.mark.parametrize(
-    ("where", "breaks_at"), [("weigh", 0), ("reweigh", 0), ("unweigh", 0), ("at_home", 0), ("moments", 2)]
+    ("where", "breaks_at"), [("weigh", 0), ("carry_out", 6), ("unweigh", 0), ("at_home", 0), ("survey", 2)]
 )
 def test_the_cpu_carries_on_from_the_same_frame(
     clips: dict[str, Path], breaks_at: int, where: str, monkeypatch: pytest.MonkeyPatch
@@ -335,8 +473,7 @@ def test_the_cpu_carries_on_from_the_same_frame(
         pass
 
     CudaAPIError.__module__ = "numba.cuda.cudadrv.driver"
-    owner = CudaDevice if where == "weigh" else cloud_cuda.CudaCloud
-    working = getattr(owner, where)
+    working = getattr(CudaDevice, where)
 
     def breaking(self: object, *given: object) -> object:
         calls.append(where)
@@ -346,7 +483,7 @@ def test_the_cpu_carries_on_from_the_same_frame(
 
     hidden = 2 if where == "unweigh" else -1
     expected = followed(clip, Fleet(), trackers(clip, SETTINGS, None), hidden)
-    monkeypatch.setattr(owner, where, breaking)
+    monkeypatch.setattr(CudaDevice, where, breaking)
     device = CudaDevice()
     fleet = Fleet(device, carry_on=True)
     assert_same_estimates(followed(clip, fleet, trackers(clip, SETTINGS, device), hidden), expected)

@@ -89,14 +89,14 @@ def test_other_errors_are_not_the_devices(error: Exception) -> None:
 @pytest.fixture
 def no_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
     """Also on a machine that has one."""
-    from paceline.speed import cloud_cuda
+    from paceline.speed import device_cuda
 
     error = foreign("CudaSupportError", ERROR)("CUDA driver library cannot be found")
 
     def context() -> None:
         raise error
 
-    monkeypatch.setattr(cloud_cuda.cuda, "current_context", context)
+    monkeypatch.setattr(device_cuda.cuda, "current_context", context)
 
 
 @pytest.mark.usefixtures("no_gpu")

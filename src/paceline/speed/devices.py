@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Literal
 from paceline.errors import UnusableInput
 
 if TYPE_CHECKING:
-    from paceline.speed.cloud_cuda import CudaDevice
+    from paceline.speed.device_cuda import CudaDevice
 
 DeviceName = Literal["auto", "cpu", "cuda"]
 
@@ -34,7 +34,7 @@ def open_device(name: DeviceName) -> CudaDevice | None:
         return None
     try:
         with failures_told():
-            from paceline.speed.cloud_cuda import CudaDevice
+            from paceline.speed.device_cuda import CudaDevice
 
             return CudaDevice()
     except DeviceFailure:

@@ -10,11 +10,11 @@ from paceline.speed.devices import DeviceFailure, failures_told
 from paceline.speed.tracker import Estimate, Tracker
 
 if TYPE_CHECKING:
-    from paceline.speed.cloud_cuda import CudaDevice
+    from paceline.speed.device_cuda import CudaDevice
 
 
 class Fleet:
-    """Trackers that go through the same frames. On a ``device``, one launch weighs the particles of all of them.
+    """Trackers that go through the same frames. On a ``device`` they take each step together, in the same launches.
 
     With ``carry_on``, a device that fails is left: all trackers go on in the computer's memory from where they were
     before that frame, and ``notices`` says so. Otherwise the DeviceFailure is raised.
@@ -61,6 +61,8 @@ class Fleet:
         moving = [t for t in seen if t.vehicle.id not in self._estimates]
         for tracker in moving:
             tracker.propose(frame)
+        for tracker in moving:
+            tracker.guide(frame)
         if moving:
             both = views(frame, [t.cloud.reach() for t in moving])
             for tracker in moving:

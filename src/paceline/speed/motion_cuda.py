@@ -1,8 +1,7 @@
-"""How particles move on a GPU: the motions of `motion`, one thread for each particle.
+"""What is done with particles on a GPU: resampling and the motions of `motion`, one thread for each particle.
 
-A cloud of N particles is one array (ROWS, N): every number of its state is a row, so that the threads of a warp read
-side by side. The last rows are what follows from the state and is asked for by the filter: where the planes' centres
-are in space and in both views.
+How they lie in memory, and the orders for them, is told in `layout_cuda`. The functions for one particle take a half of
+the pool as ``rows`` (ROWS, columns) and the particle's column ``q``; ``p`` is its number within the vehicle.
 """
 
 from __future__ import annotations
@@ -13,13 +12,56 @@ import numpy as np
 from numba import cuda
 
 from paceline.speed import regions
-
-LEFT, RIGHT, NORMAL, DISTANCE, SPEED, S, HEADING, VELOCITY, TURNING = 0, 8, 16, 19, 20, 21, 22, 24, 27
-STATE = 30  # rows of the state itself
-PLACE, CROSSING_LEFT, CROSSING_RIGHT = 30, 33, 35
-ROWS = 37
-
-MAPS = 39  # three homographies and the four edges of the right region
+from paceline.speed.cloud import KEPT
+from paceline.speed.layout_cuda import (
+    AT_HOME,
+    BEFORE,
+    CORRECTED,
+    COUNT,
+    CROSSING_LEFT,
+    CROSSING_RIGHT,
+    CUMULATED,
+    DISTANCE,
+    DRAWS,
+    DRIFT,
+    DT,
+    FIRST,
+    FREE,
+    HEADING,
+    KEY,
+    KNOT_COUNT,
+    KNOTS,
+    LEFT,
+    LOG_WEIGHT,
+    MAPS,
+    MEAN,
+    MOVED,
+    MOVING,
+    MOVING_NOISE,
+    NORMAL,
+    NOW,
+    OFFSET,
+    ORDER,
+    PLACE,
+    PREPARED,
+    RESAMPLED,
+    RIG,
+    RIGHT,
+    SEEN_NOISE,
+    SPEED,
+    SPREAD,
+    SQUARED,
+    STATE,
+    STEP,
+    STIRRING,
+    TOWARDS,
+    TURNING,
+    TURNS,
+    VELOCITY,
+    WEIGHT,
+    S,
+)
+from paceline.speed.randomness_cuda import counted_normals
 
 _device = cuda.jit(device=True)
 _carry = _device(regions.carry)
@@ -53,53 +95,53 @@ def _apply(A, x, out):
 
 
 @cuda.jit(device=True)
-def _fetch(rows, first, p, out):
+def _fetch(rows, first, q, out):
     for i in range(3):
-        out[i] = rows[first + i, p]
+        out[i] = rows[first + i, q]
 
 
 @cuda.jit(device=True)
-def _fetch_region(rows, first, p, out):
+def _fetch_region(rows, first, q, out):
     for v in range(4):
-        out[v, 0] = rows[first + 2 * v, p]
-        out[v, 1] = rows[first + 2 * v + 1, p]
+        out[v, 0] = rows[first + 2 * v, q]
+        out[v, 1] = rows[first + 2 * v + 1, q]
 
 
 @cuda.jit(device=True)
-def _store_region(quad, rows, first, p):
+def _store_region(quad, rows, first, q):
     for v in range(4):
-        rows[first + 2 * v, p] = quad[v, 0]
-        rows[first + 2 * v + 1, p] = quad[v, 1]
+        rows[first + 2 * v, q] = quad[v, 0]
+        rows[first + 2 * v + 1, q] = quad[v, 1]
 
 
 @cuda.jit(device=True)
-def _derive(rows, p, rig):
+def _derive(rows, q, rig):
     """The rows that follow from the state."""
     quad = cuda.local.array((4, 2), np.float64)
     crossing = cuda.local.array(2, np.float64)
     for view in range(2):
-        _fetch_region(rows, RIGHT if view else LEFT, p, quad)
+        _fetch_region(rows, RIGHT if view else LEFT, q, quad)
         _cross_diagonals(quad, crossing)
         first = CROSSING_RIGHT if view else CROSSING_LEFT
-        rows[first, p], rows[first + 1, p] = crossing[0], crossing[1]
-    x, y, K_inv = rows[CROSSING_LEFT, p], rows[CROSSING_LEFT + 1, p], rig[K_LEFT_INV]
+        rows[first, q], rows[first + 1, q] = crossing[0], crossing[1]
+    x, y, K_inv = rows[CROSSING_LEFT, q], rows[CROSSING_LEFT + 1, q], rig[K_LEFT_INV]
     a = K_inv[0, 0] * x + K_inv[0, 1] * y + K_inv[0, 2]
     b = K_inv[1, 0] * x + K_inv[1, 1] * y + K_inv[1, 2]
     c = K_inv[2, 0] * x + K_inv[2, 1] * y + K_inv[2, 2]
-    depth = rows[DISTANCE, p] / (a * rows[NORMAL, p] + b * rows[NORMAL + 1, p] + c * rows[NORMAL + 2, p])
-    rows[PLACE, p], rows[PLACE + 1, p], rows[PLACE + 2, p] = a * depth, b * depth, c * depth
+    depth = rows[DISTANCE, q] / (a * rows[NORMAL, q] + b * rows[NORMAL + 1, q] + c * rows[NORMAL + 2, q])
+    rows[PLACE, q], rows[PLACE + 1, q], rows[PLACE + 2, q] = a * depth, b * depth, c * depth
 
 
 @cuda.jit(device=True)
-def _move(rows, p, rig, dR, shift):
+def _move(rows, q, rig, dR, shift):
     """`motion.moved` of one particle: (5)–(8), (10), (11)."""
     n, n_right = cuda.local.array(3, np.float64), cuda.local.array(3, np.float64)
     shift_right, turned = cuda.local.array(3, np.float64), cuda.local.array(3, np.float64)
     plane = cuda.local.array(3, np.float64)
     product, dR_right = cuda.local.array((3, 3), np.float64), cuda.local.array((3, 3), np.float64)
     quad, carried = cuda.local.array((4, 2), np.float64), cuda.local.array((4, 2), np.float64)
-    R, t, d = rig[R_RIG], rig[SHIFTS, 0], rows[DISTANCE, p]
-    _fetch(rows, NORMAL, p, n)
+    R, t, d = rig[R_RIG], rig[SHIFTS, 0], rows[DISTANCE, q]
+    _fetch(rows, NORMAL, q, n)
     _apply(R, n, n_right)
     d_right = d + (n_right[0] * t[0] + n_right[1] * t[1] + n_right[2] * t[2])
     _multiply(R, dR, product)
@@ -109,19 +151,19 @@ def _move(rows, p, rig, dR, shift):
     for i in range(3):
         shift_right[i] = shift_right[i] + t[i] - turned[i]
         plane[i] = n[i] / d
-    _fetch_region(rows, LEFT, p, quad)
+    _fetch_region(rows, LEFT, q, quad)
     _carry(quad, dR, shift, plane, rig[K_LEFT], rig[K_LEFT_INV], carried)
-    _store_region(carried, rows, LEFT, p)
+    _store_region(carried, rows, LEFT, q)
     for i in range(3):
         plane[i] = n_right[i] / d_right
-    _fetch_region(rows, RIGHT, p, quad)
+    _fetch_region(rows, RIGHT, q, quad)
     _carry(quad, dR_right, shift_right, plane, rig[K_RIGHT], rig[K_RIGHT_INV], carried)
-    _store_region(carried, rows, RIGHT, p)
+    _store_region(carried, rows, RIGHT, q)
     _apply(dR, n, turned)
     for i in range(3):
-        rows[NORMAL + i, p] = turned[i]
-    rows[DISTANCE, p] = d + (shift[0] * turned[0] + shift[1] * turned[1] + shift[2] * turned[2])
-    _derive(rows, p, rig)
+        rows[NORMAL + i, q] = turned[i]
+    rows[DISTANCE, q] = d + (shift[0] * turned[0] + shift[1] * turned[1] + shift[2] * turned[2])
+    _derive(rows, q, rig)
 
 
 @cuda.jit(device=True)
@@ -131,15 +173,27 @@ def _identity(dR):
             dR[i, j] = 1.0 if i == j else 0.0
 
 
+@cuda.jit(device=True)
+def _draw(desk, order, draw, k, p, out, first):
+    """``k`` numbers of one kind of noise for particle ``p``, into ``out`` from the ``first`` on."""
+    where, sigma = int(order[DRAWS + 2 * draw]), order[DRAWS + 2 * draw + 1]
+    if where < 0:
+        counted_normals(order[KEY : KEY + 4], -1 - where, sigma, p, k, out, first)
+    else:
+        at = where + p * k
+        for i in range(k):
+            out[first + i] = desk[at + i]
+
+
 # --- along a path --------------------------------------------------------------------------------------------------
 
 
 @cuda.jit(device=True)
-def _interval(breaks, s):
-    low, high = 0, breaks.shape[0] - 2
+def _interval(knots, s):
+    low, high = 0, knots.shape[0] - 2
     while low < high:
         half = (low + high + 1) // 2
-        if breaks[half] <= s:
+        if knots[half, 0] <= s:
             low = half
         else:
             high = half - 1
@@ -147,33 +201,27 @@ def _interval(breaks, s):
 
 
 @cuda.jit(device=True)
-def _tangent(breaks, cubics, s, out):
-    """C′(s), ``s`` on the path."""
-    i = _interval(breaks, s)
-    x = s - breaks[i]
-    for axis in range(3):
-        c = cubics[i, axis]
-        out[axis] = (3.0 * c[0] * x + 2.0 * c[1]) * x + c[2]
-
-
-@cuda.jit(device=True)
-def _at(breaks, cubics, s, out):
+def _at(knots, s, out):
     """`paths.Path.at`: C(s), beyond the ends straight on."""
-    within = min(max(s, breaks[0]), breaks[breaks.shape[0] - 1])
-    i = _interval(breaks, within)
-    x = within - breaks[i]
+    within = min(max(s, knots[0, 0]), knots[knots.shape[0] - 1, 0])
+    i = _interval(knots, within)
+    x = within - knots[i, 0]
     for axis in range(3):
-        c = cubics[i, axis]
-        slope = (3.0 * c[0] * x + 2.0 * c[1]) * x + c[2]
-        out[axis] = ((c[0] * x + c[1]) * x + c[2]) * x + c[3] + (s - within) * slope
+        a, b, c, d = knots[i, 2 + 4 * axis], knots[i, 3 + 4 * axis], knots[i, 4 + 4 * axis], knots[i, 5 + 4 * axis]
+        slope = (3.0 * a * x + 2.0 * b) * x + c
+        out[axis] = ((a * x + b) * x + c) * x + d + (s - within) * slope
 
 
 @cuda.jit(device=True)
-def _frame(breaks, cubics, roll, s, F):
+def _frame(knots, s, F):
     """`paths.Path.frames`: columns T, P, B."""
     T = cuda.local.array(3, np.float64)
-    within = min(max(s, breaks[0]), breaks[breaks.shape[0] - 1])
-    _tangent(breaks, cubics, within, T)
+    within = min(max(s, knots[0, 0]), knots[knots.shape[0] - 1, 0])
+    i = _interval(knots, within)
+    along = within - knots[i, 0]
+    for axis in range(3):
+        a, b, c = knots[i, 2 + 4 * axis], knots[i, 3 + 4 * axis], knots[i, 4 + 4 * axis]
+        T[axis] = (3.0 * a * along + 2.0 * b) * along + c
     norm = math.sqrt(T[0] * T[0] + T[1] * T[1] + T[2] * T[2])
     x, y, z = T[0] / norm, T[1] / norm, T[2] / norm
     length = math.sqrt(x * x + z * z)
@@ -181,9 +229,8 @@ def _frame(breaks, cubics, roll, s, F):
         px, pz = 1.0, 0.0
     else:
         px, pz = z / length, -x / length
-    i = _interval(breaks, within)
-    share = (within - breaks[i]) / (breaks[i + 1] - breaks[i])
-    angle = roll[i] + share * (roll[i + 1] - roll[i])
+    share = along / (knots[i + 1, 0] - knots[i, 0])
+    angle = knots[i, 1] + share * (knots[i + 1, 1] - knots[i, 1])
     cos, sin = math.cos(angle), math.sin(angle)
     bx, by, bz = y * pz, z * px - x * pz, -y * px
     F[0, 0], F[1, 0], F[2, 0] = x, y, z
@@ -191,16 +238,10 @@ def _frame(breaks, cubics, roll, s, F):
     F[0, 2], F[1, 2], F[2, 2] = cos * bx - sin * px, cos * by, cos * bz - sin * pz
 
 
-@cuda.jit(cache=True)
-def propagate_along_path(rows, noise, rig, breaks, cubics, roll, turns, drift_across, drift_down, dt):
-    """`motion.PathMotion.propagate`: (22)–(24) on a line, (25)–(27) where the path ``turns``.
-
-    ``noise`` (6, N): m/s of the speed, m along the path, rad of the heading's yaw and pitch, and standard normal ones
-    of the drift across and down.
-    """
-    p = cuda.grid(1)
-    if p >= rows.shape[1]:
-        return
+@cuda.jit(device=True)
+def _along_path(rows, q, p, desk, order, rig, knots):
+    """`motion.PathMotion.propagate`: (22)–(24) on a line, (25)–(27) where the path turns."""
+    noise = cuda.local.array(6, np.float64)
     start, end = cuda.local.array(3, np.float64), cuda.local.array(3, np.float64)
     shift, turned = cuda.local.array(3, np.float64), cuda.local.array(3, np.float64)
     F, after, dR = (
@@ -208,157 +249,104 @@ def propagate_along_path(rows, noise, rig, breaks, cubics, roll, turns, drift_ac
         cuda.local.array((3, 3), np.float64),
         cuda.local.array((3, 3), np.float64),
     )
-    before = rows[S, p]
-    speed = rows[SPEED, p] + noise[0, p]
-    length = speed * dt + noise[1, p]
-    rows[HEADING, p] += noise[2, p]
-    rows[HEADING + 1, p] += noise[3, p]
+    turns = order[TURNS] != 0.0
+    for i in range(4):  # of the speed, along the path, of the heading's yaw and pitch
+        _draw(desk, order, MOVING_NOISE + i, 1, p, noise, i)
+    before = rows[S, q]
+    speed = rows[SPEED, q] + noise[0]
+    length = speed * order[DT] + noise[1]
+    rows[HEADING, q] += noise[2]
+    rows[HEADING + 1, q] += noise[3]
     s = before + length
-    _at(breaks, cubics, before, start)
+    _at(knots, before, start)
     if turns:
         sign = 1.0 if length > 0.0 else -1.0 if length < 0.0 else 0.0
         for _ in range(2):  # (25): two secant steps from the arc to the chord
-            _at(breaks, cubics, s, end)
+            _at(knots, s, end)
             x, y, z = end[0] - start[0], end[1] - start[1], end[2] - start[2]
             s += sign * (abs(length) - math.sqrt(x * x + y * y + z * z))
-    _at(breaks, cubics, s, end)
-    _frame(breaks, cubics, roll, before, F)
+    _at(knots, s, end)
+    _frame(knots, before, F)
     ahead = 0.0
     for i in range(3):
         ahead += (end[i] - start[i]) * F[i, 0]
     for i in range(3):
-        aside = F[i, 1] * rows[HEADING, p] + F[i, 2] * rows[HEADING + 1, p]
+        aside = F[i, 1] * rows[HEADING, q] + F[i, 2] * rows[HEADING + 1, q]
         shift[i] = end[i] - start[i] + ahead * aside
     _identity(dR)
     if turns:
-        _frame(breaks, cubics, roll, s, after)
+        _frame(knots, s, after)
         _multiply_transposed(after, F, dR)  # (26)
         _apply(dR, start, turned)
-        across, down = noise[4, p] * drift_across, noise[5, p] * drift_down
+        _draw(desk, order, MOVING_NOISE + 4, 2, p, noise, 4)
+        across, down = noise[4] * order[DRIFT], noise[5] * order[DRIFT + 1]
         for i in range(3):
             shift[i] += start[i] - turned[i] + (after[i, 1] * across + after[i, 2] * down)  # (27)
-    rows[SPEED, p] = speed
-    rows[S, p] = s
-    _move(rows, p, rig, dR, shift)
+    rows[SPEED, q] = speed
+    rows[S, q] = s
+    _move(rows, q, rig, dR, shift)
 
 
 # --- without a path ------------------------------------------------------------------------------------------------
 
 
-@cuda.jit(cache=True)
-def propagate_freely(rows, noise, rig, dt):
-    """`motion.FreeMotion.propagate`: (9)–(11). ``noise`` (6, N): rad/s of the turning, m/s of the velocity."""
-    p = cuda.grid(1)
-    if p >= rows.shape[1]:
-        return
+@cuda.jit(device=True)
+def _freely(rows, q, p, desk, order, rig):
+    """`motion.FreeMotion.propagate`: (9)–(11)."""
+    noise, dt = cuda.local.array(6, np.float64), order[DT]
     centre, turned = cuda.local.array(3, np.float64), cuda.local.array(3, np.float64)
     shift, dR = cuda.local.array(3, np.float64), cuda.local.array((3, 3), np.float64)
+    for i in range(2):  # of the turning and of the velocity
+        _draw(desk, order, MOVING_NOISE + i, 3, p, noise, 3 * i)
     for i in range(3):
-        rows[TURNING + i, p] += noise[i, p]
-        rows[VELOCITY + i, p] += noise[3 + i, p]
-    a, b, c = rows[TURNING, p] * dt, rows[TURNING + 1, p] * dt, rows[TURNING + 2, p] * dt
+        rows[TURNING + i, q] += noise[i]
+        rows[VELOCITY + i, q] += noise[3 + i]
+    a, b, c = rows[TURNING, q] * dt, rows[TURNING + 1, q] * dt, rows[TURNING + 2, q] * dt
     ca, sa, cb, sb, cc, sc = math.cos(a), math.sin(a), math.cos(b), math.sin(b), math.cos(c), math.sin(c)
     dR[0, 0], dR[0, 1], dR[0, 2] = cc * cb, cc * sb * sa - sc * ca, cc * sb * ca + sc * sa  # about x, then y, then z
     dR[1, 0], dR[1, 1], dR[1, 2] = sc * cb, sc * sb * sa + cc * ca, sc * sb * ca - cc * sa
     dR[2, 0], dR[2, 1], dR[2, 2] = -sb, cb * sa, cb * ca
-    _fetch(rows, PLACE, p, centre)
+    _fetch(rows, PLACE, q, centre)
     _apply(dR, centre, turned)
     for i in range(3):
-        shift[i] = centre[i] + rows[VELOCITY + i, p] * dt - turned[i]
-    _move(rows, p, rig, dR, shift)
-    _set_speed(rows, p)
+        shift[i] = centre[i] + rows[VELOCITY + i, q] * dt - turned[i]
+    _move(rows, q, rig, dR, shift)
+    _set_speed(rows, q)
 
 
 @cuda.jit(device=True)
-def _set_speed(rows, p):
-    x, y, z = rows[VELOCITY, p], rows[VELOCITY + 1, p], rows[VELOCITY + 2, p]
-    rows[SPEED, p] = math.sqrt(x * x + y * y + z * z)
+def _set_speed(rows, q):
+    x, y, z = rows[VELOCITY, q], rows[VELOCITY + 1, q], rows[VELOCITY + 2, q]
+    rows[SPEED, q] = math.sqrt(x * x + y * y + z * z)
 
 
-# --- both ----------------------------------------------------------------------------------------------------------
-
-
-@cuda.jit(cache=True)
-def correct(rows, noise, rig, step, linear, breaks, cubics, roll, free):
-    """`motion.corrected`, with the motion's ``followed``: the ensemble Kalman step of every particle.
-
-    ``noise`` (3, N) standard normal; ``step`` (7 + k, 3) is where the planes' centre was seen, the root (3, 3) of that
-    covariance, and the gain (3 + k, 3) of the centre and the rows ``linear`` (k,).
-    """
-    p = cuda.grid(1)
-    if p >= rows.shape[1]:
-        return
-    off, shift = cuda.local.array(3, np.float64), cuda.local.array(3, np.float64)
-    dR = cuda.local.array((3, 3), np.float64)
-    for i in range(3):
-        stirred = step[1 + i, 0] * noise[0, p] + step[1 + i, 1] * noise[1, p] + step[1 + i, 2] * noise[2, p]
-        off[i] = step[0, i] + stirred - rows[PLACE + i, p]
-    for i in range(3):
-        shift[i] = step[4 + i, 0] * off[0] + step[4 + i, 1] * off[1] + step[4 + i, 2] * off[2]
-    for k in range(linear.shape[0]):
-        g = step[7 + k]
-        rows[linear[k], p] += g[0] * off[0] + g[1] * off[1] + g[2] * off[2]
-    if free:
-        _set_speed(rows, p)
-    else:
-        F = cuda.local.array((3, 3), np.float64)
-        _frame(breaks, cubics, roll, rows[S, p], F)
-        rows[S, p] += shift[0] * F[0, 0] + shift[1] * F[1, 0] + shift[2] * F[2, 0]
-    _identity(dR)
-    _move(rows, p, rig, dR, shift)
-
-
-@cuda.jit(cache=True)
-def derive(rows, rig):
-    """The rows that follow from a state just uploaded."""
-    p = cuda.grid(1)
-    if p < rows.shape[1]:
-        _derive(rows, p, rig)
-
-
-@cuda.jit(cache=True)
-def square(rows, normal):
-    """Every plane through its own centre, square to ``normal`` (3,)."""
-    p = cuda.grid(1)
-    if p >= rows.shape[1]:
-        return
-    distance = 0.0
-    for i in range(3):
-        rows[NORMAL + i, p] = normal[i]
-        distance += rows[PLACE + i, p] * normal[i]
-    rows[DISTANCE, p] = distance
-
-
-@cuda.jit(cache=True)
-def prepare(rows, rig, maps, first):
-    """Into ``maps`` (M, 39), from the ``first`` on, what the likelihood samples by.
+@cuda.jit(device=True)
+def _prepare(rows, q, rig, out):
+    """Into ``out`` (MAPS,) what the likelihood samples by.
 
     That is homographies (9 each) of the unit square to the left region, to the right region, and to the left region
     carried into the right view by (15), and the right region's edges (12). A region without area has no map: it is
     looked at in one pixel, where it resembles nothing.
     """
-    p = cuda.grid(1)
-    if p >= rows.shape[1]:
-        return
     quad, edges = cuda.local.array((4, 2), np.float64), cuda.local.array((4, 3), np.float64)
     H, cross, carried = (
         cuda.local.array((3, 3), np.float64),
         cuda.local.array((3, 3), np.float64),
         cuda.local.array((3, 3), np.float64),
     )
-    out, K_inv, across, moved = maps[first + p], rig[K_LEFT_INV], rig[ACROSS], rig[SHIFTS, 1]
+    K_inv, across, moved = rig[K_LEFT_INV], rig[ACROSS], rig[SHIFTS, 1]
     for j in range(3):
         plane = 0.0
         for i in range(3):
-            plane += rows[NORMAL + i, p] / rows[DISTANCE, p] * K_inv[i, j]
+            plane += rows[NORMAL + i, q] / rows[DISTANCE, q] * K_inv[i, j]
         for i in range(3):
             cross[i, j] = across[i, j] + moved[i] * plane
-    _fetch_region(rows, LEFT, p, quad)
+    _fetch_region(rows, LEFT, q, quad)
     _unit_square_to(quad, H)
     _multiply(cross, H, carried)
     for i in range(9):
         out[i], out[18 + i] = H[i // 3, i % 3], carried[i // 3, i % 3]
-    _fetch_region(rows, RIGHT, p, quad)
+    _fetch_region(rows, RIGHT, q, quad)
     _unit_square_to(quad, H)
     _inward_edges(quad, edges)
     for i in range(9):
@@ -374,3 +362,121 @@ def prepare(rows, rig, maps, first):
         out[8] = out[17] = out[26] = np.float32(1.0)
         for i in range(4):
             out[27 + 3 * i + 2] = np.float32(-1.0)
+
+
+# --- all that can be ordered ---------------------------------------------------------------------------------------
+
+
+@cuda.jit(device=True)
+def _survive(pool, q, p, desk, order):
+    """Systematic resampling, by the running sums of the weights: what survives as particle ``p``, stirred.
+
+    The headings, static parameters, are drawn to their mean as they are stirred.
+    """
+    noise = cuda.local.array(2, np.float64)
+    before, rows = pool[int(order[BEFORE])], pool[int(order[NOW])]
+    first, N = int(order[FIRST]), int(order[COUNT])
+    point = (p + order[OFFSET]) / N
+    low, high = 0, N - 1
+    while low < high:
+        half = (low + high) // 2
+        if before[CUMULATED, first + half] < point:
+            low = half + 1
+        else:
+            high = half
+    for i in range(MOVING):
+        rows[i, q] = before[i, first + low]
+    rows[LOG_WEIGHT, q] = -math.log(float(N))
+    rows[WEIGHT, q] = 1.0 / N
+    _draw(desk, order, STIRRING, 2, p, noise, 0)
+    for k in range(2):
+        mean = order[MEAN + k]
+        rows[HEADING + k, q] = mean + KEPT * (rows[HEADING + k, q] - mean) + noise[k] * order[SPREAD + k]
+
+
+@cuda.jit(device=True)
+def _square(rows, q, normal):
+    """The plane through its own centre, square to ``normal`` (3,)."""
+    distance = 0.0
+    for i in range(3):
+        rows[NORMAL + i, q] = normal[i]
+        distance += rows[PLACE + i, q] * normal[i]
+    rows[DISTANCE, q] = distance
+
+
+@cuda.jit(device=True)
+def _correct(rows, q, p, desk, order, rig, knots):
+    """`motion.corrected`, with the motion's ``followed``: the ensemble Kalman step."""
+    noise = cuda.local.array(3, np.float64)
+    off, shift = cuda.local.array(3, np.float64), cuda.local.array(3, np.float64)
+    change, dR = cuda.local.array(3, np.float64), cuda.local.array((3, 3), np.float64)
+    place, root, gain = order[STEP : STEP + 3], order[STEP + 3 : STEP + 12], order[STEP + 12 : STEP + 30]
+    _draw(desk, order, SEEN_NOISE, 3, p, noise, 0)
+    for i in range(3):
+        stirred = root[3 * i] * noise[0] + root[3 * i + 1] * noise[1] + root[3 * i + 2] * noise[2]
+        off[i] = place[i] + stirred - rows[PLACE + i, q]
+    for i in range(3):
+        shift[i] = gain[3 * i] * off[0] + gain[3 * i + 1] * off[1] + gain[3 * i + 2] * off[2]
+        change[i] = gain[9 + 3 * i] * off[0] + gain[10 + 3 * i] * off[1] + gain[11 + 3 * i] * off[2]
+    if order[FREE] != 0.0:
+        for i in range(3):
+            rows[VELOCITY + i, q] += change[i]
+        _set_speed(rows, q)
+    else:
+        rows[SPEED, q] += change[0]
+        rows[HEADING, q] += change[1]
+        rows[HEADING + 1, q] += change[2]
+        F = cuda.local.array((3, 3), np.float64)
+        _frame(knots, rows[S, q], F)
+        rows[S, q] += shift[0] * F[0, 0] + shift[1] * F[1, 0] + shift[2] * F[2, 0]
+    _identity(dR)
+    _move(rows, q, rig, dR, shift)
+
+
+@cuda.jit(cache=True)
+def carry_out(pool, desk, rigs, knots, maps):
+    """The orders at the beginning of ``desk``, for all vehicles at once: y blocks for slots, x threads for particles.
+
+    ``rigs`` (rigs, 7, 3, 3) and ``knots`` (knots, KNOT) are tables, ``maps`` (columns, MAPS) what `_prepare` makes.
+    """
+    v, p = cuda.blockIdx.y, cuda.grid(1)
+    order = desk[v * ORDER : (v + 1) * ORDER]
+    if p >= int(order[COUNT]) or order[PREPARED] == 0.0:
+        return
+    q = int(order[FIRST]) + p
+    rows, rig = pool[int(order[NOW])], rigs[int(order[RIG])]
+    path = knots[int(order[KNOTS]) : int(order[KNOTS]) + int(order[KNOT_COUNT])]
+    if order[RESAMPLED] != 0.0:
+        _survive(pool, q, p, desk, order)
+    if order[SQUARED] != 0.0:
+        _square(rows, q, order[TOWARDS : TOWARDS + 3])
+    if order[MOVED] != 0.0:
+        if order[FREE] != 0.0:
+            _freely(rows, q, p, desk, order, rig)
+        else:
+            _along_path(rows, q, p, desk, order, rig, path)
+    if order[CORRECTED] != 0.0:
+        _correct(rows, q, p, desk, order, rig, path)
+    _prepare(rows, q, rig, maps[q])
+
+
+@cuda.jit(cache=True)
+def settle(source, pool, first):
+    """The numbers ``source`` (halves, rows, columns) into the pool, from the ``first`` column on; y blocks for rows."""
+    i, p = cuda.blockIdx.y, cuda.grid(1)
+    if p < source.shape[2]:
+        for half in range(source.shape[0]):
+            pool[half, i, first + p] = source[half, i, p]
+
+
+@cuda.jit(cache=True)
+def collect(pool, desk, home):
+    """The states and log weights of all vehicles, side by side into ``home`` (STATE + 1, all particles)."""
+    v, p = cuda.blockIdx.y, cuda.grid(1)
+    order = desk[v * ORDER : (v + 1) * ORDER]
+    if p >= int(order[COUNT]):
+        return
+    rows, q, at = pool[int(order[NOW])], int(order[FIRST]) + p, int(order[AT_HOME]) + p
+    for i in range(STATE):
+        home[i, at] = rows[i, q]
+    home[STATE, at] = rows[LOG_WEIGHT, q]

@@ -1,6 +1,6 @@
-"""Weights, moments and resampling on a GPU, as in `particles`; a cloud is an array (ROWS, N) as in `motion_cuda`.
+"""Weights, moments and what resampling needs on a GPU, as in `particles`; the memory is that of `layout_cuda`.
 
-Sums are taken in a fixed order, so that the same cloud gives the same numbers every time.
+Sums are taken in a fixed order, so that the same particles give the same numbers every time.
 """
 
 from __future__ import annotations
@@ -10,7 +10,36 @@ import math
 import numpy as np
 from numba import cuda
 
+from paceline.speed.layout_cuda import (
+    BEFORE,
+    COUNT,
+    CROSSING_LEFT,
+    CUMULATED,
+    EVERY,
+    EXTREMES,
+    FIRST,
+    FREE,
+    HEADER,
+    HEADING,
+    LIKELIHOOD,
+    LOG_WEIGHT,
+    MEAN,
+    MOMENTS,
+    NOW,
+    OFFSET,
+    ORDER,
+    PAIRS,
+    QUANTITIES,
+    RESAMPLED,
+    SHOWN_ROWS,
+    SIGHT,
+    SQUARES,
+    TIMES,
+    WEIGHT,
+)
+
 THREADS = 512  # at most, in a block that adds something up; a power of two
+SURVEYORS, SIDE_BY_SIDE = 64, 8  # threads at most for one quantity, and quantities, of a block that takes moments
 
 
 @cuda.jit(device=True)
@@ -30,64 +59,84 @@ def _block_sum(value, scratch):
 
 
 @cuda.jit(cache=True)
-def moments(rows, W, pairs, partial):
-    """Weighted first and second moments about the first particle, into ``partial`` (pairs, blocks + 1).
+def survey(pool, desk, told):
+    """What the weighted particles of all vehicles come to.
 
-    ``pairs`` (P, 2) are two rows, or one and −1. The last column is the first particle's own value of the first row.
+    Blocks are (x, for QUANTITIES and then SHOWN_ROWS, slots), of threads (x, SIDE_BY_SIDE quantities). Into ``told``
+    go, for each slot, quantity and x block, two numbers: a sum over the block's share of particles and the first
+    particle's own value, for first and second moments about the first particle, by PAIRS, and for Σ W²; for the
+    EXTREMES the least and the greatest of the finite values. After them all come, for each slot, SHOWN_ROWS rows of
+    every so many-th particle's projected centres.
     """
-    pair, b, t = cuda.blockIdx.y, cuda.blockIdx.x, cuda.threadIdx.x
-    i, j = pairs[pair, 0], pairs[pair, 1]
-    scratch = cuda.shared.array(THREADS, np.float64)
-    total, stride = 0.0, cuda.gridDim.x * cuda.blockDim.x
-    for p in range(b * cuda.blockDim.x + t, rows.shape[1], stride):
-        term = W[p] * (rows[i, p] - rows[i, 0])
-        if j >= 0:
-            term *= rows[j, p] - rows[j, 0]
-        total += term
-    total = _block_sum(total, scratch)
-    if t == 0:
-        partial[pair, b] = total
-        if b == 0:
-            partial[pair, cuda.gridDim.x] = rows[i, 0]
-
-
-@cuda.jit(cache=True)
-def extremes(rows, found):
-    """Least and greatest of the finite values in each of the first rows, into ``found`` (rows, 2); one block a row."""
-    row, t = cuda.blockIdx.x, cuda.threadIdx.x
-    low = cuda.shared.array(THREADS, np.float64)
-    high = cuda.shared.array(THREADS, np.float64)
-    least, greatest = math.inf, -math.inf
-    for p in range(t, rows.shape[1], cuda.blockDim.x):
-        value = rows[row, p]
-        if math.isfinite(value):
-            least, greatest = min(least, value), max(greatest, value)
-    low[t], high[t] = least, greatest
+    b, v, t, y = cuda.blockIdx.x, cuda.blockIdx.z, cuda.threadIdx.x, cuda.threadIdx.y
+    blocks, slots, quantity = cuda.gridDim.x, cuda.gridDim.z, cuda.blockIdx.y * SIDE_BY_SIDE + y
+    low = cuda.shared.array((SIDE_BY_SIDE, SURVEYORS), np.float64)
+    high = cuda.shared.array((SIDE_BY_SIDE, SURVEYORS), np.float64)
+    order = desk[v * ORDER : (v + 1) * ORDER]
+    N = int(order[COUNT])
+    if N == 0:
+        return
+    rows, first = pool[int(order[NOW])], int(order[FIRST])
+    begin, stride = b * cuda.blockDim.x + t, blocks * cuda.blockDim.x
+    moments, extremes = slots * QUANTITIES * blocks * 2, EXTREMES <= quantity < QUANTITIES
+    one, other = 0.0, 0.0
+    if extremes:
+        one, other = math.inf, -math.inf
+        for p in range(first + begin, first + N, stride):
+            value = rows[quantity - EXTREMES, p]
+            if math.isfinite(value):
+                one, other = min(one, value), max(other, value)
+    elif quantity == SQUARES:
+        for p in range(first + begin, first + N, stride):
+            one += rows[WEIGHT, p] * rows[WEIGHT, p]
+    elif quantity < MOMENTS:
+        i, j = PAIRS[int(order[FREE]), quantity, 0], PAIRS[int(order[FREE]), quantity, 1]
+        about = rows[i, first]
+        for p in range(first + begin, first + N, stride):
+            term = rows[WEIGHT, p] * (rows[i, p] - about)
+            if j >= 0:
+                term *= rows[j, p] - rows[j, first]
+            one += term
+        other = about if t == 0 else 0.0
+    elif quantity < QUANTITIES + SHOWN_ROWS:
+        row, every = quantity - QUANTITIES, int(order[EVERY])
+        shown = (told.shape[0] - moments) // (slots * SHOWN_ROWS)
+        at = moments + (v * SHOWN_ROWS + row) * shown
+        for k in range(begin, (N + every - 1) // every, stride):
+            told[at + k] = rows[CROSSING_LEFT + row, first + k * every]
+    low[y, t], high[y, t] = one, other
     cuda.syncthreads()
     half = cuda.blockDim.x // 2
     while half > 0:
-        if t < half:
-            low[t], high[t] = min(low[t], low[t + half]), max(high[t], high[t + half])
+        if t < half and extremes:
+            low[y, t], high[y, t] = min(low[y, t], low[y, t + half]), max(high[y, t], high[y, t + half])
+        elif t < half:
+            low[y, t] += low[y, t + half]
         cuda.syncthreads()
         half //= 2
-    if t == 0:
-        found[row, 0], found[row, 1] = low[0], high[0]
+    if t == 0 and quantity < QUANTITIES:
+        at = 2 * ((v * QUANTITIES + quantity) * blocks + b)
+        told[at], told[at + 1] = low[y, 0], high[y, 0]
 
 
 @cuda.jit(cache=True)
-def reweigh(lw, log_likelihood, first, times, W, told):
-    """The normalised weights after an observation ([Zhu] (2)), in logarithms ``lw`` (N,) and as ``W`` (N,).
+def reweigh(pool, sights):
+    """The normalised weights after an observation ([Zhu] (2)), in logarithms and as themselves; one block a vehicle.
 
-    Theirs are the ``log_likelihood`` (M,) from the ``first`` on; ``times`` is 1, and −1 takes an observation back.
-    ``told`` (2,) becomes the logarithm of what all weighed together, and Σ W². By one block.
+    The observation is the row LIKELIHOOD, log p(z | x), TIMES what ``sights`` say.
     """
     t, n = cuda.threadIdx.x, cuda.blockDim.x
+    sight = sights[HEADER + cuda.blockIdx.x * SIGHT : HEADER + (cuda.blockIdx.x + 1) * SIGHT]
+    times, N, first = sight[TIMES], int(sight[COUNT]), int(sight[FIRST])
+    if N == 0 or times == 0.0:
+        return
+    rows = pool[int(sight[BEFORE])]
     scratch = cuda.shared.array(THREADS, np.float64)
     greatest = -math.inf
-    for p in range(t, lw.shape[0], n):
-        lw[p] += times * log_likelihood[first + p]
-        if lw[p] > greatest:
-            greatest = lw[p]
+    for p in range(first + t, first + N, n):
+        rows[LOG_WEIGHT, p] += times * rows[LIKELIHOOD, p]
+        if rows[LOG_WEIGHT, p] > greatest:
+            greatest = rows[LOG_WEIGHT, p]
     scratch[t] = greatest
     cuda.syncthreads()
     half = n // 2
@@ -99,30 +148,36 @@ def reweigh(lw, log_likelihood, first, times, W, told):
     greatest = scratch[0]
     cuda.syncthreads()
     total = 0.0
-    for p in range(t, lw.shape[0], n):
-        total += math.exp(lw[p] - greatest)
+    for p in range(first + t, first + N, n):
+        total += math.exp(rows[LOG_WEIGHT, p] - greatest)
     total = _block_sum(total, scratch)
     total = greatest + math.log(total) if total > 0.0 else -math.inf
-    squares = 0.0
-    for p in range(t, lw.shape[0], n):
-        lw[p] -= total
-        W[p] = math.exp(lw[p])
-        squares += W[p] * W[p]
-    squares = _block_sum(squares, scratch)
-    if t == 0:
-        told[0], told[1] = total, squares
+    for p in range(first + t, first + N, n):
+        rows[LOG_WEIGHT, p] -= total
+        rows[WEIGHT, p] = math.exp(rows[LOG_WEIGHT, p])
+
+
+@cuda.jit(device=True)
+def _points_below(total, u, N):
+    """How many of the points (p + u)/N, p = 0 … N − 1, are no greater than ``total``."""
+    return min(max(math.floor(total * N - u) + 1.0, 0.0), float(N))
 
 
 @cuda.jit(cache=True)
-def cumulate(W, cumulative):
-    """Running sums of ``W`` (N,), the last one 1, by one block: every thread adds up a stretch of its own."""
-    t, n, N = cuda.threadIdx.x, cuda.blockDim.x, W.shape[0]
+def cumulate(pool, desk):
+    """Running sums of the weights of each vehicle to be resampled, the last one 1, and the mean headings of those of
+    its particles that will survive, into its order. One block a vehicle; every thread adds up a stretch of its own."""
+    v, t, n = cuda.blockIdx.x, cuda.threadIdx.x, cuda.blockDim.x
+    order = desk[v * ORDER : (v + 1) * ORDER]
+    if order[RESAMPLED] == 0.0:
+        return
+    rows, begin, N, u = pool[int(order[BEFORE])], int(order[FIRST]), int(order[COUNT]), order[OFFSET]
     scratch = cuda.shared.array(THREADS, np.float64)
     stretch = (N + n - 1) // n
     first, last = min(t * stretch, N), min((t + 1) * stretch, N)
     own = 0.0
-    for p in range(first, last):
-        own += W[p]
+    for p in range(begin + first, begin + last):
+        own += rows[WEIGHT, p]
     scratch[t] = own
     cuda.syncthreads()
     reach = 1
@@ -133,51 +188,16 @@ def cumulate(W, cumulative):
         cuda.syncthreads()
         reach *= 2
     total = scratch[t - 1] if t > 0 else 0.0
+    cuda.syncthreads()
+    yaw, pitch, below = 0.0, 0.0, _points_below(total, u, N) if first > 0 else 0.0
     for p in range(first, last):
-        total += W[p]
-        cumulative[p] = total if p < N - 1 else 1.0
-
-
-@cuda.jit(cache=True)
-def survive(rows, cumulative, u, kept, lw, W):
-    """Systematic resampling: ``kept`` (ROWS, N) is what survives of ``rows`` with the offset ``u``; weights equal."""
-    p = cuda.grid(1)
-    N = rows.shape[1]
-    if p >= N:
-        return
-    point = (p + u) / N
-    low, high = 0, N - 1
-    while low < high:
-        half = (low + high) // 2
-        if cumulative[half] < point:
-            low = half + 1
-        else:
-            high = half
-    for i in range(rows.shape[0]):
-        kept[i, p] = rows[i, low]
-    lw[p] = -math.log(N)
-    W[p] = 1.0 / N
-
-
-@cuda.jit(cache=True)
-def stir(rows, first, partial, keep, noise, spread_of_first, spread_of_second):
-    """Draw two static rows from ``first`` on to their means, by ``keep``, and stir them by ``noise`` (2, N) times
-    their spreads; ``partial`` is what `moments` gives for them."""
-    p = cuda.grid(1)
-    if p >= rows.shape[1]:
-        return
-    for k in range(2):
-        mean = 0.0
-        for b in range(partial.shape[1]):
-            mean += partial[k, b]
-        spread = spread_of_first if k == 0 else spread_of_second
-        rows[first + k, p] = mean + keep * (rows[first + k, p] - mean) + noise[k, p] * spread
-
-
-@cuda.jit(cache=True)
-def thin(rows, first, every, shown):
-    """``shown`` (K, M): every so many-th particle's K rows from ``first`` on."""
-    p = cuda.grid(1)
-    if p < shown.shape[1]:
-        for i in range(shown.shape[0]):
-            shown[i, p] = rows[first + i, p * every]
+        total += rows[WEIGHT, begin + p]
+        rows[CUMULATED, begin + p] = total if p < N - 1 else 1.0
+        then = _points_below(total, u, N) if p < N - 1 else float(N)
+        yaw += (then - below) * rows[HEADING, begin + p]
+        pitch += (then - below) * rows[HEADING + 1, begin + p]
+        below = then
+    yaw = _block_sum(yaw, scratch)
+    pitch = _block_sum(pitch, scratch)
+    if t == 0:
+        order[MEAN], order[MEAN + 1] = yaw / N, pitch / N

@@ -13,9 +13,27 @@ import numpy as np
 from numba import cuda
 
 from paceline.speed import pixels
+from paceline.speed.layout_cuda import (
+    BEFORE,
+    CAP,
+    COUNT,
+    FIRST,
+    FLOOR,
+    GRID,
+    HEADER,
+    LAMBDA_CROSS,
+    LAMBDA_SINGLE,
+    LEFT_FRAME,
+    LIKELIHOOD,
+    MOST_PARTS,
+    REFERENCE,
+    RIGHT_FRAME,
+    SIGHT,
+    TIMES,
+    WORDS,
+)
 from paceline.speed.pixels import CROSS_ROWS, LEAST_OVERLAP
 
-MOST_PARTS = 16
 _BLOCKS = 16 * MOST_PARTS  # of the wavelet grid, in one view
 _PARTS = 2 * MOST_PARTS  # of both views
 _SUMS = 6  # Σ1, Σa, Σb, Σaa, Σbb, Σab
@@ -93,18 +111,22 @@ def _settle_median(values, start, parts, i, middles):
         middles[1] = value
 
 
-@cuda.jit(cache=True, fastmath=True)
-def log_likelihood(
-    left, left_frame, right, right_frame, maps, owner, grids, references, floor, cap, lambda_single, lambda_cross, out
-):
-    """log p(z | x) (M,) by (12), (13), (18), into ``out``, of the particles of many vehicles at once.
+@cuda.jit(device=True)
+def _frame(sights, first):
+    """Bounds of the packed image whose frame begins at ``sights[first]``."""
+    shape = np.int32(sights[first]), np.int32(sights[first + 1])
+    return _bounds(shape, np.int32(sights[first + 2]), np.int32(sights[first + 3]))
 
-    ``left``, ``right`` are the packed images row by row, their ``…_frame`` (4,) height, width, and place (x, y) of the
-    first pixel; ``maps`` (M, 39) what `motion_cuda.prepare` makes; ``owner`` (M,) each particle's vehicle; ``grids``
-    (vehicles, 4) parts across and down and samples a block (x, y); ``references`` (vehicles, 2, parts, 16). One thread
-    block for each particle, of 16 threads for each part.
+
+@cuda.jit(cache=True, fastmath=True)
+def log_likelihood(pixels, maps, sights, pool):
+    """log p(z | x) by (12), (13), (18), into the row LIKELIHOOD, of the particles of all vehicles that ``sights`` say
+    are to be weighed.
+
+    ``pixels`` are the packed images row by row, the left and then the right; ``maps`` (columns, MAPS) what
+    `motion_cuda.carry_out` makes. Blocks are (particles, slots): each looks at one particle, 16 threads at each part.
     """
-    particle, t = cuda.blockIdx.x, cuda.threadIdx.x
+    t = cuda.threadIdx.x
     homographies = cuda.shared.array(27, np.float32)
     e = cuda.shared.array((4, 3), np.float32)
     blocks = cuda.shared.array((2, _BLOCKS), np.float32)
@@ -113,9 +135,12 @@ def log_likelihood(
     brightness = cuda.shared.array(_PARTS, np.float32)
     norm2 = cuda.shared.array(_PARTS, np.float32)
     middles = cuda.shared.array((4, 2), np.float32)
-    vehicle = owner[particle]
-    across, down = grids[vehicle, 0], grids[vehicle, 1]
-    sx, sy = grids[vehicle, 2], grids[vehicle, 3]
+    sight = sights[HEADER + cuda.blockIdx.y * SIGHT : HEADER + (cuda.blockIdx.y + 1) * SIGHT]
+    if cuda.blockIdx.x >= int(sight[COUNT]) or sight[TIMES] == 0.0:
+        return
+    particle = int(sight[FIRST]) + cuda.blockIdx.x
+    across, down = int(sight[GRID]), int(sight[GRID + 1])
+    sx, sy = int(sight[GRID + 2]), int(sight[GRID + 3])
     parts = across * down
     if t < 27:
         homographies[t] = maps[particle, t]
@@ -123,8 +148,9 @@ def log_likelihood(
         e[(t - 27) // 3, (t - 27) % 3] = maps[particle, t]
     cuda.syncthreads()
 
-    within_left = _bounds((left_frame[0], left_frame[1]), left_frame[2], left_frame[3])
-    within_right = _bounds((right_frame[0], right_frame[1]), right_frame[2], right_frame[3])
+    words = int(sights[WORDS])
+    left, right = pixels[:words], pixels[words : words + int(sights[WORDS + 1])]
+    within_left, within_right = _frame(sights, LEFT_FRAME), _frame(sights, RIGHT_FRAME)
     first_row, first_column = (t // (4 * across)) * sy, (t % (4 * across)) * sx
     rows = np.float32(4 * down * sy)
     step = np.float32(1.0) / np.float32(4 * across * sx)
@@ -184,13 +210,14 @@ def log_likelihood(
         _settle_median(norm2, view * parts, parts, part, middles[2 + view])
     cuda.syncthreads()
     if view < 2:
+        floor = np.float32(sights[FLOOR])
         least = floor * floor * (np.float32(0.5) * (middles[2 + view, 0] + middles[2 + view, 1])) + np.float32(1.0)
         scale = np.float32(1.0) / math.sqrt(norm2[t] + least)
         distance = np.float32(0.0)
         for c in range(16):
-            d = f[c] * scale - references[vehicle, view, part, c]
+            d = f[c] * scale - np.float32(sight[REFERENCE + 16 * t + c])
             distance += d * d
-        brightness[t] = min(distance, cap)
+        brightness[t] = min(distance, np.float32(sights[CAP]))
     cuda.syncthreads()
     if t == 0:
         single = np.float32(0.0)
@@ -203,4 +230,6 @@ def log_likelihood(
                 s[k] += folded[k, i]
         least = np.float32(LEAST_OVERLAP) * (np.float32(4 * across * sx) * rows / np.float32(CROSS_ROWS))
         ncc = _correlation(s, least)
-        out[particle] = -lambda_single * single - lambda_cross * (1.0 - ncc) * (1.0 - ncc)
+        pool[int(sight[BEFORE]), LIKELIHOOD, particle] = (
+            -sights[LAMBDA_SINGLE] * single - sights[LAMBDA_CROSS] * (1.0 - ncc) * (1.0 - ncc)
+        )

@@ -25,7 +25,8 @@ from paceline.speed.planes import first_plane, squared
 from paceline.speed.registration import Appearance, Registration
 
 if TYPE_CHECKING:
-    from paceline.speed.cloud_cuda import CudaCloud, CudaDevice
+    from paceline.speed.cloud_cuda import CudaCloud
+    from paceline.speed.device_cuda import CudaDevice
 
 Array = NDArray[np.float64]
 
@@ -119,6 +120,7 @@ class Tracker:
         if self.begins:
             return self._begin(frame)
         self.propose(frame)
+        self.guide(frame)
         self.views = views(frame, [self.cloud.reach()])
         if isinstance(self.cloud, Cloud):
             self.cloud.weigh(self._log_likelihood(self.cloud.state))
@@ -131,15 +133,28 @@ class Tracker:
         """Whether the next frame is the first."""
         return self._first is None
 
+    @property
+    def _acquires(self) -> bool:
+        """Whether the next frame is the second."""
+        return self._first is not None and self._time == self._first.time
+
     def propose(self, frame: StereoFrame) -> None:
         """Move the particles to where they may be at ``frame``."""
-        assert self._first is not None
         dt = frame.time - self._time
-        if self._time == self._first.time:
+        if self._acquires:
             self._acquire(frame, dt)
         else:
             self.cloud.propagate(dt, self.rng)
-            self._guide(frame)
+
+    def guide(self, frame: StereoFrame) -> None:
+        """Move the particles by what registration saw: the weighted ensemble Kalman filter's proposal.
+
+        The paper's dynamics model alone proposes blindly. Here every particle takes the Kalman step that the whole
+        cloud's covariance gives between where its plane is and everything else in its state.
+        """
+        sight = None if self._acquires else self._sought(frame)
+        if sight is not None and sight.believed:
+            self._believe(sight)
 
     def conclude(self, frame: StereoFrame) -> Estimate:
         """The estimate by the particles that were weighed at ``frame``, the reference's update, and resampling where
@@ -147,7 +162,10 @@ class Tracker:
         estimate = self._estimate(frame)
         if estimate.likeness >= LOST:
             self.cloud.resample(self.configuration, self.rng)
+        self._square(estimate.position)
         self._time = frame.time
+        if self.status != "tracking":
+            self.cloud = self.cloud.at_home()  # where room on a device is given back
         return estimate
 
     def checkpoint(self) -> dict[str, object]:
@@ -269,16 +287,6 @@ class Tracker:
 
     # --- every further frame -----------------------------------------------------------------------------------------
 
-    def _guide(self, frame: StereoFrame) -> None:
-        """Move the particles by what registration saw: the weighted ensemble Kalman filter's proposal.
-
-        The paper's dynamics model alone proposes blindly. Here every particle takes the Kalman step that the whole
-        cloud's covariance gives between where its plane is and everything else in its state.
-        """
-        sight = self._sought(frame)
-        if sight is not None and sight.believed:
-            self._believe(sight)
-
     def _believe(self, sight: Sight) -> None:
         """Correct the particles by what was seen, and learn what it looks like."""
         assert self.appearance is not None
@@ -346,7 +354,6 @@ class Tracker:
             particles_left=posterior.particles_left,
             particles_right=posterior.particles_right,
         )
-        self._square(position)
         return estimate
 
     def _learn(self, mean: State) -> float:

@@ -1,0 +1,323 @@
+"""A GPU on which the particles of all vehicles are moved, weighed and resampled together, in a few launches a frame.
+
+A launch takes longer than the GPU needs for the particles of a vehicle. So the clouds only note what is to be done
+with their particles; the first to ask for a result has the orders of all of them carried out at once, and the results
+of all come back at once. What goes to the GPU for a frame is the part of both images that is looked at, the orders,
+and for up to `randomness.MANY` particles their random numbers.
+"""
+
+from __future__ import annotations
+
+import warnings
+import weakref
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numba import cuda
+from numba.cuda.cudadrv import driver
+from numpy.typing import NDArray
+
+from paceline.cameras import StereoRig
+from paceline.speed import layout_cuda as at
+from paceline.speed import motion_cuda, particles_cuda, pixels_cuda
+from paceline.speed.cloud import SHOWN, Cloud, Views
+from paceline.speed.cloud_cuda import CudaCloud, Found, rows_of
+from paceline.speed.configuration import SpeedConfiguration
+from paceline.speed.likelihood import CONTRAST_FLOOR, PART_DISTANCE_CAP, Grid
+from paceline.speed.motion import State
+from paceline.speed.particles_cuda import SIDE_BY_SIDE, SURVEYORS, THREADS
+
+Array = NDArray[np.float64]
+OnDevice = Any  # an array in the device's memory: Numba has no type for it
+
+BLOCK = 128  # threads of a block, one a particle
+MOST_BLOCKS = 64  # that add up one moment
+AT_ONCE = 1 << 18  # particles of the search for a first speed that are weighed in one launch
+SECOND = np.moveaxis(at.PAIRS[:, at.MOVING :], -1, 1)  # (2, 2, pairs) rows of second moments, by FREE
+
+
+class Follower(Protocol):
+    """One who follows a vehicle: what its particles look at and are compared with."""
+
+    rig: StereoRig
+    configuration: SpeedConfiguration
+    cloud: Cloud | CudaCloud
+    views: Views
+    grid: Grid
+    reference: NDArray[np.float32]
+
+
+@dataclass
+class _Shared:
+    """An array in the computer's memory from which the device is fed, or to which it tells, and its copy there."""
+
+    home: NDArray[Any]
+    there: OnDevice
+
+    @classmethod
+    def of(cls, size: int, kind: type) -> _Shared:
+        home = cuda.pinned_array(size, kind)
+        home[:] = 0
+        return cls(home, cuda.device_array(size, kind))
+
+    def send(self, size: int) -> None:
+        """The first ``size`` numbers."""
+        driver.host_to_device(self.there, self.home, size * self.home.itemsize)  # type: ignore[no-untyped-call]
+
+    def fetch(self) -> NDArray[Any]:
+        driver.device_to_host(self.home, self.there, self.home.nbytes)  # type: ignore[no-untyped-call]
+        return self.home
+
+
+class CudaDevice:
+    """The current GPU, and the clouds that live on it for as long as somebody holds them."""
+
+    def __init__(self) -> None:
+        cuda.current_context()  # type: ignore[no-untyped-call]
+        warnings.filterwarnings("ignore", "Grid size .* under-utilization")  # a vehicle's particles fill no GPU
+        self._clouds: dict[int, weakref.ref[CudaCloud]] = {}  # by slot
+        self._pool = cuda.device_array((2, at.ROWS, 1))
+        self._maps = cuda.device_array((1, at.MAPS), np.float32)
+        self._pixels = _Shared.of(1, np.uint32)
+        self._home: Array | None = None  # all states and log weights, as long as they are as fetched
+        self._pending = False
+        self._noise = 0  # numbers of it that are on the desk
+        self._tabulate({})
+
+    def free_memory(self) -> int:
+        """Bytes."""
+        return int(cuda.current_context().get_memory_info().free)  # type: ignore[no-untyped-call]
+
+    # --- clouds ------------------------------------------------------------------------------------------------------
+
+    def cloud(self, home: Cloud) -> CudaCloud:
+        """``home`` copied to the device."""
+        self.carry_out()
+        living = self._living()
+        slot = next(i for i in range(len(living) + 1) if i not in living)
+        N, first = len(home.state), 0
+        for other in sorted((self.orders[i] for i in living), key=lambda order: order[at.FIRST]):
+            if first + N <= other[at.FIRST]:
+                break
+            first = int(other[at.FIRST] + other[at.COUNT])
+        self._grow(first + N)
+        cloud = CudaCloud(self, home, slot)
+        rows = cuda.to_device(rows_of(home)[None])
+        motion_cuda.settle[(_grid(N), rows.shape[1]), BLOCK](rows, self._pool, first)
+        self._tabulate({**living, slot: cloud}, slot, first)
+        return cloud
+
+    def _living(self) -> dict[int, CudaCloud]:
+        return {slot: cloud for slot, ref in self._clouds.items() if (cloud := ref()) is not None}
+
+    def _grow(self, columns: int) -> None:
+        """Room for so many in the pool, or more."""
+        before = self._pool.shape[2]
+        if columns > before:
+            old, old_maps = self._pool, self._maps
+            self._pool = cuda.device_array((2, at.ROWS, max(columns, 2 * before)))
+            self._maps = cuda.device_array((self._pool.shape[2], at.MAPS), np.float32)
+            motion_cuda.settle[(_grid(before), at.ROWS), BLOCK](old, self._pool, 0)
+            self._maps[:before].copy_to_device(old_maps)
+
+    def _tabulate(self, living: dict[int, CudaCloud], joining: int = -1, first: int = 0) -> None:
+        """The tables of all ``living`` clouds, by slot; one that is ``joining`` has its columns from ``first`` on."""
+        slots = max(living, default=-1) + 1
+        orders = np.zeros((slots, at.ORDER))
+        knots, rigs, total = [np.zeros((1, at.KNOT))], [np.zeros((7, 3, 3))], 0
+        numbers: dict[int, int] = {}
+        for slot, cloud in living.items():
+            order, N = orders[slot], len(cloud)
+            order[[at.FIRST, at.BEFORE]] = (first, 0) if slot == joining else self.orders[slot, [at.FIRST, at.NOW]]
+            order[at.NOW] = order[at.BEFORE]
+            order[[at.COUNT, at.EVERY, at.AT_HOME]] = N, -(-N // SHOWN), total
+            order[at.PREPARED] = slot == joining
+            order[[at.FREE, at.TURNS]] = cloud.free, cloud.motion.name == "curve"
+            order[[at.KNOTS, at.KNOT_COUNT]] = sum(map(len, knots)), len(cloud.knots)
+            knots.append(cloud.knots)
+            if id(cloud.rig) not in numbers:
+                numbers[id(cloud.rig)] = len(rigs)
+                rigs.append(rig_numbers(cloud.rig))
+            order[at.RIG] = numbers[id(cloud.rig)]
+            total += N
+        self._clouds = {slot: weakref.ref(cloud) for slot, cloud in living.items()}
+        self._knots, self._rigs = cuda.to_device(np.concatenate(knots)), cuda.to_device(np.stack(rigs))
+        self._lay(orders, orders.size + 1)
+        self._sights = _Shared.of(at.HEADER + slots * at.SIGHT, np.float64)
+        counts = orders[:, at.COUNT]
+        self._largest, self._total = int(counts.max(initial=1)), total
+        self._blocks = min(-(-self._largest // (8 * SURVEYORS)), MOST_BLOCKS)
+        self._threads = min(THREADS, 1 << (self._largest - 1).bit_length())
+        shown = max((-(-len(cloud) // (-(-len(cloud) // SHOWN))) for cloud in living.values()), default=0)
+        self._moments = slots * at.QUANTITIES * self._blocks * 2
+        self._told = _Shared.of(max(self._moments + slots * at.SHOWN_ROWS * shown, 1), np.float64)
+        self._home, self._pending = None, bool(living)
+
+    def _lay(self, orders: Array, size: int) -> None:
+        """A desk of so many numbers, with ``orders`` (slots, ORDER) on it."""
+        self._desk = _Shared.of(size, np.float64)
+        self.orders = self._desk.home[: orders.size].reshape(orders.shape)
+        self.orders[:] = orders
+
+    def order(self, cloud: CudaCloud, what: int) -> None:
+        """Notes that ``what`` is to be done with ``cloud``, after what is already to be done."""
+        if self.orders[cloud.slot, what : at.CORRECTED + 1].any():
+            self.carry_out()
+        self.orders[cloud.slot, [what, at.PREPARED]] = 1
+        self._pending, self._home, cloud.found = True, None, None
+
+    def keep(self, noise: Array) -> int:
+        """Puts ``noise`` on the desk; returns where."""
+        where = self.orders.size + self._noise
+        if where + noise.size > self._desk.home.size:
+            before = self._desk.home
+            self._lay(self.orders, 2 * (where + noise.size))
+            self._desk.home[:where] = before[:where]
+        self._desk.home[where : where + noise.size] = noise.reshape(-1)
+        self._noise += noise.size
+        return where
+
+    # --- launches ----------------------------------------------------------------------------------------------------
+
+    def carry_out(self) -> None:
+        """Does with all clouds what was ordered."""
+        if not self._pending:
+            return
+        orders = self.orders
+        self._desk.send(orders.size + self._noise)
+        if orders[:, at.RESAMPLED].any():
+            particles_cuda.cumulate[len(orders), self._threads](self._pool, self._desk.there)
+        if orders[:, at.PREPARED].any():
+            motion_cuda.carry_out[(_grid(self._largest), len(orders)), BLOCK](
+                self._pool, self._desk.there, self._rigs, self._knots, self._maps
+            )
+        orders[:, at.BEFORE] = orders[:, at.NOW]
+        orders[:, at.RESAMPLED : at.PREPARED + 1] = 0
+        self._noise, self._pending = 0, False
+
+    def weigh(self, trackers: Sequence[Follower]) -> None:
+        """Update the weights of all clouds of ``trackers``, which look at the same views."""
+        self.carry_out()
+        sights = self._table()
+        for t in trackers:
+            assert isinstance(t.cloud, CudaCloud)
+            _describe(sights[t.cloud.slot], t)
+            sights[t.cloud.slot, at.TIMES] = 1
+        c = trackers[0].configuration
+        self._show(trackers[0].views, c, self._sights)
+        self._sights.send(self._sights.home.size)
+        pixels_cuda.log_likelihood[(self._largest, len(sights)), 16 * c.parts](
+            self._pixels.there, self._maps, self._sights.there, self._pool
+        )
+        self._reweigh([t.cloud for t in trackers if isinstance(t.cloud, CudaCloud)])
+
+    def unweigh(self, cloud: CudaCloud) -> None:
+        """Take the last update of the weights of ``cloud`` back."""
+        self.carry_out()
+        self._table()[cloud.slot, at.TIMES] = -1
+        self._sights.send(self._sights.home.size)
+        self._reweigh([cloud])
+
+    def _table(self) -> Array:
+        """The table (slots, SIGHT) of sights, in which nothing is to be weighed yet."""
+        sights = self._sights.home[at.HEADER :].reshape(-1, at.SIGHT)
+        sights[:, : at.TIMES] = self.orders[:, : at.TIMES]
+        sights[:, at.TIMES] = 0
+        return sights
+
+    def _reweigh(self, clouds: Sequence[CudaCloud]) -> None:
+        particles_cuda.reweigh[len(self.orders), self._threads](self._pool, self._sights.there)
+        self._home = None
+        for cloud in clouds:
+            cloud.found = None
+
+    def _show(self, views: Views, c: SpeedConfiguration, sights: _Shared) -> None:
+        """Sends the pixels of both ``views``, and writes the header of ``sights``."""
+        sizes = [packed.words.size for packed in views]
+        if sum(sizes) > self._pixels.home.size:
+            self._pixels = _Shared.of(2 * sum(sizes), np.uint32)
+        self._pixels.home[: sizes[0]] = views[0].words.reshape(-1)
+        self._pixels.home[sizes[0] : sum(sizes)] = views[1].words.reshape(-1)
+        self._pixels.send(sum(sizes))
+        frames = [(*packed.words.shape, packed.left, packed.top) for packed in views]
+        constants = CONTRAST_FLOOR, PART_DISTANCE_CAP, c.lambda_single, c.lambda_cross
+        sights.home[: at.HEADER] = *frames[0], *frames[1], *sizes, *constants
+
+    def log_likelihood(self, tracker: Follower, state: State) -> Array:
+        """log p(z | x) (N,) of particles that are in the computer's memory."""
+        found = []
+        sights = _Shared.of(at.HEADER + at.SIGHT, np.float64)
+        sight = sights.home[at.HEADER :]
+        _describe(sight, tracker)
+        self._show(tracker.views, tracker.configuration, sights)
+        rigs, knots = cuda.to_device(rig_numbers(tracker.rig)[None]), cuda.to_device(np.zeros((1, at.KNOT)))
+        for first in range(0, len(state), AT_ONCE):
+            part = state[np.arange(first, min(first + AT_ONCE, len(state)))]
+            N = len(part)
+            order = np.zeros(at.ORDER)
+            order[[at.COUNT, at.PREPARED]] = N, 1
+            sight[[at.FIRST, at.COUNT, at.BEFORE, at.TIMES]] = 0, N, 0, 1
+            sights.send(sights.home.size)
+            rows = np.zeros((1, at.ROWS, N))
+            rows[0, : at.STATE] = rows_of(part)
+            pool, maps = cuda.to_device(rows), cuda.device_array((N, at.MAPS), np.float32)
+            motion_cuda.carry_out[(_grid(N), 1), BLOCK](pool, cuda.to_device(order), rigs, knots, maps)
+            pixels_cuda.log_likelihood[(N, 1), 16 * tracker.configuration.parts](
+                self._pixels.there, maps, sights.there, pool
+            )
+            found.append(pool[0, at.LIKELIHOOD].copy_to_host())
+        return np.concatenate(found)
+
+    # --- results -----------------------------------------------------------------------------------------------------
+
+    def survey(self) -> None:
+        """Has everything carried out, and tells all clouds what their particles come to."""
+        self.carry_out()
+        blocks = self._blocks, -(-(at.QUANTITIES + at.SHOWN_ROWS) // SIDE_BY_SIDE), len(self.orders)
+        threads = min(self._threads, SURVEYORS), SIDE_BY_SIDE
+        particles_cuda.survey[blocks, threads](self._pool, self._desk.there, self._told.there)
+        told = self._told.fetch()
+        living = self._living()
+        parts = told[: self._moments].reshape(-1, at.QUANTITIES, self._blocks, 2)[list(living)]
+        sums = parts[..., 0].sum(2)
+        shown = told[self._moments :].reshape(len(self.orders), at.SHOWN_ROWS, -1)
+        for (slot, cloud), told_of, sum_of in zip(living.items(), parts, sums, strict=True):
+            i, j = SECOND[int(cloud.free)]
+            cloud.found = Found(
+                mean=sum_of[: at.MOVING] + told_of[: at.MOVING, 0, 1],
+                second=sum_of[at.MOVING : at.MOMENTS] - sum_of[i] * sum_of[j],
+                squares=float(sum_of[at.SQUARES]),
+                least=told_of[at.EXTREMES :, :, 0].min(1),
+                greatest=told_of[at.EXTREMES :, :, 1].max(1),
+                shown=shown[slot],
+            )
+
+    def at_home(self, cloud: CudaCloud) -> Array:
+        """The state and the log weights (STATE + 1, N) of ``cloud``; those of all are fetched at once."""
+        self.carry_out()
+        if self._home is None:
+            home = cuda.device_array((at.STATE + 1, self._total))
+            motion_cuda.collect[(_grid(self._largest), len(self.orders)), BLOCK](self._pool, self._desk.there, home)
+            self._home = home.copy_to_host()
+        first = int(self.orders[cloud.slot, at.AT_HOME])
+        return self._home[:, first : first + len(cloud)]
+
+
+def _grid(n: int) -> int:
+    return -(-n // BLOCK)
+
+
+def _describe(sight: Array, tracker: Follower) -> None:
+    """What ``tracker`` compares its particles with, into its ``sight`` (SIGHT,)."""
+    grid, reference = tracker.grid, tracker.reference
+    sight[at.GRID : at.GRID + 4] = grid.across, grid.down, *grid.samples
+    sight[at.REFERENCE : at.REFERENCE + reference.size] = reference.reshape(-1)
+
+
+def rig_numbers(rig: StereoRig) -> Array:
+    """What the kernels of `motion_cuda` need of ``rig``: (7, 3, 3)."""
+    shifts = np.stack([rig.t, rig.right.K @ rig.t, np.zeros(3)])
+    across = rig.right.K @ rig.R @ rig.left.K_inv
+    return np.stack([rig.left.K, rig.left.K_inv, rig.right.K, rig.right.K_inv, rig.R, across, shifts])
