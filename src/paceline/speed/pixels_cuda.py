@@ -2,7 +2,7 @@
 
 One thread block looks at one particle, one thread at one block of samples of the wavelet grid, in both views and
 across them. Block sums and the sums of the correlation meet in shared memory; the features of a particle never leave
-its thread block. The mathematics is that of `pixels`, the order of the sums within a block that of `pixels_cpu`.
+its thread block. The mathematics is that of `pixels`.
 """
 
 from __future__ import annotations
@@ -156,18 +156,18 @@ def log_likelihood(pixels, maps, sights, pool):
     step = np.float32(1.0) / np.float32(4 * across * sx)
     total_left = total_right = np.float32(0.0)
     s0 = s1 = s2 = s3 = s4 = s5 = np.float32(0.0)
-    for i in range(sx):
-        u = _middle(first_column + i, step)
-        column_left = column_right = np.float32(0.0)
-        for j in range(sy):
-            r = first_row + j
-            v = (np.float32(r) + np.float32(0.5)) / rows
+    for j in range(sy):
+        r = first_row + j
+        v = (np.float32(r) + np.float32(0.5)) / rows
+        crossed = r % CROSS_ROWS == 0
+        for i in range(sx):
+            u = _middle(first_column + i, step)
             x, y = _place(homographies, 0, u, v)
             value = _sample(left, within_left, x, y)
-            column_left += value
+            total_left += value
             x, y = _place(homographies, 9, u, v)
-            column_right += _sample(right, within_right, x, y)
-            if r % CROSS_ROWS == 0:
+            total_right += _sample(right, within_right, x, y)
+            if crossed:
                 x, y = _place(homographies, 18, u, v)
                 inside = _inside(e, x, y)
                 a = (value - np.float32(128.0)) * inside
@@ -178,8 +178,6 @@ def log_likelihood(pixels, maps, sights, pool):
                 s3 += a * a
                 s4 += b * b
                 s5 += a * b
-        total_left += column_left
-        total_right += column_right
     blocks[0, t], blocks[1, t] = total_left, total_right
     sums[0, t], sums[1, t], sums[2, t], sums[3, t], sums[4, t], sums[5, t] = s0, s1, s2, s3, s4, s5
     cuda.syncthreads()
@@ -230,6 +228,6 @@ def log_likelihood(pixels, maps, sights, pool):
                 s[k] += folded[k, i]
         least = np.float32(LEAST_OVERLAP) * (np.float32(4 * across * sx) * rows / np.float32(CROSS_ROWS))
         ncc = _correlation(s, least)
-        pool[int(sight[BEFORE]), LIKELIHOOD, particle] = (
-            -sights[LAMBDA_SINGLE] * single - sights[LAMBDA_CROSS] * (1.0 - ncc) * (1.0 - ncc)
-        )
+        unlike = (1.0 - ncc) * (1.0 - ncc)
+        ll = -sights[LAMBDA_SINGLE] * single - sights[LAMBDA_CROSS] * unlike
+        pool[int(sight[BEFORE]), LIKELIHOOD, particle] = ll
