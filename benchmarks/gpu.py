@@ -36,7 +36,7 @@ REPETITIONS = 15
 BYTES = 1_200  # of device memory a particle takes, generously
 DT = 1e-4  # s: the cloud stays where the pictures show the region
 MAPS, OUT = 39 * 4 + 4, 8  # bytes a particle that the kernel must read and write at least
-OPERATIONS = 60  # of single precision for a sample: its place, the clamps, the interpolation, the sums
+INSTRUCTIONS = 48  # of PTX for a sample: its place, the clamps, the interpolation, the sums
 
 
 @dataclass
@@ -143,33 +143,33 @@ def steps(seed: int, device: Any, until: float) -> None:
 
 
 def limits(seed: int, device: Any) -> None:
-    """The likelihood's kernel beside the device's memory and arithmetic."""
+    """The likelihood's kernel beside what the device's memory could move and its schedulers could issue."""
     from numba import cuda
 
     gpu = cuda.get_current_device()
     bandwidth = _copied()
-    arithmetic = 2 * 128 * gpu.MULTIPROCESSOR_COUNT * gpu.CLOCK_RATE * 1e3
+    issued = 4 * 32 * gpu.MULTIPROCESSOR_COUNT * gpu.CLOCK_RATE * 1e3
     clock, width = gpu.MEMORY_CLOCK_RATE * 1e3, gpu.GLOBAL_MEMORY_BUS_WIDTH / 8
     print(f"\nMemory: {2 * clock * width / 1e9:.0f} GB/s by clock and width, {bandwidth:.0f} GB/s in a copy.")
-    print(f"Arithmetic: {arithmetic / 1e12:.0f} TFLOP/s of single precision by clock and number of processors.\n")
-    print(head("particles", "kernel, ms", "samples, 1e9/s", "memory, GB/s", "of the copy", "TFLOP/s", "of the limit"))
+    print(f"Issue: {issued / 1e12:.1f}e12 threads' instructions a second by clock and number of schedulers.\n")
+    columns = "particles", "kernel, ms", "samples, 1e9/s", "memory, GB/s", "of the copy", "instructions, 1e12/s"
+    print(head(*columns, "of those issued at most"))
     for particles in (1_000, 10_000, 100_000, 1_000_000):
         if particles * BYTES > device.free_memory():
             continue
         road = Road(particles, 1, seed, device)
         (one,) = road.followed
-        device.weigh([one])  # prepares the particles' maps, and compiles
-        _, owner, maps = device.prepared
-        seconds = _timed(lambda one=one, maps=maps, owner=owner: device.log_likelihoods([one], maps, owner))
+        device.weigh([one])  # sends what the kernel looks at, and compiles
+        seconds = _timed(lambda parts=one.configuration.parts: device.look(parts))
         samples = particles * road.samples * (2 + 1 / likelihood.pixels_cpu.CROSS_ROWS)
-        moved, done = particles * (MAPS + OUT) / seconds / 1e9, samples * OPERATIONS / seconds
+        moved, done = particles * (MAPS + OUT) / seconds / 1e9, samples * INSTRUCTIONS / seconds
         cells = (
             f"{1e3 * seconds:.3g}",
             f"{samples / seconds / 1e9:.1f}",
             f"{moved:.1f}",
             f"{moved / bandwidth:.1%}",
             f"{done / 1e12:.1f}",
-            f"{done / arithmetic:.0%}",
+            f"{done / issued:.0%}",
         )
         print(row(particles, *cells), flush=True)
 

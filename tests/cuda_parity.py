@@ -184,12 +184,14 @@ def test_particles_move_as_on_the_cpu(
 def test_the_posterior_is_that_of_the_cpu(device: CudaDevice, kind: str, n: int, taken_back: bool) -> None:
     home = particles(way(kind), 3, n)
     there = device.cloud(home)
+    assert_same(there.at_home(), home)
     ll = np.random.default_rng(4).normal(-30.0, 2.0, n)
     home.weigh(ll)
     seen(there, ll)
     if taken_back:
         home.unweigh()
         there.unweigh()
+    assert_same(there.at_home(), home)
     here, found = home.posterior(), there.posterior()
     for name in State.__dataclass_fields__:
         np.testing.assert_allclose(getattr(found.mean, name), getattr(here.mean, name), rtol=1e-10, err_msg=name)
@@ -252,8 +254,9 @@ def test_clouds_come_and_go_in_any_order(seed: int) -> None:
         pairs.append((home, device.cloud(home.at_home()), (here, there)))
 
     join()
-    for _ in range(14):
-        what = str(drawing.choice(["join", "leave", "propagate", "propagate", "square", "correct", "resample"]))
+    done = ["join", "leave", "propagate", "propagate", "square", "correct", "weigh", "resample", "look"]
+    for _ in range(18):
+        what = str(drawing.choice(done))
         if what == "join" or not pairs:
             join()
             continue
@@ -270,9 +273,12 @@ def test_clouds_come_and_go_in_any_order(seed: int) -> None:
                 cloud.square(np.array([0.0, 0.6, -0.8]))
             elif what == "correct":
                 cloud.correct(np.array([0.4, 0.75, 19.0]), np.diag([0.01, 0.02, 0.3]), numbers)
-            else:
+            elif what in ("weigh", "resample"):
                 seen(cloud, ll) if isinstance(cloud, CudaCloud) else cloud.weigh(ll)
+            if what == "resample":
                 cloud.resample(SETTINGS.model_copy(update={"particles": len(there)}), numbers)
+        if what == "look":
+            assert_same(there.at_home(), home)
     for home, there, _ in pairs:
         assert_same(there.at_home(), home)
 

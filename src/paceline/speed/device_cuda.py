@@ -208,10 +208,14 @@ class CudaDevice:
         c = trackers[0].configuration
         self._show(trackers[0].views, c, self._sights)
         self._sights.send(self._sights.home.size)
-        pixels_cuda.log_likelihood[(self._largest, len(sights)), 16 * c.parts](
+        self.look(c.parts)
+        self._reweigh([t.cloud for t in trackers if isinstance(t.cloud, CudaCloud)])
+
+    def look(self, parts: int) -> None:
+        """log p(z | x) by (12), (13), (18) of all particles that are to be weighed, by what was sent."""
+        pixels_cuda.log_likelihood[(self._largest, len(self.orders)), 16 * parts](
             self._pixels.there, self._maps, self._sights.there, self._pool
         )
-        self._reweigh([t.cloud for t in trackers if isinstance(t.cloud, CudaCloud)])
 
     def unweigh(self, cloud: CudaCloud) -> None:
         """Take the last update of the weights of ``cloud`` back."""
