@@ -23,7 +23,7 @@ from paceline.speed import (
     layout_cuda,
     likelihood,
     motion,
-    motion_cuda,
+    orders_cuda,
     particles_cuda,
     paths,
     pixels_cuda,
@@ -308,7 +308,7 @@ class Counting:
 
 
 KERNELS = [
-    (motion_cuda, ("carry_out", "collect", "settle")),
+    (orders_cuda, ("carry_out", "collect", "settle")),
     (particles_cuda, ("cumulate", "survey", "reweigh")),
     (pixels_cuda, ("log_likelihood",)),
 ]

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from paceline.cameras import StereoRig
 from paceline.speed import layout_cuda as at
-from paceline.speed import motion_cuda, particles_cuda, pixels_cuda
+from paceline.speed import orders_cuda, particles_cuda, pixels_cuda
 from paceline.speed.cloud import SHOWN, Cloud, Views
 from paceline.speed.cloud_cuda import CudaCloud, Found, rows_of
 from paceline.speed.configuration import SpeedConfiguration
@@ -105,7 +105,7 @@ class CudaDevice:
         self._grow(first + N)
         cloud = CudaCloud(self, home, slot)
         rows = cuda.to_device(rows_of(home)[None])
-        motion_cuda.settle[(_grid(N), rows.shape[1]), BLOCK](rows, self._pool, first)
+        orders_cuda.settle[(_grid(N), rows.shape[1]), BLOCK](rows, self._pool, first)
         self._tabulate({**living, slot: cloud}, slot, first)
         return cloud
 
@@ -119,7 +119,7 @@ class CudaDevice:
             old, old_maps = self._pool, self._maps
             self._pool = cuda.device_array((2, at.ROWS, max(columns, 2 * before)))
             self._maps = cuda.device_array((self._pool.shape[2], at.MAPS), np.float32)
-            motion_cuda.settle[(_grid(before), at.ROWS), BLOCK](old, self._pool, 0)
+            orders_cuda.settle[(_grid(before), at.ROWS), BLOCK](old, self._pool, 0)
             self._maps[:before].copy_to_device(old_maps)
 
     def _tabulate(self, living: dict[int, CudaCloud], joining: int = -1, first: int = 0) -> None:
@@ -190,7 +190,7 @@ class CudaDevice:
         if orders[:, at.RESAMPLED].any():
             particles_cuda.cumulate[len(orders), self._threads](self._pool, self._desk.there)
         if orders[:, at.PREPARED].any():
-            motion_cuda.carry_out[(_grid(self._largest), len(orders)), BLOCK](
+            orders_cuda.carry_out[(_grid(self._largest), len(orders)), BLOCK](
                 self._pool, self._desk.there, self._rigs, self._knots, self._maps
             )
         orders[:, at.BEFORE] = orders[:, at.NOW]
@@ -267,7 +267,7 @@ class CudaDevice:
             rows = np.zeros((1, at.ROWS, N))
             rows[0, : at.STATE] = rows_of(part)
             pool, maps = cuda.to_device(rows), cuda.device_array((N, at.MAPS), np.float32)
-            motion_cuda.carry_out[(_grid(N), 1), BLOCK](pool, cuda.to_device(order), rigs, knots, maps)
+            orders_cuda.carry_out[(_grid(N), 1), BLOCK](pool, cuda.to_device(order), rigs, knots, maps)
             pixels_cuda.log_likelihood[(N, 1), 16 * tracker.configuration.parts](
                 self._pixels.there, maps, sights.there, pool
             )
@@ -303,7 +303,7 @@ class CudaDevice:
         self.carry_out()
         if self._home is None:
             home = cuda.device_array((at.STATE + 1, self._total))
-            motion_cuda.collect[(_grid(self._largest), len(self.orders)), BLOCK](self._pool, self._desk.there, home)
+            orders_cuda.collect[(_grid(self._largest), len(self.orders)), BLOCK](self._pool, self._desk.there, home)
             self._home = home.copy_to_host()
         first = int(self.orders[cloud.slot, at.AT_HOME])
         return self._home[:, first : first + len(cloud)]

@@ -10,33 +10,7 @@ import math
 import numpy as np
 from numba import cuda
 
-from paceline.speed.layout_cuda import (
-    BEFORE,
-    COUNT,
-    CROSSING_LEFT,
-    CUMULATED,
-    EVERY,
-    EXTREMES,
-    FIRST,
-    FREE,
-    HEADER,
-    HEADING,
-    LIKELIHOOD,
-    LOG_WEIGHT,
-    MEAN,
-    MOMENTS,
-    NOW,
-    OFFSET,
-    ORDER,
-    PAIRS,
-    QUANTITIES,
-    RESAMPLED,
-    SHOWN_ROWS,
-    SIGHT,
-    SQUARES,
-    TIMES,
-    WEIGHT,
-)
+from paceline.speed import layout_cuda as at
 
 THREADS = 512  # at most, in a block that adds something up; a power of two
 SURVEYORS, SIDE_BY_SIDE = 64, 8  # threads at most for one quantity, and quantities, of a block that takes moments
@@ -72,38 +46,38 @@ def survey(pool, desk, told):
     blocks, slots, quantity = cuda.gridDim.x, cuda.gridDim.z, cuda.blockIdx.y * SIDE_BY_SIDE + y
     low = cuda.shared.array((SIDE_BY_SIDE, SURVEYORS), np.float64)
     high = cuda.shared.array((SIDE_BY_SIDE, SURVEYORS), np.float64)
-    order = desk[v * ORDER : (v + 1) * ORDER]
-    N = int(order[COUNT])
+    order = desk[v * at.ORDER : (v + 1) * at.ORDER]
+    N = int(order[at.COUNT])
     if N == 0:
         return
-    rows, first = pool[int(order[NOW])], int(order[FIRST])
+    rows, first = pool[int(order[at.NOW])], int(order[at.FIRST])
     begin, stride = b * cuda.blockDim.x + t, blocks * cuda.blockDim.x
-    moments, extremes = slots * QUANTITIES * blocks * 2, EXTREMES <= quantity < QUANTITIES
+    moments, extremes = slots * at.QUANTITIES * blocks * 2, at.EXTREMES <= quantity < at.QUANTITIES
     one, other = 0.0, 0.0
     if extremes:
         one, other = math.inf, -math.inf
         for p in range(first + begin, first + N, stride):
-            value = rows[quantity - EXTREMES, p]
+            value = rows[quantity - at.EXTREMES, p]
             if math.isfinite(value):
                 one, other = min(one, value), max(other, value)
-    elif quantity == SQUARES:
+    elif quantity == at.SQUARES:
         for p in range(first + begin, first + N, stride):
-            one += rows[WEIGHT, p] * rows[WEIGHT, p]
-    elif quantity < MOMENTS:
-        i, j = PAIRS[int(order[FREE]), quantity, 0], PAIRS[int(order[FREE]), quantity, 1]
+            one += rows[at.WEIGHT, p] * rows[at.WEIGHT, p]
+    elif quantity < at.MOMENTS:
+        i, j = at.PAIRS[int(order[at.FREE]), quantity, 0], at.PAIRS[int(order[at.FREE]), quantity, 1]
         about = rows[i, first]
         for p in range(first + begin, first + N, stride):
-            term = rows[WEIGHT, p] * (rows[i, p] - about)
+            term = rows[at.WEIGHT, p] * (rows[i, p] - about)
             if j >= 0:
                 term *= rows[j, p] - rows[j, first]
             one += term
         other = about if t == 0 else 0.0
-    elif quantity < QUANTITIES + SHOWN_ROWS:
-        row, every = quantity - QUANTITIES, int(order[EVERY])
-        shown = (told.shape[0] - moments) // (slots * SHOWN_ROWS)
-        at = moments + (v * SHOWN_ROWS + row) * shown
+    elif quantity < at.QUANTITIES + at.SHOWN_ROWS:
+        row, every = quantity - at.QUANTITIES, int(order[at.EVERY])
+        shown = (told.shape[0] - moments) // (slots * at.SHOWN_ROWS)
+        start = moments + (v * at.SHOWN_ROWS + row) * shown
         for k in range(begin, (N + every - 1) // every, stride):
-            told[at + k] = rows[CROSSING_LEFT + row, first + k * every]
+            told[start + k] = rows[at.CROSSING_LEFT + row, first + k * every]
     low[y, t], high[y, t] = one, other
     cuda.syncthreads()
     half = cuda.blockDim.x // 2
@@ -114,9 +88,9 @@ def survey(pool, desk, told):
             low[y, t] += low[y, t + half]
         cuda.syncthreads()
         half //= 2
-    if t == 0 and quantity < QUANTITIES:
-        at = 2 * ((v * QUANTITIES + quantity) * blocks + b)
-        told[at], told[at + 1] = low[y, 0], high[y, 0]
+    if t == 0 and quantity < at.QUANTITIES:
+        start = 2 * ((v * at.QUANTITIES + quantity) * blocks + b)
+        told[start], told[start + 1] = low[y, 0], high[y, 0]
 
 
 @cuda.jit(cache=True)
@@ -126,17 +100,17 @@ def reweigh(pool, sights):
     The observation is the row LIKELIHOOD, log p(z | x), TIMES what ``sights`` say.
     """
     t, n = cuda.threadIdx.x, cuda.blockDim.x
-    sight = sights[HEADER + cuda.blockIdx.x * SIGHT : HEADER + (cuda.blockIdx.x + 1) * SIGHT]
-    times, N, first = sight[TIMES], int(sight[COUNT]), int(sight[FIRST])
+    sight = sights[at.HEADER + cuda.blockIdx.x * at.SIGHT : at.HEADER + (cuda.blockIdx.x + 1) * at.SIGHT]
+    times, N, first = sight[at.TIMES], int(sight[at.COUNT]), int(sight[at.FIRST])
     if N == 0 or times == 0.0:
         return
-    rows = pool[int(sight[BEFORE])]
+    rows = pool[int(sight[at.BEFORE])]
     scratch = cuda.shared.array(THREADS, np.float64)
     greatest = -math.inf
     for p in range(first + t, first + N, n):
-        rows[LOG_WEIGHT, p] += times * rows[LIKELIHOOD, p]
-        if rows[LOG_WEIGHT, p] > greatest:
-            greatest = rows[LOG_WEIGHT, p]
+        rows[at.LOG_WEIGHT, p] += times * rows[at.LIKELIHOOD, p]
+        if rows[at.LOG_WEIGHT, p] > greatest:
+            greatest = rows[at.LOG_WEIGHT, p]
     scratch[t] = greatest
     cuda.syncthreads()
     half = n // 2
@@ -149,12 +123,12 @@ def reweigh(pool, sights):
     cuda.syncthreads()
     total = 0.0
     for p in range(first + t, first + N, n):
-        total += math.exp(rows[LOG_WEIGHT, p] - greatest)
+        total += math.exp(rows[at.LOG_WEIGHT, p] - greatest)
     total = _block_sum(total, scratch)
     total = greatest + math.log(total) if total > 0.0 else -math.inf
     for p in range(first + t, first + N, n):
-        rows[LOG_WEIGHT, p] -= total
-        rows[WEIGHT, p] = math.exp(rows[LOG_WEIGHT, p])
+        rows[at.LOG_WEIGHT, p] -= total
+        rows[at.WEIGHT, p] = math.exp(rows[at.LOG_WEIGHT, p])
 
 
 @cuda.jit(device=True)
@@ -168,16 +142,16 @@ def cumulate(pool, desk):
     """Running sums of the weights of each vehicle to be resampled, the last one 1, and the mean headings of those of
     its particles that will survive, into its order. One block a vehicle; every thread adds up a stretch of its own."""
     v, t, n = cuda.blockIdx.x, cuda.threadIdx.x, cuda.blockDim.x
-    order = desk[v * ORDER : (v + 1) * ORDER]
-    if order[RESAMPLED] == 0.0:
+    order = desk[v * at.ORDER : (v + 1) * at.ORDER]
+    if order[at.RESAMPLED] == 0.0:
         return
-    rows, begin, N, u = pool[int(order[BEFORE])], int(order[FIRST]), int(order[COUNT]), order[OFFSET]
+    rows, begin, N, u = pool[int(order[at.BEFORE])], int(order[at.FIRST]), int(order[at.COUNT]), order[at.OFFSET]
     scratch = cuda.shared.array(THREADS, np.float64)
     stretch = (N + n - 1) // n
     first, last = min(t * stretch, N), min((t + 1) * stretch, N)
     own = 0.0
     for p in range(begin + first, begin + last):
-        own += rows[WEIGHT, p]
+        own += rows[at.WEIGHT, p]
     scratch[t] = own
     cuda.syncthreads()
     reach = 1
@@ -191,13 +165,13 @@ def cumulate(pool, desk):
     cuda.syncthreads()
     yaw, pitch, below = 0.0, 0.0, _points_below(total, u, N) if first > 0 else 0.0
     for p in range(first, last):
-        total += rows[WEIGHT, begin + p]
-        rows[CUMULATED, begin + p] = total if p < N - 1 else 1.0
+        total += rows[at.WEIGHT, begin + p]
+        rows[at.CUMULATED, begin + p] = total if p < N - 1 else 1.0
         then = _points_below(total, u, N) if p < N - 1 else float(N)
-        yaw += (then - below) * rows[HEADING, begin + p]
-        pitch += (then - below) * rows[HEADING + 1, begin + p]
+        yaw += (then - below) * rows[at.HEADING, begin + p]
+        pitch += (then - below) * rows[at.HEADING + 1, begin + p]
         below = then
     yaw = _block_sum(yaw, scratch)
     pitch = _block_sum(pitch, scratch)
     if t == 0:
-        order[MEAN], order[MEAN + 1] = yaw / N, pitch / N
+        order[at.MEAN], order[at.MEAN + 1] = yaw / N, pitch / N

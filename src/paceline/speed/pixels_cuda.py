@@ -12,30 +12,12 @@ import math
 import numpy as np
 from numba import cuda
 
+from paceline.speed import layout_cuda as at
 from paceline.speed import pixels
-from paceline.speed.layout_cuda import (
-    BEFORE,
-    CAP,
-    COUNT,
-    FIRST,
-    FLOOR,
-    GRID,
-    HEADER,
-    LAMBDA_CROSS,
-    LAMBDA_SINGLE,
-    LEFT_FRAME,
-    LIKELIHOOD,
-    MOST_PARTS,
-    REFERENCE,
-    RIGHT_FRAME,
-    SIGHT,
-    TIMES,
-    WORDS,
-)
 from paceline.speed.pixels import CROSS_ROWS, LEAST_OVERLAP
 
-_BLOCKS = 16 * MOST_PARTS  # of the wavelet grid, in one view
-_PARTS = 2 * MOST_PARTS  # of both views
+_BLOCKS = 16 * at.MOST_PARTS  # of the wavelet grid, in one view
+_PARTS = 2 * at.MOST_PARTS  # of both views
 _SUMS = 6  # Σ1, Σa, Σb, Σaa, Σbb, Σab
 _LANES = 8  # threads that add up one of these sums
 
@@ -124,7 +106,7 @@ def log_likelihood(pixels, maps, sights, pool):
     are to be weighed.
 
     ``pixels`` are the packed images row by row, the left and then the right; ``maps`` (columns, MAPS) what
-    `motion_cuda.carry_out` makes. Blocks are (particles, slots): each looks at one particle, 16 threads at each part.
+    `motion_cuda.prepare` makes. Blocks are (particles, slots): each looks at one particle, 16 threads at each part.
     """
     t = cuda.threadIdx.x
     homographies = cuda.shared.array(27, np.float32)
@@ -135,12 +117,12 @@ def log_likelihood(pixels, maps, sights, pool):
     brightness = cuda.shared.array(_PARTS, np.float32)
     norm2 = cuda.shared.array(_PARTS, np.float32)
     middles = cuda.shared.array((4, 2), np.float32)
-    sight = sights[HEADER + cuda.blockIdx.y * SIGHT : HEADER + (cuda.blockIdx.y + 1) * SIGHT]
-    if cuda.blockIdx.x >= int(sight[COUNT]) or sight[TIMES] == 0.0:
+    sight = sights[at.HEADER + cuda.blockIdx.y * at.SIGHT : at.HEADER + (cuda.blockIdx.y + 1) * at.SIGHT]
+    if cuda.blockIdx.x >= int(sight[at.COUNT]) or sight[at.TIMES] == 0.0:
         return
-    particle = int(sight[FIRST]) + cuda.blockIdx.x
-    across, down = int(sight[GRID]), int(sight[GRID + 1])
-    sx, sy = int(sight[GRID + 2]), int(sight[GRID + 3])
+    particle = int(sight[at.FIRST]) + cuda.blockIdx.x
+    across, down = int(sight[at.GRID]), int(sight[at.GRID + 1])
+    sx, sy = int(sight[at.GRID + 2]), int(sight[at.GRID + 3])
     parts = across * down
     if t < 27:
         homographies[t] = maps[particle, t]
@@ -148,9 +130,9 @@ def log_likelihood(pixels, maps, sights, pool):
         e[(t - 27) // 3, (t - 27) % 3] = maps[particle, t]
     cuda.syncthreads()
 
-    words = int(sights[WORDS])
-    left, right = pixels[:words], pixels[words : words + int(sights[WORDS + 1])]
-    within_left, within_right = _frame(sights, LEFT_FRAME), _frame(sights, RIGHT_FRAME)
+    words = int(sights[at.WORDS])
+    left, right = pixels[:words], pixels[words : words + int(sights[at.WORDS + 1])]
+    within_left, within_right = _frame(sights, at.LEFT_FRAME), _frame(sights, at.RIGHT_FRAME)
     first_row, first_column = (t // (4 * across)) * sy, (t % (4 * across)) * sx
     rows = np.float32(4 * down * sy)
     step = np.float32(1.0) / np.float32(4 * across * sx)
@@ -208,14 +190,14 @@ def log_likelihood(pixels, maps, sights, pool):
         _settle_median(norm2, view * parts, parts, part, middles[2 + view])
     cuda.syncthreads()
     if view < 2:
-        floor = np.float32(sights[FLOOR])
+        floor = np.float32(sights[at.FLOOR])
         least = floor * floor * (np.float32(0.5) * (middles[2 + view, 0] + middles[2 + view, 1])) + np.float32(1.0)
         scale = np.float32(1.0) / math.sqrt(norm2[t] + least)
         distance = np.float32(0.0)
         for c in range(16):
-            d = f[c] * scale - np.float32(sight[REFERENCE + 16 * t + c])
+            d = f[c] * scale - np.float32(sight[at.REFERENCE + 16 * t + c])
             distance += d * d
-        brightness[t] = min(distance, np.float32(sights[CAP]))
+        brightness[t] = min(distance, np.float32(sights[at.CAP]))
     cuda.syncthreads()
     if t == 0:
         single = np.float32(0.0)
@@ -229,5 +211,5 @@ def log_likelihood(pixels, maps, sights, pool):
         least = np.float32(LEAST_OVERLAP) * (np.float32(4 * across * sx) * rows / np.float32(CROSS_ROWS))
         ncc = _correlation(s, least)
         unlike = (1.0 - ncc) * (1.0 - ncc)
-        ll = -sights[LAMBDA_SINGLE] * single - sights[LAMBDA_CROSS] * unlike
-        pool[int(sight[BEFORE]), LIKELIHOOD, particle] = ll
+        ll = -sights[at.LAMBDA_SINGLE] * single - sights[at.LAMBDA_CROSS] * unlike
+        pool[int(sight[at.BEFORE]), at.LIKELIHOOD, particle] = ll
