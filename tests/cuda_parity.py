@@ -121,10 +121,10 @@ def assert_same(found: Cloud, expected: Cloud) -> None:
 
 def seen(there: CudaCloud, ll: Array) -> None:
     """``there``, weighed by log p(z | x) ``ll`` (N,) as if that had been seen."""
-    device, order = there.device, there.device.orders[there.slot]
+    device = there.device
     device.carry_out()
-    first, half = int(order[layout_cuda.FIRST]), int(order[layout_cuda.NOW])
-    device._pool[half, layout_cuda.LIKELIHOOD, first : first + len(there)] = ll
+    half = int(device.orders[there.slot, layout_cuda.NOW])
+    device._pool[half, layout_cuda.LIKELIHOOD, there.first : there.first + len(there)] = ll
     device._table()[there.slot, layout_cuda.TIMES] = 1
     device._sights.send(device._sights.home.size)
     device._reweigh([there])
@@ -219,6 +219,11 @@ def test_the_same_particles_survive(device: CudaDevice, n: int, scatter: float) 
     for cloud in (home, there):
         cloud.resample(settings, np.random.default_rng(7))
     assert_same(there.at_home(), home)
+    home.weights = Weights.equal(n)  # even enough for any bound, whatever the last bit of their size
+    numbers = np.random.default_rng(7), np.random.default_rng(7)
+    for cloud, rng in zip((home, device.cloud(home.at_home())), numbers, strict=True):
+        cloud.resample(settings, rng)
+        assert rng.random() == np.random.default_rng(7).random()
     keep = settings.model_copy(update={"resample_below": 0.5})
     before = there.at_home()
     seen(there, np.zeros(n))
@@ -290,7 +295,7 @@ def test_room_is_used_again() -> None:
     columns = device._pool.shape[2]
     del second
     another = device.cloud(particles(way("line"), 7, 4))
-    assert (another.slot, device._pool.shape[2]) == (1, columns)
+    assert (another.slot, another.first, device._pool.shape[2]) == (1, 5, columns)
     assert_same(another.at_home(), particles(way("line"), 7, 4))
     for i, (cloud, n) in enumerate(((first, 5), (third, 3))):
         assert_same(cloud.at_home(), particles(way("line"), 2 * i, n))
@@ -314,8 +319,14 @@ KERNELS = [
 ]
 
 
-@pytest.mark.parametrize("vehicles", [1, 3])
-def test_launches_do_not_grow_with_the_number_of_vehicles(vehicles: int, monkeypatch: pytest.MonkeyPatch) -> None:
+SEEN = {"cumulate": 1, "carry_out": 2, "survey": 3, "log_likelihood": 1, "reweigh": 1}
+HIDDEN = {"carry_out": 2, "survey": 4, "log_likelihood": 1, "reweigh": 2}
+
+
+@pytest.mark.parametrize(("vehicles", "hidden"), [(1, False), (3, False), (2, True)])
+def test_launches_do_not_grow_with_the_number_of_vehicles(
+    vehicles: int, hidden: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     counts: Counter[str] = Counter()
     for module, names in KERNELS:
         for name in names:
@@ -338,10 +349,16 @@ def test_launches_do_not_grow_with_the_number_of_vehicles(vehicles: int, monkeyp
         device.weigh(each)
         for tracker in each:
             tracker.cloud.posterior()
-            tracker.cloud.resample(settings, rng)
+            if hidden:
+                tracker.cloud.unweigh()
+        for tracker in each:
+            if hidden:
+                tracker.cloud.posterior()
+            else:
+                tracker.cloud.resample(settings, rng)
             tracker.cloud.square(np.array([0.0, 0.6, -0.8]))
     # the orders of a frame begin with what the frame before left to be done
-    assert counts == {"cumulate": 1, "carry_out": 2, "survey": 3, "log_likelihood": 1, "reweigh": 1}
+    assert counts == (HIDDEN if hidden else SEEN)
 
 
 # --- the likelihood ------------------------------------------------------------------------------------------------
@@ -431,7 +448,11 @@ def followed(clip: Clip, fleet: Fleet, each: list[Tracker], hidden: int = -1) ->
     wall = np.random.default_rng(8).uniform(0.0, 255.0, (240, 320)).astype(np.float32)
     frames = list(open_recording(clip).frames(0))
     frames = [replace(f, left=wall, right=wall[:, ::-1]) if f.index == hidden else f for f in frames]
-    return [[fleet.update(t, frame) for t in each if t.status == "tracking"] for frame in frames]
+    estimates = []
+    for frame in frames:
+        active = [t for t in each if t.status == "tracking" and t.vehicle.frame <= frame.index]
+        estimates.append([fleet.update(t, frame) for t in active])
+    return estimates
 
 
 def assert_same_estimates(found: list[list[Estimate]], expected: list[list[Estimate]]) -> None:
@@ -445,6 +466,13 @@ def assert_same_estimates(found: list[list[Estimate]], expected: list[list[Estim
             np.testing.assert_allclose(a.particles_left, b.particles_left, rtol=FILTERED)
 
 
+def assert_same_numbers(found: list[Tracker], expected: list[Tracker]) -> None:
+    """Of all trackers the next random number, and how often any was counted."""
+    for a, b in zip(found, expected, strict=True):
+        assert getattr(a.rng, "calls", 0) == getattr(b.rng, "calls", 0)
+        assert a.rng.random() == b.rng.random()
+
+
 CASES = [("line", "auto", False), ("curve", "auto", True), ("line", "free", True)]
 
 
@@ -455,8 +483,30 @@ def test_the_filter_sees_what_it_sees_on_the_cpu(
     clip = load_clip(clips[name])
     settings = SETTINGS.model_copy(update={"motion": kind, "guided": guided})
     copies = 2 if name == "curve" else 1  # weighed in one launch
-    expected = followed(clip, Fleet(), trackers(clip, settings, None, copies))
-    assert_same_estimates(followed(clip, Fleet(device), trackers(clip, settings, device, copies)), expected)
+    here, there = (trackers(clip, settings, where, copies) for where in (None, device))
+    expected = followed(clip, Fleet(), here)
+    assert_same_estimates(followed(clip, Fleet(device), there), expected)
+    assert_same_numbers(there, here)
+
+
+def test_vehicles_join_and_end_while_others_go_on(device: CudaDevice, clips: dict[str, Path]) -> None:
+    clip = load_clip(clips["line"])
+
+    def three(where: CudaDevice | None) -> list[Tracker]:
+        first, late, ending = trackers(clip, SETTINGS, where, copies=3)
+        late.vehicle = replace(late.vehicle, frame=1)
+        edge = np.array([min(ending.vehicle.left[:, 0].min(), ending.vehicle.right[:, 0].min()), 0.0])
+        ending.vehicle = replace(ending.vehicle, left=ending.vehicle.left - edge, right=ending.vehicle.right - edge)
+        return [ending, first, late]
+
+    here, there = three(None), three(device)
+    expected = followed(clip, Fleet(), here)
+    assert [[e.status for e in frame] for frame in expected[1:]] == [
+        ["ended", *2 * ["tracking"]],
+        *2 * [2 * ["tracking"]],
+    ]
+    assert_same_estimates(followed(clip, Fleet(device), there), expected)
+    assert_same_numbers(there, here)
 
 
 def test_a_vehicle_that_is_hidden_is_awaited_as_on_the_cpu(device: CudaDevice, clips: dict[str, Path]) -> None:
@@ -467,10 +517,11 @@ def test_a_vehicle_that_is_hidden_is_awaited_as_on_the_cpu(device: CudaDevice, c
 
 
 @pytest.mark.parametrize(
-    ("where", "breaks_at"), [("weigh", 0), ("carry_out", 6), ("unweigh", 0), ("at_home", 0), ("survey", 2)]
+    ("where", "breaks_at", "counted"),
+    [("weigh", 0, True), ("carry_out", 6, True), ("unweigh", 0, False), ("fetched", 0, False), ("survey", 2, False)],
 )
 def test_the_cpu_carries_on_from_the_same_frame(
-    clips: dict[str, Path], breaks_at: int, where: str, monkeypatch: pytest.MonkeyPatch
+    clips: dict[str, Path], breaks_at: int, where: str, counted: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Whatever breaks, and whenever: the estimates are those of the CPU, and a note says from which frame on."""
     clip, calls = load_clip(clips["line"]), []
@@ -488,11 +539,14 @@ def test_the_cpu_carries_on_from_the_same_frame(
         return working(self, *given)
 
     hidden = 2 if where == "unweigh" else -1
-    expected = followed(clip, Fleet(), trackers(clip, SETTINGS, None), hidden)
+    monkeypatch.setattr(randomness, "MANY", 0 if counted else 10**9)
+    here = trackers(clip, SETTINGS, None)
+    expected = followed(clip, Fleet(), here, hidden)
     monkeypatch.setattr(CudaDevice, where, breaking)
     device = CudaDevice()
-    fleet = Fleet(device, carry_on=True)
-    assert_same_estimates(followed(clip, fleet, trackers(clip, SETTINGS, device), hidden), expected)
+    fleet, there = Fleet(device, carry_on=True), trackers(clip, SETTINGS, device)
+    assert_same_estimates(followed(clip, fleet, there, hidden), expected)
+    assert_same_numbers(there, here)
     assert len(calls) == breaks_at + 1
     frame = int(fleet.notices[0].split("frame ")[1].split()[0])
     assert 1 <= frame <= 3

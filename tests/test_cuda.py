@@ -123,3 +123,23 @@ def test_methods_that_know_no_gpu_say_so(tmp_path: Path) -> None:
 def test_the_cpu_asks_for_no_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(devices, "failures_told", None)
     assert open_device("cpu") is None
+
+
+# --- kernels on disk -----------------------------------------------------------------------------------------------
+
+
+def test_a_kernel_is_compiled_anew_when_anything_changes_of_which_it_is_made(tmp_path: Path) -> None:
+    """Numba keeps a kernel under the code of its function and what that closes over."""
+    from paceline.speed import compiling_cuda, orders_cuda, particles_cuda, pixels_cuda
+
+    for kernel in (orders_cuda.carry_out, particles_cuda.survey, pixels_cuda.log_likelihood):
+        assert [cell.cell_contents for cell in kernel.py_func.__closure__] == [compiling_cuda.DIGEST]
+    names = {source.name for source in compiling_cuda.SOURCES}
+    assert {"layout_cuda.py", "randomness_cuda.py", "motion_cuda.py", "pixels.py", "regions.py", "cloud.py"} < names
+    files = [tmp_path / name for name in ("a", "b")]
+    digests = set()
+    for content in ("1 2", "1 3", "2 2"):
+        for file, text in zip(files, content.split(), strict=True):
+            file.write_text(text)
+        digests.add(compiling_cuda.digest(files))
+    assert len(digests) == 3

@@ -52,8 +52,8 @@ def parity(folder: Path, library: ctypes.CDLL, backwards: bool) -> int:
         run = kernels.get(name.decode())
         if run is None:
             return FAILED
-        run(ctypes.c_void_p(blocks), ctypes.c_void_p(threads), ctypes.c_void_p(arguments), backwards)
-        return 0
+        diverged = run(ctypes.c_void_p(blocks), ctypes.c_void_p(threads), ctypes.c_void_p(arguments), backwards)
+        return FAILED if diverged else 0
 
     bind = dispatcher._Kernel.bind
 
@@ -79,15 +79,15 @@ def host(library: ctypes.CDLL, repetitions: int) -> None:
 
     fetch = device_cuda._Shared.fetch
 
-    def fetched(shared: Any) -> Any:
-        fetch(shared)[:] = 0.01
+    def fetched(shared: Any, size: int) -> Any:
+        fetch(shared, size)[:] = 0.01
         return shared.home
 
     device_cuda._Shared.fetch = fetched  # type: ignore[method-assign]
     device = open_device("cuda")
     counts = (ctypes.c_long * 3)()
     print(machine())
-    print(head("particles", "vehicles", "median, ms", "launches", "uploads", "downloads"))
+    print(head("particles", "vehicles", "a step, ms", "launches", "uploads", "downloads", "all join, ms"))
     for particles, vehicles in STEPS:
         road, times = Road(particles, vehicles, 0, device), []
         for _ in range(max(5, repetitions // vehicles)):
@@ -98,7 +98,13 @@ def host(library: ctypes.CDLL, repetitions: int) -> None:
         library.take_counts(counts)
         road.step()
         library.take_counts(counts)
-        print(row(particles, vehicles, f"{np.median(times):.3g}", *counts), flush=True)
+        homes = [one.cloud for one in Road(particles, vehicles, 0, None).followed]
+        start = time.perf_counter()
+        joined = [device.cloud(home) for home in homes]
+        device.carry_out()
+        join = 1e3 * (time.perf_counter() - start)
+        print(row(particles, vehicles, f"{np.median(times):.3g}", *counts, f"{join:.3g}"), flush=True)
+        del road, joined
 
 
 def main() -> int:

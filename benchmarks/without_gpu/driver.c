@@ -54,7 +54,7 @@ Result cuCtxGetDevice(int *device) { return *device = 0, 0; }
 
 static void *room(size_t size) {
     void *found = NULL;
-    return posix_memalign(&found, 256, size + !size) ? NULL : memset(found, 0, size);
+    return posix_memalign(&found, 256, size + !size) ? NULL : memset(found, 0xFF, size); /* nobody relies on it */
 }
 Result cuMemAlloc_v2(Pointer *given, size_t size) { return (*given = (Pointer)room(size)) ? 0 : 2; }
 Result cuMemAllocAsync(Pointer *given, size_t size, void *stream) { return cuMemAlloc_v2(given, size); }

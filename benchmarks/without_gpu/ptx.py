@@ -1,7 +1,8 @@
 """One kernel of PTX as C that runs it on the CPU, block by block: as much of PTX as Numba makes of our kernels.
 
 A thread's registers are a structure; it runs until it is done or waits at a barrier, then the next one does. Within a
-block threads take turns in their order, or in the opposite one: where that changes a result, they race.
+block threads take turns in their order, or in the opposite one: where that changes a result, they race. Approximate
+instructions are exact here, and what the assembler makes of PTX is not looked at.
 """
 
 from __future__ import annotations
@@ -41,7 +42,8 @@ static inline f32 flushed(f32 x) { return fabsf(x) < 1.17549435e-38f ? copysignf
 """
 
 RUN = r"""
-void run(const u32 *blocks, const u32 *threads, u8 **arguments, int backwards) {
+int run(const u32 *blocks, const u32 *threads, u8 **arguments, int backwards) {
+    int diverged = 0;
     u32 n = threads[0] * threads[1] * threads[2];
     Thread *all = malloc(n * sizeof *all);
     Block *b = malloc(sizeof *b);
@@ -49,25 +51,32 @@ void run(const u32 *blocks, const u32 *threads, u8 **arguments, int backwards) {
     memcpy(b->blocks, blocks, sizeof b->blocks);
     for (u64 k = 0; k < (u64)blocks[0] * blocks[1] * blocks[2]; k++) {
         b->at[0] = k % blocks[0], b->at[1] = k / blocks[0] % blocks[1], b->at[2] = k / blocks[0] / blocks[1];
+        memset(all, 0xFF, n * sizeof *all), memset(&b->shared, 0xFF, sizeof b->shared); /* what nobody has set */
         for (u32 i = 0; i < n; i++) {
             Thread *t = all + i;
             t->next = t->done = 0;
             t->at[0] = i % threads[0], t->at[1] = i / threads[0] % threads[1], t->at[2] = i / threads[0] / threads[1];
         }
-        for (u32 left = n; left;)
+        for (u32 left = n; left;) {
+            int barrier = 0; /* at which threads wait: all at the same one */
             for (u32 i = 0; i < n; i++) {
                 Thread *t = all + (backwards ? n - 1 - i : i);
-                if (!t->done && !go(t, b, arguments)) t->done = 1, left--;
+                if (t->done) continue;
+                if (!go(t, b, arguments)) t->done = 1, left--;
+                else if (barrier && barrier != t->next) diverged = 1;
+                else barrier = t->next;
             }
+        }
     }
     free(all), free(b);
+    return diverged;
 }
 """
 
 
 def compiled(ptx: str, folder: Path) -> tuple[str, Any]:
-    """The name of the kernel in ``ptx``, and its C function ``run``, built in ``folder``. Raises ValueError for an
-    instruction that is not known here."""
+    """The name of the kernel in ``ptx``, and its C function ``run``, built in ``folder``: it tells whether threads of a
+    block waited at different barriers. Raises ValueError for an instruction that is not known here."""
     name, source = translated(ptx)
     stem = folder / f"kernel{len(list(folder.glob('kernel*.c')))}"
     stem.with_suffix(".c").write_text(source)
@@ -99,7 +108,8 @@ def translated(ptx: str) -> tuple[str, str]:
         [
             HEAD,
             *constants,
-            f"typedef struct {{ u32 at[3], threads[3], blocks[3]; {' '.join(shared)} }} Block;",
+            "typedef struct { u32 at[3], threads[3], blocks[3];",
+            f"struct {{ u8 none; {' '.join(shared)} }} shared; }} Block;",
             f"typedef struct {{ int next, done; u32 at[3]; u64 SP, SPL; {registers}",
             f"u8 depot[{depot[1] if depot else 8}] __attribute__((aligned(16))); }} Thread;",
             "static int go(Thread *t, Block *b, u8 **arguments) { switch (t->next) { case 0: ;",
@@ -117,7 +127,7 @@ def _variables(text: str) -> tuple[dict[str, str], list[str], list[str]]:
     for space, kind, name, size, values in re.findall(pattern, text):
         c = f"v_{name.replace('$', '_')}"
         declared = f"u8 {c}[{int(size or 1) * (8 if kind.endswith('64') else 1)}] __attribute__((aligned(16)))"
-        known[name] = f"b->{c}" if space == "shared" else c
+        known[name] = f"b->shared.{c}" if space == "shared" else c
         if space == "shared":
             shared.append(f"{declared};")
         else:

@@ -17,7 +17,7 @@ from paceline.speed import likelihood, motion
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.likelihood import Packed
 from paceline.speed.motion import FreeMotion, PathMotion, State
-from paceline.speed.particles import Weights, resample
+from paceline.speed.particles import Weights, even_enough, resample
 
 Array = NDArray[np.float64]
 Views = tuple[Packed, Packed]
@@ -106,7 +106,7 @@ class Cloud:
     def resample(self, c: SpeedConfiguration, rng: np.random.Generator) -> None:
         """Draw as many particles as ``c`` asks for by their weights, unless these are even enough."""
         N = len(self.state)
-        if c.resample_below * N < self.weights.ESS and c.particles == N:
+        if c.particles == N and even_enough(self.weights.ESS, N, c.resample_below):
             return
         index = resample(c.resampling, self.weights.W, rng)
         if c.particles < N:
@@ -122,6 +122,10 @@ class Cloud:
     def at_home(self) -> Cloud:
         """A copy in the computer's memory."""
         return Cloud(self.rig, self.motion, self.state, self.weights)
+
+    def snapshot(self) -> Cloud:
+        """Of which `at_home` gives the cloud as it is now."""
+        return self.at_home()
 
 
 def views(frame: StereoFrame, reaches: Iterable[tuple[Array, Array]]) -> Views:

@@ -18,7 +18,7 @@ from paceline.speed import motion
 from paceline.speed.cloud import ROUGHENING, Cloud, Posterior
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.motion import FRAME, FreeMotion, PathMotion, State, kalman_gain, root
-from paceline.speed.particles import Weights
+from paceline.speed.particles import Weights, even_enough
 from paceline.speed.randomness import CounterGenerator
 
 if TYPE_CHECKING:
@@ -38,14 +38,18 @@ class Found:
     squares: float  # Σ W²
     least: Array  # (16,) of the coordinates of both regions
     greatest: Array
-    shown: Array  # (4, M) the planes' projected centres, both views' x and y; columns beyond the vehicle's are void
+    shown: Array | None  # (4, M) the planes' projected centres in both views, if asked for; the vehicle's come first
 
 
 class CudaCloud:
     """N weighted particles on ``device``, which move by ``motion``; made by `CudaDevice.cloud` of ``home``."""
 
-    def __init__(self, device: CudaDevice, home: Cloud, slot: int) -> None:
-        self.device, self.slot = device, slot
+    def __init__(self, device: CudaDevice, home: Cloud, slot: int, first: int) -> None:
+        self.device, self.slot, self.first = (
+            device,
+            slot,
+            first,
+        )  # its place in the tables, its first column in the pool
         self.rig: StereoRig = home.rig
         self.motion = home.motion
         self.free = isinstance(home.motion, FreeMotion)
@@ -81,8 +85,9 @@ class CudaCloud:
         self._order[at.TOWARDS : at.TOWARDS + 3] = normal
 
     def resample(self, c: SpeedConfiguration, rng: np.random.Generator) -> None:
+        assert c.particles == self._N
         found = self._moments()
-        if c.resample_below * self._N < 1.0 / found.squares:
+        if even_enough(1.0 / found.squares, self._N, c.resample_below):
             return
         self.device.order(self, at.RESAMPLED)
         offset = rng.random()
@@ -104,10 +109,10 @@ class CudaCloud:
     def unweigh(self) -> None:
         self.device.unweigh(self)
 
-    def _moments(self) -> Found:
+    def _moments(self, shown: bool = False) -> Found:
         """What the particles come to. Raises FloatingPointError where every one has weight zero."""
-        if self.found is None:
-            self.device.survey()
+        if self.found is None or (shown and self.found.shown is None):
+            self.device.survey(shown)
         found = self.found
         assert found is not None
         if not np.isfinite(found.squares):
@@ -130,7 +135,8 @@ class CudaCloud:
         return corners[:, 0], corners[:, 1]
 
     def posterior(self) -> Posterior:
-        found = self._moments()
+        found = self._moments(shown=True)
+        assert found.shown is not None
         shown = found.shown[:, : -(-self._N // int(self.device.orders[self.slot, at.EVERY]))]
         return Posterior(
             mean=self.mean(),
@@ -144,8 +150,23 @@ class CudaCloud:
 
     def at_home(self) -> Cloud:
         """A copy in the computer's memory."""
-        rows = self.device.at_home(self)
-        return Cloud(self.rig, self.motion, state_of(rows[: at.STATE]), Weights(rows[at.STATE].copy()))
+        return self.snapshot().at_home()
+
+    def snapshot(self) -> Snapshot:
+        return Snapshot(self.rig, self.motion, self.device.fetched(self))
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """A cloud as it was: ``rows`` (STATE + 1, N), its state and its log weights."""
+
+    rig: StereoRig
+    motion: PathMotion | FreeMotion
+    rows: Array
+
+    def at_home(self) -> Cloud:
+        weights = Weights(self.rows[at.STATE].copy())
+        return Cloud(self.rig, self.motion, state_of(self.rows[: at.STATE]), weights)
 
 
 def key_words(key: NDArray[np.uint64]) -> list[int]:

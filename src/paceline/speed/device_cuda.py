@@ -66,8 +66,9 @@ class _Shared:
         """The first ``size`` numbers."""
         driver.host_to_device(self.there, self.home, size * self.home.itemsize)  # type: ignore[no-untyped-call]
 
-    def fetch(self) -> NDArray[Any]:
-        driver.device_to_host(self.home, self.there, self.home.nbytes)  # type: ignore[no-untyped-call]
+    def fetch(self, size: int) -> NDArray[Any]:
+        """Of all that is at home the first numbers, so many, anew."""
+        driver.device_to_host(self.home, self.there, size * self.home.itemsize)  # type: ignore[no-untyped-call]
         return self.home
 
 
@@ -82,6 +83,8 @@ class CudaDevice:
         self._maps = cuda.device_array((1, at.MAPS), np.float32)
         self._pixels = _Shared.of(1, np.uint32)
         self._home: Array | None = None  # all states and log weights, as long as they are as fetched
+        self._joined: set[int] = set()  # slots of clouds that are not in the tables yet
+        self._unweighed: list[CudaCloud] = []
         self._pending = False
         self._noise = 0  # numbers of it that are on the desk
         self._tabulate({})
@@ -94,19 +97,21 @@ class CudaDevice:
 
     def cloud(self, home: Cloud) -> CudaCloud:
         """``home`` copied to the device."""
-        self.carry_out()
+        if self._pending:
+            self.carry_out()
         living = self._living()
         slot = next(i for i in range(len(living) + 1) if i not in living)
         N, first = len(home.state), 0
-        for other in sorted((self.orders[i] for i in living), key=lambda order: order[at.FIRST]):
-            if first + N <= other[at.FIRST]:
+        for other in sorted(living.values(), key=lambda other: other.first):
+            if first + N <= other.first:
                 break
-            first = int(other[at.FIRST] + other[at.COUNT])
+            first = other.first + len(other)
         self._grow(first + N)
-        cloud = CudaCloud(self, home, slot)
-        rows = cuda.to_device(rows_of(home)[None])
+        cloud = CudaCloud(self, home, slot, first)
+        rows = cuda.to_device(_one(rows_of(home)))
         orders_cuda.settle[(_grid(N), rows.shape[1]), BLOCK](rows, self._pool, first)
-        self._tabulate({**living, slot: cloud}, slot, first)
+        self._clouds[slot] = weakref.ref(cloud)
+        self._joined.add(slot)
         return cloud
 
     def _living(self) -> dict[int, CudaCloud]:
@@ -122,21 +127,21 @@ class CudaDevice:
             orders_cuda.settle[(_grid(before), at.ROWS), BLOCK](old, self._pool, 0)
             self._maps[:before].copy_to_device(old_maps)
 
-    def _tabulate(self, living: dict[int, CudaCloud], joining: int = -1, first: int = 0) -> None:
-        """The tables of all ``living`` clouds, by slot; one that is ``joining`` has its columns from ``first`` on."""
+    def _tabulate(self, living: dict[int, CudaCloud]) -> None:
+        """The tables of all ``living`` clouds, by slot; what was ordered before has been carried out."""
         slots = max(living, default=-1) + 1
         orders = np.zeros((slots, at.ORDER))
-        knots, rigs, total = [np.zeros((1, at.KNOT))], [np.zeros((7, 3, 3))], 0
+        knots, rigs, knot, total = [np.zeros((1, at.KNOT))], [np.zeros((7, 3, 3))], 1, 0
         numbers: dict[int, int] = {}
         for slot, cloud in living.items():
             order, N = orders[slot], len(cloud)
-            order[[at.FIRST, at.BEFORE]] = (first, 0) if slot == joining else self.orders[slot, [at.FIRST, at.NOW]]
-            order[at.NOW] = order[at.BEFORE]
-            order[[at.COUNT, at.EVERY, at.AT_HOME]] = N, -(-N // SHOWN), total
-            order[at.PREPARED] = slot == joining
-            order[[at.FREE, at.TURNS]] = cloud.free, cloud.motion.name == "curve"
-            order[[at.KNOTS, at.KNOT_COUNT]] = sum(map(len, knots)), len(cloud.knots)
+            joins = slot in self._joined
+            order[[at.BEFORE, at.NOW]] = 0 if joins else self.orders[slot, at.NOW]
+            order[[at.FIRST, at.COUNT, at.EVERY, at.AT_HOME]] = cloud.first, N, -(-N // SHOWN), total
+            order[[at.PREPARED, at.FREE, at.TURNS]] = joins, cloud.free, cloud.motion.name == "curve"
+            order[[at.KNOTS, at.KNOT_COUNT]] = knot, len(cloud.knots)
             knots.append(cloud.knots)
+            knot += len(cloud.knots)
             if id(cloud.rig) not in numbers:
                 numbers[id(cloud.rig)] = len(rigs)
                 rigs.append(rig_numbers(cloud.rig))
@@ -154,6 +159,7 @@ class CudaDevice:
         self._moments = slots * at.QUANTITIES * self._blocks * 2
         self._told = _Shared.of(max(self._moments + slots * at.SHOWN_ROWS * shown, 1), np.float64)
         self._home, self._pending = None, bool(living)
+        self._joined.clear()
 
     def _lay(self, orders: Array, size: int) -> None:
         """A desk of so many numbers, with ``orders`` (slots, ORDER) on it."""
@@ -163,7 +169,7 @@ class CudaDevice:
 
     def order(self, cloud: CudaCloud, what: int) -> None:
         """Notes that ``what`` is to be done with ``cloud``, after what is already to be done."""
-        if self.orders[cloud.slot, what : at.CORRECTED + 1].any():
+        if self._joined or self.orders[cloud.slot, what : at.CORRECTED + 1].any():
             self.carry_out()
         self.orders[cloud.slot, [what, at.PREPARED]] = 1
         self._pending, self._home, cloud.found = True, None, None
@@ -183,8 +189,15 @@ class CudaDevice:
 
     def carry_out(self) -> None:
         """Does with all clouds what was ordered."""
+        if self._joined:
+            self._tabulate(self._living())
         if not self._pending:
             return
+        if self._unweighed:
+            self._table()[[cloud.slot for cloud in self._unweighed], at.TIMES] = -1
+            self._sights.send(self._sights.home.size)
+            self._reweigh(self._unweighed)
+            self._unweighed = []
         orders = self.orders
         self._desk.send(orders.size + self._noise)
         if orders[:, at.RESAMPLED].any():
@@ -200,16 +213,17 @@ class CudaDevice:
     def weigh(self, trackers: Sequence[Follower]) -> None:
         """Update the weights of all clouds of ``trackers``, which look at the same views."""
         self.carry_out()
+        c, clouds = trackers[0].configuration, [t.cloud for t in trackers if isinstance(t.cloud, CudaCloud)]
+        alike = {(t.configuration.parts, t.configuration.lambda_single, t.configuration.lambda_cross) for t in trackers}
+        assert len(alike) == 1 and len(clouds) == len(trackers)
         sights = self._table()
-        for t in trackers:
-            assert isinstance(t.cloud, CudaCloud)
-            _describe(sights[t.cloud.slot], t)
-            sights[t.cloud.slot, at.TIMES] = 1
-        c = trackers[0].configuration
+        for tracker, cloud in zip(trackers, clouds, strict=True):
+            _describe(sights[cloud.slot], tracker)
+            sights[cloud.slot, at.TIMES] = 1
         self._show(trackers[0].views, c, self._sights)
         self._sights.send(self._sights.home.size)
         self.look(c.parts)
-        self._reweigh([t.cloud for t in trackers if isinstance(t.cloud, CudaCloud)])
+        self._reweigh(clouds)
 
     def look(self, parts: int) -> None:
         """log p(z | x) by (12), (13), (18) of all particles that are to be weighed, by what was sent."""
@@ -218,11 +232,9 @@ class CudaDevice:
         )
 
     def unweigh(self, cloud: CudaCloud) -> None:
-        """Take the last update of the weights of ``cloud`` back."""
-        self.carry_out()
-        self._table()[cloud.slot, at.TIMES] = -1
-        self._sights.send(self._sights.home.size)
-        self._reweigh([cloud])
+        """Notes that the last update of the weights of ``cloud`` is to be taken back."""
+        self._unweighed.append(cloud)
+        self._pending, self._home, cloud.found = True, None, None
 
     def _table(self) -> Array:
         """The table (slots, SIGHT) of sights, in which nothing is to be weighed yet."""
@@ -256,7 +268,7 @@ class CudaDevice:
         sight = sights.home[at.HEADER :]
         _describe(sight, tracker)
         self._show(tracker.views, tracker.configuration, sights)
-        rigs, knots = cuda.to_device(rig_numbers(tracker.rig)[None]), cuda.to_device(np.zeros((1, at.KNOT)))
+        rigs, knots = cuda.to_device(_one(rig_numbers(tracker.rig))), cuda.to_device(np.zeros((1, at.KNOT)))
         for first in range(0, len(state), AT_ONCE):
             part = state[np.arange(first, min(first + AT_ONCE, len(state)))]
             N = len(part)
@@ -276,17 +288,21 @@ class CudaDevice:
 
     # --- results -----------------------------------------------------------------------------------------------------
 
-    def survey(self) -> None:
-        """Has everything carried out, and tells all clouds what their particles come to."""
+    def survey(self, shown: bool) -> None:
+        """Has everything carried out, and tells all clouds what their particles come to, and the places ``shown`` if
+        these are asked for."""
         self.carry_out()
+        living = self._living()
+        if len(living) < len(self._clouds):
+            self._tabulate(living)
+            self.carry_out()
         blocks = self._blocks, -(-(at.QUANTITIES + at.SHOWN_ROWS) // SIDE_BY_SIDE), len(self.orders)
         threads = min(self._threads, SURVEYORS), SIDE_BY_SIDE
         particles_cuda.survey[blocks, threads](self._pool, self._desk.there, self._told.there)
-        told = self._told.fetch()
-        living = self._living()
+        told = self._told.fetch(self._told.home.size if shown else self._moments)
         parts = told[: self._moments].reshape(-1, at.QUANTITIES, self._blocks, 2)[list(living)]
         sums = parts[..., 0].sum(2)
-        shown = told[self._moments :].reshape(len(self.orders), at.SHOWN_ROWS, -1)
+        places = told[self._moments :].reshape(len(self.orders), at.SHOWN_ROWS, -1)
         for (slot, cloud), told_of, sum_of in zip(living.items(), parts, sums, strict=True):
             i, j = SECOND[int(cloud.free)]
             cloud.found = Found(
@@ -295,10 +311,10 @@ class CudaDevice:
                 squares=float(sum_of[at.SQUARES]),
                 least=told_of[at.EXTREMES :, :, 0].min(1),
                 greatest=told_of[at.EXTREMES :, :, 1].max(1),
-                shown=shown[slot],
+                shown=places[slot] if shown else None,
             )
 
-    def at_home(self, cloud: CudaCloud) -> Array:
+    def fetched(self, cloud: CudaCloud) -> Array:
         """The state and the log weights (STATE + 1, N) of ``cloud``; those of all are fetched at once."""
         self.carry_out()
         if self._home is None:
@@ -307,6 +323,11 @@ class CudaDevice:
             self._home = home.copy_to_host()
         first = int(self.orders[cloud.slot, at.AT_HOME])
         return self._home[:, first : first + len(cloud)]
+
+
+def _one(numbers: Array) -> Array:
+    """``numbers`` in an array of one; by indexing its stride would be 0, which Numba copies number by number."""
+    return numbers.reshape(1, *numbers.shape)
 
 
 def _grid(n: int) -> int:

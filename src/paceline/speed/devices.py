@@ -6,7 +6,7 @@ Whatever goes wrong with a GPU becomes one `DeviceFailure`, a plain line.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from typing import TYPE_CHECKING, Literal
 
 from paceline.errors import UnusableInput
@@ -55,7 +55,20 @@ def failures_told() -> Iterator[None]:
     except Exception as error:
         if not (type(error).__module__ + ".").startswith(FOREIGN):
             raise
+        _leave()
         raise DeviceFailure(_reason(error)) from error
+
+
+def _leave() -> None:
+    """Has what a failed GPU holds given back by the end of the process alone: Numba would ask the GPU for it, each time
+    in vain and with a traceback."""
+    from numba import cuda
+
+    with suppress(Exception):
+        _left.enter_context(cuda.defer_cleanup())
+
+
+_left = ExitStack()
 
 
 def _missing(error: ImportError) -> str:

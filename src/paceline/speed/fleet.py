@@ -68,6 +68,7 @@ class Fleet:
             for tracker in moving:
                 tracker.views = both
             self.device.weigh(moving)
-            self._estimates |= {t.vehicle.id: t.conclude(frame) for t in moving}
+            judged = [t.judge() for t in moving]
+            self._estimates |= {t.vehicle.id: t.conclude(frame, j) for t, j in zip(moving, judged, strict=True)}
         if self.carry_on:
             self._checkpoints = [t.checkpoint() for t in self._trackers]

@@ -21,7 +21,8 @@ STATE = 30  # rows of the state itself
 PLACE, CROSSING_LEFT, CROSSING_RIGHT = 30, 33, 35
 MOVING = 37  # rows that a survivor takes along
 LOG_WEIGHT, WEIGHT, CUMULATED, LIKELIHOOD = range(37, 41)
-ROWS = 41
+UNWEIGHED = 41  # the log weights before they were last updated
+ROWS = 42
 
 # --- orders --------------------------------------------------------------------------------------------------------
 

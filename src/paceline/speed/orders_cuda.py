@@ -13,6 +13,7 @@ from numba import cuda
 
 from paceline.speed import layout_cuda as at
 from paceline.speed.cloud import KEPT
+from paceline.speed.compiling_cuda import kernel
 from paceline.speed.motion_cuda import (
     along_path,
     draw,
@@ -95,7 +96,7 @@ def _correct(rows, q, p, desk, order, rig, knots):
     move(rows, q, rig, dR, shift)
 
 
-@cuda.jit(cache=True)
+@kernel
 def carry_out(pool, desk, rigs, knots, maps):
     """The orders at the beginning of ``desk``, for all vehicles at once: y blocks for slots, x threads for particles.
 
@@ -122,7 +123,7 @@ def carry_out(pool, desk, rigs, knots, maps):
     prepare(rows, q, rig, maps[q])
 
 
-@cuda.jit(cache=True)
+@kernel
 def settle(source, pool, first):
     """The numbers ``source`` (halves, rows, columns) into the pool, from the ``first`` column on; y blocks for rows."""
     i, p = cuda.blockIdx.y, cuda.grid(1)
@@ -131,7 +132,7 @@ def settle(source, pool, first):
             pool[half, i, first + p] = source[half, i, p]
 
 
-@cuda.jit(cache=True)
+@kernel
 def collect(pool, desk, home):
     """The states and log weights of all vehicles, side by side into ``home`` (STATE + 1, all particles)."""
     v, p = cuda.blockIdx.y, cuda.grid(1)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
+EVEN = 1e-9  # relative: by which a sample size may fall short of its bound by rounding
 Scheme = Callable[[Array, np.random.Generator], Indices]
 
 
@@ -98,6 +99,11 @@ SCHEMES: dict[str, Scheme] = {
     "residual": residual,
     "multinomial": multinomial,
 }
+
+
+def even_enough(ess: float, n: int, below: float) -> bool:
+    """Whether ``n`` particles of that effective size need no resampling, which is for sizes ``below`` a share of n."""
+    return ess >= below * n * (1 - EVEN)
 
 
 def resample(scheme: str, W: Array, rng: np.random.Generator) -> Indices:

@@ -11,6 +11,7 @@ import numpy as np
 from numba import cuda
 
 from paceline.speed import layout_cuda as at
+from paceline.speed.compiling_cuda import kernel
 
 THREADS = 512  # at most, in a block that adds something up; a power of two
 SURVEYORS, SIDE_BY_SIDE = 64, 8  # threads at most for one quantity, and quantities, of a block that takes moments
@@ -32,7 +33,7 @@ def _block_sum(value, scratch):
     return total
 
 
-@cuda.jit(cache=True)
+@kernel
 def survey(pool, desk, told):
     """What the weighted particles of all vehicles come to.
 
@@ -93,11 +94,11 @@ def survey(pool, desk, told):
         told[start], told[start + 1] = low[y, 0], high[y, 0]
 
 
-@cuda.jit(cache=True)
+@kernel
 def reweigh(pool, sights):
     """The normalised weights after an observation ([Zhu] (2)), in logarithms and as themselves; one block a vehicle.
 
-    The observation is the row LIKELIHOOD, log p(z | x), TIMES what ``sights`` say.
+    The observation is the row LIKELIHOOD, log p(z | x). Where ``sights`` say so, the last one is taken back instead.
     """
     t, n = cuda.threadIdx.x, cuda.blockDim.x
     sight = sights[at.HEADER + cuda.blockIdx.x * at.SIGHT : at.HEADER + (cuda.blockIdx.x + 1) * at.SIGHT]
@@ -106,9 +107,15 @@ def reweigh(pool, sights):
         return
     rows = pool[int(sight[at.BEFORE])]
     scratch = cuda.shared.array(THREADS, np.float64)
+    if times < 0.0:
+        for p in range(first + t, first + N, n):
+            rows[at.LOG_WEIGHT, p] = rows[at.UNWEIGHED, p]
+            rows[at.WEIGHT, p] = math.exp(rows[at.LOG_WEIGHT, p])
+        return
     greatest = -math.inf
     for p in range(first + t, first + N, n):
-        rows[at.LOG_WEIGHT, p] += times * rows[at.LIKELIHOOD, p]
+        rows[at.UNWEIGHED, p] = rows[at.LOG_WEIGHT, p]
+        rows[at.LOG_WEIGHT, p] += rows[at.LIKELIHOOD, p]
         if rows[at.LOG_WEIGHT, p] > greatest:
             greatest = rows[at.LOG_WEIGHT, p]
     scratch[t] = greatest
@@ -137,7 +144,7 @@ def _points_below(total, u, N):
     return min(max(math.floor(total * N - u) + 1.0, 0.0), float(N))
 
 
-@cuda.jit(cache=True)
+@kernel
 def cumulate(pool, desk):
     """Running sums of the weights of each vehicle to be resampled, the last one 1, and the mean headings of those of
     its particles that will survive, into its order. One block a vehicle; every thread adds up a stretch of its own."""

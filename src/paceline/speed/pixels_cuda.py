@@ -14,6 +14,7 @@ from numba import cuda
 
 from paceline.speed import layout_cuda as at
 from paceline.speed import pixels
+from paceline.speed.compiling_cuda import kernel
 from paceline.speed.pixels import CROSS_ROWS, LEAST_OVERLAP
 
 _BLOCKS = 16 * at.MOST_PARTS  # of the wavelet grid, in one view
@@ -100,7 +101,7 @@ def _frame(sights, first):
     return _bounds(shape, np.int32(sights[first + 2]), np.int32(sights[first + 3]))
 
 
-@cuda.jit(cache=True, fastmath=True)
+@kernel(fastmath=True)
 def log_likelihood(pixels, maps, sights, pool):
     """log p(z | x) by (12), (13), (18), into the row LIKELIHOOD, of the particles of all vehicles that ``sights`` say
     are to be weighed.

@@ -15,7 +15,7 @@ from paceline.documents import VehicleDocument
 from paceline.recordings import StereoFrame
 from paceline.speed import acquisition, likelihood, motion, randomness
 from paceline.speed.acquisition import Guess
-from paceline.speed.cloud import SHOWN, Cloud, Views, views
+from paceline.speed.cloud import SHOWN, Cloud, Posterior, Views, views
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.likelihood import Grid, Observation
 from paceline.speed.motion import FreeMotion, PathMotion, State
@@ -126,7 +126,7 @@ class Tracker:
             self.cloud.weigh(self._log_likelihood(self.cloud.state))
         else:
             self.cloud.device.weigh([self])
-        return self.conclude(frame)
+        return self.conclude(frame, self.judge())
 
     @property
     def begins(self) -> bool:
@@ -156,27 +156,43 @@ class Tracker:
         if sight is not None and sight.believed:
             self._believe(sight)
 
-    def conclude(self, frame: StereoFrame) -> Estimate:
-        """The estimate by the particles that were weighed at ``frame``, the reference's update, and resampling where
-        the vehicle is in view."""
-        estimate = self._estimate(frame)
-        if estimate.likeness >= LOST:
-            self.cloud.resample(self.configuration, self.rng)
-        self._square(estimate.position)
+    def judge(self) -> tuple[float, Posterior | None]:
+        """How like the reference is what the weighted particles see, and what they come to; the reference's update.
+
+        Where something hides the vehicle their weights are taken back, and what they come to is another: None. What
+        hides it would choose among its particles by chance, and leave but a few.
+        """
+        posterior = self.cloud.posterior()
+        likeness = self._learn(posterior.mean)
+        if likeness >= LOST:
+            return likeness, posterior
+        self.cloud.unweigh()
+        return likeness, None
+
+    def conclude(self, frame: StereoFrame, judged: tuple[float, Posterior | None]) -> Estimate:
+        """The estimate at ``frame`` by what was ``judged``, and resampling where the vehicle is in view."""
+        likeness, posterior = judged
+        estimate = self._estimate(frame, likeness, posterior or self.cloud.posterior())
         self._time = frame.time
         if self.status != "tracking":
-            self.cloud = self.cloud.at_home()  # where room on a device is given back
+            del self.cloud  # whose room others may need
+            return estimate
+        if likeness >= LOST:
+            self.cloud.resample(self.configuration, self.rng)
+        self._square(estimate.position)
         return estimate
 
     def checkpoint(self) -> dict[str, object]:
         """All that the next update goes out from, in the computer's memory, to go on there by `restore`."""
         kept = dict(self.__dict__, rng=copy.deepcopy(self.rng), appearance=copy.copy(self.appearance), device=None)
         if "cloud" in kept:
-            kept["cloud"] = self.cloud.at_home()
+            kept["cloud"] = self.cloud.snapshot()
         return kept
 
     def restore(self, kept: dict[str, object]) -> None:
         self.__dict__.update(kept)
+        if "cloud" in kept:
+            self.cloud = self.cloud.at_home()
 
     # --- the first two frames ----------------------------------------------------------------------------------------
 
@@ -322,16 +338,10 @@ class Tracker:
         c = self.configuration
         return likelihood.log_likelihood(self._observe(state), self.reference, c.lambda_single, c.lambda_cross)
 
-    def _estimate(self, frame: StereoFrame) -> Estimate:
-        """The posterior mean (3), and the reference's update (14) from what it sees."""
-        posterior = self.cloud.posterior()
+    def _estimate(self, frame: StereoFrame, likeness: float, posterior: Posterior) -> Estimate:
+        """The posterior mean (3), and whether the vehicle is still there."""
         mean, position = posterior.mean, posterior.position
-        likeness = self._learn(mean)
         if likeness < LOST:
-            # what hides the vehicle would choose among its particles by chance, and leave but a few
-            self.cloud.unweigh()
-            posterior = self.cloud.posterior()
-            mean, position = posterior.mean, posterior.position
             self._unseen += 1
         elif likeness > SEEN:  # a passing likeness of something else is no sight of it
             self._unseen = 0
@@ -339,7 +349,7 @@ class Tracker:
             self.status = "ended"
         elif self._unseen >= PATIENCE:
             self.status = "lost"
-        estimate = Estimate(
+        return Estimate(
             frame=frame.index,
             time=frame.time,
             speed=posterior.speed,
@@ -354,7 +364,6 @@ class Tracker:
             particles_left=posterior.particles_left,
             particles_right=posterior.particles_right,
         )
-        return estimate
 
     def _learn(self, mean: State) -> float:
         """Update the reference (14) by what the estimate sees, unless that is unlike it; returns the likeness."""
