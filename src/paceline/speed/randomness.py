@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-MANY = 500  # particles for which numbers drawn one after another would take longer than all the rest on a GPU
+MANY = 900  # particles for which numbers drawn one after another would take longer than all the rest on a GPU
 
 
 def generator(seed: list[int], particles: int) -> np.random.Generator:
