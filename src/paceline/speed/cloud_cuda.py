@@ -7,7 +7,7 @@ Particles, weights and everything in between stay on the device. What is to be d
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +20,6 @@ from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.motion import FRAME, FreeMotion, PathMotion, State, kalman_gain, root
 from paceline.speed.particles import Weights, even_enough
 from paceline.speed.randomness import CounterGenerator
-
-if TYPE_CHECKING:
-    from paceline.speed.device_cuda import CudaDevice
 
 Array = NDArray[np.float64]
 
@@ -41,15 +38,28 @@ class Found:
     shown: Array | None  # (4, M) the planes' projected centres in both views, if asked for; the vehicle's come first
 
 
+class Device(Protocol):
+    """What a cloud asks of `device_cuda.CudaDevice`, which says more of each."""
+
+    orders: Array  # (slots, ORDER)
+
+    def order(self, cloud: CudaCloud, what: int) -> None: ...
+
+    def keep(self, noise: Array) -> int: ...
+
+    def unweigh(self, cloud: CudaCloud) -> None: ...
+
+    def survey(self, shown: bool) -> None: ...
+
+    def fetched(self, cloud: CudaCloud) -> Array: ...
+
+
 class CudaCloud:
     """N weighted particles on ``device``, which move by ``motion``; made by `CudaDevice.cloud` of ``home``."""
 
-    def __init__(self, device: CudaDevice, home: Cloud, slot: int, first: int) -> None:
-        self.device, self.slot, self.first = (
-            device,
-            slot,
-            first,
-        )  # its place in the tables, its first column in the pool
+    def __init__(self, device: Device, home: Cloud, slot: int, first: int) -> None:
+        self.device = device
+        self.slot, self.first = slot, first  # its place in the tables, and its first column in the pool
         self.rig: StereoRig = home.rig
         self.motion = home.motion
         self.free = isinstance(home.motion, FreeMotion)

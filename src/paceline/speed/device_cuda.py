@@ -155,7 +155,7 @@ class CudaDevice:
         self._largest, self._total = int(counts.max(initial=1)), total
         self._blocks = min(-(-self._largest // (8 * SURVEYORS)), MOST_BLOCKS)
         self._threads = min(THREADS, 1 << (self._largest - 1).bit_length())
-        shown = max((-(-len(cloud) // (-(-len(cloud) // SHOWN))) for cloud in living.values()), default=0)
+        shown = int(np.ceil(counts / np.maximum(orders[:, at.EVERY], 1)).max(initial=0))
         self._moments = slots * at.QUANTITIES * self._blocks * 2
         self._told = _Shared.of(max(self._moments + slots * at.SHOWN_ROWS * shown, 1), np.float64)
         self._home, self._pending = None, bool(living)

@@ -122,10 +122,10 @@ class Tracker:
         self.propose(frame)
         self.guide(frame)
         self.views = views(frame, [self.cloud.reach()])
-        if isinstance(self.cloud, Cloud):
+        if self.device is not None:
+            self.device.weigh([self])
+        elif isinstance(self.cloud, Cloud):
             self.cloud.weigh(self._log_likelihood(self.cloud.state))
-        else:
-            self.cloud.device.weigh([self])
         return self.conclude(frame, self.judge())
 
     @property
