@@ -35,7 +35,7 @@ CELL = 6.0  # s, that one cell may take
 REPETITIONS = 15
 BYTES = 2_100  # of device memory a particle takes at most, while the room for them grows
 DT = 1e-4  # s: the cloud stays where the pictures show the region
-MAPS, OUT = 39 * 4 + 4, 8  # bytes a particle that the kernel must read and write at least
+MAPS, OUT = 39 * 4, 8  # bytes a particle that the kernel must read and write at least
 INSTRUCTIONS = 48  # of PTX for a sample: its place, the clamps, the interpolation, the sums
 
 

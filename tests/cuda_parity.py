@@ -31,7 +31,7 @@ from paceline.speed import (
     randomness_cuda,
 )
 from paceline.speed.cloud import Cloud, views
-from paceline.speed.cloud_cuda import CudaCloud, key_words
+from paceline.speed.cloud_cuda import CudaCloud
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.device_cuda import CudaDevice
 from paceline.speed.devices import DeviceFailure
@@ -139,7 +139,7 @@ def test_counted_numbers_are_those_of_the_cpu(key: tuple[int, int], k: int) -> N
     """Those of the CPU come from NumPy's own Philox."""
     rng = randomness.CounterGenerator(np.random.PCG64(1), np.array(key, np.uint64), calls=7)
     numbers = cuda.device_array((N, k))
-    _normals[1, N](cuda.to_device(np.array(key_words(rng.key), float)), 7, 0.3, numbers)
+    _normals[1, N](cuda.to_device(np.array(rng.words, float)), 7, 0.3, numbers)
     np.testing.assert_allclose(numbers.copy_to_host(), rng.normal(0.0, 0.3, (N, k)), rtol=1e-12, atol=1e-14)
 
 

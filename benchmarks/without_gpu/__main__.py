@@ -17,7 +17,6 @@ import subprocess
 import sys
 import tempfile
 import time
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -95,9 +94,7 @@ def host(library: ctypes.CDLL, repetitions: int) -> None:
             start = time.perf_counter()
             road.step()
             times.append(1e3 * (time.perf_counter() - start))
-        library.take_counts(counts)
-        road.step()
-        library.take_counts(counts)
+        library.take_counts(counts)  # of the last step
         homes = [one.cloud for one in Road(particles, vehicles, 0, None).followed]
         start = time.perf_counter()
         joined = [device.cloud(home) for home in homes]
@@ -113,7 +110,6 @@ def main() -> int:
     parser.add_argument("--backwards", action="store_true", help="the threads of a block take turns from the last on")
     parser.add_argument("--repetitions", type=int, default=200)
     options = parser.parse_args()
-    warnings.filterwarnings("ignore", "Grid size")
     with tempfile.TemporaryDirectory() as name:
         library = driver(Path(name))
         if options.what == "parity":

@@ -23,7 +23,9 @@ from paceline.speed.randomness import CounterGenerator
 
 Array = NDArray[np.float64]
 
-_CROSSING, _SPEED, _HEADING, _CENTRE = 0, 2, 3, 5  # places of second moments: see `layout_cuda.PAIRS`
+# where second moments stand: see `layout_cuda.PAIRS`
+_CROSSING, _SPEED, _HEADING = (at.SPREADS.index(row) for row in (at.CROSSING_LEFT, at.SPEED, at.HEADING))
+_CENTRE = len(at.SPREADS)
 
 
 @dataclass(slots=True, eq=False)
@@ -109,7 +111,7 @@ class CudaCloud:
     def _draw(self, draw: int, sigma: float, k: int, rng: np.random.Generator) -> None:
         """Notes normal numbers, ``k`` a particle, the same as ``rng`` gives the CPU."""
         if isinstance(rng, CounterGenerator):
-            self._order[at.KEY : at.KEY + 4] = key_words(rng.key)
+            self._order[at.KEY : at.KEY + 4] = rng.words
             where = -1 - rng.calls
             rng.calls += 1
         else:
@@ -179,11 +181,6 @@ class Snapshot:
         return Cloud(self.rig, self.motion, state_of(self.rows[: at.STATE]), weights)
 
 
-def key_words(key: NDArray[np.uint64]) -> list[int]:
-    """A generator's key by 32 bits (4,), which float64 holds."""
-    return [int(word) >> shift & 0xFFFFFFFF for word in key for shift in (32, 0)]
-
-
 _FIELDS = tuple(  # rows and shape of each of a particle's fields
     (slice(first, end), shape)
     for first, end, shape in (
@@ -200,17 +197,21 @@ _FIELDS = tuple(  # rows and shape of each of a particle's fields
 )
 
 
-def rows_of(particles: Cloud | State) -> Array:
-    """A state as rows (STATE, N); of a cloud also what follows from it, and the weights (LIKELIHOOD, N)."""
-    if isinstance(particles, State):
-        fields = (getattr(particles, name) for name in State.__dataclass_fields__)
-        return np.concatenate([field.reshape(len(particles), -1).T for field in fields])
-    rows = np.zeros((at.LIKELIHOOD, len(particles.state)))
-    rows[: at.STATE] = rows_of(particles.state)
-    rows[at.PLACE : at.PLACE + 3] = motion.centres(particles.rig, particles.state).T
-    rows[at.CROSSING_LEFT : at.CROSSING_LEFT + 2] = motion.diagonal_crossings(particles.state.left).T
-    rows[at.CROSSING_RIGHT : at.CROSSING_RIGHT + 2] = motion.diagonal_crossings(particles.state.right).T
-    rows[at.LOG_WEIGHT], rows[at.WEIGHT] = particles.weights.lw, particles.weights.W
+def rows_of(state: State) -> Array:
+    """``state`` as rows (STATE, N)."""
+    fields = (getattr(state, name) for name in State.__dataclass_fields__)
+    return np.concatenate([field.reshape(len(state), -1).T for field in fields])
+
+
+def all_rows_of(cloud: Cloud) -> Array:
+    """The state of ``cloud``, what follows from it, and the weights, as rows (LIKELIHOOD, N)."""
+    state, weights = cloud.state, cloud.weights
+    rows = np.zeros((at.LIKELIHOOD, len(state)))
+    rows[: at.STATE] = rows_of(state)
+    rows[at.PLACE : at.PLACE + 3] = motion.centres(cloud.rig, state).T
+    rows[at.CROSSING_LEFT : at.CROSSING_LEFT + 2] = motion.diagonal_crossings(state.left).T
+    rows[at.CROSSING_RIGHT : at.CROSSING_RIGHT + 2] = motion.diagonal_crossings(state.right).T
+    rows[at.LOG_WEIGHT], rows[at.WEIGHT] = weights.lw, weights.W
     return rows
 
 

@@ -23,7 +23,7 @@ from paceline.cameras import StereoRig
 from paceline.speed import layout_cuda as at
 from paceline.speed import orders_cuda, particles_cuda, pixels_cuda
 from paceline.speed.cloud import SHOWN, Cloud, Views
-from paceline.speed.cloud_cuda import CudaCloud, Found, rows_of
+from paceline.speed.cloud_cuda import CudaCloud, Found, all_rows_of, rows_of
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.likelihood import CONTRAST_FLOOR, PART_DISTANCE_CAP, Grid
 from paceline.speed.motion import State
@@ -108,7 +108,7 @@ class CudaDevice:
             first = other.first + len(other)
         self._grow(first + N)
         cloud = CudaCloud(self, home, slot, first)
-        rows = cuda.to_device(_one(rows_of(home)))
+        rows = cuda.to_device(_one(all_rows_of(home)))
         orders_cuda.settle[(_grid(N), rows.shape[1]), BLOCK](rows, self._pool, first)
         self._clouds[slot] = weakref.ref(cloud)
         self._joined.add(slot)

@@ -39,9 +39,9 @@ STEP = 25  # (10, 3) the Kalman step: the place seen, the root of its covariance
 KEY = 55  # (4,) of the generator that counts, by 32 bits
 DRAWS = 59  # (DRAWN, 2) of each kind of noise, its place in the desk, or −1 − the call that counts it, and its sigma
 DRAWN, STIRRING, MOVING_NOISE, SEEN_NOISE = 7, 0, 1, 6
-AT_HOME = 73  # the vehicle's first column among all that are fetched
-EVERY = 74  # so many-th particle is told
-ORDER = 75
+AT_HOME = DRAWS + 2 * DRAWN  # the vehicle's first column among all that are fetched
+EVERY = AT_HOME + 1  # so many-th particle is told
+ORDER = EVERY + 1
 
 # --- sights --------------------------------------------------------------------------------------------------------
 

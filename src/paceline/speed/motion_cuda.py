@@ -126,9 +126,9 @@ def identity(dR):
 
 
 @cuda.jit(device=True)
-def draw(desk, order, draw, k, p, out, first):
-    """``k`` numbers of one kind of noise for particle ``p``, into ``out`` from the ``first`` on."""
-    where, sigma = int(order[at.DRAWS + 2 * draw]), order[at.DRAWS + 2 * draw + 1]
+def draw(desk, order, kind, k, p, out, first):
+    """``k`` numbers of a ``kind`` of noise for particle ``p``, into ``out`` from the ``first`` on."""
+    where, sigma = int(order[at.DRAWS + 2 * kind]), order[at.DRAWS + 2 * kind + 1]
     if where < 0:
         counted_normals(order[at.KEY : at.KEY + 4], -1 - where, sigma, p, k, out, first)
     else:

@@ -66,13 +66,12 @@ def survey(pool, desk, told):
             one += rows[at.WEIGHT, p] * rows[at.WEIGHT, p]
     elif quantity < at.MOMENTS:
         i, j = at.PAIRS[int(order[at.FREE]), quantity, 0], at.PAIRS[int(order[at.FREE]), quantity, 1]
-        about = rows[i, first]
+        other = rows[i, first]
         for p in range(first + begin, first + N, stride):
-            term = rows[at.WEIGHT, p] * (rows[i, p] - about)
+            term = rows[at.WEIGHT, p] * (rows[i, p] - other)
             if j >= 0:
                 term *= rows[j, p] - rows[j, first]
             one += term
-        other = about if t == 0 else 0.0
     elif quantity < at.QUANTITIES + at.SHOWN_ROWS:
         row, every = quantity - at.QUANTITIES, int(order[at.EVERY])
         shown = (told.shape[0] - moments) // (slots * at.SHOWN_ROWS)

@@ -31,6 +31,7 @@ class CounterGenerator(np.random.Generator):
     def __init__(self, bits: np.random.BitGenerator, key: NDArray[np.uint64], calls: int = 0) -> None:
         super().__init__(bits)
         self.key = key
+        self.words = [int(word) >> shift & 0xFFFFFFFF for word in key for shift in (32, 0)]  # the key by 32 bits
         self.calls = calls
 
     def __deepcopy__(self, memo: dict[int, object]) -> CounterGenerator:
