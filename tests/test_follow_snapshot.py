@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from moved_scenery import REACH, TARGET, camera, moved, scenery
 
-from paceline.follow.carrying import UPRIGHT, Carried
+from paceline.follow.carrying import GROWN, UPRIGHT, Carried
 from paceline.follow.features import Projection
-from paceline.follow.snapshot import AGES, APART, CLEAR, EVERY, MOST, OFF, Snapshot
+from paceline.follow.snapshot import AGES, APART, CLEAR, EVERY, MOST, OFF, WITHIN, Snapshot
 from paceline.follow.target import Target
 
 SIZE, CENTER = (256, 242), np.array([128.0, 130.0])
@@ -169,6 +169,32 @@ def test_what_is_about_a_low_target_does_not_stand_for_it(seed):
     image = moved(gone, CENTER, (0, 0), 1.0, 6.0, 51)
     assert snapshot.find(image, there, 1.0) is None
     assert whole.likeness > 0.5  # what is about it is as alike as it was
+
+
+def test_what_is_behind_a_plain_target_does_not_tell_how_large_it_is():
+    """A grey lorry before the sky below a bridge that it drives up to: most of what its picture shows is the bridge."""
+    there = np.array([128.0, 130.0, 1.0])
+
+    def box(share):
+        right, down = np.rint(0.5 * share * TARGET.size * 30.0).astype(int)
+        return np.s_[130 - down : 131 + down, 128 - right : 129 + right]
+
+    bridge = 0.3 * SCENE
+    bridge[box(1.05)] = 190.0
+    lorry = 160.0 + 0.2 * (scenery(SIZE, 31) - 120.0)
+
+    def before(grown, k):
+        shown = moved(bridge, CENTER, (0, 0), grown, 0.0, 0).astype(float)
+        shown[box(1.0)] = lorry[box(1.0)]
+        return moved(shown, CENTER, (0, 0), 1.0, 1.0, k)
+
+    first = before(1.0, 0)
+    whole, own = (Carried(first, PROJECTION, there, REACH, grown=grown) for grown in (GROWN, WITHIN))
+    snapshot = Snapshot(whole, own, WHOLE)
+    for k in range(1, CLEAR + 1):
+        snapshot.compare(before(1.0, k), there, there, 1.0, False)
+    assert snapshot.is_apart(there, whole.step(before(1.05, 50))) and whole.likeness > 0.95
+    assert snapshot.compare(before(1.05, 50), there, there, 1.0, False) is None
 
 
 def test_a_snapshot_is_old_where_the_target_has_grown_or_shrunk():

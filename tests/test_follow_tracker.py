@@ -551,13 +551,19 @@ def test_a_model_of_doubtful_width_has_wide_ranges() -> None:
 
 
 @pytest.mark.parametrize(
-    ("narrow", "wide", "complaint", "taken"),
-    [(0.6, 0.9, "", True), (0.6, 0.9, "it is not it", False), (0.6, 0.63, "", False), (0.95, 1.2, "", False)],
+    ("narrow", "wide", "complaint", "likeness", "taken"),
+    [
+        (0.6, 0.9, "", (0.8, 0.82), True),
+        (0.6, 0.9, "it is not it", (0.8, 0.82), False),
+        (0.6, 0.9, "", (0.9, 0.88), False),  # as on other ribs of a lorry that is half hidden
+        (0.6, 0.63, "", (0.8, 0.82), False),
+        (0.95, 1.2, "", (0.8, 0.82), False),
+    ],
 )
 def test_where_less_shows_than_usual_lines_are_looked_for_farther_away(
-    clip, monkeypatch, narrow, wide, complaint, taken
+    clip, monkeypatch, narrow, wide, complaint, likeness, taken
 ):
-    """As shares of the usual match; what adds little, or is not the target, is not taken."""
+    """As shares of the usual match; what adds little, or is not the target or less alike, is not taken."""
     images, tracker = clip[0], followed(clip)
     recogniser, there = tracker.lock.recogniser, tracker.lock.expected
     usual, near = recogniser.appearance.match, np.array([1.0, 1.0, 0.01])
@@ -569,6 +575,8 @@ def test_where_less_shows_than_usual_lines_are_looked_for_farther_away(
     monkeypatch.setattr(recogniser, "_thought_of", lambda measurement, image, start, near, *rest: looks[near[0]])
     measure = SimpleNamespace(measure=lambda image, start, near, signs: (looks[near[0]].measurement, (0, 0, 0, 0)))
     monkeypatch.setattr(recogniser, "_measurer", measure)
+    told = list(likeness)
+    monkeypatch.setattr(recogniser.appearance, "likeness", lambda: told.pop(0))
     look = recogniser._measured(images[20], there, near, recognition.Foreseen(there, near))
     assert look is looks[recognition.WIDER if taken else 1.0]
 

@@ -34,9 +34,9 @@ BESIDE = 2  # samples on either side of where one size was found within which th
 class Carried:
     """A ``place`` (3,), ideal pixels and scale, first that in the ``image`` (H, W) given, then by `step` that in each
     next one, up to ``reach`` (2,) px from the one before: where the picture of the first correlates best. It shows what
-    is above and below the model as well, where that is lower than ``upright`` times its width. ``evened``: each point
-    is compared with what is about it, in units of the contrast there, or a shadow that passes over the target, with
-    the strongest edges of all, takes the place along."""
+    is above and below the model as well, where that is lower than ``upright`` times its width; all of it is ``grown``
+    times as large. ``evened``: each point is compared with what is about it, in units of the contrast there, or a
+    shadow that passes over the target, with the strongest edges of all, takes the place along."""
 
     def __init__(
         self,
@@ -46,15 +46,16 @@ class Carried:
         reach: Array,
         upright: float = 0.0,
         evened: bool = False,
+        grown: float = GROWN,
     ) -> None:
         self._projection, self.place, self._reach = projection, place, reach
         self.likeness = 1.0  # correlation at the place
         self.first = float(place[2])  # its scale
-        width, height = GROWN * projection.target.size * projection.magnification  # px at scale 1
-        taller = max(upright * GROWN * projection.target.size[0] * projection.magnification[1] - height, 0.0)
+        width, height = grown * projection.target.size * projection.magnification  # px at scale 1
+        taller = max(upright * grown * projection.target.size[0] * projection.magnification[1] - height, 0.0)
         self._up = np.array([0.0, (ABOVE - 0.5) * taller])  # from the picture's middle to the place
         self._shows = np.array([width, height + taller])
-        self._side = max(1.0, float(min(self._shows)) / GROWN * self.first / DETAIL)
+        self._side = max(1.0, float(min(self._shows)) / grown * self.first / DETAIL)
         middle = self._middle(projection.shown(place).location)
         size = self._shows * self.first
         self._about_it = ABOUT * float(min(size)) / self._side if evened else 0.0  # samples

@@ -83,13 +83,14 @@ class Pace:
         if first.time - last < PAUSE:
             return False
         place, speed = _motion(self._seen, last)
+        begins, found_speed = _motion(self._found, first.time) if len(self._found) >= LEAST else (first.place, speed)
         lasting = first.time - last
-        ahead, off = first.place - place - speed * lasting, sqrt(2.0) * off  # it was seen before, too
+        ahead, off = begins - place - speed * lasting, sqrt(2.0) * off  # it was seen before, too
         if 2.0 * max(abs(ahead) - off, 0.0) / lasting**2 < harder * EASILY:
             return False
         if time - first.time < WATCHED or len(self._found) < LEAST:
             return True
-        faster = _motion(self._found, first.time)[1] - speed
+        faster = found_speed - speed
         ways = [needed(ahead - a, faster + f, lasting) for a in (-off, 0.0, off) for f in (-FASTER, 0.0, FASTER)]
         return all(acceleration > harder * HARD and gained > GAINED for acceleration, gained in ways)
 
@@ -107,7 +108,9 @@ class Pace:
 
 
 def _motion(seen: list[Sight], time: float) -> tuple[float, float]:
-    """The place at a ``time`` and the speed, by a straight line through times and places."""
+    """The place at a ``time`` and the speed, by the medians of Theil and Sen: what hides the target, or has just hidden
+    it, makes single sights metres wrong."""
     times, places = np.array(seen).T
-    speed, place = np.polyfit(times - time, places, 1)
-    return float(place), float(speed)
+    one, other = np.triu_indices(len(seen), 1)
+    speed = np.median((places[other] - places[one]) / (times[other] - times[one]))
+    return float(np.median(places - speed * (times - time))), float(speed)

@@ -22,7 +22,7 @@ from paceline.follow.fitting import Fit
 from paceline.follow.gauge import Gauge
 from paceline.follow.measuring import Measurement, Measurer
 from paceline.follow.search import Search, Sighting
-from paceline.follow.snapshot import RIGHT, Snapshot
+from paceline.follow.snapshot import RIGHT, WITHIN, Snapshot
 
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
@@ -275,16 +275,16 @@ class Recogniser:
         brighter: Indices,
         foreseen: Foreseen,
         window: Window | None,
-        least: float = -1.0,
+        least: float,
     ) -> Look | None:
         """A look about ``start`` (3,), known to within ``near`` (3,), at which nothing is to be complained of and
-        which shows clearly more of the model than this one, with a likeness above the ``least``."""
+        which shows clearly more of the model than this one, with the ``least`` likeness or more."""
         assert look.measurement is not None
         more, searched = self._measurer.measure(image, start, near, brighter)
         if more is None or more.match <= look.measurement.match + MORE:
             return None
         found = self._thought_of(more, image, start, near, foreseen, window or searched)
-        if not found.complaint and found.inside >= INSIDE and self.appearance.likeness() > least:
+        if not found.complaint and found.inside >= INSIDE and self.appearance.likeness() >= least:
             return found
         if look.fit is not None:
             self._evidence_at(look.fit.location)  # what is learned is the picture looked at last
@@ -321,7 +321,8 @@ class Recogniser:
         if last is None or (anew and self._proven >= PROVEN):
             size = self.projection.size(1.0)
             whole = Carried(self._image, self.projection, place, self._search.usual, UPRIGHT)
-            own = Carried(self._image, self.projection, place, np.full(2, ABOUT * size * place[2]))
+            near = np.full(2, ABOUT * size * place[2])
+            own = Carried(self._image, self.projection, place, near, grown=WITHIN)
             self._snapshot = Snapshot(whole, own, size, last)
 
     def _measured(
@@ -333,8 +334,11 @@ class Recogniser:
         look = self._measured_with(brighter, image, start, near, foreseen, searched)
         m = look.measurement
         if m is not None and look.inside >= INSIDE and self._usual_share(m) < LESS:
-            # a size that is off puts the lines of one side out of reach, and those of the other agree with it
-            look = self._better(look, image, start, WIDER * near, brighter, foreseen, searched) or look
+            # A size that is off puts the lines of one side out of reach, and those of the other agree with it. But
+            # where some are hidden others farther away may fit, say a lorry's ribs, at a size at which it looks
+            # otherwise.
+            least = self.appearance.likeness()
+            look = self._better(look, image, start, WIDER * near, brighter, foreseen, searched, least) or look
         if look.complaint != FEW or not brighter.any():
             return look
         # Lamps that are switched on or off are brighter than what is about them, or darker, from one image to the next.
