@@ -113,16 +113,17 @@ def test_a_target_that_has_braked_is_believed_after_half_a_second(braking):
 
 
 @pytest.mark.parametrize("seconds", [0.7, 1.0])
-@pytest.mark.parametrize("wrong", [-3.0, 3.5, 5.0])
-def test_a_sight_that_is_metres_wrong_keeps_nobody_from_being_believed(wrong, seconds):
-    """Half hidden by what passes in between a target looks as the whole farther off, or nearer: at last before it is
-    hidden, and at first where it comes out again."""
+@pytest.mark.parametrize("wrong", [-3.0, 3.5])
+@pytest.mark.parametrize(("before", "after", "refused"), [(0, 1, 5), (3, 1, 6), (3, 3, 12), (0, 4, 15)])
+def test_sights_that_are_metres_wrong_keep_nobody_from_being_believed(wrong, seconds, before, after, refused):
+    """Half hidden by what passes in between a target looks as the whole farther off, or nearer: at last ``before`` it
+    is hidden, and at first ``after``, where it comes out again."""
     ride = Ride(noise=0.003)
-    for _ in range(3):
+    for _ in range(before):
         ride.go()
-        ride.pace.learn(ride.time, ride.measured(ride.target + 0.1 * wrong))
+        ride.pace.learn(ride.time, ride.measured(ride.target + 0.5 * wrong))
     ride.hide(seconds)
-    assert not any([*ride.find(1 / RATE, behind=-wrong), *ride.find(1.0)][5:])
+    assert not any([*ride.find(after / RATE, behind=-wrong), *ride.find(2.0)][refused:])
 
 
 def test_nothing_is_asked_that_was_seen_a_moment_ago_or_for_a_moment_only():

@@ -12,7 +12,8 @@ from paceline.follow.steering import Pose
 
 PAUSE = 0.5  # s for which a target was not seen, after which it is asked
 LATELY, OFTEN = 1.0, 6  # s before, from which its speed is known, if it was seen for half of them and so often
-WATCHED, LEAST = 0.5, 3  # s, and sights, that tell the speed of what is found
+WATCHED, LEAST = 0.5, 3  # s, and sights, that tell the speed of what is found,
+LONGER = 1.0  # s, and so long more are taken: the first ones may be wrong
 BROKEN, AFTER = 0.3, 3.0  # s without a sight, after which the next may be of something else, and is,
 FASTEST = 40.0  # m/s, and beyond
 STEADY = 2.0  # m/s², if what was found has not gone on by then at about its speed
@@ -74,7 +75,7 @@ class Pace:
         if not self._goes_on(here, off, harder * STEADY):
             self._found, self._latest = [], []
         first = self._found[0] if self._found else here
-        if time - first.time <= WATCHED or len(self._found) < LEAST:
+        if time - first.time <= LONGER or len(self._found) < LEAST:
             self._found.append(here)
         self._latest = [*(sight for sight in self._latest if time - sight.time <= WATCHED), here]
         if len(self._seen) < OFTEN or self._seen[-1].time - self._seen[0].time < 0.5 * LATELY:

@@ -322,8 +322,9 @@ class Recogniser:
             size = self.projection.size(1.0)
             whole = Carried(self._image, self.projection, place, self._search.usual, UPRIGHT)
             near = np.full(2, ABOUT * size * place[2])
-            own = Carried(self._image, self.projection, place, near, grown=WITHIN)
-            self._snapshot = Snapshot(whole, own, size, last)
+            own = Carried(self._image, self.projection, place, near)
+            inner = Carried(self._image, self.projection, place, near, grown=WITHIN)
+            self._snapshot = Snapshot(whole, own, inner, size, last)
 
     def _measured(
         self, image: Bytes, start: Array, near: Array, foreseen: Foreseen, searched: Window | None = None
@@ -337,7 +338,7 @@ class Recogniser:
             # A size that is off puts the lines of one side out of reach, and those of the other agree with it. But
             # where some are hidden others farther away may fit, say a lorry's ribs, at a size at which it looks
             # otherwise.
-            least = self.appearance.likeness()
+            least = self.appearance.likeness() if self._c.appearance else -1.0
             look = self._better(look, image, start, WIDER * near, brighter, foreseen, searched, least) or look
         if look.complaint != FEW or not brighter.any():
             return look

@@ -18,9 +18,9 @@ LIKE, LEAST = 0.7, 0.46  # share of the usual likeness, and likeness, at which t
 LATE = 0.6  # and the latter where it was not seen for as long as GONE: among many places some look alike
 CLEAR = 5  # sure sights after which it is known to show well: what then makes it look otherwise stands before it,
 LESS, GONE = 0.06, 3.0  # and it has to be as alike as that, and to have been seen so many cycles ago at most
-WITHIN = 0.95  # times the model's size that its own part shows: what is behind its outline comes nearer by itself
-ALONE = 0.2  # likeness by which that may be less alike than usual
-BEHIND = 0.05  # the same by which it may be more alike where the lock is than where the snapshot tells
+ALONE = 0.2  # likeness by which the model's own part may be less alike than usual
+WITHIN = 0.95  # times the model's size that its inner part shows: what is behind its outline comes nearer by itself
+BEHIND = 0.05  # likeness by which that may be more alike where the lock is than where the snapshot tells
 AGES = 1.3  # times as large or small as it was: then its picture is another
 MOST = 3.0  # times as large or small nothing is told by it: from 5 to 15 m, as in the paper
 EVERY, LATER = 7, 300  # sure sights of which one is compared with it, at first and after TWICE as many: it takes time
@@ -32,12 +32,14 @@ RIGHT = np.array([0.02, 0.02, 0.05])  # standard deviations of what it tells, in
 
 
 class Snapshot:
-    """What is ``carried`` is put where the target is expected in an image, and its ``own`` part, with nothing of what
-    is about the model, where that is found; ``size`` is the target's, px at scale 1. What is known of the ``last``
-    snapshot of the same target holds for this one."""
+    """What is ``carried`` is put where the target is expected in an image, and its ``own`` part, without what is above
+    and below the model, and its ``inner`` one, without what is behind its outline, where that is found; ``size`` is the
+    target's, px at scale 1. What is known of the ``last`` snapshot of the same target holds for this one."""
 
-    def __init__(self, carried: Carried, own: Carried, size: float, last: Snapshot | None = None) -> None:
-        self._carried, self._own, self._size = carried, own, size
+    def __init__(
+        self, carried: Carried, own: Carried, inner: Carried, size: float, last: Snapshot | None = None
+    ) -> None:
+        self._carried, self._own, self._inner, self._size = carried, own, inner, size
         self._first = float(carried.place[2])
         self._off = np.zeros(3)  # what is to be added to what it tells, where the lock was sure
         self._usual: float = last._usual if last else FIRST
@@ -115,11 +117,12 @@ class Snapshot:
         return np.array([*(told[:2] + self._off[:2] * self._size * scale), scale])
 
     def _is_rather(self, image: Bytes, place: Array) -> bool:
-        """Whether the target's own part says that it is at a ``place`` (3,) of the lock: it is more alike there than it
-        is, and than all that is carried is, where that was found. Where little of it shows, it is not."""
+        """Whether the target's inner part says that it is at a ``place`` (3,) of the lock: it is more alike there than
+        where the snapshot was found, and than the whole snapshot is there. Where little of it shows, it is not."""
         off = self._off * np.array([self._size * place[2], self._size * place[2], 1.0])
-        there = self._own.likeness_at(image, np.array([*(place[:2] - off[:2]), place[2] * exp(-off[2])]))
-        return there > max(self._own_likeness + BEHIND, self._carried.likeness)
+        locked = self._inner.likeness_at(image, np.array([*(place[:2] - off[:2]), place[2] * exp(-off[2])]))
+        found = self._inner.likeness_at(image, self._carried.place)
+        return locked > max(found + BEHIND, self._carried.likeness)
 
     def _is_alike(self, tau: float) -> bool:
         usual = self._usual - LESS if self._shows_well else LIKE * self._usual
