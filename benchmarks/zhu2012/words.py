@@ -108,8 +108,8 @@ The camera's vehicle drives itself, at 15 pictures a second and with 128 ms from
 Red is the published method, green all remedies, in the last frame before the published method fails and five and nine
 frames later. The middle part of the table adds one remedy at a time to the published method, the last part takes one
 away. Alone the wide search, adaptive decay and polarity help most; from the whole the wide search and the
-predicted gates are missed most. On these few clips continuity and the check of polarity cost two or
-three frames of 450 under strong shadows in place of saving any; what they are for is shown in
+predicted gates are missed most. On these few clips continuity, the check of polarity, the appearance and
+the snapshot cost 10 to 14 frames of 450 under strong shadows in place of saving any; what they are for is shown in
 [benchmarks](../benchmarks/README.md), `follow_ablation.py`.""",
     "nist-decay": """\
 The published method with one decay for all three parameters, beside the present one. *Abrupt motion* is a lead
