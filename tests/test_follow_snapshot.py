@@ -28,6 +28,12 @@ def snapshot_of(image, projection, place, upright=0.0):
     return Snapshot(whole, own, inner, projection.size(1.0))
 
 
+def box(share=1.0):
+    """Where in an image the target lies that is at `CENTER`, ``share`` times as large as it is."""
+    right, down = np.rint(0.5 * share * TARGET.size * 30.0).astype(int)
+    return np.s_[130 - down : 131 + down, 128 - right : 129 + right]
+
+
 def test_a_target_is_found_about_where_it_is_expected():
     snapshot = begun()
     for k in range(1, 6):
@@ -180,18 +186,13 @@ def test_what_is_about_a_low_target_does_not_stand_for_it(seed):
 def test_what_is_behind_a_plain_target_does_not_tell_how_large_it_is():
     """A grey lorry before the sky below a bridge that it drives up to: most of what its picture shows is the bridge."""
     there = np.array([128.0, 130.0, 1.0])
-
-    def box(share):
-        right, down = np.rint(0.5 * share * TARGET.size * 30.0).astype(int)
-        return np.s_[130 - down : 131 + down, 128 - right : 129 + right]
-
     bridge = 0.3 * SCENE
     bridge[box(1.05)] = 190.0
     lorry = 160.0 + 0.2 * (scenery(SIZE, 31) - 120.0)
 
     def before(grown, k):
         shown = moved(bridge, CENTER, (0, 0), grown, 0.0, 0).astype(float)
-        shown[box(1.0)] = lorry[box(1.0)]
+        shown[box()] = lorry[box()]
         return moved(shown, CENTER, (0, 0), 1.0, 1.0, k)
 
     snapshot = snapshot_of(before(1.0, 0), PROJECTION, there)
@@ -206,9 +207,8 @@ def test_what_is_behind_a_plain_target_does_not_tell_how_large_it_is():
 def test_a_plain_target_is_known_by_its_outline(grey):
     """All that shows within it is noise, which says neither that it is there nor that it is elsewhere."""
     there = np.array([128.0, 130.0, 1.0])
-    right, down = np.rint(0.5 * TARGET.size * 30.0).astype(int)
     plain = SCENE.copy()
-    plain[130 - down : 131 + down, 128 - right : 129 + right] = grey
+    plain[box()] = grey
     snapshot = snapshot_of(moved(plain, CENTER, (0, 0), 1.0, 4.0, 0), PROJECTION, there)
     for k in range(1, CLEAR + 2):
         told = snapshot.compare(moved(plain, CENTER, (0, 0), 1.0, 4.0, k), there, there, 1.0, False)
