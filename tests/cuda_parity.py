@@ -124,7 +124,7 @@ def seen(there: CudaCloud, ll: Array) -> None:
     device = there.device
     device.carry_out()
     half = int(device.orders[there.slot, layout_cuda.NOW])
-    device._pool[half, layout_cuda.LIKELIHOOD, there.first : there.first + len(there)] = ll
+    device._pool.value[half, layout_cuda.LIKELIHOOD, there.first : there.first + len(there)] = ll
     device._table()[there.slot, layout_cuda.TIMES] = 1
     device._sights.send(device._sights.home.size)
     device._reweigh([there])
@@ -292,10 +292,10 @@ def test_room_is_used_again() -> None:
     """A cloud that nobody holds leaves its columns, and its place in the tables, to the next that fits."""
     device = CudaDevice()
     first, second, third = (device.cloud(particles(way("line"), i, n)) for i, n in enumerate((5, 4, 3)))
-    columns = device._pool.shape[2]
+    columns = device._pool.value.shape[2]
     del second
     another = device.cloud(particles(way("line"), 7, 4))
-    assert (another.slot, another.first, device._pool.shape[2]) == (1, 5, columns)
+    assert (another.slot, another.first, device._pool.value.shape[2]) == (1, 5, columns)
     assert_same(another.at_home(), particles(way("line"), 7, 4))
     for i, (cloud, n) in enumerate(((first, 5), (third, 3))):
         assert_same(cloud.at_home(), particles(way("line"), 2 * i, n))

@@ -35,8 +35,7 @@ class Found:
     mean: Array  # (MOVING,) of all rows
     second: Array  # (pairs,) covariances of the pairs of `layout_cuda.PAIRS`
     squares: float  # Σ W²
-    least: Array  # (16,) of the coordinates of both regions
-    greatest: Array
+    reach: Array  # (2, 2, 4, 2) the least and the greatest place, for each coordinate, of both views' vertices
     shown: Array | None  # (4, M) the planes' projected centres in both views, if asked for; the vehicle's come first
 
 
@@ -132,7 +131,8 @@ class CudaCloud:
         return found
 
     def mean(self) -> State:
-        return state_of(self._moments().mean[: at.STATE, None])
+        mean = self._moments().mean
+        return State(*(mean[part].reshape(1, *shape) for part, shape in _FIELDS))
 
     def doubt(self) -> float:
         return float(np.sqrt(max(self._moments().second[_CROSSING : _CROSSING + 2].sum(), 0.0)))
@@ -142,9 +142,8 @@ class CudaCloud:
         return found.mean[at.PLACE : at.PLACE + 3], found.second[_CENTRE : _CENTRE + 9].reshape(3, 3)
 
     def reach(self) -> tuple[Array, Array]:
-        found = self._moments()
-        corners = np.stack([found.least, found.greatest]).reshape(2, 2, 4, 2)  # least or greatest, views, vertices
-        return corners[:, 0], corners[:, 1]
+        reach = self._moments().reach
+        return reach[:, 0], reach[:, 1]
 
     def posterior(self) -> Posterior:
         found = self._moments(shown=True)

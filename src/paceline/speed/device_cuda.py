@@ -35,7 +35,7 @@ OnDevice = Any  # an array in the device's memory: Numba has no type for it
 BLOCK = 128  # threads of a block, one a particle
 MOST_BLOCKS = 64  # that add up one moment
 AT_ONCE = 1 << 18  # particles of the search for a first speed that are weighed in one launch
-SECOND = np.moveaxis(at.PAIRS[:, at.MOVING :], -1, 1)  # (2, 2, pairs) rows of second moments, by FREE
+SECOND = at.PAIRS[:, at.MOVING :]  # (2, pairs, 2) rows of second moments, by FREE
 
 
 class Follower(Protocol):
@@ -49,26 +49,42 @@ class Follower(Protocol):
     reference: NDArray[np.float32]
 
 
+class Kept(cuda.In):  # type: ignore[misc, name-defined]
+    """An array in the device's memory that is given to launch after launch.
+
+    Numba describes an array to the driver anew for every launch, which takes it three times as long as all else in a
+    launch; this one is described once.
+    """
+
+    def __init__(self, array: OnDevice) -> None:
+        super().__init__(array)
+        self._described = super().to_device([])
+
+    def to_device(self, retr: object, stream: object = 0) -> OnDevice:
+        """What the launch is told, as Numba asks for it."""
+        return self._described
+
+
 @dataclass
 class _Shared:
     """An array in the computer's memory from which the device is fed, or to which it tells, and its copy there."""
 
     home: NDArray[Any]
-    there: OnDevice
+    there: Kept
 
     @classmethod
     def of(cls, size: int, kind: type) -> _Shared:
         home = cuda.pinned_array(size, kind)
         home[:] = 0
-        return cls(home, cuda.device_array(size, kind))
+        return cls(home, Kept(cuda.device_array(size, kind)))
 
     def send(self, size: int) -> None:
         """The first ``size`` numbers."""
-        driver.host_to_device(self.there, self.home, size * self.home.itemsize)  # type: ignore[no-untyped-call]
+        driver.host_to_device(self.there.value, self.home, size * self.home.itemsize)  # type: ignore[no-untyped-call]
 
     def fetch(self, size: int) -> NDArray[Any]:
         """Of all that is at home the first numbers, so many, anew."""
-        driver.device_to_host(self.home, self.there, size * self.home.itemsize)  # type: ignore[no-untyped-call]
+        driver.device_to_host(self.home, self.there.value, size * self.home.itemsize)  # type: ignore[no-untyped-call]
         return self.home
 
 
@@ -79,8 +95,8 @@ class CudaDevice:
         cuda.current_context()  # type: ignore[no-untyped-call]
         warnings.filterwarnings("ignore", "Grid size .* under-utilization")  # a vehicle's particles fill no GPU
         self._clouds: dict[int, weakref.ref[CudaCloud]] = {}  # by slot
-        self._pool = cuda.device_array((2, at.ROWS, 1))
-        self._maps = cuda.device_array((1, at.MAPS), np.float32)
+        self._pool = Kept(cuda.device_array((2, at.ROWS, 1)))
+        self._maps = Kept(cuda.device_array((1, at.MAPS), np.float32))
         self._pixels = _Shared.of(1, np.uint32)
         self._home: Array | None = None  # all states and log weights, as long as they are as fetched
         self._joined: set[int] = set()  # slots of clouds that are not in the tables yet
@@ -119,13 +135,14 @@ class CudaDevice:
 
     def _grow(self, columns: int) -> None:
         """Room for so many in the pool, or more."""
-        before = self._pool.shape[2]
+        before = self._pool.value.shape[2]
         if columns > before:
             old, old_maps = self._pool, self._maps
-            self._pool = cuda.device_array((2, at.ROWS, max(columns, 2 * before)))
-            self._maps = cuda.device_array((self._pool.shape[2], at.MAPS), np.float32)
+            room = max(columns, 2 * before)
+            self._pool = Kept(cuda.device_array((2, at.ROWS, room)))
+            self._maps = Kept(cuda.device_array((room, at.MAPS), np.float32))
             orders_cuda.settle[(_grid(before), at.ROWS), BLOCK](old, self._pool, 0)
-            self._maps[:before].copy_to_device(old_maps)
+            self._maps.value[:before].copy_to_device(old_maps.value)
 
     def _tabulate(self, living: dict[int, CudaCloud]) -> None:
         """The tables of all ``living`` clouds, by slot; what was ordered before has been carried out."""
@@ -148,7 +165,7 @@ class CudaDevice:
             order[at.RIG] = numbers[id(cloud.rig)]
             total += N
         self._clouds = {slot: weakref.ref(cloud) for slot, cloud in living.items()}
-        self._knots, self._rigs = cuda.to_device(np.concatenate(knots)), cuda.to_device(np.stack(rigs))
+        self._knots, self._rigs = Kept(cuda.to_device(np.concatenate(knots))), Kept(cuda.to_device(np.stack(rigs)))
         self._lay(orders, orders.size + 1)
         self._sights = _Shared.of(at.HEADER + slots * at.SIGHT, np.float64)
         counts = orders[:, at.COUNT]
@@ -156,6 +173,8 @@ class CudaDevice:
         self._blocks = min(-(-self._largest // (8 * SURVEYORS)), MOST_BLOCKS)
         self._threads = min(THREADS, 1 << (self._largest - 1).bit_length())
         shown = int(np.ceil(counts / np.maximum(orders[:, at.EVERY], 1)).max(initial=0))
+        pairs = SECOND[[int(cloud.free) for cloud in living.values()]]  # (clouds, pairs, 2)
+        self._second = np.arange(len(pairs))[:, None], pairs[..., 0], pairs[..., 1]
         self._moments = slots * at.QUANTITIES * self._blocks * 2
         self._told = _Shared.of(max(self._moments + slots * at.SHOWN_ROWS * shown, 1), np.float64)
         self._home, self._pending = None, bool(living)
@@ -171,7 +190,7 @@ class CudaDevice:
         """Notes that ``what`` is to be done with ``cloud``, after what is already to be done."""
         if self._joined or self.orders[cloud.slot, what : at.CORRECTED + 1].any():
             self.carry_out()
-        self.orders[cloud.slot, [what, at.PREPARED]] = 1
+        self.orders[cloud.slot, what] = self.orders[cloud.slot, at.PREPARED] = 1
         self._pending, self._home, cloud.found = True, None, None
 
     def keep(self, noise: Array) -> int:
@@ -300,19 +319,15 @@ class CudaDevice:
         threads = min(self._threads, SURVEYORS), SIDE_BY_SIDE
         particles_cuda.survey[blocks, threads](self._pool, self._desk.there, self._told.there)
         told = self._told.fetch(self._told.home.size if shown else self._moments)
+        places = told[self._moments :].reshape(len(self.orders), at.SHOWN_ROWS, -1) if shown else None
         parts = told[: self._moments].reshape(-1, at.QUANTITIES, self._blocks, 2)[list(living)]
-        sums = parts[..., 0].sum(2)
-        places = told[self._moments :].reshape(len(self.orders), at.SHOWN_ROWS, -1)
-        for (slot, cloud), told_of, sum_of in zip(living.items(), parts, sums, strict=True):
-            i, j = SECOND[int(cloud.free)]
-            cloud.found = Found(
-                mean=sum_of[: at.MOVING] + told_of[: at.MOVING, 0, 1],
-                second=sum_of[at.MOVING : at.MOMENTS] - sum_of[i] * sum_of[j],
-                squares=float(sum_of[at.SQUARES]),
-                least=told_of[at.EXTREMES :, :, 0].min(1),
-                greatest=told_of[at.EXTREMES :, :, 1].max(1),
-                shown=places[slot] if shown else None,
-            )
+        sums, extremes = parts[:, : at.EXTREMES, :, 0].sum(2), parts[:, at.EXTREMES :]
+        mean = sums[:, : at.MOVING] + parts[:, : at.MOVING, 0, 1]
+        squares, (each, i, j) = sums[:, at.SQUARES].tolist(), self._second
+        second = sums[:, at.MOVING : at.MOMENTS] - sums[each, i] * sums[each, j]
+        reach = np.stack([extremes[..., 0].min(2), extremes[..., 1].max(2)], axis=1).reshape(-1, 2, 2, 4, 2)
+        for k, (slot, cloud) in enumerate(living.items()):
+            cloud.found = Found(mean[k], second[k], squares[k], reach[k], None if places is None else places[slot])
 
     def fetched(self, cloud: CudaCloud) -> Array:
         """The state and the log weights (STATE + 1, N) of ``cloud``; those of all are fetched at once."""

@@ -58,19 +58,20 @@ def pack(image: Floats, quads: Array | None = None) -> Packed:
     height, width = image.shape
     (left, right), (top, bottom) = (0, width), (0, height)
     if quads is not None:
-        (left, right), (top, bottom) = _reach(quads[..., 0], width), _reach(quads[..., 1], height)
+        low_x, low_y, high_x, high_y = pixels_cpu.span(quads.reshape(-1, 2))
+        (left, right), (top, bottom) = _read(low_x, high_x, width), _read(low_y, high_y, height)
     packed = Packed(np.empty((bottom - top, right - left), np.uint32), left, top)
     pixels_cpu.pack(image, packed)
     return packed
 
 
-def _reach(places: Array, size: int) -> tuple[int, int]:
-    """First and last pixel, the last excluded, of an axis of ``size`` pixels that sampling at ``places`` may read.
+def _read(low: float, high: float, size: int) -> tuple[int, int]:
+    """First and last pixel, the last excluded, of an axis of ``size`` pixels that sampling between these places may
+    read.
 
-    Places beyond the border read the pixels at the border; where no place is finite, any pixels will do.
+    Places beyond the border read the pixels at the border; where there is no place, any pixels will do.
     """
-    known = places[np.isfinite(places)]
-    first, last = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
+    first, last = (low, high) if low <= high else (0.0, 0.0)
     return int(min(max(first - 2, 0), max(size - 2, 0))), int(min(max(last + 3, 2), size))
 
 

@@ -66,6 +66,19 @@ def pack(image, packed):
                 target[x] = above[x] | (above[x + 1] << 8) | (row[x] << 16) | (row[x + 1] << 24)
 
 
+@njit(cache=True, nogil=True)
+def span(places):
+    """The least x and y and the greatest x and y, each of the finite ones, of ``places`` (N, 2); without one ∞, −∞."""
+    low_x, low_y, high_x, high_y = np.inf, np.inf, -np.inf, -np.inf
+    for p in range(len(places)):
+        x, y = places[p, 0], places[p, 1]
+        if np.isfinite(x):
+            low_x, high_x = min(low_x, x), max(high_x, x)
+        if np.isfinite(y):
+            low_y, high_y = min(low_y, y), max(high_y, y)
+    return low_x, low_y, high_x, high_y
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def unit_square_to(quads, H):
     """`likelihood.unit_square_to`, into ``H`` (N, 3, 3)."""
