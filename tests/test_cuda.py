@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from calling import assert_one_line_error, paceline
 
+from paceline import compiling
 from paceline.speed import devices
 from paceline.speed.devices import DeviceFailure, failures_told, open_device
 
@@ -128,18 +129,18 @@ def test_the_cpu_asks_for_no_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
 # --- kernels on disk -----------------------------------------------------------------------------------------------
 
 
-def test_a_kernel_is_compiled_anew_when_anything_changes_of_which_it_is_made(tmp_path: Path) -> None:
-    """Numba keeps a kernel under the code of its function and what that closes over."""
-    from paceline.speed import compiling_cuda, orders_cuda, particles_cuda, pixels_cuda
+def test_a_kernel_closes_over_the_digest_of_all_that_it_is_made_of() -> None:
+    """Numba keeps a kernel under the code of its function and what that closes over: see test_compiling.py."""
+    from paceline.speed import orders_cuda, particles_cuda, pixels_cuda
 
-    for kernel in (orders_cuda.carry_out, particles_cuda.survey, pixels_cuda.log_likelihood):
-        assert [cell.cell_contents for cell in kernel.py_func.__closure__] == [compiling_cuda.DIGEST]
-    names = {source.name for source in compiling_cuda.SOURCES}
-    assert {"layout_cuda.py", "randomness_cuda.py", "motion_cuda.py", "pixels.py", "regions.py", "cloud.py"} < names
-    files = [tmp_path / name for name in ("a", "b")]
-    digests = set()
-    for content in ("1 2", "1 3", "2 2"):
-        for file, text in zip(files, content.split(), strict=True):
-            file.write_text(text)
-        digests.add(compiling_cuda.digest(files))
-    assert len(digests) == 3
+    for kernel, options in (
+        (orders_cuda.carry_out, {}),
+        (particles_cuda.survey, {}),
+        (pixels_cuda.log_likelihood, {"fastmath": True}),
+    ):
+        (cell,) = kernel.py_func.__closure__
+        assert cell.cell_contents == compiling.digest(kernel.py_func, options)
+    files = {part for part in compiling._parts(orders_cuda.carry_out.py_func, set()) if len(part) == 64}
+    names = ["orders_cuda", "motion_cuda", "randomness_cuda", "layout_cuda", "regions"]
+    folder = Path(compiling.__file__).parent / "speed"
+    assert {compiling._digest_of_file(str(folder / f"{name}.py")) for name in names} <= files

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from paceline.compiling import compiled
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -14,7 +15,7 @@ Flags = NDArray[np.bool_]
 NOBODY = -1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def associate(
     points: Floats,
     upright: bool,

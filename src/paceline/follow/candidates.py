@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from paceline.compiling import compiled
 
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
@@ -20,7 +21,7 @@ FAINT_PLACE = 0.4  # px: how well such a line is placed
 WITHIN = 0.15  # of a feature's length at either end, where others meet it
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def candidate_lines(
     points: Floats,
     owners: Indices,
@@ -87,7 +88,7 @@ def candidate_lines(
         histogram[low - 1 : high + 1] = 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def _grouped(points: Floats, owners: Indices, across: int, features: int) -> tuple[Array, Indices]:
     """Where the points of each feature lie across it, one feature's after the other's, and where each one's begin."""
     begins = np.zeros(features + 1, np.int64)
@@ -104,7 +105,7 @@ def _grouped(points: Floats, owners: Indices, across: int, features: int) -> tup
     return members, begins
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def add_shares(
     points: Floats, owners: Indices, upright: bool, places: Array, lengths: Array, breadth: float, shares: Array
 ) -> None:
@@ -117,7 +118,7 @@ def add_shares(
             shares[j] += 1.0 / lengths[j]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def faint_lines(
     image: Bytes,
     features: Array,

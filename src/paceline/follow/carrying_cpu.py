@@ -5,9 +5,9 @@ from __future__ import annotations
 from math import floor, sqrt
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from paceline.compiling import compiled
 from paceline.follow.picture_cpu import SUMS
 
 Floats = NDArray[np.float32]
@@ -15,7 +15,7 @@ Floats = NDArray[np.float32]
 FAINT = 0.1  # grey levels: what varies by less shows nothing
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def _taps(at: float) -> tuple[float, float, float, float]:
     """What the four samples about a place count for, ``at`` (0 to 1) from the second to the third: Keys' cubic with a
     slope of −3/4, as usual for images."""
@@ -27,7 +27,7 @@ def _taps(at: float) -> tuple[float, float, float, float]:
     return first, second, 1.0 - first - second - last, last
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def sampled(pixels: Floats, x0: float, y0: float, step: float, out: Floats) -> None:
     """``out`` (h, w): ``pixels`` (H, W) at x0 + step·column, y0 + step·row, interpolated by cubics; the border goes
     on."""
@@ -62,7 +62,7 @@ def sampled(pixels: Floats, x0: float, y0: float, step: float, out: Floats) -> N
             )
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS, error_model="numpy")
+@compiled(nogil=True, fastmath=SUMS, error_model="numpy")
 def _dot(one: Floats, other: Floats) -> float:
     """The sum of the products of two arrays (n,)."""
     total = np.float32(0.0)
@@ -71,7 +71,7 @@ def _dot(one: Floats, other: Floats) -> float:
     return float(total)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def products(picture: Floats, part: Floats) -> Floats:
     """(H − h + 1, W − w + 1): the sums of the products of a ``picture`` (h, w) with ``part`` (H, W) at every whole
     sample at which it lies in that."""
@@ -88,7 +88,7 @@ def products(picture: Floats, part: Floats) -> Floats:
     return sums
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def normalise(scores: Floats, part: Floats, h: int, w: int) -> None:
     """Make ``scores`` (H − h + 1, W − w + 1), `products` of a picture (h, w) of mean 0 and norm 1 with ``part`` (H, W),
     its correlations; 0 where nothing shows."""

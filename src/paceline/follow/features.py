@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from paceline.cameras import Camera
+from paceline.compiling import compiled
 from paceline.follow.ranging import displaced, recorded
 from paceline.follow.target import Target
 
@@ -34,7 +34,7 @@ class Shown:
     shifts: Array
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def _featured(
     location: Array, magnification: Array, vertical: NDArray[np.bool_], offsets: Array, extents: Array
 ) -> tuple[Array, Array, Array]:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from paceline.compiling import compiled
 from paceline.follow.motion import solved, triangularise
 
 Array = NDArray[np.float64]
@@ -40,7 +40,7 @@ class Fit:
     used: Flags
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def locate_features(
     points: Floats,
     owners: Indices,
@@ -74,7 +74,7 @@ def locate_features(
             weights[j] = 1.0 / np.sqrt(max(squares[j] / count[j], variance_floor)) if enough else 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def _fill(places: Array, weights: Array, vertical: Flags, offsets: Array, rows: Array) -> None:
     """The weighted rows [A | b] of (16) into ``rows`` (≥ S, 4); features of no weight give rows of zeros."""
     for j in range(len(places)):
@@ -85,13 +85,13 @@ def _fill(places: Array, weights: Array, vertical: Flags, offsets: Array, rows: 
         rows[j, 3] = w * places[j] if w > 0.0 else 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def _determined(pair: Array) -> bool:
     a, b, c = abs(pair[0, 0]), abs(pair[1, 1]), abs(pair[2, 2])
     return bool(min(a, b) > 0.0 and c > SINGULAR * max(a, b))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def robust_lines(
     lines: Array,
     start: Array,
@@ -153,7 +153,7 @@ def robust_lines(
     return places, weights
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def _locate(
     places: Array, weights: Array, vertical: Flags, offsets: Array, scale: float, turned: float
 ) -> tuple[bool, Array, Array, Array, float, Array]:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from paceline.compiling import compiled
 from paceline.follow.association import associate
 from paceline.follow.candidates import CANDIDATES, add_shares, candidate_lines, faint_lines
 from paceline.follow.fitting import locate_features, robust_lines
@@ -22,7 +22,7 @@ LEAST_SHOWN = 0.6  # share of the model to which what shows of it is related at 
 SAMPLING = 0.2  # px: what the grid of pixels leaves uncertain of a line
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def tolerances(
     location: Array,
     vertical: Flags,
@@ -51,7 +51,7 @@ def tolerances(
     return out
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def mean_places(
     near_vertical: Floats,
     near_horizontal: Floats,
@@ -77,7 +77,7 @@ def mean_places(
     return found, weights
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def competing_places(
     image: Bytes,
     near_vertical: Floats,
@@ -119,7 +119,7 @@ def competing_places(
     return found + shifts, weights
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def shares_found(
     near_vertical: Floats, near_horizontal: Floats, owners: Indices, places: Array, lengths: Array, breadth: float
 ) -> Array:
@@ -130,7 +130,7 @@ def shares_found(
     return np.minimum(shares, 1.0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def in_view(vertical: Flags, places: Array, spans: Array, width: int, height: int) -> Array:
     """(S,): the share of each feature's length that lies in an image of ``width`` × ``height`` px."""
     shares = np.zeros(len(places))
@@ -142,7 +142,7 @@ def in_view(vertical: Flags, places: Array, spans: Array, width: int, height: in
     return shares
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def agreement(
     offsets: Array, used: Flags, allowed: Array, shares: Array, lengths: Array, shown: Array
 ) -> tuple[float, float, float, float, Flags]:
@@ -174,7 +174,7 @@ def agreement(
     return np.sqrt(squares / n), np.sqrt(ratios / n), match, support, agreeing
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def believed(near_vertical: Floats, near_horizontal: Floats, owners: Indices, used: Flags) -> tuple[Array, Indices]:
     """The edge points (M, 2) px of the features that are ``used`` (S,), and whose they are (M,)."""
     most = len(near_vertical) + len(near_horizontal)

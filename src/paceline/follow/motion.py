@@ -4,9 +4,9 @@ information filter with exponential decay."""
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from paceline.compiling import compiled
 from paceline.follow.configuration import FollowConfiguration
 
 Array = NDArray[np.float64]
@@ -26,7 +26,7 @@ FORGOTTEN = 0.3  # what is left of its weight where a motion was wrong
 HONEST = 2.0  # cycles: a prediction farther ahead than that says nothing about the models
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def triangularise(A: Array) -> None:
     """Make ``A`` (rows, columns) upper triangular in its place by Householder reflections: T of (22)–(25)."""
     rows, columns = A.shape
@@ -52,7 +52,7 @@ def triangularise(A: Array) -> None:
             A[i, k] = 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def aged(pair: Array, tau: float, decay: float) -> Array:
     """The least squares pair [U | z] (3, 4) ``tau`` cycles later: √(λ^τ)·[U V | z] of (29), with V of (30) for a
     shift by τ."""
@@ -67,7 +67,7 @@ def aged(pair: Array, tau: float, decay: float) -> Array:
     return out
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def updated(pair: Array, value: float, weight: float) -> Array:
     """The pair with a measurement at t = 0 added: the row w·[1 0 0 | c] over the old ones, made triangular again."""
     rows = np.empty((4, 4))
@@ -80,7 +80,7 @@ def updated(pair: Array, value: float, weight: float) -> Array:
     return rows[:3].copy()
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def solved(pair: Array) -> Array:
     """a0, a1, a2 of (2), by back substitution in z = U x (28)."""
     x = np.zeros(3)
@@ -92,7 +92,7 @@ def solved(pair: Array) -> Array:
     return x
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def at_rest(value: float, weights: Array) -> Array:
     """The pair of a parameter that is ``value`` and does not move, its coefficients known with ``weights`` (3,)."""
     pair = np.zeros((3, 4))
@@ -102,7 +102,7 @@ def at_rest(value: float, weights: Array) -> Array:
     return pair
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def extrapolated(pair: Array, tau: float, moving: bool = True) -> float:
     """(34), ``tau`` cycles on; beyond a few cycles without a measurement the motion is not trusted to go on. Of what
     is not ``moving``, a0."""
@@ -113,7 +113,7 @@ def extrapolated(pair: Array, tau: float, moving: bool = True) -> float:
     return float(a[0] + a[1] * linear + a[2] * curved * curved)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def _predict(pairs: Array, errors: Array, tau: float, moving: NDArray[np.bool_], values: Array, stds: Array) -> None:
     """The models' predictions, each weighed by the inverse of its mean squared error of late."""
     for p in range(pairs.shape[0]):
@@ -127,7 +127,7 @@ def _predict(pairs: Array, errors: Array, tau: float, moving: NDArray[np.bool_],
         stds[p] = np.sqrt(error / total) * max(1.0, tau)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def _observe(
     pairs: Array,
     errors: Array,

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from paceline.compiling import compiled
 from paceline.follow.motion import solved, triangularise
 
 Array = NDArray[np.float64]
@@ -20,7 +20,7 @@ SUMS = {"reassoc", "contract", "nsz"}  # sums may be taken in another order
 STILL = 0.02  # samples: a step that moves no corner by more is the last one
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def sample(image: Bytes, x0: float, y0: float, dx: float, dy: float, out: Floats) -> int:
     """``out`` (h, w): ``image`` interpolated at x0 + dx·column, y0 + dy·row; returns how many samples lie inside, the
     others repeat the border."""
@@ -50,7 +50,7 @@ def sample(image: Bytes, x0: float, y0: float, dx: float, dy: float, out: Floats
     return inside
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS, error_model="numpy")
+@compiled(nogil=True, fastmath=SUMS, error_model="numpy")
 def _moments(a: Floats, b: Floats, x0: int, y0: int, cell: int) -> tuple[float, float, float, float, float]:
     """Means of ``a`` and ``b`` in one square of ``cell`` samples, their variances and their covariance."""
     n = float(cell * cell)
@@ -67,7 +67,7 @@ def _moments(a: Floats, b: Floats, x0: int, y0: int, cell: int) -> tuple[float, 
     return sa / n, sb / n, saa / n - (sa / n) ** 2, sbb / n - (sb / n) ** 2, sab / n - sa * sb / (n * n)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def likeness(a: Floats, b: Floats, cell: int, least: float, share: float, neutral: float, out: Array) -> float:
     """The mean of the highest ``share`` of the correlations of ``a`` and ``b`` (h, w) in squares of ``cell`` samples.
 
@@ -88,7 +88,7 @@ def likeness(a: Floats, b: Floats, cell: int, least: float, share: float, neutra
     return float(np.sort(out[:count])[count - best :].mean())
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS, error_model="numpy")
+@compiled(nogil=True, fastmath=SUMS, error_model="numpy")
 def _products(
     seen: Floats,
     picture: Floats,
@@ -135,7 +135,7 @@ def _products(
     return np.array([[xx, xy, xs, xr], [xy, yy, ys, yr], [xs, ys, ss, sr], [xr, yr, sr, rr]])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def align(
     image: Bytes,
     picture: Floats,

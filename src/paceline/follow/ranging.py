@@ -7,10 +7,10 @@ from math import atan2
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from paceline.cameras import Camera
+from paceline.compiling import compiled
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -41,7 +41,7 @@ def place_of(
     return Place(position, std, atan2(across, 1.0))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def _placed(
     location: Array, covariance: Array, K_inv: Array, nominal_range: float, tolerance: float, width: float
 ) -> tuple[Array, Array, float]:

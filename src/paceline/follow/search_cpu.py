@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from paceline.compiling import compiled
 from paceline.follow.edges_cpu import gradient_row
 
 Array = NDArray[np.float64]
@@ -18,7 +18,7 @@ FULL = 1.1  # evidence along a clear line: none counts for more in a survey
 TOLD = 0.3  # share of its own strength that a feature's learned evidence must keep to tell which side is brighter
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def pool(image: Bytes, x0: int, y0: int, side: int, out: Bytes) -> None:
     """``out`` (h, w): means of ``side`` × ``side`` squares of ``image``, the first of which begins at x0, y0."""
     h, w = out.shape
@@ -43,7 +43,7 @@ def pool(image: Bytes, x0: int, y0: int, side: int, out: Bytes) -> None:
             out[y, x] = total // n
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@compiled(nogil=True, fastmath=True, error_model="numpy")
 def evidence(image: Bytes, soft: float, gx: Floats, gy: Floats, vertical: Floats, horizontal: Floats) -> None:
     """How much each pixel of ``image`` (h, w) looks like an edge, −1 to 1 by the sign of the step, in running sums.
 
@@ -86,7 +86,7 @@ def evidence(image: Bytes, soft: float, gx: Floats, gy: Floats, vertical: Floats
     vertical[h] = vertical[h - 1]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def _laid(
     centers: Array, m: float, across: Flags, places: Array, spans: Array, shifts: Array, limit: int, out: Indices
 ) -> None:
@@ -105,7 +105,7 @@ def _laid(
                 out[i, j, 0], out[i, j, 1], out[i, j, 2] = max(a, 0), min(b, limit), b - a
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def _respond(
     vertical_sums: Floats, horizontal_sums: Floats, vertical: Flags, in_x: Indices, in_y: Indices, out: Array
 ) -> None:
@@ -129,7 +129,7 @@ def _respond(
                 out[j] = s / length
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def responses(
     vertical_sums: Floats,
     horizontal_sums: Floats,
@@ -152,7 +152,7 @@ def responses(
     _respond(vertical_sums, horizontal_sums, vertical, in_x[0], in_y[0], out)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def likeness(found: Array, signed: Array, strength: Array, weights: Array) -> float:
     """How well the evidence ``found`` (S,) along a model agrees with what was learned: 1 for as strong as usual.
 
@@ -170,13 +170,13 @@ def likeness(found: Array, signed: Array, strength: Array, weights: Array) -> fl
     return total / full
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def _strike(scores: Array, i: int, j: int, near: int) -> None:
     """Take the places up to ``near`` steps from column ``i`` and row ``j`` off the ``scores`` (ny, nx) of a scale."""
     scores[max(j - near, 0) : j + near + 1, max(i - near, 0) : i + near + 1] = -1.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def loss(modesty: float, away: float, away_s: float) -> float:
     """What a place loses that is off the expected one by so many squared standard deviations, ``away`` in the image
     and ``away_s`` in scale: ``modesty`` for one. In the image this levels off, for a bump moves the whole of it, but
@@ -184,7 +184,7 @@ def loss(modesty: float, away: float, away_s: float) -> float:
     return modesty * (away_s + away / (1.0 + away / 9.0))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def scan(
     vertical_sums: Floats,
     horizontal_sums: Floats,
@@ -243,7 +243,7 @@ def scan(
     return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def shown(found: Array) -> float:
     """How much of a model of which nothing is learned yet the evidence ``found`` (S,) along it shows: its mean."""
     total = 0.0
@@ -252,7 +252,7 @@ def shown(found: Array) -> float:
     return total / len(found)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def survey(
     vertical_sums: Floats,
     horizontal_sums: Floats,

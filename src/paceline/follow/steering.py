@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from math import atan, cos, exp, hypot, sin
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from paceline.compiling import compiled
 from paceline.follow.configuration import FollowConfiguration
 
 Array = NDArray[np.float64]
@@ -47,7 +47,7 @@ def seen_from(pose: Pose, path: Array) -> Array:
     return np.asarray(_turned(path, pose.x, pose.y, cos(pose.heading), sin(pose.heading)))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def _turned(path: Array, x: float, y: float, c: float, s: float) -> Array:
     """``path`` (N, 2) in axes whose origin is x, y: the first has the direction (c, s), the second is to its right."""
     out = np.empty_like(path)
@@ -63,7 +63,7 @@ def pure_pursuit(ahead: float, right: float, wheelbase: float) -> float:
     return atan(2.0 * wheelbase * right / max(ahead**2 + right**2, 1e-6))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def goal_on(path: Array, lookahead: float) -> tuple[float, float]:
     """The point (ahead, right) at which ``path`` (N, 2), seen from the vehicle and in driving order, leaves the circle
     of radius ``lookahead`` after its point nearest to the vehicle; its end where it does not reach so far. Its points

@@ -9,8 +9,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from paceline.compiling import compiled
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -21,7 +22,7 @@ LOWEST = 0.004  # slope below the horizon from which on the ground is painted
 SHOULDER = 0.45  # m of asphalt beside the lanes
 
 
-@njit(cache=True, fastmath=True)
+@compiled(fastmath=True)
 def repeated(table: Image, y: float, x: float) -> float:
     """``table``, which repeats in both directions and whose sides are powers of two, at a place between its cells."""
     rows, columns = table.shape[0] - 1, table.shape[1] - 1
@@ -34,19 +35,19 @@ def repeated(table: Image, y: float, x: float) -> float:
     return float(upper * (1 - b) + lower * b)
 
 
-@njit(cache=True, fastmath=True)
+@compiled(fastmath=True)
 def _shade(shade: Image, arc: float, lateral: float, scale: float) -> float:
     """The light, 0–1, at road coordinates in metres, from a map with ``scale`` texels a metre."""
     return repeated(shade, arc * scale - 0.5, lateral * scale - 0.5)
 
 
-@njit(cache=True, fastmath=True)
+@compiled(fastmath=True)
 def _inside(distance: float, other: float) -> float:
     """The covered part of a pixel that lies ``distance`` pixels inside one edge and ``other`` inside the opposite."""
     return max(0.0, min(0.5, distance) + min(0.5, other))
 
 
-@njit(cache=True, fastmath=True)
+@compiled(fastmath=True)
 def lay(
     canvas: Image,
     inverse: Array,
@@ -99,13 +100,13 @@ def lay(
                 canvas[y, x, 1] = canvas[y, x, 1] * (1 - alpha * cover) + alpha * cover
 
 
-@njit(cache=True, fastmath=True)
+@compiled(fastmath=True)
 def _box(value: float, low: float, high: float, width: float) -> float:
     """The part of [value ± width / 2] that lies within [low, high]."""
     return max(0.0, min(high, value + width / 2) - max(low, value - width / 2)) / width
 
 
-@njit(cache=True, fastmath=True)
+@compiled(fastmath=True)
 def road_coordinates(ahead: float, right: float, road: Array, step: float) -> tuple[float, float]:
     """Arc length from the camera and lateral position (m) of a point ``ahead`` and to the ``right`` of the camera.
 
@@ -127,7 +128,7 @@ def road_coordinates(ahead: float, right: float, road: Array, step: float) -> tu
     return road[i, 3] + (along / step - i) * (road[i + 1, 3] - road[i, 3]), lateral
 
 
-@njit(cache=True, fastmath=True)
+@compiled(fastmath=True)
 def sky(image: Image, rays: Array, heading: float, focal: float, look: Array, ridges: Array, grain: Image) -> None:
     """Paint sky and far silhouettes, down to a little below the horizon, into ``image`` (h, w, 2).
 
@@ -160,12 +161,12 @@ def sky(image: Image, rays: Array, heading: float, focal: float, look: Array, ri
             image[y, x, 1] = 1.0
 
 
-@njit(cache=True, fastmath=True)
+@compiled(fastmath=True)
 def _wrapped(value: float, period: float) -> float:
     return value - period * math.floor(value / period)
 
 
-@njit(cache=True, fastmath=True)
+@compiled(fastmath=True)
 def ground(
     image: Image,
     rays: Array,

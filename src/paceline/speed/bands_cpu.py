@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from paceline.compiling import compiled
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -12,7 +13,7 @@ Floats = NDArray[np.float32]
 SUMS = {"reassoc", "contract", "nsz"}  # sums may be taken in another order
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS, error_model="numpy")
+@compiled(nogil=True, fastmath=SUMS, error_model="numpy")
 def linearise(
     x: Array,
     z: Array,
@@ -61,7 +62,7 @@ def linearise(
             own -= np.dot(np.dot(own, by_sample), gone)
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS, error_model="numpy")
+@compiled(nogil=True, fastmath=SUMS, error_model="numpy")
 def normal_equations(M: Floats, dH: Floats, white: Floats, r: Floats, A: Array, score: Array) -> None:
     """The normal matrices ``A`` (views, patches, n, n) and scores ``score`` (views, patches, n) of residuals ``r``
     (patches, views, samples), by ``M`` of `linearise`, over n = P + 1 + S parameters: those that move H by ``dH``

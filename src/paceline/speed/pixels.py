@@ -7,6 +7,7 @@ Scalars in, scalars out; a few take small arrays. `pixels_cpu` compiles them wit
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -47,7 +48,7 @@ def inside(e, x, y):
     return np.float32(1.0) if nearest >= np.float32(0.0) else np.float32(0.0)
 
 
-def correlation(s, least):
+def correlation(s: Any, least: Any) -> Any:
     """The normalised cross-correlation (17) by the sums ``s`` = Σ1, Σa, Σb, Σaa, Σbb, Σab; −1 for less than ``least``
     samples."""
     if s[0] < least:

@@ -18,6 +18,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from paceline.compiling import compiled
 from paceline.speed import pixels, regions
 from paceline.speed.pixels import CROSS_ROWS, LEAST_OVERLAP
 
@@ -34,7 +35,10 @@ _up_down = _inline(pixels.haar_up_down)
 _diagonal = _inline(pixels.haar_diagonal)
 _unit_square_to = _inline(regions.unit_square_to)
 _inward_edges = _inline(regions.inward_edges)
-_correlation = njit(cache=True, nogil=True)(pixels.correlation)
+_correlation = compiled(nogil=True)(pixels.correlation)
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
 
 CHUNKS = 32  # pieces of work shared out to the threads
 
@@ -47,8 +51,8 @@ class Packed(NamedTuple):
     top: int
 
 
-@njit(cache=True, nogil=True)
-def pack(image, packed):
+@compiled(nogil=True)
+def pack(image: Floats, packed: Packed) -> None:
     """Fill ``packed`` with 2×2 neighbourhoods of ``image`` (H, W) float32 0–255; at the right and lower border pixels
     repeat."""
     height, width = packed.words.shape
@@ -66,8 +70,8 @@ def pack(image, packed):
                 target[x] = above[x] | (above[x + 1] << 8) | (row[x] << 16) | (row[x + 1] << 24)
 
 
-@njit(cache=True, nogil=True)
-def span(places):
+@compiled(nogil=True)
+def span(places: Array) -> tuple[float, float, float, float]:
     """The least x and y and the greatest x and y, each of the finite ones, of ``places`` (N, 2); without one ∞, −∞."""
     low_x, low_y, high_x, high_y = np.inf, np.inf, -np.inf, -np.inf
     for p in range(len(places)):
@@ -79,15 +83,15 @@ def span(places):
     return low_x, low_y, high_x, high_y
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def unit_square_to(quads, H):
+@compiled(nogil=True, error_model="numpy")
+def unit_square_to(quads: Array, H: Array) -> None:
     """`likelihood.unit_square_to`, into ``H`` (N, 3, 3)."""
     for p in range(len(quads)):
         _unit_square_to(quads[p], H[p])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def inward_edges(quads, edges):
+@compiled(nogil=True, error_model="numpy")
+def inward_edges(quads: Array, edges: Array) -> None:
     """`likelihood.inward_edges`, into ``edges`` (N, 4, 3)."""
     for p in range(len(quads)):
         _inward_edges(quads[p], edges[p])
@@ -133,8 +137,8 @@ def _sum_blocks(totals, blocks, samples):
         blocks[b] = total
 
 
-@njit(cache=True, nogil=True, fastmath=True)
-def _wavelets(blocks, across, features):
+@compiled(nogil=True, fastmath=True)
+def _wavelets(blocks: Floats, across: int, features: Floats) -> None:
     """Two-level Haar coefficients (parts, 16) of block sums (4 rows a part, 4 columns a part).
 
     Order: average, then left-right, up-down and diagonal of the coarse level, then of the four fine squares.
@@ -157,8 +161,18 @@ def _wavelets(blocks, across, features):
         f[3] = _diagonal(a, b, c, d)
 
 
-@njit(cache=True, nogil=True, fastmath=True, parallel=True, error_model="numpy")
-def observe(left, right, H, edges, across, down, samples, features, ncc):
+@compiled(nogil=True, fastmath=True, parallel=True, error_model="numpy")
+def observe(
+    left: Packed,
+    right: Packed,
+    H: Floats,
+    edges: Floats,
+    across: int,
+    down: int,
+    samples: tuple[int, int],
+    features: Floats,
+    ncc: Floats,
+) -> None:
     """What every particle sees: wavelet features in both views, and their correlation across the views.
 
     ``left``, ``right`` the packed images; ``H`` (N, 3, 9) homographies of the unit square to the left region, the
@@ -225,8 +239,8 @@ def _correlate_row(a, b, px, py, e, sums):
     sums[5] += s5
 
 
-@njit(cache=True, nogil=True)
-def _median(values, scratch):
+@compiled(nogil=True)
+def _median(values: Floats, scratch: Floats) -> float:
     """Median of a few ``values``, sorted in ``scratch`` of the same length."""
     n = len(values)
     for i in range(n):
@@ -235,11 +249,12 @@ def _median(values, scratch):
             scratch[j] = scratch[j - 1]
             j -= 1
         scratch[j] = v
-    return np.float32(0.5) * (scratch[(n - 1) // 2] + scratch[n // 2])
+    median: float = np.float32(0.5) * (scratch[(n - 1) // 2] + scratch[n // 2])
+    return median
 
 
-@njit(cache=True, nogil=True, fastmath=True, parallel=True)
-def normalise(features, floor):
+@compiled(nogil=True, fastmath=True, parallel=True)
+def normalise(features: Floats, floor: np.float32) -> None:
     """Free wavelet features (N, parts, 16), in place, of brightness and contrast; see `likelihood.normalised`."""
     N, parts, coefficients = features.shape
     for p in prange(N):
@@ -262,8 +277,8 @@ def normalise(features, floor):
                 f[i, c] *= scale
 
 
-@njit(cache=True, nogil=True, fastmath=True)
-def capped_distances(features, reference, cap, out):
+@compiled(nogil=True, fastmath=True)
+def capped_distances(features: Floats, reference: Floats, cap: np.float32, out: Floats) -> None:
     """``out`` (N,): the sum over parts of squared distances (at most ``cap`` each) of (N, parts, 16) to (parts, 16)."""
     N, parts, coefficients = features.shape
     for p in range(N):

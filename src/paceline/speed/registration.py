@@ -8,6 +8,7 @@ own gain and each part its own offset; a part that does not fit is weighted down
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -19,6 +20,7 @@ from paceline.speed.likelihood import Grid, unit_square_to
 from paceline.speed.planes import FirstPlane
 
 Array = NDArray[np.float64]
+Number = TypeVar("Number", bound=np.generic)
 Image = NDArray[np.float32]
 
 ITERATIONS = 8
@@ -63,12 +65,12 @@ class PlaneGrid:
         beside = around[1:-1, :-2], around[1:-1, 2:], around[:-2, 1:-1], around[2:, 1:-1]
         self.neighbours = np.stack([self.by_part(places) for places in beside]).reshape(4, -1)
 
-    def by_part(self, values: Array) -> Array:
+    def by_part(self, values: NDArray[Number]) -> NDArray[Number]:
         """(rows, columns) of the whole grid as (parts, samples)."""
         a = values.reshape(self.shape).swapaxes(1, 2)
         return a.reshape(self.shape[0] * self.shape[2], -1)
 
-    def whole(self, values: Array) -> Array:
+    def whole(self, values: NDArray[Number]) -> NDArray[Number]:
         """(parts, samples) as (rows, columns) of the whole grid."""
         d, y, a, x = self.shape
         return values.reshape(d, a, y, x).swapaxes(1, 2).reshape(d * y, a * x)
@@ -77,8 +79,8 @@ class PlaneGrid:
         """∂I/∂x and ∂I/∂y (2, parts, samples) of a ``texture`` (parts, samples) that is seen at ``pixels``
         (2, parts, samples)."""
         slopes = np.empty(pixels.shape)
-        flat = pixels.reshape(2, -1), self.neighbours, slopes.reshape(2, -1)
-        registration_cpu.slopes_in_image(texture.reshape(-1), *flat)
+        seen, into = pixels.reshape(2, -1), slopes.reshape(2, -1)
+        registration_cpu.slopes_in_image(texture.reshape(-1), seen, self.neighbours, into)
         return slopes
 
     def smoothed(self, values: Array, coarseness: float) -> Array:

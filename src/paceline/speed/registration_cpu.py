@@ -4,18 +4,21 @@ A part's samples take several short loops over scratch rows instead of one long 
 become vector instructions.
 """
 
-# mypy: allow-untyped-defs
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+from numpy.typing import NDArray
+
+from paceline.compiling import compiled
+
+Array = NDArray[np.float64]
 
 # Sums may be reordered to become vectors; NaN stays NaN, for places behind the camera can give one.
 SUMS = {"reassoc", "contract", "arcp", "nsz"}
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def slopes_in_image(texture, pixels, neighbours, slopes):
+@compiled(nogil=True, error_model="numpy")
+def slopes_in_image(texture: Array, pixels: Array, neighbours: NDArray[np.int64], slopes: Array) -> None:
     """Into ``slopes`` (2, samples): ∂I/∂x and ∂I/∂y of a ``texture`` (samples,) seen at ``pixels`` (2, samples), from
     the differences between each sample's ``neighbours`` (4, samples): left, right, above and below."""
     for s in range(len(texture)):
@@ -28,8 +31,22 @@ def slopes_in_image(texture, pixels, neighbours, slopes):
         slopes[1, s] = (Tv * xu - Tu * xv) / det
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS, error_model="numpy")
-def part_products(image, K, points, shift, directions, texture, slopes, seen, JJ, JT, JI, TI, II):
+@compiled(nogil=True, fastmath=SUMS, error_model="numpy")
+def part_products(
+    image: NDArray[np.float32],
+    K: Array,
+    points: Array,
+    shift: Array,
+    directions: Array,
+    texture: Array,
+    slopes: Array,
+    seen: Array,
+    JJ: Array,
+    JT: Array,
+    JI: Array,
+    TI: Array,
+    II: Array,
+) -> None:
     """Inner products, part by part, of one view's picture I, the texture T and the sensitivities J to k shifts.
 
     All three are freed of their mean over the part. ``image`` (H, W); ``K`` (3, 3) to its pixels; ``points``
@@ -82,16 +99,29 @@ def part_products(image, K, points, shift, directions, texture, slopes, seen, JJ
                 JJ[p, i, j] = JJ[p, j, i] = _inner(J[i], J[j])
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
-def _inner(a, b):
+@compiled(nogil=True, fastmath=SUMS)
+def _inner(a: Array, b: Array) -> float:
     total = 0.0
     for s in range(a.shape[0]):
         total += a[s] * b[s]
     return total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def normal_equations(JJ, JT, JI, TT, TI, II, samples, gains, quantised, w, normal, scores):
+@compiled(nogil=True, error_model="numpy")
+def normal_equations(
+    JJ: Array,
+    JT: Array,
+    JI: Array,
+    TT: Array,
+    TI: Array,
+    II: Array,
+    samples: int,
+    gains: tuple[float, float],
+    quantised: float,
+    w: Array,
+    normal: Array,
+    scores: Array,
+) -> None:
     """Gain, weights and normal equations from the products of `part_products` in all views.
 
     ``JJ`` (views, parts, k, k), ``JT`` and ``JI`` (views, parts, k), ``TT`` (parts,), ``TI`` and ``II``

@@ -6,9 +6,9 @@ As :mod:`paceline.vehicles.agreement` has it, for one card after the other witho
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from paceline.compiling import compiled
 from paceline.vehicles import agreement
 
 Array = NDArray[np.float64]
@@ -20,7 +20,7 @@ AGREE, CHANGED, FLAT = agreement.AGREE, agreement.CHANGED, agreement.FLAT
 SUMS = {"reassoc", "contract", "nsz"}  # sums may be taken in another order
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS, error_model="numpy")
+@compiled(nogil=True, fastmath=SUMS, error_model="numpy")
 def lay_out(image: Image, H: Array, scale: float, card: Image) -> None:
     """Fill ``card`` (rows, columns) with ``image`` at ``scale`` times the pixels that ``H`` (3, 3) makes of its cells
     (column, row, 1), and take off the mean, which leaves the sums of squares exact; the border repeats."""
@@ -49,7 +49,7 @@ def lay_out(image: Image, H: Array, scale: float, card: Image) -> None:
             card[r, c] -= mean
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS, error_model="numpy")
+@compiled(nogil=True, fastmath=SUMS, error_model="numpy")
 def _means(a: Image, b: Image, window: int, means: Image) -> None:
     """The ``means`` (H, W) of a·b over ``window`` × ``window`` places about each, mirrored at the border."""
     rows, columns = a.shape
@@ -74,7 +74,7 @@ def _means(a: Image, b: Image, window: int, means: Image) -> None:
                 mean[c] += share * row[c]
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS, error_model="numpy")
+@compiled(nogil=True, fastmath=SUMS, error_model="numpy")
 def _moments(card: Image, ones: Image, window: int, mean: Image, std: Image) -> None:
     """The local ``mean`` and standard deviation of a ``card``, all (H, W)."""
     _means(card, ones, window, mean)
@@ -84,7 +84,7 @@ def _moments(card: Image, ones: Image, window: int, mean: Image, std: Image) -> 
             std[r, c] = np.sqrt(max(std[r, c] - mean[r, c] * mean[r, c], np.float32(0.0)))
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS, error_model="numpy")
+@compiled(nogil=True, fastmath=SUMS, error_model="numpy")
 def _correlated(a: Image, of_a: Image, b: Image, of_b: Image, window: int, correlation: Image) -> None:
     """The local ``correlation`` of two cards (H, W), with means and standard deviations ``of_a`` and ``of_b``
     (2, H, W)."""
@@ -96,7 +96,7 @@ def _correlated(a: Image, of_a: Image, b: Image, of_b: Image, window: int, corre
             correlation[r, c] = covariance / contrast if contrast > FLAT else np.float32(0.0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def _laid_out(
     left: Image, right: Image, H: Array, scale: float, window: int, size: tuple[int, int]
 ) -> tuple[Image, Image]:
@@ -110,7 +110,7 @@ def _laid_out(
     return cards, moments
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def correlate(
     left: Image, right: Image, H: Array, scale: float, window: int, correlation: Image, contrast: Image
 ) -> None:
@@ -121,7 +121,7 @@ def correlate(
     contrast[:] = moments[0, 1]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def count(
     left: Image, right: Image, left_before: Image, right_before: Image, H: Array, scale: float, window: int,
     least: float, enough: float, counts: Image,
@@ -155,7 +155,7 @@ def count(
         counts[:] = np.float32(0.0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def hide(counts: Image, explained: Bytes, H: Array) -> None:
     """Count nothing at the cells of a card, ``H`` (3, 3), that lie in the ``explained`` part of a picture."""
     height, width = explained.shape
@@ -170,7 +170,7 @@ def hide(counts: Image, explained: Bytes, H: Array) -> None:
                 counts[r, c] = 0.0
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS, error_model="numpy")
+@compiled(nogil=True, fastmath=SUMS, error_model="numpy")
 def weighted(counts: Image, weights: Image) -> float:
     """The sum of ``counts`` (rows, columns) by the ``weights`` (columns,) of the columns."""
     total = 0.0
@@ -180,7 +180,7 @@ def weighted(counts: Image, weights: Image) -> float:
     return total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def sharpness(left: Image, right: Image, H: Array, scale: float, window: int, piece: Mask) -> float:
     """The correlation of what two pictures show in a ``piece`` (rows, columns) of a card, ``H`` (2, 3, 3), the more of
     it the more contrast both have, −1 to 1."""

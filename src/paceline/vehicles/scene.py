@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from paceline.cameras import EVERY
+from paceline.compiling import compiled
 from paceline.recordings import StereoFrame
 from paceline.vehicles.sightings import noise_of
 
@@ -117,7 +117,7 @@ def _outside(view: Image, boxes: NDArray[np.float64]) -> Image:
     return before
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _draw(image: Image, now: Image, step: float) -> None:
     """Move every pixel of ``image`` (H, W), in place, towards ``now``, by ``step`` grey levels at most."""
     most = np.float32(step)

@@ -10,8 +10,9 @@ from dataclasses import astuple, dataclass
 from math import ceil
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from paceline.compiling import compiled
 
 Array = NDArray[np.float64]
 
@@ -59,7 +60,7 @@ class State:
     roll_rate: float = 0.0
 
 
-@njit(cache=True)
+@compiled()
 def rate_of(s: Array, steering: float, acceleration: float, v: Array) -> Array:
     """The derivative in time of a state (10,) under commands, for a vehicle ``v`` (the fields of `Vehicle`)."""
     wheelbase, understeer, limit, rate, lag, speed_up, slow_down, throttle_lag, brake_lag, grip = v[:10]
@@ -85,7 +86,7 @@ def rate_of(s: Array, steering: float, acceleration: float, v: Array) -> Array:
     return d
 
 
-@njit(cache=True)
+@compiled()
 def integrated(state: Array, steering: float, acceleration: float, vehicle: Array, step: float, steps: int) -> Array:
     """``state`` (10,) after ``steps`` steps of the classical Runge-Kutta method under constant commands."""
     s = state.copy()
