@@ -60,6 +60,13 @@ def _tiny(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(device_cuda, "MOST_BLOCKS", 2)
 
 
+@pytest.fixture(params=["one block", "several blocks"])
+def sharing(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whether several blocks share a vehicle's weights and moments, as they do those of many particles."""
+    monkeypatch.setattr(device_cuda, "EACH", 1 if request.param == "several blocks" else N)
+    monkeypatch.setattr(device_cuda, "MOST_BLOCKS", 3)
+
+
 @pytest.fixture(scope="module")
 def device() -> CudaDevice:
     return CudaDevice()
@@ -181,6 +188,7 @@ def test_particles_move_as_on_the_cpu(
 
 @pytest.mark.parametrize(("kind", "n"), [("curve", 1), ("free", 13)])
 @pytest.mark.parametrize("taken_back", [False, True])
+@pytest.mark.usefixtures("sharing")
 def test_the_posterior_is_that_of_the_cpu(device: CudaDevice, kind: str, n: int, taken_back: bool) -> None:
     home = particles(way(kind), 3, n)
     there = device.cloud(home)
@@ -210,6 +218,7 @@ def test_the_posterior_is_that_of_the_cpu(device: CudaDevice, kind: str, n: int,
 
 
 @pytest.mark.parametrize(("n", "scatter"), [(9, 1.0), (9, 30.0), (22, 3.0)])
+@pytest.mark.usefixtures("sharing")
 def test_the_same_particles_survive(device: CudaDevice, n: int, scatter: float) -> None:
     home = particles(way("line"), 5, n)
     home.weights = Weights(np.random.default_rng(6).normal(0.0, scatter, n))
@@ -232,6 +241,7 @@ def test_the_same_particles_survive(device: CudaDevice, n: int, scatter: float) 
 
 
 @pytest.mark.parametrize("ll", [-np.inf, np.nan])
+@pytest.mark.usefixtures("sharing")
 def test_weights_that_vanish_are_told(device: CudaDevice, ll: float) -> None:
     there = device.cloud(particles(way("line"), 5))
     seen(there, np.full(N, ll))
@@ -243,6 +253,7 @@ def test_weights_that_vanish_are_told(device: CudaDevice, ll: float) -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
+@pytest.mark.usefixtures("sharing")
 def test_clouds_come_and_go_in_any_order(seed: int) -> None:
     """Whatever is done to which cloud, and whoever joins and leaves meanwhile: all are as on the CPU."""
     device, drawing = CudaDevice(), np.random.default_rng([9, seed])
@@ -314,7 +325,7 @@ class Counting:
 
 KERNELS = [
     (orders_cuda, ("carry_out", "collect", "settle")),
-    (particles_cuda, ("cumulate", "survey", "reweigh")),
+    (particles_cuda, ("add_up", "cumulate", "average", "survey", "reweigh", "normalise")),
     (pixels_cuda, ("log_likelihood",)),
 ]
 

@@ -27,13 +27,14 @@ from paceline.speed.cloud_cuda import CudaCloud, Found, all_rows_of, rows_of
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.likelihood import CONTRAST_FLOOR, PART_DISTANCE_CAP, Grid
 from paceline.speed.motion import State
-from paceline.speed.particles_cuda import SIDE_BY_SIDE, SURVEYORS, THREADS
+from paceline.speed.particles_cuda import SHARES, SIDE_BY_SIDE, SURVEYORS, THREADS
 
 Array = NDArray[np.float64]
 OnDevice = Any  # an array in the device's memory: Numba has no type for it
 
 BLOCK = 128  # threads of a block, one a particle
-MOST_BLOCKS = 64  # that add up one moment
+EACH = 8  # particles at least that a thread adds up, before another block takes a share in a vehicle
+MOST_BLOCKS = 64  # that share one
 AT_ONCE = 1 << 18  # particles of the search for a first speed that are weighed in one launch
 SECOND = at.PAIRS[:, at.MOVING :]  # (2, pairs, 2) rows of second moments, by FREE
 
@@ -170,8 +171,10 @@ class CudaDevice:
         self._sights = _Shared.of(at.HEADER + slots * at.SIGHT, np.float64)
         counts = orders[:, at.COUNT]
         self._largest, self._total = int(counts.max(initial=1)), total
-        self._blocks = min(-(-self._largest // (8 * SURVEYORS)), MOST_BLOCKS)
+        self._blocks = min(-(-self._largest // (EACH * SURVEYORS)), MOST_BLOCKS)
         self._threads = min(THREADS, 1 << (self._largest - 1).bit_length())
+        sharing = min(-(-self._largest // (EACH * THREADS)), MOST_BLOCKS)
+        self._shares = Kept(cuda.device_array((max(slots, 1), sharing, SHARES)))
         shown = int(np.ceil(counts / np.maximum(orders[:, at.EVERY], 1)).max(initial=0))
         pairs = SECOND[[int(cloud.free) for cloud in living.values()]]  # (clouds, pairs, 2)
         self._second = np.arange(len(pairs))[:, None], pairs[..., 0], pairs[..., 1]
@@ -220,7 +223,7 @@ class CudaDevice:
         orders = self.orders
         self._desk.send(orders.size + self._noise)
         if orders[:, at.RESAMPLED].any():
-            particles_cuda.cumulate[len(orders), self._threads](self._pool, self._desk.there)
+            self._cumulate()
         if orders[:, at.PREPARED].any():
             orders_cuda.carry_out[(_grid(self._largest), len(orders)), BLOCK](
                 self._pool, self._desk.there, self._rigs, self._knots, self._maps
@@ -262,8 +265,22 @@ class CudaDevice:
         sights[:, at.TIMES] = 0
         return sights
 
+    @property
+    def _sharing(self) -> tuple[int, int]:
+        """Blocks that share the weights of a vehicle, and slots."""
+        return self._shares.value.shape[1], len(self.orders)
+
+    def _cumulate(self) -> None:
+        if self._sharing[0] > 1:
+            particles_cuda.add_up[self._sharing, self._threads](self._pool, self._desk.there, self._shares)
+        particles_cuda.cumulate[self._sharing, self._threads](self._pool, self._desk.there, self._shares)
+        if self._sharing[0] > 1:
+            particles_cuda.average[_grid(len(self.orders)), BLOCK](self._desk.there, self._shares)
+
     def _reweigh(self, clouds: Sequence[CudaCloud]) -> None:
-        particles_cuda.reweigh[len(self.orders), self._threads](self._pool, self._sights.there)
+        particles_cuda.reweigh[self._sharing, self._threads](self._pool, self._sights.there, self._shares)
+        if self._sharing[0] > 1:
+            particles_cuda.normalise[self._sharing, self._threads](self._pool, self._sights.there, self._shares)
         self._home = None
         for cloud in clouds:
             cloud.found = None

@@ -14,6 +14,7 @@ from paceline.speed import layout_cuda as at
 from paceline.speed.compiling_cuda import kernel
 
 THREADS = 512  # at most, in a block that adds something up; a power of two
+SHARES = 3  # numbers that a block leaves to those that go on with a vehicle's weights
 SURVEYORS, SIDE_BY_SIDE = 64, 8  # threads at most for one quantity, and quantities, of a block that takes moments
 
 
@@ -93,26 +94,44 @@ def survey(pool, desk, told):
         told[start], told[start + 1] = low[y, 0], high[y, 0]
 
 
-@kernel
-def reweigh(pool, sights):
-    """The normalised weights after an observation ([Zhu] (2)), in logarithms and as themselves; one block a vehicle.
+@cuda.jit(device=True)
+def _normalise(rows, first, last, stride, total):
+    """Logarithms of weights whose sum is exp(``total``), from ``first`` to ``last``, made weights."""
+    for p in range(first, last, stride):
+        rows[at.LOG_WEIGHT, p] -= total
+        rows[at.WEIGHT, p] = math.exp(rows[at.LOG_WEIGHT, p])
 
-    The observation is the row LIKELIHOOD, log p(z | x). Where ``sights`` say so, the last one is taken back instead.
+
+@cuda.jit(device=True)
+def _logarithm(greatest, total):
+    """Of the sum exp(``greatest``) · ``total``, −∞ where there is none."""
+    return greatest + math.log(total) if total > 0.0 else -math.inf
+
+
+@kernel
+def reweigh(pool, sights, shares):
+    """The normalised weights after an observation ([Zhu] (2)), in logarithms and as themselves.
+
+    Blocks are (x, slots). The observation is the row LIKELIHOOD, log p(z | x). Where ``sights`` say so, the last one is
+    taken back instead. A vehicle's x blocks leave the greatest logarithm of their weights, and the sum of the weights
+    beside it, in ``shares`` (slots, x, SHARES), and `normalise` does the rest; a block of its own does it all.
     """
-    t, n = cuda.threadIdx.x, cuda.blockDim.x
-    sight = sights[at.HEADER + cuda.blockIdx.x * at.SIGHT : at.HEADER + (cuda.blockIdx.x + 1) * at.SIGHT]
-    times, N, first = sight[at.TIMES], int(sight[at.COUNT]), int(sight[at.FIRST])
+    b, v, t, n = cuda.blockIdx.x, cuda.blockIdx.y, cuda.threadIdx.x, cuda.blockDim.x
+    sight = sights[at.HEADER + v * at.SIGHT : at.HEADER + (v + 1) * at.SIGHT]
+    times, N = sight[at.TIMES], int(sight[at.COUNT])
     if N == 0 or times == 0.0:
         return
     rows = pool[int(sight[at.BEFORE])]
+    first, stride = int(sight[at.FIRST]) + b * n + t, cuda.gridDim.x * n
+    last = int(sight[at.FIRST]) + N
     scratch = cuda.shared.array(THREADS, np.float64)
     if times < 0.0:
-        for p in range(first + t, first + N, n):
+        for p in range(first, last, stride):
             rows[at.LOG_WEIGHT, p] = rows[at.UNWEIGHED, p]
             rows[at.WEIGHT, p] = math.exp(rows[at.LOG_WEIGHT, p])
         return
     greatest = -math.inf
-    for p in range(first + t, first + N, n):
+    for p in range(first, last, stride):
         rows[at.UNWEIGHED, p] = rows[at.LOG_WEIGHT, p]
         rows[at.LOG_WEIGHT, p] += rows[at.LIKELIHOOD, p]
         if rows[at.LOG_WEIGHT, p] > greatest:
@@ -128,13 +147,31 @@ def reweigh(pool, sights):
     greatest = scratch[0]
     cuda.syncthreads()
     total = 0.0
-    for p in range(first + t, first + N, n):
+    for p in range(first, last, stride):
         total += math.exp(rows[at.LOG_WEIGHT, p] - greatest)
     total = _block_sum(total, scratch)
-    total = greatest + math.log(total) if total > 0.0 else -math.inf
-    for p in range(first + t, first + N, n):
-        rows[at.LOG_WEIGHT, p] -= total
-        rows[at.WEIGHT, p] = math.exp(rows[at.LOG_WEIGHT, p])
+    if cuda.gridDim.x == 1:
+        _normalise(rows, first, last, stride, _logarithm(greatest, total))
+    elif t == 0:
+        shares[v, b, 0], shares[v, b, 1] = greatest, total
+
+
+@kernel
+def normalise(pool, sights, shares):
+    """What `reweigh` leaves to be done with the weights of vehicles that several blocks see to."""
+    v = cuda.blockIdx.y
+    sight = sights[at.HEADER + v * at.SIGHT : at.HEADER + (v + 1) * at.SIGHT]
+    N, first = int(sight[at.COUNT]), int(sight[at.FIRST])
+    if N == 0 or sight[at.TIMES] <= 0.0:
+        return
+    greatest, total = -math.inf, 0.0
+    for b in range(cuda.gridDim.x):
+        greatest = max(greatest, shares[v, b, 0])
+    for b in range(cuda.gridDim.x):
+        if shares[v, b, 0] > -math.inf:  # otherwise a block without a particle, or with none of any weight
+            total += shares[v, b, 1] * math.exp(shares[v, b, 0] - greatest)
+    total, stride = _logarithm(greatest, total), cuda.gridDim.x * cuda.blockDim.x
+    _normalise(pool[int(sight[at.BEFORE])], first + cuda.grid(1), first + N, stride, total)
 
 
 @cuda.jit(device=True)
@@ -143,22 +180,49 @@ def _points_below(total, u, N):
     return min(max(math.floor(total * N - u) + 1.0, 0.0), float(N))
 
 
+@cuda.jit(device=True)
+def _stretch_sum(rows, first, last):
+    """The sum of the weights from ``first`` to ``last``."""
+    total = 0.0
+    for p in range(first, last):
+        total += rows[at.WEIGHT, p]
+    return total
+
+
 @kernel
-def cumulate(pool, desk):
+def add_up(pool, desk, shares):
+    """The sum of the weights that each of a vehicle's x blocks of `cumulate` will see to, into ``shares``."""
+    b, v, t, n = cuda.blockIdx.x, cuda.blockIdx.y, cuda.threadIdx.x, cuda.blockDim.x
+    order = desk[v * at.ORDER : (v + 1) * at.ORDER]
+    if order[at.RESAMPLED] == 0.0:
+        return
+    begin, N = int(order[at.FIRST]), int(order[at.COUNT])
+    stretch = (N + cuda.gridDim.x * n - 1) // (cuda.gridDim.x * n)
+    first, last = min((b * n + t) * stretch, N), min((b * n + t + 1) * stretch, N)
+    own = _stretch_sum(pool[int(order[at.BEFORE])], begin + first, begin + last)
+    own = _block_sum(own, cuda.shared.array(THREADS, np.float64))
+    if t == 0:
+        shares[v, b, 0] = own
+
+
+@kernel
+def cumulate(pool, desk, shares):
     """Running sums of the weights of each vehicle to be resampled, the last one 1, and the mean headings of those of
-    its particles that will survive, into its order. One block a vehicle; every thread adds up a stretch of its own."""
-    v, t, n = cuda.blockIdx.x, cuda.threadIdx.x, cuda.blockDim.x
+    its particles that will survive, into its order.
+
+    Blocks are (x, slots); every thread adds up a stretch of its own. A vehicle's x blocks go on from the sums that
+    `add_up` found, and leave their part of the headings in ``shares`` (slots, x, SHARES), for `average`; a block of
+    its own needs neither.
+    """
+    b, v, t, n = cuda.blockIdx.x, cuda.blockIdx.y, cuda.threadIdx.x, cuda.blockDim.x
     order = desk[v * at.ORDER : (v + 1) * at.ORDER]
     if order[at.RESAMPLED] == 0.0:
         return
     rows, begin, N, u = pool[int(order[at.BEFORE])], int(order[at.FIRST]), int(order[at.COUNT]), order[at.OFFSET]
     scratch = cuda.shared.array(THREADS, np.float64)
-    stretch = (N + n - 1) // n
-    first, last = min(t * stretch, N), min((t + 1) * stretch, N)
-    own = 0.0
-    for p in range(begin + first, begin + last):
-        own += rows[at.WEIGHT, p]
-    scratch[t] = own
+    stretch = (N + cuda.gridDim.x * n - 1) // (cuda.gridDim.x * n)
+    first, last = min((b * n + t) * stretch, N), min((b * n + t + 1) * stretch, N)
+    scratch[t] = _stretch_sum(rows, begin + first, begin + last)
     cuda.syncthreads()
     reach = 1
     while reach < n:
@@ -169,6 +233,8 @@ def cumulate(pool, desk):
         reach *= 2
     total = scratch[t - 1] if t > 0 else 0.0
     cuda.syncthreads()
+    for other in range(b):
+        total += shares[v, other, 0]
     yaw, pitch, below = 0.0, 0.0, _points_below(total, u, N) if first > 0 else 0.0
     for p in range(first, last):
         total += rows[at.WEIGHT, begin + p]
@@ -180,4 +246,19 @@ def cumulate(pool, desk):
     yaw = _block_sum(yaw, scratch)
     pitch = _block_sum(pitch, scratch)
     if t == 0:
-        order[at.MEAN], order[at.MEAN + 1] = yaw / N, pitch / N
+        shares[v, b, 1], shares[v, b, 2] = yaw, pitch
+        if cuda.gridDim.x == 1:
+            order[at.MEAN], order[at.MEAN + 1] = yaw / N, pitch / N
+
+
+@kernel
+def average(desk, shares):
+    """The mean headings of survivors, from the parts that `cumulate` left; one thread a vehicle."""
+    v = cuda.grid(1)
+    if v >= shares.shape[0] or desk[v * at.ORDER + at.RESAMPLED] == 0.0:
+        return
+    yaw, pitch, N = 0.0, 0.0, desk[v * at.ORDER + at.COUNT]
+    for b in range(shares.shape[1]):
+        yaw += shares[v, b, 1]
+        pitch += shares[v, b, 2]
+    desk[v * at.ORDER + at.MEAN], desk[v * at.ORDER + at.MEAN + 1] = yaw / N, pitch / N
