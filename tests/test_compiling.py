@@ -1,11 +1,14 @@
 """Machine code on disk is used for as long as nothing changes of which it is made."""
 
 import importlib
+import inspect
+import json
 import os
 import pkgutil
 import shutil
 import subprocess
 import sys
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -16,12 +19,20 @@ from numba.core.dispatcher import Dispatcher
 
 import paceline
 from paceline import compiling
+from paceline.compiling import closing_over_sources, compiled
 
 SOURCE = Path(paceline.__file__).parent
-NEEDS_MORE = "paceline.console", "paceline.simulation.rendered", "paceline.speed.device_cuda"  # extras, or a driver
+NEEDS_MORE = "paceline.console", "paceline.simulation.rendered", "paceline.__main__"  # extras
 
-OF_NUMBA = "nopython", "boundscheck"  # options that it adds itself
-
+MODULES = ["speed.motion_cpu", "speed.pixels_cpu", "follow.carrying_cpu", "follow.steering", "vehicles.scene_cpu"]
+DIGESTS = f"""
+import importlib, json, sys
+from paceline.compiling import digest
+names = {MODULES}
+for name in reversed(names) if len(sys.argv) > 1 else names:
+    importlib.import_module("paceline." + name)
+print(json.dumps({{name: digest("paceline." + name) for name in names}}))
+"""
 USED = """
 import numpy as np
 from paceline.speed import motion_cpu as used
@@ -32,9 +43,10 @@ print(*crossings[0], hits, misses)
 """
 
 
-def _compiled() -> Iterator[tuple[str, Any]]:
+def _kept() -> Iterator[tuple[str, Any]]:
+    """All functions of the package whose machine code is kept on disk."""
     for found in pkgutil.walk_packages([str(SOURCE)], "paceline."):
-        if found.name.endswith("_cuda") or found.name.startswith((*NEEDS_MORE, "paceline.__main__")):
+        if found.name.endswith("_cuda") or found.name.startswith(NEEDS_MORE):
             continue
         module = importlib.import_module(found.name)
         for name, value in vars(module).items():
@@ -42,62 +54,96 @@ def _compiled() -> Iterator[tuple[str, Any]]:
                 yield f"{found.name}.{name}", value
 
 
-def test_every_function_that_is_kept_closes_over_what_it_is_made_of_and_knew_all_of_it_from_the_start() -> None:
-    """A helper that is defined below its user would not be known yet when that closes over its digest."""
-    known = dict(_compiled())
-    assert {"paceline.speed.pixels_cpu.observe", "paceline.follow.measuring_cpu.believed"} < set(known)
-    for name, function in known.items():
-        options = {key: value for key, value in function.targetoptions.items() if key not in OF_NUMBA}
+def _run(folder: Path, program: str, *arguments: str, **env: str) -> str:
+    given = {**os.environ, "PYTHONPATH": str(folder), "NUMBA_CACHE_DIR": str(folder.parent / "cache"), **env}
+    command = [sys.executable, "-c", program, *arguments]
+    return subprocess.run(command, env=given, capture_output=True, text=True, check=True).stdout
+
+
+@pytest.fixture
+def copy(tmp_path: Path) -> Path:
+    """A folder with a copy of the package."""
+    shutil.copytree(SOURCE, tmp_path / "src" / "paceline", ignore=shutil.ignore_patterns("__pycache__", "static"))
+    return tmp_path / "src"
+
+
+def _edit(folder: Path, file: str, old: str, new: str) -> None:
+    text = (folder / "paceline" / file).read_text()
+    assert text.count(old) >= 1
+    (folder / "paceline" / file).write_text(text.replace(old, new))
+
+
+def test_every_function_that_is_kept_closes_over_what_it_is_made_of() -> None:
+    kept = dict(_kept())
+    assert {"paceline.speed.pixels_cpu.observe", "paceline.follow.measuring_cpu.believed"} < set(kept)
+    for name, function in kept.items():
         cells = [cell.cell_contents for cell in function.py_func.__closure__ or ()]
-        assert cells == [compiling.digest(function.py_func, options)], name
+        assert cells == [compiling.digest(function.py_func.__module__)], name
 
 
-def _run(folder: Path) -> tuple[float, float, int, int]:
-    env = {**os.environ, "PYTHONPATH": str(folder), "NUMBA_CACHE_DIR": str(folder / "cache")}
-    done = subprocess.run([sys.executable, "-c", USED], env=env, capture_output=True, text=True, check=True)
-    x, y, hits, misses = done.stdout.split()
-    return float(x), float(y), int(hits), int(misses)
+@pytest.mark.parametrize(
+    ("file", "old", "new", "changed"),
+    [
+        ("speed/regions.py", "share * ac_x", "share * ac_x + 100.0", ["speed.motion_cpu", "speed.pixels_cpu"]),
+        ("speed/pixels.py", "LEAST_OVERLAP = 0.25", "LEAST_OVERLAP = 0.5", ["speed.pixels_cpu"]),
+        ("follow/picture_cpu.py", "SUMS = {", 'SUMS = {"nsz", ', ["follow.carrying_cpu"]),  # an option of its helpers
+        ("follow/motion.py", "def ", "def  ", ["follow.carrying_cpu"]),  # which `picture_cpu` imports
+        ("compiling.py", "cache=True", "cache=True, boundscheck=True", MODULES),
+        ("speed/tracker.py", "def ", "def  ", []),
+    ],
+)
+def test_what_is_made_of_a_changed_file_is_compiled_anew_and_nothing_else(
+    copy: Path, file: str, old: str, new: str, changed: list[str]
+) -> None:
+    before = json.loads(_run(copy, DIGESTS, PYTHONHASHSEED="1"))
+    assert json.loads(_run(copy, DIGESTS, "backwards", PYTHONHASHSEED="2")) == before
+    _edit(copy, file, old, new)
+    after = json.loads(_run(copy, DIGESTS))
+    assert [name for name in MODULES if after[name] != before[name]] == changed
 
 
 @pytest.mark.slow
-def test_an_update_of_one_file_of_two_is_not_answered_by_the_old_machine_code(tmp_path: Path) -> None:
+@pytest.mark.parametrize("kind", ["folder", "folder named otherwise", "zip"])
+def test_an_update_of_one_file_of_two_is_not_answered_by_the_old_machine_code(copy: Path, kind: str) -> None:
     """`motion_cpu` compiles functions of `regions` into its own; only the latter changes."""
-    shutil.copytree(SOURCE, tmp_path / "paceline", ignore=shutil.ignore_patterns("__pycache__"))
-    assert _run(tmp_path) == (2.0, 1.0, 0, 1)
-    assert _run(tmp_path) == (2.0, 1.0, 1, 0)
-    file = tmp_path / "paceline" / "speed" / "regions.py"
-    text = file.read_text()
-    head, body = text.split("def cross_diagonals(q, crossing):")
-    changed = body.replace("crossing[0] = ", "crossing[0] = 100.0 + ", 1)
-    assert changed != body
-    file.write_text(f"{head}def cross_diagonals(q, crossing):{changed}")
-    assert _run(tmp_path) == (102.0, 1.0, 0, 1)
+    source, program = copy, USED
+    if kind == "folder named otherwise":
+        program = f"import sys; sys.path.insert(0, {str(copy.parent)!r} + '/./src')\n{USED}"
+        source = copy.parent
+    elif kind == "zip":
+        source = copy.parent / "paceline.zip"
+
+    def run() -> tuple[float, ...]:
+        if kind == "zip":
+            with zipfile.ZipFile(source, "w") as archive:
+                for file in copy.rglob("*.*"):
+                    archive.write(file, file.relative_to(copy))
+        return tuple(map(float, _run(source, program).split()))
+
+    assert run() == (2.0, 1.0, 0, 1)
+    if kind != "zip":  # which is a new one each time
+        assert run() == (2.0, 1.0, 1, 0)
+    _edit(copy, "speed/regions.py", "share * ac_x", "share * ac_x + 100.0")
+    assert run() == (102.0, 1.0, 0, 1)
 
 
-def test_the_digest_is_of_functions_constants_and_options(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Through modules, by name, and through functions that functions use; the order of a set has no say."""
-    monkeypatch.setattr(compiling, "HERE", str(tmp_path))
-    monkeypatch.syspath_prepend(tmp_path)
+def _twice(x: float, times: float = 2.0) -> float:
+    """``x``, ``times``."""
+    return times * x
 
-    def digest(**options: Any) -> str:
-        for name in ("kept_a", "kept_b", "kept_c"):
-            sys.modules.pop(name, None)
-        importlib.invalidate_caches()
-        compiling._digest_of_file.cache_clear()
-        return compiling.digest(importlib.import_module("kept_a").f, options)
 
-    def write(a: str = "SIZE", b: str = "1", c: str = "2") -> None:
-        (tmp_path / "kept_a.py").write_text(f"from kept_b import {a} as S, g\ndef f():\n return S + g()\n")
-        (tmp_path / "kept_b.py").write_text(f"import kept_c\nSIZE = {b}\nOTHER = 9\ndef g():\n return kept_c.h()\n")
-        (tmp_path / "kept_c.py").write_text(f"def h():\n return {c}\n")
+def test_a_compiled_function_keeps_its_looks() -> None:
+    made = compiled(nogil=True)(_twice)
+    assert made(3.0) == 6.0
+    assert inspect.signature(made) == inspect.signature(_twice)
+    assert (made.__doc__, made.__name__, made.__module__) == (_twice.__doc__, "_twice", __name__)
 
-    monkeypatch.setattr(sys, "dont_write_bytecode", True)
-    found = []
-    for parts in ({}, {"a": "OTHER"}, {"b": "3"}, {"c": "4"}):
-        write(**parts)
-        found.append(digest())
-        assert digest() == found[-1]
-    write()
-    found += [digest(nogil=True), digest(fastmath={"arcp", "nsz"})]
-    assert digest(fastmath={"nsz", "arcp"}) == found[-1]
-    assert len(set(found)) == 6
+
+def test_a_function_that_closes_over_something_is_refused() -> None:
+    factor = 2.0
+
+    def inside(x: float) -> float:
+        return factor * x
+
+    with pytest.raises(AssertionError, match=r"inside: expected a function of a module's top level"):
+        closing_over_sources(inside)

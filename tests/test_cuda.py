@@ -133,14 +133,9 @@ def test_a_kernel_closes_over_the_digest_of_all_that_it_is_made_of() -> None:
     """Numba keeps a kernel under the code of its function and what that closes over: see test_compiling.py."""
     from paceline.speed import orders_cuda, particles_cuda, pixels_cuda
 
-    for kernel, options in (
-        (orders_cuda.carry_out, {}),
-        (particles_cuda.survey, {}),
-        (pixels_cuda.log_likelihood, {"fastmath": True}),
-    ):
-        (cell,) = kernel.py_func.__closure__
-        assert cell.cell_contents == compiling.digest(kernel.py_func, options)
-    files = {part for part in compiling._parts(orders_cuda.carry_out.py_func, set()) if len(part) == 64}
-    names = ["orders_cuda", "motion_cuda", "randomness_cuda", "layout_cuda", "regions"]
-    folder = Path(compiling.__file__).parent / "speed"
-    assert {compiling._digest_of_file(str(folder / f"{name}.py")) for name in names} <= files
+    digests = set()
+    for module, name in ((orders_cuda, "carry_out"), (particles_cuda, "survey"), (pixels_cuda, "log_likelihood")):
+        (cell,) = getattr(module, name).py_func.__closure__
+        assert cell.cell_contents == compiling.digest(module.__name__)
+        digests.add(cell.cell_contents)
+    assert len(digests) == 3

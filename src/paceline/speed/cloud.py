@@ -17,13 +17,11 @@ from paceline.speed import likelihood, motion
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.likelihood import Packed
 from paceline.speed.motion import FreeMotion, PathMotion, State
-from paceline.speed.particles import Weights, even_enough, resample
+from paceline.speed.particles import KEPT, ROUGHENING, Weights, even_enough, resample
 
 Array = NDArray[np.float64]
 Views = tuple[Packed, Packed]
 
-ROUGHENING = 0.1  # share of a static parameter's spread that resampling gives back to it
-KEPT = float(np.sqrt(1 - ROUGHENING**2))  # share of it that is left before
 SHOWN = 2000  # particles at most, of which an estimate tells the places
 
 

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from paceline.cameras import StereoRig
 from paceline.speed import layout_cuda as at
 from paceline.speed import motion
-from paceline.speed.cloud import ROUGHENING, Cloud, Posterior
+from paceline.speed.cloud import Cloud, Posterior
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.motion import FRAME, FreeMotion, PathMotion, State, kalman_gain, root
-from paceline.speed.particles import Weights, even_enough
+from paceline.speed.particles import ROUGHENING, Weights, even_enough
 from paceline.speed.randomness import CounterGenerator
 
 Array = NDArray[np.float64]

@@ -7,11 +7,11 @@ from typing import Any
 
 from numba import cuda
 
-from paceline.compiling import closing_over
+from paceline.compiling import closing_over_sources
 
 
 def kernel(function: FunctionType | None = None, **options: Any) -> Any:
     """`cuda.jit` with a cache, as a decorator; what is kept is watched as in `compiling`."""
     if function is None:
         return lambda given: kernel(given, **options)
-    return cuda.jit(cache=True, **options)(closing_over(function, options))  # type: ignore[no-untyped-call]
+    return cuda.jit(cache=True, **options)(closing_over_sources(function))  # type: ignore[no-untyped-call]

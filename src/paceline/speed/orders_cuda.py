@@ -12,7 +12,6 @@ import numpy as np
 from numba import cuda
 
 from paceline.speed import layout_cuda as at
-from paceline.speed.cloud import KEPT
 from paceline.speed.compiling_cuda import kernel
 from paceline.speed.motion_cuda import (
     along_path,
@@ -24,6 +23,7 @@ from paceline.speed.motion_cuda import (
     prepare,
     set_speed,
 )
+from paceline.speed.particles import KEPT
 
 
 @cuda.jit(device=True)

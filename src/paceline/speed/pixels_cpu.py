@@ -35,7 +35,7 @@ _up_down = _inline(pixels.haar_up_down)
 _diagonal = _inline(pixels.haar_diagonal)
 _unit_square_to = _inline(regions.unit_square_to)
 _inward_edges = _inline(regions.inward_edges)
-_correlation = compiled(nogil=True)(pixels.correlation)
+_correlation = njit(nogil=True)(pixels.correlation)
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]

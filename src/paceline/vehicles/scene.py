@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from paceline.cameras import EVERY
-from paceline.compiling import compiled
 from paceline.recordings import StereoFrame
+from paceline.vehicles import scene_cpu
 from paceline.vehicles.sightings import noise_of
 
 Image = NDArray[np.float32]
@@ -66,7 +66,7 @@ class EmptyScene:
         if self._time is not None:
             step = DRIFT * (frame.time - self._time)
             for image, now in zip(self.images, (frame.left, frame.right), strict=True):
-                _draw(image[rows], now[rows], step)
+                scene_cpu.draw(image[rows], now[rows], step)
         self._time = frame.time
 
     @property
@@ -115,12 +115,3 @@ def _outside(view: Image, boxes: NDArray[np.float64]) -> Image:
         if view[part].size:
             before[part] = 2 * view[part].mean() - view[part]
     return before
-
-
-@compiled(nogil=True)
-def _draw(image: Image, now: Image, step: float) -> None:
-    """Move every pixel of ``image`` (H, W), in place, towards ``now``, by ``step`` grey levels at most."""
-    most = np.float32(step)
-    for y in range(len(image)):
-        for x in range(image.shape[1]):
-            image[y, x] += min(max(now[y, x] - image[y, x], -most), most)
