@@ -56,12 +56,14 @@ MORE = 0.08  # and match that these must add
 SHOWING = 0.7  # the same below which other places that the search saw are looked at,
 OTHERS = 3.0  # as far about as that many times the best one's doubt, for they are a grid's;
 AS_ALIKE = 0.05  # likeness that they may have less
+SHOWN = 0.35  # match of the model that is hardly one by chance
 WATCH = 3  # images of which in one it is asked whether the lock has slid
 WIDEST = 8.0  # times as far as usual a target is looked for that was lost
 
 FEW = "too few of its features are found"
 OUTSIDE = "too little of it is in the image"
 APART = "what is found does not fit together"
+UNSIZED = "its size cannot be told"
 STILL = 0.9  # share of the match that there must be where a lock had slid from
 SLID = "its lock had slid along other edges: back to where it looks as it did"
 ALONE = "held by its picture: too few of its features are found"
@@ -129,7 +131,7 @@ class Recogniser:
         if fit is None:
             place = self._snapshot.find(image, expected, tau)
         else:
-            place = self._snapshot.compare(image, fit.location, expected, tau, look.sure)
+            place = self._snapshot.compare(image, fit.location, expected, tau, look.sure and self._shows(look))
         if place is None or self._conflicts(look, place):
             return look
         near = RIGHT * self._sizes(place)
@@ -138,6 +140,10 @@ class Recogniser:
                 return look
             return self._held(place, near, look.window)
         return replace(look, fit=fitting.fused(replace(fit, covariance=UNSURE**2 * fit.covariance), place, near))
+
+    def _shows(self, look: Look) -> bool:
+        """Whether so much of the model shows as hardly ever does by chance."""
+        return look.measurement is not None and look.measurement.match >= SHOWN
 
     def _conflicts(self, look: Look, place: Array) -> bool:
         """Whether the search saw the picture of late well, and not at the ``place`` (3,) that the snapshot tells."""
@@ -243,7 +249,7 @@ class Recogniser:
                     return replace(back, window=sighting.window, slid=True, note=SLID)
                 self._evidence_at(look.fit.location)  # what is learned is the picture looked at last
         proven = self._proven >= PROVEN and self._held_for < ALONE_FOR and not foreseen.lost
-        if look.complaint in (FEW, APART) and proven and sighting.picture > HELD:
+        if look.complaint in (FEW, APART, UNSIZED) and proven and sighting.picture > HELD:
             return self._by_picture(start, sighting)
         return look
 
@@ -412,7 +418,7 @@ class Recogniser:
         if discord > (LOOSE if as_ever else 1.0) and astray > 1:
             return APART, clear, False
         if spread > VAGUE:
-            return "its size cannot be told", clear, False
+            return UNSIZED, clear, False
         if jump > JUMP and not (sharp and picture > ALIKE):
             return "its size jumps", clear, False
         if related < self._needed(picture, grown, aside, veered, tau, lost):

@@ -69,7 +69,7 @@ class Snapshot:
         if not 1 / MOST < expected[2] / self._first < MOST or (self._shows_well and tau >= GONE):
             return None
         place = self._place(image, expected)
-        return place if self._is_alike(tau) else None
+        return place if self._is_alike(place, tau) else None
 
     def compare(self, image: Bytes, place: Array, expected: Array, tau: float, sure: bool) -> Array | None:
         """As `find`, for a target that its features show at ``place`` (3,). Where it shows well, or this is ``sure``,
@@ -85,7 +85,7 @@ class Snapshot:
         if found is None:
             return None
         known = self.agreed >= CLEAR or (self._shows_well and self.agreed > 0)
-        as_usual = known and self._carried.likeness >= self._usual - LESS
+        as_usual = known and self._carried.likeness >= self._usual - LESS * self._age(place)
         if self.is_apart(place, found):
             return found if asked and not sure and as_usual and not self._is_rather(image, place) else None
         off = self._off_it(place, found)
@@ -124,8 +124,13 @@ class Snapshot:
         found = self._inner.likeness_at(image, self._carried.place)
         return locked > max(found + BEHIND, self._carried.likeness)
 
-    def _is_alike(self, tau: float) -> bool:
-        usual = self._usual - LESS if self._shows_well else LIKE * self._usual
+    def _age(self, place: Array) -> float:
+        """How many times as much less alike it may be at a ``place`` (3,), 1 where it is as large as it was: a picture
+        of more pixels, or of fewer, is never as alike."""
+        return 1.0 + abs(log(place[2] / self._first)) / log(AGES)
+
+    def _is_alike(self, place: Array, tau: float) -> bool:
+        usual = self._usual - LESS * self._age(place) if self._shows_well else LIKE * self._usual
         if self._own_likeness < self._usual_own - ALONE:  # what is about it is there, and it is not
             return False
         return self._carried.likeness >= max(usual, LATE if tau >= GONE else LEAST)
