@@ -130,7 +130,8 @@ class Snapshot:
         return 1.0 + abs(log(place[2] / self._first)) / log(AGES)
 
     def _is_alike(self, place: Array, tau: float) -> bool:
-        usual = self._usual - LESS * self._age(place) if self._shows_well else LIKE * self._usual
-        if self._own_likeness < self._usual_own - ALONE:  # what is about it is there, and it is not
-            return False
+        as_usual = self._usual - LESS * self._age(place)
+        if self._own_likeness < self._usual_own - ALONE and self._carried.likeness < as_usual:
+            return False  # what is about it is there, and it is not
+        usual = as_usual if self._shows_well else LIKE * self._usual
         return self._carried.likeness >= max(usual, LATE if tau >= GONE else LEAST)
