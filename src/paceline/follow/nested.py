@@ -19,55 +19,68 @@ Bytes = NDArray[np.uint8]
 
 NEAREST, FARTHEST = 0.02, 0.08  # shares of the model's width by which two upright lines side by side are apart
 ONE = 1.25  # times as far apart, two others are so by about as much
-EVERY = 3  # images of which in one another place is asked
 SLIGHT = 0.01  # difference of two matches that tells nothing, however long it lasts
 ABSENT = -0.05  # what an image counts in which the model does not fit at the other place
 WHOLE = 0.7  # share of what the lock usually matches below which a part of the target is hidden: that tells nothing
 FADES = 0.9995  # factor of that for an image in which there is less
-PROVEN = 0.5  # sum of what there is more of the model, at which the other place is right
+FORGOTTEN = 0.005  # share of what is known of the other places that an image makes forgotten
+PROVEN, ENOUGH = 3.0, 0.1  # times its chance scatter, and how much in all, the sum of what there is more of the model
+# is where the other place is right,
+REFUTED = -3.0  # and times that where it is not, and is asked no more until so much is forgotten
 
 
 class Nested:
-    """Asks the places at which ``target`` lies where a lock is a line off, by turns; the one that has done best is
-    asked in the images between as well, until that is settled."""
+    """Asks the places at which ``target`` lies where a lock is a line off: in each image one, by turns, and the one
+    that has done best. Where the one is right and where it is not there is a little more of the model in each image, or
+    less; what tells is how steadily."""
 
     def __init__(self, target: Target) -> None:
         self._moves = moves_of(target)
-        self._credit = np.zeros(len(self._moves))
+        self._sums = np.zeros(len(self._moves))  # of what there was more of the model
+        self._squares = np.zeros(len(self._moves))
         self._turn = 0
         self._usual = 0.0  # match of the lock
 
     def better(self, image: Bytes, here: Array, recogniser: Recogniser) -> Array | None:
         """The place (3,) at which the target has proved to be in ``image`` rather than ``here`` (3,); None while there
         is none."""
-        if not len(self._moves):
+        steady = self._steadiness()
+        open_ = np.flatnonzero(steady > REFUTED)
+        self._sums *= 1.0 - FORGOTTEN
+        self._squares *= 1.0 - FORGOTTEN
+        if not len(open_):
             return None
-        self._turn += 1
-        k = self._turn // EVERY % len(self._moves)
-        if self._turn % EVERY:
-            k = int(self._credit.argmax())
-            if self._credit[k] == 0.0:
-                return None
-        right, down, factor = self._moves[k]
-        size = recogniser.projection.size(here[2])
-        there: Array = here * (1.0, 1.0, factor) + (right * size, down * size, 0.0)
-        gain = self._gain(image, here, there, recogniser)
-        self._credit[k] = max(self._credit[k] + gain, 0.0)
-        if self._credit[k] < PROVEN:
-            return None
-        self._credit[:] = 0.0
-        return there
-
-    def _gain(self, image: Bytes, here: Array, there: Array, recogniser: Recogniser) -> float:
         measured = recogniser.measured_at(image, here)
         now = 0.0 if measured is None else measured[1]
         self._usual = max(now, FADES * self._usual)
         if now < WHOLE * self._usual:
-            return 0.0
+            return None
+        self._turn += 1
+        asked = {int(open_[steady[open_].argmax()]), int(open_[self._turn % len(open_)])}
+        right = {k: there for k in asked if (there := self._asked(k, image, here, now, recogniser)) is not None}
+        if not right:
+            return None
+        best = max(right, key=lambda k: float(self._sums[k]))
+        self._sums[:], self._squares[:] = 0.0, 0.0
+        return right[best]
+
+    def _steadiness(self) -> Array:
+        """Each sum in units of what it would be by chance."""
+        return self._sums / np.sqrt(np.maximum(self._squares, 1e-12))
+
+    def _asked(self, k: int, image: Bytes, here: Array, now: float, recogniser: Recogniser) -> Array | None:
+        """The place (3,) by move ``k`` if it has proved to be right; there is ``now`` so much of the model ``here``."""
+        right, down, factor = self._moves[k]
+        size = recogniser.projection.size(here[2])
+        there: Array = here * (1.0, 1.0, factor) + (right * size, down * size, 0.0)
         then = recogniser.measured_at(image, there)
-        if then is None or distance(then[0], there, recogniser) > distance(then[0], here, recogniser):
-            return ABSENT
-        return then[1] - now - SLIGHT
+        gain = ABSENT
+        if then is not None and distance(then[0], there, recogniser) <= distance(then[0], here, recogniser):
+            gain = then[1] - now - SLIGHT
+        self._sums[k] += gain
+        self._squares[k] += gain * gain
+        proven = gain > 0.0 and self._sums[k] >= ENOUGH and self._steadiness()[k] >= PROVEN
+        return there if proven else None
 
 
 def moves_of(target: Target) -> Array:
