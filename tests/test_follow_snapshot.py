@@ -103,6 +103,17 @@ def test_a_target_that_has_shown_well_is_held_only_where_it_is_as_alike_as_usual
     assert not any(a is None and b is not None for a, b in found)
 
 
+@pytest.mark.parametrize("grown", [1.0, 1.8, 1 / 1.8])
+def test_a_target_that_has_shown_well_may_be_less_alike_where_it_is_larger_or_smaller(grown):
+    """A picture of fewer pixels is never as alike."""
+    there = np.array([128.0, 130.0, grown])
+    for share, found in ((0.2, True), (0.35, grown != 1.0), (0.55, False)):
+        snapshot, _ = well_seen()
+        veil = (1 - share) * SCENE + share * scenery(SIZE, 9)
+        place = snapshot.find(moved(veil, CENTER, (0, 0), grown, 6.0, 77), there, 1.0)
+        assert (place is not None) == found
+
+
 def test_a_target_that_has_shown_well_is_held_only_soon_after_it_was_believed():
     snapshot, there = well_seen()
     image = veiled(0.0)
@@ -181,6 +192,27 @@ def test_what_is_about_a_low_target_does_not_stand_for_it(seed):
     image = moved(gone, CENTER, (0, 0), 1.0, 6.0, 51)
     assert snapshot.find(image, there, 1.0) is None
     assert snapshot._carried.likeness > 0.5  # what is about it is as alike as it was
+
+
+def test_the_own_part_of_a_low_target_may_be_lost_in_noise_where_the_whole_is_as_alike_as_usual():
+    """Plain paint in dim light, below a window that shows."""
+    low = Target("low", 10.0, TARGET.corners * [0.9, 0.25], TARGET.segments)
+    projection, there = Projection(camera(SIZE, 300.0), low), np.array([128.0, 130.0, 1.0])
+    right, down = np.ceil(0.5 * projection.target.size * 30.0).astype(int)
+    box = np.s_[130 - down : 131 + down, 128 - right : 129 + right]
+
+    def seen(contrast, k):
+        scene = SCENE.copy()
+        scene[box] = 120.0 + contrast * (SCENE[box] - 120.0)
+        return moved(scene, CENTER, (0, 0), 1.0, 3.0, k)
+
+    snapshot = snapshot_of(seen(0.2, 0), projection, there, UPRIGHT)
+    for k in range(1, CLEAR + 1):
+        snapshot.compare(seen(0.2, k), there, there, 1.0, False)
+    usual = snapshot._usual_own
+    place = snapshot.find(seen(0.02, 50), there, 1.0)
+    assert snapshot._own_likeness < usual - 0.2  # by which alone it would not be believed
+    assert (np.abs(place - there) < [0.7, 0.7, 0.02]).all()
 
 
 def test_what_is_behind_a_plain_target_does_not_tell_how_large_it_is():

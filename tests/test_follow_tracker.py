@@ -662,6 +662,37 @@ def test_a_target_is_held_where_a_snapshot_gainsays_its_features(clip, monkeypat
     assert tracker.lock.look(images[20], False).measurement is not None
 
 
+@pytest.mark.parametrize("match", [0.2, 0.5])
+def test_a_target_of_which_hardly_a_line_shows_does_not_show_well(clip, monkeypatch, match):
+    """All that usually shows of it may be there, and yet be so little that it is a matter of chance."""
+    images, tracker = clip[0], followed(clip)
+    recogniser, told = tracker.lock.recogniser, []
+    found = recogniser._found
+
+    def dimmed(*given):
+        look = found(*given)
+        return replace(look, measurement=replace(look.measurement, match=match), sure=True)
+
+    monkeypatch.setattr(recogniser, "_found", dimmed)
+    recogniser._snapshot = SimpleNamespace(compare=lambda image, place, expected, tau, sure: told.append(sure))
+    tracker.lock.predict(20 / 15)
+    tracker.lock.look(images[20], False)
+    assert told == [match > 0.35]
+
+
+def test_a_target_whose_lines_do_not_tell_its_size_is_held_by_its_picture(clip, monkeypatch):
+    images, tracker = clip[0], followed(clip)
+    recogniser, there = tracker.lock.recogniser, tracker.lock.expected.copy()
+    recogniser._snapshot = None
+    monkeypatch.setattr(recogniser, "_judged", lambda *given: (recognition.UNSIZED, False, False))
+    tracker.lock.predict(20 / 15)
+    look = tracker.lock.look(images[20], False)
+    assert look.note == recognition.ALONE and not look.complaint and look.measurement is None
+    assert recogniser.projection.size(there[2]) * 0.2 > np.abs(look.fit.location - tracker.lock.expected)[:2].max()
+    recogniser._proven = recognition.PROVEN - 1  # as long as its features have hardly shown it
+    assert tracker.lock.look(images[20], False).complaint == recognition.UNSIZED
+
+
 def test_a_snapshot_does_not_gainsay_what_the_search_sees_well(clip):
     """One that tells another place, for sure and unasked, moves nothing while the target shows well."""
     images, positions = clip
