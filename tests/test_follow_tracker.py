@@ -677,7 +677,7 @@ def test_a_target_of_which_hardly_a_line_shows_does_not_show_well(clip, monkeypa
     recogniser._snapshot = SimpleNamespace(compare=lambda image, place, expected, tau, sure: told.append(sure))
     tracker.lock.predict(20 / 15)
     tracker.lock.look(images[20], False)
-    assert told == [match > 0.35]
+    assert told == [match >= recognition.BY_CHANCE]
 
 
 def test_a_target_whose_lines_do_not_tell_its_size_is_held_by_its_picture(clip, monkeypatch):

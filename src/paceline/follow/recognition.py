@@ -56,7 +56,7 @@ MORE = 0.08  # and match that these must add
 SHOWING = 0.7  # the same below which other places that the search saw are looked at,
 OTHERS = 3.0  # as far about as that many times the best one's doubt, for they are a grid's;
 AS_ALIKE = 0.05  # likeness that they may have less
-BY_CHANCE = 0.35  # match of the model below which it may be one by chance
+BY_CHANCE = 0.42  # match of the model below which it may be one by chance
 WATCH = 3  # images of which in one it is asked whether the lock has slid
 WIDEST = 8.0  # times as far as usual a target is looked for that was lost
 
