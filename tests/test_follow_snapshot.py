@@ -13,6 +13,9 @@ SIZE, CENTER = (256, 242), np.array([128.0, 130.0])
 PROJECTION = Projection(camera(SIZE, 300.0), TARGET)
 WHOLE = PROJECTION.size(1.0)
 SCENE = scenery(SIZE, 5)
+LOW = Projection(camera(SIZE, 300.0), Target("low", 10.0, TARGET.corners * [0.9, 0.25], TARGET.segments))
+RIGHT, DOWN = np.ceil(0.5 * LOW.target.size * 30.0).astype(int)
+LOW_BOX = np.s_[130 - DOWN : 131 + DOWN, 128 - RIGHT : 129 + RIGHT]  # where that lies in an image
 
 
 def begun(place=(128.0, 130.0, 1.0)):
@@ -178,17 +181,14 @@ def test_one_that_is_old_is_asked_even_where_the_target_shows_well():
 @pytest.mark.parametrize("seed", range(6))
 def test_what_is_about_a_low_target_does_not_stand_for_it(seed):
     """The target leaves, and what its snapshot shows above and below it stays."""
-    low = Target("low", 10.0, TARGET.corners * [0.9, 0.25], TARGET.segments)
-    projection, there = Projection(camera(SIZE, 300.0), low), np.array([128.0, 130.0, 1.0])
+    there = np.array([128.0, 130.0, 1.0])
     first = moved(SCENE, CENTER, (0, 0), 1.0, 6.0, 0)
-    snapshot = snapshot_of(first, projection, there, UPRIGHT)
+    snapshot = snapshot_of(first, LOW, there, UPRIGHT)
     for k in range(1, CLEAR + 1):
         snapshot.compare(moved(SCENE, CENTER, (0, 0), 1.0, 6.0, k), there, there, 1.0, False)
     assert snapshot.find(moved(SCENE, CENTER, (0, 0), 1.0, 6.0, 50), there, 1.0) is not None
     gone = SCENE.copy()
-    right, down = np.ceil(0.5 * projection.target.size * 30.0).astype(int)
-    box = np.s_[130 - down : 131 + down, 128 - right : 129 + right]
-    gone[box] = scenery(SIZE, 20 + seed)[box]
+    gone[LOW_BOX] = scenery(SIZE, 20 + seed)[LOW_BOX]
     image = moved(gone, CENTER, (0, 0), 1.0, 6.0, 51)
     assert snapshot.find(image, there, 1.0) is None
     assert snapshot._carried.likeness > 0.5  # what is about it is as alike as it was
@@ -196,17 +196,14 @@ def test_what_is_about_a_low_target_does_not_stand_for_it(seed):
 
 def test_the_own_part_of_a_low_target_may_be_lost_in_noise_where_the_whole_is_as_alike_as_usual():
     """Plain paint in dim light, below a window that shows."""
-    low = Target("low", 10.0, TARGET.corners * [0.9, 0.25], TARGET.segments)
-    projection, there = Projection(camera(SIZE, 300.0), low), np.array([128.0, 130.0, 1.0])
-    right, down = np.ceil(0.5 * projection.target.size * 30.0).astype(int)
-    box = np.s_[130 - down : 131 + down, 128 - right : 129 + right]
+    there = np.array([128.0, 130.0, 1.0])
 
     def seen(contrast, k):
         scene = SCENE.copy()
-        scene[box] = 120.0 + contrast * (SCENE[box] - 120.0)
+        scene[LOW_BOX] = 120.0 + contrast * (SCENE[LOW_BOX] - 120.0)
         return moved(scene, CENTER, (0, 0), 1.0, 3.0, k)
 
-    snapshot = snapshot_of(seen(0.2, 0), projection, there, UPRIGHT)
+    snapshot = snapshot_of(seen(0.2, 0), LOW, there, UPRIGHT)
     for k in range(1, CLEAR + 1):
         snapshot.compare(seen(0.2, k), there, there, 1.0, False)
     usual = snapshot._usual_own

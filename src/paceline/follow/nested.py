@@ -24,9 +24,8 @@ ABSENT = -0.05  # what an image counts in which the model does not fit at the ot
 WHOLE = 0.7  # share of what the lock usually matches below which a part of the target is hidden: that tells nothing
 FADES = 0.9995  # factor of that for an image in which there is less
 FORGOTTEN = 0.005  # share of what is known of the other places that an image makes forgotten
-PROVEN, ENOUGH = 3.0, 0.1  # times its chance scatter, and how much in all, the sum of what there is more of the model
-# is where the other place is right,
-REFUTED = -3.0  # and times that where it is not, and is asked no more until so much is forgotten
+PROVEN, ENOUGH = 3.0, 0.1  # where another place is right: what the sum of gains is in units of chance, and in all
+REFUTED = -3.0  # the former where it is not, so that it is asked no more until some of that is forgotten
 
 
 class Nested:
@@ -44,11 +43,13 @@ class Nested:
     def better(self, image: Bytes, here: Array, recogniser: Recogniser) -> Array | None:
         """The place (3,) at which the target has proved to be in ``image`` rather than ``here`` (3,); None while there
         is none."""
+        if not len(self._moves):
+            return None
         steady = self._steadiness()
-        open_ = np.flatnonzero(steady > REFUTED)
+        left = np.flatnonzero(steady > REFUTED)
         self._sums *= 1.0 - FORGOTTEN
         self._squares *= 1.0 - FORGOTTEN
-        if not len(open_):
+        if not len(left):
             return None
         measured = recogniser.measured_at(image, here)
         now = 0.0 if measured is None else measured[1]
@@ -56,7 +57,7 @@ class Nested:
         if now < WHOLE * self._usual:
             return None
         self._turn += 1
-        asked = {int(open_[steady[open_].argmax()]), int(open_[self._turn % len(open_)])}
+        asked = {int(left[steady[left].argmax()]), int(left[self._turn % len(left)])}
         right = {k: there for k in asked if (there := self._asked(k, image, here, now, recogniser)) is not None}
         if not right:
             return None

@@ -85,7 +85,7 @@ class Snapshot:
         if found is None:
             return None
         known = self.agreed >= CLEAR or (self._shows_well and self.agreed > 0)
-        as_usual = known and self._carried.likeness >= self._usual - LESS * self._age(place)
+        as_usual = known and self._is_as_usual(place)
         if self.is_apart(place, found):
             return found if asked and not sure and as_usual and not self._is_rather(image, place) else None
         off = self._off_it(place, found)
@@ -124,14 +124,14 @@ class Snapshot:
         found = self._inner.likeness_at(image, self._carried.place)
         return locked > max(found + BEHIND, self._carried.likeness)
 
-    def _age(self, place: Array) -> float:
-        """How many times as much less alike it may be at a ``place`` (3,), 1 where it is as large as it was: a picture
-        of more pixels, or of fewer, is never as alike."""
-        return 1.0 + abs(log(place[2] / self._first)) / log(AGES)
+    def _is_as_usual(self, place: Array) -> bool:
+        """Whether it is as alike as usual for a target at a ``place`` (3,). Where that is larger or smaller than it was
+        it may be less so: a picture of more pixels, or of fewer, is never as alike."""
+        return self._carried.likeness >= self._usual - LESS * (1.0 + abs(log(place[2] / self._first)) / log(AGES))
 
     def _is_alike(self, place: Array, tau: float) -> bool:
-        as_usual = self._usual - LESS * self._age(place)
-        if self._own_likeness < self._usual_own - ALONE and self._carried.likeness < as_usual:
+        as_usual = self._is_as_usual(place)
+        if self._own_likeness < self._usual_own - ALONE and not as_usual:
             return False  # what is about it is there, and it is not
-        usual = as_usual if self._shows_well else LIKE * self._usual
-        return self._carried.likeness >= max(usual, LATE if tau >= GONE else LEAST)
+        usually = as_usual if self._shows_well else self._carried.likeness >= LIKE * self._usual
+        return usually and self._carried.likeness >= (LATE if tau >= GONE else LEAST)

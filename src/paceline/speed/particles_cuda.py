@@ -181,6 +181,13 @@ def _points_below(total, u, N):
 
 
 @cuda.jit(device=True)
+def _stretch(N):
+    """Which of a vehicle's N particles this thread adds up, from the first to the last, excluded."""
+    length = (N + cuda.gridDim.x * cuda.blockDim.x - 1) // (cuda.gridDim.x * cuda.blockDim.x)
+    return min(cuda.grid(1) * length, N), min((cuda.grid(1) + 1) * length, N)
+
+
+@cuda.jit(device=True)
 def _stretch_sum(rows, first, last):
     """The sum of the weights from ``first`` to ``last``."""
     total = 0.0
@@ -192,17 +199,15 @@ def _stretch_sum(rows, first, last):
 @kernel
 def add_up(pool, desk, shares):
     """The sum of the weights that each of a vehicle's x blocks of `cumulate` will see to, into ``shares``."""
-    b, v, t, n = cuda.blockIdx.x, cuda.blockIdx.y, cuda.threadIdx.x, cuda.blockDim.x
+    v = cuda.blockIdx.y
     order = desk[v * at.ORDER : (v + 1) * at.ORDER]
     if order[at.RESAMPLED] == 0.0:
         return
-    begin, N = int(order[at.FIRST]), int(order[at.COUNT])
-    stretch = (N + cuda.gridDim.x * n - 1) // (cuda.gridDim.x * n)
-    first, last = min((b * n + t) * stretch, N), min((b * n + t + 1) * stretch, N)
+    begin, (first, last) = int(order[at.FIRST]), _stretch(int(order[at.COUNT]))
     own = _stretch_sum(pool[int(order[at.BEFORE])], begin + first, begin + last)
     own = _block_sum(own, cuda.shared.array(THREADS, np.float64))
-    if t == 0:
-        shares[v, b, 0] = own
+    if cuda.threadIdx.x == 0:
+        shares[v, cuda.blockIdx.x, 0] = own
 
 
 @kernel
@@ -220,8 +225,7 @@ def cumulate(pool, desk, shares):
         return
     rows, begin, N, u = pool[int(order[at.BEFORE])], int(order[at.FIRST]), int(order[at.COUNT]), order[at.OFFSET]
     scratch = cuda.shared.array(THREADS, np.float64)
-    stretch = (N + cuda.gridDim.x * n - 1) // (cuda.gridDim.x * n)
-    first, last = min((b * n + t) * stretch, N), min((b * n + t + 1) * stretch, N)
+    first, last = _stretch(N)
     scratch[t] = _stretch_sum(rows, begin + first, begin + last)
     cuda.syncthreads()
     reach = 1
