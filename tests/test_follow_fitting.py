@@ -65,6 +65,38 @@ def test_too_few_features_determine_nothing(seen):
     assert fitting.locate(ideal_places(), weights, VERTICAL, OFFSETS) is None
 
 
+def test_a_coordinate_that_no_line_tells_is_the_one_known_from_elsewhere_and_the_others_do_not_heed_that():
+    """Level lines alone tell y and the size; with two upright ones the known centre has no say."""
+    rng = np.random.default_rng(4)
+    places, weights = ideal_places() + rng.normal(0, 0.3, 5), np.full(5, 2.0)
+    center = np.array([[147.0, 3.0], [70.0, 2.0]])
+    assert (fitting.locate(places, weights, VERTICAL, OFFSETS, center=center).location
+            == fitting.locate(places, weights, VERTICAL, OFFSETS).location).all()  # fmt: skip
+    fit = fitting.locate(places, np.where(VERTICAL, 0.0, weights), VERTICAL, OFFSETS, center=center)
+    A = np.column_stack([np.ones(3), OFFSETS[~VERTICAL]])
+    normal = np.linalg.inv(A.T @ A) / 4.0
+    np.testing.assert_allclose(fit.location, [147.0, *np.linalg.lstsq(A, places[~VERTICAL], rcond=None)[0]], rtol=1e-9)
+    inflation = fit.covariance[0, 0] / 9.0
+    assert inflation >= 1.0 + fitting.UNCHECKED  # one feature to spare
+    np.testing.assert_allclose(fit.covariance[1:, 1:], normal * inflation, rtol=1e-9)
+    assert fit.weights[0] > 0.0 and not fit.used[VERTICAL].any()
+    alone = np.array([0.0, 0.0, 2.0, 0.0, 0.0])  # a single line tells no size
+    assert fitting.locate(places, alone, VERTICAL, OFFSETS, center=center) is None
+
+
+def test_a_fit_and_a_place_from_elsewhere_are_weighed_by_their_covariances():
+    rng = np.random.default_rng(5)
+    root = rng.normal(size=(3, 3))
+    covariance, doubt = root @ root.T + 0.1 * np.eye(3), np.array([0.5, 1.5, 0.02])
+    here, there = rng.normal(size=3), rng.normal(size=3)
+    fit = fitting.Fit(here, covariance, np.ones(3), 0.0, np.zeros(5), np.ones(5, bool))
+    both = fitting.combined(fit, there, doubt)
+    information = np.linalg.inv(covariance) + np.diag(doubt**-2.0)
+    np.testing.assert_allclose(both.covariance, np.linalg.inv(information), rtol=1e-7)
+    mean = np.linalg.solve(information, np.linalg.solve(covariance, here) + there / doubt**2)
+    np.testing.assert_allclose(both.location, mean, rtol=1e-6)
+
+
 def test_the_stated_covariance_is_that_of_the_errors():
     rng = np.random.default_rng(2)
     sigma = np.array([0.3, 0.5, 0.2, 0.4, 0.3])

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from paceline.follow import measuring_cpu
@@ -11,6 +11,7 @@ WIDTH, HEIGHT = 60, 40
 ends = st.tuples(st.floats(-80, 80), st.floats(1, 90))
 
 
+@settings(deadline=None)  # the first call loads what is compiled
 @given(st.booleans(), st.floats(-20, 80), ends)
 def test_the_share_of_a_feature_in_view_is_that_of_its_points(vertical, place, end):
     begin, length = end

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil, exp, floor, log, sqrt
 
 import cv2
@@ -23,7 +23,11 @@ GROWN = 1.1  # times the target's size that the picture shows,
 UPRIGHT, ABOVE = 0.7, 0.67
 BLUR = 0.8  # px, of noise
 ABOUT = 0.2  # of the lesser side of what is shown: standard deviation of what is about a point, where that is evened,
-FLAT = 4.0  # grey levels: the contrast there below which a point hardly counts
+DIM = 4.0  # grey levels below which brightness counts as it is, and above which by its logarithm
+TONES = np.asarray(255.0 * np.log1p(np.arange(256.0) / DIM) / np.log1p(255.0 / DIM), np.float32)
+AS_IT_IS = np.arange(256, dtype=np.float32)
+FLAT = 4.0  # of these, the contrast there below which a point hardly counts
+MARGIN = 3.0  # standard deviations about it that count
 STEP = 0.025  # relative change of scale that is tried,
 FARTHEST = 5  # and so many of them at most
 LEAST = 4  # samples along a side
@@ -56,12 +60,11 @@ class Carried:
         self._up = np.array([0.0, (ABOVE - 0.5) * taller])  # from the picture's middle to the place
         self._shows = np.array([width, height + taller])
         self._side = max(1.0, float(min(self._shows)) / grown * self.first / DETAIL)
-        middle = self._middle(projection.shown(place).location)
+        self._evened = evened
+        shown = projection.shown(place).location
         size = self._shows * self.first
-        self._about_it = ABOUT * float(min(size)) / self._side if evened else 0.0  # samples
-        self._margin = ceil(3.0 * self._about_it)  # what is evened depends on
-        seen = _seen(image, middle, size + 2.0 * self._margin * self._side, self._side)
-        self._picture = self._part(seen, middle, self._side, np.maximum(np.rint(size / self._side), LEAST))
+        seen = self._seen(image, shown, size, self._side)
+        self._picture = _sampled(seen, self._middle(shown), self._side, np.maximum(np.rint(size / self._side), LEAST))
         self._pictures: dict[int, Floats] = {}
 
     def step(self, image: Bytes) -> Array:
@@ -93,15 +96,16 @@ class Carried:
     def _about(self, image: Bytes, shown: Array) -> _Seen:
         """All that a step from a place ``shown`` (3,) there may look at."""
         side = self._side * max(shown[2] / self.first, 1.0)
-        largest = (self._shows * shown[2] + 2.0 * self._margin * side) * exp(STEP * FARTHEST) + 2.0 * self._reach
-        return _seen(image, self._middle(shown), largest, side)
+        return self._seen(image, shown, self._shows * shown[2] * exp(STEP * FARTHEST) + 2.0 * self._reach, side)
 
-    def _part(self, seen: _Seen, middle: Array, side: float, count: Array, grown: float = 1.0) -> Floats:
-        """As `_sampled`, for a target ``grown`` to a size, and evened where that is asked for."""
-        part, m = _sampled(seen, middle, side, count + 2 * self._margin), self._margin
-        if not m:
-            return part
-        return np.ascontiguousarray(_evened(part, self._about_it * grown)[m:-m, m:-m])
+    def _seen(self, image: Bytes, shown: Array, size: Array, side: float) -> _Seen:
+        """What there is of an image (H, W) of ``size`` (2,) px about the picture's middle, where the target is
+        ``shown`` (3,), to be sampled every ``side`` px; evened where that is asked for."""
+        if not self._evened:
+            return _seen(image, self._middle(shown), size, side)
+        about = ABOUT * float(min(self._shows) * shown[2])
+        seen = _seen(image, self._middle(shown), size + 2.0 * MARGIN * about, side, TONES)
+        return replace(seen, pixels=_evened(seen.pixels, about / seen.pool))
 
     def _best(self, seen: _Seen, middle: Array, rung: int, about: Array | None = None) -> tuple[float, Array]:
         """How well the picture, by ``rung`` steps larger, correlates where it does so best within reach of the
@@ -113,7 +117,7 @@ class Carried:
             beside = np.minimum(samples, BESIDE)
             farthest = side * (samples - beside)
             middle, samples = middle + np.clip(about - middle, -farthest, farthest), beside
-        part = self._part(seen, middle, side, picture.shape[::-1] + 2 * samples, min(exp(STEP * rung), 1.0))
+        part = _sampled(seen, middle, side, picture.shape[::-1] + 2 * samples)
         scores = correlated(picture, part)
         row, column = divmod(int(scores.argmax()), scores.shape[1])
         (right, by_column), (down, by_row) = _top(_three(scores[row], column)), _top(_three(scores[:, column], row))
@@ -146,8 +150,9 @@ class _Seen:
     pool: int
 
 
-def _seen(image: Bytes, middle: Array, size: Array, side: float) -> _Seen:
-    """What there is of an image (H, W) of ``size`` (2,) px about ``middle`` (2,), to be sampled every ``side`` px."""
+def _seen(image: Bytes, middle: Array, size: Array, side: float, tones: Floats = AS_IT_IS) -> _Seen:
+    """What there is of an image (H, W) of ``size`` (2,) px about ``middle`` (2,), to be sampled every ``side`` px, in
+    ``tones`` (256,)."""
     pool = max(1, min(int(side), *image.shape))
     columns, rows = (
         _stretch(float(middle[k]), 0.5 * float(size[k]) + 3.0 * side, pool, image.shape[1 - k]) for k in (0, 1)
@@ -155,7 +160,7 @@ def _seen(image: Bytes, middle: Array, size: Array, side: float) -> _Seen:
     part = image[rows.start * pool : rows.stop * pool, columns.start * pool : columns.stop * pool]
     if pool > 1:
         part = np.asarray(cv2.resize(part, (len(columns), len(rows)), interpolation=cv2.INTER_AREA), np.uint8)
-    blurred = np.asarray(cv2.GaussianBlur(part.astype(np.float32), (0, 0), BLUR * side / pool), np.float32)
+    blurred = np.asarray(cv2.GaussianBlur(tones[part], (0, 0), BLUR * side / pool), np.float32)
     return _Seen(blurred, np.array([columns.start, rows.start]) * pool + 0.5 * (pool - 1), pool)
 
 

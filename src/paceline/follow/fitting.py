@@ -24,6 +24,7 @@ CONSISTENT = 0.1  # the residual (15) below which features agree as well as the 
 SURELY = 1e9  # confidence of what is not in doubt
 # in squares of that, the rms of 1 − cos, and what of it is likely: between the most likely, 0, and the mean, 0.5
 RMS, LIKELY = 0.5 * 3.0**0.5, 0.125
+UNKNOWN = np.array([[0.0, np.inf], [0.0, np.inf]])  # a centre of which nothing is known
 SINGULAR = 1e-6  # of the greatest diagonal of U: a location with less than that is not determined
 
 
@@ -155,13 +156,21 @@ def robust_lines(
 
 @compiled(nogil=True, error_model="numpy")
 def _locate(
-    places: Array, weights: Array, vertical: Flags, offsets: Array, scale: float, turned: float
+    places: Array, weights: Array, vertical: Flags, offsets: Array, scale: float, turned: float, center: Array
 ) -> tuple[bool, Array, Array, Array, float, Array]:
     n = len(places)
-    rows = np.zeros((max(n, 3) + 1, 5))
+    rows = np.zeros((max(n, 3) + 3, 5))
     for j in range(n):
         rows[j, 0] = -weights[j] * scale * offsets[j] if vertical[j] else 0.0
     _fill(places, weights, vertical, offsets, rows[:, 1:])
+    elsewhere = np.zeros(2)  # confidence of what is known of the centre where no line tells it
+    for p in range(2):
+        told = False
+        for j in range(n):
+            told = told or (weights[j] > 0.0 and vertical[j] == (p == 0))
+        elsewhere[p] = 0.0 if told else 1.0 / center[p, 1]
+        rows[-2 - p, 1 + p] = elsewhere[p]
+        rows[-2 - p, 4] = elsewhere[p] * center[p, 0]
     # A target turned by ψ looks narrower by κ = 1 − cos ψ. κ is the first unknown; made triangular, the rows below the
     # first hold the location whatever κ is.
     rows[-1] = 0.0
@@ -188,22 +197,31 @@ def _locate(
             freedom += 1
             confidences[0 if vertical[j] else 1] += weights[j] ** 2
     confidences[2] = confidences[0] + confidences[1]
+    confidences[:2] += elsewhere**2
+    freedom += (elsewhere > 0.0).sum()
     # few features more than unknowns hardly check each other
     inflation = max(1.0, J / freedom) * (1.0 + UNCHECKED / freedom) if freedom > 0 else 1.0 + 2.0 * UNCHECKED
     return True, x, inverse @ inverse.T * inflation, np.sqrt(confidences / max(J, CONSISTENT)), J, residuals
 
 
 def locate(
-    places: Array, weights: Array, vertical: Flags, offsets: Array, scale: float = 1.0, turned: float = 0.0
+    places: Array,
+    weights: Array,
+    vertical: Flags,
+    offsets: Array,
+    scale: float = 1.0,
+    turned: float = 0.0,
+    center: Array = UNKNOWN,
 ) -> Fit | None:
     """The location that fits the features best, (15)–(17); None where they do not determine one.
 
     ``places`` (S,) px are the features' places, ``weights`` (S,) their confidences, ``offsets`` (S,) px their u or v
     at scale 1. The covariance is (AᵀWA)⁻¹, enlarged where the residual shows that the features' confidences claim too
     much. The target's angle to the camera has the standard deviation ``turned``, rad: by as much its width, at a
-    ``scale`` of about that, is in doubt. At 0 it is seen squarely, as in the paper.
+    ``scale`` of about that, is in doubt. At 0 it is seen squarely, as in the paper. Where no upright line shows, or no
+    level one, that coordinate of the centre is the one of ``center`` (2, 2): each with its standard deviation, px.
     """
-    good, x, covariance, confidences, J, residuals = _locate(places, weights, vertical, offsets, scale, turned)
+    good, x, covariance, confidences, J, residuals = _locate(places, weights, vertical, offsets, scale, turned, center)
     return Fit(x, covariance, confidences, J, residuals, weights > 0.0) if good else None
 
 
@@ -216,6 +234,15 @@ def fused(fit: Fit, expected: Array, doubt: Array) -> Fit:
     fresh = FRESH * fit.covariance[2, 2]
     share = fresh / (fresh + doubt[2] ** 2)
     return scaled(fit, fit.location[2] + share * (expected[2] - fit.location[2]))
+
+
+def combined(fit: Fit, place: Array, doubt: Array) -> Fit:
+    """A fit and a ``place`` (3,) that is known to within ``doubt`` (3,) from elsewhere: what either errs by, the other
+    does not."""
+    gain = np.linalg.solve(fit.covariance + np.diag(doubt**2), fit.covariance).T
+    location = fit.location + gain @ (place - fit.location)
+    covariance = fit.covariance - gain @ fit.covariance
+    return Fit(location, 0.5 * (covariance + covariance.T), fit.weights, fit.residual, fit.offsets, fit.used)
 
 
 def scaled(fit: Fit, scale: float) -> Fit:

@@ -66,7 +66,7 @@ class Measurer:
         half = 0.5 * projection.target.size * projection.magnification * start[2] + gate + 2.0
         window = window_around(recorded(projection.camera, start[:2]), half, projection.camera.image_size)
         edges = self._edges.extract(image, window)  # stage 1
-        x, fit = start, None
+        x, fit, start_doubt = start, None, doubt
         for reach in (gate, min(gate, 3.0 * breadth)) if c.competing_lines else (gate,):
             features = projection.features(x)  # stage 7
             tolerance = self._tolerance(x)
@@ -74,8 +74,9 @@ class Measurer:
                 image, edges, features, x, doubt, reach, breadth, brighter, tolerance
             )
             turned = fitting.TURNED if c.foreshortening else 0.0
+            center = np.column_stack([start, start_doubt])[:2] if c.competing_lines else fitting.UNKNOWN
             fit = fitting.locate(
-                places - features.shifts, weights, self._vertical, projection.offsets, x[2], turned
+                places - features.shifts, weights, self._vertical, projection.offsets, x[2], turned, center
             )  # stage 4
             if fit is None or not 1 / CREDIBLE < fit.location[2] / start[2] < CREDIBLE:
                 return None, window
