@@ -104,3 +104,22 @@ def test_of_a_right_lock_the_other_places_are_asked_seldom_once_they_are_refuted
             nested.better(IMAGE, HERE, matches)
         asked.append(matches.asked)
     assert asked[2] - asked[1] < asked[1]
+
+
+def test_a_lock_that_was_right_for_long_and_slips_is_put_right_soon():
+    """Where other places were far behind they are not held against what is found there later."""
+    rng, right, nested = np.random.default_rng(0), moves_of(FRAMED)[6], Nested(FRAMED)
+    there = np.array([*(HERE[:2] + SIZE * HERE[2] * right[:2]), HERE[2] * right[2]])
+    before = Matches(lambda place: rng.normal(0.5 if place is HERE else 0.2, 0.02))
+    after = Matches(lambda place: rng.normal(0.5 if place is HERE else 0.55 if np.allclose(place, there) else 0.2, 0.02))
+    assert all(nested.better(IMAGE, HERE, before) is None for _ in range(100))
+    k = next(k for k in range(400) if nested.better(IMAGE, HERE, after) is not None)
+    assert k < 80
+
+
+def test_what_is_known_beside_one_lock_is_forgotten_for_another():
+    nested, asked = Nested(FRAMED), Matches(lambda place: 0.5 if place is HERE else 0.55)
+    while nested._steadiness().max() < 2.5:
+        assert nested.better(IMAGE, HERE, asked) is None
+    nested.forget()
+    assert not nested._steadiness().any()

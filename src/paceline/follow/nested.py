@@ -20,7 +20,8 @@ Bytes = NDArray[np.uint8]
 NEAREST, FARTHEST = 0.02, 0.08  # shares of the model's width by which two upright lines side by side are apart
 ONE = 1.25  # times as far apart, two others are so by about as much
 SLIGHT = 0.01  # difference of two matches that tells nothing, however long it lasts
-ABSENT = -0.05  # what an image counts in which the model does not fit at the other place
+ABSENT = -0.05  # what an image counts in which the model does not fit at the other place, and at least: a lock that was
+# right for long may slip later on
 WHOLE = 0.7  # share of what the lock usually matches below which a part of the target is hidden: that tells nothing
 FADES = 0.9995  # factor of that for an image in which there is less
 FORGOTTEN = 0.005  # share of what is known of the other places that an image makes forgotten
@@ -62,8 +63,13 @@ class Nested:
         if not right:
             return None
         best = max(right, key=lambda k: float(self._sums[k]))
-        self._sums[:], self._squares[:] = 0.0, 0.0
+        self.forget()
         return right[best]
+
+    def forget(self) -> None:
+        """The lock is another one from now on: nothing is known of the places about it."""
+        self._sums[:], self._squares[:] = 0.0, 0.0
+        self._usual = 0.0
 
     def _steadiness(self) -> Array:
         """Each sum in units of what it would be by chance."""
@@ -77,7 +83,7 @@ class Nested:
         then = recogniser.measured_at(image, there)
         gain = ABSENT
         if then is not None and distance(then[0], there, recogniser) <= distance(then[0], here, recogniser):
-            gain = then[1] - now - SLIGHT
+            gain = max(then[1] - now - SLIGHT, ABSENT)
         self._sums[k] += gain
         self._squares[k] += gain * gain
         proven = gain > 0.0 and self._sums[k] >= ENOUGH and self._steadiness()[k] >= PROVEN

@@ -72,6 +72,8 @@ class Probation:
             self.lock, self.pending = self._start.lock, self._start.pending
             self._usual = match_of(look)
             return look, note
+        if look.slid:
+            self._nested.forget()
         if self._rival is not None:
             return self._try(self._rival, image, time, look)
         if look.measurement is not None and not look.complaint:
@@ -91,6 +93,7 @@ class Probation:
     def resume(self) -> None:
         """The target was lost and found again: look once more whether it is elsewhere."""
         self._turn = 0
+        self._nested.forget()
 
     def _patrol(self, image: Bytes, time: float, measurement: Measurement) -> None:
         """Look through the places of one size, and the next time of another: is there more of the model?"""
@@ -115,6 +118,7 @@ class Probation:
         self._left -= 1
         if self._credit > PROVEN and not seen.complaint:
             self.lock, self._rival, self._usual = rival, None, match_of(seen)
+            self._nested.forget()
             return seen, SWITCHED
         if self._credit < -SURE or not self._left or self._is_same(seen, look):
             self._rival = None
