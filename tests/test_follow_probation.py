@@ -74,6 +74,9 @@ class Places:
     def learn(self, look):
         pass
 
+    def anchor(self, image, place):
+        self.anchored = place
+
     def measured_at(self, image, location):
         look = self.look_at(image, location, None)
         return None if look.fit is None else (look.fit.location, look.measurement.match)
@@ -220,8 +223,18 @@ def test_a_place_that_is_better_by_less_than_hands_err_is_not_believed():
 
 
 def test_a_start_is_not_believed_either_where_something_far_off_matches_much_better():
-    watch = Watch((0, 0, 1, 0.18), (0.3, 0, 1, 0.19 + AMISS))
-    assert watch.see(25) == [DOUBT] * 25
+    for more, doubted in ((-0.01, False), (0.01, True)):
+        watch = Watch((0, 0, 1, 0.24), (0.4, 0, 1, 0.24 + AMISS + more))
+        assert (watch.see(25)[-1] == DOUBT) == doubted
+        np.testing.assert_allclose(watch.at, [0, 0, 1], atol=1e-6)
+
+
+def test_what_a_target_looks_like_is_told_of_the_first_image_where_the_doubt_was_settled():
+    for places in ([(0.02, 0, 1, lambda image: 0.25 if image else 0.0)], [(0, 0, 1, 0.2), (0.3, 0, 1, 0.8)]):
+        watch = Watch(*places)
+        watch.see(EARLY + 2)
+        first = watch.probation.first
+        assert not watch.probation.pending and watch.places.anchored is first
 
 
 def test_where_two_places_match_alike_the_doubt_lasts_until_one_of_them_fades():

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from moved_scenery import REACH, TARGET, camera, moved, scenery
 
-from paceline.follow.carrying import GROWN, UPRIGHT, Carried
+from paceline.follow.carrying import UPRIGHT, Carried
 from paceline.follow.features import Projection
-from paceline.follow.snapshot import AGES, APART, CLEAR, EVERY, MOST, OFF, WITHIN, Snapshot
+from paceline.follow.snapshot import AGES, APART, CLEAR, EVERY, MOST, OFF, STRIKING, WITHIN, Snapshot
 from paceline.follow.target import Target
 
 SIZE, CENTER = (256, 242), np.array([128.0, 130.0])
@@ -26,8 +26,9 @@ def begun(place=(128.0, 130.0, 1.0)):
 def snapshot_of(image, projection, place, upright=0.0):
     """As the recogniser makes it."""
     near = np.full(2, 1.0)
-    whole = Carried(image, projection, place, REACH, upright)
-    own, inner = (Carried(image, projection, place, near, grown=grown) for grown in (GROWN, WITHIN))
+    whole = Carried(image, projection, place, REACH, upright, evened=True)
+    own = Carried(image, projection, place, near, evened=True)
+    inner = Carried(image, projection, place, near, grown=WITHIN)
     return Snapshot(whole, own, inner, projection.size(1.0))
 
 
@@ -106,17 +107,6 @@ def test_a_target_that_has_shown_well_is_held_only_where_it_is_as_alike_as_usual
     assert not any(a is None and b is not None for a, b in found)
 
 
-@pytest.mark.parametrize("grown", [1.0, 1.8, 1 / 1.8])
-def test_a_target_that_has_shown_well_may_be_less_alike_where_it_is_larger_or_smaller(grown):
-    """A picture of fewer pixels is never as alike."""
-    there = np.array([128.0, 130.0, grown])
-    for share, found in ((0.2, True), (0.35, grown != 1.0), (0.55, False)):
-        snapshot, _ = well_seen()
-        veil = (1 - share) * SCENE + share * scenery(SIZE, 9)
-        place = snapshot.find(moved(veil, CENTER, (0, 0), grown, 6.0, 77), there, 1.0)
-        assert (place is not None) == found
-
-
 def test_a_target_that_has_shown_well_is_held_only_soon_after_it_was_believed():
     snapshot, there = well_seen()
     image = veiled(0.0)
@@ -139,11 +129,12 @@ def agreed(last=None, times=CLEAR):
     return snapshot, there
 
 
-def test_what_disagrees_with_a_lock_is_not_told_by_a_snapshot_that_is_not_known_yet():
-    snapshot, there = begun(), np.array([128.0, 130.0, 1.0])
-    for far in (0.5, 1.5):
-        told = snapshot.compare(moved(SCENE, CENTER, (0, 0), 1.0, 6.0, 5), off_by(far), there, 1.0, False)
-        assert (told is None) == (far > 1)
+def test_what_disagrees_with_a_lock_is_told_by_a_snapshot_that_is_not_known_yet_only_where_it_is_strikingly_alike():
+    for share, far, believed in ((0.0, 1.5, True), (0.55, 1.5, False), (0.55, 0.5, True)):
+        snapshot, there = begun(), np.array([128.0, 130.0, 1.0])
+        told = snapshot.compare(veiled(share), off_by(far), there, 1.0, False)
+        assert (told is not None) == believed
+        assert (snapshot._carried.likeness > STRIKING) == (share == 0.0)
 
 
 def test_one_that_is_known_and_as_alike_as_usual_is_believed_against_a_lock_that_is_not_sure():
@@ -166,16 +157,25 @@ def test_the_two_confirm_each_other_where_they_agree_closely():
     assert not unknown.confirmed
 
 
-def test_one_that_is_old_is_asked_even_where_the_target_shows_well():
+def test_one_that_is_old_is_asked_even_where_the_lock_is_sure():
     """For another is to be taken in its place; it tells nothing, and it is asked now and then."""
     snapshot, there = well_seen()
     asked = 0
     for k in range(4 * EVERY):
         image = moved(SCENE, CENTER, (0, 0), 1.1 * AGES, 6.0, 100 + k)
         grown = there * [1.0, 1.0, 1.1 * AGES]
-        assert snapshot.compare(image, grown, grown, 1.0, False) is None
+        assert snapshot.compare(image, grown, grown, 1.0, True) is None
         asked += snapshot.confirmed
-    assert asked == 4
+    assert 4 <= asked <= 6
+
+
+def test_a_target_that_has_shown_well_is_told_where_its_lock_is_not_sure_and_not_far():
+    """A lorry in the shade for a while: what its picture tells is as good as it was."""
+    for far, told in ((0.5, True), (1.5, False)):
+        snapshot, there = well_seen()
+        found = snapshot.compare(veiled(0.0), off_by(far), there, 1.0, False)
+        assert (found is not None) == told
+        assert not told or (np.abs(found - there) < [0.7, 0.7, 0.02]).all()
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -194,22 +194,22 @@ def test_what_is_about_a_low_target_does_not_stand_for_it(seed):
     assert snapshot._carried.likeness > 0.5  # what is about it is as alike as it was
 
 
-def test_the_own_part_of_a_low_target_may_be_lost_in_noise_where_the_whole_is_as_alike_as_usual():
-    """Plain paint in dim light, below a window that shows."""
-    there = np.array([128.0, 130.0, 1.0])
+@pytest.mark.parametrize("contrast", [0.3, 0.5])
+@pytest.mark.parametrize("grown", [1.0, 1.29, 1.8])
+def test_a_faint_low_target_that_has_gone_is_not_held_by_what_is_about_it(contrast, grown):
+    there = np.array([128.0, 130.0, grown])
 
-    def seen(contrast, k):
+    def seen(own, grown, k):
         scene = SCENE.copy()
-        scene[LOW_BOX] = 120.0 + contrast * (SCENE[LOW_BOX] - 120.0)
-        return moved(scene, CENTER, (0, 0), 1.0, 3.0, k)
+        scene[LOW_BOX] = 120.0 + contrast * (scenery(SIZE, own)[LOW_BOX] - 120.0)
+        return moved(scene, CENTER, (0, 0), grown, 3.0, k)
 
-    snapshot = snapshot_of(seen(0.2, 0), LOW, there, UPRIGHT)
+    snapshot = snapshot_of(seen(70, 1.0, 0), LOW, np.array([128.0, 130.0, 1.0]), UPRIGHT)
     for k in range(1, CLEAR + 1):
-        snapshot.compare(seen(0.2, k), there, there, 1.0, False)
-    usual = snapshot._usual_own
-    place = snapshot.find(seen(0.02, 50), there, 1.0)
-    assert snapshot._own_likeness < usual - 0.2  # by which alone it would not be believed
-    assert (np.abs(place - there) < [0.7, 0.7, 0.02]).all()
+        snapshot.compare(seen(70, grown, k), there, there, 1.0, False)
+    assert snapshot.find(seen(70, grown, 50), there, 1.0) is not None
+    held = [snapshot.find(seen(own, grown, 51), there, 1.0) is not None for own in range(71, 77)]
+    assert not any(held)
 
 
 def test_what_is_behind_a_plain_target_does_not_tell_how_large_it_is():
@@ -227,9 +227,10 @@ def test_what_is_behind_a_plain_target_does_not_tell_how_large_it_is():
     snapshot = snapshot_of(before(1.0, 0), PROJECTION, there)
     for k in range(1, CLEAR + 1):
         snapshot.compare(before(1.0, k), there, there, 1.0, False)
-    assert snapshot.is_apart(there, snapshot.find(before(1.05, 50), there, 1.0))
+    assert snapshot.is_apart(there, snapshot.find(before(1.08, 50), there, 1.0))
     assert snapshot._carried.likeness > 0.95
-    assert snapshot.compare(before(1.05, 50), there, there, 1.0, False) is None
+    for grown in (1.05, 1.08):
+        assert snapshot.compare(before(grown, 50), there, there, 1.0, False) is None
 
 
 @pytest.mark.parametrize("grey", [25.0, 160.0])

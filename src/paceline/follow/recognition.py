@@ -56,7 +56,7 @@ MORE = 0.08  # and match that these must add
 SHOWING = 0.7  # the same below which other places that the search saw are looked at,
 OTHERS = 3.0  # as far about as that many times the best one's doubt, for they are a grid's;
 AS_ALIKE = 0.05  # likeness that they may have less
-BY_CHANCE = 0.42  # match of the model below which it may be one by chance
+BY_CHANCE = 0.5  # match of the model below which it may be one by chance
 WATCH = 3  # images of which in one it is asked whether the lock has slid
 WIDEST = 8.0  # times as far as usual a target is looked for that was lost
 
@@ -66,7 +66,7 @@ APART = "what is found does not fit together"
 UNSIZED = "its size cannot be told"
 STILL = 0.9  # share of the match that there must be where a lock had slid from
 SLID = "its lock had slid along other edges: back to where it looks as it did"
-ALONE = "held by its picture: too few of its features are found"
+ASTRAY = "its features are found elsewhere"
 
 
 class Foreseen(NamedTuple):
@@ -108,7 +108,8 @@ class Recogniser:
         self._proven = 0
         self._held_for = 0  # frames, in a row, by a picture alone
         self._snapshot: Snapshot | None = None
-        self._image: Bytes | None = None  # looked at last
+        self._image: Bytes | None = None  # looked at last,
+        self._foreseen: Foreseen | None = None  # and where the target was expected there
         self._turn = 0
         self._either = np.zeros(len(self.projection.offsets), np.int64)  # which side is brighter is not known
         self.appearance = Appearance(target)
@@ -118,7 +119,7 @@ class Recogniser:
         """The target in ``image`` (H, W), where it is ``expected`` (3,) to within ``doubt`` (3,), ``tau`` cycles after
         it was seen last; ``lost``: it may be anywhere."""
         self._image = image
-        foreseen = Foreseen(expected, doubt, tau, lost)
+        self._foreseen = foreseen = Foreseen(expected, doubt, tau, lost)
         if not self._c.wide_search:
             return self._measured(image, expected, doubt, foreseen)
         width = 0.0
@@ -138,8 +139,14 @@ class Recogniser:
         if fit is None or self._snapshot.is_apart(fit.location, place):
             if look.sighting is None and not self._search.open_at(image, self.projection.shown(place).location):
                 return look
-            return self._held(place, near, look.window)
-        return replace(look, fit=fitting.fused(replace(fit, covariance=UNSURE**2 * fit.covariance), place, near))
+            return self._held(place, near, look.window, look.complaint or ASTRAY)
+        fit = fitting.combined(self._doubted(look, fit), place, near)
+        inside, evidence = self._evidence_at(fit.location)
+        return replace(look, fit=fit, inside=inside, evidence=evidence)
+
+    def _doubted(self, look: Look, fit: Fit) -> Fit:
+        """A ``fit`` with the covariance that is believed of it."""
+        return fit if look.sure and self._shows(look) else replace(fit, covariance=UNSURE**2 * fit.covariance)
 
     def _shows(self, look: Look) -> bool:
         """Whether so much of the model shows as hardly ever does by chance."""
@@ -159,10 +166,10 @@ class Recogniser:
 
     def look_at(self, image: Bytes, location: Array, doubt: Array) -> Look:
         """The target in ``image`` (H, W) at ``location`` (3,), known to within ``doubt`` (3,): nothing is searched."""
-        self._image = image
+        self._image, self._foreseen = image, Foreseen(location, doubt)
         if not self._search.open_at(image, self.projection.shown(location).location):
             return Look(OUTSIDE)
-        return self._measured(image, location, doubt, Foreseen(location, doubt))
+        return self._measured(image, location, doubt, self._foreseen)
 
     def afresh(self) -> Recogniser:
         """Another one that has not learned anything; the two work with the same scratch."""
@@ -250,7 +257,7 @@ class Recogniser:
                 self._evidence_at(look.fit.location)  # what is learned is the picture looked at last
         proven = self._proven >= PROVEN and self._held_for < ALONE_FOR and not foreseen.lost
         if look.complaint in (FEW, APART, UNSIZED) and proven and sighting.picture > HELD:
-            return self._by_picture(start, sighting)
+            return self._by_picture(start, sighting, look.complaint)
         return look
 
     def _or_elsewhere(self, look: Look, sighting: Sighting, image: Bytes, foreseen: Foreseen) -> Look:
@@ -296,21 +303,21 @@ class Recogniser:
             self._evidence_at(look.fit.location)  # what is learned is the picture looked at last
         return None
 
-    def _by_picture(self, location: Array, sighting: Sighting) -> Look:
-        """The target by its picture of late alone."""
+    def _by_picture(self, location: Array, sighting: Sighting, why: str) -> Look:
+        """The target by its picture of late alone, and ``why``."""
         if self._c.steady_scale:
             center = self.projection.shown(location).location[:2]
             picture = self._search.scale_at(center, float(location[2]), self.appearance)
             location = location if picture is None else np.array([*location[:2], self.gauge.scale(picture)])
         doubt = sighting.doubt * np.array([1.0, 1.0, 1.0 + self._held_for / PROVEN])  # a picture's size drifts
-        return self._held(location, doubt, sighting.window)
+        return self._held(location, doubt, sighting.window, why)
 
-    def _held(self, location: Array, doubt: Array, window: Window) -> Look:
-        """The target where its features cannot be told, but its picture is, to within ``doubt`` (3,)."""
+    def _held(self, location: Array, doubt: Array, window: Window, why: str) -> Look:
+        """The target where its picture is, to within ``doubt`` (3,); ``why`` its features do not tell it."""
         n = len(self.projection.offsets)
         fit = Fit(location, np.diag(doubt**2), np.zeros(3), 0.0, np.full(n, np.nan), np.zeros(n, bool))
         inside, evidence = self._evidence_at(location)
-        return Look("", window, fit, None, inside, evidence, note=ALONE)
+        return Look("", window, fit, None, inside, evidence, note=f"held by its picture: {why}")
 
     def _evidence_at(self, location: Array) -> tuple[float, Array]:
         """`Search.evidence_at` a ``location`` (3,) of the model, in the part of the image searched last."""
@@ -323,14 +330,25 @@ class Recogniser:
             return
         place = look.fit.location
         last = self._snapshot
+        if last is None and self._foreseen is not None:  # a hand has put it there
+            place = fitting.combined(self._doubted(look, look.fit), *self._foreseen[:2]).location
         anew = last is not None and last.is_old(place[2]) and (look.clear or last.confirmed)
         if last is None or (anew and self._proven >= PROVEN):
-            size = self.projection.size(1.0)
-            whole = Carried(self._image, self.projection, place, self._search.usual, UPRIGHT)
-            near = np.full(2, ABOUT * size * place[2])
-            own = Carried(self._image, self.projection, place, near)
-            inner = Carried(self._image, self.projection, place, near, grown=WITHIN)
-            self._snapshot = Snapshot(whole, own, inner, size, last)
+            self._snapshot = self._snapshot_of(self._image, place, last)
+
+    def anchor(self, image: Bytes, place: Array) -> None:
+        """Tell it that the target was at a ``place`` (3,) in ``image`` (H, W), which a hand has set, as what it looks
+        like there."""
+        if self._c.snapshot:
+            self._snapshot = self._snapshot_of(image, place)
+
+    def _snapshot_of(self, image: Bytes, place: Array, last: Snapshot | None = None) -> Snapshot:
+        size = self.projection.size(1.0)
+        near = np.full(2, ABOUT * size * place[2])
+        whole = Carried(image, self.projection, place, self._search.usual, UPRIGHT, evened=True)
+        own = Carried(image, self.projection, place, near, evened=True)
+        inner = Carried(image, self.projection, place, near, grown=WITHIN)
+        return Snapshot(whole, own, inner, size, last)
 
     def _measured(
         self, image: Bytes, start: Array, near: Array, foreseen: Foreseen, searched: Window | None = None

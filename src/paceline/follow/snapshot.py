@@ -14,10 +14,11 @@ Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 
 FIRST, RATE = 0.5, 0.2  # likeness that is usual before any is known; of learning it
+STRIKING = 0.75  # likeness at which it gainsays features that do not show well from the first image on
 LIKE, LEAST = 0.7, 0.46  # share of the usual likeness, and likeness, at which the target is believed to be there,
 LATE = 0.6  # and the latter where it was not seen for as long as GONE: among many places some look alike
 CLEAR = 5  # sure sights after which it is known to show well: what then makes it look otherwise stands before it,
-LESS, GONE = 0.06, 3.0  # and it has to be as alike as that, and to have been seen so many cycles ago at most
+LESS, GONE = 0.06, 3.0  # and it may be less alike than usual by that, and seen so many cycles ago at most
 ALONE = 0.2  # likeness by which the model's own part may be less alike than usual
 WITHIN = 0.95  # times the model's size that its inner part shows: what is behind its outline comes nearer by itself
 BEHIND = 0.05  # likeness by which that may be more alike where the lock is than where the snapshot tells
@@ -28,7 +29,7 @@ TWICE = 2
 APART = np.array([0.1, 0.1, 0.07])  # sizes, and relative scale, by which they may disagree
 CLOSELY = 0.2  # share of that within which they confirm each other, so that another may be taken there
 OFF = 0.03  # the same by which it may be set right
-RIGHT = np.array([0.02, 0.02, 0.05])  # standard deviations of what it tells, in sizes and of the scale
+RIGHT = np.array([0.02, 0.02, 0.02])  # standard deviations of what it tells, in sizes and of the scale, with the hand's
 
 
 class Snapshot:
@@ -69,28 +70,31 @@ class Snapshot:
         if not 1 / MOST < expected[2] / self._first < MOST or (self._shows_well and tau >= GONE):
             return None
         place = self._place(image, expected)
-        return place if self._is_alike(place, tau) else None
+        return place if self._is_alike(tau) else None
 
     def compare(self, image: Bytes, place: Array, expected: Array, tau: float, sure: bool) -> Array | None:
-        """As `find`, for a target that its features show at ``place`` (3,). Where it shows well, or this is ``sure``,
-        nothing is told but learned, and that in some images only. Where it does not, and is as alike as usual, it is
-        believed elsewhere, too: edges in dim light are anybody's."""
+        """As `find`, for a target that its features show at ``place`` (3,). Where that is ``sure`` nothing is told but
+        learned, and in some images only. A target that does not show well and is strikingly alike, or as alike as
+        usual, is believed elsewhere, too: edges in dim light are anybody's."""
         self._surely += sure
         self._turn += 1
         self.confirmed = False
-        asked = self._is_due if sure else not self._shows_well
+        asked = self._is_due or not sure
         if not asked and not (self.is_old(place[2]) and self._turn % EVERY == 0):
             return None
         found = self.find(image, expected, tau)
         if found is None:
             return None
         known = self.agreed >= CLEAR or (self._shows_well and self.agreed > 0)
-        as_usual = known and self._is_as_usual(place)
-        if self.is_apart(place, found):
-            return found if asked and not sure and as_usual and not self._is_rather(image, place) else None
+        as_usual = known and self._is_as_usual
         off = self._off_it(place, found)
-        self.confirmed = as_usual and bool((np.abs(off) < CLOSELY * APART).all())
-        if not asked:
+        close = bool((np.abs(off) < CLOSELY * APART).all())
+        if self.is_apart(place, found):
+            believed = as_usual or (not self._shows_well and self._carried.likeness >= STRIKING)
+            believed = believed and not (sure or self._shows_well) and not self._is_rather(image, place)
+            return found if asked and believed else None
+        self.confirmed = as_usual and close
+        if not asked or not (sure or close) and self._is_rather(image, place):
             return None
         self.agreed += 1
         rate = max(RATE, 1 / self.agreed)
@@ -124,14 +128,12 @@ class Snapshot:
         found = self._inner.likeness_at(image, self._carried.place)
         return locked > max(found + BEHIND, self._carried.likeness)
 
-    def _is_as_usual(self, place: Array) -> bool:
-        """Whether it is as alike as usual for a target at a ``place`` (3,). Where that is larger or smaller than it was
-        it may be less so: a picture of more pixels, or of fewer, is never as alike."""
-        return self._carried.likeness >= self._usual - LESS * (1.0 + abs(log(place[2] / self._first)) / log(AGES))
+    @property
+    def _is_as_usual(self) -> bool:
+        return self._carried.likeness >= self._usual - LESS
 
-    def _is_alike(self, place: Array, tau: float) -> bool:
-        as_usual = self._is_as_usual(place)
-        if self._own_likeness < self._usual_own - ALONE and not as_usual:
+    def _is_alike(self, tau: float) -> bool:
+        if self._own_likeness < self._usual_own - ALONE:
             return False  # what is about it is there, and it is not
-        usually = as_usual if self._shows_well else self._carried.likeness >= LIKE * self._usual
+        usually = self._is_as_usual if self._shows_well else self._carried.likeness >= LIKE * self._usual
         return usually and self._carried.likeness >= (LATE if tau >= GONE else LEAST)

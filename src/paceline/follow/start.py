@@ -30,7 +30,7 @@ CONVINCING = 0.35  # mean match of another place that is believed instead,
 MUCH, FARTHER = 0.05, 1.0  # by how much it is more, and more by its distance, as hands hardly err that far;
 STRIKING = 0.6  # but where it is as much as hardly ever by chance, by CLEAR at most;
 ALIKE = 0.04  # by so little more than a third one's it is not
-AMISS = 0.2  # match by which the operator's is not believed either where another one is more
+AMISS = 0.3  # match by which the operator's is not believed either where another one is more
 EARLY, SEVERAL = 3, 7  # images after the first that tell where there is no doubt, and where there was
 DOUBTED = 2.0  # s for which a start may be in doubt: then the target is elsewhere, and what is there may be another
 OFF = 0.06  # sizes from the start, or relative scale, at which the operator is told
@@ -49,6 +49,7 @@ class Start:
     def __init__(self, lock: Lock) -> None:
         self._recogniser, self._hand = lock.recogniser, lock.expected
         self._began: float | None = None  # s, when it was looked at first
+        self._image: Bytes | None = None  # that was
         self._places: list[Carried] = []  # the operator's first,
         self._at_first: list[Array] = []  # where they were in the first image,
         self._away = np.zeros(0)  # how far from that they are,
@@ -71,6 +72,8 @@ class Start:
         k = told(np.array(self._matches), self._away)
         if k is not None and self._is_there(k, looks[k]):
             self.first = self._at_first[k]
+            assert self._image is not None
+            locks[k].recogniser.anchor(self._image, self.first)
             return self._settle(locks[k], looks[k], k > 0)
         self.lock = locks[0]
         return Look(DOUBT if len(locks) > 1 else NOWHERE, own.window), ""
@@ -85,6 +88,7 @@ class Start:
             away = [self._distance(fits[k], place) for place in places]
             if away[0] > PLACED and min(away[1:], default=np.inf) > BESIDE:
                 places.append(fits[k])
+        self._image = image.copy()
         self._places = [self._recogniser.carry(image, place) for place in places[: 1 + FOLLOWED]]
         self._at_first = [carried.place for carried in self._places]
         self._away = np.array([self._off(place) for place in self._at_first])
