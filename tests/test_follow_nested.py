@@ -111,7 +111,8 @@ def test_a_lock_that_was_right_for_long_and_slips_is_put_right_soon():
     rng, right, nested = np.random.default_rng(0), moves_of(FRAMED)[6], Nested(FRAMED)
     there = np.array([*(HERE[:2] + SIZE * HERE[2] * right[:2]), HERE[2] * right[2]])
     before = Matches(lambda place: rng.normal(0.5 if place is HERE else 0.2, 0.02))
-    after = Matches(lambda place: rng.normal(0.5 if place is HERE else 0.55 if np.allclose(place, there) else 0.2, 0.02))
+    more = {True: 0.55, False: 0.2}
+    after = Matches(lambda place: rng.normal(0.5 if place is HERE else more[np.allclose(place, there)], 0.02))
     assert all(nested.better(IMAGE, HERE, before) is None for _ in range(100))
     k = next(k for k in range(400) if nested.better(IMAGE, HERE, after) is not None)
     assert k < 80
