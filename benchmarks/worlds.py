@@ -3,7 +3,7 @@
 paceline simulate suite -n 60 --seed 1 -o worlds/speed
 paceline simulate suite -n 20 --seed 1 --kind follow -o worlds/follow
 python benchmarks/worlds.py worlds/speed [--workers 2]
-python benchmarks/worlds.py worlds/follow [--workers 2]
+python benchmarks/worlds.py worlds/follow [--workers 2] [--hands 3]
 """
 
 from __future__ import annotations
@@ -12,8 +12,9 @@ import argparse
 import json
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -23,7 +24,9 @@ from common import head, machine, measured, read_truth, rms, row, share_out, tru
 from follow import OFF_PLACE, OFF_RANGE, SEEN, WITHIN
 
 from paceline import load_clip, load_follow, open_camera
+from paceline.documents import FollowClip
 from paceline.follow.following import follow
+from paceline.simulation.following import CLICK
 from paceline.speed.results import Measurement
 from paceline.units import SpeedUnit
 
@@ -196,10 +199,13 @@ SIGHT_GROUPS: Groups = {
 }
 
 
-def run_chase(folder: Path) -> Chase:
-    """Follow and compare the clip in ``folder``."""
+def run_chase(begun: tuple[Path, int]) -> Chase:
+    """Follow and compare the clip in a folder, from its own start or, with a number above 0, from another hand's."""
+    folder, hand = begun
     clip = load_follow(folder / "follow.yaml")
     truth = {r["frame"]: r for r in json.loads((folder / "truth.json").read_text())}
+    if hand:
+        clip = by_another_hand(clip, truth[clip.frame], np.random.default_rng([*folder.name.encode(), hand]))
     sights = []
     for frame, e in follow(clip, open_camera(clip)):
         true = truth[frame.index]
@@ -214,7 +220,16 @@ def run_chase(folder: Path) -> Chase:
         wrong = bool(abs(z) > OFF_RANGE * far or off > OFF_PLACE * true["width_px"])
         covered = bool(abs(z) <= WITHIN * e.position_std[2])
         sights.append(Sight(far, True, wrong, float(z / far), float(x), covered))
-    return Chase(folder.name, yaml.safe_load((folder / "scene.yaml").read_text()), sights)
+    name = f"{folder.name}, hand {hand}" if hand else folder.name
+    return Chase(name, yaml.safe_load((folder / "scene.yaml").read_text()), sights)
+
+
+def by_another_hand(clip: FollowClip, first: dict[str, Any], rng: np.random.Generator) -> FollowClip:
+    """A ``clip`` with its start drawn anew about the truth of its ``first`` frame."""
+    across, share = CLICK
+    center = np.array(first["center"]) + rng.normal(0, across, 2)
+    scale = clip.target.nominal_range / first["position"][2] * (1 + rng.normal(0, share))
+    return replace(clip, center=center, scale=float(scale))
 
 
 CHASE_COLUMNS = ("frames", "lost", "wrong", "range mean, %", "RMS", "worst", "lateral RMS, m", "covered: range")
@@ -255,6 +270,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Both trackers on ray-traced worlds.")
     parser.add_argument("suite", type=Path, help="folder that paceline simulate suite has made")
     parser.add_argument("--workers", type=int, default=2, help="processes")
+    parser.add_argument("--hands", type=int, default=1, help="operators' starts of each chase")
     args = parser.parse_args()
     begun = time.perf_counter()
     if speeds := sorted(p.parent for p in args.suite.glob("*/clip.yaml")):
@@ -267,7 +283,7 @@ def main() -> None:
     if chases := sorted(p.parent for p in args.suite.glob("*/follow.yaml")):
         print(head("clip", "scene", *CHASE_COLUMNS), flush=True)
         followed = []
-        for c in share_out(run_chase, chases, args.workers):
+        for c in share_out(run_chase, list(product(chases, range(args.hands))), args.workers):
             followed.append(c)
             print_chase(c)
         print(f"\n{chase_summary(followed)}\n")
