@@ -90,9 +90,8 @@ class Snapshot:
         off = self._off_it(place, found)
         close = bool((np.abs(off) < CLOSELY * APART).all())
         if self.is_apart(place, found):
-            believed = as_usual or (not self._shows_well and self._carried.likeness >= STRIKING)
-            believed = believed and not (sure or self._shows_well) and not self._is_rather(image, place)
-            return found if asked and believed else None
+            believed = not (sure or self._shows_well) and (as_usual or self._carried.likeness >= STRIKING)
+            return found if believed and not self._is_rather(image, place) else None
         self.confirmed = as_usual and close
         if not asked or not (sure or close) and self._is_rather(image, place):
             return None
