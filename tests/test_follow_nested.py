@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from paceline.follow.nested import Nested, moves_of
+from paceline.follow.nested import SLIGHT, Nested, moves_of
 from paceline.follow.target import Target
 
 BOX = np.array([[-1.0, -0.9], [1.0, -0.9], [1.0, 0.9], [-1.0, 0.9]])
@@ -41,14 +41,17 @@ def test_a_model_without_lines_side_by_side_has_no_moves_and_asks_nothing():
 class Matches:
     """Stands for a recogniser: every place fits where it is, with a match that `of` tells."""
 
-    def __init__(self, of):
-        self._of, self.asked = of, 0
+    def __init__(self, of, hand=None):
+        self._of, self.hand, self.asked = of, hand, 0
         self.projection = SimpleNamespace(size=lambda scale: SIZE * scale)
 
     def measured_at(self, image, location):
         self.asked += 1
         match = self._of(location)
         return None if match is None else (location, match)
+
+    def put_by_hand(self, image, near):
+        return self.hand
 
 
 def told(matches, images=400):
@@ -75,6 +78,16 @@ def test_a_lock_stays_where_it_matches_better_or_nothing_fits_beside_it(seed):
     rng = np.random.default_rng(seed)
     assert told(Matches(lambda place: rng.normal(0.3 if place is HERE else 0.28, 0.02)))[1] is None
     assert told(Matches(lambda place: 0.3 if place is HERE else None))[1] is None
+
+
+@pytest.mark.parametrize("gain, hand, moves", [(0.1, None, True), (0.03, None, False), (0.03, "there", True)])
+def test_the_farther_a_place_is_from_where_a_hand_has_put_the_target_the_more_it_has_to_gain(gain, hand, moves):
+    """A tenth in scale, by lines that are found one beside on both sides, and some that never show."""
+    rng, right = np.random.default_rng(0), moves_of(FRAMED)[4]
+    there = np.array([*HERE[:2], HERE[2] * right[2]])
+    assert abs(np.log(right[2])) > 0.09
+    of = lambda place: rng.normal(0.4 + (SLIGHT + gain if np.allclose(place, there) else 0.0), 0.02)  # noqa: E731
+    assert (told(Matches(of, there if hand else None))[1] is not None) == moves
 
 
 def test_while_a_part_of_the_target_is_hidden_another_place_proves_nothing():

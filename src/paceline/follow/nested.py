@@ -27,6 +27,8 @@ FADES = 0.9995  # factor of that for an image in which there is less
 FORGOTTEN = 0.005  # share of what is known of the other places that an image makes forgotten
 PROVEN, ENOUGH = 3.0, 0.1  # where another place is right: what the sum of gains is in units of chance, and in all
 REFUTED = -3.0  # the former where it is not, so that it is asked no more until some of that is forgotten
+FARTHER = 0.5  # mean gain that a place needs by its distance from where a hand has put the target: where some of a dark
+# target's lines never show, a wrong place matches better for good, and that steadily
 
 
 class Nested:
@@ -38,6 +40,7 @@ class Nested:
         self._moves = moves_of(target)
         self._sums = np.zeros(len(self._moves))  # of what there was more of the model
         self._squares = np.zeros(len(self._moves))
+        self._images = np.zeros(len(self._moves))  # in which each was asked; forgotten as the sums are
         self._turn = 0
         self._usual = 0.0  # match of the lock
 
@@ -50,6 +53,7 @@ class Nested:
         left = np.flatnonzero(steady > REFUTED)
         self._sums *= 1.0 - FORGOTTEN
         self._squares *= 1.0 - FORGOTTEN
+        self._images *= 1.0 - FORGOTTEN
         if not len(left):
             return None
         measured = recogniser.measured_at(image, here)
@@ -68,7 +72,7 @@ class Nested:
 
     def forget(self) -> None:
         """The lock is another one from now on: nothing is known of the places about it."""
-        self._sums[:], self._squares[:] = 0.0, 0.0
+        self._sums[:], self._squares[:], self._images[:] = 0.0, 0.0, 0.0
         self._usual = 0.0
 
     def _steadiness(self) -> Array:
@@ -86,8 +90,17 @@ class Nested:
             gain = max(then[1] - now - SLIGHT, ABSENT)
         self._sums[k] += gain
         self._squares[k] += gain * gain
+        self._images[k] += 1.0
         proven = gain > 0.0 and self._sums[k] >= ENOUGH and self._steadiness()[k] >= PROVEN
-        return there if proven else None
+        return there if proven and self._is_worth_it(k, image, here, there, recogniser) else None
+
+    def _is_worth_it(self, k: int, image: Bytes, here: Array, there: Array, recogniser: Recogniser) -> bool:
+        """Whether what move ``k`` has gained makes up for how much farther ``there`` than ``here`` (3,) is from where a
+        hand has put the target, as far as that is seen."""
+        hand = recogniser.put_by_hand(image, here)
+        hand = here if hand is None else hand
+        farther = distance(there, hand, recogniser) - distance(here, hand, recogniser)
+        return bool(self._sums[k] >= FARTHER * farther * self._images[k])
 
 
 def moves_of(target: Target) -> Array:
