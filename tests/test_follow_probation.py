@@ -25,6 +25,7 @@ from paceline.follow.start import (
     DOUBT,
     DOUBTED,
     EARLY,
+    FAR,
     FARTHER,
     FLOOR,
     MUCH,
@@ -73,6 +74,9 @@ class Places:
 
     def learn(self, look):
         pass
+
+    def put_by_hand(self, image, near):
+        return None
 
     def anchor(self, image, place):
         self.anchored = place
@@ -287,12 +291,21 @@ def test_the_place_told_is_the_one_that_is_worth_most(seed, images, count):
     assert images >= EARLY and means[k] >= FLOOR
     farther = zip(means[1:], away[1:].tolist(), strict=True)
     cost = [0.0] + [min(CLEAR if m >= STRIKING else 1.0, MUCH + FARTHER * (d - BESIDE)) for m, d in farther]
+    convincing = [m >= CONVINCING + FAR * max(d - BESIDE, 0.0) for m, d in zip(means, away.tolist(), strict=True)]
+    others = [j for j in range(1, count) if convincing[j]]
     if k > 0:
-        assert all(means[k] - cost[k] > means[j] - cost[j] for j in range(count) if j != k and means[j] >= CONVINCING)
+        assert convincing[k] and all(means[k] - cost[k] > means[j] - cost[j] for j in others if j != k)
         assert means[k] - cost[k] > means[0]
     else:
-        assert all(means[0] > m - AMISS for m in means if m >= CONVINCING)
-        assert all(means[0] >= means[j] - cost[j] for j in range(1, count) if means[j] >= CONVINCING)
+        assert means[0] > max(means) - AMISS or max(means) < CONVINCING
+        assert all(means[0] >= means[j] - cost[j] for j in others)
+
+
+@pytest.mark.parametrize("far, match, told_there", [(0.1, 0.4, True), (0.45, 0.4, False), (0.45, 0.5, True)])
+def test_the_farther_off_a_place_is_the_more_of_the_model_must_show_there(far, match, told_there):
+    """Where the operator put it nothing shows; in the dark four tenths are somewhere by chance."""
+    k = told(np.tile([0.0, match], (2 * SEVERAL, 1)), np.array([0.0, far]))
+    assert (k == 1) == told_there and k != 0
 
 
 @settings(max_examples=40, deadline=None)

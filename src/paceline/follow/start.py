@@ -26,7 +26,7 @@ CLEAR = 0.1  # match by which another place must exceed the operator's to put it
 LEAST = 0.35  # match at which a start is believed at once,
 FAINT, MOST = 0.2, 0.7  # and one in dim light: so many lines agree, and nothing else matches as well
 FLOOR = 0.16  # mean match with which it is believed at all
-CONVINCING = 0.35  # mean match of another place that is believed instead,
+CONVINCING, FAR = 0.35, 0.3  # mean match of another place that is believed instead, and more by its distance,
 MUCH, FARTHER = 0.05, 1.0  # by how much it is more, and more by its distance, as hands hardly err that far;
 STRIKING = 0.6  # but where it is as much as hardly ever by chance, by CLEAR at most;
 ALIKE = 0.04  # by so little more than a third one's it is not
@@ -154,7 +154,8 @@ def told(matches: Array, away: Array) -> int | None:
     cost = np.array([price(d) for d in away.tolist()])
     cost = np.where(means >= STRIKING, np.minimum(cost, CLEAR), cost)
     cost[0] = 0.0
-    worth = np.where((means >= CONVINCING) | (cost == 0.0), means - cost, 0.0)
+    convincing = means >= CONVINCING + FAR * np.maximum(away - BESIDE, 0.0)
+    worth = np.where(convincing | (cost == 0.0), means - cost, 0.0)
     best = int(worth.argmax())
     ahead = worth[best] - np.delete(worth, best).max(initial=0.0)
     if images < (EARLY if ahead > CLEAR else SEVERAL) or means[best] < FLOOR:
