@@ -18,7 +18,7 @@ from paceline.follow import hindsight
 from paceline.follow.following import follow, follow_recording, tracker_for
 from paceline.follow.hindsight import AGAIN, in_hindsight
 from paceline.follow.results import FollowEstimate
-from paceline.follow.start import CORRECTED, DOUBTED, PLACED, UNTOLD
+from paceline.follow.start import BESIDE, CORRECTED, DOUBTED, UNTOLD
 from paceline.follow.tracker import FollowTracker
 from paceline.monocular import CameraFrame, CameraRecording, open_camera
 
@@ -125,7 +125,7 @@ def test_what_does_not_lead_to_where_the_target_is_stays_as_it_was(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     live = at_once(tracker(folder), frames())
-    monkeypatch.setattr(hindsight, "distance", lambda *_: PLACED)
+    monkeypatch.setattr(hindsight, "distance", lambda *_: BESIDE)
     assert [(e.status, e.reason) for e in recorded(tracker(folder), frames())] == [(e.status, e.reason) for e in live]
 
 
@@ -145,8 +145,8 @@ def test_two_estimates_are_the_same_if_both_track_and_are_at_one_place(folder: P
     assert not hindsight._is_same(replace(e, status="coasting"), e, own)
     assert not hindsight._is_same(e, replace(e, status="lost"), own)
     for share, same in ((0.9, True), (1.1, False)):
-        assert hindsight._is_same(e, replace(e, center=e.center + [0.0, share * PLACED * size]), own) == same
-        assert hindsight._is_same(e, replace(e, scale=e.scale * np.exp(-share * PLACED)), own) == same
+        assert hindsight._is_same(e, replace(e, center=e.center + [0.0, share * BESIDE * size]), own) == same
+        assert hindsight._is_same(e, replace(e, scale=e.scale * np.exp(-share * BESIDE)), own) == same
 
 
 def test_frames_before_one_that_cannot_be_used_are_told(folder: Path) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from paceline.follow.results import FollowEstimate
-from paceline.follow.start import DOUBTED, PLACED, distance
+from paceline.follow.start import BESIDE, DOUBTED, distance
 from paceline.follow.steering import Pose
 from paceline.follow.tracker import FollowTracker
 from paceline.monocular import CameraFrame
@@ -76,7 +76,7 @@ def _is_same(estimate: FollowEstimate, other: FollowEstimate, tracker: FollowTra
     """Whether both track the target, at the same place."""
     if estimate.status != "tracking" or other.status != "tracking":
         return False
-    return distance(_place(estimate), _place(other), tracker.lock.recogniser) < PLACED
+    return distance(_place(estimate), _place(other), tracker.lock.recogniser) < BESIDE
 
 
 def _place(estimate: FollowEstimate) -> NDArray[np.float64]:
