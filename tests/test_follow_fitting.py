@@ -97,6 +97,30 @@ def test_a_fit_and_a_place_from_elsewhere_are_weighed_by_their_covariances():
     np.testing.assert_allclose(both.location, mean, rtol=1e-6)
 
 
+def test_what_a_place_errs_by_in_all_images_comes_to_the_covariance():
+    """Against drawn errors: the place has the same in all of 200 images, and the mean of the fits keeps its share."""
+    rng, covariance = np.random.default_rng(4), np.diag([0.5, 0.4, 0.03]) ** 2
+    doubt, lasting = np.array([0.4, 0.4, 0.02]), np.array([0.5, 0.3, 0.03])
+    off, means = [], []
+    for _ in range(400):
+        hand = rng.normal(0, lasting)
+        fits = [
+            fitting.combined(
+                fitting.Fit(rng.normal(0, np.sqrt(np.diag(covariance))), covariance, np.ones(3), 0.0, np.zeros(5), []),
+                hand + rng.normal(0, doubt),
+                doubt,
+                lasting,
+            )
+            for _ in range(20)
+        ]
+        off.append(fits[0].location)
+        means.append(np.mean([f.location for f in fits], axis=0))
+    stated = np.sqrt(np.diag(fits[0].covariance))
+    np.testing.assert_allclose(np.std(off, axis=0), stated, rtol=4 / np.sqrt(2 * len(off)))
+    alone = fitting.combined(fits[0], np.zeros(3), doubt).covariance  # as if nothing lasted
+    assert (np.std(means, axis=0) > 0.3 * stated).all() and (np.diag(alone) < stated**2).all()
+
+
 def test_the_stated_covariance_is_that_of_the_errors():
     rng = np.random.default_rng(2)
     sigma = np.array([0.3, 0.5, 0.2, 0.4, 0.3])

@@ -6,7 +6,7 @@ from moved_scenery import REACH, TARGET, camera, moved, scenery
 
 from paceline.follow.carrying import UPRIGHT, Carried
 from paceline.follow.features import Projection
-from paceline.follow.snapshot import AGES, APART, CLEAR, EVERY, MOST, OFF, STRIKING, WITHIN, Snapshot
+from paceline.follow.snapshot import AGES, APART, CLEAR, EVERY, HAND, MOST, OFF, STRIKING, WITHIN, Snapshot
 from paceline.follow.target import Target
 
 SIZE, CENTER = (256, 242), np.array([128.0, 130.0])
@@ -84,6 +84,18 @@ def test_it_is_set_right_by_a_lock_that_is_sure_but_not_by_much(off):
     else:
         mended = OFF if off < APART[2] else 0.0
         assert told[2] == pytest.approx((1.0 + off) * np.exp(-mended), abs=0.008)
+
+
+def test_what_a_hand_errs_by_is_known_better_the_more_sure_fits_have_told_it():
+    snapshot, there = begun(), np.array([128.0, 130.0, 1.0])
+    told = [snapshot.lasting]
+    for k in range(1, 2 * EVERY + 2):
+        snapshot.compare(moved(SCENE, CENTER, (0, 0), 1.0, 6.0, k), there, there, 1.0, k % EVERY == 1)
+        told.append(snapshot.lasting)
+    shares = np.array(told) / HAND
+    assert shares[0].tolist() == [1.0, 1.0, 1.0] and (np.diff(shares, axis=0) <= 0.0).all()
+    np.testing.assert_allclose(shares[-1], 1 / (1 + snapshot._compared))
+    assert 1 <= snapshot._compared < snapshot.agreed  # what is not sure tells nothing of it
 
 
 def well_seen():

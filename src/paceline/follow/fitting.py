@@ -236,12 +236,13 @@ def fused(fit: Fit, expected: Array, doubt: Array) -> Fit:
     return scaled(fit, fit.location[2] + share * (expected[2] - fit.location[2]))
 
 
-def combined(fit: Fit, place: Array, doubt: Array) -> Fit:
+def combined(fit: Fit, place: Array, doubt: Array, lasting: Array | float = 0.0) -> Fit:
     """A fit and a ``place`` (3,) that is known to within ``doubt`` (3,) from elsewhere: what either errs by, the other
-    does not."""
+    does not. What the place errs by in all images alike, ``lasting`` (3,), has no say in how they are weighed, but
+    comes to the covariance by the weight of the place, for it does not average out."""
     gain = np.linalg.solve(fit.covariance + np.diag(doubt**2), fit.covariance).T
     location = fit.location + gain @ (place - fit.location)
-    covariance = fit.covariance - gain @ fit.covariance
+    covariance = fit.covariance - gain @ fit.covariance + (gain * np.square(lasting)) @ gain.T
     return Fit(location, 0.5 * (covariance + covariance.T), fit.weights, fit.residual, fit.offsets, fit.used)
 
 

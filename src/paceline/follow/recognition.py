@@ -47,7 +47,6 @@ ALIKE = 0.7  # likeness of the picture with which the size may jump
 HELD = 0.85  # likeness at which the picture alone is believed
 ALONE_FOR = 15  # frames in a row for which it is
 WELL = 0.7  # likeness with which a search has seen it well
-UNSURE = 3.0  # times as much as it claims a fit that is not sure may be off
 PROVEN = 10  # frames in which its features must have shown the target before
 ELSEWHERE = 0.08  # sizes of the target from its place, and relative change of scale, at which it is another
 ABOUT = 0.01  # sizes, and relative scale, within which a place is looked at by itself
@@ -132,25 +131,22 @@ class Recogniser:
         if fit is None:
             place = self._snapshot.find(image, expected, tau)
         else:
-            place = self._snapshot.compare(image, fit.location, expected, tau, look.sure and self._shows(look))
+            place = self._snapshot.compare(image, fit.location, expected, tau, self._is_sure(look))
         if place is None or self._conflicts(look, place):
             return look
-        near = RIGHT * self._sizes(place)
+        near, lasting = RIGHT * self._sizes(place), self._snapshot.lasting * self._sizes(place)
         if fit is None or self._snapshot.is_apart(fit.location, place):
             if look.sighting is None and not self._search.open_at(image, self.projection.shown(place).location):
                 return look
-            return self._held(place, near, look.window, look.complaint or ASTRAY)
-        fit = fitting.combined(self._doubted(look, fit), place, near)
+            return self._held(place, np.hypot(near, lasting), look.window, look.complaint or ASTRAY)
+        fit = fitting.combined(fit, place, near, lasting)
         inside, evidence = self._evidence_at(fit.location)
         return replace(look, fit=fit, inside=inside, evidence=evidence)
 
-    def _doubted(self, look: Look, fit: Fit) -> Fit:
-        """A ``fit`` with the covariance that is believed of it."""
-        return fit if look.sure and self._shows(look) else replace(fit, covariance=UNSURE**2 * fit.covariance)
-
-    def _shows(self, look: Look) -> bool:
-        """Whether so much of the model shows as hardly ever does by chance."""
-        return look.measurement is not None and look.measurement.match >= BY_CHANCE
+    def _is_sure(self, look: Look) -> bool:
+        """Whether there is no doubt that a ``look`` shows the target, and it shows so much of the model as hardly ever
+        is there by chance."""
+        return look.sure and look.measurement is not None and look.measurement.match >= BY_CHANCE
 
     def _conflicts(self, look: Look, place: Array) -> bool:
         """Whether the search saw the picture of late well, and not at the ``place`` (3,) that the snapshot tells."""
@@ -330,8 +326,8 @@ class Recogniser:
             return
         place = look.fit.location
         last = self._snapshot
-        if last is None and self._foreseen is not None:  # a hand has put it there
-            place = fitting.combined(self._doubted(look, look.fit), *self._foreseen[:2]).location
+        if last is None and self._foreseen is not None:  # where it was put, by a hand mostly
+            place = fitting.combined(look.fit, *self._foreseen[:2]).location
         anew = last is not None and last.is_old(place[2]) and (look.clear or last.confirmed)
         if last is None or (anew and self._proven >= PROVEN):
             self._snapshot = self._snapshot_of(self._image, place, last)
@@ -341,6 +337,10 @@ class Recogniser:
         like there."""
         if self._c.snapshot:
             self._snapshot = self._snapshot_of(image, place)
+
+    def put_by_hand(self, image: Bytes, near: Array) -> Array | None:
+        """Where (3,) the target is in ``image``, as it looked where a hand has put it; None where that is not seen."""
+        return None if self._snapshot is None else self._snapshot.find(image, near, 0.0)
 
     def _snapshot_of(self, image: Bytes, place: Array, last: Snapshot | None = None) -> Snapshot:
         size = self.projection.size(1.0)

@@ -29,7 +29,8 @@ TWICE = 2
 APART = np.array([0.1, 0.1, 0.07])  # sizes, and relative scale, by which they may disagree
 CLOSELY = 0.2  # share of that within which they confirm each other, so that another may be taken there
 OFF = 0.03  # the same by which it may be set right
-RIGHT = np.array([0.02, 0.02, 0.02])  # standard deviations of what it tells, in sizes and of the scale, with the hand's
+RIGHT = np.array([0.02, 0.02, 0.02])  # standard deviations of what it tells in an image, in sizes and of the scale,
+HAND = np.array([0.02, 0.02, 0.03])  # and of the hand that has put it there, which errs by as much in every one
 
 
 class Snapshot:
@@ -54,6 +55,12 @@ class Snapshot:
     def is_old(self, scale: float) -> bool:
         """Whether a target of this ``scale`` looks otherwise."""
         return not 1 / AGES < scale / self._first < AGES
+
+    @property
+    def lasting(self) -> Array:
+        """(3,): by what it may be off in all images, in sizes and in scale: that of the hand, as far as sure fits have
+        not told it."""
+        return HAND / (1 + self._compared)
 
     @property
     def _shows_well(self) -> bool:
