@@ -98,7 +98,7 @@ def test_a_fit_and_a_place_from_elsewhere_are_weighed_by_their_covariances():
 
 
 def test_what_a_place_errs_by_in_all_images_comes_to_the_covariance():
-    """Against drawn errors: the place has the same in all of 200 images, and the mean of the fits keeps its share."""
+    """Against drawn errors: the place has the same in all of 20 images, and the mean of their fits keeps its share."""
     rng, covariance = np.random.default_rng(4), np.diag([0.5, 0.4, 0.03]) ** 2
     doubt, lasting = np.array([0.4, 0.4, 0.02]), np.array([0.5, 0.3, 0.03])
     off, means = [], []
