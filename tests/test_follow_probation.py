@@ -3,6 +3,7 @@
 A place of the model is where it is seen and how well it matches, image by image; nothing is drawn or measured.
 """
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -359,6 +360,33 @@ def test_while_the_target_is_hidden_what_stands_beside_it_does_not_take_over():
     assert watch.see(20, hidden=True) == ["hidden"] * 20 and len(watch.probation.locks) == 1
     assert watch.see(5) == [""] * 5
     np.testing.assert_allclose(watch.at, [0, 0, 1], atol=1e-6)
+
+
+@pytest.mark.parametrize(("match", "given_up"), [(0.56, False), (0.7, True)])
+@pytest.mark.parametrize("hand", [0.0, 0.18])
+def test_a_lock_is_given_up_only_for_what_makes_up_for_being_farther_from_a_hand_s_place(match, given_up, hand):
+    """What is 0.18 sizes farther off has to match by 0.09 more than what tells nothing; what is nearer by no more."""
+    watch = Watch((0, 0, 1, 0.4), (0.18, 0, 1, lambda image: match if image >= 30 else 0.0))
+    watch.places.put_by_hand = lambda image, near: START + [SIZE * hand, 0.0, 0.0]
+    said = watch.see(60)
+    assert (SWITCHED in said) == (given_up or hand > 0.0)
+
+
+@pytest.mark.parametrize("lines_off", [0.15, 0.0, -0.08])
+def test_how_far_off_a_place_is_counts_from_where_the_target_is_believed_to_be(lines_off):
+    """Not from where its lines alone would have it: in dim light single fits of them lie anywhere about."""
+    for away in (0.15, 0.3):
+        watch = Watch((0, 0, 1, 0.4), (away, 0, 1, lambda image: 0.8 if image >= 30 else 0.0))
+        look = watch.places.look
+
+        def drawn(*args, look=look):
+            believed = look(*args)
+            m = believed.measurement
+            return replace(believed, measurement=replace(m, fit=seen(START + [SIZE * lines_off, 0, 0], m.match).fit))
+
+        watch.places.look = drawn
+        watch.see(30 + 2 * EVERY)
+        assert (len(watch.probation.locks) == 2 or abs(watch.at[0]) > 0.1) == (away == 0.15)
 
 
 def test_a_lock_that_is_a_line_off_goes_where_a_little_more_of_the_model_shows():

@@ -163,6 +163,7 @@ def test_the_two_confirm_each_other_where_they_agree_closely():
     snapshot, there = agreed()
     for far, share, confirmed in ((0.0, 0.0, True), (0.5, 0.0, False), (0.0, 0.45, False)):
         snapshot.compare(veiled(share), off_by(far), there, 1.0, False)
+        snapshot.seen(veiled(0.0), there, 1.0)  # asked besides
         assert snapshot.confirmed == confirmed
     unknown = begun()
     unknown.compare(veiled(0.0), there, there, 1.0, False)

@@ -95,12 +95,16 @@ class Nested:
         return there if proven and self._is_worth_it(k, image, here, there, recogniser) else None
 
     def _is_worth_it(self, k: int, image: Bytes, here: Array, there: Array, recogniser: Recogniser) -> bool:
-        """Whether what move ``k`` has gained makes up for how much farther ``there`` than ``here`` (3,) is from where a
-        hand has put the target, as far as that is seen."""
-        hand = recogniser.put_by_hand(image, here)
-        hand = here if hand is None else hand
-        farther = distance(there, hand, recogniser) - distance(here, hand, recogniser)
-        return bool(self._sums[k] >= FARTHER * farther * self._images[k])
+        """Whether what move ``k`` has gained makes up for how much farther off ``there`` is than ``here`` (3,)."""
+        return bool(self._sums[k] >= price(there, here, image, recogniser) * self._images[k])
+
+
+def price(there: Array, here: Array, image: Bytes, recogniser: Recogniser) -> float:
+    """By how much more than ``here`` (3,) the model has to match ``there``, which is farther from where a hand has put
+    the target, as far as that is seen in ``image``."""
+    hand = recogniser.put_by_hand(image, here)
+    hand = here if hand is None else hand
+    return FARTHER * (distance(there, hand, recogniser) - distance(here, hand, recogniser))
 
 
 def moves_of(target: Target) -> Array:

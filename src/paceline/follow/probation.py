@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.lock import Lock
-from paceline.follow.measuring import Measurement
-from paceline.follow.nested import Nested
+from paceline.follow.nested import Nested, price
 from paceline.follow.recognition import Look
 from paceline.follow.start import LEAST, REACH, Start, distance, match_of
 
@@ -85,9 +84,10 @@ class Probation:
             self._turn % EVERY == 0
             and self._turn <= EVERY * PATROLS
             and look.measurement is not None
+            and look.fit is not None
             and not look.complaint
         ):
-            self._patrol(image, time, look.measurement)
+            self._patrol(image, time, look.fit.location, look.measurement.match)
         return look, ""
 
     def resume(self) -> None:
@@ -95,10 +95,11 @@ class Probation:
         self._turn = 0
         self._nested.forget()
 
-    def _patrol(self, image: Bytes, time: float, measurement: Measurement) -> None:
-        """Look through the places of one size, and the next time of another: is there more of the model?"""
-        self._usual += USUAL * (measurement.match - self._usual)
-        here, recogniser = measurement.fit.location, self.lock.recogniser
+    def _patrol(self, image: Bytes, time: float, here: Array, match: float) -> None:
+        """Look through the places of one size, and the next time of another: is there more of the model than what
+        ``match`` there is ``here`` (3,)?"""
+        recogniser = self.lock.recogniser
+        self._usual += USUAL * (match - self._usual)
         found = recogniser.patrol(image, here, REACH, self._turn // EVERY)
         if found is None or distance(found[0], here, recogniser) > NEARBY:
             return
@@ -110,11 +111,14 @@ class Probation:
                 self._rival, self._left, self._credit = rival, TRIAL, 0.0
 
     def _try(self, rival: Lock, image: Bytes, time: float, look: Look) -> tuple[Look, str]:
-        """Add up by how much more of the model shows at the rival; it must prove itself before it is believed."""
+        """Add up by how much more of the model shows at the rival, less what it has to for being farther from where a
+        hand has put the target; it must prove itself before it is believed."""
         seen = rival.look(image, False)
         # where the target is hidden for a moment that tells nothing of it
         usual = self._usual if look.measurement is None else look.measurement.match
         self._credit += match_of(seen) - usual - SLIGHT
+        if seen.fit is not None and look.fit is not None:
+            self._credit -= max(price(seen.fit.location, look.fit.location, image, self.lock.recogniser), 0.0)
         self._left -= 1
         if self._credit > PROVEN and not seen.complaint:
             self.lock, self._rival, self._usual = rival, None, match_of(seen)

@@ -340,7 +340,7 @@ class Recogniser:
 
     def put_by_hand(self, image: Bytes, near: Array) -> Array | None:
         """Where (3,) the target is in ``image``, as it looked where a hand has put it; None where that is not seen."""
-        return None if self._snapshot is None else self._snapshot.find(image, near, 0.0)
+        return None if self._snapshot is None else self._snapshot.seen(image, near, 0.0)
 
     def _snapshot_of(self, image: Bytes, place: Array, last: Snapshot | None = None) -> Snapshot:
         size = self.projection.size(1.0)

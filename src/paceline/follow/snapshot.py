@@ -74,6 +74,10 @@ class Snapshot:
         """The target's place (3,) in ``image``, about where it is ``expected`` (3,), ``tau`` cycles after it was seen;
         None where it is not seen."""
         self.confirmed = False
+        return self.seen(image, expected, tau)
+
+    def seen(self, image: Bytes, expected: Array, tau: float) -> Array | None:
+        """As `find`, for one who asks besides: what is known of the image stays."""
         if not 1 / MOST < expected[2] / self._first < MOST or (self._shows_well and tau >= GONE):
             return None
         place = self._place(image, expected)
@@ -89,7 +93,7 @@ class Snapshot:
         asked = self._is_due or not sure
         if not asked and not (self.is_old(place[2]) and self._turn % EVERY == 0):
             return None
-        found = self.find(image, expected, tau)
+        found = self.seen(image, expected, tau)
         if found is None:
             return None
         known = self.agreed >= CLEAR or (self._shows_well and self.agreed > 0)
