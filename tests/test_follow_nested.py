@@ -80,14 +80,16 @@ def test_a_lock_stays_where_it_matches_better_or_nothing_fits_beside_it(seed):
     assert told(Matches(lambda place: 0.3 if place is HERE else None))[1] is None
 
 
-@pytest.mark.parametrize("gain, hand, moves", [(0.1, None, True), (0.03, None, False), (0.03, "there", True)])
+@pytest.mark.parametrize(
+    "gain, hand, moves", [(0.1, "here", True), (0.03, "here", False), (0.03, "there", True), (0.03, "unseen", True)]
+)
 def test_the_farther_a_place_is_from_where_a_hand_has_put_the_target_the_more_it_has_to_gain(gain, hand, moves):
     """A tenth in scale, by lines that are found one beside on both sides, and some that never show."""
     rng, right = np.random.default_rng(0), moves_of(FRAMED)[4]
     there = np.array([*HERE[:2], HERE[2] * right[2]])
     assert abs(np.log(right[2])) > 0.09
     of = lambda place: rng.normal(0.4 + (SLIGHT + gain if np.allclose(place, there) else 0.0), 0.02)  # noqa: E731
-    assert (told(Matches(of, there if hand else None))[1] is not None) == moves
+    assert (told(Matches(of, {"here": HERE, "there": there}.get(hand)))[1] is not None) == moves
 
 
 def test_while_a_part_of_the_target_is_hidden_another_place_proves_nothing():

@@ -372,6 +372,16 @@ def test_a_lock_is_given_up_only_for_what_makes_up_for_being_farther_from_a_hand
     assert (SWITCHED in said) == (given_up or hand > 0.0)
 
 
+def test_what_is_nearer_to_where_a_hand_has_put_the_target_has_to_match_better_all_the_same():
+    watch = Watch((0, 0, 1, 0.4), (0.18, 0, 1, lambda image: 0.0 if image < 30 else 0.45 if image % EVERY else 0.56))
+    watch.places.put_by_hand = lambda image, near: START + [SIZE * 0.18, 0.0, 0.0]
+    tried = 0
+    for _ in range(60):
+        assert SWITCHED not in watch.see()
+        tried = max(tried, len(watch.probation.locks))
+    assert tried == 2
+
+
 @pytest.mark.parametrize("lines_off", [0.15, 0.0, -0.08])
 def test_how_far_off_a_place_is_counts_from_where_the_target_is_believed_to_be(lines_off):
     """Not from where its lines alone would have it: in dim light single fits of them lie anywhere about."""

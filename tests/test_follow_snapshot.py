@@ -5,7 +5,11 @@ import pytest
 from moved_scenery import REACH, TARGET, camera, moved, scenery
 
 from paceline.follow.carrying import UPRIGHT, Carried
+from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.features import Projection
+from paceline.follow.fitting import Fit
+from paceline.follow.measuring import Measurement
+from paceline.follow.recognition import Look, Recogniser
 from paceline.follow.snapshot import AGES, APART, CLEAR, EVERY, HAND, MOST, OFF, STRIKING, WITHIN, Snapshot
 from paceline.follow.target import Target
 
@@ -86,6 +90,32 @@ def test_it_is_set_right_by_a_lock_that_is_sure_but_not_by_much(off):
         assert told[2] == pytest.approx((1.0 + off) * np.exp(-mended), abs=0.008)
 
 
+def test_where_a_hand_has_put_it_is_told_whatever_a_sure_lock_says():
+    """A lock a line off, and sure of it, sets right what is told of the target, but not where the hand was."""
+    snapshot, lock, there = begun(), np.array([128.0, 130.0, 1.02]), np.array([128.0, 130.0, 1.0])
+    for k in range(1, 2 * EVERY + 2):
+        snapshot.compare(moved(SCENE, CENTER, (0, 0), 1.0, 6.0, k), lock, lock, 1.0, True)
+    image = moved(SCENE, CENTER, (0, 0), 1.0, 6.0, 999)
+    assert snapshot.find(image, lock, 1.0)[2] > 1.012
+    assert (np.abs(snapshot.as_put(image, lock) - there) < [0.7, 0.7, 0.006]).all()
+    assert snapshot.as_put(moved(scenery(SIZE, 9), CENTER, (0, 0), 1.0, 6.0, 0), there) is None
+
+
+def test_another_lock_knows_where_a_hand_has_put_the_target_and_nothing_else():
+    recogniser, there = Recogniser(PROJECTION, FollowConfiguration()), np.array([128.0, 130.0, 1.0])
+    assert recogniser.put_by_hand(SCENE, there) is None
+    recogniser.anchor(moved(SCENE, CENTER, (0, 0), 1.0, 6.0, 0), there)
+    other = recogniser.afresh()
+    away = there + [3.0, 0.0, 0.05]
+    other.look_at(moved(SCENE, CENTER, (0, 0), 1.0, 6.0, 1), away, np.full(3, 0.01))
+    fit = Fit(away, np.diag([0.1, 0.1, 1e-4]), np.ones(3), 0.1, np.zeros(4), np.ones(4, bool))
+    other.learn(Look("", fit=fit, measurement=Measurement(fit, *[np.zeros(0)] * 2, 0.1, 0.1, 0.5, 1.0, fit.used)))
+    for each in (recogniser, other):
+        found = each.put_by_hand(moved(SCENE, CENTER, (0, 0), 1.0, 6.0, 2), there)
+        assert (np.abs(found - there) < [0.7, 0.7, 0.01]).all()
+    assert not recogniser.afresh().appearance.known
+
+
 def test_what_a_hand_errs_by_is_known_better_the_more_sure_fits_have_told_it():
     snapshot, there = begun(), np.array([128.0, 130.0, 1.0])
     told = [snapshot.lasting]
@@ -163,7 +193,7 @@ def test_the_two_confirm_each_other_where_they_agree_closely():
     snapshot, there = agreed()
     for far, share, confirmed in ((0.0, 0.0, True), (0.5, 0.0, False), (0.0, 0.45, False)):
         snapshot.compare(veiled(share), off_by(far), there, 1.0, False)
-        snapshot.seen(veiled(0.0), there, 1.0)  # asked besides
+        snapshot.as_put(veiled(0.0), there)  # asked besides
         assert snapshot.confirmed == confirmed
     unknown = begun()
     unknown.compare(veiled(0.0), there, there, 1.0, False)

@@ -27,8 +27,8 @@ FADES = 0.9995  # factor of that for an image in which there is less
 FORGOTTEN = 0.005  # share of what is known of the other places that an image makes forgotten
 PROVEN, ENOUGH = 3.0, 0.1  # where another place is right: what the sum of gains is in units of chance, and in all
 REFUTED = -3.0  # the former where it is not, so that it is asked no more until some of that is forgotten
-FARTHER = 0.5  # mean gain that a place needs by its distance from where a hand has put the target: where some of a dark
-# target's lines never show, a wrong place matches better for good, and that steadily
+HANDICAP = 0.5  # mean gain that a place needs by how much farther it is from where a hand has put the target: where
+# some of a dark target's lines never show, a wrong place matches better for good, and that steadily
 
 
 class Nested:
@@ -96,15 +96,16 @@ class Nested:
 
     def _is_worth_it(self, k: int, image: Bytes, here: Array, there: Array, recogniser: Recogniser) -> bool:
         """Whether what move ``k`` has gained makes up for how much farther off ``there`` is than ``here`` (3,)."""
-        return bool(self._sums[k] >= price(there, here, image, recogniser) * self._images[k])
+        return bool(self._sums[k] >= handicap(there, here, image, recogniser) * self._images[k])
 
 
-def price(there: Array, here: Array, image: Bytes, recogniser: Recogniser) -> float:
+def handicap(there: Array, here: Array, image: Bytes, recogniser: Recogniser) -> float:
     """By how much more than ``here`` (3,) the model has to match ``there``, which is farther from where a hand has put
-    the target, as far as that is seen in ``image``."""
+    the target; nothing where that is not seen in ``image``."""
     hand = recogniser.put_by_hand(image, here)
-    hand = here if hand is None else hand
-    return FARTHER * (distance(there, hand, recogniser) - distance(here, hand, recogniser))
+    if hand is None:
+        return 0.0
+    return HANDICAP * (distance(there, hand, recogniser) - distance(here, hand, recogniser))
 
 
 def moves_of(target: Target) -> Array:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.lock import Lock
-from paceline.follow.nested import Nested, price
+from paceline.follow.nested import Nested, handicap
 from paceline.follow.recognition import Look
 from paceline.follow.start import LEAST, REACH, Start, distance, match_of
 
@@ -117,8 +117,9 @@ class Probation:
         # where the target is hidden for a moment that tells nothing of it
         usual = self._usual if look.measurement is None else look.measurement.match
         self._credit += match_of(seen) - usual - SLIGHT
-        if seen.fit is not None and look.fit is not None:
-            self._credit -= max(price(seen.fit.location, look.fit.location, image, self.lock.recogniser), 0.0)
+        if seen.fit is not None:
+            here = self.lock.expected if look.fit is None or look.complaint else look.fit.location
+            self._credit -= max(handicap(seen.fit.location, here, image, self.lock.recogniser), 0.0)
         self._left -= 1
         if self._credit > PROVEN and not seen.complaint:
             self.lock, self._rival, self._usual = rival, None, match_of(seen)

@@ -107,6 +107,7 @@ class Recogniser:
         self._proven = 0
         self._held_for = 0  # frames, in a row, by a picture alone
         self._snapshot: Snapshot | None = None
+        self._by_hand: Snapshot | None = None  # that of where a hand has put it, whatever lock came then
         self._image: Bytes | None = None  # looked at last,
         self._foreseen: Foreseen | None = None  # and where the target was expected there
         self._turn = 0
@@ -168,7 +169,8 @@ class Recogniser:
         return self._measured(image, location, doubt, self._foreseen)
 
     def afresh(self) -> Recogniser:
-        """Another one that has not learned anything; the two work with the same scratch."""
+        """Another one that has not learned anything but where a hand has put the target; the two work with the same
+        scratch."""
         other = copy(self)
         other._proven, other._held_for, other._snapshot = 0, 0, None
         other.appearance, other.gauge = Appearance(self.projection.target), Gauge()
@@ -331,16 +333,19 @@ class Recogniser:
         anew = last is not None and last.is_old(place[2]) and (look.clear or last.confirmed)
         if last is None or (anew and self._proven >= PROVEN):
             self._snapshot = self._snapshot_of(self._image, place, last)
+            if self._by_hand in (None, last):
+                self._by_hand = self._snapshot
 
     def anchor(self, image: Bytes, place: Array) -> None:
         """Tell it that the target was at a ``place`` (3,) in ``image`` (H, W), which a hand has set, as what it looks
         like there."""
         if self._c.snapshot:
-            self._snapshot = self._snapshot_of(image, place)
+            self._snapshot = self._by_hand = self._snapshot_of(image, place)
 
     def put_by_hand(self, image: Bytes, near: Array) -> Array | None:
-        """Where (3,) the target is in ``image``, as it looked where a hand has put it; None where that is not seen."""
-        return None if self._snapshot is None else self._snapshot.seen(image, near, 0.0)
+        """Where (3,) in ``image`` a hand would have put the target, as it looked where one has at first; None where
+        that is not seen."""
+        return None if self._by_hand is None else self._by_hand.as_put(image, near)
 
     def _snapshot_of(self, image: Bytes, place: Array, last: Snapshot | None = None) -> Snapshot:
         size = self.projection.size(1.0)

@@ -74,10 +74,14 @@ class Snapshot:
         """The target's place (3,) in ``image``, about where it is ``expected`` (3,), ``tau`` cycles after it was seen;
         None where it is not seen."""
         self.confirmed = False
-        return self.seen(image, expected, tau)
+        return self._seen(image, expected, tau)
 
-    def seen(self, image: Bytes, expected: Array, tau: float) -> Array | None:
-        """As `find`, for one who asks besides: what is known of the image stays."""
+    def as_put(self, image: Bytes, near: Array) -> Array | None:
+        """As `find`, without what a lock has told of how far off the snapshot was put, and without a say in what is
+        confirmed."""
+        return None if self._seen(image, near, 0.0) is None else self._carried.place
+
+    def _seen(self, image: Bytes, expected: Array, tau: float) -> Array | None:
         if not 1 / MOST < expected[2] / self._first < MOST or (self._shows_well and tau >= GONE):
             return None
         place = self._place(image, expected)
@@ -93,7 +97,7 @@ class Snapshot:
         asked = self._is_due or not sure
         if not asked and not (self.is_old(place[2]) and self._turn % EVERY == 0):
             return None
-        found = self.seen(image, expected, tau)
+        found = self._seen(image, expected, tau)
         if found is None:
             return None
         known = self.agreed >= CLEAR or (self._shows_well and self.agreed > 0)
