@@ -409,6 +409,24 @@ def test_a_lock_that_is_a_line_off_goes_where_a_little_more_of_the_model_shows()
     assert set(Watch(*places).see(120)) == {""}
 
 
+@pytest.mark.parametrize("what", ["nothing", "found again", "slid back"])
+def test_what_is_known_of_the_places_beside_a_lock_is_of_that_lock_alone(what):
+    """Where the target was lost and found again, or the lock had slid, it is another one that has to prove itself."""
+    places = (0, 0, 1, 0.5), (0.025, 0.025, 0.95, lambda image: 0.54 if image >= 8 else 0.0)
+    when = Watch(*places, target=FRAMED).see(120).index(SWITCHED)
+    watch = Watch(*places, target=FRAMED)
+    watch.see(when - 1)
+    look = watch.places.look
+    if what == "found again":
+        watch.probation.resume()
+    elif what == "slid back":
+        watch.places.look = lambda *args: replace(look(*args), slid=True)
+    watch.see()
+    watch.places.look = look
+    assert (SWITCHED in watch.see(3)) == (what == "nothing")
+    assert watch.see(when).count(SWITCHED) == (what != "nothing")
+
+
 def test_without_probation_nothing_is_doubted():
     configuration = FollowConfiguration(probation=False)
     lock = Lock(START, Places((0, 0, 1, 0.4), (0.15, 0, 1, 0.9)), configuration)
