@@ -92,14 +92,12 @@ class Nested:
         self._squares[k] += gain * gain
         self._images[k] += 1.0
         proven = gain > 0.0 and self._sums[k] >= ENOUGH and self._steadiness()[k] >= PROVEN
-        return there if proven and self._is_worth_it(k, image, here, there, recogniser) else None
-
-    def _is_worth_it(self, k: int, image: Bytes, here: Array, there: Array, recogniser: Recogniser) -> bool:
-        """Whether what move ``k`` has gained makes up for how much farther off ``there`` is than ``here`` (3,)."""
-        return bool(self._sums[k] >= handicap(there, here, image, recogniser) * self._images[k])
+        if proven and self._sums[k] >= handicap(image, here, there, recogniser) * self._images[k]:
+            return there
+        return None
 
 
-def handicap(there: Array, here: Array, image: Bytes, recogniser: Recogniser) -> float:
+def handicap(image: Bytes, here: Array, there: Array, recogniser: Recogniser) -> float:
     """By how much more than ``here`` (3,) the model has to match ``there``, which is farther from where a hand has put
     the target; nothing where that is not seen in ``image``."""
     hand = recogniser.put_by_hand(image, here)

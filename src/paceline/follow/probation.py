@@ -119,7 +119,7 @@ class Probation:
         self._credit += match_of(seen) - usual - SLIGHT
         if seen.fit is not None:
             here = self.lock.expected if look.fit is None or look.complaint else look.fit.location
-            self._credit -= max(handicap(seen.fit.location, here, image, self.lock.recogniser), 0.0)
+            self._credit -= max(handicap(image, here, seen.fit.location, self.lock.recogniser), 0.0)
         self._left -= 1
         if self._credit > PROVEN and not seen.complaint:
             self.lock, self._rival, self._usual = rival, None, match_of(seen)
