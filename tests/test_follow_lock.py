@@ -13,7 +13,10 @@ from paceline.follow.recognition import Look
 
 START = np.array([128.0, 120.0, 1.0])
 PROJECTION = SimpleNamespace(
-    size=lambda scale: 60.0 * scale, distance=lambda scale: 10.0 / scale, drop=lambda location: 0.0
+    size=lambda scale: 60.0 * scale,
+    sizes=lambda scale: scale * np.array([60.0, 60.0, 1.0]),
+    distance=lambda scale: 10.0 / scale,
+    drop=lambda location: 0.0,
 )
 
 

@@ -64,6 +64,9 @@ class Places:
     def size(self, scale):
         return SIZE * scale
 
+    def sizes(self, scale):
+        return scale * np.array([SIZE, SIZE, 1.0])
+
     def distance(self, scale):
         return 10 / scale
 

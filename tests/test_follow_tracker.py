@@ -13,6 +13,7 @@ from paceline.cameras import Camera
 from paceline.errors import UnusableInput
 from paceline.follow import association, candidates, edges_cpu, fitting, motion, picture_cpu, recognition, search_cpu
 from paceline.follow.configuration import FollowConfiguration
+from paceline.follow.judgement import UNLIKE, UNSIZED, Foreseen, Found, Verdict, judged
 from paceline.follow.origin import CAME
 from paceline.follow.ranging import recorded
 from paceline.follow.search import Sighting
@@ -37,7 +38,6 @@ FACES = [
     ((-1, 0.4, 1, 0.75), 80),
     ((-0.3, 0.15, 0.3, 0.3), 200),
 ]
-UNLIKE = "what is found does not look like it"
 FINE = 6  # samples per pixel and axis
 
 
@@ -366,10 +366,10 @@ def test_after_a_start_in_doubt_its_snapshot_is_of_the_first_image():
     tracker = begin(positions[0], off=(12, 0), size=1.0)
     estimates = follow(tracker, images)
     assert estimates[0].status == "coasting" and estimates[-1].status == "tracking"
-    snapshot = tracker.lock.recogniser._snapshot
+    snapshot = tracker.lock.recogniser.memory._last
     there = np.array([*CAMERA.project(positions[-1]), 10.0 / positions[-1][2]])
     told = snapshot.find(images[-1], there, 1.0)
-    assert (np.abs(told - there) / tracker.lock.recogniser._sizes(there) < [0.02, 0.02, 0.02]).all()
+    assert (np.abs(told - there) / tracker.projection.sizes(there[2]) < [0.02, 0.02, 0.02]).all()
     snapshot.find(images[0], tracker.probation.first, 1.0)
     assert snapshot._carried.likeness > 0.999
 
@@ -398,7 +398,7 @@ def test_a_hands_error_is_in_the_interval_of_what_its_picture_tells(clip, monkey
     bare = tracker.lock.look(images[20], False).fit
 
     def spread(apart, lasting):
-        recogniser._snapshot = SimpleNamespace(
+        recogniser.memory._last = SimpleNamespace(
             compare=lambda image, place, expected, tau, sure: place.copy(),
             is_old=lambda scale: False,
             is_apart=lambda place, found: apart,
@@ -620,7 +620,7 @@ def test_where_less_shows_than_usual_lines_are_looked_for_farther_away(
     monkeypatch.setattr(recogniser, "_measurer", measure)
     told = list(likeness)
     monkeypatch.setattr(recogniser.appearance, "likeness", lambda: told.pop(0))
-    look = recogniser._measured(images[20], there, near, recognition.Foreseen(there, near))
+    look = recogniser._measured(images[20], there, near, Foreseen(there, near))
     assert look is looks[recognition.WIDER if taken else 1.0]
 
 
@@ -659,7 +659,7 @@ def test_where_lamps_are_switched_the_model_may_be_where_the_search_saw_it_less_
     monkeypatch.setattr(recogniser, "_thought_of", lambda *given: found)
     monkeypatch.setattr(recogniser.appearance, "likeness", lambda: told.pop(0))
     sighting = Sighting(there, np.ones(3), (0, 0, 256, 242), 0.8, (other,))
-    foreseen = recognition.Foreseen(there, np.ones(3), tau)
+    foreseen = Foreseen(there, np.ones(3), tau)
     look = recogniser._or_elsewhere(here, sighting, images[20], foreseen)
     assert look is (found if taken else here)
     for start, signs in asked:
@@ -667,23 +667,20 @@ def test_where_lamps_are_switched_the_model_may_be_where_the_search_saw_it_less_
         assert not signs.any()
 
 
-def test_half_a_target_is_believed_where_it_was_foreseen_and_not_aside(clip, monkeypatch):
+def test_half_a_target_is_believed_where_it_was_foreseen_and_not_aside(clip):
     """What covers the lead from one side draws a lock onto itself at once; after a while it may have driven there."""
     images, tracker = clip[0], followed(clip)
-    recogniser = tracker.lock.recogniser
-    look = tracker.lock.look_here(images[19])
-    monkeypatch.setattr(recogniser, "_usual_share", lambda measurement: 0.75)
-    monkeypatch.setattr(recogniser.appearance, "likeness", lambda: 0.75)
+    projection, look = tracker.projection, tracker.lock.look_here(images[19])
+    found = Found(look.measurement, look.fit, picture=0.75, shows=0.75, proven=True)
 
-    def complaint(sizes, tau):
-        aside = [sizes * recogniser.projection.size(look.fit.location[2]), 0.0, 0.0]
-        foreseen = recognition.Foreseen(look.fit.location + aside, tracker.lock.doubt, tau)
-        return recogniser._judged(look.fit, look.measurement, 1.0, foreseen)[0]
+    def complaint(sizes, tau, continuity=True):
+        aside = [sizes * projection.size(look.fit.location[2]), 0.0, 0.0]
+        foreseen = Foreseen(look.fit.location + aside, tracker.lock.doubt, tau)
+        return judged(found, foreseen, projection, FollowConfiguration(continuity=continuity)).complaint
 
     assert [complaint(sizes, 1.0) for sizes in (-0.3, 0.0, 0.3)] == [UNLIKE, "", UNLIKE]
     assert [complaint(sizes, 10.0) for sizes in (-0.3, 0.0, 0.3)] == ["", "", ""]
-    monkeypatch.setattr(recogniser, "_c", FollowConfiguration(continuity=False))
-    assert complaint(0.3, 1.0) == ""
+    assert complaint(0.3, 1.0, continuity=False) == ""
 
 
 def test_a_target_is_held_where_a_snapshot_gainsays_its_features(clip, monkeypatch):
@@ -692,7 +689,7 @@ def test_a_target_is_held_where_a_snapshot_gainsays_its_features(clip, monkeypat
     recogniser = tracker.lock.recogniser
     aside = recogniser.projection.size(1.0) * np.array([0.3, 0.0, 0.0])
     monkeypatch.setattr(recogniser, "_conflicts", lambda look, place: False)
-    recogniser._snapshot = SimpleNamespace(
+    recogniser.memory._last = SimpleNamespace(
         compare=lambda image, place, expected, tau, sure: expected + aside,
         is_old=lambda scale: False,
         is_apart=lambda place, found: True,
@@ -702,7 +699,7 @@ def test_a_target_is_held_where_a_snapshot_gainsays_its_features(clip, monkeypat
     look = tracker.lock.look(images[20], False)
     assert look.note.endswith(recognition.ASTRAY) and not look.complaint and look.measurement is None
     np.testing.assert_allclose(look.fit.location, tracker.lock.expected + aside)
-    recogniser._snapshot.is_apart = lambda place, found: False
+    recogniser.memory._last.is_apart = lambda place, found: False
     assert tracker.lock.look(images[20], False).measurement is not None
 
 
@@ -718,7 +715,7 @@ def test_a_target_of_which_hardly_a_line_shows_does_not_show_well(clip, monkeypa
         return replace(look, measurement=replace(look.measurement, match=match), sure=True)
 
     monkeypatch.setattr(recogniser, "_found", dimmed)
-    recogniser._snapshot = SimpleNamespace(compare=lambda image, place, expected, tau, sure: told.append(sure))
+    recogniser.memory._last = SimpleNamespace(compare=lambda image, place, expected, tau, sure: told.append(sure))
     tracker.lock.predict(20 / 15)
     tracker.lock.look(images[20], False)
     assert told == [match >= recognition.BY_CHANCE]
@@ -727,14 +724,14 @@ def test_a_target_of_which_hardly_a_line_shows_does_not_show_well(clip, monkeypa
 def test_a_target_whose_lines_do_not_tell_its_size_is_held_by_its_picture(clip, monkeypatch):
     images, tracker = clip[0], followed(clip)
     recogniser, there = tracker.lock.recogniser, tracker.lock.expected.copy()
-    recogniser._snapshot = None
-    monkeypatch.setattr(recogniser, "_judged", lambda *given: (recognition.UNSIZED, False, False))
+    recogniser.memory._last = None
+    monkeypatch.setattr(recognition, "judged", lambda *given: Verdict(UNSIZED, False, False))
     tracker.lock.predict(20 / 15)
     look = tracker.lock.look(images[20], False)
-    assert look.note.endswith(recognition.UNSIZED) and not look.complaint and look.measurement is None
+    assert look.note.endswith(UNSIZED) and not look.complaint and look.measurement is None
     assert recogniser.projection.size(there[2]) * 0.2 > np.abs(look.fit.location - tracker.lock.expected)[:2].max()
     recogniser._proven = recognition.PROVEN - 1  # as long as its features have hardly shown it
-    assert tracker.lock.look(images[20], False).complaint == recognition.UNSIZED
+    assert tracker.lock.look(images[20], False).complaint == UNSIZED
 
 
 def test_a_snapshot_does_not_gainsay_what_the_search_sees_well(clip):
@@ -746,7 +743,7 @@ def test_a_snapshot_does_not_gainsay_what_the_search_sees_well(clip):
             tracker.update(images[k], k / 15, k)
     recogniser = trackers[1].lock.recogniser
     astray = recogniser.projection.size(1.0) * np.array([0.3, 0.0, 0.0])
-    recogniser._snapshot = SimpleNamespace(
+    recogniser.memory._last = SimpleNamespace(
         compare=lambda image, place, expected, tau, sure: place + astray,
         find=lambda image, expected, tau: expected + astray,
         is_old=lambda scale: False,

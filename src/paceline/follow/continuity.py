@@ -104,8 +104,7 @@ class Continuity:
 
     def sight(self, location: Array) -> None:
         """Something like the target is seen at ``location`` (3,)."""
-        size = self._projection.size(location[2])
-        moved = np.abs(location - self._sighted) / (size, size, location[2])
+        moved = np.abs(location - self._sighted) / self._projection.sizes(location[2])
         self.steady, self._sighted = bool(moved.max() < SAME), location
 
     def learn(self, location: Array) -> None:

@@ -64,6 +64,11 @@ class Projection:
         """The target's greater extent, px."""
         return self._extent * float(scale)
 
+    def sizes(self, scale: float) -> Array:
+        """(3,): what one size of the target and its whole scale are, in the units of a location."""
+        size = self.size(scale)
+        return np.array([size, size, scale])
+
     def distance(self, scale: float) -> float:
         """m from the camera at this scale (36)."""
         return float(self.target.nominal_range / scale)

@@ -28,10 +28,9 @@ class Lock:
     """
 
     def __init__(self, location: Array, recogniser: Recogniser, configuration: FollowConfiguration) -> None:
-        size = recogniser.projection.size(location[2])
         self._c = configuration
         self.seen_at: float | None = None
-        self.motion = MotionModels(location, HAND * np.array([size, size, location[2]]), configuration)
+        self.motion = MotionModels(location, HAND * recogniser.projection.sizes(location[2]), configuration)
         self.recogniser = recogniser
         self.expected, self.doubt = self.motion.predict(0.0)
         self.tau = 0.0

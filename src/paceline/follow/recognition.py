@@ -1,4 +1,5 @@
-"""Finding the target in an image and telling whether what was found is the target: its geometry and its appearance."""
+"""Finding the target in an image: it is searched as a whole, measured by its features, and held by what it looks like
+where those do not show."""
 
 from __future__ import annotations
 
@@ -6,46 +7,28 @@ from collections.abc import Iterator
 from copy import copy
 from dataclasses import dataclass, replace
 from math import hypot
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from paceline.follow import fitting
 from paceline.follow.appearance import INSIDE, PICTURE_RATE, Appearance
-from paceline.follow.carrying import UPRIGHT, Carried
+from paceline.follow.carrying import Carried
 from paceline.follow.configuration import FollowConfiguration
-from paceline.follow.continuity import veers
 from paceline.follow.edges import Window
 from paceline.follow.features import Projection, Shown
 from paceline.follow.fitting import Fit
 from paceline.follow.gauge import Gauge
+from paceline.follow.judgement import ALIKE, APART, ASIDE, FEW, GONE, HELD, MOSTLY, UNSIZED, Foreseen, Found, judged
 from paceline.follow.measuring import Measurement, Measurer
+from paceline.follow.memory import Memory
 from paceline.follow.search import Search, Sighting
-from paceline.follow.snapshot import RIGHT, WITHIN, Snapshot
 
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 Indices = NDArray[np.int64]
 
-SUPPORT = 0.35  # share of the model's lines that must be found
-CLEAR = 0.5  # the same for a target that was lost
-FEATURES = 4  # that must agree
-SHARP = 0.012  # relative deviation of the scale with which the picture may still be learned
-VAGUE = 0.1  # relative standard deviation of the scale with which it is not told
-JUMP = 6.0  # standard deviations that the scale may be off the predicted one
-RELATED = 1.1  # likeness of the picture and share of the usual match, together, below which it is something else
-STRAYED = 1.4  # the same where its size is not the one foreseen, to within AS_FORESEEN; after a gap, NEARLY
-AS_FORESEEN, NEARLY = 0.02, 0.15
-ASIDE = 0.75  # sizes of the target
-AGAIN = 1.5  # the same for a target that was not seen for as many cycles as GONE
-FOUND = 1.8  # the same for one that was lost, veered, or is ASIDE of where it was: among many places some look alike
-GONE = 3.0
-LOOSE, MOSTLY = 1.3, 0.7  # discord of its features with which a target that looks as it did may be believed, where this
-# share of the usual match shows: a half hidden one looks as it did as well
-ALIKE = 0.7  # likeness of the picture with which the size may jump
-HELD = 0.85  # likeness at which the picture alone is believed
-ALONE_FOR = 15  # frames in a row for which it is
+ALONE_FOR = 15  # frames in a row for which the picture of late alone is believed
 WELL = 0.7  # likeness with which a search has seen it well
 PROVEN = 10  # frames in which its features must have shown the target before
 ELSEWHERE = 0.08  # sizes of the target from its place, and relative change of scale, at which it is another
@@ -59,23 +42,10 @@ BY_CHANCE = 0.5  # match of the model below which it may be one by chance
 WATCH = 3  # images of which in one it is asked whether the lock has slid
 WIDEST = 8.0  # times as far as usual a target is looked for that was lost
 
-FEW = "too few of its features are found"
 OUTSIDE = "too little of it is in the image"
-APART = "what is found does not fit together"
-UNSIZED = "its size cannot be told"
 STILL = 0.9  # share of the match that there must be where a lock had slid from
 SLID = "its lock had slid along other edges: back to where it looks as it did"
 ASTRAY = "its features are found elsewhere"
-
-
-class Foreseen(NamedTuple):
-    """Where the target is expected: at ``location`` (3,) to within ``doubt`` (3,), ``tau`` cycles after it was seen
-    last; ``lost``: it may be anywhere."""
-
-    location: Array
-    doubt: Array
-    tau: float = 0.0
-    lost: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,41 +76,37 @@ class Recogniser:
         self._measurer = Measurer(projection, c)
         self._proven = 0
         self._held_for = 0  # frames, in a row, by a picture alone
-        self._snapshot: Snapshot | None = None
-        self._by_hand: Snapshot | None = None  # that of where a hand has put it, whatever lock came then
-        self._image: Bytes | None = None  # looked at last,
-        self._foreseen: Foreseen | None = None  # and where the target was expected there
+        self._looked: tuple[Bytes, Foreseen] | None = None  # at an image, and where the target was expected there
         self._turn = 0
         self._either = np.zeros(len(self.projection.offsets), np.int64)  # which side is brighter is not known
         self.appearance = Appearance(target)
         self.gauge = Gauge()
+        self.memory = Memory(projection, self._search.usual)
 
     def look(self, image: Bytes, expected: Array, doubt: Array, tau: float, lost: bool) -> Look:
         """The target in ``image`` (H, W), where it is ``expected`` (3,) to within ``doubt`` (3,), ``tau`` cycles after
         it was seen last; ``lost``: it may be anywhere."""
-        self._image = image
-        self._foreseen = foreseen = Foreseen(expected, doubt, tau, lost)
+        foreseen = Foreseen(expected, doubt, tau, lost)
+        self._looked = image, foreseen
         if not self._c.wide_search:
             return self._measured(image, expected, doubt, foreseen)
         width = 0.0
         if self.appearance.known:
             width = WIDEST if lost else min(max(1.0, tau) ** 0.7, WIDEST)
         look = self._found(image, foreseen, width)
-        if lost or self._snapshot is None:
-            return look
+        return look if lost else self._remembered(look, image, foreseen)
+
+    def _remembered(self, look: Look, image: Bytes, foreseen: Foreseen) -> Look:
+        """The ``look`` with what is remembered of the target, or that alone where the two gainsay each other."""
         fit = None if look.complaint else look.fit
-        if fit is None:
-            place = self._snapshot.find(image, expected, tau)
-        else:
-            place = self._snapshot.compare(image, fit.location, expected, tau, self._is_sure(look))
-        if place is None or self._conflicts(look, place):
+        told = self.memory.told(image, fit, foreseen, self._is_sure(look))
+        if told is None or self._conflicts(look, told.place):
             return look
-        near, lasting = RIGHT * self._sizes(place), self._snapshot.lasting * self._sizes(place)
-        if fit is None or self._snapshot.is_apart(fit.location, place):
-            if look.sighting is None and not self._search.open_at(image, self.projection.shown(place).location):
+        if fit is None or told.apart:
+            if look.sighting is None and not self._search.open_at(image, self.projection.shown(told.place).location):
                 return look
-            return self._held(place, np.hypot(near, lasting), look.window, look.complaint or ASTRAY)
-        fit = fitting.combined(fit, place, near, lasting)
+            return self._held(told.place, np.hypot(told.doubt, told.lasting), look.window, look.complaint or ASTRAY)
+        fit = fitting.combined(fit, told.place, told.doubt, told.lasting)
         inside, evidence = self._evidence_at(fit.location)
         return replace(look, fit=fit, inside=inside, evidence=evidence)
 
@@ -150,30 +116,27 @@ class Recogniser:
         return look.sure and look.measurement is not None and look.measurement.match >= BY_CHANCE
 
     def _conflicts(self, look: Look, place: Array) -> bool:
-        """Whether the search saw the picture of late well, and not at the ``place`` (3,) that the snapshot tells."""
+        """Whether the search saw the picture of late well, and not at the ``place`` (3,) that is remembered."""
         if look.sighting is None or look.sighting.picture < WELL:
             return False
         off = np.abs(self.projection.ideal(look.sighting.location) - place)
-        return bool((off > ELSEWHERE * self._sizes(place)).any())
-
-    def _sizes(self, place: Array) -> Array:
-        """(3,): what a size of the target and its whole scale are at a ``place`` (3,)."""
-        size = self.projection.size(place[2])
-        return np.array([size, size, place[2]])
+        return bool((off > ELSEWHERE * self.projection.sizes(place[2])).any())
 
     def look_at(self, image: Bytes, location: Array, doubt: Array) -> Look:
         """The target in ``image`` (H, W) at ``location`` (3,), known to within ``doubt`` (3,): nothing is searched."""
-        self._image, self._foreseen = image, Foreseen(location, doubt)
+        foreseen = Foreseen(location, doubt)
+        self._looked = image, foreseen
         if not self._search.open_at(image, self.projection.shown(location).location):
             return Look(OUTSIDE)
-        return self._measured(image, location, doubt, self._foreseen)
+        return self._measured(image, location, doubt, foreseen)
 
     def afresh(self) -> Recogniser:
         """Another one that has not learned anything but where a hand has put the target; the two work with the same
         scratch."""
         other = copy(self)
-        other._proven, other._held_for, other._snapshot = 0, 0, None
+        other._proven, other._held_for = 0, 0
         other.appearance, other.gauge = Appearance(self.projection.target), Gauge()
+        other.memory = self.memory.afresh()
         return other
 
     def carry(self, image: Bytes, location: Array) -> Carried:
@@ -204,7 +167,7 @@ class Recogniser:
     def measured_at(self, image: Bytes, location: Array) -> tuple[Array, float] | None:
         """Where the model fits in ``image`` (H, W) at ``location`` (3,), and how it matches there; None where it does
         not. Whatever was learned has no say."""
-        return self._match(image, location, ABOUT * self._sizes(location))
+        return self._match(image, location, ABOUT * self.projection.sizes(location[2]))
 
     def _matches(self, image: Bytes, sightings: list[Sighting]) -> Iterator[tuple[Array, float]]:
         for sighting in sightings:
@@ -229,8 +192,10 @@ class Recogniser:
             inside = look.inside if look.clear or not self.appearance.known else 0.0
             self.appearance.learn(look.evidence, match, inside)
             self.gauge = self.gauge.learned(PICTURE_RATE)
-        if self._c.snapshot:
-            self._remember(look)
+        if self._c.snapshot and look.fit is not None and look.measurement is not None and not look.slid:
+            assert self._looked is not None, "it was seen"
+            image, foreseen = self._looked
+            self.memory.remember(image, look.fit, foreseen, look.clear, self._is_proven)
 
     def _found(self, image: Bytes, foreseen: Foreseen, width: float) -> Look:
         """Search for the whole model, then measure its features there."""
@@ -253,7 +218,7 @@ class Recogniser:
                 if self._as_good(back, look):
                     return replace(back, window=sighting.window, slid=True, note=SLID)
                 self._evidence_at(look.fit.location)  # what is learned is the picture looked at last
-        proven = self._proven >= PROVEN and self._held_for < ALONE_FOR and not foreseen.lost
+        proven = self._is_proven and self._held_for < ALONE_FOR and not foreseen.lost
         if look.complaint in (FEW, APART, UNSIZED) and proven and sighting.picture > HELD:
             return self._by_picture(start, sighting, look.complaint)
         return look
@@ -322,38 +287,15 @@ class Recogniser:
         shown = self.projection.shown(location)
         return self._search.evidence_at(shown.location, shown.shifts, self.appearance)
 
-    def _remember(self, look: Look) -> None:
-        """Keep what the target looks like where its features have shown it, and again where that is another picture."""
-        if look.fit is None or look.measurement is None or look.slid or self._image is None:
-            return
-        place = look.fit.location
-        last = self._snapshot
-        if last is None and self._foreseen is not None:  # where it was put, by a hand mostly
-            place = fitting.combined(look.fit, *self._foreseen[:2]).location
-        anew = last is not None and last.is_old(place[2]) and (look.clear or last.confirmed)
-        if last is None or (anew and self._proven >= PROVEN):
-            self._snapshot = self._snapshot_of(self._image, place, last)
-            if self._by_hand in (None, last):
-                self._by_hand = self._snapshot
+    def put_by_hand(self, image: Bytes, near: Array) -> Array | None:
+        """See `Memory.as_put`."""
+        return self.memory.as_put(image, near)
 
     def anchor(self, image: Bytes, place: Array) -> None:
         """Tell it that the target was at a ``place`` (3,) in ``image`` (H, W), which a hand has set, as what it looks
         like there."""
         if self._c.snapshot:
-            self._snapshot = self._by_hand = self._snapshot_of(image, place)
-
-    def put_by_hand(self, image: Bytes, near: Array) -> Array | None:
-        """Where (3,) in ``image`` a hand would have put the target, as it looked where one has at first; None where
-        that is not seen."""
-        return None if self._by_hand is None else self._by_hand.as_put(image, near)
-
-    def _snapshot_of(self, image: Bytes, place: Array, last: Snapshot | None = None) -> Snapshot:
-        size = self.projection.size(1.0)
-        near = np.full(2, ABOUT * size * place[2])
-        whole = Carried(image, self.projection, place, self._search.usual, UPRIGHT, evened=True)
-        own = Carried(image, self.projection, place, near, evened=True)
-        inner = Carried(image, self.projection, place, near, grown=WITHIN)
-        return Snapshot(whole, own, inner, size, last)
+            self.memory.anchor(image, place)
 
     def _measured(
         self, image: Bytes, start: Array, near: Array, foreseen: Foreseen, searched: Window | None = None
@@ -399,7 +341,9 @@ class Recogniser:
             return Look(OUTSIDE, window, fit, measurement)
         steadied, gauge = self._steadied(fit, shown, float(start[2]), foreseen.tau + self._held_for)
         inside, evidence = self._evidence_at(steadied.location)
-        complaint, clear, sure = self._judged(fit, measurement, inside, foreseen)
+        picture = self.appearance.likeness() if inside > 0.5 else 0.0
+        found = Found(measurement, fit, picture, self._usual_share(measurement), self._is_proven)
+        complaint, clear, sure = judged(found, foreseen, self.projection, c)
         fit = fit if complaint else steadied
         return Look(complaint, window, fit, measurement, inside, evidence, clear, sure=sure, gauge=gauge)
 
@@ -414,57 +358,16 @@ class Recogniser:
         scale, gauge = self.gauge.set(float(fit.location[2]), picture, tau)
         return fitting.scaled(fit, scale), gauge
 
-    def _judged(
-        self, fit: Fit, measurement: Measurement, inside: float, foreseen: Foreseen
-    ) -> tuple[str, bool, bool]:
-        """Its features must be there, fit together and look like it: what there is to complain of, and whether it is
-        clear and sure, see `Look`."""
-        expected, doubt, tau, lost = foreseen
-        agreeing, discord, support = measurement.agreeing, measurement.discord, measurement.support
-        spread = float(np.sqrt(fit.covariance[2, 2])) / fit.location[2]
-        grown = fit.location[2] / expected[2]
-        sharp = support >= CLEAR and discord < 0.6 and spread < SHARP
-        clear = bool(sharp and abs(grown - 1.0) < SHARP)
-        if not self._c.appearance:
-            return "", clear, False
-        picture = self.appearance.likeness() if inside > 0.5 else 0.0
-        related = picture + self._usual_share(measurement)
-        moved = abs(fit.location[0] - expected[0])
-        aside = moved / self.projection.size(expected[2])
-        veered = self._c.continuity and veers(self.projection, moved, expected[2], tau)
-        jump = abs(fit.location[2] - expected[2]) / hypot(doubt[2], spread * fit.location[2])
-        if support < (CLEAR if lost else SUPPORT) or agreeing.sum() < FEATURES:
-            return FEW, clear, False
-        astray = np.isfinite(measurement.fit.offsets).sum() - agreeing.sum()
-        as_ever = self._proven >= PROVEN and picture > ALIKE and self._usual_share(measurement) > MOSTLY
-        # a single edge that is another's tells nothing against all the others
-        if discord > (LOOSE if as_ever else 1.0) and astray > 1:
-            return APART, clear, False
-        if spread > VAGUE:
-            return UNSIZED, clear, False
-        if jump > JUMP and not (sharp and picture > ALIKE):
-            return "its size jumps", clear, False
-        if related < self._needed(picture, grown, aside, veered, tau, lost):
-            return "what is found does not look like it", clear, False
-        return "", clear, related >= FOUND
-
-    def _needed(self, picture: float, grown: float, aside: float, veered: bool, tau: float, lost: bool) -> float:
-        """How much likeness, that of its ``picture``, and share of the usual match a target must have together that is
-        ``grown`` times the size foreseen and ``aside`` sizes, ``tau`` cycles after it was seen; it has ``veered``."""
-        if lost or veered or (tau >= GONE and max(abs(grown - 1.0) / NEARLY, aside / ASIDE) > 1.0):
-            return FOUND
-        if picture > HELD and abs(grown - 1.0) < NEARLY:
-            return 0.0
-        if tau >= GONE:
-            return AGAIN
-        return RELATED if abs(grown - 1.0) < AS_FORESEEN else STRAYED
-
     def _as_good(self, back: Look, look: Look) -> bool:
         """Whether the model's edges are ``back`` there too, almost as many: a shadow that has just passed changes the
         picture, not the edges. Where much is hidden, part of the target looks as the whole farther off."""
         if back.measurement is None or look.measurement is None:
             return False
         return back.measurement.match > STILL * look.measurement.match and self._usual_share(back.measurement) > MOSTLY
+
+    @property
+    def _is_proven(self) -> bool:
+        return self._proven >= PROVEN
 
     def _usual_share(self, measurement: Measurement) -> float:
         """How much of the model shows, as a share of what usually does, up to 1."""
