@@ -366,7 +366,7 @@ def test_after_a_start_in_doubt_its_snapshot_is_of_the_first_image():
     tracker = begin(positions[0], off=(12, 0), size=1.0)
     estimates = follow(tracker, images)
     assert estimates[0].status == "coasting" and estimates[-1].status == "tracking"
-    snapshot = tracker.lock.recogniser.memory._last
+    snapshot = tracker.lock.recogniser._memory._last
     there = np.array([*CAMERA.project(positions[-1]), 10.0 / positions[-1][2]])
     told = snapshot.find(images[-1], there, 1.0)
     assert (np.abs(told - there) / tracker.projection.sizes(there[2]) < [0.02, 0.02, 0.02]).all()
@@ -398,7 +398,7 @@ def test_a_hands_error_is_in_the_interval_of_what_its_picture_tells(clip, monkey
     bare = tracker.lock.look(images[20], False).fit
 
     def spread(apart, lasting):
-        recogniser.memory._last = SimpleNamespace(
+        recogniser._memory._last = SimpleNamespace(
             compare=lambda image, place, expected, tau, sure: place.copy(),
             is_old=lambda scale: False,
             is_apart=lambda place, found: apart,
@@ -689,7 +689,7 @@ def test_a_target_is_held_where_a_snapshot_gainsays_its_features(clip, monkeypat
     recogniser = tracker.lock.recogniser
     aside = recogniser.projection.size(1.0) * np.array([0.3, 0.0, 0.0])
     monkeypatch.setattr(recogniser, "_conflicts", lambda look, place: False)
-    recogniser.memory._last = SimpleNamespace(
+    recogniser._memory._last = SimpleNamespace(
         compare=lambda image, place, expected, tau, sure: expected + aside,
         is_old=lambda scale: False,
         is_apart=lambda place, found: True,
@@ -699,7 +699,7 @@ def test_a_target_is_held_where_a_snapshot_gainsays_its_features(clip, monkeypat
     look = tracker.lock.look(images[20], False)
     assert look.note.endswith(recognition.ASTRAY) and not look.complaint and look.measurement is None
     np.testing.assert_allclose(look.fit.location, tracker.lock.expected + aside)
-    recogniser.memory._last.is_apart = lambda place, found: False
+    recogniser._memory._last.is_apart = lambda place, found: False
     assert tracker.lock.look(images[20], False).measurement is not None
 
 
@@ -715,7 +715,7 @@ def test_a_target_of_which_hardly_a_line_shows_does_not_show_well(clip, monkeypa
         return replace(look, measurement=replace(look.measurement, match=match), sure=True)
 
     monkeypatch.setattr(recogniser, "_found", dimmed)
-    recogniser.memory._last = SimpleNamespace(compare=lambda image, place, expected, tau, sure: told.append(sure))
+    recogniser._memory._last = SimpleNamespace(compare=lambda image, place, expected, tau, sure: told.append(sure))
     tracker.lock.predict(20 / 15)
     tracker.lock.look(images[20], False)
     assert told == [match >= recognition.BY_CHANCE]
@@ -724,7 +724,7 @@ def test_a_target_of_which_hardly_a_line_shows_does_not_show_well(clip, monkeypa
 def test_a_target_whose_lines_do_not_tell_its_size_is_held_by_its_picture(clip, monkeypatch):
     images, tracker = clip[0], followed(clip)
     recogniser, there = tracker.lock.recogniser, tracker.lock.expected.copy()
-    recogniser.memory._last = None
+    recogniser._memory._last = None
     monkeypatch.setattr(recognition, "judged", lambda *given: Verdict(UNSIZED, False, False))
     tracker.lock.predict(20 / 15)
     look = tracker.lock.look(images[20], False)
@@ -743,7 +743,7 @@ def test_a_snapshot_does_not_gainsay_what_the_search_sees_well(clip):
             tracker.update(images[k], k / 15, k)
     recogniser = trackers[1].lock.recogniser
     astray = recogniser.projection.size(1.0) * np.array([0.3, 0.0, 0.0])
-    recogniser.memory._last = SimpleNamespace(
+    recogniser._memory._last = SimpleNamespace(
         compare=lambda image, place, expected, tau, sure: place + astray,
         find=lambda image, expected, tau: expected + astray,
         is_old=lambda scale: False,

@@ -18,8 +18,9 @@ from paceline.follow.measuring import Measurement
 Array = NDArray[np.float64]
 
 SUPPORT = 0.35  # share of the model's lines that must be found
-CLEAR = 0.5  # the same for a target that was lost
+CLEAR = 0.5  # the same for a target that was lost, and for one that shows well
 FEATURES = 4  # that must agree
+CLOSELY = 0.6  # discord with which its features agree well
 SHARP = 0.012  # relative deviation of the scale with which the picture may still be learned
 VAGUE = 0.1  # relative standard deviation of the scale with which it is not told
 JUMP = 6.0  # standard deviations that the scale may be off the predicted one
@@ -28,12 +29,13 @@ STRAYED = 1.4  # the same where its size is not the one foreseen, to within AS_F
 AS_FORESEEN, NEARLY = 0.02, 0.15
 ASIDE = 0.75  # sizes of the target
 AGAIN = 1.5  # the same for a target that was not seen for as many cycles as GONE
-FOUND = 1.8  # the same for one that was lost, veered, or is ASIDE of where it was: among many places some look alike
+REGAINED = 1.8  # the same for one that was lost, veered, or is ASIDE of where it was, as among many places some look
+# alike; and where there is no doubt
 GONE = 3.0
 LOOSE, MOSTLY = 1.3, 0.7  # discord of its features with which a target that looks as it did may be believed, where this
 # share of the usual match shows: a half hidden one looks as it did as well
-ALIKE = 0.7  # likeness of the picture with which the size may jump
-HELD = 0.85  # likeness at which the picture alone is believed
+ALIKE = 0.7  # likeness of the picture with which its size may jump, and it looks as it did
+HELD = 0.85  # likeness at which nothing else has to show
 
 FEW = "too few of its features are found"
 APART = "what is found does not fit together"
@@ -53,9 +55,9 @@ class Foreseen(NamedTuple):
 
 
 class Found(NamedTuple):
-    """What was found: the ``fit`` of its features as they were measured and with what was known before, the likeness of
-    the ``picture`` there, how much of the model ``shows``, as a share of what usually does, and whether features have
-    shown the target before, often enough for that to be ``proven``."""
+    """What was found: the ``measurement``, its ``fit`` with what was known before, the likeness of the ``picture``
+    there, −1 to 1 and 0 where most of it is outside, how much of the model ``shows``, as a share of what usually does,
+    up to 1, and whether features have shown the target often enough for that to be ``proven``."""
 
     measurement: Measurement
     fit: Fit
@@ -65,6 +67,7 @@ class Found(NamedTuple):
 
     @property
     def related(self) -> float:
+        """How much it looks like the target, up to 2."""
         return self.picture + self.shows
 
     @property
@@ -74,8 +77,8 @@ class Found(NamedTuple):
 
     @property
     def sharp(self) -> bool:
-        """Whether its features agree on one size."""
-        return self.measurement.support >= CLEAR and self.measurement.discord < 0.6 and self.spread < SHARP
+        """Whether most of its features show, and agree on a size."""
+        return self.measurement.support >= CLEAR and self.measurement.discord < CLOSELY and self.spread < SHARP
 
     def grown(self, foreseen: Foreseen) -> float:
         """How many times the size foreseen it has."""
@@ -92,17 +95,19 @@ class Verdict(NamedTuple):
 
 
 def judged(found: Found, foreseen: Foreseen, projection: Projection, configuration: FollowConfiguration) -> Verdict:
-    """Its features must be there, fit together and look like the target."""
+    """Its features must be there, fit together and look like the target. Where ``configuration`` has no appearance
+    nothing is complained of."""
     clear = found.sharp and abs(found.grown(foreseen) - 1.0) < SHARP
     if not configuration.appearance:
         return Verdict("", clear, False)
-    complaint = _complaint(found, foreseen)
+    complaint = _misfit(found, foreseen)
     if not complaint and found.related < _needed(found, foreseen, projection, configuration.continuity):
         complaint = UNLIKE
-    return Verdict(complaint, clear, not complaint and found.related >= FOUND)
+    return Verdict(complaint, clear, not complaint and found.related >= REGAINED)
 
 
-def _complaint(found: Found, foreseen: Foreseen) -> str:
+def _misfit(found: Found, foreseen: Foreseen) -> str:
+    """What there is to complain of in its features alone."""
     measurement, fit = found.measurement, found.fit
     if measurement.support < (CLEAR if foreseen.lost else SUPPORT) or measurement.agreeing.sum() < FEATURES:
         return FEW
@@ -124,7 +129,7 @@ def _needed(found: Found, foreseen: Foreseen, projection: Projection, continuous
     aside = moved / projection.size(scale)
     veered = continuous and veers(projection, moved, scale, tau)
     if foreseen.lost or veered or (tau >= GONE and max(abs(grown - 1.0) / NEARLY, aside / ASIDE) > 1.0):
-        return FOUND
+        return REGAINED
     if found.picture > HELD and abs(grown - 1.0) < NEARLY:
         return 0.0
     if tau >= GONE:

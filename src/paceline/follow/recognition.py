@@ -28,22 +28,23 @@ Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 Indices = NDArray[np.int64]
 
-ALONE_FOR = 15  # frames in a row for which the picture of late alone is believed
+ALONE_FOR = 15  # frames in a row for which the picture of late alone is believed, where it is as alike as HELD
 WELL = 0.7  # likeness with which a search has seen it well
 PROVEN = 10  # frames in which its features must have shown the target before
 ELSEWHERE = 0.08  # sizes of the target from its place, and relative change of scale, at which it is another
 ABOUT = 0.01  # sizes, and relative scale, within which a place is looked at by itself
 LESS, WIDER = 0.85, 4.0  # share of the usual match below which lines are looked for so many times as far away,
 MORE = 0.08  # and match that these must add
-SHOWING = 0.7  # the same below which other places that the search saw are looked at,
+SHOWING = 0.7  # share of the usual match below which other places that the search saw are looked at,
 OTHERS = 3.0  # as far about as that many times the best one's doubt, for they are a grid's;
 AS_ALIKE = 0.05  # likeness that they may have less
 BY_CHANCE = 0.5  # match of the model below which it may be one by chance
+STILL = 0.9  # share of the match that there must be where a lock had slid from
 WATCH = 3  # images of which in one it is asked whether the lock has slid
 WIDEST = 8.0  # times as far as usual a target is looked for that was lost
 
+NOTHING = "nothing like the target is in reach"
 OUTSIDE = "too little of it is in the image"
-STILL = 0.9  # share of the match that there must be where a lock had slid from
 SLID = "its lock had slid along other edges: back to where it looks as it did"
 ASTRAY = "its features are found elsewhere"
 
@@ -81,7 +82,7 @@ class Recogniser:
         self._either = np.zeros(len(self.projection.offsets), np.int64)  # which side is brighter is not known
         self.appearance = Appearance(target)
         self.gauge = Gauge()
-        self.memory = Memory(projection, self._search.usual)
+        self._memory = Memory(projection, self._search.usual)
 
     def look(self, image: Bytes, expected: Array, doubt: Array, tau: float, lost: bool) -> Look:
         """The target in ``image`` (H, W), where it is ``expected`` (3,) to within ``doubt`` (3,), ``tau`` cycles after
@@ -97,9 +98,10 @@ class Recogniser:
         return look if lost else self._remembered(look, image, foreseen)
 
     def _remembered(self, look: Look, image: Bytes, foreseen: Foreseen) -> Look:
-        """The ``look`` with what is remembered of the target, or that alone where the two gainsay each other."""
+        """The ``look`` with what is remembered of the target, or that alone where the two gainsay each other or there
+        is a complaint; as it is where nothing is told, or the search saw the target well elsewhere."""
         fit = None if look.complaint else look.fit
-        told = self.memory.told(image, fit, foreseen, self._is_sure(look))
+        told = self._memory.told(image, fit, foreseen, self._is_sure(look))
         if told is None or self._conflicts(look, told.place):
             return look
         if fit is None or told.apart:
@@ -136,7 +138,7 @@ class Recogniser:
         other = copy(self)
         other._proven, other._held_for = 0, 0
         other.appearance, other.gauge = Appearance(self.projection.target), Gauge()
-        other.memory = self.memory.afresh()
+        other._memory = self._memory.afresh()
         return other
 
     def carry(self, image: Bytes, location: Array) -> Carried:
@@ -195,7 +197,7 @@ class Recogniser:
         if self._c.snapshot and look.fit is not None and look.measurement is not None and not look.slid:
             assert self._looked is not None, "it was seen"
             image, foreseen = self._looked
-            self.memory.remember(image, look.fit, foreseen, look.clear, self._is_proven)
+            self._memory.remember(image, look.fit, foreseen, look.clear, self._is_proven)
 
     def _found(self, image: Bytes, foreseen: Foreseen, width: float) -> Look:
         """Search for the whole model, then measure its features there."""
@@ -204,7 +206,7 @@ class Recogniser:
             image, shown.location, foreseen.doubt, shown.shifts, width, self.appearance, c.appearance
         )
         if sighting is None:
-            return Look("nothing like the target is in reach")
+            return Look(NOTHING)
         start = self.projection.ideal(sighting.location)
         look = self._measured(image, start, sighting.doubt, foreseen, sighting.window)
         look = replace(self._or_elsewhere(look, sighting, image, foreseen), sighting=sighting)
@@ -288,14 +290,14 @@ class Recogniser:
         return self._search.evidence_at(shown.location, shown.shifts, self.appearance)
 
     def put_by_hand(self, image: Bytes, near: Array) -> Array | None:
-        """See `Memory.as_put`."""
-        return self.memory.as_put(image, near)
+        """Where (3,) in ``image`` a hand would have put the target; None where it is not seen; see `Memory.as_put`."""
+        return self._memory.as_put(image, near)
 
     def anchor(self, image: Bytes, place: Array) -> None:
         """Tell it that the target was at a ``place`` (3,) in ``image`` (H, W), which a hand has set, as what it looks
         like there."""
         if self._c.snapshot:
-            self.memory.anchor(image, place)
+            self._memory.anchor(image, place)
 
     def _measured(
         self, image: Bytes, start: Array, near: Array, foreseen: Foreseen, searched: Window | None = None
@@ -341,7 +343,7 @@ class Recogniser:
             return Look(OUTSIDE, window, fit, measurement)
         steadied, gauge = self._steadied(fit, shown, float(start[2]), foreseen.tau + self._held_for)
         inside, evidence = self._evidence_at(steadied.location)
-        picture = self.appearance.likeness() if inside > 0.5 else 0.0
+        picture = self.appearance.likeness() if c.appearance and inside > 0.5 else 0.0
         found = Found(measurement, fit, picture, self._usual_share(measurement), self._is_proven)
         complaint, clear, sure = judged(found, foreseen, self.projection, c)
         fit = fit if complaint else steadied
