@@ -13,7 +13,7 @@ from paceline.cameras import Camera
 from paceline.errors import UnusableInput
 from paceline.follow import association, candidates, edges_cpu, fitting, motion, picture_cpu, recognition, search_cpu
 from paceline.follow.configuration import FollowConfiguration
-from paceline.follow.judgement import UNLIKE, UNSIZED, Foreseen, Found, Verdict, judged
+from paceline.follow.judgement import APART, UNLIKE, UNSIZED, Foreseen, Found, Verdict, judged
 from paceline.follow.origin import CAME
 from paceline.follow.ranging import recorded
 from paceline.follow.search import Sighting
@@ -478,6 +478,32 @@ def test_a_target_whose_lamps_are_switched_is_followed(greys, monkeypatch):
     assert np.abs(off).max() < 0.03 and np.abs(aside).max() < 0.05
 
 
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_light_lorry_before_the_sky_is_followed_while_shadows_dance_over_it(seed, monkeypatch):
+    """Where it is shaded it is darker than the sky, not brighter: its outline has the other sign, and it looks
+    otherwise. But all of its lines are where they were."""
+    ribs = [(x, y) for x in (-0.5, 0.0, 0.5) for y in (-1.0, 0.75)]
+    corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), *ribs, (-1, 0.75), (1, 0.75)], float)
+    segments = np.array([[0, 1], [1, 2], [2, 3], [3, 0], [4, 5], [6, 7], [8, 9], [10, 11]])
+    target, rng = Target("lorry", 10.0, corners, segments), np.random.default_rng(seed)
+    lorry = [((-1, -1, 1, 0.75), 210), ((-1, 0.75, 1, 1), 50)]
+    lorry += [((x - 0.03, -1, x + 0.03, 0.75), 170) for x in (-0.5, 0.0, 0.5)]
+    behind, images, t = np.full((600, 1600), 160.0), [], np.arange(60) / 15
+    behind[300:] = 90.0
+    height = -0.3 + rng.normal(0, 0.06, 60)
+    positions = np.column_stack([0.5 * np.sin(1.1 * t), height, 11 + 2 * np.sin(1.3 * t)])
+    for k, position in enumerate(positions):
+        edge = rng.uniform(-1.0, 1.4) if 15 <= k < 50 else -1.0
+        shaded = [((x0, y0, min(x1, edge), y1), 0.3 * grey) for (x0, y0, x1, y1), grey in lorry if x0 < edge]
+        monkeypatch.setattr(f"{__name__}.FACES", [*lorry, *shaded])
+        images.append(draw(position, behind, (0.0, 0.0), rng))
+    tracker = FollowTracker(CAMERA, target, CAMERA.project(positions[0]), 10.0 / positions[0][2])
+    estimates = follow(tracker, images)
+    assert {e.status for e in estimates} == {"tracking"}
+    off, aside = errors(estimates, positions)
+    assert np.abs(off).max() < 0.04 and np.abs(aside).max() < 0.1
+
+
 def test_a_frame_of_another_size_is_refused_in_one_line(clip):
     images, positions = clip
     tracker = begin(positions[0])
@@ -622,6 +648,45 @@ def test_where_less_shows_than_usual_lines_are_looked_for_farther_away(
     monkeypatch.setattr(recogniser.appearance, "likeness", lambda: told.pop(0))
     look = recogniser._measured(images[20], there, near, Foreseen(there, near))
     assert look is looks[recognition.WIDER if taken else 1.0]
+
+
+@pytest.mark.parametrize(
+    ("said", "shows", "other", "support", "likeness", "taken"),
+    [
+        (UNLIKE, 0.7, 0.9, 0.9, 0.5, True),
+        (APART, 0.7, 0.9, 0.9, 0.5, True),
+        (UNSIZED, 0.7, 0.9, 0.9, 0.5, False),
+        (UNLIKE, 0.7, 0.9, 0.8, 0.5, False),  # a part of it is hidden, as by what has edges there
+        (UNLIKE, 0.7, 0.9, 0.9, 0.4, False),  # it is another
+        (UNLIKE, 0.7, 0.75, 0.9, 0.5, False),
+    ],
+)
+def test_lines_of_either_sign_are_believed_where_nearly_all_show_and_clearly_more(
+    clip, monkeypatch, said, shows, other, support, likeness, taken
+):
+    """Where something is complained of that has the signs of late; the likeness there is 0.5."""
+    images, tracker = clip[0], followed(clip)
+    recogniser, there = tracker.lock.recogniser, tracker.lock.expected
+    near = np.array([1.0, 1.0, 0.01])
+    signed, either = (
+        recognition.Look(
+            what,
+            inside=1.0,
+            measurement=SimpleNamespace(match=match, support=support),
+            fit=SimpleNamespace(location=there),
+        )
+        for what, match in ((said, shows), ("", other))
+    )
+    told = iter([0.5, likeness])
+    monkeypatch.setattr(recogniser.appearance, "likeness", lambda: next(told))
+    monkeypatch.setattr(recogniser, "_usual_share", lambda measurement: 1.0)
+    monkeypatch.setattr(recogniser, "_measured_with", lambda *given: signed)
+    monkeypatch.setattr(recogniser, "_thought_of", lambda *given: either)
+    asked = []
+    measure = lambda image, start, near, signs: (asked.append(signs), (either.measurement, (0, 0, 0, 0)))[1]  # noqa: E731
+    monkeypatch.setattr(recogniser, "_measurer", SimpleNamespace(measure=measure))
+    assert recogniser._measured(images[20], there, near, Foreseen(there, near)) is (either if taken else signed)
+    assert not any(signs.any() for signs in asked)
 
 
 @pytest.mark.parametrize(

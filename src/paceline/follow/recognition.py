@@ -19,7 +19,20 @@ from paceline.follow.edges import Window
 from paceline.follow.features import Projection, Shown
 from paceline.follow.fitting import Fit
 from paceline.follow.gauge import Gauge
-from paceline.follow.judgement import ALIKE, APART, ASIDE, FEW, GONE, HELD, MOSTLY, UNSIZED, Foreseen, Found, judged
+from paceline.follow.judgement import (
+    ALIKE,
+    APART,
+    ASIDE,
+    FEW,
+    GONE,
+    HELD,
+    MOSTLY,
+    UNLIKE,
+    UNSIZED,
+    Foreseen,
+    Found,
+    judged,
+)
 from paceline.follow.measuring import Measurement, Measurer
 from paceline.follow.memory import Memory
 from paceline.follow.search import Search, Sighting
@@ -38,6 +51,7 @@ MORE = 0.08  # and match that these must add
 SHOWING = 0.7  # share of the usual match below which other places that the search saw are looked at,
 OTHERS = 3.0  # as far about as that many times the best one's doubt, for they are a grid's;
 AS_ALIKE = 0.05  # likeness that they may have less
+NEARLY_ALL = 0.85  # share of the length of its lines that must show where what they look like is not known
 BY_CHANCE = 0.5  # match of the model below which it may be one by chance
 STILL = 0.9  # share of the match that there must be where a lock had slid from
 WATCH = 3  # images of which in one it is asked whether the lock has slid
@@ -239,7 +253,8 @@ class Recogniser:
             far = np.abs(start - look.fit.location)[:2].max() / self.projection.size(start[2])
             if foreseen.tau >= GONE and far > ASIDE:
                 continue
-            found = self._better(look, image, start, near, self._either, foreseen, sighting.window, least)
+            more, searched = self._measurer.measure(image, start, near, self._either)
+            found = self._better(look, more, image, start, near, foreseen, sighting.window or searched, least)
             if found is not None:
                 return found
         return look
@@ -247,21 +262,20 @@ class Recogniser:
     def _better(
         self,
         look: Look,
+        more: Measurement | None,
         image: Bytes,
         start: Array,
         near: Array,
-        brighter: Indices,
         foreseen: Foreseen,
-        window: Window | None,
+        window: Window,
         least: float,
     ) -> Look | None:
-        """A look about ``start`` (3,), known to within ``near`` (3,), at which nothing is to be complained of and
-        which shows clearly more of the model than this one, with the ``least`` likeness or more."""
+        """The look by ``more``, measured about ``start`` (3,), known to within ``near`` (3,), if that shows clearly
+        more of the model than this one, nothing is to be complained of, and it is as alike as ``least`` or more."""
         assert look.measurement is not None
-        more, searched = self._measurer.measure(image, start, near, brighter)
         if more is None or more.match <= look.measurement.match + MORE:
             return None
-        found = self._thought_of(more, image, start, near, foreseen, window or searched)
+        found = self._thought_of(more, image, start, near, foreseen, window)
         if not found.complaint and found.inside >= INSIDE and self.appearance.likeness() >= least:
             return found
         if look.fit is not None:
@@ -312,13 +326,20 @@ class Recogniser:
             # where some are hidden others farther away may fit, say a lorry's ribs, at a size at which it looks
             # otherwise.
             least = self.appearance.likeness() if self._c.appearance else -1.0
-            look = self._better(look, image, start, WIDER * near, brighter, foreseen, searched, least) or look
-        if look.complaint != FEW or not brighter.any():
-            return look
-        # Lamps that are switched on or off are brighter than what is about them, or darker, from one image to the next.
-        # Where the image cuts off the outline a line inside, of the other sign, is mostly something else.
-        other = self._measured_with(self._either, image, start, near, foreseen, searched)
-        return look if other.complaint or other.inside < INSIDE else other
+            more, window = self._measurer.measure(image, start, WIDER * near, brighter)
+            look = self._better(look, more, image, start, WIDER * near, foreseen, searched or window, least) or look
+        # Lamps that are switched on or off are brighter than what is about them, or darker, from one image to the next,
+        # and so are light sides before the sky where a shadow falls on them. Where the image cuts off the outline a
+        # line inside, of the other sign, is mostly something else.
+        if look.complaint == FEW and brighter.any():
+            other = self._measured_with(self._either, image, start, near, foreseen, searched)
+            return look if other.complaint or other.inside < INSIDE else other
+        if look.complaint in (APART, UNLIKE) and brighter.any() and look.inside >= INSIDE:
+            more, window = self._measurer.measure(image, start, near, self._either)
+            if more is not None and more.support >= NEARLY_ALL:
+                least = self.appearance.likeness() - AS_ALIKE
+                return self._better(look, more, image, start, near, foreseen, searched or window, least) or look
+        return look
 
     def _measured_with(
         self, brighter: Indices, image: Bytes, start: Array, near: Array, foreseen: Foreseen, searched: Window | None
