@@ -768,6 +768,24 @@ def test_a_target_is_held_where_a_snapshot_gainsays_its_features(clip, monkeypat
     assert tracker.lock.look(images[20], False).measurement is not None
 
 
+@pytest.mark.parametrize(
+    ("grown", "tau", "held"),
+    [(1.1, 1.0, True), (1.1, 5.0, False), (0.9, 5.0, False), (1.05, 5.0, True), (0.95, 5.0, True)],
+)
+def test_a_target_that_was_gone_is_not_found_again_by_a_picture_alone_at_another_size(
+    clip, monkeypatch, grown, tau, held
+):
+    """Where a car has come before the lower half of a lorry the two look as a whole lorry farther off."""
+    images, tracker = clip[0], followed(clip)
+    recogniser = tracker.lock.recogniser
+    recogniser._memory._last = SimpleNamespace(
+        find=lambda image, expected, tau: expected * [1.0, 1.0, grown], lasting=np.zeros(3)
+    )
+    monkeypatch.setattr(recogniser, "_found", lambda *given: recognition.Look(UNLIKE))
+    look = recogniser.look(images[20], tracker.lock.expected, tracker.lock.doubt, tau, False)
+    assert look.complaint == ("" if held else UNLIKE)
+
+
 @pytest.mark.parametrize("match", [0.2, 0.5])
 def test_a_target_of_which_hardly_a_line_shows_does_not_show_well(clip, monkeypatch, match):
     """All that usually shows of it may be there, and yet be so little that it is a matter of chance."""
