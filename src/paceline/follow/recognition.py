@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from copy import copy
 from dataclasses import dataclass, replace
-from math import hypot, log
+from math import hypot
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,8 +51,8 @@ MORE = 0.08  # and match that these must add
 SHOWING = 0.7  # share of the usual match below which other places that the search saw are looked at,
 OTHERS = 3.0  # as far about as that many times the best one's doubt, for they are a grid's;
 AS_ALIKE = 0.05  # likeness that they may have less
-RESIZED = 0.07  # logarithm of its scale over the one foreseen, at which no picture alone finds it again: what hides the
-# lower half of it may well look as if it were all of it, farther off
+SMALLER = 0.9  # of the scale foreseen, below which no picture alone finds it again: what hides the lower half of it may
+# look, with the upper one, as all of it does farther off
 NEARLY_ALL = 0.85  # share of the length of its lines that must show where what they look like is not known
 BY_CHANCE = 0.5  # match of the model below which it may be one by chance
 STILL = 0.9  # share of the match that there must be where a lock had slid from
@@ -116,13 +116,12 @@ class Recogniser:
     def _remembered(self, look: Look, image: Bytes, foreseen: Foreseen) -> Look:
         """The ``look`` with what is remembered of the target, or that alone where the two gainsay each other or there
         is a complaint. As it is where nothing is told, the search saw the target well elsewhere, or a target that was
-        gone for a while would be found again by that alone, and at another size."""
+        gone for a while would be found again by that alone, and smaller."""
         fit = None if look.complaint else look.fit
         told = self._memory.told(image, fit, foreseen, self._is_sure(look))
         if told is None or self._conflicts(look, told.place):
             return look
-        grown = abs(log(told.place[2] / foreseen.location[2]))
-        if fit is None and foreseen.tau >= GONE and grown > RESIZED:
+        if fit is None and foreseen.tau >= GONE and told.place[2] < SMALLER * foreseen.location[2]:
             return look
         if fit is None or told.apart:
             if look.sighting is None and not self._search.open_at(image, self.projection.shown(told.place).location):
