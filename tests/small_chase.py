@@ -12,7 +12,7 @@ import yaml
 SIZE = (256, 242)
 F, CX, CY = 300.0, 127.5, 120.5
 NOMINAL = 10.0
-FINE = 8  # the pictures are drawn this much larger and averaged
+FINE = 8  # edges lie on eighths of a pixel
 CAMERA = {"image_size": list(SIZE), "K": [[F, 0.0, CX], [0.0, F, CY], [0.0, 0.0, 1.0]]}
 BOXES = {  # left, top, right, bottom in metres, and grey level
     "body": (-1.0, -0.75, 1.0, 0.75, 190),
@@ -40,19 +40,26 @@ def truth(frame: int, rate: float = 15.0) -> np.ndarray:
 
 
 def picture(frame: int, seed: int = 3) -> np.ndarray:
-    """The image (H, W), uint8, of one frame."""
+    """The image (H, W), uint8, of one frame, drawn by the share of each pixel that a box covers."""
     width, height = SIZE
-    image = np.full((height * FINE, width * FINE), 120.0, np.float32)
-    image[: int(115 * FINE)] = 150.0  # the sky
+    behind = np.where(np.arange(height) < 115, 150.0, 120.0)[:, None]  # the sky, and the road below it
+    image = np.repeat(behind, width, axis=1)
     x, y, z = truth(frame)
     for left, top, right, bottom, grey in BOXES.values():
-        u0, u1 = (CX + 0.5 + F * (x + side) / z for side in (left, right))
-        v0, v1 = (CY + 0.5 + F * (y + side) / z for side in (top, bottom))
-        image[round(v0 * FINE) : round(v1 * FINE), round(u0 * FINE) : round(u1 * FINE)] = grey
-    small = cv2.resize(image, SIZE, interpolation=cv2.INTER_AREA)
-    small = cv2.GaussianBlur(small, (0, 0), 0.6)
-    small += np.random.default_rng([seed, frame]).normal(0, 1.5, small.shape)
-    return np.clip(np.rint(small), 0, 255).astype(np.uint8)
+        across = covered(width, *(CX + 0.5 + F * (x + side) / z for side in (left, right)))
+        down = covered(height, *(CY + 0.5 + F * (y + side) / z for side in (top, bottom)))
+        image += down[:, None] * across * (grey - behind)
+        behind = np.array(BOXES["body"][4])  # what comes after the body lies on it
+    image = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 0.6)
+    image += np.random.default_rng([seed, frame]).normal(0, 1.5, image.shape)
+    return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+
+
+def covered(pixels: int, first: float, last: float) -> np.ndarray:
+    """The share (N,) of each of ``pixels`` that lies between two places, which are rounded to 1/FINE of a pixel."""
+    first, last = round(first * FINE) / FINE, round(last * FINE) / FINE
+    edges = np.clip(np.arange(pixels + 1), first, last)
+    return np.diff(edges)
 
 
 def start(frame: int = 0) -> dict[str, object]:
