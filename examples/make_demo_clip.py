@@ -14,7 +14,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from paceline.simulation.planar import Scene, Vehicle, render, rig_document, write_documents
+from paceline.simulation.planar import Scene, Vehicle, render, write_documents
 
 MILE_PER_HOUR = 0.44704
 TIME_BASE = Fraction(1, 1000)
@@ -64,8 +64,8 @@ def main(directory: Path) -> None:
     write_video(directory / "left.mp4", rendered.left, rendered.times, SCENE.rate)
     write_video(directory / "right.mp4", rendered.right, rendered.right_times, SCENE.rate)
     write_documents(rendered, directory)
-    rig = {**rig_document(rendered.rig), "uncertainty": UNCERTAINTY}
-    (directory / "rig.yaml").write_text(yaml.safe_dump(rig, sort_keys=False))
+    rig = yaml.safe_load((directory / "rig.yaml").read_text())
+    (directory / "rig.yaml").write_text(yaml.safe_dump({**rig, "uncertainty": UNCERTAINTY}, sort_keys=False))
     clip = {**rendered.clip, "left": "left.mp4", "right": "right.mp4"}
     del clip["rate"]  # a video brings its own time stamps
     (directory / "clip.yaml").write_text(yaml.safe_dump(clip, sort_keys=False))

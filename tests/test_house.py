@@ -24,7 +24,7 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 FLOORS = {
     1: ["errors", "units", "cameras", "geometry", "peaks", "descriptors", "sources", "recordings", "monocular",
-        "live_views", "odometry", "compiling"],
+        "live_views", "odometry", "compiling", "blas"],
     2: ["documents", "schemas", "plausibility"],
     3: ["speed", "follow", "calibration", "lanes", "vehicles"],
     4: ["simulation", "baselines"],

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from paceline import plausibility
+from paceline.blas import on_one_blas_thread
 from paceline.calibration.bundle import Fit, errors_by_view, fit
 from paceline.calibration.consequences import SpeedEffect, pinhole_covariance, speed_effects, stated_uncertainty
 from paceline.calibration.model import (
@@ -84,6 +85,7 @@ class Calibration:
         return np.stack([errors_by_view(self.fit.residuals[s], self.seen.view[s], V) for s in sides], axis=1)
 
 
+@on_one_blas_thread
 def calibrate(views: Views) -> Calibration:
     """The rig that filmed ``views``.
 

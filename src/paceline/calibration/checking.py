@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import f as f_distribution
 
+from paceline.blas import on_one_blas_thread
 from paceline.calibration.consequences import SpeedEffect, speed_effects, stated_uncertainty
 from paceline.calibration.scene import Matches
 from paceline.cameras import RigUncertainty, StereoRig, moved_rig
@@ -85,6 +86,7 @@ def enough(matches: Matches) -> bool:
     return len(matches) >= LEAST_MATCHES and len(np.unique(matches.tile)) >= LEAST_TILES
 
 
+@on_one_blas_thread
 def check(rig: StereoRig, matches: Matches) -> Check:
     """How far the right camera of ``rig`` has turned, by robust least squares of the distances from epipolar lines."""
     turn, keep, scatter = _fit_turn(rig, matches)
@@ -117,6 +119,7 @@ def check(rig: StereoRig, matches: Matches) -> Check:
     )
 
 
+@on_one_blas_thread
 def refine(rig: StereoRig, found: Check) -> Refinement:
     """``rig`` with its rotation set right by the scene, and the uncertainty that it then has.
 

@@ -9,6 +9,7 @@ from importlib import metadata
 from pathlib import Path
 
 from paceline import __version__
+from paceline.blas import on_one_blas_thread
 from paceline.documents import FollowClip, load_follow
 from paceline.errors import UnusableInput
 from paceline.follow.configuration import FollowConfiguration
@@ -75,6 +76,7 @@ def _posed(
         raise UnusableInput(f"{clip.path}: start.frame: {recording.name} ended before frame {clip.frame}")
 
 
+@on_one_blas_thread
 def follow_recording(
     clip: FollowClip | Path | str, configuration: FollowConfiguration | None = None, progress: Progress | None = None
 ) -> FollowResult:

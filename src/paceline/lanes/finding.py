@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from paceline.blas import on_one_blas_thread
 from paceline.cameras import StereoRig
 from paceline.lanes.background import Background
 from paceline.lanes.course import find_course
@@ -17,6 +18,7 @@ class NoRoad(Exception):
     """No road was found; the message says why, for the person who filmed it."""
 
 
+@on_one_blas_thread
 def find_road(rig: StereoRig, background: Background) -> Road:
     """The lines that both views show on the road's surface. Raises `NoRoad`."""
     surface = first_surface(rig, background)

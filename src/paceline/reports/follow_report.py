@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from paceline.blas import on_one_blas_thread
 from paceline.documents import FollowClip
 from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.following import Progress, follow, result_of
@@ -28,6 +29,7 @@ CRF = 23  # magnified noise costs much and says little
 LIVE_STEP = 1 / 25  # s, nominal only: live pictures keep their own times
 
 
+@on_one_blas_thread
 def follow_and_report(
     clip: FollowClip,
     out: str | Path,

@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from paceline import __version__
+from paceline.blas import on_one_blas_thread
 from paceline.cameras import StereoRig
 from paceline.documents import Clip, VehicleDocument, load_clip
 from paceline.errors import UnusableInput
@@ -42,6 +43,7 @@ def measure_clip(
     return measure(loaded, open_recording(loaded), configuration or SpeedConfiguration(), progress, device)
 
 
+@on_one_blas_thread
 def measure(
     clip: Clip,
     recording: StereoFrames,
@@ -72,6 +74,7 @@ class Run(Protocol):
         """The measurement by what was seen."""
 
 
+@on_one_blas_thread
 def measure_each(
     clip: Clip,
     recording: StereoFrames,

@@ -19,6 +19,7 @@ from threading import Thread
 import numpy as np
 from numpy.typing import NDArray
 
+from paceline.blas import on_one_blas_thread
 from paceline.cameras import EVERY
 from paceline.documents import Clip
 from paceline.errors import UnusableInput
@@ -86,6 +87,7 @@ def in_ideal_pixels(pairs: Iterable[RawPair], clip: Clip, rows: slice = EVERY) -
         before = pair
 
 
+@on_one_blas_thread
 def survey(
     clip: Clip,
     views: LiveViews,
@@ -305,5 +307,6 @@ def thinned(pairs: list[RawPair]) -> list[RawPair]:
     return pairs[:: max(min(-(-len(pairs) // ENOUGH), most), 1)]
 
 
+@on_one_blas_thread
 def _measured(clip: Clip, pairs: list[RawPair], rows: slice, configuration: SpeedConfiguration) -> Measurement:
     return measure(clip, Recent(clip, pairs, rows), configuration).measurements[0]

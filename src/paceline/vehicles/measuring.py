@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 
+from paceline.blas import on_one_blas_thread
 from paceline.documents import Clip, PathDocument, load_clip
 from paceline.lanes.background import Background, empty_scene, no_background
 from paceline.lanes.finding import NoRoad, find_road
@@ -78,6 +79,7 @@ def measure_found(
     return replace(result, notices=[*result.notices, *search.notices])
 
 
+@on_one_blas_thread
 def find_vehicles(
     clip: Clip, recording: StereoRecording, progress: Progress | None = None, detect: Detect | None = None
 ) -> Search:
