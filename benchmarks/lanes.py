@@ -5,7 +5,7 @@ python benchmarks/lanes.py CLIP…   (folders that `paceline simulate speed` or 
 
 from __future__ import annotations
 
-import sys
+import argparse
 import time
 from pathlib import Path
 
@@ -106,4 +106,6 @@ def main(folders: list[Path]) -> None:
 
 
 if __name__ == "__main__":
-    main([Path(name) for name in sys.argv[1:]])
+    parser = argparse.ArgumentParser(description="Lanes found in ray-traced scenes, against their truth.")
+    parser.add_argument("folders", nargs="+", type=Path, metavar="FOLDER", help="a clip of `paceline simulate speed`")
+    main(parser.parse_args().folders)
