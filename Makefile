@@ -1,5 +1,6 @@
 # make demo     measures the bundled clip and names the report
-# make test     checks style and types and runs the tests
+# make test     checks style and types and runs the tests but for the slow ones
+# make test-all the same with the slow ones: before a release
 # make lint     only the checks
 # make results  reproduces both papers' tables and figures in docs/results.md; goes on where it was interrupted
 # make lock     renews the lock files (for maintainers; needs uv)
@@ -14,14 +15,20 @@ INSTALL_PACKAGE = $(PIP) install --no-deps --no-build-isolation --editable .
 LOCK = uv pip compile pyproject.toml --universal --python-version 3.11 --fork-strategy fewest --generate-hashes \
 	--no-emit-index-url --no-emit-find-links --no-annotate --custom-compile-command "make lock" --quiet --group build
 
-.PHONY: demo test lint results lock clean
+# A worker that has done its half of the tests takes over half of what the other has left.
+PYTEST = $(BIN)/python -m pytest -n auto --dist worksteal
+
+.PHONY: demo test test-all lint results lock clean
 
 demo: $(VENV)/installed
 	$(BIN)/paceline speed examples/straight/clip.yaml -o demo
 	@if [ -n "$$DISPLAY$$WAYLAND_DISPLAY" ] && command -v xdg-open > /dev/null; then xdg-open demo/report.html; fi
 
-test: lint
-	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
+test: $(VENV)/installed-for-tests
+	$(PYTEST) -m "not slow"
+
+test-all: $(VENV)/installed-for-tests
+	$(PYTEST)
 
 lint: $(VENV)/installed-for-tests
 	$(BIN)/ruff check .

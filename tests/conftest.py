@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import os
 import signal
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,6 +19,15 @@ if TYPE_CHECKING:
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as a shell leaves it to what it starts in the background
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> Iterator[None]:
+    """Says on the line before the last how long `.ci/run` has taken."""
+    yield
+    if begun := os.environ.get("CI_BEGUN"):
+        minutes, seconds = divmod(round(time.time()) - int(begun), 60)
+        terminalreporter.write_line(f"Wall time of .ci/run: {minutes} min {seconds} s")
 
 
 @pytest.fixture(scope="session")

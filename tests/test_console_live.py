@@ -297,6 +297,7 @@ def test_a_live_run_is_watched_and_leaves_a_report(tmp_path: Path, monkeypatch: 
             assert client.get(address.replace(vehicle, name), headers=SAME).status_code == 404
 
 
+@pytest.mark.slow
 def test_a_live_run_that_is_killed_holds_nothing_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its measuring is a process of its own, and has the same standard error."""
     monkeypatch.setenv("PYTHONPATH", ENVIRONMENT["PYTHONPATH"])

@@ -123,6 +123,7 @@ def test_a_vehicle_ahead_is_learned_from_a_box_and_followed(tmp_path: Path, cons
     assert complaints(tab) == complaints(other) == []
 
 
+@pytest.mark.slow
 def test_a_survey_goes_on_until_it_is_stopped(console: Console) -> None:
     root, address, new = console
     survey_file(root / "survey")

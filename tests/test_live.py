@@ -202,7 +202,9 @@ def surveyed(
     return passed
 
 
-@pytest.mark.parametrize("frames", [ALL, GAPS], ids=["all frames", "frames missing"])
+@pytest.mark.parametrize(
+    "frames", [pytest.param(ALL, marks=pytest.mark.slow), GAPS], ids=["all frames", "frames missing"]
+)
 def test_every_vehicle_is_measured_once(tmp_path: Path, frames: list[int]) -> None:
     passed = surveyed(tmp_path / "clip", frames)
     assert [found.vehicle.id for found, _ in passed if found.vehicle] == ["v0", "v1", "v2"]
@@ -215,6 +217,7 @@ def test_every_vehicle_is_measured_once(tmp_path: Path, frames: list[int]) -> No
         assert 4.0 <= found.times[0] < found.times[1] <= found.times[0] + 5.0  # never two vehicles as one
 
 
+@pytest.mark.slow
 def test_vehicles_that_pass_put_the_calibration_right_together(tmp_path: Path) -> None:
     """The first is measured alone, and each further one with what those before it told of the cameras."""
     stated = {"uncertainty": {"focal_length_px": 1.0, "rotation_rad": [4e-5] * 3, "translation_m": [3e-4] * 3}}
@@ -247,6 +250,7 @@ def covered(box: NDArray[np.float64], plane: NDArray[np.float64]) -> float:
     return float(shared / area) if np.prod(np.ptp(box, axis=0)) < 4 * area else 0.0
 
 
+@pytest.mark.slow
 def test_what_is_in_view_is_boxed_where_it_is(tmp_path: Path) -> None:
     """The whole face, of which the rendered plane is the lower part."""
     truth: dict[int, list[list[NDArray[np.float64]]]] = {}
@@ -295,6 +299,7 @@ def test_tables_hold_every_vehicle_that_passed(tmp_path: Path) -> None:
     assert sum(line.rstrip().endswith("measured") for line in done.stdout.splitlines()) >= measured > 0
 
 
+@pytest.mark.slow
 def test_what_was_measured_stays_when_it_is_ended(tmp_path: Path) -> None:
     """Ctrl-C, which reaches every process at a terminal, ends a survey; what has passed by then is in the tables."""
     file, out = survey_file(tmp_path / "clip"), tmp_path / "out"

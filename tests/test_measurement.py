@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 import yaml
 from numpy.typing import NDArray
+from selection import slow_after
 
 import paceline
 from paceline import cli
@@ -189,15 +190,15 @@ def test_same_seed_same_file(command: Command, clip: Path, tmp_path: Path) -> No
 
 @pytest.mark.parametrize(
     ("options", "expected"),
-    [
-        (["--particles", "100"], {"particles": 100}),
-        (["--parts", "16"], {"parts": 16}),
+    slow_after(2, [
+        (["--motion", "free"], {"motion": "free"}),
         (["--parts", "4"], {"parts": 4}),
+        (["--parts", "16"], {"parts": 16}),
+        (["--particles", "100"], {"particles": 100}),
         (["--motion", "line"], {"motion": "line"}),
         (["--motion", "curve"], {"motion": "curve"}),
-        (["--motion", "free"], {"motion": "free"}),
-    ],
-)
+    ]),
+)  # fmt: skip
 def test_options(command: Command, clip: Path, options: list[str], expected: dict[str, object]) -> None:
     answer = command(clip, *options)
     assert_right(answer, slack=0.15)
@@ -212,7 +213,7 @@ def test_without_refinement(command: Command, clip: Path) -> None:
     assert "not refined" in answer.stderr
 
 
-@pytest.mark.parametrize(("unit", "shown"), [("mph", 38.0), ("km/h", 61.2), ("m/s", 17.0)])
+@pytest.mark.parametrize(("unit", "shown"), slow_after(1, [("km/h", 61.2), ("mph", 38.0), ("m/s", 17.0)]))
 def test_units_are_for_people_only(command: Command, clip: Path, unit: str, shown: float) -> None:
     answer = command(clip, "--units", unit)
     assert_right(answer)

@@ -8,6 +8,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
+from selection import slow_after
 
 from paceline.cameras import Camera, StereoRig
 from paceline.errors import UnusableInput
@@ -101,7 +102,7 @@ def test_two_planes_meet_in_the_plucker_line(seed):
 
 
 @pytest.mark.parametrize("geometry", GEOMETRIES)
-@pytest.mark.parametrize("sigma", [0.4, 0.5])
+@pytest.mark.parametrize("sigma", slow_after(1, [0.4, 0.5]))
 def test_the_lines_covariance_is_calibrated(rig, geometry, sigma):
     """Over 200 drawings the errors of the direction, and of both ends, are what the modes say."""
     points, k = line_points(*geometry)
@@ -193,7 +194,9 @@ def misses_of(path, points):
 
 @pytest.mark.parametrize(
     ("radius", "side", "tilt"),
-    [(30.0, 1, 0.0), (30.0, -1, 0.03), (80.0, 1, 0.03), (80.0, -1, 0.0), (300.0, 1, 0.0), (300.0, -1, 0.03)],
+    slow_after(2, [
+        (30.0, -1, 0.03), (300.0, 1, 0.0), (30.0, 1, 0.0), (80.0, 1, 0.03), (80.0, -1, 0.0), (300.0, -1, 0.03),
+    ]),  # fmt: skip
 )
 def test_an_arc_is_found_from_drawings_in_either_order(high_rig, radius, side, tilt):
     points = arc(radius, side, tilt, length=25.0 if radius < 50 else 45.0)
@@ -215,7 +218,7 @@ def test_an_arc_is_found_from_drawings_in_either_order(high_rig, radius, side, t
     )
 
 
-@pytest.mark.parametrize(("radius", "side"), [(120.0, -1), (300.0, 1)])
+@pytest.mark.parametrize(("radius", "side"), slow_after(1, [(120.0, -1), (300.0, 1)]))
 def test_the_curves_covariance_covers_its_errors(high_rig, radius, side):
     points = arc(radius, side)
     rng = np.random.default_rng(9)

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from selection import slow_after
 from small_scenes import small_follow, small_speed
 
 from paceline.errors import UnusableInput
@@ -66,7 +67,7 @@ def test_named_chases_are_nists(name: str) -> None:
     assert scene.chase.top_speed * 3.6 <= 35
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", slow_after(2, range(8)))
 def test_varied_scenes_suit(seed: int) -> None:
     scene = varied(seed)
     assert scene == random_speed_scene(seed)
@@ -75,6 +76,7 @@ def test_varied_scenes_suit(seed: int) -> None:
     assert random_follow_scene(seed) == random_follow_scene(seed)
 
 
+@pytest.mark.slow
 def test_suites_vary() -> None:
     scenes = [varied(seed) for seed in range(24)]
     cars = [scene.vehicles[0] for scene in scenes]

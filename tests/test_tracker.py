@@ -10,6 +10,7 @@ from pathlib import Path as FilePath
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from selection import slow_after
 
 from paceline.documents import Clip, load_clip
 from paceline.recordings import StereoFrame, open_recording
@@ -100,7 +101,7 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize("guess", [0.85, 1.15])
+@pytest.mark.parametrize("guess", slow_after(1, [0.85, 1.15]))
 @pytest.mark.parametrize(("kind", "speed", "seed"), CASES)
 def test_the_filter_converges_and_stays(kind: str, speed: float, seed: int, guess: float) -> None:
     s = scene(kind, speed, seed)
@@ -130,7 +131,7 @@ def test_the_second_frame_tells_how_fast_a_near_vehicle_leaves(seed: int) -> Non
 
 
 @pytest.mark.parametrize(("rate", "speed"), [(30.0, 3.0), (60.0, 9.0)])
-@pytest.mark.parametrize("guess", [None, 1.0])
+@pytest.mark.parametrize("guess", slow_after(1, [None, 1.0]))
 def test_a_first_speed_is_as_uncertain_as_two_frames_leave_it(rate: float, speed: float, guess: float | None) -> None:
     """In which a vehicle far off hardly moves by more than it is seen to by chance."""
     z = []
@@ -192,7 +193,7 @@ def test_a_vehicle_that_leaves_the_image_ends() -> None:
     assert {e.status for e in estimates[:-1]} == {"tracking"}
 
 
-@pytest.mark.parametrize("kind", ["line", "receding", "right"])
+@pytest.mark.parametrize("kind", slow_after(1, ["right", "line", "receding"]))
 def test_a_vehicle_hidden_for_good_is_lost(kind: str) -> None:
     """And until that is said, nothing wild is."""
     s = small(kind, 15.0, seed=2)

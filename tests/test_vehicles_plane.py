@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from painted_faces import CARD, FRAMES, face_with, flat, painted_on, texture_up_to
+from selection import slow_after
 from small_road import scene
 from test_vehicles_looking import dark, frame, lit
 from test_vehicles_looking import way as lane
@@ -30,7 +31,7 @@ HEIGHT, FOOT = 1.6, 0.75  # m, of all that is seen, and of a windscreen's lower 
 MIRRORED_AT = 34.0 + 2.0 * np.arange(FRAMES)  # m along its way
 
 
-@pytest.mark.parametrize("seed", [2, 3])
+@pytest.mark.parametrize("seed", slow_after(1, [2, 3]))
 @pytest.mark.parametrize(("lane", "width"), [(-1.85, 0.8), (-3.0, 0.8), (-3.0, 1.8)])
 def test_a_face_is_where_it_is_though_the_vehicle_leaves_the_pictures_at_last(
     seed: int, lane: float, width: float
@@ -130,7 +131,9 @@ def narrow_beside_a_wall(width: float, x: tuple[float, float], contrast: float, 
 
 
 @pytest.mark.parametrize(("width", "x"), [(0.8, (-0.4, 0.4)), (1.8, (-0.9, -0.1))])
-@pytest.mark.parametrize(("contrast", "light"), [(8.0, 1.0), (25.0, 1.0), (8.0, 0.7), (25.0, 0.3), (25.0, 1.5)])
+@pytest.mark.parametrize(
+    ("contrast", "light"), slow_after(2, [(8.0, 0.7), (25.0, 1.5), (25.0, 0.3), (8.0, 1.0), (25.0, 1.0)])
+)
 def test_a_wall_beside_what_is_narrow_or_seen_in_part_is_none_of_it(
     width: float, x: tuple[float, float], contrast: float, light: float
 ) -> None:

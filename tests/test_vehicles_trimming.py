@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from painted_faces import BOTTOM, CARD, TOP, X, face_with, texture_up_to
+from selection import slow_after
 
 from paceline.vehicles.plane import Face
 from paceline.vehicles.trimming import LOWER, LOWEST, trimmed
@@ -16,7 +17,7 @@ def clear(lower: Face) -> bool:
     return True
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", slow_after(1, [1, 2, 3]))
 @pytest.mark.parametrize("height", [0.75, 0.95])
 def test_what_is_flat_at_the_top_of_a_face_is_left_away(height: float, seed: int) -> None:
     face = face_with(texture_up_to(height, seed), seed)
