@@ -167,8 +167,8 @@ def browser(folder: Path) -> Iterator[Any]:
                 ask = urllib.request.Request(f"http://127.0.0.1:{port}/json/new?about:blank", method="PUT")
                 with urllib.request.urlopen(ask) as answer:
                     where = json.load(answer)["webSocketDebuggerUrl"]
-                # A tab that nobody reads for a while answers no ping, and must not be closed for it; nor may what it has
-                # not read be limited, or the answer to a close waits behind that in vain.
+                # A tab that nobody reads for a while answers no ping, and must not be closed for it; nor may what waits
+                # to be read be limited, or the answer to a close waits behind it in vain.
                 link = connect(where, max_size=None, max_queue=None, ping_interval=None)
                 return Tab(sockets.enter_context(link))
 
