@@ -13,6 +13,7 @@ import pytest
 from calling import paceline
 from numba import cuda
 from numpy.typing import NDArray
+from selection import slow_after
 
 from paceline.cameras import Camera, StereoRig
 from paceline.documents import Clip, load_clip
@@ -159,8 +160,8 @@ def _normals(key: Array, call: int, scale: float, out: Array) -> None:
 # --- motion --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("counted", [False, True])
-@pytest.mark.parametrize("kind", ["line", "curve", "free"])
+@pytest.mark.parametrize("counted", slow_after(1, [True, False]))
+@pytest.mark.parametrize("kind", slow_after(2, ["curve", "free", "line"]))
 def test_particles_move_as_on_the_cpu(
     device: CudaDevice, kind: str, counted: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -187,7 +188,7 @@ def test_particles_move_as_on_the_cpu(
 
 
 @pytest.mark.parametrize(("kind", "n"), [("curve", 1), ("free", 13)])
-@pytest.mark.parametrize("taken_back", [False, True])
+@pytest.mark.parametrize("taken_back", slow_after(1, [True, False]))
 @pytest.mark.usefixtures("sharing")
 def test_the_posterior_is_that_of_the_cpu(device: CudaDevice, kind: str, n: int, taken_back: bool) -> None:
     home = particles(way(kind), 3, n)
@@ -217,7 +218,7 @@ def test_the_posterior_is_that_of_the_cpu(device: CudaDevice, kind: str, n: int,
         np.testing.assert_array_equal(corners.reshape(-1, 2).max(0), flat.max(0))
 
 
-@pytest.mark.parametrize(("n", "scatter"), [(9, 1.0), (9, 30.0), (22, 3.0)])
+@pytest.mark.parametrize(("n", "scatter"), slow_after(1, [(9, 30.0), (9, 1.0), (22, 3.0)]))
 @pytest.mark.usefixtures("sharing")
 def test_the_same_particles_survive(device: CudaDevice, n: int, scatter: float) -> None:
     home = particles(way("line"), 5, n)
@@ -240,7 +241,7 @@ def test_the_same_particles_survive(device: CudaDevice, n: int, scatter: float) 
     assert_same(there.at_home(), before)
 
 
-@pytest.mark.parametrize("ll", [-np.inf, np.nan])
+@pytest.mark.parametrize("ll", slow_after(1, [np.nan, -np.inf]))
 @pytest.mark.usefixtures("sharing")
 def test_weights_that_vanish_are_told(device: CudaDevice, ll: float) -> None:
     there = device.cloud(particles(way("line"), 5))
@@ -252,7 +253,7 @@ def test_weights_that_vanish_are_told(device: CudaDevice, ll: float) -> None:
 # --- many clouds ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", slow_after(1, [2, 0, 1, 3]))
 @pytest.mark.usefixtures("sharing")
 def test_clouds_come_and_go_in_any_order(seed: int) -> None:
     """Whatever is done to which cloud, and whoever joins and leaves meanwhile: all are as on the CPU."""
@@ -334,7 +335,7 @@ SEEN = {"cumulate": 1, "carry_out": 2, "survey": 3, "log_likelihood": 1, "reweig
 HIDDEN = {"carry_out": 2, "survey": 4, "log_likelihood": 1, "reweigh": 2}
 
 
-@pytest.mark.parametrize(("vehicles", "hidden"), [(1, False), (3, False), (2, True)])
+@pytest.mark.parametrize(("vehicles", "hidden"), slow_after(1, [(2, True), (1, False), (3, False)]))
 def test_launches_do_not_grow_with_the_number_of_vehicles(
     vehicles: int, hidden: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -484,10 +485,10 @@ def assert_same_numbers(found: list[Tracker], expected: list[Tracker]) -> None:
         assert a.rng.random() == b.rng.random()
 
 
-CASES = [("line", "auto", False), ("curve", "auto", True), ("line", "free", True)]
+CASES = [("line", "auto", False), ("line", "free", True), ("curve", "auto", True)]
 
 
-@pytest.mark.parametrize(("name", "kind", "guided"), CASES)
+@pytest.mark.parametrize(("name", "kind", "guided"), slow_after(2, CASES))
 def test_the_filter_sees_what_it_sees_on_the_cpu(
     device: CudaDevice, clips: dict[str, Path], name: str, kind: str, guided: bool
 ) -> None:
@@ -500,6 +501,7 @@ def test_the_filter_sees_what_it_sees_on_the_cpu(
     assert_same_numbers(there, here)
 
 
+@pytest.mark.slow
 def test_vehicles_join_and_end_while_others_go_on(device: CudaDevice, clips: dict[str, Path]) -> None:
     clip = load_clip(clips["line"])
 
@@ -529,7 +531,9 @@ def test_a_vehicle_that_is_hidden_is_awaited_as_on_the_cpu(device: CudaDevice, c
 
 @pytest.mark.parametrize(
     ("where", "breaks_at", "counted"),
-    [("weigh", 0, True), ("carry_out", 6, True), ("unweigh", 0, False), ("fetched", 0, False), ("survey", 2, False)],
+    slow_after(2, [
+        ("weigh", 0, True), ("survey", 2, False), ("carry_out", 6, True), ("unweigh", 0, False), ("fetched", 0, False),
+    ]),  # fmt: skip
 )
 def test_the_cpu_carries_on_from_the_same_frame(
     clips: dict[str, Path], breaks_at: int, where: str, counted: bool, monkeypatch: pytest.MonkeyPatch
@@ -570,6 +574,7 @@ def test_the_cpu_carries_on_from_the_same_frame(
             followed(clip, Fleet(device), trackers(clip, SETTINGS, device))
 
 
+@pytest.mark.slow
 def test_the_command_gives_the_same_tables(clips: dict[str, Path], tmp_path: Path) -> None:
     command = ["speed", clips["line"], "--particles", "20", "--parts", "4", "--seed", "3", "--quiet", "--no-refine"]
     done, tables = {}, {}

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from calling import assert_one_line_error, paceline
+from selection import slow_after
 
 from paceline import compiling
 from paceline.speed import devices
@@ -18,10 +19,10 @@ PARITY = Path(__file__).with_name("cuda_parity.py")
 EXAMPLE = Path(__file__).parents[1] / "examples" / "straight" / "clip.yaml"
 
 
-@pytest.mark.slow
-def test_the_simulated_gpu_does_what_the_cpu_does() -> None:
+@pytest.mark.parametrize("marked", slow_after(1, ["not slow", "slow"]))
+def test_the_simulated_gpu_does_what_the_cpu_does(marked: str) -> None:
     """In a process of its own: Numba chooses between the simulator and a GPU when it is imported."""
-    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", str(PARITY)]
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "-m", marked, str(PARITY)]
     done = subprocess.run(
         command, env={**os.environ, "NUMBA_ENABLE_CUDASIM": "1"}, capture_output=True, text=True, timeout=1500
     )
