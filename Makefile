@@ -18,17 +18,21 @@ LOCK = uv pip compile pyproject.toml --universal --python-version 3.11 --fork-st
 # A worker that has done its half of the tests takes over half of what the other has left.
 PYTEST = $(BIN)/python -m pytest -n auto --dist worksteal
 
-.PHONY: demo test test-all lint results lock clean
+.PHONY: demo test test-all ready-for-tests lint results lock clean
 
 demo: $(VENV)/installed
 	$(BIN)/paceline speed examples/straight/clip.yaml -o demo
 	@if [ -n "$$DISPLAY$$WAYLAND_DISPLAY" ] && command -v xdg-open > /dev/null; then xdg-open demo/report.html; fi
 
-test: $(VENV)/installed-for-tests
+test: ready-for-tests
 	$(PYTEST) -m "not slow"
 
-test-all: $(VENV)/installed-for-tests
+test-all: ready-for-tests
 	$(PYTEST)
+
+# What the tests need is installed while Numba compiles what else each worker would compile for itself.
+ready-for-tests: $(VENV)/installed
+	@$(MAKE) --no-print-directory -j2 $(VENV)/installed-for-tests $(VENV)/compiled
 
 lint: $(VENV)/installed-for-tests
 	$(BIN)/ruff check .
@@ -62,3 +66,8 @@ $(VENV)/installed: requirements.txt pyproject.toml $(VENV)/made
 $(VENV)/installed-for-tests: requirements-dev.txt $(VENV)/installed
 	$(INSTALL) -r requirements-dev.txt
 	@touch $@
+
+$(VENV)/compiled: $(VENV)/installed
+	@rm -rf $@; mkdir $@
+	@$(BIN)/paceline follow examples/chase -o $@/follow --quiet & \
+		$(BIN)/paceline speed examples/straight -o $@/speed --quiet; wait
