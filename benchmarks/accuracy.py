@@ -35,9 +35,9 @@ from common import (
 )
 
 from paceline.cameras import RigUncertainty, StereoRig, moved_rig
-from paceline.simulation.planar import Scene, random_crossing, random_scene
+from paceline.simulation.stereo.clip import Scene, random_crossing, random_scene
+from paceline.speed.joint_calibration import together
 from paceline.speed.results import Measurement
-from paceline.speed.shared_rig import together
 
 SUITES = {"plain": plain_scene, "hard": random_scene, "crossing": random_crossing}
 RIGS = "exact", "stated", "unstated"

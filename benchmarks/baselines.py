@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from recordings import CROSSING
 
 from paceline import UnusableInput, load_clip, open_recording
-from paceline.baselines.measurement import METHODS
-from paceline.baselines.measurement import measure as measure_by
-from paceline.documents import Clip
-from paceline.simulation.planar import Scene, random_crossing, random_scene
+from paceline.baselines.registry import METHODS
+from paceline.baselines.registry import measure as measure_by
+from paceline.documents.loading import Clip
+from paceline.simulation.stereo.clip import Scene, random_crossing, random_scene
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.measurement import measure
 from paceline.speed.results import ClipResult, Measurement

@@ -13,13 +13,13 @@ import cv2
 import numpy as np
 from common import Array, head, machine, rms, row, share_out
 
+from paceline.calibration.board_calibration import Calibration, calibrate
+from paceline.calibration.board_views import View, Views
 from paceline.calibration.boards import Corners, detector, parse_board, same_way_round
-from paceline.calibration.calibrating import Calibration, calibrate
-from paceline.calibration.model import NAMES, Rig, difference
-from paceline.calibration.synthetic import Setup, corners_of, noisy, observations_of, random_setup, render
-from paceline.calibration.views import View, Views
+from paceline.calibration.parameters import NAMES, Rig, difference
 from paceline.errors import UnusableInput
 from paceline.geometry import triangulate
+from paceline.simulation.boards import Setup, corners_of, noisy, observations_of, random_setup, render
 
 BOARDS = ("charuco:11x8:0.06:0.045:DICT_5X5_100", "charuco:7x5:0.1:0.075:DICT_4X4_50", "chessboard:9x6:0.06")
 SIZES = ((1280, 960), (1024, 768), (1920, 1080))

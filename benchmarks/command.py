@@ -15,7 +15,7 @@ from pathlib import Path
 
 from common import head, machine, row
 
-from paceline.simulation.planar import Scene, Vehicle, render, write
+from paceline.simulation.stereo.clip import Scene, Vehicle, render, write
 
 WAY = 35.0  # m, however many frames
 

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from paceline import UnusableInput, load_clip, open_recording
-from paceline.documents import Clip
-from paceline.simulation.planar import Scene, random_scene, render, write
+from paceline.documents.loading import Clip
+from paceline.simulation.stereo.clip import Scene, random_scene, render, write
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.measurement import measure
 from paceline.speed.results import Measurement

@@ -18,10 +18,10 @@ from common import head, machine, row, share_out
 from follow_ablation import remedies
 
 from paceline.follow.configuration import FollowConfiguration
-from paceline.simulation.driving.judging import Figures, Requirement, judged
-from paceline.simulation.driving.loop import LATENCY, ClosedLoop
-from paceline.simulation.driving.named import SCENES
-from paceline.simulation.driving.scenes import scene_named
+from paceline.simulation.closed_loop.drive_yaml import scene_named
+from paceline.simulation.closed_loop.loop import LATENCY, ClosedLoop
+from paceline.simulation.closed_loop.named_scenes import SCENES
+from paceline.simulation.closed_loop.requirements import Figures, Requirement, judged
 
 SLOW = ("long", "motorway-100")
 

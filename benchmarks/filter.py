@@ -30,8 +30,8 @@ from common import (
 )
 
 from paceline import load_clip
-from paceline.documents import Clip
-from paceline.simulation.planar import Scene, Vehicle
+from paceline.documents.loading import Clip
+from paceline.simulation.stereo.clip import Scene, Vehicle
 
 FIRST = 40  # clips of each kind, of which the first speeds are looked at
 KINDS = {"leaves close by": (5.0, (6.0, 28.0)), "comes slowly, 30 frames/s": (30.0, (2.0, 10.0))}  # frames/s, m/s

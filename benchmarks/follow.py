@@ -27,9 +27,8 @@ from visp.edge_tracker import EdgeTracker, compiled
 
 from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.steering import Pose
-from paceline.follow.target import Target
 from paceline.follow.tracker import FollowTracker
-from paceline.simulation.following import (
+from paceline.simulation.chase.clip import (
     PRESETS,
     ChaseScene,
     ChaseTruth,
@@ -38,6 +37,7 @@ from paceline.simulation.following import (
     start_document,
     target_document,
 )
+from paceline.targets.line_model import Target
 
 Image = NDArray[np.uint8]
 

@@ -24,9 +24,9 @@ from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.hindsight import at_once, in_hindsight
 from paceline.follow.results import FollowEstimate
 from paceline.follow.tracker import FollowTracker
-from paceline.monocular import CameraFrame
-from paceline.simulation.chase_vehicles import KINDS
-from paceline.simulation.following import ChaseScene, ChaseTruth, Occlusion, random_chase, render_frames
+from paceline.recordings.monocular import CameraFrame
+from paceline.simulation.chase.clip import ChaseScene, ChaseTruth, Occlusion, random_chase, render_frames
+from paceline.simulation.chase.vehicles import KINDS
 
 CALM: dict[str, Any] = {"shadows": 0.0, "parallel": 0.0, "bounce": 2.0, "crowding": 0.5, "ambient": 0.6}
 SCENARIOS: dict[str, Callable[[int], dict[str, Any]]] = {

@@ -16,9 +16,10 @@ import numpy as np
 from common import head, machine, measured, read_truth, rms, row, true_mean
 
 from paceline import load_clip
-from paceline.simulation.rendered import clips, named, vehicles
-from paceline.simulation.rendered.scenes import SpeedScene
-from paceline.simulation.rendered.solids import Material
+from paceline.simulation.raytraced import named_scenes, stereo_clip
+from paceline.simulation.raytraced.meshes import Material
+from paceline.simulation.raytraced.scene_yaml import SpeedScene
+from paceline.simulation.raytraced.vehicles import build
 from paceline.units import SpeedUnit
 
 KMH = SpeedUnit.KMH.mps
@@ -26,7 +27,7 @@ KMH = SpeedUnit.KMH.mps
 
 def scene_of(car: int, samples: int) -> SpeedScene:
     """`straight-55` with another car, outlined and its road drawn without error: what is left is not the hand's."""
-    scene = named.speed_scene("straight-55")
+    scene = named_scenes.speed_scene("straight-55")
     assert scene is not None
     vehicle = scene.vehicles[0].model_copy(update={"seed": car})
     exact = scene.clicks.model_copy(update={"corner": 0.0, "line": 0.0})
@@ -36,12 +37,12 @@ def scene_of(car: int, samples: int) -> SpeedScene:
 @contextmanager
 def painted(matte: bool) -> Iterator[None]:
     """All that vehicles are made of as it is, or with nothing that mirrors."""
-    as_it_is = vehicles.materials
+    as_it_is = build.materials
 
     def dull(rng: np.random.Generator, fleet: bool = False) -> dict[str, Material]:
         return {name: replace(m, kind="matte") for name, m in as_it_is(rng, fleet).items()}
 
-    with mock.patch.object(vehicles, "materials", dull if matte else as_it_is):
+    with mock.patch.object(build, "materials", dull if matte else as_it_is):
         yield
 
 
@@ -56,7 +57,7 @@ def main() -> None:
     for car in args.cars:
         for face, found in errors.items():
             with painted(face == "matte"):
-                path = clips.write(scene_of(car, args.samples), args.out / f"{car}-{face}")
+                path = stereo_clip.write(scene_of(car, args.samples), args.out / f"{car}-{face}")
             m = measured(load_clip(path))[0]
             true = true_mean(read_truth(path.parent), m)
             error, half = (m.speed - true) / KMH, (m.speed_hi - m.speed_lo) / 2 / KMH

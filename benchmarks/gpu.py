@@ -21,13 +21,14 @@ from likelihood import HEIGHT, WIDTH, Work
 
 from paceline import SpeedConfiguration
 from paceline.cameras import Camera, StereoRig
-from paceline.recordings import StereoFrame
-from paceline.speed import likelihood, motion, paths, randomness
-from paceline.speed.cloud import Cloud, views
-from paceline.speed.devices import DeviceFailure, open_device
-from paceline.speed.likelihood import Grid, Packed
-from paceline.speed.motion import PathMotion, State
-from paceline.speed.particles import Weights
+from paceline.recordings.stereo import StereoFrame
+from paceline.speed.filter import likelihood, motion_models, random_numbers
+from paceline.speed.filter.device import DeviceFailure, open_device
+from paceline.speed.filter.likelihood import Grid, Packed
+from paceline.speed.filter.motion_models import PathMotion, State
+from paceline.speed.filter.particle_set import Cloud, views
+from paceline.speed.filter.resampling import Weights
+from paceline.speed.geometry import paths
 
 PARTICLES = [100, 400, 1_000, 10_000, 100_000, 1_000_000]
 VEHICLES = [1, 4, 16, 64, 256]
@@ -52,7 +53,7 @@ class Followed:
     reference: Array = field(init=False)
 
     def observed(self, state: State) -> likelihood.Observation:
-        cross = motion.cross_homographies(self.rig, state)
+        cross = motion_models.cross_homographies(self.rig, state)
         return likelihood.observe(*self.views, state.left, state.right, cross, self.grid)
 
 
@@ -69,7 +70,7 @@ class Road:
         c = SpeedConfiguration(particles=particles)
         self.followed = []
         for v in range(vehicles):
-            rng = randomness.generator([seed, v], particles)
+            rng = random_numbers.generator([seed, v], particles)
             centre = np.array([rng.uniform(-8, 8), rng.uniform(-6, 6), 60.0])
             corners = np.array([[-1.4, -0.6, 0], [1.4, -0.6, 0], [1.4, 0.6, 0], [-1.4, 0.6, 0]])
             at = centre + rng.normal(0.0, [0.05, 0.05, 0.5], (particles, 3))
@@ -161,7 +162,7 @@ def limits(seed: int, device: Any) -> None:
         (one,) = road.followed
         device.weigh([one])  # sends what the kernel looks at, and compiles
         seconds = _timed(lambda parts=one.configuration.parts: device.look(parts))
-        samples = particles * road.samples * (2 + 1 / likelihood.pixels_cpu.CROSS_ROWS)
+        samples = particles * road.samples * (2 + 1 / likelihood.patch_features_cpu.CROSS_ROWS)
         moved, done = particles * (MAPS + OUT) / seconds / 1e9, samples * INSTRUCTIONS / seconds
         cells = (
             f"{1e3 * seconds:.3g}",

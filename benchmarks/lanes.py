@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from paceline.cameras import StereoRig
-from paceline.documents import load_recorded
-from paceline.lanes.background import empty_scene
-from paceline.lanes.finding import NoRoad, find_road
-from paceline.lanes.proposing import Lane, propose
-from paceline.recordings import open_recording
-from paceline.simulation.rendered.scenes import load_speed_scene
-from paceline.simulation.rendered.stage import Stage
+from paceline.documents.loading import load_recorded
+from paceline.lanes.lane_proposals import Lane, propose
+from paceline.lanes.road_detection import NoRoad, find_road
+from paceline.recordings.background import empty_scene
+from paceline.recordings.stereo import open_recording
+from paceline.simulation.raytraced.scene import Stage
+from paceline.simulation.raytraced.scene_yaml import load_speed_scene
 
 Array = NDArray[np.float64]
 

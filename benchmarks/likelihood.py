@@ -16,10 +16,10 @@ import numpy as np
 from common import Array, head, machine, plain_scene, rendered, row
 
 from paceline import SpeedConfiguration, Tracker, open_recording
-from paceline.documents import Clip
-from paceline.speed import likelihood, pixels_cpu
-from paceline.speed.likelihood import Floats, Grid, Packed
-from paceline.speed.reconstruction import path_of
+from paceline.documents.loading import Clip
+from paceline.speed.filter import likelihood, patch_features_cpu
+from paceline.speed.filter.likelihood import Floats, Grid, Packed
+from paceline.speed.geometry.path_reconstruction import path_of
 
 WIDTH, HEIGHT = 1024, 768
 REGION = np.array([[460.0, 380], [560, 380], [560, 420], [460, 420]])  # 10 parts of 16 blocks of 4 × 4: 2560 samples
@@ -55,7 +55,7 @@ class Work:
 
     def kernel(self) -> None:
         grid = self.grid
-        pixels_cpu.observe(
+        patch_features_cpu.observe(
             *self.packed, self.kernel_H, self.edges, grid.across, grid.down, grid.samples, self.features, self.ncc
         )
 
@@ -89,7 +89,7 @@ class WithOpenCV:
     def whole(self) -> tuple[Floats, Floats]:
         """Wavelet coefficients (N, 2, parts, 16) and correlations (N,)."""
         seen = self.sample()
-        rows = seen[:, :, :: pixels_cpu.CROSS_ROWS]
+        rows = seen[:, :, :: patch_features_cpu.CROSS_ROWS]
         return self._wavelets(seen[:, :2]), self._correlations(rows[:, 0], rows[:, 2])
 
     def _wavelets(self, seen: Floats) -> Floats:
@@ -103,7 +103,7 @@ class WithOpenCV:
 
     def _correlations(self, a: Floats, b: Floats) -> Floats:
         """Of (N, H, W) with (N, H, W), over the samples inside the right region."""
-        x, y = np.meshgrid(np.arange(a.shape[2]), pixels_cpu.CROSS_ROWS * np.arange(a.shape[1]))
+        x, y = np.meshgrid(np.arange(a.shape[2]), patch_features_cpu.CROSS_ROWS * np.arange(a.shape[1]))
         samples = np.stack([x, y, np.ones_like(x)]).reshape(3, -1).astype(np.float32)
         lines = (self.work.edges @ self.maps[:, 2]).astype(np.float32)
         inside = ((lines @ samples) >= 0).all(1)

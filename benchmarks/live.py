@@ -22,17 +22,17 @@ import yaml
 from common import MPH, head, machine, rms, row
 from numpy.typing import NDArray
 
-from paceline.calibration.rig_file import rig_yaml
-from paceline.documents import Clip, load_clip
-from paceline.live_views import LiveViews, RawPair, undistorted
-from paceline.simulation.backdrops import Backdrop
-from paceline.simulation.planar import Scene, Vehicle, World, render
+from paceline.detection.background_model import EmptyScene
+from paceline.detection.finder import Finder, Found
+from paceline.detection.lane_paths import ways_of
+from paceline.documents.loading import Clip, load_clip
+from paceline.documents.rig_yaml import rig_yaml
+from paceline.recordings.live_stereo import LiveViews, RawPair, undistorted
+from paceline.simulation.stereo.clip import Scene, Vehicle, World, render
+from paceline.simulation.stereo.scenery import Backdrop
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.results import Measurement
-from paceline.vehicles.finding import Finder, Found
-from paceline.vehicles.live import survey
-from paceline.vehicles.scene import EmptyScene
-from paceline.vehicles.ways import ways_of
+from paceline.survey.live import survey
 
 RATE = 10.0  # frames/s
 FRAMES, GAP = 34, 10  # of a group of two vehicles, and without any behind it

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from paceline.cameras import View
 from paceline.simulation import textures
-from paceline.simulation.cards import Card, draw, paste
-from paceline.simulation.planar import Vehicle, World
-from paceline.simulation.worlds import Pose, Road
+from paceline.simulation.stereo.clip import Vehicle, World
+from paceline.simulation.stereo.scene import Pose, Road
+from paceline.simulation.stereo.textured_planes import Card, draw, paste
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]

@@ -24,9 +24,9 @@ from common import head, machine, measured, read_truth, rms, row, share_out, tru
 from follow import OFF_PLACE, OFF_RANGE, SEEN, WITHIN
 
 from paceline import load_clip, load_follow, open_camera
-from paceline.documents import FollowClip
+from paceline.documents.loading import FollowClip
 from paceline.follow.following import follow
-from paceline.simulation.following import CLICK
+from paceline.simulation.chase.clip import CLICK
 from paceline.speed.results import Measurement
 from paceline.units import SpeedUnit
 

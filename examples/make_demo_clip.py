@@ -14,7 +14,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from paceline.simulation.planar import Scene, Vehicle, render, write_documents
+from paceline.simulation.stereo.clip import Scene, Vehicle, render, write_documents
 
 MILE_PER_HOUR = 0.44704
 TIME_BASE = Fraction(1, 1000)

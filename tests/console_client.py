@@ -9,12 +9,12 @@ from typing import Any
 
 from fastapi import FastAPI
 from fastapi.testclient import TestClient
-from small_clips import put_clip
+from tiny_clips import put_clip
 
-from paceline.console.api import add_api
-from paceline.console.guard import Guard
-from paceline.console.importing import Imports
+from paceline.console.access_control import Guard
+from paceline.console.frames.uploads import Imports
 from paceline.console.library import Library
+from paceline.console.routes import add_api
 
 HOST = "127.0.0.1:8640"
 SAME = {"host": HOST, "origin": f"http://{HOST}", "sec-fetch-site": "same-origin"}

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from calling import COMMAND, ENVIRONMENT
 from chromium import CHROMIUM, Tab, browser
+from run_command import COMMAND, ENVIRONMENT
 
 needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
 CTRL, SHIFT = 2, 8

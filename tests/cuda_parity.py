@@ -10,38 +10,31 @@ from typing import Any
 
 import numpy as np
 import pytest
-from calling import paceline
 from numba import cuda
 from numpy.typing import NDArray
+from run_command import paceline
 from selection import slow_after
 
 from paceline.cameras import Camera, StereoRig
-from paceline.documents import Clip, load_clip
-from paceline.recordings import StereoFrame, open_recording
-from paceline.simulation.planar import Scene, Vehicle, render, write
-from paceline.speed import (
-    device_cuda,
-    layout_cuda,
-    likelihood,
-    motion,
-    orders_cuda,
-    particles_cuda,
-    paths,
-    pixels_cuda,
-    randomness,
-    randomness_cuda,
-)
-from paceline.speed.cloud import Cloud, views
-from paceline.speed.cloud_cuda import CudaCloud
+from paceline.documents.loading import Clip, load_clip
+from paceline.recordings.stereo import StereoFrame, open_recording
+from paceline.simulation.stereo.clip import Scene, Vehicle, render, write
 from paceline.speed.configuration import SpeedConfiguration
-from paceline.speed.device_cuda import CudaDevice
-from paceline.speed.devices import DeviceFailure
-from paceline.speed.fleet import Fleet
-from paceline.speed.likelihood import Grid
-from paceline.speed.motion import FreeMotion, PathMotion, State
-from paceline.speed.particles import Weights
-from paceline.speed.reconstruction import path_of
-from paceline.speed.tracker import LOST, Estimate, Tracker
+from paceline.speed.filter import likelihood, motion_models, random_numbers
+from paceline.speed.filter.batch import Fleet
+from paceline.speed.filter.cuda import device as cuda_device
+from paceline.speed.filter.cuda import kernels, memory_layout, patch_features, weights
+from paceline.speed.filter.cuda import random_numbers as cuda_random_numbers
+from paceline.speed.filter.cuda.device import CudaDevice
+from paceline.speed.filter.cuda.particle_set import CudaCloud
+from paceline.speed.filter.device import DeviceFailure
+from paceline.speed.filter.likelihood import Grid
+from paceline.speed.filter.motion_models import FreeMotion, PathMotion, State
+from paceline.speed.filter.particle_set import Cloud, views
+from paceline.speed.filter.resampling import Weights
+from paceline.speed.filter.tracker import LOST, Estimate, Tracker
+from paceline.speed.geometry import paths
+from paceline.speed.geometry.path_reconstruction import path_of
 
 Array = NDArray[np.float64]
 
@@ -55,17 +48,17 @@ SETTINGS = SpeedConfiguration(parts=4).model_copy(update={"particles": 4})  # fe
 def _tiny(monkeypatch: pytest.MonkeyPatch) -> None:
     """Few samples, and so few threads in a block that five particles fill two blocks."""
     monkeypatch.setattr(likelihood, "SAMPLES", 256)
-    monkeypatch.setattr(device_cuda, "THREADS", 4)
-    monkeypatch.setattr(device_cuda, "SURVEYORS", 2)
-    monkeypatch.setattr(device_cuda, "BLOCK", 4)
-    monkeypatch.setattr(device_cuda, "MOST_BLOCKS", 2)
+    monkeypatch.setattr(cuda_device, "THREADS", 4)
+    monkeypatch.setattr(cuda_device, "SURVEYORS", 2)
+    monkeypatch.setattr(cuda_device, "BLOCK", 4)
+    monkeypatch.setattr(cuda_device, "MOST_BLOCKS", 2)
 
 
 @pytest.fixture(params=["one block", "several blocks"])
 def sharing(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whether several blocks share a vehicle's weights and moments, as they do those of many particles."""
-    monkeypatch.setattr(device_cuda, "EACH", 1 if request.param == "several blocks" else N)
-    monkeypatch.setattr(device_cuda, "MOST_BLOCKS", 3)
+    monkeypatch.setattr(cuda_device, "EACH", 1 if request.param == "several blocks" else N)
+    monkeypatch.setattr(cuda_device, "MOST_BLOCKS", 3)
 
 
 @pytest.fixture(scope="module")
@@ -131,9 +124,9 @@ def seen(there: CudaCloud, ll: Array) -> None:
     """``there``, weighed by log p(z | x) ``ll`` (N,) as if that had been seen."""
     device = there.device
     device.carry_out()
-    half = int(device.orders[there.slot, layout_cuda.NOW])
-    device._pool.value[half, layout_cuda.LIKELIHOOD, there.first : there.first + len(there)] = ll
-    device._table()[there.slot, layout_cuda.TIMES] = 1
+    half = int(device.orders[there.slot, memory_layout.NOW])
+    device._pool.value[half, memory_layout.LIKELIHOOD, there.first : there.first + len(there)] = ll
+    device._table()[there.slot, memory_layout.TIMES] = 1
     device._sights.send(device._sights.home.size)
     device._reweigh([there])
 
@@ -145,7 +138,7 @@ def seen(there: CudaCloud, ll: Array) -> None:
 @pytest.mark.parametrize("key", [(1, 2), (2**64 - 1, 2**63 + 5), (0x9E3779B97F4A7C15, 0xBB67AE8584CAA73B)])
 def test_counted_numbers_are_those_of_the_cpu(key: tuple[int, int], k: int) -> None:
     """Those of the CPU come from NumPy's own Philox."""
-    rng = randomness.CounterGenerator(np.random.PCG64(1), np.array(key, np.uint64), calls=7)
+    rng = random_numbers.CounterGenerator(np.random.PCG64(1), np.array(key, np.uint64), calls=7)
     numbers = cuda.device_array((N, k))
     _normals[1, N](cuda.to_device(np.array(rng.words, float)), 7, 0.3, numbers)
     np.testing.assert_allclose(numbers.copy_to_host(), rng.normal(0.0, 0.3, (N, k)), rtol=1e-12, atol=1e-14)
@@ -154,7 +147,7 @@ def test_counted_numbers_are_those_of_the_cpu(key: tuple[int, int], k: int) -> N
 @cuda.jit  # type: ignore[untyped-decorator]
 def _normals(key: Array, call: int, scale: float, out: Array) -> None:
     p = cuda.threadIdx.x
-    randomness_cuda.counted_normals(key, call, scale, p, out.shape[1], out[p], 0)
+    cuda_random_numbers.counted_normals(key, call, scale, p, out.shape[1], out[p], 0)
 
 
 # --- motion --------------------------------------------------------------------------------------------------------
@@ -166,10 +159,10 @@ def test_particles_move_as_on_the_cpu(
     device: CudaDevice, kind: str, counted: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Three steps, a correction and a turn of the planes, by the same seed."""
-    monkeypatch.setattr(randomness, "MANY", 0 if counted else 10**9)
+    monkeypatch.setattr(random_numbers, "MANY", 0 if counted else 10**9)
     home = particles(way(kind), 1)
     there = device.cloud(home.at_home())
-    clouds = [(home, randomness.generator([2], N)), (there, randomness.generator([2], N))]
+    clouds = [(home, random_numbers.generator([2], N)), (there, random_numbers.generator([2], N))]
     place, covariance = np.array([0.4, 0.75, 19.0]), np.diag([0.01, 0.02, 0.3]) + 0.001
     for dt in (0.2, 0.05, 0.4):
         for cloud, rng in clouds:
@@ -265,7 +258,7 @@ def test_clouds_come_and_go_in_any_order(seed: int) -> None:
         home = particles(way(str(drawing.choice(["line", "curve", "free"]))), number, n)
         if drawing.random() < 0.5:
             key = np.array([number, 5], np.uint64)
-            here, there = (randomness.CounterGenerator(np.random.PCG64(number), key) for _ in range(2))
+            here, there = (random_numbers.CounterGenerator(np.random.PCG64(number), key) for _ in range(2))
         else:
             here, there = np.random.default_rng(number), np.random.default_rng(number)
         pairs.append((home, device.cloud(home.at_home()), (here, there)))
@@ -325,9 +318,9 @@ class Counting:
 
 
 KERNELS = [
-    (orders_cuda, ("carry_out", "collect", "settle")),
-    (particles_cuda, ("add_up", "cumulate", "average", "survey", "reweigh", "normalise")),
-    (pixels_cuda, ("log_likelihood",)),
+    (kernels, ("carry_out", "collect", "settle")),
+    (weights, ("add_up", "cumulate", "average", "survey", "reweigh", "normalise")),
+    (patch_features, ("log_likelihood",)),
 ]
 
 
@@ -386,7 +379,7 @@ class Seeing:
         self.reference = self._seen(first.state).features[0]
 
     def _seen(self, state: State) -> likelihood.Observation:
-        cross = motion.cross_homographies(self.rig, state)
+        cross = motion_models.cross_homographies(self.rig, state)
         return likelihood.observe(*self.views, state.left, state.right, cross, self.grid)
 
     def log_likelihood(self, state: State) -> Array:
@@ -554,7 +547,7 @@ def test_the_cpu_carries_on_from_the_same_frame(
         return working(self, *given)
 
     hidden = 2 if where == "unweigh" else -1
-    monkeypatch.setattr(randomness, "MANY", 0 if counted else 10**9)
+    monkeypatch.setattr(random_numbers, "MANY", 0 if counted else 10**9)
     here = trackers(clip, SETTINGS, None)
     expected = followed(clip, Fleet(), here, hidden)
     monkeypatch.setattr(CudaDevice, where, breaking)

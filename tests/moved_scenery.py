@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from paceline.cameras import Camera
-from paceline.follow.target import Target
+from paceline.targets.line_model import Target
 
 TARGET = Target(
     "rear",

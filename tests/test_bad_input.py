@@ -16,10 +16,10 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from calling import COMMAND, ENVIRONMENT, Done, assert_one_line_error, paceline
-from spoiled import Folder
+from damaged_inputs import Folder
+from run_command import COMMAND, ENVIRONMENT, Done, assert_one_line_error, paceline
 
-from paceline.simulation.planar import Scene, Vehicle, render, write
+from paceline.simulation.stereo.clip import Scene, Vehicle, render, write
 
 Case = tuple[Callable[["Clip"], object], list[str]]
 Command = Callable[..., Done]

@@ -10,15 +10,15 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from paceline.baselines import cues, flow, kalman, sift, smoothing, triangulation
-from paceline.baselines.alignment import align
+from paceline.baselines import image_cues, kalman, optical_flow, polynomial_track, sift, triangulation_covariance
 from paceline.baselines.disparity import Rectification
-from paceline.baselines.regions import Move, Regions, move_between
+from paceline.baselines.rigid_alignment import align
+from paceline.baselines.template_tracking import Move, Regions, move_between
 from paceline.cameras import Camera, StereoRig
-from paceline.descriptors import matched
 from paceline.geometry import triangulate
-from paceline.recordings import StereoFrame
-from paceline.speed.paths import jacobian
+from paceline.recordings.stereo import StereoFrame
+from paceline.sift_features import matched
+from paceline.speed.geometry.paths import jacobian
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -58,7 +58,7 @@ def test_triangulation_is_the_brute_force_optimum(rig: StereoRig) -> None:
 @given(place=PLACES)
 def test_the_image_jacobian_is_that_of_finite_differences(rig: StereoRig, place: Array) -> None:
     by_hand = jacobian(lambda X: np.concatenate(rig.project(X)), place, 1e-4)
-    assert triangulation.image_jacobian(rig, place) == pytest.approx(by_hand, rel=1e-5, abs=1e-5)
+    assert triangulation_covariance.image_jacobian(rig, place) == pytest.approx(by_hand, rel=1e-5, abs=1e-5)
 
 
 def test_the_covariance_is_that_of_triangulated_points(rig: StereoRig) -> None:
@@ -66,12 +66,12 @@ def test_the_covariance_is_that_of_triangulated_points(rig: StereoRig) -> None:
     place = np.array([1.5, -0.5, 40.0])
     left, right = (p + rng.normal(0, sigma, (n, 2)) for p in rig.project(place))
     off = triangulate(rig, left, right) - place
-    whitened = off @ np.linalg.cholesky(triangulation.information(rig, place, sigma))
+    whitened = off @ np.linalg.cholesky(triangulation_covariance.information(rig, place, sigma))
     # eigenvalues of a sample covariance of n draws in three dimensions, five standard deviations
     assert np.linalg.eigvalsh(np.cov(whitened.T)) == pytest.approx(np.ones(3), abs=5 * np.sqrt(2 / n) + 3 * 3 / n)
-    assert triangulation.covariance(rig, place, sigma) @ triangulation.information(rig, place, sigma) == pytest.approx(
-        np.eye(3), abs=1e-9
-    )
+    assert triangulation_covariance.covariance(rig, place, sigma) @ triangulation_covariance.information(
+        rig, place, sigma
+    ) == pytest.approx(np.eye(3), abs=1e-9)
 
 
 # --- Kalman filter ---------------------------------------------------------------------------------------------------
@@ -120,7 +120,7 @@ def test_a_way_through_exact_places_is_exact(degree: int, seed: int) -> None:
     coefficients = np.concatenate([rng.uniform(5, 20, (1, 3)), rng.uniform(-1, 1, (degree - 1, 3))])
     u = times - times[0]
     places = sum(c * u[:, None] ** (m + 1) for m, c in enumerate(coefficients))
-    way = smoothing.way_through(times, places, np.eye(24), degree)
+    way = polynomial_track.way_through(times, places, np.eye(24), degree)
     assert isinstance(places, np.ndarray)
     velocity = sum((m + 1) * c * u[:, None] ** m for m, c in enumerate(coefficients))
     assert way.velocities(times) == pytest.approx(velocity, rel=1e-6, abs=1e-6)
@@ -137,7 +137,7 @@ def test_the_uncertainty_of_a_way_is_that_of_its_scatter() -> None:
     count = np.eye(9) + np.ones((9, 9))
     for _ in range(trials):
         noisy = times[:, None] * velocity + rng.normal(0, 0.2, (10, 3))
-        way = smoothing.way_through(times, noisy, np.kron(count, np.eye(3)), 1)
+        way = polynomial_track.way_through(times, noisy, np.kron(count, np.eye(3)), 1)
         speed, std = way.mean_speed()
         z.append((speed - np.linalg.norm(velocity)) / std)
         assert way.speeds(times)[1] == pytest.approx(np.full(10, std))
@@ -147,7 +147,7 @@ def test_the_uncertainty_of_a_way_is_that_of_its_scatter() -> None:
 
 def test_too_few_places_make_no_way() -> None:
     with pytest.raises(np.linalg.LinAlgError):
-        smoothing.way_through(np.array([0.0, 0.2]), np.zeros((2, 3)), np.eye(3))
+        polynomial_track.way_through(np.array([0.0, 0.2]), np.zeros((2, 3)), np.eye(3))
 
 
 # --- alignment -------------------------------------------------------------------------------------------------------
@@ -277,26 +277,26 @@ def test_the_move_between_quadrilaterals() -> None:
 @pytest.mark.parametrize("exposure", [1.0, 0.8])
 def test_points_are_tracked_to_a_fraction_of_a_pixel(texture: Image, exposure: float) -> None:
     quad = np.array([[200.0, 220], [290, 220], [290, 260], [200, 260]])
-    points = flow.corners(texture, quad, np.empty((0, 2)))
+    points = optical_flow.corners(texture, quad, np.empty((0, 2)))
     assert len(points) > 20
     true = Move(1.08, np.array([-12.4, -9.3]))
     after = np.asarray(cv2.warpAffine(texture, true.matrix, (512, 512), flags=cv2.INTER_CUBIC), np.float32)
     after = exposure * after + np.random.default_rng(8).normal(0, 1, after.shape).astype(np.float32)
     guess = Move(1.07, true.shift + 1.07 * quad.mean(0) * (1.08 / 1.07 - 1) + [0.8, -0.6])
-    found, good = flow.tracked(texture, after, points, guess, flow.window_for(quad))
+    found, good = optical_flow.tracked(texture, after, points, guess, optical_flow.window_for(quad))
     assert good.mean() > 0.8
     off = np.linalg.norm(found - true(points), axis=1)[good]
     assert np.median(off) < 0.08
-    across, good = flow.matched(texture, after, points, guess(points), flow.window_for(quad))
+    across, good = optical_flow.matched(texture, after, points, guess(points), optical_flow.window_for(quad))
     assert np.median(np.linalg.norm(across - true(points), axis=1)[good]) < 0.15  # at another scale
 
 
 def test_new_corners_keep_clear_of_known_ones(texture: Image) -> None:
     quad = np.array([[200.0, 220], [290, 220], [290, 260], [200, 260]])
-    some = flow.corners(texture, quad, np.empty((0, 2)))[::2]
-    new = flow.corners(texture, quad, some)
+    some = optical_flow.corners(texture, quad, np.empty((0, 2)))[::2]
+    new = optical_flow.corners(texture, quad, some)
     apart = np.linalg.norm(new[:, None] - some, axis=2)
-    assert apart.min() >= flow.SPACING - 1  # the mask is made of whole pixels
+    assert apart.min() >= optical_flow.SPACING - 1  # the mask is made of whole pixels
 
 
 # --- depth -----------------------------------------------------------------------------------------------------------
@@ -341,19 +341,19 @@ def test_the_depth_of_a_plane(rig: StereoRig, texture: Image, upright: bool) -> 
 def test_histograms_tell_boxes_apart(texture: Image) -> None:
     here = np.array([[100.0, 100], [160, 100], [160, 130], [100, 130]])
     boxes = np.stack([here, here + 0.4, here + [150, 90]])
-    seen = cues.histograms(cues.picked(texture, cues.inside(boxes)))
+    seen = image_cues.histograms(image_cues.picked(texture, image_cues.inside(boxes)))
     assert seen.sum(1) == pytest.approx(np.ones(3))
-    alike = cues.likeness(seen, seen[0])
+    alike = image_cues.likeness(seen, seen[0])
     assert alike[0] == pytest.approx(1) and alike[0] > alike[1] > alike[2]
 
 
 def test_outside_the_picture_nothing_is_known(texture: Image) -> None:
     box = np.array([[[-60.0, 100], [60, 100], [60, 130], [-60, 130]]])
-    values = cues.picked(texture, cues.inside(box))
-    mean, share = cues.mean_known(values)
+    values = image_cues.picked(texture, image_cues.inside(box))
+    mean, share = image_cues.mean_known(values)
     assert share[0] == pytest.approx(0.5)
     assert mean[0] == pytest.approx(np.nanmean(values))
-    assert cues.mean_known(np.full((1, 4), np.nan)) == (pytest.approx([0.0]), pytest.approx([0.0]))
+    assert image_cues.mean_known(np.full((1, 4), np.nan)) == (pytest.approx([0.0]), pytest.approx([0.0]))
 
 
 def test_edges_are_strongest_at_the_outline() -> None:
@@ -361,7 +361,7 @@ def test_edges_are_strongest_at_the_outline() -> None:
     picture[80:120, 60:140] = 200
     outline = np.array([[59.5, 79.5], [139.5, 79.5], [139.5, 119.5], [59.5, 119.5]])
     offsets = np.array([[0, 0], [3, 0], [0, 3], [-4, 2], [30, 30]])
-    strengths = cues.edge_strengths(cues.slopes(picture), outline + offsets[:, None])
+    strengths = image_cues.edge_strengths(image_cues.slopes(picture), outline + offsets[:, None])
     assert strengths.argmax() == 0
     assert strengths[-1] < 0.5 * strengths[0]
 

@@ -14,16 +14,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from paceline.baselines.measurement import METHODS, measure
 from paceline.baselines.multimodal import Cloud, Multimodal
-from paceline.documents import Clip, load_clip
+from paceline.baselines.registry import METHODS, measure
+from paceline.documents.loading import Clip, load_clip
 from paceline.errors import UnusableInput
-from paceline.recordings import open_recording
+from paceline.recordings.stereo import open_recording
 from paceline.reports import write_report
-from paceline.reports.tables import COLUMNS
-from paceline.simulation.planar import RenderedClip, Scene, Vehicle, random_crossing, render, write
+from paceline.reports.speed.tables import COLUMNS
+from paceline.simulation.stereo.clip import RenderedClip, Scene, Vehicle, random_crossing, render, write
 from paceline.speed.configuration import SpeedConfiguration
-from paceline.speed.particles import Weights
+from paceline.speed.filter.resampling import Weights
 from paceline.speed.results import ClipResult, Measurement
 
 Image = NDArray[np.uint8]

@@ -10,13 +10,13 @@ import av
 import cv2
 import numpy as np
 import pytest
-from calling import assert_one_line_error, paceline
+from run_command import assert_one_line_error, paceline
 
-from paceline.calibration import synthetic
 from paceline.calibration.boards import parse_board
-from paceline.calibration.model import Poses
-from paceline.calibration.synthetic import Setup
-from paceline.documents import load_rig
+from paceline.calibration.parameters import Poses
+from paceline.documents.loading import load_rig
+from paceline.simulation import boards
+from paceline.simulation.boards import Setup
 
 BOARD = "charuco:7x5:0.09:0.065:DICT_4X4_50"
 VIEWS, SIZE = 9, (800, 600)
@@ -28,14 +28,14 @@ def filmed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Setup]:
     """Two folders of pictures; in one pair the board has moved between the exposures, one shows no board."""
     folder = tmp_path_factory.mktemp("board")
     rng = np.random.default_rng(3)
-    setup = synthetic.random_setup(rng, parse_board(BOARD), VIEWS, SIZE)
+    setup = boards.random_setup(rng, parse_board(BOARD), VIEWS, SIZE)
     later = Setup(setup.rig, SIZE, setup.board, Poses(setup.poses.R, setup.poses.t + [0.006, 0.004, 0]))
     for side in ("left", "right"):
         (folder / side).mkdir()
     for v in range(VIEWS):
-        left, right = synthetic.render(setup, v, rng)
+        left, right = boards.render(setup, v, rng)
         if v == MOVED:
-            right = synthetic.render(later, v, rng)[1]
+            right = boards.render(later, v, rng)[1]
         if v == UNSEEN:
             left[:], right[:] = 90, 90
         cv2.imwrite(str(folder / "left" / f"{v:03d}.png"), left)
@@ -105,7 +105,7 @@ def test_videos_do_as_well(filmed: tuple[Path, Setup], tmp_path: Path, capsys: p
                 frame = av.VideoFrame.from_ndarray(cv2.imread(str(file), cv2.IMREAD_GRAYSCALE), "gray")
                 container.mux(stream.encode(frame))
             container.mux(stream.encode())
-    from paceline.calibration.views import collect_views
+    from paceline.calibration.board_views import collect_views
 
     views = collect_views(tmp_path / "left.mkv", tmp_path / "right.mkv", parse_board(BOARD))
     from_files = collect_views(folder / "left", folder / "right", parse_board(BOARD))

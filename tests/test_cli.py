@@ -13,13 +13,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from calling import COMMAND, ENVIRONMENT, Done, assert_one_line_error, in_a_process, paceline
 from numba import njit
 from numba.core import serialize
 from numpy.typing import NDArray
+from run_command import COMMAND, ENVIRONMENT, Done, assert_one_line_error, in_a_process, paceline
 
 from paceline import cli
-from paceline.simulation.planar import Scene, Vehicle, render, write
+from paceline.simulation.stereo.clip import Scene, Vehicle, render, write
 
 SPEED = 20.0  # m/s
 

@@ -16,11 +16,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from calling import assert_one_line_error, paceline
 from console_served import CTRL, SHIFT, Console, consoled, halted, needs_chromium, on_screen, serving
-from small_clips import put_clip, rendered
+from run_command import assert_one_line_error, paceline
+from tiny_clips import put_clip, rendered
 
-from paceline.reports.wording import shown_speed
+from paceline.reports.common.formatting import shown_speed
 
 
 @pytest.fixture(scope="module")

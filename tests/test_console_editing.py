@@ -11,21 +11,14 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from small_clips import put_clip, rendered
+from tiny_clips import put_clip, rendered
 
 from paceline.cameras import Camera, StereoRig
-from paceline.console.clip_file import (
-    Changed,
-    Setup,
-    read_setup,
-    read_site_paths,
-    save_setup,
-    with_setup,
-)
-from paceline.console.editing import check_setup, epipolar_line, propose
-from paceline.console.frames import Gallery
-from paceline.console.snapping import snapped
-from paceline.documents import load_clip
+from paceline.console.editing.clip_document import Changed, Setup, read_setup, read_site_paths, save_setup, with_setup
+from paceline.console.editing.edge_snapping import snapped
+from paceline.console.editing.geometry_checks import check_setup, epipolar_line, propose
+from paceline.console.frames.frame_cache import Gallery
+from paceline.documents.loading import load_clip
 from paceline.errors import UnusableInput
 from paceline.geometry import epipolar_distance, triangulate
 

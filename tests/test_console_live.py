@@ -16,28 +16,28 @@ import av
 import cv2
 import numpy as np
 import pytest
-import small_chase
+import tiny_chase
 import yaml
-from calling import ENVIRONMENT
 from console_client import SAME, asked
-from small_clips import put_clip
+from run_command import ENVIRONMENT
 from test_console_runs import wait
-from test_live import survey_file
+from test_survey_live import survey_file
+from tiny_clips import put_clip
 
-from paceline.commands.progress import small_pictures
-from paceline.console.api import results_address
-from paceline.console.asked import copy_documents
-from paceline.console.asking import in_unit, options_of
-from paceline.console.kinds import AHEAD, LIVE, arguments
+from paceline.commands.progress_output import small_pictures
+from paceline.console.confinement import NotHere
+from paceline.console.document_names import is_live, live_views
 from paceline.console.library import Library
-from paceline.console.naming import is_live, live_views
-from paceline.console.results import LATEST, files_of, picture_of, read_series, read_summary, why_nothing
-from paceline.console.safety import NotHere
-from paceline.console.telling import LONGEST, telling_pictures, told, told_estimate, told_pictures
-from paceline.console.watching import LATEST as KEPT_FRAMES
-from paceline.console.watching import Watch
-from paceline.documents import load_clip
+from paceline.console.routes import results_address
+from paceline.console.runs.inputs import copy_documents
+from paceline.console.runs.kinds import AHEAD, LIVE, arguments
+from paceline.console.runs.monitor import LATEST as KEPT_FRAMES
+from paceline.console.runs.monitor import Watch
+from paceline.console.runs.options import in_unit, options_of
+from paceline.console.runs.results import LATEST, files_of, picture_of, read_series, read_summary, why_nothing
+from paceline.documents.loading import load_clip
 from paceline.errors import UnusableInput
+from paceline.progress import LONGEST, telling_pictures, told, told_estimate, told_pictures
 
 CAMERAS = ["rtsp://camera/left", "RTSPS://u:p@10.0.0.7:554/a?b=c", "http://camera/mjpg", "udp://0.0.0.0:5000",
            "srt://host:9", "/dev/video0", "/dev/video12"]  # fmt: skip
@@ -72,7 +72,7 @@ def library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Library
     """Over a clip with live cameras; to open anything that decodes is a failure."""
     root = tmp_path.resolve() / "clips"
     change(put_clip(root, "gate") / "clip.yaml", left="rtsp://user:secret@camera/left", right="/dev/video1", rate=None)
-    change(small_chase.write(root / "drive", 2), video="rtsp://user:secret@car/rear", rate=None)
+    change(tiny_chase.write(root / "drive", 2), video="rtsp://user:secret@car/rear", rate=None)
     os.mkfifo(put_clip(root, "pipe") / "fifo")
     change(root / "pipe" / "clip.yaml", left="fifo", right="rtsp://camera/right", rate=None)
     monkeypatch.setattr(av, "open", lambda *_, **__: pytest.fail("a live source was opened"))
@@ -193,7 +193,7 @@ def test_a_vehicle_is_followed_live_until_it_is_stopped(tmp_path: Path, monkeypa
     """Through a named pipe below the folder, which only the run opens."""
     monkeypatch.setenv("PYTHONPATH", ENVIRONMENT["PYTHONPATH"])
     root = tmp_path.resolve() / "clips"
-    file = small_chase.write(root / "drive", 2)
+    file = tiny_chase.write(root / "drive", 2)
     change(file, video="pipe", rate=None)
     os.mkfifo(root / "drive" / "pipe")
     library = Library(root)
@@ -203,9 +203,9 @@ def test_a_vehicle_is_followed_live_until_it_is_stopped(tmp_path: Path, monkeypa
     def play() -> None:
         with suppress(OSError), av.open(str(root / "drive" / "pipe"), "w", format="nut") as container:
             stream = container.add_stream("ffv1", rate=15)
-            stream.width, stream.height, stream.pix_fmt = *small_chase.SIZE, "gray"
+            stream.width, stream.height, stream.pix_fmt = *tiny_chase.SIZE, "gray"
             for k in range(10_000):
-                picture = av.VideoFrame.from_ndarray(small_chase.picture(k), format="gray")
+                picture = av.VideoFrame.from_ndarray(tiny_chase.picture(k), format="gray")
                 picture.pts, picture.time_base = k, Fraction(1, 15)
                 container.mux(stream.encode(picture))
                 if ended.wait(1 / 15):
@@ -216,11 +216,11 @@ def test_a_vehicle_is_followed_live_until_it_is_stopped(tmp_path: Path, monkeypa
     wait(lambda: library.runs.watch(run)[1].get("frame", 0) >= 5)
     (series,), scene = library.runs.watch(run)
     jpeg = np.frombuffer(library.runs.picture(run, scene["frame"], 0), np.uint8)
-    assert cv2.imdecode(jpeg, cv2.IMREAD_UNCHANGED).shape == small_chase.SIZE[::-1] == tuple(scene["size"][::-1])
+    assert cv2.imdecode(jpeg, cv2.IMREAD_UNCHANGED).shape == tiny_chase.SIZE[::-1] == tuple(scene["size"][::-1])
     assert [v["vehicle"] for v in scene["vehicles"]] == ["small van"] and scene["vehicles"][0]["outlines"][0]
     assert series.vehicle == "small van" and not library.runs.is_stopping(run)
     for time_s, value in zip(series.time, series.value, strict=True):
-        assert value == pytest.approx(small_chase.truth(round(15 * time_s))[2], abs=0.35)
+        assert value == pytest.approx(tiny_chase.truth(round(15 * time_s))[2], abs=0.35)
     library.runs.stop("drive", run.number)
     wait(lambda: (now := library.runs.get("drive", run.number)) is not None and not now.active)
     ended.set()

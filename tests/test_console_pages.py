@@ -12,15 +12,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-import small_chase
+import tiny_chase
 import yaml
 from chromium import Tab
 from console_served import CTRL, SHIFT, Console, consoled, needs_chromium, on_screen
-from small_clips import put_clip, rendered
-from test_console_targets import box_of
-from test_live import SPEEDS, survey_file
+from test_console_target_model import box_of
+from test_survey_live import SPEEDS, survey_file
+from tiny_clips import put_clip, rendered
 
-from paceline.reports.wording import number
+from paceline.reports.common.formatting import number
 
 pytestmark = needs_chromium
 EDITOR = "document.querySelector('pl-editor')"
@@ -53,7 +53,7 @@ def setup_of(tab: Tab) -> Any:
 
 def test_a_vehicle_ahead_is_learned_from_a_box_and_followed(tmp_path: Path, console: Console) -> None:
     root, address, new = console
-    small_chase.write(tmp_path, 40)
+    tiny_chase.write(tmp_path, 40)
     tab = new()
     tab.size(1280, 800)
     tab.open(address)
@@ -73,7 +73,7 @@ def test_a_vehicle_ahead_is_learned_from_a_box_and_followed(tmp_path: Path, cons
     tab.run("document.querySelector('pl-target').width.value = '2.0'")
     tab.click("Learn the lines in the box")
     tab.wait_for("lines learned")
-    z = small_chase.truth(0)[2]
+    z = tiny_chase.truth(0)[2]
     tab.wait(f"Math.abs(document.querySelector('pl-target').shown?.range_m - {z}) < {0.02 * z}")
 
     before = tab.run("document.querySelector('pl-target').model.start.center")
@@ -109,10 +109,10 @@ def test_a_vehicle_ahead_is_learned_from_a_box_and_followed(tmp_path: Path, cons
     assert scenes
     for scene in scenes:
         told = float(scene["vehicles"][0]["label"].removeprefix("vehicle ahead").removesuffix("m"))
-        assert told == pytest.approx(small_chase.truth(scene["frame"])[2], abs=0.35)
+        assert told == pytest.approx(tiny_chase.truth(scene["frame"])[2], abs=0.35)
     other.wait_for("Open the report")
     summary = json.loads((root / "drive" / "runs" / "0001" / "out" / "summary.json").read_text())
-    distances = [small_chase.truth(k)[2] for k in range(40)]
+    distances = [tiny_chase.truth(k)[2] for k in range(40)]
     assert summary["tracked_share"] > 0.9
     for key, value in (("min", min(distances)), ("max", max(distances)), ("mean", np.mean(distances))):
         assert summary["range_m"][key] == pytest.approx(value, rel=0.03)

@@ -15,18 +15,18 @@ from pathlib import Path
 
 import pytest
 import yaml
-from calling import ENVIRONMENT, paceline
-from small_clips import copy_of, put_clip
+from run_command import ENVIRONMENT, paceline
+from tiny_clips import copy_of, put_clip
 
 from paceline.console import library as library_module
-from paceline.console import runs as runs_module
-from paceline.console.asked import copy_documents
 from paceline.console.library import Library
-from paceline.console.results import differences, read_series, read_summary, vehicle_rows
-from paceline.console.runs import Run, Runs
-from paceline.console.telling import TOLD, telling, told
-from paceline.documents import load_clip
+from paceline.console.runs import run_list as runs_module
+from paceline.console.runs.inputs import copy_documents
+from paceline.console.runs.results import differences, read_series, read_summary, vehicle_rows
+from paceline.console.runs.run_list import Run, Runs
+from paceline.documents.loading import load_clip
 from paceline.errors import UnusableInput
+from paceline.progress import TOLD, telling, told
 
 FAST = ["--particles", "20", "--motion", "line"]
 

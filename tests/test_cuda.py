@@ -8,12 +8,12 @@ import sys
 from pathlib import Path
 
 import pytest
-from calling import assert_one_line_error, paceline
+from run_command import assert_one_line_error, paceline
 from selection import slow_after
 
-from paceline import compiling
-from paceline.speed import devices
-from paceline.speed.devices import DeviceFailure, failures_told, open_device
+from paceline import numba_cache
+from paceline.speed.filter import device
+from paceline.speed.filter.device import DeviceFailure, failures_told, open_device
 
 PARITY = Path(__file__).with_name("cuda_parity.py")
 EXAMPLE = Path(__file__).parents[1] / "examples" / "straight" / "clip.yaml"
@@ -91,14 +91,14 @@ def test_other_errors_are_not_the_devices(error: Exception) -> None:
 @pytest.fixture
 def no_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
     """Also on a machine that has one."""
-    from paceline.speed import device_cuda
+    from paceline.speed.filter.cuda import device as cuda_device
 
     error = foreign("CudaSupportError", ERROR)("CUDA driver library cannot be found")
 
     def context() -> None:
         raise error
 
-    monkeypatch.setattr(device_cuda.cuda, "current_context", context)
+    monkeypatch.setattr(cuda_device.cuda, "current_context", context)
 
 
 @pytest.mark.usefixtures("no_gpu")
@@ -123,7 +123,7 @@ def test_methods_that_know_no_gpu_say_so(tmp_path: Path) -> None:
 
 
 def test_the_cpu_asks_for_no_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(devices, "failures_told", None)
+    monkeypatch.setattr(device, "failures_told", None)
     assert open_device("cpu") is None
 
 
@@ -131,12 +131,12 @@ def test_the_cpu_asks_for_no_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_kernel_closes_over_the_digest_of_all_that_it_is_made_of() -> None:
-    """Numba keeps a kernel under the code of its function and what that closes over: see test_compiling.py."""
-    from paceline.speed import orders_cuda, particles_cuda, pixels_cuda
+    """Numba keeps a kernel under the code of its function and what that closes over: see test_numba_cache.py."""
+    from paceline.speed.filter.cuda import kernels, patch_features, weights
 
     digests = set()
-    for module, name in ((orders_cuda, "carry_out"), (particles_cuda, "survey"), (pixels_cuda, "log_likelihood")):
+    for module, name in ((kernels, "carry_out"), (weights, "survey"), (patch_features, "log_likelihood")):
         (cell,) = getattr(module, name).py_func.__closure__
-        assert cell.cell_contents == compiling.digest(module.__name__)
+        assert cell.cell_contents == numba_cache.digest(module.__name__)
         digests.add(cell.cell_contents)
     assert len(digests) == 3

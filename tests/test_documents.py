@@ -7,13 +7,13 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from damaged_inputs import changed
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from spoiled import changed
 
-from paceline.documents import load_clip, load_rig
+from paceline.documents.loading import load_clip, load_rig
+from paceline.documents.plausibility import wrong_quadrilateral
 from paceline.errors import UnusableInput
-from paceline.plausibility import wrong_quadrilateral
 
 K = [[1000.0, 0.0, 319.5], [0.0, 1000.0, 239.5], [0.0, 0.0, 1.0]]
 RIG = {

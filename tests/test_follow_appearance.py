@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from paceline.follow import picture_cpu
 from paceline.follow.appearance import Appearance
-from paceline.follow.target import Target
+from paceline.targets.line_model import Target
 
 CORNERS = np.array([[-0.9, -0.7], [0.9, -0.7], [0.9, 0.7], [-0.9, 0.7]])
 TARGET = Target("rear", 10.0, CORNERS, np.array([[0, 1], [1, 2], [2, 3], [3, 0]]))

@@ -13,9 +13,9 @@ import av
 import cv2
 import numpy as np
 import pytest
-import small_chase
-from calling import Done, assert_one_line_error, paceline
-from spoiled import Folder
+import tiny_chase
+from damaged_inputs import Folder
+from run_command import Done, assert_one_line_error, paceline
 
 FRAMES = 40
 FIRST, LAST = 18, 22  # of the frames that show nothing
@@ -31,14 +31,14 @@ class Clip(Folder):
         """A video instead of the images, in fifteenths of a second; the packets of ``spoilt`` frames are damaged."""
         with av.open(str(self.folder / "video.mkv"), "w") as out:
             stream = out.add_stream(codec, rate=15)
-            stream.width, stream.height = small_chase.SIZE
+            stream.width, stream.height = tiny_chase.SIZE
             stream.pix_fmt = "gray" if codec == "ffv1" else "yuv420p"
             stream.codec_context.gop_size = 1
             for k, time in enumerate(times or range(FRAMES)):
-                image = av.VideoFrame.from_ndarray(small_chase.picture(time), format="gray")
+                image = av.VideoFrame.from_ndarray(tiny_chase.picture(time), format="gray")
                 image.pts = time
                 for packet in stream.encode(image):
-                    out.mux(small_chase.damaged(packet, stream) if k in spoilt else packet)
+                    out.mux(tiny_chase.damaged(packet, stream) if k in spoilt else packet)
             out.mux(stream.encode())
         self.set("follow.yaml", "video", "video.mkv")
         self.set("follow.yaml", "rate", None)
@@ -46,7 +46,7 @@ class Clip(Folder):
 
 @pytest.fixture(scope="module")
 def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return small_chase.write(tmp_path_factory.mktemp("chase") / "clip", FRAMES).parent
+    return tiny_chase.write(tmp_path_factory.mktemp("chase") / "clip", FRAMES).parent
 
 
 @pytest.fixture
@@ -69,7 +69,7 @@ Case = tuple[Callable[[Clip], object], list[str]]
 
 
 def resized(clip: Clip, frame: int) -> None:
-    cv2.imwrite(str(clip.picture(frame)), cv2.resize(small_chase.picture(frame), (128, 121)))
+    cv2.imwrite(str(clip.picture(frame)), cv2.resize(tiny_chase.picture(frame), (128, 121)))
 
 
 def odometry(clip: Clip, *rows: str) -> None:
@@ -188,7 +188,7 @@ def test_it_coasts_and_goes_on(spoil: Callable[[Clip], object], clip: Clip, comm
     assert {r["status"] for r in rows[:FIRST]} == {"tracking"}
     assert {r["status"] for r in rows[LAST + 3 :]} == {"tracking"}
     for row in (rows[FIRST - 1], rows[-1]):
-        assert float(row["z_m"]) == pytest.approx(small_chase.truth(int(row["frame"]))[2], rel=0.01)
+        assert float(row["z_m"]) == pytest.approx(tiny_chase.truth(int(row["frame"]))[2], rel=0.01)
     (episode,) = json.loads((tmp_path / "out" / "summary.json").read_text())["episodes"]
     assert episode["first_frame"] == FIRST and LAST <= episode["last_frame"] <= LAST + 2
     page = (tmp_path / "out" / "report.html").read_text()
@@ -209,7 +209,7 @@ def test_times_that_jump_are_named(clip: Clip, command: Command, tmp_path: Path)
     assert status == 0
     assert re.search(rf"frames {FIRST - 1} and {FIRST} lie 0\.33\d s apart instead of 0\.06\d s", stderr)
     rows = track(tmp_path)
-    last = small_chase.truth(times[-1])[2]
+    last = tiny_chase.truth(times[-1])[2]
     assert rows[-1]["status"] == "tracking" and float(rows[-1]["z_m"]) == pytest.approx(last, rel=0.01)
 
 

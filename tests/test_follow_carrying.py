@@ -8,7 +8,7 @@ from moved_scenery import REACH, TARGET, camera, moved, scenery
 from paceline.follow.carrying import FARTHEST, MANY, STEP, UPRIGHT, Carried, correlated
 from paceline.follow.carrying_cpu import sampled
 from paceline.follow.features import Projection
-from paceline.follow.target import Target
+from paceline.targets.line_model import Target
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -19,12 +19,12 @@ import av
 import cv2
 import numpy as np
 import pytest
-import small_chase
+import tiny_chase
 import yaml
-from calling import COMMAND, ENVIRONMENT, Done, assert_one_line_error, paceline
+from run_command import COMMAND, ENVIRONMENT, Done, assert_one_line_error, paceline
 
-from paceline.reports.follow_tables import COLUMNS
-from paceline.schemas import CameraModel, FollowModel, StartModel, TargetModel
+from paceline.documents.models import CameraModel, FollowModel, StartModel, TargetModel
+from paceline.reports.follow.tables import COLUMNS
 
 FRAMES = 30
 SHARED = Path(__file__).parents[2] / "shared" / "data"
@@ -34,7 +34,7 @@ FILES = {"track.csv", "summary.json", "report.html", "overlay.mp4", "plots"}
 
 @pytest.fixture(scope="module")
 def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return small_chase.write(tmp_path_factory.mktemp("chase") / "clip", FRAMES).parent
+    return tiny_chase.write(tmp_path_factory.mktemp("chase") / "clip", FRAMES).parent
 
 
 @pytest.fixture
@@ -79,16 +79,16 @@ def test_the_track_is_right(followed: tuple[Done, Path]) -> None:
     assert {r["status"] for r in track} == {"tracking"}
     np.testing.assert_allclose([float(r["time_s"]) for r in track], np.arange(FRAMES) / 15)
     found = np.array([[float(r[f"{axis}_m"]) for axis in "xyz"] for r in track])
-    true = np.array([small_chase.truth(k) for k in range(FRAMES)])
+    true = np.array([tiny_chase.truth(k) for k in range(FRAMES)])
     std = np.array([[float(r[f"{axis}_std_m"]) for axis in "xyz"] for r in track])
     assert np.sqrt(((found[:, 2] / true[:, 2] - 1) ** 2).mean()) < 0.005
     assert np.abs(found - true).max(axis=0)[:2].max() < 0.02
     assert (np.abs(found - true) < 1.96 * std).mean(axis=0).min() > 0.8
-    x, y, z = small_chase.truth(7)
+    x, y, z = tiny_chase.truth(7)
     row = {k: float(v) for k, v in track[7].items() if k not in ("status", "reason")}
-    assert row["scale"] == pytest.approx(small_chase.NOMINAL / z, rel=0.005)
-    assert row["cx"] == pytest.approx(small_chase.CX + small_chase.F * x / z, abs=0.3)
-    assert row["cy"] == pytest.approx(small_chase.CY + small_chase.F * y / z, abs=0.3)
+    assert row["scale"] == pytest.approx(tiny_chase.NOMINAL / z, rel=0.005)
+    assert row["cx"] == pytest.approx(tiny_chase.CX + tiny_chase.F * x / z, abs=0.3)
+    assert row["cy"] == pytest.approx(tiny_chase.CY + tiny_chase.F * y / z, abs=0.3)
     assert min(row["w_x"], row["w_y"], row["w_scale"]) > 0
     assert row["bearing_rad"] == pytest.approx(np.arctan2(x, z), abs=0.002)
     assert 0 < row["latency_s"] < 0.5
@@ -98,7 +98,7 @@ def test_the_summary_is_right(followed: tuple[Done, Path]) -> None:
     found = summary(followed[1])
     assert (found["frames"], found["tracked_share"], found["target"]) == (FRAMES, 1.0, "small van")
     assert found["status"] == {"tracking": FRAMES, "coasting": 0, "lost": 0}
-    ranges = [small_chase.truth(k)[2] for k in range(FRAMES)]
+    ranges = [tiny_chase.truth(k)[2] for k in range(FRAMES)]
     for name, value in (("min", min(ranges)), ("mean", np.mean(ranges)), ("max", max(ranges))):
         assert found["range_m"][name] == pytest.approx(value, rel=0.01)
     assert 0 < found["latency_s"]["median"] <= found["latency_s"]["p99"] <= found["latency_s"]["max"]
@@ -128,11 +128,11 @@ def test_again_it_gives_the_same(
 
 
 def test_it_begins_at_the_frame_of_the_start(clip: Path, tmp_path: Path) -> None:
-    change(clip, start=small_chase.start(12))
+    change(clip, start=tiny_chase.start(12))
     assert paceline("follow", clip, "-o", tmp_path / "out", "--no-overlay").returncode == 0
     track = rows(tmp_path / "out")
     assert [int(r["frame"]) for r in track] == list(range(12, FRAMES))
-    assert float(track[0]["z_m"]) == pytest.approx(small_chase.truth(12)[2], rel=0.01)
+    assert float(track[0]["z_m"]) == pytest.approx(tiny_chase.truth(12)[2], rel=0.01)
 
 
 def test_odometry_and_wheelbase_steer(clip: Path, tmp_path: Path) -> None:
@@ -173,7 +173,7 @@ def test_the_documents_loop_runs(
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == FRAMES
     last = re.fullmatch(r"1\.93 s: ([\d.]+) ± [\d.]+ m ahead, [-+][\d.]+ m to the right, .* ms", lines[-1])
-    assert float(last[1]) == pytest.approx(small_chase.truth(FRAMES - 1)[2], rel=0.01)
+    assert float(last[1]) == pytest.approx(tiny_chase.truth(FRAMES - 1)[2], rel=0.01)
 
 
 def test_every_key_and_column_is_documented() -> None:
@@ -195,9 +195,9 @@ class Broadcast:
         path = folder / "stream.mkv"
         with av.open(str(path), "w") as out:
             stream = out.add_stream("ffv1", rate=15)
-            stream.width, stream.height, stream.pix_fmt = *small_chase.SIZE, "gray"
+            stream.width, stream.height, stream.pix_fmt = *tiny_chase.SIZE, "gray"
             for k in range(frames):
-                out.mux(stream.encode(av.VideoFrame.from_ndarray(small_chase.picture(k), format="gray")))
+                out.mux(stream.encode(av.VideoFrame.from_ndarray(tiny_chase.picture(k), format="gray")))
             out.mux(stream.encode())
         self._content, self._pause = path.read_bytes(), pause
         path.unlink()
@@ -255,7 +255,7 @@ def test_ctrl_c_ends_a_live_stream_and_reports_it(clip: Path, tmp_path: Path) ->
 
 
 def test_ctrl_c_leaves_nothing_of_a_recording(tmp_path: Path) -> None:
-    clip = small_chase.write(tmp_path / "clip", 5).parent
+    clip = tiny_chase.write(tmp_path / "clip", 5).parent
     for k in range(5, 3000):  # long enough for the interrupt to come in time
         os.link(clip / "frames" / "0004.png", clip / "frames" / f"{k:04d}.png")
     status, stdout, stderr = interrupt(clip, tmp_path / "out", lambda: written(tmp_path) > 0)

@@ -6,7 +6,7 @@ import pytest
 from paceline.cameras import Camera
 from paceline.follow.continuity import ALOFT, LEAPT, Continuity, may_move, veers
 from paceline.follow.features import Projection
-from paceline.follow.target import Target
+from paceline.targets.line_model import Target
 
 FOCAL, CENTRE, NOMINAL = 300.0, (127.5, 120.5), 10.0
 CORNERS = np.array([[-0.9, -0.7], [0.9, -0.7], [0.9, 0.7], [-0.9, 0.7]])

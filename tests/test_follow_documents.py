@@ -7,22 +7,22 @@ from typing import Any
 
 import numpy as np
 import pytest
-import small_chase
+import tiny_chase
 import yaml
-from spoiled import changed
+from damaged_inputs import changed
 
-from paceline.documents import load_camera, load_follow, load_target
+from paceline.documents.loading import load_camera, load_follow, load_target
 from paceline.errors import UnusableInput
 
-FOLLOW = {"video": "frames", "rate": 15, "camera": "camera.yaml", "target": "target.yaml", "start": small_chase.start()}
+FOLLOW = {"video": "frames", "rate": 15, "camera": "camera.yaml", "target": "target.yaml", "start": tiny_chase.start()}
 SHARED = Path(__file__).parents[2] / "shared" / "data"
 
 
 @pytest.fixture(autouse=True)
 def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    put("camera", small_chase.CAMERA)
-    put("target", small_chase.TARGET)
+    put("camera", tiny_chase.CAMERA)
+    put("target", tiny_chase.TARGET)
     put("follow", FOLLOW)
 
 
@@ -44,7 +44,7 @@ def test_a_recording_is_read_whole() -> None:
     assert (clip.video, clip.rate, clip.bit_depth, clip.frame) == ("frames", 15, 12, 0)
     assert (clip.odometry, clip.wheelbase) == (Path("odometry.csv"), 2.7)
     assert clip.scale == pytest.approx(10 / 8.5)
-    np.testing.assert_allclose(clip.center, small_chase.start()["center"])
+    np.testing.assert_allclose(clip.center, tiny_chase.start()["center"])
     assert clip.camera.image_size == (256, 242)
     target = clip.target
     assert (target.name, target.nominal_range, len(target.corners)) == ("small van", 10.0, 10)
@@ -115,7 +115,7 @@ def test_corners_may_be_numbers() -> None:
     ],
 )
 def test_it_is_refused_naming_the_key(file: str, key: str, value: Any, words: list[str]) -> None:
-    documents = {"camera": small_chase.CAMERA, "target": small_chase.TARGET, "follow": FOLLOW}
+    documents = {"camera": tiny_chase.CAMERA, "target": tiny_chase.TARGET, "follow": FOLLOW}
     put(file, changed(documents[file], key, value))
     message = refusal()
     for word in words:
@@ -123,18 +123,18 @@ def test_it_is_refused_naming_the_key(file: str, key: str, value: Any, words: li
 
 
 def test_a_target_in_millimetres() -> None:
-    corners = {name: [1000 * x, 1000 * y] for name, (x, y) in small_chase.TARGET["corners"].items()}
-    put("target", small_chase.TARGET | {"corners": corners})
+    corners = {name: [1000 * x, 1000 * y] for name, (x, y) in tiny_chase.TARGET["corners"].items()}
+    put("target", tiny_chase.TARGET | {"corners": corners})
     assert "2000 m large; expected metres" in refusal()
 
 
 def test_rounding_in_a_file_is_not_oblique() -> None:
-    put("target", changed(small_chase.TARGET, "corners.b", [1.0, -0.752]))
+    put("target", changed(tiny_chase.TARGET, "corners.b", [1.0, -0.752]))
     assert len(load_target("target.yaml").segments) == 9
 
 
 def test_a_camera_is_what_stands_under_left_in_a_rig() -> None:
-    put("camera", small_chase.CAMERA | {"distortion": [-0.1, 0.02, 0.0, 0.0]})
+    put("camera", tiny_chase.CAMERA | {"distortion": [-0.1, 0.02, 0.0, 0.0]})
     assert load_camera("camera.yaml").has_distortion
 
 

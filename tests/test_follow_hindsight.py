@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from small_chase import SIZE, picture, start, truth, write
+from tiny_chase import SIZE, picture, start, truth, write
 
-from paceline.documents import FollowClip, load_follow
+from paceline.documents.loading import FollowClip, load_follow
 from paceline.errors import UnusableInput
 from paceline.follow import hindsight
 from paceline.follow.following import follow, follow_recording, tracker_for
@@ -20,7 +20,7 @@ from paceline.follow.hindsight import AGAIN, in_hindsight
 from paceline.follow.results import FollowEstimate
 from paceline.follow.start import BESIDE, CORRECTED, DOUBTED, UNTOLD
 from paceline.follow.tracker import FollowTracker
-from paceline.monocular import CameraFrame, CameraRecording, open_camera
+from paceline.recordings.monocular import CameraFrame, CameraRecording, open_camera
 
 Image = NDArray[np.uint8]
 

@@ -12,7 +12,7 @@ from paceline.follow.features import Projection
 from paceline.follow.fitting import Fit
 from paceline.follow.judgement import FEW, JUMPS, UNLIKE, UNSIZED, Foreseen, Found, judged
 from paceline.follow.measuring import Measurement
-from paceline.follow.target import Target
+from paceline.targets.line_model import Target
 
 CORNERS = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 CAMERA = Camera((256, 242), np.array([[300.0, 0.0, 127.5], [0.0, 300.0, 120.5], [0.0, 0.0, 1.0]]))

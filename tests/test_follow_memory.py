@@ -11,7 +11,7 @@ from paceline.follow.fitting import Fit, combined
 from paceline.follow.judgement import Foreseen
 from paceline.follow.memory import Memory
 from paceline.follow.snapshot import RIGHT, WITHIN
-from paceline.follow.target import Target
+from paceline.targets.line_model import Target
 
 CORNERS = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 CAMERA = Camera((256, 242), np.array([[300.0, 0.0, 127.5], [0.0, 300.0, 120.5], [0.0, 0.0, 1.0]]))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from paceline.follow.nested import SLIGHT, Nested, moves_of
-from paceline.follow.target import Target
+from paceline.targets.line_model import Target
 
 BOX = np.array([[-1.0, -0.9], [1.0, -0.9], [1.0, 0.9], [-1.0, 0.9]])
 RING = np.array([[0, 1], [1, 2], [2, 3], [3, 0]])

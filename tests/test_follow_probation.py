@@ -37,7 +37,7 @@ from paceline.follow.start import (
     Start,
     told,
 )
-from paceline.follow.target import Target
+from paceline.targets.line_model import Target
 
 SIZE = 100.0  # px at scale 1
 LINES = 8

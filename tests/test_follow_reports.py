@@ -12,20 +12,20 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-import small_chase
+import tiny_chase
 from test_reports import CHROMIUM, Page, browse
 
-from paceline.documents import FollowClip, load_follow
+from paceline.documents.loading import FollowClip, load_follow
 from paceline.follow.following import follow_recording
 from paceline.follow.hindsight import at_once
 from paceline.follow.history import History
 from paceline.follow.results import FollowEstimate
-from paceline.monocular import CameraFrame, CameraRecording
-from paceline.reports import follow_report
-from paceline.reports.follow_overlay import Stills, draw_frame
-from paceline.reports.follow_page import percent
-from paceline.reports.follow_plots import follow_plots
-from paceline.reports.follow_report import follow_and_report
+from paceline.recordings.monocular import CameraFrame, CameraRecording
+from paceline.reports.follow import report as follow_report
+from paceline.reports.follow.overlay import Stills, draw_frame
+from paceline.reports.follow.page import percent
+from paceline.reports.follow.plots import follow_plots
+from paceline.reports.follow.report import follow_and_report
 
 NAN = float("nan")
 FRAMES = 60
@@ -33,15 +33,15 @@ LOST = range(20, 30)
 
 
 def estimate(k: int, status: str = "tracking", reason: str = "") -> FollowEstimate:
-    x, y, z = position = small_chase.truth(k)
-    scale = small_chase.F / z
-    center = np.array([small_chase.CX + scale * x, small_chase.CY + scale * y])
+    x, y, z = position = tiny_chase.truth(k)
+    scale = tiny_chase.F / z
+    center = np.array([tiny_chase.CX + scale * x, tiny_chase.CY + scale * y])
     seen = status == "tracking"
-    corners = np.array(list(small_chase.TARGET["corners"].values()))
+    corners = np.array(list(tiny_chase.TARGET["corners"].values()))
     lines = center + scale * np.stack([corners[:4], np.roll(corners[:4], -1, axis=0)], axis=1)
     points = lines.mean(axis=1) if seen else np.zeros((0, 2))
     return FollowEstimate(
-        frame=k, time=k / 15, center=center, scale=float(small_chase.NOMINAL / z),
+        frame=k, time=k / 15, center=center, scale=float(tiny_chase.NOMINAL / z),
         weights=np.array([5.0, 6.0, 70.0]) if seen else np.zeros(3), position=position,
         position_std=np.array([0.01, 0.02, 0.03]), bearing=float(np.arctan2(x, z)), steering=0.02, status=status,
         reason=reason, residual=0.25 if seen else NAN, lines=lines, points=points,
@@ -65,7 +65,7 @@ class Feed:
 
     def read(self, start: int) -> Iterator[CameraFrame]:
         for k in range(start, FRAMES):
-            yield CameraFrame(k, k / 15, None if k == 22 else small_chase.picture(k))
+            yield CameraFrame(k, k / 15, None if k == 22 else tiny_chase.picture(k))
 
 
 @dataclass
@@ -78,7 +78,7 @@ class Prepared:
 
 @pytest.fixture(scope="module")
 def clip(tmp_path_factory: pytest.TempPathFactory) -> FollowClip:
-    return load_follow(small_chase.write(tmp_path_factory.mktemp("chase"), 2))
+    return load_follow(tiny_chase.write(tmp_path_factory.mktemp("chase"), 2))
 
 
 @pytest.fixture(scope="module")
@@ -128,7 +128,7 @@ def test_the_summary_is_exact(out: Path) -> None:
 
     found = json.loads((out / "summary.json").read_text(), parse_constant=refuse)
     tracked = [k for k in range(FRAMES) if k not in LOST]
-    ranges = [small_chase.truth(k)[2] for k in tracked]
+    ranges = [tiny_chase.truth(k)[2] for k in tracked]
     assert found["frames"] == FRAMES and found["tracked_share"] == len(tracked) / FRAMES
     assert found["status"] == {"tracking": 50, "coasting": 5, "lost": 5}
     assert found["reasons"] == {"too few lines": 10}
@@ -147,7 +147,7 @@ def test_the_page_is_complete_and_self_contained(out: Path) -> None:
     html = (out / "report.html").read_text()
     page = Page(html)
     text = " ".join(page.text.split())
-    ranges = [small_chase.truth(k)[2] for k in range(FRAMES) if k not in LOST]
+    ranges = [tiny_chase.truth(k)[2] for k in range(FRAMES) if k not in LOST]
     span = f"{min(ranges):.1f} to {max(ranges):.1f} m ahead"
     assert f"The small van was tracked in 83.3 % of 60 frames, over 3.9 s, {span}." in text
     assert "50 tracking, 5 coasting, 5 lost" in text
@@ -205,16 +205,16 @@ def test_plots_count_from_the_first_frame() -> None:
 
 
 def test_a_picture_shows_what_was_found() -> None:
-    image = small_chase.picture(5)
+    image = tiny_chase.picture(5)
     frame = CameraFrame(5, 5 / 15, image)
     plain = draw_frame(frame, image, replace(estimate(5, "lost"), lines=np.full((4, 2, 2), NAN)))
     drawn = draw_frame(frame, image, estimate(5))
     assert plain.shape == drawn.shape == (766, 768, 3)
     changed = np.abs(plain.astype(int) - drawn).max(axis=2) > 40
-    left, top, _, _ = small_chase.BOXES["body"][:4]
-    x, y, z = small_chase.truth(5)
-    u, v = (3 * (c + small_chase.F * (p + side) / z + 0.5) for c, p, side in (
-        (small_chase.CX, x, left), (small_chase.CY, y, top)))  # fmt: skip
+    left, top, _, _ = tiny_chase.BOXES["body"][:4]
+    x, y, z = tiny_chase.truth(5)
+    u, v = (3 * (c + tiny_chase.F * (p + side) / z + 0.5) for c, p, side in (
+        (tiny_chase.CX, x, left), (tiny_chase.CY, y, top)))  # fmt: skip
     assert changed[40 + int(v) + 20 : 40 + int(v) + 60, int(u) - 2 : int(u) + 2].any(axis=1).all()
 
 
@@ -245,7 +245,7 @@ def test_everything_is_kept_where_that_is_wanted() -> None:
 
 def test_stills_are_spread_over_the_run() -> None:
     stills = Stills()
-    image = small_chase.picture(0)
+    image = tiny_chase.picture(0)
     for k in range(500):
         stills.offer(image, estimate(k))
     frames = [s.frame for s in stills.kept]
@@ -255,14 +255,14 @@ def test_stills_are_spread_over_the_run() -> None:
 def test_stills_show_where_the_target_was_left() -> None:
     stills = Stills()
     for k in range(500):
-        stills.offer(small_chase.picture(0), estimate(k, "coasting" if 321 <= k < 330 else "tracking"))
+        stills.offer(tiny_chase.picture(0), estimate(k, "coasting" if 321 <= k < 330 else "tracking"))
     assert [s.caption for s in stills.kept if s.frame == 321] == ["coasting"]
 
 
 def test_memory_is_flat() -> None:
     """Ten times as many frames, each with a reason of its own, take no more."""
     history, stills = History(keep=200), Stills()
-    image = small_chase.picture(0)
+    image = tiny_chase.picture(0)
 
     def add(start: int, stop: int) -> int:
         for k in range(start, stop):
@@ -284,8 +284,8 @@ def test_memory_is_flat() -> None:
 
 def test_the_result_as_arrays(tmp_path: Path) -> None:
     """The Python API without files."""
-    result = follow_recording(small_chase.write(tmp_path / "clip", 12))
-    true = np.array([small_chase.truth(k) for k in range(12)])
+    result = follow_recording(tiny_chase.write(tmp_path / "clip", 12))
+    true = np.array([tiny_chase.truth(k) for k in range(12)])
     np.testing.assert_array_equal(result.frame, np.arange(12))
     assert result.status == ["tracking"] * 12
     np.testing.assert_allclose(result.position[:, 2], true[:, 2], rtol=0.01)

@@ -10,7 +10,7 @@ from paceline.cameras import Camera
 from paceline.follow import measuring_cpu, search_cpu
 from paceline.follow.appearance import Appearance
 from paceline.follow.search import Search
-from paceline.follow.target import Target
+from paceline.targets.line_model import Target
 
 VERTICAL = np.array([True, True, False, False, False])
 PLACES = np.array([-1.0, 1.0, -0.7, 0.1, 0.7])

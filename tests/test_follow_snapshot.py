@@ -11,7 +11,7 @@ from paceline.follow.fitting import Fit
 from paceline.follow.measuring import Measurement
 from paceline.follow.recognition import Look, Recogniser
 from paceline.follow.snapshot import AGES, APART, CLEAR, EVERY, HAND, MOST, OFF, STRIKING, WITHIN, Snapshot
-from paceline.follow.target import Target
+from paceline.targets.line_model import Target
 
 SIZE, CENTER = (256, 242), np.array([128.0, 130.0])
 PROJECTION = Projection(camera(SIZE, 300.0), TARGET)

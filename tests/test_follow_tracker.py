@@ -20,8 +20,8 @@ from paceline.follow.ranging import recorded
 from paceline.follow.search import Sighting
 from paceline.follow.snapshot import RIGHT
 from paceline.follow.steering import Pose
-from paceline.follow.target import Target
 from paceline.follow.tracker import FollowTracker, warm_up
+from paceline.targets.line_model import Target
 
 K = np.array([[300.0, 0.0, 127.5], [0.0, 300.0, 120.5], [0.0, 0.0, 1.0]])
 CAMERA = Camera((256, 242), K)

@@ -10,20 +10,20 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from calling import assert_one_line_error, paceline
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from run_command import assert_one_line_error, paceline
 
 from paceline.cameras import Camera, StereoRig
-from paceline.documents import load_clip
+from paceline.documents.loading import load_clip
 from paceline.errors import UnusableInput
-from paceline.lanes.alignment import Alignment
-from paceline.lanes.background import steady
-from paceline.lanes.proposing import Lane
-from paceline.lanes.site_file import lane_names, site_yaml, with_lanes
-from paceline.lanes.surface import Surface, plane_surface, viewing
-from paceline.speed.reconstruction import path_of
+from paceline.lanes.lane_proposals import Lane
+from paceline.lanes.road_alignment import Alignment
+from paceline.lanes.road_surface import Surface, plane_surface, viewing
+from paceline.lanes.site_yaml import lane_names, site_yaml, with_lanes
+from paceline.recordings.background import steady
+from paceline.speed.geometry.path_reconstruction import path_of
 
 Array = NDArray[np.float64]
 

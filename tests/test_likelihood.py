@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.ndimage import map_coordinates
 
-from paceline.speed import likelihood, pixels_cpu
-from paceline.speed.likelihood import PART_DISTANCE_CAP, SAMPLES, Grid
+from paceline.speed.filter import likelihood, patch_features_cpu
+from paceline.speed.filter.likelihood import PART_DISTANCE_CAP, SAMPLES, Grid
 
 PARTS = [4, 6, 8, 10, 12, 16]
 QUAD = np.array([[120.3, 90.7], [231.9, 98.2], [226.4, 150.1], [118.6, 141.8]])
@@ -87,7 +87,7 @@ def raw_features(left, right, quads_left, quads_right, grid):
     """What the kernel itself writes, (N, 2, parts, 16)."""
     H = np.stack([[to_quad(a), to_quad(b), to_quad(a)] for a, b in zip(quads_left, quads_right, strict=True)])
     features = np.empty((len(H), 2, grid.parts, 16), np.float32)
-    pixels_cpu.observe(
+    patch_features_cpu.observe(
         likelihood.pack(left),
         likelihood.pack(right),
         H.reshape(-1, 3, 9).astype(np.float32),
@@ -104,7 +104,7 @@ def raw_features(left, right, quads_left, quads_right, grid):
 def expected_ncc(left, right, quad_left, quad_right, cross, grid):
     u, v = sample_places(grid)
     H, crossed = to_quad(quad_left), cross @ to_quad(quad_left)
-    v = v[:: pixels_cpu.CROSS_ROWS]
+    v = v[:: patch_features_cpu.CROSS_ROWS]
     x, y = places = mapped(crossed, u, v)
     a, b, c = np.linalg.inv(to_quad(quad_right)) @ np.stack([x.ravel(), y.ravel(), np.ones(x.size)])
     inside = ((a / c > 0) & (a / c < 1) & (b / c > 0) & (b / c < 1)).reshape(x.shape)
@@ -197,7 +197,7 @@ def test_the_wavelets_are_orthonormal():
     rng = np.random.default_rng(2)
     blocks = rng.uniform(0, 4000, (8, 20)).astype(np.float32)
     features = np.empty((10, 16), np.float32)
-    pixels_cpu._wavelets(blocks, 5, features)
+    patch_features_cpu._wavelets(blocks, 5, features)
     for part in range(10):
         square = blocks[4 * (part // 5) :, 4 * (part % 5) :][:4, :4].astype(float)
         np.testing.assert_allclose(features[part], haar_matrix() @ square.ravel(), atol=0.01)
@@ -356,7 +356,7 @@ def test_impossible_regions_are_unlikely_and_do_no_harm():
     """Regions without area or with infinities happen to wild particles; memory must not be read at their places."""
     program = """if True:
         import numpy as np
-        from paceline.speed import likelihood
+        from paceline.speed.filter import likelihood
         image = np.random.default_rng(0).uniform(0, 255, (240, 360)).astype(np.float32)
         box = np.array([[120.0, 90.0], [220.0, 90.0], [220.0, 130.0], [120.0, 130.0]])
         wild = [box, 0 * box + 100, box[[0, 1, 1, 0]], 1e30 * box, 1e39 * box, np.nan * box, box + [np.inf, 0.0],
@@ -377,7 +377,7 @@ def test_impossible_regions_are_unlikely_and_do_no_harm():
 def test_no_region_however_wild_is_read_outside_the_image():
     program = """if True:
         import numpy as np
-        from paceline.speed import likelihood
+        from paceline.speed.filter import likelihood
         rng = np.random.default_rng(0)
         image = rng.uniform(0, 255, (240, 360)).astype(np.float32)
         box = np.array([[120.0, 90.0], [220.0, 90.0], [220.0, 130.0], [120.0, 130.0]])

@@ -21,8 +21,8 @@ from selection import slow_after
 
 import paceline
 from paceline import cli
-from paceline.simulation.planar import Scene, Vehicle, random_crossing, render, write
-from paceline.speed.reconstruction import path_of
+from paceline.simulation.stereo.clip import Scene, Vehicle, random_crossing, render, write
+from paceline.speed.geometry.path_reconstruction import path_of
 
 Array = NDArray[np.float64]
 Images = list[NDArray[Any]]

@@ -10,9 +10,9 @@ from types import ModuleType
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from small_road import scene
+from tiny_road import scene
 
-from paceline.simulation.planar import Vehicle, World
+from paceline.simulation.stereo.clip import Vehicle, World
 
 FRAME = 0
 

@@ -12,14 +12,8 @@ from selection import slow_after
 
 from paceline.cameras import Camera, StereoRig
 from paceline.errors import UnusableInput
-from paceline.speed.paths import (
-    Path,
-    from_points,
-    level_frames,
-    plucker_line,
-    reconstruct_line,
-)
-from paceline.speed.reconstruction import reconstruct, reconstruct_curve
+from paceline.speed.geometry.path_reconstruction import reconstruct, reconstruct_curve
+from paceline.speed.geometry.paths import Path, from_points, level_frames, plucker_line, reconstruct_line
 
 LINE_POINTS = 20
 CURVE_POINTS = 22

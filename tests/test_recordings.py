@@ -13,10 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from paceline.cameras import Camera, StereoRig
-from paceline.documents import Clip
+from paceline.documents.loading import Clip
 from paceline.errors import UnusableInput
-from paceline.recordings import open_recording, pair_by_time
-from paceline.sources import open_source
+from paceline.recordings.image_sources import open_source
+from paceline.recordings.stereo import open_recording, pair_by_time
 
 W, H = 64, 48
 K = np.array([[100.0, 0, 31.5], [0, 100.0, 23.5], [0, 0, 1]])

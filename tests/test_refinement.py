@@ -20,18 +20,28 @@ from scipy.stats import binom, chi2
 from selection import slow_after
 
 from paceline.cameras import RigUncertainty, moved_rig
-from paceline.documents import Clip, load_clip
-from paceline.simulation.planar import LaneChange, Scene, Vehicle, random_crossing, random_scene, render, write
-from paceline.speed import bands_cpu, drift
-from paceline.speed.bands import OPTICS, STRIPS, WHOLE, Band, Glimpse, Layout, _derivatives, areas, bands_of
+from paceline.documents.loading import Clip, load_clip
+from paceline.simulation.stereo.clip import LaneChange, Scene, Vehicle, random_crossing, random_scene, render, write
 from paceline.speed.configuration import SpeedConfiguration
-from paceline.speed.fit import FIRM, GAMMAS, LAYOUTS, Fit
-from paceline.speed.free_rig import FreeRig, held
 from paceline.speed.measurement import measure_clip
-from paceline.speed.refinement import Refined, refine
+from paceline.speed.refinement import pyramid_cpu, view_dependence
+from paceline.speed.refinement.model_selection import Refined, refine
+from paceline.speed.refinement.photometric_fit import FIRM, GAMMAS, LAYOUTS, Fit
+from paceline.speed.refinement.pyramid import (
+    OPTICS,
+    STRIPS,
+    WHOLE,
+    Band,
+    Glimpse,
+    Layout,
+    _derivatives,
+    areas,
+    bands_of,
+)
+from paceline.speed.refinement.robust_covariance import LEAST_LEFT
+from paceline.speed.refinement.self_calibration import FreeRig, held
+from paceline.speed.refinement.trajectory import NAMES, Prior, Trajectory
 from paceline.speed.results import Measurement
-from paceline.speed.scatter import LEAST_LEFT
-from paceline.speed.trajectory import NAMES, Prior, Trajectory
 from paceline.speed.verdict import STRAYED
 
 MPH = 0.44704  # m/s
@@ -521,7 +531,7 @@ def test_the_compiled_loops_are_what_they_say() -> None:
     last = rng.standard_normal((V, K, m))
     M = np.zeros((V, K, 9 + S + 1, m), np.float32)
     M[:, :, -1] = last
-    bands_cpu.linearise(x, z, B, places, g, H_d, strips.astype(np.float32), free_of.astype(np.float32), M)
+    pyramid_cpu.linearise(x, z, B, places, g, H_d, strips.astype(np.float32), free_of.astype(np.float32), M)
     expected = np.zeros(M.shape)
     for v in range(V):
         slope = np.einsum("dn,dcn->cn", g, np.linalg.inv(B[v].transpose(2, 0, 1)).transpose(1, 2, 0)) / z[v]
@@ -537,7 +547,7 @@ def test_the_compiled_loops_are_what_they_say() -> None:
     dH, w, r = rng.standard_normal((V, P, 9)), rng.uniform(0, 1, (V, K)), rng.standard_normal((V, K, m))
     A, score = np.empty((V, K, P + 1 + S, P + 1 + S)), np.empty((V, K, P + 1 + S))
     white = np.sqrt(w.T)[:, :, None] * (np.eye(V) - (w / w.sum(0)).T[:, None])  # about the weighted mean of the views
-    bands_cpu.normal_equations(*(a.astype(np.float32, "C") for a in (M, dH, white, r.swapaxes(0, 1))), A, score)
+    pyramid_cpu.normal_equations(*(a.astype(np.float32, "C") for a in (M, dH, white, r.swapaxes(0, 1))), A, score)
     r = r - np.einsum("vk,vkm->km", w / w.sum(0), r)
     by_motion = np.einsum("vph,vkhm->vkpm", dH, expected[:, :, :9])
     J = np.concatenate([by_motion, expected[:, :, -1:], expected[:, :, 9:-1]], axis=2)
@@ -736,8 +746,10 @@ def test_what_a_fit_tells_of_its_rig_is_how_it_follows_when_that_is_moved(
     assert told is not None
     mean = fit.trajectory.mean_speed_shares
     weighing: dict[tuple[int, ...], NDArray[np.float64]] = {}
-    whitened = drift.whitened
-    monkeypatch.setattr(drift, "whitened", lambda r, *given: weighing.setdefault(r.shape, whitened(r, *given)))
+    whitened = view_dependence.whitened
+    monkeypatch.setattr(
+        view_dependence, "whitened", lambda r, *given: weighing.setdefault(r.shape, whitened(r, *given))
+    )
     monkeypatch.setattr(Band, "_reweigh", lambda *_: None)
     assert fit._drifts
     fit._assemble()
@@ -769,7 +781,7 @@ def test_what_is_told_of_the_rig_is_of_the_motion_that_is_reported(
         seen.append(refine(*given))
         return seen[-1]
 
-    monkeypatch.setattr("paceline.speed.vehicle_run.refine", refined)
+    monkeypatch.setattr("paceline.speed.run.refine", refined)
     (m,) = measure_clip(replace(clip, rig=replace(clip.rig, uncertainty=known))).measurements
     fit, shares = seen[-1].rig_fit, seen[-1].trajectory.mean_speed_shares
     assert fit is not None and m.rig is not None

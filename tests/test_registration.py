@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from paceline.simulation.planar import Scene, Vehicle, World, render
-from paceline.speed import registration_cpu
-from paceline.speed.likelihood import Grid
-from paceline.speed.registration import PlaneGrid, register, sample
+from paceline.simulation.stereo.clip import Scene, Vehicle, World, render
+from paceline.speed.filter import registration_cpu
+from paceline.speed.filter.likelihood import Grid
+from paceline.speed.filter.registration import PlaneGrid, register, sample
 
 FRAMES = 4
 

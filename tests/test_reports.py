@@ -22,9 +22,9 @@ import numpy as np
 import pytest
 
 from paceline.errors import UnusableInput
-from paceline.recordings import StereoFrame
+from paceline.recordings.stereo import StereoFrame
 from paceline.reports import OutputFolder, write_report
-from paceline.reports.wording import advice, shown_speed, speed_at, speed_words
+from paceline.reports.common.formatting import advice, shown_speed, speed_at, speed_words
 from paceline.speed.results import ClipResult, Measurement, PathDrawing, Track
 
 NAN = float("nan")
@@ -207,7 +207,7 @@ def test_wide_pictures_are_scaled(result: ClipResult, tmp_path: Path) -> None:
 
 
 def test_a_missing_encoder_is_told(result: ClipResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("paceline.reports.video.CODECS", ["no-such-encoder"])
+    monkeypatch.setattr("paceline.reports.common.video.CODECS", ["no-such-encoder"])
     written = write_report(result, Recording(), tmp_path / "out")
     assert any("no H.264 encoder" in notice for notice in written.notices)
     assert "no H.264 encoder" in (tmp_path / "out" / "report.html").read_text()
@@ -397,7 +397,7 @@ def test_interrupt_while_files_change_places(tmp_path: Path, monkeypatch: pytest
         signal.raise_signal(signal.SIGINT)
         replace_file(source, target)
 
-    monkeypatch.setattr("paceline.reports.output.os.replace", interrupted)
+    monkeypatch.setattr("paceline.reports.common.output_folder.os.replace", interrupted)
     with pytest.raises(KeyboardInterrupt), OutputFolder(tmp_path / "out") as folder:
         (folder / "a").write_text("new")
         (folder / "b").write_text("new")

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from paceline.simulation.planar import Scene, Vehicle, render, write
+from paceline.simulation.stereo.clip import Scene, Vehicle, render, write
 
 ROOT = Path(__file__).parents[1]
 BENCHMARKS = ROOT / "benchmarks"

@@ -9,15 +9,15 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from calling import paceline
+from run_command import paceline
 from selection import slow_after
 
-from paceline.calibration import checking
-from paceline.calibration.checking import check, clustered_covariance, enough, refine, turned
-from paceline.calibration.scene import TILE, Matches, match_scene
+from paceline.calibration import rig_check
+from paceline.calibration.rig_check import check, clustered_covariance, enough, refine, turned
+from paceline.calibration.scene_matches import TILE, Matches, match_scene
 from paceline.cameras import RigUncertainty, StereoRig, moved_rig
-from paceline.documents import load_recorded, load_rig
-from paceline.recordings import open_recording
+from paceline.documents.loading import load_recorded, load_rig
+from paceline.recordings.stereo import open_recording
 
 ROOT = Path(__file__).parents[1]
 EXAMPLE = ROOT / "examples" / "straight"
@@ -72,7 +72,7 @@ def test_a_rig_that_was_knocked_is_found_and_set_right(rig: StereoRig, degrees: 
         assert off[1] < 4  # the pan, which the scene hardly shows, is stated to be as unsure as it is
         assert (better.from_scene[[0, 2]] > 0.8).all()
         assert better.std[1] > 5 * better.std[0]
-        assert better.effects[1].along > 3 * checking.speed_effects(file)[1].along
+        assert better.effects[1].along > 3 * rig_check.speed_effects(file)[1].along
 
 
 def test_the_turn_is_that_of_the_covariance(rig: StereoRig) -> None:

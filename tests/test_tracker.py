@@ -12,13 +12,13 @@ import pytest
 from numpy.typing import NDArray
 from selection import slow_after
 
-from paceline.documents import Clip, load_clip
-from paceline.recordings import StereoFrame, open_recording
-from paceline.simulation.planar import Scene, Vehicle, render, write
+from paceline.documents.loading import Clip, load_clip
+from paceline.recordings.stereo import StereoFrame, open_recording
+from paceline.simulation.stereo.clip import Scene, Vehicle, render, write
 from paceline.speed.configuration import SpeedConfiguration
-from paceline.speed.paths import Path
-from paceline.speed.reconstruction import path_of
-from paceline.speed.tracker import PATIENCE, Estimate, Tracker
+from paceline.speed.filter.tracker import PATIENCE, Estimate, Tracker
+from paceline.speed.geometry.path_reconstruction import path_of
+from paceline.speed.geometry.paths import Path
 
 Array = NDArray[np.float64]
 

@@ -10,10 +10,10 @@ from scipy.integrate import quad
 from scipy.stats import norm
 
 from paceline.cameras import Camera, StereoRig
-from paceline.speed import refinement, trajectory
-from paceline.speed.paths import DRIVEN, from_points, resampled
-from paceline.speed.planes import FirstPlane
-from paceline.speed.trajectory import EXTRAS, INDEX, NAMES, Bends, Prior, Trajectory, bends, prior
+from paceline.speed.geometry.initial_plane import FirstPlane
+from paceline.speed.geometry.paths import DRIVEN, from_points, resampled
+from paceline.speed.refinement import model_selection, trajectory
+from paceline.speed.refinement.trajectory import EXTRAS, INDEX, NAMES, Bends, Prior, Trajectory, bends, prior
 
 K = np.array([[2000.0, 0, 511.5], [0, 2000.0, 383.5], [0, 0, 1]])
 RIG = StereoRig(Camera((1024, 768), K), Camera((1024, 768), K), np.eye(3), np.array([-0.5, 0, 0]))
@@ -195,5 +195,5 @@ def test_the_evidence_is_the_ratio_of_marginal_likelihoods(value, spread, held):
 
     under_narrow = marginal(held) if held else norm.pdf(value, 0, spread)
     expected = np.log(marginal(wide) / under_narrow)
-    found = refinement.Fit._log_evidence(fit, "acceleration", narrower, 1.0)
+    found = model_selection.Fit._log_evidence(fit, "acceleration", narrower, 1.0)
     assert found == pytest.approx(expected, abs=2e-3)

@@ -18,13 +18,13 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-import small_chase
+import tiny_chase
 import yaml
-from calling import COMMAND, ENVIRONMENT, Done, assert_one_line_error, paceline
+from run_command import COMMAND, ENVIRONMENT, Done, assert_one_line_error, paceline
 
 from paceline.cameras import Camera
-from paceline.live_views import HELD, SETTLING, _paired, _View
-from paceline.monocular import CameraFrame, CameraRecording
+from paceline.recordings.live_stereo import HELD, SETTLING, _paired, _View
+from paceline.recordings.monocular import CameraFrame, CameraRecording
 
 SIZE = WIDTH, HEIGHT = 64, 48
 DAMAGED = 0x40  # V4L2_BUF_FLAG_ERROR
@@ -35,7 +35,7 @@ import json, signal, sys, time
 from dataclasses import dataclass
 from pathlib import Path
 import numpy as np
-from paceline import monocular
+from paceline.recordings.stereo import monocular
 from paceline.cameras import Camera, StereoRig
 
 monocular.OPENING = 1.0
@@ -79,7 +79,7 @@ except KeyboardInterrupt:
     Path(sys.argv[1]).write_text(json.dumps(time.monotonic() - begun))
 """
 PAIRS = """
-from paceline.live_views import LiveViews
+from paceline.recordings.live_stereo import LiveViews
 views = LiveViews(Clip(addresses=sys.argv[2:]))
 time.sleep(0.3)
 pairs = [[pair.time, pair.skew, int(pair.left[0, 0]), int(pair.right[0, 0])] for pair in views]
@@ -282,12 +282,12 @@ def test_clocks_are_compared_once_nothing_waits_any_more() -> None:
 
 def test_following_by_a_device_is_following_the_recording(driver: Path, tmp_path: Path) -> None:
     count = 20
-    follow = small_chase.write(tmp_path / "clip", count)
+    follow = tiny_chase.write(tmp_path / "clip", count)
     video = plug_in(
         tmp_path / "video0",
-        images=[small_chase.picture(k) for k in range(count)],
+        images=[tiny_chase.picture(k) for k in range(count)],
         times=np.arange(count) / 15,
-        size=small_chase.SIZE,
+        size=tiny_chase.SIZE,
         more=["rate 15"],
     )
     assert paceline("follow", follow, "-o", tmp_path / "files", "--no-overlay").returncode == 0
@@ -308,7 +308,7 @@ def test_following_by_a_device_is_following_the_recording(driver: Path, tmp_path
 
 
 def test_the_command_ends_in_one_line_without_a_camera(driver: Path, tmp_path: Path) -> None:
-    follow = small_chase.write(tmp_path / "clip", 1)
+    follow = tiny_chase.write(tmp_path / "clip", 1)
     video = plug_in(tmp_path / "video0", more=[f"fails S_FMT {errno.EBUSY}"])
     follow.write_text(yaml.safe_dump(yaml.safe_load(follow.read_text()) | {"video": str(video)}))
     done = with_driver(driver, [*COMMAND, "follow", follow, "-o", tmp_path / "out"])

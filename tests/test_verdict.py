@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.stats import f
 
-from paceline.speed.refinement import Refined
+from paceline.speed.refinement.model_selection import Refined
+from paceline.speed.refinement.trajectory import Trajectory
 from paceline.speed.results import Measurement, Track
-from paceline.speed.trajectory import Trajectory
 from paceline.speed.verdict import (
     FAINT,
     LEAST_FRAMES,

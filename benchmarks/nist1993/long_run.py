@@ -11,9 +11,9 @@ from matplotlib.figure import Figure
 from zhu2012 import drawing
 from zhu2012.items import Item, Numbers, image, run_alone
 
-from paceline.simulation.driving.judging import Figures, judged
-from paceline.simulation.driving.loop import ClosedLoop
-from paceline.simulation.driving.scenes import scene_named
+from paceline.simulation.closed_loop.drive_yaml import scene_named
+from paceline.simulation.closed_loop.loop import ClosedLoop
+from paceline.simulation.closed_loop.requirements import Figures, judged
 
 SETTINGS: Numbers = {"scene": "long", "seed": 100}
 EVERY = 15  # frames of the plots: one a second

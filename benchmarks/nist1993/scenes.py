@@ -16,7 +16,7 @@ from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.results import FollowEstimate
 from paceline.follow.steering import Pose
 from paceline.follow.tracker import FollowTracker
-from paceline.simulation.following import ChaseScene, ChaseTruth, render_frames
+from paceline.simulation.chase.clip import ChaseScene, ChaseTruth, render_frames
 
 Image = NDArray[np.uint8]
 

@@ -13,9 +13,9 @@ from zhu2012.items import Numbers, image, run_alone
 from nist1993 import scenes
 from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.edges import EdgeExtractor
-from paceline.reports.drawing import draw_line, scaled
-from paceline.reports.plots import VEHICLES
-from paceline.simulation.following import random_chase
+from paceline.reports.common.drawing import draw_line, scaled
+from paceline.reports.speed.plots import VEHICLES
+from paceline.simulation.chase.clip import random_chase
 
 SETTINGS: Numbers = {"seed": 907, "kind": "van", "gap": [6.0, 10.0], "bounce": 2.0, "shadows": 0.4, "frame": 40}
 VIEW = (384, 363)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from paceline.cameras import Camera
-from paceline.follow.target import Target
+from paceline.targets.line_model import Target
 
 SOURCE = Path(__file__).with_suffix(".cpp")
 

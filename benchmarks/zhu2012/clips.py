@@ -12,12 +12,12 @@ from common import MPH, Array, Rows, guessed, read_truth, rows_of
 
 from paceline import load_clip, open_recording
 from paceline.cameras import StereoRig
-from paceline.documents import Clip, PathDocument
-from paceline.recordings import StereoFrame
+from paceline.documents.loading import Clip, PathDocument
+from paceline.recordings.stereo import StereoFrame
 from paceline.speed.configuration import SpeedConfiguration
-from paceline.speed.paths import Path
-from paceline.speed.reconstruction import path_of
-from paceline.speed.tracker import Estimate, Tracker
+from paceline.speed.filter.tracker import Estimate, Tracker
+from paceline.speed.geometry.path_reconstruction import path_of
+from paceline.speed.geometry.paths import Path
 from zhu2012.items import clip_folder
 
 BEYOND = 30.0  # m by which the true way is carried on straight at both ends

@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from paceline.reports.drawing import (
+from paceline.reports.common.drawing import (
     DARK,
     WHITE,
     Color,
@@ -23,7 +23,7 @@ from paceline.reports.drawing import (
     scaled,
     text_width,
 )
-from paceline.reports.plots import STYLE
+from paceline.reports.speed.plots import STYLE
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from common import MPH, head, row
 
-from paceline.speed.likelihood import Grid
+from paceline.speed.filter.likelihood import Grid
 from zhu2012 import clips, drawing, figures, methods
 from zhu2012.items import Item, Numbers, image, run_alone
 

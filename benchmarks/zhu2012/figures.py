@@ -12,7 +12,7 @@ from common import Array, head, row
 from matplotlib.figure import Figure
 
 from paceline.baselines.disparity import Rectification
-from paceline.recordings import StereoFrame
+from paceline.recordings.stereo import StereoFrame
 from zhu2012 import drawing
 from zhu2012.clips import loaded
 from zhu2012.methods import Run

@@ -128,8 +128,8 @@ def run_alone(item: Item) -> None:
 
 def clip_folder(name: str) -> Path:
     """The rendered clip of a named scene; rendered first where it is missing or the scene has changed since."""
-    from paceline.simulation.rendered import chases, clips
-    from paceline.simulation.rendered.named import follow_scene, speed_scene
+    from paceline.simulation.raytraced import chase_clip, stereo_clip
+    from paceline.simulation.raytraced.named_scenes import follow_scene, speed_scene
 
     scene, folder = speed_scene(name) or follow_scene(name), BUILD / "clips" / name
     assert scene is not None, name
@@ -138,7 +138,7 @@ def clip_folder(name: str) -> Path:
             return folder
         shutil.rmtree(folder)
     print(f"rendering {name}", flush=True)
-    write = clips.write if scene.kind == "speed" else chases.write
+    write = stereo_clip.write if scene.kind == "speed" else chase_clip.write
     write(scene, folder)  # type: ignore[arg-type]
     return folder
 

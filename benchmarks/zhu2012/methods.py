@@ -9,10 +9,10 @@ import numpy as np
 from common import MPH, measured, rms
 
 from paceline import open_recording
-from paceline.baselines.measurement import measure as measure_by
+from paceline.baselines.registry import measure as measure_by
 from paceline.speed.configuration import SpeedConfiguration
+from paceline.speed.filter.tracker import Estimate
 from paceline.speed.results import Measurement, Track
-from paceline.speed.tracker import Estimate
 from zhu2012.clips import Loaded, filtered, loaded
 
 DOTS = 200  # particles kept for a picture at most

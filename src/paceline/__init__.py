@@ -9,18 +9,18 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from paceline.documents import load_clip, load_follow, load_rig
+    from paceline.documents.loading import load_clip, load_follow, load_rig
     from paceline.errors import UnusableInput
     from paceline.follow.configuration import FollowConfiguration
     from paceline.follow.following import follow_recording, tracker_for
     from paceline.follow.tracker import FollowTracker
-    from paceline.monocular import open_camera
-    from paceline.recordings import open_recording
+    from paceline.recordings.monocular import open_camera
+    from paceline.recordings.stereo import open_recording
     from paceline.reports import write_report
-    from paceline.reports.follow_report import follow_and_report
+    from paceline.reports.follow.report import follow_and_report
     from paceline.speed.configuration import SpeedConfiguration
-    from paceline.speed.tracker import Tracker
-    from paceline.vehicles.measuring import measure_clip as measure
+    from paceline.speed.filter.tracker import Tracker
+    from paceline.survey.recording import measure_clip as measure
 
 __version__ = "0.1.0"
 __all__ = [
@@ -45,16 +45,16 @@ _HOMES = {
     "FollowConfiguration": ("paceline.follow.configuration", "FollowConfiguration"),
     "FollowTracker": ("paceline.follow.tracker", "FollowTracker"),
     "SpeedConfiguration": ("paceline.speed.configuration", "SpeedConfiguration"),
-    "Tracker": ("paceline.speed.tracker", "Tracker"),
+    "Tracker": ("paceline.speed.filter.tracker", "Tracker"),
     "UnusableInput": ("paceline.errors", "UnusableInput"),
-    "follow_and_report": ("paceline.reports.follow_report", "follow_and_report"),
+    "follow_and_report": ("paceline.reports.follow.report", "follow_and_report"),
     "follow_recording": ("paceline.follow.following", "follow_recording"),
-    "load_clip": ("paceline.documents", "load_clip"),
-    "load_follow": ("paceline.documents", "load_follow"),
-    "load_rig": ("paceline.documents", "load_rig"),
-    "measure": ("paceline.vehicles.measuring", "measure_clip"),
-    "open_camera": ("paceline.monocular", "open_camera"),
-    "open_recording": ("paceline.recordings", "open_recording"),
+    "load_clip": ("paceline.documents.loading", "load_clip"),
+    "load_follow": ("paceline.documents.loading", "load_follow"),
+    "load_rig": ("paceline.documents.loading", "load_rig"),
+    "measure": ("paceline.survey.recording", "measure_clip"),
+    "open_camera": ("paceline.recordings.monocular", "open_camera"),
+    "open_recording": ("paceline.recordings.stereo", "open_recording"),
     "tracker_for": ("paceline.follow.following", "tracker_for"),
     "write_report": ("paceline.reports", "write_report"),
 }

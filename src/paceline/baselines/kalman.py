@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from paceline.baselines.sift import Sift, centroid_covariance
-from paceline.baselines.tracks import Sight, filtered, rejected
+from paceline.baselines.track import Sight, filtered, rejected
 from paceline.cameras import StereoRig
-from paceline.documents import VehicleDocument
+from paceline.documents.loading import VehicleDocument
 from paceline.geometry import triangulate
-from paceline.recordings import StereoFrame
+from paceline.recordings.stereo import StereoFrame
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.results import Measurement
 

@@ -13,16 +13,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from paceline.baselines import flow, smoothing
-from paceline.baselines.alignment import align
-from paceline.baselines.regions import Move, Regions, move_between
-from paceline.baselines.tracks import NO_TEXTURE, MeanSpeed, Sight, judged, rejected, too_few, unseen
-from paceline.baselines.triangulation import covariance
+from paceline.baselines import optical_flow, polynomial_track
+from paceline.baselines.rigid_alignment import align
+from paceline.baselines.template_tracking import Move, Regions, move_between
+from paceline.baselines.track import NO_TEXTURE, MeanSpeed, Sight, judged, rejected, too_few, unseen
+from paceline.baselines.triangulation_covariance import covariance
 from paceline.cameras import StereoRig
-from paceline.documents import VehicleDocument
+from paceline.documents.loading import VehicleDocument
 from paceline.geometry import epipolar_distance, triangulate
-from paceline.recordings import StereoFrame
-from paceline.speed.paths import level_frames
+from paceline.recordings.stereo import StereoFrame
+from paceline.speed.geometry.paths import level_frames
 from paceline.speed.results import Measurement
 
 Array = NDArray[np.float64]
@@ -93,14 +93,14 @@ class LucasKanade:
         assert self._regions is not None
         key, expected = self._key, [m(q) for m, q in zip(moves, self._regions.quads, strict=True)]
         left_move, right_move = (move_between(a, b) for a, b in zip(key.quads, expected, strict=True))
-        window = flow.window_for(expected[0])
-        left, good = flow.tracked(key.images[0], frame.left, key.matches.left, left_move, window)
+        window = optical_flow.window_for(expected[0])
+        left, good = optical_flow.tracked(key.images[0], frame.left, key.matches.left, left_move, window)
         good &= self._together(key.matches.left, left, good)
         if good.sum() < LEAST_POINTS:
             return None
         from_key = key.matches.chosen(good)
         left = left[good]
-        right, good = flow.matched(frame.left, frame.right, left, right_move(from_key.right), window)
+        right, good = optical_flow.matched(frame.left, frame.right, left, right_move(from_key.right), window)
         good &= self._plausible(left, right, good)
         if good.sum() < LEAST_POINTS:
             return None
@@ -118,12 +118,12 @@ class LucasKanade:
 
     def _with_new_points(self, frame: StereoFrame, matches: _Matches, quads: Array) -> _Matches:
         """``matches`` and what new corners in the regions ``quads`` (2, 4, 2) add to them."""
-        new = flow.corners(frame.left, quads[0], matches.left)
+        new = optical_flow.corners(frame.left, quads[0], matches.left)
         if not len(new):
             return matches
         across = cv2.getPerspectiveTransform(quads[0].astype(np.float32), quads[1].astype(np.float32))
         guess = np.asarray(cv2.perspectiveTransform(new[:, None], across), float)[:, 0]
-        right, good = flow.matched(frame.left, frame.right, new, guess, flow.window_for(quads[0]))
+        right, good = optical_flow.matched(frame.left, frame.right, new, guess, optical_flow.window_for(quads[0]))
         good &= self._plausible(new, right, good)
         number = self._next + np.arange(int(good.sum()))
         self._next += len(number)
@@ -198,7 +198,7 @@ class LucasKanade:
         mean = MeanSpeed(speed, std, GROUPS - 1, way.model, speeds, stds)
         return judged(name, self.sights, mean)
 
-    def _fit(self) -> tuple[smoothing.Way, dict[int, Array], list[float]]:
+    def _fit(self) -> tuple[polynomial_track.Way, dict[int, Array], list[float]]:
         """The way through the aligned places, these by row of the sights, and the mean speeds that follow when one
         group of points after the other is left out (a jackknife)."""
         chosen = np.unique(np.linspace(0, len(self._seen) - 1, min(len(self._seen), MOST_FRAMES)).round().astype(int))
@@ -215,7 +215,7 @@ class LucasKanade:
         turns = np.tile(np.eye(3), (len(rows), 1, 1))
         for _ in range(PASSES):
             aligned = align(points, seen, turns, places)
-            way = smoothing.way_through(times, aligned.places, aligned.covariance)
+            way = polynomial_track.way_through(times, aligned.places, aligned.covariance)
             if way.degree == 1:
                 break
             frames = level_frames(way.velocities(times))
@@ -224,7 +224,7 @@ class LucasKanade:
         for group in range(GROUPS):
             kept = np.arange(len(seen)) % GROUPS != group
             some = align(points[kept], seen[kept], turns, aligned.places)
-            groups.append(smoothing.way_through(times, some.places, some.covariance, way.degree).mean_speed()[0])
+            groups.append(polynomial_track.way_through(times, some.places, some.covariance, way.degree).mean_speed()[0])
         return way, dict(zip(rows, aligned.places, strict=True)), groups
 
 
@@ -245,7 +245,7 @@ class _Matches:
 class _Key:
     """A frame from which points are tracked: its images, the regions (2, 4, 2) and the points there."""
 
-    images: tuple[flow.Image, flow.Image]
+    images: tuple[optical_flow.Image, optical_flow.Image]
     quads: Array
     matches: _Matches
 

@@ -13,19 +13,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from paceline.baselines import cues
+from paceline.baselines import image_cues
 from paceline.baselines.disparity import DepthMap, Rectification
-from paceline.baselines.regions import PATIENCE, Regions
-from paceline.baselines.tracks import NO_TEXTURE, Sight, filtered, rejected, too_few, unseen
-from paceline.baselines.triangulation import covariance
+from paceline.baselines.template_tracking import PATIENCE, Regions
+from paceline.baselines.track import NO_TEXTURE, Sight, filtered, rejected, too_few, unseen
+from paceline.baselines.triangulation_covariance import covariance
 from paceline.cameras import StereoRig
-from paceline.documents import VehicleDocument
+from paceline.documents.loading import VehicleDocument
 from paceline.geometry import triangulate
-from paceline.recordings import StereoFrame
+from paceline.recordings.stereo import StereoFrame
 from paceline.speed.configuration import SpeedConfiguration
-from paceline.speed.particles import Weights, resample
-from paceline.speed.paths import Path, level_frames
-from paceline.speed.planes import first_plane
+from paceline.speed.filter.resampling import Weights, resample
+from paceline.speed.geometry.initial_plane import first_plane
+from paceline.speed.geometry.paths import Path, level_frames
 from paceline.speed.results import Measurement
 
 Array = NDArray[np.float64]
@@ -177,7 +177,7 @@ class Multimodal:
     def _seen_at(self, places: Array, axes: Array, depths: DepthMap) -> Array:
         """Histograms (N, BINS) of the boxes at ``places`` (N, 3)."""
         boxes = self.rectified.project(self._boxes(places, axes)) - depths.low
-        return cues.histograms(cues.picked(depths.grey, cues.inside(boxes)))
+        return image_cues.histograms(image_cues.picked(depths.grey, image_cues.inside(boxes)))
 
     def _log_likelihood(self, places: Array, axes: Array, depths: DepthMap) -> Array:
         """Logarithms (N,) of the likelihoods of grey levels, edges and depth at ``places`` (N, 3).
@@ -185,13 +185,13 @@ class Multimodal:
         Depth counts by how much of it the disparity map holds.
         """
         boxes = self.rectified.project(self._boxes(places, axes)) - depths.low
-        grey = LAMBDA_GREY * (cues.likeness(self._seen_at(places, axes, depths), self._reference) - 1)
-        strength = cues.edge_strengths(cues.slopes(depths.grey), boxes)
+        grey = LAMBDA_GREY * (image_cues.likeness(self._seen_at(places, axes, depths), self._reference) - 1)
+        strength = image_cues.edge_strengths(image_cues.slopes(depths.grey), boxes)
         edge = LAMBDA_EDGE * (strength / max(float(strength.max()), 1e-9) - 1)
         # depth along the plane's normal is the same all over the plane, however it is turned
-        normal, inside = axes @ self._axes.T @ self.plane.normal, cues.inside(boxes)
-        along = cues.picked(depths.Z, inside) * (self.rectified.rays(inside + depths.low) @ normal)
-        mean, confidence = cues.mean_known(along)
+        normal, inside = axes @ self._axes.T @ self.plane.normal, image_cues.inside(boxes)
+        along = image_cues.picked(depths.Z, inside) * (self.rectified.rays(inside + depths.low) @ normal)
+        mean, confidence = image_cues.mean_known(along)
         Z = places @ self.rectified.rotation[2]
         sigma = np.maximum(Z**2 / self.rectified.fb * DISPARITY_SIGMA, 1e-9)
         return np.asarray(grey + edge - 0.5 * confidence * ((mean - places @ normal) / sigma) ** 2)
@@ -213,7 +213,7 @@ class Multimodal:
         """Keep the estimate at ``frame``; whether the vehicle can be followed further."""
         place, velocity = weights.mean(cloud.places), weights.mean(cloud.velocities)
         seen = self._seen_at(place[None], axes, depths)[0]
-        alike = float(cues.likeness(seen, self._reference))
+        alike = float(image_cues.likeness(seen, self._reference))
         if alike > ALIKE:
             self._reference = (1 - ADAPTING) * self._reference + ADAPTING * seen
         self._unseen = self._unseen + 1 if alike < LOST else 0

@@ -7,15 +7,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from paceline.baselines import smoothing
-from paceline.baselines.regions import Regions
-from paceline.baselines.tracks import NO_TEXTURE, MeanSpeed, Sight, judged, rejected, too_few, unseen
-from paceline.baselines.triangulation import covariance
+from paceline.baselines import polynomial_track
+from paceline.baselines.template_tracking import Regions
+from paceline.baselines.track import NO_TEXTURE, MeanSpeed, Sight, judged, rejected, too_few, unseen
+from paceline.baselines.triangulation_covariance import covariance
 from paceline.cameras import StereoRig
-from paceline.descriptors import Descriptors, features, matched
-from paceline.documents import VehicleDocument
+from paceline.documents.loading import VehicleDocument
 from paceline.geometry import epipolar_distance, triangulate
-from paceline.recordings import StereoFrame
+from paceline.recordings.stereo import StereoFrame
+from paceline.sift_features import Descriptors, features, matched
 from paceline.speed.results import Measurement
 
 Array = NDArray[np.float64]
@@ -125,7 +125,7 @@ class Sift:
         # the centroid wanders with the set of matches, alike in all directions, and the first place is in all steps
         count = len(seen) - 1
         wander = np.kron(np.eye(count) + np.ones((count, count)), np.eye(3))
-        way = smoothing.way_through(np.array([s.time for s in seen]), places, np.asarray(wander, float))
+        way = polynomial_track.way_through(np.array([s.time for s in seen]), places, np.asarray(wander, float))
         speed, std = way.mean_speed()
         return judged(name, self.sights, MeanSpeed(speed, std, way.dof, way.model))
 

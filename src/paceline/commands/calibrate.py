@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from paceline.commands import DONE, print_columns
-from paceline.commands.progress import progress_bar
+from paceline.commands.progress_output import progress_bar
 
 if TYPE_CHECKING:
-    from paceline.calibration.calibrating import Calibration
+    from paceline.calibration.board_calibration import Calibration
 
 GOOD, USABLE = 0.005, 0.02  # half a 95 % interval of a speed at JUDGED metres, as a share of it
 JUDGED = 50.0
@@ -38,9 +38,9 @@ def calibrate(
     quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
 ) -> int:
     """Calibrate a stereo rig from pictures of a board held before both cameras."""
+    from paceline.calibration.board_calibration import calibrate as calibrate_views
+    from paceline.calibration.board_views import collect_views
     from paceline.calibration.boards import parse_board
-    from paceline.calibration.calibrating import calibrate as calibrate_views
-    from paceline.calibration.views import collect_views
     from paceline.reports.calibration import check_name, write_calibration
 
     described = parse_board(board)
@@ -76,7 +76,7 @@ def _print(c: Calibration) -> None:
 
 def _lenses(c: Calibration) -> list[tuple[str, str, str]]:
     """A row for each parameter of the lenses, with half its 95 % interval."""
-    from paceline.calibration.model import LENS, N_LENS
+    from paceline.calibration.parameters import LENS, N_LENS
 
     titles = dict(zip(LENS, ("focal length x, px", "focal length y, px", "centre x, px", "centre y, px"), strict=False))
     rows = []
@@ -94,7 +94,7 @@ def _pose(c: Calibration) -> list[tuple[str, str, str]]:
     import cv2
     import numpy as np
 
-    from paceline.calibration.model import POSE
+    from paceline.calibration.parameters import POSE
 
     std = c.factor * c.std[POSE]
     angles = np.degrees(np.ravel(cv2.Rodrigues(c.rig.R)[0]))

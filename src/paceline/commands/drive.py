@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from paceline.commands import print_columns
-from paceline.commands.progress import progress_bar
+from paceline.commands.progress_output import progress_bar
 
 if TYPE_CHECKING:
-    from paceline.simulation.driving.results import DriveResult
+    from paceline.simulation.closed_loop.results import DriveResult
 
 HOLDS, FAILS = 0, 1
 
@@ -28,10 +28,10 @@ def drive(
     quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
 ) -> int:
     """Let a simulated vehicle follow the one ahead by its camera, and judge how it drives."""
-    from paceline.reports.drive_report import write_drive_files
-    from paceline.reports.output import OutputFolder
-    from paceline.simulation.driving.loop import ClosedLoop
-    from paceline.simulation.driving.scenes import scene_named
+    from paceline.reports.closed_loop.report import write_drive_files
+    from paceline.reports.common.output_folder import OutputFolder
+    from paceline.simulation.closed_loop.drive_yaml import scene_named
+    from paceline.simulation.closed_loop.loop import ClosedLoop
 
     model = scene_named(scene, seed)
     with OutputFolder(out) as folder, progress_bar("driving", sys.stderr.isatty() and not quiet) as advance:
@@ -43,7 +43,7 @@ def drive(
 
 
 def _print_drive(result: DriveResult) -> None:
-    from paceline.reports.drive_page import requirement_words
+    from paceline.reports.closed_loop.page import requirement_words
 
     f = result.figures
     print(

@@ -11,12 +11,12 @@ import typer
 
 from paceline.commands import DONE, NOTHING_MEASURED, file_named
 from paceline.commands.interrupts import ended_by_interrupt
-from paceline.commands.progress import progress_bar, range_teller
+from paceline.commands.progress_output import progress_bar, range_teller
 
 if TYPE_CHECKING:  # what computes is imported when the command runs, so that --help answers at once
     from paceline.follow.history import Tally
     from paceline.follow.results import FollowResult
-    from paceline.monocular import CameraRecording
+    from paceline.recordings.monocular import CameraRecording
 
 
 def follow_vehicle(
@@ -28,10 +28,10 @@ def follow_vehicle(
     quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
 ) -> int:
     """Follow the vehicle ahead in a recording, or live: where it is in metres, frame by frame."""
-    from paceline.documents import load_follow
-    from paceline.monocular import open_camera
-    from paceline.reports.follow_report import write_follow_files
-    from paceline.reports.output import OutputFolder
+    from paceline.documents.loading import load_follow
+    from paceline.recordings.monocular import open_camera
+    from paceline.reports.common.output_folder import OutputFolder
+    from paceline.reports.follow.report import write_follow_files
 
     document = load_follow(file_named(follow, "follow.yaml"))
     with OutputFolder(out) as folder:
@@ -51,8 +51,8 @@ def _ended(recording: CameraRecording) -> AbstractContextManager[None]:
 
 
 def _print_follow(result: FollowResult, tally: Tally) -> None:
-    from paceline.reports.follow_page import percent
-    from paceline.reports.follow_tables import middle
+    from paceline.reports.follow.page import percent
+    from paceline.reports.follow.tables import middle
 
     counts = ", ".join(f"{tally.status[name]} {name}" for name in ("tracking", "coasting", "lost"))
     print(f"{result.target}: tracked in {percent(tally.share)} of {tally.frames} frames ({counts})")

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from paceline.commands import DONE, NOTHING_MEASURED, file_named, print_columns, refuse_read_only
-from paceline.commands.progress import progress_bar
+from paceline.commands.progress_output import progress_bar
 from paceline.errors import UnusableInput
 
 if TYPE_CHECKING:
     from paceline.cameras import StereoRig
-    from paceline.documents import Clip
-    from paceline.lanes.background import Background
-    from paceline.lanes.proposing import Lane, Line
+    from paceline.documents.loading import Clip
+    from paceline.lanes.lane_proposals import Lane, Line
+    from paceline.recordings.background import Background
 
 HALF = 1.96  # standard uncertainties in half a 95 % interval
 NOTABLY_UNSETTLED = 0.02
@@ -36,12 +36,12 @@ def lanes(
     if write and out is not None:
         raise UnusableInput("--write and --out exclude each other: the lanes go to the clip.yaml or to a site.yaml")
 
-    from paceline.documents import load_clip, rig_file
-    from paceline.lanes.background import empty_scene, no_background
-    from paceline.lanes.finding import NoRoad, find_road
-    from paceline.lanes.proposing import lines_of, propose
-    from paceline.lanes.site_file import lane_names, with_lanes
-    from paceline.recordings import open_recording
+    from paceline.documents.loading import load_clip, rig_file
+    from paceline.lanes.lane_proposals import lines_of, propose
+    from paceline.lanes.road_detection import NoRoad, find_road
+    from paceline.lanes.site_yaml import lane_names, with_lanes
+    from paceline.recordings.background import empty_scene, no_background
+    from paceline.recordings.stereo import open_recording
     from paceline.reports.calibration import check_name
 
     file = file_named(clip, "clip.yaml")
@@ -129,10 +129,10 @@ def _write(
     file: Path, out: Path | None, rig: StereoRig, background: Background, lines: list[Line], lanes: dict[str, Lane]
 ) -> str:
     """Writes the lanes and their pictures together; returns the names of the pictures."""
-    from paceline.documents import rig_file
-    from paceline.lanes.site_file import site_yaml, with_lanes
+    from paceline.documents.loading import rig_file
+    from paceline.lanes.site_yaml import site_yaml, with_lanes
+    from paceline.reports.common.output_folder import write_together
     from paceline.reports.lanes import lanes_picture, png
-    from paceline.reports.output import write_together
 
     if out is None:
         target, text = file.resolve(), with_lanes(file.read_text(encoding="utf-8"), str(file), lanes)

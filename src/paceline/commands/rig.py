@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from paceline.commands import DONE, NOTHING_MEASURED, file_named, print_columns
-from paceline.commands.progress import progress_bar
+from paceline.commands.progress_output import progress_bar
 from paceline.errors import UnusableInput
 
 if TYPE_CHECKING:
-    from paceline.calibration.checking import Check, Refinement
+    from paceline.calibration.rig_check import Check, Refinement
 
 rig = typer.Typer(help="Rigs: import and check them.", rich_markup_mode=None)
 
@@ -55,10 +55,10 @@ def rig_import(
     ] = True,
 ) -> int:
     """Write the rig.yaml of a calibration that another program made."""
-    from paceline.calibration.importing import Wishes, import_rig
-    from paceline.calibration.rig_file import rig_yaml
+    from paceline.calibration.importers import Wishes, import_rig
+    from paceline.documents.rig_yaml import rig_yaml
     from paceline.reports.calibration import check_name
-    from paceline.reports.output import write_together
+    from paceline.reports.common.output_folder import write_together
 
     check_name(out)
     found, kind = import_rig(files, Wishes(_size(size), METRES[unit], _pair(cameras), rectified))
@@ -94,14 +94,14 @@ def rig_check(
     if refine != (out is not None):
         raise UnusableInput("--refine and --out belong together: the refined rig needs a file to go to")
 
-    from paceline.calibration.checking import check, enough
-    from paceline.calibration.checking import refine as refine_rig
-    from paceline.calibration.rig_file import rig_yaml
-    from paceline.calibration.scene import match_scene
-    from paceline.documents import load_recorded
-    from paceline.recordings import open_recording
+    from paceline.calibration.rig_check import check, enough
+    from paceline.calibration.rig_check import refine as refine_rig
+    from paceline.calibration.scene_matches import match_scene
+    from paceline.documents.loading import load_recorded
+    from paceline.documents.rig_yaml import rig_yaml
+    from paceline.recordings.stereo import open_recording
     from paceline.reports.calibration import check_name
-    from paceline.reports.output import write_together
+    from paceline.reports.common.output_folder import write_together
 
     if out is not None:
         check_name(out)

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from paceline.commands.progress import progress_bar
+from paceline.commands.progress_output import progress_bar
 from paceline.errors import UnusableInput
 
 if TYPE_CHECKING:
-    from paceline.simulation.rendered.scenes import FollowScene, SpeedScene
+    from paceline.simulation.raytraced.scene_yaml import FollowScene, SpeedScene
 
 simulate = typer.Typer(help="Rendered clips with exact truth.", rich_markup_mode=None)
 
@@ -34,8 +34,8 @@ class Kind(StrEnum):
 @simulate.command("speed")
 def simulate_speed(scene: Scene, out: Out, samples: Samples = None, seed: Seed = None, quiet: Quiet = False) -> int:
     """Render a stereo clip for paceline speed."""
-    from paceline.simulation.rendered.named import speed_scene
-    from paceline.simulation.rendered.scenes import load_speed_scene
+    from paceline.simulation.raytraced.named_scenes import speed_scene
+    from paceline.simulation.raytraced.scene_yaml import load_speed_scene
 
     found = speed_scene(scene) or load_speed_scene(_file(scene, "speed"))
     return _render(_changed(found, samples, seed), out, quiet)
@@ -44,8 +44,8 @@ def simulate_speed(scene: Scene, out: Out, samples: Samples = None, seed: Seed =
 @simulate.command("follow")
 def simulate_follow(scene: Scene, out: Out, samples: Samples = None, seed: Seed = None, quiet: Quiet = False) -> int:
     """Render a chase-camera clip for paceline follow."""
-    from paceline.simulation.rendered.named import follow_scene
-    from paceline.simulation.rendered.scenes import load_follow_scene
+    from paceline.simulation.raytraced.named_scenes import follow_scene
+    from paceline.simulation.raytraced.scene_yaml import load_follow_scene
 
     found = follow_scene(scene) or load_follow_scene(_file(scene, "follow"))
     return _render(_changed(found, samples, seed), out, quiet)
@@ -54,7 +54,7 @@ def simulate_follow(scene: Scene, out: Out, samples: Samples = None, seed: Seed 
 @simulate.command("list")
 def simulate_list() -> int:
     """List the named scenes."""
-    from paceline.simulation.rendered.named import names
+    from paceline.simulation.raytraced.named_scenes import names
 
     for kind, name, text in names():
         print(f"{kind:6}  {name:22}  {text}")
@@ -71,7 +71,7 @@ def simulate_suite(
     quiet: Quiet = False,
 ) -> int:
     """Render varied scenes, each into a folder of its own; goes on after an interruption."""
-    from paceline.simulation.rendered.suites import random_follow_scene, random_speed_scene
+    from paceline.simulation.raytraced.suites import random_follow_scene, random_speed_scene
 
     draw = random_speed_scene if kind is Kind.speed else random_follow_scene
     for k in range(n):
@@ -81,8 +81,8 @@ def simulate_suite(
 
 def _file(scene: str, kind: str) -> Path:
     """The path that ``scene`` is, where no named scene is called so."""
-    from paceline.schemas import nearest_of
-    from paceline.simulation.rendered.named import names
+    from paceline.documents.models import nearest_of
+    from paceline.simulation.raytraced.named_scenes import names
 
     path = Path(scene)
     if path.is_dir():
@@ -99,10 +99,12 @@ def _changed(scene: SpeedScene | FollowScene, samples: int | None, seed: int | N
 
 
 def _render(scene: SpeedScene | FollowScene, out: Path, quiet: bool) -> int:
-    from paceline.simulation.rendered import chases, clips
+    from paceline.simulation.raytraced import chase_clip, stereo_clip
 
     with progress_bar(f"rendering {out.name}", sys.stderr.isatty() and not quiet) as advance:
-        written = clips.write(scene, out, advance) if scene.kind == "speed" else chases.write(scene, out, advance)
+        written = (
+            stereo_clip.write(scene, out, advance) if scene.kind == "speed" else chase_clip.write(scene, out, advance)
+        )
     if not quiet:
         print(written)
     return 0

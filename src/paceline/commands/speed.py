@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from paceline.commands import DONE, NOTHING_MEASURED, file_named, print_columns
-from paceline.commands.progress import progress_bar, speed_teller
+from paceline.commands.progress_output import progress_bar, speed_teller
 from paceline.errors import UnusableInput
 
 if TYPE_CHECKING:  # what computes is imported when a command runs, so that --help answers at once
-    from paceline.documents import Clip
+    from paceline.documents.loading import Clip
     from paceline.speed.configuration import SpeedConfiguration
     from paceline.speed.results import ClipResult
     from paceline.units import SpeedUnit
@@ -95,13 +95,13 @@ def speed(
     }
     configuration = _configuration({key: value for key, value in given.items() if value is not None}, refine)
 
-    from paceline.documents import load_clip
-    from paceline.recordings import open_recording
+    from paceline.documents.loading import load_clip
+    from paceline.recordings.stereo import open_recording
     from paceline.reports import OutputFolder, write_files
 
     document = load_clip(file_named(clip, "clip.yaml"))
     if live:
-        from paceline.commands.live import measure_live
+        from paceline.commands.speed_live import measure_live
 
         if method is not Method.paceline or device is not Device.cpu:
             raise UnusableInput("--live: measures by Paceline's own method on the CPU; leave --method and --device out")
@@ -121,15 +121,15 @@ def speed(
                     return measure(
                         document, recording, configuration, advance, device.value, speed_teller(document.rig)
                     )
-                from paceline.baselines.measurement import measure as measure_by
+                from paceline.baselines.registry import measure as measure_by
 
                 return measure_by(document, recording, method.value, configuration, advance)
 
         if document.vehicles:
             result = measured(document)
         else:
-            from paceline.vehicles.detector import Detector
-            from paceline.vehicles.measuring import find_vehicles, measure_found
+            from paceline.detection.onnx_detector import Detector
+            from paceline.survey.recording import find_vehicles, measure_found
 
             detect = None if detector is None else Detector(detector)
             with progress_bar("looking", shown) as advance:
@@ -178,7 +178,7 @@ def _configuration(given: dict[str, object], refine: bool) -> SpeedConfiguration
 
 
 def _print_result(result: ClipResult, unit: str) -> None:
-    from paceline.reports.wording import MISSING, speed_words, verdict_words
+    from paceline.reports.common.formatting import MISSING, speed_words, verdict_words
 
     rows = [("vehicle", f"speed, {unit}", "95 % interval", "verdict")]
     for m in result.measurements:

@@ -25,10 +25,10 @@ def target_learn(
     name: Annotated[str | None, typer.Option(help="Name of the target; that of the file otherwise.")] = None,
 ) -> int:
     """Learn a line model from the strong horizontal and vertical edges inside a box."""
-    from paceline.documents import load_camera
-    from paceline.follow.learning import learn_target
-    from paceline.reports.learned import start_lines, write_learned
-    from paceline.sources import read_image_file, to_grey
+    from paceline.documents.loading import load_camera
+    from paceline.recordings.image_sources import read_image_file, to_grey
+    from paceline.reports.target import start_lines, write_learned
+    from paceline.targets.learning import learn_target
 
     if out.suffix and image.resolve() in (out.resolve(), out.with_suffix(".png").resolve()):
         raise UnusableInput(f"--out {out}: would write over the picture {image}; expected another name")

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from paceline.commands import DONE, NOTHING_MEASURED, file_named, print_columns, refuse_read_only
-from paceline.commands.progress import progress_bar
+from paceline.commands.progress_output import progress_bar
 from paceline.errors import UnusableInput
 
 if TYPE_CHECKING:
-    from paceline.vehicles.measuring import Search
+    from paceline.survey.recording import Search
 
 
 def vehicles(
@@ -31,11 +31,11 @@ def vehicles(
 
     Ends with status 1 where no vehicle can be found.
     """
-    from paceline.documents import load_clip
-    from paceline.recordings import open_recording
-    from paceline.vehicles.clip_file import with_vehicles
-    from paceline.vehicles.detector import Detector
-    from paceline.vehicles.measuring import find_vehicles
+    from paceline.detection.clip_entries import with_vehicles
+    from paceline.detection.onnx_detector import Detector
+    from paceline.documents.loading import load_clip
+    from paceline.recordings.stereo import open_recording
+    from paceline.survey.recording import find_vehicles
 
     file = file_named(clip, "clip.yaml")
     document = load_clip(file)
@@ -76,10 +76,10 @@ def _print(search: Search) -> None:
 
 def _write(file: Path, search: Search) -> list[Path]:
     """Writes the vehicles and their pictures together; returns where the pictures are."""
+    from paceline.detection.clip_entries import with_vehicles
+    from paceline.reports.common.output_folder import write_together
+    from paceline.reports.detected_vehicles import vehicle_picture
     from paceline.reports.lanes import png
-    from paceline.reports.output import write_together
-    from paceline.reports.vehicles import vehicle_picture
-    from paceline.vehicles.clip_file import with_vehicles
 
     text = with_vehicles(file.read_text(encoding="utf-8"), str(file), search.clip.rig, search.found)
     pictures = {

@@ -10,14 +10,14 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from paceline.console.frames import Gallery, Stamps, is_unchanged, stamps_of
-from paceline.console.kinds import MEASURING
-from paceline.console.naming import CLIP, FOLLOW, ChaseModel, is_chase, live_views, read_small
-from paceline.console.runs import CANCELLED, RUNNING, Run, Runs
-from paceline.console.safety import NotHere, check_document, file_below, folder_below, named_files
-from paceline.documents import load_clip, load_follow
+from paceline.console.confinement import NotHere, check_document, file_below, folder_below, named_files
+from paceline.console.document_names import CLIP, FOLLOW, ChaseModel, is_chase, live_views, read_small
+from paceline.console.frames.frame_cache import Gallery, Stamps, is_unchanged, stamps_of
+from paceline.console.runs.kinds import MEASURING
+from paceline.console.runs.run_list import CANCELLED, RUNNING, Run, Runs
+from paceline.documents.loading import load_clip, load_follow
+from paceline.documents.models import ClipModel
 from paceline.errors import UnusableInput
-from paceline.schemas import ClipModel
 
 DEEPEST = 4  # folders below the console's own in which clips are looked for
 MOST = 1000  # clips

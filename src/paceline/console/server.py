@@ -16,10 +16,10 @@ import uvicorn
 from fastapi import FastAPI
 from fastapi.staticfiles import StaticFiles
 
-from paceline.console.api import add_api
-from paceline.console.guard import Guard
-from paceline.console.importing import Imports
+from paceline.console.access_control import Guard
+from paceline.console.frames.uploads import Imports
 from paceline.console.library import Library
+from paceline.console.routes import add_api
 from paceline.errors import UnusableInput
 
 DEFAULT_PORT = 8640

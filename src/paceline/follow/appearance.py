@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from paceline.follow import picture_cpu
 from paceline.follow.search_cpu import TOLD
 from paceline.follow.sweep import sweep
-from paceline.follow.target import Target
+from paceline.targets.line_model import Target
 
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]

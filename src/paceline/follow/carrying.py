@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from paceline.follow import carrying_cpu
 from paceline.follow.features import Projection
 from paceline.follow.search import DETAIL
-from paceline.peaks import vertex
+from paceline.subpixel import vertex
 
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]

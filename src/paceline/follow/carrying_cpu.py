@@ -7,8 +7,8 @@ from math import floor, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from paceline.compiling import compiled
 from paceline.follow.picture_cpu import SUMS
+from paceline.numba_cache import compiled
 
 Floats = NDArray[np.float32]
 

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from paceline.cameras import Camera
-from paceline.compiling import compiled
 from paceline.follow.ranging import displaced, recorded
-from paceline.follow.target import Target
+from paceline.numba_cache import compiled
+from paceline.targets.line_model import Target
 
 Array = NDArray[np.float64]
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from paceline.compiling import compiled
 from paceline.follow.motion import solved, triangularise
+from paceline.numba_cache import compiled
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]

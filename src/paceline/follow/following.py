@@ -10,17 +10,17 @@ from pathlib import Path
 
 from paceline import __version__
 from paceline.blas import on_one_blas_thread
-from paceline.documents import FollowClip, load_follow
+from paceline.documents.loading import FollowClip, load_follow
 from paceline.errors import UnusableInput
 from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.hindsight import at_once, in_hindsight
 from paceline.follow.history import History
 from paceline.follow.results import FollowEstimate, FollowResult
 from paceline.follow.steering import Pose
-from paceline.follow.target import Target
 from paceline.follow.tracker import FollowTracker, warm_up
-from paceline.monocular import CameraFrame, CameraRecording, open_camera
-from paceline.odometry import Odometry, read_odometry
+from paceline.recordings.monocular import CameraFrame, CameraRecording, open_camera
+from paceline.recordings.odometry import Odometry, read_odometry
+from paceline.targets.line_model import Target
 
 Progress = Callable[[int, int | None], None]
 

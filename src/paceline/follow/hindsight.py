@@ -13,7 +13,7 @@ from paceline.follow.results import FollowEstimate
 from paceline.follow.start import BESIDE, DOUBTED, distance
 from paceline.follow.steering import Pose
 from paceline.follow.tracker import FollowTracker
-from paceline.monocular import CameraFrame
+from paceline.recordings.monocular import CameraFrame
 
 Told = tuple[CameraFrame, FollowEstimate]
 

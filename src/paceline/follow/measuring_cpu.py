@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from paceline.compiling import compiled
 from paceline.follow.association import associate
 from paceline.follow.candidates import CANDIDATES, add_shares, candidate_lines, faint_lines
 from paceline.follow.fitting import locate_features, robust_lines
+from paceline.numba_cache import compiled
 
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]

@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from paceline.compiling import compiled
 from paceline.follow.configuration import FollowConfiguration
+from paceline.numba_cache import compiled
 
 Array = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from paceline.follow.recognition import Recogniser
 from paceline.follow.start import distance
-from paceline.follow.target import Target
+from paceline.targets.line_model import Target
 
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]

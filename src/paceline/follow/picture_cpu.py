@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from paceline.compiling import compiled
 from paceline.follow.motion import solved, triangularise
+from paceline.numba_cache import compiled
 
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from paceline.cameras import Camera
-from paceline.compiling import compiled
+from paceline.numba_cache import compiled
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from paceline.follow import search_cpu
 from paceline.follow.appearance import Appearance
 from paceline.follow.edges import Window, window_around
-from paceline.follow.target import Target
+from paceline.targets.line_model import Target
 
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]

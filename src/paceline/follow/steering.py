@@ -8,8 +8,8 @@ from math import atan, cos, exp, hypot, sin
 import numpy as np
 from numpy.typing import NDArray
 
-from paceline.compiling import compiled
 from paceline.follow.configuration import FollowConfiguration
+from paceline.numba_cache import compiled
 
 Array = NDArray[np.float64]
 

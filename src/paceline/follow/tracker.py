@@ -25,7 +25,7 @@ from paceline.follow.ranging import place_of, recorded
 from paceline.follow.recognition import Look, Recogniser
 from paceline.follow.results import FollowEstimate
 from paceline.follow.steering import Pose, Steering
-from paceline.follow.target import Target
+from paceline.targets.line_model import Target
 
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from paceline.reports.output import OutputFolder
-from paceline.reports.report import write_files, write_report
+from paceline.reports.common.output_folder import OutputFolder
+from paceline.reports.speed.report import write_files, write_report
 
 __all__ = ["OutputFolder", "write_files", "write_report"]

@@ -11,12 +11,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from paceline import __version__
-from paceline.calibration.calibrating import Calibration
-from paceline.calibration.model import NAMES
-from paceline.calibration.rig_file import rig_yaml
+from paceline.calibration.board_calibration import Calibration
+from paceline.calibration.parameters import NAMES
+from paceline.documents.rig_yaml import rig_yaml
 from paceline.errors import UnusableInput
-from paceline.reports.output import write_together
-from paceline.reports.plots import FILTER, INK, INTERVAL, MUTED, REFINED, make_plot
+from paceline.reports.common.output_folder import write_together
+from paceline.reports.speed.plots import FILTER, INK, INTERVAL, MUTED, REFINED, make_plot
 
 SIDES = ("left", "right")
 SIZE = (9.4, 6.4)  # inches

@@ -7,18 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from paceline.cameras import StereoRig
-from paceline.lanes.background import Background
-from paceline.lanes.proposing import Lane, Line
-from paceline.reports.drawing import (
-    SUBPIXEL,
-    WHITE,
-    Box,
-    Color,
-    Picture,
-    draw_label,
-    draw_line,
-    fixed,
-)
+from paceline.lanes.lane_proposals import Lane, Line
+from paceline.recordings.background import Background
+from paceline.reports.common.drawing import SUBPIXEL, WHITE, Box, Color, Picture, draw_label, draw_line, fixed
 
 Array = NDArray[np.float64]
 

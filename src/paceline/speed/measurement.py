@@ -16,18 +16,18 @@ import numpy as np
 from paceline import __version__
 from paceline.blas import on_one_blas_thread
 from paceline.cameras import StereoRig
-from paceline.documents import Clip, VehicleDocument, load_clip
+from paceline.documents.loading import Clip, VehicleDocument, load_clip
 from paceline.errors import UnusableInput
-from paceline.recordings import StereoFrame, StereoFrames, open_recording
+from paceline.recordings.stereo import StereoFrame, StereoFrames, open_recording
 from paceline.speed import verdict
 from paceline.speed.configuration import SpeedConfiguration
-from paceline.speed.devices import DeviceName, open_device
-from paceline.speed.fleet import Fleet
-from paceline.speed.paths import Path
-from paceline.speed.reconstruction import path_of
+from paceline.speed.filter.batch import Fleet
+from paceline.speed.filter.device import DeviceName, open_device
+from paceline.speed.geometry.path_reconstruction import path_of
+from paceline.speed.geometry.paths import Path
+from paceline.speed.joint_calibration import together
 from paceline.speed.results import ClipResult, Measurement, PathDrawing
-from paceline.speed.shared_rig import together
-from paceline.speed.vehicle_run import Seen, VehicleRun
+from paceline.speed.run import Seen, VehicleRun
 
 Progress = Callable[[int, int], None]
 

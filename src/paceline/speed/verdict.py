@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from paceline.speed.refinement import Refined
+from paceline.speed.refinement.model_selection import Refined
 from paceline.speed.results import Measurement
 from paceline.units import SpeedUnit
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from paceline.console.results import Series
+from paceline.console.runs.results import Series
 from paceline.units import convert
 
 COLORS = ("#2f6fb0", "#c2601f", "#3a8a57", "#8a4fa3", "#a8323e", "#3d8f99", "#857022", "#666f7a")

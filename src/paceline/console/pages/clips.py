@@ -7,6 +7,7 @@ from urllib.parse import quote
 
 from nicegui import run, ui
 
+from paceline.console.confinement import NotHere
 from paceline.console.library import BEING_READ, Entry, Library
 from paceline.console.pages.layout import (
     PATIENCE,
@@ -19,7 +20,6 @@ from paceline.console.pages.layout import (
     setup_address,
     shown_name,
 )
-from paceline.console.safety import NotHere
 
 AGAIN = 1.5  # s between looks at the folder
 PATIENT = 1.0  # s for clips to be read; the list does not wait for longer

@@ -9,18 +9,9 @@ from urllib.parse import quote
 
 from nicegui import ui
 
-from paceline.console.kinds import AHEAD, LIVE
 from paceline.console.library import BEING_READ, Entry
-from paceline.console.runs import (
-    CANCELLED,
-    FAILED,
-    INTERRUPTED,
-    MEASURED,
-    NOTHING,
-    RUNNING,
-    WAITING,
-    Run,
-)
+from paceline.console.runs.kinds import AHEAD, LIVE
+from paceline.console.runs.run_list import CANCELLED, FAILED, INTERRUPTED, MEASURED, NOTHING, RUNNING, WAITING, Run
 
 HEAD = '<link rel="stylesheet" href="/static/console.css">'
 ACCENT = "#2f7ac4"

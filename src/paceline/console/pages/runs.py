@@ -6,19 +6,9 @@ from typing import Any
 
 from nicegui import run, ui
 
-from paceline.console.asking import (
-    LEAST_LEARNING,
-    LEAST_PARTICLES,
-    MOST_LEARNING,
-    MOST_PARTICLES,
-    MOST_TOLERANCE,
-    UNITS,
-    in_unit,
-    options_of,
-)
-from paceline.console.kinds import AHEAD, LIVE, MEASURING, SPEED
+from paceline.console.confinement import NotHere
 from paceline.console.library import Entry, Library
-from paceline.console.pages import measured
+from paceline.console.pages import results
 from paceline.console.pages.layout import (
     PATIENCE,
     READ_AND_FOLLOW,
@@ -32,10 +22,20 @@ from paceline.console.pages.layout import (
     progress,
     runs_address,
 )
-from paceline.console.pages.watching import Watching
-from paceline.console.results import files_of
-from paceline.console.runs import MEASURED, NOTHING, Run
-from paceline.console.safety import NotHere
+from paceline.console.pages.live_view import Watching
+from paceline.console.runs.kinds import AHEAD, LIVE, MEASURING, SPEED
+from paceline.console.runs.options import (
+    LEAST_LEARNING,
+    LEAST_PARTICLES,
+    MOST_LEARNING,
+    MOST_PARTICLES,
+    MOST_TOLERANCE,
+    UNITS,
+    in_unit,
+    options_of,
+)
+from paceline.console.runs.results import files_of
+from paceline.console.runs.run_list import MEASURED, NOTHING, Run
 from paceline.errors import UnusableInput
 
 AGAIN = 0.5  # s between looks at the runs
@@ -259,11 +259,11 @@ class _Page:
                 ui.label(words).classes("pl-reason")
 
     def _show_measured(self, chosen: Run, runs: list[Run]) -> None:
-        measured.links(self.library, chosen)
+        results.links(self.library, chosen)
         if chosen.kind == AHEAD:
-            measured.ahead(self.library, chosen, runs, self.other, self.compare)
+            results.ahead(self.library, chosen, runs, self.other, self.compare)
         else:
-            measured.speeds(self.library, chosen, runs, self.unit, self.other, self.compare)
+            results.speeds(self.library, chosen, runs, self.unit, self.other, self.compare)
 
     def compare(self, event: Any) -> None:
         self.other = event.value

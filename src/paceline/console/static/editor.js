@@ -1,13 +1,13 @@
 // The stereo editor: both views side by side, road lines and vehicles drawn in them, proposals and checks by the server.
 
 import { Editing, NEAR, pushButton, READ_ONLY } from "./editing.js";
-import { Film } from "./film.js";
+import { Film } from "./player.js";
 import { ask, make } from "./importer.js";
-import { Keeper } from "./keeping.js";
-import { Keys } from "./keys.js";
+import { Keeper } from "./drafts.js";
+import { Keys } from "./keyboard.js";
 import { Model, VIEWS, ordered, rounded, sortedCorners } from "./model.js";
-import { Panel } from "./panel.js";
-import { Pointers } from "./pointers.js";
+import { Panel } from "./item_list.js";
+import { Pointers } from "./pointer_tools.js";
 import { Proposals } from "./proposals.js";
 import { COLORS, View } from "./view.js";
 

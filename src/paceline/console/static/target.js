@@ -1,12 +1,12 @@
 // The vehicle ahead: a line model placed on the camera's picture, learned from a box, saved for following.
 
 import { Editing, NEAR, pushButton, READ_ONLY } from "./editing.js";
-import { Film } from "./film.js";
-import { Hands } from "./hands.js";
+import { Film } from "./player.js";
+import { Hands } from "./pan_zoom.js";
 import { History } from "./history.js";
 import { ask, make } from "./importer.js";
-import { Keeper } from "./keeping.js";
-import { keyFor } from "./keys.js";
+import { Keeper } from "./drafts.js";
+import { keyFor } from "./keyboard.js";
 import { View } from "./view.js";
 
 const TOOLS = {

@@ -1,0 +1,179 @@
+"""The vehicle's region in each view from frame to frame, by normalised cross-correlation over places and scales.
+
+A method that matches features has no model of where its vehicle will be, so it looks for the picture that the region
+showed last: anywhere near in the second frame, close to the prediction of a constant velocity afterwards.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from paceline.cameras import StereoRig
+from paceline.geometry import epipolar_distance, triangulate
+from paceline.recordings.stereo import StereoFrame
+from paceline.subpixel import vertex_at
+
+Array = NDArray[np.float64]
+Image = NDArray[np.float32]
+
+FIRST_SCALES = np.geomspace(0.66, 1.52, 19)  # of a vehicle whose motion is not known yet
+FIRST_REACH = 0.8  # lengths of its longer side that it may have moved
+SCALES = np.geomspace(0.91, 1.1, 9)  # about the prediction
+REACH = 0.25
+LEAST_REACH = 6.0  # px
+SEARCHED = 64  # px: larger regions are searched at this width
+ALIKE = 0.6  # correlation below which it is not the vehicle
+PATIENCE = 4  # frames that may pass so before it is given up
+CONTRAST = 2.0  # grey levels, standard deviation: less is no texture
+ACROSS = 3.0  # px from the epipolar line at which both views still show the same thing
+DEEPER = (0.25, 2.0)  # by which its depth may differ from what its scale says: a share, and px of disparity
+NEAREST = 0.3  # share of its depth that a vehicle keeps from one sight to the next
+LEAST_SIZE = 8.0  # px, a smaller region tells nothing
+
+
+@dataclass(frozen=True, eq=False)
+class Move:
+    """A change of place and scale in an image: ``p' = scale · p + shift``."""
+
+    scale: float
+    shift: Array  # (2,)
+
+    def __call__(self, points: Array) -> Array:
+        return self.scale * points + self.shift
+
+    @property
+    def matrix(self) -> Array:
+        """As an affine map (2, 3)."""
+        return np.column_stack([self.scale * np.eye(2), self.shift])
+
+
+def move_between(before: Array, after: Array) -> Move:
+    """The move that takes the centre and the size of one quadrilateral (4, 2) to those of another."""
+    scale = float(np.sqrt(_area(after) / _area(before)))
+    return Move(scale, after.mean(0) - scale * before.mean(0))
+
+
+class Regions:
+    """The regions of one vehicle in both views.
+
+    ``quads`` (2, 4, 2) px and ``images`` are those of the ``time`` at which it was last seen. ``status`` is tracking,
+    lost (unseen for too long) or ended (out of an image).
+    """
+
+    def __init__(self, rig: StereoRig, quads: Array, frame: StereoFrame) -> None:
+        """The regions as outlined in ``frame``. Raises numpy.linalg.LinAlgError where they hold no texture."""
+        self.rig, self.quads, self.images, self.time = rig, quads, (frame.left, frame.right), frame.time
+        self.status = "tracking"
+        self._step: tuple[Array, float, float] | None = None  # the centres (2, 2) before, the growth and the time since
+        self._unseen = 0
+        if min(_cut(i, q).std() for i, q in zip(self.images, quads, strict=True)) < CONTRAST:
+            raise np.linalg.LinAlgError("the region has no texture")
+
+    def find(self, frame: StereoFrame) -> tuple[Move, Move] | None:
+        """How the regions moved to ``frame`` since they were last seen; None where nothing like them is seen."""
+        moves: list[Move] = []
+        for view, image in enumerate((frame.left, frame.right)):
+            expected = self._expected(view, frame.time)
+            if self._step is None:
+                scales, reach = FIRST_SCALES, FIRST_REACH
+            else:
+                scales, reach = expected.scale * SCALES ** (1 + self._unseen), REACH * (1 + self._unseen)
+            if moves:  # both views see about the same change of scale
+                scales = moves[0].scale * np.geomspace(0.98, 1.02, 3)
+            quad = self.quads[view]
+            move, likeness = _search(self.images[view], quad, image, expected(quad.mean(0)), scales, reach)
+            if likeness < ALIKE:
+                return None
+            moves.append(move)
+        return (moves[0], moves[1]) if self._agree(*moves) else None
+
+    def _agree(self, left: Move, right: Move) -> bool:
+        """Whether both views found the same thing, as much nearer as it is larger."""
+        before = self.quads.mean(1)
+        after = np.stack([left(before[0]), right(before[1])])
+        depth_before, depth = (float(triangulate(self.rig, *centres)[2]) for centres in (before, after))
+        slack = DEEPER[0] + DEEPER[1] * depth_before / (self.rig.left.K[0, 0] * self.rig.baseline)
+        across = abs(float(epipolar_distance(self.rig, *after)))
+        return across < ACROSS and abs(left.scale * depth / depth_before - 1) < slack
+
+    def accept(self, quads: Array, frame: StereoFrame) -> None:
+        """The vehicle is seen in ``frame`` at ``quads`` (2, 4, 2)."""
+        grown = move_between(self.quads[0], quads[0]).scale
+        self._step = self.quads.mean(1), grown, frame.time - self.time
+        self.quads, self.images, self.time, self._unseen = quads, (frame.left, frame.right), frame.time, 0
+        if self._outside(quads):
+            self.status = "ended"
+
+    def miss(self, time: float) -> bool:
+        """The vehicle is not seen at ``time``; whether to look for it further."""
+        self._unseen += 1
+        expected = np.stack([self._expected(view, time)(self.quads[view]) for view in (0, 1)])
+        if self._outside(expected):
+            self.status = "ended"
+        elif self._unseen >= PATIENCE:
+            self.status = "lost"
+        return self.status == "tracking"
+
+    def _expected(self, view: int, time: float) -> Move:
+        """The move of a constant velocity in space: depth, and pixels times depth, go on as they went."""
+        if self._step is None:
+            return Move(1.0, np.zeros(2))
+        centres, grown, since = self._step
+        steps, centre = (time - self.time) / since, self.quads[view].mean(0)
+        depth = max(1 + (1 - grown) * steps, NEAREST)  # in units of the depth now; before, it was ``grown``
+        return Move(1 / depth, (centre + (centre - grown * centres[view]) * steps) / depth - centre / depth)
+
+    def _outside(self, quads: Array) -> bool:
+        """Whether a region has left its image, or shrunk to nothing."""
+        for quad, image in zip(quads, self.images, strict=True):
+            if not ((quad >= 0).all() and (quad <= np.array(image.shape[::-1]) - 1).all()):
+                return True
+        return bool(np.ptp(quads[0], axis=0).min() < LEAST_SIZE)
+
+
+def _search(before: Image, quad: Array, image: Image, centre: Array, scales: Array, reach: float) -> tuple[Move, float]:
+    """How the picture of ``quad`` (4, 2) in ``before`` moved to ``image``, and how alike it is there, −1 … 1."""
+    size = np.ptp(quad, axis=0)
+    shrink = min(1.0, SEARCHED / float(size[0]))
+    template = _shrunk(_cut(before, quad), shrink)
+    edge = np.maximum(np.floor(quad.min(0)), 0) - 0.5  # of the template, where its first pixel begins
+    best = (Move(1.0, np.zeros(2)), -1.0)
+    for scale in scales.tolist():
+        half = 0.5 * scale * size + max(reach * float(size.max()), LEAST_REACH)
+        x0, y0 = np.maximum(np.floor(centre - half), 0).astype(int)
+        x1, y1 = np.maximum(np.ceil(centre + half), 0).astype(int) + 1
+        window = _shrunk(image[y0:y1, x0:x1], shrink)
+        width, height = np.maximum(np.rint(np.array(template.shape[::-1]) * scale), 2).astype(int).tolist()
+        if window.shape[0] < height or window.shape[1] < width:
+            continue
+        sought = cv2.resize(template, (width, height), interpolation=cv2.INTER_LINEAR)
+        score = np.asarray(cv2.matchTemplate(window, sought, cv2.TM_CCOEFF_NORMED), float)
+        score = np.nan_to_num(score, posinf=-1.0, neginf=-1.0)
+        _, likeness, _, (x, y) = cv2.minMaxLoc(score)
+        if likeness > best[1]:
+            peak = np.array([x + vertex_at(score[y], x), y + vertex_at(score[:, x], y)])
+            found = peak / shrink + [x0 - 0.5, y0 - 0.5]
+            best = (Move(scale, found - scale * edge), float(likeness))
+    return best
+
+
+def _cut(image: Image, quad: Array) -> Image:
+    """The upright box of ``image`` about ``quad`` (4, 2)."""
+    x0, y0 = np.maximum(np.floor(quad.min(0)), 0).astype(int)
+    x1, y1 = np.ceil(quad.max(0)).astype(int) + 1
+    return image[y0:y1, x0:x1]
+
+
+def _shrunk(image: Image, factor: float) -> Image:
+    if factor == 1.0 or not image.size:
+        return image
+    return np.asarray(cv2.resize(image, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA), np.float32)
+
+
+def _area(quad: Array) -> float:
+    x, y = quad.T
+    return float(0.5 * abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)))

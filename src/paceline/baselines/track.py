@@ -1,0 +1,152 @@
+"""What every baseline leaves behind: a track, a mean speed with its interval, and a verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import stdtrit
+
+from paceline.baselines.template_tracking import Regions
+from paceline.recordings.stereo import StereoFrame
+from paceline.speed.results import CONFIDENCE, Measurement, Track
+from paceline.speed.verdict import FASTEST, LEAST_FRAMES, too_wide
+
+Array = NDArray[np.float64]
+
+NAN = float("nan")
+NO_TEXTURE = "residuals: the region has too little texture to be followed"
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """A vehicle at one frame (SI units, ideal pixels); NaN where the method cannot say.
+
+    ``status`` is tracking, lost (not seen in this frame; it may be seen again) or ended (out of an image).
+    ``points_left`` and ``points_right`` (n, 2) are the features or particles that the overlay shows, and ``strength``
+    how many of them count: matched features, or the effective sample size of particles.
+    """
+
+    frame: int
+    time: float
+    left: Array  # (4, 2)
+    right: Array  # (4, 2)
+    status: str = "tracking"
+    speed: float = NAN
+    speed_std: float = NAN
+    position: Array = field(default_factory=lambda: np.full(3, NAN))
+    points_left: Array = field(default_factory=lambda: np.empty((0, 2)))
+    points_right: Array = field(default_factory=lambda: np.empty((0, 2)))
+    strength: float = NAN
+
+
+@dataclass(frozen=True, eq=False)
+class MeanSpeed:
+    """A mean speed over the frames measured, m/s, with its standard uncertainty from scatter, known from ``dof``
+    degrees of freedom; ``speeds`` and ``stds`` (N,) are the smoothed speeds at the track's frames, where there are
+    any."""
+
+    speed: float
+    std: float
+    dof: float
+    model: str
+    speeds: Array | None = None
+    stds: Array | None = None
+
+
+def filtered(vehicle: str, sights: Sequence[Sight], model: str) -> Measurement:
+    """The measurement by a filter's own speeds: their mean, each counted by what it claims to know.
+
+    A filter's successive estimates repeat one another's errors, so that their scatter is not divided by their number.
+    """
+    known = [s for s in sights if s.status == "tracking" and np.isfinite(s.speed_std)]
+    speeds, stds = (np.array([getattr(s, name) for s in known]) for name in ("speed", "speed_std"))
+    information = np.maximum(stds, np.median(stds)) ** -2.0  # a cloud that has shrunk to a point knows no more
+    mean = float(np.average(speeds, weights=information))
+    scatter = float(np.average((speeds - mean) ** 2, weights=information))
+    std = float(np.sqrt(scatter + 1.0 / information.mean()))
+    return judged(vehicle, sights, MeanSpeed(mean, std, len(known) - 1.0, model))
+
+
+def judged(vehicle: str, sights: Sequence[Sight], mean: MeanSpeed, notices: Sequence[str] = ()) -> Measurement:
+    """The measurement of a vehicle; rejected, with the reason, where its interval says too little."""
+    half = float(stdtrit(mean.dof, 0.5 + CONFIDENCE / 2) * mean.std)
+    reason = ""
+    if not np.isfinite([mean.speed, half]).all():
+        reason = "residuals: no motion explains what was matched"
+    elif mean.speed > FASTEST:
+        reason = f"implausible: {mean.speed:.1f} m/s"
+    else:
+        reason = too_wide(mean.speed, half)
+    return Measurement(
+        vehicle=vehicle,
+        track=track_of(vehicle, sights, mean.speeds, mean.stds),
+        speed=mean.speed,
+        speed_lo=mean.speed - half,
+        speed_hi=mean.speed + half,
+        random_std=mean.std,
+        systematic_std=NAN,
+        frames=_frames(sights),
+        verdict="rejected" if reason else "measured",
+        reason=reason,
+        model=mean.model,
+        notices=[*notices, "a baseline: the interval comes from scatter alone and holds no systematic part"],
+    )
+
+
+def unseen(frame: StereoFrame, regions: Regions) -> Sight:
+    """A frame that does not show the vehicle: the regions stay where they were."""
+    status = "ended" if regions.status == "ended" else "lost"
+    return Sight(frame.index, frame.time, regions.quads[0], regions.quads[1], status=status)
+
+
+def rejected(vehicle: str, sights: Sequence[Sight], reason: str) -> Measurement:
+    """A vehicle for which there is no speed."""
+    track, frames = track_of(vehicle, sights), _frames(sights)
+    return Measurement(vehicle, track, NAN, NAN, NAN, NAN, NAN, frames, "rejected", reason, "none")
+
+
+def too_few(sights: Sequence[Sight]) -> str:
+    """Why there is no track to measure by; empty where there is one."""
+    frames = _frames(sights)
+    if frames >= LEAST_FRAMES:
+        return ""
+    how = {"ended": "left the image after", "lost": "was lost after"}
+    last = sights[-1].status if sights else "tracking"
+    return f"too few frames: the vehicle {how.get(last, 'was seen for only')} {frames} of at least {LEAST_FRAMES}"
+
+
+def track_of(vehicle: str, sights: Sequence[Sight], speeds: Array | None = None, stds: Array | None = None) -> Track:
+    """The aligned arrays of a track; points are filled up with NaN to one number in every frame."""
+    nothing = np.full(len(sights), NAN)
+    return Track(
+        vehicle=vehicle,
+        frame=np.array([s.frame for s in sights], np.int64),
+        time=np.array([s.time for s in sights]),
+        speed=np.array([s.speed for s in sights]),
+        speed_std=np.array([s.speed_std for s in sights]),
+        position=np.array([s.position for s in sights]).reshape(-1, 3),
+        yaw_rate=nothing,
+        left=np.array([s.left for s in sights]).reshape(-1, 4, 2),
+        right=np.array([s.right for s in sights]).reshape(-1, 4, 2),
+        ess=np.array([s.strength for s in sights]),
+        status=[s.status for s in sights],
+        particles_left=_filled_up([s.points_left for s in sights]),
+        particles_right=_filled_up([s.points_right for s in sights]),
+        refined_speed=nothing if speeds is None else speeds,
+        refined_std=nothing if stds is None else stds,
+    )
+
+
+def _frames(sights: Sequence[Sight]) -> int:
+    return sum(s.status == "tracking" for s in sights)
+
+
+def _filled_up(points: Sequence[Array]) -> Array:
+    most = max((len(p) for p in points), default=0)
+    filled = np.full((len(points), max(most, 1), 2), NAN)
+    for row, p in zip(filled, points, strict=True):
+        row[: len(p)] = p
+    return filled

@@ -1,0 +1,121 @@
+"""Pairs of pictures of a board: which belong together, and the corners seen in each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from paceline.calibration.boards import Board, Corners, Detector, detector, same_way_round
+from paceline.calibration.parameters import Observations
+from paceline.errors import UnusableInput
+from paceline.recordings.image_sources import Image, ImageFiles, Source, open_source
+from paceline.recordings.stereo import pair_by_time, pair_images
+
+Progress = Callable[[int, int | None], None]
+
+MOST_VIEWS = 80  # of longer recordings, evenly spread ones: more cost time and hardly add
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One pair of pictures: what messages call it, and the corners in each."""
+
+    name: str
+    left: Corners
+    right: Corners
+
+    @property
+    def sides(self) -> tuple[Corners, Corners]:
+        return self.left, self.right
+
+
+@dataclass(frozen=True, eq=False)
+class Views:
+    """Pairs in which a camera sees the board; ``empty`` names those in which none does. ``sizes``: (width, height)."""
+
+    board: Board
+    views: list[View]
+    empty: list[str]
+    sizes: tuple[tuple[int, int], tuple[int, int]]
+    notices: list[str]
+
+
+def collect_views(left: Path, right: Path, board: Board, progress: Progress | None = None) -> Views:
+    """The corners of ``board`` in two folders of images, patterns or videos.
+
+    Raises UnusableInput where the two do not belong together, a file is bad or no picture shows the board.
+    """
+    if left.resolve() == right.resolve():
+        raise UnusableInput(f"{left}: is given for both cameras; expected the left one's pictures and the right one's")
+    sources = open_source(left), open_source(right)
+    pairs, notices = _pairs(*sources)
+    if len(pairs) > MOST_VIEWS:
+        notices.append(f"{MOST_VIEWS} of {len(pairs)} pairs are used, evenly spread")
+        pairs = [pairs[i] for i in np.linspace(0, len(pairs) - 1, MOST_VIEWS).round().astype(int)]
+    find = detector(board)
+    views, empty, sizes = [], [], [(0, 0), (0, 0)]
+    reads = [source.read([pair[side] for pair in pairs]) for side, source in enumerate(sources)]
+    for k, (pair, *images) in enumerate(zip(pairs, *reads, strict=True)):
+        name = _name(sources[0], pair[0])
+        found = [_find(find, image) for image in images]
+        for side, image in enumerate(images):
+            sizes[side] = _size(sources[side], pair[side], image, sizes[side])
+        if len(found[0]) and len(found[1]) and board.marker is None:
+            found[1] = same_way_round(found[0], found[1])
+        if len(found[0]) or len(found[1]):
+            views.append(View(name, found[0], found[1]))
+        else:
+            empty.append(name)
+        if progress:
+            progress(k + 1, len(pairs))
+    if not views:
+        raise UnusableInput(f"{left} and {right}: no picture shows the board; is --board what was filmed?")
+    for source in sources:
+        notices += source.notices
+    return Views(board, views, empty, (sizes[0], sizes[1]), notices)
+
+
+def _pairs(left: Source, right: Source) -> tuple[list[tuple[int, int]], list[str]]:
+    if isinstance(left, ImageFiles) and isinstance(right, ImageFiles):
+        pairing = pair_images(left, right, 1.0)
+        notices = [n for n in pairing.notices if "paired in order" in n or "left out" in n]
+    elif left.times is None or right.times is None:
+        raise UnusableInput(f"{left.name} and {right.name}: one is a video and the other images; expected alike")
+    else:
+        pairing = pair_by_time(left.times, right.times)
+        notices = list(pairing.notices)
+    return list(zip(pairing.left.tolist(), pairing.right.tolist(), strict=True)), notices
+
+
+def _find(find: Detector, image: Image | None) -> Corners:
+    return Corners(np.empty(0, np.int64), np.empty((0, 2))) if image is None else find(image)
+
+
+def _name(source: Source, frame: int) -> str:
+    return Path(source.label(frame)).name if isinstance(source, ImageFiles) else f"frame {frame}"
+
+
+def _size(source: Source, frame: int, image: Image | None, before: tuple[int, int]) -> tuple[int, int]:
+    if image is None:
+        return before
+    size = image.shape[1], image.shape[0]
+    if before not in ((0, 0), size):
+        raise UnusableInput(
+            f"{source.label(frame)}: has {size[0]} × {size[1]} pixels, the pictures before it {before[0]} × {before[1]}"
+        )
+    return size
+
+
+def observations(board: Board, views: Sequence[View]) -> Observations:
+    """All corners of ``views`` in one list, numbered by their places."""
+    view, side, points, pixels = [], [], [], []
+    for v, pair in enumerate(views):
+        for s, corners in enumerate(pair.sides):
+            view.append(np.full(len(corners), v))
+            side.append(np.full(len(corners), s))
+            points.append(board.points[corners.ids])
+            pixels.append(corners.pixels)
+    return Observations(np.concatenate(view), np.concatenate(side), np.concatenate(points), np.concatenate(pixels))

@@ -1,0 +1,161 @@
+"""Bundle adjustment: the rig and the board's pose in every view from all corners at once.
+
+Levenberg and Marquardt's steps with the poses eliminated (Schur complement), and corners weighed down that lie far off.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from paceline.calibration.parameters import N_RIG, Array, Indices, Observations, Poses, Rig, project
+
+Weighing = Literal["huber", "redescending"]
+
+HUBER = 2.5  # standard deviations from which a corner counts less
+FAR = 6.0  # standard deviations at which a corner counts a quarter when gross errors are still among them
+MOST_STEPS = 60
+SETTLED = 1e-7  # relative change of the sum of squares that ends the steps
+LEAST_SIGMA = 1e-3  # px; keeps perfect corners from being weighed against rounding
+NORMAL = 1.1774  # median length of a two-dimensional error in standard deviations of each coordinate
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A rig and poses that fit; ``free`` (P,) are the rig's parameters that were estimated.
+
+    ``residuals`` (M, 2) px are seen minus expected, ``weights`` (M,) what each corner counted. ``information``
+    (V, P, P) is what every view says about the free parameters once its pose is eliminated, ``scores`` (V, P) the
+    gradient that it leaves, both for corners of a standard deviation of one pixel.
+    """
+
+    rig: Rig
+    poses: Poses
+    free: Indices
+    residuals: Array
+    weights: Array
+    information: Array
+    scores: Array
+    settled: bool
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation of a corner's coordinate, px, from the residuals."""
+        unknown = len(self.free) + 6 * len(self.poses.t)
+        spare = 2 * self.weights.sum() - unknown
+        return float(np.sqrt((self.weights[:, None] * self.residuals**2).sum() / max(spare, 1.0)))
+
+    @property
+    def dispersion(self) -> float:
+        """Variance of a corner's coordinate, px², as the views show it when each is taken as a whole.
+
+        Errors common to the corners of a view (a board that is not flat, blur, a finder that errs all one way) do not
+        average out within it. Under independent errors the scores s_v have the covariance σ² (A_v − A_v A⁻¹ A_v), so
+        that Σ s_vᵀ A⁻¹ s_v estimates σ² Σ tr (A⁻¹ A_v (1 − A⁻¹ A_v)); larger scores mean larger clusters of error.
+        """
+        inverse = np.linalg.inv(self.information.sum(0))
+        share = inverse @ self.information
+        expected = np.trace(share - share @ share, axis1=1, axis2=2).sum()
+        found = np.einsum("vi,ij,vj->", self.scores, inverse, self.scores)
+        return float(found / max(expected, 1e-9))
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance (24, 24) of all parameters of the rig; zero for those that were held.
+
+        From independent corners or from views as clusters, whichever is wider. Raises numpy.linalg.LinAlgError where
+        the views do not determine the parameters.
+        """
+        inverse = np.linalg.inv(self.information.sum(0))
+        C = np.zeros((N_RIG, N_RIG))
+        C[np.ix_(self.free, self.free)] = max(self.sigma**2, self.dispersion) * inverse
+        return C
+
+
+def fit(rig: Rig, poses: Poses, seen: Observations, free: Indices, weighing: Weighing = "huber") -> Fit:
+    """The rig's ``free`` parameters and all poses that fit ``seen`` best, from a start that is roughly right.
+
+    With no free parameters only the poses are fitted. Every view must hold corners, listed in the views' order.
+    """
+    V, P, damping = len(poses.t), len(free), 1e-3
+    expected, J, Q = project(rig, poses, seen)
+    residuals = seen.pixels - expected
+    weights, settled = _weights(residuals, weighing), False
+    for _ in range(MOST_STEPS):
+        blocks = _normal_equations(J[..., free], Q, residuals, weights, seen.view, V)
+        cost = _cost(residuals, weights)
+        while True:
+            step, poses_step = _solve(blocks, damping)
+            whole = np.zeros(N_RIG)
+            whole[free] = step
+            new_rig, new_poses = rig.moved(whole), poses.moved(poses_step)
+            new_expected, new_J, new_Q = project(new_rig, new_poses, seen)
+            new_residuals = seen.pixels - new_expected
+            new_cost = _cost(new_residuals, weights)
+            if np.isfinite(new_cost) and new_cost <= cost:
+                break
+            damping *= 10
+            if damping > 1e10:
+                break
+        if not new_cost <= cost:  # no step helps any more
+            settled = True
+            break
+        rig, poses, residuals, J, Q = new_rig, new_poses, new_residuals, new_J, new_Q
+        damping = max(damping / 10, 1e-12)
+        if cost - new_cost <= SETTLED * cost:
+            settled = True
+            break
+        weights = _weights(residuals, weighing)
+    A, B, C, a, b = _normal_equations(J[..., free], Q, residuals, weights, seen.view, V)
+    kept = np.linalg.solve(C, np.concatenate([B.transpose(0, 2, 1), b[..., None]], axis=2))
+    information, scores = A - B @ kept[..., :P], a - (B @ kept[..., P:])[..., 0]
+    return Fit(rig, poses, free, residuals, weights, information, scores, settled)
+
+
+Blocks = tuple[Array, Array, Array, Array, Array]
+
+
+def _normal_equations(J: Array, Q: Array, residuals: Array, weights: Array, view: Indices, V: int) -> Blocks:
+    """By view: the rig's block (V, P, P), coupling (V, P, 6), the pose's block (V, 6, 6), gradients (V, P), (V, 6)."""
+    D = np.concatenate([J, Q, residuals[..., None]], axis=2)
+    P, n = J.shape[2], D.shape[2]
+    rows = (D * np.sqrt(weights)[:, None, None]).reshape(-1, n)
+    N = np.array([part.T @ part for part in np.split(rows, 2 * np.searchsorted(view, np.arange(1, V)))])
+    return N[:, :P, :P], N[:, :P, P:-1], N[:, P:-1, P:-1], N[:, :P, -1], N[:, P:-1, -1]
+
+
+def _solve(blocks: Blocks, damping: float) -> tuple[Array, Array]:
+    """Steps of the rig (P,) and of the poses (V, 6)."""
+    A, B, C, a, b = blocks
+    P = A.shape[1]
+    damped = C + damping * C * np.eye(6)
+    kept = np.linalg.solve(damped, np.concatenate([B.transpose(0, 2, 1), b[..., None]], axis=2))
+    step = np.zeros(P)
+    if P:
+        total = A.sum(0)
+        reduced = total + damping * total * np.eye(P) - (B @ kept[..., :P]).sum(0)
+        step = np.linalg.lstsq(reduced, a.sum(0) - (B @ kept[..., P:])[..., 0].sum(0), rcond=1e-14)[0]
+    return step, kept[..., P] - kept[..., :P] @ step
+
+
+def _weights(residuals: Array, weighing: Weighing) -> Array:
+    length = np.linalg.norm(residuals, axis=1)
+    sigma = max(float(np.median(length)) / NORMAL, LEAST_SIGMA)
+    if weighing == "huber":
+        return np.asarray(np.minimum(1.0, HUBER * sigma / np.maximum(length, 1e-12)))
+    return np.asarray(1.0 / (1.0 + (length / (FAR * sigma)) ** 2) ** 2)
+
+
+def _cost(residuals: Array, weights: Array) -> float:
+    with np.errstate(over="ignore", invalid="ignore"):
+        return float((weights[:, None] * residuals**2).sum())
+
+
+def errors_by_view(residuals: Array, view: Indices, V: int) -> Array:
+    """Root mean square (V,) px of the coordinates of ``residuals`` (M, 2) in every view; NaN where there are none."""
+    count = np.bincount(view, minlength=V)
+    squares = np.bincount(view, (residuals**2).sum(1), minlength=V)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(np.sqrt(squares / (2 * count)))

@@ -1,0 +1,325 @@
+"""Rigs from the calibration files of other programs.
+
+* OpenCV: one or two files written by ``cv::FileStorage`` (YAML or XML), with the names of its stereo_calib example (M1,
+  D1, M2, D2, R, T) or the usual others.
+* Kalibr: a camchain.yaml; pinhole cameras with radtan distortion or none.
+* ROS: two camera_info files, as camera_calibration writes them. A rectified pair's R and P hold the pose.
+* KITTI: calib_cam_to_cam.txt of the raw recordings, or a file of projection matrices P0 … P3.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from paceline.cameras import Camera, StereoRig
+from paceline.documents import plausibility
+from paceline.errors import UnusableInput
+
+Array = NDArray[np.float64]
+Size = tuple[int, int]
+
+OPENCV = {  # what a matrix may be called, first the names of OpenCV's own example
+    "K1": ("M1", "K1", "cameraMatrix1", "camera_matrix_1", "left_camera_matrix", "K_left"),
+    "K2": ("M2", "K2", "cameraMatrix2", "camera_matrix_2", "right_camera_matrix", "K_right"),
+    "D1": ("D1", "distCoeffs1", "dist_coeffs_1", "left_distortion_coefficients", "D_left"),
+    "D2": ("D2", "distCoeffs2", "dist_coeffs_2", "right_distortion_coefficients", "D_right"),
+    "R": ("R", "rotation", "rotation_matrix"),
+    "T": ("T", "t", "translation", "translation_vector"),
+}
+WIDTH = ("image_width", "imageWidth", "width")
+HEIGHT = ("image_height", "imageHeight", "height")
+COEFFICIENTS = (0, 4, 5, 8, 12, 14)
+KINDS = "an OpenCV stereo calibration (YAML or XML), a Kalibr camchain, two ROS camera_info files or a KITTI calib file"
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """What the files may leave open: the image ``size`` where they do not say it, metres in their ``unit`` of length,
+    the two ``cameras`` of a chain, and whether the pictures are ``rectified``."""
+
+    size: Size | None = None
+    unit: float = 1.0
+    cameras: tuple[int, int] = (0, 1)
+    rectified: bool = True
+
+
+def import_rig(files: Sequence[Path], wishes: Wishes) -> tuple[StereoRig, str]:
+    """The rig that ``files`` describe, and the kind of file they are.
+
+    Raises UnusableInput, naming the file and the key, where they describe none.
+    """
+    texts = {file: _text(file) for file in files}
+    if len(texts) < len(files):
+        raise UnusableInput(f"{files[0]}: is given twice; expected the left camera's file and the right one's")
+    first, content = next(iter(texts.items()))
+    if re.search(r"^P(_rect_0)?0:", content, re.MULTILINE):
+        reader: Callable[[dict[Path, str], Wishes], StereoRig] = _kitti
+        kind = "KITTI"
+    elif re.match(r"\s*(<\?xml|<opencv_storage|%YAML)", content):
+        reader, kind = _opencv, "OpenCV"
+    else:
+        document = _yaml(first, content)
+        if "cam0" in document:
+            reader, kind = _kalibr, "Kalibr"
+        elif "camera_matrix" in document or {"k", "K"} & document.keys():
+            reader, kind = _ros, "ROS"
+        else:
+            raise UnusableInput(f"{first}: is not known; expected {KINDS}")
+    if len(files) > (2 if kind in ("OpenCV", "ROS") else 1):
+        raise UnusableInput(f"{files[-1]}: one file too many; a {kind} rig is described by fewer")
+    rig = reader(texts, wishes)
+    for complaint in (
+        *(plausibility.wrong_intrinsics(camera) for camera in rig.cameras),
+        plausibility.wrong_rotation(rig.R),
+        plausibility.wrong_baseline(rig),
+    ):
+        if complaint:
+            hint = "; --unit mm says so" if "millimetres" in complaint else ""
+            raise UnusableInput(f"{first}: {complaint}{hint}")
+    return StereoRig(rig.left, rig.right, plausibility.nearest_rotation(rig.R), rig.t), kind
+
+
+# --- OpenCV --------------------------------------------------------------------------------------------------------
+
+
+def _opencv(texts: dict[Path, str], wishes: Wishes) -> StereoRig:
+    found: dict[str, Array] = {}
+    where = " and ".join(map(str, texts))
+    for file, text in texts.items():
+        try:
+            storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
+        except (cv2.error, SystemError) as error:
+            raise UnusableInput(f"{file}: is no whole OpenCV file") from error
+        for name, names in {**OPENCV, "width": WIDTH, "height": HEIGHT}.items():
+            for key in names:
+                node = storage.getNode(key)
+                if not node.empty() and name not in found:
+                    scalar = name in ("width", "height")
+                    value = node.real() if scalar else node.mat() if node.isMap() else None
+                    if value is not None:
+                        found[name] = np.asarray(value, float)
+        storage.release()
+    for name in ("K1", "K2", "R", "T"):
+        if name not in found:
+            raise UnusableInput(f"{where}: {OPENCV[name][0]} is missing; expected M1, D1, M2, D2, R and T")
+    size = wishes.size
+    if "width" in found and "height" in found:
+        size = int(found["width"]), int(found["height"])
+    lenses = []
+    for k in "12":
+        D = found.get(f"D{k}", np.zeros(0))
+        lenses.append(_camera(where, f"M{k}", found[f"K{k}"], D.ravel().tolist(), size))
+    return StereoRig(lenses[0], lenses[1], _rotation(where, "R", found["R"]), _vector(where, "T", found["T"], wishes))
+
+
+# --- Kalibr --------------------------------------------------------------------------------------------------------
+
+
+def _kalibr(texts: dict[Path, str], wishes: Wishes) -> StereoRig:
+    file, text = next(iter(texts.items()))
+    chain = _yaml(file, text)
+    a, b = wishes.cameras
+    T, lenses = np.eye(4), []
+    for k in range(a, b + 1) if a < b else ():
+        if f"cam{k}" not in chain:
+            raise UnusableInput(f"{file}: cam{k} is missing; expected cam{a} to cam{b}")
+        if k > a:
+            T = _array(file, f"cam{k}.T_cn_cnm1", chain[f"cam{k}"].get("T_cn_cnm1"), (4, 4)) @ T
+    if a >= b:
+        raise UnusableInput(f"--cameras {a},{b}: expected the left camera's number first, and the smaller one")
+    for k in (a, b):
+        camera = chain[f"cam{k}"]
+        if (model := camera.get("camera_model")) != "pinhole":
+            raise UnusableInput(f"{file}: cam{k}.camera_model: {model!r} is not supported; expected pinhole")
+        distortion = camera.get("distortion_model")
+        if distortion not in ("radtan", "none"):
+            raise UnusableInput(
+                f"{file}: cam{k}.distortion_model: {distortion!r} is not supported; expected radtan or none"
+            )
+        fx, fy, cx, cy = _array(file, f"cam{k}.intrinsics", camera.get("intrinsics"), (4,))
+        size = _array(file, f"cam{k}.resolution", camera.get("resolution"), (2,))
+        K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+        coefficients = camera.get("distortion_coeffs") or [] if distortion == "radtan" else []
+        lenses.append(_camera(file, f"cam{k}", K, coefficients, (int(size[0]), int(size[1]))))
+    return StereoRig(lenses[0], lenses[1], T[:3, :3], wishes.unit * T[:3, 3])
+
+
+# --- ROS -----------------------------------------------------------------------------------------------------------
+
+
+def _ros(texts: dict[Path, str], wishes: Wishes) -> StereoRig:
+    if len(texts) != 2:
+        raise UnusableInput(f"{next(iter(texts))}: is one camera's camera_info; expected the left and the right one")
+    lenses: list[Camera] = []
+    turns: list[Array] = []
+    shifts: list[Array] = []
+    for file, text in texts.items():
+        info = _yaml(file, text)
+        size = int(_scalar(file, info, WIDTH)), int(_scalar(file, info, HEIGHT))
+        K = _matrix(file, info, ("camera_matrix", "k", "K"), (3, 3))
+        R = _matrix(file, info, ("rectification_matrix", "r", "R"), (3, 3))
+        P = _matrix(file, info, ("projection_matrix", "p", "P"), (3, 4))
+        model = info.get("distortion_model", "plumb_bob")
+        if model not in ("plumb_bob", "rational_polynomial"):
+            raise UnusableInput(
+                f"{file}: distortion_model: {model!r} is not supported; expected plumb_bob or rational_polynomial"
+            )
+        D = info.get("distortion_coefficients", info.get("d", info.get("D", [])))
+        D = D.get("data", []) if isinstance(D, Mapping) else D
+        if not K[0, 0] > 0 or not P[0, 0] > 0:
+            raise UnusableInput(f"{file}: the camera is not calibrated, its matrices hold zeros")
+        shifts.append(_shift(P))
+        turns.append(_rotation(file, "rectification_matrix", R))
+        lens = _camera(file, "camera_matrix", P[:, :3] if wishes.rectified else K, [] if wishes.rectified else D, size)
+        lenses.append(lens)
+    return _from_rectified(lenses, turns, shifts, wishes)
+
+
+def _from_rectified(lenses: list[Camera], turns: list[Array], shifts: list[Array], wishes: Wishes) -> StereoRig:
+    """The rig of cameras that see ``X_rect = turn X`` plus a shift of their own, both in the same rectified axes."""
+    t = wishes.unit * (shifts[1] - shifts[0])
+    if wishes.rectified:
+        return StereoRig(lenses[0], lenses[1], np.eye(3), t)
+    return StereoRig(lenses[0], lenses[1], turns[1].T @ turns[0], turns[1].T @ t)
+
+
+# --- KITTI ---------------------------------------------------------------------------------------------------------
+
+
+def _kitti(texts: dict[Path, str], wishes: Wishes) -> StereoRig:
+    file, text = next(iter(texts.items()))
+    values = {}
+    for line in text.splitlines():
+        key, colon, rest = line.partition(":")
+        try:
+            values[key.strip()] = np.array([float(x) for x in rest.split()])
+        except ValueError:  # a date
+            continue
+    raw = any(key.startswith("P_rect_") for key in values)
+    if not raw and not wishes.rectified:
+        raise UnusableInput(
+            f"{file}: holds the rectified cameras alone; expected calib_cam_to_cam.txt for --unrectified"
+        )
+
+    def read(key: str, shape: tuple[int, ...]) -> Array:
+        if key not in values or values[key].size != np.prod(shape):
+            raise UnusableInput(
+                f"{file}: {key}: {'missing' if key not in values else 'expected'} {np.prod(shape)} numbers"
+            )
+        return values[key].reshape(shape)
+
+    lenses: list[Camera] = []
+    turns: list[Array] = []
+    shifts: list[Array] = []
+    for k in wishes.cameras:
+        size = wishes.size
+        if raw:
+            width, height = read(f"S_rect_{k:02d}" if wishes.rectified else f"S_{k:02d}", (2,))
+            size = int(width), int(height)
+        if wishes.rectified:
+            P = read(f"P_rect_{k:02d}" if raw else f"P{k}", (3, 4))
+            lenses.append(_camera(file, f"P{k}", P[:, :3], [], size))
+            turns.append(np.eye(3))
+            shifts.append(_shift(P))
+        else:
+            K, D = read(f"K_{k:02d}", (3, 3)), read(f"D_{k:02d}", (5,))
+            lenses.append(_camera(file, f"K_{k:02d}", K, D.tolist(), size))
+            turns.append(read(f"R_{k:02d}", (3, 3)))
+            shifts.append(read(f"T_{k:02d}", (3,)))
+    if wishes.rectified:
+        return _from_rectified(lenses, turns, shifts, wishes)
+    R = np.asarray(turns[1] @ turns[0].T, float)  # each: from camera 0 to its own axes
+    return StereoRig(lenses[0], lenses[1], R, wishes.unit * (shifts[1] - R @ shifts[0]))
+
+
+# --- what they share -----------------------------------------------------------------------------------------------
+
+
+def _text(file: Path) -> str:
+    try:
+        return file.read_text(encoding="utf-8")
+    except OSError as error:
+        raise UnusableInput(f"{file}: cannot be read ({error.strerror})") from error
+    except UnicodeDecodeError as error:
+        raise UnusableInput(f"{file}: is not a text file; expected {KINDS}") from error
+
+
+def _yaml(file: Path, text: str) -> dict[str, Any]:
+    try:
+        document = yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise UnusableInput(f"{file}: is not valid YAML; expected {KINDS}") from error
+    if not isinstance(document, dict):
+        raise UnusableInput(f"{file}: is not known; expected {KINDS}")
+    return document
+
+
+def _camera(file: Path | str, key: str, K: Array, coefficients: Sequence[float], size: Size | None) -> Camera:
+    if size is None:
+        raise UnusableInput(f"{file}: does not say the size of the images; expected --size WIDTHxHEIGHT")
+    if K.shape != (3, 3) or not np.isfinite(K).all():
+        raise UnusableInput(f"{file}: {key}: expected a 3 × 3 matrix of finite numbers")
+    if K[0, 1] or K[1, 0]:
+        raise UnusableInput(
+            f"{file}: {key}: holds a skew of {K[0, 1]:g}; expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]"
+        )
+    try:
+        D = np.array(coefficients, float).ravel()
+    except (TypeError, ValueError):
+        raise UnusableInput(f"{file}: {key}: the distortion is no list of numbers") from None
+    if len(D) not in COEFFICIENTS or not np.isfinite(D).all():
+        raise UnusableInput(f"{file}: {key}: expected 4, 5, 8, 12 or 14 coefficients of distortion, found {len(D)}")
+    return Camera(size, K, D)
+
+
+def _shift(P: Array) -> Array:
+    """What a projection matrix (3, 4) adds to points before its (3, 3) part projects them."""
+    return np.asarray(np.linalg.solve(P[:, :3], P[:, 3]), float)
+
+
+def _rotation(file: Path | str, key: str, R: Array) -> Array:
+    R = np.asarray(cv2.Rodrigues(R.ravel())[0]) if R.size == 3 else R
+    if R.shape != (3, 3):
+        raise UnusableInput(f"{file}: {key}: expected a rotation, found {R.size} numbers")
+    return R
+
+
+def _vector(file: Path | str, key: str, t: Array, wishes: Wishes) -> Array:
+    if t.size != 3:
+        raise UnusableInput(f"{file}: {key}: expected three numbers, found {t.size}")
+    return wishes.unit * t.ravel()
+
+
+def _array(file: Path | str, key: str, value: Any, shape: tuple[int, ...]) -> Array:
+    try:
+        found = np.array(value, float)
+    except (TypeError, ValueError):
+        found = np.full(1, np.nan)
+    if found.size != np.prod(shape) or not np.isfinite(found).all():
+        expected = " × ".join(map(str, shape))
+        raise UnusableInput(f"{file}: {key}: expected {expected} finite numbers")
+    return found.reshape(shape)
+
+
+def _matrix(file: Path, info: Mapping[str, Any], keys: Sequence[str], shape: tuple[int, int]) -> Array:
+    for key in keys:
+        if key in info:
+            value = info[key]
+            return _array(file, key, value.get("data") if isinstance(value, Mapping) else value, shape)
+    raise UnusableInput(f"{file}: {keys[0]}: missing")
+
+
+def _scalar(file: Path, info: Mapping[str, Any], keys: Sequence[str]) -> float:
+    for key in keys:
+        if isinstance(info.get(key), int | float):
+            return float(info[key])
+    raise UnusableInput(f"{file}: {keys[0]}: missing")

@@ -1,0 +1,90 @@
+"""A first rig from views some of which may be wrong, good enough to start the bundle adjustment from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from paceline.calibration.parameters import LENS, N_LENS, Array, Observations, Poses, Rig
+
+FOCAL_LENGTHS = np.geomspace(0.4, 12.0, 30)  # tried, as shares of the image's width: fields of view of 103° to 5°
+NOWHERE = np.inf
+
+
+def first_rig(sizes: Sequence[tuple[int, int]], seen: Observations, views: int) -> tuple[Rig, Poses]:
+    """A rig without distortion, and the poses of ``views`` views, each of which is seen by a camera at least.
+
+    The focal length of each camera is the one with which the median view fits best, so that views which are wrong do
+    not matter while most are right; so is the pose of the right camera.
+    """
+    lenses = np.zeros((2, N_LENS))
+    poses = []
+    for side in (0, 1):
+        lenses[side], found = _first_lens(sizes[side], seen.where(seen.side == side), views)
+        poses.append(found)
+    R, t = _first_pose(lenses, poses, seen)
+    rig = Rig(lenses, R, t)
+    left, right = poses
+    unseen = np.isnan(left.t[:, 0])  # by the left camera: where the right one sees it
+    return rig, Poses(
+        np.where(unseen[:, None, None], R.T @ right.R, left.R), np.where(unseen[:, None], (right.t - t) @ R, left.t)
+    )
+
+
+def _first_lens(size: tuple[int, int], seen: Observations, views: int) -> tuple[Array, Poses]:
+    """A lens (9,) and the poses that it gives the views; NaN for views not ``seen``."""
+    best, least = None, np.inf
+    for share in FOCAL_LENGTHS:
+        lens = np.zeros(len(LENS))
+        lens[:4] = share * size[0], share * size[0], (size[0] - 1) / 2, (size[1] - 1) / 2
+        poses, errors = _poses(lens, seen, views)
+        middle = float(np.nanmedian(errors))
+        if middle < least:
+            best, least = (lens, poses), middle
+    assert best is not None
+    return best
+
+
+def _poses(lens: Array, seen: Observations, views: int) -> tuple[Poses, Array]:
+    """Poses of the views and their errors (V,) px, through a lens without distortion."""
+    K = np.array([[lens[0], 0, lens[2]], [0, lens[1], lens[3]], [0, 0, 1]])
+    R, t, errors = np.full((views, 3, 3), np.nan), np.full((views, 3), np.nan), np.full(views, np.nan)
+    for v in np.unique(seen.view):
+        mine = seen.where(seen.view == v)
+        found, rotations, shifts, error = cv2.solvePnPGeneric(
+            mine.points, mine.pixels, K, np.zeros(0), flags=cv2.SOLVEPNP_IPPE
+        )
+        if found:
+            best = int(np.argmin(error))
+            R[v], t[v], errors[v] = (
+                cv2.Rodrigues(rotations[best])[0],
+                np.ravel(shifts[best]),
+                float(np.ravel(error)[best]),
+            )
+        else:
+            errors[v] = NOWHERE
+    return Poses(R, t), errors
+
+
+def _first_pose(lenses: Array, poses: list[Poses], seen: Observations) -> tuple[Array, Array]:
+    """R and t of the right camera: of all views' own, the one with which the median view fits best."""
+    left, right = poses
+    both = np.flatnonzero(np.isfinite(left.t[:, 0]) & np.isfinite(right.t[:, 0]))
+    fx, fy, cx, cy = lenses[1, :4]
+    corners = [seen.where((seen.view == v) & (seen.side == 1)) for v in both]
+    best, least = None, np.inf
+    for v in both:
+        R = right.R[v] @ left.R[v].T
+        t = right.t[v] - R @ left.t[v]
+        errors = []
+        for w, mine in zip(both, corners, strict=True):
+            X = (mine.points @ left.R[w].T + left.t[w]) @ R.T + t
+            pixels = X[:, :2] / X[:, 2:] * [fx, fy] + [cx, cy]
+            errors.append(float(np.median(np.linalg.norm(pixels - mine.pixels, axis=1))))
+        middle = float(np.median(errors))
+        if middle < least or best is None:
+            best, least = (R, t), middle
+    assert best is not None
+    return best

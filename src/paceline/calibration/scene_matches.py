@@ -1,0 +1,75 @@
+"""Points of the scene that both cameras see: SIFT features matched across the views of a clip."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from paceline.cameras import StereoRig
+from paceline.geometry import epipolar_distance, triangulate
+from paceline.recordings.stereo import StereoRecording
+from paceline.sift_features import features, matched
+
+Array = NDArray[np.float64]
+Image = NDArray[np.float32]
+Indices = NDArray[np.int64]
+Progress = Callable[[int, int | None], None]
+
+FRAMES = 6  # looked at, evenly spread: what stands still is seen again in each, and adds little
+FEATURES = 3000  # of each view
+RATIO = 0.75  # of the distances to the best and the second best descriptor (Lowe 2004)
+ASTRAY = 0.04  # of the image's height: farther from its epipolar line no match is believed, however the rig has moved
+TILE = 64  # px
+
+
+@dataclass(frozen=True, eq=False)
+class Matches:
+    """N points seen by both cameras: ideal pixels (N, 2) in each view, and in which ``tile`` (N,) of the left one.
+
+    Errors of points in one tile are taken as common: the same thing is seen there in every frame, through the same part
+    of the lenses.
+    """
+
+    left: Array
+    right: Array
+    tile: Indices
+    frames: int
+
+    def __len__(self) -> int:
+        return len(self.left)
+
+    def where(self, chosen: NDArray[np.bool_]) -> Matches:
+        return replace(self, left=self.left[chosen], right=self.right[chosen], tile=self.tile[chosen])
+
+
+def match_scene(recording: StereoRecording, progress: Progress | None = None) -> Matches:
+    """Points matched across the views of a few frames."""
+    chosen = np.unique(np.linspace(0, len(recording) - 1, min(FRAMES, len(recording))).round().astype(int))
+    detector = cv2.SIFT.create(nfeatures=FEATURES)
+    found, done = [], 0
+    for k in chosen:
+        for frame in recording.frames(int(recording.indices[k]), int(recording.indices[k]) + 1):
+            found.append(match(recording.rig, detector, frame.left, frame.right))
+            done += 1
+        if progress:
+            progress(done, len(chosen))
+    left = np.concatenate([f[0] for f in found]) if found else np.empty((0, 2))
+    right = np.concatenate([f[1] for f in found]) if found else np.empty((0, 2))
+    across = recording.image_size[0] // TILE + 1
+    x, y = np.maximum(left // TILE, 0).astype(np.int64).T
+    return Matches(left, right, y * across + x, done)
+
+
+def match(rig: StereoRig, detector: cv2.SIFT, left: Image, right: Image) -> tuple[Array, Array]:
+    """Features (n, 2) of two views that are each other's best match by far, near their epipolar lines and in front."""
+    (a, of_a), (b, of_b) = (features(detector, image) for image in (left, right))
+    i, j = matched(of_a, of_b, RATIO)
+    p, q = a[i], b[j]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        in_front = triangulate(rig, p, q)[:, 2] > 0
+    near = np.abs(epipolar_distance(rig, p, q)) < ASTRAY * rig.left.image_size[1]
+    return p[near & in_front], q[near & in_front]

@@ -1,0 +1,132 @@
+"""What the uncertainty of a calibration does to speeds, and how rig.yaml states it.
+
+Above this room cameras are pinholes: pictures are undistorted once, by the calibration itself. An error of the
+distortion therefore acts as the error of a pinhole that comes nearest to it over the image's middle, and the 24
+parameters' covariance becomes one of 14: fx, fy, cx, cy of each camera, rotation and translation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from paceline.calibration.parameters import LENS, N_LENS, N_RIG, Array, Rig, camera_of
+from paceline.cameras import RigUncertainty, StereoRig, moved_rigs
+from paceline.geometry import triangulate
+
+DISTANCES = (20.0, 50.0, 80.0)  # m
+STRETCH = 10.0  # m, over which a speed is measured
+ACROSS = (-0.25, 0.0, 0.25)  # of the image's width from its centre: where vehicles drive
+MIDDLE = 0.6  # share of the image over which a pinhole is fitted to a lens
+STEPS = np.array([1.0, 1.0, 1.0, 1.0, 1e-3, 1e-3, 1e-4, 1e-4, 1e-3])  # of a lens's parameters, for differences
+PINHOLE = 4
+
+
+@dataclass(frozen=True)
+class SpeedEffect:
+    """One standard uncertainty of a speed at ``distance`` (m), as a share of it: for a vehicle that drives along the
+    line of sight, and for one that drives across it."""
+
+    distance: float
+    along: float
+    across: float
+
+
+def speed_effects(rig: StereoRig, distances: Sequence[float] = DISTANCES) -> list[SpeedEffect]:
+    """What the stated uncertainty of ``rig`` does to speeds in the middle of the picture: every move that it allows,
+    with the pixels held fixed, before any vehicle's pictures put some of it right."""
+    assert rig.uncertainty is not None
+    moves = moved_rigs(rig, rig.uncertainty)
+    effects = []
+    for distance in distances:
+        along, across = (
+            float(np.linalg.norm([speed_change(rig, moved, *ends) for moved in moves]))
+            for ends in _ways(rig, distance, 0.0)
+        )
+        effects.append(SpeedEffect(distance, along, across))
+    return effects
+
+
+def speed_change(rig: StereoRig, moved: StereoRig, start: Array, end: Array) -> float:
+    """By how much, as a share of it, the distance from ``start`` (3,) to ``end`` (3,) comes out larger when the pixels
+    that ``rig`` sees are triangulated with ``moved``."""
+    ends = np.stack([start, end])
+    found = triangulate(moved, *rig.project(ends))
+    return float(np.linalg.norm(found[1] - found[0]) / np.linalg.norm(end - start)) - 1
+
+
+def _ways(rig: StereoRig, distance: float, across: float) -> list[tuple[Array, Array]]:
+    """Start and end of a way along the line of sight at ``distance`` and ``across``, and of one at right angles."""
+    width = rig.left.image_size[0]
+    x = rig.left.K[0, 2] + across * width
+    middle = distance * rig.left.rays(np.array([x, rig.left.K[1, 2]]))
+    half = STRETCH / 2 * np.array([[0.0, 0, 1], [1, 0, 0]])
+    return [(middle - h, middle + h) for h in half]
+
+
+def pinhole_covariance(rig: Rig, covariance: Array, sizes: Sequence[tuple[int, int]]) -> Array:
+    """Covariance (14, 14) of the pinholes' parameters, rotation and translation from that of all (24, 24)."""
+    M = np.zeros((2 * PINHOLE + 6, N_RIG))
+    for side, size in enumerate(sizes):
+        rows = slice(PINHOLE * side, PINHOLE * (side + 1))
+        M[rows, N_LENS * side : N_LENS * (side + 1)] = equivalent_pinhole(rig.lenses[side], size)
+    M[2 * PINHOLE :, 2 * N_LENS :] = np.eye(6)
+    return M @ covariance @ M.T
+
+
+def equivalent_pinhole(lens: Array, size: tuple[int, int]) -> Array:
+    """∂(fx, fy, cx, cy)/∂lens (4, 9) of the pinhole nearest to the ideal pixels that ``lens`` (9,) computes, as they
+    relate to the rays of the true lens: least squares over the middle of an image of that ``size``."""
+    camera = camera_of(lens, size)
+    w, h = size
+    u = np.linspace((1 - MIDDLE) / 2, (1 + MIDDLE) / 2, 13)
+    pixels = np.stack(np.meshgrid(u * (w - 1), u * (h - 1)), -1).reshape(-1, 2)
+    ideal, D = camera.undistort_points(pixels), np.zeros((PINHOLE, len(LENS)))
+    for k, step in enumerate(STEPS):
+        ends = []
+        for sign in (-1, 1):
+            other = lens.copy()
+            other[k] += sign * step
+            true = camera_of(other, size)
+            rays = true.rays(true.undistort_points(pixels))
+            for i in (0, 1):  # ideal = f · ray + c
+                design = np.column_stack([rays[:, i], np.ones(len(rays))])
+                ends.append(np.linalg.lstsq(design, ideal[:, i], rcond=None)[0])
+        (fx0, cx0), (fy0, cy0), (fx1, cx1), (fy1, cy1) = ends
+        D[:, k] = np.array([fx1 - fx0, fy1 - fy0, cx1 - cx0, cy1 - cy0]) / (2 * step)
+    return D
+
+
+def stated_uncertainty(rig: StereoRig, covariance: Array) -> RigUncertainty:
+    """The ``uncertainty`` of rig.yaml: the covariance (14, 14), and beside it independent standard uncertainties for
+    whoever reads those alone.
+
+    A shift of a principal point and a turn of its camera are nearly one: they are stated together, as the turn. The
+    focal length is given what is then still lacking, up to its own uncertainty, and all are enlarged together where no
+    speed would otherwise be as unsure as by the covariance.
+    """
+    together = np.hstack([np.zeros((6, 8)), np.eye(6)])
+    for first, camera, sign in ((2, rig.left, -1.0), (6, rig.right, 1.0)):
+        together[1, first] = sign / camera.K[0, 0]  # the right camera: ray and pixel shift alike
+        together[0, first + 1] = -sign / camera.K[1, 1]
+    std = np.sqrt(np.diag(together @ covariance @ together.T))
+    turn, shift = _triple(std[:3]), _triple(std[3:])
+    ways = [way for distance in DISTANCES for across in ACROSS for way in _ways(rig, distance, across)]
+
+    def variances(stated: RigUncertainty) -> Array:
+        moves = moved_rigs(rig, stated)
+        return np.array([sum(speed_change(rig, moved, *way) ** 2 for moved in moves) for way in ways])
+
+    wanted, focal = variances(RigUncertainty(covariance=covariance)), variances(RigUncertainty(1.0))
+    lacking = np.maximum(wanted - variances(RigUncertainty(0.0, 0.0, turn, shift)), 0.0)
+    known = np.diag(covariance)[[0, 1, 4, 5]].max()
+    length = float(np.sqrt(min(known, (lacking / focal).max())))
+    larger = float(np.sqrt(max(1.0, (wanted / variances(RigUncertainty(length, 0.0, turn, shift))).max())))
+    return RigUncertainty(larger * length, 0.0, _triple(larger * std[:3]), _triple(larger * std[3:]), covariance)
+
+
+def _triple(values: Array) -> tuple[float, float, float]:
+    a, b, c = (float(v) for v in values)
+    return a, b, c

@@ -1,0 +1,148 @@
+"""``paceline speed --live``: vehicle after vehicle, while two cameras record."""
+
+from __future__ import annotations
+
+import sys
+import time
+from concurrent.futures import BrokenExecutor
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from paceline.commands import DONE, NOTHING_MEASURED
+from paceline.commands.interrupts import ended_by_interrupt
+from paceline.commands.progress_output import live_teller, tell_progress
+
+if TYPE_CHECKING:
+    from paceline.cameras import StereoRig
+    from paceline.detection.finder import Found
+    from paceline.detection.tracks import Track
+    from paceline.documents.loading import Clip
+    from paceline.recordings.live_stereo import RawPair
+    from paceline.speed.configuration import SpeedConfiguration
+    from paceline.speed.results import Measurement
+    from paceline.units import SpeedUnit
+
+
+def measure_live(
+    clip: Clip,
+    out: Path,
+    configuration: SpeedConfiguration,
+    unit: SpeedUnit,
+    learning: float | None,
+    quiet: bool,
+    detector: Path | None = None,
+) -> int:
+    """Measure every vehicle that passes, until the sources end or Ctrl-C; a line and a row for each."""
+    import cv2
+
+    from paceline.detection.onnx_detector import Detector
+    from paceline.errors import UnusableInput
+    from paceline.recordings.live_stereo import LiveViews
+    from paceline.reports.live.report import LiveResults
+    from paceline.speed.measurement import versions
+    from paceline.survey.live import LEARNING, survey
+
+    if clip.vehicles:
+        raise UnusableInput(f"{clip.path}: vehicles: --live finds them itself; expected none")
+    at_once = detector is not None and bool(clip.paths)
+    if at_once and learning is not None:
+        raise UnusableInput("--learn: nothing is learned with --detector along given paths; leave it out")
+    cv2.setNumThreads(1)  # the cards are small: a second thread costs more than it does, and is wanted for measuring
+    detect = None if detector is None else Detector(detector)
+    views = LiveViews(clip)
+    learning = 0.0 if at_once else LEARNING if learning is None else learning
+    settings, used = {**configuration.model_dump(), "learn": learning}, versions()
+    if detect is not None:
+        settings["detector"], used["onnxruntime"] = detect.name, detect.runtime
+    results = LiveResults(out, {"clip": str(clip.path), "configuration": settings, "versions": used}, unit)
+    looking = _Looking(clip.rig, learning)
+
+    def say(text: str) -> None:
+        if not quiet:
+            print(text, flush=True)
+
+    def told(found: Found, measurement: Measurement | None, reason: str) -> None:
+        seen_at = looking.time_of_day(found.times[0])
+        if measurement is not None:
+            results.add(measurement, found, seen_at)
+        else:
+            results.pass_by(found, seen_at, reason)
+        say(_line(found, measurement, reason, unit))
+
+    def looked(pair: RawPair, tracks: list[Track]) -> None:
+        results.save()
+        looking.looked(pair, tracks)
+
+    def ready(paths: int) -> None:
+        looking.has_learned()
+        results.begin()
+        say(f"{paths} {'path' if paths == 1 else 'paths'}; measuring until Ctrl-C")
+
+    if not at_once:
+        say(f"learning the empty road for {learning:g} s")
+    with results:
+        with ended_by_interrupt(views.stop):
+            try:
+                nothing = survey(clip, views, configuration, told, learning, ready, looked, detect)
+            except BrokenExecutor as error:
+                killed = "the process that measures was killed; is there memory enough?"
+                raise UnusableInput(f"{clip.path}: {killed}") from error
+        results.notices += views.notices
+        if detect is not None and not (results.vehicles or results.unmeasured):
+            results.notices.append(f"no vehicle was found: {nothing}")
+        if views.dropped:
+            notice = f"{views.dropped} frames were dropped: they came faster than this computer looks through them"
+            results.notices.append(notice)
+    for notice in results.notices:
+        print(f"note: {notice}", file=sys.stderr)
+    measured = sum(vehicle["verdict"] == "measured" for vehicle in results.vehicles)
+    say(f"{measured} of {len(results.vehicles)} vehicles measured; report: {out / 'report.html'}")
+    return DONE if measured else NOTHING_MEASURED
+
+
+@dataclass
+class _Looking:
+    """What goes on while the cameras are looked at: what is told of it, and what time of day it is."""
+
+    rig: StereoRig
+    learning: float  # s
+    _begun: float | None = None  # s, by the cameras' clock
+    _learned: bool = False
+    _ahead: float = field(default_factory=time.time)  # s, of the time of day over the cameras' clock
+
+    def __post_init__(self) -> None:
+        self._tell = live_teller(self.rig)
+
+    def looked(self, pair: RawPair, tracks: list[Track]) -> None:
+        """Note that a ``pair`` has been looked through, with these ``tracks`` in view."""
+        self._ahead = time.time() - pair.time
+        if self._tell is None:
+            return
+        if self._begun is None:
+            self._begun = pair.time
+        if self._tell(pair, tracks) and not self._learned:
+            tell_progress("learning", int(pair.time - self._begun), int(self.learning))
+
+    def has_learned(self) -> None:
+        self._learned = True
+        if self._tell is not None:
+            tell_progress("measuring", 0, None)
+
+    def time_of_day(self, moment: float) -> str:
+        """When a ``moment`` of the cameras' clock was, s, where they are played or come without delay."""
+        return datetime.fromtimestamp(self._ahead + moment).astimezone().isoformat(timespec="seconds")
+
+
+def _line(found: Found, measurement: Measurement | None, reason: str, unit: SpeedUnit) -> str:
+    """What is shown of a vehicle that has passed."""
+    from paceline.reports.common.formatting import MISSING, speed_words, verdict_words
+
+    name = found.vehicle.id if found.vehicle is not None else MISSING
+    when = f"{time.strftime('%H:%M:%S')}  {name:<5} {found.path:<8}"
+    if measurement is None:
+        return f"{when} {reason}"
+    words = speed_words(measurement, unit)
+    speed = f"{words.speed} ± {words.plus_minus} {unit}" if words.known else MISSING
+    return f"{when} {speed}  {verdict_words(measurement)}"

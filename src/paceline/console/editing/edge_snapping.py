@@ -1,0 +1,58 @@
+"""A point set by hand, moved to the edge or corner that was meant."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from paceline.subpixel import vertex
+
+Array = NDArray[np.float64]
+Image = NDArray[np.float32]
+
+LARGEST_REACH = 12  # px
+CONTRAST = 6.0  # grey levels per pixel: less is no edge
+CORNER = 0.25  # the weaker gradient's share of the stronger from which on a place is a corner
+
+
+def snapped(image: Image, point: Array, reach: float) -> Array:
+    """``point`` (2,) moved by at most ``reach`` pixels to the corner, or else the edge, of the grey ``image`` (H, W)
+    that is strongest for its distance; where nothing stands out, the point as it was."""
+    reach = min(reach, LARGEST_REACH)
+    x, y = (int(round(float(v))) for v in point)
+    margin = int(np.ceil(reach)) + 3
+    height, width = image.shape
+    if not (margin <= x < width - margin and margin <= y < height - margin):
+        return np.asarray(point, float)
+    window = cv2.GaussianBlur(image[y - margin : y + margin + 1, x - margin : x + margin + 1], (0, 0), 1.0)
+    gx, gy = (np.asarray(cv2.Sobel(window, cv2.CV_32F, *d, scale=1 / 8), np.float32) for d in ((1, 0), (0, 1)))
+    places = np.arange(-margin, margin + 1)
+    far = np.hypot(places[None, :] + x - point[0], places[:, None] + y - point[1])
+    weight = np.where(far <= reach, np.exp(-0.5 * (far / (0.5 * reach)) ** 2), 0.0)
+    strength = np.hypot(gx, gy)
+    if (strength * (weight > 0)).max() < CONTRAST:
+        return np.asarray(point, float)
+    sums = [cv2.GaussianBlur(a, (0, 0), 1.5) for a in (gx * gx, gx * gy, gy * gy)]
+    half, spread = (sums[0] + sums[2]) / 2, np.hypot((sums[0] - sums[2]) / 2, sums[1])
+    weaker = np.maximum(half - spread, 0.0)
+    corner = np.unravel_index(int(np.argmax(weaker * weight)), weaker.shape)
+    if weaker[corner] > CORNER**2 * (half + spread)[corner] and np.sqrt(weaker[corner]) > CONTRAST / 2:
+        start = np.array([[[x + corner[1] - margin, y + corner[0] - margin]]], np.float32)
+        criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.01)
+        found = cv2.cornerSubPix(image, start, (4, 4), (-1, -1), criteria).reshape(2).astype(float)
+        if np.linalg.norm(found - point) <= reach:
+            return np.asarray(found)
+    edge = np.unravel_index(int(np.argmax(strength * weight)), strength.shape)
+    return _on_edge(strength, gx, gy, edge) + [x - margin, y - margin]
+
+
+def _on_edge(strength: Image, gx: Image, gy: Image, at: tuple[np.intp, ...]) -> Array:
+    """The edge's place (2,) along its gradient by a parabola through three samples, pixels of the window."""
+    row, column = (int(v) for v in at)
+    place = np.array([column, row], float)
+    along = np.array([gx[row, column], gy[row, column]], float)
+    along /= np.linalg.norm(along)
+    samples = (place + np.outer([-1.0, 0.0, 1.0], along)).astype(np.float32).reshape(1, 3, 2)
+    before, there, behind = cv2.remap(strength, samples[..., 0], samples[..., 1], cv2.INTER_LINEAR)[0].tolist()
+    return np.asarray(place + along * vertex(before, there, behind, reach=1.0))

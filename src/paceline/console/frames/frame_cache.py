@@ -1,0 +1,213 @@
+"""The pictures of clips as they were recorded, for looking at: opened once, decoded in order, kept a while as JPEG."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from paceline.cameras import Camera
+from paceline.console.confinement import NotHere, check_document, named_files
+from paceline.console.document_names import ChaseModel, is_chase, live_views, read_small
+from paceline.documents.loading import Clip, load_camera, load_recorded
+from paceline.errors import UnusableInput
+from paceline.recordings.image_sources import Source, open_source
+from paceline.recordings.stereo import StereoRecording, open_recording
+
+Array = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+Image = NDArray[np.float32]
+Stamps = tuple[tuple[Path, int, int], ...]
+
+VIEWS = ("left", "right")
+OPEN_AT_ONCE = 4  # clips
+KEPT = 96 << 20  # bytes of JPEG
+READ_ON = 12  # pairs that are rather decoded on the way than sought anew
+QUALITY = 90
+THUMBNAIL = 320  # px wide
+
+
+class Pictures:
+    """The pictures of a recording in any order, though fastest forwards; several threads may ask.
+
+    ``frames`` are the numbers that its document counts by, ``times`` (N,) their seconds; picture k of view v is the one
+    with the number ``numbers[v][k]`` of ``sources[v]``.
+    """
+
+    def __init__(self, sources: Sequence[Source], numbers: Sequence[Numbers], frames: Numbers, times: Array) -> None:
+        self.frames = [int(i) for i in frames]
+        self.times = times
+        self._sources, self._numbers = sources, numbers
+        self._lock = threading.Lock()
+        self._streams: list[Iterator[Image | None] | None] = [None for _ in sources]
+        self._next = [0 for _ in sources]  # picture at which each stream stands
+
+    @property
+    def seconds(self) -> float:
+        """How long the recording lasts."""
+        return float(self.times[-1] - self.times[0]) if len(self.times) else 0.0
+
+    def place_of(self, frame: int) -> int:
+        """The place of the ``frame`` in the recording. Raises UnusableInput where it is not there."""
+        place = int(np.searchsorted(self.frames, frame))
+        if place >= len(self.frames) or self.frames[place] != frame:
+            raise UnusableInput(f"frame {frame}: is not in the recording")
+        return place
+
+    def picture(self, view: int, frame: int) -> Image:
+        """The grey image (H, W), 0–255, of a ``view`` (0 left or the only one, 1 right) in ``frame``, as recorded."""
+        if view >= len(self._sources):
+            raise UnusableInput(f"view {view}: the recording has one view only")
+        place = self.place_of(frame)
+        with self._lock:
+            stream = self._streams[view]
+            if stream is None or not 0 <= place - self._next[view] <= READ_ON:
+                stream = self._streams[view] = self._sources[view].read(self._numbers[view][place:].tolist())
+                self._next[view] = place
+            image = None
+            try:
+                while self._next[view] <= place:
+                    image = next(stream)
+                    self._next[view] += 1
+            except BaseException:
+                self._streams[view] = None
+                raise
+        if image is None:
+            raise UnusableInput(f"{self._name(view)}: frame {frame} cannot be decoded")
+        return image
+
+    def _name(self, view: int) -> str:
+        return VIEWS[view] if len(self._sources) > 1 else "video"
+
+
+class StereoPictures(Pictures):
+    """The pairs of a clip.yaml's recording; frames are the left view's."""
+
+    def __init__(self, file: Path) -> None:
+        self.clip: Clip = load_recorded(file)
+        self.recording: StereoRecording = open_recording(self.clip)
+        pairing = self.recording.pairing
+        super().__init__(
+            self.recording.sources, (pairing.left, pairing.right), self.recording.indices, self.recording.times
+        )
+
+
+class ChasePictures(Pictures):
+    """The frames of a follow.yaml's recording."""
+
+    def __init__(self, file: Path) -> None:
+        model = read_small(ChaseModel, file)
+        self.camera: Camera = load_camera(file.parent / model.camera)
+        source = open_source(file.parent / model.video, model.bit_depth)
+        if source.times is None and model.rate is None:
+            raise UnusableInput(f"{file}: rate: missing; a folder of images needs it")
+        numbers = np.arange(len(source))
+        times = numbers / (model.rate or 1.0) if source.times is None else source.times
+        self.notices = source.notices
+        first = next(iter(source.read([0])), None)
+        if first is not None and first.shape != self.camera.image_size[::-1]:
+            width, height = self.camera.image_size
+            found = f"{first.shape[1]} × {first.shape[0]}"
+            raise UnusableInput(f"{file}: video: has {found} pixels, but the camera has {width} × {height}")
+        super().__init__([source], [numbers], numbers, times)
+
+
+class Gallery:
+    """The clips that are being looked at."""
+
+    def __init__(self, root: Path) -> None:
+        self._root = root
+        self._lock = threading.Lock()
+        self._opened: OrderedDict[Path, tuple[Stamps, StereoPictures | ChasePictures]] = OrderedDict()
+        self._jpegs: OrderedDict[tuple[Pictures, int, int], bytes] = OrderedDict()  # view -1: a thumbnail
+        self._size = 0
+
+    def stereo(self, file: Path) -> StereoPictures:
+        """The pairs of a clip.yaml. Raises UnusableInput, NotHere for another document."""
+        pictures = self.open(file)
+        if not isinstance(pictures, StereoPictures):
+            raise NotHere(file.name)
+        return pictures
+
+    def chase(self, file: Path) -> ChasePictures:
+        """The frames of a follow.yaml. Raises UnusableInput, NotHere for another document."""
+        pictures = self.open(file)
+        if not isinstance(pictures, ChasePictures):
+            raise NotHere(file.name)
+        return pictures
+
+    def open(self, file: Path) -> StereoPictures | ChasePictures:
+        """The pictures of a clip.yaml or follow.yaml, opened anew once a file has changed. Raises UnusableInput."""
+        with self._lock:
+            known = self._opened.get(file)
+            if known is not None and is_unchanged(known[0]):
+                self._opened.move_to_end(file)
+                return known[1]
+        check_document(self._root, file)
+        if views := live_views(file):
+            raise UnusableInput(f"{file}: {views[0]} is a live source; its pictures are not shown here")
+        stamps = stamps_of(named_files(self._root, file))
+        pictures = ChasePictures(file) if is_chase(file) else StereoPictures(file)
+        with self._lock:
+            self._opened[file] = stamps, pictures
+            while len(self._opened) > OPEN_AT_ONCE:
+                self._opened.popitem(last=False)
+        return pictures
+
+    def jpeg(self, file: Path, view: int, frame: int) -> bytes:
+        """One picture as JPEG."""
+        key = self.open(file), view, frame
+        return self._kept(key) or self._keep(key, _jpeg(key[0].picture(view, frame)))
+
+    def thumbnail(self, file: Path) -> bytes:
+        """The first picture, of the left view, small, as JPEG."""
+        pictures = self.open(file)
+        key = pictures, -1, 0
+        kept = self._kept(key)
+        if kept is not None:
+            return kept
+        image = pictures.picture(0, pictures.frames[0])
+        height = max(round(THUMBNAIL * image.shape[0] / image.shape[1]), 1)
+        small = cv2.resize(image, (THUMBNAIL, height), interpolation=cv2.INTER_AREA)
+        return self._keep(key, _jpeg(np.asarray(small, np.float32)))
+
+    def _kept(self, key: tuple[Pictures, int, int]) -> bytes | None:
+        with self._lock:
+            if key in self._jpegs:
+                self._jpegs.move_to_end(key)
+            return self._jpegs.get(key)
+
+    def _keep(self, key: tuple[Pictures, int, int], jpeg: bytes) -> bytes:
+        with self._lock:
+            self._size += len(jpeg) - len(self._jpegs.get(key, b""))
+            self._jpegs[key] = jpeg
+            while self._size > KEPT:
+                self._size -= len(self._jpegs.popitem(last=False)[1])
+        return jpeg
+
+
+def stamps_of(files: list[Path]) -> Stamps:
+    """What changes when one of ``files`` does: each with its time of change and size, zeros where it is not there."""
+    found = []
+    for file in files:
+        try:
+            stat = file.stat()
+            found.append((file, stat.st_mtime_ns, stat.st_size))
+        except (OSError, ValueError):  # a name with a zero byte
+            found.append((file, 0, 0))
+    return tuple(found)
+
+
+def is_unchanged(stamps: Stamps) -> bool:
+    """Whether all files are as they were when ``stamps`` were taken."""
+    return stamps_of([file for file, _, _ in stamps]) == stamps
+
+
+def _jpeg(image: Image) -> bytes:
+    grey = np.clip(np.rint(image), 0, 255).astype(np.uint8)
+    return bytes(cv2.imencode(".jpg", grey, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1])

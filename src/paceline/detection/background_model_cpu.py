@@ -1,0 +1,19 @@
+"""How the empty scene follows what is seen, compiled by Numba."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from paceline.numba_cache import compiled
+
+Image = NDArray[np.float32]
+
+
+@compiled(nogil=True)
+def draw(image: Image, now: Image, step: float) -> None:
+    """Move every pixel of ``image`` (H, W), in place, towards ``now``, by ``step`` grey levels at most."""
+    most = np.float32(step)
+    for y in range(len(image)):
+        for x in range(image.shape[1]):
+            image[y, x] += min(max(now[y, x] - image[y, x], -most), most)

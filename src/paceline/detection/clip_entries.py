@@ -1,0 +1,44 @@
+"""Found vehicles put into a clip.yaml."""
+
+from __future__ import annotations
+
+import yaml
+
+from paceline.cameras import StereoRig
+from paceline.detection.finder import Found
+from paceline.errors import UnusableInput
+from paceline.lanes.site_yaml import added_below, pixels, quoted, read_back
+
+
+def with_vehicles(text: str, file: str, rig: StereoRig, found: list[Found]) -> str:
+    """``text`` of a clip.yaml that outlines no vehicle, with those ``found`` added, everything else as it stands.
+
+    Raises UnusableInput where it outlines vehicles already, or is written in a way that cannot be added to.
+    """
+    before = yaml.safe_load(text)
+    if before.get("vehicles"):
+        raise UnusableInput(f"{file}: vehicles: some are outlined already; expected none, to be found without a person")
+    added = added_below(text, "vehicles", lambda indent: _entries(rig, found, indent))
+    new = yaml.safe_load("\n".join(_entries(rig, found, 0))) or None
+    after = read_back(added)
+    if after | {"vehicles": after.get("vehicles")} != before | {"vehicles": new}:
+        raise UnusableInput(f"{file}: vehicles: is written in a way that cannot be added to; expected no such key")
+    return added
+
+
+def _entries(rig: StereoRig, found: list[Found], indent: int) -> list[str]:
+    pad, lines = " " * indent, []
+    for f in found:
+        v = f.vehicle
+        if v is None:
+            continue
+        lines += [
+            f"{pad}- id: {v.id}  # found by paceline vehicles, seen from {f.times[0]:.2f} to {f.times[1]:.2f} s",
+            f"{pad}  path: {quoted(f.path)}",
+            f"{pad}  frame: {v.frame}",
+            f"{pad}  left: {pixels(rig.left.distort_points(v.left))}",
+            f"{pad}  right: {pixels(rig.right.distort_points(v.right))}",
+        ]
+        if v.speed is not None:
+            lines.append(f"{pad}  speed: {v.speed}  # a first guess, m/s")
+    return lines

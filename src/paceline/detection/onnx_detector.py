@@ -1,0 +1,176 @@
+"""A vehicle detector of the user's own: a neural network in an ONNX file, run by ONNX Runtime on the CPU."""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from paceline.detection.onnx_outputs import EXPECTED, Outputs, chosen, layout_of, vehicle_classes
+from paceline.errors import UnusableInput
+
+if TYPE_CHECKING:
+    from onnxruntime import InferenceSession, NodeArg
+
+Array = NDArray[np.float64]
+Image = NDArray[np.float32]
+
+THREADS = 2  # more help small networks little, and what measures wants some too
+SIDE, SIDES = 640, range(32, 8193)  # px of an input that may have any size, and of any
+PADDING = 114.0  # grey beside a picture that has another shape than the input
+FLOATS: dict[str, type[np.floating]] = {"tensor(float)": np.float32, "tensor(float16)": np.float16}
+SILENT = 4  # what ONNX Runtime logs: what goes wrong is raised as well
+NAMES = 1_000_000  # characters of the names of classes, at most
+WORDS = 300  # characters that a message takes over from a file
+POSITION = re.compile(  # what ONNX Runtime says beside what went wrong: in which of its lines, and with which file
+    r".*\[ONNXRuntimeError\] : \d+ : \w+ : |Load model from .*? failed:|/\S+\.(?:h|cc):\d+ .*?\) (?:const )?"
+)
+
+
+class Detector:
+    """Finds vehicles in pictures by the ONNX ``file``; the same picture gives the same boxes.
+
+    ``name`` is the file's name and how its SHA-256 begins, ``runtime`` the version of ONNX Runtime. Raises
+    UnusableInput for a file that holds no detector of a known layout, and where ONNX Runtime is not installed.
+    """
+
+    def __init__(self, file: Path) -> None:
+        self._file = file
+        self.name = f"{file.name} (SHA-256 {_digest(file)[:12]}…)"
+        self._session, self.runtime = _session(file)
+        self._input, self._size, self._type, self._shape = self._input_of()
+        outputs = self._run(np.full(self._size[::-1], PADDING / 255.0, np.float32))
+        layout = layout_of(outputs, self._size)
+        if layout is None:
+            raise UnusableInput(f"{file}: outputs {_shapes(self._session.get_outputs(), outputs)}: {EXPECTED}")
+        self._layout = layout
+        self._classes = self._vehicles(layout.classes)
+
+    def __call__(self, picture: Image) -> Array:
+        """Left, top, right and bottom (N, 4), px, of the vehicles in a ``picture`` (H, W), grey 0 to 255."""
+        padded, scale = letterbox(picture, self._size)
+        outputs = self._run(padded * np.float32(self._layout.white / 255.0))
+        try:
+            with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is no box
+                boxes = chosen(self._layout.read(outputs), self._classes, self._size)
+        except (ValueError, IndexError):
+            shapes = _shapes(self._session.get_outputs(), outputs)
+            raise UnusableInput(f"{self._file}: outputs {shapes}: unlike those for a plain picture") from None
+        return boxes / np.tile(scale, 2)
+
+    def _run(self, padded: Image) -> Outputs:
+        colours = self._shape[-3]
+        picture = np.broadcast_to(padded.astype(self._type), (colours, *padded.shape)).reshape(self._shape)
+        try:
+            return [np.asarray(output) for output in self._session.run(None, {self._input: picture})]
+        except Exception as error:  # ONNX Runtime has many
+            raise UnusableInput(f"{self._file}: does not run: {_words(error)}") from error
+
+    def _input_of(self) -> tuple[str, tuple[int, int], type[np.floating], tuple[int, ...]]:
+        """The name of the input, its width and height, the type of its numbers and its whole shape."""
+        inputs = self._session.get_inputs()
+        if len(inputs) == 1 and len(shape := inputs[0].shape) in (3, 4) and inputs[0].type in FLOATS:
+            usual = (3, SIDE, SIDE)
+            colours, height, width = (n if isinstance(n, int) else u for n, u in zip(shape[-3:], usual, strict=True))
+            alone = not isinstance(shape[0], int) or shape[:-3] in ([], [1])
+            if alone and colours in (1, 3) and height in SIDES and width in SIDES:
+                whole = (1, colours, height, width)[-len(shape) :]
+                return inputs[0].name, (width, height), FLOATS[inputs[0].type], whole
+        raise UnusableInput(
+            f"{self._file}: inputs {_shapes(inputs)}: expected one picture of floating-point numbers, "
+            "(1, 3, height, width)"
+        )
+
+    def _vehicles(self, count: int | None) -> Array | None:
+        text = self._session.get_modelmeta().custom_metadata_map.get("names", "")
+        if not text:
+            return vehicle_classes(None, count)
+        names = _names(text)
+        if names is None:
+            raise UnusableInput(f"{self._file}: names: {_short(text)}: expected such as {{0: 'person', 1: 'car'}}")
+        if count is not None and len(names) != count:
+            raise UnusableInput(
+                f"{self._file}: names {len(names)} classes, but its outputs have {count}; expected a detector of boxes"
+            )
+        classes = vehicle_classes(names, count)
+        if classes is None or not len(classes):
+            some = _short(", ".join(names.values())) or "none"
+            raise UnusableInput(f"{self._file}: names: {some}; expected some vehicles, such as car or truck")
+        return classes
+
+
+def letterbox(picture: Image, size: tuple[int, int]) -> tuple[Image, Array]:
+    """A ``picture`` (H, W) at the top left of one of ``size`` (width, height), as large as it fits, with grey beside
+    it; and by how much it is scaled across and down (2,)."""
+    was = np.array(picture.shape[::-1])
+    new = np.maximum(np.rint(was * min(np.array(size) / was)), 1).astype(int)
+    padded = np.full(size[::-1], PADDING, np.float32)
+    padded[: new[1], : new[0]] = cv2.resize(picture, new.tolist())
+    return padded, new / was
+
+
+def _session(file: Path) -> tuple[InferenceSession, str]:
+    """What runs the ONNX ``file``, and the version of ONNX Runtime."""
+    try:
+        import onnxruntime
+    except ImportError:
+        raise UnusableInput(
+            "--detector needs ONNX Runtime; install it with: pip install 'paceline[detector]'"
+        ) from None
+    onnxruntime.set_default_logger_severity(SILENT)
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads, options.inter_op_num_threads = THREADS, 1
+    options.log_severity_level = SILENT
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    try:
+        session = onnxruntime.InferenceSession(file, options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # ONNX Runtime has many
+        raise UnusableInput(f"{file}: cannot be read as an ONNX model: {_words(error)}") from error
+    return session, onnxruntime.__version__
+
+
+def _digest(file: Path) -> str:
+    """The SHA-256 of a ``file``."""
+    if not file.is_file():
+        found = "is no file" if file.exists() else "no such file"
+        raise UnusableInput(f"{file}: {found}; expected a detector in the ONNX format")
+    try:
+        with file.open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError as error:
+        raise UnusableInput(f"{file}: cannot be read ({error.strerror})") from error
+
+
+def _names(text: str) -> dict[int, str] | None:
+    """The names of classes as Ultralytics writes them among a model's metadata; None for anything else."""
+    try:
+        names = ast.literal_eval(text) if len(text) <= NAMES else None
+        if isinstance(names, list | tuple):
+            names = dict(enumerate(names))
+        return {int(k): str(name) for k, name in names.items()} if isinstance(names, dict) else None
+    except (ValueError, SyntaxError, TypeError, OverflowError, MemoryError, RecursionError):  # of nests, the last two
+        return None
+
+
+def _shapes(described: list[NodeArg], found: Outputs | None = None) -> str:
+    """The names, shapes and types of inputs or outputs, those ``found`` where they are known."""
+    of = [(n.shape, n.type[7:-1]) for n in described] if found is None else [(o.shape, o.dtype) for o in found]
+    words = [f"{n.name} ({', '.join(map(str, s))}) {kind}" for n, (s, kind) in zip(described, of, strict=True)]
+    return _short(", ".join(words)) or "none"
+
+
+def _words(error: Exception) -> str:
+    """What went wrong in ONNX Runtime."""
+    return _short(POSITION.sub("", " ".join(str(error).split())))
+
+
+def _short(text: str) -> str:
+    """The beginning of a ``text`` that somebody else wrote, on one line."""
+    plain = "".join(c for c in " ".join(text.split()) if c.isprintable())
+    return plain if len(plain) <= WORDS else f"{plain[: WORDS - 1]}…"

@@ -1,0 +1,287 @@
+"""rig.yaml, clip.yaml, camera.yaml, target.yaml and follow.yaml, read and checked.
+
+What is handed on is plain: a :class:`~paceline.cameras.StereoRig`, a :class:`Clip` whose pixels are ideal ones
+(undistorted), a :class:`FollowClip` whose pixels are those of the images as recorded.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from paceline.cameras import Camera, RigUncertainty, StereoRig
+from paceline.documents import plausibility
+from paceline.documents.models import (
+    CameraModel,
+    ClipModel,
+    FollowModel,
+    PathModel,
+    RigModel,
+    SiteModel,
+    TargetModel,
+    UncertaintyModel,
+    VehicleModel,
+    nearest_of,
+    read_document,
+)
+from paceline.errors import UnusableInput
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class PathDocument:
+    """A drawn path: ``left`` (N, 2) and ``right`` (M, 2) ideal pixels, or ``points`` (K, 3) in metres."""
+
+    name: str
+    shape: Literal["line", "curve"]
+    left: Array | None
+    right: Array | None
+    lateral_offset: float  # m, from the drawn line to the vehicle's centre line, positive to the right of travel
+    points: Array | None
+
+
+@dataclass(frozen=True, eq=False)
+class VehicleDocument:
+    """A vehicle outlined in its first ``frame``: ``left`` and ``right`` (4, 2) ideal pixels, tl, tr, br, bl."""
+
+    id: str
+    path: str | None
+    frame: int
+    left: Array
+    right: Array
+    plane: Literal["front", "side", "free"]
+    speed: float | None  # m/s, a first guess
+
+
+@dataclass(frozen=True, eq=False)
+class Clip:
+    """One stereo recording to measure, as clip.yaml describes it."""
+
+    path: Path
+    left: Path  # a folder, a pattern or a video
+    right: Path
+    rate: float | None  # frames per second
+    times: Path | None
+    tolerance: float | None  # s, between a left frame and its right one
+    bit_depth: int | None  # bits used in 16-bit images
+    rig: StereoRig
+    paths: dict[str, PathDocument]
+    vehicles: list[VehicleDocument]
+    addresses: tuple[str, str]  # of both views, as live sources
+
+
+@dataclass(frozen=True, eq=False)
+class TargetDocument:
+    """The line model of a vehicle's rear: ``corners`` (C, 2) in metres, and ``segments`` (S, 2), two corners each."""
+
+    name: str
+    nominal_range: float  # m, the range at which the scale is 1
+    corners: Array
+    segments: Indices
+    tolerance: float = 0.0  # m, standard deviation of the width that the lines have together
+
+    @property
+    def ends(self) -> Array:
+        """Where the segments end, shape (2 S, 2), metres from the target's centre."""
+        return self.corners[self.segments].reshape(-1, 2)
+
+
+@dataclass(frozen=True, eq=False)
+class FollowClip:
+    """One chase-camera recording, as follow.yaml describes it, with the operator's start."""
+
+    path: Path
+    video: str  # a folder, a pattern, a video file, a device or an address, relative paths resolved
+    rate: float | None  # frames per second
+    bit_depth: int | None  # bits used in 16-bit images
+    camera: Camera
+    target: TargetDocument
+    frame: int  # the first frame to use
+    center: Array  # (2,) pixels of the image as recorded
+    scale: float
+    odometry: Path | None
+    wheelbase: float | None  # m, of the chase vehicle
+
+
+def load_rig(path: str | Path) -> StereoRig:
+    """The rig that a rig.yaml describes; raises UnusableInput, naming the key, for one that cannot be."""
+    path = Path(path)
+    model = read_document(RigModel, path)
+    left, right = _camera(path, "left.", model.left), _camera(path, "right.", model.right)
+    _refuse(path, "rotation", plausibility.wrong_rotation(model.rotation))
+    R = plausibility.nearest_rotation(model.rotation)
+    rig = StereoRig(left, right, R, model.translation, _stated(model.uncertainty))
+    _refuse(path, "translation", plausibility.wrong_baseline(rig))
+    return rig
+
+
+def load_clip(path: str | Path) -> Clip:
+    """The clip that a clip.yaml describes, with its rig; raises UnusableInput, naming the key, where it cannot be."""
+    path = Path(path)
+    model = read_document(ClipModel, path)
+    site, rig = _site(path, model)
+    clip = _recorded(path, model, rig)
+    paths = {name: _path(path, clip.rig, name, p) for name, p in (model.paths or {}).items()}
+    if model.site is not None and site is not None and site.paths:
+        for name, p in site.paths.items():
+            if name in paths:
+                raise UnusableInput(f"{path}: paths.{name}: {model.site} has a path of this name; expected another")
+            paths[name] = _path(path.parent / model.site, clip.rig, name, p)
+    vehicles: list[VehicleDocument] = []
+    for i, m in enumerate(model.vehicles or []):
+        if any(m.id == v.id for v in vehicles):
+            raise UnusableInput(f"{path}: vehicles[{i}].id: {m.id!r} occurs twice; expected one of its own")
+        vehicles.append(_vehicle(path, clip.rig, paths, f"vehicles[{i}]", m))
+    return replace(clip, paths=paths, vehicles=vehicles)
+
+
+def load_recorded(path: str | Path, rig: Path | None = None) -> Clip:
+    """What a clip.yaml says of its recording, with its rig or another; paths and vehicles are left aside, as a rig that
+    has moved would make them contradict each other."""
+    path = Path(path)
+    model = read_document(ClipModel, path)
+    return _recorded(path, model, rig or _site(path, model)[1])
+
+
+def rig_file(path: str | Path) -> Path:
+    """The rig.yaml of a clip.yaml, its own or its site's."""
+    path = Path(path)
+    return _site(path, read_document(ClipModel, path))[1]
+
+
+def _site(path: Path, model: ClipModel) -> tuple[SiteModel | None, Path]:
+    """The site.yaml that a clip names, if any, and the rig.yaml of either. Raises UnusableInput unless one names it."""
+    if model.site is None:
+        if model.rig is None:
+            raise UnusableInput(f"{path}: rig: missing; expected a rig.yaml, or a site that names one")
+        return None, path.parent / model.rig
+    if model.rig is not None:
+        raise UnusableInput(f"{path}: rig and site: expected one of them, as a site names its own rig; found both")
+    file = path.parent / model.site
+    site = read_document(SiteModel, file)
+    return site, file.parent / site.rig
+
+
+def _recorded(path: Path, model: ClipModel, rig: Path) -> Clip:
+    if model.rate is not None and model.times is not None:
+        raise UnusableInput(f"{path}: rate and times: expected one of them, found both")
+    return Clip(
+        path=path,
+        left=path.parent / model.left,
+        right=path.parent / model.right,
+        rate=model.rate,
+        times=None if model.times is None else path.parent / model.times,
+        tolerance=model.time_tolerance,
+        bit_depth=model.bit_depth,
+        rig=load_rig(rig),
+        paths={},
+        vehicles=[],
+        addresses=(_address(path, model.left), _address(path, model.right)),
+    )
+
+
+def _address(path: Path, video: str) -> str:
+    """Where a view can be reached: an address as it stands, anything else relative to the file that names it."""
+    return video if "://" in video else str(path.parent / video)
+
+
+def load_camera(path: str | Path) -> Camera:
+    """The camera that a camera.yaml describes; raises UnusableInput, naming the key, for one that cannot be."""
+    path = Path(path)
+    return _camera(path, "", read_document(CameraModel, path))
+
+
+def load_target(path: str | Path) -> TargetDocument:
+    """The line model that a target.yaml describes; raises UnusableInput, naming the key, for one that cannot be."""
+    path = Path(path)
+    model = read_document(TargetModel, path)
+    for i, (a, b) in enumerate(model.segments):
+        _refuse(path, f"segments[{i}]", plausibility.wrong_segment(a, b, model.corners))
+    place = {name: i for i, name in enumerate(model.corners)}
+    corners = np.array(list(model.corners.values())).reshape(-1, 2)
+    segments = np.array([[place[a], place[b]] for a, b in model.segments], np.int64).reshape(-1, 2)
+    _refuse(path, "segments", plausibility.wrong_target(corners[segments]))
+    return TargetDocument(model.name, model.nominal_range, corners, segments, model.tolerance or 0.0)
+
+
+def load_follow(path: str | Path) -> FollowClip:
+    """The chase-camera recording that a follow.yaml describes, with its camera and its target.
+
+    Raises UnusableInput, naming the key, where it cannot be.
+    """
+    path = Path(path)
+    model = read_document(FollowModel, path)
+    camera = load_camera(path.parent / model.camera)
+    target = load_target(path.parent / model.target)
+    start = model.start
+    ends = target.ends * camera.K[[0, 1], [0, 1]] / target.nominal_range
+    if wrong := plausibility.wrong_start(start.center, start.scale, ends, camera.image_size):
+        _refuse(path, f"start.{wrong[0]}", wrong[1])
+    return FollowClip(
+        path=path,
+        video=_address(path, model.video),
+        rate=model.rate,
+        bit_depth=model.bit_depth,
+        camera=camera,
+        target=target,
+        frame=start.frame,
+        center=start.center,
+        scale=start.scale,
+        odometry=None if model.odometry is None else path.parent / model.odometry,
+        wheelbase=model.wheelbase,
+    )
+
+
+def _camera(file: Path, prefix: str, m: CameraModel) -> Camera:
+    camera = Camera((m.image_size[0], m.image_size[1]), m.K, np.array(m.distortion, float))
+    _refuse(file, f"{prefix}K", plausibility.wrong_intrinsics(camera))
+    return camera
+
+
+def _stated(u: UncertaintyModel | None) -> RigUncertainty | None:
+    if u is None:
+        return None
+    (a, b, c), (x, y, z) = u.rotation_rad, u.translation_m
+    return RigUncertainty(u.focal_length_px, u.principal_point_px, (a, b, c), (x, y, z), u.covariance)
+
+
+def _path(file: Path, rig: StereoRig, name: str, m: PathModel) -> PathDocument:
+    key = f"paths.{name}"
+    if m.points is not None:
+        if m.left is not None or m.right is not None:
+            raise UnusableInput(f"{file}: {key}: expected either points or left and right, found both")
+        _refuse(file, f"{key}.points", plausibility.wrong_path_points(m.points))
+        return PathDocument(name, m.shape, None, None, m.lateral_offset, m.points)
+    if m.left is None or m.right is None:
+        seen = [side for side, drawn in (("left", m.left), ("right", m.right)) if drawn is not None]
+        found = f"drawn in the {seen[0]} view only" if seen else "not drawn"
+        raise UnusableInput(f"{file}: {key}: {found}; expected the same road line in both views, or points")
+    for side, drawn in (("left", m.left), ("right", m.right)):
+        _refuse(file, f"{key}.{side}", plausibility.wrong_drawing(drawn, m.shape))
+    left, right = rig.left.undistort_points(m.left), rig.right.undistort_points(m.right)
+    return PathDocument(name, m.shape, left, right, m.lateral_offset, None)
+
+
+def _vehicle(
+    file: Path, rig: StereoRig, paths: Mapping[str, PathDocument], key: str, m: VehicleModel
+) -> VehicleDocument:
+    if m.path is not None and m.path not in paths:
+        raise UnusableInput(f"{file}: {key}.path: no path is called {m.path!r}; {nearest_of(m.path, list(paths))}")
+    for side, corners, camera in (("left", m.left, rig.left), ("right", m.right, rig.right)):
+        _refuse(file, f"{key}.{side}", plausibility.wrong_quadrilateral(corners, camera.image_size))
+    left, right = rig.left.undistort_points(m.left), rig.right.undistort_points(m.right)
+    _refuse(file, key, plausibility.wrong_views(rig, left, right))
+    plane = m.plane or ("free" if m.path is None else "front")
+    return VehicleDocument(m.id, m.path, m.frame, left, right, plane, m.speed)
+
+
+def _refuse(file: Path, key: str, complaint: str | None) -> None:
+    if complaint is not None:
+        raise UnusableInput(f"{file}: {key}: {complaint}")

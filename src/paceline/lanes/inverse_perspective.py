@@ -1,0 +1,60 @@
+"""Both views of the road as seen from above: by the ground, and along the road."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from paceline.cameras import StereoRig
+from paceline.lanes.road_alignment import Alignment
+from paceline.lanes.road_surface import Surface
+from paceline.recordings.background import Background
+
+Array = NDArray[np.float64]
+Image = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+DARKEST = 2.0  # grey levels added before the logarithm, below which pictures hold little but noise
+
+
+@dataclass(frozen=True, eq=False)
+class Chart:
+    """A view from above: the logarithm ``light`` (H, W) of the grey, in which paint has one contrast in sun and shade,
+    and where the ground is ``seen``."""
+
+    light: Image
+    seen: Mask
+
+
+def chart(rig: StereoRig, background: Background, side: int, surface: Surface, ground: Array) -> Chart:
+    """What the left (0) or right (1) view shows at ``ground`` (H, W, 2) of a ``surface``."""
+    points = surface.points(ground)
+    if side == 1:
+        points = rig.to_right(points)
+    camera = rig.cameras[side]
+    ahead = points[..., 2] > 1.0
+    pixels = camera.project(np.where(ahead[..., None], points, [0.0, 0.0, 1.0]))
+    width, height = camera.image_size
+    x, y = np.moveaxis(pixels, -1, 0)
+    seen = ahead & (x >= 1) & (y >= 1) & (x <= width - 2) & (y <= height - 2)
+    at = [np.where(seen, c, -10).astype(np.float32) for c in (x, y)]
+    log = np.log(np.maximum(background.images[side], 0) + np.float32(DARKEST)).astype(np.float32)
+    light = cv2.remap(log, at[0], at[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    settled = cv2.remap(background.settled[side].astype(np.uint8), at[0], at[1], cv2.INTER_NEAREST, borderValue=0)
+    return Chart(np.asarray(light, np.float32), seen & (np.asarray(settled) > 0))
+
+
+def pixel_size(rig: StereoRig, surface: Surface, alignment: Alignment, s: Array, d: float) -> Array:
+    """Metres (N, 2) along and across the road that one pixel of the left view covers at road coordinates (s, d), the
+    larger where the pixel is seen aslant."""
+    step = 0.05
+    base = rig.left.project(surface.points(alignment.to_ground(s, d)))
+    along = rig.left.project(surface.points(alignment.to_ground(s + step, d))) - base
+    across = rig.left.project(surface.points(alignment.to_ground(s, d + step))) - base
+    area = np.abs(along[:, 0] * across[:, 1] - along[:, 1] * across[:, 0]) / step**2
+    lengths = np.stack([np.linalg.norm(v, axis=1) / step for v in (along, across)], axis=1)
+    # a line along the road is displaced across itself: one pixel of that is |along| / area metres, and vice versa
+    return np.asarray(lengths[:, ::-1] / np.maximum(area, 1e-9)[:, None])

@@ -1,0 +1,160 @@
+"""The course of the road: the arc that most of the thin bright ridges on the ground are parallel to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import product
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
+from scipy.optimize import minimize
+
+from paceline.cameras import StereoRig
+from paceline.lanes.inverse_perspective import Chart, chart
+from paceline.lanes.road_alignment import Alignment
+from paceline.lanes.road_surface import Surface
+from paceline.recordings.background import Background
+
+Array = NDArray[np.float64]
+Image = NDArray[np.float32]
+
+CELL = 0.06  # m of the ground grid
+NEAREST, FARTHEST, ASIDE = 4.0, 90.0, 40.0  # m of ground looked at
+RIDGE = 0.07  # m, the scale of the ridges: half a marking's width, a little more
+CONTRAST = 0.03  # least strength of a ridge
+PLAIN = 0.1  # strength beyond which it counts no more
+ABOVE_TEXTURE = 3.0  # times the strength usual around it
+AROUND = 3.0  # m
+LINEAR = 0.5  # of the curvature across a ridge, the most along it
+PIXEL = 0.3  # m of ground along the view in one pixel, beyond which it counts less
+MOST = 5000  # ridge points that vote
+FEWEST = 40
+FEW = 1000  # of them that vote in the search over everything
+HEADINGS = np.radians(np.arange(-90.0, 90.0, 1.0))
+CURVATURES = np.linspace(-1, 1, 61) / 22.0  # 1/m
+STARTS, CLIMBS = 10, 9
+TURN = np.radians(4.0)  # by which a ridge may point aside of the road, one standard deviation
+ROUGH, MIDDLING, FINE = 0.5, 0.25, 0.12  # m, the histogram's cells in the search and towards its end
+
+
+def find_course(rig: StereoRig, background: Background, surface: Surface) -> Alignment | None:
+    """The road's course, to some decimetres over its visible length; None where the ground shows nothing like lines."""
+    found = ridge_points(rig, background, surface)
+    if len(found.ground) < FEWEST:
+        return None
+    return found.course()
+
+
+@dataclass(frozen=True, eq=False)
+class Votes:
+    """Points of paint on the ground (N, 2), the angles (N,) they run at and their ``weight`` (N,)."""
+
+    ground: Array
+    angle: Array
+    weight: Array
+
+    def course(self) -> Alignment:
+        """The arc, with its deviation, that the votes agree on best."""
+        votes, place = self.some(MOST), np.median(self.ground, axis=0)
+        few = votes.some(FEW)
+        grid = [Alignment(place, heading, curvature) for heading in HEADINGS for curvature in CURVATURES]
+        scores = np.array([few.agreement(alignment, ROUGH) for alignment in grid])
+        climbed = [votes.climb(grid[i]) for i in np.argsort(-scores)[:STARTS]]
+        return votes.polish(max(climbed, key=lambda alignment: votes.agreement(alignment, FINE)))
+
+    def some(self, count: int) -> Votes:
+        """About ``count`` of the points, by chance, but the same ones each time."""
+        chosen = np.random.default_rng(0).random(len(self.weight)) < count / len(self.weight)
+        return Votes(self.ground[chosen], self.angle[chosen], self.weight[chosen])
+
+    def agreement(self, alignment: Alignment, cell: float) -> float:
+        """How well the points that run along ``alignment`` gather in few lines parallel to it: the sum of squares of
+        their histogram over d in cells of ``cell`` m, each point shared between two so that it is smooth."""
+        s, d = alignment.from_ground(self.ground)
+        aside = self.angle - alignment.direction(s)
+        aside -= np.pi * np.round(aside / np.pi)
+        weight = self.weight * np.exp(-0.5 * (aside / TURN) ** 2)
+        position = (d - d.min()) / cell
+        low = position.astype(np.int64)
+        part, cells = position - low, int(low.max()) + 2
+        count = np.bincount(low, weight * (1 - part), cells) + np.bincount(low + 1, weight * part, cells)
+        return float(count @ count)
+
+    def climb(self, start: Alignment) -> Alignment:
+        """The best alignment near ``start``, by a pattern search that halves its steps."""
+        best, score = start, self.agreement(start, FINE)
+        turn, bend = (HEADINGS[1] - HEADINGS[0]) / 2, (CURVATURES[1] - CURVATURES[0]) / 2
+        for _ in range(CLIMBS):
+            around = [
+                replace(best, heading=best.heading + a * turn, curvature=best.curvature + b * bend)
+                for a, b in product((-1, 0, 1), repeat=2)
+                if a or b
+            ]
+            scores = [self.agreement(alignment, FINE) for alignment in around]
+            top = int(np.argmax(scores))
+            if scores[top] > score:
+                best, score = around[top], scores[top]
+            else:
+                turn, bend = turn / 2, bend / 2
+        return best
+
+    def polish(self, start: Alignment) -> Alignment:
+        """The best alignment near ``start`` that may also deviate from its arc, slowly."""
+        step = np.array([np.radians(0.5), 3e-4, 0.3, 0.1])
+
+        def bent(x: Array) -> Alignment:
+            heading, curvature, third, fourth = x * step
+            deviation = start.deviation + [0.0, 0.0, 0.0, third, fourth]
+            return replace(
+                start, heading=start.heading + heading, curvature=start.curvature + curvature, deviation=deviation
+            )
+
+        x = np.zeros(4)
+        for cell in (ROUGH, MIDDLING, FINE):
+            found = minimize(
+                lambda x, cell=cell: -self.agreement(bent(x), cell) * np.exp(-0.01 * x @ x),
+                x,
+                method="Nelder-Mead",
+                options={"initial_simplex": np.vstack([x, x + np.eye(4)]), "maxfev": 150, "xatol": 0.02, "fatol": 0.0},
+            )
+            x = found.x
+        return bent(x)
+
+
+def ridge_points(rig: StereoRig, background: Background, surface: Surface) -> Votes:
+    """Thin bright ridges that both views show at the same place of the ground: what stands above it, they do not."""
+    x, z = np.arange(-ASIDE, ASIDE, CELL), np.arange(NEAREST, FARTHEST, CELL)
+    ground = np.stack(np.meshgrid(x, z), axis=-1)
+    views = [_ridges(chart(rig, background, side, surface, ground)) for side in (0, 1)]
+    near = [cv2.dilate(strength, np.ones((3, 3), np.uint8)) for strength, _ in views]
+    row, column = np.nonzero((views[0][0] > 0) & (near[1] > 0))
+    strength, angle = (values[row, column].astype(float) for values in views[0])
+    strength = np.minimum(strength, near[1][row, column])
+    # far away a pixel covers much ground, and its neighbours on the chart are no further evidence
+    covered = z[row] ** 2 / (rig.left.K[1, 1] * np.linalg.norm(surface.origin))
+    return Votes(ground[row, column], angle, np.minimum(strength, PLAIN) * np.minimum(1.0, PIXEL / covered))
+
+
+def _ridges(view: Chart) -> tuple[Image, Image]:
+    """Strength (H, W) of a view's ridges on their crests, 0 elsewhere, and the angle they run at (rad, from ahead to
+    the right)."""
+    light = cv2.GaussianBlur(view.light, (0, 0), RIDGE / CELL)
+    scale = (RIDGE / CELL) ** 2 / 4
+    xx, zz, xz = (scale * cv2.Sobel(light, cv2.CV_32F, i, j, ksize=3) for i, j in ((2, 0), (0, 2), (1, 1)))
+    mean, half = (xx + zz) / 2, np.hypot((xx - zz) / 2, xz)
+    strength, along = np.maximum(half - mean, 0), np.abs(half + mean)  # the Hessian's eigenvalues
+    window = (round(AROUND / CELL),) * 2
+    known = cv2.blur(view.seen.astype(np.float32), window)
+    usual = cv2.blur(strength * view.seen, window) / np.maximum(known, 1e-3)
+    whole = cv2.erode(view.seen.astype(np.uint8), np.ones((7, 7), np.uint8)) > 0
+    ridge = whole & (strength > CONTRAST) & (strength > ABOVE_TEXTURE * usual) & (along < LINEAR * strength)
+    normal = 0.5 * np.arctan2(-2 * xz, zz - xx)  # of the eigenvector across, from x towards z
+    row, column = np.nonzero(ridge)
+    step = np.sin(normal[row, column]), np.cos(normal[row, column])
+    beside = [map_coordinates(strength, [row + k * step[0], column + k * step[1]], order=1) for k in (-1, 1)]
+    crest = strength[row, column] >= np.maximum(*beside)
+    found = np.zeros_like(strength)
+    found[row[crest], column[crest]] = strength[row[crest], column[crest]]
+    return found, -normal

@@ -1,0 +1,244 @@
+"""Two cameras as they record: pairs of frames, of which those are left out that come faster than they are used.
+
+Each view is received in a thread of its own. An address or a named pipe is dated by its own clock, a device by this
+computer's, a file is played at the pace of its time stamps.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from statistics import median
+from threading import Condition, Thread
+from typing import Protocol
+
+import numpy as np
+
+from paceline.cameras import EVERY, Camera, StereoRig
+from paceline.recordings.monocular import CameraFrame, CameraRecording, Grey, open_camera
+from paceline.recordings.stereo import NOTABLE_SKEW, StereoFrame
+
+HELD = 64  # frames of a view that wait to be used, so that a pause of seconds loses none; beyond, the oldest is dropped
+SETTLING = 8  # frames of each live view that tell by how much their clocks differ
+ALIKE = 0.25, 0.5  # of the interval between frames: how far apart two of a pair may be dated, in files or live,
+STILL = 1.5  # and times as far once a pair was found: jitter about half an interval breaks none up
+RECENT = 15  # intervals of a view, of which the median counts: light and load make single ones long or short
+LATE = 1.0  # s, more than one camera's pictures take longer than another's to arrive
+PATIENCE = 0.1  # s between two looks at whether to stop
+
+
+@dataclass(frozen=True, eq=False)
+class RawPair:
+    """What both cameras recorded at ``time``, s: pictures (H, W) as they came, not undistorted; ``index`` counts the
+    left view's frames from 0, ``skew`` is right minus left, s."""
+
+    index: int
+    time: float
+    left: Grey
+    right: Grey
+    skew: float
+
+
+class Description(Protocol):
+    """Where both cameras can be reached, as a clip.yaml says it."""
+
+    @property
+    def path(self) -> Path: ...
+    @property
+    def addresses(self) -> tuple[str, str]: ...
+    @property
+    def rate(self) -> float | None: ...
+    @property
+    def bit_depth(self) -> int | None: ...
+    @property
+    def rig(self) -> StereoRig: ...
+
+
+class LiveViews:
+    """The pairs of frames of a rig as they come; to be iterated once. Memory does not grow with time.
+
+    ``dropped`` counts the left view's frames that were not used because newer ones had come. Raises UnusableInput for
+    sources that cannot be opened.
+    """
+
+    def __init__(self, clip: Description) -> None:
+        self._views = [
+            _View(open_camera(_OneView(clip.path, address, clip.rate, clip.bit_depth, camera)))
+            for address, camera in zip(clip.addresses, clip.rig.cameras, strict=True)
+        ]
+        self._ahead = 0.0  # s, the right view's clock over the left one's; 0 where they share one
+        self._apart = 0.0  # s, between the two of a pair, at most
+
+    @property
+    def dropped(self) -> int:
+        return self._views[0].dropped
+
+    @property
+    def notices(self) -> list[str]:
+        """What a user should know about the sources, one plain line each."""
+        own = []
+        if self._ahead:
+            own.append("no common clock: frames that come together are taken as exposed together")
+        if self._apart > NOTABLE_SKEW:
+            own.append(f"left and right frames are taken up to {1e3 * self._apart:.1f} ms apart, which is allowed for")
+        return [*own, *(line for view in self._views for line in view.recording.notices)]
+
+    def stop(self) -> None:
+        """Ends the iteration after the present pair, as if the sources ended there; a signal handler may call it."""
+        for view in self._views:
+            view.stop()
+
+    def __iter__(self) -> Iterator[RawPair]:
+        left, right = self._views
+        begun = time.monotonic()
+        for view in self._views:
+            view.begin(begun)
+        try:
+            self._ahead = _ahead(left, right)
+            for pair in _paired(left, right, self._ahead):
+                self._apart = max(self._apart, abs(pair.skew))
+                yield pair
+        finally:
+            self.stop()
+        for view in self._views:
+            if view.error is not None:
+                raise view.error
+
+
+@dataclass(frozen=True)
+class _OneView:
+    """A view as `monocular.open_camera` wants it described."""
+
+    path: Path
+    video: str
+    rate: float | None
+    bit_depth: int | None
+    camera: Camera
+
+
+@dataclass(eq=False)
+class _View:
+    """A view and the thread that receives it."""
+
+    recording: CameraRecording
+    interval: float = np.inf  # s, between two of its frames, of late
+    dropped: int = 0
+    error: Exception | None = None
+    _waiting: deque[tuple[CameraFrame, float]] = field(default_factory=deque)  # with its arrival
+    _changed: Condition = field(default_factory=Condition)
+    _intervals: deque[float] = field(default_factory=lambda: deque(maxlen=RECENT))
+    _last: float = -np.inf
+    _ended: bool = False
+    _stopped: bool = False
+
+    def begin(self, begun: float) -> None:
+        Thread(target=self._receive, args=[begun], daemon=True).start()
+
+    def stop(self) -> None:
+        self._stopped = True
+        self.recording.stop()
+
+    def head(self) -> CameraFrame | None:
+        """The oldest frame not yet taken, when there is one and an interval is known; None at the end, and as soon as
+        the views are stopped."""
+        with self._changed:
+            while not (self._stopped or (self._waiting and np.isfinite(self.interval))):
+                if self._ended:
+                    return None
+                self._changed.wait(PATIENCE)
+            return None if self._stopped else self._waiting[0][0]
+
+    def take(self, frame: CameraFrame) -> None:
+        """Take ``frame``, unless it has been dropped meanwhile."""
+        with self._changed:
+            if self._waiting and self._waiting[0][0] is frame:
+                self._waiting.popleft()
+
+    def lateness(self) -> float:
+        """How much later than their own time stamps its frames come, s, in the median of the first ones that come as
+        evenly as they were taken: what was taken while nobody read comes first, and all at once."""
+        late: deque[float] = deque(maxlen=SETTLING)
+        for _ in range(HELD):
+            if self.head() is None:
+                break
+            with self._changed:
+                frame, arrival = self._waiting.popleft()
+            late.append(arrival - frame.time)
+            if len(late) == SETTLING and max(late) - min(late) < ALIKE[True] * self.interval:
+                break
+        return median(late) if late else 0.0
+
+    def _receive(self, begun: float) -> None:
+        try:
+            for frame in self.recording:
+                if not self.recording.live:
+                    self._wait_until(begun + frame.time)
+                if self._stopped:
+                    break
+                if frame.image is not None:
+                    self._hand_on(frame)
+        except Exception as error:  # is raised where the pairs are read
+            self.error = error
+        with self._changed:
+            self._ended = True
+            self._changed.notify()
+
+    def _wait_until(self, moment: float) -> None:
+        while not self._stopped and (left := moment - time.monotonic()) > 0:
+            time.sleep(min(left, PATIENCE))
+
+    def _hand_on(self, frame: CameraFrame) -> None:
+        with self._changed:
+            if np.isfinite(self._last):
+                self._intervals.append(frame.time - self._last)
+                self.interval = median(self._intervals)
+            self._last = frame.time
+            if len(self._waiting) == HELD:
+                self._waiting.popleft()
+                self.dropped += 1
+            self._waiting.append((frame, time.monotonic()))
+            self._changed.notify()
+
+
+def _ahead(left: _View, right: _View) -> float:
+    """Seconds by which the right view's clock is ahead of the left one's, 0 where they share one, as files do."""
+    if not (left.recording.live or right.recording.live):
+        return 0.0
+    ahead = left.lateness() - right.lateness()
+    devices = left.recording.device and right.recording.device
+    return 0.0 if devices and abs(ahead) < LATE else ahead
+
+
+def _paired(left: _View, right: _View, ahead: float) -> Iterator[RawPair]:
+    """Pairs of frames that were taken together; what has no partner is left out."""
+    files = not (left.recording.live or right.recording.live)
+    one_clock = ahead == 0.0
+    alike = ALIKE[not files]
+    while (a := left.head()) is not None and (b := right.head()) is not None:
+        skew = b.time - ahead - a.time
+        if abs(skew) <= alike * left.interval:
+            alike = STILL * ALIKE[not files]
+            left.take(a)
+            right.take(b)
+            assert a.image is not None and b.image is not None
+            yield RawPair(a.index, a.time + 0.5 * skew * one_clock, a.image, b.image, skew * one_clock)
+        elif skew > 0:
+            left.take(a)
+        else:
+            right.take(b)
+
+
+def undistorted(pair: RawPair, rig: StereoRig, before: RawPair | None, rows: slice = EVERY) -> StereoFrame:
+    """``pair`` in ideal pixels, outside of ``rows`` black; a copy of a picture of the pair ``before`` makes it a
+    duplicate."""
+    left, right = (
+        camera.undistort_image(image.astype(np.float32), rows)
+        for camera, image in zip(rig.cameras, (pair.left, pair.right), strict=True)
+    )
+    repeated = before is not None and (
+        np.array_equal(pair.left, before.left) or np.array_equal(pair.right, before.right)
+    )
+    return StereoFrame(pair.index, pair.time, left, right, pair.skew, repeated)

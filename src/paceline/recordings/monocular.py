@@ -1,0 +1,442 @@
+"""What one camera recorded, or records now: grey frames by time.
+
+Frames are as recorded, not undistorted. One that cannot be decoded is handed on without a picture, so that whoever
+follows something through the recording knows that time has passed. Memory does not grow with the recording's length.
+"""
+
+from __future__ import annotations
+
+import errno
+import re
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from queue import Empty, Full, Queue
+from statistics import median
+from threading import Thread
+from time import monotonic
+from typing import Protocol
+
+import av
+import cv2
+import numpy as np
+from av.container import InputContainer
+from av.format import Flags
+from numpy.typing import NDArray
+
+from paceline.cameras import Camera
+from paceline.errors import UnusableInput
+from paceline.recordings.image_sources import ImageFiles, Source, open_source
+
+Array = NDArray[np.float64]
+Grey = NDArray[np.uint8]  # (H, W)
+
+LISTED = 8  # notices of one kind that are kept
+JUMP = 1.5  # usual intervals between two frames that are noticed
+RECENT = 31  # intervals that say what is usual
+LIVE_OPTIONS = {"rtsp_flags": "prefer_tcp"}  # of FFmpeg; sources without them ignore them
+PROBLEMS = {  # of a device, where the system's own words mislead
+    errno.EBUSY: "it is in use already",
+    errno.EINVAL: "it offers no format that FFmpeg can read",
+    errno.ENODEV: "it is no camera that FFmpeg can read",
+    errno.ENOTTY: "it is no camera that FFmpeg can read",
+    errno.ENOSPC: "its USB bus has no bandwidth left; each camera needs a bus of its own, or smaller pictures",
+}
+OPENING, SILENCE = 15.0, 10.0  # s until a live source counts as unreachable, or as ended
+WAITING = 8  # pictures received and not yet asked for; beyond them the source has to wait
+PATIENCE = 0.1  # s between two looks at whether to stop
+
+
+@dataclass(frozen=True, eq=False)
+class CameraFrame:
+    """One frame: ``index`` from 0, ``time`` in seconds, ``image`` (H, W) or None where it cannot be decoded."""
+
+    index: int
+    time: float
+    image: Grey | None
+
+
+class Description(Protocol):
+    """Where a chase-camera recording lies and how it is timed, as a follow.yaml says it."""
+
+    @property
+    def path(self) -> Path: ...
+    @property
+    def video(self) -> str: ...
+    @property
+    def rate(self) -> float | None: ...
+    @property
+    def bit_depth(self) -> int | None: ...
+    @property
+    def camera(self) -> Camera: ...
+
+
+class Feed(Protocol):
+    """Where frames come from."""
+
+    name: str
+    notices: list[str]
+
+    def read(self, start: int) -> Iterator[CameraFrame]: ...
+    def label(self, frame: int) -> str: ...
+    def stop(self) -> None:
+        """Ends :meth:`read` before the next frame, also while it waits for one."""
+        ...
+
+
+class CameraRecording:
+    """The frames of one camera; iterate it for :class:`CameraFrame` after :class:`CameraFrame`.
+
+    ``total`` is how many there are, None for a live source, which can be iterated once only.
+    """
+
+    def __init__(self, camera: Camera, feed: Feed, total: int | None) -> None:
+        self.camera = camera
+        self.total = total
+        self.name = feed.name
+        self._feed = feed
+        self._missing = _Few()
+        self._jumps = _Few()
+
+    @property
+    def live(self) -> bool:
+        return self.total is None
+
+    @property
+    def device(self) -> bool:
+        """Whether it is a live camera of this computer, whose time stamps are those of `time.monotonic`."""
+        return self.live and _is_device(self.name)
+
+    @property
+    def notices(self) -> list[str]:
+        """What a user should know about the recording, one plain line each; iterating may add to it."""
+        undecoded = [f"{line}: cannot be decoded, and is passed over" for line in self._missing.lines()]
+        return [*self._feed.notices, *undecoded, *self._jumps.lines()]
+
+    def stop(self) -> None:
+        """Ends the iteration after the present frame, as if the recording ended there; a signal handler may call it."""
+        self._feed.stop()
+
+    def __iter__(self) -> Iterator[CameraFrame]:
+        return self.frames()
+
+    def frames(self, start: int = 0) -> Iterator[CameraFrame]:
+        """The frames from index ``start`` on. Raises UnusableInput, naming the frame, for one of another size."""
+        width, height = self.camera.image_size
+        steps: deque[float] = deque(maxlen=RECENT)
+        before: CameraFrame | None = None
+        for frame in self._feed.read(start):
+            if frame.image is None:
+                self._missing.add(self._feed.label(frame.index))
+            elif frame.image.shape != (height, width):
+                found = f"{frame.image.shape[1]} × {frame.image.shape[0]}"
+                raise UnusableInput(
+                    f"{self._feed.label(frame.index)}: has {found} pixels, but the camera has {width} × {height}"
+                )
+            if before is not None:
+                step = frame.time - before.time
+                if steps and step > JUMP * median(steps):
+                    between = f"frames {before.index} and {frame.index}"
+                    self._jumps.add(f"{between} lie {step:.3f} s apart instead of {median(steps):.3f} s")
+                steps.append(step)
+            before = frame
+            yield frame
+
+
+def open_camera(clip: Description) -> CameraRecording:
+    """The recording that a follow.yaml names: images, a video file, or a live source that PyAV opens.
+
+    An address (``rtsp://…``), a device (``/dev/video0``) or a named pipe is live. Raises UnusableInput for whatever
+    can be found out without reading all of it.
+    """
+    where = Path(clip.video)
+    if "://" in clip.video or where.is_char_device() or where.is_fifo():
+        live = LiveFeed(clip.video, clip.camera.image_size)
+        _note_unused_rate(clip, live)
+        return CameraRecording(clip.camera, live, None)
+    source = open_source(where, clip.bit_depth)
+    if isinstance(source, ImageFiles):
+        if clip.rate is None:
+            raise UnusableInput(f"{clip.path}: rate: missing; a folder of images needs it")
+        times = _counted(source) / clip.rate
+    elif source.times is None:
+        raise UnusableInput(f"{clip.video}: carries no times; expected a video that does, or images and their rate")
+    else:
+        times = source.times
+        _note_unused_rate(clip, source)
+    return CameraRecording(clip.camera, FileFeed(source, times), len(source))
+
+
+def _note_unused_rate(clip: Description, source: Source | Feed) -> None:
+    if clip.rate is not None:
+        source.notices.append(f"{clip.path}: rate is not used, because {source.name} carries its own time stamps")
+
+
+def _counted(images: ImageFiles) -> Array:
+    """The images' places in the recording (N,), from 0: numbers in their names that skip mean dropped frames."""
+    numbers = images.numbers
+    if numbers is not None:
+        passed = np.array(numbers, float) - numbers[0]
+        step = np.diff(passed).min()
+        if not (passed % step).any():  # clock readings are no counters
+            return np.asarray(passed / step)
+    return np.arange(len(images), dtype=float)
+
+
+class FileFeed:
+    """Images or a video file whose frames were taken at ``times`` (N,) seconds."""
+
+    def __init__(self, source: Source, times: Array) -> None:
+        self.name = source.name
+        self.notices = source.notices
+        self.label = source.label
+        self._source = source
+        self._times = times
+        self._stopped = False
+
+    def stop(self) -> None:
+        self._stopped = True
+
+    def read(self, start: int) -> Iterator[CameraFrame]:
+        wanted = range(start, len(self._times))
+        for index, image in zip(wanted, self._images(wanted), strict=True):
+            # rounds, unlike a cast
+            grey = None if image is None else np.asarray(cv2.convertScaleAbs(image), np.uint8)
+            yield CameraFrame(index, float(self._times[index]), grey)
+            if self._stopped:
+                return
+
+    def _images(self, wanted: Sequence[int]) -> Iterator[NDArray[np.float32] | None]:
+        if not isinstance(self._source, ImageFiles):
+            yield from self._source.read(wanted)
+            return
+        for index in wanted:
+            try:
+                yield from self._source.read([index])
+            except UnusableInput:  # one bad file in a long run is passed over, as in a video
+                yield None
+
+
+@dataclass(frozen=True, eq=False)
+class _Picture:
+    """What came from a live source: its time stamp in seconds, None where it has none, and the picture (H, W), None
+    where it cannot be decoded."""
+
+    stamp: float | None
+    image: Grey | None
+
+
+class LiveFeed:
+    """A camera or stream that PyAV opens, read once; frames have its own time stamps, or that of their arrival.
+
+    It is received in a thread of its own: FFmpeg waits for data without hearing a signal, and what comes while nobody
+    reads would be lost.
+    """
+
+    def __init__(self, address: str, size: tuple[int, int]) -> None:
+        """Asks a device for pictures of ``size`` (width, height). Raises UnusableInput when the source cannot be opened
+        or shows no video."""
+        self.name = re.sub(r"//[^/@]*@", "//", address)  # a password belongs into no message
+        self.notices: list[str] = []
+        self._stopped = False
+        try:
+            self._container = _opened(address, size)
+        except UnusableInput:
+            raise
+        except (av.FFmpegError, OSError, ValueError) as error:
+            reason = (PROBLEMS.get(getattr(error, "errno", 0)) if _is_device(address) else None) or _problem(error)
+            raise UnusableInput(f"{self.name}: cannot be opened as a live video ({reason})") from error
+        if not self._container.streams.video:
+            self._container.close()
+            raise UnusableInput(f"{self.name}: shows no video")
+        self._untimed = Flags.no_timestamps in Flags(self._container.format.flags)
+        if self._untimed:  # FFmpeg would make up times from a rate that it guesses
+            self.notices.append(f"{self.name}: carries no time stamps; frames are dated by their arrival")
+
+    def label(self, frame: int) -> str:
+        return f"{self.name}: frame {frame}"
+
+    def stop(self) -> None:
+        self._stopped = True
+
+    def read(self, start: int) -> Iterator[CameraFrame]:
+        received: Queue[_Picture | Exception | None] = Queue(WAITING)
+        Thread(target=self._receive, args=[received], daemon=True).start()
+        clock = _Clock(self.name, self.notices)
+        index, begun = -1, monotonic()
+        try:
+            while (picture := self._next(received)) is not None:
+                damaged = index < 0 and picture.image is None and monotonic() - begun < SILENCE
+                if picture.stamp is None or damaged:  # as the first ones of many sources
+                    continue
+                index += 1
+                time = clock.read(index, picture.stamp)
+                if index >= start:
+                    yield CameraFrame(index, time, picture.image)
+        finally:
+            self.stop()
+        if index < 0:
+            raise UnusableInput(f"{self.name}: sends no picture that can be decoded and has a time stamp")
+
+    def _next(self, received: Queue[_Picture | Exception | None]) -> _Picture | None:
+        """The picture that came first of those not yet read; None at the end, or after too long a silence."""
+        begun = monotonic()
+        while not self._stopped:
+            try:
+                picture = received.get(timeout=PATIENCE)
+            except Empty:
+                if monotonic() - begun > SILENCE:
+                    self.notices.append(f"{self.name}: the source ended (nothing came for {SILENCE:.0f} s)")
+                    return None
+                continue
+            if isinstance(picture, Exception):
+                raise picture
+            return picture
+        return None
+
+    def _receive(self, received: Queue[_Picture | Exception | None]) -> None:
+        def hand_on(picture: _Picture | Exception | None) -> None:
+            while not self._stopped:
+                try:
+                    return received.put(picture, timeout=PATIENCE)
+                except Full:
+                    continue
+
+        try:
+            for picture in self._pictures():
+                hand_on(picture)
+                if self._stopped:
+                    break
+            hand_on(None)
+        except Exception as error:  # is raised where it is read
+            hand_on(error)
+        finally:
+            self._container.close()  # says goodbye, and waits for the answer
+
+    def _pictures(self) -> Iterator[_Picture]:
+        stream = self._container.streams.video[0]
+        stream.thread_type = "SLICE"  # whole frames in parallel would each arrive late
+        packets = self._container.demux(stream)
+        begun = monotonic()
+        while True:
+            try:
+                packet = next(packets)
+                arrival = monotonic() - begun
+            except StopIteration:
+                self.notices.append(f"{self.name}: the source ended")
+                return
+            except (av.FFmpegError, OSError) as error:
+                if not self._stopped:
+                    self.notices.append(f"{self.name}: the source ended ({_problem(error)})")
+                return
+            try:
+                for picture in packet.decode():
+                    if isinstance(picture, av.VideoFrame):
+                        stamp = arrival if self._untimed else picture.time
+                        yield _Picture(stamp, None if picture.is_corrupt else _grey(picture))
+            except av.FFmpegError:
+                own = None if packet.pts is None or packet.time_base is None else float(packet.pts * packet.time_base)
+                yield _Picture(arrival if self._untimed else own, None)
+
+
+def _is_device(address: str) -> bool:
+    return Path(address).is_char_device()
+
+
+def _opened(address: str, size: tuple[int, int]) -> InputContainer:
+    """What FFmpeg opens at an ``address``. It waits for the first picture of a device, and for whoever writes into a
+    pipe, without end and without hearing a signal: hence in a thread of its own."""
+    answer: Queue[InputContainer | Exception] = Queue()
+
+    def ask() -> None:
+        try:
+            if _is_device(address):
+                answer.put(_camera(address, size))
+            else:
+                answer.put(av.open(address, options=LIVE_OPTIONS, timeout=(OPENING, 2 * SILENCE)))
+        except Exception as error:  # is raised where the answer is wanted
+            answer.put(error)
+
+    Thread(target=ask, daemon=True).start()
+    try:
+        opened = answer.get(timeout=None if "://" in address else OPENING)
+    except Empty:
+        raise TimeoutError(errno.ETIMEDOUT, f"no answer within {OPENING:.0f} s") from None
+    if isinstance(opened, Exception):
+        raise opened
+    return opened
+
+
+def _camera(device: str, size: tuple[int, int]) -> InputContainer:
+    """A ``device`` that sends pictures of ``size`` (width, height), in the format that FFmpeg prefers or else as JPEG:
+    many offer their larger ones only so. Raises UnusableInput when it offers other sizes only."""
+    wanted, offered = "{} × {}".format(*size), ""
+    for preferred in {}, {"input_format": "mjpeg"}:
+        # as mere "options" they would be the decoder's, too, which then takes pictures of any size for those
+        options = {"video_size": wanted.replace(" × ", "x"), **preferred}
+        try:
+            container = av.open(device, format="v4l2", container_options=options)
+        except (av.FFmpegError, OSError):
+            if offered:
+                break
+            raise
+        video = container.streams.video[0]
+        if (video.width, video.height) == size:
+            return container
+        offered = offered or f"{video.width} × {video.height}"
+        container.close()
+    raise UnusableInput(
+        f"{device}: offers {offered} pixels where {wanted} are asked for; expected the image_size of its calibration"
+    )
+
+
+def _problem(error: Exception) -> str:
+    """What FFmpeg says of a live source, in words."""
+    if isinstance(error, av.error.ExitError):  # PyAV's own time limit
+        return f"no answer within {OPENING:.0f} s"
+    return getattr(error, "strerror", None) or "not known to FFmpeg"
+
+
+class _Clock:
+    """A live source's time, which goes on evenly where its time stamps jump back."""
+
+    def __init__(self, name: str, notices: list[str]) -> None:
+        self._name, self._notices = name, notices
+        self._offset = 0.0
+        self._last = -np.inf
+        self._step = 0.0
+
+    def read(self, index: int, stamp: float) -> float:
+        time = stamp + self._offset
+        if time <= self._last:
+            back, time = self._last - time, self._last + self._step
+            self._offset = time - stamp
+            if len(self._notices) < LISTED:
+                self._notices.append(f"{self._name}: times go back by {back:.3f} s at frame {index}; counted on")
+        elif np.isfinite(self._last):
+            self._step = time - self._last
+        self._last = time
+        return time
+
+
+def _grey(picture: av.VideoFrame) -> Grey:
+    # a copy: what a grey camera shows lies in the driver's memory, which is gone once the device is closed
+    return np.array(picture.reformat(format="gray").to_ndarray(), np.uint8)
+
+
+@dataclass
+class _Few:
+    """The first lines of a kind, and how many more there are."""
+
+    first: list[str] = field(default_factory=list)
+    count: int = 0
+
+    def add(self, line: str) -> None:
+        self.count += 1
+        if len(self.first) < LISTED:
+            self.first.append(line)
+
+    def lines(self) -> list[str]:
+        more = self.count - len(self.first)
+        return [*self.first[:-1], f"{self.first[-1]}, and {more} more like it"] if more else self.first

@@ -1,0 +1,355 @@
+"""Stereo recordings: pairs of undistorted grey frames by time.
+
+Each view is a :mod:`source <paceline.recordings.image_sources>` of its own; a :class:`Pairing` says which of their
+frames belong together and when they were taken. Whatever is left out or looks wrong is said in ``notices``.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from paceline.cameras import StereoRig
+from paceline.errors import UnusableInput
+from paceline.recordings.image_sources import ImageFiles, Source, open_source
+
+Array = NDArray[np.float64]
+Image = NDArray[np.float32]
+Indices = NDArray[np.int64]
+
+NOTABLE_SKEW = 1.1e-3  # s; rounding both views to whole milliseconds explains less
+LISTED = 8  # frames that a notice lists at most
+
+
+@dataclass(frozen=True, eq=False)
+class StereoFrame:
+    """What both cameras saw at one time.
+
+    ``index`` counts the left view's frames from 0. ``left`` and ``right`` are (H, W) grey on a 0–255 scale in ideal
+    pixels, ``time`` and ``skew`` (right minus left) are in seconds. ``duplicate``: a view repeats its previous image.
+    """
+
+    index: int
+    time: float
+    left: Image
+    right: Image
+    skew: float
+    duplicate: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Pairing:
+    """Which frames of the two views belong together, N pairs in order of time.
+
+    ``left``, ``right`` (N,) count each view's frames from 0; ``times`` (N,) are midway between the two exposures and
+    ``skews`` (N,) right minus left, in seconds; ``interval`` is the usual time between frames; ``notices`` say what was
+    left out.
+    """
+
+    left: Indices
+    right: Indices
+    times: Array
+    skews: Array
+    interval: float
+    notices: list[str] = field(default_factory=list)
+
+
+class Description(Protocol):
+    """Where a recording lies and how it is timed, as a clip.yaml says it."""
+
+    @property
+    def path(self) -> Path: ...
+    @property
+    def left(self) -> Path: ...
+    @property
+    def right(self) -> Path: ...
+    @property
+    def rate(self) -> float | None: ...
+    @property
+    def times(self) -> Path | None: ...
+    @property
+    def tolerance(self) -> float | None: ...
+    @property
+    def bit_depth(self) -> int | None: ...
+    @property
+    def rig(self) -> StereoRig: ...
+
+
+class StereoFrames(Protocol):
+    """Frames of a rig with what is to be said of them, to be gone through as often as needed."""
+
+    @property
+    def indices(self) -> Indices: ...
+    @property
+    def notices(self) -> list[str]: ...
+    def __len__(self) -> int: ...
+    def frames(self) -> Iterator[StereoFrame]: ...
+
+
+class StereoRecording:
+    """Pairs of frames of a rig; iterate it, as often as needed, for :class:`StereoFrame` after :class:`StereoFrame`.
+
+    Memory does not grow with its length.
+    """
+
+    def __init__(self, rig: StereoRig, left: Source, right: Source, pairing: Pairing) -> None:
+        """Raises UnusableInput when the first images do not have the rig's size."""
+        self.rig = rig
+        self.pairing = pairing
+        self._sources = left, right
+        self._repeated: tuple[set[int], set[int]] = set(), set()
+        self._damaged: tuple[set[int], set[int]] = set(), set()
+        for side in (0, 1):
+            image = next(self._sources[side].read([0]))
+            if image is None:
+                raise UnusableInput(f"{self._sources[side].label(0)}: cannot be decoded")
+            self._check_size(side, 0, image)
+
+    def __len__(self) -> int:
+        return len(self.pairing.times)
+
+    def __iter__(self) -> Iterator[StereoFrame]:
+        return self.frames()
+
+    @property
+    def sources(self) -> tuple[Source, Source]:
+        """What the left and the right camera recorded, distorted as it is."""
+        return self._sources
+
+    @property
+    def image_size(self) -> tuple[int, int]:
+        """(width, height) of the left view, pixels."""
+        return self.rig.left.image_size
+
+    @property
+    def indices(self) -> Indices:
+        """The frames' ``index`` (N,)."""
+        return self.pairing.left
+
+    @property
+    def times(self) -> Array:
+        """Seconds (N,), midway between the two exposures."""
+        return self.pairing.times
+
+    @property
+    def skews(self) -> Array:
+        """Right minus left, seconds (N,)."""
+        return self.pairing.skews
+
+    @property
+    def notices(self) -> list[str]:
+        """What a user should know about the recording, one plain line each; iterating may add to it."""
+        found = [*self._sources[0].notices, *self._sources[1].notices, *self.pairing.notices]
+        found += _gap_notices(self.pairing)
+        for source, repeated, damaged in zip(self._sources, self._repeated, self._damaged, strict=True):
+            if damaged:
+                found.append(f"{source.name}: {_listed(damaged)} cannot be decoded and {_are(damaged)} left out")
+            if repeated:
+                found.append(f"{source.name}: {_listed(repeated)} {_are(repeated)} a copy of the frame before")
+        return found
+
+    def frames(self, start: int = 0, stop: int | None = None) -> Iterator[StereoFrame]:
+        """The frames with ``start`` ≤ index < ``stop``. Raises UnusableInput, naming the file, for one that is bad."""
+        first = int(np.searchsorted(self.indices, start))
+        last = len(self) if stop is None else int(np.searchsorted(self.indices, stop))
+        chosen = range(max(first - 1, 0), last)  # one earlier, to recognise a first frame that is a copy
+        numbers = self.pairing.left[chosen].tolist(), self.pairing.right[chosen].tolist()
+        previous: list[Image | None] = [None, None]
+        views = [source.read(wanted) for source, wanted in zip(self._sources, numbers, strict=True)]
+        for i, (k, *images) in enumerate(zip(chosen, *views, strict=True)):
+            ideal, duplicate = [], False
+            for side, image in enumerate(images):
+                frame = numbers[side][i]
+                if image is None:
+                    self._damaged[side].add(frame)
+                    continue
+                self._check_size(side, frame, image)
+                if _same(image, previous[side]):
+                    self._repeated[side].add(frame)
+                    duplicate = True
+                previous[side] = image
+                if k >= first:
+                    ideal.append(self.rig.cameras[side].undistort_image(image))
+            if len(ideal) == 2:
+                time, skew = float(self.times[k]), float(self.skews[k])
+                yield StereoFrame(numbers[0][i], time, ideal[0], ideal[1], skew, duplicate)
+
+    def _check_size(self, side: int, frame: int, image: Image) -> None:
+        width, height = self.rig.cameras[side].image_size
+        if image.shape != (height, width):
+            raise UnusableInput(
+                f"{self._sources[side].label(frame)}: has {image.shape[1]} × {image.shape[0]} pixels, but the rig's "
+                f"{('left', 'right')[side]} camera has {width} × {height}"
+            )
+
+
+def open_recording(clip: Description) -> StereoRecording:
+    """The recording of a clip. Raises UnusableInput for whatever can be found out without reading all of it."""
+    left, right = (open_source(where, clip.bit_depth) for where in (clip.left, clip.right))
+    if clip.times is not None:
+        pairing = pair_by_time(*read_times(clip.times, len(left), len(right)), clip.tolerance)
+    elif isinstance(left, ImageFiles) and isinstance(right, ImageFiles):
+        if clip.rate is None:
+            raise UnusableInput(f"{clip.path}: rate: missing; folders of images need it, or times")
+        pairing = pair_images(left, right, clip.rate)
+    elif left.times is None or right.times is None:
+        raise UnusableInput(f"{clip.path}: one view is a video and the other images; expected times for both")
+    else:
+        pairing = pair_by_time(left.times, right.times, clip.tolerance)
+        if clip.rate is not None:
+            pairing.notices.append(f"{clip.path}: rate is not used, because the videos carry their own time stamps")
+    return StereoRecording(clip.rig, left, right, pairing)
+
+
+def pair_by_time(left: Array, right: Array, tolerance: float | None = None) -> Pairing:
+    """Pairs the frames taken at ``left`` (N,) and ``right`` (M,) seconds that are each other's nearest.
+
+    At most ``tolerance`` seconds may lie between the two, a quarter of the median frame interval by default. Raises
+    UnusableInput when no two frames are that near.
+    """
+    interval = float(np.median(np.concatenate([np.diff(left), np.diff(right)])))
+    if tolerance is None:
+        tolerance = 0.25 * interval
+    to_right, to_left = _nearest(left, right), _nearest(right, left)
+    i = np.arange(len(left))
+    mutual = (to_left[to_right] == i) & (np.abs(right[to_right] - left) <= tolerance + 1e-9)
+    i, j = i[mutual], to_right[mutual]
+    if not len(i):
+        raise UnusableInput(
+            f"left and right: no two frames lie within {1e3 * tolerance:.3g} ms of each other "
+            f"(left {left[0]:.3f} to {left[-1]:.3f} s, right {right[0]:.3f} to {right[-1]:.3f} s)"
+        )
+    within = f"within {1e3 * tolerance:.3g} ms"
+    notices = _unmatched("left", len(left), i, within) + _unmatched("right", len(right), j, within)
+    skews = right[j] - left[i]
+    if np.abs(skews).max() > NOTABLE_SKEW:
+        notices.append(
+            f"right frames are taken {1e3 * float(np.median(skews)):+.1f} ms from the left ones (median; "
+            f"at most {1e3 * float(np.abs(skews).max()):.1f} ms)"
+        )
+    return Pairing(i, j, (left[i] + right[j]) / 2, skews, interval, notices)
+
+
+def pair_images(left: ImageFiles, right: ImageFiles, rate: float) -> Pairing:
+    """Pairs images taken at ``rate`` frames per second by the frame numbers in their names, or else in order.
+
+    Numbers that skip mean dropped frames. Equally many images that skip alike are paired in order, whatever number
+    each view begins with. Raises UnusableInput when the counts differ and nothing says which images belong together.
+    """
+    numbers = _frame_counters(left.numbers, right.numbers)
+    if numbers is None:
+        if len(left) != len(right):
+            raise UnusableInput(
+                f"{left.name} has {len(left)} images and {right.name} {len(right)}; expected as many, or frame numbers "
+                "in their names that tell which belong together"
+            )
+        i = np.arange(len(left))
+        notices = []
+        if left.numbers is not None:
+            notices.append(f"{left.name}: the numbers in the names count no frames; a missing one cannot be noticed")
+        return Pairing(i, i, i / rate, np.zeros(len(i)), 1 / rate, notices)
+    n, m = numbers
+    if len(n) == len(m) and np.array_equal(n - n[0], m - m[0]):
+        i = j = np.arange(len(n))
+        notices = [] if n[0] == m[0] else [f"left images count from {n[0]} and right ones from {m[0]}; paired in order"]
+    else:
+        common, i, j = np.intersect1d(n, m, assume_unique=True, return_indices=True)
+        if not len(common):
+            raise UnusableInput(f"{left.name} and {right.name}: no two images have the same number in their names")
+        notices = _unmatched("left", len(n), i, "of the same number") + _unmatched(
+            "right", len(m), j, "of the same number"
+        )
+    return Pairing(i, j, (n[i] - n[0]) / rate, np.zeros(len(i)), 1 / rate, notices)
+
+
+def read_times(path: Path, left: int, right: int) -> tuple[Array, Array]:
+    """The columns left_s and right_s, in seconds, of a times.csv for ``left`` and ``right`` frames.
+
+    Raises UnusableInput, naming the row, for anything but numbers that strictly increase.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            rows = [row for row in csv.reader(file) if row]
+    except OSError as error:
+        raise UnusableInput(f"{path}: cannot be read ({error.strerror})") from error
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise UnusableInput(f"{path}: is not a table of comma-separated text") from error
+    header = [name.strip() for name in rows[0]] if rows else []
+    if header[:3] != ["frame", "left_s", "right_s"]:
+        raise UnusableInput(f"{path}: the first line reads {','.join(header)!r}; expected 'frame,left_s,right_s'")
+    if not left == right == len(rows) - 1:
+        raise UnusableInput(
+            f"{path}: has {len(rows) - 1} rows, but there are {left} left and {right} right images; expected one each"
+        )
+    values = np.empty((len(rows) - 1, 3))
+    for i, row in enumerate(rows[1:]):
+        try:
+            values[i] = [float(cell) for cell in row[:3]]
+        except ValueError:
+            raise UnusableInput(f"{path}: frame {i}: {','.join(row)!r}; expected three numbers") from None
+        if not np.isfinite(values[i]).all():
+            raise UnusableInput(f"{path}: frame {i}: {','.join(row)!r}; expected finite numbers")
+        if values[i, 0] != i:
+            raise UnusableInput(f"{path}: frame {row[0]} stands where frame {i} is expected")
+        if i and (values[i, 1:] <= values[i - 1, 1:]).any():
+            raise UnusableInput(f"{path}: frame {i}: the times do not increase")
+    return values[:, 1].copy(), values[:, 2].copy()
+
+
+def _frame_counters(left: list[int] | None, right: list[int] | None) -> tuple[Indices, Indices] | None:
+    """The numbers in units of their common step, or None if they are no counters.
+
+    Counters rise by multiples of their smallest step; clock readings in file names do not.
+    """
+    if left is None or right is None:
+        return None
+    steps = [b - a for side in (left, right) for a, b in zip(side, side[1:], strict=False)]
+    step = min(steps)
+    if any(s % step for s in steps):
+        return None
+    a, b = (np.array([n // step for n in side], np.int64) for side in (left, right))
+    return a, b
+
+
+def _nearest(times: Array, among: Array) -> Indices:
+    """Where (N,) the nearest of ``among`` (M ≥ 2,) is for each of ``times`` (N,); both increase."""
+    after = np.clip(np.searchsorted(among, times), 1, len(among) - 1)
+    return np.asarray(after - (times - among[after - 1] < among[after] - times), np.int64)
+
+
+def _gap_notices(pairing: Pairing) -> list[str]:
+    gaps, usual = np.diff(pairing.times), pairing.interval
+    return [
+        f"{round(gaps[k] / usual) - 1} dropped between frames {pairing.left[k]} and {pairing.left[k + 1]}: "
+        f"{gaps[k]:.3f} s lie between them instead of {usual:.3f} s"
+        for k in np.flatnonzero(gaps > 1.5 * usual)
+    ]
+
+
+def _unmatched(side: str, count: int, matched: Indices, what: str) -> list[str]:
+    alone = np.setdiff1d(np.arange(count), matched)
+    other = "right" if side == "left" else "left"
+    if not len(alone):
+        return []
+    return [f"{side}: {_listed(alone)} {_are(alone)} left out, without a {other} frame {what}"]
+
+
+def _listed(frames: set[int] | Indices) -> str:
+    numbers = sorted(int(f) for f in frames)
+    shown = ", ".join(map(str, numbers[:LISTED]))
+    more = f" and {len(numbers) - LISTED} more" if len(numbers) > LISTED else ""
+    return f"frame{'s' * (len(numbers) > 1)} {shown}{more}"
+
+
+def _are(frames: set[int] | Indices) -> str:
+    return "is" if len(frames) == 1 else "are"
+
+
+def _same(image: Image, previous: Image | None) -> bool:
+    return previous is not None and np.array_equal(image, previous)

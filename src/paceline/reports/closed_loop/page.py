@@ -1,0 +1,65 @@
+"""report.html of a drive: one self-contained page with the verdict, what must hold, and the drawings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from paceline.reports.common.formatting import MISSING, number
+from paceline.reports.common.html import flat, render
+from paceline.reports.follow.overlay import Still
+from paceline.reports.follow.page import percent
+from paceline.reports.speed.plots import Plot
+from paceline.simulation.closed_loop.requirements import Requirement
+from paceline.simulation.closed_loop.results import DriveResult
+
+# What each plot shows, for someone who has never seen one.
+CAPTIONS = {
+    "plan": "The way of the vehicle ahead, and of the one that follows it by its camera. One on the other is good.",
+    "gap": "How far ahead the vehicle is: as it was, as the camera told it, and as the throttle wants it. Shaded "
+    "stretches were not tracked.",
+    "path_error": "How far the rear axle is from where the vehicle ahead drove; to the right is up.",
+    "steering": "What was asked for, and what the front wheels did, later and not faster than they can.",
+    "speed": "Both vehicles. The one behind should be calmer than the one ahead.",
+    "processing": "What the tracker took for each picture on this machine; the loop itself runs on simulated time.",
+}
+
+
+def write_drive_page(result: DriveResult, file: Path, *, plots: list[Plot], stills: list[Still], overlay: bool) -> None:
+    """Writes the page. Needs no other file and no network; ``overlay`` says whether there is a video to link to."""
+    f = result.figures
+    text = render(
+        "closed_loop/page.html.j2",
+        result=result,
+        overlay=overlay,
+        rows=[requirement_words(r) for r in result.requirements],
+        failed=sum(not r.holds for r in result.requirements),
+        duration=number(result.duration, 1),
+        way=number(f.way, 0),
+        fastest=number(3.6 * f.speed_max, 1),
+        path_rms=number(f.path_rms, 3),
+        path_max=number(f.path_max, 2),
+        clearance=number(f.clearance, 1),
+        nearest=number(f.gap_min, 1),
+        farthest=number(f.gap_max, 1),
+        share=percent(f.tracked_share),
+        latency=number(1e3 * result.latency, 0),
+        median=number(1e3 * result.processing["median"], 2),
+        slowest=number(1e3 * result.processing["p99"], 2),
+        plots=[(plot, CAPTIONS[plot.name]) for plot in plots],
+        stills=stills,
+        settings=[*flat(result.document, "drive."), *flat(result.configuration)],
+        seconds=number(result.seconds, 1),
+        missing=MISSING,
+    )
+    file.write_text(text, encoding="utf-8")
+
+
+def requirement_words(r: Requirement) -> tuple[str, str, str, str]:
+    """What, the figure found, its bound, and whether it holds, as text."""
+    if r.what == "tracking at the end":
+        return r.what, "yes" if r.value else "no", "yes", "holds" if r.holds else "fails"
+    whole = r.unit == "" and float(r.value).is_integer() and float(r.bound).is_integer()
+    decimals = 0 if whole else 3 if max(abs(r.bound), 1e-9) < 1 else 2
+    unit = f" {r.unit}" if r.unit else ""
+    bound = f"at {'least' if r.at_least else 'most'} {number(r.bound, decimals)}{unit}"
+    return r.what, f"{number(r.value, decimals)}{unit}", bound, "holds" if r.holds else "fails"

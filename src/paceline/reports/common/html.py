@@ -1,0 +1,40 @@
+"""Pages from templates: self-contained, and safe whatever a person's files hold."""
+
+from __future__ import annotations
+
+import base64
+import json
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from paceline.reports.speed.tables import as_json
+
+
+def render(template: str, **values: object) -> str:
+    """The page that ``template`` makes of ``values``; pictures go into it as data, everything else is escaped."""
+    templates = Environment(
+        loader=PackageLoader("paceline.reports"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    templates.filters["jpeg"] = lambda data: _data_uri("image/jpeg", data)
+    templates.filters["svg"] = lambda text: _data_uri("image/svg+xml", text.encode())
+    return templates.get_template(template).render(**values)
+
+
+def flat(settings: dict[str, object], prefix: str = "") -> list[tuple[str, str]]:
+    """Nested settings as (dotted name, value) pairs."""
+    pairs = []
+    for key, value in settings.items():
+        if isinstance(value, dict):
+            pairs += flat(value, f"{prefix}{key}.")
+        else:
+            text = value if isinstance(value, str) else json.dumps(as_json(value), ensure_ascii=False)
+            pairs.append((f"{prefix}{key}", text))
+    return pairs
+
+
+def _data_uri(kind: str, data: bytes) -> str:
+    return f"data:{kind};base64,{base64.b64encode(data).decode()}"

@@ -1,0 +1,77 @@
+"""An H.264 video written picture by picture with the pictures' own times."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+from types import TracebackType
+
+import av
+import numpy as np
+
+from paceline.reports.common.drawing import Picture
+
+CLOCK = 60000  # time stamps per second; MPEG-4 allows 65535
+CODECS = ["libx264", "libopenh264"]  # both write H.264, which browsers play
+FALLBACK = "mpeg4"
+BIT_RATE = 8_000_000  # for encoders that know no constant quality
+
+
+class VideoWriter:
+    """Writes an MP4 file; all pictures have the first one's size, which is even in both directions.
+
+    With ``fragmented`` the file's index does not grow in memory with its length, at the price of slower seeking.
+    ``notices`` says so where no H.264 encoder is at hand and the video is MPEG-4 instead.
+    """
+
+    def __init__(self, file: Path, step: float, crf: int = 20, fragmented: bool = False) -> None:
+        """``step`` is the usual time between pictures, seconds; a higher ``crf`` means a smaller, coarser file."""
+        self.notices: list[str] = []
+        self._codec = next((name for name in CODECS if name in av.codecs_available), FALLBACK)
+        if self._codec == FALLBACK:
+            self.notices.append("overlay.mp4 is MPEG-4 because no H.264 encoder was found; a browser may not play it.")
+        flags = "frag_keyframe+empty_moov+default_base_moof" if fragmented else "+faststart"
+        self._container = av.open(str(file), "w", format="mp4", options={"movflags": flags})
+        self._stream: av.VideoStream | None = None
+        self._step, self._crf = step, crf
+        self._start, self._last = 0.0, -1
+
+    def add(self, picture: Picture, time: float) -> None:
+        """Appends ``picture`` (H, W, 3), BGR, shown at ``time`` seconds."""
+        if self._stream is None:
+            self._stream = self._add_stream(picture)
+            self._start = time
+        image = av.VideoFrame.from_ndarray(picture, format="bgr24")
+        self._last = max(round((time - self._start) * CLOCK), self._last + 1)
+        image.pts, image.time_base, image.duration = self._last, Fraction(1, CLOCK), round(self._step * CLOCK)
+        self._container.mux(self._stream.encode(image))
+
+    def _add_stream(self, picture: Picture) -> av.VideoStream:
+        options = {"preset": "veryfast", "crf": str(self._crf)} if self._codec == "libx264" else {}
+        rate = Fraction(1 / self._step).limit_denominator(1000) or Fraction(1)
+        stream = self._container.add_stream(self._codec, rate=rate, options=options)
+        assert isinstance(stream, av.VideoStream)
+        stream.height, stream.width = picture.shape[:2]
+        stream.pix_fmt = "yuv420p"
+        stream.codec_context.time_base = Fraction(1, CLOCK)
+        if self._codec != "libx264":
+            stream.bit_rate = BIT_RATE
+        return stream
+
+    def __enter__(self) -> VideoWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if error is None and self._stream is not None:
+            self._container.mux(self._stream.encode())
+        self._container.close()
+
+
+def even(picture: Picture) -> Picture:
+    """``picture`` (H, W, 3) with a black row or column added where it has an odd number: chroma is halved."""
+    height, width = picture.shape[:2]
+    if height % 2 or width % 2:
+        return np.pad(picture, ((0, height % 2), (0, width % 2), (0, 0)))
+    return picture

@@ -1,0 +1,83 @@
+"""report.html of a following run: one self-contained page that explains the result to anyone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from paceline.follow.history import Episode, Tally
+from paceline.follow.results import FollowResult
+from paceline.reports.common.formatting import COVERAGE, MISSING, number
+from paceline.reports.common.html import flat, render
+from paceline.reports.follow.overlay import Still
+from paceline.reports.follow.tables import middle
+from paceline.reports.speed.plots import Plot
+
+SHOWN = 50  # episodes listed on the page; summary.json holds more
+GOOD = 0.95  # share of frames tracked from which no advice is given
+
+# What each plot shows, for someone who has never seen one.
+CAPTIONS = {
+    "range": "How far ahead the vehicle is. The band is the 95 % interval; shaded stretches were not tracked.",
+    "bearing": "The direction to the vehicle, and the steering angle that would follow its path; to the right is up.",
+    "confidence": "How firmly each frame fixes the target’s place across and down the picture and its size; higher is "
+    "better.",
+    "residual": "How far the vehicle’s edges lie from the model’s lines on average; a sudden rise means trouble.",
+    "latency": "How long each frame took from its arrival to its estimate.",
+}
+
+
+def write_follow_page(
+    result: FollowResult, tally: Tally, file: Path, *, plots: list[Plot], stills: list[Still], overlay: bool
+) -> None:
+    """Writes the page. Needs no other file and no network; ``overlay`` says whether there is a video to link to."""
+    tracking = [status == "tracking" for status in result.status]
+    text = render(
+        "follow/page.html.j2",
+        result=result,
+        tally=tally,
+        overlay=overlay,
+        share=percent(tally.share),
+        nearest=number(tally.range_min, 1),
+        farthest=number(tally.range_max, 1),
+        mean=number(tally.range_mean, 1),
+        typical=number(COVERAGE * middle(result.position_std[tracking, 2]), 2),
+        duration=number(tally.stop - tally.start, 1),
+        median=number(1e3 * middle(result.latency), 2),
+        slowest=number(1e3 * middle(result.latency, 0.99), 2),
+        advice=advice(tally),
+        episodes=[_episode_row(e) for e in tally.episodes[:SHOWN]],
+        unlisted=tally.episode_count - min(SHOWN, len(tally.episodes)),
+        reasons=tally.reasons.most_common(),
+        plots=[(plot, CAPTIONS[plot.name]) for plot in plots],
+        stills=stills,
+        settings=flat(result.configuration),
+        seconds=number(result.seconds, 1),
+        missing=MISSING,
+    )
+    file.write_text(text, encoding="utf-8")
+
+
+def percent(share: float) -> str:
+    """``99.3 %``; 100 % only when nothing is missing."""
+    shown = 100 * share
+    return f"{number(min(shown, 99.9) if shown < 100 else shown, 0 if shown in (0.0, 100.0) else 1)} %"
+
+
+def advice(tally: Tally) -> str:
+    """What the person can do where too little was tracked; empty where nothing needs to be done."""
+    if not tally.tracked:
+        return (
+            "Look at the first picture of the overlay: do the model’s lines lie on the vehicle’s edges? If not, "
+            "correct the start in follow.yaml, or learn a model from this recording with paceline target learn."
+        )
+    if tally.share < GOOD:
+        return (
+            "Find the moments listed below in the overlay. Something in front of the vehicle is normal and passes. If "
+            "the lines slide off the vehicle by themselves, the model or the start does not fit it well enough."
+        )
+    return ""
+
+
+def _episode_row(e: Episode) -> tuple[str, str, str, str, str]:
+    frames = f"{e.first_frame}" if e.first_frame == e.last_frame else f"{e.first_frame} to {e.last_frame}"
+    return frames, number(e.start, 2), number(e.stop, 2), e.status, e.reason

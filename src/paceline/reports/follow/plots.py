@@ -1,0 +1,127 @@
+"""Plots of a run over time: range, bearing, confidence, residual, processing time; and the target from above."""
+
+from __future__ import annotations
+
+from itertools import groupby
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from numpy.typing import NDArray
+
+from paceline.follow.results import FollowResult
+from paceline.reports.common.formatting import COVERAGE
+from paceline.reports.speed.plots import FILTER, INK, INTERVAL, MUTED, REFINED, Plot, make_plot
+
+Array = NDArray[np.float64]
+
+WIDE, HALF = (9.4, 3.5), (4.6, 3.0)
+SHADES = {"coasting": INTERVAL, "lost": MUTED}
+
+
+def follow_plots(result: FollowResult) -> list[Plot]:
+    """The drawings of a run, rows where the target was not tracked left out and shaded."""
+    return [
+        make_plot("range", "Distance to the vehicle ahead over time", WIDE, lambda f: _draw_range(f, result)),
+        make_plot("bearing", "Bearing and steering angle over time", HALF, lambda f: _draw_bearing(f, result)),
+        make_plot("confidence", "Confidence of the fit over time", HALF, lambda f: _draw_confidence(f, result)),
+        make_plot("residual", "Misfit of the model's lines over time", HALF, lambda f: _draw_residual(f, result)),
+        make_plot("latency", "Processing time of each frame", HALF, lambda f: _draw_latency(f, result)),
+    ]
+
+
+def _draw_range(figure: Figure, result: FollowResult) -> None:
+    axes = figure.subplots()
+    distance = _tracked(result, result.position[:, 2])
+    half = COVERAGE * result.position_std[:, 2]
+    time = _since_first(result)
+    axes.fill_between(time, distance - half, distance + half, color=FILTER, alpha=0.35, lw=0, label="95 %")
+    axes.plot(time, distance, color=FILTER, lw=1.4, label="distance ahead")
+    known = distance[np.isfinite(distance)]
+    if len(known):
+        margin = max(0.08 * float(np.ptp(known)), 0.2)
+        axes.set_ylim(max(0.0, float(known.min()) - margin), float(known.max()) + margin)
+    _shade(axes, result)
+    axes.set_ylabel("distance ahead, m")
+    _label_time(axes, result)
+    figure.legend(loc="outside upper left", ncols=4, handlelength=1.6, columnspacing=1.6)
+
+
+def _draw_bearing(figure: Figure, result: FollowResult) -> None:
+    axes = figure.subplots()
+    axes.plot(_since_first(result), np.degrees(_tracked(result, result.bearing)), color=FILTER, lw=1.2, label="bearing")
+    axes.plot(_since_first(result), np.degrees(result.steering), color=REFINED, lw=1.0, label="steering")
+    _shade(axes, result, label=False)
+    axes.set_ylabel("degrees, to the right")
+    _label_time(axes, result)
+    figure.legend(loc="outside upper left", ncols=4, handlelength=1.6, columnspacing=1.6)
+
+
+def _draw_confidence(figure: Figure, result: FollowResult) -> None:
+    axes = figure.subplots()
+    names = "across (w_x)", "down (w_y)", "size (w_scale)"
+    for values, color, name in zip(result.weights.T, (FILTER, REFINED, INK), names, strict=True):
+        shown = np.where(values > 0, values, np.nan)
+        axes.plot(_since_first(result), shown, color=color, lw=1.1, label=name)
+    if (result.weights > 0).any():
+        _make_logarithmic(axes)
+    _shade(axes, result, label=False)
+    axes.set_ylabel("confidence")
+    _label_time(axes, result)
+    figure.legend(loc="outside upper left", ncols=4, handlelength=1.6, columnspacing=1.6)
+
+
+def _draw_residual(figure: Figure, result: FollowResult) -> None:
+    axes = figure.subplots()
+    axes.plot(_since_first(result), result.residual, color=FILTER, lw=1.1)
+    axes.set_ylim(bottom=0)
+    _shade(axes, result, label=False)
+    axes.set_ylabel("misfit, pixels rms")
+    _label_time(axes, result)
+
+
+def _draw_latency(figure: Figure, result: FollowResult) -> None:
+    axes = figure.subplots()
+    axes.plot(_since_first(result), 1e3 * result.latency, color=FILTER, lw=0, marker=".", ms=3)
+    if (result.latency > 0).any():
+        _make_logarithmic(axes)
+    axes.set_ylabel("processing time, ms")
+    _label_time(axes, result)
+
+
+def _make_logarithmic(axes: Axes) -> None:
+    """A logarithmic scale with plain numbers."""
+    axes.set_yscale("log")
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.yaxis.set_minor_formatter(NullFormatter())
+
+
+def _tracked(result: FollowResult, values: Array) -> Array:
+    """``values`` (F,) with NaN where the target was not tracked, so that the line is interrupted."""
+    return np.where([status == "tracking" for status in result.status], values, np.nan)
+
+
+def _since_first(result: FollowResult) -> Array:
+    """Seconds (F,) since the first frame: a camera's own clock may count from when the computer was switched on."""
+    return result.time - result.time[:1]
+
+
+def _shade(axes: Axes, result: FollowResult, label: bool = True) -> None:
+    """A coloured background where the target was not tracked."""
+    named: set[str] = set()
+    time = _since_first(result)
+    for status, rows in groupby(range(len(result.status)), key=lambda row: result.status[row]):
+        if status in SHADES:
+            inside = list(rows)
+            stop = time[min(inside[-1] + 1, len(time) - 1)]
+            name = status if label and status not in named else None
+            named.add(status)
+            axes.axvspan(time[inside[0]], stop, color=SHADES[status], alpha=0.25, lw=0, label=name)
+
+
+def _label_time(axes: Axes, result: FollowResult) -> None:
+    axes.set_xlabel("time since the first frame, s")
+    if len(result.time) > 1:
+        axes.set_xlim(0.0, _since_first(result)[-1])

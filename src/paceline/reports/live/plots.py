@@ -1,0 +1,48 @@
+"""The plot of a live survey: every vehicle's speed, by the time at which it was seen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from paceline.reports.speed.plots import MUTED, VEHICLES, Plot, make_plot
+from paceline.reports.speed.tables import numbers_of
+from paceline.speed.results import Array
+from paceline.units import convert
+
+Vehicles = Sequence[dict[str, object]]  # as summary.json has them
+LONG = 600.0  # s, from which on time is shown in minutes
+MANY = 400  # vehicles, from which on intervals would only blacken the plot
+
+
+def speeds_plot(vehicles: Vehicles, unit: str) -> Plot:
+    """Measured speeds with their 95 % intervals, a colour for each path; rejected ones are left out."""
+    return make_plot("speeds", "Speed of every vehicle by time", (9.4, 3.5), lambda f: _draw(f, vehicles, unit))
+
+
+def _draw(figure: Figure, vehicles: Vehicles, unit: str) -> None:
+    axes = figure.subplots()
+    measured = [v for v in vehicles if v["verdict"] == "measured"]
+    time = numbers_of(measured, "seen_from_s")
+    time = time - (time.min() if len(time) else 0.0)
+    minutes = bool(len(time)) and time.max() > LONG
+    time = time / 60 if minutes else time
+    mean, lo, hi = (convert(numbers_of(measured, k), unit) for k in ("speed_mps", "speed_lo_mps", "speed_hi_mps"))
+    paths = [str(v["path"]) for v in measured]
+    for i, path in enumerate(sorted(set(paths))):
+        on = np.array([p == path for p in paths])
+        _draw_path(axes, time[on], mean[on], np.stack([lo[on], hi[on]]), VEHICLES[i % len(VEHICLES)], path)
+    if not measured:
+        axes.text(0.5, 0.5, "no vehicle was measured", transform=axes.transAxes, ha="center", color=MUTED)
+    axes.set_xlabel(f"seen first, {'minutes' if minutes else 's'} since the first vehicle")
+    axes.set_ylabel(f"speed, {unit}")
+    if measured:
+        figure.legend(loc="outside upper left", ncols=6, handlelength=1.6, columnspacing=1.6)
+
+
+def _draw_path(axes: Axes, time: Array, mean: Array, interval: Array, color: str, path: str) -> None:
+    half = np.nan_to_num(np.abs(interval - mean)) if len(time) <= MANY else None
+    axes.errorbar(time, mean, yerr=half, fmt="o", ms=4, lw=1.2, color=color, label=path)

@@ -1,0 +1,122 @@
+"""What a live survey leaves behind: tables and pictures that grow with every vehicle, and a report at the end."""
+
+from __future__ import annotations
+
+import csv
+import math
+import time
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+
+import cv2
+
+from paceline.detection.finder import Found
+from paceline.errors import UnusableInput
+from paceline.reports.common.output_folder import write_together
+from paceline.reports.detected_vehicles import vehicle_picture
+from paceline.reports.live.page import live_page
+from paceline.reports.live.plots import speeds_plot
+from paceline.reports.speed.tables import COLUMNS, estimate_rows, json_text, summary_of
+from paceline.speed.results import Measurement
+
+PICTURES = "pictures"
+KEPT = 200  # pictures, the latest ones, of some 15 kB each
+HEIGHT, QUALITY = 240, 80  # px, and of the JPEG
+SHARE = 0.01  # of the time may go into writing summary.json, which grows all day and is always written whole
+
+
+@dataclass(eq=False)
+class LiveResults:
+    """The tables and pictures in the folder ``out``, from `begin` on, and the report when the context ends; ``about``
+    is what summary.json says besides of the vehicles, ``unit`` that of the report.
+
+    A vehicle is in estimates.csv from the moment that it is measured, and in summary.json soon after; what ends the
+    program later takes nothing away, and unless it is killed there is a report. Raises UnusableInput where ``out``
+    holds such tables already, or cannot be written.
+    """
+
+    out: Path
+    about: dict[str, object]
+    unit: str
+    vehicles: list[dict[str, object]] = field(default_factory=list)
+    unmeasured: list[dict[str, object]] = field(default_factory=list)
+    notices: list[str] = field(default_factory=list)
+    _begun: bool = False
+    _changed: bool = False  # since summary.json was written
+    _due: float = 0.0  # s, by the monotonic clock, from when on it may be written again
+
+    def __post_init__(self) -> None:
+        for name in ("estimates.csv", "summary.json"):
+            if (self.out / name).exists():
+                raise UnusableInput(f"{self.out / name}: is there already; expected a new folder for a live survey")
+
+    def __enter__(self) -> LiveResults:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._begun:
+            write_together(self._summary())  # first: a disk may be too full for the report
+            plot = speeds_plot(self.vehicles, self.unit)
+            page = live_page(self.document(), self.out / PICTURES, KEPT, plot, self.unit)
+            write_together({self.out / "report.html": page.encode(), self.out / "speeds.png": plot.png})
+
+    def begin(self) -> None:
+        """Write the tables without a vehicle."""
+        write_together({self.out / "estimates.csv": (",".join(COLUMNS) + "\n").encode(), **self._summary()})
+        self._begun = True
+
+    def add(self, measurement: Measurement, found: Found, seen_at: str) -> None:
+        """Note a vehicle that has been measured, and was seen first at the time of day ``seen_at``."""
+        file = self.out / "estimates.csv"
+        try:
+            with file.open("a", newline="", encoding="utf-8") as stream:
+                csv.writer(stream, lineterminator="\n").writerows(estimate_rows(measurement.track))
+        except OSError as error:
+            raise UnusableInput(f"{file}: cannot be written ({error.strerror})") from error
+        self.vehicles.append({**summary_of(measurement), **_passage(found, seen_at)})
+        self._changed = True
+        self._keep_picture(measurement.vehicle, found)
+        self.save()
+
+    def pass_by(self, found: Found, seen_at: str, reason: str) -> None:
+        """Note a vehicle that could not be measured for a ``reason``."""
+        self.unmeasured.append({**_passage(found, seen_at), "reason": reason})
+        self._changed = True
+        self.save()
+
+    def save(self) -> None:
+        """Bring summary.json up to date, unless it has been written so lately that its share of the time is used up."""
+        begun = time.monotonic()
+        if self._changed and begun >= self._due:
+            write_together(self._summary())
+            self._changed = False
+            self._due = begun + (time.monotonic() - begun) / SHARE
+
+    def document(self) -> dict[str, object]:
+        """What summary.json holds."""
+        found = {"vehicles": self.vehicles, "unmeasured": self.unmeasured, "notices": self.notices}
+        return {**self.about, **found}
+
+    def _summary(self) -> dict[Path, bytes]:
+        return {self.out / "summary.json": json_text(self.document()).encode()}
+
+    def _keep_picture(self, name: str, found: Found) -> None:
+        """Write the picture of a vehicle, and remove the oldest one where there are enough."""
+        picture = vehicle_picture(found, HEIGHT)
+        jpeg = bytes(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1])
+        write_together({self.out / PICTURES / f"{name}.jpg": jpeg})
+        if len(self.vehicles) > KEPT:
+            with suppress(OSError):
+                (self.out / PICTURES / f"{self.vehicles[-KEPT - 1]['vehicle']}.jpg").unlink()
+
+
+def _passage(found: Found, seen_at: str) -> dict[str, object]:
+    """Where and when a vehicle was seen."""
+    x, _, z = (round(float(value), 2) for value in found.place)
+    assert math.isfinite(x + z), "it was seen on its way"
+    seen = {"seen_from_s": found.times[0], "seen_to_s": found.times[1], "seen_at": seen_at}
+    return {"path": found.path, **seen, "first_seen_m": [x, z]}

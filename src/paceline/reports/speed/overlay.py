@@ -1,0 +1,211 @@
+"""The overlay video: both views side by side with outlines, particles, paths and speeds drawn over them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from paceline.recordings.stereo import StereoFrame, StereoRecording
+from paceline.reports.common.drawing import (
+    DARK,
+    WHITE,
+    Array,
+    Box,
+    Color,
+    Picture,
+    draw_dots,
+    draw_label,
+    draw_line,
+    draw_outline,
+    draw_text,
+    scaled,
+)
+from paceline.reports.common.formatting import speed_at
+from paceline.reports.common.video import VideoWriter, even
+from paceline.speed.results import ClipResult, Measurement, Track
+from paceline.units import format_speed
+
+Grey = NDArray[np.uint8]  # (H, W)
+
+MAX_WIDTH = 1920
+HEADER = 40  # height of the strip above the pictures, pixels
+
+PATH_COLOR: Color = (240, 226, 180)
+LOST_COLOR: Color = (190, 190, 190)
+BEYOND = 96  # grey level in stills, outside the picture
+PARTICLE_COLOR: Color = (90, 220, 250)
+
+STILL = (400, 300)  # width and height, pixels
+STILL_MARGIN = 2.2  # width of a still in widths of the outline
+MIN_STILL_WIDTH = 48.0  # pixels of the recording
+PARTICLE_RADIUS = 9 / 16  # px
+PARTICLE_OPACITY = 0.6
+
+
+@dataclass(frozen=True)
+class Still:
+    """One vehicle at one frame, cropped from both views, as JPEG."""
+
+    frame: int
+    time: float
+    left: bytes
+    right: bytes
+
+
+@dataclass
+class Overlay:
+    stills: dict[str, list[Still]]
+    notices: list[str] = field(default_factory=list)
+
+
+def write_overlay(
+    result: ClipResult, recording: StereoRecording, file: Path, unit: str, colors: dict[str, str]
+) -> Overlay:
+    """Writes the overlay video in one pass over ``recording`` and returns a few stills of every vehicle.
+
+    The frames keep the recording's presentation times. ``colors`` gives each vehicle's colour as ``#rrggbb``. A notice
+    says so where no H.264 encoder is at hand and the video is MPEG-4 instead.
+    """
+    layers = [_Layer(m, _bgr(colors[m.vehicle])) for m in result.measurements]
+    overlay = Overlay({layer.track.vehicle: [] for layer in layers})
+    times = np.asarray(recording.times, float)
+    step = float(np.median(np.diff(times))) if len(times) > 1 else 1.0
+    with VideoWriter(file, step if step > 0 else 1.0) as video:
+        for frame in recording:
+            views = _grey(frame.left), _grey(frame.right)
+            for layer in layers:
+                row = layer.rows.get(frame.index)
+                if row is not None and row in layer.still_rows:
+                    overlay.stills[layer.track.vehicle].append(_still(views, layer, row, frame.time))
+            video.add(_draw(result, layers, frame, views, unit), frame.time)
+    overlay.notices += video.notices
+    return overlay
+
+
+class _Layer:
+    """What is drawn for one vehicle."""
+
+    def __init__(self, measurement: Measurement, color: Color) -> None:
+        self.measurement = measurement
+        self.track: Track = measurement.track
+        self.color = color
+        self.rejected = measurement.verdict != "measured"
+        self.rows = {int(frame): row for row, frame in enumerate(self.track.frame)}
+        seen = [row for row, status in enumerate(self.track.status) if status == "tracking"]
+        self.still_rows = {seen[i] for i in (0, len(seen) // 2, -1)} if seen else set()
+
+    def label(self, row: int, unit: str) -> str:
+        if self.track.status[row] != "tracking":
+            return f"{self.track.vehicle}  {self.track.status[row]}"
+        speed, half = speed_at(self.measurement, row)
+        text = f"{self.track.vehicle}  {format_speed(speed, half, unit)}"
+        return text + "  (rejected)" if self.rejected else text
+
+    def outline_color(self, row: int) -> Color:
+        return self.color if self.track.status[row] == "tracking" else LOST_COLOR
+
+
+def _draw(
+    result: ClipResult, layers: list[_Layer], frame: StereoFrame, views: tuple[Grey, Grey], unit: str
+) -> Picture:
+    """One picture of the video: a strip with frame and time above the two views."""
+    total = sum(view.shape[1] for view in views)
+    scale = min(1.0, MAX_WIDTH / total)
+    panels = [_draw_view(result, layers, frame, view, side, scale, unit) for side, view in enumerate(views)]
+    height, width = max(p.shape[0] for p in panels), sum(p.shape[1] for p in panels)
+    canvas = np.zeros((HEADER + height, width, 3), np.uint8)
+    canvas[:HEADER] = DARK
+    x = 0
+    for panel, name in zip(panels, ("left", "right"), strict=True):
+        canvas[HEADER : HEADER + panel.shape[0], x : x + panel.shape[1]] = panel
+        draw_text(canvas, name, (x + 14, 27), 17, (200, 190, 180))
+        x += panel.shape[1]
+    canvas[:, panels[0].shape[1] - 1 : panels[0].shape[1] + 1] = DARK
+    note = "   repeated picture" if frame.duplicate else ""
+    draw_text(canvas, f"frame {frame.index}   {frame.time:.3f} s{note}", (80, 27), 17, WHITE)
+    return even(canvas)
+
+
+def _draw_view(
+    result: ClipResult,
+    layers: list[_Layer],
+    frame: StereoFrame,
+    view: Grey,
+    side: int,
+    scale: float,
+    unit: str,
+) -> Picture:
+    size = max(2, round(view.shape[1] * scale)), max(2, round(view.shape[0] * scale))
+    picture = _colored(cv2.resize(view, size, interpolation=cv2.INTER_AREA) if scale < 1 else view)
+    for path in result.paths:
+        _draw_path(picture, scaled((path.left, path.right)[side], scale))
+    labels: list[tuple[str, Array, Color]] = []
+    for layer in layers:
+        row = layer.rows.get(frame.index)
+        if row is None or layer.track.status[row] == "ended":
+            continue
+        corners = scaled((layer.track.left, layer.track.right)[side][row], scale)
+        if not np.isfinite(corners).all():
+            continue
+        color = layer.outline_color(row)
+        _draw_particles(picture, scaled((layer.track.particles_left, layer.track.particles_right)[side][row], scale))
+        draw_outline(picture, corners, color, thickness=1 if layer.rejected else 2)
+        labels.append((layer.label(row, unit), corners, color))
+    taken: list[Box] = []
+    for text, corners, color in labels:  # last, so that no outline crosses a label
+        above = float(corners[:, 0].min() + corners[:, 0].max()) / 2, float(corners[:, 1].min())
+        taken.append(draw_label(picture, text, above, color, taken))
+    return picture
+
+
+def _draw_path(picture: Picture, points: Array) -> None:
+    """A path as a thin line; parts that are not finite or far outside the picture are left out."""
+    height, width = picture.shape[:2]
+    near = (np.isfinite(points) & (points > -width - height) & (points < 2 * (width + height))).all(axis=1)
+    for a, b, drawn in zip(points[:-1], points[1:], near[:-1] & near[1:], strict=True):
+        if drawn:
+            draw_line(picture, a, b, PATH_COLOR)
+
+
+def _draw_particles(picture: Picture, points: Array) -> None:
+    clear = picture.copy()
+    draw_dots(picture, points, PARTICLE_COLOR, PARTICLE_RADIUS)
+    cv2.addWeighted(picture, PARTICLE_OPACITY, clear, 1 - PARTICLE_OPACITY, 0, dst=picture)
+
+
+def _still(views: tuple[Grey, Grey], layer: _Layer, row: int, time: float) -> Still:
+    crops = [_crop(v, c[row], layer.color) for v, c in zip(views, (layer.track.left, layer.track.right), strict=True)]
+    return Still(int(layer.track.frame[row]), time, *crops)
+
+
+def _crop(view: Grey, corners: Array, color: Color) -> bytes:
+    """The surroundings of the outline ``corners`` (4, 2), enlarged to the size of a still, as JPEG."""
+    width, height = STILL
+    extent = np.ptp(corners, axis=0)
+    scale = width / max(STILL_MARGIN * max(extent[0], extent[1] * width / height), MIN_STILL_WIDTH)
+    shift = np.array([width / 2, height / 2]) - scale * corners.mean(axis=0)
+    transform = np.column_stack([np.eye(2) * scale, shift])
+    method = cv2.INTER_CUBIC if scale > 1 else cv2.INTER_AREA
+    picture = _colored(cv2.warpAffine(view, transform, STILL, flags=method, borderValue=BEYOND))
+    draw_outline(picture, scale * corners + shift, color, thickness=2)
+    done, jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 85])
+    assert done
+    return bytes(jpeg)
+
+
+def _grey(image: NDArray[np.float32]) -> Grey:
+    """``image`` (H, W), 0..255, in whole levels."""
+    return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+
+
+def _colored(grey: cv2.typing.MatLike) -> Picture:
+    """A copy to draw on in colour."""
+    return np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), np.uint8)
+
+
+def _bgr(color: str) -> Color:
+    return int(color[5:7], 16), int(color[3:5], 16), int(color[1:3], 16)

@@ -1,0 +1,113 @@
+"""report.html: one self-contained page that explains the result to anyone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from paceline.reports.common.formatting import (
+    MISSING,
+    SpeedWords,
+    advice,
+    distance_travelled,
+    number,
+    path_length,
+    shown_speed,
+    speed_at,
+    speed_words,
+)
+from paceline.reports.common.html import flat, render
+from paceline.reports.speed.overlay import Still
+from paceline.reports.speed.plots import Plot
+from paceline.speed.results import ClipResult, Measurement
+from paceline.units import convert
+
+
+def write_page(
+    result: ClipResult,
+    file: Path,
+    unit: str,
+    *,
+    plots: dict[str, list[Plot]],
+    plan: Plot,
+    stills: dict[str, list[Still]],
+    colors: dict[str, str],
+) -> None:
+    """Writes the page; ``plots``, ``stills`` and ``colors`` are by vehicle. Needs no other file and no network."""
+    vehicles = [
+        {
+            "id": m.vehicle,
+            "m": m,
+            "words": (words := speed_words(m, unit)),
+            "headline": _headline(m, words),
+            "color": colors[m.vehicle],
+            "advice": advice(m),
+            "facts": _facts(m, unit),
+            "stills": stills[m.vehicle],
+            "plots": plots[m.vehicle],
+            "rows": _rows(m, unit),
+        }
+        for m in result.measurements
+    ]
+    text = render(
+        "speed/page.html.j2",
+        result=result,
+        unit=unit,
+        vehicles=vehicles,
+        measured=sum(m.verdict == "measured" for m in result.measurements),
+        plan=plan,
+        paths=[(path.name, number(path_length(path.points), 1)) for path in result.paths],
+        settings=flat(result.configuration),
+        seconds=number(result.seconds, 1),
+        missing=MISSING,
+    )
+    file.write_text(text, encoding="utf-8")
+
+
+def _headline(measurement: Measurement, words: SpeedWords) -> str:
+    """The result in one plain sentence."""
+    if measurement.verdict != "measured":
+        return f"Rejected: {measurement.reason}"
+    return f"{words.speed} {words.unit}, 95 % sure between {words.lo} and {words.hi} {words.unit}"
+
+
+def _facts(measurement: Measurement, unit: str) -> list[tuple[str, str]]:
+    track = measurement.track
+    tracked = np.array([status == "tracking" for status in track.status], bool)
+    seconds = float(np.ptp(track.time[tracked])) if tracked.any() else 0.0
+    depth = track.position[tracked, 2]
+    facts = [
+        ("frames measured", f"{measurement.frames}, over {seconds:.2f} s"),
+        ("distance travelled", f"{number(distance_travelled(track), 1)} m"),
+        ("model of the motion", measurement.model),
+    ]
+    if len(depth):
+        facts.insert(2, ("distance ahead", f"{number(float(depth[0]), 1)} m to {number(float(depth[-1]), 1)} m"))
+    if (acceleration := number(measurement.acceleration, 2)) != MISSING:
+        per_second = number(float(convert(measurement.acceleration, unit)), 2)
+        facts.append(("acceleration", f"{acceleration} m/s² ({per_second} {unit} each second)"))
+    if (residual := number(measurement.residual_rms, 1)) != MISSING:
+        facts.append(("misfit of the pictures", f"{residual} of 255 grey levels"))
+    return facts
+
+
+def _rows(measurement: Measurement, unit: str) -> list[list[str]]:
+    """The table of frames as text."""
+    track = measurement.track
+    rows = []
+    for i, status in enumerate(track.status):
+        best, half = speed_at(measurement, i)
+        spread = float(track.speed_std[i])
+        rows.append(
+            [
+                str(track.frame[i]),
+                f"{track.time[i]:.3f}",
+                status,
+                f"{shown_speed(best, unit, half)} ± {shown_speed(half, unit, half)}",
+                f"{shown_speed(float(track.speed[i]), unit)} ± {shown_speed(2 * spread, unit)}",
+                number(float(track.position[i, 2]), 2),
+                number(float(track.ess[i]), 0),
+            ]
+        )
+    return rows

@@ -1,0 +1,203 @@
+"""Plots of a track over time, and of all tracks from above."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from paceline.reports.common.formatting import coverage_factor
+from paceline.speed.results import Array, ClipResult, Measurement, Track
+from paceline.units import convert
+
+# Colours that stay apart for colour-blind readers, after Okabe and Ito.
+INK, MUTED, GRID = "#1f2933", "#66727f", "#dfe4ea"
+FILTER, REFINED, INTERVAL = "#5b8db8", "#c2500a", "#e8a33d"
+VEHICLES = ["#2b83c6", "#dd6b10", "#129b72", "#c66aa3", "#c99700", "#5fb0dd"]  # on white, black and pictures alike
+# What the colours become for a reader with a dark setting.
+DARK = {INK: "#e6eaee", MUTED: "#9aa6b2", GRID: "#39424c", FILTER: "#7fb2dd", REFINED: "#ff9a57", INTERVAL: "#e8b04f"}
+
+MAX_DOTS = 80
+
+STYLE: dict[Any, Any] = {
+    "font.family": "sans-serif",
+    "font.size": 9,
+    "text.color": INK,
+    "axes.edgecolor": MUTED,
+    "axes.labelcolor": INK,
+    "axes.titlesize": 9,
+    "axes.titlelocation": "left",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.linewidth": 0.8,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.unicode_minus": True,
+    "grid.color": GRID,
+    "grid.linewidth": 0.8,
+    "xtick.color": MUTED,
+    "ytick.color": MUTED,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "legend.frameon": False,
+    "legend.fontsize": 8,
+    "lines.solid_capstyle": "round",
+    "text.parse_math": False,  # a vehicle may be called $1
+    "svg.fonttype": "none",
+    "svg.hashsalt": "paceline",  # the same result gives the same file
+}
+
+
+@dataclass(frozen=True)
+class Plot:
+    """One drawing: ``png`` for a file, ``svg`` for the page (light and dark)."""
+
+    name: str
+    description: str
+    png: bytes
+    svg: str
+
+
+def vehicle_plots(measurement: Measurement, unit: str, color: str) -> list[Plot]:
+    """Speed, depth, and the filter's health over time; speeds in ``unit``."""
+    name, track = measurement.vehicle, measurement.track
+    wide, half = (9.4, 3.5), (4.6, 3.0)
+    return [
+        make_plot("speed", f"Speed of {name} over time", wide, lambda figure: _draw_speed(figure, measurement, unit)),
+        make_plot("depth", f"Distance of {name} over time", half, lambda figure: _draw_depth(figure, track, color)),
+        make_plot(
+            "particles",
+            f"Spread of the particles and effective sample size of {name} over time",
+            half,
+            lambda figure: _draw_particles(figure, track),
+        ),
+    ]
+
+
+def plan_plot(result: ClipResult, colors: dict[str, str]) -> Plot:
+    """All vehicles and paths from above, the left camera at the origin."""
+    return make_plot(
+        "plan", "Vehicles and paths seen from above", (9.4, 3.8), lambda figure: _draw_plan(figure, result, colors)
+    )
+
+
+def make_plot(name: str, description: str, size: tuple[float, float], draw: Callable[[Figure], None]) -> Plot:
+    """What ``draw`` puts onto a figure of ``size`` (inches), in the style of all plots."""
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=size, layout="constrained")
+        draw(figure)
+        png, svg = io.BytesIO(), io.StringIO()
+        figure.savefig(png, format="png", dpi=140, facecolor="white", metadata={"Software": None})
+        figure.set_layout_engine("none")  # the layout stands; finding it again would cost as much as drawing
+        figure.savefig(svg, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
+    return Plot(name, description, png.getvalue(), _themed(svg.getvalue()))
+
+
+def _themed(svg: str) -> str:
+    """``svg`` with the theme's colours as variables that follow the reader's light or dark setting."""
+    names = {color: f"--c{i}" for i, color in enumerate(DARK)}
+    svg = re.sub("|".join(DARK), lambda found: f"var({names[found[0]]})", svg)
+    light = ";".join(f"{names[color]}:{color}" for color in DARK)
+    dark = ";".join(f"{names[color]}:{other}" for color, other in DARK.items())
+    style = f"<style>:root{{{light}}}@media (prefers-color-scheme:dark){{:root{{{dark}}}}}</style>"
+    head = re.search(r"<svg[^>]*>", svg)
+    assert head is not None
+    return svg[head.start() : head.end()] + style + svg[head.end() :]
+
+
+def _draw_speed(figure: Figure, measurement: Measurement, unit: str) -> None:
+    track = measurement.track
+    axes = figure.subplots()
+    time = track.time
+    mean, spread = convert(track.speed, unit), convert(2 * track.speed_std, unit)
+    axes.fill_between(time, mean - spread, mean + spread, color=FILTER, alpha=0.22, lw=0, label="filter ± 2 std")
+    _draw_frames(axes, time, mean, FILTER, label="filter, frame by frame")
+    refined = np.isfinite(track.refined_speed)
+    visible = [mean]
+    if refined.any():
+        line = convert(track.refined_speed[refined], unit)
+        half = convert(coverage_factor(measurement) * track.refined_std[refined], unit)
+        axes.fill_between(time[refined], line - half, line + half, color=REFINED, alpha=0.25, lw=0)
+        axes.plot(time[refined], line, color=REFINED, lw=2, label="refined track (95 %)")
+        visible += [line - half, line + half]
+    if np.isfinite([measurement.speed_lo, measurement.speed_hi]).all():
+        lo, hi = convert(measurement.speed_lo, unit), convert(measurement.speed_hi, unit)
+        for value in (lo, hi):
+            axes.axhline(value, color=INTERVAL, lw=1.1, ls=(0, (4, 2)))
+        axes.lines[-1].set_label("mean speed, 95 % interval")
+        visible.append(np.array([lo, hi]))
+    _limit_y(axes, np.concatenate(visible), mean - spread, mean + spread)
+    _label_time(axes, track)
+    axes.set_ylabel(f"speed, {unit}")
+    figure.legend(loc="outside upper left", ncols=4, handlelength=1.6, columnspacing=1.6)
+
+
+def _limit_y(axes: Axes, visible: Array, lower: Array, upper: Array) -> None:
+    """Shows ``visible`` and most of the band between ``lower`` and ``upper``, however wide it begins."""
+    values = np.concatenate([visible, *(_middle(edge) for edge in (lower, upper))])
+    values = values[np.isfinite(values)]
+    if len(values):
+        lo, hi = float(values.min()), float(values.max())
+        margin = max(0.08 * (hi - lo), 0.1)
+        axes.set_ylim(lo - margin, hi + margin)
+
+
+def _middle(values: Array) -> Array:
+    known = values[np.isfinite(values)]
+    return np.quantile(known, [0.1, 0.9]) if len(known) else known
+
+
+def _draw_depth(figure: Figure, track: Track, color: str) -> None:
+    axes = figure.subplots()
+    _draw_frames(axes, track.time, track.position[:, 2], color)
+    axes.set_ylabel("distance ahead of the camera, m")
+    _label_time(axes, track)
+
+
+def _draw_particles(figure: Figure, track: Track) -> None:
+    spread, sample = figure.subplots(2, sharex=True)
+    _draw_frames(spread, track.time, np.array([_spread(points) for points in track.particles_left]), FILTER)
+    spread.set_ylim(bottom=0)
+    spread.set_title("spread of the particles, pixels")
+    _draw_frames(sample, track.time, track.ess, FILTER)
+    sample.set_ylim(bottom=0)
+    sample.set_title("effective sample size")
+    _label_time(sample, track)
+
+
+def _spread(points: Array) -> float:
+    """Root mean square distance from their centre of those ``points`` (P, 2) that are finite; NaN where none is."""
+    known = points[np.isfinite(points).all(axis=1)]
+    return float(np.sqrt(((known - known.mean(0)) ** 2).sum(1).mean())) if len(known) else np.nan
+
+
+def _draw_plan(figure: Figure, result: ClipResult, colors: dict[str, str]) -> None:
+    axes = figure.subplots()
+    for path in result.paths:
+        axes.plot(path.points[:, 2], -path.points[:, 0], color=MUTED, lw=1, ls=(0, (6, 3)), label=f"path {path.name}")
+    for measurement in result.measurements:
+        x, _, z = measurement.track.position.T
+        _draw_frames(axes, z, -x, colors[measurement.vehicle], label=f"vehicle {measurement.vehicle}")
+    axes.plot(0, 0, marker=">", color=INK, ms=7, ls="", label="left camera")
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_xlabel("distance ahead, m")
+    axes.set_ylabel("to the left, m")
+    figure.legend(loc="outside upper left", ncols=6, handlelength=1.6, columnspacing=1.6)
+
+
+def _draw_frames(axes: Axes, x: Array, y: Array, color: str, label: str | None = None) -> None:
+    """A line with a dot per frame while dots can be told apart."""
+    axes.plot(x, y, color=color, lw=1.4, marker="o" if len(x) <= MAX_DOTS else "", ms=3, label=label)
+
+
+def _label_time(axes: Axes, track: Track) -> None:
+    axes.set_xlabel("time, s")
+    if len(track.time) > 1:
+        axes.margins(x=0.02)

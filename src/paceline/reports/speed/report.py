@@ -1,0 +1,59 @@
+"""Writes everything that a measurement leaves behind."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from pathlib import Path
+
+from paceline.recordings.stereo import StereoRecording
+from paceline.reports.common.output_folder import OutputFolder
+from paceline.reports.speed.overlay import write_overlay
+from paceline.reports.speed.page import write_page
+from paceline.reports.speed.plots import VEHICLES, plan_plot, vehicle_plots
+from paceline.reports.speed.tables import write_estimates, write_summary
+from paceline.speed.results import ClipResult
+
+
+def write_report(result: ClipResult, recording: StereoRecording, out: str | Path, unit: str = "mph") -> ClipResult:
+    """Writes tables, plots, overlay and page into the folder ``out``, whole or not at all.
+
+    ``unit`` (mph, km/h or m/s) is what people are shown; data files are in SI units. Returns ``result`` with any
+    notice that came up on the way. Raises UnusableInput when ``out`` cannot be written.
+    """
+    with OutputFolder(out) as folder:
+        return write_files(result, recording, folder, unit)
+
+
+def write_files(result: ClipResult, recording: StereoRecording, folder: Path, unit: str) -> ClipResult:
+    """As `write_report`, straight into an existing ``folder``."""
+    colors = {m.vehicle: VEHICLES[i % len(VEHICLES)] for i, m in enumerate(result.measurements)}
+    overlay = write_overlay(result, recording, folder / "overlay.mp4", unit, colors)
+    result = dataclasses.replace(result, notices=result.notices + overlay.notices)
+    write_estimates(result, folder / "estimates.csv")
+    write_summary(result, folder / "summary.json")
+
+    plan = plan_plot(result, colors)
+    plots = {m.vehicle: vehicle_plots(m, unit, colors[m.vehicle]) for m in result.measurements}
+    (folder / "plots").mkdir(exist_ok=True)
+    (folder / "plots" / "plan.png").write_bytes(plan.png)
+    for stem, drawings in zip(_file_stems(list(plots)), plots.values(), strict=True):
+        for plot in drawings:
+            (folder / "plots" / f"{stem}-{plot.name}.png").write_bytes(plot.png)
+    write_page(
+        result, folder / "report.html", unit, plots=plots, plan=plan, stills=overlay.stills, colors=colors
+    )
+    return result
+
+
+def _file_stems(vehicles: list[str]) -> list[str]:
+    """A file name for each vehicle: its id with what file systems dislike replaced, numbered where two would clash."""
+    stems: list[str] = []
+    for vehicle in vehicles:
+        plain = re.sub(r"[^\w.-]+", "_", vehicle).strip("._")[:60] or "vehicle"
+        stem, count = plain, 1
+        while stem.lower() in (other.lower() for other in stems):
+            count += 1
+            stem = f"{plain}_{count}"
+        stems.append(stem)
+    return stems

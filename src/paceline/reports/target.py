@@ -1,0 +1,91 @@
+"""A learned target as files: target.yaml, and a picture of where its lines lie."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from paceline.errors import UnusableInput
+from paceline.reports.common.drawing import (
+    DARK,
+    WHITE,
+    Color,
+    Picture,
+    draw_dots,
+    draw_line,
+    draw_text,
+    scaled,
+    text_width,
+)
+from paceline.reports.common.output_folder import write_together
+from paceline.targets.learning import LearnedTarget, corner_names
+
+Image = NDArray[np.float32]
+
+SIZE = 900  # px, the larger side of the picture
+BESIDE = 0.15  # share of the target's size shown around it
+HEADER = 40  # px
+HORIZONTAL: Color = (250, 200, 90)
+VERTICAL: Color = (80, 190, 250)
+
+
+def write_learned(learned: LearnedTarget, image: Image, file: Path) -> Path:
+    """Writes target.yaml to ``file`` and the picture beside it, both or neither; returns the picture's path.
+
+    ``image`` (H, W), 0–255, is the one learned from. Raises UnusableInput where they cannot be written.
+    """
+    if file.suffix not in (".yaml", ".yml"):
+        raise UnusableInput(f"{file}: expected the name of a YAML file to write, for instance target.yaml")
+    beside = file.with_suffix(".png")
+    done, png = cv2.imencode(".png", draw_learned(learned, image))
+    assert done
+    write_together({file: target_yaml(learned).encode(), beside: bytes(png)})
+    return beside
+
+
+def target_yaml(learned: LearnedTarget) -> str:
+    """The model as target.yaml."""
+    target = learned.target
+    names = corner_names(len(target.corners))
+    corners = [f"  {name}: [{x:.4f}, {y:.4f}]" for name, (x, y) in zip(names, target.corners, strict=True)]
+    segments = [f"  - [{names[a]}, {names[b]}]" for a, b in target.segments]
+    quoted = target.name.replace("'", "''")
+    head = [f"name: '{quoted}'", f"nominal_range: {target.nominal_range:.4f}", f"tolerance: {target.tolerance:.4f}"]
+    return "\n".join([*head, "corners:", *corners, "segments:", *segments]) + "\n"
+
+
+def start_lines(learned: LearnedTarget) -> str:
+    """The line for follow.yaml that starts on the picture learned from, as the recording's first frame."""
+    x, y = learned.center
+    return f"start: {{frame: 0, center: [{x:.2f}, {y:.2f}], scale: 1.0}}"
+
+
+def draw_learned(learned: LearnedTarget, image: Image) -> Picture:
+    """The target's surroundings, magnified, with the model's lines and the corners' names."""
+    corners, target = learned.corners, learned.target
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    margin = BESIDE * (high - low) + 3
+    x0, y0 = np.maximum(np.floor(low - margin), 0).astype(int)
+    x1, y1 = np.minimum(np.ceil(high + margin) + 1, image.shape[::-1]).astype(int)
+    scale = SIZE / max(x1 - x0, y1 - y0)
+    method = cv2.INTER_CUBIC if scale > 1 else cv2.INTER_AREA
+    crop = cv2.convertScaleAbs(np.ascontiguousarray(image[y0:y1, x0:x1]))
+    grey = cv2.resize(crop, None, fx=scale, fy=scale, interpolation=method)
+    view = np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), np.uint8)
+    points = scaled(corners - (x0, y0), scale)
+    for a, b in target.segments:
+        upright = abs(corners[a, 0] - corners[b, 0]) < abs(corners[a, 1] - corners[b, 1])
+        draw_line(view, points[a], points[b], DARK, 4)
+        draw_line(view, points[a], points[b], VERTICAL if upright else HORIZONTAL, 2)
+    draw_dots(view, points, WHITE, 3.5)
+    for name, (x, y) in zip(corner_names(len(points)), points, strict=True):
+        draw_text(view, name, (round(x) + 5, round(y) - 5), 15, WHITE, 500)
+    strip = np.empty((HEADER, view.shape[1], 3), np.uint8)
+    strip[:] = DARK
+    text = f"{target.name}: {len(target.segments)} lines, {target.nominal_range:.2f} m away at scale 1"
+    size = 17 if text_width(text, 17) < view.shape[1] - 28 else 11
+    draw_text(strip, text, (14, 27), size, WHITE)
+    return np.concatenate([strip, view])

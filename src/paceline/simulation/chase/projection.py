@@ -1,0 +1,229 @@
+"""Faces of things, placed on a road and projected into a chase camera."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from paceline.simulation.chase import rasterizer
+from paceline.simulation.chase.motion import Road, State
+from paceline.simulation.chase.vehicles import Face
+from paceline.simulation.textures import Texture
+
+Array = NDArray[np.float64]
+Image = NDArray[np.float32]
+Indices = NDArray[np.int64]
+
+NEAREST = 0.3  # m ahead of the camera, before which a face is left out
+
+
+class Atlas:
+    """The pyramids of all textures in one array, for `rasterizer.lay`."""
+
+    def __init__(self) -> None:
+        self._known: dict[int, int] = {}
+        self._textures: list[Texture] = []
+
+    def add(self, texture: Texture) -> int:
+        if id(texture) not in self._known:
+            self._known[id(texture)] = len(self._textures)
+            self._textures.append(texture)  # kept, so that its id stays its own
+        return self._known[id(texture)]
+
+    def close(self) -> None:
+        """Gather what was added: ``pixels`` (T, 2), and ``sheets`` (textures, levels, 3): start, rows, columns."""
+        levels = [t.pyramid for t in self._textures]
+        shapes = np.array([[level.shape[:2] for level in pyramid] for pyramid in levels], np.int64)
+        sizes = shapes.prod(-1).ravel()
+        starts = np.concatenate([[0], np.cumsum(sizes)[:-1]]).reshape(shapes.shape[:2])
+        self.sheets: Indices = np.concatenate([starts[..., None], shapes], axis=-1)
+        self.pixels: Image = np.concatenate([level.reshape(-1, 2) for pyramid in levels for level in pyramid])
+        for texture in self._textures:
+            del texture.__dict__["pyramid"]  # the copies are enough
+
+
+@dataclass(frozen=True, eq=False)
+class Faces:
+    """N faces: in their object's axes (right, down, ahead of its foot, m) and where the object stands."""
+
+    corner: Array  # (N, 3)
+    across: Array  # (N, 3)
+    down: Array  # (N, 3)
+    texture: Indices  # (N,)
+    x: Array  # (N,) m, the object's foot in plan
+    y: Array
+    heading: Array  # (N,) rad, of the object
+    along: Array  # (N,) rad, of the road beside it
+    arc: Array  # (N,) m
+    lateral: Array
+
+    def __len__(self) -> int:
+        return len(self.texture)
+
+    def __getitem__(self, which: NDArray[np.bool_] | Indices | slice) -> Faces:
+        return Faces(*(getattr(self, f.name)[which] for f in fields(self)))
+
+
+def faces_of(faces: tuple[Face, ...], atlas: Atlas, road: Road, state: State) -> Faces:
+    """The ``faces`` of an object at ``state``."""
+    n = len(faces)
+    vectors = np.array([[f.corner, f.across, f.down] for f in faces], float).reshape(n, 3, 3)
+    along = float(road.frame(state.arc)[2])
+    where = (state.x, state.y, state.heading, along, state.arc, state.lateral)
+    texture = np.array([atlas.add(f.texture) for f in faces], np.int64)
+    return Faces(vectors[:, 0], vectors[:, 1], vectors[:, 2], texture, *(np.full(n, w, float) for w in where))
+
+
+def moved(faces: Faces, road: Road, state: State) -> Faces:
+    """The faces of one object, at another state."""
+    along = float(road.frame(state.arc)[2])
+    where = (state.x, state.y, state.heading, along, state.arc, state.lateral)
+    return Faces(faces.corner, faces.across, faces.down, faces.texture, *(np.full(len(faces), w, float) for w in where))
+
+
+def joined(groups: list[Faces]) -> Faces:
+    return Faces(*(np.concatenate([getattr(g, f.name) for g in groups]) for f in fields(Faces)))
+
+
+@dataclass(frozen=True, eq=False)
+class Sun:
+    """Light from ``azimuth`` (rad, counter-clockwise from x) and ``elevation``: in sun 1, in shade ``ambient`` on level
+    ground."""
+
+    azimuth: float
+    elevation: float
+    ambient: float
+
+    @property
+    def direct(self) -> float:
+        """On a face square to it."""
+        return float((1 - self.ambient) / np.sin(self.elevation))
+
+    def direction(self, heading: float) -> Array:
+        """(3,) right, down, ahead towards the sun for an observer with a ``heading``."""
+        turn, c = self.azimuth - heading, np.cos(self.elevation)
+        return np.array([-np.sin(turn) * c, -np.sin(self.elevation), np.cos(turn) * c])
+
+
+@dataclass(frozen=True, eq=False)
+class Eye:
+    """A chase camera at one time: ``height`` metres above (x, y), its ``heading`` in plan; ``R`` (3, 3) takes right,
+    down, ahead of that heading to the camera's axes, and ``K`` those to pixels."""
+
+    K: Array
+    R: Array
+    height: float
+    x: float
+    y: float
+    heading: float
+
+    def level(self, x: Array | float, y: Array | float) -> tuple[Array, Array]:
+        """Right and ahead (m) of points in plan."""
+        c, s = np.cos(self.heading), np.sin(self.heading)
+        dx, dy = np.asarray(x) - self.x, np.asarray(y) - self.y
+        return dx * s - dy * c, dx * c + dy * s
+
+    def camera(self, points: Array) -> Array:
+        """Camera axes (…, 3) of points right, down (from the ground), ahead of the eye's foot."""
+        return np.asarray((points + np.array([0.0, self.height, 0.0])) @ self.R.T)
+
+
+def camera_rotation(pitch: float, roll: float) -> Array:
+    """From right, down, ahead to the axes of a camera that looks down by ``pitch`` and leans right by ``roll``, rad."""
+    c, s = np.cos(pitch), np.sin(pitch)
+    a, b = np.cos(roll), np.sin(roll)
+    lean = np.array([[a, b, 0], [-b, a, 0], [0, 0, 1]])
+    return np.asarray(lean @ np.array([[1, 0, 0], [0, c, -s], [0, s, c]]))
+
+
+def _turned(vectors: Array, angle: Array) -> Array:
+    """``vectors`` (N, …, 3) right, down, ahead of axes turned by ``angle`` (N,) to the left, in unturned axes."""
+    shape = (-1, *(1,) * (vectors.ndim - 2))
+    c, s = np.cos(angle).reshape(shape), np.sin(angle).reshape(shape)
+    r, d, a = np.moveaxis(vectors, -1, 0)
+    return np.stack([r * c - a * s, d, r * s + a * c], axis=-1)
+
+
+def in_level(faces: Faces, eye: Eye) -> Array:
+    """(N, 3, 3): corner, across and down of each face, right, down, ahead of the eye's foot."""
+    vectors = _turned(np.stack([faces.corner, faces.across, faces.down], axis=1), faces.heading - eye.heading)
+    vectors[:, 0, ::2] += np.column_stack(eye.level(faces.x, faces.y))
+    return vectors
+
+
+def draw(
+    canvas: Image,
+    faces: Faces,
+    atlas: Atlas,
+    eye: Eye,
+    sun: Sun,
+    shade: Image,
+    to_canvas: Array,
+    glow: float = 0.0,
+) -> None:
+    """Lay ``faces`` over ``canvas`` (h, w, 2) in their order, as ``eye`` sees them.
+
+    ``to_canvas`` (3, 3) takes image pixels to those of the canvas; ``glow`` is light of the faces' own.
+    """
+    vectors = in_level(faces, eye)
+    ahead = eye.camera(vectors[:, 0])
+    M = np.stack([vectors[:, 1] @ eye.R.T, vectors[:, 2] @ eye.R.T, ahead], axis=-1)  # unit square -> camera
+    corners = M @ np.array([[0, 1, 1, 0], [0, 0, 1, 1], [1, 1, 1, 1.0]])
+    M = to_canvas @ eye.K @ M
+    seen = (corners[:, 2].min(1) > NEAREST) & (np.linalg.det(M) > 0)
+    quads = M @ np.array([[0, 1, 1, 0], [0, 0, 1, 1], [1, 1, 1, 1.0]])
+    quads = quads[:, :2] / np.where(seen[:, None, None], quads[:, 2:], 1.0)
+    size = np.array(canvas.shape[1::-1])
+    low = np.maximum(np.floor(quads.min(2)).astype(np.int64) - 1, 0)
+    high = np.minimum(np.ceil(quads.max(2)).astype(np.int64) + 2, size)
+    seen &= (low < high).all(1)
+    if not seen.any():
+        return
+    faces, vectors, M, quads = faces[seen], vectors[seen], M[seen], quads[seen]
+    light, shadow = _light(faces, vectors, eye, sun)
+    light[:, 0] += glow
+    rasterizer.lay(
+        canvas,
+        np.linalg.inv(M),
+        np.concatenate([low[seen], high[seen]], axis=1),
+        _levels(faces.texture, quads, atlas),
+        atlas.pixels,
+        light,
+        shadow,
+        shade,
+    )
+
+
+def _levels(texture: Indices, quads: Array, atlas: Atlas) -> Indices:
+    """The sheet of each face whose texels are nearest to canvas pixels in size."""
+    sides = np.linalg.norm(np.roll(quads, -1, axis=2) - quads, axis=1)  # top, right, bottom, left
+    texels = atlas.sheets[texture, 0, 1:]
+    ratio = np.maximum(
+        texels[:, 1] / np.maximum(sides[:, ::2].max(1), 1e-6), texels[:, 0] / np.maximum(sides[:, 1::2].max(1), 1e-6)
+    )
+    level = np.clip(np.rint(np.log2(ratio)), 0, atlas.sheets.shape[1] - 1).astype(int)
+    return np.ascontiguousarray(atlas.sheets[texture, level])
+
+
+def _light(faces: Faces, vectors: Array, eye: Eye, sun: Sun) -> tuple[Array, Array]:
+    """Ambient and direct light (N, 2) on faces, and where on the road (N, 2, 3) their shade is to be read."""
+    normal = np.cross(vectors[:, 2], vectors[:, 1])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    towards = sun.direction(eye.heading)
+    sky = 0.75 - 0.25 * normal[:, 1]  # a face that looks up sees the whole of it
+    light = np.column_stack([sun.ambient * sky, sun.direct * np.maximum(normal @ towards, 0.0)])
+    # Light that reaches a point above the road would have reached the road farther from the sun.
+    fall = -towards[::2] / towards[1]  # horizontal metres towards the sun per metre up
+    relative = vectors[:, :, ::2].copy()
+    relative[:, 0] -= np.column_stack(eye.level(faces.x, faces.y))
+    relative += vectors[:, :, 1:2] * fall
+    turn = (faces.along - eye.heading)[:, None]
+    c, s = np.cos(turn), np.sin(turn)
+    r, a = relative[..., 0], relative[..., 1]
+    lateral, arc = r * c + a * s, a * c - r * s
+    arc[:, 0] += faces.arc
+    lateral[:, 0] += faces.lateral
+    shadow = np.stack([arc, lateral], axis=1)[:, :, [1, 2, 0]]  # for (u, v, 1)
+    return light, np.ascontiguousarray(shadow)

@@ -1,0 +1,248 @@
+"""Numba kernels that fill the pictures of a chase camera: the ground, and textured rectangles over it.
+
+Edges of rectangles are covered exactly (the part of a pixel's square that lies inside), so they are where the geometry
+says to a few thousandths of a pixel. Pixel centres lie at integer coordinates.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from paceline.numba_cache import compiled
+
+Array = NDArray[np.float64]
+Image = NDArray[np.float32]
+Indices = NDArray[np.int64]
+
+CELL = 0.05  # m, a texel of a shade map
+LOWEST = 0.004  # slope below the horizon from which on the ground is painted
+SHOULDER = 0.45  # m of asphalt beside the lanes
+
+
+@compiled(fastmath=True)
+def repeated(table: Image, y: float, x: float) -> float:
+    """``table``, which repeats in both directions and whose sides are powers of two, at a place between its cells."""
+    rows, columns = table.shape[0] - 1, table.shape[1] - 1
+    j, i = math.floor(y), math.floor(x)
+    b, a = y - j, x - i
+    j0, i0 = int(j) & rows, int(i) & columns
+    j1, i1 = (j0 + 1) & rows, (i0 + 1) & columns
+    upper = table[j0, i0] * (1 - a) + table[j0, i1] * a
+    lower = table[j1, i0] * (1 - a) + table[j1, i1] * a
+    return float(upper * (1 - b) + lower * b)
+
+
+@compiled(fastmath=True)
+def _shade(shade: Image, arc: float, lateral: float, scale: float) -> float:
+    """The light, 0–1, at road coordinates in metres, from a map with ``scale`` texels a metre."""
+    return repeated(shade, arc * scale - 0.5, lateral * scale - 0.5)
+
+
+@compiled(fastmath=True)
+def _inside(distance: float, other: float) -> float:
+    """The covered part of a pixel that lies ``distance`` pixels inside one edge and ``other`` inside the opposite."""
+    return max(0.0, min(0.5, distance) + min(0.5, other))
+
+
+@compiled(fastmath=True)
+def lay(
+    canvas: Image,
+    inverse: Array,
+    boxes: Indices,
+    sheets: Indices,
+    atlas: Image,
+    light: Array,
+    shadow: Array,
+    shade: Image,
+) -> None:
+    """Lay N rectangles over ``canvas`` (h, w, 2), premultiplied grey and coverage, in their order.
+
+    ``inverse`` (N, 3, 3) takes canvas pixels to the unit square of each rectangle, ``boxes`` (N, 4) are x0, y0, x1,
+    y1; ``sheets`` (N, 3) say where in ``atlas`` (T, 2), premultiplied grey and coverage, a texture begins, and its
+    rows and columns. ``light`` (N, 2): ambient, and direct where the ``shade`` map, read at ``shadow`` (N, 2, 3) ·
+    (u, v, 1), is 1.
+    """
+    for k in range(len(inverse)):
+        m, s = inverse[k], shadow[k]
+        start, rows, columns = sheets[k]
+        ambient, direct = light[k]
+        for y in range(boxes[k, 1], boxes[k, 3]):
+            for x in range(boxes[k, 0], boxes[k, 2]):
+                w = m[2, 0] * x + m[2, 1] * y + m[2, 2]
+                if w <= 0:
+                    continue
+                u = (m[0, 0] * x + m[0, 1] * y + m[0, 2]) / w
+                v = (m[1, 0] * x + m[1, 1] * y + m[1, 2]) / w
+                across = math.sqrt((m[0, 0] - u * m[2, 0]) ** 2 + (m[0, 1] - u * m[2, 1]) ** 2) / w
+                down = math.sqrt((m[1, 0] - v * m[2, 0]) ** 2 + (m[1, 1] - v * m[2, 1]) ** 2) / w
+                cover = _inside(u / across, (1 - u) / across) * _inside(v / down, (1 - v) / down)
+                if cover <= 0:
+                    continue
+                a = min(max(u * columns - 0.5, 0.0), columns - 1.001)
+                b = min(max(v * rows - 0.5, 0.0), rows - 1.001)
+                i, j = int(a), int(b)
+                a, b = a - i, b - j
+                p = start + j * columns + i
+                q = p + columns
+                w00, w01, w10, w11 = (1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b
+                grey = w00 * atlas[p, 0] + w01 * atlas[p + 1, 0] + w10 * atlas[q, 0] + w11 * atlas[q + 1, 0]
+                alpha = w00 * atlas[p, 1] + w01 * atlas[p + 1, 1] + w10 * atlas[q, 1] + w11 * atlas[q + 1, 1]
+                if alpha <= 0:
+                    continue
+                lit = ambient
+                if direct > 0:
+                    arc, lateral = s[0, 0] * u + s[0, 1] * v + s[0, 2], s[1, 0] * u + s[1, 1] * v + s[1, 2]
+                    lit += direct * _shade(shade, arc, lateral, 1 / CELL)
+                canvas[y, x, 0] = canvas[y, x, 0] * (1 - alpha * cover) + grey * lit * cover
+                canvas[y, x, 1] = canvas[y, x, 1] * (1 - alpha * cover) + alpha * cover
+
+
+@compiled(fastmath=True)
+def _box(value: float, low: float, high: float, width: float) -> float:
+    """The part of [value ± width / 2] that lies within [low, high]."""
+    return max(0.0, min(high, value + width / 2) - max(low, value - width / 2)) / width
+
+
+@compiled(fastmath=True)
+def road_coordinates(ahead: float, right: float, road: Array, step: float) -> tuple[float, float]:
+    """Arc length from the camera and lateral position (m) of a point ``ahead`` and to the ``right`` of the camera.
+
+    ``road`` (M, 4) lists the road's axis by distance ahead, every ``step`` metres: how far it lies to the right, the
+    sine and cosine of its direction, and arc length.
+    """
+    along, lateral = ahead, 0.0
+    for _ in range(3):
+        k = min(max(along / step, 0.0), len(road) - 1.001)
+        i = int(k)
+        f = k - i
+        x = road[i, 0] * (1 - f) + road[i + 1, 0] * f
+        sine = road[i, 1] * (1 - f) + road[i + 1, 1] * f
+        cosine = road[i, 2] * (1 - f) + road[i + 1, 2] * f
+        lateral = (right - x) * cosine - (ahead - along) * sine
+        along = ahead + lateral * sine
+    k = min(max(along / step, 0.0), len(road) - 1.001)
+    i = int(k)
+    return road[i, 3] + (along / step - i) * (road[i + 1, 3] - road[i, 3]), lateral
+
+
+@compiled(fastmath=True)
+def sky(image: Image, rays: Array, heading: float, focal: float, look: Array, ridges: Array, grain: Image) -> None:
+    """Paint sky and far silhouettes, down to a little below the horizon, into ``image`` (h, w, 2).
+
+    ``rays`` as in `ground`. ``look``: grey at the horizon, its change upwards, clouds, the sun's azimuth; ``ridges``
+    (2, A + 1) are the slopes of two skylines over a full turn, in front of grey levels in their last column.
+    """
+    rows, columns = image.shape[:2]
+    turns = ridges.shape[1] - 1
+    for y in range(rows):
+        for x in range(columns):
+            right = rays[0, 0] * x + rays[0, 1] * y + rays[0, 2]
+            down = rays[1, 0] * x + rays[1, 1] * y + rays[1, 2]
+            ahead = rays[2, 0] * x + rays[2, 1] * y + rays[2, 2]
+            up = -down / ahead
+            if up < -2 * LOWEST:
+                continue
+            azimuth = heading - math.atan(right / ahead)
+            grey = look[0] + look[1] * up + 30 * math.cos(azimuth - look[3])
+            if up > 0.01:
+                grey += look[2] * repeated(grain, 6 / (up + 0.1), azimuth * (64 / (2 * math.pi)))
+            place = azimuth % (2 * math.pi) * (turns / (2 * math.pi))
+            k = int(place)
+            part = place - k
+            for r in range(2):
+                top = ridges[r, k % turns] * (1 - part) + ridges[r, (k + 1) % turns] * part
+                covered = min(max(0.5 + (top - up) * focal, 0.0), 1.0)
+                spot = grain[int(up * 300) & 255, int(place * 2) & 255]
+                grey += (ridges[r, turns] * (1 + 0.12 * spot) - grey) * covered
+            image[y, x, 0] = grey
+            image[y, x, 1] = 1.0
+
+
+@compiled(fastmath=True)
+def _wrapped(value: float, period: float) -> float:
+    return value - period * math.floor(value / period)
+
+
+@compiled(fastmath=True)
+def ground(
+    image: Image,
+    rays: Array,
+    height: float,
+    road: Array,
+    step: float,
+    arc0: float,
+    look: Array,
+    grain: Image,
+    shade: Image,
+    coarse: Image,
+    casts: Array,
+    holds: Array,
+) -> None:
+    """Paint the ground below the horizon of ``image`` (h, w, 2).
+
+    ``rays`` (3, 3) takes (x, y, 1) to a direction right, down, ahead of a camera ``height`` metres above the ground;
+    ``road`` and ``step`` as in `road_coordinates`, ``arc0`` the arc length beside the camera. ``look``: asphalt, verge
+    and paint in grey levels, ambient and direct light, distance between crossroads and the first, and half a lane's
+    width. ``casts`` (C, E, 3) outline what vehicles shadow by E edges: (ahead, right, 1) · edge is how far inside a
+    point lies, m; ``holds`` (C, 2) the ambient light that each holds off too, and how softly it ends, m.
+    """
+    asphalt, verge, paint, ambient, direct, crossing_every, crossing_at, half = look
+    rows, columns = image.shape[:2]
+    for y in range(rows):
+        for x in range(columns):
+            down = rays[1, 0] * x + rays[1, 1] * y + rays[1, 2]
+            if down < LOWEST:
+                continue
+            depth = height / down
+            ahead = depth * (rays[2, 0] * x + rays[2, 1] * y + rays[2, 2])
+            right = depth * (rays[0, 0] * x + rays[0, 1] * y + rays[0, 2])
+            across = depth * rays[0, 0]  # metres per pixel
+            away = across * depth / height
+            s, lateral = road_coordinates(ahead, right, road, step)
+            arc = arc0 + s
+            k = min(int(max(ahead, 0.0) / step), len(road) - 1)
+            sine, cosine = abs(road[k, 1]), abs(road[k, 2])
+            sideways = across * cosine + away * abs(sine - abs(right) / max(ahead, 1.0) * cosine) + 1e-3
+            lengthways = away * cosine + across * sine + 1e-3
+
+            paved = _box(lateral, -3 * half - SHOULDER, half + SHOULDER, sideways)
+            junction = _box(_wrapped(arc - crossing_at, crossing_every), 0.0, 6.5, lengthways)
+            paved = max(paved, junction)
+            grey = verge + (asphalt - verge) * paved
+            for wavelength, amplitude in ((5.0, 0.06), (0.8, 0.05), (0.13, 0.07)):
+                blur = away / wavelength
+                if blur < 2.0:
+                    keep = amplitude * (2.5 - 1.5 * paved) / (1 + blur**4)
+                    grey *= 1 + keep * repeated(grain, arc * (2 / wavelength), lateral * (2 / wavelength))
+            lane = math.floor((lateral + half) / (2 * half))
+            patch = grain[int(math.floor(arc / 7.3)) & 255, int(lane) & 255]  # repairs
+            grey *= 1 + 0.05 * patch * paved * (1 - junction) / (1 + away)
+            marks = 0.0
+            if paved > 0:
+                dash = _box(_wrapped(arc, 9.0), 2.0, 5.0, lengthways)
+                marks = dash * _box(lateral, -half - 0.06, -half + 0.06, sideways)
+                marks += _box(lateral, half - 0.12, half, sideways)
+                marks += _box(lateral, -3 * half, -3 * half + 0.12, sideways)
+                stop = _box(_wrapped(arc - crossing_at + 1.2, crossing_every), 0.0, 0.4, lengthways)
+                marks = max(marks * (1 - junction), stop * _box(lateral, -half, half - 0.12, sideways))
+                grey += (paint - grey) * 0.9 * min(marks, 1.0)
+
+            lit = 0.0
+            if away < 0.15:
+                lit = _shade(shade, arc, lateral, 1 / CELL)
+            else:
+                for part in range(3):  # along the pixel's long footprint
+                    lit += _shade(coarse, arc + (part - 1) * 0.33 * away, lateral, 0.25 / CELL) / 3
+            sky = ambient
+            for c in range(len(casts)):
+                inside = 1e9
+                for e in range(casts.shape[1]):
+                    inside = min(inside, casts[c, e, 0] * ahead + casts[c, e, 1] * right + casts[c, e, 2])
+                covered = min(max(0.5 + inside / (holds[c, 1] + across), 0.0), 1.0)
+                lit *= 1 - covered
+                sky *= 1 - holds[c, 0] * covered
+            image[y, x, 0] = grey * (sky + direct * lit)
+            image[y, x, 1] = 1.0

@@ -1,0 +1,155 @@
+"""The vehicle ahead: a driver who keeps to a programme of speeds, slows for bends, changes lanes and weaves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from paceline.simulation.chase.motion import STEP, Road, State, place
+
+Array = NDArray[np.float64]
+
+TICK = 0.02  # s between the rows of the plan
+EASE = 1.2  # m/s², braking for a bend
+BLEND = 12.0  # m over which weaving begins and ends
+
+
+@dataclass(frozen=True)
+class LaneChange:
+    """A move of ``shift`` metres to the right, begun at time ``at`` and taking ``duration`` s at the speed there."""
+
+    at: float
+    duration: float
+    shift: float
+
+
+@dataclass(frozen=True)
+class Weave:
+    """Swings of ``amplitude`` metres to either side, ``period`` s each at the speed there, between two times."""
+
+    start: float
+    stop: float
+    amplitude: float
+    period: float
+
+
+class Lead:
+    """Where the lead is at any time. Its lateral position is a function of arc length alone, so that its path is a
+    curve, known before and behind it.
+
+    ``speeds`` (N, 2) are times (s) and speeds (m/s), joined by straight lines; it speeds up by at most ``haste`` m/s²
+    and slows for bends so that it feels no more than ``bends`` m/s² to the side.
+    It drives ``duration`` seconds from ``start`` metres along the ``road``.
+    """
+
+    def __init__(
+        self,
+        road: Road,
+        start: float,
+        duration: float,
+        speeds: Array,
+        changes: tuple[LaneChange, ...] = (),
+        weaves: tuple[Weave, ...] = (),
+        haste: float = 2.0,
+        bends: float = 1.8,
+    ) -> None:
+        self.road, self.start = road, start
+        self.time = np.arange(0.0, duration + 2 * TICK, TICK)
+        wished = np.interp(self.time, speeds[:, 0], speeds[:, 1])
+        allowed = bend_speeds(road, bends)
+        self.speed, self.arc = np.empty_like(self.time), np.empty_like(self.time)
+        v, s = min(float(wished[0]), float(np.interp(start, road.s, allowed))), start
+        for k, wish in enumerate(wished.tolist()):
+            target = min(wish, _between(allowed, s / STEP))
+            before, v = v, max(min(target, v + haste * TICK), 0.0)
+            s += 0.5 * (before + v) * TICK if k else 0.0
+            self.speed[k], self.arc[k] = v, s
+        self.rate = np.gradient(self.speed, TICK)
+        self._changes = [(*self._stretch(c.at, c.duration), c.shift) for c in changes]
+        self._weaves = [self._swing(w) for w in weaves]
+
+    def _stretch(self, at: float, duration: float) -> tuple[float, float]:
+        """Arc length at a time and metres driven in ``duration`` seconds from there on at that speed, 1 m at least."""
+        return self.arc_at(at), max(self.speed_at(at) * duration, 1.0)
+
+    def _swing(self, w: Weave) -> tuple[float, float, float, float]:
+        begin, end = self.arc_at(w.start), self.arc_at(w.stop)
+        mean = (end - begin) / max(w.stop - w.start, TICK)
+        return begin, end, w.amplitude, max(mean * w.period, 1.0)
+
+    def arc_at(self, time: float) -> float:
+        """m along the road's axis."""
+        return float(np.interp(time, self.time, self.arc))
+
+    def speed_at(self, time: float) -> float:
+        return float(np.interp(time, self.time, self.speed))
+
+    def acceleration_at(self, time: float) -> float:
+        return float(np.interp(time, self.time, self.rate))
+
+    def lateral(self, arc: Array | float) -> Array:
+        """m to the right of the road's axis at arc length ``arc``."""
+        arc = np.asarray(arc, float)
+        total = np.zeros_like(arc)
+        for begin, length, shift in self._changes:
+            total += shift * _smooth((arc - begin) / length)
+        for begin, end, amplitude, wave in self._weaves:
+            inside = _smooth((arc - begin) / BLEND) * _smooth((end - arc) / BLEND)
+            total += amplitude * inside * np.sin(2 * np.pi * (arc - begin) / wave)
+        return total
+
+    def state_at_arc(self, arc: float) -> State:
+        """The lead's place and heading where its rear plane is at ``arc``."""
+        before, here, after = self.lateral(np.array([arc - 0.05, arc, arc + 0.05])).tolist()
+        return place(self.road, arc, here, (after - before) / 0.1)
+
+    def state(self, time: float) -> State:
+        return self.state_at_arc(self.arc_at(time))
+
+    def offset(self, x: float, y: float, near: float) -> tuple[float, float]:
+        """How far (m) a point lies to the right of the lead's path, and the arc length beside it, looked for from
+        ``near`` on."""
+        arc = near
+        for _ in range(20):
+            p = self.state_at_arc(arc)
+            c, s = np.cos(p.heading), np.sin(p.heading)
+            along = (x - p.x) * c + (y - p.y) * s
+            arc += along
+            if abs(along) < 1e-6:
+                break
+        p = self.state_at_arc(arc)
+        return float((x - p.x) * np.sin(p.heading) - (y - p.y) * np.cos(p.heading)), float(arc)
+
+
+def bend_speeds(road: Road, lateral: float) -> Array:
+    """(N,) m/s: the greatest speed with ``lateral`` m/s² to the side at every tabulated point of the road, braked for
+    in time."""
+    limit = np.sqrt(lateral / np.maximum(np.abs(road.curvature), 1e-6))
+    squares = limit**2
+    for k in range(len(squares) - 2, -1, -1):
+        squares[k] = min(squares[k], squares[k + 1] + 2 * EASE * STEP)
+    return np.asarray(np.sqrt(squares), float)
+
+
+def _between(table: Array, place: float) -> float:
+    """The table's value between two rows; a plain look-up, as there are many."""
+    k = min(int(place), len(table) - 2)
+    return float(table[k] + (place - k) * (table[k + 1] - table[k]))
+
+
+def _smooth(part: Array) -> Array:
+    """From 0 to 1 with no jump in speed or acceleration."""
+    u = np.clip(part, 0.0, 1.0)
+    return np.asarray(u**3 * (10 - 15 * u + 6 * u**2))
+
+
+def road_of(pieces: list[tuple[float, float]], length: float, blend: float = 8.0) -> Road:
+    """A road of ``pieces`` (metres, curvature in 1/m to the right), blended over ``blend`` metres; straight after."""
+    s = np.arange(0.0, length + STEP, STEP)
+    curvature, ends = np.zeros_like(s), np.cumsum([p[0] for p in pieces])
+    for (metres, bend), end in zip(pieces, ends, strict=True):
+        curvature[(s >= end - metres) & (s < end)] = -bend
+    kernel = np.ones(max(int(blend / STEP), 1))
+    return Road(np.convolve(curvature, kernel / kernel.sum(), mode="same"), length)

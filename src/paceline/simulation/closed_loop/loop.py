@@ -1,0 +1,162 @@
+"""The closed loop: the plant carries the camera, the tracker sees the pictures, its estimates steer and brake."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from paceline.follow.configuration import FollowConfiguration
+from paceline.follow.results import FollowEstimate
+from paceline.follow.tracker import FollowTracker
+from paceline.simulation.chase.clip import ChaseTruth, start_document, target_document, truth_of
+from paceline.simulation.chase.motion import State as Placed
+from paceline.simulation.chase.scene import ChaseScene
+from paceline.simulation.chase.sensor import Film
+from paceline.simulation.chase.vehicles import Body
+from paceline.simulation.chase.world import Moment
+from paceline.simulation.closed_loop.clearance import apart, outline
+from paceline.simulation.closed_loop.drive_yaml import DriveModel
+from paceline.simulation.closed_loop.gap_control import GapController
+from paceline.simulation.closed_loop.human_throttle import Operator
+from paceline.simulation.closed_loop.odometer import Odometer, OdometerErrors
+from paceline.simulation.closed_loop.scene import Stage
+from paceline.simulation.closed_loop.vehicle_dynamics import Command, Plant, State, Vehicle
+from paceline.targets.line_model import Target
+
+Array = NDArray[np.float64]
+
+LATENCY = 0.128  # s from picture to command, [NIST] section 3
+CAUTION = 1.0  # m by which a person keeps farther off than the whole rear needs to be in view
+OPERATOR_GAPS = {"nist": 15.0, "hd": 45.0}  # m, the longest that a driver keeps
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One cycle of the loop: the picture, what was made of it, and how things really were. SI units."""
+
+    frame: int
+    time: float
+    image: NDArray[np.uint8]
+    estimate: FollowEstimate
+    truth: ChaseTruth
+    chase: State
+    lead: Placed
+    lead_speed: float
+    asked: Command  # of this picture, and when it takes effect
+    gap: float  # from the camera to the lead's rear, along the camera's axis
+    wanted: float  # by the throttle, at this speed
+    path_error: float  # of the rear axle, to the right of the lead's path
+    clearance: float  # between the bodies: to the lead, or to another vehicle that is nearer
+    shown: bool  # the lead is there to be seen
+
+
+class ClosedLoop:
+    """``for step in ClosedLoop(model, seed).steps(): ...``; nothing is kept of the cycles before."""
+
+    def __init__(
+        self,
+        model: DriveModel,
+        seed: int,
+        latency: float = LATENCY,
+        vehicle: Vehicle | None = None,
+        configuration: FollowConfiguration | None = None,
+        errors: OdometerErrors | None = None,
+    ) -> None:
+        self.vehicle = vehicle or Vehicle()
+        self.model, self.seed, self.latency = model, seed, latency
+        self.stage = Stage(model, seed, self.vehicle)
+        v = self.vehicle
+        own = {"wheelbase": v.wheelbase, "camera_ahead": v.camera_ahead, "steering_limit": v.steering_limit}
+        self.configuration = (configuration or FollowConfiguration()).model_copy(update=own)
+        self.errors = errors or OdometerErrors()
+
+    @property
+    def frames(self) -> int:
+        return self.stage.scene.frames
+
+    def settings(self) -> dict[str, object]:
+        """Everything that was set, resolved."""
+        return {
+            "latency": self.latency,
+            "vehicle": asdict(self.vehicle),
+            "gap_policy": asdict(self.stage.policy),
+            "odometer_errors": asdict(self.errors),
+            "follow": self.configuration.model_dump(),
+        }
+
+    def steps(self) -> Iterator[Step]:
+        """Every cycle, in order."""
+        stage, scene = self.stage, self.stage.scene
+        rng = np.random.default_rng([self.seed, 79])
+        plant, film = Plant(self.vehicle, stage.start()), Film(stage.world)
+        odometer = Odometer(self.errors, rng, plant.state.speed)
+        controller = GapController(stage.policy)
+        nearest = stage.policy.standstill + CAUTION
+        operator = Operator(stage.policy, (nearest, OPERATOR_GAPS[self.model.camera]), rng)
+        manual = self.model.throttle == "manual"
+        tracker: FollowTracker | None = None
+        near = stage.lead.start
+        for frame in range(scene.frames):
+            time = frame / scene.rate
+            chase = plant.advance(time)
+            moment = stage.moment(time, chase, near)
+            near = moment.chase.arc
+            image, visible = film.picture(moment)
+            truth = truth_of(scene, frame, moment, visible)
+            tracker = tracker or tracker_from(scene, truth, self.configuration)
+            pose = odometer.read(time, stage.pose(time, chase))
+            e = tracker.update(image, time, frame, pose)
+            gap, lead_speed = float(truth.position[2]), stage.lead.speed_at(time)
+            if manual:
+                throttle = operator.acceleration(time, chase.speed, gap, lead_speed)
+                wanted = operator.wanted(time, chase.speed)
+            else:
+                seen = e.status == "tracking"
+                throttle = controller.acceleration(
+                    time, odometer.speed, float(e.position[2]), float(e.position_std[2]), seen
+                )
+                wanted = stage.policy.wanted(chase.speed)
+            asked = Command(time + self.latency, e.steering, throttle)
+            plant.ask(asked)
+            error, _ = stage.lead.offset(chase.x, chase.y, near - self.vehicle.camera_ahead)
+            yield Step(
+                frame=frame,
+                time=time,
+                image=image,
+                estimate=e,
+                truth=truth,
+                chase=chase,
+                lead=moment.lead,
+                lead_speed=lead_speed,
+                asked=asked,
+                gap=gap,
+                wanted=wanted,
+                path_error=error,
+                clearance=self._clearance(chase, moment),
+                shown=moment.shown,
+            )
+
+    def _clearance(self, chase: State, moment: Moment) -> float:
+        v = self.vehicle
+        own = outline(chase.x, chase.y, chase.heading, -v.tail, v.nose, v.width)
+        world = self.stage.world
+        others: list[tuple[Body, Placed]] = [(world.body, moment.lead)] if moment.shown else []
+        others += zip(world.companions, moment.companions, strict=True)
+        return min((apart(own, _outline(body, place)) for body, place in others), default=float("nan"))
+
+
+def _outline(body: Body, place: Placed) -> Array:
+    return outline(place.x, place.y, place.heading, 0.0, body.length, body.width)
+
+
+def tracker_from(scene: ChaseScene, first: ChaseTruth, configuration: FollowConfiguration) -> FollowTracker:
+    """A tracker started on the first picture as an operator would start it."""
+    document, start = target_document(scene), start_document(scene, first)
+    names = list(document["corners"])
+    corners = np.array(list(document["corners"].values()))
+    segments = np.array([[names.index(a), names.index(b)] for a, b in document["segments"]])
+    target = Target(document["name"], document["nominal_range"], corners, segments)
+    return FollowTracker(scene.camera, target, np.array(start["center"]), float(start["scale"]), configuration)

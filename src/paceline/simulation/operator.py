@@ -1,0 +1,121 @@
+"""What an operator draws on a speed clip: the outlines of vehicles and the painted line beside each one's lane."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from paceline.cameras import View
+from paceline.errors import UnusableInput
+from paceline.simulation.raytraced.meshes import Array
+from paceline.simulation.raytraced.renderer import Renderer
+from paceline.simulation.raytraced.scene import Car, Stage
+from paceline.simulation.raytraced.sensor import distorted
+
+CLEAR = 0.97  # share of a plane that has to be visible where it is outlined
+NARROWEST = 24.0  # px, a plane's width where it is outlined
+BEFORE, BEHIND = 60.0, 6.0  # m of a line that are drawn nearer to the camera and farther than the vehicle drives
+BORDER = 6.0  # px
+
+
+def clip_document(stage: Stage, truth: list[dict[str, Any]], renderer: Renderer) -> dict[str, Any]:
+    """The contents of clip.yaml, pixels as recorded.
+
+    Raises UnusableInput where a measured vehicle or the line beside it is never seen well enough.
+    """
+    scene, rng = stage.scene, np.random.default_rng([stage.scene.seed, 13])
+    video = scene.sensor.keep == "h264"
+    clip: dict[str, Any] = {side: f"{side}.mp4" if video else side for side in ("left", "right")}
+    if not video:
+        clip |= {"times": "times.csv"} if scene.dropped or scene.skew else {"rate": scene.rate}
+    clip["rig"] = "rig.yaml"
+    lanes: dict[tuple[int, bool], str] = {}
+    measured = [car for car in stage.cars if car.model.measured]
+    for car in measured:
+        lanes.setdefault((car.model.lane, car.model.towards), f"lane{len(lanes)}")
+    seen = {car.model.id: first_seen(car, truth) for car in measured}
+    clip["paths"] = {}
+    for (lane, towards), name in lanes.items():
+        users = [car for car in measured if (car.model.lane, car.model.towards) == (lane, towards)]
+        driven = np.array([_arc(car, row["time_s"]) for car in users for row in seen[car.model.id]])
+        clip["paths"][name] = _path(stage, lane, towards, driven, renderer, rng)
+    clip["vehicles"] = [
+        {"id": car.model.id, "path": lanes[car.model.lane, car.model.towards], "frame": seen[car.model.id][0]["frame"]}
+        | {side: _clicked(stage, side, seen[car.model.id][0][side], rng) for side in ("left", "right")}
+        | ({"speed": car.model.guess} if car.model.guess else {})
+        for car in measured
+    ]
+    return clip
+
+
+def first_seen(car: Car, truth: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The rows of truth from the first on in which a vehicle can be outlined, while it is inside both pictures."""
+    rows = [row for row in truth if row["vehicle"] == car.model.id and row["inside"]]
+    for i, row in enumerate(rows):
+        width = min(np.ptp(np.array(row[side])[:, 0]) for side in ("left", "right"))
+        if row["visible"] >= CLEAR and width >= NARROWEST:
+            return rows[i:]
+    raise UnusableInput(f"vehicle {car.model.id}: is never wholly visible and {NARROWEST:g} px wide in both pictures")
+
+
+def _arc(car: Car, t: float) -> float:
+    return car.motion.position(t)[0]
+
+
+def _clicked(stage: Stage, side: str, corners: list[list[float]], rng: np.random.Generator) -> list[list[float]]:
+    camera = stage.rig.left if side == "left" else stage.rig.right
+    pixels = distorted(camera, np.array(corners))
+    return _rounded(pixels + rng.normal(0, 1, pixels.shape) * stage.scene.clicks.corner)
+
+
+def _path(
+    stage: Stage, lane: int, towards: bool, driven: Array, renderer: Renderer, rng: np.random.Generator
+) -> dict[str, Any]:
+    """The painted line beside a lane that is seen best, drawn in each view along where vehicles drive, ``driven`` (N,)
+    m of arc length."""
+    middle, road = stage.road.lanes[lane], stage.road
+    beside = sorted(road.markings, key=lambda m: abs(m - middle))[:2]
+    found = {m: [_visible(stage, m, driven, view, renderer) for view in stage.views] for m in beside}
+    marking = max(found, key=lambda m: min(len(line) for line in found[m]))
+    if min(len(line) for line in found[marking]) < 10:
+        raise UnusableInput(f"no painted line beside lane {lane} is visible in both pictures")
+    shape = road.shape
+    path: dict[str, Any] = {"shape": "line" if shape.kind == "straight" and shape.crest_radius is None else "curve"}
+    for side, camera, pixels in zip(("left", "right"), stage.rig.cameras, found[marking], strict=True):
+        length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(pixels, axis=0), axis=1))])
+        # People click more densely far away, where a line bends in the picture: evenly in the root of the length.
+        count = stage.scene.clicks.points + int(rng.integers(-1, 2))
+        at = length[-1] * ((np.arange(count) + rng.uniform(0.1, 0.9, count)) / count) ** 2
+        drawn = distorted(camera, np.column_stack([np.interp(at, length, c) for c in pixels.T]))
+        path[side] = _rounded(drawn + rng.normal(0, 1, drawn.shape) * stage.scene.clicks.line)
+    path["lateral_offset"] = round((middle - marking) * (-1.0 if towards else 1.0), 3)
+    return path
+
+
+def _visible(stage: Stage, marking: float, driven: Array, view: View, renderer: Renderer) -> Array:
+    """Pixels (N, 2) closely along the line at ``marking``, from far to near, where nothing hides it: its longest
+    stretch."""
+    points = stage.road.line(marking, float(driven.min()) - BEFORE, float(driven.max()) + BEFORE, 0.25)
+    depth = view.to_camera(points)[:, 2]
+    along = stage.road.line(0.0, float(driven.min()), float(driven.max()), 0.25)
+    nearest, farthest = (f(view.to_camera(along)[:, 2]) for f in (np.min, np.max))
+    points = points[(depth > max(2.0, nearest - BEFORE)) & (depth < farthest + BEHIND)]
+    points = points[np.argsort(-view.to_camera(points)[:, 2], kind="stable")]
+    if len(points) == 0:
+        return np.empty((0, 2))
+    pixels = view.project(points)
+    renderer.place(stage.empty())
+    hit = renderer.distance(view.centre, points)
+    size = np.array(view.camera.image_size)
+    seen = ((pixels > BORDER) & (pixels < size - 1 - BORDER)).all(1)
+    seen &= hit > 0.98 * np.linalg.norm(points - view.centre, axis=1)
+    # Posts hide a line for a moment only, and people draw across; a curve may leave the picture and come back.
+    closed = np.convolve(seen, np.ones(9), "same") > 0
+    inside = closed & ((pixels > BORDER) & (pixels < size - 1 - BORDER)).all(1)
+    pieces = np.split(pixels, np.flatnonzero(~inside))
+    return np.asarray(max((p[1:] if i else p for i, p in enumerate(pieces)), key=len, default=np.empty((0, 2))))
+
+
+def _rounded(points: Array) -> list[list[float]]:
+    return [[round(float(x), 2), round(float(y), 2)] for x, y in points]

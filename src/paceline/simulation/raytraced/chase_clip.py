@@ -1,0 +1,218 @@
+"""Writing rendered chase-camera clips, as `paceline follow` reads them, with truth.json beside them."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from paceline.cameras import Camera, View
+from paceline.simulation.chase.motion import Gap, Shaking, Wander
+from paceline.simulation.raytraced import clip_folder
+from paceline.simulation.raytraced.meshes import Array, Placement, Solid
+from paceline.simulation.raytraced.mitsuba_variant import default_variant
+from paceline.simulation.raytraced.renderer import Renderer
+from paceline.simulation.raytraced.scene import (
+    AWAY,
+    light_of,
+    parts,
+    placed,
+    road_of,
+    sensor_of,
+    shutter_of,
+    visible_share,
+)
+from paceline.simulation.raytraced.scene_yaml import FollowScene
+from paceline.simulation.raytraced.scenery.placement import Scenery, scenery
+from paceline.simulation.raytraced.sensor import expose, photograph
+from paceline.simulation.raytraced.vehicles.build import build
+
+NOMINAL_RANGE = 10.0  # m
+CLICK = 0.4, 0.008  # px and share of the size, standard deviations of the operator's start
+START = 15.0  # m of arc length
+
+
+@dataclass(frozen=True)
+class _Foot:
+    """The camera's place in plan: x, y (m) and heading (rad)."""
+
+    x: float
+    y: float
+    heading: float
+
+
+class Chase:
+    """A follow scene, placed: where camera and lead are is a function of the time."""
+
+    def __init__(self, scene: FollowScene) -> None:
+        self.scene, self.light, self.road = scene, light_of(scene), road_of(scene)
+        chase, lead = scene.chase, scene.lead
+        rng = np.random.default_rng([scene.seed, 31])
+        self.body = build(lead.kind, lead.seed)
+        self.plane = self.body.rear
+        self.speed = Wander(rng, 8, 40)
+        self.gap = Gap(rng, (lead.gap[0], lead.gap[1]))
+        self.weaving, self.straying = Wander(rng, 4.0, 12.0), Wander(rng, 8.0, 25.0)
+        self.pitching, self.yawing = (Shaking(rng, a * chase.bounce / 300) for a in (2.4, 0.25))
+        self.rolling, self.heaving = (Shaking(rng, a * chase.bounce / 4) for a in (0.004, 0.02))
+        w, h = chase.image_size
+        K = np.array([[chase.focal, 0, (w - 1) / 2], [0, chase.focal, (h - 1) / 2], [0, 0, 1.0]])
+        self.camera = Camera((w, h), K)
+        right = [m for m in self.road.lanes if m > 0]
+        self.lane = min(right) if right else self.road.lanes[-1]
+
+    def arc(self, t: float) -> float:
+        """Of the camera, m."""
+        return START + self.scene.chase.top_speed * (0.75 * t + 0.25 * self.speed.integral(t))
+
+    def foot(self, t: float) -> tuple[_Foot, Array, Array]:
+        """The camera's place in plan, the point below it (3,) and the road's axes (3, 3) there."""
+        at, axes = self.road.frame(self.arc(t), self.lane + 0.35 * self.straying(t))
+        heading = float(np.arctan2(axes[1, 0], axes[0, 0])) + self.yawing(t)
+        return _Foot(float(at[0]), float(at[1]), heading), at, axes
+
+    def view(self, t: float) -> View:
+        """The camera at ``t`` s."""
+        foot, at, _ = self.foot(t)
+        pitch, roll = self.scene.chase.tilt + self.pitching(t), self.rolling(t)
+        c, s = np.cos(foot.heading), np.sin(foot.heading)
+        level = np.array([[s, -c, 0.0], [0.0, 0.0, -1.0], [c, s, 0.0]])  # right, down, ahead
+        a, b = np.cos(pitch), np.sin(pitch)
+        tilt = np.array([[1, 0, 0], [0, a, -b], [0, b, a]])
+        d, e = np.cos(roll), np.sin(roll)
+        R = np.array([[d, e, 0], [-e, d, 0], [0, 0, 1]]) @ tilt @ level
+        eye = at + np.array([0.0, 0.0, self.scene.chase.height + self.heaving(t)])
+        return View(self.camera, R, -R @ eye)
+
+    def pose(self, t: float) -> Placement:
+        """Of the lead's body at ``t`` s; its rear plane is the gap ahead of the camera."""
+        gap, closing = self.gap(t)
+        weave, v = self.scene.lead.weave, self.scene.chase.top_speed * (0.75 + 0.25 * self.speed(t)) + closing
+        drift = np.arctan(weave * self.weaving.rate(t) / max(v, 1.0))
+        at, axes = self.road.frame(self.arc(t) + gap - self.plane.center[0], self.lane + weave * self.weaving(t))
+        c, s = np.cos(-drift), np.sin(-drift)  # to the right is clockwise
+        return axes @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]), at
+
+    def placements(self, t: float) -> list[Placement]:
+        return placed(self.body, self.pose(t), self.arc(t) + self.gap(t)[0])
+
+    def still(self) -> list[Solid]:
+        spec = Scenery(**self.scene.scenery.model_dump(), seed=self.scene.seed)
+        return self.road.solids() + scenery(self.road, spec, 0.0, self.road.length)
+
+    def moving(self) -> list[Sequence[Solid]]:
+        return list(parts(self.body))
+
+    @cached_property
+    def times(self) -> list[float]:
+        return [k / self.scene.rate for k in range(self.scene.frames)]
+
+    def row(self, k: int, renderer: Renderer) -> dict[str, Any]:
+        """The truth of one frame, its keys as `paceline.simulation.chase.clip` writes them; what may hide the lead is
+        what stands still."""
+        t = self.times[k]
+        view, (R, at), foot = self.view(t), self.pose(t), self.foot(t)[0]
+        corners, center = self.plane.corners() @ R.T + at, R @ self.plane.center + at
+        pixels = view.project(corners)
+        return {
+            "frame": k,
+            "time_s": t,
+            "position": view.to_camera(center).tolist(),
+            "corners": pixels.tolist(),
+            "center": view.project(center).tolist(),
+            "width_px": float(np.linalg.norm(pixels[1] - pixels[0])),
+            "visible": visible_share(renderer, view.centre, corners),
+            "chase": {"x_m": foot.x, "y_m": foot.y, "heading_rad": foot.heading},
+        }
+
+    def target_document(self) -> dict[str, Any]:
+        """The contents of target.yaml: the rear's strong edges as they appear from `NOMINAL_RANGE`."""
+        ends = self.body.lines("rear") - self.plane.center
+        shrink = NOMINAL_RANGE / (NOMINAL_RANGE + ends[..., 0])
+        right, down = -ends[..., 1] * shrink, -ends[..., 2]
+        below = self.scene.chase.height - self.plane.center[2]  # the plane's centre, under the camera
+        down = (down + below) * shrink - below
+        corners: dict[tuple[float, float], str] = {}
+        segments = []
+        for line in np.stack([right, down], -1):
+            across = 0 if abs(line[1, 0] - line[0, 0]) < abs(line[1, 1] - line[0, 1]) else 1
+            line[:, across] = line[:, across].mean()  # horizontal or vertical, as the model wants it
+            places = [(round(float(x), 4), round(float(y), 4)) for x, y in line]
+            segments.append([corners.setdefault(p, f"c{len(corners)}") for p in places])
+        return {
+            "name": self.body.kind,
+            "nominal_range": NOMINAL_RANGE,
+            "corners": {name: list(place) for place, name in corners.items()},
+            "segments": segments,
+        }
+
+    def start_document(self, first: dict[str, Any]) -> dict[str, Any]:
+        """``start`` of follow.yaml, as an operator would set it on the first frame."""
+        rng = np.random.default_rng([self.scene.seed, 47])
+        x, y = np.array(first["center"]) + rng.normal(0, CLICK[0], 2)
+        scale = NOMINAL_RANGE / first["position"][2] * (1 + rng.normal(0, CLICK[1]))
+        return {"frame": 0, "center": [round(float(x), 1), round(float(y), 1)], "scale": round(float(scale), 3)}
+
+
+def write(
+    scene: FollowScene, directory: Path | str, progress: clip_folder.Progress = None, variant: str | None = None
+) -> Path:
+    """Render ``scene`` into ``directory`` and return the path of its follow.yaml; as `stereo_clip.write`."""
+    directory, variant = Path(directory), variant or default_variant()
+    chase = Chase(_long_enough(scene))
+    renderer = Renderer(chase.still(), chase.moving(), chase.light, variant)
+    renderer.place([AWAY] * len(chase.moving()))
+    rows = [chase.row(k, renderer) for k in range(scene.frames)]
+    clip_folder.begin(directory, scene, variant)
+    white, suffix = chase.light.level_irradiance / np.pi, ".jpg" if scene.sensor.keep == "jpeg" else ".png"
+    paths = [directory / "frames" / f"{k:05d}{suffix}" for k in range(scene.frames)]
+    video = directory / "frames.mp4"
+    view = lru_cache(maxsize=4)(chase.view)
+    for k, (path, t) in enumerate(zip(paths, chase.times, strict=True)):
+        if not path.exists() and not video.exists():
+            own = int(np.random.SeedSequence([scene.seed, 17, k]).generate_state(1)[0])
+            light = photograph(renderer, chase.placements, view, t, shutter_of(scene), scene.samples, own)
+            picture = expose(light, white, sensor_of(scene), np.random.default_rng([scene.seed, 19, k]))
+            clip_folder.write_picture(path, picture, scene.sensor.quality)
+        if progress:
+            progress(k + 1, scene.frames)
+    filmed = scene.sensor.keep == "h264"
+    if filmed and not video.exists():
+        clip_folder.write_video(video, paths, chase.times, scene.sensor.quality)
+    _write_documents(chase, rows, directory, filmed)
+    if filmed and (directory / "frames").is_dir():
+        clip_folder.remove_pictures(directory / "frames")
+    return directory / "follow.yaml"
+
+
+def _long_enough(scene: FollowScene) -> FollowScene:
+    """The scene with a road as long as the drive."""
+    way = START + scene.chase.top_speed * (scene.frames / scene.rate + 2) + scene.lead.gap[1] + 30
+    if scene.road.length >= way:
+        return scene
+    return scene.model_copy(update={"road": scene.road.model_copy(update={"length": float(np.ceil(way))})})
+
+
+def _write_documents(chase: Chase, rows: list[dict[str, Any]], directory: Path, filmed: bool) -> None:
+    camera = {"image_size": list(chase.camera.image_size), "K": chase.camera.K.tolist()}
+    follow: dict[str, Any] = {"video": "frames.mp4"} if filmed else {"video": "frames", "rate": chase.scene.rate}
+    follow |= {"camera": "camera.yaml", "target": "target.yaml", "start": chase.start_document(rows[0])}
+    documents = {
+        "camera": camera,
+        "target": chase.target_document(),
+        "follow": follow | {"odometry": "odometry.csv"},
+    }
+    table = io.StringIO()
+    odometry = [[r["frame"], *(round(r["chase"][k], 6) for k in ("x_m", "y_m", "heading_rad"))] for r in rows]
+    csv.writer(table).writerows([["frame", "x_m", "y_m", "heading_rad"], *odometry])
+    clip_folder.write_whole(directory / "odometry.csv", table.getvalue().encode())
+    clip_folder.write_whole(directory / "truth.json", json.dumps(rows).encode())
+    for name, document in documents.items():
+        clip_folder.write_yaml(directory / f"{name}.yaml", document)

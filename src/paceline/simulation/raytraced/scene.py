@@ -1,0 +1,256 @@
+"""A speed scene with everything in it placed: road, vehicles, cameras, light, and the exact truth about them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+
+from paceline.cameras import Camera, RigUncertainty, StereoRig, View
+from paceline.errors import UnusableInput
+from paceline.simulation.raytraced.light import Light
+from paceline.simulation.raytraced.meshes import Array, Placement, Solid
+from paceline.simulation.raytraced.motion import Drive, LaneChange, Motion
+from paceline.simulation.raytraced.renderer import Renderer
+from paceline.simulation.raytraced.scene_yaml import CarModel, PlaceModel, SceneModel, SpeedScene
+from paceline.simulation.raytraced.scenery.placement import Scenery, scenery
+from paceline.simulation.raytraced.sensor import Sensor, Shutter
+from paceline.simulation.raytraced.vehicles.build import Body, Plane, build
+from paceline.simulation.road import Road, RoadShape
+from paceline.simulation.stereo.scene import is_inside
+
+AWAY: Placement = (np.eye(3), np.array([0.0, 0.0, -1e4]))  # below the ground, for who is not there
+RELIEF = 0.6  # m that a vehicle's own surfaces may lie before its plane
+GRID = 9, 15  # points of a plane that tell how much of it is visible
+
+
+@dataclass(frozen=True, eq=False)
+class Car:
+    """A vehicle of a scene: its body, its motion, and the plane of it that the cameras see."""
+
+    model: CarModel
+    body: Body
+    motion: Motion
+    plane: Plane
+
+    def center(self, t: float) -> Array:
+        """The plane's centre (3,) in the world at ``t`` s."""
+        R, at = self.motion.pose(t)
+        return np.asarray(R @ self.plane.center + at)
+
+    def corners(self, t: float) -> Array:
+        """The plane's corners (4, 3) in the world at ``t`` s."""
+        R, at = self.motion.pose(t)
+        return np.asarray(self.plane.corners() @ R.T + at)
+
+    def speed(self, t: float) -> float:
+        """Speed of the plane's centre, m/s: in a bend it is not that of the rear axle."""
+        return float(np.linalg.norm(self.center(t + 1e-3) - self.center(t - 1e-3)) / 2e-3)
+
+    def is_there(self, t: float) -> bool:
+        first, last = self.motion.span
+        return first + 0.01 < t < last - 0.01
+
+    def placements(self, t: float) -> list[Placement]:
+        """Of the body and of each wheel at ``t`` s."""
+        if not self.is_there(t):
+            return [AWAY] * (1 + len(self.body.wheels))
+        return placed(self.body, self.motion.pose(t), self.motion.rolled(t))
+
+
+def parts(body: Body) -> list[Sequence[Solid]]:
+    """What of ``body`` moves as one: the body and each wheel."""
+    return [body.solids, *((wheel.solid,) for wheel in body.wheels)]
+
+
+def placed(body: Body, pose: Placement, rolled: float) -> list[Placement]:
+    """Placements of `parts` where the body stands at ``pose`` and has driven ``rolled`` metres."""
+    R, at = pose
+    placements = [(R, at)]
+    for wheel in body.wheels:
+        c, s = np.cos(rolled / wheel.radius), np.sin(rolled / wheel.radius)
+        turned = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])  # the top goes forward
+        placements.append((R @ turned, R @ wheel.center + at))
+    return placements
+
+
+class Stage:
+    """A speed scene, placed. ``rig`` is the true one, ``written`` what rig.yaml holds; ``views`` are the true cameras
+    in the world; ``clocks`` (2, F) s are when the left and the right pictures are taken.
+
+    Raises UnusableInput where the scene contradicts itself.
+    """
+
+    def __init__(self, scene: SpeedScene) -> None:
+        self.scene, self.road, self.light = scene, road_of(scene), light_of(scene)
+        self.rig, self.written = rigs_of(scene)
+        left = looking(self.rig.left, self._place(scene.rig.eye), self._place(scene.rig.target))
+        right = View(self.rig.right, self.rig.R @ left.R, self.rig.R @ left.t + self.rig.t)
+        self.views = left, right
+        ticks = np.array([k for k in range(scene.frames) if k not in scene.dropped]) / scene.rate
+        if len(ticks) == 0:
+            raise UnusableInput("dropped: no frame is left")
+        self.clocks = np.stack([ticks, ticks + scene.skew])
+        self.cars = [self._car(i, model) for i, model in enumerate(scene.vehicles)]
+        self.shutter = shutter_of(scene)
+
+    def _place(self, place: PlaceModel) -> Array:
+        at, axes = self.road.frame(place.along, place.right)
+        return np.asarray(at + place.height * np.array([0.0, 0.0, 1.0]))
+
+    def _car(self, i: int, m: CarModel) -> Car:
+        change = m.lane_change and LaneChange(m.lane_change.start, m.lane_change.duration, m.lane_change.shift)
+        lasting = np.inf if m.lasting is None else m.lasting
+        lateral = self.road.lanes[m.lane] + m.offset
+        drive = Drive(m.start, m.speed, lateral, m.acceleration, m.after, lasting, change or None, m.towards)
+        body = build(m.kind, m.seed)
+        try:
+            motion = Motion(self.road, drive, body.wheelbase)
+        except UnusableInput as error:
+            raise UnusableInput(f"vehicles[{i}]: {error}") from None
+        R, at = motion.pose(0.0)
+        coming = (self.views[0].centre - at) @ R[:, 0] > 0
+        return Car(m, body, motion, body.front if coming else body.rear)
+
+    def still(self) -> list[Solid]:
+        """All that does not move."""
+        rig = self.scene.rig
+        clear = ((rig.eye.along, rig.eye.right, 4.0), *self._sight())
+        spec = Scenery(**self.scene.scenery.model_dump(), seed=self.scene.seed, clear=clear)
+        return self.road.solids() + scenery(self.road, spec, 0.0, self.road.length)
+
+    def _sight(self) -> list[tuple[float, float, float]]:
+        """Circles along the line of sight, so that no tree hides what the rig was put up for."""
+        eye, target = self.scene.rig.eye, self.scene.rig.target
+        share = np.linspace(0.0, 1.0, 20)[1:]
+        along, right = eye.along + share * (target.along - eye.along), eye.right + share * (target.right - eye.right)
+        return [(float(a), float(r), 2.5) for a, r in zip(along, right, strict=True)]
+
+    def moving(self) -> list[Sequence[Solid]]:
+        return [part for car in self.cars for part in parts(car.body)]
+
+    def placements(self, t: float) -> list[Placement]:
+        return [p for car in self.cars for p in car.placements(t)]
+
+    def empty(self) -> list[Placement]:
+        """Placements without any vehicle."""
+        return [AWAY] * sum(1 + len(car.body.wheels) for car in self.cars)
+
+    def truth(self, renderer: Renderer) -> list[dict[str, Any]]:
+        """One row for every vehicle and frame in which it is before both cameras."""
+        rows: dict[str, list[dict[str, Any]]] = {car.model.id: [] for car in self.cars}
+        for k, times in enumerate(self.clocks.T.tolist()):
+            renderer.place(self.placements(times[0]))
+            for car in self.cars:
+                if car.is_there(times[0]) and (row := self._row(car, k, times, renderer)):
+                    rows[car.model.id].append(row)
+        return [row for own in rows.values() for row in own]
+
+    def _row(self, car: Car, k: int, times: list[float], renderer: Renderer) -> dict[str, Any] | None:
+        """The row of one vehicle in a frame whose left picture the world is placed for."""
+        corners = car.corners(times[0])
+        if min(float(view.to_camera(corners)[:, 2].min()) for view in self.views) < 1.0:
+            return None
+        left, right = (self.seen(view, car, t) for view, t in zip(self.views, times, strict=True))
+        size = self.rig.left.image_size
+        center = car.center(times[0])
+        return {
+            "frame": k,
+            "time_s": times[0],
+            "vehicle": car.model.id,
+            "speed_mps": car.speed(times[0]),
+            "position": self.views[0].to_camera(center).tolist(),
+            "left": left.tolist(),
+            "right": right.tolist(),
+            "inside": is_inside(left, size) and is_inside(right, size),
+            "visible": min(visible_share(renderer, view.centre, corners) for view in self.views),
+            "distance_m": float(np.linalg.norm(center - self.views[0].centre)),
+            "corners": self.views[0].to_camera(corners).tolist(),
+            "axle_speed_mps": car.motion.speed(times[0]),
+        }
+
+    def seen(self, view: View, car: Car, t: float) -> Array:
+        """Ideal pixels (4, 2) of a vehicle's plane in the frame of time ``t`` s, each at the time its row is read."""
+        pixels = view.project(car.corners(t))
+        for _ in range(8 if self.shutter.readout else 0):
+            delays = self.shutter.row_delay(pixels[:, 1], view.camera.image_size[1])
+            pixels = np.stack([view.project(car.corners(t + float(d))[i]) for i, d in enumerate(delays)])
+        return pixels
+
+
+def road_of(scene: SceneModel) -> Road:
+    shape = scene.road.model_dump(exclude={"length"})
+    return Road(RoadShape(**shape), scene.road.length, scene.seed)
+
+
+def light_of(scene: SceneModel) -> Light:
+    return Light(scene.light.azimuth, scene.light.elevation, scene.light.clouds, scene.seed)
+
+
+def sensor_of(scene: SceneModel) -> Sensor:
+    s = scene.sensor
+    return Sensor(s.exposure, s.full_well, s.read_noise, s.vignetting, s.gamma, s.color, s.blur_sigma)
+
+
+def shutter_of(scene: SceneModel) -> Shutter:
+    s = scene.sensor
+    return Shutter(s.open_for, s.steps, s.readout, s.bands)
+
+
+def looking(camera: Camera, eye: Array, target: Array) -> View:
+    """A level camera at ``eye`` (3,) whose axis goes through ``target`` (3,), world."""
+    z = (target - eye) / np.linalg.norm(target - eye)
+    x = np.cross(z, [0.0, 0.0, 1.0])
+    x /= np.linalg.norm(x)
+    R = np.array([x, np.cross(z, x), z])
+    return View(camera, R, -R @ eye)
+
+
+def visible_share(renderer: Renderer, eye: Array, corners: Array) -> float:
+    """How much of the quadrilateral ``corners`` (4, 3) nothing hides from ``eye`` (3,), as the world is placed now."""
+    down, across = ((np.arange(n) + 0.5) / n for n in GRID)
+    v, u = (g.reshape(-1, 1) for g in np.meshgrid(down, across, indexing="ij"))
+    points = (1 - v) * ((1 - u) * corners[0] + u * corners[1]) + v * ((1 - u) * corners[3] + u * corners[2])
+    hit = renderer.distance(eye, points)
+    return float(np.mean(hit > np.linalg.norm(points - eye, axis=1) - RELIEF))
+
+
+def rigs_of(scene: SpeedScene) -> tuple[StereoRig, StereoRig]:
+    """The true rig, slightly out of true, and the one that is written."""
+    rig, rng = scene.rig, np.random.default_rng([scene.seed, 3])
+    size = (rig.image_size[0], rig.image_size[1])
+
+    def camera() -> Camera:
+        fx = rig.focal * (1 + rng.normal(0, 0.002))
+        cx, cy = ((n - 1) / 2 + rng.normal(0, 4) for n in size)
+        return Camera(size, np.array([[fx, 0, cx], [0, fx, cy], [0, 0, 1.0]]), np.array(rig.distortion, float))
+
+    left, right = camera(), camera()
+    away = np.hypot(rig.target.along - rig.eye.along, rig.target.right - rig.eye.right)
+    inwards = np.array([0.0, rig.baseline / max(float(away), 1.0), 0.0])  # both cameras look at the target
+    R = np.asarray(cv2.Rodrigues(inwards)[0] @ cv2.Rodrigues(rng.normal(0, 1, 3) * rig.misalignment)[0], float)
+    t = -R @ np.array([rig.baseline, *rng.normal(0, 0.004, 2)])
+    true = StereoRig(left, right, R, t)
+    if rig.written is None:
+        return true, true
+    w = rig.written
+    stated = RigUncertainty(
+        w.focal_length_px,
+        w.principal_point_px,
+        (w.rotation_rad[0], w.rotation_rad[1], w.rotation_rad[2]),
+        (w.translation_m[0], w.translation_m[1], w.translation_m[2]),
+    )
+    turn = np.asarray(cv2.Rodrigues(rng.normal(0, 1, 3) * stated.rotation_rad)[0], float)
+    shift = rng.normal(0, 1, 3) * stated.translation_m
+    cameras = [_miscalibrated(c, stated, rng) for c in true.cameras]
+    return true, StereoRig(cameras[0], cameras[1], turn @ R, t + shift, stated if rig.stated else None)
+
+
+def _miscalibrated(camera: Camera, sigma: RigUncertainty, rng: np.random.Generator) -> Camera:
+    K = camera.K.copy()
+    K[[0, 1], [0, 1]] += rng.normal(0, 1, 2) * sigma.focal_length_px
+    K[:2, 2] += rng.normal(0, 1, 2) * sigma.principal_point_px
+    return Camera(camera.image_size, K, camera.distortion)

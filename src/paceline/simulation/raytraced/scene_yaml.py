@@ -1,0 +1,220 @@
+"""scene.yaml: worlds to render, read and checked. Metres, seconds, radians and pixels."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from paceline.documents.models import Document, Name, Rate, Size, UncertaintyModel, read_document
+
+Positive = Annotated[float, Field(gt=0)]
+Share = Annotated[float, Field(ge=0, le=1)]
+Count = Annotated[int, Field(ge=1)]
+Seed = Annotated[int, Field(ge=0)]
+Kind = Literal["saloon", "estate", "van", "lorry", "bus", "motorcycle"]
+
+
+class RoadModel(Document):
+    """`simulation.road.RoadShape`, the road's ``length`` and what draws its wear."""
+
+    kind: Literal["straight", "circle", "clothoid", "winding"] = "straight"
+    radius: float | None = None
+    grade: float = 0.0
+    bank: float = 0.0
+    crest_radius: float | None = None
+    lanes: Count = 2
+    lane_width: Positive = 3.6
+    shoulder: Annotated[float, Field(ge=0)] = 1.5
+    markings: Literal["dashed", "solid", "none"] = "dashed"
+    wear: Share = 0.3
+    length: Annotated[float, Field(ge=20, le=20000)] = 250.0
+
+
+class LightModel(Document):
+    """The sun's ``azimuth``, counted to the left of the road's first direction, and ``elevation``; ``clouds`` from 0
+    to 1."""
+
+    azimuth: float = 2.4
+    elevation: Annotated[float, Field(ge=0.02, le=1.5708)] = 0.75
+    clouds: Share = 0.15
+
+
+class SceneryModel(Document):
+    """`scenery.placement.Scenery`: how densely things stand beside the road."""
+
+    trees: Share = 0.35
+    poles: Share = 0.3
+    buildings: Share = 0.15
+    parapet: bool = False
+
+
+class LaneChangeModel(Document):
+    """A move by ``shift``, positive to the right of growing arc length."""
+
+    start: float
+    duration: Positive
+    shift: float
+
+
+class CarModel(Document):
+    """A vehicle: its ``lane`` counted from the left of growing arc length, its ``offset`` to the right of that lane's
+    middle, the arc length ``start`` at time 0. ``towards`` drives it to smaller arc length. ``measured`` ones stand in
+    clip.yaml, with a first ``guess`` of their speed where one is given."""
+
+    id: Name
+    kind: Kind = "saloon"
+    seed: Seed = 0
+    lane: Annotated[int, Field(ge=0)] = 0
+    offset: float = 0.0
+    start: float
+    speed: Annotated[float, Field(ge=0, le=100)]
+    acceleration: Annotated[float, Field(ge=-12, le=12)] = 0.0
+    after: float = 0.0
+    lasting: Positive | None = None
+    lane_change: LaneChangeModel | None = None
+    towards: bool = False
+    measured: bool = True
+    guess: Positive | None = None
+
+
+class PlaceModel(Document):
+    """A place by arc length, lateral position to the right of the road's axis, and height above its surface."""
+
+    along: float
+    right: float
+    height: float
+
+
+class RigSceneModel(Document):
+    """Two cameras ``baseline`` apart. The left one stands at ``eye`` and looks at ``target``; the right one does so up
+    to random turns of ``misalignment`` (standard deviation, rad). ``written`` are standard deviations of what rig.yaml
+    states from what is true; with ``stated`` it states them too."""
+
+    image_size: Annotated[list[Size], Field(min_length=2, max_length=2)] = [1024, 768]
+    focal: Positive = 2200.0
+    baseline: Positive = 0.5
+    eye: PlaceModel
+    target: PlaceModel
+    misalignment: Annotated[float, Field(ge=0, le=0.05)] = 0.004
+    distortion: list[float] = []
+    written: UncertaintyModel | None = None
+    stated: bool = True
+
+    @model_validator(mode="after")
+    def _count_coefficients(self) -> RigSceneModel:
+        if len(self.distortion) not in (0, 4, 5):
+            raise ValueError(f"distortion: expected 4 or 5 coefficients, found {len(self.distortion)}")
+        return self
+
+
+class SensorModel(Document):
+    """`sensor.Sensor` and `sensor.Shutter`, its exposure ``open_for``; the lens's ``blur_sigma`` (px); how pictures
+    are kept: ``png``, ``jpeg`` or ``h264``, with ``quality`` from 1 to 100."""
+
+    exposure: Positive = 1.2
+    full_well: Positive = 8000.0
+    read_noise: Annotated[float, Field(ge=0)] = 12.0
+    vignetting: Share = 0.15
+    gamma: Annotated[float, Field(ge=1, le=4)] = 2.2
+    color: bool = False
+    blur_sigma: Annotated[float, Field(ge=0.3, le=5)] = 0.55
+    open_for: Annotated[float, Field(ge=0, le=1)] = 0.001
+    steps: Count = 1
+    readout: Annotated[float, Field(ge=0, le=1)] = 0.0
+    bands: Count = 1
+    keep: Literal["png", "jpeg", "h264"] = "png"
+    quality: Annotated[int, Field(ge=1, le=100)] = 90
+
+
+class ClicksModel(Document):
+    """Standard deviations (px) of what an operator clicks, and how many points a line gets."""
+
+    corner: Annotated[float, Field(ge=0, le=20)] = 0.5
+    line: Annotated[float, Field(ge=0, le=20)] = 0.4
+    points: Annotated[int, Field(ge=4)] = 20
+
+
+class SceneModel(Document):
+    """What every scene has. ``samples`` are rays per pixel."""
+
+    seed: Seed = 0
+    frames: Annotated[int, Field(ge=1)]
+    rate: Rate
+    samples: Annotated[int, Field(ge=1, le=4096)] = 16
+    road: RoadModel = RoadModel()
+    light: LightModel = LightModel()
+    scenery: SceneryModel = SceneryModel()
+    sensor: SensorModel = SensorModel()
+
+
+class SpeedScene(SceneModel):
+    """A stereo rig beside a road. Pictures of the ticks ``dropped`` are missing; the right camera fires ``skew`` s
+    after the left."""
+
+    kind: Literal["speed"]
+    vehicles: Annotated[list[CarModel], Field(min_length=1)]
+    rig: RigSceneModel
+    clicks: ClicksModel = ClicksModel()
+    dropped: list[Annotated[int, Field(ge=0)]] = []
+    skew: Annotated[float, Field(ge=-0.1, le=0.1)] = 0.0
+
+    @model_validator(mode="after")
+    def _check(self) -> SpeedScene:
+        for i, car in enumerate(self.vehicles):
+            if car.lane >= self.road.lanes:
+                raise ValueError(f"vehicles[{i}].lane: expected one of 0 to {self.road.lanes - 1}, found {car.lane}")
+            if any(car.id == other.id for other in self.vehicles[:i]):
+                raise ValueError(f"vehicles[{i}].id: {car.id!r} occurs twice; expected one of its own")
+        if self.sensor.readout and self.rig.distortion:
+            raise ValueError("sensor.readout and rig.distortion: expected one of them at most")
+        if not any(car.measured for car in self.vehicles):
+            raise ValueError("vehicles: none is measured; expected at least one")
+        return self
+
+
+class LeadModel(Document):
+    """The vehicle ahead: it keeps within ``gap`` (m) of the camera and weaves by up to ``weave`` (m)."""
+
+    kind: Kind = "van"
+    seed: Seed = 0
+    gap: Annotated[list[Positive], Field(min_length=2, max_length=2)] = [5.0, 15.0]
+    weave: Annotated[float, Field(ge=0, le=3)] = 0.5
+
+
+class ChaseModel(Document):
+    """The vehicle that carries the camera, at half of ``top_speed`` (m/s) to the whole of it; ``bounce`` as in
+    `chase.scene.ChaseScene`."""
+
+    image_size: Annotated[list[Size], Field(min_length=2, max_length=2)] = [256, 242]
+    focal: Positive = 300.0
+    height: Positive = 2.1
+    tilt: Annotated[float, Field(ge=-0.5, le=0.5)] = 0.05
+    top_speed: Annotated[float, Field(gt=0, le=60)] = 9.7
+    bounce: Annotated[float, Field(ge=0, le=20)] = 3.0
+
+
+class FollowScene(SceneModel):
+    """A camera on a vehicle that drives behind another."""
+
+    kind: Literal["follow"]
+    lead: LeadModel = LeadModel()
+    chase: ChaseModel = ChaseModel()
+    samples: Annotated[int, Field(ge=1, le=4096)] = 8
+
+    @model_validator(mode="after")
+    def _check(self) -> FollowScene:
+        if self.lead.gap[0] >= self.lead.gap[1]:
+            raise ValueError(f"lead.gap: expected a smaller and a larger distance, found {self.lead.gap}")
+        return self
+
+
+def load_speed_scene(path: str | Path) -> SpeedScene:
+    """The speed scene in a file; raises UnusableInput, naming the key, for anything else."""
+    return read_document(SpeedScene, Path(path))
+
+
+def load_follow_scene(path: str | Path) -> FollowScene:
+    """The follow scene in a file; raises UnusableInput, naming the key, for anything else."""
+    return read_document(FollowScene, Path(path))

@@ -1,0 +1,175 @@
+"""Writing rendered stereo clips, as `paceline speed` reads them, with truth.json beside them.
+
+The cameras stand still, so what does not move is rendered once for each of them, and every frame only where vehicles
+and their shadows are. Far from them a vehicle changes no pixel but by the light that it scatters, which is left out.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from paceline.cameras import View
+from paceline.documents.rig_yaml import rig_yaml
+from paceline.simulation.operator import clip_document
+from paceline.simulation.raytraced import clip_folder
+from paceline.simulation.raytraced.light import Light
+from paceline.simulation.raytraced.meshes import Array
+from paceline.simulation.raytraced.mitsuba_variant import default_variant
+from paceline.simulation.raytraced.renderer import Radiance, Renderer, Window
+from paceline.simulation.raytraced.scene import Car, Stage, sensor_of
+from paceline.simulation.raytraced.scene_yaml import SpeedScene
+from paceline.simulation.raytraced.sensor import Lens, expose, photograph
+
+FEWER = 4  # times fewer samples where there is no vehicle: it takes most of the time, and nothing is measured there
+CLOSE = 0.1  # m around a vehicle's box that get all samples
+AROUND = 1.2  # m around a vehicle in which it darkens the road
+LONGEST_SHADOW = 40.0  # m
+SUFFIX = {"png": ".png", "jpeg": ".jpg", "h264": ".png"}
+
+
+def write(
+    scene: SpeedScene, directory: Path | str, progress: clip_folder.Progress = None, variant: str | None = None
+) -> Path:
+    """Render ``scene`` into ``directory`` and return the path of its clip.yaml.
+
+    Pictures that are there already, from a run that was interrupted, are kept. The same scene gives the same pictures
+    bit for bit on the same variant of the renderer. Raises UnusableInput where the scene or the folder cannot be used.
+    """
+    directory, variant = Path(directory), variant or default_variant()
+    stage = Stage(scene)
+    renderer = Renderer(stage.still(), stage.moving(), stage.light, variant)
+    truth = stage.truth(renderer)
+    clip = clip_document(stage, truth, renderer)
+    clip_folder.begin(directory, scene, variant)
+    total, done = stage.clocks.size, 0
+    for i, side in enumerate(("left", "right")):
+        film = _Film(stage, renderer, i, directory / f".still-{side}.npy")
+        paths = [directory / side / f"{k:04d}{SUFFIX[scene.sensor.keep]}" for k in range(stage.clocks.shape[1])]
+        video = directory / f"{side}.mp4"
+        for k, path in enumerate(paths):
+            if not path.exists() and not (scene.sensor.keep == "h264" and video.exists()):
+                clip_folder.write_picture(path, film.picture(k), scene.sensor.quality)
+            done += 1
+            if progress:
+                progress(done, total)
+        if scene.sensor.keep == "h264" and not video.exists():
+            clip_folder.write_video(video, paths, stage.clocks[i].tolist(), scene.sensor.quality)
+    _write_documents(stage, clip, truth, directory)
+    _tidy(directory, scene)
+    return directory / "clip.yaml"
+
+
+def _write_documents(stage: Stage, clip: dict[str, Any], truth: list[dict[str, Any]], directory: Path) -> None:
+    clip_folder.write_whole(directory / "rig.yaml", rig_yaml(stage.written).encode())
+    clip_folder.write_whole(directory / "truth.json", json.dumps(truth).encode())
+    clip_folder.write_whole(directory / "true_rig.yaml", rig_yaml(stage.rig).encode())
+    if "times" in clip:
+        table = io.StringIO()
+        table.write("frame,left_s,right_s\n")
+        for k, (left, right) in enumerate(stage.clocks.T.tolist()):
+            table.write(f"{k},{left:.6f},{right:.6f}\n")
+        clip_folder.write_whole(directory / "times.csv", table.getvalue().encode())
+    clip_folder.write_yaml(directory / "clip.yaml", clip)
+
+
+def _tidy(directory: Path, scene: SpeedScene) -> None:
+    for side in ("left", "right"):
+        (directory / f".still-{side}.npy").unlink(missing_ok=True)
+        if scene.sensor.keep == "h264" and (directory / side).is_dir():
+            clip_folder.remove_pictures(directory / side)
+
+
+class _Film:
+    """The pictures of one camera of a stage."""
+
+    def __init__(self, stage: Stage, renderer: Renderer, i: int, cache: Path) -> None:
+        self.stage, self.renderer, self.i, self.cache = stage, renderer, i, cache
+        true = stage.views[i]
+        self.lens = Lens.of(true.camera)
+        self.view = View(self.lens.pinhole, true.R, true.t)
+        self._still: Radiance | None = None
+
+    def picture(self, k: int) -> clip_folder.Picture:
+        """The ``k``-th picture, (H, W) or (H, W, 3) uint8."""
+        scene, time = self.stage.scene, float(self.stage.clocks[self.i, k])
+        light = self.still().copy()
+        around = self.window(time, lambda car, t: _reach(car, t, self.stage.light))
+        bodies = self.window(time, lambda car, t: _box(car, t, CLOSE))
+        for part, (window, samples) in enumerate(((around, scene.samples // FEWER), (bodies, scene.samples))):
+            if window:
+                x0, y0, x1, y1 = window
+                own = int(np.random.SeedSequence([scene.seed, 17, self.i, k, part]).generate_state(1)[0])
+                light[y0:y1, x0:x1] = photograph(
+                    self.renderer,
+                    self.stage.placements,
+                    lambda t: self.view,
+                    time,
+                    self.stage.shutter,
+                    max(1, samples),
+                    own,
+                    window,
+                )
+        white = self.stage.light.level_irradiance / np.pi
+        noise = np.random.default_rng([scene.seed, 19, self.i, k])
+        return expose(self.lens.bend(light), white, sensor_of(scene), noise)
+
+    def still(self) -> Radiance:
+        """The light (H, W, 3) without any vehicle, kept in a file in case of an interruption."""
+        if self._still is None and self.cache.exists():
+            self._still = np.load(self.cache)
+        if self._still is None:
+            self.renderer.place(self.stage.empty())
+            seed = int(np.random.SeedSequence([self.stage.scene.seed, 23, self.i]).generate_state(1)[0])
+            samples = max(1, self.stage.scene.samples // FEWER)
+            self._still = self.renderer.render(self.view, samples, seed)
+            content = io.BytesIO()
+            np.save(content, self._still)
+            clip_folder.write_whole(self.cache, content.getvalue())
+        return self._still
+
+    def window(self, time: float, extent: Callable[[Car, float], Array]) -> Window | None:
+        """The part of the picture that the ``extent`` of vehicles, points (N, 3) of the world at a time, takes up at
+        ``time`` s; None where there is none."""
+        shutter = self.stage.shutter
+        reach = shutter.exposure / 2 + shutter.readout / 2
+        moments = sorted({time - reach, time, time + reach})
+        points = [extent(car, t) for car in self.stage.cars for t in moments if car.is_there(t)]
+        if not points:
+            return None
+        around = np.concatenate(points)
+        width, height = self.view.camera.image_size
+        depth = self.view.to_camera(around)[:, 2]
+        if (depth <= 0.5).all():
+            return None
+        if (depth <= 0.5).any():
+            return 0, 0, width, height
+        pixels = self.view.project(around)
+        low = np.clip(np.floor(pixels.min(0)).astype(int) - 4, 0, (width, height))
+        high = np.clip(np.ceil(pixels.max(0)).astype(int) + 5, 0, (width, height))
+        return (int(low[0]), int(low[1]), int(high[0]), int(high[1])) if (high > low).all() else None
+
+
+def _reach(car: Car, t: float, light: Light) -> Array:
+    """Corners (N, 3), world, of a box around a vehicle with what lies close to it, and of its shadow."""
+    box = _box(car, t, AROUND)
+    if light.clouds == 1:
+        return box
+    high = float(car.body.bounds[1][2]) + 0.2
+    drop = min(high / max(float(light.direction[2]), 1e-3), LONGEST_SHADOW)
+    return np.concatenate([box, box[1::2] - drop * light.direction])
+
+
+def _box(car: Car, t: float, margin: float) -> Array:
+    """Corners (8, 3), world, of a vehicle's box, ``margin`` m wider and 0.2 m deeper; every other one is at its top."""
+    R, at = car.motion.pose(t)
+    low, high = car.body.bounds
+    low, high = low - [margin, margin, 0], high + [margin, margin, 0]
+    low[2] = -0.2
+    box = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
+    return np.asarray(box @ R.T + at)

@@ -1,0 +1,74 @@
+"""The vehicles of a clip, followed together on a GPU, and on the CPU from the frame at which the GPU goes away."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from paceline.recordings.stereo import StereoFrame
+from paceline.speed.filter.device import DeviceFailure, failures_told
+from paceline.speed.filter.particle_set import views
+from paceline.speed.filter.tracker import Estimate, Tracker
+
+if TYPE_CHECKING:
+    from paceline.speed.filter.cuda.device import CudaDevice
+
+
+class Fleet:
+    """Trackers that go through the same frames. On a ``device`` they take each step together, in the same launches.
+
+    With ``carry_on``, a device that fails is left: all trackers go on in the computer's memory from where they were
+    before that frame, and ``notices`` says so. Otherwise the DeviceFailure is raised.
+    """
+
+    def __init__(self, device: CudaDevice | None = None, carry_on: bool = False) -> None:
+        self.device, self.carry_on = device, carry_on
+        self.notices: list[str] = []
+        self._trackers: list[Tracker] = []
+        self._checkpoints: list[dict[str, object]] = []
+        self._frame = -1
+        self._estimates: dict[str, Estimate] = {}
+
+    def join(self, tracker: Tracker) -> Tracker:
+        """``tracker`` itself, which from now on is asked for its estimates through `update`."""
+        self._trackers.append(tracker)
+        self._checkpoints.append(tracker.checkpoint())
+        return tracker
+
+    def update(self, tracker: Tracker, frame: StereoFrame) -> Estimate:
+        """The estimate of ``tracker`` at ``frame``; the first to be asked for it takes all the others along."""
+        if self.device is not None and frame.index != self._frame:
+            self._estimates, self._frame = {}, frame.index
+            try:
+                with failures_told():
+                    self._update_together(frame)
+            except DeviceFailure as failure:
+                if not self.carry_on:
+                    raise
+                self.device = None
+                for each, before in zip(self._trackers, self._checkpoints, strict=True):
+                    each.restore(before)
+                self._estimates = {}
+                self.notices.append(f"computed on the CPU from frame {frame.index} on: {failure.reason}")
+        found = self._estimates.pop(tracker.vehicle.id, None)
+        return tracker.update(frame) if found is None else found
+
+    def _update_together(self, frame: StereoFrame) -> None:
+        assert self.device is not None
+        seen = [t for t in self._trackers if t.status == "tracking" and t.vehicle.frame <= frame.index]
+        for tracker in seen:
+            if tracker.begins:
+                self._estimates[tracker.vehicle.id] = tracker.update(frame)
+        moving = [t for t in seen if t.vehicle.id not in self._estimates]
+        for tracker in moving:
+            tracker.propose(frame)
+        for tracker in moving:
+            tracker.guide(frame)
+        if moving:
+            both = views(frame, [t.cloud.reach() for t in moving])
+            for tracker in moving:
+                tracker.views = both
+            self.device.weigh(moving)
+            judged = [t.judge() for t in moving]
+            self._estimates |= {t.vehicle.id: t.conclude(frame, j) for t, j in zip(moving, judged, strict=True)}
+        if self.carry_on:
+            self._checkpoints = [t.checkpoint() for t in self._trackers]

@@ -1,0 +1,17 @@
+"""How kernels are compiled: once, and kept on disk for as long as nothing changes of which they are made."""
+
+from __future__ import annotations
+
+from types import FunctionType
+from typing import Any
+
+from numba import cuda
+
+from paceline.numba_cache import closing_over_sources
+
+
+def kernel(function: FunctionType | None = None, **options: Any) -> Any:
+    """`cuda.jit` with a cache, as a decorator; what is kept is watched as in `numba_cache`."""
+    if function is None:
+        return lambda given: kernel(given, **options)
+    return cuda.jit(cache=True, **options)(closing_over_sources(function))  # type: ignore[no-untyped-call]

@@ -1,0 +1,93 @@
+"""Where to compute: on the CPU, or on a GPU while there is one.
+
+Whatever goes wrong with a GPU becomes one `DeviceFailure`, a plain line.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from typing import TYPE_CHECKING, Literal
+
+from paceline.errors import UnusableInput
+
+if TYPE_CHECKING:
+    from paceline.speed.filter.cuda.device import CudaDevice
+
+DeviceName = Literal["auto", "cpu", "cuda"]
+
+INSTALL = "install Paceline with its extra cuda"
+FOREIGN = ("numba.cuda", "cuda.")  # where the packages that drive a GPU define their errors
+
+
+class DeviceFailure(UnusableInput):
+    """A GPU that is not there, cannot be used, or went away."""
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(f"--device cuda: {reason}; --device cpu computes without a GPU")
+        self.reason = " ".join(reason.split())
+
+
+def open_device(name: DeviceName) -> CudaDevice | None:
+    """The GPU to compute on, None for the CPU: with ``auto`` the GPU where one can be used. Raises DeviceFailure."""
+    if name == "cpu":
+        return None
+    try:
+        with failures_told():
+            from paceline.speed.filter.cuda.device import CudaDevice
+
+            return CudaDevice()
+    except DeviceFailure:
+        if name == "auto":
+            return None
+        raise
+
+
+@contextmanager
+def failures_told() -> Iterator[None]:
+    """Turns what a GPU or its software raises into a DeviceFailure; other errors pass."""
+    try:
+        yield
+    except ImportError as error:
+        raise DeviceFailure(_missing(error)) from error
+    except MemoryError as error:
+        raise DeviceFailure("the GPU's memory is too small for so many particles") from error
+    except Exception as error:
+        if not (type(error).__module__ + ".").startswith(FOREIGN):
+            raise
+        _leave()
+        raise DeviceFailure(_reason(error)) from error
+
+
+def _leave() -> None:
+    """Has what a failed GPU holds given back by the end of the process alone: Numba would ask the GPU for it, each time
+    in vain and with a traceback."""
+    from numba import cuda
+
+    with suppress(Exception):
+        _left.enter_context(cuda.defer_cleanup())
+
+
+_left = ExitStack()
+
+
+def _missing(error: ImportError) -> str:
+    """Numba tells of a missing driver or compiler by an ImportError of its own."""
+    if type(error).__name__ == "CudaSupportError":
+        return f"no GPU can be used ({_first_line(error)})"
+    return f"the software for it is not complete ({_first_line(error)}); {INSTALL}"
+
+
+def _reason(error: Exception) -> str:
+    text = _first_line(error)
+    if "OUT_OF_MEMORY" in text.upper():
+        return "the GPU's memory is too small for so many particles"
+    if type(error).__name__ == "CudaSupportError" or "NO_DEVICE" in text or "INSUFFICIENT_DRIVER" in text:
+        return f"no GPU can be used ({text})"
+    return f"the GPU failed ({text})"
+
+
+def _first_line(error: Exception) -> str:
+    """What ``error`` says, shortened to one line."""
+    lines = [line.strip(" :") for line in str(error).splitlines() if line.strip(" :")]
+    return (lines[0] if lines else type(error).__name__)[:160]

@@ -1,0 +1,117 @@
+"""The first particles: where the outline puts them, and, a frame later, which way and how fast they go."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from paceline.cameras import StereoRig
+from paceline.documents.loading import VehicleDocument
+from paceline.speed.configuration import SpeedConfiguration
+from paceline.speed.filter import motion_models
+from paceline.speed.filter.motion_models import PathMotion, State
+from paceline.speed.geometry.initial_plane import FirstPlane
+from paceline.speed.geometry.paths import DRIVEN
+
+Array = NDArray[np.float64]
+Image = NDArray[np.float32]
+Guess = tuple[float, float]  # a speed and its standard deviation, m/s
+
+SPEED_RANGE = (0.5, 75.0)  # m/s, searched where no first guess is given
+SEARCH = 8  # times as many particles while the speed is unknown
+GROWTHS = np.geomspace(0.72, 1.4, 23)  # of a picture from one frame to the next
+MATCH_SIGMA = 0.7  # px, of a matched picture's place and size
+
+
+def initial_state(plane: FirstPlane, vehicle: VehicleDocument, n: int, rng: np.random.Generator) -> State:
+    """``n`` particles at the operator's quadrilaterals, at distances as uncertain as the plane's; the first is sure."""
+    scale = 1.0 / np.maximum(1.0 + rng.normal(0.0, plane.inverse_depth_std, n), 0.2)
+    scale[0] = 1.0
+    return State(
+        left=np.repeat(vehicle.left[None], n, axis=0),
+        right=np.repeat(vehicle.right[None], n, axis=0),
+        normal=np.repeat(plane.normal[None], n, axis=0),
+        distance=plane.distance * scale,
+        speed=np.zeros(n),
+        s=np.zeros(n),
+        heading=np.zeros((n, 2)),
+        velocity=np.zeros((n, 3)),
+        turning=np.zeros((n, 3)),
+    )
+
+
+def along_path(
+    state: State,
+    plane: FirstPlane,
+    model: PathMotion,
+    rig: StereoRig,
+    guess: Guess | None,
+    configuration: SpeedConfiguration,
+    rng: np.random.Generator,
+) -> State:
+    """``state`` set off along ``model``'s path: at speeds about a ``guess``, or over all that vehicles drive.
+
+    Each particle draws its own heading: from the covariance of the path's reconstruction, and from how drivers keep to
+    a path.
+    """
+    N = len(state)
+    speed = np.linspace(*SPEED_RANGE, N) if guess is None else np.abs(rng.normal(*guess, N))
+    start = model.path.nearest(plane.centre)
+    heading = np.zeros((N, 2))
+    if not configuration.exact_path:
+        yaw, pitch = model.path.heading_modes(np.array([start]))
+        heading = rng.normal(0.0, 1.0, (N, len(yaw))) @ np.concatenate([yaw, pitch], axis=1)
+        heading += rng.normal(0.0, 1.0, (N, 2)) * DRIVEN
+    forward = model.path.frames(np.array(start))[:, 0]
+    s = start + (motion_models.centres(rig, state) - plane.centre) @ forward
+    return replace(state, speed=speed, s=s, heading=heading)
+
+
+def as_matched(
+    state: State,
+    plane: FirstPlane,
+    rig: StereoRig,
+    vehicle: VehicleDocument,
+    first: Image,
+    now: Image,
+    dt: float,
+    rng: np.random.Generator,
+) -> State:
+    """``state`` set off without a path: at velocities about where the left view's picture went and how it grew."""
+    fastest = 1.3 * vehicle.speed if vehicle.speed else SPEED_RANGE[1]
+    focal = rig.left.K[0, 0]
+    before = plane.centre
+    shift, growth = match(first, now, vehicle.left, fastest * dt * focal / before[2])
+    after = rig.left.rays(vehicle.left.mean(0) + shift) * before[2] / growth
+    size = float(np.sqrt(np.prod(np.ptp(vehicle.left, axis=0))))
+    N = len(state)
+    across = rng.normal(0.0, MATCH_SIGMA * before[2] / focal / dt, (N, 3))
+    along = rng.normal(0.0, MATCH_SIGMA * before[2] / size / dt, (N, 1)) * before / np.linalg.norm(before)
+    velocity = (after - before) / dt + across + along
+    return replace(state, velocity=velocity, speed=np.linalg.norm(velocity, axis=1))
+
+
+def match(first: Image, now: Image, quad: Array, reach: float) -> tuple[Array, float]:
+    """Where the picture inside ``quad`` (4, 2) went from ``first`` to ``now``: its shift (2,) in pixels, at most
+    about ``reach``, and the factor by which it grew."""
+    x0, y0 = np.maximum(np.floor(quad.min(0)).astype(int), 0)
+    x1, y1 = np.ceil(quad.max(0)).astype(int) + 1
+    template = first[y0:y1, x0:x1]
+    across = int(reach) + (x1 - x0) // 4
+    down = int(min(reach, 0.25 * reach + (y1 - y0)))
+    left, top = max(x0 - across, 0), max(y0 - down, 0)
+    window = now[top : y1 + down, left : x1 + across]
+    best = (-1.0, np.zeros(2), 1.0)
+    for growth in GROWTHS:
+        scaled = cv2.resize(template, None, fx=growth, fy=growth, interpolation=cv2.INTER_LINEAR)
+        if scaled.shape[0] > window.shape[0] or scaled.shape[1] > window.shape[1]:
+            continue
+        scores = cv2.matchTemplate(window, scaled, cv2.TM_CCOEFF_NORMED)
+        y, x = np.unravel_index(int(np.argmax(scores)), scores.shape)
+        if scores[y, x] > best[0]:
+            middle = np.array([left + x + scaled.shape[1] / 2, top + y + scaled.shape[0] / 2])
+            best = (float(scores[y, x]), middle - np.array([x0 + x1, y0 + y1]) / 2, float(growth))
+    return best[1], best[2]

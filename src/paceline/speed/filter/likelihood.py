@@ -1,0 +1,150 @@
+"""The observation model of [Zhu] section III-B: part-wise wavelet features in each view, correlation across them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from paceline.speed.filter import patch_features_cpu
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+Packed = patch_features_cpu.Packed
+
+SAMPLES = 2560  # about this many samples a region, 64 × 40 in [Zhu]'s terms
+CONTRAST_FLOOR = 0.3  # share of the typical part's contrast below which a part counts less: it is mostly noise
+PART_DISTANCE_CAP = 1.0  # D² of a part that does not fit at all: an occluded part says no more than that
+
+
+@dataclass(frozen=True)
+class Grid:
+    """``across`` × ``down`` parts of 4 × 4 blocks, each block of ``samples`` (x, y)."""
+
+    across: int
+    down: int
+    samples: tuple[int, int]
+
+    @classmethod
+    def for_region(cls, parts: int, quad: Array) -> Grid:
+        """The division of N_p ``parts`` whose parts come out most nearly square on ``quad`` (4, 2)."""
+        width = np.linalg.norm(quad[1] - quad[0]) + np.linalg.norm(quad[2] - quad[3])
+        height = np.linalg.norm(quad[3] - quad[0]) + np.linalg.norm(quad[2] - quad[1])
+        pairs = [(a, parts // a) for a in range(1, parts + 1) if parts % a == 0]
+        across, down = min(pairs, key=lambda p: abs(np.log(width * p[1] / (height * p[0]))))
+        per_block = SAMPLES / (16 * parts)
+        x = max(2, round(np.sqrt(per_block * width * down / (height * across))))
+        return cls(across, down, (x, max(2, round(per_block / x))))
+
+    @property
+    def parts(self) -> int:
+        return self.across * self.down
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """Features (N, 2, parts, 16), normalised, of N particles in the left and right view, and their NCC (N,)."""
+
+    features: Floats
+    ncc: Floats
+
+
+def pack(image: Floats, quads: Array | None = None) -> Packed:
+    """2×2 neighbourhoods of ``image`` (H, W), 0–255, packed for sampling.
+
+    Given ``quads`` (N, 4, 2), only in the upright rectangle that they reach.
+    """
+    height, width = image.shape
+    (left, right), (top, bottom) = (0, width), (0, height)
+    if quads is not None:
+        low_x, low_y, high_x, high_y = patch_features_cpu.span(quads.reshape(-1, 2))
+        (left, right), (top, bottom) = _read(low_x, high_x, width), _read(low_y, high_y, height)
+    packed = Packed(np.empty((bottom - top, right - left), np.uint32), left, top)
+    patch_features_cpu.pack(image, packed)
+    return packed
+
+
+def _read(low: float, high: float, size: int) -> tuple[int, int]:
+    """First and last pixel, the last excluded, of an axis of ``size`` pixels that sampling between these places may
+    read.
+
+    Places beyond the border read the pixels at the border; where there is no place, any pixels will do.
+    """
+    first, last = (low, high) if low <= high else (0.0, 0.0)
+    return int(min(max(first - 2, 0), max(size - 2, 0))), int(min(max(last + 3, 2), size))
+
+
+def observe(
+    left: Packed, right: Packed, quads_left: Array, quads_right: Array, cross: Array, grid: Grid
+) -> Observation:
+    """What N particles see of the packed images.
+
+    ``quads_left``, ``quads_right`` (N, 4, 2) are the 2-D substates, ``cross`` (N, 3, 3) the homographies H_c (15).
+    """
+    N = len(quads_left)
+    H = np.empty((N, 3, 3, 3), np.float32)
+    to_left = unit_square_to(quads_left)
+    H[:, 0], H[:, 1], H[:, 2] = to_left, unit_square_to(quads_right), cross @ to_left
+    edges = inward_edges(quads_right).astype(np.float32)
+    # a region without area has no map: it is looked at in one pixel, where it resembles nothing
+    wild = ~(np.isfinite(H).all((1, 2, 3)) & np.isfinite(edges).all((1, 2)))
+    H[wild] = [[0, 0, 0], [0, 0, 0], [0, 0, 1]]
+    edges[wild] = [0, 0, -1]
+    features = np.empty((N, 2, grid.parts, 16), np.float32)
+    ncc = np.empty(N, np.float32)
+    patch_features_cpu.observe(
+        left, right, H.reshape(N, 3, 9), edges, grid.across, grid.down, grid.samples, features, ncc
+    )
+    _normalise(features)
+    return Observation(features, ncc)
+
+
+def normalised(features: Floats) -> Floats:
+    """Wavelet features (…, parts, 16) freed of each view's brightness and contrast.
+
+    The median of all parts is taken from the averages, then each part is scaled to its own contrast; a part with
+    little contrast beside the usual one keeps a smaller norm instead of showing its noise enlarged. Medians, because
+    one part that is hidden must not change the others.
+    """
+    f = np.array(features, np.float32, order="C")
+    _normalise(f)
+    return f
+
+
+def _normalise(features: Floats) -> None:
+    """`normalised`, in place."""
+    patch_features_cpu.normalise(features.reshape(-1, *features.shape[-2:]), np.float32(CONTRAST_FLOOR))
+
+
+def distances(features: Floats, reference: Floats) -> Floats:
+    """D² of (13) in each view, (N, 2): the sum over parts, no part counting more than one that does not fit.
+
+    ``features`` (N, 2, parts, 16) and ``reference`` (2, parts, 16) are normalised.
+    """
+    out = np.empty((2, len(features)), np.float32)
+    for view in (0, 1):
+        patch_features_cpu.capped_distances(
+            features[:, view], reference[view], np.float32(PART_DISTANCE_CAP), out[view]
+        )
+    return out.T
+
+
+def log_likelihood(seen: Observation, reference: Floats, lambda_single: float, lambda_cross: float) -> Array:
+    """log p(z | x) (N,) by (12), (13), (18): both single-view terms and the cross-view term."""
+    single = distances(seen.features, reference).sum(-1)
+    return np.asarray(-lambda_single * single - lambda_cross * (1.0 - seen.ncc) ** 2, float)
+
+
+def unit_square_to(quads: Array) -> Array:
+    """Homographies (N, 3, 3) that take the unit square's corners tl, tr, br, bl to ``quads`` (N, 4, 2)."""
+    H = np.empty((len(quads), 3, 3))
+    patch_features_cpu.unit_square_to(np.ascontiguousarray(quads, float), H)
+    return H
+
+
+def inward_edges(quads: Array) -> Array:
+    """Lines (N, 4, 3) along the sides of ``quads`` (N, 4, 2), tl, tr, br, bl, positive inside."""
+    edges = np.empty((len(quads), 4, 3))
+    patch_features_cpu.inward_edges(np.ascontiguousarray(quads, float), edges)
+    return edges

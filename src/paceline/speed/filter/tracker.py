@@ -1,0 +1,400 @@
+"""Stereo tracking of one vehicle with a particle filter: [Zhu] section III."""
+
+from __future__ import annotations
+
+import copy
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from paceline.cameras import StereoRig
+from paceline.documents.loading import VehicleDocument
+from paceline.recordings.stereo import StereoFrame
+from paceline.speed.configuration import SpeedConfiguration
+from paceline.speed.filter import initialization, likelihood, motion_models, random_numbers
+from paceline.speed.filter.initialization import Guess
+from paceline.speed.filter.likelihood import Grid, Observation
+from paceline.speed.filter.motion_models import FreeMotion, PathMotion, State
+from paceline.speed.filter.particle_set import SHOWN, Cloud, Posterior, Views, views
+from paceline.speed.filter.registration import Appearance, Registration
+from paceline.speed.filter.resampling import Weights
+from paceline.speed.geometry.initial_plane import first_plane, squared
+from paceline.speed.geometry.paths import Path
+
+if TYPE_CHECKING:
+    from paceline.speed.filter.cuda.device import CudaDevice
+    from paceline.speed.filter.cuda.particle_set import CudaCloud
+
+Array = NDArray[np.float64]
+
+SEEN = 0.55  # likeness to the reference below which a frame teaches nothing
+LOST = 0.25  # likeness below which the vehicle is not in view
+PATIENCE = 4  # frames that may pass so before the vehicle is given up
+SURE = 0.9  # likeness at which even a surprising registration is believed
+SURPRISING = 50.0  # squared standard deviations, of three: so far off, something else may have been found
+ALIVE = 0.2  # share of the first particles that the second frame leaves alive
+REPEATED, NEAR = 4, 0.02  # times that the first registration is repeated, and share of the way by which it then moves
+DOUBTED = 2.0  # times the standard deviation of a speed by two sights: the spread of speeds that has hardly a say
+DIRECTED = 2.0  # m, a travel that has a direction
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """The filter's estimate at one frame (SI units, ideal pixels)."""
+
+    frame: int
+    time: float
+    speed: float
+    speed_std: float
+    position: Array  # (3,)
+    yaw_rate: float  # rad/s, positive to the right; NaN at the first frame
+    left: Array  # (4, 2)
+    right: Array  # (4, 2)
+    ess: float
+    status: str  # tracking | lost | ended
+    likeness: float  # correlation with the reference, −1 … 1
+    particles_left: Array  # (N, 2) of at most `particle_set.SHOWN` particles
+    particles_right: Array  # (N, 2)
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """Where registration saw the plane's centre: its ``place`` (3,), m, what was ``found`` there, and whether that is
+    to be ``believed``."""
+
+    place: Array
+    found: Registration
+    believed: bool
+
+
+class Tracker:
+    """Follows one vehicle through a recording, a frame at a time::
+
+        tracker = Tracker(rig, vehicle, path)
+        for frame in recording.frames(vehicle.frame):
+            estimate = tracker.update(frame)
+
+    ``path`` (None for free motion) is the drawn one, not yet moved by ``lateral_offset`` to the lane's centre: which
+    side is right is known only when the vehicle has moved. Afterwards ``self.path`` is the way that it goes. The first
+    update takes the operator's quadrilaterals as they are. With a ``device`` the particles live there from the second
+    frame on. Raises ValueError for a resampling that the device does not know.
+    """
+
+    def __init__(
+        self,
+        rig: StereoRig,
+        vehicle: VehicleDocument,
+        path: Path | None = None,
+        lateral_offset: float = 0.0,
+        configuration: SpeedConfiguration | None = None,
+        device: CudaDevice | None = None,
+    ) -> None:
+        self.rig = rig
+        self.vehicle = vehicle
+        self.configuration = c = configuration or SpeedConfiguration()
+        self.path = path
+        self.status = "tracking"
+        self.device = device
+        if device is not None and c.resampling != "systematic":
+            raise ValueError(f"resampling: {c.resampling}: expected systematic, the only scheme that there is on a GPU")
+        self.rng = random_numbers.generator([c.seed, *vehicle.id.encode()], c.particles)
+        self.grid = Grid.for_region(c.parts, vehicle.left)
+        self.plane = first_plane(rig, vehicle, path, c.click_sigma)
+        self.appearance = Appearance(rig, self.grid, vehicle.left, c.reference_memory) if c.guided else None
+        self.ways = [] if path is None else [way.shifted(lateral_offset) for way in (path, path.reversed())]
+        moving = [PathMotion(rig, way, c) for way in self.ways]
+        self._motions: list[PathMotion | FreeMotion] = [*moving] or [FreeMotion(rig, c)]
+        self.cloud: Cloud | CudaCloud
+        self.views: Views
+        self._first: StereoFrame | None = None
+        self._time = 0.0
+        self._unseen = 0
+
+    def update(self, frame: StereoFrame) -> Estimate:
+        """The estimate at ``frame``; raises RuntimeError once the track has ended."""
+        if self.status != "tracking":
+            raise RuntimeError(f"vehicle {self.vehicle.id} is {self.status}")
+        if self.begins:
+            return self._begin(frame)
+        self.propose(frame)
+        self.guide(frame)
+        self.views = views(frame, [self.cloud.reach()])
+        if self.device is not None:
+            self.device.weigh([self])
+        elif isinstance(self.cloud, Cloud):
+            self.cloud.weigh(self._log_likelihood(self.cloud.state))
+        return self.conclude(frame, self.judge())
+
+    @property
+    def begins(self) -> bool:
+        """Whether the next frame is the first."""
+        return self._first is None
+
+    @property
+    def _acquires(self) -> bool:
+        """Whether the next frame is the second."""
+        return self._first is not None and self._time == self._first.time
+
+    def propose(self, frame: StereoFrame) -> None:
+        """Move the particles to where they may be at ``frame``."""
+        dt = frame.time - self._time
+        if self._acquires:
+            self._acquire(frame, dt)
+        else:
+            self.cloud.propagate(dt, self.rng)
+
+    def guide(self, frame: StereoFrame) -> None:
+        """Move the particles by what registration saw: the weighted ensemble Kalman filter's proposal.
+
+        The paper's dynamics model alone proposes blindly. Here every particle takes the Kalman step that the whole
+        cloud's covariance gives between where its plane is and everything else in its state.
+        """
+        sight = None if self._acquires else self._sought(frame)
+        if sight is not None and sight.believed:
+            self._believe(sight)
+
+    def judge(self) -> tuple[float, Posterior | None]:
+        """How like the reference is what the weighted particles see, and what they come to; the reference's update.
+
+        Where something hides the vehicle their weights are taken back, and what they come to is another: None. What
+        hides it would choose among its particles by chance, and leave but a few.
+        """
+        posterior = self.cloud.posterior()
+        likeness = self._learn(posterior.mean)
+        if likeness >= LOST:
+            return likeness, posterior
+        self.cloud.unweigh()
+        return likeness, None
+
+    def conclude(self, frame: StereoFrame, judged: tuple[float, Posterior | None]) -> Estimate:
+        """The estimate at ``frame`` by what was ``judged``, and resampling where the vehicle is in view."""
+        likeness, posterior = judged
+        estimate = self._estimate(frame, likeness, posterior or self.cloud.posterior())
+        self._time = frame.time
+        if self.status != "tracking":
+            del self.cloud  # whose room others may need
+            return estimate
+        if likeness >= LOST:
+            self.cloud.resample(self.configuration, self.rng)
+        self._square(estimate.position)
+        return estimate
+
+    def checkpoint(self) -> dict[str, object]:
+        """All that the next update goes out from, in the computer's memory, to go on there by `restore`."""
+        kept = dict(self.__dict__, rng=copy.deepcopy(self.rng), appearance=copy.copy(self.appearance), device=None)
+        if "cloud" in kept:
+            kept["cloud"] = self.cloud.snapshot()
+        return kept
+
+    def restore(self, kept: dict[str, object]) -> None:
+        self.__dict__.update(kept)
+        if "cloud" in kept:
+            self.cloud = self.cloud.at_home()
+
+    # --- the first two frames ----------------------------------------------------------------------------------------
+
+    def _begin(self, frame: StereoFrame) -> Estimate:
+        """The first frame: the reference, and the depth at which the views agree."""
+        c = self.configuration
+        if self.appearance is not None:
+            with suppress(np.linalg.LinAlgError):  # without texture the plane stays where it was outlined
+                self.plane = self.appearance.begin((frame.left, frame.right), self.vehicle.left, self.plane)
+        searched = initialization.SEARCH if self.vehicle.speed is None else 1
+        state = initialization.initial_state(self.plane, self.vehicle, c.particles * searched, self.rng)
+        self.cloud = Cloud(self.rig, self._motions[0], state, Weights.equal(len(state)))
+        self.views = views(frame, [self.cloud.reach()])
+        self.reference = self._observe(state[np.zeros(1, np.int64)]).features[0]
+        self._first, self._time = frame, frame.time
+        shown = slice(None, c.particles, -(-c.particles // SHOWN))
+        return Estimate(
+            frame=frame.index,
+            time=frame.time,
+            speed=self.vehicle.speed or float("nan"),
+            speed_std=float("nan"),
+            position=self.plane.centre,
+            yaw_rate=float("nan"),
+            left=self.vehicle.left,
+            right=self.vehicle.right,
+            ess=float(c.particles),
+            status="tracking",
+            likeness=1.0,
+            particles_left=motion_models.diagonal_crossings(state.left[shown]),
+            particles_right=motion_models.diagonal_crossings(state.right[shown]),
+        )
+
+    def _acquire(self, frame: StereoFrame, dt: float) -> None:
+        """The second frame: which way the vehicle drives, and how fast."""
+        assert isinstance(self.cloud, Cloud)
+        outcomes, first = [], self.cloud.state
+        for way in self._motions:
+            state = way.propagate(self._set_off(first, way, frame, dt, self._stated), dt, self.rng)
+            self.views = views(frame, [(state.left, state.right)])
+            lw = self._log_likelihood(state)
+            outcomes.append((float(np.logaddexp.reduce(lw)), state, lw, way))
+        _, state, lw, way = max(outcomes, key=lambda o: o[0])
+        if isinstance(way, PathMotion):
+            self.path = way.path
+        self.cloud = Cloud(self.rig, way, state, Weights(lw) if self.appearance is None else _tempered(lw))
+        likeliest, sight = self.cloud, self._led(frame, way, first, dt)
+        if sight is not None and sight.believed:
+            self._believe(sight)
+        else:
+            self.cloud = likeliest
+            self.cloud.resample(self.configuration, self.rng)
+        if self.device is not None:
+            self.cloud = self.device.cloud(self.cloud)
+
+    @property
+    def _stated(self) -> Guess | None:
+        """The operator's guess of the speed, m/s, with its standard deviation."""
+        speed = self.vehicle.speed
+        return None if speed is None else (speed, self.configuration.speed_guess_spread * speed)
+
+    def _led(self, frame: StereoFrame, way: PathMotion | FreeMotion, first: State, dt: float) -> Sight | None:
+        """Where registration leads from the likeliest speeds, the particles set off anew with what it found.
+
+        By weights the likeliest of many speeds may be far off, and would leave too few particles to say how sure it
+        is. Along a path registration is repeated from where it leads: speeds that lie far apart have no mean region to
+        begin from.
+        """
+        start, sight = first[np.arange(self.configuration.particles)], self._sought(frame)
+        for _ in range(REPEATED if isinstance(way, PathMotion) else 1):
+            if sight is None or sight.found.likeness < SEEN:
+                break
+            before, guess = sight.place, self._guessed(sight, way, dt)
+            state = way.propagate(self._set_off(start, way, frame, dt, guess), dt, self.rng)
+            self.cloud = Cloud(self.rig, way, state, Weights.equal(len(state)))
+            sight = self._sought(frame)
+            if sight is not None and float(np.linalg.norm(sight.place - before)) < NEAR * guess[0] * dt:
+                break
+        return sight
+
+    def _guessed(self, sight: Sight, way: PathMotion | FreeMotion, dt: float) -> Guess:
+        """The speed, m/s, by which the plane is where it was seen, as uncertain as both places leave it or more: what
+        the particles then make of the sight must not count it twice. A stated speed is worth as much as it is sure."""
+        gone = sight.place - self.plane.centre
+        forward = gone / max(float(np.linalg.norm(gone)), 1e-9)
+        if isinstance(way, PathMotion):
+            forward = way.path.frames(np.array(way.path.nearest(self.plane.centre)))[:, 0]
+        doubt = float(np.hypot(np.sqrt(forward @ sight.found.covariance @ forward), self._depth_std)) / dt
+        speed = float(np.clip(gone @ forward / dt, 0.0, initialization.SPEED_RANGE[1]))
+        if self._stated is None:
+            return speed, max(self.configuration.speed_guess_spread * speed, DOUBTED * doubt)
+        stated, std = self._stated
+        return stated + (speed - stated) * std**2 / (std**2 + doubt**2), std
+
+    @property
+    def _depth_std(self) -> float:
+        """Standard deviation of the plane's distance in the first frame, m."""
+        return self.plane.inverse_depth_std * float(np.linalg.norm(self.plane.centre))
+
+    def _set_off(
+        self, start: State, way: PathMotion | FreeMotion, frame: StereoFrame, dt: float, guess: Guess | None
+    ) -> State:
+        """The first particles, set off along ``way``."""
+        if isinstance(way, PathMotion):
+            return initialization.along_path(start, self.plane, way, self.rig, guess, self.configuration, self.rng)
+        assert self._first is not None
+        images = self._first.left, frame.left
+        return initialization.as_matched(start, self.plane, self.rig, self.vehicle, *images, dt, self.rng)
+
+    # --- every further frame -----------------------------------------------------------------------------------------
+
+    def _believe(self, sight: Sight) -> None:
+        """Correct the particles by what was seen, and learn what it looks like."""
+        assert self.appearance is not None
+        self.cloud.correct(sight.place, sight.found.covariance, self.rng)
+        self.appearance.learn(sight.found)
+
+    def _sought(self, frame: StereoFrame) -> Sight | None:
+        """Where registration sees the plane; None where nothing there could be told from anything else."""
+        if self.appearance is None:
+            return None
+        mean, doubt = self.cloud.mean(), self.cloud.doubt()
+        images = frame.left, frame.right
+        try:
+            found = self.appearance.find(images, mean.left[0], mean.normal[0], float(mean.distance[0]), doubt)
+        except np.linalg.LinAlgError:
+            return None
+        # the mean region is not where the mean of the planes projects to, while the speed is hardly known
+        place = motion_models.centres(self.rig, mean)[0] + found.shift
+        centre, covariance = self.cloud.centre()
+        aside = place - centre
+        surprise = float(aside @ np.linalg.solve(covariance + found.covariance, aside))
+        return Sight(place, found, found.likeness >= (SEEN if surprise < SURPRISING else SURE))
+
+    def _observe(self, state: State) -> Observation:
+        left, right = self.views
+        return likelihood.observe(
+            left, right, state.left, state.right, motion_models.cross_homographies(self.rig, state), self.grid
+        )
+
+    def _log_likelihood(self, state: State) -> Array:
+        if self.device is not None:
+            return self.device.log_likelihood(self, state)
+        c = self.configuration
+        return likelihood.log_likelihood(self._observe(state), self.reference, c.lambda_single, c.lambda_cross)
+
+    def _estimate(self, frame: StereoFrame, likeness: float, posterior: Posterior) -> Estimate:
+        """The posterior mean (3), and whether the vehicle is still there."""
+        mean, position = posterior.mean, posterior.position
+        if likeness < LOST:
+            self._unseen += 1
+        elif likeness > SEEN:  # a passing likeness of something else is no sight of it
+            self._unseen = 0
+        if self._outside(mean, position):
+            self.status = "ended"
+        elif self._unseen >= PATIENCE:
+            self.status = "lost"
+        return Estimate(
+            frame=frame.index,
+            time=frame.time,
+            speed=posterior.speed,
+            speed_std=posterior.speed_std,
+            position=position,
+            yaw_rate=self.cloud.motion.yaw_rate(mean, frame.time - self._time),
+            left=mean.left[0],
+            right=mean.right[0],
+            ess=posterior.ess,
+            status=self.status,
+            likeness=likeness,
+            particles_left=posterior.particles_left,
+            particles_right=posterior.particles_right,
+        )
+
+    def _learn(self, mean: State) -> float:
+        """Update the reference (14) by what the estimate sees, unless that is unlike it; returns the likeness."""
+        seen = self._observe(mean).features[0]
+        both = np.stack([seen, self.reference]).reshape(2, 2, -1)  # (seen and reference, views, features)
+        norms = np.linalg.norm(both, axis=2).prod(0)
+        likeness = float(((both[0] * both[1]).sum(1) / np.maximum(norms, 1e-6)).mean())
+        if likeness > SEEN:
+            memory = self.configuration.reference_memory
+            self.reference = memory * self.reference + (1 - memory) * seen
+        return likeness
+
+    def _outside(self, mean: State, position: Array) -> bool:
+        """Whether the region has left an image, or the vehicle is upon the cameras."""
+        for quad, camera in ((mean.left[0], self.rig.left), (mean.right[0], self.rig.right)):
+            beyond = (quad < 0) | (quad > np.array(camera.image_size) - 1) | ~np.isfinite(quad)
+            if beyond.any():
+                return True
+        return bool(position[2] < 1.0)
+
+    def _square(self, position: Array) -> None:
+        """Set a plane of unknown normal square to the travel so far, once that is long enough to have a direction."""
+        travel = position - self.plane.centre
+        if self.vehicle.plane == "free" and np.linalg.norm(travel) > DIRECTED:
+            self.cloud.square(squared(self.plane, travel).normal)
+
+
+def _tempered(lw: Array) -> Weights:
+    """Weights by a power of the likelihood that leaves particles enough alive for a covariance that means something."""
+    weights = Weights(lw)
+    while ALIVE * len(lw) > weights.ESS:
+        lw = 0.5 * lw
+        weights = Weights(lw)
+    return weights

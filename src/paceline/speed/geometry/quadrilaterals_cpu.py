@@ -1,0 +1,34 @@
+"""The geometry of every particle's regions, compiled by Numba: (5) and (11) of [Zhu]."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from paceline.numba_cache import compiled
+from paceline.speed.geometry import quadrilaterals
+
+Array = NDArray[np.float64]
+
+_carry = njit(inline="always")(quadrilaterals.carry)
+_cross_diagonals = njit(inline="always")(quadrilaterals.cross_diagonals)
+
+
+@compiled(nogil=True, error_model="numpy")
+def carry(
+    quads: Array, turns: Array, shifts: Array, planes: Array, K: Array, K_inv: Array, carried: Array
+) -> None:
+    """(11): vertices (N, 4, 2) through the homographies K (ΔR + Δt nᵀ/d) K⁻¹ of (5), into ``carried`` (N, 4, 2).
+
+    ``turns`` ΔR (N, 3, 3), or (1, 3, 3) for all; ``shifts`` Δt (N, 3); ``planes`` n/d (N, 3).
+    """
+    for p in range(len(quads)):
+        _carry(quads[p], turns[p if len(turns) > 1 else 0], shifts[p], planes[p], K, K_inv, carried[p])
+
+
+@compiled(nogil=True, error_model="numpy")
+def cross_diagonals(quads: Array, crossings: Array) -> None:
+    """Into ``crossings`` (N, 2) where the diagonals of the regions (N, 4, 2) meet."""
+    for p in range(len(quads)):
+        _cross_diagonals(quads[p], crossings[p])

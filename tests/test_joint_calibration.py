@@ -1,0 +1,352 @@
+"""One rig, many vehicles: against one joint solution for all of them, and end to end."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.stats import binom, chi2
+from tiny_road import TWO, scene
+
+from paceline.cameras import RigUncertainty, moved_rig
+from paceline.documents.loading import Clip, load_clip
+from paceline.simulation.stereo.clip import render, write
+from paceline.speed.configuration import SpeedConfiguration
+from paceline.speed.joint_calibration import (
+    MEANWHILE,
+    ONE,
+    TOGETHER,
+    Belief,
+    agreed,
+    among,
+    beside,
+    evidence,
+    is_one,
+    pull,
+    put_right,
+    stated,
+    together,
+)
+from paceline.speed.measurement import measure_clip
+from paceline.speed.results import Measurement, RigTold, Track
+from paceline.speed.verdict import CONTRADICTED
+
+Array = NDArray[np.float64]
+N, Q = 3, 4  # parameters of a motion and moves of the rig, in the linear models here
+USUAL = 1.959963984540054
+FAST = 200.0  # m/s, about: of that no interval here is too wide
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """Pixels that depend linearly on a motion (N,) and on the rig (Q,), with noise of 1."""
+
+    J: Array
+    y: Array
+
+    def alone(self, speed: float = FAST, time: float = 0.0, x: float = 0.0) -> Measurement:
+        """The vehicle's own least squares, the rig under its prior; it passes at a ``time``, s, at ``x`` metres. The
+        mean speed is the sum of the motion's parameters, that of each of two frames is the first of them and the
+        second."""
+        A = self.J.T @ self.J + np.diag([*np.zeros(N), *np.ones(Q)])
+        found, left = np.linalg.solve(A, self.J.T @ self.y), np.linalg.inv(A)
+        motion = self.J[:, :N].T @ self.J[:, :N]
+        response = -np.linalg.solve(motion, self.J[:, :N].T @ self.J[:, N:])
+        given_rig, mean, frames = np.linalg.inv(motion), np.ones(N), np.eye(N)[:2]
+        told = RigTold(
+            moves=np.asarray(found[N:], float),
+            information=np.linalg.inv(left[N:, N:]) - np.eye(Q),
+            speed=mean @ response,
+            std=float(np.sqrt(mean @ given_rig @ mean)),
+            half=USUAL * float(np.sqrt(mean @ given_rig @ mean)),
+            speeds=frames @ response,
+            stds=np.sqrt(np.diag(frames @ given_rig @ frames.T)),
+        )
+        std = float(np.sqrt(mean @ left[:N, :N] @ mean))
+        speeds = speed + found[:2]
+        stds = np.sqrt(np.diag(left)[:2])
+        track = SimpleTrack(time + np.array([0.0, 0.5]), np.asarray(speeds, float), stds, np.full((2, 3), x))
+        mean_speed = speed + float(found[:N].sum())
+        return Measurement(
+            "v",
+            cast(Track, track),
+            mean_speed,
+            mean_speed - USUAL * std,
+            mean_speed + USUAL * std,
+            std,
+            0.0,
+            2,
+            "measured",
+            "",
+            "constant acceleration",
+            acceleration=float(np.diff(speeds)[0] / 0.5),
+            rig=told,
+        )
+
+
+@dataclass(frozen=True)
+class SimpleTrack:
+    """Of two frames, which no other vehicle has but those that pass at the same time."""
+
+    time: Array
+    refined_speed: Array
+    refined_std: Array
+    position: Array
+
+    @property
+    def frame(self) -> NDArray[np.int64]:
+        return np.rint(10 * self.time).astype(np.int64)
+
+
+def pictures(rng: np.random.Generator, rig: Array, pixels: int = 12) -> Pictures:
+    J = rng.standard_normal((pixels, N + Q)) * np.array([*np.ones(N), 2.0, 1.0, 0.3, 0.01])
+    truth = np.concatenate([rng.standard_normal(N), rig])
+    return Pictures(J, J @ truth + rng.standard_normal(pixels))
+
+
+def passing(vehicles: list[Pictures]) -> list[Measurement]:
+    """Each alone, one after the other."""
+    return [v.alone(time=10.0 * k) for k, v in enumerate(vehicles)]
+
+
+def several(seed: int, count: int) -> list[Pictures]:
+    rng = np.random.default_rng(seed)
+    rig = rng.standard_normal(Q)
+    return [pictures(rng, rig) for _ in range(count)]
+
+
+@given(seed=st.integers(0, 10_000), count=st.integers(2, 6))
+def test_it_is_what_one_solution_for_all_gives(seed: int, count: int) -> None:
+    """All motions and the rig at once, in one least squares."""
+    vehicles = several(seed, count)
+    J = np.zeros((sum(len(v.y) for v in vehicles), count * N + Q))
+    row = 0
+    for k, v in enumerate(vehicles):
+        J[row : row + len(v.y), k * N : (k + 1) * N] = v.J[:, :N]
+        J[row : row + len(v.y), count * N :] = v.J[:, N:]
+        row += len(v.y)
+    A = J.T @ J + np.diag([*np.zeros(count * N), *np.ones(Q)])
+    joint, left = np.linalg.solve(A, J.T @ np.concatenate([v.y for v in vehicles])), np.linalg.inv(A)
+
+    alone = passing(vehicles)
+    told = [evidence(m.rig) for m in alone if m.rig is not None]
+    belief = sum(told, stated(Q))
+    if max(pull(belief - t, t) for t in told) <= CONTRADICTED:  # but for one draw in 100,000
+        agree_on, agree = agreed(told)
+        assert agree.all() and (agree_on.precision == belief.precision).all()
+    np.testing.assert_allclose(belief.mean, joint[count * N :], atol=1e-8)
+    np.testing.assert_allclose(belief.covariance, left[count * N :, count * N :], atol=1e-8)
+    for k, m in enumerate(put_right(m, belief) for m in alone):
+        part = slice(k * N, (k + 1) * N)
+        assert m.speed == pytest.approx(FAST + joint[part].sum(), abs=1e-8)
+        variance = left[part, part].sum()
+        assert m.random_std**2 + m.systematic_std**2 == pytest.approx(variance, rel=1e-8)
+        assert m.speed_hi - m.speed == pytest.approx(USUAL * np.sqrt(variance), rel=1e-8)
+        np.testing.assert_allclose(m.track.refined_speed, FAST + joint[part][:2], atol=1e-8)
+        np.testing.assert_allclose(m.track.refined_std, np.sqrt(np.diag(left)[part][:2]), rtol=1e-8)
+        assert m.acceleration == pytest.approx((joint[part][1] - joint[part][0]) / 0.5, abs=1e-7)
+
+
+def test_a_pull_is_a_standard_deviation_of_what_chance_makes() -> None:
+    """Over many draws of rig and pictures the largest of a vehicle's pulls is that of as many normal numbers."""
+    pulls, directions = [], []
+    for seed in range(300):
+        *others, one = [evidence(m.rig) for m in passing(several(seed, 4)) if m.rig is not None]
+        belief = sum(others, stated(Q))
+        pulls.append(pull(belief, one))
+        root = np.linalg.cholesky(belief.covariance)
+        information = np.linalg.eigvalsh(root.T @ one.precision @ root)
+        directions.append((information / (1 + information) > 0.05).sum())
+    assert min(directions) < Q  # of one it hardly tells
+    beyond = 2.0
+    expected = 1.0 - 0.9545 ** np.array(directions)
+    found = np.mean(np.array(pulls) > beyond)
+    assert abs(found - expected.mean()) < 4 * np.sqrt(expected.mean() / len(pulls))
+
+
+def wants_elsewhere(v: Pictures, by: float) -> Pictures:
+    """The same pictures, of a rig that is elsewhere in the direction of which they tell most."""
+    return replace(v, y=v.y + v.J[:, N:] @ np.array([by, 0.0, 0.0, 0.0]))
+
+
+def contradicting(vehicles: list[Pictures], k: int, wanted: float) -> list[Measurement]:
+    """All of them, the one at ``k`` contradicting the others by as many standard deviations as are ``wanted``."""
+
+    def made(by: float) -> tuple[float, list[Measurement]]:
+        all_of_them = passing([wants_elsewhere(v, by) if i == k else v for i, v in enumerate(vehicles)])
+        told = [evidence(m.rig) for m in all_of_them if m.rig is not None]
+        return pull(sum(told, stated(Q)) - told[k], told[k]) - wanted, all_of_them
+
+    by = brentq(lambda by: made(by)[0], 0.0, 40.0)
+    return made(float(by))[1]
+
+
+@pytest.mark.parametrize(("wanted", "verdict"), [(4.9, "measured"), (5.1, "rejected")])
+def test_the_one_that_contradicts_all_others_is_left_out_and_rejected(wanted: float, verdict: str) -> None:
+    vehicles = several(5, 5)
+    alone = contradicting(vehicles, 2, wanted)
+    measured = together(alone)
+    bad, good = measured[2], [*measured[:2], *measured[3:]]
+    assert bad.verdict == verdict and {m.verdict for m in good} == {"measured"}
+    assert [m.calibrated_by for m in good] == [5 if verdict == "measured" else 4] * 4
+    assert all(m.rig is None for m in measured)
+    if verdict == "rejected":
+        assert bad.reason.startswith("calibration") and bad.speed == alone[2].speed
+        for m, right in zip(good, together([*alone[:2], *alone[3:]]), strict=True):
+            assert m.speed == pytest.approx(right.speed, abs=1e-9)
+
+
+def test_of_two_that_contradict_each_other_nobody_says_which_is_right() -> None:
+    two = contradicting(several(6, 2), 1, 6.0)
+    assert together(two) == two
+
+
+@pytest.mark.parametrize(("off", "verdict"), [(2.0, "measured"), (9.0, "rejected")])
+def test_what_all_agree_on_has_to_be_what_is_stated(off: float, verdict: str) -> None:
+    """A rig that is so many standard uncertainties off: each of its vehicles may be too poor a witness for that."""
+    rng = np.random.default_rng(11)
+    rig = np.array([off, 0.0, 0.0, 0.0])
+    poor = []
+    for _ in range(TOGETHER + 1):
+        v = pictures(rng, np.zeros(Q))
+        J = v.J * np.array([*np.ones(N), 0.06, 0.5, 0.06, 0.005])  # of which it tells little: its own pull stays small
+        poor.append(Pictures(J, v.y + J[:, N:] @ rig))
+    alone = passing(poor)
+    told = [evidence(m.rig) for m in alone if m.rig is not None]
+    assert max(pull(stated(Q), t) for t in told) < CONTRADICTED and agreed(told)[1].all()
+    measured = together(alone)
+    assert {m.verdict for m in measured} == {verdict}
+    if verdict == "rejected":
+        assert all(m.reason.startswith("calibration: the pictures of 9 vehicles together") for m in measured)
+
+
+def test_one_alone_and_those_that_tell_nothing_stay_as_they_are() -> None:
+    one, other = passing(several(7, 2))
+    silent = replace(other, rig=None, verdict="rejected", reason="outline: it is another one")
+    assert together([]) == []
+    assert together([silent, one, silent]) == [silent, one, silent]
+    assert among(silent, [one]) is silent and among(one, []) is one
+
+
+def test_only_those_about_the_same_time_have_a_say() -> None:
+    """As rigs change by day; the nearest, and no more than eight of them."""
+    vehicles = several(9, 14)
+    crowd = [v.alone(time=20.0 * k) for k, v in enumerate(vehicles)]
+    middle = crowd[6]
+    near = beside(middle, [m for m in crowd if m is not middle])
+    assert {id(m) for m in near} == {id(m) for m in crowd[2:11] if m is not middle} and len(near) == TOGETHER
+    assert together(crowd)[6].calibrated_by == TOGETHER + 1
+    late = vehicles[0].alone(time=20.0 * 6 + MEANWHILE + 1.0)
+    assert beside(middle, [late]) == [] and beside(middle, [vehicles[0].alone(time=20.0 * 6 + MEANWHILE)]) != []
+
+
+def test_a_vehicle_that_is_outlined_twice_counts_once() -> None:
+    vehicles = several(10, 4)
+    one, twice = vehicles[0].alone(time=0.0), vehicles[1].alone(time=0.0, x=0.5 * ONE / np.sqrt(3.0))
+    others = [v.alone(time=10.0 + 10.0 * k, x=5.0) for k, v in enumerate(vehicles[2:])]
+    assert is_one(one.track, twice.track) and not is_one(one.track, others[0].track)
+    assert not is_one(one.track, vehicles[1].alone(time=0.0, x=1.1 * ONE).track)
+    assert [m.calibrated_by for m in together([one, twice, *others])] == [3, 3, 3, 3]
+    assert together([one, twice]) == [one, twice]
+
+
+@pytest.mark.parametrize("drifts", ["steady", "warms up and cools down"])
+def test_intervals_hold_while_the_rig_drifts(drifts: str) -> None:
+    """By one standard uncertainty in every direction, in a survey of 150 vehicles one after the other, each with those
+    before it."""
+    rng, seen, held = np.random.default_rng(3), [], []  # type: ignore[var-annotated]
+    for k in range(150):
+        rig = np.zeros(Q) if drifts == "steady" else np.full(Q, np.sin(2 * np.pi * k / 150))
+        J = rng.standard_normal((40, N + Q)) * np.array([*np.ones(N), 1.0, 0.5, 0.3, 0.01])
+        motion = rng.standard_normal(N)
+        m = Pictures(J, J @ np.concatenate([motion, rig]) + rng.standard_normal(40)).alone(time=20.0 * k)
+        right = among(m, seen[-TOGETHER:])
+        seen.append(m)
+        held.append(abs(right.speed - FAST - motion.sum()) < (right.speed_hi - right.speed_lo) / 2)
+    assert binom.cdf(np.sum(held), len(held), 0.95) > 0.001
+
+
+def test_what_was_too_wide_alone_may_be_known_well_enough_together() -> None:
+    alone = passing(several(8, 8))
+    wide = replace(alone[0], verdict="rejected", reason="interval too wide: ± 9.0% of the speed")
+    mended, *_ = together([wide, *alone[1:]])
+    assert (mended.verdict, mended.reason) == ("measured", "")
+    assert wide.rig is not None
+    unsure = replace(wide, rig=replace(wide.rig, half=0.05 * FAST, std=0.025 * FAST))
+    still, *_ = together([unsure, *alone[1:]])
+    assert still.verdict == "rejected" and "without the calibration's part" in still.reason
+
+
+@pytest.fixture(scope="module")
+def two(tmp_path_factory: pytest.TempPathFactory) -> Clip:
+    """A clip of two vehicles."""
+    return load_clip(write(render(scene(*TWO)), tmp_path_factory.mktemp("two")))
+
+
+KNOWN = RigUncertainty(1.0, 0.0, (4e-5, 4e-5, 4e-5), (3e-4, 3e-4, 3e-4))
+
+
+def test_vehicles_of_one_clip_put_each_other_right(two: Clip) -> None:
+    """End to end, with a rig that is off by what it states."""
+    move = np.random.default_rng(3).standard_normal(14) @ KNOWN.moves
+    clip = replace(two, rig=replace(moved_rig(two.rig, move), uncertainty=KNOWN))
+    alone = [measure_clip(replace(clip, vehicles=[v])).measurements[0] for v in clip.vehicles]
+    result = measure_clip(clip)
+    assert [m.calibrated_by for m in result.measurements] == [2, 2] and result.notices == []
+    z = []
+    for one, m, vehicle in zip(alone, result.measurements, TWO, strict=True):
+        assert one.verdict == m.verdict == "measured" and m.vehicle == vehicle.id
+        assert m.speed_hi - m.speed_lo < one.speed_hi - one.speed_lo
+        assert m.speed_lo < m.speed < m.speed_hi
+        z.append((m.speed - vehicle.speed) / np.hypot(m.random_std, m.systematic_std))
+        rows = np.isfinite(m.track.refined_speed)
+        np.testing.assert_array_equal(rows, np.isfinite(one.track.refined_speed))
+        assert np.mean(m.track.refined_speed[rows]) == pytest.approx(m.speed, abs=1e-3)  # of frames at equal intervals
+        std, std_alone = m.track.refined_std[rows], one.track.refined_std[rows]
+        assert std.mean() < std_alone.mean()
+        # of the scatter two estimates are made, with the rig unknown and known, by frames or by patches each
+        assert (std < 1.1 * std_alone).all()
+    assert np.sum(np.square(z)) < chi2.ppf(0.999, len(z))
+
+
+def test_what_is_rejected_for_itself_has_no_say_and_stays_rejected(two: Clip) -> None:
+    """A third outline, whose right corners are not those of the left ones."""
+    clip = replace(two, rig=replace(two.rig, uncertainty=KNOWN))
+    wrong = replace(clip.vehicles[0], id="v2", right=clip.vehicles[0].right + [5.0, 0.0])
+    *good, bad = measure_clip(replace(clip, vehicles=[*clip.vehicles, wrong])).measurements
+    assert bad.verdict == "rejected" and bad.reason.startswith("outline") and bad.calibrated_by < 2
+    for m, right in zip(good, measure_clip(clip).measurements, strict=True):
+        assert (m.speed, m.speed_lo, m.calibrated_by) == (right.speed, right.speed_lo, 2)
+
+
+def test_what_a_vehicle_tells_is_of_its_speed_as_it_is_told(tmp_path: Path) -> None:
+    """If the rig were exactly where its own pictures have it, put right it stays where it is, as sure as if known."""
+    clip = load_clip(write(render(scene(TWO[0])), tmp_path))
+    (m,) = measure_clip(replace(clip, rig=replace(clip.rig, uncertainty=KNOWN))).measurements
+    assert m.rig is not None
+    sure = 1e12 * np.eye(len(m.rig.moves))
+    right = put_right(m, Belief(sure, sure @ m.rig.moves))
+    assert right.speed == pytest.approx(m.speed, abs=1e-9)
+    assert right.systematic_std < 1e-4 and right.random_std < m.random_std
+    assert right.speed_hi - right.speed > 2.1 * right.random_std  # of few frames and patches
+    rows = np.isfinite(m.track.refined_std)
+    assert (right.track.refined_std[rows] < m.track.refined_std[rows]).all()
+    left = np.linalg.inv(np.eye(len(sure)) + m.rig.information)
+    alone = np.hypot(m.rig.std, np.sqrt(m.rig.speed @ left @ m.rig.speed))
+    assert alone == pytest.approx(np.hypot(m.random_std, m.systematic_std), rel=0.15)  # another way to the same
+
+
+def test_a_tolerance_is_asked_of_what_was_put_right(two: Clip) -> None:
+    clip = replace(two, rig=replace(two.rig, uncertainty=KNOWN))
+    halves = [(m.speed_hi - m.speed_lo) / 2 for m in measure_clip(clip).measurements]
+    between = float(np.mean(halves))
+    verdicts = [m.verdict for m in measure_clip(clip, SpeedConfiguration(tolerance=between)).measurements]
+    assert verdicts == ["measured" if half <= between else "rejected" for half in halves]
+    assert sorted(verdicts) == ["measured", "rejected"]

@@ -1,0 +1,179 @@
+"""Scenes: what they may hold, the named ones, the varied ones, and the truth about them."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from selection import slow_after
+from tiny_scenes import small_follow, small_speed
+
+from paceline.errors import UnusableInput
+from paceline.simulation.raytraced import named_scenes
+from paceline.simulation.raytraced.scene import Stage, rigs_of
+from paceline.simulation.raytraced.scene_yaml import FollowScene, SpeedScene, load_follow_scene, load_speed_scene
+from paceline.simulation.raytraced.suites import FASTEST, SLOWEST, random_follow_scene, random_speed_scene
+from paceline.simulation.stereo.scene import is_inside
+
+
+def stage(**changes: Any) -> Stage:
+    return Stage(SpeedScene.model_validate(small_speed(**changes)))
+
+
+varied = cache(random_speed_scene)
+
+
+def frames_inside(placed: Stage, i: int) -> int:
+    """Frames in which the ``i``-th vehicle's plane is wholly inside both pictures."""
+    size, count = placed.rig.left.image_size, 0
+    for t in placed.clocks[0].tolist():
+        if placed.cars[i].is_there(t):
+            corners = placed.cars[i].corners(t)
+            ahead = all((view.to_camera(corners)[:, 2] > 1).all() for view in placed.views)
+            count += ahead and all(is_inside(view.project(corners), size) for view in placed.views)
+    return count
+
+
+@pytest.mark.parametrize("name", [n for kind, n, _ in named_scenes.names() if kind == "speed"])
+def test_named_vehicles_are_seen_for_long(name: str) -> None:
+    scene = named_scenes.speed_scene(name)
+    assert scene is not None
+    placed = Stage(scene)
+    for i in range(len(placed.cars)):
+        assert frames_inside(placed, i) >= 8, placed.cars[i].model.id
+        assert placed.cars[i].plane.end == "front"
+
+
+def test_named_scenes_drive_as_the_papers_say() -> None:
+    speeds = {"straight-55": 55, "circle-36": 36, "recorded-straight-36": 36, "neil-28": 28, "lane-change-30": 30}
+    for name, mph in speeds.items():
+        scene = named_scenes.speed_scene(name)
+        assert scene is not None and scene.vehicles[0].speed == pytest.approx(mph * 0.44704)
+    circle = named_scenes.speed_scene("circle-36")
+    assert circle is not None and circle.road.radius is not None
+    assert np.degrees(circle.vehicles[0].speed / abs(circle.road.radius)) == pytest.approx(22.5, abs=0.01)
+
+
+@pytest.mark.parametrize("name", [n for kind, n, _ in named_scenes.names() if kind == "follow"])
+def test_named_chases_are_nists(name: str) -> None:
+    scene = named_scenes.follow_scene(name)
+    assert scene is not None
+    assert (scene.chase.image_size, scene.rate, scene.lead.gap) == ([256, 242], 15, [5.0, 15.0])
+    assert scene.chase.top_speed * 3.6 <= 35
+
+
+@pytest.mark.parametrize("seed", slow_after(2, range(8)))
+def test_varied_scenes_suit(seed: int) -> None:
+    scene = varied(seed)
+    assert scene == random_speed_scene(seed)
+    assert SLOWEST <= scene.vehicles[0].speed <= FASTEST
+    assert frames_inside(Stage(scene), 0) >= 8
+    assert random_follow_scene(seed) == random_follow_scene(seed)
+
+
+@pytest.mark.slow
+def test_suites_vary() -> None:
+    scenes = [varied(seed) for seed in range(24)]
+    cars = [scene.vehicles[0] for scene in scenes]
+    assert len({car.kind for car in cars}) >= 4
+    assert {car.towards for car in cars} == {True, False}
+    assert len({scene.road.kind for scene in scenes}) == 3
+    speeds = np.array([car.speed for car in cars]) * 3.6
+    assert speeds.min() < 40 and speeds.max() > 100
+    assert any(scene.rig.written for scene in scenes) and any(scene.rig.written is None for scene in scenes)
+
+
+def test_the_planes_centre_swings_out_in_a_bend() -> None:
+    """On a circle the plane, ahead of the rear axle by a, is faster than it by the root of 1 + (a / r)²."""
+    placed = stage(road={"kind": "circle", "radius": -60.0, "length": 80.0})
+    car = placed.cars[0]
+    radius = 60.0 + placed.road.lanes[0]  # to the left of the axis lies the centre
+    ahead = car.plane.center[0]
+    assert car.speed(0.1) == pytest.approx(12.0 * np.sqrt(1 + (ahead / radius) ** 2), rel=2e-4)
+    assert car.motion.speed(0.1) == 12.0
+
+
+def test_a_vehicle_that_goes_away_shows_its_rear() -> None:
+    car = {"id": "v0", "start": 20.0, "speed": 9.0, "lane": 1}
+    assert stage(vehicles=[car]).cars[0].plane.end == "rear"
+
+
+def test_wheels_roll_without_slipping() -> None:
+    """The point of a wheel that touches the road stands still."""
+    placed = stage()
+    car, body = placed.cars[0], placed.cars[0].body
+    wheel = body.wheels[0]
+    R, at = car.placements(0.3)[1]
+    bottom = R.T @ (car.motion.pose(0.3)[0] @ (wheel.center - [0, 0, wheel.radius]) + car.motion.pose(0.3)[1] - at)
+    there = [car.placements(t)[1] for t in (0.2995, 0.3005)]
+    speed = np.linalg.norm((there[1][0] @ bottom + there[1][1]) - (there[0][0] @ bottom + there[0][1])) / 1e-3
+    assert speed < 0.02 * car.motion.speed(0.3)
+
+
+def test_the_written_rig_is_the_true_one_unless_asked() -> None:
+    true, same = rigs_of(SpeedScene.model_validate(small_speed()))
+    assert same is true
+    written = {"focal_length_px": 2.0, "rotation_rad": [1e-4, 1e-4, 1e-4], "translation_m": [1e-3, 1e-3, 1e-3]}
+    rig = small_speed()["rig"] | {"written": written}
+    deviations = []
+    for seed in range(400):
+        true, other = rigs_of(SpeedScene.model_validate(small_speed(seed=seed, rig=rig)))
+        assert other.uncertainty is not None
+        turn = cv2.Rodrigues(other.R @ true.R.T)[0].ravel() / 1e-4
+        focal = (other.left.K[0, 0] - true.left.K[0, 0]) / 2.0
+        deviations.append([*turn, *((other.t - true.t) / 1e-3), focal])
+    n = 7 * 400
+    assert np.std(deviations) == pytest.approx(1.0, abs=4 / np.sqrt(2 * n))
+    assert abs(np.mean(deviations)) < 4 / np.sqrt(n)
+
+
+def test_rows_read_late_show_vehicles_later() -> None:
+    slow = stage(sensor={"readout": 0.05, "bands": 4})
+    at_once, car, view = stage(), slow.cars[0], slow.views[0]
+    seen = slow.seen(view, car, 0.1)
+    for corner, pixel in zip(range(4), seen, strict=True):
+        delay = float(slow.shutter.row_delay(pixel[1], 144))
+        assert pixel == pytest.approx(view.project(car.corners(0.1 + delay))[corner], abs=1e-6)
+    assert np.abs(seen - at_once.seen(view, car, 0.1)).max() > 0.05
+
+
+WRONG = [
+    ({"frames": 0}, "frames: expected at least 1"),
+    ({"colour": 1}, "unknown key 'colour'"),
+    ({"kind": "follow"}, "kind: expected 'speed'"),
+    ({"vehicles": []}, "vehicles: expected 1 values"),
+    ({"vehicles": [{"id": "a", "start": 36.0, "speed": 9.0, "lane": 2}]}, "vehicles[0].lane: expected one of 0 to 1"),
+    ({"vehicles": [{"id": "a", "start": 36.0, "speed": 9.0, "kind": "tank"}]}, "vehicles[0].kind: expected 'saloon'"),
+    ({"vehicles": [{"id": "a", "start": 36.0, "speed": 9.0}] * 2}, "'a' occurs twice"),
+    ({"light": {"clouds": 1.5}}, "light.clouds: expected at most 1"),
+]
+
+
+@pytest.mark.parametrize(("change", "text"), WRONG, ids=[text for _, text in WRONG])
+def test_wrong_scenes_are_refused_in_one_line(tmp_path: Path, change: dict[str, Any], text: str) -> None:
+    file = tmp_path / "scene.yaml"
+    file.write_text(yaml.safe_dump(small_speed(**change)))
+    with pytest.raises(UnusableInput) as refused:
+        load_speed_scene(file)
+    assert text in str(refused.value) and str(refused.value).startswith(str(file))
+    assert "\n" not in str(refused.value)
+
+
+def test_gaps_are_in_order(tmp_path: Path) -> None:
+    file = tmp_path / "scene.yaml"
+    file.write_text(yaml.safe_dump(small_follow(lead={"gap": [9.0, 5.0]})))
+    with pytest.raises(UnusableInput, match="expected a smaller and a larger distance"):
+        load_follow_scene(file)
+    assert FollowScene.model_validate(small_follow()).lead.kind == "van"
+
+
+def test_roads_that_contradict_themselves_are_refused() -> None:
+    with pytest.raises(UnusableInput, match="radius"):
+        stage(road={"kind": "circle", "length": 80.0})
+    with pytest.raises(UnusableInput, match=r"vehicles\[0\]: start 500 m"):
+        stage(vehicles=[{"id": "a", "start": 500.0, "speed": 9.0}])
