@@ -8,6 +8,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING
 
+from paceline.version import __version__ as __version__
+
 if TYPE_CHECKING:
     from paceline.documents.loading import load_clip, load_follow, load_rig
     from paceline.errors import UnusableInput
@@ -22,7 +24,6 @@ if TYPE_CHECKING:
     from paceline.speed.filter.tracker import Tracker
     from paceline.survey.recording import measure_clip as measure
 
-__version__ = "0.1.0"
 __all__ = [
     "FollowConfiguration",
     "FollowTracker",

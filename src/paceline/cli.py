@@ -85,7 +85,7 @@ def _terminate(number: int, frame: FrameType | None) -> None:
 
 def _show_version(wanted: bool) -> None:
     if wanted:
-        from paceline import __version__
+        from paceline.version import __version__
 
         print(f"paceline {__version__}")
         raise typer.Exit

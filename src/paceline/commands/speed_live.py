@@ -41,8 +41,8 @@ def measure_live(
     from paceline.errors import UnusableInput
     from paceline.recordings.live_stereo import LiveViews
     from paceline.reports.live.report import LiveResults
-    from paceline.speed.measurement import versions
     from paceline.survey.live import LEARNING, survey
+    from paceline.version import versions
 
     if clip.vehicles:
         raise UnusableInput(f"{clip.path}: vehicles: --live finds them itself; expected none")

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import platform
 import time
 from collections.abc import Callable, Iterator
-from importlib import metadata
 from pathlib import Path
 
-from paceline import __version__
 from paceline.blas import on_one_blas_thread
 from paceline.documents.loading import FollowClip, load_follow
 from paceline.errors import UnusableInput
@@ -21,6 +18,7 @@ from paceline.follow.tracker import FollowTracker, warm_up
 from paceline.recordings.monocular import CameraFrame, CameraRecording, open_camera
 from paceline.recordings.odometry import Odometry, read_odometry
 from paceline.targets.line_model import Target
+from paceline.version import versions
 
 Progress = Callable[[int, int | None], None]
 
@@ -111,9 +109,3 @@ def result_of(
         notices=list(recording.notices),
         seconds=seconds,
     )
-
-
-def versions() -> dict[str, str]:
-    """Versions of what computed the result."""
-    names = ("numpy", "numba", "opencv-python-headless", "av")
-    return {"paceline": __version__, "python": platform.python_version()} | {n: metadata.version(n) for n in names}

@@ -10,13 +10,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from paceline import __version__
 from paceline.calibration.board_calibration import Calibration
 from paceline.calibration.parameters import NAMES
 from paceline.documents.rig_yaml import rig_yaml
 from paceline.errors import UnusableInput
 from paceline.reports.common.output_folder import write_together
 from paceline.reports.speed.plots import FILTER, INK, INTERVAL, MUTED, REFINED, make_plot
+from paceline.version import __version__
 
 SIDES = ("left", "right")
 SIZE = (9.4, 6.4)  # inches

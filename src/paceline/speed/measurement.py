@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import platform
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from importlib import metadata
 from pathlib import Path as FilePath
 from typing import Protocol
 
 import numpy as np
 
-from paceline import __version__
 from paceline.blas import on_one_blas_thread
 from paceline.cameras import StereoRig
 from paceline.documents.loading import Clip, VehicleDocument, load_clip
@@ -28,6 +25,7 @@ from paceline.speed.geometry.paths import Path
 from paceline.speed.joint_calibration import together
 from paceline.speed.results import ClipResult, Measurement, PathDrawing
 from paceline.speed.run import Seen, VehicleRun
+from paceline.version import versions
 
 Progress = Callable[[int, int], None]
 
@@ -128,12 +126,6 @@ def refuse_one_view(clip: Clip, frame: StereoFrame) -> None:
             f"{clip.path}: left and right: frame {frame.index} shows the same picture in both; "
             "expected the views of two cameras"
         )
-
-
-def versions() -> dict[str, str]:
-    """Versions of what computed the result."""
-    names = ("numpy", "scipy", "numba", "opencv-python-headless", "av")
-    return {"paceline": __version__, "python": platform.python_version()} | {n: metadata.version(n) for n in names}
 
 
 def _reconstruct(clip: Clip, configuration: SpeedConfiguration) -> dict[str, Path]:

@@ -19,8 +19,9 @@ from paceline.recordings.background import Background, empty_scene, no_backgroun
 from paceline.recordings.stereo import StereoRecording, open_recording
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.filter.device import DeviceName
-from paceline.speed.measurement import measure, refuse_one_view, versions
+from paceline.speed.measurement import measure, refuse_one_view
 from paceline.speed.results import ClipResult
+from paceline.version import versions
 
 Progress = Callable[[int, int | None], None]
 

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import yaml
 
-from paceline.follow.following import versions
 from paceline.follow.tracker import warm_up
 from paceline.reports.closed_loop.overlay import draw_step
 from paceline.reports.closed_loop.page import write_drive_page
@@ -23,6 +22,7 @@ from paceline.simulation.closed_loop.drive_yaml import documented
 from paceline.simulation.closed_loop.loop import ClosedLoop
 from paceline.simulation.closed_loop.requirements import Figures, judged
 from paceline.simulation.closed_loop.results import DriveLog, DriveResult
+from paceline.version import versions
 
 CRF = 25
 Progress = Callable[[int, int | None], None]

@@ -15,9 +15,9 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from paceline import __version__
 from paceline.errors import UnusableInput
 from paceline.simulation.raytraced.scene_yaml import SceneModel
+from paceline.version import __version__
 
 Picture = NDArray[np.uint8]
 Progress = Callable[[int, int | None], None] | None
