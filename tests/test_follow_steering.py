@@ -20,7 +20,7 @@ from paceline.follow.steering import (
     seen_from,
 )
 
-C = FollowConfiguration()
+C = FollowConfiguration().steering()
 
 
 def test_world_and_camera_are_inverse_to_each_other():

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
+
 from pydantic import BaseModel, ConfigDict, Field
+
+from paceline.follow.steering import SteeringSettings
 
 
 class FollowConfiguration(BaseModel):
@@ -54,6 +58,10 @@ class FollowConfiguration(BaseModel):
     lookahead_min: float = Field(3.0, gt=0)  # m
     lookahead_max: float = Field(20.0, gt=0)  # m
     steering_limit: float = Field(0.6, gt=0, lt=1.5)  # rad
+
+    def steering(self) -> SteeringSettings:
+        """What of it steers."""
+        return SteeringSettings(**{field.name: getattr(self, field.name) for field in fields(SteeringSettings)})
 
     @classmethod
     def as_published(cls) -> FollowConfiguration:

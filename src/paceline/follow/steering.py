@@ -8,7 +8,6 @@ from math import atan, cos, exp, hypot, sin
 import numpy as np
 from numpy.typing import NDArray
 
-from paceline.follow.configuration import FollowConfiguration
 from paceline.numba_cache import compiled
 
 Array = NDArray[np.float64]
@@ -34,6 +33,18 @@ class Pose:
     x: float
     y: float
     heading: float
+
+
+@dataclass(frozen=True)
+class SteeringSettings:
+    """What is pursued, and by what vehicle."""
+
+    wheelbase: float  # m
+    camera_ahead: float  # m from the rear axle to the camera
+    lookahead_time: float  # s of driving to the point that is pursued
+    lookahead_min: float  # m
+    lookahead_max: float  # m
+    steering_limit: float  # rad
 
 
 def in_world(pose: Pose, ahead: float, right: float) -> tuple[float, float]:
@@ -105,8 +116,8 @@ def prolonged(path: Array, reach: float, speed: float, unsure: int = 0) -> Array
 class Steering:
     """The angle that makes a vehicle follow the path of the one ahead; without odometry, the one ahead itself."""
 
-    def __init__(self, configuration: FollowConfiguration) -> None:
-        self._c = configuration
+    def __init__(self, settings: SteeringSettings) -> None:
+        self._c = settings
         self._points = np.zeros((LONGEST, 2))
         self._count = 0
         self._unsure = 0  # points at its end at which the vehicle ahead was not seen for sure
