@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 from visp.edge_tracker import EdgeTracker, compiled
 
 from paceline.follow.configuration import FollowConfiguration
-from paceline.follow.steering import Pose
 from paceline.follow.tracker import FollowTracker
+from paceline.path_following.pure_pursuit import Pose
 from paceline.simulation.chase.clip import (
     PRESETS,
     ChaseScene,

@@ -19,8 +19,8 @@ from paceline.follow.origin import CAME
 from paceline.follow.ranging import recorded
 from paceline.follow.search import Sighting
 from paceline.follow.snapshot import RIGHT
-from paceline.follow.steering import Pose
 from paceline.follow.tracker import FollowTracker, warm_up
+from paceline.path_following.pure_pursuit import Pose
 from paceline.targets.line_model import Target
 
 K = np.array([[300.0, 0.0, 127.5], [0.0, 300.0, 120.5], [0.0, 0.0, 1.0]])

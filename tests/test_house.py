@@ -24,7 +24,7 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 FLOORS = {
     1: ["version", "errors", "blas", "units", "progress", "cameras", "subpixel", "sift_features", "numba_cache",
-        "geometry", "recordings"],
+        "geometry", "recordings", "path_following"],
     2: ["documents"],
     3: ["speed", "calibration", "targets", "follow", "lanes", "detection", "survey"],
     4: ["simulation", "baselines"],

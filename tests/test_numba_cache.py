@@ -29,7 +29,7 @@ MODULES = [
     "speed.geometry.quadrilaterals_cpu",
     "speed.filter.patch_features_cpu",
     "follow.carrying_cpu",
-    "follow.steering",
+    "path_following.pure_pursuit",
     "detection.background_model_cpu",
 ]
 DIGESTS = f"""

@@ -6,7 +6,7 @@ from dataclasses import fields
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from paceline.follow.steering import SteeringSettings
+from paceline.path_following.pure_pursuit import SteeringSettings
 
 
 class FollowConfiguration(BaseModel):

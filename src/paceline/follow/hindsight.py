@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from paceline.follow.results import FollowEstimate
 from paceline.follow.start import BESIDE, DOUBTED, distance
-from paceline.follow.steering import Pose
 from paceline.follow.tracker import FollowTracker
+from paceline.path_following.pure_pursuit import Pose
 from paceline.recordings.monocular import CameraFrame
 
 Told = tuple[CameraFrame, FollowEstimate]

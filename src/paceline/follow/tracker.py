@@ -24,7 +24,7 @@ from paceline.follow.probation import Probation
 from paceline.follow.ranging import place_of, recorded
 from paceline.follow.recognition import Look, Recogniser
 from paceline.follow.results import FollowEstimate
-from paceline.follow.steering import Pose, Steering
+from paceline.path_following.pure_pursuit import Pose, Steering
 from paceline.targets.line_model import Target
 
 Array = NDArray[np.float64]

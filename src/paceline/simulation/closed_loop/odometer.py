@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from paceline.follow.steering import Pose
+from paceline.path_following.pure_pursuit import Pose
 
 
 @dataclass(frozen=True)

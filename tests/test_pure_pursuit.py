@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from paceline.follow.configuration import FollowConfiguration
-from paceline.follow.steering import (
+from paceline.path_following.pure_pursuit import (
     BEFORE,
     DOUBTED,
     HIDING,
