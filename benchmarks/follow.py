@@ -27,7 +27,7 @@ from visp.edge_tracker import EdgeTracker, compiled
 
 from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.tracker import FollowTracker
-from paceline.path_following.pure_pursuit import Pose
+from paceline.recordings.odometry import Pose
 from paceline.simulation.chase.clip import (
     PRESETS,
     ChaseScene,

@@ -6,10 +6,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from paceline.cameras import Camera, StereoRig
+from paceline.cameras import Camera, StereoRig, displaced
 
 K = np.array([[800.0, 0, 511.5], [0, 805, 383.5], [0, 0, 1]])
 DISTORTION = np.array([-0.28, 0.09, 0.0008, -0.0006, -0.01])
+VGA = Camera((640, 480), np.array([[500.0, 0.0, 320.0], [0.0, 505.0, 240.0], [0.0, 0.0, 1.0]]))
+LENS = Camera(VGA.image_size, VGA.K, np.array([-0.25, 0.08, 0.001, -0.0005]))
 
 
 def distorted(camera: Camera, ideal):
@@ -64,3 +66,21 @@ def test_a_rig_projects_as_opencv_does_and_fulfils_its_epipolar_constraint():
     constraint = (np.hstack([b, ones]) @ rig.fundamental * np.hstack([a, ones])).sum(1)
     np.testing.assert_allclose(constraint, 0, atol=1e-10)
     assert rig.baseline == pytest.approx(np.linalg.norm(t))
+
+
+def test_distorted_pixels_are_those_that_undistortion_takes_back():
+    pixels = np.random.default_rng(1).uniform([20, 20], [620, 460], (50, 2))
+    np.testing.assert_allclose(LENS.undistort_points(LENS.distort_points(pixels)), pixels, atol=1e-4)
+    assert np.abs(LENS.distort_points(pixels) - pixels).max() > 2
+    assert VGA.distort_points(pixels) is pixels
+
+
+def test_the_lens_moves_lines_by_the_mean_of_their_points():
+    lines = np.array([[[500.0, 100.0], [500.0, 180.0]], [[420.0, 100.0], [500.0, 100.0]]])
+    across, along = displaced(LENS, lines, np.array([True, False]))
+    shares = np.linspace(0, 1, 201)[:, None]
+    for j, axis in enumerate((0, 1)):
+        points = lines[j, 0] + shares * (lines[j, 1] - lines[j, 0])
+        moved = (LENS.distort_points(points) - points).mean(0)
+        assert across[j] == pytest.approx(moved[axis], abs=0.02)
+        assert along[j] == pytest.approx(moved[1 - axis], abs=0.02)

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from selection import slow_after
 
-from paceline.path_following.pure_pursuit import Pose
+from paceline.recordings.odometry import Pose
 from paceline.simulation.chase.motion import STEP, Road, winding
 from paceline.simulation.closed_loop.clearance import apart, outline
 from paceline.simulation.closed_loop.drive_yaml import DriveModel, scene_named

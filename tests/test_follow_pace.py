@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 
 from paceline.follow.pace import AFTER, FASTER, HARD, OFF, PAUSE, WATCHED, Pace, needed
-from paceline.path_following.pure_pursuit import Pose
+from paceline.recordings.odometry import Pose
 
 RATE = 15  # images a second
 

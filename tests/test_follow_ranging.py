@@ -1,14 +1,13 @@
-"""Metres from pixels (36), their uncertainty, and the lens."""
+"""Metres from pixels (36), and their uncertainty."""
 
 import numpy as np
 import pytest
 
 from paceline.cameras import Camera
-from paceline.follow.ranging import YAW, displaced, place_of, recorded
+from paceline.follow.ranging import YAW, place_of
 
 K = np.array([[500.0, 0.0, 320.0], [0.0, 505.0, 240.0], [0.0, 0.0, 1.0]])
 CAMERA = Camera((640, 480), K)
-LENS = Camera((640, 480), K, np.array([-0.25, 0.08, 0.001, -0.0005]))
 
 
 def test_a_target_seen_at_a_place_is_measured_there():
@@ -33,21 +32,3 @@ def test_the_uncertainty_is_that_of_drawn_locations():
 def test_a_model_is_no_truer_than_its_tolerance():
     place = place_of(np.array([320.0, 240.0, 0.5]), np.zeros((3, 3)), CAMERA, 10.0, 0.01, 2.0)
     np.testing.assert_allclose(place.std, [np.hypot(0.01, YAW / 20), 0.01, 0.1])
-
-
-def test_recorded_pixels_are_those_that_undistortion_takes_back():
-    pixels = np.random.default_rng(1).uniform([20, 20], [620, 460], (50, 2))
-    np.testing.assert_allclose(LENS.undistort_points(recorded(LENS, pixels)), pixels, atol=1e-4)
-    assert np.abs(recorded(LENS, pixels) - pixels).max() > 2
-    assert recorded(CAMERA, pixels) is pixels
-
-
-def test_the_lens_moves_lines_by_the_mean_of_their_points():
-    lines = np.array([[[500.0, 100.0], [500.0, 180.0]], [[420.0, 100.0], [500.0, 100.0]]])
-    across, along = displaced(LENS, lines, np.array([True, False]))
-    shares = np.linspace(0, 1, 201)[:, None]
-    for j, axis in enumerate((0, 1)):
-        points = lines[j, 0] + shares * (lines[j, 1] - lines[j, 0])
-        moved = (recorded(LENS, points) - points).mean(0)
-        assert across[j] == pytest.approx(moved[axis], abs=0.02)
-        assert along[j] == pytest.approx(moved[1 - axis], abs=0.02)

@@ -16,11 +16,10 @@ from paceline.follow import association, candidates, edges_cpu, fitting, motion,
 from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.judgement import APART, UNLIKE, UNSIZED, Foreseen, Found, Verdict, judged
 from paceline.follow.origin import CAME
-from paceline.follow.ranging import recorded
 from paceline.follow.search import Sighting
 from paceline.follow.snapshot import RIGHT
 from paceline.follow.tracker import FollowTracker, warm_up
-from paceline.path_following.pure_pursuit import Pose
+from paceline.recordings.odometry import Pose
 from paceline.targets.line_model import Target
 
 K = np.array([[300.0, 0.0, 127.5], [0.0, 300.0, 120.5], [0.0, 0.0, 1.0]])
@@ -92,7 +91,7 @@ def film(frames=45, seed=0, bounce=3.0, camera=CAMERA, beside=0.0):
 
 
 def begin(position, camera=CAMERA, configuration=None, off=(0.5, -0.4), size=1.005):
-    center = recorded(camera, CAMERA.project(position)) + off
+    center = camera.distort_points(CAMERA.project(position)) + off
     return FollowTracker(camera, TARGET, center, 10.0 / position[2] * size, configuration)
 
 
@@ -158,7 +157,7 @@ def test_a_lens_changes_nothing():
     assert {e.status for e in estimates} == {"tracking"}
     ranges, lateral = errors(estimates, positions)
     assert np.sqrt((ranges**2).mean()) < 0.01 and np.sqrt((lateral**2).mean()) < 0.03
-    pinhole = [recorded(LENS, CAMERA.project(p)) - CAMERA.project(p) for p in positions]
+    pinhole = [LENS.distort_points(CAMERA.project(p)) - CAMERA.project(p) for p in positions]
     assert np.abs(pinhole).max() > 0.5  # and there was something to change
 
 

@@ -11,7 +11,6 @@ from paceline.path_following.pure_pursuit import (
     LONGEST,
     SPACING,
     STRETCH,
-    Pose,
     Steering,
     goal_on,
     in_world,
@@ -19,6 +18,7 @@ from paceline.path_following.pure_pursuit import (
     pure_pursuit,
     seen_from,
 )
+from paceline.recordings.odometry import Pose
 
 C = FollowConfiguration().steering()
 

@@ -10,7 +10,7 @@ from zhu2012.items import Numbers, run_alone
 from nist1993 import scenes
 from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.tracker import FollowTracker, warm_up
-from paceline.path_following.pure_pursuit import Pose
+from paceline.recordings.odometry import Pose
 from paceline.simulation.chase.clip import random_chase, render_frames
 
 SETTINGS: Numbers = {"seeds": [980, 981, 982], "frames": 200}

@@ -15,7 +15,7 @@ from zhu2012.items import Item, Numbers
 from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.results import FollowEstimate
 from paceline.follow.tracker import FollowTracker
-from paceline.path_following.pure_pursuit import Pose
+from paceline.recordings.odometry import Pose
 from paceline.simulation.chase.clip import ChaseScene, ChaseTruth, render_frames
 
 Image = NDArray[np.uint8]

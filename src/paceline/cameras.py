@@ -187,3 +187,17 @@ def moved_rig(rig: StereoRig, move: Array) -> StereoRig:
 def moved_rigs(rig: StereoRig, uncertainty: RigUncertainty) -> list[StereoRig]:
     """Rigs that each differ from ``rig`` by one standard uncertainty of its calibration, in independent ways."""
     return [moved_rig(rig, move) for move in uncertainty.moves]
+
+
+def displaced(camera: Camera, lines: Array, vertical: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """How far the lens moves ``lines`` (S, 2, 2), ideal pixels, across themselves (S,) and along themselves (S,).
+
+    A line that the lens bends keeps its mean place: edge points all along it have this mean as well.
+    """
+    n = len(lines)
+    if not camera.has_distortion:
+        return np.zeros(n), np.zeros(n)
+    shares = np.array([0.1, 0.3, 0.5, 0.7, 0.9])[:, None, None]
+    points = lines[None, :, 0] + shares * (lines[None, :, 1] - lines[None, :, 0])
+    moved = (camera.distort_points(points) - points).mean(0)
+    return np.where(vertical, moved[:, 0], moved[:, 1]), np.where(vertical, moved[:, 1], moved[:, 0])

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from paceline.cameras import Camera
-from paceline.follow.ranging import displaced, recorded
+from paceline.cameras import Camera, displaced
 from paceline.numba_cache import compiled
 from paceline.targets.line_model import Target
 
@@ -94,7 +93,7 @@ class Projection:
         """The location as recorded."""
         if not self.camera.has_distortion:
             return Shown(location, self._unmoved)
-        center = recorded(self.camera, location[:2])
+        center = self.camera.distort_points(location[:2])
         shifts = self.features(location).shifts - np.where(self.target.vertical, *(center - location[:2]))
         return Shown(np.array([*center, location[2]]), shifts)
 

@@ -14,9 +14,8 @@ from paceline.follow.hindsight import at_once, in_hindsight
 from paceline.follow.history import History
 from paceline.follow.results import FollowEstimate, FollowResult
 from paceline.follow.tracker import FollowTracker, warm_up
-from paceline.path_following.pure_pursuit import Pose
 from paceline.recordings.monocular import CameraFrame, CameraRecording, open_camera
-from paceline.recordings.odometry import Odometry, read_odometry
+from paceline.recordings.odometry import Odometry, Pose, read_odometry
 from paceline.targets.line_model import Target
 from paceline.version import versions
 

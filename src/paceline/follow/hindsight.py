@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from paceline.follow.results import FollowEstimate
 from paceline.follow.start import BESIDE, DOUBTED, distance
 from paceline.follow.tracker import FollowTracker
-from paceline.path_following.pure_pursuit import Pose
 from paceline.recordings.monocular import CameraFrame
+from paceline.recordings.odometry import Pose
 
 Told = tuple[CameraFrame, FollowEstimate]
 

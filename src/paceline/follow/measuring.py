@@ -13,7 +13,6 @@ from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.edges import EdgeExtractor, EdgeLists, Window, window_around
 from paceline.follow.features import Features, Projection
 from paceline.follow.fitting import Fit
-from paceline.follow.ranging import recorded
 
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
@@ -64,7 +63,7 @@ class Measurer:
             gate = 3.0 * max(hypot(doubt[0], 0.5 * size * doubt[2] / start[2]), doubt[1]) + breadth
             gate = min(gate, 0.25 * size + breadth)
         half = 0.5 * projection.target.size * projection.magnification * start[2] + gate + 2.0
-        window = window_around(recorded(projection.camera, start[:2]), half, projection.camera.image_size)
+        window = window_around(projection.camera.distort_points(start[:2]), half, projection.camera.image_size)
         edges = self._edges.extract(image, window)  # stage 1
         x, fit, start_doubt = start, None, doubt
         for reach in (gate, min(gate, 3.0 * breadth)) if c.competing_lines else (gate,):

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from paceline.path_following.pure_pursuit import Pose
+from paceline.recordings.odometry import Pose
 
 PAUSE = 0.5  # s for which a target was not seen, after which it is asked
 LATELY, OFTEN = 1.0, 6  # s before, from which its speed is known, if it was seen for half of them and so often

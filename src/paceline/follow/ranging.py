@@ -1,11 +1,10 @@
-"""Stage 8 of [NIST]: metres in the camera's axes from a location in pixels, with their uncertainty; and the lens."""
+"""Stage 8 of [NIST]: metres in the camera's axes from a location in pixels, with their uncertainty."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from math import atan2
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,7 +12,6 @@ from paceline.cameras import Camera
 from paceline.numba_cache import compiled
 
 Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 YAW = 0.1  # rad, standard deviation of the target's yaw against the camera
 
@@ -54,26 +52,3 @@ def _placed(
     model = np.array([np.hypot(tolerance, YAW * (0.5 * width) ** 2 / z), tolerance, tolerance * z / width])
     variance = ((to_metres @ covariance) * to_metres).sum(1)
     return position, np.sqrt(np.maximum(variance, 0.0) + model**2), ray[0]
-
-
-def recorded(camera: Camera, pixels: Array) -> Array:
-    """Pixels (…, 2) of the image as recorded, of ideal ``pixels`` (…, 2)."""
-    if not camera.has_distortion:
-        return pixels
-    rays = camera.rays(pixels).reshape(-1, 1, 3)
-    points, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), camera.K, camera.distortion)
-    return np.asarray(points, float).reshape(pixels.shape)
-
-
-def displaced(camera: Camera, lines: Array, vertical: Flags) -> tuple[Array, Array]:
-    """How far the lens moves ``lines`` (S, 2, 2), ideal pixels, across themselves (S,) and along themselves (S,).
-
-    A line that the lens bends keeps its mean place: edge points all along it have this mean as well.
-    """
-    n = len(lines)
-    if not camera.has_distortion:
-        return np.zeros(n), np.zeros(n)
-    shares = np.array([0.1, 0.3, 0.5, 0.7, 0.9])[:, None, None]
-    points = lines[None, :, 0] + shares * (lines[None, :, 1] - lines[None, :, 0])
-    moved = (recorded(camera, points) - points).mean(0)
-    return np.where(vertical, moved[:, 0], moved[:, 1]), np.where(vertical, moved[:, 1], moved[:, 0])

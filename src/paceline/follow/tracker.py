@@ -21,10 +21,11 @@ from paceline.follow.lock import Lock
 from paceline.follow.origin import CAME, Origin
 from paceline.follow.pace import DRIVES, Pace
 from paceline.follow.probation import Probation
-from paceline.follow.ranging import place_of, recorded
+from paceline.follow.ranging import place_of
 from paceline.follow.recognition import Look, Recogniser
 from paceline.follow.results import FollowEstimate
-from paceline.path_following.pure_pursuit import Pose, Steering
+from paceline.path_following.pure_pursuit import Steering
+from paceline.recordings.odometry import Pose
 from paceline.targets.line_model import Target
 
 Array = NDArray[np.float64]
@@ -189,7 +190,7 @@ class FollowTracker:
         return FollowEstimate(
             frame=frame,
             time=time,
-            center=recorded(self.camera, location[:2]),
+            center=self.camera.distort_points(location[:2]),
             scale=float(location[2]),
             weights=look.fit.weights if look.fit is not None and measured else np.zeros(3),
             position=place.position,
@@ -199,7 +200,7 @@ class FollowTracker:
             status=status,
             reason=reason,
             residual=float("nan") if m is None else m.residual,
-            lines=recorded(self.camera, self.projection.lines(location)),
+            lines=self.camera.distort_points(self.projection.lines(location)),
             points=np.zeros((0, 2)) if m is None else m.points,
             owners=np.zeros(0, np.int64) if m is None else m.owners,
             window=look.window,

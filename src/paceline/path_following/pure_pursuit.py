@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from paceline.numba_cache import compiled
+from paceline.recordings.odometry import Pose
 
 Array = NDArray[np.float64]
 
@@ -21,18 +22,6 @@ STRETCH = 24  # points before those that tell where the path leads on, as far on
 ASIDE = 0.1  # m, by how much each may be off it, as several next to each other are alike,
 TURN, SHARPEST = 1.5, 0.05  # m/s² and 1/m, and how hard vehicles turn
 SMOOTH = 0.3  # s over which the chase vehicle's speed is averaged
-
-
-@dataclass(frozen=True)
-class Pose:
-    """Where the chase vehicle's camera is in a level world frame: x and y in metres, heading in radians from x to y.
-
-    The world's y axis lies to the left of its x axis, as in odometry.
-    """
-
-    x: float
-    y: float
-    heading: float
 
 
 @dataclass(frozen=True)

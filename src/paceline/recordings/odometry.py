@@ -17,6 +17,18 @@ Indices = NDArray[np.int64]
 HEADER = ["frame", "x_m", "y_m", "heading_rad"]
 
 
+@dataclass(frozen=True)
+class Pose:
+    """Where the chase vehicle's camera is in a level world frame: x and y in metres, heading in radians from x to y.
+
+    The world's y axis lies to the left of its x axis.
+    """
+
+    x: float
+    y: float
+    heading: float
+
+
 @dataclass(frozen=True, eq=False)
 class Odometry:
     """Where the vehicle was: ``frame`` (N,), increasing, and ``pose`` (N, 3) with x and y in metres, heading in rad."""

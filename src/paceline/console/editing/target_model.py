@@ -12,7 +12,6 @@ from paceline.cameras import Camera
 from paceline.documents.models import StartModel, TargetModel
 from paceline.documents.plausibility import wrong_segment, wrong_start, wrong_target
 from paceline.errors import UnusableInput
-from paceline.follow.ranging import recorded
 from paceline.targets.learning import corner_names, learn_target
 
 Array = NDArray[np.float64]
@@ -64,7 +63,7 @@ def outlined(camera: Camera, target: object, start: object) -> Plain:
     metres = ends[:, :1] * (1 - share) + ends[:, 1:] * share
     with np.errstate(all="ignore"):
         ideal = camera.undistort_points(place.center) + place.scale * _magnification(camera, model) * metres
-        lines = recorded(camera, ideal.reshape(-1, 2)).reshape(metres.shape)
+        lines = camera.distort_points(ideal.reshape(-1, 2)).reshape(metres.shape)
     low, high = metres.reshape(-1, 2).min(axis=0), metres.reshape(-1, 2).max(axis=0)
     size = place.scale * _magnification(camera, model) * (high - low)
     facts: Plain = {

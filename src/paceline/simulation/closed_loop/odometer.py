@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from paceline.path_following.pure_pursuit import Pose
+from paceline.recordings.odometry import Pose
 
 
 @dataclass(frozen=True)

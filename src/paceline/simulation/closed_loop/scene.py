@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from paceline.path_following.pure_pursuit import Pose
+from paceline.recordings.odometry import Pose
 from paceline.simulation.chase.motion import Road, Shaking, State, Wander, place, winding
 from paceline.simulation.chase.projection import Eye, camera_rotation
 from paceline.simulation.chase.scene import NEAREST, ChaseScene, Occlusion, random_chase
