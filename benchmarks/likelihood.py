@@ -20,6 +20,7 @@ from paceline.documents.loading import Clip
 from paceline.speed.filter import likelihood, patch_features_cpu
 from paceline.speed.filter.likelihood import Floats, Grid, Packed
 from paceline.speed.geometry.path_reconstruction import path_of
+from paceline.speed.geometry.quadrilaterals_cpu import inward_edges, unit_square_to
 
 WIDTH, HEIGHT = 1024, 768
 REGION = np.array([[460.0, 380], [560, 380], [560, 420], [460, 420]])  # 10 parts of 16 blocks of 4 × 4: 2560 samples
@@ -41,9 +42,9 @@ class Work:
         self.cross[:, :2, 2] += rng.normal(0, 0.5, (particles, 2))
         self.grid = Grid.for_region(10, REGION)
         self.packed = likelihood.pack(self.left), likelihood.pack(self.right)
-        H = likelihood.unit_square_to(self.quads_left), likelihood.unit_square_to(self.quads_right)
+        H = unit_square_to(self.quads_left), unit_square_to(self.quads_right)
         self.H = np.stack([*H, self.cross @ H[0]], axis=1)  # (N, 3, 3, 3)
-        self.edges = likelihood.inward_edges(self.quads_right).astype(np.float32)
+        self.edges = inward_edges(self.quads_right).astype(np.float32)
         self.kernel_H = self.H.reshape(particles, 3, 9).astype(np.float32)
         self.features = np.empty((particles, 2, self.grid.parts, 16), np.float32)
         self.ncc = np.empty(particles, np.float32)

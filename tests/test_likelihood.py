@@ -16,6 +16,7 @@ from scipy.ndimage import map_coordinates
 
 from paceline.speed.filter import likelihood, patch_features_cpu
 from paceline.speed.filter.likelihood import PART_DISTANCE_CAP, SAMPLES, Grid
+from paceline.speed.geometry.quadrilaterals_cpu import inward_edges, unit_square_to
 
 PARTS = [4, 6, 8, 10, 12, 16]
 QUAD = np.array([[120.3, 90.7], [231.9, 98.2], [226.4, 150.1], [118.6, 141.8]])
@@ -91,7 +92,7 @@ def raw_features(left, right, quads_left, quads_right, grid):
         likelihood.pack(left),
         likelihood.pack(right),
         H.reshape(-1, 3, 9).astype(np.float32),
-        likelihood.inward_edges(quads_right).astype(np.float32),
+        inward_edges(quads_right).astype(np.float32),
         grid.across,
         grid.down,
         grid.samples,
@@ -157,7 +158,7 @@ def test_unit_squares_map_as_opencv_says(wobble, size, where):
     d = np.roll(quad, -1, axis=0) - quad
     turn = d[:, 0] * np.roll(d[:, 1], -1) - d[:, 1] * np.roll(d[:, 0], -1)
     assume((turn > 0.05 * size**2).all())  # convex
-    H = likelihood.unit_square_to(np.stack([quad, quad + 3.0]))
+    H = unit_square_to(np.stack([quad, quad + 3.0]))
     exact = cv2.getPerspectiveTransform(UNIT, quad.astype(np.float32), solveMethod=cv2.DECOMP_SVD)
     np.testing.assert_allclose(H[0], exact, rtol=1e-5, atol=1e-5)
     for h, q in zip(H, (quad, quad + 3.0), strict=True):
@@ -173,7 +174,7 @@ def test_inward_edges_are_positive_inside(wobble, point):
     x, y = 100 * np.array(point)
     side = cv2.pointPolygonTest(quad, (x, y), True)
     assume(abs(side) > 0.01)
-    edges = likelihood.inward_edges(quad[None])[0] @ [x, y, 1.0]
+    edges = inward_edges(quad[None])[0] @ [x, y, 1.0]
     assert (edges.min() > 0) == (side > 0)
 
 

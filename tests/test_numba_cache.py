@@ -95,7 +95,7 @@ def test_every_function_that_is_kept_closes_over_what_it_is_made_of() -> None:
             "speed/geometry/quadrilaterals.py",
             "share * ac_x",
             "share * ac_x + 100.0",
-            ["speed.geometry.quadrilaterals_cpu", "speed.filter.patch_features_cpu"],
+            ["speed.geometry.quadrilaterals_cpu"],
         ),
         (
             "speed/filter/patch_features.py",

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from paceline.speed.filter import patch_features_cpu
+from paceline.speed.geometry.quadrilaterals_cpu import inward_edges, unit_square_to
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -134,17 +135,3 @@ def log_likelihood(seen: Observation, reference: Floats, lambda_single: float, l
     """log p(z | x) (N,) by (12), (13), (18): both single-view terms and the cross-view term."""
     single = distances(seen.features, reference).sum(-1)
     return np.asarray(-lambda_single * single - lambda_cross * (1.0 - seen.ncc) ** 2, float)
-
-
-def unit_square_to(quads: Array) -> Array:
-    """Homographies (N, 3, 3) that take the unit square's corners tl, tr, br, bl to ``quads`` (N, 4, 2)."""
-    H = np.empty((len(quads), 3, 3))
-    patch_features_cpu.unit_square_to(np.ascontiguousarray(quads, float), H)
-    return H
-
-
-def inward_edges(quads: Array) -> Array:
-    """Lines (N, 4, 3) along the sides of ``quads`` (N, 4, 2), tl, tr, br, bl, positive inside."""
-    edges = np.empty((len(quads), 4, 3))
-    patch_features_cpu.inward_edges(np.ascontiguousarray(quads, float), edges)
-    return edges

@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from paceline.numba_cache import compiled
 from paceline.speed.filter import patch_features
 from paceline.speed.filter.patch_features import CROSS_ROWS, LEAST_OVERLAP
-from paceline.speed.geometry import quadrilaterals
 
 _inline = njit(inline="always")
 _bounds = _inline(patch_features.bounds)
@@ -34,8 +33,6 @@ _average = _inline(patch_features.haar_average)
 _left_right = _inline(patch_features.haar_left_right)
 _up_down = _inline(patch_features.haar_up_down)
 _diagonal = _inline(patch_features.haar_diagonal)
-_unit_square_to = _inline(quadrilaterals.unit_square_to)
-_inward_edges = _inline(quadrilaterals.inward_edges)
 _correlation = njit(nogil=True)(patch_features.correlation)
 
 Array = NDArray[np.float64]
@@ -82,20 +79,6 @@ def span(places: Array) -> tuple[float, float, float, float]:
         if np.isfinite(y):
             low_y, high_y = min(low_y, y), max(high_y, y)
     return low_x, low_y, high_x, high_y
-
-
-@compiled(nogil=True, error_model="numpy")
-def unit_square_to(quads: Array, H: Array) -> None:
-    """`likelihood.unit_square_to`, into ``H`` (N, 3, 3)."""
-    for p in range(len(quads)):
-        _unit_square_to(quads[p], H[p])
-
-
-@compiled(nogil=True, error_model="numpy")
-def inward_edges(quads: Array, edges: Array) -> None:
-    """`likelihood.inward_edges`, into ``edges`` (N, 4, 3)."""
-    for p in range(len(quads)):
-        _inward_edges(quads[p], edges[p])
 
 
 @_inline

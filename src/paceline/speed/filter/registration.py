@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from paceline.cameras import StereoRig
 from paceline.speed.filter import registration_cpu
-from paceline.speed.filter.likelihood import Grid, unit_square_to
+from paceline.speed.filter.likelihood import Grid
 from paceline.speed.geometry.initial_plane import FirstPlane
+from paceline.speed.geometry.quadrilaterals_cpu import unit_square_to
 
 Array = NDArray[np.float64]
 Number = TypeVar("Number", bound=np.generic)

@@ -13,6 +13,8 @@ Array = NDArray[np.float64]
 
 _carry = njit(inline="always")(quadrilaterals.carry)
 _cross_diagonals = njit(inline="always")(quadrilaterals.cross_diagonals)
+_unit_square_to = njit(inline="always")(quadrilaterals.unit_square_to)
+_inward_edges = njit(inline="always")(quadrilaterals.inward_edges)
 
 
 @compiled(nogil=True, error_model="numpy")
@@ -32,3 +34,31 @@ def cross_diagonals(quads: Array, crossings: Array) -> None:
     """Into ``crossings`` (N, 2) where the diagonals of the regions (N, 4, 2) meet."""
     for p in range(len(quads)):
         _cross_diagonals(quads[p], crossings[p])
+
+
+def unit_square_to(quads: Array) -> Array:
+    """Homographies (N, 3, 3) that take the unit square's corners tl, tr, br, bl to ``quads`` (N, 4, 2)."""
+    H = np.empty((len(quads), 3, 3))
+    _unit_squares_to(np.ascontiguousarray(quads, float), H)
+    return H
+
+
+def inward_edges(quads: Array) -> Array:
+    """Lines (N, 4, 3) along the sides of ``quads`` (N, 4, 2), tl, tr, br, bl, positive inside."""
+    edges = np.empty((len(quads), 4, 3))
+    _all_inward_edges(np.ascontiguousarray(quads, float), edges)
+    return edges
+
+
+@compiled(nogil=True, error_model="numpy")
+def _unit_squares_to(quads: Array, H: Array) -> None:
+    """`unit_square_to`, into ``H`` (N, 3, 3)."""
+    for p in range(len(quads)):
+        _unit_square_to(quads[p], H[p])
+
+
+@compiled(nogil=True, error_model="numpy")
+def _all_inward_edges(quads: Array, edges: Array) -> None:
+    """`inward_edges`, into ``edges`` (N, 4, 3)."""
+    for p in range(len(quads)):
+        _inward_edges(quads[p], edges[p])

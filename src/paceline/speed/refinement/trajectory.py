@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline, PPoly
 
 from paceline.cameras import StereoRig
-from paceline.speed.filter.likelihood import unit_square_to
 from paceline.speed.geometry.initial_plane import FirstPlane
 from paceline.speed.geometry.paths import DRIVEN, Path, level_frames, rolled, rotation_minimising_roll
+from paceline.speed.geometry.quadrilaterals_cpu import unit_square_to
 
 Array = NDArray[np.float64]
 
