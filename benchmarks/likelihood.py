@@ -16,9 +16,10 @@ import numpy as np
 from common import Array, head, machine, plain_scene, rendered, row
 
 from paceline import SpeedConfiguration, Tracker, open_recording
+from paceline.arrays import Floats
 from paceline.documents.loading import Clip
 from paceline.speed.filter import likelihood, patch_features_cpu
-from paceline.speed.filter.likelihood import Floats, Grid, Packed
+from paceline.speed.filter.likelihood import Grid, Packed
 from paceline.speed.geometry.path_reconstruction import path_of
 from paceline.speed.geometry.quadrilaterals_cpu import inward_edges, unit_square_to
 

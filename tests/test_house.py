@@ -23,8 +23,8 @@ DOCUMENTS = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md"))]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 FLOORS = {
-    1: ["version", "errors", "blas", "units", "progress", "cameras", "subpixel", "sift_features", "numba_cache",
-        "geometry", "recordings", "path_following"],
+    1: ["version", "arrays", "errors", "blas", "units", "progress", "cameras", "subpixel", "sift_features",
+        "numba_cache", "geometry", "recordings", "path_following"],
     2: ["documents"],
     3: ["speed", "calibration", "targets", "follow", "lanes", "detection", "survey"],
     4: ["simulation", "baselines"],

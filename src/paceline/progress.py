@@ -10,10 +10,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    Array = NDArray[np.float64]
+    from paceline.arrays import Array
 
 TOLD = "PACELINE_PROGRESS"  # environment variable; "lines" asks for lines
 ESTIMATE, PICTURES = "estimate: ", "pictures: "

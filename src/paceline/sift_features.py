@@ -6,10 +6,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Image = NDArray[np.float32]
+from paceline.arrays import Array, Image, Indices
+
 Descriptors = NDArray[np.float32]
-Indices = NDArray[np.int64]
 
 
 def features(detector: cv2.SIFT, image: Image, mask: NDArray[np.uint8] | None = None) -> tuple[Array, Descriptors]:

@@ -6,10 +6,7 @@ import math
 from enum import StrEnum
 from typing import overload
 
-import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
+from paceline.arrays import Array
 
 
 class SpeedUnit(StrEnum):

@@ -11,12 +11,9 @@ from functools import cached_property
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array, Image
 from paceline.cameras import StereoRig
-
-Array = NDArray[np.float64]
-Image = NDArray[np.float32]
 
 BLOCK = 5  # px
 SMOOTHNESS = (8 * BLOCK**2, 32 * BLOCK**2)  # for disparities that change by one, and by more

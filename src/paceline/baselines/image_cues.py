@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Image = NDArray[np.float32]
+from paceline.arrays import Array, Image
+
 Picture = NDArray[np.floating]
 
 BINS = 16

@@ -11,8 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array
 from paceline.baselines.sift import Sift, centroid_covariance
 from paceline.baselines.track import Sight, filtered, rejected
 from paceline.cameras import StereoRig
@@ -21,8 +21,6 @@ from paceline.geometry import triangulate
 from paceline.recordings.stereo import StereoFrame
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.results import Measurement
-
-Array = NDArray[np.float64]
 
 FRAME = 0.2  # s, the step that the configuration's noises belong to
 UNKNOWN = 40.0  # m/s, each component of a velocity of which nothing is known

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array, Image, Indices, Mask
 from paceline.baselines import optical_flow, polynomial_track
 from paceline.baselines.rigid_alignment import align
 from paceline.baselines.template_tracking import Move, Regions, move_between
@@ -24,10 +24,6 @@ from paceline.geometry import epipolar_distance, triangulate
 from paceline.recordings.stereo import StereoFrame
 from paceline.speed.geometry.paths import level_frames
 from paceline.speed.results import Measurement
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 LEAST_POINTS = 4
 EPIPOLAR = 1.0  # px from the epipolar line
@@ -245,7 +241,7 @@ class _Matches:
 class _Key:
     """A frame from which points are tracked: its images, the regions (2, 4, 2) and the points there."""
 
-    images: tuple[optical_flow.Image, optical_flow.Image]
+    images: tuple[Image, Image]
     quads: Array
     matches: _Matches
 

@@ -11,8 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array
 from paceline.baselines import image_cues
 from paceline.baselines.disparity import DepthMap, Rectification
 from paceline.baselines.template_tracking import PATIENCE, Regions
@@ -27,8 +27,6 @@ from paceline.speed.filter.resampling import Weights, resample
 from paceline.speed.geometry.initial_plane import first_plane
 from paceline.speed.geometry.paths import Path, level_frames
 from paceline.speed.results import Measurement
-
-Array = NDArray[np.float64]
 
 FRAME = 0.2  # s, the step that the configuration's noises belong to
 LAMBDA_GREY = 20.0  # on 1 − Bhattacharyya's coefficient

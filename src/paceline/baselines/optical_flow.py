@@ -6,11 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from paceline.arrays import Array, Image, Mask
 from paceline.baselines.template_tracking import Move
-
-Array = NDArray[np.float64]
-Image = NDArray[np.float32]
-Mask = NDArray[np.bool_]
 
 WINDOW = (7, 17)  # px, of the least and the greatest window
 WINDOW_SHARE = 0.4  # of the region's height

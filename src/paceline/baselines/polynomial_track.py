@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from paceline.arrays import Array
 
 MOST_DEGREE = 4
 SAMPLES = 257  # of the speed along a way, for its mean

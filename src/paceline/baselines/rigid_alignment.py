@@ -10,10 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from paceline.arrays import Array, Mask
 
 ITERATIONS = 20
 HUBER = 0.9  # of a coordinate's standard deviation in each of three: the errors of matches have long tails

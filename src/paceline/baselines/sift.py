@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array, Image
 from paceline.baselines import polynomial_track
 from paceline.baselines.template_tracking import Regions
 from paceline.baselines.track import NO_TEXTURE, MeanSpeed, Sight, judged, rejected, too_few, unseen
@@ -17,9 +17,6 @@ from paceline.geometry import epipolar_distance, triangulate
 from paceline.recordings.stereo import StereoFrame
 from paceline.sift_features import Descriptors, features, matched
 from paceline.speed.results import Measurement
-
-Array = NDArray[np.float64]
-Image = NDArray[np.float32]
 
 RATIO = 0.8  # of the distances to the best and the second best descriptor (Lowe 2004)
 EPIPOLAR = 1.5  # px from the epipolar line

@@ -10,15 +10,12 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array, Image
 from paceline.cameras import StereoRig
 from paceline.geometry import epipolar_distance, triangulate
 from paceline.recordings.stereo import StereoFrame
 from paceline.subpixel import vertex_at
-
-Array = NDArray[np.float64]
-Image = NDArray[np.float32]
 
 FIRST_SCALES = np.geomspace(0.66, 1.52, 19)  # of a vehicle whose motion is not known yet
 FIRST_REACH = 0.8  # lengths of its longer side that it may have moved

@@ -6,15 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtrit
 
+from paceline.arrays import Array
 from paceline.baselines.template_tracking import Regions
 from paceline.recordings.stereo import StereoFrame
 from paceline.speed.results import CONFIDENCE, Measurement, Track
 from paceline.speed.verdict import FASTEST, LEAST_FRAMES, too_wide
-
-Array = NDArray[np.float64]
 
 NAN = float("nan")
 NO_TEXTURE = "residuals: the region has too little texture to be followed"

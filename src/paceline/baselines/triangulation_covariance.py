@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array
 from paceline.cameras import StereoRig
-
-Array = NDArray[np.float64]
 
 
 def image_jacobian(rig: StereoRig, points: Array) -> Array:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import stdtrit
 
+from paceline.arrays import Array, Indices
 from paceline.blas import on_one_blas_thread
 from paceline.calibration.board_views import Views, observations
 from paceline.calibration.bundle_adjustment import Fit, errors_by_view, fit
@@ -16,8 +17,6 @@ from paceline.calibration.parameters import (
     DISTORTIONS,
     LENS,
     NAMES,
-    Array,
-    Indices,
     Observations,
     Poses,
     Rig,

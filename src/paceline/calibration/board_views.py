@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
+from paceline.arrays import Image
 from paceline.calibration.boards import Board, Corners, Detector, detector, same_way_round
 from paceline.calibration.parameters import Observations
 from paceline.errors import UnusableInput
-from paceline.recordings.image_sources import Image, ImageFiles, Source, open_source
+from paceline.recordings.image_sources import ImageFiles, Source, open_source
 from paceline.recordings.stereo import pair_by_time, pair_images
 
 Progress = Callable[[int, int | None], None]

@@ -9,11 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from paceline.arrays import Array, Image, Indices
 from paceline.errors import UnusableInput
 
-Array = NDArray[np.float64]
-Image = NDArray[np.float32]
-Indices = NDArray[np.int64]
 Detector = Callable[[Image], "Corners"]
 
 EXPECTED = (

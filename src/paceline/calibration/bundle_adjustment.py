@@ -10,7 +10,8 @@ from typing import Literal
 
 import numpy as np
 
-from paceline.calibration.parameters import N_RIG, Array, Indices, Observations, Poses, Rig, project
+from paceline.arrays import Array, Indices
+from paceline.calibration.parameters import N_RIG, Observations, Poses, Rig, project
 
 Weighing = Literal["huber", "redescending"]
 

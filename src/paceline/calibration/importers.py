@@ -18,13 +18,12 @@ from typing import Any
 import cv2
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
+from paceline.arrays import Array
 from paceline.cameras import Camera, StereoRig
 from paceline.documents import plausibility
 from paceline.errors import UnusableInput
 
-Array = NDArray[np.float64]
 Size = tuple[int, int]
 
 OPENCV = {  # what a matrix may be called, first the names of OpenCV's own example

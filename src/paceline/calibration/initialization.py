@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from paceline.calibration.parameters import LENS, N_LENS, Array, Observations, Poses, Rig
+from paceline.arrays import Array
+from paceline.calibration.parameters import LENS, N_LENS, Observations, Poses, Rig
 
 FOCAL_LENGTHS = np.geomspace(0.4, 12.0, 30)  # tried, as shares of the image's width: fields of view of 103° to 5°
 NOWHERE = np.inf

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array, Indices, Mask
 from paceline.calibration.bundle_adjustment import NORMAL, fit
-from paceline.calibration.parameters import Array, Indices, Observations, Poses, Rig, free_parameters
+from paceline.calibration.parameters import Observations, Poses, Rig, free_parameters
 from paceline.errors import UnusableInput
 
 OUTLYING = 4.0  # scaled median deviations of the logarithm of its error beyond which a view is none of the others
@@ -18,7 +18,6 @@ APART = 3.0  # times that most views may fit worse together than each camera's a
 LEAST_ERROR = 0.05  # px; below it views are not told apart
 STRETCHED = "k1, k2"  # the lens model while views are judged
 NOTHING_FREE: Indices = np.empty(0, np.int64)
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)

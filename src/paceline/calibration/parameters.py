@@ -15,10 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from paceline.arrays import Array, Indices
 from paceline.cameras import Camera, StereoRig
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 LENS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 NAMES = (

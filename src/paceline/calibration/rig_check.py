@@ -14,14 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import f as f_distribution
 
+from paceline.arrays import Array, Mask
 from paceline.blas import on_one_blas_thread
 from paceline.calibration.scene_matches import Matches
 from paceline.calibration.speed_sensitivity import SpeedEffect, speed_effects, stated_uncertainty
 from paceline.cameras import RigUncertainty, StereoRig, moved_rig
 from paceline.geometry import epipolar_distance
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 LEAST_MATCHES, LEAST_TILES = 30, 12
 FAR = 3.0  # standard deviations at which a match counts a quarter

@@ -9,14 +9,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from paceline.arrays import Array, Image, Indices
 from paceline.cameras import StereoRig
 from paceline.geometry import epipolar_distance, triangulate
 from paceline.recordings.stereo import StereoRecording
 from paceline.sift_features import features, matched
 
-Array = NDArray[np.float64]
-Image = NDArray[np.float32]
-Indices = NDArray[np.int64]
 Progress = Callable[[int, int | None], None]
 
 FRAMES = 6  # looked at, evenly spread: what stands still is seen again in each, and adds little

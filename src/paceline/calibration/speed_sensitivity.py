@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from paceline.calibration.parameters import LENS, N_LENS, N_RIG, Array, Rig, camera_of
+from paceline.arrays import Array
+from paceline.calibration.parameters import LENS, N_LENS, N_RIG, Rig, camera_of
 from paceline.cameras import RigUncertainty, StereoRig, moved_rigs
 from paceline.geometry import triangulate
 

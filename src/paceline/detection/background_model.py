@@ -10,12 +10,12 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from paceline.arrays import Image
 from paceline.cameras import EVERY
 from paceline.detection import background_model_cpu
 from paceline.detection.detector import noise_of
 from paceline.recordings.stereo import StereoFrame
 
-Image = NDArray[np.float32]
 Detect = Callable[[Image], NDArray[np.float64]]  # a picture (H, W): left, top, right, bottom (N, 4), px
 
 NOTHING = "nothing that could be measured drives along the paths"

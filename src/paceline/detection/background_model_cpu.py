@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Image
 from paceline.numba_cache import compiled
-
-Image = NDArray[np.float32]
 
 
 @compiled(nogil=True)

@@ -15,18 +15,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from paceline.arrays import Array, Bytes, Image, Mask
 from paceline.detection import plane_sweep_cpu
 from paceline.detection.lane_paths import LEVELS, Grid, Way, laid_out, pyramid
 from paceline.detection.photo_consistency import local_mean, stands
 from paceline.detection.plane_sweep import Card, Views, card_of
 from paceline.recordings.stereo import StereoFrame
 from paceline.subpixel import vertex
-
-Array = NDArray[np.float64]
-Image = NDArray[np.float32]
-Mask = NDArray[np.bool_]
-Bytes = NDArray[np.uint8]
-Indices = NDArray[np.int64]
 
 GRID = Grid(left=-3.2, top=2.6, bottom=0.2, cell=0.05)  # m; what lies lower is road
 WINDOW = 7  # cells, over which pictures are compared

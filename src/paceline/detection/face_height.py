@@ -12,8 +12,8 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array
 from paceline.detection.planar_face import Aligned, Face, course
 from paceline.detection.tracks import slope
 from paceline.documents.loading import VehicleDocument
@@ -22,8 +22,6 @@ from paceline.speed.refinement.photometric_fit import Fit
 from paceline.speed.refinement.pyramid import Glimpse
 from paceline.speed.refinement.trajectory import Trajectory, prior, way_of
 from paceline.speed.verdict import LEAST_FRAMES
-
-Array = NDArray[np.float64]
 
 LOWER = 0.075  # m by which one outline of a face is lower than the next
 LOWEST = 0.35  # m, of an outline

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array, Image
 from paceline.detection.background_model import Scene
 from paceline.detection.detector import Lookout, Sighting
 from paceline.detection.face_height import trimmed
@@ -18,9 +18,6 @@ from paceline.detection.tracks import Linker, Track, off_course, slope
 from paceline.documents.loading import VehicleDocument
 from paceline.recordings.stereo import StereoFrame
 from paceline.speed.filter.initialization import SPEED_RANGE
-
-Array = NDArray[np.float64]
-Image = NDArray[np.float32]
 
 LEAST_SIGHTINGS = 4  # and half as many as there are frames between them in which it is not seen; in all, as many
 UNSTEADY = 0.4, 0.5  # from which on it does not drive, but two things were seen in turn: bushes in the wind; more is

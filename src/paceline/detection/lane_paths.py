@@ -13,16 +13,13 @@ from functools import cached_property
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array, Image
 from paceline.cameras import StereoRig
 from paceline.documents.loading import Clip
 from paceline.errors import UnusableInput
 from paceline.speed.geometry.path_reconstruction import path_of
 from paceline.speed.geometry.paths import Path
-
-Array = NDArray[np.float64]
-Image = NDArray[np.float32]
 
 NEAREST, FARTHEST = 5.0, 150.0  # m of depth at which vehicles are looked for
 BEYOND = 12.0  # m past its drawn ends that a way is believed to run on

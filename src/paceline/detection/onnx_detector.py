@@ -10,16 +10,14 @@ from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array, Image
 from paceline.detection.onnx_outputs import EXPECTED, Outputs, chosen, layout_of, vehicle_classes
 from paceline.errors import UnusableInput
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession, NodeArg
 
-Array = NDArray[np.float64]
-Image = NDArray[np.float32]
 
 THREADS = 2  # more help small networks little, and what measures wants some too
 SIDE, SIDES = 640, range(32, 8193)  # px of an input that may have any size, and of any

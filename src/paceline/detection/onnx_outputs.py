@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from paceline.arrays import Array
+
 Outputs = list[NDArray[np.generic]]
 
 LEAST_SCORE = 0.25  # that most detectors are used with; what is boxed wrongly has yet to stand upright and to drive

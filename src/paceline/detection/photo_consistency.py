@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Image = NDArray[np.float32]
+from paceline.arrays import Array, Image
 
 AGREE = (0.6, 1.0)  # correlation of the views at which a place begins to count, and counts wholly
 CHANGED = 0.3  # one minus the correlation with the empty scene, from which on something else is there

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array, Image
 from paceline.detection.detector import GRID, Sighting
 from paceline.detection.lane_paths import Grid, Way
 from paceline.detection.photo_consistency import FLAT, Texture, agreement, correlation
@@ -20,8 +20,6 @@ from paceline.detection.tracks import Track
 from paceline.speed.geometry.paths import Path
 from paceline.subpixel import vertex_at
 
-Array = NDArray[np.float64]
-Image = NDArray[np.float32]
 Span = tuple[float, float]
 
 FINE = Grid(left=-2.4, top=1.6, bottom=0.15, cell=0.025)

@@ -8,12 +8,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from paceline.arrays import Array, Image, Mask
 from paceline.detection import plane_sweep_cpu
 from paceline.detection.lane_paths import Grid, level_of
 
-Array = NDArray[np.float64]
-Image = NDArray[np.float32]
-Mask = NDArray[np.bool_]
 Views = list[list[Image]]  # the pyramids of the left and of the right picture
 
 

@@ -6,15 +6,10 @@ As :mod:`paceline.detection.photo_consistency` has it, for one card after the ot
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array, Bytes, Image, Mask
 from paceline.detection import photo_consistency
 from paceline.numba_cache import compiled
-
-Array = NDArray[np.float64]
-Image = NDArray[np.float32]
-Bytes = NDArray[np.uint8]
-Mask = NDArray[np.bool_]
 
 AGREE, CHANGED, FLAT = photo_consistency.AGREE, photo_consistency.CHANGED, photo_consistency.FLAT
 SUMS = {"reassoc", "contract", "nsz"}  # sums may be taken in another order

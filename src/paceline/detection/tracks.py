@@ -6,14 +6,11 @@ from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array
 from paceline.detection.detector import GRID, Sighting
 from paceline.detection.lane_paths import Way
 from paceline.speed.verdict import FASTEST
-
-Array = NDArray[np.float64]
-Image = NDArray[np.float32]
 
 ALIKE = 0.5  # correlation of the faces of one vehicle in two frames,
 SETTLED = 3, 1.0  # sightings from which on, and seconds since the last up to which, where it must be tells more:

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array, Indices
 from paceline.cameras import Camera, RigUncertainty, StereoRig
 from paceline.documents import plausibility
 from paceline.documents.models import (
@@ -30,9 +30,6 @@ from paceline.documents.models import (
     read_document,
 )
 from paceline.errors import UnusableInput
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,12 +10,10 @@ from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
+from paceline.arrays import Array
 from paceline.errors import UnusableInput
-
-Array = NDArray[np.float64]
 
 LONGEST_NAME = 100
 LARGEST = 1e9  # no pixel or metre in these files comes near it; NaN and infinity are not below it either

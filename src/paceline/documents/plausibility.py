@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array
 from paceline.cameras import Camera, StereoRig
 from paceline.geometry import epipolar_distance, triangulate
-
-Array = NDArray[np.float64]
 
 ORTHONORMAL = 1e-3  # largest entry of RᵀR − I that rounding in a file explains
 WIDEST_BASELINE = 100.0  # m

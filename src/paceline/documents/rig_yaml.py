@@ -4,12 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-import numpy as np
-from numpy.typing import NDArray
-
+from paceline.arrays import Array
 from paceline.cameras import Camera, RigUncertainty, StereoRig
-
-Array = NDArray[np.float64]
 
 
 def rig_yaml(rig: StereoRig, comments: Sequence[str] = ()) -> str:

@@ -5,17 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array, Bytes, Floats, Indices
 from paceline.follow import picture_cpu
 from paceline.follow.search_cpu import TOLD
 from paceline.follow.sweep import sweep
 from paceline.targets.line_model import Target
-
-Array = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
-Floats = NDArray[np.float32]
-Indices = NDArray[np.int64]
 
 BORDER = 4  # samples of the picture that lie outside of the model, where the background moves by itself
 OUTLINE = 2  # the same where the scale is asked: the outline tells most of it

@@ -3,14 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array, Floats, Indices, Mask
 from paceline.numba_cache import compiled
-
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
-Indices = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 
 NOBODY = -1
 
@@ -19,7 +14,7 @@ NOBODY = -1
 def associate(
     points: Floats,
     upright: bool,
-    vertical: Flags,
+    vertical: Mask,
     places: Array,
     spans: Array,
     gates: Array,

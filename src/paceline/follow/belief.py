@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Bytes
 from paceline.follow.configuration import FollowConfiguration
-
-Bytes = NDArray[np.uint8]
 
 EVERY = 8  # only every eighth row of an image is looked at to tell whether it shows anything
 DARK, BRIGHT, FLAT = 4, 251, 3  # grey levels: a black and a white image, and one without contrast

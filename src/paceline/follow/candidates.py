@@ -3,15 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array, Bytes, Floats, Indices, Mask
 from paceline.numba_cache import compiled
-
-Array = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
-Floats = NDArray[np.float32]
-Indices = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 
 CANDIDATES = 3  # lines that may compete for one feature
 BIN = 0.5  # px, of the histogram in which they are found
@@ -29,7 +23,7 @@ def candidate_lines(
     expected: Array,
     gates: Array,
     breadth: float,
-    vertical: Flags,
+    vertical: Mask,
     lines: Array,
 ) -> None:
     """The lines that compete for each feature: rows (place, points, variance) of ``lines`` (S, CANDIDATES, 3).
@@ -124,7 +118,7 @@ def faint_lines(
     features: Array,
     spans: Array,
     reach: float,
-    vertical: Flags,
+    vertical: Mask,
     brighter: Indices,
     minimum_share: float,
     threshold: float,

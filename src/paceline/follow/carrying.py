@@ -7,16 +7,12 @@ from math import ceil, exp, floor, log, sqrt
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array, Bytes, Floats
 from paceline.follow import carrying_cpu
 from paceline.follow.features import Projection
 from paceline.follow.search import DETAIL
 from paceline.subpixel import vertex
-
-Array = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
-Floats = NDArray[np.float32]
 
 GROWN = 1.1  # times the target's size that the picture shows,
 # and of its width at least so much in height, as vehicles are, of what is added so much above

@@ -5,12 +5,10 @@ from __future__ import annotations
 from math import floor, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Floats
 from paceline.follow.picture_cpu import SUMS
 from paceline.numba_cache import compiled
-
-Floats = NDArray[np.float32]
 
 FAINT = 0.1  # grey levels: what varies by less shows nothing
 

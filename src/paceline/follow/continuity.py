@@ -5,12 +5,10 @@ from __future__ import annotations
 from math import sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array
 from paceline.follow.features import Projection
 from paceline.follow.motion import CYCLE
-
-Array = NDArray[np.float64]
 
 UNSTEADY = 0.06  # relative error of a scale that was measured, at most
 HASTE, BRAKING = 1.5, 3.0  # m/s, m/s²: by how much the distance may change otherwise than was foreseen

@@ -7,14 +7,11 @@ from dataclasses import dataclass
 from math import radians, tan
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array, Bytes, Floats
 from paceline.follow import edges_cpu
 from paceline.follow.configuration import FollowConfiguration
 
-Array = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
-Floats = NDArray[np.float32]
 Window = tuple[int, int, int, int]  # x0, y0, x1, y1: the pixels x0 ≤ x < x1, y0 ≤ y < y1
 
 SIZES = 7  # of the window

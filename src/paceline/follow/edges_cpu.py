@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Bytes, Floats
 from paceline.numba_cache import compiled
-
-Bytes = NDArray[np.uint8]
-Floats = NDArray[np.float32]
 
 
 @compiled(nogil=True, error_model="numpy")

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from paceline.arrays import Array
 from paceline.cameras import Camera, displaced
 from paceline.numba_cache import compiled
 from paceline.targets.line_model import Target
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,15 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array, Floats, Indices, Mask
 from paceline.follow.motion import solved, triangularise
 from paceline.numba_cache import compiled
-
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
-Indices = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 
 ROUNDS = 6  # of the robust fit
 UNCHECKED = 1.5  # times its variance that a fit with one feature to spare may claim too little
@@ -38,7 +33,7 @@ class Fit:
     weights: Array
     residual: float
     offsets: Array  # (S,) px: measured minus fitted place of each feature; NaN where there is none
-    used: Flags
+    used: Mask
 
 
 @compiled(nogil=True, error_model="numpy")
@@ -51,7 +46,7 @@ def locate_features(
     variance_floor: float,
     places: Array,
     weights: Array,
-    vertical: Flags,
+    vertical: Mask,
 ) -> None:
     """The mean place of each feature's points (12) into ``places`` (S,) px, and its confidence (13), (14) into
     ``weights`` (S,): 0 with fewer points than ``minimum_share`` of its predicted length in ``lengths`` (S,) px."""
@@ -76,7 +71,7 @@ def locate_features(
 
 
 @compiled(nogil=True, error_model="numpy")
-def _fill(places: Array, weights: Array, vertical: Flags, offsets: Array, rows: Array) -> None:
+def _fill(places: Array, weights: Array, vertical: Mask, offsets: Array, rows: Array) -> None:
     """The weighted rows [A | b] of (16) into ``rows`` (≥ S, 4); features of no weight give rows of zeros."""
     for j in range(len(places)):
         w = weights[j]
@@ -97,7 +92,7 @@ def robust_lines(
     lines: Array,
     start: Array,
     doubt: Array,
-    vertical: Flags,
+    vertical: Mask,
     offsets: Array,
     lengths: Array,
     minimum_share: float,
@@ -156,7 +151,7 @@ def robust_lines(
 
 @compiled(nogil=True, error_model="numpy")
 def _locate(
-    places: Array, weights: Array, vertical: Flags, offsets: Array, scale: float, turned: float, center: Array
+    places: Array, weights: Array, vertical: Mask, offsets: Array, scale: float, turned: float, center: Array
 ) -> tuple[bool, Array, Array, Array, float, Array]:
     n = len(places)
     rows = np.zeros((max(n, 3) + 3, 5))
@@ -207,7 +202,7 @@ def _locate(
 def locate(
     places: Array,
     weights: Array,
-    vertical: Flags,
+    vertical: Mask,
     offsets: Array,
     scale: float = 1.0,
     turned: float = 0.0,

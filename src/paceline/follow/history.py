@@ -6,11 +6,8 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from paceline.follow.results import FollowEstimate, FollowResult
-
-Array = NDArray[np.float64]
 
 OTHER = "other reasons"
 REASONS, EPISODES = 50, 200  # kept of each; counts stay complete

@@ -7,15 +7,13 @@ from math import hypot
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array
 from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.continuity import veers
 from paceline.follow.features import Projection
 from paceline.follow.fitting import Fit
 from paceline.follow.measuring import Measurement
-
-Array = NDArray[np.float64]
 
 SUPPORT = 0.35  # share of the model's lines that must be found
 CLEAR = 0.5  # the same for a target that was lost, and for one that shows well

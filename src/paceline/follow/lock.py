@@ -5,15 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array, Bytes
 from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.continuity import Continuity
 from paceline.follow.motion import CYCLE, SURPRISE, MotionModels
 from paceline.follow.recognition import Look, Recogniser
-
-Array = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
 
 HAND = 0.015  # share of the target's size by which an operator's start may be off
 FLOOR = 0.3  # px: no prediction is taken to be better than that

@@ -6,18 +6,13 @@ from dataclasses import dataclass
 from math import hypot
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array, Bytes, Indices, Mask
 from paceline.follow import fitting, measuring_cpu
 from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.edges import EdgeExtractor, EdgeLists, Window, window_around
 from paceline.follow.features import Features, Projection
 from paceline.follow.fitting import Fit
-
-Array = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
-Indices = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 
 FINEST = 0.8  # px: how far an edge point may be from its line, and at a close look
 FINE = 0.008  # the same as a share of the target's size
@@ -36,7 +31,7 @@ class Measurement:
     discord: float  # the same, relative to what each may be off
     match: float  # how much of the model shows, 0 to 1, of what the image can show
     support: float  # share of the length of its lines that agree, as well
-    agreeing: Flags  # (S,): the features that lie where the model has them
+    agreeing: Mask  # (S,): the features that lie where the model has them
 
 
 class Measurer:

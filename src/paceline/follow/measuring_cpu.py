@@ -3,18 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array, Bytes, Floats, Indices, Mask
 from paceline.follow.association import associate
 from paceline.follow.candidates import CANDIDATES, add_shares, candidate_lines, faint_lines
 from paceline.follow.fitting import locate_features, robust_lines
 from paceline.numba_cache import compiled
-
-Array = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
-Floats = NDArray[np.float32]
-Indices = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 
 AGREEING = 1.5  # times what is allowed that a feature may be off to agree
 BORDER = 2.0  # px of the image in which no edge is looked for
@@ -25,7 +19,7 @@ SAMPLING = 0.2  # px: what the grid of pixels leaves uncertain of a line
 @compiled(nogil=True, error_model="numpy")
 def tolerances(
     location: Array,
-    vertical: Flags,
+    vertical: Mask,
     offsets: Array,
     horizon: float,
     magnification: float,
@@ -56,7 +50,7 @@ def mean_places(
     near_vertical: Floats,
     near_horizontal: Floats,
     owners: Indices,
-    vertical: Flags,
+    vertical: Mask,
     places: Array,
     spans: Array,
     lengths: Array,
@@ -83,7 +77,7 @@ def competing_places(
     near_vertical: Floats,
     near_horizontal: Floats,
     owners: Indices,
-    vertical: Flags,
+    vertical: Mask,
     places: Array,
     spans: Array,
     lengths: Array,
@@ -131,7 +125,7 @@ def shares_found(
 
 
 @compiled(nogil=True, error_model="numpy")
-def in_view(vertical: Flags, places: Array, spans: Array, width: int, height: int) -> Array:
+def in_view(vertical: Mask, places: Array, spans: Array, width: int, height: int) -> Array:
     """(S,): the share of each feature's length that lies in an image of ``width`` × ``height`` px."""
     shares = np.zeros(len(places))
     for j in range(len(places)):
@@ -144,8 +138,8 @@ def in_view(vertical: Flags, places: Array, spans: Array, width: int, height: in
 
 @compiled(nogil=True, error_model="numpy")
 def agreement(
-    offsets: Array, used: Flags, allowed: Array, shares: Array, lengths: Array, shown: Array
-) -> tuple[float, float, float, float, Flags]:
+    offsets: Array, used: Mask, allowed: Array, shares: Array, lengths: Array, shown: Array
+) -> tuple[float, float, float, float, Mask]:
     """How well the features lie where the model has them, from their ``offsets`` (S,) px, what each is ``allowed`` to
     be off with the model's own errors, (S,) px, how much of its length is found, ``shares`` (S,), their ``lengths``
     (S,) and how much of those the image can show, ``shown`` (S,).
@@ -175,7 +169,7 @@ def agreement(
 
 
 @compiled(nogil=True, error_model="numpy")
-def believed(near_vertical: Floats, near_horizontal: Floats, owners: Indices, used: Flags) -> tuple[Array, Indices]:
+def believed(near_vertical: Floats, near_horizontal: Floats, owners: Indices, used: Mask) -> tuple[Array, Indices]:
     """The edge points (M, 2) px of the features that are ``used`` (S,), and whose they are (M,)."""
     most = len(near_vertical) + len(near_horizontal)
     points, whose = np.empty((most, 2)), np.empty(most, np.int64)

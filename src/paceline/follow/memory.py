@@ -5,18 +5,13 @@ from __future__ import annotations
 from copy import copy
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
+from paceline.arrays import Array, Bytes
 from paceline.follow import fitting
 from paceline.follow.carrying import UPRIGHT, Carried
 from paceline.follow.features import Projection
 from paceline.follow.fitting import Fit
 from paceline.follow.judgement import Foreseen
 from paceline.follow.snapshot import RIGHT, WITHIN, Snapshot
-
-Array = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
 
 NEAR = 0.01  # sizes within which a snapshot's parts are where the whole is
 

@@ -6,10 +6,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from paceline.arrays import Array
 from paceline.follow.configuration import FollowConfiguration
 from paceline.numba_cache import compiled
-
-Array = NDArray[np.float64]
 
 CYCLE = 1 / 15  # s, the paper's cycle: the unit of time in the motion models
 LINEAR = 4.0  # cycles for which a motion is continued when nothing is seen; then the target is expected to stay there

@@ -8,14 +8,11 @@ from __future__ import annotations
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array, Bytes
 from paceline.follow.recognition import Recogniser
 from paceline.follow.start import distance
 from paceline.targets.line_model import Target
-
-Array = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
 
 NEAREST, FARTHEST = 0.02, 0.08  # shares of the model's width by which two upright lines side by side are apart
 ONE = 1.25  # times as far apart, two others are so by about as much

@@ -7,16 +7,13 @@ from dataclasses import dataclass, replace
 from math import inf
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array, Bytes
 from paceline.follow.carrying import UPRIGHT, Carried
 from paceline.follow.continuity import may_move, veers
 from paceline.follow.features import Projection
 from paceline.follow.motion import CYCLE
 from paceline.follow.search import VERTICAL
-
-Array = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
 
 SIGHTS, SURE = 6, 3  # images in a row that are kept in which the target was seen, and so many there must be,
 MOST, LARGE = 128, 2**26  # and those since: more, or more bytes, are too many to go back

@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array, Bytes, Floats
 from paceline.follow.motion import solved, triangularise
 from paceline.numba_cache import compiled
-
-Array = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
-Floats = NDArray[np.float32]
 
 UNLIKE, ALIKE = 0.2, 0.8  # correlation of a square from which, and at which fully, it has a say in the alignment
 STRIDE = 1.5  # samples by which one step may move the picture

@@ -7,17 +7,12 @@ vehicle beside it. But nowhere else does all of it fit, and what a place lacks i
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from paceline.arrays import Array, Bytes
 from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.lock import Lock
 from paceline.follow.nested import Nested, handicap
 from paceline.follow.recognition import Look
 from paceline.follow.start import LEAST, REACH, Start, distance, match_of
-
-Array = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
 
 EVERY = 6  # images of which one is patrolled
 PATROLS = 12  # so many times: each size once; later what fits better is another vehicle, or the target is half hidden

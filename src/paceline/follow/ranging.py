@@ -6,12 +6,10 @@ from dataclasses import dataclass
 from math import atan2
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array
 from paceline.cameras import Camera
 from paceline.numba_cache import compiled
-
-Array = NDArray[np.float64]
 
 YAW = 0.1  # rad, standard deviation of the target's yaw against the camera
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 from math import hypot
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array, Bytes, Indices
 from paceline.follow import fitting
 from paceline.follow.appearance import INSIDE, PICTURE_RATE, Appearance
 from paceline.follow.carrying import Carried
@@ -36,10 +36,6 @@ from paceline.follow.judgement import (
 from paceline.follow.measuring import Measurement, Measurer
 from paceline.follow.memory import Memory
 from paceline.follow.search import Search, Sighting
-
-Array = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
-Indices = NDArray[np.int64]
 
 ALONE_FOR = 15  # frames in a row for which the picture of late alone is believed, where it is as alike as HELD
 WELL = 0.7  # likeness with which a search has seen it well

@@ -10,15 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array, Bytes
 from paceline.follow import search_cpu
 from paceline.follow.appearance import Appearance
 from paceline.follow.edges import Window, window_around
 from paceline.targets.line_model import Target
-
-Array = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
 
 DETAIL = 32  # px: the smaller side of the target in the image that is searched
 VERTICAL = 0.045  # rad: a bump's pitch between two images

@@ -3,16 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array, Bytes, Floats, Indices, Mask
 from paceline.follow.edges_cpu import gradient_row
 from paceline.numba_cache import compiled
-
-Array = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
-Floats = NDArray[np.float32]
-Indices = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 
 FULL = 1.1  # evidence along a clear line: none counts for more in a survey
 TOLD = 0.3  # share of its own strength that a feature's learned evidence must keep to tell which side is brighter
@@ -88,7 +82,7 @@ def evidence(image: Bytes, soft: float, gx: Floats, gy: Floats, vertical: Floats
 
 @compiled(nogil=True, error_model="numpy")
 def _laid(
-    centers: Array, m: float, across: Flags, places: Array, spans: Array, shifts: Array, limit: int, out: Indices
+    centers: Array, m: float, across: Mask, places: Array, spans: Array, shifts: Array, limit: int, out: Indices
 ) -> None:
     """Where a model's segments lie along one axis, for each of the ``centers`` (N,) px it may have there.
 
@@ -107,7 +101,7 @@ def _laid(
 
 @compiled(nogil=True, error_model="numpy")
 def _respond(
-    vertical_sums: Floats, horizontal_sums: Floats, vertical: Flags, in_x: Indices, in_y: Indices, out: Array
+    vertical_sums: Floats, horizontal_sums: Floats, vertical: Mask, in_x: Indices, in_y: Indices, out: Array
 ) -> None:
     """`responses` for a model laid as rows of `_laid` say, ``in_x`` (S, 3) and ``in_y`` (S, 3)."""
     h, w = horizontal_sums.shape[0], vertical_sums.shape[1]
@@ -137,7 +131,7 @@ def responses(
     cy: float,
     mx: float,
     my: float,
-    vertical: Flags,
+    vertical: Mask,
     places: Array,
     spans: Array,
     shifts: Array,
@@ -194,7 +188,7 @@ def scan(
     step: float,
     scales: Array,
     magnification: Array,
-    vertical: Flags,
+    vertical: Mask,
     places: Array,
     spans: Array,
     shifts: Array,
@@ -262,7 +256,7 @@ def survey(
     scales: Array,
     rung: float,
     magnification: Array,
-    vertical: Flags,
+    vertical: Mask,
     places: Array,
     spans: Array,
     shifts: Array,

@@ -6,12 +6,9 @@ from __future__ import annotations
 from math import exp, log
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array, Bytes
 from paceline.follow.carrying import Carried
-
-Array = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
 
 FIRST, RATE = 0.5, 0.2  # likeness that is usual before any is known; of learning it
 STRIKING = 0.75  # likeness at which it gainsays features that do not show well from the first image on

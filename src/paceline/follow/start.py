@@ -8,14 +8,11 @@ was chosen in the first image as the best of many is measured in the next ones w
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array, Bytes
 from paceline.follow.carrying import Carried
 from paceline.follow.lock import Lock
 from paceline.follow.recognition import Look, Recogniser
-
-Array = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
 
 REACH = 0.55  # sizes of the target by which a start may be off
 PLACES, FOLLOWED = 48, 5  # that are measured in the first image, and the best of them that are followed

@@ -8,11 +8,8 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
-Floats = NDArray[np.float32]
+from paceline.arrays import Array, Bytes, Floats
 
 SMALL, LEAST = 12, 8  # px: the smaller side of the picture that is compared, and the same in a large view
 STEP = 0.07  # relative change from one size that is tried to the next

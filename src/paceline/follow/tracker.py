@@ -8,8 +8,8 @@ from math import isfinite
 from time import perf_counter
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array, Bytes
 from paceline.cameras import Camera
 from paceline.errors import UnusableInput
 from paceline.follow import fitting
@@ -27,9 +27,6 @@ from paceline.follow.results import FollowEstimate
 from paceline.path_following.pure_pursuit import Steering
 from paceline.recordings.odometry import Pose
 from paceline.targets.line_model import Target
-
-Array = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
 
 
 class FollowTracker:

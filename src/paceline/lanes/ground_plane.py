@@ -8,11 +8,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from paceline.arrays import Array, Image
 from paceline.cameras import StereoRig
 from paceline.lanes.road_surface import Surface, plane_surface
-from paceline.recordings.background import Background, Image
-
-Array = NDArray[np.float64]
+from paceline.recordings.background import Background
 
 WIDTH = 640  # px to which pictures are reduced: far more than a first guess needs
 BLOCK = 7  # px

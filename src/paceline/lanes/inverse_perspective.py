@@ -6,16 +6,12 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array, Image, Mask
 from paceline.cameras import StereoRig
 from paceline.lanes.road_alignment import Alignment
 from paceline.lanes.road_surface import Surface
 from paceline.recordings.background import Background
-
-Array = NDArray[np.float64]
-Image = NDArray[np.float32]
-Mask = NDArray[np.bool_]
 
 DARKEST = 2.0  # grey levels added before the logarithm, below which pictures hold little but noise
 

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array
 from paceline.cameras import StereoRig, moved_rigs
 from paceline.errors import UnusableInput
 from paceline.geometry import triangulate
@@ -15,8 +15,6 @@ from paceline.lanes.line_adjustment import Road
 from paceline.lanes.line_detection import TERMS, UNIT, along
 from paceline.speed.geometry.path_reconstruction import reconstruct
 from paceline.speed.geometry.paths import Path, jacobian
-
-Array = NDArray[np.float64]
 
 NARROWEST, WIDEST = 2.2, 5.5  # m between the lines of a lane
 SAMPLES = 15  # places along a lane at which its width is measured

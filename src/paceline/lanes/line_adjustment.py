@@ -13,13 +13,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from paceline.arrays import Array
 from paceline.cameras import StereoRig
 from paceline.lanes.inverse_perspective import pixel_size
 from paceline.lanes.line_detection import DEGREE, STRAY, TERMS, UNIT, Trace, along
 from paceline.lanes.road_alignment import Alignment
 from paceline.lanes.road_surface import Surface
-
-Array = NDArray[np.float64]
 
 PIXEL = 0.15  # px, the noise of a measured stretch of paint
 EDGE = 0.01  # m, how raggedly paint is laid and worn

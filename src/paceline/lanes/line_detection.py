@@ -5,16 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
+from paceline.arrays import Array
 from paceline.cameras import StereoRig
 from paceline.lanes.road_alignment import Alignment
 from paceline.lanes.road_direction import Votes
 from paceline.lanes.road_rectification import REACH, Strip
 from paceline.lanes.road_surface import Surface
-
-Array = NDArray[np.float64]
 
 UNIT = 30.0  # m of s in which a line's polynomial counts
 DEGREE = 3  # of it, while it is traced

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from paceline.arrays import Array
 
 SCALE = 30.0  # m of s at which each term of the deviation is 1
 SMALL = 1e-9  # 1/m, below which an arc is a line

@@ -7,18 +7,15 @@ from itertools import product
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 from scipy.optimize import minimize
 
+from paceline.arrays import Array, Image
 from paceline.cameras import StereoRig
 from paceline.lanes.inverse_perspective import Chart, chart
 from paceline.lanes.road_alignment import Alignment
 from paceline.lanes.road_surface import Surface
 from paceline.recordings.background import Background
-
-Array = NDArray[np.float64]
-Image = NDArray[np.float32]
 
 CELL = 0.06  # m of the ground grid
 NEAREST, FARTHEST, ASIDE = 4.0, 90.0, 40.0  # m of ground looked at

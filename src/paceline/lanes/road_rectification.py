@@ -8,15 +8,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from paceline.arrays import Array, Image, Mask
 from paceline.cameras import StereoRig
 from paceline.lanes.inverse_perspective import chart, pixel_size
 from paceline.lanes.road_alignment import Alignment
 from paceline.lanes.road_surface import Surface
 from paceline.recordings.background import Background
-
-Array = NDArray[np.float64]
-Image = NDArray[np.float32]
-Mask = NDArray[np.bool_]
 
 REACH = 16.0  # m to either side of the course
 CELL = 0.02  # m across

@@ -10,11 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array
 from paceline.cameras import StereoRig
-
-Array = NDArray[np.float64]
 
 SCALE = 30.0  # m: at it, each φⱼ is about 1
 TERMS = 6

@@ -5,14 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Any
 
-import numpy as np
 import yaml
-from numpy.typing import NDArray
 
+from paceline.arrays import Array
 from paceline.errors import UnusableInput
 from paceline.lanes.lane_proposals import Lane
-
-Array = NDArray[np.float64]
 
 HALF = 1.96  # standard deviations in half a 95 % interval
 

@@ -6,12 +6,10 @@ from dataclasses import dataclass
 from math import atan, cos, exp, hypot, sin
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array
 from paceline.numba_cache import compiled
 from paceline.recordings.odometry import Pose
-
-Array = NDArray[np.float64]
 
 SPACING = 0.5  # m between two stored points of the path
 LONGEST = 512  # points kept, 256 m: a day's run holds no more than that

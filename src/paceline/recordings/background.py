@@ -8,11 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from paceline.arrays import Image, Mask
 from paceline.recordings.stereo import StereoRecording
 
-Array = NDArray[np.float64]
-Image = NDArray[np.float32]
-Mask = NDArray[np.bool_]
 Progress = Callable[[int, int | None], None]
 
 FRAMES = 31  # looked at, evenly spread: what the memory holds however long the recording is

@@ -17,10 +17,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from paceline.arrays import Array, Image
 from paceline.errors import UnusableInput
 
-Array = NDArray[np.float64]
-Image = NDArray[np.float32]
 Stored = NDArray[Any]  # uint8 or uint16
 
 IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm", ".webp"}

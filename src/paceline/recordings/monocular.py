@@ -25,11 +25,11 @@ from av.container import InputContainer
 from av.format import Flags
 from numpy.typing import NDArray
 
+from paceline.arrays import Array
 from paceline.cameras import Camera
 from paceline.errors import UnusableInput
 from paceline.recordings.image_sources import ImageFiles, Source, open_source
 
-Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]  # (H, W)
 
 LISTED = 8  # notices of one kind that are kept

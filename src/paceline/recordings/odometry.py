@@ -7,12 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array, Indices
 from paceline.errors import UnusableInput
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 HEADER = ["frame", "x_m", "y_m", "heading_rad"]
 

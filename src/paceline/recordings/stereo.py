@@ -13,15 +13,11 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array, Image, Indices
 from paceline.cameras import StereoRig
 from paceline.errors import UnusableInput
 from paceline.recordings.image_sources import ImageFiles, Source, open_source
-
-Array = NDArray[np.float64]
-Image = NDArray[np.float32]
-Indices = NDArray[np.int64]
 
 NOTABLE_SKEW = 1.1e-3  # s; rounding both views to whole milliseconds explains less
 LISTED = 8  # frames that a notice lists at most

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array
 from paceline.cameras import StereoRig
 from paceline.lanes.lane_proposals import Lane, Line
 from paceline.recordings.background import Background
 from paceline.reports.common.drawing import SUBPIXEL, WHITE, Box, Color, Picture, draw_label, draw_line, fixed
-
-Array = NDArray[np.float64]
 
 LINE: Color = (60, 200, 255)
 CENTRE: Color = (110, 220, 90)

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Image
 from paceline.errors import UnusableInput
 from paceline.reports.common.drawing import (
     DARK,
@@ -22,8 +22,6 @@ from paceline.reports.common.drawing import (
 )
 from paceline.reports.common.output_folder import write_together
 from paceline.targets.learning import LearnedTarget, corner_names
-
-Image = NDArray[np.float32]
 
 SIZE = 900  # px, the larger side of the picture
 BESIDE = 0.15  # share of the target's size shown around it

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 
+from paceline.arrays import Array
 from paceline.calibration.boards import Board, Corners
-from paceline.calibration.parameters import Array, Observations, Poses, Rig, lens_projection, project, rotation
+from paceline.calibration.parameters import Observations, Poses, Rig, lens_projection, project, rotation
 
 PIXELS_PER_SQUARE = 48  # of the printed board
 FINER = 2  # the picture is drawn on a finer grid and averaged

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from paceline.arrays import Array
 from paceline.cameras import View
 from paceline.errors import UnusableInput
-from paceline.simulation.raytraced.meshes import Array
 from paceline.simulation.raytraced.renderer import Renderer
 from paceline.simulation.raytraced.scene import Car, Stage
 from paceline.simulation.raytraced.sensor import distorted

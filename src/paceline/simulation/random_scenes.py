@@ -7,12 +7,10 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array
 from paceline.cameras import View
 from paceline.simulation.stereo.scene import Motion, Road, Scene, Vehicle, is_inside, make_rig, views_of, visible_line
-
-Array = NDArray[np.float64]
 
 MILE_PER_HOUR = 0.44704
 RATES = (5.0, 7.5, 10.0, 12.5, 15.0, 20.0, 25.0, 30.0)

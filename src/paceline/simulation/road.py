@@ -9,9 +9,10 @@ from numpy.typing import ArrayLike
 from scipy.integrate import cumulative_simpson
 from scipy.interpolate import CubicHermiteSpline
 
+from paceline.arrays import Array
 from paceline.errors import UnusableInput
 from paceline.simulation.raytraced import road_surface
-from paceline.simulation.raytraced.meshes import Array, Solid
+from paceline.simulation.raytraced.meshes import Solid
 
 KINDS = ("straight", "circle", "clothoid", "winding")
 MARGIN = 150.0  # m by which a road is known before its start and behind its end

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Image = NDArray[np.float32]
+from paceline.arrays import Image
 
 TEXELS_PER_METRE = 560.0  # a vehicle's, fine enough for its nearest views
 LEVELS = 6

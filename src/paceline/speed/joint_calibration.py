@@ -15,11 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
+from paceline.arrays import Array
 from paceline.speed import verdict
 from paceline.speed.refinement.photometric_fit import UNTOLD
 from paceline.speed.results import CONFIDENCE, Measurement, RigTold, Track
-
-Array = NDArray[np.float64]
 
 TOGETHER, MEANWHILE = 8, 600.0  # other vehicles that one is put right by, and seconds within which they pass
 ONE = 2.0  # m between the planes of two outlines below which they are of one vehicle

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from paceline.arrays import Array
 
 CONFIDENCE = 0.95  # of every interval
 

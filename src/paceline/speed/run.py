@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri, stdtrit
 
+from paceline.arrays import Array
 from paceline.documents.loading import Clip, VehicleDocument
 from paceline.errors import UnusableInput
 from paceline.recordings.stereo import StereoFrame
@@ -26,7 +27,6 @@ from paceline.speed.refinement.trajectory import Trajectory, way_of
 from paceline.speed.results import CONFIDENCE, Measurement, RigTold, Track
 from paceline.speed.verdict import LEAST_FRAMES
 
-Array = NDArray[np.float64]
 Seen = Callable[[str, Estimate], None]
 
 MOST_GLIMPSES = 32  # frames kept for the refinement; of a longer track, evenly spread ones, besides the last

@@ -14,12 +14,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from paceline.arrays import Array, Image
 from paceline.cameras import Camera
 from paceline.documents.loading import TargetDocument
 from paceline.errors import UnusableInput
 
-Array = NDArray[np.float64]
-Image = NDArray[np.float32]
 End = tuple[str, int, int]  # h or v, which line, 0 for its start and 1 for its stop
 
 BLUR = 0.7  # px, takes the pixel noise off before the gradient

@@ -6,13 +6,9 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array, Indices, Mask
 from paceline.cameras import Camera
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 
 OBLIQUE = 0.01  # share of its length by which a segment's ends may differ across it
 
@@ -32,7 +28,7 @@ class Target:
     corners: Array
     segments: Indices
     tolerance: float = 0.0
-    vertical: Flags = field(init=False)  # (S,)
+    vertical: Mask = field(init=False)  # (S,)
 
     def __post_init__(self) -> None:
         corners = np.array(self.corners, float).reshape(-1, 2)

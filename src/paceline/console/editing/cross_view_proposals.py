@@ -10,12 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from paceline.arrays import Array, Image
 from paceline.cameras import StereoRig
 from paceline.documents.plausibility import wrong_quadrilateral
 from paceline.errors import UnusableInput
-
-Array = NDArray[np.float64]
-Image = NDArray[np.float32]
 
 NEAREST, FARTHEST = 2.0, 400.0  # m, of what is looked for
 ALIKE = 0.6  # correlation from which on a match is offered

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array, Image
 from paceline.subpixel import vertex
-
-Array = NDArray[np.float64]
-Image = NDArray[np.float32]
 
 LARGEST_REACH = 12  # px
 CONTRAST = 6.0  # grey levels per pixel: less is no edge

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from paceline.arrays import Array, Image
 from paceline.cameras import StereoRig
 from paceline.console.editing.clip_document import Entry
 from paceline.console.editing.cross_view_proposals import Proposal, propose_line, propose_quadrilateral, turned
@@ -17,8 +18,6 @@ from paceline.geometry import epipolar_distance, triangulate
 from paceline.speed.geometry.path_reconstruction import reconstruct
 from paceline.speed.geometry.paths import Path, from_points
 
-Array = NDArray[np.float64]
-Image = NDArray[np.float32]
 Facts = dict[str, Any]
 
 CLICK = 0.5  # px, standard deviation of a drawn corner

@@ -5,17 +5,15 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import ValidationError
 
+from paceline.arrays import Array, Image
 from paceline.cameras import Camera
 from paceline.documents.models import StartModel, TargetModel
 from paceline.documents.plausibility import wrong_segment, wrong_start, wrong_target
 from paceline.errors import UnusableInput
 from paceline.targets.learning import corner_names, learn_target
 
-Array = NDArray[np.float64]
-Image = NDArray[np.float32]
 Plain = dict[str, Any]
 
 ALONG = 5  # places of each line that are shown: a lens bends it

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from paceline.arrays import Array, Image
 from paceline.cameras import Camera
 from paceline.console.confinement import NotHere, check_document, named_files
 from paceline.console.document_names import ChaseModel, is_chase, live_views, read_small
@@ -19,9 +20,7 @@ from paceline.errors import UnusableInput
 from paceline.recordings.image_sources import Source, open_source
 from paceline.recordings.stereo import StereoRecording, open_recording
 
-Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
-Image = NDArray[np.float32]
 Stamps = tuple[tuple[Path, int, int], ...]
 
 VIEWS = ("left", "right")

@@ -5,12 +5,10 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from paceline.arrays import Array
 from paceline.reports.speed.plots import FILTER, INK, INTERVAL, MUTED, REFINED, Plot, make_plot
 from paceline.simulation.closed_loop.results import DriveLog
-
-Array = NDArray[np.float64]
 
 WIDE, HALF = (9.4, 3.3), (4.6, 3.0)
 SHADES = {1.0: INTERVAL, 2.0: MUTED}

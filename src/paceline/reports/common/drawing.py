@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from paceline.arrays import Array
+
 Picture = NDArray[np.uint8]  # (H, W, 3), BGR
 Color = tuple[int, int, int]  # BGR
 Box = tuple[int, int, int, int]  # left, top, right, bottom

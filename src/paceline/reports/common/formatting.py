@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from paceline.speed.results import Array, Measurement, Track
+from paceline.arrays import Array
+from paceline.speed.results import Measurement, Track
 from paceline.units import convert
 
 MISSING = "–"

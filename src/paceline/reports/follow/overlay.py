@@ -8,12 +8,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from paceline.arrays import Array
 from paceline.follow.results import FollowEstimate
 from paceline.recordings.monocular import CameraFrame
 from paceline.reports.common.drawing import (
     DARK,
     WHITE,
-    Array,
     Color,
     Picture,
     draw_dots,

@@ -8,13 +8,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-from numpy.typing import NDArray
 
+from paceline.arrays import Array
 from paceline.follow.results import FollowResult
 from paceline.reports.common.formatting import COVERAGE
 from paceline.reports.speed.plots import FILTER, INK, INTERVAL, MUTED, REFINED, Plot, make_plot
-
-Array = NDArray[np.float64]
 
 WIDE, HALF = (9.4, 3.5), (4.6, 3.0)
 SHADES = {"coasting": INTERVAL, "lost": MUTED}

@@ -8,9 +8,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from paceline.arrays import Array
 from paceline.reports.speed.plots import MUTED, VEHICLES, Plot, make_plot
 from paceline.reports.speed.tables import numbers_of
-from paceline.speed.results import Array
 from paceline.units import convert
 
 Vehicles = Sequence[dict[str, object]]  # as summary.json has them

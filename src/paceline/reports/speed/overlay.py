@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from paceline.arrays import Array
 from paceline.recordings.stereo import StereoFrame, StereoRecording
 from paceline.reports.common.drawing import (
     DARK,
     WHITE,
-    Array,
     Box,
     Color,
     Picture,

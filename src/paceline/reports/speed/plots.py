@@ -13,8 +13,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from paceline.arrays import Array
 from paceline.reports.common.formatting import coverage_factor
-from paceline.speed.results import Array, ClipResult, Measurement, Track
+from paceline.speed.results import ClipResult, Measurement, Track
 from paceline.units import convert
 
 # Colours that stay apart for colour-blind readers, after Okabe and Ito.

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from paceline.speed.results import Array, ClipResult, Measurement, Track
+from paceline.arrays import Array
+from paceline.speed.results import ClipResult, Measurement, Track
 
 COLUMNS = [
     "vehicle", "frame", "time_s", "speed_mps", "speed_std_mps", "x_m", "y_m", "z_m", "yaw_rate_radps",

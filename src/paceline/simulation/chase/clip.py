@@ -17,6 +17,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from paceline.arrays import Array
 from paceline.simulation.chase.scene import PRESETS, ChaseScene, Occlusion, random_chase
 from paceline.simulation.chase.script import Script
 from paceline.simulation.chase.sensor import Film
@@ -36,7 +37,6 @@ __all__ = [
     "write",
 ]
 
-Array = NDArray[np.float64]
 
 NOMINAL_RANGE = 10.0  # m
 CLICK = 0.4, 0.008  # px and share of the size, standard deviations of the operator's start

@@ -9,10 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 
-Array = NDArray[np.float64]
+from paceline.arrays import Array
 
 STEP = 0.5  # m between the road's tabulated points
 BUMP_EVERY = 2.5  # s

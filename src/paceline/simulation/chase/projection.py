@@ -7,14 +7,11 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
+from paceline.arrays import Array, Image, Indices
 from paceline.simulation.chase import rasterizer
 from paceline.simulation.chase.motion import Road, State
 from paceline.simulation.chase.vehicles import Face
 from paceline.simulation.textures import Texture
-
-Array = NDArray[np.float64]
-Image = NDArray[np.float32]
-Indices = NDArray[np.int64]
 
 NEAREST = 0.3  # m ahead of the camera, before which a face is left out
 

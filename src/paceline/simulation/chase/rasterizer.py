@@ -8,14 +8,8 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from paceline.arrays import Array, Image, Indices
 from paceline.numba_cache import compiled
-
-Array = NDArray[np.float64]
-Image = NDArray[np.float32]
-Indices = NDArray[np.int64]
 
 CELL = 0.05  # m, a texel of a shade map
 LOWEST = 0.004  # slope below the horizon from which on the ground is painted

@@ -6,15 +6,12 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Image
 from paceline.simulation import textures
 from paceline.simulation.chase.rasterizer import CELL
 from paceline.simulation.chase.vehicles import KINDS, Face, Sheet, vehicle
 from paceline.simulation.textures import Canvas, Texture
-
-Array = NDArray[np.float64]
-Image = NDArray[np.float32]
 
 LANE = 3.5  # m; the vehicles' lane lies around lateral 0, the other one to its left
 RIGHT_EDGE, LEFT_EDGE = LANE / 2, -1.5 * LANE

@@ -6,14 +6,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from paceline.arrays import Array, Image
 from paceline.simulation.chase import rasterizer
 from paceline.simulation.chase.motion import STEP, Wander
 from paceline.simulation.chase.projection import Faces, draw, in_level, joined
 from paceline.simulation.chase.scenery import LANE, shade_map
 from paceline.simulation.chase.world import ChaseWorld, Moment
-
-Array = NDArray[np.float64]
-Image = NDArray[np.float32]
 
 REACH = 260.0  # m of road ahead that is laid out
 FARTHEST = 170.0  # m, of things beside the road

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from paceline.simulation.textures import Canvas, Texture
 
-Array = NDArray[np.float64]
-
 KINDS = ("van", "saloon", "lorry", "bus")
 DENSITY = 400.0  # texels per metre of a rear plane
 

@@ -7,15 +7,13 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array
 from paceline.simulation.chase.motion import Road, State, place
 from paceline.simulation.chase.projection import Atlas, Eye, Faces, Sun, faces_of, joined, moved
 from paceline.simulation.chase.scene import ChaseScene, Occlusion
 from paceline.simulation.chase.scenery import LANE, Thing, oncoming, roadside, standing, upright
 from paceline.simulation.chase.vehicles import Body, Face, Sheet, vehicle
-
-Array = NDArray[np.float64]
 
 CROSSING_LENGTH = 3.2  # m, of the vehicle that crosses
 

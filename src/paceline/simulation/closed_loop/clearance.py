@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from paceline.arrays import Array
 
 
 def outline(x: float, y: float, heading: float, back: float, front: float, width: float) -> Array:

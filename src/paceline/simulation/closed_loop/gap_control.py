@@ -10,9 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from paceline.arrays import Array
 
 AGILITY = 2.0  # m/s², standard deviation of the lead's acceleration
 MEMORY = 1.0  # s over which it is correlated (Singer's model)

@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array
 from paceline.simulation.chase.motion import STEP, Road, State, place
-
-Array = NDArray[np.float64]
 
 TICK = 0.02  # s between the rows of the plan
 EASE = 1.2  # m/s², braking for a bend

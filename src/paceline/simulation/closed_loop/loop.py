@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from paceline.arrays import Array
 from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.results import FollowEstimate
 from paceline.follow.tracker import FollowTracker
@@ -25,8 +26,6 @@ from paceline.simulation.closed_loop.odometer import Odometer, OdometerErrors
 from paceline.simulation.closed_loop.scene import Stage
 from paceline.simulation.closed_loop.vehicle_dynamics import Command, Plant, State, Vehicle
 from paceline.targets.line_model import Target
-
-Array = NDArray[np.float64]
 
 LATENCY = 0.128  # s from picture to command, [NIST] section 3
 CAUTION = 1.0  # m by which a person keeps farther off than the whole rear needs to be in view

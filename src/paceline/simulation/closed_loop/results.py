@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import astuple, dataclass, field, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array
 from paceline.simulation.closed_loop.loop import Step
 from paceline.simulation.closed_loop.requirements import Figures, Requirement
-
-Array = NDArray[np.float64]
 
 KEEP = 20_000  # rows, even
 STATUS = ("tracking", "coasting", "lost")

@@ -8,7 +8,6 @@ from itertools import repeat
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from paceline.recordings.odometry import Pose
 from paceline.simulation.chase.motion import Road, Shaking, State, Wander, place, winding
@@ -22,8 +21,6 @@ from paceline.simulation.closed_loop.gap_control import GapPolicy
 from paceline.simulation.closed_loop.lead_vehicle import LaneChange, Lead, Weave, road_of
 from paceline.simulation.closed_loop.vehicle_dynamics import State as Chase
 from paceline.simulation.closed_loop.vehicle_dynamics import Vehicle, ahead_of
-
-Array = NDArray[np.float64]
 
 START = 30.0  # m along the road at which the camera begins
 VIEW = 400.0  # m of road that are laid out beyond the end of the drive

@@ -10,11 +10,9 @@ from dataclasses import astuple, dataclass
 from math import ceil
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array
 from paceline.numba_cache import compiled
-
-Array = NDArray[np.float64]
 
 STEP = 0.005  # s, the longest step of the integration
 

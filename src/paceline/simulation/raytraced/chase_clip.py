@@ -13,10 +13,11 @@ from typing import Any
 
 import numpy as np
 
+from paceline.arrays import Array
 from paceline.cameras import Camera, View
 from paceline.simulation.chase.motion import Gap, Shaking, Wander
 from paceline.simulation.raytraced import clip_folder
-from paceline.simulation.raytraced.meshes import Array, Placement, Solid
+from paceline.simulation.raytraced.meshes import Placement, Solid
 from paceline.simulation.raytraced.mitsuba_variant import default_variant
 from paceline.simulation.raytraced.renderer import Renderer
 from paceline.simulation.raytraced.scene import (

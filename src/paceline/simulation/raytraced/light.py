@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from paceline.simulation.raytraced.meshes import Array
+from paceline.arrays import Array
 
 SKY_ROWS = 256  # of the map, half of them above the horizon
 GROUND = 0.12  # reflectance of the land beyond the world's edge

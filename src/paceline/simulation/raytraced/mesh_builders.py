@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from paceline.simulation.raytraced.meshes import Array, Indices, Material, Solid
+from paceline.arrays import Array, Indices
+from paceline.simulation.raytraced.meshes import Material, Solid
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from paceline.arrays import Array, Indices
+
 Texture = NDArray[np.float32]
 Placement = tuple[Array, Array]  # R (3, 3) and t (3,): world = R X + t
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from paceline.arrays import Array
 from paceline.errors import UnusableInput
-from paceline.simulation.raytraced.meshes import Array
 from paceline.simulation.road import MARGIN, Road
 
 EARLIEST = -5.0  # s

@@ -12,8 +12,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from paceline.arrays import Array
 from paceline.cameras import Camera
-from paceline.simulation.raytraced.meshes import Array
 from paceline.simulation.raytraced.mitsuba_variant import PORTABLE
 
 Radiance = NDArray[np.float32]

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from paceline.arrays import Array
 from paceline.cameras import View
 from paceline.simulation.raytraced.light import Light
-from paceline.simulation.raytraced.meshes import Array, Material, Placement, Solid
+from paceline.simulation.raytraced.meshes import Material, Placement, Solid
 from paceline.simulation.raytraced.mitsuba_variant import default_variant, mitsuba
 from paceline.simulation.raytraced.ray_generation import Radiance, Window, taker
 

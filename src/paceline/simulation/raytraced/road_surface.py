@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
+from paceline.arrays import Array
 from paceline.simulation.raytraced import road_textures as textures
 from paceline.simulation.raytraced.mesh_builders import Mesh, creased, joined, sheet
-from paceline.simulation.raytraced.meshes import Array, Material, Solid
+from paceline.simulation.raytraced.meshes import Material, Solid
 
 STEP = 0.5  # m, between the stations of the surface's mesh
 TILE = 16.0  # m, after which the asphalt's texture repeats

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Image
 from paceline.simulation.raytraced.meshes import Texture
-
-Image = NDArray[np.float32]
 
 
 def mottle(rng: np.random.Generator, shape: tuple[int, int], grain: float) -> Image:

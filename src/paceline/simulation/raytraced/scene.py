@@ -9,10 +9,11 @@ from typing import Any
 import cv2
 import numpy as np
 
+from paceline.arrays import Array
 from paceline.cameras import Camera, RigUncertainty, StereoRig, View
 from paceline.errors import UnusableInput
 from paceline.simulation.raytraced.light import Light
-from paceline.simulation.raytraced.meshes import Array, Placement, Solid
+from paceline.simulation.raytraced.meshes import Placement, Solid
 from paceline.simulation.raytraced.motion import Drive, LaneChange, Motion
 from paceline.simulation.raytraced.renderer import Renderer
 from paceline.simulation.raytraced.scene_yaml import CarModel, PlaceModel, SceneModel, SpeedScene

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ive
 
+from paceline.arrays import Array
 from paceline.cameras import Camera, View
 from paceline.simulation.raytraced.light import LUMINANCE
-from paceline.simulation.raytraced.meshes import Array, Placement
+from paceline.simulation.raytraced.meshes import Placement
 from paceline.simulation.raytraced.renderer import Radiance, Renderer, Window
 
 

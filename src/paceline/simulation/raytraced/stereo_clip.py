@@ -14,12 +14,12 @@ from typing import Any
 
 import numpy as np
 
+from paceline.arrays import Array
 from paceline.cameras import View
 from paceline.documents.rig_yaml import rig_yaml
 from paceline.simulation.operator import clip_document
 from paceline.simulation.raytraced import clip_folder
 from paceline.simulation.raytraced.light import Light
-from paceline.simulation.raytraced.meshes import Array
 from paceline.simulation.raytraced.mitsuba_variant import default_variant
 from paceline.simulation.raytraced.renderer import Radiance, Renderer, Window
 from paceline.simulation.raytraced.scene import Car, Stage, sensor_of

@@ -18,6 +18,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from paceline.arrays import Array, Image
 from paceline.cameras import StereoRig, View
 from paceline.documents.rig_yaml import rig_yaml
 from paceline.simulation import textures
@@ -52,8 +53,6 @@ __all__ = [
     "write_documents",
 ]
 
-Array = NDArray[np.float64]
-Image = NDArray[np.float32]
 
 SUPERSAMPLING = 4
 

@@ -9,13 +9,11 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import cumulative_simpson
 from scipy.interpolate import CubicSpline
 
+from paceline.arrays import Array
 from paceline.cameras import Camera, StereoRig, View
-
-Array = NDArray[np.float64]
 
 CLEARANCE = 0.35  # m from the road to the lower edge of a vehicle's main plane
 MARGIN = 10.0  # px that a quadrilateral keeps from the image's border where it counts as inside
@@ -230,7 +228,6 @@ def make_rig(scene: Scene) -> StereoRig:
     R = np.asarray(cv2.Rodrigues(angles)[0], float)
     t = -np.array([scene.baseline, *rng.normal(0, 0.004, 2)])
     return StereoRig(left, right, R, t)
-
 
 
 def views_of(rig: StereoRig) -> tuple[View, View]:

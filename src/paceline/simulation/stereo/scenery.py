@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array, Image
 from paceline.cameras import View
 from paceline.simulation import textures
 from paceline.simulation.stereo.scene import Pose, Road, Scene
 from paceline.simulation.stereo.textured_planes import Card, draw, paste
-
-Array = NDArray[np.float64]
-Image = NDArray[np.float32]
 
 LANE_EDGE = 1.85  # m from a lane's centre to the marks on either side
 HARD_SHOULDER = 0.9  # m of asphalt beyond the outermost marks

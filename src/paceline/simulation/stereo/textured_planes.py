@@ -10,13 +10,10 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array, Image
 from paceline.cameras import View
 from paceline.simulation.textures import LEVELS, Texture
-
-Array = NDArray[np.float64]
-Image = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array, Image
 from paceline.cameras import StereoRig
 from paceline.documents.loading import VehicleDocument
 from paceline.speed.configuration import SpeedConfiguration
@@ -16,8 +16,6 @@ from paceline.speed.filter.motion_models import PathMotion, State
 from paceline.speed.geometry.initial_plane import FirstPlane
 from paceline.speed.geometry.paths import DRIVEN
 
-Array = NDArray[np.float64]
-Image = NDArray[np.float32]
 Guess = tuple[float, float]  # a speed and its standard deviation, m/s
 
 SPEED_RANGE = (0.5, 75.0)  # m/s, searched where no first guess is given

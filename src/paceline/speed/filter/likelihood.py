@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array, Floats
 from paceline.speed.filter import patch_features_cpu
 from paceline.speed.geometry.quadrilaterals_cpu import inward_edges, unit_square_to
 
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
 Packed = patch_features_cpu.Packed
 
 SAMPLES = 2560  # about this many samples a region, 64 × 40 in [Zhu]'s terms

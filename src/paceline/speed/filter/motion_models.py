@@ -9,16 +9,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from paceline.arrays import Array, Indices
 from paceline.cameras import Camera, StereoRig
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.geometry import quadrilaterals_cpu
 from paceline.speed.geometry.paths import DRIVEN, Path
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 Draws = list[tuple[float, int]]  # for each kind of noise, in the order of drawing: sigma, and numbers a particle
 
 FRAME = 0.2  # s, the frame interval of [Zhu], to which its noises per frame refer

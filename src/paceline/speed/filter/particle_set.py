@@ -9,8 +9,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array
 from paceline.cameras import StereoRig
 from paceline.recordings.stereo import StereoFrame
 from paceline.speed.configuration import SpeedConfiguration
@@ -19,7 +19,6 @@ from paceline.speed.filter.likelihood import Packed
 from paceline.speed.filter.motion_models import FreeMotion, PathMotion, State
 from paceline.speed.filter.resampling import KEPT, ROUGHENING, Weights, even_enough, resample
 
-Array = NDArray[np.float64]
 Views = tuple[Packed, Packed]
 
 SHOWN = 2000  # particles at most, of which an estimate tells the places

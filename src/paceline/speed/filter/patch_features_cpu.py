@@ -18,6 +18,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from paceline.arrays import Array, Floats
 from paceline.numba_cache import compiled
 from paceline.speed.filter import patch_features
 from paceline.speed.filter.patch_features import CROSS_ROWS, LEAST_OVERLAP
@@ -35,8 +36,6 @@ _up_down = _inline(patch_features.haar_up_down)
 _diagonal = _inline(patch_features.haar_diagonal)
 _correlation = njit(nogil=True)(patch_features.correlation)
 
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
 
 CHUNKS = 32  # pieces of work shared out to the threads
 

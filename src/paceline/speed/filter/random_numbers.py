@@ -7,7 +7,7 @@ import copy
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from paceline.arrays import Array
 
 MANY = 900  # particles for which numbers drawn one after another would take longer than all the rest on a GPU
 

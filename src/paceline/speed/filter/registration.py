@@ -14,15 +14,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from paceline.arrays import Array, Image
 from paceline.cameras import StereoRig
 from paceline.speed.filter import registration_cpu
 from paceline.speed.filter.likelihood import Grid
 from paceline.speed.geometry.initial_plane import FirstPlane
 from paceline.speed.geometry.quadrilaterals_cpu import unit_square_to
 
-Array = NDArray[np.float64]
 Number = TypeVar("Number", bound=np.generic)
-Image = NDArray[np.float32]
 
 ITERATIONS = 8
 COARSE = (6.0, 2.5)  # grid steps of smoothing, for searches that begin farther away

@@ -9,9 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from paceline.arrays import Array
 from paceline.numba_cache import compiled
-
-Array = NDArray[np.float64]
 
 # Sums may be reordered to become vectors; NaN stays NaN, for places behind the camera can give one.
 SUMS = {"reassoc", "contract", "arcp", "nsz"}

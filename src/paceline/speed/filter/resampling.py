@@ -6,10 +6,9 @@ from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from paceline.arrays import Array, Indices
+
 ROUGHENING = 0.1  # share of a static parameter's spread that resampling gives back to it
 KEPT = float(np.sqrt(1 - ROUGHENING**2))  # share of it that is left before
 EVEN = 1e-9  # relative: by which a sample size may fall short of its bound by rounding

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array
 from paceline.cameras import StereoRig
 from paceline.documents.loading import VehicleDocument
 from paceline.recordings.stereo import StereoFrame
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from paceline.speed.filter.cuda.device import CudaDevice
     from paceline.speed.filter.cuda.particle_set import CudaCloud
 
-Array = NDArray[np.float64]
 
 SEEN = 0.55  # likeness to the reference below which a frame teaches nothing
 LOST = 0.25  # likeness below which the vehicle is not in view

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array
 from paceline.cameras import StereoRig
 from paceline.documents.loading import VehicleDocument
 from paceline.geometry import triangulate
 from paceline.speed.geometry.paths import Path
-
-Array = NDArray[np.float64]
 
 UPRIGHT = np.radians(6.0)  # fronts and sides of vehicles stand upright to about this
 TURNED = np.radians(30.0)  # a side outlined for measurement faces the cameras to about this

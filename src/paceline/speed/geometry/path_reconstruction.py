@@ -10,6 +10,7 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline, UnivariateSpline
 from scipy.optimize import least_squares
 
+from paceline.arrays import Array
 from paceline.cameras import StereoRig
 from paceline.documents.loading import PathDocument
 from paceline.errors import UnusableInput
@@ -24,8 +25,6 @@ from paceline.speed.geometry.paths import (
     reconstruct_line,
     resampled,
 )
-
-Array = NDArray[np.float64]
 
 CURVATURE_WALKS = (2e-4, 1e-3, 5e-3)  # m^-1.5: an arc of constant radius, a gentle transition, a tight one
 CREST_WALK = 2e-4  # m^-1.5, the same for the vertical curvature

@@ -12,13 +12,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from paceline.arrays import Array
 from paceline.cameras import Camera, StereoRig
 from paceline.errors import UnusableInput
-
-Array = NDArray[np.float64]
 
 DRAWING_SIGMA = 0.5  # px, the noise of a drawn point where too few points are drawn to estimate it
 MAX_DIRECTION_STD = np.radians(6.0)  # a path less certain than this constrains nothing

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from paceline.arrays import Array
 from paceline.numba_cache import compiled
 from paceline.speed.geometry import quadrilaterals
-
-Array = NDArray[np.float64]
 
 _carry = njit(inline="always")(quadrilaterals.carry)
 _cross_diagonals = njit(inline="always")(quadrilaterals.cross_diagonals)

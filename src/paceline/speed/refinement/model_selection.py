@@ -9,14 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array
 from paceline.speed.refinement.photometric_fit import NEGLIGIBLE, RARE, Fit
 from paceline.speed.refinement.pyramid import Glimpse
 from paceline.speed.refinement.self_calibration import RigFit
 from paceline.speed.refinement.trajectory import EXTRAS, Trajectory, prior
-
-Array = NDArray[np.float64]
 
 LEAST_GLIMPSES = 5  # for a choice among models
 

@@ -21,12 +21,11 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.optimize import least_squares
 
+from paceline.arrays import Array
 from paceline.speed.refinement import robust_covariance
 from paceline.speed.refinement.pyramid import STRIPS, Band, Glimpse, Layout, bands_of
 from paceline.speed.refinement.self_calibration import FreeRig, RigFit, held
 from paceline.speed.refinement.trajectory import Prior, Trajectory
-
-Array = NDArray[np.float64]
 
 LEVELS = ((2.5, False), (1.2, False), (0.7, True))  # smoothing at the farthest view, px; whether the finer bands join
 LAYOUTS = Layout(8), Layout(30), Layout(share=(0.8, 1.0)), Layout(share=(1.0, 0.8))  # besides the first one

@@ -14,10 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from paceline.arrays import Array, Floats
 from paceline.speed.refinement import pyramid_cpu, view_dependence
-
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
 
 OPTICS = 0.8  # px, the blur of lens and pixel that most images have; what is left is fitted
 GAMMA_STEP = 0.02

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array, Floats
 from paceline.numba_cache import compiled
-
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
 
 SUMS = {"reassoc", "contract", "nsz"}  # sums may be taken in another order
 

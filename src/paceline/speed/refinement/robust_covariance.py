@@ -7,10 +7,9 @@ Normal equations come in *cells*, one for each patch of each view: matrices (vie
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-Array = NDArray[np.float64]
+from paceline.arrays import Array
 
 LEAST_LEFT = 0.5  # share of estimates' variance that their mean has left, at least
 LEAST_REST = 0.05  # share of the information that a single cluster leaves to the others, at least

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array
 from paceline.cameras import StereoRig, moved_rig
 from paceline.speed.refinement.trajectory import Trajectory
-
-Array = NDArray[np.float64]
 
 STEP = 1e-3  # standard uncertainties, or a share of the baseline, by which differences tell a derivative
 

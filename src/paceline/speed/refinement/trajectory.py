@@ -14,12 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline, PPoly
 
+from paceline.arrays import Array
 from paceline.cameras import StereoRig
 from paceline.speed.geometry.initial_plane import FirstPlane
 from paceline.speed.geometry.paths import DRIVEN, Path, level_frames, rolled, rotation_minimising_roll
 from paceline.speed.geometry.quadrilaterals_cpu import unit_square_to
-
-Array = NDArray[np.float64]
 
 NAMES = (
     "log_depth",  # of the region's centre at the first frame

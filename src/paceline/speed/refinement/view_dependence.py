@@ -10,10 +10,8 @@ squares); where nothing drifts these are the usual weights.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
+from paceline.arrays import Array, Floats
 
 PACES = np.array([0.0, *np.geomspace(0.03, 300.0, 25)])  # variance of the drift over that of noise, in the mean
 

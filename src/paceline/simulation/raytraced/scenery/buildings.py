@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from paceline.arrays import Array
 from paceline.simulation.raytraced.mesh_builders import Mesh, Named, box, boxes, joined, quads, sheet
-from paceline.simulation.raytraced.meshes import Array, Texture
+from paceline.simulation.raytraced.meshes import Texture
 from paceline.simulation.raytraced.road_textures import mottle
 from paceline.simulation.road import Road
 

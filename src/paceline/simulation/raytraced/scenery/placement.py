@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from paceline.arrays import Array
 from paceline.simulation.raytraced.mesh_builders import Named, grouped
-from paceline.simulation.raytraced.meshes import Array, Material, Solid
+from paceline.simulation.raytraced.meshes import Material, Solid
 from paceline.simulation.raytraced.road_surface import FALL, VERGE
 from paceline.simulation.raytraced.scenery import buildings as built
 from paceline.simulation.raytraced.scenery import posts, trees

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from paceline.arrays import Array
 from paceline.simulation.raytraced.mesh_builders import Mesh, joined, tube
-from paceline.simulation.raytraced.meshes import Array, Texture
+from paceline.simulation.raytraced.meshes import Texture
 
 PALETTE = 16  # colours of leaves
 

@@ -8,7 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
-from paceline.simulation.raytraced.meshes import Array, Solid
+from paceline.arrays import Array
+from paceline.simulation.raytraced.meshes import Solid
 
 
 @dataclass(frozen=True, eq=False)

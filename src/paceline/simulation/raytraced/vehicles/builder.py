@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from paceline.arrays import Array
 from paceline.simulation.raytraced.mesh_builders import Mesh, Named
-from paceline.simulation.raytraced.meshes import Array
 from paceline.simulation.raytraced.vehicles.sheet_metal import Band
 
 

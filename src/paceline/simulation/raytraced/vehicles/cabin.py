@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from paceline.arrays import Array
 from paceline.simulation.raytraced.mesh_builders import Named
-from paceline.simulation.raytraced.meshes import Array
 from paceline.simulation.raytraced.vehicles.hull import Form, Point
 from paceline.simulation.raytraced.vehicles.sheet_metal import Band, through, top
 

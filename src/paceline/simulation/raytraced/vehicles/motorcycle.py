@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from paceline.arrays import Array
 from paceline.simulation.raytraced.mesh_builders import Mesh, Named, box, ellipsoid, joined, sheet, tube, turned
-from paceline.simulation.raytraced.meshes import Array
 from paceline.simulation.raytraced.vehicles import parts
 from paceline.simulation.raytraced.vehicles.builder import Draft
 from paceline.simulation.raytraced.vehicles.parts import ON_SIDE

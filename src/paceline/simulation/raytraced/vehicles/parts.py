@@ -6,8 +6,9 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
+from paceline.arrays import Array
 from paceline.simulation.raytraced.mesh_builders import Mesh, Named, box, ellipsoid, joined, quads, sheet, tube, turned
-from paceline.simulation.raytraced.meshes import Array, Material, Texture
+from paceline.simulation.raytraced.meshes import Material, Texture
 from paceline.simulation.raytraced.road_textures import mottle
 
 PAINTS = {  # linear reflectance, share among cars and among buses and lorries

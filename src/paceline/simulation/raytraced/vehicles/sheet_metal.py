@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import PchipInterpolator
 
+from paceline.arrays import Array, Indices
 from paceline.simulation.raytraced.mesh_builders import Mesh, Named, sheet
-from paceline.simulation.raytraced.meshes import Array, Indices
 
 Curve = Callable[[Array], Array]
 

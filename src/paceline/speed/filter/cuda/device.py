@@ -19,6 +19,7 @@ from numba import cuda
 from numba.cuda.cudadrv import driver
 from numpy.typing import NDArray
 
+from paceline.arrays import Array
 from paceline.cameras import StereoRig
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.filter.cuda import kernels, patch_features, weights
@@ -29,7 +30,6 @@ from paceline.speed.filter.likelihood import CONTRAST_FLOOR, PART_DISTANCE_CAP, 
 from paceline.speed.filter.motion_models import State
 from paceline.speed.filter.particle_set import SHOWN, Cloud, Views
 
-Array = NDArray[np.float64]
 OnDevice = Any  # an array in the device's memory: Numba has no type for it
 
 BLOCK = 128  # threads of a block, one a particle

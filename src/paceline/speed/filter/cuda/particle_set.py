@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from paceline.arrays import Array
 from paceline.cameras import StereoRig
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.filter import motion_models
@@ -21,8 +21,6 @@ from paceline.speed.filter.motion_models import FRAME, FreeMotion, PathMotion, S
 from paceline.speed.filter.particle_set import Cloud, Posterior
 from paceline.speed.filter.random_numbers import CounterGenerator
 from paceline.speed.filter.resampling import ROUGHENING, Weights, even_enough
-
-Array = NDArray[np.float64]
 
 # where second moments stand: see `memory_layout.PAIRS`
 _CROSSING, _SPEED, _HEADING = (at.SPREADS.index(row) for row in (at.CROSSING_LEFT, at.SPEED, at.HEADING))

@@ -1,0 +1,13 @@
+"""Types of arrays, by what is in them; shapes and units stand where they are used."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+Image = NDArray[np.float32]
+Bytes = NDArray[np.uint8]
+Indices = NDArray[np.int64]
+Mask = NDArray[np.bool_]
