@@ -28,11 +28,12 @@ from paceline.speed.filter.cuda import random_numbers as cuda_random_numbers
 from paceline.speed.filter.cuda.device import CudaDevice
 from paceline.speed.filter.cuda.particle_set import CudaCloud
 from paceline.speed.filter.device import DeviceFailure
+from paceline.speed.filter.estimate import Estimate
 from paceline.speed.filter.likelihood import Grid
 from paceline.speed.filter.motion_models import FreeMotion, PathMotion, State
 from paceline.speed.filter.particle_set import Cloud, views
 from paceline.speed.filter.resampling import Weights
-from paceline.speed.filter.tracker import LOST, Estimate, Tracker
+from paceline.speed.filter.tracker import LOST, Tracker
 from paceline.speed.geometry import paths
 from paceline.speed.geometry.path_reconstruction import path_of
 

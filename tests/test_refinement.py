@@ -25,19 +25,10 @@ from paceline.simulation.stereo.clip import LaneChange, Scene, Vehicle, random_c
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.measurement import measure_clip
 from paceline.speed.refinement import pyramid_cpu, view_dependence
+from paceline.speed.refinement.keyframes import Glimpse
 from paceline.speed.refinement.model_selection import Refined, refine
 from paceline.speed.refinement.photometric_fit import FIRM, GAMMAS, LAYOUTS, Fit
-from paceline.speed.refinement.pyramid import (
-    OPTICS,
-    STRIPS,
-    WHOLE,
-    Band,
-    Glimpse,
-    Layout,
-    _derivatives,
-    areas,
-    bands_of,
-)
+from paceline.speed.refinement.pyramid import OPTICS, STRIPS, WHOLE, Band, Layout, _derivatives, areas, bands_of
 from paceline.speed.refinement.robust_covariance import LEAST_LEFT
 from paceline.speed.refinement.self_calibration import FreeRig, held
 from paceline.speed.refinement.trajectory import NAMES, Prior, Trajectory

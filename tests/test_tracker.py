@@ -16,7 +16,8 @@ from paceline.documents.loading import Clip, load_clip
 from paceline.recordings.stereo import StereoFrame, open_recording
 from paceline.simulation.stereo.clip import Scene, Vehicle, render, write
 from paceline.speed.configuration import SpeedConfiguration
-from paceline.speed.filter.tracker import PATIENCE, Estimate, Tracker
+from paceline.speed.filter.estimate import Estimate
+from paceline.speed.filter.tracker import PATIENCE, Tracker
 from paceline.speed.geometry.path_reconstruction import path_of
 from paceline.speed.geometry.paths import Path
 

@@ -12,8 +12,9 @@ from scipy.stats import norm
 from paceline.cameras import Camera, StereoRig
 from paceline.speed.geometry.initial_plane import FirstPlane
 from paceline.speed.geometry.paths import DRIVEN, from_points, resampled
-from paceline.speed.refinement import model_selection, trajectory
-from paceline.speed.refinement.trajectory import EXTRAS, INDEX, NAMES, Bends, Prior, Trajectory, bends, prior
+from paceline.speed.refinement import model_selection, path_deviation, trajectory
+from paceline.speed.refinement.path_deviation import Bends, bends
+from paceline.speed.refinement.trajectory import EXTRAS, INDEX, NAMES, Prior, Trajectory, prior
 
 K = np.array([[2000.0, 0, 511.5], [0, 2000.0, 383.5], [0, 0, 1]])
 RIG = StereoRig(Camera((1024, 768), K), Camera((1024, 768), K), np.eye(3), np.array([-0.5, 0, 0]))
@@ -135,7 +136,7 @@ def test_bends_hold_all_that_was_put_into_them():
     way = bends(path, 5.0, 40.0, on_path=True)
     lane_keeping = way.modes[: len(way.modes) - way.swerves].reshape(-1, 2 * len(way.u))
     yaw, pitch = path.heading_modes(5.0 + way.u)
-    sigma, length = trajectory.WEAVING
+    sigma, length = path_deviation.WEAVING
     expected = np.zeros((2 * len(way.u),) * 2)
     u, powers = way.u, (1.0, 1.0, 2.0, 6.0)
     n = len(u)
@@ -144,10 +145,10 @@ def test_bends_hold_all_that_was_put_into_them():
     expected[:n, n:] = yaw.T @ pitch
     expected[n:, :n] = expected[:n, n:].T
     for half, name in ((slice(0, n), "yaw"), (slice(n, 2 * n), "pitch")):
-        for k, s in enumerate(trajectory.DRIVER[name]):
+        for k, s in enumerate(path_deviation.DRIVER[name]):
             term = s * u**k / powers[k]
             expected[half, half] += np.outer(term, term)
-    assert trajectory.DRIVER["yaw"][0] == DRIVEN[0]
+    assert path_deviation.DRIVER["yaw"][0] == DRIVEN[0]
     variance = np.diag(expected)
     np.testing.assert_allclose(np.diag(lane_keeping.T @ lane_keeping), variance, atol=0.02 * variance.max())
 

@@ -15,7 +15,8 @@ from paceline.cameras import StereoRig
 from paceline.documents.loading import Clip, PathDocument
 from paceline.recordings.stereo import StereoFrame
 from paceline.speed.configuration import SpeedConfiguration
-from paceline.speed.filter.tracker import Estimate, Tracker
+from paceline.speed.filter.estimate import Estimate
+from paceline.speed.filter.tracker import Tracker
 from paceline.speed.geometry.path_reconstruction import path_of
 from paceline.speed.geometry.paths import Path
 from zhu2012.items import clip_folder

@@ -11,7 +11,7 @@ from common import MPH, measured, rms
 from paceline import open_recording
 from paceline.baselines.registry import measure as measure_by
 from paceline.speed.configuration import SpeedConfiguration
-from paceline.speed.filter.tracker import Estimate
+from paceline.speed.filter.estimate import Estimate
 from paceline.speed.results import Measurement, Track
 from zhu2012.clips import Loaded, filtered, loaded
 

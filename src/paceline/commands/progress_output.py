@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from paceline.follow.results import FollowEstimate
     from paceline.recordings.live_stereo import RawPair
     from paceline.recordings.monocular import CameraFrame, Grey
-    from paceline.speed.filter.tracker import Estimate
+    from paceline.speed.filter.estimate import Estimate
 
 EVERY = 0.5  # s between the pictures of a live source that are told
 AREA = 480 * 360  # px of each; as JPEG, two of them stay below the longest line even where they are noise

@@ -18,9 +18,10 @@ from paceline.detection.planar_face import Aligned, Face, course
 from paceline.detection.tracks import slope
 from paceline.documents.loading import VehicleDocument
 from paceline.speed.geometry.initial_plane import first_plane
+from paceline.speed.refinement.keyframes import Glimpse
+from paceline.speed.refinement.path_deviation import way_of
 from paceline.speed.refinement.photometric_fit import Fit
-from paceline.speed.refinement.pyramid import Glimpse
-from paceline.speed.refinement.trajectory import Trajectory, prior, way_of
+from paceline.speed.refinement.trajectory import Trajectory, prior
 from paceline.speed.verdict import LEAST_FRAMES
 
 LOWER = 0.075  # m by which one outline of a face is lower than the next

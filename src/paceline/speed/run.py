@@ -16,14 +16,16 @@ from paceline.recordings.stereo import StereoFrame
 from paceline.speed import verdict
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.filter.batch import Fleet
-from paceline.speed.filter.tracker import LOST, SEEN, Estimate, Tracker
+from paceline.speed.filter.estimate import Estimate
+from paceline.speed.filter.tracker import LOST, SEEN, Tracker
 from paceline.speed.geometry import paths
 from paceline.speed.geometry.initial_plane import first_plane, squared
 from paceline.speed.geometry.paths import Path
+from paceline.speed.refinement.keyframes import Glimpse
 from paceline.speed.refinement.model_selection import Refined, refine
-from paceline.speed.refinement.pyramid import Glimpse
+from paceline.speed.refinement.path_deviation import way_of
 from paceline.speed.refinement.self_calibration import RigFit
-from paceline.speed.refinement.trajectory import Trajectory, way_of
+from paceline.speed.refinement.trajectory import Trajectory
 from paceline.speed.results import CONFIDENCE, Measurement, RigTold, Track
 from paceline.speed.verdict import LEAST_FRAMES
 

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 
 from paceline.recordings.stereo import StereoFrame
 from paceline.speed.filter.device import DeviceFailure, failures_told
+from paceline.speed.filter.estimate import Estimate
 from paceline.speed.filter.particle_set import views
-from paceline.speed.filter.tracker import Estimate, Tracker
+from paceline.speed.filter.tracker import Tracker
 
 if TYPE_CHECKING:
     from paceline.speed.filter.cuda.device import CudaDevice

@@ -15,6 +15,7 @@ from paceline.documents.loading import VehicleDocument
 from paceline.recordings.stereo import StereoFrame
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.filter import initialization, likelihood, motion_models, random_numbers
+from paceline.speed.filter.estimate import Estimate
 from paceline.speed.filter.initialization import Guess
 from paceline.speed.filter.likelihood import Grid, Observation
 from paceline.speed.filter.motion_models import FreeMotion, PathMotion, State
@@ -38,25 +39,6 @@ ALIVE = 0.2  # share of the first particles that the second frame leaves alive
 REPEATED, NEAR = 4, 0.02  # times that the first registration is repeated, and share of the way by which it then moves
 DOUBTED = 2.0  # times the standard deviation of a speed by two sights: the spread of speeds that has hardly a say
 DIRECTED = 2.0  # m, a travel that has a direction
-
-
-@dataclass(frozen=True, eq=False)
-class Estimate:
-    """The filter's estimate at one frame (SI units, ideal pixels)."""
-
-    frame: int
-    time: float
-    speed: float
-    speed_std: float
-    position: Array  # (3,)
-    yaw_rate: float  # rad/s, positive to the right; NaN at the first frame
-    left: Array  # (4, 2)
-    right: Array  # (4, 2)
-    ess: float
-    status: str  # tracking | lost | ended
-    likeness: float  # correlation with the reference, −1 … 1
-    particles_left: Array  # (N, 2) of at most `particle_set.SHOWN` particles
-    particles_right: Array  # (N, 2)
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from paceline.arrays import Array
+from paceline.speed.refinement.keyframes import Glimpse
 from paceline.speed.refinement.photometric_fit import NEGLIGIBLE, RARE, Fit
-from paceline.speed.refinement.pyramid import Glimpse
 from paceline.speed.refinement.self_calibration import RigFit
 from paceline.speed.refinement.trajectory import EXTRAS, Trajectory, prior
 

@@ -23,7 +23,8 @@ from scipy.optimize import least_squares
 
 from paceline.arrays import Array
 from paceline.speed.refinement import robust_covariance
-from paceline.speed.refinement.pyramid import STRIPS, Band, Glimpse, Layout, bands_of
+from paceline.speed.refinement.keyframes import Glimpse
+from paceline.speed.refinement.pyramid import STRIPS, Band, Layout, bands_of
 from paceline.speed.refinement.self_calibration import FreeRig, RigFit, held
 from paceline.speed.refinement.trajectory import Prior, Trajectory
 

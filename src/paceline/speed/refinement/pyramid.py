@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from paceline.arrays import Array, Floats
 from paceline.speed.refinement import pyramid_cpu, view_dependence
+from paceline.speed.refinement.keyframes import Glimpse
 
 OPTICS = 0.8  # px, the blur of lens and pixel that most images have; what is left is fitted
 GAMMA_STEP = 0.02
@@ -29,17 +30,6 @@ STRIPS = 3  # of a patch, one above the other: a bumper's edge or a window's run
 CORRELATED = 12.0  # samples that share their noise, by blur and by sampling more densely than the pixels
 LEAST_VIEWS = 4
 SLOPE = np.array([[1.0, -8.0, 0.0, 8.0, -1.0]], np.float32) / 12
-
-
-@dataclass(frozen=True, eq=False)
-class Glimpse:
-    """What the refinement keeps of one frame: both images about the vehicle, and the filter's regions there."""
-
-    frame: int
-    times: tuple[float, float]  # s, each view's exposure
-    crops: tuple[Floats, Floats]
-    corners: Array  # (2, 2) first pixel of each crop
-    quads: Array  # (2, 4, 2) px, of the filter
 
 
 @dataclass(frozen=True)
