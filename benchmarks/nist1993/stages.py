@@ -14,7 +14,7 @@ from nist1993 import scenes
 from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.edges import EdgeExtractor
 from paceline.reports.common.drawing import draw_line, scaled
-from paceline.reports.speed.plots import VEHICLES
+from paceline.reports.common.plots import VEHICLES
 from paceline.simulation.chase.clip import random_chase
 
 SETTINGS: Numbers = {"seed": 907, "kind": "van", "gap": [6.0, 10.0], "bounce": 2.0, "shadows": 0.4, "frame": 40}

@@ -23,7 +23,7 @@ from paceline.reports.common.drawing import (
     scaled,
     text_width,
 )
-from paceline.reports.speed.plots import STYLE
+from paceline.reports.common.plots import STYLE
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]

@@ -15,7 +15,7 @@ from paceline.calibration.parameters import NAMES
 from paceline.documents.rig_yaml import rig_yaml
 from paceline.errors import UnusableInput
 from paceline.reports.common.output_folder import write_together
-from paceline.reports.speed.plots import FILTER, INK, INTERVAL, MUTED, REFINED, make_plot
+from paceline.reports.common.plots import FILTER, INK, INTERVAL, MUTED, REFINED, make_plot
 from paceline.version import __version__
 
 SIDES = ("left", "right")

@@ -6,9 +6,9 @@ from pathlib import Path
 
 from paceline.reports.common.formatting import MISSING, number
 from paceline.reports.common.html import flat, render
+from paceline.reports.common.plots import Plot
 from paceline.reports.follow.overlay import Still
 from paceline.reports.follow.page import percent
-from paceline.reports.speed.plots import Plot
 from paceline.simulation.closed_loop.requirements import Requirement
 from paceline.simulation.closed_loop.results import DriveResult
 

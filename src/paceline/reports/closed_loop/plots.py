@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from paceline.arrays import Array
-from paceline.reports.speed.plots import FILTER, INK, INTERVAL, MUTED, REFINED, Plot, make_plot
+from paceline.reports.common.plots import FILTER, INK, INTERVAL, MUTED, REFINED, Plot, make_plot
 from paceline.simulation.closed_loop.results import DriveLog
 
 WIDE, HALF = (9.4, 3.3), (4.6, 3.0)

@@ -6,7 +6,7 @@ import csv
 from pathlib import Path
 from types import TracebackType
 
-from paceline.reports.speed.tables import cell, write_json
+from paceline.reports.common.tables import cell, write_json
 from paceline.simulation.closed_loop.loop import Step
 from paceline.simulation.closed_loop.results import DriveResult
 

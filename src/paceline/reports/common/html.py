@@ -7,7 +7,7 @@ import json
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from paceline.reports.speed.tables import as_json
+from paceline.reports.common.tables import as_json
 
 
 def render(template: str, **values: object) -> str:

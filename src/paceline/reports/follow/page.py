@@ -8,9 +8,9 @@ from paceline.follow.history import Episode, Tally
 from paceline.follow.results import FollowResult
 from paceline.reports.common.formatting import COVERAGE, MISSING, number
 from paceline.reports.common.html import flat, render
+from paceline.reports.common.plots import Plot
 from paceline.reports.follow.overlay import Still
 from paceline.reports.follow.tables import middle
-from paceline.reports.speed.plots import Plot
 
 SHOWN = 50  # episodes listed on the page; summary.json holds more
 GOOD = 0.95  # share of frames tracked from which no advice is given

@@ -12,7 +12,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from paceline.arrays import Array
 from paceline.follow.results import FollowResult
 from paceline.reports.common.formatting import COVERAGE
-from paceline.reports.speed.plots import FILTER, INK, INTERVAL, MUTED, REFINED, Plot, make_plot
+from paceline.reports.common.plots import FILTER, INK, INTERVAL, MUTED, REFINED, Plot, make_plot
 
 WIDE, HALF = (9.4, 3.5), (4.6, 3.0)
 SHADES = {"coasting": INTERVAL, "lost": MUTED}

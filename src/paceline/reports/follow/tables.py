@@ -10,7 +10,7 @@ import numpy as np
 
 from paceline.follow.history import Tally
 from paceline.follow.results import FollowEstimate, FollowResult
-from paceline.reports.speed.tables import cell, write_json
+from paceline.reports.common.tables import cell, write_json
 
 COLUMNS = [
     "frame", "time_s", "cx", "cy", "scale", "w_x", "w_y", "w_scale", "x_m", "y_m", "z_m", "steering_rad", "status",

@@ -11,7 +11,7 @@ import numpy as np
 
 from paceline.reports.common.formatting import MISSING, number, shown_speed
 from paceline.reports.common.html import flat, render
-from paceline.reports.speed.plots import Plot
+from paceline.reports.common.plots import Plot
 from paceline.reports.speed.tables import numbers_of
 
 Passage = dict[str, Any]  # of one vehicle, as summary.json has it

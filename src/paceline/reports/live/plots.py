@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from paceline.arrays import Array
-from paceline.reports.speed.plots import MUTED, VEHICLES, Plot, make_plot
+from paceline.reports.common.plots import MUTED, VEHICLES, Plot, make_plot
 from paceline.reports.speed.tables import numbers_of
 from paceline.units import convert
 

@@ -15,10 +15,11 @@ import cv2
 from paceline.detection.finder import Found
 from paceline.errors import UnusableInput
 from paceline.reports.common.output_folder import write_together
+from paceline.reports.common.tables import json_text
 from paceline.reports.detected_vehicles import vehicle_picture
 from paceline.reports.live.page import live_page
 from paceline.reports.live.plots import speeds_plot
-from paceline.reports.speed.tables import COLUMNS, estimate_rows, json_text, summary_of
+from paceline.reports.speed.tables import COLUMNS, estimate_rows, summary_of
 from paceline.speed.results import Measurement
 
 PICTURES = "pictures"

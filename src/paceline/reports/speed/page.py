@@ -18,8 +18,8 @@ from paceline.reports.common.formatting import (
     speed_words,
 )
 from paceline.reports.common.html import flat, render
+from paceline.reports.common.plots import Plot
 from paceline.reports.speed.overlay import Still
-from paceline.reports.speed.plots import Plot
 from paceline.speed.results import ClipResult, Measurement
 from paceline.units import convert
 

@@ -8,9 +8,10 @@ from pathlib import Path
 
 from paceline.recordings.stereo import StereoRecording
 from paceline.reports.common.output_folder import OutputFolder
+from paceline.reports.common.plots import VEHICLES
 from paceline.reports.speed.overlay import write_overlay
 from paceline.reports.speed.page import write_page
-from paceline.reports.speed.plots import VEHICLES, plan_plot, vehicle_plots
+from paceline.reports.speed.plots import plan_plot, vehicle_plots
 from paceline.reports.speed.tables import write_estimates, write_summary
 from paceline.speed.results import ClipResult
 

@@ -1,0 +1,81 @@
+"""How plots are made and look, on paper and on a page."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import matplotlib
+from matplotlib.figure import Figure
+
+# Colours that stay apart for colour-blind readers, after Okabe and Ito.
+INK, MUTED, GRID = "#1f2933", "#66727f", "#dfe4ea"
+FILTER, REFINED, INTERVAL = "#5b8db8", "#c2500a", "#e8a33d"
+VEHICLES = ["#2b83c6", "#dd6b10", "#129b72", "#c66aa3", "#c99700", "#5fb0dd"]  # on white, black and pictures alike
+# What the colours become for a reader with a dark setting.
+DARK = {INK: "#e6eaee", MUTED: "#9aa6b2", GRID: "#39424c", FILTER: "#7fb2dd", REFINED: "#ff9a57", INTERVAL: "#e8b04f"}
+
+STYLE: dict[Any, Any] = {
+    "font.family": "sans-serif",
+    "font.size": 9,
+    "text.color": INK,
+    "axes.edgecolor": MUTED,
+    "axes.labelcolor": INK,
+    "axes.titlesize": 9,
+    "axes.titlelocation": "left",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.linewidth": 0.8,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.unicode_minus": True,
+    "grid.color": GRID,
+    "grid.linewidth": 0.8,
+    "xtick.color": MUTED,
+    "ytick.color": MUTED,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "legend.frameon": False,
+    "legend.fontsize": 8,
+    "lines.solid_capstyle": "round",
+    "text.parse_math": False,  # a vehicle may be called $1
+    "svg.fonttype": "none",
+    "svg.hashsalt": "paceline",  # the same result gives the same file
+}
+
+
+@dataclass(frozen=True)
+class Plot:
+    """One drawing: ``png`` for a file, ``svg`` for the page (light and dark)."""
+
+    name: str
+    description: str
+    png: bytes
+    svg: str
+
+
+def make_plot(name: str, description: str, size: tuple[float, float], draw: Callable[[Figure], None]) -> Plot:
+    """What ``draw`` puts onto a figure of ``size`` (inches), in the style of all plots."""
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=size, layout="constrained")
+        draw(figure)
+        png, svg = io.BytesIO(), io.StringIO()
+        figure.savefig(png, format="png", dpi=140, facecolor="white", metadata={"Software": None})
+        figure.set_layout_engine("none")  # the layout stands; finding it again would cost as much as drawing
+        figure.savefig(svg, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
+    return Plot(name, description, png.getvalue(), _themed(svg.getvalue()))
+
+
+def _themed(svg: str) -> str:
+    """``svg`` with the theme's colours as variables that follow the reader's light or dark setting."""
+    names = {color: f"--c{i}" for i, color in enumerate(DARK)}
+    svg = re.sub("|".join(DARK), lambda found: f"var({names[found[0]]})", svg)
+    light = ";".join(f"{names[color]}:{color}" for color in DARK)
+    dark = ";".join(f"{names[color]}:{other}" for color, other in DARK.items())
+    style = f"<style>:root{{{light}}}@media (prefers-color-scheme:dark){{:root{{{dark}}}}}</style>"
+    head = re.search(r"<svg[^>]*>", svg)
+    assert head is not None
+    return svg[head.start() : head.end()] + style + svg[head.end() :]

@@ -1,0 +1,42 @@
+"""Results as data: cells of a table, and JSON."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+
+def cell(value: float) -> str:
+    """The shortest text that reads back as the same number."""
+    return repr(float(value)) if math.isfinite(value) else ""
+
+
+def write_json(document: dict[str, object], file: Path) -> None:
+    """Writes ``document`` as `json_text`."""
+    file.write_text(json_text(document), encoding="utf-8")
+
+
+def json_text(document: dict[str, object]) -> str:
+    """``document`` as JSON for people too; what is not finite becomes null."""
+    return json.dumps(as_json(document), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def as_json(value: object) -> object:
+    """``value`` with only what JSON knows; numbers that are not finite become null."""
+    if isinstance(value, Mapping):
+        return {str(key): as_json(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return as_json(value.tolist())
+    if isinstance(value, list | tuple):
+        return [as_json(item) for item in value]
+    if isinstance(value, np.generic):
+        return as_json(value.item())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, str | int):
+        return value
+    return str(value)
