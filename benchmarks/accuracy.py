@@ -35,7 +35,8 @@ from common import (
 )
 
 from paceline.cameras import RigUncertainty, StereoRig, moved_rig
-from paceline.simulation.stereo.clip import Scene, random_crossing, random_scene
+from paceline.simulation.random_scenes import random_crossing, random_scene
+from paceline.simulation.stereo.clip import Scene
 from paceline.speed.joint_calibration import together
 from paceline.speed.results import Measurement
 

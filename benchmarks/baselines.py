@@ -23,7 +23,8 @@ from paceline import UnusableInput, load_clip, open_recording
 from paceline.baselines.registry import METHODS
 from paceline.baselines.registry import measure as measure_by
 from paceline.documents.loading import Clip
-from paceline.simulation.stereo.clip import Scene, random_crossing, random_scene
+from paceline.simulation.random_scenes import random_crossing, random_scene
+from paceline.simulation.stereo.clip import Scene
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.measurement import measure
 from paceline.speed.results import ClipResult, Measurement

@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 
 from paceline import UnusableInput, load_clip, open_recording
 from paceline.documents.loading import Clip
-from paceline.simulation.stereo.clip import Scene, random_scene, render, write
+from paceline.simulation.random_scenes import random_scene
+from paceline.simulation.stereo.clip import Scene, render, write
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.measurement import measure
 from paceline.speed.results import Measurement

@@ -13,7 +13,8 @@ from baselines import Outcome, by_each
 from common import PLAIN_RIG, head, machine, rms, row, share_out
 from numpy.typing import NDArray
 
-from paceline.simulation.stereo.clip import LaneChange, Scene, random_scene
+from paceline.simulation.random_scenes import random_scene
+from paceline.simulation.stereo.clip import LaneChange, Scene
 from paceline.simulation.stereo.scene import Motion, Road
 
 Array = NDArray[np.float64]

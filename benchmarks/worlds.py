@@ -26,7 +26,7 @@ from follow import OFF_PLACE, OFF_RANGE, SEEN, WITHIN
 from paceline import load_clip, load_follow, open_camera
 from paceline.documents.loading import FollowClip
 from paceline.follow.following import follow
-from paceline.simulation.chase.clip import CLICK
+from paceline.simulation.operator import START as CLICK
 from paceline.speed.results import Measurement
 from paceline.units import SpeedUnit
 

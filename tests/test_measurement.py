@@ -21,7 +21,8 @@ from selection import slow_after
 
 import paceline
 from paceline import cli
-from paceline.simulation.stereo.clip import Scene, Vehicle, random_crossing, render, write
+from paceline.simulation.random_scenes import random_crossing
+from paceline.simulation.stereo.clip import Scene, Vehicle, render, write
 from paceline.speed.geometry.path_reconstruction import path_of
 
 Array = NDArray[np.float64]

@@ -14,11 +14,11 @@ from selection import slow_after
 from tiny_scenes import small_follow, small_speed
 
 from paceline.errors import UnusableInput
+from paceline.simulation.operator import is_inside
 from paceline.simulation.raytraced import named_scenes
 from paceline.simulation.raytraced.scene import Stage, rigs_of
 from paceline.simulation.raytraced.scene_yaml import FollowScene, SpeedScene, load_follow_scene, load_speed_scene
 from paceline.simulation.raytraced.suites import FASTEST, SLOWEST, random_follow_scene, random_speed_scene
-from paceline.simulation.stereo.scene import is_inside
 
 
 def stage(**changes: Any) -> Stage:

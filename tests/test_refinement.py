@@ -21,7 +21,8 @@ from selection import slow_after
 
 from paceline.cameras import RigUncertainty, moved_rig
 from paceline.documents.loading import Clip, load_clip
-from paceline.simulation.stereo.clip import LaneChange, Scene, Vehicle, random_crossing, random_scene, render, write
+from paceline.simulation.random_scenes import random_crossing, random_scene
+from paceline.simulation.stereo.clip import LaneChange, Scene, Vehicle, render, write
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.measurement import measure_clip
 from paceline.speed.refinement import pyramid_cpu, view_dependence

@@ -16,6 +16,7 @@ from paceline.errors import UnusableInput
 from paceline.simulation.raytraced import road_textures as textures
 from paceline.simulation.raytraced.mesh_builders import Mesh, normals
 from paceline.simulation.raytraced.meshes import Solid
+from paceline.simulation.raytraced.road_surface import solids
 from paceline.simulation.raytraced.scenery.placement import Scenery, scenery
 from paceline.simulation.road import MARGIN, Road, RoadShape
 
@@ -166,7 +167,7 @@ def test_far_beyond_its_ends_a_road_is_unknown() -> None:
 @pytest.fixture(scope="module")
 def banked() -> tuple[Road, list[Solid]]:
     road = Road(RoadShape("circle", -120.0, grade=0.03, bank=-0.06), 60.0, 3)
-    return road, road.solids()
+    return road, solids(road)
 
 
 def test_painted_lines_are_centred_on_the_markings(banked: tuple[Road, list[Solid]]) -> None:
@@ -201,7 +202,7 @@ def test_the_verge_looks_up(banked: tuple[Road, list[Solid]]) -> None:
 @pytest.mark.parametrize("bank", [-0.1, 0.1])
 def test_the_land_stays_below_the_road(bank: float) -> None:
     road = Road(RoadShape("circle", 90.0, grade=0.05, bank=bank), 80.0, 2)
-    land = named(road.solids(), "land").vertices
+    land = named(solids(road), "land").vertices
     near = land[(np.abs(land[:, :2] - road.frame(40.0)[0][:2]) < 120).all(1)]
     height = LinearNDInterpolator(near[:, :2], near[:, 2])
     s, lateral = np.meshgrid(np.linspace(0, 80, 41), np.linspace(-road.half_width, road.half_width, 9))
@@ -211,7 +212,7 @@ def test_the_land_stays_below_the_road(bank: float) -> None:
 
 def test_the_same_seed_gives_the_same_road() -> None:
     shape = RoadShape("winding", 150.0)
-    one, two, other = (Road(shape, 40.0, seed).solids() for seed in (7, 7, 8))
+    one, two, other = (solids(Road(shape, 40.0, seed)) for seed in (7, 7, 8))
     for a, b in zip(one, two, strict=True):
         np.testing.assert_array_equal(a.vertices, b.vertices)
         np.testing.assert_array_equal(a.material.texture, b.material.texture)

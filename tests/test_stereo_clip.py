@@ -12,17 +12,8 @@ import pytest
 import yaml
 from numpy.typing import NDArray
 
-from paceline.simulation.stereo.clip import (
-    SUPERSAMPLING,
-    LaneChange,
-    Scene,
-    Vehicle,
-    World,
-    random_crossing,
-    random_scene,
-    render,
-    write,
-)
+from paceline.simulation.random_scenes import random_crossing, random_scene
+from paceline.simulation.stereo.clip import SUPERSAMPLING, LaneChange, Scene, Vehicle, World, render, write
 from paceline.simulation.stereo.scene import Motion, Pose, Road, make_rig, views_of
 from paceline.simulation.stereo.textured_planes import Card, draw, paste
 from paceline.simulation.textures import Texture

@@ -1,25 +1,60 @@
-"""What an operator draws on a speed clip: the outlines of vehicles and the painted line beside each one's lane."""
+"""What an operator draws: the outlines of vehicles, and the painted line beside each one's lane.
+
+It knows the truth and, of what renders, whether anything hides a point.
+"""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
 
 import numpy as np
 
-from paceline.arrays import Array
-from paceline.cameras import View
+from paceline.arrays import Array, Mask
+from paceline.cameras import Camera, StereoRig, View
 from paceline.errors import UnusableInput
-from paceline.simulation.raytraced.renderer import Renderer
-from paceline.simulation.raytraced.scene import Car, Stage
-from paceline.simulation.raytraced.sensor import distorted
+from paceline.simulation.road import Road
 
 CLEAR = 0.97  # share of a plane that has to be visible where it is outlined
 NARROWEST = 24.0  # px, a plane's width where it is outlined
 BEFORE, BEHIND = 60.0, 6.0  # m of a line that are drawn nearer to the camera and farther than the vehicle drives
 BORDER = 6.0  # px
+START = 0.4, 0.008  # px and share of the size, standard deviations of where a target is said to be
+MARGIN = 10.0  # px that a quadrilateral keeps from the image's border where it counts as inside
+
+Hidden = Callable[[View, Array], Mask]  # whether (N,) anything that stands still hides points (N, 3) from a view
 
 
-def clip_document(stage: Stage, truth: list[dict[str, Any]], renderer: Renderer) -> dict[str, Any]:
+class Driving(Protocol):
+    def position(self, t: float) -> tuple[float, float]:
+        """Arc length and lateral, m."""
+
+
+class Driven(Protocol):
+    """What this module needs to know of a vehicle."""
+
+    @property
+    def model(self) -> Any: ...
+    @property
+    def motion(self) -> Driving: ...
+
+
+class Filmed(Protocol):
+    """What this module needs to know of a scene that is filmed."""
+
+    @property
+    def scene(self) -> Any: ...
+    @property
+    def road(self) -> Road: ...
+    @property
+    def rig(self) -> StereoRig: ...
+    @property
+    def views(self) -> tuple[View, View]: ...
+    @property
+    def cars(self) -> Sequence[Driven]: ...
+
+
+def clip_document(stage: Filmed, truth: list[dict[str, Any]], hidden: Hidden) -> dict[str, Any]:
     """The contents of clip.yaml, pixels as recorded.
 
     Raises UnusableInput where a measured vehicle or the line beside it is never seen well enough.
@@ -39,7 +74,7 @@ def clip_document(stage: Stage, truth: list[dict[str, Any]], renderer: Renderer)
     for (lane, towards), name in lanes.items():
         users = [car for car in measured if (car.model.lane, car.model.towards) == (lane, towards)]
         driven = np.array([_arc(car, row["time_s"]) for car in users for row in seen[car.model.id]])
-        clip["paths"][name] = _path(stage, lane, towards, driven, renderer, rng)
+        clip["paths"][name] = _path(stage, lane, towards, driven, hidden, rng)
     clip["vehicles"] = [
         {"id": car.model.id, "path": lanes[car.model.lane, car.model.towards], "frame": seen[car.model.id][0]["frame"]}
         | {side: _clicked(stage, side, seen[car.model.id][0][side], rng) for side in ("left", "right")}
@@ -49,7 +84,7 @@ def clip_document(stage: Stage, truth: list[dict[str, Any]], renderer: Renderer)
     return clip
 
 
-def first_seen(car: Car, truth: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def first_seen(car: Driven, truth: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """The rows of truth from the first on in which a vehicle can be outlined, while it is inside both pictures."""
     rows = [row for row in truth if row["vehicle"] == car.model.id and row["inside"]]
     for i, row in enumerate(rows):
@@ -59,41 +94,51 @@ def first_seen(car: Car, truth: list[dict[str, Any]]) -> list[dict[str, Any]]:
     raise UnusableInput(f"vehicle {car.model.id}: is never wholly visible and {NARROWEST:g} px wide in both pictures")
 
 
-def _arc(car: Car, t: float) -> float:
+def _arc(car: Driven, t: float) -> float:
     return car.motion.position(t)[0]
 
 
-def _clicked(stage: Stage, side: str, corners: list[list[float]], rng: np.random.Generator) -> list[list[float]]:
+def _clicked(stage: Filmed, side: str, corners: list[list[float]], rng: np.random.Generator) -> list[list[float]]:
     camera = stage.rig.left if side == "left" else stage.rig.right
-    pixels = distorted(camera, np.array(corners))
-    return _rounded(pixels + rng.normal(0, 1, pixels.shape) * stage.scene.clicks.corner)
+    return clicked(camera.distort_points(np.array(corners)), stage.scene.clicks.corner, rng)
+
+
+def clicked(pixels: Array, sigma: float, rng: np.random.Generator) -> list[list[float]]:
+    """``pixels`` (N, 2) as they are clicked, ``sigma`` px off in either direction."""
+    return rounded(pixels + rng.normal(0, 1, pixels.shape) * sigma)
+
+
+def drawn_line(
+    pixels: Array, camera: Camera, points: int, sigma: float, rng: np.random.Generator
+) -> list[list[float]]:
+    """About so many ``points`` that a person clicks along a line of ideal ``pixels`` (N, 2), from far to near."""
+    length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(pixels, axis=0), axis=1))])
+    # People click more densely far away, where a line bends in the picture: evenly in the root of the length.
+    count = points + int(rng.integers(-1, 2))
+    at = length[-1] * ((np.arange(count) + rng.uniform(0.1, 0.9, count)) / count) ** 2
+    return clicked(camera.distort_points(np.column_stack([np.interp(at, length, c) for c in pixels.T])), sigma, rng)
 
 
 def _path(
-    stage: Stage, lane: int, towards: bool, driven: Array, renderer: Renderer, rng: np.random.Generator
+    stage: Filmed, lane: int, towards: bool, driven: Array, hidden: Hidden, rng: np.random.Generator
 ) -> dict[str, Any]:
     """The painted line beside a lane that is seen best, drawn in each view along where vehicles drive, ``driven`` (N,)
     m of arc length."""
     middle, road = stage.road.lanes[lane], stage.road
     beside = sorted(road.markings, key=lambda m: abs(m - middle))[:2]
-    found = {m: [_visible(stage, m, driven, view, renderer) for view in stage.views] for m in beside}
+    found = {m: [_visible(stage, m, driven, view, hidden) for view in stage.views] for m in beside}
     marking = max(found, key=lambda m: min(len(line) for line in found[m]))
     if min(len(line) for line in found[marking]) < 10:
         raise UnusableInput(f"no painted line beside lane {lane} is visible in both pictures")
     shape = road.shape
     path: dict[str, Any] = {"shape": "line" if shape.kind == "straight" and shape.crest_radius is None else "curve"}
     for side, camera, pixels in zip(("left", "right"), stage.rig.cameras, found[marking], strict=True):
-        length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(pixels, axis=0), axis=1))])
-        # People click more densely far away, where a line bends in the picture: evenly in the root of the length.
-        count = stage.scene.clicks.points + int(rng.integers(-1, 2))
-        at = length[-1] * ((np.arange(count) + rng.uniform(0.1, 0.9, count)) / count) ** 2
-        drawn = distorted(camera, np.column_stack([np.interp(at, length, c) for c in pixels.T]))
-        path[side] = _rounded(drawn + rng.normal(0, 1, drawn.shape) * stage.scene.clicks.line)
+        path[side] = drawn_line(pixels, camera, stage.scene.clicks.points, stage.scene.clicks.line, rng)
     path["lateral_offset"] = round((middle - marking) * (-1.0 if towards else 1.0), 3)
     return path
 
 
-def _visible(stage: Stage, marking: float, driven: Array, view: View, renderer: Renderer) -> Array:
+def _visible(stage: Filmed, marking: float, driven: Array, view: View, hidden: Hidden) -> Array:
     """Pixels (N, 2) closely along the line at ``marking``, from far to near, where nothing hides it: its longest
     stretch."""
     points = stage.road.line(marking, float(driven.min()) - BEFORE, float(driven.max()) + BEFORE, 0.25)
@@ -105,17 +150,35 @@ def _visible(stage: Stage, marking: float, driven: Array, view: View, renderer: 
     if len(points) == 0:
         return np.empty((0, 2))
     pixels = view.project(points)
-    renderer.place(stage.empty())
-    hit = renderer.distance(view.centre, points)
     size = np.array(view.camera.image_size)
-    seen = ((pixels > BORDER) & (pixels < size - 1 - BORDER)).all(1)
-    seen &= hit > 0.98 * np.linalg.norm(points - view.centre, axis=1)
+    seen = ((pixels > BORDER) & (pixels < size - 1 - BORDER)).all(1) & ~hidden(view, points)
     # Posts hide a line for a moment only, and people draw across; a curve may leave the picture and come back.
     closed = np.convolve(seen, np.ones(9), "same") > 0
     inside = closed & ((pixels > BORDER) & (pixels < size - 1 - BORDER)).all(1)
-    pieces = np.split(pixels, np.flatnonzero(~inside))
+    return longest_stretch(pixels, inside)
+
+
+def drawn_start(
+    center: Array, distance: float, nominal_range: float, seed: int, focal: float = 1.0, usual: float = 1.0
+) -> dict[str, Any]:
+    """``start`` of follow.yaml, as it is set on the first frame, in which the target's ``center`` (2,) px is
+    ``distance`` m away. Pictures of a longer ``focal`` length than ``usual`` are clicked in as much less precisely."""
+    rng = np.random.default_rng([seed, 47])
+    x, y = center + rng.normal(0, START[0], 2) * focal / usual
+    scale = nominal_range / distance * (1 + rng.normal(0, START[1]))
+    return {"frame": 0, "center": [round(float(x), 1), round(float(y), 1)], "scale": round(float(scale), 3)}
+
+
+def longest_stretch(pixels: Array, seen: Mask) -> Array:
+    """The longest part (M, 2) of a line of ``pixels`` (N, 2) that is ``seen`` (N,) without a gap."""
+    pieces = np.split(pixels, np.flatnonzero(~seen))
     return np.asarray(max((p[1:] if i else p for i, p in enumerate(pieces)), key=len, default=np.empty((0, 2))))
 
 
-def _rounded(points: Array) -> list[list[float]]:
+def is_inside(pixels: Array, size: tuple[int, int]) -> bool:
+    """Whether ``pixels`` (…, 2) lie wholly inside an image of ``size``, away from its border."""
+    return bool((pixels >= MARGIN).all() and (pixels <= np.array(size) - 1 - MARGIN).all())
+
+
+def rounded(points: Array) -> list[list[float]]:
     return [[round(float(x), 2), round(float(y), 2)] for x, y in points]

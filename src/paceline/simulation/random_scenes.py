@@ -10,7 +10,8 @@ import numpy as np
 
 from paceline.arrays import Array
 from paceline.cameras import View
-from paceline.simulation.stereo.scene import Motion, Road, Scene, Vehicle, is_inside, make_rig, views_of, visible_line
+from paceline.simulation.operator import is_inside
+from paceline.simulation.stereo.scene import Motion, Road, Scene, Vehicle, make_rig, views_of, visible_line
 
 MILE_PER_HOUR = 0.44704
 RATES = (5.0, 7.5, 10.0, 12.5, 15.0, 20.0, 25.0, 30.0)

@@ -11,8 +11,6 @@ from scipy.interpolate import CubicHermiteSpline
 
 from paceline.arrays import Array
 from paceline.errors import UnusableInput
-from paceline.simulation.raytraced import road_surface
-from paceline.simulation.raytraced.meshes import Solid
 
 KINDS = ("straight", "circle", "clothoid", "winding")
 MARGIN = 150.0  # m by which a road is known before its start and behind its end
@@ -138,10 +136,6 @@ class Road:
         """Points (N, 3) of the line at ``lateral`` from arc length ``start`` to ``end``, about ``step`` m apart."""
         count = max(2, int(np.ceil(abs(end - start) / step)) + 1)
         return self.tangents(np.linspace(start, end, count), lateral)[0]
-
-    def solids(self) -> list[Solid]:
-        """Asphalt, painted lines, verge and the land around."""
-        return road_surface.solids(self)
 
 
 def _integral(values: Array, s: Array) -> Array:

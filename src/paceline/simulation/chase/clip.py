@@ -22,6 +22,7 @@ from paceline.simulation.chase.scene import PRESETS, ChaseScene, Occlusion, rand
 from paceline.simulation.chase.script import Script
 from paceline.simulation.chase.sensor import Film
 from paceline.simulation.chase.world import Moment, body_of
+from paceline.simulation.operator import drawn_start
 
 __all__ = [
     "PRESETS",
@@ -39,7 +40,6 @@ __all__ = [
 
 
 NOMINAL_RANGE = 10.0  # m
-CLICK = 0.4, 0.008  # px and share of the size, standard deviations of the operator's start
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,10 +106,8 @@ def target_document(scene: ChaseScene) -> dict[str, Any]:
 
 def start_document(scene: ChaseScene, first: ChaseTruth) -> dict[str, Any]:
     """``start`` of follow.yaml, as an operator would set it on the first frame."""
-    rng = np.random.default_rng([scene.seed, 47])
-    x, y = first.center + rng.normal(0, CLICK[0], 2) * scene.focal / ChaseScene.focal
-    scale = NOMINAL_RANGE / first.position[2] * (1 + rng.normal(0, CLICK[1]))
-    return {"frame": 0, "center": [round(float(x), 1), round(float(y), 1)], "scale": round(float(scale), 3)}
+    distance = float(first.position[2])
+    return drawn_start(first.center, distance, NOMINAL_RANGE, scene.seed, scene.focal, ChaseScene.focal)
 
 
 def write(scene: ChaseScene, directory: Path | str) -> Path:

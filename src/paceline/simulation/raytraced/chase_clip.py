@@ -16,7 +16,8 @@ import numpy as np
 from paceline.arrays import Array
 from paceline.cameras import Camera, View
 from paceline.simulation.chase.motion import Gap, Shaking, Wander
-from paceline.simulation.raytraced import clip_folder
+from paceline.simulation.operator import drawn_start
+from paceline.simulation.raytraced import clip_folder, road_surface
 from paceline.simulation.raytraced.meshes import Placement, Solid
 from paceline.simulation.raytraced.mitsuba_variant import default_variant
 from paceline.simulation.raytraced.renderer import Renderer
@@ -36,7 +37,6 @@ from paceline.simulation.raytraced.sensor import expose, photograph
 from paceline.simulation.raytraced.vehicles.build import build
 
 NOMINAL_RANGE = 10.0  # m
-CLICK = 0.4, 0.008  # px and share of the size, standard deviations of the operator's start
 START = 15.0  # m of arc length
 
 
@@ -106,7 +106,7 @@ class Chase:
 
     def still(self) -> list[Solid]:
         spec = Scenery(**self.scene.scenery.model_dump(), seed=self.scene.seed)
-        return self.road.solids() + scenery(self.road, spec, 0.0, self.road.length)
+        return road_surface.solids(self.road) + scenery(self.road, spec, 0.0, self.road.length)
 
     def moving(self) -> list[Sequence[Solid]]:
         return list(parts(self.body))
@@ -156,10 +156,7 @@ class Chase:
 
     def start_document(self, first: dict[str, Any]) -> dict[str, Any]:
         """``start`` of follow.yaml, as an operator would set it on the first frame."""
-        rng = np.random.default_rng([self.scene.seed, 47])
-        x, y = np.array(first["center"]) + rng.normal(0, CLICK[0], 2)
-        scale = NOMINAL_RANGE / first["position"][2] * (1 + rng.normal(0, CLICK[1]))
-        return {"frame": 0, "center": [round(float(x), 1), round(float(y), 1)], "scale": round(float(scale), 3)}
+        return drawn_start(np.array(first["center"]), first["position"][2], NOMINAL_RANGE, self.scene.seed)
 
 
 def write(

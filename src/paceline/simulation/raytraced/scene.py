@@ -12,6 +12,8 @@ import numpy as np
 from paceline.arrays import Array
 from paceline.cameras import Camera, RigUncertainty, StereoRig, View
 from paceline.errors import UnusableInput
+from paceline.simulation.operator import is_inside
+from paceline.simulation.raytraced import road_surface
 from paceline.simulation.raytraced.light import Light
 from paceline.simulation.raytraced.meshes import Placement, Solid
 from paceline.simulation.raytraced.motion import Drive, LaneChange, Motion
@@ -21,7 +23,6 @@ from paceline.simulation.raytraced.scenery.placement import Scenery, scenery
 from paceline.simulation.raytraced.sensor import Sensor, Shutter
 from paceline.simulation.raytraced.vehicles.build import Body, Plane, build
 from paceline.simulation.road import Road, RoadShape
-from paceline.simulation.stereo.scene import is_inside
 
 AWAY: Placement = (np.eye(3), np.array([0.0, 0.0, -1e4]))  # below the ground, for who is not there
 RELIEF = 0.6  # m that a vehicle's own surfaces may lie before its plane
@@ -121,7 +122,7 @@ class Stage:
         rig = self.scene.rig
         clear = ((rig.eye.along, rig.eye.right, 4.0), *self._sight())
         spec = Scenery(**self.scene.scenery.model_dump(), seed=self.scene.seed, clear=clear)
-        return self.road.solids() + scenery(self.road, spec, 0.0, self.road.length)
+        return road_surface.solids(self.road) + scenery(self.road, spec, 0.0, self.road.length)
 
     def _sight(self) -> list[tuple[float, float, float]]:
         """Circles along the line of sight, so that no tree hides what the rig was put up for."""

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from paceline.arrays import Array
+from paceline.arrays import Array, Mask
 from paceline.cameras import View
 from paceline.documents.rig_yaml import rig_yaml
 from paceline.simulation.operator import clip_document
@@ -45,7 +45,12 @@ def write(
     stage = Stage(scene)
     renderer = Renderer(stage.still(), stage.moving(), stage.light, variant)
     truth = stage.truth(renderer)
-    clip = clip_document(stage, truth, renderer)
+
+    def hidden(view: View, points: Array) -> Mask:
+        renderer.place(stage.empty())
+        return np.asarray(renderer.distance(view.centre, points) <= 0.98 * np.linalg.norm(points - view.centre, axis=1))
+
+    clip = clip_document(stage, truth, hidden)
     clip_folder.begin(directory, scene, variant)
     total, done = stage.clocks.size, 0
     for i, side in enumerate(("left", "right")):

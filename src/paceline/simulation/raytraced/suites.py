@@ -8,10 +8,9 @@ import numpy as np
 
 from paceline.cameras import View
 from paceline.errors import UnusableInput
-from paceline.simulation.operator import NARROWEST
+from paceline.simulation.operator import NARROWEST, is_inside
 from paceline.simulation.raytraced.scene import Stage
 from paceline.simulation.raytraced.scene_yaml import FollowScene, SpeedScene
-from paceline.simulation.stereo.scene import is_inside
 
 KMH = 1 / 3.6
 SLOWEST, FASTEST = 15 * KMH, 130 * KMH

@@ -22,7 +22,7 @@ from paceline.arrays import Array, Image
 from paceline.cameras import StereoRig, View
 from paceline.documents.rig_yaml import rig_yaml
 from paceline.simulation import textures
-from paceline.simulation.random_scenes import random_crossing, random_scene
+from paceline.simulation.operator import clicked, drawn_line, is_inside
 from paceline.simulation.stereo.scene import (
     CLEARANCE,
     LaneChange,
@@ -31,7 +31,6 @@ from paceline.simulation.stereo.scene import (
     Road,
     Scene,
     Vehicle,
-    is_inside,
     make_rig,
     views_of,
     visible_line,
@@ -46,8 +45,6 @@ __all__ = [
     "Scene",
     "Vehicle",
     "World",
-    "random_crossing",
-    "random_scene",
     "render",
     "write",
     "write_documents",
@@ -136,7 +133,7 @@ class World:
                 entry["path"] = lanes[vehicle.lane, vehicle.receding]
             entry["frame"] = first["frame"]
             for side in ("left", "right"):
-                entry[side] = _rounded(np.array(first[side]) + rng.normal(0, 1, (4, 2)) * scene.click_sigma)
+                entry[side] = clicked(np.array(first[side]), scene.click_sigma, rng)
             if scene.draw_path and vehicle.plane == "side":
                 entry["plane"] = "side"
             if vehicle.guess is not None:
@@ -153,12 +150,7 @@ class World:
             visible = visible_line(self.scene, self.road, lane, positions, view)[::-1]  # from far to near
             if len(visible) < 10:
                 raise ValueError(f"the line beside vehicle {users[0].id} is not visible in the {side} view")
-            length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(visible, axis=0), axis=1))])
-            # People click more densely far away, where a line bends in the picture: evenly in the root of the length.
-            count = self.scene.line_points + int(rng.integers(-1, 2))
-            at = length[-1] * ((np.arange(count) + rng.uniform(0.1, 0.9, count)) / count) ** 2
-            drawn = np.column_stack([np.interp(at, length, c) for c in visible.T])
-            path[side] = _rounded(drawn + rng.normal(0, 1, drawn.shape) * self.scene.line_sigma)
+            path[side] = drawn_line(visible, view.camera, self.scene.line_points, self.scene.line_sigma, rng)
         path["lateral_offset"] = -self.scene.line_offset if receding else self.scene.line_offset
         return path
 
@@ -274,10 +266,6 @@ def _soft_shadow() -> Texture:
 
 
 _SHADOW = _soft_shadow()
-
-
-def _rounded(points: Array) -> list[list[float]]:
-    return [[round(float(x), 2), round(float(y), 2)] for x, y in points]
 
 
 def write(rendered: RenderedClip, directory: Path | str) -> Path:

@@ -14,9 +14,9 @@ from scipy.interpolate import CubicSpline
 
 from paceline.arrays import Array
 from paceline.cameras import Camera, StereoRig, View
+from paceline.simulation.operator import longest_stretch
 
 CLEARANCE = 0.35  # m from the road to the lower edge of a vehicle's main plane
-MARGIN = 10.0  # px that a quadrilateral keeps from the image's border where it counts as inside
 
 
 @dataclass(frozen=True)
@@ -235,11 +235,6 @@ def views_of(rig: StereoRig) -> tuple[View, View]:
     return View(rig.left, np.eye(3), np.zeros(3)), View(rig.right, rig.R, rig.t)
 
 
-def is_inside(pixels: Array, size: tuple[int, int]) -> bool:
-    """Whether ``pixels`` (…, 2) lie wholly inside an image of ``size``, away from its border."""
-    return bool((pixels >= MARGIN).all() and (pixels <= np.array(size) - 1 - MARGIN).all())
-
-
 def visible_line(scene: Scene, road: Road, lane: float, positions: Array, view: View) -> Array:
     """Pixels (N, 2), closely along the line beside a lane, inside the image and near the ``positions``
     (M, 3): up to 60 m nearer to the camera and 6 m farther."""
@@ -250,6 +245,4 @@ def visible_line(scene: Scene, road: Road, lane: float, positions: Array, view: 
     points = road.point(s, np.full_like(s, lane + scene.line_offset))
     pixels = view.project(points[view.depth(points) > 2])
     seen = ((pixels > 6) & (pixels < np.array(scene.image_size) - 7)).all(1)
-    gaps = np.flatnonzero(~seen)  # a curve may leave the image and come back: keep its longest stretch
-    pieces = np.split(pixels, gaps)
-    return np.asarray(max((p[1:] if i else p for i, p in enumerate(pieces)), key=len, default=np.empty((0, 2))))
+    return longest_stretch(pixels, np.asarray(seen))  # a curve may leave the image and come back
