@@ -17,10 +17,11 @@ from tiny_clips import put_clip
 
 from paceline.cameras import Camera
 from paceline.console.editing.clip_document import Changed
-from paceline.console.editing.follow_document import Chase, read_chase, save_chase, with_values
+from paceline.console.editing.follow_document import Chase, read_chase, save_chase
 from paceline.console.editing.target_model import learned, outlined
 from paceline.console.frames.frame_cache import ChasePictures
 from paceline.documents.loading import load_follow, load_target
+from paceline.documents.yaml_editing import with_values
 from paceline.errors import UnusableInput
 
 K = np.array([[300.0, 0, 127.5], [0, 310.0, 120.5], [0, 0, 1]])

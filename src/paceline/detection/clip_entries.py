@@ -6,8 +6,8 @@ import yaml
 
 from paceline.cameras import StereoRig
 from paceline.detection.finder import Found
+from paceline.documents.yaml_editing import added_below, pixels, quoted, read_back
 from paceline.errors import UnusableInput
-from paceline.lanes.site_yaml import added_below, pixels, quoted, read_back
 
 
 def with_vehicles(text: str, file: str, rig: StereoRig, found: list[Found]) -> str:

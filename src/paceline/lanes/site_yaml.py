@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from typing import Any
+from collections.abc import Iterable
 
 import yaml
 
-from paceline.arrays import Array
+from paceline.documents.yaml_editing import added_below, pixels, quoted, read_back
 from paceline.errors import UnusableInput
 from paceline.lanes.lane_proposals import Lane
 
@@ -48,44 +47,6 @@ def with_lanes(text: str, file: str, lanes: dict[str, Lane]) -> str:
     return added
 
 
-def added_below(text: str, name: str, entries: Callable[[int], list[str]]) -> str:
-    """``text`` of a YAML mapping with ``entries``, made for an indent, added to what stands below the key ``name``, or
-    below a new key."""
-    root = yaml.compose(text)
-    assert isinstance(root, yaml.MappingNode), "a document that was read is a mapping"
-    lines = text.splitlines()
-    found = {key.value: (key, value) for key, value in root.value}
-    if name not in found:
-        return "\n".join([*lines, f"{name}:", *entries(2)]) + "\n"
-    key, value = found[name]
-    if isinstance(value, yaml.MappingNode) and value.value and not value.flow_style:
-        indent = value.value[0][0].start_mark.column
-        last = value.value[-1][1].end_mark
-        end = last.line if last.column == 0 else last.line + 1
-        while end > key.start_mark.line + 1 and _is_aside(lines[end - 1], indent):
-            end -= 1  # what stands between these entries and the next key belongs to that key
-        return "\n".join([*lines[:end], *entries(indent), *lines[end:]]) + "\n"
-    row = key.start_mark.line
-    _, hash_, comment = lines[row].partition("#")
-    head = " " * key.start_mark.column + f"{name}:" + (f"  #{comment}" if hash_ else "")
-    return "\n".join([*lines[:row], head, *entries(key.start_mark.column + 2), *lines[row + 1 :]]) + "\n"
-
-
-def read_back(text: str) -> dict[str, Any]:
-    """What ``text`` holds after something was added to it; empty where it is no YAML any more."""
-    try:
-        found: dict[str, Any] = yaml.safe_load(text)
-    except yaml.YAMLError:
-        return {}
-    return found
-
-
-def _is_aside(line: str, indent: int) -> bool:
-    """Whether a line is empty or a comment that stands further left than the paths."""
-    bare = line.lstrip()
-    return not bare or (bare.startswith("#") and len(line) - len(bare) < indent)
-
-
 def _entries(lanes: dict[str, Lane], indent: int) -> list[str]:
     pad, lines = " " * indent, []
     for name, lane in lanes.items():
@@ -98,13 +59,3 @@ def _entries(lanes: dict[str, Lane], indent: int) -> list[str]:
             f"{pad}  lateral_offset: 0.0  # what is drawn is the middle of the lane, for travel in either direction",
         ]
     return lines
-
-
-def pixels(points: Array) -> str:
-    """``points`` (N, 2) as a line of YAML."""
-    return "[" + ", ".join(f"[{x:.2f}, {y:.2f}]" for x, y in points) + "]"
-
-
-def quoted(text: str) -> str:
-    """``text`` as a value of YAML in one line."""
-    return yaml.safe_dump(text, allow_unicode=True, width=10**6).splitlines()[0]

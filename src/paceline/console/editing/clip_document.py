@@ -16,6 +16,7 @@ from pydantic import ValidationError
 
 from paceline.documents.loading import load_clip
 from paceline.documents.models import ClipModel, PathModel, SiteModel, VehicleModel, read_document
+from paceline.documents.yaml_editing import flow
 from paceline.errors import UnusableInput
 
 Entry = dict[str, Any]
@@ -197,14 +198,3 @@ def _lines(section: str, name: str, entry: Entry, indent: int) -> list[str]:
         return [f"{pad}{flow(name)}:", *(f"{pad}  {key}: {flow(value)}" for key, value in entry.items())]
     marks = ["- ", *["  "] * (len(entry) - 1)]
     return [f"{pad}{mark}{key}: {flow(value)}" for mark, (key, value) in zip(marks, entry.items(), strict=True)]
-
-
-def flow(value: object) -> str:
-    """``value`` in one line of YAML."""
-    text = yaml.dump(value, Dumper=_Flow, default_flow_style=True, allow_unicode=True, sort_keys=False, width=2**30)
-    return str(text).removesuffix("...\n").strip()
-
-
-class _Flow(yaml.SafeDumper):
-    def ignore_aliases(self, data: object) -> bool:
-        return True  # a list that occurs twice is written twice

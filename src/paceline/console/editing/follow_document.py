@@ -6,20 +6,16 @@ import secrets
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-
-import yaml
 
 from paceline.cameras import Camera
 from paceline.console.document_names import ChaseModel
-from paceline.console.editing.clip_document import Changed, flow, revision_of
+from paceline.console.editing.clip_document import Changed, revision_of
 from paceline.console.editing.target_model import checked_start, checked_target, plain_target
 from paceline.documents.loading import load_follow
 from paceline.documents.models import TargetModel, read_document
+from paceline.documents.yaml_editing import Plain, flow, with_values
 from paceline.errors import UnusableInput
 from paceline.reports.common.output_folder import write_together
-
-Plain = dict[str, Any]
 
 DECIMALS = 2  # of a pixel as written
 SCALE_DECIMALS = 5
@@ -106,39 +102,3 @@ def target_text(target: TargetModel) -> str:
     if target.tolerance is not None:
         head.append(f"tolerance: {flow(target.tolerance)}")
     return "\n".join([*head, "corners:", *corners, "segments:", *segments]) + "\n"
-
-
-def with_values(text: str, file: str, values: Plain) -> str:
-    """``text`` of a YAML mapping with these top-level ``values``, all else as it was. Raises UnusableInput."""
-    new = text
-    for key, value in values.items():
-        new = _with_value(new, key, value)
-    try:
-        before, after = yaml.safe_load(text), yaml.safe_load(new)
-        kept = {**before, **values} == after
-    except (yaml.YAMLError, TypeError):
-        kept = False
-    if not kept:
-        raise UnusableInput(f"{file}: is written in a way that cannot be added to; expected one key per line")
-    return new
-
-
-def _with_value(text: str, key: str, value: object) -> str:
-    root = yaml.compose(text)
-    found = {k.value: (k, v) for k, v in root.value} if isinstance(root, yaml.MappingNode) else {}
-    line = f"{key}: {flow(value)}"
-    if key not in found:
-        return f"{text.rstrip()}\n{line}\n"
-    name, old = found[key]
-    end = old.end_mark.index
-    if isinstance(old, yaml.CollectionNode) and not old.flow_style:  # it ends where the next key begins
-        end = old.start_mark.index + len(_without_what_follows(text[old.start_mark.index : end]))
-    return text[: name.start_mark.index] + line + text[end:]
-
-
-def _without_what_follows(block: str) -> str:
-    """A block's text without the empty lines and comments after it, which belong to what follows."""
-    lines = block.splitlines()
-    while lines and (not lines[-1].strip() or lines[-1].startswith("#")):
-        lines.pop()
-    return "\n".join(lines)

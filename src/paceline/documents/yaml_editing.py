@@ -1,0 +1,108 @@
+"""YAML written into what a person wrote: values and entries go in, all else stands as it was, comments too."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import yaml
+
+from paceline.arrays import Array
+from paceline.errors import UnusableInput
+
+Plain = dict[str, Any]
+
+
+def added_below(text: str, name: str, entries: Callable[[int], list[str]]) -> str:
+    """``text`` of a YAML mapping with ``entries``, made for an indent, added to what stands below the key ``name``, or
+    below a new key."""
+    root = yaml.compose(text)
+    assert isinstance(root, yaml.MappingNode), "a document that was read is a mapping"
+    lines = text.splitlines()
+    found = {key.value: (key, value) for key, value in root.value}
+    if name not in found:
+        return "\n".join([*lines, f"{name}:", *entries(2)]) + "\n"
+    key, value = found[name]
+    if isinstance(value, yaml.MappingNode) and value.value and not value.flow_style:
+        indent = value.value[0][0].start_mark.column
+        last = value.value[-1][1].end_mark
+        end = last.line if last.column == 0 else last.line + 1
+        while end > key.start_mark.line + 1 and _is_aside(lines[end - 1], indent):
+            end -= 1  # what stands between these entries and the next key belongs to that key
+        return "\n".join([*lines[:end], *entries(indent), *lines[end:]]) + "\n"
+    row = key.start_mark.line
+    _, hash_, comment = lines[row].partition("#")
+    head = " " * key.start_mark.column + f"{name}:" + (f"  #{comment}" if hash_ else "")
+    return "\n".join([*lines[:row], head, *entries(key.start_mark.column + 2), *lines[row + 1 :]]) + "\n"
+
+
+def read_back(text: str) -> dict[str, Any]:
+    """What ``text`` holds after something was added to it; empty where it is no YAML any more."""
+    try:
+        found: dict[str, Any] = yaml.safe_load(text)
+    except yaml.YAMLError:
+        return {}
+    return found
+
+
+def _is_aside(line: str, indent: int) -> bool:
+    """Whether a line is empty or a comment that stands further left than the paths."""
+    bare = line.lstrip()
+    return not bare or (bare.startswith("#") and len(line) - len(bare) < indent)
+
+
+def pixels(points: Array) -> str:
+    """``points`` (N, 2) as a line of YAML."""
+    return "[" + ", ".join(f"[{x:.2f}, {y:.2f}]" for x, y in points) + "]"
+
+
+def quoted(text: str) -> str:
+    """``text`` as a value of YAML in one line."""
+    return yaml.safe_dump(text, allow_unicode=True, width=10**6).splitlines()[0]
+
+
+def flow(value: object) -> str:
+    """``value`` in one line of YAML."""
+    text = yaml.dump(value, Dumper=_Flow, default_flow_style=True, allow_unicode=True, sort_keys=False, width=2**30)
+    return str(text).removesuffix("...\n").strip()
+
+
+class _Flow(yaml.SafeDumper):
+    def ignore_aliases(self, data: object) -> bool:
+        return True  # a list that occurs twice is written twice
+
+
+def with_values(text: str, file: str, values: Plain) -> str:
+    """``text`` of a YAML mapping with these top-level ``values``, all else as it was. Raises UnusableInput."""
+    new = text
+    for key, value in values.items():
+        new = _with_value(new, key, value)
+    try:
+        before, after = yaml.safe_load(text), yaml.safe_load(new)
+        kept = {**before, **values} == after
+    except (yaml.YAMLError, TypeError):
+        kept = False
+    if not kept:
+        raise UnusableInput(f"{file}: is written in a way that cannot be added to; expected one key per line")
+    return new
+
+
+def _with_value(text: str, key: str, value: object) -> str:
+    root = yaml.compose(text)
+    found = {k.value: (k, v) for k, v in root.value} if isinstance(root, yaml.MappingNode) else {}
+    line = f"{key}: {flow(value)}"
+    if key not in found:
+        return f"{text.rstrip()}\n{line}\n"
+    name, old = found[key]
+    end = old.end_mark.index
+    if isinstance(old, yaml.CollectionNode) and not old.flow_style:  # it ends where the next key begins
+        end = old.start_mark.index + len(_without_what_follows(text[old.start_mark.index : end]))
+    return text[: name.start_mark.index] + line + text[end:]
+
+
+def _without_what_follows(block: str) -> str:
+    """A block's text without the empty lines and comments after it, which belong to what follows."""
+    lines = block.splitlines()
+    while lines and (not lines[-1].strip() or lines[-1].startswith("#")):
+        lines.pop()
+    return "\n".join(lines)
