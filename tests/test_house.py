@@ -22,17 +22,49 @@ SOURCE = ROOT / "src" / "paceline"
 DOCUMENTS = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md"))]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
-FLOORS = {
-    1: ["version", "arrays", "errors", "blas", "units", "progress", "cameras", "subpixel", "sift_features",
-        "numba_cache", "geometry", "recordings", "path_following"],
-    2: ["documents"],
-    3: ["speed", "calibration", "targets", "follow", "lanes", "detection", "survey"],
-    4: ["simulation", "baselines"],
-    5: ["reports"],
-    6: ["console"],
-    7: ["commands", "cli", "__main__"],
+# What a room may import beside itself, from the ground up. An inner room that is named has its own line.
+GROUND = {
+    "version", "arrays", "errors", "units", "progress", "blas", "cameras", "subpixel", "sift_features", "numba_cache",
+}  # fmt: skip
+BASE = GROUND | {"geometry", "recordings", "path_following"}
+READ = BASE | {"documents"}
+MADE = {"speed", "calibration", "targets", "follow", "lanes", "baselines", "detection", "simulation", "survey"}
+MAY_IMPORT = {
+    **{room: GROUND for room in GROUND},
+    "geometry": GROUND,
+    "recordings": GROUND,
+    "path_following": BASE,
+    "documents": BASE,
+    "speed": READ,
+    "calibration": READ,
+    "targets": READ,
+    "follow": READ | {"targets"},
+    "lanes": READ | {"speed"},
+    "baselines": READ | {"speed"},
+    "detection": READ | {"lanes", "speed"},
+    "simulation": READ,
+    "simulation.closed_loop": READ | {"follow", "targets"},
+    "simulation.boards": READ | {"calibration"},
+    "survey": READ | {"detection", "lanes", "speed"},
+    "reports": READ | MADE,
+    "console": READ | {"reports", "targets", "speed.geometry"},
+    "commands": READ | MADE | {"reports", "console"},
+    "cli": GROUND | {"commands"},
+    "__main__": {"cli"},
 }
-FLOOR = {room: floor for floor, rooms in FLOORS.items() for room in rooms}
+# What parts of one room do not know of each other.
+SIMULATORS = {"simulation.stereo", "simulation.chase", "simulation.raytraced", "simulation.closed_loop"}
+NEVER = {
+    "speed.geometry": {"speed.filter", "speed.refinement"},
+    "speed.filter": {"speed.refinement"},
+    "speed.refinement": {"speed.filter"},
+    **{f"simulation.{shared}": SIMULATORS for shared in ("operator", "road", "textures")},
+    "simulation.stereo": SIMULATORS | {"simulation.random_scenes"},
+    "simulation.chase": SIMULATORS | {"simulation.random_scenes"},
+    "simulation.raytraced": SIMULATORS - {"simulation.chase"},
+    "simulation.closed_loop": SIMULATORS - {"simulation.chase"},
+    "reports.common": {f"reports.{product}" for product in ("speed", "live", "follow", "closed_loop")},
+}
 
 
 # --- rooms ---------------------------------------------------------------------------------------------------------
@@ -75,30 +107,49 @@ def imports(name: str) -> Iterator[str]:
 IMPORTS = {name: set(imports(name)) for name in MODULES}
 
 
-def room(module: str) -> str:
-    return module.split(".")[0]
+def is_in(module: str, place: str) -> bool:
+    return f"{module}.".startswith(f"{place}.")
 
 
-def test_every_room_is_on_a_floor() -> None:
-    assert {room(name) for name in MODULES} == set(FLOOR)
+def part_of(module: str, folder: str) -> str:
+    """The file or folder directly in ``folder`` that ``module`` is or is in; empty where it is elsewhere."""
+    inside = module.removeprefix(f"{folder}.") if folder else module
+    return inside.split(".")[0] if not folder or inside != module else ""
+
+
+FOLDERS = {""} | {name.rpartition(".")[0] for name in MODULES}
+
+
+def test_every_room_is_in_the_table() -> None:
+    rooms = {name.split(".")[0] for name in MODULES}
+    assert rooms == {place for place in MAY_IMPORT if "." not in place}
+    for place in {*MAY_IMPORT, *NEVER}.union(*MAY_IMPORT.values(), *NEVER.values()):
+        assert place in MODULES, f"there is no {place}"
 
 
 @pytest.mark.parametrize("name", MODULES)
-def test_lower_rooms_never_import_upper_ones(name: str) -> None:
+def test_a_room_imports_only_what_it_may(name: str) -> None:
+    place = max((place for place in MAY_IMPORT if is_in(name, place)), key=len)
     for other in IMPORTS[name]:
         assert other, f"{name} imports the API of the whole package"
-        assert FLOOR[room(other)] <= FLOOR[room(name)], f"{name} imports {other}"
+        if part_of(other, "") != part_of(name, ""):
+            assert any(is_in(other, allowed) for allowed in MAY_IMPORT[place]), f"{name} imports {other}"
+        for own, others in NEVER.items():
+            if is_in(name, own) and not is_in(other, own):
+                assert not any(is_in(other, forbidden) for forbidden in others), f"{name} imports {other}"
 
 
-@pytest.mark.parametrize("unit", ["modules", "rooms"])
-def test_there_are_no_circles(unit: str) -> None:
-    if unit == "modules":
+@pytest.mark.parametrize("folder", ["files", *sorted(FOLDERS)])
+def test_there_are_no_circles(folder: str) -> None:
+    """Neither of files, nor of what lies beside each other in a folder."""
+    if folder == "files":
         # a package that gathers names from its own modules is no circle, unless they import it back
         graph = {name: others - {name} for name, others in IMPORTS.items()}
     else:
-        graph = {r: set() for r in FLOOR}
+        graph = {part_of(name, folder): set() for name in MODULES}
         for name, others in IMPORTS.items():
-            graph[room(name)] |= {room(o) for o in others} - {room(name)}
+            graph[part_of(name, folder)] |= {part_of(o, folder) for o in others} - {part_of(name, folder), ""}
+        graph.pop("", None)
     done: set[str] = set()
 
     def visit(name: str, trail: tuple[str, ...]) -> None:
