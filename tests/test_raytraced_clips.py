@@ -13,11 +13,11 @@ from tiny_scenes import small_follow, small_speed
 
 from paceline.documents.loading import load_clip, load_follow, load_rig
 from paceline.errors import UnusableInput
+from paceline.progress import Progress
 from paceline.recordings.monocular import open_camera
 from paceline.recordings.odometry import read_odometry
 from paceline.recordings.stereo import open_recording
 from paceline.simulation.raytraced import chase_clip, stereo_clip
-from paceline.simulation.raytraced.clip_folder import Progress
 from paceline.simulation.raytraced.mitsuba_variant import PORTABLE
 from paceline.simulation.raytraced.scene_yaml import FollowScene, SpeedScene
 

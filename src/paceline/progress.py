@@ -6,11 +6,13 @@ import base64
 import json
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from paceline.arrays import Array
+
+Progress = Callable[[int, int | None], None]  # called with frames done and frames in all, None where nobody knows
 
 TOLD = "PACELINE_PROGRESS"  # environment variable; "lines" asks for lines
 ESTIMATE, PICTURES = "estimate: ", "pictures: "

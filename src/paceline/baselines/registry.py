@@ -11,10 +11,11 @@ from paceline.baselines.multimodal import Multimodal
 from paceline.baselines.sift import Sift
 from paceline.documents.loading import Clip, VehicleDocument
 from paceline.errors import UnusableInput
+from paceline.progress import Progress
 from paceline.recordings.stereo import StereoRecording
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.geometry.paths import Path
-from paceline.speed.measurement import Progress, Run, measure_each
+from paceline.speed.measurement import Run, measure_each
 from paceline.speed.results import ClipResult
 from paceline.speed.verdict import within
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,10 +12,9 @@ from paceline.arrays import Image
 from paceline.calibration.boards import Board, Corners, Detector, detector, same_way_round
 from paceline.calibration.parameters import Observations
 from paceline.errors import UnusableInput
+from paceline.progress import Progress
 from paceline.recordings.image_sources import ImageFiles, Source, open_source
 from paceline.recordings.stereo import pair_by_time, pair_images
-
-Progress = Callable[[int, int | None], None]
 
 MOST_VIEWS = 80  # of longer recordings, evenly spread ones: more cost time and hardly add
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import cv2
@@ -12,10 +11,9 @@ from numpy.typing import NDArray
 from paceline.arrays import Array, Image, Indices
 from paceline.cameras import StereoRig
 from paceline.geometry import epipolar_distance, triangulate
+from paceline.progress import Progress
 from paceline.recordings.stereo import StereoRecording
 from paceline.sift_features import features, matched
-
-Progress = Callable[[int, int | None], None]
 
 FRAMES = 6  # looked at, evenly spread: what stands still is seen again in each, and adds little
 FEATURES = 3000  # of each view

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from paceline.progress import TOLD, telling, telling_estimate, telling_pictures
+from paceline.progress import TOLD, Progress, telling, telling_estimate, telling_pictures
 
 if TYPE_CHECKING:
     from paceline.cameras import StereoRig
@@ -116,7 +116,7 @@ def _say(line: str) -> None:
 
 
 @contextmanager
-def progress_bar(doing: str, show: bool) -> Iterator[Callable[[int, int | None], None] | None]:
+def progress_bar(doing: str, show: bool) -> Iterator[Progress | None]:
     """A progress bar on standard error, moved on by calls with (frames done, frames in all if that is known).
 
     A program that started the command may ask for lines instead; once it reads them no more, the command ends.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 from paceline.blas import on_one_blas_thread
@@ -14,12 +14,11 @@ from paceline.follow.hindsight import at_once, in_hindsight
 from paceline.follow.history import History
 from paceline.follow.results import FollowEstimate, FollowResult
 from paceline.follow.tracker import FollowTracker, warm_up
+from paceline.progress import Progress
 from paceline.recordings.monocular import CameraFrame, CameraRecording, open_camera
 from paceline.recordings.odometry import Odometry, Pose, read_odometry
 from paceline.targets.line_model import Target
 from paceline.version import versions
-
-Progress = Callable[[int, int | None], None]
 
 
 def tracker_for(clip: FollowClip, configuration: FollowConfiguration | None = None) -> FollowTracker:

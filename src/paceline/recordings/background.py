@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from paceline.arrays import Image, Mask
+from paceline.progress import Progress
 from paceline.recordings.stereo import StereoRecording
-
-Progress = Callable[[int, int | None], None]
 
 FRAMES = 31  # looked at, evenly spread: what the memory holds however long the recording is
 FEWEST = 5  # pairs of frames from which what moves can be told from what stands

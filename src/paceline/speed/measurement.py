@@ -15,6 +15,7 @@ from paceline.blas import on_one_blas_thread
 from paceline.cameras import StereoRig
 from paceline.documents.loading import Clip, VehicleDocument, load_clip
 from paceline.errors import UnusableInput
+from paceline.progress import Progress
 from paceline.recordings.stereo import StereoFrame, StereoFrames, open_recording
 from paceline.speed import verdict
 from paceline.speed.configuration import SpeedConfiguration
@@ -26,8 +27,6 @@ from paceline.speed.joint_calibration import together
 from paceline.speed.results import ClipResult, Measurement, PathDrawing
 from paceline.speed.run import Seen, VehicleRun
 from paceline.version import versions
-
-Progress = Callable[[int, int], None]
 
 
 def measure_clip(

@@ -15,6 +15,7 @@ from paceline.documents.loading import Clip, PathDocument, load_clip
 from paceline.lanes.lane_proposals import propose
 from paceline.lanes.road_detection import NoRoad, find_road
 from paceline.lanes.site_yaml import lane_names
+from paceline.progress import Progress
 from paceline.recordings.background import Background, empty_scene, no_background
 from paceline.recordings.stereo import StereoRecording, open_recording
 from paceline.speed.configuration import SpeedConfiguration
@@ -22,8 +23,6 @@ from paceline.speed.filter.device import DeviceName
 from paceline.speed.measurement import measure, refuse_one_view
 from paceline.speed.results import ClipResult
 from paceline.version import versions
-
-Progress = Callable[[int, int | None], None]
 
 
 @dataclass(frozen=True, eq=False)

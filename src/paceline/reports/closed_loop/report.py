@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +10,7 @@ from pathlib import Path
 import yaml
 
 from paceline.follow.tracker import warm_up
+from paceline.progress import Progress
 from paceline.reports.closed_loop.overlay import draw_step
 from paceline.reports.closed_loop.page import write_drive_page
 from paceline.reports.closed_loop.plots import drive_plots
@@ -25,7 +25,6 @@ from paceline.simulation.closed_loop.results import DriveLog, DriveResult
 from paceline.version import versions
 
 CRF = 25
-Progress = Callable[[int, int | None], None]
 
 
 def drive_and_report(

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 from paceline.blas import on_one_blas_thread
 from paceline.documents.loading import FollowClip
 from paceline.follow.configuration import FollowConfiguration
-from paceline.follow.following import Progress, follow, result_of
+from paceline.follow.following import follow, result_of
 from paceline.follow.history import History, Tally
 from paceline.follow.results import FollowEstimate, FollowResult
+from paceline.progress import Progress
 from paceline.recordings.monocular import CameraFrame, CameraRecording, open_camera
 from paceline.reports.common.output_folder import OutputFolder
 from paceline.reports.common.video import VideoWriter

@@ -15,6 +15,7 @@ import numpy as np
 
 from paceline.arrays import Array
 from paceline.cameras import Camera, View
+from paceline.progress import Progress
 from paceline.simulation.chase.motion import Gap, Shaking, Wander
 from paceline.simulation.operator import drawn_start
 from paceline.simulation.raytraced import clip_folder, road_surface
@@ -160,7 +161,7 @@ class Chase:
 
 
 def write(
-    scene: FollowScene, directory: Path | str, progress: clip_folder.Progress = None, variant: str | None = None
+    scene: FollowScene, directory: Path | str, progress: Progress | None = None, variant: str | None = None
 ) -> Path:
     """Render ``scene`` into ``directory`` and return the path of its follow.yaml; as `stereo_clip.write`."""
     directory, variant = Path(directory), variant or default_variant()

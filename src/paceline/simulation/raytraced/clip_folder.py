@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,6 @@ from paceline.simulation.raytraced.scene_yaml import SceneModel
 from paceline.version import __version__
 
 Picture = NDArray[np.uint8]
-Progress = Callable[[int, int | None], None] | None
 
 STATE = "rendering.json"
 TICKS = 90000  # per second, of a video's time stamps

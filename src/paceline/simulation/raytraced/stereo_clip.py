@@ -17,6 +17,7 @@ import numpy as np
 from paceline.arrays import Array, Mask
 from paceline.cameras import View
 from paceline.documents.rig_yaml import rig_yaml
+from paceline.progress import Progress
 from paceline.simulation.operator import clip_document
 from paceline.simulation.raytraced import clip_folder
 from paceline.simulation.raytraced.light import Light
@@ -34,7 +35,7 @@ SUFFIX = {"png": ".png", "jpeg": ".jpg", "h264": ".png"}
 
 
 def write(
-    scene: SpeedScene, directory: Path | str, progress: clip_folder.Progress = None, variant: str | None = None
+    scene: SpeedScene, directory: Path | str, progress: Progress | None = None, variant: str | None = None
 ) -> Path:
     """Render ``scene`` into ``directory`` and return the path of its clip.yaml.
 
