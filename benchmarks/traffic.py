@@ -22,13 +22,13 @@ from vehicles import Speed, speeds, who
 from paceline.detection.background_model import EmptyScene
 from paceline.detection.finder import Finder
 from paceline.detection.lane_paths import ways_of
+from paceline.detection.search import find_vehicles
 from paceline.documents.loading import Clip, load_clip
 from paceline.recordings.background import background_of
 from paceline.recordings.stereo import StereoFrame, open_recording
 from paceline.simulation.stereo.clip import RenderedClip, Scene, Vehicle, World, render, write
 from paceline.simulation.stereo.scenery import Backdrop, occluder
 from paceline.simulation.stereo.textured_planes import Card
-from paceline.survey.recording import find_vehicles
 
 KINDS = ("plain", "pole", "shadows", "bushes", "rain", "night", "noise", "light")
 FRAMES, VISIBLE = 8, 0.97  # in which so much of a face has to be seen in both views, for a vehicle to count,

@@ -14,12 +14,12 @@ from pathlib import Path
 import numpy as np
 from common import MPH, Rows, head, machine, read_truth, rms, row, true_mean
 
+from paceline.detection.search import find_vehicles
 from paceline.documents.loading import Clip, VehicleDocument, load_clip
 from paceline.geometry import triangulate
 from paceline.recordings.stereo import StereoRecording, open_recording
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.measurement import measure
-from paceline.survey.recording import find_vehicles
 
 FRAMES = 8  # in which a vehicle has to be wholly visible, to count
 VISIBLE = 0.97  # of its plane

@@ -25,6 +25,7 @@ from paceline.detection.finder import Finder, Found
 from paceline.detection.lane_paths import NEAREST, Grid, Way, laid_out, pyramid, ways_of
 from paceline.detection.photo_consistency import Texture, correlation
 from paceline.detection.planar_face import best_rectangle
+from paceline.detection.search import find_vehicles
 from paceline.detection.tracks import slope
 from paceline.documents.loading import VehicleDocument, load_clip
 from paceline.errors import UnusableInput
@@ -34,7 +35,7 @@ from paceline.recordings.stereo import StereoFrame, open_recording
 from paceline.simulation.stereo.clip import RenderedClip, Vehicle, World, render, write
 from paceline.simulation.stereo.scenery import Backdrop
 from paceline.speed.geometry.paths import from_points
-from paceline.survey.recording import find_vehicles, measure_clip
+from paceline.survey.recording import measure_clip
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]

@@ -23,11 +23,11 @@ from paceline.detection.background_model import WIDER, DetectedScene
 from paceline.detection.detector import Lookout, Sighting
 from paceline.detection.onnx_detector import Detector
 from paceline.detection.onnx_outputs import MOST
+from paceline.detection.search import find_vehicles
 from paceline.documents.loading import load_clip
 from paceline.errors import UnusableInput
 from paceline.recordings.stereo import StereoFrame, open_recording
 from paceline.simulation.stereo.clip import RenderedClip, render, write
-from paceline.survey.recording import find_vehicles
 
 Image = NDArray[np.float32]
 

@@ -129,7 +129,8 @@ def speed(
             result = measured(document)
         else:
             from paceline.detection.onnx_detector import Detector
-            from paceline.survey.recording import find_vehicles, measure_found
+            from paceline.detection.search import find_vehicles
+            from paceline.survey.recording import measure_found
 
             detect = None if detector is None else Detector(detector)
             with progress_bar("looking", shown) as advance:

@@ -13,7 +13,7 @@ from paceline.commands.progress_output import progress_bar
 from paceline.errors import UnusableInput
 
 if TYPE_CHECKING:
-    from paceline.survey.recording import Search
+    from paceline.detection.search import Search
 
 
 def vehicles(
@@ -33,9 +33,9 @@ def vehicles(
     """
     from paceline.detection.clip_entries import with_vehicles
     from paceline.detection.onnx_detector import Detector
+    from paceline.detection.search import find_vehicles
     from paceline.documents.loading import load_clip
     from paceline.recordings.stereo import open_recording
-    from paceline.survey.recording import find_vehicles
 
     file = file_named(clip, "clip.yaml")
     document = load_clip(file)

@@ -25,6 +25,7 @@ from paceline.detection import plane_sweep
 from paceline.detection.background_model import Detect, DetectedScene, EmptyScene, Scene
 from paceline.detection.finder import Finder, Found, Register, as_seen, found_on
 from paceline.detection.lane_paths import ways_of
+from paceline.detection.search import with_lanes_found
 from paceline.detection.tracks import Track
 from paceline.documents.loading import Clip
 from paceline.errors import UnusableInput
@@ -37,7 +38,6 @@ from paceline.speed.joint_calibration import TOGETHER, among
 from paceline.speed.measurement import measure, refuse_one_view
 from paceline.speed.results import Measurement
 from paceline.speed.verdict import within
-from paceline.survey.recording import with_lanes_found
 
 LEARNING = 30.0  # s in which the empty scene is learned
 REMEMBERED = 150  # pairs of frames that are kept for the vehicles in view
