@@ -11,8 +11,9 @@ from paceline.errors import UnusableInput
 from paceline.simulation.raytraced import mesh_builders
 from paceline.simulation.raytraced.mesh_builders import Mesh
 from paceline.simulation.raytraced.meshes import Solid
-from paceline.simulation.raytraced.vehicles.build import KINDS, Body, build
+from paceline.simulation.raytraced.vehicles.build import Body, build
 from paceline.simulation.raytraced.vehicles.sheet_metal import rounding
+from paceline.simulation.vehicle_catalogue import MODELLED
 
 Array = NDArray[np.float64]
 
@@ -29,10 +30,10 @@ REAL = {  # length, width, height, wheelbase: from and to, m
 
 @pytest.fixture(scope="module")
 def bodies() -> dict[tuple[str, int], Body]:
-    return {(kind, seed): build(kind, seed) for kind in KINDS for seed in SEEDS}
+    return {(kind, seed): build(kind, seed) for kind in MODELLED for seed in SEEDS}
 
 
-EACH = pytest.mark.parametrize(("kind", "seed"), [(kind, seed) for kind in KINDS for seed in SEEDS])
+EACH = pytest.mark.parametrize(("kind", "seed"), [(kind, seed) for kind in MODELLED for seed in SEEDS])
 
 
 def all_solids(body: Body) -> list[Solid]:
@@ -177,7 +178,7 @@ def test_lines_are_level_or_upright_and_near_the_plane(
     )
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", MODELLED)
 def test_the_same_seed_gives_the_same_vehicle(bodies: dict[tuple[str, int], Body], kind: str) -> None:
     one, two, other = bodies[kind, 3], build(kind, 3), bodies[kind, 0]
     for a, b in zip(all_solids(one), all_solids(two), strict=True):

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from paceline.cameras import Camera
-from paceline.simulation.chase.vehicles import KINDS
+from paceline.simulation.vehicle_catalogue import DRAWN, DRAWN_GAPS
 
 PRESETS: dict[str, dict[str, Any]] = {
     "nist": {},  # 256 × 242 at 15 frames/s, 5–15 m, to 35 km/h
@@ -29,7 +29,6 @@ PRESETS: dict[str, dict[str, Any]] = {
         "radius": 450.0,
     },
 }
-NEAREST = {"van": 5.0, "saloon": 5.0, "lorry": 7.5, "bus": 7.0}  # m: the whole rear is in view from there on
 
 
 @dataclass(frozen=True)
@@ -47,7 +46,7 @@ class ChaseScene:
     """A chase: the road, the two vehicles, the light and the camera. Angles in rad.
 
     The chase vehicle drives at half of ``top_speed`` (m/s) to the whole of it on a road without turns tighter than
-    ``radius`` (m). The lead is a ``kind`` of `vehicles.KINDS` in a ``paint`` of that grey level; its rear plane
+    ``radius`` (m). The lead is a ``kind`` of `DRAWN` in a ``paint`` of that grey level; its rear plane
     keeps within ``gap`` (m) of the camera, weaves by up to ``weave`` (m) and stands ``yaw`` to its path, turned to the
     left. The camera is shaken so that with 300 px of focal length and at 15 Hz the image moves up and down by about
     half of ``bounce`` px RMS from frame to frame, and by twice of it over bumps.
@@ -105,11 +104,11 @@ def random_chase(seed: int, preset: str = "nist", **overrides: Any) -> ChaseScen
     Raises KeyError for a preset that is not one of `PRESETS`.
     """
     rng = np.random.default_rng([seed, 41])
-    drawn = str(rng.choice(KINDS))
+    drawn = str(rng.choice(DRAWN))
     kind = overrides.get("kind", drawn)
     fixed = dict(PRESETS[preset])
     near, far = fixed.get("gap", ChaseScene.gap)
-    fixed["gap"] = max(near, NEAREST[kind]), far
+    fixed["gap"] = max(near, DRAWN_GAPS[kind]), far
     light = rng.random() < 0.6
     scene = ChaseScene(
         seed,

@@ -10,8 +10,9 @@ import numpy as np
 from paceline.arrays import Image
 from paceline.simulation import textures
 from paceline.simulation.chase.rasterizer import CELL
-from paceline.simulation.chase.vehicles import KINDS, Face, Sheet, vehicle
+from paceline.simulation.chase.vehicles import Face, Sheet, vehicle
 from paceline.simulation.textures import Canvas, Texture
+from paceline.simulation.vehicle_catalogue import DRAWN
 
 LANE = 3.5  # m; the vehicles' lane lies around lateral 0, the other one to its left
 RIGHT_EDGE, LEFT_EDGE = LANE / 2, -1.5 * LANE
@@ -156,7 +157,7 @@ def _wall(rng: np.random.Generator) -> _Maker:
 
 
 def _parked(rng: np.random.Generator) -> _Maker:
-    body = vehicle(rng, str(rng.choice(KINDS[:3])), float(rng.choice([35, 60, 120, 190])))
+    body = vehicle(rng, str(rng.choice(DRAWN[:3])), float(rng.choice([35, 60, 120, 190])))
     return _Maker(standing(body.faces + body.lamps, body.clearance + body.height / 2), half=body.width / 2)
 
 

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from paceline.simulation.textures import Canvas, Texture
 
-KINDS = ("van", "saloon", "lorry", "bus")
 DENSITY = 400.0  # texels per metre of a rear plane
 
 
@@ -77,7 +76,7 @@ def _covered(count: int, low: float, high: float) -> NDArray[np.float32]:
 
 
 def vehicle(rng: np.random.Generator, kind: str, paint: float) -> Body:
-    """A vehicle of one of `KINDS` whose ``paint`` is a grey level; details vary with ``rng``."""
+    """A vehicle of one of `DRAWN` whose ``paint`` is a grey level; details vary with ``rng``."""
     return {"van": _van, "saloon": _saloon, "lorry": _lorry, "bus": _bus}[kind](_Builder(rng, kind, paint))
 
 

@@ -11,11 +11,11 @@ from pydantic import Field, model_validator
 from paceline.documents.models import Document, nearest_of, read_document
 from paceline.errors import UnusableInput
 from paceline.simulation.closed_loop.named_scenes import SCENES
+from paceline.simulation.vehicle_catalogue import Drawn
 
 Seconds = Annotated[float, Field(ge=0, le=7200)]
 Metres = Annotated[float, Field(ge=0)]
 Pairs = list[Annotated[list[float], Field(min_length=2, max_length=2)]]
-Kind = Literal["van", "saloon", "lorry", "bus"]
 
 APART, FASTEST = 1e-3, 60.0  # s, the least between two speeds; m/s
 
@@ -54,7 +54,7 @@ class WeaveModel(Document):
 
 
 class LeadModel(Document):
-    kind: Kind | None = None  # drawn otherwise
+    kind: Drawn | None = None  # drawn otherwise
     speed: Pairs
     haste: Annotated[float, Field(gt=0, le=5)] = 2.0  # m/s², its strongest acceleration
     bends: Annotated[float, Field(gt=0, le=5)] = 1.8  # m/s² to the side, that it slows down to
@@ -79,7 +79,7 @@ class CutInModel(Document):
 
     at: Seconds
     until: Seconds
-    kind: Kind = "van"
+    kind: Drawn = "van"
     duration: Annotated[float, Field(ge=1, le=20)] = 2.5
     behind: Annotated[float, Field(ge=1, le=60)] = 3.0
 

@@ -12,7 +12,7 @@ import numpy as np
 from paceline.recordings.odometry import Pose
 from paceline.simulation.chase.motion import Road, Shaking, State, Wander, place, winding
 from paceline.simulation.chase.projection import Eye, camera_rotation
-from paceline.simulation.chase.scene import NEAREST, ChaseScene, Occlusion, random_chase
+from paceline.simulation.chase.scene import ChaseScene, Occlusion, random_chase
 from paceline.simulation.chase.scenery import LANE
 from paceline.simulation.chase.vehicles import Body, vehicle
 from paceline.simulation.chase.world import ChaseWorld, Moment
@@ -21,6 +21,7 @@ from paceline.simulation.closed_loop.gap_control import GapPolicy
 from paceline.simulation.closed_loop.lead_vehicle import LaneChange, Lead, Weave, road_of
 from paceline.simulation.closed_loop.vehicle_dynamics import State as Chase
 from paceline.simulation.closed_loop.vehicle_dynamics import Vehicle, ahead_of
+from paceline.simulation.vehicle_catalogue import DRAWN_GAPS
 
 START = 30.0  # m along the road at which the camera begins
 VIEW = 400.0  # m of road that are laid out beyond the end of the drive
@@ -140,7 +141,7 @@ def smooth(u: float) -> float:
 def policy_for(model: DriveModel, scene: ChaseScene) -> GapPolicy:
     """How to keep the distance: never so near that the whole rear does not fit into the picture."""
     policy = POLICIES[model.camera]
-    near = 8.0 if model.camera == "hd" else NEAREST[scene.kind] + 0.5
+    near = 8.0 if model.camera == "hd" else DRAWN_GAPS[scene.kind] + 0.5
     return replace(policy, standstill=near, headway=model.headway or policy.headway)
 
 

@@ -8,12 +8,12 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from paceline.documents.models import Document, Name, Rate, Size, UncertaintyModel, read_document
+from paceline.simulation.vehicle_catalogue import Modelled
 
 Positive = Annotated[float, Field(gt=0)]
 Share = Annotated[float, Field(ge=0, le=1)]
 Count = Annotated[int, Field(ge=1)]
 Seed = Annotated[int, Field(ge=0)]
-Kind = Literal["saloon", "estate", "van", "lorry", "bus", "motorcycle"]
 
 
 class RoadModel(Document):
@@ -64,7 +64,7 @@ class CarModel(Document):
     clip.yaml, with a first ``guess`` of their speed where one is given."""
 
     id: Name
-    kind: Kind = "saloon"
+    kind: Modelled = "saloon"
     seed: Seed = 0
     lane: Annotated[int, Field(ge=0)] = 0
     offset: float = 0.0
@@ -177,7 +177,7 @@ class SpeedScene(SceneModel):
 class LeadModel(Document):
     """The vehicle ahead: it keeps within ``gap`` (m) of the camera and weaves by up to ``weave`` (m)."""
 
-    kind: Kind = "van"
+    kind: Modelled = "van"
     seed: Seed = 0
     gap: Annotated[list[Positive], Field(min_length=2, max_length=2)] = [5.0, 15.0]
     weave: Annotated[float, Field(ge=0, le=3)] = 0.5

@@ -11,16 +11,14 @@ from paceline.errors import UnusableInput
 from paceline.simulation.operator import NARROWEST, is_inside
 from paceline.simulation.raytraced.scene import Stage
 from paceline.simulation.raytraced.scene_yaml import FollowScene, SpeedScene
+from paceline.simulation.vehicle_catalogue import MODELLED, MODELLED_GAPS, SHARES
 
 KMH = 1 / 3.6
 SLOWEST, FASTEST = 15 * KMH, 130 * KMH
 FEWEST = 8  # frames in which a vehicle is inside both pictures
 NEAREST, FARTHEST = 10.0, 90.0  # m from the cameras
-KINDS = ("saloon", "estate", "van", "lorry", "bus", "motorcycle")
-SHARES = (0.36, 0.2, 0.16, 0.12, 0.08, 0.08)
 SAMPLES = 64  # rays per pixel of a vehicle; of 16 the noise on glossy paint is several times the sensor's
 RATES = (5.0, 7.5, 10.0, 15.0, 25.0)
-GAPS = {"saloon": 5.0, "estate": 5.0, "van": 5.5, "lorry": 7.5, "bus": 7.5, "motorcycle": 5.0}  # m, the nearest
 
 
 def random_speed_scene(seed: int) -> SpeedScene:
@@ -59,7 +57,7 @@ def _drawn(seed: int, speed: float, rng: np.random.Generator) -> dict[str, Any]:
     target = {"along": middle, "right": (lane + 0.5 - lanes / 2) * 3.6 * 0.6, "height": 0.8}
     car: dict[str, Any] = {
         "id": "v0",
-        "kind": str(rng.choice(KINDS, p=SHARES)),
+        "kind": str(rng.choice(MODELLED, p=SHARES)),
         "seed": int(rng.integers(2**31)),
         "lane": lane,
         "offset": float(rng.normal(0, 0.15)),
@@ -105,11 +103,11 @@ def _drawn(seed: int, speed: float, rng: np.random.Generator) -> dict[str, Any]:
 def random_follow_scene(seed: int, frames: int = 300) -> FollowScene:
     """A varied chase of ``frames`` frames at 15 Hz."""
     rng = np.random.default_rng([seed, 7])
-    kind = str(rng.choice(KINDS[:5]))
+    kind = str(rng.choice(MODELLED[:5]))
     lead = {
         "kind": kind,
         "seed": int(rng.integers(2**31)),
-        "gap": [GAPS[kind], float(rng.uniform(12, 18))],
+        "gap": [MODELLED_GAPS[kind], float(rng.uniform(12, 18))],
         "weave": float(rng.uniform(0, 0.9)),
     }
     road = {"kind": "winding", "radius": float(rng.choice([-1, 1]) * rng.uniform(60, 200)), "length": 400.0}

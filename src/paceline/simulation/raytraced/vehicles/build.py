@@ -14,17 +14,16 @@ from paceline.simulation.raytraced.vehicles.lorry import lorry
 from paceline.simulation.raytraced.vehicles.motorcycle import motorcycle
 from paceline.simulation.raytraced.vehicles.parts import materials
 from paceline.simulation.raytraced.vehicles.vans import bus, van
+from paceline.simulation.vehicle_catalogue import MODELLED
 
-__all__ = ["KINDS", "Body", "Plane", "Wheel", "build"]
-
-KINDS = ("saloon", "estate", "van", "lorry", "bus", "motorcycle")
+__all__ = ["Body", "Plane", "Wheel", "build"]
 
 
 def build(kind: str, seed: int) -> Body:
-    """A vehicle of one of `KINDS`; the same for the same seed. Raises UnusableInput for any other kind."""
-    if kind not in KINDS:
-        raise UnusableInput(f"vehicle kind {kind!r}: expected one of {', '.join(KINDS)}")
-    rng = np.random.default_rng([seed, 43, KINDS.index(kind)])
+    """A vehicle of one of `MODELLED`; the same for the same seed. Raises UnusableInput for any other kind."""
+    if kind not in MODELLED:
+        raise UnusableInput(f"vehicle kind {kind!r}: expected one of {', '.join(MODELLED)}")
+    rng = np.random.default_rng([seed, 43, MODELLED.index(kind)])
     made_of = materials(rng, fleet=kind in ("bus", "lorry"))
     draft = _draft(kind, rng)
     solids = tuple(_solid(name, mesh, made_of) for name, mesh in grouped(draft.meshes).items())
