@@ -32,11 +32,11 @@ from paceline.simulation.chase.clip import (
     PRESETS,
     ChaseScene,
     ChaseTruth,
-    random_chase,
     render_frames,
     start_document,
     target_document,
 )
+from paceline.simulation.random_scenes import random_chase
 from paceline.targets.line_model import Target
 
 Image = NDArray[np.uint8]

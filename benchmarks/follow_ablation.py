@@ -25,7 +25,8 @@ from paceline.follow.hindsight import at_once, in_hindsight
 from paceline.follow.results import FollowEstimate
 from paceline.follow.tracker import FollowTracker
 from paceline.recordings.monocular import CameraFrame
-from paceline.simulation.chase.clip import ChaseScene, ChaseTruth, Occlusion, random_chase, render_frames
+from paceline.simulation.chase.clip import ChaseScene, ChaseTruth, Occlusion, render_frames
+from paceline.simulation.random_scenes import random_chase
 from paceline.simulation.vehicle_catalogue import DRAWN
 
 CALM: dict[str, Any] = {"shadows": 0.0, "parallel": 0.0, "bounce": 2.0, "crowding": 0.5, "ambient": 0.6}

@@ -14,7 +14,8 @@ import av
 import cv2
 import yaml
 
-from paceline.simulation.chase.clip import Occlusion, random_chase, write
+from paceline.simulation.chase.clip import Occlusion, write
+from paceline.simulation.random_scenes import random_chase
 
 OUT = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent / "chase"
 QUALITY = "20"  # of H.264; losses at 18 are hard to see

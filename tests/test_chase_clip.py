@@ -13,20 +13,13 @@ import pytest
 from numpy.typing import NDArray
 
 from paceline.documents.loading import load_follow
-from paceline.simulation.chase.clip import (
-    ChaseScene,
-    ChaseTruth,
-    Occlusion,
-    random_chase,
-    render_frames,
-    target_document,
-    write,
-)
+from paceline.simulation.chase.clip import ChaseScene, ChaseTruth, Occlusion, render_frames, target_document, write
 from paceline.simulation.chase.motion import STEP, Road, place, winding
 from paceline.simulation.chase.projection import Atlas, Eye, Sun, draw, faces_of
 from paceline.simulation.chase.rasterizer import road_coordinates
 from paceline.simulation.chase.script import Script
 from paceline.simulation.chase.vehicles import Face, Sheet
+from paceline.simulation.random_scenes import random_chase
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]

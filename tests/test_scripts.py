@@ -14,8 +14,9 @@ import yaml
 
 from paceline.documents.loading import load_clip, load_follow
 from paceline.recordings.stereo import open_recording
-from paceline.simulation.chase import clip
-from paceline.simulation.chase.clip import random_chase
+from paceline.simulation import random_scenes
+from paceline.simulation.chase.scene import ChaseScene
+from paceline.simulation.random_scenes import random_chase
 
 ROOT = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"
@@ -71,10 +72,10 @@ def test_the_demo_clip_is_what_its_script_makes(tmp_path: Path, monkeypatch: pyt
 def test_the_chase_is_what_its_script_makes(frames: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its first frames in every run."""
 
-    def shortened(*given: Any, **keys: Any) -> clip.ChaseScene:
+    def shortened(*given: Any, **keys: Any) -> ChaseScene:
         return random_chase(*given, **{**keys, "frames": frames})
 
-    monkeypatch.setattr(clip, "random_chase", shortened)
+    monkeypatch.setattr(random_scenes, "random_chase", shortened)
     run(EXAMPLES / "make_chase_clip.py", tmp_path, monkeypatch=monkeypatch)
     for name in ("camera.yaml", "follow.yaml", "target.yaml"):
         assert (tmp_path / name).read_text() == (EXAMPLES / "chase" / name).read_text()

@@ -11,7 +11,8 @@ from nist1993 import scenes
 from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.tracker import FollowTracker, warm_up
 from paceline.recordings.odometry import Pose
-from paceline.simulation.chase.clip import random_chase, render_frames
+from paceline.simulation.chase.clip import render_frames
+from paceline.simulation.random_scenes import random_chase
 
 SETTINGS: Numbers = {"seeds": [980, 981, 982], "frames": 200}
 PAPER = ((128.0, 15.0),)  # ms of delay, pictures a second

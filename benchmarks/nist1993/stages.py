@@ -15,7 +15,7 @@ from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.edges import EdgeExtractor
 from paceline.reports.common.drawing import draw_line, scaled
 from paceline.reports.common.plots import VEHICLES
-from paceline.simulation.chase.clip import random_chase
+from paceline.simulation.random_scenes import random_chase
 
 SETTINGS: Numbers = {"seed": 907, "kind": "van", "gap": [6.0, 10.0], "bounce": 2.0, "shadows": 0.4, "frame": 40}
 VIEW = (384, 363)

@@ -10,12 +10,25 @@ import numpy as np
 
 from paceline.arrays import Array
 from paceline.cameras import View
-from paceline.simulation.operator import is_inside
+from paceline.errors import UnusableInput
+from paceline.simulation.chase.scene import PRESETS, ChaseScene
+from paceline.simulation.operator import NARROWEST, is_inside
+from paceline.simulation.raytraced.scene import Stage
+from paceline.simulation.raytraced.scene_yaml import FollowScene, SpeedScene
 from paceline.simulation.stereo.scene import Motion, Road, Scene, Vehicle, make_rig, views_of, visible_line
+from paceline.simulation.vehicle_catalogue import DRAWN, DRAWN_GAPS, MODELLED, MODELLED_GAPS, SHARES
 
 MILE_PER_HOUR = 0.44704
 RATES = (5.0, 7.5, 10.0, 12.5, 15.0, 20.0, 25.0, 30.0)
 IMAGE_SIZES = ((1024, 768), (1280, 720), (1280, 960), (1440, 1080))
+
+# of those that are ray-traced
+KMH = 1 / 3.6
+SLOWEST_FILMED, FASTEST_FILMED = 15 * KMH, 130 * KMH
+FEWEST = 8  # frames in which a vehicle is inside both pictures
+NEAREST_FILMED, FARTHEST_FILMED = 10.0, 90.0  # m from the cameras
+SAMPLES = 64  # rays per pixel of a vehicle; of 16 the noise on glossy paint is several times the sensor's
+FILMED_RATES = (5.0, 7.5, 10.0, 15.0, 25.0)
 
 
 def random_scene(seed: int, *, vehicle: dict[str, Any] | None = None, **overrides: Any) -> Scene:
@@ -177,3 +190,218 @@ def _line_is_usable(scene: Scene, road: Road, vehicle: Vehicle, corners: Array, 
         return False
     span = np.abs(pixels[-1] - pixels[0])
     return bool(np.hypot(*span) > 100 and span[1] > 0.25 * span[0] and span[1] > 30)
+
+
+def random_chase(seed: int, preset: str = "nist", **overrides: Any) -> ChaseScene:
+    """A varied chase; ``overrides`` fix fields of `ChaseScene`, the rest is drawn.
+
+    Raises KeyError for a preset that is not one of `PRESETS`.
+    """
+    rng = np.random.default_rng([seed, 41])
+    drawn = str(rng.choice(DRAWN))
+    kind = overrides.get("kind", drawn)
+    fixed = dict(PRESETS[preset])
+    near, far = fixed.get("gap", ChaseScene.gap)
+    fixed["gap"] = max(near, DRAWN_GAPS[kind]), far
+    light = rng.random() < 0.6
+    scene = ChaseScene(
+        seed,
+        camera_height=rng.uniform(1.6, 2.3),
+        tilt=rng.uniform(0.035, 0.08),
+        kind=kind,
+        paint=rng.uniform(110, 205) if light else rng.uniform(28, 60),
+        weave=rng.uniform(0.3, 1.0),
+        bounce=rng.uniform(2.0, 5.0),
+        crowding=rng.uniform(0.6, 1.5),
+        parallel=float(rng.choice([0.0, 0.2, 0.5, 0.9])),
+        shadows=float(rng.choice([0.0, 0.4, 0.8, 1.3])),
+        ambient=rng.uniform(0.28, 0.65),
+        sun_azimuth=rng.uniform(-np.pi, np.pi),
+        sun_elevation=rng.uniform(0.5, 1.1),
+        exposure=rng.uniform(0.8, 1.5),
+        drift=rng.uniform(0.0, 0.25),
+        vignetting=rng.uniform(0.0, 0.35),
+        blur_sigma=rng.uniform(0.45, 0.9),
+        shutter=rng.uniform(0.002, 0.012),
+        noise_sigma=rng.uniform(0.8, 3.0),
+        shot_noise=rng.uniform(0.0, 0.04),
+    )
+    return replace(scene, **(fixed | overrides))
+
+
+def random_speed_scene(seed: int) -> SpeedScene:
+    """A varied scene of one vehicle at 15–130 km/h, inside both pictures for at least `FEWEST` frames, coming or going.
+
+    Seven of ten drive at a constant speed; the others accelerate, brake or change lane. One rig in four is
+    miscalibrated.
+    """
+    rng = np.random.default_rng([seed, 5])
+    speed = float(rng.uniform(SLOWEST_FILMED, FASTEST_FILMED))  # drawn once: no speed is likelier for suiting better
+    for _ in range(400):
+        scene = SpeedScene.model_validate(_drawn(seed, speed, rng))
+        if _is_filmed_well(scene):
+            return scene
+    raise UnusableInput(f"seed {seed}: no scene suits; expected another seed")
+
+
+def _drawn(seed: int, speed: float, rng: np.random.Generator) -> dict[str, Any]:
+    frames = int(rng.integers(10, 16))
+    suitable = [r for r in FILMED_RATES if 5.0 <= speed * (frames - 1) / r <= 60.0]
+    rate = float(rng.choice(suitable or [FILMED_RATES[-1]]))
+    way = speed * (frames - 1) / rate
+    near, towards = float(rng.uniform(17, max(18.0, 75 - way))), bool(rng.random() < 0.65)
+    kind = str(rng.choice(["straight", "straight", "circle", "clothoid"]))
+    lanes = int(rng.choice([2, 2, 3]))
+    road: dict[str, Any] = {"kind": kind, "lanes": lanes, "length": 260.0, "wear": float(rng.uniform(0, 0.6))}
+    road |= {"grade": float(rng.normal(0, 0.015)), "bank": float(rng.normal(0, 0.015))}
+    if kind != "straight":
+        road["radius"] = float(rng.choice([-1, 1]) * rng.uniform(80, 400))
+    along = 20.0
+    side = float(rng.choice([-1, 1]))
+    lane = 0 if towards else lanes - 1
+    focal, height = float(rng.uniform(1400, 3000)), float(rng.uniform(1.6, 5.0))
+    eye = {"along": along, "right": side * (1.8 * lanes + rng.uniform(2.5, 5.0)), "height": height}
+    middle = along + near + way / 2
+    target = {"along": middle, "right": (lane + 0.5 - lanes / 2) * 3.6 * 0.6, "height": 0.8}
+    car: dict[str, Any] = {
+        "id": "v0",
+        "kind": str(rng.choice(MODELLED, p=SHARES)),
+        "seed": int(rng.integers(2**31)),
+        "lane": lane,
+        "offset": float(rng.normal(0, 0.15)),
+        "start": along + near + (way if towards else 0.0) + (4.0 if towards else 0.0),
+        "speed": speed,
+        "towards": towards,
+    }
+    behaviour = rng.random()
+    if behaviour < 0.2:
+        car["acceleration"] = max(float(rng.normal(0, 1.2)), -0.4 * speed * rate / frames)
+    elif behaviour < 0.3 and speed > 6:
+        shift = 3.6 if lane == 0 else -3.6
+        duration = float(rng.uniform(3, 5))
+        car["lane_change"] = {"start": float(rng.uniform(-duration / 2, 0.5)), "duration": duration, "shift": shift}
+    rig: dict[str, Any] = {
+        "image_size": [[1024, 768], [1280, 960], [1280, 720]][rng.integers(3)],
+        "focal": focal,
+        "baseline": float(rng.uniform(0.4, 0.7)),
+        "eye": eye,
+        "target": target,
+    }
+    if rng.random() < 0.25:
+        rig["written"] = {
+            "focal_length_px": float(rng.uniform(0.3, 2.0)),
+            "rotation_rad": [float(rng.uniform(1e-5, 6e-5)) for _ in range(3)],
+            "translation_m": [float(rng.uniform(1e-4, 4e-4)) for _ in range(3)],
+        }
+    return {
+        "kind": "speed",
+        "seed": seed,
+        "frames": frames,
+        "rate": rate,
+        "samples": SAMPLES,
+        "road": road,
+        "light": _light(rng),
+        "scenery": _scenery(rng),
+        "sensor": _sensor(rng),
+        "vehicles": [car],
+        "rig": rig,
+    }
+
+
+def random_follow_scene(seed: int, frames: int = 300) -> FollowScene:
+    """A varied chase of ``frames`` frames at 15 Hz."""
+    rng = np.random.default_rng([seed, 7])
+    kind = str(rng.choice(MODELLED[:5]))
+    lead = {
+        "kind": kind,
+        "seed": int(rng.integers(2**31)),
+        "gap": [MODELLED_GAPS[kind], float(rng.uniform(12, 18))],
+        "weave": float(rng.uniform(0, 0.9)),
+    }
+    road = {"kind": "winding", "radius": float(rng.choice([-1, 1]) * rng.uniform(60, 200)), "length": 400.0}
+    chase = {
+        "height": float(rng.uniform(1.6, 2.3)),
+        "tilt": float(rng.uniform(0.035, 0.08)),
+        "bounce": float(rng.uniform(1, 4)),
+    }
+    light, beside, sensor = _light(rng), _scenery(rng), _sensor(rng)
+    exposure = float(rng.uniform(0.001, 0.008))  # a short one moves nothing by more than a part of a pixel
+    scene = {
+        "kind": "follow",
+        "seed": seed,
+        "frames": frames,
+        "rate": 15,
+        "road": road,
+        "light": light,
+        "scenery": beside,
+        "sensor": sensor | {"open_for": exposure, "steps": 1 if exposure < 0.004 else 2},
+        "lead": lead,
+        "chase": chase,
+    }
+    return FollowScene.model_validate(scene)
+
+
+def _light(rng: np.random.Generator) -> dict[str, Any]:
+    return {
+        "azimuth": float(rng.uniform(-np.pi, np.pi)),
+        "elevation": float(rng.uniform(0.35, 1.1)),
+        "clouds": float(rng.choice([rng.uniform(0, 0.3), rng.uniform(0.3, 0.8), 1.0], p=[0.55, 0.25, 0.2])),
+    }
+
+
+def _scenery(rng: np.random.Generator) -> dict[str, Any]:
+    densities = {
+        name: float(rng.uniform(0, high)) for name, high in (("trees", 0.7), ("poles", 0.7), ("buildings", 0.5))
+    }
+    return densities | {"parapet": bool(rng.random() < 0.2)}
+
+
+def _sensor(rng: np.random.Generator) -> dict[str, Any]:
+    return {
+        "exposure": float(rng.uniform(0.8, 1.5)),
+        "full_well": float(rng.uniform(3000, 20000)),
+        "read_noise": float(rng.uniform(4, 25)),
+        "vignetting": float(rng.uniform(0, 0.3)),
+        "blur_sigma": float(rng.uniform(0.45, 0.8)),
+        "gamma": float(rng.choice([1.0, 2.2])),
+        "keep": str(rng.choice(["png", "jpeg"], p=[0.8, 0.2])),
+        "quality": 92,
+    }
+
+
+def _is_filmed_well(scene: SpeedScene) -> bool:
+    """Whether the vehicle is inside both pictures for `FEWEST` frames from where it is large enough to be outlined."""
+    try:
+        stage = Stage(scene)
+    except (UnusableInput, ValueError):
+        return False
+    car, size = stage.cars[0], stage.rig.left.image_size
+    count = 0
+    for t in stage.clocks[0].tolist():
+        if not car.is_there(t):
+            continue
+        corners = car.corners(t)
+        if min(view.to_camera(corners)[:, 2].min() for view in stage.views) < NEAREST_FILMED:
+            continue
+        pixels = [view.project(corners) for view in stage.views]
+        wide = min(np.ptp(p[:, 0]) for p in pixels) > 1.1 * NARROWEST
+        distance = np.linalg.norm(car.center(t) - stage.views[0].centre)
+        count += int(wide and distance < FARTHEST_FILMED and all(is_inside(p, size) for p in pixels))
+    return count >= max(FEWEST, 0.7 * len(stage.clocks[0])) and all(_line_shows(stage, v) for v in stage.views)
+
+
+def _line_shows(stage: Stage, view: View) -> bool:
+    """Whether a painted line beside the lane runs well across the epipolar lines, which are nearly level."""
+    car, size = stage.cars[0], np.array(stage.rig.left.image_size)
+    arcs = [car.motion.position(t)[0] for t in stage.clocks[0].tolist() if car.is_there(t)]
+    beside = sorted(stage.road.markings, key=lambda m: abs(m - stage.road.lanes[car.model.lane]))[:2]
+    for marking in beside:
+        points = stage.road.line(marking, min(arcs) - 25, max(arcs))
+        pixels = view.project(points[view.to_camera(points)[:, 2] > 2])
+        pixels = pixels[((pixels > 8) & (pixels < size - 9)).all(1)]
+        if len(pixels) < 10:
+            return False
+        across, down = np.abs(pixels[-1] - pixels[0])
+        if np.hypot(across, down) < 100 or down < max(40, 0.35 * across):
+            return False
+    return True

@@ -18,7 +18,7 @@ import yaml
 from numpy.typing import NDArray
 
 from paceline.arrays import Array
-from paceline.simulation.chase.scene import PRESETS, ChaseScene, Occlusion, random_chase
+from paceline.simulation.chase.scene import PRESETS, ChaseScene, Occlusion
 from paceline.simulation.chase.script import Script
 from paceline.simulation.chase.sensor import Film
 from paceline.simulation.chase.world import Moment, body_of
@@ -30,7 +30,6 @@ __all__ = [
     "ChaseTruth",
     "Occlusion",
     "camera_document",
-    "random_chase",
     "render_frames",
     "start_document",
     "target_document",

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from paceline.cameras import Camera
-from paceline.simulation.vehicle_catalogue import DRAWN, DRAWN_GAPS
 
 PRESETS: dict[str, dict[str, Any]] = {
     "nist": {},  # 256 × 242 at 15 frames/s, 5–15 m, to 35 km/h
@@ -96,40 +95,3 @@ class ChaseScene:
         width, height = self.image_size
         K = np.array([[self.focal, 0, (width - 1) / 2], [0, self.focal, (height - 1) / 2], [0, 0, 1.0]])
         return Camera(self.image_size, K)
-
-
-def random_chase(seed: int, preset: str = "nist", **overrides: Any) -> ChaseScene:
-    """A varied chase; ``overrides`` fix fields of `ChaseScene`, the rest is drawn.
-
-    Raises KeyError for a preset that is not one of `PRESETS`.
-    """
-    rng = np.random.default_rng([seed, 41])
-    drawn = str(rng.choice(DRAWN))
-    kind = overrides.get("kind", drawn)
-    fixed = dict(PRESETS[preset])
-    near, far = fixed.get("gap", ChaseScene.gap)
-    fixed["gap"] = max(near, DRAWN_GAPS[kind]), far
-    light = rng.random() < 0.6
-    scene = ChaseScene(
-        seed,
-        camera_height=rng.uniform(1.6, 2.3),
-        tilt=rng.uniform(0.035, 0.08),
-        kind=kind,
-        paint=rng.uniform(110, 205) if light else rng.uniform(28, 60),
-        weave=rng.uniform(0.3, 1.0),
-        bounce=rng.uniform(2.0, 5.0),
-        crowding=rng.uniform(0.6, 1.5),
-        parallel=float(rng.choice([0.0, 0.2, 0.5, 0.9])),
-        shadows=float(rng.choice([0.0, 0.4, 0.8, 1.3])),
-        ambient=rng.uniform(0.28, 0.65),
-        sun_azimuth=rng.uniform(-np.pi, np.pi),
-        sun_elevation=rng.uniform(0.5, 1.1),
-        exposure=rng.uniform(0.8, 1.5),
-        drift=rng.uniform(0.0, 0.25),
-        vignetting=rng.uniform(0.0, 0.35),
-        blur_sigma=rng.uniform(0.45, 0.9),
-        shutter=rng.uniform(0.002, 0.012),
-        noise_sigma=rng.uniform(0.8, 3.0),
-        shot_noise=rng.uniform(0.0, 0.04),
-    )
-    return replace(scene, **(fixed | overrides))

@@ -12,7 +12,7 @@ import numpy as np
 from paceline.recordings.odometry import Pose
 from paceline.simulation.chase.motion import Road, Shaking, State, Wander, place, winding
 from paceline.simulation.chase.projection import Eye, camera_rotation
-from paceline.simulation.chase.scene import ChaseScene, Occlusion, random_chase
+from paceline.simulation.chase.scene import ChaseScene, Occlusion
 from paceline.simulation.chase.scenery import LANE
 from paceline.simulation.chase.vehicles import Body, vehicle
 from paceline.simulation.chase.world import ChaseWorld, Moment
@@ -21,6 +21,7 @@ from paceline.simulation.closed_loop.gap_control import GapPolicy
 from paceline.simulation.closed_loop.lead_vehicle import LaneChange, Lead, Weave, road_of
 from paceline.simulation.closed_loop.vehicle_dynamics import State as Chase
 from paceline.simulation.closed_loop.vehicle_dynamics import Vehicle, ahead_of
+from paceline.simulation.random_scenes import random_chase
 from paceline.simulation.vehicle_catalogue import DRAWN_GAPS
 
 START = 30.0  # m along the road at which the camera begins
