@@ -12,7 +12,8 @@ from paceline.cameras import StereoRig
 from paceline.documents.loading import VehicleDocument
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.filter import motion_models
-from paceline.speed.filter.motion_models import PathMotion, State
+from paceline.speed.filter.motion_models import FreeMotion, PathMotion, State
+from paceline.speed.filter.resampling import Weights
 from paceline.speed.geometry.initial_plane import FirstPlane
 from paceline.speed.geometry.paths import DRIVEN
 
@@ -22,6 +23,9 @@ SPEED_RANGE = (0.5, 75.0)  # m/s, searched where no first guess is given
 SEARCH = 8  # times as many particles while the speed is unknown
 GROWTHS = np.geomspace(0.72, 1.4, 23)  # of a picture from one frame to the next
 MATCH_SIGMA = 0.7  # px, of a matched picture's place and size
+ALIVE = 0.2  # share of the first particles that the second frame leaves alive
+REPEATED, NEAR = 4, 0.02  # times that the first registration is repeated, and share of the way by which it then moves
+DOUBTED = 2.0  # times the standard deviation of a speed by two sights: the spread of speeds that has hardly a say
 
 
 def initial_state(plane: FirstPlane, vehicle: VehicleDocument, n: int, rng: np.random.Generator) -> State:
@@ -66,6 +70,37 @@ def along_path(
     forward = model.path.frames(np.array(start))[:, 0]
     s = start + (motion_models.centres(rig, state) - plane.centre) @ forward
     return replace(state, speed=speed, s=s, heading=heading)
+
+
+def stated(vehicle: VehicleDocument, configuration: SpeedConfiguration) -> Guess | None:
+    """The operator's guess of the speed, m/s, with its standard deviation."""
+    return None if vehicle.speed is None else (vehicle.speed, configuration.speed_guess_spread * vehicle.speed)
+
+
+def guessed(
+    place: Array,
+    covariance: Array,
+    plane: FirstPlane,
+    way: PathMotion | FreeMotion,
+    dt: float,
+    vehicle: VehicleDocument,
+    configuration: SpeedConfiguration,
+) -> Guess:
+    """The speed, m/s, by which the ``plane`` is at the ``place`` (3,), of that ``covariance``, where it was seen after
+    ``dt`` s, as uncertain as both places leave it or more: what the particles then make of the sight must not count it
+    twice. A stated speed is worth as much as it is sure."""
+    gone = place - plane.centre
+    forward = gone / max(float(np.linalg.norm(gone)), 1e-9)
+    if isinstance(way, PathMotion):
+        forward = way.path.frames(np.array(way.path.nearest(plane.centre)))[:, 0]
+    depth_std = plane.inverse_depth_std * float(np.linalg.norm(plane.centre))
+    doubt = float(np.hypot(np.sqrt(forward @ covariance @ forward), depth_std)) / dt
+    speed = float(np.clip(gone @ forward / dt, 0.0, SPEED_RANGE[1]))
+    operator = stated(vehicle, configuration)
+    if operator is None:
+        return speed, max(configuration.speed_guess_spread * speed, DOUBTED * doubt)
+    said, std = operator
+    return said + (speed - said) * std**2 / (std**2 + doubt**2), std
 
 
 def as_matched(
@@ -113,3 +148,12 @@ def match(first: Image, now: Image, quad: Array, reach: float) -> tuple[Array, f
             middle = np.array([left + x + scaled.shape[1] / 2, top + y + scaled.shape[0] / 2])
             best = (float(scores[y, x]), middle - np.array([x0 + x1, y0 + y1]) / 2, float(growth))
     return best[1], best[2]
+
+
+def tempered(lw: Array) -> Weights:
+    """Weights by a power of the likelihood that leaves particles enough alive for a covariance that means something."""
+    weights = Weights(lw)
+    while ALIVE * len(lw) > weights.ESS:
+        lw = 0.5 * lw
+        weights = Weights(lw)
+    return weights

@@ -16,7 +16,7 @@ from paceline.recordings.stereo import StereoFrame
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.filter import initialization, likelihood, motion_models, random_numbers
 from paceline.speed.filter.estimate import Estimate
-from paceline.speed.filter.initialization import Guess
+from paceline.speed.filter.initialization import NEAR, REPEATED, Guess, tempered
 from paceline.speed.filter.likelihood import Grid, Observation
 from paceline.speed.filter.motion_models import FreeMotion, PathMotion, State
 from paceline.speed.filter.particle_set import SHOWN, Cloud, Posterior, Views, views
@@ -35,9 +35,6 @@ LOST = 0.25  # likeness below which the vehicle is not in view
 PATIENCE = 4  # frames that may pass so before the vehicle is given up
 SURE = 0.9  # likeness at which even a surprising registration is believed
 SURPRISING = 50.0  # squared standard deviations, of three: so far off, something else may have been found
-ALIVE = 0.2  # share of the first particles that the second frame leaves alive
-REPEATED, NEAR = 4, 0.02  # times that the first registration is repeated, and share of the way by which it then moves
-DOUBTED = 2.0  # times the standard deviation of a speed by two sights: the spread of speeds that has hardly a say
 DIRECTED = 2.0  # m, a travel that has a direction
 
 
@@ -210,15 +207,16 @@ class Tracker:
         """The second frame: which way the vehicle drives, and how fast."""
         assert isinstance(self.cloud, Cloud)
         outcomes, first = [], self.cloud.state
+        guess = initialization.stated(self.vehicle, self.configuration)
         for way in self._motions:
-            state = way.propagate(self._set_off(first, way, frame, dt, self._stated), dt, self.rng)
+            state = way.propagate(self._set_off(first, way, frame, dt, guess), dt, self.rng)
             self.views = views(frame, [(state.left, state.right)])
             lw = self._log_likelihood(state)
             outcomes.append((float(np.logaddexp.reduce(lw)), state, lw, way))
         _, state, lw, way = max(outcomes, key=lambda o: o[0])
         if isinstance(way, PathMotion):
             self.path = way.path
-        self.cloud = Cloud(self.rig, way, state, Weights(lw) if self.appearance is None else _tempered(lw))
+        self.cloud = Cloud(self.rig, way, state, Weights(lw) if self.appearance is None else tempered(lw))
         likeliest, sight = self.cloud, self._led(frame, way, first, dt)
         if sight is not None and sight.believed:
             self._believe(sight)
@@ -227,12 +225,6 @@ class Tracker:
             self.cloud.resample(self.configuration, self.rng)
         if self.device is not None:
             self.cloud = self.device.cloud(self.cloud)
-
-    @property
-    def _stated(self) -> Guess | None:
-        """The operator's guess of the speed, m/s, with its standard deviation."""
-        speed = self.vehicle.speed
-        return None if speed is None else (speed, self.configuration.speed_guess_spread * speed)
 
     def _led(self, frame: StereoFrame, way: PathMotion | FreeMotion, first: State, dt: float) -> Sight | None:
         """Where registration leads from the likeliest speeds, the particles set off anew with what it found.
@@ -245,32 +237,16 @@ class Tracker:
         for _ in range(REPEATED if isinstance(way, PathMotion) else 1):
             if sight is None or sight.found.likeness < SEEN:
                 break
-            before, guess = sight.place, self._guessed(sight, way, dt)
+            before = sight.place
+            guess = initialization.guessed(
+                sight.place, sight.found.covariance, self.plane, way, dt, self.vehicle, self.configuration
+            )
             state = way.propagate(self._set_off(start, way, frame, dt, guess), dt, self.rng)
             self.cloud = Cloud(self.rig, way, state, Weights.equal(len(state)))
             sight = self._sought(frame)
             if sight is not None and float(np.linalg.norm(sight.place - before)) < NEAR * guess[0] * dt:
                 break
         return sight
-
-    def _guessed(self, sight: Sight, way: PathMotion | FreeMotion, dt: float) -> Guess:
-        """The speed, m/s, by which the plane is where it was seen, as uncertain as both places leave it or more: what
-        the particles then make of the sight must not count it twice. A stated speed is worth as much as it is sure."""
-        gone = sight.place - self.plane.centre
-        forward = gone / max(float(np.linalg.norm(gone)), 1e-9)
-        if isinstance(way, PathMotion):
-            forward = way.path.frames(np.array(way.path.nearest(self.plane.centre)))[:, 0]
-        doubt = float(np.hypot(np.sqrt(forward @ sight.found.covariance @ forward), self._depth_std)) / dt
-        speed = float(np.clip(gone @ forward / dt, 0.0, initialization.SPEED_RANGE[1]))
-        if self._stated is None:
-            return speed, max(self.configuration.speed_guess_spread * speed, DOUBTED * doubt)
-        stated, std = self._stated
-        return stated + (speed - stated) * std**2 / (std**2 + doubt**2), std
-
-    @property
-    def _depth_std(self) -> float:
-        """Standard deviation of the plane's distance in the first frame, m."""
-        return self.plane.inverse_depth_std * float(np.linalg.norm(self.plane.centre))
 
     def _set_off(
         self, start: State, way: PathMotion | FreeMotion, frame: StereoFrame, dt: float, guess: Guess | None
@@ -370,12 +346,3 @@ class Tracker:
         travel = position - self.plane.centre
         if self.vehicle.plane == "free" and np.linalg.norm(travel) > DIRECTED:
             self.cloud.square(squared(self.plane, travel).normal)
-
-
-def _tempered(lw: Array) -> Weights:
-    """Weights by a power of the likelihood that leaves particles enough alive for a covariance that means something."""
-    weights = Weights(lw)
-    while ALIVE * len(lw) > weights.ESS:
-        lw = 0.5 * lw
-        weights = Weights(lw)
-    return weights
