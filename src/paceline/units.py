@@ -8,6 +8,8 @@ from typing import overload
 
 from paceline.arrays import Array
 
+COVERAGE_95 = 1.96  # standard deviations on each side of the 95 % interval of a normal distribution
+
 
 class SpeedUnit(StrEnum):
     MPH = "mph"

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from paceline.lanes.lane_proposals import Lane, Line
     from paceline.recordings.background import Background
 
-HALF = 1.96  # standard uncertainties in half a 95 % interval
 NOTABLY_UNSETTLED = 0.02
 
 
@@ -105,9 +104,12 @@ def _check_pictures(clip: Clip, pictures: tuple[Path, Path]) -> None:
 
 
 def _print(lines: list[Line], lanes: dict[str, Lane], remarks: list[str]) -> None:
+    from paceline.units import COVERAGE_95
+
     rows = [("line", "marking", "across, 95 %")]
     rows += [
-        (line.id, line.kind, f"± {HALF * line.sigma.min():.2f} to {HALF * line.sigma.max():.2f} m") for line in lines
+        (line.id, line.kind, f"± {COVERAGE_95 * line.sigma.min():.2f} to {COVERAGE_95 * line.sigma.max():.2f} m")
+        for line in lines
     ]
     print_columns(rows)
     if lanes:
@@ -116,7 +118,7 @@ def _print(lines: list[Line], lanes: dict[str, Lane], remarks: list[str]) -> Non
             [
                 ("lane", "lines", "width, m, 95 %", "shape"),
                 *(
-                    (name, "–".join(lane.between), f"{lane.width:.2f} ± {HALF * lane.width_std:.2f}", lane.shape)
+                    (name, "–".join(lane.between), f"{lane.width:.2f} ± {COVERAGE_95 * lane.width_std:.2f}", lane.shape)
                     for name, lane in lanes.items()
                 ),
             ]

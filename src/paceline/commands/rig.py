@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
 rig = typer.Typer(help="Rigs: import and check them.", rich_markup_mode=None)
 
-FACTOR = 1.96  # standard uncertainties in half a 95 % interval
 TURNS = ("nod (about x)", "pan (about y)", "roll (about z)")
 
 
@@ -126,7 +125,9 @@ def rig_check(
 def _print_check(found: Check, frames: int) -> None:
     import numpy as np
 
-    turn, half = np.degrees(found.turn), np.degrees(FACTOR * found.std)
+    from paceline.units import COVERAGE_95
+
+    turn, half = np.degrees(found.turn), np.degrees(COVERAGE_95 * found.std)
     print_columns(
         [
             ("turned since its calibration", "degrees, 95 %"),
@@ -156,15 +157,17 @@ def verdict(found: Check) -> str:
 def _print_refinement(better: Refinement, out: Path) -> None:
     import numpy as np
 
+    from paceline.units import COVERAGE_95
+
     print()
     rows = [("refined", "turned by, degrees, 95 %", "known from")]
     for what, t, s, share in zip(
         TURNS, np.degrees(better.turn), np.degrees(better.std), better.from_scene, strict=True
     ):
         source = "the scene" if share > 0.5 else "the calibration: the scene cannot tell it"
-        rows.append((what, f"{t:+.4f} ± {FACTOR * s:.4f}", source))
+        rows.append((what, f"{t:+.4f} ± {COVERAGE_95 * s:.4f}", source))
     print_columns(rows)
-    effects = "   ".join(f"{e.distance:.0f} m ± {100 * FACTOR * e.along:.1f} %" for e in better.effects)
+    effects = "   ".join(f"{e.distance:.0f} m ± {100 * COVERAGE_95 * e.along:.1f} %" for e in better.effects)
     print(f"speeds   {effects}   (95 %, from the calibration alone)")
     print(f"No scene tells the distance between the cameras: {out} keeps the calibration's.")
 

@@ -9,8 +9,7 @@ import yaml
 from paceline.documents.yaml_editing import added_below, pixels, quoted, read_back
 from paceline.errors import UnusableInput
 from paceline.lanes.lane_proposals import Lane
-
-HALF = 1.96  # standard deviations in half a 95 % interval
+from paceline.units import COVERAGE_95
 
 
 def lane_names(count: int, taken: Iterable[str] = ()) -> list[str]:
@@ -50,7 +49,7 @@ def with_lanes(text: str, file: str, lanes: dict[str, Lane]) -> str:
 def _entries(lanes: dict[str, Lane], indent: int) -> list[str]:
     pad, lines = " " * indent, []
     for name, lane in lanes.items():
-        width = f"{lane.width:.2f} ± {HALF * lane.width_std:.2f} m wide (95 %)"
+        width = f"{lane.width:.2f} ± {COVERAGE_95 * lane.width_std:.2f} m wide (95 %)"
         lines += [
             f"{pad}{name}:  # between lines {lane.between[0]} and {lane.between[1]}, {width}",
             f"{pad}  shape: {lane.shape}",

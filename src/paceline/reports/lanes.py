@@ -10,11 +10,11 @@ from paceline.cameras import StereoRig
 from paceline.lanes.lane_proposals import Lane, Line
 from paceline.recordings.background import Background
 from paceline.reports.common.drawing import SUBPIXEL, WHITE, Box, Color, Picture, draw_label, draw_line, fixed
+from paceline.units import COVERAGE_95
 
 LINE: Color = (60, 200, 255)
 CENTRE: Color = (110, 220, 90)
 UNUSED: Color = (90, 90, 230)
-HALF = 1.96
 BRIGHTNESS = 0.6  # exponent by which dark recordings are shown brighter
 
 
@@ -40,7 +40,7 @@ def lanes_picture(
         pixels = rig.cameras[side].undistort_points(recorded)
         for a, b in zip(pixels, pixels[1:], strict=False):
             draw_line(picture, a, b, CENTRE, 2)
-        text = f"{name}  {lane.width:.2f} ± {HALF * lane.width_std:.2f} m"
+        text = f"{name}  {lane.width:.2f} ± {COVERAGE_95 * lane.width_std:.2f} m"
         taken.append(draw_label(picture, text, _middle(picture, pixels, 0.5), CENTRE, taken))
     draw_label(picture, "yellow: lines with their 95 % band, green: middle of a lane", (0, 0), WHITE, taken)
     return picture
@@ -61,7 +61,7 @@ def _draw_band(picture: Picture, rig: StereoRig, side: int, line: Line, color: C
     along = np.gradient(line.points, axis=0)
     across = np.stack([along[:, 2], np.zeros(len(along)), -along[:, 0]], axis=1)
     across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
-    shift = HALF * line.sigma[:, None] * across
+    shift = COVERAGE_95 * line.sigma[:, None] * across
     edges = [rig.project(line.points + sign * shift)[side] for sign in (-1, 1)]
     polygon = np.array([fixed(p) for p in np.concatenate([edges[0], edges[1][::-1]])], np.int32)
     shade = picture.copy()

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from paceline.console.runs.results import Series
-from paceline.reports.common.formatting import COVERAGE
+from paceline.units import COVERAGE_95
 
 MOST = 600  # values of one vehicle that are kept; of more, every second one goes
 LATEST = 6  # live frames whose pictures are kept: a page asks for them a moment after it has heard of them
@@ -67,4 +67,4 @@ class Watch:
 
 
 def _series(name: str, rows: list[tuple[float, float, float]]) -> Series:
-    return Series(name, [t for t, _, _ in rows], [x for _, x, _ in rows], [COVERAGE * s for *_, s in rows], False)
+    return Series(name, [t for t, _, _ in rows], [x for _, x, _ in rows], [COVERAGE_95 * s for *_, s in rows], False)

@@ -14,8 +14,8 @@ from typing import Any
 
 from paceline.console.confinement import NotHere, file_below
 from paceline.errors import UnusableInput
-from paceline.reports.common.formatting import COVERAGE, MISSING, number, shown_speed
-from paceline.units import convert
+from paceline.reports.common.formatting import MISSING, number, shown_speed
+from paceline.units import COVERAGE_95, convert
 
 FILES = {  # that a run may leave behind, and what they are called
     "report.html": "Open the report",
@@ -131,7 +131,7 @@ def _values(vehicle: str, rows: list[dict[str, str]], value: str, std: str, refi
         vehicle,
         [float(row["time_s"]) for row in known],
         [float(row[value]) for row in known],
-        [COVERAGE * float(row[std]) if row[std] else 0.0 for row in known],
+        [COVERAGE_95 * float(row[std]) if row[std] else 0.0 for row in known],
         refined,
     )
 

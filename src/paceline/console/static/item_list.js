@@ -4,6 +4,8 @@ import { make } from "./importer.js";
 import { COLORS } from "./view.js";
 import { ordered } from "./model.js";
 
+const COVERAGE_95 = 1.96; // standard deviations on each side of a 95 % interval
+
 const metres = (value, digits = 1) => `${value.toFixed(digits)} m`;
 
 function facts(kind, found) {
@@ -11,10 +13,10 @@ function facts(kind, found) {
   const list = [];
   if (kind === "path") {
     list.push(["from the cameras", `${metres(found.near_m, 0)} to ${metres(found.far_m, 0)}`]);
-    list.push(["direction known to", `± ${(1.96 * found.direction_std_deg).toPrecision(1)}°`]);
+    list.push(["direction known to", `± ${(COVERAGE_95 * found.direction_std_deg).toPrecision(1)}°`]);
     if (found.beside) list.push([`beside ${found.beside}`, metres(found.gap_m, 2)]);
   } else {
-    list.push(["distance", `${metres(found.distance_m)} ± ${metres(1.96 * found.distance_std_m)}`]);
+    list.push(["distance", `${metres(found.distance_m)} ± ${metres(COVERAGE_95 * found.distance_std_m)}`]);
     list.push(["width × height", `${found.width_m.toFixed(2)} × ${metres(found.height_m, 2)}`]);
     list.push(["views agree to", `${found.epipolar_px.toFixed(1)} px`]);
     if (found.beside_path_m !== undefined) list.push(["beside its line", metres(found.beside_path_m, 2)]);

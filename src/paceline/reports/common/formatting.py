@@ -9,10 +9,9 @@ import numpy as np
 
 from paceline.arrays import Array
 from paceline.speed.results import Measurement, Track
-from paceline.units import convert
+from paceline.units import COVERAGE_95, convert
 
 MISSING = "–"
-COVERAGE = 1.96  # standard uncertainties on each side of a 95 % interval
 
 # What usually helps, by a word of the reason; the first that occurs is taken.
 ADVICE = {
@@ -100,7 +99,7 @@ def speed_at(measurement: Measurement, row: int) -> tuple[float, float]:
     track = measurement.track
     if math.isfinite(track.refined_speed[row]):
         return float(track.refined_speed[row]), coverage_factor(measurement) * float(track.refined_std[row])
-    return float(track.speed[row]), COVERAGE * float(track.speed_std[row])
+    return float(track.speed[row]), COVERAGE_95 * float(track.speed_std[row])
 
 
 def distance_travelled(track: Track) -> float:

@@ -22,8 +22,9 @@ from paceline.reports.common.drawing import (
     draw_text,
     scaled,
 )
-from paceline.reports.common.formatting import COVERAGE, MISSING, number
+from paceline.reports.common.formatting import MISSING, number
 from paceline.reports.common.video import even
+from paceline.units import COVERAGE_95
 
 WIDTHS = (768, 1920)  # of the video, px: small pictures are magnified, large ones reduced
 HEADER = 40  # height of the strip above the picture, pixels
@@ -72,7 +73,7 @@ def words(e: FollowEstimate) -> str:
 
 def range_words(e: FollowEstimate) -> str:
     """For example ``10.58 ± 0.05 m``, half of a 95 % interval; what is only carried on is said to be."""
-    distance, half = float(e.position[2]), COVERAGE * float(e.position_std[2])
+    distance, half = float(e.position[2]), COVERAGE_95 * float(e.position_std[2])
     if not np.isfinite(distance):
         return MISSING
     if e.status != "tracking":

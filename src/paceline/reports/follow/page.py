@@ -6,11 +6,12 @@ from pathlib import Path
 
 from paceline.follow.history import Episode, Tally
 from paceline.follow.results import FollowResult
-from paceline.reports.common.formatting import COVERAGE, MISSING, number
+from paceline.reports.common.formatting import MISSING, number
 from paceline.reports.common.html import flat, render
 from paceline.reports.common.plots import Plot
 from paceline.reports.follow.overlay import Still
 from paceline.reports.follow.tables import middle
+from paceline.units import COVERAGE_95
 
 SHOWN = 50  # episodes listed on the page; summary.json holds more
 GOOD = 0.95  # share of frames tracked from which no advice is given
@@ -40,7 +41,7 @@ def write_follow_page(
         nearest=number(tally.range_min, 1),
         farthest=number(tally.range_max, 1),
         mean=number(tally.range_mean, 1),
-        typical=number(COVERAGE * middle(result.position_std[tracking, 2]), 2),
+        typical=number(COVERAGE_95 * middle(result.position_std[tracking, 2]), 2),
         duration=number(tally.stop - tally.start, 1),
         median=number(1e3 * middle(result.latency), 2),
         slowest=number(1e3 * middle(result.latency, 0.99), 2),

@@ -11,8 +11,8 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from paceline.arrays import Array
 from paceline.follow.results import FollowResult
-from paceline.reports.common.formatting import COVERAGE
 from paceline.reports.common.plots import FILTER, INK, INTERVAL, MUTED, REFINED, Plot, make_plot
+from paceline.units import COVERAGE_95
 
 WIDE, HALF = (9.4, 3.5), (4.6, 3.0)
 SHADES = {"coasting": INTERVAL, "lost": MUTED}
@@ -32,7 +32,7 @@ def follow_plots(result: FollowResult) -> list[Plot]:
 def _draw_range(figure: Figure, result: FollowResult) -> None:
     axes = figure.subplots()
     distance = _tracked(result, result.position[:, 2])
-    half = COVERAGE * result.position_std[:, 2]
+    half = COVERAGE_95 * result.position_std[:, 2]
     time = _since_first(result)
     axes.fill_between(time, distance - half, distance + half, color=FILTER, alpha=0.35, lw=0, label="95 %")
     axes.plot(time, distance, color=FILTER, lw=1.4, label="distance ahead")
