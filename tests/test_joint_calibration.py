@@ -36,7 +36,7 @@ from paceline.speed.joint_calibration import (
 )
 from paceline.speed.measurement import measure_clip
 from paceline.speed.results import Measurement, RigTold, Track
-from paceline.speed.verdict import CONTRADICTED
+from paceline.speed.verdict import MAX_RIG_SHIFT_SIGMA
 
 Array = NDArray[np.float64]
 N, Q = 3, 4  # parameters of a motion and moves of the rig, in the linear models here
@@ -138,7 +138,7 @@ def test_it_is_what_one_solution_for_all_gives(seed: int, count: int) -> None:
     alone = passing(vehicles)
     told = [evidence(m.rig) for m in alone if m.rig is not None]
     belief = sum(told, stated(Q))
-    if max(pull(belief - t, t) for t in told) <= CONTRADICTED:  # but for one draw in 100,000
+    if max(pull(belief - t, t) for t in told) <= MAX_RIG_SHIFT_SIGMA:  # but for one draw in 100,000
         agree_on, agree = agreed(told)
         assert agree.all() and (agree_on.precision == belief.precision).all()
     np.testing.assert_allclose(belief.mean, joint[count * N :], atol=1e-8)
@@ -220,7 +220,7 @@ def test_what_all_agree_on_has_to_be_what_is_stated(off: float, verdict: str) ->
         poor.append(Pictures(J, v.y + J[:, N:] @ rig))
     alone = passing(poor)
     told = [evidence(m.rig) for m in alone if m.rig is not None]
-    assert max(pull(stated(Q), t) for t in told) < CONTRADICTED and agreed(told)[1].all()
+    assert max(pull(stated(Q), t) for t in told) < MAX_RIG_SHIFT_SIGMA and agreed(told)[1].all()
     measured = together(alone)
     assert {m.verdict for m in measured} == {verdict}
     if verdict == "rejected":

@@ -27,14 +27,14 @@ from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.measurement import measure_clip
 from paceline.speed.refinement import pyramid_cpu, view_dependence
 from paceline.speed.refinement.keyframes import Glimpse
-from paceline.speed.refinement.model_selection import Refined, refine
+from paceline.speed.refinement.model_selection import RefinedMotion, refine
 from paceline.speed.refinement.photometric_fit import FIRM, GAMMAS, LAYOUTS, Fit
 from paceline.speed.refinement.pyramid import OPTICS, STRIPS, WHOLE, Band, Layout, _derivatives, areas, bands_of
 from paceline.speed.refinement.robust_covariance import LEAST_LEFT
 from paceline.speed.refinement.self_calibration import FreeRig, held
 from paceline.speed.refinement.trajectory import NAMES, Prior, Trajectory
 from paceline.speed.results import Measurement
-from paceline.speed.verdict import STRAYED
+from paceline.speed.verdict import MAX_DEVIATION_SIGMA
 
 MPH = 0.44704  # m/s
 UNCERTAINTY: dict[str, Any] = {
@@ -194,9 +194,7 @@ def test_frames_at_the_end_in_which_it_is_hidden_are_not_measured(tmp_path: Path
 
 
 @pytest.mark.parametrize("acceleration", slow_after(1, [-3.0, 3.0]))
-def test_a_change_of_speed_that_begins_later_is_found(
-    rendered: Callable[[Scene], Path], acceleration: float
-) -> None:
+def test_a_change_of_speed_that_begins_later_is_found(rendered: Callable[[Scene], Path], acceleration: float) -> None:
     """A constant acceleration, fitted to this, was wrong by 1 mph in the mean and by 5 mph at the worst frame."""
     begins = 1.0
     s = scene("line", 16.0, 9, frames=11, acceleration=acceleration, after=begins, start_distance=56.0)
@@ -239,8 +237,8 @@ def test_a_driver_who_changes_lane_strays_no_farther_than_drivers_do(
         if not (swerves := np.abs(amplitudes[-bends.swerves :]).max() > 0):
             amplitudes = amplitudes[: -bends.swerves]
         assert swerves == (fit in lane_changes)
-        assert fit.strayed == pytest.approx(float(np.sqrt((amplitudes**2).mean())))
-        assert fit.strayed < 0.5 * STRAYED
+        assert fit.deviation_sigma == pytest.approx(float(np.sqrt((amplitudes**2).mean())))
+        assert fit.deviation_sigma < 0.5 * MAX_DEVIATION_SIGMA
 
 
 @pytest.mark.parametrize("kind", slow_after(1, ["line", "right"]))
@@ -591,9 +589,7 @@ def test_no_camera_has_a_gamma_that_is_not_possible(responses: Any, count: int) 
 
 
 @pytest.mark.parametrize("k1", slow_after(1, [-0.02, 0.02]))
-def test_black_beside_bright_edges_is_no_obstacle_where_a_lens_distorts(
-    tmp_path: Path, k1: float
-) -> None:
+def test_black_beside_bright_edges_is_no_obstacle_where_a_lens_distorts(tmp_path: Path, k1: float) -> None:
     """Taking the distortion out interpolates by cubics, which reach below black."""
     film = render(replace(PLAIN[0], gamma=2.2))
     dark = {side: [np.maximum(picture, 60) - 60 for picture in getattr(film, side)] for side in ("left", "right")}
@@ -610,8 +606,10 @@ def test_near_views_are_blurred_as_light() -> None:
     rng = np.random.default_rng(3)
     quads = np.array([[[10, 10], [70 + k, 10], [70 + k, 50 + k], [10, 50 + k]] for k in (0, 40)] * 2, float)
     crops = [np.asarray(rng.uniform(5, 250, (110, 130)), np.float32) for _ in quads]
-    glimpses = [Glimpse(k, (k, k), (crop, crop), np.zeros((2, 2)), np.stack([quad] * 2))
-                for k, (crop, quad) in enumerate(zip(crops, quads, strict=True))]
+    glimpses = [
+        Glimpse(k, (k, k), (crop, crop), np.zeros((2, 2)), np.stack([quad] * 2))
+        for k, (crop, quad) in enumerate(zip(crops, quads, strict=True))
+    ]
     built = {
         gamma: bands_of(glimpses, np.stack([g.quads for g in glimpses]), gamma, 0.7, fine=False)[0].pictures
         for gamma in (1.0, 1.96, 2.0, 2.04)
@@ -669,9 +667,7 @@ def perturbations(part: str) -> list[Callable[[dict[str, Any]], None]]:
 
 
 @pytest.mark.parametrize("part", slow_after(1, reversed(UNCERTAINTY)))
-def test_the_systematic_part_is_what_another_rig_would_have_made(
-    rendered: Callable[[Scene], Path], part: str
-) -> None:
+def test_the_systematic_part_is_what_another_rig_would_have_made(rendered: Callable[[Scene], Path], part: str) -> None:
     """End to end: clip and rig are read, tracked and refined again, the rig put right as far as the pictures tell."""
     s = replace(PLAIN[0], noise_sigma=0.5)
     clip = rendered(s)
@@ -721,10 +717,10 @@ def test_what_is_put_right_of_a_rig_and_what_is_left_of_it() -> None:
     # rigs that are off by what they state, and pictures of them
     scores = images[:, 4:] @ rng.standard_normal((3, n)) + np.sqrt(wider) * J.T @ rng.standard_normal((30, n))
     fit.moves = np.linalg.solve(fit.A, scores)[4:].std(1)
-    np.testing.assert_allclose(fit.pulls[:2], 1.0, rtol=5.0 / np.sqrt(2 * n))
-    assert fit.moves[2] < 0.3 and fit.pulls[2] in (0.0, pytest.approx(1.0, rel=0.02))  # hardly told
+    np.testing.assert_allclose(fit.rig_shift_sigma[:2], 1.0, rtol=5.0 / np.sqrt(2 * n))
+    assert fit.moves[2] < 0.3 and fit.rig_shift_sigma[2] in (0.0, pytest.approx(1.0, rel=0.02))  # hardly told
     response = np.linalg.solve(fit.A, images[:, 4:])[:4]  # to a rig that is off by one of each, without noise
-    np.testing.assert_allclose(fit.systematic, response @ response.T, rtol=1e-9)
+    np.testing.assert_allclose(fit.systematic_covariance, response @ response.T, rtol=1e-9)
 
 
 def test_what_a_fit_tells_of_its_rig_is_how_it_follows_when_that_is_moved(
@@ -767,9 +763,9 @@ def test_what_is_told_of_the_rig_is_of_the_motion_that_is_reported(
     """Of the mean over layouts, with every model that may be the true one."""
     clip = load_clip(rendered(scene("approaching", 14.0, 2, frames=14)))
     known = RigUncertainty(1.0, 0.0, (4e-5, 4e-5, 4e-5), (3e-4, 3e-4, 3e-4))
-    seen: list[Refined] = []
+    seen: list[RefinedMotion] = []
 
-    def refined(*given: Any) -> Refined:
+    def refined(*given: Any) -> RefinedMotion:
         seen.append(refine(*given))
         return seen[-1]
 
@@ -780,7 +776,7 @@ def test_what_is_told_of_the_rig_is_of_the_motion_that_is_reported(
     moved = moved_rig(clip.rig, fit.moves @ known.moves[known.moves.any(1)])
     np.testing.assert_allclose(seen[-1].trajectory.rig.t, moved.t, atol=1e-12)
     np.testing.assert_allclose(seen[-1].trajectory.rig.left.K, moved.left.K, atol=1e-9)
-    noise, doubt = (float(np.sqrt(shares @ C @ shares)) for C in (fit.covariance, seen[-1].doubt))
+    noise, doubt = (float(np.sqrt(shares @ C @ shares)) for C in (fit.covariance, seen[-1].model_covariance))
     assert m.rig.std == pytest.approx(np.hypot(noise, doubt)) and doubt > 0
     wider = stdtrit(seen[-1].dof, 0.975)
     assert wider > 2.1 and m.rig.half == pytest.approx(np.hypot(wider * noise, 1.95996 * doubt), rel=1e-5)

@@ -13,52 +13,52 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.stats import f
 
-from paceline.speed.refinement.model_selection import Refined
+from paceline.speed.refinement.model_selection import RefinedMotion
 from paceline.speed.refinement.trajectory import Trajectory
 from paceline.speed.results import Measurement, Track
 from paceline.speed.verdict import (
-    FAINT,
-    LEAST_FRAMES,
-    MISFIT,
-    OFF,
-    OUTLINED,
-    STRAYED,
-    against,
-    frames_shown,
-    in_view,
-    off_outline,
-    part_in_view,
-    too_wide,
-    unexplained,
-    within,
+    MAX_DEVIATION_SIGMA,
+    MAX_IMAGE_OFFSET_PX,
+    MAX_OUTLINE_SIGMA,
+    MAX_UNEXPLAINED_CONTRAST,
+    MIN_CONTRAST_GREY,
+    MIN_FRAMES,
+    apply_tolerance,
+    check_interval,
+    check_outline,
+    check_refined,
+    check_residuals,
+    consistent_frames,
+    frames_before_occlusion,
+    frames_to_refit,
 )
 
 Array = NDArray[np.float64]
 OUTLINE = np.array([[100.0, 100.0], [160.0, 100.0], [160.0, 130.0], [100.0, 130.0]])
 
 
-def refined(explained: list[float], off: float = 0.0, converged: bool = True) -> Refined:
+def refined(explained: list[float], off: float = 0.0, converged: bool = True) -> RefinedMotion:
     """A motion that explains so much of each frame, all of them ``off`` by so many pixels to the right."""
     both = np.repeat(np.array(explained)[:, None], 2, axis=1)
     offsets = np.where(np.isnan(both)[..., None], np.nan, [off, 0.0])
     trajectory = cast(Trajectory, None)  # of the motion only what it explains is asked
     theta, unsure, pulls = np.zeros(1), [np.zeros((1, 1))] * 3, np.zeros(3)
-    return Refined(trajectory, pulls, theta, *unsure, None, 1.0, 10.0, offsets, both, (), 0.0, 9.0, converged)
+    return RefinedMotion(trajectory, pulls, theta, *unsure, None, 1.0, 10.0, offsets, both, (), 0.0, 9.0, converged)
 
 
-def moving_with(right: Array) -> Refined:
+def moving_with(right: Array) -> RefinedMotion:
     """A motion whose outline in the first right view is ``right`` (4, 2)."""
     moved = SimpleNamespace(quads=lambda theta: np.stack([[right - 30.0, right]]))
     return replace(refined([0.9] * 10), trajectory=cast(Trajectory, moved))
 
 
 def test_a_frame_shows_the_vehicle_where_all_views_that_were_used_fit() -> None:
-    enough = 1.0 - MISFIT**2
+    enough = 1.0 - MAX_UNEXPLAINED_CONTRAST**2
     r = refined([0.99, enough + 1e-6, enough - 1e-6, np.nan, 0.99])
-    r.explained[4, 1] = 0.0  # one view shows something else
-    r.explained[0, 0] = np.nan  # and one was not used
-    assert frames_shown(r).tolist() == [True, True, False, False, False]
-    assert frames_shown(refined([0.99] * 3, off=1.01 * OFF)).tolist() == [False] * 3
+    r.explained_share[4, 1] = 0.0  # one view shows something else
+    r.explained_share[0, 0] = np.nan  # and one was not used
+    assert consistent_frames(r).tolist() == [True, True, False, False, False]
+    assert consistent_frames(refined([0.99] * 3, off=1.01 * MAX_IMAGE_OFFSET_PX)).tolist() == [False] * 3
 
 
 @pytest.mark.parametrize(
@@ -66,19 +66,19 @@ def test_a_frame_shows_the_vehicle_where_all_views_that_were_used_fit() -> None:
     [(10, 10, ""), (5, 10, ""), (4, 10, "residuals: only 4 of 10 frames"), (3, 5, "residuals: only 3 of 5 frames")],
 )
 def test_half_of_the_frames_have_to_show_the_vehicle_and_four_of_them(shown: int, frames: int, reason: str) -> None:
-    said = unexplained(refined([0.9] * shown + [0.1] * (frames - shown)))
+    said = check_residuals(refined([0.9] * shown + [0.1] * (frames - shown)))
     assert said.startswith(reason) and bool(said) == bool(reason)
 
 
 def test_a_track_is_cut_where_it_is_known_to_end_and_halved_where_nothing_is_known() -> None:
     seen, hidden = [0.9], [0.1]
-    assert part_in_view(refined(20 * seen)) == 20
-    assert part_in_view(refined(17 * seen + 3 * hidden)) == 17
-    assert part_in_view(refined(5 * seen + 15 * hidden, converged=False)) == 5
-    assert part_in_view(refined(20 * hidden)) == 10
-    assert part_in_view(refined(20 * seen, converged=False)) == 10
-    assert part_in_view(refined(3 * seen + 17 * hidden)) == 10  # too few to be measured by themselves
-    assert LEAST_FRAMES == 4
+    assert frames_to_refit(refined(20 * seen)) == 20
+    assert frames_to_refit(refined(17 * seen + 3 * hidden)) == 17
+    assert frames_to_refit(refined(5 * seen + 15 * hidden, converged=False)) == 5
+    assert frames_to_refit(refined(20 * hidden)) == 10
+    assert frames_to_refit(refined(20 * seen, converged=False)) == 10
+    assert frames_to_refit(refined(3 * seen + 17 * hidden)) == 10  # too few to be measured by themselves
+    assert MIN_FRAMES == 4
 
 
 @pytest.mark.parametrize("hand", [0.5, 5.0])  # px
@@ -86,45 +86,45 @@ def test_a_motion_is_seldom_off_outlines_however_well_they_are_drawn(hand: float
     """A careless hand shows in corners that do not fit each other: then it is an F test, of 2 and 6 degrees of
     freedom."""
     drawn = OUTLINE + np.random.default_rng(1).normal(0, hand * np.sqrt(2.0), (20_000, 4, 2))  # of both outlines
-    off = np.mean([off_outline(moving_with(OUTLINE), one, 0.5) != "" for one in drawn])
-    expected = np.exp(-0.5 * OUTLINED**2) if hand == 0.5 else f.sf(0.5 * OUTLINED**2, 2, 6)
+    off = np.mean([check_outline(moving_with(OUTLINE), one, 0.5) != "" for one in drawn])
+    expected = np.exp(-0.5 * MAX_OUTLINE_SIGMA**2) if hand == 0.5 else f.sf(0.5 * MAX_OUTLINE_SIGMA**2, 2, 6)
     assert off == pytest.approx(expected, abs=4 * np.sqrt(expected / len(drawn)) + 1e-4)
 
 
 def test_a_motion_that_lies_off_the_outline_in_the_other_view_is_that_of_something_else() -> None:
-    assert off_outline(moving_with(OUTLINE), OUTLINE + [1.7, 0.0], 0.5) == ""
-    said = off_outline(moving_with(OUTLINE), OUTLINE + [0.0, -3.0], 0.5)
+    assert check_outline(moving_with(OUTLINE), OUTLINE + [1.7, 0.0], 0.5) == ""
+    said = check_outline(moving_with(OUTLINE), OUTLINE + [0.0, -3.0], 0.5)
     assert said == "outline: what the pictures show lies 3.0 px off it in the right view, more than 1.8"
-    assert off_outline(moving_with(OUTLINE), OUTLINE + [3.0, 0.0], 1.0) == ""
+    assert check_outline(moving_with(OUTLINE), OUTLINE + [3.0, 0.0], 1.0) == ""
 
 
 @pytest.mark.parametrize(("hidden", "reason"), [(3, ""), (4, "residuals: none of the first 4 frames")])
 def test_a_motion_that_no_frame_shows_at_first_is_that_of_something_else(hidden: int, reason: str) -> None:
     """What came to hide the vehicle drove on in its place for longer than that was seen."""
     r = refined([0.1] * hidden + [0.9] * 20)
-    assert unexplained(r).startswith(reason) and bool(unexplained(r)) == bool(reason)
-    assert part_in_view(r) == (10 + hidden // 2 if reason else 20 + hidden)
+    assert check_residuals(r).startswith(reason) and bool(check_residuals(r)) == bool(reason)
+    assert frames_to_refit(r) == (10 + hidden // 2 if reason else 20 + hidden)
 
 
 @pytest.mark.parametrize(
-    ("strayed", "contrast", "reason"),
+    ("deviation_sigma", "contrast", "reason"),
     [
         (6.4, 2.6, "implausible: its way bends 6 times as much as is likely, by a face of 2.6 grey levels"),
-        (STRAYED, 2.6, ""),
-        (6.4, FAINT, ""),  # a crest, a tight turn: a face that shows well knows its way
+        (MAX_DEVIATION_SIGMA, 2.6, ""),
+        (6.4, MIN_CONTRAST_GREY, ""),  # a crest, a tight turn: a face that shows well knows its way
     ],
 )
 def test_a_way_that_nobody_drives_is_not_believed_of_a_face_that_hardly_shows(
-    strayed: float, contrast: float, reason: str
+    deviation_sigma: float, contrast: float, reason: str
 ) -> None:
     """A lorry front of 2.6 grey levels was followed pixels aside from where it was, and read 6 % too fast."""
-    r = replace(refined([0.9] * 10), strayed=strayed, contrast=contrast, residual=0.3)
-    assert against(r, 7.0, 0.2) == reason
+    r = replace(refined([0.9] * 10), deviation_sigma=deviation_sigma, contrast=contrast, residual_rms=0.3)
+    assert check_refined(r, 7.0, 0.2) == reason
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=40))
 def test_frames_are_kept_as_long_as_most_of_them_show_the_vehicle(shown: list[bool]) -> None:
-    kept = in_view(np.array(shown))
+    kept = frames_before_occlusion(np.array(shown))
     tails = [shown[kept:end] for end in range(kept + 1, len(shown) + 1)]
     assert all(sum(tail) < len(tail) / 2 for tail in tails)  # nothing beyond it is worth its hidden frames
     heads = [shown[start:kept] for start in range(1, kept)]
@@ -144,15 +144,15 @@ def test_frames_are_kept_as_long_as_most_of_them_show_the_vehicle(shown: list[bo
     ],
 )
 def test_how_wide_an_interval_may_be(speed: float, half: float, own: float, reason: str) -> None:
-    assert too_wide(speed, half, own) == (f"interval too wide: {reason}" if reason else "")
+    assert check_interval(speed, half, own) == (f"interval too wide: {reason}" if reason else "")
 
 
 def test_a_tolerance_rejects_what_is_known_less_well_and_nothing_else() -> None:
     nan = float("nan")
     good = Measurement("v0", cast(Track, None), 20.0, 19.7, 20.3, 0.15, nan, 9, "measured", "", "constant speed")
-    assert within(good, None) is good and within(good, 0.31) is good
-    refused = within(good, 0.2)
+    assert apply_tolerance(good, None) is good and apply_tolerance(good, 0.31) is good
+    refused = apply_tolerance(good, 0.2)
     assert (refused.verdict, refused.reason) == ("rejected", "interval too wide: 1.50 times the tolerance")
     assert (refused.speed, refused.speed_lo, refused.speed_hi) == (20.0, 19.7, 20.3)
     bad = replace(good, speed=nan, speed_lo=nan, speed_hi=nan, verdict="rejected", reason="lost")
-    assert within(bad, 0.2) is bad
+    assert apply_tolerance(bad, 0.2) is bad

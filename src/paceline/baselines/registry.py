@@ -17,7 +17,7 @@ from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.geometry.paths import Path
 from paceline.speed.measurement import Run, measure_each
 from paceline.speed.results import ClipResult
-from paceline.speed.verdict import within
+from paceline.speed.verdict import apply_tolerance
 
 Method = Callable[[Clip, VehicleDocument, Path | None, SpeedConfiguration], Run]
 
@@ -50,5 +50,5 @@ def measure(
         return METHODS[method](clip, vehicle, drawn.get(vehicle.path or ""), configuration)
 
     result = measure_each(clip, recording, configuration, begin, progress, on_paths=method in ON_A_PATH)
-    tolerated = [within(m, configuration.tolerance) for m in result.measurements]
+    tolerated = [apply_tolerance(m, configuration.tolerance) for m in result.measurements]
     return replace(result, measurements=tolerated, configuration={"method": method} | result.configuration)

@@ -12,7 +12,7 @@ from paceline.arrays import Array
 from paceline.baselines.template_tracking import Regions
 from paceline.recordings.stereo import StereoFrame
 from paceline.speed.results import CONFIDENCE, Measurement, Track
-from paceline.speed.verdict import FASTEST, LEAST_FRAMES, too_wide
+from paceline.speed.verdict import MAX_SPEED_MPS, MIN_FRAMES, check_interval
 
 NAN = float("nan")
 NO_TEXTURE = "residuals: the region has too little texture to be followed"
@@ -74,10 +74,10 @@ def judged(vehicle: str, sights: Sequence[Sight], mean: MeanSpeed, notices: Sequ
     reason = ""
     if not np.isfinite([mean.speed, half]).all():
         reason = "residuals: no motion explains what was matched"
-    elif mean.speed > FASTEST:
+    elif mean.speed > MAX_SPEED_MPS:
         reason = f"implausible: {mean.speed:.1f} m/s"
     else:
-        reason = too_wide(mean.speed, half)
+        reason = check_interval(mean.speed, half)
     return Measurement(
         vehicle=vehicle,
         track=track_of(vehicle, sights, mean.speeds, mean.stds),
@@ -109,11 +109,11 @@ def rejected(vehicle: str, sights: Sequence[Sight], reason: str) -> Measurement:
 def too_few(sights: Sequence[Sight]) -> str:
     """Why there is no track to measure by; empty where there is one."""
     frames = _frames(sights)
-    if frames >= LEAST_FRAMES:
+    if frames >= MIN_FRAMES:
         return ""
     how = {"ended": "left the image after", "lost": "was lost after"}
     last = sights[-1].status if sights else "tracking"
-    return f"too few frames: the vehicle {how.get(last, 'was seen for only')} {frames} of at least {LEAST_FRAMES}"
+    return f"too few frames: the vehicle {how.get(last, 'was seen for only')} {frames} of at least {MIN_FRAMES}"
 
 
 def track_of(vehicle: str, sights: Sequence[Sight], speeds: Array | None = None, stds: Array | None = None) -> Track:

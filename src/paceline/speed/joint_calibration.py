@@ -79,7 +79,7 @@ def agreed(told: Sequence[Belief]) -> tuple[Belief, NDArray[np.bool_]]:
     while kept.sum() > 1:
         belief = sum((t for t, k in zip(told, kept, strict=True) if k), prior)
         against = np.array([pull(belief - t, t) if k else 0.0 for t, k in zip(told, kept, strict=True)])
-        if against.max() <= verdict.CONTRADICTED:
+        if against.max() <= verdict.MAX_RIG_SHIFT_SIGMA:
             return belief, kept
         kept[np.argmax(against)] = False
     return prior, np.full(len(told), False)
@@ -140,14 +140,14 @@ def among(m: Measurement, others: Iterable[Measurement]) -> Measurement:
     count, prior = int(agree.sum()), stated(len(m.rig.moves))
     if not agree[-1]:
         reason = OTHERS
-    elif (by := pull(prior, belief - prior)) > verdict.CONTRADICTED:
+    elif (by := pull(prior, belief - prior)) > verdict.MAX_RIG_SHIFT_SIGMA:
         reason = (
             f"calibration: the pictures of {count} vehicles together want the cameras elsewhere, by {by:.1f} times as "
             "much as the uncertainty in rig.yaml makes usual"
         )
     else:
         own, m = m.rig.half, replace(put_right(m, belief), calibrated_by=count)
-        reason = verdict.too_wide(m.speed, (m.speed_hi - m.speed_lo) / 2, own)
+        reason = verdict.check_interval(m.speed, (m.speed_hi - m.speed_lo) / 2, own)
     return replace(m, verdict="rejected" if reason else "measured", reason=reason, rig=None)
 
 

@@ -22,12 +22,12 @@ from paceline.speed.geometry import paths
 from paceline.speed.geometry.initial_plane import first_plane, squared
 from paceline.speed.geometry.paths import Path
 from paceline.speed.refinement.keyframes import Glimpse
-from paceline.speed.refinement.model_selection import Refined, refine
+from paceline.speed.refinement.model_selection import RefinedMotion, refine
 from paceline.speed.refinement.path_deviation import way_of
 from paceline.speed.refinement.self_calibration import RigFit
 from paceline.speed.refinement.trajectory import Trajectory
 from paceline.speed.results import CONFIDENCE, Measurement, RigTold, Track
-from paceline.speed.verdict import LEAST_FRAMES
+from paceline.speed.verdict import MIN_FRAMES
 
 Seen = Callable[[str, Estimate], None]
 
@@ -94,15 +94,15 @@ class VehicleRun:
         """The measurement, refined where enough was seen."""
         self.estimates = _until_hidden(self.estimates)
         tracked = [e for e in self.estimates if e.status == "tracking"]
-        if len(tracked) < LEAST_FRAMES:
+        if len(tracked) < MIN_FRAMES:
             return self._rejected(self._too_few(len(tracked)))
-        if (seen := sum(e.likeness >= SEEN for e in tracked)) < LEAST_FRAMES:
+        if (seen := sum(e.likeness >= SEEN for e in tracked)) < MIN_FRAMES:
             return self._rejected(f"unlike itself: only {seen} of {len(tracked)} frames look like the outlined region")
         if not self.configuration.refine:
             return self._from_filter(tracked)
         try:
             refined = self._refined()
-            while LEAST_FRAMES <= (kept := verdict.part_in_view(refined)) < len(self.glimpses):
+            while MIN_FRAMES <= (kept := verdict.frames_to_refit(refined)) < len(self.glimpses):
                 self.glimpses = self.glimpses[:kept]
                 self.estimates = _lost_after(self.estimates, self.glimpses[-1].frame)
                 refined = self._refined()
@@ -110,7 +110,7 @@ class VehicleRun:
             return self._rejected("residuals: the region has too little texture for its motion to be determined")
         return self._judged(refined, sum(e.status == "tracking" for e in self.estimates))
 
-    def _refined(self) -> Refined:
+    def _refined(self) -> RefinedMotion:
         speed = float(np.mean([e.speed for e in self.estimates[1:] if e.status == "tracking"]))
         return refine(self._trajectory(speed), self.glimpses, speed, self.path is not None)
 
@@ -118,7 +118,7 @@ class VehicleRun:
         last = self.estimates[-1].status if self.estimates else "tracking"
         how = {"ended": "left the image", "lost": "was lost"}.get(last, "was seen")
         when = "after" if last != "tracking" else "for only"
-        return f"too few frames: the vehicle {how} {when} {frames} of at least {LEAST_FRAMES}"
+        return f"too few frames: the vehicle {how} {when} {frames} of at least {MIN_FRAMES}"
 
     def _trajectory(self, speed: float) -> Trajectory:
         """The outline and the way it goes: the path in the sense of travel, or straight on as the filter saw it."""
@@ -135,24 +135,24 @@ class VehicleRun:
         way = way_of(path, plane, times, speed, self.path is not None)
         return Trajectory(self.rig, self.vehicle.left, plane, path, times, way)
 
-    def _judged(self, refined: Refined, frames: int) -> Measurement:
+    def _judged(self, refined: RefinedMotion, frames: int) -> Measurement:
         speed, noise_std, doubt_std, systematic_std = refined.mean_speed()
         random_std = float(np.hypot(noise_std, doubt_std))
         # the noise is judged by few frames and patches; the other two are what they are
         usual, wider = ndtri(0.5 + CONFIDENCE / 2), stdtrit(refined.dof, 0.5 + CONFIDENCE / 2)
         own = float(np.hypot(wider * noise_std, usual * doubt_std))
         half = float(np.hypot(own, usual * np.nan_to_num(systematic_std)))
-        reason = verdict.against(refined, speed, half) or verdict.off_outline(
+        reason = verdict.check_refined(refined, speed, half) or verdict.check_outline(
             refined, self.vehicle.right, self.configuration.click_sigma
         )
         rig = None if reason or refined.rig_fit is None else self._told(refined, refined.rig_fit, wider)
-        reason = reason or verdict.too_wide(speed, half, own)
+        reason = reason or verdict.check_interval(speed, half, own)
         speeds, times = refined.speeds()[0], refined.trajectory.times.mean(1)
         acceleration = float((speeds[-1] - speeds[0]) / (times[-1] - times[0]))
-        accelerating = {"acceleration", "surge"} & {*refined.extras}
+        accelerating = {"acceleration", "surge"} & {*refined.motion_terms}
         model = "constant acceleration" if accelerating else "constant speed"
-        model = "changing acceleration" if "surge" in refined.extras else model
-        model += ", turning" * ("turn" in refined.extras) + ", swerving" * ("swerve" in refined.extras)
+        model = "changing acceleration" if "surge" in refined.motion_terms else model
+        model += ", turning" * ("turn" in refined.motion_terms) + ", swerving" * ("swerve" in refined.motion_terms)
         return Measurement(
             vehicle=self.vehicle.id,
             track=self._track(refined),
@@ -166,17 +166,17 @@ class VehicleRun:
             reason=reason,
             model=model,
             acceleration=acceleration if accelerating else float("nan"),
-            residual_rms=refined.residual,
+            residual_rms=refined.residual_rms,
             notices=self._notices(refined),
             calibrated_by=int(refined.rig_fit is not None),
             rig=rig,
         )
 
-    def _told(self, refined: Refined, fit: RigFit, wider: float) -> RigTold:
+    def _told(self, refined: RefinedMotion, fit: RigFit, wider: float) -> RigTold:
         """What the fit tells of the rig, and its speeds if that were known; their noise is ``wider`` than it seems."""
         mean, shares = refined.trajectory.mean_speed_shares, refined.trajectory.speed_shares
-        noise, doubt = (float(np.sqrt(mean @ C @ mean)) for C in (fit.covariance, refined.doubt))
-        variances = np.einsum("fi,ij,fj->f", shares, fit.covariance + refined.doubt, shares)
+        noise, doubt = (float(np.sqrt(mean @ C @ mean)) for C in (fit.covariance, refined.model_covariance))
+        variances = np.einsum("fi,ij,fj->f", shares, fit.covariance + refined.model_covariance, shares)
         return RigTold(
             moves=fit.moves,
             information=fit.information,
@@ -196,9 +196,9 @@ class VehicleRun:
                 rows[row] = fitted[kept[e.frame]]
         return rows
 
-    def _notices(self, refined: Refined) -> list[str]:
+    def _notices(self, refined: RefinedMotion) -> list[str]:
         notices = []
-        if np.isnan(refined.systematic).any():
+        if np.isnan(refined.systematic_covariance).any():
             notices.append("rig.yaml states no uncertainty: the interval holds no systematic part")
         hidden = sum(e.likeness < SEEN for e in self.estimates)
         if hidden:
@@ -213,7 +213,7 @@ class VehicleRun:
         information = 1.0 / np.array([e.speed_std for e in tracked[1:]]) ** 2
         speed, std = float(np.average(speeds, weights=information)), float(1.0 / np.sqrt(information.mean()))
         half = float(ndtri(0.5 + CONFIDENCE / 2)) * std
-        reason = verdict.too_wide(speed, half)
+        reason = verdict.check_interval(speed, half)
         return Measurement(
             vehicle=self.vehicle.id,
             track=self._track(None),
@@ -236,7 +236,7 @@ class VehicleRun:
             self.vehicle.id, self._track(None), nan, nan, nan, nan, nan, frames, "rejected", reason, "none"
         )
 
-    def _track(self, refined: Refined | None) -> Track:
+    def _track(self, refined: RefinedMotion | None) -> Track:
         E = self.estimates
         refined_speed, refined_std = np.full(len(E), np.nan), np.full(len(E), np.nan)
         if refined is not None:

@@ -1,4 +1,4 @@
-"""Whether a refined motion is a measurement: what the pictures of every frame say, and how sure the speed is."""
+"""Acceptance tests of a refined motion: image residuals of every frame, the calibration, the interval's width."""
 
 from __future__ import annotations
 
@@ -7,119 +7,132 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from paceline.speed.refinement.model_selection import Refined
+from paceline.speed.refinement.model_selection import RefinedMotion
 from paceline.speed.results import Measurement
 from paceline.units import SpeedUnit
 
-LEAST_FRAMES = 4
-MISFIT = 0.6  # share of the texture's contrast that may stay unexplained
-OFF = 0.6  # px, rms over the frames: how far the pictures may lie off the motion
-SHOWN = 0.5  # share of the frames that have to show the vehicle where the fitted motion puts it
-DISAGREE = 1.0  # px across the epipolar lines
-FASTEST = 90.0  # m/s
-STRAYED = 3.0  # standard deviations, rms over the modes of a way, that it may bend by a face with a contrast below
-FAINT = 5.0  # grey levels: such a one is easily followed to where it is not
-OUTLINED = 5.0  # standard deviations of an outline's place, by its corners, that the motion may lie off it
-CONTRADICTED = 5.0  # standard deviations of what pictures put right of a calibration, beyond which it is another one
-WIDEST = (0.06, SpeedUnit.KMH.mps)  # half-width of an interval that still counts: relative, and m/s
-UNKNOWN = "the speed is not known"
-OWN = 2 / 3  # share of that which may be the vehicle's own, not the calibration's
+MIN_FRAMES = 4
+MAX_UNEXPLAINED_CONTRAST = 0.6  # residual over the texture's contrast, both RMS
+MAX_IMAGE_OFFSET_PX = 0.6  # RMS over the frames, between the images and where the fitted motion puts them
+MIN_CONSISTENT_SHARE = 0.5  # of the frames
+MAX_EPIPOLAR_OFFSET_PX = 1.0  # between the views, across the epipolar lines
+MAX_SPEED_MPS = 90.0
+MAX_DEVIATION_SIGMA = 3.0  # RMS deviation from the path where the contrast is lower than the next constant
+MIN_CONTRAST_GREY = 5.0  # grey levels; below, the background may have been followed instead
+MAX_OUTLINE_SIGMA = 5.0  # between the motion and the outline in the right view
+MAX_RIG_SHIFT_SIGMA = 5.0  # between the rig that the images determine and the one that rig.yaml states
+MAX_HALF_WIDTH = (0.06, SpeedUnit.KMH.mps)  # of the 95 % interval: relative and m/s, whichever is larger
+MAX_RANDOM_SHARE = 2 / 3  # of MAX_HALF_WIDTH: the interval without the calibration's part
+SPEED_UNKNOWN = "the speed is not known"
 
 
-def against(refined: Refined, speed: float, half: float) -> str:
-    """Why a ``speed`` (m/s), known to ± ``half``, is no measurement; empty where it is one, if it is known well
-    enough."""
-    if not np.isfinite([speed, half]).all():
+def check_refined(refined: RefinedMotion, speed: float, half_width: float) -> str:
+    """The reason to reject ``speed`` (m/s) with its half-width ``half_width``; empty where all tests pass.
+
+    `check_outline` and `check_interval` are applied apart.
+    """
+    if not np.isfinite([speed, half_width]).all():
         return "residuals: no motion explains the pictures"
-    if reason := unexplained(refined):
+    if reason := check_residuals(refined):
         return reason
-    across = float(np.nanmedian(refined.offsets[:, 1, 1] - refined.offsets[:, 0, 1]))
-    if abs(across) > DISAGREE:
-        return f"views disagree: they lie {abs(across):.1f} px apart across the epipolar lines"
-    if (pull := float(np.abs(refined.rig_pulls).max(initial=0.0))) > CONTRADICTED:
+    epipolar_offset = float(np.nanmedian(refined.offsets[:, 1, 1] - refined.offsets[:, 0, 1]))
+    if abs(epipolar_offset) > MAX_EPIPOLAR_OFFSET_PX:
+        return f"views disagree: they lie {abs(epipolar_offset):.1f} px apart across the epipolar lines"
+    if (shift := float(np.abs(refined.rig_shift_sigma).max(initial=0.0))) > MAX_RIG_SHIFT_SIGMA:
         return (
-            f"calibration: these pictures want the cameras elsewhere, by {pull:.1f} times as much as the uncertainty "
+            f"calibration: these pictures want the cameras elsewhere, by {shift:.1f} times as much as the uncertainty "
             "in rig.yaml makes usual"
         )
-    if not 0 <= speed <= FASTEST:
+    if not 0 <= speed <= MAX_SPEED_MPS:
         return f"implausible: {speed:.1f} m/s"
-    if refined.strayed > STRAYED and refined.contrast < FAINT:
+    if refined.deviation_sigma > MAX_DEVIATION_SIGMA and refined.contrast < MIN_CONTRAST_GREY:
         return (
-            f"implausible: its way bends {refined.strayed:.0f} times as much as is likely, "
+            f"implausible: its way bends {refined.deviation_sigma:.0f} times as much as is likely, "
             f"by a face of {refined.contrast:.1f} grey levels"
         )
     return ""
 
 
-def off_outline(refined: Refined, right: NDArray[np.float64], click_sigma: float) -> str:
-    """Why a motion is not that of the vehicle that is outlined by the corners ``right`` (4, 2), px, too, each known to
-    ``click_sigma`` px, or as well as they fit each other; empty where it is. The motion has the left outline for its
-    own: both views of something that hides the vehicle agree as well, but not on the distance of both outlines."""
-    apart = refined.trajectory.quads(refined.theta)[0, 1] - right
-    off = apart.mean(0)
-    scatter = float(np.sqrt(((apart - off) ** 2).sum() / (apart.size - off.size)))
-    lies = float(np.linalg.norm(off))
-    most = OUTLINED * max(float(np.sqrt(2.0)) * click_sigma, scatter) / float(np.sqrt(len(apart)))
-    if lies <= most:
+def check_outline(refined: RefinedMotion, right: NDArray[np.float64], click_sigma: float) -> str:
+    """The reason to reject a motion that is not at the outline ``right`` (4, 2) px of the first frame; else empty.
+
+    Corners have a standard deviation of ``click_sigma`` px, or of their own scatter where that is larger. The motion
+    starts from the left outline by construction. Both views of an occluder are consistent with each other, too, but at
+    another distance than the two outlines.
+    """
+    residuals = refined.trajectory.quads(refined.theta)[0, 1] - right
+    mean = residuals.mean(0)
+    scatter = float(np.sqrt(((residuals - mean) ** 2).sum() / (residuals.size - mean.size)))
+    offset = float(np.linalg.norm(mean))
+    limit = MAX_OUTLINE_SIGMA * max(float(np.sqrt(2.0)) * click_sigma, scatter) / float(np.sqrt(len(residuals)))
+    if offset <= limit:
         return ""
-    return f"outline: what the pictures show lies {lies:.1f} px off it in the right view, more than {most:.1f}"
+    return f"outline: what the pictures show lies {offset:.1f} px off it in the right view, more than {limit:.1f}"
 
 
-def frames_shown(refined: Refined) -> NDArray[np.bool_]:
-    """Which frames (F,) show the vehicle where the fitted motion puts it, in all views that were used of them."""
-    used = np.isfinite(refined.explained)
-    fits = (refined.explained >= 1.0 - MISFIT**2) & (np.linalg.norm(refined.offsets, axis=-1) <= OFF)
+def consistent_frames(refined: RefinedMotion) -> NDArray[np.bool_]:
+    """Frames (F,) of which all views that were used fit the motion."""
+    used = np.isfinite(refined.explained_share)
+    fits = (refined.explained_share >= 1.0 - MAX_UNEXPLAINED_CONTRAST**2) & (
+        np.linalg.norm(refined.offsets, axis=-1) <= MAX_IMAGE_OFFSET_PX
+    )
     return np.asarray(used.any(1) & (fits | ~used).all(1))
 
 
-def unexplained(refined: Refined) -> str:
-    """Why the pictures are none of the fitted motion; empty where they are."""
-    off = float(np.sqrt(np.nanmean(refined.offsets**2)))
+def check_residuals(refined: RefinedMotion) -> str:
+    """The reason to reject a motion that the images do not fit; empty where they do."""
+    offset = float(np.sqrt(np.nanmean(refined.offsets**2)))
     if not refined.converged:
         return "residuals: no motion explains the pictures"
-    if refined.residual > MISFIT * refined.contrast or off > OFF:
-        left_over = refined.residual / max(refined.contrast, 1e-9)
+    if refined.residual_rms > MAX_UNEXPLAINED_CONTRAST * refined.contrast or offset > MAX_IMAGE_OFFSET_PX:
+        unexplained = refined.residual_rms / max(refined.contrast, 1e-9)
         return (
-            f"residuals: the pictures lie {off:.1f} px off the fitted motion and "
-            f"{left_over:.0%} of their contrast is unexplained"
+            f"residuals: the pictures lie {offset:.1f} px off the fitted motion and "
+            f"{unexplained:.0%} of their contrast is unexplained"
         )
-    shown = frames_shown(refined)
-    if shown.mean() < SHOWN or shown.sum() < LEAST_FRAMES:
-        return f"residuals: only {shown.sum()} of {len(shown)} frames show the vehicle where the fitted motion puts it"
-    if not shown[:LEAST_FRAMES].any():  # it is that of what came to hide the vehicle, and drives on in its place
-        return f"residuals: none of the first {LEAST_FRAMES} frames shows the vehicle where the fitted motion puts it"
+    consistent = consistent_frames(refined)
+    count, frames = consistent.sum(), len(consistent)
+    if consistent.mean() < MIN_CONSISTENT_SHARE or count < MIN_FRAMES:
+        return f"residuals: only {count} of {frames} frames show the vehicle where the fitted motion puts it"
+    if not consistent[:MIN_FRAMES].any():  # the motion is an occluder's that appeared later
+        return f"residuals: none of the first {MIN_FRAMES} frames shows the vehicle where the fitted motion puts it"
     return ""
 
 
-def part_in_view(refined: Refined) -> int:
-    """How many of the first frames to fit next, where something hides the vehicle in the others; all where nothing
-    does. Where no motion explains the pictures, something may have hidden it early on: then half of them."""
-    shown = frames_shown(refined)
-    if LEAST_FRAMES <= (kept := in_view(shown)) < len(shown):
+def frames_to_refit(refined: RefinedMotion) -> int:
+    """How many of the first frames to fit next: up to an occlusion, all where there is none.
+
+    Half of them where no motion fits, as the occlusion may have begun early.
+    """
+    consistent = consistent_frames(refined)
+    if MIN_FRAMES <= (kept := frames_before_occlusion(consistent)) < len(consistent):
         return kept
-    return len(shown) // 2 if unexplained(refined) else len(shown)
+    return len(consistent) // 2 if check_residuals(refined) else len(consistent)
 
 
-def in_view(shown: NDArray[np.bool_]) -> int:
-    """How many of the first frames to keep: beyond them, fewer of the frames than not have ``shown`` (F,) the vehicle.
-    Something hides it there, which the filter may well have followed instead."""
-    balance = np.cumsum(np.where(shown, 1, -1))
-    return len(shown) - int(np.argmax(balance[::-1]))
+def frames_before_occlusion(consistent: NDArray[np.bool_]) -> int:
+    """The number of frames before an occlusion: after them most frames are not ``consistent`` (F,).
+
+    The filter may have followed the occluder there.
+    """
+    balance = np.cumsum(np.where(consistent, 1, -1))
+    return len(consistent) - int(np.argmax(balance[::-1]))
 
 
-def too_wide(speed: float, half: float, own: float = 0.0) -> str:
-    """Why an interval of ± ``half`` (m/s), but for the calibration's part of ± ``own``, is none to go by; empty where
-    it is."""
-    for width, share, cause in ((half, 1.0, ""), (own, OWN, " without the calibration's part")):
-        if width > share * max(WIDEST[0] * speed, WIDEST[1]):
-            of_it = width / max(speed, 1e-9)
-            return "interval too wide: " + (f"± {of_it:.1%} of the speed{cause}" if of_it < 1 else UNKNOWN)
+def check_interval(speed: float, half_width: float, random: float = 0.0) -> str:
+    """The reason to reject an interval, else empty.
+
+    ``half_width`` is that of the whole interval and ``random`` that without the calibration's part, both m/s.
+    """
+    for width, share, cause in ((half_width, 1.0, ""), (random, MAX_RANDOM_SHARE, " without the calibration's part")):
+        if width > share * max(MAX_HALF_WIDTH[0] * speed, MAX_HALF_WIDTH[1]):
+            relative = width / max(speed, 1e-9)
+            return "interval too wide: " + (f"± {relative:.1%} of the speed{cause}" if relative < 1 else SPEED_UNKNOWN)
     return ""
 
 
-def within(m: Measurement, tolerance: float | None) -> Measurement:
-    """``m``, rejected if it is measured but its 95 % interval is wider than ± ``tolerance``, m/s, that a user asks
-    for."""
-    if tolerance is None or m.verdict != "measured" or (half := (m.speed_hi - m.speed_lo) / 2) <= tolerance:
+def apply_tolerance(m: Measurement, tolerance: float | None) -> Measurement:
+    """``m``, rejected if its 95 % interval is wider than ± ``tolerance`` (m/s), which the user states."""
+    if tolerance is None or m.verdict != "measured" or (half_width := (m.speed_hi - m.speed_lo) / 2) <= tolerance:
         return m
-    return replace(m, verdict="rejected", reason=f"interval too wide: {half / tolerance:.2f} times the tolerance")
+    return replace(m, verdict="rejected", reason=f"interval too wide: {half_width / tolerance:.2f} times the tolerance")

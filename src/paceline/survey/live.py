@@ -37,7 +37,7 @@ from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.joint_calibration import TOGETHER, among
 from paceline.speed.measurement import measure, refuse_one_view
 from paceline.speed.results import Measurement
-from paceline.speed.verdict import within
+from paceline.speed.verdict import apply_tolerance
 
 LEARNING = 30.0  # s in which the empty scene is learned
 REMEMBERED = 150  # pairs of frames that are kept for the vehicles in view
@@ -294,7 +294,7 @@ class _Desk:
 
     def _put_right(self, m: Measurement) -> Measurement:
         """``m`` with what the latest vehicles tell of the rig, too."""
-        right = within(among(m, self._latest), self._configuration.tolerance)
+        right = apply_tolerance(among(m, self._latest), self._configuration.tolerance)
         if m.rig is not None:
             self._latest.append(m)
         return right

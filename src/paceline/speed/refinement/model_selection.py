@@ -20,48 +20,56 @@ LEAST_GLIMPSES = 5  # for a choice among models
 
 
 @dataclass(frozen=True, eq=False)
-class Refined:
-    """The refined motion: parameters ``theta`` (n,), and what makes them uncertain, as covariances (n, n).
+class RefinedMotion:
+    """The refined motion: F frames, n parameters, Q directions in which the rig may shift.
 
-    ``trajectory`` has the rig as it was moved, ``rig_pulls`` (Q,) are these moves in independent directions, each over
-    the standard deviation that it has where the calibration is as uncertain as it states, and ``rig_fit`` is what the
-    pictures tell of it. ``covariance`` is of the pictures' noise, ``doubt`` of the choice among models, ``systematic``
-    of what is left open of the calibration: NaN where the rig states no uncertainty. ``rig_fit`` is None where it may
-    not move. ``residual`` is the median rms of a patch in grey levels, ``contrast`` that of the texture; ``offsets``
-    (F, 2, 2) are the pixels by which each view's picture lies off the motion and ``explained`` (F, 2) the share of its
-    contrast, squared, that the motion explains, as far as places are trusted (NaN where it was not used).
+    ``trajectory`` has the rig as it was corrected. ``rig_fit`` is what the images determine of the rig, None where it
+    is fixed. ``rig_shift_sigma`` (Q,) are the rig's shifts over the standard deviations that they have if the
+    calibration is as uncertain as rig.yaml states.
+
+    Three covariances (n, n) of ``theta`` (n,) add up: ``covariance`` from image noise, ``model_covariance`` from the
+    choice among motion models, ``systematic_covariance`` from what remains unknown of the calibration (NaN where the
+    rig states no uncertainty).
+
+    ``residual_rms`` is the median RMS residual of a patch and ``contrast`` the RMS of the texture, both grey levels.
+    ``offsets`` (F, 2, 2) px are between each view's image and where the motion puts it; ``explained_share`` (F, 2) is
+    the share of its weighted variance that the motion explains. Both are NaN where a view was not used.
     """
 
     trajectory: Trajectory
-    rig_pulls: Array
+    rig_shift_sigma: Array
     theta: Array
     covariance: Array
-    doubt: Array
-    systematic: Array
+    model_covariance: Array
+    systematic_covariance: Array
     rig_fit: RigFit | None
-    residual: float
+    residual_rms: float
     contrast: float
     offsets: Array
-    explained: Array
-    extras: tuple[str, ...]  # of the motion, that the evidence spoke for, of EXTRAS
-    strayed: float  # rms over the modes of its own way, in standard deviations of what roads and drivers make likely
+    explained_share: Array
+    motion_terms: tuple[str, ...]  # of MOTION_TERMS, chosen by their evidence
+    deviation_sigma: (
+        float  # rms over the modes of its own way, in standard deviations of what roads and drivers make likely
+    )
     dof: float
     converged: bool
 
     def speeds(self) -> tuple[Array, Array]:
         """Speed (F,) at every frame and its standard deviation (F,), the systematic part, where known, included."""
         g = self.trajectory.speed_shares
-        total = self.covariance + self.doubt + np.nan_to_num(self.systematic)
+        total = self.covariance + self.model_covariance + np.nan_to_num(self.systematic_covariance)
         return g @ self.theta, np.sqrt(np.einsum("fi,ij,fj->f", g, total, g))
 
     def mean_speed(self) -> tuple[float, float, float, float]:
         """Distance over time, and its standard deviations: random, of the model's choice, and systematic."""
         g = self.trajectory.mean_speed_shares
-        random, doubt, systematic = (float(np.sqrt(g @ C @ g)) for C in (self.covariance, self.doubt, self.systematic))
+        random, doubt, systematic = (
+            float(np.sqrt(g @ C @ g)) for C in (self.covariance, self.model_covariance, self.systematic_covariance)
+        )
         return float(g @ self.theta), random, doubt, systematic
 
 
-def refine(trajectory: Trajectory, glimpses: list[Glimpse], speed: float, on_path: bool) -> Refined:
+def refine(trajectory: Trajectory, glimpses: list[Glimpse], speed: float, on_path: bool) -> RefinedMotion:
     """The motion that all ``glimpses`` agree on.
 
     ``trajectory`` carries the operator's outline along the path, ``speed`` (m/s) is the filter's mean. Constant speed
@@ -99,19 +107,19 @@ def refine(trajectory: Trajectory, glimpses: list[Glimpse], speed: float, on_pat
             covariance += likely * other.whole_covariance
             known += likely * other.covariance_by_rig
             doubt += likely * np.outer(apart, apart)
-    return Refined(
+    return RefinedMotion(
         fit.trajectory_by(moves),
-        fit.pulls,
+        fit.rig_shift_sigma,
         theta,
         less * covariance,
         doubt,
-        fit.systematic,
+        fit.systematic_covariance,
         fit.rig_fit(moves, less * known),
-        fit.residual,
+        fit.residual_rms,
         fit.contrast,
         *fit.agreement(),
         extras,
-        fit.strayed,
+        fit.deviation_sigma,
         fit.dof,
         fit.converged,
     )

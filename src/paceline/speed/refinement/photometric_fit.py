@@ -338,7 +338,7 @@ class Fit:
         return whole
 
     @property
-    def strayed(self) -> float:
+    def deviation_sigma(self) -> float:
         """How far the vehicle's own way departs from the drawn one: rms of the bends' amplitudes, each of which has a
         standard deviation of 1."""
         amplitudes = self.theta[np.intersect1d(self.trajectory.index("way"), self.prior.free)]
@@ -350,7 +350,7 @@ class Fit:
         return float(min(len(self.glimpses), len(self.relief)) - 1)
 
     @property
-    def residual(self) -> float:
+    def residual_rms(self) -> float:
         """Median rms (grey levels) of what a patch leaves unexplained, in the view that shows it worse."""
         base = self.bands[0]
         sides = (base.variance[base.views % 2 == side] for side in (0, 1))
@@ -367,20 +367,20 @@ class Fit:
         """Pixels (F, 2, 2) by which each view's picture lies off the fitted motion, and the share (F, 2) of its
         contrast, squared, that the motion explains, as far as each place is trusted; NaN where it was not used."""
         H, H_d = (h.reshape(-1, 3, 3) for h in self.trajectory.homographies(self.theta))
-        off, explained = np.full((len(H), 2), np.nan), np.full(len(H), np.nan)
+        off, explained_share = np.full((len(H), 2), np.nan), np.full(len(H), np.nan)
         base = self.bands[0]
-        off[base.views], explained[base.views] = base.agreement(H, H_d, self.relief, self.gamma)
-        return off.reshape(-1, 2, 2), explained.reshape(-1, 2)
+        off[base.views], explained_share[base.views] = base.agreement(H, H_d, self.relief, self.gamma)
+        return off.reshape(-1, 2, 2), explained_share.reshape(-1, 2)
 
     @property
-    def pulls(self) -> Array:
+    def rig_shift_sigma(self) -> Array:
         """The rig's moves (Q,) over the standard deviations that they have if the calibration is as uncertain as it
         states: the less the pictures tell of one, the less it moves. Zero for those of which they hardly tell."""
         told = 1.0 - self._rig.firmness * np.diag(np.linalg.inv(self.A))[self._rig_rows]
         return np.where(told > UNTOLD, self.moves / np.sqrt(np.maximum(told, UNTOLD)), 0.0)
 
     @property
-    def systematic(self) -> Array:
+    def systematic_covariance(self) -> Array:
         """Covariance (n, n) that is due to the calibration: how the fit responds where the rig is off by each of its
         standard uncertainties, less what the pictures put right of it. NaN where none is stated."""
         n, p = len(self.theta), self.prior.free

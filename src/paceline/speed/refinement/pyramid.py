@@ -223,9 +223,12 @@ class Band:
         """
         variance = squares.mean(-1) * self.gain**2
         overall = np.median(variance) + 1e-3
-        self.expected = np.maximum(np.median(variance, axis=1)[:, None], 0.05 * overall) * np.maximum(
-            np.median(variance, axis=0), 0.05 * overall
-        ) / overall + 0.02
+        self.expected = (
+            np.maximum(np.median(variance, axis=1)[:, None], 0.05 * overall)
+            * np.maximum(np.median(variance, axis=0), 0.05 * overall)
+            / overall
+            + 0.02
+        )
         say = self._say
         by_place = np.einsum("vk,vkm->km", say, squares, optimize=True) / np.maximum(say.sum(0), 1e-12)[:, None]
         self.trust = 1.0 / (1.0 + by_place / (np.median(by_place) + 1e-3))
