@@ -20,7 +20,7 @@ from paceline.arrays import Floats
 from paceline.documents.loading import Clip
 from paceline.speed.filter import likelihood, patch_features_cpu
 from paceline.speed.filter.likelihood import Grid, Packed
-from paceline.speed.geometry.path_reconstruction import path_of
+from paceline.speed.geometry.path_reconstruction import path_from_document
 from paceline.speed.geometry.quadrilaterals_cpu import inward_edges, unit_square_to
 
 WIDTH, HEIGHT = 1024, 768
@@ -124,7 +124,7 @@ def step_clock(clip: Clip, configuration: SpeedConfiguration) -> Iterator[float]
     """Seconds that each filter step of the clip's vehicle takes, again and again, from its third frame on."""
     vehicle = clip.vehicles[0]
     drawn = clip.paths[vehicle.path or ""]
-    path = path_of(drawn, clip.rig)
+    path = path_from_document(drawn, clip.rig)
     frames = list(open_recording(clip).frames(vehicle.frame))
     while True:
         tracker = Tracker(clip.rig, vehicle, path, drawn.lateral_offset, configuration)

@@ -35,7 +35,7 @@ from paceline.speed.filter.particle_set import Cloud, views
 from paceline.speed.filter.resampling import Weights
 from paceline.speed.filter.tracker import LOST, Tracker
 from paceline.speed.geometry import paths
-from paceline.speed.geometry.path_reconstruction import path_of
+from paceline.speed.geometry.path_reconstruction import path_from_document
 
 Array = NDArray[np.float64]
 
@@ -440,7 +440,7 @@ def trackers(clip: Clip, settings: SpeedConfiguration, device: CudaDevice | None
     for i in range(copies):
         for v in clip.vehicles:
             drawn = clip.paths[v.path] if v.path and settings.motion != "free" else None
-            line = None if drawn is None else path_of(drawn, clip.rig)
+            line = None if drawn is None else path_from_document(drawn, clip.rig)
             named = replace(v, id=f"{v.id}-{i}", speed=11.0)
             offset = 0.0 if drawn is None else drawn.lateral_offset
             found.append(Tracker(clip.rig, named, line, offset, settings, device))

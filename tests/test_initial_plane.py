@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from paceline.documents.loading import VehicleDocument
-from paceline.speed.geometry.initial_plane import TURNED, UPRIGHT, first_plane, normal_from_corners
+from paceline.speed.geometry.initial_plane import TILT_STD_RAD, YAW_STD_RAD, normal_from_corners, plane_from_outlines
 from paceline.speed.geometry.paths import Path
 from paceline.speed.refinement.trajectory import turned
 
@@ -39,7 +39,7 @@ def test_exact_corners_give_the_exact_plane(rig, yaw, tilt, x, y, z):
     found, std = normal_from_corners(rig, *rig.project(corners), click_sigma=1e-5)
     np.testing.assert_allclose(found, normal, atol=1e-4)
     assert (std > 0).all() and (std < 1e-2).all()
-    plane = first_plane(rig, document(*rig.project(corners)), None, 1e-5)
+    plane = plane_from_outlines(rig, document(*rig.project(corners)), None, 1e-5)
     assert plane.normal @ plane.centre > 0
     assert plane.distance == pytest.approx(plane.normal @ plane.centre)
     # the mean of the corners' pixels is the centre's but for perspective
@@ -61,10 +61,10 @@ def test_a_distant_plane_takes_the_prior_and_a_near_one_its_corners(rig):
         mean, std = np.mean(found, axis=0), np.mean(stds, axis=0)
         if trusts_corners:
             np.testing.assert_allclose(mean, angles(normal), atol=0.02)
-            assert (std < [0.1 * TURNED, 0.8 * UPRIGHT]).all()
+            assert (std < [0.1 * YAW_STD_RAD, 0.8 * TILT_STD_RAD]).all()
         else:
             assert abs(mean[0]) < 0.15 * yaw and abs(mean[1]) < 0.02  # facing the cameras, upright
-            np.testing.assert_allclose(std, np.tan([TURNED, UPRIGHT]), rtol=0.15)
+            np.testing.assert_allclose(std, np.tan([YAW_STD_RAD, TILT_STD_RAD]), rtol=0.15)
 
 
 @pytest.mark.parametrize("distance", [10.0, 25.0, 60.0])
@@ -72,7 +72,7 @@ def test_the_normals_uncertainty_is_that_of_planes_drawn_from_the_prior(rig, dis
     rng = np.random.default_rng(6)
     z = []
     for _ in range(400):
-        slopes = rng.normal(0, np.tan([TURNED, UPRIGHT]))
+        slopes = rng.normal(0, np.tan([YAW_STD_RAD, TILT_STD_RAD]))
         yaw, tilt = np.arctan(slopes)
         if abs(yaw) > 0.8:
             continue
@@ -95,7 +95,7 @@ def test_fronts_stand_across_their_path_and_sides_along_it(rig, direction):
     corners, _ = rectangle([0.3, 0.8, 36.0], 0.0, 0.0)
     right = np.cross([0.0, 1.0, 0.0], k)
     for plane, expected in (("front", k), ("side", right / np.linalg.norm(right))):
-        found = first_plane(rig, document(*rig.project(corners), plane, "lane0"), path, 0.5)
+        found = plane_from_outlines(rig, document(*rig.project(corners), plane, "lane0"), path, 0.5)
         expected = expected * np.sign(expected @ found.centre)
         np.testing.assert_allclose(found.normal, expected, atol=1e-9)
         assert found.distance > 0
@@ -109,9 +109,9 @@ def test_fronts_and_rears_lean_back(rig, direction):
     """Their upper rim is most likely farther from the cameras than the lower one, whichever way they drive."""
     path, _ = straight_path(direction, [-1.0, 1.4, 35.0])
     corners, _ = rectangle([0.3, 0.8, 36.0], 0.0, 0.0)
-    found = first_plane(rig, document(*rig.project(corners), "front", "lane0"), path, 0.5)
+    found = plane_from_outlines(rig, document(*rig.project(corners), "front", "lane0"), path, 0.5)
     F = path.frames(path.s[:1])[0]
-    normal = F @ turned(F.T @ found.normal, 0.0, found.lean)
+    normal = F @ turned(F.T @ found.normal, 0.0, found.mean_tilt)
     over, under = np.array([0.0, -0.4, 0.0]), np.array([0.0, 0.4, 0.0])
     # behind the centre by so much along the line of sight, on the plane n·P = d
     back = [-(normal @ rim) / normal[2] for rim in (over, under)]
@@ -121,7 +121,7 @@ def test_fronts_and_rears_lean_back(rig, direction):
 def test_a_free_plane_does_not_ask_its_path(rig):
     path, _ = straight_path([0.0, 0.0, 1.0], [-1.0, 1.4, 35.0])
     corners, normal = rectangle([0.3, 0.8, 12.0], 0.5, 0.05)
-    found = first_plane(rig, document(*rig.project(corners), "free", "lane0"), path, 1e-5)
+    found = plane_from_outlines(rig, document(*rig.project(corners), "free", "lane0"), path, 1e-5)
     np.testing.assert_allclose(found.normal, normal, atol=1e-4)
 
 
@@ -134,7 +134,7 @@ def test_the_depths_uncertainty_is_that_of_repeated_clicks(rig, distance):
     inverse, stated = [], []
     for _ in range(400):
         clicked = (p + rng.normal(0, 0.5, p.shape) for p in (left, right))
-        found = first_plane(rig, document(*clicked, "front", "lane0"), path, 0.5)
+        found = plane_from_outlines(rig, document(*clicked, "front", "lane0"), path, 0.5)
         inverse.append(distance / found.centre[2])
         stated.append(found.inverse_depth_std)
     assert np.std(inverse) == pytest.approx(np.mean(stated), rel=0.12)

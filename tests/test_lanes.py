@@ -23,7 +23,7 @@ from paceline.lanes.road_alignment import Alignment
 from paceline.lanes.road_surface import Surface, plane_surface, viewing
 from paceline.lanes.site_yaml import lane_names, site_yaml, with_lanes
 from paceline.recordings.background import steady
-from paceline.speed.geometry.path_reconstruction import path_of
+from paceline.speed.geometry.path_reconstruction import path_from_document
 
 Array = NDArray[np.float64]
 
@@ -120,7 +120,7 @@ def test_lanes_of_a_painted_road_become_paths_that_can_be_measured_along(clip: P
         value, half = (float(words.split(",")[1].split()[i]) for i in (0, 2))
         assert abs(value - width) < 1.5 * half + 0.005, words  # 3 standard deviations, and what rounding hides
         assert half < 0.25
-        path = path_of(document, rig)
+        path = path_from_document(document, rig)
         near = path.points[(path.points[:, 2] > 12) & (path.points[:, 2] < 35)]
         right = near[:, 0] * np.cos(HEADING) - (near @ AHEAD) * np.sin(HEADING)
         assert np.abs(np.median(right) - np.mean(edges)) < 0.12

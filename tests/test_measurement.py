@@ -23,7 +23,7 @@ import paceline
 from paceline import cli
 from paceline.simulation.random_scenes import random_crossing
 from paceline.simulation.stereo.clip import Scene, Vehicle, render, write
-from paceline.speed.geometry.path_reconstruction import path_of
+from paceline.speed.geometry.path_reconstruction import path_from_document
 
 Array = NDArray[np.float64]
 Images = list[NDArray[Any]]
@@ -483,7 +483,7 @@ def test_a_loop_over_frames(clip: Path) -> None:
     """An estimate with every frame, the filter's own of the whole measurement."""
     document = paceline.load_clip(clip)
     vehicle, lane = document.vehicles[0], document.paths["lane0"]
-    tracker = paceline.Tracker(document.rig, vehicle, path_of(lane, document.rig), lane.lateral_offset)
+    tracker = paceline.Tracker(document.rig, vehicle, path_from_document(lane, document.rig), lane.lateral_offset)
 
     def stream() -> Iterator[float]:
         for frame in paceline.open_recording(document).frames(vehicle.frame):

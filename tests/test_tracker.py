@@ -18,7 +18,7 @@ from paceline.simulation.stereo.clip import Scene, Vehicle, render, write
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.filter.estimate import Estimate
 from paceline.speed.filter.tracker import PATIENCE, Tracker
-from paceline.speed.geometry.path_reconstruction import path_of
+from paceline.speed.geometry.path_reconstruction import path_from_document
 from paceline.speed.geometry.paths import Path
 
 Array = NDArray[np.float64]
@@ -55,7 +55,7 @@ def clip_of(scene: Scene) -> tuple[Clip, list[StereoFrame], Path | None, float]:
     clip = load_clip(write(render(scene), FOLDERS[-1] / f"{len(list(FOLDERS[-1].iterdir()))}"))
     frames = list(open_recording(clip).frames(clip.vehicles[0].frame))
     for drawn in clip.paths.values():
-        return clip, frames, path_of(drawn, clip.rig), drawn.lateral_offset
+        return clip, frames, path_from_document(drawn, clip.rig), drawn.lateral_offset
     return clip, frames, None, 0.0
 
 

@@ -10,8 +10,8 @@ from scipy.integrate import quad
 from scipy.stats import norm
 
 from paceline.cameras import Camera, StereoRig
-from paceline.speed.geometry.initial_plane import FirstPlane
-from paceline.speed.geometry.paths import DRIVEN, from_points, resampled
+from paceline.speed.geometry.initial_plane import InitialPlane
+from paceline.speed.geometry.paths import LANE_KEEPING_STD, from_points, resampled
 from paceline.speed.refinement import model_selection, path_deviation, trajectory
 from paceline.speed.refinement.path_deviation import Bends, bends
 from paceline.speed.refinement.trajectory import EXTRAS, INDEX, NAMES, Prior, Trajectory, prior
@@ -34,7 +34,7 @@ def bend(radius=120.0):
 
 def carried(path, times=(0.0, 0.2, 0.4, 0.8)):
     ray = RIG.left.rays(QUAD.mean(0))
-    plane = FirstPlane(
+    plane = InitialPlane(
         centre=30.0 * ray,
         normal=np.array([0.0, 0.0, 1.0]),
         distance=30.0,
@@ -148,7 +148,7 @@ def test_bends_hold_all_that_was_put_into_them():
         for k, s in enumerate(path_deviation.DRIVER[name]):
             term = s * u**k / powers[k]
             expected[half, half] += np.outer(term, term)
-    assert path_deviation.DRIVER["yaw"][0] == DRIVEN[0]
+    assert path_deviation.DRIVER["yaw"][0] == LANE_KEEPING_STD[0]
     variance = np.diag(expected)
     np.testing.assert_allclose(np.diag(lane_keeping.T @ lane_keeping), variance, atol=0.02 * variance.max())
 

@@ -17,7 +17,7 @@ from paceline.recordings.stereo import StereoFrame
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.filter.estimate import Estimate
 from paceline.speed.filter.tracker import Tracker
-from paceline.speed.geometry.path_reconstruction import path_of
+from paceline.speed.geometry.path_reconstruction import path_from_document
 from paceline.speed.geometry.paths import Path
 from zhu2012.items import clip_folder
 
@@ -73,7 +73,7 @@ def as_printed(**settings: Any) -> SpeedConfiguration:
 @lru_cache(maxsize=8)
 def _way(drawn: PathDocument, rig: StereoRig) -> Path:
     """The path as reconstructed, which takes longer than a run of the filter."""
-    return path_of(drawn, rig)
+    return path_from_document(drawn, rig)
 
 
 def filtered(view: Loaded, configuration: SpeedConfiguration, index: int = 0) -> tuple[list[Estimate], list[float]]:

@@ -24,7 +24,7 @@ from paceline.geometry import triangulate
 from paceline.recordings.stereo import StereoFrame
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.filter.resampling import Weights, resample
-from paceline.speed.geometry.initial_plane import first_plane
+from paceline.speed.geometry.initial_plane import plane_from_outlines
 from paceline.speed.geometry.paths import Path, level_frames
 from paceline.speed.results import Measurement
 
@@ -58,7 +58,7 @@ class Multimodal:
         self.rig, self.vehicle, self.path, self.configuration = rig, vehicle, path, configuration
         self.rng = np.random.default_rng([configuration.seed, *vehicle.id.encode()])
         self.rectified = Rectification(rig)
-        self.plane = first_plane(rig, vehicle, path, configuration.click_sigma)
+        self.plane = plane_from_outlines(rig, vehicle, path, configuration.click_sigma)
         rays = rig.left.rays(vehicle.left)
         on_plane = rays * (self.plane.distance / (rays @ self.plane.normal))[:, None]
         self.corners = on_plane - self.plane.centre  # (4, 3) m

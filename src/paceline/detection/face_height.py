@@ -17,7 +17,7 @@ from paceline.arrays import Array
 from paceline.detection.planar_face import Aligned, Face, course
 from paceline.detection.tracks import slope
 from paceline.documents.loading import VehicleDocument
-from paceline.speed.geometry.initial_plane import first_plane
+from paceline.speed.geometry.initial_plane import plane_from_outlines
 from paceline.speed.refinement.keyframes import Glimpse
 from paceline.speed.refinement.path_deviation import way_of
 from paceline.speed.refinement.photometric_fit import Fit
@@ -81,6 +81,6 @@ def _carried(glimpses: list[Glimpse], seen: list[Aligned]) -> tuple[Trajectory, 
     speed = slope(*course(seen))
     path = way.path if speed > 0 else way.path.reversed()
     document = VehicleDocument("", way.name, glimpses[0].frame, left, right, "front", None)
-    plane = first_plane(way.rig, document, path, OUTLINED)
+    plane = plane_from_outlines(way.rig, document, path, OUTLINED)
     bends = way_of(path, plane, times, abs(speed), on_path=True)
     return Trajectory(way.rig, left, plane, path, times, bends), abs(speed)

@@ -18,7 +18,7 @@ from paceline.arrays import Array, Image
 from paceline.cameras import StereoRig
 from paceline.documents.loading import Clip
 from paceline.errors import UnusableInput
-from paceline.speed.geometry.path_reconstruction import path_of
+from paceline.speed.geometry.path_reconstruction import path_from_document
 from paceline.speed.geometry.paths import Path
 
 NEAREST, FARTHEST = 5.0, 150.0  # m of depth at which vehicles are looked for
@@ -110,7 +110,7 @@ def ways_of(clip: Clip) -> list[Way]:
     found, other_sense = [], []
     for name, document in clip.paths.items():
         try:
-            path = path_of(document, clip.rig)
+            path = path_from_document(document, clip.rig)
         except UnusableInput as unusable:
             raise UnusableInput(f"{clip.path}: {unusable}") from None
         offset = document.lateral_offset

@@ -21,7 +21,7 @@ from paceline.speed import verdict
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.filter.batch import Fleet
 from paceline.speed.filter.device import DeviceName, open_device
-from paceline.speed.geometry.path_reconstruction import path_of
+from paceline.speed.geometry.path_reconstruction import path_from_document
 from paceline.speed.geometry.paths import Path
 from paceline.speed.joint_calibration import together
 from paceline.speed.results import ClipResult, Measurement, PathDrawing
@@ -135,7 +135,7 @@ def _reconstruct(clip: Clip, configuration: SpeedConfiguration) -> dict[str, Pat
     drawn = {}
     for name in dict.fromkeys(v.path for v in clip.vehicles if v.path is not None):
         try:
-            drawn[name] = path_of(clip.paths[name], clip.rig, shape)
+            drawn[name] = path_from_document(clip.paths[name], clip.rig, shape)
         except UnusableInput as unusable:
             raise UnusableInput(f"{clip.path}: {unusable}") from None
     return drawn

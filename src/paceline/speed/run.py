@@ -19,7 +19,7 @@ from paceline.speed.filter.batch import Fleet
 from paceline.speed.filter.estimate import Estimate
 from paceline.speed.filter.tracker import LOST, SEEN, Tracker
 from paceline.speed.geometry import paths
-from paceline.speed.geometry.initial_plane import first_plane, squared
+from paceline.speed.geometry.initial_plane import plane_across, plane_from_outlines
 from paceline.speed.geometry.paths import Path
 from paceline.speed.refinement.keyframes import Glimpse
 from paceline.speed.refinement.model_selection import RefinedMotion, refine
@@ -126,11 +126,11 @@ class VehicleRun:
         path = self.tracker.path
         if path is None:
             places = np.array([e.position for e in self.estimates if e.status == "tracking"])
-            path = paths.straight(self.vehicle.id, places)
+            path = paths.straight_path(self.vehicle.id, places)
         if self.vehicle.plane == "free":
-            plane = squared(self.tracker.plane, path.frames(path.s[:1])[0, :, 0])
+            plane = plane_across(self.tracker.plane, path.frames(path.s[:1])[0, :, 0])
         else:
-            plane = first_plane(self.rig, self.vehicle, path, self.configuration.click_sigma)
+            plane = plane_from_outlines(self.rig, self.vehicle, path, self.configuration.click_sigma)
         times = np.array([g.times for g in self.glimpses]) - np.mean(first.times)
         way = way_of(path, plane, times, speed, self.path is not None)
         return Trajectory(self.rig, self.vehicle.left, plane, path, times, way)

@@ -14,8 +14,8 @@ from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.filter import motion_models
 from paceline.speed.filter.motion_models import FreeMotion, PathMotion, State
 from paceline.speed.filter.resampling import Weights
-from paceline.speed.geometry.initial_plane import FirstPlane
-from paceline.speed.geometry.paths import DRIVEN
+from paceline.speed.geometry.initial_plane import InitialPlane
+from paceline.speed.geometry.paths import LANE_KEEPING_STD
 
 Guess = tuple[float, float]  # a speed and its standard deviation, m/s
 
@@ -28,7 +28,7 @@ REPEATED, NEAR = 4, 0.02  # times that the first registration is repeated, and s
 DOUBTED = 2.0  # times the standard deviation of a speed by two sights: the spread of speeds that has hardly a say
 
 
-def initial_state(plane: FirstPlane, vehicle: VehicleDocument, n: int, rng: np.random.Generator) -> State:
+def initial_state(plane: InitialPlane, vehicle: VehicleDocument, n: int, rng: np.random.Generator) -> State:
     """``n`` particles at the operator's quadrilaterals, at distances as uncertain as the plane's; the first is sure."""
     scale = 1.0 / np.maximum(1.0 + rng.normal(0.0, plane.inverse_depth_std, n), 0.2)
     scale[0] = 1.0
@@ -47,7 +47,7 @@ def initial_state(plane: FirstPlane, vehicle: VehicleDocument, n: int, rng: np.r
 
 def along_path(
     state: State,
-    plane: FirstPlane,
+    plane: InitialPlane,
     model: PathMotion,
     rig: StereoRig,
     guess: Guess | None,
@@ -66,7 +66,7 @@ def along_path(
     if not configuration.exact_path:
         yaw, pitch = model.path.heading_modes(np.array([start]))
         heading = rng.normal(0.0, 1.0, (N, len(yaw))) @ np.concatenate([yaw, pitch], axis=1)
-        heading += rng.normal(0.0, 1.0, (N, 2)) * DRIVEN
+        heading += rng.normal(0.0, 1.0, (N, 2)) * LANE_KEEPING_STD
     forward = model.path.frames(np.array(start))[:, 0]
     s = start + (motion_models.centres(rig, state) - plane.centre) @ forward
     return replace(state, speed=speed, s=s, heading=heading)
@@ -80,7 +80,7 @@ def stated(vehicle: VehicleDocument, configuration: SpeedConfiguration) -> Guess
 def guessed(
     place: Array,
     covariance: Array,
-    plane: FirstPlane,
+    plane: InitialPlane,
     way: PathMotion | FreeMotion,
     dt: float,
     vehicle: VehicleDocument,
@@ -105,7 +105,7 @@ def guessed(
 
 def as_matched(
     state: State,
-    plane: FirstPlane,
+    plane: InitialPlane,
     rig: StereoRig,
     vehicle: VehicleDocument,
     first: Image,

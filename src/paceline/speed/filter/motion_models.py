@@ -15,7 +15,7 @@ from paceline.arrays import Array, Indices
 from paceline.cameras import Camera, StereoRig
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.geometry import quadrilaterals_cpu
-from paceline.speed.geometry.paths import DRIVEN, Path
+from paceline.speed.geometry.paths import LANE_KEEPING_STD, Path
 
 Draws = list[tuple[float, int]]  # for each kind of noise, in the order of drawing: sigma, and numbers a particle
 
@@ -77,9 +77,9 @@ def moved(state: State, rig: StereoRig, dt: Array, dR: Array | None = None) -> S
 def _mapped(quads: Array, camera: Camera, dR: Array | None, dt: Array, plane: Array) -> Array:
     """(11): vertices (N, 4, 2) taken through the homographies K (ΔR + Δt nᵀ/d) K⁻¹ of (5); ``plane`` is n/d."""
     turns = np.eye(3)[None] if dR is None else np.ascontiguousarray(dR)
-    carried = np.empty(quads.shape)
-    quadrilaterals_cpu.carry(quads, turns, np.ascontiguousarray(dt), plane, camera.K, camera.K_inv, carried)
-    return carried
+    transferred = np.empty(quads.shape)
+    quadrilaterals_cpu.transfer(quads, turns, np.ascontiguousarray(dt), plane, camera.K, camera.K_inv, transferred)
+    return transferred
 
 
 def _combined(columns: Array, weights: Array) -> Array:
@@ -198,7 +198,11 @@ class PathMotion:
         self.speed_noise = configuration.speed_noise
         self.distance_noise = configuration.distance_noise
         self.drift = np.array([configuration.lateral_noise, configuration.vertical_noise])
-        self.turning = np.zeros(2) if configuration.exact_path else configuration.heading_noise * DRIVEN / DRIVEN[0]
+        self.turning = (
+            np.zeros(2)
+            if configuration.exact_path
+            else configuration.heading_noise * LANE_KEEPING_STD / LANE_KEEPING_STD[0]
+        )
 
     def propagate(self, state: State, dt: float, rng: np.random.Generator) -> State:
         """All particles ``dt`` seconds later."""

@@ -18,7 +18,7 @@ from paceline.arrays import Array, Image
 from paceline.cameras import StereoRig
 from paceline.speed.filter import registration_cpu
 from paceline.speed.filter.likelihood import Grid
-from paceline.speed.geometry.initial_plane import FirstPlane
+from paceline.speed.geometry.initial_plane import InitialPlane
 from paceline.speed.geometry.quadrilaterals_cpu import unit_square_to
 
 Number = TypeVar("Number", bound=np.generic)
@@ -190,7 +190,7 @@ class Appearance:
         self.grid = PlaneGrid(grid, region)
         self.texture = np.zeros((0, 0))
 
-    def begin(self, images: tuple[Image, Image], left: Array, plane: FirstPlane) -> FirstPlane:
+    def begin(self, images: tuple[Image, Image], left: Array, plane: InitialPlane) -> InitialPlane:
         """Learn the left view's picture of the region (4, 2), and lay the plane where the right view agrees with it.
 
         A depth that the operator's hand can hardly have missed so far — a pole before the vehicle has another one —

@@ -22,7 +22,7 @@ from paceline.speed.filter.motion_models import FreeMotion, PathMotion, State
 from paceline.speed.filter.particle_set import SHOWN, Cloud, Posterior, Views, views
 from paceline.speed.filter.registration import Appearance, Registration
 from paceline.speed.filter.resampling import Weights
-from paceline.speed.geometry.initial_plane import first_plane, squared
+from paceline.speed.geometry.initial_plane import plane_across, plane_from_outlines
 from paceline.speed.geometry.paths import Path
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ class Tracker:
             raise ValueError(f"resampling: {c.resampling}: expected systematic, the only scheme that there is on a GPU")
         self.rng = random_numbers.generator([c.seed, *vehicle.id.encode()], c.particles)
         self.grid = Grid.for_region(c.parts, vehicle.left)
-        self.plane = first_plane(rig, vehicle, path, c.click_sigma)
+        self.plane = plane_from_outlines(rig, vehicle, path, c.click_sigma)
         self.appearance = Appearance(rig, self.grid, vehicle.left, c.reference_memory) if c.guided else None
         self.ways = [] if path is None else [way.shifted(lateral_offset) for way in (path, path.reversed())]
         moving = [PathMotion(rig, way, c) for way in self.ways]
@@ -345,4 +345,4 @@ class Tracker:
         """Set a plane of unknown normal square to the travel so far, once that is long enough to have a direction."""
         travel = position - self.plane.centre
         if self.vehicle.plane == "free" and np.linalg.norm(travel) > DIRECTED:
-            self.cloud.square(squared(self.plane, travel).normal)
+            self.cloud.square(plane_across(self.plane, travel).normal)

@@ -16,9 +16,9 @@ from paceline.documents.loading import PathDocument
 from paceline.errors import UnusableInput
 from paceline.geometry import triangulate
 from paceline.speed.geometry.paths import (
-    DRAWING_SIGMA,
-    MAX_DIRECTION_STD,
-    SAMPLES,
+    DRAWING_SIGMA_PX,
+    MAX_DIRECTION_STD_RAD,
+    PATH_SAMPLES,
     Path,
     from_points,
     jacobian,
@@ -26,8 +26,8 @@ from paceline.speed.geometry.paths import (
     resampled,
 )
 
-CURVATURE_WALKS = (2e-4, 1e-3, 5e-3)  # m^-1.5: an arc of constant radius, a gentle transition, a tight one
-CREST_WALK = 2e-4  # m^-1.5, the same for the vertical curvature
+CURVATURE_WALK_STRENGTHS = (2e-4, 1e-3, 5e-3)  # m^-1.5: an arc of constant radius, a gentle transition, a tight one
+VERTICAL_CURVATURE_WALK = 2e-4  # m^-1.5, the same for the vertical curvature
 
 
 def reconstruct(name: str, shape: str, rig: StereoRig, left: Array, right: Array) -> Path:
@@ -39,7 +39,7 @@ def reconstruct(name: str, shape: str, rig: StereoRig, left: Array, right: Array
     return make(name, rig, left, right)
 
 
-def path_of(document: PathDocument, rig: StereoRig, shape: str | None = None) -> Path:
+def path_from_document(document: PathDocument, rig: StereoRig, shape: str | None = None) -> Path:
     """The path of a clip.yaml, surveyed or drawn, not yet moved to its lane's centre; ``shape`` overrides its own.
 
     Raises UnusableInput where the drawing does not determine it in space.
@@ -56,11 +56,11 @@ def reconstruct_curve(name: str, rig: StereoRig, left: Array, right: Array) -> P
 
     Each point of the left curve meets the right curve where its epipolar line crosses it; that gives a first curve.
     Then a road is fitted to the drawn points of both views at once, by their distances to its projections, robustly:
-    a :class:`_Road`, whose curvature is a random walk of the strength that the drawing itself makes most probable.
-    Stretches nearly parallel to the epipolar lines say nothing about depth: there the road is carried by its
-    neighbours, and its covariance says so.
+    a :class:`_RoadCurve`, whose curvature is a random walk of the strength that the drawing itself makes most probable.
+    Stretches nearly parallel to the epipolar lines do not constrain the depth: there it comes from the neighbouring
+    stretches, and the covariance is larger.
     """
-    start = _meet_along_epipolar_lines(rig, left, right)
+    start = _match_along_epipolar_lines(rig, left, right)
     if len(start) < 6:
         raise UnusableInput(
             f"path {name}: the two drawn curves do not meet along the epipolar lines, or run parallel to them; "
@@ -68,20 +68,20 @@ def reconstruct_curve(name: str, rig: StereoRig, left: Array, right: Array) -> P
         )
     if not (start[:, 2] > 0).all():
         raise UnusableInput(f"path {name}: reconstructs behind the cameras; expected the same line in both views")
-    road, x = _Road.through(start)
+    road, x = _RoadCurve.through(start)
     drawn = len(left) + len(right)
 
-    def misses(x: Array) -> Array:
+    def distances(x: Array) -> Array:
         curve = np.maximum(road.points(x), [-np.inf, -np.inf, 0.5])
         views = zip(rig.cameras, (left, right), (curve, rig.to_right(curve)), strict=True)
-        return np.concatenate([_distances_to_polyline(p, c.project(q)) for c, p, q in views]) / DRAWING_SIGMA
+        return np.concatenate([_distances_to_polyline(p, c.project(q)) for c, p, q in views]) / DRAWING_SIGMA_PX
 
     best = (-np.inf, x, np.eye(len(x)))
-    for strength in CURVATURE_WALKS:
+    for strength in CURVATURE_WALK_STRENGTHS:
         prior = road.prior(strength)
 
         def residuals(x: Array, prior: Array = prior) -> Array:
-            return np.concatenate([misses(x), prior @ x])
+            return np.concatenate([distances(x), prior @ x])
 
         fit = least_squares(residuals, x, loss=_soft_l1_of_drawings(drawn), x_scale=road.scale, max_nfev=80)
         information = fit.jac.T @ fit.jac
@@ -90,8 +90,8 @@ def reconstruct_curve(name: str, rig: StereoRig, left: Array, right: Array) -> P
         if evidence > best[0]:
             best = (evidence, x, information)
     _, x, information = best
-    # a worse hand than expected widens the covariance
-    scatter = max(1.0, float(np.median(np.abs(misses(x)))) / 0.6745)
+    # a drawing less precise than assumed widens the covariance
+    scatter = max(1.0, float(np.median(np.abs(distances(x)))) / 0.6745)
     values, vectors = np.linalg.eigh(np.linalg.inv(information) * scatter**2)
     points = road.points(x)
     slopes = jacobian(lambda y: road.points(y).ravel(), x, 1e-5)
@@ -99,7 +99,7 @@ def reconstruct_curve(name: str, rig: StereoRig, left: Array, right: Array) -> P
     modes = np.array([(slopes @ v).reshape(-1, 3) * std for std, v in zip(stds, vectors.T, strict=True)])
     ahead = points[:, 2] > 1.0
     path = resampled(name, "curve", points[ahead], modes[:, ahead])
-    if np.median(np.sqrt((path.heading_modes(path.s)[0] ** 2).sum(0))) > MAX_DIRECTION_STD:
+    if np.median(np.sqrt((path.heading_modes(path.s)[0] ** 2).sum(0))) > MAX_DIRECTION_STD_RAD:
         raise UnusableInput(
             f"path {name}: the drawn curves run nearly parallel to the epipolar lines, so the two views do not "
             "determine them in space; draw another line, or leave the vehicle without a path"
@@ -107,23 +107,23 @@ def reconstruct_curve(name: str, rig: StereoRig, left: Array, right: Array) -> P
     return path
 
 
-class _Road:
+class _RoadCurve:
     """A curve by its heading: ``x`` = middle point (3), yaw and pitch there, then both curvatures at K knots.
 
     The curvatures are linear between the knots; yaw turns about the camera's y axis, pitch is down.
     """
 
     def __init__(self, length: float) -> None:
-        margin = max(8.0, 0.25 * length)  # the vehicle is often seen before the line begins
+        margin = max(8.0, 0.25 * length)  # the vehicle is often in view before the line begins
         half = 0.5 * length + margin
-        self.s = np.linspace(-half, half, 2 * SAMPLES + 1)
+        self.s = np.linspace(-half, half, 2 * PATH_SAMPLES + 1)
         self.knots = np.linspace(-half, half, int(np.clip(2 * half / 10.0, 4, 10)))
         hats = np.stack([np.interp(self.s, self.knots, e) for e in np.eye(len(self.knots))], axis=1)
         self.turn = _integral(hats, self.s)  # (samples, K): heading change since the middle per unit of curvature
         self.scale = np.concatenate([np.ones(3), np.full(2, 0.02), np.full(2 * len(self.knots), 1e-3)])
 
     @classmethod
-    def through(cls, points: Array) -> tuple[_Road, Array]:
+    def through(cls, points: Array) -> tuple[_RoadCurve, Array]:
         """A road of the length of ``points`` (N, 3), and a robust first ``x`` near them."""
         middle = np.median(points, axis=0)
         u = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
@@ -132,7 +132,7 @@ class _Road:
         road = cls(length)
         along = coarse[-1] - coarse[0]
         x = np.concatenate([middle, [np.arctan2(along[0], along[2]), 0.0], np.zeros(2 * len(road.knots))])
-        prior = road.prior(CURVATURE_WALKS[-1])
+        prior = road.prior(CURVATURE_WALK_STRENGTHS[-1])
 
         def residuals(x: Array) -> Array:
             curve = road.points(x)
@@ -156,7 +156,7 @@ class _Road:
         root = np.zeros((n, n))
         root[:5, :5] = np.diag([1e-3, 1e-3, 1e-3, 0.1, 3.0])
         step = np.sqrt(self.knots[1] - self.knots[0])
-        for first, walk, widest in ((5, strength, 0.05), (5 + K, CREST_WALK, 2e-3)):
+        for first, walk, widest in ((5, strength, 0.05), (5 + K, VERTICAL_CURVATURE_WALK, 2e-3)):
             block = np.diff(np.eye(K), axis=0, prepend=0.0) / (walk * step)
             block[0] = 1.0 / (widest * K)  # the mean curvature
             root[first : first + K, first : first + K] = block
@@ -191,7 +191,7 @@ def _distances_to_polyline(points: Array, line: Array) -> Array:
     return np.asarray(offset[:, 0] * along[:, 1] - offset[:, 1] * along[:, 0])
 
 
-def _meet_along_epipolar_lines(rig: StereoRig, left: Array, right: Array) -> Array:
+def _match_along_epipolar_lines(rig: StereoRig, left: Array, right: Array) -> Array:
     """World points (N, 3), in order along the left curve: where its points' epipolar lines cross the right one."""
     a, b = (_polyline(p, 120) for p in (left, right))
     lines = np.column_stack([a, np.ones(len(a))]) @ rig.fundamental.T
@@ -246,6 +246,6 @@ def _polyline(points: Array, n: int) -> Array:
     if len(u) < 6:
         return np.asarray(CubicSpline(u, points, axis=0)(at))
     order = np.arange(len(u), dtype=float)  # drawn points crowd with distance: smooth over their order
-    noise = len(u) * (1.5 * DRAWING_SIGMA) ** 2
+    noise = len(u) * (1.5 * DRAWING_SIGMA_PX) ** 2
     smooth = [UnivariateSpline(order, c, k=3, s=noise)(order) for c in points.T]
     return np.stack([np.interp(at, u, c) for c in smooth], axis=1)

@@ -1,8 +1,8 @@
 """Paths along a road, reconstructed from their drawings in the two views ([Zhu] section IV).
 
 A :class:`Path` is a space curve C(s) over arc length with the covariance of its reconstruction, held as displacement
-*modes*: the true curve is C(s) + Σⱼ qⱼ·modeⱼ(s) with independent q ~ N(0, 1). A path is a prior, never an exact rail:
-taking the drawn line as exact biases the speed by 2–7 %.
+*modes*: the true curve is C(s) + Σⱼ qⱼ·modeⱼ(s) with independent q ~ N(0, 1). A path is a prior, not a hard
+constraint: taking the drawn line as exact biases the speed by 2–7 %.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from paceline.arrays import Array
 from paceline.cameras import Camera, StereoRig
 from paceline.errors import UnusableInput
 
-DRAWING_SIGMA = 0.5  # px, the noise of a drawn point where too few points are drawn to estimate it
-MAX_DIRECTION_STD = np.radians(6.0)  # a path less certain than this constrains nothing
-LEAST_SEPARATION = 5.0  # standard deviations by which the planes through a drawn line must differ
-SURVEY_SIGMA = 0.02  # m, of a surveyed point
-DRIVEN = np.radians([1.0, 0.3])  # yaw and pitch by which a vehicle's way differs from its lane's, one sigma
-SAMPLES = 128
+DRAWING_SIGMA_PX = 0.5  # px, the noise of a drawn point where too few points are drawn to estimate it
+MAX_DIRECTION_STD_RAD = np.radians(6.0)  # standard deviation of the direction above which a drawing is refused
+MIN_PLANE_SEPARATION_SIGMA = 5.0  # of the angle between the planes through the drawn line in the two views
+SURVEY_SIGMA_M = 0.02  # m, of a surveyed point
+LANE_KEEPING_STD = np.radians([1.0, 0.3])  # yaw and pitch of a vehicle's motion from its lane
+PATH_SAMPLES = 128
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,16 +154,16 @@ def from_points(name: str, shape: str, points: Array) -> Path:
     """A path surveyed in the world frame: ``points`` (K, 3) in metres, taken as known to 2 cm each."""
     u = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     if shape == "line" or len(points) < 4:
-        return _line_path(name, *_fit_space_line(points, SURVEY_SIGMA))
-    curve = CubicSpline(u, points, axis=0)(np.linspace(0, u[-1], SAMPLES))
-    slope = np.linspace(-1, 1, SAMPLES)[:, None] * SURVEY_SIGMA
+        return _line_path(name, *_fit_space_line(points, SURVEY_SIGMA_M))
+    curve = CubicSpline(u, points, axis=0)(np.linspace(0, u[-1], PATH_SAMPLES))
+    slope = np.linspace(-1, 1, PATH_SAMPLES)[:, None] * SURVEY_SIGMA_M
     F = level_frames(np.gradient(curve, axis=0))
     modes = np.stack([slope * F[:, :, 1], slope * F[:, :, 2]])
     return resampled(name, "curve", curve, modes)
 
 
-def straight(name: str, places: Array) -> Path:
-    """The straight way through a vehicle's ``places`` (N, 3), in the sense of travel; it claims no uncertainty."""
+def straight_path(name: str, places: Array) -> Path:
+    """The straight path through a vehicle's ``places`` (N, 3), in the direction of travel, without uncertainty."""
     ends, cov, foot, k = _fit_space_line(places, 0.0)
     path = _line_path(name, ends, cov, foot, k)
     return path if k @ (places[-1] - places[0]) > 0 else path.reversed()
@@ -198,19 +198,17 @@ def reconstruct_line(name: str, rig: StereoRig, left: Array, right: Array) -> Pa
         f"path {name}: the drawn line is nearly parallel to the epipolar lines, so the two views do not determine "
         "it in space; draw another line, or leave the vehicle without a path"
     )
-    if c @ c <= LEAST_SEPARATION * np.sqrt(slope @ covariance @ slope):  # a standard deviation of |c|, times |c|
+    if c @ c <= MIN_PLANE_SEPARATION_SIGMA * np.sqrt(slope @ covariance @ slope):  # the std of |c|, times |c|
         raise parallel
     J = jacobian(space_line, x0, 1e-6)
     line = space_line(x0)
     k, foot = line[:3], line[3:]
     cov = J @ covariance @ J.T
-    if np.sqrt(np.linalg.eigvalsh(cov[:3, :3])[-1]) > MAX_DIRECTION_STD:
+    if np.sqrt(np.linalg.eigvalsh(cov[:3, :3])[-1]) > MAX_DIRECTION_STD_RAD:
         raise parallel
     depths = np.array([_depth_on_line(rig.left, k, foot, p) for p in left])
     if not (depths > 0).any():
-        raise UnusableInput(
-            f"path {name}: reconstructs behind the cameras; expected the same road line in both views"
-        )
+        raise UnusableInput(f"path {name}: reconstructs behind the cameras; expected the same road line in both views")
     ends = np.array([foot + k * s for s in _stretch_in_front(rig.left, k, foot, left)])
     return _line_path(name, ends, cov, foot, k)
 
@@ -239,8 +237,8 @@ def _fit_image_line(points: Array) -> tuple[Array, Array, Array]:
     normal, along = axes[1], singular[0] ** 2
     residual = (points - centre) @ normal
     n = len(points)
-    # the drawing's own scatter, drawn towards the usual noise as if four further residuals had shown it
-    variance = (residual @ residual + 4 * DRAWING_SIGMA**2) / (n - 2 + 4)
+    # the drawing's own scatter, shrunk towards the usual noise as if by four further residuals
+    variance = (residual @ residual + 4 * DRAWING_SIGMA_PX**2) / (n - 2 + 4)
     return (
         np.array([np.arctan2(normal[1], normal[0]), 0.0]),
         np.diag([variance / along, variance / n]),
@@ -277,19 +275,19 @@ def _fit_space_line(points: Array, sigma: float) -> tuple[Array, Array, Array, A
 
 def _line_path(name: str, ends: Array, cov: Array, foot: Array, k: Array) -> Path:
     """The path between two ``ends`` (2, 3) whose direction and foot have the joint covariance ``cov`` (6, 6)."""
-    s = np.linspace(ends[0] @ k, ends[1] @ k, SAMPLES)
+    s = np.linspace(ends[0] @ k, ends[1] @ k, PATH_SAMPLES)
     points = foot + s[:, None] * k
     values, vectors = np.linalg.eigh(cov)
     keep = values > 1e-12 * max(values[-1], 1e-30)
     modes = [np.sqrt(a) * (s[:, None] * v[:3] + v[3:]) for a, v in zip(values[keep], vectors.T[keep], strict=True)]
-    return Path(name, "line", s - s[0], points, np.array(modes).reshape(-1, SAMPLES, 3))
+    return Path(name, "line", s - s[0], points, np.array(modes).reshape(-1, PATH_SAMPLES, 3))
 
 
 def resampled(name: str, shape: str, points: Array, modes: Array) -> Path:
     """The path through ``points`` (N, 3), in order, at equal arc lengths; ``modes`` (J, N, 3) come along."""
     chord = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    s = np.linspace(0, chord[-1], SAMPLES)
-    moved = CubicSpline(chord, modes, axis=1)(s) if len(modes) else np.zeros((0, SAMPLES, 3))
+    s = np.linspace(0, chord[-1], PATH_SAMPLES)
+    moved = CubicSpline(chord, modes, axis=1)(s) if len(modes) else np.zeros((0, PATH_SAMPLES, 3))
     return Path(name, shape, s, np.asarray(CubicSpline(chord, points, axis=0)(s)), np.asarray(moved))
 
 

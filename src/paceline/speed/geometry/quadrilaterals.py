@@ -8,8 +8,8 @@
 from __future__ import annotations
 
 
-def carry(quad, R, shift, plane, K, K_inv, carried):
-    """(11) of [Zhu]: vertices (4, 2) through the homography K (ΔR + Δt nᵀ/d) K⁻¹ of (5), into ``carried`` (4, 2).
+def transfer(quad, R, shift, plane, K, K_inv, transferred):
+    """(11) of [Zhu]: vertices (4, 2) through the homography K (ΔR + Δt nᵀ/d) K⁻¹ of (5), into ``transferred`` (4, 2).
 
     ``R`` ΔR (3, 3), ``shift`` Δt (3,), ``plane`` n/d (3,). The homography is not written out as a matrix: n/d enters
     as one inner product with the ray of a vertex.
@@ -24,8 +24,8 @@ def carry(quad, R, shift, plane, K, K_inv, carried):
         Y = R[1, 0] * a + R[1, 1] * b + R[1, 2] * c + share * shift[1]
         Z = R[2, 0] * a + R[2, 1] * b + R[2, 2] * c + share * shift[2]
         w = K[2, 0] * X + K[2, 1] * Y + K[2, 2] * Z
-        carried[v, 0] = (K[0, 0] * X + K[0, 1] * Y + K[0, 2] * Z) / w
-        carried[v, 1] = (K[1, 0] * X + K[1, 1] * Y + K[1, 2] * Z) / w
+        transferred[v, 0] = (K[0, 0] * X + K[0, 1] * Y + K[0, 2] * Z) / w
+        transferred[v, 1] = (K[1, 0] * X + K[1, 1] * Y + K[1, 2] * Z) / w
 
 
 def cross_diagonals(q, crossing):

@@ -9,22 +9,22 @@ from paceline.arrays import Array
 from paceline.numba_cache import compiled
 from paceline.speed.geometry import quadrilaterals
 
-_carry = njit(inline="always")(quadrilaterals.carry)
+_transfer = njit(inline="always")(quadrilaterals.transfer)
 _cross_diagonals = njit(inline="always")(quadrilaterals.cross_diagonals)
 _unit_square_to = njit(inline="always")(quadrilaterals.unit_square_to)
 _inward_edges = njit(inline="always")(quadrilaterals.inward_edges)
 
 
 @compiled(nogil=True, error_model="numpy")
-def carry(
-    quads: Array, turns: Array, shifts: Array, planes: Array, K: Array, K_inv: Array, carried: Array
+def transfer(
+    quads: Array, turns: Array, shifts: Array, planes: Array, K: Array, K_inv: Array, transferred: Array
 ) -> None:
-    """(11): vertices (N, 4, 2) through the homographies K (ΔR + Δt nᵀ/d) K⁻¹ of (5), into ``carried`` (N, 4, 2).
+    """(11): vertices (N, 4, 2) through the homographies K (ΔR + Δt nᵀ/d) K⁻¹ of (5), into ``transferred`` (N, 4, 2).
 
     ``turns`` ΔR (N, 3, 3), or (1, 3, 3) for all; ``shifts`` Δt (N, 3); ``planes`` n/d (N, 3).
     """
     for p in range(len(quads)):
-        _carry(quads[p], turns[p if len(turns) > 1 else 0], shifts[p], planes[p], K, K_inv, carried[p])
+        _transfer(quads[p], turns[p if len(turns) > 1 else 0], shifts[p], planes[p], K, K_inv, transferred[p])
 
 
 @compiled(nogil=True, error_model="numpy")

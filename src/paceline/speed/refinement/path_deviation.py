@@ -10,12 +10,12 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from paceline.arrays import Array
-from paceline.speed.geometry.initial_plane import FirstPlane
-from paceline.speed.geometry.paths import DRIVEN, Path
+from paceline.speed.geometry.initial_plane import InitialPlane
+from paceline.speed.geometry.paths import LANE_KEEPING_STD, Path
 
 # How a driver departs from the path of the lane, one sigma of each term of a polynomial in the distance: heading in
 # rad, curvature (lane keeping) in 1/m, and so on
-DRIVER = {"yaw": (DRIVEN[0], 3e-4, 1e-5, 1e-7), "pitch": (DRIVEN[1], 1e-4, 1e-6)}
+DRIVER = {"yaw": (LANE_KEEPING_STD[0], 3e-4, 1e-5, 1e-7), "pitch": (LANE_KEEPING_STD[1], 1e-4, 1e-6)}
 # Without a path the direction is what the filter found, no better than this; a turn is another model
 UNGUIDED = {"yaw": (np.radians(15.0), 3e-4), "pitch": (np.radians(5.0), 1e-4)}
 FARTHER, LEAST_WAY = 1.1, 5.0  # times as far as at the speed given, and m: the way whose bends are asked for
@@ -49,7 +49,7 @@ class Bends:
         return np.asarray(np.moveaxis(np.tensordot(amplitudes, at, (-1, 1)), -1, 0))
 
 
-def way_of(path: Path, plane: FirstPlane, times: Array, speed: float, on_path: bool) -> Bends:
+def way_of(path: Path, plane: InitialPlane, times: Array, speed: float, on_path: bool) -> Bends:
     """The bends of the way that a ``plane`` goes along ``path`` at about ``speed``, m/s, in ``times`` (F, 2), s."""
     length = FARTHER * speed * float(np.ptp(times))
     return bends(path, path.nearest(plane.centre), max(length, LEAST_WAY), on_path)

@@ -15,7 +15,7 @@ from scipy.interpolate import CubicSpline, PPoly
 
 from paceline.arrays import Array
 from paceline.cameras import StereoRig
-from paceline.speed.geometry.initial_plane import FirstPlane
+from paceline.speed.geometry.initial_plane import InitialPlane
 from paceline.speed.geometry.paths import Path, level_frames, rolled, rotation_minimising_roll
 from paceline.speed.geometry.quadrilaterals_cpu import unit_square_to
 from paceline.speed.refinement.path_deviation import Bends, smooth
@@ -61,7 +61,7 @@ class Trajectory:
 
     rig: StereoRig
     quad: Array
-    plane: FirstPlane
+    plane: InitialPlane
     path: Path
     times: Array
     bends: Bends
@@ -262,7 +262,7 @@ def prior(trajectory: Trajectory, speed: float, extras: tuple[str, ...] = ()) ->
             std[trajectory.index(name)] = STEADY if name == "acceleration" else 0.0
     mean = np.zeros_like(std)
     mean[:2] = np.log(trajectory.plane.centre[2]), speed
-    mean[INDEX["normal_tilt"]] = trajectory.plane.lean
+    mean[INDEX["normal_tilt"]] = trajectory.plane.mean_tilt
     free = np.flatnonzero(std > 0)
     return Prior(mean, free, np.diag(1.0 / std[free] ** 2))
 

@@ -16,7 +16,7 @@ from paceline.speed.filter.cuda.random_numbers import counted_normals
 from paceline.speed.geometry import quadrilaterals
 
 _device = cuda.jit(device=True)
-_carry = _device(quadrilaterals.carry)
+_transfer = _device(quadrilaterals.transfer)
 _cross_diagonals = _device(quadrilaterals.cross_diagonals)
 _unit_square_to = _device(quadrilaterals.unit_square_to)
 _inward_edges = _device(quadrilaterals.inward_edges)
@@ -91,7 +91,7 @@ def move(rows, q, rig, dR, shift):
     shift_right, turned = cuda.local.array(3, np.float64), cuda.local.array(3, np.float64)
     plane = cuda.local.array(3, np.float64)
     product, dR_right = cuda.local.array((3, 3), np.float64), cuda.local.array((3, 3), np.float64)
-    quad, carried = cuda.local.array((4, 2), np.float64), cuda.local.array((4, 2), np.float64)
+    quad, transferred = cuda.local.array((4, 2), np.float64), cuda.local.array((4, 2), np.float64)
     R, t, d = rig[R_RIG], rig[SHIFTS, 0], rows[at.DISTANCE, q]
     _fetch(rows, at.NORMAL, q, n)
     _apply(R, n, n_right)
@@ -104,13 +104,13 @@ def move(rows, q, rig, dR, shift):
         shift_right[i] = shift_right[i] + t[i] - turned[i]
         plane[i] = n[i] / d
     _fetch_region(rows, at.LEFT, q, quad)
-    _carry(quad, dR, shift, plane, rig[K_LEFT], rig[K_LEFT_INV], carried)
-    _store_region(carried, rows, at.LEFT, q)
+    _transfer(quad, dR, shift, plane, rig[K_LEFT], rig[K_LEFT_INV], transferred)
+    _store_region(transferred, rows, at.LEFT, q)
     for i in range(3):
         plane[i] = n_right[i] / d_right
     _fetch_region(rows, at.RIGHT, q, quad)
-    _carry(quad, dR_right, shift_right, plane, rig[K_RIGHT], rig[K_RIGHT_INV], carried)
-    _store_region(carried, rows, at.RIGHT, q)
+    _transfer(quad, dR_right, shift_right, plane, rig[K_RIGHT], rig[K_RIGHT_INV], transferred)
+    _store_region(transferred, rows, at.RIGHT, q)
     _apply(dR, n, turned)
     for i in range(3):
         rows[at.NORMAL + i, q] = turned[i]
@@ -280,7 +280,7 @@ def prepare(rows, q, rig, out):
     looked at in one pixel, where it resembles nothing.
     """
     quad, edges = cuda.local.array((4, 2), np.float64), cuda.local.array((4, 3), np.float64)
-    H, cross, carried = (
+    H, cross, transferred = (
         cuda.local.array((3, 3), np.float64),
         cuda.local.array((3, 3), np.float64),
         cuda.local.array((3, 3), np.float64),
@@ -294,9 +294,9 @@ def prepare(rows, q, rig, out):
             cross[i, j] = across[i, j] + moved[i] * plane
     _fetch_region(rows, at.LEFT, q, quad)
     _unit_square_to(quad, H)
-    _multiply(cross, H, carried)
+    _multiply(cross, H, transferred)
     for i in range(9):
-        out[i], out[18 + i] = H[i // 3, i % 3], carried[i // 3, i % 3]
+        out[i], out[18 + i] = H[i // 3, i % 3], transferred[i // 3, i % 3]
     _fetch_region(rows, at.RIGHT, q, quad)
     _unit_square_to(quad, H)
     _inward_edges(quad, edges)
