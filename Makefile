@@ -10,7 +10,7 @@ PYTHON = python3
 VENV = .venv
 BIN = $(VENV)/bin
 PIP = $(BIN)/python -m pip --disable-pip-version-check --quiet
-INSTALL = $(PIP) install --require-hashes --only-binary :all:
+INSTALL = $(PIP) install --no-compile --require-hashes --only-binary :all:
 INSTALL_PACKAGE = $(PIP) install --no-deps --no-build-isolation --editable .
 LOCK = uv pip compile pyproject.toml --universal --python-version 3.11 --fork-strategy fewest --generate-hashes \
 	--no-emit-index-url --no-emit-find-links --no-annotate --custom-compile-command "make lock" --quiet --group build

@@ -487,6 +487,7 @@ def test_a_vehicle_without_a_box_in_one_view_is_not_found(tmp_path: Path) -> Non
     assert "only 4 frames" in find_vehicles(clip, open_recording(clip)).reason
 
 
+@pytest.mark.slow
 def test_live_nothing_has_to_be_learned(tmp_path: Path) -> None:
     file, out = clip_file(tmp_path / "clip", rate=2.0), tmp_path / "out"
     model = contrast(tmp_path / "model.onnx", 300.0)

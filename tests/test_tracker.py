@@ -90,20 +90,22 @@ def walled(frames: list[StereoFrame], hidden: Sequence[int]) -> list[StereoFrame
     return [replace(f, left=wall, right=wall[:, ::-1]) if i in hidden else f for i, f in enumerate(frames)]
 
 
+SPEEDS = {
+    "line": (11.2, 23.2),
+    "receding": (11.2, 23.2),
+    "left": (11.2, 21.3, 17.5),
+    "right": (11.2, 18.8, 21.3),
+}
 CASES = [
-    (kind, speed, seed)
-    for kind, speeds in {
-        "line": (11.2, 23.2),
-        "receding": (11.2, 23.2),
-        "left": (11.2, 21.3, 17.5),
-        "right": (11.2, 18.8, 21.3),
-    }.items()
-    for seed, speed in zip((3, 7, 5), speeds, strict=False)
+    (kind, speeds[k], seed)
+    for k, seed in enumerate((3, 7, 5))
+    for kind, speeds in SPEEDS.items()
+    if k < len(speeds)
 ]
 
 
 @pytest.mark.parametrize("guess", slow_after(1, [0.85, 1.15]))
-@pytest.mark.parametrize(("kind", "speed", "seed"), CASES)
+@pytest.mark.parametrize(("kind", "speed", "seed"), slow_after(len(SPEEDS), CASES))
 def test_the_filter_converges_and_stays(kind: str, speed: float, seed: int, guess: float) -> None:
     s = scene(kind, speed, seed)
     estimates = track(s, guess, seed=seed)
