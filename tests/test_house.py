@@ -19,7 +19,7 @@ from paceline.documents.models import ClipModel, PathModel, RigModel, Uncertaint
 
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "paceline"
-DOCUMENTS = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md"))]
+DOCUMENTS = [f for place in (ROOT, ROOT / "docs", ROOT / "benchmarks") for f in sorted(place.glob("*.md"))]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 # What a room may import beside itself, from the ground up. An inner room that is named has its own line.
