@@ -19,21 +19,21 @@ from common import MPH, Rows, head, rms, row
 from numpy.typing import NDArray
 from recordings import CROSSING
 
+import paceline.baselines.registry  # noqa: F401  makes the baselines known
 from paceline import UnusableInput, load_clip, open_recording
-from paceline.baselines.registry import METHODS
-from paceline.baselines.registry import measure as measure_by
 from paceline.documents.loading import Clip
 from paceline.simulation.random_scenes import random_crossing, random_scene
 from paceline.simulation.stereo.clip import Scene
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.measurement import measure
+from paceline.speed.methods import measure as measure_by
 from paceline.speed.results import ClipResult, Measurement
 
 Array = NDArray[np.float64]
 
 SUITES = {"plain": common.plain_scene, "hard": random_scene, "crossing": random_crossing}
 OURS = {"ours, filter alone": False, "ours, refined": True}
-ORDER = [*METHODS, *OURS]
+ORDER = ["sift", "kalman", "kalman-wander", "multimodal", "lucas-kanade", *OURS]
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 from common import MPH, measured, rms
 
+import paceline.baselines.registry  # noqa: F401  makes the baselines known
 from paceline import open_recording
-from paceline.baselines.registry import measure as measure_by
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.filter.estimate import Estimate
+from paceline.speed.methods import measure as measure_by
 from paceline.speed.results import Measurement, Track
 from zhu2012.clips import Loaded, filtered, loaded
 

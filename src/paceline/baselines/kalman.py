@@ -20,6 +20,8 @@ from paceline.documents.loading import VehicleDocument
 from paceline.geometry import triangulate
 from paceline.recordings.stereo import StereoFrame
 from paceline.speed.configuration import SpeedConfiguration
+from paceline.speed.measurement import by_vehicle
+from paceline.speed.methods import register
 from paceline.speed.results import Measurement
 
 FRAME = 0.2  # s, the step that the configuration's noises belong to
@@ -123,3 +125,7 @@ class Kalman:
         belief = self._beliefs[sight.frame]
         speed, std = belief.speed
         return replace(sight, position=belief.mean[:3], speed=speed, speed_std=std)
+
+
+register("kalman", by_vehicle(lambda clip, vehicle, path, c: Kalman(clip.rig, vehicle, c, wander=False)))
+register("kalman-wander", by_vehicle(lambda clip, vehicle, path, c: Kalman(clip.rig, vehicle, c, wander=True)))

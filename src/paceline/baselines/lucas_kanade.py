@@ -23,6 +23,8 @@ from paceline.documents.loading import VehicleDocument
 from paceline.geometry import epipolar_distance, triangulate
 from paceline.recordings.stereo import StereoFrame
 from paceline.speed.geometry.paths import level_frames
+from paceline.speed.measurement import by_vehicle
+from paceline.speed.methods import register
 from paceline.speed.results import Measurement
 
 LEAST_POINTS = 4
@@ -269,3 +271,6 @@ def _similarity(before: Array, after: Array) -> Array | None:
     cv2.setRNGSeed(0)
     move = cv2.estimateAffinePartial2D(before, after, method=cv2.RANSAC, ransacReprojThreshold=APART)[0]
     return None if move is None else np.asarray(move, float)
+
+
+register("lucas-kanade", by_vehicle(lambda clip, vehicle, path, configuration: LucasKanade(clip.rig, vehicle)))

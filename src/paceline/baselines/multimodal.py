@@ -26,6 +26,8 @@ from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.filter.resampling import Weights, resample
 from paceline.speed.geometry.initial_plane import plane_from_outlines
 from paceline.speed.geometry.paths import Path, level_frames
+from paceline.speed.measurement import by_vehicle
+from paceline.speed.methods import register
 from paceline.speed.results import Measurement
 
 FRAME = 0.2  # s, the step that the configuration's noises belong to
@@ -251,3 +253,6 @@ class Multimodal:
         if few := too_few(self.sights):
             return rejected(name, self.sights, few)
         return filtered(name, self.sights, "particle filter")
+
+
+register("multimodal", by_vehicle(lambda clip, vehicle, path, c: Multimodal(clip.rig, vehicle, path, c), on_paths=True))

@@ -16,6 +16,8 @@ from paceline.documents.loading import VehicleDocument
 from paceline.geometry import epipolar_distance, triangulate
 from paceline.recordings.stereo import StereoFrame
 from paceline.sift_features import Descriptors, features, matched
+from paceline.speed.measurement import by_vehicle
+from paceline.speed.methods import register
 from paceline.speed.results import Measurement
 
 RATIO = 0.8  # of the distances to the best and the second best descriptor (Lowe 2004)
@@ -141,3 +143,6 @@ def inside(detector: cv2.SIFT, image: Image, quad: Array) -> tuple[Array, Descri
     cv2.fillConvexPoly(mask, np.rint(quad - [x0, y0]).astype(np.int32), 255)
     places, descriptors = features(detector, picture, mask)
     return places + [x0, y0], descriptors
+
+
+register("sift", by_vehicle(lambda clip, vehicle, path, configuration: Sift(clip.rig, vehicle)))

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,36 +11,12 @@ import typer
 from paceline.commands import DONE, NOTHING_MEASURED, file_named, print_columns
 from paceline.commands.progress_output import progress_bar, speed_teller
 from paceline.errors import UnusableInput
+from paceline.speed.choices import DeviceName, Motion
 
 if TYPE_CHECKING:  # what computes is imported when a command runs, so that --help answers at once
-    from paceline.documents.loading import Clip
-    from paceline.speed.configuration import SpeedConfiguration
+    from paceline.speed.configuration import SpeedSettings
     from paceline.speed.results import ClipResult
     from paceline.units import SpeedUnit
-
-
-class Motion(StrEnum):
-    auto = "auto"
-    free = "free"
-    line = "line"
-    curve = "curve"
-
-
-class Method(StrEnum):
-    """Ours, or one that it is compared with."""
-
-    paceline = "paceline"
-    sift = "sift"
-    kalman = "kalman"
-    kalman_wander = "kalman-wander"
-    multimodal = "multimodal"
-    lucas_kanade = "lucas-kanade"
-
-
-class Device(StrEnum):
-    auto = "auto"
-    cpu = "cpu"
-    cuda = "cuda"
 
 
 def speed(
@@ -56,9 +30,12 @@ def speed(
         Motion | None, typer.Option(help="How vehicles may move; auto follows the path given in the clip.")
     ] = None,
     method: Annotated[
-        Method, typer.Option(help="How to measure: Paceline's way, or one that it is compared with.")
-    ] = Method.paceline,
-    device: Annotated[Device, typer.Option(help="Where to compute; auto takes a GPU where it can.")] = Device.cpu,
+        str | None,
+        typer.Option(metavar="NAME", help="How to measure: paceline, or a method that it is compared with."),
+    ] = None,
+    device: Annotated[
+        DeviceName | None, typer.Option(help="Where to compute; auto takes a GPU where it can.", show_default="cpu")
+    ] = None,
     units: Annotated[
         str, typer.Option(metavar="<mph|km/h|m/s>", help="Unit shown to people; files are always in m/s.")
     ] = "mph",
@@ -68,8 +45,17 @@ def speed(
     ] = None,
     parts: Annotated[int | None, typer.Option(help="Number of parts of the likelihood.")] = None,
     refine: Annotated[
-        bool, typer.Option("--refine/--no-refine", help="Fit the whole track at the end; --no-refine only filters.")
-    ] = True,
+        bool | None,
+        typer.Option(
+            "--refine/--no-refine",
+            help="Fit the whole track at the end; --no-refine only filters.",
+            show_default="refine",
+        ),
+    ] = None,
+    config: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.yaml", help="Settings, as under configuration in summary.json; options win."),
+    ] = None,
     live: Annotated[
         bool, typer.Option("--live", help="Measure vehicle after vehicle as the cameras record, until Ctrl-C.")
     ] = False,
@@ -83,70 +69,77 @@ def speed(
     quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
 ) -> int:
     """Measure the speed of every vehicle in a stereo clip: those that it outlines, or else those found in it."""
-    if device is Device.cuda and method is not Method.paceline:
-        raise UnusableInput(f"--device cuda: --method {method.value} computes on the CPU only; use --device cpu")
     unit = _unit(units)
     given = {
         "particles": particles,
         "seed": seed,
-        "motion": motion and motion.value,
+        "motion": motion,
+        "method": method,
+        "device": device,
         "parts": parts,
+        "refine": refine,
         "tolerance": None if tolerance is None else _tolerance(tolerance, unit),
+        "learn": learn,
     }
-    configuration = _configuration({key: value for key, value in given.items() if value is not None}, refine)
-
-    from paceline.documents.loading import load_clip
-    from paceline.recordings.stereo import open_recording
-    from paceline.reports import OutputFolder, write_files
-
-    document = load_clip(file_named(clip, "clip.yaml"))
+    settings = _settings(config, {key: value for key, value in given.items() if value is not None})
+    detector = _detector(config, settings) if detector is None else detector
     if live:
-        from paceline.commands.speed_live import measure_live
-
-        if method is not Method.paceline or device is not Device.cpu:
-            raise UnusableInput("--live: measures by Paceline's own method on the CPU; leave --method and --device out")
-        return measure_live(document, out, configuration, unit, learn, quiet, detector)
+        return _measure_live(clip, out, settings, unit, quiet, detector, learn is not None)
     if learn is not None:
         raise UnusableInput("--learn: goes with --live only")
-    if detector is not None and document.vehicles:
-        raise UnusableInput(f"{document.path}: vehicles: --detector is to find them; expected none")
-    with OutputFolder(out) as folder:  # before the work, so that an unwritable folder is told at once
-        recording, shown = open_recording(document), sys.stderr.isatty() and not quiet
-
-        def measured(document: Clip) -> ClipResult:
-            with progress_bar("measuring", shown) as advance:
-                if method is Method.paceline:
-                    from paceline.speed.measurement import measure
-
-                    return measure(
-                        document, recording, configuration, advance, device.value, speed_teller(document.rig)
-                    )
-                from paceline.baselines.registry import measure as measure_by
-
-                return measure_by(document, recording, method.value, configuration, advance)
-
-        if document.vehicles:
-            result = measured(document)
-        else:
-            from paceline.detection.onnx_detector import Detector
-            from paceline.detection.search import find_vehicles
-            from paceline.survey.recording import measure_found
-
-            detect = None if detector is None else Detector(detector)
-            with progress_bar("looking", shown) as advance:
-                search = find_vehicles(document, recording, advance, detect)
-            result = measure_found(search, recording, configuration, measured)
-            if detect is not None:
-                result = replace(
-                    result,
-                    configuration={**result.configuration, "detector": detect.name},
-                    versions={**result.versions, "onnxruntime": detect.runtime},
-                )
-        result = write_files(result, recording, folder, unit)
+    result = _measure(clip, out, settings, unit, quiet, detector)
     if not quiet:
         _print_result(result, unit)
         print(f"\nReport: {out / 'report.html'}")
     return DONE if any(m.verdict == "measured" for m in result.measurements) else NOTHING_MEASURED
+
+
+def _measure(
+    clip: Path, out: Path, settings: SpeedSettings, unit: SpeedUnit, quiet: bool, detector: Path | None
+) -> ClipResult:
+    """Measures a recording and writes what was found."""
+    import paceline.baselines.registry  # noqa: F401  makes the baselines known
+    from paceline.detection.onnx_detector import Detector
+    from paceline.documents.loading import load_clip
+    from paceline.recordings.stereo import open_recording
+    from paceline.reports import OutputFolder, write_files
+    from paceline.speed.methods import method_named
+    from paceline.survey.recording import measure_recording
+
+    method_named(settings.method, settings.device)
+    document = load_clip(file_named(clip, "clip.yaml"))
+    if detector is not None and document.vehicles:
+        raise UnusableInput(f"{document.path}: vehicles: --detector is to find them; expected none")
+    with OutputFolder(out) as folder:  # before the work, so that an unwritable folder is told at once
+        recording, shown = open_recording(document), sys.stderr.isatty() and not quiet
+        result = measure_recording(
+            document,
+            recording,
+            settings.configuration,
+            settings.method,
+            settings.device,
+            None if detector is None else Detector(detector),
+            stage=lambda doing: progress_bar(doing, shown),
+            on_estimate=speed_teller(document.rig),
+        )
+        return write_files(result, recording, folder, unit)
+
+
+def _measure_live(
+    clip: Path, out: Path, settings: SpeedSettings, unit: SpeedUnit, quiet: bool, detector: Path | None, asked: bool
+) -> int:
+    """Measures what two cameras record; the exit status. ``asked``: whether the time to learn is by an option."""
+    from paceline.commands.speed_live import measure_live
+    from paceline.documents.loading import load_clip
+
+    document = load_clip(file_named(clip, "clip.yaml"))
+    if settings.method != "paceline" or settings.device != "cpu":
+        raise UnusableInput("--live: measures by Paceline's own method on the CPU; leave --method and --device out")
+    at_once = detector is not None and bool(document.paths)
+    if at_once and asked:
+        raise UnusableInput("--learn: nothing is learned with --detector along given paths; leave it out")
+    learning = 0.0 if at_once else settings.learn
+    return measure_live(document, out, settings.configuration, unit, learning, quiet, detector)
 
 
 def _unit(text: str) -> SpeedUnit:
@@ -165,17 +158,28 @@ def _tolerance(value: float, unit: SpeedUnit) -> float:
     return value * unit.mps
 
 
-def _configuration(given: dict[str, object], refine: bool) -> SpeedConfiguration:
+def _settings(config: Path | None, given: dict[str, object]) -> SpeedSettings:
+    """What the file ``config`` says, unless options are ``given``."""
     from pydantic import ValidationError
 
-    from paceline.speed.configuration import SpeedConfiguration
+    from paceline.speed.configuration import SpeedSettings, load_settings
 
+    file = {} if config is None else load_settings(config).model_dump(exclude_unset=True)
     try:
-        return SpeedConfiguration.model_validate({**given, "refine": refine})
+        return SpeedSettings.model_validate({**file, **given})
     except ValidationError as error:
         first = error.errors()[0]
         expected = first["msg"].replace("Input should be", "expected")
         raise UnusableInput(f"--{first['loc'][0]} {first['input']}: {expected}") from error
+
+
+def _detector(config: Path | None, settings: SpeedSettings) -> Path | None:
+    """The detector that a configuration file names: beside it, or where the command runs."""
+    file = settings.detector_file
+    if config is None or file is None:
+        return None
+    beside = config.parent / file
+    return file if file.exists() and not beside.exists() else beside
 
 
 def _print_result(result: ClipResult, unit: str) -> None:

@@ -47,12 +47,10 @@ def measure_live(
     if clip.vehicles:
         raise UnusableInput(f"{clip.path}: vehicles: --live finds them itself; expected none")
     at_once = detector is not None and bool(clip.paths)
-    if at_once and learning is not None:
-        raise UnusableInput("--learn: nothing is learned with --detector along given paths; leave it out")
     cv2.setNumThreads(1)  # the cards are small: a second thread costs more than it does, and is wanted for measuring
     detect = None if detector is None else Detector(detector)
     views = LiveViews(clip)
-    learning = 0.0 if at_once else LEARNING if learning is None else learning
+    learning = LEARNING if learning is None else learning
     settings, used = {**configuration.model_dump(), "learn": learning}, versions()
     if detect is not None:
         settings["detector"], used["onnxruntime"] = detect.name, detect.runtime

@@ -98,18 +98,26 @@ Sigma = Annotated[float, Field(ge=0)]
 Covariance = Annotated[Array, BeforeValidator(_covariance)]
 
 
-class Document(BaseModel):
-    model_config = ConfigDict(strict=True, arbitrary_types_allowed=True, allow_inf_nan=False, extra="forbid")
+class KnownKeys(BaseModel):
+    """A model that refuses an unknown key with the nearest one that it knows."""
+
+    model_config = ConfigDict(allow_inf_nan=False, extra="forbid")
 
     @model_validator(mode="before")
     @classmethod
     def _know_all_keys(cls, value: Any) -> Any:
+        if isinstance(value, cls):
+            return value
         if not isinstance(value, dict):
             raise ValueError(f"expected the keys {', '.join(cls.model_fields)}, found {_shown(value)}")
         for key in value:
             if key not in cls.model_fields:
                 raise ValueError(f"unknown key {key!r}; {nearest_of(str(key), list(cls.model_fields))}")
         return value
+
+
+class Document(KnownKeys):
+    model_config = ConfigDict(strict=True, arbitrary_types_allowed=True)
 
 
 class CameraModel(Document):
@@ -240,7 +248,7 @@ _Loader.add_implicit_resolver(
 )
 
 
-M = TypeVar("M", bound=Document)
+M = TypeVar("M", bound=KnownKeys)
 
 
 def read_document(model: type[M], path: Path) -> M:
@@ -257,7 +265,7 @@ def read_document(model: type[M], path: Path) -> M:
     except (yaml.MarkedYAMLError, yaml.reader.ReaderError, ValueError, RecursionError) as error:
         raise UnusableInput(f"{path}: {_yaml_problem(error)}") from error
     try:
-        return model.model_validate(content)
+        return model.model_validate(content, strict=True)
     except ValidationError as error:
         raise UnusableInput(f"{path}: {_first_problem(error)}") from error
 
@@ -281,6 +289,7 @@ def _first_problem(error: ValidationError) -> str:
     expected = {
         "float_type": "expected a number",
         "int_type": "expected a whole number",
+        "bool_type": "expected true or false",
         "string_type": "expected text",
         "list_type": "expected a list",
         "dict_type": "expected names, each with its keys",
@@ -291,6 +300,7 @@ def _first_problem(error: ValidationError) -> str:
         "too_long": f"expected {context.get('max_length')} values",
         "greater_than": f"expected a number above {context.get('gt', 0):g}",
         "greater_than_equal": f"expected at least {context.get('ge', 0):g}",
+        "less_than": f"expected a number below {context.get('lt', 0):g}",
         "less_than_equal": f"expected at most {context.get('le', 0):g}",
     }
     if first["type"] == "value_error":

@@ -1,44 +1,192 @@
-"""Every knob of the method in one validated place; the defaults are the constants of [Zhu] section V."""
+"""Every setting of the measurement in one validated place: its range, its default and its effect.
+
+The defaults are the constants of [Zhu] section V where the paper gives them. ``docs/configuration.md`` is made from
+the descriptions here.
+"""
 
 from __future__ import annotations
 
-from typing import Literal
+import re
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BeforeValidator, ConfigDict, Field
 
-Motion = Literal["auto", "free", "line", "curve"]
+from paceline.documents.models import KnownKeys, Text, read_document
+from paceline.speed.choices import DeviceName, Motion, Resampling
+from paceline.units import SpeedUnit
+
+DIGEST = re.compile(r" \(SHA-256 [0-9a-f]{12}…\)$")  # of a detector, as a summary names it
 
 
-class SpeedConfiguration(BaseModel):
+def _pair(value: Any) -> Any:
+    return tuple(value) if isinstance(value, list) else value
+
+
+Range = Annotated[tuple[float, float], BeforeValidator(_pair)]
+
+
+class Section(KnownKeys):
+    model_config = ConfigDict(frozen=True)
+
+
+class StartSettings(Section):
+    """The first two frames, in which the speed is not known yet."""
+
+    speed_range: Range = Field((0.5, 75.0), description="speeds searched without a first guess, m/s")
+    particle_factor: int = Field(8, ge=1, le=100, description="how many times as many particles that search takes")
+
+
+class TrackingSettings(Section):
+    """The filter from the third frame on."""
+
+    max_occluded_frames: int = Field(
+        4, ge=0, le=10_000, description="frames in a row that may hide the vehicle before it is given up as lost"
+    )
+
+
+class RefinementSettings(Section):
+    """The fit of the whole track at the end."""
+
+    max_keyframes: int = Field(
+        32, ge=8, le=1000, description="frames that are fitted, evenly spread over the track; more: slower, more exact"
+    )
+
+
+class Limits(Section):
+    """Beyond these a vehicle is rejected."""
+
+    min_frames: int = Field(4, ge=4, le=1000, description="frames in which a vehicle has to be tracked")
+    max_speed: float = Field(90.0, gt=0, le=1000, description="speed that is plausible, m/s")
+    max_half_width: float = Field(0.06, gt=0, description="half-width of the 95 % interval, as a share of the speed …")
+    max_half_width_mps: float = Field(
+        SpeedUnit.KMH.mps, ge=0, description="… or in m/s, where that is more: the interval of a slow vehicle"
+    )
+    max_random_share: float = Field(
+        2 / 3, gt=0, le=1, description="share of the permitted half-width that the random part may take"
+    )
+    image_offset_px: float = Field(
+        0.6, gt=0, description="rms offset of the images from the fitted motion, and of one frame that counts, pixels"
+    )
+    unexplained_contrast: float = Field(
+        0.6, gt=0, le=1, description="share of the texture's contrast that the fitted motion may leave unexplained"
+    )
+    consistent_share: float = Field(
+        0.5, ge=0, le=1, description="share of the frames that have to show the vehicle where the fitted motion puts it"
+    )
+    epipolar_offset_px: float = Field(
+        1.0, gt=0, description="distance between the two views across the epipolar lines, pixels"
+    )
+    rig_shift_sigma: float = Field(
+        5.0, gt=0, description="standard deviations by which image evidence may shift the calibration in rig.yaml"
+    )
+    outline_sigma: float = Field(
+        5.0, gt=0, description="standard deviations of the right outline's place by which the motion may miss it"
+    )
+
+
+class JointCalibrationSettings(Section):
+    """Vehicles that pass one rig and calibrate it together."""
+
+    neighbours: int = Field(8, ge=0, le=1000, description="other vehicles that one is calibrated with; 0: none")
+    window_s: float = Field(600.0, gt=0, description="seconds before and after a vehicle within which they pass")
+
+
+class LiveSettings(Section):
+    """Measuring while the cameras record."""
+
+    buffer_pairs: int = Field(
+        150, ge=2, le=100_000, description="pairs of frames kept in memory for the vehicles in view"
+    )
+    queue: int = Field(8, ge=1, le=10_000, description="vehicles that may wait to be measured")
+    pairs_per_vehicle: int = Field(24, ge=4, le=10_000, description="pairs of frames that a vehicle is measured on")
+    kept_pictures: int = Field(200, ge=1, le=1_000_000, description="pictures of vehicles kept, the latest ones")
+
+
+class SpeedConfiguration(Section):
     """How to measure. The resolved configuration is written beside the results.
 
     Noises marked "per frame" are those of [Zhu] at its 5 frames/s; for another time step they grow with its square
     root.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    particles: int = Field(
+        400, ge=20, le=1_000_000, description="particles of the filter; more: smoother estimates per frame, slower"
+    )
+    seed: int = Field(0, ge=0, description="of the random numbers; the same seed gives the same result")
+    motion: Motion = Field("auto", description="`auto` follows the path's shape, `free` ignores paths")
+    parts: Literal[4, 6, 8, 10, 12, 16] = Field(10, description="parts N_p of the likelihood")
+    refine: bool = Field(True, description="fit the whole track at the end; off: the filter's mean speed, biased")
+    resampling: Resampling = Field(
+        "systematic", description="scheme by which particles are resampled; on a GPU only `systematic`"
+    )
+    tolerance: float | None = Field(
+        None, gt=0, description="reject every speed whose 95 % interval is wider than ± this, m/s"
+    )
+    exact_path: bool = Field(
+        False, description="take the drawn path as a hard constraint, as [Zhu] does: biased, for comparison"
+    )
+    guided: bool = Field(
+        True, description="move the particles by sub-pixel registration before weighting them; off: as [Zhu]"
+    )
+    lambda_single: float = Field(15.0, gt=0, description="λ_D of (13): weight of each view's likelihood")
+    lambda_cross: float = Field(20.0, gt=0, description="λ_c of (18): weight of the likelihood across the views")
+    reference_memory: float = Field(0.3, ge=0, lt=1, description="ε of (14): share of the old reference that is kept")
+    speed_noise: float = Field(0.15, gt=0, description="σ_v, m/s per frame (0.05 for synthetic clips in [Zhu])")
+    distance_noise: float = Field(0.02, ge=0, description="σ_d, m per frame")
+    lateral_noise: float = Field(0.10, ge=0, description="σ_P, m per frame, on curved paths")
+    vertical_noise: float = Field(0.03, ge=0, description="σ_B, m per frame, on curved paths")
+    heading_noise: float = Field(
+        0.01, ge=0, description="rad per frame by which a vehicle turns from its path; none in [Zhu]"
+    )
+    rotation_noise: float = Field(
+        0.01, ge=0, description="σ of each Euler angle's rate, rad/s per frame, in free motion"
+    )
+    translation_noise: float = Field(
+        0.15, ge=0, description="σ of each velocity component, m/s per frame, in free motion"
+    )
+    speed_guess_spread: float = Field(
+        0.15, gt=0, description="relative standard deviation of a speed that is given as a first guess"
+    )
+    click_sigma: float = Field(0.5, gt=0, description="standard deviation of a drawn corner, pixels")
+    resample_below: float = Field(
+        1.0, gt=0, le=1, description="resample when the effective sample size falls below this share of the particles"
+    )
+    start: StartSettings = StartSettings()
+    tracking: TrackingSettings = TrackingSettings()
+    refinement: RefinementSettings = RefinementSettings()
+    limits: Limits = Limits()
+    joint_calibration: JointCalibrationSettings = JointCalibrationSettings()
+    live: LiveSettings = LiveSettings()
 
-    particles: int = Field(400, ge=20, le=1_000_000)
-    seed: int = Field(0, ge=0)
-    motion: Motion = "auto"  # auto: the path's shape, free without a path
-    parts: Literal[4, 6, 8, 10, 12, 16] = 10  # N_p
-    refine: bool = True
-    resampling: Literal["systematic", "stratified", "residual", "multinomial"] = "systematic"
-    tolerance: float | None = Field(None, gt=0, allow_inf_nan=False)  # m/s, half of the widest interval to accept
-    exact_path: bool = False  # take the drawn path as an exact rail, as [Zhu] does: biased, for comparison
 
-    guided: bool = True  # move the particles by sub-pixel registration before weighing them; False: as [Zhu]
+DEFAULTS = SpeedConfiguration()
 
-    lambda_single: float = Field(15.0, gt=0)  # λ_D of (13)
-    lambda_cross: float = Field(20.0, gt=0)  # λ_c of (18)
-    reference_memory: float = Field(0.3, ge=0, lt=1)  # ε of (14)
-    speed_noise: float = Field(0.15, gt=0)  # σ_v, m/s per frame (0.05 for synthetic clips in [Zhu])
-    distance_noise: float = Field(0.02, ge=0)  # σ_d, m per frame
-    lateral_noise: float = Field(0.10, ge=0)  # σ_P, m per frame, curved paths
-    vertical_noise: float = Field(0.03, ge=0)  # σ_B, m per frame, curved paths
-    heading_noise: float = Field(0.01, ge=0)  # rad per frame, by which a vehicle turns from its path; none in [Zhu]
-    rotation_noise: float = Field(0.01, ge=0)  # σ of each Euler angle's rate, rad/s per frame, free motion
-    translation_noise: float = Field(0.15, ge=0)  # σ of each velocity component, m/s per frame, free motion
-    speed_guess_spread: float = Field(0.15, gt=0)  # relative spread of the first particles about a given speed
-    click_sigma: float = Field(0.5, gt=0)  # px, an operator's hand
-    resample_below: float = Field(1.0, gt=0, le=1)  # resample when the effective sample size falls below this share
+
+class SpeedSettings(SpeedConfiguration):
+    """What a configuration file may hold: the configuration, and by which method, where and on what to measure. A
+    summary's own ``configuration`` is such a file."""
+
+    method: Text = Field("paceline", description="how to measure: Paceline's method, or one that it is compared with")
+    device: DeviceName = Field("cpu", description="where to compute; `auto`: a GPU where one can be used")
+    detector: Text | None = Field(
+        None, description="an ONNX detector in whose boxes vehicles are looked for, relative to the configuration file"
+    )
+    learn: float | None = Field(
+        None, ge=0, le=3600, description="seconds in which `--live` estimates the background; 30 where absent"
+    )
+
+    @property
+    def configuration(self) -> SpeedConfiguration:
+        fields = {name: getattr(self, name) for name in SpeedConfiguration.model_fields}
+        return SpeedConfiguration.model_construct(**fields)
+
+    @property
+    def detector_file(self) -> Path | None:
+        """The detector's file; a summary adds to its name how its digest begins."""
+        return None if self.detector is None else Path(DIGEST.sub("", self.detector))
+
+
+def load_settings(path: str | Path) -> SpeedSettings:
+    """The settings in a YAML file; raises UnusableInput, naming the key, where they cannot be used."""
+    return read_document(SpeedSettings, Path(path))

@@ -18,12 +18,14 @@ from paceline.errors import UnusableInput
 from paceline.progress import Progress
 from paceline.recordings.stereo import StereoFrame, StereoFrames, open_recording
 from paceline.speed import verdict
+from paceline.speed.choices import DeviceName
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.filter.batch import Fleet
-from paceline.speed.filter.device import DeviceName, open_device
+from paceline.speed.filter.device import open_device
 from paceline.speed.geometry.path_reconstruction import path_from_document
 from paceline.speed.geometry.paths import Path
 from paceline.speed.joint_calibration import together
+from paceline.speed.methods import DEFAULT_METHOD, Method, OnEstimate, register
 from paceline.speed.results import ClipResult, Measurement, PathDrawing
 from paceline.speed.run import Seen, VehicleRun
 from paceline.version import versions
@@ -59,6 +61,9 @@ def measure(
     result = measure_each(clip, recording, configuration, partial(VehicleRun, fleet=fleet, seen=seen), progress)
     measurements = [verdict.apply_tolerance(m, configuration.tolerance) for m in together(result.measurements)]
     return replace(result, measurements=measurements, notices=[*result.notices, *fleet.notices])
+
+
+register(DEFAULT_METHOD, Method(measure, uses_gpu=True))
 
 
 class Run(Protocol):
@@ -116,6 +121,31 @@ def measure_each(
         notices=list(recording.notices),
         seconds=time.perf_counter() - begun,
     )
+
+
+def by_vehicle(
+    begin: Callable[[Clip, VehicleDocument, Path | None, SpeedConfiguration], Run], *, on_paths: bool = False
+) -> Method:
+    """The method that measures each vehicle by a run of its own, which ``begin`` makes of the clip, the vehicle, its
+    reconstructed path (None without one, or unless ``on_paths``) and the configuration."""
+
+    def measure_clip(
+        clip: Clip,
+        recording: StereoFrames,
+        configuration: SpeedConfiguration,
+        progress: Progress | None,
+        device: DeviceName,
+        on_estimate: OnEstimate | None,
+    ) -> ClipResult:
+        def begin_on(clip: Clip, vehicle: VehicleDocument, drawn: dict[str, Path], c: SpeedConfiguration) -> Run:
+            return begin(clip, vehicle, drawn.get(vehicle.path or ""), c)
+
+        result = measure_each(clip, recording, configuration, begin_on, progress, on_paths=on_paths)
+        return replace(
+            result, measurements=[verdict.apply_tolerance(m, configuration.tolerance) for m in result.measurements]
+        )
+
+    return Method(measure_clip)
 
 
 def refuse_one_view(clip: Clip, frame: StereoFrame) -> None:

@@ -1,21 +1,28 @@
-"""From a recorded clip to the speeds of the vehicles in it, found first where it outlines none."""
+"""The speeds of all vehicles of a recording: of those that its clip.yaml outlines, or else of those found in it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 
 from paceline.detection.background_model import Detect
-from paceline.detection.search import Search, find_vehicles
+from paceline.detection.onnx_detector import Detector
+from paceline.detection.search import find_vehicles
 from paceline.documents.loading import Clip, load_clip
+from paceline.errors import UnusableInput
 from paceline.progress import Progress
 from paceline.recordings.stereo import StereoRecording, open_recording
+from paceline.speed import methods
+from paceline.speed.choices import DeviceName
 from paceline.speed.configuration import SpeedConfiguration
-from paceline.speed.filter.device import DeviceName
-from paceline.speed.measurement import measure
+from paceline.speed.methods import DEFAULT_METHOD, OnEstimate
 from paceline.speed.results import ClipResult
 from paceline.version import versions
+
+# Called with what is done next, "looking" or "measuring"; gives what is called with frames done and frames in all.
+Stage = Callable[[str], AbstractContextManager[Progress | None]]
 
 
 def measure_clip(
@@ -24,29 +31,59 @@ def measure_clip(
     progress: Progress | None = None,
     device: DeviceName = "cpu",
     detect: Detect | None = None,
+    method: str = DEFAULT_METHOD,
 ) -> ClipResult:
-    """Measure every vehicle of ``clip``, a clip.yaml or what `load_clip` made of it; where it outlines none, the
-    vehicles in it are found first, with ``detect`` only in its boxes. Raises UnusableInput."""
+    """Measure every vehicle of ``clip``, a clip.yaml or what `load_clip` made of it, by the ``method`` of this name;
+    where it outlines none, the vehicles in it are found first, with ``detect`` only in its boxes.
+
+    ``progress`` is called with frames done and frames in all. Raises UnusableInput.
+    """
     loaded = clip if isinstance(clip, Clip) else load_clip(Path(clip))
-    recording, configuration = open_recording(loaded), configuration or SpeedConfiguration()
-    if loaded.vehicles:
-        return measure(loaded, recording, configuration, progress, device)
-    search = find_vehicles(loaded, recording, progress, detect)
-    return measure_found(
-        search, recording, configuration, lambda found: measure(found, recording, configuration, progress, device)
+    return measure_recording(
+        loaded,
+        open_recording(loaded),
+        configuration or SpeedConfiguration(),
+        method,
+        device,
+        detect,
+        stage=lambda doing: nullcontext(progress),
     )
 
 
-def measure_found(
-    search: Search,
+def measure_recording(
+    clip: Clip,
     recording: StereoRecording,
     configuration: SpeedConfiguration,
-    measured: Callable[[Clip], ClipResult],
+    method: str = DEFAULT_METHOD,
+    device: DeviceName = "cpu",
+    detect: Detect | None = None,
+    stage: Stage = lambda doing: nullcontext(),
+    on_estimate: OnEstimate | None = None,
 ) -> ClipResult:
-    """What ``measured`` makes of the clip with the vehicles found in it, and what the ``search`` has to say; where
-    there is no vehicle, why."""
+    """As `measure_clip`, in the ``recording`` of ``clip``; ``on_estimate`` is called with a vehicle and each of the
+    filter's estimates as it is made."""
+    if detect is not None and clip.vehicles:
+        raise UnusableInput(f"{clip.path}: vehicles: --detector is to find them; expected none")
+
+    def measured(clip: Clip) -> ClipResult:
+        with stage("measuring") as progress:
+            return methods.measure(clip, recording, method, configuration, progress, device, on_estimate)
+
+    if clip.vehicles:
+        return measured(clip)
+    with stage("looking") as progress:
+        search = find_vehicles(clip, recording, progress, detect)
     if search.reason:
         notices = [*recording.notices, *search.notices]
-        return ClipResult(str(search.clip.path), [], [], configuration.model_dump(), versions(), notices, 0.0)
-    result = measured(search.clip)
-    return replace(result, notices=[*result.notices, *search.notices])
+        settings = methods.named(method) | configuration.model_dump()
+        result = ClipResult(str(clip.path), [], [], settings, versions(), notices, 0.0)
+    else:
+        result = measured(search.clip)
+        result = replace(result, notices=[*result.notices, *search.notices])
+    if isinstance(detect, Detector):
+        result = replace(
+            result,
+            configuration={**result.configuration, "detector": detect.name},
+            versions={**result.versions, "onnxruntime": detect.runtime},
+        )
+    return result

@@ -7,14 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from paceline.errors import UnusableInput
+from paceline.speed.choices import DeviceName
 
 if TYPE_CHECKING:
     from paceline.speed.filter.cuda.device import CudaDevice
-
-DeviceName = Literal["auto", "cpu", "cuda"]
 
 INSTALL = "install Paceline with its extra cuda"
 FOREIGN = ("numba.cuda", "cuda.")  # where the packages that drive a GPU define their errors

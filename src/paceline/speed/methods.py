@@ -1,0 +1,101 @@
+"""The registry of measuring methods: from a clip, its recording and a configuration to speeds, by the method's name.
+
+A method is registered by one line in the module that defines it. Other packages add methods of their own as entry
+points of the group ``paceline.methods``; the name of the entry point is the name of the method.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from importlib.metadata import EntryPoint, entry_points
+
+from paceline.documents.loading import Clip
+from paceline.errors import UnusableInput
+from paceline.progress import Progress
+from paceline.recordings.stereo import StereoFrames
+from paceline.speed.choices import DeviceName
+from paceline.speed.configuration import SpeedConfiguration
+from paceline.speed.filter.estimate import Estimate
+from paceline.speed.results import ClipResult
+
+GROUP = "paceline.methods"  # of entry points
+DEFAULT_METHOD = "paceline"
+
+OnEstimate = Callable[[str, Estimate], None]  # called with a vehicle's id and each estimate as it is made
+MeasureClip = Callable[
+    [Clip, StereoFrames, SpeedConfiguration, Progress | None, DeviceName, OnEstimate | None], ClipResult
+]
+
+
+@dataclass(frozen=True)
+class Method:
+    """How to measure all vehicles of a clip; ``measure`` raises UnusableInput. A method without ``uses_gpu`` is only
+    ever called with the device ``cpu`` or ``auto``."""
+
+    measure: MeasureClip
+    uses_gpu: bool = False
+
+
+_registered: dict[str, Method] = {}
+
+
+def register(name: str, method: Method) -> None:
+    """Makes ``method`` known under ``name``. Raises ValueError for a name that is taken by another method."""
+    if _registered.setdefault(name, method) is not method:
+        raise ValueError(f"method {name!r} is registered twice")
+
+
+def method_names() -> list[str]:
+    """The names of all methods that are known: those registered, then those of other packages."""
+    return [*_registered, *sorted(set(_plugins()) - set(_registered))]
+
+
+def method_named(name: str, device: DeviceName = "cpu") -> Method:
+    """The method called ``name``. Raises UnusableInput where there is none, listing the known ones, and where it does
+    not compute on the ``device``."""
+    method = _registered.get(name) or _loaded(name)
+    if device == "cuda" and not method.uses_gpu:
+        raise UnusableInput(f"--device cuda: --method {name} computes on the CPU only; use --device cpu")
+    return method
+
+
+def _loaded(name: str) -> Method:
+    """The method called ``name`` of another package."""
+    if name not in (plugins := _plugins()):
+        raise UnusableInput(f"--method {name}: unknown; expected one of {', '.join(method_names())}")
+    point = plugins[name]
+    try:
+        method = point.load()
+    except Exception as error:  # whatever another package raises while it is imported
+        raise UnusableInput(f"--method {name}: {point.value} cannot be loaded ({error})") from error
+    if not isinstance(method, Method):
+        raise UnusableInput(f"--method {name}: {point.value} is no paceline.Method")
+    return method
+
+
+def measure(
+    clip: Clip,
+    recording: StereoFrames,
+    method: str,
+    configuration: SpeedConfiguration,
+    progress: Progress | None = None,
+    device: DeviceName = "cpu",
+    on_estimate: OnEstimate | None = None,
+) -> ClipResult:
+    """Measure every vehicle of ``clip`` by the ``method`` of this name, in one pass over its ``recording``.
+
+    ``progress`` is called with frames done and frames in all. Raises UnusableInput.
+    """
+    chosen = method_named(method, device)
+    result = chosen.measure(clip, recording, configuration, progress, device, on_estimate)
+    return replace(result, configuration=named(method) | result.configuration)
+
+
+def named(method: str) -> dict[str, object]:
+    """What a result's configuration says of its ``method``: nothing where it is Paceline's own."""
+    return {} if method == DEFAULT_METHOD else {"method": method}
+
+
+def _plugins() -> dict[str, EntryPoint]:
+    return {point.name: point for point in entry_points(group=GROUP)}
