@@ -20,7 +20,7 @@ from paceline.documents.loading import Clip, load_clip
 from paceline.errors import UnusableInput
 from paceline.recordings.stereo import open_recording
 from paceline.reports import write_report
-from paceline.reports.speed.tables import COLUMNS
+from paceline.reports.speed.tables import ESTIMATE_COLUMNS
 from paceline.simulation.random_scenes import random_crossing
 from paceline.simulation.stereo.clip import RenderedClip, Scene, Vehicle, render, write
 from paceline.speed.configuration import SpeedConfiguration
@@ -217,7 +217,7 @@ def test_the_same_files_come_out(clip: Clip, tmp_path: Path, method: str) -> Non
     write_report(found, open_recording(clip), tmp_path / "out")
     with (tmp_path / "out" / "estimates.csv").open(newline="") as stream:
         rows = list(csv.DictReader(stream))
-    assert list(rows[0]) == COLUMNS and len(rows) == 10
+    assert list(rows[0]) == ESTIMATE_COLUMNS and len(rows) == 10
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["configuration"]["method"] == method
     assert summary["vehicles"][0]["speed_mps"] == pytest.approx(found.measurements[0].speed)

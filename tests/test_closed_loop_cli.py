@@ -15,7 +15,7 @@ import yaml
 from run_command import assert_one_line_error, paceline
 
 from paceline.errors import UnusableInput
-from paceline.reports.closed_loop.tables import COLUMNS
+from paceline.reports.closed_loop.tables import DRIVE_COLUMNS
 from paceline.simulation.closed_loop.drive_yaml import (
     CutInModel,
     DriveModel,
@@ -63,9 +63,9 @@ def test_everything_is_written_and_nothing_else(driven: tuple[Path, str]) -> Non
 def test_the_table_is_of_the_drive(driven: tuple[Path, str]) -> None:
     out, _ = driven
     rows = list(csv.DictReader((out / "drive.csv").open()))
-    assert list(rows[0]) == COLUMNS
+    assert list(rows[0]) == DRIVE_COLUMNS
     assert [int(r["frame"]) for r in rows] == list(range(60))
-    number = {name: np.array([float(r[name]) for r in rows]) for name in COLUMNS[:-2]}
+    number = {name: np.array([float(r[name]) for r in rows]) for name in DRIVE_COLUMNS[:-2]}
     np.testing.assert_allclose(number["effect_time_s"] - number["time_s"], 0.2)
     step = np.hypot(np.diff(number["chase_x_m"]), np.diff(number["chase_y_m"])) * 15
     np.testing.assert_allclose(step, (number["chase_speed_mps"][1:] + number["chase_speed_mps"][:-1]) / 2, atol=0.02)
@@ -152,7 +152,7 @@ def test_every_scene_key_and_column_is_documented() -> None:
     text = DOCUMENT.read_text(encoding="utf-8")
     for name in SCENES:
         assert f"`{name}`" in text, name
-    for column in COLUMNS:
+    for column in DRIVE_COLUMNS:
         assert f"`{column}`" in text, column
     for model in (DriveModel, RoadModel, LeadModel, CutInModel, LookModel, MustModel):
         for key in model.model_fields:

@@ -20,7 +20,7 @@ from console_served import CTRL, SHIFT, Console, consoled, halted, needs_chromiu
 from run_command import assert_one_line_error, paceline
 from tiny_clips import put_clip, rendered
 
-from paceline.reports.common.formatting import shown_speed
+from paceline.reports.common.formatting import format_speed_number
 
 
 @pytest.fixture(scope="module")
@@ -113,7 +113,7 @@ def test_from_import_to_report(recording: Path, console: Console) -> None:
         filtered = {int(row["frame"]): row for row in csv.DictReader(stream)}
     for scene in believed:
         (shown,), row = scene["vehicles"], filtered[scene["frame"]]
-        speed = shown_speed(float(row["speed_mps"]), "mph") if row["speed_mps"] else ""
+        speed = format_speed_number(float(row["speed_mps"]), "mph") if row["speed_mps"] else ""
         assert shown["label"] == f"v0  {speed} mph" if speed else "v0"
         corners = [[float(row[f"left_{axis}{k}"]) for axis in "xy"] for k in (1, 2, 3, 4)]
         assert np.abs(np.array(shown["outlines"][0]) - corners).max() < 0.06
@@ -122,7 +122,10 @@ def test_from_import_to_report(recording: Path, console: Console) -> None:
     assert summary["configuration"]["tolerance"] == pytest.approx(5 * 0.44704, rel=1e-3)
     (entry,) = summary["vehicles"]
     assert entry["verdict"] == "measured" and entry["speed_mps"] == pytest.approx(18.0, abs=0.5)
-    assert shown_speed(entry["speed_mps"], "mph", (entry["speed_hi_mps"] - entry["speed_lo_mps"]) / 2) in tab.text()
+    assert (
+        format_speed_number(entry["speed_mps"], "mph", (entry["speed_hi_mps"] - entry["speed_lo_mps"]) / 2)
+        in tab.text()
+    )
     tab.wait("document.querySelectorAll('.pl-chart canvas').length > 0")
     report = tab.run("[...document.links].find((a) => a.innerText === 'Open the report').href")
     tab.open(report)

@@ -24,7 +24,7 @@ from test_console_runs import wait
 from test_survey_live import survey_file
 from tiny_clips import put_clip
 
-from paceline.commands.progress_output import small_pictures
+from paceline.commands.progress_output import small_jpegs
 from paceline.console.confinement import NotHere
 from paceline.console.document_names import is_live, live_views
 from paceline.console.library import Library
@@ -37,7 +37,7 @@ from paceline.console.runs.options import in_unit, options_of
 from paceline.console.runs.results import LATEST, files_of, picture_of, read_series, read_summary, why_nothing
 from paceline.documents.loading import load_clip
 from paceline.errors import UnusableInput
-from paceline.progress import LONGEST, telling_pictures, told, told_estimate, told_pictures
+from paceline.progress import MAX_LINE_LENGTH, format_pictures, parse_estimate, parse_pictures, parse_progress
 
 CAMERAS = ["rtsp://camera/left", "RTSPS://u:p@10.0.0.7:554/a?b=c", "http://camera/mjpg", "udp://0.0.0.0:5000",
            "srt://host:9", "/dev/video0", "/dev/video12"]  # fmt: skip
@@ -237,13 +237,13 @@ def test_a_vehicle_is_followed_live_until_it_is_stopped(tmp_path: Path, monkeypa
 def test_pictures_come_through_as_they_were_told() -> None:
     """Even those that are all noise, which JPEG cannot make small."""
     noise = np.random.default_rng(1).integers(0, 2, (2, 1200, 1600)).astype(np.uint8) * 255
-    small = small_pictures(*noise)
-    line = telling_pictures(7, 1.25, (1600, 1200), small) + "\n"
-    assert len(line) < LONGEST and told(line) is None and told_estimate(line) is None
-    found = told_pictures(line)
+    small = small_jpegs(*noise)
+    line = format_pictures(7, 1.25, (1600, 1200), small) + "\n"
+    assert len(line) < MAX_LINE_LENGTH and parse_progress(line) is None and parse_estimate(line) is None
+    found = parse_pictures(line)
     assert found == {"frame": 7, "time_s": 1.25, "size": [1600, 1200], "pictures": small}
     assert cv2.imdecode(np.frombuffer(small[1], np.uint8), cv2.IMREAD_UNCHANGED).shape == (360, 480)
-    (tiny,) = small_pictures(noise[0, :48, :64])
+    (tiny,) = small_jpegs(noise[0, :48, :64])
     assert cv2.imdecode(np.frombuffer(tiny, np.uint8), cv2.IMREAD_UNCHANGED).shape == (48, 64)
 
 
@@ -252,7 +252,7 @@ def test_pictures_come_through_as_they_were_told() -> None:
              '"pictures":["no base64!"]}'],
 )  # fmt: skip
 def test_other_lines_are_no_pictures(rest: str) -> None:
-    assert told_pictures(f"pictures: {rest}") is None
+    assert parse_pictures(f"pictures: {rest}") is None
 
 
 def test_the_latest_pictures_are_kept_with_what_is_in_them() -> None:

@@ -18,7 +18,14 @@ from tiny_clips import put_clip
 
 from paceline.console.library import Library
 from paceline.console.runs.monitor import MOST, Watch
-from paceline.progress import LONGEST, PARTICLES, TOLD, telling_estimate, told, told_estimate
+from paceline.progress import (
+    MAX_LINE_LENGTH,
+    MAX_PARTICLES,
+    PROGRESS_VARIABLE,
+    format_estimate,
+    parse_estimate,
+    parse_progress,
+)
 
 NAN = float("nan")
 FINITE = st.floats(-1e6, 1e6)
@@ -29,21 +36,21 @@ def test_an_estimate_comes_through_as_it_was_told(
     name: str, time_s: float, value: float, std: float, count: int
 ) -> None:
     corners, places = np.arange(8.0).reshape(4, 2), np.linspace(0, 99, 2 * count).reshape(-1, 2)
-    line = telling_estimate(name, 7, time_s, value, std, "tracking", [corners, corners], [places, places])
-    assert "\n" not in line and len(line) < LONGEST and told(line) is None
-    found = told_estimate(line + "\n")
+    line = format_estimate(name, 7, time_s, value, std, "tracking", [corners, corners], [places, places])
+    assert "\n" not in line and len(line) < MAX_LINE_LENGTH and parse_progress(line) is None
+    found = parse_estimate(line + "\n")
     assert found is not None and (found["vehicle"], found["frame"]) == (name, 7)
     for key, given_value in (("time_s", time_s), ("value", value), ("std", std)):
         assert found[key] == pytest.approx(given_value, abs=1e-4)
     assert found["outlines"] == [corners.tolist()] * 2
     shown = np.array(found["particles"][0]).reshape(-1, 2)
-    assert min(count, PARTICLES // 2) <= len(shown) <= PARTICLES
+    assert min(count, MAX_PARTICLES // 2) <= len(shown) <= MAX_PARTICLES
     for place in shown:
         assert np.abs(places - place).max(axis=1).min() < 0.006
 
 
 def test_what_is_not_known_is_told_as_such() -> None:
-    found = told_estimate(telling_estimate("v", 0, 0.0, NAN, math.inf, "lost", [np.full((4, 2), 1e30)]))
+    found = parse_estimate(format_estimate("v", 0, 0.0, NAN, math.inf, "lost", [np.full((4, 2), 1e30)]))
     assert found is not None and found["value"] is None and found["std"] is None
     assert json.loads(json.dumps(found)) == found and np.isfinite(found["outlines"]).all()
 
@@ -52,7 +59,7 @@ def test_what_is_not_known_is_told_as_such() -> None:
     "line", ["", "estimate: ", "estimate: {", "estimate: []", 'estimate: {"vehicle": "v"}', "progress: measuring 1 2"]
 )
 def test_other_lines_are_no_estimates(line: str) -> None:
-    assert told_estimate(line) is None
+    assert parse_estimate(line) is None
 
 
 def estimate(vehicle: str, frame: int, value: float | None) -> dict[str, object]:
@@ -87,10 +94,10 @@ def test_what_is_kept_does_not_grow_with_the_recording(count: int) -> None:
 
 
 def lines_of(*arguments: object, monkeypatch: pytest.MonkeyPatch) -> list[dict[str, object]]:
-    monkeypatch.setenv(TOLD, "lines")
+    monkeypatch.setenv(PROGRESS_VARIABLE, "lines")
     done = paceline(*arguments)
     assert done.returncode == 0, done.stderr
-    return [found for line in done.stderr.splitlines() if (found := told_estimate(line))]
+    return [found for line in done.stderr.splitlines() if (found := parse_estimate(line))]
 
 
 def rows_of(file: Path) -> list[dict[str, str]]:

@@ -20,7 +20,7 @@ from test_console_target_model import box_of
 from test_survey_live import SPEEDS, survey_file
 from tiny_clips import put_clip, rendered
 
-from paceline.reports.common.formatting import number
+from paceline.reports.common.formatting import format_number
 
 pytestmark = needs_chromium
 EDITOR = "document.querySelector('pl-editor')"
@@ -116,7 +116,7 @@ def test_a_vehicle_ahead_is_learned_from_a_box_and_followed(tmp_path: Path, cons
     assert summary["tracked_share"] > 0.9
     for key, value in (("min", min(distances)), ("max", max(distances)), ("mean", np.mean(distances))):
         assert summary["range_m"][key] == pytest.approx(value, rel=0.03)
-        assert number(summary["range_m"][key], 1) in tab.text()
+        assert format_number(summary["range_m"][key], 1) in tab.text()
     tab.wait("document.querySelectorAll('.pl-chart canvas').length > 0")
     tab.open(address)
     tab.wait_for("follows the vehicle ahead, 1 run")

@@ -26,7 +26,7 @@ from paceline.console.runs.results import differences, read_series, read_summary
 from paceline.console.runs.run_list import Run, Runs
 from paceline.documents.loading import load_clip
 from paceline.errors import UnusableInput
-from paceline.progress import TOLD, telling, told
+from paceline.progress import PROGRESS_VARIABLE, format_progress, parse_progress
 
 FAST = ["--particles", "20", "--motion", "line"]
 
@@ -339,18 +339,18 @@ def test_time_left_follows_the_pace() -> None:
 
 
 def test_progress_is_told_in_lines() -> None:
-    assert told(telling("measuring", 3, 12) + "\n") == ("measuring", 3, 12)
-    assert told(telling("averaging", 3, None)) == ("averaging", 3, None)
+    assert parse_progress(format_progress("measuring", 3, 12) + "\n") == ("measuring", 3, 12)
+    assert parse_progress(format_progress("averaging", 3, None)) == ("averaging", 3, None)
     for line in ("", "note: measuring 3 of 12", "progress: measuring x 12", "progress: measuring 3 12 4"):
-        assert told(line) is None
+        assert parse_progress(line) is None
 
 
 def test_the_command_tells_its_progress_when_asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(TOLD, "lines")
+    monkeypatch.setenv(PROGRESS_VARIABLE, "lines")
     done = paceline("lanes", put_clip(tmp_path), "-o", tmp_path / "site.yaml")
     assert done.returncode == 1 and done.stdout.startswith("no lane found: ")
-    assert [told(line) for line in done.stderr.splitlines()][-1] == ("averaging", 5, 5)
-    assert all(told(line) for line in done.stderr.splitlines())
+    assert [parse_progress(line) for line in done.stderr.splitlines()][-1] == ("averaging", 5, 5)
+    assert all(parse_progress(line) for line in done.stderr.splitlines())
 
 
 def test_runs_are_numbered_on(library: Library) -> None:

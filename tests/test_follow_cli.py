@@ -24,7 +24,7 @@ import yaml
 from run_command import COMMAND, ENVIRONMENT, Done, assert_one_line_error, paceline
 
 from paceline.documents.models import CameraModel, FollowModel, StartModel, TargetModel
-from paceline.reports.follow.tables import COLUMNS
+from paceline.reports.follow.tables import TRACK_COLUMNS
 
 FRAMES = 30
 SHARED = Path(__file__).parents[2] / "shared" / "data"
@@ -116,9 +116,7 @@ def test_the_overlay_plays_with_the_recordings_times(followed: tuple[Done, Path]
     assert green.sum() > 500, "the model's lines are green"
 
 
-def test_again_it_gives_the_same(
-    clip: Path, followed: tuple[Done, Path], tmp_path: Path
-) -> None:
+def test_again_it_gives_the_same(clip: Path, followed: tuple[Done, Path], tmp_path: Path) -> None:
     done = paceline("follow", clip / "follow.yaml", "-o", tmp_path / "out", "--quiet", "--no-overlay")
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     assert {p.name for p in (tmp_path / "out").iterdir()} == FILES - {"overlay.mp4"}
@@ -181,7 +179,7 @@ def test_every_key_and_column_is_documented() -> None:
     for model in (FollowModel, StartModel, TargetModel, CameraModel):
         for key in model.model_fields:
             assert f"`{key}`" in text, key
-    for column in COLUMNS:
+    for column in TRACK_COLUMNS:
         assert f"`{column}`" in text, column
 
 

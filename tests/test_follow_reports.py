@@ -22,8 +22,8 @@ from paceline.follow.history import History
 from paceline.follow.results import FollowEstimate
 from paceline.recordings.monocular import CameraFrame, CameraRecording
 from paceline.reports.follow import report as follow_report
-from paceline.reports.follow.overlay import Stills, draw_frame
-from paceline.reports.follow.page import percent
+from paceline.reports.follow.overlay import StillSelection, draw_frame
+from paceline.reports.follow.page import format_percent
 from paceline.reports.follow.plots import follow_plots
 from paceline.reports.follow.report import follow_and_report
 
@@ -178,7 +178,7 @@ def test_the_page_escapes_what_comes_from_files(clip: FollowClip, tmp_path: Path
 
 @pytest.mark.parametrize(("share", "words"), [(1.0, "100 %"), (0.99999, "99.9 %"), (0.5, "50.0 %"), (0.0, "0 %")])
 def test_a_share_is_never_rounded_up_to_all(share: float, words: str) -> None:
-    assert percent(share) == words
+    assert format_percent(share) == words
 
 
 @pytest.mark.filterwarnings("error")
@@ -231,7 +231,7 @@ def test_long_runs_are_thinned_evenly() -> None:
     for k in range(100):
         history.add(estimate(k))
     frames = history.result("c", "t", {}, {}, [], 1.0).frame
-    assert history.every == 8
+    assert history.stride == 8
     np.testing.assert_array_equal(frames, np.arange(0, 100, 8))
     assert history.tally.frames == 100
 
@@ -244,24 +244,24 @@ def test_everything_is_kept_where_that_is_wanted() -> None:
 
 
 def test_stills_are_spread_over_the_run() -> None:
-    stills = Stills()
+    stills = StillSelection()
     image = tiny_chase.picture(0)
     for k in range(500):
-        stills.offer(image, estimate(k))
-    frames = [s.frame for s in stills.kept]
+        stills.add(image, estimate(k))
+    frames = [s.frame for s in stills.selected]
     assert frames[0] == 0 and 3 <= len(frames) <= 6 and len(set(np.diff(frames))) == 1 and frames[-1] >= 250
 
 
 def test_stills_show_where_the_target_was_left() -> None:
-    stills = Stills()
+    stills = StillSelection()
     for k in range(500):
-        stills.offer(tiny_chase.picture(0), estimate(k, "coasting" if 321 <= k < 330 else "tracking"))
-    assert [s.caption for s in stills.kept if s.frame == 321] == ["coasting"]
+        stills.add(tiny_chase.picture(0), estimate(k, "coasting" if 321 <= k < 330 else "tracking"))
+    assert [s.caption for s in stills.selected if s.frame == 321] == ["coasting"]
 
 
 def test_memory_is_flat() -> None:
     """Ten times as many frames, each with a reason of its own, take no more."""
-    history, stills = History(keep=200), Stills()
+    history, stills = History(keep=200), StillSelection()
     image = tiny_chase.picture(0)
 
     def add(start: int, stop: int) -> int:
@@ -269,7 +269,7 @@ def test_memory_is_flat() -> None:
             e = estimate(k % 60, ("tracking", "coasting")[k % 2], f"the time jumps by {k} s")
             history.add(e)
             if k % 50 == 0:
-                stills.offer(image, e)
+                stills.add(image, e)
         return tracemalloc.get_traced_memory()[0]
 
     tracemalloc.start()

@@ -24,7 +24,7 @@ import pytest
 from paceline.errors import UnusableInput
 from paceline.recordings.stereo import StereoFrame
 from paceline.reports import OutputFolder, write_report
-from paceline.reports.common.formatting import advice, shown_speed, speed_at, speed_words
+from paceline.reports.common.formatting import advice, format_speed, format_speed_number, speed_at
 from paceline.speed.results import ClipResult, Measurement, PathDrawing, Track
 
 NAN = float("nan")
@@ -167,12 +167,12 @@ def test_summary_is_exact(out: Path) -> None:
 
 
 def test_words_add_up() -> None:
-    words = speed_words(measured("v"), "m/s")
+    words = format_speed(measured("v"), "m/s")
     assert (words.speed, words.lo, words.hi, words.plus_minus) == ("20.1", "20.0", "20.2", "0.1")
     # 0.03 and 0.04 make 0.05; the interval's half width of 0.1 is twice that.
     assert (words.random, words.systematic) == ("0.06", "0.08")
-    assert shown_speed(20.123, "m/s", 0.04) == "20.12"
-    assert speed_words(replace(measured("v"), systematic_std=NAN), "mph").systematic == "–"
+    assert format_speed_number(20.123, "m/s", 0.04) == "20.12"
+    assert format_speed(replace(measured("v"), systematic_std=NAN), "mph").systematic == "–"
 
 
 def test_the_speed_of_a_frame_has_an_interval_as_cautious_as_the_mean_s() -> None:
@@ -207,7 +207,7 @@ def test_wide_pictures_are_scaled(result: ClipResult, tmp_path: Path) -> None:
 
 
 def test_a_missing_encoder_is_told(result: ClipResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("paceline.reports.common.video.CODECS", ["no-such-encoder"])
+    monkeypatch.setattr("paceline.reports.common.video.H264_CODECS", ["no-such-encoder"])
     written = write_report(result, Recording(), tmp_path / "out")
     assert any("no H.264 encoder" in notice for notice in written.notices)
     assert "no H.264 encoder" in (tmp_path / "out" / "report.html").read_text()

@@ -17,9 +17,9 @@ from test_reports import measured, rejected
 from paceline.detection.finder import Found
 from paceline.documents.loading import VehicleDocument
 from paceline.errors import UnusableInput
-from paceline.reports.common.output_folder import write_together
+from paceline.reports.common.output_folder import write_all_or_none
 from paceline.reports.live import report as live_report
-from paceline.reports.live.plots import MANY, speeds_plot
+from paceline.reports.live.plots import MAX_DRAWN_INTERVALS, speeds_plot
 from paceline.reports.live.report import LiveResults
 from paceline.speed.results import Measurement
 
@@ -44,7 +44,7 @@ def test_the_report_says_of_each_vehicle_what_is_known(tmp_path: Path) -> None:
         results.begin()
         results.add(passed(0), found(0), DAY.format(3))
         results.add(passed(1, rejected("v")), found(1), DAY.format(4))
-        results.pass_by(found(2), DAY.format(5), "not measured: <b>too small</b>")
+        results.add_unmeasured(found(2), DAY.format(5), "not measured: <b>too small</b>")
         results.notices.append("3 frames were dropped")
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     text = " ".join(html.unescape(re.sub(r"<style>.*?</style>|<[^>]*>", " ", page, flags=re.S)).split())
@@ -85,9 +85,9 @@ def test_a_full_disk_leaves_what_was_measured(tmp_path: Path, monkeypatch: pytes
     def write(contents: dict[Path, bytes]) -> None:
         if any(path.suffix in (".html", ".jpg") for path in contents):
             raise UnusableInput("No space left on device")
-        write_together(contents)
+        write_all_or_none(contents)
 
-    monkeypatch.setattr(live_report, "write_together", write)
+    monkeypatch.setattr(live_report, "write_all_or_none", write)
     with pytest.raises(UnusableInput, match="No space"), LiveResults(tmp_path, ABOUT, "mph") as results:
         results.begin()
         results.add(passed(0), found(0), DAY.format(3))
@@ -101,12 +101,12 @@ def test_writing_takes_its_share_of_the_time_and_no_more(tmp_path: Path, monkeyp
 
     def write(contents: dict[Path, bytes]) -> None:
         nonlocal now
-        write_together(contents)
+        write_all_or_none(contents)
         if tmp_path / "summary.json" in contents:
             now += 0.2
             written.append(now)
 
-    monkeypatch.setattr(live_report, "write_together", write)
+    monkeypatch.setattr(live_report, "write_all_or_none", write)
     monkeypatch.setattr(live_report.time, "monotonic", lambda: now)
     with LiveResults(tmp_path, ABOUT, "mph") as results:
         results.begin()
@@ -123,9 +123,9 @@ def test_writing_takes_its_share_of_the_time_and_no_more(tmp_path: Path, monkeyp
         now += 100
         results.save()
         assert len(written) == 7  # nothing has changed
-        results.pass_by(found(7), DAY.format(4), "not measured: too small")
+        results.add_unmeasured(found(7), DAY.format(4), "not measured: too small")
         assert len(json.loads((tmp_path / "summary.json").read_text())["unmeasured"]) == 1
-        results.pass_by(found(8), DAY.format(4), "not measured: too small")
+        results.add_unmeasured(found(8), DAY.format(4), "not measured: too small")
         assert len(written) == 8
     assert len(json.loads((tmp_path / "summary.json").read_text())["unmeasured"]) == 2
 
@@ -137,7 +137,7 @@ def test_nothing_that_passed_is_a_report_too(tmp_path: Path) -> None:
 
 
 def test_pictures_are_bounded_and_the_report_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(live_report, "KEPT", 3)
+    monkeypatch.setattr(live_report, "MAX_KEPT_PICTURES", 3)
     with LiveResults(tmp_path, ABOUT, "mph") as results:
         results.begin()
         for k in range(5):
@@ -149,7 +149,7 @@ def test_pictures_are_bounded_and_the_report_says_so(tmp_path: Path, monkeypatch
     assert all(f"<td>v{k}</td>" in page for k in range(5))
 
 
-@pytest.mark.parametrize("count", [0, 1, MANY + 1])
+@pytest.mark.parametrize("count", [0, 1, MAX_DRAWN_INTERVALS + 1])
 def test_any_number_of_vehicles_can_be_plotted(count: int) -> None:
     vehicles: list[dict[str, object]] = [
         {"verdict": "measured", "path": f"lane{k % 9}", "seen_from_s": 7.0 * k, "speed_mps": 20.0, "speed_lo_mps": 19.0,

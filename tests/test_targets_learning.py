@@ -14,7 +14,7 @@ from run_command import assert_one_line_error, paceline
 from paceline.cameras import Camera
 from paceline.documents.loading import load_target
 from paceline.errors import UnusableInput
-from paceline.reports.target import draw_learned, start_lines, target_yaml
+from paceline.reports.target import draw_target, start_entry, target_yaml
 from paceline.targets.learning import Line, corner_names, find_lines, join, learn_target
 
 CAMERA = Camera((256, 242), np.array(tiny_chase.CAMERA["K"]))
@@ -61,7 +61,7 @@ def test_the_start_is_where_the_model_lies() -> None:
     assert learned.center[0] == pytest.approx(tiny_chase.CX + tiny_chase.F * x / z, abs=0.15)
     drawn = learned.center + learned.target.corners * tiny_chase.F / learned.target.nominal_range
     np.testing.assert_allclose(drawn, learned.corners, atol=0.02)  # to the hundredth that the centre is rounded to
-    assert yaml.safe_load(start_lines(learned))["start"] == {
+    assert yaml.safe_load(start_entry(learned))["start"] == {
         "frame": 0, "center": learned.center.tolist(), "scale": 1.0,
     }  # fmt: skip
 
@@ -150,7 +150,7 @@ def test_corners_have_names_enough() -> None:
 def test_the_picture_shows_the_lines() -> None:
     image, box, _ = van(3)
     learned = learn_target(image, box, 2.0, CAMERA, "van")
-    picture = draw_learned(learned, image).astype(int)
+    picture = draw_target(learned, image).astype(int)
     assert max(picture.shape) >= 900
     warm = (picture[..., 2] - picture[..., 0] > 100).sum()  # the vertical lines
     cold = (picture[..., 0] - picture[..., 2] > 100).sum()

@@ -13,7 +13,7 @@ from zhu2012.items import Numbers, image, run_alone
 
 from nist1993 import scenes
 from paceline.follow.configuration import FollowConfiguration
-from paceline.reports.common.drawing import draw_line, scaled
+from paceline.reports.common.drawing import draw_line, scale_points
 from paceline.simulation.random_scenes import random_chase
 
 SETTINGS: Numbers = {"scenarios": ["strong shadows", "parallel edges"], "seeds": [950, 951, 952], "frames": 150}
@@ -91,7 +91,7 @@ def draw(numbers: Numbers, folder: Path) -> None:
             width = max(2.2 * float(np.ptp(ours.reshape(-1, 2)[:, 0])), 90.0)
             view, scale, shift = drawing.crop(picture, ours.reshape(-1, 2).mean(0), width, VIEW)
             for name, color in ((PUBLISHED, drawing.RED), (OURS, drawing.GREEN)):
-                for a, b in scaled(np.array(one[name]), scale) + shift:
+                for a, b in scale_points(np.array(one[name]), scale) + shift:
                     draw_line(view, a, b, color, 2)
             views.append(drawing.captioned(view, f"{scenario}, frame {truth.frame}"))
         sheet.append(views)

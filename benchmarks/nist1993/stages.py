@@ -13,8 +13,8 @@ from zhu2012.items import Numbers, image, run_alone
 from nist1993 import scenes
 from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.edges import EdgeExtractor
-from paceline.reports.common.drawing import draw_line, scaled
-from paceline.reports.common.plots import VEHICLES
+from paceline.reports.common.drawing import draw_line, scale_points
+from paceline.reports.common.plots import VEHICLE_COLORS
 from paceline.simulation.random_scenes import random_chase
 
 SETTINGS: Numbers = {"seed": 907, "kind": "van", "gap": [6.0, 10.0], "bounce": 2.0, "shadows": 0.4, "frame": 40}
@@ -97,13 +97,13 @@ def draw(numbers: Numbers, folder: Path) -> None:
     picture, drawn = _frames()[0], numbers["drawn"]
     x0, y0, x1, y1 = numbers["shown"]["window"]
     middle = np.array([(x0 + x1) / 2, (y0 + y1) / 2])
-    colors = [_bgr(c) for c in VEHICLES]
+    colors = [_bgr(c) for c in VEHICLE_COLORS]
 
     def view() -> tuple[drawing.Picture, float, Any]:
         return drawing.crop(picture, middle, 1.12 * max(x1 - x0, (y1 - y0) * VIEW[0] / VIEW[1]), VIEW)
 
     def lines(canvas: drawing.Picture, scale: float, shift: Any, which: str, color: Any) -> None:
-        for a, b in scaled(np.array(drawn[which]), scale) + shift:
+        for a, b in scale_points(np.array(drawn[which]), scale) + shift:
             draw_line(canvas, a, b, color, 2)
 
     first, scale, shift = view()

@@ -13,7 +13,7 @@ from zhu2012 import drawing
 from zhu2012.items import Numbers, image, run_alone
 
 from nist1993 import scenes
-from paceline.reports.common.drawing import DARK, draw_line, draw_text, scaled
+from paceline.reports.common.drawing import DARK_BGR, draw_line, draw_text, scale_points
 from paceline.simulation.chase.clip import render_frames
 from paceline.simulation.random_scenes import random_chase
 
@@ -66,10 +66,10 @@ def draw(numbers: Numbers, folder: Path) -> None:
     view, scale, shift = views[1]
     view[:] = cv2.addWeighted(view, 0.45, np.full_like(view, 255), 0.55, 0)
     for i, line in enumerate(lines, 1):
-        a, b = scaled(line, scale) + shift
+        a, b = scale_points(line, scale) + shift
         draw_line(view, a, b, (40, 40, 200), 2)
         x, y = (a + b) / 2
-        draw_text(view, str(i), (int(x) + 4, int(y) - 4), 17, DARK, 600)
+        draw_text(view, str(i), (int(x) + 4, int(y) - 4), 17, DARK_BGR, 600)
     drawing.save(folder / "nist-target.webp", drawing.montage([[v[0] for v in views]]))
 
 

@@ -13,17 +13,17 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from paceline.reports.common.drawing import (
-    DARK,
-    WHITE,
+    DARK_BGR,
+    WHITE_BGR,
     Color,
     draw_dots,
     draw_line,
     draw_outline,
     draw_text,
-    scaled,
+    scale_points,
     text_width,
 )
-from paceline.reports.common.plots import STYLE
+from paceline.reports.common.plots import PLOT_STYLE
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
@@ -48,7 +48,7 @@ RED: Color = (90, 120, 255)
 
 def plot(path: Path, size: tuple[float, float], draw: Callable[[Figure], None]) -> None:
     """An SVG of ``size`` (inches; 100 px each) in the style of the reports."""
-    with matplotlib.rc_context(STYLE | {"font.size": 10, "legend.fontsize": 9}):
+    with matplotlib.rc_context(PLOT_STYLE | {"font.size": 10, "legend.fontsize": 9}):
         figure = Figure(figsize=size, layout="constrained")
         draw(figure)
         figure.savefig(path, format="svg", facecolor="white", metadata={"Date": None, "Creator": None})
@@ -68,7 +68,7 @@ def crop(image: Picture, middle: Array, width: float, shape: tuple[int, int]) ->
     """A view of ``shape`` (width, height) pixels of ``image`` about ``middle``, ``width`` px of it wide; with the
     magnification and the shift (2,) that take its pixels there."""
     scale = shape[0] / width
-    shift = np.array(shape) / 2 - scaled(np.asarray(middle, float), scale)
+    shift = np.array(shape) / 2 - scale_points(np.asarray(middle, float), scale)
     to_view = np.column_stack([np.eye(2) * scale, shift + 0.5 * scale - 0.5])
     method = cv2.INTER_CUBIC if scale > 1 else cv2.INTER_AREA
     view = cv2.warpAffine(image, to_view, shape, flags=method, borderMode=cv2.BORDER_REPLICATE)
@@ -78,11 +78,11 @@ def crop(image: Picture, middle: Array, width: float, shape: tuple[int, int]) ->
 def outlined(view: Picture, scale: float, shift: Array, quad: Any, color: Color, thickness: int = 2) -> None:
     corners = np.array(quad, float)
     if np.isfinite(corners).all():
-        draw_outline(view, scaled(corners, scale) + shift, color, thickness)
+        draw_outline(view, scale_points(corners, scale) + shift, color, thickness)
 
 
 def dotted(view: Picture, scale: float, shift: Array, points: Any, color: Color = BLUE, radius: float = 1.3) -> None:
-    draw_dots(view, scaled(np.array(points, float).reshape(-1, 2), scale) + shift, color, radius)
+    draw_dots(view, scale_points(np.array(points, float).reshape(-1, 2), scale) + shift, color, radius)
 
 
 def divided(view: Picture, scale: float, shift: Array, quad: Any, grid: tuple[int, int]) -> None:
@@ -93,13 +93,13 @@ def divided(view: Picture, scale: float, shift: Array, quad: Any, grid: tuple[in
     ends = [[[i / grid[0], 0], [i / grid[0], 1]] for i in range(1, grid[0])]
     ends += [[[0, j / grid[1]], [1, j / grid[1]]] for j in range(1, grid[1])]
     for a, b in cv2.perspectiveTransform(np.array(ends, np.float32).reshape(-1, 1, 2), to_image).reshape(-1, 2, 2):
-        draw_line(view, scaled(a, scale) + shift, scaled(b, scale) + shift, GREEN)
+        draw_line(view, scale_points(a, scale) + shift, scale_points(b, scale) + shift, GREEN)
 
 
 def captioned(view: Picture, text: str) -> Picture:
     """``view`` with a caption in its upper left corner."""
-    cv2.rectangle(view, (0, 0), (text_width(text, 14) + 14, 22), DARK, cv2.FILLED)
-    draw_text(view, text, (7, 16), 14, WHITE)
+    cv2.rectangle(view, (0, 0), (text_width(text, 14) + 14, 22), DARK_BGR, cv2.FILLED)
+    draw_text(view, text, (7, 16), 14, WHITE_BGR)
     return view
 
 

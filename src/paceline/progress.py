@@ -1,4 +1,7 @@
-"""How a command tells the program that started it how far it is and what it sees: lines on standard error, if asked."""
+"""The progress of a command as lines of text: written to standard error by the command, read by the console.
+
+A program that starts a command asks for the lines with ``PACELINE_PROGRESS=lines`` in its environment.
+"""
 
 from __future__ import annotations
 
@@ -12,68 +15,80 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from paceline.arrays import Array
 
-Progress = Callable[[int, int | None], None]  # called with frames done and frames in all, None where nobody knows
+Progress = Callable[[int, int | None], None]  # called with frames done and the total, None where it is unknown
 
-TOLD = "PACELINE_PROGRESS"  # environment variable; "lines" asks for lines
-ESTIMATE, PICTURES = "estimate: ", "pictures: "
-PARTICLES = 40  # of each view that are told
-LONGEST = 1 << 19  # characters of a line
+PROGRESS_VARIABLE = "PACELINE_PROGRESS"  # environment variable; "lines" asks for lines
+ESTIMATE_PREFIX, PICTURES_PREFIX = "estimate: ", "pictures: "
+MAX_PARTICLES = 40  # written per view
+MAX_LINE_LENGTH = 1 << 19  # characters
+# What people read for an activity; the first field of its progress lines is the key, which other programs rely on.
+ACTIVITY_LABELS = {
+    "looking": "detecting vehicles",
+    "averaging": "estimating background",
+    "learning": "estimating background",
+}
 
 
-def telling(doing: str, done: int, total: int | None) -> str:
-    """The line that says that ``done`` frames of ``total`` are through."""
+def format_progress(doing: str, done: int, total: int | None) -> str:
+    """The progress line for an activity with ``done`` of ``total`` frames processed."""
     return f"progress: {doing} {done} {total or '?'}"
 
 
-def told(line: str) -> tuple[str, int, int | None] | None:
-    """What a command does, frames done and frames in all, if ``line`` says how far it is."""
+def parse_progress(line: str) -> tuple[str, int, int | None] | None:
+    """The activity, frames done and total (None if unknown) of a progress line; None for any other line."""
     found = re.fullmatch(r"progress: (\S+) (\d+) (\d+|\?)\n?", line)
     return None if found is None else (found[1], int(found[2]), None if found[3] == "?" else int(found[3]))
 
 
-def telling_estimate(
+def format_estimate(
     vehicle: str, frame: int, time: float, value: float, std: float, status: str, outlines: Sequence[Array],
     particles: Sequence[Array] = (),
 ) -> str:  # fmt: skip
-    """The line that says what is known of a ``vehicle`` at a frame, before anything is refined.
+    """The estimate line of a ``vehicle`` at one frame, before any refinement.
 
-    ``value`` and its standard deviation are the speed (m/s) or, of a vehicle ahead, its distance (m); NaN where not
-    known. ``outlines`` hold per view either a polygon (4, 2) or line segments (S, 2, 2), ``particles`` places (N, 2)
-    per view, of which PARTICLES are told; all in pixels of the images as recorded.
+    ``value`` and its standard deviation are the speed (m/s) or, of a vehicle ahead, its distance (m); NaN if unknown.
+    ``outlines`` hold per view either a polygon (4, 2) or line segments (S, 2, 2), ``particles`` positions (N, 2) per
+    view, of which at most MAX_PARTICLES are written; all in pixels of the images as recorded.
     """
-    thinned = [places[:: -(-len(places) // PARTICLES) or 1] for places in particles]
+    subset = [points[:: -(-len(points) // MAX_PARTICLES) or 1] for points in particles]
     content = {
-        "vehicle": vehicle, "frame": frame, "time_s": round(time, 4), "value": _known(value), "std": _known(std),
-        "status": status, "outlines": [_pixels(o) for o in outlines], "particles": [_pixels(p, 2) for p in thinned],
-    }  # fmt: skip
-    return ESTIMATE + json.dumps(content, separators=(",", ":"))
+        "vehicle": vehicle,
+        "frame": frame,
+        "time_s": round(time, 4),
+        "value": _finite_or_none(value),
+        "std": _finite_or_none(std),
+        "status": status,
+        "outlines": [_rounded_pixels(outline) for outline in outlines],
+        "particles": [_rounded_pixels(points, 2) for points in subset],
+    }
+    return ESTIMATE_PREFIX + json.dumps(content, separators=(",", ":"))
 
 
-def told_estimate(line: str) -> dict[str, Any] | None:
-    """What `telling_estimate` was told, if ``line`` says it."""
-    if not line.startswith(ESTIMATE):
+def parse_estimate(line: str) -> dict[str, Any] | None:
+    """The content of an estimate line as `format_estimate` writes it; None for any other line."""
+    if not line.startswith(ESTIMATE_PREFIX):
         return None
     try:
-        found = json.loads(line.removeprefix(ESTIMATE))
+        found = json.loads(line.removeprefix(ESTIMATE_PREFIX))
     except ValueError:
         return None
     return found if isinstance(found, dict) and {"vehicle", "frame", "time_s", "value", "std"} <= found.keys() else None
 
 
-def telling_pictures(frame: int, time: float, size: tuple[int, int], pictures: Sequence[bytes]) -> str:
-    """The line with what a live source shows in a frame: one JPEG per view, of pictures that are ``size`` (width,
-    height) as recorded. The estimates of this frame have been told before."""
+def format_pictures(frame: int, time: float, size: tuple[int, int], pictures: Sequence[bytes]) -> str:
+    """The pictures line of a live source at one frame: one JPEG per view; ``size`` (width, height) is that of the
+    images as recorded. The estimate lines of the same frame are written before it."""
     data = [base64.b64encode(picture).decode() for picture in pictures]
     content = {"frame": frame, "time_s": round(time, 4), "size": size, "pictures": data}
-    return PICTURES + json.dumps(content, separators=(",", ":"))
+    return PICTURES_PREFIX + json.dumps(content, separators=(",", ":"))
 
 
-def told_pictures(line: str) -> dict[str, Any] | None:
-    """What `telling_pictures` was told, the JPEGs as bytes, if ``line`` says it."""
-    if not line.startswith(PICTURES):
+def parse_pictures(line: str) -> dict[str, Any] | None:
+    """The content of a pictures line as `format_pictures` writes it, JPEGs as bytes; None for any other line."""
+    if not line.startswith(PICTURES_PREFIX):
         return None
     try:
-        found = json.loads(line.removeprefix(PICTURES))
+        found = json.loads(line.removeprefix(PICTURES_PREFIX))
         pictures = [base64.b64decode(data, validate=True) for data in found["pictures"]]
         width, height = map(int, found["size"])
         return {"frame": int(found["frame"]), "time_s": float(found["time_s"]), "size": [width, height],
@@ -82,11 +97,11 @@ def told_pictures(line: str) -> dict[str, Any] | None:
         return None
 
 
-def _known(value: float) -> float | None:
+def _finite_or_none(value: float) -> float | None:
     return round(float(value), 4) if math.isfinite(value) else None
 
 
-def _pixels(places: Array, decimals: int = 1) -> list[Any]:
-    """Rounded pixels; those that no camera can show, as a number would not, are left where the picture is not."""
-    found: list[Any] = places.clip(-1e5, 1e5).round(decimals).tolist()
+def _rounded_pixels(points: Array, decimals: int = 1) -> list[Any]:
+    """``points`` as rounded numbers, clipped to ± 10⁵ px so that the line stays short."""
+    found: list[Any] = points.clip(-1e5, 1e5).round(decimals).tolist()
     return found

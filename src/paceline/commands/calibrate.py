@@ -41,10 +41,10 @@ def calibrate(
     from paceline.calibration.board_calibration import calibrate as calibrate_views
     from paceline.calibration.board_views import collect_views
     from paceline.calibration.boards import parse_board
-    from paceline.reports.calibration import check_name, write_calibration
+    from paceline.reports.calibration import check_rig_file_name, write_calibration
 
     described = parse_board(board)
-    check_name(out)
+    check_rig_file_name(out)
     with progress_bar("finding the board", sys.stderr.isatty() and not quiet) as advance:
         views = collect_views(left, right, described, advance)
     calibration = calibrate_views(views)

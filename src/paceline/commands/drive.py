@@ -43,14 +43,14 @@ def drive(
 
 
 def _print_drive(result: DriveResult) -> None:
-    from paceline.reports.closed_loop.page import requirement_words
+    from paceline.reports.closed_loop.page import format_requirement
 
     f = result.figures
     print(
         f"{result.scene}, seed {result.seed}: {result.duration:.0f} s and {f.way:.0f} m behind a {result.target}, "
         f"up to {3.6 * f.speed_max:.0f} km/h"
     )
-    rows = [("what must hold", "found", "must be", ""), *map(requirement_words, result.requirements)]
+    rows = [("what must hold", "found", "must be", ""), *map(format_requirement, result.requirements)]
     print_columns(rows)
     taken = result.processing
     print(f"processing time {1e3 * taken['median']:.2f} ms per picture, 99 of 100 within {1e3 * taken['p99']:.2f} ms")

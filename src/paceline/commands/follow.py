@@ -11,7 +11,7 @@ import typer
 
 from paceline.commands import DONE, NOTHING_MEASURED, file_named
 from paceline.commands.interrupts import ended_by_interrupt
-from paceline.commands.progress_output import progress_bar, range_teller
+from paceline.commands.progress_output import progress_bar, range_line_writer
 
 if TYPE_CHECKING:  # what computes is imported when the command runs, so that --help answers at once
     from paceline.follow.history import Tally
@@ -37,7 +37,7 @@ def follow_vehicle(
     with OutputFolder(out) as folder:
         recording = open_camera(document)
         with progress_bar("following", sys.stderr.isatty() and not quiet) as advance, _ended(recording):
-            teller = range_teller(document.target.name, recording.live)
+            teller = range_line_writer(document.target.name, recording.live)
             result, tally = write_follow_files(document, recording, folder, None, overlay, advance, teller)
     if not quiet:
         _print_follow(result, tally)
@@ -51,15 +51,17 @@ def _ended(recording: CameraRecording) -> AbstractContextManager[None]:
 
 
 def _print_follow(result: FollowResult, tally: Tally) -> None:
-    from paceline.reports.follow.page import percent
-    from paceline.reports.follow.tables import middle
+    from paceline.reports.follow.page import format_percent
+    from paceline.reports.follow.tables import finite_quantile
 
     counts = ", ".join(f"{tally.status[name]} {name}" for name in ("tracking", "coasting", "lost"))
-    print(f"{result.target}: tracked in {percent(tally.share)} of {tally.frames} frames ({counts})")
+    print(f"{result.target}: tracked in {format_percent(tally.share)} of {tally.frames} frames ({counts})")
     if tally.tracked:
         print(f"distance ahead {tally.range_min:.1f} to {tally.range_max:.1f} m, {tally.range_mean:.1f} m on average")
-    slowest = 1e3 * middle(result.latency, 0.99)
-    print(f"processing time {1e3 * middle(result.latency):.2f} ms per frame, 99 of 100 within {slowest:.2f} ms")
+    slowest = 1e3 * finite_quantile(result.latency, 0.99)
+    print(
+        f"processing time {1e3 * finite_quantile(result.latency):.2f} ms per frame, 99 of 100 within {slowest:.2f} ms"
+    )
     for reason, count in tally.reasons.most_common(5):
         print(f"note: {reason}, in {count} frame{'' if count == 1 else 's'}", file=sys.stderr)
     for notice in result.notices:

@@ -41,12 +41,12 @@ def lanes(
     from paceline.lanes.site_yaml import lane_names, with_lanes
     from paceline.recordings.background import empty_scene, no_background
     from paceline.recordings.stereo import open_recording
-    from paceline.reports.calibration import check_name
+    from paceline.reports.calibration import check_rig_file_name
 
     file = file_named(clip, "clip.yaml")
     document = load_clip(file)
     if out is not None:
-        check_name(out)
+        check_rig_file_name(out)
         if out.resolve() in {file.resolve(), rig_file(file).resolve()}:
             raise UnusableInput(f"--out {out}: is the clip itself or its rig; expected a name of its own, or --write")
     elif write:
@@ -133,8 +133,8 @@ def _write(
     """Writes the lanes and their pictures together; returns the names of the pictures."""
     from paceline.documents.loading import rig_file
     from paceline.lanes.site_yaml import site_yaml, with_lanes
-    from paceline.reports.common.output_folder import write_together
-    from paceline.reports.lanes import lanes_picture, png
+    from paceline.reports.common.output_folder import write_all_or_none
+    from paceline.reports.lanes import draw_lanes, encode_png
 
     if out is None:
         target, text = file.resolve(), with_lanes(file.read_text(encoding="utf-8"), str(file), lanes)
@@ -142,8 +142,8 @@ def _write(
         relative = os.path.relpath(rig_file(file).resolve(), out.parent.resolve())
         target, text = out, site_yaml(Path(relative).as_posix(), lanes)
     pictures = {
-        picture: png(lanes_picture(rig, background, side, lines, lanes))
+        picture: encode_png(draw_lanes(rig, background, side, lines, lanes))
         for side, picture in enumerate(_pictures(file, out))
     }
-    write_together({target: text.encode(), **pictures})
+    write_all_or_none({target: text.encode(), **pictures})
     return ", ".join(map(str, pictures))

@@ -1,4 +1,4 @@
-"""How far a command is, and what it sees on its way."""
+"""The progress of a command: a bar for people, or lines for a program that reads them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,14 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from paceline.progress import TOLD, Progress, telling, telling_estimate, telling_pictures
+from paceline.progress import (
+    ACTIVITY_LABELS,
+    PROGRESS_VARIABLE,
+    Progress,
+    format_estimate,
+    format_pictures,
+    format_progress,
+)
 
 if TYPE_CHECKING:
     from paceline.cameras import StereoRig
@@ -20,64 +27,66 @@ if TYPE_CHECKING:
     from paceline.recordings.monocular import CameraFrame, Grey
     from paceline.speed.filter.estimate import Estimate
 
-EVERY = 0.5  # s between the pictures of a live source that are told
-AREA = 480 * 360  # px of each; as JPEG, two of them stay below the longest line even where they are noise
-QUALITY = 70
+PICTURE_INTERVAL_S = 0.5  # between the pictures lines of a live source
+MAX_PICTURE_AREA_PX = 480 * 360  # two JPEGs of pure noise still fit into one line
+JPEG_QUALITY = 70
 
 
-def is_told() -> bool:
-    """Whether a program that started the command asks for lines."""
-    return os.environ.get(TOLD) == "lines"
+def lines_requested() -> bool:
+    """Whether the program that started this command asks for progress lines."""
+    return os.environ.get(PROGRESS_VARIABLE) == "lines"
 
 
-def speed_teller(rig: StereoRig) -> Callable[[str, Estimate], None] | None:
-    """What tells each estimate of a vehicle's speed while it is measured, where that is asked for."""
-    if not is_told():
+def speed_line_writer(rig: StereoRig) -> Callable[[str, Estimate], None] | None:
+    """The callback that writes an estimate line for each estimate of a vehicle's speed; None if no lines are asked
+    for."""
+    if not lines_requested():
         return None
 
-    def tell(vehicle: str, e: Estimate) -> None:
+    def write(vehicle: str, e: Estimate) -> None:
         views = zip(rig.cameras, (e.left, e.right), (e.particles_left, e.particles_right), strict=True)
         outlines, particles = zip(*((c.distort_points(o), c.distort_points(p)) for c, o, p in views), strict=True)
-        line = telling_estimate(vehicle, e.frame, e.time, e.speed, e.speed_std, e.status, outlines, particles)
-        _say(line)
+        line = format_estimate(vehicle, e.frame, e.time, e.speed, e.speed_std, e.status, outlines, particles)
+        _write_line(line)
 
-    return tell
+    return write
 
 
-def range_teller(target: str, live: bool) -> Callable[[CameraFrame, FollowEstimate], None] | None:
-    """What tells each estimate of the distance of the vehicle ahead while it is followed, and of a ``live`` camera now
-    and then what it shows, where that is asked for."""
-    if not is_told():
+def range_line_writer(target: str, live: bool) -> Callable[[CameraFrame, FollowEstimate], None] | None:
+    """The callback that writes an estimate line for each estimate of the distance of the vehicle ahead and, for a
+    ``live`` camera, a pictures line every PICTURE_INTERVAL_S; None if no lines are asked for."""
+    if not lines_requested():
         return None
     due = 0.0
 
-    def tell(frame: CameraFrame, e: FollowEstimate) -> None:
+    def write(frame: CameraFrame, e: FollowEstimate) -> None:
         nonlocal due
         outlines, points = ([], []) if e.status == "lost" else ([e.lines], [e.points])
         distance, std = float(e.position[2]), float(e.position_std[2])
-        _say(telling_estimate(target, e.frame, e.time, distance, std, e.status, outlines, points))
+        _write_line(format_estimate(target, e.frame, e.time, distance, std, e.status, outlines, points))
         if live and frame.image is not None and (now := time.monotonic()) >= due:
-            due = now + EVERY
+            due = now + PICTURE_INTERVAL_S
             height, width = frame.image.shape
-            _say(telling_pictures(frame.index, frame.time, (width, height), small_pictures(frame.image)))
+            _write_line(format_pictures(frame.index, frame.time, (width, height), small_jpegs(frame.image)))
 
-    return tell
+    return write
 
 
-def live_teller(rig: StereoRig) -> Callable[[RawPair, list[Track]], bool] | None:
-    """What tells, now and then, what the cameras of a live survey show, with what moves along the ways and about how
-    fast it is, where that is asked for. It returns whether it has told it now."""
-    if not is_told():
+def live_line_writer(rig: StereoRig) -> Callable[[RawPair, list[Track]], bool] | None:
+    """The callback that writes, every PICTURE_INTERVAL_S, what the cameras of a live survey show: an estimate line for
+    each vehicle in view, with its approximate speed, and a pictures line. It returns whether it has written them; None
+    if no lines are asked for."""
+    if not lines_requested():
         return None
     from paceline.survey.live import last_seen
 
     due = 0.0
 
-    def tell(pair: RawPair, tracks: list[Track]) -> bool:
+    def write(pair: RawPair, tracks: list[Track]) -> bool:
         nonlocal due
         if (now := time.monotonic()) < due:
             return False
-        due = now + EVERY
+        due = now + PICTURE_INTERVAL_S
         seen: Counter[str] = Counter()
         for track in tracks:
             way = track.first.way.name
@@ -85,44 +94,44 @@ def live_teller(rig: StereoRig) -> Callable[[RawPair, list[Track]], bool] | None
             name = way if seen[way] == 1 else f"{way} ({seen[way]})"
             outlines = [c.distort_points(o) for c, o in zip(rig.cameras, last_seen(track), strict=True)]
             speed = abs(track.speed)
-            _say(telling_estimate(name, pair.index, pair.time, speed, float("nan"), "seen", outlines))
-        pictures = small_pictures(pair.left, pair.right)
-        _say(telling_pictures(pair.index, pair.time, rig.left.image_size, pictures))
+            _write_line(format_estimate(name, pair.index, pair.time, speed, float("nan"), "seen", outlines))
+        pictures = small_jpegs(pair.left, pair.right)
+        _write_line(format_pictures(pair.index, pair.time, rig.left.image_size, pictures))
         return True
 
-    return tell
+    return write
 
 
-def small_pictures(*views: Grey) -> list[bytes]:
-    """The ``views`` (H, W) as small JPEGs."""
+def small_jpegs(*views: Grey) -> list[bytes]:
+    """The ``views`` (H, W), reduced to at most MAX_PICTURE_AREA_PX each, as JPEG."""
     import cv2
 
-    found = []
+    jpegs = []
     for view in views:
-        scale = min((AREA / view.size) ** 0.5, 1.0)
+        scale = min((MAX_PICTURE_AREA_PX / view.size) ** 0.5, 1.0)
         size = max(1, round(view.shape[1] * scale)), max(1, round(view.shape[0] * scale))
         small = cv2.resize(view, size, interpolation=cv2.INTER_AREA) if scale < 1 else view
-        found.append(bytes(cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1]))
-    return found
+        jpegs.append(bytes(cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1]))
+    return jpegs
 
 
-def tell_progress(doing: str, done: int, total: int | None) -> None:
-    """Tells how far a command is."""
-    _say(telling(doing, done, total))
+def write_progress(doing: str, done: int, total: int | None) -> None:
+    """Writes a progress line; arguments as in `format_progress`."""
+    _write_line(format_progress(doing, done, total))
 
 
-def _say(line: str) -> None:
+def _write_line(line: str) -> None:
     print(line, file=sys.stderr, flush=True)
 
 
 @contextmanager
 def progress_bar(doing: str, show: bool) -> Iterator[Progress | None]:
-    """A progress bar on standard error, moved on by calls with (frames done, frames in all if that is known).
+    """A progress bar on standard error; yields what advances it, called with frames done and the total if known.
 
-    A program that started the command may ask for lines instead; once it reads them no more, the command ends.
+    A program that asks for lines gets progress lines instead; when it stops reading them, the command ends.
     """
-    if is_told():
-        yield lambda done, total: tell_progress(doing, done, total)
+    if lines_requested():
+        yield lambda done, total: write_progress(doing, done, total)
         return
     if not show:
         yield None
@@ -143,7 +152,8 @@ def progress_bar(doing: str, show: bool) -> Iterator[Progress | None]:
         def render(self, task: Task) -> Text:
             return Text(f"{task.speed:.1f} frames/s" if task.speed else "")
 
-    columns = [TextColumn(doing), BarColumn(), MofNCompleteColumn(), TextColumn("frames"), Rate()]
+    label = ACTIVITY_LABELS.get(doing, doing)
+    columns = [TextColumn(label), BarColumn(), MofNCompleteColumn(), TextColumn("frames"), Rate()]
     with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("", total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)

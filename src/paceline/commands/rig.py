@@ -56,16 +56,16 @@ def rig_import(
     """Write the rig.yaml of a calibration that another program made."""
     from paceline.calibration.importers import Wishes, import_rig
     from paceline.documents.rig_yaml import rig_yaml
-    from paceline.reports.calibration import check_name
-    from paceline.reports.common.output_folder import write_together
+    from paceline.reports.calibration import check_rig_file_name
+    from paceline.reports.common.output_folder import write_all_or_none
 
-    check_name(out)
+    check_rig_file_name(out)
     found, kind = import_rig(files, Wishes(_size(size), METRES[unit], _pair(cameras), rectified))
     comments = [
         f"from {kind}: {', '.join(f.name for f in files)}",
         "it states no uncertainty: see uncertainty in docs/files.md",
     ]
-    write_together({out: rig_yaml(found, comments).encode()})
+    write_all_or_none({out: rig_yaml(found, comments).encode()})
     width, height = found.left.image_size
     print(
         f"{kind}: {width} × {height} pixels, focal length {found.left.K[0, 0]:.1f} px, cameras {found.baseline:.4f} m "
@@ -99,11 +99,11 @@ def rig_check(
     from paceline.documents.loading import load_recorded
     from paceline.documents.rig_yaml import rig_yaml
     from paceline.recordings.stereo import open_recording
-    from paceline.reports.calibration import check_name
-    from paceline.reports.common.output_folder import write_together
+    from paceline.reports.calibration import check_rig_file_name
+    from paceline.reports.common.output_folder import write_all_or_none
 
     if out is not None:
-        check_name(out)
+        check_rig_file_name(out)
     document = load_recorded(file_named(clip, "clip.yaml"), other)
     recording = open_recording(document)
     with progress_bar("matching", sys.stderr.isatty()) as advance:
@@ -116,7 +116,7 @@ def rig_check(
     if out is not None:
         better = refine_rig(document.rig, found)
         comments = [f"rotation refined by {found.matches} points of the scene in {clip.name}"]
-        write_together({out: rig_yaml(better.rig, comments).encode()})
+        write_all_or_none({out: rig_yaml(better.rig, comments).encode()})
         _print_refinement(better, out)
         return DONE
     return NOTHING_MEASURED if found.moved else DONE

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from paceline.commands import DONE, NOTHING_MEASURED, file_named, print_columns
-from paceline.commands.progress_output import progress_bar, speed_teller
+from paceline.commands.progress_output import progress_bar, speed_line_writer
 from paceline.errors import UnusableInput
 from paceline.speed.choices import DeviceName, Motion
 
@@ -120,7 +120,7 @@ def _measure(
             settings.device,
             None if detector is None else Detector(detector),
             stage=lambda doing: progress_bar(doing, shown),
-            on_estimate=speed_teller(document.rig),
+            on_estimate=speed_line_writer(document.rig),
         )
         return write_files(result, recording, folder, unit)
 
@@ -183,14 +183,14 @@ def _detector(config: Path | None, settings: SpeedSettings) -> Path | None:
 
 
 def _print_result(result: ClipResult, unit: str) -> None:
-    from paceline.reports.common.formatting import MISSING, speed_words, verdict_words
+    from paceline.reports.common.formatting import NO_VALUE, format_speed, format_verdict
 
     rows = [("vehicle", f"speed, {unit}", "95 % interval", "verdict")]
     for m in result.measurements:
-        words = speed_words(m, unit)
-        interval = f"{words.lo} to {words.hi}" if words.lo != MISSING else MISSING
-        speed = f"{words.speed} ± {words.plus_minus}" if words.known else MISSING
-        rows.append((m.vehicle, speed, interval, verdict_words(m)))
+        words = format_speed(m, unit)
+        interval = f"{words.lo} to {words.hi}" if words.lo != NO_VALUE else NO_VALUE
+        speed = f"{words.speed} ± {words.plus_minus}" if words.known else NO_VALUE
+        rows.append((m.vehicle, speed, interval, format_verdict(m)))
     print_columns(rows)
     if not result.measurements:
         print("no vehicle was found")

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from paceline.commands import DONE, NOTHING_MEASURED
 from paceline.commands.interrupts import ended_by_interrupt
-from paceline.commands.progress_output import live_teller, tell_progress
+from paceline.commands.progress_output import live_line_writer, write_progress
 
 if TYPE_CHECKING:
     from paceline.cameras import StereoRig
@@ -66,7 +66,7 @@ def measure_live(
         if measurement is not None:
             results.add(measurement, found, seen_at)
         else:
-            results.pass_by(found, seen_at, reason)
+            results.add_unmeasured(found, seen_at, reason)
         say(_line(found, measurement, reason, unit))
 
     def looked(pair: RawPair, tracks: list[Track]) -> None:
@@ -111,7 +111,7 @@ class _Looking:
     _ahead: float = field(default_factory=time.time)  # s, of the time of day over the cameras' clock
 
     def __post_init__(self) -> None:
-        self._tell = live_teller(self.rig)
+        self._tell = live_line_writer(self.rig)
 
     def looked(self, pair: RawPair, tracks: list[Track]) -> None:
         """Note that a ``pair`` has been looked through, with these ``tracks`` in view."""
@@ -121,12 +121,12 @@ class _Looking:
         if self._begun is None:
             self._begun = pair.time
         if self._tell(pair, tracks) and not self._learned:
-            tell_progress("learning", int(pair.time - self._begun), int(self.learning))
+            write_progress("learning", int(pair.time - self._begun), int(self.learning))
 
     def has_learned(self) -> None:
         self._learned = True
         if self._tell is not None:
-            tell_progress("measuring", 0, None)
+            write_progress("measuring", 0, None)
 
     def time_of_day(self, moment: float) -> str:
         """When a ``moment`` of the cameras' clock was, s, where they are played or come without delay."""
@@ -135,12 +135,12 @@ class _Looking:
 
 def _line(found: Found, measurement: Measurement | None, reason: str, unit: SpeedUnit) -> str:
     """What is shown of a vehicle that has passed."""
-    from paceline.reports.common.formatting import MISSING, speed_words, verdict_words
+    from paceline.reports.common.formatting import NO_VALUE, format_speed, format_verdict
 
-    name = found.vehicle.id if found.vehicle is not None else MISSING
+    name = found.vehicle.id if found.vehicle is not None else NO_VALUE
     when = f"{time.strftime('%H:%M:%S')}  {name:<5} {found.path:<8}"
     if measurement is None:
         return f"{when} {reason}"
-    words = speed_words(measurement, unit)
-    speed = f"{words.speed} ± {words.plus_minus} {unit}" if words.known else MISSING
-    return f"{when} {speed}  {verdict_words(measurement)}"
+    words = format_speed(measurement, unit)
+    speed = f"{words.speed} ± {words.plus_minus} {unit}" if words.known else NO_VALUE
+    return f"{when} {speed}  {format_verdict(measurement)}"

@@ -27,7 +27,7 @@ def target_learn(
     """Learn a line model from the strong horizontal and vertical edges inside a box."""
     from paceline.documents.loading import load_camera
     from paceline.recordings.image_sources import read_image_file, to_grey
-    from paceline.reports.target import start_lines, write_learned
+    from paceline.reports.target import start_entry, write_target
     from paceline.targets.learning import learn_target
 
     if out.suffix and image.resolve() in (out.resolve(), out.with_suffix(".png").resolve()):
@@ -38,9 +38,9 @@ def target_learn(
         learned = learn_target(picture, corners, width, lens, name or out.stem)
     except UnusableInput as unusable:
         raise UnusableInput(f"{image}: {unusable}") from None
-    beside = write_learned(learned, picture, out)
+    beside = write_target(learned, picture, out)
     print(f"{len(learned.target.segments)} lines in {out}; look at them in {beside}")
-    print(f"follow.yaml, where this picture is the first frame:\n{start_lines(learned)}")
+    print(f"follow.yaml, where this picture is the first frame:\n{start_entry(learned)}")
     return DONE
 
 

@@ -77,15 +77,15 @@ def _print(search: Search) -> None:
 def _write(file: Path, search: Search) -> list[Path]:
     """Writes the vehicles and their pictures together; returns where the pictures are."""
     from paceline.detection.clip_entries import with_vehicles
-    from paceline.reports.common.output_folder import write_together
-    from paceline.reports.detected_vehicles import vehicle_picture
-    from paceline.reports.lanes import png
+    from paceline.reports.common.output_folder import write_all_or_none
+    from paceline.reports.detected_vehicles import draw_detected_vehicle
+    from paceline.reports.lanes import encode_png
 
     text = with_vehicles(file.read_text(encoding="utf-8"), str(file), search.clip.rig, search.found)
     pictures = {
-        file.with_name(f"vehicle-{f.vehicle.id}.png"): png(vehicle_picture(f))
+        file.with_name(f"vehicle-{f.vehicle.id}.png"): encode_png(draw_detected_vehicle(f))
         for f in search.found
         if f.vehicle is not None
     }
-    write_together({file.resolve(): text.encode(), **pictures})
+    write_all_or_none({file.resolve(): text.encode(), **pictures})
     return list(pictures)

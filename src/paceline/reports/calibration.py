@@ -14,13 +14,13 @@ from paceline.calibration.board_calibration import Calibration
 from paceline.calibration.parameters import NAMES
 from paceline.documents.rig_yaml import rig_yaml
 from paceline.errors import UnusableInput
-from paceline.reports.common.output_folder import write_together
-from paceline.reports.common.plots import FILTER, INK, INTERVAL, MUTED, REFINED, make_plot
+from paceline.reports.common.output_folder import write_all_or_none
+from paceline.reports.common.plots import FILTER_COLOR, INK_COLOR, INTERVAL_COLOR, MUTED_COLOR, REFINED_COLOR, make_plot
 from paceline.version import __version__
 
-SIDES = ("left", "right")
-SIZE = (9.4, 6.4)  # inches
-MOST_NAMES = 30  # views whose names fit under the bars
+VIEW_NAMES = ("left", "right")
+FIGURE_SIZE_IN = (9.4, 6.4)  # inches
+MAX_LABELLED_VIEWS = 30  # views whose names fit under the bars
 
 
 def write_calibration(calibration: Calibration, file: Path) -> list[Path]:
@@ -28,17 +28,19 @@ def write_calibration(calibration: Calibration, file: Path) -> list[Path]:
 
     Raises UnusableInput where they cannot be written; then none is.
     """
-    plot = make_plot("calibration", "Where the board was seen", SIZE, lambda figure: _draw(figure, calibration))
+    plot = make_plot(
+        "calibration", "Where the board was seen", FIGURE_SIZE_IN, lambda figure: _draw(figure, calibration)
+    )
     contents = {
-        file: rig_yaml(calibration.rig, head(calibration)).encode(),
+        file: rig_yaml(calibration.rig, rig_comments(calibration)).encode(),
         file.with_suffix(".png"): plot.png,
-        file.with_suffix(".json"): (json.dumps(numbers(calibration), indent=1) + "\n").encode(),
+        file.with_suffix(".json"): (json.dumps(calibration_data(calibration), indent=1) + "\n").encode(),
     }
-    write_together(contents)
+    write_all_or_none(contents)
     return list(contents)
 
 
-def check_name(file: Path) -> None:
+def check_rig_file_name(file: Path) -> None:
     """Raises UnusableInput for a ``file`` that is no name for a rig.yaml."""
     if file.suffix not in (".yaml", ".yml"):
         raise UnusableInput(f"--out {file}: expected the name of a YAML file to write, for instance rig.yaml")
@@ -50,7 +52,7 @@ def check_name(file: Path) -> None:
         raise UnusableInput(f"--out {file}: is a folder; expected the name of a file to write")
 
 
-def head(calibration: Calibration) -> list[str]:
+def rig_comments(calibration: Calibration) -> list[str]:
     """What a rig.yaml says of its own making."""
     c = calibration
     return [
@@ -59,7 +61,7 @@ def head(calibration: Calibration) -> list[str]:
     ]
 
 
-def numbers(calibration: Calibration) -> dict[str, Any]:
+def calibration_data(calibration: Calibration) -> dict[str, Any]:
     """Everything about a calibration, for programs: SI units and pixels."""
     c = calibration
     values = np.concatenate([c.fit.rig.lenses.ravel(), np.zeros(3), c.rig.t])
@@ -67,10 +69,10 @@ def numbers(calibration: Calibration) -> dict[str, Any]:
     views = []
     for v, view in enumerate(c.views.views):
         entry: dict[str, Any] = {"view": view.name, "used": v in c.used}
-        entry |= {f"{side}_corners": len(corners) for side, corners in zip(SIDES, view.sides, strict=True)}
+        entry |= {f"{side}_corners": len(corners) for side, corners in zip(VIEW_NAMES, view.sides, strict=True)}
         if v in c.used:
             row = errors[c.used.index(v)]
-            entry |= {f"{s}_rms_px": None if np.isnan(e) else float(e) for s, e in zip(SIDES, row, strict=True)}
+            entry |= {f"{s}_rms_px": None if np.isnan(e) else float(e) for s, e in zip(VIEW_NAMES, row, strict=True)}
         else:
             entry["reason"] = c.rejected[v]
         views.append(entry)
@@ -95,7 +97,7 @@ def numbers(calibration: Calibration) -> dict[str, Any]:
 
 def _draw(figure: Figure, calibration: Calibration) -> None:
     grid = figure.add_gridspec(2, 2, height_ratios=(1.55, 1))
-    for side, name in enumerate(SIDES):
+    for side, name in enumerate(VIEW_NAMES):
         _draw_coverage(figure.add_subplot(grid[0, side]), calibration, side, name)
     _draw_errors(figure.add_subplot(grid[1, :]), calibration)
     figure.axes[0].legend(loc="upper left", bbox_to_anchor=(0, -0.03), ncols=3, handletextpad=0.2, markerscale=4)
@@ -106,11 +108,11 @@ def _draw_coverage(axes: Axes, calibration: Calibration, side: int, name: str) -
     width, height = c.views.sizes[side]
     mine = c.seen.side == side
     pixels = c.seen.pixels[mine]
-    axes.scatter(pixels[:, 0], pixels[:, 1], s=3, color=FILTER, lw=0, label="corners used")
+    axes.scatter(pixels[:, 0], pixels[:, 1], s=3, color=FILTER_COLOR, lw=0, label="corners used")
     left_out = [c.views.views[v].sides[side].pixels for v in c.rejected]
     if left_out:
         x, y = np.concatenate(left_out).T
-        axes.scatter(x, y, s=3, color=REFINED, lw=0, alpha=0.6, label="of views left out")
+        axes.scatter(x, y, s=3, color=REFINED_COLOR, lw=0, alpha=0.6, label="of views left out")
     axes.set_title(f"{name} image, {len(pixels)} corners")
     axes.set_xlim(-0.5, width - 0.5)
     axes.set_ylim(height - 0.5, -0.5)
@@ -129,19 +131,19 @@ def _draw_errors(axes: Axes, calibration: Calibration) -> None:
     usual = float(np.nanmedian(errors))
     top = max(1.25 * float(np.nanmax(errors)), 2 * usual)
     place = np.arange(len(errors))
-    for side, (name, color) in enumerate(zip(SIDES, (FILTER, MUTED), strict=True)):
+    for side, (name, color) in enumerate(zip(VIEW_NAMES, (FILTER_COLOR, MUTED_COLOR), strict=True)):
         axes.bar(place + (side - 0.5) * 0.38, errors[:, side], 0.36, color=color, label=name)
     for v in c.rejected:
-        axes.axvspan(v - 0.45, v + 0.45, color=INTERVAL, alpha=0.25, lw=0)
-        axes.text(v, 0.96 * top, "left out", rotation=90, ha="center", va="top", color=INK, fontsize=7)
-    axes.axhline(usual, color=INK, lw=0.8, ls=(0, (4, 3)))
+        axes.axvspan(v - 0.45, v + 0.45, color=INTERVAL_COLOR, alpha=0.25, lw=0)
+        axes.text(v, 0.96 * top, "left out", rotation=90, ha="center", va="top", color=INK_COLOR, fontsize=7)
+    axes.axhline(usual, color=INK_COLOR, lw=0.8, ls=(0, (4, 3)))
     axes.set_ylim(0, top)
     axes.set_title("error of each view, px (rms of a coordinate); dashed: the median")
     axes.grid(axis="x", visible=False)
     axes.margins(x=0.01)
     axes.legend(loc="upper right", ncols=2)
     names = [view.name for view in c.views.views]
-    if len(names) <= MOST_NAMES:
+    if len(names) <= MAX_LABELLED_VIEWS:
         axes.set_xticks(place, [n.rsplit(".", 1)[0][-12:] for n in names], rotation=60, ha="right", fontsize=7)
     else:
         axes.set_xlabel("view")

@@ -7,14 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from paceline.detection.finder import Found
-from paceline.reports.common.drawing import WHITE, Color, Picture, draw_label, draw_outline, scaled
+from paceline.reports.common.drawing import WHITE_BGR, Color, Picture, draw_label, draw_outline, scale_points
 
-OUTLINE: Color = (110, 220, 90)
-HEIGHT = 420  # px
-BRIGHTNESS = 0.6  # exponent by which dark recordings are shown brighter
+OUTLINE_COLOR: Color = (110, 220, 90)
+PICTURE_HEIGHT_PX = 420  # px
+DISPLAY_GAMMA = 0.6  # exponent by which dark recordings are shown brighter
 
 
-def vehicle_picture(found: Found, height: int = HEIGHT) -> Picture:
+def draw_detected_vehicle(found: Found, height: int = PICTURE_HEIGHT_PX) -> Picture:
     """Both views about a vehicle in the frame in which it is outlined, ``height`` px high. It has to have an
     outline."""
     assert found.vehicle is not None, "there is an outline to draw"
@@ -23,16 +23,16 @@ def vehicle_picture(found: Found, height: int = HEIGHT) -> Picture:
         zip(found.crops, found.corners, (found.vehicle.left, found.vehicle.right), strict=True)
     ):
         scale = height / crop.shape[0]
-        picture = _light(crop, scale, height)
-        draw_outline(picture, scaled(quad - corner, scale), OUTLINE, 1)
+        picture = _brightened(crop, scale, height)
+        draw_outline(picture, scale_points(quad - corner, scale), OUTLINE_COLOR, 1)
         what = (f"{found.vehicle.id}, frame {found.vehicle.frame}, left", "right")[side]
-        draw_label(picture, what, (0, 0), WHITE)
+        draw_label(picture, what, (0, 0), WHITE_BGR)
         views.append(picture)
     return np.hstack(views)
 
 
-def _light(crop: NDArray[np.float32], scale: float, height: int) -> Picture:
-    light = np.clip(np.maximum(crop, 0) / max(float(np.percentile(crop, 99)), 1.0), 0, 1) ** BRIGHTNESS
+def _brightened(crop: NDArray[np.float32], scale: float, height: int) -> Picture:
+    light = np.clip(np.maximum(crop, 0) / max(float(np.percentile(crop, 99)), 1.0), 0, 1) ** DISPLAY_GAMMA
     size = max(1, round(crop.shape[1] * scale)), height
     grey = cv2.resize((255 * light).astype(np.uint8), size, interpolation=cv2.INTER_CUBIC)
     return np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), np.uint8)

@@ -9,44 +9,51 @@ from paceline.arrays import Array
 from paceline.cameras import StereoRig
 from paceline.lanes.lane_proposals import Lane, Line
 from paceline.recordings.background import Background
-from paceline.reports.common.drawing import SUBPIXEL, WHITE, Box, Color, Picture, draw_label, draw_line, fixed
+from paceline.reports.common.drawing import (
+    SUBPIXEL_BITS,
+    WHITE_BGR,
+    Box,
+    Color,
+    Picture,
+    draw_label,
+    draw_line,
+    to_fixed_point,
+)
 from paceline.units import COVERAGE_95
 
-LINE: Color = (60, 200, 255)
-CENTRE: Color = (110, 220, 90)
-UNUSED: Color = (90, 90, 230)
-BRIGHTNESS = 0.6  # exponent by which dark recordings are shown brighter
+LINE_COLOR: Color = (60, 200, 255)
+CENTRE_COLOR: Color = (110, 220, 90)
+UNUSED_COLOR: Color = (90, 90, 230)
+DISPLAY_GAMMA = 0.6  # exponent by which dark recordings are shown brighter
 
 
-def lanes_picture(
-    rig: StereoRig, background: Background, side: int, lines: list[Line], lanes: dict[str, Lane]
-) -> Picture:
+def draw_lanes(rig: StereoRig, background: Background, side: int, lines: list[Line], lanes: dict[str, Lane]) -> Picture:
     """The left (0) or right (1) view in ideal pixels: lines in yellow with their 95 % band, in red those that bound no
     lane, centre lines of lanes in green."""
     image = background.images[side]
-    light = np.clip(np.maximum(image, 0) / max(float(np.percentile(image, 99)), 1.0), 0, 1) ** BRIGHTNESS
+    light = np.clip(np.maximum(image, 0) / max(float(np.percentile(image, 99)), 1.0), 0, 1) ** DISPLAY_GAMMA
     picture: Picture = np.asarray(cv2.cvtColor((255 * light).astype(np.uint8), cv2.COLOR_GRAY2BGR), np.uint8)
     used = {name for lane in lanes.values() for name in lane.between}
     taken: list[Box] = []
     for line in lines:
-        color = LINE if line.id in used else UNUSED
+        color = LINE_COLOR if line.id in used else UNUSED_COLOR
         _draw_band(picture, rig, side, line, color)
         pixels = rig.project(line.points)[side]
         for a, b in zip(pixels, pixels[1:], strict=False):
             draw_line(picture, a, b, color, 1)
-        taken.append(draw_label(picture, f"{line.id} {line.kind}", _middle(picture, pixels, 0.7), color, taken))
+        taken.append(draw_label(picture, f"{line.id} {line.kind}", _label_position(picture, pixels, 0.7), color, taken))
     for name, lane in lanes.items():
         recorded = (lane.left, lane.right)[side]
         pixels = rig.cameras[side].undistort_points(recorded)
         for a, b in zip(pixels, pixels[1:], strict=False):
-            draw_line(picture, a, b, CENTRE, 2)
+            draw_line(picture, a, b, CENTRE_COLOR, 2)
         text = f"{name}  {lane.width:.2f} ± {COVERAGE_95 * lane.width_std:.2f} m"
-        taken.append(draw_label(picture, text, _middle(picture, pixels, 0.5), CENTRE, taken))
-    draw_label(picture, "yellow: lines with their 95 % band, green: middle of a lane", (0, 0), WHITE, taken)
+        taken.append(draw_label(picture, text, _label_position(picture, pixels, 0.5), CENTRE_COLOR, taken))
+    draw_label(picture, "yellow: lines with their 95 % band, green: middle of a lane", (0, 0), WHITE_BGR, taken)
     return picture
 
 
-def _middle(picture: Picture, pixels: Array, share: float) -> tuple[float, float]:
+def _label_position(picture: Picture, pixels: Array, share: float) -> tuple[float, float]:
     """Where among the ``pixels`` (N, 2) that are inside the picture a label goes."""
     height, width = picture.shape[:2]
     inside = pixels[((pixels >= 0) & (pixels < [width, height])).all(1)]
@@ -63,11 +70,11 @@ def _draw_band(picture: Picture, rig: StereoRig, side: int, line: Line, color: C
     across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
     shift = COVERAGE_95 * line.sigma[:, None] * across
     edges = [rig.project(line.points + sign * shift)[side] for sign in (-1, 1)]
-    polygon = np.array([fixed(p) for p in np.concatenate([edges[0], edges[1][::-1]])], np.int32)
+    polygon = np.array([to_fixed_point(p) for p in np.concatenate([edges[0], edges[1][::-1]])], np.int32)
     shade = picture.copy()
-    cv2.fillPoly(shade, [polygon], color, cv2.LINE_AA, SUBPIXEL)
+    cv2.fillPoly(shade, [polygon], color, cv2.LINE_AA, SUBPIXEL_BITS)
     cv2.addWeighted(shade, 0.35, picture, 0.65, 0, picture)
 
 
-def png(picture: Picture) -> bytes:
+def encode_png(picture: Picture) -> bytes:
     return bytes(cv2.imencode(".png", picture)[1])

@@ -10,27 +10,27 @@ import numpy as np
 from paceline.arrays import Image
 from paceline.errors import UnusableInput
 from paceline.reports.common.drawing import (
-    DARK,
-    WHITE,
+    DARK_BGR,
+    WHITE_BGR,
     Color,
     Picture,
     draw_dots,
     draw_line,
     draw_text,
-    scaled,
+    scale_points,
     text_width,
 )
-from paceline.reports.common.output_folder import write_together
+from paceline.reports.common.output_folder import write_all_or_none
 from paceline.targets.learning import LearnedTarget, corner_names
 
-SIZE = 900  # px, the larger side of the picture
-BESIDE = 0.15  # share of the target's size shown around it
-HEADER = 40  # px
-HORIZONTAL: Color = (250, 200, 90)
-VERTICAL: Color = (80, 190, 250)
+PICTURE_SIZE_PX = 900  # px, the larger side of the picture
+MARGIN_SHARE = 0.15  # share of the target's size shown around it
+HEADER_HEIGHT_PX = 40  # px
+HORIZONTAL_COLOR: Color = (250, 200, 90)
+VERTICAL_COLOR: Color = (80, 190, 250)
 
 
-def write_learned(learned: LearnedTarget, image: Image, file: Path) -> Path:
+def write_target(learned: LearnedTarget, image: Image, file: Path) -> Path:
     """Writes target.yaml to ``file`` and the picture beside it, both or neither; returns the picture's path.
 
     ``image`` (H, W), 0–255, is the one learned from. Raises UnusableInput where they cannot be written.
@@ -38,9 +38,9 @@ def write_learned(learned: LearnedTarget, image: Image, file: Path) -> Path:
     if file.suffix not in (".yaml", ".yml"):
         raise UnusableInput(f"{file}: expected the name of a YAML file to write, for instance target.yaml")
     beside = file.with_suffix(".png")
-    done, png = cv2.imencode(".png", draw_learned(learned, image))
+    done, png = cv2.imencode(".png", draw_target(learned, image))
     assert done
-    write_together({file: target_yaml(learned).encode(), beside: bytes(png)})
+    write_all_or_none({file: target_yaml(learned).encode(), beside: bytes(png)})
     return beside
 
 
@@ -55,35 +55,35 @@ def target_yaml(learned: LearnedTarget) -> str:
     return "\n".join([*head, "corners:", *corners, "segments:", *segments]) + "\n"
 
 
-def start_lines(learned: LearnedTarget) -> str:
+def start_entry(learned: LearnedTarget) -> str:
     """The line for follow.yaml that starts on the picture learned from, as the recording's first frame."""
     x, y = learned.center
     return f"start: {{frame: 0, center: [{x:.2f}, {y:.2f}], scale: 1.0}}"
 
 
-def draw_learned(learned: LearnedTarget, image: Image) -> Picture:
+def draw_target(learned: LearnedTarget, image: Image) -> Picture:
     """The target's surroundings, magnified, with the model's lines and the corners' names."""
     corners, target = learned.corners, learned.target
     low, high = corners.min(axis=0), corners.max(axis=0)
-    margin = BESIDE * (high - low) + 3
+    margin = MARGIN_SHARE * (high - low) + 3
     x0, y0 = np.maximum(np.floor(low - margin), 0).astype(int)
     x1, y1 = np.minimum(np.ceil(high + margin) + 1, image.shape[::-1]).astype(int)
-    scale = SIZE / max(x1 - x0, y1 - y0)
+    scale = PICTURE_SIZE_PX / max(x1 - x0, y1 - y0)
     method = cv2.INTER_CUBIC if scale > 1 else cv2.INTER_AREA
     crop = cv2.convertScaleAbs(np.ascontiguousarray(image[y0:y1, x0:x1]))
     grey = cv2.resize(crop, None, fx=scale, fy=scale, interpolation=method)
     view = np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), np.uint8)
-    points = scaled(corners - (x0, y0), scale)
+    points = scale_points(corners - (x0, y0), scale)
     for a, b in target.segments:
         upright = abs(corners[a, 0] - corners[b, 0]) < abs(corners[a, 1] - corners[b, 1])
-        draw_line(view, points[a], points[b], DARK, 4)
-        draw_line(view, points[a], points[b], VERTICAL if upright else HORIZONTAL, 2)
-    draw_dots(view, points, WHITE, 3.5)
+        draw_line(view, points[a], points[b], DARK_BGR, 4)
+        draw_line(view, points[a], points[b], VERTICAL_COLOR if upright else HORIZONTAL_COLOR, 2)
+    draw_dots(view, points, WHITE_BGR, 3.5)
     for name, (x, y) in zip(corner_names(len(points)), points, strict=True):
-        draw_text(view, name, (round(x) + 5, round(y) - 5), 15, WHITE, 500)
-    strip = np.empty((HEADER, view.shape[1], 3), np.uint8)
-    strip[:] = DARK
+        draw_text(view, name, (round(x) + 5, round(y) - 5), 15, WHITE_BGR, 500)
+    strip = np.empty((HEADER_HEIGHT_PX, view.shape[1], 3), np.uint8)
+    strip[:] = DARK_BGR
     text = f"{target.name}: {len(target.segments)} lines, {target.nominal_range:.2f} m away at scale 1"
     size = 17 if text_width(text, 17) < view.shape[1] - 28 else 11
-    draw_text(strip, text, (14, 27), size, WHITE)
+    draw_text(strip, text, (14, 27), size, WHITE_BGR)
     return np.concatenate([strip, view])

@@ -15,7 +15,7 @@ from paceline.documents.loading import load_follow
 from paceline.documents.models import TargetModel, read_document
 from paceline.documents.yaml_editing import Plain, flow, with_values
 from paceline.errors import UnusableInput
-from paceline.reports.common.output_folder import write_together
+from paceline.reports.common.output_folder import write_all_or_none
 
 DECIMALS = 2  # of a pixel as written
 SCALE_DECIMALS = 5
@@ -66,7 +66,7 @@ def save_chase(file: Path, camera: Camera, chase: Chase) -> Chase:
         contents[named] = target_text(target).encode()
     new = with_values(file.read_text(encoding="utf-8"), str(file), values)
     _check(file, new, contents)
-    write_together({**contents, file: new.encode()})
+    write_all_or_none({**contents, file: new.encode()})
     return read_chase(file)
 
 

@@ -18,7 +18,7 @@ from paceline.console.runs.kinds import AHEAD, LIVE
 from paceline.console.runs.results import Series, read_series, read_summary
 from paceline.console.runs.run_list import WAITING, Run
 from paceline.errors import UnusableInput
-from paceline.reports.common.formatting import number, shown_speed
+from paceline.reports.common.formatting import format_number, format_speed_number
 
 FILTERED = (
     "What the filter believes, frame by frame. These are first values: the speeds that count are fitted to the whole "
@@ -160,4 +160,8 @@ class Watching:
         return {"frame": scene["frame"], "time": scene["time_s"], "vehicles": shown, **size}
 
     def _value(self, value: float) -> str:
-        return f"{number(value, 1)} m" if self.run.kind == AHEAD else f"{shown_speed(value, self.unit)} {self.unit}"
+        return (
+            f"{format_number(value, 1)} m"
+            if self.run.kind == AHEAD
+            else f"{format_speed_number(value, self.unit)} {self.unit}"
+        )

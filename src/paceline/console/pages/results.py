@@ -23,7 +23,7 @@ from paceline.console.runs.results import (
     vehicle_rows,
 )
 from paceline.console.runs.run_list import MEASURED, Run
-from paceline.reports.common.formatting import number
+from paceline.reports.common.formatting import format_number
 
 VERDICT = """
 <q-td :props="props">
@@ -126,7 +126,7 @@ def ahead(library: Library, run: Run, runs: list[Run], other: int | None, compar
     counts = ", ".join(f"{count} {status}" for status, count in found["status"].items())
     ui.label(f"{found['target']}: tracked in {100 * found['share']:.0f} % of {found['frames']} frames ({counts})")
     if found["status"]["tracking"]:
-        least, mean, most = (number(value, 1) for value in found["range"])
+        least, mean, most = (format_number(value, 1) for value in found["range"])
         ui.label(f"Distance ahead {least} to {most} m, {mean} m on average")
     for reason, count in found["reasons"].items():
         ui.label(f"In {count} {'frame' if count == 1 else 'frames'}: {reason}").classes("pl-fact")

@@ -38,7 +38,7 @@ class Watch:
     _coming: dict[str, Any] = field(default_factory=dict)
 
     def add(self, told: dict[str, Any]) -> None:
-        """Note one estimate, as `progress.told_estimate` gives it."""
+        """Note one estimate, as `progress.parse_estimate` gives it."""
         if told["value"] is not None:
             values = self.values.setdefault(told["vehicle"], Values())
             values.add(told["time_s"], told["value"], told["std"] or 0.0)
@@ -53,7 +53,7 @@ class Watch:
         self._coming = {}
 
     def show(self, told: dict[str, Any]) -> None:
-        """Note the pictures of a live frame, as `progress.told_pictures` gives them; its vehicles have been told."""
+        """Note the pictures of a live frame, as `progress.parse_pictures` gives them; its vehicles have been told."""
         vehicles = self._coming["vehicles"] if self._coming.get("frame") == told["frame"] else []
         self.scene = {key: told[key] for key in ("frame", "time_s", "size")} | {"vehicles": vehicles}
         self.pictures[told["frame"]] = told["pictures"]

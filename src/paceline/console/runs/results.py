@@ -14,7 +14,7 @@ from typing import Any
 
 from paceline.console.confinement import NotHere, file_below
 from paceline.errors import UnusableInput
-from paceline.reports.common.formatting import MISSING, number, shown_speed
+from paceline.reports.common.formatting import NO_VALUE, format_number, format_speed_number
 from paceline.units import COVERAGE_95, convert
 
 FILES = {  # that a run may leave behind, and what they are called
@@ -163,11 +163,13 @@ def vehicle_rows(vehicles: list[dict[str, Any]], unit: str) -> list[dict[str, st
 def _row(vehicle: dict[str, Any], unit: str) -> dict[str, str]:
     speed, lo, hi = (_number(vehicle.get(key)) for key in ("speed_mps", "speed_lo_mps", "speed_hi_mps"))
     half = (hi - lo) / 2
-    shown = shown_speed(speed, unit, half)
+    shown = format_speed_number(speed, unit, half)
     return {
         "vehicle": str(vehicle.get("vehicle")),
-        "speed": shown if shown == MISSING else f"{shown} ± {shown_speed(half, unit, half)}",
-        "interval": MISSING if math.isnan(half) else f"{shown_speed(lo, unit, half)} to {shown_speed(hi, unit, half)}",
+        "speed": shown if shown == NO_VALUE else f"{shown} ± {format_speed_number(half, unit, half)}",
+        "interval": NO_VALUE
+        if math.isnan(half)
+        else f"{format_speed_number(lo, unit, half)} to {format_speed_number(hi, unit, half)}",
         "frames": str(vehicle.get("frames")),
         "verdict": str(vehicle.get("verdict")),
         "reason": str(vehicle.get("reason") or ""),
@@ -189,7 +191,7 @@ def differences(first: list[dict[str, Any]], second: list[dict[str, Any]], unit:
                     "vehicle": str(vehicle.get("vehicle")),
                     "first": _row(vehicle, unit)["speed"],
                     "second": _row(other, unit)["speed"],
-                    "change": sign + number(change, 2),
+                    "change": sign + format_number(change, 2),
                 }
             )
     return rows

@@ -32,7 +32,7 @@ from paceline.console.runs.kinds import LIVE, MEASURING, arguments, document_of,
 from paceline.console.runs.monitor import Watch
 from paceline.console.runs.results import Series, why_nothing
 from paceline.errors import UnusableInput
-from paceline.progress import LONGEST, TOLD, told, told_estimate, told_pictures
+from paceline.progress import MAX_LINE_LENGTH, PROGRESS_VARIABLE, parse_estimate, parse_pictures, parse_progress
 
 RUNS = "runs"
 DONE, NOTHING_MEASURED, UNUSABLE = 0, 1, 2  # how the command line ends
@@ -286,13 +286,13 @@ class Runs:
         words: deque[str] = deque(maxlen=LAST_WORDS)
         assert process.stdout is not None
         with process.stdout:
-            while line := process.stdout.readline(LONGEST):
-                progress, estimate = told(line), told_estimate(line)
+            while line := process.stdout.readline(MAX_LINE_LENGTH):
+                progress, estimate = parse_progress(line), parse_estimate(line)
                 if estimate is not None:
                     with self._lock:
                         self._watches[key].add(estimate)
                     continue
-                if (pictures := told_pictures(line)) is not None:
+                if (pictures := parse_pictures(line)) is not None:
                     with self._lock:
                         self._watches[key].show(pictures)
                     continue
@@ -327,7 +327,7 @@ class Runs:
 
 def _environment() -> dict[str, str]:
     """That of a command which tells how far it is, and is started from another folder."""
-    environment = {**os.environ, TOLD: "lines"}
+    environment = {**os.environ, PROGRESS_VARIABLE: "lines"}
     if found := environment.get("PYTHONPATH"):
         environment["PYTHONPATH"] = os.pathsep.join(os.path.abspath(path) for path in found.split(os.pathsep))
     return environment

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from paceline.reports.common.formatting import MISSING, number
-from paceline.reports.common.html import flat, render
+from paceline.reports.common.formatting import NO_VALUE, format_number
+from paceline.reports.common.html import flatten_settings, render
 from paceline.reports.common.plots import Plot
-from paceline.reports.follow.overlay import Still
-from paceline.reports.follow.page import percent
+from paceline.reports.follow.overlay import TargetStill
+from paceline.reports.follow.page import format_percent
 from paceline.simulation.closed_loop.requirements import Requirement
 from paceline.simulation.closed_loop.results import DriveResult
 
 # What each plot shows, for someone who has never seen one.
-CAPTIONS = {
+PLOT_CAPTIONS = {
     "plan": "The way of the vehicle ahead, and of the one that follows it by its camera. One on the other is good.",
     "gap": "How far ahead the vehicle is: as it was, as the camera told it, and as the throttle wants it. Shaded "
     "stretches were not tracked.",
@@ -24,42 +24,44 @@ CAPTIONS = {
 }
 
 
-def write_drive_page(result: DriveResult, file: Path, *, plots: list[Plot], stills: list[Still], overlay: bool) -> None:
+def write_drive_page(
+    result: DriveResult, file: Path, *, plots: list[Plot], stills: list[TargetStill], overlay: bool
+) -> None:
     """Writes the page. Needs no other file and no network; ``overlay`` says whether there is a video to link to."""
     f = result.figures
     text = render(
         "closed_loop/page.html.j2",
         result=result,
         overlay=overlay,
-        rows=[requirement_words(r) for r in result.requirements],
+        rows=[format_requirement(r) for r in result.requirements],
         failed=sum(not r.holds for r in result.requirements),
-        duration=number(result.duration, 1),
-        way=number(f.way, 0),
-        fastest=number(3.6 * f.speed_max, 1),
-        path_rms=number(f.path_rms, 3),
-        path_max=number(f.path_max, 2),
-        clearance=number(f.clearance, 1),
-        nearest=number(f.gap_min, 1),
-        farthest=number(f.gap_max, 1),
-        share=percent(f.tracked_share),
-        latency=number(1e3 * result.latency, 0),
-        median=number(1e3 * result.processing["median"], 2),
-        slowest=number(1e3 * result.processing["p99"], 2),
-        plots=[(plot, CAPTIONS[plot.name]) for plot in plots],
+        duration=format_number(result.duration, 1),
+        way=format_number(f.way, 0),
+        fastest=format_number(3.6 * f.speed_max, 1),
+        path_rms=format_number(f.path_rms, 3),
+        path_max=format_number(f.path_max, 2),
+        clearance=format_number(f.clearance, 1),
+        nearest=format_number(f.gap_min, 1),
+        farthest=format_number(f.gap_max, 1),
+        share=format_percent(f.tracked_share),
+        latency=format_number(1e3 * result.latency, 0),
+        median=format_number(1e3 * result.processing["median"], 2),
+        slowest=format_number(1e3 * result.processing["p99"], 2),
+        plots=[(plot, PLOT_CAPTIONS[plot.name]) for plot in plots],
         stills=stills,
-        settings=[*flat(result.document, "drive."), *flat(result.configuration)],
-        seconds=number(result.seconds, 1),
-        missing=MISSING,
+        settings=[*flatten_settings(result.document, "drive."), *flatten_settings(result.configuration)],
+        seconds=format_number(result.seconds, 1),
+        missing=NO_VALUE,
     )
     file.write_text(text, encoding="utf-8")
 
 
-def requirement_words(r: Requirement) -> tuple[str, str, str, str]:
+def format_requirement(r: Requirement) -> tuple[str, str, str, str]:
     """What, the figure found, its bound, and whether it holds, as text."""
     if r.what == "tracking at the end":
         return r.what, "yes" if r.value else "no", "yes", "holds" if r.holds else "fails"
     whole = r.unit == "" and float(r.value).is_integer() and float(r.bound).is_integer()
     decimals = 0 if whole else 3 if max(abs(r.bound), 1e-9) < 1 else 2
     unit = f" {r.unit}" if r.unit else ""
-    bound = f"at {'least' if r.at_least else 'most'} {number(r.bound, decimals)}{unit}"
-    return r.what, f"{number(r.value, decimals)}{unit}", bound, "holds" if r.holds else "fails"
+    bound = f"at {'least' if r.at_least else 'most'} {format_number(r.bound, decimals)}{unit}"
+    return r.what, f"{format_number(r.value, decimals)}{unit}", bound, "holds" if r.holds else "fails"

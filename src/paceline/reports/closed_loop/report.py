@@ -17,14 +17,14 @@ from paceline.reports.closed_loop.plots import drive_plots
 from paceline.reports.closed_loop.tables import DriveTable, write_drive_summary
 from paceline.reports.common.output_folder import OutputFolder
 from paceline.reports.common.video import VideoWriter
-from paceline.reports.follow.overlay import Stills
+from paceline.reports.follow.overlay import StillSelection
 from paceline.simulation.closed_loop.drive_yaml import documented
 from paceline.simulation.closed_loop.loop import ClosedLoop
 from paceline.simulation.closed_loop.requirements import Figures, judged
 from paceline.simulation.closed_loop.results import DriveLog, DriveResult
 from paceline.version import versions
 
-CRF = 25
+VIDEO_CRF = 25
 
 
 def drive_and_report(
@@ -41,16 +41,16 @@ def write_drive_files(
     """As `drive_and_report`, straight into an existing ``folder``; memory does not grow with the drive."""
     begun = time.perf_counter()
     warm_up()
-    figures, log, stills, notices = Figures(), DriveLog(), Stills(), list[str]()
+    figures, log, stills, notices = Figures(), DriveLog(), StillSelection(), list[str]()
     rate, width = loop.stage.scene.rate, loop.stage.world.body.width
     with ExitStack() as stack:
         table = stack.enter_context(DriveTable(folder / "drive.csv"))
-        video = stack.enter_context(VideoWriter(folder / "overlay.mp4", 1 / rate, CRF)) if overlay else None
+        video = stack.enter_context(VideoWriter(folder / "overlay.mp4", 1 / rate, VIDEO_CRF)) if overlay else None
         for step in loop.steps():
             table.add(step)
             figures.add(step, width)
             log.add(step)
-            stills.offer(step.image, step.estimate)
+            stills.add(step.image, step.estimate)
             if video is not None:
                 video.add(draw_step(step, loop.vehicle), step.time)
             if progress is not None:
@@ -81,5 +81,5 @@ def write_drive_files(
     (folder / "plots").mkdir()
     for plot in plots:
         (folder / "plots" / f"{plot.name}.png").write_bytes(plot.png)
-    write_drive_page(result, folder / "report.html", plots=plots, stills=stills.kept, overlay=overlay)
+    write_drive_page(result, folder / "report.html", plots=plots, stills=stills.selected, overlay=overlay)
     return result

@@ -6,11 +6,11 @@ import csv
 from pathlib import Path
 from types import TracebackType
 
-from paceline.reports.common.tables import cell, write_json
+from paceline.reports.common.tables import format_cell, write_json
 from paceline.simulation.closed_loop.loop import Step
 from paceline.simulation.closed_loop.results import DriveResult
 
-COLUMNS = [
+DRIVE_COLUMNS = [
     "frame", "time_s",
     "chase_x_m", "chase_y_m", "chase_heading_rad", "chase_speed_mps", "chase_acceleration_mps2",
     "lead_x_m", "lead_y_m", "lead_heading_rad", "lead_speed_mps",
@@ -26,7 +26,7 @@ class DriveTable:
     def __init__(self, file: Path) -> None:
         self._stream = file.open("w", newline="", encoding="utf-8")
         self._writer = csv.writer(self._stream, lineterminator="\n")
-        self._writer.writerow(COLUMNS)
+        self._writer.writerow(DRIVE_COLUMNS)
 
     def add(self, s: Step) -> None:
         c, e = s.chase, s.estimate
@@ -37,7 +37,7 @@ class DriveTable:
             s.asked.steering, c.steering, s.asked.acceleration, s.asked.time,
             s.wanted, s.path_error, s.clearance, s.truth.visible, e.latency,
         ]  # fmt: skip
-        self._writer.writerow([s.frame, *map(cell, numbers), e.status, e.reason])
+        self._writer.writerow([s.frame, *map(format_cell, numbers), e.status, e.reason])
 
     def __enter__(self) -> DriveTable:
         return self

@@ -14,26 +14,24 @@ Picture = NDArray[np.uint8]  # (H, W, 3), BGR
 Color = tuple[int, int, int]  # BGR
 Box = tuple[int, int, int, int]  # left, top, right, bottom
 
-FONT = cv2.FontFace("sans")
-DARK: Color = (36, 28, 22)
-WHITE: Color = (255, 255, 255)
+SANS_FONT = cv2.FontFace("sans")
+DARK_BGR: Color = (36, 28, 22)
+WHITE_BGR: Color = (255, 255, 255)
 LABEL_SIZE, LABEL_WEIGHT = 16, 500
-SUBPIXEL = 4  # fractional bits of the coordinates given to OpenCV
+SUBPIXEL_BITS = 4  # fractional bits of the coordinates given to OpenCV
 
 
 def draw_text(picture: Picture, text: str, at: tuple[int, int], size: int, color: Color, weight: int = 400) -> None:
     """``text`` with its base line beginning at ``at``, ``size`` pixels high."""
-    cv2.putText(picture, text, at, color, FONT, size, weight)
+    cv2.putText(picture, text, at, color, SANS_FONT, size, weight)
 
 
 def text_width(text: str, size: int, weight: int = 400) -> int:
     """Pixels."""
-    return int(cv2.getTextSize((0, 0), text, (0, 0), FONT, size, weight)[2])
+    return int(cv2.getTextSize((0, 0), text, (0, 0), SANS_FONT, size, weight)[2])
 
 
-def draw_label(
-    picture: Picture, text: str, at: tuple[float, float], color: Color, taken: Sequence[Box] = ()
-) -> Box:
+def draw_label(picture: Picture, text: str, at: tuple[float, float], color: Color, taken: Sequence[Box] = ()) -> Box:
     """``text`` centred above ``at``, inside the picture and clear of the labels in ``taken``; returns its box."""
     height, width = picture.shape[:2]
     w, h = text_width(text, LABEL_SIZE, LABEL_WEIGHT) + 18, LABEL_SIZE + 10
@@ -41,39 +39,39 @@ def draw_label(
     y = int(np.clip(at[1] - h - 10, 2, max(2, height - h - 2)))
     while any(x < r and left < x + w and y < b and top < y + h for left, top, r, b in taken) and y > h:
         y -= h + 4
-    cv2.rectangle(picture, (x, y), (x + w, y + h), DARK, cv2.FILLED)
+    cv2.rectangle(picture, (x, y), (x + w, y + h), DARK_BGR, cv2.FILLED)
     cv2.rectangle(picture, (x, y), (x + 4, y + h), color, cv2.FILLED)
-    draw_text(picture, text, (x + 11, y + h - 8), LABEL_SIZE, WHITE, LABEL_WEIGHT)
+    draw_text(picture, text, (x + 11, y + h - 8), LABEL_SIZE, WHITE_BGR, LABEL_WEIGHT)
     return x, y, x + w, y + h
 
 
 def draw_outline(picture: Picture, corners: Array, color: Color, thickness: int) -> None:
     """A closed polygon (N, 2) of finite points, with a dark edge."""
-    outline = [np.array([fixed(corner) for corner in corners], np.int32)]
-    cv2.polylines(picture, outline, True, DARK, thickness + 2, cv2.LINE_AA, SUBPIXEL)
-    cv2.polylines(picture, outline, True, color, thickness, cv2.LINE_AA, SUBPIXEL)
+    outline = [np.array([to_fixed_point(corner) for corner in corners], np.int32)]
+    cv2.polylines(picture, outline, True, DARK_BGR, thickness + 2, cv2.LINE_AA, SUBPIXEL_BITS)
+    cv2.polylines(picture, outline, True, color, thickness, cv2.LINE_AA, SUBPIXEL_BITS)
 
 
 def draw_line(picture: Picture, start: Array, stop: Array, color: Color, thickness: int = 1) -> None:
     """A line between two points (2,) of the picture; nothing where one is not finite."""
     if np.isfinite([start, stop]).all():
-        a, b = fixed(start), fixed(stop)
-        cv2.line(picture, (a[0], a[1]), (b[0], b[1]), color, thickness, cv2.LINE_AA, SUBPIXEL)
+        a, b = to_fixed_point(start), to_fixed_point(stop)
+        cv2.line(picture, (a[0], a[1]), (b[0], b[1]), color, thickness, cv2.LINE_AA, SUBPIXEL_BITS)
 
 
 def draw_dots(picture: Picture, points: Array, color: Color, radius: float) -> None:
     """Filled circles at ``points`` (M, 2)."""
     for point in points[np.isfinite(points).all(axis=1)]:
-        x, y = fixed(point)
-        cv2.circle(picture, (x, y), round(radius * (1 << SUBPIXEL)), color, cv2.FILLED, cv2.LINE_AA, SUBPIXEL)
+        x, y = to_fixed_point(point)
+        cv2.circle(picture, (x, y), round(radius * (1 << SUBPIXEL_BITS)), color, cv2.FILLED, cv2.LINE_AA, SUBPIXEL_BITS)
 
 
-def scaled(points: Array, scale: float) -> Array:
+def scale_points(points: Array, scale: float) -> Array:
     """Pixels of a picture magnified by ``scale``; the pixels' edges, not their centres, keep their place at zero."""
     return (points + 0.5) * scale - 0.5
 
 
-def fixed(point: Array) -> tuple[int, int]:
+def to_fixed_point(point: Array) -> tuple[int, int]:
     """A finite point (2,) in OpenCV's fixed-point coordinates."""
-    x, y = np.clip(point, -1e5, 1e5) * (1 << SUBPIXEL)
+    x, y = np.clip(point, -1e5, 1e5) * (1 << SUBPIXEL_BITS)
     return round(float(x)), round(float(y))

@@ -11,7 +11,7 @@ from paceline.arrays import Array
 from paceline.speed.results import Measurement, Track
 from paceline.units import COVERAGE_95, convert
 
-MISSING = "–"
+NO_VALUE = "–"
 
 # What usually helps, by a word of the reason; the first that occurs is taken.
 ADVICE = {
@@ -30,7 +30,7 @@ GENERAL_ADVICE = "Look at the overlay: the outline has to stay on the same part 
 
 
 @dataclass(frozen=True)
-class SpeedWords:
+class SpeedText:
     """A speed and its uncertainties as text in one unit; ``±`` is always half of a 95 % interval."""
 
     unit: str
@@ -39,35 +39,35 @@ class SpeedWords:
     hi: str
     plus_minus: str
     random: str
-    systematic: str  # MISSING where the rig states no uncertainty
+    systematic: str  # NO_VALUE where the rig states no uncertainty
 
     @property
     def known(self) -> bool:
-        return self.speed != MISSING
+        return self.speed != NO_VALUE
 
 
-def number(value: float, decimals: int) -> str:
-    return f"{value:.{decimals}f}".replace("-", "−") if math.isfinite(value) else MISSING
+def format_number(value: float, decimals: int) -> str:
+    return f"{value:.{decimals}f}".replace("-", "−") if math.isfinite(value) else NO_VALUE
 
 
-def shown_speed(speed: float, unit: str, half_width: float = math.nan) -> str:
+def format_speed_number(speed: float, unit: str, half_width: float = math.nan) -> str:
     """``speed`` (m/s) as a number in ``unit``: one decimal, or two when its uncertainty is below a tenth."""
-    return number(convert(speed, unit), _decimals(convert(half_width, unit)))
+    return format_number(convert(speed, unit), _decimals(convert(half_width, unit)))
 
 
-def speed_words(measurement: Measurement, unit: str) -> SpeedWords:
+def format_speed(measurement: Measurement, unit: str) -> SpeedText:
     """The measured speed in ``unit``, with random and systematic parts that add up (in squares) to the interval."""
     half = (measurement.speed_hi - measurement.speed_lo) / 2
     coverage = coverage_factor(measurement)
     decimals = _decimals(convert(half, unit))
 
     def text(value: float) -> str:
-        return number(convert(value, unit), decimals)
+        return format_number(convert(value, unit), decimals)
 
     def part(value: float) -> str:
-        return number(convert(coverage * value, unit), 2)
+        return format_number(convert(coverage * value, unit), 2)
 
-    return SpeedWords(
+    return SpeedText(
         unit=unit,
         speed=text(measurement.speed),
         lo=text(measurement.speed_lo),
@@ -78,7 +78,7 @@ def speed_words(measurement: Measurement, unit: str) -> SpeedWords:
     )
 
 
-def verdict_words(measurement: Measurement) -> str:
+def format_verdict(measurement: Measurement) -> str:
     """The verdict, with its reason where there is one."""
     return f"{measurement.verdict}: {measurement.reason}" if measurement.reason else measurement.verdict
 

@@ -7,7 +7,7 @@ import json
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from paceline.reports.common.tables import as_json
+from paceline.reports.common.tables import to_json_value
 
 
 def render(template: str, **values: object) -> str:
@@ -24,14 +24,14 @@ def render(template: str, **values: object) -> str:
     return templates.get_template(template).render(**values)
 
 
-def flat(settings: dict[str, object], prefix: str = "") -> list[tuple[str, str]]:
+def flatten_settings(settings: dict[str, object], prefix: str = "") -> list[tuple[str, str]]:
     """Nested settings as (dotted name, value) pairs."""
     pairs = []
     for key, value in settings.items():
         if isinstance(value, dict):
-            pairs += flat(value, f"{prefix}{key}.")
+            pairs += flatten_settings(value, f"{prefix}{key}.")
         else:
-            text = value if isinstance(value, str) else json.dumps(as_json(value), ensure_ascii=False)
+            text = value if isinstance(value, str) else json.dumps(to_json_value(value), ensure_ascii=False)
             pairs.append((f"{prefix}{key}", text))
     return pairs
 

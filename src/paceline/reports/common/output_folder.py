@@ -30,7 +30,7 @@ class OutputFolder:
 
     def __init__(self, out: str | Path) -> None:
         self.out = Path(out)
-        self._made: list[Path] = []  # folders created for the output, outermost first
+        self._created: list[Path] = []  # folders created for the output, outermost first
         self._partial = self.out.parent / f".{self.out.name or 'paceline'}.{secrets.token_hex(4)}.partial"
 
     def __enter__(self) -> Path:
@@ -41,11 +41,11 @@ class OutputFolder:
             parent = self.out if self.out.is_dir() else self.out.parent
             for folder in reversed([p for p in (parent, *parent.parents) if not p.exists()]):
                 folder.mkdir()
-                self._made.append(folder)
+                self._created.append(folder)
             self._partial = parent / self._partial.name
             self._partial.mkdir()
         except BaseException as error:  # Ctrl-C, too, just after a folder was made
-            self._leave()
+            self._clean_up()
             if isinstance(error, OSError):
                 raise self._unwritable(error) from error
             raise
@@ -56,22 +56,22 @@ class OutputFolder:
     ) -> None:
         try:
             if error is None:
-                with _undisturbed():
-                    self._put_in_place()
-                self._made.clear()
-            elif isinstance(error, OSError) and self._is_ours(error):
+                with _defer_interrupts():
+                    self._replace_target()
+                self._created.clear()
+            elif isinstance(error, OSError) and self._is_output_error(error):
                 raise self._unwritable(error) from error
         except OSError as failure:
             raise self._unwritable(failure) from failure
         finally:
-            self._leave()
+            self._clean_up()
 
-    def _leave(self) -> None:
+    def _clean_up(self) -> None:
         """Takes away what is not put in place."""
         shutil.rmtree(self._partial, ignore_errors=True)
-        self._remove_made()
+        self._remove_created()
 
-    def _put_in_place(self) -> None:
+    def _replace_target(self) -> None:
         if not self.out.exists():
             self._partial.rename(self.out)
             return
@@ -85,7 +85,7 @@ class OutputFolder:
             (self.out / file).parent.mkdir(parents=True, exist_ok=True)
             os.replace(self._partial / file, self.out / file)
 
-    def _is_ours(self, error: OSError) -> bool:
+    def _is_output_error(self, error: OSError) -> bool:
         if isinstance(error.filename, str | os.PathLike):
             return Path(error.filename).is_relative_to(self._partial)
         return error.errno in WRITE_ERRORS
@@ -93,15 +93,15 @@ class OutputFolder:
     def _unwritable(self, error: OSError) -> UnusableInput:
         return UnusableInput(f"{self.out}: the output cannot be written here ({error.strerror or error})")
 
-    def _remove_made(self) -> None:
-        for folder in reversed(self._made):
+    def _remove_created(self) -> None:
+        for folder in reversed(self._created):
             try:
                 folder.rmdir()
             except OSError:  # someone else uses it by now
                 return
 
 
-def write_together(contents: dict[Path, bytes]) -> None:
+def write_all_or_none(contents: dict[Path, bytes]) -> None:
     """Writes all files or none. Raises UnusableInput, which names the first, where they cannot be written."""
     partial = {path: path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial") for path in contents}
     first = next(iter(contents))
@@ -122,7 +122,7 @@ def write_together(contents: dict[Path, bytes]) -> None:
 
 
 @contextmanager
-def _undisturbed() -> Iterator[None]:
+def _defer_interrupts() -> Iterator[None]:
     """Holds back Ctrl-C and termination for the few milliseconds in which files change places."""
     if threading.current_thread() is not threading.main_thread():
         yield

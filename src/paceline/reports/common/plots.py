@@ -12,18 +12,32 @@ import matplotlib
 from matplotlib.figure import Figure
 
 # Colours that stay apart for colour-blind readers, after Okabe and Ito.
-INK, MUTED, GRID = "#1f2933", "#66727f", "#dfe4ea"
-FILTER, REFINED, INTERVAL = "#5b8db8", "#c2500a", "#e8a33d"
-VEHICLES = ["#2b83c6", "#dd6b10", "#129b72", "#c66aa3", "#c99700", "#5fb0dd"]  # on white, black and pictures alike
+INK_COLOR, MUTED_COLOR, GRID_COLOR = "#1f2933", "#66727f", "#dfe4ea"
+FILTER_COLOR, REFINED_COLOR, INTERVAL_COLOR = "#5b8db8", "#c2500a", "#e8a33d"
+VEHICLE_COLORS = [
+    "#2b83c6",
+    "#dd6b10",
+    "#129b72",
+    "#c66aa3",
+    "#c99700",
+    "#5fb0dd",
+]  # on white, black and pictures alike
 # What the colours become for a reader with a dark setting.
-DARK = {INK: "#e6eaee", MUTED: "#9aa6b2", GRID: "#39424c", FILTER: "#7fb2dd", REFINED: "#ff9a57", INTERVAL: "#e8b04f"}
+DARK_THEME = {
+    INK_COLOR: "#e6eaee",
+    MUTED_COLOR: "#9aa6b2",
+    GRID_COLOR: "#39424c",
+    FILTER_COLOR: "#7fb2dd",
+    REFINED_COLOR: "#ff9a57",
+    INTERVAL_COLOR: "#e8b04f",
+}
 
-STYLE: dict[Any, Any] = {
+PLOT_STYLE: dict[Any, Any] = {
     "font.family": "sans-serif",
     "font.size": 9,
-    "text.color": INK,
-    "axes.edgecolor": MUTED,
-    "axes.labelcolor": INK,
+    "text.color": INK_COLOR,
+    "axes.edgecolor": MUTED_COLOR,
+    "axes.labelcolor": INK_COLOR,
     "axes.titlesize": 9,
     "axes.titlelocation": "left",
     "axes.spines.top": False,
@@ -32,12 +46,12 @@ STYLE: dict[Any, Any] = {
     "axes.grid": True,
     "axes.axisbelow": True,
     "axes.unicode_minus": True,
-    "grid.color": GRID,
+    "grid.color": GRID_COLOR,
     "grid.linewidth": 0.8,
-    "xtick.color": MUTED,
-    "ytick.color": MUTED,
-    "xtick.labelcolor": INK,
-    "ytick.labelcolor": INK,
+    "xtick.color": MUTED_COLOR,
+    "ytick.color": MUTED_COLOR,
+    "xtick.labelcolor": INK_COLOR,
+    "ytick.labelcolor": INK_COLOR,
     "legend.frameon": False,
     "legend.fontsize": 8,
     "lines.solid_capstyle": "round",
@@ -59,7 +73,7 @@ class Plot:
 
 def make_plot(name: str, description: str, size: tuple[float, float], draw: Callable[[Figure], None]) -> Plot:
     """What ``draw`` puts onto a figure of ``size`` (inches), in the style of all plots."""
-    with matplotlib.rc_context(STYLE):
+    with matplotlib.rc_context(PLOT_STYLE):
         figure = Figure(figsize=size, layout="constrained")
         draw(figure)
         png, svg = io.BytesIO(), io.StringIO()
@@ -71,10 +85,10 @@ def make_plot(name: str, description: str, size: tuple[float, float], draw: Call
 
 def _themed(svg: str) -> str:
     """``svg`` with the theme's colours as variables that follow the reader's light or dark setting."""
-    names = {color: f"--c{i}" for i, color in enumerate(DARK)}
-    svg = re.sub("|".join(DARK), lambda found: f"var({names[found[0]]})", svg)
-    light = ";".join(f"{names[color]}:{color}" for color in DARK)
-    dark = ";".join(f"{names[color]}:{other}" for color, other in DARK.items())
+    names = {color: f"--c{i}" for i, color in enumerate(DARK_THEME)}
+    svg = re.sub("|".join(DARK_THEME), lambda found: f"var({names[found[0]]})", svg)
+    light = ";".join(f"{names[color]}:{color}" for color in DARK_THEME)
+    dark = ";".join(f"{names[color]}:{other}" for color, other in DARK_THEME.items())
     style = f"<style>:root{{{light}}}@media (prefers-color-scheme:dark){{:root{{{dark}}}}}</style>"
     head = re.search(r"<svg[^>]*>", svg)
     assert head is not None

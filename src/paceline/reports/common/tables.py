@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 
-def cell(value: float) -> str:
+def format_cell(value: float) -> str:
     """The shortest text that reads back as the same number."""
     return repr(float(value)) if math.isfinite(value) else ""
 
@@ -22,19 +22,19 @@ def write_json(document: dict[str, object], file: Path) -> None:
 
 def json_text(document: dict[str, object]) -> str:
     """``document`` as JSON for people too; what is not finite becomes null."""
-    return json.dumps(as_json(document), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    return json.dumps(to_json_value(document), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
-def as_json(value: object) -> object:
+def to_json_value(value: object) -> object:
     """``value`` with only what JSON knows; numbers that are not finite become null."""
     if isinstance(value, Mapping):
-        return {str(key): as_json(item) for key, item in value.items()}
+        return {str(key): to_json_value(item) for key, item in value.items()}
     if isinstance(value, np.ndarray):
-        return as_json(value.tolist())
+        return to_json_value(value.tolist())
     if isinstance(value, list | tuple):
-        return [as_json(item) for item in value]
+        return [to_json_value(item) for item in value]
     if isinstance(value, np.generic):
-        return as_json(value.item())
+        return to_json_value(value.item())
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if value is None or isinstance(value, str | int):

@@ -11,10 +11,10 @@ import numpy as np
 
 from paceline.reports.common.drawing import Picture
 
-CLOCK = 60000  # time stamps per second; MPEG-4 allows 65535
-CODECS = ["libx264", "libopenh264"]  # both write H.264, which browsers play
-FALLBACK = "mpeg4"
-BIT_RATE = 8_000_000  # for encoders that know no constant quality
+TICKS_PER_S = 60000  # time stamps per second; MPEG-4 allows 65535
+H264_CODECS = ["libx264", "libopenh264"]  # both write H.264, which browsers play
+FALLBACK_CODEC = "mpeg4"
+FALLBACK_BIT_RATE = 8_000_000  # for encoders that know no constant quality
 
 
 class VideoWriter:
@@ -27,8 +27,8 @@ class VideoWriter:
     def __init__(self, file: Path, step: float, crf: int = 20, fragmented: bool = False) -> None:
         """``step`` is the usual time between pictures, seconds; a higher ``crf`` means a smaller, coarser file."""
         self.notices: list[str] = []
-        self._codec = next((name for name in CODECS if name in av.codecs_available), FALLBACK)
-        if self._codec == FALLBACK:
+        self._codec = next((name for name in H264_CODECS if name in av.codecs_available), FALLBACK_CODEC)
+        if self._codec == FALLBACK_CODEC:
             self.notices.append("overlay.mp4 is MPEG-4 because no H.264 encoder was found; a browser may not play it.")
         flags = "frag_keyframe+empty_moov+default_base_moof" if fragmented else "+faststart"
         self._container = av.open(str(file), "w", format="mp4", options={"movflags": flags})
@@ -42,8 +42,12 @@ class VideoWriter:
             self._stream = self._add_stream(picture)
             self._start = time
         image = av.VideoFrame.from_ndarray(picture, format="bgr24")
-        self._last = max(round((time - self._start) * CLOCK), self._last + 1)
-        image.pts, image.time_base, image.duration = self._last, Fraction(1, CLOCK), round(self._step * CLOCK)
+        self._last = max(round((time - self._start) * TICKS_PER_S), self._last + 1)
+        image.pts, image.time_base, image.duration = (
+            self._last,
+            Fraction(1, TICKS_PER_S),
+            round(self._step * TICKS_PER_S),
+        )
         self._container.mux(self._stream.encode(image))
 
     def _add_stream(self, picture: Picture) -> av.VideoStream:
@@ -53,9 +57,9 @@ class VideoWriter:
         assert isinstance(stream, av.VideoStream)
         stream.height, stream.width = picture.shape[:2]
         stream.pix_fmt = "yuv420p"
-        stream.codec_context.time_base = Fraction(1, CLOCK)
+        stream.codec_context.time_base = Fraction(1, TICKS_PER_S)
         if self._codec != "libx264":
-            stream.bit_rate = BIT_RATE
+            stream.bit_rate = FALLBACK_BIT_RATE
         return stream
 
     def __enter__(self) -> VideoWriter:
@@ -69,7 +73,7 @@ class VideoWriter:
         self._container.close()
 
 
-def even(picture: Picture) -> Picture:
+def pad_to_even(picture: Picture) -> Picture:
     """``picture`` (H, W, 3) with a black row or column added where it has an odd number: chroma is halved."""
     height, width = picture.shape[:2]
     if height % 2 or width % 2:

@@ -12,35 +12,35 @@ from paceline.arrays import Array
 from paceline.follow.results import FollowEstimate
 from paceline.recordings.monocular import CameraFrame
 from paceline.reports.common.drawing import (
-    DARK,
-    WHITE,
+    DARK_BGR,
+    WHITE_BGR,
     Color,
     Picture,
     draw_dots,
     draw_label,
     draw_line,
     draw_text,
-    scaled,
+    scale_points,
 )
-from paceline.reports.common.formatting import MISSING, number
-from paceline.reports.common.video import even
+from paceline.reports.common.formatting import NO_VALUE, format_number
+from paceline.reports.common.video import pad_to_even
 from paceline.units import COVERAGE_95
 
-WIDTHS = (768, 1920)  # of the video, px: small pictures are magnified, large ones reduced
-HEADER = 40  # height of the strip above the picture, pixels
-COLORS: dict[str, Color] = {"tracking": (80, 220, 120), "coasting": (40, 170, 255), "lost": (190, 190, 190)}
+VIDEO_WIDTHS_PX = (768, 1920)  # of the video, px: small pictures are magnified, large ones reduced
+HEADER_HEIGHT_PX = 40  # height of the strip above the picture, pixels
+STATUS_COLORS: dict[str, Color] = {"tracking": (80, 220, 120), "coasting": (40, 170, 255), "lost": (190, 190, 190)}
 POINT_COLOR: Color = (250, 220, 90)
 WINDOW_COLOR: Color = (150, 130, 120)
-DOTS = 400  # edge points drawn at most
+MAX_EDGE_POINTS = 400  # edge points drawn at most
 
-STILL = (400, 300)  # width and height, pixels
-STILL_MARGIN = 1.8  # width of a still in widths of the target
-STILLS = 6
-TURNS = 2
+STILL_SIZE_PX = (400, 300)  # width and height, pixels
+STILL_TARGET_WIDTHS = 1.8  # width of a still in widths of the target
+MAX_SPREAD_STILLS = 6
+MAX_LOSS_STILLS = 2
 
 
 @dataclass(frozen=True)
-class Still:
+class TargetStill:
     """The target at one frame, as JPEG."""
 
     frame: int
@@ -52,96 +52,100 @@ class Still:
 def draw_frame(frame: CameraFrame, image: NDArray[np.uint8], e: FollowEstimate) -> Picture:
     """One picture of the video: a strip with time, range and status above ``image`` (H, W) with what was found."""
     width = image.shape[1]
-    scale = min(max(1, int(np.ceil(WIDTHS[0] / width))), WIDTHS[1] / width)
+    scale = min(max(1, int(np.ceil(VIDEO_WIDTHS_PX[0] / width))), VIDEO_WIDTHS_PX[1] / width)
     method = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
     grey = image if scale == 1 else cv2.resize(image, None, fx=scale, fy=scale, interpolation=method)
     view = np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), np.uint8)
     draw_estimate(view, e, scale)
-    canvas = np.empty((HEADER + view.shape[0], view.shape[1], 3), np.uint8)
-    canvas[:HEADER] = DARK
-    canvas[HEADER:] = view
+    canvas = np.empty((HEADER_HEIGHT_PX + view.shape[0], view.shape[1], 3), np.uint8)
+    canvas[:HEADER_HEIGHT_PX] = DARK_BGR
+    canvas[HEADER_HEIGHT_PX:] = view
     note = "   no picture" if frame.image is None else ""
-    draw_text(canvas, f"frame {frame.index}   {frame.time:.3f} s{note}", (14, 27), 17, WHITE)
-    draw_text(canvas, words(e), (min(300, view.shape[1] // 3), 27), 17, COLORS.get(e.status, WHITE), 500)
-    return even(canvas)
+    draw_text(canvas, f"frame {frame.index}   {frame.time:.3f} s{note}", (14, 27), 17, WHITE_BGR)
+    draw_text(
+        canvas, format_status(e), (min(300, view.shape[1] // 3), 27), 17, STATUS_COLORS.get(e.status, WHITE_BGR), 500
+    )
+    return pad_to_even(canvas)
 
 
-def words(e: FollowEstimate) -> str:
+def format_status(e: FollowEstimate) -> str:
     """The status and, where it does not track, why."""
     return f"{e.status}: {e.reason}" if e.reason else e.status
 
 
-def range_words(e: FollowEstimate) -> str:
+def format_range(e: FollowEstimate) -> str:
     """For example ``10.58 ± 0.05 m``, half of a 95 % interval; what is only carried on is said to be."""
     distance, half = float(e.position[2]), COVERAGE_95 * float(e.position_std[2])
     if not np.isfinite(distance):
-        return MISSING
+        return NO_VALUE
     if e.status != "tracking":
-        return f"about {number(distance, 1)} m, not measured"
-    return f"{number(distance, 2)} ± {number(half, 2)} m"
+        return f"about {format_number(distance, 1)} m, not measured"
+    return f"{format_number(distance, 2)} ± {format_number(half, 2)} m"
 
 
 def draw_estimate(view: Picture, e: FollowEstimate, scale: float, shift: Array | None = None) -> None:
     """Draws onto a ``view`` magnified by ``scale`` and then moved by ``shift`` (2,) pixels."""
     moved = np.zeros(2) if shift is None else shift
-    color = COLORS.get(e.status, WHITE)
+    color = STATUS_COLORS.get(e.status, WHITE_BGR)
     x0, y0, x1, y1 = e.window
-    corners = scaled(np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]], float), scale) + moved
+    corners = scale_points(np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]], float), scale) + moved
     for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         draw_line(view, a, b, WINDOW_COLOR)
-    lines = scaled(np.asarray(e.lines, float), scale) + moved
+    lines = scale_points(np.asarray(e.lines, float), scale) + moved
     for a, b in lines:  # thinner than a pixel of the recording, so that the edge below shows
         draw_line(view, a, b, color, 2 if scale > 2 else 1)
-    points = np.asarray(e.points, float)[:: len(e.points) // DOTS + 1]
-    draw_dots(view, scaled(points, scale) + moved, POINT_COLOR, 0.3 * max(scale, 2))
+    points = np.asarray(e.points, float)[:: len(e.points) // MAX_EDGE_POINTS + 1]
+    draw_dots(view, scale_points(points, scale) + moved, POINT_COLOR, 0.3 * max(scale, 2))
     known = lines[np.isfinite(lines).all(axis=(1, 2))]
     if len(known) and e.status != "lost":
         top = known.reshape(-1, 2)
-        draw_label(view, range_words(e), (float(top[:, 0].mean()), float(top[:, 1].min())), color)
+        draw_label(view, format_range(e), (float(top[:, 0].mean()), float(top[:, 1].min())), color)
 
 
 @dataclass
-class Stills:
+class StillSelection:
     """A few pictures spread over a run whose length is not known — every second is dropped when there are too many —
     and the first moments at which the target was no longer seen."""
 
-    spread: list[Still] = field(default_factory=list)
-    turns: list[Still] = field(default_factory=list)
-    every: int = 1
-    seen: int = 0
+    evenly_spread: list[TargetStill] = field(default_factory=list)
+    losses: list[TargetStill] = field(default_factory=list)
+    stride: int = 1
+    count: int = 0
     tracked: bool = False  # in the frame before
 
     @property
-    def kept(self) -> list[Still]:
-        return sorted({still.frame: still for still in self.spread + self.turns}.values(), key=lambda s: s.frame)
+    def selected(self) -> list[TargetStill]:
+        return sorted(
+            {still.frame: still for still in self.evenly_spread + self.losses}.values(), key=lambda s: s.frame
+        )
 
-    def offer(self, image: NDArray[np.uint8] | None, e: FollowEstimate) -> None:
+    def add(self, image: NDArray[np.uint8] | None, e: FollowEstimate) -> None:
         left, self.tracked = self.tracked and e.status != "tracking", e.status == "tracking"
         if image is None or not np.isfinite(e.lines).all() or e.status == "lost":
             return
-        if left and len(self.turns) < TURNS:
-            self.turns.append(_still(image, e))
-        if self.seen % self.every == 0:
-            if len(self.spread) == STILLS:
-                self.spread = self.spread[::2]
-                self.every *= 2
-            if self.seen % self.every == 0:
-                self.spread.append(_still(image, e))
-        self.seen += 1
+        if left and len(self.losses) < MAX_LOSS_STILLS:
+            self.losses.append(_crop_still(image, e))
+        if self.count % self.stride == 0:
+            if len(self.evenly_spread) == MAX_SPREAD_STILLS:
+                self.evenly_spread = self.evenly_spread[::2]
+                self.stride *= 2
+            if self.count % self.stride == 0:
+                self.evenly_spread.append(_crop_still(image, e))
+        self.count += 1
 
 
-def _still(image: NDArray[np.uint8], e: FollowEstimate) -> Still:
+def _crop_still(image: NDArray[np.uint8], e: FollowEstimate) -> TargetStill:
     """The surroundings of the target, magnified to the size of a still."""
-    width, height = STILL
+    width, height = STILL_SIZE_PX
     points = e.lines.reshape(-1, 2)
     extent = np.ptp(points, axis=0)
-    scale = width / (STILL_MARGIN * max(extent[0], extent[1] * width / height, 1.0))
-    shift = np.array([width / 2, height / 2]) - scaled(points.mean(axis=0), scale)
+    scale = width / (STILL_TARGET_WIDTHS * max(extent[0], extent[1] * width / height, 1.0))
+    shift = np.array([width / 2, height / 2]) - scale_points(points.mean(axis=0), scale)
     to_still = np.column_stack([np.eye(2) * scale, shift + 0.5 * scale - 0.5])
     method = cv2.INTER_CUBIC if scale > 1 else cv2.INTER_AREA
-    grey = cv2.warpAffine(image, to_still, STILL, flags=method, borderMode=cv2.BORDER_REPLICATE)
+    grey = cv2.warpAffine(image, to_still, STILL_SIZE_PX, flags=method, borderMode=cv2.BORDER_REPLICATE)
     view = np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), np.uint8)
     draw_estimate(view, e, scale, shift)
     done, jpeg = cv2.imencode(".jpg", view, [cv2.IMWRITE_JPEG_QUALITY, 85])
     assert done
-    return Still(e.frame, e.time, words(e), bytes(jpeg))
+    return TargetStill(e.frame, e.time, format_status(e), bytes(jpeg))

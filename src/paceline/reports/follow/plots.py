@@ -11,21 +11,35 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from paceline.arrays import Array
 from paceline.follow.results import FollowResult
-from paceline.reports.common.plots import FILTER, INK, INTERVAL, MUTED, REFINED, Plot, make_plot
+from paceline.reports.common.plots import (
+    FILTER_COLOR,
+    INK_COLOR,
+    INTERVAL_COLOR,
+    MUTED_COLOR,
+    REFINED_COLOR,
+    Plot,
+    make_plot,
+)
 from paceline.units import COVERAGE_95
 
-WIDE, HALF = (9.4, 3.5), (4.6, 3.0)
-SHADES = {"coasting": INTERVAL, "lost": MUTED}
+WIDE_FIGURE_IN, HALF_FIGURE_IN = (9.4, 3.5), (4.6, 3.0)
+STATUS_COLORS = {"coasting": INTERVAL_COLOR, "lost": MUTED_COLOR}
 
 
 def follow_plots(result: FollowResult) -> list[Plot]:
     """The drawings of a run, rows where the target was not tracked left out and shaded."""
     return [
-        make_plot("range", "Distance to the vehicle ahead over time", WIDE, lambda f: _draw_range(f, result)),
-        make_plot("bearing", "Bearing and steering angle over time", HALF, lambda f: _draw_bearing(f, result)),
-        make_plot("confidence", "Confidence of the fit over time", HALF, lambda f: _draw_confidence(f, result)),
-        make_plot("residual", "Misfit of the model's lines over time", HALF, lambda f: _draw_residual(f, result)),
-        make_plot("latency", "Processing time of each frame", HALF, lambda f: _draw_latency(f, result)),
+        make_plot("range", "Distance to the vehicle ahead over time", WIDE_FIGURE_IN, lambda f: _draw_range(f, result)),
+        make_plot(
+            "bearing", "Bearing and steering angle over time", HALF_FIGURE_IN, lambda f: _draw_bearing(f, result)
+        ),
+        make_plot(
+            "confidence", "Confidence of the fit over time", HALF_FIGURE_IN, lambda f: _draw_confidence(f, result)
+        ),
+        make_plot(
+            "residual", "Misfit of the model's lines over time", HALF_FIGURE_IN, lambda f: _draw_residual(f, result)
+        ),
+        make_plot("latency", "Processing time of each frame", HALF_FIGURE_IN, lambda f: _draw_latency(f, result)),
     ]
 
 
@@ -34,8 +48,8 @@ def _draw_range(figure: Figure, result: FollowResult) -> None:
     distance = _tracked(result, result.position[:, 2])
     half = COVERAGE_95 * result.position_std[:, 2]
     time = _since_first(result)
-    axes.fill_between(time, distance - half, distance + half, color=FILTER, alpha=0.35, lw=0, label="95 %")
-    axes.plot(time, distance, color=FILTER, lw=1.4, label="distance ahead")
+    axes.fill_between(time, distance - half, distance + half, color=FILTER_COLOR, alpha=0.35, lw=0, label="95 %")
+    axes.plot(time, distance, color=FILTER_COLOR, lw=1.4, label="distance ahead")
     known = distance[np.isfinite(distance)]
     if len(known):
         margin = max(0.08 * float(np.ptp(known)), 0.2)
@@ -48,8 +62,10 @@ def _draw_range(figure: Figure, result: FollowResult) -> None:
 
 def _draw_bearing(figure: Figure, result: FollowResult) -> None:
     axes = figure.subplots()
-    axes.plot(_since_first(result), np.degrees(_tracked(result, result.bearing)), color=FILTER, lw=1.2, label="bearing")
-    axes.plot(_since_first(result), np.degrees(result.steering), color=REFINED, lw=1.0, label="steering")
+    axes.plot(
+        _since_first(result), np.degrees(_tracked(result, result.bearing)), color=FILTER_COLOR, lw=1.2, label="bearing"
+    )
+    axes.plot(_since_first(result), np.degrees(result.steering), color=REFINED_COLOR, lw=1.0, label="steering")
     _shade(axes, result, label=False)
     axes.set_ylabel("degrees, to the right")
     _label_time(axes, result)
@@ -59,7 +75,7 @@ def _draw_bearing(figure: Figure, result: FollowResult) -> None:
 def _draw_confidence(figure: Figure, result: FollowResult) -> None:
     axes = figure.subplots()
     names = "across (w_x)", "down (w_y)", "size (w_scale)"
-    for values, color, name in zip(result.weights.T, (FILTER, REFINED, INK), names, strict=True):
+    for values, color, name in zip(result.weights.T, (FILTER_COLOR, REFINED_COLOR, INK_COLOR), names, strict=True):
         shown = np.where(values > 0, values, np.nan)
         axes.plot(_since_first(result), shown, color=color, lw=1.1, label=name)
     if (result.weights > 0).any():
@@ -72,7 +88,7 @@ def _draw_confidence(figure: Figure, result: FollowResult) -> None:
 
 def _draw_residual(figure: Figure, result: FollowResult) -> None:
     axes = figure.subplots()
-    axes.plot(_since_first(result), result.residual, color=FILTER, lw=1.1)
+    axes.plot(_since_first(result), result.residual, color=FILTER_COLOR, lw=1.1)
     axes.set_ylim(bottom=0)
     _shade(axes, result, label=False)
     axes.set_ylabel("misfit, pixels rms")
@@ -81,7 +97,7 @@ def _draw_residual(figure: Figure, result: FollowResult) -> None:
 
 def _draw_latency(figure: Figure, result: FollowResult) -> None:
     axes = figure.subplots()
-    axes.plot(_since_first(result), 1e3 * result.latency, color=FILTER, lw=0, marker=".", ms=3)
+    axes.plot(_since_first(result), 1e3 * result.latency, color=FILTER_COLOR, lw=0, marker=".", ms=3)
     if (result.latency > 0).any():
         _make_logarithmic(axes)
     axes.set_ylabel("processing time, ms")
@@ -111,12 +127,12 @@ def _shade(axes: Axes, result: FollowResult, label: bool = True) -> None:
     named: set[str] = set()
     time = _since_first(result)
     for status, rows in groupby(range(len(result.status)), key=lambda row: result.status[row]):
-        if status in SHADES:
+        if status in STATUS_COLORS:
             inside = list(rows)
             stop = time[min(inside[-1] + 1, len(time) - 1)]
             name = status if label and status not in named else None
             named.add(status)
-            axes.axvspan(time[inside[0]], stop, color=SHADES[status], alpha=0.25, lw=0, label=name)
+            axes.axvspan(time[inside[0]], stop, color=STATUS_COLORS[status], alpha=0.25, lw=0, label=name)
 
 
 def _label_time(axes: Axes, result: FollowResult) -> None:

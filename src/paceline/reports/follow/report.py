@@ -21,13 +21,13 @@ from paceline.progress import Progress
 from paceline.recordings.monocular import CameraFrame, CameraRecording, open_camera
 from paceline.reports.common.output_folder import OutputFolder
 from paceline.reports.common.video import VideoWriter
-from paceline.reports.follow.overlay import Stills, draw_frame
+from paceline.reports.follow.overlay import StillSelection, draw_frame
 from paceline.reports.follow.page import write_follow_page
 from paceline.reports.follow.plots import follow_plots
 from paceline.reports.follow.tables import TrackTable, write_summary
 
-CRF = 23  # magnified noise costs much and says little
-LIVE_STEP = 1 / 25  # s, nominal only: live pictures keep their own times
+VIDEO_CRF = 23  # magnified noise costs much and says little
+LIVE_FRAME_INTERVAL_S = 1 / 25  # s, nominal only: live pictures keep their own times
 
 
 @on_one_blas_thread
@@ -59,17 +59,17 @@ def write_follow_files(
     """As `follow_and_report`, straight into an existing ``folder``; ``told`` is called with every frame and its
     estimate as it is made. Memory does not grow with the recording."""
     begun = time.perf_counter()
-    history, stills = History(), Stills()
+    history, stills = History(), StillSelection()
     with ExitStack() as stack:
         table = stack.enter_context(TrackTable(folder / "track.csv"))
-        video = stack.enter_context(_video(folder, clip, recording)) if overlay else None
+        video = stack.enter_context(_open_video(folder, clip, recording)) if overlay else None
         seen: NDArray[np.uint8] = np.zeros(clip.camera.image_size[::-1], np.uint8)
         for frame, estimate in follow(clip, recording, configuration):
             table.add(estimate)
             history.add(estimate)
             if told is not None:
                 told(frame, estimate)
-            stills.offer(frame.image, estimate)
+            stills.add(frame.image, estimate)
             if video is not None:  # where there is no picture, the last one stands still
                 seen = seen if frame.image is None else frame.image
                 video.add(draw_frame(frame, seen, estimate), frame.time)
@@ -85,10 +85,10 @@ def write_follow_files(
     for plot in plots:
         (folder / "plots" / f"{plot.name}.png").write_bytes(plot.png)
     page = folder / "report.html"
-    write_follow_page(result, tally, page, plots=plots, stills=stills.kept, overlay=overlay)
+    write_follow_page(result, tally, page, plots=plots, stills=stills.selected, overlay=overlay)
     return result, tally
 
 
-def _video(folder: Path, clip: FollowClip, recording: CameraRecording) -> VideoWriter:
-    step = LIVE_STEP if clip.rate is None else 1 / clip.rate
-    return VideoWriter(folder / "overlay.mp4", step, CRF, fragmented=recording.live)
+def _open_video(folder: Path, clip: FollowClip, recording: CameraRecording) -> VideoWriter:
+    step = LIVE_FRAME_INTERVAL_S if clip.rate is None else 1 / clip.rate
+    return VideoWriter(folder / "overlay.mp4", step, VIDEO_CRF, fragmented=recording.live)

@@ -10,9 +10,9 @@ import numpy as np
 
 from paceline.follow.history import Tally
 from paceline.follow.results import FollowEstimate, FollowResult
-from paceline.reports.common.tables import cell, write_json
+from paceline.reports.common.tables import format_cell, write_json
 
-COLUMNS = [
+TRACK_COLUMNS = [
     "frame", "time_s", "cx", "cy", "scale", "w_x", "w_y", "w_scale", "x_m", "y_m", "z_m", "steering_rad", "status",
     "reason", "x_std_m", "y_std_m", "z_std_m", "bearing_rad", "residual_px", "latency_s",
 ]  # fmt: skip
@@ -24,12 +24,12 @@ class TrackTable:
     def __init__(self, file: Path) -> None:
         self._stream = file.open("w", newline="", encoding="utf-8")
         self._writer = csv.writer(self._stream, lineterminator="\n")
-        self._writer.writerow(COLUMNS)
+        self._writer.writerow(TRACK_COLUMNS)
 
     def add(self, e: FollowEstimate) -> None:
         numbers = [e.time, *e.center, e.scale, *e.weights, *e.position, e.steering]
         more = [*e.position_std, e.bearing, e.residual, e.latency]
-        self._writer.writerow([e.frame, *map(cell, numbers), e.status, e.reason, *map(cell, more)])
+        self._writer.writerow([e.frame, *map(format_cell, numbers), e.status, e.reason, *map(format_cell, more)])
 
     def __enter__(self) -> TrackTable:
         return self
@@ -59,10 +59,11 @@ def write_summary(result: FollowResult, tally: Tally, file: Path) -> None:
         ],
         "range_m": {
             "min": tally.range_min, "mean": tally.range_mean, "max": tally.range_max,
-            "typical_std": middle(result.position_std[tracking, 2]),
+            "typical_std": finite_quantile(result.position_std[tracking, 2]),
         },
         "latency_s": {
-            "median": middle(result.latency), "p99": middle(result.latency, 0.99), "max": tally.latency_max,
+            "median": finite_quantile(result.latency), "p99": finite_quantile(result.latency, 0.99),
+            "max": tally.latency_max,
         },
         "duration_s": tally.stop - tally.start,
         "notices": result.notices,
@@ -73,7 +74,7 @@ def write_summary(result: FollowResult, tally: Tally, file: Path) -> None:
     write_json(summary, file)
 
 
-def middle(values: np.ndarray, share: float = 0.5) -> float:
+def finite_quantile(values: np.ndarray, share: float = 0.5) -> float:
     """The median, or another quantile, of the finite ``values``; NaN without any."""
     known = values[np.isfinite(values)]
     return float(np.quantile(known, share)) if len(known) else float("nan")

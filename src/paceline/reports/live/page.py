@@ -9,21 +9,21 @@ from typing import Any
 
 import numpy as np
 
-from paceline.reports.common.formatting import MISSING, number, shown_speed
-from paceline.reports.common.html import flat, render
+from paceline.reports.common.formatting import NO_VALUE, format_number, format_speed_number
+from paceline.reports.common.html import flatten_settings, render
 from paceline.reports.common.plots import Plot
-from paceline.reports.speed.tables import numbers_of
+from paceline.reports.speed.tables import summary_column
 
 Passage = dict[str, Any]  # of one vehicle, as summary.json has it
 
 
-def live_page(summary: dict[str, Any], pictures: Path, kept: int, plot: Plot, unit: str) -> str:
+def render_live_page(summary: dict[str, Any], pictures: Path, kept: int, plot: Plot, unit: str) -> str:
     """The page for a ``summary`` as summary.json holds it; the folder ``pictures`` has those of the ``kept`` latest
     vehicles. Needs no other file and no network."""
     vehicles: Sequence[Passage] = summary["vehicles"]
     measured = [v for v in vehicles if v["verdict"] == "measured"]
     passages = sorted([*vehicles, *summary["unmeasured"]], key=lambda v: float(v["seen_from_s"]))
-    speeds = numbers_of(measured, "speed_mps")
+    speeds = summary_column(measured, "speed_mps")
     return render(
         "live/page.html.j2",
         result=summary,
@@ -31,19 +31,19 @@ def live_page(summary: dict[str, Any], pictures: Path, kept: int, plot: Plot, un
         vehicles=vehicles,
         measured=len(measured),
         unmeasured=len(summary["unmeasured"]),
-        median=shown_speed(float(np.median(speeds)), unit) if len(speeds) else MISSING,
-        period=_period(passages),
-        rows=[_row(v, unit) for v in passages],
+        median=format_speed_number(float(np.median(speeds)), unit) if len(speeds) else NO_VALUE,
+        period=_format_period(passages),
+        rows=[_passage_row(v, unit) for v in passages],
         pictures=_pictures(vehicles[-kept:], pictures, unit),
         kept=kept,
         plot=plot,
-        settings=flat(summary["configuration"]),
-        seconds=MISSING,
-        missing=MISSING,
+        settings=flatten_settings(summary["configuration"]),
+        seconds=NO_VALUE,
+        missing=NO_VALUE,
     )
 
 
-def _period(passages: Sequence[Passage]) -> str:
+def _format_period(passages: Sequence[Passage]) -> str:
     """From when to when vehicles were seen, for people."""
     if not passages:
         return ""
@@ -52,27 +52,27 @@ def _period(passages: Sequence[Passage]) -> str:
     return f"{first[:10]}, {first[11:19]} to {until}"
 
 
-def _row(passage: Passage, unit: str) -> dict[str, str]:
+def _passage_row(passage: Passage, unit: str) -> dict[str, str]:
     x, z = passage["first_seen_m"]
     side = "right" if x >= 0 else "left"
     return {
-        "name": passage.get("vehicle", MISSING),
+        "name": passage.get("vehicle", NO_VALUE),
         "at": passage["seen_at"][11:19],
         "seen": f"{passage['seen_from_s']:.1f} to {passage['seen_to_s']:.1f}",
         "path": passage["path"],
-        "place": f"{number(z, 0)} m ahead, {number(abs(x), 1)} m {side}",
-        **_speed(passage, unit),
+        "place": f"{format_number(z, 0)} m ahead, {format_number(abs(x), 1)} m {side}",
+        **_speed_columns(passage, unit),
         "verdict": passage.get("verdict", "not measured"),
         "reason": passage["reason"].removeprefix("not measured: "),
     }
 
 
-def _speed(passage: Passage, unit: str) -> dict[str, str]:
+def _speed_columns(passage: Passage, unit: str) -> dict[str, str]:
     if passage.get("verdict") != "measured":
-        return {"speed": MISSING, "interval": MISSING}
+        return {"speed": NO_VALUE, "interval": NO_VALUE}
     speed, lo, hi = (float(passage[key]) for key in ("speed_mps", "speed_lo_mps", "speed_hi_mps"))
     half = (hi - lo) / 2
-    shown = [shown_speed(value, unit, half) for value in (speed, half, lo, hi)]
+    shown = [format_speed_number(value, unit, half) for value in (speed, half, lo, hi)]
     return {"speed": f"{shown[0]} ± {shown[1]}", "interval": f"{shown[2]} to {shown[3]}"}
 
 
@@ -81,8 +81,8 @@ def _pictures(vehicles: Sequence[Passage], folder: Path, unit: str) -> list[dict
     found = []
     for vehicle in reversed(vehicles):
         with suppress(OSError):  # somebody removed it
-            row = _row(vehicle, unit)
-            speed = row["verdict"] if row["speed"] == MISSING else f"{row['speed']} {unit}"
+            row = _passage_row(vehicle, unit)
+            speed = row["verdict"] if row["speed"] == NO_VALUE else f"{row['speed']} {unit}"
             words = f"{row['name']}, {row['at']}, {row['path']}: {speed}"
             found.append({"name": row["name"], "jpeg": (folder / f"{row['name']}.jpg").read_bytes(), "words": words})
     return found

@@ -9,13 +9,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from paceline.arrays import Array
-from paceline.reports.common.plots import MUTED, VEHICLES, Plot, make_plot
-from paceline.reports.speed.tables import numbers_of
+from paceline.reports.common.plots import MUTED_COLOR, VEHICLE_COLORS, Plot, make_plot
+from paceline.reports.speed.tables import summary_column
 from paceline.units import convert
 
 Vehicles = Sequence[dict[str, object]]  # as summary.json has them
-LONG = 600.0  # s, from which on time is shown in minutes
-MANY = 400  # vehicles, from which on intervals would only blacken the plot
+MINUTES_AXIS_FROM_S = 600.0  # s, from which on time is shown in minutes
+MAX_DRAWN_INTERVALS = 400  # vehicles, from which on intervals would only blacken the plot
 
 
 def speeds_plot(vehicles: Vehicles, unit: str) -> Plot:
@@ -26,17 +26,17 @@ def speeds_plot(vehicles: Vehicles, unit: str) -> Plot:
 def _draw(figure: Figure, vehicles: Vehicles, unit: str) -> None:
     axes = figure.subplots()
     measured = [v for v in vehicles if v["verdict"] == "measured"]
-    time = numbers_of(measured, "seen_from_s")
+    time = summary_column(measured, "seen_from_s")
     time = time - (time.min() if len(time) else 0.0)
-    minutes = bool(len(time)) and time.max() > LONG
+    minutes = bool(len(time)) and time.max() > MINUTES_AXIS_FROM_S
     time = time / 60 if minutes else time
-    mean, lo, hi = (convert(numbers_of(measured, k), unit) for k in ("speed_mps", "speed_lo_mps", "speed_hi_mps"))
+    mean, lo, hi = (convert(summary_column(measured, k), unit) for k in ("speed_mps", "speed_lo_mps", "speed_hi_mps"))
     paths = [str(v["path"]) for v in measured]
     for i, path in enumerate(sorted(set(paths))):
         on = np.array([p == path for p in paths])
-        _draw_path(axes, time[on], mean[on], np.stack([lo[on], hi[on]]), VEHICLES[i % len(VEHICLES)], path)
+        _draw_path(axes, time[on], mean[on], np.stack([lo[on], hi[on]]), VEHICLE_COLORS[i % len(VEHICLE_COLORS)], path)
     if not measured:
-        axes.text(0.5, 0.5, "no vehicle was measured", transform=axes.transAxes, ha="center", color=MUTED)
+        axes.text(0.5, 0.5, "no vehicle was measured", transform=axes.transAxes, ha="center", color=MUTED_COLOR)
     axes.set_xlabel(f"seen first, {'minutes' if minutes else 's'} since the first vehicle")
     axes.set_ylabel(f"speed, {unit}")
     if measured:
@@ -44,5 +44,5 @@ def _draw(figure: Figure, vehicles: Vehicles, unit: str) -> None:
 
 
 def _draw_path(axes: Axes, time: Array, mean: Array, interval: Array, color: str, path: str) -> None:
-    half = np.nan_to_num(np.abs(interval - mean)) if len(time) <= MANY else None
+    half = np.nan_to_num(np.abs(interval - mean)) if len(time) <= MAX_DRAWN_INTERVALS else None
     axes.errorbar(time, mean, yerr=half, fmt="o", ms=4, lw=1.2, color=color, label=path)

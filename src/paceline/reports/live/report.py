@@ -14,18 +14,18 @@ import cv2
 
 from paceline.detection.finder import Found
 from paceline.errors import UnusableInput
-from paceline.reports.common.output_folder import write_together
+from paceline.reports.common.output_folder import write_all_or_none
 from paceline.reports.common.tables import json_text
-from paceline.reports.detected_vehicles import vehicle_picture
-from paceline.reports.live.page import live_page
+from paceline.reports.detected_vehicles import draw_detected_vehicle
+from paceline.reports.live.page import render_live_page
 from paceline.reports.live.plots import speeds_plot
-from paceline.reports.speed.tables import COLUMNS, estimate_rows, summary_of
+from paceline.reports.speed.tables import ESTIMATE_COLUMNS, estimate_rows, vehicle_summary
 from paceline.speed.results import Measurement
 
-PICTURES = "pictures"
-KEPT = 200  # pictures, the latest ones, of some 15 kB each
-HEIGHT, QUALITY = 240, 80  # px, and of the JPEG
-SHARE = 0.01  # of the time may go into writing summary.json, which grows all day and is always written whole
+PICTURES_FOLDER = "pictures"
+MAX_KEPT_PICTURES = 200  # pictures, the latest ones, of some 15 kB each
+PICTURE_HEIGHT_PX, JPEG_QUALITY = 240, 80  # px, and of the JPEG
+MAX_WRITE_TIME_SHARE = 0.01  # of the time, for writing summary.json, which grows and is always written whole
 
 
 @dataclass(eq=False)
@@ -60,14 +60,14 @@ class LiveResults:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if self._begun:
-            write_together(self._summary())  # first: a disk may be too full for the report
+            write_all_or_none(self._summary())  # first: a disk may be too full for the report
             plot = speeds_plot(self.vehicles, self.unit)
-            page = live_page(self.document(), self.out / PICTURES, KEPT, plot, self.unit)
-            write_together({self.out / "report.html": page.encode(), self.out / "speeds.png": plot.png})
+            page = render_live_page(self.document(), self.out / PICTURES_FOLDER, MAX_KEPT_PICTURES, plot, self.unit)
+            write_all_or_none({self.out / "report.html": page.encode(), self.out / "speeds.png": plot.png})
 
     def begin(self) -> None:
         """Write the tables without a vehicle."""
-        write_together({self.out / "estimates.csv": (",".join(COLUMNS) + "\n").encode(), **self._summary()})
+        write_all_or_none({self.out / "estimates.csv": (",".join(ESTIMATE_COLUMNS) + "\n").encode(), **self._summary()})
         self._begun = True
 
     def add(self, measurement: Measurement, found: Found, seen_at: str) -> None:
@@ -78,14 +78,14 @@ class LiveResults:
                 csv.writer(stream, lineterminator="\n").writerows(estimate_rows(measurement.track))
         except OSError as error:
             raise UnusableInput(f"{file}: cannot be written ({error.strerror})") from error
-        self.vehicles.append({**summary_of(measurement), **_passage(found, seen_at)})
+        self.vehicles.append({**vehicle_summary(measurement), **_passage_data(found, seen_at)})
         self._changed = True
         self._keep_picture(measurement.vehicle, found)
         self.save()
 
-    def pass_by(self, found: Found, seen_at: str, reason: str) -> None:
+    def add_unmeasured(self, found: Found, seen_at: str, reason: str) -> None:
         """Note a vehicle that could not be measured for a ``reason``."""
-        self.unmeasured.append({**_passage(found, seen_at), "reason": reason})
+        self.unmeasured.append({**_passage_data(found, seen_at), "reason": reason})
         self._changed = True
         self.save()
 
@@ -93,9 +93,9 @@ class LiveResults:
         """Bring summary.json up to date, unless it has been written so lately that its share of the time is used up."""
         begun = time.monotonic()
         if self._changed and begun >= self._due:
-            write_together(self._summary())
+            write_all_or_none(self._summary())
             self._changed = False
-            self._due = begun + (time.monotonic() - begun) / SHARE
+            self._due = begun + (time.monotonic() - begun) / MAX_WRITE_TIME_SHARE
 
     def document(self) -> dict[str, object]:
         """What summary.json holds."""
@@ -107,15 +107,15 @@ class LiveResults:
 
     def _keep_picture(self, name: str, found: Found) -> None:
         """Write the picture of a vehicle, and remove the oldest one where there are enough."""
-        picture = vehicle_picture(found, HEIGHT)
-        jpeg = bytes(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1])
-        write_together({self.out / PICTURES / f"{name}.jpg": jpeg})
-        if len(self.vehicles) > KEPT:
+        picture = draw_detected_vehicle(found, PICTURE_HEIGHT_PX)
+        jpeg = bytes(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1])
+        write_all_or_none({self.out / PICTURES_FOLDER / f"{name}.jpg": jpeg})
+        if len(self.vehicles) > MAX_KEPT_PICTURES:
             with suppress(OSError):
-                (self.out / PICTURES / f"{self.vehicles[-KEPT - 1]['vehicle']}.jpg").unlink()
+                (self.out / PICTURES_FOLDER / f"{self.vehicles[-MAX_KEPT_PICTURES - 1]['vehicle']}.jpg").unlink()
 
 
-def _passage(found: Found, seen_at: str) -> dict[str, object]:
+def _passage_data(found: Found, seen_at: str) -> dict[str, object]:
     """Where and when a vehicle was seen."""
     x, _, z = (round(float(value), 2) for value in found.place)
     assert math.isfinite(x + z), "it was seen on its way"

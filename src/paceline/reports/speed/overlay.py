@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from paceline.arrays import Array
 from paceline.recordings.stereo import StereoFrame, StereoRecording
 from paceline.reports.common.drawing import (
-    DARK,
-    WHITE,
+    DARK_BGR,
+    WHITE_BGR,
     Box,
     Color,
     Picture,
@@ -22,32 +22,32 @@ from paceline.reports.common.drawing import (
     draw_line,
     draw_outline,
     draw_text,
-    scaled,
+    scale_points,
 )
 from paceline.reports.common.formatting import speed_at
-from paceline.reports.common.video import VideoWriter, even
+from paceline.reports.common.video import VideoWriter, pad_to_even
 from paceline.speed.results import ClipResult, Measurement, Track
 from paceline.units import format_speed
 
 Grey = NDArray[np.uint8]  # (H, W)
 
-MAX_WIDTH = 1920
-HEADER = 40  # height of the strip above the pictures, pixels
+MAX_VIDEO_WIDTH_PX = 1920
+HEADER_HEIGHT_PX = 40  # height of the strip above the pictures, pixels
 
 PATH_COLOR: Color = (240, 226, 180)
 LOST_COLOR: Color = (190, 190, 190)
-BEYOND = 96  # grey level in stills, outside the picture
+OUTSIDE_GREY_LEVEL = 96  # grey level in stills, outside the picture
 PARTICLE_COLOR: Color = (90, 220, 250)
 
-STILL = (400, 300)  # width and height, pixels
-STILL_MARGIN = 2.2  # width of a still in widths of the outline
-MIN_STILL_WIDTH = 48.0  # pixels of the recording
-PARTICLE_RADIUS = 9 / 16  # px
+STILL_SIZE_PX = (400, 300)  # width and height, pixels
+STILL_OUTLINE_WIDTHS = 2.2  # width of a still in widths of the outline
+MIN_STILL_WIDTH_PX = 48.0  # pixels of the recording
+PARTICLE_RADIUS_PX = 9 / 16  # px
 PARTICLE_OPACITY = 0.6
 
 
 @dataclass(frozen=True)
-class Still:
+class StereoStill:
     """One vehicle at one frame, cropped from both views, as JPEG."""
 
     frame: int
@@ -58,7 +58,7 @@ class Still:
 
 @dataclass
 class Overlay:
-    stills: dict[str, list[Still]]
+    stills: dict[str, list[StereoStill]]
     notices: list[str] = field(default_factory=list)
 
 
@@ -70,17 +70,17 @@ def write_overlay(
     The frames keep the recording's presentation times. ``colors`` gives each vehicle's colour as ``#rrggbb``. A notice
     says so where no H.264 encoder is at hand and the video is MPEG-4 instead.
     """
-    layers = [_Layer(m, _bgr(colors[m.vehicle])) for m in result.measurements]
+    layers = [_Layer(m, _parse_color(colors[m.vehicle])) for m in result.measurements]
     overlay = Overlay({layer.track.vehicle: [] for layer in layers})
     times = np.asarray(recording.times, float)
     step = float(np.median(np.diff(times))) if len(times) > 1 else 1.0
     with VideoWriter(file, step if step > 0 else 1.0) as video:
         for frame in recording:
-            views = _grey(frame.left), _grey(frame.right)
+            views = _to_grey(frame.left), _to_grey(frame.right)
             for layer in layers:
                 row = layer.rows.get(frame.index)
                 if row is not None and row in layer.still_rows:
-                    overlay.stills[layer.track.vehicle].append(_still(views, layer, row, frame.time))
+                    overlay.stills[layer.track.vehicle].append(_crop_still(views, layer, row, frame.time))
             video.add(_draw(result, layers, frame, views, unit), frame.time)
     overlay.notices += video.notices
     return overlay
@@ -109,25 +109,23 @@ class _Layer:
         return self.color if self.track.status[row] == "tracking" else LOST_COLOR
 
 
-def _draw(
-    result: ClipResult, layers: list[_Layer], frame: StereoFrame, views: tuple[Grey, Grey], unit: str
-) -> Picture:
+def _draw(result: ClipResult, layers: list[_Layer], frame: StereoFrame, views: tuple[Grey, Grey], unit: str) -> Picture:
     """One picture of the video: a strip with frame and time above the two views."""
     total = sum(view.shape[1] for view in views)
-    scale = min(1.0, MAX_WIDTH / total)
+    scale = min(1.0, MAX_VIDEO_WIDTH_PX / total)
     panels = [_draw_view(result, layers, frame, view, side, scale, unit) for side, view in enumerate(views)]
     height, width = max(p.shape[0] for p in panels), sum(p.shape[1] for p in panels)
-    canvas = np.zeros((HEADER + height, width, 3), np.uint8)
-    canvas[:HEADER] = DARK
+    canvas = np.zeros((HEADER_HEIGHT_PX + height, width, 3), np.uint8)
+    canvas[:HEADER_HEIGHT_PX] = DARK_BGR
     x = 0
     for panel, name in zip(panels, ("left", "right"), strict=True):
-        canvas[HEADER : HEADER + panel.shape[0], x : x + panel.shape[1]] = panel
+        canvas[HEADER_HEIGHT_PX : HEADER_HEIGHT_PX + panel.shape[0], x : x + panel.shape[1]] = panel
         draw_text(canvas, name, (x + 14, 27), 17, (200, 190, 180))
         x += panel.shape[1]
-    canvas[:, panels[0].shape[1] - 1 : panels[0].shape[1] + 1] = DARK
+    canvas[:, panels[0].shape[1] - 1 : panels[0].shape[1] + 1] = DARK_BGR
     note = "   repeated picture" if frame.duplicate else ""
-    draw_text(canvas, f"frame {frame.index}   {frame.time:.3f} s{note}", (80, 27), 17, WHITE)
-    return even(canvas)
+    draw_text(canvas, f"frame {frame.index}   {frame.time:.3f} s{note}", (80, 27), 17, WHITE_BGR)
+    return pad_to_even(canvas)
 
 
 def _draw_view(
@@ -140,19 +138,21 @@ def _draw_view(
     unit: str,
 ) -> Picture:
     size = max(2, round(view.shape[1] * scale)), max(2, round(view.shape[0] * scale))
-    picture = _colored(cv2.resize(view, size, interpolation=cv2.INTER_AREA) if scale < 1 else view)
+    picture = _to_bgr(cv2.resize(view, size, interpolation=cv2.INTER_AREA) if scale < 1 else view)
     for path in result.paths:
-        _draw_path(picture, scaled((path.left, path.right)[side], scale))
+        _draw_path(picture, scale_points((path.left, path.right)[side], scale))
     labels: list[tuple[str, Array, Color]] = []
     for layer in layers:
         row = layer.rows.get(frame.index)
         if row is None or layer.track.status[row] == "ended":
             continue
-        corners = scaled((layer.track.left, layer.track.right)[side][row], scale)
+        corners = scale_points((layer.track.left, layer.track.right)[side][row], scale)
         if not np.isfinite(corners).all():
             continue
         color = layer.outline_color(row)
-        _draw_particles(picture, scaled((layer.track.particles_left, layer.track.particles_right)[side][row], scale))
+        _draw_particles(
+            picture, scale_points((layer.track.particles_left, layer.track.particles_right)[side][row], scale)
+        )
         draw_outline(picture, corners, color, thickness=1 if layer.rejected else 2)
         labels.append((layer.label(row, unit), corners, color))
     taken: list[Box] = []
@@ -173,39 +173,39 @@ def _draw_path(picture: Picture, points: Array) -> None:
 
 def _draw_particles(picture: Picture, points: Array) -> None:
     clear = picture.copy()
-    draw_dots(picture, points, PARTICLE_COLOR, PARTICLE_RADIUS)
+    draw_dots(picture, points, PARTICLE_COLOR, PARTICLE_RADIUS_PX)
     cv2.addWeighted(picture, PARTICLE_OPACITY, clear, 1 - PARTICLE_OPACITY, 0, dst=picture)
 
 
-def _still(views: tuple[Grey, Grey], layer: _Layer, row: int, time: float) -> Still:
+def _crop_still(views: tuple[Grey, Grey], layer: _Layer, row: int, time: float) -> StereoStill:
     crops = [_crop(v, c[row], layer.color) for v, c in zip(views, (layer.track.left, layer.track.right), strict=True)]
-    return Still(int(layer.track.frame[row]), time, *crops)
+    return StereoStill(int(layer.track.frame[row]), time, *crops)
 
 
 def _crop(view: Grey, corners: Array, color: Color) -> bytes:
     """The surroundings of the outline ``corners`` (4, 2), enlarged to the size of a still, as JPEG."""
-    width, height = STILL
+    width, height = STILL_SIZE_PX
     extent = np.ptp(corners, axis=0)
-    scale = width / max(STILL_MARGIN * max(extent[0], extent[1] * width / height), MIN_STILL_WIDTH)
+    scale = width / max(STILL_OUTLINE_WIDTHS * max(extent[0], extent[1] * width / height), MIN_STILL_WIDTH_PX)
     shift = np.array([width / 2, height / 2]) - scale * corners.mean(axis=0)
     transform = np.column_stack([np.eye(2) * scale, shift])
     method = cv2.INTER_CUBIC if scale > 1 else cv2.INTER_AREA
-    picture = _colored(cv2.warpAffine(view, transform, STILL, flags=method, borderValue=BEYOND))
+    picture = _to_bgr(cv2.warpAffine(view, transform, STILL_SIZE_PX, flags=method, borderValue=OUTSIDE_GREY_LEVEL))
     draw_outline(picture, scale * corners + shift, color, thickness=2)
     done, jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 85])
     assert done
     return bytes(jpeg)
 
 
-def _grey(image: NDArray[np.float32]) -> Grey:
+def _to_grey(image: NDArray[np.float32]) -> Grey:
     """``image`` (H, W), 0..255, in whole levels."""
     return np.clip(np.rint(image), 0, 255).astype(np.uint8)
 
 
-def _colored(grey: cv2.typing.MatLike) -> Picture:
+def _to_bgr(grey: cv2.typing.MatLike) -> Picture:
     """A copy to draw on in colour."""
     return np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), np.uint8)
 
 
-def _bgr(color: str) -> Color:
+def _parse_color(color: str) -> Color:
     return int(color[5:7], 16), int(color[3:5], 16), int(color[1:3], 16)

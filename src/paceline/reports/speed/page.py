@@ -7,19 +7,19 @@ from pathlib import Path
 import numpy as np
 
 from paceline.reports.common.formatting import (
-    MISSING,
-    SpeedWords,
+    NO_VALUE,
+    SpeedText,
     advice,
     distance_travelled,
-    number,
+    format_number,
+    format_speed,
+    format_speed_number,
     path_length,
-    shown_speed,
     speed_at,
-    speed_words,
 )
-from paceline.reports.common.html import flat, render
+from paceline.reports.common.html import flatten_settings, render
 from paceline.reports.common.plots import Plot
-from paceline.reports.speed.overlay import Still
+from paceline.reports.speed.overlay import StereoStill
 from paceline.speed.results import ClipResult, Measurement
 from paceline.units import convert
 
@@ -31,7 +31,7 @@ def write_page(
     *,
     plots: dict[str, list[Plot]],
     plan: Plot,
-    stills: dict[str, list[Still]],
+    stills: dict[str, list[StereoStill]],
     colors: dict[str, str],
 ) -> None:
     """Writes the page; ``plots``, ``stills`` and ``colors`` are by vehicle. Needs no other file and no network."""
@@ -39,7 +39,7 @@ def write_page(
         {
             "id": m.vehicle,
             "m": m,
-            "words": (words := speed_words(m, unit)),
+            "words": (words := format_speed(m, unit)),
             "headline": _headline(m, words),
             "color": colors[m.vehicle],
             "advice": advice(m),
@@ -57,15 +57,15 @@ def write_page(
         vehicles=vehicles,
         measured=sum(m.verdict == "measured" for m in result.measurements),
         plan=plan,
-        paths=[(path.name, number(path_length(path.points), 1)) for path in result.paths],
-        settings=flat(result.configuration),
-        seconds=number(result.seconds, 1),
-        missing=MISSING,
+        paths=[(path.name, format_number(path_length(path.points), 1)) for path in result.paths],
+        settings=flatten_settings(result.configuration),
+        seconds=format_number(result.seconds, 1),
+        missing=NO_VALUE,
     )
     file.write_text(text, encoding="utf-8")
 
 
-def _headline(measurement: Measurement, words: SpeedWords) -> str:
+def _headline(measurement: Measurement, words: SpeedText) -> str:
     """The result in one plain sentence."""
     if measurement.verdict != "measured":
         return f"Rejected: {measurement.reason}"
@@ -79,15 +79,17 @@ def _facts(measurement: Measurement, unit: str) -> list[tuple[str, str]]:
     depth = track.position[tracked, 2]
     facts = [
         ("frames measured", f"{measurement.frames}, over {seconds:.2f} s"),
-        ("distance travelled", f"{number(distance_travelled(track), 1)} m"),
+        ("distance travelled", f"{format_number(distance_travelled(track), 1)} m"),
         ("model of the motion", measurement.model),
     ]
     if len(depth):
-        facts.insert(2, ("distance ahead", f"{number(float(depth[0]), 1)} m to {number(float(depth[-1]), 1)} m"))
-    if (acceleration := number(measurement.acceleration, 2)) != MISSING:
-        per_second = number(float(convert(measurement.acceleration, unit)), 2)
+        facts.insert(
+            2, ("distance ahead", f"{format_number(float(depth[0]), 1)} m to {format_number(float(depth[-1]), 1)} m")
+        )
+    if (acceleration := format_number(measurement.acceleration, 2)) != NO_VALUE:
+        per_second = format_number(float(convert(measurement.acceleration, unit)), 2)
         facts.append(("acceleration", f"{acceleration} m/s² ({per_second} {unit} each second)"))
-    if (residual := number(measurement.residual_rms, 1)) != MISSING:
+    if (residual := format_number(measurement.residual_rms, 1)) != NO_VALUE:
         facts.append(("misfit of the pictures", f"{residual} of 255 grey levels"))
     return facts
 
@@ -104,10 +106,10 @@ def _rows(measurement: Measurement, unit: str) -> list[list[str]]:
                 str(track.frame[i]),
                 f"{track.time[i]:.3f}",
                 status,
-                f"{shown_speed(best, unit, half)} ± {shown_speed(half, unit, half)}",
-                f"{shown_speed(float(track.speed[i]), unit)} ± {shown_speed(2 * spread, unit)}",
-                number(float(track.position[i, 2]), 2),
-                number(float(track.ess[i]), 0),
+                f"{format_speed_number(best, unit, half)} ± {format_speed_number(half, unit, half)}",
+                f"{format_speed_number(float(track.speed[i]), unit)} ± {format_speed_number(2 * spread, unit)}",
+                format_number(float(track.position[i, 2]), 2),
+                format_number(float(track.ess[i]), 0),
             ]
         )
     return rows

@@ -8,11 +8,19 @@ from matplotlib.figure import Figure
 
 from paceline.arrays import Array
 from paceline.reports.common.formatting import coverage_factor
-from paceline.reports.common.plots import FILTER, INK, INTERVAL, MUTED, REFINED, Plot, make_plot
+from paceline.reports.common.plots import (
+    FILTER_COLOR,
+    INK_COLOR,
+    INTERVAL_COLOR,
+    MUTED_COLOR,
+    REFINED_COLOR,
+    Plot,
+    make_plot,
+)
 from paceline.speed.results import ClipResult, Measurement, Track
 from paceline.units import convert
 
-MAX_DOTS = 80
+MAX_DOTTED_FRAMES = 80
 
 
 def vehicle_plots(measurement: Measurement, unit: str, color: str) -> list[Plot]:
@@ -43,20 +51,20 @@ def _draw_speed(figure: Figure, measurement: Measurement, unit: str) -> None:
     axes = figure.subplots()
     time = track.time
     mean, spread = convert(track.speed, unit), convert(2 * track.speed_std, unit)
-    axes.fill_between(time, mean - spread, mean + spread, color=FILTER, alpha=0.22, lw=0, label="filter ± 2 std")
-    _draw_frames(axes, time, mean, FILTER, label="filter, frame by frame")
+    axes.fill_between(time, mean - spread, mean + spread, color=FILTER_COLOR, alpha=0.22, lw=0, label="filter ± 2 std")
+    _draw_frames(axes, time, mean, FILTER_COLOR, label="filter, frame by frame")
     refined = np.isfinite(track.refined_speed)
     visible = [mean]
     if refined.any():
         line = convert(track.refined_speed[refined], unit)
         half = convert(coverage_factor(measurement) * track.refined_std[refined], unit)
-        axes.fill_between(time[refined], line - half, line + half, color=REFINED, alpha=0.25, lw=0)
-        axes.plot(time[refined], line, color=REFINED, lw=2, label="refined track (95 %)")
+        axes.fill_between(time[refined], line - half, line + half, color=REFINED_COLOR, alpha=0.25, lw=0)
+        axes.plot(time[refined], line, color=REFINED_COLOR, lw=2, label="refined track (95 %)")
         visible += [line - half, line + half]
     if np.isfinite([measurement.speed_lo, measurement.speed_hi]).all():
         lo, hi = convert(measurement.speed_lo, unit), convert(measurement.speed_hi, unit)
         for value in (lo, hi):
-            axes.axhline(value, color=INTERVAL, lw=1.1, ls=(0, (4, 2)))
+            axes.axhline(value, color=INTERVAL_COLOR, lw=1.1, ls=(0, (4, 2)))
         axes.lines[-1].set_label("mean speed, 95 % interval")
         visible.append(np.array([lo, hi]))
     _limit_y(axes, np.concatenate(visible), mean - spread, mean + spread)
@@ -67,7 +75,7 @@ def _draw_speed(figure: Figure, measurement: Measurement, unit: str) -> None:
 
 def _limit_y(axes: Axes, visible: Array, lower: Array, upper: Array) -> None:
     """Shows ``visible`` and most of the band between ``lower`` and ``upper``, however wide it begins."""
-    values = np.concatenate([visible, *(_middle(edge) for edge in (lower, upper))])
+    values = np.concatenate([visible, *(_central_values(edge) for edge in (lower, upper))])
     values = values[np.isfinite(values)]
     if len(values):
         lo, hi = float(values.min()), float(values.max())
@@ -75,7 +83,7 @@ def _limit_y(axes: Axes, visible: Array, lower: Array, upper: Array) -> None:
         axes.set_ylim(lo - margin, hi + margin)
 
 
-def _middle(values: Array) -> Array:
+def _central_values(values: Array) -> Array:
     known = values[np.isfinite(values)]
     return np.quantile(known, [0.1, 0.9]) if len(known) else known
 
@@ -89,10 +97,10 @@ def _draw_depth(figure: Figure, track: Track, color: str) -> None:
 
 def _draw_particles(figure: Figure, track: Track) -> None:
     spread, sample = figure.subplots(2, sharex=True)
-    _draw_frames(spread, track.time, np.array([_spread(points) for points in track.particles_left]), FILTER)
+    _draw_frames(spread, track.time, np.array([_spread(points) for points in track.particles_left]), FILTER_COLOR)
     spread.set_ylim(bottom=0)
     spread.set_title("spread of the particles, pixels")
-    _draw_frames(sample, track.time, track.ess, FILTER)
+    _draw_frames(sample, track.time, track.ess, FILTER_COLOR)
     sample.set_ylim(bottom=0)
     sample.set_title("effective sample size")
     _label_time(sample, track)
@@ -107,11 +115,13 @@ def _spread(points: Array) -> float:
 def _draw_plan(figure: Figure, result: ClipResult, colors: dict[str, str]) -> None:
     axes = figure.subplots()
     for path in result.paths:
-        axes.plot(path.points[:, 2], -path.points[:, 0], color=MUTED, lw=1, ls=(0, (6, 3)), label=f"path {path.name}")
+        axes.plot(
+            path.points[:, 2], -path.points[:, 0], color=MUTED_COLOR, lw=1, ls=(0, (6, 3)), label=f"path {path.name}"
+        )
     for measurement in result.measurements:
         x, _, z = measurement.track.position.T
         _draw_frames(axes, z, -x, colors[measurement.vehicle], label=f"vehicle {measurement.vehicle}")
-    axes.plot(0, 0, marker=">", color=INK, ms=7, ls="", label="left camera")
+    axes.plot(0, 0, marker=">", color=INK_COLOR, ms=7, ls="", label="left camera")
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_xlabel("distance ahead, m")
     axes.set_ylabel("to the left, m")
@@ -120,7 +130,7 @@ def _draw_plan(figure: Figure, result: ClipResult, colors: dict[str, str]) -> No
 
 def _draw_frames(axes: Axes, x: Array, y: Array, color: str, label: str | None = None) -> None:
     """A line with a dot per frame while dots can be told apart."""
-    axes.plot(x, y, color=color, lw=1.4, marker="o" if len(x) <= MAX_DOTS else "", ms=3, label=label)
+    axes.plot(x, y, color=color, lw=1.4, marker="o" if len(x) <= MAX_DOTTED_FRAMES else "", ms=3, label=label)
 
 
 def _label_time(axes: Axes, track: Track) -> None:

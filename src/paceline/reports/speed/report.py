@@ -8,7 +8,7 @@ from pathlib import Path
 
 from paceline.recordings.stereo import StereoRecording
 from paceline.reports.common.output_folder import OutputFolder
-from paceline.reports.common.plots import VEHICLES
+from paceline.reports.common.plots import VEHICLE_COLORS
 from paceline.reports.speed.overlay import write_overlay
 from paceline.reports.speed.page import write_page
 from paceline.reports.speed.plots import plan_plot, vehicle_plots
@@ -28,7 +28,7 @@ def write_report(result: ClipResult, recording: StereoRecording, out: str | Path
 
 def write_files(result: ClipResult, recording: StereoRecording, folder: Path, unit: str) -> ClipResult:
     """As `write_report`, straight into an existing ``folder``."""
-    colors = {m.vehicle: VEHICLES[i % len(VEHICLES)] for i, m in enumerate(result.measurements)}
+    colors = {m.vehicle: VEHICLE_COLORS[i % len(VEHICLE_COLORS)] for i, m in enumerate(result.measurements)}
     overlay = write_overlay(result, recording, folder / "overlay.mp4", unit, colors)
     result = dataclasses.replace(result, notices=result.notices + overlay.notices)
     write_estimates(result, folder / "estimates.csv")
@@ -41,9 +41,7 @@ def write_files(result: ClipResult, recording: StereoRecording, folder: Path, un
     for stem, drawings in zip(_file_stems(list(plots)), plots.values(), strict=True):
         for plot in drawings:
             (folder / "plots" / f"{stem}-{plot.name}.png").write_bytes(plot.png)
-    write_page(
-        result, folder / "report.html", unit, plots=plots, plan=plan, stills=overlay.stills, colors=colors
-    )
+    write_page(result, folder / "report.html", unit, plots=plots, plan=plan, stills=overlay.stills, colors=colors)
     return result
 
 

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from paceline.arrays import Array
-from paceline.reports.common.tables import cell, write_json
+from paceline.reports.common.tables import format_cell, write_json
 from paceline.speed.results import ClipResult, Measurement, Track
 
-COLUMNS = [
+ESTIMATE_COLUMNS = [
     "vehicle", "frame", "time_s", "speed_mps", "speed_std_mps", "x_m", "y_m", "z_m", "yaw_rate_radps",
     *(f"{view}_{axis}{corner}" for view in ("left", "right") for corner in (1, 2, 3, 4) for axis in "xy"),
     "ess", "status", "refined_speed_mps", "refined_std_mps",
@@ -23,7 +23,7 @@ def write_estimates(result: ClipResult, file: Path) -> None:
     """Writes estimates.csv: one row per vehicle and frame, an empty cell where there is no number."""
     with file.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(COLUMNS)
+        writer.writerow(ESTIMATE_COLUMNS)
         for measurement in result.measurements:
             writer.writerows(estimate_rows(measurement.track))
 
@@ -35,8 +35,8 @@ def estimate_rows(track: Track) -> Iterator[list[str]]:
         corners = [*track.left[i].ravel(), *track.right[i].ravel()]
         refined = [track.refined_speed[i], track.refined_std[i]]
         yield [
-            track.vehicle, str(track.frame[i]), *map(cell, numbers), *map(cell, corners),
-            cell(track.ess[i]), track.status[i], *map(cell, refined),
+            track.vehicle, str(track.frame[i]), *map(format_cell, numbers), *map(format_cell, corners),
+            format_cell(track.ess[i]), track.status[i], *map(format_cell, refined),
         ]  # fmt: skip
 
 
@@ -44,7 +44,7 @@ def write_summary(result: ClipResult, file: Path) -> None:
     """Writes summary.json: a verdict per vehicle, the resolved configuration and the versions."""
     summary = {
         "clip": result.clip,
-        "vehicles": [summary_of(m) for m in result.measurements],
+        "vehicles": [vehicle_summary(m) for m in result.measurements],
         "notices": result.notices,
         "configuration": result.configuration,
         "versions": result.versions,
@@ -53,7 +53,7 @@ def write_summary(result: ClipResult, file: Path) -> None:
     write_json(summary, file)
 
 
-def summary_of(measurement: Measurement) -> dict[str, object]:
+def vehicle_summary(measurement: Measurement) -> dict[str, object]:
     """What summary.json says of one vehicle."""
     return {
         "vehicle": measurement.vehicle,
@@ -73,6 +73,6 @@ def summary_of(measurement: Measurement) -> dict[str, object]:
     }
 
 
-def numbers_of(vehicles: Sequence[Mapping[str, object]], key: str) -> Array:
-    """The numbers (V,) that `summary_of` gives to the ``key``."""
+def summary_column(vehicles: Sequence[Mapping[str, object]], key: str) -> Array:
+    """The numbers (V,) that `vehicle_summary` gives to the ``key``."""
     return np.array([vehicle[key] for vehicle in vehicles], float)
