@@ -180,7 +180,7 @@ def test_what_a_killed_console_had_measured_can_be_read(tmp_path: Path) -> None:
         ({"vehicles": [], "notices": ["no vehicle was found: fog"]}, "no vehicle was found: fog"),
         ({"reasons": {"too few of its features are found": 9}}, "too few of its features are found"),
         ({"vehicles": [], "notices": []}, "nothing came by that could be measured"),
-        ({"vehicles": [], "unmeasured": [{"reason": "not measured: fog"}], "notices": ["note"]}, "not measured: fog"),
+        ({"vehicles": [], "unmeasured": [{"reason": "fog"}], "notices": ["note"]}, "not measured: fog"),
         ([], ""),
     ],
 )

@@ -173,14 +173,14 @@ def test_a_survey_goes_on_until_it_is_stopped(console: Console) -> None:
 
     summary = json.loads((run / "out" / "summary.json").read_text())
     summary["vehicles"] = [{**vehicles[0], "vehicle": f"v{k}"} for k in range(1200)]
-    summary["unmeasured"] = [{"reason": "not measured: <i>too small</i>"}] * 2
+    summary["unmeasured"] = [{"reason": "<i>too small</i>"}] * 2
     (run / "out" / "summary.json").write_text(json.dumps(summary))
     pictures = run / "out" / "pictures"
     for k in (1197, 1198, 1199):
         shutil.copyfile(pictures / f"{vehicles[-1]['vehicle']}.jpg", pictures / f"v{k}.jpg")
     tab.open(f"{address}/runs?clip=survey")
     tab.wait_for("The last 1000 of 1200 vehicles; the files have all of them.")
-    assert "2 vehicles were seen and not measured: <i>too small</i>" in tab.text() and "v1199" in tab.text()
+    assert "2 vehicles were seen, but not measured: <i>too small</i>" in tab.text() and "v1199" in tab.text()
     (run / "out" / "summary.json").write_text("[")
     tab.open(f"{address}/runs?clip=survey")
     tab.wait_for("survey/runs/0001/out/summary.json: is no summary of a measurement")

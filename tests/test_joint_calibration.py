@@ -198,7 +198,8 @@ def test_the_one_that_contradicts_all_others_is_left_out_and_rejected(wanted: fl
     assert [m.calibrated_by for m in good] == [5 if verdict == "measured" else 4] * 4
     assert all(m.rig is None for m in measured)
     if verdict == "rejected":
-        assert bad.reason.startswith("calibration") and bad.speed == alone[2].speed
+        assert bad.reason.startswith("calibration: ") and bad.speed == alone[2].speed
+        assert bad.reason_code == "calibration_differs_between_vehicles"
         for m, right in zip(good, together([*alone[:2], *alone[3:]]), strict=True):
             assert m.speed == pytest.approx(right.speed, abs=1e-9)
 
@@ -224,7 +225,8 @@ def test_what_all_agree_on_has_to_be_what_is_stated(off: float, verdict: str) ->
     measured = together(alone)
     assert {m.verdict for m in measured} == {verdict}
     if verdict == "rejected":
-        assert all(m.reason.startswith("calibration: the pictures of 9 vehicles together") for m in measured)
+        assert {m.reason_code for m in measured} == {"calibration_inconsistent_jointly"}
+        assert all("of 9 vehicles together" in m.reason for m in measured)
 
 
 def test_one_alone_and_those_that_tell_nothing_stay_as_they_are() -> None:

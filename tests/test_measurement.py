@@ -234,7 +234,8 @@ def test_a_tolerance_is_in_the_unit_that_people_are_shown(command: Command, clip
         (found,) = answer.vehicles.values()
         assert found["verdict"] == verdict and found["speed_mps"] == v["speed_mps"]
         assert answer.status == int(verdict == "rejected")
-    assert found["reason"] == "interval too wide: 2.00 times the tolerance"
+    assert found["reason_code"] == "tolerance_exceeded"
+    assert found["reason"].startswith("interval too wide: ") and "2.00 times the tolerance" in found["reason"]
 
 
 def test_only_rejections_are_status_1_and_said_why(command: Command, clip: Path, tmp_path: Path) -> None:
@@ -450,7 +451,8 @@ def test_what_never_looks_like_the_region_is_not_measured(clip: Path, monkeypatc
 
     monkeypatch.setattr(paceline.Tracker, "update", unlike)
     m = paceline.measure(paceline.load_clip(clip), paceline.SpeedConfiguration()).measurements[0]
-    assert (m.verdict, m.reason) == ("rejected", "unlike itself: only 3 of 10 frames look like the outlined region")
+    assert (m.verdict, m.reason_code) == ("rejected", "appearance_lost_from_start")
+    assert m.reason.startswith("unlike itself: only 3 of 10 frames look like the outlined region")
 
 
 def test_the_mean_speed_of_a_long_track_counts_to_its_last_frame(tmp_path: Path) -> None:

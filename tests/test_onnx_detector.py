@@ -440,7 +440,7 @@ def test_where_nothing_is_boxed_nothing_is_measured(tmp_path: Path) -> None:
     file, model, out = clip_file(tmp_path / "clip"), contrast(tmp_path / "model.onnx", 1e-3), tmp_path / "out"
     done = paceline("speed", file, "-o", out, "--detector", model)
     assert done.returncode == 1, done.stderr
-    why = f"no vehicle was found: the detector saw a vehicle in none of {2 * len(two().left)} pictures"
+    why = f"no vehicle was found: the detector saw a vehicle in none of {2 * len(two().left)} images"
     assert "no vehicle was found" in done.stdout and why in done.stderr
     assert summary_of(out)["vehicles"] == [] and why in summary_of(out)["notices"] and (out / "report.html").exists()
 
@@ -450,7 +450,7 @@ def test_boxes_in_which_nothing_drives_are_told_from_none(tmp_path: Path) -> Non
     views = iter([np.array([[0.0, 0.0, 9.0, 9.0]]), np.zeros((0, 4))] * len(two().left))
     reason = find_vehicles(clip, open_recording(clip), detect=lambda picture: next(views)).reason
     count = len(two().left)
-    assert reason.startswith(f"the detector saw a vehicle in {count} of {2 * count} pictures, but nothing that")
+    assert reason.startswith(f"the detector saw a vehicle in {count} of {2 * count} images, but nothing that")
 
 
 def test_the_second_frame_tells_the_noise_of_the_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

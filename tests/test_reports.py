@@ -24,7 +24,7 @@ import pytest
 from paceline.errors import UnusableInput
 from paceline.recordings.stereo import StereoFrame
 from paceline.reports import OutputFolder, write_report
-from paceline.reports.common.formatting import advice, format_speed, format_speed_number, speed_at
+from paceline.reports.common.formatting import format_speed, format_speed_number, rejected_advice, speed_at
 from paceline.speed.results import ClipResult, Measurement, PathDrawing, Track
 
 NAN = float("nan")
@@ -87,7 +87,7 @@ def rejected(vehicle: str) -> Measurement:
     return Measurement(
         vehicle, track(vehicle, first=3, refined=False), speed=NAN, speed_lo=NAN, speed_hi=NAN, random_std=NAN,
         systematic_std=NAN, frames=7, verdict="rejected", reason="too few frames (7 of at least 8)", model="filter",
-        notices=["left the picture at frame 11"],
+        reason_code="seen_briefly", notices=["left the picture at frame 11"],
     )  # fmt: skip
 
 
@@ -156,10 +156,11 @@ def test_summary_is_exact(out: Path) -> None:
     first, _, last = summary["vehicles"]
     assert first == {
         "vehicle": "v0", "speed_mps": 20.1, "speed_lo_mps": 20.0, "speed_hi_mps": 20.2, "frames": 10,
-        "verdict": "measured", "reason": "", "random_std_mps": 0.03, "systematic_std_mps": 0.04, "calibrated_by": 0,
-        "model": "constant speed", "acceleration_mps2": None, "residual_rms": 3.2, "notices": [],
+        "verdict": "measured", "reason": "", "reason_code": "", "random_std_mps": 0.03, "systematic_std_mps": 0.04,
+        "calibrated_by": 0, "model": "constant speed", "acceleration_mps2": None, "residual_rms": 3.2, "notices": [],
     }  # fmt: skip
     assert last["verdict"] == "rejected" and last["reason"].startswith("too few frames")
+    assert last["reason_code"] == "seen_briefly"
     assert last["speed_mps"] is None and last["speed_lo_mps"] is None
     assert summary["configuration"] == {"particles": 400, "refine": True, "noise": {"speed": 0.5, "limit": None}}
     assert summary["versions"] == {"paceline": "0.1.0"}
@@ -179,7 +180,7 @@ def test_the_speed_of_a_frame_has_an_interval_as_cautious_as_the_mean_s() -> Non
     wide = replace(measured("v"), speed_lo=19.0, speed_hi=21.2)  # 1.1 where 0.05 is one standard uncertainty: 22
     assert speed_at(wide, 0) == pytest.approx((20.1, 22 * 0.05))
     assert speed_at(rejected("v"), 2)[1] == pytest.approx(1.96 * rejected("v").track.speed_std[2])
-    assert "longer" in advice(rejected("v"))
+    assert "longer" in rejected_advice(rejected("v").reason_code)
 
 
 def test_overlay_plays_with_the_recordings_times(out: Path) -> None:

@@ -17,11 +17,13 @@ from test_reports import measured, rejected
 from paceline.detection.finder import Found
 from paceline.documents.loading import VehicleDocument
 from paceline.errors import UnusableInput
+from paceline.reports.common.formatting import rejected_advice
 from paceline.reports.common.output_folder import write_all_or_none
 from paceline.reports.live import report as live_report
 from paceline.reports.live.plots import MAX_DRAWN_INTERVALS, speeds_plot
 from paceline.reports.live.report import LiveResults
 from paceline.speed.results import Measurement
+from paceline.verdicts import NO_REASON, advice_for, message
 
 ABOUT: dict[str, object] = {"clip": "road/<i>clip</i>.yaml", "configuration": {"learn": 30.0}, "versions": {"p": "1"}}
 DAY = "2026-05-04T10:{:02d}:00+02:00"
@@ -32,7 +34,7 @@ def found(k: int) -> Found:
     crop = np.random.default_rng(k).uniform(0, 255, (80, 90)).astype(np.float32)
     document = VehicleDocument(f"v{k}", "lane0", k, quad, quad + 3, "front", None)
     place, corners = np.array([-1.52, 2.1, 63.7]), np.array([[100.0, 100], [103, 103]])
-    return Found("lane0", (10.0 * k, 10.0 * k + 4), 1.8, 1.5, place, document, "", (crop, crop), corners)
+    return Found("lane0", (10.0 * k, 10.0 * k + 4), 1.8, 1.5, place, document, NO_REASON, (crop, crop), corners)
 
 
 def passed(k: int, result: Measurement | None = None) -> Measurement:
@@ -44,7 +46,7 @@ def test_the_report_says_of_each_vehicle_what_is_known(tmp_path: Path) -> None:
         results.begin()
         results.add(passed(0), found(0), DAY.format(3))
         results.add(passed(1, rejected("v")), found(1), DAY.format(4))
-        results.add_unmeasured(found(2), DAY.format(5), "not measured: <b>too small</b>")
+        results.add_unmeasured(found(2), DAY.format(5), message("input_unusable", problem="<b>too small</b>"))
         results.notices.append("3 frames were dropped")
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     text = " ".join(html.unescape(re.sub(r"<style>.*?</style>|<[^>]*>", " ", page, flags=re.S)).split())
@@ -63,6 +65,9 @@ def test_the_report_says_of_each_vehicle_what_is_known(tmp_path: Path) -> None:
     assert cv2.imread(str(tmp_path / "out" / "speeds.png")) is not None
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert [v["first_seen_m"] for v in summary["vehicles"]] == [[-1.52, 63.7]] * 2
+    assert summary["unmeasured"][0]["reason_code"] == "input_unusable"
+    assert [v["reason_code"] for v in summary["vehicles"]] == ["", second.reason_code]
+    assert rejected_advice(second.reason_code) in text and advice_for("input_unusable") in text
     assert summary["unmeasured"][0]["seen_from_s"] == 20.0 and summary["notices"] == ["3 frames were dropped"]
 
 
@@ -123,9 +128,9 @@ def test_writing_takes_its_share_of_the_time_and_no_more(tmp_path: Path, monkeyp
         now += 100
         results.save()
         assert len(written) == 7  # nothing has changed
-        results.add_unmeasured(found(7), DAY.format(4), "not measured: too small")
+        results.add_unmeasured(found(7), DAY.format(4), message("no_planar_face"))
         assert len(json.loads((tmp_path / "summary.json").read_text())["unmeasured"]) == 1
-        results.add_unmeasured(found(8), DAY.format(4), "not measured: too small")
+        results.add_unmeasured(found(8), DAY.format(4), message("no_planar_face"))
         assert len(written) == 8
     assert len(json.loads((tmp_path / "summary.json").read_text())["unmeasured"]) == 2
 

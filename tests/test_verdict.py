@@ -93,8 +93,9 @@ def test_a_motion_is_seldom_off_outlines_however_well_they_are_drawn(hand: float
 
 def test_a_motion_that_lies_off_the_outline_in_the_other_view_is_that_of_something_else() -> None:
     assert check_outline(moving_with(OUTLINE), OUTLINE + [1.7, 0.0], 0.5) == ""
-    said = check_outline(moving_with(OUTLINE), OUTLINE + [0.0, -3.0], 0.5)
-    assert said == "outline: what the pictures show lies 3.0 px off it in the right view, more than 1.8"
+    reason = check_outline(moving_with(OUTLINE), OUTLINE + [0.0, -3.0], 0.5)
+    assert reason == "outline: the tracked region lies 3.0 px off the right outline (limit 1.8)"
+    assert reason.code == "outline_inconsistent"
     assert check_outline(moving_with(OUTLINE), OUTLINE + [3.0, 0.0], 1.0) == ""
 
 
@@ -107,19 +108,23 @@ def test_a_motion_that_no_frame_shows_at_first_is_that_of_something_else(hidden:
 
 
 @pytest.mark.parametrize(
-    ("deviation_sigma", "contrast", "reason"),
+    ("deviation_sigma", "contrast", "code"),
     [
-        (6.4, 2.6, "implausible: its way bends 6 times as much as is likely, by a face of 2.6 grey levels"),
+        (6.4, 2.6, "path_deviation_implausible"),
         (MAX_DEVIATION_SIGMA, 2.6, ""),
         (6.4, MIN_CONTRAST_GREY, ""),  # a crest, a tight turn: a face that shows well knows its way
     ],
 )
 def test_a_way_that_nobody_drives_is_not_believed_of_a_face_that_hardly_shows(
-    deviation_sigma: float, contrast: float, reason: str
+    deviation_sigma: float, contrast: float, code: str
 ) -> None:
     """A lorry front of 2.6 grey levels was followed pixels aside from where it was, and read 6 % too fast."""
     r = replace(refined([0.9] * 10), deviation_sigma=deviation_sigma, contrast=contrast, residual_rms=0.3)
-    assert check_refined(r, 7.0, 0.2) == reason
+    reason = check_refined(r, 7.0, 0.2)
+    assert reason.code == code
+    if reason:
+        assert reason.startswith("implausible: ") and "6.4 σ" in reason and "(limit 3)" in reason
+        assert "2.6 grey levels (at least 5 needed" in reason
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=40))
@@ -135,12 +140,12 @@ def test_frames_are_kept_as_long_as_most_of_them_show_the_vehicle(shown: list[bo
     ("speed", "half", "own", "reason"),
     [
         (20.0, 1.19, 0.79, ""),
-        (20.0, 1.21, 0.0, "± 6.0% of the speed"),
-        (20.0, 1.0, 0.81, "± 4.0% of the speed without the calibration's part"),
+        (20.0, 1.21, 0.0, "± 6.0% of the speed (limit 6.0%)"),
+        (20.0, 1.0, 0.81, "± 4.0% of the speed without the calibration's part (limit 4.0%)"),
         (4.0, 0.27, 0.18, ""),
-        (4.0, 0.28, 0.0, "± 7.0% of the speed"),
-        (4.0, 0.2, 0.19, "± 4.8% of the speed without the calibration's part"),
-        (0.1, 0.6, 0.0, "the speed is not known"),
+        (4.0, 0.28, 0.0, "± 7.0% of the speed (limit 6.9%)"),
+        (4.0, 0.2, 0.19, "± 4.8% of the speed without the calibration's part (limit 4.6%)"),
+        (0.1, 0.6, 0.0, "the speed is not known: ± 0.6 m/s about 0.1 m/s (limit 0.28)"),
     ],
 )
 def test_how_wide_an_interval_may_be(speed: float, half: float, own: float, reason: str) -> None:
@@ -152,7 +157,8 @@ def test_a_tolerance_rejects_what_is_known_less_well_and_nothing_else() -> None:
     good = Measurement("v0", cast(Track, None), 20.0, 19.7, 20.3, 0.15, nan, 9, "measured", "", "constant speed")
     assert apply_tolerance(good, None) is good and apply_tolerance(good, 0.31) is good
     refused = apply_tolerance(good, 0.2)
-    assert (refused.verdict, refused.reason) == ("rejected", "interval too wide: 1.50 times the tolerance")
+    assert (refused.verdict, refused.reason_code) == ("rejected", "tolerance_exceeded")
+    assert refused.reason == "interval too wide: ± 0.3 m/s, 1.50 times the tolerance (limit 0.2)"
     assert (refused.speed, refused.speed_lo, refused.speed_hi) == (20.0, 19.7, 20.3)
     bad = replace(good, speed=nan, speed_lo=nan, speed_hi=nan, verdict="rejected", reason="lost")
     assert apply_tolerance(bad, 0.2) is bad

@@ -16,7 +16,7 @@ from paceline.arrays import Array, Image, Indices, Mask
 from paceline.baselines import optical_flow, polynomial_track
 from paceline.baselines.rigid_alignment import align
 from paceline.baselines.template_tracking import Move, Regions, move_between
-from paceline.baselines.track import NO_TEXTURE, MeanSpeed, Sight, judged, rejected, too_few, unseen
+from paceline.baselines.track import MeanSpeed, Sight, judged, rejected, too_few, unseen
 from paceline.baselines.triangulation_covariance import covariance
 from paceline.cameras import StereoRig
 from paceline.documents.loading import VehicleDocument
@@ -26,6 +26,7 @@ from paceline.speed.geometry.paths import level_frames
 from paceline.speed.measurement import by_vehicle
 from paceline.speed.methods import register
 from paceline.speed.results import Measurement
+from paceline.verdicts import message
 
 LEAST_POINTS = 4
 EPIPOLAR = 1.0  # px from the epipolar line
@@ -176,13 +177,15 @@ class LucasKanade:
         """The measurement, by all matches together."""
         name = self.vehicle.id
         if not self._seen or len(self._seen[0][1].number) < LEAST_POINTS:
-            return rejected(name, self.sights, NO_TEXTURE)
+            test = f"fewer than {LEAST_POINTS} corners match across the views"
+            return rejected(name, self.sights, message("too_little_texture", test=test))
         if few := too_few(self.sights):
             return rejected(name, self.sights, few)
         try:
             way, places, groups = self._fit()
         except np.linalg.LinAlgError:
-            return rejected(name, self.sights, "residuals: no motion explains what was matched")
+            test = "the equations of its motion are singular"
+            return rejected(name, self.sights, message("no_motion_fits", test=test))
         times = np.array([s.time for s in self.sights])
         rows = list(places)
         speeds, stds = (np.full(len(times), np.nan) for _ in range(2))

@@ -16,7 +16,7 @@ from paceline.arrays import Array
 from paceline.baselines import image_cues
 from paceline.baselines.disparity import DepthMap, Rectification
 from paceline.baselines.template_tracking import PATIENCE, Regions
-from paceline.baselines.track import NO_TEXTURE, Sight, filtered, rejected, too_few, unseen
+from paceline.baselines.track import Sight, filtered, rejected, too_few, unseen
 from paceline.baselines.triangulation_covariance import covariance
 from paceline.cameras import StereoRig
 from paceline.documents.loading import VehicleDocument
@@ -29,6 +29,7 @@ from paceline.speed.geometry.paths import Path, level_frames
 from paceline.speed.measurement import by_vehicle
 from paceline.speed.methods import register
 from paceline.speed.results import Measurement
+from paceline.verdicts import message
 
 FRAME = 0.2  # s, the step that the configuration's noises belong to
 LAMBDA_GREY = 20.0  # on 1 − Bhattacharyya's coefficient
@@ -249,7 +250,8 @@ class Multimodal:
         """The measurement: the filter's speeds, averaged by what they claim to know."""
         name = self.vehicle.id
         if not self.sights:
-            return rejected(name, self.sights, NO_TEXTURE)
+            test = "the equations of its motion are singular"
+            return rejected(name, self.sights, message("too_little_texture", test=test))
         if few := too_few(self.sights):
             return rejected(name, self.sights, few)
         return filtered(name, self.sights, "particle filter")

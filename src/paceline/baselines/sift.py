@@ -9,7 +9,7 @@ import numpy as np
 from paceline.arrays import Array, Image
 from paceline.baselines import polynomial_track
 from paceline.baselines.template_tracking import Regions
-from paceline.baselines.track import NO_TEXTURE, MeanSpeed, Sight, judged, rejected, too_few, unseen
+from paceline.baselines.track import MeanSpeed, Sight, judged, rejected, too_few, unseen
 from paceline.baselines.triangulation_covariance import covariance
 from paceline.cameras import StereoRig
 from paceline.documents.loading import VehicleDocument
@@ -19,6 +19,7 @@ from paceline.sift_features import Descriptors, features, matched
 from paceline.speed.measurement import by_vehicle
 from paceline.speed.methods import register
 from paceline.speed.results import Measurement
+from paceline.verdicts import Message, message
 
 RATIO = 0.8  # of the distances to the best and the second best descriptor (Lowe 2004)
 EPIPOLAR = 1.5  # px from the epipolar line
@@ -110,9 +111,11 @@ class Sift:
             )
         )
 
-    def unmeasurable(self) -> str:
+    def unmeasurable(self) -> Message:
         """Why there is nothing to measure by; empty where there is."""
-        return too_few(self.sights) if self.sights else NO_TEXTURE
+        if self.sights:
+            return too_few(self.sights)
+        return message("too_little_texture", test=f"fewer than {LEAST_MATCHES} features match across the views")
 
     def result(self) -> Measurement:
         """The measurement: the speed along a smooth way through the centroids."""

@@ -12,10 +12,10 @@ from paceline.arrays import Array
 from paceline.baselines.template_tracking import Regions
 from paceline.recordings.stereo import StereoFrame
 from paceline.speed.results import CONFIDENCE, Measurement, Track
-from paceline.speed.verdict import MAX_SPEED_MPS, MIN_FRAMES, check_interval
+from paceline.speed.verdict import MAX_SPEED_MPS, check_frames, check_interval
+from paceline.verdicts import Message, message
 
 NAN = float("nan")
-NO_TEXTURE = "residuals: the region has too little texture to be followed"
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,11 +71,10 @@ def filtered(vehicle: str, sights: Sequence[Sight], model: str) -> Measurement:
 def judged(vehicle: str, sights: Sequence[Sight], mean: MeanSpeed, notices: Sequence[str] = ()) -> Measurement:
     """The measurement of a vehicle; rejected, with the reason, where its interval says too little."""
     half = float(stdtrit(mean.dof, 0.5 + CONFIDENCE / 2) * mean.std)
-    reason = ""
     if not np.isfinite([mean.speed, half]).all():
-        reason = "residuals: no motion explains what was matched"
+        reason = message("no_motion_fits", test="the fitted speed is not a finite number")
     elif mean.speed > MAX_SPEED_MPS:
-        reason = f"implausible: {mean.speed:.1f} m/s"
+        reason = message("speed_implausible", speed_mps=mean.speed, max_speed_mps=MAX_SPEED_MPS)
     else:
         reason = check_interval(mean.speed, half)
     return Measurement(
@@ -88,9 +87,10 @@ def judged(vehicle: str, sights: Sequence[Sight], mean: MeanSpeed, notices: Sequ
         systematic_std=NAN,
         frames=_frames(sights),
         verdict="rejected" if reason else "measured",
-        reason=reason,
+        reason=str(reason),
+        reason_code=reason.code,
         model=mean.model,
-        notices=[*notices, "a baseline: the interval comes from scatter alone and holds no systematic part"],
+        notices=[*notices, message("baseline_interval")],
     )
 
 
@@ -100,20 +100,15 @@ def unseen(frame: StereoFrame, regions: Regions) -> Sight:
     return Sight(frame.index, frame.time, regions.quads[0], regions.quads[1], status=status)
 
 
-def rejected(vehicle: str, sights: Sequence[Sight], reason: str) -> Measurement:
+def rejected(vehicle: str, sights: Sequence[Sight], reason: Message) -> Measurement:
     """A vehicle for which there is no speed."""
     track, frames = track_of(vehicle, sights), _frames(sights)
-    return Measurement(vehicle, track, NAN, NAN, NAN, NAN, NAN, frames, "rejected", reason, "none")
+    return Measurement(vehicle, track, NAN, NAN, NAN, NAN, NAN, frames, "rejected", "", "none").judged(reason)
 
 
-def too_few(sights: Sequence[Sight]) -> str:
+def too_few(sights: Sequence[Sight]) -> Message:
     """Why there is no track to measure by; empty where there is one."""
-    frames = _frames(sights)
-    if frames >= MIN_FRAMES:
-        return ""
-    how = {"ended": "left the image after", "lost": "was lost after"}
-    last = sights[-1].status if sights else "tracking"
-    return f"too few frames: the vehicle {how.get(last, 'was seen for only')} {frames} of at least {MIN_FRAMES}"
+    return check_frames(sights[-1].status if sights else "tracking", _frames(sights))
 
 
 def track_of(vehicle: str, sights: Sequence[Sight], speeds: Array | None = None, stds: Array | None = None) -> Track:

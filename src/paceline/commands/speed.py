@@ -183,7 +183,7 @@ def _detector(config: Path | None, settings: SpeedSettings) -> Path | None:
 
 
 def _print_result(result: ClipResult, unit: str) -> None:
-    from paceline.reports.common.formatting import NO_VALUE, format_speed, format_verdict
+    from paceline.reports.common.formatting import NO_VALUE, format_speed, format_verdict, rejected_advice
 
     rows = [("vehicle", f"speed, {unit}", "95 % interval", "verdict")]
     for m in result.measurements:
@@ -192,6 +192,9 @@ def _print_result(result: ClipResult, unit: str) -> None:
         speed = f"{words.speed} ± {words.plus_minus}" if words.known else NO_VALUE
         rows.append((m.vehicle, speed, interval, format_verdict(m)))
     print_columns(rows)
+    for m in result.measurements:
+        if m.verdict != "measured":
+            print(f"{m.vehicle}: {rejected_advice(m.reason_code)}")
     if not result.measurements:
         print("no vehicle was found")
     for notice in [*result.notices, *(f"{m.vehicle}: {text}" for m in result.measurements for text in m.notices)]:

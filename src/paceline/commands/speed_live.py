@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from paceline.speed.configuration import SpeedConfiguration
     from paceline.speed.results import Measurement
     from paceline.units import SpeedUnit
+    from paceline.verdicts import Message
 
 
 def measure_live(
@@ -42,6 +43,7 @@ def measure_live(
     from paceline.recordings.live_stereo import LiveViews
     from paceline.reports.live.report import LiveResults
     from paceline.survey.live import LEARNING, survey
+    from paceline.verdicts import message
     from paceline.version import versions
 
     if clip.vehicles:
@@ -61,7 +63,7 @@ def measure_live(
         if not quiet:
             print(text, flush=True)
 
-    def told(found: Found, measurement: Measurement | None, reason: str) -> None:
+    def told(found: Found, measurement: Measurement | None, reason: Message) -> None:
         seen_at = looking.time_of_day(found.times[0])
         if measurement is not None:
             results.add(measurement, found, seen_at)
@@ -89,10 +91,9 @@ def measure_live(
                 raise UnusableInput(f"{clip.path}: {killed}") from error
         results.notices += views.notices
         if detect is not None and not (results.vehicles or results.unmeasured):
-            results.notices.append(f"no vehicle was found: {nothing}")
+            results.notices.append(nothing.after("no vehicle was found"))
         if views.dropped:
-            notice = f"{views.dropped} frames were dropped: they came faster than this computer looks through them"
-            results.notices.append(notice)
+            results.notices.append(message("frames_dropped_live", frames=views.dropped))
     for notice in results.notices:
         print(f"note: {notice}", file=sys.stderr)
     measured = sum(vehicle["verdict"] == "measured" for vehicle in results.vehicles)
@@ -133,14 +134,20 @@ class _Looking:
         return datetime.fromtimestamp(self._ahead + moment).astimezone().isoformat(timespec="seconds")
 
 
-def _line(found: Found, measurement: Measurement | None, reason: str, unit: SpeedUnit) -> str:
+def _line(found: Found, measurement: Measurement | None, reason: Message, unit: SpeedUnit) -> str:
     """What is shown of a vehicle that has passed."""
-    from paceline.reports.common.formatting import NO_VALUE, format_speed, format_verdict
+    from paceline.reports.common.formatting import NO_VALUE, format_speed, format_verdict, rejected_advice
 
     name = found.vehicle.id if found.vehicle is not None else NO_VALUE
     when = f"{time.strftime('%H:%M:%S')}  {name:<5} {found.path:<8}"
     if measurement is None:
-        return f"{when} {reason}"
+        return f"{when} not measured: {reason}{_advice(reason.advice)}"
     words = format_speed(measurement, unit)
     speed = f"{words.speed} ± {words.plus_minus} {unit}" if words.known else NO_VALUE
-    return f"{when} {speed}  {format_verdict(measurement)}"
+    advice = "" if measurement.verdict == "measured" else rejected_advice(measurement.reason_code)
+    return f"{when} {speed}  {format_verdict(measurement)}{_advice(advice)}"
+
+
+def _advice(text: str) -> str:
+    """A line of its own for an advice, where there is one."""
+    return f"\n          {text}" if text else ""

@@ -15,10 +15,10 @@ from paceline.cameras import EVERY
 from paceline.detection import background_model_cpu
 from paceline.detection.detector import noise_of
 from paceline.recordings.stereo import StereoFrame
+from paceline.verdicts import Message, message
 
 Detect = Callable[[Image], NDArray[np.float64]]  # a picture (H, W): left, top, right, bottom (N, 4), px
 
-NOTHING = "nothing that could be measured drives along the paths"
 DRIFT = 2.0  # grey levels per second by which a scene follows what is seen
 WIDER = 0.05  # of a box's size, on either side: detectors clip bumpers
 
@@ -42,7 +42,7 @@ class Scene(Protocol):
         """Take note of what ``frame`` shows."""
 
     @property
-    def nothing(self) -> str:
+    def nothing(self) -> Message:
         """Why no vehicle was found, where that is so."""
 
 
@@ -70,9 +70,9 @@ class EmptyScene:
         self._time = frame.time
 
     @property
-    def nothing(self) -> str:
+    def nothing(self) -> Message:
         """Why no vehicle was found, where that is so."""
-        return NOTHING
+        return message("no_vehicle_detected")
 
 
 class DetectedScene:
@@ -98,10 +98,11 @@ class DetectedScene:
         self._last = frame.left
 
     @property
-    def nothing(self) -> str:
+    def nothing(self) -> Message:
         """Why no vehicle was found, where that is so."""
-        seen = f"the detector saw a vehicle in {self._boxed or 'none'} of {self._pictures} pictures"
-        return f"{seen}, but {NOTHING}" if self._boxed else seen
+        if not self._boxed:
+            return message("detector_saw_none", images=self._pictures)
+        return message("detector_none_on_paths", detected=self._boxed, images=self._pictures)
 
 
 def _outside(view: Image, boxes: NDArray[np.float64]) -> Image:

@@ -18,6 +18,7 @@ from paceline.detection.tracks import Linker, Track, off_course, slope
 from paceline.documents.loading import VehicleDocument
 from paceline.recordings.stereo import StereoFrame
 from paceline.speed.filter.initialization import SPEED_RANGE
+from paceline.verdicts import NO_REASON, Message, message
 
 LEAST_SIGHTINGS = 4  # and half as many as there are frames between them in which it is not seen; in all, as many
 UNSTEADY = 0.4, 0.5  # from which on it does not drive, but two things were seen in turn: bushes in the wind; more is
@@ -58,7 +59,7 @@ class Found:
     height: float
     place: Array  # (3,) m, at the road, where it was first seen
     vehicle: VehicleDocument | None
-    reason: str
+    reason: Message
     crops: tuple[Image, Image]
     corners: Array
 
@@ -157,7 +158,7 @@ def goes_on(track: Track, other: Track) -> bool:
     return len(other.times) > len(track.times) and is_vehicle(other) and other.is_of(track)
 
 
-def as_seen(track: Track, reason: str) -> Found:
+def as_seen(track: Track, reason: Message) -> Found:
     """The vehicle that a track saw, without an outline for a ``reason``."""
     first = track.first
     return Found(
@@ -188,11 +189,11 @@ def _found_by(track: Track, shown: list[Sighting]) -> Found:
     """The vehicle that a track saw, with its outline by some of its sightings, in which it is ``shown``."""
     face = face_of(shown)
     if face is None:
-        return as_seen(track, "no part of its face keeps its picture in both views and over time")
+        return as_seen(track, message("no_planar_face"))
     steady = in_step(face.aligned)
     clear = [at for at in steady if _is_clear(face, at)]
     if not clear:
-        return as_seen(track, "its face is never large enough and wholly inside both pictures")
+        return as_seen(track, message("face_never_clear", min_width_px=SMALLEST[0], min_height_px=SMALLEST[1]))
     alike = likeness(face, clear)
     at = clear[int(np.argmax(alike >= ALIKE * np.median(alike)))]
     seen = steady[steady.index(at) :]
@@ -201,7 +202,7 @@ def _found_by(track: Track, shown: list[Sighting]) -> Found:
     left, right = sighting.way.pixels(at.s, face.corners(at))
     document = VehicleDocument("", sighting.way.name, sighting.frame, left, right, "front", first_speed(seen))
     return replace(
-        as_seen(track, ""),
+        as_seen(track, NO_REASON),
         path=sighting.way.name,
         vehicle=document,
         crops=sighting.crops,

@@ -17,6 +17,7 @@ from paceline.progress import Progress
 from paceline.recordings.background import Background, empty_scene, no_background
 from paceline.recordings.stereo import StereoRecording
 from paceline.speed.measurement import refuse_one_view
+from paceline.verdicts import NO_REASON, Message, message
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,17 +27,17 @@ class Search:
 
     clip: Clip
     found: list[Found]
-    reason: str
+    reason: Message
 
     @property
     def notices(self) -> list[str]:
         """One line for each vehicle that cannot be measured, and for there being none."""
-        missed = [
-            f"a vehicle on {f.path} from {f.times[0]:.2f} to {f.times[1]:.2f} s is not measured: {f.reason}"
+        missed: list[str] = [
+            message("vehicle_not_measured", path=f.path, start=f.times[0], end=f.times[1], reason=f.reason)
             for f in self.found
             if f.vehicle is None
         ]
-        return missed + ([f"no vehicle was found: {self.reason}"] if self.reason else [])
+        return missed + ([self.reason.after("no vehicle was found")] if self.reason else [])
 
 
 @on_one_blas_thread
@@ -65,7 +66,7 @@ def find_vehicles(
             try:
                 clip = with_lanes_found(clip, background)
             except NoRoad as error:
-                return Search(clip, [], f"there are no paths, and no lane was found: {error}")
+                return Search(clip, [], error.reason.after("there are no paths, and no lane was found"))
         scene = scene or EmptyScene(background.images)
     finder, found = Finder(ways_of(clip), scene), []
     for count, frame in enumerate(recording.frames(), start=1):
@@ -74,7 +75,7 @@ def find_vehicles(
             progress(count, len(recording))
     found = in_order(found + finder.finish())
     vehicles = [f.vehicle for f in found if f.vehicle is not None]
-    return Search(replace(clip, vehicles=vehicles), found, "" if vehicles else scene.nothing)
+    return Search(replace(clip, vehicles=vehicles), found, NO_REASON if vehicles else scene.nothing)
 
 
 def in_order(found: list[Found]) -> list[Found]:
@@ -93,7 +94,7 @@ def with_lanes_found(clip: Clip, background: Background) -> Clip:
     """``clip`` with the lanes of its road as paths. Raises `NoRoad`."""
     lanes = [lane for lane in propose(clip.rig, find_road(clip.rig, background))[0] if lane.path is not None]
     if not lanes:
-        raise NoRoad("no two neighbouring lines that both views determine are a lane's width apart")
+        raise NoRoad(message("no_lane_between_lines"))
     paths = {
         name: PathDocument(
             name,

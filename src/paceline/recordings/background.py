@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from paceline.arrays import Image, Mask
 from paceline.progress import Progress
 from paceline.recordings.stereo import StereoRecording
+from paceline.verdicts import NO_REASON, Message, message
 
 FRAMES = 31  # looked at, evenly spread: what the memory holds however long the recording is
 FEWEST = 5  # pairs of frames from which what moves can be told from what stands
@@ -62,16 +63,13 @@ def background_of(left: list[NDArray[np.float16]], right: list[NDArray[np.float1
     return Background((found[0][0], found[1][0]), (found[0][1], found[1][1]), len(left))
 
 
-def no_background(background: Background) -> str:
+def no_background(background: Background) -> Message:
     """Why the recording shows no empty road; empty where it does."""
     if background.frames < FEWEST:
-        return (
-            f"only {background.frames} frames, too few to tell what moves from what stands; expected {FEWEST} or more"
-        )
-    if background.unsettled_share > MOSTLY_UNSETTLED:
-        share = f"{100 * background.unsettled_share:.0f} % of the pictures"
-        return f"{share} never settle; the cameras must stand still, and the road be empty now and then"
-    return ""
+        return message("background_too_few_frames", frames=background.frames, min_frames=FEWEST)
+    if (share := background.unsettled_share) > MOSTLY_UNSETTLED:
+        return message("background_unstable", unstable=100 * share, max_unstable=100 * MOSTLY_UNSETTLED)
+    return NO_REASON
 
 
 def steady(stack: NDArray[np.float16]) -> tuple[Image, Mask]:

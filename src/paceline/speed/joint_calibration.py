@@ -19,11 +19,10 @@ from paceline.arrays import Array
 from paceline.speed import verdict
 from paceline.speed.refinement.photometric_fit import UNTOLD
 from paceline.speed.results import CONFIDENCE, Measurement, RigTold, Track
+from paceline.verdicts import message
 
 TOGETHER, MEANWHILE = 8, 600.0  # other vehicles that one is put right by, and seconds within which they pass
 ONE = 2.0  # m between the planes of two outlines below which they are of one vehicle
-
-OTHERS = "calibration: its pictures want the cameras elsewhere than those of the other vehicles do"
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,17 +137,16 @@ def among(m: Measurement, others: Iterable[Measurement]) -> Measurement:
     if not agree.any():
         return m
     count, prior = int(agree.sum()), stated(len(m.rig.moves))
+    limit = verdict.MAX_RIG_SHIFT_SIGMA
     if not agree[-1]:
-        reason = OTHERS
-    elif (by := pull(prior, belief - prior)) > verdict.MAX_RIG_SHIFT_SIGMA:
-        reason = (
-            f"calibration: the pictures of {count} vehicles together want the cameras elsewhere, by {by:.1f} times as "
-            "much as the uncertainty in rig.yaml makes usual"
-        )
+        by = pull(belief, told[-1])
+        reason = message("calibration_differs_between_vehicles", deviation=by, max_deviation=limit)
+    elif (by := pull(prior, belief - prior)) > limit:
+        reason = message("calibration_inconsistent_jointly", vehicles=count, deviation=by, max_deviation=limit)
     else:
         own, m = m.rig.half, replace(put_right(m, belief), calibrated_by=count)
         reason = verdict.check_interval(m.speed, (m.speed_hi - m.speed_lo) / 2, own)
-    return replace(m, verdict="rejected" if reason else "measured", reason=reason, rig=None)
+    return replace(m.judged(reason), rig=None)
 
 
 def together(measurements: Sequence[Measurement]) -> list[Measurement]:

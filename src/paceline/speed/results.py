@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from paceline.arrays import Array
+from paceline.verdicts import Message
 
 CONFIDENCE = 0.95  # of every interval
 
@@ -78,6 +79,12 @@ class Measurement:
     notices: list[str] = field(default_factory=list)
     calibrated_by: int = 0  # vehicles whose pictures have put right what rig.yaml states
     rig: RigTold | None = None  # where that is uncertain, and the vehicle is still to be measured together with others
+    reason_code: str = ""  # of `paceline.verdicts`; empty when measured
+
+    def judged(self, reason: Message) -> Measurement:
+        """The same with the verdict for a ``reason``: rejected, or measured where that is empty."""
+        verdict = "rejected" if reason else "measured"
+        return replace(self, verdict=verdict, reason=str(reason), reason_code=reason.code)
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,6 +28,7 @@ from paceline.speed.refinement.self_calibration import RigFit
 from paceline.speed.refinement.trajectory import Trajectory
 from paceline.speed.results import CONFIDENCE, Measurement, RigTold, Track
 from paceline.speed.verdict import MIN_FRAMES
+from paceline.verdicts import Message, message, plural
 
 Seen = Callable[[str, Estimate], None]
 
@@ -94,10 +95,15 @@ class VehicleRun:
         """The measurement, refined where enough was seen."""
         self.estimates = _until_hidden(self.estimates)
         tracked = [e for e in self.estimates if e.status == "tracking"]
-        if len(tracked) < MIN_FRAMES:
-            return self._rejected(self._too_few(len(tracked)))
+        last = self.estimates[-1].status if self.estimates else "tracking"
+        if few := verdict.check_frames(last, len(tracked)):
+            return self._rejected(few)
         if (seen := sum(e.likeness >= SEEN for e in tracked)) < MIN_FRAMES:
-            return self._rejected(f"unlike itself: only {seen} of {len(tracked)} frames look like the outlined region")
+            return self._rejected(
+                message(
+                    "appearance_lost_from_start", similar=seen, frames=len(tracked), min_frames=MIN_FRAMES
+                )
+            )
         if not self.configuration.refine:
             return self._from_filter(tracked)
         try:
@@ -107,18 +113,12 @@ class VehicleRun:
                 self.estimates = _lost_after(self.estimates, self.glimpses[-1].frame)
                 refined = self._refined()
         except np.linalg.LinAlgError:
-            return self._rejected("residuals: the region has too little texture for its motion to be determined")
+            return self._rejected(message("too_little_texture", test="the equations of its motion are singular"))
         return self._judged(refined, sum(e.status == "tracking" for e in self.estimates))
 
     def _refined(self) -> RefinedMotion:
         speed = float(np.mean([e.speed for e in self.estimates[1:] if e.status == "tracking"]))
         return refine(self._trajectory(speed), self.glimpses, speed, self.path is not None)
-
-    def _too_few(self, frames: int) -> str:
-        last = self.estimates[-1].status if self.estimates else "tracking"
-        how = {"ended": "left the image", "lost": "was lost"}.get(last, "was seen")
-        when = "after" if last != "tracking" else "for only"
-        return f"too few frames: the vehicle {how} {when} {frames} of at least {MIN_FRAMES}"
 
     def _trajectory(self, speed: float) -> Trajectory:
         """The outline and the way it goes: the path in the sense of travel, or straight on as the filter saw it."""
@@ -163,7 +163,8 @@ class VehicleRun:
             systematic_std=systematic_std,
             frames=frames,
             verdict="rejected" if reason else "measured",
-            reason=reason,
+            reason=str(reason),
+            reason_code=reason.code,
             model=model,
             acceleration=acceleration if accelerating else float("nan"),
             residual_rms=refined.residual_rms,
@@ -197,14 +198,15 @@ class VehicleRun:
         return rows
 
     def _notices(self, refined: RefinedMotion) -> list[str]:
-        notices = []
+        notices: list[str] = []
         if np.isnan(refined.systematic_covariance).any():
-            notices.append("rig.yaml states no uncertainty: the interval holds no systematic part")
+            consequence = "the interval holds no systematic part"
+            notices.append(message("rig_uncertainty_missing", rig="rig.yaml", consequence=consequence))
         hidden = sum(e.likeness < SEEN for e in self.estimates)
         if hidden:
-            notices.append(f"hidden or unlike itself in {hidden} {'frame' if hidden == 1 else 'frames'}")
+            notices.append(message("occluded_frames", frames=plural(hidden, "frame")))
         if lost := [e.frame for e in self.estimates if e.status == "lost"]:
-            notices.append(f"lost at frame {lost[0]}")
+            notices.append(message("lost_at_frame", frame=lost[0]))
         return notices
 
     def _from_filter(self, tracked: list[Estimate]) -> Measurement:
@@ -224,17 +226,17 @@ class VehicleRun:
             systematic_std=float("nan"),
             frames=len(tracked),
             verdict="rejected" if reason else "measured",
-            reason=reason,
+            reason=str(reason),
+            reason_code=reason.code,
             model="filter",
-            notices=["not refined: the interval is the filter's own spread, which does not know of its bias"],
+            notices=[message("not_refined")],
         )
 
-    def _rejected(self, reason: str) -> Measurement:
+    def _rejected(self, reason: Message) -> Measurement:
         nan = float("nan")
         frames = sum(e.status == "tracking" for e in self.estimates)
-        return Measurement(
-            self.vehicle.id, self._track(None), nan, nan, nan, nan, nan, frames, "rejected", reason, "none"
-        )
+        speeds = nan, nan, nan, nan, nan
+        return Measurement(self.vehicle.id, self._track(None), *speeds, frames, "rejected", "", "none").judged(reason)
 
     def _track(self, refined: RefinedMotion | None) -> Track:
         E = self.estimates

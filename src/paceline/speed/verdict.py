@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
 from paceline.speed.refinement.model_selection import RefinedMotion
 from paceline.speed.results import Measurement
 from paceline.units import SpeedUnit
+from paceline.verdicts import NO_REASON, Message, message
 
 MIN_FRAMES = 4
 MAX_UNEXPLAINED_CONTRAST = 0.6  # residual over the texture's contrast, both RMS
@@ -23,37 +22,38 @@ MAX_OUTLINE_SIGMA = 5.0  # between the motion and the outline in the right view
 MAX_RIG_SHIFT_SIGMA = 5.0  # between the rig that the images determine and the one that rig.yaml states
 MAX_HALF_WIDTH = (0.06, SpeedUnit.KMH.mps)  # of the 95 % interval: relative and m/s, whichever is larger
 MAX_RANDOM_SHARE = 2 / 3  # of MAX_HALF_WIDTH: the interval without the calibration's part
-SPEED_UNKNOWN = "the speed is not known"
 
 
-def check_refined(refined: RefinedMotion, speed: float, half_width: float) -> str:
+def check_refined(refined: RefinedMotion, speed: float, half_width: float) -> Message:
     """The reason to reject ``speed`` (m/s) with its half-width ``half_width``; empty where all tests pass.
 
     `check_outline` and `check_interval` are applied apart.
     """
     if not np.isfinite([speed, half_width]).all():
-        return "residuals: no motion explains the pictures"
+        return message("no_motion_fits", test="the fitted speed is not a finite number")
     if reason := check_residuals(refined):
         return reason
     epipolar_offset = float(np.nanmedian(refined.offsets[:, 1, 1] - refined.offsets[:, 0, 1]))
     if abs(epipolar_offset) > MAX_EPIPOLAR_OFFSET_PX:
-        return f"views disagree: they lie {abs(epipolar_offset):.1f} px apart across the epipolar lines"
+        return message(
+            "views_disagree", offset_px=abs(epipolar_offset), max_offset_px=MAX_EPIPOLAR_OFFSET_PX
+        )
     if (shift := float(np.abs(refined.rig_shift_sigma).max(initial=0.0))) > MAX_RIG_SHIFT_SIGMA:
-        return (
-            f"calibration: these pictures want the cameras elsewhere, by {shift:.1f} times as much as the uncertainty "
-            "in rig.yaml makes usual"
-        )
+        return message("calibration_inconsistent", deviation=shift, max_deviation=MAX_RIG_SHIFT_SIGMA)
     if not 0 <= speed <= MAX_SPEED_MPS:
-        return f"implausible: {speed:.1f} m/s"
+        return message("speed_implausible", speed_mps=speed, max_speed_mps=MAX_SPEED_MPS)
     if refined.deviation_sigma > MAX_DEVIATION_SIGMA and refined.contrast < MIN_CONTRAST_GREY:
-        return (
-            f"implausible: its way bends {refined.deviation_sigma:.0f} times as much as is likely, "
-            f"by a face of {refined.contrast:.1f} grey levels"
+        return message(
+            "path_deviation_implausible",
+            deviation=refined.deviation_sigma,
+            max_deviation=MAX_DEVIATION_SIGMA,
+            contrast=refined.contrast,
+            min_contrast=MIN_CONTRAST_GREY,
         )
-    return ""
+    return NO_REASON
 
 
-def check_outline(refined: RefinedMotion, right: NDArray[np.float64], click_sigma: float) -> str:
+def check_outline(refined: RefinedMotion, right: NDArray[np.float64], click_sigma: float) -> Message:
     """The reason to reject a motion that is not at the outline ``right`` (4, 2) px of the first frame; else empty.
 
     Corners have a standard deviation of ``click_sigma`` px, or of their own scatter where that is larger. The motion
@@ -66,8 +66,8 @@ def check_outline(refined: RefinedMotion, right: NDArray[np.float64], click_sigm
     offset = float(np.linalg.norm(mean))
     limit = MAX_OUTLINE_SIGMA * max(float(np.sqrt(2.0)) * click_sigma, scatter) / float(np.sqrt(len(residuals)))
     if offset <= limit:
-        return ""
-    return f"outline: what the pictures show lies {offset:.1f} px off it in the right view, more than {limit:.1f}"
+        return NO_REASON
+    return message("outline_inconsistent", offset_px=offset, max_offset_px=limit)
 
 
 def consistent_frames(refined: RefinedMotion) -> NDArray[np.bool_]:
@@ -79,24 +79,33 @@ def consistent_frames(refined: RefinedMotion) -> NDArray[np.bool_]:
     return np.asarray(used.any(1) & (fits | ~used).all(1))
 
 
-def check_residuals(refined: RefinedMotion) -> str:
+def check_residuals(refined: RefinedMotion) -> Message:
     """The reason to reject a motion that the images do not fit; empty where they do."""
     offset = float(np.sqrt(np.nanmean(refined.offsets**2)))
     if not refined.converged:
-        return "residuals: no motion explains the pictures"
+        return message("no_motion_fits", test="the fit did not converge")
     if refined.residual_rms > MAX_UNEXPLAINED_CONTRAST * refined.contrast or offset > MAX_IMAGE_OFFSET_PX:
         unexplained = refined.residual_rms / max(refined.contrast, 1e-9)
-        return (
-            f"residuals: the pictures lie {offset:.1f} px off the fitted motion and "
-            f"{unexplained:.0%} of their contrast is unexplained"
+        return message(
+            "image_residual_too_large",
+            offset_px=offset,
+            max_offset_px=MAX_IMAGE_OFFSET_PX,
+            unexplained=unexplained,
+            max_unexplained=MAX_UNEXPLAINED_CONTRAST,
         )
     consistent = consistent_frames(refined)
     count, frames = consistent.sum(), len(consistent)
     if consistent.mean() < MIN_CONSISTENT_SHARE or count < MIN_FRAMES:
-        return f"residuals: only {count} of {frames} frames show the vehicle where the fitted motion puts it"
+        return message(
+            "too_few_consistent_frames",
+            consistent=count,
+            frames=frames,
+            min_share=MIN_CONSISTENT_SHARE,
+            min_frames=MIN_FRAMES,
+        )
     if not consistent[:MIN_FRAMES].any():  # the motion is an occluder's that appeared later
-        return f"residuals: none of the first {MIN_FRAMES} frames shows the vehicle where the fitted motion puts it"
-    return ""
+        return message("first_frames_inconsistent", frames=MIN_FRAMES)
+    return NO_REASON
 
 
 def frames_to_refit(refined: RefinedMotion) -> int:
@@ -119,20 +128,39 @@ def frames_before_occlusion(consistent: NDArray[np.bool_]) -> int:
     return len(consistent) - int(np.argmax(balance[::-1]))
 
 
-def check_interval(speed: float, half_width: float, random: float = 0.0) -> str:
+def check_frames(status: str, frames: int) -> Message:
+    """The reason to reject a track of so many ``frames``, its last ``status`` that, as too short; else empty."""
+    if frames >= MIN_FRAMES:
+        return NO_REASON
+    if status == "ended":
+        return message("left_image_early", frames=frames, min_frames=MIN_FRAMES)
+    return message("lost_early" if status == "lost" else "seen_briefly", frames=frames, min_frames=MIN_FRAMES)
+
+
+def check_interval(speed: float, half_width: float, random: float = 0.0) -> Message:
     """The reason to reject an interval, else empty.
 
     ``half_width`` is that of the whole interval and ``random`` that without the calibration's part, both m/s.
     """
-    for width, share, cause in ((half_width, 1.0, ""), (random, MAX_RANDOM_SHARE, " without the calibration's part")):
-        if width > share * max(MAX_HALF_WIDTH[0] * speed, MAX_HALF_WIDTH[1]):
-            relative = width / max(speed, 1e-9)
-            return "interval too wide: " + (f"± {relative:.1%} of the speed{cause}" if relative < 1 else SPEED_UNKNOWN)
-    return ""
+    for width, share, only_random in ((half_width, 1.0, False), (random, MAX_RANDOM_SHARE, True)):
+        if width > (limit := share * max(MAX_HALF_WIDTH[0] * speed, MAX_HALF_WIDTH[1])):
+            positive = max(speed, 1e-9)
+            if width / positive >= 1:
+                return message("speed_unknown", half_width_mps=width, speed_mps=speed, max_half_width_mps=limit)
+            return message(
+                "interval_too_wide_random" if only_random else "interval_too_wide",
+                relative=width / positive,
+                max_relative=limit / positive,
+            )
+    return NO_REASON
 
 
 def apply_tolerance(m: Measurement, tolerance: float | None) -> Measurement:
     """``m``, rejected if its 95 % interval is wider than ± ``tolerance`` (m/s), which the user states."""
     if tolerance is None or m.verdict != "measured" or (half_width := (m.speed_hi - m.speed_lo) / 2) <= tolerance:
         return m
-    return replace(m, verdict="rejected", reason=f"interval too wide: {half_width / tolerance:.2f} times the tolerance")
+    return m.judged(
+        message(
+            "tolerance_exceeded", half_width_mps=half_width, ratio=half_width / tolerance, tolerance_mps=tolerance
+        )
+    )

@@ -38,16 +38,15 @@ from paceline.speed.joint_calibration import TOGETHER, among
 from paceline.speed.measurement import measure, refuse_one_view
 from paceline.speed.results import Measurement
 from paceline.speed.verdict import apply_tolerance
+from paceline.verdicts import Message, message
 
 LEARNING = 30.0  # s in which the empty scene is learned
 REMEMBERED = 150  # pairs of frames that are kept for the vehicles in view
 ENOUGH, APART = 24, 0.2  # pairs to measure on: of more, every second or third one as long as they are no more s apart
 BACKLOG = 8  # vehicles that wait to be measured, at most
 LATEST = 2 * TOGETHER  # vehicles that are remembered for what they tell of the rig: some are told twice
-BUSY = "not measured: vehicles come faster than this computer measures them"
-FORGOTTEN = "not measured: it was in view for longer than frames are kept"
 
-Told = Callable[[Found, Measurement | None, str], None]
+Told = Callable[[Found, Measurement | None, Message], None]
 Looked = Callable[[RawPair, list[Track]], None]
 
 
@@ -97,7 +96,7 @@ def survey(
     ready: Callable[[int], None] = lambda paths: None,
     looked: Looked = lambda pair, tracks: None,
     detect: Detect | None = None,
-) -> str:
+) -> Message:
     """Measure every vehicle that passes, until the sources end or are stopped; returns why there was none, where that
     is so.
 
@@ -235,9 +234,9 @@ class _Desk:
         self._latest = deque[Measurement](maxlen=LATEST)
 
     def take(self, track: Track, recent: Iterable[RawPair]) -> None:
-        if sum(bool(case.pairs) for case in self._cases) >= BACKLOG:
+        if (waiting := sum(bool(case.pairs) for case in self._cases)) >= BACKLOG:
             outlined: Future[Found] = Future()
-            outlined.set_result(as_seen(track, BUSY))
+            outlined.set_result(as_seen(track, message("queue_full", waiting=waiting, max_waiting=BACKLOG)))
             self._cases.append(_Case(track, outlined, []))
         else:
             pairs = [pair for pair in recent if pair.index >= track.first.frame]
@@ -274,7 +273,7 @@ class _Desk:
         case.found = replace(case.found, vehicle=vehicle)
         pairs = [pair for pair in case.pairs if pair.index >= vehicle.frame]
         if not pairs or pairs[0].index > vehicle.frame:
-            case.found = replace(case.found, reason=FORGOTTEN)
+            case.found = replace(case.found, reason=message("frames_expired", max_pairs=REMEMBERED))
         else:
             clip = replace(self._clip, vehicles=[vehicle])
             case.measured = self._measuring.submit(_measured, clip, thinned(pairs), self._rows, self._configuration)
@@ -289,7 +288,7 @@ class _Desk:
             try:
                 measurement = self._put_right(case.measured.result())
             except UnusableInput as unusable:
-                reason = str(unusable)
+                reason = message("input_unusable", problem=unusable)
         self._told(case.found, measurement, reason)
 
     def _put_right(self, m: Measurement) -> Measurement:

@@ -38,6 +38,7 @@ COLUMNS = [
     )
 ]  # fmt: skip
 SEEN = {"name": "seen", "label": "seen, s", "field": "seen", "align": "left"}
+ADVICE = {"name": "advice", "label": "what helps", "field": "advice", "align": "left"}
 PAGE = 50  # rows
 MOST = 1000  # rows; with ten times as many, all pages would wait for a second until they are sent
 LATEST = 3  # vehicles whose pictures are shown; the report has more
@@ -90,6 +91,8 @@ def vehicle_table(vehicles: list[dict[str, Any]], unit: str, most: int = MOST) -
     live = any("seen_from_s" in vehicle for vehicle in vehicles)
     rows = vehicle_rows(vehicles, unit)
     columns = [{**column, "label": column["label"].format(unit=unit)} for column in COLUMNS]
+    if any(row["advice"] for row in rows):
+        columns.append(ADVICE)
     if live:
         columns.insert(1, SEEN)
         for row, vehicle in zip(rows, vehicles, strict=True):
@@ -105,7 +108,7 @@ def passed(run: Run, summary: dict[str, Any], unit: str) -> None:
     measure."""
     if unmeasured := summary["unmeasured"]:
         more = "1 vehicle was" if len(unmeasured) == 1 else f"{len(unmeasured)} vehicles were"
-        ui.label(f"{more} seen and {unmeasured[-1]}").classes("pl-fact")
+        ui.label(f"{more} seen, but not measured: {unmeasured[-1]}").classes("pl-fact")
     rows = vehicle_rows(summary["vehicles"][-LATEST:], unit)
     with ui.element("div").classes("pl-passed"):
         for row in reversed(rows):

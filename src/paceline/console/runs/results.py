@@ -14,7 +14,7 @@ from typing import Any
 
 from paceline.console.confinement import NotHere, file_below
 from paceline.errors import UnusableInput
-from paceline.reports.common.formatting import NO_VALUE, format_number, format_speed_number
+from paceline.reports.common.formatting import NO_VALUE, format_number, format_speed_number, rejected_advice
 from paceline.units import COVERAGE_95, convert
 
 FILES = {  # that a run may leave behind, and what they are called
@@ -61,7 +61,7 @@ def why_nothing(out: Path) -> str:
     try:
         summary = json.loads(file_below(out, "summary.json").read_text(encoding="utf-8"))
         said = [f"{v['vehicle']}: {v['reason']}" for v in summary.get("vehicles", []) if v.get("reason")]
-        said += [passage["reason"] for passage in summary.get("unmeasured", [])]
+        said += [f"not measured: {passage['reason']}" for passage in summary.get("unmeasured", [])]
         said += [*summary.get("reasons", {}), *summary.get("notices", [])]
     except (OSError, NotHere, ValueError, KeyError, TypeError, AttributeError):
         return ""
@@ -156,7 +156,7 @@ def read_followed(out: Path) -> dict[str, Any]:
 
 
 def vehicle_rows(vehicles: list[dict[str, Any]], unit: str) -> list[dict[str, str]]:
-    """A row of text per vehicle of a summary: speed, interval, frames, verdict and reason."""
+    """A row of text per vehicle of a summary: speed, interval, frames, verdict, reason and advice."""
     return [_row(vehicle, unit) for vehicle in vehicles]
 
 
@@ -173,6 +173,7 @@ def _row(vehicle: dict[str, Any], unit: str) -> dict[str, str]:
         "frames": str(vehicle.get("frames")),
         "verdict": str(vehicle.get("verdict")),
         "reason": str(vehicle.get("reason") or ""),
+        "advice": rejected_advice(str(vehicle.get("reason_code"))) if vehicle.get("verdict") == "rejected" else "",
     }
 
 

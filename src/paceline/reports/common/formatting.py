@@ -10,22 +10,10 @@ import numpy as np
 from paceline.arrays import Array
 from paceline.speed.results import Measurement, Track
 from paceline.units import COVERAGE_95, convert
+from paceline.verdicts import advice_for
 
 NO_VALUE = "–"
 
-# What usually helps, by a word of the reason; the first that occurs is taken.
-ADVICE = {
-    "skew": "Trigger both cameras together, or give the true times of each view in times.csv.",
-    "clock": "Trigger both cameras together, or give the true times of each view in times.csv.",
-    "disagree": "Check that the outline marks the same corners in both views, and that the calibration is still valid.",
-    "residual": "Check that the outline follows a flat part of the vehicle; glare and objects in front of it harm.",
-    "occlu": "Choose a stretch of road where nothing stands between the cameras and the vehicle.",
-    "wide": "More frames, a longer focal length or a wider spacing of the cameras narrow the interval.",
-    "unlike": "Check the outline in both views, state about how fast it drives, or outline it where it is larger.",
-    "lost": "Check the outline in the first frame and find the moment in the overlay at which it leaves the vehicle.",
-    "image": "Begin at an earlier frame, or aim the cameras so that the vehicle stays in both pictures for longer.",
-    "few": "Let the clip show the vehicle for longer, record more frames per second, or outline it earlier.",
-}
 GENERAL_ADVICE = "Look at the overlay: the outline has to stay on the same part of the vehicle in both views."
 
 
@@ -113,7 +101,6 @@ def path_length(points: Array) -> float:
     return float(np.linalg.norm(np.diff(known, axis=0), axis=1).sum()) if len(known) > 1 else math.nan
 
 
-def advice(measurement: Measurement) -> str:
-    """What the person can do about a rejected measurement."""
-    reason = measurement.reason.lower()
-    return next((text for word, text in ADVICE.items() if word in reason), GENERAL_ADVICE)
+def rejected_advice(code: str) -> str:
+    """What a person can do about a speed that was rejected for the reason of ``code``."""
+    return advice_for(code) or GENERAL_ADVICE

@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from paceline.reports.common.formatting import NO_VALUE, format_number, format_speed_number
+from paceline.reports.common.formatting import NO_VALUE, format_number, format_speed_number, rejected_advice
 from paceline.reports.common.html import flatten_settings, render
 from paceline.reports.common.plots import Plot
 from paceline.reports.speed.tables import summary_column
+from paceline.verdicts import advice_for
 
 Passage = dict[str, Any]  # of one vehicle, as summary.json has it
 
@@ -63,8 +64,17 @@ def _passage_row(passage: Passage, unit: str) -> dict[str, str]:
         "place": f"{format_number(z, 0)} m ahead, {format_number(abs(x), 1)} m {side}",
         **_speed_columns(passage, unit),
         "verdict": passage.get("verdict", "not measured"),
-        "reason": passage["reason"].removeprefix("not measured: "),
+        "reason": passage["reason"],
+        "advice": _advice(passage),
     }
+
+
+def _advice(passage: Passage) -> str:
+    """What helps where there is no speed; empty where there is one."""
+    verdict, code = passage.get("verdict"), passage["reason_code"]
+    if verdict == "rejected":
+        return rejected_advice(code)
+    return "" if verdict == "measured" else advice_for(code)
 
 
 def _speed_columns(passage: Passage, unit: str) -> dict[str, str]:

@@ -21,6 +21,7 @@ from paceline.reports.live.page import render_live_page
 from paceline.reports.live.plots import speeds_plot
 from paceline.reports.speed.tables import ESTIMATE_COLUMNS, estimate_rows, vehicle_summary
 from paceline.speed.results import Measurement
+from paceline.verdicts import Message
 
 PICTURES_FOLDER = "pictures"
 MAX_KEPT_PICTURES = 200  # pictures, the latest ones, of some 15 kB each
@@ -83,9 +84,9 @@ class LiveResults:
         self._keep_picture(measurement.vehicle, found)
         self.save()
 
-    def add_unmeasured(self, found: Found, seen_at: str, reason: str) -> None:
+    def add_unmeasured(self, found: Found, seen_at: str, reason: Message) -> None:
         """Note a vehicle that could not be measured for a ``reason``."""
-        self.unmeasured.append({**_passage_data(found, seen_at), "reason": reason})
+        self.unmeasured.append({**_passage_data(found, seen_at), "reason": reason, "reason_code": reason.code})
         self._changed = True
         self.save()
 

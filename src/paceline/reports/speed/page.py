@@ -9,12 +9,12 @@ import numpy as np
 from paceline.reports.common.formatting import (
     NO_VALUE,
     SpeedText,
-    advice,
     distance_travelled,
     format_number,
     format_speed,
     format_speed_number,
     path_length,
+    rejected_advice,
     speed_at,
 )
 from paceline.reports.common.html import flatten_settings, render
@@ -42,7 +42,7 @@ def write_page(
             "words": (words := format_speed(m, unit)),
             "headline": _headline(m, words),
             "color": colors[m.vehicle],
-            "advice": advice(m),
+            "advice": rejected_advice(m.reason_code),
             "facts": _facts(m, unit),
             "stills": stills[m.vehicle],
             "plots": plots[m.vehicle],

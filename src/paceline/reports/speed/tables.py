@@ -63,6 +63,7 @@ def vehicle_summary(measurement: Measurement) -> dict[str, object]:
         "frames": measurement.frames,
         "verdict": measurement.verdict,
         "reason": measurement.reason,
+        "reason_code": measurement.reason_code,
         "random_std_mps": measurement.random_std,
         "systematic_std_mps": measurement.systematic_std,
         "calibrated_by": measurement.calibrated_by,
