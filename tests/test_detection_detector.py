@@ -38,10 +38,12 @@ from paceline.recordings.live_stereo import RawPair
 from paceline.recordings.stereo import StereoFrame
 from paceline.simulation.stereo.clip import RenderedClip, Vehicle, World, render
 from paceline.simulation.stereo.scenery import Backdrop
-from paceline.speed.configuration import SpeedConfiguration
+from paceline.speed.configuration import DEFAULTS, SpeedConfiguration
 from paceline.speed.geometry.paths import from_points
 from paceline.survey import live
-from paceline.survey.live import APART, ENOUGH, thinned
+from paceline.survey.live import APART, thinned
+
+ENOUGH = DEFAULTS.live.pairs_per_vehicle
 
 Image = NDArray[np.float32]
 
@@ -384,7 +386,7 @@ def test_a_face_is_known_again_within_a_wider_sighting() -> None:
 def test_no_more_pairs_are_measured_on_than_needed_and_none_far_apart(n: int, rate: float) -> None:
     blank = np.zeros((1, 1), np.uint8)
     pairs = [RawPair(k, k / rate, blank, blank, 0.0) for k in range(n)]
-    chosen = thinned(pairs)
+    chosen = thinned(pairs, ENOUGH)
     apart = np.diff([pair.time for pair in chosen])
     assert chosen[0] is pairs[0]
     assert (apart <= max(1.1 * APART, 1 / rate) + 1e-9).all()
@@ -526,10 +528,10 @@ def test_vehicles_that_come_too_fast_are_told_without_a_measurement() -> None:
     recent = [RawPair(k, 0.1 * k, blank, blank, 0.0) for k in range(20)]
     process = Slow({3: None})
     desk = live._Desk(None, None, process, lambda *said: told.append(said))  # type: ignore[arg-type]
-    for _ in range(live.BACKLOG + 2):
+    for _ in range(DEFAULTS.live.queue + 2):
         desk.take(seen_at(3), recent)
     process.work()
     desk.tell()
     reasons = [reason for _, _, reason in told]
-    assert reasons[: live.BACKLOG] == ["smooth"] * live.BACKLOG
-    assert [reason.code for reason in reasons[live.BACKLOG :]] == ["queue_full"] * 2
+    assert reasons[: DEFAULTS.live.queue] == ["smooth"] * DEFAULTS.live.queue
+    assert [reason.code for reason in reasons[DEFAULTS.live.queue :]] == ["queue_full"] * 2

@@ -18,11 +18,9 @@ from tiny_road import TWO, scene
 from paceline.cameras import RigUncertainty, moved_rig
 from paceline.documents.loading import Clip, load_clip
 from paceline.simulation.stereo.clip import render, write
-from paceline.speed.configuration import SpeedConfiguration
+from paceline.speed.configuration import DEFAULTS, SpeedConfiguration
 from paceline.speed.joint_calibration import (
-    MEANWHILE,
     ONE,
-    TOGETHER,
     Belief,
     agreed,
     among,
@@ -36,8 +34,8 @@ from paceline.speed.joint_calibration import (
 )
 from paceline.speed.measurement import measure_clip
 from paceline.speed.results import Measurement, RigTold, Track
-from paceline.speed.verdict import MAX_RIG_SHIFT_SIGMA
 
+NEIGHBOURS, WINDOW_S = DEFAULTS.joint_calibration.neighbours, DEFAULTS.joint_calibration.window_s
 Array = NDArray[np.float64]
 N, Q = 3, 4  # parameters of a motion and moves of the rig, in the linear models here
 USUAL = 1.959963984540054
@@ -138,7 +136,7 @@ def test_it_is_what_one_solution_for_all_gives(seed: int, count: int) -> None:
     alone = passing(vehicles)
     told = [evidence(m.rig) for m in alone if m.rig is not None]
     belief = sum(told, stated(Q))
-    if max(pull(belief - t, t) for t in told) <= MAX_RIG_SHIFT_SIGMA:  # but for one draw in 100,000
+    if max(pull(belief - t, t) for t in told) <= DEFAULTS.limits.rig_shift_sigma:  # but for one draw in 100,000
         agree_on, agree = agreed(told)
         assert agree.all() and (agree_on.precision == belief.precision).all()
     np.testing.assert_allclose(belief.mean, joint[count * N :], atol=1e-8)
@@ -215,13 +213,13 @@ def test_what_all_agree_on_has_to_be_what_is_stated(off: float, verdict: str) ->
     rng = np.random.default_rng(11)
     rig = np.array([off, 0.0, 0.0, 0.0])
     poor = []
-    for _ in range(TOGETHER + 1):
+    for _ in range(NEIGHBOURS + 1):
         v = pictures(rng, np.zeros(Q))
         J = v.J * np.array([*np.ones(N), 0.06, 0.5, 0.06, 0.005])  # of which it tells little: its own pull stays small
         poor.append(Pictures(J, v.y + J[:, N:] @ rig))
     alone = passing(poor)
     told = [evidence(m.rig) for m in alone if m.rig is not None]
-    assert max(pull(stated(Q), t) for t in told) < MAX_RIG_SHIFT_SIGMA and agreed(told)[1].all()
+    assert max(pull(stated(Q), t) for t in told) < DEFAULTS.limits.rig_shift_sigma and agreed(told)[1].all()
     measured = together(alone)
     assert {m.verdict for m in measured} == {verdict}
     if verdict == "rejected":
@@ -243,10 +241,10 @@ def test_only_those_about_the_same_time_have_a_say() -> None:
     crowd = [v.alone(time=20.0 * k) for k, v in enumerate(vehicles)]
     middle = crowd[6]
     near = beside(middle, [m for m in crowd if m is not middle])
-    assert {id(m) for m in near} == {id(m) for m in crowd[2:11] if m is not middle} and len(near) == TOGETHER
-    assert together(crowd)[6].calibrated_by == TOGETHER + 1
-    late = vehicles[0].alone(time=20.0 * 6 + MEANWHILE + 1.0)
-    assert beside(middle, [late]) == [] and beside(middle, [vehicles[0].alone(time=20.0 * 6 + MEANWHILE)]) != []
+    assert {id(m) for m in near} == {id(m) for m in crowd[2:11] if m is not middle} and len(near) == NEIGHBOURS
+    assert together(crowd)[6].calibrated_by == NEIGHBOURS + 1
+    late = vehicles[0].alone(time=20.0 * 6 + WINDOW_S + 1.0)
+    assert beside(middle, [late]) == [] and beside(middle, [vehicles[0].alone(time=20.0 * 6 + WINDOW_S)]) != []
 
 
 def test_a_vehicle_that_is_outlined_twice_counts_once() -> None:
@@ -269,7 +267,7 @@ def test_intervals_hold_while_the_rig_drifts(drifts: str) -> None:
         J = rng.standard_normal((40, N + Q)) * np.array([*np.ones(N), 1.0, 0.5, 0.3, 0.01])
         motion = rng.standard_normal(N)
         m = Pictures(J, J @ np.concatenate([motion, rig]) + rng.standard_normal(40)).alone(time=20.0 * k)
-        right = among(m, seen[-TOGETHER:])
+        right = among(m, seen[-NEIGHBOURS:])
         seen.append(m)
         held.append(abs(right.speed - FAST - motion.sum()) < (right.speed_hi - right.speed_lo) / 2)
     assert binom.cdf(np.sum(held), len(held), 0.95) > 0.001

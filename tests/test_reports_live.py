@@ -141,9 +141,8 @@ def test_nothing_that_passed_is_a_report_too(tmp_path: Path) -> None:
     assert "No vehicle was measured." in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
-def test_pictures_are_bounded_and_the_report_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(live_report, "MAX_KEPT_PICTURES", 3)
-    with LiveResults(tmp_path, ABOUT, "mph") as results:
+def test_pictures_are_bounded_and_the_report_says_so(tmp_path: Path) -> None:
+    with LiveResults(tmp_path, ABOUT, "mph", kept_pictures=3) as results:
         results.begin()
         for k in range(5):
             results.add(passed(k), found(k), DAY.format(k))

@@ -13,16 +13,13 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.stats import f
 
+from paceline.speed.configuration import DEFAULT_LIMITS
 from paceline.speed.refinement.model_selection import RefinedMotion
 from paceline.speed.refinement.trajectory import Trajectory
 from paceline.speed.results import Measurement, Track
 from paceline.speed.verdict import (
     MAX_DEVIATION_SIGMA,
-    MAX_IMAGE_OFFSET_PX,
-    MAX_OUTLINE_SIGMA,
-    MAX_UNEXPLAINED_CONTRAST,
     MIN_CONTRAST_GREY,
-    MIN_FRAMES,
     apply_tolerance,
     check_interval,
     check_outline,
@@ -53,12 +50,12 @@ def moving_with(right: Array) -> RefinedMotion:
 
 
 def test_a_frame_shows_the_vehicle_where_all_views_that_were_used_fit() -> None:
-    enough = 1.0 - MAX_UNEXPLAINED_CONTRAST**2
+    enough = 1.0 - DEFAULT_LIMITS.unexplained_contrast**2
     r = refined([0.99, enough + 1e-6, enough - 1e-6, np.nan, 0.99])
     r.explained_share[4, 1] = 0.0  # one view shows something else
     r.explained_share[0, 0] = np.nan  # and one was not used
     assert consistent_frames(r).tolist() == [True, True, False, False, False]
-    assert consistent_frames(refined([0.99] * 3, off=1.01 * MAX_IMAGE_OFFSET_PX)).tolist() == [False] * 3
+    assert consistent_frames(refined([0.99] * 3, off=1.01 * DEFAULT_LIMITS.image_offset_px)).tolist() == [False] * 3
 
 
 @pytest.mark.parametrize(
@@ -78,7 +75,7 @@ def test_a_track_is_cut_where_it_is_known_to_end_and_halved_where_nothing_is_kno
     assert frames_to_refit(refined(20 * hidden)) == 10
     assert frames_to_refit(refined(20 * seen, converged=False)) == 10
     assert frames_to_refit(refined(3 * seen + 17 * hidden)) == 10  # too few to be measured by themselves
-    assert MIN_FRAMES == 4
+    assert DEFAULT_LIMITS.min_frames == 4
 
 
 @pytest.mark.parametrize("hand", [0.5, 5.0])  # px
@@ -87,7 +84,8 @@ def test_a_motion_is_seldom_off_outlines_however_well_they_are_drawn(hand: float
     freedom."""
     drawn = OUTLINE + np.random.default_rng(1).normal(0, hand * np.sqrt(2.0), (20_000, 4, 2))  # of both outlines
     off = np.mean([check_outline(moving_with(OUTLINE), one, 0.5) != "" for one in drawn])
-    expected = np.exp(-0.5 * MAX_OUTLINE_SIGMA**2) if hand == 0.5 else f.sf(0.5 * MAX_OUTLINE_SIGMA**2, 2, 6)
+    chi2 = DEFAULT_LIMITS.outline_sigma**2
+    expected = np.exp(-0.5 * chi2) if hand == 0.5 else f.sf(0.5 * chi2, 2, 6)
     assert off == pytest.approx(expected, abs=4 * np.sqrt(expected / len(drawn)) + 1e-4)
 
 

@@ -86,7 +86,7 @@ class Kalman:
     ) -> None:
         self.rig, self.vehicle, self.wander = rig, vehicle, wander
         self.strength = configuration.translation_noise**2 / FRAME
-        self.features = Sift(rig, vehicle)
+        self.features = Sift(rig, vehicle, configuration.limits)
         self._beliefs: dict[int, Belief] = {}  # by frame
         self._last, self._time = 0, 0.0
 
@@ -117,7 +117,7 @@ class Kalman:
         sights = first + [self._filtered(s) for s in self.features.sights[1:]]
         if reason := self.features.unmeasurable():
             return rejected(self.vehicle.id, sights, reason)
-        return filtered(self.vehicle.id, sights, "constant velocity")
+        return filtered(self.vehicle.id, sights, "constant velocity", self.features.limits)
 
     def _filtered(self, sight: Sight) -> Sight:
         if sight.frame not in self._beliefs:

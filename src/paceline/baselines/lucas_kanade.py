@@ -22,6 +22,7 @@ from paceline.cameras import StereoRig
 from paceline.documents.loading import VehicleDocument
 from paceline.geometry import epipolar_distance, triangulate
 from paceline.recordings.stereo import StereoFrame
+from paceline.speed.configuration import Limits
 from paceline.speed.geometry.paths import level_frames
 from paceline.speed.measurement import by_vehicle
 from paceline.speed.methods import register
@@ -44,8 +45,8 @@ MOST_FRAMES = 32  # in the alignment; of a longer track, evenly spread ones
 class LucasKanade:
     """One vehicle on its way through the clip."""
 
-    def __init__(self, rig: StereoRig, vehicle: VehicleDocument) -> None:
-        self.rig, self.vehicle = rig, vehicle
+    def __init__(self, rig: StereoRig, vehicle: VehicleDocument, limits: Limits) -> None:
+        self.rig, self.vehicle, self.limits = rig, vehicle, limits
         self.sights: list[Sight] = []
         self._regions: Regions | None = None
         self._key: _Key
@@ -179,7 +180,7 @@ class LucasKanade:
         if not self._seen or len(self._seen[0][1].number) < LEAST_POINTS:
             test = f"fewer than {LEAST_POINTS} corners match across the views"
             return rejected(name, self.sights, message("too_little_texture", test=test))
-        if few := too_few(self.sights):
+        if few := too_few(self.sights, self.limits):
             return rejected(name, self.sights, few)
         try:
             way, places, groups = self._fit()
@@ -197,7 +198,7 @@ class LucasKanade:
         std = float(np.hypot(scatter, np.sqrt((GROUPS - 1) * np.var(groups))))
         stds *= std / max(scatter, 1e-12)
         mean = MeanSpeed(speed, std, GROUPS - 1, way.model, speeds, stds)
-        return judged(name, self.sights, mean)
+        return judged(name, self.sights, mean, self.limits)
 
     def _fit(self) -> tuple[polynomial_track.Way, dict[int, Array], list[float]]:
         """The way through the aligned places, these by row of the sights, and the mean speeds that follow when one
@@ -276,4 +277,4 @@ def _similarity(before: Array, after: Array) -> Array | None:
     return None if move is None else np.asarray(move, float)
 
 
-register("lucas-kanade", by_vehicle(lambda clip, vehicle, path, configuration: LucasKanade(clip.rig, vehicle)))
+register("lucas-kanade", by_vehicle(lambda clip, vehicle, path, c: LucasKanade(clip.rig, vehicle, c.limits)))

@@ -252,9 +252,9 @@ class Multimodal:
         if not self.sights:
             test = "the equations of its motion are singular"
             return rejected(name, self.sights, message("too_little_texture", test=test))
-        if few := too_few(self.sights):
+        if few := too_few(self.sights, self.configuration.limits):
             return rejected(name, self.sights, few)
-        return filtered(name, self.sights, "particle filter")
+        return filtered(name, self.sights, "particle filter", self.configuration.limits)
 
 
 register("multimodal", by_vehicle(lambda clip, vehicle, path, c: Multimodal(clip.rig, vehicle, path, c), on_paths=True))

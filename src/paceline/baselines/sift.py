@@ -16,6 +16,7 @@ from paceline.documents.loading import VehicleDocument
 from paceline.geometry import epipolar_distance, triangulate
 from paceline.recordings.stereo import StereoFrame
 from paceline.sift_features import Descriptors, features, matched
+from paceline.speed.configuration import Limits
 from paceline.speed.measurement import by_vehicle
 from paceline.speed.methods import register
 from paceline.speed.results import Measurement
@@ -33,8 +34,8 @@ FAINTEST = 0.02  # SIFT's threshold of contrast: half of the usual one, as dista
 class Sift:
     """One vehicle on its way through the clip."""
 
-    def __init__(self, rig: StereoRig, vehicle: VehicleDocument) -> None:
-        self.rig, self.vehicle = rig, vehicle
+    def __init__(self, rig: StereoRig, vehicle: VehicleDocument, limits: Limits) -> None:
+        self.rig, self.vehicle, self.limits = rig, vehicle, limits
         self.sights: list[Sight] = []
         self._regions: Regions | None = None
         self._detector = cv2.SIFT.create(contrastThreshold=FAINTEST)
@@ -114,7 +115,7 @@ class Sift:
     def unmeasurable(self) -> Message:
         """Why there is nothing to measure by; empty where there is."""
         if self.sights:
-            return too_few(self.sights)
+            return too_few(self.sights, self.limits)
         return message("too_little_texture", test=f"fewer than {LEAST_MATCHES} features match across the views")
 
     def result(self) -> Measurement:
@@ -129,7 +130,7 @@ class Sift:
         wander = np.kron(np.eye(count) + np.ones((count, count)), np.eye(3))
         way = polynomial_track.way_through(np.array([s.time for s in seen]), places, np.asarray(wander, float))
         speed, std = way.mean_speed()
-        return judged(name, self.sights, MeanSpeed(speed, std, way.dof, way.model))
+        return judged(name, self.sights, MeanSpeed(speed, std, way.dof, way.model), self.limits)
 
 
 def centroid_covariance(rig: StereoRig, place: Array, matches: int) -> Array:
@@ -148,4 +149,4 @@ def inside(detector: cv2.SIFT, image: Image, quad: Array) -> tuple[Array, Descri
     return places + [x0, y0], descriptors
 
 
-register("sift", by_vehicle(lambda clip, vehicle, path, configuration: Sift(clip.rig, vehicle)))
+register("sift", by_vehicle(lambda clip, vehicle, path, c: Sift(clip.rig, vehicle, c.limits)))

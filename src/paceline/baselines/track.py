@@ -11,8 +11,9 @@ from scipy.special import stdtrit
 from paceline.arrays import Array
 from paceline.baselines.template_tracking import Regions
 from paceline.recordings.stereo import StereoFrame
+from paceline.speed.configuration import Limits
 from paceline.speed.results import CONFIDENCE, Measurement, Track
-from paceline.speed.verdict import MAX_SPEED_MPS, check_frames, check_interval
+from paceline.speed.verdict import check_frames, check_interval
 from paceline.verdicts import Message, message
 
 NAN = float("nan")
@@ -54,7 +55,7 @@ class MeanSpeed:
     stds: Array | None = None
 
 
-def filtered(vehicle: str, sights: Sequence[Sight], model: str) -> Measurement:
+def filtered(vehicle: str, sights: Sequence[Sight], model: str, limits: Limits) -> Measurement:
     """The measurement by a filter's own speeds: their mean, each counted by what it claims to know.
 
     A filter's successive estimates repeat one another's errors, so that their scatter is not divided by their number.
@@ -65,18 +66,18 @@ def filtered(vehicle: str, sights: Sequence[Sight], model: str) -> Measurement:
     mean = float(np.average(speeds, weights=information))
     scatter = float(np.average((speeds - mean) ** 2, weights=information))
     std = float(np.sqrt(scatter + 1.0 / information.mean()))
-    return judged(vehicle, sights, MeanSpeed(mean, std, len(known) - 1.0, model))
+    return judged(vehicle, sights, MeanSpeed(mean, std, len(known) - 1.0, model), limits)
 
 
-def judged(vehicle: str, sights: Sequence[Sight], mean: MeanSpeed, notices: Sequence[str] = ()) -> Measurement:
+def judged(vehicle: str, sights: Sequence[Sight], mean: MeanSpeed, limits: Limits) -> Measurement:
     """The measurement of a vehicle; rejected, with the reason, where its interval says too little."""
     half = float(stdtrit(mean.dof, 0.5 + CONFIDENCE / 2) * mean.std)
     if not np.isfinite([mean.speed, half]).all():
         reason = message("no_motion_fits", test="the fitted speed is not a finite number")
-    elif mean.speed > MAX_SPEED_MPS:
-        reason = message("speed_implausible", speed_mps=mean.speed, max_speed_mps=MAX_SPEED_MPS)
+    elif mean.speed > limits.max_speed:
+        reason = message("speed_implausible", speed_mps=mean.speed, max_speed_mps=limits.max_speed)
     else:
-        reason = check_interval(mean.speed, half)
+        reason = check_interval(mean.speed, half, limits=limits)
     return Measurement(
         vehicle=vehicle,
         track=track_of(vehicle, sights, mean.speeds, mean.stds),
@@ -90,7 +91,7 @@ def judged(vehicle: str, sights: Sequence[Sight], mean: MeanSpeed, notices: Sequ
         reason=str(reason),
         reason_code=reason.code,
         model=mean.model,
-        notices=[*notices, message("baseline_interval")],
+        notices=[message("baseline_interval")],
     )
 
 
@@ -106,9 +107,9 @@ def rejected(vehicle: str, sights: Sequence[Sight], reason: Message) -> Measurem
     return Measurement(vehicle, track, NAN, NAN, NAN, NAN, NAN, frames, "rejected", "", "none").judged(reason)
 
 
-def too_few(sights: Sequence[Sight]) -> Message:
+def too_few(sights: Sequence[Sight], limits: Limits) -> Message:
     """Why there is no track to measure by; empty where there is one."""
-    return check_frames(sights[-1].status if sights else "tracking", _frames(sights))
+    return check_frames(sights[-1].status if sights else "tracking", _frames(sights), limits)
 
 
 def track_of(vehicle: str, sights: Sequence[Sight], speeds: Array | None = None, stds: Array | None = None) -> Track:

@@ -56,7 +56,8 @@ def measure_live(
     settings, used = {**configuration.model_dump(), "learn": learning}, versions()
     if detect is not None:
         settings["detector"], used["onnxruntime"] = detect.name, detect.runtime
-    results = LiveResults(out, {"clip": str(clip.path), "configuration": settings, "versions": used}, unit)
+    kept = configuration.live.kept_pictures
+    results = LiveResults(out, {"clip": str(clip.path), "configuration": settings, "versions": used}, unit, kept)
     looking = _Looking(clip.rig, learning)
 
     def say(text: str) -> None:

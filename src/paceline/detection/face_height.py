@@ -17,12 +17,12 @@ from paceline.arrays import Array
 from paceline.detection.planar_face import Aligned, Face, course
 from paceline.detection.tracks import slope
 from paceline.documents.loading import VehicleDocument
+from paceline.speed.configuration import DEFAULT_LIMITS
 from paceline.speed.geometry.initial_plane import plane_from_outlines
 from paceline.speed.refinement.keyframes import Glimpse
 from paceline.speed.refinement.path_deviation import way_of
 from paceline.speed.refinement.photometric_fit import Fit
 from paceline.speed.refinement.trajectory import Trajectory, prior
-from paceline.speed.verdict import MIN_FRAMES
 
 LOWER = 0.075  # m by which one outline of a face is lower than the next
 LOWEST = 0.35  # m, of an outline
@@ -39,7 +39,7 @@ def trimmed(face: Face, seen: list[Aligned], is_clear: Callable[[Face], bool]) -
     low, high = face.y
     lower = [replace(face, y=(low, top)) for top in np.arange(high - LOWER, low + LOWEST, -LOWER).tolist()]
     outlines = [face, *filter(is_clear, lower)]
-    if len(outlines) == 1 or len(seen) < MIN_FRAMES:
+    if len(outlines) == 1 or len(seen) < DEFAULT_LIMITS.min_frames:
         return face
     doubts = _doubts(outlines, seen)
     return outlines[int(np.flatnonzero(doubts <= NEARLY * doubts.min())[-1])]

@@ -17,7 +17,7 @@ from paceline.detection.planar_face import Aligned, Face, course, face_of, liken
 from paceline.detection.tracks import Linker, Track, off_course, slope
 from paceline.documents.loading import VehicleDocument
 from paceline.recordings.stereo import StereoFrame
-from paceline.speed.filter.initialization import SPEED_RANGE
+from paceline.speed.configuration import DEFAULTS
 from paceline.verdicts import NO_REASON, Message, message
 
 LEAST_SIGHTINGS = 4  # and half as many as there are frames between them in which it is not seen; in all, as many
@@ -230,7 +230,7 @@ def first_speed(seen: list[Aligned]) -> float | None:
     if len(early) < LEAST_SIGHTINGS:
         return None
     speed = round(abs(slope(*course(early))), 1)
-    return speed if speed >= SPEED_RANGE[0] else None
+    return speed if speed >= DEFAULTS.start.speed_range[0] else None
 
 
 def _is_clear(face: Face, at: Aligned) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 from paceline.arrays import Array
 from paceline.detection.detector import GRID, Sighting
 from paceline.detection.lane_paths import Way
-from paceline.speed.verdict import MAX_SPEED_MPS
+from paceline.speed.configuration import DEFAULT_LIMITS
 
 ALIKE = 0.5  # correlation of the faces of one vehicle in two frames,
 SETTLED = 3, 1.0  # sightings from which on, and seconds since the last up to which, where it must be tells more:
@@ -155,7 +155,7 @@ class Track:
             return False
         error = sighting.error(*ERROR)
         if len(self.times) == 1:
-            return bool(abs(s - self.way_s[-1]) <= MAX_SPEED_MPS * dt + error)
+            return bool(abs(s - self.way_s[-1]) <= DEFAULT_LIMITS.max_speed * dt + error)
         recent = slice(-RECENT, None)
         t, places = np.array(self.times[recent]) - sighting.time, np.array(self.way_s[recent])
         v = slope(t, places)

@@ -161,6 +161,7 @@ class SpeedConfiguration(Section):
 
 
 DEFAULTS = SpeedConfiguration()
+DEFAULT_LIMITS = DEFAULTS.limits
 
 
 class SpeedSettings(SpeedConfiguration):

@@ -17,11 +17,11 @@ from scipy.special import ndtri
 
 from paceline.arrays import Array
 from paceline.speed import verdict
+from paceline.speed.configuration import DEFAULTS, JointCalibrationSettings, SpeedConfiguration
 from paceline.speed.refinement.photometric_fit import UNTOLD
 from paceline.speed.results import CONFIDENCE, Measurement, RigTold, Track
 from paceline.verdicts import message
 
-TOGETHER, MEANWHILE = 8, 600.0  # other vehicles that one is put right by, and seconds within which they pass
 ONE = 2.0  # m between the planes of two outlines below which they are of one vehicle
 
 
@@ -70,7 +70,9 @@ def pull(belief: Belief, more: Belief) -> float:
     return float((np.abs(moved[told]) / np.sqrt(share[told])).max(initial=0.0))
 
 
-def agreed(told: Sequence[Belief]) -> tuple[Belief, NDArray[np.bool_]]:
+def agreed(
+    told: Sequence[Belief], max_shift_sigma: float = DEFAULTS.limits.rig_shift_sigma
+) -> tuple[Belief, NDArray[np.bool_]]:
     """What all that was ``told`` of one rig amounts to, what is stated included, and which (V,) of it went in: the one
     that contradicts the others most is left out, and the next. Where only two are left that contradict each other none
     goes in, for nothing says which is right."""
@@ -78,7 +80,7 @@ def agreed(told: Sequence[Belief]) -> tuple[Belief, NDArray[np.bool_]]:
     while kept.sum() > 1:
         belief = sum((t for t, k in zip(told, kept, strict=True) if k), prior)
         against = np.array([pull(belief - t, t) if k else 0.0 for t, k in zip(told, kept, strict=True)])
-        if against.max() <= verdict.MAX_RIG_SHIFT_SIGMA:
+        if against.max() <= max_shift_sigma:
             return belief, kept
         kept[np.argmax(against)] = False
     return prior, np.full(len(told), False)
@@ -107,13 +109,15 @@ def put_right(m: Measurement, belief: Belief) -> Measurement:
     )
 
 
-def beside(m: Measurement, others: Iterable[Measurement]) -> list[Measurement]:
+def beside(
+    m: Measurement, others: Iterable[Measurement], settings: JointCalibrationSettings = DEFAULTS.joint_calibration
+) -> list[Measurement]:
     """Those of the ``others`` that tell of the rig as it was when ``m`` passed, the nearest in time first: none twice,
     however often it is outlined."""
     apart = [(abs(float(o.track.time.mean() - m.track.time.mean())), o) for o in others if o.rig is not None]
     found: list[Measurement] = []
     for away, other in sorted(apart, key=lambda pair: pair[0]):
-        if away > MEANWHILE or len(found) == TOGETHER:
+        if away > settings.window_s or len(found) == settings.neighbours:
             break
         if not any(is_one(other.track, known.track) for known in [m, *found]):
             found.append(other)
@@ -127,17 +131,17 @@ def is_one(track: Track, other: Track) -> bool:
     return len(apart) > 0 and float(np.median(apart)) < ONE
 
 
-def among(m: Measurement, others: Iterable[Measurement]) -> Measurement:
+def among(m: Measurement, others: Iterable[Measurement], configuration: SpeedConfiguration = DEFAULTS) -> Measurement:
     """``m`` with what the vehicles ``beside`` it tell of the rig, too, and judged anew by that: rejected if it
     contradicts them, or all of them what rig.yaml states. As it is where no two agree."""
     if m.rig is None:
         return m
-    told = [evidence(o.rig) for o in [*beside(m, others), m] if o.rig is not None]
-    belief, agree = agreed(told)
+    told = [evidence(o.rig) for o in [*beside(m, others, configuration.joint_calibration), m] if o.rig is not None]
+    belief, agree = agreed(told, configuration.limits.rig_shift_sigma)
     if not agree.any():
         return m
     count, prior = int(agree.sum()), stated(len(m.rig.moves))
-    limit = verdict.MAX_RIG_SHIFT_SIGMA
+    limit = configuration.limits.rig_shift_sigma
     if not agree[-1]:
         by = pull(belief, told[-1])
         reason = message("calibration_differs_between_vehicles", deviation=by, max_deviation=limit)
@@ -145,10 +149,10 @@ def among(m: Measurement, others: Iterable[Measurement]) -> Measurement:
         reason = message("calibration_inconsistent_jointly", vehicles=count, deviation=by, max_deviation=limit)
     else:
         own, m = m.rig.half, replace(put_right(m, belief), calibrated_by=count)
-        reason = verdict.check_interval(m.speed, (m.speed_hi - m.speed_lo) / 2, own)
+        reason = verdict.check_interval(m.speed, (m.speed_hi - m.speed_lo) / 2, own, configuration.limits)
     return replace(m.judged(reason), rig=None)
 
 
-def together(measurements: Sequence[Measurement]) -> list[Measurement]:
+def together(measurements: Sequence[Measurement], configuration: SpeedConfiguration = DEFAULTS) -> list[Measurement]:
     """The vehicles of one recording with what they tell of its rig in common."""
-    return [among(m, [o for o in measurements if o is not m]) for m in measurements]
+    return [among(m, [o for o in measurements if o is not m], configuration) for m in measurements]

@@ -59,7 +59,9 @@ def measure(
     """
     fleet = Fleet(open_device(device), carry_on=device == "auto")
     result = measure_each(clip, recording, configuration, partial(VehicleRun, fleet=fleet, seen=seen), progress)
-    measurements = [verdict.apply_tolerance(m, configuration.tolerance) for m in together(result.measurements)]
+    measurements = [
+        verdict.apply_tolerance(m, configuration.tolerance) for m in together(result.measurements, configuration)
+    ]
     return replace(result, measurements=measurements, notices=[*result.notices, *fleet.notices])
 
 

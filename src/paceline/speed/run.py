@@ -27,12 +27,10 @@ from paceline.speed.refinement.path_deviation import way_of
 from paceline.speed.refinement.self_calibration import RigFit
 from paceline.speed.refinement.trajectory import Trajectory
 from paceline.speed.results import CONFIDENCE, Measurement, RigTold, Track
-from paceline.speed.verdict import MIN_FRAMES
 from paceline.verdicts import Message, message, plural
 
 Seen = Callable[[str, Estimate], None]
 
-MOST_GLIMPSES = 32  # frames kept for the refinement; of a longer track, evenly spread ones, besides the last
 MARGIN = (0.6, 24.0)  # kept about a region, as a share of its size and in pixels
 BESIDE = 15.0  # m from a vehicle, beyond which a path is not the one it drives on
 
@@ -51,6 +49,7 @@ class VehicleRun:
     ) -> None:
         self.fleet, self.seen = fleet, seen
         self.rig, self.vehicle, self.configuration = clip.rig, vehicle, configuration
+        self.limits = configuration.limits
         on_path = vehicle.path if vehicle.path in drawn else None
         self.path = drawn[on_path] if on_path is not None else None
         offset = clip.paths[on_path].lateral_offset if on_path is not None else 0.0
@@ -88,7 +87,7 @@ class VehicleRun:
             self.glimpses.pop()
         self.glimpses.append(Glimpse(frame.index, times, crops, np.stack(corners), quads))
         self._passing = (len(self.estimates) - 1) % self._stride > 0
-        if len(self.glimpses) > MOST_GLIMPSES and not self._passing:
+        if len(self.glimpses) > self.configuration.refinement.max_keyframes and not self._passing:
             self.glimpses, self._stride = self.glimpses[::2], 2 * self._stride
 
     def result(self) -> Measurement:
@@ -96,19 +95,21 @@ class VehicleRun:
         self.estimates = _until_hidden(self.estimates)
         tracked = [e for e in self.estimates if e.status == "tracking"]
         last = self.estimates[-1].status if self.estimates else "tracking"
-        if few := verdict.check_frames(last, len(tracked)):
+        if few := verdict.check_frames(last, len(tracked), self.limits):
             return self._rejected(few)
-        if (seen := sum(e.likeness >= SEEN for e in tracked)) < MIN_FRAMES:
+        if (seen := sum(e.likeness >= SEEN for e in tracked)) < self.limits.min_frames:
             return self._rejected(
                 message(
-                    "appearance_lost_from_start", similar=seen, frames=len(tracked), min_frames=MIN_FRAMES
+                    "appearance_lost_from_start", similar=seen, frames=len(tracked), min_frames=self.limits.min_frames
                 )
             )
         if not self.configuration.refine:
             return self._from_filter(tracked)
         try:
             refined = self._refined()
-            while MIN_FRAMES <= (kept := verdict.frames_to_refit(refined)) < len(self.glimpses):
+            while (
+                self.limits.min_frames <= (kept := verdict.frames_to_refit(refined, self.limits)) < len(self.glimpses)
+            ):
                 self.glimpses = self.glimpses[:kept]
                 self.estimates = _lost_after(self.estimates, self.glimpses[-1].frame)
                 refined = self._refined()
@@ -142,11 +143,11 @@ class VehicleRun:
         usual, wider = ndtri(0.5 + CONFIDENCE / 2), stdtrit(refined.dof, 0.5 + CONFIDENCE / 2)
         own = float(np.hypot(wider * noise_std, usual * doubt_std))
         half = float(np.hypot(own, usual * np.nan_to_num(systematic_std)))
-        reason = verdict.check_refined(refined, speed, half) or verdict.check_outline(
-            refined, self.vehicle.right, self.configuration.click_sigma
+        reason = verdict.check_refined(refined, speed, half, self.limits) or verdict.check_outline(
+            refined, self.vehicle.right, self.configuration.click_sigma, self.limits
         )
         rig = None if reason or refined.rig_fit is None else self._told(refined, refined.rig_fit, wider)
-        reason = reason or verdict.check_interval(speed, half, own)
+        reason = reason or verdict.check_interval(speed, half, own, self.limits)
         speeds, times = refined.speeds()[0], refined.trajectory.times.mean(1)
         acceleration = float((speeds[-1] - speeds[0]) / (times[-1] - times[0]))
         accelerating = {"acceleration", "surge"} & {*refined.motion_terms}
@@ -215,7 +216,7 @@ class VehicleRun:
         information = 1.0 / np.array([e.speed_std for e in tracked[1:]]) ** 2
         speed, std = float(np.average(speeds, weights=information)), float(1.0 / np.sqrt(information.mean()))
         half = float(ndtri(0.5 + CONFIDENCE / 2)) * std
-        reason = verdict.check_interval(speed, half)
+        reason = verdict.check_interval(speed, half, limits=self.limits)
         return Measurement(
             vehicle=self.vehicle.id,
             track=self._track(None),

@@ -5,43 +5,31 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from paceline.speed.configuration import DEFAULT_LIMITS, Limits
 from paceline.speed.refinement.model_selection import RefinedMotion
 from paceline.speed.results import Measurement
-from paceline.units import SpeedUnit
 from paceline.verdicts import NO_REASON, Message, message
 
-MIN_FRAMES = 4
-MAX_UNEXPLAINED_CONTRAST = 0.6  # residual over the texture's contrast, both RMS
-MAX_IMAGE_OFFSET_PX = 0.6  # RMS over the frames, between the images and where the fitted motion puts them
-MIN_CONSISTENT_SHARE = 0.5  # of the frames
-MAX_EPIPOLAR_OFFSET_PX = 1.0  # between the views, across the epipolar lines
-MAX_SPEED_MPS = 90.0
 MAX_DEVIATION_SIGMA = 3.0  # RMS deviation from the path where the contrast is lower than the next constant
 MIN_CONTRAST_GREY = 5.0  # grey levels; below, the background may have been followed instead
-MAX_OUTLINE_SIGMA = 5.0  # between the motion and the outline in the right view
-MAX_RIG_SHIFT_SIGMA = 5.0  # between the rig that the images determine and the one that rig.yaml states
-MAX_HALF_WIDTH = (0.06, SpeedUnit.KMH.mps)  # of the 95 % interval: relative and m/s, whichever is larger
-MAX_RANDOM_SHARE = 2 / 3  # of MAX_HALF_WIDTH: the interval without the calibration's part
 
 
-def check_refined(refined: RefinedMotion, speed: float, half_width: float) -> Message:
+def check_refined(refined: RefinedMotion, speed: float, half_width: float, limits: Limits = DEFAULT_LIMITS) -> Message:
     """The reason to reject ``speed`` (m/s) with its half-width ``half_width``; empty where all tests pass.
 
     `check_outline` and `check_interval` are applied apart.
     """
     if not np.isfinite([speed, half_width]).all():
         return message("no_motion_fits", test="the fitted speed is not a finite number")
-    if reason := check_residuals(refined):
+    if reason := check_residuals(refined, limits):
         return reason
     epipolar_offset = float(np.nanmedian(refined.offsets[:, 1, 1] - refined.offsets[:, 0, 1]))
-    if abs(epipolar_offset) > MAX_EPIPOLAR_OFFSET_PX:
-        return message(
-            "views_disagree", offset_px=abs(epipolar_offset), max_offset_px=MAX_EPIPOLAR_OFFSET_PX
-        )
-    if (shift := float(np.abs(refined.rig_shift_sigma).max(initial=0.0))) > MAX_RIG_SHIFT_SIGMA:
-        return message("calibration_inconsistent", deviation=shift, max_deviation=MAX_RIG_SHIFT_SIGMA)
-    if not 0 <= speed <= MAX_SPEED_MPS:
-        return message("speed_implausible", speed_mps=speed, max_speed_mps=MAX_SPEED_MPS)
+    if abs(epipolar_offset) > limits.epipolar_offset_px:
+        return message("views_disagree", offset_px=abs(epipolar_offset), max_offset_px=limits.epipolar_offset_px)
+    if (shift := float(np.abs(refined.rig_shift_sigma).max(initial=0.0))) > limits.rig_shift_sigma:
+        return message("calibration_inconsistent", deviation=shift, max_deviation=limits.rig_shift_sigma)
+    if not 0 <= speed <= limits.max_speed:
+        return message("speed_implausible", speed_mps=speed, max_speed_mps=limits.max_speed)
     if refined.deviation_sigma > MAX_DEVIATION_SIGMA and refined.contrast < MIN_CONTRAST_GREY:
         return message(
             "path_deviation_implausible",
@@ -53,7 +41,9 @@ def check_refined(refined: RefinedMotion, speed: float, half_width: float) -> Me
     return NO_REASON
 
 
-def check_outline(refined: RefinedMotion, right: NDArray[np.float64], click_sigma: float) -> Message:
+def check_outline(
+    refined: RefinedMotion, right: NDArray[np.float64], click_sigma: float, limits: Limits = DEFAULT_LIMITS
+) -> Message:
     """The reason to reject a motion that is not at the outline ``right`` (4, 2) px of the first frame; else empty.
 
     Corners have a standard deviation of ``click_sigma`` px, or of their own scatter where that is larger. The motion
@@ -64,59 +54,59 @@ def check_outline(refined: RefinedMotion, right: NDArray[np.float64], click_sigm
     mean = residuals.mean(0)
     scatter = float(np.sqrt(((residuals - mean) ** 2).sum() / (residuals.size - mean.size)))
     offset = float(np.linalg.norm(mean))
-    limit = MAX_OUTLINE_SIGMA * max(float(np.sqrt(2.0)) * click_sigma, scatter) / float(np.sqrt(len(residuals)))
+    limit = limits.outline_sigma * max(float(np.sqrt(2.0)) * click_sigma, scatter) / float(np.sqrt(len(residuals)))
     if offset <= limit:
         return NO_REASON
     return message("outline_inconsistent", offset_px=offset, max_offset_px=limit)
 
 
-def consistent_frames(refined: RefinedMotion) -> NDArray[np.bool_]:
+def consistent_frames(refined: RefinedMotion, limits: Limits = DEFAULT_LIMITS) -> NDArray[np.bool_]:
     """Frames (F,) of which all views that were used fit the motion."""
     used = np.isfinite(refined.explained_share)
-    fits = (refined.explained_share >= 1.0 - MAX_UNEXPLAINED_CONTRAST**2) & (
-        np.linalg.norm(refined.offsets, axis=-1) <= MAX_IMAGE_OFFSET_PX
+    fits = (refined.explained_share >= 1.0 - limits.unexplained_contrast**2) & (
+        np.linalg.norm(refined.offsets, axis=-1) <= limits.image_offset_px
     )
     return np.asarray(used.any(1) & (fits | ~used).all(1))
 
 
-def check_residuals(refined: RefinedMotion) -> Message:
+def check_residuals(refined: RefinedMotion, limits: Limits = DEFAULT_LIMITS) -> Message:
     """The reason to reject a motion that the images do not fit; empty where they do."""
     offset = float(np.sqrt(np.nanmean(refined.offsets**2)))
     if not refined.converged:
         return message("no_motion_fits", test="the fit did not converge")
-    if refined.residual_rms > MAX_UNEXPLAINED_CONTRAST * refined.contrast or offset > MAX_IMAGE_OFFSET_PX:
+    if refined.residual_rms > limits.unexplained_contrast * refined.contrast or offset > limits.image_offset_px:
         unexplained = refined.residual_rms / max(refined.contrast, 1e-9)
         return message(
             "image_residual_too_large",
             offset_px=offset,
-            max_offset_px=MAX_IMAGE_OFFSET_PX,
+            max_offset_px=limits.image_offset_px,
             unexplained=unexplained,
-            max_unexplained=MAX_UNEXPLAINED_CONTRAST,
+            max_unexplained=limits.unexplained_contrast,
         )
-    consistent = consistent_frames(refined)
+    consistent = consistent_frames(refined, limits)
     count, frames = consistent.sum(), len(consistent)
-    if consistent.mean() < MIN_CONSISTENT_SHARE or count < MIN_FRAMES:
+    if consistent.mean() < limits.consistent_share or count < limits.min_frames:
         return message(
             "too_few_consistent_frames",
             consistent=count,
             frames=frames,
-            min_share=MIN_CONSISTENT_SHARE,
-            min_frames=MIN_FRAMES,
+            min_share=limits.consistent_share,
+            min_frames=limits.min_frames,
         )
-    if not consistent[:MIN_FRAMES].any():  # the motion is an occluder's that appeared later
-        return message("first_frames_inconsistent", frames=MIN_FRAMES)
+    if not consistent[: limits.min_frames].any():  # the motion is an occluder's that appeared later
+        return message("first_frames_inconsistent", frames=limits.min_frames)
     return NO_REASON
 
 
-def frames_to_refit(refined: RefinedMotion) -> int:
+def frames_to_refit(refined: RefinedMotion, limits: Limits = DEFAULT_LIMITS) -> int:
     """How many of the first frames to fit next: up to an occlusion, all where there is none.
 
     Half of them where no motion fits, as the occlusion may have begun early.
     """
-    consistent = consistent_frames(refined)
-    if MIN_FRAMES <= (kept := frames_before_occlusion(consistent)) < len(consistent):
+    consistent = consistent_frames(refined, limits)
+    if limits.min_frames <= (kept := frames_before_occlusion(consistent)) < len(consistent):
         return kept
-    return len(consistent) // 2 if check_residuals(refined) else len(consistent)
+    return len(consistent) // 2 if check_residuals(refined, limits) else len(consistent)
 
 
 def frames_before_occlusion(consistent: NDArray[np.bool_]) -> int:
@@ -128,22 +118,22 @@ def frames_before_occlusion(consistent: NDArray[np.bool_]) -> int:
     return len(consistent) - int(np.argmax(balance[::-1]))
 
 
-def check_frames(status: str, frames: int) -> Message:
+def check_frames(status: str, frames: int, limits: Limits = DEFAULT_LIMITS) -> Message:
     """The reason to reject a track of so many ``frames``, its last ``status`` that, as too short; else empty."""
-    if frames >= MIN_FRAMES:
+    if frames >= limits.min_frames:
         return NO_REASON
     if status == "ended":
-        return message("left_image_early", frames=frames, min_frames=MIN_FRAMES)
-    return message("lost_early" if status == "lost" else "seen_briefly", frames=frames, min_frames=MIN_FRAMES)
+        return message("left_image_early", frames=frames, min_frames=limits.min_frames)
+    return message("lost_early" if status == "lost" else "seen_briefly", frames=frames, min_frames=limits.min_frames)
 
 
-def check_interval(speed: float, half_width: float, random: float = 0.0) -> Message:
+def check_interval(speed: float, half_width: float, random: float = 0.0, limits: Limits = DEFAULT_LIMITS) -> Message:
     """The reason to reject an interval, else empty.
 
     ``half_width`` is that of the whole interval and ``random`` that without the calibration's part, both m/s.
     """
-    for width, share, only_random in ((half_width, 1.0, False), (random, MAX_RANDOM_SHARE, True)):
-        if width > (limit := share * max(MAX_HALF_WIDTH[0] * speed, MAX_HALF_WIDTH[1])):
+    for width, share, only_random in ((half_width, 1.0, False), (random, limits.max_random_share, True)):
+        if width > (limit := share * max(limits.max_half_width * speed, limits.max_half_width_mps)):
             positive = max(speed, 1e-9)
             if width / positive >= 1:
                 return message("speed_unknown", half_width_mps=width, speed_mps=speed, max_half_width_mps=limit)
@@ -160,7 +150,5 @@ def apply_tolerance(m: Measurement, tolerance: float | None) -> Measurement:
     if tolerance is None or m.verdict != "measured" or (half_width := (m.speed_hi - m.speed_lo) / 2) <= tolerance:
         return m
     return m.judged(
-        message(
-            "tolerance_exceeded", half_width_mps=half_width, ratio=half_width / tolerance, tolerance_mps=tolerance
-        )
+        message("tolerance_exceeded", half_width_mps=half_width, ratio=half_width / tolerance, tolerance_mps=tolerance)
     )

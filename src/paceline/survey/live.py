@@ -34,17 +34,14 @@ from paceline.recordings.background import FRAMES, Background, background_of, no
 from paceline.recordings.live_stereo import LiveViews, RawPair, undistorted
 from paceline.recordings.stereo import StereoFrame
 from paceline.speed.configuration import SpeedConfiguration
-from paceline.speed.joint_calibration import TOGETHER, among
+from paceline.speed.joint_calibration import among
 from paceline.speed.measurement import measure, refuse_one_view
 from paceline.speed.results import Measurement
 from paceline.speed.verdict import apply_tolerance
 from paceline.verdicts import Message, message
 
 LEARNING = 30.0  # s in which the empty scene is learned
-REMEMBERED = 150  # pairs of frames that are kept for the vehicles in view
-ENOUGH, APART = 24, 0.2  # pairs to measure on: of more, every second or third one as long as they are no more s apart
-BACKLOG = 8  # vehicles that wait to be measured, at most
-LATEST = 2 * TOGETHER  # vehicles that are remembered for what they tell of the rig: some are told twice
+APART = 0.2  # s between pairs to measure on, at most: of more pairs than needed every second or third one is left out
 
 Told = Callable[[Found, Measurement | None, Message], None]
 Looked = Callable[[RawPair, list[Track]], None]
@@ -129,7 +126,7 @@ def survey(
         scene.follow(_begun(clip, pairs))
     ready(len(clip.paths))
     finder = Finder(ways_of(clip), scene)
-    recent: deque[RawPair] = deque(maxlen=REMEMBERED)
+    recent: deque[RawPair] = deque(maxlen=configuration.live.buffer_pairs)
 
     def remembered() -> Iterator[RawPair]:
         for pair in pairs:
@@ -231,12 +228,14 @@ class _Desk:
         self._clip, self._configuration, self._measuring, self._told = clip, configuration, measuring, told
         self._rows, self._cases = rows, deque[_Case]()
         self._register, self._count = Register(), 0
-        self._latest = deque[Measurement](maxlen=LATEST)
+        self._latest = deque[Measurement](maxlen=2 * configuration.joint_calibration.neighbours)
 
     def take(self, track: Track, recent: Iterable[RawPair]) -> None:
-        if (waiting := sum(bool(case.pairs) for case in self._cases)) >= BACKLOG:
+        if (waiting := sum(bool(case.pairs) for case in self._cases)) >= self._configuration.live.queue:
             outlined: Future[Found] = Future()
-            outlined.set_result(as_seen(track, message("queue_full", waiting=waiting, max_waiting=BACKLOG)))
+            outlined.set_result(
+                as_seen(track, message("queue_full", waiting=waiting, max_waiting=self._configuration.live.queue))
+            )
             self._cases.append(_Case(track, outlined, []))
         else:
             pairs = [pair for pair in recent if pair.index >= track.first.frame]
@@ -273,10 +272,18 @@ class _Desk:
         case.found = replace(case.found, vehicle=vehicle)
         pairs = [pair for pair in case.pairs if pair.index >= vehicle.frame]
         if not pairs or pairs[0].index > vehicle.frame:
-            case.found = replace(case.found, reason=message("frames_expired", max_pairs=REMEMBERED))
+            case.found = replace(
+                case.found, reason=message("frames_expired", max_pairs=self._configuration.live.buffer_pairs)
+            )
         else:
             clip = replace(self._clip, vehicles=[vehicle])
-            case.measured = self._measuring.submit(_measured, clip, thinned(pairs), self._rows, self._configuration)
+            case.measured = self._measuring.submit(
+                _measured,
+                clip,
+                thinned(pairs, self._configuration.live.pairs_per_vehicle),
+                self._rows,
+                self._configuration,
+            )
 
     def _tell_first(self) -> None:
         case = self._cases.popleft()
@@ -293,17 +300,17 @@ class _Desk:
 
     def _put_right(self, m: Measurement) -> Measurement:
         """``m`` with what the latest vehicles tell of the rig, too."""
-        right = apply_tolerance(among(m, self._latest), self._configuration.tolerance)
+        right = apply_tolerance(among(m, self._latest, self._configuration), self._configuration.tolerance)
         if m.rig is not None:
             self._latest.append(m)
         return right
 
 
-def thinned(pairs: list[RawPair]) -> list[RawPair]:
+def thinned(pairs: list[RawPair], most_pairs: int) -> list[RawPair]:
     """The first of ``pairs`` and as many of the others, evenly spread, as a vehicle is measured on."""
     interval = (pairs[-1].time - pairs[0].time) / max(len(pairs) - 1, 1)
     most = int(APART / interval + 0.1) if interval > 0 else 1
-    return pairs[:: max(min(-(-len(pairs) // ENOUGH), most), 1)]
+    return pairs[:: max(min(-(-len(pairs) // most_pairs), most), 1)]
 
 
 @on_one_blas_thread

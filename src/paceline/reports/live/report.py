@@ -20,11 +20,11 @@ from paceline.reports.detected_vehicles import draw_detected_vehicle
 from paceline.reports.live.page import render_live_page
 from paceline.reports.live.plots import speeds_plot
 from paceline.reports.speed.tables import ESTIMATE_COLUMNS, estimate_rows, vehicle_summary
+from paceline.speed.configuration import DEFAULTS
 from paceline.speed.results import Measurement
 from paceline.verdicts import Message
 
 PICTURES_FOLDER = "pictures"
-MAX_KEPT_PICTURES = 200  # pictures, the latest ones, of some 15 kB each
 PICTURE_HEIGHT_PX, JPEG_QUALITY = 240, 80  # px, and of the JPEG
 MAX_WRITE_TIME_SHARE = 0.01  # of the time, for writing summary.json, which grows and is always written whole
 
@@ -42,6 +42,7 @@ class LiveResults:
     out: Path
     about: dict[str, object]
     unit: str
+    kept_pictures: int = DEFAULTS.live.kept_pictures  # the latest ones, of some 15 kB each
     vehicles: list[dict[str, object]] = field(default_factory=list)
     unmeasured: list[dict[str, object]] = field(default_factory=list)
     notices: list[str] = field(default_factory=list)
@@ -63,7 +64,7 @@ class LiveResults:
         if self._begun:
             write_all_or_none(self._summary())  # first: a disk may be too full for the report
             plot = speeds_plot(self.vehicles, self.unit)
-            page = render_live_page(self.document(), self.out / PICTURES_FOLDER, MAX_KEPT_PICTURES, plot, self.unit)
+            page = render_live_page(self.document(), self.out / PICTURES_FOLDER, self.kept_pictures, plot, self.unit)
             write_all_or_none({self.out / "report.html": page.encode(), self.out / "speeds.png": plot.png})
 
     def begin(self) -> None:
@@ -111,9 +112,9 @@ class LiveResults:
         picture = draw_detected_vehicle(found, PICTURE_HEIGHT_PX)
         jpeg = bytes(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1])
         write_all_or_none({self.out / PICTURES_FOLDER / f"{name}.jpg": jpeg})
-        if len(self.vehicles) > MAX_KEPT_PICTURES:
+        if len(self.vehicles) > self.kept_pictures:
             with suppress(OSError):
-                (self.out / PICTURES_FOLDER / f"{self.vehicles[-MAX_KEPT_PICTURES - 1]['vehicle']}.jpg").unlink()
+                (self.out / PICTURES_FOLDER / f"{self.vehicles[-self.kept_pictures - 1]['vehicle']}.jpg").unlink()
 
 
 def _passage_data(found: Found, seen_at: str) -> dict[str, object]:

@@ -19,8 +19,6 @@ from paceline.speed.geometry.paths import LANE_KEEPING_STD
 
 Guess = tuple[float, float]  # a speed and its standard deviation, m/s
 
-SPEED_RANGE = (0.5, 75.0)  # m/s, searched where no first guess is given
-SEARCH = 8  # times as many particles while the speed is unknown
 GROWTHS = np.geomspace(0.72, 1.4, 23)  # of a picture from one frame to the next
 MATCH_SIGMA = 0.7  # px, of a matched picture's place and size
 ALIVE = 0.2  # share of the first particles that the second frame leaves alive
@@ -60,7 +58,7 @@ def along_path(
     a path.
     """
     N = len(state)
-    speed = np.linspace(*SPEED_RANGE, N) if guess is None else np.abs(rng.normal(*guess, N))
+    speed = np.linspace(*configuration.start.speed_range, N) if guess is None else np.abs(rng.normal(*guess, N))
     start = model.path.nearest(plane.centre)
     heading = np.zeros((N, 2))
     if not configuration.exact_path:
@@ -95,7 +93,7 @@ def guessed(
         forward = way.path.frames(np.array(way.path.nearest(plane.centre)))[:, 0]
     depth_std = plane.inverse_depth_std * float(np.linalg.norm(plane.centre))
     doubt = float(np.hypot(np.sqrt(forward @ covariance @ forward), depth_std)) / dt
-    speed = float(np.clip(gone @ forward / dt, 0.0, SPEED_RANGE[1]))
+    speed = float(np.clip(gone @ forward / dt, 0.0, configuration.start.speed_range[1]))
     operator = stated(vehicle, configuration)
     if operator is None:
         return speed, max(configuration.speed_guess_spread * speed, DOUBTED * doubt)
@@ -111,10 +109,11 @@ def as_matched(
     first: Image,
     now: Image,
     dt: float,
+    configuration: SpeedConfiguration,
     rng: np.random.Generator,
 ) -> State:
     """``state`` set off without a path: at velocities about where the left view's picture went and how it grew."""
-    fastest = 1.3 * vehicle.speed if vehicle.speed else SPEED_RANGE[1]
+    fastest = 1.3 * vehicle.speed if vehicle.speed else configuration.start.speed_range[1]
     focal = rig.left.K[0, 0]
     before = plane.centre
     shift, growth = match(first, now, vehicle.left, fastest * dt * focal / before[2])

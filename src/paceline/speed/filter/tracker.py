@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 
 SEEN = 0.55  # likeness to the reference below which a frame teaches nothing
 LOST = 0.25  # likeness below which the vehicle is not in view
-PATIENCE = 4  # frames that may pass so before the vehicle is given up
 SURE = 0.9  # likeness at which even a surprising registration is believed
 SURPRISING = 50.0  # squared standard deviations, of three: so far off, something else may have been found
 DIRECTED = 2.0  # m, a travel that has a direction
@@ -180,7 +179,7 @@ class Tracker:
         if self.appearance is not None:
             with suppress(np.linalg.LinAlgError):  # without texture the plane stays where it was outlined
                 self.plane = self.appearance.begin((frame.left, frame.right), self.vehicle.left, self.plane)
-        searched = initialization.SEARCH if self.vehicle.speed is None else 1
+        searched = self.configuration.start.particle_factor if self.vehicle.speed is None else 1
         state = initialization.initial_state(self.plane, self.vehicle, c.particles * searched, self.rng)
         self.cloud = Cloud(self.rig, self._motions[0], state, Weights.equal(len(state)))
         self.views = views(frame, [self.cloud.reach()])
@@ -256,7 +255,9 @@ class Tracker:
             return initialization.along_path(start, self.plane, way, self.rig, guess, self.configuration, self.rng)
         assert self._first is not None
         images = self._first.left, frame.left
-        return initialization.as_matched(start, self.plane, self.rig, self.vehicle, *images, dt, self.rng)
+        return initialization.as_matched(
+            start, self.plane, self.rig, self.vehicle, *images, dt, self.configuration, self.rng
+        )
 
     # --- every further frame -----------------------------------------------------------------------------------------
 
@@ -304,7 +305,7 @@ class Tracker:
             self._unseen = 0
         if self._outside(mean, position):
             self.status = "ended"
-        elif self._unseen >= PATIENCE:
+        elif self._unseen >= self.configuration.tracking.max_occluded_frames:
             self.status = "lost"
         return Estimate(
             frame=frame.index,
