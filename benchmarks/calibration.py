@@ -19,7 +19,7 @@ from paceline.calibration.boards import Corners, detector, parse_board, same_way
 from paceline.calibration.parameters import NAMES, Rig, difference
 from paceline.errors import UnusableInput
 from paceline.geometry import triangulate
-from paceline.simulation.boards import Setup, corners_of, noisy, observations_of, random_setup, render
+from paceline.simulation.boards import CalibrationSetup, add_noise, corners_by_view, project_board, random_setup, render
 
 BOARDS = ("charuco:11x8:0.06:0.045:DICT_5X5_100", "charuco:7x5:0.1:0.075:DICT_4X4_50", "chessboard:9x6:0.06")
 SIZES = ((1280, 960), (1024, 768), (1920, 1080))
@@ -58,8 +58,8 @@ def run(task: tuple[int, bool]) -> Outcome:
         pairs, spoilt = _filmed(setup, rng)
         what = f"rendered, {views} views, {board.columns}x{board.rows}, {distortion} coefficients"
     else:
-        exact = observations_of(setup.poses, setup.rig, board, size)
-        pairs, spoilt = _spoilt(corners_of(noisy(rng, exact, sigma), board), rng, sigma)
+        exact = project_board(setup.poses, setup.rig, board, size)
+        pairs, spoilt = _spoilt(corners_by_view(add_noise(rng, exact, sigma), board), rng, sigma)
         what = f"{sigma:.2f} px, {views} views, {board.columns}x{board.rows}, {distortion} coefficients"
     began = time.perf_counter()
     found = Views(board, [View(str(i), *pair) for i, pair in enumerate(pairs)], [], (size, size), [])
@@ -106,7 +106,7 @@ def _spoilt(pairs: list[Pair], rng: np.random.Generator, sigma: float) -> tuple[
     return pairs, set(at)
 
 
-def _filmed(setup: Setup, rng: np.random.Generator) -> tuple[list[Pair], set[int]]:
+def _filmed(setup: CalibrationSetup, rng: np.random.Generator) -> tuple[list[Pair], set[int]]:
     """What the finder sees in rendered pictures; in one pair the board moves between the exposures."""
     find, pairs = detector(setup.board), []
     moved = int(rng.integers(len(setup.poses.t)))

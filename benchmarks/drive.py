@@ -18,10 +18,10 @@ from common import head, machine, row, share_out
 from follow_ablation import remedies
 
 from paceline.follow.configuration import FollowConfiguration
-from paceline.simulation.closed_loop.drive_yaml import scene_named
-from paceline.simulation.closed_loop.loop import LATENCY, ClosedLoop
-from paceline.simulation.closed_loop.named_scenes import SCENES
-from paceline.simulation.closed_loop.requirements import Figures, Requirement, judged
+from paceline.simulation.closed_loop.drive_yaml import resolve_drive
+from paceline.simulation.closed_loop.loop import LATENCY_S, ClosedLoop
+from paceline.simulation.closed_loop.named_scenes import NAMED_SCENES
+from paceline.simulation.closed_loop.requirements import DriveStatistics, Requirement, check_requirements
 
 SLOW = ("long", "motorway-100")
 
@@ -31,7 +31,7 @@ class Drive:
     scene: str
     seed: int
     kind: str
-    figures: Figures
+    figures: DriveStatistics
     requirements: list[Requirement]
     milliseconds: float  # of the tracker, median
 
@@ -43,12 +43,12 @@ class Drive:
 def run(item: tuple[str, int], latency: float, without: Sequence[str] = ()) -> Drive:
     scene, seed = item
     configuration = FollowConfiguration.model_validate(dict.fromkeys(without, False))
-    loop = ClosedLoop(scene_named(scene, seed), seed, latency, configuration=configuration)
-    figures, taken = Figures(), []
+    loop = ClosedLoop(resolve_drive(scene, seed), seed, latency, configuration=configuration)
+    figures, taken = DriveStatistics(), []
     for step in loop.steps():
         figures.add(step, loop.stage.world.body.width)
         taken.append(step.estimate.latency)
-    rows = judged(loop.model, figures)
+    rows = check_requirements(loop.model, figures)
     figures.forget()
     return Drive(scene, seed, loop.stage.scene.kind, figures, rows, 1e3 * float(np.median(taken)))
 
@@ -86,11 +86,11 @@ def cells(drives: list[Drive]) -> tuple[str, ...]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="Closed loops over scenes and seeds.")
-    quick = [name for name in SCENES if name not in SLOW]
-    parser.add_argument("--scene", nargs="+", choices=list(SCENES), default=quick, metavar="NAME")
+    quick = [name for name in NAMED_SCENES if name not in SLOW]
+    parser.add_argument("--scene", nargs="+", choices=list(NAMED_SCENES), default=quick, metavar="NAME")
     parser.add_argument("--n", type=int, default=3, help="seeds per scene")
     parser.add_argument("--seed", type=int, default=100, help="the first one")
-    parser.add_argument("--latency", type=float, default=LATENCY, help="s")
+    parser.add_argument("--latency", type=float, default=LATENCY_S, help="s")
     parser.add_argument("--without", nargs="+", choices=remedies(), default=[], metavar="REMEDY", help="switched off")
     parser.add_argument("--each", action="store_true", help="a row for every drive too")
     parser.add_argument("--workers", type=int, default=2, help="processes")

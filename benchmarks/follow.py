@@ -29,7 +29,7 @@ from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.tracker import FollowTracker
 from paceline.recordings.odometry import Pose
 from paceline.simulation.chase.clip import (
-    PRESETS,
+    CHASE_PRESETS,
     ChaseScene,
     ChaseTruth,
     render_frames,
@@ -312,7 +312,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Following rendered vehicles, beside other trackers.")
     parser.add_argument("--n", type=int, default=20, help="number of clips")
     parser.add_argument("--seed", type=int, default=500, help="seed of the first clip")
-    parser.add_argument("--preset", choices=sorted(PRESETS), default="nist", help="camera, speeds and distances")
+    parser.add_argument("--preset", choices=sorted(CHASE_PRESETS), default="nist", help="camera, speeds and distances")
     parser.add_argument("--frames", type=int, default=450, help="frames of each clip")
     parser.add_argument("--no-peers", action="store_true", help="leave OpenCV's and ViSP's trackers out")
     parser.add_argument("--long", action="store_true", help=f"one clip of {LONG} frames instead")

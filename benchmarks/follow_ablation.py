@@ -27,7 +27,7 @@ from paceline.follow.tracker import FollowTracker
 from paceline.recordings.monocular import CameraFrame
 from paceline.simulation.chase.clip import ChaseScene, ChaseTruth, Occlusion, render_frames
 from paceline.simulation.random_scenes import random_chase
-from paceline.simulation.vehicle_catalogue import DRAWN
+from paceline.simulation.vehicle_catalogue import RASTERIZED_KINDS
 
 CALM: dict[str, Any] = {"shadows": 0.0, "parallel": 0.0, "bounce": 2.0, "crowding": 0.5, "ambient": 0.6}
 SCENARIOS: dict[str, Callable[[int], dict[str, Any]]] = {
@@ -116,7 +116,7 @@ STARTED = {  # whether there is a probation, and when it is told what came of it
 
 def _run_starts(seed: int, frames: int) -> dict[tuple[str, str], Counter[str]]:
     """Verdicts by the start's error and how it is followed, over the frames of one clip."""
-    scene = random_chase(seed, frames=frames, kind=DRAWN[seed % len(DRAWN)])
+    scene = random_chase(seed, frames=frames, kind=RASTERIZED_KINDS[seed % len(RASTERIZED_KINDS)])
     pictures, truths = zip(*render_frames(scene), strict=True)
     taken = [(CameraFrame(t.frame, t.time, picture), None) for picture, t in zip(pictures, truths, strict=True)]
     counts = {(name, how): Counter[str]() for name in OFF for how in STARTED}

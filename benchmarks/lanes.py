@@ -18,7 +18,7 @@ from paceline.lanes.lane_proposals import Lane, propose
 from paceline.lanes.road_detection import NoRoad, find_road
 from paceline.recordings.background import empty_scene
 from paceline.recordings.stereo import open_recording
-from paceline.simulation.raytraced.scene import Stage
+from paceline.simulation.raytraced.scene import PlacedStereoScene
 from paceline.simulation.raytraced.scene_yaml import load_speed_scene
 
 Array = NDArray[np.float64]
@@ -29,7 +29,7 @@ SAME = 1.0  # m that a lane's middle may lie beside the true one
 HALF = 1.96
 
 
-def true_lanes(stage: Stage) -> list[Array]:
+def true_lanes(stage: PlacedStereoScene) -> list[Array]:
     """Centre lines (N, 3) in the left camera's frame of the lanes between painted lines that both pictures show."""
     s = np.arange(0.5, stage.road.length, 0.5)
     view, found = stage.views[0], []
@@ -67,7 +67,7 @@ def main(folders: list[Path]) -> None:
     widths, middles = [], []
     print("clip              lanes  found  false  width error, m (± 95 %)            middle, m  CPU, s")
     for folder in folders:
-        stage = Stage(load_speed_scene(folder / "scene.yaml"))
+        stage = PlacedStereoScene(load_speed_scene(folder / "scene.yaml"))
         truths, start = true_lanes(stage), time.process_time()
         clip = load_recorded(folder / "clip.yaml")
         try:

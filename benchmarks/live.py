@@ -29,7 +29,7 @@ from paceline.documents.loading import Clip, load_clip
 from paceline.documents.rig_yaml import rig_yaml
 from paceline.recordings.live_stereo import LiveViews, RawPair, undistorted
 from paceline.simulation.stereo.clip import Scene, Vehicle, World, render
-from paceline.simulation.stereo.scenery import Backdrop
+from paceline.simulation.stereo.scenery import StaticBackground
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.results import Measurement
 from paceline.survey.live import survey
@@ -71,7 +71,7 @@ def scene(k: int) -> Scene:
 def film(groups: int) -> Film:
     """An empty road, and group after group on it."""
     world, rng = World(scene(0)), np.random.default_rng(3)
-    stills = [Backdrop(world.scene, world.road, world.scene.seed).draw(view) for view in world.views]
+    stills = [StaticBackground(world.scene, world.road, world.scene.seed).draw(view) for view in world.views]
     views: tuple[list[NDArray[np.uint8]], list[NDArray[np.uint8]]] = [], []
     busy: list[bool] = []
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from paceline.cameras import View
 from paceline.simulation import textures
 from paceline.simulation.stereo.clip import Vehicle, World
-from paceline.simulation.stereo.scene import Pose, Road
-from paceline.simulation.stereo.textured_planes import Card, draw, paste
+from paceline.simulation.stereo.scene import CircularRoad, Pose
+from paceline.simulation.stereo.textured_planes import TexturedPlane, composite, draw_planes
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -36,7 +36,7 @@ class Shade:
     swing: float = 0.0
     frequency: float = 0.0
 
-    def cast(self, image: Image, road: Road, view: View, t: float) -> None:
+    def cast(self, image: Image, road: CircularRoad, view: View, t: float) -> None:
         """Darken the part of ``image`` (H, W) on which it lies at time ``t``, in place."""
         swing = self.swing * np.sin(2 * np.pi * self.frequency * t)
         s, x = self.s + self.velocity[0] * t + swing, self.x + self.velocity[1] * t + swing
@@ -93,7 +93,7 @@ def shades(world: World, rng: np.random.Generator, seconds: float) -> list[Shade
 class Bush:
     """Leaves beside the road that swing by ``swing`` m at ``frequency`` Hz."""
 
-    card: Card
+    card: TexturedPlane
     swing: float
     frequency: float
     phase: float
@@ -102,7 +102,7 @@ class Bush:
         a = 2 * np.pi * self.frequency * t + self.phase
         aside = self.swing * (np.sin(a) * self.card.across / np.linalg.norm(self.card.across))
         lift = 0.3 * self.swing * np.cos(1.7 * a) * self.card.down / np.linalg.norm(self.card.down)
-        paste(image, draw([replace(self.card, corner=self.card.corner + aside + lift)], view, 0.6, 1))
+        composite(image, draw_planes([replace(self.card, corner=self.card.corner + aside + lift)], view, 0.6, 1))
 
 
 def bushes(world: World, rng: np.random.Generator) -> list[Bush]:
@@ -113,7 +113,7 @@ def bushes(world: World, rng: np.random.Generator) -> list[Bush]:
         lateral = (lanes[0] if side < 0 else lanes[-1]) + side * (1.9 + 0.5 * width)
         foot = world.road.point(np.array(depth), lateral)
         across, down = world.road.level[:, 0] * width, world.road.down * height
-        card = Card(textures.tree(rng, width, height), foot - across / 2 - down, across, down)
+        card = TexturedPlane(textures.tree_texture(rng, width, height), foot - across / 2 - down, across, down)
         found.append(Bush(card, rng.uniform(0.05, 0.35), rng.uniform(0.3, 1.2), rng.uniform(0, 6)))
     return found
 

@@ -27,8 +27,8 @@ from paceline.documents.loading import Clip, load_clip
 from paceline.recordings.background import background_of
 from paceline.recordings.stereo import StereoFrame, open_recording
 from paceline.simulation.stereo.clip import RenderedClip, Scene, Vehicle, World, render, write
-from paceline.simulation.stereo.scenery import Backdrop, occluder
-from paceline.simulation.stereo.textured_planes import Card
+from paceline.simulation.stereo.scenery import StaticBackground, make_occluder
+from paceline.simulation.stereo.textured_planes import TexturedPlane
 
 KINDS = ("plain", "pole", "shadows", "bushes", "rain", "night", "noise", "light")
 FRAMES, VISIBLE = 8, 0.97  # in which so much of a face has to be seen in both views, for a vehicle to count,
@@ -149,7 +149,7 @@ def countable(of: Scene, kind: str) -> list[str]:
     world = World(of)
     before = [bush.card for bush in _bushes(world, kind)]
     if of.occluder:  # as the renderer draws it
-        before.append(occluder(world.road, world.poses[0][0], np.random.default_rng([of.seed, 17])))
+        before.append(make_occluder(world.road, world.poses[0][0], np.random.default_rng([of.seed, 17])))
     seen: Counter[str] = Counter()
     for k in range(of.frames):
         clear = set(_clear_in(world, 0, k, before)) & set(_clear_in(world, 1, k, before))
@@ -166,7 +166,7 @@ def _in_range(row: dict[str, object]) -> bool:
     return bool(row["inside"]) and NEAR <= np.array(row["position"])[2] <= FAR and bool((size >= LARGE).all())
 
 
-def _clear_in(world: World, i: int, k: int, before: list[Card]) -> Iterator[str]:
+def _clear_in(world: World, i: int, k: int, before: list[TexturedPlane]) -> Iterator[str]:
     """The vehicles of which nothing is hidden in a view by what is nearer."""
     view, nearer = world.views[i], np.zeros(world.scene.image_size[::-1], np.uint8)
     cards = sorted(before, key=lambda card: float(view.depth(card.corner)))
@@ -244,7 +244,7 @@ def empty_road(minutes: float, seed: int) -> Iterator[StereoFrame]:
     """A road on which nothing drives but shadows, between bushes in the wind and below trees, in changing light."""
     of = empty_scene(seed)
     world, rng = World(of), np.random.default_rng([seed, 41])
-    stills = [Backdrop(of, world.road, of.seed).draw(view) for view in world.views]
+    stills = [StaticBackground(of, world.road, of.seed).draw(view) for view in world.views]
     green, swaying = bushes(world, rng), [s for s in shades(world, rng, 1.0) if s.swing]
     sliding: list[Shade] = []
     for k in range(int(60 * minutes * EMPTY_RATE)):

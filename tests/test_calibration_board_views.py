@@ -14,25 +14,25 @@ from paceline.calibration.boards import Board, Corners, detector, parse_board, s
 from paceline.calibration.parameters import N_LENS, Poses, difference
 from paceline.errors import UnusableInput
 from paceline.simulation import boards
-from paceline.simulation.boards import Setup
+from paceline.simulation.boards import CalibrationSetup
 
 BOARD = parse_board("charuco:7x6:0.08:0.06:DICT_5X5_100")
 SIGMA = 0.15
 
 
-def corners(seed: int, views: int = 14, distortion: int = 2) -> tuple[Setup, list[tuple[Corners, Corners]]]:
+def corners(seed: int, views: int = 14, distortion: int = 2) -> tuple[CalibrationSetup, list[tuple[Corners, Corners]]]:
     rng = np.random.default_rng(seed)
     setup = boards.random_setup(rng, BOARD, views, distortion=distortion)
-    exact = boards.observations_of(setup.poses, setup.rig, BOARD, setup.size)
-    return setup, boards.corners_of(boards.noisy(rng, exact, SIGMA), BOARD)
+    exact = boards.project_board(setup.poses, setup.rig, BOARD, setup.size)
+    return setup, boards.corners_by_view(boards.add_noise(rng, exact, SIGMA), BOARD)
 
 
-def views_of(setup: Setup, pairs: list[tuple[Corners, Corners]]) -> Views:
+def views_of(setup: CalibrationSetup, pairs: list[tuple[Corners, Corners]]) -> Views:
     views = [View(f"{i:02d}.png", *pair) for i, pair in enumerate(pairs)]
     return Views(BOARD, views, [], (setup.size, setup.size), [])
 
 
-def calibrated(seed: int, **options: int) -> tuple[Setup, Calibration]:
+def calibrated(seed: int, **options: int) -> tuple[CalibrationSetup, Calibration]:
     setup, pairs = corners(seed, **options)
     return setup, calibrate(views_of(setup, pairs))
 
@@ -58,8 +58,8 @@ def test_the_lens_model_is_chosen_by_evidence(k1: float) -> None:
     setup, _ = corners(41)
     setup.rig.lenses[:, 4:] = 0.0
     setup.rig.lenses[:, 4] = k1
-    exact = boards.observations_of(setup.poses, setup.rig, BOARD, setup.size)
-    pairs = boards.corners_of(boards.noisy(np.random.default_rng(1), exact, SIGMA), BOARD)
+    exact = boards.project_board(setup.poses, setup.rig, BOARD, setup.size)
+    pairs = boards.corners_by_view(boards.add_noise(np.random.default_rng(1), exact, SIGMA), BOARD)
     found = calibrate(views_of(setup, pairs))
     assert found.distortion == min(found.held_out, key=lambda name: found.held_out[name])
     assert (found.held_out["none"] > 1.2 * found.held_out["k1"]) == (k1 != 0)
@@ -164,8 +164,8 @@ def test_a_board_that_is_never_tilted_is_refused_or_told() -> None:
     rng = np.random.default_rng(62)
     setup = boards.random_setup(rng, BOARD, 12)
     flat = Poses(np.tile(np.eye(3), (12, 1, 1)), setup.poses.t)
-    exact = boards.observations_of(flat, setup.rig, BOARD, setup.size)
-    pairs = boards.corners_of(boards.noisy(rng, exact, SIGMA), BOARD)
+    exact = boards.project_board(flat, setup.rig, BOARD, setup.size)
+    pairs = boards.corners_by_view(boards.add_noise(rng, exact, SIGMA), BOARD)
     with pytest.raises(UnusableInput, match="add views in which the board is tilted"):
         calibrate(views_of(setup, pairs))
 
@@ -229,7 +229,7 @@ def test_corners_are_found_where_they_are(text: str) -> None:
     board = parse_board(text)
     rng = np.random.default_rng(71)
     setup = boards.random_setup(rng, board, 1, (1024, 768), distortion=5)
-    exact = boards.observations_of(setup.poses, setup.rig, board, setup.size)
+    exact = boards.project_board(setup.poses, setup.rig, board, setup.size)
     find = detector(board)
     for side, picture in enumerate(boards.render(setup, 0, rng)):
         found = find(picture.astype(np.float32))
@@ -260,8 +260,8 @@ def test_a_chessboard_is_counted_from_the_same_end_in_both_views() -> None:
 
 def test_the_mixture_is_the_chosen_models_own_where_the_others_are_out_of_the_question() -> None:
     setup, pairs = corners(81)
-    seen = boards.observations_of(setup.poses, setup.rig, BOARD, setup.size)
-    seen = boards.noisy(np.random.default_rng(2), seen, SIGMA)
+    seen = boards.project_board(setup.poses, setup.rig, BOARD, setup.size)
+    seen = boards.add_noise(np.random.default_rng(2), seen, SIGMA)
     models = board_calibration.lens_models(setup.rig, setup.poses, seen)
     alone = {name: m if name == "k1, k2" else replace(m, squares=m.squares + 100) for name, m in models.items()}
     np.testing.assert_allclose(board_calibration.mixed_covariance(alone, "k1, k2"), models["k1, k2"].fit.covariance)

@@ -11,7 +11,7 @@ from paceline.calibration.bundle_adjustment import errors_by_view, fit
 from paceline.calibration.initialization import first_rig
 from paceline.calibration.parameters import N_LENS, Observations, difference, free_parameters, project
 from paceline.simulation import boards
-from paceline.simulation.boards import Setup
+from paceline.simulation.boards import CalibrationSetup
 
 BOARD = parse_board("charuco:9x7:0.06:0.045:DICT_5X5_100")
 LENS = "k1, k2"
@@ -19,11 +19,11 @@ FREE = free_parameters(LENS)
 SIGMA = 0.2  # px
 
 
-def filmed(seed: int, views: int = 10) -> tuple[Setup, Observations, Observations]:
+def filmed(seed: int, views: int = 10) -> tuple[CalibrationSetup, Observations, Observations]:
     rng = np.random.default_rng(seed)
     setup = boards.random_setup(rng, BOARD, views)
-    exact = boards.observations_of(setup.poses, setup.rig, BOARD, setup.size)
-    return setup, exact, boards.noisy(rng, exact, SIGMA)
+    exact = boards.project_board(setup.poses, setup.rig, BOARD, setup.size)
+    return setup, exact, boards.add_noise(rng, exact, SIGMA)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -89,7 +89,7 @@ def test_stated_uncertainties_are_those_that_errors_have() -> None:
     setup, exact, _ = filmed(11)
     z = []
     for seed in range(60):
-        seen = boards.noisy(np.random.default_rng(1000 + seed), exact, SIGMA)
+        seen = boards.add_noise(np.random.default_rng(1000 + seed), exact, SIGMA)
         found = fit(setup.rig, setup.poses, seen, FREE)
         z.append(difference(found.rig, setup.rig)[FREE] / np.sqrt(np.diag(found.covariance))[FREE])
     spread = np.sqrt((np.array(z) ** 2).mean(0))
@@ -108,9 +108,9 @@ def test_errors_common_to_a_view_widen_the_covariance() -> None:
     middle = np.stack([exact.pixels[(exact.view == v) & (exact.side == s)].mean(0) for v in range(14) for s in (0, 1)])
     from_middle = exact.pixels - middle[2 * exact.view + exact.side]
     bent = Observations(exact.view, exact.side, exact.points, exact.pixels + stretch * from_middle)
-    found = fit(setup.rig, setup.poses, boards.noisy(rng, bent, 0.05), FREE)
+    found = fit(setup.rig, setup.poses, boards.add_noise(rng, bent, 0.05), FREE)
     assert found.dispersion > 2 * found.sigma**2
-    even = fit(setup.rig, setup.poses, boards.noisy(rng, exact, 0.05), FREE)
+    even = fit(setup.rig, setup.poses, boards.add_noise(rng, exact, 0.05), FREE)
     assert even.dispersion < 2 * even.sigma**2
 
 

@@ -16,7 +16,7 @@ from paceline.calibration.boards import parse_board
 from paceline.calibration.parameters import Poses
 from paceline.documents.loading import load_rig
 from paceline.simulation import boards
-from paceline.simulation.boards import Setup
+from paceline.simulation.boards import CalibrationSetup
 
 BOARD = "charuco:7x5:0.09:0.065:DICT_4X4_50"
 VIEWS, SIZE = 9, (800, 600)
@@ -24,12 +24,12 @@ MOVED, UNSEEN = 3, 6
 
 
 @pytest.fixture(scope="session")
-def filmed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Setup]:
+def filmed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, CalibrationSetup]:
     """Two folders of pictures; in one pair the board has moved between the exposures, one shows no board."""
     folder = tmp_path_factory.mktemp("board")
     rng = np.random.default_rng(3)
     setup = boards.random_setup(rng, parse_board(BOARD), VIEWS, SIZE)
-    later = Setup(setup.rig, SIZE, setup.board, Poses(setup.poses.R, setup.poses.t + [0.006, 0.004, 0]))
+    later = CalibrationSetup(setup.rig, SIZE, setup.board, Poses(setup.poses.R, setup.poses.t + [0.006, 0.004, 0]))
     for side in ("left", "right"):
         (folder / side).mkdir()
     for v in range(VIEWS):
@@ -44,7 +44,7 @@ def filmed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Setup]:
 
 
 @pytest.fixture
-def pictures(filmed: tuple[Path, Setup], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def pictures(filmed: tuple[Path, CalibrationSetup], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A copy of the folders, to spoil, and to work in."""
     for side in ("left", "right"):
         shutil.copytree(filmed[0] / side, tmp_path / side)
@@ -61,7 +61,7 @@ def refused(*arguments: str) -> str:
     return done.stderr
 
 
-def test_pictures_become_a_rig(filmed: tuple[Path, Setup], tmp_path: Path) -> None:
+def test_pictures_become_a_rig(filmed: tuple[Path, CalibrationSetup], tmp_path: Path) -> None:
     folder, setup = filmed
     out = tmp_path / "new" / "rig.yaml"
     done = paceline("calibrate", folder / "left", folder / "right", "--board", BOARD, "-o", out)
@@ -95,7 +95,9 @@ def test_pictures_become_a_rig(filmed: tuple[Path, Setup], tmp_path: Path) -> No
     assert picture.shape[0] > 600
 
 
-def test_videos_do_as_well(filmed: tuple[Path, Setup], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_videos_do_as_well(
+    filmed: tuple[Path, CalibrationSetup], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     folder, _ = filmed
     for side in ("left", "right"):
         with av.open(tmp_path / f"{side}.mkv", "w") as container:

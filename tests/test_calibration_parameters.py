@@ -20,7 +20,7 @@ def setup(seed: int) -> tuple[Rig, Poses, Observations]:
     rng = np.random.default_rng(seed)
     s = boards.random_setup(rng, BOARD, 3, distortion=5)
     s.rig.lenses[:, 4:] = rng.normal(0, [0.2, 0.1, 2e-3, 2e-3, 0.05], (2, 5))
-    return s.rig, s.poses, boards.observations_of(s.poses, s.rig, BOARD, (10000, 10000))
+    return s.rig, s.poses, boards.project_board(s.poses, s.rig, BOARD, (10000, 10000))
 
 
 @pytest.mark.parametrize("seed", range(5))

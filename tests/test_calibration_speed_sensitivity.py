@@ -27,8 +27,8 @@ SIZES = ((1280, 960), (1280, 960))
 def calibrated(seed: int) -> tuple[Rig, np.ndarray]:
     rng = np.random.default_rng(seed)
     setup = boards.random_setup(rng, BOARD, 15)
-    exact = boards.observations_of(setup.poses, setup.rig, BOARD, setup.size)
-    found = fit(setup.rig, setup.poses, boards.noisy(rng, exact, 0.1), free_parameters("k1, k2"))
+    exact = boards.project_board(setup.poses, setup.rig, BOARD, setup.size)
+    found = fit(setup.rig, setup.poses, boards.add_noise(rng, exact, 0.1), free_parameters("k1, k2"))
     return found.rig, found.covariance
 
 

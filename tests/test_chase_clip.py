@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from paceline.documents.loading import load_follow
 from paceline.simulation.chase.clip import ChaseScene, ChaseTruth, Occlusion, render_frames, target_document, write
-from paceline.simulation.chase.motion import STEP, Road, place, winding
-from paceline.simulation.chase.projection import Atlas, Eye, Sun, draw, faces_of
+from paceline.simulation.chase.motion import ROAD_STEP_M, TabulatedRoad, road_pose, winding_road
+from paceline.simulation.chase.projection import CameraPose, Sun, TextureAtlas, draw_faces, place_faces
 from paceline.simulation.chase.rasterizer import road_coordinates
-from paceline.simulation.chase.script import Script
-from paceline.simulation.chase.vehicles import Face, Sheet
+from paceline.simulation.chase.script import ChaseScript
+from paceline.simulation.chase.vehicles import AntialiasedCanvas, Face
 from paceline.simulation.random_scenes import random_chase
 
 Array = NDArray[np.float64]
@@ -61,16 +61,16 @@ def centroid_within(outline: Array) -> Array:
 def test_a_plain_card_lies_where_its_projection_says(distance: float, yaw: float, n: int) -> None:
     K = np.array([[300.0, 0, 127.5], [0, 300, 120.5], [0, 0, 1]])
     R = np.asarray(cv2.Rodrigues(np.array([0.04, 0.0, 0.02]))[0], float)
-    road, atlas = Road(np.zeros(401), 200.0), Atlas()
-    state = place(road, 20 + distance, 0.31, 0.0)
-    card = Face(Sheet(1.9, 1.4, 200.0, density=50).finish(), (-0.95, -1.9, 0.0), (1.9, 0, 0), (0, 1.4, 0))
-    faces = faces_of((card,), atlas, road, replace(state, heading=state.heading + yaw))
+    road, atlas = TabulatedRoad(np.zeros(401), 200.0), TextureAtlas()
+    state = road_pose(road, 20 + distance, 0.31, 0.0)
+    card = Face(AntialiasedCanvas(1.9, 1.4, 200.0, density=50).finish(), (-0.95, -1.9, 0.0), (1.9, 0, 0), (0, 1.4, 0))
+    faces = place_faces((card,), atlas, road, replace(state, heading=state.heading + yaw))
     atlas.close()
-    origin = place(road, 20.0, 0.0, 0.0)
-    eye = Eye(K, R, 2.0, origin.x, origin.y, origin.heading)
+    origin = road_pose(road, 20.0, 0.0, 0.0)
+    eye = CameraPose(K, R, 2.0, origin.x, origin.y, origin.heading)
     canvas = np.zeros((242 * n, 256 * n, 2), np.float32)
     to_canvas = np.array([[n, 0, 0.5 * n - 0.5], [0, n, 0.5 * n - 0.5], [0, 0, 1.0]])
-    draw(canvas, faces, atlas, eye, Sun(3.0, 0.8, 0.4), np.ones((64, 64), np.float32), to_canvas)
+    draw_faces(canvas, faces, atlas, eye, Sun(3.0, 0.8, 0.4), np.ones((64, 64), np.float32), to_canvas)
     coverage = cv2.resize(canvas[..., 1], (256, 242), interpolation=cv2.INTER_AREA).astype(float)
     flat = np.array([[-0.95, -1.9], [0.95, -1.9], [0.95, -0.5], [-0.95, -0.5]])
     right, ahead = 0.31 + flat[:, 0] * np.cos(yaw), distance + flat[:, 0] * np.sin(yaw)
@@ -114,7 +114,7 @@ def test_the_leads_outline_lies_where_its_corners_say() -> None:
 
 def test_the_position_is_what_the_corners_tell() -> None:
     scene = replace(BEHIND, kind="van", yaw=0.1)
-    script = Script(scene)
+    script = ChaseScript(scene)
     x, y = script.world.body.width / 2, script.world.body.height / 2
     plane = np.array([[-x, -y, 0], [x, -y, 0], [x, y, 0], [-x, y, 0]])
     for t in (0.0, 0.7, 2.1):
@@ -126,7 +126,7 @@ def test_the_position_is_what_the_corners_tell() -> None:
 def test_the_chase_vehicle_moves_where_it_heads_and_so_does_the_lead() -> None:
     """Odometry and positions, put together as a follower would, give two smooth paths along their headings."""
     scene = replace(BEHIND, radius=120.0, weave=0.7, bounce=0.0, tilt=0.0, frames=150)
-    script = Script(scene)
+    script = ChaseScript(scene)
     moments = [script.moment(k / 15) for k in range(150)]
     eyes = np.array([[m.eye.x, m.eye.y, m.eye.heading] for m in moments])
     ahead, right = (np.array([m.position[i] for m in moments]) for i in (2, 0))
@@ -146,23 +146,23 @@ def test_the_chase_vehicle_moves_where_it_heads_and_so_does_the_lead() -> None:
 def test_vehicles_accelerate_as_vehicles_can(preset: str) -> None:
     for seed in range(4):
         scene = random_chase(seed, preset, crowding=0.0, traffic=False)
-        script = Script(scene)
+        script = ChaseScript(scene)
         gap = np.array([script.moment(k / scene.rate).gap for k in range(scene.frames)])
         assert scene.gap[0] - 1 < gap.min() < gap.max() < scene.gap[1] + 1
         assert np.abs(np.diff(gap, 2)).max() * scene.rate**2 < 6.0
 
 
 def test_road_and_things_lie_in_one_plan() -> None:
-    road = winding(np.random.default_rng(3), 400.0, 110.0)
+    road = winding_road(np.random.default_rng(3), 400.0, 110.0)
     for s0 in (20.0, 90.0, 200.0):
-        origin = place(road, s0, 0.4, 0.02)
-        eye = Eye(np.eye(3), np.eye(3), 2.0, origin.x, origin.y, origin.heading)
+        origin = road_pose(road, s0, 0.4, 0.02)
+        eye = CameraPose(np.eye(3), np.eye(3), 2.0, origin.x, origin.y, origin.heading)
         table = road.ahead(s0, origin.x, origin.y, origin.heading, 120.0)
         for distance in (5.0, 15.0, 40.0, 70.0):
             for lateral in (-4.0, 0.0, 1.75):
-                spot = place(road, s0 + distance, lateral, 0.0)
+                spot = road_pose(road, s0 + distance, lateral, 0.0)
                 right, ahead = eye.level(spot.x, spot.y)
-                found = road_coordinates(float(ahead), float(right), table, STEP)
+                found = road_coordinates(float(ahead), float(right), table, ROAD_STEP_M)
                 np.testing.assert_allclose(found, (distance, lateral), atol=0.03)
 
 
@@ -217,7 +217,7 @@ def test_shadows_and_brake_lamps_show() -> None:
     shaded, _ = frames(replace(BEHIND, seed=8, shadows=1.5))
     assert np.mean([np.mean(b < 0.8 * a.astype(float)) for a, b in zip(lit, shaded, strict=True)]) > 0.05
     scene = replace(BEHIND, brakes=True, gap=(8.0, 25.0), frames=300)
-    script = Script(scene)
+    script = ChaseScript(scene)
     braking = [script.moment(k / 15).braking for k in range(300)]
     assert 0.05 < np.mean(braking) < 0.95
 

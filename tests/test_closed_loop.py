@@ -12,27 +12,27 @@ from hypothesis import strategies as st
 from selection import slow_after
 
 from paceline.recordings.odometry import Pose
-from paceline.simulation.chase.motion import STEP, Road, winding
-from paceline.simulation.closed_loop.clearance import apart, outline
-from paceline.simulation.closed_loop.drive_yaml import DriveModel, scene_named
+from paceline.simulation.chase.motion import ROAD_STEP_M, TabulatedRoad, winding_road
+from paceline.simulation.closed_loop.clearance import outline_distance, vehicle_outline
+from paceline.simulation.closed_loop.drive_yaml import DriveModel, resolve_drive
 from paceline.simulation.closed_loop.gap_control import (
     GapController,
     GapPolicy,
     LeadFilter,
-    braking_needed,
-    headway_law,
+    headway_acceleration,
+    required_braking,
 )
-from paceline.simulation.closed_loop.human_throttle import Operator
-from paceline.simulation.closed_loop.lead_vehicle import LaneChange, Lead, Weave, road_of
-from paceline.simulation.closed_loop.loop import ClosedLoop, Step
-from paceline.simulation.closed_loop.named_scenes import SCENES
+from paceline.simulation.closed_loop.human_throttle import HumanThrottle
+from paceline.simulation.closed_loop.lead_vehicle import LaneChange, LeadVehicle, Weave, road_from_pieces
+from paceline.simulation.closed_loop.loop import ClosedLoop, LoopStep
+from paceline.simulation.closed_loop.named_scenes import NAMED_SCENES
 from paceline.simulation.closed_loop.odometer import Odometer, OdometerErrors
-from paceline.simulation.closed_loop.requirements import LAST, Figures, judged
+from paceline.simulation.closed_loop.requirements import FINAL_FRAMES, DriveStatistics, check_requirements
 from paceline.simulation.closed_loop.results import DriveLog
-from paceline.simulation.closed_loop.vehicle_dynamics import Vehicle
+from paceline.simulation.closed_loop.vehicle_dynamics import VehicleParameters
 
 POLICY = GapPolicy()
-STRAIGHT = Road(np.zeros(2001), 1000.0)
+STRAIGHT = TabulatedRoad(np.zeros(2001), 1000.0)
 
 
 # --- the lead --------------------------------------------------------------------------------------------------------
@@ -40,7 +40,7 @@ STRAIGHT = Road(np.zeros(2001), 1000.0)
 
 def test_the_lead_keeps_to_its_speeds() -> None:
     speeds = np.array([[0.0, 8.0], [4.0, 8.0], [6.0, 0.0], [9.0, 0.0], [13.0, 6.0]])
-    lead = Lead(STRAIGHT, 20.0, 20.0, speeds)
+    lead = LeadVehicle(STRAIGHT, 20.0, 20.0, speeds)
     for t in (0.0, 2.0, 4.5, 5.5, 8.0, 11.0, 18.0):
         assert lead.speed_at(t) == pytest.approx(np.interp(t, speeds[:, 0], speeds[:, 1]), abs=0.05)
     t = np.linspace(0, 20, 4001)
@@ -50,8 +50,8 @@ def test_the_lead_keeps_to_its_speeds() -> None:
 
 
 def test_it_slows_for_a_bend_in_time_and_no_more_than_needed() -> None:
-    road = road_of([(100.0, 0.0), (60.0, 1 / 25.0)], 400.0)
-    lead = Lead(road, 10.0, 40.0, np.array([[0.0, 12.0]]), bends=1.5)
+    road = road_from_pieces([(100.0, 0.0), (60.0, 1 / 25.0)], 400.0)
+    lead = LeadVehicle(road, 10.0, 40.0, np.array([[0.0, 12.0]]), bends=1.5)
     curvature = np.abs(np.interp(lead.arc, road.s, road.curvature))
     assert (lead.speed**2 * curvature).max() < 1.5 * 1.05
     assert lead.speed[curvature > 0.039].mean() == pytest.approx(np.sqrt(1.5 * 25), rel=0.03)
@@ -59,13 +59,13 @@ def test_it_slows_for_a_bend_in_time_and_no_more_than_needed() -> None:
 
 
 def test_a_road_of_pieces_turns_by_what_they_say() -> None:
-    road = road_of([(50.0, 0.0), (20 * np.pi / 2, 1 / 20.0)], 200.0)
+    road = road_from_pieces([(50.0, 0.0), (20 * np.pi / 2, 1 / 20.0)], 200.0)
     assert road.heading[0] == pytest.approx(0.0, abs=1e-6)
     assert road.heading[-1] == pytest.approx(-np.pi / 2, abs=0.05)  # to the right
 
 
 def test_lane_changes_and_weaving_lie_on_the_path() -> None:
-    lead = Lead(
+    lead = LeadVehicle(
         STRAIGHT, 10.0, 60.0, np.array([[0.0, 10.0]]), (LaneChange(5.0, 4.0, -3.5),), (Weave(20.0, 40.0, 1.0, 8.0),)
     )
     assert float(lead.lateral(59.0)) == 0.0
@@ -78,8 +78,8 @@ def test_lane_changes_and_weaving_lie_on_the_path() -> None:
 @settings(max_examples=40, deadline=None)
 @given(st.floats(40.0, 300.0), st.floats(-3.0, 3.0), st.integers(0, 5))
 def test_the_offset_from_the_path_is_what_was_put_there(arc: float, offset: float, seed: int) -> None:
-    road = winding(np.random.default_rng(seed), 400.0, 60.0)
-    lead = Lead(road, 10.0, 30.0, np.array([[0.0, 10.0]]), (LaneChange(6.0, 4.0, 2.0),))
+    road = winding_road(np.random.default_rng(seed), 400.0, 60.0)
+    lead = LeadVehicle(road, 10.0, 30.0, np.array([[0.0, 10.0]]), (LaneChange(6.0, 4.0, 2.0),))
     p = lead.state_at_arc(arc)
     x, y = p.x + offset * np.sin(p.heading), p.y - offset * np.cos(p.heading)
     found, beside = lead.offset(x, y, arc + 5.0)
@@ -90,10 +90,10 @@ def test_the_offset_from_the_path_is_what_was_put_there(arc: float, offset: floa
 @settings(max_examples=30, deadline=None)
 @given(st.floats(20.0, 300.0), st.floats(-4.0, 4.0), st.integers(0, 5))
 def test_a_point_beside_the_road_is_found_again(arc: float, lateral: float, seed: int) -> None:
-    road = winding(np.random.default_rng(seed), 400.0, 60.0)
+    road = winding_road(np.random.default_rng(seed), 400.0, 60.0)
     x, y, _ = (float(v) for v in road.frame(arc, lateral))
     # the axis is a polygon of half metres
-    np.testing.assert_allclose(road.beside(x, y, arc - 3.0), (arc, lateral), atol=STEP * 4 / 60 + 0.01)
+    np.testing.assert_allclose(road.beside(x, y, arc - 3.0), (arc, lateral), atol=ROAD_STEP_M * 4 / 60 + 0.01)
 
 
 # --- spacing ---------------------------------------------------------------------------------------------------------
@@ -103,7 +103,7 @@ def test_a_point_beside_the_road_is_found_again(arc: float, lateral: float, seed
 @given(st.floats(1.0, 28.0), st.floats(0.0, 28.0), st.floats(0.0, 6.0), st.floats(6.0, 90.0))
 def test_the_braking_needed_is_just_enough(speed: float, lead_speed: float, braking: float, gap: float) -> None:
     """Simulated: with it the gap shrinks to the least one, with a tenth less to below it."""
-    needed = braking_needed(POLICY, speed, gap, lead_speed, -braking)
+    needed = required_braking(POLICY, speed, gap, lead_speed, -braking)
     least = POLICY.standstill - POLICY.margin
     if not 0.05 < needed < 50.0 or speed / (0.9 * needed) > 55.0:  # the simulation below ends after a minute
         return
@@ -124,9 +124,9 @@ def test_the_braking_needed_is_just_enough(speed: float, lead_speed: float, brak
 
 def test_at_the_wanted_gap_nothing_is_asked_for() -> None:
     for speed in (2.0, 9.0):
-        assert headway_law(POLICY, speed, POLICY.wanted(speed), speed, 0.0) == pytest.approx(0.0)
-        assert headway_law(POLICY, speed, POLICY.wanted(speed) + 2, speed, 0.0) > 0.3
-        assert headway_law(POLICY, speed, POLICY.wanted(speed) - 2, speed, 0.0) < -0.3
+        assert headway_acceleration(POLICY, speed, POLICY.wanted(speed), speed, 0.0) == pytest.approx(0.0)
+        assert headway_acceleration(POLICY, speed, POLICY.wanted(speed) + 2, speed, 0.0) > 0.3
+        assert headway_acceleration(POLICY, speed, POLICY.wanted(speed) - 2, speed, 0.0) < -0.3
 
 
 def test_the_filter_finds_speed_and_acceleration() -> None:
@@ -198,7 +198,7 @@ def test_a_lead_that_is_gone_means_a_stop_and_a_short_gap_in_sight_does_not() ->
 
 
 def test_the_operator_keeps_off_and_stands_with_the_lead() -> None:
-    operator = Operator(POLICY, (6.5, 15.0), np.random.default_rng(2))
+    operator = HumanThrottle(POLICY, (6.5, 15.0), np.random.default_rng(2))
     v, d, w, nearest = 9.0, 12.0, 9.0, 99.0
     for k in range(40 * 15):
         t = k / 15
@@ -234,13 +234,13 @@ def test_without_errors_the_odometer_tells_the_way_and_with_them_nearly() -> Non
 
 
 def test_outlines_are_as_far_apart_as_they_are() -> None:
-    a = outline(0.0, 0.0, 0.0, -1.0, 4.0, 2.0)
-    assert apart(a, outline(10.0, 0.0, 0.0, 0.0, 4.0, 2.0)) == pytest.approx(6.0)
-    assert apart(a, outline(0.0, 5.0, 0.0, -1.0, 4.0, 2.0)) == pytest.approx(3.0)
-    assert apart(a, outline(7.0, 4.0, 0.0, 0.0, 4.0, 2.0)) == pytest.approx(np.hypot(3.0, 2.0))
-    assert apart(a, outline(3.9, 0.5, 0.4, 0.0, 4.0, 2.0)) == 0.0
-    turned = outline(0.0, -4.0, np.pi / 4, -1.0, 1.0, 2.0)
-    assert apart(a, turned) == pytest.approx(3.0 - np.sqrt(2.0))
+    a = vehicle_outline(0.0, 0.0, 0.0, -1.0, 4.0, 2.0)
+    assert outline_distance(a, vehicle_outline(10.0, 0.0, 0.0, 0.0, 4.0, 2.0)) == pytest.approx(6.0)
+    assert outline_distance(a, vehicle_outline(0.0, 5.0, 0.0, -1.0, 4.0, 2.0)) == pytest.approx(3.0)
+    assert outline_distance(a, vehicle_outline(7.0, 4.0, 0.0, 0.0, 4.0, 2.0)) == pytest.approx(np.hypot(3.0, 2.0))
+    assert outline_distance(a, vehicle_outline(3.9, 0.5, 0.4, 0.0, 4.0, 2.0)) == 0.0
+    turned = vehicle_outline(0.0, -4.0, np.pi / 4, -1.0, 1.0, 2.0)
+    assert outline_distance(a, turned) == pytest.approx(3.0 - np.sqrt(2.0))
 
 
 # --- the loop --------------------------------------------------------------------------------------------------------
@@ -258,11 +258,11 @@ def loop_of(seed: int = 3, latency: float = 0.128, **changes: Any) -> ClosedLoop
 
 
 def test_a_short_drive_follows_and_its_figures_hold() -> None:
-    loop, figures, log = loop_of(), Figures(), DriveLog(keep=32)
+    loop, figures, log = loop_of(), DriveStatistics(), DriveLog(keep=32)
     for step in loop.steps():
         figures.add(step, loop.stage.world.body.width)
         log.add(step)
-    rows = judged(loop.model, figures)
+    rows = check_requirements(loop.model, figures)
     assert all(r.holds for r in rows), rows
     assert figures.frames == loop.frames == 90
     assert figures.path_rms < 0.1 and figures.range_rms < 0.02
@@ -275,18 +275,18 @@ def test_a_short_drive_follows_and_its_figures_hold() -> None:
 def test_a_twin_that_cuts_in_is_not_followed(seed: int) -> None:
     """A van between that looks as the van ahead, and a saloon before a saloon: what was seen to come is not the lead.
     Before, both were taken for it after seconds."""
-    loop, figures = ClosedLoop(scene_named("cuts-in", seed), seed), Figures()
+    loop, figures = ClosedLoop(resolve_drive("cuts-in", seed), seed), DriveStatistics()
     for step in loop.steps():
         figures.add(step, loop.stage.world.body.width)
     assert figures.wrong == 0
-    assert all(r.holds for r in judged(loop.model, figures))
+    assert all(r.holds for r in check_requirements(loop.model, figures))
 
 
 def test_pictures_come_from_where_the_plant_is() -> None:
     """The lead's place in the camera's axes is that of both vehicles in plan, whatever body and road do."""
     for step in loop_of(look=SHORT["look"] | {"bounce": 5.0}).steps():
         eye = step.truth
-        ahead = Vehicle().camera_ahead
+        ahead = VehicleParameters().camera_ahead
         assert np.hypot(eye.x - step.chase.x, eye.y - step.chase.y) == pytest.approx(ahead, abs=1e-6)
         level = np.hypot(step.lead.x - eye.x, step.lead.y - eye.y)
         assert np.linalg.norm(step.truth.position) == pytest.approx(level, abs=0.35)  # the rest is the height
@@ -297,7 +297,7 @@ def test_pictures_come_from_where_the_plant_is() -> None:
 def test_commands_come_late_by_the_latency() -> None:
     """At the first cycles nothing acts yet; a longer latency acts later and no sooner."""
     for latency in (0.05, 0.4):
-        steps: list[Step] = []
+        steps: list[LoopStep] = []
         for step in loop_of(latency=latency, lead=SHORT["lead"] | {"speed": [[0.0, 8.0], [0.1, 3.0]]}).steps():
             steps.append(step)
             assert step.asked.time == pytest.approx(step.time + latency)
@@ -319,32 +319,32 @@ def test_the_same_seed_drives_the_same_and_another_does_not() -> None:
 
 
 def test_what_does_not_hold_is_told() -> None:
-    loop, figures = loop_of(), Figures()
+    loop, figures = loop_of(), DriveStatistics()
     for step in loop.steps():
         figures.add(replace(step, path_error=2.0, clearance=0.0), loop.stage.world.body.width)
         if step.frame == 20:
             break
-    failed = {r.what for r in judged(loop.model, figures) if not r.holds}
+    failed = {r.what for r in check_requirements(loop.model, figures) if not r.holds}
     assert failed == {"least distance to another vehicle", "path error, RMS", "path error, greatest"}
 
 
 @pytest.mark.parametrize(
     ("ending", "follows"),
     [
-        (["tracking"] * LAST, True),
+        (["tracking"] * FINAL_FRAMES, True),
         (["coasting", "tracking", "coasting"] + ["tracking"] * 9 + ["coasting"] + ["tracking"] * 2, True),
-        (["coasting"] * 4 + ["tracking"] * (LAST - 4), False),
-        (["coasting"] * 5 + ["tracking"] * LAST, True),
-        (["tracking"] * (LAST - 1) + ["lost"], False),
+        (["coasting"] * 4 + ["tracking"] * (FINAL_FRAMES - 4), False),
+        (["coasting"] * 5 + ["tracking"] * FINAL_FRAMES, True),
+        (["tracking"] * (FINAL_FRAMES - 1) + ["lost"], False),
     ],
 )
 def test_who_follows_at_the_end_may_have_coasted_over_single_frames(ending: list[str], follows: bool) -> None:
-    assert Figures(_ending=ending[-LAST:]).ends_tracking == follows
+    assert DriveStatistics(_ending=ending[-FINAL_FRAMES:]).ends_tracking == follows
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", NAMED_SCENES)
 def test_named_scenes_are_documents_and_vary_with_the_seed(name: str) -> None:
     for seed in range(5):
-        model = scene_named(name, seed)
+        model = resolve_drive(name, seed)
         assert model.name == name
         assert DriveModel.model_validate(model.model_dump()) == model

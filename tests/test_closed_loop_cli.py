@@ -17,15 +17,15 @@ from run_command import assert_one_line_error, paceline
 from paceline.errors import UnusableInput
 from paceline.reports.closed_loop.tables import DRIVE_COLUMNS
 from paceline.simulation.closed_loop.drive_yaml import (
+    AppearanceModel,
     CutInModel,
     DriveModel,
     LeadModel,
-    LookModel,
-    MustModel,
+    RequirementsModel,
     RoadModel,
-    scene_named,
+    resolve_drive,
 )
-from paceline.simulation.closed_loop.named_scenes import SCENES
+from paceline.simulation.closed_loop.named_scenes import NAMED_SCENES
 
 DOCUMENT = Path(__file__).parents[1] / "docs" / "driving.md"
 SHORT: dict[str, Any] = {
@@ -128,7 +128,7 @@ def test_what_fails_ends_with_1_and_is_told(tmp_path: Path) -> None:
 def test_a_scene_that_cannot_be_is_refused(tmp_path: Path, changes: dict[str, Any], words: tuple[str, ...]) -> None:
     file = write(tmp_path, **changes)
     with pytest.raises(UnusableInput) as refused:
-        scene_named(str(file), 1)
+        resolve_drive(str(file), 1)
     assert "\n" not in str(refused.value)
     for word in (str(file), *words):
         assert word in str(refused.value)
@@ -143,17 +143,17 @@ def test_what_cannot_be_driven_is_one_plain_line_and_leaves_nothing(tmp_path: Pa
 
 def test_a_wrong_name_is_answered_with_the_right_one(tmp_path: Path) -> None:
     with pytest.raises(UnusableInput, match="brakes-hrad: no such scene; did you mean 'brakes-hard'"):
-        scene_named("brakes-hrad", 1)
+        resolve_drive("brakes-hrad", 1)
     with pytest.raises(UnusableInput, match="no such file"):
-        scene_named(str(tmp_path / "no.yaml"), 1)
+        resolve_drive(str(tmp_path / "no.yaml"), 1)
 
 
 def test_every_scene_key_and_column_is_documented() -> None:
     text = DOCUMENT.read_text(encoding="utf-8")
-    for name in SCENES:
+    for name in NAMED_SCENES:
         assert f"`{name}`" in text, name
     for column in DRIVE_COLUMNS:
         assert f"`{column}`" in text, column
-    for model in (DriveModel, RoadModel, LeadModel, CutInModel, LookModel, MustModel):
+    for model in (DriveModel, RoadModel, LeadModel, CutInModel, AppearanceModel, RequirementsModel):
         for key in model.model_fields:
             assert f"`{key}`" in text, f"{model.__name__}: {key}"

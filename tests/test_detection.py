@@ -33,7 +33,7 @@ from paceline.geometry import epipolar_distance, triangulate
 from paceline.recordings.background import steady
 from paceline.recordings.stereo import StereoFrame, open_recording
 from paceline.simulation.stereo.clip import RenderedClip, Vehicle, World, render, write
-from paceline.simulation.stereo.scenery import Backdrop
+from paceline.simulation.stereo.scenery import StaticBackground
 from paceline.speed.geometry.paths import from_points
 from paceline.survey.recording import measure_clip
 
@@ -252,7 +252,7 @@ def test_three_vehicles_two_of_them_in_one_lane_are_told_apart(tmp_path: Path) -
 def empty_road(world: World, frames: int) -> list[StereoFrame]:
     """An empty road over which shadows of a cloud and of a bird drive, in wind, rain and changing light."""
     rng = np.random.default_rng(8)
-    stills = [Backdrop(world.scene, world.road, world.scene.seed).draw(view) for view in world.views]
+    stills = [StaticBackground(world.scene, world.road, world.scene.seed).draw(view) for view in world.views]
     (width, height), pictures = world.scene.image_size, []
     for k in range(frames):
         views = []

@@ -37,7 +37,7 @@ from paceline.documents.loading import VehicleDocument
 from paceline.recordings.live_stereo import RawPair
 from paceline.recordings.stereo import StereoFrame
 from paceline.simulation.stereo.clip import RenderedClip, Vehicle, World, render
-from paceline.simulation.stereo.scenery import Backdrop
+from paceline.simulation.stereo.scenery import StaticBackground
 from paceline.speed.configuration import DEFAULTS, SpeedConfiguration
 from paceline.speed.geometry.paths import from_points
 from paceline.survey import live
@@ -67,7 +67,9 @@ def way(lane: float = -1.85) -> Way:
 
 @cache
 def empty() -> tuple[Image, Image]:
-    left, right = (Backdrop(world().scene, world().road, world().scene.seed).draw(view) for view in world().views)
+    left, right = (
+        StaticBackground(world().scene, world().road, world().scene.seed).draw(view) for view in world().views
+    )
     return left, right
 
 
@@ -151,7 +153,7 @@ def test_a_vehicle_is_seen_over_the_roof_of_the_one_before_it(height: float) -> 
     world, clip = World(of), render(of)
     points = world.road.point(np.array([80.0, 12.0]), -1.85)
     lane = Way("lane0", world.rig, from_points("lane0", "line", points))
-    left, right = (Backdrop(of, world.road, of.seed).draw(view) for view in world.views)
+    left, right = (StaticBackground(of, world.road, of.seed).draw(view) for view in world.views)
     pair = (np.asarray(pictures[0], np.float32) for pictures in (clip.left, clip.right))
     sightings = Lookout([lane]).see(StereoFrame(0, 0.0, *pair, 0.0, duplicate=False), (left, right))
     truth = sorted(lane.on_card(np.array(row["position"]))[0] for row in clip.truth)

@@ -18,7 +18,7 @@ from paceline.recordings.monocular import open_camera
 from paceline.recordings.odometry import read_odometry
 from paceline.recordings.stereo import open_recording
 from paceline.simulation.raytraced import chase_clip, stereo_clip
-from paceline.simulation.raytraced.mitsuba_variant import PORTABLE
+from paceline.simulation.raytraced.mitsuba_variant import PORTABLE_VARIANT
 from paceline.simulation.raytraced.scene_yaml import FollowScene, SpeedScene
 
 
@@ -28,7 +28,7 @@ def speed(**changes: Any) -> SpeedScene:
 
 def write_speed(scene: SpeedScene, folder: Path, progress: Progress = None) -> Path:
     """As clips.write, by the renderer that compiles nothing: in pictures this small that takes longest."""
-    return stereo_clip.write(scene, folder, progress, PORTABLE)
+    return stereo_clip.write(scene, folder, progress, PORTABLE_VARIANT)
 
 
 @pytest.fixture(scope="module")
@@ -155,7 +155,7 @@ def test_dropped_frames_and_skew_stand_in_the_times(tmp_path: Path) -> None:
 
 def test_a_chase_is_one_that_paceline_reads(tmp_path: Path) -> None:
     scene = FollowScene.model_validate(small_follow())
-    folder = chase_clip.write(scene, tmp_path / "chase", variant=PORTABLE).parent
+    folder = chase_clip.write(scene, tmp_path / "chase", variant=PORTABLE_VARIANT).parent
     document = load_follow(folder / "follow.yaml")
     assert len(list(open_camera(document).frames())) == 2
     truth = json.loads((folder / "truth.json").read_text())
@@ -168,5 +168,5 @@ def test_a_chase_is_one_that_paceline_reads(tmp_path: Path) -> None:
     assert document.odometry is not None
     odometry = read_odometry(document.odometry)
     assert odometry.pose[1] == pytest.approx([truth[1]["chase"][k] for k in ("x_m", "y_m", "heading_rad")], abs=1e-5)
-    again = chase_clip.write(scene, tmp_path / "again", variant=PORTABLE).parent
+    again = chase_clip.write(scene, tmp_path / "again", variant=PORTABLE_VARIANT).parent
     assert contents(again) == contents(folder)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 
 from paceline.errors import UnusableInput
-from paceline.simulation.raytraced.motion import Drive, LaneChange, Motion
+from paceline.simulation.raytraced.motion import DrivingPlan, LaneChange, VehicleMotion
 from paceline.simulation.road import Road, RoadShape
 
 LENGTH = 200.0
@@ -29,7 +29,7 @@ ROADS = [
 
 
 @st.composite
-def drives(draw: st.DrawFn) -> Drive:
+def drives(draw: st.DrawFn) -> DrivingPlan:
     """Drives that stay on the road for two seconds from time 0."""
     towards = draw(st.booleans())
     speed = draw(st.floats(8, 40))
@@ -37,7 +37,7 @@ def drives(draw: st.DrawFn) -> Drive:
     if draw(st.booleans()):
         shift = draw(st.floats(1.5, 4.0)) * draw(st.sampled_from([-1, 1]))
         change = LaneChange(draw(st.floats(-1.0, 1.0)), draw(st.floats(3.0, 6.0)), shift)
-    drive = Drive(
+    drive = DrivingPlan(
         150.0 if towards else 50.0,
         speed,
         draw(st.sampled_from([-1.8, 1.8])),
@@ -56,9 +56,9 @@ def drives(draw: st.DrawFn) -> Drive:
 @pytest.mark.parametrize("shape", ROADS)
 @given(drives(), st.floats(0.05, 1.95))
 @settings(max_examples=12, deadline=None)
-def test_the_body_drives_as_stated(shape: RoadShape, drive: Drive, t: float) -> None:
+def test_the_body_drives_as_stated(shape: RoadShape, drive: DrivingPlan, t: float) -> None:
     road = Road(shape, LENGTH, 9)
-    motion, h = Motion(road, drive, WHEELBASE), 1e-3
+    motion, h = VehicleMotion(road, drive, WHEELBASE), 1e-3
     before, after = motion.pose(t - h)[1], motion.pose(t + h)[1]
     velocity = (after - before) / (2 * h)
     assert np.linalg.norm(velocity) == pytest.approx(motion.speed(t), abs=2e-4 + 3.0 * h)
@@ -79,7 +79,7 @@ def test_the_body_drives_as_stated(shape: RoadShape, drive: Drive, t: float) -> 
 
 
 def test_on_a_plane_the_axis_is_the_velocity() -> None:
-    motion = Motion(Road(RoadShape("circle", 60.0), LENGTH, 1), Drive(20.0, 15.0, 1.8), WHEELBASE)
+    motion = VehicleMotion(Road(RoadShape("circle", 60.0), LENGTH, 1), DrivingPlan(20.0, 15.0, 1.8), WHEELBASE)
     centre = np.array([0.0, -60.0, 0.0])
     for t in np.linspace(0, 4, 9):
         R, origin = motion.pose(float(t))
@@ -92,8 +92,8 @@ def test_on_a_plane_the_axis_is_the_velocity() -> None:
 @pytest.mark.parametrize("towards", [False, True])
 def test_constant_speed_is_that_of_its_own_way(lateral: float, towards: bool) -> None:
     """On a circle the arc driven per second is the speed at the vehicle's own radius, not at the axis's."""
-    drive = Drive(100.0, 20.0, lateral, towards=towards)
-    motion = Motion(Road(RoadShape("circle", 80.0), LENGTH, 1), drive, WHEELBASE)
+    drive = DrivingPlan(100.0, 20.0, lateral, towards=towards)
+    motion = VehicleMotion(Road(RoadShape("circle", 80.0), LENGTH, 1), drive, WHEELBASE)
     angle = [np.arctan2(p[0], p[1] + 80) for p in (motion.pose(t)[1] for t in (0.0, 1.0, 3.0))]
     own = 80 - lateral
     turned = np.diff(np.unwrap(angle))
@@ -104,7 +104,7 @@ def test_constant_speed_is_that_of_its_own_way(lateral: float, towards: bool) ->
 
 @given(drives(), st.floats(-2, 2.5), st.floats(-2, 2.5))
 @settings(max_examples=60, deadline=None)
-def test_the_distance_is_the_integral_of_the_speed(drive: Drive, a: float, b: float) -> None:
+def test_the_distance_is_the_integral_of_the_speed(drive: DrivingPlan, a: float, b: float) -> None:
     breaks = [drive.after, drive.after + drive.lasting]
     driven, _ = quad(drive.speed_at, a, b, points=[p for p in breaks if min(a, b) < p < max(a, b)] or None)
     assert drive.driven(b) - drive.driven(a) == pytest.approx(driven, abs=1e-6)
@@ -112,7 +112,7 @@ def test_the_distance_is_the_integral_of_the_speed(drive: Drive, a: float, b: fl
 
 def test_a_lane_change_ends_in_the_other_lane() -> None:
     road = Road(RoadShape("winding", 200.0), LENGTH, 1)
-    motion = Motion(road, Drive(10.0, 20.0, -1.8, lane_change=LaneChange(1.0, 4.0, 3.6)), WHEELBASE)
+    motion = VehicleMotion(road, DrivingPlan(10.0, 20.0, -1.8, lane_change=LaneChange(1.0, 4.0, 3.6)), WHEELBASE)
     laterals = np.array([motion.position(t)[1] for t in np.linspace(0, 6, 601)])
     assert laterals[:100].tolist() == pytest.approx([-1.8] * 100, abs=1e-5)
     assert laterals[-95:].tolist() == pytest.approx([1.8] * 95, abs=1e-5)
@@ -122,8 +122,8 @@ def test_a_lane_change_ends_in_the_other_lane() -> None:
 
 
 def test_a_vehicle_that_brakes_stands() -> None:
-    drive = Drive(40.0, 10.0, 1.8, acceleration=-4.0, after=1.0)
-    motion = Motion(Road(RoadShape("circle", 90.0), LENGTH, 1), drive, WHEELBASE)
+    drive = DrivingPlan(40.0, 10.0, 1.8, acceleration=-4.0, after=1.0)
+    motion = VehicleMotion(Road(RoadShape("circle", 90.0), LENGTH, 1), drive, WHEELBASE)
     assert motion.speed(3.4) == pytest.approx(0.4) and motion.speed(5.0) == 0
     assert motion.rolled(60.0) == pytest.approx(10 + 100 / 8)
     standing, later = motion.pose(4.0), motion.pose(60.0)
@@ -134,7 +134,7 @@ def test_a_vehicle_that_brakes_stands() -> None:
 
 
 def test_outside_the_road_there_is_no_pose() -> None:
-    motion = Motion(Road(RoadShape(), LENGTH, 1), Drive(100.0, 30.0, 1.8), WHEELBASE)
+    motion = VehicleMotion(Road(RoadShape(), LENGTH, 1), DrivingPlan(100.0, 30.0, 1.8), WHEELBASE)
     first, last = motion.span
     assert first == -5.0 and 100 + 30 * last > LENGTH + 50
     motion.pose(first), motion.pose(last)
@@ -142,7 +142,7 @@ def test_outside_the_road_there_is_no_pose() -> None:
         motion.pose(last + 0.1)
 
 
-DRIVE = Drive(50.0, 20.0, 1.8)
+DRIVE = DrivingPlan(50.0, 20.0, 1.8)
 
 
 @pytest.mark.parametrize(
@@ -155,6 +155,6 @@ DRIVE = Drive(50.0, 20.0, 1.8)
         (replace(DRIVE, acceleration=-20.0, lane_change=LaneChange(0.5, 3.0, 3.6)), "faster sideways than half"),
     ],
 )
-def test_impossible_drives_are_refused(drive: Drive, message: str) -> None:
+def test_impossible_drives_are_refused(drive: DrivingPlan, message: str) -> None:
     with pytest.raises(UnusableInput, match=message):
-        Motion(Road(RoadShape(), LENGTH, 1), drive, WHEELBASE)
+        VehicleMotion(Road(RoadShape(), LENGTH, 1), drive, WHEELBASE)

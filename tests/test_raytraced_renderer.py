@@ -10,10 +10,10 @@ from selection import slow_after
 
 from paceline.cameras import Camera, View
 from paceline.simulation.raytraced import mitsuba_variant
-from paceline.simulation.raytraced.light import LUMINANCE, Light
-from paceline.simulation.raytraced.meshes import Material, Solid
-from paceline.simulation.raytraced.mitsuba_variant import FAST, PORTABLE, default_variant, find_llvm
-from paceline.simulation.raytraced.renderer import Renderer, joined
+from paceline.simulation.raytraced.light import LUMINANCE_WEIGHTS, Light
+from paceline.simulation.raytraced.meshes import Material, SceneMesh
+from paceline.simulation.raytraced.mitsuba_variant import FAST_VARIANT, PORTABLE_VARIANT, default_variant, find_llvm
+from paceline.simulation.raytraced.renderer import Renderer, merge_meshes
 
 Array = NDArray[np.float64]
 
@@ -21,19 +21,21 @@ GREY = Material("matte", (0.3, 0.3, 0.3))
 DAY = Light(1.0, 0.8, clouds=0.0)
 
 
-def quad(corners: Array, color: float) -> Solid:
-    return Solid("quad", np.asarray(corners, float), np.array([[0, 1, 2], [0, 2, 3]]), Material("matte", (color,) * 3))
+def quad(corners: Array, color: float) -> SceneMesh:
+    return SceneMesh(
+        "quad", np.asarray(corners, float), np.array([[0, 1, 2], [0, 2, 3]]), Material("matte", (color,) * 3)
+    )
 
 
-def ground(half: float = 20.0, color: float = 0.3) -> Solid:
+def ground(half: float = 20.0, color: float = 0.3) -> SceneMesh:
     return quad(half * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]), color)
 
 
-def cube(center: Array, size: float) -> Solid:
+def cube(center: Array, size: float) -> SceneMesh:
     v = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * size / 2 + center
     faces = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
     triangles = np.array([[a, b, c] for a, b, c, d in faces] + [[a, c, d] for a, b, c, d in faces])
-    return Solid("cube", v, triangles, GREY)
+    return SceneMesh("cube", v, triangles, GREY)
 
 
 def looking(camera: Camera, eye: Array, at: Array, roll: float = 0.0) -> View:
@@ -48,10 +50,10 @@ def camera(width: int, height: int, f: float, cx: float, cy: float) -> Camera:
     return Camera((width, height), np.array([[f, 0, cx], [0, f, cy], [0, 0, 1.0]]))
 
 
-def mark(center: Array, across: Array, down: Array, away: Array) -> list[Solid]:
+def mark(center: Array, across: Array, down: Array, away: Array) -> list[SceneMesh]:
     """A square that shines by itself before a black one of twice its size."""
     square = np.array([-across - down, across - down, across + down, -across + down])
-    shining = Solid("lamp", center + square, np.array([[0, 2, 1], [0, 3, 2]]), Material("glow", (1e4, 1e4, 1e4)))
+    shining = SceneMesh("lamp", center + square, np.array([[0, 2, 1], [0, 3, 2]]), Material("glow", (1e4, 1e4, 1e4)))
     return [shining, quad(center + 2 * square + 0.02 * away, 0.0)]
 
 
@@ -79,7 +81,7 @@ def test_points_project_where_they_are_rendered(lens: Camera, roll: float, dista
     across = half * np.array([np.cos(turn), 0.4 * np.sin(turn), np.sin(turn)])
     down = half * np.array([np.sin(turn), 0.3, -np.cos(turn)])
     solids = mark(center, across, down, np.array([0.0, 1.0, 0.0]) * distance / 20)
-    picture = Renderer(solids, [], Light(-1.5, 0.6, clouds=1.0)).render(view, 512, 1) @ LUMINANCE
+    picture = Renderer(solids, [], Light(-1.5, 0.6, clouds=1.0)).render(view, 512, 1) @ LUMINANCE_WEIGHTS
     expected = centroid(view.project(solids[0].vertices))
     v, u = np.mgrid[: size[1], : size[0]]
     light = np.where(np.maximum(abs(u - x), abs(v - y)) < 20, picture, 0)
@@ -99,7 +101,7 @@ def test_shadows_fall_away_from_the_sun(azimuth: float, elevation: float) -> Non
     R = np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]])  # straight down, north up
     view = View(lens, R, -R @ eye)
     still = [ground(), cube(np.array([0, 0, height]), 0.3)]
-    picture = Renderer(still, [], light).render(view, 256, 3) @ LUMINANCE
+    picture = Renderer(still, [], light).render(view, 256, 3) @ LUMINANCE_WEIGHTS
     x, y = view.project(np.array([[0, 0, height]]))[0]
     v, u = np.mgrid[:64, :64]
     dark = (picture < 0.6 * np.median(picture)) & (np.hypot(u - x, v - y) > 12)  # not the cube itself
@@ -112,7 +114,7 @@ def test_shadows_fall_away_from_the_sun(azimuth: float, elevation: float) -> Non
 def test_a_card_on_open_ground_returns_the_irradiance_that_is_stated(light: Light) -> None:
     R = np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]])
     view = View(camera(16, 16, 40.0, 7.5, 7.5), R, -R @ np.array([0, 0, 3.0]))
-    radiance = Renderer([ground(color=0.2)], [], light).render(view, 256, 5) @ LUMINANCE
+    radiance = Renderer([ground(color=0.2)], [], light).render(view, 256, 5) @ LUMINANCE_WEIGHTS
     assert radiance.mean() == pytest.approx(0.2 * light.level_irradiance / np.pi, rel=0.03)
 
 
@@ -124,9 +126,9 @@ def corner_scene(variant: str) -> tuple[Renderer, View]:
     floor = ground(6.0)
     uv = np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]])
     solids = [
-        Solid("floor", floor.vertices, floor.triangles, Material("matte", (0, 0, 0), texture), uv),
-        Solid("a", cube(np.array([0, 0, 0.5]), 1).vertices, cube(np.zeros(3), 1).triangles, paint),
-        Solid("b", cube(np.array([1, 1, 0.3]), 0.6).vertices, cube(np.zeros(3), 1).triangles, metal),
+        SceneMesh("floor", floor.vertices, floor.triangles, Material("matte", (0, 0, 0), texture), uv),
+        SceneMesh("a", cube(np.array([0, 0, 0.5]), 1).vertices, cube(np.zeros(3), 1).triangles, paint),
+        SceneMesh("b", cube(np.array([1, 1, 0.3]), 0.6).vertices, cube(np.zeros(3), 1).triangles, metal),
     ]
     view = looking(camera(48, 36, 60.0, 23.5, 17.5), np.array([3.0, -3.5, 2.0]), np.array([0.3, 0, 0.3]))
     return Renderer(solids, [[cube(np.zeros(3), 0.4)]], DAY, variant=variant), view
@@ -137,11 +139,11 @@ def test_variants_agree() -> None:
     if find_llvm() is None:
         pytest.skip("LLVM 19 is not installed: there is only one variant to render with")
     pictures = {}
-    for variant in (FAST, PORTABLE):
+    for variant in (FAST_VARIANT, PORTABLE_VARIANT):
         world, view = corner_scene(variant)
         world.place([(np.eye(3), np.array([0.5, -1.0, 0.9]))])
-        pictures[variant] = np.array([world.render(view, 16, seed) @ LUMINANCE for seed in range(8)])
-    a, b = pictures[FAST], pictures[PORTABLE]
+        pictures[variant] = np.array([world.render(view, 16, seed) @ LUMINANCE_WEIGHTS for seed in range(8)])
+    a, b = pictures[FAST_VARIANT], pictures[PORTABLE_VARIANT]
     sigma = np.sqrt((a.var(0, ddof=1) + b.var(0, ddof=1)) / 8)
     z = (a.mean(0) - b.mean(0)) / np.maximum(sigma, 1e-4)
     assert abs(np.mean(z)) < 0.15  # neighbours share some of their rays: about 600 independent pixels
@@ -174,7 +176,7 @@ def test_samples_are_spread_evenly_over_the_lights() -> None:
     """Ground under sun and sky: each ray asks one of them, and 16 rays ask both as often as they should."""
     R = np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]])
     view = View(camera(16, 16, 40.0, 7.5, 7.5), R, -R @ np.array([0, 0, 3.0]))
-    picture = Renderer([ground(color=0.2)], [], DAY).render(view, 16, 5) @ LUMINANCE
+    picture = Renderer([ground(color=0.2)], [], DAY).render(view, 16, 5) @ LUMINANCE_WEIGHTS
     assert picture.std() < 0.06 * picture.mean()  # by chance alone it is about 0.13
 
 
@@ -207,7 +209,7 @@ def test_distances_are_those_of_the_first_surface() -> None:
 
 def test_joining_keeps_every_triangle() -> None:
     a, b, c = cube(np.zeros(3), 1), cube(np.ones(3), 1), ground()
-    together = joined([a, b, c])
+    together = merge_meshes([a, b, c])
     assert len(together) == 2
     corners = {s.name: s.vertices[s.triangles] for s in together}
     assert np.array_equal(corners["cube"], np.concatenate([s.vertices[s.triangles] for s in (a, b)]))
@@ -220,6 +222,6 @@ def test_a_library_that_is_no_llvm_19_is_not_used(
         monkeypatch.setenv("DRJIT_LIBLLVM_PATH", wrong)
         assert find_llvm.__wrapped__() is None
     monkeypatch.setattr(mitsuba_variant, "find_llvm", lambda: None)
-    assert default_variant.__wrapped__() == PORTABLE
+    assert default_variant.__wrapped__() == PORTABLE_VARIANT
     notice = capsys.readouterr().err
     assert notice.startswith("note: LLVM 19 was not found") and notice.count("\n") == 1

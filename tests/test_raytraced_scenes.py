@@ -14,36 +14,41 @@ from selection import slow_after
 from tiny_scenes import small_follow, small_speed
 
 from paceline.errors import UnusableInput
-from paceline.simulation.operator import is_inside
-from paceline.simulation.random_scenes import FASTEST_FILMED, SLOWEST_FILMED, random_follow_scene, random_speed_scene
+from paceline.simulation.operator import is_inside_image
+from paceline.simulation.random_scenes import (
+    MAX_RAYTRACED_SPEED_MPS,
+    MIN_RAYTRACED_SPEED_MPS,
+    random_follow_scene,
+    random_speed_scene,
+)
 from paceline.simulation.raytraced import named_scenes
-from paceline.simulation.raytraced.scene import Stage, rigs_of
+from paceline.simulation.raytraced.scene import PlacedStereoScene, make_rigs
 from paceline.simulation.raytraced.scene_yaml import FollowScene, SpeedScene, load_follow_scene, load_speed_scene
 
 
-def stage(**changes: Any) -> Stage:
-    return Stage(SpeedScene.model_validate(small_speed(**changes)))
+def stage(**changes: Any) -> PlacedStereoScene:
+    return PlacedStereoScene(SpeedScene.model_validate(small_speed(**changes)))
 
 
 varied = cache(random_speed_scene)
 
 
-def frames_inside(placed: Stage, i: int) -> int:
+def frames_inside(placed: PlacedStereoScene, i: int) -> int:
     """Frames in which the ``i``-th vehicle's plane is wholly inside both pictures."""
     size, count = placed.rig.left.image_size, 0
     for t in placed.clocks[0].tolist():
         if placed.cars[i].is_there(t):
             corners = placed.cars[i].corners(t)
             ahead = all((view.to_camera(corners)[:, 2] > 1).all() for view in placed.views)
-            count += ahead and all(is_inside(view.project(corners), size) for view in placed.views)
+            count += ahead and all(is_inside_image(view.project(corners), size) for view in placed.views)
     return count
 
 
-@pytest.mark.parametrize("name", [n for kind, n, _ in named_scenes.names() if kind == "speed"])
+@pytest.mark.parametrize("name", [n for kind, n, _ in named_scenes.list_scenes() if kind == "speed"])
 def test_named_vehicles_are_seen_for_long(name: str) -> None:
     scene = named_scenes.speed_scene(name)
     assert scene is not None
-    placed = Stage(scene)
+    placed = PlacedStereoScene(scene)
     for i in range(len(placed.cars)):
         assert frames_inside(placed, i) >= 8, placed.cars[i].model.id
         assert placed.cars[i].plane.end == "front"
@@ -59,7 +64,7 @@ def test_named_scenes_drive_as_the_papers_say() -> None:
     assert np.degrees(circle.vehicles[0].speed / abs(circle.road.radius)) == pytest.approx(22.5, abs=0.01)
 
 
-@pytest.mark.parametrize("name", [n for kind, n, _ in named_scenes.names() if kind == "follow"])
+@pytest.mark.parametrize("name", [n for kind, n, _ in named_scenes.list_scenes() if kind == "follow"])
 def test_named_chases_are_nists(name: str) -> None:
     scene = named_scenes.follow_scene(name)
     assert scene is not None
@@ -71,8 +76,8 @@ def test_named_chases_are_nists(name: str) -> None:
 def test_varied_scenes_suit(seed: int) -> None:
     scene = varied(seed)
     assert scene == random_speed_scene(seed)
-    assert SLOWEST_FILMED <= scene.vehicles[0].speed <= FASTEST_FILMED
-    assert frames_inside(Stage(scene), 0) >= 8
+    assert MIN_RAYTRACED_SPEED_MPS <= scene.vehicles[0].speed <= MAX_RAYTRACED_SPEED_MPS
+    assert frames_inside(PlacedStereoScene(scene), 0) >= 8
     assert random_follow_scene(seed) == random_follow_scene(seed)
 
 
@@ -116,13 +121,13 @@ def test_wheels_roll_without_slipping() -> None:
 
 
 def test_the_written_rig_is_the_true_one_unless_asked() -> None:
-    true, same = rigs_of(SpeedScene.model_validate(small_speed()))
+    true, same = make_rigs(SpeedScene.model_validate(small_speed()))
     assert same is true
     written = {"focal_length_px": 2.0, "rotation_rad": [1e-4, 1e-4, 1e-4], "translation_m": [1e-3, 1e-3, 1e-3]}
     rig = small_speed()["rig"] | {"written": written}
     deviations = []
     for seed in range(400):
-        true, other = rigs_of(SpeedScene.model_validate(small_speed(seed=seed, rig=rig)))
+        true, other = make_rigs(SpeedScene.model_validate(small_speed(seed=seed, rig=rig)))
         assert other.uncertainty is not None
         turn = cv2.Rodrigues(other.R @ true.R.T)[0].ravel() / 1e-4
         focal = (other.left.K[0, 0] - true.left.K[0, 0]) / 2.0

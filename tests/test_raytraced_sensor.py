@@ -8,9 +8,18 @@ import pytest
 
 from paceline.cameras import Camera, View
 from paceline.simulation.raytraced.light import Light
-from paceline.simulation.raytraced.meshes import Material, Solid
+from paceline.simulation.raytraced.meshes import Material, SceneMesh
 from paceline.simulation.raytraced.renderer import Placement, Renderer
-from paceline.simulation.raytraced.sensor import Lens, Sensor, Shutter, blurred, distorted, expose, photograph, vignette
+from paceline.simulation.raytraced.sensor import (
+    Lens,
+    Sensor,
+    Shutter,
+    blur,
+    distort_pixels,
+    expose,
+    render_exposure,
+    vignette,
+)
 
 
 @pytest.mark.parametrize("level", [0.1, 0.5])
@@ -42,7 +51,7 @@ def test_color_comes_as_blue_green_red() -> None:
 def test_a_point_is_spread_by_exactly_what_is_asked(sigma: float) -> None:
     point = np.zeros((31, 31), np.float32)
     point[15, 15] = 1.0
-    spread, x = blurred(point, sigma).sum(0), np.arange(31) - 15
+    spread, x = blur(point, sigma).sum(0), np.arange(31) - 15
     assert spread.sum() == pytest.approx(1.0, rel=1e-5)
     assert (spread * x**2).sum() + 1 / 12 == pytest.approx(sigma**2, rel=1e-4)
 
@@ -59,7 +68,7 @@ LENS = Camera((80, 60), np.array([[70.0, 0, 40.2], [0, 70, 28.9], [0, 0, 1]]), n
 
 def test_distorting_is_the_reverse_of_undistorting() -> None:
     pixels = np.random.default_rng(1).uniform(5, 55, (50, 2))
-    assert LENS.undistort_points(distorted(LENS, pixels)) == pytest.approx(pixels, abs=1e-6)
+    assert LENS.undistort_points(distort_pixels(LENS, pixels)) == pytest.approx(pixels, abs=1e-6)
 
 
 def test_a_bent_picture_holds_each_ray_where_the_lens_puts_it() -> None:
@@ -80,8 +89,8 @@ def bar() -> Renderer:
     """An upright black bar before a wall that shines."""
     v = np.array([[-0.5, 0, -9], [0.5, 0, -9], [0.5, 0, 9], [-0.5, 0, 9.0]])
     triangles = np.array([[0, 1, 2], [0, 2, 3]])
-    wall = Solid("wall", 9 * v * [9, 1, 1] + [0, 2 * AWAY, 0], triangles, Material("glow", (1e4, 1e4, 1e4)))
-    solid = Solid("bar", v, triangles, Material("matte", (0.0, 0.0, 0.0)))
+    wall = SceneMesh("wall", 9 * v * [9, 1, 1] + [0, 2 * AWAY, 0], triangles, Material("glow", (1e4, 1e4, 1e4)))
+    solid = SceneMesh("bar", v, triangles, Material("matte", (0.0, 0.0, 0.0)))
     return Renderer([wall], [[solid]], Light(0.0, -0.3, clouds=0.0))
 
 
@@ -93,7 +102,7 @@ def seen(bar: Renderer, shutter: Shutter) -> np.ndarray:
     def placements(t: float) -> list[Placement]:
         return [(np.eye(3), np.array([(t - 2.0) * SPEED * AWAY / 64, AWAY, 0.0]))]
 
-    light = photograph(bar, placements, lambda t: view, 2.0, shutter, 16, 3).sum(-1)
+    light = render_exposure(bar, placements, lambda t: view, 2.0, shutter, 16, 3).sum(-1)
     return np.asarray(3e4 - light)
 
 

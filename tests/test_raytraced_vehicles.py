@@ -10,10 +10,10 @@ from scipy.spatial import cKDTree
 from paceline.errors import UnusableInput
 from paceline.simulation.raytraced import mesh_builders
 from paceline.simulation.raytraced.mesh_builders import Mesh
-from paceline.simulation.raytraced.meshes import Solid
+from paceline.simulation.raytraced.meshes import SceneMesh
 from paceline.simulation.raytraced.vehicles.build import Body, build
-from paceline.simulation.raytraced.vehicles.sheet_metal import rounding
-from paceline.simulation.vehicle_catalogue import MODELLED
+from paceline.simulation.raytraced.vehicles.sheet_metal import smoothing_weights
+from paceline.simulation.vehicle_catalogue import RAYTRACED_KINDS
 
 Array = NDArray[np.float64]
 
@@ -30,17 +30,17 @@ REAL = {  # length, width, height, wheelbase: from and to, m
 
 @pytest.fixture(scope="module")
 def bodies() -> dict[tuple[str, int], Body]:
-    return {(kind, seed): build(kind, seed) for kind in MODELLED for seed in SEEDS}
+    return {(kind, seed): build(kind, seed) for kind in RAYTRACED_KINDS for seed in SEEDS}
 
 
-EACH = pytest.mark.parametrize(("kind", "seed"), [(kind, seed) for kind in MODELLED for seed in SEEDS])
+EACH = pytest.mark.parametrize(("kind", "seed"), [(kind, seed) for kind in RAYTRACED_KINDS for seed in SEEDS])
 
 
-def all_solids(body: Body) -> list[Solid]:
+def all_solids(body: Body) -> list[SceneMesh]:
     return [*body.solids, *(w.solid.moved(np.eye(3), w.center) for w in body.wheels)]
 
 
-def first_hits(solids: list[Solid], origins: Array, direction: Array) -> tuple[Array, Array]:
+def first_hits(solids: list[SceneMesh], origins: Array, direction: Array) -> tuple[Array, Array]:
     """Distances (N,) to the first triangles met by parallel rays, and how much those face them (cosine); inf and nan
     where none is met. By Möller and Trumbore."""
     corners = np.concatenate([s.vertices[s.triangles] for s in solids])
@@ -178,7 +178,7 @@ def test_lines_are_level_or_upright_and_near_the_plane(
     )
 
 
-@pytest.mark.parametrize("kind", MODELLED)
+@pytest.mark.parametrize("kind", RAYTRACED_KINDS)
 def test_the_same_seed_gives_the_same_vehicle(bodies: dict[tuple[str, int], Body], kind: str) -> None:
     one, two, other = bodies[kind, 3], build(kind, 3), bodies[kind, 0]
     for a, b in zip(all_solids(one), all_solids(two), strict=True):
@@ -216,7 +216,7 @@ def volume(mesh: Mesh) -> float:
 
 def is_closed(mesh: Mesh) -> bool:
     """Whether each edge is run along once in each sense."""
-    t = mesh_builders.welded(mesh).triangles
+    t = mesh_builders.weld(mesh).triangles
     edges = np.concatenate([t, np.roll(t, -1, 1)]).reshape(2, -1).T
     forward = {tuple(e) for e in edges.tolist()}
     return len(forward) == len(edges) and all((b, a) in forward for a, b in forward)
@@ -228,7 +228,7 @@ def is_closed(mesh: Mesh) -> bool:
         (mesh_builders.box([1.0, 2.0, 3.0], [5.0, 1.0, 0.0]), 6.0),
         (mesh_builders.boxes([[1, 1, 1], [2, 1, 1]], [[0, 0, 0], [5, 5, 5]]), 3.0),
         (mesh_builders.ellipsoid([1, 2, 3], [1.0, 2.0, 0.5], 60, 80), 4 / 3 * np.pi),
-        (mesh_builders.turned([[0, 0], [1, 0], [1, 2], [0, 2]], 120), 2 * np.pi),
+        (mesh_builders.revolve([[0, 0], [1, 0], [1, 2], [0, 2]], 120), 2 * np.pi),
     ],
 )
 def test_solids_are_closed_with_their_outside_out(mesh: Mesh, expected: float) -> None:
@@ -243,26 +243,26 @@ def test_a_tube_keeps_its_distance_from_its_path() -> None:
     mesh = mesh_builders.tube(path, 0.1, 12)
     distance = np.linalg.norm(mesh.vertices[:, None] - path, axis=2).min(1)
     np.testing.assert_allclose(distance, 0.1, atol=2e-3)
-    outward = mesh_builders.normals(mesh)
+    outward = mesh_builders.triangle_normals(mesh)
     middle = mesh.vertices[mesh.triangles].mean(1)
     nearest = path[np.linalg.norm(middle[:, None] - path, axis=2).argmin(1)]
     assert ((middle - nearest) * outward).sum(1).min() > 0
 
 
 def test_creases_part_vertices_at_sharp_edges_only() -> None:
-    box = mesh_builders.welded(mesh_builders.box([1, 1, 1]))
+    box = mesh_builders.weld(mesh_builders.box([1, 1, 1]))
     assert len(box.vertices) == 8
-    assert len(mesh_builders.creased(box, 35).vertices) == 24
-    assert len(mesh_builders.creased(box, 100).vertices) == 8
-    ball = mesh_builders.welded(mesh_builders.ellipsoid([0, 0, 0], [1, 1, 1], 24, 48))
-    parted = mesh_builders.creased(ball, 35)
+    assert len(mesh_builders.split_creases(box, 35).vertices) == 24
+    assert len(mesh_builders.split_creases(box, 100).vertices) == 8
+    ball = mesh_builders.weld(mesh_builders.ellipsoid([0, 0, 0], [1, 1, 1], 24, 48))
+    parted = mesh_builders.split_creases(ball, 35)
     assert len(parted.vertices) == len(ball.vertices)
     np.testing.assert_allclose(parted.vertices[parted.triangles], ball.vertices[ball.triangles])
 
 
 def test_parts_of_one_name_become_one() -> None:
     named = [(name, mesh_builders.box([1, 1, 1])) for name in ("a", "b", "a")]
-    assert [(name, len(mesh.triangles)) for name, mesh in mesh_builders.grouped(named).items()] == [
+    assert [(name, len(mesh.triangles)) for name, mesh in mesh_builders.group_by_name(named).items()] == [
         ("a", 24),
         ("b", 12),
     ]
@@ -270,7 +270,7 @@ def test_parts_of_one_name_become_one() -> None:
 
 def test_corners_are_rounded_within_their_reach() -> None:
     control = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 4.0], [8.0, 4.0]])
-    weights, segments = rounding([0.0, 0.25, 0.0, 0.0], 3, 4)
+    weights, segments = smoothing_weights([0.0, 0.25, 0.0, 0.0], 3, 4)
     np.testing.assert_allclose(weights.sum(1), 1)
     line = weights @ control
     np.testing.assert_allclose(line[[0, -1]], control[[0, -1]])

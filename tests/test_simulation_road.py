@@ -14,11 +14,11 @@ from scipy.special import fresnel
 
 from paceline.errors import UnusableInput
 from paceline.simulation.raytraced import road_textures as textures
-from paceline.simulation.raytraced.mesh_builders import Mesh, normals
-from paceline.simulation.raytraced.meshes import Solid
-from paceline.simulation.raytraced.road_surface import solids
-from paceline.simulation.raytraced.scenery.placement import Scenery, scenery
-from paceline.simulation.road import MARGIN, Road, RoadShape
+from paceline.simulation.raytraced.mesh_builders import Mesh, triangle_normals
+from paceline.simulation.raytraced.meshes import SceneMesh
+from paceline.simulation.raytraced.road_surface import road_meshes
+from paceline.simulation.raytraced.scenery.placement import Scenery, build_scenery
+from paceline.simulation.road import ROAD_MARGIN_M, Road, RoadShape
 
 Array = NDArray[np.float64]
 
@@ -34,13 +34,13 @@ def shapes(draw: st.DrawFn) -> RoadShape:
     return RoadShape(kind, radius, draw(st.floats(-0.1, 0.1)), draw(st.floats(-0.1, 0.1)), crest)
 
 
-def facing_up(solid: Solid) -> Array:
+def facing_up(solid: SceneMesh) -> Array:
     """Upward parts (T,) of the unit normals of a solid's triangles."""
-    n = normals(Mesh(solid.vertices, solid.triangles, np.zeros((0, 2))))
+    n = triangle_normals(Mesh(solid.vertices, solid.triangles, np.zeros((0, 2))))
     return np.asarray(n[:, 2] / np.linalg.norm(n, axis=1))
 
 
-def named(solids: list[Solid], name: str) -> Solid:
+def named(solids: list[SceneMesh], name: str) -> SceneMesh:
     return next(s for s in solids if s.name == name)
 
 
@@ -156,21 +156,21 @@ def test_contradictions_are_refused(change: dict[str, object], message: str) -> 
 
 def test_far_beyond_its_ends_a_road_is_unknown() -> None:
     road = Road(RoadShape(), LENGTH, 1)
-    road.frame(np.array([-MARGIN, LENGTH + MARGIN]))
+    road.frame(np.array([-ROAD_MARGIN_M, LENGTH + ROAD_MARGIN_M]))
     with pytest.raises(ValueError, match="expected 0 to 120 m"):
-        road.frame(LENGTH + MARGIN + 1)
+        road.frame(LENGTH + ROAD_MARGIN_M + 1)
 
 
 # --- what it is made of --------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
-def banked() -> tuple[Road, list[Solid]]:
+def banked() -> tuple[Road, list[SceneMesh]]:
     road = Road(RoadShape("circle", -120.0, grade=0.03, bank=-0.06), 60.0, 3)
-    return road, solids(road)
+    return road, road_meshes(road)
 
 
-def test_painted_lines_are_centred_on_the_markings(banked: tuple[Road, list[Solid]]) -> None:
+def test_painted_lines_are_centred_on_the_markings(banked: tuple[Road, list[SceneMesh]]) -> None:
     road, solids = banked
     for k, lateral in enumerate(road.markings):
         vertices = named(solids, f"marking {k}").vertices
@@ -191,18 +191,18 @@ def test_painted_lines_are_centred_on_the_markings(banked: tuple[Road, list[Soli
 
 
 @pytest.mark.parametrize("name", ["asphalt", "marking 0", "marking 2", "land"])
-def test_surfaces_look_up(banked: tuple[Road, list[Solid]], name: str) -> None:
+def test_surfaces_look_up(banked: tuple[Road, list[SceneMesh]], name: str) -> None:
     assert facing_up(named(banked[1], name)).min() > 0.5
 
 
-def test_the_verge_looks_up(banked: tuple[Road, list[Solid]]) -> None:
+def test_the_verge_looks_up(banked: tuple[Road, list[SceneMesh]]) -> None:
     assert facing_up(named(banked[1], "verge")).min() > 0  # also its steep foot
 
 
 @pytest.mark.parametrize("bank", [-0.1, 0.1])
 def test_the_land_stays_below_the_road(bank: float) -> None:
     road = Road(RoadShape("circle", 90.0, grade=0.05, bank=bank), 80.0, 2)
-    land = named(solids(road), "land").vertices
+    land = named(road_meshes(road), "land").vertices
     near = land[(np.abs(land[:, :2] - road.frame(40.0)[0][:2]) < 120).all(1)]
     height = LinearNDInterpolator(near[:, :2], near[:, 2])
     s, lateral = np.meshgrid(np.linspace(0, 80, 41), np.linspace(-road.half_width, road.half_width, 9))
@@ -212,14 +212,14 @@ def test_the_land_stays_below_the_road(bank: float) -> None:
 
 def test_the_same_seed_gives_the_same_road() -> None:
     shape = RoadShape("winding", 150.0)
-    one, two, other = (solids(Road(shape, 40.0, seed)) for seed in (7, 7, 8))
+    one, two, other = (road_meshes(Road(shape, 40.0, seed)) for seed in (7, 7, 8))
     for a, b in zip(one, two, strict=True):
         np.testing.assert_array_equal(a.vertices, b.vertices)
         np.testing.assert_array_equal(a.material.texture, b.material.texture)
     assert not np.array_equal(one[0].material.texture, other[0].material.texture)
 
 
-def test_reflectances_are_real(banked: tuple[Road, list[Solid]]) -> None:
+def test_reflectances_are_real(banked: tuple[Road, list[SceneMesh]]) -> None:
     ground, paint, grass = (
         named(banked[1], n).material.texture.mean((0, 1)) for n in ("asphalt", "marking 0", "verge")
     )
@@ -230,7 +230,7 @@ def test_reflectances_are_real(banked: tuple[Road, list[Solid]]) -> None:
 
 def test_wear_takes_paint_away() -> None:
     fresh, worn, gone = (
-        textures.road_paint(np.random.default_rng(1), 0.15, 4.0, 160.0, wear, 0.08) for wear in (0.0, 0.4, 1.0)
+        textures.road_paint_texture(np.random.default_rng(1), 0.15, 4.0, 160.0, wear, 0.08) for wear in (0.0, 0.4, 1.0)
     )
     assert fresh.min() > 0.3
     shares = [(t[..., 0] < 0.2).mean() for t in (worn, gone)]
@@ -254,7 +254,7 @@ def test_noise_repeats_without_a_seam(grain: float) -> None:
 def test_nothing_stands_in_a_clear_circle_nor_trunks_on_the_road(seed: int) -> None:
     road = Road(RoadShape("circle", 200.0), 100.0, 1)
     spec = Scenery(trees=1.0, poles=1.0, buildings=0.5, seed=seed, clear=((30.0, -9.0, 12.0),))
-    solids = scenery(road, spec, 0.0, 100.0)
+    solids = build_scenery(road, spec, 0.0, 100.0)
     centre = road.frame(30.0, -9.0)[0]
     axis = road.frame(np.linspace(0, 100, 401))[0]
     for solid in solids:
@@ -270,7 +270,7 @@ def test_nothing_stands_in_a_clear_circle_nor_trunks_on_the_road(seed: int) -> N
 @pytest.mark.parametrize("radius", [-41.0, 60.0])
 def test_no_tree_stands_on_another_part_of_a_bend(radius: float) -> None:
     road = Road(RoadShape("circle", radius), 0.8 * 2 * np.pi * abs(radius), 1)
-    wood = named(scenery(road, Scenery(trees=1.0, poles=0.0, seed=2), 0.0, road.length), "wood")
+    wood = named(build_scenery(road, Scenery(trees=1.0, poles=0.0, seed=2), 0.0, road.length), "wood")
     axis = road.frame(np.arange(0, road.length))[0]
     low = wood.vertices[wood.vertices[:, 2] < -0.8]  # the feet of trunks
     gap = np.linalg.norm(low[:, None, :2] - axis[:, :2], axis=2).min(1)
@@ -280,7 +280,7 @@ def test_no_tree_stands_on_another_part_of_a_bend(radius: float) -> None:
 def test_trees_shade_a_part_of_the_road() -> None:
     """A sun across the road throws the crowns' shadows on it, with gaps in them."""
     road = Road(RoadShape(), 60.0, 1)
-    leaves = named(scenery(road, Scenery(trees=1.0, poles=0.0, seed=1), 0.0, 60.0), "leaves")
+    leaves = named(build_scenery(road, Scenery(trees=1.0, poles=0.0, seed=1), 0.0, 60.0), "leaves")
     corners = leaves.vertices[leaves.triangles]
     near = np.concatenate([corners.mean(1), *((corners + np.roll(corners, 1, 1)) / 2).swapaxes(0, 1)])
     near = near[np.abs(near[:, 1]) < 20]
@@ -295,7 +295,7 @@ def test_a_parapet_runs_parallel_to_the_road() -> None:
     road = Road(RoadShape("circle", 150.0), 80.0, 1)
     found = set()
     for seed in range(6):
-        for solid in scenery(road, Scenery(0, 0, 0, True, seed), 0.0, 80.0):
+        for solid in build_scenery(road, Scenery(0, 0, 0, True, seed), 0.0, 80.0):
             found.add(solid.name)
             lateral = 150.0 - np.hypot(solid.vertices[:, 0], solid.vertices[:, 1] + 150.0)
             assert np.abs(np.abs(lateral) - road.half_width).max() < 0.6
@@ -305,7 +305,7 @@ def test_a_parapet_runs_parallel_to_the_road() -> None:
 
 def test_the_same_seed_gives_the_same_scenery() -> None:
     road = Road(RoadShape(), 50.0, 1)
-    one, two = (scenery(road, Scenery(seed=3, buildings=0.5), 0.0, 50.0) for _ in range(2))
+    one, two = (build_scenery(road, Scenery(seed=3, buildings=0.5), 0.0, 50.0) for _ in range(2))
     assert [s.name for s in one] == [s.name for s in two]
     for a, b in zip(one, two, strict=True):
         np.testing.assert_array_equal(a.vertices, b.vertices)

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from paceline.simulation.random_scenes import random_crossing, random_scene
 from paceline.simulation.stereo.clip import SUPERSAMPLING, LaneChange, Scene, Vehicle, World, render, write
-from paceline.simulation.stereo.scene import Motion, Pose, Road, make_rig, views_of
-from paceline.simulation.stereo.textured_planes import Card, draw, paste
+from paceline.simulation.stereo.scene import CircularRoad, Motion, Pose, make_rig, rig_views
+from paceline.simulation.stereo.textured_planes import TexturedPlane, composite, draw_planes
 from paceline.simulation.textures import Texture
 
 Array = NDArray[np.float64]
@@ -25,14 +25,14 @@ SMALL = Scene(seed=4, vehicles=(CAR,), image_size=(640, 480), focal=1400.0, fram
 CURVE = replace(SMALL, radius=-150.0, road_depth=45.0, vehicles=(replace(CAR, acceleration=1.5, lateral=0.3),))
 
 
-def disc_card(pose: Pose, centre: tuple[float, float], radius: float) -> Card:
+def disc_card(pose: Pose, centre: tuple[float, float], radius: float) -> TexturedPlane:
     """A dark 1.8 × 0.64 m card with a bright disc, given in metres from its top-left corner."""
     rows, columns, width, height = 352, 992, 1.8, 0.64
     x, y = np.meshgrid((np.arange(columns) + 0.5) * width / columns, (np.arange(rows) + 0.5) * height / rows)
     bright = np.clip((radius - np.hypot(x - centre[0], y - centre[1])) * rows / height + 0.5, 0, 1)
     texture = Texture((20 + 200 * bright).astype(np.float32), np.ones((rows, columns), np.float32))
     q = pose.corners(width, height)
-    return Card(texture, q[0], q[1] - q[0], q[3] - q[0])
+    return TexturedPlane(texture, q[0], q[1] - q[0], q[3] - q[0])
 
 
 def centroid_within(outline: Array) -> Array:
@@ -47,14 +47,14 @@ def centroid_within(outline: Array) -> Array:
 def test_a_disc_lies_where_its_projection_says(distance: float, yaw: float) -> None:
     scene = replace(SMALL, focal=2200.0, road_direction=yaw, road_depth=distance, camera_height=1.2, tilt=0.01)
     vehicle = Vehicle("v0", 10.0, start_distance=distance, lane=0.0137 * distance)
-    card = disc_card(Motion(Road(scene), vehicle, 1.0).pose(0.013), (0.71, 0.35), 0.2)
+    card = disc_card(Motion(CircularRoad(scene), vehicle, 1.0).pose(0.013), (0.71, 0.35), 0.2)
     angles = np.linspace(0, 2 * np.pi, 2000, endpoint=False)
     rim = np.array([0.71, 0.35]) + 0.2 * np.column_stack([np.cos(angles), np.sin(angles)])
     world = card.corner + rim / np.array([1.8, 0.64]) @ np.stack([card.across, card.down])
     v, u = np.mgrid[:480, :640]
-    for view in views_of(make_rig(scene)):
+    for view in rig_views(make_rig(scene)):
         image = np.full((480, 640), 20, np.float32)
-        paste(image, draw([card], view, 0.6, SUPERSAMPLING))
+        composite(image, draw_planes([card], view, 0.6, SUPERSAMPLING))
         weight = image.astype(float) - 20
         seen = np.array([(weight * u).sum(), (weight * v).sum()]) / weight.sum()
         np.testing.assert_allclose(seen, centroid_within(view.project(world)), atol=0.008)
@@ -83,7 +83,7 @@ def test_the_picture_moves_as_the_truth_moves() -> None:
 def test_truth_is_the_projection_of_the_plane(scene: Scene) -> None:
     world = World(scene)
     vehicle = scene.vehicles[0]
-    motion = Motion(Road(scene), vehicle, 2.0)
+    motion = Motion(CircularRoad(scene), vehicle, 2.0)
     for row in world.truth:
         pose, later = motion.pose(row["time_s"]), motion.pose(row["time_s"] + scene.skew_s)
         left, _ = world.rig.project(pose.corners(vehicle.width, vehicle.height))
@@ -105,7 +105,7 @@ def test_truth_is_the_projection_of_the_plane(scene: Scene) -> None:
 )
 @pytest.mark.parametrize("radius", [None, 90.0, -90.0])
 def test_the_centre_moves_at_the_stated_speed(vehicle: Vehicle, radius: float | None) -> None:
-    motion = Motion(Road(replace(SMALL, radius=radius, tilt=0.05, road_direction=0.1)), vehicle, 3.0)
+    motion = Motion(CircularRoad(replace(SMALL, radius=radius, tilt=0.05, road_direction=0.1)), vehicle, 3.0)
     h = 1e-3
     for t in np.linspace(0, 3, 13):
         before, now, after = (motion.pose(float(t + dt)) for dt in (-h, 0, h))

@@ -32,7 +32,7 @@ from paceline.recordings import live_stereo
 from paceline.recordings.live_stereo import RawPair, _paired, _View
 from paceline.recordings.monocular import CameraFrame, CameraRecording
 from paceline.simulation.stereo.clip import RenderedClip, Scene, Vehicle, World, render, write
-from paceline.simulation.stereo.scenery import Backdrop
+from paceline.simulation.stereo.scenery import StaticBackground
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.results import Measurement
 from paceline.survey.live import last_seen, survey
@@ -143,7 +143,7 @@ def test_what_is_not_used_in_time_is_dropped_and_counted(monkeypatch: pytest.Mon
 def road(of: Scene, frames: int, seed: int) -> dict[str, list[NDArray[np.uint8]]]:
     """The same road without vehicles."""
     world, rng = World(of), np.random.default_rng(seed)
-    stills = [Backdrop(world.scene, world.road, world.scene.seed).draw(v) for v in world.views]
+    stills = [StaticBackground(world.scene, world.road, world.scene.seed).draw(v) for v in world.views]
     return {
         side: [np.clip(still + rng.normal(0, 0.8, still.shape), 0, 255).astype(np.uint8) for _ in range(frames)]
         for side, still in zip(("left", "right"), stills, strict=True)

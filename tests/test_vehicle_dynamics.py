@@ -9,14 +9,21 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from paceline.simulation.closed_loop.vehicle_dynamics import Command, Plant, State, Vehicle, ahead_of, integrated
+from paceline.simulation.closed_loop.vehicle_dynamics import (
+    Command,
+    VehicleDynamics,
+    VehicleParameters,
+    VehicleState,
+    integrate,
+    point_ahead,
+)
 
-VEHICLE = Vehicle()
+VEHICLE = VehicleParameters()
 FIELDS = np.array(astuple(VEHICLE)[:14])
 
 
 def rolling(speed: float, steering: float = 0.0) -> np.ndarray:
-    return np.array(astuple(State(0.0, 0.0, 0.0, speed, 0.0, steering)))
+    return np.array(astuple(VehicleState(0.0, 0.0, 0.0, speed, 0.0, steering)))
 
 
 @pytest.mark.parametrize(("speed", "steering"), [(3.0, 0.3), (10.0, 0.05), (25.0, -0.02)])
@@ -24,7 +31,7 @@ def test_a_held_wheel_drives_the_circle_that_geometry_says(speed: float, steerin
     """Radius (L + K v²) / tan δ, to the right for a positive angle; the centre stays where it is."""
     radius = (VEHICLE.wheelbase + VEHICLE.understeer * speed**2) / np.tan(steering)
     seconds = 4.0
-    s = integrated(rolling(speed, steering), steering, 0.0, FIELDS, 0.005, 800)
+    s = integrate(rolling(speed, steering), steering, 0.0, FIELDS, 0.005, 800)
     turned = speed * seconds / radius
     np.testing.assert_allclose(s[:2], (radius * np.sin(turned), -radius * (1 - np.cos(turned))), atol=1e-6)
     assert s[2] == pytest.approx(-turned, abs=1e-9)
@@ -35,7 +42,7 @@ def test_the_integration_is_of_fourth_order() -> None:
     start = rolling(8.0)
 
     def after(steps: int) -> np.ndarray:
-        return integrated(start, 0.04, -1.0, FIELDS, 1.6 / steps, steps)
+        return integrate(start, 0.04, -1.0, FIELDS, 1.6 / steps, steps)
 
     exact = after(4096)
     errors = np.array([np.linalg.norm(after(n)[:3] - exact[:3]) for n in (16, 32, 64)])
@@ -44,13 +51,13 @@ def test_the_integration_is_of_fourth_order() -> None:
 
 
 def test_lags_are_exponential() -> None:
-    s = integrated(rolling(10.0), 0.01, 1.0, FIELDS, 0.005, 60)
+    s = integrate(rolling(10.0), 0.01, 1.0, FIELDS, 0.005, 60)
     assert s[5] == pytest.approx(0.01 * (1 - np.exp(-0.3 / VEHICLE.steering_lag)), rel=1e-6)
     assert s[4] == pytest.approx(1 - np.exp(-0.3 / VEHICLE.throttle_lag), rel=1e-6)
 
 
 def test_limits_hold() -> None:
-    plant = Plant(VEHICLE, State(0.0, 0.0, 0.0, 20.0))
+    plant = VehicleDynamics(VEHICLE, VehicleState(0.0, 0.0, 0.0, 20.0))
     plant.ask(Command(0.0, 2.0, -50.0))
     before = plant.state
     for k in range(1, 80):
@@ -69,7 +76,7 @@ def test_limits_hold() -> None:
 def test_the_stopping_distance_is_that_of_a_lag_and_a_constant_deceleration() -> None:
     """A first-order lag τ before a deceleration a costs v τ, all but what it saves: s = v²/2a + v τ − a τ²/2 + …"""
     speed, braking, tau = 15.0, VEHICLE.braking_limit, VEHICLE.brake_lag
-    plant = Plant(VEHICLE, State(0.0, 0.0, 0.0, speed))
+    plant = VehicleDynamics(VEHICLE, VehicleState(0.0, 0.0, 0.0, speed))
     plant.ask(Command(0.0, 0.0, -braking))
     assert plant.advance(10.0).x == pytest.approx(
         speed**2 / (2 * braking) + speed * tau - braking * tau**2 / 2, rel=2e-3
@@ -77,7 +84,7 @@ def test_the_stopping_distance_is_that_of_a_lag_and_a_constant_deceleration() ->
 
 
 def test_commands_act_when_they_are_due() -> None:
-    plant = Plant(VEHICLE, State(0.0, 0.0, 0.0, 10.0))
+    plant = VehicleDynamics(VEHICLE, VehicleState(0.0, 0.0, 0.0, 10.0))
     plant.ask(Command(0.128, 0.1, 0.0))
     assert plant.advance(0.128).steering == 0.0
     assert plant.advance(0.15).steering == pytest.approx(0.022 * VEHICLE.steering_rate, rel=1e-6)  # as fast as it can
@@ -90,7 +97,7 @@ def test_commands_act_when_they_are_due() -> None:
 def test_it_does_not_matter_when_one_looks(pauses: list[float], steering: float, acceleration: float) -> None:
     """Many looks on the way or none: the same end, to the accuracy of the integration."""
     ends = np.cumsum(pauses)
-    a, b = (Plant(VEHICLE, State(1.0, 2.0, 0.5, 9.0)) for _ in range(2))
+    a, b = (VehicleDynamics(VEHICLE, VehicleState(1.0, 2.0, 0.5, 9.0)) for _ in range(2))
     for plant in (a, b):
         plant.ask(Command(0.05, steering, acceleration))
     for end in ends:
@@ -100,12 +107,12 @@ def test_it_does_not_matter_when_one_looks(pauses: list[float], steering: float,
 
 
 def test_the_body_nods_under_braking_and_leans_out_of_a_bend() -> None:
-    braked = integrated(rolling(30.0), 0.0, -4.0, FIELDS, 0.005, 600)
+    braked = integrate(rolling(30.0), 0.0, -4.0, FIELDS, 0.005, 600)
     assert braked[6] == pytest.approx(4.0 * VEHICLE.nod, rel=0.02)  # nose down
-    turning = integrated(rolling(10.0, 0.05), 0.05, 0.0, FIELDS, 0.005, 800)
+    turning = integrate(rolling(10.0, 0.05), 0.05, 0.0, FIELDS, 0.005, 800)
     lateral = 100 * np.tan(0.05) / (VEHICLE.wheelbase + VEHICLE.understeer * 100)
     assert turning[8] == pytest.approx(-lateral * VEHICLE.lean, rel=0.02)  # to the left, out of a right turn
 
 
 def test_points_ahead_lie_on_the_axis() -> None:
-    assert ahead_of(State(1.0, 2.0, np.pi / 2, 0.0), 3.0) == pytest.approx((1.0, 5.0))
+    assert point_ahead(VehicleState(1.0, 2.0, np.pi / 2, 0.0), 3.0) == pytest.approx((1.0, 5.0))

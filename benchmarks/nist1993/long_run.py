@@ -11,16 +11,16 @@ from matplotlib.figure import Figure
 from zhu2012 import drawing
 from zhu2012.items import Item, Numbers, image, run_alone
 
-from paceline.simulation.closed_loop.drive_yaml import scene_named
+from paceline.simulation.closed_loop.drive_yaml import resolve_drive
 from paceline.simulation.closed_loop.loop import ClosedLoop
-from paceline.simulation.closed_loop.requirements import Figures, judged
+from paceline.simulation.closed_loop.requirements import DriveStatistics, check_requirements
 
 SETTINGS: Numbers = {"scene": "long", "seed": 100}
 EVERY = 15  # frames of the plots: one a second
 
 
 def compute() -> Numbers:
-    loop, figures = ClosedLoop(scene_named(SETTINGS["scene"], SETTINGS["seed"]), SETTINGS["seed"]), Figures()
+    loop, figures = ClosedLoop(resolve_drive(SETTINGS["scene"], SETTINGS["seed"]), SETTINGS["seed"]), DriveStatistics()
     milliseconds, trace = [], []
     for step in loop.steps():
         figures.add(step, loop.stage.world.body.width)
@@ -31,7 +31,7 @@ def compute() -> Numbers:
             seen = e.status == "tracking"
             trace.append([round(step.time, 1), *(round(float(v), 3) for v in (step.gap, step.chase.speed))])
             trace[-1] += [round(float(error), 3) if seen else None, round(float(step.path_error), 4)]
-    requirements = judged(loop.model, figures)
+    requirements = check_requirements(loop.model, figures)
     shown: dict[str, Any] = {
         "kind": loop.stage.scene.kind,
         "frames": figures.frames,

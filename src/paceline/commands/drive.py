@@ -30,10 +30,10 @@ def drive(
     """Let a simulated vehicle follow the one ahead by its camera, and judge how it drives."""
     from paceline.reports.closed_loop.report import write_drive_files
     from paceline.reports.common.output_folder import OutputFolder
-    from paceline.simulation.closed_loop.drive_yaml import scene_named
+    from paceline.simulation.closed_loop.drive_yaml import resolve_drive
     from paceline.simulation.closed_loop.loop import ClosedLoop
 
-    model = scene_named(scene, seed)
+    model = resolve_drive(scene, seed)
     with OutputFolder(out) as folder, progress_bar("driving", sys.stderr.isatty() and not quiet) as advance:
         result = write_drive_files(ClosedLoop(model, seed, latency), folder, overlay, advance)
     if not quiet:

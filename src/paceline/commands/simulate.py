@@ -54,9 +54,9 @@ def simulate_follow(scene: Scene, out: Out, samples: Samples = None, seed: Seed 
 @simulate.command("list")
 def simulate_list() -> int:
     """List the named scenes."""
-    from paceline.simulation.raytraced.named_scenes import names
+    from paceline.simulation.raytraced.named_scenes import list_scenes
 
-    for kind, name, text in names():
+    for kind, name, text in list_scenes():
         print(f"{kind:6}  {name:22}  {text}")
     return 0
 
@@ -82,13 +82,13 @@ def simulate_suite(
 def _file(scene: str, kind: str) -> Path:
     """The path that ``scene`` is, where no named scene is called so."""
     from paceline.documents.models import nearest_of
-    from paceline.simulation.raytraced.named_scenes import names
+    from paceline.simulation.raytraced.named_scenes import list_scenes
 
     path = Path(scene)
     if path.is_dir():
         path = path / "scene.yaml"
     if path.suffix not in (".yaml", ".yml") and not path.exists():
-        own = [name for k, name, _ in names() if k == kind]
+        own = [name for k, name, _ in list_scenes() if k == kind]
         raise UnusableInput(f"{scene}: no {kind} scene has this name; {nearest_of(scene, own)}")
     return path
 

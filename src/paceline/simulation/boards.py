@@ -14,13 +14,13 @@ from paceline.calibration.boards import Board, Corners
 from paceline.calibration.parameters import Observations, Poses, Rig, lens_projection, project, rotation
 
 PIXELS_PER_SQUARE = 48  # of the printed board
-FINER = 2  # the picture is drawn on a finer grid and averaged
-NODE = 8  # px between the directions that are computed exactly
-PAPER, INK, WALL = 225.0, 25.0, 110.0  # grey levels
+OVERSAMPLING = 2  # the picture is drawn on a finer grid and averaged
+NODE_SPACING_PX = 8  # px between the directions that are computed exactly
+PAPER_GREY, INK_GREY, WALL_GREY = 225.0, 25.0, 110.0  # grey levels
 
 
 @dataclass(frozen=True, eq=False)
-class Setup:
+class CalibrationSetup:
     """A rig, its image size (width, height), and the poses in which the board is held."""
 
     rig: Rig
@@ -31,7 +31,7 @@ class Setup:
 
 def random_setup(
     rng: np.random.Generator, board: Board, views: int, size: tuple[int, int] = (1280, 960), distortion: int = 2
-) -> Setup:
+) -> CalibrationSetup:
     """A rig of random focal length, baseline and angles, with as many coefficients of distortion as asked for, and
     ``views`` poses that show the board large, tilted and all over the image."""
     width, height = size
@@ -45,10 +45,10 @@ def random_setup(
     R = rotation(rng.normal(0, [0.01, 0.02, 0.01]))
     t = np.array([-rng.uniform(0.3, 0.8), *rng.normal(0, 0.02, 2)])
     rig = Rig(lenses, R, t)
-    return Setup(rig, size, board, _held(rng, rig, size, board, views))
+    return CalibrationSetup(rig, size, board, _draw_poses(rng, rig, size, board, views))
 
 
-def _held(rng: np.random.Generator, rig: Rig, size: tuple[int, int], board: Board, views: int) -> Poses:
+def _draw_poses(rng: np.random.Generator, rig: Rig, size: tuple[int, int], board: Board, views: int) -> Poses:
     """Poses in which both views hold most of the board, a chessboard whole; it covers a third to two thirds of them."""
     points = board.points
     least = max(0.6 * len(points), board.least_corners)
@@ -60,14 +60,14 @@ def _held(rng: np.random.Generator, rig: Rig, size: tuple[int, int], board: Boar
         depth = rig.lenses[0, 1] * extent[1] / (rng.uniform(0.3, 0.65) * size[1])
         direction = (rng.uniform(0.1, 0.9, 2) * size - rig.lenses[0, 2:4]) / rig.lenses[0, :2]
         t = depth * np.array([*direction, 1.0]) - R @ middle
-        seen = observations_of(Poses(R[None], t[None]), rig, board, size)
+        seen = project_board(Poses(R[None], t[None]), rig, board, size)
         if all((seen.side == side).sum() >= least for side in (0, 1)):
             rotations.append(R)
             places.append(t)
     return Poses(np.array(rotations), np.array(places))
 
 
-def observations_of(poses: Poses, rig: Rig, board: Board, size: tuple[int, int]) -> Observations:
+def project_board(poses: Poses, rig: Rig, board: Board, size: tuple[int, int]) -> Observations:
     """Exact corners that lie inside both images' borders."""
     V, points = len(poses.t), board.points
     n = len(points)
@@ -78,12 +78,12 @@ def observations_of(poses: Poses, rig: Rig, board: Board, size: tuple[int, int])
     return Observations(view[inside], side[inside], everything.points[inside], pixels[inside])
 
 
-def noisy(rng: np.random.Generator, seen: Observations, sigma: float) -> Observations:
+def add_noise(rng: np.random.Generator, seen: Observations, sigma: float) -> Observations:
     """``seen`` with errors of that standard deviation in every coordinate, px."""
     return Observations(seen.view, seen.side, seen.points, seen.pixels + rng.normal(0, sigma, seen.pixels.shape))
 
 
-def corners_of(seen: Observations, board: Board) -> list[tuple[Corners, Corners]]:
+def corners_by_view(seen: Observations, board: Board) -> list[tuple[Corners, Corners]]:
     """The corners of every view as a finder returns them, left and right."""
     pairs = []
     for v in range(int(seen.view.max()) + 1):
@@ -96,7 +96,7 @@ def corners_of(seen: Observations, board: Board) -> list[tuple[Corners, Corners]
     return pairs
 
 
-def printed(board: Board) -> NDArray[np.uint8]:
+def board_pattern(board: Board) -> NDArray[np.uint8]:
     """The board's pattern, ``PIXELS_PER_SQUARE`` a square, with a margin of one square."""
     p = PIXELS_PER_SQUARE
     if board.marker is not None:
@@ -108,22 +108,22 @@ def printed(board: Board) -> NDArray[np.uint8]:
 
 
 def render(
-    setup: Setup, view: int, rng: np.random.Generator, blur: float = 0.7, noise: float = 2.0
+    setup: CalibrationSetup, view: int, rng: np.random.Generator, blur: float = 0.7, noise: float = 2.0
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     """Both cameras' pictures (H, W) of the board in a view; ``blur`` (px) and ``noise`` (grey levels) are standard
     deviations."""
-    pattern = printed(setup.board).astype(np.float32)
+    pattern = board_pattern(setup.board).astype(np.float32)
     R, t = setup.poses.R[view], setup.poses.t[view]
     poses = [(R, t), (setup.rig.R @ R, setup.rig.R @ t + setup.rig.t)]
     left, right = (
-        _picture(setup, pattern, lens, pose, rng, blur, noise)
+        _render_view(setup, pattern, lens, pose, rng, blur, noise)
         for lens, pose in zip(setup.rig.lenses, poses, strict=True)
     )
     return left, right
 
 
-def _picture(
-    setup: Setup,
+def _render_view(
+    setup: CalibrationSetup,
     pattern: NDArray[np.float32],
     lens: Array,
     pose: tuple[Array, Array],
@@ -132,8 +132,8 @@ def _picture(
     noise: float,
 ) -> NDArray[np.uint8]:
     R, t = pose
-    low, high = _extent(setup, lens, pose)
-    rays = _rays(lens, low, high)
+    low, high = _board_window(setup, lens, pose)
+    rays = _undistorted_rays(lens, low, high)
     H = np.linalg.inv(np.column_stack([R[:, 0], R[:, 1], t]))  # rays to metres on the board
     x, y, w = (H[i, 0] * rays[..., 0] + H[i, 1] * rays[..., 1] + H[i, 2] for i in range(3))
     squares = np.stack([x / w, y / w], -1) / setup.board.square + 2  # a square of margin, one to the first inner corner
@@ -142,14 +142,16 @@ def _picture(
     soft = cv2.GaussianBlur(pattern, (0, 0), max(0.4 * shrink, 0.3))
     across, down = (np.ascontiguousarray(at[..., i], np.float32) for i in (0, 1))
     drawn = cv2.remap(soft, across, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=-1.0)
-    shown = np.where(drawn < 0, WALL, INK + (PAPER - INK) * drawn / 255)
-    picture = np.full(setup.size[::-1], WALL)
+    shown = np.where(drawn < 0, WALL_GREY, INK_GREY + (PAPER_GREY - INK_GREY) * drawn / 255)
+    picture = np.full(setup.size[::-1], WALL_GREY)
     picture[low[1] : high[1], low[0] : high[0]] = cv2.resize(shown, (high - low).tolist(), interpolation=cv2.INTER_AREA)
     picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), max(blur, 0.05)), float)
     return np.clip(np.rint(picture + rng.normal(0, noise, picture.shape)), 0, 255).astype(np.uint8)
 
 
-def _extent(setup: Setup, lens: Array, pose: tuple[Array, Array]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _board_window(
+    setup: CalibrationSetup, lens: Array, pose: tuple[Array, Array]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """First and last pixel (x, y) of the part of the picture that the printed board may reach."""
     points = setup.board.points
     span = points.max(0)
@@ -161,13 +163,18 @@ def _extent(setup: Setup, lens: Array, pose: tuple[Array, Array]) -> tuple[NDArr
     return low, np.clip(np.ceil(pixels.max(0)) + 1, low + 16, limit).astype(np.int64)
 
 
-def _rays(lens: Array, low: NDArray[np.int64], high: NDArray[np.int64]) -> Array:
+def _undistorted_rays(lens: Array, low: NDArray[np.int64], high: NDArray[np.int64]) -> Array:
     """Directions (x, y) with z = 1 through the pixels of the finer grid from ``low`` to ``high``: exact every few
     pixels, splines between."""
     K = np.array([[lens[0], 0, lens[2]], [0, lens[1], lens[3]], [0, 0, 1]])
-    x, y = (np.arange(a - 2 * NODE, b + 3 * NODE, NODE) for a, b in zip(low, high, strict=True))
+    x, y = (
+        np.arange(a - 2 * NODE_SPACING_PX, b + 3 * NODE_SPACING_PX, NODE_SPACING_PX)
+        for a, b in zip(low, high, strict=True)
+    )
     nodes = np.stack(np.meshgrid(x, y), -1).astype(float)
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-10)
     exact = cv2.undistortPoints(nodes.reshape(-1, 1, 2), K, lens[4:], criteria=criteria).reshape(nodes.shape)
-    across, down = (a + (np.arange((b - a) * FINER) + 0.5) / FINER - 0.5 for a, b in zip(low, high, strict=True))
+    across, down = (
+        a + (np.arange((b - a) * OVERSAMPLING) + 0.5) / OVERSAMPLING - 0.5 for a, b in zip(low, high, strict=True)
+    )
     return np.stack([RectBivariateSpline(y, x, exact[..., i])(down, across) for i in (0, 1)], -1)

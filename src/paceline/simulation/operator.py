@@ -15,31 +15,34 @@ from paceline.cameras import Camera, StereoRig, View
 from paceline.errors import UnusableInput
 from paceline.simulation.road import Road
 
-CLEAR = 0.97  # share of a plane that has to be visible where it is outlined
-NARROWEST = 24.0  # px, a plane's width where it is outlined
-BEFORE, BEHIND = 60.0, 6.0  # m of a line that are drawn nearer to the camera and farther than the vehicle drives
-BORDER = 6.0  # px
+MIN_VISIBLE_SHARE = 0.97  # share of a plane that has to be visible where it is outlined
+MIN_OUTLINE_WIDTH_PX = 24.0  # px, a plane's width where it is outlined
+LINE_BEFORE_M, LINE_BEYOND_M = (
+    60.0,
+    6.0,
+)  # m of a line that are drawn nearer to the camera and farther than the vehicle drives
+LINE_BORDER_PX = 6.0  # px
 START = 0.4, 0.008  # px and share of the size, standard deviations of where a target is said to be
-MARGIN = 10.0  # px that a quadrilateral keeps from the image's border where it counts as inside
+MIN_BORDER_DISTANCE_PX = 10.0  # px that a quadrilateral keeps from the image's border where it counts as inside
 
-Hidden = Callable[[View, Array], Mask]  # whether (N,) anything that stands still hides points (N, 3) from a view
+IsHidden = Callable[[View, Array], Mask]  # whether (N,) anything that stands still hides points (N, 3) from a view
 
 
-class Driving(Protocol):
+class VehicleMotion(Protocol):
     def position(self, t: float) -> tuple[float, float]:
         """Arc length and lateral, m."""
 
 
-class Driven(Protocol):
+class SimulatedVehicle(Protocol):
     """What this module needs to know of a vehicle."""
 
     @property
     def model(self) -> Any: ...
     @property
-    def motion(self) -> Driving: ...
+    def motion(self) -> VehicleMotion: ...
 
 
-class Filmed(Protocol):
+class SimulatedStereoScene(Protocol):
     """What this module needs to know of a scene that is filmed."""
 
     @property
@@ -51,10 +54,10 @@ class Filmed(Protocol):
     @property
     def views(self) -> tuple[View, View]: ...
     @property
-    def cars(self) -> Sequence[Driven]: ...
+    def cars(self) -> Sequence[SimulatedVehicle]: ...
 
 
-def clip_document(stage: Filmed, truth: list[dict[str, Any]], hidden: Hidden) -> dict[str, Any]:
+def clip_document(stage: SimulatedStereoScene, truth: list[dict[str, Any]], hidden: IsHidden) -> dict[str, Any]:
     """The contents of clip.yaml, pixels as recorded.
 
     Raises UnusableInput where a measured vehicle or the line beside it is never seen well enough.
@@ -69,46 +72,50 @@ def clip_document(stage: Filmed, truth: list[dict[str, Any]], hidden: Hidden) ->
     measured = [car for car in stage.cars if car.model.measured]
     for car in measured:
         lanes.setdefault((car.model.lane, car.model.towards), f"lane{len(lanes)}")
-    seen = {car.model.id: first_seen(car, truth) for car in measured}
+    seen = {car.model.id: rows_from_outline(car, truth) for car in measured}
     clip["paths"] = {}
     for (lane, towards), name in lanes.items():
         users = [car for car in measured if (car.model.lane, car.model.towards) == (lane, towards)]
-        driven = np.array([_arc(car, row["time_s"]) for car in users for row in seen[car.model.id]])
-        clip["paths"][name] = _path(stage, lane, towards, driven, hidden, rng)
+        driven = np.array([_arc_length(car, row["time_s"]) for car in users for row in seen[car.model.id]])
+        clip["paths"][name] = _draw_path(stage, lane, towards, driven, hidden, rng)
     clip["vehicles"] = [
         {"id": car.model.id, "path": lanes[car.model.lane, car.model.towards], "frame": seen[car.model.id][0]["frame"]}
-        | {side: _clicked(stage, side, seen[car.model.id][0][side], rng) for side in ("left", "right")}
+        | {side: _click_corners(stage, side, seen[car.model.id][0][side], rng) for side in ("left", "right")}
         | ({"speed": car.model.guess} if car.model.guess else {})
         for car in measured
     ]
     return clip
 
 
-def first_seen(car: Driven, truth: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def rows_from_outline(car: SimulatedVehicle, truth: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """The rows of truth from the first on in which a vehicle can be outlined, while it is inside both pictures."""
     rows = [row for row in truth if row["vehicle"] == car.model.id and row["inside"]]
     for i, row in enumerate(rows):
         width = min(np.ptp(np.array(row[side])[:, 0]) for side in ("left", "right"))
-        if row["visible"] >= CLEAR and width >= NARROWEST:
+        if row["visible"] >= MIN_VISIBLE_SHARE and width >= MIN_OUTLINE_WIDTH_PX:
             return rows[i:]
-    raise UnusableInput(f"vehicle {car.model.id}: is never wholly visible and {NARROWEST:g} px wide in both pictures")
+    raise UnusableInput(
+        f"vehicle {car.model.id}: is never wholly visible and {MIN_OUTLINE_WIDTH_PX:g} px wide in both pictures"
+    )
 
 
-def _arc(car: Driven, t: float) -> float:
+def _arc_length(car: SimulatedVehicle, t: float) -> float:
     return car.motion.position(t)[0]
 
 
-def _clicked(stage: Filmed, side: str, corners: list[list[float]], rng: np.random.Generator) -> list[list[float]]:
+def _click_corners(
+    stage: SimulatedStereoScene, side: str, corners: list[list[float]], rng: np.random.Generator
+) -> list[list[float]]:
     camera = stage.rig.left if side == "left" else stage.rig.right
-    return clicked(camera.distort_points(np.array(corners)), stage.scene.clicks.corner, rng)
+    return add_click_noise(camera.distort_points(np.array(corners)), stage.scene.clicks.corner, rng)
 
 
-def clicked(pixels: Array, sigma: float, rng: np.random.Generator) -> list[list[float]]:
+def add_click_noise(pixels: Array, sigma: float, rng: np.random.Generator) -> list[list[float]]:
     """``pixels`` (N, 2) as they are clicked, ``sigma`` px off in either direction."""
-    return rounded(pixels + rng.normal(0, 1, pixels.shape) * sigma)
+    return round_points(pixels + rng.normal(0, 1, pixels.shape) * sigma)
 
 
-def drawn_line(
+def draw_line(
     pixels: Array, camera: Camera, points: int, sigma: float, rng: np.random.Generator
 ) -> list[list[float]]:
     """About so many ``points`` that a person clicks along a line of ideal ``pixels`` (N, 2), from far to near."""
@@ -116,49 +123,51 @@ def drawn_line(
     # People click more densely far away, where a line bends in the picture: evenly in the root of the length.
     count = points + int(rng.integers(-1, 2))
     at = length[-1] * ((np.arange(count) + rng.uniform(0.1, 0.9, count)) / count) ** 2
-    return clicked(camera.distort_points(np.column_stack([np.interp(at, length, c) for c in pixels.T])), sigma, rng)
+    return add_click_noise(
+        camera.distort_points(np.column_stack([np.interp(at, length, c) for c in pixels.T])), sigma, rng
+    )
 
 
-def _path(
-    stage: Filmed, lane: int, towards: bool, driven: Array, hidden: Hidden, rng: np.random.Generator
+def _draw_path(
+    stage: SimulatedStereoScene, lane: int, towards: bool, driven: Array, hidden: IsHidden, rng: np.random.Generator
 ) -> dict[str, Any]:
     """The painted line beside a lane that is seen best, drawn in each view along where vehicles drive, ``driven`` (N,)
     m of arc length."""
     middle, road = stage.road.lanes[lane], stage.road
     beside = sorted(road.markings, key=lambda m: abs(m - middle))[:2]
-    found = {m: [_visible(stage, m, driven, view, hidden) for view in stage.views] for m in beside}
+    found = {m: [_visible_line(stage, m, driven, view, hidden) for view in stage.views] for m in beside}
     marking = max(found, key=lambda m: min(len(line) for line in found[m]))
     if min(len(line) for line in found[marking]) < 10:
         raise UnusableInput(f"no painted line beside lane {lane} is visible in both pictures")
     shape = road.shape
     path: dict[str, Any] = {"shape": "line" if shape.kind == "straight" and shape.crest_radius is None else "curve"}
     for side, camera, pixels in zip(("left", "right"), stage.rig.cameras, found[marking], strict=True):
-        path[side] = drawn_line(pixels, camera, stage.scene.clicks.points, stage.scene.clicks.line, rng)
+        path[side] = draw_line(pixels, camera, stage.scene.clicks.points, stage.scene.clicks.line, rng)
     path["lateral_offset"] = round((middle - marking) * (-1.0 if towards else 1.0), 3)
     return path
 
 
-def _visible(stage: Filmed, marking: float, driven: Array, view: View, hidden: Hidden) -> Array:
+def _visible_line(stage: SimulatedStereoScene, marking: float, driven: Array, view: View, hidden: IsHidden) -> Array:
     """Pixels (N, 2) closely along the line at ``marking``, from far to near, where nothing hides it: its longest
     stretch."""
-    points = stage.road.line(marking, float(driven.min()) - BEFORE, float(driven.max()) + BEFORE, 0.25)
+    points = stage.road.line(marking, float(driven.min()) - LINE_BEFORE_M, float(driven.max()) + LINE_BEFORE_M, 0.25)
     depth = view.to_camera(points)[:, 2]
     along = stage.road.line(0.0, float(driven.min()), float(driven.max()), 0.25)
     nearest, farthest = (f(view.to_camera(along)[:, 2]) for f in (np.min, np.max))
-    points = points[(depth > max(2.0, nearest - BEFORE)) & (depth < farthest + BEHIND)]
+    points = points[(depth > max(2.0, nearest - LINE_BEFORE_M)) & (depth < farthest + LINE_BEYOND_M)]
     points = points[np.argsort(-view.to_camera(points)[:, 2], kind="stable")]
     if len(points) == 0:
         return np.empty((0, 2))
     pixels = view.project(points)
     size = np.array(view.camera.image_size)
-    seen = ((pixels > BORDER) & (pixels < size - 1 - BORDER)).all(1) & ~hidden(view, points)
+    seen = ((pixels > LINE_BORDER_PX) & (pixels < size - 1 - LINE_BORDER_PX)).all(1) & ~hidden(view, points)
     # Posts hide a line for a moment only, and people draw across; a curve may leave the picture and come back.
     closed = np.convolve(seen, np.ones(9), "same") > 0
-    inside = closed & ((pixels > BORDER) & (pixels < size - 1 - BORDER)).all(1)
-    return longest_stretch(pixels, inside)
+    inside = closed & ((pixels > LINE_BORDER_PX) & (pixels < size - 1 - LINE_BORDER_PX)).all(1)
+    return longest_visible_run(pixels, inside)
 
 
-def drawn_start(
+def draw_start(
     center: Array, distance: float, nominal_range: float, seed: int, focal: float = 1.0, usual: float = 1.0
 ) -> dict[str, Any]:
     """``start`` of follow.yaml, as it is set on the first frame, in which the target's ``center`` (2,) px is
@@ -169,16 +178,18 @@ def drawn_start(
     return {"frame": 0, "center": [round(float(x), 1), round(float(y), 1)], "scale": round(float(scale), 3)}
 
 
-def longest_stretch(pixels: Array, seen: Mask) -> Array:
+def longest_visible_run(pixels: Array, seen: Mask) -> Array:
     """The longest part (M, 2) of a line of ``pixels`` (N, 2) that is ``seen`` (N,) without a gap."""
     pieces = np.split(pixels, np.flatnonzero(~seen))
     return np.asarray(max((p[1:] if i else p for i, p in enumerate(pieces)), key=len, default=np.empty((0, 2))))
 
 
-def is_inside(pixels: Array, size: tuple[int, int]) -> bool:
+def is_inside_image(pixels: Array, size: tuple[int, int]) -> bool:
     """Whether ``pixels`` (…, 2) lie wholly inside an image of ``size``, away from its border."""
-    return bool((pixels >= MARGIN).all() and (pixels <= np.array(size) - 1 - MARGIN).all())
+    return bool(
+        (pixels >= MIN_BORDER_DISTANCE_PX).all() and (pixels <= np.array(size) - 1 - MIN_BORDER_DISTANCE_PX).all()
+    )
 
 
-def rounded(points: Array) -> list[list[float]]:
+def round_points(points: Array) -> list[list[float]]:
     return [[round(float(x), 2), round(float(y), 2)] for x, y in points]

@@ -11,24 +11,30 @@ import numpy as np
 from paceline.arrays import Array
 from paceline.cameras import View
 from paceline.errors import UnusableInput
-from paceline.simulation.chase.scene import PRESETS, ChaseScene
-from paceline.simulation.operator import NARROWEST, is_inside
-from paceline.simulation.raytraced.scene import Stage
+from paceline.simulation.chase.scene import CHASE_PRESETS, ChaseScene
+from paceline.simulation.operator import MIN_OUTLINE_WIDTH_PX, is_inside_image
+from paceline.simulation.raytraced.scene import PlacedStereoScene
 from paceline.simulation.raytraced.scene_yaml import FollowScene, SpeedScene
-from paceline.simulation.stereo.scene import Motion, Road, Scene, Vehicle, make_rig, views_of, visible_line
-from paceline.simulation.vehicle_catalogue import DRAWN, DRAWN_GAPS, MODELLED, MODELLED_GAPS, SHARES
+from paceline.simulation.stereo.scene import CircularRoad, Motion, Scene, Vehicle, make_rig, rig_views, visible_line
+from paceline.simulation.vehicle_catalogue import (
+    MIN_RASTERIZED_GAP_M,
+    MIN_RAYTRACED_GAP_M,
+    RASTERIZED_KINDS,
+    RAYTRACED_KINDS,
+    TRAFFIC_SHARES,
+)
 
-MILE_PER_HOUR = 0.44704
-RATES = (5.0, 7.5, 10.0, 12.5, 15.0, 20.0, 25.0, 30.0)
+MPH = 0.44704
+FRAME_RATES_HZ = (5.0, 7.5, 10.0, 12.5, 15.0, 20.0, 25.0, 30.0)
 IMAGE_SIZES = ((1024, 768), (1280, 720), (1280, 960), (1440, 1080))
 
 # of those that are ray-traced
 KMH = 1 / 3.6
-SLOWEST_FILMED, FASTEST_FILMED = 15 * KMH, 130 * KMH
-FEWEST = 8  # frames in which a vehicle is inside both pictures
-NEAREST_FILMED, FARTHEST_FILMED = 10.0, 90.0  # m from the cameras
-SAMPLES = 64  # rays per pixel of a vehicle; of 16 the noise on glossy paint is several times the sensor's
-FILMED_RATES = (5.0, 7.5, 10.0, 15.0, 25.0)
+MIN_RAYTRACED_SPEED_MPS, MAX_RAYTRACED_SPEED_MPS = 15 * KMH, 130 * KMH
+MIN_VISIBLE_FRAMES = 8  # frames in which a vehicle is inside both pictures
+MIN_RAYTRACED_DISTANCE_M, MAX_RAYTRACED_DISTANCE_M = 10.0, 90.0  # m from the cameras
+RAYS_PER_PIXEL = 64  # rays per pixel of a vehicle; of 16 the noise on glossy paint is several times the sensor's
+RAYTRACED_FRAME_RATES_HZ = (5.0, 7.5, 10.0, 15.0, 25.0)
 
 
 def random_scene(seed: int, *, vehicle: dict[str, Any] | None = None, **overrides: Any) -> Scene:
@@ -37,7 +43,7 @@ def random_scene(seed: int, *, vehicle: dict[str, Any] | None = None, **override
     ``overrides`` fix fields of `Scene`, and ``vehicle`` fields of its `Vehicle`; the rest is drawn to suit them.
     Raises ValueError where nothing suits them.
     """
-    return _first_that_suits(seed, _along_the_view, MILE_PER_HOUR * 5, MILE_PER_HOUR * 130, vehicle or {}, overrides)
+    return _draw_suitable_scene(seed, _propose_approach, MPH * 5, MPH * 130, vehicle or {}, overrides)
 
 
 def random_crossing(seed: int, *, vehicle: dict[str, Any] | None = None, **overrides: Any) -> Scene:
@@ -45,26 +51,26 @@ def random_crossing(seed: int, *, vehicle: dict[str, Any] | None = None, **overr
 
     Overrides and errors as for `random_scene`.
     """
-    return _first_that_suits(seed, _across_the_view, MILE_PER_HOUR * 10, MILE_PER_HOUR * 60, vehicle or {}, overrides)
+    return _draw_suitable_scene(seed, _propose_crossing, MPH * 10, MPH * 60, vehicle or {}, overrides)
 
 
 Proposal = Callable[[int, np.random.Generator, float, dict[str, Any]], Scene]
 
 
-def _first_that_suits(
+def _draw_suitable_scene(
     seed: int, propose: Proposal, slowest: float, fastest: float, vehicle: dict[str, Any], overrides: dict[str, Any]
 ) -> Scene:
     rng = np.random.default_rng([seed, 5])
     speed = vehicle.get("speed", rng.uniform(slowest, fastest))  # drawn once: no speed is likelier for suiting better
     for _ in range(400):
         scene = replace(propose(seed, rng, speed, vehicle), **overrides)
-        if _suits(scene):
+        if _is_suitable(scene):
             return scene
     raise ValueError(f"no scene of seed {seed} suits {overrides} {vehicle}")
 
 
-def _along_the_view(seed: int, rng: np.random.Generator, speed: float, fixed: dict[str, Any]) -> Scene:
-    frames, rate = _clock(rng, speed, 60.0)
+def _propose_approach(seed: int, rng: np.random.Generator, speed: float, fixed: dict[str, Any]) -> Scene:
+    frames, rate = _draw_frames_and_rate(rng, speed, 60.0)
     way = speed * (frames - 1) / rate
     near = rng.uniform(15, max(16.0, 78 - way))
     middle = near + way / 2
@@ -73,7 +79,7 @@ def _along_the_view(seed: int, rng: np.random.Generator, speed: float, fixed: di
     vehicle = Vehicle(
         "v0",
         speed,
-        acceleration=_acceleration(rng, speed, frames / rate),
+        acceleration=_draw_acceleration(rng, speed, frames / rate),
         start_distance=near if receding else near + way,
         receding=receding,
         width=rng.uniform(1.6, 2.0),
@@ -99,19 +105,19 @@ def _along_the_view(seed: int, rng: np.random.Generator, speed: float, fixed: di
         road_offset=rng.uniform(-0.04, 0.04) * middle,
         road_depth=middle,
         line_offset=float(rng.choice([-1.85, 1.85])),
-        **_picture(rng, frames),
+        **_draw_image_quality(rng, frames),
     )
 
 
-def _across_the_view(seed: int, rng: np.random.Generator, speed: float, fixed: dict[str, Any]) -> Scene:
-    frames, rate = _clock(rng, speed, 14.0)
+def _propose_crossing(seed: int, rng: np.random.Generator, speed: float, fixed: dict[str, Any]) -> Scene:
+    frames, rate = _draw_frames_and_rate(rng, speed, 14.0)
     way = speed * (frames - 1) / rate
     depth, height = rng.uniform(12, 25), rng.uniform(1.2, 3.0)
     receding = bool(rng.random() < 0.5)
     vehicle = Vehicle(
         "v0",
         speed,
-        acceleration=_acceleration(rng, speed, frames / rate),
+        acceleration=_draw_acceleration(rng, speed, frames / rate),
         start_distance=depth + (-1 if receding else 1) * way / 2,
         receding=receding,
         width=rng.uniform(2.6, 3.8),
@@ -134,23 +140,23 @@ def _across_the_view(seed: int, rng: np.random.Generator, speed: float, fixed: d
         road_direction=np.pi / 2 + rng.normal(0, 0.08),
         road_depth=depth,
         draw_path=False,
-        **_picture(rng, frames),
+        **_draw_image_quality(rng, frames),
     )
 
 
-def _clock(rng: np.random.Generator, speed: float, longest: float) -> tuple[int, float]:
+def _draw_frames_and_rate(rng: np.random.Generator, speed: float, longest: float) -> tuple[int, float]:
     """A number of frames and a rate at which a vehicle drives between 5 and ``longest`` metres."""
     frames = int(rng.integers(10, 18))
-    suitable = [r for r in RATES if 5.0 <= speed * (frames - 1) / r <= longest]
-    return frames, float(rng.choice(suitable or [RATES[0] if speed < 10 else RATES[-1]]))
+    suitable = [r for r in FRAME_RATES_HZ if 5.0 <= speed * (frames - 1) / r <= longest]
+    return frames, float(rng.choice(suitable or [FRAME_RATES_HZ[0] if speed < 10 else FRAME_RATES_HZ[-1]]))
 
 
-def _acceleration(rng: np.random.Generator, speed: float, duration: float) -> float:
+def _draw_acceleration(rng: np.random.Generator, speed: float, duration: float) -> float:
     """Now and then a change of speed, but none that nearly stops the vehicle."""
     return max(float(rng.normal(0, 0.8)), -0.4 * speed / duration) if rng.random() < 0.3 else 0.0
 
 
-def _picture(rng: np.random.Generator, frames: int) -> dict[str, Any]:
+def _draw_image_quality(rng: np.random.Generator, frames: int) -> dict[str, Any]:
     """What the optics, the sensor, the light and the recorder do to a clip."""
     dropped = rng.choice(np.arange(2, frames - 1), int(rng.integers(1, 3)), replace=False)
     return {
@@ -163,11 +169,11 @@ def _picture(rng: np.random.Generator, frames: int) -> dict[str, Any]:
     }
 
 
-def _suits(scene: Scene) -> bool:
+def _is_suitable(scene: Scene) -> bool:
     """Whether each vehicle is inside both images for 8 frames and most of its time, within 10–85 m, its picture large
     enough, and its line visible and well across the epipolar lines in both views."""
-    road, rig = Road(scene), make_rig(scene)
-    views = views_of(rig)
+    road, rig = CircularRoad(scene), make_rig(scene)
+    views = rig_views(rig)
     ticks = [k / scene.rate for k in range(scene.frames) if k not in scene.dropped]
     for vehicle in scene.vehicles:
         motion = Motion(road, vehicle, scene.frames / scene.rate)
@@ -176,15 +182,15 @@ def _suits(scene: Scene) -> bool:
         if depths.min() < 10 or depths.max() > 85:
             return False
         pixels = [view.project(corners) for view in views]
-        inside = np.all([[is_inside(q, scene.image_size) for q in p] for p in pixels], axis=0)
+        inside = np.all([[is_inside_image(q, scene.image_size) for q in p] for p in pixels], axis=0)
         if inside.sum() < max(8, 0.7 * len(ticks)) or np.ptp(pixels[0][..., 0], axis=1).min() < 24:
             return False
-        if scene.draw_path and not all(_line_is_usable(scene, road, vehicle, corners[inside], v) for v in views):
+        if scene.draw_path and not all(_is_line_usable(scene, road, vehicle, corners[inside], v) for v in views):
             return False
     return True
 
 
-def _line_is_usable(scene: Scene, road: Road, vehicle: Vehicle, corners: Array, view: View) -> bool:
+def _is_line_usable(scene: Scene, road: CircularRoad, vehicle: Vehicle, corners: Array, view: View) -> bool:
     pixels = visible_line(scene, road, vehicle.lane, corners.mean(1), view)
     if len(pixels) < 10:
         return False
@@ -195,14 +201,14 @@ def _line_is_usable(scene: Scene, road: Road, vehicle: Vehicle, corners: Array, 
 def random_chase(seed: int, preset: str = "nist", **overrides: Any) -> ChaseScene:
     """A varied chase; ``overrides`` fix fields of `ChaseScene`, the rest is drawn.
 
-    Raises KeyError for a preset that is not one of `PRESETS`.
+    Raises KeyError for a preset that is not one of `CHASE_PRESETS`.
     """
     rng = np.random.default_rng([seed, 41])
-    drawn = str(rng.choice(DRAWN))
+    drawn = str(rng.choice(RASTERIZED_KINDS))
     kind = overrides.get("kind", drawn)
-    fixed = dict(PRESETS[preset])
+    fixed = dict(CHASE_PRESETS[preset])
     near, far = fixed.get("gap", ChaseScene.gap)
-    fixed["gap"] = max(near, DRAWN_GAPS[kind]), far
+    fixed["gap"] = max(near, MIN_RASTERIZED_GAP_M[kind]), far
     light = rng.random() < 0.6
     scene = ChaseScene(
         seed,
@@ -230,24 +236,27 @@ def random_chase(seed: int, preset: str = "nist", **overrides: Any) -> ChaseScen
 
 
 def random_speed_scene(seed: int) -> SpeedScene:
-    """A varied scene of one vehicle at 15–130 km/h, inside both pictures for at least `FEWEST` frames, coming or going.
+    """A varied scene of one vehicle at 15–130 km/h, oncoming or receding, inside both images in at least
+    `MIN_VISIBLE_FRAMES` frames.
 
     Seven of ten drive at a constant speed; the others accelerate, brake or change lane. One rig in four is
     miscalibrated.
     """
     rng = np.random.default_rng([seed, 5])
-    speed = float(rng.uniform(SLOWEST_FILMED, FASTEST_FILMED))  # drawn once: no speed is likelier for suiting better
+    speed = float(
+        rng.uniform(MIN_RAYTRACED_SPEED_MPS, MAX_RAYTRACED_SPEED_MPS)
+    )  # drawn once: no speed is likelier for suiting better
     for _ in range(400):
-        scene = SpeedScene.model_validate(_drawn(seed, speed, rng))
-        if _is_filmed_well(scene):
+        scene = SpeedScene.model_validate(_draw_speed_scene(seed, speed, rng))
+        if _is_suitable_raytraced(scene):
             return scene
     raise UnusableInput(f"seed {seed}: no scene suits; expected another seed")
 
 
-def _drawn(seed: int, speed: float, rng: np.random.Generator) -> dict[str, Any]:
+def _draw_speed_scene(seed: int, speed: float, rng: np.random.Generator) -> dict[str, Any]:
     frames = int(rng.integers(10, 16))
-    suitable = [r for r in FILMED_RATES if 5.0 <= speed * (frames - 1) / r <= 60.0]
-    rate = float(rng.choice(suitable or [FILMED_RATES[-1]]))
+    suitable = [r for r in RAYTRACED_FRAME_RATES_HZ if 5.0 <= speed * (frames - 1) / r <= 60.0]
+    rate = float(rng.choice(suitable or [RAYTRACED_FRAME_RATES_HZ[-1]]))
     way = speed * (frames - 1) / rate
     near, towards = float(rng.uniform(17, max(18.0, 75 - way))), bool(rng.random() < 0.65)
     kind = str(rng.choice(["straight", "straight", "circle", "clothoid"]))
@@ -265,7 +274,7 @@ def _drawn(seed: int, speed: float, rng: np.random.Generator) -> dict[str, Any]:
     target = {"along": middle, "right": (lane + 0.5 - lanes / 2) * 3.6 * 0.6, "height": 0.8}
     car: dict[str, Any] = {
         "id": "v0",
-        "kind": str(rng.choice(MODELLED, p=SHARES)),
+        "kind": str(rng.choice(RAYTRACED_KINDS, p=TRAFFIC_SHARES)),
         "seed": int(rng.integers(2**31)),
         "lane": lane,
         "offset": float(rng.normal(0, 0.15)),
@@ -298,11 +307,11 @@ def _drawn(seed: int, speed: float, rng: np.random.Generator) -> dict[str, Any]:
         "seed": seed,
         "frames": frames,
         "rate": rate,
-        "samples": SAMPLES,
+        "samples": RAYS_PER_PIXEL,
         "road": road,
-        "light": _light(rng),
-        "scenery": _scenery(rng),
-        "sensor": _sensor(rng),
+        "light": _draw_light(rng),
+        "scenery": _draw_scenery(rng),
+        "sensor": _draw_sensor(rng),
         "vehicles": [car],
         "rig": rig,
     }
@@ -311,11 +320,11 @@ def _drawn(seed: int, speed: float, rng: np.random.Generator) -> dict[str, Any]:
 def random_follow_scene(seed: int, frames: int = 300) -> FollowScene:
     """A varied chase of ``frames`` frames at 15 Hz."""
     rng = np.random.default_rng([seed, 7])
-    kind = str(rng.choice(MODELLED[:5]))
+    kind = str(rng.choice(RAYTRACED_KINDS[:5]))
     lead = {
         "kind": kind,
         "seed": int(rng.integers(2**31)),
-        "gap": [MODELLED_GAPS[kind], float(rng.uniform(12, 18))],
+        "gap": [MIN_RAYTRACED_GAP_M[kind], float(rng.uniform(12, 18))],
         "weave": float(rng.uniform(0, 0.9)),
     }
     road = {"kind": "winding", "radius": float(rng.choice([-1, 1]) * rng.uniform(60, 200)), "length": 400.0}
@@ -324,7 +333,7 @@ def random_follow_scene(seed: int, frames: int = 300) -> FollowScene:
         "tilt": float(rng.uniform(0.035, 0.08)),
         "bounce": float(rng.uniform(1, 4)),
     }
-    light, beside, sensor = _light(rng), _scenery(rng), _sensor(rng)
+    light, beside, sensor = _draw_light(rng), _draw_scenery(rng), _draw_sensor(rng)
     exposure = float(rng.uniform(0.001, 0.008))  # a short one moves nothing by more than a part of a pixel
     scene = {
         "kind": "follow",
@@ -341,7 +350,7 @@ def random_follow_scene(seed: int, frames: int = 300) -> FollowScene:
     return FollowScene.model_validate(scene)
 
 
-def _light(rng: np.random.Generator) -> dict[str, Any]:
+def _draw_light(rng: np.random.Generator) -> dict[str, Any]:
     return {
         "azimuth": float(rng.uniform(-np.pi, np.pi)),
         "elevation": float(rng.uniform(0.35, 1.1)),
@@ -349,14 +358,14 @@ def _light(rng: np.random.Generator) -> dict[str, Any]:
     }
 
 
-def _scenery(rng: np.random.Generator) -> dict[str, Any]:
+def _draw_scenery(rng: np.random.Generator) -> dict[str, Any]:
     densities = {
         name: float(rng.uniform(0, high)) for name, high in (("trees", 0.7), ("poles", 0.7), ("buildings", 0.5))
     }
     return densities | {"parapet": bool(rng.random() < 0.2)}
 
 
-def _sensor(rng: np.random.Generator) -> dict[str, Any]:
+def _draw_sensor(rng: np.random.Generator) -> dict[str, Any]:
     return {
         "exposure": float(rng.uniform(0.8, 1.5)),
         "full_well": float(rng.uniform(3000, 20000)),
@@ -369,10 +378,10 @@ def _sensor(rng: np.random.Generator) -> dict[str, Any]:
     }
 
 
-def _is_filmed_well(scene: SpeedScene) -> bool:
-    """Whether the vehicle is inside both pictures for `FEWEST` frames from where it is large enough to be outlined."""
+def _is_suitable_raytraced(scene: SpeedScene) -> bool:
+    """Whether the vehicle is inside both images and large enough to be outlined in `MIN_VISIBLE_FRAMES` frames."""
     try:
-        stage = Stage(scene)
+        stage = PlacedStereoScene(scene)
     except (UnusableInput, ValueError):
         return False
     car, size = stage.cars[0], stage.rig.left.image_size
@@ -381,16 +390,18 @@ def _is_filmed_well(scene: SpeedScene) -> bool:
         if not car.is_there(t):
             continue
         corners = car.corners(t)
-        if min(view.to_camera(corners)[:, 2].min() for view in stage.views) < NEAREST_FILMED:
+        if min(view.to_camera(corners)[:, 2].min() for view in stage.views) < MIN_RAYTRACED_DISTANCE_M:
             continue
         pixels = [view.project(corners) for view in stage.views]
-        wide = min(np.ptp(p[:, 0]) for p in pixels) > 1.1 * NARROWEST
+        wide = min(np.ptp(p[:, 0]) for p in pixels) > 1.1 * MIN_OUTLINE_WIDTH_PX
         distance = np.linalg.norm(car.center(t) - stage.views[0].centre)
-        count += int(wide and distance < FARTHEST_FILMED and all(is_inside(p, size) for p in pixels))
-    return count >= max(FEWEST, 0.7 * len(stage.clocks[0])) and all(_line_shows(stage, v) for v in stage.views)
+        count += int(wide and distance < MAX_RAYTRACED_DISTANCE_M and all(is_inside_image(p, size) for p in pixels))
+    return count >= max(MIN_VISIBLE_FRAMES, 0.7 * len(stage.clocks[0])) and all(
+        _is_raytraced_line_usable(stage, v) for v in stage.views
+    )
 
 
-def _line_shows(stage: Stage, view: View) -> bool:
+def _is_raytraced_line_usable(stage: PlacedStereoScene, view: View) -> bool:
     """Whether a painted line beside the lane runs well across the epipolar lines, which are nearly level."""
     car, size = stage.cars[0], np.array(stage.rig.left.image_size)
     arcs = [car.motion.position(t)[0] for t in stage.clocks[0].tolist() if car.is_there(t)]

@@ -12,9 +12,9 @@ from scipy.interpolate import CubicHermiteSpline
 from paceline.arrays import Array
 from paceline.errors import UnusableInput
 
-KINDS = ("straight", "circle", "clothoid", "winding")
-MARGIN = 150.0  # m by which a road is known before its start and behind its end
-_STEP = 0.1  # m, between the points that the axis is interpolated from
+ROAD_KINDS = ("straight", "circle", "clothoid", "winding")
+ROAD_MARGIN_M = 150.0  # m by which a road is known before its start and behind its end
+_AXIS_STEP_M = 0.1  # m, between the points that the axis is interpolated from
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Road:
     """
 
     def __init__(self, shape: RoadShape, length: float, seed: int) -> None:
-        _check(shape, length)
+        _check_shape(shape, length)
         self.shape, self.length, self.seed = shape, length, seed
         half = shape.lanes / 2
         self.lanes = tuple((k + 0.5 - half) * shape.lane_width for k in range(shape.lanes))
@@ -56,7 +56,7 @@ class Road:
         self.half_width = half * shape.lane_width + shape.shoulder
         self._vertical = 0.0 if shape.crest_radius is None else -1 / shape.crest_radius
         self._middle = np.arctan(shape.grade)
-        self._waves = _waves(shape, np.random.default_rng([seed, 31]))
+        self._waves = _draw_curvature_waves(shape, np.random.default_rng([seed, 31]))
         self._tabulate()
 
     def _slope(self, s: Array) -> Array:
@@ -77,26 +77,26 @@ class Road:
 
     def _tabulate(self) -> None:
         """Heading and position by integration of curvature and tangent; error well below a micrometre."""
-        count = int(np.ceil((self.length + 2 * MARGIN) / _STEP)) + 1
-        s = np.linspace(-MARGIN, self.length + MARGIN, count)
+        count = int(np.ceil((self.length + 2 * ROAD_MARGIN_M) / _AXIS_STEP_M)) + 1
+        s = np.linspace(-ROAD_MARGIN_M, self.length + ROAD_MARGIN_M, count)
         slope = self._slope(s)
-        plan = _integral(np.cos(slope), s)
+        plan = _integrate(np.cos(slope), s)
         start = np.interp(0.0, s, plan)
         self._plan_length = float(np.interp(self.length, s, plan) - start)
         turning = -self._curvature(plan - start) * np.cos(slope)  # of the heading, counter-clockwise, per metre of s
-        heading = _integral(turning, s)
+        heading = _integrate(turning, s)
         angle = CubicHermiteSpline(s, heading, turning)
         heading = heading - angle(0.0)
         self._heading = CubicHermiteSpline(s, heading, turning)
         tangent = np.stack([np.cos(slope) * np.cos(heading), np.cos(slope) * np.sin(heading), np.sin(slope)], -1)
-        axis = CubicHermiteSpline(s, _integral(tangent, s), tangent)
+        axis = CubicHermiteSpline(s, _integrate(tangent, s), tangent)
         self._axis, self._origin = axis, axis(0.0)
 
     def frame(self, s: ArrayLike, lateral: ArrayLike = 0.0) -> tuple[Array, Array]:
         """Points (..., 3) of the surface and its axes (..., 3, 3) there, whose columns are forward, left and up.
 
         ``s`` and ``lateral`` are broadcast. Forward runs along the line of that lateral; raises ValueError farther
-        than `MARGIN` from the road.
+        than `ROAD_MARGIN_M` from the road.
         """
         points, along, left = self.tangents(s, lateral)
         forward = along / np.linalg.norm(along, axis=-1, keepdims=True)
@@ -106,7 +106,7 @@ class Road:
         """Points (..., 3), their derivatives by arc length (..., 3), and unit vectors (..., 3) to the left, which are
         minus their derivatives by the lateral; the two are perpendicular."""
         s, lateral = np.broadcast_arrays(np.asarray(s, float), np.asarray(lateral, float))
-        if s.size and (s.min() < -MARGIN or s.max() > self.length + MARGIN):
+        if s.size and (s.min() < -ROAD_MARGIN_M or s.max() > self.length + ROAD_MARGIN_M):
             raise ValueError(f"arc length {s.min():.1f} to {s.max():.1f} m: expected 0 to {self.length:g} m")
         heading, slope = self._heading(s), self._slope(s)
         turning, bending = self._heading(s, 1), self._vertical
@@ -138,11 +138,11 @@ class Road:
         return self.tangents(np.linspace(start, end, count), lateral)[0]
 
 
-def _integral(values: Array, s: Array) -> Array:
+def _integrate(values: Array, s: Array) -> Array:
     return np.asarray(cumulative_simpson(values, x=s, axis=0, initial=0))
 
 
-def _waves(shape: RoadShape, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+def _draw_curvature_waves(shape: RoadShape, rng: np.random.Generator) -> tuple[Array, Array, Array]:
     """Wavelengths (m), phases and weights of a winding road's curvature, whose peak is 1 at most."""
     scale = 6 * np.sqrt(abs(shape.radius or 100.0))  # tighter roads wind faster: about 85 m at 200 m
     wavelength = scale * rng.uniform([1.8, 0.9], [3.2, 1.5])
@@ -150,9 +150,9 @@ def _waves(shape: RoadShape, rng: np.random.Generator) -> tuple[Array, Array, Ar
     return wavelength, rng.uniform(0, 2 * np.pi, 2), weight / weight.sum()
 
 
-def _check(shape: RoadShape, length: float) -> None:
-    if shape.kind not in KINDS:
-        raise UnusableInput(f"road kind {shape.kind!r}: expected one of {', '.join(KINDS)}")
+def _check_shape(shape: RoadShape, length: float) -> None:
+    if shape.kind not in ROAD_KINDS:
+        raise UnusableInput(f"road kind {shape.kind!r}: expected one of {', '.join(ROAD_KINDS)}")
     if shape.kind != "straight" and shape.radius is None:
         raise UnusableInput(f"road radius: a {shape.kind} road needs one")
     if shape.kind == "straight" and shape.radius is not None:
@@ -164,5 +164,7 @@ def _check(shape: RoadShape, length: float) -> None:
     half = shape.lanes / 2 * shape.lane_width + shape.shoulder
     if shape.radius is not None and abs(shape.radius) < 1.5 * half:
         raise UnusableInput(f"road radius {shape.radius:g} m: expected more than 1.5 times its half width {half:g} m")
-    if shape.crest_radius is not None and abs(shape.crest_radius) < length + 2 * MARGIN:
-        raise UnusableInput(f"crest radius {shape.crest_radius:g} m: expected more than {length + 2 * MARGIN:g} m")
+    if shape.crest_radius is not None and abs(shape.crest_radius) < length + 2 * ROAD_MARGIN_M:
+        raise UnusableInput(
+            f"crest radius {shape.crest_radius:g} m: expected more than {length + 2 * ROAD_MARGIN_M:g} m"
+        )

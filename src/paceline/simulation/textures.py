@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from paceline.arrays import Image
 
 TEXELS_PER_METRE = 560.0  # a vehicle's, fine enough for its nearest views
-LEVELS = 6
+PYRAMID_LEVELS = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,7 +20,7 @@ class Texture:
     """Grey ``value`` (H, W) and coverage ``alpha`` (H, W) in 0–1, with a pyramid for area sampling.
 
     Texel (i, j) of every level covers its full cell, so all levels span exactly the same rectangle: H and W must be
-    multiples of ``2 ** (LEVELS - 1)``.
+    multiples of ``2 ** (PYRAMID_LEVELS - 1)``.
     """
 
     value: Image
@@ -30,7 +30,7 @@ class Texture:
     def pyramid(self) -> list[Image]:
         """Premultiplied (H, W, 2) levels, each the area average of the one before."""
         levels = [np.ascontiguousarray(np.dstack([self.value * self.alpha, self.alpha]).astype(np.float32))]
-        while len(levels) < LEVELS:
+        while len(levels) < PYRAMID_LEVELS:
             h, w = levels[-1].shape[:2]
             half = cv2.resize(levels[-1], (w // 2, h // 2), interpolation=cv2.INTER_AREA)
             levels.append(np.asarray(half, np.float32))
@@ -38,17 +38,17 @@ class Texture:
 
     def lit(self, gamma: float) -> Texture:
         """The light of which these are the grey values, as it goes by their power ``gamma``."""
-        return Texture(light_of(self.value, gamma), self.alpha)
+        return Texture(grey_to_light(self.value, gamma), self.alpha)
 
 
-def light_of(values: Image, gamma: float) -> Image:
+def grey_to_light(values: Image, gamma: float) -> Image:
     """The light, 255 where they are that, of which ``values`` are the power 1 / ``gamma``."""
     return values if gamma == 1.0 else np.asarray(255 * (np.clip(values, 0, None) / 255) ** gamma, np.float32)
 
 
-def values_of(light: Image, gamma: float) -> Image:
-    """The inverse of `light_of`."""
-    return light_of(light, 1.0 / gamma)
+def light_to_grey(light: Image, gamma: float) -> Image:
+    """The inverse of `grey_to_light`."""
+    return grey_to_light(light, 1.0 / gamma)
 
 
 class Canvas:
@@ -57,7 +57,7 @@ class Canvas:
     def __init__(
         self, width: float, height: float, grey: float = 0.0, alpha: float = 1.0, density: float = TEXELS_PER_METRE
     ) -> None:
-        cell = 2 ** (LEVELS - 1)
+        cell = 2 ** (PYRAMID_LEVELS - 1)
         columns = max(1, round(width * density / cell)) * cell
         rows = max(1, round(height * density / cell)) * cell
         self.width, self.height = width, height
@@ -101,7 +101,7 @@ class Canvas:
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class FacePart:
     """A texture on a rectangle of a vehicle, in the vehicle's face axes: metres from the centre of its main plane,
     x right and y down as seen from outside, ``depth`` behind the main plane."""
 
@@ -113,12 +113,12 @@ class Part:
     depth: float
 
 
-def front(rng: np.random.Generator, width: float, height: float, relief: float) -> list[Part]:
+def front_parts(rng: np.random.Generator, width: float, height: float, relief: float) -> list[FacePart]:
     """Parts of a vehicle's front or rear from the farthest to the nearest; the main plane is ``width`` × ``height``."""
     body = float(rng.choice([28, 45, 70, 105, 140, 175, 205])) * rng.uniform(0.85, 1.15)
     contrast = rng.uniform(0.55, 1.0)
-    grey = _Toner(body, contrast)
-    parts = [_cabin(rng, width, height, body), _underbody(rng, width, height)]
+    grey = _ContrastScale(body, contrast)
+    parts = [_cabin_part(rng, width, height, body), _underbody_part(rng, width, height)]
 
     main = Canvas(width, height, body)
     main.mottle(rng, 0.03, 0.25)
@@ -134,30 +134,36 @@ def front(rng: np.random.Generator, width: float, height: float, relief: float) 
         main.box(side * width, 0.82 * height, 0.1 * width, 0.08 * height, grey(30))  # fog lamps
         main.ellipse((side + 0.05) * width, 0.86 * height, 0.028 * width, 0.026 * height, grey(200))
     main.mottle(rng, 0.02, 0.04)
-    parts.append(Part(main.finish(), 0, 0, width, height, 0.0))
+    parts.append(FacePart(main.finish(), 0, 0, width, height, 0.0))
 
     lamp_w, lamp_h = rng.uniform(0.15, 0.23) * width, rng.uniform(0.2, 0.3) * height
     lamp_y = bonnet + 0.03 + lamp_h / 2
     offset = width / 2 - lamp_w / 2 - rng.uniform(0.01, 0.05) * width
-    lamp = _lamp(rng, lamp_w, lamp_h, grey)
+    lamp = _lamp_texture(rng, lamp_w, lamp_h, grey)
     mirrored = Texture(lamp.value[:, ::-1].copy(), lamp.alpha[:, ::-1].copy())
     depths = rng.uniform(-1, 1, 3) * relief
     for texture, x in ((lamp, -offset), (mirrored, offset)):
-        parts.append(Part(texture, x, lamp_y - height / 2, lamp_w, lamp_h, depths[0]))
+        parts.append(FacePart(texture, x, lamp_y - height / 2, lamp_w, lamp_h, depths[0]))
 
     grille_w, grille_h = rng.uniform(0.36, 0.5) * width, rng.uniform(0.24, 0.36) * height
     grille_y = bonnet + 0.03 + grille_h / 2
-    parts.append(Part(_grille(rng, grille_w, grille_h, grey), 0, grille_y - height / 2, grille_w, grille_h, depths[1]))
+    parts.append(
+        FacePart(
+            _grille_texture(rng, grille_w, grille_h, grey), 0, grille_y - height / 2, grille_w, grille_h, depths[1]
+        )
+    )
     plate_y = rng.uniform(0.70, 0.78) * height
-    parts.append(Part(_plate(rng, grey), rng.uniform(-0.03, 0.03), plate_y - height / 2, 0.52, 0.115, depths[2]))
+    parts.append(
+        FacePart(_plate_texture(rng, grey), rng.uniform(-0.03, 0.03), plate_y - height / 2, 0.52, 0.115, depths[2])
+    )
     return parts
 
 
-def side(rng: np.random.Generator, width: float, height: float, relief: float) -> list[Part]:
+def side_parts(rng: np.random.Generator, width: float, height: float, relief: float) -> list[FacePart]:
     """Parts of a vehicle's side; the main plane is the ``width`` × ``height`` band of doors and wings."""
     body = float(rng.choice([28, 45, 70, 105, 140, 175, 205])) * rng.uniform(0.85, 1.15)
-    grey = _Toner(body, rng.uniform(0.55, 1.0))
-    parts = [_windows(rng, width, height, body), _wheels(rng, width, height)]
+    grey = _ContrastScale(body, rng.uniform(0.55, 1.0))
+    parts = [_windows_part(rng, width, height, body), _wheels_part(rng, width, height)]
     main = Canvas(width, height, body)
     main.mottle(rng, 0.04, 0.5)
     main.shade(1.15, 0.8)
@@ -173,15 +179,15 @@ def side(rng: np.random.Generator, width: float, height: float, relief: float) -
     main.box(0.95 * width, 0.05 * height, 0.05 * width, 0.25 * height, grey(40))
     main.ellipse(0.86 * width, 0.25 * height, 0.07, 0.07, grey(35))  # the filler cap
     main.mottle(rng, 0.025, 0.05)
-    parts.append(Part(main.finish(), 0, 0, width, height, 0.0))
+    parts.append(FacePart(main.finish(), 0, 0, width, height, 0.0))
     trim = Canvas(0.3 * width, 0.08 * height, grey(20))
     trim.mottle(rng, 0.1, 0.03)
     depth = rng.uniform(-1, 1) * relief
-    parts.append(Part(trim.finish(), -0.05 * width, 0.2 * height, 0.3 * width, 0.08 * height, depth))
+    parts.append(FacePart(trim.finish(), -0.05 * width, 0.2 * height, 0.3 * width, 0.08 * height, depth))
     return parts
 
 
-class _Toner:
+class _ContrastScale:
     """Grey levels drawn towards the body's own: a vehicle of low contrast."""
 
     def __init__(self, body: float, contrast: float) -> None:
@@ -191,7 +197,7 @@ class _Toner:
         return self.body + self.contrast * (grey - self.body)
 
 
-def _cabin(rng: np.random.Generator, width: float, height: float, body: float) -> Part:
+def _cabin_part(rng: np.random.Generator, width: float, height: float, body: float) -> FacePart:
     tall = rng.uniform(0.55, 0.85)
     bonnet = 0.45  # seen from above between the windscreen, which is set back, and the front
     c = Canvas(width, tall + bonnet, 0.0, alpha=0.0)
@@ -206,10 +212,10 @@ def _cabin(rng: np.random.Generator, width: float, height: float, body: float) -
         c.ellipse(x * width, 0.55 * tall, 0.11, 0.16, glass * 0.6)
     c.mottle(rng, 0.08, 0.15)
     centre = -height / 2 + 0.02 + (bonnet - tall) / 2
-    return Part(c.finish(), 0, centre, width, tall + bonnet, rng.uniform(0.7, 1.2))
+    return FacePart(c.finish(), 0, centre, width, tall + bonnet, rng.uniform(0.7, 1.2))
 
 
-def _underbody(rng: np.random.Generator, width: float, height: float) -> Part:
+def _underbody_part(rng: np.random.Generator, width: float, height: float) -> FacePart:
     tall = 0.36
     c = Canvas(width, tall, 10.0, alpha=0.0)
     c.box(0.03 * width, 0, 0.94 * width, 0.15, 12)
@@ -217,10 +223,10 @@ def _underbody(rng: np.random.Generator, width: float, height: float) -> Part:
         c.box(x * width, 0, 0.13 * width, tall, 16)
         c.box((x + 0.03) * width, 0.02, 0.02 * width, tall - 0.03, 30)
     c.mottle(rng, 0.1, 0.05)
-    return Part(c.finish(), 0, height / 2 + tall / 2 - 0.01, width, tall, 0.15)
+    return FacePart(c.finish(), 0, height / 2 + tall / 2 - 0.01, width, tall, 0.15)
 
 
-def _windows(rng: np.random.Generator, width: float, height: float, body: float) -> Part:
+def _windows_part(rng: np.random.Generator, width: float, height: float, body: float) -> FacePart:
     tall = rng.uniform(0.45, 0.6)
     c = Canvas(width, tall, 0.0, alpha=0.0)
     left, right = rng.uniform(0.2, 0.3) * width, rng.uniform(0.82, 0.95) * width
@@ -230,10 +236,10 @@ def _windows(rng: np.random.Generator, width: float, height: float, body: float)
     c.polygon([(left + 0.05, 0.07), (middle - 0.04, 0.07), (middle - 0.04, tall), (0.17 * width, tall)], glass)
     c.polygon([(middle + 0.04, 0.07), (right - 0.05, 0.07), (0.93 * width, tall), (middle + 0.04, tall)], glass)
     c.mottle(rng, 0.1, 0.2)
-    return Part(c.finish(), 0, -height / 2 - tall / 2 + 0.06, width, tall, 0.12)
+    return FacePart(c.finish(), 0, -height / 2 - tall / 2 + 0.06, width, tall, 0.12)
 
 
-def _wheels(rng: np.random.Generator, width: float, height: float) -> Part:
+def _wheels_part(rng: np.random.Generator, width: float, height: float) -> FacePart:
     tall = 0.66
     c = Canvas(width, tall, 10.0, alpha=0.0)
     c.box(0, 0.25, width, 0.18, 12)
@@ -241,10 +247,10 @@ def _wheels(rng: np.random.Generator, width: float, height: float) -> Part:
         c.ellipse(x * width, 0.33, 0.32, 0.32, 20)
         c.ellipse(x * width, 0.33, 0.20, 0.20, rng.uniform(90, 170))
         c.ellipse(x * width, 0.33, 0.07, 0.07, 40)
-    return Part(c.finish(), 0, height / 2 + 0.02, width, tall, 0.06)
+    return FacePart(c.finish(), 0, height / 2 + 0.02, width, tall, 0.06)
 
 
-def _lamp(rng: np.random.Generator, width: float, height: float, grey: _Toner) -> Texture:
+def _lamp_texture(rng: np.random.Generator, width: float, height: float, grey: _ContrastScale) -> Texture:
     c = Canvas(width, height, grey(rng.uniform(110, 225)))
     c.mottle(rng, 0.08, 0.05)
     for x in (0.3, 0.68):
@@ -259,7 +265,7 @@ def _lamp(rng: np.random.Generator, width: float, height: float, grey: _Toner) -
     return c.finish()
 
 
-def _grille(rng: np.random.Generator, width: float, height: float, grey: _Toner) -> Texture:
+def _grille_texture(rng: np.random.Generator, width: float, height: float, grey: _ContrastScale) -> Texture:
     c = Canvas(width, height, grey(12))
     bright = grey(rng.uniform(90, 225))
     bars = int(rng.integers(3, 7))
@@ -277,7 +283,7 @@ def _grille(rng: np.random.Generator, width: float, height: float, grey: _Toner)
     return c.finish()
 
 
-def _plate(rng: np.random.Generator, grey: _Toner) -> Texture:
+def _plate_texture(rng: np.random.Generator, grey: _ContrastScale) -> Texture:
     width, height = 0.52, 0.115
     c = Canvas(width, height, grey(20))
     c.box(0.006, 0.006, width - 0.012, height - 0.012, grey(225))
@@ -285,14 +291,14 @@ def _plate(rng: np.random.Generator, grey: _Toner) -> Texture:
         x = 0.03 + 0.067 * k
         strokes = rng.random(7) < 0.62
         strokes[int(rng.integers(7))] = True
-        for on, (dx, dy, w, h) in zip(strokes, _SEGMENTS, strict=True):
+        for on, (dx, dy, w, h) in zip(strokes, _GLYPH_STROKES, strict=True):
             if on:
                 c.box(x + dx, 0.02 + dy, w, h, grey(25))
     return c.finish()
 
 
 # The seven strokes of a glyph 45 × 75 mm: x, y, width, height in metres.
-_SEGMENTS = (
+_GLYPH_STROKES = (
     (0.0, 0.0, 0.045, 0.012),
     (0.0, 0.031, 0.045, 0.012),
     (0.0, 0.063, 0.045, 0.012),
@@ -303,7 +309,7 @@ _SEGMENTS = (
 )
 
 
-def building(rng: np.random.Generator, width: float, height: float) -> Texture:
+def building_texture(rng: np.random.Generator, width: float, height: float) -> Texture:
     """A façade with rows of windows."""
     c = Canvas(width, height, rng.uniform(60, 170), density=768 / max(width, height))
     c.mottle(rng, 0.05, 0.1 * width)
@@ -315,7 +321,7 @@ def building(rng: np.random.Generator, width: float, height: float) -> Texture:
     return c.finish()
 
 
-def tree(rng: np.random.Generator, width: float, height: float) -> Texture:
+def tree_texture(rng: np.random.Generator, width: float, height: float) -> Texture:
     """A crown of leaves on a trunk."""
     c = Canvas(width, height, 0.0, alpha=0.0, density=512 / max(width, height))
     c.box(0.46 * width, 0.6 * height, 0.08 * width, 0.4 * height, 35)
@@ -328,7 +334,7 @@ def tree(rng: np.random.Generator, width: float, height: float) -> Texture:
     return c.finish()
 
 
-def pole(rng: np.random.Generator, width: float, height: float) -> Texture:
+def pole_texture(rng: np.random.Generator, width: float, height: float) -> Texture:
     """A round pole, lit from one side."""
     c = Canvas(width, height, rng.uniform(50, 140), density=64 / width)
     c.value *= (1.15 - 0.7 * np.abs(np.linspace(-0.6, 1, c.value.shape[1], dtype=np.float32)))[None]

@@ -10,8 +10,8 @@ from paceline.reports.common.drawing import DARK_BGR, WHITE_BGR, Color, Picture,
 from paceline.reports.common.formatting import format_number
 from paceline.reports.common.video import pad_to_even
 from paceline.reports.follow.overlay import draw_frame
-from paceline.simulation.closed_loop.loop import Step
-from paceline.simulation.closed_loop.vehicle_dynamics import Vehicle
+from paceline.simulation.closed_loop.loop import LoopStep
+from paceline.simulation.closed_loop.vehicle_dynamics import VehicleParameters
 
 PANEL_HEIGHT_PX = 64  # height of the strip below the picture, px
 COMMAND_COLOR: Color = (60, 160, 235)
@@ -21,7 +21,7 @@ BAR_FRAME_COLOR: Color = (110, 100, 90)
 FULL_PEDAL_MPS2 = 4.0  # m/s² that fill the pedal's bar
 
 
-def draw_step(step: Step, vehicle: Vehicle) -> Picture:
+def draw_step(step: LoopStep, vehicle: VehicleParameters) -> Picture:
     """One picture of the video (H, W, 3), BGR."""
     view = draw_frame(CameraFrame(step.frame, step.time, step.image), step.image, step.estimate)
     panel: Picture = np.full((PANEL_HEIGHT_PX, view.shape[1], 3), DARK_BGR, np.uint8)

@@ -18,9 +18,9 @@ from paceline.reports.closed_loop.tables import DriveTable, write_drive_summary
 from paceline.reports.common.output_folder import OutputFolder
 from paceline.reports.common.video import VideoWriter
 from paceline.reports.follow.overlay import StillSelection
-from paceline.simulation.closed_loop.drive_yaml import documented
+from paceline.simulation.closed_loop.drive_yaml import drive_document
 from paceline.simulation.closed_loop.loop import ClosedLoop
-from paceline.simulation.closed_loop.requirements import Figures, judged
+from paceline.simulation.closed_loop.requirements import DriveStatistics, check_requirements
 from paceline.simulation.closed_loop.results import DriveLog, DriveResult
 from paceline.version import versions
 
@@ -41,7 +41,7 @@ def write_drive_files(
     """As `drive_and_report`, straight into an existing ``folder``; memory does not grow with the drive."""
     begun = time.perf_counter()
     warm_up()
-    figures, log, stills, notices = Figures(), DriveLog(), StillSelection(), list[str]()
+    figures, log, stills, notices = DriveStatistics(), DriveLog(), StillSelection(), list[str]()
     rate, width = loop.stage.scene.rate, loop.stage.world.body.width
     with ExitStack() as stack:
         table = stack.enter_context(DriveTable(folder / "drive.csv"))
@@ -65,9 +65,9 @@ def write_drive_files(
         latency=loop.latency,
         duration=loop.frames / rate,
         figures=figures,
-        requirements=judged(loop.model, figures),
+        requirements=check_requirements(loop.model, figures),
         log=log,
-        document=documented(loop.model),
+        document=drive_document(loop.model),
         configuration=loop.settings(),
         versions=versions(),
         notices=notices,

@@ -7,7 +7,7 @@ from pathlib import Path
 from types import TracebackType
 
 from paceline.reports.common.tables import format_cell, write_json
-from paceline.simulation.closed_loop.loop import Step
+from paceline.simulation.closed_loop.loop import LoopStep
 from paceline.simulation.closed_loop.results import DriveResult
 
 DRIVE_COLUMNS = [
@@ -28,7 +28,7 @@ class DriveTable:
         self._writer = csv.writer(self._stream, lineterminator="\n")
         self._writer.writerow(DRIVE_COLUMNS)
 
-    def add(self, s: Step) -> None:
+    def add(self, s: LoopStep) -> None:
         c, e = s.chase, s.estimate
         numbers = [
             s.time, c.x, c.y, c.heading, c.speed, c.acceleration,

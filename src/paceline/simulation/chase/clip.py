@@ -18,14 +18,14 @@ import yaml
 from numpy.typing import NDArray
 
 from paceline.arrays import Array
-from paceline.simulation.chase.scene import PRESETS, ChaseScene, Occlusion
-from paceline.simulation.chase.script import Script
-from paceline.simulation.chase.sensor import Film
-from paceline.simulation.chase.world import Moment, body_of
-from paceline.simulation.operator import drawn_start
+from paceline.simulation.chase.scene import CHASE_PRESETS, ChaseScene, Occlusion
+from paceline.simulation.chase.script import ChaseScript
+from paceline.simulation.chase.sensor import Renderer
+from paceline.simulation.chase.world import WorldState, lead_body
+from paceline.simulation.operator import draw_start
 
 __all__ = [
-    "PRESETS",
+    "CHASE_PRESETS",
     "ChaseScene",
     "ChaseTruth",
     "Occlusion",
@@ -38,7 +38,7 @@ __all__ = [
 ]
 
 
-NOMINAL_RANGE = 10.0  # m
+NOMINAL_RANGE_M = 10.0  # m
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,15 +62,15 @@ class ChaseTruth:
 def render_frames(scene: ChaseScene) -> Iterator[tuple[NDArray[np.uint8], ChaseTruth]]:
     """Picture (H, W) and truth, frame by frame; the same scene gives the same pictures. Nothing is kept of the frames
     before."""
-    script = Script(scene)
-    film = Film(script.world)
+    script = ChaseScript(scene)
+    film = Renderer(script.world)
     for frame in range(scene.frames):
         moment = script.moment(frame / scene.rate)
         image, visible = film.picture(moment)
         yield image, truth_of(scene, frame, moment, visible)
 
 
-def truth_of(scene: ChaseScene, frame: int, m: Moment, visible: float) -> ChaseTruth:
+def truth_of(scene: ChaseScene, frame: int, m: WorldState, visible: float) -> ChaseTruth:
     """The truth of the picture of a moment."""
     center = scene.camera.project(m.position)
     eye = m.eye
@@ -83,13 +83,13 @@ def camera_document(scene: ChaseScene) -> dict[str, Any]:
 
 
 def target_document(scene: ChaseScene) -> dict[str, Any]:
-    """The contents of target.yaml: the strong edges of the lead's rear as they appear from `NOMINAL_RANGE`."""
-    body, rng = body_of(scene), np.random.default_rng([scene.seed, 43])
+    """The contents of target.yaml: the strong edges of the lead's rear as they appear from `NOMINAL_RANGE_M`."""
+    body, rng = lead_body(scene), np.random.default_rng([scene.seed, 43])
     below = scene.camera_height - body.clearance - body.height / 2  # the plane's centre, under the camera
     corners: dict[tuple[float, float], str] = {}
     segments = []
     for line in body.lines:
-        shrink = NOMINAL_RANGE / (NOMINAL_RANGE + line.z)
+        shrink = NOMINAL_RANGE_M / (NOMINAL_RANGE_M + line.z)
         ends = np.array([[line.x0, line.y0], [line.x1, line.y1]]) * shrink
         ends[:, 1] += below * (shrink - 1)
         ends[:, 0 if line.x0 == line.x1 else 1] += rng.normal(0, scene.model_error)
@@ -97,7 +97,7 @@ def target_document(scene: ChaseScene) -> dict[str, Any]:
         segments.append([corners.setdefault(p, f"c{len(corners)}") for p in places])
     return {
         "name": body.kind,
-        "nominal_range": NOMINAL_RANGE,
+        "nominal_range": NOMINAL_RANGE_M,
         "corners": {name: list(place) for place, name in corners.items()},
         "segments": segments,
     }
@@ -106,7 +106,7 @@ def target_document(scene: ChaseScene) -> dict[str, Any]:
 def start_document(scene: ChaseScene, first: ChaseTruth) -> dict[str, Any]:
     """``start`` of follow.yaml, as an operator would set it on the first frame."""
     distance = float(first.position[2])
-    return drawn_start(first.center, distance, NOMINAL_RANGE, scene.seed, scene.focal, ChaseScene.focal)
+    return draw_start(first.center, distance, NOMINAL_RANGE_M, scene.seed, scene.focal, ChaseScene.focal)
 
 
 def write(scene: ChaseScene, directory: Path | str) -> Path:
@@ -119,7 +119,7 @@ def write(scene: ChaseScene, directory: Path | str) -> Path:
         name = str(directory / "frames" / f"{truth.frame:05d}.png")
         cv2.imwrite(name, image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
         start = start or start_document(scene, truth)
-        rows.append(_row(truth))
+        rows.append(_truth_row(truth))
         odometry.append([truth.frame, round(truth.x, 4), round(truth.y, 4), round(truth.heading, 6)])
     follow = {
         "video": "frames",
@@ -138,7 +138,7 @@ def write(scene: ChaseScene, directory: Path | str) -> Path:
     return directory / "follow.yaml"
 
 
-def _row(truth: ChaseTruth) -> dict[str, Any]:
+def _truth_row(truth: ChaseTruth) -> dict[str, Any]:
     return {
         "frame": truth.frame,
         "time_s": truth.time,

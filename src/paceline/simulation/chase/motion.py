@@ -13,12 +13,12 @@ from scipy.integrate import cumulative_trapezoid
 
 from paceline.arrays import Array
 
-STEP = 0.5  # m between the road's tabulated points
-BUMP_EVERY = 2.5  # s
-BUMP_DECAY = 0.25  # s
+ROAD_STEP_M = 0.5  # m between the road's tabulated points
+BUMP_PERIOD_S = 2.5  # s
+BUMP_DECAY_S = 0.25  # s
 
 
-class Wander:
+class SmoothNoise:
     """A smooth random function of time within ±1: a sum of sines with periods of ``shortest`` to ``longest`` s."""
 
     def __init__(self, rng: np.random.Generator, shortest: float, longest: float, terms: int = 6) -> None:
@@ -38,15 +38,15 @@ class Wander:
         return float((self.weight / self.omega) @ (np.cos(self.phase) - np.cos(self.omega * t + self.phase)))
 
 
-class Shaking:
+class CameraShake:
     """Band-limited roughness (0.6–4 Hz) with bumps now and then: a function of time of size ``amplitude``."""
 
     def __init__(self, rng: np.random.Generator, amplitude: float) -> None:
-        self.roughness, self.amplitude = Wander(rng, 0.25, 1.6, terms=12), amplitude
+        self.roughness, self.amplitude = SmoothNoise(rng, 0.25, 1.6, terms=12), amplitude
         self.seed = int(rng.integers(2**31))
 
     def __call__(self, t: float) -> float:
-        now = int(t // BUMP_EVERY)
+        now = int(t // BUMP_PERIOD_S)
         return self.amplitude * (1.2 * self.roughness(t) + sum(self._bump(k, t) for k in (now - 1, now)))
 
     def rate(self, t: float) -> float:
@@ -56,20 +56,20 @@ class Shaking:
     def _bump(self, k: int, t: float) -> float:
         """The ``k``-th bump at time ``t``: a damped swing."""
         rng = np.random.default_rng([self.seed, k + 2])
-        since = t - (k + rng.uniform(0, 1)) * BUMP_EVERY
+        since = t - (k + rng.uniform(0, 1)) * BUMP_PERIOD_S
         size, frequency = rng.uniform(-1, 1), rng.uniform(1.5, 3.0)
         if since < 0:
             return 0.0
-        return float(size * np.sin(2 * np.pi * frequency * since) * np.exp(-since / BUMP_DECAY))
+        return float(size * np.sin(2 * np.pi * frequency * since) * np.exp(-since / BUMP_DECAY_S))
 
 
-class Gap:
+class GapProfile:
     """The distance from the camera to the lead and its rate, m and m/s, sweeping between two bounds."""
 
     def __init__(self, rng: np.random.Generator, bounds: tuple[float, float]) -> None:
         self.low, self.high = bounds
         shortest = 2.0 + 5.0 * np.sqrt((self.high - self.low) / 2)  # s: no harder than drivers brake and accelerate
-        self.wander = Wander(rng, shortest, 2.5 * shortest, terms=4)
+        self.wander = SmoothNoise(rng, shortest, 2.5 * shortest, terms=4)
 
     def __call__(self, t: float) -> tuple[float, float]:
         bent = np.sin(np.pi * self.wander(t) * 0.9)
@@ -78,17 +78,17 @@ class Gap:
         return float(self.low + half * (1 + bent)), float(half * slope)
 
 
-class Road:
-    """A road of ``length`` metres whose axis has a given ``curvature`` (N,), 1/m, positive to the left, every `STEP`
-    metres."""
+class TabulatedRoad:
+    """A road of ``length`` metres whose axis has a given ``curvature`` (N,), 1/m, positive to the left, tabulated every
+    `ROAD_STEP_M`."""
 
     def __init__(self, curvature: Array, length: float) -> None:
-        self.s, self.curvature, self.length = STEP * np.arange(len(curvature)), curvature, length
-        self.heading = cumulative_trapezoid(curvature, dx=STEP, initial=0.0)
+        self.s, self.curvature, self.length = ROAD_STEP_M * np.arange(len(curvature)), curvature, length
+        self.heading = cumulative_trapezoid(curvature, dx=ROAD_STEP_M, initial=0.0)
         # The mid-point rule along the road: consistent to micrometres at these radii.
         middle = self.heading[:-1] + np.diff(self.heading) / 2
-        self.x = np.concatenate([[0.0], np.cumsum(np.cos(middle)) * STEP])
-        self.y = np.concatenate([[0.0], np.cumsum(np.sin(middle)) * STEP])
+        self.x = np.concatenate([[0.0], np.cumsum(np.cos(middle)) * ROAD_STEP_M])
+        self.y = np.concatenate([[0.0], np.cumsum(np.sin(middle)) * ROAD_STEP_M])
 
     def frame(self, s: Array | float, lateral: Array | float = 0.0) -> tuple[Array, Array, Array]:
         """x, y (m) and the road's heading (rad) at arc length ``s``, ``lateral`` metres to the right of the axis."""
@@ -109,32 +109,32 @@ class Road:
         return float(arc), float((x - x0) * np.sin(heading) - (y - y0) * np.cos(heading))
 
     def ahead(self, s0: float, x0: float, y0: float, heading: float, reach: float) -> Array:
-        """The axis as seen by an observer beside ``s0``: rows (right, sine, cosine, arc - s0) every `STEP` metres
-        ahead, for `rasterizer.ground`."""
-        s = np.arange(s0 - 4.0, s0 + 1.3 * reach, STEP)
+        """The axis as seen by an observer beside ``s0``: rows (right, sine, cosine, arc - s0) every
+        `ROAD_STEP_M` ahead, for `rasterizer.draw_ground`."""
+        s = np.arange(s0 - 4.0, s0 + 1.3 * reach, ROAD_STEP_M)
         x, y, h = self.frame(s)
         turn = np.clip(heading - h, -1.3, 1.3)  # beyond, the road is out of view
         z = (x - x0) * np.cos(heading) + (y - y0) * np.sin(heading)
         right = (x - x0) * np.sin(heading) - (y - y0) * np.cos(heading)
         z = np.maximum.accumulate(z)
-        at = np.arange(0.0, reach, STEP)
+        at = np.arange(0.0, reach, ROAD_STEP_M)
         return np.column_stack([np.interp(at, z, c) for c in (right, np.sin(turn), np.cos(turn), s - s0)])
 
 
-def winding(rng: np.random.Generator, length: float, radius: float) -> Road:
+def winding_road(rng: np.random.Generator, length: float, radius: float) -> TabulatedRoad:
     """A road of straights and turns joined by clothoids; no turn is tighter than ``radius``, m."""
-    s = np.arange(0.0, length + STEP, STEP)
+    s = np.arange(0.0, length + ROAD_STEP_M, ROAD_STEP_M)
     # One row per bend, so that a longer road begins as a shorter one does.
     draws = rng.random((int(length / (0.4 * radius)) + 2, 3))
     ends = np.cumsum(0.4 + 0.8 * draws[:, 0]) * radius
     bends = (np.floor(3 * draws[:, 1]) - 1) * (0.4 + 0.6 * draws[:, 2]) / radius
     knots = np.concatenate([[0.0], np.ravel(np.column_stack([ends, ends + 0.3 * radius]))])
     values = np.ravel(np.column_stack([bends, np.append(bends[1:], 0.0)]))
-    return Road(np.interp(s, knots, np.append(bends[0], values)), length)
+    return TabulatedRoad(np.interp(s, knots, np.append(bends[0], values)), length)
 
 
 @dataclass(frozen=True)
-class State:
+class RoadPose:
     """A vehicle on the road at one time: arc length (m), lateral position (m), plan position (m), heading (rad)."""
 
     arc: float
@@ -144,7 +144,7 @@ class State:
     heading: float
 
 
-def place(road: Road, arc: float, lateral: float, slope: float) -> State:
+def road_pose(road: TabulatedRoad, arc: float, lateral: float, slope: float) -> RoadPose:
     """The state of a vehicle that drifts to the right by ``slope`` metres per metre of road."""
     x, y, heading = road.frame(arc, lateral)
-    return State(arc, lateral, float(x), float(y), float(heading) - float(np.arctan(slope)))
+    return RoadPose(arc, lateral, float(x), float(y), float(heading) - float(np.arctan(slope)))

@@ -9,15 +9,15 @@ from numpy.typing import NDArray
 
 from paceline.arrays import Array, Image, Indices
 from paceline.simulation.chase import rasterizer
-from paceline.simulation.chase.motion import Road, State
+from paceline.simulation.chase.motion import RoadPose, TabulatedRoad
 from paceline.simulation.chase.vehicles import Face
 from paceline.simulation.textures import Texture
 
-NEAREST = 0.3  # m ahead of the camera, before which a face is left out
+MIN_FACE_DEPTH_M = 0.3  # m ahead of the camera, before which a face is left out
 
 
-class Atlas:
-    """The pyramids of all textures in one array, for `rasterizer.lay`."""
+class TextureAtlas:
+    """The pyramids of all textures in one array, for `rasterizer.draw_rectangles`."""
 
     def __init__(self) -> None:
         self._known: dict[int, int] = {}
@@ -63,7 +63,7 @@ class Faces:
         return Faces(*(getattr(self, f.name)[which] for f in fields(self)))
 
 
-def faces_of(faces: tuple[Face, ...], atlas: Atlas, road: Road, state: State) -> Faces:
+def place_faces(faces: tuple[Face, ...], atlas: TextureAtlas, road: TabulatedRoad, state: RoadPose) -> Faces:
     """The ``faces`` of an object at ``state``."""
     n = len(faces)
     vectors = np.array([[f.corner, f.across, f.down] for f in faces], float).reshape(n, 3, 3)
@@ -73,14 +73,14 @@ def faces_of(faces: tuple[Face, ...], atlas: Atlas, road: Road, state: State) ->
     return Faces(vectors[:, 0], vectors[:, 1], vectors[:, 2], texture, *(np.full(n, w, float) for w in where))
 
 
-def moved(faces: Faces, road: Road, state: State) -> Faces:
+def move_faces(faces: Faces, road: TabulatedRoad, state: RoadPose) -> Faces:
     """The faces of one object, at another state."""
     along = float(road.frame(state.arc)[2])
     where = (state.x, state.y, state.heading, along, state.arc, state.lateral)
     return Faces(faces.corner, faces.across, faces.down, faces.texture, *(np.full(len(faces), w, float) for w in where))
 
 
-def joined(groups: list[Faces]) -> Faces:
+def join_faces(groups: list[Faces]) -> Faces:
     return Faces(*(np.concatenate([getattr(g, f.name) for g in groups]) for f in fields(Faces)))
 
 
@@ -105,7 +105,7 @@ class Sun:
 
 
 @dataclass(frozen=True, eq=False)
-class Eye:
+class CameraPose:
     """A chase camera at one time: ``height`` metres above (x, y), its ``heading`` in plan; ``R`` (3, 3) takes right,
     down, ahead of that heading to the camera's axes, and ``K`` those to pixels."""
 
@@ -135,7 +135,7 @@ def camera_rotation(pitch: float, roll: float) -> Array:
     return np.asarray(lean @ np.array([[1, 0, 0], [0, c, -s], [0, s, c]]))
 
 
-def _turned(vectors: Array, angle: Array) -> Array:
+def _turn_left(vectors: Array, angle: Array) -> Array:
     """``vectors`` (N, …, 3) right, down, ahead of axes turned by ``angle`` (N,) to the left, in unturned axes."""
     shape = (-1, *(1,) * (vectors.ndim - 2))
     c, s = np.cos(angle).reshape(shape), np.sin(angle).reshape(shape)
@@ -143,18 +143,18 @@ def _turned(vectors: Array, angle: Array) -> Array:
     return np.stack([r * c - a * s, d, r * s + a * c], axis=-1)
 
 
-def in_level(faces: Faces, eye: Eye) -> Array:
+def face_vectors(faces: Faces, eye: CameraPose) -> Array:
     """(N, 3, 3): corner, across and down of each face, right, down, ahead of the eye's foot."""
-    vectors = _turned(np.stack([faces.corner, faces.across, faces.down], axis=1), faces.heading - eye.heading)
+    vectors = _turn_left(np.stack([faces.corner, faces.across, faces.down], axis=1), faces.heading - eye.heading)
     vectors[:, 0, ::2] += np.column_stack(eye.level(faces.x, faces.y))
     return vectors
 
 
-def draw(
+def draw_faces(
     canvas: Image,
     faces: Faces,
-    atlas: Atlas,
-    eye: Eye,
+    atlas: TextureAtlas,
+    eye: CameraPose,
     sun: Sun,
     shade: Image,
     to_canvas: Array,
@@ -164,12 +164,12 @@ def draw(
 
     ``to_canvas`` (3, 3) takes image pixels to those of the canvas; ``glow`` is light of the faces' own.
     """
-    vectors = in_level(faces, eye)
+    vectors = face_vectors(faces, eye)
     ahead = eye.camera(vectors[:, 0])
     M = np.stack([vectors[:, 1] @ eye.R.T, vectors[:, 2] @ eye.R.T, ahead], axis=-1)  # unit square -> camera
     corners = M @ np.array([[0, 1, 1, 0], [0, 0, 1, 1], [1, 1, 1, 1.0]])
     M = to_canvas @ eye.K @ M
-    seen = (corners[:, 2].min(1) > NEAREST) & (np.linalg.det(M) > 0)
+    seen = (corners[:, 2].min(1) > MIN_FACE_DEPTH_M) & (np.linalg.det(M) > 0)
     quads = M @ np.array([[0, 1, 1, 0], [0, 0, 1, 1], [1, 1, 1, 1.0]])
     quads = quads[:, :2] / np.where(seen[:, None, None], quads[:, 2:], 1.0)
     size = np.array(canvas.shape[1::-1])
@@ -179,13 +179,13 @@ def draw(
     if not seen.any():
         return
     faces, vectors, M, quads = faces[seen], vectors[seen], M[seen], quads[seen]
-    light, shadow = _light(faces, vectors, eye, sun)
+    light, shadow = _face_light(faces, vectors, eye, sun)
     light[:, 0] += glow
-    rasterizer.lay(
+    rasterizer.draw_rectangles(
         canvas,
         np.linalg.inv(M),
         np.concatenate([low[seen], high[seen]], axis=1),
-        _levels(faces.texture, quads, atlas),
+        _select_levels(faces.texture, quads, atlas),
         atlas.pixels,
         light,
         shadow,
@@ -193,7 +193,7 @@ def draw(
     )
 
 
-def _levels(texture: Indices, quads: Array, atlas: Atlas) -> Indices:
+def _select_levels(texture: Indices, quads: Array, atlas: TextureAtlas) -> Indices:
     """The sheet of each face whose texels are nearest to canvas pixels in size."""
     sides = np.linalg.norm(np.roll(quads, -1, axis=2) - quads, axis=1)  # top, right, bottom, left
     texels = atlas.sheets[texture, 0, 1:]
@@ -204,7 +204,7 @@ def _levels(texture: Indices, quads: Array, atlas: Atlas) -> Indices:
     return np.ascontiguousarray(atlas.sheets[texture, level])
 
 
-def _light(faces: Faces, vectors: Array, eye: Eye, sun: Sun) -> tuple[Array, Array]:
+def _face_light(faces: Faces, vectors: Array, eye: CameraPose, sun: Sun) -> tuple[Array, Array]:
     """Ambient and direct light (N, 2) on faces, and where on the road (N, 2, 3) their shade is to be read."""
     normal = np.cross(vectors[:, 2], vectors[:, 1])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)

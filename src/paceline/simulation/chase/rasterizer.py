@@ -11,13 +11,13 @@ import math
 from paceline.arrays import Array, Image, Indices
 from paceline.numba_cache import compiled
 
-CELL = 0.05  # m, a texel of a shade map
-LOWEST = 0.004  # slope below the horizon from which on the ground is painted
-SHOULDER = 0.45  # m of asphalt beside the lanes
+SHADE_CELL_M = 0.05  # m, a texel of a shade map
+MIN_GROUND_SLOPE = 0.004  # slope below the horizon from which on the ground is painted
+SHOULDER_WIDTH_M = 0.45  # m of asphalt beside the lanes
 
 
 @compiled(fastmath=True)
-def repeated(table: Image, y: float, x: float) -> float:
+def sample_periodic(table: Image, y: float, x: float) -> float:
     """``table``, which repeats in both directions and whose sides are powers of two, at a place between its cells."""
     rows, columns = table.shape[0] - 1, table.shape[1] - 1
     j, i = math.floor(y), math.floor(x)
@@ -30,19 +30,19 @@ def repeated(table: Image, y: float, x: float) -> float:
 
 
 @compiled(fastmath=True)
-def _shade(shade: Image, arc: float, lateral: float, scale: float) -> float:
+def _sample_shade(shade: Image, arc: float, lateral: float, scale: float) -> float:
     """The light, 0–1, at road coordinates in metres, from a map with ``scale`` texels a metre."""
-    return repeated(shade, arc * scale - 0.5, lateral * scale - 0.5)
+    return sample_periodic(shade, arc * scale - 0.5, lateral * scale - 0.5)
 
 
 @compiled(fastmath=True)
-def _inside(distance: float, other: float) -> float:
+def _edge_coverage(distance: float, other: float) -> float:
     """The covered part of a pixel that lies ``distance`` pixels inside one edge and ``other`` inside the opposite."""
     return max(0.0, min(0.5, distance) + min(0.5, other))
 
 
 @compiled(fastmath=True)
-def lay(
+def draw_rectangles(
     canvas: Image,
     inverse: Array,
     boxes: Indices,
@@ -72,7 +72,7 @@ def lay(
                 v = (m[1, 0] * x + m[1, 1] * y + m[1, 2]) / w
                 across = math.sqrt((m[0, 0] - u * m[2, 0]) ** 2 + (m[0, 1] - u * m[2, 1]) ** 2) / w
                 down = math.sqrt((m[1, 0] - v * m[2, 0]) ** 2 + (m[1, 1] - v * m[2, 1]) ** 2) / w
-                cover = _inside(u / across, (1 - u) / across) * _inside(v / down, (1 - v) / down)
+                cover = _edge_coverage(u / across, (1 - u) / across) * _edge_coverage(v / down, (1 - v) / down)
                 if cover <= 0:
                     continue
                 a = min(max(u * columns - 0.5, 0.0), columns - 1.001)
@@ -89,13 +89,13 @@ def lay(
                 lit = ambient
                 if direct > 0:
                     arc, lateral = s[0, 0] * u + s[0, 1] * v + s[0, 2], s[1, 0] * u + s[1, 1] * v + s[1, 2]
-                    lit += direct * _shade(shade, arc, lateral, 1 / CELL)
+                    lit += direct * _sample_shade(shade, arc, lateral, 1 / SHADE_CELL_M)
                 canvas[y, x, 0] = canvas[y, x, 0] * (1 - alpha * cover) + grey * lit * cover
                 canvas[y, x, 1] = canvas[y, x, 1] * (1 - alpha * cover) + alpha * cover
 
 
 @compiled(fastmath=True)
-def _box(value: float, low: float, high: float, width: float) -> float:
+def _box_coverage(value: float, low: float, high: float, width: float) -> float:
     """The part of [value ± width / 2] that lies within [low, high]."""
     return max(0.0, min(high, value + width / 2) - max(low, value - width / 2)) / width
 
@@ -123,11 +123,11 @@ def road_coordinates(ahead: float, right: float, road: Array, step: float) -> tu
 
 
 @compiled(fastmath=True)
-def sky(image: Image, rays: Array, heading: float, focal: float, look: Array, ridges: Array, grain: Image) -> None:
+def draw_sky(image: Image, rays: Array, heading: float, focal: float, look: Array, ridges: Array, grain: Image) -> None:
     """Paint sky and far silhouettes, down to a little below the horizon, into ``image`` (h, w, 2).
 
-    ``rays`` as in `ground`. ``look``: grey at the horizon, its change upwards, clouds, the sun's azimuth; ``ridges``
-    (2, A + 1) are the slopes of two skylines over a full turn, in front of grey levels in their last column.
+    ``rays`` as in `draw_ground`. ``look``: grey at the horizon, its change upwards, clouds, the sun's azimuth;
+    ``ridges`` (2, A + 1) are the slopes of two skylines over a full turn, then their grey levels in the last column.
     """
     rows, columns = image.shape[:2]
     turns = ridges.shape[1] - 1
@@ -137,12 +137,12 @@ def sky(image: Image, rays: Array, heading: float, focal: float, look: Array, ri
             down = rays[1, 0] * x + rays[1, 1] * y + rays[1, 2]
             ahead = rays[2, 0] * x + rays[2, 1] * y + rays[2, 2]
             up = -down / ahead
-            if up < -2 * LOWEST:
+            if up < -2 * MIN_GROUND_SLOPE:
                 continue
             azimuth = heading - math.atan(right / ahead)
             grey = look[0] + look[1] * up + 30 * math.cos(azimuth - look[3])
             if up > 0.01:
-                grey += look[2] * repeated(grain, 6 / (up + 0.1), azimuth * (64 / (2 * math.pi)))
+                grey += look[2] * sample_periodic(grain, 6 / (up + 0.1), azimuth * (64 / (2 * math.pi)))
             place = azimuth % (2 * math.pi) * (turns / (2 * math.pi))
             k = int(place)
             part = place - k
@@ -156,12 +156,12 @@ def sky(image: Image, rays: Array, heading: float, focal: float, look: Array, ri
 
 
 @compiled(fastmath=True)
-def _wrapped(value: float, period: float) -> float:
+def _modulo(value: float, period: float) -> float:
     return value - period * math.floor(value / period)
 
 
 @compiled(fastmath=True)
-def ground(
+def draw_ground(
     image: Image,
     rays: Array,
     height: float,
@@ -188,7 +188,7 @@ def ground(
     for y in range(rows):
         for x in range(columns):
             down = rays[1, 0] * x + rays[1, 1] * y + rays[1, 2]
-            if down < LOWEST:
+            if down < MIN_GROUND_SLOPE:
                 continue
             depth = height / down
             ahead = depth * (rays[2, 0] * x + rays[2, 1] * y + rays[2, 2])
@@ -202,34 +202,34 @@ def ground(
             sideways = across * cosine + away * abs(sine - abs(right) / max(ahead, 1.0) * cosine) + 1e-3
             lengthways = away * cosine + across * sine + 1e-3
 
-            paved = _box(lateral, -3 * half - SHOULDER, half + SHOULDER, sideways)
-            junction = _box(_wrapped(arc - crossing_at, crossing_every), 0.0, 6.5, lengthways)
+            paved = _box_coverage(lateral, -3 * half - SHOULDER_WIDTH_M, half + SHOULDER_WIDTH_M, sideways)
+            junction = _box_coverage(_modulo(arc - crossing_at, crossing_every), 0.0, 6.5, lengthways)
             paved = max(paved, junction)
             grey = verge + (asphalt - verge) * paved
             for wavelength, amplitude in ((5.0, 0.06), (0.8, 0.05), (0.13, 0.07)):
                 blur = away / wavelength
                 if blur < 2.0:
                     keep = amplitude * (2.5 - 1.5 * paved) / (1 + blur**4)
-                    grey *= 1 + keep * repeated(grain, arc * (2 / wavelength), lateral * (2 / wavelength))
+                    grey *= 1 + keep * sample_periodic(grain, arc * (2 / wavelength), lateral * (2 / wavelength))
             lane = math.floor((lateral + half) / (2 * half))
             patch = grain[int(math.floor(arc / 7.3)) & 255, int(lane) & 255]  # repairs
             grey *= 1 + 0.05 * patch * paved * (1 - junction) / (1 + away)
             marks = 0.0
             if paved > 0:
-                dash = _box(_wrapped(arc, 9.0), 2.0, 5.0, lengthways)
-                marks = dash * _box(lateral, -half - 0.06, -half + 0.06, sideways)
-                marks += _box(lateral, half - 0.12, half, sideways)
-                marks += _box(lateral, -3 * half, -3 * half + 0.12, sideways)
-                stop = _box(_wrapped(arc - crossing_at + 1.2, crossing_every), 0.0, 0.4, lengthways)
-                marks = max(marks * (1 - junction), stop * _box(lateral, -half, half - 0.12, sideways))
+                dash = _box_coverage(_modulo(arc, 9.0), 2.0, 5.0, lengthways)
+                marks = dash * _box_coverage(lateral, -half - 0.06, -half + 0.06, sideways)
+                marks += _box_coverage(lateral, half - 0.12, half, sideways)
+                marks += _box_coverage(lateral, -3 * half, -3 * half + 0.12, sideways)
+                stop = _box_coverage(_modulo(arc - crossing_at + 1.2, crossing_every), 0.0, 0.4, lengthways)
+                marks = max(marks * (1 - junction), stop * _box_coverage(lateral, -half, half - 0.12, sideways))
                 grey += (paint - grey) * 0.9 * min(marks, 1.0)
 
             lit = 0.0
             if away < 0.15:
-                lit = _shade(shade, arc, lateral, 1 / CELL)
+                lit = _sample_shade(shade, arc, lateral, 1 / SHADE_CELL_M)
             else:
                 for part in range(3):  # along the pixel's long footprint
-                    lit += _shade(coarse, arc + (part - 1) * 0.33 * away, lateral, 0.25 / CELL) / 3
+                    lit += _sample_shade(coarse, arc + (part - 1) * 0.33 * away, lateral, 0.25 / SHADE_CELL_M) / 3
             sky = ambient
             for c in range(len(casts)):
                 inside = 1e9

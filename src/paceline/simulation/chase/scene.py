@@ -9,7 +9,7 @@ import numpy as np
 
 from paceline.cameras import Camera
 
-PRESETS: dict[str, dict[str, Any]] = {
+CHASE_PRESETS: dict[str, dict[str, Any]] = {
     "nist": {},  # 256 × 242 at 15 frames/s, 5–15 m, to 35 km/h
     "hd": {
         "image_size": (1280, 720),

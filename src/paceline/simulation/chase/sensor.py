@@ -8,16 +8,16 @@ from numpy.typing import NDArray
 
 from paceline.arrays import Array, Image
 from paceline.simulation.chase import rasterizer
-from paceline.simulation.chase.motion import STEP, Wander
-from paceline.simulation.chase.projection import Faces, draw, in_level, joined
-from paceline.simulation.chase.scenery import LANE, shade_map
-from paceline.simulation.chase.world import ChaseWorld, Moment
+from paceline.simulation.chase.motion import ROAD_STEP_M, SmoothNoise
+from paceline.simulation.chase.projection import Faces, draw_faces, face_vectors, join_faces
+from paceline.simulation.chase.scenery import LANE_WIDTH_M, shade_map
+from paceline.simulation.chase.world import ChaseWorld, WorldState
 
-REACH = 260.0  # m of road ahead that is laid out
-FARTHEST = 170.0  # m, of things beside the road
+ROAD_AHEAD_M = 260.0  # m of road ahead that is laid out
+MAX_OBJECT_DISTANCE_M = 170.0  # m, of things beside the road
 
 
-class Film:
+class Renderer:
     """The pictures of a world, one at a time."""
 
     def __init__(self, world: ChaseWorld) -> None:
@@ -30,29 +30,29 @@ class Film:
         asphalt, verge = rng.uniform(75, 125), rng.uniform(50, 95)
         direct = (1 - self.sun.ambient) * float(scene.shadows > 0 or rng.random() < 0.8)
         self.look = np.array(
-            [asphalt, verge, 215.0, 1 - direct, direct, rng.uniform(120, 320), rng.uniform(0, 320), LANE / 2]
+            [asphalt, verge, 215.0, 1 - direct, direct, rng.uniform(120, 320), rng.uniform(0, 320), LANE_WIDTH_M / 2]
         )
         self.heaven = np.array([rng.uniform(160, 225), rng.uniform(-90, -20), rng.uniform(0, 14), self.sun.azimuth])
-        self.ridges = _ridges(rng)
-        self.exposure = Wander(rng, 2.5, 20.0)
+        self.ridges = _draw_skylines(rng)
+        self.exposure = SmoothNoise(rng, 2.5, 20.0)
         self.noise = np.random.default_rng([scene.seed, 29])
         self.vignette = self._vignette()
 
-    def picture(self, moment: Moment) -> tuple[NDArray[np.uint8], float]:
+    def picture(self, moment: WorldState) -> tuple[NDArray[np.uint8], float]:
         """Picture (H, W), and the part of the lead's rear plane that is visible; each call draws new noise."""
         grey, hidden = self._grey(moment)
         return self._exposed(grey, moment.time), self._visible(moment, hidden)
 
-    def _grey(self, moment: Moment) -> tuple[Image, Image | None]:
+    def _grey(self, moment: WorldState) -> tuple[Image, Image | None]:
         """Grey levels (H, W) before the sensor, and what hides the lead (H, W), if anything."""
         eye, blur = moment.eye, self._blur(moment)
         width, height = self.scene.image_size
         image = np.zeros((height, width, 2), np.float32)
         rays = eye.R.T @ np.linalg.inv(eye.K)
-        rasterizer.sky(image, rays, eye.heading, eye.K[0, 0], self.heaven, self.ridges, self.grain)
+        rasterizer.draw_sky(image, rays, eye.heading, eye.K[0, 0], self.heaven, self.ridges, self.grain)
         self._paint_ground(image, rays, moment)
         things, distance = self._things(moment)
-        draw(image, things, self.world.atlas, eye, self.sun, self.shade, np.eye(3))
+        draw_faces(image, things, self.world.atlas, eye, self.sun, self.shade, np.eye(3))
         grey = np.asarray(cv2.GaussianBlur(image[..., 0], (0, 0), blur[0], sigmaY=blur[1]), np.float32)
         patch = self._patch(moment, blur) if moment.shown else None
         if patch is None:
@@ -62,7 +62,7 @@ class Film:
         before = things[distance < moment.gap]
         front = np.zeros((rows.stop - rows.start, columns.stop - columns.start, 2), np.float32)
         shift = np.array([[1, 0, -columns.start], [0, 1, -rows.start], [0, 0, 1.0]])
-        draw(front, before, self.world.atlas, eye, self.sun, self.shade, shift)
+        draw_faces(front, before, self.world.atlas, eye, self.sun, self.shade, shift)
         front = np.asarray(cv2.GaussianBlur(front, (0, 0), blur[0], sigmaY=blur[1]), np.float32)
         # front over lead over backdrop, where the backdrop already has the front over it
         under = grey[rows, columns] * (1 - lead[..., 1]) + lead[..., 1] * front[..., 0]
@@ -71,22 +71,22 @@ class Film:
         hidden[rows, columns] = front[..., 1]
         return grey, hidden
 
-    def _blur(self, moment: Moment) -> tuple[float, float]:
+    def _blur(self, moment: WorldState) -> tuple[float, float]:
         """Sigma in x and y, px: the lens and what the image moved while the shutter was open."""
         sweep = np.array(moment.sweep) * self.scene.focal * self.scene.shutter
         x, y = np.sqrt(self.scene.blur_sigma**2 + sweep**2 / 12)
         return float(x), float(y)
 
-    def _paint_ground(self, image: Image, rays: Array, moment: Moment) -> None:
+    def _paint_ground(self, image: Image, rays: Array, moment: WorldState) -> None:
         eye, chase = moment.eye, moment.chase
-        road = self.world.road.ahead(chase.arc, chase.x, chase.y, eye.heading, REACH)
+        road = self.world.road.ahead(chase.arc, chase.x, chase.y, eye.heading, ROAD_AHEAD_M)
         casts, holds = self.world.casts(moment)
-        rasterizer.ground(
+        rasterizer.draw_ground(
             image,
             rays,
             eye.height,
             road,
-            STEP,
+            ROAD_STEP_M,
             chase.arc,
             self.look,
             self.grain,
@@ -96,17 +96,17 @@ class Film:
             holds,
         )
 
-    def _things(self, moment: Moment) -> tuple[Faces, Array]:
+    def _things(self, moment: WorldState) -> tuple[Faces, Array]:
         """What stands and drives in view but for the lead, the farthest first, and how far ahead each is, m."""
-        near = self.world.standing_between(moment.chase.arc, moment.chase.arc + FARTHEST)
-        things = joined([near, *self.world.passing(moment)])
+        near = self.world.standing_between(moment.chase.arc, moment.chase.arc + MAX_OBJECT_DISTANCE_M)
+        things = join_faces([near, *self.world.passing(moment)])
         distance = moment.eye.level(things.x, things.y)[1]
         order = np.argsort(-distance, kind="stable")
         return things[order], distance[order]
 
-    def _patch(self, moment: Moment, blur: tuple[float, float]) -> tuple[slice, slice] | None:
+    def _patch(self, moment: WorldState, blur: tuple[float, float]) -> tuple[slice, slice] | None:
         """Rows and columns of the image that the lead may touch; None where it is out of the image."""
-        vectors = in_level(self.world.lead_faces(moment), moment.eye)
+        vectors = face_vectors(self.world.lead_faces(moment), moment.eye)
         steps = np.array([[1, 0, 0], [1, 1, 0], [1, 1, 1], [1, 0, 1.0]])
         corners = moment.eye.camera(steps @ vectors).reshape(-1, 3) @ moment.eye.K.T
         pixels = corners[:, :2] / corners[:, 2:]
@@ -115,7 +115,7 @@ class Film:
         high = np.minimum(np.ceil(pixels.max(0)).astype(int) + pad + 1, self.scene.image_size)
         return None if (low >= high).any() else (slice(low[1], high[1]), slice(low[0], high[0]))
 
-    def _lead(self, moment: Moment, rows: slice, columns: slice, blur: tuple[float, float]) -> Image:
+    def _lead(self, moment: WorldState, rows: slice, columns: slice, blur: tuple[float, float]) -> Image:
         """Premultiplied grey and coverage (h, w, 2) of the lead."""
         size = columns.stop - columns.start, rows.stop - rows.start
         n = int(np.clip(round(240 / size[0]), 2, 4))
@@ -127,8 +127,8 @@ class Film:
         faces = self.world.lead_faces(moment)
         painted = len(self.world.body.faces)
         arguments = (self.world.atlas, moment.eye, self.sun, self.shade, to_canvas)
-        draw(canvas, faces[:painted], *arguments)
-        draw(canvas, faces[painted:], *arguments, glow=2.2 if moment.braking else 0.0)
+        draw_faces(canvas, faces[:painted], *arguments)
+        draw_faces(canvas, faces[painted:], *arguments, glow=2.2 if moment.braking else 0.0)
         canvas = np.asarray(cv2.GaussianBlur(canvas, (0, 0), blur[0] * n, sigmaY=blur[1] * n), np.float32)
         return np.asarray(cv2.resize(canvas, size, interpolation=cv2.INTER_AREA), np.float32)
 
@@ -145,7 +145,7 @@ class Film:
         level += noise * np.sqrt(self.scene.noise_sigma**2 + self.scene.shot_noise * np.maximum(level, 0))
         return np.asarray(np.clip(np.rint(level), 0, 255), np.uint8)
 
-    def _visible(self, moment: Moment, hidden: Image | None) -> float:
+    def _visible(self, moment: WorldState, hidden: Image | None) -> float:
         """The part of the rear plane's area that is inside the image and not hidden."""
         x, y = (np.float64(v) for v in moment.corners.T)
         area = abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2
@@ -156,7 +156,7 @@ class Film:
         return float(min((mask * (1 - np.minimum(hidden, 1))).sum() / area, 1.0))
 
 
-def _ridges(rng: np.random.Generator) -> Array:
+def _draw_skylines(rng: np.random.Generator) -> Array:
     """Slopes of a far and a near skyline over a full turn, and their grey levels in the last column."""
     at = np.linspace(0, 2 * np.pi, 2048, endpoint=False)
     far = sum(rng.uniform(0, 0.014) * np.sin(k * at + rng.uniform(0, 2 * np.pi)) for k in (3, 7, 13, 29))

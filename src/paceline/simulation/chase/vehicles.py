@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from paceline.simulation.textures import Canvas, Texture
 
-DENSITY = 400.0  # texels per metre of a rear plane
+REAR_TEXELS_PER_METRE = 400.0  # texels per metre of a rear plane
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +29,7 @@ class Face:
 
 
 @dataclass(frozen=True)
-class Line:
+class EdgeLine:
     """A painted or built edge from (x0, y0) to (x1, y1), ``z`` metres ahead of the rear plane."""
 
     x0: float
@@ -50,7 +50,7 @@ class Body:
     kind: str
     faces: tuple[Face, ...]
     lamps: tuple[Face, ...]
-    lines: tuple[Line, ...]
+    lines: tuple[EdgeLine, ...]
     width: float
     height: float
     clearance: float
@@ -58,41 +58,43 @@ class Body:
     top: float
 
 
-class Sheet(Canvas):
+class AntialiasedCanvas(Canvas):
     """A canvas whose boxes cover every texel exactly by the part of it that they fill."""
 
     def box(self, x: float, y: float, width: float, height: float, grey: float) -> None:
         rows, columns = self.value.shape
-        across = _covered(columns, x * columns / self.width, (x + width) * columns / self.width)
-        down = _covered(rows, y * rows / self.height, (y + height) * rows / self.height)
+        across = _covered_share(columns, x * columns / self.width, (x + width) * columns / self.width)
+        down = _covered_share(rows, y * rows / self.height, (y + height) * rows / self.height)
         cover = down[:, None] * across
         self.value += (grey - self.value) * cover
         self.alpha = np.maximum(self.alpha, cover)
 
 
-def _covered(count: int, low: float, high: float) -> NDArray[np.float32]:
+def _covered_share(count: int, low: float, high: float) -> NDArray[np.float32]:
     cells = np.arange(count)
     return np.asarray(np.clip(np.minimum(cells + 1, high) - np.maximum(cells, low), 0, 1), np.float32)
 
 
-def vehicle(rng: np.random.Generator, kind: str, paint: float) -> Body:
+def make_vehicle(rng: np.random.Generator, kind: str, paint: float) -> Body:
     """A vehicle of one of `DRAWN` whose ``paint`` is a grey level; details vary with ``rng``."""
-    return {"van": _van, "saloon": _saloon, "lorry": _lorry, "bus": _bus}[kind](_Builder(rng, kind, paint))
+    return {"van": _make_van, "saloon": _make_saloon, "lorry": _make_lorry, "bus": _make_bus}[kind](
+        _BodyBuilder(rng, kind, paint)
+    )
 
 
-class _Builder:
-    """What all kinds share. Coordinates as of the rear plane's centre; `Sheet`s have theirs at the top left."""
+class _BodyBuilder:
+    """What all kinds share. The origin is the rear plane's centre; that of an `AntialiasedCanvas` is its top left."""
 
     def __init__(self, rng: np.random.Generator, kind: str, paint: float) -> None:
         self.rng, self.kind, self.paint = rng, kind, paint
         self.glass = rng.uniform(18, 45) if paint > 65 else rng.uniform(110, 160)  # dark, or with the sky in it
         self.trim = rng.uniform(22, 40) if paint > 65 else rng.uniform(95, 130)
-        self.lines: list[Line] = []
+        self.lines: list[EdgeLine] = []
 
     def size(self, width: tuple[float, float], height: tuple[float, float], clearance: tuple[float, float]) -> None:
         self.width, self.height = self.rng.uniform(*width), self.rng.uniform(*height)
         self.clearance = self.rng.uniform(*clearance)
-        self.rear = Sheet(self.width, self.height, self.paint, density=DENSITY)
+        self.rear = AntialiasedCanvas(self.width, self.height, self.paint, density=REAR_TEXELS_PER_METRE)
         self.rear.mottle(self.rng, 0.03, 0.3)
         self.rear.shade(1.06, 0.92)
 
@@ -103,7 +105,7 @@ class _Builder:
     def model(self, x0: float, y0: float, x1: float, y1: float, sides: str, z: float = 0.0) -> None:
         """Note the ``sides`` — of left, right, top, bottom — of a box as strong edges."""
         edges = {"l": (x0, y0, x0, y1), "r": (x1, y0, x1, y1), "t": (x0, y0, x1, y0), "b": (x0, y1, x1, y1)}
-        self.lines += [Line(*edges[s], z) for s in sides]
+        self.lines += [EdgeLine(*edges[s], z) for s in sides]
 
     def outline(self, sides: str) -> None:
         self.model(-self.width / 2, -self.height / 2, self.width / 2, self.height / 2, sides)
@@ -126,7 +128,7 @@ class _Builder:
             self.paint_box(x - 0.225 + 0.057 * k, y + 0.025, self.rng.uniform(0.015, 0.04), 0.065, 30)
 
     def panel(self, width: float, height: float, grey: float, grain: float = 0.3) -> Texture:
-        c = Sheet(width, height, grey, density=80)
+        c = AntialiasedCanvas(width, height, grey, density=80)
         c.mottle(self.rng, 0.04, grain)
         return c.finish()
 
@@ -136,7 +138,7 @@ class _Builder:
         # One of the body's colour shows where its top ends, any other where the body ends.
         self.model(-half, top, half, top + tall, "t", 0.0 if grey == self.trim else -depth)
         self.model(-half, top, half, top + tall, "b", -depth)
-        c = Sheet(2 * half, tall, grey, density=DENSITY)
+        c = AntialiasedCanvas(2 * half, tall, grey, density=REAR_TEXELS_PER_METRE)
         c.mottle(self.rng, 0.05, 0.2)
         c.box(0, 0.6 * tall, 2 * half, 0.03, 0.5 * grey)
         above = self.panel(2 * half, max(depth, 0.08), 1.05 * grey)
@@ -148,7 +150,7 @@ class _Builder:
     def lamps(self, x: float, y: float, width: float, height: float, z: float = 0.0) -> tuple[Face, Face]:
         """A pair with their outer upper corners at (± x, y)."""
         dull = self.rng.uniform(45, 80)
-        c = Sheet(width, height, dull, density=DENSITY)
+        c = AntialiasedCanvas(width, height, dull, density=REAR_TEXELS_PER_METRE)
         c.box(0.3 * width, 0.3 * height, 0.4 * width, 0.25 * height, 150)
         c.box(0, 0.0, width, 0.02, 25)
         texture = c.finish()
@@ -161,7 +163,7 @@ class _Builder:
         """Roof and sides of a box behind the plane from y = top to y = bottom."""
         half = self.width / 2 - inset
         tall = bottom - top
-        side = Sheet(length, tall, self.paint, density=60)
+        side = AntialiasedCanvas(length, tall, self.paint, density=60)
         side.shade(1.05, 0.8)
         side.mottle(self.rng, 0.04, 0.5)
         if self.kind != "lorry":
@@ -176,7 +178,7 @@ class _Builder:
 
     def underside(self, tall: float) -> list[Face]:
         """Wheels and the dark between them, below the rear plane."""
-        c = Sheet(self.width, tall, 0.0, alpha=0.0, density=120)
+        c = AntialiasedCanvas(self.width, tall, 0.0, alpha=0.0, density=120)
         c.box(0.05, 0, self.width - 0.1, 0.4 * tall, 8)
         for x in (0.04, self.width - 0.28):
             c.box(x, 0, 0.24, tall, 14)
@@ -193,7 +195,7 @@ class _Builder:
         return Body(self.kind, faces, lamps, tuple(self.lines), *size, length, top)
 
 
-def _van(b: _Builder) -> Body:
+def _make_van(b: _BodyBuilder) -> Body:
     b.size((1.75, 2.05), (1.45, 1.85), (0.3, 0.42))
     w, h, rng = b.width, b.height, b.rng
     b.outline("lrt")
@@ -213,7 +215,7 @@ def _van(b: _Builder) -> Body:
     return b.finish(b.box_faces(length, -h / 2, h / 2 - 0.1), bumper, lamps, length, h / 2)
 
 
-def _saloon(b: _Builder) -> Body:
+def _make_saloon(b: _BodyBuilder) -> Body:
     b.size((1.68, 1.88), (0.7, 0.85), (0.24, 0.34))
     w, h, rng = b.width, b.height, b.rng
     b.outline("lr")
@@ -228,7 +230,7 @@ def _saloon(b: _Builder) -> Body:
     own = rng.random() < 0.6
     bumper = b.bumper(rng.uniform(0.24, 0.32), rng.uniform(0.08, 0.18), 0.85 * b.paint if own else b.trim)
     boot, rake, tall, length = rng.uniform(0.2, 0.4), rng.uniform(0.5, 0.7), rng.uniform(0.48, 0.56), 4.3
-    glass = Sheet(w, tall, 0.0, alpha=0.0, density=160)
+    glass = AntialiasedCanvas(w, tall, 0.0, alpha=0.0, density=160)
     taper = 0.1 * w
     outer = [(taper, 0.0), (w - taper, 0.0), (w - 0.03, tall), (0.03, tall)]
     glass.polygon(outer, 0.97 * b.paint)
@@ -245,7 +247,7 @@ def _saloon(b: _Builder) -> Body:
     return b.finish(behind, bumper, lamps, length, h / 2 + tall)
 
 
-def _lorry(b: _Builder) -> Body:
+def _make_lorry(b: _BodyBuilder) -> Body:
     b.size((2.35, 2.55), (2.1, 2.6), (0.85, 1.05))
     w, h, rng = b.width, b.height, b.rng
     b.outline("lrtb")
@@ -269,7 +271,7 @@ def _lorry(b: _Builder) -> Body:
     return b.finish([*b.box_faces(length, -h / 2, h / 2), carrier, bar], (), lamps, length, h / 2)
 
 
-def _bus(b: _Builder) -> Body:
+def _make_bus(b: _BodyBuilder) -> Body:
     b.size((2.4, 2.55), (2.45, 2.75), (0.32, 0.42))
     w, h, rng = b.width, b.height, b.rng
     b.outline("lrt")

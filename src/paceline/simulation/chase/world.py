@@ -9,23 +9,38 @@ import cv2
 import numpy as np
 
 from paceline.arrays import Array
-from paceline.simulation.chase.motion import Road, State, place
-from paceline.simulation.chase.projection import Atlas, Eye, Faces, Sun, faces_of, joined, moved
+from paceline.simulation.chase.motion import RoadPose, TabulatedRoad, road_pose
+from paceline.simulation.chase.projection import (
+    CameraPose,
+    Faces,
+    Sun,
+    TextureAtlas,
+    join_faces,
+    move_faces,
+    place_faces,
+)
 from paceline.simulation.chase.scene import ChaseScene, Occlusion
-from paceline.simulation.chase.scenery import LANE, Thing, oncoming, roadside, standing, upright
-from paceline.simulation.chase.vehicles import Body, Face, Sheet, vehicle
+from paceline.simulation.chase.scenery import (
+    LANE_WIDTH_M,
+    RoadsideObject,
+    oncoming_faces,
+    place_roadside,
+    stand_on_ground,
+    upright_face,
+)
+from paceline.simulation.chase.vehicles import AntialiasedCanvas, Body, Face, make_vehicle
 
-CROSSING_LENGTH = 3.2  # m, of the vehicle that crosses
+CROSSING_VEHICLE_LENGTH_M = 3.2  # m, of the vehicle that crosses
 
 
 @dataclass(frozen=True, eq=False)
-class Moment:
+class WorldState:
     """The chase at one time: the camera and where it looks, the lead, the corners (4, 2) px of its rear plane."""
 
     time: float
-    eye: Eye
-    chase: State
-    lead: State
+    eye: CameraPose
+    chase: RoadPose
+    lead: RoadPose
     lead_roll: float
     lead_lift: float  # m
     gap: float  # m ahead of the camera's foot, level
@@ -34,7 +49,7 @@ class Moment:
     sweep: tuple[float, float]  # rad/s, of the image to the right and down
     braking: bool
     shown: bool  # False: the lead is not there to be seen
-    companions: tuple[State, ...]  # other vehicles on the same way, as the world's ``companions``
+    companions: tuple[RoadPose, ...]  # other vehicles on the same way, as the world's ``companions``
 
 
 class ChaseWorld:
@@ -47,7 +62,7 @@ class ChaseWorld:
     def __init__(
         self,
         scene: ChaseScene,
-        road: Road,
+        road: TabulatedRoad,
         start: float,
         arc: Callable[[float], float],
         rng: np.random.Generator,
@@ -56,33 +71,35 @@ class ChaseWorld:
         self.scene, self.road, self._arc = scene, road, arc
         azimuth = float(road.frame(start)[2]) + scene.sun_azimuth
         self.sun = Sun(azimuth, scene.sun_elevation, scene.ambient)
-        self.atlas = Atlas()
-        self.body, self.companions = body_of(scene), companions
+        self.atlas = TextureAtlas()
+        self.body, self.companions = lead_body(scene), companions
         self._lead = self._faces(self.body.faces + self.body.lamps)
-        self._place_things(roadside(scene.seed, road.length - 30, scene.crowding, scene.parallel))
-        self._oncoming = [self._faces(oncoming(rng)) for _ in range(3)]
+        self._place_things(place_roadside(scene.seed, road.length - 30, scene.crowding, scene.parallel))
+        self._oncoming = [self._faces(oncoming_faces(rng)) for _ in range(3)]
         self.meeting = float(rng.uniform(5, 12)), rng.uniform(0.2, 0.8, 64)
-        self._crossing = [self._faces(_crossing(rng, o, scene)) for o in scene.occlusions]
-        self._companions = [self._faces(standing(b.faces + b.lamps, b.clearance + b.height / 2)) for b in companions]
+        self._crossing = [self._faces(_make_crossing_faces(rng, o, scene)) for o in scene.occlusions]
+        self._companions = [
+            self._faces(stand_on_ground(b.faces + b.lamps, b.clearance + b.height / 2)) for b in companions
+        ]
         self.atlas.close()
 
     def _faces(self, faces: tuple[Face, ...]) -> Faces:
-        return faces_of(faces, self.atlas, self.road, State(0.0, 0.0, 0.0, 0.0, 0.0))
+        return place_faces(faces, self.atlas, self.road, RoadPose(0.0, 0.0, 0.0, 0.0, 0.0))
 
-    def _place_things(self, things: list[Thing]) -> None:
+    def _place_things(self, things: list[RoadsideObject]) -> None:
         placed = [self._faces(())]
         for thing in things:
             x, y, heading = self.road.frame(thing.arc, thing.lateral)
-            state = State(thing.arc, thing.lateral, float(x), float(y), float(heading) + thing.turn)
-            placed.append(faces_of(thing.faces, self.atlas, self.road, state))
-        self._things = joined(placed)
+            state = RoadPose(thing.arc, thing.lateral, float(x), float(y), float(heading) + thing.turn)
+            placed.append(place_faces(thing.faces, self.atlas, self.road, state))
+        self._things = join_faces(placed)
 
     def standing_between(self, arc0: float, arc1: float) -> Faces:
         """What stands beside the road from one arc length to another."""
         first, last = np.searchsorted(self._things.arc, (arc0, arc1))
         return self._things[int(first) : int(last)]
 
-    def passing(self, moment: Moment) -> list[Faces]:
+    def passing(self, moment: WorldState) -> list[Faces]:
         """Oncoming traffic, what crosses before the lead, and companions."""
         groups = []
         if self.scene.traffic:
@@ -91,49 +108,49 @@ class ChaseWorld:
                 meet = (k + part[k % len(part)]) * every
                 arc = self._arc(meet) + self.scene.top_speed * (meet - moment.time)
                 if moment.chase.arc < arc < min(moment.chase.arc + 150, self.road.s[-1]):
-                    state = place(self.road, arc, -LANE, 0.0)
-                    groups.append(moved(self._oncoming[k % len(self._oncoming)], self.road, state))
+                    state = road_pose(self.road, arc, -LANE_WIDTH_M, 0.0)
+                    groups.append(move_faces(self._oncoming[k % len(self._oncoming)], self.road, state))
         for occlusion, faces in zip(self.scene.occlusions, self._crossing, strict=True):
             if abs(moment.time - occlusion.time) < 4 * occlusion.duration:
-                groups.append(moved(faces, self.road, self._crossing_state(moment, occlusion)))
+                groups.append(move_faces(faces, self.road, self._crossing_state(moment, occlusion)))
         for faces, state in zip(self._companions, moment.companions, strict=True):
-            groups.append(moved(faces, self.road, state))
+            groups.append(move_faces(faces, self.road, state))
         return groups
 
-    def _crossing_state(self, moment: Moment, occlusion: Occlusion) -> State:
+    def _crossing_state(self, moment: WorldState, occlusion: Occlusion) -> RoadPose:
         """Half-way to the lead, at a constant speed across its middle."""
         ahead = 0.55 * moment.gap
         across, _ = moment.eye.level(moment.lead.x, moment.lead.y)
-        long = CROSSING_LENGTH if occlusion.kind == "vehicle" else 0.3
+        long = CROSSING_VEHICLE_LENGTH_M if occlusion.kind == "vehicle" else 0.3
         speed = (long + 0.55 * self.body.width) / occlusion.duration
         right = 0.55 * float(across) + speed * (moment.time - occlusion.time)
         c, s = np.cos(moment.eye.heading), np.sin(moment.eye.heading)
         x, y = moment.eye.x + ahead * c + right * s, moment.eye.y + ahead * s - right * c
-        return State(moment.chase.arc + ahead, right, float(x), float(y), moment.eye.heading)
+        return RoadPose(moment.chase.arc + ahead, right, float(x), float(y), moment.eye.heading)
 
     def moment(
         self,
         time: float,
-        eye: Eye,
-        chase: State,
-        lead: State,
+        eye: CameraPose,
+        chase: RoadPose,
+        lead: RoadPose,
         *,
         lead_roll: float = 0.0,
         lead_lift: float = 0.0,
         sweep: tuple[float, float] = (0.0, 0.0),
         braking: bool = False,
         shown: bool = True,
-        companions: tuple[State, ...] = (),
-    ) -> Moment:
+        companions: tuple[RoadPose, ...] = (),
+    ) -> WorldState:
         """Everything at ``time``, s, with the camera and the vehicles where they are said to be."""
         plane = self._plane(eye, lead, lead_roll, lead_lift)
         corners = self.scene.camera.project(plane[1:])
         ahead = float(eye.level(lead.x, lead.y)[1])
-        return Moment(
+        return WorldState(
             time, eye, chase, lead, lead_roll, lead_lift, ahead, plane[0], corners, sweep, braking, shown, companions
         )
 
-    def _plane(self, eye: Eye, lead: State, roll: float, lift: float) -> Array:
+    def _plane(self, eye: CameraPose, lead: RoadPose, roll: float, lift: float) -> Array:
         """Centre and corners (5, 3) of the lead's rear plane in camera axes."""
         x, y = self.body.width / 2, self.body.height / 2
         flat = np.array([[0, 0], [-x, -y], [x, -y], [x, y], [-x, y]])
@@ -145,16 +162,16 @@ class ChaseWorld:
         level = np.column_stack([r0 + right * np.cos(turn), down - height, a0 + right * np.sin(turn)])
         return eye.camera(level)
 
-    def lead_faces(self, moment: Moment) -> Faces:
+    def lead_faces(self, moment: WorldState) -> Faces:
         """The lead's faces, lamps last, about the foot of its rear plane."""
         c, s = np.cos(moment.lead_roll), np.sin(moment.lead_roll)
         roll = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
         lift = np.array([0, self.body.clearance + self.body.height / 2 + moment.lead_lift, 0])
         f = self._lead
         rolled = replace(f, corner=f.corner @ roll.T - lift, across=f.across @ roll.T, down=f.down @ roll.T)
-        return moved(rolled, self.road, moment.lead)
+        return move_faces(rolled, self.road, moment.lead)
 
-    def casts(self, moment: Moment) -> tuple[Array, Array]:
+    def casts(self, moment: WorldState) -> tuple[Array, Array]:
         """Outlines (2 V, E, 3) of the shadow in the sun and of the dark under each of V vehicles; see
         `rasterizer.ground`."""
         vehicles = [(self.body, moment.lead)] if moment.shown else []
@@ -163,7 +180,7 @@ class ChaseWorld:
         holds = [(0.0, 0.05), (0.8, 0.35)] * len(vehicles)
         return np.array(outlines).reshape(-1, 8, 3), np.array(holds).reshape(-1, 2)
 
-    def _cast(self, eye: Eye, body: Body, state: State) -> tuple[Array, Array]:
+    def _cast(self, eye: CameraPose, body: Body, state: RoadPose) -> tuple[Array, Array]:
         half, length = body.width / 2, body.length
         turn = state.heading - eye.heading
         box = np.array([[-half, 0], [half, 0], [half, length], [-half, length]])
@@ -173,26 +190,26 @@ class ChaseWorld:
         towards = self.sun.direction(eye.heading)
         tall = body.clearance + body.height / 2 + body.top
         roof = foot + tall * towards[[2, 0]] / towards[1]
-        return _edges(np.vstack([foot, roof])), _edges(foot)
+        return _outline_edges(np.vstack([foot, roof])), _outline_edges(foot)
 
 
-def body_of(scene: ChaseScene) -> Body:
+def lead_body(scene: ChaseScene) -> Body:
     """The lead."""
-    return vehicle(np.random.default_rng([scene.seed, 37]), scene.kind, scene.paint)
+    return make_vehicle(np.random.default_rng([scene.seed, 37]), scene.kind, scene.paint)
 
 
-def _crossing(rng: np.random.Generator, occlusion: Occlusion, scene: ChaseScene) -> tuple[Face, ...]:
+def _make_crossing_faces(rng: np.random.Generator, occlusion: Occlusion, scene: ChaseScene) -> tuple[Face, ...]:
     if occlusion.kind == "post":
-        return (upright(Sheet(0.3, 4.0, rng.uniform(30, 160), density=60).finish(), 0.3, 4.0),)
-    c = Sheet(CROSSING_LENGTH, 1.5, rng.uniform(30, 190), density=120)
+        return (upright_face(AntialiasedCanvas(0.3, 4.0, rng.uniform(30, 160), density=60).finish(), 0.3, 4.0),)
+    c = AntialiasedCanvas(CROSSING_VEHICLE_LENGTH_M, 1.5, rng.uniform(30, 190), density=120)
     c.mottle(rng, 0.05, 0.4)
     for x in (0.5, 1.7):
         c.box(x, 0.15, 1.05, 0.5, 30)
-    c.box(0, 1.25, CROSSING_LENGTH, 0.25, 15)
-    return (upright(c.finish(), CROSSING_LENGTH, scene.camera_height * 0.5 + 1.2, foot=0.15),)
+    c.box(0, 1.25, CROSSING_VEHICLE_LENGTH_M, 0.25, 15)
+    return (upright_face(c.finish(), CROSSING_VEHICLE_LENGTH_M, scene.camera_height * 0.5 + 1.2, foot=0.15),)
 
 
-def _edges(points: Array) -> Array:
+def _outline_edges(points: Array) -> Array:
     """The edges (8, 3) of the convex outline of up to 8 ``points`` (N, 2), the last one repeated: (a, b, c) so that
     a x + b y + c is the distance from it, positive inside."""
     hull = cv2.convexHull(points.astype(np.float32), clockwise=True).reshape(-1, 2).astype(float)

@@ -7,18 +7,18 @@ import numpy as np
 from paceline.arrays import Array
 
 
-def outline(x: float, y: float, heading: float, back: float, front: float, width: float) -> Array:
+def vehicle_outline(x: float, y: float, heading: float, back: float, front: float, width: float) -> Array:
     """Corners (4, 2), m, of a vehicle that reaches from ``back`` to ``front`` metres ahead of (x, y)."""
     c, s, half = np.cos(heading), np.sin(heading), width / 2
     ends = np.array([[back, -half], [front, -half], [front, half], [back, half]])
     return np.asarray(ends @ np.array([[c, s], [-s, c]]) + (x, y))
 
 
-def apart(a: Array, b: Array) -> float:
+def outline_distance(a: Array, b: Array) -> float:
     """The least distance (m) between two convex outlines (N, 2) and (M, 2); 0 where they touch or overlap."""
     if not (_separated(a, b) or _separated(b, a)):
         return 0.0
-    return float(min(_to_edges(a, b).min(), _to_edges(b, a).min()))
+    return float(min(_edge_distances(a, b).min(), _edge_distances(b, a).min()))
 
 
 def _separated(a: Array, b: Array) -> bool:
@@ -29,7 +29,7 @@ def _separated(a: Array, b: Array) -> bool:
     return bool(((p.max(0) < q.min(0)) | (q.max(0) < p.min(0))).any())
 
 
-def _to_edges(points: Array, polygon: Array) -> Array:
+def _edge_distances(points: Array, polygon: Array) -> Array:
     """Distances (N, M) from points to the edges of a polygon."""
     start, along = polygon, np.roll(polygon, -1, axis=0) - polygon
     d = points[:, None] - start

@@ -10,14 +10,14 @@ from pydantic import Field, model_validator
 
 from paceline.documents.models import Document, nearest_of, read_document
 from paceline.errors import UnusableInput
-from paceline.simulation.closed_loop.named_scenes import SCENES
-from paceline.simulation.vehicle_catalogue import Drawn
+from paceline.simulation.closed_loop.named_scenes import NAMED_SCENES
+from paceline.simulation.vehicle_catalogue import RasterizedKind
 
 Seconds = Annotated[float, Field(ge=0, le=7200)]
 Metres = Annotated[float, Field(ge=0)]
 Pairs = list[Annotated[list[float], Field(min_length=2, max_length=2)]]
 
-APART, FASTEST = 1e-3, 60.0  # s, the least between two speeds; m/s
+MIN_TIME_STEP_S, MAX_LEAD_SPEED_MPS = 1e-3, 60.0  # s, the least between two speeds; m/s
 
 
 class RoadModel(Document):
@@ -54,7 +54,7 @@ class WeaveModel(Document):
 
 
 class LeadModel(Document):
-    kind: Drawn | None = None  # drawn otherwise
+    kind: RasterizedKind | None = None  # drawn otherwise
     speed: Pairs
     haste: Annotated[float, Field(gt=0, le=5)] = 2.0  # m/s², its strongest acceleration
     bends: Annotated[float, Field(gt=0, le=5)] = 1.8  # m/s² to the side, that it slows down to
@@ -67,10 +67,10 @@ class LeadModel(Document):
         if not self.speed:
             raise ValueError("speed: expected at least one [seconds, metres per second]")
         times = [t for t, _ in self.speed]
-        if any(b - a < APART for a, b in zip(times, times[1:], strict=False)):
+        if any(b - a < MIN_TIME_STEP_S for a, b in zip(times, times[1:], strict=False)):
             raise ValueError("speed: expected times that increase")
-        if not all(0 <= v <= FASTEST for _, v in self.speed):
-            raise ValueError(f"speed: expected 0 to {FASTEST:g} m/s")
+        if not all(0 <= v <= MAX_LEAD_SPEED_MPS for _, v in self.speed):
+            raise ValueError(f"speed: expected 0 to {MAX_LEAD_SPEED_MPS:g} m/s")
         return self
 
 
@@ -79,7 +79,7 @@ class CutInModel(Document):
 
     at: Seconds
     until: Seconds
-    kind: Drawn = "van"
+    kind: RasterizedKind = "van"
     duration: Annotated[float, Field(ge=1, le=20)] = 2.5
     behind: Annotated[float, Field(ge=1, le=60)] = 3.0
 
@@ -90,7 +90,7 @@ class CrossingModel(Document):
     kind: Literal["vehicle", "post"] = "vehicle"
 
 
-class LookModel(Document):
+class AppearanceModel(Document):
     """How the world looks, as in `ChaseScene`; what is not given is drawn by the seed."""
 
     paint: Annotated[float, Field(ge=0, le=255)] | None = None
@@ -102,7 +102,7 @@ class LookModel(Document):
     traffic: bool | None = None
 
 
-class MustModel(Document):
+class RequirementsModel(Document):
     """What must hold; null for what need not. No vehicle may be touched in any drive."""
 
     clearance: Annotated[float, Field(gt=0)] = 0.5  # m, least distance between the bodies
@@ -129,8 +129,8 @@ class DriveModel(Document):
     lead: LeadModel
     cut_ins: list[CutInModel] = []
     crossings: list[CrossingModel] = []
-    look: LookModel = LookModel()
-    must: MustModel = MustModel()
+    look: AppearanceModel = AppearanceModel()
+    must: RequirementsModel = RequirementsModel()
 
     @model_validator(mode="after")
     def _fits(self) -> DriveModel:
@@ -146,16 +146,16 @@ def load_drive(path: str | Path) -> DriveModel:
     return read_document(DriveModel, Path(path))
 
 
-def scene_named(text: str, seed: int) -> DriveModel:
+def resolve_drive(text: str, seed: int) -> DriveModel:
     """A named scene, or the document of that path. Raises UnusableInput for what is neither."""
-    if text in SCENES:
-        return DriveModel.model_validate({"name": text, **SCENES[text](np.random.default_rng([seed, 71]))})
+    if text in NAMED_SCENES:
+        return DriveModel.model_validate({"name": text, **NAMED_SCENES[text](np.random.default_rng([seed, 71]))})
     path = Path(text)
     if path.suffix in (".yaml", ".yml") or path.exists():
         return load_drive(path / "drive.yaml" if path.is_dir() else path)
-    raise UnusableInput(f"{text}: no such scene; {nearest_of(text, list(SCENES))}")
+    raise UnusableInput(f"{text}: no such scene; {nearest_of(text, list(NAMED_SCENES))}")
 
 
-def documented(model: DriveModel) -> dict[str, Any]:
+def drive_document(model: DriveModel) -> dict[str, Any]:
     """The contents of a drive.yaml that says the same, without what is left to the defaults."""
     return model.model_dump(exclude_defaults=True)

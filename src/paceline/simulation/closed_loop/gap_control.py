@@ -13,15 +13,15 @@ import numpy as np
 
 from paceline.arrays import Array
 
-AGILITY = 2.0  # m/s², standard deviation of the lead's acceleration
-MEMORY = 1.0  # s over which it is correlated (Singer's model)
-GRACE = 0.35  # s for which an unseen lead is taken to go on as it did
-CONFIRM = 4  # sightings in a row that must agree before a lead that was gone for longer is believed again
-SAME = 0.1  # relative change of the gap within which they agree
-FORGET = 1.0  # s unseen, after which what is found may be anywhere
-JUMP = 5.0  # standard deviations
-UNSEEN_BRAKING = 4.5  # m/s²: after that, it is taken to brake so hard
-STANDING = 0.15  # m/s
+LEAD_ACCELERATION_STD_MPS2 = 2.0  # m/s², standard deviation of the lead's acceleration
+LEAD_ACCELERATION_TIME_S = 1.0  # s over which it is correlated (Singer's model)
+MAX_UNSEEN_S = 0.35  # s for which an unseen lead is taken to go on as it did
+MIN_CONFIRMING_FRAMES = 4  # sightings in a row that must agree before a lead that was gone for longer is believed again
+MAX_CONFIRMING_GAP_CHANGE = 0.1  # relative change of the gap within which they agree
+RESTART_UNSEEN_S = 1.0  # s unseen, after which what is found may be anywhere
+GATE_SIGMA = 5.0  # standard deviations
+UNSEEN_BRAKING_MPS2 = 4.5  # m/s²: after that, it is taken to brake so hard
+STANDING_SPEED_MPS = 0.15  # m/s
 
 
 @dataclass(frozen=True)
@@ -58,14 +58,16 @@ class LeadFilter:
         was."""
         if self.state is not None:
             self._predict(time, own_speed)
-        self._streak = self._streak + 1 if seen and abs(gap - self._sight) < SAME * gap else int(seen)
+        self._streak = (
+            self._streak + 1 if seen and abs(gap - self._sight) < MAX_CONFIRMING_GAP_CHANGE * gap else int(seen)
+        )
         self._sight = gap
         gone = time - self._seen
-        if seen and (self.state is None or (gone > FORGET and self._streak >= CONFIRM)):
+        if seen and (self.state is None or (gone > RESTART_UNSEEN_S and self._streak >= MIN_CONFIRMING_FRAMES)):
             self.state = np.array([gap, own_speed, 0.0])
-            self.covariance = np.diag([std**2, 2.0**2, AGILITY**2])
+            self.covariance = np.diag([std**2, 2.0**2, LEAD_ACCELERATION_STD_MPS2**2])
             self._seen = time
-        elif seen and self._plausible(gap, std) and (gone <= GRACE or self._streak >= CONFIRM):
+        elif seen and self._plausible(gap, std) and (gone <= MAX_UNSEEN_S or self._streak >= MIN_CONFIRMING_FRAMES):
             self._correct(gap, std)
             self._seen = time
         self._time = time
@@ -75,19 +77,19 @@ class LeadFilter:
         assert self.state is not None
         dt = time - self._time
         d, v, a = self.state
-        if time - self._seen > GRACE:
-            a = min(a, -UNSEEN_BRAKING)
+        if time - self._seen > MAX_UNSEEN_S:
+            a = min(a, -UNSEEN_BRAKING_MPS2)
         later = max(v + a * dt, 0.0)
-        decay = np.exp(-dt / MEMORY)
+        decay = np.exp(-dt / LEAD_ACCELERATION_TIME_S)
         self.state = np.array([d + 0.5 * (v + later) * dt - own_speed * dt, later, a * decay])
         F = np.array([[1.0, dt, dt**2 / 2], [0.0, 1.0, dt], [0.0, 0.0, decay]])
         g = np.array([dt**2 / 2, dt, 1.0])
-        self.covariance = F @ self.covariance @ F.T + AGILITY**2 * (1 - decay**2) * np.outer(g, g)
+        self.covariance = F @ self.covariance @ F.T + LEAD_ACCELERATION_STD_MPS2**2 * (1 - decay**2) * np.outer(g, g)
 
     def _plausible(self, gap: float, std: float) -> bool:
         """Whether a vehicle can have moved there: what jumps is something else, and not seen."""
         assert self.state is not None
-        return bool(abs(gap - self.state[0]) <= JUMP * np.sqrt(self.covariance[0, 0] + std**2))
+        return bool(abs(gap - self.state[0]) <= GATE_SIGMA * np.sqrt(self.covariance[0, 0] + std**2))
 
     def _correct(self, gap: float, std: float) -> None:
         assert self.state is not None
@@ -98,19 +100,21 @@ class LeadFilter:
         self.covariance = P - np.outer(gain, P[0])
 
 
-def headway_law(policy: GapPolicy, speed: float, gap: float, lead_speed: float, lead_acceleration: float) -> float:
+def headway_acceleration(
+    policy: GapPolicy, speed: float, gap: float, lead_speed: float, lead_acceleration: float
+) -> float:
     """The acceleration (m/s²) that keeps the policy's gap, at the chase vehicle's ``speed``."""
     error = gap - policy.wanted(speed)
     wanted = (lead_speed - speed + policy.correction * error) / policy.headway
     wanted += policy.anticipation * min(max(lead_acceleration, -policy.comfort), 1.0)
     wanted = min(wanted, policy.throttle, policy.top_speed - speed)
-    needed = braking_needed(policy, speed, gap, lead_speed, lead_acceleration)
+    needed = required_braking(policy, speed, gap, lead_speed, lead_acceleration)
     if needed > policy.comfort:
         return -1.1 * needed
     return max(wanted, -policy.comfort)
 
 
-def braking_needed(policy: GapPolicy, speed: float, gap: float, lead_speed: float, lead_acceleration: float) -> float:
+def required_braking(policy: GapPolicy, speed: float, gap: float, lead_speed: float, lead_acceleration: float) -> float:
     """The constant deceleration (m/s²), begun after the reaction time, that just keeps the policy's least gap to a lead
     that goes on braking as it does; infinite where none does."""
     braking, tau = min(max(-lead_acceleration, 0.0), policy.lead_braking), policy.reaction
@@ -138,8 +142,8 @@ class GapController:
         state = self.lead.update(time, speed, gap, std, seen)
         if state is None:
             return -self.policy.comfort
-        asked = headway_law(self.policy, speed, *map(float, state))
-        resting = speed < STANDING and (
-            not seen or (state[1] < STANDING * 4 and state[0] < self.policy.standstill + 1.0)
+        asked = headway_acceleration(self.policy, speed, *map(float, state))
+        resting = speed < STANDING_SPEED_MPS and (
+            not seen or (state[1] < STANDING_SPEED_MPS * 4 and state[0] < self.policy.standstill + 1.0)
         )
         return min(asked, -1.0) if resting else asked

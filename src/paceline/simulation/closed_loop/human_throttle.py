@@ -6,35 +6,35 @@ from collections import deque
 
 import numpy as np
 
-from paceline.simulation.chase.motion import Wander
+from paceline.simulation.chase.motion import SmoothNoise
 from paceline.simulation.closed_loop.gap_control import GapPolicy
 
-DELAY = 0.5  # s from what is seen to the foot
-CALM, KEEN = 0.35, 1.6  # m/s² per metre of gap, and per m/s of closing speed
-BRAKING = 5.0  # m/s²
-HEADWAY = 0.5  # s: the shortest that is kept
+REACTION_DELAY_S = 0.5  # s from what is seen to the foot
+GAP_GAIN, CLOSING_GAIN = 0.35, 1.6  # m/s² per metre of gap, and per m/s of closing speed
+MAX_BRAKING_MPS2 = 5.0  # m/s²
+MIN_HEADWAY_S = 0.5  # s: the shortest that is kept
 
 
-class Operator:
-    """Keeps a gap that wanders within ``gaps`` (m); knows the true gap and speeds as they were `DELAY` s before."""
+class HumanThrottle:
+    """Keeps a gap that varies smoothly within ``gaps`` (m), from the true gap and speeds `REACTION_DELAY_S` before."""
 
     def __init__(self, policy: GapPolicy, gaps: tuple[float, float], rng: np.random.Generator) -> None:
-        self._policy, self._gaps, self._mood = policy, gaps, Wander(rng, 12.0, 45.0)
+        self._policy, self._gaps, self._mood = policy, gaps, SmoothNoise(rng, 12.0, 45.0)
         self._seen: deque[tuple[float, float, float]] = deque()  # time, gap, lead's speed
 
     def wanted(self, time: float, speed: float) -> float:
         """The gap, m, kept at ``time``, s: shorter at low speed."""
         low, high = self._gaps
-        nearest = min(low + HEADWAY * speed, high)
+        nearest = min(low + MIN_HEADWAY_S * speed, high)
         share = min(speed / self._policy.top_speed, 1.0) * 0.5 * (1 + self._mood(time))
         return nearest + (high - nearest) * share
 
     def acceleration(self, time: float, speed: float, gap: float, lead_speed: float) -> float:
         """m/s², from the true ``gap`` (m), ``speed`` and ``lead_speed`` (m/s) at ``time``."""
         self._seen.append((time, gap, lead_speed))
-        while len(self._seen) > 1 and self._seen[1][0] <= time - DELAY:
+        while len(self._seen) > 1 and self._seen[1][0] <= time - REACTION_DELAY_S:
             self._seen.popleft()
         _, gap, lead_speed = self._seen[0]
-        asked = CALM * (gap - self.wanted(time, speed)) + KEEN * (lead_speed - speed)
-        asked = min(max(asked, -BRAKING), self._policy.throttle, self._policy.top_speed - speed)
+        asked = GAP_GAIN * (gap - self.wanted(time, speed)) + CLOSING_GAIN * (lead_speed - speed)
+        asked = min(max(asked, -MAX_BRAKING_MPS2), self._policy.throttle, self._policy.top_speed - speed)
         return min(asked, -1.0) if speed < 0.15 and lead_speed < 0.3 else asked

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from paceline.arrays import Array
-from paceline.simulation.chase.motion import STEP, Road, State, place
+from paceline.simulation.chase.motion import ROAD_STEP_M, RoadPose, TabulatedRoad, road_pose
 
-TICK = 0.02  # s between the rows of the plan
-EASE = 1.2  # m/s², braking for a bend
-BLEND = 12.0  # m over which weaving begins and ends
+PLAN_STEP_S = 0.02  # s between the rows of the plan
+BEND_BRAKING_MPS2 = 1.2  # m/s², braking for a bend
+WEAVE_BLEND_M = 12.0  # m over which weaving begins and ends
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Weave:
     period: float
 
 
-class Lead:
+class LeadVehicle:
     """Where the lead is at any time. Its lateral position is a function of arc length alone, so that its path is a
     curve, known before and behind it.
 
@@ -44,7 +44,7 @@ class Lead:
 
     def __init__(
         self,
-        road: Road,
+        road: TabulatedRoad,
         start: float,
         duration: float,
         speeds: Array,
@@ -54,17 +54,17 @@ class Lead:
         bends: float = 1.8,
     ) -> None:
         self.road, self.start = road, start
-        self.time = np.arange(0.0, duration + 2 * TICK, TICK)
+        self.time = np.arange(0.0, duration + 2 * PLAN_STEP_S, PLAN_STEP_S)
         wished = np.interp(self.time, speeds[:, 0], speeds[:, 1])
-        allowed = bend_speeds(road, bends)
+        allowed = curve_speed_limits(road, bends)
         self.speed, self.arc = np.empty_like(self.time), np.empty_like(self.time)
         v, s = min(float(wished[0]), float(np.interp(start, road.s, allowed))), start
         for k, wish in enumerate(wished.tolist()):
-            target = min(wish, _between(allowed, s / STEP))
-            before, v = v, max(min(target, v + haste * TICK), 0.0)
-            s += 0.5 * (before + v) * TICK if k else 0.0
+            target = min(wish, _interpolate(allowed, s / ROAD_STEP_M))
+            before, v = v, max(min(target, v + haste * PLAN_STEP_S), 0.0)
+            s += 0.5 * (before + v) * PLAN_STEP_S if k else 0.0
             self.speed[k], self.arc[k] = v, s
-        self.rate = np.gradient(self.speed, TICK)
+        self.rate = np.gradient(self.speed, PLAN_STEP_S)
         self._changes = [(*self._stretch(c.at, c.duration), c.shift) for c in changes]
         self._weaves = [self._swing(w) for w in weaves]
 
@@ -74,7 +74,7 @@ class Lead:
 
     def _swing(self, w: Weave) -> tuple[float, float, float, float]:
         begin, end = self.arc_at(w.start), self.arc_at(w.stop)
-        mean = (end - begin) / max(w.stop - w.start, TICK)
+        mean = (end - begin) / max(w.stop - w.start, PLAN_STEP_S)
         return begin, end, w.amplitude, max(mean * w.period, 1.0)
 
     def arc_at(self, time: float) -> float:
@@ -92,18 +92,18 @@ class Lead:
         arc = np.asarray(arc, float)
         total = np.zeros_like(arc)
         for begin, length, shift in self._changes:
-            total += shift * _smooth((arc - begin) / length)
+            total += shift * _smoothstep((arc - begin) / length)
         for begin, end, amplitude, wave in self._weaves:
-            inside = _smooth((arc - begin) / BLEND) * _smooth((end - arc) / BLEND)
+            inside = _smoothstep((arc - begin) / WEAVE_BLEND_M) * _smoothstep((end - arc) / WEAVE_BLEND_M)
             total += amplitude * inside * np.sin(2 * np.pi * (arc - begin) / wave)
         return total
 
-    def state_at_arc(self, arc: float) -> State:
+    def state_at_arc(self, arc: float) -> RoadPose:
         """The lead's place and heading where its rear plane is at ``arc``."""
         before, here, after = self.lateral(np.array([arc - 0.05, arc, arc + 0.05])).tolist()
-        return place(self.road, arc, here, (after - before) / 0.1)
+        return road_pose(self.road, arc, here, (after - before) / 0.1)
 
-    def state(self, time: float) -> State:
+    def state(self, time: float) -> RoadPose:
         return self.state_at_arc(self.arc_at(time))
 
     def offset(self, x: float, y: float, near: float) -> tuple[float, float]:
@@ -121,33 +121,33 @@ class Lead:
         return float((x - p.x) * np.sin(p.heading) - (y - p.y) * np.cos(p.heading)), float(arc)
 
 
-def bend_speeds(road: Road, lateral: float) -> Array:
+def curve_speed_limits(road: TabulatedRoad, lateral: float) -> Array:
     """(N,) m/s: the greatest speed with ``lateral`` m/s² to the side at every tabulated point of the road, braked for
     in time."""
     limit = np.sqrt(lateral / np.maximum(np.abs(road.curvature), 1e-6))
     squares = limit**2
     for k in range(len(squares) - 2, -1, -1):
-        squares[k] = min(squares[k], squares[k + 1] + 2 * EASE * STEP)
+        squares[k] = min(squares[k], squares[k + 1] + 2 * BEND_BRAKING_MPS2 * ROAD_STEP_M)
     return np.asarray(np.sqrt(squares), float)
 
 
-def _between(table: Array, place: float) -> float:
+def _interpolate(table: Array, place: float) -> float:
     """The table's value between two rows; a plain look-up, as there are many."""
     k = min(int(place), len(table) - 2)
     return float(table[k] + (place - k) * (table[k + 1] - table[k]))
 
 
-def _smooth(part: Array) -> Array:
+def _smoothstep(part: Array) -> Array:
     """From 0 to 1 with no jump in speed or acceleration."""
     u = np.clip(part, 0.0, 1.0)
     return np.asarray(u**3 * (10 - 15 * u + 6 * u**2))
 
 
-def road_of(pieces: list[tuple[float, float]], length: float, blend: float = 8.0) -> Road:
+def road_from_pieces(pieces: list[tuple[float, float]], length: float, blend: float = 8.0) -> TabulatedRoad:
     """A road of ``pieces`` (metres, curvature in 1/m to the right), blended over ``blend`` metres; straight after."""
-    s = np.arange(0.0, length + STEP, STEP)
+    s = np.arange(0.0, length + ROAD_STEP_M, ROAD_STEP_M)
     curvature, ends = np.zeros_like(s), np.cumsum([p[0] for p in pieces])
     for (metres, bend), end in zip(pieces, ends, strict=True):
         curvature[(s >= end - metres) & (s < end)] = -bend
-    kernel = np.ones(max(int(blend / STEP), 1))
-    return Road(np.convolve(curvature, kernel / kernel.sum(), mode="same"), length)
+    kernel = np.ones(max(int(blend / ROAD_STEP_M), 1))
+    return TabulatedRoad(np.convolve(curvature, kernel / kernel.sum(), mode="same"), length)

@@ -6,16 +6,16 @@ from typing import Any
 
 import numpy as np
 
-SECONDS = 1020.0  # 17 minutes, 15,300 frames
+DURATION_S = 1020.0  # 17 minutes, 15,300 frames
 
 
-def long_drive(rng: np.random.Generator) -> dict[str, Any]:
+def draw_long_drive(rng: np.random.Generator) -> dict[str, Any]:
     """Cruising at many speeds, stops, hard braking, weaving, things that cross, bends and corners."""
     speeds: list[list[float]] = [[0.0, 8.0]]
     weaves: list[dict[str, float]] = []
     crossings: list[dict[str, Any]] = []
     t = 8.0
-    while t < SECONDS - 30:
+    while t < DURATION_S - 30:
         t += 0.5
         what = str(rng.choice(["cruise", "slow", "stop", "hard", "weave", "crossing"]))
         top = float(rng.uniform(6.5, 9.7))
@@ -39,11 +39,11 @@ def long_drive(rng: np.random.Generator) -> dict[str, Any]:
             t += top / braking + wait
     pieces: list[list[float]] = []
     way = 0.0
-    while way < 10.0 * SECONDS:
-        block, way = _block(rng), way + 400.0
+    while way < 10.0 * DURATION_S:
+        block, way = _draw_road_block(rng), way + 400.0
         pieces += block
     return {
-        "duration": SECONDS,
+        "duration": DURATION_S,
         "road": {"pieces": pieces, "blend": 20.0},
         "lead": {"speed": speeds, "weaves": weaves, "bends": 1.2},
         "crossings": crossings,
@@ -51,7 +51,7 @@ def long_drive(rng: np.random.Generator) -> dict[str, Any]:
     }
 
 
-def _block(rng: np.random.Generator) -> list[list[float]]:
+def _draw_road_block(rng: np.random.Generator) -> list[list[float]]:
     """About 400 m of straights and bends, with a corner now and then."""
     side = float(rng.choice([-1.0, 1.0]))
     pieces = [[float(rng.uniform(50, 120)), 0.0]]

@@ -13,27 +13,27 @@ from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.results import FollowEstimate
 from paceline.follow.tracker import FollowTracker
 from paceline.simulation.chase.clip import ChaseTruth, start_document, target_document, truth_of
-from paceline.simulation.chase.motion import State as Placed
+from paceline.simulation.chase.motion import RoadPose as Placed
 from paceline.simulation.chase.scene import ChaseScene
-from paceline.simulation.chase.sensor import Film
+from paceline.simulation.chase.sensor import Renderer
 from paceline.simulation.chase.vehicles import Body
-from paceline.simulation.chase.world import Moment
-from paceline.simulation.closed_loop.clearance import apart, outline
+from paceline.simulation.chase.world import WorldState
+from paceline.simulation.closed_loop.clearance import outline_distance, vehicle_outline
 from paceline.simulation.closed_loop.drive_yaml import DriveModel
 from paceline.simulation.closed_loop.gap_control import GapController
-from paceline.simulation.closed_loop.human_throttle import Operator
+from paceline.simulation.closed_loop.human_throttle import HumanThrottle
 from paceline.simulation.closed_loop.odometer import Odometer, OdometerErrors
-from paceline.simulation.closed_loop.scene import Stage
-from paceline.simulation.closed_loop.vehicle_dynamics import Command, Plant, State, Vehicle
+from paceline.simulation.closed_loop.scene import DriveScene
+from paceline.simulation.closed_loop.vehicle_dynamics import Command, VehicleDynamics, VehicleParameters, VehicleState
 from paceline.targets.line_model import Target
 
-LATENCY = 0.128  # s from picture to command, [NIST] section 3
-CAUTION = 1.0  # m by which a person keeps farther off than the whole rear needs to be in view
-OPERATOR_GAPS = {"nist": 15.0, "hd": 45.0}  # m, the longest that a driver keeps
+LATENCY_S = 0.128  # s from picture to command, [NIST] section 3
+VISIBILITY_MARGIN_M = 1.0  # m by which a person keeps farther off than the whole rear needs to be in view
+MAX_HUMAN_GAP_M = {"nist": 15.0, "hd": 45.0}  # m, the longest that a driver keeps
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
+class LoopStep:
     """One cycle of the loop: the picture, what was made of it, and how things really were. SI units."""
 
     frame: int
@@ -41,7 +41,7 @@ class Step:
     image: NDArray[np.uint8]
     estimate: FollowEstimate
     truth: ChaseTruth
-    chase: State
+    chase: VehicleState
     lead: Placed
     lead_speed: float
     asked: Command  # of this picture, and when it takes effect
@@ -59,14 +59,14 @@ class ClosedLoop:
         self,
         model: DriveModel,
         seed: int,
-        latency: float = LATENCY,
-        vehicle: Vehicle | None = None,
+        latency: float = LATENCY_S,
+        vehicle: VehicleParameters | None = None,
         configuration: FollowConfiguration | None = None,
         errors: OdometerErrors | None = None,
     ) -> None:
-        self.vehicle = vehicle or Vehicle()
+        self.vehicle = vehicle or VehicleParameters()
         self.model, self.seed, self.latency = model, seed, latency
-        self.stage = Stage(model, seed, self.vehicle)
+        self.stage = DriveScene(model, seed, self.vehicle)
         v = self.vehicle
         own = {"wheelbase": v.wheelbase, "camera_ahead": v.camera_ahead, "steering_limit": v.steering_limit}
         self.configuration = (configuration or FollowConfiguration()).model_copy(update=own)
@@ -86,15 +86,15 @@ class ClosedLoop:
             "follow": self.configuration.model_dump(),
         }
 
-    def steps(self) -> Iterator[Step]:
+    def steps(self) -> Iterator[LoopStep]:
         """Every cycle, in order."""
         stage, scene = self.stage, self.stage.scene
         rng = np.random.default_rng([self.seed, 79])
-        plant, film = Plant(self.vehicle, stage.start()), Film(stage.world)
+        plant, film = VehicleDynamics(self.vehicle, stage.start()), Renderer(stage.world)
         odometer = Odometer(self.errors, rng, plant.state.speed)
         controller = GapController(stage.policy)
-        nearest = stage.policy.standstill + CAUTION
-        operator = Operator(stage.policy, (nearest, OPERATOR_GAPS[self.model.camera]), rng)
+        nearest = stage.policy.standstill + VISIBILITY_MARGIN_M
+        operator = HumanThrottle(stage.policy, (nearest, MAX_HUMAN_GAP_M[self.model.camera]), rng)
         manual = self.model.throttle == "manual"
         tracker: FollowTracker | None = None
         near = stage.lead.start
@@ -105,7 +105,7 @@ class ClosedLoop:
             near = moment.chase.arc
             image, visible = film.picture(moment)
             truth = truth_of(scene, frame, moment, visible)
-            tracker = tracker or tracker_from(scene, truth, self.configuration)
+            tracker = tracker or start_tracker(scene, truth, self.configuration)
             pose = odometer.read(time, stage.pose(time, chase))
             e = tracker.update(image, time, frame, pose)
             gap, lead_speed = float(truth.position[2]), stage.lead.speed_at(time)
@@ -121,7 +121,7 @@ class ClosedLoop:
             asked = Command(time + self.latency, e.steering, throttle)
             plant.ask(asked)
             error, _ = stage.lead.offset(chase.x, chase.y, near - self.vehicle.camera_ahead)
-            yield Step(
+            yield LoopStep(
                 frame=frame,
                 time=time,
                 image=image,
@@ -138,20 +138,20 @@ class ClosedLoop:
                 shown=moment.shown,
             )
 
-    def _clearance(self, chase: State, moment: Moment) -> float:
+    def _clearance(self, chase: VehicleState, moment: WorldState) -> float:
         v = self.vehicle
-        own = outline(chase.x, chase.y, chase.heading, -v.tail, v.nose, v.width)
+        own = vehicle_outline(chase.x, chase.y, chase.heading, -v.tail, v.nose, v.width)
         world = self.stage.world
         others: list[tuple[Body, Placed]] = [(world.body, moment.lead)] if moment.shown else []
         others += zip(world.companions, moment.companions, strict=True)
-        return min((apart(own, _outline(body, place)) for body, place in others), default=float("nan"))
+        return min((outline_distance(own, _body_outline(body, place)) for body, place in others), default=float("nan"))
 
 
-def _outline(body: Body, place: Placed) -> Array:
-    return outline(place.x, place.y, place.heading, 0.0, body.length, body.width)
+def _body_outline(body: Body, place: Placed) -> Array:
+    return vehicle_outline(place.x, place.y, place.heading, 0.0, body.length, body.width)
 
 
-def tracker_from(scene: ChaseScene, first: ChaseTruth, configuration: FollowConfiguration) -> FollowTracker:
+def start_tracker(scene: ChaseScene, first: ChaseTruth, configuration: FollowConfiguration) -> FollowTracker:
     """A tracker started on the first picture as an operator would start it."""
     document, start = target_document(scene), start_document(scene, first)
     names = list(document["corners"])

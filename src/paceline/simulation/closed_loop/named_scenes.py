@@ -7,17 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from paceline.simulation.closed_loop.long_drive import long_drive
+from paceline.simulation.closed_loop.long_drive import draw_long_drive
 
-Scene = Callable[[np.random.Generator], dict[str, Any]]
+SceneGenerator = Callable[[np.random.Generator], dict[str, Any]]
 
-CRUISE = 9.7  # m/s: 35 km/h
-MOTORWAY = 27.8  # m/s: 100 km/h
-LANE = 3.5
-OPEN: dict[str, Any] = {"traffic": False}
+CRUISE_SPEED_MPS = 9.7  # m/s: 35 km/h
+MOTORWAY_SPEED_MPS = 27.8  # m/s: 100 km/h
+LANE_WIDTH_M = 3.5
+NO_TRAFFIC: dict[str, Any] = {"traffic": False}
 
 
-def _steady(duration: float, speed: float = CRUISE, **more: Any) -> dict[str, Any]:
+def _constant_speed(duration: float, speed: float = CRUISE_SPEED_MPS, **more: Any) -> dict[str, Any]:
     return {
         "duration": duration,
         "road": {"radius": 110.0},
@@ -27,11 +27,11 @@ def _steady(duration: float, speed: float = CRUISE, **more: Any) -> dict[str, An
 
 
 def cruise(rng: np.random.Generator) -> dict[str, Any]:
-    return _steady(60.0, throttle="manual")
+    return _constant_speed(60.0, throttle="manual")
 
 
 def turns(rng: np.random.Generator) -> dict[str, Any]:
-    return _steady(60.0, throttle="manual") | {"road": {"radius": float(rng.uniform(45, 70))}}
+    return _constant_speed(60.0, throttle="manual") | {"road": {"radius": float(rng.uniform(45, 70))}}
 
 
 def intersection(rng: np.random.Generator) -> dict[str, Any]:
@@ -45,52 +45,68 @@ def intersection(rng: np.random.Generator) -> dict[str, Any]:
         "throttle": "manual",
         "road": {"pieces": [[100.0, 0.0], [arc, side * radius], [120.0, 0.0]], "blend": 8.0},
         "lead": {"kind": kind, "speed": [[0.0, 7.0]], "bends": 0.8},
-        "look": OPEN,
+        "look": NO_TRAFFIC,
     }
 
 
 def stops(rng: np.random.Generator) -> dict[str, Any]:
-    return _steady(60.0) | {
-        "lead": {"speed": [[0, CRUISE], [12, CRUISE], [17, 0], [24, 0], [29, 8], [38, 8], [41, 0], [48, 0], [53, 6]]},
+    return _constant_speed(60.0) | {
+        "lead": {
+            "speed": [
+                [0, CRUISE_SPEED_MPS],
+                [12, CRUISE_SPEED_MPS],
+                [17, 0],
+                [24, 0],
+                [29, 8],
+                [38, 8],
+                [41, 0],
+                [48, 0],
+                [53, 6],
+            ]
+        },
         "must": {"rms_gap_error": 1.5},
     }
 
 
 def shadows(rng: np.random.Generator) -> dict[str, Any]:
-    return _steady(60.0, throttle="manual", look={"shadows": 1.6, "ambient": float(rng.uniform(0.26, 0.34))})
+    return _constant_speed(60.0, throttle="manual", look={"shadows": 1.6, "ambient": float(rng.uniform(0.26, 0.34))})
 
 
 def weaving(rng: np.random.Generator) -> dict[str, Any]:
     period = float(rng.uniform(7.0, 10.0))
     weave = {"start": 3.0, "stop": 55.0, "amplitude": float(rng.uniform(0.9, 1.3)), "period": period}
-    return _steady(60.0, throttle="manual") | {"lead": {"speed": [[0.0, CRUISE]], "weaves": [weave]}}
+    return _constant_speed(60.0, throttle="manual") | {"lead": {"speed": [[0.0, CRUISE_SPEED_MPS]], "weaves": [weave]}}
 
 
 def parallel_edges(rng: np.random.Generator) -> dict[str, Any]:
-    return _steady(60.0, throttle="manual", look={"parallel": 1.0, "crowding": 1.6})
+    return _constant_speed(60.0, throttle="manual", look={"parallel": 1.0, "crowding": 1.6})
 
 
 def brakes_hard(rng: np.random.Generator) -> dict[str, Any]:
     at, braking = float(rng.uniform(8, 12)), float(rng.uniform(5.5, 6.5))
-    return _steady(25.0) | {"lead": {"speed": [[0, CRUISE], [at, CRUISE], [at + CRUISE / braking, 0.0]]}}
+    return _constant_speed(25.0) | {
+        "lead": {"speed": [[0, CRUISE_SPEED_MPS], [at, CRUISE_SPEED_MPS], [at + CRUISE_SPEED_MPS / braking, 0.0]]}
+    }
 
 
 def accelerates_away(rng: np.random.Generator) -> dict[str, Any]:
     speeds = [[0, 4.0], [6, 4.0], [6 + 8.0 / 3, 12.0], [16, 12.0], [20, 7.0]]
-    return _steady(30.0) | {"lead": {"speed": speeds, "haste": 3.0}, "must": {"max_gap": 26.0}}
+    return _constant_speed(30.0) | {"lead": {"speed": speeds, "haste": 3.0}, "must": {"max_gap": 26.0}}
 
 
 def changes_lane(rng: np.random.Generator) -> dict[str, Any]:
     changes = [
-        {"at": 8.0, "duration": float(rng.uniform(3.5, 5.0)), "shift": -LANE},
-        {"at": 20.0, "duration": float(rng.uniform(3.5, 5.0)), "shift": LANE},
+        {"at": 8.0, "duration": float(rng.uniform(3.5, 5.0)), "shift": -LANE_WIDTH_M},
+        {"at": 20.0, "duration": float(rng.uniform(3.5, 5.0)), "shift": LANE_WIDTH_M},
     ]
-    return _steady(32.0, look=OPEN) | {"lead": {"speed": [[0.0, CRUISE]], "lane_changes": changes}}
+    return _constant_speed(32.0, look=NO_TRAFFIC) | {
+        "lead": {"speed": [[0.0, CRUISE_SPEED_MPS]], "lane_changes": changes}
+    }
 
 
 def cuts_in(rng: np.random.Generator) -> dict[str, Any]:
     stay = float(rng.uniform(3.5, 5.0))
-    return _steady(35.0, look=OPEN, headway=1.3, road={"radius": 250.0}) | {
+    return _constant_speed(35.0, look=NO_TRAFFIC, headway=1.3, road={"radius": 250.0}) | {
         "cut_ins": [{"at": 8.0, "until": 8.0 + 2.5 + stay, "kind": str(rng.choice(["van", "saloon"]))}],
         "must": {"lost": None, "tracked": 0.2, "ends": "either"},
     }
@@ -99,7 +115,7 @@ def cuts_in(rng: np.random.Generator) -> dict[str, Any]:
 def occluded(rng: np.random.Generator) -> dict[str, Any]:
     kinds = rng.permutation(["vehicle", "post"])
     crossings = [{"at": at, "duration": 1.0, "kind": str(k)} for at, k in zip((8.0, 17.0), kinds, strict=True)]
-    return _steady(27.0) | {"crossings": crossings}
+    return _constant_speed(27.0) | {"crossings": crossings}
 
 
 def stop_and_go(rng: np.random.Generator) -> dict[str, Any]:
@@ -109,32 +125,32 @@ def stop_and_go(rng: np.random.Generator) -> dict[str, Any]:
         brake = top / float(rng.uniform(1.5, 3.0))
         speeds += [[t, top], [t + hold, top], [t + hold + brake, 0.0], [t + hold + brake + 2.5, 0.0]]
         t += hold + brake + 2.5 + top / 1.5
-    return _steady(60.0) | {"lead": {"speed": [*speeds, [t, 4.0]]}, "must": {"rms_gap_error": 1.5}}
+    return _constant_speed(60.0) | {"lead": {"speed": [*speeds, [t, 4.0]]}, "must": {"rms_gap_error": 1.5}}
 
 
 def lost(rng: np.random.Generator) -> dict[str, Any]:
     at = float(rng.uniform(9.0, 12.0))
-    return _steady(25.0) | {
-        "lead": {"speed": [[0.0, CRUISE]], "vanishes": at},
+    return _constant_speed(25.0) | {
+        "lead": {"speed": [[0.0, CRUISE_SPEED_MPS]], "vanishes": at},
         "must": {"lost": None, "stops_within": 25.0, "ends": "standing"},
     }
 
 
 def motorway(rng: np.random.Generator) -> dict[str, Any]:
-    change = {"at": 20.0, "duration": 5.0, "shift": -LANE}
-    back = {"at": 38.0, "duration": 5.0, "shift": LANE}
-    speeds = [[0, MOTORWAY], [28, MOTORWAY], [32, 22.0], [36, 22.0], [42, MOTORWAY]]
+    change = {"at": 20.0, "duration": 5.0, "shift": -LANE_WIDTH_M}
+    back = {"at": 38.0, "duration": 5.0, "shift": LANE_WIDTH_M}
+    speeds = [[0, MOTORWAY_SPEED_MPS], [28, MOTORWAY_SPEED_MPS], [32, 22.0], [36, 22.0], [42, MOTORWAY_SPEED_MPS]]
     return {
         "camera": "hd",
         "duration": 60.0,
         "road": {"radius": 450.0},
         "lead": {"speed": speeds, "lane_changes": [change, back]},
-        "look": OPEN,
+        "look": NO_TRAFFIC,
         "must": {"rms_path_error": 0.6, "max_path_error": 1.8},
     }
 
 
-SCENES: dict[str, Scene] = {
+NAMED_SCENES: dict[str, SceneGenerator] = {
     "cruise-35": cruise,
     "turns": turns,
     "intersection": intersection,
@@ -149,6 +165,6 @@ SCENES: dict[str, Scene] = {
     "occluded": occluded,
     "stop-and-go": stop_and_go,
     "lost": lost,
-    "long": long_drive,
+    "long": draw_long_drive,
     "motorway-100": motorway,
 }

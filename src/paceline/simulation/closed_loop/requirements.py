@@ -8,12 +8,18 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from paceline.simulation.closed_loop.drive_yaml import DriveModel
-from paceline.simulation.closed_loop.loop import Step
+from paceline.simulation.closed_loop.loop import LoopStep
 
-SEEN = 0.6  # of the rear plane must be visible where a frame counts as one that shows the lead
-WRONG_RANGE, WRONG_PLACE = 0.15, 0.5  # relative, and in widths of the lead: an estimate that is of something else
-STANDING = 0.1  # m/s
-LAST, FOLLOWED = 15, 0.8  # frames that tell how a drive ends, and the share of them that must be tracked
+MIN_VISIBLE_SHARE = 0.6  # of the rear plane must be visible where a frame counts as one that shows the lead
+MAX_RANGE_ERROR, MAX_LATERAL_ERROR_WIDTHS = (
+    0.15,
+    0.5,
+)  # relative, and in widths of the lead: an estimate that is of something else
+MAX_STANDING_SPEED_MPS = 0.1  # m/s
+FINAL_FRAMES, MIN_FINAL_TRACKED_SHARE = (
+    15,
+    0.8,
+)  # frames that tell how a drive ends, and the share of them that must be tracked
 
 
 @dataclass(frozen=True)
@@ -29,7 +35,7 @@ class Requirement:
 
 
 @dataclass
-class Figures:
+class DriveStatistics:
     """Figures over all cycles of a drive; SI units."""
 
     frames: int = 0
@@ -51,10 +57,10 @@ class Figures:
     way_unseen: float = 0.0  # m driven since the lead vanished
     speed_max: float = 0.0
     speed: float = 0.0  # at last
-    _last: Step | None = None
+    _last: LoopStep | None = None
     _ending: list[str] = field(default_factory=list)
 
-    def add(self, s: Step, width: float) -> None:
+    def add(self, s: LoopStep, width: float) -> None:
         """Count a cycle; ``width``, m, is the lead's."""
         e, last = s.estimate, self._last
         tracking = e.status == "tracking"
@@ -62,12 +68,12 @@ class Figures:
         self.status[e.status] += 1
         if s.shown and e.status == "lost" and (last is None or last.estimate.status != "lost"):
             self.losses += 1
-        if s.shown and s.truth.visible >= SEEN:
+        if s.shown and s.truth.visible >= MIN_VISIBLE_SHARE:
             self.showing += 1
             self.tracked += tracking
         off = e.position - s.truth.position
         self.wrong += tracking and (
-            not s.shown or abs(off[2]) > WRONG_RANGE * s.gap or abs(off[0]) > WRONG_PLACE * width
+            not s.shown or abs(off[2]) > MAX_RANGE_ERROR * s.gap or abs(off[0]) > MAX_LATERAL_ERROR_WIDTHS * width
         )
         if tracking and s.shown:
             self.range_squares += float(off[2] / s.gap) ** 2
@@ -85,7 +91,7 @@ class Figures:
             self.way += moved
             self.way_unseen += 0.0 if s.shown else moved
         self.speed, self.speed_max = s.chase.speed, max(self.speed_max, s.chase.speed)
-        self._ending = [*self._ending[-LAST + 1 :], e.status]
+        self._ending = [*self._ending[-FINAL_FRAMES + 1 :], e.status]
         self._last = s
 
     def forget(self) -> None:
@@ -113,10 +119,12 @@ class Figures:
     @property
     def ends_tracking(self) -> bool:
         """Single frames may be coasted over: the lead is followed all the same."""
-        return self._ending.count("tracking") >= FOLLOWED * len(self._ending) and "lost" not in self._ending
+        return (
+            self._ending.count("tracking") >= MIN_FINAL_TRACKED_SHARE * len(self._ending) and "lost" not in self._ending
+        )
 
 
-def judged(model: DriveModel, f: Figures) -> list[Requirement]:
+def check_requirements(model: DriveModel, f: DriveStatistics) -> list[Requirement]:
     """The table of what must hold, with what was found."""
     must = model.must
 
@@ -138,7 +146,7 @@ def judged(model: DriveModel, f: Figures) -> list[Requirement]:
         *most("way driven after it vanished", f.way_unseen, must.stops_within, "m"),
     ]
     if must.ends == "standing" or (must.ends == "either" and not f.ends_tracking):
-        rows += most("speed at the end", f.speed, STANDING, "m/s")
+        rows += most("speed at the end", f.speed, MAX_STANDING_SPEED_MPS, "m/s")
     else:
         rows += least("tracking at the end", float(f.ends_tracking), 1.0, "")
     return rows

@@ -7,15 +7,15 @@ from dataclasses import astuple, dataclass, field, fields
 import numpy as np
 
 from paceline.arrays import Array
-from paceline.simulation.closed_loop.loop import Step
-from paceline.simulation.closed_loop.requirements import Figures, Requirement
+from paceline.simulation.closed_loop.loop import LoopStep
+from paceline.simulation.closed_loop.requirements import DriveStatistics, Requirement
 
-KEEP = 20_000  # rows, even
-STATUS = ("tracking", "coasting", "lost")
+MAX_LOG_ROWS = 20_000  # rows, even
+STATUS_NAMES = ("tracking", "coasting", "lost")
 
 
 @dataclass(frozen=True)
-class Row:
+class LogRow:
     """What the plots show of one cycle; SI units."""
 
     time: float
@@ -33,41 +33,41 @@ class Row:
     steering: float
     acceleration: float
     processing: float
-    status: float  # index into `STATUS`
+    status: float  # index into `STATUS_NAMES`
     shown: float
 
 
 class DriveLog:
-    """Collects rows. Of a drive longer than `KEEP` cycles every second row is dropped, as often as it takes."""
+    """Collects rows. Of a drive longer than `MAX_LOG_ROWS` cycles every second row is dropped, as often as it takes."""
 
-    def __init__(self, keep: int = KEEP) -> None:
-        self._rows = np.empty((keep, len(fields(Row))))
+    def __init__(self, keep: int = MAX_LOG_ROWS) -> None:
+        self._rows = np.empty((keep, len(fields(LogRow))))
         self._count = self._seen = 0
         self._every = 1
 
-    def add(self, s: Step) -> None:
+    def add(self, s: LoopStep) -> None:
         if self._seen % self._every == 0:
             if self._count == len(self._rows):
                 self._count = len(self._rows) // 2
                 self._rows[: self._count] = self._rows[::2]
                 self._every *= 2
             if self._seen % self._every == 0:
-                self._rows[self._count] = astuple(_row(s))
+                self._rows[self._count] = astuple(_log_row(s))
                 self._count += 1
         self._seen += 1
 
     def __getattr__(self, name: str) -> Array:
-        """A column (N,) by the name of a field of `Row`."""
-        names = [f.name for f in fields(Row)]
+        """A column (N,) by the name of a field of `LogRow`."""
+        names = [f.name for f in fields(LogRow)]
         if name not in names:
             raise AttributeError(name)
         return np.array(self._rows[: self._count, names.index(name)])
 
 
-def _row(s: Step) -> Row:
+def _log_row(s: LoopStep) -> LogRow:
     e, c = s.estimate, s.chase
     tracking = e.status == "tracking"
-    return Row(
+    return LogRow(
         time=s.time,
         chase_x=c.x,
         chase_y=c.y,
@@ -83,7 +83,7 @@ def _row(s: Step) -> Row:
         steering=c.steering,
         acceleration=c.acceleration,
         processing=e.latency,
-        status=float(STATUS.index(e.status)),
+        status=float(STATUS_NAMES.index(e.status)),
         shown=float(s.shown),
     )
 
@@ -98,7 +98,7 @@ class DriveResult:
     target: str
     latency: float  # s from picture to effect, as set
     duration: float  # s, simulated
-    figures: Figures
+    figures: DriveStatistics
     requirements: list[Requirement]
     log: DriveLog
     document: dict[str, object]

@@ -14,11 +14,11 @@ import numpy as np
 from paceline.arrays import Array
 from paceline.numba_cache import compiled
 
-STEP = 0.005  # s, the longest step of the integration
+MAX_STEP_S = 0.005  # s, the longest step of the integration
 
 
 @dataclass(frozen=True)
-class Vehicle:
+class VehicleParameters:
     """What the chase vehicle can do; the defaults are those of a HMMWV."""
 
     wheelbase: float = 3.3  # m
@@ -42,7 +42,7 @@ class Vehicle:
 
 
 @dataclass(frozen=True)
-class State:
+class VehicleState:
     """The vehicle at one time: its rear axle's middle x, y (m), heading (rad), speed and acceleration, the steering
     angle (rad, to the right), and the body's pitch (nose down) and roll (to the right) with their rates."""
 
@@ -59,8 +59,8 @@ class State:
 
 
 @compiled()
-def rate_of(s: Array, steering: float, acceleration: float, v: Array) -> Array:
-    """The derivative in time of a state (10,) under commands, for a vehicle ``v`` (the fields of `Vehicle`)."""
+def state_derivative(s: Array, steering: float, acceleration: float, v: Array) -> Array:
+    """The time derivative of a state (10,) under commands, for a vehicle ``v`` (the fields of `VehicleParameters`)."""
     wheelbase, understeer, limit, rate, lag, speed_up, slow_down, throttle_lag, brake_lag, grip = v[:10]
     nod, lean, spring, damping = v[10:14]
     d = np.empty(10)
@@ -85,14 +85,14 @@ def rate_of(s: Array, steering: float, acceleration: float, v: Array) -> Array:
 
 
 @compiled()
-def integrated(state: Array, steering: float, acceleration: float, vehicle: Array, step: float, steps: int) -> Array:
+def integrate(state: Array, steering: float, acceleration: float, vehicle: Array, step: float, steps: int) -> Array:
     """``state`` (10,) after ``steps`` steps of the classical Runge-Kutta method under constant commands."""
     s = state.copy()
     for _ in range(steps):
-        k1 = rate_of(s, steering, acceleration, vehicle)
-        k2 = rate_of(s + 0.5 * step * k1, steering, acceleration, vehicle)
-        k3 = rate_of(s + 0.5 * step * k2, steering, acceleration, vehicle)
-        k4 = rate_of(s + step * k3, steering, acceleration, vehicle)
+        k1 = state_derivative(s, steering, acceleration, vehicle)
+        k2 = state_derivative(s + 0.5 * step * k1, steering, acceleration, vehicle)
+        k3 = state_derivative(s + 0.5 * step * k2, steering, acceleration, vehicle)
+        k4 = state_derivative(s + step * k3, steering, acceleration, vehicle)
         s = s + step / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
         if s[3] < 0.0:
             s[3] = 0.0  # brakes hold, they do not reverse
@@ -108,10 +108,10 @@ class Command:
     acceleration: float
 
 
-class Plant:
+class VehicleDynamics:
     """The vehicle in time: `ask` for what shall take effect later, `advance` to a time."""
 
-    def __init__(self, vehicle: Vehicle, state: State, time: float = 0.0) -> None:
+    def __init__(self, vehicle: VehicleParameters, state: VehicleState, time: float = 0.0) -> None:
         self.vehicle, self.time = vehicle, time
         self._vehicle = np.array(astuple(vehicle)[:14])
         self._state = np.array(astuple(state))
@@ -119,8 +119,8 @@ class Plant:
         self._waiting: list[Command] = []
 
     @property
-    def state(self) -> State:
-        return State(*map(float, self._state))
+    def state(self) -> VehicleState:
+        return VehicleState(*map(float, self._state))
 
     @property
     def acting(self) -> Command:
@@ -134,7 +134,7 @@ class Plant:
             raise ValueError(f"command: expected a time from {last:g} s on, found {command.time:g}")
         self._waiting.append(command)
 
-    def advance(self, time: float) -> State:
+    def advance(self, time: float) -> VehicleState:
         """Move on to ``time``, s, from one command to the next."""
         while self._waiting and self._waiting[0].time <= time:
             self._integrate(self._waiting[0].time)
@@ -145,12 +145,12 @@ class Plant:
     def _integrate(self, time: float) -> None:
         duration = time - self.time
         if duration > 0:
-            steps = max(ceil(duration / STEP - 1e-9), 1)
+            steps = max(ceil(duration / MAX_STEP_S - 1e-9), 1)
             c = self._acting
-            self._state = integrated(self._state, c.steering, c.acceleration, self._vehicle, duration / steps, steps)
+            self._state = integrate(self._state, c.steering, c.acceleration, self._vehicle, duration / steps, steps)
         self.time = time
 
 
-def ahead_of(state: State, metres: float) -> tuple[float, float]:
+def point_ahead(state: VehicleState, metres: float) -> tuple[float, float]:
     """x and y of a point on the vehicle's axis, ``metres`` before its rear axle."""
     return state.x + metres * np.cos(state.heading), state.y + metres * np.sin(state.heading)

@@ -16,33 +16,33 @@ import numpy as np
 from paceline.arrays import Array
 from paceline.cameras import Camera, View
 from paceline.progress import Progress
-from paceline.simulation.chase.motion import Gap, Shaking, Wander
-from paceline.simulation.operator import drawn_start
+from paceline.simulation.chase.motion import CameraShake, GapProfile, SmoothNoise
+from paceline.simulation.operator import draw_start
 from paceline.simulation.raytraced import clip_folder, road_surface
-from paceline.simulation.raytraced.meshes import Placement, Solid
+from paceline.simulation.raytraced.meshes import Placement, SceneMesh
 from paceline.simulation.raytraced.mitsuba_variant import default_variant
 from paceline.simulation.raytraced.renderer import Renderer
 from paceline.simulation.raytraced.scene import (
-    AWAY,
-    light_of,
-    parts,
-    placed,
-    road_of,
-    sensor_of,
-    shutter_of,
+    OFF_SCENE,
+    make_light,
+    make_road,
+    make_sensor,
+    make_shutter,
+    place_body,
+    rigid_groups,
     visible_share,
 )
 from paceline.simulation.raytraced.scene_yaml import FollowScene
-from paceline.simulation.raytraced.scenery.placement import Scenery, scenery
-from paceline.simulation.raytraced.sensor import expose, photograph
+from paceline.simulation.raytraced.scenery.placement import Scenery, build_scenery
+from paceline.simulation.raytraced.sensor import expose, render_exposure
 from paceline.simulation.raytraced.vehicles.build import build
 
-NOMINAL_RANGE = 10.0  # m
-START = 15.0  # m of arc length
+NOMINAL_RANGE_M = 10.0  # m
+START_ARC_M = 15.0  # m of arc length
 
 
 @dataclass(frozen=True)
-class _Foot:
+class _PlanPose:
     """The camera's place in plan: x, y (m) and heading (rad)."""
 
     x: float
@@ -50,20 +50,20 @@ class _Foot:
     heading: float
 
 
-class Chase:
+class PlacedChaseScene:
     """A follow scene, placed: where camera and lead are is a function of the time."""
 
     def __init__(self, scene: FollowScene) -> None:
-        self.scene, self.light, self.road = scene, light_of(scene), road_of(scene)
+        self.scene, self.light, self.road = scene, make_light(scene), make_road(scene)
         chase, lead = scene.chase, scene.lead
         rng = np.random.default_rng([scene.seed, 31])
         self.body = build(lead.kind, lead.seed)
         self.plane = self.body.rear
-        self.speed = Wander(rng, 8, 40)
-        self.gap = Gap(rng, (lead.gap[0], lead.gap[1]))
-        self.weaving, self.straying = Wander(rng, 4.0, 12.0), Wander(rng, 8.0, 25.0)
-        self.pitching, self.yawing = (Shaking(rng, a * chase.bounce / 300) for a in (2.4, 0.25))
-        self.rolling, self.heaving = (Shaking(rng, a * chase.bounce / 4) for a in (0.004, 0.02))
+        self.speed = SmoothNoise(rng, 8, 40)
+        self.gap = GapProfile(rng, (lead.gap[0], lead.gap[1]))
+        self.weaving, self.straying = SmoothNoise(rng, 4.0, 12.0), SmoothNoise(rng, 8.0, 25.0)
+        self.pitching, self.yawing = (CameraShake(rng, a * chase.bounce / 300) for a in (2.4, 0.25))
+        self.rolling, self.heaving = (CameraShake(rng, a * chase.bounce / 4) for a in (0.004, 0.02))
         w, h = chase.image_size
         K = np.array([[chase.focal, 0, (w - 1) / 2], [0, chase.focal, (h - 1) / 2], [0, 0, 1.0]])
         self.camera = Camera((w, h), K)
@@ -72,13 +72,13 @@ class Chase:
 
     def arc(self, t: float) -> float:
         """Of the camera, m."""
-        return START + self.scene.chase.top_speed * (0.75 * t + 0.25 * self.speed.integral(t))
+        return START_ARC_M + self.scene.chase.top_speed * (0.75 * t + 0.25 * self.speed.integral(t))
 
-    def foot(self, t: float) -> tuple[_Foot, Array, Array]:
+    def foot(self, t: float) -> tuple[_PlanPose, Array, Array]:
         """The camera's place in plan, the point below it (3,) and the road's axes (3, 3) there."""
         at, axes = self.road.frame(self.arc(t), self.lane + 0.35 * self.straying(t))
         heading = float(np.arctan2(axes[1, 0], axes[0, 0])) + self.yawing(t)
-        return _Foot(float(at[0]), float(at[1]), heading), at, axes
+        return _PlanPose(float(at[0]), float(at[1]), heading), at, axes
 
     def view(self, t: float) -> View:
         """The camera at ``t`` s."""
@@ -103,14 +103,14 @@ class Chase:
         return axes @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]), at
 
     def placements(self, t: float) -> list[Placement]:
-        return placed(self.body, self.pose(t), self.arc(t) + self.gap(t)[0])
+        return place_body(self.body, self.pose(t), self.arc(t) + self.gap(t)[0])
 
-    def still(self) -> list[Solid]:
+    def still(self) -> list[SceneMesh]:
         spec = Scenery(**self.scene.scenery.model_dump(), seed=self.scene.seed)
-        return road_surface.solids(self.road) + scenery(self.road, spec, 0.0, self.road.length)
+        return road_surface.road_meshes(self.road) + build_scenery(self.road, spec, 0.0, self.road.length)
 
-    def moving(self) -> list[Sequence[Solid]]:
-        return list(parts(self.body))
+    def moving(self) -> list[Sequence[SceneMesh]]:
+        return list(rigid_groups(self.body))
 
     @cached_property
     def times(self) -> list[float]:
@@ -135,9 +135,9 @@ class Chase:
         }
 
     def target_document(self) -> dict[str, Any]:
-        """The contents of target.yaml: the rear's strong edges as they appear from `NOMINAL_RANGE`."""
+        """The contents of target.yaml: the rear's strong edges as they appear from `NOMINAL_RANGE_M`."""
         ends = self.body.lines("rear") - self.plane.center
-        shrink = NOMINAL_RANGE / (NOMINAL_RANGE + ends[..., 0])
+        shrink = NOMINAL_RANGE_M / (NOMINAL_RANGE_M + ends[..., 0])
         right, down = -ends[..., 1] * shrink, -ends[..., 2]
         below = self.scene.chase.height - self.plane.center[2]  # the plane's centre, under the camera
         down = (down + below) * shrink - below
@@ -150,14 +150,14 @@ class Chase:
             segments.append([corners.setdefault(p, f"c{len(corners)}") for p in places])
         return {
             "name": self.body.kind,
-            "nominal_range": NOMINAL_RANGE,
+            "nominal_range": NOMINAL_RANGE_M,
             "corners": {name: list(place) for place, name in corners.items()},
             "segments": segments,
         }
 
     def start_document(self, first: dict[str, Any]) -> dict[str, Any]:
         """``start`` of follow.yaml, as an operator would set it on the first frame."""
-        return drawn_start(np.array(first["center"]), first["position"][2], NOMINAL_RANGE, self.scene.seed)
+        return draw_start(np.array(first["center"]), first["position"][2], NOMINAL_RANGE_M, self.scene.seed)
 
 
 def write(
@@ -165,11 +165,11 @@ def write(
 ) -> Path:
     """Render ``scene`` into ``directory`` and return the path of its follow.yaml; as `stereo_clip.write`."""
     directory, variant = Path(directory), variant or default_variant()
-    chase = Chase(_long_enough(scene))
+    chase = PlacedChaseScene(_with_long_road(scene))
     renderer = Renderer(chase.still(), chase.moving(), chase.light, variant)
-    renderer.place([AWAY] * len(chase.moving()))
+    renderer.place([OFF_SCENE] * len(chase.moving()))
     rows = [chase.row(k, renderer) for k in range(scene.frames)]
-    clip_folder.begin(directory, scene, variant)
+    clip_folder.open_folder(directory, scene, variant)
     white, suffix = chase.light.level_irradiance / np.pi, ".jpg" if scene.sensor.keep == "jpeg" else ".png"
     paths = [directory / "frames" / f"{k:05d}{suffix}" for k in range(scene.frames)]
     video = directory / "frames.mp4"
@@ -177,8 +177,8 @@ def write(
     for k, (path, t) in enumerate(zip(paths, chase.times, strict=True)):
         if not path.exists() and not video.exists():
             own = int(np.random.SeedSequence([scene.seed, 17, k]).generate_state(1)[0])
-            light = photograph(renderer, chase.placements, view, t, shutter_of(scene), scene.samples, own)
-            picture = expose(light, white, sensor_of(scene), np.random.default_rng([scene.seed, 19, k]))
+            light = render_exposure(renderer, chase.placements, view, t, make_shutter(scene), scene.samples, own)
+            picture = expose(light, white, make_sensor(scene), np.random.default_rng([scene.seed, 19, k]))
             clip_folder.write_picture(path, picture, scene.sensor.quality)
         if progress:
             progress(k + 1, scene.frames)
@@ -191,15 +191,15 @@ def write(
     return directory / "follow.yaml"
 
 
-def _long_enough(scene: FollowScene) -> FollowScene:
+def _with_long_road(scene: FollowScene) -> FollowScene:
     """The scene with a road as long as the drive."""
-    way = START + scene.chase.top_speed * (scene.frames / scene.rate + 2) + scene.lead.gap[1] + 30
+    way = START_ARC_M + scene.chase.top_speed * (scene.frames / scene.rate + 2) + scene.lead.gap[1] + 30
     if scene.road.length >= way:
         return scene
     return scene.model_copy(update={"road": scene.road.model_copy(update={"length": float(np.ceil(way))})})
 
 
-def _write_documents(chase: Chase, rows: list[dict[str, Any]], directory: Path, filmed: bool) -> None:
+def _write_documents(chase: PlacedChaseScene, rows: list[dict[str, Any]], directory: Path, filmed: bool) -> None:
     camera = {"image_size": list(chase.camera.image_size), "K": chase.camera.K.tolist()}
     follow: dict[str, Any] = {"video": "frames.mp4"} if filmed else {"video": "frames", "rate": chase.scene.rate}
     follow |= {"camera": "camera.yaml", "target": "target.yaml", "start": chase.start_document(rows[0])}
@@ -211,7 +211,7 @@ def _write_documents(chase: Chase, rows: list[dict[str, Any]], directory: Path, 
     table = io.StringIO()
     odometry = [[r["frame"], *(round(r["chase"][k], 6) for k in ("x_m", "y_m", "heading_rad"))] for r in rows]
     csv.writer(table).writerows([["frame", "x_m", "y_m", "heading_rad"], *odometry])
-    clip_folder.write_whole(directory / "odometry.csv", table.getvalue().encode())
-    clip_folder.write_whole(directory / "truth.json", json.dumps(rows).encode())
+    clip_folder.write_atomically(directory / "odometry.csv", table.getvalue().encode())
+    clip_folder.write_atomically(directory / "truth.json", json.dumps(rows).encode())
     for name, document in documents.items():
         clip_folder.write_yaml(directory / f"{name}.yaml", document)

@@ -20,12 +20,12 @@ from paceline.version import __version__
 
 Picture = NDArray[np.uint8]
 
-STATE = "rendering.json"
-TICKS = 90000  # per second, of a video's time stamps
-TIME_BASE = Fraction(1, TICKS)
+STATE_FILE = "rendering.json"
+TICKS_PER_SECOND = 90000  # per second, of a video's time stamps
+TIME_BASE = Fraction(1, TICKS_PER_SECOND)
 
 
-def begin(directory: Path, scene: SceneModel, variant: str) -> None:
+def open_folder(directory: Path, scene: SceneModel, variant: str) -> None:
     """Makes ``directory`` ready for the pictures of ``scene``, or finds it begun by the same scene.
 
     Raises UnusableInput where it cannot be written or holds anything else.
@@ -34,20 +34,20 @@ def begin(directory: Path, scene: SceneModel, variant: str) -> None:
     state = {"scene": document, "variant": variant, "version": __version__}
     try:
         directory.mkdir(parents=True, exist_ok=True)
-        if (directory / STATE).exists():
-            if json.loads((directory / STATE).read_text(encoding="utf-8")) != json.loads(json.dumps(state)):
+        if (directory / STATE_FILE).exists():
+            if json.loads((directory / STATE_FILE).read_text(encoding="utf-8")) != json.loads(json.dumps(state)):
                 raise UnusableInput(f"{directory}: was begun with another scene or renderer; expected another folder")
             return
         if any(directory.iterdir()):
             raise UnusableInput(f"{directory}: holds other files; expected an empty folder, or one begun by this scene")
-        write_whole(directory / "scene.yaml", yaml.safe_dump(document, sort_keys=False).encode())
-        write_whole(directory / STATE, json.dumps(state).encode())
+        write_atomically(directory / "scene.yaml", yaml.safe_dump(document, sort_keys=False).encode())
+        write_atomically(directory / STATE_FILE, json.dumps(state).encode())
     except (OSError, json.JSONDecodeError) as error:
         text = error.strerror if isinstance(error, OSError) else "its rendering.json is damaged"
         raise UnusableInput(f"{directory}: the clip cannot be written here ({text})") from error
 
 
-def write_whole(path: Path, content: bytes) -> None:
+def write_atomically(path: Path, content: bytes) -> None:
     """Writes a file that is either there wholly or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f".{path.name}.partial")
@@ -58,31 +58,31 @@ def write_whole(path: Path, content: bytes) -> None:
 def write_picture(path: Path, picture: Picture, quality: int) -> None:
     """Writes a PNG or a JPEG, whole or not at all."""
     options = [cv2.IMWRITE_JPEG_QUALITY, quality] if path.suffix == ".jpg" else [cv2.IMWRITE_PNG_COMPRESSION, 3]
-    write_whole(path, cv2.imencode(path.suffix, picture, options)[1].tobytes())
+    write_atomically(path, cv2.imencode(path.suffix, picture, options)[1].tobytes())
 
 
 def write_yaml(path: Path, document: dict[str, Any]) -> None:
-    write_whole(path, yaml.safe_dump(document, sort_keys=False).encode())
+    write_atomically(path, yaml.safe_dump(document, sort_keys=False).encode())
 
 
 def write_video(path: Path, pictures: list[Path], times: list[float], quality: int) -> None:
     """Writes ``pictures`` as H.264 with their ``times`` (s) as time stamps; ``quality`` 100 is nearly free of loss."""
     partial = path.with_name(f".{path.stem}.partial{path.suffix}")
-    height, width = _read(pictures[0]).shape[:2]
+    height, width = _read_image(pictures[0]).shape[:2]
     with av.open(str(partial), "w") as container:
         stream = container.add_stream("libx264", rate=round(len(times) / max(times[-1] - times[0], 1e-3)) or 1)
         stream.width, stream.height, stream.pix_fmt = width - width % 2, height - height % 2, "yuv420p"
         stream.time_base = stream.codec_context.time_base = TIME_BASE
         stream.options = {"crf": str(round(0.51 * (100 - quality))), "preset": "medium"}
         for picture, time in zip(pictures, times, strict=True):
-            frame = av.VideoFrame.from_ndarray(_read(picture), format="bgr24")
-            frame.pts, frame.time_base = round((time - times[0]) * TICKS), TIME_BASE
+            frame = av.VideoFrame.from_ndarray(_read_image(picture), format="bgr24")
+            frame.pts, frame.time_base = round((time - times[0]) * TICKS_PER_SECOND), TIME_BASE
             container.mux(stream.encode(frame))
         container.mux(stream.encode())
     os.replace(partial, path)
 
 
-def _read(path: Path) -> Picture:
+def _read_image(path: Path) -> Picture:
     return np.asarray(cv2.imread(str(path), cv2.IMREAD_COLOR), np.uint8)
 
 

@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 from paceline.arrays import Array
 
 SKY_ROWS = 256  # of the map, half of them above the horizon
-GROUND = 0.12  # reflectance of the land beyond the world's edge
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Rec. 709
+GROUND_REFLECTANCE = 0.12  # reflectance of the land beyond the world's edge
+LUMINANCE_WEIGHTS = np.array([0.2126, 0.7152, 0.0722])  # Rec. 709
 
 # CIE S 011: gradation a, b and scattering c, d, e of the clear sky (type 12) and of the overcast one (type 1).
-_CLEAR = (-1.0, -0.32, 10.0, -3.0, 0.45)
-_OVERCAST = (4.0, -0.7, 0.0, -1.0, 0.0)
-_BLUE, _PALE, _GREY = ((0.62, 0.95, 1.75), (0.95, 1.0, 1.1), (0.98, 1.0, 1.03))
-_SCATTERED = np.array([0.06, 0.11, 0.23])  # what a zenith's worth of air takes from red, green and blue sunlight
+_CLEAR_SKY = (-1.0, -0.32, 10.0, -3.0, 0.45)
+_OVERCAST_SKY = (4.0, -0.7, 0.0, -1.0, 0.0)
+_ZENITH_TINT, _HORIZON_TINT, _OVERCAST_TINT = ((0.62, 0.95, 1.75), (0.95, 1.0, 1.1), (0.98, 1.0, 1.03))
+_AIR_EXTINCTION = np.array([0.06, 0.11, 0.23])  # what a zenith's worth of air takes from red, green and blue sunlight
 
 
 @dataclass(frozen=True)
@@ -49,9 +49,9 @@ class Light:
         Meinel and Meinel's attenuation, 1.353 · 0.7^(m^0.678) for an air mass m.
         """
         mass = 1 / np.maximum(np.sin(self.elevation), 0.02)
-        color = np.exp(-_SCATTERED * mass)
+        color = np.exp(-_AIR_EXTINCTION * mass)
         strength = 1.353 * 0.7 ** (mass**0.678) * (1 - self.clouds) ** 1.5
-        return np.asarray(strength * color / (color @ LUMINANCE))
+        return np.asarray(strength * color / (color @ LUMINANCE_WEIGHTS))
 
     @property
     def sky_irradiance(self) -> float:
@@ -62,7 +62,7 @@ class Light:
     @property
     def level_irradiance(self) -> float:
         """Luminance of all light on open level ground."""
-        return float(self.sun @ LUMINANCE * max(np.sin(self.elevation), 0.0) + self.sky_irradiance)
+        return float(self.sun @ LUMINANCE_WEIGHTS * max(np.sin(self.elevation), 0.0) + self.sky_irradiance)
 
     def sky(self) -> NDArray[np.float32]:
         """The sky's radiance (H, 2 H, 3), without the sun: rows from the zenith to the nadir, evenly in angle; columns
@@ -74,12 +74,14 @@ class Light:
         view = np.stack([level * np.sin(bearing), level * np.cos(bearing), up], -1)
         above = np.maximum(up, 0.02)
         angle = np.arccos(np.clip(view @ self.direction, -1, 1))
-        clear = _standard_sky(_CLEAR, above, angle)[..., None] * _tinted(above)
-        overcast = _standard_sky(_OVERCAST, above, angle)[..., None] * np.array(_GREY)
+        clear = _cie_sky(_CLEAR_SKY, above, angle)[..., None] * _sky_tint(above)
+        overcast = _cie_sky(_OVERCAST_SKY, above, angle)[..., None] * np.array(_OVERCAST_TINT)
         part = self._cloud_cover(view, above)[..., None]
-        sky = (1 - part) * _scaled(clear, up, zenith) + part * _scaled(overcast, up, zenith) * (2.2 - 1.2 * self.clouds)
-        sky = _scaled(sky, up, zenith) * self.sky_irradiance
-        ground = GROUND * self.level_irradiance / np.pi * np.array([0.9, 1.0, 0.8])
+        sky = (1 - part) * _normalize_sky(clear, up, zenith) + part * _normalize_sky(overcast, up, zenith) * (
+            2.2 - 1.2 * self.clouds
+        )
+        sky = _normalize_sky(sky, up, zenith) * self.sky_irradiance
+        ground = GROUND_REFLECTANCE * self.level_irradiance / np.pi * np.array([0.9, 1.0, 0.8])
         return np.where(up[..., None] > 0, sky, ground).astype(np.float32)
 
     def _cloud_cover(self, view: Array, above: Array) -> Array:
@@ -100,21 +102,21 @@ class Light:
         return np.asarray(np.clip(0.5 + (there - threshold) / (0.6 * noise.std()), 0, 1) * min(4 * self.clouds, 1))
 
 
-def _standard_sky(kind: tuple[float, ...], above: Array, angle: Array) -> Array:
+def _cie_sky(kind: tuple[float, ...], above: Array, angle: Array) -> Array:
     """Relative luminance at a height whose sine is ``above`` and at ``angle`` from the sun; CIE S 011/E:2003."""
     a, b, c, d, e = kind
     scatter = 1 + c * (np.exp(d * angle) - np.exp(d * np.pi / 2)) + e * np.cos(angle) ** 2
     return np.asarray((1 + a * np.exp(b / above)) * scatter)
 
 
-def _tinted(above: Array) -> Array:
+def _sky_tint(above: Array) -> Array:
     """The clear sky's colour: deep blue at the zenith, pale at the horizon."""
     part = np.sqrt(above)[..., None]
-    color = part * np.array(_BLUE) + (1 - part) * np.array(_PALE)
-    return np.asarray(color / (color @ LUMINANCE)[..., None])
+    color = part * np.array(_ZENITH_TINT) + (1 - part) * np.array(_HORIZON_TINT)
+    return np.asarray(color / (color @ LUMINANCE_WEIGHTS)[..., None])
 
 
-def _scaled(sky: Array, up: Array, zenith: Array) -> Array:
+def _normalize_sky(sky: Array, up: Array, zenith: Array) -> Array:
     """``sky`` (H, W, 3) so that it lights level ground with a luminance of 1."""
     cell = np.sin(zenith)[:, None] * (np.pi / SKY_ROWS) ** 2
-    return np.asarray(sky / ((sky @ LUMINANCE) * np.maximum(up, 0) * cell).sum())
+    return np.asarray(sky / ((sky @ LUMINANCE_WEIGHTS) * np.maximum(up, 0) * cell).sum())

@@ -11,7 +11,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from paceline.arrays import Array, Indices
-from paceline.simulation.raytraced.meshes import Material, Solid
+from paceline.simulation.raytraced.meshes import Material, SceneMesh
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,18 +34,18 @@ class Mesh:
 
     def both(self) -> Mesh:
         """The mesh and its image across the plane y = 0."""
-        return joined([self, self.mirrored()])
+        return join_meshes([self, self.mirrored()])
 
-    def solid(self, name: str, material: Material, smooth: bool = False) -> Solid:
+    def solid(self, name: str, material: Material, smooth: bool = False) -> SceneMesh:
         """The mesh made of ``material``; its texture coordinates go with it where the material has a texture."""
         textured = material.texture is not None or material.alpha is not None
-        return Solid(name, self.vertices, self.triangles, material, self.uv if textured else None, smooth)
+        return SceneMesh(name, self.vertices, self.triangles, material, self.uv if textured else None, smooth)
 
 
-Named = tuple[str, Mesh]  # a mesh and the name of what it is made of
+NamedMesh = tuple[str, Mesh]  # a mesh and the name of what it is made of
 
 
-def joined(meshes: Iterable[Mesh]) -> Mesh:
+def join_meshes(meshes: Iterable[Mesh]) -> Mesh:
     """All ``meshes`` (at least one) as one; no vertices are welded."""
     parts = list(meshes)
     starts = np.cumsum([0, *(len(m.vertices) for m in parts[:-1])])
@@ -77,22 +77,22 @@ def quads(corners: ArrayLike) -> Mesh:
     return Mesh(p.reshape(-1, 3), triangles, np.tile([[0.0, 0.0], [1, 0], [1, 1], [0, 1]], (len(p), 1)))
 
 
-_CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
-_FACES = [[5, 7, 6, 4], [3, 1, 0, 2], [7, 3, 2, 6], [1, 5, 4, 0], [3, 7, 5, 1], [6, 2, 0, 4]]  # ±x, ±y, ±z
+_BOX_CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+_BOX_FACES = [[5, 7, 6, 4], [3, 1, 0, 2], [7, 3, 2, 6], [1, 5, 4, 0], [3, 7, 5, 1], [6, 2, 0, 4]]  # ±x, ±y, ±z
 
 
 def box(size: ArrayLike, center: ArrayLike = (0.0, 0.0, 0.0)) -> Mesh:
     """A box with edges along the axes."""
-    return quads((_CORNERS * np.asarray(size, float) + np.asarray(center, float))[_FACES])
+    return quads((_BOX_CORNERS * np.asarray(size, float) + np.asarray(center, float))[_BOX_FACES])
 
 
 def boxes(sizes: ArrayLike, centers: ArrayLike) -> Mesh:
     """Many boxes: sizes and centres (N, 3)."""
-    corners = _CORNERS * np.asarray(sizes, float)[:, None] + np.asarray(centers, float)[:, None]
-    return quads(corners[:, _FACES].reshape(-1, 4, 3))
+    corners = _BOX_CORNERS * np.asarray(sizes, float)[:, None] + np.asarray(centers, float)[:, None]
+    return quads(corners[:, _BOX_FACES].reshape(-1, 4, 3))
 
 
-def turned(profile: ArrayLike, count: int = 24) -> Mesh:
+def revolve(profile: ArrayLike, count: int = 24) -> Mesh:
     """A profile (N, 2) of radii and heights, from the bottom up, turned about the z axis; outside is away from it."""
     radius, height = np.asarray(profile, float)[::-1].T
     angle = np.linspace(0, 2 * np.pi, count + 1)
@@ -118,11 +118,11 @@ def tube(path: ArrayLike, radius: ArrayLike, count: int = 8) -> Mesh:
 def ellipsoid(center: ArrayLike, radii: ArrayLike, rings: int = 10, count: int = 16) -> Mesh:
     """An ellipsoid with its axes along the coordinate axes."""
     latitude = np.linspace(-np.pi / 2, np.pi / 2, rings + 1)
-    ball = turned(np.column_stack([np.cos(latitude), np.sin(latitude)]), count)
+    ball = revolve(np.column_stack([np.cos(latitude), np.sin(latitude)]), count)
     return Mesh(ball.vertices * np.asarray(radii, float) + np.asarray(center, float), ball.triangles, ball.uv)
 
 
-def welded(mesh: Mesh, tolerance: float = 1e-5) -> Mesh:
+def weld(mesh: Mesh, tolerance: float = 1e-5) -> Mesh:
     """The mesh with vertices at the same place (m) made one; triangles that vanish are left out."""
     cells = np.round(mesh.vertices / tolerance).astype(np.int64)
     _, first, label = np.unique(cells, axis=0, return_index=True, return_inverse=True)
@@ -131,20 +131,20 @@ def welded(mesh: Mesh, tolerance: float = 1e-5) -> Mesh:
     return Mesh(mesh.vertices[first], t[whole], mesh.uv[first])
 
 
-def normals(mesh: Mesh) -> Array:
+def triangle_normals(mesh: Mesh) -> Array:
     """Outward normals (T, 3) of its triangles, as long as twice their areas."""
     a, b, c = np.moveaxis(mesh.vertices[mesh.triangles], 1, 0)
     return np.asarray(np.cross(b - a, c - a))
 
 
-def creased(mesh: Mesh, degrees: float = 35.0) -> Mesh:
+def split_creases(mesh: Mesh, degrees: float = 35.0) -> Mesh:
     """The mesh with its vertices parted along the edges where it bends by more than ``degrees``.
 
     Corners of two triangles stay one where the triangles meet in an edge that bends less: vertices are the connected
     components of that relation.
     """
     t, count = mesh.triangles, len(mesh.triangles)
-    n = normals(mesh)
+    n = triangle_normals(mesh)
     n = n / np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-30)
     corner = np.arange(3 * count).reshape(count, 3)
     begin, end = t.reshape(-1), np.roll(t, -1, 1).reshape(-1)
@@ -169,9 +169,9 @@ def creased(mesh: Mesh, degrees: float = 35.0) -> Mesh:
     return Mesh(mesh.vertices[source], label.reshape(-1, 3).astype(np.int64), mesh.uv[source])
 
 
-def grouped(named: Iterable[Named]) -> dict[str, Mesh]:
+def group_by_name(named: Iterable[NamedMesh]) -> dict[str, Mesh]:
     """The parts of each name joined, in the order in which the names first occur."""
     parts: dict[str, list[Mesh]] = {}
     for name, mesh in named:
         parts.setdefault(name, []).append(mesh)
-    return {name: joined(meshes) for name, meshes in parts.items()}
+    return {name: join_meshes(meshes) for name, meshes in parts.items()}

@@ -34,7 +34,7 @@ class Material:
 
 
 @dataclass(frozen=True, eq=False)
-class Solid:
+class SceneMesh:
     """A mesh: ``vertices`` (V, 3) m, ``triangles`` (T, 3), counter-clockwise seen from outside, ``uv`` (V, 2) where its
     material has a texture. Vertices are shared only where the surface is smooth; ``smooth`` tells to shade it so."""
 
@@ -45,6 +45,6 @@ class Solid:
     uv: Array | None = None
     smooth: bool = False
 
-    def moved(self, R: Array, t: Array) -> Solid:
+    def moved(self, R: Array, t: Array) -> SceneMesh:
         """The solid at R X + t."""
         return replace(self, vertices=self.vertices @ np.asarray(R).T + t)

@@ -11,18 +11,18 @@ from types import ModuleType
 
 from paceline.errors import UnusableInput
 
-FAST, PORTABLE = "llvm_ad_rgb", "scalar_rgb"
-VARIANTS = (FAST, PORTABLE)
-LLVM = 19  # older ones abort the process; newer ones were not tried
+FAST_VARIANT, PORTABLE_VARIANT = "llvm_ad_rgb", "scalar_rgb"
+MITSUBA_VARIANTS = (FAST_VARIANT, PORTABLE_VARIANT)
+LLVM_VERSION = 19  # older ones abort the process; newer ones were not tried
 
-_PLACES = (
+_LIBRARY_PATTERNS = (
     "/usr/lib/*/libLLVM*.so*",
     "/usr/lib/libLLVM*.so*",
     "/usr/lib64/libLLVM*.so*",
-    f"/usr/lib/llvm-{LLVM}/lib/libLLVM*.so*",
-    f"/usr/lib64/llvm{LLVM}/lib*/libLLVM*.so*",
-    f"/opt/homebrew/opt/llvm@{LLVM}/lib/libLLVM*.dylib",
-    f"/usr/local/opt/llvm@{LLVM}/lib/libLLVM*.dylib",
+    f"/usr/lib/llvm-{LLVM_VERSION}/lib/libLLVM*.so*",
+    f"/usr/lib64/llvm{LLVM_VERSION}/lib*/libLLVM*.so*",
+    f"/opt/homebrew/opt/llvm@{LLVM_VERSION}/lib/libLLVM*.dylib",
+    f"/usr/local/opt/llvm@{LLVM_VERSION}/lib/libLLVM*.dylib",
 )
 
 
@@ -33,12 +33,12 @@ def find_llvm() -> str | None:
     The library itself is asked for its version before the renderer sees it.
     """
     named = os.environ.get("DRJIT_LIBLLVM_PATH")
-    found = [named] if named else [path for pattern in _PLACES for path in sorted(glob.glob(pattern))]
-    likely = [path for path in found if named or str(LLVM) in os.path.basename(os.path.realpath(path))]
-    return next((path for path in likely if _version(path) == LLVM), None)
+    found = [named] if named else [path for pattern in _LIBRARY_PATTERNS for path in sorted(glob.glob(pattern))]
+    likely = [path for path in found if named or str(LLVM_VERSION) in os.path.basename(os.path.realpath(path))]
+    return next((path for path in likely if _library_version(path) == LLVM_VERSION), None)
 
 
-def _version(path: str) -> int | None:
+def _library_version(path: str) -> int | None:
     """The major version of the LLVM library at ``path``; None where it does not tell, as before 16."""
     try:
         ask = ctypes.CDLL(path).LLVMGetVersion
@@ -51,23 +51,25 @@ def _version(path: str) -> int | None:
 
 @cache
 def default_variant() -> str:
-    """`FAST` where it can run, else `PORTABLE`, with a notice on standard error."""
+    """`FAST_VARIANT` where it can run, else `PORTABLE_VARIANT`, with a notice on standard error."""
     if find_llvm():
-        return FAST
+        return FAST_VARIANT
     print(
-        f"note: LLVM {LLVM} was not found (Debian: libllvm{LLVM}; elsewhere set DRJIT_LIBLLVM_PATH): "
+        f"note: LLVM {LLVM_VERSION} was not found (Debian: libllvm{LLVM_VERSION}; elsewhere set DRJIT_LIBLLVM_PATH): "
         "rendering takes about five times as long",
         file=sys.stderr,
     )
-    return PORTABLE
+    return PORTABLE_VARIANT
 
 
-def mitsuba(variant: str) -> ModuleType:
-    """Mitsuba, set to one of `VARIANTS`. Raises UnusableInput where it is not installed or cannot run."""
-    if variant == FAST:
+def load_mitsuba(variant: str) -> ModuleType:
+    """Mitsuba, set to one of `MITSUBA_VARIANTS`. Raises UnusableInput where it is not installed or cannot run."""
+    if variant == FAST_VARIANT:
         library = find_llvm()
         if library is None:
-            raise UnusableInput(f"rendering with {FAST}: expected a library of LLVM {LLVM}; none was found")
+            raise UnusableInput(
+                f"rendering with {FAST_VARIANT}: expected a library of LLVM {LLVM_VERSION}; none was found"
+            )
         os.environ["DRJIT_LIBLLVM_PATH"] = library
     try:
         import mitsuba as mi

@@ -9,11 +9,11 @@ from scipy.integrate import solve_ivp
 
 from paceline.arrays import Array
 from paceline.errors import UnusableInput
-from paceline.simulation.road import MARGIN, Road
+from paceline.simulation.road import ROAD_MARGIN_M, Road
 
-EARLIEST = -5.0  # s
-LATEST = 7200.0  # s
-ROOM = 20.0  # m that a vehicle stays away from where its road is not known any more
+MIN_TIME_S = -5.0  # s
+MAX_TIME_S = 7200.0  # s
+ROAD_END_DISTANCE_M = 20.0  # m that a vehicle stays away from where its road is not known any more
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class LaneChange:
 
 
 @dataclass(frozen=True)
-class Drive:
+class DrivingPlan:
     """``speed`` (m/s) at time 0, changed by ``acceleration`` (m/s²) from time ``after`` for ``lasting`` s or until the
     vehicle stands; the body's origin starts at arc length ``start`` (m) and ``lateral`` (m, positive to the right of
     growing arc length). ``towards`` drives it towards smaller arc length."""
@@ -72,15 +72,16 @@ class Drive:
         return self.lateral + shift, rate
 
 
-class Motion:
+class VehicleMotion:
     """A drive on a road by a vehicle whose front axle is ``wheelbase`` metres before its origin.
 
     The origin moves at the drive's speed along its own way, whatever the road and the lane change do, and the body
     points along it, so its rear axle never slips sideways. Both axles stand on the surface: over a crest the body is
-    the chord between them. The pose is known while the origin is on the road or within `MARGIN` − `ROOM` of it.
+    the chord between them. The pose is known while the origin is on the road or within `ROAD_MARGIN_M` −
+    `ROAD_END_DISTANCE_M` of it.
     """
 
-    def __init__(self, road: Road, drive: Drive, wheelbase: float) -> None:
+    def __init__(self, road: Road, drive: DrivingPlan, wheelbase: float) -> None:
         self.road, self.drive, self.wheelbase = road, drive, wheelbase
         self._sign = -1.0 if drive.towards else 1.0
         self._check()
@@ -89,7 +90,7 @@ class Motion:
         breaks += [change.start, change.start + change.duration] if change else []
         if drive.acceleration < 0:
             breaks.append(drive.after - drive.speed / drive.acceleration)
-        self._pieces = self._solve(0.0, EARLIEST, breaks)[::-1] + self._solve(0.0, LATEST, breaks)
+        self._pieces = self._solve(0.0, MIN_TIME_S, breaks)[::-1] + self._solve(0.0, MAX_TIME_S, breaks)
 
     def _check(self) -> None:
         d = self.drive
@@ -107,13 +108,13 @@ class Motion:
     def _rate(self, t: float, s: float) -> float:
         """Arc length per second: what the lateral move leaves of the speed; the two are perpendicular."""
         lateral, sideways = self.drive.lateral_at(t)
-        _, along, _ = self.road.tangents(np.clip(s, -MARGIN, self.road.length + MARGIN), lateral)
+        _, along, _ = self.road.tangents(np.clip(s, -ROAD_MARGIN_M, self.road.length + ROAD_MARGIN_M), lateral)
         ahead = np.sqrt(max(self.drive.speed_at(t) ** 2 - sideways**2, 0.0))
         return float(self._sign * ahead / np.linalg.norm(along))
 
     def _solve(self, start: float, end: float, breaks: list[float]) -> list[tuple[float, float, object]]:
         """Arc length over time from ``start`` to ``end`` or the road's end, smooth from break to break."""
-        low, high = -MARGIN + ROOM, self.road.length + MARGIN - ROOM
+        low, high = -ROAD_MARGIN_M + ROAD_END_DISTANCE_M, self.road.length + ROAD_MARGIN_M - ROAD_END_DISTANCE_M
 
         def leaves(t: float, y: Array) -> float:
             return float(min(y[0] - low, high - y[0]))

@@ -14,27 +14,27 @@ from numpy.typing import NDArray
 
 from paceline.arrays import Array
 from paceline.cameras import Camera
-from paceline.simulation.raytraced.mitsuba_variant import PORTABLE
+from paceline.simulation.raytraced.mitsuba_variant import PORTABLE_VARIANT
 
 Radiance = NDArray[np.float32]
 Window = tuple[int, int, int, int]  # pixels x0, y0, x1, y1 of a part of a picture, the last two beyond it
 
-SAMPLER = "multijitter"  # spreads samples evenly over a pixel and over the lights: far less noise than without
+SAMPLER_PLUGIN = "multijitter"  # spreads samples evenly over a pixel and over the lights: far less noise than without
 
 
-class Taker(Protocol):
+class WindowRenderer(Protocol):
     """Takes the picture (H, W, 3) of a ``window`` by a ``camera`` at X_camera = R X + t, with so many ``samples``, a
     power of two, per pixel. The same ``seed`` gives the same picture."""
 
     def __call__(self, camera: Camera, R: Array, t: Array, window: Window, samples: int, seed: int) -> Radiance: ...
 
 
-def taker(mi: Any, scene: Any) -> Taker:
+def window_renderer(mi: Any, scene: Any) -> WindowRenderer:
     """What takes pictures of ``scene``, as it is when they are taken."""
-    return _sensor(mi, scene) if mi.variant() == PORTABLE else _rays(mi, scene)
+    return _sensor_renderer(mi, scene) if mi.variant() == PORTABLE_VARIANT else _ray_renderer(mi, scene)
 
 
-def _rays(mi: Any, scene: Any) -> Taker:
+def _ray_renderer(mi: Any, scene: Any) -> WindowRenderer:
     import drjit as dr
 
     tracers: dict[int, Callable[..., Any]] = {}
@@ -42,7 +42,7 @@ def _rays(mi: Any, scene: Any) -> Taker:
     def tracer(samples: int) -> Callable[..., Any]:
         def trace(scene: Any, seed: Any, x: Any, y: Any, own: Any, to_world: Any, eye: Any) -> Any:
             """Radiances of pixels ``x`` and ``y``, ``own`` being the pixel of each ray."""
-            sampler = mi.load_dict({"type": SAMPLER, "sample_count": samples})
+            sampler = mi.load_dict({"type": SAMPLER_PLUGIN, "sample_count": samples})
             sampler.set_samples_per_wavefront(samples)
             sampler.seed(seed, dr.width(own))
             within = sampler.next_2d()
@@ -69,7 +69,7 @@ def _rays(mi: Any, scene: Any) -> Taker:
     return take
 
 
-def _sensor(mi: Any, scene: Any) -> Taker:
+def _sensor_renderer(mi: Any, scene: Any) -> WindowRenderer:
     def take(camera: Camera, R: Array, t: Array, window: Window, samples: int, seed: int) -> Radiance:
         (width, height), K = camera.image_size, camera.K
         to_world = np.eye(4)
@@ -96,7 +96,7 @@ def _sensor(mi: Any, scene: Any) -> Taker:
             "far_clip": 1e5,
             "to_world": mi.ScalarTransform4f(to_world @ np.diag([-1.0, -1.0, 1.0, 1.0])),
             "film": film,
-            "sampler": {"type": SAMPLER},
+            "sampler": {"type": SAMPLER_PLUGIN},
         }
         return np.array(mi.render(scene, sensor=mi.load_dict(sensor), spp=samples, seed=seed), np.float32)
 

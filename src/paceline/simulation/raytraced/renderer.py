@@ -11,16 +11,16 @@ from numpy.typing import NDArray
 from paceline.arrays import Array
 from paceline.cameras import View
 from paceline.simulation.raytraced.light import Light
-from paceline.simulation.raytraced.meshes import Material, Placement, Solid
-from paceline.simulation.raytraced.mitsuba_variant import default_variant, mitsuba
-from paceline.simulation.raytraced.ray_generation import Radiance, Window, taker
+from paceline.simulation.raytraced.meshes import Material, Placement, SceneMesh
+from paceline.simulation.raytraced.mitsuba_variant import default_variant, load_mitsuba
+from paceline.simulation.raytraced.ray_generation import Radiance, Window, window_renderer
 
-__all__ = ["Radiance", "Renderer", "View", "Window", "joined"]
+__all__ = ["Radiance", "Renderer", "View", "Window", "merge_meshes"]
 
 
-BOUNCES = 3  # what comes after lights no place that a picture shows
-OFTENEST = 0.75  # share of the rays towards lights that go to the sun
-PASS = 16  # samples per pixel rendered at once, a power of two so that they always add up in the same order
+MAX_BOUNCES = 3  # what comes after lights no place that a picture shows
+MAX_SUN_SAMPLING_SHARE = 0.75  # share of the rays towards lights that go to the sun
+SAMPLES_PER_PASS = 16  # samples per pixel rendered at once, a power of two so that they always add up in the same order
 TEXTURE_FILTER = "bilinear"
 
 
@@ -32,14 +32,14 @@ class Renderer:
 
     def __init__(
         self,
-        still: Iterable[Solid],
-        moving: Sequence[Iterable[Solid]],
+        still: Iterable[SceneMesh],
+        moving: Sequence[Iterable[SceneMesh]],
         light: Light,
         variant: str | None = None,
     ) -> None:
         self.variant = variant or default_variant()
-        mi = mitsuba(self.variant)
-        scene: dict[str, Any] = {"type": "scene", "integrator": {"type": "path", "max_depth": BOUNCES + 1}}
+        mi = load_mitsuba(self.variant)
+        scene: dict[str, Any] = {"type": "scene", "integrator": {"type": "path", "max_depth": MAX_BOUNCES + 1}}
         scene["sky"] = {
             "type": "envmap",
             "bitmap": mi.Bitmap(light.sky()),
@@ -48,21 +48,21 @@ class Renderer:
         if light.elevation > 0 and light.clouds < 1:
             # Every place asks one light, sun or sky. Asked as often as it gives, the noise of sunlit paint is least;
             # the sky a little oftener, for the shade.
-            asked = min(1 - light.sky_irradiance / light.level_irradiance, OFTENEST)
+            asked = min(1 - light.sky_irradiance / light.level_irradiance, MAX_SUN_SAMPLING_SHARE)
             scene["sky"]["sampling_weight"] = 1 - asked
             towards = {"direction": (-light.direction).tolist()}
             irradiance = {"irradiance": _rgb(light.sun), "sampling_weight": asked}
             scene["sun"] = {"type": "directional", **towards, **irradiance}
-        solids = joined(still)
+        solids = merge_meshes(still)
         scene |= {f"lamp{k}": _mesh(mi, f"lamp{k}", s) for k, s in enumerate(solids) if s.material.kind == "glow"}
         scene |= _instance(mi, "still", [s for s in solids if s.material.kind != "glow"])
         for g, group in enumerate(moving):
-            scene |= _instance(mi, f"moving{g}", joined(group))
+            scene |= _instance(mi, f"moving{g}", merge_meshes(group))
         self._moving = [f"moving{g}.to_world" for g in range(len(moving))]
         self._scene = mi.load_dict(scene)
         self._parameters = mi.traverse(self._scene)
         self._parameters.keep(self._moving)
-        self._take = taker(mi, self._scene)
+        self._take = window_renderer(mi, self._scene)
         self._placed: Array = np.empty(0)
 
     def place(self, placements: Sequence[Placement]) -> None:
@@ -70,7 +70,7 @@ class Renderer:
         now = np.array([np.column_stack(placement) for placement in placements])
         if np.array_equal(now, self._placed):
             return
-        mi, self._placed = mitsuba(self.variant), now
+        mi, self._placed = load_mitsuba(self.variant), now
         for key, place in zip(self._moving, now, strict=True):
             self._parameters[key] = mi.ScalarTransform4f(np.vstack([place, [0.0, 0.0, 0.0, 1.0]]))
         self._parameters.update()
@@ -80,9 +80,11 @@ class Renderer:
 
         Lens distortion is left out: see `paceline.simulation.raytraced.sensor`. The same seed gives the same picture.
         """
-        mitsuba(self.variant)
+        load_mitsuba(self.variant)
         window = window or (0, 0, *view.camera.image_size)
-        passes = [PASS] * (samples // PASS) + [n for n in (8, 4, 2, 1) if samples % PASS & n]
+        passes = [SAMPLES_PER_PASS] * (samples // SAMPLES_PER_PASS) + [
+            n for n in (8, 4, 2, 1) if samples % SAMPLES_PER_PASS & n
+        ]
         seeds = np.random.SeedSequence(seed).generate_state(len(passes))
         total: Radiance | float = 0.0
         for count, own in zip(passes, seeds, strict=True):
@@ -93,7 +95,7 @@ class Renderer:
     def distance(self, origin: Array, points: Array) -> Array:
         """Distance (N,) in metres from ``origin`` (3,) to the first surface towards each of ``points`` (N, 3);
         infinite where there is none."""
-        mi = mitsuba(self.variant)
+        mi = load_mitsuba(self.variant)
         towards = points - origin
         towards = towards / np.linalg.norm(towards, axis=1, keepdims=True)
         if self.variant.startswith("scalar"):
@@ -104,24 +106,24 @@ class Renderer:
         return np.asarray(np.where(np.array(hit.is_valid()), np.array(hit.t), np.inf), float)
 
 
-def joined(solids: Iterable[Solid]) -> list[Solid]:
+def merge_meshes(solids: Iterable[SceneMesh]) -> list[SceneMesh]:
     """The same surfaces in as few solids as their materials allow."""
-    alike: dict[tuple[int, bool, bool], list[Solid]] = {}
+    alike: dict[tuple[int, bool, bool], list[SceneMesh]] = {}
     for solid in solids:
         alike.setdefault((id(solid.material), solid.smooth, solid.uv is None), []).append(solid)
-    return [_join(group) for group in alike.values()]
+    return [_merge_group(group) for group in alike.values()]
 
 
-def _join(group: list[Solid]) -> Solid:
+def _merge_group(group: list[SceneMesh]) -> SceneMesh:
     first = group[0]
     offsets = np.cumsum([0] + [len(s.vertices) for s in group[:-1]])
     triangles = np.concatenate([s.triangles + o for s, o in zip(group, offsets, strict=True)])
     uv = None if first.uv is None else np.concatenate([s.uv for s in group if s.uv is not None])
     vertices = np.concatenate([s.vertices for s in group])
-    return Solid(first.name, vertices, triangles, first.material, uv, first.smooth)
+    return SceneMesh(first.name, vertices, triangles, first.material, uv, first.smooth)
 
 
-def _instance(mi: Any, name: str, solids: Sequence[Solid]) -> dict[str, Any]:
+def _instance(mi: Any, name: str, solids: Sequence[SceneMesh]) -> dict[str, Any]:
     """Entries of a scene for solids that move as one."""
     if not solids:
         return {}
@@ -130,9 +132,9 @@ def _instance(mi: Any, name: str, solids: Sequence[Solid]) -> dict[str, Any]:
     return {f"{name}-shape": {"type": "shapegroup", **meshes}, name: {"type": "instance", "shape": shape}}
 
 
-def _mesh(mi: Any, name: str, solid: Solid) -> Any:
+def _mesh(mi: Any, name: str, solid: SceneMesh) -> Any:
     properties = mi.Properties()
-    properties["bsdf"] = mi.load_dict(_surface(mi, solid.material, solid.uv is not None))
+    properties["bsdf"] = mi.load_dict(_bsdf(mi, solid.material, solid.uv is not None))
     if solid.material.kind == "glow":
         # Weight 0: it shines where it is seen, and is too weak beside the sun to be looked for as a source of light.
         emitter = {"type": "area", "radiance": _rgb(solid.material.color), "sampling_weight": 0.0}
@@ -146,19 +148,19 @@ def _mesh(mi: Any, name: str, solid: Solid) -> Any:
         props=properties,
     )
     parameters = mi.traverse(mesh)
-    parameters["faces"] = _flat(solid.triangles, np.uint32)
-    parameters["vertex_positions"] = _flat(solid.vertices)
+    parameters["faces"] = _flatten(solid.triangles, np.uint32)
+    parameters["vertex_positions"] = _flatten(solid.vertices)
     if solid.uv is not None:
-        parameters["vertex_texcoords"] = _flat(solid.uv)
+        parameters["vertex_texcoords"] = _flatten(solid.uv)
     parameters.update()
     return mesh
 
 
-def _flat(values: NDArray[Any], kind: type = np.float32) -> NDArray[Any]:
+def _flatten(values: NDArray[Any], kind: type = np.float32) -> NDArray[Any]:
     return np.ascontiguousarray(values, kind).ravel()
 
 
-def _surface(mi: Any, material: Material, textured: bool) -> dict[str, Any]:
+def _bsdf(mi: Any, material: Material, textured: bool) -> dict[str, Any]:
     """The Mitsuba BSDF of a material, the same from both sides."""
     color: dict[str, Any] = _rgb(material.color)
     if textured and material.texture is not None:

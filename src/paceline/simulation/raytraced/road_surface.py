@@ -10,21 +10,21 @@ from scipy.spatial import cKDTree
 
 from paceline.arrays import Array
 from paceline.simulation.raytraced import road_textures as textures
-from paceline.simulation.raytraced.mesh_builders import Mesh, creased, joined, sheet
-from paceline.simulation.raytraced.meshes import Material, Solid
+from paceline.simulation.raytraced.mesh_builders import Mesh, join_meshes, sheet, split_creases
+from paceline.simulation.raytraced.meshes import Material, SceneMesh
 
-STEP = 0.5  # m, between the stations of the surface's mesh
-TILE = 16.0  # m, after which the asphalt's texture repeats
-DENSITY = 140.0  # texels per metre of asphalt
-LINE_WIDTH = 0.12  # m
-EDGE_WIDTH = 0.15  # m
-LINE_HEIGHT = 0.003  # m that paint stands above the asphalt
-DASH, GAP = 3.0, 9.0  # m
-VERGE = 7.0  # m of grass beside the shoulder, beyond which the land begins
-FALL = 0.5  # m from the shoulder's edge down to the land
+STATION_STEP_M = 0.5  # m, between the stations of the surface's mesh
+ASPHALT_TILE_M = 16.0  # m, after which the asphalt's texture repeats
+ASPHALT_TEXELS_PER_METRE = 140.0  # texels per metre of asphalt
+LINE_WIDTH_M = 0.12  # m
+EDGE_LINE_WIDTH_M = 0.15  # m
+LINE_HEIGHT_M = 0.003  # m that paint stands above the asphalt
+DASH_LENGTH_M, DASH_GAP_M = 3.0, 9.0  # m
+VERGE_WIDTH_M = 7.0  # m of grass beside the shoulder, beyond which the land begins
+VERGE_DROP_M = 0.5  # m from the shoulder's edge down to the land
 
 
-class Shape(Protocol):
+class RoadAppearance(Protocol):
     @property
     def lane_width(self) -> float: ...
     @property
@@ -33,7 +33,7 @@ class Shape(Protocol):
     def wear(self) -> float: ...
 
 
-class Surface(Protocol):
+class RoadGeometry(Protocol):
     """What this module needs to know of a road."""
 
     length: float
@@ -43,12 +43,12 @@ class Surface(Protocol):
     markings: tuple[float, ...]
 
     @property
-    def shape(self) -> Shape: ...
+    def shape(self) -> RoadAppearance: ...
 
     def frame(self, s: ArrayLike, lateral: ArrayLike = 0.0) -> tuple[Array, Array]: ...
 
 
-def solids(road: Surface) -> list[Solid]:
+def road_meshes(road: RoadGeometry) -> list[SceneMesh]:
     """Asphalt, repairs, markings, verge and land of ``road``; the same for the same road and seed."""
     rng = np.random.default_rng([road.seed, 37])
     reflectance = rng.uniform(0.06, 0.11)
@@ -56,25 +56,29 @@ def solids(road: Surface) -> list[Solid]:
     cover = Material(
         "matte",
         (reflectance,) * 3,
-        textures.asphalt(rng, 2 * road.half_width, TILE, tracks, DENSITY, reflectance),
+        textures.asphalt_texture(
+            rng, 2 * road.half_width, ASPHALT_TILE_M, tracks, ASPHALT_TEXELS_PER_METRE, reflectance
+        ),
     )
-    grass = Material("matte", (0.06, 0.09, 0.03), textures.grass(rng))
+    grass = Material("matte", (0.06, 0.09, 0.03), textures.grass_texture(rng))
     stations = _stations(road, 0.0, road.length)
     columns = np.sort([-road.half_width, *road.markings, *road.lanes, road.half_width])
     return [
-        strip(road, stations, columns, 0.0, (2 * road.half_width, TILE)).solid("asphalt", cover),
+        surface_strip(road, stations, columns, 0.0, (2 * road.half_width, ASPHALT_TILE_M)).solid("asphalt", cover),
         *_repairs(road, rng, reflectance),
         *_markings(road, rng, reflectance),
-        creased(_verge(road, rng, stations), 30.0).solid("verge", grass, smooth=True),
+        split_creases(_verge(road, rng, stations), 30.0).solid("verge", grass, smooth=True),
         _land(road, rng).solid("land", grass, smooth=True),
     ]
 
 
-def _stations(road: Surface, start: float, end: float) -> Array:
-    return np.linspace(start, end, max(2, int(np.ceil((end - start) / STEP)) + 1))
+def _stations(road: RoadGeometry, start: float, end: float) -> Array:
+    return np.linspace(start, end, max(2, int(np.ceil((end - start) / STATION_STEP_M)) + 1))
 
 
-def strip(road: Surface, stations: Array, laterals: Array, height: ArrayLike, tile: tuple[float, float]) -> Mesh:
+def surface_strip(
+    road: RoadGeometry, stations: Array, laterals: Array, height: ArrayLike, tile: tuple[float, float]
+) -> Mesh:
     """The surface over ``stations`` (S,) and ``laterals`` (C,) or (S, C), ``height`` (broadcast to (S, C)) above the
     road; its texture spans ``tile`` metres across and along."""
     points, axes = road.frame(stations[:, None], laterals)
@@ -83,32 +87,32 @@ def strip(road: Surface, stations: Array, laterals: Array, height: ArrayLike, ti
     return sheet(raised[::-1], np.stack([u, v], -1)[::-1])
 
 
-def _markings(road: Surface, rng: np.random.Generator, ground: float) -> list[Solid]:
+def _markings(road: RoadGeometry, rng: np.random.Generator, ground: float) -> list[SceneMesh]:
     """Painted lines, each a little wider or narrower than its middle but centred on it."""
     result = []
     for k, lateral in enumerate(road.markings):
         edge = k in (0, len(road.markings) - 1)
-        width = EDGE_WIDTH if edge else LINE_WIDTH
+        width = EDGE_LINE_WIDTH_M if edge else LINE_WIDTH_M
         if edge or road.shape.markings == "solid":
             pieces = [(0.0, road.length)]
         else:
-            first = rng.uniform(-DASH, GAP)
-            starts = np.arange(first, road.length, DASH + GAP)
-            pieces = [(max(0.0, a), min(a + DASH, road.length)) for a in starts if a + DASH > 0.5]
+            first = rng.uniform(-DASH_LENGTH_M, DASH_GAP_M)
+            starts = np.arange(first, road.length, DASH_LENGTH_M + DASH_GAP_M)
+            pieces = [(max(0.0, a), min(a + DASH_LENGTH_M, road.length)) for a in starts if a + DASH_LENGTH_M > 0.5]
         sides = lateral + np.array([-width / 2, width / 2])
-        meshes = [strip(road, _stations(road, a, b), sides, LINE_HEIGHT, (width, 12.7)) for a, b in pieces]
-        paint = textures.road_paint(rng, width, 12.7, 160.0, road.shape.wear, ground)
-        result.append(joined(meshes).solid(f"marking {k}", Material("matte", (0.45, 0.45, 0.43), paint)))
+        meshes = [surface_strip(road, _stations(road, a, b), sides, LINE_HEIGHT_M, (width, 12.7)) for a, b in pieces]
+        paint = textures.road_paint_texture(rng, width, 12.7, 160.0, road.shape.wear, ground)
+        result.append(join_meshes(meshes).solid(f"marking {k}", Material("matte", (0.45, 0.45, 0.43), paint)))
     return result
 
 
-def _repairs(road: Surface, rng: np.random.Generator, ground: float) -> list[Solid]:
+def _repairs(road: RoadGeometry, rng: np.random.Generator, ground: float) -> list[SceneMesh]:
     """Patches of newer or older asphalt, a millimetre above the old."""
     count = rng.poisson(road.length / 25)
     if count == 0:
         return []
     grey = ground * rng.uniform(0.65, 1.35)
-    cover = Material("matte", (grey,) * 3, textures.asphalt(rng, 5.0, 5.0, [], DENSITY, grey))
+    cover = Material("matte", (grey,) * 3, textures.asphalt_texture(rng, 5.0, 5.0, [], ASPHALT_TEXELS_PER_METRE, grey))
     meshes = []
     for _ in range(count):
         a = rng.uniform(0, road.length)
@@ -116,14 +120,14 @@ def _repairs(road: Surface, rng: np.random.Generator, ground: float) -> list[Sol
         x = rng.uniform(-road.half_width + 0.2, road.half_width - 1.2)
         sides = np.array([x, min(x + rng.uniform(0.4, 2.5), road.half_width)])
         if b > a + 0.1:
-            meshes.append(strip(road, _stations(road, a, b), sides, 0.001, (5.0, 5.0)))
-    return [joined(meshes).solid("repairs", cover)] if meshes else []
+            meshes.append(surface_strip(road, _stations(road, a, b), sides, 0.001, (5.0, 5.0)))
+    return [join_meshes(meshes).solid("repairs", cover)] if meshes else []
 
 
-def _verge(road: Surface, rng: np.random.Generator, stations: Array) -> Mesh:
+def _verge(road: RoadGeometry, rng: np.random.Generator, stations: Array) -> Mesh:
     """Grass that falls away on both sides, uneven by a few centimetres, with a ragged border over the asphalt."""
-    out = np.array([0.0, 0.25, 0.8, 1.6, 3.0, 5.0, VERGE, VERGE + 0.8])
-    fall = _fall(out) + np.where(out > 0, -0.03, 0.004)
+    out = np.array([0.0, 0.25, 0.8, 1.6, 3.0, 5.0, VERGE_WIDTH_M, VERGE_WIDTH_M + 0.8])
+    fall = _verge_height(out) + np.where(out > 0, -0.03, 0.004)
     fall[-1] -= 0.8  # below the land
     meshes = []
     for side in (-1, 1):
@@ -132,26 +136,26 @@ def _verge(road: Surface, rng: np.random.Generator, stations: Array) -> Mesh:
         laterals, height = side * (road.half_width + out + ragged), fall + bumps
         if side < 0:
             laterals, height = laterals[:, ::-1], height[:, ::-1]
-        meshes.append(strip(road, stations, laterals, height, (10.0, 10.0)))
-    return joined(meshes)
+        meshes.append(surface_strip(road, stations, laterals, height, (10.0, 10.0)))
+    return join_meshes(meshes)
 
 
-def _fall(out: Array) -> Array:
+def _verge_height(out: Array) -> Array:
     """Height of the verge ``out`` metres beyond the shoulder, relative to the banked plane of the road."""
-    u = np.clip(out / VERGE, 0, 1)
-    return np.asarray(-FALL * u * u * (3 - 2 * u))
+    u = np.clip(out / VERGE_WIDTH_M, 0, 1)
+    return np.asarray(-VERGE_DROP_M * u * u * (3 - 2 * u))
 
 
-def _land(road: Surface, rng: np.random.Generator) -> Mesh:
+def _land(road: RoadGeometry, rng: np.random.Generator) -> Mesh:
     """Rolling land as far as one sees: at the verge's foot beside the road, below it under the road; far away coarser,
     and there a little lower so that the near land covers it."""
     stations = np.arange(0.0, road.length + 1.0, 1.0).clip(max=road.length)
     phase = rng.uniform(0, 2 * np.pi, 4)
     near = _ground(road, stations, phase, 6.0, (0.0, 130.0))
-    return joined([near, _ground(road, stations, phase, 40.0, (60.0, 1500.0)).moved([0, 0, -0.5])])
+    return join_meshes([near, _ground(road, stations, phase, 40.0, (60.0, 1500.0)).moved([0, 0, -0.5])])
 
 
-def _ground(road: Surface, stations: Array, phase: Array, cell: float, reach: tuple[float, float]) -> Mesh:
+def _ground(road: RoadGeometry, stations: Array, phase: Array, cell: float, reach: tuple[float, float]) -> Mesh:
     """Land in cells of ``cell`` metres from one distance of the road's axis to another."""
     axis, frames = road.frame(stations)
     low, high = axis[:, :2].min(0) - reach[1], axis[:, :2].max(0) + reach[1]
@@ -162,7 +166,7 @@ def _ground(road: Surface, stations: Array, phase: Array, cell: float, reach: tu
     triangles = flat.triangles[((away > reach[0]) & (away < reach[1]))[flat.triangles].all(1)]
     used, triangles = np.unique(triangles, return_inverse=True)
     ground, away, nearest = flat.vertices[used, :2], away[used], nearest[used]
-    edge = road.half_width + VERGE
+    edge = road.half_width + VERGE_WIDTH_M
     left = frames[nearest, :, 1]
     to_left = ((ground - axis[nearest, :2]) * left[:, :2]).sum(1)
     bank = np.clip(to_left, -edge, edge) * left[:, 2]
@@ -170,5 +174,5 @@ def _ground(road: Surface, stations: Array, phase: Array, cell: float, reach: tu
     waves = np.sin(X / 37 + phase[0]) * np.sin(Y / 43 + phase[1])
     waves += 1.6 * np.sin(X / 91 + phase[2]) * np.sin(Y / 83 + phase[3])
     rolling = 1.2 * waves * (1 - np.exp(-np.maximum(away - edge, 0.0) / 60))
-    height = axis[nearest, 2] + bank - FALL - 0.05 + rolling
+    height = axis[nearest, 2] + bank - VERGE_DROP_M - 0.05 + rolling
     return Mesh(np.column_stack([ground, height]), triangles.reshape(-1, 3), flat.uv[used])

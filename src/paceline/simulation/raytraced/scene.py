@@ -12,30 +12,30 @@ import numpy as np
 from paceline.arrays import Array
 from paceline.cameras import Camera, RigUncertainty, StereoRig, View
 from paceline.errors import UnusableInput
-from paceline.simulation.operator import is_inside
+from paceline.simulation.operator import is_inside_image
 from paceline.simulation.raytraced import road_surface
 from paceline.simulation.raytraced.light import Light
-from paceline.simulation.raytraced.meshes import Placement, Solid
-from paceline.simulation.raytraced.motion import Drive, LaneChange, Motion
+from paceline.simulation.raytraced.meshes import Placement, SceneMesh
+from paceline.simulation.raytraced.motion import DrivingPlan, LaneChange, VehicleMotion
 from paceline.simulation.raytraced.renderer import Renderer
-from paceline.simulation.raytraced.scene_yaml import CarModel, PlaceModel, SceneModel, SpeedScene
-from paceline.simulation.raytraced.scenery.placement import Scenery, scenery
+from paceline.simulation.raytraced.scene_yaml import PositionModel, SceneModel, SpeedScene, VehicleModel
+from paceline.simulation.raytraced.scenery.placement import Scenery, build_scenery
 from paceline.simulation.raytraced.sensor import Sensor, Shutter
 from paceline.simulation.raytraced.vehicles.build import Body, Plane, build
 from paceline.simulation.road import Road, RoadShape
 
-AWAY: Placement = (np.eye(3), np.array([0.0, 0.0, -1e4]))  # below the ground, for who is not there
-RELIEF = 0.6  # m that a vehicle's own surfaces may lie before its plane
-GRID = 9, 15  # points of a plane that tell how much of it is visible
+OFF_SCENE: Placement = (np.eye(3), np.array([0.0, 0.0, -1e4]))  # below the ground, for who is not there
+MAX_RELIEF_M = 0.6  # m that a vehicle's own surfaces may lie before its plane
+VISIBILITY_GRID = 9, 15  # points of a plane that tell how much of it is visible
 
 
 @dataclass(frozen=True, eq=False)
-class Car:
+class PlacedVehicle:
     """A vehicle of a scene: its body, its motion, and the plane of it that the cameras see."""
 
-    model: CarModel
+    model: VehicleModel
     body: Body
-    motion: Motion
+    motion: VehicleMotion
     plane: Plane
 
     def center(self, t: float) -> Array:
@@ -59,17 +59,17 @@ class Car:
     def placements(self, t: float) -> list[Placement]:
         """Of the body and of each wheel at ``t`` s."""
         if not self.is_there(t):
-            return [AWAY] * (1 + len(self.body.wheels))
-        return placed(self.body, self.motion.pose(t), self.motion.rolled(t))
+            return [OFF_SCENE] * (1 + len(self.body.wheels))
+        return place_body(self.body, self.motion.pose(t), self.motion.rolled(t))
 
 
-def parts(body: Body) -> list[Sequence[Solid]]:
+def rigid_groups(body: Body) -> list[Sequence[SceneMesh]]:
     """What of ``body`` moves as one: the body and each wheel."""
     return [body.solids, *((wheel.solid,) for wheel in body.wheels)]
 
 
-def placed(body: Body, pose: Placement, rolled: float) -> list[Placement]:
-    """Placements of `parts` where the body stands at ``pose`` and has driven ``rolled`` metres."""
+def place_body(body: Body, pose: Placement, rolled: float) -> list[Placement]:
+    """Placements of `rigid_groups` where the body stands at ``pose`` and has driven ``rolled`` metres."""
     R, at = pose
     placements = [(R, at)]
     for wheel in body.wheels:
@@ -79,7 +79,7 @@ def placed(body: Body, pose: Placement, rolled: float) -> list[Placement]:
     return placements
 
 
-class Stage:
+class PlacedStereoScene:
     """A speed scene, placed. ``rig`` is the true one, ``written`` what rig.yaml holds; ``views`` are the true cameras
     in the world; ``clocks`` (2, F) s are when the left and the right pictures are taken.
 
@@ -87,9 +87,9 @@ class Stage:
     """
 
     def __init__(self, scene: SpeedScene) -> None:
-        self.scene, self.road, self.light = scene, road_of(scene), light_of(scene)
-        self.rig, self.written = rigs_of(scene)
-        left = looking(self.rig.left, self._place(scene.rig.eye), self._place(scene.rig.target))
+        self.scene, self.road, self.light = scene, make_road(scene), make_light(scene)
+        self.rig, self.written = make_rigs(scene)
+        left = look_at(self.rig.left, self._place(scene.rig.eye), self._place(scene.rig.target))
         right = View(self.rig.right, self.rig.R @ left.R, self.rig.R @ left.t + self.rig.t)
         self.views = left, right
         ticks = np.array([k for k in range(scene.frames) if k not in scene.dropped]) / scene.rate
@@ -97,32 +97,32 @@ class Stage:
             raise UnusableInput("dropped: no frame is left")
         self.clocks = np.stack([ticks, ticks + scene.skew])
         self.cars = [self._car(i, model) for i, model in enumerate(scene.vehicles)]
-        self.shutter = shutter_of(scene)
+        self.shutter = make_shutter(scene)
 
-    def _place(self, place: PlaceModel) -> Array:
+    def _place(self, place: PositionModel) -> Array:
         at, axes = self.road.frame(place.along, place.right)
         return np.asarray(at + place.height * np.array([0.0, 0.0, 1.0]))
 
-    def _car(self, i: int, m: CarModel) -> Car:
+    def _car(self, i: int, m: VehicleModel) -> PlacedVehicle:
         change = m.lane_change and LaneChange(m.lane_change.start, m.lane_change.duration, m.lane_change.shift)
         lasting = np.inf if m.lasting is None else m.lasting
         lateral = self.road.lanes[m.lane] + m.offset
-        drive = Drive(m.start, m.speed, lateral, m.acceleration, m.after, lasting, change or None, m.towards)
+        drive = DrivingPlan(m.start, m.speed, lateral, m.acceleration, m.after, lasting, change or None, m.towards)
         body = build(m.kind, m.seed)
         try:
-            motion = Motion(self.road, drive, body.wheelbase)
+            motion = VehicleMotion(self.road, drive, body.wheelbase)
         except UnusableInput as error:
             raise UnusableInput(f"vehicles[{i}]: {error}") from None
         R, at = motion.pose(0.0)
         coming = (self.views[0].centre - at) @ R[:, 0] > 0
-        return Car(m, body, motion, body.front if coming else body.rear)
+        return PlacedVehicle(m, body, motion, body.front if coming else body.rear)
 
-    def still(self) -> list[Solid]:
+    def still(self) -> list[SceneMesh]:
         """All that does not move."""
         rig = self.scene.rig
         clear = ((rig.eye.along, rig.eye.right, 4.0), *self._sight())
         spec = Scenery(**self.scene.scenery.model_dump(), seed=self.scene.seed, clear=clear)
-        return road_surface.solids(self.road) + scenery(self.road, spec, 0.0, self.road.length)
+        return road_surface.road_meshes(self.road) + build_scenery(self.road, spec, 0.0, self.road.length)
 
     def _sight(self) -> list[tuple[float, float, float]]:
         """Circles along the line of sight, so that no tree hides what the rig was put up for."""
@@ -131,15 +131,15 @@ class Stage:
         along, right = eye.along + share * (target.along - eye.along), eye.right + share * (target.right - eye.right)
         return [(float(a), float(r), 2.5) for a, r in zip(along, right, strict=True)]
 
-    def moving(self) -> list[Sequence[Solid]]:
-        return [part for car in self.cars for part in parts(car.body)]
+    def moving(self) -> list[Sequence[SceneMesh]]:
+        return [part for car in self.cars for part in rigid_groups(car.body)]
 
     def placements(self, t: float) -> list[Placement]:
         return [p for car in self.cars for p in car.placements(t)]
 
     def empty(self) -> list[Placement]:
         """Placements without any vehicle."""
-        return [AWAY] * sum(1 + len(car.body.wheels) for car in self.cars)
+        return [OFF_SCENE] * sum(1 + len(car.body.wheels) for car in self.cars)
 
     def truth(self, renderer: Renderer) -> list[dict[str, Any]]:
         """One row for every vehicle and frame in which it is before both cameras."""
@@ -151,7 +151,7 @@ class Stage:
                     rows[car.model.id].append(row)
         return [row for own in rows.values() for row in own]
 
-    def _row(self, car: Car, k: int, times: list[float], renderer: Renderer) -> dict[str, Any] | None:
+    def _row(self, car: PlacedVehicle, k: int, times: list[float], renderer: Renderer) -> dict[str, Any] | None:
         """The row of one vehicle in a frame whose left picture the world is placed for."""
         corners = car.corners(times[0])
         if min(float(view.to_camera(corners)[:, 2].min()) for view in self.views) < 1.0:
@@ -167,14 +167,14 @@ class Stage:
             "position": self.views[0].to_camera(center).tolist(),
             "left": left.tolist(),
             "right": right.tolist(),
-            "inside": is_inside(left, size) and is_inside(right, size),
+            "inside": is_inside_image(left, size) and is_inside_image(right, size),
             "visible": min(visible_share(renderer, view.centre, corners) for view in self.views),
             "distance_m": float(np.linalg.norm(center - self.views[0].centre)),
             "corners": self.views[0].to_camera(corners).tolist(),
             "axle_speed_mps": car.motion.speed(times[0]),
         }
 
-    def seen(self, view: View, car: Car, t: float) -> Array:
+    def seen(self, view: View, car: PlacedVehicle, t: float) -> Array:
         """Ideal pixels (4, 2) of a vehicle's plane in the frame of time ``t`` s, each at the time its row is read."""
         pixels = view.project(car.corners(t))
         for _ in range(8 if self.shutter.readout else 0):
@@ -183,26 +183,26 @@ class Stage:
         return pixels
 
 
-def road_of(scene: SceneModel) -> Road:
+def make_road(scene: SceneModel) -> Road:
     shape = scene.road.model_dump(exclude={"length"})
     return Road(RoadShape(**shape), scene.road.length, scene.seed)
 
 
-def light_of(scene: SceneModel) -> Light:
+def make_light(scene: SceneModel) -> Light:
     return Light(scene.light.azimuth, scene.light.elevation, scene.light.clouds, scene.seed)
 
 
-def sensor_of(scene: SceneModel) -> Sensor:
+def make_sensor(scene: SceneModel) -> Sensor:
     s = scene.sensor
     return Sensor(s.exposure, s.full_well, s.read_noise, s.vignetting, s.gamma, s.color, s.blur_sigma)
 
 
-def shutter_of(scene: SceneModel) -> Shutter:
+def make_shutter(scene: SceneModel) -> Shutter:
     s = scene.sensor
     return Shutter(s.open_for, s.steps, s.readout, s.bands)
 
 
-def looking(camera: Camera, eye: Array, target: Array) -> View:
+def look_at(camera: Camera, eye: Array, target: Array) -> View:
     """A level camera at ``eye`` (3,) whose axis goes through ``target`` (3,), world."""
     z = (target - eye) / np.linalg.norm(target - eye)
     x = np.cross(z, [0.0, 0.0, 1.0])
@@ -213,14 +213,14 @@ def looking(camera: Camera, eye: Array, target: Array) -> View:
 
 def visible_share(renderer: Renderer, eye: Array, corners: Array) -> float:
     """How much of the quadrilateral ``corners`` (4, 3) nothing hides from ``eye`` (3,), as the world is placed now."""
-    down, across = ((np.arange(n) + 0.5) / n for n in GRID)
+    down, across = ((np.arange(n) + 0.5) / n for n in VISIBILITY_GRID)
     v, u = (g.reshape(-1, 1) for g in np.meshgrid(down, across, indexing="ij"))
     points = (1 - v) * ((1 - u) * corners[0] + u * corners[1]) + v * ((1 - u) * corners[3] + u * corners[2])
     hit = renderer.distance(eye, points)
-    return float(np.mean(hit > np.linalg.norm(points - eye, axis=1) - RELIEF))
+    return float(np.mean(hit > np.linalg.norm(points - eye, axis=1) - MAX_RELIEF_M))
 
 
-def rigs_of(scene: SpeedScene) -> tuple[StereoRig, StereoRig]:
+def make_rigs(scene: SpeedScene) -> tuple[StereoRig, StereoRig]:
     """The true rig, slightly out of true, and the one that is written."""
     rig, rng = scene.rig, np.random.default_rng([scene.seed, 3])
     size = (rig.image_size[0], rig.image_size[1])
@@ -247,11 +247,11 @@ def rigs_of(scene: SpeedScene) -> tuple[StereoRig, StereoRig]:
     )
     turn = np.asarray(cv2.Rodrigues(rng.normal(0, 1, 3) * stated.rotation_rad)[0], float)
     shift = rng.normal(0, 1, 3) * stated.translation_m
-    cameras = [_miscalibrated(c, stated, rng) for c in true.cameras]
+    cameras = [_miscalibrate(c, stated, rng) for c in true.cameras]
     return true, StereoRig(cameras[0], cameras[1], turn @ R, t + shift, stated if rig.stated else None)
 
 
-def _miscalibrated(camera: Camera, sigma: RigUncertainty, rng: np.random.Generator) -> Camera:
+def _miscalibrate(camera: Camera, sigma: RigUncertainty, rng: np.random.Generator) -> Camera:
     K = camera.K.copy()
     K[[0, 1], [0, 1]] += rng.normal(0, 1, 2) * sigma.focal_length_px
     K[:2, 2] += rng.normal(0, 1, 2) * sigma.principal_point_px

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from paceline.documents.models import Document, Name, Rate, Size, UncertaintyModel, read_document
-from paceline.simulation.vehicle_catalogue import Modelled
+from paceline.simulation.vehicle_catalogue import RaytracedKind
 
 Positive = Annotated[float, Field(gt=0)]
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -58,13 +58,13 @@ class LaneChangeModel(Document):
     shift: float
 
 
-class CarModel(Document):
+class VehicleModel(Document):
     """A vehicle: its ``lane`` counted from the left of growing arc length, its ``offset`` to the right of that lane's
     middle, the arc length ``start`` at time 0. ``towards`` drives it to smaller arc length. ``measured`` ones stand in
     clip.yaml, with a first ``guess`` of their speed where one is given."""
 
     id: Name
-    kind: Modelled = "saloon"
+    kind: RaytracedKind = "saloon"
     seed: Seed = 0
     lane: Annotated[int, Field(ge=0)] = 0
     offset: float = 0.0
@@ -79,7 +79,7 @@ class CarModel(Document):
     guess: Positive | None = None
 
 
-class PlaceModel(Document):
+class PositionModel(Document):
     """A place by arc length, lateral position to the right of the road's axis, and height above its surface."""
 
     along: float
@@ -95,8 +95,8 @@ class RigSceneModel(Document):
     image_size: Annotated[list[Size], Field(min_length=2, max_length=2)] = [1024, 768]
     focal: Positive = 2200.0
     baseline: Positive = 0.5
-    eye: PlaceModel
-    target: PlaceModel
+    eye: PositionModel
+    target: PositionModel
     misalignment: Annotated[float, Field(ge=0, le=0.05)] = 0.004
     distortion: list[float] = []
     written: UncertaintyModel | None = None
@@ -128,7 +128,7 @@ class SensorModel(Document):
     quality: Annotated[int, Field(ge=1, le=100)] = 90
 
 
-class ClicksModel(Document):
+class OperatorNoiseModel(Document):
     """Standard deviations (px) of what an operator clicks, and how many points a line gets."""
 
     corner: Annotated[float, Field(ge=0, le=20)] = 0.5
@@ -154,9 +154,9 @@ class SpeedScene(SceneModel):
     after the left."""
 
     kind: Literal["speed"]
-    vehicles: Annotated[list[CarModel], Field(min_length=1)]
+    vehicles: Annotated[list[VehicleModel], Field(min_length=1)]
     rig: RigSceneModel
-    clicks: ClicksModel = ClicksModel()
+    clicks: OperatorNoiseModel = OperatorNoiseModel()
     dropped: list[Annotated[int, Field(ge=0)]] = []
     skew: Annotated[float, Field(ge=-0.1, le=0.1)] = 0.0
 
@@ -177,7 +177,7 @@ class SpeedScene(SceneModel):
 class LeadModel(Document):
     """The vehicle ahead: it keeps within ``gap`` (m) of the camera and weaves by up to ``weave`` (m)."""
 
-    kind: Modelled = "van"
+    kind: RaytracedKind = "van"
     seed: Seed = 0
     gap: Annotated[list[Positive], Field(min_length=2, max_length=2)] = [5.0, 15.0]
     weave: Annotated[float, Field(ge=0, le=3)] = 0.5

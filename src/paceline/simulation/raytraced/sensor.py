@@ -12,7 +12,7 @@ from scipy.special import ive
 
 from paceline.arrays import Array
 from paceline.cameras import Camera, View
-from paceline.simulation.raytraced.light import LUMINANCE
+from paceline.simulation.raytraced.light import LUMINANCE_WEIGHTS
 from paceline.simulation.raytraced.meshes import Placement
 from paceline.simulation.raytraced.renderer import Radiance, Renderer, Window
 
@@ -38,7 +38,9 @@ class Sensor:
 def expose(radiance: Radiance, white: float, sensor: Sensor, rng: np.random.Generator) -> NDArray[np.uint8]:
     """The picture, (H, W) grey or (H, W, 3) blue, green, red, that ``sensor`` makes of ``radiance`` (H, W, 3), where
     ``white`` is the radiance of a white card."""
-    light = blurred(radiance[..., ::-1] if sensor.color else radiance @ LUMINANCE.astype(np.float32), sensor.blur_sigma)
+    light = blur(
+        radiance[..., ::-1] if sensor.color else radiance @ LUMINANCE_WEIGHTS.astype(np.float32), sensor.blur_sigma
+    )
     falloff = vignette(radiance.shape[:2], sensor.vignetting).reshape(radiance.shape[:2] + (1,) * (light.ndim - 2))
     electrons = np.maximum(light * falloff, 0) * (sensor.exposure / white * sensor.full_well)
     counted = rng.poisson(electrons) + sensor.read_noise * rng.standard_normal(electrons.shape, np.float32)
@@ -46,7 +48,7 @@ def expose(radiance: Radiance, white: float, sensor: Sensor, rng: np.random.Gene
     return np.asarray(np.rint(255 * share ** (1 / sensor.gamma)), np.uint8)
 
 
-def blurred(light: Radiance, sigma: float) -> Radiance:
+def blur(light: Radiance, sigma: float) -> Radiance:
     """``light`` (H, W[, 3]), means over pixels, spread until a point's image has the standard deviation ``sigma`` px.
 
     The discrete analogue of the Gaussian, whose variance is exact however small it is (Lindeberg 1990).
@@ -85,7 +87,7 @@ class Shutter:
         return np.asarray(self.readout * ((np.asarray(row) + 0.5) / height - 0.5))
 
 
-def photograph(
+def render_exposure(
     renderer: Renderer,
     placements: Callable[[float], Sequence[Placement]],
     view: Callable[[float], View],
@@ -153,7 +155,7 @@ class Lens:
         return np.asarray(cv2.remap(picture, self.x, self.y, cv2.INTER_CUBIC), np.float32)
 
 
-def distorted(camera: Camera, pixels: Array) -> Array:
+def distort_pixels(camera: Camera, pixels: Array) -> Array:
     """Pixels (…, 2) as recorded of ideal ``pixels`` (…, 2)."""
     if not camera.has_distortion:
         return np.asarray(pixels, float)

@@ -23,15 +23,17 @@ from paceline.simulation.raytraced import clip_folder
 from paceline.simulation.raytraced.light import Light
 from paceline.simulation.raytraced.mitsuba_variant import default_variant
 from paceline.simulation.raytraced.renderer import Radiance, Renderer, Window
-from paceline.simulation.raytraced.scene import Car, Stage, sensor_of
+from paceline.simulation.raytraced.scene import PlacedStereoScene, PlacedVehicle, make_sensor
 from paceline.simulation.raytraced.scene_yaml import SpeedScene
-from paceline.simulation.raytraced.sensor import Lens, expose, photograph
+from paceline.simulation.raytraced.sensor import Lens, expose, render_exposure
 
-FEWER = 4  # times fewer samples where there is no vehicle: it takes most of the time, and nothing is measured there
-CLOSE = 0.1  # m around a vehicle's box that get all samples
-AROUND = 1.2  # m around a vehicle in which it darkens the road
-LONGEST_SHADOW = 40.0  # m
-SUFFIX = {"png": ".png", "jpeg": ".jpg", "h264": ".png"}
+BACKGROUND_SAMPLE_DIVISOR = (
+    4  # times fewer samples where there is no vehicle: it takes most of the time, and nothing is measured there
+)
+VEHICLE_MARGIN_M = 0.1  # m around a vehicle's box that get all samples
+SHADED_MARGIN_M = 1.2  # m around a vehicle in which it darkens the road
+MAX_SHADOW_LENGTH_M = 40.0  # m
+IMAGE_SUFFIX = {"png": ".png", "jpeg": ".jpg", "h264": ".png"}
 
 
 def write(
@@ -43,7 +45,7 @@ def write(
     bit for bit on the same variant of the renderer. Raises UnusableInput where the scene or the folder cannot be used.
     """
     directory, variant = Path(directory), variant or default_variant()
-    stage = Stage(scene)
+    stage = PlacedStereoScene(scene)
     renderer = Renderer(stage.still(), stage.moving(), stage.light, variant)
     truth = stage.truth(renderer)
 
@@ -52,11 +54,11 @@ def write(
         return np.asarray(renderer.distance(view.centre, points) <= 0.98 * np.linalg.norm(points - view.centre, axis=1))
 
     clip = clip_document(stage, truth, hidden)
-    clip_folder.begin(directory, scene, variant)
+    clip_folder.open_folder(directory, scene, variant)
     total, done = stage.clocks.size, 0
     for i, side in enumerate(("left", "right")):
-        film = _Film(stage, renderer, i, directory / f".still-{side}.npy")
-        paths = [directory / side / f"{k:04d}{SUFFIX[scene.sensor.keep]}" for k in range(stage.clocks.shape[1])]
+        film = _CameraRenderer(stage, renderer, i, directory / f".still-{side}.npy")
+        paths = [directory / side / f"{k:04d}{IMAGE_SUFFIX[scene.sensor.keep]}" for k in range(stage.clocks.shape[1])]
         video = directory / f"{side}.mp4"
         for k, path in enumerate(paths):
             if not path.exists() and not (scene.sensor.keep == "h264" and video.exists()):
@@ -67,34 +69,36 @@ def write(
         if scene.sensor.keep == "h264" and not video.exists():
             clip_folder.write_video(video, paths, stage.clocks[i].tolist(), scene.sensor.quality)
     _write_documents(stage, clip, truth, directory)
-    _tidy(directory, scene)
+    _remove_temporary_files(directory, scene)
     return directory / "clip.yaml"
 
 
-def _write_documents(stage: Stage, clip: dict[str, Any], truth: list[dict[str, Any]], directory: Path) -> None:
-    clip_folder.write_whole(directory / "rig.yaml", rig_yaml(stage.written).encode())
-    clip_folder.write_whole(directory / "truth.json", json.dumps(truth).encode())
-    clip_folder.write_whole(directory / "true_rig.yaml", rig_yaml(stage.rig).encode())
+def _write_documents(
+    stage: PlacedStereoScene, clip: dict[str, Any], truth: list[dict[str, Any]], directory: Path
+) -> None:
+    clip_folder.write_atomically(directory / "rig.yaml", rig_yaml(stage.written).encode())
+    clip_folder.write_atomically(directory / "truth.json", json.dumps(truth).encode())
+    clip_folder.write_atomically(directory / "true_rig.yaml", rig_yaml(stage.rig).encode())
     if "times" in clip:
         table = io.StringIO()
         table.write("frame,left_s,right_s\n")
         for k, (left, right) in enumerate(stage.clocks.T.tolist()):
             table.write(f"{k},{left:.6f},{right:.6f}\n")
-        clip_folder.write_whole(directory / "times.csv", table.getvalue().encode())
+        clip_folder.write_atomically(directory / "times.csv", table.getvalue().encode())
     clip_folder.write_yaml(directory / "clip.yaml", clip)
 
 
-def _tidy(directory: Path, scene: SpeedScene) -> None:
+def _remove_temporary_files(directory: Path, scene: SpeedScene) -> None:
     for side in ("left", "right"):
         (directory / f".still-{side}.npy").unlink(missing_ok=True)
         if scene.sensor.keep == "h264" and (directory / side).is_dir():
             clip_folder.remove_pictures(directory / side)
 
 
-class _Film:
+class _CameraRenderer:
     """The pictures of one camera of a stage."""
 
-    def __init__(self, stage: Stage, renderer: Renderer, i: int, cache: Path) -> None:
+    def __init__(self, stage: PlacedStereoScene, renderer: Renderer, i: int, cache: Path) -> None:
         self.stage, self.renderer, self.i, self.cache = stage, renderer, i, cache
         true = stage.views[i]
         self.lens = Lens.of(true.camera)
@@ -105,13 +109,15 @@ class _Film:
         """The ``k``-th picture, (H, W) or (H, W, 3) uint8."""
         scene, time = self.stage.scene, float(self.stage.clocks[self.i, k])
         light = self.still().copy()
-        around = self.window(time, lambda car, t: _reach(car, t, self.stage.light))
-        bodies = self.window(time, lambda car, t: _box(car, t, CLOSE))
-        for part, (window, samples) in enumerate(((around, scene.samples // FEWER), (bodies, scene.samples))):
+        around = self.window(time, lambda car, t: _shadow_extent(car, t, self.stage.light))
+        bodies = self.window(time, lambda car, t: _vehicle_box(car, t, VEHICLE_MARGIN_M))
+        for part, (window, samples) in enumerate(
+            ((around, scene.samples // BACKGROUND_SAMPLE_DIVISOR), (bodies, scene.samples))
+        ):
             if window:
                 x0, y0, x1, y1 = window
                 own = int(np.random.SeedSequence([scene.seed, 17, self.i, k, part]).generate_state(1)[0])
-                light[y0:y1, x0:x1] = photograph(
+                light[y0:y1, x0:x1] = render_exposure(
                     self.renderer,
                     self.stage.placements,
                     lambda t: self.view,
@@ -123,7 +129,7 @@ class _Film:
                 )
         white = self.stage.light.level_irradiance / np.pi
         noise = np.random.default_rng([scene.seed, 19, self.i, k])
-        return expose(self.lens.bend(light), white, sensor_of(scene), noise)
+        return expose(self.lens.bend(light), white, make_sensor(scene), noise)
 
     def still(self) -> Radiance:
         """The light (H, W, 3) without any vehicle, kept in a file in case of an interruption."""
@@ -132,14 +138,14 @@ class _Film:
         if self._still is None:
             self.renderer.place(self.stage.empty())
             seed = int(np.random.SeedSequence([self.stage.scene.seed, 23, self.i]).generate_state(1)[0])
-            samples = max(1, self.stage.scene.samples // FEWER)
+            samples = max(1, self.stage.scene.samples // BACKGROUND_SAMPLE_DIVISOR)
             self._still = self.renderer.render(self.view, samples, seed)
             content = io.BytesIO()
             np.save(content, self._still)
-            clip_folder.write_whole(self.cache, content.getvalue())
+            clip_folder.write_atomically(self.cache, content.getvalue())
         return self._still
 
-    def window(self, time: float, extent: Callable[[Car, float], Array]) -> Window | None:
+    def window(self, time: float, extent: Callable[[PlacedVehicle, float], Array]) -> Window | None:
         """The part of the picture that the ``extent`` of vehicles, points (N, 3) of the world at a time, takes up at
         ``time`` s; None where there is none."""
         shutter = self.stage.shutter
@@ -161,17 +167,17 @@ class _Film:
         return (int(low[0]), int(low[1]), int(high[0]), int(high[1])) if (high > low).all() else None
 
 
-def _reach(car: Car, t: float, light: Light) -> Array:
+def _shadow_extent(car: PlacedVehicle, t: float, light: Light) -> Array:
     """Corners (N, 3), world, of a box around a vehicle with what lies close to it, and of its shadow."""
-    box = _box(car, t, AROUND)
+    box = _vehicle_box(car, t, SHADED_MARGIN_M)
     if light.clouds == 1:
         return box
     high = float(car.body.bounds[1][2]) + 0.2
-    drop = min(high / max(float(light.direction[2]), 1e-3), LONGEST_SHADOW)
+    drop = min(high / max(float(light.direction[2]), 1e-3), MAX_SHADOW_LENGTH_M)
     return np.concatenate([box, box[1::2] - drop * light.direction])
 
 
-def _box(car: Car, t: float, margin: float) -> Array:
+def _vehicle_box(car: PlacedVehicle, t: float, margin: float) -> Array:
     """Corners (8, 3), world, of a vehicle's box, ``margin`` m wider and 0.2 m deeper; every other one is at its top."""
     R, at = car.motion.pose(t)
     low, high = car.body.bounds

@@ -22,22 +22,22 @@ from paceline.arrays import Array, Image
 from paceline.cameras import StereoRig, View
 from paceline.documents.rig_yaml import rig_yaml
 from paceline.simulation import textures
-from paceline.simulation.operator import clicked, drawn_line, is_inside
+from paceline.simulation.operator import add_click_noise, draw_line, is_inside_image
 from paceline.simulation.stereo.scene import (
-    CLEARANCE,
+    PLANE_CLEARANCE_M,
+    CircularRoad,
     LaneChange,
     Motion,
     Pose,
-    Road,
     Scene,
     Vehicle,
     make_rig,
-    views_of,
+    rig_views,
     visible_line,
 )
-from paceline.simulation.stereo.scenery import Backdrop, occluder
-from paceline.simulation.stereo.textured_planes import Card, draw, paste
-from paceline.simulation.textures import Part, Texture
+from paceline.simulation.stereo.scenery import StaticBackground, make_occluder
+from paceline.simulation.stereo.textured_planes import TexturedPlane, composite, draw_planes
+from paceline.simulation.textures import FacePart, Texture
 
 __all__ = [
     "LaneChange",
@@ -75,8 +75,8 @@ class World:
     """
 
     def __init__(self, scene: Scene) -> None:
-        self.scene, self.road, self.rig = scene, Road(scene), make_rig(scene)
-        self.views = views_of(self.rig)
+        self.scene, self.road, self.rig = scene, CircularRoad(scene), make_rig(scene)
+        self.views = rig_views(self.rig)
         times = np.array([k for k in range(scene.frames) if k not in scene.dropped]) / scene.rate
         self.clocks = times, times + scene.skew_s
         duration = (scene.frames - 1) / scene.rate + abs(scene.skew_s)
@@ -101,7 +101,8 @@ class World:
                     "position": self.poses[0][j][k].centre.tolist(),
                     "left": left.tolist(),
                     "right": right.tolist(),
-                    "inside": is_inside(left, self.scene.image_size) and is_inside(right, self.scene.image_size),
+                    "inside": is_inside_image(left, self.scene.image_size)
+                    and is_inside_image(right, self.scene.image_size),
                 }
             )
         return rows
@@ -133,7 +134,7 @@ class World:
                 entry["path"] = lanes[vehicle.lane, vehicle.receding]
             entry["frame"] = first["frame"]
             for side in ("left", "right"):
-                entry[side] = clicked(np.array(first[side]), scene.click_sigma, rng)
+                entry[side] = add_click_noise(np.array(first[side]), scene.click_sigma, rng)
             if scene.draw_path and vehicle.plane == "side":
                 entry["plane"] = "side"
             if vehicle.guess is not None:
@@ -150,7 +151,7 @@ class World:
             visible = visible_line(self.scene, self.road, lane, positions, view)[::-1]  # from far to near
             if len(visible) < 10:
                 raise ValueError(f"the line beside vehicle {users[0].id} is not visible in the {side} view")
-            path[side] = drawn_line(visible, view.camera, self.scene.line_points, self.scene.line_sigma, rng)
+            path[side] = draw_line(visible, view.camera, self.scene.line_points, self.scene.line_sigma, rng)
         path["lateral_offset"] = -self.scene.line_offset if receding else self.scene.line_offset
         return path
 
@@ -162,23 +163,23 @@ def render(scene: Scene) -> RenderedClip:
     cannot be seen.
     """
     world = World(scene)
-    left, right = _Film(world).pictures()
+    left, right = _Renderer(world).pictures()
     return RenderedClip(left, right, *world.clocks, world.rig, world.clip, world.truth)
 
 
-class _Film:
+class _Renderer:
     """The pictures of a world: what the light and the sensor add to its geometry, drawn from the scene's seed."""
 
     def __init__(self, world: World) -> None:
         self.world, self.scene = world, world.scene
         rng = np.random.default_rng([self.scene.seed, 17])
-        self.backdrop = Backdrop(self.scene, world.road, self.scene.seed)
-        pole = occluder(world.road, world.poses[0][0], rng) if self.scene.occluder else None
+        self.backdrop = StaticBackground(self.scene, world.road, self.scene.seed)
+        pole = make_occluder(world.road, world.poses[0][0], rng) if self.scene.occluder else None
         self.pole = pole and replace(pole, texture=pole.texture.lit(self.scene.gamma))
         self.phases = rng.uniform(0, 2 * np.pi, 2)
-        self.glares = [_Glare(rng, len(world.clocks[0])) for _ in self.scene.vehicles]
-        self.parts = [_vehicle_parts(v, self.scene.gamma) for v in self.scene.vehicles]
-        self.shadow = _SHADOW.lit(self.scene.gamma)
+        self.glares = [_SpecularSpot(rng, len(world.clocks[0])) for _ in self.scene.vehicles]
+        self.parts = [_make_vehicle_parts(v, self.scene.gamma) for v in self.scene.vehicles]
+        self.shadow = _SHADOW_TEXTURE.lit(self.scene.gamma)
 
     def pictures(self) -> tuple[list[NDArray[np.uint8]], list[NDArray[np.uint8]]]:
         left, right = (self._seen_by(i) for i in (0, 1))
@@ -186,26 +187,28 @@ class _Film:
 
     def _seen_by(self, i: int) -> list[NDArray[np.uint8]]:
         scene, view, poses = self.scene, self.world.views[i], self.world.poses[i]
-        still = textures.light_of(self.backdrop.draw(view), scene.gamma)
-        mask = draw([self.pole], view, scene.blur_sigma, SUPERSAMPLING) if self.pole else None
+        still = textures.grey_to_light(self.backdrop.draw(view), scene.gamma)
+        mask = draw_planes([self.pole], view, scene.blur_sigma, SUPERSAMPLING) if self.pole else None
         sensor = np.random.default_rng([scene.seed, 19, i])
         images = []
         for k, t in enumerate(self.world.clocks[i]):
             image = still.copy()
             for j in np.argsort([-track[k].centre[2] for track in poses]):
                 vehicle, pose = scene.vehicles[j], poses[j][k]
-                paste(image, draw([_shadow(self.shadow, vehicle, pose)], view, scene.blur_sigma, 1))
-                paste(image, draw(_vehicle_cards(self.parts[j], pose), view, scene.blur_sigma, SUPERSAMPLING))
+                composite(image, draw_planes([_shadow_plane(self.shadow, vehicle, pose)], view, scene.blur_sigma, 1))
+                composite(
+                    image, draw_planes(_place_vehicle_parts(self.parts[j], pose), view, scene.blur_sigma, SUPERSAMPLING)
+                )
                 if vehicle.glare:
                     self.glares[j].add(image, vehicle, pose, view, k)
-            paste(image, mask)
+            composite(image, mask)
             sun = np.sin(1.3 * t + self.phases[0]) + 0.3 * np.sin(2.9 * t + self.phases[1] + i)
             light = image * np.float32(1 + scene.gain_drift * sun)
-            images.append(_expose(textures.values_of(light, scene.gamma), scene, sensor))
+            images.append(_add_sensor_noise(textures.light_to_grey(light, scene.gamma), scene, sensor))
         return images
 
 
-def _expose(image: Image, scene: Scene, rng: np.random.Generator) -> NDArray[np.uint8]:
+def _add_sensor_noise(image: Image, scene: Scene, rng: np.random.Generator) -> NDArray[np.uint8]:
     """The picture that a sensor makes of the grey levels ``image`` (H, W)."""
     if scene.noise_sigma > 0 or scene.shot_noise > 0:
         noise = rng.standard_normal(image.shape, np.float32)
@@ -213,7 +216,7 @@ def _expose(image: Image, scene: Scene, rng: np.random.Generator) -> NDArray[np.
     return np.asarray(np.clip(np.rint(image), 0, 255), np.uint8)
 
 
-class _Glare:
+class _SpecularSpot:
     """A bright spot that wanders over a vehicle's plane for about half of its frames, differently in each view."""
 
     def __init__(self, rng: np.random.Generator, frames: int) -> None:
@@ -238,34 +241,36 @@ class _Glare:
         image += (self.peak * wide * tall).astype(np.float32)
 
 
-def _vehicle_parts(vehicle: Vehicle, gamma: float) -> list[Part]:
-    make = textures.front if vehicle.plane == "front" else textures.side
+def _make_vehicle_parts(vehicle: Vehicle, gamma: float) -> list[FacePart]:
+    make = textures.front_parts if vehicle.plane == "front" else textures.side_parts
     parts = make(np.random.default_rng([vehicle.texture_seed, 7]), vehicle.width, vehicle.height, vehicle.relief)
     return [replace(part, texture=part.texture.lit(gamma)) for part in parts]
 
 
-def _vehicle_cards(parts: list[Part], pose: Pose) -> list[Card]:
-    def card(p: Part) -> Card:
+def _place_vehicle_parts(parts: list[FacePart], pose: Pose) -> list[TexturedPlane]:
+    def card(p: FacePart) -> TexturedPlane:
         corner = pose.centre + pose.axes @ np.array([p.x - p.width / 2, p.y - p.height / 2, p.depth])
-        return Card(p.texture, corner, pose.axes[:, 0] * p.width, pose.axes[:, 1] * p.height)
+        return TexturedPlane(p.texture, corner, pose.axes[:, 0] * p.width, pose.axes[:, 1] * p.height)
 
     return [card(p) for p in parts]
 
 
-def _shadow(texture: Texture, vehicle: Vehicle, pose: Pose) -> Card:
+def _shadow_plane(texture: Texture, vehicle: Vehicle, pose: Pose) -> TexturedPlane:
     """The dark patch on the road under a vehicle."""
     length = 4.2 if vehicle.plane == "front" else 1.8
-    corner = pose.centre + pose.axes @ np.array([-0.53 * vehicle.width, vehicle.height / 2 + CLEARANCE - 0.01, length])
-    return Card(texture, corner, 1.06 * vehicle.width * pose.axes[:, 0], -(length + 0.1) * pose.axes[:, 2])
+    corner = pose.centre + pose.axes @ np.array(
+        [-0.53 * vehicle.width, vehicle.height / 2 + PLANE_CLEARANCE_M - 0.01, length]
+    )
+    return TexturedPlane(texture, corner, 1.06 * vehicle.width * pose.axes[:, 0], -(length + 0.1) * pose.axes[:, 2])
 
 
-def _soft_shadow() -> Texture:
+def _soft_shadow_texture() -> Texture:
     y, x = np.mgrid[-1:1:64j, -1:1:64j]
     alpha = 0.75 * np.clip((1 - np.abs(x)) / 0.12, 0, 1) * np.clip((1 - np.abs(y)) / 0.12, 0, 1)
     return Texture(np.full((64, 64), 10, np.float32), alpha.astype(np.float32))
 
 
-_SHADOW = _soft_shadow()
+_SHADOW_TEXTURE = _soft_shadow_texture()
 
 
 def write(rendered: RenderedClip, directory: Path | str) -> Path:

@@ -14,9 +14,9 @@ from scipy.interpolate import CubicSpline
 
 from paceline.arrays import Array
 from paceline.cameras import Camera, StereoRig, View
-from paceline.simulation.operator import longest_stretch
+from paceline.simulation.operator import longest_visible_run
 
-CLEARANCE = 0.35  # m from the road to the lower edge of a vehicle's main plane
+PLANE_CLEARANCE_M = 0.35  # m from the road to the lower edge of a vehicle's main plane
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ class Scene:
     skew_s: float = 0.0
 
 
-class Road:
+class CircularRoad:
     """The road of a scene in the left camera's frame."""
 
     def __init__(self, scene: Scene) -> None:
@@ -165,7 +165,7 @@ class Pose:
 class Motion:
     """Where a vehicle is at any time: its centre moves along its own path with exactly its own speed."""
 
-    def __init__(self, road: Road, vehicle: Vehicle, duration: float) -> None:
+    def __init__(self, road: CircularRoad, vehicle: Vehicle, duration: float) -> None:
         self.road, self.vehicle = road, vehicle
         self.direction = 1.0 if vehicle.receding else -1.0
         travelled = self.travelled(np.linspace(-0.1, duration + 0.1, 2001))
@@ -178,10 +178,10 @@ class Motion:
             slope = change.shift / change.length * (1 - np.cos(2 * np.pi * phase))
             heading += np.arcsin(slope)
         start = vehicle.lane + vehicle.lateral
-        drift = _integral(np.sin(heading), u)
+        drift = _integrate(np.sin(heading), u)
         lateral = start + self.direction * (drift - np.interp(0.0, u, drift))
         stretch = 1.0 if road.radius is None else road.radius / (road.radius - lateral)
-        arc = _integral(np.cos(heading) * stretch, u)
+        arc = _integrate(np.cos(heading) * stretch, u)
         arc = vehicle.start_distance + self.direction * (arc - CubicSpline(u, arc)(0.0))
         self._path = CubicSpline(u, np.column_stack([arc, lateral, heading]))
 
@@ -200,7 +200,7 @@ class Motion:
         s, lateral, heading = self._path(self.travelled(np.array(t)))
         along, right = (self.direction * v for v in self.road.frame(np.asarray(s)))
         down = self.road.down
-        height = CLEARANCE + self.vehicle.height / 2
+        height = PLANE_CLEARANCE_M + self.vehicle.height / 2
         centre = self.road.point(np.asarray(s), lateral) - height * down
         travel = np.cos(heading) * along + np.sin(heading) * right
         away = travel if self.vehicle.plane == "front" else np.cross(down, travel)
@@ -209,7 +209,7 @@ class Motion:
         return Pose(centre, np.column_stack([np.cross(down, away), down, away]))
 
 
-def _integral(f: Array, u: Array) -> Array:
+def _integrate(f: Array, u: Array) -> Array:
     return np.asarray(cumulative_simpson(f, x=u, initial=0.0))
 
 
@@ -230,12 +230,12 @@ def make_rig(scene: Scene) -> StereoRig:
     return StereoRig(left, right, R, t)
 
 
-def views_of(rig: StereoRig) -> tuple[View, View]:
+def rig_views(rig: StereoRig) -> tuple[View, View]:
     """The rig's left and right view."""
     return View(rig.left, np.eye(3), np.zeros(3)), View(rig.right, rig.R, rig.t)
 
 
-def visible_line(scene: Scene, road: Road, lane: float, positions: Array, view: View) -> Array:
+def visible_line(scene: Scene, road: CircularRoad, lane: float, positions: Array, view: View) -> Array:
     """Pixels (N, 2), closely along the line beside a lane, inside the image and near the ``positions``
     (M, 3): up to 60 m nearer to the camera and 6 m farther."""
     if len(positions) == 0:
@@ -245,4 +245,4 @@ def visible_line(scene: Scene, road: Road, lane: float, positions: Array, view: 
     points = road.point(s, np.full_like(s, lane + scene.line_offset))
     pixels = view.project(points[view.depth(points) > 2])
     seen = ((pixels > 6) & (pixels < np.array(scene.image_size) - 7)).all(1)
-    return longest_stretch(pixels, np.asarray(seen))  # a curve may leave the image and come back
+    return longest_visible_run(pixels, np.asarray(seen))  # a curve may leave the image and come back

@@ -13,11 +13,11 @@ import numpy as np
 
 from paceline.arrays import Array, Image
 from paceline.cameras import View
-from paceline.simulation.textures import LEVELS, Texture
+from paceline.simulation.textures import PYRAMID_LEVELS, Texture
 
 
 @dataclass(frozen=True, eq=False)
-class Card:
+class TexturedPlane:
     """A texture on a rectangle in space: its top-left ``corner`` (3,) and its two edges (3,), in metres."""
 
     texture: Texture
@@ -30,7 +30,9 @@ class Card:
         return np.asarray(self.corner + np.array([0 * a, a, a + b, b]))
 
 
-def draw(cards: list[Card], view: View, blur: float, oversampling: int) -> tuple[Image, slice, slice] | None:
+def draw_planes(
+    cards: list[TexturedPlane], view: View, blur: float, oversampling: int
+) -> tuple[Image, slice, slice] | None:
     """The ``cards``, far ones first, over nothing: premultiplied grey and coverage (h, w, 2) and the rows and columns
     of the image that they fill; None where all are out of sight."""
     cards = [c for c in cards if (view.depth(c.corners()) > 0.5).all()]
@@ -48,14 +50,14 @@ def draw(cards: list[Card], view: View, blur: float, oversampling: int) -> tuple
     # The centre of sub-pixel p lies at (p + 0.5) / n - 0.5 + x0 in the image.
     to_canvas = np.array([[n, 0, n * (0.5 - x0) - 0.5], [0, n, n * (0.5 - y0) - 0.5], [0, 0, 1.0]])
     for card in cards:
-        _lay(canvas, card, to_canvas @ view.camera.K, view)
+        _draw_plane(canvas, card, to_canvas @ view.camera.K, view)
     if blur > 0:
         canvas = np.asarray(cv2.GaussianBlur(canvas, (0, 0), blur * n, borderType=cv2.BORDER_REPLICATE), np.float32)
     small = cv2.resize(canvas, (x1 - x0, y1 - y0), interpolation=cv2.INTER_AREA)
     return np.asarray(small, np.float32), slice(y0, y1), slice(x0, x1)
 
 
-def _lay(canvas: Image, card: Card, projection: Array, view: View) -> None:
+def _draw_plane(canvas: Image, card: TexturedPlane, projection: Array, view: View) -> None:
     """Composite one card onto the sub-pixel ``canvas`` (h, w, 2) in place."""
     edges = np.column_stack([card.across, card.down, card.corner])
     H = projection @ (view.R @ edges + np.outer(view.t, [0, 0, 1]))  # unit square -> canvas
@@ -68,7 +70,7 @@ def _lay(canvas: Image, card: Card, projection: Array, view: View) -> None:
     sides = np.linalg.norm(np.roll(quad, -1, axis=1) - quad, axis=0)  # top, right, bottom, left in sub-pixels
     rows, columns = card.texture.value.shape
     texels = max(columns / max(sides[0], sides[2]), rows / max(sides[1], sides[3]))  # per sub-pixel
-    level = card.texture.pyramid[int(np.clip(round(np.log2(texels)), 0, LEVELS - 1))]
+    level = card.texture.pyramid[int(np.clip(round(np.log2(texels)), 0, PYRAMID_LEVELS - 1))]
     rows, columns = level.shape[:2]
     unit = np.array([[1 / columns, 0, 0.5 / columns], [0, 1 / rows, 0.5 / rows], [0, 0, 1]])
     shift = np.array([[1, 0, -x0], [0, 1, -y0], [0, 0, 1.0]])
@@ -78,8 +80,8 @@ def _lay(canvas: Image, card: Card, projection: Array, view: View) -> None:
     under += patch
 
 
-def paste(image: Image, drawn: tuple[Image, slice, slice] | None) -> None:
-    """Lay what `draw` returned over the grey levels ``image`` (H, W), in place."""
+def composite(image: Image, drawn: tuple[Image, slice, slice] | None) -> None:
+    """Lay what `draw_planes` returned over the grey levels ``image`` (H, W), in place."""
     if drawn is not None:
         patch, rows, columns = drawn
         image[rows, columns] *= 1 - patch[..., 1]

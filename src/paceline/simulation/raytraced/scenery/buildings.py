@@ -5,20 +5,20 @@ from __future__ import annotations
 import numpy as np
 
 from paceline.arrays import Array
-from paceline.simulation.raytraced.mesh_builders import Mesh, Named, box, boxes, joined, quads, sheet
+from paceline.simulation.raytraced.mesh_builders import Mesh, NamedMesh, box, boxes, join_meshes, quads, sheet
 from paceline.simulation.raytraced.meshes import Texture
 from paceline.simulation.raytraced.road_textures import mottle
 from paceline.simulation.road import Road
 
 # Cross sections (lateral away from the road, height), from the foot on the road's side over the top.
-WALL = np.array([[0.0, -0.4], [0.0, 0.08], [0.18, 0.33], [0.24, 0.85], [0.46, 0.85], [0.55, -0.4]])
-BEAM = np.array(
+WALL_PROFILE = np.array([[0.0, -0.4], [0.0, 0.08], [0.18, 0.33], [0.24, 0.85], [0.46, 0.85], [0.55, -0.4]])
+BEAM_PROFILE = np.array(
     [[0.0, 0.43], [-0.05, 0.47], [-0.05, 0.52], [0.0, 0.57], [0.0, 0.61], [-0.05, 0.66], [-0.05, 0.71], [0.0, 0.75]]
 )
-FENCE = 5.0  # m from the road's edge
+FENCE_DISTANCE_M = 5.0  # m from the road's edge
 
 
-def house(rng: np.random.Generator) -> list[Named]:
+def house(rng: np.random.Generator) -> list[NamedMesh]:
     """A house with its middle at the origin, gables across x, windows on the long sides."""
     length, depth, storeys = rng.uniform(8, 18), rng.uniform(7, 10), int(rng.integers(1, 4))
     eaves = 2.9 * storeys + 0.3
@@ -51,7 +51,12 @@ def house(rng: np.random.Generator) -> list[Named]:
     bars = boxes(np.tile([0.06, 0.1, 1.4], (len(centers), 1)), centers)
     sills = boxes(np.tile([1.2, 0.24, 0.07], (len(frames), 1)), frames)
     chimney = box([0.6, 0.6, 1.6], [0.3 * length, 0.15 * depth, ridge])
-    return [("wall", joined([*walls, chimney])), ("roof", roofs), ("pane", glass), ("frame", joined([bars, sills]))]
+    return [
+        ("wall", join_meshes([*walls, chimney])),
+        ("roof", roofs),
+        ("pane", glass),
+        ("frame", join_meshes([bars, sills])),
+    ]
 
 
 def wall_texture(rng: np.random.Generator) -> Texture:
@@ -68,7 +73,7 @@ def concrete_texture(rng: np.random.Generator) -> Texture:
     return np.asarray(0.24 * np.clip(shade, 0.4, 1.4)[..., None] * [1.0, 0.98, 0.93], np.float32)
 
 
-def drawn(road: Road, profile: Array, lateral: float, start: float, end: float, tile: float = 4.0) -> Mesh:
+def extrude_along(road: Road, profile: Array, lateral: float, start: float, end: float, tile: float = 4.0) -> Mesh:
     """A ``profile`` (P, 2) drawn along ``road`` at ``lateral``, facing its axis; textures repeat each ``tile`` m."""
     s = np.linspace(start, end, max(2, int((end - start) / 1.0) + 1))
     side = np.sign(lateral)
@@ -79,31 +84,31 @@ def drawn(road: Road, profile: Array, lateral: float, start: float, end: float, 
     return sheet(grid, uv) if side < 0 else sheet(grid[:, ::-1], uv[:, ::-1])
 
 
-def rail(road: Road, side: int, start: float, end: float) -> list[Named]:
+def guard_rail(road: Road, side: int, start: float, end: float) -> list[NamedMesh]:
     """A steel beam on posts."""
     lateral = side * (road.half_width + 0.35)
-    posts = along(road, box([0.1, 0.08, 1.2], [0, 0.08, 0.15]), lateral, np.arange(start + 0.5, end, 2.0))
-    return [("steel", drawn(road, BEAM, lateral, start, end)), ("steel", posts)]
+    posts = repeat_along(road, box([0.1, 0.08, 1.2], [0, 0.08, 0.15]), lateral, np.arange(start + 0.5, end, 2.0))
+    return [("steel", extrude_along(road, BEAM_PROFILE, lateral, start, end)), ("steel", posts)]
 
 
-def wall(road: Road, side: int, start: float, end: float) -> list[Named]:
+def wall(road: Road, side: int, start: float, end: float) -> list[NamedMesh]:
     """A concrete safety barrier at the edge of the asphalt."""
-    return [("concrete", drawn(road, WALL, side * (road.half_width - 0.1), start, end))]
+    return [("concrete", extrude_along(road, WALL_PROFILE, side * (road.half_width - 0.1), start, end))]
 
 
-def fence(road: Road, side: int, start: float, end: float) -> list[Named]:
+def fence(road: Road, side: int, start: float, end: float) -> list[NamedMesh]:
     """A timber fence beyond the verge."""
-    lateral = side * (road.half_width + FENCE)
-    posts = along(road, box([0.1, 0.1, 1.8], [0, 0, 0.1]), lateral, np.arange(start, end, 2.4))
+    lateral = side * (road.half_width + FENCE_DISTANCE_M)
+    posts = repeat_along(road, box([0.1, 0.1, 1.8], [0, 0, 0.1]), lateral, np.arange(start, end, 2.4))
     rails = [
-        drawn(road, np.array([[0.0, z], [0.0, z + 0.1], [0.04, z + 0.1]]) - [0, 0.35], lateral, start, end)
+        extrude_along(road, np.array([[0.0, z], [0.0, z + 0.1], [0.04, z + 0.1]]) - [0, 0.35], lateral, start, end)
         for z in (0.4, 0.8)
     ]
-    return [("timber", joined([posts, *rails]))]
+    return [("timber", join_meshes([posts, *rails]))]
 
 
-def along(road: Road, mesh: Mesh, lateral: float, places: Array) -> Mesh:
+def repeat_along(road: Road, mesh: Mesh, lateral: float, places: Array) -> Mesh:
     """Copies of ``mesh`` at arc lengths ``places`` (N,); its x runs along the road and its y away from it."""
     points, axes = road.frame(places, lateral)
     turn = axes if lateral < 0 else axes * [-1, -1, 1]
-    return joined(mesh.moved(p, R) for p, R in zip(points, turn, strict=True))
+    return join_meshes(mesh.moved(p, R) for p, R in zip(points, turn, strict=True))

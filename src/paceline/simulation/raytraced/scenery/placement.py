@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from paceline.arrays import Array
-from paceline.simulation.raytraced.mesh_builders import Named, grouped
-from paceline.simulation.raytraced.meshes import Material, Solid
-from paceline.simulation.raytraced.road_surface import FALL, VERGE
+from paceline.simulation.raytraced.mesh_builders import NamedMesh, group_by_name
+from paceline.simulation.raytraced.meshes import Material, SceneMesh
+from paceline.simulation.raytraced.road_surface import VERGE_DROP_M, VERGE_WIDTH_M
 from paceline.simulation.raytraced.scenery import buildings as built
 from paceline.simulation.raytraced.scenery import posts, trees
 from paceline.simulation.road import Road
@@ -32,21 +32,21 @@ class Scenery:
     clear: tuple[tuple[float, float, float], ...] = ()
 
 
-def scenery(road: Road, spec: Scenery, start: float, end: float) -> list[Solid]:
+def build_scenery(road: Road, spec: Scenery, start: float, end: float) -> list[SceneMesh]:
     """All that stands beside ``road`` from arc length ``start`` to ``end``; the same for the same ``spec``."""
     rng = np.random.default_rng([spec.seed, 41])
     place = _Placer(road, spec, start, end)
     named = [
-        *_woods(rng, place, spec.trees),
-        *_poles(rng, place, spec.poles),
-        *_houses(rng, place, spec.buildings),
-        *_edges(rng, place, spec),
+        *_place_trees(rng, place, spec.trees),
+        *_place_poles(rng, place, spec.poles),
+        *_place_houses(rng, place, spec.buildings),
+        *_place_barriers(rng, place, spec),
     ]
-    made_of = _materials(rng)
-    return [mesh.solid(name, made_of[name]) for name, mesh in grouped(named).items()]
+    made_of = _make_materials(rng)
+    return [mesh.solid(name, made_of[name]) for name, mesh in group_by_name(named).items()]
 
 
-def _materials(rng: Generator) -> dict[str, Material]:
+def _make_materials(rng: Generator) -> dict[str, Material]:
     plain = {
         "wood": (0.09, 0.07, 0.05),
         "timber": (0.16, 0.12, 0.08),
@@ -97,7 +97,9 @@ class _Placer:
         parts = np.split(free, np.flatnonzero(np.diff(free) > 1.5) + 1)
         return [(float(p[0]), float(p[-1])) for p in parts if len(p) and p[-1] - p[0] >= 5.0]
 
-    def put(self, named: list[Named], s: float, lateral: float, turn: float = 0.0, room: float = 0.0) -> list[Named]:
+    def put(
+        self, named: list[NamedMesh], s: float, lateral: float, turn: float = 0.0, room: float = 0.0
+    ) -> list[NamedMesh]:
         """Parts moved to a place; their x along the road, turned by ``turn``, their y away from it. Nothing where a
         clear circle is nearer than ``room`` metres."""
         point, axes = self.road.frame(s, lateral)
@@ -108,12 +110,12 @@ class _Placer:
         forward = axes[:2, 0] if lateral < 0 else -axes[:2, 0]
         angle = np.arctan2(forward[1], forward[0]) + turn
         c, k = np.cos(angle), np.sin(angle)
-        down = FALL * np.clip(out / VERGE, 0, 1)
+        down = VERGE_DROP_M * np.clip(out / VERGE_WIDTH_M, 0, 1)
         R = np.array([[c, -k, 0], [k, c, 0], [0, 0, 1.0]])
         return [(name, mesh.moved(point - [0, 0, down], R)) for name, mesh in named]
 
 
-def _woods(rng: Generator, place: _Placer, density: float) -> list[Named]:
+def _place_trees(rng: Generator, place: _Placer, density: float) -> list[NamedMesh]:
     """Rows of trees whose crowns reach over the road, bushes under them, and a wood behind."""
     if density <= 0:
         return []
@@ -127,7 +129,7 @@ def _woods(rng: Generator, place: _Placer, density: float) -> list[Named]:
         (far, 9.0, min(1.0, 0.3 + density), (25.0, 60.0), 6.0),
         (far, 9.0, min(1.0, 0.3 + density), (60.0, 120.0), 6.0),
     ]
-    result: list[Named] = []
+    result: list[NamedMesh] = []
     for kinds, spacing, chance, (inner, outer), room in rows:
         for side in (-1, 1):
             for s in place.stations(rng, spacing, chance):
@@ -139,12 +141,12 @@ def _woods(rng: Generator, place: _Placer, density: float) -> list[Named]:
     return result
 
 
-def _poles(rng: Generator, place: _Placer, density: float) -> list[Named]:
+def _place_poles(rng: Generator, place: _Placer, density: float) -> list[NamedMesh]:
     """Lamp posts or utility poles in a row on one side, signs and markers on both."""
     side = int(rng.choice([-1, 1]))
-    make: Callable[[Generator], list[Named]] = posts.lamp_post if rng.random() < 0.5 else posts.utility_pole
+    make: Callable[[Generator], list[NamedMesh]] = posts.lamp_post if rng.random() < 0.5 else posts.utility_pole
     pole, edge = make(rng), place.road.half_width
-    result: list[Named] = []
+    result: list[NamedMesh] = []
     for s in np.arange(place.start + rng.uniform(0, 30), place.end, 30.0):
         if rng.random() < density:
             result += place.put(pole, float(s), side * (edge + 1.2), 0.0, 0.3)
@@ -156,8 +158,8 @@ def _poles(rng: Generator, place: _Placer, density: float) -> list[Named]:
     return result
 
 
-def _houses(rng: Generator, place: _Placer, density: float) -> list[Named]:
-    result: list[Named] = []
+def _place_houses(rng: Generator, place: _Placer, density: float) -> list[NamedMesh]:
+    result: list[NamedMesh] = []
     for side in (-1, 1):
         for s in place.stations(rng, 22.0, density):
             lateral = side * (place.road.half_width + rng.uniform(12, 22))
@@ -165,16 +167,16 @@ def _houses(rng: Generator, place: _Placer, density: float) -> list[Named]:
     return result
 
 
-def _edges(rng: Generator, place: _Placer, spec: Scenery) -> list[Named]:
+def _place_barriers(rng: Generator, place: _Placer, spec: Scenery) -> list[NamedMesh]:
     """A parapet of concrete or a guard rail on both sides, or here and there a fence."""
     road, start, end = place.road, max(place.start, 0.0), min(place.end, place.road.length)
-    result: list[Named] = []
+    result: list[NamedMesh] = []
     if spec.parapet:
-        make = built.wall if rng.random() < 0.5 else built.rail
+        make = built.wall if rng.random() < 0.5 else built.guard_rail
         for side in (-1, 1):
             result += make(road, side, start, end)
     elif rng.random() < 0.5 * (spec.trees + spec.buildings):
         side = int(rng.choice([-1, 1]))
-        for a, b in place.stretches(side * (road.half_width + built.FENCE), start, end):
+        for a, b in place.stretches(side * (road.half_width + built.FENCE_DISTANCE_M), start, end):
             result += built.fence(road, side, a, b)
     return result

@@ -7,39 +7,39 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from paceline.simulation.raytraced.mesh_builders import Named, box, boxes, joined, quads, tube, turned
+from paceline.simulation.raytraced.mesh_builders import NamedMesh, box, boxes, join_meshes, quads, revolve, tube
 from paceline.simulation.raytraced.meshes import Texture
 
 
-def lamp_post(rng: np.random.Generator) -> list[Named]:
+def lamp_post(rng: np.random.Generator) -> list[NamedMesh]:
     """A steel post with an arm over the road."""
     high, reach = rng.uniform(7.0, 9.5), rng.uniform(1.2, 2.2)
     bend = np.linspace(0, np.pi / 2, 6)
     arm = np.column_stack([0 * bend, -reach * (1 - np.cos(bend)), high - 0.8 + 0.8 * np.sin(bend)])
-    post = turned([[0.11, -0.6], [0.11, 1.0], [0.075, 1.15], [0.05, high - 0.8]], 12)
+    post = revolve([[0.11, -0.6], [0.11, 1.0], [0.075, 1.15], [0.05, high - 0.8]], 12)
     head = box([0.22, 0.6, 0.12], [0, -reach - 0.25, high])
-    return [("steel", joined([post, tube(arm, 0.04, 8)])), ("white", head)]
+    return [("steel", join_meshes([post, tube(arm, 0.04, 8)])), ("white", head)]
 
 
-def utility_pole(rng: np.random.Generator) -> list[Named]:
+def utility_pole(rng: np.random.Generator) -> list[NamedMesh]:
     """A wooden pole with a cross arm and insulators."""
     high = rng.uniform(7.5, 9.5)
-    pole = turned([[0.16, -1.0], [0.12, high]], 10)
+    pole = revolve([[0.16, -1.0], [0.12, high]], 10)
     arm = box([0.12, 2.2, 0.12], [0.1, 0, high - 0.5])
     caps = [
-        turned([[0.04, 0.0], [0.05, 0.08], [0.0, 0.16]], 8).moved([0.1, y, high - 0.44]) for y in (-1, -0.4, 0.4, 1)
+        revolve([[0.04, 0.0], [0.05, 0.08], [0.0, 0.16]], 8).moved([0.1, y, high - 0.44]) for y in (-1, -0.4, 0.4, 1)
     ]
-    return [("timber", joined([pole, arm])), ("white", joined(caps))]
+    return [("timber", join_meshes([pole, arm])), ("white", join_meshes(caps))]
 
 
-def marker(rng: np.random.Generator) -> list[Named]:
+def marker(rng: np.random.Generator) -> list[NamedMesh]:
     """A delineator post, white with a dark band."""
     body = box([0.12, 0.05, 1.3], [0, 0, 0.4])
     band = box([0.124, 0.054, 0.22], [0, 0, 0.85])
     return [("white", body), ("black", band)]
 
 
-def sign(rng: np.random.Generator) -> list[Named]:
+def sign(rng: np.random.Generator) -> list[NamedMesh]:
     """A sign that faces those who come along growing x, on one post or two."""
     if rng.random() < 0.6:
         size = rng.uniform(0.6, 0.8)
@@ -53,7 +53,7 @@ def sign(rng: np.random.Generator) -> list[Named]:
     y, z0, z1 = half[0], bottom, bottom + 2 * half[1]
     face = quads([[[0, y, z1], [0, -y, z1], [0, -y, z0], [0, y, z0]]])
     rear = box([0.004, 2 * y, z1 - z0], [0.006, 0, (z0 + z1) / 2])
-    return [(name, face), ("steel", joined([posts, rear]))]
+    return [(name, face), ("steel", join_meshes([posts, rear]))]
 
 
 def round_sign_texture(rng: np.random.Generator) -> Texture:

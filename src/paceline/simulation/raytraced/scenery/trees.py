@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from paceline.arrays import Array
-from paceline.simulation.raytraced.mesh_builders import Mesh, joined, tube
+from paceline.simulation.raytraced.mesh_builders import Mesh, join_meshes, tube
 from paceline.simulation.raytraced.meshes import Texture
 
 PALETTE = 16  # colours of leaves
@@ -69,7 +69,7 @@ def tree(rng: np.random.Generator, height: float, detail: float = 1.0) -> Tree:
     for c in centers[: int(14 * min(1.0, detail) + 4)]:
         fork = np.array([*(0.6 * lean[:2]), rng.uniform(0.8 * base, min(0.75 * height, max(c[2], base)))])
         wood.append(tube([fork, (fork + c) / 2 + [0, 0, 0.12 * radius], c], [0.4 * thick, 0.25 * thick, 0.02], 6))
-    return Tree(joined(wood), crown)
+    return Tree(join_meshes(wood), crown)
 
 
 def bush(rng: np.random.Generator, height: float) -> Tree:
@@ -77,4 +77,4 @@ def bush(rng: np.random.Generator, height: float) -> Tree:
     n = 10
     centers = rng.uniform([-0.6, -0.6, 0.25], [0.6, 0.6, 0.8], (n, 3)) * height
     stems = [tube([[0, 0, -0.3], 0.5 * c, c], [0.03, 0.02, 0.01], 5) for c in centers[:5]]
-    return Tree(joined(stems), leaves(rng, centers, np.full(n, 0.24 * height), 40, 0.06 + 0.03 * height))
+    return Tree(join_meshes(stems), leaves(rng, centers, np.full(n, 0.24 * height), 40, 0.06 + 0.03 * height))

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from paceline.arrays import Array
-from paceline.simulation.raytraced.meshes import Solid
+from paceline.simulation.raytraced.meshes import SceneMesh
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ class Wheel:
     """A part of a wheel: ``solid`` about the wheel's centre with its axle along y, ``center`` (3,) in body axes,
     ``radius`` of the tyre, m. A tyre and its rim are two of these."""
 
-    solid: Solid
+    solid: SceneMesh
     center: Array
     radius: float
 
@@ -52,7 +52,7 @@ class Body:
     width: float
     height: float
     wheelbase: float
-    solids: tuple[Solid, ...]
+    solids: tuple[SceneMesh, ...]
     wheels: tuple[Wheel, ...]
     front: Plane
     rear: Plane
@@ -70,15 +70,15 @@ class Body:
         return self.edges[end]
 
 
-def plane_over(solids: Iterable[Solid], end: str, width: float, bottom: float, top: float) -> Plane:
+def end_plane(solids: Iterable[SceneMesh], end: str, width: float, bottom: float, top: float) -> Plane:
     """The plane of an end ``width`` m across from height ``bottom`` to ``top``, at the area-weighted mean depth of
     what is seen there from straight ahead; bodies being symmetric, their left half tells."""
     y, z = np.meshgrid((np.arange(20) + 0.5) / 40 * width, bottom + (np.arange(24) + 0.5) / 24 * (top - bottom))
-    depth = seen_depth(solids, end, np.column_stack([y.ravel(), z.ravel()]))
+    depth = visible_depth(solids, end, np.column_stack([y.ravel(), z.ravel()]))
     return Plane(np.array([np.nanmean(depth), 0.0, (bottom + top) / 2]), width, top - bottom, end)
 
 
-def seen_depth(solids: Iterable[Solid], end: str, points: Array) -> Array:
+def visible_depth(solids: Iterable[SceneMesh], end: str, points: Array) -> Array:
     """x (N,) of the surface first met at each (y, z) of ``points`` (N, 2) by who looks along the body's axis at the
     ``end``; nan where there is none."""
     sign = 1.0 if end == "front" else -1.0

@@ -8,23 +8,23 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from paceline.arrays import Array
-from paceline.simulation.raytraced.mesh_builders import Mesh, Named
-from paceline.simulation.raytraced.vehicles.sheet_metal import Band
+from paceline.simulation.raytraced.mesh_builders import Mesh, NamedMesh
+from paceline.simulation.raytraced.vehicles.sheet_metal import BodyBand
 
 
 @dataclass
-class Draft:
+class VehicleDraft:
     """Meshes by the name of what they are made of, wheels (meshes, centre, radius), strong edges (2, 3) and the
     outlined rectangle (width, bottom, top) of each end. ``size`` is length, width without mirrors, and height."""
 
     wheelbase: float
     size: tuple[float, float, float]
-    meshes: list[Named] = field(default_factory=list)
+    meshes: list[NamedMesh] = field(default_factory=list)
     wheels: list[tuple[dict[str, Mesh], Array, float]] = field(default_factory=list)
     edges: dict[str, list[Array]] = field(default_factory=lambda: {"front": [], "rear": []})
     outlined: dict[str, tuple[float, float, float]] = field(default_factory=dict)
 
-    def add(self, named: Iterable[Named]) -> None:
+    def add(self, named: Iterable[NamedMesh]) -> None:
         """Parts of the left half, and their mirror images."""
         self.meshes += [(name, mesh.both()) for name, mesh in named]
 
@@ -43,7 +43,7 @@ class Draft:
         if not np.allclose(a * [1, -1, 1], b):
             self.edges[end].append(np.stack([a, b]) * [1, -1, 1])
 
-    def level(self, end: str, b: Band, y: float, z: float) -> None:
+    def level(self, end: str, b: BodyBand, y: float, z: float) -> None:
         """A horizontal edge across the middle, ``y`` to each side."""
         a = b.points(b.across(y, end), z)
         self.edge(end, a, a * [1, -1, 1])

@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from paceline.arrays import Array
-from paceline.simulation.raytraced.mesh_builders import Named
-from paceline.simulation.raytraced.vehicles.hull import Form, Point
-from paceline.simulation.raytraced.vehicles.sheet_metal import Band, through, top
+from paceline.simulation.raytraced.mesh_builders import NamedMesh
+from paceline.simulation.raytraced.vehicles.hull import HullShape, Point
+from paceline.simulation.raytraced.vehicles.sheet_metal import BodyBand, interpolate, loft_surface
 
 # Rows: belt, foot of the side panes, their head, border of windscreen and roof, half-way, middle.
-_SOFT_ROWS = [0.0, 0.08, 0.1, 0.12, 0.5, 0.0]
-_ACROSS = np.array([1.0, 0.985, 0.95, 0.86, 0.45, 0.0])  # share of the half width, over bonnet and boot
-_DROP = np.array([1.0, 0.6, 0.34, 0.17, 0.04, 0.0])  # share of the middle's height above the belt
+_ROW_ROUNDING = [0.0, 0.08, 0.1, 0.12, 0.5, 0.0]
+_DECK_ROW_OFFSETS = np.array([1.0, 0.985, 0.95, 0.86, 0.45, 0.0])  # share of the half width, over bonnet and boot
+_DECK_ROW_DROPS = np.array([1.0, 0.6, 0.34, 0.17, 0.04, 0.0])  # share of the middle's height above the belt
 
 
-def cabin(form: Form, band: Band) -> list[Named]:
+def loft_cabin(form: HullShape, band: BodyBand) -> list[NamedMesh]:
     """The left half of all above the band."""
     loft = _Loft(form, band)
     _bonnet(form, band, loft)
@@ -26,7 +26,7 @@ def cabin(form: Form, band: Band) -> list[Named]:
     return loft.surface()
 
 
-def _bonnet(f: Form, b: Band, loft: _Loft) -> None:
+def _bonnet(f: HullShape, b: BodyBand, loft: _Loft) -> None:
     lip = float(b.points(0.0, b.high)[0])
     corner = f.front - f.bow
     length, rise = corner - f.cowl[0], f.cowl[1] - f.lip
@@ -37,11 +37,11 @@ def _bonnet(f: Form, b: Band, loft: _Loft) -> None:
     loft.deck(b.at(f.cowl[0] - f.wrap + 0.09), (f.cowl[0] + 0.09, f.cowl[1] - 0.012), 0.1, "cowl")
 
 
-def _panes(f: Form, loft: _Loft) -> None:
+def _panes(f: HullShape, loft: _Loft) -> None:
     """Stations from the windscreen's head to that of the rear pane."""
     bend = 0.4 * f.wrap
     middle = (f.header[0] + f.rear_header[0]) / 2
-    ridge = through([f.rear_header, (middle, f.header[1] + 0.025), f.header])
+    ridge = interpolate([f.rear_header, (middle, f.header[1] + 0.025), f.header])
 
     def roof(x: float) -> Point:
         return x, float(ridge(np.array(x)))
@@ -54,7 +54,7 @@ def _panes(f: Form, loft: _Loft) -> None:
     loft.post(f.rear_header[0], f.rear_header, -0.3 * f.wrap, 0.12, "rear pane" if f.rear_pane else "panel")
 
 
-def _boot(f: Form, b: Band, loft: _Loft) -> None:
+def _boot(f: HullShape, b: BodyBand, loft: _Loft) -> None:
     end = b.points(b.length, b.high)
     if f.rear_base[0] - end[0] > 0.25:
         x = (f.rear_base[0] + f.rear) / 2
@@ -62,7 +62,7 @@ def _boot(f: Form, b: Band, loft: _Loft) -> None:
     loft.deck(b.across(0.9 * f.half, "rear"), (float(end[0]), float(end[2])), 0.0, "deck")
 
 
-_MADE_OF = {  # of the five strips between the rows, by the kind of the stations' segment
+_SEGMENT_MATERIALS = {  # of the five strips between the rows, by the kind of the stations' segment
     "deck": ("paint",) * 5,
     "cowl": ("plastic",) * 5,
     "windscreen": ("plastic", "glass", "paint", "glass", "glass"),
@@ -76,7 +76,7 @@ _MADE_OF = {  # of the five strips between the rows, by the kind of the stations
 class _Loft:
     """Stations across the left half, from front to rear; ``kind`` says what the segment behind a station is."""
 
-    def __init__(self, form: Form, band: Band) -> None:
+    def __init__(self, form: HullShape, band: BodyBand) -> None:
         self.form, self.band = form, band
         self.net: list[Array] = []
         self.q: list[float] = []  # of the stations' feet on the band
@@ -92,8 +92,10 @@ class _Loft:
     def deck(self, q: float, middle: Point, soft: float, kind: str) -> None:
         """A station over bonnet or boot, whose ``middle`` is (x, z)."""
         foot, (x, z) = self.band.points(q, self.band.high), middle
-        along = foot[0] + (x - foot[0]) * (1 - _ACROSS**2)
-        self._add(q, np.column_stack([along, _ACROSS * foot[1], z - (z - foot[2]) * _DROP]), soft, kind)
+        along = foot[0] + (x - foot[0]) * (1 - _DECK_ROW_OFFSETS**2)
+        self._add(
+            q, np.column_stack([along, _DECK_ROW_OFFSETS * foot[1], z - (z - foot[2]) * _DECK_ROW_DROPS]), soft, kind
+        )
 
     def post(self, x: float, middle: Point, bend: float, soft: float, kind: str) -> None:
         """A station over side panes and roof from x at the belt; the roof's border is ``bend`` behind its middle."""
@@ -126,10 +128,10 @@ class _Loft:
         ]
         self._add(q, np.array(rows), 0.06, kind)
 
-    def surface(self) -> list[Named]:
+    def surface(self) -> list[NamedMesh]:
         ends = [[self.band.across(float(y), end) for y in self.net[k][:, 1]] for k, end in ((0, "front"), (-1, "rear"))]
 
         def names(u: int, v: int) -> str:
-            return _MADE_OF[self.kinds[u]][v]
+            return _SEGMENT_MATERIALS[self.kinds[u]][v]
 
-        return top(self.band, np.array(self.net), (self.q, *ends), (self.soft, _SOFT_ROWS), names)
+        return loft_surface(self.band, np.array(self.net), (self.q, *ends), (self.soft, _ROW_ROUNDING), names)

@@ -8,15 +8,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from paceline.arrays import Array
-from paceline.simulation.raytraced.mesh_builders import Named, box
-from paceline.simulation.raytraced.vehicles.parts import liner
-from paceline.simulation.raytraced.vehicles.sheet_metal import Band, Feature, Rows, through
+from paceline.simulation.raytraced.mesh_builders import NamedMesh, box
+from paceline.simulation.raytraced.vehicles.parts import wheel_arch_liner
+from paceline.simulation.raytraced.vehicles.sheet_metal import BandRows, BodyBand, PanelFeature, interpolate
 
 Point = tuple[float, float]
 
 
 @dataclass(frozen=True)
-class Form:
+class HullShape:
     """Measures of a hull in body axes, metres. x falls from ``front`` over the points of the roof line — the
     windscreen's foot ``cowl``, ``header``, ``rear_header``, the rear pane's foot ``rear_base``, each (x, z) — to
     ``rear``.
@@ -54,10 +54,10 @@ class Form:
     pillar: float = 0.11
     doors: tuple[float, ...] = ()
     rear_pane: bool = True
-    side: tuple[Feature, ...] = field(default=())
+    side: tuple[PanelFeature, ...] = field(default=())
 
 
-def band(form: Form) -> Band:
+def hull_band(form: HullShape) -> BodyBand:
     """The hull's walls below its panes."""
     f, w = form, form.half
     middle = (f.front + f.rear) / 2
@@ -74,7 +74,7 @@ def band(form: Form) -> Band:
         (f.rear, 0.3 * w),
         (f.rear, 0.0),
     ]
-    upper = through(
+    upper = interpolate(
         [
             (f.rear, f.deck),
             (f.rear + f.rear_bow, f.deck),
@@ -90,18 +90,20 @@ def band(form: Form) -> Band:
         round_wheel = f.axle_height + np.sqrt(np.maximum(f.arch**2 - away**2, 0))
         return np.where(away < f.arch, round_wheel, f.low)
 
-    rows = Rows(f.low, f.lip, (min(f.axle_height + f.arch + 0.05, f.lip), f.knee), lower, upper)
-    section = through([(rows.nominal(z, f.belt), wide) for z, wide in f.section])
-    tail = through([(rows.nominal(z, f.deck), out) for z, out in f.tail])
-    return Band(plan, rows, section, through(f.bumps), tail)
+    rows = BandRows(f.low, f.lip, (min(f.axle_height + f.arch + 0.05, f.lip), f.knee), lower, upper)
+    section = interpolate([(rows.nominal(z, f.belt), wide) for z, wide in f.section])
+    tail = interpolate([(rows.nominal(z, f.deck), out) for z, out in f.tail])
+    return BodyBand(plan, rows, section, interpolate(f.bumps), tail)
 
 
-def walls(form: Form, b: Band, front: Iterable[Feature], rear: Iterable[Feature]) -> list[Named]:
+def hull_walls(
+    form: HullShape, b: BodyBand, front: Iterable[PanelFeature], rear: Iterable[PanelFeature]
+) -> list[NamedMesh]:
     """The left half of a hull below its panes; its ends carry these features."""
     f = form
     corner, tail = b.at(f.front - f.bow - 0.1), b.at(f.rear + f.rear_bow + 0.1)
-    arches, lines = _arches(f, b)
-    seams = [Feature("seam", (b.at(x) - 0.004, b.at(x) + 0.004), (f.low + 0.06, f.lip)) for x in f.doors]
+    arches, lines = _wheel_arches(f, b)
+    seams = [PanelFeature("seam", (b.at(x) - 0.004, b.at(x) + 0.004), (f.low + 0.06, f.lip)) for x in f.doors]
     parts = b.wall((0.0, corner), (f.low, f.lip), front, "bumper")
     parts += b.wall(
         (corner, tail), (f.low, f.lip), [*seams, *f.side], "paint", (0.035 * (f.front - f.rear), 0.1), lines
@@ -118,9 +120,9 @@ def walls(form: Form, b: Band, front: Iterable[Feature], rear: Iterable[Feature]
     ]
 
 
-def _arches(f: Form, b: Band) -> tuple[list[Named], list[float]]:
+def _wheel_arches(f: HullShape, b: BodyBand) -> tuple[list[NamedMesh], list[float]]:
     """Linings of the wheel arches, and the q at which the wall follows them."""
-    parts: list[Named] = []
+    parts: list[NamedMesh] = []
     lines: list[float] = []
     for axle in f.axles:
         around = axle + (f.arch - 1e-4) * np.cos(np.linspace(0, np.pi, 15))
@@ -130,7 +132,7 @@ def _arches(f: Form, b: Band) -> tuple[list[Named], list[float]]:
         edge = b.points(q, f.low)
         feet = edge[[0, -1]] * [1, 1, 0] + [0, 0, f.low]
         edge = np.concatenate([feet[:1], edge, feet[1:]])
-        parts.append(("dark", liner(edge, 0.3)))
+        parts.append(("dark", wheel_arch_liner(edge, 0.3)))
         lip = edge + [0, 0.006, 0]
-        parts.append(("plastic", liner(lip, 0.03)))
+        parts.append(("plastic", wheel_arch_liner(lip, 0.03)))
     return parts, lines

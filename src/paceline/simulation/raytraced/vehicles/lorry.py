@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from paceline.simulation.raytraced.mesh_builders import Named, box, boxes, tube, turned
+from paceline.simulation.raytraced.mesh_builders import NamedMesh, box, boxes, revolve, tube
 from paceline.simulation.raytraced.vehicles import parts
-from paceline.simulation.raytraced.vehicles.builder import Draft
-from paceline.simulation.raytraced.vehicles.cabin import cabin
-from paceline.simulation.raytraced.vehicles.hull import Form, band, walls
-from paceline.simulation.raytraced.vehicles.sheet_metal import Band, Feature
+from paceline.simulation.raytraced.vehicles.builder import VehicleDraft
+from paceline.simulation.raytraced.vehicles.cabin import loft_cabin
+from paceline.simulation.raytraced.vehicles.hull import HullShape, hull_band, hull_walls
+from paceline.simulation.raytraced.vehicles.sheet_metal import BodyBand, PanelFeature
 
 
-def lorry(rng: np.random.Generator) -> Draft:
+def draft_lorry(rng: np.random.Generator) -> VehicleDraft:
     """A rigid lorry with a box body."""
     wheelbase = rng.uniform(4.3, 5.3)
     front, rear = wheelbase + rng.uniform(1.25, 1.4), -rng.uniform(1.9, 2.5)
@@ -22,7 +22,7 @@ def lorry(rng: np.random.Generator) -> Draft:
     radius, bumper = rng.uniform(0.46, 0.5), rng.uniform(0.72, 0.82)
     cowl, header = front - 0.27, front - rng.uniform(0.5, 0.7)
     step = rng.uniform(0.05, 0.09)
-    form = Form(
+    form = HullShape(
         front=front,
         rear=cab_rear,
         half=half,
@@ -49,10 +49,10 @@ def lorry(rng: np.random.Generator) -> Draft:
         doors=(cowl - 0.25, cab_rear + 0.6),
         rear_pane=False,
     )
-    b = band(form)
-    draft = Draft(wheelbase, (front - rear, 2 * half, 0.0))
-    shell = cabin(form, b) + walls(
-        form, b, _face(rng, form, b, draft, bumper), [Feature("paint", (0, b.length), (0.42, lip))]
+    b = hull_band(form)
+    draft = VehicleDraft(wheelbase, (front - rear, 2 * half, 0.0))
+    shell = loft_cabin(form, b) + hull_walls(
+        form, b, _face(rng, form, b, draft, bumper), [PanelFeature("paint", (0, b.length), (0.42, lip))]
     )
     arm = np.array([[header - 0.12, 0.88 * half, height - 0.32], [cowl, half + 0.07, height - 0.33]])
     shell += [("plastic", tube(arm, 0.02, 6)), *parts.mirror(arm[1] + [0, 0.05, -0.25], 1.9, "plastic")]
@@ -67,23 +67,25 @@ def lorry(rng: np.random.Generator) -> Draft:
     return draft
 
 
-def _face(rng: np.random.Generator, f: Form, b: Band, draft: Draft, bumper: float) -> list[Feature]:
+def _face(
+    rng: np.random.Generator, f: HullShape, b: BodyBand, draft: VehicleDraft, bumper: float
+) -> list[PanelFeature]:
     w, z0, z1 = f.half, bumper + 0.08, f.lip - 0.1
     grille = rng.uniform(0.55, 0.75) * w
     q = b.across(grille, "front")
-    features = [Feature("paint", (0, b.length), (bumper, f.lip))]
+    features = [PanelFeature("paint", (0, b.length), (bumper, f.lip))]
     bars = int(rng.integers(3, 6))
     tall = (z1 - z0) / bars
     for k in range(bars):
         low = z0 + k * tall
-        features.append(Feature("dark", (0, q), (low, low + 0.6 * tall), -0.05, 0.01))
+        features.append(PanelFeature("dark", (0, q), (low, low + 0.6 * tall), -0.05, 0.01))
     inner, outer = 0.55 * w, 0.93 * w
     at = {y: b.across(y, "front") for y in (inner, outer)}
     z = bumper - 0.22, bumper - 0.04
-    features.append(Feature("housing", (at[inner], at[outer]), z, -0.04, 0.012))
+    features.append(PanelFeature("housing", (at[inner], at[outer]), z, -0.04, 0.012))
     for y in (inner + 0.12, outer - 0.13):
-        draft.add(parts.bowl(b.points(b.across(y, "front"), sum(z) / 2, -0.012), 0.075, "front"))
-    draft.meshes += parts.plate("front", b.points(0.0, bumper - 0.15, 0.015))
+        draft.add(parts.round_lamp(b.points(b.across(y, "front"), sum(z) / 2, -0.012), 0.075, "front"))
+    draft.meshes += parts.number_plate("front", b.points(0.0, bumper - 0.15, 0.015))
     draft.level("front", b, grille, z0)
     draft.level("front", b, grille, z1 - 0.4 * tall)
     draft.level("front", b, 0.9 * w, bumper - 0.02)
@@ -94,13 +96,15 @@ def _face(rng: np.random.Generator, f: Form, b: Band, draft: Draft, bumper: floa
     return features
 
 
-def _load(rng: np.random.Generator, draft: Draft, x1: float, x0: float, half: float) -> float:
+def _load(rng: np.random.Generator, draft: VehicleDraft, x1: float, x0: float, half: float) -> float:
     """Box, frame, tank, guards and the rear with its doors, bar and lamps; returns the box's top."""
     low, top = rng.uniform(0.98, 1.08), rng.uniform(3.2, 3.7)
     middle, length, tall = (x0 + x1) / 2, x1 - x0, top - low
     frame = rng.uniform(0.07, 0.11)
     white = bool(rng.random() < 0.65)
-    named: list[Named] = [("white" if white else "paint", box([length, 2 * half, tall], [middle, 0, (low + top) / 2]))]
+    named: list[NamedMesh] = [
+        ("white" if white else "paint", box([length, 2 * half, tall], [middle, 0, (low + top) / 2]))
+    ]
     rails = [[length + 0.02, 0.05, frame]] * 4 + [[0.05, 0.05, tall]] * 4
     y = half - 0.015
     places = [[middle, s * y, z] for s in (-1, 1) for z in (low + frame / 2, top - frame / 2)]
@@ -140,9 +144,9 @@ def _load(rng: np.random.Generator, draft: Draft, x1: float, x0: float, half: fl
     thirds = [outer - lamp * (k + 0.5) / 3 for k in range(3)]
     for name, y in zip(("red", "amber", "white"), thirds, strict=True):
         draft.add([(name, box([0.05, lamp / 3 - 0.008, 0.13], [x0 + 0.04, y, carrier]))])
-    draft.meshes += parts.plate("rear", [x0 + 0.05, 0.0, carrier])
+    draft.meshes += parts.number_plate("rear", [x0 + 0.05, 0.0, carrier])
     flap = box([0.02, 0.5, 0.45], [-0.75, half - 0.3, 0.5])
-    tank = turned([[0.0, -0.55], [0.27, -0.54], [0.3, -0.5], [0.3, 0.5], [0.27, 0.54], [0.0, 0.55]], 18)
+    tank = revolve([[0.0, -0.55], [0.27, -0.54], [0.3, -0.5], [0.3, 0.5], [0.27, 0.54], [0.0, 0.55]], 18)
     tank_along = tank.moved([0.5 * draft.wheelbase, half - 0.38, 0.66], np.array([[0, 0, 1.0], [0, 1, 0], [-1, 0, 0]]))
     guard = boxes([[1.6, 0.03, 0.1]] * 2, [[0.5 * draft.wheelbase - 0.1, half - 0.04, z] for z in (0.5, 0.78)])
     draft.add([("rubber", flap), ("rim", tank_along), ("rim", guard)])

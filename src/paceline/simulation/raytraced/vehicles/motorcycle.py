@@ -5,18 +5,27 @@ from __future__ import annotations
 import numpy as np
 
 from paceline.arrays import Array
-from paceline.simulation.raytraced.mesh_builders import Mesh, Named, box, ellipsoid, joined, sheet, tube, turned
+from paceline.simulation.raytraced.mesh_builders import (
+    Mesh,
+    NamedMesh,
+    box,
+    ellipsoid,
+    join_meshes,
+    revolve,
+    sheet,
+    tube,
+)
 from paceline.simulation.raytraced.vehicles import parts
-from paceline.simulation.raytraced.vehicles.builder import Draft
-from paceline.simulation.raytraced.vehicles.parts import ON_SIDE
+from paceline.simulation.raytraced.vehicles.builder import VehicleDraft
+from paceline.simulation.raytraced.vehicles.parts import Z_TO_Y
 
 
-def motorcycle(rng: np.random.Generator) -> Draft:
+def draft_motorcycle(rng: np.random.Generator) -> VehicleDraft:
     """A road motorcycle, its rider sitting upright in a helmet."""
     wheelbase = rng.uniform(1.38, 1.5)
     radius = rng.uniform(0.30, 0.325)
     seat = rng.uniform(0.78, 0.84)
-    draft = Draft(wheelbase, (wheelbase + 2 * radius + 0.08, 0.82, seat + 0.975))
+    draft = VehicleDraft(wheelbase, (wheelbase + 2 * radius + 0.08, 0.82, seat + 0.975))
     head = np.array([wheelbase - 0.36, 0.0, 0.92])
     axle = np.array([wheelbase, 0.0, radius])
     named = [
@@ -29,15 +38,15 @@ def motorcycle(rng: np.random.Generator) -> Draft:
         ("plastic", box([0.3, 0.12, 0.03], [-0.22, 0, seat - 0.09])),
         ("housing", ellipsoid([head[0] + 0.12, 0, 0.9], [0.12, 0.11, 0.11])),
         ("plastic", box([0.08, 0.2, 0.09], [head[0] + 0.06, 0, 1.04])),
-        ("paint", _guard(axle, radius, 0.075, (0.3, 2.5))),
-        ("plastic", _guard(np.array([0.0, 0.0, radius]), radius, 0.1, (1.4, 3.0))),
+        ("paint", _mudguard(axle, radius, 0.075, (0.3, 2.5))),
+        ("plastic", _mudguard(np.array([0.0, 0.0, radius]), radius, 0.1, (1.4, 3.0))),
         ("rubber", box([0.28, 0.17, 0.02], [-0.33, 0, 0.55])),
     ]
-    named += parts.bowl([head[0] + 0.24, 0, 0.9], 0.085, "front")
-    named += parts.plate("rear", [-0.44, 0, seat - 0.2], 0.22, 0.16)
+    named += parts.round_lamp([head[0] + 0.24, 0, 0.9], 0.085, "front")
+    named += parts.number_plate("rear", [-0.44, 0, seat - 0.2], 0.22, 0.16)
     draft.meshes += named
-    draft.add(_sides(rng, wheelbase, head, axle, seat))
-    draft.meshes += _rider(rng, seat, draft)
+    draft.add(_side_parts(rng, wheelbase, head, axle, seat))
+    draft.meshes += _rider_parts(rng, seat, draft)
     for x, width in ((0.0, 0.17), (wheelbase, 0.12)):
         draft.wheels.append((_wheel(rng, radius, width), np.array([x, 0.0, radius]), radius))
     x = -0.44
@@ -49,7 +58,7 @@ def motorcycle(rng: np.random.Generator) -> Draft:
     return draft
 
 
-def _sides(rng: np.random.Generator, wheelbase: float, head: Array, axle: Array, seat: float) -> list[Named]:
+def _side_parts(rng: np.random.Generator, wheelbase: float, head: Array, axle: Array, seat: float) -> list[NamedMesh]:
     """Fork, handlebar, mirrors, indicators, swing arm, exhaust and foot rests of the left half."""
     grip = head + [-0.12, 0.38, 0.12]
     bar = np.array([head + [0.0, 0.04, 0.06], head + [-0.02, 0.2, 0.13], grip])
@@ -77,7 +86,7 @@ def _sides(rng: np.random.Generator, wheelbase: float, head: Array, axle: Array,
     return result
 
 
-def _rider(rng: np.random.Generator, seat: float, draft: Draft) -> list[Named]:
+def _rider_parts(rng: np.random.Generator, seat: float, draft: VehicleDraft) -> list[NamedMesh]:
     """A sitting rider with hands on the bar."""
     hip, shoulder = np.array([0.22, 0.0, seat + 0.1]), np.array([0.36, 0.0, seat + 0.58])
     grip = np.array([draft.wheelbase - 0.48, 0.33, 1.05])
@@ -98,13 +107,13 @@ def _rider(rng: np.random.Generator, seat: float, draft: Draft) -> list[Named]:
         ellipsoid(hip + [-0.03, 0.06, -0.03], [0.17, 0.13, 0.13], 6, 10),
     ]
     return [
-        ("cloth", joined([wide, *(m.both() for m in limbs)])),
+        ("cloth", join_meshes([wide, *(m.both() for m in limbs)])),
         (helmet, ellipsoid(center, [0.15, 0.125, 0.155], 10, 18)),
         ("glass", ellipsoid(center + [0.045, 0, 0.01], [0.113, 0.115, 0.06], 8, 16)),
     ]
 
 
-def _guard(axle: Array, radius: float, half: float, span: tuple[float, float]) -> Mesh:
+def _mudguard(axle: Array, radius: float, half: float, span: tuple[float, float]) -> Mesh:
     """A mudguard over a wheel, between two angles above the horizontal (rad, from the front)."""
     angle = np.linspace(*span, 16)[:, None]
     y = np.linspace(half, -half, 7)
@@ -116,7 +125,7 @@ def _guard(axle: Array, radius: float, half: float, span: tuple[float, float]) -
 def _wheel(rng: np.random.Generator, radius: float, width: float) -> dict[str, Mesh]:
     w = width / 2
     inner = 0.72 * radius
-    tyre = turned(
+    tyre = revolve(
         [
             [inner, -0.6 * w],
             [0.88 * radius, -w],
@@ -128,16 +137,16 @@ def _wheel(rng: np.random.Generator, radius: float, width: float) -> dict[str, M
         ],
         32,
     )
-    lip = turned([[0.96 * inner, -0.5 * w], [inner, -0.6 * w], [inner, 0.6 * w], [0.96 * inner, 0.5 * w]], 32)
-    disc = turned(
+    lip = revolve([[0.96 * inner, -0.5 * w], [inner, -0.6 * w], [inner, 0.6 * w], [0.96 * inner, 0.5 * w]], 32)
+    disc = revolve(
         [[0.45 * inner, 0.72 * w], [0.8 * inner, 0.72 * w], [0.8 * inner, 0.78 * w], [0.45 * inner, 0.78 * w]], 24
     )
-    hub = turned([[0.0, -1.1 * w], [0.05, -w], [0.05, w], [0.0, 1.1 * w]], 12)
+    hub = revolve([[0.0, -1.1 * w], [0.05, -w], [0.05, w], [0.0, 1.1 * w]], 12)
     n = int(rng.choice([3, 5, 6]))
     angles = 2 * np.pi * np.arange(n) / n
     spokes = [
         tube(np.array([[0.03 * np.cos(t), 0.03 * np.sin(t), 0], [inner * np.cos(t), inner * np.sin(t), 0]]), 0.018, 8)
         for t in angles
     ]
-    named = {"rubber": tyre, "rim": joined([lip, hub, *spokes]), "chrome": disc.moved([0, 0, 0])}
-    return {name: mesh.moved([0, 0, 0], ON_SIDE) for name, mesh in named.items()}
+    named = {"rubber": tyre, "rim": join_meshes([lip, hub, *spokes]), "chrome": disc.moved([0, 0, 0])}
+    return {name: mesh.moved([0, 0, 0], Z_TO_Y) for name, mesh in named.items()}

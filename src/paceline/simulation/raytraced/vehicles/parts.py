@@ -7,11 +7,21 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from paceline.arrays import Array
-from paceline.simulation.raytraced.mesh_builders import Mesh, Named, box, ellipsoid, joined, quads, sheet, tube, turned
+from paceline.simulation.raytraced.mesh_builders import (
+    Mesh,
+    NamedMesh,
+    box,
+    ellipsoid,
+    join_meshes,
+    quads,
+    revolve,
+    sheet,
+    tube,
+)
 from paceline.simulation.raytraced.meshes import Material, Texture
 from paceline.simulation.raytraced.road_textures import mottle
 
-PAINTS = {  # linear reflectance, share among cars and among buses and lorries
+PAINT_COLORS = {  # linear reflectance, share among cars and among buses and lorries
     "white": ((0.70, 0.70, 0.68), 0.24, 0.40),
     "black": ((0.012, 0.012, 0.013), 0.18, 0.02),
     "grey": ((0.10, 0.105, 0.11), 0.18, 0.05),
@@ -22,15 +32,15 @@ PAINTS = {  # linear reflectance, share among cars and among buses and lorries
     "yellow": ((0.52, 0.30, 0.02), 0.01, 0.09),
     "beige": ((0.42, 0.36, 0.26), 0.02, 0.0),
 }
-ON_SIDE = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # turns a z axis to y
+Z_TO_Y = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # turns a z axis to y
 
 
-def materials(rng: np.random.Generator, fleet: bool = False) -> dict[str, Material]:
+def vehicle_materials(rng: np.random.Generator, fleet: bool = False) -> dict[str, Material]:
     """What the named parts of a vehicle are made of, in a colour drawn as on the road; buses and lorries are a
     ``fleet``."""
-    names = list(PAINTS)
-    share = np.array([PAINTS[n][2 if fleet else 1] for n in names])
-    coat = np.array(PAINTS[str(rng.choice(names, p=share / share.sum()))][0]) * rng.uniform(0.85, 1.1)
+    names = list(PAINT_COLORS)
+    share = np.array([PAINT_COLORS[n][2 if fleet else 1] for n in names])
+    coat = np.array(PAINT_COLORS[str(rng.choice(names, p=share / share.sum()))][0]) * rng.uniform(0.85, 1.1)
     trim = rng.uniform(0.015, 0.045)
     return {
         "paint": Material("paint", _rgb(coat), roughness=0.03),
@@ -71,7 +81,7 @@ def plate_texture(rng: np.random.Generator, ground: tuple[float, float, float]) 
     )
 
 
-def plate(end: str, center: ArrayLike, width: float = 0.52, height: float = 0.114) -> list[Named]:
+def number_plate(end: str, center: ArrayLike, width: float = 0.52, height: float = 0.114) -> list[NamedMesh]:
     """A number plate at ``center`` (3,), facing its end, on a dark holder."""
     x, y, z = np.asarray(center, float)
     out = 1.0 if end == "front" else -1.0
@@ -81,10 +91,10 @@ def plate(end: str, center: ArrayLike, width: float = 0.52, height: float = 0.11
     return [(f"{end} plate", face), ("plastic", holder)]
 
 
-def bowl(center: ArrayLike, radius: float, end: str) -> list[Named]:
+def round_lamp(center: ArrayLike, radius: float, end: str) -> list[NamedMesh]:
     """A round lamp's reflector ring with a ball of glass in it, facing an end."""
     out = 1.0 if end == "front" else -1.0
-    ring = turned(
+    ring = revolve(
         [[radius, -0.03], [radius, 0.0], [0.86 * radius, 0.006], [0.7 * radius, -0.02], [0.05 * radius, -0.03]], 20
     )
     facing = np.array([[0, 0, out], [0, out, 0], [-1, 0, 0.0]])
@@ -98,7 +108,7 @@ def wheel(
     """A left wheel about its centre: "rubber", "rim" and "dark" parts; its outer face looks to +y."""
     r, w = radius, width / 2
     ri = inner * r
-    tyre = turned(
+    tyre = revolve(
         [
             [ri, -0.85 * w],
             [0.86 * r, -w],
@@ -111,9 +121,9 @@ def wheel(
         ],
         32,
     )
-    lip = turned([[0.97 * ri, -0.8 * w], [1.02 * ri, 0.86 * w], [0.93 * ri, 0.84 * w], [0.88 * ri, 0.55 * w]], 32)
-    back = turned([[ri, 0.02 * w], [0.2 * ri, 0.1 * w], [0.0, 0.1 * w]], 24)
-    hub = turned([[0.24 * ri, 0.2 * w], [0.22 * ri, 0.66 * w], [0.13 * ri, 0.72 * w], [0.0, 0.72 * w]], 14)
+    lip = revolve([[0.97 * ri, -0.8 * w], [1.02 * ri, 0.86 * w], [0.93 * ri, 0.84 * w], [0.88 * ri, 0.55 * w]], 32)
+    back = revolve([[ri, 0.02 * w], [0.2 * ri, 0.1 * w], [0.0, 0.1 * w]], 24)
+    hub = revolve([[0.24 * ri, 0.2 * w], [0.22 * ri, 0.66 * w], [0.13 * ri, 0.72 * w], [0.0, 0.72 * w]], 14)
     n = spokes or int(rng.choice([5, 6, 7, 9, 10]))
     broad = min(0.85, 2.6 / n) * ri * rng.uniform(0.5, 0.8)
     inner_y, outer_y = 0.68 * w, rng.uniform(0.55, 0.8) * w
@@ -129,11 +139,11 @@ def wheel(
         for t in 2 * np.pi * np.arange(n) / n
     ]
     arms = [spoke.moved([0, 0, 0], turn) for turn in turns]
-    parts = {"rubber": tyre, "rim": joined([lip, hub, *arms]), "dark": back}
-    return {name: mesh.moved([0, 0, 0], ON_SIDE) for name, mesh in parts.items()}
+    parts = {"rubber": tyre, "rim": join_meshes([lip, hub, *arms]), "dark": back}
+    return {name: mesh.moved([0, 0, 0], Z_TO_Y) for name, mesh in parts.items()}
 
 
-def mirror(center: ArrayLike, size: float, material: str) -> list[Named]:
+def mirror(center: ArrayLike, size: float, material: str) -> list[NamedMesh]:
     """A left door mirror with its glass looking back."""
     c = np.asarray(center, float)
     return [
@@ -143,14 +153,14 @@ def mirror(center: ArrayLike, size: float, material: str) -> list[Named]:
     ]
 
 
-def wiper(foot: ArrayLike, tip: ArrayLike, up: float = 0.025) -> list[Named]:
+def wiper(foot: ArrayLike, tip: ArrayLike, up: float = 0.025) -> list[NamedMesh]:
     """An arm from foot to tip, ``up`` m above the pane."""
     a, b = np.asarray(foot, float), np.asarray(tip, float)
     rise = np.array([0.6 * up, 0, up])
     return [("dark", tube(np.linspace(a + rise, b + rise, 3), 0.011, 6))]
 
 
-def liner(points: Array, inward: float) -> Mesh:
+def wheel_arch_liner(points: Array, inward: float) -> Mesh:
     """The inside of a wheel arch, ``inward`` metres deep from its edge ``points`` (N, 3), front to rear."""
     inner = points * [1, 0, 1] + [0, 1, 0] * (points[:, 1:2] - inward)
     return sheet(np.stack([inner, points]))

@@ -14,19 +14,19 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import PchipInterpolator
 
 from paceline.arrays import Array, Indices
-from paceline.simulation.raytraced.mesh_builders import Mesh, Named, sheet
+from paceline.simulation.raytraced.mesh_builders import Mesh, NamedMesh, sheet
 
 Curve = Callable[[Array], Array]
 
 
-def through(points: Sequence[tuple[float, float]]) -> Curve:
+def interpolate(points: Sequence[tuple[float, float]]) -> Curve:
     """A curve through points whose first coordinate grows, without overshoot; its ends' values hold beyond them."""
     x, y = np.array(points, float).T
     curve = PchipInterpolator(x, y)
     return lambda at: np.asarray(curve(np.clip(at, x[0], x[-1])))
 
 
-def rounding(reach: ArrayLike, straight: int = 2, corner: int = 2) -> tuple[Array, Indices]:
+def smoothing_weights(reach: ArrayLike, straight: int = 2, corner: int = 2) -> tuple[Array, Indices]:
     """Weights (M, N) that turn N control points into a smooth line, and the control segment (M - 1,) of each piece.
 
     The line is a quadratic B-spline with tightened corners: around control point k a parabola takes the place of the
@@ -58,7 +58,7 @@ def rounding(reach: ArrayLike, straight: int = 2, corner: int = 2) -> tuple[Arra
 
 
 @dataclass(frozen=True)
-class Feature:
+class PanelFeature:
     """A rectangle of a band made of ``name``, ``depth`` m out of it (negative: recessed), ``bevel`` m wide sides."""
 
     name: str
@@ -73,7 +73,7 @@ class Feature:
 
 
 @dataclass(frozen=True)
-class Rows:
+class BandRows:
     """The heights of a band's rows: nominal ones, from ``low`` to ``high``, become true ones as its borders ask.
 
     ``bottom`` and ``top`` are the borders' true heights over x. Rows above the second of the ``knees`` follow the upper
@@ -99,16 +99,16 @@ class Rows:
         return z if z <= upper else upper + (z - upper) * (self.high - upper) / (top - upper)
 
 
-class Band:
+class BodyBand:
     """The walls of a body below its belt.
 
     ``plan`` (N, 2) are control points of x and y of the left half's outline, from the front; ``section`` widens it by a
     factor over nominal z, ``front`` and ``rear`` move its ends outwards (m over nominal z).
     """
 
-    def __init__(self, plan: ArrayLike, rows: Rows, section: Curve, front: Curve, rear: Curve) -> None:
+    def __init__(self, plan: ArrayLike, rows: BandRows, section: Curve, front: Curve, rear: Curve) -> None:
         control = np.asarray(plan, float)
-        self.outline = rounding(np.full(len(control), 0.5), 12, 12)[0] @ control
+        self.outline = smoothing_weights(np.full(len(control), 0.5), 12, 12)[0] @ control
         self.q = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.outline, axis=0), axis=1))])
         self.length = float(self.q[-1])
         self.rows, self.section, self.front, self.rear = rows, section, front, rear
@@ -144,24 +144,24 @@ class Band:
         normal_y = np.where(ends, 0.0, -dx / np.hypot(dx, dy))
         x, y = at
         ahead, behind = ((x - self.outline[0, 0]) / 0.5 + 1.5, (self.outline[-1, 0] - x) / 0.5 + 1.5)
-        moved = _eased(ahead) * self.front(z) - _eased(behind) * self.rear(z)
+        moved = _smoothstep(ahead) * self.front(z) - _smoothstep(behind) * self.rear(z)
         return np.stack([x + moved + out * normal_x, y * self.section(z) + out * normal_y, self.rows.true(x, z)], -1)
 
     def wall(
         self,
         q: tuple[float, float],
         z: tuple[float, float],
-        features: Iterable[Feature],
+        features: Iterable[PanelFeature],
         name: str = "paint",
         step: tuple[float, float] = (0.09, 0.08),
         more: Sequence[float] = (),
-    ) -> list[Named]:
+    ) -> list[NamedMesh]:
         """The wall over the ranges ``q`` and ``z`` with its features, later ones over earlier ones, and ``name``
         elsewhere. The grid has lines at all borders of features and at ``more`` (q), none farther apart than ``step``.
         """
         features = list(features)
-        columns = _grid([*q, *more, *(v for f in features for v in f.lines(f.q))], q, step[0])
-        rows = _grid([*z, *(v for f in features for v in f.lines(f.z))], z, step[1])[::-1]
+        columns = _grid_lines([*q, *more, *(v for f in features for v in f.lines(f.q))], q, step[0])
+        rows = _grid_lines([*z, *(v for f in features for v in f.lines(f.z))], z, step[1])[::-1]
         Q, Z = np.meshgrid(columns, rows)
         depth = np.zeros_like(Q)
         kind = np.zeros((len(rows) - 1, len(columns) - 1), int)
@@ -172,10 +172,10 @@ class Band:
             depth[within] = f.depth
             kind[(f.q[0] < mid_q) & (mid_q < f.q[1]) & (f.z[0] < mid_z) & (mid_z < f.z[1])] = k
         whole = sheet(self.points(Q, Z, depth))
-        return parted(whole, kind, [name, *(f.name for f in features)])
+        return split_by_kind(whole, kind, [name, *(f.name for f in features)])
 
 
-def parted(mesh: Mesh, kind: Indices, names: Sequence[str]) -> list[Named]:
+def split_by_kind(mesh: Mesh, kind: Indices, names: Sequence[str]) -> list[NamedMesh]:
     """A sheet's cells (H - 1, W - 1) parted by their ``kind``, an index into ``names``; names of "" are left out."""
     per_triangle = np.repeat(kind.reshape(-1), 2)
     return [
@@ -183,20 +183,20 @@ def parted(mesh: Mesh, kind: Indices, names: Sequence[str]) -> list[Named]:
     ]
 
 
-def top(
-    band: Band,
+def loft_surface(
+    band: BodyBand,
     net: ArrayLike,
     borders: Sequence[ArrayLike],
     reach: tuple[ArrayLike, ArrayLike],
     names: Callable[[int, int], str],
-) -> list[Named]:
+) -> list[NamedMesh]:
     """The surface over a net of control points (U, V, 3), stations from front to rear by rows from the left border to
     the middle.
 
     Its side, front and rear ``borders`` are drawn to the band's upper edge at the q (U,), (V,), (V,) of their control
-    points; ``reach`` is as in `rounding`, ``names(u, v)`` what the control cells are made of.
+    points; ``reach`` is as in `smoothing_weights`, ``names(u, v)`` what the control cells are made of.
     """
-    (wu, su), (wv, sv) = rounding(reach[0], 3, 2), rounding(reach[1], 3, 2)
+    (wu, su), (wv, sv) = smoothing_weights(reach[0], 3, 2), smoothing_weights(reach[1], 3, 2)
     points = np.einsum("mu,uvc,nv->mnc", wu, np.asarray(net, float), wv)
     side, front, rear = (
         band.points(w @ np.asarray(q, float), band.high) for w, q in zip((wu, wv, wv), borders, strict=True)
@@ -207,16 +207,16 @@ def top(
     tags = [[names(int(a), int(b)) for b in sv] for a in su]
     known = sorted({t for row in tags for t in row})
     kind = np.array([[known.index(t) for t in row] for row in tags])
-    return parted(sheet(points), kind, known)
+    return split_by_kind(sheet(points), kind, known)
 
 
-def _grid(lines: Iterable[float], span: tuple[float, float], step: float) -> Array:
+def _grid_lines(lines: Iterable[float], span: tuple[float, float], step: float) -> Array:
     """All ``lines`` within ``span`` and as many between them that none are farther apart than ``step``; ascending."""
     x = np.unique(np.round([v for v in lines if span[0] - 1e-9 <= v <= span[1] + 1e-9], 5))
     pieces = [np.linspace(a, b, int(np.ceil((b - a) / step)) + 1)[:-1] for a, b in zip(x[:-1], x[1:], strict=True)]
     return np.concatenate([*pieces, x[-1:]])
 
 
-def _eased(u: Array) -> Array:
+def _smoothstep(u: Array) -> Array:
     u = np.clip(u, 0, 1)
     return np.asarray(u * u * (3 - 2 * u))

@@ -6,13 +6,13 @@ import numpy as np
 
 from paceline.simulation.raytraced.mesh_builders import box, tube
 from paceline.simulation.raytraced.vehicles import parts
-from paceline.simulation.raytraced.vehicles.builder import Draft
-from paceline.simulation.raytraced.vehicles.cabin import cabin
-from paceline.simulation.raytraced.vehicles.hull import Form, band, walls
-from paceline.simulation.raytraced.vehicles.sheet_metal import Band, Feature
+from paceline.simulation.raytraced.vehicles.builder import VehicleDraft
+from paceline.simulation.raytraced.vehicles.cabin import loft_cabin
+from paceline.simulation.raytraced.vehicles.hull import HullShape, hull_band, hull_walls
+from paceline.simulation.raytraced.vehicles.sheet_metal import BodyBand, PanelFeature
 
 
-def van(rng: np.random.Generator) -> Draft:
+def draft_van(rng: np.random.Generator) -> VehicleDraft:
     """A panel van."""
     wheelbase = rng.uniform(3.0, 3.7)
     front, rear = wheelbase + rng.uniform(0.88, 1.0), -rng.uniform(0.95, 1.2)
@@ -23,7 +23,7 @@ def van(rng: np.random.Generator) -> Draft:
     cowl = front - rng.uniform(0.72, 0.85)
     header = cowl - rng.uniform(0.75, 0.95)
     post = header - rng.uniform(0.65, 0.8)
-    form = Form(
+    form = HullShape(
         front=front,
         rear=rear,
         half=half,
@@ -57,10 +57,10 @@ def van(rng: np.random.Generator) -> Draft:
         doors=(cowl - 0.2, post - 0.02, post - rng.uniform(1.0, 1.2)),
         rear_pane=bool(rng.random() < 0.7),
     )
-    b = band(form)
-    draft = Draft(wheelbase, (front - rear, 2 * half, height))
-    shell = cabin(form, b) + walls(
-        form, b, _van_face(rng, form, b, draft, bumper), _van_tail(rng, form, b, draft, bumper)
+    b = hull_band(form)
+    draft = VehicleDraft(wheelbase, (front - rear, 2 * half, height))
+    shell = loft_cabin(form, b) + hull_walls(
+        form, b, _van_front_features(rng, form, b, draft, bumper), _van_rear_features(rng, form, b, draft, bumper)
     )
     base = b.points(b.at(form.cowl[0] - form.wrap - 0.12), lip)
     shell += parts.mirror(base + [0, 0.15, 0.14], 1.5, "plastic")
@@ -76,25 +76,29 @@ def van(rng: np.random.Generator) -> Draft:
     return draft
 
 
-def _van_face(rng: np.random.Generator, f: Form, b: Band, draft: Draft, bumper: float) -> list[Feature]:
+def _van_front_features(
+    rng: np.random.Generator, f: HullShape, b: BodyBand, draft: VehicleDraft, bumper: float
+) -> list[PanelFeature]:
     w, z0, z1 = f.half, bumper + 0.04, f.lip - 0.08
     inner, outer = rng.uniform(0.56, 0.62) * w, rng.uniform(0.92, 0.97) * w
     grille = inner - rng.uniform(0.03, 0.1)
     at = {y: b.across(y, "front") for y in (grille, inner, outer)}
-    features = [Feature("paint", (0, b.length), (bumper + 0.01, f.lip))]
-    features.append(Feature("dark", (0, at[grille]), (z0, z1), -0.05, 0.01))
+    features = [PanelFeature("paint", (0, b.length), (bumper + 0.01, f.lip))]
+    features.append(PanelFeature("dark", (0, at[grille]), (z0, z1), -0.05, 0.01))
     bars = int(rng.integers(3, 5))
     for k in range(bars):
         z = z0 + (k + 0.5) / bars * (z1 - z0)
         name = "chrome" if rng.random() < 0.3 else "plastic"
-        features.append(Feature(name, (0, at[grille] - 0.01), (z - 0.014, z + 0.014), 0.004, 0.005))
-    features.append(Feature("housing", (at[inner], at[outer]), (z0, z1 + 0.05), -0.03, 0.012))
-    features.append(Feature("dark", (0, b.across(0.6 * w, "front")), (0.33, 0.42), -0.06, 0.012))
+        features.append(PanelFeature(name, (0, at[grille] - 0.01), (z - 0.014, z + 0.014), 0.004, 0.005))
+    features.append(PanelFeature("housing", (at[inner], at[outer]), (z0, z1 + 0.05), -0.03, 0.012))
+    features.append(PanelFeature("dark", (0, b.across(0.6 * w, "front")), (0.33, 0.42), -0.06, 0.012))
     size = 0.3 * (z1 + 0.05 - z0)
-    draft.add(parts.bowl(b.points(b.across(inner + 1.25 * size, "front"), (z0 + z1 + 0.05) / 2, -0.012), size, "front"))
+    draft.add(
+        parts.round_lamp(b.points(b.across(inner + 1.25 * size, "front"), (z0 + z1 + 0.05) / 2, -0.012), size, "front")
+    )
     low = b.across(outer - 0.09, "front")
-    features.append(Feature("amber", (low, at[outer] - 0.012), (z0 + 0.02, z1 + 0.03), -0.015, 0.005))
-    draft.meshes += parts.plate("front", b.points(0.0, 0.49, 0.015))
+    features.append(PanelFeature("amber", (low, at[outer] - 0.012), (z0 + 0.02, z1 + 0.03), -0.015, 0.005))
+    draft.meshes += parts.number_plate("front", b.points(0.0, 0.49, 0.015))
     for z in (z0, z1):
         draft.level("front", b, grille, z)
     for z in (0.49 - 0.057, 0.49 + 0.057):
@@ -106,25 +110,29 @@ def _van_face(rng: np.random.Generator, f: Form, b: Band, draft: Draft, bumper: 
     return features
 
 
-def _van_tail(rng: np.random.Generator, f: Form, b: Band, draft: Draft, bumper: float) -> list[Feature]:
+def _van_rear_features(
+    rng: np.random.Generator, f: HullShape, b: BodyBand, draft: VehicleDraft, bumper: float
+) -> list[PanelFeature]:
     w = f.half
-    features = [Feature("paint", (0, b.length), (bumper - 0.02, f.lip))]
+    features = [PanelFeature("paint", (0, b.length), (bumper - 0.02, f.lip))]
     lamp = rng.uniform(0.10, 0.14)
     z0, z1 = bumper + rng.uniform(0.08, 0.2), f.lip
     q0, q1 = b.across(0.985 * w, "rear"), b.across(0.985 * w - lamp, "rear")
-    features.append(Feature("red", (q0, q1), (z0, z1), 0.01, 0.006))
+    features.append(PanelFeature("red", (q0, q1), (z0, z1), 0.01, 0.006))
     features.append(
-        Feature("amber", (q0 + 0.01, q1 - 0.01), (z0 + 0.4 * (z1 - z0), z0 + 0.6 * (z1 - z0)), 0.011, 0.003)
+        PanelFeature("amber", (q0 + 0.01, q1 - 0.01), (z0 + 0.4 * (z1 - z0), z0 + 0.6 * (z1 - z0)), 0.011, 0.003)
     )
-    features.append(Feature("white", (q0 + 0.01, q1 - 0.01), (z0 + 0.02, z0 + 0.16 * (z1 - z0)), 0.011, 0.003))
-    features.append(Feature("seam", (b.length - 0.006, b.length), (bumper, f.lip)))
+    features.append(PanelFeature("white", (q0 + 0.01, q1 - 0.01), (z0 + 0.02, z0 + 0.16 * (z1 - z0)), 0.011, 0.003))
+    features.append(PanelFeature("seam", (b.length - 0.006, b.length), (bumper, f.lip)))
     seam = b.across(0.985 * w - lamp - 0.02, "rear")
-    features.append(Feature("seam", (seam - 0.004, seam + 0.004), (bumper, f.lip)))
+    features.append(PanelFeature("seam", (seam - 0.004, seam + 0.004), (bumper, f.lip)))
     zp = bumper + rng.uniform(0.08, 0.16)
     features.append(
-        Feature("plastic", (b.across(0.05, "rear") - 0.16, b.across(0.05, "rear")), (zp + 0.14, zp + 0.18), 0.02, 0.006)
+        PanelFeature(
+            "plastic", (b.across(0.05, "rear") - 0.16, b.across(0.05, "rear")), (zp + 0.14, zp + 0.18), 0.02, 0.006
+        )
     )
-    draft.meshes += parts.plate("rear", b.points(b.across(0.0, "rear"), zp, 0.014))
+    draft.meshes += parts.number_plate("rear", b.points(b.across(0.0, "rear"), zp, 0.014))
     for x in (0.0, 0.06):
         steps = b.points(b.across((0.5 + x) * w, "rear"), 0.45, -0.01)
         draft.add([("dark", box([0.02, 0.03, 0.08], steps))])
@@ -144,7 +152,7 @@ def _van_tail(rng: np.random.Generator, f: Form, b: Band, draft: Draft, bumper: 
     return features
 
 
-def bus(rng: np.random.Generator) -> Draft:
+def draft_bus(rng: np.random.Generator) -> VehicleDraft:
     """A city or country bus."""
     wheelbase = rng.uniform(5.6, 6.2)
     front, rear = wheelbase + rng.uniform(2.5, 2.8), -rng.uniform(2.9, 3.4)
@@ -155,7 +163,7 @@ def bus(rng: np.random.Generator) -> Draft:
     cowl, header = front - 0.24, front - rng.uniform(0.42, 0.6)
     count = int(rng.integers(5, 8))
     borders = np.linspace(header - 0.1, rear + 0.9, count + 1)
-    form = Form(
+    form = HullShape(
         front=front,
         rear=rear,
         half=half,
@@ -181,12 +189,12 @@ def bus(rng: np.random.Generator) -> Draft:
         wrap=0.22,
         pillar=0.06,
         doors=(front - 0.45, front - 1.6),
-        side=(Feature(str(rng.choice(["white", "seam", "paint", "red"])), (0.0, 99.0), (lip - 0.2, lip - 0.08)),),
+        side=(PanelFeature(str(rng.choice(["white", "seam", "paint", "red"])), (0.0, 99.0), (lip - 0.2, lip - 0.08)),),
     )
-    b = band(form)
-    draft = Draft(wheelbase, (front - rear, 2 * half, height))
-    shell = cabin(form, b) + walls(
-        form, b, _bus_face(rng, form, b, draft, bumper), _bus_tail(rng, form, b, draft, bumper)
+    b = hull_band(form)
+    draft = VehicleDraft(wheelbase, (front - rear, 2 * half, height))
+    shell = loft_cabin(form, b) + hull_walls(
+        form, b, _bus_front_features(rng, form, b, draft, bumper), _bus_rear_features(rng, form, b, draft, bumper)
     )
     arm = np.array([[header - 0.15, 0.9 * half, height - 0.2], [front + 0.05, half + 0.05, height - 0.22]])
     arm = np.array([*arm, [front + 0.1, half + 0.12, height - 0.35]])
@@ -199,23 +207,27 @@ def bus(rng: np.random.Generator) -> Draft:
     return draft
 
 
-def _bus_face(rng: np.random.Generator, f: Form, b: Band, draft: Draft, bumper: float) -> list[Feature]:
+def _bus_front_features(
+    rng: np.random.Generator, f: HullShape, b: BodyBand, draft: VehicleDraft, bumper: float
+) -> list[PanelFeature]:
     w, z0, z1 = f.half, bumper + 0.05, f.lip - 0.12
     grille = rng.uniform(0.3, 0.5) * w
     inner, outer = 0.62 * w, 0.95 * w
     at = {y: b.across(y, "front") for y in (grille, inner, outer)}
-    features = [Feature("paint", (0, b.length), (bumper, f.lip))]
+    features = [PanelFeature("paint", (0, b.length), (bumper, f.lip))]
     for k in range(int(rng.integers(2, 5))):
         z = z1 - 0.07 * k
         if z - 0.045 > z0:
-            features.append(Feature("dark", (0, at[grille]), (z - 0.04, z), -0.03, 0.006))
-    features.append(Feature("housing", (at[inner], at[outer]), (z0, min(z0 + 0.22, z1 + 0.05)), -0.035, 0.012))
+            features.append(PanelFeature("dark", (0, at[grille]), (z - 0.04, z), -0.03, 0.006))
+    features.append(PanelFeature("housing", (at[inner], at[outer]), (z0, min(z0 + 0.22, z1 + 0.05)), -0.035, 0.012))
     for y in (inner + 0.13, outer - 0.13):
         draft.add(
-            parts.bowl(b.points(b.across(y, "front"), (z0 + min(z0 + 0.22, z1 + 0.05)) / 2, -0.01), 0.085, "front")
+            parts.round_lamp(
+                b.points(b.across(y, "front"), (z0 + min(z0 + 0.22, z1 + 0.05)) / 2, -0.01), 0.085, "front"
+            )
         )
-    features.append(Feature("dark", (0, b.across(0.5 * w, "front")), (0.34, 0.4), -0.05, 0.01))
-    draft.meshes += parts.plate("front", b.points(0.0, bumper - 0.11, 0.015))
+    features.append(PanelFeature("dark", (0, b.across(0.5 * w, "front")), (0.34, 0.4), -0.05, 0.01))
+    draft.meshes += parts.number_plate("front", b.points(0.0, bumper - 0.11, 0.015))
     draft.level("front", b, grille, z1)
     draft.level("front", b, 0.9 * w, bumper - 0.02)
     draft.level("front", b, 0.85 * w, f.lip)
@@ -227,10 +239,12 @@ def _bus_face(rng: np.random.Generator, f: Form, b: Band, draft: Draft, bumper: 
     return features
 
 
-def _bus_tail(rng: np.random.Generator, f: Form, b: Band, draft: Draft, bumper: float) -> list[Feature]:
+def _bus_rear_features(
+    rng: np.random.Generator, f: HullShape, b: BodyBand, draft: VehicleDraft, bumper: float
+) -> list[PanelFeature]:
     w = f.half
     top = b.nominal(f.deck - 0.08, f.deck)
-    features = [Feature("paint", (0, b.length), (bumper, f.lip))]
+    features = [PanelFeature("paint", (0, b.length), (bumper, f.lip))]
     grille = rng.uniform(0.4, 0.6) * w
     q = b.across(grille, "rear")
     low = bumper + 0.26
@@ -238,12 +252,12 @@ def _bus_tail(rng: np.random.Generator, f: Form, b: Band, draft: Draft, bumper: 
     tall = (top - low) / bars
     for k in range(bars):
         z = low + k * tall
-        features.append(Feature("dark", (q, b.length), (z + 0.1 * tall, z + 0.75 * tall), -0.03, 0.005))
+        features.append(PanelFeature("dark", (q, b.length), (z + 0.1 * tall, z + 0.75 * tall), -0.03, 0.005))
     q0, q1 = b.across(0.96 * w, "rear"), b.across(0.96 * w - 0.15, "rear")
     for k, name in enumerate(("red", "amber", "white")):
         z1 = top - 0.16 * k
-        features.append(Feature(name, (q0, q1), (z1 - 0.14, z1), 0.015, 0.008))
-    draft.meshes += parts.plate("rear", b.points(b.length, bumper + 0.12, 0.014))
+        features.append(PanelFeature(name, (q0, q1), (z1 - 0.14, z1), 0.015, 0.008))
+    draft.meshes += parts.number_plate("rear", b.points(b.length, bumper + 0.12, 0.014))
     for height in (bumper + 0.063, bumper + 0.177):
         draft.level("rear", b, 0.26, height)
     draft.level("rear", b, 0.9 * w, bumper - 0.02)
