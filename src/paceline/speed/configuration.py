@@ -19,11 +19,17 @@ from paceline.units import SpeedUnit
 DIGEST = re.compile(r" \(SHA-256 [0-9a-f]{12}…\)$")  # of a detector, as a summary names it
 
 
-def _pair(value: Any) -> Any:
-    return tuple(value) if isinstance(value, list) else value
+def _range(value: Any) -> tuple[float, float]:
+    try:
+        low, high = (float(v) for v in value)
+    except (TypeError, ValueError):
+        low = high = 0.0
+    if not 0 < low < high < float("inf"):
+        raise ValueError("expected two speeds, the slower one first")
+    return low, high
 
 
-Range = Annotated[tuple[float, float], BeforeValidator(_pair)]
+Range = Annotated[tuple[float, float], BeforeValidator(_range)]
 
 
 class Section(KnownKeys):

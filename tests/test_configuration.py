@@ -1,0 +1,110 @@
+"""Settings from a file: strict, complete, documented; a summary's own configuration reproduces its result."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from run_command import paceline as command
+
+from paceline.errors import UnusableInput
+from paceline.speed.configuration import SpeedConfiguration, SpeedSettings, load_settings
+from paceline.speed.settings_table import settings_page
+
+ROOT = Path(__file__).parents[1]
+STRAIGHT = ROOT / "examples" / "straight"
+
+
+def written(folder: Path, text: str) -> Path:
+    file = folder / "settings.yaml"
+    file.write_text(text, encoding="utf-8")
+    return file
+
+
+def test_every_field_can_be_set_in_a_file(tmp_path: Path) -> None:
+    document = json.loads(SpeedSettings(method="sift", device="auto", detector="d.onnx", learn=4.0).model_dump_json())
+    settings = load_settings(written(tmp_path, yaml.safe_dump(document)))
+    assert json.loads(settings.model_dump_json()) == document
+    assert settings.configuration == SpeedConfiguration()
+
+
+def test_a_file_sets_what_it_names_and_leaves_the_rest(tmp_path: Path) -> None:
+    text = "particles: 60\nlimits: {min_frames: 6}\nstart: {speed_range: [1, 40]}\njoint_calibration: {neighbours: 0}\n"
+    c = load_settings(written(tmp_path, text)).configuration
+    assert (c.particles, c.limits.min_frames, c.start.speed_range) == (60, 6, (1.0, 40.0))
+    assert c.joint_calibration.neighbours == 0 and c.joint_calibration.window_s == 600.0
+    assert c.limits.max_speed == 90.0 and c.seed == 0
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("particels: 60", "unknown key 'particels'; did you mean 'particles'?"),
+        ("limits: {min_frame: 6}", "limits: unknown key 'min_frame'; did you mean 'min_frames'?"),
+        ("particles: 10", "particles: expected at least 20, found 10"),
+        ("particles: '60'", "particles: expected a whole number, found '60'"),
+        ("particles: 60.5", "particles: expected a whole number, found 60.5"),
+        ("refine: 1", "refine: expected true or false, found 1"),
+        ("motion: straight", "motion: expected 'auto', 'free', 'line' or 'curve', found 'straight'"),
+        ("reference_memory: 1", "reference_memory: expected a number below 1, found 1"),
+        ("tolerance: .inf", "tolerance: expected a finite number, found inf"),
+        ("limits: 4", "limits: expected the keys min_frames, max_speed"),
+        ("start: {speed_range: [40, 1]}", "start.speed_range: expected two speeds, the slower one first"),
+        ("start: {speed_range: 3}", "start.speed_range: expected two speeds, the slower one first"),
+        ("seed: 1\nseed: 2", "line 2, column 1: the key 'seed' occurs twice"),
+        ("- 1", "expected the keys particles, seed"),
+        ("", "expected the keys particles, seed"),
+    ],
+)
+def test_what_a_file_cannot_say_is_refused(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(UnusableInput, match=re.escape(f"settings.yaml: {message}")):
+        load_settings(written(tmp_path, text))
+
+
+def test_the_command_names_the_file_and_the_key(tmp_path: Path) -> None:
+    done = command("speed", STRAIGHT, "-o", tmp_path / "out", "--config", written(tmp_path, "partikles: 60"))
+    assert done.returncode == 2 and not (tmp_path / "out").exists()
+    expected = f"{tmp_path / 'settings.yaml'}: unknown key 'partikles'; did you mean 'particles'?"
+    assert done.stderr == f"paceline: {expected}\n"
+
+
+def test_a_detector_that_a_file_names_lies_beside_it(tmp_path: Path) -> None:
+    text = "detector: none.onnx (SHA-256 0123456789ab…)"  # as a summary names it
+    clip = tmp_path / "clip.yaml"
+    document = yaml.safe_load((STRAIGHT / "clip.yaml").read_text(encoding="utf-8"))
+    for key in ("left", "right", "rig"):
+        document[key] = str(STRAIGHT / document[key])
+    clip.write_text(yaml.safe_dump(document | {"vehicles": []}), encoding="utf-8")
+    done = command("speed", clip, "-o", tmp_path / "out", "--config", written(tmp_path, text))
+    assert done.returncode == 2
+    assert str(tmp_path / "none.onnx") in done.stderr and done.stderr.count("\n") == 1
+
+
+def test_a_summarys_configuration_reproduces_the_result(tmp_path: Path) -> None:
+    """Options win over the file, and a file over the defaults."""
+    file = written(tmp_path, "method: sift\nparticles: 77\nseed: 3\nlimits: {max_half_width: 0.5}\n")
+    options = ["--quiet", "--config"]
+    first = command("speed", STRAIGHT, "-o", tmp_path / "first", "--seed", "5", *options, file)
+    assert first.returncode == 0, first.stderr
+    summary = summary_of(tmp_path / "first")
+    c = summary["configuration"]
+    assert (c["method"], c["particles"], c["seed"], c["limits"]["max_half_width"]) == ("sift", 77, 5, 0.5)
+    again = written(tmp_path, json.dumps(c))
+    assert command("speed", STRAIGHT, "-o", tmp_path / "again", *options, again).returncode == 0
+    assert summary_of(tmp_path / "again") == summary
+    tables = [(tmp_path / name / "estimates.csv").read_text() for name in ("first", "again")]
+    assert tables[0] == tables[1]
+
+
+def summary_of(folder: Path) -> dict[str, Any]:
+    summary: dict[str, Any] = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    return {key: value for key, value in summary.items() if key != "seconds"}
+
+
+def test_the_page_of_all_settings_is_current() -> None:
+    page = ROOT / "docs" / "configuration.md"
+    assert page.read_text(encoding="utf-8") == settings_page(), "run: python -m paceline.speed.settings_table"
