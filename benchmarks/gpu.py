@@ -24,9 +24,9 @@ from paceline.cameras import Camera, StereoRig
 from paceline.recordings.stereo import StereoFrame
 from paceline.speed.filter import likelihood, motion_models, random_numbers
 from paceline.speed.filter.device import DeviceFailure, open_device
-from paceline.speed.filter.likelihood import Grid, Packed
+from paceline.speed.filter.likelihood import PackedImage, PartGrid
 from paceline.speed.filter.motion_models import PathMotion, State
-from paceline.speed.filter.particle_set import Cloud, views
+from paceline.speed.filter.particle_set import ParticleSet, pack_views
 from paceline.speed.filter.resampling import Weights
 from paceline.speed.geometry import paths
 
@@ -45,11 +45,11 @@ class Followed:
     """One vehicle, as far as a device needs to know."""
 
     rig: StereoRig
-    grid: Grid
+    grid: PartGrid
     configuration: SpeedConfiguration
-    cloud: Any
+    particle_set: Any
     rng: np.random.Generator
-    views: tuple[Packed, Packed] = field(init=False)
+    pack_views: tuple[PackedImage, PackedImage] = field(init=False)
     reference: Array = field(init=False)
 
     def observed(self, state: State) -> likelihood.Observation:
@@ -68,9 +68,9 @@ class Road:
         rig = StereoRig(Camera((WIDTH, HEIGHT), K), Camera((WIDTH, HEIGHT), K), np.eye(3), np.array([-0.5, 0, 0]))
         lane = paths.from_points("lane", "line", np.array([[0.0, 1.0, 80.0], [0.0, 1.0, 20.0]]))
         c = SpeedConfiguration(particles=particles)
-        self.followed = []
+        self.after_shift = []
         for v in range(vehicles):
-            rng = random_numbers.generator([seed, v], particles)
+            rng = random_numbers.make_generator([seed, v], particles)
             centre = np.array([rng.uniform(-8, 8), rng.uniform(-6, 6), 60.0])
             corners = np.array([[-1.4, -0.6, 0], [1.4, -0.6, 0], [1.4, 0.6, 0], [-1.4, 0.6, 0]])
             at = centre + rng.normal(0.0, [0.05, 0.05, 0.5], (particles, 3))
@@ -78,31 +78,31 @@ class Road:
             zeros = np.zeros((particles, 3))
             normal = np.tile([0.0, 0.0, -1.0], (particles, 1))
             state = State(left, right, normal, -at[:, 2], zeros[:, 0] + 20, zeros[:, 0], zeros[:, :2], zeros, zeros)
-            cloud: Any = Cloud(rig, PathMotion(rig, lane, c), state, Weights.equal(particles))
-            one = Followed(rig, Grid.for_region(c.parts, left[0]), c, cloud, rng)
-            one.views = views(self.frame, [cloud.reach()])
+            particle_set: Any = ParticleSet(rig, PathMotion(rig, lane, c), state, Weights.equal(particles))
+            one = Followed(rig, PartGrid.for_region(c.parts, left[0]), c, particle_set, rng)
+            one.views = pack_views(self.frame, [particle_set.image_bounds()])
             one.reference = one.observed(state[np.zeros(1, np.int64)]).features[0]
-            one.cloud = cloud if device is None else device.cloud(cloud)
-            self.followed.append(one)
-        self.samples = 16 * c.parts * self.followed[0].grid.samples[0] * self.followed[0].grid.samples[1]
+            one.particle_set = particle_set if device is None else device.particle_set(particle_set)
+            self.after_shift.append(one)
+        self.samples = 16 * c.parts * self.after_shift[0].grid.samples[0] * self.after_shift[0].grid.samples[1]
 
     def step(self) -> None:
         """One stereo frame as [Zhu] has it, registration left out: propagate, weigh, estimate, resample."""
-        for one in self.followed:
-            one.cloud.propagate(DT, one.rng)
-        both = views(self.frame, [one.cloud.reach() for one in self.followed])
-        for one in self.followed:
+        for one in self.after_shift:
+            one.particle_set.propagate(DT, one.rng)
+        both = pack_views(self.frame, [one.particle_set.image_bounds() for one in self.after_shift])
+        for one in self.after_shift:
             one.views = both
         if self.device is not None:
-            self.device.weigh(self.followed)
+            self.device.weight(self.after_shift)
         else:
-            for one in self.followed:
-                c, seen = one.configuration, one.observed(one.cloud.state)
+            for one in self.after_shift:
+                c, seen = one.configuration, one.observed(one.particle_set.state)
                 ll = likelihood.log_likelihood(seen, one.reference, c.lambda_single, c.lambda_cross)
-                one.cloud.weigh(ll)
-        for one in self.followed:
-            one.cloud.posterior()
-            one.cloud.resample(one.configuration, one.rng)
+                one.particle_set.weight(ll)
+        for one in self.after_shift:
+            one.particle_set.posterior()
+            one.particle_set.resample(one.configuration, one.rng)
 
 
 def milliseconds(work: Callable[[], object], until: float) -> float:
@@ -159,10 +159,10 @@ def limits(seed: int, device: Any) -> None:
         if particles * BYTES > device.free_memory():
             continue
         road = Road(particles, 1, seed, device)
-        (one,) = road.followed
-        device.weigh([one])  # sends what the kernel looks at, and compiles
+        (one,) = road.after_shift
+        device.weight([one])  # sends what the kernel looks at, and compiles
         seconds = _timed(lambda parts=one.configuration.parts: device.look(parts))
-        samples = particles * road.samples * (2 + 1 / likelihood.patch_features_cpu.CROSS_ROWS)
+        samples = particles * road.samples * (2 + 1 / likelihood.patch_features_cpu.CORRELATION_ROW_STEP)
         moved, done = particles * (MAPS + OUT) / seconds / 1e9, samples * INSTRUCTIONS / seconds
         cells = (
             f"{1e3 * seconds:.3g}",

@@ -19,7 +19,7 @@ from paceline import SpeedConfiguration, Tracker, open_recording
 from paceline.arrays import Floats
 from paceline.documents.loading import Clip
 from paceline.speed.filter import likelihood, patch_features_cpu
-from paceline.speed.filter.likelihood import Grid, Packed
+from paceline.speed.filter.likelihood import PackedImage, PartGrid
 from paceline.speed.geometry.path_reconstruction import path_from_document
 from paceline.speed.geometry.quadrilaterals_cpu import inward_edges, unit_square_to
 
@@ -41,7 +41,7 @@ class Work:
         self.quads_right = self.quads_left - [DISPARITY, 0] + rng.normal(0, 0.5, (particles, 4, 2))
         self.cross = np.tile([[1.0, 0, -DISPARITY], [0, 1, 0], [0, 0, 1]], (particles, 1, 1))
         self.cross[:, :2, 2] += rng.normal(0, 0.5, (particles, 2))
-        self.grid = Grid.for_region(10, REGION)
+        self.grid = PartGrid.for_region(10, REGION)
         self.packed = likelihood.pack(self.left), likelihood.pack(self.right)
         H = unit_square_to(self.quads_left), unit_square_to(self.quads_right)
         self.H = np.stack([*H, self.cross @ H[0]], axis=1)  # (N, 3, 3, 3)
@@ -66,7 +66,7 @@ class Work:
         seen = likelihood.observe(*self.packed, self.quads_left, self.quads_right, self.cross, self.grid)
         return likelihood.log_likelihood(seen, seen.features[0], 15.0, 20.0)
 
-    def pack(self) -> list[Packed]:
+    def pack(self) -> list[PackedImage]:
         return [likelihood.pack(image) for image in (self.left, self.right)]
 
 
@@ -91,7 +91,7 @@ class WithOpenCV:
     def whole(self) -> tuple[Floats, Floats]:
         """Wavelet coefficients (N, 2, parts, 16) and correlations (N,)."""
         seen = self.sample()
-        rows = seen[:, :, :: patch_features_cpu.CROSS_ROWS]
+        rows = seen[:, :, :: patch_features_cpu.CORRELATION_ROW_STEP]
         return self._wavelets(seen[:, :2]), self._correlations(rows[:, 0], rows[:, 2])
 
     def _wavelets(self, seen: Floats) -> Floats:
@@ -105,7 +105,7 @@ class WithOpenCV:
 
     def _correlations(self, a: Floats, b: Floats) -> Floats:
         """Of (N, H, W) with (N, H, W), over the samples inside the right region."""
-        x, y = np.meshgrid(np.arange(a.shape[2]), patch_features_cpu.CROSS_ROWS * np.arange(a.shape[1]))
+        x, y = np.meshgrid(np.arange(a.shape[2]), patch_features_cpu.CORRELATION_ROW_STEP * np.arange(a.shape[1]))
         samples = np.stack([x, y, np.ones_like(x)]).reshape(3, -1).astype(np.float32)
         lines = (self.work.edges @ self.maps[:, 2]).astype(np.float32)
         inside = ((lines @ samples) >= 0).all(1)

@@ -1,5 +1,5 @@
-"""The GPU does what the CPU does. On a machine with a GPU: ``pytest tests/cuda_parity.py``; elsewhere `test_cuda` runs
-this file under CUDA's simulator, where one sample takes 50 µs: so everything here is tiny."""
+"""The GPU computes what the CPU computes. On a GPU: ``pytest tests/cuda_parity.py``; elsewhere `test_cuda` runs this
+file under CUDA's simulator, where one sample takes 50 µs: so everything here is tiny."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ from paceline.recordings.stereo import StereoFrame, open_recording
 from paceline.simulation.stereo.clip import Scene, Vehicle, render, write
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.filter import likelihood, motion_models, random_numbers
-from paceline.speed.filter.batch import Fleet
+from paceline.speed.filter.batch import TrackerBatch
 from paceline.speed.filter.cuda import device as cuda_device
 from paceline.speed.filter.cuda import kernels, memory_layout, patch_features, weights
 from paceline.speed.filter.cuda import random_numbers as cuda_random_numbers
 from paceline.speed.filter.cuda.device import CudaDevice
-from paceline.speed.filter.cuda.particle_set import CudaCloud
+from paceline.speed.filter.cuda.particle_set import CudaParticleSet
 from paceline.speed.filter.device import DeviceFailure
 from paceline.speed.filter.estimate import Estimate
-from paceline.speed.filter.likelihood import Grid
+from paceline.speed.filter.likelihood import PartGrid
 from paceline.speed.filter.motion_models import FreeMotion, PathMotion, State
-from paceline.speed.filter.particle_set import Cloud, views
+from paceline.speed.filter.particle_set import ParticleSet, pack_views
 from paceline.speed.filter.resampling import Weights
-from paceline.speed.filter.tracker import LOST, Tracker
+from paceline.speed.filter.tracker import MIN_VISIBLE_SIMILARITY, Tracker
 from paceline.speed.geometry import paths
 from paceline.speed.geometry.path_reconstruction import path_from_document
 
@@ -48,18 +48,18 @@ SETTINGS = SpeedConfiguration(parts=4).model_copy(update={"particles": 4})  # fe
 @pytest.fixture(autouse=True)
 def _tiny(monkeypatch: pytest.MonkeyPatch) -> None:
     """Few samples, and so few threads in a block that five particles fill two blocks."""
-    monkeypatch.setattr(likelihood, "SAMPLES", 256)
-    monkeypatch.setattr(cuda_device, "THREADS", 4)
-    monkeypatch.setattr(cuda_device, "SURVEYORS", 2)
-    monkeypatch.setattr(cuda_device, "BLOCK", 4)
-    monkeypatch.setattr(cuda_device, "MOST_BLOCKS", 2)
+    monkeypatch.setattr(likelihood, "SAMPLES_PER_REGION", 256)
+    monkeypatch.setattr(cuda_device, "MAX_THREADS_PER_BLOCK", 4)
+    monkeypatch.setattr(cuda_device, "THREADS_PER_QUANTITY", 2)
+    monkeypatch.setattr(cuda_device, "THREADS_PER_BLOCK", 4)
+    monkeypatch.setattr(cuda_device, "MAX_BLOCKS_PER_VEHICLE", 2)
 
 
 @pytest.fixture(params=["one block", "several blocks"])
 def sharing(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whether several blocks share a vehicle's weights and moments, as they do those of many particles."""
-    monkeypatch.setattr(cuda_device, "EACH", 1 if request.param == "several blocks" else N)
-    monkeypatch.setattr(cuda_device, "MOST_BLOCKS", 3)
+    monkeypatch.setattr(cuda_device, "MIN_PARTICLES_PER_THREAD", 1 if request.param == "several blocks" else N)
+    monkeypatch.setattr(cuda_device, "MAX_BLOCKS_PER_VEHICLE", 3)
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +89,7 @@ def way(kind: str) -> PathMotion | FreeMotion:
     return FreeMotion(rig(), SETTINGS) if kind == "free" else PathMotion(rig(), path(kind), SETTINGS)
 
 
-def particles(model: PathMotion | FreeMotion, seed: int, n: int = N) -> Cloud:
+def particles(model: PathMotion | FreeMotion, seed: int, n: int = N) -> ParticleSet:
     """``n`` weighted particles, each on a plane of its own that both cameras see."""
     rng = np.random.default_rng(seed)
     k = model.rig
@@ -111,25 +111,25 @@ def particles(model: PathMotion | FreeMotion, seed: int, n: int = N) -> Cloud:
         velocity=velocity,
         turning=rng.normal(0.0, 0.05, (n, 3)),
     )
-    return Cloud(k, model, state, Weights(rng.normal(0.0, 1.0, n)))
+    return ParticleSet(k, model, state, Weights(rng.normal(0.0, 1.0, n)))
 
 
-def assert_same(found: Cloud, expected: Cloud) -> None:
+def assert_same(found: ParticleSet, expected: ParticleSet) -> None:
     for name in State.__dataclass_fields__:
         a, b = getattr(found.state, name), getattr(expected.state, name)
         np.testing.assert_allclose(a, b, rtol=ROUNDING, atol=ROUNDING, err_msg=name)
     np.testing.assert_allclose(found.weights.lw, expected.weights.lw, rtol=0, atol=1e-9)
 
 
-def seen(there: CudaCloud, ll: Array) -> None:
-    """``there``, weighed by log p(z | x) ``ll`` (N,) as if that had been seen."""
-    device = there.device
-    device.carry_out()
-    half = int(device.orders[there.slot, memory_layout.NOW])
-    device._pool.value[half, memory_layout.LIKELIHOOD, there.first : there.first + len(there)] = ll
-    device._table()[there.slot, memory_layout.TIMES] = 1
-    device._sights.send(device._sights.home.size)
-    device._reweigh([there])
+def seen(on_device: CudaParticleSet, ll: Array) -> None:
+    """``device``, weighed by log p(z | x) ``ll`` (N,) as if that had been seen."""
+    device = on_device.device
+    device.execute()
+    half = int(device.commands[on_device.slot, memory_layout.HALF_AFTER])
+    device._pool.value[half, memory_layout.LIKELIHOOD, on_device.first : on_device.first + len(on_device)] = ll
+    device._observation_table()[on_device.slot, memory_layout.WEIGHT_UPDATE] = 1
+    device._observations.upload(device._observations.host.size)
+    device._update_weights([on_device])
 
 
 # --- random numbers ------------------------------------------------------------------------------------------------
@@ -141,14 +141,14 @@ def test_counted_numbers_are_those_of_the_cpu(key: tuple[int, int], k: int) -> N
     """Those of the CPU come from NumPy's own Philox."""
     rng = random_numbers.CounterGenerator(np.random.PCG64(1), np.array(key, np.uint64), calls=7)
     numbers = cuda.device_array((N, k))
-    _normals[1, N](cuda.to_device(np.array(rng.words, float)), 7, 0.3, numbers)
+    _normals[1, N](cuda.to_device(np.array(rng.key_words, float)), 7, 0.3, numbers)
     np.testing.assert_allclose(numbers.copy_to_host(), rng.normal(0.0, 0.3, (N, k)), rtol=1e-12, atol=1e-14)
 
 
 @cuda.jit  # type: ignore[untyped-decorator]
 def _normals(key: Array, call: int, scale: float, out: Array) -> None:
     p = cuda.threadIdx.x
-    cuda_random_numbers.counted_normals(key, call, scale, p, out.shape[1], out[p], 0)
+    cuda_random_numbers.counter_normals(key, call, scale, p, out.shape[1], out[p], 0)
 
 
 # --- motion --------------------------------------------------------------------------------------------------------
@@ -160,22 +160,23 @@ def test_particles_move_as_on_the_cpu(
     device: CudaDevice, kind: str, counted: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Three steps, a correction and a turn of the planes, by the same seed."""
-    monkeypatch.setattr(random_numbers, "MANY", 0 if counted else 10**9)
-    home = particles(way(kind), 1)
-    there = device.cloud(home.at_home())
-    clouds = [(home, random_numbers.generator([2], N)), (there, random_numbers.generator([2], N))]
+    monkeypatch.setattr(random_numbers, "MAX_SEQUENTIAL_PARTICLES", 0 if counted else 10**9)
+    on_host = particles(way(kind), 1)
+    on_device = device.particle_set(on_host.to_host())
+    generators = (random_numbers.make_generator([2], N) for _ in range(2))
+    particle_sets = list(zip((on_host, on_device), generators, strict=True))
     place, covariance = np.array([0.4, 0.75, 19.0]), np.diag([0.01, 0.02, 0.3]) + 0.001
     for dt in (0.2, 0.05, 0.4):
-        for cloud, rng in clouds:
-            cloud.propagate(dt, rng)
-        assert_same(there.at_home(), home)
-    for cloud, rng in clouds:
-        cloud.correct(place, covariance, rng)
-    assert_same(there.at_home(), home)
-    for cloud, rng in clouds:
-        cloud.square(np.array([0.0, 0.6, -0.8]))
-        cloud.propagate(0.2, rng)
-    assert_same(there.at_home(), home)
+        for particle_set, rng in particle_sets:
+            particle_set.propagate(dt, rng)
+        assert_same(on_device.to_host(), on_host)
+    for particle_set, rng in particle_sets:
+        particle_set.ensemble_kalman_update(place, covariance, rng)
+    assert_same(on_device.to_host(), on_host)
+    for particle_set, rng in particle_sets:
+        particle_set.set_plane_normal(np.array([0.0, 0.6, -0.8]))
+        particle_set.propagate(0.2, rng)
+    assert_same(on_device.to_host(), on_host)
 
 
 # --- weights -------------------------------------------------------------------------------------------------------
@@ -185,17 +186,17 @@ def test_particles_move_as_on_the_cpu(
 @pytest.mark.parametrize("taken_back", slow_after(1, [True, False]))
 @pytest.mark.usefixtures("sharing")
 def test_the_posterior_is_that_of_the_cpu(device: CudaDevice, kind: str, n: int, taken_back: bool) -> None:
-    home = particles(way(kind), 3, n)
-    there = device.cloud(home)
-    assert_same(there.at_home(), home)
+    on_host = particles(way(kind), 3, n)
+    on_device = device.particle_set(on_host)
+    assert_same(on_device.to_host(), on_host)
     ll = np.random.default_rng(4).normal(-30.0, 2.0, n)
-    home.weigh(ll)
-    seen(there, ll)
+    on_host.weight(ll)
+    seen(on_device, ll)
     if taken_back:
-        home.unweigh()
-        there.unweigh()
-    assert_same(there.at_home(), home)
-    here, found = home.posterior(), there.posterior()
+        on_host.restore_weights()
+        on_device.restore_weights()
+    assert_same(on_device.to_host(), on_host)
+    here, found = on_host.posterior(), on_device.posterior()
     for name in State.__dataclass_fields__:
         np.testing.assert_allclose(getattr(found.mean, name), getattr(here.mean, name), rtol=1e-10, err_msg=name)
     np.testing.assert_allclose(found.position, here.position, rtol=1e-10)
@@ -203,10 +204,10 @@ def test_the_posterior_is_that_of_the_cpu(device: CudaDevice, kind: str, n: int,
     assert found.speed_std == pytest.approx(here.speed_std, rel=1e-6, abs=1e-9)
     np.testing.assert_allclose(found.particles_left, here.particles_left, rtol=1e-10)
     np.testing.assert_allclose(found.particles_right, here.particles_right, rtol=1e-10)
-    assert there.doubt() == pytest.approx(home.doubt(), rel=1e-6, abs=1e-6)
-    for a, b in zip(there.centre(), home.centre(), strict=True):
+    assert on_device.image_spread_px() == pytest.approx(on_host.image_spread_px(), rel=1e-6, abs=1e-6)
+    for a, b in zip(on_device.centre(), on_host.centre(), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-8, atol=1e-10)
-    for corners, quads in zip(there.reach(), home.reach(), strict=True):
+    for corners, quads in zip(on_device.image_bounds(), on_host.image_bounds(), strict=True):
         flat = quads.reshape(-1, 2)
         np.testing.assert_array_equal(corners.reshape(-1, 2).min(0), flat.min(0))
         np.testing.assert_array_equal(corners.reshape(-1, 2).max(0), flat.max(0))
@@ -215,33 +216,33 @@ def test_the_posterior_is_that_of_the_cpu(device: CudaDevice, kind: str, n: int,
 @pytest.mark.parametrize(("n", "scatter"), slow_after(1, [(9, 30.0), (9, 1.0), (22, 3.0)]))
 @pytest.mark.usefixtures("sharing")
 def test_the_same_particles_survive(device: CudaDevice, n: int, scatter: float) -> None:
-    home = particles(way("line"), 5, n)
-    home.weights = Weights(np.random.default_rng(6).normal(0.0, scatter, n))
-    there = device.cloud(home.at_home())
-    seen(there, np.zeros(n))
+    on_host = particles(way("line"), 5, n)
+    on_host.weights = Weights(np.random.default_rng(6).normal(0.0, scatter, n))
+    on_device = device.particle_set(on_host.to_host())
+    seen(on_device, np.zeros(n))
     settings = SETTINGS.model_copy(update={"particles": n})
-    for cloud in (home, there):
-        cloud.resample(settings, np.random.default_rng(7))
-    assert_same(there.at_home(), home)
-    home.weights = Weights.equal(n)  # even enough for any bound, whatever the last bit of their size
+    for particle_set in (on_host, on_device):
+        particle_set.resample(settings, np.random.default_rng(7))
+    assert_same(on_device.to_host(), on_host)
+    on_host.weights = Weights.equal(n)  # even enough for any bound, whatever the last bit of their size
     numbers = np.random.default_rng(7), np.random.default_rng(7)
-    for cloud, rng in zip((home, device.cloud(home.at_home())), numbers, strict=True):
-        cloud.resample(settings, rng)
+    for particle_set, rng in zip((on_host, device.particle_set(on_host.to_host())), numbers, strict=True):
+        particle_set.resample(settings, rng)
         assert rng.random() == np.random.default_rng(7).random()
-    keep = settings.model_copy(update={"resample_below": 0.5})
-    before = there.at_home()
-    seen(there, np.zeros(n))
-    there.resample(keep, np.random.default_rng(7))
-    assert_same(there.at_home(), before)
+    settings_below = settings.model_copy(update={"resample_below": 0.5})
+    before = on_device.to_host()
+    seen(on_device, np.zeros(n))
+    on_device.resample(settings_below, np.random.default_rng(7))
+    assert_same(on_device.to_host(), before)
 
 
 @pytest.mark.parametrize("ll", slow_after(1, [np.nan, -np.inf]))
 @pytest.mark.usefixtures("sharing")
 def test_weights_that_vanish_are_told(device: CudaDevice, ll: float) -> None:
-    there = device.cloud(particles(way("line"), 5))
-    seen(there, np.full(N, ll))
+    on_device = device.particle_set(particles(way("line"), 5))
+    seen(on_device, np.full(N, ll))
     with pytest.raises(FloatingPointError, match="all particle weights vanish"):
-        there.posterior()
+        on_device.posterior()
 
 
 # --- many clouds ---------------------------------------------------------------------------------------------------
@@ -252,17 +253,17 @@ def test_weights_that_vanish_are_told(device: CudaDevice, ll: float) -> None:
 def test_clouds_come_and_go_in_any_order(seed: int) -> None:
     """Whatever is done to which cloud, and whoever joins and leaves meanwhile: all are as on the CPU."""
     device, drawing = CudaDevice(), np.random.default_rng([9, seed])
-    pairs: list[tuple[Cloud, CudaCloud, tuple[np.random.Generator, np.random.Generator]]] = []
+    pairs: list[tuple[ParticleSet, CudaParticleSet, tuple[np.random.Generator, np.random.Generator]]] = []
 
     def join() -> None:
         n, number = int(drawing.integers(1, 12)), int(drawing.integers(1000))
-        home = particles(way(str(drawing.choice(["line", "curve", "free"]))), number, n)
+        on_host = particles(way(str(drawing.choice(["line", "curve", "free"]))), number, n)
         if drawing.random() < 0.5:
             key = np.array([number, 5], np.uint64)
-            here, there = (random_numbers.CounterGenerator(np.random.PCG64(number), key) for _ in range(2))
+            here, on_device = (random_numbers.CounterGenerator(np.random.PCG64(number), key) for _ in range(2))
         else:
-            here, there = np.random.default_rng(number), np.random.default_rng(number)
-        pairs.append((home, device.cloud(home.at_home()), (here, there)))
+            here, on_device = np.random.default_rng(number), np.random.default_rng(number)
+        pairs.append((on_host, device.particle_set(on_host.to_host()), (here, on_device)))
 
     join()
     done = ["join", "leave", "propagate", "propagate", "square", "correct", "weigh", "resample", "look"]
@@ -275,36 +276,36 @@ def test_clouds_come_and_go_in_any_order(seed: int) -> None:
         if what == "leave":
             pairs.pop(at)
             continue
-        home, there, (rng, same) = pairs[at]
-        ll = drawing.normal(0.0, 2.0, len(there))
-        for cloud, numbers in ((home, rng), (there, same)):
+        on_host, on_device, (rng, same) = pairs[at]
+        ll = drawing.normal(0.0, 2.0, len(on_device))
+        for particle_set, numbers in ((on_host, rng), (on_device, same)):
             if what == "propagate":
-                cloud.propagate(0.1, numbers)
+                particle_set.propagate(0.1, numbers)
             elif what == "square":
-                cloud.square(np.array([0.0, 0.6, -0.8]))
+                particle_set.set_plane_normal(np.array([0.0, 0.6, -0.8]))
             elif what == "correct":
-                cloud.correct(np.array([0.4, 0.75, 19.0]), np.diag([0.01, 0.02, 0.3]), numbers)
-            elif what in ("weigh", "resample"):
-                seen(cloud, ll) if isinstance(cloud, CudaCloud) else cloud.weigh(ll)
+                particle_set.ensemble_kalman_update(np.array([0.4, 0.75, 19.0]), np.diag([0.01, 0.02, 0.3]), numbers)
+            elif what in ("weight", "resample"):
+                seen(particle_set, ll) if isinstance(particle_set, CudaParticleSet) else particle_set.weight(ll)
             if what == "resample":
-                cloud.resample(SETTINGS.model_copy(update={"particles": len(there)}), numbers)
+                particle_set.resample(SETTINGS.model_copy(update={"particles": len(on_device)}), numbers)
         if what == "look":
-            assert_same(there.at_home(), home)
-    for home, there, _ in pairs:
-        assert_same(there.at_home(), home)
+            assert_same(on_device.to_host(), on_host)
+    for on_host, on_device, _ in pairs:
+        assert_same(on_device.to_host(), on_host)
 
 
 def test_room_is_used_again() -> None:
     """A cloud that nobody holds leaves its columns, and its place in the tables, to the next that fits."""
     device = CudaDevice()
-    first, second, third = (device.cloud(particles(way("line"), i, n)) for i, n in enumerate((5, 4, 3)))
+    first, second, third = (device.particle_set(particles(way("line"), i, n)) for i, n in enumerate((5, 4, 3)))
     columns = device._pool.value.shape[2]
     del second
-    another = device.cloud(particles(way("line"), 7, 4))
+    another = device.particle_set(particles(way("line"), 7, 4))
     assert (another.slot, another.first, device._pool.value.shape[2]) == (1, 5, columns)
-    assert_same(another.at_home(), particles(way("line"), 7, 4))
-    for i, (cloud, n) in enumerate(((first, 5), (third, 3))):
-        assert_same(cloud.at_home(), particles(way("line"), 2 * i, n))
+    assert_same(another.to_host(), particles(way("line"), 7, 4))
+    for i, (particle_set, n) in enumerate(((first, 5), (third, 3))):
+        assert_same(particle_set.to_host(), particles(way("line"), 2 * i, n))
 
 
 class Counting:
@@ -319,14 +320,14 @@ class Counting:
 
 
 KERNELS = [
-    (kernels, ("carry_out", "collect", "settle")),
-    (weights, ("add_up", "cumulate", "average", "survey", "reweigh", "normalise")),
+    (kernels, ("execute", "download", "upload")),
+    (weights, ("sum_weights", "cumulate_weights", "average_headings", "reduce_moments", "update_weights", "normalise")),
     (patch_features, ("log_likelihood",)),
 ]
 
 
-SEEN = {"cumulate": 1, "carry_out": 2, "survey": 3, "log_likelihood": 1, "reweigh": 1}
-HIDDEN = {"carry_out": 2, "survey": 4, "log_likelihood": 1, "reweigh": 2}
+FRAME_LAUNCHES = {"cumulate_weights": 1, "execute": 2, "reduce_moments": 3, "log_likelihood": 1, "update_weights": 1}
+OCCLUDED_FRAME_LAUNCHES = {"execute": 2, "reduce_moments": 4, "log_likelihood": 1, "update_weights": 2}
 
 
 @pytest.mark.parametrize(("vehicles", "hidden"), slow_after(1, [(2, True), (1, False), (3, False)]))
@@ -337,34 +338,34 @@ def test_launches_do_not_grow_with_the_number_of_vehicles(
     for module, names in KERNELS:
         for name in names:
             monkeypatch.setattr(module, name, Counting(getattr(module, name), counts, name))
-    device, frame, grid = CudaDevice(), textured(8), Grid(2, 2, (2, 3))
+    device, frame, grid = CudaDevice(), textured(8), PartGrid(2, 2, (2, 3))
     homes = [particles(way("curve"), seed, 3) for seed in range(vehicles)]
-    each = [Seeing(device.cloud(home), grid, frame, SETTINGS) for home in homes]
+    each = [Seeing(device.particle_set(on_host), grid, frame, SETTINGS) for on_host in homes]
     settings = SETTINGS.model_copy(update={"particles": 3, "resample_below": 1.0})
     rng = np.random.default_rng(1)
     for _ in range(2):
         counts.clear()
         for tracker in each:
-            tracker.cloud.propagate(0.01, rng)
+            tracker.particle_set.propagate(0.01, rng)
         for tracker in each:
-            tracker.cloud.mean()
-            tracker.cloud.correct(np.array([0.5, 0.8, 20.0]), np.eye(3), rng)
-        both = views(frame, [tracker.cloud.reach() for tracker in each])
+            tracker.particle_set.mean()
+            tracker.particle_set.ensemble_kalman_update(np.array([0.5, 0.8, 20.0]), np.eye(3), rng)
+        both = pack_views(frame, [tracker.particle_set.image_bounds() for tracker in each])
         for tracker in each:
             tracker.views = both
-        device.weigh(each)
+        device.weight(each)
         for tracker in each:
-            tracker.cloud.posterior()
+            tracker.particle_set.posterior()
             if hidden:
-                tracker.cloud.unweigh()
+                tracker.particle_set.restore_weights()
         for tracker in each:
             if hidden:
-                tracker.cloud.posterior()
+                tracker.particle_set.posterior()
             else:
-                tracker.cloud.resample(settings, rng)
-            tracker.cloud.square(np.array([0.0, 0.6, -0.8]))
+                tracker.particle_set.resample(settings, rng)
+            tracker.particle_set.set_plane_normal(np.array([0.0, 0.6, -0.8]))
     # the orders of a frame begin with what the frame before left to be done
-    assert counts == (HIDDEN if hidden else SEEN)
+    assert counts == (OCCLUDED_FRAME_LAUNCHES if hidden else FRAME_LAUNCHES)
 
 
 # --- the likelihood ------------------------------------------------------------------------------------------------
@@ -373,10 +374,12 @@ def test_launches_do_not_grow_with_the_number_of_vehicles(
 class Seeing:
     """What the device asks a tracker for."""
 
-    def __init__(self, cloud: CudaCloud, grid: Grid, frame: StereoFrame, settings: SpeedConfiguration) -> None:
-        self.cloud, self.grid, self.configuration, self.rig = cloud, grid, settings, rig()
+    def __init__(
+        self, particle_set: CudaParticleSet, grid: PartGrid, frame: StereoFrame, settings: SpeedConfiguration
+    ) -> None:
+        self.particle_set, self.grid, self.configuration, self.rig = particle_set, grid, settings, rig()
         first = particles(way("line"), 90, 1)
-        self.views = views(frame, [first.reach()])
+        self.views = pack_views(frame, [first.image_bounds()])
         self.reference = self._seen(first.state).features[0]
 
     def _seen(self, state: State) -> likelihood.Observation:
@@ -399,23 +402,23 @@ def test_vehicles_are_weighed_together_as_each_on_the_cpu(device: CudaDevice, la
     """Three vehicles with grids and numbers of particles of their own; some particles see nothing, or nowhere."""
     settings = SETTINGS.model_copy(update={"lambda_single": lambdas[0], "lambda_cross": lambdas[1]})
     frame, homes, seeing = textured(8), [], []
-    grids = [Grid(2, 2, (2, 3)), Grid(4, 1, (2, 2)), Grid(1, 4, (3, 2))]
+    grids = [PartGrid(2, 2, (2, 3)), PartGrid(4, 1, (2, 2)), PartGrid(1, 4, (3, 2))]
     for seed, (grid, n) in enumerate(zip(grids, (3, 1, 4), strict=True)):
-        home = particles(way("line"), seed, n)
+        on_host = particles(way("line"), seed, n)
         if n > 1:
-            home.state.left[0] = home.state.left[0, 0]  # without area
-            home.state.right[1, :, 0] += 300.0  # beyond the picture
-        homes.append(home)
-        seeing.append(Seeing(device.cloud(home), grid, frame, settings))
-    both = views(frame, [home.reach() for home in homes])
+            on_host.state.left[0] = on_host.state.left[0, 0]  # without area
+            on_host.state.right[1, :, 0] += 300.0  # beyond the picture
+        homes.append(on_host)
+        seeing.append(Seeing(device.particle_set(on_host), grid, frame, settings))
+    both = pack_views(frame, [on_host.image_bounds() for on_host in homes])
     for tracker in seeing:
         tracker.views = both
-    device.weigh(seeing)  # type: ignore[arg-type]
-    for home, tracker in zip(homes, seeing, strict=True):
-        ll = tracker.log_likelihood(home.state)
-        np.testing.assert_allclose(device.log_likelihood(tracker, home.state), ll, rtol=2e-6, atol=2e-4)  # type: ignore[arg-type]
-        home.weigh(ll)
-        np.testing.assert_allclose(tracker.cloud.at_home().weights.lw, home.weights.lw, rtol=2e-6, atol=4e-4)  # type: ignore[attr-defined]
+    device.weight(seeing)  # type: ignore[arg-type]
+    for on_host, tracker in zip(homes, seeing, strict=True):
+        ll = tracker.log_likelihood(on_host.state)
+        np.testing.assert_allclose(device.log_likelihood(tracker, on_host.state), ll, rtol=2e-6, atol=2e-4)  # type: ignore[arg-type]
+        on_host.weight(ll)
+        np.testing.assert_allclose(tracker.particle_set.to_host().weights.lw, on_host.weights.lw, rtol=2e-6, atol=4e-4)  # type: ignore[attr-defined]
 
 
 # --- whole clips ---------------------------------------------------------------------------------------------------
@@ -447,7 +450,7 @@ def trackers(clip: Clip, settings: SpeedConfiguration, device: CudaDevice | None
     return found
 
 
-def followed(clip: Clip, fleet: Fleet, each: list[Tracker], hidden: int = -1) -> list[list[Estimate]]:
+def track_all(clip: Clip, fleet: TrackerBatch, each: list[Tracker], hidden: int = -1) -> list[list[Estimate]]:
     """The estimates, frame by frame; a wall stands before the cameras in the ``hidden`` frame."""
     for tracker in each:
         fleet.join(tracker)
@@ -466,7 +469,7 @@ def assert_same_estimates(found: list[list[Estimate]], expected: list[list[Estim
         assert len(frame) == len(reference)
         for a, b in zip(frame, reference, strict=True):
             assert (a.frame, a.status) == (b.frame, b.status)
-            for name in ("speed", "speed_std", "position", "left", "right", "ess", "likeness", "yaw_rate"):
+            for name in ("speed", "speed_std", "position", "left", "right", "ess", "similarity", "yaw_rate"):
                 x, y = getattr(a, name), getattr(b, name)
                 np.testing.assert_allclose(x, y, rtol=FILTERED, atol=1e-4, err_msg=f"frame {a.frame}: {name}")
             np.testing.assert_allclose(a.particles_left, b.particles_left, rtol=FILTERED)
@@ -489,10 +492,10 @@ def test_the_filter_sees_what_it_sees_on_the_cpu(
     clip = load_clip(clips[name])
     settings = SETTINGS.model_copy(update={"motion": kind, "guided": guided})
     copies = 2 if name == "curve" else 1  # weighed in one launch
-    here, there = (trackers(clip, settings, where, copies) for where in (None, device))
-    expected = followed(clip, Fleet(), here)
-    assert_same_estimates(followed(clip, Fleet(device), there), expected)
-    assert_same_numbers(there, here)
+    here, on_device = (trackers(clip, settings, where, copies) for where in (None, device))
+    expected = track_all(clip, TrackerBatch(), here)
+    assert_same_estimates(track_all(clip, TrackerBatch(device), on_device), expected)
+    assert_same_numbers(on_device, here)
 
 
 @pytest.mark.slow
@@ -506,27 +509,29 @@ def test_vehicles_join_and_end_while_others_go_on(device: CudaDevice, clips: dic
         ending.rig = replace(rig, left=replace(rig.left, image_size=(40, 40)))
         return [ending, first, late]
 
-    here, there = three(None), three(device)
-    expected = followed(clip, Fleet(), here)
+    here, on_device = three(None), three(device)
+    expected = track_all(clip, TrackerBatch(), here)
     assert [[e.status for e in frame] for frame in expected[1:]] == [
         ["ended", *2 * ["tracking"]],
         *2 * [2 * ["tracking"]],
     ]
-    assert_same_estimates(followed(clip, Fleet(device), there), expected)
-    assert_same_numbers(there, here)
+    assert_same_estimates(track_all(clip, TrackerBatch(device), on_device), expected)
+    assert_same_numbers(on_device, here)
 
 
 def test_a_vehicle_that_is_hidden_is_awaited_as_on_the_cpu(device: CudaDevice, clips: dict[str, Path]) -> None:
     clip = load_clip(clips["line"])
-    expected = followed(clip, Fleet(), trackers(clip, SETTINGS, None), hidden=2)
-    assert expected[2][0].likeness < LOST and expected[2][0].ess == pytest.approx(SETTINGS.particles)
-    assert_same_estimates(followed(clip, Fleet(device), trackers(clip, SETTINGS, device), hidden=2), expected)
+    expected = track_all(clip, TrackerBatch(), trackers(clip, SETTINGS, None), hidden=2)
+    assert expected[2][0].similarity < MIN_VISIBLE_SIMILARITY
+    assert expected[2][0].ess == pytest.approx(SETTINGS.particles)
+    assert_same_estimates(track_all(clip, TrackerBatch(device), trackers(clip, SETTINGS, device), hidden=2), expected)
 
 
 @pytest.mark.parametrize(
     ("where", "breaks_at", "counted"),
     slow_after(2, [
-        ("weigh", 0, True), ("survey", 2, False), ("carry_out", 6, True), ("unweigh", 0, False), ("fetched", 0, False),
+        ("weight", 0, True), ("reduce_moments", 2, False), ("execute", 6, True), ("restore_weights", 0, False),
+        ("download", 0, False),
     ]),  # fmt: skip
 )
 def test_the_cpu_carries_on_from_the_same_frame(
@@ -547,15 +552,15 @@ def test_the_cpu_carries_on_from_the_same_frame(
             raise CudaAPIError("[719] Call to cuCtxSynchronize results in CUDA_ERROR_LAUNCH_FAILED")
         return working(self, *given)
 
-    hidden = 2 if where == "unweigh" else -1
-    monkeypatch.setattr(random_numbers, "MANY", 0 if counted else 10**9)
+    hidden = 2 if where == "restore_weights" else -1
+    monkeypatch.setattr(random_numbers, "MAX_SEQUENTIAL_PARTICLES", 0 if counted else 10**9)
     here = trackers(clip, SETTINGS, None)
-    expected = followed(clip, Fleet(), here, hidden)
+    expected = track_all(clip, TrackerBatch(), here, hidden)
     monkeypatch.setattr(CudaDevice, where, breaking)
     device = CudaDevice()
-    fleet, there = Fleet(device, carry_on=True), trackers(clip, SETTINGS, device)
-    assert_same_estimates(followed(clip, fleet, there, hidden), expected)
-    assert_same_numbers(there, here)
+    fleet, on_device = TrackerBatch(device, carry_on=True), trackers(clip, SETTINGS, device)
+    assert_same_estimates(track_all(clip, fleet, on_device, hidden), expected)
+    assert_same_numbers(on_device, here)
     assert len(calls) == breaks_at + 1
     frame = int(fleet.notices[0].split("frame ")[1].split()[0])
     assert 1 <= frame <= 3
@@ -563,9 +568,9 @@ def test_the_cpu_carries_on_from_the_same_frame(
         f"computed on the CPU from frame {frame} on: the GPU failed ([719] Call to cuCtxSynchronize results in "
         "CUDA_ERROR_LAUNCH_FAILED)"
     ]
-    if where == "weigh":
+    if where == "weight":
         with pytest.raises(DeviceFailure, match="^--device cuda: the GPU failed .*; --device cpu computes"):
-            followed(clip, Fleet(device), trackers(clip, SETTINGS, device))
+            track_all(clip, TrackerBatch(device), trackers(clip, SETTINGS, device))
 
 
 @pytest.mark.slow

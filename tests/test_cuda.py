@@ -13,7 +13,7 @@ from selection import slow_after
 
 from paceline import numba_cache
 from paceline.speed.filter import device
-from paceline.speed.filter.device import DeviceFailure, failures_told, open_device
+from paceline.speed.filter.device import DeviceFailure, as_device_failure, open_device
 
 PARITY = Path(__file__).with_name("cuda_parity.py")
 EXAMPLE = Path(__file__).parents[1] / "examples" / "straight" / "clip.yaml"
@@ -76,7 +76,7 @@ FAILURES = [
 
 @pytest.mark.parametrize(("error", "reason"), FAILURES, ids=lambda x: x if isinstance(x, str) else type(x).__name__)
 def test_what_goes_wrong_is_one_plain_line(error: Exception, reason: str) -> None:
-    with pytest.raises(DeviceFailure) as failure, failures_told():
+    with pytest.raises(DeviceFailure) as failure, as_device_failure():
         raise error
     assert failure.value.reason == reason
     assert str(failure.value) == f"--device cuda: {reason}; --device cpu computes without a GPU"
@@ -84,7 +84,7 @@ def test_what_goes_wrong_is_one_plain_line(error: Exception, reason: str) -> Non
 
 @pytest.mark.parametrize("error", [ValueError("a mistake of ours"), FloatingPointError("all particle weights vanish")])
 def test_other_errors_are_not_the_devices(error: Exception) -> None:
-    with pytest.raises(type(error), match=str(error)), failures_told():
+    with pytest.raises(type(error), match=str(error)), as_device_failure():
         raise error
 
 
@@ -123,7 +123,7 @@ def test_methods_that_know_no_gpu_say_so(tmp_path: Path) -> None:
 
 
 def test_the_cpu_asks_for_no_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(device, "failures_told", None)
+    monkeypatch.setattr(device, "as_device_failure", None)
     assert open_device("cpu") is None
 
 
@@ -135,7 +135,7 @@ def test_a_kernel_closes_over_the_digest_of_all_that_it_is_made_of() -> None:
     from paceline.speed.filter.cuda import kernels, patch_features, weights
 
     digests = set()
-    for module, name in ((kernels, "carry_out"), (weights, "survey"), (patch_features, "log_likelihood")):
+    for module, name in ((kernels, "execute"), (weights, "reduce_moments"), (patch_features, "log_likelihood")):
         (cell,) = getattr(module, name).py_func.__closure__
         assert cell.cell_contents == numba_cache.digest(module.__name__)
         digests.add(cell.cell_contents)

@@ -15,7 +15,7 @@ from hypothesis.extra.numpy import arrays
 from scipy.ndimage import map_coordinates
 
 from paceline.speed.filter import likelihood, patch_features_cpu
-from paceline.speed.filter.likelihood import PART_DISTANCE_CAP, SAMPLES, Grid
+from paceline.speed.filter.likelihood import PART_DISTANCE_CAP, SAMPLES_PER_REGION, PartGrid
 from paceline.speed.geometry.quadrilaterals_cpu import inward_edges, unit_square_to
 
 PARTS = [4, 6, 8, 10, 12, 16]
@@ -105,7 +105,7 @@ def raw_features(left, right, quads_left, quads_right, grid):
 def expected_ncc(left, right, quad_left, quad_right, cross, grid):
     u, v = sample_places(grid)
     H, crossed = to_quad(quad_left), cross @ to_quad(quad_left)
-    v = v[:: patch_features_cpu.CROSS_ROWS]
+    v = v[:: patch_features_cpu.CORRELATION_ROW_STEP]
     x, y = places = mapped(crossed, u, v)
     a, b, c = np.linalg.inv(to_quad(quad_right)) @ np.stack([x.ravel(), y.ravel(), np.ones(x.size)])
     inside = ((a / c > 0) & (a / c < 1) & (b / c > 0) & (b / c < 1)).reshape(x.shape)
@@ -142,7 +142,7 @@ def test_what_is_packed_for_some_regions_serves_them_as_the_whole_image_does(whe
     np.testing.assert_array_equal(packed.words, whole.words[packed.top :, packed.left :][:height, :width])
     assert packed.words.size < 0.4 * whole.words.size
     cross = shifts(np.full(20, 2.5), np.full(20, -1.5))
-    grid = Grid.for_region(10, QUAD)
+    grid = PartGrid.for_region(10, QUAD)
     with np.errstate(invalid="ignore"):
         a, b = (
             likelihood.observe(*views, quads, quads + 1.5, cross, grid)
@@ -182,12 +182,12 @@ def test_inward_edges_are_positive_inside(wobble, point):
 @pytest.mark.parametrize("shape", [(100, 100), (180, 65), (300, 70), (50, 120)])
 def test_grids_divide_the_region_into_nearly_square_parts(parts, shape):
     width, height = shape
-    grid = Grid.for_region(parts, np.array([[0, 0], [width, 0], [width, height], [0, height]], float))
+    grid = PartGrid.for_region(parts, np.array([[0, 0], [width, 0], [width, height], [0, height]], float))
     assert grid.parts == grid.across * grid.down == parts
     shapes = {a: abs(np.log((width / a) / (height / (parts // a)))) for a in range(1, parts + 1) if parts % a == 0}
     assert shapes[grid.across] == pytest.approx(min(shapes.values()))
     assert min(grid.samples) >= 2
-    assert 0.6 * SAMPLES <= 16 * parts * grid.samples[0] * grid.samples[1] <= 1.6 * SAMPLES
+    assert 0.6 * SAMPLES_PER_REGION <= 16 * parts * grid.samples[0] * grid.samples[1] <= 1.6 * SAMPLES_PER_REGION
 
 
 # --- features and correlation --------------------------------------------------------------------------------------
@@ -209,7 +209,7 @@ def test_the_wavelets_are_orthonormal():
 def test_features_are_the_wavelets_of_bilinear_block_sums(parts):
     left, right = texture(1), texture(2)
     quads = np.stack([QUAD, QUAD * 1.05 - 9.3, QUAD @ [[0.99, 0.08], [-0.1, 1.02]], BOX * 0.3 + 40.4])
-    grid = Grid.for_region(parts, QUAD)
+    grid = PartGrid.for_region(parts, QUAD)
     found = raw_features(left, right, quads, quads + [7.1, -3.6], grid)
     samples = grid.samples[0] * grid.samples[1]
     for i, quad in enumerate(quads):
@@ -219,7 +219,7 @@ def test_features_are_the_wavelets_of_bilinear_block_sums(parts):
 
 
 def test_samples_are_those_that_opencv_reads():
-    image, grid, box = texture(3), Grid(1, 1, (10, 8)), BOX + [0.25, 0.5]
+    image, grid, box = texture(3), PartGrid(1, 1, (10, 8)), BOX + [0.25, 0.5]
     x, y = (p.astype(np.float32) for p in mapped(to_quad(box), *sample_places(grid)))
     values = cv2.remap(image, x, y, cv2.INTER_LINEAR)
     blocks = values.reshape(4, 8, 4, 10).sum((1, 3))
@@ -229,7 +229,7 @@ def test_samples_are_those_that_opencv_reads():
 
 def test_observations_are_the_kernels_features_normalised():
     left, right = texture(1), texture(2)
-    quads, grid = np.stack([QUAD, QUAD + 3.3]), Grid.for_region(10, QUAD)
+    quads, grid = np.stack([QUAD, QUAD + 3.3]), PartGrid.for_region(10, QUAD)
     seen = seen_by(left, right, quads, quads - 1.2, grid)
     raw = raw_features(left, right, quads, quads - 1.2, grid)
     np.testing.assert_allclose(seen.features, likelihood.normalised(raw), atol=1e-3)
@@ -262,7 +262,7 @@ def test_the_correlation_is_that_of_the_samples_within_both_regions(shift):
     right = np.roll(left, 5, axis=1) * 0.8 + 12 + texture(5, contrast=6.0) - 120
     cross = np.array([[1.01, 0.004, 2.0], [-0.003, 0.99, 1.5], [1e-5, -2e-5, 1.0]])
     quad_right = QUAD + [5.0 + shift, -1.0]
-    grid = Grid.for_region(10, QUAD)
+    grid = PartGrid.for_region(10, QUAD)
     seen = seen_by(left, np.rint(right), QUAD[None], quad_right[None], grid, cross[None])
     expected = expected_ncc(left, np.clip(np.rint(right), 0, 255), QUAD, quad_right, cross, grid)
     assert seen.ncc[0] == pytest.approx(expected, abs=5e-3)
@@ -270,7 +270,7 @@ def test_the_correlation_is_that_of_the_samples_within_both_regions(shift):
 
 
 def test_a_view_correlates_with_itself_and_against_its_negative():
-    image, grid = texture(6), Grid.for_region(10, QUAD)
+    image, grid = texture(6), PartGrid.for_region(10, QUAD)
     assert seen_by(image, image, QUAD[None], QUAD[None], grid).ncc[0] == pytest.approx(1, abs=1e-4)
     assert seen_by(image, 255 - image, QUAD[None], QUAD[None], grid).ncc[0] == pytest.approx(-1, abs=1e-3)
 
@@ -278,7 +278,7 @@ def test_a_view_correlates_with_itself_and_against_its_negative():
 @pytest.mark.parametrize("level", [0, 77, 255])
 def test_a_view_without_any_contrast_correlates_with_nothing(level):
     """A black or saturated view: not one, not minus one, and certainly nothing beyond them."""
-    grid = Grid.for_region(10, QUAD)
+    grid = PartGrid.for_region(10, QUAD)
     for seed in range(3):
         image = texture(seed)
         flat = np.full_like(image, level)
@@ -288,7 +288,7 @@ def test_a_view_without_any_contrast_correlates_with_nothing(level):
 def test_one_thread_sees_what_two_do():
     rng = np.random.default_rng(1)
     quads = QUAD + rng.normal(0, 3, (101, 4, 2))
-    grid = Grid.for_region(12, QUAD)
+    grid = PartGrid.for_region(12, QUAD)
     before = numba.get_num_threads()
     try:
         found = []
@@ -303,7 +303,7 @@ def test_one_thread_sees_what_two_do():
 
 def test_every_particle_is_seen_as_if_alone():
     quads = QUAD + np.random.default_rng(2).normal(0, 3, (70, 4, 2))
-    grid = Grid.for_region(8, QUAD)
+    grid = PartGrid.for_region(8, QUAD)
     together = seen_by(texture(1), texture(2), quads, quads + 1.5, grid)
     for i in (0, 33, 69):
         alone = seen_by(texture(1), texture(2), quads[i : i + 1], quads[i : i + 1] + 1.5, grid)
@@ -315,7 +315,7 @@ def test_every_particle_is_seen_as_if_alone():
 def test_only_the_region_matters_not_the_images_size(margins):
     left, right = texture(7), texture(8)
     x, y, more_x, more_y = margins
-    grid = Grid.for_region(10, QUAD)
+    grid = PartGrid.for_region(10, QUAD)
     small = seen_by(left, right, QUAD[None], QUAD[None] + 2.0, grid)
     wide = [np.pad(image, ((y, more_y), (x, more_x)), constant_values=9) for image in (left, right)]
     shift = np.array([x, y], float)
@@ -327,7 +327,7 @@ def test_only_the_region_matters_not_the_images_size(margins):
 
 def test_the_two_views_may_differ_in_size():
     left, right = texture(7), texture(8)[:200, :300]
-    grid = Grid.for_region(10, QUAD)
+    grid = PartGrid.for_region(10, QUAD)
     seen = seen_by(left, right, QUAD[None], QUAD[None] + 2.0, grid)
     whole = seen_by(left, texture(8), QUAD[None], QUAD[None] + 2.0, grid)
     np.testing.assert_allclose(seen.features, whole.features, atol=1e-5)
@@ -339,7 +339,7 @@ def test_the_two_views_may_differ_in_size():
 
 @pytest.mark.parametrize("where", [(-170, 0), (250, 0), (0, -120), (0, 190), (-170, -120), (5000, 3000), (-1e7, 1e7)])
 def test_regions_beyond_the_border_see_its_pixels_repeated(where):
-    image, grid = texture(9), Grid.for_region(10, QUAD)
+    image, grid = texture(9), PartGrid.for_region(10, QUAD)
     quad = QUAD + np.array(where, float)
     seen = seen_by(image, image, quad[None], quad[None], grid)
     assert np.isfinite(seen.features).all() and np.isfinite(seen.ncc).all()
@@ -363,7 +363,7 @@ def test_impossible_regions_are_unlikely_and_do_no_harm():
         wild = [box, 0 * box + 100, box[[0, 1, 1, 0]], 1e30 * box, 1e39 * box, np.nan * box, box + [np.inf, 0.0],
                 box[[0, 2, 1, 3]], box[[0, 3, 2, 1]], box[[0, 2, 3, 1]]]
         quads = np.array(wild)
-        packed, grid = likelihood.pack(image), likelihood.Grid.for_region(10, box)
+        packed, grid = likelihood.pack(image), likelihood.PartGrid.for_region(10, box)
         with np.errstate(all="ignore"):
             cross = np.repeat(np.eye(3)[None], len(quads), axis=0)
             seen = likelihood.observe(packed, packed, quads, quads, cross, grid)
@@ -382,7 +382,7 @@ def test_no_region_however_wild_is_read_outside_the_image():
         rng = np.random.default_rng(0)
         image = rng.uniform(0, 255, (240, 360)).astype(np.float32)
         box = np.array([[120.0, 90.0], [220.0, 90.0], [220.0, 130.0], [120.0, 130.0]])
-        grid = likelihood.Grid.for_region(10, box)
+        grid = likelihood.PartGrid.for_region(10, box)
         np.seterr(all="ignore")
         for _ in range(10):
             wide, near = (box + rng.normal(0, 10 ** rng.uniform(0, k, (400, 1, 1)), (400, 4, 2)) for k in (8, 3))
@@ -401,7 +401,7 @@ def test_no_region_however_wild_is_read_outside_the_image():
 
 def profile(image, changes, parts=10, quad=QUAD, move_right=True):
     """log p of regions changed by the homographies ``changes`` (N, 3, 3) about the true one."""
-    grid = Grid.for_region(parts, quad)
+    grid = PartGrid.for_region(parts, quad)
     reference = seen_by(image, image, quad[None], quad[None], grid).features[0]
     p = np.column_stack([quad, np.ones(4)])
     q = np.einsum("nij,kj->nki", changes, p)
@@ -442,7 +442,7 @@ def test_the_likelihood_peaks_at_the_truth_and_falls_to_both_sides(seed, parts):
 
 @pytest.mark.parametrize(("gain", "offset"), [(0.6, 0.0), (1.0, 30.0), (1.3, -40.0), (0.5, 70.0)])
 def test_gain_and_offset_of_a_view_do_not_matter(gain, offset):
-    image, grid = texture(14, contrast=20.0), Grid.for_region(10, QUAD)
+    image, grid = texture(14, contrast=20.0), PartGrid.for_region(10, QUAD)
     reference = seen_by(image, image, QUAD[None], QUAD[None], grid).features[0]
     other = np.clip(gain * image + offset, 0, 255)
     assert ((other > 0) & (other < 255)).all()
@@ -490,7 +490,7 @@ def occluded(image, grid, part, paint, box=BOX):
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_an_occluder_over_one_part_costs_little_more_than_the_cap(seed, paint):
     """Brightness and contrast are taken from all the parts together, so the others feel it a little."""
-    image, grid = texture(seed, grain=4.0), Grid.for_region(10, BOX)
+    image, grid = texture(seed, grain=4.0), PartGrid.for_region(10, BOX)
     reference = seen_by(image, image, BOX[None], BOX[None], grid).features[0]
     for part in range(10):
         other = occluded(image, grid, part, paint)
@@ -501,7 +501,7 @@ def test_an_occluder_over_one_part_costs_little_more_than_the_cap(seed, paint):
 
 @pytest.mark.parametrize("paint", [0, 255])
 def test_an_occluded_part_does_not_move_the_peak(paint):
-    image, grid = texture(5, grain=4.0), Grid.for_region(10, BOX)
+    image, grid = texture(5, grain=4.0), PartGrid.for_region(10, BOX)
     reference = seen_by(image, image, BOX[None], BOX[None], grid).features[0]
     steps = np.linspace(-3, 3, 25)
     for part in (0, 4, 7):

@@ -171,7 +171,7 @@ def test_two_vehicles_and_everything_that_comes_out(command: Command, tmp_path: 
     assert summary["configuration"]["particles"] == 400 and summary["versions"]["paceline"] == paceline.__version__
 
     page = (answer.out / "report.html").read_text()
-    assert "fast" in page and "away" in page and "km/h" in page and "src=\"http" not in page
+    assert "fast" in page and "away" in page and "km/h" in page and 'src="http' not in page
     with av.open(answer.out / "overlay.mp4") as video:
         frames = [f.to_ndarray(format="gray") for f in video.decode(video=0)]
     assert len(frames) == 11 and np.ptp(frames[5]) > 100
@@ -309,9 +309,7 @@ def test_colour(command: Command, clip: Path, tmp_path: Path) -> None:
 
 
 def test_sixteen_bits(command: Command, clip: Path, tmp_path: Path) -> None:
-    deep = variant(
-        clip, tmp_path / "c", lambda s: [i.astype(np.uint16) * 16 for i in pictures(clip, s)], bit_depth=12
-    )
+    deep = variant(clip, tmp_path / "c", lambda s: [i.astype(np.uint16) * 16 for i in pictures(clip, s)], bit_depth=12)
     assert_right(command(deep))
 
 
@@ -403,7 +401,7 @@ def stay_on(frames: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
     def staying(tracker: paceline.Tracker, frame: Any) -> Any:
         if frame.index not in frames:
             last.append(update(tracker, frame))
-        return replace(last[-1], frame=frame.index, time=frame.time, likeness=1.0)
+        return replace(last[-1], frame=frame.index, time=frame.time, similarity=1.0)
 
     monkeypatch.setattr(paceline.Tracker, "update", staying)
 
@@ -447,7 +445,7 @@ def test_what_never_looks_like_the_region_is_not_measured(clip: Path, monkeypatc
 
     def unlike(tracker: paceline.Tracker, frame: Any) -> Any:
         estimate = update(tracker, frame)
-        return replace(estimate, likeness=0.5 if frame.index > 2 else estimate.likeness)
+        return replace(estimate, similarity=0.5 if frame.index > 2 else estimate.similarity)
 
     monkeypatch.setattr(paceline.Tracker, "update", unlike)
     m = paceline.measure(paceline.load_clip(clip), paceline.SpeedConfiguration()).measurements[0]

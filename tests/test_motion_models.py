@@ -15,11 +15,11 @@ from paceline.speed.filter.motion_models import (
     FreeMotion,
     PathMotion,
     State,
-    centres,
-    corrected,
+    apply_rigid_motion,
     cross_homographies,
     diagonal_crossings,
-    moved,
+    ensemble_kalman_update,
+    plane_centres,
 )
 from paceline.speed.geometry.paths import Path
 
@@ -94,7 +94,7 @@ def assert_same_plane_and_regions(a, b, atol):
 def test_regions_move_as_the_corners_in_space_do(rig, seed):
     state = random_state(rig, seed)
     dR, dt = random_motions(seed)
-    after = moved(state, rig, dt, dR)
+    after = apply_rigid_motion(state, rig, dt, dR)
     for view, corners in enumerate(corners_in_space(rig, state)):
         there = np.einsum("nij,nkj->nki", dR, corners) + dt[:, None]
         expected = rig.project(there)[view]
@@ -106,7 +106,7 @@ def test_regions_move_as_the_corners_in_space_do(rig, seed):
 def test_the_plane_moves_as_three_of_its_points_do(rig, seed):
     state = random_state(rig, seed)
     dR, dt = random_motions(seed)
-    after = moved(state, rig, dt, dR)
+    after = apply_rigid_motion(state, rig, dt, dR)
     there = np.einsum("nij,nkj->nki", dR, corners_in_space(rig, state)[0]) + dt[:, None]
     for i, (a, b, c, _) in enumerate(there):
         normal = np.cross(b - a, c - a)
@@ -120,11 +120,13 @@ def test_the_plane_moves_as_three_of_its_points_do(rig, seed):
 def test_two_moves_are_one(rig, seed):
     state = random_state(rig, seed)
     (dR, dt), (dR2, dt2) = random_motions(seed), random_motions(seed + 1)
-    twice = moved(moved(state, rig, dt, dR), rig, dt2, dR2)
-    assert_same_plane_and_regions(twice, moved(state, rig, np.einsum("nij,nj->ni", dR2, dt) + dt2, dR2 @ dR), 1e-8)
+    twice = apply_rigid_motion(apply_rigid_motion(state, rig, dt, dR), rig, dt2, dR2)
+    assert_same_plane_and_regions(
+        twice, apply_rigid_motion(state, rig, np.einsum("nij,nj->ni", dR2, dt) + dt2, dR2 @ dR), 1e-8
+    )
     back = np.swapaxes(dR, 1, 2)
-    there = moved(state, rig, dt, dR)
-    assert_same_plane_and_regions(moved(there, rig, -np.einsum("nij,nj->ni", back, dt), back), state, 1e-8)
+    there = apply_rigid_motion(state, rig, dt, dR)
+    assert_same_plane_and_regions(apply_rigid_motion(there, rig, -np.einsum("nij,nj->ni", back, dt), back), state, 1e-8)
 
 
 @settings(deadline=None, max_examples=25)
@@ -145,7 +147,7 @@ def test_diagonals_cross_at_the_projected_centre(rig, seed):
     places = rng.uniform([-3, -1, 12], [3, 2, 80], (5, 3))
     state = planes_at(rig, places, np.column_stack([rng.uniform(-0.7, 0.7, (5, 2)), np.ones(5)]))
     np.testing.assert_allclose(diagonal_crossings(state.left), rig.project(places)[0], atol=1e-8)
-    np.testing.assert_allclose(centres(rig, state), places, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(plane_centres(rig, state), places, rtol=1e-9, atol=1e-9)
     a, b, c, d = np.concatenate([state.left, np.ones((5, 4, 1))], axis=-1).swapaxes(0, 1)
     meet = np.cross(np.cross(a, c), np.cross(b, d))
     np.testing.assert_allclose(diagonal_crossings(state.left), meet[:, :2] / meet[:, 2:], atol=1e-6)
@@ -215,8 +217,8 @@ def test_on_a_circle_the_step_is_a_chord_and_the_turn_is_its_arc(rig, radius, si
     turn = Rotation.from_rotvec((side * arc / radius)[:, None] * ground[:, 1]).as_matrix()
     np.testing.assert_allclose(after.normal, np.einsum("nij,nj->ni", turn, state.normal), atol=1e-5)
     centre = ground @ np.array([-side * radius, 1.2, 70.0])
-    expected = centre + np.einsum("nij,nj->ni", turn, centres(rig, state) - centre)
-    np.testing.assert_allclose(centres(rig, after), expected, atol=1e-4)
+    expected = centre + np.einsum("nij,nj->ni", turn, plane_centres(rig, state) - centre)
+    np.testing.assert_allclose(plane_centres(rig, after), expected, atol=1e-4)
     if tilt == 0:
         assert (np.sign(np.cross(state.normal, after.normal)[:, 1]) == side).all()
 
@@ -239,7 +241,7 @@ def test_a_particles_own_heading_turns_its_step(rig):
         rig, np.tile([0.5, 0.4, 60.0], (3, 1)), np.tile(-k, (3, 1)), speed=np.full(3, 20.0), heading=heading
     )
     after = PathMotion(rig, path, SpeedConfiguration(**SILENT)).propagate(state, 0.2, np.random.default_rng(0))
-    step = centres(rig, after) - [0.5, 0.4, 60.0]
+    step = plane_centres(rig, after) - [0.5, 0.4, 60.0]
     # travel is towards the camera, so its right is the camera's left
     np.testing.assert_allclose(step, [[0, 0, -4], [-0.04, 0, -4], [0, 0.04, -4]], atol=1e-9)
 
@@ -264,7 +266,7 @@ def test_the_noises_have_the_stated_size_and_grow_with_the_root_of_time(rig):
         state = replace(one[np.zeros(N, int)], speed=np.full(N, 20.0), s=np.full(N, 20.0))
         after = PathMotion(rig, path, c).propagate(state, dt, np.random.default_rng(8))
         scale = np.sqrt(dt / 0.2)
-        shift = centres(rig, after) - centres(rig, one)
+        shift = plane_centres(rig, after) - plane_centres(rig, one)
         along = np.hypot(0.2 * scale * dt, 0.05 * scale)
         np.testing.assert_allclose((after.speed - 20.0).std(), 0.2 * scale, rtol=0.03)
         np.testing.assert_allclose((shift @ T).std(), along, rtol=0.03)
@@ -286,7 +288,9 @@ def test_free_motion_carries_the_centre_and_turns_about_it(rig, seed, dt):
     state = random_state(rig, seed, velocity=velocity, turning=turning)
     model = FreeMotion(rig, SpeedConfiguration(rotation_noise=0.0, translation_noise=0.0))
     after = model.propagate(state, dt, np.random.default_rng(0))
-    np.testing.assert_allclose(centres(rig, after), centres(rig, state) + velocity * dt, rtol=1e-9, atol=1e-8)
+    np.testing.assert_allclose(
+        plane_centres(rig, after), plane_centres(rig, state) + velocity * dt, rtol=1e-9, atol=1e-8
+    )
     np.testing.assert_allclose(after.speed, np.sqrt((velocity**2).sum(1)))
     for i, (a, b, c) in enumerate(turning * dt):
         Rx = np.array([[1, 0, 0], [0, np.cos(a), -np.sin(a)], [0, np.sin(a), np.cos(a)]])
@@ -298,10 +302,10 @@ def test_free_motion_carries_the_centre_and_turns_about_it(rig, seed, dt):
 def test_free_motion_at_constant_velocity_is_a_straight_line(rig):
     model = FreeMotion(rig, SpeedConfiguration(rotation_noise=0.0, translation_noise=0.0))
     state = random_state(rig, 5, velocity=np.tile([0.5, 0.0, -8.0], (6, 1)))
-    after, start = state, centres(rig, state)
+    after, start = state, plane_centres(rig, state)
     for dt in (0.2, 0.1, 0.2, 0.4):
         after = model.propagate(after, dt, np.random.default_rng(0))
-    np.testing.assert_allclose(centres(rig, after), start + 0.9 * np.array([0.5, 0.0, -8.0]), atol=1e-7)
+    np.testing.assert_allclose(plane_centres(rig, after), start + 0.9 * np.array([0.5, 0.0, -8.0]), atol=1e-7)
     np.testing.assert_array_equal(after.normal, state.normal)
 
 
@@ -350,15 +354,15 @@ def test_the_ensemble_step_is_the_kalman_update_of_a_gaussian_cloud(rig, free, w
     noise = np.array([[4e-4, 1e-4, 0], [1e-4, 4e-4, 1e-3], [0, 1e-3, 0.04]])
     measured = np.array([0.46, 0.75, 49.5])
     seen = measured + rng.multivariate_normal(np.zeros(3), noise, N)
-    places = centres(rig, state)
-    after = corrected(rig, state, W, places, seen, noise, model)
+    places = plane_centres(rig, state)
+    after = ensemble_kalman_update(rig, state, W, places, seen, noise, model)
     moved_fields = after.velocity if free else np.column_stack([after.speed, after.heading])
     if free:
         np.testing.assert_allclose(after.speed, np.sqrt((after.velocity**2).sum(1)))
     else:
-        np.testing.assert_allclose(after.s - 40.0, (centres(rig, after) - places) @ k, atol=1e-6)
+        np.testing.assert_allclose(after.s - 40.0, (plane_centres(rig, after) - places) @ k, atol=1e-6)
     np.testing.assert_allclose(after.normal, state.normal, atol=1e-12)
-    y = np.column_stack([centres(rig, after), moved_fields])
+    y = np.column_stack([plane_centres(rig, after), moved_fields])
     exact_mean, exact_covariance = kalman(mean, covariance, measured, noise)
     std = np.sqrt(np.diag(exact_covariance))
     size = 1 / (W**2).sum()

@@ -9,7 +9,7 @@ from scipy.ndimage import map_coordinates
 
 from paceline.simulation.stereo.clip import Scene, Vehicle, World, render
 from paceline.speed.filter import registration_cpu
-from paceline.speed.filter.likelihood import Grid
+from paceline.speed.filter.likelihood import PartGrid
 from paceline.speed.filter.registration import PlaneGrid, register, sample
 
 FRAMES = 4
@@ -27,7 +27,7 @@ class Clip:
         pairs = zip(clip.left, clip.right, strict=True)
         self.images = [(left.astype(np.float32), right.astype(np.float32)) for left, right in pairs]
         region = np.array(self.world.truth[0]["left"])
-        self.grid = PlaneGrid(Grid.for_region(10, region), region)
+        self.grid = PlaneGrid(PartGrid.for_region(10, region), region)
         u, v, _ = self.grid.places
         flat = np.stack([(u - 0.5) * car.width, (v - 0.5) * car.height, 0 * u], axis=-1)
         self.poses = self.world.poses[0][0]
@@ -70,7 +70,7 @@ def normalised_squares(clips, prepare=lambda clip, frame: None):
                 found = clip.found(frame, offset, prepare(clip, frame))
                 error = found.shift + offset
                 assert np.abs(clip.pixel_error(frame, error)).max() < 0.12
-                assert found.likeness > 0.7
+                assert found.similarity > 0.7
                 squares.append(error @ np.linalg.solve(found.covariance, error))
     return np.array(squares)
 
@@ -82,7 +82,7 @@ def test_a_plane_where_it_is_expected_is_found_there(clips):
     for clip in clips:
         found = clip.found(0, np.zeros(3))
         assert np.abs(clip.pixel_error(0, found.shift)).max() < 2e-3
-        assert found.likeness > 0.999
+        assert found.similarity > 0.999
 
 
 def test_known_shifts_are_undone_within_the_stated_uncertainty(clips, noisy_clips):
@@ -149,20 +149,20 @@ def test_occluded_parts_do_not_draw_the_plane_away(clips, grey, parts):
     assert squares.max() < 40 and squares.mean() < 9
     for clip in clips:
         whole, partly = clip.found(1, np.zeros(3)), clip.found(1, np.zeros(3), occluded(clip, 1))
-        assert partly.likeness < whole.likeness
+        assert partly.similarity < whole.similarity
         assert np.trace(partly.covariance) > np.trace(whole.covariance)
 
 
 def test_another_picture_is_not_alike(clips):
     clip = clips[0]
     other = np.random.default_rng(0).normal(120, 40, clip.images[0][0].shape).astype(np.float32)
-    assert clip.found(1, np.zeros(3), (other, other)).likeness < 0.4
+    assert clip.found(1, np.zeros(3), (other, other)).similarity < 0.4
 
 
 @pytest.mark.parametrize("level", [0.0, 255.0])
 def test_a_black_or_saturated_picture_is_not_alike(clips, level):
     flat = np.full_like(clips[0].images[0][0], level)
-    assert clips[0].found(1, np.zeros(3), (flat, flat)).likeness < 0.1  # nor NaN, which compares as no less
+    assert clips[0].found(1, np.zeros(3), (flat, flat)).similarity < 0.1  # nor NaN, which compares as no less
 
 
 def test_a_texture_without_contrast_determines_nothing(clips):
@@ -177,7 +177,7 @@ def test_planes_beyond_the_border_are_not_found_and_do_no_harm(clips, away):
     """A particle filter may expect a plane beside the image: that is unlike, never an error of the image library."""
     clip = clips[0]
     found = clip.found(1, np.array(away))
-    assert found.likeness < 0.6
+    assert found.similarity < 0.6
 
 
 OUTLINE = np.array([[100.0, 100.0], [160.0, 100.0], [160.0, 130.0], [100.0, 130.0]])
@@ -186,7 +186,7 @@ OUTLINE = np.array([[100.0, 100.0], [160.0, 100.0], [160.0, 130.0], [100.0, 130.
 # --- the grid of samples -------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("grid", [Grid(5, 2, (3, 5)), Grid(1, 4, (6, 7)), Grid(4, 4, (3, 3))])
+@pytest.mark.parametrize("grid", [PartGrid(5, 2, (3, 5)), PartGrid(1, 4, (6, 7)), PartGrid(4, 4, (3, 3))])
 def test_parts_of_the_grid_are_the_squares_of_the_region(grid):
     plane = PlaneGrid(grid, OUTLINE)
     u, v, one = plane.places
@@ -199,30 +199,30 @@ def test_parts_of_the_grid_are_the_squares_of_the_region(grid):
         # the parts share the region without its rim evenly
         assert int((u[part].mean() - u.min()) / (u.max() - u.min()) * grid.across) == x
         assert int((v[part].mean() - v.min()) / (v.max() - v.min()) * grid.down) == y
-    whole = plane.whole(u)
+    whole = plane.as_grid(u)
     assert whole.shape == (4 * grid.down * grid.samples[1], 4 * grid.across * grid.samples[0])
     assert (np.diff(whole, axis=1) > 0).all() and (np.ptp(whole, axis=0) == 0).all()
 
 
-@pytest.mark.parametrize("grid", [Grid(5, 2, (3, 5)), Grid(2, 3, (6, 7))])
+@pytest.mark.parametrize("grid", [PartGrid(5, 2, (3, 5)), PartGrid(2, 3, (6, 7))])
 def test_slopes_in_the_image_are_those_of_a_known_surface(grid):
     plane = PlaneGrid(grid, OUTLINE)
     u, v, _ = plane.places
     depth = 1 + 0.05 * u - 0.03 * v
     x, y = 60 * (u + 0.1 * v) / depth, 30 * (v - 0.05 * u) / depth  # the region, seen askew
     pixels = np.stack([x, y])
-    du, dv = plane.slopes_in_image(3 * x - 2 * y, pixels)
+    du, dv = plane.image_gradient(3 * x - 2 * y, pixels)
     np.testing.assert_allclose(du, 3, atol=1e-9)
     np.testing.assert_allclose(dv, -2, atol=1e-9)
     inner = (u > u.min()) & (u < u.max()) & (v > v.min()) & (v < v.max())
-    du, dv = plane.slopes_in_image(0.02 * x * x + 0.03 * x * y, pixels)[:, inner]
+    du, dv = plane.image_gradient(0.02 * x * x + 0.03 * x * y, pixels)[:, inner]
     np.testing.assert_allclose(du, (0.04 * x + 0.03 * y)[inner], atol=0.02)
     np.testing.assert_allclose(dv, 0.03 * x[inner], atol=0.02)
 
 
 # --- the sums, beside the same in plain NumPy ----------------------------------------------------------------------
 
-VIEWS, PARTS, SAMPLES = 2, 6, 35
+VIEWS, PARTS, SAMPLES_PER_REGION = 2, 6, 35
 
 
 @pytest.mark.parametrize("k", [1, 3])
@@ -230,24 +230,24 @@ def test_products_of_parts_are_those_of_the_sampled_picture(k):
     rng = np.random.default_rng(k)
     image = cv2.GaussianBlur(rng.uniform(0, 255, (60, 90)).astype(np.float32), (0, 0), 2.0)
     K = np.array([[800.0, 0, 40], [0, 900, 31], [0, 0, 1]])
-    points = rng.uniform([-0.8, -0.6, 18], [0.8, 0.6, 22], (PARTS, SAMPLES, 3))
+    points = rng.uniform([-0.8, -0.6, 18], [0.8, 0.6, 22], (PARTS, SAMPLES_PER_REGION, 3))
     points[0, :9] *= [3, 3, 1]  # beyond the border, where its pixels repeat
     shift, directions = rng.normal(0, 0.05, 3), rng.normal(0, 1, (3, k))
-    slopes, texture = rng.normal(0, 9, (2, PARTS, SAMPLES)), rng.normal(0, 30, (PARTS, SAMPLES))
+    slopes, texture = rng.normal(0, 9, (2, PARTS, SAMPLES_PER_REGION)), rng.normal(0, 30, (PARTS, SAMPLES_PER_REGION))
     texture -= texture.mean(1, keepdims=True)
-    seen, JJ, JT, JI = (np.empty((PARTS, *shape)) for shape in ((SAMPLES,), (k, k), (k,), (k,)))
+    sampled, JJ, JT, JI = (np.empty((PARTS, *shape)) for shape in ((SAMPLES_PER_REGION,), (k, k), (k,), (k,)))
     TI, II = np.empty((2, PARTS))
     registration_cpu.part_products(
         image, K, np.ascontiguousarray(np.moveaxis(points, -1, 0)), shift, directions, texture, slopes,
-        seen, JJ, JT, JI, TI, II,
+        sampled, JJ, JT, JI, TI, II,
     )  # fmt: skip
     P = points + shift
     x, y, _ = np.moveaxis(P @ K.T / P[..., 2:], -1, 0)
     expected = map_coordinates(image.astype(float), [y, x], order=1, mode="nearest")
-    np.testing.assert_allclose(seen, expected, atol=0.05)  # the border is read a thousandth of a pixel inside
-    I = seen - seen.mean(1, keepdims=True)
+    np.testing.assert_allclose(sampled, expected, atol=0.05)  # the border is read a thousandth of a pixel inside
+    I = sampled - sampled.mean(1, keepdims=True)
     for p in range(PARTS):
-        J = np.empty((SAMPLES, k))
+        J = np.empty((SAMPLES_PER_REGION, k))
         for s, (X, Y, Z) in enumerate(P[p]):
             projection = np.array([[K[0, 0] / Z, 0, -K[0, 0] * X / Z**2], [0, K[1, 1] / Z, -K[1, 1] * Y / Z**2]])
             J[s] = slopes[:, p, s] @ projection @ directions
@@ -261,22 +261,22 @@ def test_products_of_parts_are_those_of_the_sampled_picture(k):
 def test_normal_equations_are_those_of_weighted_least_squares_with_a_gain_for_each_view(contrast):
     """Without reweighting in between: rows √w·(J, T) of every view, the columns T one for each view."""
     rng, k = np.random.default_rng(1), 3
-    T = rng.normal(0, 1, (PARTS, SAMPLES))
-    J = rng.normal(0, 5, (VIEWS, PARTS, SAMPLES, k))
-    I = contrast * (T + 0.3 * rng.normal(0, 1, (VIEWS, PARTS, SAMPLES)))
+    T = rng.normal(0, 1, (PARTS, SAMPLES_PER_REGION))
+    J = rng.normal(0, 5, (VIEWS, PARTS, SAMPLES_PER_REGION, k))
+    I = contrast * (T + 0.3 * rng.normal(0, 1, (VIEWS, PARTS, SAMPLES_PER_REGION)))
     JJ, JT = np.einsum("vpsi,vpsj->vpij", J, J), np.einsum("vpsi,ps->vpi", J, T)
     JI, TT = np.einsum("vpsi,vps->vpi", J, I), (T * T).sum(1)
     TI, II = np.einsum("ps,vps->vp", T, I), (I * I).sum(2)
     before = rng.uniform(0.5, 2, (VIEWS, PARTS))
     w, normal, scores = before.copy(), np.empty((k, k)), np.empty((VIEWS, PARTS, k))
-    registration_cpu.normal_equations(JJ, JT, JI, TT, TI, II, SAMPLES, (0.2, 5.0), 0.1, w, normal, scores)
+    registration_cpu.normal_equations(JJ, JT, JI, TT, TI, II, SAMPLES_PER_REGION, (0.2, 5.0), 0.1, w, normal, scores)
     gain = np.clip((before * TI).sum(1) / (before * TT).sum(1), 0.2, 5.0)
     r = I / gain[:, None, None] - T
     variance = (r * r).mean(2)
     np.testing.assert_allclose(w, 1 / (variance + 0.5 * np.median(variance, axis=1, keepdims=True) + 0.1), rtol=1e-8)
     root = np.sqrt(w)[..., None]
     gains = np.stack([root[v] * T * (u == v) for u in range(VIEWS) for v in range(VIEWS)])
-    gains = gains.reshape(VIEWS, VIEWS * PARTS * SAMPLES).T
+    gains = gains.reshape(VIEWS, VIEWS * PARTS * SAMPLES_PER_REGION).T
     rows = (root[..., None] * J).reshape(-1, k)
     rows -= gains @ np.linalg.lstsq(gains, rows, rcond=None)[0]  # what a gain explains
     np.testing.assert_allclose(normal, rows.T @ rows, rtol=1e-7)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from paceline.speed.filter.resampling import SCHEMES, Weights, even_enough, resample
+from paceline.speed.filter.resampling import SCHEMES, Weights, ess_sufficient, resample
 
 LOG_WEIGHTS = st.lists(st.floats(-30, 30), min_size=1, max_size=60).map(np.array)
 SHARES = st.lists(st.floats(0, 1), min_size=2, max_size=60).filter(lambda v: sum(v) > 0.1).map(np.array)
@@ -129,6 +129,6 @@ def test_resampling_depends_on_nothing_but_its_generator(scheme):
 @given(st.integers(1, 5000), st.floats(-50, 50))
 def test_equal_weights_are_even_enough_whatever_the_rounding(n: int, lw: float) -> None:
     weights = Weights(np.full(n, lw))
-    assert even_enough(weights.ESS, n, 1.0)
-    assert not even_enough(0.999 * weights.ESS, n, 1.0)
-    assert even_enough(0.501 * n, n, 0.5) and not even_enough(0.499 * n, n, 0.5)
+    assert ess_sufficient(weights.ESS, n, 1.0)
+    assert not ess_sufficient(0.999 * weights.ESS, n, 1.0)
+    assert ess_sufficient(0.501 * n, n, 0.5) and not ess_sufficient(0.499 * n, n, 0.5)

@@ -17,7 +17,7 @@ from paceline.recordings.stereo import StereoFrame, open_recording
 from paceline.simulation.stereo.clip import Scene, Vehicle, render, write
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.filter.estimate import Estimate
-from paceline.speed.filter.tracker import PATIENCE, Tracker
+from paceline.speed.filter.tracker import MAX_OCCLUDED_FRAMES, Tracker
 from paceline.speed.geometry.path_reconstruction import path_from_document
 from paceline.speed.geometry.paths import Path
 
@@ -149,7 +149,7 @@ def test_the_same_seed_gives_the_same_bits() -> None:
     s = small("left", 15.0, seed=2)
     one, two, other = (track(s, 1.1, seed=seed) for seed in (4, 4, 5))
     for a, b in list(zip(one, two, strict=True))[1:]:
-        assert (a.speed, a.speed_std, a.ess, a.likeness) == (b.speed, b.speed_std, b.ess, b.likeness)
+        assert (a.speed, a.speed_std, a.ess, a.similarity) == (b.speed, b.speed_std, b.ess, b.similarity)
         np.testing.assert_array_equal(a.left, b.left)
         np.testing.assert_array_equal(a.particles_right, b.particles_right)
     assert one[-1].speed != other[-1].speed
@@ -202,7 +202,7 @@ def test_a_vehicle_hidden_for_good_is_lost(kind: str) -> None:
     s = small(kind, 15.0, seed=2)
     frames = walled(clip_of(s)[1], range(5, 99))
     estimates = track(s, 1.05, frames)
-    assert [e.status for e in estimates] == ["tracking"] * (4 + PATIENCE) + ["lost"]
+    assert [e.status for e in estimates] == ["tracking"] * (4 + MAX_OCCLUDED_FRAMES) + ["lost"]
     assert np.abs(errors(s, estimates)[5:]).max() < 6.0
 
 
@@ -213,7 +213,7 @@ def test_a_vehicle_hidden_for_a_moment_is_found_again(kind: str, hidden: tuple[i
     estimates = track(s, 0.95, walled(clip_of(s)[1], hidden))
     assert len(estimates) == s.frames and estimates[-1].status == "tracking"
     assert np.abs(errors(s, estimates)[-2:]).max() < 1.0
-    assert all(estimates[i].likeness < 0.5 for i in hidden) and estimates[-1].likeness > 0.8
+    assert all(estimates[i].similarity < 0.5 for i in hidden) and estimates[-1].similarity > 0.8
 
 
 @pytest.mark.parametrize("kind", ["line", "left"])
@@ -232,7 +232,7 @@ def test_what_hides_a_vehicle_chooses_none_of_its_particles(kind: str) -> None:
 def test_a_wall_from_the_second_frame_on_is_no_vehicle() -> None:
     s = small("line", 15.0, seed=2)
     estimates = track(s, 1.0, walled(clip_of(s)[1], range(1, 99)))
-    assert estimates[-1].status == "lost" and len(estimates) == 1 + PATIENCE
+    assert estimates[-1].status == "lost" and len(estimates) == 1 + MAX_OCCLUDED_FRAMES
 
 
 def test_every_frame_has_its_own_time_step() -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from common import MPH, head, row
 
-from paceline.speed.filter.likelihood import Grid
+from paceline.speed.filter.likelihood import PartGrid
 from zhu2012 import clips, drawing, figures, methods
 from zhu2012.items import Item, Numbers, image, run_alone
 
@@ -24,7 +24,7 @@ def compute() -> Numbers:
             parts=parts, particles=SETTINGS["particles"], speed_noise=SETTINGS["speed_noise"]
         )
         estimates, _ = clips.filtered(view, configuration)
-        grid = Grid.for_region(parts, vehicle.left)
+        grid = PartGrid.for_region(parts, vehicle.left)
         frames = [e.frame for e in estimates]
         off = np.array([e.left for e in estimates]) - view.true(vehicle.id, frames, "left")
         shown.append(

@@ -20,7 +20,7 @@ from paceline.recordings.stereo import StereoFrame, StereoFrames, open_recording
 from paceline.speed import verdict
 from paceline.speed.choices import DeviceName
 from paceline.speed.configuration import SpeedConfiguration
-from paceline.speed.filter.batch import Fleet
+from paceline.speed.filter.batch import TrackerBatch
 from paceline.speed.filter.device import open_device
 from paceline.speed.geometry.path_reconstruction import path_from_document
 from paceline.speed.geometry.paths import Path
@@ -57,7 +57,7 @@ def measure(
     estimates as it is made. Raises UnusableInput; a DeviceFailure where ``device`` is ``cuda`` and cannot be used to
     the end.
     """
-    fleet = Fleet(open_device(device), carry_on=device == "auto")
+    fleet = TrackerBatch(open_device(device), carry_on=device == "auto")
     result = measure_each(clip, recording, configuration, partial(VehicleRun, fleet=fleet, seen=seen), progress)
     measurements = [
         verdict.apply_tolerance(m, configuration.tolerance) for m in together(result.measurements, configuration)

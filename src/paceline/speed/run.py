@@ -15,9 +15,9 @@ from paceline.errors import UnusableInput
 from paceline.recordings.stereo import StereoFrame
 from paceline.speed import verdict
 from paceline.speed.configuration import SpeedConfiguration
-from paceline.speed.filter.batch import Fleet
+from paceline.speed.filter.batch import TrackerBatch
 from paceline.speed.filter.estimate import Estimate
-from paceline.speed.filter.tracker import LOST, SEEN, Tracker
+from paceline.speed.filter.tracker import MIN_REFERENCE_SIMILARITY, MIN_VISIBLE_SIMILARITY, Tracker
 from paceline.speed.geometry import paths
 from paceline.speed.geometry.initial_plane import plane_across, plane_from_outlines
 from paceline.speed.geometry.paths import Path
@@ -44,7 +44,7 @@ class VehicleRun:
         vehicle: VehicleDocument,
         drawn: dict[str, Path],
         configuration: SpeedConfiguration,
-        fleet: Fleet,
+        fleet: TrackerBatch,
         seen: Seen | None = None,
     ) -> None:
         self.fleet, self.seen = fleet, seen
@@ -73,7 +73,11 @@ class VehicleRun:
         self.estimates.append(estimate)
         if self.seen is not None:
             self.seen(self.vehicle.id, estimate)
-        if estimate.status == "tracking" and estimate.likeness >= LOST and self.configuration.refine:
+        if (
+            estimate.status == "tracking"
+            and estimate.similarity >= MIN_VISIBLE_SIMILARITY
+            and self.configuration.refine
+        ):
             self._keep(frame, estimate)
         return estimate.status == "tracking"
 
@@ -97,7 +101,7 @@ class VehicleRun:
         last = self.estimates[-1].status if self.estimates else "tracking"
         if few := verdict.check_frames(last, len(tracked), self.limits):
             return self._rejected(few)
-        if (seen := sum(e.likeness >= SEEN for e in tracked)) < self.limits.min_frames:
+        if (seen := sum(e.similarity >= MIN_REFERENCE_SIMILARITY for e in tracked)) < self.limits.min_frames:
             return self._rejected(
                 message(
                     "appearance_lost_from_start", similar=seen, frames=len(tracked), min_frames=self.limits.min_frames
@@ -203,7 +207,7 @@ class VehicleRun:
         if np.isnan(refined.systematic_covariance).any():
             consequence = "the interval holds no systematic part"
             notices.append(message("rig_uncertainty_missing", rig="rig.yaml", consequence=consequence))
-        hidden = sum(e.likeness < SEEN for e in self.estimates)
+        hidden = sum(e.similarity < MIN_REFERENCE_SIMILARITY for e in self.estimates)
         if hidden:
             notices.append(message("occluded_frames", frames=plural(hidden, "frame")))
         if lost := [e.frame for e in self.estimates if e.status == "lost"]:
@@ -265,7 +269,7 @@ class VehicleRun:
 
 def _until_hidden(estimates: list[Estimate]) -> list[Estimate]:
     """``estimates`` with those ``lost`` that come after the last frame in which the vehicle was in view."""
-    seen = [e.frame for e in estimates if e.status == "tracking" and e.likeness >= LOST]
+    seen = [e.frame for e in estimates if e.status == "tracking" and e.similarity >= MIN_VISIBLE_SIMILARITY]
     return _lost_after(estimates, max(seen, default=-1))
 
 

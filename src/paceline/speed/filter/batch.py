@@ -5,16 +5,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from paceline.recordings.stereo import StereoFrame
-from paceline.speed.filter.device import DeviceFailure, failures_told
+from paceline.speed.filter.device import DeviceFailure, as_device_failure
 from paceline.speed.filter.estimate import Estimate
-from paceline.speed.filter.particle_set import views
+from paceline.speed.filter.particle_set import pack_views
 from paceline.speed.filter.tracker import Tracker
 
 if TYPE_CHECKING:
     from paceline.speed.filter.cuda.device import CudaDevice
 
 
-class Fleet:
+class TrackerBatch:
     """Trackers that go through the same frames. On a ``device`` they take each step together, in the same launches.
 
     With ``carry_on``, a device that fails is left: all trackers go on in the computer's memory from where they were
@@ -40,7 +40,7 @@ class Fleet:
         if self.device is not None and frame.index != self._frame:
             self._estimates, self._frame = {}, frame.index
             try:
-                with failures_told():
+                with as_device_failure():
                     self._update_together(frame)
             except DeviceFailure as failure:
                 if not self.carry_on:
@@ -65,10 +65,10 @@ class Fleet:
         for tracker in moving:
             tracker.guide(frame)
         if moving:
-            both = views(frame, [t.cloud.reach() for t in moving])
+            both = pack_views(frame, [t.particle_set.image_bounds() for t in moving])
             for tracker in moving:
                 tracker.views = both
-            self.device.weigh(moving)
+            self.device.weight(moving)
             judged = [t.judge() for t in moving]
             self._estimates |= {t.vehicle.id: t.conclude(frame, j) for t, j in zip(moving, judged, strict=True)}
         if self.carry_on:

@@ -15,8 +15,8 @@ from paceline.speed.choices import DeviceName
 if TYPE_CHECKING:
     from paceline.speed.filter.cuda.device import CudaDevice
 
-INSTALL = "install Paceline with its extra cuda"
-FOREIGN = ("numba.cuda", "cuda.")  # where the packages that drive a GPU define their errors
+INSTALL_HINT = "install Paceline with its extra cuda"
+GPU_ERROR_MODULES = ("numba.cuda", "cuda.")  # where the packages that drive a GPU define their errors
 
 
 class DeviceFailure(UnusableInput):
@@ -32,7 +32,7 @@ def open_device(name: DeviceName) -> CudaDevice | None:
     if name == "cpu":
         return None
     try:
-        with failures_told():
+        with as_device_failure():
             from paceline.speed.filter.cuda.device import CudaDevice
 
             return CudaDevice()
@@ -43,7 +43,7 @@ def open_device(name: DeviceName) -> CudaDevice | None:
 
 
 @contextmanager
-def failures_told() -> Iterator[None]:
+def as_device_failure() -> Iterator[None]:
     """Turns what a GPU or its software raises into a DeviceFailure; other errors pass."""
     try:
         yield
@@ -52,29 +52,29 @@ def failures_told() -> Iterator[None]:
     except MemoryError as error:
         raise DeviceFailure("the GPU's memory is too small for so many particles") from error
     except Exception as error:
-        if not (type(error).__module__ + ".").startswith(FOREIGN):
+        if not (type(error).__module__ + ".").startswith(GPU_ERROR_MODULES):
             raise
-        _leave()
+        _abandon_device()
         raise DeviceFailure(_reason(error)) from error
 
 
-def _leave() -> None:
+def _abandon_device() -> None:
     """Has what a failed GPU holds given back by the end of the process alone: Numba would ask the GPU for it, each time
     in vain and with a traceback."""
     from numba import cuda
 
     with suppress(Exception):
-        _left.enter_context(cuda.defer_cleanup())
+        _cleanup_deferred.enter_context(cuda.defer_cleanup())
 
 
-_left = ExitStack()
+_cleanup_deferred = ExitStack()
 
 
 def _missing(error: ImportError) -> str:
     """Numba tells of a missing driver or compiler by an ImportError of its own."""
     if type(error).__name__ == "CudaSupportError":
         return f"no GPU can be used ({_first_line(error)})"
-    return f"the software for it is not complete ({_first_line(error)}); {INSTALL}"
+    return f"the software for it is not complete ({_first_line(error)}); {INSTALL_HINT}"
 
 
 def _reason(error: Exception) -> str:

@@ -21,6 +21,6 @@ class Estimate:
     right: Array  # (4, 2)
     ess: float
     status: str  # tracking | lost | ended
-    likeness: float  # correlation with the reference, −1 … 1
-    particles_left: Array  # (N, 2) of at most `particle_set.SHOWN` particles
+    similarity: float  # correlation with the reference, −1 … 1
+    particles_left: Array  # (N, 2) of at most `particle_set.MAX_DRAWN_PARTICLES` particles
     particles_right: Array  # (N, 2)

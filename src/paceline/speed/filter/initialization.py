@@ -17,13 +17,14 @@ from paceline.speed.filter.resampling import Weights
 from paceline.speed.geometry.initial_plane import InitialPlane
 from paceline.speed.geometry.paths import LANE_KEEPING_STD
 
-Guess = tuple[float, float]  # a speed and its standard deviation, m/s
+SpeedPrior = tuple[float, float]  # a speed and its standard deviation, m/s
 
-GROWTHS = np.geomspace(0.72, 1.4, 23)  # of a picture from one frame to the next
-MATCH_SIGMA = 0.7  # px, of a matched picture's place and size
-ALIVE = 0.2  # share of the first particles that the second frame leaves alive
-REPEATED, NEAR = 4, 0.02  # times that the first registration is repeated, and share of the way by which it then moves
-DOUBTED = 2.0  # times the standard deviation of a speed by two sights: the spread of speeds that has hardly a say
+SCALE_CANDIDATES = np.geomspace(0.72, 1.4, 23)  # of the template from the first frame to the second
+MATCH_SIGMA_PX = 0.7  # of a matched template's position and size
+MIN_START_ESS_SHARE = 0.2  # effective sample size, as a share of the particles, that the second frame leaves at least
+MAX_START_ITERATIONS = 4  # of the first registration
+START_STEP_TOLERANCE = 0.02  # change of the registered position at which it has converged, as a share of the distance
+START_SPEED_STD_FACTOR = 2.0  # std of the drawn speeds over that of the speed from two registered positions
 
 
 def initial_state(plane: InitialPlane, vehicle: VehicleDocument, n: int, rng: np.random.Generator) -> State:
@@ -43,12 +44,12 @@ def initial_state(plane: InitialPlane, vehicle: VehicleDocument, n: int, rng: np
     )
 
 
-def along_path(
+def draw_path_start(
     state: State,
     plane: InitialPlane,
     model: PathMotion,
     rig: StereoRig,
-    guess: Guess | None,
+    guess: SpeedPrior | None,
     configuration: SpeedConfiguration,
     rng: np.random.Generator,
 ) -> State:
@@ -66,16 +67,16 @@ def along_path(
         heading = rng.normal(0.0, 1.0, (N, len(yaw))) @ np.concatenate([yaw, pitch], axis=1)
         heading += rng.normal(0.0, 1.0, (N, 2)) * LANE_KEEPING_STD
     forward = model.path.frames(np.array(start))[:, 0]
-    s = start + (motion_models.centres(rig, state) - plane.centre) @ forward
+    s = start + (motion_models.plane_centres(rig, state) - plane.centre) @ forward
     return replace(state, speed=speed, s=s, heading=heading)
 
 
-def stated(vehicle: VehicleDocument, configuration: SpeedConfiguration) -> Guess | None:
+def operator_speed(vehicle: VehicleDocument, configuration: SpeedConfiguration) -> SpeedPrior | None:
     """The operator's guess of the speed, m/s, with its standard deviation."""
     return None if vehicle.speed is None else (vehicle.speed, configuration.speed_guess_spread * vehicle.speed)
 
 
-def guessed(
+def speed_prior(
     place: Array,
     covariance: Array,
     plane: InitialPlane,
@@ -83,7 +84,7 @@ def guessed(
     dt: float,
     vehicle: VehicleDocument,
     configuration: SpeedConfiguration,
-) -> Guess:
+) -> SpeedPrior:
     """The speed, m/s, by which the ``plane`` is at the ``place`` (3,), of that ``covariance``, where it was seen after
     ``dt`` s, as uncertain as both places leave it or more: what the particles then make of the sight must not count it
     twice. A stated speed is worth as much as it is sure."""
@@ -94,14 +95,14 @@ def guessed(
     depth_std = plane.inverse_depth_std * float(np.linalg.norm(plane.centre))
     doubt = float(np.hypot(np.sqrt(forward @ covariance @ forward), depth_std)) / dt
     speed = float(np.clip(gone @ forward / dt, 0.0, configuration.start.speed_range[1]))
-    operator = stated(vehicle, configuration)
+    operator = operator_speed(vehicle, configuration)
     if operator is None:
-        return speed, max(configuration.speed_guess_spread * speed, DOUBTED * doubt)
+        return speed, max(configuration.speed_guess_spread * speed, START_SPEED_STD_FACTOR * doubt)
     said, std = operator
     return said + (speed - said) * std**2 / (std**2 + doubt**2), std
 
 
-def as_matched(
+def draw_free_start(
     state: State,
     plane: InitialPlane,
     rig: StereoRig,
@@ -116,19 +117,19 @@ def as_matched(
     fastest = 1.3 * vehicle.speed if vehicle.speed else configuration.start.speed_range[1]
     focal = rig.left.K[0, 0]
     before = plane.centre
-    shift, growth = match(first, now, vehicle.left, fastest * dt * focal / before[2])
+    shift, growth = match_template(first, now, vehicle.left, fastest * dt * focal / before[2])
     after = rig.left.rays(vehicle.left.mean(0) + shift) * before[2] / growth
     size = float(np.sqrt(np.prod(np.ptp(vehicle.left, axis=0))))
     N = len(state)
-    across = rng.normal(0.0, MATCH_SIGMA * before[2] / focal / dt, (N, 3))
-    along = rng.normal(0.0, MATCH_SIGMA * before[2] / size / dt, (N, 1)) * before / np.linalg.norm(before)
+    across = rng.normal(0.0, MATCH_SIGMA_PX * before[2] / focal / dt, (N, 3))
+    along = rng.normal(0.0, MATCH_SIGMA_PX * before[2] / size / dt, (N, 1)) * before / np.linalg.norm(before)
     velocity = (after - before) / dt + across + along
     return replace(state, velocity=velocity, speed=np.linalg.norm(velocity, axis=1))
 
 
-def match(first: Image, now: Image, quad: Array, reach: float) -> tuple[Array, float]:
+def match_template(first: Image, now: Image, quad: Array, reach: float) -> tuple[Array, float]:
     """Where the picture inside ``quad`` (4, 2) went from ``first`` to ``now``: its shift (2,) in pixels, at most
-    about ``reach``, and the factor by which it grew."""
+    about ``image_bounds``, and the factor by which it grew."""
     x0, y0 = np.maximum(np.floor(quad.min(0)).astype(int), 0)
     x1, y1 = np.ceil(quad.max(0)).astype(int) + 1
     template = first[y0:y1, x0:x1]
@@ -137,7 +138,7 @@ def match(first: Image, now: Image, quad: Array, reach: float) -> tuple[Array, f
     left, top = max(x0 - across, 0), max(y0 - down, 0)
     window = now[top : y1 + down, left : x1 + across]
     best = (-1.0, np.zeros(2), 1.0)
-    for growth in GROWTHS:
+    for growth in SCALE_CANDIDATES:
         scaled = cv2.resize(template, None, fx=growth, fy=growth, interpolation=cv2.INTER_LINEAR)
         if scaled.shape[0] > window.shape[0] or scaled.shape[1] > window.shape[1]:
             continue
@@ -149,10 +150,10 @@ def match(first: Image, now: Image, quad: Array, reach: float) -> tuple[Array, f
     return best[1], best[2]
 
 
-def tempered(lw: Array) -> Weights:
+def tempered_weights(lw: Array) -> Weights:
     """Weights by a power of the likelihood that leaves particles enough alive for a covariance that means something."""
     weights = Weights(lw)
-    while ALIVE * len(lw) > weights.ESS:
+    while MIN_START_ESS_SHARE * len(lw) > weights.ESS:
         lw = 0.5 * lw
         weights = Weights(lw)
     return weights

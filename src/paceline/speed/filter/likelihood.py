@@ -10,15 +10,15 @@ from paceline.arrays import Array, Floats
 from paceline.speed.filter import patch_features_cpu
 from paceline.speed.geometry.quadrilaterals_cpu import inward_edges, unit_square_to
 
-Packed = patch_features_cpu.Packed
+PackedImage = patch_features_cpu.PackedImage
 
-SAMPLES = 2560  # about this many samples a region, 64 × 40 in [Zhu]'s terms
+SAMPLES_PER_REGION = 2560  # about this many samples a region, 64 × 40 in [Zhu]'s terms
 CONTRAST_FLOOR = 0.3  # share of the typical part's contrast below which a part counts less: it is mostly noise
 PART_DISTANCE_CAP = 1.0  # D² of a part that does not fit at all: an occluded part says no more than that
 
 
 @dataclass(frozen=True)
-class Grid:
+class PartGrid:
     """``across`` × ``down`` parts of 4 × 4 blocks, each block of ``samples`` (x, y)."""
 
     across: int
@@ -26,13 +26,13 @@ class Grid:
     samples: tuple[int, int]
 
     @classmethod
-    def for_region(cls, parts: int, quad: Array) -> Grid:
+    def for_region(cls, parts: int, quad: Array) -> PartGrid:
         """The division of N_p ``parts`` whose parts come out most nearly square on ``quad`` (4, 2)."""
         width = np.linalg.norm(quad[1] - quad[0]) + np.linalg.norm(quad[2] - quad[3])
         height = np.linalg.norm(quad[3] - quad[0]) + np.linalg.norm(quad[2] - quad[1])
         pairs = [(a, parts // a) for a in range(1, parts + 1) if parts % a == 0]
         across, down = min(pairs, key=lambda p: abs(np.log(width * p[1] / (height * p[0]))))
-        per_block = SAMPLES / (16 * parts)
+        per_block = SAMPLES_PER_REGION / (16 * parts)
         x = max(2, round(np.sqrt(per_block * width * down / (height * across))))
         return cls(across, down, (x, max(2, round(per_block / x))))
 
@@ -49,7 +49,7 @@ class Observation:
     ncc: Floats
 
 
-def pack(image: Floats, quads: Array | None = None) -> Packed:
+def pack(image: Floats, quads: Array | None = None) -> PackedImage:
     """2×2 neighbourhoods of ``image`` (H, W), 0–255, packed for sampling.
 
     Given ``quads`` (N, 4, 2), only in the upright rectangle that they reach.
@@ -57,14 +57,14 @@ def pack(image: Floats, quads: Array | None = None) -> Packed:
     height, width = image.shape
     (left, right), (top, bottom) = (0, width), (0, height)
     if quads is not None:
-        low_x, low_y, high_x, high_y = patch_features_cpu.span(quads.reshape(-1, 2))
-        (left, right), (top, bottom) = _read(low_x, high_x, width), _read(low_y, high_y, height)
-    packed = Packed(np.empty((bottom - top, right - left), np.uint32), left, top)
+        low_x, low_y, high_x, high_y = patch_features_cpu.finite_bounds(quads.reshape(-1, 2))
+        (left, right), (top, bottom) = _pixel_range(low_x, high_x, width), _pixel_range(low_y, high_y, height)
+    packed = PackedImage(np.empty((bottom - top, right - left), np.uint32), left, top)
     patch_features_cpu.pack(image, packed)
     return packed
 
 
-def _read(low: float, high: float, size: int) -> tuple[int, int]:
+def _pixel_range(low: float, high: float, size: int) -> tuple[int, int]:
     """First and last pixel, the last excluded, of an axis of ``size`` pixels that sampling between these places may
     read.
 
@@ -75,7 +75,7 @@ def _read(low: float, high: float, size: int) -> tuple[int, int]:
 
 
 def observe(
-    left: Packed, right: Packed, quads_left: Array, quads_right: Array, cross: Array, grid: Grid
+    left: PackedImage, right: PackedImage, quads_left: Array, quads_right: Array, cross: Array, grid: PartGrid
 ) -> Observation:
     """What N particles see of the packed images.
 

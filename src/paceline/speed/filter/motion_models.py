@@ -17,10 +17,10 @@ from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.geometry import quadrilaterals_cpu
 from paceline.speed.geometry.paths import LANE_KEEPING_STD, Path
 
-Draws = list[tuple[float, int]]  # for each kind of noise, in the order of drawing: sigma, and numbers a particle
+NoiseDraws = list[tuple[float, int]]  # for each kind of noise, in the order of drawing: sigma, and numbers a particle
 
-FRAME = 0.2  # s, the frame interval of [Zhu], to which its noises per frame refer
-TINY = 1e-12  # m², keeps a covariance positive definite
+ZHU_FRAME_INTERVAL_S = 0.2  # s, the frame interval of [Zhu], to which its noises per frame refer
+COVARIANCE_FLOOR_M2 = 1e-12  # m², keeps a covariance positive definite
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +49,7 @@ class State:
         return State(*(np.take(getattr(self, name), index, axis=0) for name in self.__dataclass_fields__))
 
 
-def moved(state: State, rig: StereoRig, dt: Array, dR: Array | None = None) -> State:
+def apply_rigid_motion(state: State, rig: StereoRig, dt: Array, dR: Array | None = None) -> State:
     """``state`` after the rigid motions P' = ΔR P + Δt, given as (N, 3) and (N, 3, 3) (None: no rotation).
 
     Equations (5)–(8), (10), (11) of [Zhu].
@@ -63,18 +63,18 @@ def moved(state: State, rig: StereoRig, dt: Array, dR: Array | None = None) -> S
     if dR is not None:
         dR_right = R @ dR @ R.T
         dt_right = dt_right + t - dR_right @ t
-        n = _combined(dR, n)
+        n = _combine_columns(dR, n)
     before = state.normal / d[:, None]
     return replace(
         state,
-        left=_mapped(state.left, rig.left, dR, dt, before),
-        right=_mapped(state.right, rig.right, dR_right, dt_right, n_right / d_right[:, None]),
+        left=_map_regions(state.left, rig.left, dR, dt, before),
+        right=_map_regions(state.right, rig.right, dR_right, dt_right, n_right / d_right[:, None]),
         normal=n,
         distance=d + np.einsum("ni,ni->n", dt, n),
     )
 
 
-def _mapped(quads: Array, camera: Camera, dR: Array | None, dt: Array, plane: Array) -> Array:
+def _map_regions(quads: Array, camera: Camera, dR: Array | None, dt: Array, plane: Array) -> Array:
     """(11): vertices (N, 4, 2) taken through the homographies K (ΔR + Δt nᵀ/d) K⁻¹ of (5); ``plane`` is n/d."""
     turns = np.eye(3)[None] if dR is None else np.ascontiguousarray(dR)
     transferred = np.empty(quads.shape)
@@ -82,7 +82,7 @@ def _mapped(quads: Array, camera: Camera, dR: Array | None, dt: Array, plane: Ar
     return transferred
 
 
-def _combined(columns: Array, weights: Array) -> Array:
+def _combine_columns(columns: Array, weights: Array) -> Array:
     """Σⱼ weightsⱼ·columnsⱼ (N, 3) of (N, 3, k) and (N, k)."""
     return np.asarray(np.einsum("nij,nj->ni", columns, weights))
 
@@ -94,7 +94,7 @@ def cross_homographies(rig: StereoRig, state: State) -> Array:
     return np.asarray(across + (rig.right.K @ rig.t)[:, None] * plane[:, None, :])
 
 
-def centres(rig: StereoRig, state: State) -> Array:
+def plane_centres(rig: StereoRig, state: State) -> Array:
     """Points (N, 3) in which the rays through the left regions' centres meet the planes."""
     rays = rig.left.rays(diagonal_crossings(state.left))
     return np.asarray(rays * (state.distance / np.einsum("ni,ni->n", rays, state.normal))[:, None])
@@ -107,7 +107,7 @@ def diagonal_crossings(quads: Array) -> Array:
     return crossings
 
 
-def corrected(
+def ensemble_kalman_update(
     rig: StereoRig, state: State, W: Array, places: Array, seen: Array, noise: Array, model: FreeMotion | PathMotion
 ) -> State:
     """``state`` after an ensemble Kalman step on where the planes are.
@@ -115,19 +115,19 @@ def corrected(
     ``places`` (N, 3) are the plane centres, ``seen`` (N, 3) one perturbed measurement of it for each particle,
     ``noise`` (3, 3) its covariance. The gain comes from the weighted cloud's own covariance.
     """
-    fields = model.linear
+    fields = model.corrected_fields
     columns = [places, *(getattr(state, f).reshape(len(state), -1) for f in fields)]
     x = np.concatenate(columns, axis=1)
     deviation = x - W @ x
     gain = kalman_gain(((W[:, None] * deviation).T @ deviation)[:, :3], noise)
     change = (seen - places) @ gain.T
-    after = moved(state, rig, change[:, :3])
+    after = apply_rigid_motion(state, rig, change[:, :3])
     updates, at = {}, 3
     for f, column in zip(fields, columns[1:], strict=True):
         width = column.shape[1]
         updates[f] = getattr(state, f) + change[:, at : at + width].reshape(getattr(state, f).shape)
         at += width
-    return model.followed(replace(after, **updates), change[:, :3])
+    return model.after_shift(replace(after, **updates), change[:, :3])
 
 
 def kalman_gain(covariance: Array, noise: Array) -> Array:
@@ -138,12 +138,12 @@ def kalman_gain(covariance: Array, noise: Array) -> Array:
     return np.asarray(covariance @ np.linalg.inv(covariance[:3] + noise))
 
 
-def root(covariance: Array) -> Array:
+def cholesky_factor(covariance: Array) -> Array:
     """The lower triangular root (3, 3) of the ``covariance`` of a place."""
-    return np.asarray(np.linalg.cholesky(covariance + TINY * np.eye(3)), float)
+    return np.asarray(np.linalg.cholesky(covariance + COVARIANCE_FLOOR_M2 * np.eye(3)), float)
 
 
-def _drawn(draws: Draws, N: int, rng: np.random.Generator) -> list[Array]:
+def _draw_noise(draws: NoiseDraws, N: int, rng: np.random.Generator) -> list[Array]:
     return [rng.normal(0.0, sigma, N if k == 1 else (N, k)) for sigma, k in draws]
 
 
@@ -151,7 +151,7 @@ class FreeMotion:
     """Six degrees of freedom at constant velocity, with noise ([Zhu] (9)–(11))."""
 
     name = "free"
-    linear = ("velocity",)
+    corrected_fields = ("velocity",)
 
     def __init__(self, rig: StereoRig, configuration: SpeedConfiguration) -> None:
         self.rig = rig
@@ -160,24 +160,24 @@ class FreeMotion:
 
     def propagate(self, state: State, dt: float, rng: np.random.Generator) -> State:
         """All particles ``dt`` seconds later. The plane turns about its own centre and is carried along."""
-        turning, velocity = _drawn(self.draws(dt), len(state), rng)
+        turning, velocity = _draw_noise(self.noise_draws(dt), len(state), rng)
         turning, velocity = state.turning + turning, state.velocity + velocity
         dR = Rotation.from_euler("xyz", turning * dt).as_matrix()
-        centre = centres(self.rig, state)
-        shift = centre + velocity * dt - _combined(dR, centre)
-        after = moved(state, self.rig, shift, dR)
+        centre = plane_centres(self.rig, state)
+        shift = centre + velocity * dt - _combine_columns(dR, centre)
+        after = apply_rigid_motion(state, self.rig, shift, dR)
         return replace(after, turning=turning, velocity=velocity, speed=np.linalg.norm(velocity, axis=1))
 
-    def draws(self, dt: float) -> Draws:
+    def noise_draws(self, dt: float) -> NoiseDraws:
         """The noise of ``dt`` seconds: of the turning, in rad/s, and of the velocity, in m/s."""
-        scale = float(np.sqrt(dt / FRAME))
+        scale = float(np.sqrt(dt / ZHU_FRAME_INTERVAL_S))
         return [(self.rotation_noise * scale, 3), (self.translation_noise * scale, 3)]
 
     def yaw_rate(self, state: State, dt: float) -> float:
         """Turning (rad/s) about the camera's y axis, to the right, of a state of one particle."""
         return float(state.turning[0, 1])
 
-    def followed(self, state: State, shift: Array) -> State:
+    def after_shift(self, state: State, shift: Array) -> State:
         """``state`` whose planes were moved by ``shift`` (N, 3)."""
         return replace(state, speed=np.linalg.norm(state.velocity, axis=1))
 
@@ -189,7 +189,7 @@ class PathMotion:
     from frame to frame, as that of a vehicle which leaves its lane. On a curve the noise (27) across the path is added.
     """
 
-    linear = ("speed", "heading")
+    corrected_fields = ("speed", "heading")
 
     def __init__(self, rig: StereoRig, path: Path, configuration: SpeedConfiguration) -> None:
         self.rig = rig
@@ -206,7 +206,7 @@ class PathMotion:
 
     def propagate(self, state: State, dt: float, rng: np.random.Generator) -> State:
         """All particles ``dt`` seconds later."""
-        noise = _drawn(self.draws(dt), len(state), rng)
+        noise = _draw_noise(self.noise_draws(dt), len(state), rng)
         speed = state.speed + noise[0]
         heading = state.heading + np.stack(noise[2:4], axis=1)
         s = self._advanced(state.s, speed * dt + noise[1])
@@ -214,19 +214,19 @@ class PathMotion:
         start = self.path.at(state.s)
         step = self.path.at(s) - start
         length = np.einsum("ni,ni->n", step, F[:, :, 0])
-        shift = step + length[:, None] * _combined(F[:, :, 1:], heading)
+        shift = step + length[:, None] * _combine_columns(F[:, :, 1:], heading)
         if self.name == "line":
-            return replace(moved(state, self.rig, shift), speed=speed, s=s, heading=heading)  # (22)–(24)
+            return replace(apply_rigid_motion(state, self.rig, shift), speed=speed, s=s, heading=heading)  # (22)–(24)
         F_after = self.path.frames(s)
         dR = F_after @ np.swapaxes(F, -1, -2)  # (26)
-        drift = _combined(F_after[:, :, 1:], noise[4] * self.drift * np.sqrt(dt / FRAME))
-        shift += start - _combined(dR, start) + drift  # (27)
-        return replace(moved(state, self.rig, shift, dR), speed=speed, s=s, heading=heading)
+        drift = _combine_columns(F_after[:, :, 1:], noise[4] * self.drift * np.sqrt(dt / ZHU_FRAME_INTERVAL_S))
+        shift += start - _combine_columns(dR, start) + drift  # (27)
+        return replace(apply_rigid_motion(state, self.rig, shift, dR), speed=speed, s=s, heading=heading)
 
-    def draws(self, dt: float) -> Draws:
+    def noise_draws(self, dt: float) -> NoiseDraws:
         """The noise of ``dt`` seconds: of the speed, in m/s, of the way, in m, of the yaw and the pitch, in rad, and on
         a curve of the drift's place."""
-        scale = float(np.sqrt(dt / FRAME))
+        scale = float(np.sqrt(dt / ZHU_FRAME_INTERVAL_S))
         sigmas = self.speed_noise, self.distance_noise, *self.turning.tolist()
         along = [(sigma * scale, 1) for sigma in sigmas]
         return along if self.name == "line" else [*along, (1.0, 2)]
@@ -237,7 +237,7 @@ class PathMotion:
         before, now = self.path.frames(s)[:, :, 0]
         return float(np.cross(before, now)[1] / dt)
 
-    def followed(self, state: State, shift: Array) -> State:
+    def after_shift(self, state: State, shift: Array) -> State:
         """``state`` whose planes were moved by ``shift`` (N, 3): their arc lengths follow."""
         T = self.path.frames(state.s)[:, :, 0]
         return replace(state, s=state.s + (shift * T).sum(-1))

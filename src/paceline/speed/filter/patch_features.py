@@ -1,4 +1,4 @@
-"""The method's scalar pixel functions, in plain Python that a compiler for any device takes.
+"""Scalar functions of the patch features, in plain Python that Numba compiles for the CPU and the GPU.
 
 Scalars in, scalars out; a few take small arrays. `patch_features_cpu` compiles them with ``numba.njit``,
 `cuda.patch_features` with ``numba.cuda.jit(device=True)``.
@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-CROSS_ROWS = 4  # the cross-view correlation takes every fourth row of samples
-LEAST_OVERLAP = 0.25  # share of the region that must be seen in both views for a correlation
+CORRELATION_ROW_STEP = 4  # the cross-view correlation uses every fourth row of samples
+MIN_OVERLAP = 0.25  # share of the region that must lie in both views for a correlation
 
 
-def bounds(shape, left, top):
-    """The least and greatest x and y at which a packed image can be read, its width, and its first pixel's index."""
+def sampling_bounds(shape, left, top):
+    """Least and greatest x and y at which a packed image can be sampled, its width, and its first pixel's index."""
     height, width = shape
     x, y = np.float32(left), np.float32(top)
     right = x + np.float32(width) - np.float32(1.001)
@@ -24,17 +24,17 @@ def bounds(shape, left, top):
     return x, right, y, bottom, np.int32(width), np.int32(top * width + left)
 
 
-def middle(i, step):
-    """Where in the unit square the ``i``-th of the samples lies that are ``step`` apart."""
+def sample_centre(i, step):
+    """Coordinate in the unit square of the ``i``-th of samples that are ``step`` apart."""
     return (np.float32(i) + np.float32(0.5)) * step
 
 
-def along_row(h0, h1, h2, v):
+def row_terms(h0, h1, h2, v):
     """A row (h0, h1, h2) of a homography at the row ``v`` of the unit square: its slope along the row and its start."""
     return h0, h1 * v + h2
 
 
-def clamped(x, least, greatest):
+def clamp(x, least, greatest):
     """``x``, no less than ``least`` and no more than ``greatest``."""
     return min(max(x, least), greatest)
 

@@ -1,8 +1,9 @@
-"""The pixel kernels of the likelihood on the CPU, compiled by Numba.
+"""Patch features and cross-view correlation of all particles on the CPU, compiled by Numba.
 
-A row of samples takes three loops — indices and fractions, a plain gather, unpack and interpolate — over an image
-whose 2×2 neighbourhoods are packed in one uint32. The first and the last become vector instructions because separate
-scratch rows prove to the compiler that nothing aliases.
+The features are those of [Zhu] (13), the correlation is (17). A row of samples takes three loops — indices and
+fractions, a plain gather, unpack and interpolate — over an image whose 2×2 neighbourhoods are packed in one uint32. The
+first and the last become vector instructions because separate scratch rows prove to the compiler that nothing aliases.
+
 """
 
 from __future__ import annotations
@@ -10,8 +11,8 @@ from __future__ import annotations
 import os
 from typing import NamedTuple
 
-# Read when Numba starts its threads: between two kernels they sleep; spinning they would hold the cores that the rest
-# of a step needs, and a step would take three times as long on two cores.
+# Read when Numba starts its threads: they sleep between two kernels instead of spinning, which would occupy the cores
+# that the rest of a step needs: a step would take three times as long on two cores.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 import numpy as np
@@ -21,13 +22,13 @@ from numpy.typing import NDArray
 from paceline.arrays import Array, Floats
 from paceline.numba_cache import compiled
 from paceline.speed.filter import patch_features
-from paceline.speed.filter.patch_features import CROSS_ROWS, LEAST_OVERLAP
+from paceline.speed.filter.patch_features import CORRELATION_ROW_STEP, MIN_OVERLAP
 
 _inline = njit(inline="always")
-_bounds = _inline(patch_features.bounds)
-_middle = _inline(patch_features.middle)
-_along_row = _inline(patch_features.along_row)
-_clamped = _inline(patch_features.clamped)
+_sampling_bounds = _inline(patch_features.sampling_bounds)
+_sample_centre = _inline(patch_features.sample_centre)
+_row_terms = _inline(patch_features.row_terms)
+_clamp = _inline(patch_features.clamp)
 _inside = _inline(patch_features.inside)
 _interpolate = _inline(patch_features.interpolate)
 _average = _inline(patch_features.haar_average)
@@ -37,10 +38,10 @@ _diagonal = _inline(patch_features.haar_diagonal)
 _correlation = njit(nogil=True)(patch_features.correlation)
 
 
-CHUNKS = 32  # pieces of work shared out to the threads
+THREAD_CHUNKS = 32  # into which the particles are divided for the threads
 
 
-class Packed(NamedTuple):
+class PackedImage(NamedTuple):
     """2×2 neighbourhoods of the pixels from (``left``, ``top``) on: ``words`` (height, width)."""
 
     words: NDArray[np.uint32]
@@ -49,7 +50,7 @@ class Packed(NamedTuple):
 
 
 @compiled(nogil=True)
-def pack(image: Floats, packed: Packed) -> None:
+def pack(image: Floats, packed: PackedImage) -> None:
     """Fill ``packed`` with 2×2 neighbourhoods of ``image`` (H, W) float32 0–255; at the right and lower border pixels
     repeat."""
     height, width = packed.words.shape
@@ -68,8 +69,8 @@ def pack(image: Floats, packed: Packed) -> None:
 
 
 @compiled(nogil=True)
-def span(places: Array) -> tuple[float, float, float, float]:
-    """The least x and y and the greatest x and y, each of the finite ones, of ``places`` (N, 2); without one ∞, −∞."""
+def finite_bounds(places: Array) -> tuple[float, float, float, float]:
+    """Least x, y and greatest x, y of the finite coordinates of ``places`` (N, 2); ∞ and −∞ where there is none."""
     low_x, low_y, high_x, high_y = np.inf, np.inf, -np.inf, -np.inf
     for p in range(len(places)):
         x, y = places[p, 0], places[p, 1]
@@ -85,24 +86,24 @@ def _sample_row(flat, bounds, H, v, n, px, py, index, fx, fy, word, out):
     """``out`` (n,): the packed image at the row ``v`` of the unit square's grid, mapped to (px, py) by ``H`` (9,)."""
     left, right, top, bottom, width, first = bounds
     last = np.uint32(len(flat) - 1)
-    ax, bx = _along_row(H[0], H[1], H[2], v)
-    ay, by = _along_row(H[3], H[4], H[5], v)
-    az, bz = _along_row(H[6], H[7], H[8], v)
+    ax, bx = _row_terms(H[0], H[1], H[2], v)
+    ay, by = _row_terms(H[3], H[4], H[5], v)
+    az, bz = _row_terms(H[6], H[7], H[8], v)
     step = np.float32(1.0) / np.float32(n)
     for i in range(n):
-        u = _middle(i, step)
+        u = _sample_centre(i, step)
         z = np.float32(1.0) / (az * u + bz)
         x = (ax * u + bx) * z
         y = (ay * u + by) * z
         px[i] = x
         py[i] = y
-        x = _clamped(x, left, right)
-        y = _clamped(y, top, bottom)
+        x = _clamp(x, left, right)
+        y = _clamp(y, top, bottom)
         ix = np.int32(x)
         iy = np.int32(y)
         fx[i] = x - np.float32(ix)
         fy[i] = y - np.float32(iy)
-        index[i] = min(np.uint32(iy * width + ix - first), last)  # a wild particle's samples may lie nowhere
+        index[i] = min(np.uint32(iy * width + ix - first), last)  # the coordinates of a degenerate region may be NaN
     for i in range(n):
         word[i] = flat[index[i]]
     for i in range(n):
@@ -146,8 +147,8 @@ def _wavelets(blocks: Floats, across: int, features: Floats) -> None:
 
 @compiled(nogil=True, fastmath=True, parallel=True, error_model="numpy")
 def observe(
-    left: Packed,
-    right: Packed,
+    left: PackedImage,
+    right: PackedImage,
     H: Floats,
     edges: Floats,
     across: int,
@@ -156,21 +157,21 @@ def observe(
     features: Floats,
     ncc: Floats,
 ) -> None:
-    """What every particle sees: wavelet features in both views, and their correlation across the views.
+    """Wavelet features of every particle in both views, and the correlation across the views.
 
     ``left``, ``right`` the packed images; ``H`` (N, 3, 9) homographies of the unit square to the left region, the
-    right region, and the left region carried into the right view by (15); ``edges`` (N, 4, 3) lines of the right
+    right region, and the left region transferred to the right view by (15); ``edges`` (N, 4, 3) lines of the right
     region, positive inside; ``across`` × ``down`` parts with ``samples`` (x, y) a block. Writes ``features``
-    (N, 2, parts, 16) and ``ncc`` (N,), the normalised cross-correlation (17) over R_∩, −1 where R_∩ is all but empty.
+    (N, 2, parts, 16) and ``ncc`` (N,), the normalised cross-correlation (17) over R_∩, −1 where R_∩ is nearly empty.
     """
     N = H.shape[0]
     n = across * 4 * samples[0]
     rows = down * 4 * samples[1]
     flat_left, flat_right = left.words.reshape(-1), right.words.reshape(-1)
-    within_left = _bounds(left.words.shape, left.left, left.top)
-    within_right = _bounds(right.words.shape, right.left, right.top)
-    least = np.float32(LEAST_OVERLAP) * n * rows / CROSS_ROWS
-    chunks = min(N, CHUNKS)
+    within_left = _sampling_bounds(left.words.shape, left.left, left.top)
+    within_right = _sampling_bounds(right.words.shape, right.left, right.top)
+    least = np.float32(MIN_OVERLAP) * n * rows / CORRELATION_ROW_STEP
+    chunks = min(N, THREAD_CHUNKS)
     for chunk in prange(chunks):
         px, py = np.empty(n, np.float32), np.empty(n, np.float32)
         fx, fy = np.empty(n, np.float32), np.empty(n, np.float32)
@@ -187,7 +188,7 @@ def observe(
                 _sample_row(flat_left, within_left, to_left, v, n, px, py, index, fx, fy, word, value)
                 for i in range(n):
                     total_left[i] += value[i]
-                if r % CROSS_ROWS == 0:
+                if r % CORRELATION_ROW_STEP == 0:
                     _sample_row(flat_right, within_right, across_views, v, n, px, py, index, fx, fy, word, crossed)
                     _correlate_row(value, crossed, px, py, e, sums)
                 _sample_row(flat_right, within_right, to_right, v, n, px, py, index, fx, fy, word, value)
@@ -238,7 +239,7 @@ def _median(values: Floats, scratch: Floats) -> float:
 
 @compiled(nogil=True, fastmath=True, parallel=True)
 def normalise(features: Floats, floor: np.float32) -> None:
-    """Free wavelet features (N, parts, 16), in place, of brightness and contrast; see `likelihood.normalised`."""
+    """Remove brightness and contrast from wavelet features (N, parts, 16), in place; see `likelihood.normalised`."""
     N, parts, coefficients = features.shape
     for p in prange(N):
         brightness, norm2 = np.empty(parts, np.float32), np.empty(parts, np.float32)

@@ -9,12 +9,14 @@ from numpy.typing import NDArray
 
 from paceline.arrays import Array
 
-MANY = 900  # particles for which numbers drawn one after another would take longer than all the rest on a GPU
+MAX_SEQUENTIAL_PARTICLES = (
+    900  # particles for which numbers drawn one after another would take longer than all the rest on a GPU
+)
 
 
-def generator(seed: list[int], particles: int) -> np.random.Generator:
+def make_generator(seed: list[int], particles: int) -> np.random.Generator:
     """Random numbers for a cloud of ``particles``: drawn one after another for few, by counting for many."""
-    if particles <= MANY:
+    if particles <= MAX_SEQUENTIAL_PARTICLES:
         return np.random.default_rng(seed)
     key = np.random.SeedSequence(seed).generate_state(2, np.uint64).astype(np.uint64)
     return CounterGenerator(np.random.PCG64(seed), key)
@@ -31,7 +33,7 @@ class CounterGenerator(np.random.Generator):
     def __init__(self, bits: np.random.BitGenerator, key: NDArray[np.uint64], calls: int = 0) -> None:
         super().__init__(bits)
         self.key = key
-        self.words = [int(word) >> shift & 0xFFFFFFFF for word in key for shift in (32, 0)]  # the key by 32 bits
+        self.key_words = [int(word) >> shift & 0xFFFFFFFF for word in key for shift in (32, 0)]  # the key by 32 bits
         self.calls = calls
 
     def __deepcopy__(self, memo: dict[int, object]) -> CounterGenerator:

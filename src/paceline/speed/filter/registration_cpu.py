@@ -13,11 +13,11 @@ from paceline.arrays import Array
 from paceline.numba_cache import compiled
 
 # Sums may be reordered to become vectors; NaN stays NaN, for places behind the camera can give one.
-SUMS = {"reassoc", "contract", "arcp", "nsz"}
+SUM_FASTMATH = {"reassoc", "contract", "arcp", "nsz"}
 
 
 @compiled(nogil=True, error_model="numpy")
-def slopes_in_image(texture: Array, pixels: Array, neighbours: NDArray[np.int64], slopes: Array) -> None:
+def image_gradient(texture: Array, pixels: Array, neighbours: NDArray[np.int64], slopes: Array) -> None:
     """Into ``slopes`` (2, samples): ∂I/∂x and ∂I/∂y of a ``texture`` (samples,) seen at ``pixels`` (2, samples), from
     the differences between each sample's ``neighbours`` (4, samples): left, right, above and below."""
     for s in range(len(texture)):
@@ -30,7 +30,7 @@ def slopes_in_image(texture: Array, pixels: Array, neighbours: NDArray[np.int64]
         slopes[1, s] = (Tv * xu - Tu * xv) / det
 
 
-@compiled(nogil=True, fastmath=SUMS, error_model="numpy")
+@compiled(nogil=True, fastmath=SUM_FASTMATH, error_model="numpy")
 def part_products(
     image: NDArray[np.float32],
     K: Array,
@@ -39,7 +39,7 @@ def part_products(
     directions: Array,
     texture: Array,
     slopes: Array,
-    seen: Array,
+    sampled: Array,
     JJ: Array,
     JT: Array,
     JI: Array,
@@ -50,7 +50,7 @@ def part_products(
 
     All three are freed of their mean over the part. ``image`` (H, W); ``K`` (3, 3) to its pixels; ``points``
     (3, parts, samples) moved by ``shift`` (3,), and ``directions`` (3, k), all in the camera's frame; zero-mean
-    ``texture`` (parts, samples), its ``slopes`` in the image (2, parts, samples). Writes what is ``seen``
+    ``texture`` (parts, samples), its ``slopes`` in the image (2, parts, samples). Writes what is ``sampled``
     (parts, samples), ``JJ`` (parts, k, k), ``JT`` and ``JI`` (parts, k), ``TI`` and ``II`` (parts,).
     """
     parts, samples = texture.shape
@@ -75,13 +75,13 @@ def part_products(
             i = index[s]
             top = flat[i] + fx[s] * (flat[i + 1] - flat[i])
             low = flat[i + width] + fx[s] * (flat[i + width + 1] - flat[i + width])
-            seen[p, s] = top + fy[s] * (low - top)
+            sampled[p, s] = top + fy[s] * (low - top)
         brightness = 0.0
         for s in range(samples):
-            brightness += seen[p, s]
+            brightness += sampled[p, s]
         brightness /= samples
         for s in range(samples):
-            value[s] = seen[p, s] - brightness
+            value[s] = sampled[p, s] - brightness
         TI[p] = _inner(texture[p], value)
         II[p] = _inner(value, value)
         for i in range(k):
@@ -98,7 +98,7 @@ def part_products(
                 JJ[p, i, j] = JJ[p, j, i] = _inner(J[i], J[j])
 
 
-@compiled(nogil=True, fastmath=SUMS)
+@compiled(nogil=True, fastmath=SUM_FASTMATH)
 def _inner(a: Array, b: Array) -> float:
     total = 0.0
     for s in range(a.shape[0]):
@@ -116,7 +116,7 @@ def normal_equations(
     II: Array,
     samples: int,
     gains: tuple[float, float],
-    quantised: float,
+    quantisation: float,
     w: Array,
     normal: Array,
     scores: Array,
@@ -124,8 +124,8 @@ def normal_equations(
     """Gain, weights and normal equations from the products of `part_products` in all views.
 
     ``JJ`` (views, parts, k, k), ``JT`` and ``JI`` (views, parts, k), ``TT`` (parts,), ``TI`` and ``II``
-    (views, parts); ``gains`` the least and the most; ``quantised`` grey levels² of noise at least. Renews the weights
-    ``w`` (views, parts), and writes ``normal`` (k, k) and the parts' ``scores`` (views, parts, k).
+    (views, parts); ``gains`` the least and the greatest; ``quantisation`` the least noise, grey levels². Updates the
+    weights ``w`` (views, parts), and writes ``normal`` (k, k) and the parts' ``scores`` (views, parts, k).
     """
     views, parts, k = JT.shape
     variance, along = np.empty(parts), np.empty(k)
@@ -138,7 +138,7 @@ def normal_equations(
         contrast = 0.0
         along[:] = 0.0
         for p in range(parts):
-            w[v, p] = 1.0 / (variance[p] + 0.5 * usual + quantised)
+            w[v, p] = 1.0 / (variance[p] + 0.5 * usual + quantisation)
             contrast += w[v, p] * TT[p]
             along += w[v, p] * JT[v, p]
         # the gain is common to the view: what it explains is taken from the sensitivities

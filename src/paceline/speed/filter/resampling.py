@@ -9,8 +9,8 @@ import numpy as np
 
 from paceline.arrays import Array, Indices
 
-ROUGHENING = 0.1  # share of a static parameter's spread that resampling gives back to it
-KEPT = float(np.sqrt(1 - ROUGHENING**2))  # share of it that is left before
+JITTER_SCALE = 0.1  # share of a static parameter's spread that resampling gives back to it
+SHRINKAGE = float(np.sqrt(1 - JITTER_SCALE**2))  # share of it that is left before
 EVEN = 1e-9  # relative: by which a sample size may fall short of its bound by rounding
 Scheme = Callable[[Array, np.random.Generator], Indices]
 
@@ -102,7 +102,7 @@ SCHEMES: dict[str, Scheme] = {
 }
 
 
-def even_enough(ess: float, n: int, below: float) -> bool:
+def ess_sufficient(ess: float, n: int, below: float) -> bool:
     """Whether ``n`` particles of that effective size need no resampling, which is for sizes ``below`` a share of n."""
     return ess >= below * n * (1 - EVEN)
 

@@ -16,29 +16,34 @@ from paceline.recordings.stereo import StereoFrame
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.filter import initialization, likelihood, motion_models, random_numbers
 from paceline.speed.filter.estimate import Estimate
-from paceline.speed.filter.initialization import NEAR, REPEATED, Guess, tempered
-from paceline.speed.filter.likelihood import Grid, Observation
+from paceline.speed.filter.initialization import (
+    MAX_START_ITERATIONS,
+    START_STEP_TOLERANCE,
+    SpeedPrior,
+    tempered_weights,
+)
+from paceline.speed.filter.likelihood import Observation, PartGrid
 from paceline.speed.filter.motion_models import FreeMotion, PathMotion, State
-from paceline.speed.filter.particle_set import SHOWN, Cloud, Posterior, Views, views
-from paceline.speed.filter.registration import Appearance, Registration
+from paceline.speed.filter.particle_set import MAX_DRAWN_PARTICLES, ParticleSet, Posterior, Views, pack_views
+from paceline.speed.filter.registration import ReferenceTexture, Registration
 from paceline.speed.filter.resampling import Weights
 from paceline.speed.geometry.initial_plane import plane_across, plane_from_outlines
 from paceline.speed.geometry.paths import Path
 
 if TYPE_CHECKING:
     from paceline.speed.filter.cuda.device import CudaDevice
-    from paceline.speed.filter.cuda.particle_set import CudaCloud
+    from paceline.speed.filter.cuda.particle_set import CudaParticleSet
 
 
-SEEN = 0.55  # likeness to the reference below which a frame teaches nothing
-LOST = 0.25  # likeness below which the vehicle is not in view
-SURE = 0.9  # likeness at which even a surprising registration is believed
-SURPRISING = 50.0  # squared standard deviations, of three: so far off, something else may have been found
-DIRECTED = 2.0  # m, a travel that has a direction
+MIN_REFERENCE_SIMILARITY = 0.55  # likeness to the reference below which a frame teaches nothing
+MIN_VISIBLE_SIMILARITY = 0.25  # likeness below which the vehicle is not in view
+MIN_SIMILARITY_OUTSIDE_GATE = 0.9  # likeness at which even a surprising registration is believed
+GATE_CHI2 = 50.0  # squared standard deviations, of three: so far off, something else may have been found
+MIN_HEADING_TRAVEL_M = 2.0  # m, a travel that has a direction
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
+class PlaneObservation:
     """Where registration saw the plane's centre: its ``place`` (3,), m, what was ``found`` there, and whether that is
     to be ``believed``."""
 
@@ -77,14 +82,14 @@ class Tracker:
         self.device = device
         if device is not None and c.resampling != "systematic":
             raise ValueError(f"resampling: {c.resampling}: expected systematic, the only scheme that there is on a GPU")
-        self.rng = random_numbers.generator([c.seed, *vehicle.id.encode()], c.particles)
-        self.grid = Grid.for_region(c.parts, vehicle.left)
+        self.rng = random_numbers.make_generator([c.seed, *vehicle.id.encode()], c.particles)
+        self.grid = PartGrid.for_region(c.parts, vehicle.left)
         self.plane = plane_from_outlines(rig, vehicle, path, c.click_sigma)
-        self.appearance = Appearance(rig, self.grid, vehicle.left, c.reference_memory) if c.guided else None
+        self.appearance = ReferenceTexture(rig, self.grid, vehicle.left, c.reference_memory) if c.guided else None
         self.ways = [] if path is None else [way.shifted(lateral_offset) for way in (path, path.reversed())]
         moving = [PathMotion(rig, way, c) for way in self.ways]
         self._motions: list[PathMotion | FreeMotion] = [*moving] or [FreeMotion(rig, c)]
-        self.cloud: Cloud | CudaCloud
+        self.particle_set: ParticleSet | CudaParticleSet
         self.views: Views
         self._first: StereoFrame | None = None
         self._time = 0.0
@@ -98,11 +103,11 @@ class Tracker:
             return self._begin(frame)
         self.propose(frame)
         self.guide(frame)
-        self.views = views(frame, [self.cloud.reach()])
+        self.views = pack_views(frame, [self.particle_set.image_bounds()])
         if self.device is not None:
-            self.device.weigh([self])
-        elif isinstance(self.cloud, Cloud):
-            self.cloud.weigh(self._log_likelihood(self.cloud.state))
+            self.device.weight([self])
+        elif isinstance(self.particle_set, ParticleSet):
+            self.particle_set.weight(self._log_likelihood(self.particle_set.state))
         return self.conclude(frame, self.judge())
 
     @property
@@ -121,7 +126,7 @@ class Tracker:
         if self._acquires:
             self._acquire(frame, dt)
         else:
-            self.cloud.propagate(dt, self.rng)
+            self.particle_set.propagate(dt, self.rng)
 
     def guide(self, frame: StereoFrame) -> None:
         """Move the particles by what registration saw: the weighted ensemble Kalman filter's proposal.
@@ -139,37 +144,37 @@ class Tracker:
         Where something hides the vehicle their weights are taken back, and what they come to is another: None. What
         hides it would choose among its particles by chance, and leave but a few.
         """
-        posterior = self.cloud.posterior()
-        likeness = self._learn(posterior.mean)
-        if likeness >= LOST:
-            return likeness, posterior
-        self.cloud.unweigh()
-        return likeness, None
+        posterior = self.particle_set.posterior()
+        similarity = self._learn(posterior.mean)
+        if similarity >= MIN_VISIBLE_SIMILARITY:
+            return similarity, posterior
+        self.particle_set.restore_weights()
+        return similarity, None
 
     def conclude(self, frame: StereoFrame, judged: tuple[float, Posterior | None]) -> Estimate:
         """The estimate at ``frame`` by what was ``judged``, and resampling where the vehicle is in view."""
-        likeness, posterior = judged
-        estimate = self._estimate(frame, likeness, posterior or self.cloud.posterior())
+        similarity, posterior = judged
+        estimate = self._estimate(frame, similarity, posterior or self.particle_set.posterior())
         self._time = frame.time
         if self.status != "tracking":
-            del self.cloud  # whose room others may need
+            del self.particle_set  # whose room others may need
             return estimate
-        if likeness >= LOST:
-            self.cloud.resample(self.configuration, self.rng)
+        if similarity >= MIN_VISIBLE_SIMILARITY:
+            self.particle_set.resample(self.configuration, self.rng)
         self._square(estimate.position)
         return estimate
 
     def checkpoint(self) -> dict[str, object]:
         """All that the next update goes out from, in the computer's memory, to go on there by `restore`."""
         kept = dict(self.__dict__, rng=copy.deepcopy(self.rng), appearance=copy.copy(self.appearance), device=None)
-        if "cloud" in kept:
-            kept["cloud"] = self.cloud.snapshot()
+        if "particle_set" in kept:
+            kept["particle_set"] = self.particle_set.checkpoint()
         return kept
 
     def restore(self, kept: dict[str, object]) -> None:
         self.__dict__.update(kept)
-        if "cloud" in kept:
-            self.cloud = self.cloud.at_home()
+        if "particle_set" in kept:
+            self.particle_set = self.particle_set.to_host()
 
     # --- the first two frames ----------------------------------------------------------------------------------------
 
@@ -178,14 +183,14 @@ class Tracker:
         c = self.configuration
         if self.appearance is not None:
             with suppress(np.linalg.LinAlgError):  # without texture the plane stays where it was outlined
-                self.plane = self.appearance.begin((frame.left, frame.right), self.vehicle.left, self.plane)
+                self.plane = self.appearance.initialize((frame.left, frame.right), self.vehicle.left, self.plane)
         searched = self.configuration.start.particle_factor if self.vehicle.speed is None else 1
         state = initialization.initial_state(self.plane, self.vehicle, c.particles * searched, self.rng)
-        self.cloud = Cloud(self.rig, self._motions[0], state, Weights.equal(len(state)))
-        self.views = views(frame, [self.cloud.reach()])
+        self.particle_set = ParticleSet(self.rig, self._motions[0], state, Weights.equal(len(state)))
+        self.views = pack_views(frame, [self.particle_set.image_bounds()])
         self.reference = self._observe(state[np.zeros(1, np.int64)]).features[0]
         self._first, self._time = frame, frame.time
-        shown = slice(None, c.particles, -(-c.particles // SHOWN))
+        shown = slice(None, c.particles, -(-c.particles // MAX_DRAWN_PARTICLES))
         return Estimate(
             frame=frame.index,
             time=frame.time,
@@ -197,35 +202,39 @@ class Tracker:
             right=self.vehicle.right,
             ess=float(c.particles),
             status="tracking",
-            likeness=1.0,
+            similarity=1.0,
             particles_left=motion_models.diagonal_crossings(state.left[shown]),
             particles_right=motion_models.diagonal_crossings(state.right[shown]),
         )
 
     def _acquire(self, frame: StereoFrame, dt: float) -> None:
         """The second frame: which way the vehicle drives, and how fast."""
-        assert isinstance(self.cloud, Cloud)
-        outcomes, first = [], self.cloud.state
-        guess = initialization.stated(self.vehicle, self.configuration)
+        assert isinstance(self.particle_set, ParticleSet)
+        outcomes, first = [], self.particle_set.state
+        guess = initialization.operator_speed(self.vehicle, self.configuration)
         for way in self._motions:
             state = way.propagate(self._set_off(first, way, frame, dt, guess), dt, self.rng)
-            self.views = views(frame, [(state.left, state.right)])
+            self.views = pack_views(frame, [(state.left, state.right)])
             lw = self._log_likelihood(state)
             outcomes.append((float(np.logaddexp.reduce(lw)), state, lw, way))
         _, state, lw, way = max(outcomes, key=lambda o: o[0])
         if isinstance(way, PathMotion):
             self.path = way.path
-        self.cloud = Cloud(self.rig, way, state, Weights(lw) if self.appearance is None else tempered(lw))
-        likeliest, sight = self.cloud, self._led(frame, way, first, dt)
+        self.particle_set = ParticleSet(
+            self.rig, way, state, Weights(lw) if self.appearance is None else tempered_weights(lw)
+        )
+        likeliest, sight = self.particle_set, self._led(frame, way, first, dt)
         if sight is not None and sight.believed:
             self._believe(sight)
         else:
-            self.cloud = likeliest
-            self.cloud.resample(self.configuration, self.rng)
+            self.particle_set = likeliest
+            self.particle_set.resample(self.configuration, self.rng)
         if self.device is not None:
-            self.cloud = self.device.cloud(self.cloud)
+            self.particle_set = self.device.particle_set(self.particle_set)
 
-    def _led(self, frame: StereoFrame, way: PathMotion | FreeMotion, first: State, dt: float) -> Sight | None:
+    def _led(
+        self, frame: StereoFrame, way: PathMotion | FreeMotion, first: State, dt: float
+    ) -> PlaneObservation | None:
         """Where registration leads from the likeliest speeds, the particles set off anew with what it found.
 
         By weights the likeliest of many speeds may be far off, and would leave too few particles to say how sure it
@@ -233,56 +242,60 @@ class Tracker:
         begin from.
         """
         start, sight = first[np.arange(self.configuration.particles)], self._sought(frame)
-        for _ in range(REPEATED if isinstance(way, PathMotion) else 1):
-            if sight is None or sight.found.likeness < SEEN:
+        for _ in range(MAX_START_ITERATIONS if isinstance(way, PathMotion) else 1):
+            if sight is None or sight.found.similarity < MIN_REFERENCE_SIMILARITY:
                 break
             before = sight.place
-            guess = initialization.guessed(
+            guess = initialization.speed_prior(
                 sight.place, sight.found.covariance, self.plane, way, dt, self.vehicle, self.configuration
             )
             state = way.propagate(self._set_off(start, way, frame, dt, guess), dt, self.rng)
-            self.cloud = Cloud(self.rig, way, state, Weights.equal(len(state)))
+            self.particle_set = ParticleSet(self.rig, way, state, Weights.equal(len(state)))
             sight = self._sought(frame)
-            if sight is not None and float(np.linalg.norm(sight.place - before)) < NEAR * guess[0] * dt:
+            if sight is not None and float(np.linalg.norm(sight.place - before)) < START_STEP_TOLERANCE * guess[0] * dt:
                 break
         return sight
 
     def _set_off(
-        self, start: State, way: PathMotion | FreeMotion, frame: StereoFrame, dt: float, guess: Guess | None
+        self, start: State, way: PathMotion | FreeMotion, frame: StereoFrame, dt: float, guess: SpeedPrior | None
     ) -> State:
         """The first particles, set off along ``way``."""
         if isinstance(way, PathMotion):
-            return initialization.along_path(start, self.plane, way, self.rig, guess, self.configuration, self.rng)
+            return initialization.draw_path_start(start, self.plane, way, self.rig, guess, self.configuration, self.rng)
         assert self._first is not None
         images = self._first.left, frame.left
-        return initialization.as_matched(
+        return initialization.draw_free_start(
             start, self.plane, self.rig, self.vehicle, *images, dt, self.configuration, self.rng
         )
 
     # --- every further frame -----------------------------------------------------------------------------------------
 
-    def _believe(self, sight: Sight) -> None:
+    def _believe(self, sight: PlaneObservation) -> None:
         """Correct the particles by what was seen, and learn what it looks like."""
         assert self.appearance is not None
-        self.cloud.correct(sight.place, sight.found.covariance, self.rng)
-        self.appearance.learn(sight.found)
+        self.particle_set.ensemble_kalman_update(sight.place, sight.found.covariance, self.rng)
+        self.appearance.update(sight.found)
 
-    def _sought(self, frame: StereoFrame) -> Sight | None:
+    def _sought(self, frame: StereoFrame) -> PlaneObservation | None:
         """Where registration sees the plane; None where nothing there could be told from anything else."""
         if self.appearance is None:
             return None
-        mean, doubt = self.cloud.mean(), self.cloud.doubt()
+        mean, doubt = self.particle_set.mean(), self.particle_set.image_spread_px()
         images = frame.left, frame.right
         try:
-            found = self.appearance.find(images, mean.left[0], mean.normal[0], float(mean.distance[0]), doubt)
+            found = self.appearance.register(images, mean.left[0], mean.normal[0], float(mean.distance[0]), doubt)
         except np.linalg.LinAlgError:
             return None
         # the mean region is not where the mean of the planes projects to, while the speed is hardly known
-        place = motion_models.centres(self.rig, mean)[0] + found.shift
-        centre, covariance = self.cloud.centre()
+        place = motion_models.plane_centres(self.rig, mean)[0] + found.shift
+        centre, covariance = self.particle_set.centre()
         aside = place - centre
         surprise = float(aside @ np.linalg.solve(covariance + found.covariance, aside))
-        return Sight(place, found, found.likeness >= (SEEN if surprise < SURPRISING else SURE))
+        return PlaneObservation(
+            place,
+            found,
+            found.similarity >= (MIN_REFERENCE_SIMILARITY if surprise < GATE_CHI2 else MIN_SIMILARITY_OUTSIDE_GATE),
+        )
 
     def _observe(self, state: State) -> Observation:
         left, right = self.views
@@ -296,12 +309,12 @@ class Tracker:
         c = self.configuration
         return likelihood.log_likelihood(self._observe(state), self.reference, c.lambda_single, c.lambda_cross)
 
-    def _estimate(self, frame: StereoFrame, likeness: float, posterior: Posterior) -> Estimate:
+    def _estimate(self, frame: StereoFrame, similarity: float, posterior: Posterior) -> Estimate:
         """The posterior mean (3), and whether the vehicle is still there."""
         mean, position = posterior.mean, posterior.position
-        if likeness < LOST:
+        if similarity < MIN_VISIBLE_SIMILARITY:
             self._unseen += 1
-        elif likeness > SEEN:  # a passing likeness of something else is no sight of it
+        elif similarity > MIN_REFERENCE_SIMILARITY:  # a passing likeness of something else is no sight of it
             self._unseen = 0
         if self._outside(mean, position):
             self.status = "ended"
@@ -313,12 +326,12 @@ class Tracker:
             speed=posterior.speed,
             speed_std=posterior.speed_std,
             position=position,
-            yaw_rate=self.cloud.motion.yaw_rate(mean, frame.time - self._time),
+            yaw_rate=self.particle_set.motion.yaw_rate(mean, frame.time - self._time),
             left=mean.left[0],
             right=mean.right[0],
             ess=posterior.ess,
             status=self.status,
-            likeness=likeness,
+            similarity=similarity,
             particles_left=posterior.particles_left,
             particles_right=posterior.particles_right,
         )
@@ -328,11 +341,11 @@ class Tracker:
         seen = self._observe(mean).features[0]
         both = np.stack([seen, self.reference]).reshape(2, 2, -1)  # (seen and reference, views, features)
         norms = np.linalg.norm(both, axis=2).prod(0)
-        likeness = float(((both[0] * both[1]).sum(1) / np.maximum(norms, 1e-6)).mean())
-        if likeness > SEEN:
+        similarity = float(((both[0] * both[1]).sum(1) / np.maximum(norms, 1e-6)).mean())
+        if similarity > MIN_REFERENCE_SIMILARITY:
             memory = self.configuration.reference_memory
             self.reference = memory * self.reference + (1 - memory) * seen
-        return likeness
+        return similarity
 
     def _outside(self, mean: State, position: Array) -> bool:
         """Whether the region has left an image, or the vehicle is upon the cameras."""
@@ -345,5 +358,5 @@ class Tracker:
     def _square(self, position: Array) -> None:
         """Set a plane of unknown normal square to the travel so far, once that is long enough to have a direction."""
         travel = position - self.plane.centre
-        if self.vehicle.plane == "free" and np.linalg.norm(travel) > DIRECTED:
-            self.cloud.square(plane_across(self.plane, travel).normal)
+        if self.vehicle.plane == "free" and np.linalg.norm(travel) > MIN_HEADING_TRAVEL_M:
+            self.particle_set.set_plane_normal(plane_across(self.plane, travel).normal)

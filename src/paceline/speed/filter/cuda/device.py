@@ -23,34 +23,41 @@ from paceline.arrays import Array
 from paceline.cameras import StereoRig
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.filter.cuda import kernels, patch_features, weights
-from paceline.speed.filter.cuda import memory_layout as at
-from paceline.speed.filter.cuda.particle_set import CudaCloud, Found, all_rows_of, rows_of
-from paceline.speed.filter.cuda.weights import SHARES, SIDE_BY_SIDE, SURVEYORS, THREADS
-from paceline.speed.filter.likelihood import CONTRAST_FLOOR, PART_DISTANCE_CAP, Grid
+from paceline.speed.filter.cuda import memory_layout as layout
+from paceline.speed.filter.cuda.particle_set import CudaParticleSet, Moments, derived_rows_of, rows_of
+from paceline.speed.filter.cuda.weights import (
+    MAX_THREADS_PER_BLOCK,
+    PARTIAL_SUMS,
+    QUANTITIES_PER_BLOCK,
+    THREADS_PER_QUANTITY,
+)
+from paceline.speed.filter.likelihood import CONTRAST_FLOOR, PART_DISTANCE_CAP, PartGrid
 from paceline.speed.filter.motion_models import State
-from paceline.speed.filter.particle_set import SHOWN, Cloud, Views
+from paceline.speed.filter.particle_set import MAX_DRAWN_PARTICLES, ParticleSet, Views
 
 OnDevice = Any  # an array in the device's memory: Numba has no type for it
 
-BLOCK = 128  # threads of a block, one a particle
-EACH = 8  # particles at least that a thread adds up, before another block takes a share in a vehicle
-MOST_BLOCKS = 64  # that share one
-AT_ONCE = 1 << 18  # particles of the search for a first speed that are weighed in one launch
-SECOND = at.PAIRS[:, at.MOVING :]  # (2, pairs, 2) rows of second moments, by FREE
+THREADS_PER_BLOCK = 128  # threads of a block, one a particle
+MIN_PARTICLES_PER_THREAD = (
+    8  # particles at least that a thread adds up, before another block takes a share in a vehicle
+)
+MAX_BLOCKS_PER_VEHICLE = 64  # that share one
+MAX_PARTICLES_PER_LAUNCH = 1 << 18  # particles of the search for a first speed that are weighed in one launch
+SECOND_MOMENT_ROWS = layout.MOMENT_PAIRS[:, layout.CARRIED_ROWS :]  # (2, pairs, 2) rows of second moments, by IS_FREE
 
 
-class Follower(Protocol):
+class TrackedVehicle(Protocol):
     """One who follows a vehicle: what its particles look at and are compared with."""
 
     rig: StereoRig
     configuration: SpeedConfiguration
-    cloud: Cloud | CudaCloud
+    particle_set: ParticleSet | CudaParticleSet
     views: Views
-    grid: Grid
+    grid: PartGrid
     reference: NDArray[np.float32]
 
 
-class Kept(cuda.In):  # type: ignore[misc, name-defined]
+class DeviceArray(cuda.In):  # type: ignore[misc, name-defined]
     """An array in the device's memory that is given to launch after launch.
 
     Numba describes an array to the driver anew for every launch, which takes it three times as long as all else in a
@@ -67,26 +74,26 @@ class Kept(cuda.In):  # type: ignore[misc, name-defined]
 
 
 @dataclass
-class _Shared:
+class _TransferBuffer:
     """An array in the computer's memory from which the device is fed, or to which it tells, and its copy there."""
 
-    home: NDArray[Any]
-    there: Kept
+    host: NDArray[Any]
+    device: DeviceArray
 
     @classmethod
-    def of(cls, size: int, kind: type) -> _Shared:
-        home = cuda.pinned_array(size, kind)
-        home[:] = 0
-        return cls(home, Kept(cuda.device_array(size, kind)))
+    def of(cls, size: int, kind: type) -> _TransferBuffer:
+        host = cuda.pinned_array(size, kind)
+        host[:] = 0
+        return cls(host, DeviceArray(cuda.device_array(size, kind)))
 
-    def send(self, size: int) -> None:
+    def upload(self, size: int) -> None:
         """The first ``size`` numbers."""
-        driver.host_to_device(self.there.value, self.home, size * self.home.itemsize)  # type: ignore[no-untyped-call]
+        driver.host_to_device(self.device.value, self.host, size * self.host.itemsize)  # type: ignore[no-untyped-call]
 
-    def fetch(self, size: int) -> NDArray[Any]:
+    def download(self, size: int) -> NDArray[Any]:
         """Of all that is at home the first numbers, so many, anew."""
-        driver.device_to_host(self.home, self.there.value, size * self.home.itemsize)  # type: ignore[no-untyped-call]
-        return self.home
+        driver.device_to_host(self.host, self.device.value, size * self.host.itemsize)  # type: ignore[no-untyped-call]
+        return self.host
 
 
 class CudaDevice:
@@ -95,16 +102,16 @@ class CudaDevice:
     def __init__(self) -> None:
         cuda.current_context()  # type: ignore[no-untyped-call]
         warnings.filterwarnings("ignore", "Grid size .* under-utilization")  # a vehicle's particles fill no GPU
-        self._clouds: dict[int, weakref.ref[CudaCloud]] = {}  # by slot
-        self._pool = Kept(cuda.device_array((2, at.ROWS, 1)))
-        self._maps = Kept(cuda.device_array((1, at.MAPS), np.float32))
-        self._pixels = _Shared.of(1, np.uint32)
-        self._home: Array | None = None  # all states and log weights, as long as they are as fetched
-        self._joined: set[int] = set()  # slots of clouds that are not in the tables yet
-        self._unweighed: list[CudaCloud] = []
+        self._particle_sets: dict[int, weakref.ref[CudaParticleSet]] = {}  # by slot
+        self._pool = DeviceArray(cuda.device_array((2, layout.ROWS, 1)))
+        self._maps = DeviceArray(cuda.device_array((1, layout.SAMPLING_MAP), np.float32))
+        self._pixels = _TransferBuffer.of(1, np.uint32)
+        self._host_copy: Array | None = None  # all states and log weights, as long as they are as fetched
+        self._added: set[int] = set()  # slots of clouds that are not in the tables yet
+        self._to_restore: list[CudaParticleSet] = []
         self._pending = False
         self._noise = 0  # numbers of it that are on the desk
-        self._tabulate({})
+        self._build_tables({})
 
     def free_memory(self) -> int:
         """Bytes."""
@@ -112,27 +119,27 @@ class CudaDevice:
 
     # --- clouds ------------------------------------------------------------------------------------------------------
 
-    def cloud(self, home: Cloud) -> CudaCloud:
-        """``home`` copied to the device."""
+    def particle_set(self, host: ParticleSet) -> CudaParticleSet:
+        """``host`` copied to the device."""
         if self._pending:
-            self.carry_out()
+            self.execute()
         living = self._living()
         slot = next(i for i in range(len(living) + 1) if i not in living)
-        N, first = len(home.state), 0
+        N, first = len(host.state), 0
         for other in sorted(living.values(), key=lambda other: other.first):
             if first + N <= other.first:
                 break
             first = other.first + len(other)
         self._grow(first + N)
-        cloud = CudaCloud(self, home, slot, first)
-        rows = cuda.to_device(_one(all_rows_of(home)))
-        kernels.settle[(_grid(N), rows.shape[1]), BLOCK](rows, self._pool, first)
-        self._clouds[slot] = weakref.ref(cloud)
-        self._joined.add(slot)
-        return cloud
+        particle_set = CudaParticleSet(self, host, slot, first)
+        rows = cuda.to_device(_one(derived_rows_of(host)))
+        kernels.upload[(_grid(N), rows.shape[1]), THREADS_PER_BLOCK](rows, self._pool, first)
+        self._particle_sets[slot] = weakref.ref(particle_set)
+        self._added.add(slot)
+        return particle_set
 
-    def _living(self) -> dict[int, CudaCloud]:
-        return {slot: cloud for slot, ref in self._clouds.items() if (cloud := ref()) is not None}
+    def _living(self) -> dict[int, CudaParticleSet]:
+        return {slot: particle_set for slot, ref in self._particle_sets.items() if (particle_set := ref()) is not None}
 
     def _grow(self, columns: int) -> None:
         """Room for so many in the pool, or more."""
@@ -140,221 +147,250 @@ class CudaDevice:
         if columns > before:
             old, old_maps = self._pool, self._maps
             room = max(columns, 2 * before)
-            self._pool = Kept(cuda.device_array((2, at.ROWS, room)))
-            self._maps = Kept(cuda.device_array((room, at.MAPS), np.float32))
-            kernels.settle[(_grid(before), at.ROWS), BLOCK](old, self._pool, 0)
+            self._pool = DeviceArray(cuda.device_array((2, layout.ROWS, room)))
+            self._maps = DeviceArray(cuda.device_array((room, layout.SAMPLING_MAP), np.float32))
+            kernels.upload[(_grid(before), layout.ROWS), THREADS_PER_BLOCK](old, self._pool, 0)
             self._maps.value[:before].copy_to_device(old_maps.value)
 
-    def _tabulate(self, living: dict[int, CudaCloud]) -> None:
+    def _build_tables(self, living: dict[int, CudaParticleSet]) -> None:
         """The tables of all ``living`` clouds, by slot; what was ordered before has been carried out."""
         slots = max(living, default=-1) + 1
-        orders = np.zeros((slots, at.ORDER))
-        knots, rigs, knot, total = [np.zeros((1, at.KNOT))], [np.zeros((7, 3, 3))], 1, 0
+        commands = np.zeros((slots, layout.COMMAND))
+        knots, rigs, knot, total = [np.zeros((1, layout.KNOT_SIZE))], [np.zeros((7, 3, 3))], 1, 0
         numbers: dict[int, int] = {}
-        for slot, cloud in living.items():
-            order, N = orders[slot], len(cloud)
-            joins = slot in self._joined
-            order[[at.BEFORE, at.NOW]] = 0 if joins else self.orders[slot, at.NOW]
-            order[[at.FIRST, at.COUNT, at.EVERY, at.AT_HOME]] = cloud.first, N, -(-N // SHOWN), total
-            order[[at.PREPARED, at.FREE, at.TURNS]] = joins, cloud.free, cloud.motion.name == "curve"
-            order[[at.KNOTS, at.KNOT_COUNT]] = knot, len(cloud.knots)
-            knots.append(cloud.knots)
-            knot += len(cloud.knots)
-            if id(cloud.rig) not in numbers:
-                numbers[id(cloud.rig)] = len(rigs)
-                rigs.append(rig_numbers(cloud.rig))
-            order[at.RIG] = numbers[id(cloud.rig)]
+        for slot, particle_set in living.items():
+            command, N = commands[slot], len(particle_set)
+            is_new = slot in self._added
+            command[[layout.HALF_BEFORE, layout.HALF_AFTER]] = 0 if is_new else self.commands[slot, layout.HALF_AFTER]
+            command[[layout.FIRST, layout.COUNT, layout.DRAWN_STRIDE, layout.HOST_COLUMN]] = (
+                particle_set.first,
+                N,
+                -(-N // MAX_DRAWN_PARTICLES),
+                total,
+            )
+            command[[layout.PREPARE, layout.IS_FREE, layout.IS_CURVE]] = (
+                is_new,
+                particle_set.free,
+                particle_set.motion.name == "curve",
+            )
+            command[[layout.KNOTS, layout.KNOT_COUNT]] = knot, len(particle_set.knots)
+            knots.append(particle_set.knots)
+            knot += len(particle_set.knots)
+            if id(particle_set.rig) not in numbers:
+                numbers[id(particle_set.rig)] = len(rigs)
+                rigs.append(rig_numbers(particle_set.rig))
+            command[layout.RIG] = numbers[id(particle_set.rig)]
             total += N
-        self._clouds = {slot: weakref.ref(cloud) for slot, cloud in living.items()}
-        self._knots, self._rigs = Kept(cuda.to_device(np.concatenate(knots))), Kept(cuda.to_device(np.stack(rigs)))
-        self._lay(orders, orders.size + 1)
-        self._sights = _Shared.of(at.HEADER + slots * at.SIGHT, np.float64)
-        counts = orders[:, at.COUNT]
+        self._particle_sets = {slot: weakref.ref(particle_set) for slot, particle_set in living.items()}
+        self._knots, self._rigs = (
+            DeviceArray(cuda.to_device(np.concatenate(knots))),
+            DeviceArray(cuda.to_device(np.stack(rigs))),
+        )
+        self._allocate_commands(commands, commands.size + 1)
+        self._observations = _TransferBuffer.of(layout.HEADER + slots * layout.OBSERVATION, np.float64)
+        counts = commands[:, layout.COUNT]
         self._largest, self._total = int(counts.max(initial=1)), total
-        self._blocks = min(-(-self._largest // (EACH * SURVEYORS)), MOST_BLOCKS)
-        self._threads = min(THREADS, 1 << (self._largest - 1).bit_length())
-        sharing = min(-(-self._largest // (EACH * THREADS)), MOST_BLOCKS)
-        self._shares = Kept(cuda.device_array((max(slots, 1), sharing, SHARES)))
-        shown = int(np.ceil(counts / np.maximum(orders[:, at.EVERY], 1)).max(initial=0))
-        pairs = SECOND[[int(cloud.free) for cloud in living.values()]]  # (clouds, pairs, 2)
+        self._blocks = min(
+            -(-self._largest // (MIN_PARTICLES_PER_THREAD * THREADS_PER_QUANTITY)), MAX_BLOCKS_PER_VEHICLE
+        )
+        self._threads = min(MAX_THREADS_PER_BLOCK, 1 << (self._largest - 1).bit_length())
+        sharing = min(-(-self._largest // (MIN_PARTICLES_PER_THREAD * MAX_THREADS_PER_BLOCK)), MAX_BLOCKS_PER_VEHICLE)
+        self._shares = DeviceArray(cuda.device_array((max(slots, 1), sharing, PARTIAL_SUMS)))
+        shown = int(np.ceil(counts / np.maximum(commands[:, layout.DRAWN_STRIDE], 1)).max(initial=0))
+        pairs = SECOND_MOMENT_ROWS[[int(particle_set.free) for particle_set in living.values()]]  # (clouds, pairs, 2)
         self._second = np.arange(len(pairs))[:, None], pairs[..., 0], pairs[..., 1]
-        self._moments = slots * at.QUANTITIES * self._blocks * 2
-        self._told = _Shared.of(max(self._moments + slots * at.SHOWN_ROWS * shown, 1), np.float64)
-        self._home, self._pending = None, bool(living)
-        self._joined.clear()
+        self._moments_size = slots * layout.QUANTITY_COUNT * self._blocks * 2
+        self._results = _TransferBuffer.of(max(self._moments_size + slots * layout.DRAWN_ROWS * shown, 1), np.float64)
+        self._host_copy, self._pending = None, bool(living)
+        self._added.clear()
 
-    def _lay(self, orders: Array, size: int) -> None:
-        """A desk of so many numbers, with ``orders`` (slots, ORDER) on it."""
-        self._desk = _Shared.of(size, np.float64)
-        self.orders = self._desk.home[: orders.size].reshape(orders.shape)
-        self.orders[:] = orders
+    def _allocate_commands(self, commands: Array, size: int) -> None:
+        """A desk of so many numbers, with ``commands`` (slots, COMMAND) on it."""
+        self._command_buffer = _TransferBuffer.of(size, np.float64)
+        self.commands = self._command_buffer.host[: commands.size].reshape(commands.shape)
+        self.commands[:] = commands
 
-    def order(self, cloud: CudaCloud, what: int) -> None:
-        """Notes that ``what`` is to be done with ``cloud``, after what is already to be done."""
-        if self._joined or self.orders[cloud.slot, what : at.CORRECTED + 1].any():
-            self.carry_out()
-        self.orders[cloud.slot, what] = self.orders[cloud.slot, at.PREPARED] = 1
-        self._pending, self._home, cloud.found = True, None, None
+    def enqueue(self, particle_set: CudaParticleSet, what: int) -> None:
+        """Notes that ``what`` is to be done with ``particle_set``, after what is already to be done."""
+        if self._added or self.commands[particle_set.slot, what : layout.KALMAN_UPDATE + 1].any():
+            self.execute()
+        self.commands[particle_set.slot, what] = self.commands[particle_set.slot, layout.PREPARE] = 1
+        self._pending, self._host_copy, particle_set.moments = True, None, None
 
-    def keep(self, noise: Array) -> int:
+    def store_noise(self, noise: Array) -> int:
         """Puts ``noise`` on the desk; returns where."""
-        where = self.orders.size + self._noise
-        if where + noise.size > self._desk.home.size:
-            before = self._desk.home
-            self._lay(self.orders, 2 * (where + noise.size))
-            self._desk.home[:where] = before[:where]
-        self._desk.home[where : where + noise.size] = noise.reshape(-1)
+        where = self.commands.size + self._noise
+        if where + noise.size > self._command_buffer.host.size:
+            before = self._command_buffer.host
+            self._allocate_commands(self.commands, 2 * (where + noise.size))
+            self._command_buffer.host[:where] = before[:where]
+        self._command_buffer.host[where : where + noise.size] = noise.reshape(-1)
         self._noise += noise.size
         return where
 
     # --- launches ----------------------------------------------------------------------------------------------------
 
-    def carry_out(self) -> None:
+    def execute(self) -> None:
         """Does with all clouds what was ordered."""
-        if self._joined:
-            self._tabulate(self._living())
+        if self._added:
+            self._build_tables(self._living())
         if not self._pending:
             return
-        if self._unweighed:
-            self._table()[[cloud.slot for cloud in self._unweighed], at.TIMES] = -1
-            self._sights.send(self._sights.home.size)
-            self._reweigh(self._unweighed)
-            self._unweighed = []
-        orders = self.orders
-        self._desk.send(orders.size + self._noise)
-        if orders[:, at.RESAMPLED].any():
+        if self._to_restore:
+            self._observation_table()[
+                [particle_set.slot for particle_set in self._to_restore], layout.WEIGHT_UPDATE
+            ] = -1
+            self._observations.upload(self._observations.host.size)
+            self._update_weights(self._to_restore)
+            self._to_restore = []
+        commands = self.commands
+        self._command_buffer.upload(commands.size + self._noise)
+        if commands[:, layout.RESAMPLE].any():
             self._cumulate()
-        if orders[:, at.PREPARED].any():
-            kernels.carry_out[(_grid(self._largest), len(orders)), BLOCK](
-                self._pool, self._desk.there, self._rigs, self._knots, self._maps
+        if commands[:, layout.PREPARE].any():
+            kernels.execute[(_grid(self._largest), len(commands)), THREADS_PER_BLOCK](
+                self._pool, self._command_buffer.device, self._rigs, self._knots, self._maps
             )
-        orders[:, at.BEFORE] = orders[:, at.NOW]
-        orders[:, at.RESAMPLED : at.PREPARED + 1] = 0
+        commands[:, layout.HALF_BEFORE] = commands[:, layout.HALF_AFTER]
+        commands[:, layout.RESAMPLE : layout.PREPARE + 1] = 0
         self._noise, self._pending = 0, False
 
-    def weigh(self, trackers: Sequence[Follower]) -> None:
+    def weight(self, trackers: Sequence[TrackedVehicle]) -> None:
         """Update the weights of all clouds of ``trackers``, which look at the same views."""
-        self.carry_out()
-        c, clouds = trackers[0].configuration, [t.cloud for t in trackers if isinstance(t.cloud, CudaCloud)]
+        self.execute()
+        c, particle_sets = (
+            trackers[0].configuration,
+            [t.particle_set for t in trackers if isinstance(t.particle_set, CudaParticleSet)],
+        )
         alike = {(t.configuration.parts, t.configuration.lambda_single, t.configuration.lambda_cross) for t in trackers}
-        assert len(alike) == 1 and len(clouds) == len(trackers)
-        sights = self._table()
-        for tracker, cloud in zip(trackers, clouds, strict=True):
-            _describe(sights[cloud.slot], tracker)
-            sights[cloud.slot, at.TIMES] = 1
-        self._show(trackers[0].views, c, self._sights)
-        self._sights.send(self._sights.home.size)
-        self.look(c.parts)
-        self._reweigh(clouds)
+        assert len(alike) == 1 and len(particle_sets) == len(trackers)
+        observations = self._observation_table()
+        for tracker, particle_set in zip(trackers, particle_sets, strict=True):
+            _write_reference(observations[particle_set.slot], tracker)
+            observations[particle_set.slot, layout.WEIGHT_UPDATE] = 1
+        self._upload_views(trackers[0].views, c, self._observations)
+        self._observations.upload(self._observations.host.size)
+        self.compute_likelihood(c.parts)
+        self._update_weights(particle_sets)
 
-    def look(self, parts: int) -> None:
+    def compute_likelihood(self, parts: int) -> None:
         """log p(z | x) by (12), (13), (18) of all particles that are to be weighed, by what was sent."""
-        patch_features.log_likelihood[(self._largest, len(self.orders)), 16 * parts](
-            self._pixels.there, self._maps, self._sights.there, self._pool
+        patch_features.log_likelihood[(self._largest, len(self.commands)), 16 * parts](
+            self._pixels.device, self._maps, self._observations.device, self._pool
         )
 
-    def unweigh(self, cloud: CudaCloud) -> None:
-        """Notes that the last update of the weights of ``cloud`` is to be taken back."""
-        self._unweighed.append(cloud)
-        self._pending, self._home, cloud.found = True, None, None
+    def restore_weights(self, particle_set: CudaParticleSet) -> None:
+        """Notes that the last update of the weights of ``particle_set`` is to be taken back."""
+        self._to_restore.append(particle_set)
+        self._pending, self._host_copy, particle_set.moments = True, None, None
 
-    def _table(self) -> Array:
-        """The table (slots, SIGHT) of sights, in which nothing is to be weighed yet."""
-        sights = self._sights.home[at.HEADER :].reshape(-1, at.SIGHT)
-        sights[:, : at.TIMES] = self.orders[:, : at.TIMES]
-        sights[:, at.TIMES] = 0
-        return sights
+    def _observation_table(self) -> Array:
+        """The table (slots, OBSERVATION) of sights, in which nothing is to be weighed yet."""
+        observations = self._observations.host[layout.HEADER :].reshape(-1, layout.OBSERVATION)
+        observations[:, : layout.WEIGHT_UPDATE] = self.commands[:, : layout.WEIGHT_UPDATE]
+        observations[:, layout.WEIGHT_UPDATE] = 0
+        return observations
 
     @property
     def _sharing(self) -> tuple[int, int]:
         """Blocks that share the weights of a vehicle, and slots."""
-        return self._shares.value.shape[1], len(self.orders)
+        return self._shares.value.shape[1], len(self.commands)
 
     def _cumulate(self) -> None:
         if self._sharing[0] > 1:
-            weights.add_up[self._sharing, self._threads](self._pool, self._desk.there, self._shares)
-        weights.cumulate[self._sharing, self._threads](self._pool, self._desk.there, self._shares)
+            weights.sum_weights[self._sharing, self._threads](self._pool, self._command_buffer.device, self._shares)
+        weights.cumulate_weights[self._sharing, self._threads](self._pool, self._command_buffer.device, self._shares)
         if self._sharing[0] > 1:
-            weights.average[_grid(len(self.orders)), BLOCK](self._desk.there, self._shares)
+            weights.average_headings[_grid(len(self.commands)), THREADS_PER_BLOCK](
+                self._command_buffer.device, self._shares
+            )
 
-    def _reweigh(self, clouds: Sequence[CudaCloud]) -> None:
-        weights.reweigh[self._sharing, self._threads](self._pool, self._sights.there, self._shares)
+    def _update_weights(self, particle_sets: Sequence[CudaParticleSet]) -> None:
+        weights.update_weights[self._sharing, self._threads](self._pool, self._observations.device, self._shares)
         if self._sharing[0] > 1:
-            weights.normalise[self._sharing, self._threads](self._pool, self._sights.there, self._shares)
-        self._home = None
-        for cloud in clouds:
-            cloud.found = None
+            weights.normalise[self._sharing, self._threads](self._pool, self._observations.device, self._shares)
+        self._host_copy = None
+        for particle_set in particle_sets:
+            particle_set.moments = None
 
-    def _show(self, views: Views, c: SpeedConfiguration, sights: _Shared) -> None:
-        """Sends the pixels of both ``views``, and writes the header of ``sights``."""
+    def _upload_views(self, views: Views, c: SpeedConfiguration, observations: _TransferBuffer) -> None:
+        """Sends the pixels of both ``views``, and writes the header of ``observations``."""
         sizes = [packed.words.size for packed in views]
-        if sum(sizes) > self._pixels.home.size:
-            self._pixels = _Shared.of(2 * sum(sizes), np.uint32)
-        self._pixels.home[: sizes[0]] = views[0].words.reshape(-1)
-        self._pixels.home[sizes[0] : sum(sizes)] = views[1].words.reshape(-1)
-        self._pixels.send(sum(sizes))
+        if sum(sizes) > self._pixels.host.size:
+            self._pixels = _TransferBuffer.of(2 * sum(sizes), np.uint32)
+        self._pixels.host[: sizes[0]] = views[0].words.reshape(-1)
+        self._pixels.host[sizes[0] : sum(sizes)] = views[1].words.reshape(-1)
+        self._pixels.upload(sum(sizes))
         frames = [(*packed.words.shape, packed.left, packed.top) for packed in views]
         constants = CONTRAST_FLOOR, PART_DISTANCE_CAP, c.lambda_single, c.lambda_cross
-        sights.home[: at.HEADER] = *frames[0], *frames[1], *sizes, *constants
+        observations.host[: layout.HEADER] = *frames[0], *frames[1], *sizes, *constants
 
-    def log_likelihood(self, tracker: Follower, state: State) -> Array:
+    def log_likelihood(self, tracker: TrackedVehicle, state: State) -> Array:
         """log p(z | x) (N,) of particles that are in the computer's memory."""
         found = []
-        sights = _Shared.of(at.HEADER + at.SIGHT, np.float64)
-        sight = sights.home[at.HEADER :]
-        _describe(sight, tracker)
-        self._show(tracker.views, tracker.configuration, sights)
-        rigs, knots = cuda.to_device(_one(rig_numbers(tracker.rig))), cuda.to_device(np.zeros((1, at.KNOT)))
-        for first in range(0, len(state), AT_ONCE):
-            part = state[np.arange(first, min(first + AT_ONCE, len(state)))]
+        observations = _TransferBuffer.of(layout.HEADER + layout.OBSERVATION, np.float64)
+        observation = observations.host[layout.HEADER :]
+        _write_reference(observation, tracker)
+        self._upload_views(tracker.views, tracker.configuration, observations)
+        rigs, knots = cuda.to_device(_one(rig_numbers(tracker.rig))), cuda.to_device(np.zeros((1, layout.KNOT_SIZE)))
+        for first in range(0, len(state), MAX_PARTICLES_PER_LAUNCH):
+            part = state[np.arange(first, min(first + MAX_PARTICLES_PER_LAUNCH, len(state)))]
             N = len(part)
-            order = np.zeros(at.ORDER)
-            order[[at.COUNT, at.PREPARED]] = N, 1
-            sight[[at.FIRST, at.COUNT, at.BEFORE, at.TIMES]] = 0, N, 0, 1
-            sights.send(sights.home.size)
-            rows = np.zeros((1, at.ROWS, N))
-            rows[0, : at.STATE] = rows_of(part)
-            pool, maps = cuda.to_device(rows), cuda.device_array((N, at.MAPS), np.float32)
-            kernels.carry_out[(_grid(N), 1), BLOCK](pool, cuda.to_device(order), rigs, knots, maps)
+            command = np.zeros(layout.COMMAND)
+            command[[layout.COUNT, layout.PREPARE]] = N, 1
+            observation[[layout.FIRST, layout.COUNT, layout.HALF_BEFORE, layout.WEIGHT_UPDATE]] = 0, N, 0, 1
+            observations.upload(observations.host.size)
+            rows = np.zeros((1, layout.ROWS, N))
+            rows[0, : layout.STATE] = rows_of(part)
+            pool, maps = cuda.to_device(rows), cuda.device_array((N, layout.SAMPLING_MAP), np.float32)
+            kernels.execute[(_grid(N), 1), THREADS_PER_BLOCK](pool, cuda.to_device(command), rigs, knots, maps)
             patch_features.log_likelihood[(N, 1), 16 * tracker.configuration.parts](
-                self._pixels.there, maps, sights.there, pool
+                self._pixels.device, maps, observations.device, pool
             )
-            found.append(pool[0, at.LIKELIHOOD].copy_to_host())
+            found.append(pool[0, layout.LIKELIHOOD].copy_to_host())
         return np.concatenate(found)
 
     # --- results -----------------------------------------------------------------------------------------------------
 
-    def survey(self, shown: bool) -> None:
+    def reduce_moments(self, shown: bool) -> None:
         """Has everything carried out, and tells all clouds what their particles come to, and the places ``shown`` if
         these are asked for."""
-        self.carry_out()
+        self.execute()
         living = self._living()
-        if len(living) < len(self._clouds):
-            self._tabulate(living)
-            self.carry_out()
-        blocks = self._blocks, -(-(at.QUANTITIES + at.SHOWN_ROWS) // SIDE_BY_SIDE), len(self.orders)
-        threads = min(self._threads, SURVEYORS), SIDE_BY_SIDE
-        weights.survey[blocks, threads](self._pool, self._desk.there, self._told.there)
-        told = self._told.fetch(self._told.home.size if shown else self._moments)
-        places = told[self._moments :].reshape(len(self.orders), at.SHOWN_ROWS, -1) if shown else None
-        parts = told[: self._moments].reshape(-1, at.QUANTITIES, self._blocks, 2)[list(living)]
-        sums, extremes = parts[:, : at.EXTREMES, :, 0].sum(2), parts[:, at.EXTREMES :]
-        mean = sums[:, : at.MOVING] + parts[:, : at.MOVING, 0, 1]
-        squares, (each, i, j) = sums[:, at.SQUARES].tolist(), self._second
-        second = sums[:, at.MOVING : at.MOMENTS] - sums[each, i] * sums[each, j]
+        if len(living) < len(self._particle_sets):
+            self._build_tables(living)
+            self.execute()
+        blocks = (
+            self._blocks,
+            -(-(layout.QUANTITY_COUNT + layout.DRAWN_ROWS) // QUANTITIES_PER_BLOCK),
+            len(self.commands),
+        )
+        threads = min(self._threads, THREADS_PER_QUANTITY), QUANTITIES_PER_BLOCK
+        weights.reduce_moments[blocks, threads](self._pool, self._command_buffer.device, self._results.device)
+        results = self._results.download(self._results.host.size if shown else self._moments_size)
+        places = results[self._moments_size :].reshape(len(self.commands), layout.DRAWN_ROWS, -1) if shown else None
+        parts = results[: self._moments_size].reshape(-1, layout.QUANTITY_COUNT, self._blocks, 2)[list(living)]
+        sums, extremes = parts[:, : layout.FIRST_EXTREME, :, 0].sum(2), parts[:, layout.FIRST_EXTREME :]
+        mean = sums[:, : layout.CARRIED_ROWS] + parts[:, : layout.CARRIED_ROWS, 0, 1]
+        squares, (each, i, j) = sums[:, layout.SUM_OF_SQUARES].tolist(), self._second
+        second = sums[:, layout.CARRIED_ROWS : layout.MOMENT_COUNT] - sums[each, i] * sums[each, j]
         reach = np.stack([extremes[..., 0].min(2), extremes[..., 1].max(2)], axis=1).reshape(-1, 2, 2, 4, 2)
-        for k, (slot, cloud) in enumerate(living.items()):
-            cloud.found = Found(mean[k], second[k], squares[k], reach[k], None if places is None else places[slot])
+        for k, (slot, particle_set) in enumerate(living.items()):
+            particle_set.moments = Moments(
+                mean[k], second[k], squares[k], reach[k], None if places is None else places[slot]
+            )
 
-    def fetched(self, cloud: CudaCloud) -> Array:
-        """The state and the log weights (STATE + 1, N) of ``cloud``; those of all are fetched at once."""
-        self.carry_out()
-        if self._home is None:
-            home = cuda.device_array((at.STATE + 1, self._total))
-            kernels.collect[(_grid(self._largest), len(self.orders)), BLOCK](self._pool, self._desk.there, home)
-            self._home = home.copy_to_host()
-        first = int(self.orders[cloud.slot, at.AT_HOME])
-        return self._home[:, first : first + len(cloud)]
+    def download(self, particle_set: CudaParticleSet) -> Array:
+        """The state and the log weights (STATE + 1, N) of ``particle_set``; those of all are fetched at once."""
+        self.execute()
+        if self._host_copy is None:
+            host = cuda.device_array((layout.STATE + 1, self._total))
+            kernels.download[(_grid(self._largest), len(self.commands)), THREADS_PER_BLOCK](
+                self._pool, self._command_buffer.device, host
+            )
+            self._host_copy = host.copy_to_host()
+        first = int(self.commands[particle_set.slot, layout.HOST_COLUMN])
+        return self._host_copy[:, first : first + len(particle_set)]
 
 
 def _one(numbers: Array) -> Array:
@@ -363,14 +399,14 @@ def _one(numbers: Array) -> Array:
 
 
 def _grid(n: int) -> int:
-    return -(-n // BLOCK)
+    return -(-n // THREADS_PER_BLOCK)
 
 
-def _describe(sight: Array, tracker: Follower) -> None:
-    """What ``tracker`` compares its particles with, into its ``sight`` (SIGHT,)."""
+def _write_reference(observation: Array, tracker: TrackedVehicle) -> None:
+    """What ``tracker`` compares its particles with, into its ``observation`` (OBSERVATION,)."""
     grid, reference = tracker.grid, tracker.reference
-    sight[at.GRID : at.GRID + 4] = grid.across, grid.down, *grid.samples
-    sight[at.REFERENCE : at.REFERENCE + reference.size] = reference.reshape(-1)
+    observation[layout.GRID : layout.GRID + 4] = grid.across, grid.down, *grid.samples
+    observation[layout.REFERENCE : layout.REFERENCE + reference.size] = reference.reshape(-1)
 
 
 def rig_numbers(rig: StereoRig) -> Array:

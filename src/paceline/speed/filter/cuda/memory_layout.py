@@ -1,12 +1,13 @@
-"""Where everything lies in a GPU's memory: what its kernels and those who launch them agree on.
+"""Layout of the GPU's memory, shared by the kernels and the code that launches them.
 
-The particles of all vehicles share one *pool* (2, ROWS, columns) of float64: a vehicle has some columns of it, a
-particle is one column, and every number of its state a row, so that the threads of a warp read side by side. A vehicle
-is in one half of the pool; resampling takes it to the other.
+The particles of all vehicles share one *pool* (2, ROWS, columns) of float64: a vehicle has a range of columns, a
+particle is one column, and each number of its state a row, so that the threads of a warp read adjacent memory. A
+vehicle's current particles are in one half of the pool; resampling moves them to the other.
 
-What is to be done with the vehicles stands on the *desk*: orders, a table (slots, ORDER), and after them the noise that
-was drawn for them. What they look at are *sights*, a header and a table (slots, SIGHT). Both are float64 and flat. A
-vehicle keeps its slot; a slot whose COUNT is 0 is free. What all came to is *told*: see `weights.survey`.
+The *command buffer* holds the commands, a table (slots, COMMAND) with one row for each vehicle, and after them the
+noise that was drawn on the CPU. The *observations* are a header and a table (slots, OBSERVATION): what the likelihood
+of each vehicle needs. Both are flat arrays of float64. A vehicle keeps its slot; a slot whose COUNT is 0 is free. The
+*results* are what `weights.reduce_moments` writes.
 """
 
 from __future__ import annotations
@@ -17,64 +18,65 @@ import numpy as np
 
 LEFT, RIGHT, NORMAL, DISTANCE, SPEED, S, HEADING, VELOCITY, TURNING = 0, 8, 16, 19, 20, 21, 22, 24, 27
 STATE = 30  # rows of the state itself
-# what follows from the state and is asked for by the filter: where the planes' centres are, in space and in both views
-PLACE, CROSSING_LEFT, CROSSING_RIGHT = 30, 33, 35
-MOVING = 37  # rows that a survivor takes along
-LOG_WEIGHT, WEIGHT, CUMULATED, LIKELIHOOD = range(37, 41)
-UNWEIGHED = 41  # the log weights before they were last updated
+# derived from the state: the planes' centres in space and in both views
+CENTRE, CROSSING_LEFT, CROSSING_RIGHT = 30, 33, 35
+CARRIED_ROWS = 37  # rows that resampling copies
+LOG_WEIGHT, WEIGHT, CUMULATIVE_WEIGHT, LIKELIHOOD = range(37, 41)
+PREVIOUS_LOG_WEIGHT = 41  # before the last update
 ROWS = 42
 
-# --- orders --------------------------------------------------------------------------------------------------------
+# --- commands ------------------------------------------------------------------------------------------------------
 
 FIRST, COUNT = 0, 1  # the vehicle's columns
-BEFORE, NOW = 2, 3  # half of the pool it is in before the orders are carried out, and after
-RESAMPLED, SQUARED, MOVED, CORRECTED = range(4, 8)  # whether it is to be, one after the other
-PREPARED = 8  # whether anything is to be done, if only to make the maps by which the likelihood samples
-FREE, TURNS = 9, 10  # the motion: without a path, along one that turns
+HALF_BEFORE, HALF_AFTER = 2, 3  # half of the pool that the particles are in before the commands are executed, and after
+RESAMPLE, SET_NORMAL, PROPAGATE, KALMAN_UPDATE = range(4, 8)  # whether to do so, in this order
+PREPARE = 8  # whether there is anything to do, if only to prepare the sampling maps of the likelihood
+IS_FREE, IS_CURVE = 9, 10  # the motion model: without a path; along a curve
 RIG, KNOTS, KNOT_COUNT = 11, 12, 13  # rows of the tables of rigs and of knots
-DT, DRIFT = 14, 15  # s; m, across and down
-OFFSET, SPREAD, MEAN = 17, 18, 20  # of resampling: u, and of the headings their spread and the survivors' mean
-TOWARDS = 22  # (3,) the normal that planes are set square to
-STEP = 25  # (10, 3) the Kalman step: the place seen, the root of its covariance, the gain of centre and linear rows
-KEY = 55  # (4,) of the generator that counts, by 32 bits
-DRAWS = 59  # (DRAWN, 2) of each kind of noise, its place in the desk, or −1 − the call that counts it, and its sigma
-DRAWN, STIRRING, MOVING_NOISE, SEEN_NOISE = 7, 0, 1, 6
-AT_HOME = DRAWS + 2 * DRAWN  # the vehicle's first column among all that are fetched
-EVERY = AT_HOME + 1  # so many-th particle is told
-ORDER = EVERY + 1
+DT, DRIFT = 14, 15  # s; standard deviations of the drift, m, sideways and down
+OFFSET, HEADING_STD, MEAN_HEADING = 17, 18, 20  # of resampling: u; of the headings, and of the survivors' headings
+TARGET_NORMAL = 22  # (3,) of SET_NORMAL
+KALMAN_STEP = 25  # (10, 3) the measured centre, the Cholesky factor of its covariance, the gain
+KEY = 55  # (4,) of the counter-based generator, 32 bits each
+NOISE = 59  # (NOISE_KINDS, 2) of each kind its index in the command buffer, or −1 − its call, and its sigma
+NOISE_KINDS, JITTER, PROCESS_NOISE, MEASUREMENT_NOISE = 7, 0, 1, 6
+HOST_COLUMN = NOISE + 2 * NOISE_KINDS  # the vehicle's first column when all are downloaded
+DRAWN_STRIDE = HOST_COLUMN + 1  # every so many-th particle is returned for drawing
+COMMAND = DRAWN_STRIDE + 1
 
-# --- sights --------------------------------------------------------------------------------------------------------
+# --- observations --------------------------------------------------------------------------------------------------
 
-LEFT_FRAME, RIGHT_FRAME = 0, 4  # (4,) height, width, and place (x, y) of the first pixel of a packed image
-WORDS = 8  # (2,) how many words of pixels each image has
+LEFT_FRAME, RIGHT_FRAME = 0, 4  # (4,) height, width, and first pixel (x, y) of a packed image
+WORDS = 8  # (2,) number of words of each packed image
 FLOOR, CAP, LAMBDA_SINGLE, LAMBDA_CROSS = range(10, 14)
 HEADER = 14
-MOST_PARTS = 16
-TIMES = 3  # 1 where a vehicle is weighed, −1 where that is taken back; FIRST, COUNT and BEFORE are as in the orders
-GRID = 4  # (4,) parts across and down, samples a block (x, y)
+MAX_PARTS = 16
+WEIGHT_UPDATE = 3  # 1 to update the weights, −1 to restore them; FIRST, COUNT and HALF_BEFORE are as in the commands
+GRID = 4  # (4,) parts across and down, samples of a block (x, y)
 REFERENCE = 8  # (2, parts, 16)
-SIGHT = REFERENCE + 2 * MOST_PARTS * 16
+OBSERVATION = REFERENCE + 2 * MAX_PARTS * 16
 
-# --- what is told --------------------------------------------------------------------------------------------------
+# --- results -------------------------------------------------------------------------------------------------------
 
-_PLACES = (PLACE, PLACE + 1, PLACE + 2)
-SPREADS = (CROSSING_LEFT, CROSSING_LEFT + 1, SPEED, HEADING, HEADING + 1)  # rows whose variance is asked for
-LINEAR = ((SPEED, HEADING, HEADING + 1), (VELOCITY, VELOCITY + 1, VELOCITY + 2))  # what a place seen corrects: by FREE
-PAIRS = np.array(
+_CENTRE_ROWS = (CENTRE, CENTRE + 1, CENTRE + 2)
+VARIANCE_ROWS = (CROSSING_LEFT, CROSSING_LEFT + 1, SPEED, HEADING, HEADING + 1)
+# rows of the state that the Kalman update corrects, by IS_FREE
+CORRECTED_ROWS = ((SPEED, HEADING, HEADING + 1), (VELOCITY, VELOCITY + 1, VELOCITY + 2))
+MOMENT_PAIRS = np.array(
     [
-        [(row, -1) for row in range(MOVING)]
-        + [(row, row) for row in SPREADS]
-        + [(row, place) for row in (*_PLACES, *linear) for place in _PLACES]
-        for linear in LINEAR
+        [(row, -1) for row in range(CARRIED_ROWS)]
+        + [(row, row) for row in VARIANCE_ROWS]
+        + [(row, centre) for row in (*_CENTRE_ROWS, *corrected) for centre in _CENTRE_ROWS]
+        for corrected in CORRECTED_ROWS
     ],
     np.int32,
 )
-"""(2, pairs, 2), by FREE: rows whose first moment is asked for, with −1, then pairs whose second moment is."""
-MOMENTS = PAIRS.shape[1]
-SQUARES = MOMENTS  # the quantity Σ W²
-EXTREMES = SQUARES + 1  # the first of NORMAL quantities: the least and greatest of a region's coordinate
-QUANTITIES = EXTREMES + NORMAL
-SHOWN_ROWS = 4  # of the planes' projected centres, from CROSSING_LEFT on
+"""(2, pairs, 2), by IS_FREE: rows whose first moment is computed, with −1, then pairs of rows for second moments."""
+MOMENT_COUNT = MOMENT_PAIRS.shape[1]
+SUM_OF_SQUARES = MOMENT_COUNT  # the quantity Σ W²
+FIRST_EXTREME = SUM_OF_SQUARES + 1  # of NORMAL quantities: least and greatest values of the regions' coordinates
+QUANTITY_COUNT = FIRST_EXTREME + NORMAL
+DRAWN_ROWS = 4  # of the planes' projected centres, from CROSSING_LEFT on
 
-KNOT = 14  # numbers of a path's knot: arc length, roll, and the cubic of each coordinate from there on (3, 4)
-MAPS = 39  # what the likelihood samples a particle by: three homographies and the four edges of the right region
+KNOT_SIZE = 14  # numbers of a path's knot: arc length, roll, and the cubic of each coordinate from there on (3, 4)
+SAMPLING_MAP = 39  # numbers: the three homographies and four edges by which the likelihood samples a particle

@@ -11,8 +11,8 @@ import math
 import numpy as np
 from numba import cuda
 
-from paceline.speed.filter.cuda import memory_layout as at
-from paceline.speed.filter.cuda.random_numbers import counted_normals
+from paceline.speed.filter.cuda import memory_layout as layout
+from paceline.speed.filter.cuda.random_numbers import counter_normals
 from paceline.speed.geometry import quadrilaterals
 
 _device = cuda.jit(device=True)
@@ -72,28 +72,30 @@ def _derive(rows, q, rig):
     quad = cuda.local.array((4, 2), np.float64)
     crossing = cuda.local.array(2, np.float64)
     for view in range(2):
-        _fetch_region(rows, at.RIGHT if view else at.LEFT, q, quad)
+        _fetch_region(rows, layout.RIGHT if view else layout.LEFT, q, quad)
         _cross_diagonals(quad, crossing)
-        first = at.CROSSING_RIGHT if view else at.CROSSING_LEFT
+        first = layout.CROSSING_RIGHT if view else layout.CROSSING_LEFT
         rows[first, q], rows[first + 1, q] = crossing[0], crossing[1]
-    x, y, K_inv = rows[at.CROSSING_LEFT, q], rows[at.CROSSING_LEFT + 1, q], rig[K_LEFT_INV]
+    x, y, K_inv = rows[layout.CROSSING_LEFT, q], rows[layout.CROSSING_LEFT + 1, q], rig[K_LEFT_INV]
     a = K_inv[0, 0] * x + K_inv[0, 1] * y + K_inv[0, 2]
     b = K_inv[1, 0] * x + K_inv[1, 1] * y + K_inv[1, 2]
     c = K_inv[2, 0] * x + K_inv[2, 1] * y + K_inv[2, 2]
-    depth = rows[at.DISTANCE, q] / (a * rows[at.NORMAL, q] + b * rows[at.NORMAL + 1, q] + c * rows[at.NORMAL + 2, q])
-    rows[at.PLACE, q], rows[at.PLACE + 1, q], rows[at.PLACE + 2, q] = a * depth, b * depth, c * depth
+    depth = rows[layout.DISTANCE, q] / (
+        a * rows[layout.NORMAL, q] + b * rows[layout.NORMAL + 1, q] + c * rows[layout.NORMAL + 2, q]
+    )
+    rows[layout.CENTRE, q], rows[layout.CENTRE + 1, q], rows[layout.CENTRE + 2, q] = a * depth, b * depth, c * depth
 
 
 @cuda.jit(device=True)
 def move(rows, q, rig, dR, shift):
-    """`motion_models.moved` of one particle: (5)–(8), (10), (11)."""
+    """`motion_models.apply_rigid_motion` of one particle: (5)–(8), (10), (11)."""
     n, n_right = cuda.local.array(3, np.float64), cuda.local.array(3, np.float64)
     shift_right, turned = cuda.local.array(3, np.float64), cuda.local.array(3, np.float64)
     plane = cuda.local.array(3, np.float64)
     product, dR_right = cuda.local.array((3, 3), np.float64), cuda.local.array((3, 3), np.float64)
     quad, transferred = cuda.local.array((4, 2), np.float64), cuda.local.array((4, 2), np.float64)
-    R, t, d = rig[R_RIG], rig[SHIFTS, 0], rows[at.DISTANCE, q]
-    _fetch(rows, at.NORMAL, q, n)
+    R, t, d = rig[R_RIG], rig[SHIFTS, 0], rows[layout.DISTANCE, q]
+    _fetch(rows, layout.NORMAL, q, n)
     _apply(R, n, n_right)
     d_right = d + (n_right[0] * t[0] + n_right[1] * t[1] + n_right[2] * t[2])
     _multiply(R, dR, product)
@@ -103,18 +105,18 @@ def move(rows, q, rig, dR, shift):
     for i in range(3):
         shift_right[i] = shift_right[i] + t[i] - turned[i]
         plane[i] = n[i] / d
-    _fetch_region(rows, at.LEFT, q, quad)
+    _fetch_region(rows, layout.LEFT, q, quad)
     _transfer(quad, dR, shift, plane, rig[K_LEFT], rig[K_LEFT_INV], transferred)
-    _store_region(transferred, rows, at.LEFT, q)
+    _store_region(transferred, rows, layout.LEFT, q)
     for i in range(3):
         plane[i] = n_right[i] / d_right
-    _fetch_region(rows, at.RIGHT, q, quad)
+    _fetch_region(rows, layout.RIGHT, q, quad)
     _transfer(quad, dR_right, shift_right, plane, rig[K_RIGHT], rig[K_RIGHT_INV], transferred)
-    _store_region(transferred, rows, at.RIGHT, q)
+    _store_region(transferred, rows, layout.RIGHT, q)
     _apply(dR, n, turned)
     for i in range(3):
-        rows[at.NORMAL + i, q] = turned[i]
-    rows[at.DISTANCE, q] = d + (shift[0] * turned[0] + shift[1] * turned[1] + shift[2] * turned[2])
+        rows[layout.NORMAL + i, q] = turned[i]
+    rows[layout.DISTANCE, q] = d + (shift[0] * turned[0] + shift[1] * turned[1] + shift[2] * turned[2])
     _derive(rows, q, rig)
 
 
@@ -126,14 +128,14 @@ def identity(dR):
 
 
 @cuda.jit(device=True)
-def draw(desk, order, kind, k, p, out, first):
+def draw(command_buffer, command, kind, k, p, out, first):
     """``k`` numbers of a ``kind`` of noise for particle ``p``, into ``out`` from the ``first`` on."""
-    where, sigma = int(order[at.DRAWS + 2 * kind]), order[at.DRAWS + 2 * kind + 1]
+    where, sigma = int(command[layout.NOISE + 2 * kind]), command[layout.NOISE + 2 * kind + 1]
     if where < 0:
-        counted_normals(order[at.KEY : at.KEY + 4], -1 - where, sigma, p, k, out, first)
+        counter_normals(command[layout.KEY : layout.KEY + 4], -1 - where, sigma, p, k, out, first)
     else:
         for i in range(k):
-            out[first + i] = desk[where + p * k + i]
+            out[first + i] = command_buffer[where + p * k + i]
 
 
 # --- along a path --------------------------------------------------------------------------------------------------
@@ -190,7 +192,7 @@ def frame(knots, s, F):
 
 
 @cuda.jit(device=True)
-def along_path(rows, q, p, desk, order, rig, knots):
+def propagate_along_path(rows, q, p, command_buffer, command, rig, knots):
     """`motion.PathMotion.propagate`: (22)–(24) on a line, (25)–(27) where the path turns."""
     noise = cuda.local.array(6, np.float64)
     start, end = cuda.local.array(3, np.float64), cuda.local.array(3, np.float64)
@@ -200,14 +202,14 @@ def along_path(rows, q, p, desk, order, rig, knots):
         cuda.local.array((3, 3), np.float64),
         cuda.local.array((3, 3), np.float64),
     )
-    turns = order[at.TURNS] != 0.0
+    turns = command[layout.IS_CURVE] != 0.0
     for i in range(4):  # of the speed, along the path, of the heading's yaw and pitch
-        draw(desk, order, at.MOVING_NOISE + i, 1, p, noise, i)
-    before = rows[at.S, q]
-    speed = rows[at.SPEED, q] + noise[0]
-    length = speed * order[at.DT] + noise[1]
-    rows[at.HEADING, q] += noise[2]
-    rows[at.HEADING + 1, q] += noise[3]
+        draw(command_buffer, command, layout.PROCESS_NOISE + i, 1, p, noise, i)
+    before = rows[layout.S, q]
+    speed = rows[layout.SPEED, q] + noise[0]
+    length = speed * command[layout.DT] + noise[1]
+    rows[layout.HEADING, q] += noise[2]
+    rows[layout.HEADING + 1, q] += noise[3]
     s = before + length
     _at(knots, before, start)
     if turns:
@@ -222,19 +224,19 @@ def along_path(rows, q, p, desk, order, rig, knots):
     for i in range(3):
         ahead += (end[i] - start[i]) * F[i, 0]
     for i in range(3):
-        aside = F[i, 1] * rows[at.HEADING, q] + F[i, 2] * rows[at.HEADING + 1, q]
+        aside = F[i, 1] * rows[layout.HEADING, q] + F[i, 2] * rows[layout.HEADING + 1, q]
         shift[i] = end[i] - start[i] + ahead * aside
     identity(dR)
     if turns:
         frame(knots, s, after)
         _multiply_transposed(after, F, dR)  # (26)
         _apply(dR, start, turned)
-        draw(desk, order, at.MOVING_NOISE + 4, 2, p, noise, 4)
-        across, down = noise[4] * order[at.DRIFT], noise[5] * order[at.DRIFT + 1]
+        draw(command_buffer, command, layout.PROCESS_NOISE + 4, 2, p, noise, 4)
+        across, down = noise[4] * command[layout.DRIFT], noise[5] * command[layout.DRIFT + 1]
         for i in range(3):
             shift[i] += start[i] - turned[i] + (after[i, 1] * across + after[i, 2] * down)  # (27)
-    rows[at.SPEED, q] = speed
-    rows[at.S, q] = s
+    rows[layout.SPEED, q] = speed
+    rows[layout.S, q] = s
     move(rows, q, rig, dR, shift)
 
 
@@ -242,38 +244,38 @@ def along_path(rows, q, p, desk, order, rig, knots):
 
 
 @cuda.jit(device=True)
-def freely(rows, q, p, desk, order, rig):
+def propagate_free(rows, q, p, command_buffer, command, rig):
     """`motion.FreeMotion.propagate`: (9)–(11)."""
-    noise, dt = cuda.local.array(6, np.float64), order[at.DT]
+    noise, dt = cuda.local.array(6, np.float64), command[layout.DT]
     centre, turned = cuda.local.array(3, np.float64), cuda.local.array(3, np.float64)
     shift, dR = cuda.local.array(3, np.float64), cuda.local.array((3, 3), np.float64)
     for i in range(2):  # of the turning and of the velocity
-        draw(desk, order, at.MOVING_NOISE + i, 3, p, noise, 3 * i)
+        draw(command_buffer, command, layout.PROCESS_NOISE + i, 3, p, noise, 3 * i)
     for i in range(3):
-        rows[at.TURNING + i, q] += noise[i]
-        rows[at.VELOCITY + i, q] += noise[3 + i]
-    a, b, c = rows[at.TURNING, q] * dt, rows[at.TURNING + 1, q] * dt, rows[at.TURNING + 2, q] * dt
+        rows[layout.TURNING + i, q] += noise[i]
+        rows[layout.VELOCITY + i, q] += noise[3 + i]
+    a, b, c = rows[layout.TURNING, q] * dt, rows[layout.TURNING + 1, q] * dt, rows[layout.TURNING + 2, q] * dt
     ca, sa, cb, sb, cc, sc = math.cos(a), math.sin(a), math.cos(b), math.sin(b), math.cos(c), math.sin(c)
     dR[0, 0], dR[0, 1], dR[0, 2] = cc * cb, cc * sb * sa - sc * ca, cc * sb * ca + sc * sa  # about x, then y, then z
     dR[1, 0], dR[1, 1], dR[1, 2] = sc * cb, sc * sb * sa + cc * ca, sc * sb * ca - cc * sa
     dR[2, 0], dR[2, 1], dR[2, 2] = -sb, cb * sa, cb * ca
-    _fetch(rows, at.PLACE, q, centre)
+    _fetch(rows, layout.CENTRE, q, centre)
     _apply(dR, centre, turned)
     for i in range(3):
-        shift[i] = centre[i] + rows[at.VELOCITY + i, q] * dt - turned[i]
+        shift[i] = centre[i] + rows[layout.VELOCITY + i, q] * dt - turned[i]
     move(rows, q, rig, dR, shift)
     set_speed(rows, q)
 
 
 @cuda.jit(device=True)
 def set_speed(rows, q):
-    x, y, z = rows[at.VELOCITY, q], rows[at.VELOCITY + 1, q], rows[at.VELOCITY + 2, q]
-    rows[at.SPEED, q] = math.sqrt(x * x + y * y + z * z)
+    x, y, z = rows[layout.VELOCITY, q], rows[layout.VELOCITY + 1, q], rows[layout.VELOCITY + 2, q]
+    rows[layout.SPEED, q] = math.sqrt(x * x + y * y + z * z)
 
 
 @cuda.jit(device=True)
 def prepare(rows, q, rig, out):
-    """Into ``out`` (MAPS,) what the likelihood samples by.
+    """Into ``out`` (SAMPLING_MAP,) what the likelihood samples by.
 
     That is homographies (9 each) of the unit square to the left region, to the right region, and to the left region
     carried into the right view by (15), and the right region's edges (12). A region without area has no map: it is
@@ -285,19 +287,19 @@ def prepare(rows, q, rig, out):
         cuda.local.array((3, 3), np.float64),
         cuda.local.array((3, 3), np.float64),
     )
-    K_inv, across, moved = rig[K_LEFT_INV], rig[ACROSS], rig[SHIFTS, 1]
+    K_inv, across, K_t = rig[K_LEFT_INV], rig[ACROSS], rig[SHIFTS, 1]
     for j in range(3):
         plane = 0.0
         for i in range(3):
-            plane += rows[at.NORMAL + i, q] / rows[at.DISTANCE, q] * K_inv[i, j]
+            plane += rows[layout.NORMAL + i, q] / rows[layout.DISTANCE, q] * K_inv[i, j]
         for i in range(3):
-            cross[i, j] = across[i, j] + moved[i] * plane
-    _fetch_region(rows, at.LEFT, q, quad)
+            cross[i, j] = across[i, j] + K_t[i] * plane
+    _fetch_region(rows, layout.LEFT, q, quad)
     _unit_square_to(quad, H)
     _multiply(cross, H, transferred)
     for i in range(9):
         out[i], out[18 + i] = H[i // 3, i % 3], transferred[i // 3, i % 3]
-    _fetch_region(rows, at.RIGHT, q, quad)
+    _fetch_region(rows, layout.RIGHT, q, quad)
     _unit_square_to(quad, H)
     _inward_edges(quad, edges)
     for i in range(9):
@@ -305,10 +307,10 @@ def prepare(rows, q, rig, out):
     for i in range(12):
         out[27 + i] = edges[i // 3, i % 3]
     finite = True
-    for i in range(at.MAPS):
+    for i in range(layout.SAMPLING_MAP):
         finite = finite and math.isfinite(out[i])
     if not finite:
-        for i in range(at.MAPS):
+        for i in range(layout.SAMPLING_MAP):
             out[i] = np.float32(0.0)
         out[8] = out[17] = out[26] = np.float32(1.0)
         for i in range(4):

@@ -1,8 +1,7 @@
-"""A vehicle's weighted particles on a GPU: what `filter.particle_set.Cloud` does, with nothing but estimates coming
-back.
+"""The weighted particles of one vehicle on a GPU, with the interface of `filter.particle_set.ParticleSet`.
 
-Particles, weights and everything in between stay on the device. What is to be done with them is noted as an order, see
-`device`; what they come to is asked for all vehicles together.
+Particles, weights and intermediate results stay on the device. Methods enqueue commands, see `device`; moments are
+reduced for all vehicles together.
 """
 
 from __future__ import annotations
@@ -16,23 +15,32 @@ from paceline.arrays import Array
 from paceline.cameras import StereoRig
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.filter import motion_models
-from paceline.speed.filter.cuda import memory_layout as at
-from paceline.speed.filter.motion_models import FRAME, FreeMotion, PathMotion, State, kalman_gain, root
-from paceline.speed.filter.particle_set import Cloud, Posterior
+from paceline.speed.filter.cuda import memory_layout as layout
+from paceline.speed.filter.motion_models import (
+    ZHU_FRAME_INTERVAL_S,
+    FreeMotion,
+    PathMotion,
+    State,
+    cholesky_factor,
+    kalman_gain,
+)
+from paceline.speed.filter.particle_set import ParticleSet, Posterior
 from paceline.speed.filter.random_numbers import CounterGenerator
-from paceline.speed.filter.resampling import ROUGHENING, Weights, even_enough
+from paceline.speed.filter.resampling import JITTER_SCALE, Weights, ess_sufficient
 
-# where second moments stand: see `memory_layout.PAIRS`
-_CROSSING, _SPEED, _HEADING = (at.SPREADS.index(row) for row in (at.CROSSING_LEFT, at.SPEED, at.HEADING))
-_CENTRE = len(at.SPREADS)
+# where second moments stand: see `memory_layout.MOMENT_PAIRS`
+_CROSSING, _SPEED, _HEADING = (
+    layout.VARIANCE_ROWS.index(row) for row in (layout.CROSSING_LEFT, layout.SPEED, layout.HEADING)
+)
+_CENTRE = len(layout.VARIANCE_ROWS)
 
 
 @dataclass(slots=True, eq=False)
-class Found:
+class Moments:
     """What a vehicle's weighted particles come to."""
 
-    mean: Array  # (MOVING,) of all rows
-    second: Array  # (pairs,) covariances of the pairs of `memory_layout.PAIRS`
+    mean: Array  # (CARRIED_ROWS,) of all rows
+    second: Array  # (pairs,) covariances of the pairs of `memory_layout.MOMENT_PAIRS`
     squares: float  # Σ W²
     reach: Array  # (2, 2, 4, 2) the least and the greatest place, for each coordinate, of both views' vertices
     shown: Array | None  # (4, M) the planes' projected centres in both views, if asked for; the vehicle's come first
@@ -41,89 +49,93 @@ class Found:
 class Device(Protocol):
     """What a cloud asks of `device.CudaDevice`, which says more of each."""
 
-    orders: Array  # (slots, ORDER)
+    commands: Array  # (slots, COMMAND)
 
-    def order(self, cloud: CudaCloud, what: int) -> None: ...
+    def enqueue(self, particle_set: CudaParticleSet, what: int) -> None: ...
 
-    def keep(self, noise: Array) -> int: ...
+    def store_noise(self, noise: Array) -> int: ...
 
-    def unweigh(self, cloud: CudaCloud) -> None: ...
+    def restore_weights(self, particle_set: CudaParticleSet) -> None: ...
 
-    def survey(self, shown: bool) -> None: ...
+    def reduce_moments(self, shown: bool) -> None: ...
 
-    def fetched(self, cloud: CudaCloud) -> Array: ...
+    def download(self, particle_set: CudaParticleSet) -> Array: ...
 
 
-class CudaCloud:
-    """N weighted particles on ``device``, which move by ``motion``; made by `CudaDevice.cloud` of ``home``."""
+class CudaParticleSet:
+    """N weighted particles on ``device``, which move by ``motion``; made by `CudaDevice.particle_set` of ``host``."""
 
-    def __init__(self, device: Device, home: Cloud, slot: int, first: int) -> None:
+    def __init__(self, device: Device, host: ParticleSet, slot: int, first: int) -> None:
         self.device = device
         self.slot, self.first = slot, first  # its place in the tables, and its first column in the pool
-        self.rig: StereoRig = home.rig
-        self.motion = home.motion
-        self.free = isinstance(home.motion, FreeMotion)
-        self.knots = knots_of(home.motion)
-        self.found: Found | None = None
-        self._N = len(home.state)
+        self.rig: StereoRig = host.rig
+        self.motion = host.motion
+        self.free = isinstance(host.motion, FreeMotion)
+        self.knots = knots_of(host.motion)
+        self.moments: Moments | None = None
+        self._N = len(host.state)
 
     def __len__(self) -> int:
         return self._N
 
     @property
-    def _order(self) -> Array:
-        """What is to be done (ORDER,), see `memory_layout`; where it lies may change as noise is put on the desk."""
-        return np.asarray(self.device.orders[self.slot])
+    def _command(self) -> Array:
+        """What is to be done (COMMAND,), see `memory_layout`; where it lies may change as noise is put on the desk."""
+        return np.asarray(self.device.commands[self.slot])
 
     def propagate(self, dt: float, rng: np.random.Generator) -> None:
-        self.device.order(self, at.MOVED)
-        for i, (sigma, k) in enumerate(self.motion.draws(dt)):
-            self._draw(at.MOVING_NOISE + i, sigma, k, rng)
-        order = self._order
-        order[at.DT] = dt
+        self.device.enqueue(self, layout.PROPAGATE)
+        for i, (sigma, k) in enumerate(self.motion.noise_draws(dt)):
+            self._draw(layout.PROCESS_NOISE + i, sigma, k, rng)
+        command = self._command
+        command[layout.DT] = dt
         if isinstance(self.motion, PathMotion):
-            order[at.DRIFT : at.DRIFT + 2] = self.motion.drift * np.sqrt(dt / FRAME)
+            command[layout.DRIFT : layout.DRIFT + 2] = self.motion.drift * np.sqrt(dt / ZHU_FRAME_INTERVAL_S)
 
-    def correct(self, place: Array, covariance: Array, rng: np.random.Generator) -> None:
+    def ensemble_kalman_update(self, place: Array, covariance: Array, rng: np.random.Generator) -> None:
         gain = kalman_gain(self._moments().second[_CENTRE:].reshape(-1, 3), covariance)
-        self.device.order(self, at.CORRECTED)
-        self._draw(at.SEEN_NOISE, 1.0, 3, rng)
-        self._order[at.STEP : at.STEP + 30] = np.concatenate([place[None], root(covariance), gain]).reshape(-1)
+        self.device.enqueue(self, layout.KALMAN_UPDATE)
+        self._draw(layout.MEASUREMENT_NOISE, 1.0, 3, rng)
+        self._command[layout.KALMAN_STEP : layout.KALMAN_STEP + 30] = np.concatenate(
+            [place[None], cholesky_factor(covariance), gain]
+        ).reshape(-1)
 
-    def square(self, normal: Array) -> None:
-        self.device.order(self, at.SQUARED)
-        self._order[at.TOWARDS : at.TOWARDS + 3] = normal
+    def set_plane_normal(self, normal: Array) -> None:
+        self.device.enqueue(self, layout.SET_NORMAL)
+        self._command[layout.TARGET_NORMAL : layout.TARGET_NORMAL + 3] = normal
 
     def resample(self, c: SpeedConfiguration, rng: np.random.Generator) -> None:
         assert c.particles == self._N
         found = self._moments()
-        if even_enough(1.0 / found.squares, self._N, c.resample_below):
+        if ess_sufficient(1.0 / found.squares, self._N, c.resample_below):
             return
-        self.device.order(self, at.RESAMPLED)
+        self.device.enqueue(self, layout.RESAMPLE)
         offset = rng.random()
-        self._draw(at.STIRRING, ROUGHENING, 2, rng)
-        order = self._order
-        order[at.NOW], order[at.OFFSET] = 1 - order[at.BEFORE], offset
-        order[at.SPREAD : at.SPREAD + 2] = np.sqrt(np.maximum(found.second[_HEADING : _HEADING + 2], 0.0))
+        self._draw(layout.JITTER, JITTER_SCALE, 2, rng)
+        command = self._command
+        command[layout.HALF_AFTER], command[layout.OFFSET] = 1 - command[layout.HALF_BEFORE], offset
+        command[layout.HEADING_STD : layout.HEADING_STD + 2] = np.sqrt(
+            np.maximum(found.second[_HEADING : _HEADING + 2], 0.0)
+        )
 
     def _draw(self, draw: int, sigma: float, k: int, rng: np.random.Generator) -> None:
         """Notes normal numbers, ``k`` a particle, the same as ``rng`` gives the CPU."""
         if isinstance(rng, CounterGenerator):
-            self._order[at.KEY : at.KEY + 4] = rng.words
+            self._command[layout.KEY : layout.KEY + 4] = rng.key_words
             where = -1 - rng.calls
             rng.calls += 1
         else:
-            where = self.device.keep(rng.normal(0.0, sigma, (self._N, k)))
-        self._order[at.DRAWS + 2 * draw : at.DRAWS + 2 * draw + 2] = where, sigma
+            where = self.device.store_noise(rng.normal(0.0, sigma, (self._N, k)))
+        self._command[layout.NOISE + 2 * draw : layout.NOISE + 2 * draw + 2] = where, sigma
 
-    def unweigh(self) -> None:
-        self.device.unweigh(self)
+    def restore_weights(self) -> None:
+        self.device.restore_weights(self)
 
-    def _moments(self, shown: bool = False) -> Found:
+    def _moments(self, shown: bool = False) -> Moments:
         """What the particles come to. Raises FloatingPointError where every one has weight zero."""
-        if self.found is None or (shown and self.found.shown is None):
-            self.device.survey(shown)
-        found = self.found
+        if self.moments is None or (shown and self.moments.shown is None):
+            self.device.reduce_moments(shown)
+        found = self.moments
         assert found is not None
         if not np.isfinite(found.squares):
             raise FloatingPointError("all particle weights vanish")
@@ -133,64 +145,64 @@ class CudaCloud:
         mean = self._moments().mean
         return State(*(mean[part].reshape(1, *shape) for part, shape in _FIELDS))
 
-    def doubt(self) -> float:
+    def image_spread_px(self) -> float:
         return float(np.sqrt(max(self._moments().second[_CROSSING : _CROSSING + 2].sum(), 0.0)))
 
     def centre(self) -> tuple[Array, Array]:
         found = self._moments()
-        return found.mean[at.PLACE : at.PLACE + 3], found.second[_CENTRE : _CENTRE + 9].reshape(3, 3)
+        return found.mean[layout.CENTRE : layout.CENTRE + 3], found.second[_CENTRE : _CENTRE + 9].reshape(3, 3)
 
-    def reach(self) -> tuple[Array, Array]:
+    def image_bounds(self) -> tuple[Array, Array]:
         reach = self._moments().reach
         return reach[:, 0], reach[:, 1]
 
     def posterior(self) -> Posterior:
         found = self._moments(shown=True)
         assert found.shown is not None
-        shown = found.shown[:, : -(-self._N // int(self.device.orders[self.slot, at.EVERY]))]
+        shown = found.shown[:, : -(-self._N // int(self.device.commands[self.slot, layout.DRAWN_STRIDE]))]
         return Posterior(
             mean=self.mean(),
-            position=found.mean[at.PLACE : at.PLACE + 3],
-            speed=float(found.mean[at.SPEED]),
+            position=found.mean[layout.CENTRE : layout.CENTRE + 3],
+            speed=float(found.mean[layout.SPEED]),
             speed_std=float(np.sqrt(max(found.second[_SPEED], 0.0))),
             ess=1.0 / found.squares,
             particles_left=shown[:2].T.copy(),
             particles_right=shown[2:].T.copy(),
         )
 
-    def at_home(self) -> Cloud:
+    def to_host(self) -> ParticleSet:
         """A copy in the computer's memory."""
-        return self.snapshot().at_home()
+        return self.checkpoint().to_host()
 
-    def snapshot(self) -> Snapshot:
-        return Snapshot(self.rig, self.motion, self.device.fetched(self))
+    def checkpoint(self) -> ParticleCheckpoint:
+        return ParticleCheckpoint(self.rig, self.motion, self.device.download(self))
 
 
 @dataclass(frozen=True, eq=False)
-class Snapshot:
+class ParticleCheckpoint:
     """A cloud as it was: ``rows`` (STATE + 1, N), its state and its log weights."""
 
     rig: StereoRig
     motion: PathMotion | FreeMotion
     rows: Array
 
-    def at_home(self) -> Cloud:
-        weights = Weights(self.rows[at.STATE].copy())
-        return Cloud(self.rig, self.motion, state_of(self.rows[: at.STATE]), weights)
+    def to_host(self) -> ParticleSet:
+        weights = Weights(self.rows[layout.STATE].copy())
+        return ParticleSet(self.rig, self.motion, state_of(self.rows[: layout.STATE]), weights)
 
 
 _FIELDS = tuple(  # rows and shape of each of a particle's fields
     (slice(first, end), shape)
     for first, end, shape in (
-        (at.LEFT, at.RIGHT, (4, 2)),
-        (at.RIGHT, at.NORMAL, (4, 2)),
-        (at.NORMAL, at.DISTANCE, (3,)),
-        (at.DISTANCE, at.SPEED, ()),
-        (at.SPEED, at.S, ()),
-        (at.S, at.HEADING, ()),
-        (at.HEADING, at.VELOCITY, (2,)),
-        (at.VELOCITY, at.TURNING, (3,)),
-        (at.TURNING, at.STATE, (3,)),
+        (layout.LEFT, layout.RIGHT, (4, 2)),
+        (layout.RIGHT, layout.NORMAL, (4, 2)),
+        (layout.NORMAL, layout.DISTANCE, (3,)),
+        (layout.DISTANCE, layout.SPEED, ()),
+        (layout.SPEED, layout.S, ()),
+        (layout.S, layout.HEADING, ()),
+        (layout.HEADING, layout.VELOCITY, (2,)),
+        (layout.VELOCITY, layout.TURNING, (3,)),
+        (layout.TURNING, layout.STATE, (3,)),
     )
 )
 
@@ -201,15 +213,15 @@ def rows_of(state: State) -> Array:
     return np.concatenate([field.reshape(len(state), -1).T for field in fields])
 
 
-def all_rows_of(cloud: Cloud) -> Array:
-    """The state of ``cloud``, what follows from it, and the weights, as rows (LIKELIHOOD, N)."""
-    state, weights = cloud.state, cloud.weights
-    rows = np.zeros((at.LIKELIHOOD, len(state)))
-    rows[: at.STATE] = rows_of(state)
-    rows[at.PLACE : at.PLACE + 3] = motion_models.centres(cloud.rig, state).T
-    rows[at.CROSSING_LEFT : at.CROSSING_LEFT + 2] = motion_models.diagonal_crossings(state.left).T
-    rows[at.CROSSING_RIGHT : at.CROSSING_RIGHT + 2] = motion_models.diagonal_crossings(state.right).T
-    rows[at.LOG_WEIGHT], rows[at.WEIGHT] = weights.lw, weights.W
+def derived_rows_of(particle_set: ParticleSet) -> Array:
+    """The state of ``particle_set``, what follows from it, and the weights, as rows (LIKELIHOOD, N)."""
+    state, weights = particle_set.state, particle_set.weights
+    rows = np.zeros((layout.LIKELIHOOD, len(state)))
+    rows[: layout.STATE] = rows_of(state)
+    rows[layout.CENTRE : layout.CENTRE + 3] = motion_models.plane_centres(particle_set.rig, state).T
+    rows[layout.CROSSING_LEFT : layout.CROSSING_LEFT + 2] = motion_models.diagonal_crossings(state.left).T
+    rows[layout.CROSSING_RIGHT : layout.CROSSING_RIGHT + 2] = motion_models.diagonal_crossings(state.right).T
+    rows[layout.LOG_WEIGHT], rows[layout.WEIGHT] = weights.lw, weights.W
     return rows
 
 
@@ -220,10 +232,10 @@ def state_of(rows: Array) -> State:
 
 
 def knots_of(motion: PathMotion | FreeMotion) -> Array:
-    """The path as rows (K, KNOT): a straight one is a curve of one piece."""
+    """The path as rows (K, KNOT_SIZE): a straight one is a curve of one piece."""
     if isinstance(motion, FreeMotion):
-        return np.zeros((0, at.KNOT))
+        return np.zeros((0, layout.KNOT_SIZE))
     breaks, cubics, roll = motion.path.pieces()
-    knots = np.zeros((len(breaks), at.KNOT))
+    knots = np.zeros((len(breaks), layout.KNOT_SIZE))
     knots[:, 0], knots[:, 1], knots[:-1, 2:] = breaks, roll, cubics.reshape(len(cubics), -1)
     return knots

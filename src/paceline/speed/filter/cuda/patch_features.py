@@ -1,8 +1,8 @@
-"""The pixel kernel of the likelihood on a GPU: what every particle sees, down to its log-likelihood.
+"""The likelihood kernel: from the pixels to the log-likelihood of every particle.
 
-One thread block looks at one particle, one thread at one block of samples of the wavelet grid, in both views and
-across them. Block sums and the sums of the correlation meet in shared memory; the features of a particle never leave
-its thread block. The mathematics is that of `filter.patch_features`.
+A thread block computes one particle, a thread one block of samples of the wavelet grid, in both views and across them.
+Block sums and the sums of the correlation are in shared memory; the features of a particle never leave its thread
+block. The mathematics is that of `filter.patch_features`.
 """
 
 from __future__ import annotations
@@ -13,20 +13,20 @@ import numpy as np
 from numba import cuda
 
 from paceline.speed.filter import patch_features
-from paceline.speed.filter.cuda import memory_layout as at
+from paceline.speed.filter.cuda import memory_layout as layout
 from paceline.speed.filter.cuda.compiling import kernel
-from paceline.speed.filter.patch_features import CROSS_ROWS, LEAST_OVERLAP
+from paceline.speed.filter.patch_features import CORRELATION_ROW_STEP, MIN_OVERLAP
 
-_BLOCKS = 16 * at.MOST_PARTS  # of the wavelet grid, in one view
-_PARTS = 2 * at.MOST_PARTS  # of both views
+_BLOCKS = 16 * layout.MAX_PARTS  # of the wavelet grid, in one view
+_PARTS = 2 * layout.MAX_PARTS  # of both views
 _SUMS = 6  # Σ1, Σa, Σb, Σaa, Σbb, Σab
 _LANES = 8  # threads that add up one of these sums
 
 _device = cuda.jit(device=True)
-_bounds = _device(patch_features.bounds)
-_middle = _device(patch_features.middle)
-_along_row = _device(patch_features.along_row)
-_clamped = _device(patch_features.clamped)
+_sampling_bounds = _device(patch_features.sampling_bounds)
+_sample_centre = _device(patch_features.sample_centre)
+_row_terms = _device(patch_features.row_terms)
+_clamp = _device(patch_features.clamp)
 _inside = _device(patch_features.inside)
 _correlation = _device(patch_features.correlation)
 _interpolate = _device(patch_features.interpolate)
@@ -37,11 +37,11 @@ _diagonal = _device(patch_features.haar_diagonal)
 
 
 @cuda.jit(device=True)
-def _place(H, first, u, v):
+def _map_point(H, first, u, v):
     """Pixel to which the homography whose nine entries begin at ``H[first]`` takes (u, v) of the unit square."""
-    ax, bx = _along_row(H[first], H[first + 1], H[first + 2], v)
-    ay, by = _along_row(H[first + 3], H[first + 4], H[first + 5], v)
-    az, bz = _along_row(H[first + 6], H[first + 7], H[first + 8], v)
+    ax, bx = _row_terms(H[first], H[first + 1], H[first + 2], v)
+    ay, by = _row_terms(H[first + 3], H[first + 4], H[first + 5], v)
+    az, bz = _row_terms(H[first + 6], H[first + 7], H[first + 8], v)
     z = np.float32(1.0) / (az * u + bz)
     return (ax * u + bx) * z, (ay * u + by) * z
 
@@ -50,8 +50,8 @@ def _place(H, first, u, v):
 def _sample(flat, bounds, x, y):
     """The packed image at (x, y), at its border beyond it."""
     left, right, top, bottom, width, first = bounds
-    x = _clamped(x, left, right)
-    y = _clamped(y, top, bottom)
+    x = _clamp(x, left, right)
+    y = _clamp(y, top, bottom)
     ix = np.int32(x)
     iy = np.int32(y)
     index = min(np.uint32(iy * width + ix - first), np.uint32(flat.shape[0] - 1))
@@ -95,19 +95,18 @@ def _settle_median(values, start, parts, i, middles):
 
 
 @cuda.jit(device=True)
-def _frame(sights, first):
+def _frame(observations, first):
     """Bounds of the packed image whose frame begins at ``sights[first]``."""
-    shape = np.int32(sights[first]), np.int32(sights[first + 1])
-    return _bounds(shape, np.int32(sights[first + 2]), np.int32(sights[first + 3]))
+    shape = np.int32(observations[first]), np.int32(observations[first + 1])
+    return _sampling_bounds(shape, np.int32(observations[first + 2]), np.int32(observations[first + 3]))
 
 
 @kernel(fastmath=True)
-def log_likelihood(pixels, maps, sights, pool):
-    """log p(z | x) by (12), (13), (18), into the row LIKELIHOOD, of the particles of all vehicles that ``sights`` say
-    are to be weighed.
+def log_likelihood(pixels, maps, observations, pool):
+    """log p(z | x) by (12), (13), (18), into the row LIKELIHOOD, of all vehicles whose WEIGHT_UPDATE is not 0.
 
-    ``pixels`` are the packed images row by row, the left and then the right; ``maps`` (columns, MAPS) what
-    `motion.prepare` makes. Blocks are (particles, slots): each looks at one particle, 16 threads at each part.
+    ``pixels`` are the packed images row by row, the left and then the right; ``maps`` (columns, SAMPLING_MAP) is
+    written by `motion.prepare`. Blocks are (particles, slots), with 16 threads for each part.
     """
     t = cuda.threadIdx.x
     homographies = cuda.shared.array(27, np.float32)
@@ -118,12 +117,15 @@ def log_likelihood(pixels, maps, sights, pool):
     brightness = cuda.shared.array(_PARTS, np.float32)
     norm2 = cuda.shared.array(_PARTS, np.float32)
     middles = cuda.shared.array((4, 2), np.float32)
-    sight = sights[at.HEADER + cuda.blockIdx.y * at.SIGHT : at.HEADER + (cuda.blockIdx.y + 1) * at.SIGHT]
-    if cuda.blockIdx.x >= int(sight[at.COUNT]) or sight[at.TIMES] == 0.0:
+    observation = observations[
+        layout.HEADER + cuda.blockIdx.y * layout.OBSERVATION : layout.HEADER
+        + (cuda.blockIdx.y + 1) * layout.OBSERVATION
+    ]
+    if cuda.blockIdx.x >= int(observation[layout.COUNT]) or observation[layout.WEIGHT_UPDATE] == 0.0:
         return
-    particle = int(sight[at.FIRST]) + cuda.blockIdx.x
-    across, down = int(sight[at.GRID]), int(sight[at.GRID + 1])
-    sx, sy = int(sight[at.GRID + 2]), int(sight[at.GRID + 3])
+    particle = int(observation[layout.FIRST]) + cuda.blockIdx.x
+    across, down = int(observation[layout.GRID]), int(observation[layout.GRID + 1])
+    sx, sy = int(observation[layout.GRID + 2]), int(observation[layout.GRID + 3])
     parts = across * down
     if t < 27:
         homographies[t] = maps[particle, t]
@@ -131,9 +133,9 @@ def log_likelihood(pixels, maps, sights, pool):
         e[(t - 27) // 3, (t - 27) % 3] = maps[particle, t]
     cuda.syncthreads()
 
-    words = int(sights[at.WORDS])
-    left, right = pixels[:words], pixels[words : words + int(sights[at.WORDS + 1])]
-    within_left, within_right = _frame(sights, at.LEFT_FRAME), _frame(sights, at.RIGHT_FRAME)
+    words = int(observations[layout.WORDS])
+    left, right = pixels[:words], pixels[words : words + int(observations[layout.WORDS + 1])]
+    within_left, within_right = _frame(observations, layout.LEFT_FRAME), _frame(observations, layout.RIGHT_FRAME)
     first_row, first_column = (t // (4 * across)) * sy, (t % (4 * across)) * sx
     rows = np.float32(4 * down * sy)
     step = np.float32(1.0) / np.float32(4 * across * sx)
@@ -142,16 +144,16 @@ def log_likelihood(pixels, maps, sights, pool):
     for j in range(sy):
         r = first_row + j
         v = (np.float32(r) + np.float32(0.5)) / rows
-        crossed = r % CROSS_ROWS == 0
+        crossed = r % CORRELATION_ROW_STEP == 0
         for i in range(sx):
-            u = _middle(first_column + i, step)
-            x, y = _place(homographies, 0, u, v)
+            u = _sample_centre(first_column + i, step)
+            x, y = _map_point(homographies, 0, u, v)
             value = _sample(left, within_left, x, y)
             total_left += value
-            x, y = _place(homographies, 9, u, v)
+            x, y = _map_point(homographies, 9, u, v)
             total_right += _sample(right, within_right, x, y)
             if crossed:
-                x, y = _place(homographies, 18, u, v)
+                x, y = _map_point(homographies, 18, u, v)
                 inside = _inside(e, x, y)
                 a = (value - np.float32(128.0)) * inside
                 b = (_sample(right, within_right, x, y) - np.float32(128.0)) * inside
@@ -191,14 +193,14 @@ def log_likelihood(pixels, maps, sights, pool):
         _settle_median(norm2, view * parts, parts, part, middles[2 + view])
     cuda.syncthreads()
     if view < 2:
-        floor = np.float32(sights[at.FLOOR])
+        floor = np.float32(observations[layout.FLOOR])
         least = floor * floor * (np.float32(0.5) * (middles[2 + view, 0] + middles[2 + view, 1])) + np.float32(1.0)
         scale = np.float32(1.0) / math.sqrt(norm2[t] + least)
         distance = np.float32(0.0)
         for c in range(16):
-            d = f[c] * scale - np.float32(sight[at.REFERENCE + 16 * t + c])
+            d = f[c] * scale - np.float32(observation[layout.REFERENCE + 16 * t + c])
             distance += d * d
-        brightness[t] = min(distance, np.float32(sights[at.CAP]))
+        brightness[t] = min(distance, np.float32(observations[layout.CAP]))
     cuda.syncthreads()
     if t == 0:
         single = np.float32(0.0)
@@ -209,8 +211,8 @@ def log_likelihood(pixels, maps, sights, pool):
             s[k] = np.float32(0.0)
             for i in range(_LANES):
                 s[k] += folded[k, i]
-        least = np.float32(LEAST_OVERLAP) * (np.float32(4 * across * sx) * rows / np.float32(CROSS_ROWS))
+        least = np.float32(MIN_OVERLAP) * (np.float32(4 * across * sx) * rows / np.float32(CORRELATION_ROW_STEP))
         ncc = _correlation(s, least)
         unlike = (1.0 - ncc) * (1.0 - ncc)
-        ll = -sights[at.LAMBDA_SINGLE] * single - sights[at.LAMBDA_CROSS] * unlike
-        pool[int(sight[at.BEFORE]), at.LIKELIHOOD, particle] = ll
+        ll = -observations[layout.LAMBDA_SINGLE] * single - observations[layout.LAMBDA_CROSS] * unlike
+        pool[int(observation[layout.HALF_BEFORE]), layout.LIKELIHOOD, particle] = ll

@@ -34,7 +34,7 @@ def _sum(a, b):
 
 
 @cuda.jit(device=True)
-def counted_normals(key, call, scale, p, k, out, first):
+def counter_normals(key, call, scale, p, k, out, first):
     """The ``k`` ≤ 4 normal numbers of standard deviation ``scale`` that particle ``p`` has in the ``call``-th drawing,
     into ``out`` from the ``first`` on. ``key`` (4,) is the generator's, by 32 bits."""
     key0 = (np.uint64(key[0]) << _HALF) | np.uint64(key[1])

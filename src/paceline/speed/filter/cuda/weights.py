@@ -1,7 +1,7 @@
-"""Weights, moments and what resampling needs on a GPU, as in `filter.resampling`; the memory is that of
-`memory_layout`.
+"""The kernels of the weights, their moments and what resampling needs, as in `filter.resampling`.
 
-Sums are taken in a fixed order, so that the same particles give the same numbers every time.
+`memory_layout` describes the memory. Sums are taken in a fixed order, so that the same particles always give the same
+numbers.
 """
 
 from __future__ import annotations
@@ -11,17 +11,17 @@ import math
 import numpy as np
 from numba import cuda
 
-from paceline.speed.filter.cuda import memory_layout as at
+from paceline.speed.filter.cuda import memory_layout as layout
 from paceline.speed.filter.cuda.compiling import kernel
 
-THREADS = 512  # at most, in a block that adds something up; a power of two
-SHARES = 3  # numbers that a block leaves to those that go on with a vehicle's weights
-SURVEYORS, SIDE_BY_SIDE = 64, 8  # threads at most for one quantity, and quantities, of a block that takes moments
+MAX_THREADS_PER_BLOCK = 512  # of kernels that add something up; a power of two
+PARTIAL_SUMS = 3  # numbers that each of the blocks that share a vehicle writes
+THREADS_PER_QUANTITY, QUANTITIES_PER_BLOCK = 64, 8  # of `reduce_moments`, the threads at most
 
 
 @cuda.jit(device=True)
 def _block_sum(value, scratch):
-    """The sum of ``value`` over the block's threads, to every one of them."""
+    """The sum of ``value`` over the block's threads, returned to each of them."""
     t, half = cuda.threadIdx.x, cuda.blockDim.x // 2
     scratch[t] = value
     cuda.syncthreads()
@@ -36,50 +36,56 @@ def _block_sum(value, scratch):
 
 
 @kernel
-def survey(pool, desk, told):
-    """What the weighted particles of all vehicles come to.
+def reduce_moments(pool, command_buffer, results):
+    """Moments, extremes and Σ W² of the weighted particles of all vehicles.
 
-    Blocks are (x, for QUANTITIES and then SHOWN_ROWS, slots), of threads (x, SIDE_BY_SIDE quantities). Into ``told``
-    go, for each slot, quantity and x block, two numbers: a sum over the block's share of particles and the first
-    particle's own value, for first and second moments about the first particle, by PAIRS, and for Σ W²; for the
-    EXTREMES the least and the greatest of the finite values. After them all come, for each slot, SHOWN_ROWS rows of
-    every so many-th particle's projected centres.
+    Blocks are (x, groups of QUANTITIES_PER_BLOCK of QUANTITY_COUNT + DRAWN_ROWS quantities, slots), threads (x,
+    quantities of the group). ``results`` holds for each slot, quantity and x block two numbers: for first and second
+    moments about the first particle, by MOMENT_PAIRS, and for Σ W² the sum over the block's particles and the first
+    particle's own value; for the extremes the least and the greatest of the finite values. After these come for each
+    slot DRAWN_ROWS rows: the projected centres of every DRAWN_STRIDE-th particle.
     """
     b, v, t, y = cuda.blockIdx.x, cuda.blockIdx.z, cuda.threadIdx.x, cuda.threadIdx.y
-    blocks, slots, quantity = cuda.gridDim.x, cuda.gridDim.z, cuda.blockIdx.y * SIDE_BY_SIDE + y
-    low = cuda.shared.array((SIDE_BY_SIDE, SURVEYORS), np.float64)
-    high = cuda.shared.array((SIDE_BY_SIDE, SURVEYORS), np.float64)
-    order = desk[v * at.ORDER : (v + 1) * at.ORDER]
-    N = int(order[at.COUNT])
+    blocks, slots, quantity = cuda.gridDim.x, cuda.gridDim.z, cuda.blockIdx.y * QUANTITIES_PER_BLOCK + y
+    low = cuda.shared.array((QUANTITIES_PER_BLOCK, THREADS_PER_QUANTITY), np.float64)
+    high = cuda.shared.array((QUANTITIES_PER_BLOCK, THREADS_PER_QUANTITY), np.float64)
+    command = command_buffer[v * layout.COMMAND : (v + 1) * layout.COMMAND]
+    N = int(command[layout.COUNT])
     if N == 0:
         return
-    rows, first = pool[int(order[at.NOW])], int(order[at.FIRST])
+    rows, first = pool[int(command[layout.HALF_AFTER])], int(command[layout.FIRST])
     begin, stride = b * cuda.blockDim.x + t, blocks * cuda.blockDim.x
-    moments, extremes = slots * at.QUANTITIES * blocks * 2, at.EXTREMES <= quantity < at.QUANTITIES
+    moments, extremes = (
+        slots * layout.QUANTITY_COUNT * blocks * 2,
+        layout.FIRST_EXTREME <= quantity < layout.QUANTITY_COUNT,
+    )
     one, other = 0.0, 0.0
     if extremes:
         one, other = math.inf, -math.inf
         for p in range(first + begin, first + N, stride):
-            value = rows[quantity - at.EXTREMES, p]
+            value = rows[quantity - layout.FIRST_EXTREME, p]
             if math.isfinite(value):
                 one, other = min(one, value), max(other, value)
-    elif quantity == at.SQUARES:
+    elif quantity == layout.SUM_OF_SQUARES:
         for p in range(first + begin, first + N, stride):
-            one += rows[at.WEIGHT, p] * rows[at.WEIGHT, p]
-    elif quantity < at.MOMENTS:
-        i, j = at.PAIRS[int(order[at.FREE]), quantity, 0], at.PAIRS[int(order[at.FREE]), quantity, 1]
+            one += rows[layout.WEIGHT, p] * rows[layout.WEIGHT, p]
+    elif quantity < layout.MOMENT_COUNT:
+        i, j = (
+            layout.MOMENT_PAIRS[int(command[layout.IS_FREE]), quantity, 0],
+            layout.MOMENT_PAIRS[int(command[layout.IS_FREE]), quantity, 1],
+        )
         other = rows[i, first]
         for p in range(first + begin, first + N, stride):
-            term = rows[at.WEIGHT, p] * (rows[i, p] - other)
+            term = rows[layout.WEIGHT, p] * (rows[i, p] - other)
             if j >= 0:
                 term *= rows[j, p] - rows[j, first]
             one += term
-    elif quantity < at.QUANTITIES + at.SHOWN_ROWS:
-        row, every = quantity - at.QUANTITIES, int(order[at.EVERY])
-        shown = (told.shape[0] - moments) // (slots * at.SHOWN_ROWS)
-        start = moments + (v * at.SHOWN_ROWS + row) * shown
+    elif quantity < layout.QUANTITY_COUNT + layout.DRAWN_ROWS:
+        row, every = quantity - layout.QUANTITY_COUNT, int(command[layout.DRAWN_STRIDE])
+        shown = (results.shape[0] - moments) // (slots * layout.DRAWN_ROWS)
+        start = moments + (v * layout.DRAWN_ROWS + row) * shown
         for k in range(begin, (N + every - 1) // every, stride):
-            told[start + k] = rows[at.CROSSING_LEFT + row, first + k * every]
+            results[start + k] = rows[layout.CROSSING_LEFT + row, first + k * every]
     low[y, t], high[y, t] = one, other
     cuda.syncthreads()
     half = cuda.blockDim.x // 2
@@ -90,53 +96,53 @@ def survey(pool, desk, told):
             low[y, t] += low[y, t + half]
         cuda.syncthreads()
         half //= 2
-    if t == 0 and quantity < at.QUANTITIES:
-        start = 2 * ((v * at.QUANTITIES + quantity) * blocks + b)
-        told[start], told[start + 1] = low[y, 0], high[y, 0]
+    if t == 0 and quantity < layout.QUANTITY_COUNT:
+        start = 2 * ((v * layout.QUANTITY_COUNT + quantity) * blocks + b)
+        results[start], results[start + 1] = low[y, 0], high[y, 0]
 
 
 @cuda.jit(device=True)
 def _normalise(rows, first, last, stride, total):
-    """Logarithms of weights whose sum is exp(``total``), from ``first`` to ``last``, made weights."""
+    """Normalise log weights whose sum is exp(``total``), from ``first`` to ``last``."""
     for p in range(first, last, stride):
-        rows[at.LOG_WEIGHT, p] -= total
-        rows[at.WEIGHT, p] = math.exp(rows[at.LOG_WEIGHT, p])
+        rows[layout.LOG_WEIGHT, p] -= total
+        rows[layout.WEIGHT, p] = math.exp(rows[layout.LOG_WEIGHT, p])
 
 
 @cuda.jit(device=True)
 def _logarithm(greatest, total):
-    """Of the sum exp(``greatest``) · ``total``, −∞ where there is none."""
+    """The logarithm of exp(``greatest``) · ``total``, −∞ where that is zero."""
     return greatest + math.log(total) if total > 0.0 else -math.inf
 
 
 @kernel
-def reweigh(pool, sights, shares):
-    """The normalised weights after an observation ([Zhu] (2)), in logarithms and as themselves.
+def update_weights(pool, observations, shares):
+    """Update the weights by the row LIKELIHOOD, log p(z | x), and normalise them ([Zhu] (2)).
 
-    Blocks are (x, slots). The observation is the row LIKELIHOOD, log p(z | x). Where ``sights`` say so, the last one is
-    taken back instead. A vehicle's x blocks leave the greatest logarithm of their weights, and the sum of the weights
-    beside it, in ``shares`` (slots, x, SHARES), and `normalise` does the rest; a block of its own does it all.
+    Blocks are (x, slots). Where WEIGHT_UPDATE is −1 the weights before the last update are restored instead. Where
+    several blocks share a vehicle, each writes the greatest log weight and the sum of weights relative to it to
+    ``shares`` (slots, x, PARTIAL_SUMS), and `normalise` does the rest.
     """
     b, v, t, n = cuda.blockIdx.x, cuda.blockIdx.y, cuda.threadIdx.x, cuda.blockDim.x
-    sight = sights[at.HEADER + v * at.SIGHT : at.HEADER + (v + 1) * at.SIGHT]
-    times, N = sight[at.TIMES], int(sight[at.COUNT])
+    observation = observations[layout.HEADER + v * layout.OBSERVATION : layout.HEADER + (v + 1) * layout.OBSERVATION]
+    times, N = observation[layout.WEIGHT_UPDATE], int(observation[layout.COUNT])
     if N == 0 or times == 0.0:
         return
-    rows = pool[int(sight[at.BEFORE])]
-    first, stride = int(sight[at.FIRST]) + b * n + t, cuda.gridDim.x * n
-    last = int(sight[at.FIRST]) + N
-    scratch = cuda.shared.array(THREADS, np.float64)
+    rows = pool[int(observation[layout.HALF_BEFORE])]
+    first, stride = int(observation[layout.FIRST]) + b * n + t, cuda.gridDim.x * n
+    last = int(observation[layout.FIRST]) + N
+    scratch = cuda.shared.array(MAX_THREADS_PER_BLOCK, np.float64)
     if times < 0.0:
         for p in range(first, last, stride):
-            rows[at.LOG_WEIGHT, p] = rows[at.UNWEIGHED, p]
-            rows[at.WEIGHT, p] = math.exp(rows[at.LOG_WEIGHT, p])
+            rows[layout.LOG_WEIGHT, p] = rows[layout.PREVIOUS_LOG_WEIGHT, p]
+            rows[layout.WEIGHT, p] = math.exp(rows[layout.LOG_WEIGHT, p])
         return
     greatest = -math.inf
     for p in range(first, last, stride):
-        rows[at.UNWEIGHED, p] = rows[at.LOG_WEIGHT, p]
-        rows[at.LOG_WEIGHT, p] += rows[at.LIKELIHOOD, p]
-        if rows[at.LOG_WEIGHT, p] > greatest:
-            greatest = rows[at.LOG_WEIGHT, p]
+        rows[layout.PREVIOUS_LOG_WEIGHT, p] = rows[layout.LOG_WEIGHT, p]
+        rows[layout.LOG_WEIGHT, p] += rows[layout.LIKELIHOOD, p]
+        if rows[layout.LOG_WEIGHT, p] > greatest:
+            greatest = rows[layout.LOG_WEIGHT, p]
     scratch[t] = greatest
     cuda.syncthreads()
     half = n // 2
@@ -149,7 +155,7 @@ def reweigh(pool, sights, shares):
     cuda.syncthreads()
     total = 0.0
     for p in range(first, last, stride):
-        total += math.exp(rows[at.LOG_WEIGHT, p] - greatest)
+        total += math.exp(rows[layout.LOG_WEIGHT, p] - greatest)
     total = _block_sum(total, scratch)
     if cuda.gridDim.x == 1:
         _normalise(rows, first, last, stride, _logarithm(greatest, total))
@@ -158,12 +164,12 @@ def reweigh(pool, sights, shares):
 
 
 @kernel
-def normalise(pool, sights, shares):
-    """What `reweigh` leaves to be done with the weights of vehicles that several blocks see to."""
+def normalise(pool, observations, shares):
+    """Normalise the weights of vehicles that several blocks share, from the sums of `update_weights`."""
     v = cuda.blockIdx.y
-    sight = sights[at.HEADER + v * at.SIGHT : at.HEADER + (v + 1) * at.SIGHT]
-    N, first = int(sight[at.COUNT]), int(sight[at.FIRST])
-    if N == 0 or sight[at.TIMES] <= 0.0:
+    observation = observations[layout.HEADER + v * layout.OBSERVATION : layout.HEADER + (v + 1) * layout.OBSERVATION]
+    N, first = int(observation[layout.COUNT]), int(observation[layout.FIRST])
+    if N == 0 or observation[layout.WEIGHT_UPDATE] <= 0.0:
         return
     greatest, total = -math.inf, 0.0
     for b in range(cuda.gridDim.x):
@@ -172,7 +178,7 @@ def normalise(pool, sights, shares):
         if shares[v, b, 0] > -math.inf:  # otherwise a block without a particle, or with none of any weight
             total += shares[v, b, 1] * math.exp(shares[v, b, 0] - greatest)
     total, stride = _logarithm(greatest, total), cuda.gridDim.x * cuda.blockDim.x
-    _normalise(pool[int(sight[at.BEFORE])], first + cuda.grid(1), first + N, stride, total)
+    _normalise(pool[int(observation[layout.HALF_BEFORE])], first + cuda.grid(1), first + N, stride, total)
 
 
 @cuda.jit(device=True)
@@ -182,52 +188,56 @@ def _points_below(total, u, N):
 
 
 @cuda.jit(device=True)
-def _stretch(N):
-    """Which of a vehicle's N particles this thread adds up, from the first to the last, excluded."""
+def _thread_range(N):
+    """The range of a vehicle's N particles that this thread adds up: first, and last excluded."""
     length = (N + cuda.gridDim.x * cuda.blockDim.x - 1) // (cuda.gridDim.x * cuda.blockDim.x)
     return min(cuda.grid(1) * length, N), min((cuda.grid(1) + 1) * length, N)
 
 
 @cuda.jit(device=True)
-def _stretch_sum(rows, first, last):
+def _range_sum(rows, first, last):
     """The sum of the weights from ``first`` to ``last``."""
     total = 0.0
     for p in range(first, last):
-        total += rows[at.WEIGHT, p]
+        total += rows[layout.WEIGHT, p]
     return total
 
 
 @kernel
-def add_up(pool, desk, shares):
-    """The sum of the weights that each of a vehicle's x blocks of `cumulate` will see to, into ``shares``."""
+def sum_weights(pool, command_buffer, shares):
+    """The sum of the weights of each of a vehicle's x blocks of `cumulate_weights`, into ``shares``."""
     v = cuda.blockIdx.y
-    order = desk[v * at.ORDER : (v + 1) * at.ORDER]
-    if order[at.RESAMPLED] == 0.0:
+    command = command_buffer[v * layout.COMMAND : (v + 1) * layout.COMMAND]
+    if command[layout.RESAMPLE] == 0.0:
         return
-    begin, (first, last) = int(order[at.FIRST]), _stretch(int(order[at.COUNT]))
-    own = _stretch_sum(pool[int(order[at.BEFORE])], begin + first, begin + last)
-    own = _block_sum(own, cuda.shared.array(THREADS, np.float64))
+    begin, (first, last) = int(command[layout.FIRST]), _thread_range(int(command[layout.COUNT]))
+    own = _range_sum(pool[int(command[layout.HALF_BEFORE])], begin + first, begin + last)
+    own = _block_sum(own, cuda.shared.array(MAX_THREADS_PER_BLOCK, np.float64))
     if cuda.threadIdx.x == 0:
         shares[v, cuda.blockIdx.x, 0] = own
 
 
 @kernel
-def cumulate(pool, desk, shares):
-    """Running sums of the weights of each vehicle to be resampled, the last one 1, and the mean headings of those of
-    its particles that will survive, into its order.
+def cumulate_weights(pool, command_buffer, shares):
+    """Cumulative weights of each vehicle to be resampled, the last one 1, and the mean heading of the survivors.
 
-    Blocks are (x, slots); every thread adds up a stretch of its own. A vehicle's x blocks go on from the sums that
-    `add_up` found, and leave their part of the headings in ``shares`` (slots, x, SHARES), for `average`; a block of
-    its own needs neither.
+    Blocks are (x, slots); every thread adds up a range of its own. Where several blocks share a vehicle, they start
+    with the sums of `sum_weights`, and write their part of the headings to ``shares`` (slots, x, PARTIAL_SUMS), for
+    `average_headings`.
     """
     b, v, t, n = cuda.blockIdx.x, cuda.blockIdx.y, cuda.threadIdx.x, cuda.blockDim.x
-    order = desk[v * at.ORDER : (v + 1) * at.ORDER]
-    if order[at.RESAMPLED] == 0.0:
+    command = command_buffer[v * layout.COMMAND : (v + 1) * layout.COMMAND]
+    if command[layout.RESAMPLE] == 0.0:
         return
-    rows, begin, N, u = pool[int(order[at.BEFORE])], int(order[at.FIRST]), int(order[at.COUNT]), order[at.OFFSET]
-    scratch = cuda.shared.array(THREADS, np.float64)
-    first, last = _stretch(N)
-    scratch[t] = _stretch_sum(rows, begin + first, begin + last)
+    rows, begin, N, u = (
+        pool[int(command[layout.HALF_BEFORE])],
+        int(command[layout.FIRST]),
+        int(command[layout.COUNT]),
+        command[layout.OFFSET],
+    )
+    scratch = cuda.shared.array(MAX_THREADS_PER_BLOCK, np.float64)
+    first, last = _thread_range(N)
+    scratch[t] = _range_sum(rows, begin + first, begin + last)
     cuda.syncthreads()
     reach = 1
     while reach < n:
@@ -242,28 +252,31 @@ def cumulate(pool, desk, shares):
         total += shares[v, other, 0]
     yaw, pitch, below = 0.0, 0.0, _points_below(total, u, N) if first > 0 else 0.0
     for p in range(first, last):
-        total += rows[at.WEIGHT, begin + p]
-        rows[at.CUMULATED, begin + p] = total if p < N - 1 else 1.0
+        total += rows[layout.WEIGHT, begin + p]
+        rows[layout.CUMULATIVE_WEIGHT, begin + p] = total if p < N - 1 else 1.0
         then = _points_below(total, u, N) if p < N - 1 else float(N)
-        yaw += (then - below) * rows[at.HEADING, begin + p]
-        pitch += (then - below) * rows[at.HEADING + 1, begin + p]
+        yaw += (then - below) * rows[layout.HEADING, begin + p]
+        pitch += (then - below) * rows[layout.HEADING + 1, begin + p]
         below = then
     yaw = _block_sum(yaw, scratch)
     pitch = _block_sum(pitch, scratch)
     if t == 0:
         shares[v, b, 1], shares[v, b, 2] = yaw, pitch
         if cuda.gridDim.x == 1:
-            order[at.MEAN], order[at.MEAN + 1] = yaw / N, pitch / N
+            command[layout.MEAN_HEADING], command[layout.MEAN_HEADING + 1] = yaw / N, pitch / N
 
 
 @kernel
-def average(desk, shares):
-    """The mean headings of survivors, from the parts that `cumulate` left; one thread a vehicle."""
+def average_headings(command_buffer, shares):
+    """The mean headings of survivors, from the partial sums of `cumulate_weights`; one thread a vehicle."""
     v = cuda.grid(1)
-    if v >= shares.shape[0] or desk[v * at.ORDER + at.RESAMPLED] == 0.0:
+    if v >= shares.shape[0] or command_buffer[v * layout.COMMAND + layout.RESAMPLE] == 0.0:
         return
-    yaw, pitch, N = 0.0, 0.0, desk[v * at.ORDER + at.COUNT]
+    yaw, pitch, N = 0.0, 0.0, command_buffer[v * layout.COMMAND + layout.COUNT]
     for b in range(shares.shape[1]):
         yaw += shares[v, b, 1]
         pitch += shares[v, b, 2]
-    desk[v * at.ORDER + at.MEAN], desk[v * at.ORDER + at.MEAN + 1] = yaw / N, pitch / N
+    (
+        command_buffer[v * layout.COMMAND + layout.MEAN_HEADING],
+        command_buffer[v * layout.COMMAND + layout.MEAN_HEADING + 1],
+    ) = yaw / N, pitch / N
