@@ -34,7 +34,7 @@ from common import (
     why_not,
 )
 
-from paceline.cameras import RigUncertainty, StereoRig, moved_rig
+from paceline.cameras import RigUncertainty, StereoRig, perturbed_rig
 from paceline.simulation.random_scenes import random_crossing, random_scene
 from paceline.simulation.stereo.clip import Scene
 from paceline.speed.joint_calibration import together
@@ -69,7 +69,7 @@ def off(rig: StereoRig, seed: int, stated: bool) -> StereoRig:
     rng = np.random.default_rng([seed, 11])
     turn, shift = rng.uniform(1e-5, 6e-5, 3), rng.uniform(1e-4, 4e-4, 3)
     uncertainty = RigUncertainty(float(rng.uniform(0.3, 2.0)), 0.0, tuple(turn), tuple(shift))
-    moved = moved_rig(rig, rng.standard_normal(14) @ uncertainty.moves)
+    moved = perturbed_rig(rig, rng.standard_normal(14) @ uncertainty.covariance_root)
     return replace(moved, uncertainty=uncertainty) if stated else moved
 
 

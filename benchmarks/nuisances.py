@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from paceline.cameras import View
+from paceline.cameras import PosedCamera
 from paceline.simulation import textures
 from paceline.simulation.stereo.clip import Vehicle, World
 from paceline.simulation.stereo.scene import CircularRoad, Pose
@@ -36,7 +36,7 @@ class Shade:
     swing: float = 0.0
     frequency: float = 0.0
 
-    def cast(self, image: Image, road: CircularRoad, view: View, t: float) -> None:
+    def cast(self, image: Image, road: CircularRoad, view: PosedCamera, t: float) -> None:
         """Darken the part of ``image`` (H, W) on which it lies at time ``t``, in place."""
         swing = self.swing * np.sin(2 * np.pi * self.frequency * t)
         s, x = self.s + self.velocity[0] * t + swing, self.x + self.velocity[1] * t + swing
@@ -98,7 +98,7 @@ class Bush:
     frequency: float
     phase: float
 
-    def wave(self, image: Image, view: View, t: float) -> None:
+    def wave(self, image: Image, view: PosedCamera, t: float) -> None:
         a = 2 * np.pi * self.frequency * t + self.phase
         aside = self.swing * (np.sin(a) * self.card.across / np.linalg.norm(self.card.across))
         lift = 0.3 * self.swing * np.cos(1.7 * a) * self.card.down / np.linalg.norm(self.card.down)
@@ -144,7 +144,7 @@ def night(image: Image, world: World, i: int, k: int) -> None:
 
 
 def _shine(
-    image: Image, world: World, view: View, vehicle: Vehicle, pose: Pose, hidden: NDArray[np.uint8]
+    image: Image, world: World, view: PosedCamera, vehicle: Vehicle, pose: Pose, hidden: NDArray[np.uint8]
 ) -> None:
     """The light of a vehicle's lamps but for what is ``hidden`` of it, in place."""
     peak, size = (45.0, 0.09) if vehicle.receding else (700.0, 0.12)

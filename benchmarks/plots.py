@@ -60,13 +60,24 @@ def speed() -> Figure:
     """The mean speed of a clip, by method and by suite."""
     figure, (left, right) = plt.subplots(1, 2, figsize=(12, 4.5), layout="constrained", sharex=True)
     found = rows("baselines")
-    dots(left, [r["method"] for r in found], "Methods on 24 plain clips", "error of the mean speed, mph",
-         [r["rms_mph"] for r in found], [r["max_mph"] for r in found])
+    dots(
+        left,
+        [r["method"] for r in found],
+        "Methods on 24 plain clips",
+        "error of the mean speed, mph",
+        [r["rms_mph"] for r in found],
+        [r["max_mph"] for r in found],
+    )
     suites = [(name, rows("accuracy", name)[0]) for name in ("plain", "hard", "hard, other seeds", "crossing")]
     suites += [(f"rig off: {r['clips']}", r) for r in rows("accuracy", "rigs off by what they state")]
-    dots(right, [f"{name} ({r['coverage_percent']} %)" for name, r in suites],
-         "Drawn clips (intervals that hold)", "error of the mean speed, mph",
-         [r["rms_mph"] for _, r in suites], [r["max_error_mph"] for _, r in suites])
+    dots(
+        right,
+        [f"{name} ({r['coverage_percent']} %)" for name, r in suites],
+        "Drawn clips (intervals that hold)",
+        "error of the mean speed, mph",
+        [r["rms_mph"] for _, r in suites],
+        [r["max_error_mph"] for _, r in suites],
+    )
     figure.legend(*left.get_legend_handles_labels(), loc="outside upper right", ncols=2)
     return figure
 
@@ -79,11 +90,21 @@ def intervals() -> Figure:
     for (name, colour), off in zip(kinds, (False, True), strict=True):
         for measured, face in ((True, colour), (False, "none")):
             chosen = [r for r in clips if ("miscalibrated" in r["scene"]) == off and r["measured"] == measured]
-            axes.scatter([r["half_width_kmh"] for r in chosen], [abs(r["error_kmh"]) for r in chosen],
-                         edgecolors=colour, facecolors=face, label=name if measured else f"{name}, rejected")
+            axes.scatter(
+                [r["half_width_kmh"] for r in chosen],
+                [abs(r["error_kmh"]) for r in chosen],
+                edgecolors=colour,
+                facecolors=face,
+                label=name if measured else f"{name}, rejected",
+            )
     axes.axline((0.1, 0.1), (1, 1), color="grey", linewidth=1, label="error = half-width")
-    axes.set(xscale="log", yscale="log", xlabel="half-width of the 95 % interval, km/h", ylabel="error, km/h",
-             title="60 ray-traced clips")
+    axes.set(
+        xscale="log",
+        yscale="log",
+        xlabel="half-width of the 95 % interval, km/h",
+        ylabel="error, km/h",
+        title="60 ray-traced clips",
+    )
     axes.legend()
     return figure
 
@@ -92,16 +113,31 @@ def following() -> Figure:
     """Frames lost and wrong by tracker, and what each remedy is worth."""
     figure, (left, middle, right) = plt.subplots(1, 3, figsize=(15, 4.5), layout="constrained")
     found = rows("follow", "trackers")
-    bars(left, [r["tracker"] for r in found], "Ten clips of 300 frames", "frames lost or wrong, %",
-         [100 * (r["lost"] + r["wrong"]) / r["frames"] for r in found])
+    bars(
+        left,
+        [r["tracker"] for r in found],
+        "Ten clips of 300 frames",
+        "frames lost or wrong, %",
+        [100 * (r["lost"] + r["wrong"]) / r["frames"] for r in found],
+    )
     by_name: dict[str, Rows] = {}
     for r in rows("follow_ablation", "scenarios"):
         by_name.setdefault(r["configuration"], []).append(r)
     del by_name["Paceline, as published"]  # far off the scale, and on the left
-    bars(middle, list(by_name), "Remedies: mean over seven scenarios", "frames lost or wrong, %",
-         [sum(r["lost_percent"] + r["wrong_percent"] for r in found) / len(found) for found in by_name.values()])
-    bars(right, list(by_name), "Remedies: mean over seven scenarios", "range error RMS of frames tracked, %",
-         [sum(r["range_rms_percent"] for r in found) / len(found) for found in by_name.values()])
+    bars(
+        middle,
+        list(by_name),
+        "Remedies: mean over seven scenarios",
+        "frames lost or wrong, %",
+        [sum(r["lost_percent"] + r["wrong_percent"] for r in found) / len(found) for found in by_name.values()],
+    )
+    bars(
+        right,
+        list(by_name),
+        "Remedies: mean over seven scenarios",
+        "range error RMS of frames tracked, %",
+        [sum(r["range_rms_percent"] for r in found) / len(found) for found in by_name.values()],
+    )
     right.set_yticklabels([])
     return figure
 
@@ -128,8 +164,9 @@ def duration() -> Figure:
     """Milliseconds of the likelihood and of a filter step, on one thread of a CPU and on a GPU."""
     figure, axes = plt.subplots(figsize=(9, 4), layout="constrained")
     found = [(r["work"], r["one_thread_ms"]) for r in rows("likelihood")]
-    found += [(f"GPU, filter step: {r['vehicles']} × {r['particles_each']} particles", r["step_ms"])
-              for r in rows("gpu")]
+    found += [
+        (f"GPU, filter step: {r['vehicles']} × {r['particles_each']} particles", r["step_ms"]) for r in rows("gpu")
+    ]
     bars(axes, [name for name, _ in found], "400 particles, both views, unless stated", "ms", [ms for _, ms in found])
     return figure
 

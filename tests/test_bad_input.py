@@ -200,7 +200,7 @@ def videos_apart(clip: Clip) -> None:
 
 
 VIDEOS: dict[str, Case] = {
-    "missing": (lambda c: (videos(c).unlink()), ["left.mkv", "no such file"]),
+    "missing": (lambda c: videos(c).unlink(), ["left.mkv", "no such file"]),
     "empty": (lambda c: videos(c).write_bytes(b""), ["left.mkv", "cannot be read as a video"]),
     "no video": (lambda c: videos(c).write_bytes(b"no" * 999), ["left.mkv", "cannot be read as a video"]),
     "truncated to its head": (lambda c: video_cut(c, 0.02), ["left.mkv"]),

@@ -17,7 +17,7 @@ from paceline.baselines.template_tracking import Move, Regions, move_between
 from paceline.cameras import Camera, StereoRig
 from paceline.geometry import triangulate
 from paceline.recordings.stereo import StereoFrame
-from paceline.sift_features import matched
+from paceline.sift_features import match_descriptors
 from paceline.speed.geometry.paths import jacobian
 
 Array = NDArray[np.float64]
@@ -375,7 +375,7 @@ def test_matches_are_mutual_and_clear() -> None:
     b[:20] = a[:20] + 0.1 * rng.normal(0, 1, (20, 128)).astype(np.float32)
     b[20] = a[0]  # two that are alike: neither is clear
     b[0] = a[0]
-    found = set(zip(*(rows.tolist() for rows in matched(a, b, 0.8)), strict=True))
+    found = set(zip(*(rows.tolist() for rows in match_descriptors(a, b, 0.8)), strict=True))
     distance = np.linalg.norm(a[:, None] - b, axis=2)
     expected = set()
     for i, row in enumerate(distance):
@@ -389,7 +389,7 @@ def test_matches_are_mutual_and_clear() -> None:
 def test_few_features_match_nothing() -> None:
     none, one = np.empty((0, 128), np.float32), np.ones((1, 128), np.float32)
     for a, b in ((none, one), (one, one)):
-        assert [len(rows) for rows in matched(a, b, 0.8)] == [0, 0]
+        assert [len(rows) for rows in match_descriptors(a, b, 0.8)] == [0, 0]
 
 
 def test_features_stay_inside_their_region(texture: Image) -> None:

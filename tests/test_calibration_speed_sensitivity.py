@@ -13,7 +13,7 @@ import yaml
 from paceline.calibration import speed_sensitivity
 from paceline.calibration.bundle_adjustment import fit
 from paceline.calibration.parameters import POSE, Rig, camera_of, free_parameters
-from paceline.cameras import Camera, RigUncertainty, StereoRig, moved_rig, moved_rigs
+from paceline.cameras import Camera, RigUncertainty, StereoRig, perturbed_rig, perturbed_rigs
 from paceline.documents.loading import load_rig
 from paceline.documents.rig_yaml import rig_yaml
 from paceline.errors import UnusableInput
@@ -90,7 +90,7 @@ def test_the_four_keys_make_no_speed_surer_than_the_covariance() -> None:
             for across in speed_sensitivity.ACROSS:
                 for way in speed_sensitivity._ways(rig, distance, across):
                     exact, simple = (
-                        np.linalg.norm([speed_sensitivity.speed_change(rig, m, *way) for m in moved_rigs(rig, u)])
+                        np.linalg.norm([speed_sensitivity.speed_change(rig, m, *way) for m in perturbed_rigs(rig, u)])
                         for u in (stated, keys)
                     )
                     assert simple > 0.999 * exact
@@ -104,13 +104,13 @@ def test_moves_are_a_root_of_the_covariance(rig: StereoRig) -> None:
     scale = np.array([1.0] * 8 + [1e-5] * 3 + [1e-4] * 3)
     root = rng.normal(size=(14, 14)) * scale[:, None]
     C = root @ root.T
-    U = RigUncertainty(covariance=C).moves
+    U = RigUncertainty(covariance=C).covariance_root
     np.testing.assert_allclose((U.T @ U) / np.outer(scale, scale), C / np.outer(scale, scale), rtol=1e-9, atol=1e-9)
 
 
 def test_independent_uncertainties_move_one_parameter_each(rig: StereoRig) -> None:
     u = RigUncertainty(1.5, 0.4, (1e-5, 2e-5, 3e-5), (1e-4, 2e-4, 3e-4))
-    moves = moved_rigs(rig, u)
+    moves = perturbed_rigs(rig, u)
     assert len(moves) == 14
     for side, first in (("left", 0), ("right", 4)):
         for k, (at, size) in enumerate((((0, 0), 1.5), ((1, 1), 1.5), ((0, 2), 0.4), ((1, 2), 0.4))):
@@ -129,7 +129,7 @@ def test_independent_uncertainties_move_one_parameter_each(rig: StereoRig) -> No
 def test_a_move_turns_the_right_camera_where_it_stands(rig: StereoRig) -> None:
     move = np.zeros(14)
     move[8:11] = 1e-3, -2e-3, 5e-4
-    other = moved_rig(rig, move)
+    other = perturbed_rig(rig, move)
     np.testing.assert_allclose(-other.t @ other.R, -rig.t @ rig.R, atol=1e-12)
     np.testing.assert_allclose(cv2.Rodrigues(other.R @ rig.R.T)[0].ravel(), move[8:11], atol=1e-12)
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from paceline.cameras import Camera, StereoRig, displaced
+from paceline.cameras import Camera, StereoRig, line_displacement
 
 K = np.array([[800.0, 0, 511.5], [0, 805, 383.5], [0, 0, 1]])
 DISTORTION = np.array([-0.28, 0.09, 0.0008, -0.0006, -0.01])
@@ -77,7 +77,7 @@ def test_distorted_pixels_are_those_that_undistortion_takes_back():
 
 def test_the_lens_moves_lines_by_the_mean_of_their_points():
     lines = np.array([[[500.0, 100.0], [500.0, 180.0]], [[420.0, 100.0], [500.0, 100.0]]])
-    across, along = displaced(LENS, lines, np.array([True, False]))
+    across, along = line_displacement(LENS, lines, np.array([True, False]))
     shares = np.linspace(0, 1, 201)[:, None]
     for j, axis in enumerate((0, 1)):
         points = lines[j, 0] + shares * (lines[j, 1] - lines[j, 0])

@@ -58,9 +58,7 @@ def test_a_clip_is_measured(measured: tuple[Done, Path]) -> None:
     assert not [p for p in out.parent.iterdir() if p.name.startswith(".")]
 
 
-def test_the_same_seed_gives_the_same_result(
-    clip: Path, measured: tuple[Done, Path], tmp_path: Path
-) -> None:
+def test_the_same_seed_gives_the_same_result(clip: Path, measured: tuple[Done, Path], tmp_path: Path) -> None:
     """In a process of its own each: the command has linear algebra in one thread, and more round otherwise."""
     done = in_a_process("speed", clip, "-o", tmp_path / "again", "--seed", "1", "--quiet")
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")

@@ -137,9 +137,7 @@ def test_a_document_is_parsed_once_for_all_questions(tmp_path: Path, monkeypatch
     assert parsed == [file, file]
 
 
-def test_the_list_does_not_wait_for_a_document_that_takes_long(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_list_does_not_wait_for_a_document_that_takes_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     root = tmp_path.resolve()
     for name in ("fine", "slow"):
         put_clip(root, name)

@@ -50,9 +50,7 @@ def test_a_motion_that_goes_on_to_be_wrong_is_forgotten(monkeypatch, rate):
     assert off[0].mean() < 0.8 * off[1].mean() and off[0][-1] < 0.6 * off[1][-1]
 
 
-@pytest.mark.parametrize(
-    ("odd", "times"), [([1.06] * (WRONG - 1), 0), ([1.06, 0.94] * WRONG, 0), ([1.06] * WRONG, 1)]
-)
+@pytest.mark.parametrize(("odd", "times"), [([1.06] * (WRONG - 1), 0), ([1.06, 0.94] * WRONG, 0), ([1.06] * WRONG, 1)])
 def test_it_takes_several_surprises_in_a_row_and_to_one_side(monkeypatch, odd, times):
     one, forgotten = lock(), []
     learned(one, np.ones(25), 0.01)

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 
 from paceline.cameras import Camera, StereoRig
-from paceline.geometry import epipolar_distance, nearest_match, triangulate
+from paceline.geometry import correct_matches, epipolar_distance, triangulate
 
 
 def make_rig(rotation=(0.004, -0.02, 0.006), t=(-0.5, 0.02, -0.03)) -> StereoRig:
@@ -45,7 +45,7 @@ def test_triangulation_minimises_the_distance_to_both_pixels(X, noise):
         a, b = rig.project(X)
         return np.sum((a - left) ** 2) + np.sum((b - right) ** 2)
 
-    ours = nearest_match(rig, left, right)
+    ours = correct_matches(rig, left, right)
     np.testing.assert_allclose(epipolar_distance(rig, *ours), 0, atol=1e-6)
     found = np.sum((ours[0] - left) ** 2) + np.sum((ours[1] - right) ** 2)
     Y = triangulate(rig, left, right)

@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 from scipy.stats import binom, chi2
 from tiny_road import TWO, scene
 
-from paceline.cameras import RigUncertainty, moved_rig
+from paceline.cameras import RigUncertainty, perturbed_rig
 from paceline.documents.loading import Clip, load_clip
 from paceline.simulation.stereo.clip import render, write
 from paceline.speed.configuration import DEFAULTS, SpeedConfiguration
@@ -295,8 +295,8 @@ KNOWN = RigUncertainty(1.0, 0.0, (4e-5, 4e-5, 4e-5), (3e-4, 3e-4, 3e-4))
 
 def test_vehicles_of_one_clip_put_each_other_right(two: Clip) -> None:
     """End to end, with a rig that is off by what it states."""
-    move = np.random.default_rng(3).standard_normal(14) @ KNOWN.moves
-    clip = replace(two, rig=replace(moved_rig(two.rig, move), uncertainty=KNOWN))
+    move = np.random.default_rng(3).standard_normal(14) @ KNOWN.covariance_root
+    clip = replace(two, rig=replace(perturbed_rig(two.rig, move), uncertainty=KNOWN))
     alone = [measure_clip(replace(clip, vehicles=[v])).measurements[0] for v in clip.vehicles]
     result = measure_clip(clip)
     assert [m.calibrated_by for m in result.measurements] == [2, 2] and result.notices == []

@@ -20,7 +20,7 @@ from selection import slow_after
 
 import paceline
 from paceline import numba_cache
-from paceline.numba_cache import closing_over_sources, compiled
+from paceline.numba_cache import cached_njit, with_source_digest
 
 SOURCE = Path(paceline.__file__).parent
 NEEDS_MORE = "paceline.console", "paceline.simulation.raytraced", "paceline.__main__"  # extras
@@ -85,7 +85,7 @@ def test_every_function_that_is_kept_closes_over_what_it_is_made_of() -> None:
     assert {"paceline.speed.filter.patch_features_cpu.observe", "paceline.follow.measuring_cpu.believed"} < set(kept)
     for name, function in kept.items():
         cells = [cell.cell_contents for cell in function.py_func.__closure__ or ()]
-        assert cells == [numba_cache.digest(function.py_func.__module__)], name
+        assert cells == [numba_cache.source_digest(function.py_func.__module__)], name
 
 
 @pytest.mark.parametrize(
@@ -149,7 +149,7 @@ def _twice(x: float, times: float = 2.0) -> float:
 
 
 def test_a_compiled_function_keeps_its_looks() -> None:
-    made = compiled(nogil=True)(_twice)
+    made = cached_njit(nogil=True)(_twice)
     assert made(3.0) == 6.0
     assert inspect.signature(made) == inspect.signature(_twice)
     assert (made.__doc__, made.__name__, made.__module__) == (_twice.__doc__, "_twice", __name__)
@@ -162,4 +162,4 @@ def test_a_function_that_closes_over_something_is_refused() -> None:
         return factor * x
 
     with pytest.raises(AssertionError, match=r"inside: expected a function of a module's top level"):
-        closing_over_sources(inside)
+        with_source_digest(inside)

@@ -188,9 +188,17 @@ def misses_of(path, points):
 
 @pytest.mark.parametrize(
     ("radius", "side", "tilt"),
-    slow_after(2, [
-        (30.0, -1, 0.03), (300.0, 1, 0.0), (30.0, 1, 0.0), (80.0, 1, 0.03), (80.0, -1, 0.0), (300.0, -1, 0.03),
-    ]),  # fmt: skip
+    slow_after(
+        2,
+        [
+            (30.0, -1, 0.03),
+            (300.0, 1, 0.0),
+            (30.0, 1, 0.0),
+            (80.0, 1, 0.03),
+            (80.0, -1, 0.0),
+            (300.0, -1, 0.03),
+        ],
+    ),  # fmt: skip
 )
 def test_an_arc_is_found_from_drawings_in_either_order(high_rig, radius, side, tilt):
     points = arc(radius, side, tilt, length=25.0 if radius < 50 else 45.0)

@@ -5,18 +5,18 @@ import pytest
 
 from paceline.follow.configuration import FollowConfiguration
 from paceline.path_following.pure_pursuit import (
-    BEFORE,
-    DOUBTED,
-    HIDING,
-    LONGEST,
-    SPACING,
-    STRETCH,
+    FITTED_POINTS,
+    MAX_PATH_POINTS,
+    MAX_UNRELIABLE_POINTS,
+    PATH_SPACING_M,
+    UNRELIABLE_END_POINTS,
+    UNRELIABLE_MARGIN_POINTS,
     Steering,
-    goal_on,
-    in_world,
-    prolonged,
+    extrapolated_path,
+    goal_point,
     pure_pursuit,
-    seen_from,
+    to_camera,
+    to_world,
 )
 from paceline.recordings.odometry import Pose
 
@@ -25,10 +25,10 @@ C = FollowConfiguration().steering()
 
 def test_world_and_camera_are_inverse_to_each_other():
     pose = Pose(3.0, -2.0, 0.7)
-    x, y = in_world(pose, 8.0, 1.5)
-    np.testing.assert_allclose(seen_from(pose, np.array([[x, y]])), [[8.0, 1.5]], atol=1e-12)
-    assert in_world(Pose(0.0, 0.0, 0.0), 5.0, 2.0) == pytest.approx((5.0, -2.0))  # right is −y
-    assert in_world(Pose(0.0, 0.0, np.pi / 2), 5.0, 2.0) == pytest.approx((2.0, 5.0))
+    x, y = to_world(pose, 8.0, 1.5)
+    np.testing.assert_allclose(to_camera(pose, np.array([[x, y]])), [[8.0, 1.5]], atol=1e-12)
+    assert to_world(Pose(0.0, 0.0, 0.0), 5.0, 2.0) == pytest.approx((5.0, -2.0))  # right is −y
+    assert to_world(Pose(0.0, 0.0, np.pi / 2), 5.0, 2.0) == pytest.approx((2.0, 5.0))
 
 
 def test_the_angle_is_that_of_the_circle_through_the_point():
@@ -40,10 +40,10 @@ def test_the_angle_is_that_of_the_circle_through_the_point():
 
 def test_the_goal_lies_on_the_path_at_the_lookahead():
     path = np.column_stack([np.arange(-5.0, 30.0, 0.5), 0.02 * np.arange(-5.0, 30.0, 0.5) ** 2])
-    goal = np.array(goal_on(path, 6.0))
+    goal = np.array(goal_point(path, 6.0))
     assert np.hypot(*goal) == pytest.approx(6.0, abs=0.02)
     assert goal[0] > 0 and goal[1] == pytest.approx(0.02 * goal[0] ** 2, abs=0.01)
-    assert goal_on(path[:15], 20.0) == (path[14, 0], path[14, 1])  # the end of a short one
+    assert goal_point(path[:15], 20.0) == (path[14, 0], path[14, 1])  # the end of a short one
 
 
 def test_without_odometry_the_vehicle_itself_is_pursued():
@@ -60,7 +60,7 @@ def drive(path, gap, seconds=60.0, odometry=True):
     samples = path(np.arange(-20.0, 600.0, 0.1))
     for k in range(int(seconds / dt)):
         pose = Pose(x, y, heading)
-        ahead, right = seen_from(pose, path(np.array([s])))[0]
+        ahead, right = to_camera(pose, path(np.array([s])))[0]
         angle = steering.angle(k * dt, ahead, right, True, pose if odometry else None)
         heading -= speed * np.tan(angle) / C.wheelbase * dt
         # the pose is the camera's, ahead of the rear axle that the bicycle model moves
@@ -89,7 +89,7 @@ def test_the_path_is_bounded():
     steering = Steering(C)
     for k in range(5000):
         steering.angle(k / 15, 10.0, 0.0, True, Pose(0.5 * k, 0.0, 0.0))
-    assert len(steering.path) <= LONGEST
+    assert len(steering.path) <= MAX_PATH_POINTS
     assert steering.path[-1, 0] == pytest.approx(0.5 * 4999 + 10.0, abs=0.6)
 
 
@@ -97,9 +97,7 @@ def test_the_path_is_bounded():
 def test_a_straight_path_is_driven_straight_though_part_of_it_was_not_seen(unseen):
     """Also where the vehicle has passed the point at which it was seen last, for good or for a while."""
     steering, away, times = Steering(C), 0.1, np.arange(240) / 15
-    angles = [
-        steering.angle(t, 12.0, away, not 4.0 <= t < 4.0 + unseen, Pose(10.0 * t, 0.0, 0.0)) for t in times
-    ]
+    angles = [steering.angle(t, 12.0, away, not 4.0 <= t < 4.0 + unseen, Pose(10.0 * t, 0.0, 0.0)) for t in times]
     assert np.abs(angles).max() < 1.1 * pure_pursuit(C.lookahead_min, away, C.wheelbase)
     assert (np.diff(steering.path[:, 0]) < 0.51).all()
 
@@ -108,7 +106,7 @@ def test_a_long_way_that_was_not_seen_replaces_the_path():
     steering = Steering(C)
     for k, x in enumerate((0.0, 1.0, 5000.0)):
         steering.angle(k / 15, 10.0, 0.0, True, Pose(x, 0.0, 0.0))
-    assert len(steering.path) <= LONGEST
+    assert len(steering.path) <= MAX_PATH_POINTS
     assert steering.path[-1, 0] == pytest.approx(5010.0, abs=0.5) and steering.path[0, 0] > 4700.0
 
 
@@ -130,8 +128,8 @@ def test_the_lookahead_grows_with_the_speed():
 
 
 def circle(radius, count):
-    """Points (count, 2) every `SPACING` on a circle to the left, the last at the origin and there along x."""
-    turned = SPACING / radius * np.arange(1 - count, 1)
+    """Points (count, 2) every `PATH_SPACING_M` on a circle to the left, the last at the origin and there along x."""
+    turned = PATH_SPACING_M / radius * np.arange(1 - count, 1)
     return radius * np.column_stack([np.sin(turned), 1 - np.cos(turned)])
 
 
@@ -140,26 +138,30 @@ def circle(radius, count):
 def test_a_path_leads_on_as_it_bends(radius, seed):
     """15 m on, in noise of 2 cm; the end of it, at which what came between drew the lead aside, has no say."""
     path = circle(radius, 60) + np.random.default_rng(seed).normal(0, 0.02, (60, 2))
-    path[-DOUBTED:, 1] += 0.5 * np.arange(1, DOUBTED + 1) / DOUBTED
-    on = prolonged(path, 15.0, 10.0)[60 - DOUBTED :]
+    path[-UNRELIABLE_END_POINTS:, 1] += 0.5 * np.arange(1, UNRELIABLE_END_POINTS + 1) / UNRELIABLE_END_POINTS
+    on = extrapolated_path(path, 15.0, 10.0)[60 - UNRELIABLE_END_POINTS :]
     center = np.array([0.0, radius])
     off = np.abs(np.hypot(*(on - center).T) - abs(radius))
-    assert np.hypot(*(on[-1] - path[-DOUBTED - 1])) > 14.0
+    assert np.hypot(*(on[-1] - path[-UNRELIABLE_END_POINTS - 1])) > 14.0
     assert off.max() < 0.7  # straight on it would be 1.9 m in the sharpest
-    np.testing.assert_allclose(np.hypot(*np.diff(on, axis=0).T), SPACING, rtol=1e-6)
-    assert np.hypot(*(on[0] - path[-DOUBTED - 1])) < 2 * SPACING
+    np.testing.assert_allclose(np.hypot(*np.diff(on, axis=0).T), PATH_SPACING_M, rtol=1e-6)
+    assert np.hypot(*(on[0] - path[-UNRELIABLE_END_POINTS - 1])) < 2 * PATH_SPACING_M
 
 
-@pytest.mark.parametrize("unsure", [DOUBTED, HIDING])
+@pytest.mark.parametrize("unsure", [UNRELIABLE_END_POINTS, MAX_UNRELIABLE_POINTS])
 def test_what_was_not_seen_for_sure_before_it_was_hidden_has_no_say_in_where_the_path_leads(unsure):
     """The points since the lead was seen for sure, and two before, are drawn aside; where it was hardly ever sure they
     are as good as any."""
     path = circle(60.0, 60)
     drawn = path.copy()
-    drawn[-unsure - BEFORE :, 1] -= np.linspace(0.05, 0.5, unsure + BEFORE)
-    np.testing.assert_allclose(prolonged(drawn, 15.0, 10.0, unsure), prolonged(path, 15.0, 10.0, unsure))
-    np.testing.assert_allclose(prolonged(drawn, 15.0, 10.0, HIDING + 1), prolonged(drawn, 15.0, 10.0))
-    assert np.abs(prolonged(drawn, 15.0, 10.0)[-1] - prolonged(path, 15.0, 10.0)[-1]).max() > 0.1
+    drawn[-unsure - UNRELIABLE_MARGIN_POINTS :, 1] -= np.linspace(0.05, 0.5, unsure + UNRELIABLE_MARGIN_POINTS)
+    np.testing.assert_allclose(
+        extrapolated_path(drawn, 15.0, 10.0, unsure), extrapolated_path(path, 15.0, 10.0, unsure)
+    )
+    np.testing.assert_allclose(
+        extrapolated_path(drawn, 15.0, 10.0, MAX_UNRELIABLE_POINTS + 1), extrapolated_path(drawn, 15.0, 10.0)
+    )
+    assert np.abs(extrapolated_path(drawn, 15.0, 10.0)[-1] - extrapolated_path(path, 15.0, 10.0)[-1]).max() > 0.1
 
 
 def test_a_lead_that_is_drawn_aside_while_it_is_being_hidden_is_followed_where_it_went():
@@ -176,25 +178,25 @@ def test_a_lead_that_is_drawn_aside_while_it_is_being_hidden_is_followed_where_i
 
 def test_fast_vehicles_hardly_turn():
     """The same points tell less of a bend the faster they were passed."""
-    path, turns, told = circle(60.0, 60), [], SPACING * (STRETCH - 1)
+    path, turns, told = circle(60.0, 60), [], PATH_SPACING_M * (FITTED_POINTS - 1)
     for speed in (5.0, 30.0):
-        first, *_, last = np.diff(prolonged(path, 20.0, speed)[-40:], axis=0)
+        first, *_, last = np.diff(extrapolated_path(path, 20.0, speed)[-40:], axis=0)
         turns.append(np.arctan2(last[1], last[0]) - np.arctan2(first[1], first[0]))
     assert turns[0] == pytest.approx(told / 60.0, rel=0.2) and 0.0 < turns[1] < 0.5 * turns[0]
 
 
 def test_no_path_leads_round_for_ever():
     """A corner that was seen in part goes on for as long as it was seen to bend, and then straight."""
-    on = np.diff(prolonged(circle(10.0, 60), 200.0, 3.0), axis=0)
+    on = np.diff(extrapolated_path(circle(10.0, 60), 200.0, 3.0), axis=0)
     turned = np.unwrap(np.arctan2(on[:, 1], on[:, 0]))
-    told = SPACING * STRETCH / 10.0
-    assert 0.7 * told < turned[-1] - turned[60 - DOUBTED] < told
+    told = PATH_SPACING_M * FITTED_POINTS / 10.0
+    assert 0.7 * told < turned[-1] - turned[60 - UNRELIABLE_END_POINTS] < told
     assert np.ptp(turned[-300:]) < 1e-9
 
 
-@pytest.mark.parametrize("count", [1, 2, 3, DOUBTED + 1, 10])
+@pytest.mark.parametrize("count", [1, 2, 3, UNRELIABLE_END_POINTS + 1, 10])
 def test_a_short_path_leads_straight_on(count):
-    path = np.column_stack([SPACING * np.arange(count), np.zeros(count)])
-    on = prolonged(path, 5.0, 10.0)
+    path = np.column_stack([PATH_SPACING_M * np.arange(count), np.zeros(count)])
+    on = extrapolated_path(path, 5.0, 10.0)
     np.testing.assert_allclose(on[:, 1], 0.0, atol=1e-9)
     assert on[-1, 0] >= 5.0 if count > 1 else len(on) == 1

@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 from selection import slow_after
 
-from paceline.cameras import Camera, View
+from paceline.cameras import Camera, PosedCamera
 from paceline.simulation.raytraced import mitsuba_variant
 from paceline.simulation.raytraced.light import LUMINANCE_WEIGHTS, Light
 from paceline.simulation.raytraced.meshes import Material, SceneMesh
@@ -38,12 +38,12 @@ def cube(center: Array, size: float) -> SceneMesh:
     return SceneMesh("cube", v, triangles, GREY)
 
 
-def looking(camera: Camera, eye: Array, at: Array, roll: float = 0.0) -> View:
+def looking(camera: Camera, eye: Array, at: Array, roll: float = 0.0) -> PosedCamera:
     z = (at - eye) / np.linalg.norm(at - eye)
     x = np.cross(z, [0.1, 0, 1.0])
     x /= np.linalg.norm(x)
     R = cv2.Rodrigues(np.array([0, 0, roll]))[0] @ np.array([x, np.cross(z, x), z])
-    return View(camera, R, -R @ eye)
+    return PosedCamera(camera, R, -R @ eye)
 
 
 def camera(width: int, height: int, f: float, cx: float, cy: float) -> Camera:
@@ -99,7 +99,7 @@ def test_shadows_fall_away_from_the_sun(azimuth: float, elevation: float) -> Non
     lens = camera(64, 64, 64.0, 31.5, 31.5)
     eye = np.array([*expected, 4.0])
     R = np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]])  # straight down, north up
-    view = View(lens, R, -R @ eye)
+    view = PosedCamera(lens, R, -R @ eye)
     still = [ground(), cube(np.array([0, 0, height]), 0.3)]
     picture = Renderer(still, [], light).render(view, 256, 3) @ LUMINANCE_WEIGHTS
     x, y = view.project(np.array([[0, 0, height]]))[0]
@@ -113,12 +113,12 @@ def test_shadows_fall_away_from_the_sun(azimuth: float, elevation: float) -> Non
 @pytest.mark.parametrize("light", [DAY, Light(0.3, 0.4, clouds=0.5), Light(2.0, 1.2, clouds=1.0)])
 def test_a_card_on_open_ground_returns_the_irradiance_that_is_stated(light: Light) -> None:
     R = np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]])
-    view = View(camera(16, 16, 40.0, 7.5, 7.5), R, -R @ np.array([0, 0, 3.0]))
+    view = PosedCamera(camera(16, 16, 40.0, 7.5, 7.5), R, -R @ np.array([0, 0, 3.0]))
     radiance = Renderer([ground(color=0.2)], [], light).render(view, 256, 5) @ LUMINANCE_WEIGHTS
     assert radiance.mean() == pytest.approx(0.2 * light.level_irradiance / np.pi, rel=0.03)
 
 
-def corner_scene(variant: str) -> tuple[Renderer, View]:
+def corner_scene(variant: str) -> tuple[Renderer, PosedCamera]:
     paint = Material("paint", (0.4, 0.1, 0.05), roughness=0.1)
     metal = Material("metal", (0.5, 0.5, 0.5), roughness=0.3)
     rng = np.random.default_rng(3)
@@ -175,7 +175,7 @@ def test_a_picture_does_not_depend_on_those_before_it() -> None:
 def test_samples_are_spread_evenly_over_the_lights() -> None:
     """Ground under sun and sky: each ray asks one of them, and 16 rays ask both as often as they should."""
     R = np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]])
-    view = View(camera(16, 16, 40.0, 7.5, 7.5), R, -R @ np.array([0, 0, 3.0]))
+    view = PosedCamera(camera(16, 16, 40.0, 7.5, 7.5), R, -R @ np.array([0, 0, 3.0]))
     picture = Renderer([ground(color=0.2)], [], DAY).render(view, 16, 5) @ LUMINANCE_WEIGHTS
     assert picture.std() < 0.06 * picture.mean()  # by chance alone it is about 0.13
 

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from paceline.cameras import Camera, View
+from paceline.cameras import Camera, PosedCamera
 from paceline.simulation.raytraced.light import Light
 from paceline.simulation.raytraced.meshes import Material, SceneMesh
 from paceline.simulation.raytraced.renderer import Placement, Renderer
@@ -97,7 +97,7 @@ def bar() -> Renderer:
 def seen(bar: Renderer, shutter: Shutter) -> np.ndarray:
     """The bar as it crosses at `SPEED` px/s, in the middle at time 2: the light that it takes."""
     camera = Camera((WIDTH, HEIGHT), np.array([[64.0, 0, 31.5], [0, 64, 23.5], [0, 0, 1]]))
-    view = View(camera, np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]), np.zeros(3))
+    view = PosedCamera(camera, np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]), np.zeros(3))
 
     def placements(t: float) -> list[Placement]:
         return [(np.eye(3), np.array([(t - 2.0) * SPEED * AWAY / 64, AWAY, 0.0]))]

@@ -385,8 +385,7 @@ def test_a_stated_tolerance_is_used():
     write_times([(i, i / 10, i / 10 + 0.003) for i in range(4)])
     assert len(timed(tolerance=0.003)) == 4
     assert refusal(lambda: timed(tolerance=0.002)) == (
-        "left and right: no two frames lie within 2 ms of each other "
-        "(left 0.000 to 0.300 s, right 0.003 to 0.303 s)"
+        "left and right: no two frames lie within 2 ms of each other (left 0.000 to 0.300 s, right 0.003 to 0.303 s)"
     )
 
 

@@ -19,7 +19,7 @@ from scipy.special import stdtrit
 from scipy.stats import binom, chi2
 from selection import slow_after
 
-from paceline.cameras import RigUncertainty, moved_rig
+from paceline.cameras import RigUncertainty, perturbed_rig
 from paceline.documents.loading import Clip, load_clip
 from paceline.simulation.random_scenes import random_crossing, random_scene
 from paceline.simulation.stereo.clip import LaneChange, Scene, Vehicle, render, write
@@ -693,8 +693,8 @@ def test_a_rig_that_is_off_is_put_right_by_the_pictures(rendered: Callable[[Scen
     for seed in range(count):
         s = scene("approaching", 14.0, seed, frames=14)
         clip = load_clip(rendered(s))
-        move = np.random.default_rng(seed).standard_normal(14) @ known.moves
-        rig = moved_rig(clip.rig, move)
+        move = np.random.default_rng(seed).standard_normal(14) @ known.covariance_root
+        rig = perturbed_rig(clip.rig, move)
         m = measure_clip(replace(clip, rig=rig)).measurements[0]
         held.append(m.speed - mean_speed(s, m))
         m = measure_clip(replace(clip, rig=replace(rig, uncertainty=known))).measurements[0]
@@ -773,7 +773,7 @@ def test_what_is_told_of_the_rig_is_of_the_motion_that_is_reported(
     (m,) = measure_clip(replace(clip, rig=replace(clip.rig, uncertainty=known))).measurements
     fit, shares = seen[-1].rig_fit, seen[-1].trajectory.mean_speed_shares
     assert fit is not None and m.rig is not None
-    moved = moved_rig(clip.rig, fit.moves @ known.moves[known.moves.any(1)])
+    moved = perturbed_rig(clip.rig, fit.moves @ known.covariance_root[known.covariance_root.any(1)])
     np.testing.assert_allclose(seen[-1].trajectory.rig.t, moved.t, atol=1e-12)
     np.testing.assert_allclose(seen[-1].trajectory.rig.left.K, moved.left.K, atol=1e-9)
     noise, doubt = (float(np.sqrt(shares @ C @ shares)) for C in (fit.covariance, seen[-1].model_covariance))
@@ -789,7 +789,7 @@ def test_how_long_the_baseline_is_no_picture_tells(rendered: Callable[[Scene], P
     s = scene("left", 16.0, 6)
     clip = load_clip(rendered(s))
     move = np.append(np.zeros(11), p * clip.rig.t)
-    rig = replace(moved_rig(clip.rig, move), uncertainty=RigUncertainty(covariance=np.outer(move, move)))
+    rig = replace(perturbed_rig(clip.rig, move), uncertainty=RigUncertainty(covariance=np.outer(move, move)))
     m = measure_clip(replace(clip, rig=rig)).measurements[0]
     true = mean_speed(s, m)
     assert m.systematic_std == pytest.approx(p * true, rel=0.05)
@@ -800,7 +800,7 @@ def test_no_picture_shows_that_all_is_larger(rendered: Callable[[Scene], Path]) 
     """A rig and a reconstruction three per cent larger, a motion as much faster and farther away."""
     fit, _ = fitted(rendered(scene("left", 16.0, 6)))
     move = np.append(np.zeros(11), 0.03 * fit.trajectory.rig.t)
-    grown = replace(fit.trajectory.grown(1.03), rig=moved_rig(fit.trajectory.rig, move))
+    grown = replace(fit.trajectory.grown(1.03), rig=perturbed_rig(fit.trajectory.rig, move))
     theta = fit.theta * [1.0, 1.03, 1.03, *np.ones(len(fit.theta) - 3)]
     theta[0] += np.log(1.03)
     np.testing.assert_allclose(grown.quads(theta), fit.trajectory.quads(fit.theta), atol=1e-3)
@@ -810,7 +810,7 @@ def test_a_rig_that_is_farther_off_than_it_states_is_rejected(rendered: Callable
     clip = load_clip(rendered(scene("approaching", 14.0, 3, frames=14)))
     known = RigUncertainty(0.0, 0.0, (2e-5, 2e-5, 2e-5), (0.0, 0.0, 0.0))
     for turn, verdict in ((0.0, "measured"), (20.0, "rejected")):  # about y, by so many standard uncertainties
-        rig = moved_rig(clip.rig, turn * known.moves[9])
+        rig = perturbed_rig(clip.rig, turn * known.covariance_root[9])
         m = measure_clip(replace(clip, rig=replace(rig, uncertainty=known))).measurements[0]
         assert m.verdict == verdict and m.reason.startswith("calibration" if turn else "")
 

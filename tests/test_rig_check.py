@@ -15,7 +15,7 @@ from selection import slow_after
 from paceline.calibration import rig_check
 from paceline.calibration.rig_check import check, clustered_covariance, enough, refine, turned
 from paceline.calibration.scene_matches import TILE, Matches, match_scene
-from paceline.cameras import RigUncertainty, StereoRig, moved_rig
+from paceline.cameras import RigUncertainty, StereoRig, perturbed_rig
 from paceline.documents.loading import load_recorded, load_rig
 from paceline.recordings.stereo import open_recording
 
@@ -46,7 +46,7 @@ def scene(true: StereoRig, seed: int, count: int = 600, sigma: float = 0.3, mist
 
 def random_rig(rig: StereoRig, seed: int) -> StereoRig:
     """A rig off the stated one by as much as that states."""
-    return moved_rig(rig, STATED.moves.T @ np.random.default_rng(seed).normal(size=14))
+    return perturbed_rig(rig, STATED.covariance_root.T @ np.random.default_rng(seed).normal(size=14))
 
 
 def test_a_rig_that_stands_is_seldom_said_to_have_moved(rig: StereoRig) -> None:

@@ -15,7 +15,7 @@ from paceline.cameras import Camera
 from paceline.documents.loading import load_target
 from paceline.errors import UnusableInput
 from paceline.reports.target import draw_target, start_entry, target_yaml
-from paceline.targets.learning import Line, corner_names, find_lines, join, learn_target
+from paceline.targets.learning import Line, corner_names, find_lines, join_lines, learn_target
 
 CAMERA = Camera((256, 242), np.array(tiny_chase.CAMERA["K"]))
 KITTI = Path(__file__).parents[2] / "shared" / "data" / "kitti_lead"
@@ -134,10 +134,10 @@ def test_a_line_runs_as_far_as_its_edge() -> None:
 
 def test_ends_that_meet_share_a_corner() -> None:
     across, down = Line(10.0, 20.0, 50.0, 1.0), Line(51.0, 11.0, 40.0, 1.0)
-    corners, segments = join([across], [down], np.array([3.0, 3.0]))
+    corners, segments = join_lines([across], [down], np.array([3.0, 3.0]))
     np.testing.assert_array_equal(corners[segments], [[[20, 10], [51, 10]], [[51, 10], [51, 40]]])
     assert len(corners) == 3
-    corners, _ = join([across], [Line(56.0, 11.0, 40.0, 1.0)], np.array([3.0, 3.0]))
+    corners, _ = join_lines([across], [Line(56.0, 11.0, 40.0, 1.0)], np.array([3.0, 3.0]))
     assert len(corners) == 4
 
 

@@ -97,10 +97,7 @@ SPEEDS = {
     "right": (11.2, 18.8, 21.3),
 }
 CASES = [
-    (kind, speeds[k], seed)
-    for k, seed in enumerate((3, 7, 5))
-    for kind, speeds in SPEEDS.items()
-    if k < len(speeds)
+    (kind, speeds[k], seed) for k, seed in enumerate((3, 7, 5)) for kind, speeds in SPEEDS.items() if k < len(speeds)
 ]
 
 

@@ -297,9 +297,7 @@ def test_following_by_a_device_is_following_the_recording(driver: Path, tmp_path
     done = with_driver(driver, [*COMMAND, "follow", follow, "-o", tmp_path / "live", "--no-overlay"])
     assert done.returncode == 0, done.stderr
     assert done.stderr == f"note: {video}: the source ended (No such device)\n"
-    files, live = (
-        list(csv.DictReader((tmp_path / out / "track.csv").open(newline=""))) for out in ("files", "live")
-    )
+    files, live = (list(csv.DictReader((tmp_path / out / "track.csv").open(newline=""))) for out in ("files", "live"))
     assert [row["status"] for row in files] == [row["status"] for row in live] == ["tracking"] * count
     for name in ("x_m", "y_m", "z_m"):
         np.testing.assert_allclose(*([float(row[name]) for row in rows] for rows in (files, live)), atol=1e-5)

@@ -1,4 +1,4 @@
-"""Types of arrays, by what is in them; shapes and units stand where they are used."""
+"""Types of arrays by element; shapes and units are stated where they are used."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How many threads NumPy's and SciPy's BLAS may use while Paceline computes: one."""
+"""Limits NumPy's and SciPy's BLAS to one thread while Paceline computes."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ R = TypeVar("R")
 def on_one_blas_thread(function: Callable[P, R]) -> Callable[P, R]:
     """``function`` with BLAS limited to one thread while it runs; afterwards the limit is what it was.
 
-    The matrices here have some tens of rows. Several threads gain nothing on these, but they wait for each other
-    actively, on the cores on which Numba's threads compute: a measurement takes three to ten times as long. Environment
-    variables would help only where NumPy has not been imported yet.
+    The matrices here have some tens of rows. More threads gain nothing, but their busy waiting takes the cores from
+    Numba's threads: a measurement takes three to ten times as long. Environment variables work only before NumPy is
+    imported.
     """
 
     @wraps(function)

@@ -1,8 +1,8 @@
 """Pinhole cameras with OpenCV's lens distortion, and the stereo rig made of two of them.
 
 Axes as in OpenCV: x right, y down, z forward; the centre of the top-left pixel is (0, 0). The world frame of a rig is
-its left camera, and ``X_right = R X_left + t``. Above this room everything is in *ideal* pixels: images and clicked
-points are undistorted once, with the intrinsics K kept.
+its left camera, and ``X_right = R X_left + t``. Everything that uses this module works in *ideal* pixels: images and
+clicked points are undistorted once, with the intrinsics K kept.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from paceline.arrays import Array
 
-EVERY = slice(None)  # row of a picture
+ALL_ROWS = slice(None)
 _TO_CONVERGENCE = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-10)  # the default stops 0.2 px short
 
 
@@ -72,9 +72,8 @@ class Camera:
         a, b = cv2.initUndistortRectifyMap(self.K, self.distortion, np.eye(3), self.K, self.image_size, cv2.CV_32FC1)
         return np.asarray(a, np.float32), np.asarray(b, np.float32)
 
-    def undistort_image(self, image: NDArray[np.float32], rows: slice = EVERY) -> NDArray[np.float32]:
-        """The ideal image (H, W) of a distorted one, outside of ``rows`` black; the same array where there is no
-        distortion."""
+    def undistort_image(self, image: NDArray[np.float32], rows: slice = ALL_ROWS) -> NDArray[np.float32]:
+        """The undistorted image (H, W), black outside of ``rows``; the same array where there is no distortion."""
         if not self.has_distortion:
             return image
         a, b = self._undistortion_maps
@@ -84,8 +83,8 @@ class Camera:
 
 
 @dataclass(frozen=True, eq=False)
-class View:
-    """A camera and where it is: ``X_camera = R X_world + t``."""
+class PosedCamera:
+    """A camera and its pose: ``X_camera = R X_world + t``."""
 
     camera: Camera
     R: Array
@@ -124,12 +123,14 @@ class RigUncertainty:
     covariance: Array | None = field(default=None, compare=False)
 
     @property
-    def moves(self) -> Array:
-        """Independent changes (M, 14) of the parameters, one standard uncertainty each: U with UᵀU the covariance."""
+    def covariance_root(self) -> Array:
+        """U (M, 14) with UᵀU the covariance: each row is an independent change by one standard uncertainty."""
         if self.covariance is None:
             pinhole = [self.focal_length_px] * 2 + [self.principal_point_px] * 2
             return np.diag([*pinhole, *pinhole, *self.rotation_rad, *self.translation_m])
-        size = np.sqrt(np.maximum(np.diag(self.covariance), 1e-300))  # of unlike units: axes of the correlations
+        size = np.sqrt(
+            np.maximum(np.diag(self.covariance), 1e-300)
+        )  # the units differ: eigenvectors of the correlations
         share, axes = np.linalg.eigh(self.covariance / np.outer(size, size))
         return np.asarray((axes * np.sqrt(np.maximum(share, 0.0))).T * size)
 
@@ -173,9 +174,9 @@ class StereoRig:
         return np.asarray(self.right.K_inv.T @ tx @ self.R @ self.left.K_inv)
 
 
-def moved_rig(rig: StereoRig, move: Array) -> StereoRig:
+def perturbed_rig(rig: StereoRig, move: Array) -> StereoRig:
     """``rig`` with its parameters changed by ``move`` (14,), in the order and about the axes of
-    :class:`RigUncertainty`; it keeps the lenses' distortion out, as everything above this room does."""
+    :class:`RigUncertainty`. Its cameras have no distortion, as pixels are ideal ones here."""
     left, right = (
         Camera(camera.image_size, camera.K + [[m[0], 0, m[2]], [0, m[1], m[3]], [0, 0, 0]])
         for camera, m in zip(rig.cameras, (move[:4], move[4:8]), strict=True)
@@ -184,15 +185,15 @@ def moved_rig(rig: StereoRig, move: Array) -> StereoRig:
     return StereoRig(left, right, turn @ rig.R, turn @ rig.t + move[11:])
 
 
-def moved_rigs(rig: StereoRig, uncertainty: RigUncertainty) -> list[StereoRig]:
-    """Rigs that each differ from ``rig`` by one standard uncertainty of its calibration, in independent ways."""
-    return [moved_rig(rig, move) for move in uncertainty.moves]
+def perturbed_rigs(rig: StereoRig, uncertainty: RigUncertainty) -> list[StereoRig]:
+    """Rigs that each differ from ``rig`` by one of its calibration's independent standard uncertainties."""
+    return [perturbed_rig(rig, move) for move in uncertainty.covariance_root]
 
 
-def displaced(camera: Camera, lines: Array, vertical: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """How far the lens moves ``lines`` (S, 2, 2), ideal pixels, across themselves (S,) and along themselves (S,).
+def line_displacement(camera: Camera, lines: Array, vertical: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """How far distortion moves ``lines`` (S, 2, 2), ideal pixels, across themselves (S,) and along themselves (S,).
 
-    A line that the lens bends keeps its mean place: edge points all along it have this mean as well.
+    The mean along a bent line is taken: edge points all along it have this mean as well.
     """
     n = len(lines)
     if not camera.has_distortion:

@@ -26,7 +26,7 @@ def triangulate(rig: StereoRig, left: Array, right: Array) -> Array:
     Optimal: both pixels are first moved by the least sum of squares that makes their rays meet. A point behind the
     left camera has a negative z; parallel rays give infinities.
     """
-    left, right = nearest_match(rig, left, right)
+    left, right = correct_matches(rig, left, right)
     a = rig.left.rays(left)
     b = rig.right.rays(right) @ rig.R  # in world axes
     centre = -rig.t @ rig.R
@@ -36,8 +36,8 @@ def triangulate(rig: StereoRig, left: Array, right: Array) -> Array:
         return np.asarray(depth[..., None] * a)
 
 
-def nearest_match(rig: StereoRig, left: Array, right: Array) -> tuple[Array, Array]:
-    """The pixels nearest to ``left`` (…, 2) and ``right`` (…, 2) that fulfil the epipolar constraint.
+def correct_matches(rig: StereoRig, left: Array, right: Array) -> tuple[Array, Array]:
+    """The pixels nearest to ``left`` (…, 2) and ``right`` (…, 2) that satisfy the epipolar constraint.
 
     Lindstrom, "Triangulation made easy", CVPR 2010 (his algorithm ``niter2``).
     """

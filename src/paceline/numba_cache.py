@@ -1,9 +1,9 @@
-"""How loops are compiled: once, and kept on disk for as long as nothing changes of which their machine code is made.
+"""Numba functions with a disk cache that is invalidated when any source they depend on changes.
 
-Numba looks only at the file and the code of the function itself, and at what it closes over. What comes from other
-modules, as functions that are compiled into it, constants and options, may change unseen, as when an update replaces
-one file of two, and a program would go on with the old machine code. So a function closes over a digest of its module
-and of all of this package that this imports, without using it.
+Numba's own cache compares the file and the code of the function and its closure. Functions, constants and options from
+other modules, which are compiled into it, may change without notice, for instance when an update replaces one file of
+two, and the old machine code would be used. So each function closes over a digest of its module and of all modules of
+this package that this one imports, without using it.
 """
 
 from __future__ import annotations
@@ -21,24 +21,24 @@ from numba import njit
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 PACKAGE = __name__.split(".", maxsplit=1)[0]
-IMPORTS = re.compile(rf"^(?:from|import) ({PACKAGE}[\w.]*)(?: import (\([^)]*\)|.*))?", re.MULTILINE)
+IMPORT_PATTERN = re.compile(rf"^(?:from|import) ({PACKAGE}[\w.]*)(?: import (\([^)]*\)|.*))?", re.MULTILINE)
 
 
-def compiled(**options: Any) -> Callable[[Function], Function]:
+def cached_njit(**options: Any) -> Callable[[Function], Function]:
     """`numba.njit` with ``options`` and a cache, as a decorator."""
 
     def decorate(function: Function) -> Function:
         assert isinstance(function, FunctionType)
-        made: Function = njit(cache=True, **options)(closing_over_sources(function))
+        made: Function = njit(cache=True, **options)(with_source_digest(function))
         return made
 
     return decorate
 
 
-def closing_over_sources(function: FunctionType) -> FunctionType:
-    """``function``, of a module's top level, as one that closes over the digest of what its module is made of."""
+def with_source_digest(function: FunctionType) -> FunctionType:
+    """``function``, defined at a module's top level, with the digest of its module's sources in its closure."""
     assert function.__closure__ is None, f"{function.__qualname__}: expected a function of a module's top level"
-    code, cell = function.__code__.replace(co_freevars=("digest",)), CellType(digest(function.__module__))
+    code, cell = function.__code__.replace(co_freevars=("digest",)), CellType(source_digest(function.__module__))
     closed = FunctionType(code, function.__globals__, function.__name__, function.__defaults__, (cell,))
     update_wrapper(closed, function)
     del closed.__wrapped__  # type: ignore[attr-defined]
@@ -46,8 +46,8 @@ def closing_over_sources(function: FunctionType) -> FunctionType:
 
 
 @cache
-def digest(module: str) -> str:
-    """Of the sources of ``module`` and of all modules of this package that it imports, directly or not."""
+def source_digest(module: str) -> str:
+    """SHA-256 of the sources of ``module`` and of all modules of this package that it imports, directly or not."""
     found: dict[str, str] = {}
     left = [module]
     while left:
@@ -67,6 +67,6 @@ def _source(module: str) -> str:
 
 def _imported(source: str) -> Iterator[str]:
     """Modules of this package that a module with this ``source`` imports as it is imported itself."""
-    for module, names in IMPORTS.findall(source):
+    for module, names in IMPORT_PATTERN.findall(source):
         yield module
         yield from (full for name in re.findall(r"\w+", names) if (full := f"{module}.{name}") in sys.modules)

@@ -1,4 +1,4 @@
-"""SIFT features of a picture, and which of those of two pictures show the same thing."""
+"""SIFT features of an image, and their matches between two images."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ from paceline.arrays import Array, Image, Indices
 Descriptors = NDArray[np.float32]
 
 
-def features(detector: cv2.SIFT, image: Image, mask: NDArray[np.uint8] | None = None) -> tuple[Array, Descriptors]:
+def detect_features(
+    detector: cv2.SIFT, image: Image, mask: NDArray[np.uint8] | None = None
+) -> tuple[Array, Descriptors]:
     """Places (n, 2) px of features of ``image`` (H, W), 0–255, where the ``mask`` is set, and descriptors (n, 128)."""
     picture = np.clip(np.rint(image), 0, 255).astype(np.uint8)
     found, descriptors = detector.detectAndCompute(picture, mask)
@@ -20,12 +22,12 @@ def features(detector: cv2.SIFT, image: Image, mask: NDArray[np.uint8] | None = 
     return np.array([f.pt for f in found]), np.asarray(descriptors, np.float32)
 
 
-def matched(a: Descriptors, b: Descriptors, ratio: float) -> tuple[Indices, Indices]:
+def match_descriptors(a: Descriptors, b: Descriptors, ratio: float) -> tuple[Indices, Indices]:
     """Rows of the descriptors ``a`` (n, 128) and ``b`` (m, 128) that are each other's best, nearer than ``ratio`` of
     the distance to the second best (Lowe 2004)."""
     if len(a) < 2 or len(b) < 2:
-        nobody = np.empty(0, np.int64)
-        return nobody, nobody
+        none = np.empty(0, np.int64)
+        return none, none
     distance, best = _nearest(a, b, 2)
     _, back = _nearest(b, a, 1)
     mutual = back[best[:, 0], 0] == np.arange(len(a))

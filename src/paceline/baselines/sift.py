@@ -15,7 +15,7 @@ from paceline.cameras import StereoRig
 from paceline.documents.loading import VehicleDocument
 from paceline.geometry import epipolar_distance, triangulate
 from paceline.recordings.stereo import StereoFrame
-from paceline.sift_features import Descriptors, features, matched
+from paceline.sift_features import Descriptors, detect_features, match_descriptors
 from paceline.speed.configuration import Limits
 from paceline.speed.measurement import by_vehicle
 from paceline.speed.methods import register
@@ -66,7 +66,7 @@ class Sift:
         (a, of_a), (b, of_b) = (
             inside(self._detector, image, quad) for image, quad in zip((frame.left, frame.right), quads, strict=True)
         )
-        i, j = matched(of_a, of_b, RATIO)
+        i, j = match_descriptors(of_a, of_b, RATIO)
         left, right = a[i], b[j]
         with np.errstate(invalid="ignore"):
             inverse = 1.0 / triangulate(self.rig, left, right)[:, 2]
@@ -145,7 +145,7 @@ def inside(detector: cv2.SIFT, image: Image, quad: Array) -> tuple[Array, Descri
     picture = image[y0:y1, x0:x1]
     mask = np.zeros(picture.shape, np.uint8)
     cv2.fillConvexPoly(mask, np.rint(quad - [x0, y0]).astype(np.int32), 255)
-    places, descriptors = features(detector, picture, mask)
+    places, descriptors = detect_features(detector, picture, mask)
     return places + [x0, y0], descriptors
 
 

@@ -15,7 +15,7 @@ from paceline.arrays import Array, Image
 from paceline.cameras import StereoRig
 from paceline.geometry import epipolar_distance, triangulate
 from paceline.recordings.stereo import StereoFrame
-from paceline.subpixel import vertex_at
+from paceline.subpixel import parabola_peak_at
 
 FIRST_SCALES = np.geomspace(0.66, 1.52, 19)  # of a vehicle whose motion is not known yet
 FIRST_REACH = 0.8  # lengths of its longer side that it may have moved
@@ -152,7 +152,7 @@ def _search(before: Image, quad: Array, image: Image, centre: Array, scales: Arr
         score = np.nan_to_num(score, posinf=-1.0, neginf=-1.0)
         _, likeness, _, (x, y) = cv2.minMaxLoc(score)
         if likeness > best[1]:
-            peak = np.array([x + vertex_at(score[y], x), y + vertex_at(score[:, x], y)])
+            peak = np.array([x + parabola_peak_at(score[y], x), y + parabola_peak_at(score[:, x], y)])
             found = peak / shrink + [x0 - 0.5, y0 - 0.5]
             best = (Move(scale, found - scale * edge), float(likeness))
     return best

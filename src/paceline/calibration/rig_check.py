@@ -18,7 +18,7 @@ from paceline.arrays import Array, Mask
 from paceline.blas import on_one_blas_thread
 from paceline.calibration.scene_matches import Matches
 from paceline.calibration.speed_sensitivity import SpeedEffect, speed_effects, stated_uncertainty
-from paceline.cameras import RigUncertainty, StereoRig, moved_rig
+from paceline.cameras import RigUncertainty, StereoRig, perturbed_rig
 from paceline.geometry import epipolar_distance
 
 LEAST_MATCHES, LEAST_TILES = 30, 12
@@ -97,7 +97,7 @@ def check(rig: StereoRig, matches: Matches) -> Check:
     scene += np.outer(doubt, doubt)
     response = np.linalg.pinv(J) @ _by_parameters(at, kept)  # how errors of the file show as a turn
     uncertainty = rig.uncertainty or RigUncertainty()
-    moves = response @ uncertainty.moves.T
+    moves = response @ uncertainty.covariance_root.T
     of_rig = moves @ moves.T
     tiles = len(np.unique(kept.tile))
     distance = float(turn @ np.linalg.solve(scene + of_rig, turn))
@@ -126,7 +126,7 @@ def refine(rig: StereoRig, found: Check) -> Refinement:
     about the one that it does not. Only the rotation is changed; the doubt about all else stays (a filter that
     "considers" it: S. F. Schmidt, 1966).
     """
-    U = (rig.uncertainty or RigUncertainty()).moves
+    U = (rig.uncertainty or RigUncertainty()).covariance_root
     prior = U.T @ U
     if found.moved or not found.states_uncertainty:
         knock = found.turn**2 - (np.diag(found.scene_covariance + found.rig_covariance) if found.moved else 0.0)
@@ -205,5 +205,5 @@ def _by_parameters(rig: StereoRig, matches: Matches) -> Array:
     ends = []
     for sign in (1, -1):
         moves = sign * np.diag(DIFFERENCES)
-        ends.append([epipolar_distance(moved_rig(rig, m), matches.left, matches.right) for m in moves])
+        ends.append([epipolar_distance(perturbed_rig(rig, m), matches.left, matches.right) for m in moves])
     return np.asarray(((np.array(ends[0]) - np.array(ends[1])) / (2 * DIFFERENCES[:, None])).T)

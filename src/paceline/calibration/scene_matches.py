@@ -13,7 +13,7 @@ from paceline.cameras import StereoRig
 from paceline.geometry import epipolar_distance, triangulate
 from paceline.progress import Progress
 from paceline.recordings.stereo import StereoRecording
-from paceline.sift_features import features, matched
+from paceline.sift_features import detect_features, match_descriptors
 
 FRAMES = 6  # looked at, evenly spread: what stands still is seen again in each, and adds little
 FEATURES = 3000  # of each view
@@ -62,8 +62,8 @@ def match_scene(recording: StereoRecording, progress: Progress | None = None) ->
 
 def match(rig: StereoRig, detector: cv2.SIFT, left: Image, right: Image) -> tuple[Array, Array]:
     """Features (n, 2) of two views that are each other's best match by far, near their epipolar lines and in front."""
-    (a, of_a), (b, of_b) = (features(detector, image) for image in (left, right))
-    i, j = matched(of_a, of_b, RATIO)
+    (a, of_a), (b, of_b) = (detect_features(detector, image) for image in (left, right))
+    i, j = match_descriptors(of_a, of_b, RATIO)
     p, q = a[i], b[j]
     with np.errstate(invalid="ignore", divide="ignore"):
         in_front = triangulate(rig, p, q)[:, 2] > 0

@@ -14,7 +14,7 @@ import numpy as np
 
 from paceline.arrays import Array
 from paceline.calibration.parameters import LENS, N_LENS, N_RIG, Rig, camera_of
-from paceline.cameras import RigUncertainty, StereoRig, moved_rigs
+from paceline.cameras import RigUncertainty, StereoRig, perturbed_rigs
 from paceline.geometry import triangulate
 
 DISTANCES = (20.0, 50.0, 80.0)  # m
@@ -39,7 +39,7 @@ def speed_effects(rig: StereoRig, distances: Sequence[float] = DISTANCES) -> lis
     """What the stated uncertainty of ``rig`` does to speeds in the middle of the picture: every move that it allows,
     with the pixels held fixed, before any vehicle's pictures put some of it right."""
     assert rig.uncertainty is not None
-    moves = moved_rigs(rig, rig.uncertainty)
+    moves = perturbed_rigs(rig, rig.uncertainty)
     effects = []
     for distance in distances:
         along, across = (
@@ -117,7 +117,7 @@ def stated_uncertainty(rig: StereoRig, covariance: Array) -> RigUncertainty:
     ways = [way for distance in DISTANCES for across in ACROSS for way in _ways(rig, distance, across)]
 
     def variances(stated: RigUncertainty) -> Array:
-        moves = moved_rigs(rig, stated)
+        moves = perturbed_rigs(rig, stated)
         return np.array([sum(speed_change(rig, moved, *way) ** 2 for moved in moves) for way in ways])
 
     wanted, focal = variances(RigUncertainty(covariance=covariance)), variances(RigUncertainty(1.0))

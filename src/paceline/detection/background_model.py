@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from paceline.arrays import Image
-from paceline.cameras import EVERY
+from paceline.cameras import ALL_ROWS
 from paceline.detection import background_model_cpu
 from paceline.detection.detector import noise_of
 from paceline.recordings.stereo import StereoFrame
@@ -35,10 +35,10 @@ class Before:
 class Scene(Protocol):
     """What is there without vehicles."""
 
-    def before(self, frame: StereoFrame, rows: slice = EVERY) -> Before:
+    def before(self, frame: StereoFrame, rows: slice = ALL_ROWS) -> Before:
         """What ``frame`` would show, of which only the ``rows`` are looked at."""
 
-    def follow(self, frame: StereoFrame, rows: slice = EVERY) -> None:
+    def follow(self, frame: StereoFrame, rows: slice = ALL_ROWS) -> None:
         """Take note of what ``frame`` shows."""
 
     @property
@@ -57,11 +57,11 @@ class EmptyScene:
         self.images = (images[0].copy(), images[1].copy())
         self._time: float | None = None
 
-    def before(self, frame: StereoFrame, rows: slice = EVERY) -> Before:
+    def before(self, frame: StereoFrame, rows: slice = ALL_ROWS) -> Before:
         """The same for every frame."""
         return Before(self.images)
 
-    def follow(self, frame: StereoFrame, rows: slice = EVERY) -> None:
+    def follow(self, frame: StereoFrame, rows: slice = ALL_ROWS) -> None:
         """Draw the scene, or only its ``rows``, towards what ``frame`` shows."""
         if self._time is not None:
             step = DRIFT * (frame.time - self._time)
@@ -83,7 +83,7 @@ class DetectedScene:
         self._last: Image | None = None
         self._pictures = self._boxed = 0
 
-    def before(self, frame: StereoFrame, rows: slice = EVERY) -> Before:
+    def before(self, frame: StereoFrame, rows: slice = ALL_ROWS) -> Before:
         """With the noise by which ``frame`` differs from the last one; none for the first frame."""
         boxes = self._detect(frame.left), self._detect(frame.right)
         self._pictures += 2
@@ -93,7 +93,7 @@ class DetectedScene:
             return Before(images)
         return Before(images, noise_of(frame.left[rows], self._last[rows]) / float(np.sqrt(2.0)))
 
-    def follow(self, frame: StereoFrame, rows: slice = EVERY) -> None:
+    def follow(self, frame: StereoFrame, rows: slice = ALL_ROWS) -> None:
         """Remember ``frame`` to tell the noise of the next one."""
         self._last = frame.left
 

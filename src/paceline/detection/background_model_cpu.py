@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from paceline.arrays import Image
-from paceline.numba_cache import compiled
+from paceline.numba_cache import cached_njit
 
 
-@compiled(nogil=True)
+@cached_njit(nogil=True)
 def draw(image: Image, now: Image, step: float) -> None:
     """Move every pixel of ``image`` (H, W), in place, towards ``now``, by ``step`` grey levels at most."""
     most = np.float32(step)

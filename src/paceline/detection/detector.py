@@ -21,7 +21,7 @@ from paceline.detection.lane_paths import LEVELS, Grid, Way, laid_out, pyramid
 from paceline.detection.photo_consistency import local_mean, stands
 from paceline.detection.plane_sweep import Card, Views, card_of
 from paceline.recordings.stereo import StereoFrame
-from paceline.subpixel import vertex
+from paceline.subpixel import parabola_peak
 
 GRID = Grid(left=-3.2, top=2.6, bottom=0.2, cell=0.05)  # m; what lies lower is road
 WINDOW = 7  # cells, over which pictures are compared
@@ -247,7 +247,7 @@ class Lookout:
         s = self._stations[station][1]
         if not first < station < last - 1:
             return s
-        offset = vertex(height(station - 1), height(station), height(station + 1))
+        offset = parabola_peak(height(station - 1), height(station), height(station + 1))
         neighbour = self._stations[station + (1 if offset > 0 else -1)][1]
         return s + abs(offset) * (neighbour - s)
 

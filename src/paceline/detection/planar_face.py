@@ -18,7 +18,7 @@ from paceline.detection.lane_paths import Grid, Way
 from paceline.detection.photo_consistency import FLAT, Texture, agreement, correlation
 from paceline.detection.tracks import Track
 from paceline.speed.geometry.paths import Path
-from paceline.subpixel import vertex_at
+from paceline.subpixel import parabola_peak_at
 
 Span = tuple[float, float]
 
@@ -217,7 +217,7 @@ def _where_views_agree(sighting: Sighting, rows: slice, columns: slice) -> float
         best, heights = sharp, fits
     if not areas[best] > 0.0 or not 0 < best < STEPS - 1:
         return None
-    return float(sighting.s + ahead[best] + vertex_at(heights, best) * (ahead[1] - ahead[0]))
+    return float(sighting.s + ahead[best] + parabola_peak_at(heights, best) * (ahead[1] - ahead[0]))
 
 
 def _fit(left: Image, right: Image) -> float:
@@ -250,7 +250,7 @@ def _searched(sighting: Sighting, template: Image, rows: slice, columns: slice, 
     scores, preferred = np.array(found, float).T
     preferred -= UNUSUAL * off**2
     best = int(np.argmax(preferred))
-    s = sighting.s + ahead[best] + vertex_at(preferred, best) * (ahead[1] - ahead[0])
+    s = sighting.s + ahead[best] + parabola_peak_at(preferred, best) * (ahead[1] - ahead[0])
     down, across = moves[best]
     return Aligned(sighting, float(s), origin + np.array([across, -down]) * FINE.cell, float(scores[best]))
 
@@ -266,8 +266,8 @@ def _subpixel(scores: Image, peak: tuple[np.intp, ...]) -> Array:
     row, column = int(peak[0]), int(peak[1])
     return np.array(
         [
-            row + vertex_at(scores[:, column].astype(float), row),
-            column + vertex_at(scores[row].astype(float), column),
+            row + parabola_peak_at(scores[:, column].astype(float), row),
+            column + parabola_peak_at(scores[row].astype(float), column),
         ]
     )
 
@@ -320,9 +320,7 @@ def _inset(span: Array) -> Span:
     return float(span[0]) + INSET, float(span[1]) - INSET
 
 
-def best_rectangle(
-    votes: Array, height: int, widths: tuple[int, int], column: int
-) -> tuple[int, int, int, int] | None:
+def best_rectangle(votes: Array, height: int, widths: tuple[int, int], column: int) -> tuple[int, int, int, int] | None:
     """The rows and columns, from where and to before where, of the rectangle of ``votes`` (H, W) with the largest sum,
     at least ``height`` high and between ``widths`` wide, that holds a ``column``; None where no sum is positive."""
     H, W = votes.shape

@@ -9,13 +9,13 @@ import numpy as np
 
 from paceline.arrays import Array, Bytes, Image, Mask
 from paceline.detection import photo_consistency
-from paceline.numba_cache import compiled
+from paceline.numba_cache import cached_njit
 
 AGREE, CHANGED, FLAT = photo_consistency.AGREE, photo_consistency.CHANGED, photo_consistency.FLAT
 SUMS = {"reassoc", "contract", "nsz"}  # sums may be taken in another order
 
 
-@compiled(nogil=True, fastmath=SUMS, error_model="numpy")
+@cached_njit(nogil=True, fastmath=SUMS, error_model="numpy")
 def lay_out(image: Image, H: Array, scale: float, card: Image) -> None:
     """Fill ``card`` (rows, columns) with ``image`` at ``scale`` times the pixels that ``H`` (3, 3) makes of its cells
     (column, row, 1), and take off the mean, which leaves the sums of squares exact; the border repeats."""
@@ -44,7 +44,7 @@ def lay_out(image: Image, H: Array, scale: float, card: Image) -> None:
             card[r, c] -= mean
 
 
-@compiled(nogil=True, fastmath=SUMS, error_model="numpy")
+@cached_njit(nogil=True, fastmath=SUMS, error_model="numpy")
 def _means(a: Image, b: Image, window: int, means: Image) -> None:
     """The ``means`` (H, W) of a·b over ``window`` × ``window`` places about each, mirrored at the border."""
     rows, columns = a.shape
@@ -69,7 +69,7 @@ def _means(a: Image, b: Image, window: int, means: Image) -> None:
                 mean[c] += share * row[c]
 
 
-@compiled(nogil=True, fastmath=SUMS, error_model="numpy")
+@cached_njit(nogil=True, fastmath=SUMS, error_model="numpy")
 def _moments(card: Image, ones: Image, window: int, mean: Image, std: Image) -> None:
     """The local ``mean`` and standard deviation of a ``card``, all (H, W)."""
     _means(card, ones, window, mean)
@@ -79,7 +79,7 @@ def _moments(card: Image, ones: Image, window: int, mean: Image, std: Image) -> 
             std[r, c] = np.sqrt(max(std[r, c] - mean[r, c] * mean[r, c], np.float32(0.0)))
 
 
-@compiled(nogil=True, fastmath=SUMS, error_model="numpy")
+@cached_njit(nogil=True, fastmath=SUMS, error_model="numpy")
 def _correlated(a: Image, of_a: Image, b: Image, of_b: Image, window: int, correlation: Image) -> None:
     """The local ``correlation`` of two cards (H, W), with means and standard deviations ``of_a`` and ``of_b``
     (2, H, W)."""
@@ -91,7 +91,7 @@ def _correlated(a: Image, of_a: Image, b: Image, of_b: Image, window: int, corre
             correlation[r, c] = covariance / contrast if contrast > FLAT else np.float32(0.0)
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def _laid_out(
     left: Image, right: Image, H: Array, scale: float, window: int, size: tuple[int, int]
 ) -> tuple[Image, Image]:
@@ -105,7 +105,7 @@ def _laid_out(
     return cards, moments
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def correlate(
     left: Image, right: Image, H: Array, scale: float, window: int, correlation: Image, contrast: Image
 ) -> None:
@@ -116,7 +116,7 @@ def correlate(
     contrast[:] = moments[0, 1]
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def count(
     left: Image, right: Image, left_before: Image, right_before: Image, H: Array, scale: float, window: int,
     least: float, enough: float, counts: Image,
@@ -150,7 +150,7 @@ def count(
         counts[:] = np.float32(0.0)
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def hide(counts: Image, explained: Bytes, H: Array) -> None:
     """Count nothing at the cells of a card, ``H`` (3, 3), that lie in the ``explained`` part of a picture."""
     height, width = explained.shape
@@ -165,7 +165,7 @@ def hide(counts: Image, explained: Bytes, H: Array) -> None:
                 counts[r, c] = 0.0
 
 
-@compiled(nogil=True, fastmath=SUMS, error_model="numpy")
+@cached_njit(nogil=True, fastmath=SUMS, error_model="numpy")
 def weighted(counts: Image, weights: Image) -> float:
     """The sum of ``counts`` (rows, columns) by the ``weights`` (columns,) of the columns."""
     total = 0.0
@@ -175,7 +175,7 @@ def weighted(counts: Image, weights: Image) -> float:
     return total
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def sharpness(left: Image, right: Image, H: Array, scale: float, window: int, piece: Mask) -> float:
     """The correlation of what two pictures show in a ``piece`` (rows, columns) of a card, ``H`` (2, 3, 3), the more of
     it the more contrast both have, −1 to 1."""

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from paceline.arrays import Array, Floats, Indices, Mask
-from paceline.numba_cache import compiled
+from paceline.numba_cache import cached_njit
 
 NOBODY = -1
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def associate(
     points: Floats,
     upright: bool,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from paceline.arrays import Array, Bytes, Floats, Indices, Mask
-from paceline.numba_cache import compiled
+from paceline.numba_cache import cached_njit
 
 CANDIDATES = 3  # lines that may compete for one feature
 BIN = 0.5  # px, of the histogram in which they are found
@@ -15,7 +15,7 @@ FAINT_PLACE = 0.4  # px: how well such a line is placed
 WITHIN = 0.15  # of a feature's length at either end, where others meet it
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def candidate_lines(
     points: Floats,
     owners: Indices,
@@ -82,7 +82,7 @@ def candidate_lines(
         histogram[low - 1 : high + 1] = 0.0
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def _grouped(points: Floats, owners: Indices, across: int, features: int) -> tuple[Array, Indices]:
     """Where the points of each feature lie across it, one feature's after the other's, and where each one's begin."""
     begins = np.zeros(features + 1, np.int64)
@@ -99,7 +99,7 @@ def _grouped(points: Floats, owners: Indices, across: int, features: int) -> tup
     return members, begins
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def add_shares(
     points: Floats, owners: Indices, upright: bool, places: Array, lengths: Array, breadth: float, shares: Array
 ) -> None:
@@ -112,7 +112,7 @@ def add_shares(
             shares[j] += 1.0 / lengths[j]
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def faint_lines(
     image: Bytes,
     features: Array,

@@ -12,7 +12,7 @@ from paceline.arrays import Array, Bytes, Floats
 from paceline.follow import carrying_cpu
 from paceline.follow.features import Projection
 from paceline.follow.search import DETAIL
-from paceline.subpixel import vertex
+from paceline.subpixel import parabola_peak
 
 GROWN = 1.1  # times the target's size that the picture shows,
 # and of its width at least so much in height, as vehicles are, of what is added so much above
@@ -224,5 +224,5 @@ def _top(scores: Array) -> tuple[float, float]:
     """Where the parabola through three ``scores``, one step apart, has its top, from the middle one and within a step;
     and how high it is there."""
     low, middle, high = scores.tolist()
-    at = vertex(low, middle, high, reach=1.0)
+    at = parabola_peak(low, middle, high, reach=1.0)
     return at, middle + 0.5 * at * (high - low) + 0.5 * at * at * (low - 2.0 * middle + high)

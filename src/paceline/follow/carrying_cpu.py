@@ -8,12 +8,12 @@ import numpy as np
 
 from paceline.arrays import Floats
 from paceline.follow.picture_cpu import SUMS
-from paceline.numba_cache import compiled
+from paceline.numba_cache import cached_njit
 
 FAINT = 0.1  # grey levels: what varies by less shows nothing
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def _taps(at: float) -> tuple[float, float, float, float]:
     """What the four samples about a place count for, ``at`` (0 to 1) from the second to the third: Keys' cubic with a
     slope of −3/4, as usual for images."""
@@ -25,7 +25,7 @@ def _taps(at: float) -> tuple[float, float, float, float]:
     return first, second, 1.0 - first - second - last, last
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def sampled(pixels: Floats, x0: float, y0: float, step: float, out: Floats) -> None:
     """``out`` (h, w): ``pixels`` (H, W) at x0 + step·column, y0 + step·row, interpolated by cubics; the border goes
     on."""
@@ -60,7 +60,7 @@ def sampled(pixels: Floats, x0: float, y0: float, step: float, out: Floats) -> N
             )
 
 
-@compiled(nogil=True, fastmath=SUMS, error_model="numpy")
+@cached_njit(nogil=True, fastmath=SUMS, error_model="numpy")
 def _dot(one: Floats, other: Floats) -> float:
     """The sum of the products of two arrays (n,)."""
     total = np.float32(0.0)
@@ -69,7 +69,7 @@ def _dot(one: Floats, other: Floats) -> float:
     return float(total)
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def products(picture: Floats, part: Floats) -> Floats:
     """(H − h + 1, W − w + 1): the sums of the products of a ``picture`` (h, w) with ``part`` (H, W) at every whole
     sample at which it lies in that."""
@@ -86,7 +86,7 @@ def products(picture: Floats, part: Floats) -> Floats:
     return sums
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def normalise(scores: Floats, part: Floats, h: int, w: int) -> None:
     """Make ``scores`` (H − h + 1, W − w + 1), `products` of a picture (h, w) of mean 0 and norm 1 with ``part`` (H, W),
     its correlations; 0 where nothing shows."""

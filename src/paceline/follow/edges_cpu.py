@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from paceline.arrays import Bytes, Floats
-from paceline.numba_cache import compiled
+from paceline.numba_cache import cached_njit
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def gradient_row(image: Bytes, y: int, x0: int, x1: int, gx: Floats, gy: Floats) -> None:
     """Sobel's 3×3 gradient of row ``y``, columns ``x0`` to ``x1``, into rows of scratch that start at ``x0``; a step of
     n grey levels across x or y gives n."""
@@ -21,14 +21,14 @@ def gradient_row(image: Bytes, y: int, x0: int, x1: int, gx: Floats, gy: Floats)
         gy[i] = np.float32(0.25) * np.float32(f - a + np.int32(2) * (g - b) + h - c)
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def _peak(before: float, here: float, after: float) -> float:
     """Where a parabola through three values is highest, in steps from the middle one, which is the highest."""
     bend = before - 2.0 * here + after
     return 0.5 * (before - after) / bend if bend < 0.0 else 0.0
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def extract(
     image: Bytes,
     x0: int,

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from paceline.arrays import Array
-from paceline.cameras import Camera, displaced
-from paceline.numba_cache import compiled
+from paceline.cameras import Camera, line_displacement
+from paceline.numba_cache import cached_njit
 from paceline.targets.line_model import Target
 
 
@@ -32,7 +32,7 @@ class Shown:
     shifts: Array
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def _featured(
     location: Array, magnification: Array, vertical: NDArray[np.bool_], offsets: Array, extents: Array
 ) -> tuple[Array, Array, Array]:
@@ -85,7 +85,7 @@ class Projection:
         places, spans, lengths = _featured(location, self.magnification, vertical, self.offsets, self.target.spans)
         if not self.camera.has_distortion:
             return Features(places, spans, lengths, self._unmoved)
-        across, onward = displaced(self.camera, self.lines(location), vertical)
+        across, onward = line_displacement(self.camera, self.lines(location), vertical)
         return Features(places + across, spans + onward[:, None], lengths, across)
 
     def shown(self, location: Array) -> Shown:

@@ -8,7 +8,7 @@ import numpy as np
 
 from paceline.arrays import Array, Floats, Indices, Mask
 from paceline.follow.motion import solved, triangularise
-from paceline.numba_cache import compiled
+from paceline.numba_cache import cached_njit
 
 ROUNDS = 6  # of the robust fit
 UNCHECKED = 1.5  # times its variance that a fit with one feature to spare may claim too little
@@ -36,7 +36,7 @@ class Fit:
     used: Mask
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def locate_features(
     points: Floats,
     owners: Indices,
@@ -70,7 +70,7 @@ def locate_features(
             weights[j] = 1.0 / np.sqrt(max(squares[j] / count[j], variance_floor)) if enough else 0.0
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def _fill(places: Array, weights: Array, vertical: Mask, offsets: Array, rows: Array) -> None:
     """The weighted rows [A | b] of (16) into ``rows`` (≥ S, 4); features of no weight give rows of zeros."""
     for j in range(len(places)):
@@ -81,13 +81,13 @@ def _fill(places: Array, weights: Array, vertical: Mask, offsets: Array, rows: A
         rows[j, 3] = w * places[j] if w > 0.0 else 0.0
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def _determined(pair: Array) -> bool:
     a, b, c = abs(pair[0, 0]), abs(pair[1, 1]), abs(pair[2, 2])
     return bool(min(a, b) > 0.0 and c > SINGULAR * max(a, b))
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def robust_lines(
     lines: Array,
     start: Array,
@@ -149,7 +149,7 @@ def robust_lines(
     return places, weights
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def _locate(
     places: Array, weights: Array, vertical: Mask, offsets: Array, scale: float, turned: float, center: Array
 ) -> tuple[bool, Array, Array, Array, float, Array]:

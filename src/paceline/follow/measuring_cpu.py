@@ -8,7 +8,7 @@ from paceline.arrays import Array, Bytes, Floats, Indices, Mask
 from paceline.follow.association import associate
 from paceline.follow.candidates import CANDIDATES, add_shares, candidate_lines, faint_lines
 from paceline.follow.fitting import locate_features, robust_lines
-from paceline.numba_cache import compiled
+from paceline.numba_cache import cached_njit
 
 AGREEING = 1.5  # times what is allowed that a feature may be off to agree
 BORDER = 2.0  # px of the image in which no edge is looked for
@@ -16,7 +16,7 @@ LEAST_SHOWN = 0.6  # share of the model to which what shows of it is related at 
 SAMPLING = 0.2  # px: what the grid of pixels leaves uncertain of a line
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def tolerances(
     location: Array,
     vertical: Mask,
@@ -45,7 +45,7 @@ def tolerances(
     return out
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def mean_places(
     near_vertical: Floats,
     near_horizontal: Floats,
@@ -71,7 +71,7 @@ def mean_places(
     return found, weights
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def competing_places(
     image: Bytes,
     near_vertical: Floats,
@@ -113,7 +113,7 @@ def competing_places(
     return found + shifts, weights
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def shares_found(
     near_vertical: Floats, near_horizontal: Floats, owners: Indices, places: Array, lengths: Array, breadth: float
 ) -> Array:
@@ -124,7 +124,7 @@ def shares_found(
     return np.minimum(shares, 1.0)
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def in_view(vertical: Mask, places: Array, spans: Array, width: int, height: int) -> Array:
     """(S,): the share of each feature's length that lies in an image of ``width`` × ``height`` px."""
     shares = np.zeros(len(places))
@@ -136,7 +136,7 @@ def in_view(vertical: Mask, places: Array, spans: Array, width: int, height: int
     return shares
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def agreement(
     offsets: Array, used: Mask, allowed: Array, shares: Array, lengths: Array, shown: Array
 ) -> tuple[float, float, float, float, Mask]:
@@ -168,7 +168,7 @@ def agreement(
     return np.sqrt(squares / n), np.sqrt(ratios / n), match, support, agreeing
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def believed(near_vertical: Floats, near_horizontal: Floats, owners: Indices, used: Mask) -> tuple[Array, Indices]:
     """The edge points (M, 2) px of the features that are ``used`` (S,), and whose they are (M,)."""
     most = len(near_vertical) + len(near_horizontal)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from paceline.arrays import Array
 from paceline.follow.configuration import FollowConfiguration
-from paceline.numba_cache import compiled
+from paceline.numba_cache import cached_njit
 
 CYCLE = 1 / 15  # s, the paper's cycle: the unit of time in the motion models
 LINEAR = 4.0  # cycles for which a motion is continued when nothing is seen; then the target is expected to stay there
@@ -25,7 +25,7 @@ FORGOTTEN = 0.3  # what is left of its weight where a motion was wrong
 HONEST = 2.0  # cycles: a prediction farther ahead than that says nothing about the models
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def triangularise(A: Array) -> None:
     """Make ``A`` (rows, columns) upper triangular in its place by Householder reflections: T of (22)–(25)."""
     rows, columns = A.shape
@@ -51,7 +51,7 @@ def triangularise(A: Array) -> None:
             A[i, k] = 0.0
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def aged(pair: Array, tau: float, decay: float) -> Array:
     """The least squares pair [U | z] (3, 4) ``tau`` cycles later: √(λ^τ)·[U V | z] of (29), with V of (30) for a
     shift by τ."""
@@ -66,7 +66,7 @@ def aged(pair: Array, tau: float, decay: float) -> Array:
     return out
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def updated(pair: Array, value: float, weight: float) -> Array:
     """The pair with a measurement at t = 0 added: the row w·[1 0 0 | c] over the old ones, made triangular again."""
     rows = np.empty((4, 4))
@@ -79,7 +79,7 @@ def updated(pair: Array, value: float, weight: float) -> Array:
     return rows[:3].copy()
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def solved(pair: Array) -> Array:
     """a0, a1, a2 of (2), by back substitution in z = U x (28)."""
     x = np.zeros(3)
@@ -91,7 +91,7 @@ def solved(pair: Array) -> Array:
     return x
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def at_rest(value: float, weights: Array) -> Array:
     """The pair of a parameter that is ``value`` and does not move, its coefficients known with ``weights`` (3,)."""
     pair = np.zeros((3, 4))
@@ -101,7 +101,7 @@ def at_rest(value: float, weights: Array) -> Array:
     return pair
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def extrapolated(pair: Array, tau: float, moving: bool = True) -> float:
     """(34), ``tau`` cycles on; beyond a few cycles without a measurement the motion is not trusted to go on. Of what
     is not ``moving``, a0."""
@@ -112,7 +112,7 @@ def extrapolated(pair: Array, tau: float, moving: bool = True) -> float:
     return float(a[0] + a[1] * linear + a[2] * curved * curved)
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def _predict(pairs: Array, errors: Array, tau: float, moving: NDArray[np.bool_], values: Array, stds: Array) -> None:
     """The models' predictions, each weighed by the inverse of its mean squared error of late."""
     for p in range(pairs.shape[0]):
@@ -126,7 +126,7 @@ def _predict(pairs: Array, errors: Array, tau: float, moving: NDArray[np.bool_],
         stds[p] = np.sqrt(error / total) * max(1.0, tau)
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def _observe(
     pairs: Array,
     errors: Array,

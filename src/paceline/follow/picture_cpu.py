@@ -6,7 +6,7 @@ import numpy as np
 
 from paceline.arrays import Array, Bytes, Floats
 from paceline.follow.motion import solved, triangularise
-from paceline.numba_cache import compiled
+from paceline.numba_cache import cached_njit
 
 UNLIKE, ALIKE = 0.2, 0.8  # correlation of a square from which, and at which fully, it has a say in the alignment
 STRIDE = 1.5  # samples by which one step may move the picture
@@ -16,7 +16,7 @@ SUMS = {"reassoc", "contract", "nsz"}  # sums may be taken in another order
 STILL = 0.02  # samples: a step that moves no corner by more is the last one
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def sample(image: Bytes, x0: float, y0: float, dx: float, dy: float, out: Floats) -> int:
     """``out`` (h, w): ``image`` interpolated at x0 + dx·column, y0 + dy·row; returns how many samples lie inside, the
     others repeat the border."""
@@ -46,7 +46,7 @@ def sample(image: Bytes, x0: float, y0: float, dx: float, dy: float, out: Floats
     return inside
 
 
-@compiled(nogil=True, fastmath=SUMS, error_model="numpy")
+@cached_njit(nogil=True, fastmath=SUMS, error_model="numpy")
 def _moments(a: Floats, b: Floats, x0: int, y0: int, cell: int) -> tuple[float, float, float, float, float]:
     """Means of ``a`` and ``b`` in one square of ``cell`` samples, their variances and their covariance."""
     n = float(cell * cell)
@@ -63,7 +63,7 @@ def _moments(a: Floats, b: Floats, x0: int, y0: int, cell: int) -> tuple[float, 
     return sa / n, sb / n, saa / n - (sa / n) ** 2, sbb / n - (sb / n) ** 2, sab / n - sa * sb / (n * n)
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def likeness(a: Floats, b: Floats, cell: int, least: float, share: float, neutral: float, out: Array) -> float:
     """The mean of the highest ``share`` of the correlations of ``a`` and ``b`` (h, w) in squares of ``cell`` samples.
 
@@ -84,7 +84,7 @@ def likeness(a: Floats, b: Floats, cell: int, least: float, share: float, neutra
     return float(np.sort(out[:count])[count - best :].mean())
 
 
-@compiled(nogil=True, fastmath=SUMS, error_model="numpy")
+@cached_njit(nogil=True, fastmath=SUMS, error_model="numpy")
 def _products(
     seen: Floats,
     picture: Floats,
@@ -131,7 +131,7 @@ def _products(
     return np.array([[xx, xy, xs, xr], [xy, yy, ys, yr], [xs, ys, ss, sr], [xr, yr, sr, rr]])
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def align(
     image: Bytes,
     picture: Floats,

@@ -9,7 +9,7 @@ import numpy as np
 
 from paceline.arrays import Array
 from paceline.cameras import Camera
-from paceline.numba_cache import compiled
+from paceline.numba_cache import cached_njit
 
 YAW = 0.1  # rad, standard deviation of the target's yaw against the camera
 
@@ -37,7 +37,7 @@ def place_of(
     return Place(position, std, atan2(across, 1.0))
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def _placed(
     location: Array, covariance: Array, K_inv: Array, nominal_range: float, tolerance: float, width: float
 ) -> tuple[Array, Array, float]:

@@ -6,13 +6,13 @@ import numpy as np
 
 from paceline.arrays import Array, Bytes, Floats, Indices, Mask
 from paceline.follow.edges_cpu import gradient_row
-from paceline.numba_cache import compiled
+from paceline.numba_cache import cached_njit
 
 FULL = 1.1  # evidence along a clear line: none counts for more in a survey
 TOLD = 0.3  # share of its own strength that a feature's learned evidence must keep to tell which side is brighter
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def pool(image: Bytes, x0: int, y0: int, side: int, out: Bytes) -> None:
     """``out`` (h, w): means of ``side`` × ``side`` squares of ``image``, the first of which begins at x0, y0."""
     h, w = out.shape
@@ -37,7 +37,7 @@ def pool(image: Bytes, x0: int, y0: int, side: int, out: Bytes) -> None:
             out[y, x] = total // n
 
 
-@compiled(nogil=True, fastmath=True, error_model="numpy")
+@cached_njit(nogil=True, fastmath=True, error_model="numpy")
 def evidence(image: Bytes, soft: float, gx: Floats, gy: Floats, vertical: Floats, horizontal: Floats) -> None:
     """How much each pixel of ``image`` (h, w) looks like an edge, −1 to 1 by the sign of the step, in running sums.
 
@@ -80,7 +80,7 @@ def evidence(image: Bytes, soft: float, gx: Floats, gy: Floats, vertical: Floats
     vertical[h] = vertical[h - 1]
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def _laid(
     centers: Array, m: float, across: Mask, places: Array, spans: Array, shifts: Array, limit: int, out: Indices
 ) -> None:
@@ -99,7 +99,7 @@ def _laid(
                 out[i, j, 0], out[i, j, 1], out[i, j, 2] = max(a, 0), min(b, limit), b - a
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def _respond(
     vertical_sums: Floats, horizontal_sums: Floats, vertical: Mask, in_x: Indices, in_y: Indices, out: Array
 ) -> None:
@@ -123,7 +123,7 @@ def _respond(
                 out[j] = s / length
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def responses(
     vertical_sums: Floats,
     horizontal_sums: Floats,
@@ -146,7 +146,7 @@ def responses(
     _respond(vertical_sums, horizontal_sums, vertical, in_x[0], in_y[0], out)
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def likeness(found: Array, signed: Array, strength: Array, weights: Array) -> float:
     """How well the evidence ``found`` (S,) along a model agrees with what was learned: 1 for as strong as usual.
 
@@ -164,13 +164,13 @@ def likeness(found: Array, signed: Array, strength: Array, weights: Array) -> fl
     return total / full
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def _strike(scores: Array, i: int, j: int, near: int) -> None:
     """Take the places up to ``near`` steps from column ``i`` and row ``j`` off the ``scores`` (ny, nx) of a scale."""
     scores[max(j - near, 0) : j + near + 1, max(i - near, 0) : i + near + 1] = -1.0
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def loss(modesty: float, away: float, away_s: float) -> float:
     """What a place loses that is off the expected one by so many squared standard deviations, ``away`` in the image
     and ``away_s`` in scale: ``modesty`` for one. In the image this levels off, for a bump moves the whole of it, but
@@ -178,7 +178,7 @@ def loss(modesty: float, away: float, away_s: float) -> float:
     return modesty * (away_s + away / (1.0 + away / 9.0))
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def scan(
     vertical_sums: Floats,
     horizontal_sums: Floats,
@@ -237,7 +237,7 @@ def scan(
     return count
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def shown(found: Array) -> float:
     """How much of a model of which nothing is learned yet the evidence ``found`` (S,) along it shows: its mean."""
     total = 0.0
@@ -246,7 +246,7 @@ def shown(found: Array) -> float:
     return total / len(found)
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def survey(
     vertical_sums: Floats,
     horizontal_sums: Floats,

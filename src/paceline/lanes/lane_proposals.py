@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from paceline.arrays import Array
-from paceline.cameras import StereoRig, moved_rigs
+from paceline.cameras import StereoRig, perturbed_rigs
 from paceline.errors import UnusableInput
 from paceline.geometry import triangulate
 from paceline.lanes.line_adjustment import Road
@@ -122,7 +122,7 @@ def _width(rig: StereoRig, road: Road, k: int, s: Array) -> tuple[float, float]:
     width = float(weight @ _distances(first, second))
     variance = float(weight @ covariance @ weight)
     if rig.uncertainty:
-        for moved in moved_rigs(rig, rig.uncertainty):
+        for moved in perturbed_rigs(rig, rig.uncertainty):
             shifted = [triangulate(moved, *rig.project(points)) for points in (first, second)]
             variance += (float(weight @ _distances(shifted[0], shifted[1])) - width) ** 2
     return width, float(np.sqrt(variance))

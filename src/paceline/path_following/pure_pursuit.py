@@ -8,23 +8,27 @@ from math import atan, cos, exp, hypot, sin
 import numpy as np
 
 from paceline.arrays import Array
-from paceline.numba_cache import compiled
+from paceline.numba_cache import cached_njit
 from paceline.recordings.odometry import Pose
 
-SPACING = 0.5  # m between two stored points of the path
-LONGEST = 512  # points kept, 256 m: a day's run holds no more than that
-DOUBTED = 4  # points at its end that are not believed of a lead that is not seen any more: what hid it drew them aside
-BEFORE, HIDING = 2, 12  # points before those that were not seen for sure, which are not believed either unless there
-# are more than so many of them: nothing takes so long to hide a vehicle, but in dim light it is never sure
-STRETCH = 24  # points before those that tell where the path leads on, as far on as they reach back,
-ASIDE = 0.1  # m, by how much each may be off it, as several next to each other are alike,
-TURN, SHARPEST = 1.5, 0.05  # m/s² and 1/m, and how hard vehicles turn
-SMOOTH = 0.3  # s over which the chase vehicle's speed is averaged
+PATH_SPACING_M = 0.5  # between two stored points of the path
+MAX_PATH_POINTS = 512  # 256 m: a day's drive needs no more memory than that
+# Once the lead is no longer detected, the last points of its path are discarded: the occluder pulled them sideways.
+# With them go the points that were uncertain and some before these, unless there are too many: no occluder takes so
+# long to cover a vehicle, but in dim light every point is uncertain.
+UNRELIABLE_END_POINTS = 4
+UNRELIABLE_MARGIN_POINTS, MAX_UNRELIABLE_POINTS = 2, 12
+# Extrapolation: a parabola through the last points, with the standard deviation of each across the path, and that of
+# the path's curvature as vehicles drive (lateral acceleration over speed², or the limit).
+FITTED_POINTS = 24
+LATERAL_STD_M = 0.1  # neighbouring points err alike
+LATERAL_ACCELERATION_STD_MPS2, MAX_CURVATURE_STD_PER_M = 1.5, 0.05
+SPEED_SMOOTHING_S = 0.3  # time constant of the chase vehicle's speed
 
 
 @dataclass(frozen=True)
 class SteeringSettings:
-    """What is pursued, and by what vehicle."""
+    """Settings of pure pursuit and of the vehicle that is steered."""
 
     wheelbase: float  # m
     camera_ahead: float  # m from the rear axle to the camera
@@ -34,19 +38,19 @@ class SteeringSettings:
     steering_limit: float  # rad
 
 
-def in_world(pose: Pose, ahead: float, right: float) -> tuple[float, float]:
+def to_world(pose: Pose, ahead: float, right: float) -> tuple[float, float]:
     """World x and y of a point ``ahead`` and to the ``right`` of the camera, metres."""
     c, s = cos(pose.heading), sin(pose.heading)
     return pose.x + c * ahead + s * right, pose.y + s * ahead - c * right
 
 
-def seen_from(pose: Pose, path: Array) -> Array:
+def to_camera(pose: Pose, path: Array) -> Array:
     """World points (N, 2) as (ahead, right) of the camera, metres."""
-    return np.asarray(_turned(path, pose.x, pose.y, cos(pose.heading), sin(pose.heading)))
+    return np.asarray(_rotated(path, pose.x, pose.y, cos(pose.heading), sin(pose.heading)))
 
 
-@compiled(nogil=True, error_model="numpy")
-def _turned(path: Array, x: float, y: float, c: float, s: float) -> Array:
+@cached_njit(nogil=True, error_model="numpy")
+def _rotated(path: Array, x: float, y: float, c: float, s: float) -> Array:
     """``path`` (N, 2) in axes whose origin is x, y: the first has the direction (c, s), the second is to its right."""
     out = np.empty_like(path)
     for i in range(len(path)):
@@ -61,8 +65,8 @@ def pure_pursuit(ahead: float, right: float, wheelbase: float) -> float:
     return atan(2.0 * wheelbase * right / max(ahead**2 + right**2, 1e-6))
 
 
-@compiled(nogil=True, error_model="numpy")
-def goal_on(path: Array, lookahead: float) -> tuple[float, float]:
+@cached_njit(nogil=True, error_model="numpy")
+def goal_point(path: Array, lookahead: float) -> tuple[float, float]:
     """The point (ahead, right) at which ``path`` (N, 2), seen from the vehicle and in driving order, leaves the circle
     of radius ``lookahead`` after its point nearest to the vehicle; its end where it does not reach so far. Its points
     are close beside each other as compared with the circle."""
@@ -77,64 +81,70 @@ def goal_on(path: Array, lookahead: float) -> tuple[float, float]:
     return last[0] + share * step[0], last[1] + share * step[1]
 
 
-def prolonged(path: Array, reach: float, speed: float, unsure: int = 0) -> Array:
-    """``path`` (N, 2), in driving order, carried on by ``reach`` metres beyond what is believed of it, every `SPACING`:
-    by the arc that its end goes on to, as a vehicle turns at a ``speed`` in m/s, and from where that is not told
-    straight on. At its last ``unsure`` points the lead was not seen for sure."""
-    doubted = max(DOUBTED, unsure + BEFORE) if unsure <= HIDING else DOUBTED
-    known = path[: max(len(path) - doubted, (len(path) + 1) // 2, 2)]
-    last = known[-STRETCH:]
+def extrapolated_path(path: Array, reach: float, speed: float, uncertain: int = 0) -> Array:
+    """``path`` (N, 2), in driving order, extrapolated by ``reach`` metres beyond its reliable points, one every
+    ``PATH_SPACING_M``: along the arc fitted to its end, for as long as the fitted part, then straight on.
+
+    ``speed`` in m/s limits the curvature; the last ``uncertain`` points are those at which the lead was not detected
+    reliably.
+    """
+    discarded = UNRELIABLE_END_POINTS
+    if uncertain <= MAX_UNRELIABLE_POINTS:
+        discarded = max(UNRELIABLE_END_POINTS, uncertain + UNRELIABLE_MARGIN_POINTS)
+    known = path[: max(len(path) - discarded, (len(path) + 1) // 2, 2)]
+    last = known[-FITTED_POINTS:]
     along = last[-1] - last[0]
     length = hypot(along[0], along[1])
     if not length > 0:
         return path
     axes = np.array([along, [-along[1], along[0]]]) / length
-    s, sharp = (last - last[-1]) @ axes.T, min(TURN / max(speed, 1.0) ** 2, SHARPEST)
-    # a parabola aside = slope · s + bend · s² / 2 + off at its points, of a bend that is known beforehand to be small
-    rows = np.column_stack([s[:, 0], 0.5 * s[:, 0] ** 2, np.ones(len(s))]) / ASIDE
-    A = np.vstack([rows, [0.0, 1.0 / sharp, 0.0]])
-    slope, bend, off = np.linalg.lstsq(A, np.append(s[:, 1] / ASIDE, 0.0), rcond=None)[0]
-    steps = np.arange(SPACING, reach + SPACING, SPACING)
-    heading = np.arctan(slope) + bend * np.minimum(steps - 0.5 * SPACING, length)
-    on = np.cumsum(np.column_stack([np.cos(heading), np.sin(heading)]), axis=0) * SPACING
-    return np.vstack([known, known[-1] + (on + [0.0, off]) @ axes])
+    s = (last - last[-1]) @ axes.T
+    curvature_std = min(LATERAL_ACCELERATION_STD_MPS2 / max(speed, 1.0) ** 2, MAX_CURVATURE_STD_PER_M)
+    # lateral = slope · s + curvature · s² / 2 + offset, with a Gaussian prior on the curvature
+    rows = np.column_stack([s[:, 0], 0.5 * s[:, 0] ** 2, np.ones(len(s))]) / LATERAL_STD_M
+    A = np.vstack([rows, [0.0, 1.0 / curvature_std, 0.0]])
+    slope, curvature, offset = np.linalg.lstsq(A, np.append(s[:, 1] / LATERAL_STD_M, 0.0), rcond=None)[0]
+    steps = np.arange(PATH_SPACING_M, reach + PATH_SPACING_M, PATH_SPACING_M)
+    heading = np.arctan(slope) + curvature * np.minimum(steps - 0.5 * PATH_SPACING_M, length)
+    ahead = np.cumsum(np.column_stack([np.cos(heading), np.sin(heading)]), axis=0) * PATH_SPACING_M
+    return np.vstack([known, known[-1] + (ahead + [0.0, offset]) @ axes])
 
 
 class Steering:
-    """The angle that makes a vehicle follow the path of the one ahead; without odometry, the one ahead itself."""
+    """Steers a vehicle along the path of the one ahead or, without odometry, straight towards it."""
 
     def __init__(self, settings: SteeringSettings) -> None:
         self._c = settings
-        self._points = np.zeros((LONGEST, 2))
+        self._points = np.zeros((MAX_PATH_POINTS, 2))
         self._count = 0
-        self._unsure = 0  # points at its end at which the vehicle ahead was not seen for sure
+        self._uncertain = 0  # points at its end at which the vehicle ahead was not detected reliably
         self._last: tuple[float, Pose] | None = None
         self.speed = 0.0  # m/s, of the chase vehicle
 
     @property
     def path(self) -> Array:
-        """World points (N, 2), m, that the vehicle ahead has passed, the oldest first; the oldest are forgotten."""
+        """World points (N, 2), m, that the vehicle ahead has passed, oldest first; the oldest are discarded."""
         return self._points[: self._count]
 
     def angle(
-        self, time: float, ahead: float, right: float, seen: bool, pose: Pose | None, sure: bool = True
+        self, time: float, ahead: float, right: float, detected: bool, pose: Pose | None, reliable: bool = True
     ) -> float:
         """Steering angle, rad, positive to the right, at ``time``, s, with the vehicle ahead at ``ahead`` and ``right``
-        metres in the camera's axes; ``seen``: measured, not only expected there; ``sure``: as well as ever."""
+        metres in the camera's axes; ``detected``: measured, not only predicted; ``reliable``: with full confidence."""
         c = self._c
         goal = ahead, right
         if pose is not None:
             self._move(time, pose)
-            if seen:
-                added = self._append(*in_world(pose, ahead, right))
-                self._unsure = 0 if sure else self._unsure + added
+            if detected:
+                added = self._append(*to_world(pose, ahead, right))
+                self._uncertain = 0 if reliable else self._uncertain + added
             if self._count:
                 lookahead = min(max(self.speed * c.lookahead_time, c.lookahead_min), c.lookahead_max)
                 path = self.path
-                if not seen:  # the lead has driven on, and the vehicle may have passed where it was seen last
-                    gone = hypot(*(path[-1] - (pose.x, pose.y)))
-                    path = prolonged(path, gone + c.lookahead_max, self.speed, self._unsure)
-                goal = goal_on(seen_from(pose, path), lookahead)
+                if not detected:  # the lead has driven on, and the vehicle may have passed its last position
+                    distance = hypot(*(path[-1] - (pose.x, pose.y)))
+                    path = extrapolated_path(path, distance + c.lookahead_max, self.speed, self._uncertain)
+                goal = goal_point(to_camera(pose, path), lookahead)
         angle = pure_pursuit(goal[0] + c.camera_ahead, goal[1], c.wheelbase)
         return min(max(angle, -c.steering_limit), c.steering_limit)
 
@@ -142,26 +152,26 @@ class Steering:
         if self._last is not None and time > self._last[0]:
             dt = time - self._last[0]
             speed = hypot(pose.x - self._last[1].x, pose.y - self._last[1].y) / dt
-            self.speed += (1.0 - exp(-dt / SMOOTH)) * (speed - self.speed)
+            self.speed += (1.0 - exp(-dt / SPEED_SMOOTHING_S)) * (speed - self.speed)
         self._last = time, pose
 
     def _append(self, x: float, y: float) -> int:
-        """Lead the path on to a point, straight where the vehicle ahead was not seen on its way there; by how many
-        points it has grown."""
+        """Extends the path to a point, straight where the vehicle ahead was not detected in between; returns how many
+        points were added."""
         if not self._count:
             self._add(x, y)
             return 1
         last = self.path[-1].copy()
-        way = np.array([x, y]) - last
-        length = hypot(*way)
-        n = int(length / SPACING)
-        for k in range(max(1, n + 1 - LONGEST), n + 1):
-            self._add(*(last + k * SPACING / length * way))
+        step = np.array([x, y]) - last
+        length = hypot(*step)
+        n = int(length / PATH_SPACING_M)
+        for k in range(max(1, n + 1 - MAX_PATH_POINTS), n + 1):
+            self._add(*(last + k * PATH_SPACING_M / length * step))
         return n
 
     def _add(self, x: float, y: float) -> None:
-        if self._count == LONGEST:
-            self._points[: LONGEST // 2] = self._points[LONGEST // 2 :]
-            self._count = LONGEST // 2
+        if self._count == MAX_PATH_POINTS:
+            self._points[: MAX_PATH_POINTS // 2] = self._points[MAX_PATH_POINTS // 2 :]
+            self._count = MAX_PATH_POINTS // 2
         self._points[self._count] = x, y
         self._count += 1

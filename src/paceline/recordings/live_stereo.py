@@ -17,7 +17,7 @@ from typing import Protocol
 
 import numpy as np
 
-from paceline.cameras import EVERY, Camera, StereoRig
+from paceline.cameras import ALL_ROWS, Camera, StereoRig
 from paceline.recordings.monocular import CameraFrame, CameraRecording, Grey, open_camera
 from paceline.recordings.stereo import NOTABLE_SKEW, StereoFrame
 
@@ -231,7 +231,7 @@ def _paired(left: _View, right: _View, ahead: float) -> Iterator[RawPair]:
             right.take(b)
 
 
-def undistorted(pair: RawPair, rig: StereoRig, before: RawPair | None, rows: slice = EVERY) -> StereoFrame:
+def undistorted(pair: RawPair, rig: StereoRig, before: RawPair | None, rows: slice = ALL_ROWS) -> StereoFrame:
     """``pair`` in ideal pixels, outside of ``rows`` black; a copy of a picture of the pair ``before`` makes it a
     duplicate."""
     left, right = (

@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from paceline.arrays import Array, Mask
-from paceline.cameras import Camera, StereoRig, View
+from paceline.cameras import Camera, PosedCamera, StereoRig
 from paceline.errors import UnusableInput
 from paceline.simulation.road import Road
 
@@ -25,7 +25,9 @@ LINE_BORDER_PX = 6.0  # px
 START = 0.4, 0.008  # px and share of the size, standard deviations of where a target is said to be
 MIN_BORDER_DISTANCE_PX = 10.0  # px that a quadrilateral keeps from the image's border where it counts as inside
 
-IsHidden = Callable[[View, Array], Mask]  # whether (N,) anything that stands still hides points (N, 3) from a view
+IsHidden = Callable[
+    [PosedCamera, Array], Mask
+]  # whether (N,) anything that stands still hides points (N, 3) from a view
 
 
 class VehicleMotion(Protocol):
@@ -52,7 +54,7 @@ class SimulatedStereoScene(Protocol):
     @property
     def rig(self) -> StereoRig: ...
     @property
-    def views(self) -> tuple[View, View]: ...
+    def views(self) -> tuple[PosedCamera, PosedCamera]: ...
     @property
     def cars(self) -> Sequence[SimulatedVehicle]: ...
 
@@ -115,9 +117,7 @@ def add_click_noise(pixels: Array, sigma: float, rng: np.random.Generator) -> li
     return round_points(pixels + rng.normal(0, 1, pixels.shape) * sigma)
 
 
-def draw_line(
-    pixels: Array, camera: Camera, points: int, sigma: float, rng: np.random.Generator
-) -> list[list[float]]:
+def draw_line(pixels: Array, camera: Camera, points: int, sigma: float, rng: np.random.Generator) -> list[list[float]]:
     """About so many ``points`` that a person clicks along a line of ideal ``pixels`` (N, 2), from far to near."""
     length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(pixels, axis=0), axis=1))])
     # People click more densely far away, where a line bends in the picture: evenly in the root of the length.
@@ -147,7 +147,9 @@ def _draw_path(
     return path
 
 
-def _visible_line(stage: SimulatedStereoScene, marking: float, driven: Array, view: View, hidden: IsHidden) -> Array:
+def _visible_line(
+    stage: SimulatedStereoScene, marking: float, driven: Array, view: PosedCamera, hidden: IsHidden
+) -> Array:
     """Pixels (N, 2) closely along the line at ``marking``, from far to near, where nothing hides it: its longest
     stretch."""
     points = stage.road.line(marking, float(driven.min()) - LINE_BEFORE_M, float(driven.max()) + LINE_BEFORE_M, 0.25)

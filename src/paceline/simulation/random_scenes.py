@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from paceline.arrays import Array
-from paceline.cameras import View
+from paceline.cameras import PosedCamera
 from paceline.errors import UnusableInput
 from paceline.simulation.chase.scene import CHASE_PRESETS, ChaseScene
 from paceline.simulation.operator import MIN_OUTLINE_WIDTH_PX, is_inside_image
@@ -190,7 +190,7 @@ def _is_suitable(scene: Scene) -> bool:
     return True
 
 
-def _is_line_usable(scene: Scene, road: CircularRoad, vehicle: Vehicle, corners: Array, view: View) -> bool:
+def _is_line_usable(scene: Scene, road: CircularRoad, vehicle: Vehicle, corners: Array, view: PosedCamera) -> bool:
     pixels = visible_line(scene, road, vehicle.lane, corners.mean(1), view)
     if len(pixels) < 10:
         return False
@@ -401,7 +401,7 @@ def _is_suitable_raytraced(scene: SpeedScene) -> bool:
     )
 
 
-def _is_raytraced_line_usable(stage: PlacedStereoScene, view: View) -> bool:
+def _is_raytraced_line_usable(stage: PlacedStereoScene, view: PosedCamera) -> bool:
     """Whether a painted line beside the lane runs well across the epipolar lines, which are nearly level."""
     car, size = stage.cars[0], np.array(stage.rig.left.image_size)
     arcs = [car.motion.position(t)[0] for t in stage.clocks[0].tolist() if car.is_there(t)]

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from paceline.blas import on_one_blas_thread
-from paceline.cameras import EVERY
+from paceline.cameras import ALL_ROWS
 from paceline.detection import plane_sweep
 from paceline.detection.background_model import Detect, DetectedScene, EmptyScene, Scene
 from paceline.detection.finder import Finder, Found, Register, as_seen, found_on
@@ -75,7 +75,7 @@ def last_seen(track: Track) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return track.last.way.pixels(track.last.s, corners)
 
 
-def in_ideal_pixels(pairs: Iterable[RawPair], clip: Clip, rows: slice = EVERY) -> Iterator[StereoFrame]:
+def in_ideal_pixels(pairs: Iterable[RawPair], clip: Clip, rows: slice = ALL_ROWS) -> Iterator[StereoFrame]:
     """The frames of ``pairs`` as the measurement takes them, outside of ``rows`` black."""
     before = None
     for pair in pairs:
@@ -135,7 +135,7 @@ def survey(
 
     with another_process() as measuring:
         desk = _Desk(clip, configuration, measuring, told, finder.rows)
-        rows = finder.rows if detect is None else EVERY  # a detector knows whole vehicles
+        rows = finder.rows if detect is None else ALL_ROWS  # a detector knows whole vehicles
         for frame in in_ideal_pixels(remembered(), clip, rows):
             for track in finder.gone(frame):
                 desk.take(track, recent)
@@ -223,7 +223,7 @@ class _Desk:
         configuration: SpeedConfiguration,
         measuring: ProcessPoolExecutor,
         told: Told,
-        rows: slice = EVERY,
+        rows: slice = ALL_ROWS,
     ) -> None:
         self._clip, self._configuration, self._measuring, self._told = clip, configuration, measuring, told
         self._rows, self._cases = rows, deque[_Case]()

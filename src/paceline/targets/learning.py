@@ -21,24 +21,26 @@ from paceline.errors import UnusableInput
 
 End = tuple[str, int, int]  # h or v, which line, 0 for its start and 1 for its stop
 
-BLUR = 0.7  # px, takes the pixel noise off before the gradient
-WEAKEST = 2.5  # grey levels per pixel across an edge
-CLEAR = 30.0  # grey levels per pixel beyond which an edge gains no more by being stronger
-LEANING = np.tan(np.deg2rad(15.0))  # δ of [NIST] (7)
-TOLERANCE = (0.6, 0.008)  # how far points may lie off their line, px and as a share of the box
-SHORTEST = (6.0, 0.1)  # length of a line, px and as a share of the box along it
-APART = (2.5, 0.04)  # of parallel lines side by side, px and as a share of the box across them
-MARGIN = (1.5, 0.03)  # beyond the box within which its own outline may lie, px and share
-GAP = 1.0  # what a missing edge point costs a line, in points
-MEET = (3.0, 0.06)  # between the ends of two lines that share a corner, px and share
-SIDE = (2.0, 0.04)  # from a side of the box to the line that is taken for it, px and share
-LONG = 0.4  # of the box's height: a shorter line, as of a wheel or a lamp, is not taken for a side
-FAINT = 0.4  # strength, relative to the strongest line there, below which a line is not taken for a side
-ON_LINE, BY_HAND = 0.4, 1.0  # px, standard deviations of a side that is a line and of one that is the box's
-LEAST, MOST = 2, 7  # lines in each direction
-LEAST_IN_ALL = 5
-SMALLEST_BOX = 16.0  # px
-NARROWEST, WIDEST = 0.2, 10.0  # m
+# Edges, in grey levels per pixel
+BLUR_SIGMA_PX = 0.7  # removes the pixel noise before the gradient
+MIN_GRADIENT = 2.5  # across an edge
+SATURATION_GRADIENT = 30.0  # stronger edges weigh no more
+MAX_TILT_TANGENT = np.tan(np.deg2rad(15.0))  # δ of [NIST] (7)
+# Lines: px, and as a share of the box
+LINE_TOLERANCE = (0.6, 0.008)  # distance of edge points from their line
+MIN_LINE_LENGTH = (6.0, 0.1)
+MIN_LINE_SPACING = (2.5, 0.04)  # between parallel lines side by side
+BOX_MARGIN = (1.5, 0.03)  # outside the box, where the vehicle's own outline may lie
+MAX_CORNER_GAP = (3.0, 0.06)  # between the ends of two lines that share a corner
+MAX_SIDE_OFFSET = (2.0, 0.04)  # from a side of the box to the line that replaces it
+GAP_PENALTY = 1.0  # of a missing edge point on a line, in points
+# Sides of the box
+MIN_SIDE_LINE_SHARE = 0.4  # of the box's height: shorter lines belong to wheels or lamps
+MIN_SIDE_STRENGTH_RATIO = 0.4  # to the strongest line near that side
+LINE_SIDE_STD_PX, BOX_SIDE_STD_PX = 0.4, 1.0  # standard deviation of a side on a line, and of a side as drawn
+MIN_LINES_PER_DIRECTION, MAX_LINES_PER_DIRECTION, MIN_LINES = 2, 7, 5
+MIN_BOX_PX = 16.0
+MIN_WIDTH_M, MAX_WIDTH_M = 0.2, 10.0
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,7 @@ class Line:
     place: float
     start: float
     stop: float
-    strength: float  # edge points, each counted up to CLEAR
+    strength: float  # summed gradients of its edge points, each up to SATURATION_GRADIENT
 
     @property
     def length(self) -> float:
@@ -67,10 +69,10 @@ class LearnedTarget:
 def learn_target(
     image: Image, box: tuple[float, float, float, float], width: float, camera: Camera, name: str
 ) -> LearnedTarget:
-    """The model of what ``box`` (x0, y0, x1, y1) of ``image`` (H, W), 0–255, encloses.
+    """The line model of the vehicle inside ``box`` (x0, y0, x1, y1) of ``image`` (H, W), 0–255.
 
-    ``width`` in metres is that of the box; a side of the box with a long vertical line beside it is taken to be there.
-    What this leaves open of the width is the model's tolerance.
+    ``width`` in metres is that of the box. A side of the box is moved onto a long vertical line beside it, if there is
+    one; the remaining uncertainty of the width is the model's tolerance.
     Raises UnusableInput for a box that cannot be, or that encloses too few lines.
     """
     if image.shape != camera.image_size[::-1]:
@@ -80,16 +82,17 @@ def learn_target(
     _check(box, width, camera.image_size)
     x0, y0, x1, y1 = box
     size = np.array([x1 - x0, y1 - y0])
-    smooth = np.asarray(cv2.GaussianBlur(image, (0, 0), BLUR), np.float32)
+    smooth = np.asarray(cv2.GaussianBlur(image, (0, 0), BLUR_SIGMA_PX), np.float32)
     vertical = find_lines(smooth, box)
     horizontal = find_lines(np.ascontiguousarray(smooth.T), (y0, x0, y1, x1))
-    if min(len(vertical), len(horizontal)) < LEAST or len(vertical) + len(horizontal) < LEAST_IN_ALL:
+    if min(len(vertical), len(horizontal)) < MIN_LINES_PER_DIRECTION or len(vertical) + len(horizontal) < MIN_LINES:
         raise UnusableInput(
-            f"the box shows {len(horizontal)} horizontal and {len(vertical)} vertical lines; expected at least {LEAST} "
-            f"of each and {LEAST_IN_ALL} in all; draw it around the whole rear, or choose a sharper or nearer picture"
+            f"the box shows {len(horizontal)} horizontal and {len(vertical)} vertical lines; expected at least "
+            f"{MIN_LINES_PER_DIRECTION} of each and {MIN_LINES} in all; draw it around the whole rear, or choose a "
+            "sharper or nearer picture"
         )
-    sides, doubts = zip(*(_side(vertical, x, size) for x in (x0, x1)), strict=True)
-    corners, segments = join(horizontal, vertical, np.maximum(MEET[0], MEET[1] * size))
+    sides, stds = zip(*(_side(vertical, x, size) for x in (x0, x1)), strict=True)
+    corners, segments = join_lines(horizontal, vertical, np.maximum(MAX_CORNER_GAP[0], MAX_CORNER_GAP[1] * size))
     center = np.array([0.5 * (sides[0] + sides[1]), 0.5 * (y0 + y1)])
 
     ideal = camera.undistort_points(corners)
@@ -97,8 +100,8 @@ def learn_target(
     edges = camera.undistort_points(np.array([[x, center[1]] for x in sides]))
     f = camera.K[[0, 1], [0, 1]]
     nominal_range = f[0] * width / (edges[1, 0] - edges[0, 0])
-    metres = _squared((ideal - middle) * nominal_range / f, segments)
-    tolerance = float(np.hypot(*doubts) * nominal_range / f[0])
+    metres = _axis_aligned((ideal - middle) * nominal_range / f, segments)
+    tolerance = float(np.hypot(*stds) * nominal_range / f[0])
     target = TargetDocument(name, round(float(nominal_range), 4), np.round(metres, 4), segments, round(tolerance, 4))
     return LearnedTarget(target, np.round(center, 2), corners)
 
@@ -111,13 +114,13 @@ def corner_names(count: int) -> list[str]:
 def _check(box: tuple[float, float, float, float], width: float, image_size: tuple[int, int]) -> None:
     x0, y0, x1, y1 = box
     shown = ",".join(f"{v:g}" for v in box)
-    if not np.isfinite(box).all() or x1 - x0 < SMALLEST_BOX or y1 - y0 < SMALLEST_BOX:
-        raise UnusableInput(f"--box {shown}: expected x0,y0,x1,y1 with x1 and y1 at least {SMALLEST_BOX:g} px beyond "
+    if not np.isfinite(box).all() or x1 - x0 < MIN_BOX_PX or y1 - y0 < MIN_BOX_PX:
+        raise UnusableInput(f"--box {shown}: expected x0,y0,x1,y1 with x1 and y1 at least {MIN_BOX_PX:g} px beyond "
                             "x0 and y0")  # fmt: skip
     if x0 < -0.5 or y0 < -0.5 or x1 > image_size[0] - 0.5 or y1 > image_size[1] - 0.5:
         raise UnusableInput(f"--box {shown}: lies outside the image of {image_size[0]} × {image_size[1]} pixels")
-    if not NARROWEST <= width <= WIDEST:
-        raise UnusableInput(f"--width {width:g}: expected metres, {NARROWEST:g} to {WIDEST:g}")
+    if not MIN_WIDTH_M <= width <= MAX_WIDTH_M:
+        raise UnusableInput(f"--width {width:g}: expected metres, {MIN_WIDTH_M:g} to {MAX_WIDTH_M:g}")
 
 
 # --- lines ---------------------------------------------------------------------------------------------------------
@@ -127,20 +130,22 @@ def find_lines(image: Image, box: tuple[float, float, float, float]) -> list[Lin
     """The strongest vertical lines of ``image`` inside ``box``, from left to right."""
     x0, y0, x1, y1 = box
     across, along = x1 - x0, y1 - y0
-    tolerance = TOLERANCE[0] + TOLERANCE[1] * max(across, along)
-    shortest = max(SHORTEST[0], SHORTEST[1] * along)
-    apart = max(APART[0], APART[1] * across)
+    tolerance = LINE_TOLERANCE[0] + LINE_TOLERANCE[1] * max(across, along)
+    shortest = max(MIN_LINE_LENGTH[0], MIN_LINE_LENGTH[1] * along)
+    apart = max(MIN_LINE_SPACING[0], MIN_LINE_SPACING[1] * across)
     found: list[Line] = []
     for sign in (1, -1):
         points = _edge_points(sign * image, box)
-        while len(points) and _most(points[:, 0], 2 * tolerance) > 0.5 * shortest:  # fewer make no line so long
+        while (
+            len(points) and _max_count_within(points[:, 0], 2 * tolerance) > 0.5 * shortest
+        ):  # fewer make no line so long
             line, used = _best_line(points, tolerance)
             if line.length >= shortest:
                 found.append(line)
             points = points[~used]
     chosen: list[Line] = []
     for line in sorted(found, key=lambda line: -line.strength):
-        if len(chosen) < MOST and not any(_beside(line, other, apart) for other in chosen):
+        if len(chosen) < MAX_LINES_PER_DIRECTION and not any(_too_close(line, other, apart) for other in chosen):
             chosen.append(line)
     return sorted(chosen, key=lambda line: line.place)
 
@@ -148,11 +153,11 @@ def find_lines(image: Image, box: tuple[float, float, float, float]) -> list[Lin
 def _edge_points(image: Image, box: tuple[float, float, float, float]) -> Array:
     """Where ``image`` grows brightest from left to right: x to a fraction of a pixel, y, gradient; shape (N, 3)."""
     x0, y0, x1, y1 = box
-    beyond = max(MARGIN[0], MARGIN[1] * max(x1 - x0, y1 - y0))
+    beyond = max(BOX_MARGIN[0], BOX_MARGIN[1] * max(x1 - x0, y1 - y0))
     gx = cv2.Sobel(image, cv2.CV_32F, 1, 0, scale=1 / 8)
     gy = cv2.Sobel(image, cv2.CV_32F, 0, 1, scale=1 / 8)
     left, mid, right = gx[:, :-2], gx[:, 1:-1], gx[:, 2:]
-    peak = (mid >= WEAKEST) & (mid > left) & (mid >= right) & (np.abs(gy[:, 1:-1]) < LEANING * mid)
+    peak = (mid >= MIN_GRADIENT) & (mid > left) & (mid >= right) & (np.abs(gy[:, 1:-1]) < MAX_TILT_TANGENT * mid)
     y, x = np.nonzero(peak)
     a, b, c = (part[y, x].astype(float) for part in (left, mid, right))
     fraction = 0.5 * (a - c) / (a - 2 * b + c)
@@ -166,7 +171,7 @@ def _edge_points(image: Image, box: tuple[float, float, float, float]) -> Array:
 def _best_line(points: Array, tolerance: float) -> tuple[Line, NDArray[np.bool_]]:
     """The line with the most edge points within ``tolerance``, and which of ``points`` (N, 3) it uses up."""
     x, y, gradient = points.T
-    weight = np.minimum(gradient, CLEAR)
+    weight = np.minimum(gradient, SATURATION_GRADIENT)
     order = np.argsort(x, kind="stable")
     total = np.concatenate([[0.0], np.cumsum(weight[order])])
     near = total[np.searchsorted(x[order], x + tolerance, "right")] - total[np.searchsorted(x[order], x - tolerance)]
@@ -180,7 +185,7 @@ def _best_line(points: Array, tolerance: float) -> tuple[Line, NDArray[np.bool_]
     return Line(place, start - 0.5, stop + 0.5, float(weight[on].sum())), on
 
 
-def _most(x: Array, width: float) -> int:
+def _max_count_within(x: Array, width: float) -> int:
     """How many of ``x`` (N,) lie in one interval of this ``width``, at most."""
     x = np.sort(x)
     return int((np.searchsorted(x, x + width, "right") - np.arange(len(x))).max())
@@ -189,7 +194,7 @@ def _most(x: Array, width: float) -> int:
 def _longest_run(rows: Array) -> tuple[float, float]:
     """First and last of ``rows`` in the stretch where points outnumber gaps by most (the maximum-sum subarray)."""
     first = int(rows.min())
-    score = np.full(int(rows.max()) - first + 1, -GAP)
+    score = np.full(int(rows.max()) - first + 1, -GAP_PENALTY)
     score[rows.astype(int) - first] = 1.0
     total = np.concatenate([[0.0], np.cumsum(score)])
     lowest = np.minimum.accumulate(total)
@@ -198,7 +203,7 @@ def _longest_run(rows: Array) -> tuple[float, float]:
     return float(first + start), float(first + stop - 1)
 
 
-def _beside(line: Line, other: Line, apart: float) -> bool:
+def _too_close(line: Line, other: Line, apart: float) -> bool:
     """Whether two lines are so near side by side that a tracker would confuse them."""
     overlap = min(line.stop, other.stop) - max(line.start, other.start)
     return overlap > 0 and abs(line.place - other.place) < apart
@@ -207,16 +212,16 @@ def _beside(line: Line, other: Line, apart: float) -> bool:
 def _side(vertical: list[Line], x: float, size: Array) -> tuple[float, float]:
     """Where a side of a box of this ``size`` (2,) is, and its standard deviation: on the clear line nearest to it, if
     a long one is near, or else at ``x``."""
-    reach, least = max(SIDE[0], SIDE[1] * size[0]), LONG * size[1]
+    reach, least = max(MAX_SIDE_OFFSET[0], MAX_SIDE_OFFSET[1] * size[0]), MIN_SIDE_LINE_SHARE * size[1]
     near = [line for line in vertical if abs(line.place - x) <= reach and line.length >= least]
-    clear = [line.place for line in near if line.strength >= FAINT * max(n.strength for n in near)]
-    return (min(clear, key=lambda place: abs(place - x)), ON_LINE) if clear else (x, BY_HAND)
+    clear = [line.place for line in near if line.strength >= MIN_SIDE_STRENGTH_RATIO * max(n.strength for n in near)]
+    return (min(clear, key=lambda place: abs(place - x)), LINE_SIDE_STD_PX) if clear else (x, BOX_SIDE_STD_PX)
 
 
 # --- corners -------------------------------------------------------------------------------------------------------
 
 
-def join(horizontal: list[Line], vertical: list[Line], meet: Array) -> tuple[Array, NDArray[np.int64]]:
+def join_lines(horizontal: list[Line], vertical: list[Line], meet: Array) -> tuple[Array, NDArray[np.int64]]:
     """Corners (C, 2) in pixels and segments (S, 2) of the lines, top to bottom, then left to right.
 
     Ends of a horizontal and a vertical line within ``meet`` (2,) pixels across and down of each other share a corner.
@@ -252,7 +257,7 @@ def join(horizontal: list[Line], vertical: list[Line], meet: Array) -> tuple[Arr
     return np.array(corners), segments
 
 
-def _squared(corners: Array, segments: NDArray[np.int64]) -> Array:
+def _axis_aligned(corners: Array, segments: NDArray[np.int64]) -> Array:
     """Corners (C, 2) with every segment exactly horizontal or vertical again, which a lens leaves only nearly so."""
     level = corners.copy()
     for a, b in segments:

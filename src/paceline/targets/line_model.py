@@ -10,7 +10,7 @@ import numpy as np
 from paceline.arrays import Array, Indices, Mask
 from paceline.cameras import Camera
 
-OBLIQUE = 0.01  # share of its length by which a segment's ends may differ across it
+MAX_OBLIQUENESS = 0.01  # share of its length by which a segment's ends may differ across it
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ class Target:
             along = np.abs(corners[b] - corners[a])
             if along.max() == 0:
                 raise ValueError(f"segments[{i}]: its two corners lie in one place")
-            if along.min() > OBLIQUE * along.max():
+            if along.min() > MAX_OBLIQUENESS * along.max():
                 raise ValueError(f"segments[{i}]: is oblique; expected a horizontal or a vertical line")
         along = np.abs(corners[segments[:, 1]] - corners[segments[:, 0]])
         vertical = along[:, 1] > along[:, 0]

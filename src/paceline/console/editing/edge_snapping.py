@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from paceline.arrays import Array, Image
-from paceline.subpixel import vertex
+from paceline.subpixel import parabola_peak
 
 LARGEST_REACH = 12  # px
 CONTRAST = 6.0  # grey levels per pixel: less is no edge
@@ -52,4 +52,4 @@ def _on_edge(strength: Image, gx: Image, gy: Image, at: tuple[np.intp, ...]) -> 
     along /= np.linalg.norm(along)
     samples = (place + np.outer([-1.0, 0.0, 1.0], along)).astype(np.float32).reshape(1, 3, 2)
     before, there, behind = cv2.remap(strength, samples[..., 0], samples[..., 1], cv2.INTER_LINEAR)[0].tolist()
-    return np.asarray(place + along * vertex(before, there, behind, reach=1.0))
+    return np.asarray(place + along * parabola_peak(before, there, behind, reach=1.0))

@@ -9,14 +9,14 @@ from __future__ import annotations
 import math
 
 from paceline.arrays import Array, Image, Indices
-from paceline.numba_cache import compiled
+from paceline.numba_cache import cached_njit
 
 SHADE_CELL_M = 0.05  # m, a texel of a shade map
 MIN_GROUND_SLOPE = 0.004  # slope below the horizon from which on the ground is painted
 SHOULDER_WIDTH_M = 0.45  # m of asphalt beside the lanes
 
 
-@compiled(fastmath=True)
+@cached_njit(fastmath=True)
 def sample_periodic(table: Image, y: float, x: float) -> float:
     """``table``, which repeats in both directions and whose sides are powers of two, at a place between its cells."""
     rows, columns = table.shape[0] - 1, table.shape[1] - 1
@@ -29,19 +29,19 @@ def sample_periodic(table: Image, y: float, x: float) -> float:
     return float(upper * (1 - b) + lower * b)
 
 
-@compiled(fastmath=True)
+@cached_njit(fastmath=True)
 def _sample_shade(shade: Image, arc: float, lateral: float, scale: float) -> float:
     """The light, 0–1, at road coordinates in metres, from a map with ``scale`` texels a metre."""
     return sample_periodic(shade, arc * scale - 0.5, lateral * scale - 0.5)
 
 
-@compiled(fastmath=True)
+@cached_njit(fastmath=True)
 def _edge_coverage(distance: float, other: float) -> float:
     """The covered part of a pixel that lies ``distance`` pixels inside one edge and ``other`` inside the opposite."""
     return max(0.0, min(0.5, distance) + min(0.5, other))
 
 
-@compiled(fastmath=True)
+@cached_njit(fastmath=True)
 def draw_rectangles(
     canvas: Image,
     inverse: Array,
@@ -94,13 +94,13 @@ def draw_rectangles(
                 canvas[y, x, 1] = canvas[y, x, 1] * (1 - alpha * cover) + alpha * cover
 
 
-@compiled(fastmath=True)
+@cached_njit(fastmath=True)
 def _box_coverage(value: float, low: float, high: float, width: float) -> float:
     """The part of [value ± width / 2] that lies within [low, high]."""
     return max(0.0, min(high, value + width / 2) - max(low, value - width / 2)) / width
 
 
-@compiled(fastmath=True)
+@cached_njit(fastmath=True)
 def road_coordinates(ahead: float, right: float, road: Array, step: float) -> tuple[float, float]:
     """Arc length from the camera and lateral position (m) of a point ``ahead`` and to the ``right`` of the camera.
 
@@ -122,7 +122,7 @@ def road_coordinates(ahead: float, right: float, road: Array, step: float) -> tu
     return road[i, 3] + (along / step - i) * (road[i + 1, 3] - road[i, 3]), lateral
 
 
-@compiled(fastmath=True)
+@cached_njit(fastmath=True)
 def draw_sky(image: Image, rays: Array, heading: float, focal: float, look: Array, ridges: Array, grain: Image) -> None:
     """Paint sky and far silhouettes, down to a little below the horizon, into ``image`` (h, w, 2).
 
@@ -155,12 +155,12 @@ def draw_sky(image: Image, rays: Array, heading: float, focal: float, look: Arra
             image[y, x, 1] = 1.0
 
 
-@compiled(fastmath=True)
+@cached_njit(fastmath=True)
 def _modulo(value: float, period: float) -> float:
     return value - period * math.floor(value / period)
 
 
-@compiled(fastmath=True)
+@cached_njit(fastmath=True)
 def draw_ground(
     image: Image,
     rays: Array,

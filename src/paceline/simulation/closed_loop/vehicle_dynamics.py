@@ -12,7 +12,7 @@ from math import ceil
 import numpy as np
 
 from paceline.arrays import Array
-from paceline.numba_cache import compiled
+from paceline.numba_cache import cached_njit
 
 MAX_STEP_S = 0.005  # s, the longest step of the integration
 
@@ -58,7 +58,7 @@ class VehicleState:
     roll_rate: float = 0.0
 
 
-@compiled()
+@cached_njit()
 def state_derivative(s: Array, steering: float, acceleration: float, v: Array) -> Array:
     """The time derivative of a state (10,) under commands, for a vehicle ``v`` (the fields of `VehicleParameters`)."""
     wheelbase, understeer, limit, rate, lag, speed_up, slow_down, throttle_lag, brake_lag, grip = v[:10]
@@ -84,7 +84,7 @@ def state_derivative(s: Array, steering: float, acceleration: float, v: Array) -
     return d
 
 
-@compiled()
+@cached_njit()
 def integrate(state: Array, steering: float, acceleration: float, vehicle: Array, step: float, steps: int) -> Array:
     """``state`` (10,) after ``steps`` steps of the classical Runge-Kutta method under constant commands."""
     s = state.copy()

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from paceline.arrays import Array
-from paceline.cameras import Camera, View
+from paceline.cameras import Camera, PosedCamera
 from paceline.progress import Progress
 from paceline.simulation.chase.motion import CameraShake, GapProfile, SmoothNoise
 from paceline.simulation.operator import draw_start
@@ -80,7 +80,7 @@ class PlacedChaseScene:
         heading = float(np.arctan2(axes[1, 0], axes[0, 0])) + self.yawing(t)
         return _PlanPose(float(at[0]), float(at[1]), heading), at, axes
 
-    def view(self, t: float) -> View:
+    def view(self, t: float) -> PosedCamera:
         """The camera at ``t`` s."""
         foot, at, _ = self.foot(t)
         pitch, roll = self.scene.chase.tilt + self.pitching(t), self.rolling(t)
@@ -91,7 +91,7 @@ class PlacedChaseScene:
         d, e = np.cos(roll), np.sin(roll)
         R = np.array([[d, e, 0], [-e, d, 0], [0, 0, 1]]) @ tilt @ level
         eye = at + np.array([0.0, 0.0, self.scene.chase.height + self.heaving(t)])
-        return View(self.camera, R, -R @ eye)
+        return PosedCamera(self.camera, R, -R @ eye)
 
     def pose(self, t: float) -> Placement:
         """Of the lead's body at ``t`` s; its rear plane is the gap ahead of the camera."""

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from paceline.arrays import Array
-from paceline.cameras import View
+from paceline.cameras import PosedCamera
 from paceline.simulation.raytraced.light import Light
 from paceline.simulation.raytraced.meshes import Material, Placement, SceneMesh
 from paceline.simulation.raytraced.mitsuba_variant import default_variant, load_mitsuba
 from paceline.simulation.raytraced.ray_generation import Radiance, Window, window_renderer
 
-__all__ = ["Radiance", "Renderer", "View", "Window", "merge_meshes"]
+__all__ = ["PosedCamera", "Radiance", "Renderer", "Window", "merge_meshes"]
 
 
 MAX_BOUNCES = 3  # what comes after lights no place that a picture shows
@@ -75,7 +75,7 @@ class Renderer:
             self._parameters[key] = mi.ScalarTransform4f(np.vstack([place, [0.0, 0.0, 0.0, 1.0]]))
         self._parameters.update()
 
-    def render(self, view: View, samples: int, seed: int, window: Window | None = None) -> Radiance:
+    def render(self, view: PosedCamera, samples: int, seed: int, window: Window | None = None) -> Radiance:
         """Radiance (H, W, 3), linear, mean over each pixel's square, of the world as placed; of a ``window`` only.
 
         Lens distortion is left out: see `paceline.simulation.raytraced.sensor`. The same seed gives the same picture.

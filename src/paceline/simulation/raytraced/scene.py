@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from paceline.arrays import Array
-from paceline.cameras import Camera, RigUncertainty, StereoRig, View
+from paceline.cameras import Camera, PosedCamera, RigUncertainty, StereoRig
 from paceline.errors import UnusableInput
 from paceline.simulation.operator import is_inside_image
 from paceline.simulation.raytraced import road_surface
@@ -90,7 +90,7 @@ class PlacedStereoScene:
         self.scene, self.road, self.light = scene, make_road(scene), make_light(scene)
         self.rig, self.written = make_rigs(scene)
         left = look_at(self.rig.left, self._place(scene.rig.eye), self._place(scene.rig.target))
-        right = View(self.rig.right, self.rig.R @ left.R, self.rig.R @ left.t + self.rig.t)
+        right = PosedCamera(self.rig.right, self.rig.R @ left.R, self.rig.R @ left.t + self.rig.t)
         self.views = left, right
         ticks = np.array([k for k in range(scene.frames) if k not in scene.dropped]) / scene.rate
         if len(ticks) == 0:
@@ -174,7 +174,7 @@ class PlacedStereoScene:
             "axle_speed_mps": car.motion.speed(times[0]),
         }
 
-    def seen(self, view: View, car: PlacedVehicle, t: float) -> Array:
+    def seen(self, view: PosedCamera, car: PlacedVehicle, t: float) -> Array:
         """Ideal pixels (4, 2) of a vehicle's plane in the frame of time ``t`` s, each at the time its row is read."""
         pixels = view.project(car.corners(t))
         for _ in range(8 if self.shutter.readout else 0):
@@ -202,13 +202,13 @@ def make_shutter(scene: SceneModel) -> Shutter:
     return Shutter(s.open_for, s.steps, s.readout, s.bands)
 
 
-def look_at(camera: Camera, eye: Array, target: Array) -> View:
+def look_at(camera: Camera, eye: Array, target: Array) -> PosedCamera:
     """A level camera at ``eye`` (3,) whose axis goes through ``target`` (3,), world."""
     z = (target - eye) / np.linalg.norm(target - eye)
     x = np.cross(z, [0.0, 0.0, 1.0])
     x /= np.linalg.norm(x)
     R = np.array([x, np.cross(z, x), z])
-    return View(camera, R, -R @ eye)
+    return PosedCamera(camera, R, -R @ eye)
 
 
 def visible_share(renderer: Renderer, eye: Array, corners: Array) -> float:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.special import ive
 
 from paceline.arrays import Array
-from paceline.cameras import Camera, View
+from paceline.cameras import Camera, PosedCamera
 from paceline.simulation.raytraced.light import LUMINANCE_WEIGHTS
 from paceline.simulation.raytraced.meshes import Placement
 from paceline.simulation.raytraced.renderer import Radiance, Renderer, Window
@@ -90,7 +90,7 @@ class Shutter:
 def render_exposure(
     renderer: Renderer,
     placements: Callable[[float], Sequence[Placement]],
-    view: Callable[[float], View],
+    view: Callable[[float], PosedCamera],
     time: float,
     shutter: Shutter,
     samples: int,

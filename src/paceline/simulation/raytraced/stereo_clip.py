@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from paceline.arrays import Array, Mask
-from paceline.cameras import View
+from paceline.cameras import PosedCamera
 from paceline.documents.rig_yaml import rig_yaml
 from paceline.progress import Progress
 from paceline.simulation.operator import clip_document
@@ -49,7 +49,7 @@ def write(
     renderer = Renderer(stage.still(), stage.moving(), stage.light, variant)
     truth = stage.truth(renderer)
 
-    def hidden(view: View, points: Array) -> Mask:
+    def hidden(view: PosedCamera, points: Array) -> Mask:
         renderer.place(stage.empty())
         return np.asarray(renderer.distance(view.centre, points) <= 0.98 * np.linalg.norm(points - view.centre, axis=1))
 
@@ -102,7 +102,7 @@ class _CameraRenderer:
         self.stage, self.renderer, self.i, self.cache = stage, renderer, i, cache
         true = stage.views[i]
         self.lens = Lens.of(true.camera)
-        self.view = View(self.lens.pinhole, true.R, true.t)
+        self.view = PosedCamera(self.lens.pinhole, true.R, true.t)
         self._still: Radiance | None = None
 
     def picture(self, k: int) -> clip_folder.Picture:

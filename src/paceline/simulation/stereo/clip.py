@@ -19,7 +19,7 @@ import yaml
 from numpy.typing import NDArray
 
 from paceline.arrays import Array, Image
-from paceline.cameras import StereoRig, View
+from paceline.cameras import PosedCamera, StereoRig
 from paceline.documents.rig_yaml import rig_yaml
 from paceline.simulation import textures
 from paceline.simulation.operator import add_click_noise, draw_line, is_inside_image
@@ -226,7 +226,7 @@ class _SpecularSpot:
         self.parallax = rng.uniform(0.02, 0.08)
         self.peak = rng.uniform(60, 140)
 
-    def add(self, image: Image, vehicle: Vehicle, pose: Pose, view: View, frame: int) -> None:
+    def add(self, image: Image, vehicle: Vehicle, pose: Pose, view: PosedCamera, frame: int) -> None:
         phase = (frame - self.start) / self.length
         if not 0 <= phase <= 1:
             return

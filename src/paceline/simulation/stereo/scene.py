@@ -13,7 +13,7 @@ from scipy.integrate import cumulative_simpson
 from scipy.interpolate import CubicSpline
 
 from paceline.arrays import Array
-from paceline.cameras import Camera, StereoRig, View
+from paceline.cameras import Camera, PosedCamera, StereoRig
 from paceline.simulation.operator import longest_visible_run
 
 PLANE_CLEARANCE_M = 0.35  # m from the road to the lower edge of a vehicle's main plane
@@ -230,12 +230,12 @@ def make_rig(scene: Scene) -> StereoRig:
     return StereoRig(left, right, R, t)
 
 
-def rig_views(rig: StereoRig) -> tuple[View, View]:
+def rig_views(rig: StereoRig) -> tuple[PosedCamera, PosedCamera]:
     """The rig's left and right view."""
-    return View(rig.left, np.eye(3), np.zeros(3)), View(rig.right, rig.R, rig.t)
+    return PosedCamera(rig.left, np.eye(3), np.zeros(3)), PosedCamera(rig.right, rig.R, rig.t)
 
 
-def visible_line(scene: Scene, road: CircularRoad, lane: float, positions: Array, view: View) -> Array:
+def visible_line(scene: Scene, road: CircularRoad, lane: float, positions: Array, view: PosedCamera) -> Array:
     """Pixels (N, 2), closely along the line beside a lane, inside the image and near the ``positions``
     (M, 3): up to 60 m nearer to the camera and 6 m farther."""
     if len(positions) == 0:

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from paceline.arrays import Array, Image
-from paceline.cameras import View
+from paceline.cameras import PosedCamera
 from paceline.simulation import textures
 from paceline.simulation.stereo.scene import CircularRoad, Pose, Scene
 from paceline.simulation.stereo.textured_planes import TexturedPlane, composite, draw_planes
@@ -27,7 +27,7 @@ class StaticBackground:
         self.sky, self.asphalt, self.grass = rng.uniform(150, 215), rng.uniform(70, 100), rng.uniform(55, 85)
         self.cards = _place_roadside(scene, road, self.lanes, rng)
 
-    def draw(self, view: View) -> Image:
+    def draw(self, view: PosedCamera) -> Image:
         width, height = self.scene.image_size
         u, v = np.meshgrid(np.arange(width), np.arange(height))
         rays = (np.stack([u, v, np.ones_like(u)], -1) @ view.camera.K_inv.T @ view.R).astype(np.float32)
@@ -43,7 +43,7 @@ class StaticBackground:
             composite(image, draw_planes([card], view, self.scene.blur_sigma, 2))
         return image
 
-    def _ground(self, view: View, rays: Image, fall: Image) -> Image:
+    def _ground(self, view: PosedCamera, rays: Image, fall: Image) -> Image:
         """Grey levels of the ground along ``rays`` (h, w, 3), whose components downwards are ``fall`` (h, w)."""
         centre = view.centre
         distance = float((self.road.anchor - centre) @ self.road.down) / fall

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from paceline.arrays import Array, Image
-from paceline.cameras import View
+from paceline.cameras import PosedCamera
 from paceline.simulation.textures import PYRAMID_LEVELS, Texture
 
 
@@ -31,7 +31,7 @@ class TexturedPlane:
 
 
 def draw_planes(
-    cards: list[TexturedPlane], view: View, blur: float, oversampling: int
+    cards: list[TexturedPlane], view: PosedCamera, blur: float, oversampling: int
 ) -> tuple[Image, slice, slice] | None:
     """The ``cards``, far ones first, over nothing: premultiplied grey and coverage (h, w, 2) and the rows and columns
     of the image that they fill; None where all are out of sight."""
@@ -57,7 +57,7 @@ def draw_planes(
     return np.asarray(small, np.float32), slice(y0, y1), slice(x0, x1)
 
 
-def _draw_plane(canvas: Image, card: TexturedPlane, projection: Array, view: View) -> None:
+def _draw_plane(canvas: Image, card: TexturedPlane, projection: Array, view: PosedCamera) -> None:
     """Composite one card onto the sub-pixel ``canvas`` (h, w, 2) in place."""
     edges = np.column_stack([card.across, card.down, card.corner])
     H = projection @ (view.R @ edges + np.outer(view.t, [0, 0, 1]))  # unit square -> canvas

@@ -20,7 +20,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from paceline.arrays import Array, Floats
-from paceline.numba_cache import compiled
+from paceline.numba_cache import cached_njit
 from paceline.speed.filter import patch_features
 from paceline.speed.filter.patch_features import CORRELATION_ROW_STEP, MIN_OVERLAP
 
@@ -49,7 +49,7 @@ class PackedImage(NamedTuple):
     top: int
 
 
-@compiled(nogil=True)
+@cached_njit(nogil=True)
 def pack(image: Floats, packed: PackedImage) -> None:
     """Fill ``packed`` with 2×2 neighbourhoods of ``image`` (H, W) float32 0–255; at the right and lower border pixels
     repeat."""
@@ -68,7 +68,7 @@ def pack(image: Floats, packed: PackedImage) -> None:
                 target[x] = above[x] | (above[x + 1] << 8) | (row[x] << 16) | (row[x + 1] << 24)
 
 
-@compiled(nogil=True)
+@cached_njit(nogil=True)
 def finite_bounds(places: Array) -> tuple[float, float, float, float]:
     """Least x, y and greatest x, y of the finite coordinates of ``places`` (N, 2); ∞ and −∞ where there is none."""
     low_x, low_y, high_x, high_y = np.inf, np.inf, -np.inf, -np.inf
@@ -121,7 +121,7 @@ def _sum_blocks(totals, blocks, samples):
         blocks[b] = total
 
 
-@compiled(nogil=True, fastmath=True)
+@cached_njit(nogil=True, fastmath=True)
 def _wavelets(blocks: Floats, across: int, features: Floats) -> None:
     """Two-level Haar coefficients (parts, 16) of block sums (4 rows a part, 4 columns a part).
 
@@ -145,7 +145,7 @@ def _wavelets(blocks: Floats, across: int, features: Floats) -> None:
         f[3] = _diagonal(a, b, c, d)
 
 
-@compiled(nogil=True, fastmath=True, parallel=True, error_model="numpy")
+@cached_njit(nogil=True, fastmath=True, parallel=True, error_model="numpy")
 def observe(
     left: PackedImage,
     right: PackedImage,
@@ -223,7 +223,7 @@ def _correlate_row(a, b, px, py, e, sums):
     sums[5] += s5
 
 
-@compiled(nogil=True)
+@cached_njit(nogil=True)
 def _median(values: Floats, scratch: Floats) -> float:
     """Median of a few ``values``, sorted in ``scratch`` of the same length."""
     n = len(values)
@@ -237,7 +237,7 @@ def _median(values: Floats, scratch: Floats) -> float:
     return median
 
 
-@compiled(nogil=True, fastmath=True, parallel=True)
+@cached_njit(nogil=True, fastmath=True, parallel=True)
 def normalise(features: Floats, floor: np.float32) -> None:
     """Remove brightness and contrast from wavelet features (N, parts, 16), in place; see `likelihood.normalised`."""
     N, parts, coefficients = features.shape
@@ -261,7 +261,7 @@ def normalise(features: Floats, floor: np.float32) -> None:
                 f[i, c] *= scale
 
 
-@compiled(nogil=True, fastmath=True)
+@cached_njit(nogil=True, fastmath=True)
 def capped_distances(features: Floats, reference: Floats, cap: np.float32, out: Floats) -> None:
     """``out`` (N,): the sum over parts of squared distances (at most ``cap`` each) of (N, parts, 16) to (parts, 16)."""
     N, parts, coefficients = features.shape

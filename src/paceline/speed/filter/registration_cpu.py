@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from paceline.arrays import Array
-from paceline.numba_cache import compiled
+from paceline.numba_cache import cached_njit
 
 # Sums may be reordered to become vectors; NaN stays NaN, for places behind the camera can give one.
 SUM_FASTMATH = {"reassoc", "contract", "arcp", "nsz"}
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def image_gradient(texture: Array, pixels: Array, neighbours: NDArray[np.int64], slopes: Array) -> None:
     """Into ``slopes`` (2, samples): ∂I/∂x and ∂I/∂y of a ``texture`` (samples,) seen at ``pixels`` (2, samples), from
     the differences between each sample's ``neighbours`` (4, samples): left, right, above and below."""
@@ -30,7 +30,7 @@ def image_gradient(texture: Array, pixels: Array, neighbours: NDArray[np.int64],
         slopes[1, s] = (Tv * xu - Tu * xv) / det
 
 
-@compiled(nogil=True, fastmath=SUM_FASTMATH, error_model="numpy")
+@cached_njit(nogil=True, fastmath=SUM_FASTMATH, error_model="numpy")
 def part_products(
     image: NDArray[np.float32],
     K: Array,
@@ -98,7 +98,7 @@ def part_products(
                 JJ[p, i, j] = JJ[p, j, i] = _inner(J[i], J[j])
 
 
-@compiled(nogil=True, fastmath=SUM_FASTMATH)
+@cached_njit(nogil=True, fastmath=SUM_FASTMATH)
 def _inner(a: Array, b: Array) -> float:
     total = 0.0
     for s in range(a.shape[0]):
@@ -106,7 +106,7 @@ def _inner(a: Array, b: Array) -> float:
     return total
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def normal_equations(
     JJ: Array,
     JT: Array,

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 
 from paceline.arrays import Array
-from paceline.numba_cache import compiled
+from paceline.numba_cache import cached_njit
 from paceline.speed.geometry import quadrilaterals
 
 _transfer = njit(inline="always")(quadrilaterals.transfer)
@@ -15,7 +15,7 @@ _unit_square_to = njit(inline="always")(quadrilaterals.unit_square_to)
 _inward_edges = njit(inline="always")(quadrilaterals.inward_edges)
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def transfer(
     quads: Array, turns: Array, shifts: Array, planes: Array, K: Array, K_inv: Array, transferred: Array
 ) -> None:
@@ -27,7 +27,7 @@ def transfer(
         _transfer(quads[p], turns[p if len(turns) > 1 else 0], shifts[p], planes[p], K, K_inv, transferred[p])
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def cross_diagonals(quads: Array, crossings: Array) -> None:
     """Into ``crossings`` (N, 2) where the diagonals of the regions (N, 4, 2) meet."""
     for p in range(len(quads)):
@@ -48,14 +48,14 @@ def inward_edges(quads: Array) -> Array:
     return edges
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def _unit_squares_to(quads: Array, H: Array) -> None:
     """`unit_square_to`, into ``H`` (N, 3, 3)."""
     for p in range(len(quads)):
         _unit_square_to(quads[p], H[p])
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def _all_inward_edges(quads: Array, edges: Array) -> None:
     """`inward_edges`, into ``edges`` (N, 4, 3)."""
     for p in range(len(quads)):

@@ -107,7 +107,7 @@ class Fit:
         if uncertainty is None:
             return self
         other = self._resumed()
-        directions = uncertainty.moves
+        directions = uncertainty.covariance_root
         directions = directions[directions.any(1)]
         other.moves = np.zeros(len(directions))
         # pictures tell less than their pixels' noise makes believe: how much less is seen once the rig misleads no more

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from paceline.arrays import Array, Floats
-from paceline.numba_cache import compiled
+from paceline.numba_cache import cached_njit
 
 SUMS = {"reassoc", "contract", "nsz"}  # sums may be taken in another order
 
 
-@compiled(nogil=True, fastmath=SUMS, error_model="numpy")
+@cached_njit(nogil=True, fastmath=SUMS, error_model="numpy")
 def linearise(
     x: Array,
     z: Array,
@@ -59,7 +59,7 @@ def linearise(
             own -= np.dot(np.dot(own, by_sample), gone)
 
 
-@compiled(nogil=True, fastmath=SUMS, error_model="numpy")
+@cached_njit(nogil=True, fastmath=SUMS, error_model="numpy")
 def normal_equations(M: Floats, dH: Floats, white: Floats, r: Floats, A: Array, score: Array) -> None:
     """The normal matrices ``A`` (views, patches, n, n) and scores ``score`` (views, patches, n) of residuals ``r``
     (patches, views, samples), by ``M`` of `linearise`, over n = P + 1 + S parameters: those that move H by ``dH``

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from paceline.arrays import Array
-from paceline.cameras import StereoRig, moved_rig
+from paceline.cameras import StereoRig, perturbed_rig
 from paceline.speed.refinement.trajectory import Trajectory
 
 STEP = 1e-3  # standard uncertainties, or a share of the baseline, by which differences tell a derivative
@@ -52,7 +52,7 @@ class FreeRig:
     def _moved(self, moves: Array) -> StereoRig:
         """The rig moved so; it goes on stating its uncertainty."""
         rig = self.stated.rig
-        return replace(moved_rig(rig, moves @ self.directions), uncertainty=rig.uncertainty)
+        return replace(perturbed_rig(rig, moves @ self.directions), uncertainty=rig.uncertainty)
 
 
 def held(trajectory: Trajectory) -> FreeRig:
