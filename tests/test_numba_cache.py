@@ -34,11 +34,11 @@ MODULES = [
 ]
 DIGESTS = f"""
 import importlib, json, sys
-from paceline.numba_cache import digest
+from paceline.numba_cache import source_digest
 names = {MODULES}
 for name in reversed(names) if len(sys.argv) > 1 else names:
     importlib.import_module("paceline." + name)
-print(json.dumps({{name: digest("paceline." + name) for name in names}}))
+print(json.dumps({{name: source_digest("paceline." + name) for name in names}}))
 """
 USED = """
 import numpy as np
