@@ -529,10 +529,16 @@ def test_a_vehicle_that_is_hidden_is_awaited_as_on_the_cpu(device: CudaDevice, c
 
 @pytest.mark.parametrize(
     ("where", "breaks_at", "counted"),
-    slow_after(2, [
-        ("weight", 0, True), ("reduce_moments", 2, False), ("execute", 6, True), ("restore_weights", 0, False),
-        ("download", 0, False),
-    ]),  # fmt: skip
+    slow_after(
+        2,
+        [
+            ("weight", 0, True),
+            ("reduce_moments", 2, False),
+            ("execute", 6, True),
+            ("restore_weights", 0, False),
+            ("download", 0, False),
+        ],
+    ),  # fmt: skip
 )
 def test_the_cpu_carries_on_from_the_same_frame(
     clips: dict[str, Path], breaks_at: int, where: str, counted: bool, monkeypatch: pytest.MonkeyPatch
