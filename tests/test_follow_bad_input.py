@@ -198,7 +198,7 @@ def test_it_coasts_and_goes_on(spoil: Callable[[Clip], object], clip: Clip, comm
 def test_damage_is_named(clip: Clip, command: Command) -> None:
     cut(clip)
     _, _, stderr = command()
-    assert f"{FIRST:04d}.png: cannot be decoded, and is passed over" in stderr
+    assert f"{FIRST:04d}.png: cannot be decoded and left out" in stderr
 
 
 def test_times_that_jump_are_named(clip: Clip, command: Command, tmp_path: Path) -> None:

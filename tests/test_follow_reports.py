@@ -140,7 +140,7 @@ def test_the_summary_is_exact(out: Path) -> None:
         "min": min(ranges), "mean": pytest.approx(np.mean(ranges)), "max": max(ranges), "typical_std": 0.03,
     }  # fmt: skip
     assert found["latency_s"]["max"] == run(FRAMES - 1).latency
-    assert found["notices"] == ["the lens is dirty", "frame 22: cannot be decoded, and is passed over"]
+    assert found["notices"] == ["the lens is dirty", "frame 22: cannot be decoded and left out"]
 
 
 def test_the_page_is_complete_and_self_contained(out: Path) -> None:

@@ -512,7 +512,7 @@ def test_a_frame_that_cannot_be_decoded_is_left_out_and_noticed():
     assert len(recording) == 7
     for _ in range(2):
         assert [f.index for f in recording] == [0, 1, 2, 4, 5, 6]
-    assert "left.mkv: frame 3 cannot be decoded and is left out" in recording.notices
+    assert "left.mkv: frame 3: cannot be decoded and left out" in recording.notices
 
 
 def test_a_truncated_mp4_without_its_index_is_refused():

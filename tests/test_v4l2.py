@@ -205,7 +205,7 @@ def test_damaged_pictures_are_passed_over_and_none_begins(driver: Path, tmp_path
     [[_, times, seen, notices]] = answer(driver, READS, video)
     assert seen == [True] * 4 + [False] + [True] * 2
     np.testing.assert_allclose(np.diff(times), np.diff(TIMES[1:]), atol=2e-6)
-    assert f"{video}: frame 4: cannot be decoded, and is passed over" in notices
+    assert f"{video}: frame 4: cannot be decoded and left out" in notices
 
 
 def test_two_devices_are_paired_by_their_common_clock(driver: Path, tmp_path: Path) -> None:

@@ -251,8 +251,8 @@ _NOTHING = {
         "Calibrate the cameras again, or correct their rotation with `paceline rig check --refine`.",
     ),
     "rig_unchecked": (
-        "cannot be decided: only {points} points of the scene match (at least {min_points} needed); film something "
-        "with more texture",
+        "cannot be decided: only {points} points of the scene match, in too few places; film something with more "
+        "texture",
         "Film a scene with more texture.",
     ),
 }
@@ -270,18 +270,18 @@ _WARNINGS = {
     ),
     "baseline_interval": ("a baseline: the interval comes from scatter alone and holds no systematic part", ""),
     "vehicle_not_measured": ("a vehicle on {path} from {start:.2f} to {end:.2f} s is not measured: {reason}", ""),
-    "views_skewed": ("{frames} {skew}", _SYNCHRONISE),
+    "views_skewed": ("{frames} are taken {skew}", _SYNCHRONISE),
     "no_common_clock": (
         "no common clock: frames that come together are taken as exposed together",
         _SYNCHRONISE,
     ),
     "frames_unmatched": ("{view}: {frames} left out, without a {other} frame {match}", _PAIRING),
-    "frames_missing": ("{where}: {gap_s:.3f} s lie between them instead of {usual_s:.3f} s", ""),
+    "frames_missing": ("{gap} instead of {usual_s:.3f} s", ""),
     "frames_repeated": (
         "{source}: {frames} a copy of the frame before",
         "Check the frame rate of the recorder: it may repeat frames to reach it.",
     ),
-    "frames_undecodable": ("{source}: {frames} cannot be decoded and {are} left out", "Check the file for damage."),
+    "frames_undecodable": ("{frames}: cannot be decoded and left out", "Check the file for damage."),
     "frame_numbers_no_counters": (
         "{source}: the numbers in the names count no frames; a missing one cannot be noticed",
         "State when each frame was taken in times.csv.",

@@ -27,6 +27,7 @@ from paceline.calibration.speed_sensitivity import SpeedEffect, pinhole_covarian
 from paceline.cameras import StereoRig
 from paceline.documents import plausibility
 from paceline.errors import UnusableInput
+from paceline.verdicts import message
 
 LEAST_VIEWS, ENOUGH_VIEWS = 5, 12
 FOLDS = 5
@@ -219,26 +220,21 @@ def _refuse_if_loose(final: Fit, covariance: Array) -> None:
 
 def _advice(final: Fit, seen: Observations, sizes: tuple[tuple[int, int], tuple[int, int]]) -> list[str]:
     """What is missing among the views, one plain line each."""
-    said = []
+    said: list[str] = []
     V = len(final.poses.t)
     if V < ENOUGH_VIEWS:
-        said.append(
-            f"only {V} views are used; {ENOUGH_VIEWS} to 30 make the calibration better and its uncertainty surer"
-        )
+        said.append(message("few_views", views=V, min_views=ENOUGH_VIEWS))
     normal = final.poses.R[:, :, 2]
     towards = final.poses.t / np.linalg.norm(final.poses.t, axis=1, keepdims=True)
     tilt = np.degrees(np.arccos(np.clip(np.abs((normal * towards).sum(1)), 0, 1)))
     if (tilt > TILTED).sum() < min(ENOUGH_TILTED, V):
-        said.append(
-            f"{(tilt > TILTED).sum()} of {V} views are tilted by more than {TILTED:.0f} degrees; tilt the board to all "
-            "sides"
-        )
+        said.append(message("few_tilted_views", tilted=(tilt > TILTED).sum(), views=V, tilt=TILTED))
     for side, name in enumerate(("left", "right")):
         empty = empty_cells(seen.pixels[seen.side == side], sizes[side])
         if empty:
-            said.append(f"the {name} camera has no corner at the {', '.join(empty)} (the other camera need not see it)")
+            said.append(message("image_part_uncovered", view=name, parts=", ".join(empty)))
     if not final.settled:
-        said.append("the adjustment had not settled; more varied views would help it")
+        said.append(message("adjustment_unsettled"))
     return said
 
 

@@ -15,6 +15,7 @@ from paceline.errors import UnusableInput
 from paceline.progress import Progress
 from paceline.recordings.image_sources import ImageFiles, Source, open_source
 from paceline.recordings.stereo import pair_by_time, pair_images
+from paceline.verdicts import message
 
 MOST_VIEWS = 80  # of longer recordings, evenly spread ones: more cost time and hardly add
 
@@ -53,7 +54,7 @@ def collect_views(left: Path, right: Path, board: Board, progress: Progress | No
     sources = open_source(left), open_source(right)
     pairs, notices = _pairs(*sources)
     if len(pairs) > MOST_VIEWS:
-        notices.append(f"{MOST_VIEWS} of {len(pairs)} pairs are used, evenly spread")
+        notices.append(message("pairs_thinned", used=MOST_VIEWS, pairs=len(pairs)))
         pairs = [pairs[i] for i in np.linspace(0, len(pairs) - 1, MOST_VIEWS).round().astype(int)]
     find = detector(board)
     views, empty, sizes = [], [], [(0, 0), (0, 0)]
@@ -81,7 +82,7 @@ def collect_views(left: Path, right: Path, board: Board, progress: Progress | No
 def _pairs(left: Source, right: Source) -> tuple[list[tuple[int, int]], list[str]]:
     if isinstance(left, ImageFiles) and isinstance(right, ImageFiles):
         pairing = pair_images(left, right, 1.0)
-        notices = [n for n in pairing.notices if "paired in order" in n or "left out" in n]
+        notices: list[str] = [n for n in pairing.notices if n.code in ("frame_numbers_offset", "frames_unmatched")]
     elif left.times is None or right.times is None:
         raise UnusableInput(f"{left.name} and {right.name}: one is a video and the other images; expected alike")
     else:

@@ -10,6 +10,7 @@ from paceline.arrays import Array, Indices, Mask
 from paceline.calibration.bundle_adjustment import NORMAL, fit
 from paceline.calibration.parameters import Observations, Poses, Rig, free_parameters
 from paceline.errors import UnusableInput
+from paceline.verdicts import Message, message
 
 OUTLYING = 4.0  # scaled median deviations of the logarithm of its error beyond which a view is none of the others
 EVEN = 0.12  # the least such deviation: boards nearer, farther or more oblique differ by that much
@@ -86,17 +87,14 @@ def outlying(errors: Array) -> Mask:
     return np.asarray(scale - middle > OUTLYING * spread)
 
 
-def what_is_wrong(errors: Errors, view: int, usual: float) -> str:
+def what_is_wrong(errors: Errors, view: int, usual: float) -> Message:
     """Why the view fits badly, beside the ``usual`` error, px."""
     left, right = errors.left[view], errors.right[view]
     worst = np.nanmax([left, right])
     if worst < 0.5 * errors.joint[view] and np.isfinite([left, right]).all():
-        return (
-            f"the two pictures do not show the board in one place ({errors.joint[view]:.2f} px; {usual:.2f} is usual): "
-            "it moved between the exposures, or they do not belong together"
-        )
+        return message("board_moved", error_px=errors.joint[view], usual_px=usual)
     side = "left" if np.nan_to_num(left) >= np.nan_to_num(right) else "right"
-    return f"the corners in the {side} picture scatter by {worst:.2f} px ({usual:.2f} is usual): blurred, or mistaken"
+    return message("corners_scatter", view=side, error_px=worst, usual_px=usual)
 
 
 def _refuse_if_apart(errors: Errors, used: Mask) -> None:

@@ -10,6 +10,7 @@ import typer
 
 from paceline.commands import DONE, print_columns
 from paceline.commands.progress_output import progress_bar
+from paceline.verdicts import message
 
 if TYPE_CHECKING:
     from paceline.calibration.board_calibration import Calibration
@@ -68,8 +69,9 @@ def _print(c: Calibration) -> None:
     for v, reason in c.rejected.items():
         print(f"note: {c.views.views[v].name} is left out: {reason}", file=sys.stderr)
     if c.views.empty:
-        print(f"note: no board is seen in {', '.join(c.views.empty[:8])}", end="", file=sys.stderr)
-        print(f" and {len(c.views.empty) - 8} more" if len(c.views.empty) > 8 else "", file=sys.stderr)
+        more = f" and {len(c.views.empty) - 8} more" if len(c.views.empty) > 8 else ""
+        views = f"{', '.join(c.views.empty[:8])}{more}"
+        print(f"note: {message('board_not_seen', views=views)}", file=sys.stderr)
     for notice in [*c.views.notices, *c.advice]:
         print(f"note: {notice}", file=sys.stderr)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,6 +13,7 @@ import typer
 from paceline.commands import DONE, NOTHING_MEASURED, file_named, print_columns, refuse_read_only
 from paceline.commands.progress_output import progress_bar
 from paceline.errors import UnusableInput
+from paceline.verdicts import message
 
 if TYPE_CHECKING:
     from paceline.cameras import StereoRig
@@ -72,12 +74,11 @@ def lanes(
     if not quiet:
         _print(lines, named, remarks)
         if background.unsettled_share > NOTABLY_UNSETTLED:
-            print(
-                f"note: in {100 * background.unsettled_share:.0f} % of the pictures nothing stands still",
-                file=sys.stderr,
-            )
+            unstable, limit = 100 * background.unsettled_share, 100 * NOTABLY_UNSETTLED
+            notice = message("background_partly_unstable", unstable=unstable, max_unstable=limit)
+            print(f"note: {notice}", file=sys.stderr)
     if not kept:
-        print("no lane found: no two neighbouring lines that both views determine are a lane's width apart")
+        print(f"no lane found: {message('no_lane_between_lines')}")
         return NOTHING_MEASURED
     if write or out is not None:
         where = _write(file, out, document.rig, background, lines, named)
@@ -103,7 +104,7 @@ def _check_pictures(clip: Clip, pictures: tuple[Path, Path]) -> None:
                 )
 
 
-def _print(lines: list[Line], lanes: dict[str, Lane], remarks: list[str]) -> None:
+def _print(lines: list[Line], lanes: dict[str, Lane], remarks: Sequence[str]) -> None:
     from paceline.units import COVERAGE_95
 
     rows = [("line", "marking", "across, 95 %")]

@@ -12,6 +12,7 @@ import typer
 from paceline.commands import DONE, NOTHING_MEASURED, file_named, print_columns
 from paceline.commands.progress_output import progress_bar
 from paceline.errors import UnusableInput
+from paceline.verdicts import message
 
 if TYPE_CHECKING:
     from paceline.calibration.rig_check import Check, Refinement
@@ -71,7 +72,9 @@ def rig_import(
         f"{kind}: {width} × {height} pixels, focal length {found.left.K[0, 0]:.1f} px, cameras {found.baseline:.4f} m "
         f"apart; {out}"
     )
-    print("note: states no uncertainty, so speeds will have no systematic part; add it if you know it", file=sys.stderr)
+    consequence = "speeds will have no systematic part; add it if you know it"
+    notice = message("rig_uncertainty_missing", rig=out, consequence=consequence)
+    print(f"note: {notice}", file=sys.stderr)
     return DONE
 
 
@@ -109,7 +112,7 @@ def rig_check(
     with progress_bar("matching", sys.stderr.isatty()) as advance:
         matches = match_scene(recording, advance)
     if not enough(matches):
-        print(f"verdict  cannot tell: only {len(matches)} points of the scene match; film something with more texture")
+        print(f"verdict  {message('rig_unchecked', points=len(matches))}")
         return NOTHING_MEASURED
     found = check(document.rig, matches)
     _print_check(found, matches.frames)
@@ -140,17 +143,22 @@ def _print_check(found: Check, frames: int) -> None:
     )
     print(f"verdict  {verdict(found)}")
     if not found.states_uncertainty:
-        print("note: the rig states no uncertainty, so every difference counts as a movement", file=sys.stderr)
+        consequence = "every difference counts as a movement"
+        notice = message("rig_uncertainty_missing", rig="the rig", consequence=consequence)
+        print(f"note: {notice}", file=sys.stderr)
 
 
 def verdict(found: Check) -> str:
     """One line on whether the rig stands as it was calibrated."""
+    from paceline.calibration.rig_check import UNLIKELY
+
     if not found.moved:
         return f"the rig stands as calibrated; the scene agrees (chance of so large a difference: {found.chance:.2g})"
-    moved = "has moved" if found.states_uncertainty else "does not stand as its file says"
-    return (
-        f"the rig {moved}: points lie {found.error:.2f} px off their lines (chance otherwise: {found.chance:.1g}); "
-        "calibrate it again, or --refine -o rig.yaml"
+    return message(
+        "rig_moved" if found.states_uncertainty else "rig_differs_from_file",
+        offset_px=found.error,
+        chance=found.chance,
+        min_chance=UNLIKELY,
     )
 
 

@@ -15,6 +15,7 @@ from paceline.lanes.line_adjustment import Road
 from paceline.lanes.line_detection import TERMS, UNIT, along
 from paceline.speed.geometry.path_reconstruction import reconstruct
 from paceline.speed.geometry.paths import Path, jacobian
+from paceline.verdicts import NO_REASON, Message, message
 
 NARROWEST, WIDEST = 2.2, 5.5  # m between the lines of a lane
 SAMPLES = 15  # places along a lane at which its width is measured
@@ -48,7 +49,7 @@ class Lane:
     left: Array
     right: Array
     path: Path | None
-    reason: str = ""
+    reason: Message = NO_REASON
 
 
 def lines_of(road: Road) -> list[Line]:
@@ -68,7 +69,7 @@ def _sigma(road: Road, k: int, s: Array) -> Array:
     return np.asarray(np.sqrt(np.maximum(((powers @ road.covariance[mine, mine]) * powers).sum(1), 0.0)))
 
 
-def propose(rig: StereoRig, road: Road) -> tuple[list[Lane], list[str]]:
+def propose(rig: StereoRig, road: Road) -> tuple[list[Lane], list[Message]]:
     """The lanes between neighbouring lines, from left to right, and a remark on every pair that makes none."""
     lanes, remarks = [], []
     for k in range(len(road.lines) - 1):
@@ -76,15 +77,41 @@ def propose(rig: StereoRig, road: Road) -> tuple[list[Lane], list[str]]:
         start, end = max(a.span[0], b.span[0]), min(a.span[1], b.span[1])
         names = str(k + 1), str(k + 2)
         if end - start < SHORTEST:
-            remarks.append(f"lines {names[0]} and {names[1]} do not run beside each other for {SHORTEST:g} m")
+            remarks.append(
+                message(
+                    "lines_not_beside_each_other",
+                    first=names[0],
+                    second=names[1],
+                    shared_m=max(end - start, 0.0),
+                    min_shared_m=SHORTEST,
+                )
+            )
             continue
         width, std = _width(rig, road, k, np.linspace(start, end, SAMPLES))
         if not NARROWEST <= width <= WIDEST:
-            remarks.append(f"lines {names[0]} and {names[1]} lie {width:.2f} m apart: no lane is that wide or narrow")
+            remarks.append(
+                message(
+                    "lane_width_implausible",
+                    first=names[0],
+                    second=names[1],
+                    width_m=width,
+                    min_width_m=NARROWEST,
+                    max_width_m=WIDEST,
+                )
+            )
             continue
         first, last = _certain(road, k, min(a.span[0], b.span[0]), max(a.span[1], b.span[1]))
         if last - first < SHORTEST:
-            remarks.append(f"lines {names[0]} and {names[1]} are not known to {UNCERTAIN:g} m for {SHORTEST:g} m")
+            remarks.append(
+                message(
+                    "lines_uncertain",
+                    first=names[0],
+                    second=names[1],
+                    max_std_m=UNCERTAIN,
+                    known_m=last - first,
+                    min_known_m=SHORTEST,
+                )
+            )
             continue
         lanes.append(_lane(rig, road, k, names, (width, std), (first, last)))
     return lanes, remarks
@@ -147,15 +174,16 @@ def _lane(
     drawn = [_drawn(rig, side, centre, span) for side in (0, 1)]
     shape = "line" if max(map(_bend, drawn)) < STRAIGHT else "curve"
     recorded = [camera.distort_points(pixels) for camera, pixels in zip(rig.cameras, drawn, strict=True)]
-    path, reason = None, ""
+    path, reason = None, NO_REASON
     name = f"between lines {names[0]} and {names[1]}"
-    if min(np.linalg.norm(np.ptp(pixels, axis=0)) for pixels in drawn) < SMALLEST:
-        reason = f"path {name}: too little of it is in both pictures"
+    length = float(min(np.linalg.norm(np.ptp(pixels, axis=0)) for pixels in drawn))
+    if length < SMALLEST:
+        reason = message("lane_outside_views", path=name, length_px=length, min_length_px=SMALLEST)
     else:
         try:
             path = reconstruct(name, shape, rig, drawn[0], drawn[1])
         except UnusableInput as error:
-            reason = str(error)
+            reason = message("lane_not_reconstructible", problem=error)
     return Lane(names, *width, shape, recorded[0], recorded[1], path, reason)
 
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from paceline.arrays import Array, Image
 from paceline.errors import UnusableInput
+from paceline.verdicts import message
 
 Stored = NDArray[Any]  # uint8 or uint16
 
@@ -74,9 +75,9 @@ class ImageFiles:
         self._bit_depth = bit_depth
         first = read_image_file(self.files[0])
         if first.dtype == np.uint16 and bit_depth is None and first.max() < 65536 // 16:
-            self.notices.append(f"{self.label(0)}: looks like a 12-bit recording in 16-bit images; set bit_depth")
+            self.notices.append(message("bit_depth_suspect", image=self.label(0)))
         if first.dtype == np.uint8 and bit_depth not in (None, 8):
-            self.notices.append(f"{name}: bit_depth {bit_depth} does not apply, because the images have 8 bits")
+            self.notices.append(message("bit_depth_ignored", source=name, bit_depth=bit_depth))
 
     def __len__(self) -> int:
         return len(self.files)
@@ -203,7 +204,7 @@ class Video:
         end = float(stamps[-1] * time_base)
         last_duration = float(max(np.median(np.diff(stamps)), stamps[-1] - stamps[-2]) * time_base)
         if cut or (promised is not None and promised > end + 1.5 * last_duration):
-            self.notices.append(f"{self.name}: is cut short; it ends after frame {len(stamps) - 1} at {end:.3f} s")
+            self.notices.append(message("video_truncated", video=self.name, frame=len(stamps) - 1, time_s=end))
         else:
             self._threads = "AUTO"
         return stamps, time_base

@@ -20,6 +20,7 @@ import numpy as np
 from paceline.cameras import ALL_ROWS, Camera, StereoRig
 from paceline.recordings.monocular import CameraFrame, CameraRecording, Grey, open_camera
 from paceline.recordings.stereo import NOTABLE_SKEW, StereoFrame
+from paceline.verdicts import message
 
 HELD = 64  # frames of a view that wait to be used, so that a pause of seconds loses none; beyond, the oldest is dropped
 SETTLING = 8  # frames of each live view that tell by how much their clocks differ
@@ -79,11 +80,12 @@ class LiveViews:
     @property
     def notices(self) -> list[str]:
         """What a user should know about the sources, one plain line each."""
-        own = []
+        own: list[str] = []
         if self._ahead:
-            own.append("no common clock: frames that come together are taken as exposed together")
+            own.append(message("no_common_clock"))
         if self._apart > NOTABLE_SKEW:
-            own.append(f"left and right frames are taken up to {1e3 * self._apart:.1f} ms apart, which is allowed for")
+            skew = f"up to {1e3 * self._apart:.1f} ms apart, which is allowed for"
+            own.append(message("views_skewed", frames="left and right frames", skew=skew))
         return [*own, *(line for view in self._views for line in view.recording.notices)]
 
     def stop(self) -> None:

@@ -29,6 +29,7 @@ from paceline.arrays import Array
 from paceline.cameras import Camera
 from paceline.errors import UnusableInput
 from paceline.recordings.image_sources import ImageFiles, Source, open_source
+from paceline.verdicts import message
 
 Grey = NDArray[np.uint8]  # (H, W)
 
@@ -111,7 +112,7 @@ class CameraRecording:
     @property
     def notices(self) -> list[str]:
         """What a user should know about the recording, one plain line each; iterating may add to it."""
-        undecoded = [f"{line}: cannot be decoded, and is passed over" for line in self._missing.lines()]
+        undecoded = [message("frames_undecodable", frames=line) for line in self._missing.lines()]
         return [*self._feed.notices, *undecoded, *self._jumps.lines()]
 
     def stop(self) -> None:
@@ -137,8 +138,8 @@ class CameraRecording:
             if before is not None:
                 step = frame.time - before.time
                 if steps and step > JUMP * median(steps):
-                    between = f"frames {before.index} and {frame.index}"
-                    self._jumps.add(f"{between} lie {step:.3f} s apart instead of {median(steps):.3f} s")
+                    gap = f"frames {before.index} and {frame.index} lie {step:.3f} s apart"
+                    self._jumps.add(message("frames_missing", gap=gap, usual_s=median(steps)))
                 steps.append(step)
             before = frame
             yield frame
@@ -170,7 +171,7 @@ def open_camera(clip: Description) -> CameraRecording:
 
 def _note_unused_rate(clip: Description, source: Source | Feed) -> None:
     if clip.rate is not None:
-        source.notices.append(f"{clip.path}: rate is not used, because {source.name} carries its own time stamps")
+        source.notices.append(message("rate_ignored", clip=clip.path, source=f"{source.name} carries its"))
 
 
 def _counted(images: ImageFiles) -> Array:
@@ -252,7 +253,7 @@ class LiveFeed:
             raise UnusableInput(f"{self.name}: shows no video")
         self._untimed = Flags.no_timestamps in Flags(self._container.format.flags)
         if self._untimed:  # FFmpeg would make up times from a rate that it guesses
-            self.notices.append(f"{self.name}: carries no time stamps; frames are dated by their arrival")
+            self.notices.append(message("no_time_stamps", source=self.name))
 
     def label(self, frame: int) -> str:
         return f"{self.name}: frame {frame}"
@@ -287,7 +288,7 @@ class LiveFeed:
                 picture = received.get(timeout=PATIENCE)
             except Empty:
                 if monotonic() - begun > SILENCE:
-                    self.notices.append(f"{self.name}: the source ended (nothing came for {SILENCE:.0f} s)")
+                    self.notices.append(message("source_silent", source=self.name, limit_s=SILENCE))
                     return None
                 continue
             if isinstance(picture, Exception):
@@ -324,11 +325,12 @@ class LiveFeed:
                 packet = next(packets)
                 arrival = monotonic() - begun
             except StopIteration:
-                self.notices.append(f"{self.name}: the source ended")
+                self.notices.append(message("source_ended", source=self.name, problem=""))
                 return
             except (av.FFmpegError, OSError) as error:
                 if not self._stopped:
-                    self.notices.append(f"{self.name}: the source ended ({_problem(error)})")
+                    problem = f" ({_problem(error)})"
+                    self.notices.append(message("source_ended", source=self.name, problem=problem))
                 return
             try:
                 for picture in packet.decode():
@@ -413,7 +415,7 @@ class _Clock:
             back, time = self._last - time, self._last + self._step
             self._offset = time - stamp
             if len(self._notices) < LISTED:
-                self._notices.append(f"{self._name}: times go back by {back:.3f} s at frame {index}; counted on")
+                self._notices.append(message("times_backward", source=self._name, back_s=back, frame=index))
         elif np.isfinite(self._last):
             self._step = time - self._last
         self._last = time

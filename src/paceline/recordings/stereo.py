@@ -18,6 +18,7 @@ from paceline.arrays import Array, Image, Indices
 from paceline.cameras import StereoRig
 from paceline.errors import UnusableInput
 from paceline.recordings.image_sources import ImageFiles, Source, open_source
+from paceline.verdicts import Message, message
 
 NOTABLE_SKEW = 1.1e-3  # s; rounding both views to whole milliseconds explains less
 LISTED = 8  # frames that a notice lists at most
@@ -53,7 +54,7 @@ class Pairing:
     times: Array
     skews: Array
     interval: float
-    notices: list[str] = field(default_factory=list)
+    notices: list[Message] = field(default_factory=list)
 
 
 class Description(Protocol):
@@ -141,13 +142,14 @@ class StereoRecording:
     @property
     def notices(self) -> list[str]:
         """What a user should know about the recording, one plain line each; iterating may add to it."""
-        found = [*self._sources[0].notices, *self._sources[1].notices, *self.pairing.notices]
+        found: list[str] = [*self._sources[0].notices, *self._sources[1].notices, *self.pairing.notices]
         found += _gap_notices(self.pairing)
         for source, repeated, damaged in zip(self._sources, self._repeated, self._damaged, strict=True):
             if damaged:
-                found.append(f"{source.name}: {_listed(damaged)} cannot be decoded and {_are(damaged)} left out")
+                found.append(message("frames_undecodable", frames=f"{source.name}: {_listed(damaged)}"))
             if repeated:
-                found.append(f"{source.name}: {_listed(repeated)} {_are(repeated)} a copy of the frame before")
+                frames = f"{_listed(repeated)} {_are(repeated)}"
+                found.append(message("frames_repeated", source=source.name, frames=frames))
         return found
 
     def frames(self, start: int = 0, stop: int | None = None) -> Iterator[StereoFrame]:
@@ -199,7 +201,7 @@ def open_recording(clip: Description) -> StereoRecording:
     else:
         pairing = pair_by_time(left.times, right.times, clip.tolerance)
         if clip.rate is not None:
-            pairing.notices.append(f"{clip.path}: rate is not used, because the videos carry their own time stamps")
+            pairing.notices.append(message("rate_ignored", clip=clip.path, source="the videos carry their"))
     return StereoRecording(clip.rig, left, right, pairing)
 
 
@@ -222,13 +224,14 @@ def pair_by_time(left: Array, right: Array, tolerance: float | None = None) -> P
             f"(left {left[0]:.3f} to {left[-1]:.3f} s, right {right[0]:.3f} to {right[-1]:.3f} s)"
         )
     within = f"within {1e3 * tolerance:.3g} ms"
-    notices = _unmatched("left", len(left), i, within) + _unmatched("right", len(right), j, within)
+    notices = [
+        *_unmatched("left", len(left), i, within), *_unmatched("right", len(right), j, within)
+    ]
     skews = right[j] - left[i]
     if np.abs(skews).max() > NOTABLE_SKEW:
-        notices.append(
-            f"right frames are taken {1e3 * float(np.median(skews)):+.1f} ms from the left ones (median; "
-            f"at most {1e3 * float(np.abs(skews).max()):.1f} ms)"
-        )
+        median, largest = 1e3 * float(np.median(skews)), 1e3 * float(np.abs(skews).max())
+        skew = f"{median:+.1f} ms from the left ones (median; at most {largest:.1f} ms)"
+        notices.append(message("views_skewed", frames="right frames", skew=skew))
     return Pairing(i, j, (left[i] + right[j]) / 2, skews, interval, notices)
 
 
@@ -246,21 +249,21 @@ def pair_images(left: ImageFiles, right: ImageFiles, rate: float) -> Pairing:
                 "in their names that tell which belong together"
             )
         i = np.arange(len(left))
-        notices = []
+        notices: list[Message] = []
         if left.numbers is not None:
-            notices.append(f"{left.name}: the numbers in the names count no frames; a missing one cannot be noticed")
+            notices.append(message("frame_numbers_no_counters", source=left.name))
         return Pairing(i, i, i / rate, np.zeros(len(i)), 1 / rate, notices)
     n, m = numbers
     if len(n) == len(m) and np.array_equal(n - n[0], m - m[0]):
         i = j = np.arange(len(n))
-        notices = [] if n[0] == m[0] else [f"left images count from {n[0]} and right ones from {m[0]}; paired in order"]
+        notices = [] if n[0] == m[0] else [message("frame_numbers_offset", left=n[0], right=m[0])]
     else:
         common, i, j = np.intersect1d(n, m, assume_unique=True, return_indices=True)
         if not len(common):
             raise UnusableInput(f"{left.name} and {right.name}: no two images have the same number in their names")
-        notices = _unmatched("left", len(n), i, "of the same number") + _unmatched(
-            "right", len(m), j, "of the same number"
-        )
+        notices = [
+            *_unmatched("left", len(n), i, "of the same number"), *_unmatched("right", len(m), j, "of the same number")
+        ]
     return Pairing(i, j, (n[i] - n[0]) / rate, np.zeros(len(i)), 1 / rate, notices)
 
 
@@ -319,21 +322,26 @@ def _nearest(times: Array, among: Array) -> Indices:
     return np.asarray(after - (times - among[after - 1] < among[after] - times), np.int64)
 
 
-def _gap_notices(pairing: Pairing) -> list[str]:
+def _gap_notices(pairing: Pairing) -> list[Message]:
     gaps, usual = np.diff(pairing.times), pairing.interval
     return [
-        f"{round(gaps[k] / usual) - 1} dropped between frames {pairing.left[k]} and {pairing.left[k + 1]}: "
-        f"{gaps[k]:.3f} s lie between them instead of {usual:.3f} s"
+        message(
+            "frames_missing",
+            gap=f"{round(gaps[k] / usual) - 1} dropped between frames {pairing.left[k]} and {pairing.left[k + 1]}: "
+            f"{gaps[k]:.3f} s lie between them",
+            usual_s=usual,
+        )
         for k in np.flatnonzero(gaps > 1.5 * usual)
     ]
 
 
-def _unmatched(side: str, count: int, matched: Indices, what: str) -> list[str]:
+def _unmatched(side: str, count: int, matched: Indices, what: str) -> list[Message]:
     alone = np.setdiff1d(np.arange(count), matched)
     other = "right" if side == "left" else "left"
     if not len(alone):
         return []
-    return [f"{side}: {_listed(alone)} {_are(alone)} left out, without a {other} frame {what}"]
+    frames = f"{_listed(alone)} {_are(alone)}"
+    return [message("frames_unmatched", view=side, frames=frames, other=other, match=what)]
 
 
 def _listed(frames: set[int] | Indices) -> str:

@@ -10,6 +10,7 @@ import av
 import numpy as np
 
 from paceline.reports.common.drawing import Picture
+from paceline.verdicts import message
 
 TICKS_PER_S = 60000  # time stamps per second; MPEG-4 allows 65535
 H264_CODECS = ["libx264", "libopenh264"]  # both write H.264, which browsers play
@@ -29,7 +30,7 @@ class VideoWriter:
         self.notices: list[str] = []
         self._codec = next((name for name in H264_CODECS if name in av.codecs_available), FALLBACK_CODEC)
         if self._codec == FALLBACK_CODEC:
-            self.notices.append("overlay.mp4 is MPEG-4 because no H.264 encoder was found; a browser may not play it.")
+            self.notices.append(message("video_codec_fallback"))
         flags = "frag_keyframe+empty_moov+default_base_moof" if fragmented else "+faststart"
         self._container = av.open(str(file), "w", format="mp4", options={"movflags": flags})
         self._stream: av.VideoStream | None = None

@@ -10,6 +10,7 @@ from functools import cache
 from types import ModuleType
 
 from paceline.errors import UnusableInput
+from paceline.verdicts import message
 
 FAST_VARIANT, PORTABLE_VARIANT = "llvm_ad_rgb", "scalar_rgb"
 MITSUBA_VARIANTS = (FAST_VARIANT, PORTABLE_VARIANT)
@@ -54,11 +55,7 @@ def default_variant() -> str:
     """`FAST_VARIANT` where it can run, else `PORTABLE_VARIANT`, with a notice on standard error."""
     if find_llvm():
         return FAST_VARIANT
-    print(
-        f"note: LLVM {LLVM_VERSION} was not found (Debian: libllvm{LLVM_VERSION}; elsewhere set DRJIT_LIBLLVM_PATH): "
-        "rendering takes about five times as long",
-        file=sys.stderr,
-    )
+    print(f"note: {message('renderer_slow', version=LLVM_VERSION)}", file=sys.stderr)
     return PORTABLE_VARIANT
 
 

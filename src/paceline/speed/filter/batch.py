@@ -9,6 +9,7 @@ from paceline.speed.filter.device import DeviceFailure, as_device_failure
 from paceline.speed.filter.estimate import Estimate
 from paceline.speed.filter.particle_set import pack_views
 from paceline.speed.filter.tracker import Tracker
+from paceline.verdicts import message
 
 if TYPE_CHECKING:
     from paceline.speed.filter.cuda.device import CudaDevice
@@ -49,7 +50,7 @@ class TrackerBatch:
                 for each, before in zip(self._trackers, self._checkpoints, strict=True):
                     each.restore(before)
                 self._estimates = {}
-                self.notices.append(f"computed on the CPU from frame {frame.index} on: {failure.reason}")
+                self.notices.append(message("gpu_fallback", frame=frame.index, problem=failure.reason))
         found = self._estimates.pop(tracker.vehicle.id, None)
         return tracker.update(frame) if found is None else found
 
