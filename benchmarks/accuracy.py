@@ -37,7 +37,7 @@ from common import (
 from paceline.cameras import RigUncertainty, StereoRig, perturbed_rig
 from paceline.simulation.random_scenes import random_crossing, random_scene
 from paceline.simulation.stereo.clip import Scene
-from paceline.speed.joint_calibration import together
+from paceline.speed.joint_calibration import calibrate_jointly
 from paceline.speed.results import Measurement
 
 SUITES = {"plain": plain_scene, "hard": random_scene, "crossing": random_crossing}
@@ -93,7 +93,7 @@ def run(seeds: Sequence[int], suite: str, gamma: float, rig: str) -> list[Outcom
         later = len(measurements)  # as if it had passed after those before it
         track = replace(m.track, frame=m.track.frame + 1000 * later, time=m.track.time + 20.0 * later)
         measurements[seed] = replace(m, track=track)
-    for seed, m in zip(measurements, together(list(measurements.values())), strict=True):
+    for seed, m in zip(measurements, calibrate_jointly(list(measurements.values())), strict=True):
         outcomes[seed] = replace(outcomes[seed], **_compared(m, true[seed]))
     return list(outcomes.values())
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from paceline.documents.loading import VehicleDocument
 from paceline.speed.geometry.initial_plane import TILT_STD_RAD, YAW_STD_RAD, normal_from_corners, plane_from_outlines
 from paceline.speed.geometry.paths import Path
-from paceline.speed.refinement.trajectory import turned
+from paceline.speed.refinement.trajectory import rotate_normal
 
 
 def rectangle(centre, yaw, tilt, width=1.8, height=0.7):
@@ -111,7 +111,7 @@ def test_fronts_and_rears_lean_back(rig, direction):
     corners, _ = rectangle([0.3, 0.8, 36.0], 0.0, 0.0)
     found = plane_from_outlines(rig, document(*rig.project(corners), "front", "lane0"), path, 0.5)
     F = path.frames(path.s[:1])[0]
-    normal = F @ turned(F.T @ found.normal, 0.0, found.mean_tilt)
+    normal = F @ rotate_normal(F.T @ found.normal, 0.0, found.mean_tilt)
     over, under = np.array([0.0, -0.4, 0.0]), np.array([0.0, 0.4, 0.0])
     # behind the centre by so much along the line of sight, on the plane n·P = d
     back = [-(normal @ rim) / normal[2] for rim in (over, under)]

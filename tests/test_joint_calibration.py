@@ -1,4 +1,4 @@
-"""One rig, many vehicles: against one joint solution for all of them, and end to end."""
+"""Joint self-calibration: against one least-squares solution for all vehicles, and end to end."""
 
 from __future__ import annotations
 
@@ -20,37 +20,37 @@ from paceline.documents.loading import Clip, load_clip
 from paceline.simulation.stereo.clip import render, write
 from paceline.speed.configuration import DEFAULTS, SpeedConfiguration
 from paceline.speed.joint_calibration import (
-    ONE,
-    Belief,
-    agreed,
-    among,
-    beside,
-    evidence,
-    is_one,
-    pull,
-    put_right,
-    stated,
-    together,
+    SAME_VEHICLE_M,
+    CanonicalGaussian,
+    calibrate_jointly,
+    combine_consistent,
+    corrected,
+    neighbours,
+    rig_evidence,
+    rig_prior,
+    same_vehicle,
+    shift_sigma,
+    with_neighbours,
 )
 from paceline.speed.measurement import measure_clip
-from paceline.speed.results import Measurement, RigTold, Track
+from paceline.speed.results import Measurement, RigInformation, Track
 
 NEIGHBOURS, WINDOW_S = DEFAULTS.joint_calibration.neighbours, DEFAULTS.joint_calibration.window_s
 Array = NDArray[np.float64]
-N, Q = 3, 4  # parameters of a motion and moves of the rig, in the linear models here
+N, Q = 3, 4  # parameters of a motion and directions of the rig in the linear models here
 USUAL = 1.959963984540054
-FAST = 200.0  # m/s, about: of that no interval here is too wide
+FAST = 200.0  # m/s, so fast that no interval here is too wide
 
 
 @dataclass(frozen=True)
-class Pictures:
-    """Pixels that depend linearly on a motion (N,) and on the rig (Q,), with noise of 1."""
+class LinearImages:
+    """Grey values that are linear in a motion (N,) and the rig (Q,), with noise of 1."""
 
     J: Array
     y: Array
 
     def alone(self, speed: float = FAST, time: float = 0.0, x: float = 0.0) -> Measurement:
-        """The vehicle's own least squares, the rig under its prior; it passes at a ``time``, s, at ``x`` metres. The
+        """Least squares of this vehicle alone, the rig under its prior; it passes at ``time`` s and ``x`` m. The
         mean speed is the sum of the motion's parameters, that of each of two frames is the first of them and the
         second."""
         A = self.J.T @ self.J + np.diag([*np.zeros(N), *np.ones(Q)])
@@ -58,14 +58,14 @@ class Pictures:
         motion = self.J[:, :N].T @ self.J[:, :N]
         response = -np.linalg.solve(motion, self.J[:, :N].T @ self.J[:, N:])
         given_rig, mean, frames = np.linalg.inv(motion), np.ones(N), np.eye(N)[:2]
-        told = RigTold(
-            moves=np.asarray(found[N:], float),
+        information = RigInformation(
+            offset=np.asarray(found[N:], float),
             information=np.linalg.inv(left[N:, N:]) - np.eye(Q),
-            speed=mean @ response,
-            std=float(np.sqrt(mean @ given_rig @ mean)),
-            half=USUAL * float(np.sqrt(mean @ given_rig @ mean)),
-            speeds=frames @ response,
-            stds=np.sqrt(np.diag(frames @ given_rig @ frames.T)),
+            mean_speed_gradient=mean @ response,
+            mean_speed_std=float(np.sqrt(mean @ given_rig @ mean)),
+            half_width=USUAL * float(np.sqrt(mean @ given_rig @ mean)),
+            speed_jacobian=frames @ response,
+            speed_stds=np.sqrt(np.diag(frames @ given_rig @ frames.T)),
         )
         std = float(np.sqrt(mean @ left[:N, :N] @ mean))
         speeds = speed + found[:2]
@@ -85,13 +85,13 @@ class Pictures:
             "",
             "constant acceleration",
             acceleration=float(np.diff(speeds)[0] / 0.5),
-            rig=told,
+            rig_information=information,
         )
 
 
 @dataclass(frozen=True)
 class SimpleTrack:
-    """Of two frames, which no other vehicle has but those that pass at the same time."""
+    """A track of two frames."""
 
     time: Array
     refined_speed: Array
@@ -103,26 +103,30 @@ class SimpleTrack:
         return np.rint(10 * self.time).astype(np.int64)
 
 
-def pictures(rng: np.random.Generator, rig: Array, pixels: int = 12) -> Pictures:
+def images(rng: np.random.Generator, rig: Array, pixels: int = 12) -> LinearImages:
     J = rng.standard_normal((pixels, N + Q)) * np.array([*np.ones(N), 2.0, 1.0, 0.3, 0.01])
     truth = np.concatenate([rng.standard_normal(N), rig])
-    return Pictures(J, J @ truth + rng.standard_normal(pixels))
+    return LinearImages(J, J @ truth + rng.standard_normal(pixels))
 
 
-def passing(vehicles: list[Pictures]) -> list[Measurement]:
-    """Each alone, one after the other."""
+def all_evidence(measurements: list[Measurement]) -> list[CanonicalGaussian]:
+    return [rig_evidence(m.rig_information) for m in measurements if m.rig_information is not None]
+
+
+def passing(vehicles: list[LinearImages]) -> list[Measurement]:
+    """Each measured alone, passing one after the other."""
     return [v.alone(time=10.0 * k) for k, v in enumerate(vehicles)]
 
 
-def several(seed: int, count: int) -> list[Pictures]:
+def several(seed: int, count: int) -> list[LinearImages]:
     rng = np.random.default_rng(seed)
     rig = rng.standard_normal(Q)
-    return [pictures(rng, rig) for _ in range(count)]
+    return [images(rng, rig) for _ in range(count)]
 
 
 @given(seed=st.integers(0, 10_000), count=st.integers(2, 6))
-def test_it_is_what_one_solution_for_all_gives(seed: int, count: int) -> None:
-    """All motions and the rig at once, in one least squares."""
+def test_it_equals_one_least_squares_solution_for_all(seed: int, count: int) -> None:
+    """All motions and the rig in one least-squares problem."""
     vehicles = several(seed, count)
     J = np.zeros((sum(len(v.y) for v in vehicles), count * N + Q))
     row = 0
@@ -134,14 +138,15 @@ def test_it_is_what_one_solution_for_all_gives(seed: int, count: int) -> None:
     joint, left = np.linalg.solve(A, J.T @ np.concatenate([v.y for v in vehicles])), np.linalg.inv(A)
 
     alone = passing(vehicles)
-    told = [evidence(m.rig) for m in alone if m.rig is not None]
-    belief = sum(told, stated(Q))
-    if max(pull(belief - t, t) for t in told) <= DEFAULTS.limits.rig_shift_sigma:  # but for one draw in 100,000
-        agree_on, agree = agreed(told)
-        assert agree.all() and (agree_on.precision == belief.precision).all()
-    np.testing.assert_allclose(belief.mean, joint[count * N :], atol=1e-8)
-    np.testing.assert_allclose(belief.covariance, left[count * N :, count * N :], atol=1e-8)
-    for k, m in enumerate(put_right(m, belief) for m in alone):
+    evidence = all_evidence(alone)
+    posterior = sum(evidence, rig_prior(Q))
+    limit = DEFAULTS.limits.rig_shift_sigma
+    if max(shift_sigma(posterior - t, t) for t in evidence) <= limit:  # but for one draw in 100,000
+        agree_on, agree = combine_consistent(evidence)
+        assert agree.all() and (agree_on.precision == posterior.precision).all()
+    np.testing.assert_allclose(posterior.mean, joint[count * N :], atol=1e-8)
+    np.testing.assert_allclose(posterior.covariance, left[count * N :, count * N :], atol=1e-8)
+    for k, m in enumerate(corrected(m, posterior) for m in alone):
         part = slice(k * N, (k + 1) * N)
         assert m.speed == pytest.approx(FAST + joint[part].sum(), abs=1e-8)
         variance = left[part, part].sum()
@@ -152,35 +157,35 @@ def test_it_is_what_one_solution_for_all_gives(seed: int, count: int) -> None:
         assert m.acceleration == pytest.approx((joint[part][1] - joint[part][0]) / 0.5, abs=1e-7)
 
 
-def test_a_pull_is_a_standard_deviation_of_what_chance_makes() -> None:
-    """Over many draws of rig and pictures the largest of a vehicle's pulls is that of as many normal numbers."""
-    pulls, directions = [], []
+def test_a_shift_is_in_standard_deviations_of_chance() -> None:
+    """Over many draws the largest shift by a vehicle is distributed as the maximum of as many normal variates."""
+    shifts, directions = [], []
     for seed in range(300):
-        *others, one = [evidence(m.rig) for m in passing(several(seed, 4)) if m.rig is not None]
-        belief = sum(others, stated(Q))
-        pulls.append(pull(belief, one))
-        root = np.linalg.cholesky(belief.covariance)
+        *others, one = all_evidence(passing(several(seed, 4)))
+        posterior = sum(others, rig_prior(Q))
+        shifts.append(shift_sigma(posterior, one))
+        root = np.linalg.cholesky(posterior.covariance)
         information = np.linalg.eigvalsh(root.T @ one.precision @ root)
         directions.append((information / (1 + information) > 0.05).sum())
-    assert min(directions) < Q  # of one it hardly tells
+    assert min(directions) < Q  # one is hardly determined
     beyond = 2.0
     expected = 1.0 - 0.9545 ** np.array(directions)
-    found = np.mean(np.array(pulls) > beyond)
-    assert abs(found - expected.mean()) < 4 * np.sqrt(expected.mean() / len(pulls))
+    found = np.mean(np.array(shifts) > beyond)
+    assert abs(found - expected.mean()) < 4 * np.sqrt(expected.mean() / len(shifts))
 
 
-def wants_elsewhere(v: Pictures, by: float) -> Pictures:
-    """The same pictures, of a rig that is elsewhere in the direction of which they tell most."""
+def with_moved_rig(v: LinearImages, by: float) -> LinearImages:
+    """The same images with the rig moved in the direction that they determine best."""
     return replace(v, y=v.y + v.J[:, N:] @ np.array([by, 0.0, 0.0, 0.0]))
 
 
-def contradicting(vehicles: list[Pictures], k: int, wanted: float) -> list[Measurement]:
-    """All of them, the one at ``k`` contradicting the others by as many standard deviations as are ``wanted``."""
+def contradicting(vehicles: list[LinearImages], k: int, wanted: float) -> list[Measurement]:
+    """All vehicles, with the one at ``k`` contradicting the others by ``wanted`` standard deviations."""
 
     def made(by: float) -> tuple[float, list[Measurement]]:
-        all_of_them = passing([wants_elsewhere(v, by) if i == k else v for i, v in enumerate(vehicles)])
-        told = [evidence(m.rig) for m in all_of_them if m.rig is not None]
-        return pull(sum(told, stated(Q)) - told[k], told[k]) - wanted, all_of_them
+        all_of_them = passing([with_moved_rig(v, by) if i == k else v for i, v in enumerate(vehicles)])
+        evidence = all_evidence(all_of_them)
+        return shift_sigma(sum(evidence, rig_prior(Q)) - evidence[k], evidence[k]) - wanted, all_of_them
 
     by = brentq(lambda by: made(by)[0], 0.0, 40.0)
     return made(float(by))[1]
@@ -190,71 +195,73 @@ def contradicting(vehicles: list[Pictures], k: int, wanted: float) -> list[Measu
 def test_the_one_that_contradicts_all_others_is_left_out_and_rejected(wanted: float, verdict: str) -> None:
     vehicles = several(5, 5)
     alone = contradicting(vehicles, 2, wanted)
-    measured = together(alone)
+    measured = calibrate_jointly(alone)
     bad, good = measured[2], [*measured[:2], *measured[3:]]
     assert bad.verdict == verdict and {m.verdict for m in good} == {"measured"}
     assert [m.calibrated_by for m in good] == [5 if verdict == "measured" else 4] * 4
-    assert all(m.rig is None for m in measured)
+    assert all(m.rig_information is None for m in measured)
     if verdict == "rejected":
         assert bad.reason.startswith("calibration: ") and bad.speed == alone[2].speed
         assert bad.reason_code == "calibration_differs_between_vehicles"
-        for m, right in zip(good, together([*alone[:2], *alone[3:]]), strict=True):
+        for m, right in zip(good, calibrate_jointly([*alone[:2], *alone[3:]]), strict=True):
             assert m.speed == pytest.approx(right.speed, abs=1e-9)
 
 
-def test_of_two_that_contradict_each_other_nobody_says_which_is_right() -> None:
+def test_two_that_contradict_each_other_stay_as_they_are() -> None:
     two = contradicting(several(6, 2), 1, 6.0)
-    assert together(two) == two
+    assert calibrate_jointly(two) == two
 
 
 @pytest.mark.parametrize(("off", "verdict"), [(2.0, "measured"), (9.0, "rejected")])
-def test_what_all_agree_on_has_to_be_what_is_stated(off: float, verdict: str) -> None:
-    """A rig that is so many standard uncertainties off: each of its vehicles may be too poor a witness for that."""
+def test_all_vehicles_together_may_contradict_the_stated_rig(off: float, verdict: str) -> None:
+    """A rig that is ``off`` standard uncertainties off, which no vehicle alone could show."""
     rng = np.random.default_rng(11)
     rig = np.array([off, 0.0, 0.0, 0.0])
     poor = []
     for _ in range(NEIGHBOURS + 1):
-        v = pictures(rng, np.zeros(Q))
-        J = v.J * np.array([*np.ones(N), 0.06, 0.5, 0.06, 0.005])  # of which it tells little: its own pull stays small
-        poor.append(Pictures(J, v.y + J[:, N:] @ rig))
+        v = images(rng, np.zeros(Q))
+        J = v.J * np.array([*np.ones(N), 0.06, 0.5, 0.06, 0.005])  # little: its own shift stays small
+        poor.append(LinearImages(J, v.y + J[:, N:] @ rig))
     alone = passing(poor)
-    told = [evidence(m.rig) for m in alone if m.rig is not None]
-    assert max(pull(stated(Q), t) for t in told) < DEFAULTS.limits.rig_shift_sigma and agreed(told)[1].all()
-    measured = together(alone)
+    evidence = all_evidence(alone)
+    assert max(shift_sigma(rig_prior(Q), t) for t in evidence) < DEFAULTS.limits.rig_shift_sigma
+    assert combine_consistent(evidence)[1].all()
+    measured = calibrate_jointly(alone)
     assert {m.verdict for m in measured} == {verdict}
     if verdict == "rejected":
         assert {m.reason_code for m in measured} == {"calibration_inconsistent_jointly"}
         assert all("of 9 vehicles together" in m.reason for m in measured)
 
 
-def test_one_alone_and_those_that_tell_nothing_stay_as_they_are() -> None:
+def test_one_alone_and_those_without_information_stay_as_they_are() -> None:
     one, other = passing(several(7, 2))
-    silent = replace(other, rig=None, verdict="rejected", reason="outline: it is another one")
-    assert together([]) == []
-    assert together([silent, one, silent]) == [silent, one, silent]
-    assert among(silent, [one]) is silent and among(one, []) is one
+    silent = replace(other, rig_information=None, verdict="rejected", reason="outline: it is another one")
+    assert calibrate_jointly([]) == []
+    assert calibrate_jointly([silent, one, silent]) == [silent, one, silent]
+    assert with_neighbours(silent, [one]) is silent and with_neighbours(one, []) is one
 
 
-def test_only_those_about_the_same_time_have_a_say() -> None:
-    """As rigs change by day; the nearest, and no more than eight of them."""
+def test_only_vehicles_of_about_the_same_time_are_combined() -> None:
+    """The nearest in time, at most eight of them."""
     vehicles = several(9, 14)
     crowd = [v.alone(time=20.0 * k) for k, v in enumerate(vehicles)]
     middle = crowd[6]
-    near = beside(middle, [m for m in crowd if m is not middle])
+    near = neighbours(middle, [m for m in crowd if m is not middle])
     assert {id(m) for m in near} == {id(m) for m in crowd[2:11] if m is not middle} and len(near) == NEIGHBOURS
-    assert together(crowd)[6].calibrated_by == NEIGHBOURS + 1
+    assert calibrate_jointly(crowd)[6].calibrated_by == NEIGHBOURS + 1
     late = vehicles[0].alone(time=20.0 * 6 + WINDOW_S + 1.0)
-    assert beside(middle, [late]) == [] and beside(middle, [vehicles[0].alone(time=20.0 * 6 + WINDOW_S)]) != []
+    assert neighbours(middle, [late]) == []
+    assert neighbours(middle, [vehicles[0].alone(time=20.0 * 6 + WINDOW_S)]) != []
 
 
 def test_a_vehicle_that_is_outlined_twice_counts_once() -> None:
     vehicles = several(10, 4)
-    one, twice = vehicles[0].alone(time=0.0), vehicles[1].alone(time=0.0, x=0.5 * ONE / np.sqrt(3.0))
+    one, twice = vehicles[0].alone(time=0.0), vehicles[1].alone(time=0.0, x=0.5 * SAME_VEHICLE_M / np.sqrt(3.0))
     others = [v.alone(time=10.0 + 10.0 * k, x=5.0) for k, v in enumerate(vehicles[2:])]
-    assert is_one(one.track, twice.track) and not is_one(one.track, others[0].track)
-    assert not is_one(one.track, vehicles[1].alone(time=0.0, x=1.1 * ONE).track)
-    assert [m.calibrated_by for m in together([one, twice, *others])] == [3, 3, 3, 3]
-    assert together([one, twice]) == [one, twice]
+    assert same_vehicle(one.track, twice.track) and not same_vehicle(one.track, others[0].track)
+    assert not same_vehicle(one.track, vehicles[1].alone(time=0.0, x=1.1 * SAME_VEHICLE_M).track)
+    assert [m.calibrated_by for m in calibrate_jointly([one, twice, *others])] == [3, 3, 3, 3]
+    assert calibrate_jointly([one, twice]) == [one, twice]
 
 
 @pytest.mark.parametrize("drifts", ["steady", "warms up and cools down"])
@@ -266,21 +273,22 @@ def test_intervals_hold_while_the_rig_drifts(drifts: str) -> None:
         rig = np.zeros(Q) if drifts == "steady" else np.full(Q, np.sin(2 * np.pi * k / 150))
         J = rng.standard_normal((40, N + Q)) * np.array([*np.ones(N), 1.0, 0.5, 0.3, 0.01])
         motion = rng.standard_normal(N)
-        m = Pictures(J, J @ np.concatenate([motion, rig]) + rng.standard_normal(40)).alone(time=20.0 * k)
-        right = among(m, seen[-NEIGHBOURS:])
+        m = LinearImages(J, J @ np.concatenate([motion, rig]) + rng.standard_normal(40)).alone(time=20.0 * k)
+        right = with_neighbours(m, seen[-NEIGHBOURS:])
         seen.append(m)
         held.append(abs(right.speed - FAST - motion.sum()) < (right.speed_hi - right.speed_lo) / 2)
     assert binom.cdf(np.sum(held), len(held), 0.95) > 0.001
 
 
-def test_what_was_too_wide_alone_may_be_known_well_enough_together() -> None:
+def test_an_interval_too_wide_alone_may_be_accepted_jointly() -> None:
     alone = passing(several(8, 8))
     wide = replace(alone[0], verdict="rejected", reason="interval too wide: ± 9.0% of the speed")
-    mended, *_ = together([wide, *alone[1:]])
+    mended, *_ = calibrate_jointly([wide, *alone[1:]])
     assert (mended.verdict, mended.reason) == ("measured", "")
-    assert wide.rig is not None
-    unsure = replace(wide, rig=replace(wide.rig, half=0.05 * FAST, std=0.025 * FAST))
-    still, *_ = together([unsure, *alone[1:]])
+    assert wide.rig_information is not None
+    random = replace(wide.rig_information, half_width=0.05 * FAST, mean_speed_std=0.025 * FAST)
+    unsure = replace(wide, rig_information=random)
+    still, *_ = calibrate_jointly([unsure, *alone[1:]])
     assert still.verdict == "rejected" and "without the calibration's part" in still.reason
 
 
@@ -293,8 +301,8 @@ def two(tmp_path_factory: pytest.TempPathFactory) -> Clip:
 KNOWN = RigUncertainty(1.0, 0.0, (4e-5, 4e-5, 4e-5), (3e-4, 3e-4, 3e-4))
 
 
-def test_vehicles_of_one_clip_put_each_other_right(two: Clip) -> None:
-    """End to end, with a rig that is off by what it states."""
+def test_vehicles_of_one_clip_correct_each_others_rig(two: Clip) -> None:
+    """End to end, with a rig error as stated."""
     move = np.random.default_rng(3).standard_normal(14) @ KNOWN.covariance_root
     clip = replace(two, rig=replace(perturbed_rig(two.rig, move), uncertainty=KNOWN))
     alone = [measure_clip(replace(clip, vehicles=[v])).measurements[0] for v in clip.vehicles]
@@ -311,12 +319,12 @@ def test_vehicles_of_one_clip_put_each_other_right(two: Clip) -> None:
         assert np.mean(m.track.refined_speed[rows]) == pytest.approx(m.speed, abs=1e-3)  # of frames at equal intervals
         std, std_alone = m.track.refined_std[rows], one.track.refined_std[rows]
         assert std.mean() < std_alone.mean()
-        # of the scatter two estimates are made, with the rig unknown and known, by frames or by patches each
+        # two robust estimates, with the rig unknown and known, each by frames or by patches
         assert (std < 1.1 * std_alone).all()
     assert np.sum(np.square(z)) < chi2.ppf(0.999, len(z))
 
 
-def test_what_is_rejected_for_itself_has_no_say_and_stays_rejected(two: Clip) -> None:
+def test_a_rejected_vehicle_is_not_combined_and_stays_rejected(two: Clip) -> None:
     """A third outline, whose right corners are not those of the left ones."""
     clip = replace(two, rig=replace(two.rig, uncertainty=KNOWN))
     wrong = replace(clip.vehicles[0], id="v2", right=clip.vehicles[0].right + [5.0, 0.0])
@@ -326,24 +334,25 @@ def test_what_is_rejected_for_itself_has_no_say_and_stays_rejected(two: Clip) ->
         assert (m.speed, m.speed_lo, m.calibrated_by) == (right.speed, right.speed_lo, 2)
 
 
-def test_what_a_vehicle_tells_is_of_its_speed_as_it_is_told(tmp_path: Path) -> None:
-    """If the rig were exactly where its own pictures have it, put right it stays where it is, as sure as if known."""
+def test_the_rig_information_belongs_to_the_reported_speed(tmp_path: Path) -> None:
+    """With the rig exactly at the vehicle's own estimate, the speed stays and has the uncertainty of a known rig."""
     clip = load_clip(write(render(scene(TWO[0])), tmp_path))
     (m,) = measure_clip(replace(clip, rig=replace(clip.rig, uncertainty=KNOWN))).measurements
-    assert m.rig is not None
-    sure = 1e12 * np.eye(len(m.rig.moves))
-    right = put_right(m, Belief(sure, sure @ m.rig.moves))
+    assert m.rig_information is not None
+    precision = 1e12 * np.eye(len(m.rig_information.offset))
+    right = corrected(m, CanonicalGaussian(precision, precision @ m.rig_information.offset))
     assert right.speed == pytest.approx(m.speed, abs=1e-9)
     assert right.systematic_std < 1e-4 and right.random_std < m.random_std
     assert right.speed_hi - right.speed > 2.1 * right.random_std  # of few frames and patches
     rows = np.isfinite(m.track.refined_std)
     assert (right.track.refined_std[rows] < m.track.refined_std[rows]).all()
-    left = np.linalg.inv(np.eye(len(sure)) + m.rig.information)
-    alone = np.hypot(m.rig.std, np.sqrt(m.rig.speed @ left @ m.rig.speed))
-    assert alone == pytest.approx(np.hypot(m.random_std, m.systematic_std), rel=0.15)  # another way to the same
+    left = np.linalg.inv(np.eye(len(precision)) + m.rig_information.information)
+    gradient = m.rig_information.mean_speed_gradient
+    alone = np.hypot(m.rig_information.mean_speed_std, np.sqrt(gradient @ left @ gradient))
+    assert alone == pytest.approx(np.hypot(m.random_std, m.systematic_std), rel=0.15)  # by another route
 
 
-def test_a_tolerance_is_asked_of_what_was_put_right(two: Clip) -> None:
+def test_a_tolerance_applies_after_joint_calibration(two: Clip) -> None:
     clip = replace(two, rig=replace(two.rig, uncertainty=KNOWN))
     halves = [(m.speed_hi - m.speed_lo) / 2 for m in measure_clip(clip).measurements]
     between = float(np.mean(halves))

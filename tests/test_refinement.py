@@ -26,13 +26,22 @@ from paceline.simulation.stereo.clip import LaneChange, Scene, Vehicle, render, 
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.measurement import measure_clip
 from paceline.speed.refinement import pyramid_cpu, view_dependence
-from paceline.speed.refinement.keyframes import Glimpse
+from paceline.speed.refinement.keyframes import Keyframe
 from paceline.speed.refinement.model_selection import RefinedMotion, refine
-from paceline.speed.refinement.photometric_fit import FIRM, GAMMAS, LAYOUTS, Fit
-from paceline.speed.refinement.pyramid import OPTICS, STRIPS, WHOLE, Band, Layout, _derivatives, areas, bands_of
-from paceline.speed.refinement.robust_covariance import LEAST_LEFT
-from paceline.speed.refinement.self_calibration import FreeRig, held
-from paceline.speed.refinement.trajectory import NAMES, Prior, Trajectory
+from paceline.speed.refinement.photometric_fit import FIXED_INFORMATION, GAMMA_RANGE, PATCH_GRIDS, PhotometricFit
+from paceline.speed.refinement.pyramid import (
+    OPTICAL_BLUR_PX,
+    ROWS_PER_PATCH,
+    WHOLE_OUTLINE,
+    PatchGrid,
+    PyramidLevel,
+    _derivatives,
+    areas,
+    build_levels,
+)
+from paceline.speed.refinement.robust_covariance import MIN_VARIANCE_SHARE
+from paceline.speed.refinement.self_calibration import RigParameters, fixed_rig
+from paceline.speed.refinement.trajectory import PARAMETER_NAMES, Prior, Trajectory
 from paceline.speed.results import Measurement
 from paceline.speed.verdict import MAX_DEVIATION_SIGMA
 
@@ -76,17 +85,17 @@ def mean_speed(scene: Scene, measurement: Measurement) -> float:
     return v.speed + v.acceleration * 0.5 * (t[0] + t[-1])
 
 
-def fitted(clip: Clip | Path) -> tuple[Fit, Measurement]:
-    """The first vehicle's measurement, and the fit that was believed."""
-    fits: list[Fit] = []
-    over_layouts = Fit.over_layouts
+def fitted(clip: Clip | Path) -> tuple[PhotometricFit, Measurement]:
+    """The first vehicle's final fit, and its measurement."""
+    fits: list[PhotometricFit] = []
+    average_over_grids = PhotometricFit.average_over_grids
 
-    def asked(fit: Fit) -> Any:
+    def asked(fit: PhotometricFit) -> Any:
         fits.append(fit)
-        return over_layouts(fit)
+        return average_over_grids(fit)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Fit, "over_layouts", asked)
+        patch.setattr(PhotometricFit, "average_over_grids", asked)
         m = measure_clip(clip).measurements[0]
     return fits[-1], m
 
@@ -180,8 +189,8 @@ def test_a_change_of_speed_is_found(rendered: Callable[[Scene], Path], kind: str
     assert (np.abs(m.track.refined_speed - true) < 4 * m.track.refined_std).all()
 
 
-def test_frames_at_the_end_in_which_it_is_hidden_are_not_measured(tmp_path: Path) -> None:
-    """A braking vehicle that something covers at last: the mean speed is that of the frames before."""
+def test_occluded_frames_at_the_end_are_not_measured(tmp_path: Path) -> None:
+    """A braking vehicle, occluded at the end: the mean speed is that of the frames before."""
     braking = scene("left", 22.0, 4, acceleration=-3.0)
     hidden, film = 2, render(braking)
     walls = [*np.random.default_rng(1).integers(10, 240, (hidden, *film.left[0].shape), np.uint8)]
@@ -220,29 +229,28 @@ def test_a_change_of_lane_is_found(rendered: Callable[[Scene], Path], kind: str,
 
 
 @pytest.fixture(scope="module")
-def lane_changes(rendered: Callable[[Scene], Path]) -> list[Fit]:
+def lane_changes(rendered: Callable[[Scene], Path]) -> list[PhotometricFit]:
     of = (scene("line", 18.0, 10, lane_change=LaneChange(8.0, 35.0, shift)) for shift in (-1.6, 1.6))
     return [fitted(rendered(s))[0] for s in of]
 
 
 @pytest.mark.parametrize("count", slow_after(1, [2, len(PLAIN)]))
-def test_a_driver_who_changes_lane_strays_no_farther_than_drivers_do(
-    responses: Any, lane_changes: list[Fit], count: int
+def test_the_deviation_of_a_lane_change_is_within_the_prior(
+    responses: Any, lane_changes: list[PhotometricFit], count: int
 ) -> None:
-    """The rms of what the prior gives a standard deviation of 1: the bends of its way, and its swerves where it has
-    any."""
+    """RMS of the amplitudes of the deviation from the path, lane change included where there is one."""
     for fit in [*lane_changes, *(fit for fit, _ in responses(1.0, count))]:
-        bends = fit.trajectory.bends
-        amplitudes = fit.theta[len(NAMES) :][: len(bends.modes)]
-        if not (swerves := np.abs(amplitudes[-bends.swerves :]).max() > 0):
-            amplitudes = amplitudes[: -bends.swerves]
+        deviation_modes = fit.trajectory.deviation
+        amplitudes = fit.theta[len(PARAMETER_NAMES) :][: len(deviation_modes.modes)]
+        if not (swerves := np.abs(amplitudes[-deviation_modes.lane_change_modes :]).max() > 0):
+            amplitudes = amplitudes[: -deviation_modes.lane_change_modes]
         assert swerves == (fit in lane_changes)
         assert fit.deviation_sigma == pytest.approx(float(np.sqrt((amplitudes**2).mean())))
         assert fit.deviation_sigma < 0.5 * MAX_DEVIATION_SIGMA
 
 
 @pytest.mark.parametrize("kind", slow_after(1, ["line", "right"]))
-def test_a_swerve_too_wild_to_follow_does_not_pass_for_another_speed(
+def test_a_violent_lane_change_is_rejected_or_measured_right(
     rendered: Callable[[Scene], Path], kind: str
 ) -> None:
     s = scene(kind, 18.0, 12, lane_change=LaneChange(5.0, 30.0, 2.5))
@@ -257,50 +265,50 @@ def test_glare_and_poles(rendered: Callable[[Scene], Path], kind: str, what: str
     assert m.verdict == "measured" and abs(m.speed - 18.0) < 0.3 * MPH
 
 
-# --- layouts of patches ---------------------------------------------------------------------------------------------
+# --- patch grids ---------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("patches", "share"), [(15, (1.0, 1.0)), (8, (1.0, 1.0)), (30, (0.8, 1.0)), (24, (1.0, 0.7))])
-def test_a_layout_divides_its_share_of_the_outline(patches: int, share: tuple[float, float]) -> None:
-    band, _ = standing(0.0, 1)
-    other = band.laid_out(Layout(patches, share))
-    assert other.patches == pytest.approx(patches, rel=0.25) and other.pictures is band.pictures
-    whole, part = (np.ptp(b.places[:2], axis=1) for b in (band.laid_out(WHOLE), other))
+def test_a_patch_grid_divides_its_share_of_the_outline(patches: int, share: tuple[float, float]) -> None:
+    level, _ = standing(0.0, 1)
+    other = level.on_grid(PatchGrid(patches, share))
+    assert other.patches == pytest.approx(patches, rel=0.25) and other.images is level.images
+    whole, part = (np.ptp(b.points[:2], axis=1) for b in (level.on_grid(WHOLE_OUTLINE), other))
     np.testing.assert_allclose(part / whole, share, atol=0.02)
-    np.testing.assert_allclose(other.places[:2].mean(1), 0.5)
+    np.testing.assert_allclose(other.points[:2].mean(1), 0.5)
 
 
-def test_the_speed_is_the_mean_over_layouts(rendered: Callable[[Scene], Path]) -> None:
+def test_the_speed_is_the_mean_over_patch_grids(rendered: Callable[[Scene], Path]) -> None:
     fit, m = fitted(rendered(scene("approaching", 14.0, 1)))
-    speeds = fit.trajectory.mean_speed_shares
-    own = [float(speeds @ f.theta) for f in (fit, *map(fit.laid_out, LAYOUTS))]
+    speeds = fit.trajectory.mean_speed_gradient
+    own = [float(speeds @ f.theta) for f in (fit, *map(fit.on_grid, PATCH_GRIDS))]
     assert min(own) < m.speed < max(own) and m.speed != pytest.approx(own[0], abs=1e-9)
-    moves, theta, variance = fit.over_layouts()
-    assert len(moves) == 0 and fit.rig_fit(moves, fit.covariance_by_rig) is None
+    offset, theta, variance = fit.average_over_grids()
+    assert len(offset) == 0 and fit.rig_estimate(offset, fit.covariance_given_rig) is None
     assert m.speed == pytest.approx(float(speeds @ theta), abs=1e-9)
-    assert LEAST_LEFT < variance / fit.variance < 2.0
+    assert MIN_VARIANCE_SHARE < variance / fit.mean_speed_variance < 2.0
 
 
-def test_a_layout_that_determines_nothing_is_left_out(
+def test_a_patch_grid_that_determines_nothing_is_left_out(
     rendered: Callable[[Scene], Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fit, _ = fitted(rendered(scene("approaching", 14.0, 1)))
 
-    def fails(*_: object) -> Fit:
+    def fails(*_: object) -> PhotometricFit:
         raise np.linalg.LinAlgError
 
-    monkeypatch.setattr(Fit, "laid_out", fails)
-    moves, theta, variance = fit.over_layouts()
+    monkeypatch.setattr(PhotometricFit, "on_grid", fails)
+    offset, theta, variance = fit.average_over_grids()
     np.testing.assert_array_equal(theta, fit.theta)
-    assert fit.trajectory_by(moves) is fit.trajectory and variance == pytest.approx(fit.variance)
+    assert fit.trajectory_with(offset) is fit.trajectory and variance == pytest.approx(fit.mean_speed_variance)
 
 
 # --- light ---------------------------------------------------------------------------------------------------------
 
 
-def standing(ramp: float, seed: int) -> tuple[Band, NDArray[np.float64]]:
-    """What six frames see of a face that stands still, in light that lies over it as another ramp in each view, of
-    ``ramp`` grey levels; and the homographies (views, 3, 3) to it."""
+def standing(ramp: float, seed: int) -> tuple[PyramidLevel, NDArray[np.float64]]:
+    """A pyramid level of a static textured plane in six frames, lit by a different ramp of ``ramp`` grey levels in each
+    view; and the homographies (views, 3, 3) to it."""
     rng = np.random.default_rng(seed)
     face = cv2.GaussianBlur(rng.standard_normal((90, 160)), (0, 0), 3.0)
     face = 110.0 + 20.0 * face / face.std()
@@ -312,56 +320,57 @@ def standing(ramp: float, seed: int) -> tuple[Band, NDArray[np.float64]]:
         light = ramp * rng.standard_normal() * np.linspace(-1.0, 1.0, face.shape[1])
         return np.asarray(face + light + 0.6 * rng.standard_normal(face.shape), np.float32)
 
-    glimpses = [Glimpse(k, (k, k), (picture(), picture()), np.zeros((2, 2)), np.stack([quad] * 2)) for k in range(6)]
-    (band,) = bands_of(glimpses, np.stack([g.quads for g in glimpses]), 1.0, 0.7, fine=False)
-    return band, np.stack([to_face] * 12)
+    keyframes = [Keyframe(k, (k, k), (picture(), picture()), np.zeros((2, 2)), np.stack([quad] * 2)) for k in range(6)]
+    (level,) = build_levels(keyframes, np.stack([k.quads for k in keyframes]), 1.0, 0.7, fine=False)
+    return level, np.stack([to_face] * 12)
 
 
-def test_light_that_changes_from_view_to_view_moves_nothing() -> None:
-    """Left in, a ramp of a contrast's size moves the pictures by twice to thirty times what noise does."""
+def test_changing_illumination_ramps_cause_no_motion() -> None:
+    """Not removed, a ramp as large as the contrast causes offsets two to thirty times those of noise."""
     off: dict[float, list[float]] = {0.0: [], 20.0: []}
     for ramp in off:
         for seed in range(6):
-            band, H = standing(ramp, seed)
-            flat = np.zeros((band.patches, STRIPS))
-            moved = [band.agreement(H, np.zeros_like(H), flat, 1.0)[0] for _ in range(3)][-1]
+            level, H = standing(ramp, seed)
+            flat = np.zeros((level.patches, ROWS_PER_PATCH))
+            moved = [level.residual_offsets(H, np.zeros_like(H), flat, 1.0)[0] for _ in range(3)][-1]
             off[ramp].append(float((moved**2).mean()))
     assert 0 < np.mean(off[20.0]) < 1.3**2 * np.mean(off[0.0])
 
 
-def mirroring(seed: int) -> tuple[Band, NDArray[np.float64], NDArray[Any]]:
-    """What stands still as in `standing`, and mirrors spots of light that wander over it by a pixel from view to view;
-    and where these are in the first view, on the band's own grid."""
-    band, H = standing(0.0, seed)
+def specular(seed: int) -> tuple[PyramidLevel, NDArray[np.float64], NDArray[Any]]:
+    """The static plane of `standing` with specular spots that move over it by a pixel per view; and the spots in the
+    first view, on the level's grid."""
+    level, H = standing(0.0, seed)
     spots = cv2.GaussianBlur(np.random.default_rng(100 + seed).standard_normal((90, 200)), (0, 0), 3.0)
     spots = np.asarray(20.0 * np.maximum(spots / spots.std() - 1.0, 0.0), np.float32)
-    for view, (seen, by_gamma) in enumerate(band.pictures):
+    for view, (seen, by_gamma) in enumerate(level.images):
         mirrored = spots[: seen.shape[0], 20 - view : 20 - view + seen.shape[1]]
-        band.pictures[view] = _derivatives(seen[..., 0] + mirrored), by_gamma
-    x, y = (band.places[:2].T * [119.0, 59.0] + [20.0 + 20.0, 15.0]).round().astype(int).T
-    return band, H, spots[y, x].reshape(band.patches, -1)
+        level.images[view] = _derivatives(seen[..., 0] + mirrored), by_gamma
+    x, y = (level.points[:2].T * [119.0, 59.0] + [20.0 + 20.0, 15.0]).round().astype(int).T
+    return level, H, spots[y, x].reshape(level.patches, -1)
 
 
-def test_what_a_glossy_face_mirrors_has_less_say() -> None:
-    """If all places were trusted alike, pictures would be pulled along with what wanders over the face."""
+def test_samples_with_specular_reflections_are_down_weighted() -> None:
+    """With uniform sample weights the motion would follow the reflections."""
     pulled: dict[bool, list[float]] = {False: [], True: []}
     for trusted in pulled:
         for seed in range(6):
-            band, H, mirrored = mirroring(seed)
+            level, H, mirrored = specular(seed)
             for _ in range(5):
                 if trusted:
-                    band.trust = np.ones_like(band.trust)
-                moved, _ = band.agreement(H, np.zeros_like(H), np.zeros((band.patches, STRIPS)), 1.0)
+                    level.sample_weights = np.ones_like(level.sample_weights)
+                moved, _ = level.residual_offsets(H, np.zeros_like(H), np.zeros((level.patches, ROWS_PER_PATCH)), 1.0)
             pulled[trusted].append(np.polyfit(np.arange(len(H)), moved[:, 0], 1)[0])
-            assert np.median(band.trust[mirrored > 10.0]) < 0.5 * np.median(band.trust[mirrored == 0.0])
+            weights = level.sample_weights
+            assert np.median(weights[mirrored > 10.0]) < 0.5 * np.median(weights[mirrored == 0.0])
     assert np.mean(np.square(pulled[False])) < 0.3**2 * np.mean(np.square(pulled[True]))
 
 
-def mirroring_all_over(clip: Path, seed: int) -> tuple[Fit, float]:
-    """A fit of the vehicle of ``clip`` with another face: a texture, and spots of light that wander over it by 0.6 of
-    its width per radian by which the direction changes; and the mean speed, m/s."""
-    believed, _ = fitted(clip)
-    trajectory, theta = believed.trajectory, believed.theta
+def with_specular_reflections(clip: Path, seed: int) -> tuple[PhotometricFit, float]:
+    """A fit of the vehicle of ``clip`` with another texture and specular spots, which move by 0.6 of its width per
+    radian of viewing direction; and the true mean speed, m/s."""
+    fit, _ = fitted(clip)
+    trajectory, theta = fit.trajectory, fit.theta
     rng, shape = np.random.default_rng(seed), (200, 400)
 
     def blotches(size: float) -> NDArray[np.float32]:
@@ -382,15 +391,15 @@ def mirroring_all_over(clip: Path, seed: int) -> tuple[Fit, float]:
         seen += cv2.warpPerspective(spots, back @ aside, size, flags=cv2.INTER_CUBIC)
         return np.asarray(cv2.GaussianBlur(seen, (0, 0), 0.8) + rng.standard_normal(crop.shape), np.float32)
 
-    glimpses = []
-    for frame, g in enumerate(believed.glimpses):
-        left, right = (drawn(frame, view, g.crops[view], g.corners[view]) for view in (0, 1))
-        glimpses.append(replace(g, crops=(left, right)))
-    return Fit(trajectory, glimpses, believed.prior), float(trajectory.mean_speed_shares @ theta)
+    keyframes = []
+    for frame, k in enumerate(fit.keyframes):
+        left, right = (drawn(frame, view, k.crops[view], k.origins[view]) for view in (0, 1))
+        keyframes.append(replace(k, crops=(left, right)))
+    return PhotometricFit(trajectory, keyframes, fit.prior), float(trajectory.mean_speed_gradient @ theta)
 
 
-def test_where_a_vehicle_is_seen_from(rendered: Callable[[Scene], Path]) -> None:
-    """On a bend: what lies in these directions, as far as the cameras do, comes to lie in their centres."""
+def test_viewing_directions_point_to_the_cameras(rendered: Callable[[Scene], Path]) -> None:
+    """On a bend: points in these directions, at the cameras' distance, are the cameras' centres."""
     fit, _ = fitted(rendered(PLAIN[5]))
     trajectory, rig = fit.trajectory, fit.trajectory.rig
     rig = replace(rig, R=cv2.Rodrigues(np.array([0.02, 0.3, -0.1]))[0])
@@ -408,14 +417,14 @@ def test_where_a_vehicle_is_seen_from(rendered: Callable[[Scene], Path]) -> None
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_pole_before_a_patch_is_no_drift(seed: int) -> None:
-    """Four of twelve views show something else in the left third: the others tell what they tell without it."""
-    band, H = standing(0.0, seed)
+def test_an_occluder_is_not_taken_for_view_dependence(seed: int) -> None:
+    """Four of twelve views are occluded in the left third: the other views keep their information."""
+    level, H = standing(0.0, seed)
     for view in (2, 3, 6, 7):
-        seen, by_gamma = band.pictures[view]
+        seen, by_gamma = level.images[view]
         covered = seen[..., 0].copy()
         covered[:, : covered.shape[1] // 3] = 30.0
-        band.pictures[view] = _derivatives(covered), by_gamma
+        level.images[view] = _derivatives(covered), by_gamma
     grows = np.zeros((len(H), 3, 3, 1))
     grows[:, 0, 0] = H[:, 0, 0, None] * np.linspace(-1.0, 1.0, len(H))[:, None]
     around = np.linspace(0.0, 0.1, len(H)) + np.where(np.arange(len(H)) % 2, 0.005, 0.0)
@@ -423,61 +432,61 @@ def test_a_pole_before_a_patch_is_no_drift(seed: int) -> None:
     told = []
     for _ in range(4):
         for seen_from in (None, directions):
-            flat = np.zeros((band.patches, STRIPS))
-            told.append(band.normal_equations(H, np.zeros_like(H), flat, 1.0, grows, seen_from)[0][..., 0, 0].sum(0))
+            flat = np.zeros((level.patches, ROWS_PER_PATCH))
+            told.append(level.normal_equations(H, np.zeros_like(H), flat, 1.0, grows, seen_from)[0][..., 0, 0].sum(0))
     assert (told[-1] > 0.7 * told[-2]).mean() > 0.8
 
 
 @pytest.mark.parametrize("count", slow_after(1, [2, 6]))
-def test_what_a_face_mirrors_moves_the_speed_by_less_where_it_may_drift(
+def test_reflections_bias_the_speed_less_with_view_dependence(
     rendered: Callable[[Scene], Path], count: int
 ) -> None:
-    """By two thirds of what it does otherwise, or less."""
+    """At most 0.7 of the bias without it, RMS."""
     off: dict[bool, list[float]] = {False: [], True: []}
     for seed in range(count):
-        fit, true = mirroring_all_over(rendered(PLAIN[seed % 2]), seed)
+        fit, true = with_specular_reflections(rendered(PLAIN[seed % 2]), seed)
         for drifts in off:
-            found = fit.with_drift() if drifts else fit
-            off[drifts].append(float(fit.trajectory.mean_speed_shares @ found.theta) / true - 1.0)
+            found = fit.with_view_dependence() if drifts else fit
+            off[drifts].append(float(fit.trajectory.mean_speed_gradient @ found.theta) / true - 1.0)
     assert np.mean(np.square(off[True])) < 0.7**2 * np.mean(np.square(off[False]))
 
 
-def test_a_texture_is_as_bright_as_it_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
-    """By views of ever more contrast, all of which have the same say."""
-    monkeypatch.setattr(Band, "_reweigh", lambda *_: None)
-    band, H = standing(0.0, 1)
+def test_the_mean_gain_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For views of increasing contrast and equal weight."""
+    monkeypatch.setattr(PyramidLevel, "_update_weights", lambda *_: None)
+    level, H = standing(0.0, 1)
     contrasts = np.linspace(1.0, 2.0, len(H))
-    for view, (seen, by_gamma) in enumerate(band.pictures):
-        band.pictures[view] = _derivatives(110.0 + np.float32(contrasts[view]) * (seen[..., 0] - 110.0)), by_gamma
+    for view, (seen, by_gamma) in enumerate(level.images):
+        level.images[view] = _derivatives(110.0 + np.float32(contrasts[view]) * (seen[..., 0] - 110.0)), by_gamma
     for _ in range(3):
-        if band.texture is not None:
-            band.texture = 2.0 * band.texture
-        band.agreement(H, np.zeros_like(H), np.zeros((band.patches, STRIPS)), 1.0)
-    np.testing.assert_allclose((band.gain**2).mean(0), 1.0, rtol=1e-6)
+        if level.texture is not None:
+            level.texture = 2.0 * level.texture
+        level.residual_offsets(H, np.zeros_like(H), np.zeros((level.patches, ROWS_PER_PATCH)), 1.0)
+    np.testing.assert_allclose((level.gain**2).mean(0), 1.0, rtol=1e-6)
     expected = contrasts / np.sqrt((contrasts**2).mean())
-    np.testing.assert_allclose(band.gain, np.tile(expected[:, None], band.patches), rtol=0.1)
+    np.testing.assert_allclose(level.gain, np.tile(expected[:, None], level.patches), rtol=0.1)
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_where_the_light_does_not_change_nothing_is_lost(seed: int) -> None:
+def test_under_constant_illumination_no_information_is_lost(seed: int) -> None:
     information = []
     for with_ramps in (1.0, 0.0):
-        band, H = standing(0.0, seed)
+        level, H = standing(0.0, seed)
         shift = np.zeros((len(H), 3, 3, 1))
         shift[:, 0, :, 0] = H[:, 2] * np.where(np.arange(len(H)) % 2, 1, -1)[:, None]  # the views part
-        band.ramps = with_ramps * band.ramps
-        A, _ = band.normal_equations(H, np.zeros_like(H), np.zeros((band.patches, STRIPS)), 1.0, shift)
+        level.ramps = with_ramps * level.ramps
+        A, _ = level.normal_equations(H, np.zeros_like(H), np.zeros((level.patches, ROWS_PER_PATCH)), 1.0, shift)
         information.append(A[..., 0, 0].sum())
     assert information[0] == pytest.approx(information[1], rel=0.02)
 
 
-# --- what does not lie in the plane ----------------------------------------------------------------------------------
+# --- depth offsets ---------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_what_stands_off_the_plane_is_found_by_strips(seed: int) -> None:
-    """Five stripes across a face, 2 cm before or behind its plane, by twelve views that see a metre off the plane moved
-    aside by up to 60 px. One depth for each patch could not be as near to them."""
+def test_depth_offsets_are_found_by_rows(seed: int) -> None:
+    """Five stripes, 2 cm before or behind the plane, in twelve views in which a depth offset of 1 m is up to 60 px. One
+    depth per patch would be less accurate."""
     rng = np.random.default_rng(seed)
     face = cv2.GaussianBlur(rng.standard_normal((90, 160)), (0, 0), 2.0)
     face = np.asarray(110.0 + 20.0 * face / face.std(), np.float32)
@@ -493,14 +502,15 @@ def test_what_stands_off_the_plane_is_found_by_strips(seed: int) -> None:
     seen = [cv2.remap(face, x - np.float32(px) * true((y - top) / height), y, cv2.INTER_CUBIC) for px in H_d[:, 0, 2]]
     noisy = [np.asarray(p + 0.5 * rng.standard_normal(p.shape), np.float32) for p in seen]
     pairs = zip(noisy[::2], noisy[1::2], strict=True)
-    glimpses = [Glimpse(k, (k, k), pair, np.zeros((2, 2)), np.stack([quad] * 2)) for k, pair in enumerate(pairs)]
-    (band,) = bands_of(glimpses, np.stack([g.quads for g in glimpses]), 1.0, 0.7, fine=False)
-    relief = np.zeros((band.patches, STRIPS))
+    keyframes = [Keyframe(k, (k, k), pair, np.zeros((2, 2)), np.stack([quad] * 2)) for k, pair in enumerate(pairs)]
+    (level,) = build_levels(keyframes, np.stack([k.quads for k in keyframes]), 1.0, 0.7, fine=False)
+    depth_offsets = np.zeros((level.patches, ROWS_PER_PATCH))
     for _ in range(6):
-        A, score = (cells.sum(0) for cells in band.normal_equations(H, H_d, relief, 1.0, np.zeros((12, 3, 3, 0))))
-        relief -= np.linalg.solve(A[:, 1:, 1:], score[:, 1:, None])[..., 0]  # the first is γ
-    stands = true(band.places[1].reshape(band.patches, -1))
-    off = np.sqrt(np.mean((relief @ band.strips - stands) ** 2))
+        cells = level.normal_equations(H, H_d, depth_offsets, 1.0, np.zeros((12, 3, 3, 0)))
+        A, score = (c.sum(0) for c in cells)
+        depth_offsets -= np.linalg.solve(A[:, 1:, 1:], score[:, 1:, None])[..., 0]  # the first is γ
+    stands = true(level.points[1].reshape(level.patches, -1))
+    off = np.sqrt(np.mean((depth_offsets @ level.rows - stands) ** 2))
     by_patch = np.sqrt(np.mean((stands.mean(1, keepdims=True) - stands) ** 2))
     assert off < 0.6 * by_patch
 
@@ -508,7 +518,7 @@ def test_what_stands_off_the_plane_is_found_by_strips(seed: int) -> None:
 # --- the compiled loops ----------------------------------------------------------------------------------------------
 
 
-def test_the_compiled_loops_are_what_they_say() -> None:
+def test_the_compiled_loops_equal_plain_numpy() -> None:
     """In double precision, one sample and one projection after the other."""
     rng, (V, K, m, P, S) = np.random.default_rng(7), (3, 2, 20, 4, 3)
     N = K * m
@@ -550,11 +560,11 @@ def test_the_compiled_loops_are_what_they_say() -> None:
 
 
 @pytest.fixture(scope="module")
-def responses(rendered: Callable[[Scene], Path]) -> Callable[[float, int], list[tuple[Fit, Measurement]]]:
-    """What is found of the first plain scenes by cameras whose values go as light to the power 1 / γ."""
+def responses(rendered: Callable[[Scene], Path]) -> Callable[[float, int], list[tuple[PhotometricFit, Measurement]]]:
+    """Fits of the first plain scenes by cameras whose grey values are light to the power 1 / γ."""
 
     @cache
-    def of(gamma: float, i: int) -> tuple[Fit, Measurement]:
+    def of(gamma: float, i: int) -> tuple[PhotometricFit, Measurement]:
         return fitted(rendered(replace(PLAIN[i], gamma=gamma)))
 
     return lambda gamma, count: [of(gamma, i) for i in range(count)]
@@ -562,8 +572,8 @@ def responses(rendered: Callable[[Scene], Path]) -> Callable[[float, int], list[
 
 @pytest.mark.parametrize("gamma", [1.0, 2.2])
 @pytest.mark.parametrize("count", slow_after(1, [2, len(PLAIN)]))
-def test_speeds_are_as_exact_by_whatever_response(responses: Any, count: int, gamma: float) -> None:
-    """With near views blurred as their values are, to match far ones, those of γ = 2.2 were 0.14 mph rms off."""
+def test_speeds_are_as_accurate_for_any_gamma(responses: Any, count: int, gamma: float) -> None:
+    """Blurred in grey values instead of linear light, clips of γ = 2.2 were 0.14 mph RMS off."""
     found = responses(gamma, count)
     assert all(m.verdict == "measured" for _, m in found)
     errors = [m.speed - s.vehicles[0].speed for (_, m), s in zip(found, PLAIN[:count], strict=True)]
@@ -571,26 +581,26 @@ def test_speeds_are_as_exact_by_whatever_response(responses: Any, count: int, ga
 
 
 @pytest.mark.parametrize("count", slow_after(1, [2, len(PLAIN)]))
-def test_gamma_is_told_by_the_pictures(responses: Any, count: int) -> None:
+def test_gamma_is_estimated_from_the_images(responses: Any, count: int) -> None:
     linear, usual = (np.array([fit.gamma for fit, _ in responses(gamma, count)]) for gamma in (1.0, 2.2))
-    assert (linear >= GAMMAS[0]).all() and np.median(linear) < 1.3
-    assert (usual <= GAMMAS[1]).all() and np.median(usual) == pytest.approx(2.2, abs=0.2)
-    for fit, _ in responses(2.2, count):  # where it is not held it is as uncertain as the pictures leave it
+    assert (linear >= GAMMA_RANGE[0]).all() and np.median(linear) < 1.3
+    assert (usual <= GAMMA_RANGE[1]).all() and np.median(usual) == pytest.approx(2.2, abs=0.2)
+    for fit, _ in responses(2.2, count):  # held fixed only at the limits of its range
         at = len(fit.prior.free)
-        assert (fit.A[at, at] < 0.01 * FIRM) == (GAMMAS[0] < fit.gamma < GAMMAS[1])
+        assert (fit.A[at, at] < 0.01 * FIXED_INFORMATION) == (GAMMA_RANGE[0] < fit.gamma < GAMMA_RANGE[1])
 
 
 @pytest.mark.parametrize("count", slow_after(1, [1, len(PLAIN)]))
-def test_no_camera_has_a_gamma_that_is_not_possible(responses: Any, count: int) -> None:
-    """Where pictures tell one that none has, the nearest is held and the rest found under it."""
+def test_gamma_stays_in_its_range(responses: Any, count: int) -> None:
+    """At a limit it is held fixed, and the other parameters are estimated with it."""
     for fit, m in responses(0.5, count):
-        assert fit.gamma == pytest.approx(GAMMAS[0], abs=1e-3)
+        assert fit.gamma == pytest.approx(GAMMA_RANGE[0], abs=1e-3)
         assert m.verdict == "measured" and np.isfinite(fit.covariance).all() and 0 < m.random_std < 0.5
 
 
 @pytest.mark.parametrize("k1", slow_after(1, [-0.02, 0.02]))
-def test_black_beside_bright_edges_is_no_obstacle_where_a_lens_distorts(tmp_path: Path, k1: float) -> None:
-    """Taking the distortion out interpolates by cubics, which reach below black."""
+def test_black_beside_bright_edges_of_a_distorted_image(tmp_path: Path, k1: float) -> None:
+    """Undistorting interpolates with cubics, which undershoot below black."""
     film = render(replace(PLAIN[0], gamma=2.2))
     dark = {side: [np.maximum(picture, 60) - 60 for picture in getattr(film, side)] for side in ("left", "right")}
     clip = write(replace(film, **dark), tmp_path)
@@ -602,22 +612,22 @@ def test_black_beside_bright_edges_is_no_obstacle_where_a_lens_distorts(tmp_path
     assert m.verdict == "measured" and abs(m.speed - PLAIN[0].vehicles[0].speed) < 0.01 * m.speed
 
 
-def test_near_views_are_blurred_as_light() -> None:
+def test_near_views_are_blurred_in_linear_light() -> None:
     rng = np.random.default_rng(3)
     quads = np.array([[[10, 10], [70 + k, 10], [70 + k, 50 + k], [10, 50 + k]] for k in (0, 40)] * 2, float)
     crops = [np.asarray(rng.uniform(5, 250, (110, 130)), np.float32) for _ in quads]
-    glimpses = [
-        Glimpse(k, (k, k), (crop, crop), np.zeros((2, 2)), np.stack([quad] * 2))
+    keyframes = [
+        Keyframe(k, (k, k), (crop, crop), np.zeros((2, 2)), np.stack([quad] * 2))
         for k, (crop, quad) in enumerate(zip(crops, quads, strict=True))
     ]
     built = {
-        gamma: bands_of(glimpses, np.stack([g.quads for g in glimpses]), gamma, 0.7, fine=False)[0].pictures
+        gamma: build_levels(keyframes, np.stack([k.quads for k in keyframes]), gamma, 0.7, fine=False)[0].images
         for gamma in (1.0, 1.96, 2.0, 2.04)
     }
-    for v in range(2 * len(glimpses)):
+    for v in range(2 * len(keyframes)):
         crop = crops[v // 2]
         ratio = np.sqrt(areas(quads)[v // 2] / areas(quads).min())
-        sigma = float(np.sqrt((OPTICS**2 + 0.7**2) * ratio**2 - OPTICS**2))
+        sigma = float(np.sqrt((OPTICAL_BLUR_PX**2 + 0.7**2) * ratio**2 - OPTICAL_BLUR_PX**2))
         for gamma in (1.0, 2.0):
             light = cv2.GaussianBlur(crop.astype(float) ** gamma, (0, 0), sigma)
             np.testing.assert_allclose(built[gamma][v][0][..., 0], light ** (1 / gamma), rtol=1e-3)
@@ -667,8 +677,8 @@ def perturbations(part: str) -> list[Callable[[dict[str, Any]], None]]:
 
 
 @pytest.mark.parametrize("part", slow_after(1, reversed(UNCERTAINTY)))
-def test_the_systematic_part_is_what_another_rig_would_have_made(rendered: Callable[[Scene], Path], part: str) -> None:
-    """End to end: clip and rig are read, tracked and refined again, the rig put right as far as the pictures tell."""
+def test_the_systematic_part_equals_the_response_to_other_rigs(rendered: Callable[[Scene], Path], part: str) -> None:
+    """End to end: read, tracked and refined with perturbed rigs, which self-calibration partly corrects."""
     s = replace(PLAIN[0], noise_sigma=0.5)
     clip = rendered(s)
     state = {"uncertainty": {part: UNCERTAINTY[part]}}
@@ -678,7 +688,7 @@ def test_the_systematic_part_is_what_another_rig_would_have_made(rendered: Calla
         other = with_rig(clip, f"{part}.{i}", lambda rig, change=change: (change(rig), rig.update(state)))
         changes.append(measure_clip(other).measurements[0].speed - m.speed)
     response = float(np.sqrt(np.sum(np.square(changes))))
-    if part == "translation_m":  # how long the baseline is no picture tells; the others they tell to within their noise
+    if part == "translation_m":  # images do not determine the baseline's length
         assert m.systematic_std == pytest.approx(response, rel=0.1) and m.systematic_std > 3 * m.random_std
     assert response < 1.5 * np.hypot(m.systematic_std, m.random_std)
     assert not any("uncertainty" in notice for notice in m.notices)
@@ -686,8 +696,8 @@ def test_the_systematic_part_is_what_another_rig_would_have_made(rendered: Calla
 
 
 @pytest.mark.parametrize("count", slow_after(1, [3, 8]))
-def test_a_rig_that_is_off_is_put_right_by_the_pictures(rendered: Callable[[Scene], Path], count: int) -> None:
-    """Rigs that are off by what they state, and the same ones that state nothing and are taken as exact."""
+def test_self_calibration_corrects_a_wrong_rig(rendered: Callable[[Scene], Path], count: int) -> None:
+    """Rigs with errors as stated, compared with the same ones taken as exact."""
     known = RigUncertainty(1.0, 0.0, (4e-5, 4e-5, 4e-5), (3e-4, 3e-4, 3e-4))
     held, free, z = [], [], []
     for seed in range(count):
@@ -704,63 +714,64 @@ def test_a_rig_that_is_off_is_put_right_by_the_pictures(rendered: Callable[[Scen
     assert np.sum(np.square(z)) < chi2.ppf(0.999, len(z))
 
 
-def test_what_is_put_right_of_a_rig_and_what_is_left_of_it() -> None:
-    """A linear model of four parameters and three moves, whose scores scatter wider than the pixels' noise."""
+def test_rig_shift_and_systematic_covariance() -> None:
+    """A linear model of four parameters and three rig directions, with scores that scatter more than pixel noise."""
     rng, wider, n = np.random.default_rng(4), 2.5, 40_000
     J = rng.standard_normal((30, 7)) * [1, 1, 1, 1, 3, 1, 0.1]
     images = J.T @ J
-    fit = object.__new__(Fit)
+    fit = object.__new__(PhotometricFit)
     fit.prior, fit.theta = Prior(np.zeros(4), np.arange(4), np.eye(4)), np.zeros(4)
     fit.trajectory = cast(Trajectory, SimpleNamespace(rig=SimpleNamespace(uncertainty=RigUncertainty())))
-    fit._rig = FreeRig(fit.trajectory, np.eye(3, 14), wider)
+    fit._rig = RigParameters(fit.trajectory, np.eye(3, 14), wider)
     fit.A = images + np.diag([0, 0, 0, 0, wider, wider, wider])
-    # rigs that are off by what they state, and pictures of them
+    # rigs with errors as stated, and images from them
     scores = images[:, 4:] @ rng.standard_normal((3, n)) + np.sqrt(wider) * J.T @ rng.standard_normal((30, n))
-    fit.moves = np.linalg.solve(fit.A, scores)[4:].std(1)
+    fit.rig_offset = np.linalg.solve(fit.A, scores)[4:].std(1)
     np.testing.assert_allclose(fit.rig_shift_sigma[:2], 1.0, rtol=5.0 / np.sqrt(2 * n))
-    assert fit.moves[2] < 0.3 and fit.rig_shift_sigma[2] in (0.0, pytest.approx(1.0, rel=0.02))  # hardly told
-    response = np.linalg.solve(fit.A, images[:, 4:])[:4]  # to a rig that is off by one of each, without noise
+    assert fit.rig_offset[2] < 0.3  # hardly determined
+    assert fit.rig_shift_sigma[2] in (0.0, pytest.approx(1.0, rel=0.02))
+    response = np.linalg.solve(fit.A, images[:, 4:])[:4]  # to a rig error of one standard uncertainty each
     np.testing.assert_allclose(fit.systematic_covariance, response @ response.T, rtol=1e-9)
 
 
-def test_what_a_fit_tells_of_its_rig_is_how_it_follows_when_that_is_moved(
+def test_the_response_to_the_rig_equals_refits_with_a_moved_rig(
     rendered: Callable[[Scene], Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Fitted again with the rig held a step farther, and a step back, and every patch's and view's say as it is."""
+    """Refitted with the rig fixed half a step ahead and behind, with all weights kept."""
     clip = load_clip(rendered(scene("approaching", 14.0, 2, frames=14)))
     stated = replace(clip.rig, uncertainty=RigUncertainty(1.0, 0.0, (4e-5, 4e-5, 4e-5), (3e-4, 3e-4, 3e-4)))
     fit, _ = fitted(replace(clip, rig=stated))
-    told = fit.rig_fit(fit.moves, fit.covariance_by_rig)
+    told = fit.rig_estimate(fit.rig_offset, fit.covariance_given_rig)
     assert told is not None
-    mean = fit.trajectory.mean_speed_shares
+    mean = fit.trajectory.mean_speed_gradient
     weighing: dict[tuple[int, ...], NDArray[np.float64]] = {}
-    whitened = view_dependence.whitened
+    whitening = view_dependence.whitening
     monkeypatch.setattr(
-        view_dependence, "whitened", lambda r, *given: weighing.setdefault(r.shape, whitened(r, *given))
+        view_dependence, "whitening", lambda r, *given: weighing.setdefault(r.shape, whitening(r, *given))
     )
-    monkeypatch.setattr(Band, "_reweigh", lambda *_: None)
-    assert fit._drifts
+    monkeypatch.setattr(PyramidLevel, "_update_weights", lambda *_: None)
+    assert fit._view_dependent
     fit._assemble()
     for q in np.argsort(np.abs(mean @ told.response))[-3:]:
         speeds = []
         for step in (-0.5, 0.5):
             held_there = copy(fit)
-            held_there.trajectory = fit.trajectory_by(fit.moves + step * np.eye(len(fit.moves))[q])
-            held_there._rig, held_there.moves = held(held_there.trajectory), np.zeros(0)
-            held_there._begin_at(fit.theta, [copy(band) for band in fit.bands], fit.relief)
-            held_there.descend(1e-3)
+            held_there.trajectory = fit.trajectory_with(fit.rig_offset + step * np.eye(len(fit.rig_offset))[q])
+            held_there._rig, held_there.rig_offset = fixed_rig(held_there.trajectory), np.zeros(0)
+            held_there._reset(fit.theta, [copy(level) for level in fit.levels], fit.depth_offsets)
+            held_there.gauss_newton(1e-3)
             speeds.append(mean @ held_there.theta)
         assert speeds[1] - speeds[0] == pytest.approx(mean @ told.response[:, q], rel=0.1)
     own = np.linalg.eigvalsh(told.information)
-    assert own.min() > -1e-6 and own.max() > 1.0  # nothing is known less well for having been seen
+    assert own.min() > -1e-6 and own.max() > 1.0  # images add information
     known = float(np.sqrt(mean @ told.covariance @ mean))
-    assert 0 < known < np.sqrt(fit.variance)
+    assert 0 < known < np.sqrt(fit.mean_speed_variance)
 
 
-def test_what_is_told_of_the_rig_is_of_the_motion_that_is_reported(
+def test_the_rig_information_belongs_to_the_reported_motion(
     rendered: Callable[[Scene], Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of the mean over layouts, with every model that may be the true one."""
+    """Of the mean over patch grids, averaged over the motion models."""
     clip = load_clip(rendered(scene("approaching", 14.0, 2, frames=14)))
     known = RigUncertainty(1.0, 0.0, (4e-5, 4e-5, 4e-5), (3e-4, 3e-4, 3e-4))
     seen: list[RefinedMotion] = []
@@ -771,21 +782,22 @@ def test_what_is_told_of_the_rig_is_of_the_motion_that_is_reported(
 
     monkeypatch.setattr("paceline.speed.run.refine", refined)
     (m,) = measure_clip(replace(clip, rig=replace(clip.rig, uncertainty=known))).measurements
-    fit, shares = seen[-1].rig_fit, seen[-1].trajectory.mean_speed_shares
-    assert fit is not None and m.rig is not None
-    moved = perturbed_rig(clip.rig, fit.moves @ known.covariance_root[known.covariance_root.any(1)])
+    fit, shares = seen[-1].rig_estimate, seen[-1].trajectory.mean_speed_gradient
+    assert fit is not None and m.rig_information is not None
+    moved = perturbed_rig(clip.rig, fit.offset @ known.covariance_root[known.covariance_root.any(1)])
     np.testing.assert_allclose(seen[-1].trajectory.rig.t, moved.t, atol=1e-12)
     np.testing.assert_allclose(seen[-1].trajectory.rig.left.K, moved.left.K, atol=1e-9)
     noise, doubt = (float(np.sqrt(shares @ C @ shares)) for C in (fit.covariance, seen[-1].model_covariance))
-    assert m.rig.std == pytest.approx(np.hypot(noise, doubt)) and doubt > 0
+    assert m.rig_information.mean_speed_std == pytest.approx(np.hypot(noise, doubt)) and doubt > 0
     wider = stdtrit(seen[-1].dof, 0.975)
-    assert wider > 2.1 and m.rig.half == pytest.approx(np.hypot(wider * noise, 1.95996 * doubt), rel=1e-5)
-    np.testing.assert_array_equal(np.isfinite(m.rig.stds), np.isfinite(m.track.refined_std))
+    assert wider > 2.1
+    assert m.rig_information.half_width == pytest.approx(np.hypot(wider * noise, 1.95996 * doubt), rel=1e-5)
+    np.testing.assert_array_equal(np.isfinite(m.rig_information.speed_stds), np.isfinite(m.track.refined_std))
 
 
 @pytest.mark.parametrize("p", slow_after(1, [0.03, 0.01]))
-def test_how_long_the_baseline_is_no_picture_tells(rendered: Callable[[Scene], Path], p: float) -> None:
-    """In a bend, whose path is reconstructed as much too large as everything else."""
+def test_images_do_not_determine_the_baseline(rendered: Callable[[Scene], Path], p: float) -> None:
+    """On a bend, whose path scales with the baseline, too."""
     s = scene("left", 16.0, 6)
     clip = load_clip(rendered(s))
     move = np.append(np.zeros(11), p * clip.rig.t)
@@ -796,17 +808,17 @@ def test_how_long_the_baseline_is_no_picture_tells(rendered: Callable[[Scene], P
     assert m.speed == pytest.approx((1.0 + p) * true, abs=4 * m.random_std)
 
 
-def test_no_picture_shows_that_all_is_larger(rendered: Callable[[Scene], Path]) -> None:
-    """A rig and a reconstruction three per cent larger, a motion as much faster and farther away."""
+def test_a_scaled_scene_gives_the_same_images(rendered: Callable[[Scene], Path]) -> None:
+    """Baseline, path, depth and speed three per cent larger."""
     fit, _ = fitted(rendered(scene("left", 16.0, 6)))
     move = np.append(np.zeros(11), 0.03 * fit.trajectory.rig.t)
-    grown = replace(fit.trajectory.grown(1.03), rig=perturbed_rig(fit.trajectory.rig, move))
+    grown = replace(fit.trajectory.scaled(1.03), rig=perturbed_rig(fit.trajectory.rig, move))
     theta = fit.theta * [1.0, 1.03, 1.03, *np.ones(len(fit.theta) - 3)]
     theta[0] += np.log(1.03)
     np.testing.assert_allclose(grown.quads(theta), fit.trajectory.quads(fit.theta), atol=1e-3)
 
 
-def test_a_rig_that_is_farther_off_than_it_states_is_rejected(rendered: Callable[[Scene], Path]) -> None:
+def test_a_rig_error_far_beyond_its_uncertainty_is_rejected(rendered: Callable[[Scene], Path]) -> None:
     clip = load_clip(rendered(scene("approaching", 14.0, 3, frames=14)))
     known = RigUncertainty(0.0, 0.0, (2e-5, 2e-5, 2e-5), (0.0, 0.0, 0.0))
     for turn, verdict in ((0.0, "measured"), (20.0, "rejected")):  # about y, by so many standard uncertainties
@@ -815,19 +827,21 @@ def test_a_rig_that_is_farther_off_than_it_states_is_rejected(rendered: Callable
         assert m.verdict == verdict and m.reason.startswith("calibration" if turn else "")
 
 
-def test_a_rig_without_uncertainty_says_so(plain: Callable[[int], Measurement]) -> None:
+def test_a_rig_without_uncertainty_gives_a_notice(plain: Callable[[int], Measurement]) -> None:
     assert np.isnan(plain(0).systematic_std)
     assert any("uncertainty" in notice for notice in plain(0).notices)
 
 
-# --- the exact rail ------------------------------------------------------------------------------------------------
+# --- the path as a hard constraint -----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("count", slow_after(1, [2, 6]))
-def test_an_exact_rail_biases_and_the_refinement_does_not(rendered: Callable[[Scene], Path], count: int) -> None:
-    """The road line is drawn again and again by a hand that scatters by 0.4 px."""
-    rail = {"exact_path": True, "refine": False, "particles": 1000}
-    settings = {"as printed": {**rail, "guided": False}, "exact rail": rail, "refined": {}}
+def test_a_hard_path_constraint_biases_and_the_refinement_does_not(
+    rendered: Callable[[Scene], Path], count: int
+) -> None:
+    """The road line is drawn anew in each clip, with 0.4 px of noise."""
+    hard = {"exact_path": True, "refine": False, "particles": 1000}
+    settings = {"as printed": {**hard, "guided": False}, "hard constraint": hard, "refined": {}}
     found: dict[str, list[tuple[float, float]]] = {name: [] for name in settings}
     for seed in range(12, 12 + count):
         clip = rendered(scene("line", 20.0, seed))
@@ -836,7 +850,7 @@ def test_an_exact_rail_biases_and_the_refinement_does_not(rendered: Callable[[Sc
             found[name].append((m.speed - 20.0, m.random_std))
     off = {name: np.sqrt(np.mean([e**2 for e, _ in results])) for name, results in found.items()}
     spreads = {name: np.sqrt(np.mean([(e / std) ** 2 for e, std in results])) for name, results in found.items()}
-    assert off["as printed"] > 0.01 * 20.0 and off["exact rail"] > 0.01 * 20.0  # per cents
+    assert off["as printed"] > 0.01 * 20.0 and off["hard constraint"] > 0.01 * 20.0  # per cents
     assert off["refined"] < 0.15 * MPH
     limit = np.sqrt(chi2.ppf(0.999, count) / count)
-    assert spreads["exact rail"] > limit > spreads["refined"]
+    assert spreads["hard constraint"] > limit > spreads["refined"]

@@ -12,9 +12,17 @@ from scipy.stats import norm
 from paceline.cameras import Camera, StereoRig
 from paceline.speed.geometry.initial_plane import InitialPlane
 from paceline.speed.geometry.paths import LANE_KEEPING_STD, from_points, resampled
-from paceline.speed.refinement import model_selection, path_deviation, trajectory
-from paceline.speed.refinement.path_deviation import Bends, bends
-from paceline.speed.refinement.trajectory import EXTRAS, INDEX, NAMES, Prior, Trajectory, prior
+from paceline.speed.refinement import path_deviation, trajectory
+from paceline.speed.refinement.path_deviation import PathDeviation, deviation_modes
+from paceline.speed.refinement.photometric_fit import PhotometricFit
+from paceline.speed.refinement.trajectory import (
+    MOTION_TERMS,
+    PARAMETER_INDEX,
+    PARAMETER_NAMES,
+    Prior,
+    Trajectory,
+    prior,
+)
 
 K = np.array([[2000.0, 0, 511.5], [0, 2000.0, 383.5], [0, 0, 1]])
 RIG = StereoRig(Camera((1024, 768), K), Camera((1024, 768), K), np.eye(3), np.array([-0.5, 0, 0]))
@@ -41,13 +49,13 @@ def carried(path, times=(0.0, 0.2, 0.4, 0.8)):
         normal_std=np.array([0.05, 0.05]),
         inverse_depth_std=0.01,
     )
-    way = bends(path, path.nearest(plane.centre), 20.0, on_path=True)
+    way = deviation_modes(path, path.nearest(plane.centre), 20.0, on_path=True)
     return Trajectory(RIG, QUAD, plane, path, np.stack([times, times], axis=1), way)
 
 
 def start_of(t, depth=30.0, speed=15.0):
     theta = np.zeros(len(t.steps))
-    theta[[INDEX["log_depth"], INDEX["speed"]]] = np.log(depth), speed
+    theta[[PARAMETER_INDEX["log_depth"], PARAMETER_INDEX["speed"]]] = np.log(depth), speed
     return theta
 
 
@@ -55,7 +63,7 @@ def start_of(t, depth=30.0, speed=15.0):
 def test_on_a_straight_path_the_plane_moves_straight(acceleration):
     t = carried(straight_away())
     theta = start_of(t)
-    theta[INDEX["acceleration"]] = acceleration
+    theta[PARAMETER_INDEX["acceleration"]] = acceleration
     forward = np.diff(t.path.at(np.array([0.0, 1.0])), axis=0)[0]
     way = 15.0 * t.times[:, 0] + 0.5 * acceleration * t.times[:, 0] ** 2
     expected = 30.0 * RIG.left.rays(QUAD.mean(0)) + way[:, None] * forward
@@ -65,7 +73,8 @@ def test_on_a_straight_path_the_plane_moves_straight(acceleration):
 def test_round_a_bend_the_way_has_the_length_that_the_speed_says():
     t = carried(bend(), times=np.linspace(0, 1.5, 200))
     theta = start_of(t)
-    theta[len(NAMES) :][: len(t.bends.modes)] = np.random.default_rng(2).normal(0, 0.5, len(t.bends.modes))
+    count = len(t.deviation.modes)
+    theta[len(PARAMETER_NAMES) :][:count] = np.random.default_rng(2).normal(0, 0.5, count)
     length = np.linalg.norm(np.diff(t.centres(theta), axis=0), axis=1).sum()
     assert length == pytest.approx(15.0 * 1.5, rel=1e-4)
 
@@ -74,20 +83,20 @@ def test_distance_is_the_speed_added_up():
     t = carried(straight_away(), times=tuple(np.linspace(0.0, 1.2, 1201)))
     rng = np.random.default_rng(3)
     theta = start_of(t)
-    theta[INDEX["acceleration"]] = -1.5
-    theta[t.index("surge")] = rng.normal(0.0, 1.0, len(t.index("surge")))
-    v, seconds = t.speed_shares @ theta, t.times[:, 0]
+    theta[PARAMETER_INDEX["acceleration"]] = -1.5
+    theta[t.index("varying_acceleration")] = rng.normal(0.0, 1.0, len(t.index("varying_acceleration")))
+    v, seconds = t.speed_jacobian @ theta, t.times[:, 0]
     expected = np.concatenate([[0.0], np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(seconds))])
     np.testing.assert_allclose(t.distance(theta)[:, 0], expected, atol=1e-5)
-    assert t.mean_speed_shares @ theta == pytest.approx(expected[-1] / 1.2, abs=1e-5)
+    assert t.mean_speed_gradient @ theta == pytest.approx(expected[-1] / 1.2, abs=1e-5)
     assert v[0] == pytest.approx(15.0) and np.ptp(np.diff(v)) > 1e-4  # it does change its acceleration
 
 
 def test_surges_are_as_large_and_as_sudden_as_they_are_said_to_be():
     """Accelerations drawn from the prior have the stated deviation, and the stated correlation over time."""
     t = carried(straight_away(), times=tuple(np.linspace(0.0, 2.0, 401)))
-    sigma, scale = trajectory.SURGING
-    a = np.gradient(t.speed_shares[:, t.index("surge")], t.times[:, 0], axis=0)[1:-1]
+    sigma, scale = trajectory.ACCELERATION_GP
+    a = np.gradient(t.speed_jacobian[:, t.index("varying_acceleration")], t.times[:, 0], axis=0)[1:-1]
     kernel, seconds = a @ a.T, t.times[1:-1, 0]
     expected = sigma**2 * np.exp(-0.5 * ((seconds[:, None] - seconds) / scale) ** 2)
     np.testing.assert_allclose(kernel, expected, atol=0.02 * sigma**2)
@@ -114,7 +123,7 @@ def test_homographies_carry_the_planes_own_points():
     where H and its change per metre put them."""
     t = carried(bend())
     theta = start_of(t)
-    theta[INDEX["normal_yaw"]], theta[INDEX["turn"]] = 0.05, 0.004
+    theta[PARAMETER_INDEX["normal_yaw"]], theta[PARAMETER_INDEX["curvature"]] = 0.05, 0.004
     R, shift, n, d = t.motion(theta)
     H, per_metre = t.homographies(theta)
     rng = np.random.default_rng(3)
@@ -133,10 +142,10 @@ def test_homographies_carry_the_planes_own_points():
 def test_bends_hold_all_that_was_put_into_them():
     """Their covariance is that of the reconstruction, the driver and his weaving, but for what is negligible."""
     path = bend()
-    way = bends(path, 5.0, 40.0, on_path=True)
-    lane_keeping = way.modes[: len(way.modes) - way.swerves].reshape(-1, 2 * len(way.u))
+    way = deviation_modes(path, 5.0, 40.0, on_path=True)
+    lane_keeping = way.modes[: len(way.modes) - way.lane_change_modes].reshape(-1, 2 * len(way.u))
     yaw, pitch = path.heading_modes(5.0 + way.u)
-    sigma, length = path_deviation.WEAVING
+    sigma, length = path_deviation.LANE_KEEPING_GP
     expected = np.zeros((2 * len(way.u),) * 2)
     u, powers = way.u, (1.0, 1.0, 2.0, 6.0)
     n = len(u)
@@ -145,18 +154,18 @@ def test_bends_hold_all_that_was_put_into_them():
     expected[:n, n:] = yaw.T @ pitch
     expected[n:, :n] = expected[:n, n:].T
     for half, name in ((slice(0, n), "yaw"), (slice(n, 2 * n), "pitch")):
-        for k, s in enumerate(path_deviation.DRIVER[name]):
+        for k, s in enumerate(path_deviation.DRIVER_PRIOR[name]):
             term = s * u**k / powers[k]
             expected[half, half] += np.outer(term, term)
-    assert path_deviation.DRIVER["yaw"][0] == LANE_KEEPING_STD[0]
+    assert path_deviation.DRIVER_PRIOR["yaw"][0] == LANE_KEEPING_STD[0]
     variance = np.diag(expected)
     np.testing.assert_allclose(np.diag(lane_keeping.T @ lane_keeping), variance, atol=0.02 * variance.max())
 
 
 def test_turns_are_the_modes_and_stay_beyond_them():
     u = np.linspace(0, 10, 21)
-    way = Bends(u, np.stack([np.stack([np.sin(u), 0 * u]), np.stack([0 * u, u / 10])]), swerves=0)
-    yaw, pitch = way.turns(np.array([2.0, 3.0]), np.array([-5.0, 0.0, 2.5, 10.0, 99.0]))
+    way = PathDeviation(u, np.stack([np.stack([np.sin(u), 0 * u]), np.stack([0 * u, u / 10])]), lane_change_modes=0)
+    yaw, pitch = way.angles(np.array([2.0, 3.0]), np.array([-5.0, 0.0, 2.5, 10.0, 99.0]))
     np.testing.assert_allclose(yaw, 2 * np.sin([0, 0, 2.5, 10, 10]), atol=1e-12)
     np.testing.assert_allclose(pitch, [0, 0, 0.75, 3, 3], atol=1e-12)
 
@@ -164,12 +173,12 @@ def test_turns_are_the_modes_and_stay_beyond_them():
 def test_extras_are_free_only_where_they_are_named():
     t = carried(bend())
     plain = prior(t, 15.0)
-    assert not set(t.index("swerve")) & set(plain.free) and INDEX["turn"] not in plain.free
-    i = list(plain.free).index(INDEX["acceleration"])  # steady drivers
-    assert plain.information[i, i] == pytest.approx(trajectory.STEADY**-2)
-    places = [set(t.index(extra)) for extra in EXTRAS]
+    assert not set(t.index("lane_change")) & set(plain.free) and PARAMETER_INDEX["curvature"] not in plain.free
+    i = list(plain.free).index(PARAMETER_INDEX["acceleration"])  # steady drivers
+    assert plain.information[i, i] == pytest.approx(trajectory.STEADY_ACCELERATION_STD_MPS2**-2)
+    places = [set(t.index(extra)) for extra in MOTION_TERMS]
     assert sum(map(len, places)) == len(set().union(*places))
-    for extra, there in zip(EXTRAS, places, strict=True):
+    for extra, there in zip(MOTION_TERMS, places, strict=True):
         assert there <= set(prior(t, 15.0, (extra,)).free) and (extra == "acceleration" or not there & set(plain.free))
 
 
@@ -196,5 +205,5 @@ def test_the_evidence_is_the_ratio_of_marginal_likelihoods(value, spread, held):
 
     under_narrow = marginal(held) if held else norm.pdf(value, 0, spread)
     expected = np.log(marginal(wide) / under_narrow)
-    found = model_selection.Fit._log_evidence(fit, "acceleration", narrower, 1.0)
+    found = PhotometricFit._log_evidence(fit, "acceleration", narrower, 1.0)
     assert found == pytest.approx(expected, abs=2e-3)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.linalg import null_space
 from scipy.stats import multivariate_normal
 
-from paceline.speed.refinement.view_dependence import PACES, centred, whitened
+from paceline.speed.refinement.view_dependence import VARIANCE_RATIOS, centering, whitening
 
 Array = NDArray[np.float64]
 
@@ -37,7 +37,7 @@ def contrasts_of(pace: float, say: Array, directions: Array) -> tuple[Array, Arr
 
 def unit(say: Array, directions: Array) -> Array:
     """The drift (K,), per radian, whose variance is that of noise in the mean over the weighted views."""
-    size = np.trace(centred(say) @ -between(directions) @ centred(say).swapaxes(1, 2), axis1=1, axis2=2)
+    size = np.trace(centering(say) @ -between(directions) @ centering(say).swapaxes(1, 2), axis1=1, axis2=2)
     return np.asarray(len(say) / size)
 
 
@@ -57,9 +57,9 @@ def test_what_all_views_have_in_common_tells_nothing(seed: int, frames: int) -> 
     rng, directions = np.random.default_rng(seed), seen_from(frames)
     say = rng.uniform(0.1, 2.0, (2 * frames, 3))
     r = rng.standard_normal((2 * frames, 3, 40)) / np.sqrt(say)[..., None]
-    for weighing in (centred(say), whitened(r, say, directions)):
+    for weighing in (centering(say), whitening(r, say, directions)):
         np.testing.assert_allclose(weighing @ np.ones(2 * frames), 0.0, atol=1e-9)
-    weighted = np.einsum("kvu,ukm->vkm", centred(say), r)
+    weighted = np.einsum("kvu,ukm->vkm", centering(say), r)
     mean = (say[..., None] * r).sum(0) / say.sum(0)[:, None]
     np.testing.assert_allclose(weighted, np.sqrt(say)[..., None] * (r - mean), atol=1e-9)
 
@@ -71,10 +71,10 @@ def test_views_are_weighed_as_the_likeliest_drift_asks_for(pace: float) -> None:
     directions, rng = seen_from(8), np.random.default_rng(5)
     say = rng.uniform(0.2, 2.0, (16, 2))
     r = drifting(pace, say, directions, 50, 11)
-    found = whitened(r, say, directions)
+    found = whitening(r, say, directions)
     for k in range(2):
         likely, noises, precisions = [], [], []
-        for p in PACES:
+        for p in VARIANCE_RATIOS:
             contrasts, C = contrasts_of(p, say[:, k : k + 1], directions)
             seen = contrasts @ r[:, k]
             noise = np.trace(np.linalg.solve(C, seen @ seen.T)) / seen.size
@@ -93,9 +93,9 @@ def test_a_pace_is_told_by_what_is_left_over() -> None:
 
     def kept(pace: float, of: Array = say) -> Array:
         r = drifting(pace, say, directions, 60, 3)
-        noise = np.square(centred(of) @ r.swapaxes(0, 1)).sum((1, 2)) / (60.0 * ((of > 0.0).sum(0) - 1.0))
-        W = whitened(r, of, directions)
-        return np.asarray(np.square(W @ grows).sum(-1) / np.square(centred(of) @ grows).sum(-1) / noise)
+        noise = np.square(centering(of) @ r.swapaxes(0, 1)).sum((1, 2)) / (60.0 * ((of > 0.0).sum(0) - 1.0))
+        W = whitening(r, of, directions)
+        return np.asarray(np.square(W @ grows).sum(-1) / np.square(centering(of) @ grows).sum(-1) / noise)
 
     def known(pace: float) -> float:
         contrasts, C = contrasts_of(pace, say[:, :1], directions)
@@ -115,7 +115,7 @@ def test_views_that_say_nothing_and_one_direction_are_no_obstacle() -> None:
     say[3] = 0.0
     say[:, 1] = 0.0
     for looked in (directions, np.tile(directions[:1], (8, 1))):
-        W = whitened(rng.standard_normal((8, 2, 30)), say, looked)
+        W = whitening(rng.standard_normal((8, 2, 30)), say, looked)
         assert np.isfinite(W).all()
         np.testing.assert_allclose(W[0][:, 3], 0.0, atol=1e-12)
         np.testing.assert_allclose(W[1], 0.0, atol=1e-12)

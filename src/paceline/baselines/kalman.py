@@ -90,9 +90,9 @@ class Kalman:
         self._beliefs: dict[int, Belief] = {}  # by frame
         self._last, self._time = 0, 0.0
 
-    def see(self, frame: StereoFrame) -> bool:
+    def process(self, frame: StereoFrame) -> bool:
         """Follow the vehicle into ``frame``; whether it can be followed further."""
-        further = self.features.see(frame)
+        further = self.features.process(frame)
         sights = self.features.sights
         if sights and sights[-1].status == "tracking":
             self._measure(sights[-1])

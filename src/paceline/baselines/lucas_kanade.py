@@ -53,7 +53,7 @@ class LucasKanade:
         self._seen: list[tuple[int, _Matches]] = []  # by row of the sights
         self._next = 0  # number of the next new point
 
-    def see(self, frame: StereoFrame) -> bool:
+    def process(self, frame: StereoFrame) -> bool:
         """Follow the vehicle into ``frame``; whether it can be followed further."""
         if self._regions is None:
             return self._begin(frame)

@@ -73,7 +73,7 @@ class Multimodal:
         self._time = 0.0
         self._unseen = 0
 
-    def see(self, frame: StereoFrame) -> bool:
+    def process(self, frame: StereoFrame) -> bool:
         """Follow the vehicle into ``frame``; whether it can be followed further."""
         if self._regions is None:
             return self._begin(frame)

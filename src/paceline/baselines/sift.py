@@ -40,7 +40,7 @@ class Sift:
         self._regions: Regions | None = None
         self._detector = cv2.SIFT.create(contrastThreshold=FAINTEST)
 
-    def see(self, frame: StereoFrame) -> bool:
+    def process(self, frame: StereoFrame) -> bool:
         """Follow the vehicle into ``frame``; whether it can be followed further."""
         if self._regions is None:
             quads = np.stack([self.vehicle.left, self.vehicle.right])

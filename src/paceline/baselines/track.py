@@ -12,7 +12,7 @@ from paceline.arrays import Array
 from paceline.baselines.template_tracking import Regions
 from paceline.recordings.stereo import StereoFrame
 from paceline.speed.configuration import Limits
-from paceline.speed.results import CONFIDENCE, Measurement, Track
+from paceline.speed.results import CONFIDENCE_LEVEL, Measurement, Track
 from paceline.speed.verdict import check_frames, check_interval
 from paceline.verdicts import Message, message
 
@@ -71,7 +71,7 @@ def filtered(vehicle: str, sights: Sequence[Sight], model: str, limits: Limits) 
 
 def judged(vehicle: str, sights: Sequence[Sight], mean: MeanSpeed, limits: Limits) -> Measurement:
     """The measurement of a vehicle; rejected, with the reason, where its interval says too little."""
-    half = float(stdtrit(mean.dof, 0.5 + CONFIDENCE / 2) * mean.std)
+    half = float(stdtrit(mean.dof, 0.5 + CONFIDENCE_LEVEL / 2) * mean.std)
     if not np.isfinite([mean.speed, half]).all():
         reason = message("no_motion_fits", test="the fitted speed is not a finite number")
     elif mean.speed > limits.max_speed:

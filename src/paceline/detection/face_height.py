@@ -19,9 +19,9 @@ from paceline.detection.tracks import slope
 from paceline.documents.loading import VehicleDocument
 from paceline.speed.configuration import DEFAULT_LIMITS
 from paceline.speed.geometry.initial_plane import plane_from_outlines
-from paceline.speed.refinement.keyframes import Glimpse
-from paceline.speed.refinement.path_deviation import way_of
-from paceline.speed.refinement.photometric_fit import Fit
+from paceline.speed.refinement.keyframes import Keyframe
+from paceline.speed.refinement.path_deviation import deviation_of
+from paceline.speed.refinement.photometric_fit import PhotometricFit
 from paceline.speed.refinement.trajectory import Trajectory, prior
 
 LOWER = 0.075  # m by which one outline of a face is lower than the next
@@ -48,17 +48,17 @@ def trimmed(face: Face, seen: list[Aligned], is_clear: Callable[[Face], bool]) -
 def _doubts(outlines: list[Face], seen: list[Aligned]) -> Array:
     """The standard deviations of the mean speed, m/s, by what is ``seen`` in each of the ``outlines``, if the pixels'
     noise were all; only of the first ones where the others tell too little."""
-    glimpses = [_glimpse(outlines[0], at) for at in seen]
+    keyframes = [_glimpse(outlines[0], at) for at in seen]
     found: list[float] = []
     try:
-        trajectory, speed = _carried(glimpses, seen)
-        fit = Fit(trajectory, glimpses, prior(trajectory, speed))
-        found.append(fit.noise)
+        trajectory, speed = _carried(keyframes, seen)
+        fit = PhotometricFit(trajectory, keyframes, prior(trajectory, speed))
+        found.append(fit.noise_std)
         for face in outlines[1:]:
             if found[-1] > HOPELESS * min(found) or found[0] > KNOWN * speed:
                 break
-            fit = fit.outlined(_pixels(face, seen[0])[0], STEPS)
-            found.append(fit.noise)
+            fit = fit.on_outline(_pixels(face, seen[0])[0], STEPS)
+            found.append(fit.noise_std)
     except np.linalg.LinAlgError:
         pass  # of what determines nothing no part does: the whole stays, or what was fitted by then
     return np.array(found or [0.0])
@@ -69,18 +69,18 @@ def _pixels(face: Face, at: Aligned) -> Array:
     return np.stack(at.sighting.way.pixels(at.s, face.corners(at)))
 
 
-def _glimpse(face: Face, at: Aligned) -> Glimpse:
+def _glimpse(face: Face, at: Aligned) -> Keyframe:
     s = at.sighting
-    return Glimpse(s.frame, (s.time, s.time), s.crops, s.corners, _pixels(face, at))
+    return Keyframe(s.frame, (s.time, s.time), s.crops, s.corners, _pixels(face, at))
 
 
-def _carried(glimpses: list[Glimpse], seen: list[Aligned]) -> tuple[Trajectory, float]:
-    """The outline in the first of the ``glimpses`` carried along its way, and how fast, m/s."""
-    way, (left, right) = seen[0].sighting.way, glimpses[0].quads
-    times = np.array([g.times for g in glimpses]) - glimpses[0].times[0]
+def _carried(keyframes: list[Keyframe], seen: list[Aligned]) -> tuple[Trajectory, float]:
+    """The outline in the first of the ``keyframes`` carried along its way, and how fast, m/s."""
+    way, (left, right) = seen[0].sighting.way, keyframes[0].quads
+    times = np.array([g.times for g in keyframes]) - keyframes[0].times[0]
     speed = slope(*course(seen))
     path = way.path if speed > 0 else way.path.reversed()
-    document = VehicleDocument("", way.name, glimpses[0].frame, left, right, "front", None)
+    document = VehicleDocument("", way.name, keyframes[0].frame, left, right, "front", None)
     plane = plane_from_outlines(way.rig, document, path, OUTLINED)
-    bends = way_of(path, plane, times, abs(speed), on_path=True)
+    bends = deviation_of(path, plane, times, abs(speed), on_path=True)
     return Trajectory(way.rig, left, plane, path, times, bends), abs(speed)

@@ -16,7 +16,7 @@ from paceline.lanes.site_yaml import lane_names
 from paceline.progress import Progress
 from paceline.recordings.background import Background, empty_scene, no_background
 from paceline.recordings.stereo import StereoRecording
-from paceline.speed.measurement import refuse_one_view
+from paceline.speed.measurement import require_two_views
 from paceline.verdicts import NO_REASON, Message, message
 
 
@@ -52,7 +52,7 @@ def find_vehicles(
     recording that cannot be used, and a path that its drawing does not determine.
     """
     first, *second = islice(recording.frames(), 1 if detect is None else 2)
-    refuse_one_view(clip, first)
+    require_two_views(clip, first)
     scene: Scene | None = None
     if detect is not None:
         scene = DetectedScene(detect)

@@ -1,9 +1,9 @@
-"""One rig, many vehicles: what all their pictures together tell of the calibration puts each of their speeds right.
+"""Joint self-calibration: the vehicles of one recording share a rig, so their evidence about it adds up.
 
-Each vehicle's fit is a Gaussian in its own motion and in the rig's moves (`speed/refinement/self_calibration.py`). The
-rig is the same for all of them, so that what their pictures tell of it adds up, and each motion follows where all of
-them move the rig. But a rig is not the same for ever, as it warms up by day: each vehicle is put right by those that
-passed about when it did.
+Each vehicle's fit is a Gaussian in its own motion and in the rig's offset from rig.yaml
+(`speed/refinement/self_calibration.py`). The information about the rig is summed over the vehicles and every speed is
+corrected to the common rig. As a rig drifts, for instance with temperature, only vehicles of about the same time are
+combined.
 """
 
 from __future__ import annotations
@@ -18,26 +18,28 @@ from scipy.special import ndtri
 from paceline.arrays import Array
 from paceline.speed import verdict
 from paceline.speed.configuration import DEFAULTS, JointCalibrationSettings, SpeedConfiguration
-from paceline.speed.refinement.photometric_fit import UNTOLD
-from paceline.speed.results import CONFIDENCE, Measurement, RigTold, Track
+from paceline.speed.refinement.photometric_fit import MIN_INFORMATION_SHARE
+from paceline.speed.results import CONFIDENCE_LEVEL, Measurement, RigInformation, Track
 from paceline.verdicts import message
 
-ONE = 2.0  # m between the planes of two outlines below which they are of one vehicle
+SAME_VEHICLE_M = 2.0  # median distance between two tracks of one vehicle, at most
 
 
 @dataclass(frozen=True, eq=False)
-class Belief:
-    """A Gaussian of the rig's moves, or what makes it one: the ``precision`` (Q, Q), and that times the mean, the
-    ``score`` (Q,)."""
+class CanonicalGaussian:
+    """A Gaussian of the rig's offset in canonical (information) form.
+
+    ``precision`` is (Q, Q) and ``score`` (Q,) the precision times the mean. Independent evidence adds up.
+    """
 
     precision: Array
     score: Array
 
-    def __add__(self, other: Belief) -> Belief:
-        return Belief(self.precision + other.precision, self.score + other.score)
+    def __add__(self, other: CanonicalGaussian) -> CanonicalGaussian:
+        return CanonicalGaussian(self.precision + other.precision, self.score + other.score)
 
-    def __sub__(self, other: Belief) -> Belief:
-        return Belief(self.precision - other.precision, self.score - other.score)
+    def __sub__(self, other: CanonicalGaussian) -> CanonicalGaussian:
+        return CanonicalGaussian(self.precision - other.precision, self.score - other.score)
 
     @property
     def covariance(self) -> Array:
@@ -48,111 +50,125 @@ class Belief:
         return np.asarray(np.linalg.solve(self.precision, self.score))
 
 
-def stated(Q: int) -> Belief:
-    """What rig.yaml states: no move in any of ``Q`` directions, by one standard uncertainty."""
-    return Belief(np.eye(Q), np.zeros(Q))
+def rig_prior(Q: int) -> CanonicalGaussian:
+    """The calibration as rig.yaml states it: offset 0 ± 1 in each of ``Q`` directions."""
+    return CanonicalGaussian(np.eye(Q), np.zeros(Q))
 
 
-def evidence(told: RigTold) -> Belief:
-    """What a vehicle's pictures add to any belief; its own moves were found under what is stated."""
-    return Belief(told.information, told.information @ told.moves + told.moves)
+def rig_evidence(rig: RigInformation) -> CanonicalGaussian:
+    """What a vehicle's images add to the prior; its own offset was estimated under that prior."""
+    return CanonicalGaussian(rig.information, rig.information @ rig.offset + rig.offset)
 
 
-def pull(belief: Belief, more: Belief) -> float:
-    """By how many standard deviations, at most, ``more`` evidence moves the rig away from a ``belief``: in independent
-    directions, of those that it tells something of."""
-    root = np.linalg.cholesky(belief.covariance)
-    information, axes = np.linalg.eigh(root.T @ more.precision @ root)
+def shift_sigma(estimate: CanonicalGaussian, evidence: CanonicalGaussian) -> float:
+    """By how many standard deviations ``evidence`` shifts an ``estimate`` of the rig.
+
+    The maximum over independent directions, of those that the evidence determines to some degree.
+    """
+    root = np.linalg.cholesky(estimate.covariance)
+    information, axes = np.linalg.eigh(root.T @ evidence.precision @ root)
     information = np.maximum(information, 0.0)
-    moved = axes.T @ np.linalg.solve(root, (belief + more).mean - belief.mean)
+    shift = axes.T @ np.linalg.solve(root, (estimate + evidence).mean - estimate.mean)
     share = information / (1.0 + information)
-    told = share > UNTOLD
-    return float((np.abs(moved[told]) / np.sqrt(share[told])).max(initial=0.0))
+    determined = share > MIN_INFORMATION_SHARE
+    return float((np.abs(shift[determined]) / np.sqrt(share[determined])).max(initial=0.0))
 
 
-def agreed(
-    told: Sequence[Belief], max_shift_sigma: float = DEFAULTS.limits.rig_shift_sigma
-) -> tuple[Belief, NDArray[np.bool_]]:
-    """What all that was ``told`` of one rig amounts to, what is stated included, and which (V,) of it went in: the one
-    that contradicts the others most is left out, and the next. Where only two are left that contradict each other none
-    goes in, for nothing says which is right."""
-    kept, prior = np.full(len(told), True), stated(len(told[0].score))
-    while kept.sum() > 1:
-        belief = sum((t for t, k in zip(told, kept, strict=True) if k), prior)
-        against = np.array([pull(belief - t, t) if k else 0.0 for t, k in zip(told, kept, strict=True)])
-        if against.max() <= max_shift_sigma:
-            return belief, kept
-        kept[np.argmax(against)] = False
-    return prior, np.full(len(told), False)
+def combine_consistent(
+    evidence: Sequence[CanonicalGaussian], max_shift_sigma: float = DEFAULTS.limits.rig_shift_sigma
+) -> tuple[CanonicalGaussian, NDArray[np.bool_]]:
+    """The posterior of one rig from the prior and all consistent ``evidence``, and which of it (V,) was used.
+
+    The least consistent piece is left out, one after the other. None is used where the last two contradict each other,
+    as nothing shows which of them is right.
+    """
+    used, prior = np.full(len(evidence), True), rig_prior(len(evidence[0].score))
+    while used.sum() > 1:
+        posterior = sum((e for e, u in zip(evidence, used, strict=True) if u), prior)
+        shifts = np.array([shift_sigma(posterior - e, e) if u else 0.0 for e, u in zip(evidence, used, strict=True)])
+        if shifts.max() <= max_shift_sigma:
+            return posterior, used
+        used[np.argmax(shifts)] = False
+    return prior, np.full(len(evidence), False)
 
 
-def put_right(m: Measurement, belief: Belief) -> Measurement:
-    """``m`` where the rig is as it is believed to be, with what that leaves open for its systematic part."""
-    assert m.rig is not None
-    further, left = belief.mean - m.rig.moves, belief.covariance
-    systematic = float(np.sqrt(m.rig.speed @ left @ m.rig.speed))
-    half = float(np.hypot(m.rig.half, ndtri(0.5 + CONFIDENCE / 2) * systematic))
-    speed = m.speed + float(m.rig.speed @ further)
-    of_rows = np.einsum("nq,qr,nr->n", m.rig.speeds, left, m.rig.speeds)
-    gained = m.rig.speeds @ further
-    ends = np.flatnonzero(np.isfinite(gained))[[0, -1]]
-    speeds, stds = m.track.refined_speed + gained, np.sqrt(m.rig.stds**2 + of_rows)
+def corrected(m: Measurement, rig: CanonicalGaussian) -> Measurement:
+    """``m`` with its speeds at the estimated ``rig``, whose covariance gives the systematic part."""
+    own = m.rig_information
+    assert own is not None
+    change, covariance = rig.mean - own.offset, rig.covariance
+    systematic = float(np.sqrt(own.mean_speed_gradient @ covariance @ own.mean_speed_gradient))
+    half_width = float(np.hypot(own.half_width, ndtri(0.5 + CONFIDENCE_LEVEL / 2) * systematic))
+    speed = m.speed + float(own.mean_speed_gradient @ change)
+    variances = np.einsum("nq,qr,nr->n", own.speed_jacobian, covariance, own.speed_jacobian)
+    speed_changes = own.speed_jacobian @ change
+    ends = np.flatnonzero(np.isfinite(speed_changes))[[0, -1]]
+    speeds, stds = m.track.refined_speed + speed_changes, np.sqrt(own.speed_stds**2 + variances)
     return replace(
         m,
         track=replace(m.track, refined_speed=speeds, refined_std=stds),
         speed=speed,
-        speed_lo=speed - half,
-        speed_hi=speed + half,
-        random_std=m.rig.std,
+        speed_lo=speed - half_width,
+        speed_hi=speed + half_width,
+        random_std=own.mean_speed_std,
         systematic_std=systematic,
-        acceleration=m.acceleration + float(np.diff(gained[ends])[0] / np.diff(m.track.time[ends])[0]),
+        acceleration=m.acceleration + float(np.diff(speed_changes[ends])[0] / np.diff(m.track.time[ends])[0]),
     )
 
 
-def beside(
+def neighbours(
     m: Measurement, others: Iterable[Measurement], settings: JointCalibrationSettings = DEFAULTS.joint_calibration
 ) -> list[Measurement]:
-    """Those of the ``others`` that tell of the rig as it was when ``m`` passed, the nearest in time first: none twice,
-    however often it is outlined."""
-    apart = [(abs(float(o.track.time.mean() - m.track.time.mean())), o) for o in others if o.rig is not None]
+    """The ``others`` to combine with ``m``, nearest in time first; a vehicle that is outlined twice counts once."""
+    candidates = [
+        (abs(float(o.track.time.mean() - m.track.time.mean())), o) for o in others if o.rig_information is not None
+    ]
     found: list[Measurement] = []
-    for away, other in sorted(apart, key=lambda pair: pair[0]):
-        if away > settings.window_s or len(found) == settings.neighbours:
+    for interval, other in sorted(candidates, key=lambda pair: pair[0]):
+        if interval > settings.window_s or len(found) == settings.neighbours:
             break
-        if not any(is_one(other.track, known.track) for known in [m, *found]):
+        if not any(same_vehicle(other.track, known.track) for known in [m, *found]):
             found.append(other)
     return found
 
 
-def is_one(track: Track, other: Track) -> bool:
-    """Whether two tracks are of one vehicle, by the frames that they have in common."""
-    _, here, there = np.intersect1d(track.frame, other.frame, return_indices=True)
-    apart = np.linalg.norm(track.position[here] - other.position[there], axis=1)
-    return len(apart) > 0 and float(np.median(apart)) < ONE
+def same_vehicle(track: Track, other: Track) -> bool:
+    """Whether two tracks are of one vehicle, by their distance in the frames that they share."""
+    _, i, j = np.intersect1d(track.frame, other.frame, return_indices=True)
+    distances = np.linalg.norm(track.position[i] - other.position[j], axis=1)
+    return len(distances) > 0 and float(np.median(distances)) < SAME_VEHICLE_M
 
 
-def among(m: Measurement, others: Iterable[Measurement], configuration: SpeedConfiguration = DEFAULTS) -> Measurement:
-    """``m`` with what the vehicles ``beside`` it tell of the rig, too, and judged anew by that: rejected if it
-    contradicts them, or all of them what rig.yaml states. As it is where no two agree."""
-    if m.rig is None:
+def with_neighbours(
+    m: Measurement, others: Iterable[Measurement], configuration: SpeedConfiguration = DEFAULTS
+) -> Measurement:
+    """``m`` corrected to the rig that it and its `neighbours` among ``others`` determine, with a new verdict.
+
+    It is rejected if it contradicts the other vehicles, or if all of them contradict rig.yaml; unchanged where no two
+    vehicles are consistent.
+    """
+    if m.rig_information is None:
         return m
-    told = [evidence(o.rig) for o in [*beside(m, others, configuration.joint_calibration), m] if o.rig is not None]
-    belief, agree = agreed(told, configuration.limits.rig_shift_sigma)
-    if not agree.any():
-        return m
-    count, prior = int(agree.sum()), stated(len(m.rig.moves))
+    group = [*neighbours(m, others, configuration.joint_calibration), m]
+    evidence = [rig_evidence(o.rig_information) for o in group if o.rig_information is not None]
     limit = configuration.limits.rig_shift_sigma
-    if not agree[-1]:
-        by = pull(belief, told[-1])
-        reason = message("calibration_differs_between_vehicles", deviation=by, max_deviation=limit)
-    elif (by := pull(prior, belief - prior)) > limit:
-        reason = message("calibration_inconsistent_jointly", vehicles=count, deviation=by, max_deviation=limit)
+    posterior, used = combine_consistent(evidence, limit)
+    if not used.any():
+        return m
+    count, prior = int(used.sum()), rig_prior(len(m.rig_information.offset))
+    if not used[-1]:
+        shift = shift_sigma(posterior, evidence[-1])
+        reason = message("calibration_differs_between_vehicles", deviation=shift, max_deviation=limit)
+    elif (shift := shift_sigma(prior, posterior - prior)) > limit:
+        reason = message("calibration_inconsistent_jointly", vehicles=count, deviation=shift, max_deviation=limit)
     else:
-        own, m = m.rig.half, replace(put_right(m, belief), calibrated_by=count)
-        reason = verdict.check_interval(m.speed, (m.speed_hi - m.speed_lo) / 2, own, configuration.limits)
-    return replace(m.judged(reason), rig=None)
+        random, m = m.rig_information.half_width, replace(corrected(m, posterior), calibrated_by=count)
+        reason = verdict.check_interval(m.speed, (m.speed_hi - m.speed_lo) / 2, random, configuration.limits)
+    return replace(m.judged(reason), rig_information=None)
 
 
-def together(measurements: Sequence[Measurement], configuration: SpeedConfiguration = DEFAULTS) -> list[Measurement]:
-    """The vehicles of one recording with what they tell of its rig in common."""
-    return [among(m, [o for o in measurements if o is not m], configuration) for m in measurements]
+def calibrate_jointly(
+    measurements: Sequence[Measurement], configuration: SpeedConfiguration = DEFAULTS
+) -> list[Measurement]:
+    """The ``measurements`` of one recording, each corrected to the rig that neighbouring vehicles determine."""
+    return [with_neighbours(m, [o for o in measurements if o is not m], configuration) for m in measurements]

@@ -1,4 +1,4 @@
-"""From a clip to speeds: track every vehicle, refine, judge."""
+"""The measurement of a clip: every vehicle tracked, refined, and accepted or rejected."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ from paceline.speed.filter.batch import TrackerBatch
 from paceline.speed.filter.device import open_device
 from paceline.speed.geometry.path_reconstruction import path_from_document
 from paceline.speed.geometry.paths import Path
-from paceline.speed.joint_calibration import together
+from paceline.speed.joint_calibration import calibrate_jointly
 from paceline.speed.methods import DEFAULT_METHOD, Method, OnEstimate, register
 from paceline.speed.results import ClipResult, Measurement, PathDrawing
-from paceline.speed.run import Seen, VehicleRun
+from paceline.speed.run import VehicleMeasurement
 from paceline.version import versions
 
 
@@ -49,33 +49,32 @@ def measure(
     configuration: SpeedConfiguration,
     progress: Progress | None = None,
     device: DeviceName = "cpu",
-    seen: Seen | None = None,
+    on_estimate: OnEstimate | None = None,
 ) -> ClipResult:
     """Measure every vehicle of ``clip`` in one pass over its ``recording``.
 
-    ``progress`` is called with frames done and frames in all, ``seen`` with a vehicle and each of the filter's
-    estimates as it is made. Raises UnusableInput; a DeviceFailure where ``device`` is ``cuda`` and cannot be used to
-    the end.
+    ``progress`` is called with frames done and frames in all, ``on_estimate`` with a vehicle and each of the filter's
+    estimates. Raises UnusableInput; a DeviceFailure where ``device`` is ``cuda`` and fails.
     """
     fleet = TrackerBatch(open_device(device), carry_on=device == "auto")
-    result = measure_each(clip, recording, configuration, partial(VehicleRun, fleet=fleet, seen=seen), progress)
-    measurements = [
-        verdict.apply_tolerance(m, configuration.tolerance) for m in together(result.measurements, configuration)
-    ]
+    begin = partial(VehicleMeasurement, fleet=fleet, on_estimate=on_estimate)
+    result = measure_each(clip, recording, configuration, begin, progress)
+    jointly = calibrate_jointly(result.measurements, configuration)
+    measurements = [verdict.apply_tolerance(m, configuration.tolerance) for m in jointly]
     return replace(result, measurements=measurements, notices=[*result.notices, *fleet.notices])
 
 
 register(DEFAULT_METHOD, Method(measure, uses_gpu=True))
 
 
-class Run(Protocol):
-    """One vehicle on its way through a clip."""
+class VehicleProcessor(Protocol):
+    """A method that processes the frames of one vehicle."""
 
-    def see(self, frame: StereoFrame) -> bool:
-        """Follow the vehicle into ``frame``; whether it can be followed further."""
+    def process(self, frame: StereoFrame) -> bool:
+        """Track the vehicle into ``frame``; False where the track ends."""
 
     def result(self) -> Measurement:
-        """The measurement by what was seen."""
+        """The measurement from the frames so far."""
 
 
 @on_one_blas_thread
@@ -83,12 +82,12 @@ def measure_each(
     clip: Clip,
     recording: StereoFrames,
     configuration: SpeedConfiguration,
-    begin: Callable[[Clip, VehicleDocument, dict[str, Path], SpeedConfiguration], Run],
+    begin: Callable[[Clip, VehicleDocument, dict[str, Path], SpeedConfiguration], VehicleProcessor],
     progress: Progress | None = None,
     *,
     on_paths: bool = True,
 ) -> ClipResult:
-    """As `measure`, by the runs that ``begin`` makes; drawn paths are reconstructed for them only if ``on_paths``."""
+    """As `measure`, by the processor that ``begin`` makes for each vehicle; paths are reconstructed if ``on_paths``."""
     begun = time.perf_counter()
     if not clip.vehicles:
         raise UnusableInput(f"{clip.path}: vehicles: none is outlined; expected at least one vehicle to measure")
@@ -104,10 +103,10 @@ def measure_each(
     total = len(recording)
     for count, frame in enumerate(recording.frames(), start=1):
         if count == 1:
-            refuse_one_view(clip, frame)
+            require_two_views(clip, frame)
         for vehicle in clip.vehicles:
             run = runs.get(vehicle.id)
-            if run is not None and frame.index >= vehicle.frame and not frame.duplicate and not run.see(frame):
+            if run is not None and frame.index >= vehicle.frame and not frame.duplicate and not run.process(frame):
                 done[vehicle.id] = runs.pop(vehicle.id).result()
         if progress is not None:
             progress(count, total)
@@ -117,7 +116,7 @@ def measure_each(
     return ClipResult(
         clip=str(clip.path),
         measurements=[done[v.id] for v in clip.vehicles],
-        paths=[_drawing(clip.rig, p) for p in drawn.values()],
+        paths=[_path_drawing(clip.rig, p) for p in drawn.values()],
         configuration=configuration.model_dump(),
         versions=versions(),
         notices=list(recording.notices),
@@ -126,10 +125,15 @@ def measure_each(
 
 
 def by_vehicle(
-    begin: Callable[[Clip, VehicleDocument, Path | None, SpeedConfiguration], Run], *, on_paths: bool = False
+    begin: Callable[[Clip, VehicleDocument, Path | None, SpeedConfiguration], VehicleProcessor],
+    *,
+    on_paths: bool = False,
 ) -> Method:
-    """The method that measures each vehicle by a run of its own, which ``begin`` makes of the clip, the vehicle, its
-    reconstructed path (None without one, or unless ``on_paths``) and the configuration."""
+    """The method that measures each vehicle by itself.
+
+    ``begin`` makes the processor of a vehicle from the clip, the vehicle, its reconstructed path (None without one, or
+    unless ``on_paths``) and the configuration.
+    """
 
     def measure_clip(
         clip: Clip,
@@ -139,7 +143,9 @@ def by_vehicle(
         device: DeviceName,
         on_estimate: OnEstimate | None,
     ) -> ClipResult:
-        def begin_on(clip: Clip, vehicle: VehicleDocument, drawn: dict[str, Path], c: SpeedConfiguration) -> Run:
+        def begin_on(
+            clip: Clip, vehicle: VehicleDocument, drawn: dict[str, Path], c: SpeedConfiguration
+        ) -> VehicleProcessor:
             return begin(clip, vehicle, drawn.get(vehicle.path or ""), c)
 
         result = measure_each(clip, recording, configuration, begin_on, progress, on_paths=on_paths)
@@ -150,8 +156,8 @@ def by_vehicle(
     return Method(measure_clip)
 
 
-def refuse_one_view(clip: Clip, frame: StereoFrame) -> None:
-    """Raises UnusableInput where both views of a clip's first ``frame`` are one picture."""
+def require_two_views(clip: Clip, frame: StereoFrame) -> None:
+    """Raise UnusableInput where both views of a clip's first ``frame`` are the same image."""
     if np.ptp(frame.left) > 0 and np.array_equal(frame.left, frame.right):
         raise UnusableInput(
             f"{clip.path}: left and right: frame {frame.index} shows the same picture in both; "
@@ -160,7 +166,7 @@ def refuse_one_view(clip: Clip, frame: StereoFrame) -> None:
 
 
 def _reconstruct(clip: Clip, configuration: SpeedConfiguration) -> dict[str, Path]:
-    """The paths that vehicles drive on, not yet moved to their lanes' centres."""
+    """The paths of the clip's vehicles in space, as drawn, without their lateral offsets."""
     if configuration.motion == "free":
         return {}
     shape = None if configuration.motion == "auto" else configuration.motion
@@ -173,6 +179,6 @@ def _reconstruct(clip: Clip, configuration: SpeedConfiguration) -> dict[str, Pat
     return drawn
 
 
-def _drawing(rig: StereoRig, path: Path) -> PathDrawing:
+def _path_drawing(rig: StereoRig, path: Path) -> PathDrawing:
     left, right = rig.project(path.points)
     return PathDrawing(path.name, path.points, left, right)

@@ -1,4 +1,4 @@
-"""What a measurement is: estimates per frame, a speed with its interval, and a verdict."""
+"""Results of a measurement: estimates per frame, the mean speed with its interval, the verdict."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from paceline.arrays import Array
 from paceline.verdicts import Message
 
-CONFIDENCE = 0.95  # of every interval
+CONFIDENCE_LEVEL = 0.95  # of all intervals
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,32 +35,31 @@ class Track:
 
 
 @dataclass(frozen=True, eq=False)
-class RigTold:
-    """What one vehicle's pictures tell of the rig, in Q directions in which its calibration may be off, in standard
-    uncertainties of it: the ``moves`` (Q,) at which the speeds are, and the ``information`` (Q, Q) that these pictures
-    add to what rig.yaml states.
+class RigInformation:
+    """What one vehicle's images determine of the rig, in Q directions, in standard uncertainties of the calibration.
 
-    ``speed`` (Q,) and ``speeds`` (N, Q) are what a further move changes of the mean speed and of the refined ones of
-    the track, m/s. If the rig were known these would have the standard uncertainties ``std`` and ``stds`` (N,), and
-    the mean one the interval ± ``half``.
+    ``offset`` (Q,) is the rig's offset from rig.yaml to which the speeds belong, ``information`` (Q, Q) what the images
+    add to the prior. ``mean_speed_gradient`` (Q,) and ``speed_jacobian`` (N, Q) are the derivatives of the mean speed
+    and of the track's refined speeds by a further offset, m/s. With the rig known, these speeds have the standard
+    uncertainties ``mean_speed_std`` and ``speed_stds`` (N,), and the mean speed the interval ± ``half_width``, m/s.
     """
 
-    moves: Array
+    offset: Array
     information: Array
-    speed: Array
-    std: float
-    half: float
-    speeds: Array
-    stds: Array
+    mean_speed_gradient: Array
+    mean_speed_std: float
+    half_width: float
+    speed_jacobian: Array
+    speed_stds: Array
 
 
 @dataclass(frozen=True, eq=False)
 class Measurement:
-    """The result for one vehicle: the mean speed over the frames measured, its interval, and the verdict.
+    """The result for one vehicle: its mean speed over the frames measured (m/s), the interval and the verdict.
 
-    ``random_std`` is the vehicle's own standard uncertainty, ``systematic_std`` what the pictures leave open of the
-    rig's stated calibration, common to all vehicles that are measured together (NaN where rig.yaml states none). The
-    interval is the 95 % interval of both together. Speeds are NaN where nothing could be estimated.
+    ``random_std`` is the vehicle's own standard uncertainty. ``systematic_std`` comes from the calibration, as far as
+    images did not correct it, and is common to all vehicles that are calibrated jointly (NaN where rig.yaml states no
+    uncertainty). The 95 % interval holds both. Speeds are NaN where nothing could be estimated.
     """
 
     vehicle: str
@@ -77,8 +76,8 @@ class Measurement:
     acceleration: float = float("nan")  # m/s², NaN for a constant-speed model
     residual_rms: float = float("nan")  # grey levels of 255, of the refined fit
     notices: list[str] = field(default_factory=list)
-    calibrated_by: int = 0  # vehicles whose pictures have put right what rig.yaml states
-    rig: RigTold | None = None  # where that is uncertain, and the vehicle is still to be measured together with others
+    calibrated_by: int = 0  # vehicles whose images have corrected the calibration of rig.yaml
+    rig_information: RigInformation | None = None  # for joint calibration, None where that is done or impossible
     reason_code: str = ""  # of `paceline.verdicts`; empty when measured
 
     def judged(self, reason: Message) -> Measurement:
@@ -89,7 +88,7 @@ class Measurement:
 
 @dataclass(frozen=True, eq=False)
 class PathDrawing:
-    """A reconstructed path as drawn over the pictures."""
+    """A reconstructed path, projected into both views."""
 
     name: str
     points: Array  # (M, 3) world points, metres
@@ -99,7 +98,7 @@ class PathDrawing:
 
 @dataclass(frozen=True, eq=False)
 class ClipResult:
-    """Everything that `paceline speed` found out about a clip."""
+    """The results of `paceline speed` for one clip."""
 
     clip: str
     measurements: list[Measurement]

@@ -1,8 +1,7 @@
-"""One vehicle through a clip: tracked frame by frame, refined at the end, and judged."""
+"""One vehicle's measurement: tracked frame by frame, refined at the end, accepted or rejected."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -21,22 +20,21 @@ from paceline.speed.filter.tracker import MIN_REFERENCE_SIMILARITY, MIN_VISIBLE_
 from paceline.speed.geometry import paths
 from paceline.speed.geometry.initial_plane import plane_across, plane_from_outlines
 from paceline.speed.geometry.paths import Path
-from paceline.speed.refinement.keyframes import Glimpse
+from paceline.speed.methods import OnEstimate
+from paceline.speed.refinement.keyframes import Keyframe
 from paceline.speed.refinement.model_selection import RefinedMotion, refine
-from paceline.speed.refinement.path_deviation import way_of
-from paceline.speed.refinement.self_calibration import RigFit
+from paceline.speed.refinement.path_deviation import deviation_of
+from paceline.speed.refinement.self_calibration import RigEstimate
 from paceline.speed.refinement.trajectory import Trajectory
-from paceline.speed.results import CONFIDENCE, Measurement, RigTold, Track
+from paceline.speed.results import CONFIDENCE_LEVEL, Measurement, RigInformation, Track
 from paceline.verdicts import Message, message, plural
 
-Seen = Callable[[str, Estimate], None]
-
-MARGIN = (0.6, 24.0)  # kept about a region, as a share of its size and in pixels
-BESIDE = 15.0  # m from a vehicle, beyond which a path is not the one it drives on
+CROP_MARGIN = (0.6, 24.0)  # around a region, as a share of its size and in px
+MAX_PATH_DISTANCE_M = 15.0  # between a vehicle and its path
 
 
-class VehicleRun:
-    """One vehicle on its way through the clip."""
+class VehicleMeasurement:
+    """One vehicle of a clip, frame by frame."""
 
     def __init__(
         self,
@@ -45,9 +43,9 @@ class VehicleRun:
         drawn: dict[str, Path],
         configuration: SpeedConfiguration,
         fleet: TrackerBatch,
-        seen: Seen | None = None,
+        on_estimate: OnEstimate | None = None,
     ) -> None:
-        self.fleet, self.seen = fleet, seen
+        self.fleet, self.on_estimate = fleet, on_estimate
         self.rig, self.vehicle, self.configuration = clip.rig, vehicle, configuration
         self.limits = configuration.limits
         on_path = vehicle.path if vehicle.path in drawn else None
@@ -58,45 +56,46 @@ class VehicleRun:
             centre = self.tracker.plane.centre
             nearest = [way.at(np.array(way.nearest(centre))) for way in self.tracker.ways]
             beside = min(float(np.linalg.norm(place - centre)) for place in nearest)
-            if not beside < BESIDE:
+            if not beside < MAX_PATH_DISTANCE_M:
                 raise UnusableInput(
                     f"{clip.path}: paths.{on_path}: passes {beside:.0f} m beside vehicle {vehicle.id}; "
                     "expected a line along which it drives, and lateral_offset in metres"
                 )
         self.estimates: list[Estimate] = []
-        self.glimpses: list[Glimpse] = []
-        self._stride, self._passing = 1, False  # frames from one kept to the next; whether the last one is beside these
+        self.keyframes: list[Keyframe] = []
+        self._stride = 1  # frames from one keyframe to the next
+        self._last_is_extra = False  # whether the last keyframe is beside this stride
 
-    def see(self, frame: StereoFrame) -> bool:
-        """Follow the vehicle into ``frame``; whether it can be followed further."""
+    def process(self, frame: StereoFrame) -> bool:
+        """Track the vehicle into ``frame``; False where the track ends."""
         estimate = self.fleet.update(self.tracker, frame)
         self.estimates.append(estimate)
-        if self.seen is not None:
-            self.seen(self.vehicle.id, estimate)
+        if self.on_estimate is not None:
+            self.on_estimate(self.vehicle.id, estimate)
         if (
             estimate.status == "tracking"
             and estimate.similarity >= MIN_VISIBLE_SIMILARITY
             and self.configuration.refine
         ):
-            self._keep(frame, estimate)
+            self._add_keyframe(frame, estimate)
         return estimate.status == "tracking"
 
-    def _keep(self, frame: StereoFrame, estimate: Estimate) -> None:
-        """Keep what evenly spread frames show, and the last one, to which the mean speed is counted."""
+    def _add_keyframe(self, frame: StereoFrame, estimate: Estimate) -> None:
+        """Keep evenly spread frames, and the last one, at which the mean speed ends."""
         quads = np.stack([estimate.left, estimate.right])
-        crops, corners = zip(*(_crop(i, q) for i, q in zip((frame.left, frame.right), quads, strict=True)), strict=True)
+        crops, origins = zip(*(_crop(i, q) for i, q in zip((frame.left, frame.right), quads, strict=True)), strict=True)
         half = 0.5 * frame.skew
         times = (frame.time - half, frame.time + half)
-        if self._passing:
-            self.glimpses.pop()
-        self.glimpses.append(Glimpse(frame.index, times, crops, np.stack(corners), quads))
-        self._passing = (len(self.estimates) - 1) % self._stride > 0
-        if len(self.glimpses) > self.configuration.refinement.max_keyframes and not self._passing:
-            self.glimpses, self._stride = self.glimpses[::2], 2 * self._stride
+        if self._last_is_extra:
+            self.keyframes.pop()
+        self.keyframes.append(Keyframe(frame.index, times, crops, np.stack(origins), quads))
+        self._last_is_extra = (len(self.estimates) - 1) % self._stride > 0
+        if len(self.keyframes) > self.configuration.refinement.max_keyframes and not self._last_is_extra:
+            self.keyframes, self._stride = self.keyframes[::2], 2 * self._stride
 
     def result(self) -> Measurement:
-        """The measurement, refined where enough was seen."""
-        self.estimates = _until_hidden(self.estimates)
+        """The measurement, refined unless the configuration or the track forbids it."""
+        self.estimates = _lost_after_occlusion(self.estimates)
         tracked = [e for e in self.estimates if e.status == "tracking"]
         last = self.estimates[-1].status if self.estimates else "tracking"
         if few := verdict.check_frames(last, len(tracked), self.limits):
@@ -112,22 +111,22 @@ class VehicleRun:
         try:
             refined = self._refined()
             while (
-                self.limits.min_frames <= (kept := verdict.frames_to_refit(refined, self.limits)) < len(self.glimpses)
+                self.limits.min_frames <= (kept := verdict.frames_to_refit(refined, self.limits)) < len(self.keyframes)
             ):
-                self.glimpses = self.glimpses[:kept]
-                self.estimates = _lost_after(self.estimates, self.glimpses[-1].frame)
+                self.keyframes = self.keyframes[:kept]
+                self.estimates = _lost_after(self.estimates, self.keyframes[-1].frame)
                 refined = self._refined()
         except np.linalg.LinAlgError:
             return self._rejected(message("too_little_texture", test="the equations of its motion are singular"))
-        return self._judged(refined, sum(e.status == "tracking" for e in self.estimates))
+        return self._measured(refined, sum(e.status == "tracking" for e in self.estimates))
 
     def _refined(self) -> RefinedMotion:
         speed = float(np.mean([e.speed for e in self.estimates[1:] if e.status == "tracking"]))
-        return refine(self._trajectory(speed), self.glimpses, speed, self.path is not None)
+        return refine(self._trajectory(speed), self.keyframes, speed, self.path is not None)
 
     def _trajectory(self, speed: float) -> Trajectory:
-        """The outline and the way it goes: the path in the sense of travel, or straight on as the filter saw it."""
-        first = self.glimpses[0]
+        """The outline's motion model: along the path in the direction of travel, or straight as the filter has it."""
+        first = self.keyframes[0]
         path = self.tracker.path
         if path is None:
             places = np.array([e.position for e in self.estimates if e.status == "tracking"])
@@ -136,34 +135,36 @@ class VehicleRun:
             plane = plane_across(self.tracker.plane, path.frames(path.s[:1])[0, :, 0])
         else:
             plane = plane_from_outlines(self.rig, self.vehicle, path, self.configuration.click_sigma)
-        times = np.array([g.times for g in self.glimpses]) - np.mean(first.times)
-        way = way_of(path, plane, times, speed, self.path is not None)
-        return Trajectory(self.rig, self.vehicle.left, plane, path, times, way)
+        times = np.array([k.times for k in self.keyframes]) - np.mean(first.times)
+        deviation = deviation_of(path, plane, times, speed, self.path is not None)
+        return Trajectory(self.rig, self.vehicle.left, plane, path, times, deviation)
 
-    def _judged(self, refined: RefinedMotion, frames: int) -> Measurement:
-        speed, noise_std, doubt_std, systematic_std = refined.mean_speed()
-        random_std = float(np.hypot(noise_std, doubt_std))
-        # the noise is judged by few frames and patches; the other two are what they are
-        usual, wider = ndtri(0.5 + CONFIDENCE / 2), stdtrit(refined.dof, 0.5 + CONFIDENCE / 2)
-        own = float(np.hypot(wider * noise_std, usual * doubt_std))
-        half = float(np.hypot(own, usual * np.nan_to_num(systematic_std)))
-        reason = verdict.check_refined(refined, speed, half, self.limits) or verdict.check_outline(
+    def _measured(self, refined: RefinedMotion, frames: int) -> Measurement:
+        speed, noise_std, model_std, systematic_std = refined.mean_speed()
+        random_std = float(np.hypot(noise_std, model_std))
+        # Student's distribution for the noise, which is estimated from few frames and patches
+        normal, student = ndtri(0.5 + CONFIDENCE_LEVEL / 2), stdtrit(refined.dof, 0.5 + CONFIDENCE_LEVEL / 2)
+        random = float(np.hypot(student * noise_std, normal * model_std))
+        half_width = float(np.hypot(random, normal * np.nan_to_num(systematic_std)))
+        reason = verdict.check_refined(refined, speed, half_width, self.limits) or verdict.check_outline(
             refined, self.vehicle.right, self.configuration.click_sigma, self.limits
         )
-        rig = None if reason or refined.rig_fit is None else self._told(refined, refined.rig_fit, wider)
-        reason = reason or verdict.check_interval(speed, half, own, self.limits)
+        fit = refined.rig_estimate
+        rig_information = None if reason or fit is None else self._rig_information(refined, fit, student)
+        reason = reason or verdict.check_interval(speed, half_width, random, self.limits)
         speeds, times = refined.speeds()[0], refined.trajectory.times.mean(1)
         acceleration = float((speeds[-1] - speeds[0]) / (times[-1] - times[0]))
-        accelerating = {"acceleration", "surge"} & {*refined.motion_terms}
+        terms = refined.motion_terms
+        accelerating = {"acceleration", "varying_acceleration"} & {*terms}
         model = "constant acceleration" if accelerating else "constant speed"
-        model = "changing acceleration" if "surge" in refined.motion_terms else model
-        model += ", turning" * ("turn" in refined.motion_terms) + ", swerving" * ("swerve" in refined.motion_terms)
+        model = "changing acceleration" if "varying_acceleration" in terms else model
+        model += ", turning" * ("curvature" in terms) + ", swerving" * ("lane_change" in terms)
         return Measurement(
             vehicle=self.vehicle.id,
             track=self._track(refined),
             speed=speed,
-            speed_lo=speed - half,
-            speed_hi=speed + half,
+            speed_lo=speed - half_width,
+            speed_hi=speed + half_width,
             random_std=random_std,
             systematic_std=systematic_std,
             frames=frames,
@@ -174,29 +175,29 @@ class VehicleRun:
             acceleration=acceleration if accelerating else float("nan"),
             residual_rms=refined.residual_rms,
             notices=self._notices(refined),
-            calibrated_by=int(refined.rig_fit is not None),
-            rig=rig,
+            calibrated_by=int(fit is not None),
+            rig_information=rig_information,
         )
 
-    def _told(self, refined: RefinedMotion, fit: RigFit, wider: float) -> RigTold:
-        """What the fit tells of the rig, and its speeds if that were known; their noise is ``wider`` than it seems."""
-        mean, shares = refined.trajectory.mean_speed_shares, refined.trajectory.speed_shares
-        noise, doubt = (float(np.sqrt(mean @ C @ mean)) for C in (fit.covariance, refined.model_covariance))
-        variances = np.einsum("fi,ij,fj->f", shares, fit.covariance + refined.model_covariance, shares)
-        return RigTold(
-            moves=fit.moves,
+    def _rig_information(self, refined: RefinedMotion, fit: RigEstimate, student: float) -> RigInformation:
+        """What the images determine of the rig; ``student`` is the quantile for the noise's interval."""
+        mean, each = refined.trajectory.mean_speed_gradient, refined.trajectory.speed_jacobian
+        noise, model = (float(np.sqrt(mean @ C @ mean)) for C in (fit.covariance, refined.model_covariance))
+        variances = np.einsum("fi,ij,fj->f", each, fit.covariance + refined.model_covariance, each)
+        return RigInformation(
+            offset=fit.offset,
             information=fit.information,
-            speed=mean @ fit.response,
-            std=float(np.hypot(noise, doubt)),
-            half=float(np.hypot(wider * noise, ndtri(0.5 + CONFIDENCE / 2) * doubt)),
-            speeds=self._by_row(shares @ fit.response),
-            stds=self._by_row(np.sqrt(variances)),
+            mean_speed_gradient=mean @ fit.response,
+            mean_speed_std=float(np.hypot(noise, model)),
+            half_width=float(np.hypot(student * noise, ndtri(0.5 + CONFIDENCE_LEVEL / 2) * model)),
+            speed_jacobian=self._by_row(each @ fit.response),
+            speed_stds=self._by_row(np.sqrt(variances)),
         )
 
     def _by_row(self, fitted: Array) -> Array:
-        """What is ``fitted`` (F, …) at the frames that were kept, by the rows of the track: NaN at the others."""
+        """``fitted`` (F, …) at the keyframes, by the rows of the track: NaN at other frames."""
         rows = np.full((len(self.estimates), *fitted.shape[1:]), np.nan)
-        kept = {g.frame: i for i, g in enumerate(self.glimpses)}
+        kept = {k.frame: i for i, k in enumerate(self.keyframes)}
         for row, e in enumerate(self.estimates):
             if e.frame in kept:
                 rows[row] = fitted[kept[e.frame]]
@@ -215,18 +216,18 @@ class VehicleRun:
         return notices
 
     def _from_filter(self, tracked: list[Estimate]) -> Measurement:
-        """Without refinement: the filter's speeds, averaged by what they claim to know, and how much they do."""
+        """Without refinement: the filter's speeds, weighted by their information."""
         speeds = np.array([e.speed for e in tracked[1:]])
         information = 1.0 / np.array([e.speed_std for e in tracked[1:]]) ** 2
         speed, std = float(np.average(speeds, weights=information)), float(1.0 / np.sqrt(information.mean()))
-        half = float(ndtri(0.5 + CONFIDENCE / 2)) * std
-        reason = verdict.check_interval(speed, half, limits=self.limits)
+        half_width = float(ndtri(0.5 + CONFIDENCE_LEVEL / 2)) * std
+        reason = verdict.check_interval(speed, half_width, limits=self.limits)
         return Measurement(
             vehicle=self.vehicle.id,
             track=self._track(None),
             speed=speed,
-            speed_lo=speed - half,
-            speed_hi=speed + half,
+            speed_lo=speed - half_width,
+            speed_hi=speed + half_width,
             random_std=std,
             systematic_std=float("nan"),
             frames=len(tracked),
@@ -267,21 +268,21 @@ class VehicleRun:
         )
 
 
-def _until_hidden(estimates: list[Estimate]) -> list[Estimate]:
-    """``estimates`` with those ``lost`` that come after the last frame in which the vehicle was in view."""
+def _lost_after_occlusion(estimates: list[Estimate]) -> list[Estimate]:
+    """``estimates`` with those ``lost`` that come after the last frame in which the vehicle was visible."""
     seen = [e.frame for e in estimates if e.status == "tracking" and e.similarity >= MIN_VISIBLE_SIMILARITY]
     return _lost_after(estimates, max(seen, default=-1))
 
 
 def _lost_after(estimates: list[Estimate], frame: int) -> list[Estimate]:
-    """``estimates`` with those ``lost`` that come after ``frame``: the mean speed is that of the frames before."""
+    """``estimates`` with those after ``frame`` marked as ``lost``."""
     return [replace(e, status="lost") if e.frame > frame and e.status == "tracking" else e for e in estimates]
 
 
 def _crop(image: NDArray[np.float32], quad: Array) -> tuple[NDArray[np.float32], Array]:
-    """The picture about ``quad`` (4, 2) with a margin, and its first pixel (2,)."""
+    """The image around ``quad`` (4, 2) px with a margin, and its first pixel (2,)."""
     low, high = quad.min(0), quad.max(0)
-    margin = MARGIN[0] * (high - low).max() + MARGIN[1]
+    margin = CROP_MARGIN[0] * (high - low).max() + CROP_MARGIN[1]
     x0, y0 = np.maximum(np.floor(low - margin), 0).astype(int)
     x1, y1 = np.ceil(high + margin).astype(int)
     return image[y0:y1, x0:x1].copy(), np.array([x0, y0], float)

@@ -34,8 +34,8 @@ from paceline.recordings.background import FRAMES, Background, background_of, no
 from paceline.recordings.live_stereo import LiveViews, RawPair, undistorted
 from paceline.recordings.stereo import StereoFrame
 from paceline.speed.configuration import SpeedConfiguration
-from paceline.speed.joint_calibration import among
-from paceline.speed.measurement import measure, refuse_one_view
+from paceline.speed.joint_calibration import with_neighbours
+from paceline.speed.measurement import measure, require_two_views
 from paceline.speed.results import Measurement
 from paceline.speed.verdict import apply_tolerance
 from paceline.verdicts import Message, message
@@ -175,7 +175,7 @@ def _begun(clip: Clip, pairs: Iterator[RawPair]) -> StereoFrame:
     frame = next(in_ideal_pixels(pairs, clip), None)
     if frame is None:
         raise UnusableInput(f"{clip.path}: left and right: ended before they showed anything")
-    refuse_one_view(clip, frame)
+    require_two_views(clip, frame)
     return frame
 
 
@@ -185,7 +185,7 @@ def _learned(clip: Clip, pairs: Iterator[RawPair], learning: float) -> Backgroun
     begun, due = None, 0.0
     for frame in in_ideal_pixels(pairs, clip):
         if begun is None:
-            refuse_one_view(clip, frame)
+            require_two_views(clip, frame)
             begun = frame.time
         passed = frame.time - begun
         if passed >= due and not frame.duplicate:
@@ -300,8 +300,8 @@ class _Desk:
 
     def _put_right(self, m: Measurement) -> Measurement:
         """``m`` with what the latest vehicles tell of the rig, too."""
-        right = apply_tolerance(among(m, self._latest, self._configuration), self._configuration.tolerance)
-        if m.rig is not None:
+        right = apply_tolerance(with_neighbours(m, self._latest, self._configuration), self._configuration.tolerance)
+        if m.rig_information is not None:
             self._latest.append(m)
         return right
 

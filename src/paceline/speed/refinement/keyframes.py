@@ -1,4 +1,4 @@
-"""The frames that the refinement compares: what it keeps of each."""
+"""Keyframes: the frames that the refinement compares, cropped to the vehicle."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from paceline.arrays import Array, Floats
 
 
 @dataclass(frozen=True, eq=False)
-class Glimpse:
-    """What the refinement keeps of one frame: both images about the vehicle, and the filter's regions there."""
+class Keyframe:
+    """One frame: both images cropped around the vehicle, and its quadrilaterals from the filter."""
 
     frame: int
     times: tuple[float, float]  # s, each view's exposure
     crops: tuple[Floats, Floats]
-    corners: Array  # (2, 2) first pixel of each crop
+    origins: Array  # (2, 2) the first pixel of each crop in its image
     quads: Array  # (2, 4, 2) px, of the filter

@@ -1,8 +1,4 @@
-"""Joint estimation of a vehicle's motion from its whole track, both views, all frames.
-
-Depth, speed, the path's direction and the plane's normal are found so that all pictures agree
-(`speed/refinement/photometric_fit.py`), by the model of the motion that the evidence speaks for.
-"""
+"""Refinement: one photometric fit to all keyframes and both views, with Bayesian selection of the motion model."""
 
 from __future__ import annotations
 
@@ -11,20 +7,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from paceline.arrays import Array
-from paceline.speed.refinement.keyframes import Glimpse
-from paceline.speed.refinement.photometric_fit import NEGLIGIBLE, RARE, Fit
-from paceline.speed.refinement.self_calibration import RigFit
-from paceline.speed.refinement.trajectory import EXTRAS, Trajectory, prior
+from paceline.speed.refinement.keyframes import Keyframe
+from paceline.speed.refinement.photometric_fit import MIN_LOG_ODDS, MIN_MODEL_PROBABILITY, PhotometricFit
+from paceline.speed.refinement.self_calibration import RigEstimate
+from paceline.speed.refinement.trajectory import MOTION_TERMS, Trajectory, prior
 
-LEAST_GLIMPSES = 5  # for a choice among models
+MIN_KEYFRAMES = 5  # for model selection
 
 
 @dataclass(frozen=True, eq=False)
 class RefinedMotion:
     """The refined motion: F frames, n parameters, Q directions in which the rig may shift.
 
-    ``trajectory`` has the rig as it was corrected. ``rig_fit`` is what the images determine of the rig, None where it
-    is fixed. ``rig_shift_sigma`` (Q,) are the rig's shifts over the standard deviations that they have if the
+    ``trajectory`` has the rig as it was corrected. ``rig_estimate`` is what the images determine of the rig, None where
+    it is fixed. ``rig_shift_sigma`` (Q,) are the rig's shifts over the standard deviations that they have if the
     calibration is as uncertain as rig.yaml states.
 
     Three covariances (n, n) of ``theta`` (n,) add up: ``covariance`` from image noise, ``model_covariance`` from the
@@ -42,83 +38,81 @@ class RefinedMotion:
     covariance: Array
     model_covariance: Array
     systematic_covariance: Array
-    rig_fit: RigFit | None
+    rig_estimate: RigEstimate | None
     residual_rms: float
     contrast: float
     offsets: Array
     explained_share: Array
     motion_terms: tuple[str, ...]  # of MOTION_TERMS, chosen by their evidence
-    deviation_sigma: (
-        float  # rms over the modes of its own way, in standard deviations of what roads and drivers make likely
-    )
+    deviation_sigma: float  # RMS over the modes of the deviation from the path, in prior standard deviations
     dof: float
     converged: bool
 
     def speeds(self) -> tuple[Array, Array]:
-        """Speed (F,) at every frame and its standard deviation (F,), the systematic part, where known, included."""
-        g = self.trajectory.speed_shares
+        """Speed (F,) at every frame and its standard deviation (F,), systematic part included where known; m/s."""
+        g = self.trajectory.speed_jacobian
         total = self.covariance + self.model_covariance + np.nan_to_num(self.systematic_covariance)
         return g @ self.theta, np.sqrt(np.einsum("fi,ij,fj->f", g, total, g))
 
     def mean_speed(self) -> tuple[float, float, float, float]:
-        """Distance over time, and its standard deviations: random, of the model's choice, and systematic."""
-        g = self.trajectory.mean_speed_shares
-        random, doubt, systematic = (
-            float(np.sqrt(g @ C @ g)) for C in (self.covariance, self.model_covariance, self.systematic_covariance)
-        )
-        return float(g @ self.theta), random, doubt, systematic
+        """The mean speed and its standard deviations from noise, model choice and calibration; m/s."""
+        g = self.trajectory.mean_speed_gradient
+        covariances = self.covariance, self.model_covariance, self.systematic_covariance
+        noise, model, systematic = (float(np.sqrt(g @ C @ g)) for C in covariances)
+        return float(g @ self.theta), noise, model, systematic
 
 
-def refine(trajectory: Trajectory, glimpses: list[Glimpse], speed: float, on_path: bool) -> RefinedMotion:
-    """The motion that all ``glimpses`` agree on.
+def refine(trajectory: Trajectory, keyframes: list[Keyframe], speed: float, on_path: bool) -> RefinedMotion:
+    """Fit one motion to all ``keyframes``.
 
-    ``trajectory`` carries the operator's outline along the path, ``speed`` (m/s) is the filter's mean. Constant speed
-    along the path, unless the evidence speaks for a constant acceleration, for swerving — a change of lane — on a path
-    for an acceleration that changes, or, without one, for a turn. Raises numpy.linalg.LinAlgError where the images
-    determine nothing.
+    ``trajectory`` moves the operator's outline along the path; ``speed`` (m/s) is the filter's mean. The model is
+    constant speed along the path; terms for a constant acceleration, a lane change and, on a path, a varying
+    acceleration or, without one, a curvature are added where their Bayes factors outweigh the prior odds. Raises
+    numpy.linalg.LinAlgError where the images determine nothing.
     """
-    fit = Fit(trajectory, glimpses, prior(trajectory, speed)).with_rig_free()
-    extras: tuple[str, ...] = ()
-    possible = {*EXTRAS} - ({"turn"} if on_path else {"surge"})
-    others: list[tuple[float, Fit]] = []
-    rare = RARE
-    while len(glimpses) >= LEAST_GLIMPSES:
-        richer = {e: fit.extended(prior(trajectory, speed, (*extras, e)), e) for e in sorted(possible - {*extras})}
+    fit = PhotometricFit(trajectory, keyframes, prior(trajectory, speed)).with_free_rig()
+    terms: tuple[str, ...] = ()
+    excluded = "curvature" if on_path else "varying_acceleration"
+    others: list[tuple[float, PhotometricFit]] = []
+    log_odds = MIN_LOG_ODDS
+    while len(keyframes) >= MIN_KEYFRAMES:
+        added = [t for t in MOTION_TERMS if t != excluded and t not in terms]
+        richer = {t: fit.with_term(prior(trajectory, speed, (*terms, t)), t) for t in added}
         others = list(richer.values())
-        convincing = {e for e in richer if richer[e][0] >= rare}
-        if "acceleration" in convincing:  # whether it changes is the next question
-            convincing -= {"surge"}
-        best = max(sorted(convincing), key=lambda e: richer[e][0], default=None)
+        convincing = [t for t in richer if richer[t][0] >= log_odds]
+        if "acceleration" in convincing:  # whether it varies is tested in the next round
+            convincing = [t for t in convincing if t != "varying_acceleration"]
+        best = max(convincing, key=lambda t: richer[t][0], default=None)
         if best is None:
             break
-        extras, fit = (*extras, best), richer[best][1]
-        rare += RARE
-    chosen, fit = fit, fit.with_drift()
-    moves, theta, variance = fit.over_layouts()
-    less = variance / fit.variance
-    # a model not chosen may be the true one all the same: as likely as the evidence leaves it
-    odds = np.exp([0.0, *(evidence - rare for evidence, _ in others)])
-    odds /= odds.sum()
-    covariance, known = odds[0] * fit.whole_covariance, odds[0] * fit.covariance_by_rig
-    doubt = np.zeros_like(covariance)
-    for likely, (_, other) in zip(odds[1:], others, strict=True):
-        if likely > NEGLIGIBLE:
-            apart = other.theta - chosen.theta
-            covariance += likely * other.whole_covariance
-            known += likely * other.covariance_by_rig
-            doubt += likely * np.outer(apart, apart)
+        terms, fit = (*terms, best), richer[best][1]
+        log_odds += MIN_LOG_ODDS
+    chosen, fit = fit, fit.with_view_dependence()
+    offset, theta, variance = fit.average_over_grids()
+    reduction = variance / fit.mean_speed_variance
+    # Bayesian model averaging: a model that was not chosen keeps its posterior probability
+    probabilities = np.exp([0.0, *(evidence - log_odds for evidence, _ in others)])
+    probabilities /= probabilities.sum()
+    covariance, given_rig = probabilities[0] * fit.full_covariance, probabilities[0] * fit.covariance_given_rig
+    model_covariance = np.zeros_like(covariance)
+    for probability, (_, other) in zip(probabilities[1:], others, strict=True):
+        if probability > MIN_MODEL_PROBABILITY:
+            difference = other.theta - chosen.theta
+            covariance += probability * other.full_covariance
+            given_rig += probability * other.covariance_given_rig
+            model_covariance += probability * np.outer(difference, difference)
     return RefinedMotion(
-        fit.trajectory_by(moves),
+        fit.trajectory_with(offset),
         fit.rig_shift_sigma,
         theta,
-        less * covariance,
-        doubt,
+        reduction * covariance,
+        model_covariance,
         fit.systematic_covariance,
-        fit.rig_fit(moves, less * known),
+        fit.rig_estimate(offset, reduction * given_rig),
         fit.residual_rms,
         fit.contrast,
-        *fit.agreement(),
-        extras,
+        *fit.residual_offsets(),
+        terms,
         fit.deviation_sigma,
         fit.dof,
         fit.converged,

@@ -1,4 +1,4 @@
-"""How a vehicle departs from the drawn path: what its reconstruction leaves open, and how drivers drive."""
+"""Deviation of a vehicle's own path from the drawn one: reconstruction errors and drivers' lane keeping."""
 
 from __future__ import annotations
 
@@ -13,58 +13,55 @@ from paceline.arrays import Array
 from paceline.speed.geometry.initial_plane import InitialPlane
 from paceline.speed.geometry.paths import LANE_KEEPING_STD, Path
 
-# How a driver departs from the path of the lane, one sigma of each term of a polynomial in the distance: heading in
-# rad, curvature (lane keeping) in 1/m, and so on
-DRIVER = {"yaw": (LANE_KEEPING_STD[0], 3e-4, 1e-5, 1e-7), "pitch": (LANE_KEEPING_STD[1], 1e-4, 1e-6)}
-# Without a path the direction is what the filter found, no better than this; a turn is another model
-UNGUIDED = {"yaw": (np.radians(15.0), 3e-4), "pitch": (np.radians(5.0), 1e-4)}
-FARTHER, LEAST_WAY = 1.1, 5.0  # times as far as at the speed given, and m: the way whose bends are asked for
-LEAST_BEND = 1e-4  # rad, rms: a bend below moves nothing by a pixel's hundredth
-SWERVING = 0.1, 8.0  # rad, m: the heading of a vehicle that changes lane, and over what distance it changes
-WEAVING = 0.01, 10.0  # the same of a driver who keeps his lane round a bend
-LEAST_SHARE = 0.01  # of the heading's standard deviation: a mode with less is left out
+# Standard deviations of a polynomial in the distance: heading (rad), curvature (1/m), and its derivatives
+DRIVER_PRIOR = {"yaw": (LANE_KEEPING_STD[0], 3e-4, 1e-5, 1e-7), "pitch": (LANE_KEEPING_STD[1], 1e-4, 1e-6)}
+# The same without a path, where the direction comes from the filter; a turn is a motion term of its own
+FREE_DIRECTION_PRIOR = {"yaw": (np.radians(15.0), 3e-4), "pitch": (np.radians(5.0), 1e-4)}
+LENGTH_FACTOR = 1.1  # of the modelled path over the distance at the given speed
+MIN_LENGTH_M = 5.0  # of the modelled path
+MIN_MODE_RAD = 1e-4  # RMS; smaller modes move the image by less than 0.01 px
+LANE_CHANGE_GP = 0.1, 8.0  # heading during a lane change: standard deviation in rad, correlation length in m
+LANE_KEEPING_GP = 0.01, 10.0  # the same for lane keeping on a bend
+MIN_MODE_SHARE = 0.01  # of a process's standard deviation; smaller modes are left out
 
 
 @dataclass(frozen=True, eq=False)
-class Bends:
-    """How a vehicle's own path may turn away from the drawn one: independent modes of one standard deviation each.
+class PathDeviation:
+    """Independent modes by which a vehicle's path may deviate from the drawn one, of standard deviation 1 each.
 
-    ``u`` (N,) are distances from where the vehicle was first seen, ``modes`` (K, 2, N) the changes of yaw, to the
-    right, and of pitch, downwards, in radians. The last ``swerves`` of them are those of a vehicle that leaves its
-    lane.
+    ``u`` (N,) m are distances from where the vehicle was first seen, ``modes`` (K, 2, N) rad the changes of yaw, to the
+    right, and of pitch, downwards. The last ``lane_change_modes`` of them belong to lane changes.
     """
 
     u: Array
     modes: Array
-    swerves: int
+    lane_change_modes: int
 
     @cached_property
     def _spline(self) -> CubicSpline:
         return CubicSpline(self.u, np.moveaxis(self.modes, -1, 0))
 
-    def turns(self, amplitudes: Array, u: Array) -> Array:
-        """Yaw and pitch (2, …, M), by ``amplitudes`` (…, K), at distances ``u`` (M,); beyond what was foreseen they
-        stay as they are there."""
+    def angles(self, amplitudes: Array, u: Array) -> Array:
+        """Yaw and pitch (2, …, M) rad by ``amplitudes`` (…, K) at distances ``u`` (M,); constant outside ``self.u``."""
         at = self._spline(np.clip(u, self.u[0], self.u[-1]))
         return np.asarray(np.moveaxis(np.tensordot(amplitudes, at, (-1, 1)), -1, 0))
 
 
-def way_of(path: Path, plane: InitialPlane, times: Array, speed: float, on_path: bool) -> Bends:
-    """The bends of the way that a ``plane`` goes along ``path`` at about ``speed``, m/s, in ``times`` (F, 2), s."""
-    length = FARTHER * speed * float(np.ptp(times))
-    return bends(path, path.nearest(plane.centre), max(length, LEAST_WAY), on_path)
+def deviation_of(path: Path, plane: InitialPlane, times: Array, speed: float, on_path: bool) -> PathDeviation:
+    """The `PathDeviation` of a ``plane`` that moves along ``path`` at about ``speed`` (m/s) for ``times`` (F, 2) s."""
+    length = LENGTH_FACTOR * speed * float(np.ptp(times))
+    return deviation_modes(path, path.nearest(plane.centre), max(length, MIN_LENGTH_M), on_path)
 
 
-def bends(path: Path, start: float, length: float, on_path: bool) -> Bends:
-    """The bends of a vehicle that drives ``length`` metres along ``path`` from arc length ``start``.
+def deviation_modes(path: Path, start: float, length: float, on_path: bool) -> PathDeviation:
+    """The `PathDeviation` over ``length`` metres of ``path`` from arc length ``start``.
 
-    They are the principal components of what the path's reconstruction leaves open and of how drivers keep to a lane.
-    No polynomial does: the reconstruction errs in many ways, and what a bend of the model cannot follow is taken for
-    a change of depth, so of speed.
+    The modes are the principal components of the path's reconstruction error and of lane keeping. A polynomial of the
+    heading is not enough: what it cannot follow biases the depth, so the speed.
     """
     u = np.linspace(-1.0, length + 1.0, 81)
     orders = (4, 3) if path.shape == "curve" else (2, 2)
-    driver = DRIVER if on_path else UNGUIDED
+    driver = DRIVER_PRIOR if on_path else FREE_DIRECTION_PRIOR
     modes = [
         sigma * np.outer(axis, u**k / factorial(k))
         for axis, order, sigmas in zip(np.eye(2), orders, driver.values(), strict=True)
@@ -73,25 +70,25 @@ def bends(path: Path, start: float, length: float, on_path: bool) -> Bends:
     if on_path:
         modes += list(np.stack(path.heading_modes(start + u), axis=1))
     if path.shape == "curve":
-        modes += list(_wandering(u, *WEAVING))
+        modes += list(_yaw_process_modes(u, *LANE_KEEPING_GP))
     _, size, shapes = np.linalg.svd(np.reshape(modes, (len(modes), -1)), full_matrices=False)
-    keep = size > LEAST_BEND * np.sqrt(len(u))
+    keep = size > MIN_MODE_RAD * np.sqrt(len(u))
     kept = (size[keep, None] * shapes[keep]).reshape(-1, 2, len(u))
-    swerves = _wandering(u, *SWERVING)
-    return Bends(u, np.concatenate([kept, swerves]), len(swerves))
+    lane_change = _yaw_process_modes(u, *LANE_CHANGE_GP)
+    return PathDeviation(u, np.concatenate([kept, lane_change]), len(lane_change))
 
 
-def _wandering(u: Array, sigma: float, length: float) -> Array:
-    """Modes (S, 2, N) of a yaw that changes smoothly over the distance ``u`` (N,): of ``sigma`` rad, over ``length``
+def _yaw_process_modes(u: Array, sigma: float, length: float) -> Array:
+    """Modes (S, 2, N) of a smooth random yaw over the distance ``u`` (N,): ``sigma`` rad, correlated over ``length``
     m."""
-    yaw = smooth(u, sigma, length)
+    yaw = gaussian_process_modes(u, sigma, length)
     return np.stack([yaw, np.zeros_like(yaw)], axis=1)
 
 
-def smooth(x: Array, sigma: float, scale: float) -> Array:
-    """Modes (S, N), of one standard deviation each, of a Gaussian process over ``x`` (N,) of ``sigma``, smooth over
-    ``scale``."""
+def gaussian_process_modes(x: Array, sigma: float, scale: float) -> Array:
+    """Modes (S, N) of a Gaussian process over ``x`` (N,) with a squared-exponential kernel, of standard deviation 1
+    each."""
     kernel = sigma**2 * np.exp(-0.5 * ((x[:, None] - x) / scale) ** 2)
     variance, shapes = np.linalg.eigh(kernel)
-    keep = variance > (LEAST_SHARE * sigma) ** 2 * len(x)
+    keep = variance > (MIN_MODE_SHARE * sigma) ** 2 * len(x)
     return np.asarray((np.sqrt(variance[keep]) * shapes[:, keep]).T)

@@ -1,13 +1,13 @@
-"""One model of a vehicle's motion, fitted to its whole track in both views by Gauss–Newton on intensities.
+"""Photometric (direct) fit of one motion model to the whole track in both views, by Gauss–Newton on grey values.
 
-One texture of the plane is shared by every frame of both views. It is eliminated exactly (variable projection), each
-patch of each view has its own gain and offset, strips of patches may stand a little before or behind the plane, and a
-patch that does not fit — glare, a pole — loses its say. How the camera's values go as light is found with the motion.
-Last of all, what patches show may drift with the direction that they are seen from. Into which patches the plane is
-divided is arbitrary, and moves the speed by as much as noise does: the motion is the mean over several layouts.
+All frames of both views share one texture of the plane, which is eliminated exactly (variable projection). Each patch
+of each view has its own gain and offset, each row of a patch a small depth offset from the plane, and patches that do
+not fit (glare, a pole) are down-weighted. The camera's gamma is estimated with the motion. At the end the covariance of
+view-dependent appearance is added. The division into patches is arbitrary but changes the speed by as much as noise
+does, so the result is the mean over several patch grids.
 
-Where rig.yaml states how well the cameras are known, that is a prior as well, and no rail: they are moved along with
-the motion. A vehicle that comes nearer tells by how its pictures grow what its disparities ought to be.
+Where rig.yaml states the calibration's uncertainty, the rig is estimated with the motion under that prior: the
+vehicle's growth in the image determines the ratio of its depths, so what its disparities should be.
 """
 
 from __future__ import annotations
@@ -23,387 +23,409 @@ from scipy.optimize import least_squares
 
 from paceline.arrays import Array
 from paceline.speed.refinement import robust_covariance
-from paceline.speed.refinement.keyframes import Glimpse
-from paceline.speed.refinement.pyramid import STRIPS, Band, Layout, bands_of
-from paceline.speed.refinement.self_calibration import FreeRig, RigFit, held
+from paceline.speed.refinement.keyframes import Keyframe
+from paceline.speed.refinement.pyramid import ROWS_PER_PATCH, PatchGrid, PyramidLevel, build_levels
+from paceline.speed.refinement.self_calibration import RigEstimate, RigParameters, fixed_rig
 from paceline.speed.refinement.trajectory import Prior, Trajectory
 
-LEVELS = ((2.5, False), (1.2, False), (0.7, True))  # smoothing at the farthest view, px; whether the finer bands join
-LAYOUTS = Layout(8), Layout(30), Layout(share=(0.8, 1.0)), Layout(share=(1.0, 0.8))  # besides the first one
-RESUMED = 6  # steps of a fit that goes on from another one under wider assumptions, at most
-UNTOLD = 0.05  # share of the variance of a move that pictures have to take away to tell anything of it
-RELAID = 3  # steps of a fit to another layout, at most
-RELIEF = 0.04, 0.05  # m, how far a patch may stand from the plane, and each of its strips from that
-GAMMA = 1.7, 0.6  # γ of a camera, whose values go as light to the power 1 / γ
-GAMMAS = 1.0, 2.4  # the least and the most: what else changes from picture to picture may pass for any
-FIRM = 1e8  # information of what is held
-STEP = 0.1  # standard deviations: converged
-COARSE_STEP = 1.0  # the same before the last level, which starts where this ends
-UNSETTLED = 1.0  # a last step from which no motion can be said to have been found
-MOST_STEPS = 10
-RARE = 3.0  # log odds, 20 to 1, against an extra of the motion before any picture is seen; a second is as rare again
-HELD = 1e-4  # of its usual size: what an extra may be that is not there
-NEGLIGIBLE = 1e-3  # probability of a model that need not be thought of
-# What scores cannot show: errors that all frames and patches share. Measured on rendered clips, benchmarks/accuracy.py.
-CALIBRATION = 1.4
+# Smoothing at the farthest view, px, and whether the finer pyramid levels are used
+LEVEL_SCHEDULE = ((2.5, False), (1.2, False), (0.7, True))
+# Besides the default grid
+PATCH_GRIDS = PatchGrid(8), PatchGrid(30), PatchGrid(share=(0.8, 1.0)), PatchGrid(share=(1.0, 0.8))
+MAX_STEPS = 10
+MAX_RESTART_STEPS = 6  # of a fit that starts from another one with fewer assumptions
+MAX_GRID_STEPS = 3  # of a fit that starts from one on another patch grid
+CONVERGED_STEP_SIGMA = 0.1  # standard deviations
+COARSE_STEP_SIGMA = 1.0  # the same before the last level of the schedule
+MAX_LAST_STEP_SIGMA = 1.0  # a longer last step means that the fit did not converge
+DEPTH_OFFSET_STD_M = 0.04, 0.05  # of a patch from the plane, and of each of its rows from the patch
+GAMMA_PRIOR = 1.7, 0.6  # mean and standard deviation of γ; grey values are light to the power 1 / γ
+GAMMA_RANGE = 1.0, 2.4  # other changes of the image may look like a γ outside
+FIXED_INFORMATION = 1e8  # of a parameter that is held fixed
+MIN_LOG_ODDS = 3.0  # prior odds of 20 to 1 against each further motion term
+ABSENT_TERM_SCALE = 1e-4  # prior standard deviation of an absent motion term over that of a present one
+MIN_MODEL_PROBABILITY = 1e-3  # of a model in the average
+MIN_INFORMATION_SHARE = 0.05  # reduction of a rig direction's variance, from which images determine it
+# For errors that all frames and patches share, which scores cannot show; measured with benchmarks/accuracy.py
+COVARIANCE_FACTOR = 1.4
 
-RELIEF_INFORMATION = np.linalg.inv(np.full((STRIPS, STRIPS), RELIEF[0] ** 2) + RELIEF[1] ** 2 * np.eye(STRIPS))
+DEPTH_OFFSET_INFORMATION = np.linalg.inv(
+    np.full((ROWS_PER_PATCH, ROWS_PER_PATCH), DEPTH_OFFSET_STD_M[0] ** 2)
+    + DEPTH_OFFSET_STD_M[1] ** 2 * np.eye(ROWS_PER_PATCH)
+)
 
 
-class Fit:
-    """One model fitted to the images, coarse to fine, with the rig as it is stated."""
+class PhotometricFit:
+    """One motion model fitted to the images, coarse to fine; at first with the rig of rig.yaml.
 
-    def __init__(self, trajectory: Trajectory, glimpses: list[Glimpse], prior: Prior) -> None:
-        self.trajectory, self.glimpses, self.prior = trajectory, glimpses, prior
-        self._rig = held(trajectory)
-        self.moves = np.zeros(0)  # of the rig, in standard uncertainties
-        self._drifts = False
-        self.theta, self.relief, self.gamma = self._from_filter(), np.zeros((0, STRIPS)), GAMMA[0]
-        for smoothing, fine in LEVELS:
-            self.bands = bands_of(glimpses, trajectory.quads(self.theta), self.gamma, smoothing, fine)
-            if len(self.relief) != self.bands[0].patches:
-                self.relief = _flat(self.bands)
-            self.descend(STEP if fine else COARSE_STEP)
+    Raises numpy.linalg.LinAlgError where the images determine nothing.
+    """
 
-    def extended(self, prior: Prior, extra: str) -> tuple[float, Fit]:
-        """A model that has an ``extra`` too, and the log Bayes factor by which the evidence speaks for it.
+    def __init__(self, trajectory: Trajectory, keyframes: list[Keyframe], prior: Prior) -> None:
+        self.trajectory, self.keyframes, self.prior = trajectory, keyframes, prior
+        self._rig = fixed_rig(trajectory)
+        self.rig_offset = np.zeros(0)  # (Q,) standard uncertainties
+        self._view_dependent = False
+        self.theta, self.depth_offsets, self.gamma = (
+            self._parameters_from_filter(),
+            np.zeros((0, ROWS_PER_PATCH)),
+            GAMMA_PRIOR[0],
+        )
+        for smoothing, fine in LEVEL_SCHEDULE:
+            self.levels = build_levels(keyframes, trajectory.quads(self.theta), self.gamma, smoothing, fine)
+            if len(self.depth_offsets) != self.levels[0].patches:
+                self.depth_offsets = _zero_depth_offsets(self.levels)
+            self.gauss_newton(CONVERGED_STEP_SIGMA if fine else COARSE_STEP_SIGMA)
 
-        Where one step from here finds little that does, it is left there; where it finds much, it is fitted from the
-        beginning, for what this one lacks may have led it astray.
+    def with_term(self, prior: Prior, term: str) -> tuple[float, PhotometricFit]:
+        """The log Bayes factor of the model with a further motion ``term``, and its fit.
+
+        After one step from here where the evidence is clearly against the term. Fitted from the beginning where it is
+        for it, as the lack of the term may have led this fit astray.
         """
-        other = self._resumed()
+        other = self._restarted()
         other.prior = prior
-        other.descend(STEP, most=1)
-        evidence = other._log_evidence(extra, self.prior, 1.0)
-        if evidence < np.log(NEGLIGIBLE):
+        other.gauss_newton(CONVERGED_STEP_SIGMA, most=1)
+        evidence = other._log_evidence(term, self.prior, 1.0)
+        if evidence < np.log(MIN_MODEL_PROBABILITY):
             return evidence, other
-        if evidence > RARE:
-            other = Fit(self._rig.stated, self.glimpses, prior).with_rig_free()
-        return other._log_evidence(extra, self.prior, other._wider), other
+        if evidence > MIN_LOG_ODDS:
+            other = PhotometricFit(self._rig.stated, self.keyframes, prior).with_free_rig()
+        return other._log_evidence(term, self.prior, other._covariance_inflation), other
 
-    def outlined(self, quad: Array, most: int) -> Fit:
-        """The same model fitted to another outline ``quad`` (4, 2) of its plane, px of the first left view, in at most
-        so many steps from here."""
+    def on_outline(self, quad: Array, most: int) -> PhotometricFit:
+        """The same model fitted from here to another outline ``quad`` (4, 2) px of the first left view, in at most
+        ``most`` steps."""
         other = copy(self)
         other.trajectory = replace(self.trajectory, quad=quad)
         other._rig = replace(self._rig, stated=replace(self._rig.stated, quad=quad))
         quads = other.trajectory.quads(self.theta)
-        other._begin_at(self.theta, bands_of(self.glimpses, quads, self.gamma, *LEVELS[-1]))
-        other.descend(STEP, most)
+        other._reset(self.theta, build_levels(self.keyframes, quads, self.gamma, *LEVEL_SCHEDULE[-1]))
+        other.gauss_newton(CONVERGED_STEP_SIGMA, most)
         return other
 
-    def laid_out(self, layout: Layout) -> Fit:
-        """The same model fitted to patches of another ``layout``, from here. Raises numpy.linalg.LinAlgError where
-        these determine nothing."""
+    def on_grid(self, grid: PatchGrid) -> PhotometricFit:
+        """The same model fitted from here on another patch ``grid``. Raises numpy.linalg.LinAlgError where its patches
+        determine nothing."""
         other = copy(self)
-        other._begin_at(self.theta, [band.laid_out(layout) for band in self.bands])
-        other.descend(STEP, RELAID)
+        other._reset(self.theta, [level.on_grid(grid) for level in self.levels])
+        other.gauss_newton(CONVERGED_STEP_SIGMA, MAX_GRID_STEPS)
         return other
 
-    def with_rig_free(self) -> Fit:
-        """The same model with the rig free as far as it is uncertain, from here; itself where the rig states no
-        uncertainty."""
+    def with_free_rig(self) -> PhotometricFit:
+        """The same model fitted from here with the rig under its prior; itself where that states no uncertainty."""
         uncertainty = self.trajectory.rig.uncertainty
         if uncertainty is None:
             return self
-        other = self._resumed()
+        other = self._restarted()
         directions = uncertainty.covariance_root
         directions = directions[directions.any(1)]
-        other.moves = np.zeros(len(directions))
-        # pictures tell less than their pixels' noise makes believe: how much less is seen once the rig misleads no more
+        other.rig_offset = np.zeros(len(directions))
+        # the covariance exceeds that of pixel noise; by how much is only right once the rig is free
         for fit in (self, other):
-            other._rig = FreeRig(self.trajectory, directions, fit._wider)
-            other.descend(STEP, RESUMED)
+            other._rig = RigParameters(self.trajectory, directions, fit._covariance_inflation)
+            other.gauss_newton(CONVERGED_STEP_SIGMA, MAX_RESTART_STEPS)
         return other
 
-    def with_drift(self) -> Fit:
-        """The same model where what the face shows drifts with the direction that it is seen from, from here.
+    def with_view_dependence(self) -> PhotometricFit:
+        """The same model fitted from here with view-dependent appearance.
 
-        It comes last: while the model lacks something, an acceleration or a move of the rig, what that leaves over
-        would pass for a drift.
+        It comes last: any other error of the model, such as a missing acceleration or a wrong rig, would pass for it.
         """
-        other = self._resumed()
-        other._drifts = True
-        other.descend(STEP, RESUMED)
-        if len(self.moves):
-            other._rig = replace(self._rig, firmness=other._wider)
-            other.descend(STEP, RESUMED)
+        other = self._restarted()
+        other._view_dependent = True
+        other.gauss_newton(CONVERGED_STEP_SIGMA, MAX_RESTART_STEPS)
+        if len(self.rig_offset):
+            other._rig = replace(self._rig, prior_weight=other._covariance_inflation)
+            other.gauss_newton(CONVERGED_STEP_SIGMA, MAX_RESTART_STEPS)
         return other
 
-    def over_layouts(self) -> tuple[Array, Array, float]:
-        """The mean over several layouts, each weighed by how well it tells the mean speed: the rig's moves (Q,), the
-        parameters (n,), and the variance of the mean speed, m²/s²."""
+    def average_over_grids(self) -> tuple[Array, Array, float]:
+        """The mean over several patch grids: the rig's offset (Q,), the parameters (n,) and the variance of the mean
+        speed, m²/s²."""
         fits = [self]
-        for layout in LAYOUTS:
+        for grid in PATCH_GRIDS:
             try:
-                other = self.laid_out(layout)
-            except np.linalg.LinAlgError:  # patches too small for what they show: the others tell
+                other = self.on_grid(grid)
+            except np.linalg.LinAlgError:  # its patches are too small for the texture
                 continue
             if other.converged:
                 fits.append(other)
-        speeds = np.array([self.trajectory.mean_speed_shares @ fit.theta for fit in fits])
-        weights, variance = robust_covariance.averaged(speeds, np.array([fit.variance for fit in fits]))
-        moves = weights @ np.array([fit.moves for fit in fits])
+        speeds = np.array([self.trajectory.mean_speed_gradient @ fit.theta for fit in fits])
+        weights, variance = robust_covariance.mean_of_estimates(
+            speeds, np.array([fit.mean_speed_variance for fit in fits])
+        )
+        offset = weights @ np.array([fit.rig_offset for fit in fits])
         theta = weights @ np.array([fit.theta for fit in fits])
-        return moves, theta, variance
+        return offset, theta, variance
 
-    def trajectory_by(self, moves: Array) -> Trajectory:
-        """The trajectory with the rig moved by ``moves`` (Q,), where it is free."""
-        return self._rig.trajectory(moves) if len(moves) else self.trajectory
+    def trajectory_with(self, rig_offset: Array) -> Trajectory:
+        """The trajectory with the rig at ``rig_offset`` (Q,)."""
+        return self._rig.trajectory(rig_offset) if len(rig_offset) else self.trajectory
 
-    def _resumed(self) -> Fit:
-        """A fit that goes on from here, with bands of its own."""
+    def _restarted(self) -> PhotometricFit:
+        """A copy of this fit with pyramid levels of its own."""
         other = copy(self)
-        other._begin_at(self.theta, [copy(band) for band in self.bands], self.relief)
+        other._reset(self.theta, [copy(level) for level in self.levels], self.depth_offsets)
         return other
 
-    def _begin_at(self, theta: Array, bands: list[Band], relief: Array | None = None) -> None:
-        """Take ``bands`` for its own, and begin at ``theta`` (n,), with patches in the plane unless their ``relief``
-        is known."""
-        self.theta, self.bands = theta.copy(), bands
-        self.relief = _flat(bands) if relief is None else relief.copy()
+    def _reset(self, theta: Array, levels: list[PyramidLevel], depth_offsets: Array | None = None) -> None:
+        """Start at ``theta`` (n,) with ``levels``, and with patches in the plane unless ``depth_offsets`` are given."""
+        self.theta, self.levels = theta.copy(), levels
+        self.depth_offsets = _zero_depth_offsets(levels) if depth_offsets is None else depth_offsets.copy()
 
     @property
-    def noise(self) -> float:
-        """Standard deviation of the mean speed, m/s, if the pixels' noise were all. Raises numpy.linalg.LinAlgError
-        where the images do not determine it."""
-        shares = np.zeros(len(self.A))
-        shares[: len(self.prior.free)] = self._mean_speed
+    def noise_std(self) -> float:
+        """Standard deviation of the mean speed (m/s) by pixel noise alone. Raises numpy.linalg.LinAlgError where the
+        images do not determine it."""
+        gradient = np.zeros(len(self.A))
+        gradient[: len(self.prior.free)] = self._mean_speed_gradient
         root = np.linalg.cholesky(self.A)
-        response = np.linalg.solve(root.T, np.linalg.solve(root, shares))
-        of_rig = self._rig.firmness * np.square(response[self._rig_rows]).sum()
-        if not (variance := float(shares @ response - of_rig)) > 0.0:
+        response = np.linalg.solve(root.T, np.linalg.solve(root, gradient))
+        of_rig = self._rig.prior_weight * np.square(response[self._rig_slice]).sum()
+        if not (variance := float(gradient @ response - of_rig)) > 0.0:
             raise np.linalg.LinAlgError("the images do not determine the mean speed")
         return float(np.sqrt(variance))
 
     @property
-    def _rig_rows(self) -> slice:
-        """Where the rig's moves stand among all that is fitted."""
-        return slice(len(self.prior.free), len(self.prior.free) + len(self.moves))
+    def _rig_slice(self) -> slice:
+        """Where the rig's offset stands among all fitted parameters."""
+        return slice(len(self.prior.free), len(self.prior.free) + len(self.rig_offset))
 
     @property
-    def _wider(self) -> float:
-        """The mean speed's variance by the scores' scatter over that by the pixels' noise, at least 1."""
-        return max(self.variance / self.noise**2, 1.0)
+    def _covariance_inflation(self) -> float:
+        """The mean speed's variance by the scatter of scores over that by pixel noise, at least 1."""
+        return max(self.mean_speed_variance / self.noise_std**2, 1.0)
 
     @property
-    def variance(self) -> float:
-        """That of the mean speed, m²/s², by the scores' scatter."""
-        g = self._mean_speed
+    def mean_speed_variance(self) -> float:
+        """Variance of the mean speed (m²/s²) by the scatter of scores."""
+        g = self._mean_speed_gradient
         return float(g @ self.covariance @ g)
 
     @property
-    def _mean_speed(self) -> Array:
-        """What each free parameter contributes to the mean speed."""
-        return self.trajectory.mean_speed_shares[self.prior.free]
+    def _mean_speed_gradient(self) -> Array:
+        """Derivative of the mean speed by each free parameter."""
+        return self.trajectory.mean_speed_gradient[self.prior.free]
 
-    def _log_evidence(self, extra: str, narrower: Prior, wider: float) -> float:
-        """Log Bayes factor against the same model under a ``narrower`` prior of its ``extra``, its covariance being
-        ``wider`` times what the pixels' noise leaves (Savage–Dickey, of two Gaussian priors)."""
-        free = np.isin(self.prior.free, self.trajectory.index(extra))
-        precision = np.linalg.inv(wider * np.linalg.inv(self.A)[: len(free), : len(free)][np.ix_(free, free)])
+    def _log_evidence(self, term: str, narrower: Prior, inflation: float) -> float:
+        """Log Bayes factor of this model against the same one under a ``narrower`` prior of its ``term``.
+
+        The Savage–Dickey ratio, generalised to two Gaussian priors; the covariance is ``inflation`` times that of pixel
+        noise.
+        """
+        free = np.isin(self.prior.free, self.trajectory.index(term))
+        precision = np.linalg.inv(inflation * np.linalg.inv(self.A)[: len(free), : len(free)][np.ix_(free, free)])
         wide = self.prior.information[np.ix_(free, free)]
-        held = np.isin(narrower.free, self.trajectory.index(extra))
-        narrow = narrower.information[np.ix_(held, held)] if held.any() else wide / HELD**2
-        pull = precision @ self.theta[self.trajectory.index(extra)]
+        kept = np.isin(narrower.free, self.trajectory.index(term))
+        narrow = narrower.information[np.ix_(kept, kept)] if kept.any() else wide / ABSENT_TERM_SCALE**2
+        score = precision @ self.theta[self.trajectory.index(term)]
         confined = precision - wide + narrow
         logdet = [np.linalg.slogdet(m)[1] for m in (precision, wide, confined, narrow)]
-        misfit = pull @ (np.linalg.solve(precision, pull) - np.linalg.solve(confined, pull))
+        misfit = score @ (np.linalg.solve(precision, score) - np.linalg.solve(confined, score))
         return float(0.5 * (misfit - logdet[0] + logdet[1] + logdet[2] - logdet[3]))
 
-    def descend(self, enough: float, most: int = MOST_STEPS) -> None:
-        """Gauss–Newton until no parameter moves by ``enough`` of its standard deviation."""
-        P, Q = len(self.prior.free), len(self.moves)
+    def gauss_newton(self, converged_step: float, most: int = MAX_STEPS) -> None:
+        """Gauss–Newton until no motion parameter changes by ``converged_step`` standard deviations, ``most`` steps."""
+        P, Q = len(self.prior.free), len(self.rig_offset)
         for _ in range(most):
             self.A, score, *self._cells = self._assemble()
             change = -np.linalg.solve(self.A, score)
-            at = P + Q  # γ: it goes as far as it can, and the others with it
-            if not GAMMAS[0] <= self.gamma + change[at] <= GAMMAS[1]:
-                self.A[at, at] += FIRM
-                score[at] -= FIRM * (np.clip(self.gamma + change[at], *GAMMAS) - self.gamma)
+            at = P + Q  # γ, held at the limit of its range where it would leave it
+            if not GAMMA_RANGE[0] <= self.gamma + change[at] <= GAMMA_RANGE[1]:
+                self.A[at, at] += FIXED_INFORMATION
+                score[at] -= FIXED_INFORMATION * (np.clip(self.gamma + change[at], *GAMMA_RANGE) - self.gamma)
                 change = -np.linalg.solve(self.A, score)
             if not np.isfinite(change).all():
                 raise np.linalg.LinAlgError("the images determine no step")
             self.theta[self.prior.free] += change[:P]
-            self.moves = self.moves + change[P:at]
-            self.gamma = float(np.clip(self.gamma + change[at], *GAMMAS))
-            self.relief += change[at + 1 :].reshape(self.relief.shape)
+            self.rig_offset = self.rig_offset + change[P:at]
+            self.gamma = float(np.clip(self.gamma + change[at], *GAMMA_RANGE))
+            self.depth_offsets += change[at + 1 :].reshape(self.depth_offsets.shape)
             if Q:
-                self.trajectory = self._rig.trajectory(self.moves)
+                self.trajectory = self._rig.trajectory(self.rig_offset)
             step = float(np.abs(change[:P] / np.sqrt(np.diag(np.linalg.inv(self.A))[:P])).max())
-            if step < enough:
+            if step < converged_step:
                 break
-        self.converged = step < UNSETTLED
+        self.converged = step < MAX_LAST_STEP_SIGMA
         self.__dict__.pop("covariance", None)
 
-    def _from_filter(self) -> Array:
-        """Parameters that fit the filter's regions best, robustly."""
-        seen = np.array([g.quads for g in self.glimpses])
+    def _parameters_from_filter(self) -> Array:
+        """Parameters (n,) from a robust least-squares fit to the filter's quadrilaterals."""
+        quads = np.array([k.quads for k in self.keyframes])
         p = self.prior
         root = np.linalg.cholesky(p.information).T
         theta = p.mean.copy()
 
         def residuals(x: Array) -> Array:
             theta[p.free] = x
-            return np.concatenate([(self.trajectory.quads(theta) - seen).ravel(), root @ (x - p.mean[p.free])])
+            return np.concatenate([(self.trajectory.quads(theta) - quads).ravel(), root @ (x - p.mean[p.free])])
 
-        def slopes(x: Array) -> Array:
+        def jacobian(x: Array) -> Array:
             theta[p.free] = x
-            moved, steps = self._moved(theta, p.free)
-            ahead, behind = self.trajectory.quads(moved).reshape(2, len(x), -1)
+            perturbed, steps = self._perturbed(theta, p.free)
+            ahead, behind = self.trajectory.quads(perturbed).reshape(2, len(x), -1)
             return np.concatenate([((ahead - behind) / (2 * steps[:, None])).T, root])
 
-        found = least_squares(residuals, p.mean[p.free], slopes, x_scale="jac", loss="soft_l1", max_nfev=40)
+        found = least_squares(residuals, p.mean[p.free], jacobian, x_scale="jac", loss="soft_l1", max_nfev=40)
         theta[p.free] = found.x
         return theta
 
     def _derivatives(self, index: NDArray[np.int64]) -> Array:
         """∂H/∂θ (views, 3, 3, len(index)) by central differences."""
-        moved, steps = self._moved(self.theta, index)
-        ahead, behind = self.trajectory.homographies(moved)[0].reshape(2, len(index), -1, 3, 3)
+        perturbed, steps = self._perturbed(self.theta, index)
+        ahead, behind = self.trajectory.homographies(perturbed)[0].reshape(2, len(index), -1, 3, 3)
         return np.moveaxis((ahead - behind) / (2 * steps[:, None, None, None]), 0, -1)
 
-    def _moved(self, theta: Array, index: NDArray[np.int64]) -> tuple[Array, Array]:
-        """``theta`` (n,) with each of the parameters at ``index`` moved ahead and back, (2, len(index), n), and by how
-        much, (len(index),)."""
+    def _perturbed(self, theta: Array, index: NDArray[np.int64]) -> tuple[Array, Array]:
+        """``theta`` (n,) with each of the parameters at ``index`` changed by plus and minus its step, (2, len(index),
+        n), and the steps, (len(index),)."""
         steps = self.trajectory.steps[index]
         change = np.zeros((len(index), len(theta)))
         change[np.arange(len(index)), index] = steps
         return theta + np.stack([change, -change]), steps
 
     def _assemble(self) -> tuple[Array, Array, Array, Array]:
-        """The normal matrix and score over free parameters, the rig's moves, gamma and relief, prior included, and what
-        each view's patches give to them: (views, patches, n, n) and (views, patches, n) with n = P + Q + 1 + STRIPS,
-        their own relief last."""
-        p, P, Q, K = self.prior, len(self.prior.free), len(self.moves), len(self.relief)
+        """Normal matrix and score, prior included, and the cells that they are made of.
+
+        The parameters are the P free ones of the motion, the rig's offset (Q), γ and the depth offsets. Cells, one for
+        each patch of each view, are (views, patches, m, m) and (views, patches, m), m = P + Q + 1 + ROWS_PER_PATCH,
+        with the patch's own depth offsets last.
+        """
+        p, P, Q, K = self.prior, len(self.prior.free), len(self.rig_offset), len(self.depth_offsets)
         H, H_d = (h.reshape(-1, 3, 3) for h in self.trajectory.homographies(self.theta))
         dH = self._derivatives(p.free)
         if Q:
-            dH = np.concatenate([dH, self._rig.slopes(self.trajectory, self.theta, self.moves, H)], axis=-1)
+            dH = np.concatenate(
+                [dH, self._rig.homography_jacobian(self.trajectory, self.theta, self.rig_offset, H)], axis=-1
+            )
         shared = P + Q + 1
-        cells = np.zeros((len(H), K, shared + STRIPS))
-        cells_A = np.zeros((*cells.shape, shared + STRIPS))
-        directions = self.trajectory.directions(self.theta).reshape(-1, 3) if self._drifts else None
-        for band in self.bands:
-            a, s = band.normal_equations(H, H_d, self.relief, self.gamma, dH, directions)
-            cells_A[band.views] += a
-            cells[band.views] += s
-        A, score = self._prior_information(self._rig.firmness), np.zeros(shared + self.relief.size)
+        cells = np.zeros((len(H), K, shared + ROWS_PER_PATCH))
+        cells_A = np.zeros((*cells.shape, shared + ROWS_PER_PATCH))
+        directions = self.trajectory.directions(self.theta).reshape(-1, 3) if self._view_dependent else None
+        for level in self.levels:
+            a, s = level.normal_equations(H, H_d, self.depth_offsets, self.gamma, dH, directions)
+            cells_A[level.views] += a
+            cells[level.views] += s
+        A, score = self._prior_information(self._rig.prior_weight), np.zeros(shared + self.depth_offsets.size)
         score[:P] = p.information @ (self.theta - p.mean)[p.free]
-        score[P : P + Q] = self._rig.firmness * self.moves
-        score[shared - 1] = (self.gamma - GAMMA[0]) / GAMMA[1] ** 2
-        score[shared:] = (self.relief @ RELIEF_INFORMATION).ravel()
+        score[P : P + Q] = self._rig.prior_weight * self.rig_offset
+        score[shared - 1] = (self.gamma - GAMMA_PRIOR[0]) / GAMMA_PRIOR[1] ** 2
+        score[shared:] = (self.depth_offsets @ DEPTH_OFFSET_INFORMATION).ravel()
         return (
-            A + robust_covariance.joined(cells_A, shared),
-            score + robust_covariance.joined_scores(cells, shared),
+            A + robust_covariance.assemble(cells_A, shared),
+            score + robust_covariance.assemble_scores(cells, shared),
             cells_A,
             cells,
         )
 
     def _prior_information(self, of_rig: float) -> Array:
-        """Information of the prior over free parameters, the rig's moves, ``of_rig`` for each, gamma and relief."""
-        P, Q, K = len(self.prior.free), len(self.moves), len(self.relief)
-        shared = np.diag([*np.zeros(P), *np.full(Q, of_rig), GAMMA[1] ** -2])
+        """Prior information of free parameters, the rig's offset (``of_rig`` for each), γ and depth offsets."""
+        P, Q, K = len(self.prior.free), len(self.rig_offset), len(self.depth_offsets)
+        shared = np.diag([*np.zeros(P), *np.full(Q, of_rig), GAMMA_PRIOR[1] ** -2])
         shared[:P, :P] = self.prior.information
-        return np.asarray(block_diag(shared, *[RELIEF_INFORMATION] * K))
+        return np.asarray(block_diag(shared, *[DEPTH_OFFSET_INFORMATION] * K))
 
     @cached_property
     def covariance(self) -> Array:
-        """Covariance of the free parameters, from the scatter of the scores: but for what the calibration does."""
-        return self._covariance(len(self.moves))
+        """Cluster-robust covariance of the free parameters, without the calibration's part."""
+        return self._covariance(len(self.rig_offset))
 
     def _covariance(self, Q: int) -> Array:
-        """The same where ``Q`` moves of the rig are not known: all that are free, or none."""
-        P, held = len(self.prior.free), self._rig_rows if Q == 0 else slice(0)
-        known, (cells_A, cells) = self._prior_information(0.0), self._cells
-        A, known = (np.delete(np.delete(m, held, 0), held, 1) for m in (self.A, known))
-        cells_A, cells = np.delete(np.delete(cells_A, held, -2), held, -1), np.delete(cells, held, -1)
-        judged = np.append(self._mean_speed, np.zeros(Q + 1))
-        return CALIBRATION**2 * robust_covariance.covariance(A, known, cells_A, cells, judged)[:P, :P]
+        """The same with ``Q`` unknown directions of the rig: all that are free, or none."""
+        P, fixed = len(self.prior.free), self._rig_slice if Q == 0 else slice(0)
+        prior, (cells_A, cells) = self._prior_information(0.0), self._cells
+        A, prior = (np.delete(np.delete(m, fixed, 0), fixed, 1) for m in (self.A, prior))
+        cells_A, cells = np.delete(np.delete(cells_A, fixed, -2), fixed, -1), np.delete(cells, fixed, -1)
+        gradient = np.append(self._mean_speed_gradient, np.zeros(Q + 1))
+        return COVARIANCE_FACTOR**2 * robust_covariance.covariance(A, prior, cells_A, cells, gradient)[:P, :P]
 
     @property
-    def whole_covariance(self) -> Array:
-        """The covariance (n, n) of all parameters: zero for those that are not free."""
-        return self._whole(self.covariance)
+    def full_covariance(self) -> Array:
+        """Covariance (n, n) of all parameters, zero for those that are not free."""
+        return self._embed(self.covariance)
 
     @property
-    def covariance_by_rig(self) -> Array:
-        """The same if the rig were known, as it is where it may not move."""
-        return self._whole(self._covariance(0)) if len(self.moves) else self.whole_covariance
+    def covariance_given_rig(self) -> Array:
+        """The same with the rig known."""
+        return self._embed(self._covariance(0)) if len(self.rig_offset) else self.full_covariance
 
-    def _whole(self, covariance: Array) -> Array:
-        """That of the free parameters among those of all."""
-        whole = np.zeros((len(self.theta),) * 2)
-        whole[np.ix_(self.prior.free, self.prior.free)] = covariance
-        return whole
+    def _embed(self, covariance: Array) -> Array:
+        """The free parameters' ``covariance`` as (n, n) over all parameters."""
+        full = np.zeros((len(self.theta),) * 2)
+        full[np.ix_(self.prior.free, self.prior.free)] = covariance
+        return full
 
     @property
     def deviation_sigma(self) -> float:
-        """How far the vehicle's own way departs from the drawn one: rms of the bends' amplitudes, each of which has a
-        standard deviation of 1."""
-        amplitudes = self.theta[np.intersect1d(self.trajectory.index("way"), self.prior.free)]
+        """RMS of the amplitudes of the deviation from the path, each of prior standard deviation 1."""
+        amplitudes = self.theta[np.intersect1d(self.trajectory.index("deviation"), self.prior.free)]
         return float(np.sqrt((amplitudes**2).mean())) if len(amplitudes) else 0.0
 
     @property
     def dof(self) -> float:
-        """Degrees of freedom of the covariance: the fewer of frames and patches, less one."""
-        return float(min(len(self.glimpses), len(self.relief)) - 1)
+        """Degrees of freedom of the covariance: the number of frames or patches, whichever is smaller, less one."""
+        return float(min(len(self.keyframes), len(self.depth_offsets)) - 1)
 
     @property
     def residual_rms(self) -> float:
-        """Median rms (grey levels) of what a patch leaves unexplained, in the view that shows it worse."""
-        base = self.bands[0]
+        """Median RMS residual of a patch (grey levels), in the view where it is larger."""
+        base = self.levels[0]
         sides = (base.variance[base.views % 2 == side] for side in (0, 1))
         return float(np.sqrt(max(np.median(variance) for variance in sides if len(variance))))
 
     @property
     def contrast(self) -> float:
-        """Rms (grey levels) of the texture about each patch's mean."""
-        texture = self.bands[0].texture
+        """RMS contrast of the texture within patches (grey levels)."""
+        texture = self.levels[0].texture
         assert texture is not None
         return float(np.sqrt(texture.var(-1).mean()))
 
-    def agreement(self) -> tuple[Array, Array]:
-        """Pixels (F, 2, 2) by which each view's picture lies off the fitted motion, and the share (F, 2) of its
-        contrast, squared, that the motion explains, as far as each place is trusted; NaN where it was not used."""
+    def residual_offsets(self) -> tuple[Array, Array]:
+        """Each view's image offset (F, 2, 2) px from the fitted motion, and the share (F, 2) of its weighted variance
+        that the motion explains; NaN where a view was not used."""
         H, H_d = (h.reshape(-1, 3, 3) for h in self.trajectory.homographies(self.theta))
-        off, explained_share = np.full((len(H), 2), np.nan), np.full(len(H), np.nan)
-        base = self.bands[0]
-        off[base.views], explained_share[base.views] = base.agreement(H, H_d, self.relief, self.gamma)
-        return off.reshape(-1, 2, 2), explained_share.reshape(-1, 2)
+        offsets, explained_share = np.full((len(H), 2), np.nan), np.full(len(H), np.nan)
+        base = self.levels[0]
+        offsets[base.views], explained_share[base.views] = base.residual_offsets(H, H_d, self.depth_offsets, self.gamma)
+        return offsets.reshape(-1, 2, 2), explained_share.reshape(-1, 2)
 
     @property
     def rig_shift_sigma(self) -> Array:
-        """The rig's moves (Q,) over the standard deviations that they have if the calibration is as uncertain as it
-        states: the less the pictures tell of one, the less it moves. Zero for those of which they hardly tell."""
-        told = 1.0 - self._rig.firmness * np.diag(np.linalg.inv(self.A))[self._rig_rows]
-        return np.where(told > UNTOLD, self.moves / np.sqrt(np.maximum(told, UNTOLD)), 0.0)
+        """The rig's offset (Q,) over the standard deviations that it has if the calibration is as uncertain as stated:
+        shrinkage included, and zero in directions that the images hardly determine."""
+        share = 1.0 - self._rig.prior_weight * np.diag(np.linalg.inv(self.A))[self._rig_slice]
+        return np.where(
+            share > MIN_INFORMATION_SHARE, self.rig_offset / np.sqrt(np.maximum(share, MIN_INFORMATION_SHARE)), 0.0
+        )
 
     @property
     def systematic_covariance(self) -> Array:
-        """Covariance (n, n) that is due to the calibration: how the fit responds where the rig is off by each of its
-        standard uncertainties, less what the pictures put right of it. NaN where none is stated."""
+        """Covariance (n, n) from the calibration's uncertainty, as far as the images do not correct it; NaN where
+        rig.yaml states none."""
         n, p = len(self.theta), self.prior.free
         if self.trajectory.rig.uncertainty is None:
             return np.full((n, n), np.nan)
-        response = np.zeros((n, len(self.moves)))
-        response[p] = self._rig.firmness * np.linalg.inv(self.A)[: len(p), self._rig_rows]
+        response = np.zeros((n, len(self.rig_offset)))
+        response[p] = self._rig.prior_weight * np.linalg.inv(self.A)[: len(p), self._rig_slice]
         return np.asarray(response @ response.T)
 
-    def rig_fit(self, moves: Array, known: Array) -> RigFit | None:
-        """What the pictures tell of the rig, which the mean over layouts moves by ``moves`` (Q,); ``known`` (n, n) is
-        the covariance of the parameters if it were known. None where it may not move."""
-        if not len(moves):
+    def rig_estimate(self, offset: Array, covariance: Array) -> RigEstimate | None:
+        """What the images determine of the rig, or None where it is fixed.
+
+        ``offset`` (Q,) is its mean over the patch grids, ``covariance`` (n, n) the parameters' with the rig known.
+        """
+        if not len(offset):
             return None
         p, inverse = self.prior.free, np.linalg.inv(self.A)
-        precision = np.linalg.inv(inverse[self._rig_rows, self._rig_rows])
-        response = np.zeros((len(self.theta), len(moves)))
-        response[p] = inverse[: len(p), self._rig_rows] @ precision
-        share, axes = np.linalg.eigh(precision / self._rig.firmness)
-        information = axes * np.maximum(share - 1.0, 0.0) @ axes.T  # no picture takes anything from what is stated
-        return RigFit(moves, information, response, known)
+        precision = np.linalg.inv(inverse[self._rig_slice, self._rig_slice])
+        response = np.zeros((len(self.theta), len(offset)))
+        response[p] = inverse[: len(p), self._rig_slice] @ precision
+        share, axes = np.linalg.eigh(precision / self._rig.prior_weight)
+        information = axes * np.maximum(share - 1.0, 0.0) @ axes.T  # images cannot reduce the prior information
+        return RigEstimate(offset, information, response, covariance)
 
 
-def _flat(bands: list[Band]) -> Array:
-    """The relief (patches, STRIPS) of a face that is the plane."""
-    return np.zeros((bands[0].patches, STRIPS))
+def _zero_depth_offsets(levels: list[PyramidLevel]) -> Array:
+    """Depth offsets (patches, ROWS_PER_PATCH) of zero."""
+    return np.zeros((levels[0].patches, ROWS_PER_PATCH))

@@ -1,4 +1,4 @@
-"""The loops over a band's samples, compiled by Numba: how the parameters move the intensities, and what follows."""
+"""Jacobian and normal equations of a pyramid level, compiled by Numba."""
 
 from __future__ import annotations
 
@@ -7,35 +7,35 @@ import numpy as np
 from paceline.arrays import Array, Floats
 from paceline.numba_cache import cached_njit
 
-SUMS = {"reassoc", "contract", "nsz"}  # sums may be taken in another order
+FASTMATH_FLAGS = {"reassoc", "contract", "nsz"}  # sums may be reordered
 
 
-@cached_njit(nogil=True, fastmath=SUMS, error_model="numpy")
+@cached_njit(nogil=True, fastmath=FASTMATH_FLAGS, error_model="numpy")
 def linearise(
     x: Array,
     z: Array,
     B: Array,
-    places: Array,
+    points: Array,
     g: Array,
     H_d: Array,
-    strips: Floats,
-    free_of: Floats,
+    rows: Floats,
+    nuisance: Floats,
     M: Floats,
 ) -> None:
-    """∂I/∂H, and by how far each of the S strips stands off the plane, into the first 9 and the next S rows of ``M``
-    (views, patches, 9 + S + 1, samples); and these and what the last row holds freed of what ``free_of`` (C, patches,
-    samples) holds: fields that have nothing in common.
+    """Fill ``M`` (views, patches, 9 + S + 1, samples) with ∂I/∂H in its first 9 rows and ∂I/∂(depth offset) in S more.
 
-    ``x`` (views, 2, N) px is where the N samples at ``places`` (3, N) of the unit square lie, ``z`` (views, N) their
-    scale and ``B`` (views, 2, 2, N) ∂x over the square; ``g`` (2, N) the texture's slope there. ``H_d`` (views, 9) is
-    the change of H per metre off the plane, ``strips`` (S, samples) are 1 where a patch's samples are of each.
+    These and the last row, which is given, are made orthogonal to the C orthonormal fields ``nuisance`` (C, patches,
+    samples). ``x`` (views, 2, N) px are the images of the N sample points ``points`` (3, N) of the unit square, ``z``
+    (views, N) their homogeneous scale and ``B`` (views, 2, 2, N) ∂x over the square; ``g`` (2, N) is the texture's
+    slope there. ``H_d`` (views, 9) is the change of H per metre off the plane; ``rows`` (S, samples) are 1 where a
+    sample belongs to a row of its patch.
     """
     V, K, _, m = M.shape
     c, off = np.empty((3, m), np.float32), np.empty(m, np.float32)
     for k in range(K):
         first = k * m
-        gone = np.ascontiguousarray(free_of[:, k])
-        by_sample = gone.T.copy()
+        fields = np.ascontiguousarray(nuisance[:, k])
+        by_sample = fields.T.copy()
         for v in range(V):
             own = M[v, k]
             for i in range(m):
@@ -46,28 +46,27 @@ def linearise(
                 c[0, i], c[1, i], c[2, i] = ax, ay, -(ax * x[v, 0, n] + ay * x[v, 1, n])
             off[:] = 0.0
             for j in range(9):
-                row, factor, place = own[j], c[j // 3], places[j % 3, first : first + m]
+                row, factor, place = own[j], c[j // 3], points[j % 3, first : first + m]
                 per_metre = np.float32(H_d[v, j])
                 for i in range(m):
                     row[i] = factor[i] * place[i]
                 for i in range(m):
                     off[i] += per_metre * row[i]
-            for j in range(len(strips)):
-                row, strip = own[9 + j], strips[j]
+            for j in range(len(rows)):
+                row, row_mask = own[9 + j], rows[j]
                 for i in range(m):
-                    row[i] = off[i] * strip[i]
-            own -= np.dot(np.dot(own, by_sample), gone)
+                    row[i] = off[i] * row_mask[i]
+            own -= np.dot(np.dot(own, by_sample), fields)
 
 
-@cached_njit(nogil=True, fastmath=SUMS, error_model="numpy")
-def normal_equations(M: Floats, dH: Floats, white: Floats, r: Floats, A: Array, score: Array) -> None:
-    """The normal matrices ``A`` (views, patches, n, n) and scores ``score`` (views, patches, n) of residuals ``r``
-    (patches, views, samples), by ``M`` of `linearise`, over n = P + 1 + S parameters: those that move H by ``dH``
-    (views, P, 9), γ, and the strips' relief.
+@cached_njit(nogil=True, fastmath=FASTMATH_FLAGS, error_model="numpy")
+def normal_equations(M: Floats, dH: Floats, whitening: Floats, r: Floats, A: Array, score: Array) -> None:
+    """Fill in normal matrices ``A`` (views, patches, n, n) and scores ``score`` (views, patches, n).
 
-    ``white`` (patches, views, views) weighs and joins each patch's views, and leaves out what all have in common: the
-    shared texture moves along with the parameters, so that this tells nothing. Products are summed in double precision.
-    ``white`` and ``r`` are contiguous.
+    The n = P + 1 + S parameters are those that change H by ``dH`` (views, P, 9), γ and the depth offsets; ``M`` is that
+    of `linearise` and ``r`` (patches, views, samples) are the residuals. ``whitening`` (patches, views, views) weights
+    the views of each patch and removes their common part, which the shared texture explains. Sums are in double
+    precision; ``whitening`` and ``r`` have to be contiguous.
     """
     V, K, rows, m = M.shape
     P, n = dH.shape[1], A.shape[-1]
@@ -77,9 +76,9 @@ def normal_equations(M: Floats, dH: Floats, white: Floats, r: Floats, A: Array, 
             J[v, :P] = np.dot(dH[v], M[v, k, :9])
             J[v, P] = M[v, k, rows - 1]
             J[v, P + 1 :] = M[v, k, 9 : rows - 1]
-        told = np.dot(white[k], J.reshape(V, n * m)).reshape(V, n, m)
-        left = np.dot(white[k], r[k])
+        whitened = np.dot(whitening[k], J.reshape(V, n * m)).reshape(V, n, m)
+        residuals = np.dot(whitening[k], r[k])
         for v in range(V):
-            own = told[v].astype(np.float64)
+            own = whitened[v].astype(np.float64)
             A[v, k] = np.dot(own, own.T)
-            score[v, k] = np.dot(own, left[v].astype(np.float64))
+            score[v, k] = np.dot(own, residuals[v].astype(np.float64))

@@ -1,4 +1,4 @@
-"""The rig as a prior and no rail: how far it may move from what rig.yaml states, and what that does to the pictures."""
+"""Self-calibration: the rig as a parameter whose prior is the calibration and its uncertainty in rig.yaml."""
 
 from __future__ import annotations
 
@@ -10,51 +10,58 @@ from paceline.arrays import Array
 from paceline.cameras import StereoRig, perturbed_rig
 from paceline.speed.refinement.trajectory import Trajectory
 
-STEP = 1e-3  # standard uncertainties, or a share of the baseline, by which differences tell a derivative
+DIFFERENCE_STEP = 1e-3  # standard uncertainties, or a share of the baseline, for finite differences
 
 
 @dataclass(frozen=True, eq=False)
-class RigFit:
-    """What a fit tells of its rig in Q directions in which that may move, in standard uncertainties: the ``moves``
-    (Q,) at which its parameters are, the ``information`` (Q, Q) that its pictures add to what is stated, the
-    ``response`` (n, Q) of its parameters to further moves, and their ``covariance`` (n, n) if the rig were known."""
+class RigEstimate:
+    """What a fit determines of its rig in Q directions, in standard uncertainties of the calibration.
 
-    moves: Array
+    ``offset`` (Q,) is the rig's offset at which the motion parameters are, ``information`` (Q, Q) what the images add
+    to the prior, ``response`` (n, Q) the derivative of the motion parameters by a further offset, and ``covariance``
+    (n, n) theirs with the rig known.
+    """
+
+    offset: Array
     information: Array
     response: Array
     covariance: Array
 
 
 @dataclass(frozen=True, eq=False)
-class FreeRig:
-    """The trajectory as ``stated``, the ``directions`` (Q, 14) in which its rig may move, one standard uncertainty
-    each, and the ``firmness`` of each: how much information it counts for."""
+class RigParameters:
+    """The rig's parameters in a fit.
+
+    ``stated`` is the trajectory with the rig of rig.yaml, ``directions`` (Q, 14) those in which the rig is uncertain,
+    one standard uncertainty each, and ``prior_weight`` the information of the prior in each direction.
+    """
 
     stated: Trajectory
     directions: Array
-    firmness: float
+    prior_weight: float
 
-    def trajectory(self, moves: Array) -> Trajectory:
-        """The trajectory with the rig moved by ``moves`` (Q,) standard uncertainties, and all that was reconstructed as
-        large as that rig would have made it."""
-        rig = self._moved(moves)
-        return replace(self.stated.grown(rig.baseline / self.stated.rig.baseline), rig=rig)
+    def trajectory(self, offset: Array) -> Trajectory:
+        """The trajectory with the rig at ``offset`` (Q,), its path and plane scaled with the baseline."""
+        rig = self._offset_rig(offset)
+        return replace(self.stated.scaled(rig.baseline / self.stated.rig.baseline), rig=rig)
 
-    def slopes(self, here: Trajectory, theta: Array, moves: Array, H: Array) -> Array:
-        """∂H/∂moves (views, 3, 3, Q) at ``H`` (views, 3, 3), of ``theta`` (n,) and the trajectory ``here`` by ``moves``
-        (Q,), by differences: the motion stays as it is, but that its path grows as the cameras part."""
-        rigs = [self._moved(further) for further in moves + STEP * np.eye(len(moves))]
-        by_rig = np.moveaxis((here.by_rigs(rigs, theta).reshape(-1, *H.shape) - H) / STEP, 0, -1)
-        by_size = (here.grown(1.0 + STEP).homographies(theta)[0].reshape(H.shape) - H) / STEP
-        growth = np.array([rig.baseline / here.rig.baseline - 1.0 for rig in rigs]) / STEP
-        return np.asarray(by_rig + by_size[..., None] * growth)
+    def homography_jacobian(self, here: Trajectory, theta: Array, offset: Array, H: Array) -> Array:
+        """∂H/∂offset (views, 3, 3, Q) by finite differences; the motion stays, but the path scales with the baseline.
 
-    def _moved(self, moves: Array) -> StereoRig:
-        """The rig moved so; it goes on stating its uncertainty."""
+        ``H`` (views, 3, 3) are the homographies of ``theta`` (n,) and the trajectory ``here`` at ``offset`` (Q,).
+        """
+        rigs = [self._offset_rig(further) for further in offset + DIFFERENCE_STEP * np.eye(len(offset))]
+        by_rig = np.moveaxis((here.homographies_by_rig(rigs, theta).reshape(-1, *H.shape) - H) / DIFFERENCE_STEP, 0, -1)
+        by_scale = (here.scaled(1.0 + DIFFERENCE_STEP).homographies(theta)[0].reshape(H.shape) - H) / DIFFERENCE_STEP
+        scaling = np.array([rig.baseline / here.rig.baseline - 1.0 for rig in rigs]) / DIFFERENCE_STEP
+        return np.asarray(by_rig + by_scale[..., None] * scaling)
+
+    def _offset_rig(self, offset: Array) -> StereoRig:
+        """The rig at ``offset`` (Q,), with the same stated uncertainty."""
         rig = self.stated.rig
-        return replace(perturbed_rig(rig, moves @ self.directions), uncertainty=rig.uncertainty)
+        return replace(perturbed_rig(rig, offset @ self.directions), uncertainty=rig.uncertainty)
 
 
-def held(trajectory: Trajectory) -> FreeRig:
-    """A rig that may not move."""
-    return FreeRig(trajectory, np.zeros((0, 14)), 0.0)
+def fixed_rig(trajectory: Trajectory) -> RigParameters:
+    """A rig without free parameters."""
+    return RigParameters(trajectory, np.zeros((0, 14)), 0.0)
