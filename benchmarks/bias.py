@@ -1,4 +1,4 @@
-"""The drawn path as an exact rail, and as the prior that it is: what each does to the speed.
+"""The drawn path as a hard constraint and as a prior: the speed error with each.
 
 python benchmarks/bias.py [--n 20] [--seed 2000] [--workers 2]
 """
@@ -28,9 +28,9 @@ from paceline.speed.results import Measurement
 
 SETTLED = 6  # frames after which a filter is judged: by then the first guess is forgotten
 FILTERS: dict[str, dict[str, Any]] = {
-    "filter as printed, the path an exact rail": {"guided": False, "exact_path": True},
+    "filter as printed, the path a hard constraint": {"guided": False, "exact_path": True},
     "filter as printed, the path a prior": {"guided": False},
-    "guided filter, the path an exact rail": {"exact_path": True},
+    "guided filter, the path a hard constraint": {"exact_path": True},
     "guided filter, the path a prior": {},
 }
 REFINED = "refinement"
