@@ -68,7 +68,7 @@ def test_pictures_become_a_rig(filmed: tuple[Path, CalibrationSetup], tmp_path: 
     assert done.returncode == 0, done.stderr
     assert sorted(p.name for p in out.parent.iterdir()) == ["rig.json", "rig.png", "rig.yaml"]
     assert f"{VIEWS - 2} of {VIEWS} used" in done.stdout
-    assert "003.png is left out: the two pictures do not show the board in one place" in done.stderr
+    assert "003.png is left out: the two images do not show the board in one place" in done.stderr
     assert "no board is seen in 006.png" in done.stderr
     for part in ("focal length x, px", "distance apart, m", "lens model", "20 m ±", "50 m ±", "80 m ±", "verdict"):
         assert part in done.stdout

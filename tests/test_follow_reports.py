@@ -231,7 +231,7 @@ def test_long_runs_are_thinned_evenly() -> None:
     for k in range(100):
         history.add(estimate(k))
     frames = history.result("c", "t", {}, {}, [], 1.0).frame
-    assert history.stride == 8
+    assert history.every == 8
     np.testing.assert_array_equal(frames, np.arange(0, 100, 8))
     assert history.tally.frames == 100
 

@@ -192,13 +192,13 @@ _UNMEASURED = {
     ),
     "queue_full": (
         "vehicles come faster than this computer measures them ({waiting} are waiting, limit {max_waiting})",
-        "Record fewer frames per second, or use a faster computer.",
+        "Record fewer frames per second, use a faster computer, or raise `live.queue` where vehicles come in bursts.",
     ),
     "frames_expired": (
         "it was in view for longer than frames are kept (limit {max_pairs} pairs of frames)",
-        "Record fewer frames per second, so that the frames kept span a longer time.",
+        "Raise `live.buffer_pairs`, or record fewer frames per second, so that the frames kept span a longer time.",
     ),
-    "input_unusable": ("{problem}", "Mend what the line names."),
+    "input_unusable": ("{problem}", "Correct what the message names."),
 }
 
 _NOTHING = {
