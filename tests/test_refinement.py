@@ -1,4 +1,4 @@
-"""The refined speed on rendered clips: how near it is to the truth, what its interval covers, and what moves it."""
+"""The refined speed on rendered clips: its error, the coverage of its interval, and its parts."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def rendered(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Scene], Path
 
 
 def scene(kind: str, speed: float, seed: int, rate: float = 5.0, frames: int = 12, **vehicle: Any) -> Scene:
-    """One vehicle that drives down to 22 m before the cameras, or away from there, in small pictures."""
+    """One vehicle that drives down to 22 m before the cameras, or away from there, in small images."""
     receding = kind == "receding"
     start = 22.0 if receding else 23.0 + speed * (frames - 1) / rate
     car = Vehicle("v0", speed, start_distance=start, receding=receding, texture_seed=seed)
@@ -74,7 +74,7 @@ def scene(kind: str, speed: float, seed: int, rate: float = 5.0, frames: int = 1
     size: dict[str, Any] = {"image_size": (640, 480), "focal": 1400.0, "rate": rate, "frames": frames}
     if radius is not None:
         size |= {"radius": radius, "road_depth": 40.0}
-    if kind == "right":  # from a mast; from a tripod the line beside such a bend is nearly level in the picture
+    if kind == "right":  # from a mast; from a tripod the line beside such a bend is nearly horizontal in the image
         size |= {"camera_height": 4.0, "tilt": 0.05}
     return Scene(seed, (replace(car, **vehicle),), **size)
 
@@ -152,7 +152,7 @@ def test_the_speed_is_right_within_01_mph_rms(plain: Callable[[int], Measurement
 
 
 def varied(seed: int) -> Scene:
-    """A varied scene whose pictures are small."""
+    """A random scene with small images."""
     small = {"image_size": (640, 480), "focal": 1000.0 if seed % 4 == 3 else 1500.0}
     if seed % 4 == 3:
         return random_crossing(seed, **small)
@@ -222,9 +222,9 @@ def test_a_change_of_lane_is_found(rendered: Callable[[Scene], Path], kind: str,
     s = scene(kind, 18.0, 10, lane_change=LaneChange(8.0, 35.0, shift))
     m = measure_clip(rendered(s)).measurements[0]
     found = {"constant speed, swerving"} | ({"constant speed"} if kind != "line" and abs(shift) < 1 else set())
-    if kind == "right":  # the road's own bend leaves an acceleration open: it may be taken in beside the swerve
+    if kind == "right":  # the curvature leaves an acceleration possible beside the lane change
         found |= {"changing acceleration, swerving"}
-    assert m.verdict == "measured" and m.model in found  # round a bend drivers weave by nearly as much anyway
+    assert m.verdict == "measured" and m.model in found  # on a bend lane keeping deviates nearly as much
     assert abs(m.speed - 18.0) < 0.15 * MPH and m.speed_lo <= 18.0 <= m.speed_hi
 
 
@@ -242,9 +242,9 @@ def test_the_deviation_of_a_lane_change_is_within_the_prior(
     for fit in [*lane_changes, *(fit for fit, _ in responses(1.0, count))]:
         deviation_modes = fit.trajectory.deviation
         amplitudes = fit.theta[len(PARAMETER_NAMES) :][: len(deviation_modes.modes)]
-        if not (swerves := np.abs(amplitudes[-deviation_modes.lane_change_modes :]).max() > 0):
+        if not (changes_lane := np.abs(amplitudes[-deviation_modes.lane_change_modes :]).max() > 0):
             amplitudes = amplitudes[: -deviation_modes.lane_change_modes]
-        assert swerves == (fit in lane_changes)
+        assert changes_lane == (fit in lane_changes)
         assert fit.deviation_sigma == pytest.approx(float(np.sqrt((amplitudes**2).mean())))
         assert fit.deviation_sigma < 0.5 * MAX_DEVIATION_SIGMA
 
@@ -429,12 +429,13 @@ def test_an_occluder_is_not_taken_for_view_dependence(seed: int) -> None:
     grows[:, 0, 0] = H[:, 0, 0, None] * np.linspace(-1.0, 1.0, len(H))[:, None]
     around = np.linspace(0.0, 0.1, len(H)) + np.where(np.arange(len(H)) % 2, 0.005, 0.0)
     directions = np.stack([np.sin(around), 0.0 * around, np.cos(around)], axis=1)
-    told = []
+    information = []
     for _ in range(4):
         for seen_from in (None, directions):
             flat = np.zeros((level.patches, ROWS_PER_PATCH))
-            told.append(level.normal_equations(H, np.zeros_like(H), flat, 1.0, grows, seen_from)[0][..., 0, 0].sum(0))
-    assert (told[-1] > 0.7 * told[-2]).mean() > 0.8
+            A, _ = level.normal_equations(H, np.zeros_like(H), flat, 1.0, grows, seen_from)
+            information.append(A[..., 0, 0].sum(0))
+    assert (information[-1] > 0.7 * information[-2]).mean() > 0.8
 
 
 @pytest.mark.parametrize("count", slow_after(1, [2, 6]))
@@ -445,9 +446,9 @@ def test_reflections_bias_the_speed_less_with_view_dependence(
     off: dict[bool, list[float]] = {False: [], True: []}
     for seed in range(count):
         fit, true = with_specular_reflections(rendered(PLAIN[seed % 2]), seed)
-        for drifts in off:
-            found = fit.with_view_dependence() if drifts else fit
-            off[drifts].append(float(fit.trajectory.mean_speed_gradient @ found.theta) / true - 1.0)
+        for view_dependent in off:
+            found = fit.with_view_dependence() if view_dependent else fit
+            off[view_dependent].append(float(fit.trajectory.mean_speed_gradient @ found.theta) / true - 1.0)
     assert np.mean(np.square(off[True])) < 0.7**2 * np.mean(np.square(off[False]))
 
 
@@ -741,8 +742,8 @@ def test_the_response_to_the_rig_equals_refits_with_a_moved_rig(
     clip = load_clip(rendered(scene("approaching", 14.0, 2, frames=14)))
     stated = replace(clip.rig, uncertainty=RigUncertainty(1.0, 0.0, (4e-5, 4e-5, 4e-5), (3e-4, 3e-4, 3e-4)))
     fit, _ = fitted(replace(clip, rig=stated))
-    told = fit.rig_estimate(fit.rig_offset, fit.covariance_given_rig)
-    assert told is not None
+    estimate = fit.rig_estimate(fit.rig_offset, fit.covariance_given_rig)
+    assert estimate is not None
     mean = fit.trajectory.mean_speed_gradient
     weighing: dict[tuple[int, ...], NDArray[np.float64]] = {}
     whitening = view_dependence.whitening
@@ -752,7 +753,7 @@ def test_the_response_to_the_rig_equals_refits_with_a_moved_rig(
     monkeypatch.setattr(PyramidLevel, "_update_weights", lambda *_: None)
     assert fit._view_dependent
     fit._assemble()
-    for q in np.argsort(np.abs(mean @ told.response))[-3:]:
+    for q in np.argsort(np.abs(mean @ estimate.response))[-3:]:
         speeds = []
         for step in (-0.5, 0.5):
             held_there = copy(fit)
@@ -761,10 +762,10 @@ def test_the_response_to_the_rig_equals_refits_with_a_moved_rig(
             held_there._reset(fit.theta, [copy(level) for level in fit.levels], fit.depth_offsets)
             held_there.gauss_newton(1e-3)
             speeds.append(mean @ held_there.theta)
-        assert speeds[1] - speeds[0] == pytest.approx(mean @ told.response[:, q], rel=0.1)
-    own = np.linalg.eigvalsh(told.information)
+        assert speeds[1] - speeds[0] == pytest.approx(mean @ estimate.response[:, q], rel=0.1)
+    own = np.linalg.eigvalsh(estimate.information)
     assert own.min() > -1e-6 and own.max() > 1.0  # images add information
-    known = float(np.sqrt(mean @ told.covariance @ mean))
+    known = float(np.sqrt(mean @ estimate.covariance @ mean))
     assert 0 < known < np.sqrt(fit.mean_speed_variance)
 
 

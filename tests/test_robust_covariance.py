@@ -1,4 +1,4 @@
-"""The mean of estimates that rest on the same pictures, and what is left of their variance."""
+"""The mean of estimates from the same images, and its variance."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ def test_the_error_of_the_mean_is_the_mean_error_less_the_spread(x: np.ndarray, 
     assert left == pytest.approx(max((mean - truth) ** 2, MIN_VARIANCE_SHARE * (weights @ variances)), abs=2e-3)
 
 
-def test_what_is_better_known_counts_for_more() -> None:
+def test_estimates_are_weighted_by_their_variances() -> None:
     weights, left = mean_of_estimates(np.array([1.0, 3.0]), np.array([1.0, 4.0]))
     np.testing.assert_allclose(weights, [0.65, 0.35])
     assert left == pytest.approx(0.65 * 1.0 + 0.35 * 4.0 - 0.65 * 0.35 * 2.0**2)
 
 
-def test_estimates_that_agree_are_no_surer_than_one() -> None:
+def test_equal_estimates_have_the_variance_of_one() -> None:
     weights, left = mean_of_estimates(np.full(5, 20.0), np.full(5, 0.3))
     np.testing.assert_allclose(weights, 0.2)
     assert left == pytest.approx(0.3)
 
 
-def test_estimates_that_differ_by_more_than_they_claim_leave_a_share_all_the_same() -> None:
+def test_a_minimum_share_of_the_variance_remains() -> None:
     _, left = mean_of_estimates(np.array([10.0, 20.0, 30.0]), np.ones(3))
     assert left == MIN_VARIANCE_SHARE
 

@@ -1,4 +1,4 @@
-"""The motion along a path, its bends, and the evidence for an extra of it."""
+"""The motion along a path, the deviation from it, and the evidence for a motion term."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ RIG = StereoRig(Camera((1024, 768), K), Camera((1024, 768), K), np.eye(3), np.ar
 QUAD = np.array([[480.0, 400.0], [540.0, 401.0], [541.0, 425.0], [481.0, 424.0]])
 
 
-def straight_away():
+def straight_path():
     return from_points("lane", "line", np.array([[0.5, 1.5, 10.0], [1.5, 1.4, 40.0], [2.5, 1.3, 70.0]]))
 
 
-def bend(radius=120.0):
+def curved_path(radius=120.0):
     turn = np.linspace(0.0, 0.6, 60)
     points = np.column_stack([radius * (1 - np.cos(turn)), np.full(60, 1.5), 10 + radius * np.sin(turn)])
     sideways = 0.05 * np.sin(np.linspace(0, 5, 60))[:, None] * np.array([1.0, 0.0, 0.2])
     return resampled("lane", "curve", points, sideways[None])
 
 
-def carried(path, times=(0.0, 0.2, 0.4, 0.8)):
+def trajectory_on(path, times=(0.0, 0.2, 0.4, 0.8)):
     ray = RIG.left.rays(QUAD.mean(0))
     plane = InitialPlane(
         centre=30.0 * ray,
@@ -49,8 +49,8 @@ def carried(path, times=(0.0, 0.2, 0.4, 0.8)):
         normal_std=np.array([0.05, 0.05]),
         inverse_depth_std=0.01,
     )
-    way = deviation_modes(path, path.nearest(plane.centre), 20.0, on_path=True)
-    return Trajectory(RIG, QUAD, plane, path, np.stack([times, times], axis=1), way)
+    deviation = deviation_modes(path, path.nearest(plane.centre), 20.0, on_path=True)
+    return Trajectory(RIG, QUAD, plane, path, np.stack([times, times], axis=1), deviation)
 
 
 def start_of(t, depth=30.0, speed=15.0):
@@ -61,17 +61,17 @@ def start_of(t, depth=30.0, speed=15.0):
 
 @pytest.mark.parametrize("acceleration", [0.0, -2.0])
 def test_on_a_straight_path_the_plane_moves_straight(acceleration):
-    t = carried(straight_away())
+    t = trajectory_on(straight_path())
     theta = start_of(t)
     theta[PARAMETER_INDEX["acceleration"]] = acceleration
     forward = np.diff(t.path.at(np.array([0.0, 1.0])), axis=0)[0]
-    way = 15.0 * t.times[:, 0] + 0.5 * acceleration * t.times[:, 0] ** 2
-    expected = 30.0 * RIG.left.rays(QUAD.mean(0)) + way[:, None] * forward
+    distance = 15.0 * t.times[:, 0] + 0.5 * acceleration * t.times[:, 0] ** 2
+    expected = 30.0 * RIG.left.rays(QUAD.mean(0)) + distance[:, None] * forward
     np.testing.assert_allclose(t.centres(theta), expected, atol=1e-6)
 
 
-def test_round_a_bend_the_way_has_the_length_that_the_speed_says():
-    t = carried(bend(), times=np.linspace(0, 1.5, 200))
+def test_on_a_curve_the_distance_is_speed_times_time():
+    t = trajectory_on(curved_path(), times=np.linspace(0, 1.5, 200))
     theta = start_of(t)
     count = len(t.deviation.modes)
     theta[len(PARAMETER_NAMES) :][:count] = np.random.default_rng(2).normal(0, 0.5, count)
@@ -79,8 +79,8 @@ def test_round_a_bend_the_way_has_the_length_that_the_speed_says():
     assert length == pytest.approx(15.0 * 1.5, rel=1e-4)
 
 
-def test_distance_is_the_speed_added_up():
-    t = carried(straight_away(), times=tuple(np.linspace(0.0, 1.2, 1201)))
+def test_distance_is_the_integral_of_the_speed():
+    t = trajectory_on(straight_path(), times=tuple(np.linspace(0.0, 1.2, 1201)))
     rng = np.random.default_rng(3)
     theta = start_of(t)
     theta[PARAMETER_INDEX["acceleration"]] = -1.5
@@ -92,9 +92,9 @@ def test_distance_is_the_speed_added_up():
     assert v[0] == pytest.approx(15.0) and np.ptp(np.diff(v)) > 1e-4  # it does change its acceleration
 
 
-def test_surges_are_as_large_and_as_sudden_as_they_are_said_to_be():
+def test_varying_accelerations_have_the_stated_covariance():
     """Accelerations drawn from the prior have the stated deviation, and the stated correlation over time."""
-    t = carried(straight_away(), times=tuple(np.linspace(0.0, 2.0, 401)))
+    t = trajectory_on(straight_path(), times=tuple(np.linspace(0.0, 2.0, 401)))
     sigma, scale = trajectory.ACCELERATION_GP
     a = np.gradient(t.speed_jacobian[:, t.index("varying_acceleration")], t.times[:, 0], axis=0)[1:-1]
     kernel, seconds = a @ a.T, t.times[1:-1, 0]
@@ -102,15 +102,15 @@ def test_surges_are_as_large_and_as_sudden_as_they_are_said_to_be():
     np.testing.assert_allclose(kernel, expected, atol=0.02 * sigma**2)
 
 
-@pytest.mark.parametrize("path", [straight_away(), bend()])
-def test_many_motions_at_once_are_those_one_by_one(path):
-    t = carried(path)
+@pytest.mark.parametrize("path", [straight_path(), curved_path()])
+def test_a_batch_of_motions_equals_single_ones(path):
+    t = trajectory_on(path)
     rng = np.random.default_rng(5)
     thetas = start_of(t) + rng.normal(0, 30, (3, 2, len(t.steps))) * t.steps
     R, shift, n, d = t.motion(thetas)
     H, per_metre = t.homographies(thetas)
     for i in np.ndindex(3, 2):
-        # the ways are laid out on knots of their own: nothing that a pixel shows
+        # the splines have other knots: the difference is far below a pixel
         for many, one in zip((R[i], shift[i], n[i], d[i]), t.motion(thetas[i]), strict=True):
             np.testing.assert_allclose(many, one, atol=1e-6)
         np.testing.assert_allclose(t.quads(thetas)[i], t.quads(thetas[i]), atol=1e-4)
@@ -118,10 +118,10 @@ def test_many_motions_at_once_are_those_one_by_one(path):
     assert H.shape == (3, 2, len(t.times), 2, 3, 3)
 
 
-def test_homographies_carry_the_planes_own_points():
-    """Points of the first plane, and of one that stands 5 cm off it, moved rigidly and projected into both views, are
-    where H and its change per metre put them."""
-    t = carried(bend())
+def test_homographies_equal_projected_points():
+    """Points of the initial plane, and of one 5 cm off it, moved rigidly and projected into both views, against H and
+    ∂H/∂d."""
+    t = trajectory_on(curved_path())
     theta = start_of(t)
     theta[PARAMETER_INDEX["normal_yaw"]], theta[PARAMETER_INDEX["curvature"]] = 0.05, 0.004
     R, shift, n, d = t.motion(theta)
@@ -139,15 +139,16 @@ def test_homographies_carry_the_planes_own_points():
                     np.testing.assert_allclose(seen[:2] / seen[2], expected, atol=1e-6)
 
 
-def test_bends_hold_all_that_was_put_into_them():
-    """Their covariance is that of the reconstruction, the driver and his weaving, but for what is negligible."""
-    path = bend()
-    way = deviation_modes(path, 5.0, 40.0, on_path=True)
-    lane_keeping = way.modes[: len(way.modes) - way.lane_change_modes].reshape(-1, 2 * len(way.u))
-    yaw, pitch = path.heading_modes(5.0 + way.u)
+def test_the_deviation_has_the_covariance_of_its_parts():
+    """That of the reconstruction, the polynomial driver prior and lane keeping, but for negligible modes."""
+    path = curved_path()
+    deviation = deviation_modes(path, 5.0, 40.0, on_path=True)
+    count = len(deviation.modes) - deviation.lane_change_modes
+    lane_keeping = deviation.modes[:count].reshape(-1, 2 * len(deviation.u))
+    yaw, pitch = path.heading_modes(5.0 + deviation.u)
     sigma, length = path_deviation.LANE_KEEPING_GP
-    expected = np.zeros((2 * len(way.u),) * 2)
-    u, powers = way.u, (1.0, 1.0, 2.0, 6.0)
+    expected = np.zeros((2 * len(deviation.u),) * 2)
+    u, powers = deviation.u, (1.0, 1.0, 2.0, 6.0)
     n = len(u)
     expected[:n, :n] = sigma**2 * np.exp(-0.5 * ((u[:, None] - u) / length) ** 2) + yaw.T @ yaw
     expected[n:, n:] = pitch.T @ pitch
@@ -162,30 +163,31 @@ def test_bends_hold_all_that_was_put_into_them():
     np.testing.assert_allclose(np.diag(lane_keeping.T @ lane_keeping), variance, atol=0.02 * variance.max())
 
 
-def test_turns_are_the_modes_and_stay_beyond_them():
+def test_angles_are_the_modes_and_constant_beyond_them():
     u = np.linspace(0, 10, 21)
-    way = PathDeviation(u, np.stack([np.stack([np.sin(u), 0 * u]), np.stack([0 * u, u / 10])]), lane_change_modes=0)
-    yaw, pitch = way.angles(np.array([2.0, 3.0]), np.array([-5.0, 0.0, 2.5, 10.0, 99.0]))
+    modes = np.stack([np.stack([np.sin(u), 0 * u]), np.stack([0 * u, u / 10])])
+    deviation = PathDeviation(u, modes, lane_change_modes=0)
+    yaw, pitch = deviation.angles(np.array([2.0, 3.0]), np.array([-5.0, 0.0, 2.5, 10.0, 99.0]))
     np.testing.assert_allclose(yaw, 2 * np.sin([0, 0, 2.5, 10, 10]), atol=1e-12)
     np.testing.assert_allclose(pitch, [0, 0, 0.75, 3, 3], atol=1e-12)
 
 
-def test_extras_are_free_only_where_they_are_named():
-    t = carried(bend())
+def test_motion_terms_are_free_only_where_they_are_named():
+    t = trajectory_on(curved_path())
     plain = prior(t, 15.0)
     assert not set(t.index("lane_change")) & set(plain.free) and PARAMETER_INDEX["curvature"] not in plain.free
     i = list(plain.free).index(PARAMETER_INDEX["acceleration"])  # steady drivers
     assert plain.information[i, i] == pytest.approx(trajectory.STEADY_ACCELERATION_STD_MPS2**-2)
-    places = [set(t.index(extra)) for extra in MOTION_TERMS]
+    places = [set(t.index(term)) for term in MOTION_TERMS]
     assert sum(map(len, places)) == len(set().union(*places))
-    for extra, there in zip(MOTION_TERMS, places, strict=True):
-        assert there <= set(prior(t, 15.0, (extra,)).free) and (extra == "acceleration" or not there & set(plain.free))
+    for term, there in zip(MOTION_TERMS, places, strict=True):
+        assert there <= set(prior(t, 15.0, (term,)).free) and (term == "acceleration" or not there & set(plain.free))
 
 
 @pytest.mark.parametrize("held", [0.15, None])
 @pytest.mark.parametrize(("value", "spread"), [(0.1, 0.5), (1.2, 0.3), (0.02, 0.01)])
 def test_the_evidence_is_the_ratio_of_marginal_likelihoods(value, spread, held):
-    """Against numerical integration over one parameter, measured as ``value`` ± ``spread`` by the pictures alone."""
+    """Against numerical integration over one parameter, measured as ``value`` ± ``spread`` by the images alone."""
     wide = 2.0
     information = spread**-2 + wide**-2
     posterior = value * spread**-2 / information

@@ -1,4 +1,4 @@
-"""Whether a refined motion is a measurement, from what its frames say."""
+"""Acceptance tests of a refined motion."""
 
 from __future__ import annotations
 
@@ -35,12 +35,13 @@ OUTLINE = np.array([[100.0, 100.0], [160.0, 100.0], [160.0, 130.0], [100.0, 130.
 
 
 def refined(explained: list[float], off: float = 0.0, converged: bool = True) -> RefinedMotion:
-    """A motion that explains so much of each frame, all of them ``off`` by so many pixels to the right."""
+    """A motion with the ``explained`` share of each frame, all images ``off`` px to the right of it."""
     both = np.repeat(np.array(explained)[:, None], 2, axis=1)
     offsets = np.where(np.isnan(both)[..., None], np.nan, [off, 0.0])
-    trajectory = cast(Trajectory, None)  # of the motion only what it explains is asked
-    theta, unsure, pulls = np.zeros(1), [np.zeros((1, 1))] * 3, np.zeros(3)
-    return RefinedMotion(trajectory, pulls, theta, *unsure, None, 1.0, 10.0, offsets, both, (), 0.0, 9.0, converged)
+    trajectory = cast(Trajectory, None)  # not used
+    theta, covariances, shifts = np.zeros(1), [np.zeros((1, 1))] * 3, np.zeros(3)
+    fit = 1.0, 10.0, offsets, both, (), 0.0, 9.0, converged
+    return RefinedMotion(trajectory, shifts, theta, *covariances, None, *fit)
 
 
 def moving_with(right: Array) -> RefinedMotion:
@@ -49,7 +50,7 @@ def moving_with(right: Array) -> RefinedMotion:
     return replace(refined([0.9] * 10), trajectory=cast(Trajectory, moved))
 
 
-def test_a_frame_shows_the_vehicle_where_all_views_that_were_used_fit() -> None:
+def test_a_frame_is_consistent_where_all_views_that_were_used_fit() -> None:
     enough = 1.0 - DEFAULT_LIMITS.unexplained_contrast**2
     r = refined([0.99, enough + 1e-6, enough - 1e-6, np.nan, 0.99])
     r.explained_share[4, 1] = 0.0  # one view shows something else
@@ -59,15 +60,15 @@ def test_a_frame_shows_the_vehicle_where_all_views_that_were_used_fit() -> None:
 
 
 @pytest.mark.parametrize(
-    ("shown", "frames", "reason"),
+    ("consistent", "frames", "reason"),
     [(10, 10, ""), (5, 10, ""), (4, 10, "residuals: only 4 of 10 frames"), (3, 5, "residuals: only 3 of 5 frames")],
 )
-def test_half_of_the_frames_have_to_show_the_vehicle_and_four_of_them(shown: int, frames: int, reason: str) -> None:
-    said = check_residuals(refined([0.9] * shown + [0.1] * (frames - shown)))
-    assert said.startswith(reason) and bool(said) == bool(reason)
+def test_half_of_the_frames_have_to_be_consistent_and_four_of_them(consistent: int, frames: int, reason: str) -> None:
+    reason_found = check_residuals(refined([0.9] * consistent + [0.1] * (frames - consistent)))
+    assert reason_found.startswith(reason) and bool(reason_found) == bool(reason)
 
 
-def test_a_track_is_cut_where_it_is_known_to_end_and_halved_where_nothing_is_known() -> None:
+def test_a_track_is_cut_at_an_occlusion_and_halved_where_no_motion_fits() -> None:
     seen, hidden = [0.9], [0.1]
     assert frames_to_refit(refined(20 * seen)) == 20
     assert frames_to_refit(refined(17 * seen + 3 * hidden)) == 17
@@ -78,18 +79,17 @@ def test_a_track_is_cut_where_it_is_known_to_end_and_halved_where_nothing_is_kno
     assert DEFAULT_LIMITS.min_frames == 4
 
 
-@pytest.mark.parametrize("hand", [0.5, 5.0])  # px
-def test_a_motion_is_seldom_off_outlines_however_well_they_are_drawn(hand: float) -> None:
-    """A careless hand shows in corners that do not fit each other: then it is an F test, of 2 and 6 degrees of
-    freedom."""
-    drawn = OUTLINE + np.random.default_rng(1).normal(0, hand * np.sqrt(2.0), (20_000, 4, 2))  # of both outlines
+@pytest.mark.parametrize("click_noise", [0.5, 5.0])  # px
+def test_a_right_motion_is_seldom_rejected_by_the_outline(click_noise: float) -> None:
+    """A large click noise shows in the scatter of the corners: then it is an F test with 2 and 6 degrees of freedom."""
+    drawn = OUTLINE + np.random.default_rng(1).normal(0, click_noise * np.sqrt(2.0), (20_000, 4, 2))  # of both outlines
     off = np.mean([check_outline(moving_with(OUTLINE), one, 0.5) != "" for one in drawn])
     chi2 = DEFAULT_LIMITS.outline_sigma**2
-    expected = np.exp(-0.5 * chi2) if hand == 0.5 else f.sf(0.5 * chi2, 2, 6)
+    expected = np.exp(-0.5 * chi2) if click_noise == 0.5 else f.sf(0.5 * chi2, 2, 6)
     assert off == pytest.approx(expected, abs=4 * np.sqrt(expected / len(drawn)) + 1e-4)
 
 
-def test_a_motion_that_lies_off_the_outline_in_the_other_view_is_that_of_something_else() -> None:
+def test_a_motion_off_the_outline_in_the_other_view_is_rejected() -> None:
     assert check_outline(moving_with(OUTLINE), OUTLINE + [1.7, 0.0], 0.5) == ""
     reason = check_outline(moving_with(OUTLINE), OUTLINE + [0.0, -3.0], 0.5)
     assert reason == "outline: the tracked region lies 3.0 px off the right outline (limit 1.8)"
@@ -98,8 +98,8 @@ def test_a_motion_that_lies_off_the_outline_in_the_other_view_is_that_of_somethi
 
 
 @pytest.mark.parametrize(("hidden", "reason"), [(3, ""), (4, "residuals: none of the first 4 frames")])
-def test_a_motion_that_no_frame_shows_at_first_is_that_of_something_else(hidden: int, reason: str) -> None:
-    """What came to hide the vehicle drove on in its place for longer than that was seen."""
+def test_a_motion_inconsistent_in_the_first_frames_is_rejected(hidden: int, reason: str) -> None:
+    """An occluder that was followed for longer than the vehicle."""
     r = refined([0.1] * hidden + [0.9] * 20)
     assert check_residuals(r).startswith(reason) and bool(check_residuals(r)) == bool(reason)
     assert frames_to_refit(r) == (10 + hidden // 2 if reason else 20 + hidden)
@@ -110,10 +110,10 @@ def test_a_motion_that_no_frame_shows_at_first_is_that_of_something_else(hidden:
     [
         (6.4, 2.6, "path_deviation_implausible"),
         (MAX_DEVIATION_SIGMA, 2.6, ""),
-        (6.4, MIN_CONTRAST_GREY, ""),  # a crest, a tight turn: a face that shows well knows its way
+        (6.4, MIN_CONTRAST_GREY, ""),  # a crest or a tight turn, with enough contrast
     ],
 )
-def test_a_way_that_nobody_drives_is_not_believed_of_a_face_that_hardly_shows(
+def test_an_implausible_path_at_low_contrast_is_rejected(
     deviation_sigma: float, contrast: float, code: str
 ) -> None:
     """A lorry front of 2.6 grey levels was followed pixels aside from where it was, and read 6 % too fast."""
@@ -126,12 +126,12 @@ def test_a_way_that_nobody_drives_is_not_believed_of_a_face_that_hardly_shows(
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=40))
-def test_frames_are_kept_as_long_as_most_of_them_show_the_vehicle(shown: list[bool]) -> None:
-    kept = frames_before_occlusion(np.array(shown))
-    tails = [shown[kept:end] for end in range(kept + 1, len(shown) + 1)]
-    assert all(sum(tail) < len(tail) / 2 for tail in tails)  # nothing beyond it is worth its hidden frames
-    heads = [shown[start:kept] for start in range(1, kept)]
-    assert all(sum(head) >= len(head) / 2 for head in heads)  # and nothing of it would be better left away
+def test_frames_are_kept_as_long_as_most_are_consistent(consistent: list[bool]) -> None:
+    kept = frames_before_occlusion(np.array(consistent))
+    tails = [consistent[kept:end] for end in range(kept + 1, len(consistent) + 1)]
+    assert all(sum(tail) < len(tail) / 2 for tail in tails)  # after it most frames are inconsistent
+    heads = [consistent[start:kept] for start in range(1, kept)]
+    assert all(sum(head) >= len(head) / 2 for head in heads)  # before it most are consistent
 
 
 @pytest.mark.parametrize(

@@ -56,12 +56,12 @@ def measure(
     ``progress`` is called with frames done and frames in all, ``on_estimate`` with a vehicle and each of the filter's
     estimates. Raises UnusableInput; a DeviceFailure where ``device`` is ``cuda`` and fails.
     """
-    fleet = TrackerBatch(open_device(device), carry_on=device == "auto")
-    begin = partial(VehicleMeasurement, fleet=fleet, on_estimate=on_estimate)
+    batch = TrackerBatch(open_device(device), carry_on=device == "auto")
+    begin = partial(VehicleMeasurement, batch=batch, on_estimate=on_estimate)
     result = measure_each(clip, recording, configuration, begin, progress)
     jointly = calibrate_jointly(result.measurements, configuration)
     measurements = [verdict.apply_tolerance(m, configuration.tolerance) for m in jointly]
-    return replace(result, measurements=measurements, notices=[*result.notices, *fleet.notices])
+    return replace(result, measurements=measurements, notices=[*result.notices, *batch.notices])
 
 
 register(DEFAULT_METHOD, Method(measure, uses_gpu=True))

@@ -42,16 +42,16 @@ class VehicleMeasurement:
         vehicle: VehicleDocument,
         drawn: dict[str, Path],
         configuration: SpeedConfiguration,
-        fleet: TrackerBatch,
+        batch: TrackerBatch,
         on_estimate: OnEstimate | None = None,
     ) -> None:
-        self.fleet, self.on_estimate = fleet, on_estimate
+        self.batch, self.on_estimate = batch, on_estimate
         self.rig, self.vehicle, self.configuration = clip.rig, vehicle, configuration
         self.limits = configuration.limits
         on_path = vehicle.path if vehicle.path in drawn else None
         self.path = drawn[on_path] if on_path is not None else None
         offset = clip.paths[on_path].lateral_offset if on_path is not None else 0.0
-        self.tracker = fleet.join(Tracker(clip.rig, vehicle, self.path, offset, configuration, fleet.device))
+        self.tracker = batch.join(Tracker(clip.rig, vehicle, self.path, offset, configuration, batch.device))
         if self.path is not None:
             centre = self.tracker.plane.centre
             nearest = [way.at(np.array(way.nearest(centre))) for way in self.tracker.ways]
@@ -68,7 +68,7 @@ class VehicleMeasurement:
 
     def process(self, frame: StereoFrame) -> bool:
         """Track the vehicle into ``frame``; False where the track ends."""
-        estimate = self.fleet.update(self.tracker, frame)
+        estimate = self.batch.update(self.tracker, frame)
         self.estimates.append(estimate)
         if self.on_estimate is not None:
             self.on_estimate(self.vehicle.id, estimate)
