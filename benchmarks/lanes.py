@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from paceline.cameras import StereoRig
 from paceline.documents.loading import load_recorded
-from paceline.lanes.lane_proposals import Lane, propose
-from paceline.lanes.road_detection import NoRoad, find_road
-from paceline.recordings.background import empty_scene
+from paceline.lanes.lane_proposals import Lane, propose_lanes
+from paceline.lanes.road_detection import RoadNotFound, detect_road
+from paceline.recordings.background import estimate_background
 from paceline.recordings.stereo import open_recording
 from paceline.simulation.raytraced.scene import PlacedStereoScene
 from paceline.simulation.raytraced.scene_yaml import load_speed_scene
@@ -71,9 +71,10 @@ def main(folders: list[Path]) -> None:
         truths, start = true_lanes(stage), time.process_time()
         clip = load_recorded(folder / "clip.yaml")
         try:
-            background = empty_scene(open_recording(clip))
-            lanes = [lane for lane in propose(clip.rig, find_road(clip.rig, background))[0] if lane.path is not None]
-        except NoRoad as reason:
+            background = estimate_background(open_recording(clip))
+            proposed, _ = propose_lanes(clip.rig, detect_road(clip.rig, background))
+            lanes = [lane for lane in proposed if lane.path is not None]
+        except RoadNotFound as reason:
             lanes = []
             print(f"{folder.name}: {reason}")
         seconds = time.process_time() - start

@@ -22,9 +22,9 @@ import yaml
 from common import MPH, head, machine, rms, row
 from numpy.typing import NDArray
 
-from paceline.detection.background_model import EmptyScene
-from paceline.detection.finder import Finder, Found
-from paceline.detection.lane_paths import ways_of
+from paceline.detection.background_model import RunningMedianBackground
+from paceline.detection.finder import DetectedVehicle, VehicleFinder
+from paceline.detection.lane_paths import lane_paths_of
 from paceline.documents.loading import Clip, load_clip
 from paceline.documents.rig_yaml import rig_yaml
 from paceline.recordings.live_stereo import LiveViews, RawPair, undistorted
@@ -117,10 +117,11 @@ def write(of: Film, folder: Path) -> Clip:
 def alone(of: Film, clip: Clip) -> list[float]:
     """Processor seconds for each pair: undistortion, and everything that the finder does while it looks."""
     empty = [pictures[0].astype(np.float32) for pictures in of.views]
-    finder, before, seconds = Finder(ways_of(clip), EmptyScene((empty[0], empty[1]))), None, []
+    finder = VehicleFinder(lane_paths_of(clip), RunningMedianBackground((empty[0], empty[1])))
+    before, seconds = None, []
     for k, (left, right) in enumerate(zip(*of.views, strict=True)):
         pair, begun = RawPair(k, k / RATE, left, right, 0.0), time.process_time()
-        finder.gone(undistorted(pair, clip.rig, before, finder.rows))
+        finder.finished_tracks(undistorted(pair, clip.rig, before, finder.rows))
         seconds.append(time.process_time() - begun)
         before = pair
     return seconds
@@ -141,7 +142,7 @@ def main() -> None:
             print(row(name, len(ms), *(f"{np.percentile(ms, p):.0f}" for p in (50, 95, 100))), flush=True)
         told: list[Measurement | None] = []
 
-        def note(found: Found, measurement: Measurement | None, reason: str) -> None:
+        def note(found: DetectedVehicle, measurement: Measurement | None, reason: str) -> None:
             told.append(measurement)
 
         views = LiveViews(clip)

@@ -19,12 +19,12 @@ from nuisances import Bush, Image, Shade, body, bushes, fill, night, rain, shade
 from numpy.typing import NDArray
 from vehicles import Speed, speeds, who
 
-from paceline.detection.background_model import EmptyScene
-from paceline.detection.finder import Finder
-from paceline.detection.lane_paths import ways_of
+from paceline.detection.background_model import RunningMedianBackground
+from paceline.detection.finder import VehicleFinder
+from paceline.detection.lane_paths import lane_paths_of
 from paceline.detection.search import find_vehicles
 from paceline.documents.loading import Clip, load_clip
-from paceline.recordings.background import background_of
+from paceline.recordings.background import background_from
 from paceline.recordings.stereo import StereoFrame, open_recording
 from paceline.simulation.stereo.clip import RenderedClip, Scene, Vehicle, World, render, write
 from paceline.simulation.stereo.scenery import StaticBackground, make_occluder
@@ -271,13 +271,14 @@ def nothing(minutes: float, seed: int) -> str:
         clip = written(render(empty_scene(seed)), folder)  # for its paths
     frames = empty_road(minutes + LEARNED / 60, seed)
     learned = [frame for k, frame in enumerate(islice(frames, int(LEARNED * EMPTY_RATE))) if k % 10 == 0]
-    background = background_of(
+    background = background_from(
         *([f.astype(np.float16) for f in views] for views in zip(*((f.left, f.right) for f in learned), strict=True))
     )
-    finder, seconds, count, found = Finder(ways_of(clip), EmptyScene(background.images)), 0.0, 0, 0
+    finder = VehicleFinder(lane_paths_of(clip), RunningMedianBackground(background.images))
+    seconds, count, found = 0.0, 0, 0
     for frame in frames:
         begun = time.process_time()
-        found += len(finder.see(frame))
+        found += len(finder.process(frame))
         seconds, count = seconds + time.process_time() - begun, count + 1
     found += len(finder.finish())
     return (

@@ -7,34 +7,34 @@ import numpy as np
 from numpy.typing import NDArray
 from tiny_road import scene
 
-from paceline.detection.detector import Sighting
-from paceline.detection.lane_paths import Grid, Way
-from paceline.detection.planar_face import Aligned, Face
+from paceline.detection.detector import Detection
+from paceline.detection.lane_paths import LanePath, PlaneGrid
+from paceline.detection.planar_face import AlignedDetection, PlanarFace
 from paceline.simulation.stereo.clip import Vehicle, World
 from paceline.speed.geometry.paths import from_points
 
 Image = NDArray[np.float32]
 
-CARD = Grid(left=-1.2, top=1.6, bottom=0.0, cell=0.02)
+CARD = PlaneGrid(left=-1.2, top=1.6, bottom=0.0, cell=0.02)
 X, BOTTOM, TOP = (-0.7, 0.7), 0.3, 1.2  # m, of the outline
 SPEED, FRAMES = 2.0, 9  # m a frame
 
 
-def face_with(texture: Image, seed: int, covered: tuple[Image, int] | None = None) -> Face:
+def face_with(texture: Image, seed: int, covered: tuple[Image, int] | None = None) -> PlanarFace:
     """A face that comes 2 m a frame, all of it as outlined, and on its card nothing but the ``texture`` (H, W): another
     one, where it is ``covered``, in the first so many frames."""
     world, rng = World(scene(Vehicle("v0", 16.0, start_distance=60.0), frames=FRAMES)), np.random.default_rng(seed)
-    way = Way("lane0", world.rig, from_points("lane0", "line", world.road.point(np.array([80.0, 12.0]), 1.85)))
+    way = LanePath("lane0", world.rig, from_points("lane0", "line", world.road.point(np.array([80.0, 12.0]), 1.85)))
     aligned = []
     for k in range(FRAMES):
         s = 35.0 + SPEED * k
         pair = painted_on(way, s, covered[0] if covered is not None and k < covered[1] else texture, rng)
-        sighting = Sighting(k, 0.1 * k, way, s, X, (BOTTOM, TOP), 1.5, 9.0, pair, flat(pair), np.zeros((2, 2)))
-        aligned.append(Aligned(sighting, s, np.zeros(2), 1.0))
-    return Face(X, (BOTTOM, TOP), aligned, 0.9)
+        sighting = Detection(k, 0.1 * k, way, s, X, (BOTTOM, TOP), 1.5, 9.0, pair, flat(pair), np.zeros((2, 2)))
+        aligned.append(AlignedDetection(sighting, s, np.zeros(2), 1.0))
+    return PlanarFace(X, (BOTTOM, TOP), aligned, 0.9)
 
 
-def painted_on(way: Way, s: float, texture: Image, rng: np.random.Generator) -> tuple[Image, Image]:
+def painted_on(way: LanePath, s: float, texture: Image, rng: np.random.Generator) -> tuple[Image, Image]:
     """Both views of nothing but a ``texture`` on the card at ``s``."""
     views = []
     for H, camera in zip(way.homographies(s), way.rig.cameras, strict=True):

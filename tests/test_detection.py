@@ -19,18 +19,18 @@ from scipy.stats import theilslopes
 from tiny_road import TWO, scene
 
 from paceline.cameras import StereoRig
-from paceline.detection.background_model import DRIFT, EmptyScene
+from paceline.detection.background_model import MAX_CHANGE_GREY_PER_S, RunningMedianBackground
 from paceline.detection.clip_entries import with_vehicles
-from paceline.detection.finder import Finder, Found
-from paceline.detection.lane_paths import NEAREST, Grid, Way, laid_out, pyramid, ways_of
-from paceline.detection.photo_consistency import Texture, correlation
+from paceline.detection.finder import DetectedVehicle, VehicleFinder
+from paceline.detection.lane_paths import MIN_DEPTH_M, LanePath, PlaneGrid, image_pyramid, lane_paths_of, warp_to_plane
+from paceline.detection.photo_consistency import LocalStatistics, local_ncc
 from paceline.detection.planar_face import best_rectangle
 from paceline.detection.search import find_vehicles
-from paceline.detection.tracks import slope
+from paceline.detection.tracks import theil_sen_slope
 from paceline.documents.loading import VehicleDocument, load_clip
 from paceline.errors import UnusableInput
 from paceline.geometry import epipolar_distance, triangulate
-from paceline.recordings.background import steady
+from paceline.recordings.background import shorth_background
 from paceline.recordings.stereo import StereoFrame, open_recording
 from paceline.simulation.stereo.clip import RenderedClip, Vehicle, World, render, write
 from paceline.simulation.stereo.scenery import StaticBackground
@@ -48,24 +48,24 @@ WINDOW = 5
 
 
 @pytest.fixture
-def way(rig: StereoRig) -> Way:
+def way(rig: StereoRig) -> LanePath:
     """A road that goes away to the right, 1.8 m below the cameras."""
-    return Way("lane0", rig, from_points("lane0", "line", np.array([[-4.0, 1.8, 12.0], [3.0, 1.6, 70.0]])))
+    return LanePath("lane0", rig, from_points("lane0", "line", np.array([[-4.0, 1.8, 12.0], [3.0, 1.6, 70.0]])))
 
 
 @given(s=st.floats(0, 58), x=st.floats(-3, 3), y=st.floats(0, 3), turned=st.booleans())
 def test_a_card_is_where_its_points_project(s: float, x: float, y: float, turned: bool) -> None:
     rig = make_rig()
     path = from_points("lane0", "line", np.array([[-4.0, 1.8, 12.0], [3.0, 1.6, 70.0]]))
-    way = Way("lane0", rig, path.reversed() if turned else path)
-    world = way.place(s, x, y)
+    way = LanePath("lane0", rig, path.reversed() if turned else path)
+    world = way.point(s, x, y)
     pixels = way.pixels(s, np.array([x, y]))
     for seen, expected in zip(pixels, rig.project(world), strict=True):
         np.testing.assert_allclose(seen, expected, atol=1e-6)
     along = path.points[-1] - path.points[0]
-    assert (world - way.place(s, 0.0, 0.0)) @ along == pytest.approx(0.0, abs=1e-9)
-    assert way.place(s, 1.0, 0.0)[0] > way.place(s, -1.0, 0.0)[0]  # right in the picture, whichever way one drives
-    assert way.place(s, 0.0, 1.0)[1] < way.place(s, 0.0, 0.0)[1]
+    assert (world - way.point(s, 0.0, 0.0)) @ along == pytest.approx(0.0, abs=1e-9)
+    assert way.point(s, 1.0, 0.0)[0] > way.point(s, -1.0, 0.0)[0]  # right in the picture, whichever way one drives
+    assert way.point(s, 0.0, 1.0)[1] < way.point(s, 0.0, 0.0)[1]
 
 
 @cache
@@ -73,10 +73,10 @@ def make_rig() -> StereoRig:
     return World(scene()).rig
 
 
-def test_stations_lie_in_both_pictures_and_equally_apart_in_disparity(way: Way) -> None:
-    s = way.stations()
+def test_stations_lie_in_both_pictures_and_equally_apart_in_disparity(way: LanePath) -> None:
+    s = way.sweep_positions()
     places = way.path.at(s)
-    assert (places[:, 2] > NEAREST).all() and len(s) > 20
+    assert (places[:, 2] > MIN_DEPTH_M).all() and len(s) > 20
     for pixels, camera in zip(way.rig.project(places), way.rig.cameras, strict=True):
         assert ((pixels >= 0) & (pixels <= np.array(camera.image_size) - 1)).all()
     steps = np.diff(way.rig.left.K[0, 0] * way.rig.baseline / places[:, 2])
@@ -86,31 +86,31 @@ def test_stations_lie_in_both_pictures_and_equally_apart_in_disparity(way: Way) 
 def test_ways_are_one_where_they_run_alike(rig: StereoRig) -> None:
     """Two lines give one where they run alike, in the same sense."""
     path = from_points("", "line", np.array([[-2.0, 1.8, 12.0], [3.0, 1.6, 70.0]]))
-    lane = Way("near", rig, path)
-    assert lane.is_that_of(Way("far", rig, path.shifted(0.2)))
-    assert not lane.is_that_of(Way("far", rig, path.shifted(3.5)))
-    assert not lane.is_that_of(Way("far", rig, path.reversed()))
+    lane = LanePath("near", rig, path)
+    assert lane.coincides_with(LanePath("far", rig, path.shifted(0.2)))
+    assert not lane.coincides_with(LanePath("far", rig, path.shifted(3.5)))
+    assert not lane.coincides_with(LanePath("far", rig, path.reversed()))
 
 
-def test_a_card_shows_what_is_painted_on_it(way: Way) -> None:
+def test_a_card_shows_what_is_painted_on_it(way: LanePath) -> None:
     """A picture whose grey levels are a function of where the card is seen is that function on the card."""
-    grid, s = Grid(left=-1.0, top=1.5, bottom=0.5, cell=0.05), 40.0
+    grid, s = PlaneGrid(left=-1.0, top=1.5, bottom=0.5, cell=0.05), 40.0
     width, height = way.rig.left.image_size
     x, y = np.meshgrid(np.arange(width), np.arange(height))
     card = np.stack([x, y, np.ones_like(x)], -1) @ np.linalg.inv(way.homographies(s)[0]).T
     picture = (100 + 30 * card[..., 0] / card[..., 2] - 20 * card[..., 1] / card[..., 2]).astype(np.float32)
     expected = 100 + 30 * grid.x[None] - 20 * grid.y[:, None]
-    np.testing.assert_allclose(laid_out(pyramid(picture), way.homographies(s)[0], grid), expected, atol=0.05)
+    np.testing.assert_allclose(warp_to_plane(image_pyramid(picture), way.homographies(s)[0], grid), expected, atol=0.05)
 
 
 def test_correlation_is_the_textbooks(rng: np.random.Generator) -> None:
     a, b = rng.normal(100, 10, (2, 20, 24)).astype(np.float32)
     b = 0.5 * b + 0.5 * a
-    found = correlation(Texture(a, WINDOW), Texture(b, WINDOW))
+    found = local_ncc(LocalStatistics(a, WINDOW), LocalStatistics(b, WINDOW))
     for row, column in ((5, 5), (9, 14), (15, 20)):
         part = np.s_[row - 2 : row + 3, column - 2 : column + 3]
         assert found[row, column] == pytest.approx(np.corrcoef(a[part].ravel(), b[part].ravel())[0, 1], abs=2e-3)
-    assert correlation(Texture(a, WINDOW), Texture(np.full_like(a, 7.0), WINDOW)).max() == 0.0
+    assert local_ncc(LocalStatistics(a, WINDOW), LocalStatistics(np.full_like(a, 7.0), WINDOW)).max() == 0.0
 
 
 @pytest.fixture
@@ -153,8 +153,8 @@ def test_the_best_rectangle_is_that_of_all_that_hold_a_column(
 def test_the_slope_is_theils_and_sens(seed: int, n: int) -> None:
     rng = np.random.default_rng(seed)
     t, s = np.cumsum(rng.uniform(0.05, 0.3, n)), rng.normal(0, 10, n)
-    assert slope(t, s) == pytest.approx(float(theilslopes(s, t)[0]))
-    assert np.isnan(slope(t[:1], s[:1]))
+    assert theil_sen_slope(t, s) == pytest.approx(float(theilslopes(s, t)[0]))
+    assert np.isnan(theil_sen_slope(t[:1], s[:1]))
 
 
 def still_frame(index: int, time: float, image: Image) -> StereoFrame:
@@ -163,15 +163,15 @@ def still_frame(index: int, time: float, image: Image) -> StereoFrame:
 
 def test_a_passing_vehicle_leaves_no_trace_and_slow_light_is_followed() -> None:
     road = np.full((20, 30), 80.0, np.float32)
-    empty = EmptyScene((road, road))
+    empty = RunningMedianBackground((road, road))
     passing = road.copy()
     passing[5:15, 5:20] = 250.0
     for k in range(100):  # 10 s, of which a vehicle is there for 1 s
-        empty.follow(still_frame(k, 0.1 * k, passing if 30 <= k < 40 else road))
+        empty.update(still_frame(k, 0.1 * k, passing if 30 <= k < 40 else road))
     assert np.abs(empty.images[0] - 80.0).max() < 0.1
     for k in range(100, 200):
-        empty.follow(still_frame(k, 0.1 * k, road + np.float32(0.8 * DRIFT * 0.1 * (k - 100))))
-    assert np.abs(empty.images[1] - (80.0 + 0.8 * DRIFT * 9.9)).max() < 2 * DRIFT * 0.1
+        empty.update(still_frame(k, 0.1 * k, road + np.float32(0.8 * MAX_CHANGE_GREY_PER_S * 0.1 * (k - 100))))
+    assert np.abs(empty.images[1] - (80.0 + 0.8 * MAX_CHANGE_GREY_PER_S * 9.9)).max() < 2 * MAX_CHANGE_GREY_PER_S * 0.1
     assert (road == 80.0).all()  # what was handed in stays as it is
 
 
@@ -186,12 +186,12 @@ def unclicked(rendered: RenderedClip, folder: Path) -> Path:
     return file
 
 
-def found_in(file: Path) -> list[Found]:
+def found_in(file: Path) -> list[DetectedVehicle]:
     clip = load_clip(file)
     return find_vehicles(clip, open_recording(clip)).found
 
 
-def outlines(found: list[Found]) -> list[VehicleDocument]:
+def outlines(found: list[DetectedVehicle]) -> list[VehicleDocument]:
     return [f.vehicle for f in found if f.vehicle is not None]
 
 
@@ -278,10 +278,11 @@ def test_nothing_is_found_on_an_empty_road(tmp_path: Path) -> None:
     world, clip = World(scene()), load_clip(unclicked(render(scene()), tmp_path))
     frames = empty_road(world, 12)
     background = [
-        steady(np.stack([f.__dict__[side] for f in frames]).astype(np.float16))[0] for side in ("left", "right")
+        shorth_background(np.stack([f.__dict__[side] for f in frames]).astype(np.float16))[0]
+        for side in ("left", "right")
     ]
-    finder = Finder(ways_of(clip), EmptyScene((background[0], background[1])))
-    assert [found for frame in frames for found in finder.see(frame)] + finder.finish() == []
+    finder = VehicleFinder(lane_paths_of(clip), RunningMedianBackground((background[0], background[1])))
+    assert [found for frame in frames for found in finder.process(frame)] + finder.finish() == []
 
 
 def test_a_recording_of_a_still_road_says_so(tmp_path: Path) -> None:
@@ -346,7 +347,7 @@ def test_one_view_shown_twice_is_refused(tmp_path: Path) -> None:
 def test_vehicles_are_added_and_nothing_else_changes(before: str, speed: float | None) -> None:
     quad = np.array([[1.0, 2], [9, 2], [9, 7], [1, 7]])
     vehicle = VehicleDocument("v0", "lane: 0", 3, quad, quad + 0.25, "front", speed)
-    found = Found(
+    found = DetectedVehicle(
         "lane: 0", (0.6, 2.0), 1.8, 1.5, np.ones(3), vehicle, "", (np.zeros((1, 1), np.float32),) * 2, quad[:2]
     )
     text = f"left: a  # camera 1\n{before}rate: 5\n"

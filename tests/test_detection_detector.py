@@ -17,22 +17,28 @@ from synthetic_detections import flat
 from tiny_road import TWO, scene
 
 from paceline.detection.detector import (
-    GRID,
-    SEARCH,
-    SEARCH_WINDOW,
-    WINDOW,
-    Lookout,
-    Sighting,
-    apart_from,
+    COARSE_GRID,
+    COARSE_NCC_WINDOW,
+    FINE_GRID,
+    NCC_WINDOW,
+    Detection,
+    PlaneSweepDetector,
     extent,
-    largest_piece,
+    largest_component,
+    without_component,
 )
-from paceline.detection.finder import as_seen, found_on, in_step
-from paceline.detection.lane_paths import Grid, Way, laid_out, pyramid
-from paceline.detection.photo_consistency import CHANGED, Texture, agreement, correlation, stands
-from paceline.detection.planar_face import Aligned
-from paceline.detection.plane_sweep import Card, Views, card_of
-from paceline.detection.tracks import Track, likeness
+from paceline.detection.finder import motion_inliers, outline, without_outline
+from paceline.detection.lane_paths import LanePath, PlaneGrid, image_pyramid, warp_to_plane
+from paceline.detection.photo_consistency import (
+    MIN_CHANGE,
+    LocalStatistics,
+    local_ncc,
+    photo_consistency,
+    upright_ratio,
+)
+from paceline.detection.planar_face import AlignedDetection
+from paceline.detection.plane_sweep import Pyramids, SweepPlane, plane_at
+from paceline.detection.tracks import DetectionTrack, similarity
 from paceline.documents.loading import VehicleDocument
 from paceline.recordings.live_stereo import RawPair
 from paceline.recordings.stereo import StereoFrame
@@ -41,9 +47,9 @@ from paceline.simulation.stereo.scenery import StaticBackground
 from paceline.speed.configuration import DEFAULTS, SpeedConfiguration
 from paceline.speed.geometry.paths import from_points
 from paceline.survey import live
-from paceline.survey.live import APART, thinned
+from paceline.survey.live import MAX_PAIR_SPACING_S, subsample
 
-ENOUGH = DEFAULTS.live.pairs_per_vehicle
+MAX_PAIRS_PER_VEHICLE = DEFAULTS.live.pairs_per_vehicle
 
 Image = NDArray[np.float32]
 
@@ -59,10 +65,10 @@ def world() -> World:
 
 
 @cache
-def way(lane: float = -1.85) -> Way:
+def way(lane: float = -1.85) -> LanePath:
     """The middle of a lane as it is, no matter how it was drawn."""
     points = world().road.point(np.array([80.0, 12.0]), lane)
-    return Way("lane0", world().rig, from_points("lane0", "line", points))
+    return LanePath("lane0", world().rig, from_points("lane0", "line", points))
 
 
 @cache
@@ -81,65 +87,65 @@ def frame(index: int) -> StereoFrame:
 # --- cards -----------------------------------------------------------------------------------------------------------
 
 
-def counting(views: list[Texture], empty: list[Texture], least: float) -> Image:
+def counting(views: list[LocalStatistics], empty: list[LocalStatistics], least: float) -> Image:
     """What `Card.counts` says, in whole pictures."""
     left, right = views
-    counts = agreement(left, right) * (np.minimum(left.std, right.std) > least)
+    counts = photo_consistency(left, right) * (np.minimum(left.std, right.std) > least)
     for now, before in zip(views, empty, strict=True):
-        counts *= correlation(now, before) < 1 - CHANGED
+        counts *= local_ncc(now, before) < 1 - MIN_CHANGE
     return counts
 
 
-def textures(views: Views, card: Card) -> list[Texture]:
+def textures(views: Pyramids, card: SweepPlane) -> list[LocalStatistics]:
     """Both pictures on a card, laid out by OpenCV."""
     grid, found = card.grid, []
     for levels, cells in zip(views, card.cells, strict=True):
         H = np.diag([0.5**card.level, 0.5**card.level, 1.0]) @ cells
         flags, border = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, cv2.BORDER_REPLICATE
         laid = cv2.warpPerspective(levels[card.level], H, grid.size, flags=flags, borderMode=border)
-        found.append(Texture(np.asarray(laid, np.float32), card.window))
+        found.append(LocalStatistics(np.asarray(laid, np.float32), card.window))
     return found
 
 
-def card_and_views(k: int, grid: Grid, window: int) -> tuple[Card, Views, Views]:
+def card_and_views(k: int, grid: PlaneGrid, window: int) -> tuple[SweepPlane, Pyramids, Pyramids]:
     """A card at the ``k``-th station, a frame and the empty scene, without the pictures' first 16 rows."""
-    card = card_of(way().homographies(way().stations()[k]), grid, window, 16)
-    views, scenes = ([pyramid(i[16:]) for i in pair] for pair in ((frame(2).left, frame(2).right), empty()))
+    card = plane_at(way().homographies(way().sweep_positions()[k]), grid, window, 16)
+    views, scenes = ([image_pyramid(i[16:]) for i in pair] for pair in ((frame(2).left, frame(2).right), empty()))
     return card, views, scenes
 
 
-@pytest.mark.parametrize(("grid", "window"), [(GRID, WINDOW), (SEARCH, SEARCH_WINDOW)])
+@pytest.mark.parametrize(("grid", "window"), [(FINE_GRID, NCC_WINDOW), (COARSE_GRID, COARSE_NCC_WINDOW)])
 @pytest.mark.parametrize("k", [3, 24, 50])
-def test_a_card_counts_what_whole_pictures_say(grid: Grid, window: int, k: int) -> None:
+def test_a_card_counts_what_whole_pictures_say(grid: PlaneGrid, window: int, k: int) -> None:
     """But for OpenCV's rounding of places to 1/32 px."""
     card, views, scenes = card_and_views(k, grid, window)
     now, before = textures(views, card), textures(scenes, card)
-    alike, contrast = card.correlation(views)
-    np.testing.assert_allclose(alike, correlation(*now), atol=0.1)
-    assert np.abs(alike - correlation(*now)).mean() < 0.005
+    alike, contrast = card.correlation_map(views)
+    np.testing.assert_allclose(alike, local_ncc(*now), atol=0.1)
+    assert np.abs(alike - local_ncc(*now)).mean() < 0.005
     np.testing.assert_allclose(contrast, now[0].std, atol=0.5, rtol=0.1)
     expected = counting(now, before, 2.0)
-    assert np.abs(card.counts(views, scenes, 2.0) - expected).mean() < 0.01
-    assert expected.sum() == pytest.approx(card.counts(views, scenes, 2.0).sum(), rel=0.05, abs=2.0)
+    assert np.abs(card.consistency_map(views, scenes, 2.0) - expected).mean() < 0.01
+    assert expected.sum() == pytest.approx(card.consistency_map(views, scenes, 2.0).sum(), rel=0.05, abs=2.0)
 
 
 def test_nothing_counts_on_a_card_where_it_would_not_be_enough() -> None:
-    card, views, scenes = card_and_views(24, SEARCH, SEARCH_WINDOW)
-    counts = card.counts(views, scenes, 2.0)
-    area = float(counts.sum()) * SEARCH.cell**2
+    card, views, scenes = card_and_views(24, COARSE_GRID, COARSE_NCC_WINDOW)
+    counts = card.consistency_map(views, scenes, 2.0)
+    area = float(counts.sum()) * COARSE_GRID.cell**2
     assert area > 0
-    np.testing.assert_array_equal(card.counts(views, scenes, 2.0, 0.99 * area), counts)
-    assert not card.counts(views, scenes, 2.0, 1.01 * area).any()
+    np.testing.assert_array_equal(card.consistency_map(views, scenes, 2.0, 0.99 * area), counts)
+    assert not card.consistency_map(views, scenes, 2.0, 1.01 * area).any()
 
 
 def test_what_is_explained_counts_no_more() -> None:
-    card, views, _ = card_and_views(24, GRID, WINDOW)
+    card, views, _ = card_and_views(24, FINE_GRID, NCC_WINDOW)
     explained = np.zeros(views[0][0].shape, np.uint8)
     explained[:, : explained.shape[1] // 3] = 1
     flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
-    expected = cv2.warpPerspective(explained, card.cells[0], GRID.size, flags=flags) == 0
-    counts = np.ones(GRID.size[::-1], np.float32)
-    card.hide(counts, explained)
+    expected = cv2.warpPerspective(explained, card.cells[0], FINE_GRID.size, flags=flags) == 0
+    counts = np.ones(FINE_GRID.size[::-1], np.float32)
+    card.clear_masked(counts, explained)
     assert 0 < expected.mean() < 1 or explained.all()
     assert ((counts > 0) != expected).mean() < 0.01  # on the edge
 
@@ -152,40 +158,45 @@ def test_a_vehicle_is_seen_over_the_roof_of_the_one_before_it(height: float) -> 
     of = scene(before, behind, camera_height=height, tilt=height / 45.0, frames=1)
     world, clip = World(of), render(of)
     points = world.road.point(np.array([80.0, 12.0]), -1.85)
-    lane = Way("lane0", world.rig, from_points("lane0", "line", points))
+    lane = LanePath("lane0", world.rig, from_points("lane0", "line", points))
     left, right = (StaticBackground(of, world.road, of.seed).draw(view) for view in world.views)
     pair = (np.asarray(pictures[0], np.float32) for pictures in (clip.left, clip.right))
-    sightings = Lookout([lane]).see(StereoFrame(0, 0.0, *pair, 0.0, duplicate=False), (left, right))
-    truth = sorted(lane.on_card(np.array(row["position"]))[0] for row in clip.truth)
+    sightings = PlaneSweepDetector([lane]).detect(StereoFrame(0, 0.0, *pair, 0.0, duplicate=False), (left, right))
+    truth = sorted(lane.plane_coordinates(np.array(row["position"]))[0] for row in clip.truth)
     assert len(sightings) == 2
     for sighting, s in zip(sorted(sightings, key=lambda at: at.s), truth, strict=True):
-        assert abs(sighting.s - s) < sighting.error(1.0, 1.0)
+        assert abs(sighting.s - s) < sighting.distance_error(1.0, 1.0)
         assert sighting.y[0] < 0.5  # its face is seen, not its roof alone
 
 
 def test_rows_without_anything_to_look_at_are_not_looked_at() -> None:
     """What is found is the same when the other rows are black."""
-    lookout, before = Lookout([way()]), empty()
+    lookout, before = PlaneSweepDetector([way()]), empty()
     height = len(before[0])
     assert 0 < lookout.rows.start < lookout.rows.stop <= height
     kept = np.zeros((height, 1), np.float32)
     kept[lookout.rows] = 1.0
     whole, cut = frame(4), replace(frame(4), left=frame(4).left * kept, right=frame(4).right * kept)
-    (a, b) = (lookout.see(f, e)[0] for f, e in ((whole, before), (cut, (before[0] * kept, before[1] * kept))))
+    (a, b) = (lookout.detect(f, e)[0] for f, e in ((whole, before), (cut, (before[0] * kept, before[1] * kept))))
     assert (a.s, a.x, a.y, a.area) == (b.s, b.x, b.y, b.area)
     np.testing.assert_array_equal(a.crops[0], b.crops[0])
 
 
 def test_the_coarse_look_misses_nothing_that_a_fine_one_at_all_stations_sees() -> None:
     """The first sighting lies where, of all stations, most counts on the fine card."""
-    lookout, stations = Lookout([way()]), way().stations()
+    lookout, stations = PlaneSweepDetector([way()]), way().sweep_positions()
     for index in (0, 4, 8):
-        sighting = lookout.see(frame(index), empty())[0]
-        views, scenes = ([pyramid(i) for i in pair] for pair in ((frame(index).left, frame(index).right), empty()))
+        sighting = lookout.detect(frame(index), empty())[0]
+        views, scenes = (
+            [image_pyramid(i) for i in pair] for pair in ((frame(index).left, frame(index).right), empty())
+        )
         areas = []
         for s in stations:
             now, before = (
-                [Texture(laid_out(v, H, GRID), WINDOW) for v, H in zip(pair, way().homographies(s), strict=True)]
+                [
+                    LocalStatistics(warp_to_plane(v, H, FINE_GRID), NCC_WINDOW)
+                    for v, H in zip(pair, way().homographies(s), strict=True)
+                ]
                 for pair in (views, scenes)
             )
             areas.append(counting(now, before, 2.0).sum())
@@ -194,9 +205,9 @@ def test_the_coarse_look_misses_nothing_that_a_fine_one_at_all_stations_sees() -
 
 
 def test_what_stands_in_the_empty_scene_is_not_seen() -> None:
-    lookout = Lookout([way()])
-    assert lookout.see(frame(2), (frame(2).left, frame(2).right)) == []
-    assert lookout.see(frame(2), empty())
+    lookout = PlaneSweepDetector([way()])
+    assert lookout.detect(frame(2), (frame(2).left, frame(2).right)) == []
+    assert lookout.detect(frame(2), empty())
 
 
 # --- what stands -----------------------------------------------------------------------------------------------------
@@ -209,7 +220,7 @@ def painted(lying: bool, s: float) -> tuple[Image, Image]:
     pictures = []
     for view, picture in enumerate(empty()):
         if lying:
-            ends = [way().place(s + away, x, 0.0) for away, x in ((7.0, -0.8), (7.0, 0.8), (3.0, 0.8), (3.0, -0.8))]
+            ends = [way().point(s + away, x, 0.0) for away, x in ((7.0, -0.8), (7.0, 0.8), (3.0, 0.8), (3.0, -0.8))]
             corners = way().rig.project(np.array(ends))[view]
         else:
             corners = way().pixels(s, np.array([[-0.8, 1.3], [0.8, 1.3], [0.8, 0.3], [-0.8, 0.3]]))[view]
@@ -220,19 +231,22 @@ def painted(lying: bool, s: float) -> tuple[Image, Image]:
 
 @pytest.mark.parametrize("lying", [False, True])
 def test_what_lies_on_the_road_is_told_from_what_stands(lying: bool) -> None:
-    s = float(way().stations()[40])
+    s = float(way().sweep_positions()[40])
     pictures = painted(lying, s)
-    views, scenes = ([pyramid(np.asarray(i, np.float32)) for i in pair] for pair in (pictures, empty()))
+    views, scenes = ([image_pyramid(np.asarray(i, np.float32)) for i in pair] for pair in (pictures, empty()))
     left, right = way().homographies(s)
-    road = way().over_road(s) @ left
+    road = way().road_homography(s) @ left
     seen, upright, flat = (
-        Texture(laid_out(views[side], H, GRID), WINDOW) for side, H in ((0, left), (1, right), (1, road))
+        LocalStatistics(warp_to_plane(views[side], H, FINE_GRID), NCC_WINDOW)
+        for side, H in ((0, left), (1, right), (1, road))
     )
-    before = [Texture(laid_out(v, H, GRID), WINDOW) for v, H in zip(scenes, (left, right), strict=True)]
+    before = [
+        LocalStatistics(warp_to_plane(v, H, FINE_GRID), NCC_WINDOW) for v, H in zip(scenes, (left, right), strict=True)
+    ]
     counts = counting([seen, upright], before, 1.0)
     assert counts.sum() > 0
-    assert (stands(counts, correlation(seen, flat), seen.std) < 1.0) == lying
-    sightings = Lookout([way()]).see(replace(frame(0), left=pictures[0], right=pictures[1]), empty())
+    assert (upright_ratio(counts, local_ncc(seen, flat), seen.std) < 1.0) == lying
+    sightings = PlaneSweepDetector([way()]).detect(replace(frame(0), left=pictures[0], right=pictures[1]), empty())
     assert len(sightings) == (0 if lying else 1)
 
 
@@ -241,8 +255,8 @@ def test_sharp_lamps_stand_in_spite_of_wide_light_on_the_road() -> None:
     lamps = np.arange(20) < 2
     counts, lying = np.where(lamps, 0.9, 0.5)[None], np.where(lamps, 0.4, 0.95)[None]
     faint, even = np.where(lamps, 80.0, 4.0)[None], np.ones((1, 20))
-    assert stands(counts, lying, faint) > 1.5 and stands(counts, lying, even) < 1.0
-    assert stands(counts, lying, 3.0 * faint) == pytest.approx(stands(counts, lying, faint))
+    assert upright_ratio(counts, lying, faint) > 1.5 and upright_ratio(counts, lying, even) < 1.0
+    assert upright_ratio(counts, lying, 3.0 * faint) == pytest.approx(upright_ratio(counts, lying, faint))
 
 
 Spot = tuple[float, float, float, float, float]  # m ahead, aside and up, and wide (one sigma); grey levels at its peak
@@ -277,15 +291,15 @@ def dark() -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
 def off(s: float, spots: list[Spot]) -> float:
     """How far from ``s`` the first vehicle is seen, px of disparity."""
     left, right = lit(s, spots)
-    first, *_ = Lookout([way()]).see(replace(frame(0), left=left, right=right), unlit(), 1.0)
-    return abs(first.s - s) / first.error(0.0, 1.0)
+    first, *_ = PlaneSweepDetector([way()]).detect(replace(frame(0), left=left, right=right), unlit(), 1.0)
+    return abs(first.s - s) / first.distance_error(0.0, 1.0)
 
 
 @pytest.mark.parametrize("k", [24, 36, 48])
 def test_lamps_are_where_they_are_and_not_where_their_light_lies(k: int) -> None:
     """It lies four metres behind them in one piece."""
     spots = [(0.0, -0.7, 0.6, 0.1, 700.0), (0.0, 0.7, 0.6, 0.1, 700.0), (4.0, 0.0, 0.5, 0.9, 60.0)]
-    assert off(float(way().stations()[k]), spots) < 0.25
+    assert off(float(way().sweep_positions()[k]), spots) < 0.25
 
 
 @pytest.mark.parametrize("s", [2.0, 2.25, 3.0, 3.5])
@@ -299,10 +313,10 @@ def test_lamps_near_by_are_not_where_the_wide_light_about_them_agrees_too(s: flo
 @pytest.mark.parametrize("side", [-1, 1])
 def test_of_a_vehicle_of_which_one_lamp_was_seen_the_other_one_is_kept(side: int) -> None:
     left, right = lit(20.0, [(0.0, 0.9 * side, 0.6, 0.1, 700.0)])
-    seen, *_ = Lookout([way()]).see(replace(frame(0), left=left, right=right), unlit(), 1.0)
+    seen, *_ = PlaneSweepDetector([way()]).detect(replace(frame(0), left=left, right=right), unlit(), 1.0)
     assert np.abs(seen.x).max() < 1.5
     for crop, corner, lamp in zip(
-        seen.crops, seen.corners, way().pixels(20.0, np.array([[-0.95 * side, 0.6]])), strict=True
+        seen.crops, seen.crop_origins, way().pixels(20.0, np.array([[-0.95 * side, 0.6]])), strict=True
     ):
         assert (lamp - corner > 0).all() and (lamp - corner < crop.shape[::-1]).all()
 
@@ -310,11 +324,11 @@ def test_of_a_vehicle_of_which_one_lamp_was_seen_the_other_one_is_kept(side: int
 def test_a_vehicle_is_kept_with_what_was_there_before_it() -> None:
     """Of which the scene may later be changed."""
     now, scene = frame(0), tuple(view.copy() for view in empty())
-    seen, *_ = Lookout([way()]).see(now, scene)
+    seen, *_ = PlaneSweepDetector([way()]).detect(now, scene)
     for view in scene:
         view[:] = 0.0
     for crop, before, corner, view, behind in zip(
-        seen.crops, seen.before, seen.corners.astype(int), (now.left, now.right), empty(), strict=True
+        seen.crops, seen.background, seen.crop_origins.astype(int), (now.left, now.right), empty(), strict=True
     ):
         part = np.s_[corner[1] : corner[1] + crop.shape[0], corner[0] : corner[0] + crop.shape[1]]
         np.testing.assert_array_equal(crop, view[part])
@@ -325,18 +339,18 @@ def test_a_vehicle_is_kept_with_what_was_there_before_it() -> None:
 # --- over time -------------------------------------------------------------------------------------------------------
 
 
-def sighting(time: float, s: float, x: tuple[float, float] = (-0.9, 0.9), of: StereoFrame | None = None) -> Sighting:
+def sighting(time: float, s: float, x: tuple[float, float] = (-0.9, 0.9), of: StereoFrame | None = None) -> Detection:
     crops = (empty() if of is None else (of.left, of.right), flat(empty()), np.zeros((2, 2)))
-    return Sighting(round(10 * time), time, way(), s, x, (0.2, 1.5), 1.5, 9.0, *crops)
+    return Detection(round(10 * time), time, way(), s, x, (0.2, 1.5), 1.5, 9.0, *crops)
 
 
 def test_a_start_out_of_step_is_not_taken() -> None:
     times = np.arange(8) / 5
-    aligned = [Aligned(sighting(t, 5 + 14 * t), 5 + 14 * t, np.zeros(2), 0.8) for t in times]
-    assert in_step(aligned) == aligned
+    aligned = [AlignedDetection(sighting(t, 5 + 14 * t), 5 + 14 * t, np.zeros(2), 0.8) for t in times]
+    assert motion_inliers(aligned) == aligned
     wrong = [replace(aligned[0], s=9.0), *aligned[1:]]
-    assert in_step(wrong) == aligned[1:]
-    assert in_step(aligned[:2]) == aligned[:2]
+    assert motion_inliers(wrong) == aligned[1:]
+    assert motion_inliers(aligned[:2]) == aligned[:2]
 
 
 @pytest.mark.parametrize("off", [-12.0, -9.0, 9.0, 12.0])
@@ -344,35 +358,35 @@ def test_a_start_out_of_step_does_not_bend_the_course_to_itself(off: float) -> N
     """A vehicle that goes was seen once, and again from a second later on: places far away, which may be off by more,
     would give way."""
     times = np.array([0.0, *(1.1 + 0.5 * np.arange(7))])
-    aligned = [Aligned(sighting(t, 8 + 13 * (t - 1.1)), 8 + 13 * (t - 1.1), np.zeros(2), 0.8) for t in times]
-    assert in_step(aligned) == aligned
-    assert in_step([replace(aligned[0], s=aligned[0].s + off), *aligned[1:]]) == aligned[1:]
+    aligned = [AlignedDetection(sighting(t, 8 + 13 * (t - 1.1)), 8 + 13 * (t - 1.1), np.zeros(2), 0.8) for t in times]
+    assert motion_inliers(aligned) == aligned
+    assert motion_inliers([replace(aligned[0], s=aligned[0].s + off), *aligned[1:]]) == aligned[1:]
 
 
 @given(speed=st.floats(-30, 30), n=st.integers(4, 30), seed=st.integers(0, 1000))
 def test_travel_is_the_way_that_was_driven(speed: float, n: int, seed: int) -> None:
     noise = np.random.default_rng(seed).normal(0, 0.02, n)
-    track = Track(way_s=(speed * 0.1 * np.arange(n) + noise).tolist())
+    track = DetectionTrack(way_s=(speed * 0.1 * np.arange(n) + noise).tolist())
     assert track.travel == pytest.approx(speed * 0.1 * (n - 1), abs=0.2 + 0.05 * abs(speed))
 
 
 def test_a_face_keeps_its_place_on_the_cards_of_another_way() -> None:
     other = way(1.85)
-    at = Aligned(sighting(0.0, 20.0), 20.0, np.array([0.4, 0.1]), 0.8)
-    place = way().place(20.0, *at.origin)
+    at = AlignedDetection(sighting(0.0, 20.0), 20.0, np.array([0.4, 0.1]), 0.8)
+    place = way().point(20.0, *at.origin)
     moved = at.on(other)
     assert at.on(way()) is at.origin
-    np.testing.assert_allclose(other.place(other.path.nearest(place), *moved), place, atol=1e-3)
+    np.testing.assert_allclose(other.point(other.path.nearest(place), *moved), place, atol=1e-3)
     assert moved[0] == pytest.approx(0.4 - 3.7, abs=0.1)
 
 
 def test_frames_without_a_sighting_are_counted_only_between_sightings() -> None:
-    track = Track()
+    track = DetectionTrack()
     for time, unseen in ((0.0, 0), (0.3, 2), (0.4, 0)):
-        track.unseen = unseen
+        track.frames_unseen = unseen
         track.add(sighting(time, 10 + time))
-    track.unseen = 5
-    assert track.missed == 2
+    track.frames_unseen = 5
+    assert track.frames_missed == 2
 
 
 def test_a_face_is_known_again_within_a_wider_sighting() -> None:
@@ -380,35 +394,35 @@ def test_a_face_is_known_again_within_a_wider_sighting() -> None:
     s = way().path.nearest(np.array(at["position"]))
     narrow = sighting(0.6, s, (-0.9, 0.9), frame(3))
     wide = sighting(0.6, s, (-0.9, 2.9), frame(3))
-    assert likeness(narrow, wide) > 0.95 and likeness(wide, narrow) > 0.95
-    assert likeness(narrow, sighting(0.6, s + 12.0, (-0.9, 0.9), frame(3))) < 0.6
+    assert similarity(narrow, wide) > 0.95 and similarity(wide, narrow) > 0.95
+    assert similarity(narrow, sighting(0.6, s + 12.0, (-0.9, 0.9), frame(3))) < 0.6
 
 
 @given(n=st.integers(1, 400), rate=st.floats(2.0, 60.0))
 def test_no_more_pairs_are_measured_on_than_needed_and_none_far_apart(n: int, rate: float) -> None:
     blank = np.zeros((1, 1), np.uint8)
     pairs = [RawPair(k, k / rate, blank, blank, 0.0) for k in range(n)]
-    chosen = thinned(pairs, ENOUGH)
+    chosen = subsample(pairs, MAX_PAIRS_PER_VEHICLE)
     apart = np.diff([pair.time for pair in chosen])
     assert chosen[0] is pairs[0]
-    assert (apart <= max(1.1 * APART, 1 / rate) + 1e-9).all()
-    assert len(chosen) <= ENOUGH or np.allclose(apart, apart[0])
-    if n <= ENOUGH:
+    assert (apart <= max(1.1 * MAX_PAIR_SPACING_S, 1 / rate) + 1e-9).all()
+    assert len(chosen) <= MAX_PAIRS_PER_VEHICLE or np.allclose(apart, apart[0])
+    if n <= MAX_PAIRS_PER_VEHICLE:
         assert chosen == pairs
 
 
 def test_a_grid_knows_its_cells() -> None:
-    grid = Grid(left=-1.0, top=2.0, bottom=0.5, cell=0.25)
+    grid = PlaneGrid(left=-1.0, top=2.0, bottom=0.5, cell=0.25)
     assert grid.size == (len(grid.x), len(grid.y)) == (9, 7)
     assert (grid.x[0], grid.x[-1], grid.y[0], grid.y[-1]) == (-1.0, 1.0, 2.0, 0.5)
 
 
-# --- the desk --------------------------------------------------------------------------------------------------------
+# --- the queue -------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class OneClip:
-    """What the desk changes of a clip."""
+    """What the queue changes of a clip."""
 
     vehicles: list[VehicleDocument]
 
@@ -437,22 +451,22 @@ class Slow:
     def work(self) -> None:
         jobs, self.jobs = self.jobs, []
         for future, job, arguments in jobs:
-            if job is found_on:
+            if job is outline:
                 track = arguments[0]
                 vehicle = self.outlines[track.first.frame]
-                future.set_result(replace(as_seen(track, "" if vehicle else "smooth"), vehicle=vehicle))
+                future.set_result(replace(without_outline(track, "" if vehicle else "smooth"), vehicle=vehicle))
             else:
                 seen = Seen(arguments[0].vehicles[0].id, [pair.index for pair in arguments[1]])
                 future.set_result(seen)
 
 
-def seen_at(index: int) -> Track:
+def seen_at(index: int) -> DetectionTrack:
     """Of vehicles side by side."""
     return driven(0.1 * index + np.arange(4) / 10, 10.0 + np.arange(4), (3.7 * index - 0.9, 3.7 * index + 0.9))
 
 
-def driven(times: NDArray[np.float64], s: NDArray[np.float64], x: tuple[float, float] = (-0.9, 0.9)) -> Track:
-    track = Track()
+def driven(times: NDArray[np.float64], s: NDArray[np.float64], x: tuple[float, float] = (-0.9, 0.9)) -> DetectionTrack:
+    track = DetectionTrack()
     for t, at in zip(times, s, strict=True):
         track.add(sighting(float(t), float(at), x))
     return track
@@ -462,33 +476,33 @@ def driven(times: NDArray[np.float64], s: NDArray[np.float64], x: tuple[float, f
 def test_a_narrow_piece_above_a_face_makes_it_no_taller(wide: float, top: float) -> None:
     """Of the next vehicle's roof, whose level edges agree at any distance; a wide one is the vehicle's own. The same
     holds for a mirror beside it."""
-    x, y = GRID.x[None], GRID.y[:, None]
+    x, y = FINE_GRID.x[None], FINE_GRID.y[:, None]
     face, above = (np.abs(x) < 0.9) & (y < 1.5), (np.abs(x - 0.1) < wide / 2) & (y < 2.3)
     mirror = (x > 0) & (x < 1.2) & (np.abs(y - 1.0) < 0.1)
-    np.testing.assert_allclose(extent(face | above | mirror), ((-0.9, 0.9), (0.2, top)), atol=1.01 * GRID.cell)
+    np.testing.assert_allclose(extent(face | above | mirror), ((-0.9, 0.9), (0.2, top)), atol=1.01 * FINE_GRID.cell)
 
 
 def test_a_motorcycle_is_as_tall_as_its_rider_beside_something_low_and_wide() -> None:
-    x, y = GRID.x[None], GRID.y[:, None]
+    x, y = FINE_GRID.x[None], FINE_GRID.y[:, None]
     piece = (np.abs(x) < 0.35) & (y < 1.7) | (np.abs(x) < 1.2) & (y < 0.5)
-    np.testing.assert_allclose(extent(piece), ((-0.35, 0.35), (0.2, 1.7)), atol=1.01 * GRID.cell)
+    np.testing.assert_allclose(extent(piece), ((-0.35, 0.35), (0.2, 1.7)), atol=1.01 * FINE_GRID.cell)
 
 
 def test_a_piece_may_be_one_row_high() -> None:
-    row = (np.abs(GRID.x) < 0.5) & (np.arange(len(GRID.y)) == 20)[:, None]
+    row = (np.abs(FINE_GRID.x) < 0.5) & (np.arange(len(FINE_GRID.y)) == 20)[:, None]
     x, y = extent(row)
-    assert y == (GRID.y[20], GRID.y[20]) and np.allclose(x, (-0.5, 0.5), atol=1.01 * GRID.cell)
+    assert y == (FINE_GRID.y[20], FINE_GRID.y[20]) and np.allclose(x, (-0.5, 0.5), atol=1.01 * FINE_GRID.cell)
 
 
 @given(st.integers(0, 2**16), st.floats(0.5, 4.0), st.floats(0.0, 1.5))
 def test_forgetting_piece_after_piece_ends(seed: int, grain: float, sparse: float) -> None:
     """Each takes something away, also a ring's empty middle."""
-    noise = np.random.default_rng(seed).standard_normal(GRID.size[::-1]).astype(np.float32)
+    noise = np.random.default_rng(seed).standard_normal(FINE_GRID.size[::-1]).astype(np.float32)
     smooth = cv2.GaussianBlur(noise, (0, 0), grain)
     counts = np.clip(smooth / smooth.std() - sparse, 0, 1).astype(np.float32)
     while counts.any():
-        piece = largest_piece(counts)
-        left = apart_from(piece, counts)
+        piece = largest_component(counts)
+        left = without_component(piece, counts)
         assert left.sum() < counts.sum()
         assert not left[piece].any()
         assert ((left == counts) | (left == 0)).all()
@@ -505,14 +519,14 @@ def test_vehicles_are_told_in_order_and_only_those_outlined_are_numbered() -> No
     told: list[Any] = []
     recent = [RawPair(k, 0.1 * k, blank, blank, 0.0) for k in range(5, 15)]
     process = Slow({6: outlined(7), 8: None, 9: outlined(9), 2: outlined(2)})
-    desk = live._Desk(OneClip([]), SpeedConfiguration(), process, lambda *said: told.append(said))  # type: ignore[arg-type]
+    queue = live.MeasurementQueue(OneClip([]), SpeedConfiguration(), process, lambda *said: told.append(said))  # type: ignore[arg-type]
     for index in (6, 8, 9, 2):
-        desk.take(seen_at(index), recent)
-    desk.tell()
+        queue.submit(seen_at(index), recent)
+    queue.publish()
     assert told == []  # nothing is known yet, and nobody has waited for it
     for _ in range(2):
         process.work()
-        desk.tell()
+        queue.publish()
     names = [found.vehicle and found.vehicle.id for found, _, _ in told]
     assert names == ["v0", None, "v1", "v2"]
     assert [measurement for _, measurement, _ in told] == [
@@ -529,11 +543,11 @@ def test_vehicles_that_come_too_fast_are_told_without_a_measurement() -> None:
     told: list[Any] = []
     recent = [RawPair(k, 0.1 * k, blank, blank, 0.0) for k in range(20)]
     process = Slow({3: None})
-    desk = live._Desk(None, None, process, lambda *said: told.append(said))  # type: ignore[arg-type]
+    queue = live.MeasurementQueue(None, SpeedConfiguration(), process, lambda *said: told.append(said))  # type: ignore[arg-type]
     for _ in range(DEFAULTS.live.queue + 2):
-        desk.take(seen_at(3), recent)
+        queue.submit(seen_at(3), recent)
     process.work()
-    desk.tell()
+    queue.publish()
     reasons = [reason for _, _, reason in told]
     assert reasons[: DEFAULTS.live.queue] == ["smooth"] * DEFAULTS.live.queue
     assert [reason.code for reason in reasons[DEFAULTS.live.queue :]] == ["queue_full"] * 2

@@ -7,13 +7,13 @@ import pytest
 from selection import slow_after
 from synthetic_detections import BOTTOM, CARD, TOP, X, face_with, texture_up_to
 
-from paceline.detection.face_height import LOWER, LOWEST, trimmed
-from paceline.detection.planar_face import Face
+from paceline.detection.face_height import HEIGHT_STEP_M, MIN_HEIGHT_M, select_height
+from paceline.detection.planar_face import PlanarFace
 
 RIM = 0.1  # m: 2 px of the farthest view
 
 
-def clear(lower: Face) -> bool:
+def clear(lower: PlanarFace) -> bool:
     return True
 
 
@@ -21,41 +21,41 @@ def clear(lower: Face) -> bool:
 @pytest.mark.parametrize("height", [0.75, 0.95])
 def test_what_is_flat_at_the_top_of_a_face_is_left_away(height: float, seed: int) -> None:
     face = face_with(texture_up_to(height, seed), seed)
-    lower = trimmed(face, face.aligned, clear)
+    lower = select_height(face, face.aligned, clear)
     assert lower.x == face.x and lower.y[0] == BOTTOM and lower.aligned is face.aligned
     # what is flat goes but for a step, and the rim of an outline, which is not looked at; of what has texture no more
     # than a third, even if every row said as much
-    assert BOTTOM + (height - BOTTOM) * 2 / 3 - LOWER < lower.y[1] < height + LOWER + RIM
+    assert BOTTOM + (height - BOTTOM) * 2 / 3 - HEIGHT_STEP_M < lower.y[1] < height + HEIGHT_STEP_M + RIM
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_of_a_face_with_texture_everywhere_most_stays(seed: int) -> None:
     face = face_with(texture_up_to(CARD.top, seed), seed)
-    assert trimmed(face, face.aligned, clear).y[1] > BOTTOM + (TOP - BOTTOM) * 2 / 3 - LOWER
+    assert select_height(face, face.aligned, clear).y[1] > BOTTOM + (TOP - BOTTOM) * 2 / 3 - HEIGHT_STEP_M
 
 
 def test_a_low_face_and_one_seen_too_seldom_stay_as_they_are() -> None:
     face = face_with(texture_up_to(0.75, 1), 1)
-    assert trimmed(face, face.aligned[:3], clear) is face
-    low = Face(X, (BOTTOM, BOTTOM + LOWEST), face.aligned, 0.9)
-    assert trimmed(low, low.aligned, clear) is low
+    assert select_height(face, face.aligned[:3], clear) is face
+    low = PlanarFace(X, (BOTTOM, BOTTOM + MIN_HEIGHT_M), face.aligned, 0.9)
+    assert select_height(low, low.aligned, clear) is low
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_face_without_any_texture_stays_as_it_is(seed: int) -> None:
     """Noise would choose its height."""
     flat = face_with(texture_up_to(0.0, seed), seed)
-    assert trimmed(flat, flat.aligned, clear) is flat
+    assert select_height(flat, flat.aligned, clear) is flat
 
 
 def test_no_outline_is_taken_that_is_not_clear() -> None:
     face = face_with(texture_up_to(0.75, 1), 1)
-    assert trimmed(face, face.aligned, lambda lower: False) is face
-    assert trimmed(face, face.aligned, lambda lower: lower.y[1] > 1.1).y[1] == pytest.approx(TOP - LOWER)
+    assert select_height(face, face.aligned, lambda lower: False) is face
+    assert select_height(face, face.aligned, lambda lower: lower.y[1] > 1.1).y[1] == pytest.approx(TOP - HEIGHT_STEP_M)
 
 
 def test_a_face_whose_pictures_hold_no_numbers_stays_as_it_is() -> None:
     face = face_with(texture_up_to(0.75, 1), 1)
     for a in face.aligned:
-        a.sighting.crops[0][:] = np.nan
-    assert trimmed(face, face.aligned, clear) is face
+        a.detection.crops[0][:] = np.nan
+    assert select_height(face, face.aligned, clear) is face

@@ -14,11 +14,11 @@ from test_detection_detector import dark, frame, lit
 from test_detection_detector import way as lane
 from tiny_road import scene
 
-from paceline.detection.detector import Sighting
-from paceline.detection.finder import ALIKE, first_speed, found_on
-from paceline.detection.lane_paths import Way
-from paceline.detection.planar_face import face_of, likeness, showing_face
-from paceline.detection.tracks import Track
+from paceline.detection.detector import Detection
+from paceline.detection.finder import MIN_SIMILARITY_RATIO, initial_speed, outline
+from paceline.detection.lane_paths import LanePath
+from paceline.detection.planar_face import find_face, similarity, with_visible_face
+from paceline.detection.tracks import DetectionTrack
 from paceline.documents.loading import VehicleDocument
 from paceline.geometry import triangulate
 from paceline.recordings.stereo import StereoFrame
@@ -39,48 +39,52 @@ def test_a_face_is_where_it_is_though_the_vehicle_leaves_the_pictures_at_last(
     """It is seen best when the pictures cut it off already, and what they repeat beyond their edges agrees anywhere."""
     of = scene(Vehicle("v0", 16.0, start_distance=60.0, lane=lane, texture_seed=seed, width=width), frames=17)
     clip, world = render(of), World(of)
-    way = Way("lane0", world.rig, from_points("lane0", "line", world.road.point(np.array([80.0, 12.0]), lane)))
-    track, true, whole = Track(), {}, {}
+    way = LanePath("lane0", world.rig, from_points("lane0", "line", world.road.point(np.array([80.0, 12.0]), lane)))
+    track, true, whole = DetectionTrack(), {}, {}
     for row in clip.truth:
         k, left = row["frame"], np.array(row["left"])
         if left[:, 0].max() > 20:  # px of it are left
             views = np.float32(clip.left[k]), np.float32(clip.right[k])
             pair = StereoFrame(k, float(clip.times[k]), *views, 0.0, duplicate=False)
-            true[k], whole[k] = way.on_card(np.array(row["position"]))[0], row["inside"]
+            true[k], whole[k] = way.plane_coordinates(np.array(row["position"]))[0], row["inside"]
             x, y = (-0.5 * width, 0.5 * width), (0.2, HEIGHT)
-            track.add(Sighting(k, pair.time, way, true[k], x, y, 1.5, 9.0, views, flat(views), np.zeros((2, 2))))
+            track.add(Detection(k, pair.time, way, true[k], x, y, 1.5, 9.0, views, flat(views), np.zeros((2, 2))))
     assert not whole[track.kept[-1].frame]
-    face = face_of(showing_face(track))
+    face = find_face(with_visible_face(track))
     assert face is not None
-    found = {at.sighting.frame: at.s for at in face.aligned if whole[at.sighting.frame]}
+    found = {at.detection.frame: at.s for at in face.aligned if whole[at.detection.frame]}
     assert set(found) == {s.frame for s in track.kept if whole[s.frame]}
     assert all(abs(found[k] - true[k]) < 0.25 for k in found)  # m
 
 
-def below_a_mirror(seed: int, contrast: float, alike: int) -> Track:
+def below_a_mirror(seed: int, contrast: float, alike: int) -> DetectionTrack:
     """A face, and above it so many times its contrast, the same in the last ``alike`` frames only, which are the
     nearest."""
-    world, track, rng = World(scene(Vehicle("v0", 16.0, start_distance=60.0))), Track(), np.random.default_rng(seed)
-    way = Way("lane0", world.rig, from_points("lane0", "line", world.road.point(np.array([80.0, 12.0]), 1.85)))
+    world, track, rng = (
+        World(scene(Vehicle("v0", 16.0, start_distance=60.0))),
+        DetectionTrack(),
+        np.random.default_rng(seed),
+    )
+    way = LanePath("lane0", world.rig, from_points("lane0", "line", world.road.point(np.array([80.0, 12.0]), 1.85)))
     own, above = texture_up_to(CARD.top, seed), (CARD.y > FOOT)[:, None]
     for k, s in enumerate(MIRRORED_AT):
         mirrored = 100.0 + contrast * (texture_up_to(CARD.top, 100 * seed + min(k, FRAMES - alike)) - 100.0)
         pair = painted_on(way, s, np.where(above, mirrored, own), rng)
         seen = s + rng.uniform(-1.5, 1.5)
         x, y = (-0.85, 0.85), (0.2, 1.6)
-        track.add(Sighting(k, 0.1 * k, way, seen, x, y, 1.5, 9.0, pair, flat(pair), np.zeros((2, 2))))
+        track.add(Detection(k, 0.1 * k, way, seen, x, y, 1.5, 9.0, pair, flat(pair), np.zeros((2, 2))))
     return track
 
 
-def lamps_seen(true: Array, ahead: float) -> Track:
+def lamps_seen(true: Array, ahead: float) -> DetectionTrack:
     """Two lamps at night at the ``true`` arc lengths, and the light that they throw on the road, by which the vehicle
     was seen so many metres ``ahead`` of them."""
-    track = Track()
+    track = DetectionTrack()
     spots = [(0.0, x, 0.6, width, peak) for x in (-0.6, 0.6) for width, peak in ((0.1, 700.0), (0.7, 60.0))]
     for k, s in enumerate(true):
         views, at = lit(s, [*spots, (ahead, 0.0, 0.5, 0.9, 60.0)]), frame(k)
         x, y = (-1.2, 1.2), (0.2, 1.5)
-        track.add(Sighting(k, at.time, lane(), s + ahead, x, y, 1.5, 9.0, views, dark(), np.zeros((2, 2))))
+        track.add(Detection(k, at.time, lane(), s + ahead, x, y, 1.5, 9.0, views, dark(), np.zeros((2, 2))))
     return track
 
 
@@ -88,28 +92,28 @@ def lamps_seen(true: Array, ahead: float) -> Track:
 @pytest.mark.parametrize("ahead", [-2.5, -2.0, 2.0, 2.5])
 def test_a_face_at_night_is_where_its_lamps_are_and_not_where_their_light_lies(start: float, ahead: float) -> None:
     true = start + 2.5 * np.arange(6)
-    face = face_of(showing_face(lamps_seen(true, ahead)))
+    face = find_face(with_visible_face(lamps_seen(true, ahead)))
     assert face is not None
-    off = [(at.s - s) / at.sighting.error(0.0, 1.0) for at, s in zip(face.aligned, true, strict=True)]
+    off = [(at.s - s) / at.detection.distance_error(0.0, 1.0) for at, s in zip(face.aligned, true, strict=True)]
     assert np.abs(off).max() < 0.3  # px of disparity
 
 
-def rear_lamps_seen(apart: float, x: tuple[float, float], whole: int) -> Track:
+def rear_lamps_seen(apart: float, x: tuple[float, float], whole: int) -> DetectionTrack:
     """Of two lamps so far apart, m, the left one, from ``x`` to ``x`` on the card; the other one shows in as many
     frames as it is ``whole``, the nearest."""
-    track, rng = Track(), np.random.default_rng(1)
+    track, rng = DetectionTrack(), np.random.default_rng(1)
     for k, s in enumerate(30.0 + 3.0 * np.arange(10)):
         spots = [(0.0, side * 0.5 * apart, 0.6, 0.1, 60.0) for side in ((-1, 1) if k < whole else (-1,))]
         left, right = (view + 0.5 * rng.standard_normal(view.shape, np.float32) for view in lit(s, spots))
         of = (0.2, 1.5), 1.5, 9.0, (left, right), dark(), np.zeros((2, 2))
-        track.add(Sighting(k, 0.1 * k, lane(), s, x, *of))
+        track.add(Detection(k, 0.1 * k, lane(), s, x, *of))
     return track
 
 
-def narrow_beside_a_wall(width: float, x: tuple[float, float], contrast: float, light: float) -> Track:
+def narrow_beside_a_wall(width: float, x: tuple[float, float], contrast: float, light: float) -> DetectionTrack:
     """What is as wide as ``width`` m in the middle of its way and was seen from ``x`` to ``x``; a wall with edges along
     the road, which was seen in ``light`` times as much light before, stands 1.6 m beside it."""
-    track, rng, way = Track(), np.random.default_rng(2), lane()
+    track, rng, way = DetectionTrack(), np.random.default_rng(2), lane()
     stripes = np.float32(100.0 + contrast * np.tile(rng.normal(0.0, 1.0, (8, 1)).repeat(5, 0), 2))
     texture = texture_up_to(1.2, 1)
     shown = np.float32((np.abs(CARD.x) < 0.5 * width) & (CARD.y[:, None] < 1.2))
@@ -126,7 +130,7 @@ def narrow_beside_a_wall(width: float, x: tuple[float, float], contrast: float, 
             view = cv2.GaussianBlur(scene + cover * (view - scene), (0, 0), 0.8)
             views.append(np.float32(view + rng.normal(0.0, 1.0, view.shape)))
         of = (0.2, 1.4), 1.0, 9.0, (views[0], views[1]), (before[0], before[1]), np.zeros((2, 2))
-        track.add(Sighting(k, 0.1 * k, way, s, x, *of))
+        track.add(Detection(k, 0.1 * k, way, s, x, *of))
     return track
 
 
@@ -138,10 +142,10 @@ def test_a_wall_beside_what_is_narrow_or_seen_in_part_is_none_of_it(
     width: float, x: tuple[float, float], contrast: float, light: float
 ) -> None:
     """Its picture is the same in all frames, and in both views at any distance."""
-    found = found_on(narrow_beside_a_wall(width, x, contrast, light))
+    found = outline(narrow_beside_a_wall(width, x, contrast, light))
     assert found.vehicle is not None
     corners = triangulate(lane().rig, found.vehicle.left, found.vehicle.right)
-    s, across, _ = lane().on_card(corners.mean(0))
+    s, across, _ = lane().plane_coordinates(corners.mean(0))
     assert abs(across) + 0.5 * width_of(found.vehicle) < 0.5 * width + 0.2
     assert abs(s - 30.0 - 2.0 * found.vehicle.frame) < 0.25
 
@@ -154,26 +158,26 @@ def width_of(vehicle: VehicleDocument) -> float:
 
 @pytest.mark.parametrize("x", [(-1.2, -0.6), (-0.9, -0.9)])
 def test_where_one_lamp_of_a_lorry_was_seen_its_outline_reaches_to_the_other_one(x: tuple[float, float]) -> None:
-    found = found_on(rear_lamps_seen(1.8, x, 10))
+    found = outline(rear_lamps_seen(1.8, x, 10))
     assert found.vehicle is not None and width_of(found.vehicle) > 1.8
 
 
 def test_a_vehicle_that_another_one_hides_farther_away_is_outlined_as_it_was_nearer() -> None:
-    found = found_on(rear_lamps_seen(1.2, (-0.9, -0.3), 4))
+    found = outline(rear_lamps_seen(1.2, (-0.9, -0.3), 4))
     assert found.vehicle is not None and found.vehicle.frame < 4 and width_of(found.vehicle) > 1.2
 
 
 @pytest.mark.parametrize("ahead", [-3.8, -3.4, 3.4, 3.8])
 def test_what_lies_farther_than_is_looked_is_no_face(ahead: float) -> None:
     """It looks more and more like one towards the end of what is looked at."""
-    assert face_of(showing_face(lamps_seen(25.0 + 2.5 * np.arange(6), ahead))) is None
+    assert find_face(with_visible_face(lamps_seen(25.0 + 2.5 * np.arange(6), ahead))) is None
 
 
 def test_far_away_a_face_is_looked_for_farther_from_its_sighting() -> None:
     """By a pixel of disparity, which is more than three metres there."""
     true = np.array([46.0, 48.0, 50.0, 52.0])
     track = lamps_seen(true, -3.5)
-    face = face_of(showing_face(track))
+    face = find_face(with_visible_face(track))
     assert face is not None
     assert np.abs([at.s - s for at, s in zip(face.aligned, true, strict=True)]).max() < 1.0
 
@@ -182,16 +186,16 @@ def test_far_away_a_face_is_looked_for_farther_from_its_sighting() -> None:
 def test_what_hangs_above_the_road_in_all_frames_has_no_outline() -> None:
     track = lamps_seen(25.0 + 2.5 * np.arange(6), 0.0)
     track.kept[:] = [replace(seen, y=(1.9, 2.5)) for seen in track.kept]
-    assert found_on(track).vehicle is None
+    assert outline(track).vehicle is None
 
 
 @pytest.mark.filterwarnings("error")
 def test_pictures_without_any_contrast_show_no_face() -> None:
-    seen, track = face_with(np.full_like(texture_up_to(CARD.top, 1), 100.0), 1).aligned, Track()
+    seen, track = face_with(np.full_like(texture_up_to(CARD.top, 1), 100.0), 1).aligned, DetectionTrack()
     for at in seen:
-        left, right = (np.full_like(crop, 100.0) for crop in at.sighting.crops)
-        track.add(replace(at.sighting, crops=(left, right)))
-    assert face_of(showing_face(track)) is None
+        left, right = (np.full_like(crop, 100.0) for crop in at.detection.crops)
+        track.add(replace(at.detection, crops=(left, right)))
+    assert find_face(with_visible_face(track)) is None
 
 
 @pytest.mark.parametrize("odd", [{0, 1}, {FRAMES - 2, FRAMES - 1}, {0, 4, FRAMES - 1}, {0, 1, FRAMES - 1}])
@@ -199,18 +203,18 @@ def test_a_face_is_known_by_what_most_frames_show_of_it(odd: set[int]) -> None:
     """In the odd ones another thing, and more of it, was seen in its place."""
     own = face_with(texture_up_to(CARD.top, 1), 1).aligned
     other = face_with(texture_up_to(CARD.top, 2), 2).aligned
-    track = Track()
+    track = DetectionTrack()
     for k, (at, instead) in enumerate(zip(own, other, strict=True)):
-        track.add(replace(instead.sighting, area=4.0) if k in odd else at.sighting)
-    face = face_of(showing_face(track))
-    assert face is not None and {at.sighting.frame for at in face.aligned} == set(range(FRAMES)) - odd
+        track.add(replace(instead.detection, area=4.0) if k in odd else at.detection)
+    face = find_face(with_visible_face(track))
+    assert face is not None and {at.detection.frame for at in face.aligned} == set(range(FRAMES)) - odd
 
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_face_seen_in_all_frames_goes_before_more_that_is_seen_in_few(seed: int) -> None:
     """A windscreen mirrors the same in the two nearest ones, and another thing in each of the others."""
     track = below_a_mirror(seed, 4.0, 2)
-    face = face_of(showing_face(track))
+    face = find_face(with_visible_face(track))
     assert face is not None and len(face.aligned) == FRAMES
 
 
@@ -218,9 +222,9 @@ def test_a_face_seen_in_all_frames_goes_before_more_that_is_seen_in_few(seed: in
 @pytest.mark.parametrize("contrast", [2.0, 4.0])
 def test_a_face_is_found_below_what_mirrors_something_else_each_time(seed: int, contrast: float) -> None:
     """Where each frame has it is not known but by the face."""
-    face = face_of(showing_face(below_a_mirror(seed, contrast, 1)))
+    face = find_face(with_visible_face(below_a_mirror(seed, contrast, 1)))
     assert face is not None and len(face.aligned) == FRAMES and face.y[1] < FOOT + 0.1
-    off = [(at.s - s) / at.sighting.error(0.0, 1.0) for at, s in zip(face.aligned, MIRRORED_AT, strict=True)]
+    off = [(at.s - s) / at.detection.distance_error(0.0, 1.0) for at, s in zip(face.aligned, MIRRORED_AT, strict=True)]
     assert np.abs(off).max() < 0.3  # px of disparity
 
 
@@ -231,14 +235,14 @@ def test_a_face_that_is_partly_covered_looks_less_like_itself(seed: int, side: i
     texture, covered = texture_up_to(CARD.top, seed), 4
     other = np.where(side * CARD.x > 0.25, texture_up_to(CARD.top, seed + 10), texture).astype(np.float32)
     face = face_with(texture, seed, (other, covered))
-    alike = likeness(face, face.aligned)
+    alike = similarity(face, face.aligned)
     assert alike.shape == (FRAMES,)
-    assert alike[:covered].max() < ALIKE * np.median(alike) < alike[covered:].min()
+    assert alike[:covered].max() < MIN_SIMILARITY_RATIO * np.median(alike) < alike[covered:].min()
 
 
 def test_the_first_speed_is_that_of_the_first_half_if_it_moves() -> None:
     seen = face_with(texture_up_to(CARD.top, 1), 1).aligned
-    assert first_speed(seen) == pytest.approx(20.0)  # 2 m in a tenth of a second
-    assert first_speed(seen[:3]) is None
+    assert initial_speed(seen) == pytest.approx(20.0)  # 2 m in a tenth of a second
+    assert initial_speed(seen[:3]) is None
     standing = [replace(a, s=seen[0].s) for a in seen[:5]] + seen[5:]
-    assert first_speed(standing) is None  # clip.yaml holds no speed of zero
+    assert initial_speed(standing) is None  # clip.yaml holds no speed of zero

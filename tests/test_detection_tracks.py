@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_detection_detector import driven, outlined, sighting
 
-from paceline.detection.finder import Register, as_seen, goes_on, is_vehicle
-from paceline.detection.planar_face import showing_face
-from paceline.detection.tracks import Linker, Track, off_course
+from paceline.detection.finder import DuplicateFilter, continued_by, is_vehicle, without_outline
+from paceline.detection.planar_face import with_visible_face
+from paceline.detection.tracks import DetectionTrack, TrackAssociator, motion_residuals
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -45,10 +45,10 @@ def test_two_bushes_in_the_wind_are_no_vehicle() -> None:
 def test_what_comes_a_short_way_as_smoothly_as_it_can_be_measured_is_a_vehicle(metres: float, off: float) -> None:
     """In a second and a half, each place ``off`` by so many pixels of disparity: two places fit almost as well."""
     rng, t, found = np.random.default_rng(5), np.arange(16) / 10, 0
-    pixel = driven(t[:3], 29.0 + t[:3]).kept[1].error(0.0, 1.0)
+    pixel = driven(t[:3], 29.0 + t[:3]).kept[1].distance_error(0.0, 1.0)
     for _ in range(50):
         track = driven(t, 29.0 + metres / t[-1] * t + rng.normal(0, off * pixel, len(t)))
-        assert track.roughness == pytest.approx(off, abs=0.15)
+        assert track.roughness_px == pytest.approx(off, abs=0.15)
         assert track.unsteadiness < 1.1
         found += is_vehicle(track)
     assert found > 40
@@ -61,7 +61,7 @@ def test_a_course_leads_through_most_places(seed: int, speed: float, n: int, bra
     times, wrong = 7.0 + np.arange(n) / 10, np.zeros(n, bool)
     wrong[rng.choice([0, n // 2, n - 1], max(n // 8, 1), replace=n > 24)] = True
     s = 3.0 + speed * times - 0.5 * (2.0 if brakes else 0.0) * (times - 7.0) ** 2 + 12.0 * wrong
-    off = off_course(times, s, np.full(n, 2.0))
+    off = motion_residuals(times, s, np.full(n, 2.0))
     assert np.abs(off[~wrong]).max() < 0.5
     assert np.abs(off[wrong]).min() > 4.0
 
@@ -69,9 +69,9 @@ def test_a_course_leads_through_most_places(seed: int, speed: float, n: int, bra
 def test_places_count_by_their_errors() -> None:
     times, error = np.arange(9) / 5, np.where(np.arange(9) < 5, 15.0, 1.0)
     s = 4 + 20 * times + np.where(error > 1, 7.5, 0.0)  # far off half an error, near by none
-    off = off_course(times, s, error)
+    off = motion_residuals(times, s, error)
     assert np.abs(off[5:]).max() < 0.3
-    np.testing.assert_allclose(off_course(times[:2], s[:2], error[:2]), 0.0, atol=1e-6)
+    np.testing.assert_allclose(motion_residuals(times[:2], s[:2], error[:2]), 0.0, atol=1e-6)
 
 
 def test_no_vehicle_is_told_twice_and_two_are_told_as_two() -> None:
@@ -80,12 +80,12 @@ def test_no_vehicle_is_told_twice_and_two_are_told_as_two() -> None:
     left, right = driven(times, 4 + 15 * times, (-0.9, -0.5)), driven(times + 1.2, 22 + 15 * times, (0.5, 0.9))
     behind, later = driven(times + 0.5, 1.5 + 15 * times, (-0.9, 0.9)), driven(times + 9.0, 4 + 15 * times)
     meeting = driven(times, 17.5 - 15 * times)  # at the same place at 0.45 s, in the other sense
-    register = Register()
-    assert register.is_new(left, replace(as_seen(left, ""), vehicle=outlined(2)))
-    assert not register.is_new(right, replace(as_seen(right, ""), vehicle=outlined(13)))
-    assert not register.is_new(right, as_seen(right, "too small"))
+    register = DuplicateFilter()
+    assert register.is_new(left, replace(without_outline(left, ""), vehicle=outlined(2)))
+    assert not register.is_new(right, replace(without_outline(right, ""), vehicle=outlined(13)))
+    assert not register.is_new(right, without_outline(right, "too small"))
     for other in (behind, later, meeting):
-        assert register.is_new(other, replace(as_seen(other, ""), vehicle=outlined(other.first.frame)))
+        assert register.is_new(other, replace(without_outline(other, ""), vehicle=outlined(other.first.frame)))
 
 
 @pytest.mark.parametrize(
@@ -95,16 +95,16 @@ def test_what_overlaps_is_one_vehicle_and_what_lies_apart_are_two(apart: float, 
     """A lorry seen with the bush beside it, and then with the one on its other side; two cars, or lorries, abreast."""
     times = np.arange(10) / 10
     left, right = (driven(times, 4 + 15 * times, (x - wide / 2, x + wide / 2)) for x in (-apart / 2, apart / 2))
-    assert left.is_of(right) == right.is_of(left) == one
+    assert left.same_vehicle(right) == right.same_vehicle(left) == one
 
 
 def test_a_vehicle_that_is_followed_further_has_not_gone() -> None:
     """Its halo was lost after five frames; the vehicle is in view. Neither is another one a reason to wait."""
     times = np.arange(12) / 10
     halo, lamps = driven(times[:5], 5.5 + 15 * times[:5]), driven(times, 4 + 15 * times)
-    assert goes_on(halo, lamps) and not goes_on(lamps, halo)
-    assert not goes_on(halo, driven(times, 20 + 15 * times))
-    assert not goes_on(halo, driven(times[:5], 5.5 + 15 * times[:5]))
+    assert continued_by(halo, lamps) and not continued_by(lamps, halo)
+    assert not continued_by(halo, driven(times, 20 + 15 * times))
+    assert not continued_by(halo, driven(times[:5], 5.5 + 15 * times[:5]))
 
 
 ENOUGH_OF_IT, TOO_LITTLE = [(0.36, 4), (0.26, 8), (0.18, 16)], [(0.36, 3), (0.26, 6), (0.17, 16), (0.17, 40)]
@@ -125,24 +125,24 @@ def test_what_now_and_then_seems_to_stand_lies_on_the_road() -> None:
     track = driven(times, 4 + 25 * times)
     seen = ([14.2, 1.7, 2.7, 1.7, 1.5], False), ([1.5, 4.4, 6.0, 2.6, 5.7], True), ([2.0] * 5, False), ([2.9] * 5, True)
     for upright, vehicle in seen:
-        track.upright = upright
+        track.upright_ratios = upright
         assert is_vehicle(track) == vehicle
 
 
 @pytest.mark.parametrize(("upright", "vehicle"), [(3.0, False), (8.0, False), (20.0, True)])
 def test_what_is_low_is_a_shadow_unless_it_clearly_stands(upright: float, vehicle: bool) -> None:
     """At night a row of lamps is all that shows of a car: 34 times, 45 times better than if it lay on the road."""
-    times, track = np.arange(10) / 10, Track()
+    times, track = np.arange(10) / 10, DetectionTrack()
     for t in times.tolist():
         track.add(replace(sighting(t, 4 + 15 * t), y=(0.2, 0.6)))
-    track.upright = [upright] * 10
+    track.upright_ratios = [upright] * 10
     assert is_vehicle(track) == vehicle
 
 
 @pytest.mark.parametrize(("middles", "vehicle"), [((1.5, 2.6), True), ((-3.6, 0.0), True), ((2.3, 2.3), False)])
 def test_what_changes_its_lane_drives_on_both(middles: tuple[float, float], vehicle: bool) -> None:
     """As a motorcycle was seen that left its lane; what stays two metres aside drives elsewhere."""
-    times, track = np.arange(11) / 15, Track()
+    times, track = np.arange(11) / 15, DetectionTrack()
     for t, middle in zip(times.tolist(), np.linspace(*middles, 11).tolist(), strict=True):
         track.add(replace(sighting(t, 4 + 22 * t), x=(middle - 0.6, middle + 0.6)))
     assert is_vehicle(track) == vehicle
@@ -151,28 +151,28 @@ def test_what_changes_its_lane_drives_on_both(middles: tuple[float, float], vehi
 @pytest.mark.parametrize(("shown", "vehicle"), [(0, False), (1, False), (2, True), (10, True)])
 def test_what_hangs_above_the_road_is_no_vehicle(shown: int, vehicle: bool) -> None:
     """A skyline, or the roof of a van that is hidden by the car before it, until its face comes into view."""
-    times, track = np.arange(10) / 10, Track()
+    times, track = np.arange(10) / 10, DetectionTrack()
     for k, t in enumerate(times.tolist()):
         at = sighting(t, 4 + 15 * t)
         track.add(at if k >= 10 - shown else replace(at, y=(1.9, 2.5)))
     assert is_vehicle(track) == vehicle
-    assert len(showing_face(track)) == shown
+    assert len(with_visible_face(track)) == shown
 
 
 def test_a_vehicle_that_passes_a_bush_is_not_taken_for_it() -> None:
     """Both look alike, and both may be where something is seen; nor is the bush what is seen far ahead."""
-    linker = Linker()
+    linker = TrackAssociator()
     for time in np.arange(6) / 5:
-        linker.link(float(time), [sighting(float(time), 5 + 12 * float(time)), sighting(float(time), 20.0)])
+        linker.associate(float(time), [sighting(float(time), 5 + 12 * float(time)), sighting(float(time), 20.0)])
     vehicle, bush = linker.tracks
-    assert vehicle.moves and not bush.moves
-    linker.link(1.2, [sighting(1.2, 5 + 12 * 1.2)])
-    assert vehicle.last is not None and vehicle.last.time == 1.2 and bush.unseen == 1
-    assert not driven(np.arange(3) / 10, np.full(3, 20.0)).fits(sighting(0.9, 70.0))
+    assert vehicle.is_moving and not bush.is_moving
+    linker.associate(1.2, [sighting(1.2, 5 + 12 * 1.2)])
+    assert vehicle.last is not None and vehicle.last.time == 1.2 and bush.frames_unseen == 1
+    assert not driven(np.arange(3) / 10, np.full(3, 20.0)).in_gate(sighting(0.9, 70.0))
 
 
 def test_what_has_no_outline_hides_none_that_has_one() -> None:
     times = np.arange(10) / 10
-    track, register = driven(times, 4 + 15 * times), Register()
-    assert register.is_new(track, as_seen(track, "too small"))
-    assert register.is_new(track, replace(as_seen(track, ""), vehicle=outlined(2)))
+    track, register = driven(times, 4 + 15 * times), DuplicateFilter()
+    assert register.is_new(track, without_outline(track, "too small"))
+    assert register.is_new(track, replace(without_outline(track, ""), vehicle=outlined(2)))

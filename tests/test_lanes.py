@@ -20,9 +20,9 @@ from paceline.documents.loading import load_clip
 from paceline.errors import UnusableInput
 from paceline.lanes.lane_proposals import Lane
 from paceline.lanes.road_alignment import Alignment
-from paceline.lanes.road_surface import Surface, plane_surface, viewing
+from paceline.lanes.road_surface import RoadSurface, plane_surface, viewing_rays
 from paceline.lanes.site_yaml import lane_names, site_yaml, with_lanes
-from paceline.recordings.background import steady
+from paceline.recordings.background import shorth_background
 from paceline.speed.geometry.path_reconstruction import path_from_document
 
 Array = NDArray[np.float64]
@@ -158,14 +158,14 @@ def test_the_background_outlasts_what_hides_it_in_half_of_the_frames() -> None:
     stack[:11, 20:40] = rng.uniform(0, 255, (11, 20, 40))  # another vehicle each time
     flicker = slice(60, 70)
     stack[:, flicker] = rng.uniform(0, 255, (21, 10, 40))
-    image, settled = steady(stack.astype(np.float16))
+    image, settled = shorth_background(stack.astype(np.float16))
     assert np.abs(image - truth)[:60].max() < 6 * 1.5
     assert np.sqrt(np.mean((image - truth)[:20] ** 2)) < 1.5 * 1.5 / np.sqrt(21)
     assert settled[:20].mean() > 0.99
     assert settled[flicker].mean() < 0.2
 
 
-def bent_surface(heights: list[float]) -> Surface:
+def bent_surface(heights: list[float]) -> RoadSurface:
     flat = plane_surface(np.array([0.02, 1.0, 0.06]), 4.0, 30.0)
     return flat.with_heights(np.array(heights))
 
@@ -179,12 +179,12 @@ def test_rays_meet_the_surface_where_it_projects(heights: list[float], x: float,
     surface, rig = bent_surface(heights), make_rig()
     ground = np.array([x, z])
     pixel = rig.project(surface.points(ground))[side]
-    centre, _ = viewing(rig, side, pixel)
+    centre, _ = viewing_rays(rig, side, pixel)
     away = ground - ((surface.axes.T @ (centre - surface.origin))[[0, 2]])
     above = (centre - surface.points(ground)) @ surface.axes[:, 1]
     if above + surface.slopes(ground) @ away < 0.8:
         return  # seen from behind a crest
-    assert surface.seen_at(rig, side, pixel) == pytest.approx(ground, abs=1e-4)
+    assert surface.ground_at(rig, side, pixel) == pytest.approx(ground, abs=1e-4)
 
 
 @settings(max_examples=60, deadline=None)
@@ -197,7 +197,7 @@ def test_road_coordinates_go_there_and_back(heading: float, curvature: float, s:
 
 def test_an_arc_keeps_its_distance_from_its_centre() -> None:
     road = Alignment(np.array([1.0, 20.0]), 0.3, 1 / 50.0)
-    centre = road.place + 50.0 * road.directions[1]
+    centre = road.origin + 50.0 * road.axes[1]
     points = road.to_ground(np.linspace(-40, 40, 9), 3.0)
     assert np.linalg.norm(points - centre, axis=1) == pytest.approx(np.full(9, 47.0))
 

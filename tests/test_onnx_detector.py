@@ -19,10 +19,10 @@ from onnx import TensorProto, helper, numpy_helper
 from run_command import assert_one_line_error, paceline
 from tiny_road import TWO, scene
 
-from paceline.detection.background_model import WIDER, DetectedScene
-from paceline.detection.detector import Lookout, Sighting
-from paceline.detection.onnx_detector import Detector
-from paceline.detection.onnx_outputs import MOST
+from paceline.detection.background_model import BOX_MARGIN_SHARE, DetectorBackground
+from paceline.detection.detector import Detection, PlaneSweepDetector
+from paceline.detection.onnx_detector import OnnxDetector
+from paceline.detection.onnx_outputs import MAX_BOXES
 from paceline.detection.search import find_vehicles
 from paceline.documents.loading import load_clip
 from paceline.errors import UnusableInput
@@ -184,7 +184,7 @@ Network = Callable[..., Path]
 @pytest.mark.parametrize("kind", [TensorProto.FLOAT, TensorProto.FLOAT16])
 def test_boxes_are_read_from_every_layout(tmp_path: Path, network: Network, kind: int) -> None:
     """Each finds its box where the picture, of other proportions than its input, has at least a quarter of white."""
-    detect = Detector(network(tmp_path / "model.onnx", kind=kind))
+    detect = OnnxDetector(network(tmp_path / "model.onnx", kind=kind))
     padding = 114 / 2  # fills the right half of the input
     for grey, found in ((0, 0), (128, 1)):
         assert ((grey / 2 + padding) / 255 >= 0.25) == bool(found)
@@ -193,13 +193,13 @@ def test_boxes_are_read_from_every_layout(tmp_path: Path, network: Network, kind
 
 
 def test_an_input_of_any_size_is_as_large_as_usual(tmp_path: Path) -> None:
-    detect = Detector(rows(tmp_path / "model.onnx", shape=("batch", 3, "height", "width")))
+    detect = OnnxDetector(rows(tmp_path / "model.onnx", shape=("batch", 3, "height", "width")))
     np.testing.assert_allclose(detect(np.full((640, 1280), 200, np.float32)), [2 * BOX])
     assert detect.name.startswith("model.onnx (SHA-256 ")
 
 
 def test_without_names_every_class_counts_where_none_is_known(tmp_path: Path) -> None:
-    detect = Detector(rows(tmp_path / "model.onnx", names=None))
+    detect = OnnxDetector(rows(tmp_path / "model.onnx", names=None))
     assert len(detect(np.full((480, 640), 200, np.float32))) == 2  # the wheel, too
 
 
@@ -208,8 +208,8 @@ def test_of_countless_boxes_those_count_that_score_best(tmp_path: Path) -> None:
     table[0, :4] = np.tile(centred(BOX), (20_000, 1)).T
     table[0, 4] = np.linspace(0.3, 0.9, 20_000)
     table[0, :2, -1] += 8.0  # the best one lies elsewhere
-    boxes = Detector(bright(tmp_path / "model.onnx", {"output0": table}, {}))(np.zeros((480, 960), np.float32))
-    np.testing.assert_allclose(boxes, [SHOWN + 24.0] + [SHOWN] * (MOST - 1), rtol=1e-5)
+    boxes = OnnxDetector(bright(tmp_path / "model.onnx", {"output0": table}, {}))(np.zeros((480, 960), np.float32))
+    np.testing.assert_allclose(boxes, [SHOWN + 24.0] + [SHOWN] * (MAX_BOXES - 1), rtol=1e-5)
 
 
 def contrast(file: Path, gain: float, side: int = 320, box: float = 24.0) -> Path:
@@ -239,7 +239,7 @@ def contrast(file: Path, gain: float, side: int = 320, box: float = 24.0) -> Pat
 
 
 def test_boxes_lie_in_the_picture_where_the_network_saw_them(tmp_path: Path) -> None:
-    detect = Detector(contrast(tmp_path / "model.onnx", 100.0, box=8.0))
+    detect = OnnxDetector(contrast(tmp_path / "model.onnx", 100.0, box=8.0))
     picture = np.full((480, 640), 114, np.float32)
     picture[192:320, 400:528] += 100 * np.random.default_rng(1).choice([-1, 1], (128, 128))
     boxes = detect(picture)
@@ -346,7 +346,7 @@ def test_lists_that_come_apart_are_told(tmp_path: Path) -> None:
         "labels": (TensorProto.INT64, [9]),
         "scores": (TensorProto.FLOAT, ["N"]),
     }
-    detect = Detector(saved(tmp_path / "model.onnx", nodes, constants, outputs, {"picture": PICTURE}))
+    detect = OnnxDetector(saved(tmp_path / "model.onnx", nodes, constants, outputs, {"picture": PICTURE}))
     assert len(detect(np.zeros((480, 960), np.float32))) == 9
     with pytest.raises(UnusableInput, match=r"model\.onnx: outputs .*scores \(4\).*unlike those for a plain picture"):
         detect(np.full((480, 960), 255, np.float32))
@@ -355,7 +355,7 @@ def test_lists_that_come_apart_are_told(tmp_path: Path) -> None:
 def test_without_onnx_runtime_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
     with pytest.raises(UnusableInput, match=r"needs ONNX Runtime; install it with: pip install 'paceline\[detector\]'"):
-        Detector(rows(tmp_path / "model.onnx"))
+        OnnxDetector(rows(tmp_path / "model.onnx"))
 
 
 def test_outlines_leave_nothing_to_detect(tmp_path: Path) -> None:
@@ -372,9 +372,11 @@ def test_nothing_in_a_box_agrees_with_what_was_before() -> None:
     views = [rng.uniform(0, 255, (60, 80)).astype(np.float32) for _ in range(2)]
     boxes = [np.array([[20.0, 10.0, 40.0, 30.0]]), np.array([[60.0, 40.0, 120.0, 55.0], [5.0, 9.0, 2.0, 3.0]])]
     expected = [np.s_[9:31, 19:41], np.s_[39:56, 57:80]]  # a twentieth larger on every side, within the picture
-    assert WIDER == 0.05
+    assert BOX_MARGIN_SHARE == 0.05
     given = iter(boxes)
-    before = DetectedScene(lambda picture: next(given)).before(StereoFrame(0, 0.0, views[0], views[1], 0.0, False))
+    before = DetectorBackground(lambda picture: next(given)).background(
+        StereoFrame(0, 0.0, views[0], views[1], 0.0, False)
+    )
     for view, then, part in zip(views, before.images, expected, strict=True):
         changed = np.zeros(view.shape, bool)
         changed[part] = True
@@ -390,11 +392,11 @@ def test_the_noise_is_that_between_two_frames() -> None:
         StereoFrame(k, 0.1 * k, (still + rng.normal(0, 2.5, still.shape)).astype(np.float32), still, 0.0, False)
         for k in range(2)
     ]
-    seen = DetectedScene(lambda picture: np.zeros((0, 4)))
-    assert "in none of 0 pictures" in seen.nothing
-    assert seen.before(frames[0]).noise is None
-    seen.follow(frames[0])
-    assert seen.before(frames[1]).noise == pytest.approx(2.5, rel=0.05)
+    seen = DetectorBackground(lambda picture: np.zeros((0, 4)))
+    assert "in none of 0 pictures" in seen.no_vehicle_reason
+    assert seen.background(frames[0]).noise is None
+    seen.update(frames[0])
+    assert seen.background(frames[1]).noise == pytest.approx(2.5, rel=0.05)
 
 
 # --- whole clips -----------------------------------------------------------------------------------------------------
@@ -456,11 +458,11 @@ def test_boxes_in_which_nothing_drives_are_told_from_none(tmp_path: Path) -> Non
 def test_the_second_frame_tells_the_noise_of_the_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     clip, told = load_clip(clip_file(tmp_path / "clip")), []
 
-    def see(lookout: Lookout, frame: StereoFrame, empty: object, noise: float | None) -> list[Sighting]:
+    def see(lookout: PlaneSweepDetector, frame: StereoFrame, empty: object, noise: float | None) -> list[Detection]:
         told.append(noise)
         return []
 
-    monkeypatch.setattr(Lookout, "see", see)
+    monkeypatch.setattr(PlaneSweepDetector, "see", see)
     find_vehicles(clip, open_recording(clip), detect=lambda picture: np.zeros((0, 4)))
     assert len(told) == len(two().left) and told[0] == told[1] and None not in told
 
@@ -483,7 +485,7 @@ def test_a_vehicle_without_a_box_in_one_view_is_not_found(tmp_path: Path) -> Non
     for right, found in ((everywhere, True), (nowhere, False)):
         views = iter([everywhere, right] * 4)
         search = find_vehicles(clip, open_recording(clip), detect=lambda picture: next(views))  # noqa: B023
-        assert bool(search.found) == found and next(views, None) is None
+        assert bool(search.detected) == found and next(views, None) is None
     assert "only 4 frames" in find_vehicles(clip, open_recording(clip)).reason
 
 

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from test_reports import measured, rejected
 
-from paceline.detection.finder import Found
+from paceline.detection.finder import DetectedVehicle
 from paceline.documents.loading import VehicleDocument
 from paceline.errors import UnusableInput
 from paceline.reports.common.formatting import rejected_advice
@@ -29,12 +29,13 @@ ABOUT: dict[str, object] = {"clip": "road/<i>clip</i>.yaml", "configuration": {"
 DAY = "2026-05-04T10:{:02d}:00+02:00"
 
 
-def found(k: int) -> Found:
+def found(k: int) -> DetectedVehicle:
     quad = np.array([[20.0, 30], [60, 30], [60, 50], [20, 50]]) + 100
     crop = np.random.default_rng(k).uniform(0, 255, (80, 90)).astype(np.float32)
     document = VehicleDocument(f"v{k}", "lane0", k, quad, quad + 3, "front", None)
     place, corners = np.array([-1.52, 2.1, 63.7]), np.array([[100.0, 100], [103, 103]])
-    return Found("lane0", (10.0 * k, 10.0 * k + 4), 1.8, 1.5, place, document, NO_REASON, (crop, crop), corners)
+    times, crops = (10.0 * k, 10.0 * k + 4), (crop, crop)
+    return DetectedVehicle("lane0", times, 1.8, 1.5, place, document, NO_REASON, crops, corners)
 
 
 def passed(k: int, result: Measurement | None = None) -> Measurement:

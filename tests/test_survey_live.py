@@ -25,8 +25,8 @@ from run_command import assert_one_line_error, paceline
 from tiny_road import TWO, scene
 
 from paceline.cameras import Camera
-from paceline.detection.finder import Found
-from paceline.detection.tracks import Track
+from paceline.detection.finder import DetectedVehicle
+from paceline.detection.tracks import DetectionTrack
 from paceline.documents.loading import load_clip
 from paceline.recordings import live_stereo
 from paceline.recordings.live_stereo import RawPair, _paired, _View
@@ -35,7 +35,7 @@ from paceline.simulation.stereo.clip import RenderedClip, Scene, Vehicle, World,
 from paceline.simulation.stereo.scenery import StaticBackground
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.results import Measurement
-from paceline.survey.live import last_seen, survey
+from paceline.survey.live import last_outline, survey
 
 SIZE = (64, 48)
 RATE, PLAYED = 5.0, 2.0  # frames/s, as rendered and as played: slow enough for any machine to keep up
@@ -189,11 +189,11 @@ GAPS = [k for k in ALL if k not in (9, 10, 12, 13, 18, 21, 22, 23, 28, 34)]  # a
 
 
 def surveyed(
-    folder: Path, frames: list[int], looked: Callable[[RawPair, list[Track]], None] = lambda pair, tracks: None
-) -> list[tuple[Found, Measurement]]:
-    passed: list[tuple[Found, Measurement]] = []
+    folder: Path, frames: list[int], looked: Callable[[RawPair, list[DetectionTrack]], None] = lambda pair, tracks: None
+) -> list[tuple[DetectedVehicle, Measurement]]:
+    passed: list[tuple[DetectedVehicle, Measurement]] = []
 
-    def told(found: Found, measurement: Measurement | None, reason: str) -> None:
+    def told(found: DetectedVehicle, measurement: Measurement | None, reason: str) -> None:
         assert measurement is not None, reason
         passed.append((found, measurement))
 
@@ -225,7 +225,7 @@ def test_vehicles_that_pass_put_the_calibration_right_together(tmp_path: Path) -
     rig.write_text(yaml.safe_dump({**yaml.safe_load(rig.read_text()), **stated}))
     passed: list[Measurement] = []
 
-    def told(found: Found, measurement: Measurement | None, reason: str) -> None:
+    def told(found: DetectedVehicle, measurement: Measurement | None, reason: str) -> None:
         assert measurement is not None, reason
         passed.append(measurement)
 
@@ -260,10 +260,10 @@ def test_what_is_in_view_is_boxed_where_it_is(tmp_path: Path) -> None:
     seen: list[int] = []
     alike: list[float] = []
 
-    def looked(pair: RawPair, tracks: list[Track]) -> None:
+    def looked(pair: RawPair, tracks: list[DetectionTrack]) -> None:
         seen.append(pair.index)
         for track in tracks:
-            boxes = last_seen(track)
+            boxes = last_outline(track)
             alike.append(max(min(map(covered, boxes, planes)) for planes in truth[pair.index]))
 
     surveyed(tmp_path / "clip", ALL, looked)

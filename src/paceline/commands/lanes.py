@@ -18,7 +18,7 @@ from paceline.verdicts import message
 if TYPE_CHECKING:
     from paceline.cameras import StereoRig
     from paceline.documents.loading import Clip
-    from paceline.lanes.lane_proposals import Lane, Line
+    from paceline.lanes.lane_proposals import Lane, RoadLine
     from paceline.recordings.background import Background
 
 NOTABLY_UNSETTLED = 0.02
@@ -38,10 +38,10 @@ def lanes(
         raise UnusableInput("--write and --out exclude each other: the lanes go to the clip.yaml or to a site.yaml")
 
     from paceline.documents.loading import load_clip, rig_file
-    from paceline.lanes.lane_proposals import lines_of, propose
-    from paceline.lanes.road_detection import NoRoad, find_road
+    from paceline.lanes.lane_proposals import propose_lanes, road_lines
+    from paceline.lanes.road_detection import RoadNotFound, detect_road
     from paceline.lanes.site_yaml import lane_names, with_lanes
-    from paceline.recordings.background import empty_scene, no_background
+    from paceline.recordings.background import background_problem, estimate_background
     from paceline.recordings.stereo import open_recording
     from paceline.reports.calibration import check_rig_file_name
 
@@ -57,24 +57,24 @@ def lanes(
     if write or out is not None:
         _check_pictures(document, _pictures(file, out))
     with progress_bar("averaging", sys.stderr.isatty() and not quiet) as advance:
-        background = empty_scene(open_recording(document), advance)
-    if reason := no_background(background):
+        background = estimate_background(open_recording(document), advance)
+    if reason := background_problem(background):
         print(f"no lane found: {reason}")
         return NOTHING_MEASURED
     try:
-        road = find_road(document.rig, background)
-    except NoRoad as error:
+        road = detect_road(document.rig, background)
+    except RoadNotFound as error:
         print(f"no lane found: {error}")
         return NOTHING_MEASURED
-    lines = lines_of(road)
-    proposed, remarks = propose(document.rig, road)
+    lines = road_lines(road)
+    proposed, remarks = propose_lanes(document.rig, road)
     kept = [lane for lane in proposed if lane.path is not None]
     remarks += [lane.reason for lane in proposed if lane.path is None]
     named = dict(zip(lane_names(len(kept), document.paths if write else ()), kept, strict=True))
     if not quiet:
         _print(lines, named, remarks)
-        if background.unsettled_share > NOTABLY_UNSETTLED:
-            unstable, limit = 100 * background.unsettled_share, 100 * NOTABLY_UNSETTLED
+        if background.unstable_share > NOTABLY_UNSETTLED:
+            unstable, limit = 100 * background.unstable_share, 100 * NOTABLY_UNSETTLED
             notice = message("background_partly_unstable", unstable=unstable, max_unstable=limit)
             print(f"note: {notice}", file=sys.stderr)
     if not kept:
@@ -104,13 +104,13 @@ def _check_pictures(clip: Clip, pictures: tuple[Path, Path]) -> None:
                 )
 
 
-def _print(lines: list[Line], lanes: dict[str, Lane], remarks: Sequence[str]) -> None:
+def _print(lines: list[RoadLine], lanes: dict[str, Lane], remarks: Sequence[str]) -> None:
     from paceline.units import COVERAGE_95
 
     rows = [("line", "marking", "across, 95 %")]
     rows += [
-        (line.id, line.kind, f"± {COVERAGE_95 * line.sigma.min():.2f} to {COVERAGE_95 * line.sigma.max():.2f} m")
-        for line in lines
+        (line.id, line.kind, f"± {COVERAGE_95 * std.min():.2f} to {COVERAGE_95 * std.max():.2f} m")
+        for line, std in ((line, line.lateral_std) for line in lines)
     ]
     print_columns(rows)
     if lanes:
@@ -129,7 +129,7 @@ def _print(lines: list[Line], lanes: dict[str, Lane], remarks: Sequence[str]) ->
 
 
 def _write(
-    file: Path, out: Path | None, rig: StereoRig, background: Background, lines: list[Line], lanes: dict[str, Lane]
+    file: Path, out: Path | None, rig: StereoRig, background: Background, lines: list[RoadLine], lanes: dict[str, Lane]
 ) -> str:
     """Writes the lanes and their pictures together; returns the names of the pictures."""
     from paceline.documents.loading import rig_file

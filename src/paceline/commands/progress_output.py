@@ -21,7 +21,7 @@ from paceline.progress import (
 
 if TYPE_CHECKING:
     from paceline.cameras import StereoRig
-    from paceline.detection.tracks import Track
+    from paceline.detection.tracks import DetectionTrack
     from paceline.follow.results import FollowEstimate
     from paceline.recordings.live_stereo import RawPair
     from paceline.recordings.monocular import CameraFrame, Grey
@@ -72,27 +72,27 @@ def range_line_writer(target: str, live: bool) -> Callable[[CameraFrame, FollowE
     return write
 
 
-def live_line_writer(rig: StereoRig) -> Callable[[RawPair, list[Track]], bool] | None:
+def live_line_writer(rig: StereoRig) -> Callable[[RawPair, list[DetectionTrack]], bool] | None:
     """The callback that writes, every PICTURE_INTERVAL_S, what the cameras of a live survey show: an estimate line for
     each vehicle in view, with its approximate speed, and a pictures line. It returns whether it has written them; None
     if no lines are asked for."""
     if not lines_requested():
         return None
-    from paceline.survey.live import last_seen
+    from paceline.survey.live import last_outline
 
     due = 0.0
 
-    def write(pair: RawPair, tracks: list[Track]) -> bool:
+    def write(pair: RawPair, tracks: list[DetectionTrack]) -> bool:
         nonlocal due
         if (now := time.monotonic()) < due:
             return False
         due = now + PICTURE_INTERVAL_S
         seen: Counter[str] = Counter()
         for track in tracks:
-            way = track.first.way.name
+            way = track.first.lane.name
             seen[way] += 1
             name = way if seen[way] == 1 else f"{way} ({seen[way]})"
-            outlines = [c.distort_points(o) for c, o in zip(rig.cameras, last_seen(track), strict=True)]
+            outlines = [c.distort_points(o) for c, o in zip(rig.cameras, last_outline(track), strict=True)]
             speed = abs(track.speed)
             _write_line(format_estimate(name, pair.index, pair.time, speed, float("nan"), "seen", outlines))
         pictures = small_jpegs(pair.left, pair.right)

@@ -99,7 +99,7 @@ def _measure(
 ) -> ClipResult:
     """Measures a recording and writes what was found."""
     import paceline.baselines.registry  # noqa: F401  makes the baselines known
-    from paceline.detection.onnx_detector import Detector
+    from paceline.detection.onnx_detector import OnnxDetector
     from paceline.documents.loading import load_clip
     from paceline.recordings.stereo import open_recording
     from paceline.reports import OutputFolder, write_files
@@ -118,7 +118,7 @@ def _measure(
             settings.configuration,
             settings.method,
             settings.device,
-            None if detector is None else Detector(detector),
+            None if detector is None else OnnxDetector(detector),
             stage=lambda doing: progress_bar(doing, shown),
             on_estimate=speed_line_writer(document.rig),
         )

@@ -16,8 +16,8 @@ from paceline.commands.progress_output import live_line_writer, write_progress
 
 if TYPE_CHECKING:
     from paceline.cameras import StereoRig
-    from paceline.detection.finder import Found
-    from paceline.detection.tracks import Track
+    from paceline.detection.finder import DetectedVehicle
+    from paceline.detection.tracks import DetectionTrack
     from paceline.documents.loading import Clip
     from paceline.recordings.live_stereo import RawPair
     from paceline.speed.configuration import SpeedConfiguration
@@ -38,11 +38,11 @@ def measure_live(
     """Measure every vehicle that passes, until the sources end or Ctrl-C; a line and a row for each."""
     import cv2
 
-    from paceline.detection.onnx_detector import Detector
+    from paceline.detection.onnx_detector import OnnxDetector
     from paceline.errors import UnusableInput
     from paceline.recordings.live_stereo import LiveViews
     from paceline.reports.live.report import LiveResults
-    from paceline.survey.live import LEARNING, survey
+    from paceline.survey.live import BACKGROUND_S, survey
     from paceline.verdicts import message
     from paceline.version import versions
 
@@ -50,9 +50,9 @@ def measure_live(
         raise UnusableInput(f"{clip.path}: vehicles: --live finds them itself; expected none")
     at_once = detector is not None and bool(clip.paths)
     cv2.setNumThreads(1)  # the cards are small: a second thread costs more than it does, and is wanted for measuring
-    detect = None if detector is None else Detector(detector)
+    detect = None if detector is None else OnnxDetector(detector)
     views = LiveViews(clip)
-    learning = LEARNING if learning is None else learning
+    learning = BACKGROUND_S if learning is None else learning
     settings, used = {**configuration.model_dump(), "learn": learning}, versions()
     if detect is not None:
         settings["detector"], used["onnxruntime"] = detect.name, detect.runtime
@@ -64,7 +64,7 @@ def measure_live(
         if not quiet:
             print(text, flush=True)
 
-    def told(found: Found, measurement: Measurement | None, reason: Message) -> None:
+    def told(found: DetectedVehicle, measurement: Measurement | None, reason: Message) -> None:
         seen_at = looking.time_of_day(found.times[0])
         if measurement is not None:
             results.add(measurement, found, seen_at)
@@ -72,7 +72,7 @@ def measure_live(
             results.add_unmeasured(found, seen_at, reason)
         say(_line(found, measurement, reason, unit))
 
-    def looked(pair: RawPair, tracks: list[Track]) -> None:
+    def looked(pair: RawPair, tracks: list[DetectionTrack]) -> None:
         results.save()
         looking.looked(pair, tracks)
 
@@ -115,7 +115,7 @@ class _Looking:
     def __post_init__(self) -> None:
         self._tell = live_line_writer(self.rig)
 
-    def looked(self, pair: RawPair, tracks: list[Track]) -> None:
+    def looked(self, pair: RawPair, tracks: list[DetectionTrack]) -> None:
         """Note that a ``pair`` has been looked through, with these ``tracks`` in view."""
         self._ahead = time.time() - pair.time
         if self._tell is None:
@@ -135,7 +135,7 @@ class _Looking:
         return datetime.fromtimestamp(self._ahead + moment).astimezone().isoformat(timespec="seconds")
 
 
-def _line(found: Found, measurement: Measurement | None, reason: Message, unit: SpeedUnit) -> str:
+def _line(found: DetectedVehicle, measurement: Measurement | None, reason: Message, unit: SpeedUnit) -> str:
     """What is shown of a vehicle that has passed."""
     from paceline.reports.common.formatting import NO_VALUE, format_speed, format_verdict, rejected_advice
 

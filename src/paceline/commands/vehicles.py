@@ -13,7 +13,7 @@ from paceline.commands.progress_output import progress_bar
 from paceline.errors import UnusableInput
 
 if TYPE_CHECKING:
-    from paceline.detection.search import Search
+    from paceline.detection.search import SearchResult
 
 
 def vehicles(
@@ -32,7 +32,7 @@ def vehicles(
     Ends with status 1 where no vehicle can be found.
     """
     from paceline.detection.clip_entries import with_vehicles
-    from paceline.detection.onnx_detector import Detector
+    from paceline.detection.onnx_detector import OnnxDetector
     from paceline.detection.search import find_vehicles
     from paceline.documents.loading import load_clip
     from paceline.recordings.stereo import open_recording
@@ -45,7 +45,7 @@ def vehicles(
             raise UnusableInput(f"{file}: paths: none; expected some, such as paceline lanes --write adds")
         # refuses now what it would refuse at the end
         with_vehicles(file.read_text(encoding="utf-8"), str(file), document.rig, [])
-    detect = None if detector is None else Detector(detector)
+    detect = None if detector is None else OnnxDetector(detector)
     with progress_bar("looking", sys.stderr.isatty() and not quiet) as advance:
         search = find_vehicles(document, open_recording(document), advance, detect)
     if not quiet:
@@ -59,11 +59,11 @@ def vehicles(
     return DONE
 
 
-def _print(search: Search) -> None:
+def _print(search: SearchResult) -> None:
     rows = [("vehicle", "path", "seen, s", "outlined", "away", "large")]
-    for f in search.found:
+    for f in search.detected:
         if f.vehicle is not None:
-            away = float(f.place @ f.place) ** 0.5
+            away = float(f.position @ f.position) ** 0.5
             width, height = (f.vehicle.left.max(0) - f.vehicle.left.min(0)).tolist()
             seen = f"{f.times[0]:.2f} to {f.times[1]:.2f}"
             frame, size = f"frame {f.vehicle.frame}", f"{width:.0f} × {height:.0f} px"
@@ -74,17 +74,17 @@ def _print(search: Search) -> None:
         print(notice)
 
 
-def _write(file: Path, search: Search) -> list[Path]:
+def _write(file: Path, search: SearchResult) -> list[Path]:
     """Writes the vehicles and their pictures together; returns where the pictures are."""
     from paceline.detection.clip_entries import with_vehicles
     from paceline.reports.common.output_folder import write_all_or_none
     from paceline.reports.detected_vehicles import draw_detected_vehicle
     from paceline.reports.lanes import encode_png
 
-    text = with_vehicles(file.read_text(encoding="utf-8"), str(file), search.clip.rig, search.found)
+    text = with_vehicles(file.read_text(encoding="utf-8"), str(file), search.clip.rig, search.detected)
     pictures = {
         file.with_name(f"vehicle-{f.vehicle.id}.png"): encode_png(draw_detected_vehicle(f))
-        for f in search.found
+        for f in search.detected
         if f.vehicle is not None
     }
     write_all_or_none({file.resolve(): text.encode(), **pictures})

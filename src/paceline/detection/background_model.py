@@ -1,5 +1,5 @@
-"""What both views would show without vehicles: the empty scene, as it changes with the light and with what comes to
-stand in it, or else all that a detector takes for no vehicle."""
+"""Background models: what both views would show without vehicles. Either a running median, which follows the light and
+what comes to stand in the scene, or everything outside the boxes of an object detector."""
 
 from __future__ import annotations
 
@@ -13,106 +13,106 @@ from numpy.typing import NDArray
 from paceline.arrays import Image
 from paceline.cameras import ALL_ROWS
 from paceline.detection import background_model_cpu
-from paceline.detection.detector import noise_of
+from paceline.detection.detector import noise_std
 from paceline.recordings.stereo import StereoFrame
 from paceline.verdicts import Message, message
 
-Detect = Callable[[Image], NDArray[np.float64]]  # a picture (H, W): left, top, right, bottom (N, 4), px
+DetectBoxes = Callable[[Image], NDArray[np.float64]]  # an image (H, W): left, top, right, bottom (N, 4), px
 
-DRIFT = 2.0  # grey levels per second by which a scene follows what is seen
-WIDER = 0.05  # of a box's size, on either side: detectors clip bumpers
+MAX_CHANGE_GREY_PER_S = 2.0  # grey levels per second by which the running median moves
+BOX_MARGIN_SHARE = 0.05  # of a box's size, added on every side: detectors clip bumpers
 
 
 @dataclass(frozen=True, eq=False)
-class Before:
-    """Both views (H, W) with what there was before any vehicle; the ``noise`` of the left view, grey levels, where its
-    difference from it does not tell it."""
+class BackgroundEstimate:
+    """The background of both views (H, W) of a frame; ``noise`` is the left view's standard deviation, grey levels,
+    where the difference to the background does not yield it."""
 
     images: tuple[Image, Image]
     noise: float | None = None
 
 
-class Scene(Protocol):
-    """What is there without vehicles."""
+class BackgroundModel(Protocol):
+    """The scene without vehicles."""
 
-    def before(self, frame: StereoFrame, rows: slice = ALL_ROWS) -> Before:
-        """What ``frame`` would show, of which only the ``rows`` are looked at."""
+    def background(self, frame: StereoFrame, rows: slice = ALL_ROWS) -> BackgroundEstimate:
+        """The background of ``frame``, of which only the ``rows`` are used."""
 
-    def follow(self, frame: StereoFrame, rows: slice = ALL_ROWS) -> None:
-        """Take note of what ``frame`` shows."""
+    def update(self, frame: StereoFrame, rows: slice = ALL_ROWS) -> None:
+        """Update the model by ``frame``."""
 
     @property
-    def nothing(self) -> Message:
+    def no_vehicle_reason(self) -> Message:
         """Why no vehicle was found, where that is so."""
 
 
-class EmptyScene:
-    """Both views of the scene behind the traffic; each frame pulls every pixel a little towards what it shows.
+class RunningMedianBackground:
+    """The background of both views as a running median: each frame moves every pixel a little towards its value.
 
-    The pull does not grow with the difference, so that a vehicle that passes leaves no trace: what is followed is the
-    running median.
+    The step does not grow with the difference, so that a vehicle that passes leaves no trace.
     """
 
     def __init__(self, images: tuple[Image, Image]) -> None:
         self.images = (images[0].copy(), images[1].copy())
         self._time: float | None = None
 
-    def before(self, frame: StereoFrame, rows: slice = ALL_ROWS) -> Before:
-        """The same for every frame."""
-        return Before(self.images)
+    def background(self, frame: StereoFrame, rows: slice = ALL_ROWS) -> BackgroundEstimate:
+        """The running median, whatever the frame."""
+        return BackgroundEstimate(self.images)
 
-    def follow(self, frame: StereoFrame, rows: slice = ALL_ROWS) -> None:
-        """Draw the scene, or only its ``rows``, towards what ``frame`` shows."""
+    def update(self, frame: StereoFrame, rows: slice = ALL_ROWS) -> None:
+        """Move the running median, or only its ``rows``, towards ``frame``."""
         if self._time is not None:
-            step = DRIFT * (frame.time - self._time)
+            step = MAX_CHANGE_GREY_PER_S * (frame.time - self._time)
             for image, now in zip(self.images, (frame.left, frame.right), strict=True):
-                background_model_cpu.draw(image[rows], now[rows], step)
+                background_model_cpu.step_towards(image[rows], now[rows], step)
         self._time = frame.time
 
     @property
-    def nothing(self) -> Message:
+    def no_vehicle_reason(self) -> Message:
         """Why no vehicle was found, where that is so."""
         return message("no_vehicle_detected")
 
 
-class DetectedScene:
-    """Both views as they are where ``detect`` finds no vehicle; in its boxes nothing is as it was before."""
+class DetectorBackground:
+    """The background given by an object detector: both views as they are outside its boxes, and inside them an image
+    with which nothing agrees."""
 
-    def __init__(self, detect: Detect) -> None:
+    def __init__(self, detect: DetectBoxes) -> None:
         self._detect = detect
         self._last: Image | None = None
-        self._pictures = self._boxed = 0
+        self._images = self._boxed = 0
 
-    def before(self, frame: StereoFrame, rows: slice = ALL_ROWS) -> Before:
-        """With the noise by which ``frame`` differs from the last one; none for the first frame."""
+    def background(self, frame: StereoFrame, rows: slice = ALL_ROWS) -> BackgroundEstimate:
+        """Its noise is that between ``frame`` and the last one; None for the first frame."""
         boxes = self._detect(frame.left), self._detect(frame.right)
-        self._pictures += 2
+        self._images += 2
         self._boxed += sum(len(of) > 0 for of in boxes)
-        images = _outside(frame.left, boxes[0]), _outside(frame.right, boxes[1])
+        images = _inverted_in_boxes(frame.left, boxes[0]), _inverted_in_boxes(frame.right, boxes[1])
         if self._last is None:
-            return Before(images)
-        return Before(images, noise_of(frame.left[rows], self._last[rows]) / float(np.sqrt(2.0)))
+            return BackgroundEstimate(images)
+        return BackgroundEstimate(images, noise_std(frame.left[rows], self._last[rows]) / float(np.sqrt(2.0)))
 
-    def follow(self, frame: StereoFrame, rows: slice = ALL_ROWS) -> None:
-        """Remember ``frame`` to tell the noise of the next one."""
+    def update(self, frame: StereoFrame, rows: slice = ALL_ROWS) -> None:
+        """Keep ``frame`` to estimate the noise of the next one."""
         self._last = frame.left
 
     @property
-    def nothing(self) -> Message:
+    def no_vehicle_reason(self) -> Message:
         """Why no vehicle was found, where that is so."""
         if not self._boxed:
-            return message("detector_saw_none", images=self._pictures)
-        return message("detector_none_on_paths", detected=self._boxed, images=self._pictures)
+            return message("detector_saw_none", images=self._images)
+        return message("detector_none_on_paths", detected=self._boxed, images=self._images)
 
 
-def _outside(view: Image, boxes: NDArray[np.float64]) -> Image:
-    """A ``view`` (H, W), but its negative about their mean in the ``boxes`` (N, 4), with which nothing agrees."""
-    before, size = view.copy(), np.array(view.shape[::-1])
+def _inverted_in_boxes(view: Image, boxes: NDArray[np.float64]) -> Image:
+    """A ``view`` (H, W), inverted about its mean inside each of the ``boxes`` (N, 4)."""
+    background, size = view.copy(), np.array(view.shape[::-1])
     for box in boxes:
-        more = WIDER * (box[2:] - box[:2])
-        left, top = np.floor(np.clip(box[:2] - more, 0, size)).astype(int)
-        right, bottom = np.ceil(np.clip(box[2:] + more, 0, size)).astype(int)
+        margin = BOX_MARGIN_SHARE * (box[2:] - box[:2])
+        left, top = np.floor(np.clip(box[:2] - margin, 0, size)).astype(int)
+        right, bottom = np.ceil(np.clip(box[2:] + margin, 0, size)).astype(int)
         part = np.s_[top:bottom, left:right]
         if view[part].size:
-            before[part] = 2 * view[part].mean() - view[part]
-    return before
+            background[part] = 2 * view[part].mean() - view[part]
+    return background

@@ -1,4 +1,4 @@
-"""How the empty scene follows what is seen, compiled by Numba."""
+"""The step of a running median, compiled by Numba."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from paceline.numba_cache import cached_njit
 
 
 @cached_njit(nogil=True)
-def draw(image: Image, now: Image, step: float) -> None:
+def step_towards(image: Image, now: Image, step: float) -> None:
     """Move every pixel of ``image`` (H, W), in place, towards ``now``, by ``step`` grey levels at most."""
     most = np.float32(step)
     for y in range(len(image)):

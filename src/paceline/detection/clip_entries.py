@@ -5,12 +5,12 @@ from __future__ import annotations
 import yaml
 
 from paceline.cameras import StereoRig
-from paceline.detection.finder import Found
+from paceline.detection.finder import DetectedVehicle
 from paceline.documents.yaml_editing import added_below, pixels, quoted, read_back
 from paceline.errors import UnusableInput
 
 
-def with_vehicles(text: str, file: str, rig: StereoRig, found: list[Found]) -> str:
+def with_vehicles(text: str, file: str, rig: StereoRig, found: list[DetectedVehicle]) -> str:
     """``text`` of a clip.yaml that outlines no vehicle, with those ``found`` added, everything else as it stands.
 
     Raises UnusableInput where it outlines vehicles already, or is written in a way that cannot be added to.
@@ -26,7 +26,7 @@ def with_vehicles(text: str, file: str, rig: StereoRig, found: list[Found]) -> s
     return added
 
 
-def _entries(rig: StereoRig, found: list[Found], indent: int) -> list[str]:
+def _entries(rig: StereoRig, found: list[DetectedVehicle], indent: int) -> list[str]:
     pad, lines = " " * indent, []
     for f in found:
         v = f.vehicle

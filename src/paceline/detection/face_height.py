@@ -1,9 +1,10 @@
-"""The top of a face that is left away: what adds little to what is known of the motion, and may lie behind the plane.
+"""The upper edge of a face: the top is left out where it adds little to what is known of the motion, because it may lie
+behind the plane of the face.
 
 A bonnet or a windscreen above a face agrees in both views and over time nearly as well as the face does. Far away no
-parallax tells it from the face, but in the fit of the motion it passes for a lean, and what it could tell goes into
-that. So the motion is fitted to outlines of several heights, and the lowest is taken that tells the speed nearly as
-well as any.
+parallax distinguishes it from the face, but in the fit of the motion it passes for a tilt of the face, which absorbs
+the information that it could give. So the motion is fitted to outlines of several heights, and the lowest is selected
+whose speed has nearly the smallest standard deviation.
 """
 
 from __future__ import annotations
@@ -14,8 +15,8 @@ from dataclasses import replace
 import numpy as np
 
 from paceline.arrays import Array
-from paceline.detection.planar_face import Aligned, Face, course
-from paceline.detection.tracks import slope
+from paceline.detection.planar_face import AlignedDetection, PlanarFace, face_positions
+from paceline.detection.tracks import theil_sen_slope
 from paceline.documents.loading import VehicleDocument
 from paceline.speed.configuration import DEFAULT_LIMITS
 from paceline.speed.geometry.initial_plane import plane_from_outlines
@@ -24,63 +25,64 @@ from paceline.speed.refinement.path_deviation import deviation_of
 from paceline.speed.refinement.photometric_fit import PhotometricFit
 from paceline.speed.refinement.trajectory import Trajectory, prior
 
-LOWER = 0.075  # m by which one outline of a face is lower than the next
-LOWEST = 0.35  # m, of an outline
-KNOWN = 0.03  # relative standard deviation of a speed of which something is known
-NEARLY = 1.15  # times the smallest standard deviation of the speed
-HOPELESS = 1.4  # times the same, from which on no lower outline is tried
-OUTLINED = 0.5  # px, as by hand
-STEPS = 2  # of a fit that begins where one to nearly the same outline ended
+HEIGHT_STEP_M = 0.075  # by which one outline is lower than the next
+MIN_HEIGHT_M = 0.35  # of an outline
+MAX_SPEED_STD_RATIO = 0.03  # of a speed, for which its standard deviation means anything
+MAX_STD_RATIO = 1.15  # of the selected outline's standard deviation of speed to the smallest one
+MAX_STD_RATIO_STOP = 1.4  # of the same, above which no lower outline is tried
+OUTLINE_STD_PX = 0.5  # of a corner, as of one drawn by hand
+REFIT_STEPS = 2  # of a fit that starts from that of the outline before
 
 
-def trimmed(face: Face, seen: list[Aligned], is_clear: Callable[[Face], bool]) -> Face:
-    """The lowest outline of a ``face``, cut at its top, that ``is_clear`` enough and by which what was ``seen`` of it
-    (in order of time) tells the speed nearly as well as by any."""
+def select_height(face: PlanarFace, seen: list[AlignedDetection], is_clear: Callable[[PlanarFace], bool]) -> PlanarFace:
+    """``face`` cut at its top: the lowest outline that ``is_clear`` and with which the speed in the frames ``seen``, in
+    order of time, is known nearly as well as with any."""
     low, high = face.y
-    lower = [replace(face, y=(low, top)) for top in np.arange(high - LOWER, low + LOWEST, -LOWER).tolist()]
+    tops = np.arange(high - HEIGHT_STEP_M, low + MIN_HEIGHT_M, -HEIGHT_STEP_M).tolist()
+    lower = [replace(face, y=(low, top)) for top in tops]
     outlines = [face, *filter(is_clear, lower)]
     if len(outlines) == 1 or len(seen) < DEFAULT_LIMITS.min_frames:
         return face
-    doubts = _doubts(outlines, seen)
-    return outlines[int(np.flatnonzero(doubts <= NEARLY * doubts.min())[-1])]
+    stds = _speed_stds(outlines, seen)
+    return outlines[int(np.flatnonzero(stds <= MAX_STD_RATIO * stds.min())[-1])]
 
 
-def _doubts(outlines: list[Face], seen: list[Aligned]) -> Array:
-    """The standard deviations of the mean speed, m/s, by what is ``seen`` in each of the ``outlines``, if the pixels'
-    noise were all; only of the first ones where the others tell too little."""
-    keyframes = [_glimpse(outlines[0], at) for at in seen]
+def _speed_stds(outlines: list[PlanarFace], seen: list[AlignedDetection]) -> Array:
+    """The standard deviations of the mean speed, m/s, due to pixel noise, with each of the ``outlines`` in the frames
+    ``seen``; only those of the first ones where the others are far worse."""
+    keyframes = [_keyframe(outlines[0], at) for at in seen]
     found: list[float] = []
     try:
-        trajectory, speed = _carried(keyframes, seen)
+        trajectory, speed = _initial_trajectory(keyframes, seen)
         fit = PhotometricFit(trajectory, keyframes, prior(trajectory, speed))
         found.append(fit.noise_std)
         for face in outlines[1:]:
-            if found[-1] > HOPELESS * min(found) or found[0] > KNOWN * speed:
+            if found[-1] > MAX_STD_RATIO_STOP * min(found) or found[0] > MAX_SPEED_STD_RATIO * speed:
                 break
-            fit = fit.on_outline(_pixels(face, seen[0])[0], STEPS)
+            fit = fit.on_outline(_outline_pixels(face, seen[0])[0], REFIT_STEPS)
             found.append(fit.noise_std)
     except np.linalg.LinAlgError:
-        pass  # of what determines nothing no part does: the whole stays, or what was fitted by then
+        pass  # an outline that does not determine the motion: the whole one is kept, or the best of those fitted so far
     return np.array(found or [0.0])
 
 
-def _pixels(face: Face, at: Aligned) -> Array:
+def _outline_pixels(face: PlanarFace, at: AlignedDetection) -> Array:
     """An outline (2, 4, 2) in both views of a frame, px."""
-    return np.stack(at.sighting.way.pixels(at.s, face.corners(at)))
+    return np.stack(at.detection.lane.pixels(at.s, face.corners(at)))
 
 
-def _glimpse(face: Face, at: Aligned) -> Keyframe:
-    s = at.sighting
-    return Keyframe(s.frame, (s.time, s.time), s.crops, s.corners, _pixels(face, at))
+def _keyframe(face: PlanarFace, at: AlignedDetection) -> Keyframe:
+    d = at.detection
+    return Keyframe(d.frame, (d.time, d.time), d.crops, d.crop_origins, _outline_pixels(face, at))
 
 
-def _carried(keyframes: list[Keyframe], seen: list[Aligned]) -> tuple[Trajectory, float]:
-    """The outline in the first of the ``keyframes`` carried along its way, and how fast, m/s."""
-    way, (left, right) = seen[0].sighting.way, keyframes[0].quads
-    times = np.array([g.times for g in keyframes]) - keyframes[0].times[0]
-    speed = slope(*course(seen))
-    path = way.path if speed > 0 else way.path.reversed()
-    document = VehicleDocument("", way.name, keyframes[0].frame, left, right, "front", None)
-    plane = plane_from_outlines(way.rig, document, path, OUTLINED)
-    bends = deviation_of(path, plane, times, abs(speed), on_path=True)
-    return Trajectory(way.rig, left, plane, path, times, bends), abs(speed)
+def _initial_trajectory(keyframes: list[Keyframe], seen: list[AlignedDetection]) -> tuple[Trajectory, float]:
+    """The outline of the first keyframe moved along its lane, and its speed, m/s."""
+    lane, (left, right) = seen[0].detection.lane, keyframes[0].quads
+    times = np.array([k.times for k in keyframes]) - keyframes[0].times[0]
+    speed = theil_sen_slope(*face_positions(seen))
+    path = lane.path if speed > 0 else lane.path.reversed()
+    document = VehicleDocument("", lane.name, keyframes[0].frame, left, right, "front", None)
+    plane = plane_from_outlines(lane.rig, document, path, OUTLINE_STD_PX)
+    deviation = deviation_of(path, plane, times, abs(speed), on_path=True)
+    return Trajectory(lane.rig, left, plane, path, times, deviation), abs(speed)

@@ -12,26 +12,26 @@ import cv2
 import numpy as np
 
 from paceline.arrays import Array, Image
-from paceline.detection.onnx_outputs import EXPECTED, Outputs, chosen, layout_of, vehicle_classes
+from paceline.detection.onnx_outputs import EXPECTED_OUTPUTS, Outputs, output_layout, select_boxes, vehicle_classes
 from paceline.errors import UnusableInput
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession, NodeArg
 
 
-THREADS = 2  # more help small networks little, and what measures wants some too
-SIDE, SIDES = 640, range(32, 8193)  # px of an input that may have any size, and of any
-PADDING = 114.0  # grey beside a picture that has another shape than the input
-FLOATS: dict[str, type[np.floating]] = {"tensor(float)": np.float32, "tensor(float16)": np.float16}
-SILENT = 4  # what ONNX Runtime logs: what goes wrong is raised as well
-NAMES = 1_000_000  # characters of the names of classes, at most
-WORDS = 300  # characters that a message takes over from a file
-POSITION = re.compile(  # what ONNX Runtime says beside what went wrong: in which of its lines, and with which file
+INFERENCE_THREADS = 2  # more help small networks little, and what measures wants some too
+DEFAULT_SIDE_PX, ACCEPTED_SIDES_PX = 640, range(32, 8193)  # px of an input that may have any size, and of any
+PADDING_GREY = 114.0  # grey beside a picture that has another shape than the input
+FLOAT_TYPES: dict[str, type[np.floating]] = {"tensor(float)": np.float32, "tensor(float16)": np.float16}
+LOG_FATAL_ONLY = 4  # what ONNX Runtime logs: what goes wrong is raised as well
+MAX_NAMES_LENGTH = 1_000_000  # characters of the names of classes, at most
+MAX_QUOTED_LENGTH = 300  # characters that a message takes over from a file
+ERROR_PREFIX = re.compile(  # what ONNX Runtime says beside what went wrong: in which of its lines, and with which file
     r".*\[ONNXRuntimeError\] : \d+ : \w+ : |Load model from .*? failed:|/\S+\.(?:h|cc):\d+ .*?\) (?:const )?"
 )
 
 
-class Detector:
+class OnnxDetector:
     """Finds vehicles in pictures by the ONNX ``file``; the same picture gives the same boxes.
 
     ``name`` is the file's name and how its SHA-256 begins, ``runtime`` the version of ONNX Runtime. Raises
@@ -43,10 +43,10 @@ class Detector:
         self.name = f"{file.name} (SHA-256 {_digest(file)[:12]}…)"
         self._session, self.runtime = _session(file)
         self._input, self._size, self._type, self._shape = self._input_of()
-        outputs = self._run(np.full(self._size[::-1], PADDING / 255.0, np.float32))
-        layout = layout_of(outputs, self._size)
+        outputs = self._run(np.full(self._size[::-1], PADDING_GREY / 255.0, np.float32))
+        layout = output_layout(outputs, self._size)
         if layout is None:
-            raise UnusableInput(f"{file}: outputs {_shapes(self._session.get_outputs(), outputs)}: {EXPECTED}")
+            raise UnusableInput(f"{file}: outputs {_shapes(self._session.get_outputs(), outputs)}: {EXPECTED_OUTPUTS}")
         self._layout = layout
         self._classes = self._vehicles(layout.classes)
 
@@ -56,7 +56,7 @@ class Detector:
         outputs = self._run(padded * np.float32(self._layout.white / 255.0))
         try:
             with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is no box
-                boxes = chosen(self._layout.read(outputs), self._classes, self._size)
+                boxes = select_boxes(self._layout.read(outputs), self._classes, self._size)
         except (ValueError, IndexError):
             shapes = _shapes(self._session.get_outputs(), outputs)
             raise UnusableInput(f"{self._file}: outputs {shapes}: unlike those for a plain picture") from None
@@ -68,18 +68,18 @@ class Detector:
         try:
             return [np.asarray(output) for output in self._session.run(None, {self._input: picture})]
         except Exception as error:  # ONNX Runtime has many
-            raise UnusableInput(f"{self._file}: does not run: {_words(error)}") from error
+            raise UnusableInput(f"{self._file}: does not run: {_error_text(error)}") from error
 
     def _input_of(self) -> tuple[str, tuple[int, int], type[np.floating], tuple[int, ...]]:
         """The name of the input, its width and height, the type of its numbers and its whole shape."""
         inputs = self._session.get_inputs()
-        if len(inputs) == 1 and len(shape := inputs[0].shape) in (3, 4) and inputs[0].type in FLOATS:
-            usual = (3, SIDE, SIDE)
+        if len(inputs) == 1 and len(shape := inputs[0].shape) in (3, 4) and inputs[0].type in FLOAT_TYPES:
+            usual = (3, DEFAULT_SIDE_PX, DEFAULT_SIDE_PX)
             colours, height, width = (n if isinstance(n, int) else u for n, u in zip(shape[-3:], usual, strict=True))
             alone = not isinstance(shape[0], int) or shape[:-3] in ([], [1])
-            if alone and colours in (1, 3) and height in SIDES and width in SIDES:
+            if alone and colours in (1, 3) and height in ACCEPTED_SIDES_PX and width in ACCEPTED_SIDES_PX:
                 whole = (1, colours, height, width)[-len(shape) :]
-                return inputs[0].name, (width, height), FLOATS[inputs[0].type], whole
+                return inputs[0].name, (width, height), FLOAT_TYPES[inputs[0].type], whole
         raise UnusableInput(
             f"{self._file}: inputs {_shapes(inputs)}: expected one picture of floating-point numbers, "
             "(1, 3, height, width)"
@@ -91,14 +91,14 @@ class Detector:
             return vehicle_classes(None, count)
         names = _names(text)
         if names is None:
-            raise UnusableInput(f"{self._file}: names: {_short(text)}: expected such as {{0: 'person', 1: 'car'}}")
+            raise UnusableInput(f"{self._file}: names: {_shorten(text)}: expected such as {{0: 'person', 1: 'car'}}")
         if count is not None and len(names) != count:
             raise UnusableInput(
                 f"{self._file}: names {len(names)} classes, but its outputs have {count}; expected a detector of boxes"
             )
         classes = vehicle_classes(names, count)
         if classes is None or not len(classes):
-            some = _short(", ".join(names.values())) or "none"
+            some = _shorten(", ".join(names.values())) or "none"
             raise UnusableInput(f"{self._file}: names: {some}; expected some vehicles, such as car or truck")
         return classes
 
@@ -108,7 +108,7 @@ def letterbox(picture: Image, size: tuple[int, int]) -> tuple[Image, Array]:
     it; and by how much it is scaled across and down (2,)."""
     was = np.array(picture.shape[::-1])
     new = np.maximum(np.rint(was * min(np.array(size) / was)), 1).astype(int)
-    padded = np.full(size[::-1], PADDING, np.float32)
+    padded = np.full(size[::-1], PADDING_GREY, np.float32)
     padded[: new[1], : new[0]] = cv2.resize(picture, new.tolist())
     return padded, new / was
 
@@ -121,15 +121,15 @@ def _session(file: Path) -> tuple[InferenceSession, str]:
         raise UnusableInput(
             "--detector needs ONNX Runtime; install it with: pip install 'paceline[detector]'"
         ) from None
-    onnxruntime.set_default_logger_severity(SILENT)
+    onnxruntime.set_default_logger_severity(LOG_FATAL_ONLY)
     options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads, options.inter_op_num_threads = THREADS, 1
-    options.log_severity_level = SILENT
+    options.intra_op_num_threads, options.inter_op_num_threads = INFERENCE_THREADS, 1
+    options.log_severity_level = LOG_FATAL_ONLY
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     try:
         session = onnxruntime.InferenceSession(file, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # ONNX Runtime has many
-        raise UnusableInput(f"{file}: cannot be read as an ONNX model: {_words(error)}") from error
+        raise UnusableInput(f"{file}: cannot be read as an ONNX model: {_error_text(error)}") from error
     return session, onnxruntime.__version__
 
 
@@ -148,7 +148,7 @@ def _digest(file: Path) -> str:
 def _names(text: str) -> dict[int, str] | None:
     """The names of classes as Ultralytics writes them among a model's metadata; None for anything else."""
     try:
-        names = ast.literal_eval(text) if len(text) <= NAMES else None
+        names = ast.literal_eval(text) if len(text) <= MAX_NAMES_LENGTH else None
         if isinstance(names, list | tuple):
             names = dict(enumerate(names))
         return {int(k): str(name) for k, name in names.items()} if isinstance(names, dict) else None
@@ -160,15 +160,15 @@ def _shapes(described: list[NodeArg], found: Outputs | None = None) -> str:
     """The names, shapes and types of inputs or outputs, those ``found`` where they are known."""
     of = [(n.shape, n.type[7:-1]) for n in described] if found is None else [(o.shape, o.dtype) for o in found]
     words = [f"{n.name} ({', '.join(map(str, s))}) {kind}" for n, (s, kind) in zip(described, of, strict=True)]
-    return _short(", ".join(words)) or "none"
+    return _shorten(", ".join(words)) or "none"
 
 
-def _words(error: Exception) -> str:
+def _error_text(error: Exception) -> str:
     """What went wrong in ONNX Runtime."""
-    return _short(POSITION.sub("", " ".join(str(error).split())))
+    return _shorten(ERROR_PREFIX.sub("", " ".join(str(error).split())))
 
 
-def _short(text: str) -> str:
+def _shorten(text: str) -> str:
     """The beginning of a ``text`` that somebody else wrote, on one line."""
     plain = "".join(c for c in " ".join(text.split()) if c.isprintable())
-    return plain if len(plain) <= WORDS else f"{plain[: WORDS - 1]}…"
+    return plain if len(plain) <= MAX_QUOTED_LENGTH else f"{plain[: MAX_QUOTED_LENGTH - 1]}…"

@@ -16,16 +16,19 @@ from paceline.arrays import Array
 
 Outputs = list[NDArray[np.generic]]
 
-LEAST_SCORE = 0.25  # that most detectors are used with; what is boxed wrongly has yet to stand upright and to drive
-MOST = 1000  # boxes of a picture, those that score best
-SHARE = 1.5  # px, within which no box of a vehicle lies: such boxes are shares of the input's size
-STRIDES = 8, 16, 32  # px of the cells that raw outputs have rows for
-VEHICLES = {
+MIN_SCORE = 0.25  # that most detectors are used with; what is boxed wrongly has yet to stand upright and to drive
+MAX_BOXES = 1000  # boxes of a picture, those that score best
+MAX_NORMALISED_PX = 1.5  # px, within which no box of a vehicle lies: such boxes are shares of the input's size
+CELL_STRIDES_PX = 8, 16, 32  # px of the cells that raw outputs have rows for
+VEHICLE_WORDS = {
     "ambulance", "bus", "car", "coach", "lorry", "minibus", "motor", "motorbike", "motorcycle", "pickup", "rickshaw",
     "scooter", "suv", "taxi", "tractor", "trailer", "tricycle", "truck", "van", "vehicle",
 }  # fmt: skip
-COCO = {80: (2, 3, 5, 7), 91: (3, 4, 6, 8)}  # car, motorcycle, bus and truck where there are so many classes
-EXPECTED = (
+COCO_VEHICLE_CLASSES = {
+    80: (2, 3, 5, 7),
+    91: (3, 4, 6, 8),
+}  # car, motorcycle, bus and truck where there are so many classes
+EXPECTED_OUTPUTS = (
     "expected one output (1, N, 6), (1, 4 + classes, N) or (1, N, 5 + classes), "
     "or three: boxes (N, 4), labels (N) and scores (N)"
 )
@@ -41,7 +44,7 @@ class Candidates:
 
 
 @dataclass(frozen=True, eq=False)
-class Layout:
+class OutputLayout:
     """How to ``read`` the outputs of a detector whose input has ``white`` for white, and how many ``classes`` it tells
     apart, if its outputs say so."""
 
@@ -50,60 +53,60 @@ class Layout:
     classes: int | None = None
 
 
-def layout_of(outputs: Outputs, size: tuple[int, int]) -> Layout | None:
+def output_layout(outputs: Outputs, size: tuple[int, int]) -> OutputLayout | None:
     """The layout of what a detector put out for a plain picture of ``size`` (width, height); None if it is none that
     is known."""
     if not all(np.issubdtype(output.dtype, np.number) for output in outputs):
         return None
-    if len(outputs) == 3 and (order := _apart(outputs)):
-        return Layout(lambda found: _of_lists(*(found[k] for k in order)))
+    if len(outputs) == 3 and (order := _list_order(outputs)):
+        return OutputLayout(lambda found: _from_lists(*(found[k] for k in order)))
     tables = [k for k, output in enumerate(outputs) if output.ndim == 3 and len(output) == 1]
     if len(tables) != 1:
         return None
     at = tables[0]
     _, rows, columns = outputs[at].shape
-    cells = sum((size[0] // stride) * (size[1] // stride) for stride in STRIDES)
+    cells = sum((size[0] // stride) * (size[1] // stride) for stride in CELL_STRIDES_PX)
     if columns == 6 and rows < cells:
-        return Layout(lambda found: _of_rows(_table(found, at)))
+        return OutputLayout(lambda found: _from_rows(_table(found, at)))
     if 5 <= rows < columns:
-        return Layout(lambda found: _of_scores(_table(found, at).T), classes=rows - 4)
+        return OutputLayout(lambda found: _from_class_scores(_table(found, at).T), classes=rows - 4)
     if not 6 <= columns < rows:
         return None
     if rows != cells:
-        return Layout(lambda found: _of_objects(_table(found, at)), classes=columns - 5)
-    plain, grid = _table(outputs, at), _grid(size)  # a row for each cell, as YOLOX and YOLOv6 have it
+        return OutputLayout(lambda found: _from_objectness(_table(found, at)), classes=columns - 5)
+    plain, grid = _table(outputs, at), _cell_grid(size)  # a row for each cell, as YOLOX and YOLOv6 have it
     if plain[:, 2:4].min() < 0:  # logarithms of sizes, and places in the cell: as YOLOX leaves them
-        return Layout(lambda found: _of_objects(_in_pixels(_table(found, at), grid)), 255.0, columns - 5)
-    white = 1.0 if plain[:, 4].min() > LEAST_SCORE else 255.0  # that there is something everywhere says only YOLOv6
-    return Layout(lambda found: _of_objects(_table(found, at)), white, columns - 5)
+        return OutputLayout(lambda found: _from_objectness(_decode_cells(_table(found, at), grid)), 255.0, columns - 5)
+    white = 1.0 if plain[:, 4].min() > MIN_SCORE else 255.0  # that there is something everywhere says only YOLOv6
+    return OutputLayout(lambda found: _from_objectness(_table(found, at)), white, columns - 5)
 
 
 def vehicle_classes(names: dict[int, str] | None, count: int | None) -> Array | None:
     """Which of ``count`` classes are vehicles', by their ``names`` where they have some; None: all of them."""
     if names is not None:
         return np.array([k for k, name in names.items() if _is_vehicle(name)], float)
-    return np.array(COCO[count], float) if count in COCO else None
+    return np.array(COCO_VEHICLE_CLASSES[count], float) if count in COCO_VEHICLE_CLASSES else None
 
 
-def chosen(candidates: Candidates, classes: Array | None, size: tuple[int, int]) -> Array:
+def select_boxes(candidates: Candidates, classes: Array | None, size: tuple[int, int]) -> Array:
     """The boxes (N, 4) that score enough, of these ``classes``, in px of an input of ``size`` (width, height)."""
     boxes, scores = candidates.boxes, candidates.scores
-    scoring = (scores >= LEAST_SCORE) & np.isfinite(boxes).all(1) & (boxes[:, 2:] > boxes[:, :2]).all(1)
-    if scoring.any() and np.abs(boxes[scoring]).max() <= SHARE:
+    scoring = (scores >= MIN_SCORE) & np.isfinite(boxes).all(1) & (boxes[:, 2:] > boxes[:, :2]).all(1)
+    if scoring.any() and np.abs(boxes[scoring]).max() <= MAX_NORMALISED_PX:
         boxes = boxes * np.tile(size, 2)
     if classes is not None:
         scoring &= np.isin(candidates.classes, classes)
     kept = np.flatnonzero(scoring)
-    return boxes[kept[np.argsort(-scores[kept], kind="stable")[:MOST]]]
+    return boxes[kept[np.argsort(-scores[kept], kind="stable")[:MAX_BOXES]]]
 
 
 def _is_vehicle(name: str) -> bool:
     """Whether the last word of a class's name is a vehicle's: of a police car, but not of a car wheel."""
     words = re.findall(r"[a-z]+", name.lower())
-    return bool(words) and any(words[-1].removesuffix(plural) in VEHICLES for plural in ("", "s", "es"))
+    return bool(words) and any(words[-1].removesuffix(plural) in VEHICLE_WORDS for plural in ("", "s", "es"))
 
 
-def _apart(outputs: Outputs) -> tuple[int, int, int] | None:
+def _list_order(outputs: Outputs) -> tuple[int, int, int] | None:
     """Which of three outputs are the boxes (N, 4), the labels (N) and the scores (N)."""
     whole = [np.issubdtype(output.dtype, np.integer) for output in outputs]
     boxes = [k for k, output in enumerate(outputs) if output.ndim == 2 and output.shape[1] == 4]
@@ -117,36 +120,36 @@ def _table(outputs: Outputs, at: int) -> Array:
     return np.asarray(outputs[at][0], float)
 
 
-def _of_lists(boxes: NDArray[np.generic], labels: NDArray[np.generic], scores: NDArray[np.generic]) -> Candidates:
+def _from_lists(boxes: NDArray[np.generic], labels: NDArray[np.generic], scores: NDArray[np.generic]) -> Candidates:
     return Candidates(np.asarray(boxes, float), np.asarray(scores, float), np.asarray(labels, float))
 
 
-def _of_rows(rows: Array) -> Candidates:
+def _from_rows(rows: Array) -> Candidates:
     """Of rows of left, top, right, bottom, score and class."""
     return Candidates(rows[:, :4], rows[:, 4], rows[:, 5])
 
 
-def _of_scores(rows: Array) -> Candidates:
+def _from_class_scores(rows: Array) -> Candidates:
     """Of rows of a centre, width and height, and a score for each class."""
     centre, half = rows[:, :2], rows[:, 2:4] / 2
     boxes = np.concatenate([centre - half, centre + half], axis=1)
     return Candidates(boxes, rows[:, 4:].max(1), rows[:, 4:].argmax(1).astype(float))
 
 
-def _of_objects(rows: Array) -> Candidates:
+def _from_objectness(rows: Array) -> Candidates:
     """As `_of_scores`, of rows in which before these stands how surely there is anything."""
-    return _of_scores(np.concatenate([rows[:, :4], rows[:, 4:5] * rows[:, 5:]], axis=1))
+    return _from_class_scores(np.concatenate([rows[:, :4], rows[:, 4:5] * rows[:, 5:]], axis=1))
 
 
-def _grid(size: tuple[int, int]) -> Array:
+def _cell_grid(size: tuple[int, int]) -> Array:
     """Column, row and stride (N, 3) of the cells in a picture, those of the smallest stride first."""
     cells = []
-    for stride in STRIDES:
+    for stride in CELL_STRIDES_PX:
         y, x = np.mgrid[: size[1] // stride, : size[0] // stride]
         cells.append(np.stack([x.ravel(), y.ravel(), np.full(x.size, stride)], axis=1))
     return np.concatenate(cells).astype(float)
 
 
-def _in_pixels(rows: Array, grid: Array) -> Array:
+def _decode_cells(rows: Array, grid: Array) -> Array:
     stride = grid[:, 2:]
     return np.concatenate([(rows[:, :2] + grid[:, :2]) * stride, np.exp(rows[:, 2:4]) * stride, rows[:, 4:]], axis=1)

@@ -1,8 +1,9 @@
-"""The part of a vehicle's face that is measured: what stays the same on one plane, in both views and over time.
+"""The planar part of a vehicle's front or rear that is measured: its appearance is constant in both views and over
+time.
 
-A number plate, lamps and a bumper lie in one card and keep their picture there while the vehicle drives; a windscreen
-slopes away and mirrors what is around, a bonnet moves against the bumper as the view on it changes. So the sightings of
-a vehicle are laid on each other, and the rectangle is taken in which they agree most.
+A number plate, lamps and a bumper lie in one plane and keep their appearance there while the vehicle drives; a
+windscreen slopes and reflects the surroundings, a bonnet moves relative to the bumper as the viewing direction changes.
+So the detections of a vehicle are aligned with each other, and the rectangle is taken in which they agree best.
 """
 
 from __future__ import annotations
@@ -13,250 +14,267 @@ import cv2
 import numpy as np
 
 from paceline.arrays import Array, Image
-from paceline.detection.detector import GRID, Sighting
-from paceline.detection.lane_paths import Grid, Way
-from paceline.detection.photo_consistency import FLAT, Texture, agreement, correlation
-from paceline.detection.tracks import Track
+from paceline.detection.detector import FINE_GRID, Detection
+from paceline.detection.lane_paths import LanePath, PlaneGrid
+from paceline.detection.photo_consistency import MIN_STD_PRODUCT, LocalStatistics, local_ncc, photo_consistency
+from paceline.detection.tracks import DetectionTrack
 from paceline.speed.geometry.paths import Path
 from paceline.subpixel import parabola_peak_at
 
 Span = tuple[float, float]
 
-FINE = Grid(left=-2.4, top=1.6, bottom=0.15, cell=0.025)
-WINDOW = 9  # cells over which pictures are compared
-REACH, STEPS = (3.0, 1.0), 25  # m at least, or px of disparity: so far about its sighting a face is looked for, at so
-# many places
-UNUSUAL = 0.06  # correlation that it costs if it lies farther from its sighting, by the reach, than in the reference
-SHARPER = 0.5, 0.7  # of the largest area that agrees, and times the misfit of the views where it does: a place at which
-# more than that agrees, and which fits better than that, is taken before it
-SHIFT = 0.4  # m that the face may lie off where it was in another frame, on the card
-RAISED = 0.5  # correlation that it costs if it lies as much higher or lower: on a card at a wrong place it does
-CONTRAST = 1.0  # grey levels of a texture
-SAME = 0.85  # correlation with what was there before the vehicle, above which that is what a view shows;
-SELDOM = 0.3  # of the views: where only so few show something else, there is no vehicle
-AGREED = 0.78, 0.66, 0.54  # correlation that speaks for a place as much as against it; less where noise leaves none
-NARROWEST, LOWEST = 0.4, 0.3  # m of a rectangle
-INSET = 0.075  # m: a correlation sees half its window beyond the place where it stands
-MOST_OF = 0.7  # of a face's width that a rectangle takes at least
-WIDEST = 1.8, 2.3  # m, of a rectangle on a car, and on what is taller than `TALLER`, or wider, or narrower than
-PART = 1.0  # m: it may be one lamp of a lorry. A rail beside the road agrees in all frames as well as a face does
-HIGHEST = 1.1, 1.6  # m, of a rectangle on a car, and on what is taller than `TALLER`
-BEGUN = 1.0, 0.57  # of the height, up to where all is first laid on each other: a bonnet or a windscreen may mislead it
-TALLER = 2.2  # m
-FOOT = 1.5  # m above the road, below which a sighting begins that shows a face: so high up are the lamps of lorries
-COST = 0.02  # of a place without texture
-COARSE = 2  # cells of the map on which rectangles are tried
-UNLIKE = 0.7, 1.5  # of the usual area that is seen of it, outside which a face is not the reference: part of it is
-# hidden, or something else was seen with it
-MATCHED = 0.55  # correlation with the reference of a frame that counts
+FACE_GRID = PlaneGrid(left=-2.4, top=1.6, bottom=0.15, cell=0.025)
+NCC_WINDOW = 9  # cells
+SEARCH_RANGE_M_PX = 3.0, 1.0  # to either side of a detection along the lane, m, or px of disparity if that is more
+SEARCH_STEPS = 25
+DISTANCE_PENALTY_NCC = 0.06  # at the ends of that range, for lying elsewhere than in the reference frame
+# a position with so much of the largest consistent area is preferred if its 1 − NCC is so much smaller
+MIN_SHARP_AREA_RATIO, MAX_SHARP_MISFIT_RATIO = 0.5, 0.7
+MAX_SHIFT_M = 0.4  # of the face on its plane from one frame to another
+HEIGHT_PENALTY_NCC = 0.5  # for so large a vertical shift: it occurs on planes at a wrong distance
+MIN_CONTRAST_GREY = 1.0  # local standard deviation of texture
+UNCHANGED_NCC = 0.85  # with the background, above which a cell shows the background
+# of the views: a cell beside the detection that differs from the background in fewer belongs to no vehicle
+MIN_CHANGED_SHARE = 0.3
+NCC_THRESHOLDS = 0.78, 0.66, 0.54  # above which a cell counts for the rectangle; the lower ones where noise leaves none
+MIN_WIDTH_M, MIN_HEIGHT_M = 0.4, 0.3  # of the rectangle
+INSET_M = 0.075  # by which the rectangle is reduced: a local NCC depends on half a window beyond its cell
+MIN_WIDTH_RATIO = 0.7  # of the rectangle's width to the face's
+# of the rectangle on a car, and on a lorry or bus: a detection that is taller than `TALL_VEHICLE_M`, wider than a car,
+# or narrower than `MIN_CAR_WIDTH_M`, as one lamp of a lorry. The limit keeps out guard rails, which agree in all frames
+# too
+MAX_WIDTHS_M = 1.8, 2.3
+MIN_CAR_WIDTH_M = 1.0
+MAX_TOPS_M = 1.1, 1.6  # upper edge of the rectangle on a car, and on what is taller than `TALL_VEHICLE_M`
+FIRST_TOP_SHARES = 1.0, 0.57  # of that, up to where detections are aligned first: a bonnet or a windscreen may mislead
+TALL_VEHICLE_M = 2.2
+MAX_FOOT_M = 1.5  # lower edge of a detection that shows a face: the lamps of lorries are so high
+CELL_COST = 0.02  # of a cell without texture
+COARSE_CELLS = 2  # step of the cells on which rectangles are compared
+# of a detection's area to the usual one: outside, part of the vehicle is hidden or something else was detected with it,
+# and the detection cannot be the reference
+TYPICAL_AREA_RATIO = 0.7, 1.5
+MIN_TEMPLATE_NCC = 0.55  # of a frame with the reference
 
 
 @dataclass(frozen=True, eq=False)
-class Aligned:
-    """A sighting whose face was found at arc length ``s``, with the reference's origin at ``origin`` (2,) m on the
-    card; ``score`` is the mean correlation of both views with the reference."""
+class AlignedDetection:
+    """A detection whose face was found at arc length ``s``, with the reference's origin at ``origin`` (2,) m on the
+    plane; ``score`` is the mean NCC of both views with the reference."""
 
-    sighting: Sighting
+    detection: Detection
     s: float
     origin: Array
     score: float
 
-    def along(self, path: Path) -> float:
-        """The arc length of a ``path`` at which its face stands, m."""
-        return path.nearest(self.sighting.way.place(self.s, self.sighting.middle, 0.0))
+    def arc_length_on(self, path: Path) -> float:
+        """The arc length of the face on ``path``, m."""
+        return path.nearest(self.detection.lane.point(self.s, self.detection.lateral_offset, 0.0))
 
-    def on(self, way: Way) -> Array:
-        """Its origin on the cards of another ``way``."""
-        if way is self.sighting.way:
+    def origin_on(self, lane: LanePath) -> Array:
+        """Its origin (2,) on the planes of another ``lane``."""
+        if lane is self.detection.lane:
             return self.origin
-        _, x, y = way.on_card(self.sighting.way.place(self.s, *self.origin))
+        _, x, y = lane.plane_coordinates(self.detection.lane.point(self.s, *self.origin))
         return np.array([x, y])
 
-    def cards(self) -> tuple[Image, Image]:
-        return self.sighting.cards(self.s, FINE, self.origin)
+    def warp(self) -> tuple[Image, Image]:
+        """Both views on the plane, with the reference's origin."""
+        return self.detection.warp(self.s, FACE_GRID, self.origin)
 
-    def cards_before(self) -> tuple[Image, Image]:
-        return self.sighting.cards_before(self.s, FINE, self.origin)
+    def warp_background(self) -> tuple[Image, Image]:
+        """As `warp`, of the background."""
+        return self.detection.warp_background(self.s, FACE_GRID, self.origin)
 
 
 @dataclass(frozen=True, eq=False)
-class Face:
-    """The rectangle to track: ``x`` and ``y`` (2,) m from the reference's origin; ``aligned`` where each sighting has
-    it. ``votes`` are those of its cells (`_votes`), at the least correlation that may speak for a place."""
+class PlanarFace:
+    """The rectangle to track: ``x`` and ``y``, (2,) m each, from the reference's origin; ``aligned`` are the detections
+    that show it, ``score`` is the sum of its cells' scores at the lowest NCC threshold."""
 
     x: Span
     y: Span
-    aligned: list[Aligned]
-    votes: float
+    aligned: list[AlignedDetection]
+    score: float
 
-    def corners(self, at: Aligned) -> Array:
-        """Card coordinates (4, 2) of its corners in a frame: tl, tr, br, bl."""
+    def corners(self, at: AlignedDetection) -> Array:
+        """Plane coordinates (4, 2) of its corners in a frame: top left, top right, bottom right, bottom left."""
         (x0, x1), (y0, y1) = self.x, self.y
         return np.array([[x0, y1], [x1, y1], [x1, y0], [x0, y0]]) + at.origin
 
 
-def face_of(shown: list[Sighting]) -> Face | None:
-    """The rectangle on a vehicle's face that all sightings in which it is ``shown`` agree on; None where they agree on
-    none."""
-    if not shown:
+def find_face(detections: list[Detection]) -> PlanarFace | None:
+    """The rectangle on a vehicle's face in which its ``detections`` agree; None where they agree in none."""
+    if not detections:
         return None
-    uncut = [sighting for sighting in shown if _is_uncut(sighting)] or shown
-    usual = float(np.quantile([sighting.area for sighting in uncut], 0.5, method="higher"))  # that of one of them
-    reference = max((s for s in uncut if UNLIKE[0] * usual <= s.area <= UNLIKE[1] * usual), key=_size)
-    half = float(np.clip(0.5 * (reference.x[1] - reference.x[0]), FINE.cell, -FINE.left))
-    top = HIGHEST[reference.y[1] > TALLER]
-    faces = [_face_within((-half, half), (FINE.bottom, share * top), shown, reference) for share in BEGUN]
+    whole = [detection for detection in detections if _is_whole(detection)] or detections
+    usual = float(np.quantile([detection.area for detection in whole], 0.5, method="higher"))  # that of one of them
+    typical = (s for s in whole if TYPICAL_AREA_RATIO[0] * usual <= s.area <= TYPICAL_AREA_RATIO[1] * usual)
+    reference = max(typical, key=_pixels_per_metre)
+    half = float(np.clip(0.5 * (reference.x[1] - reference.x[0]), FACE_GRID.cell, -FACE_GRID.left))
+    top = MAX_TOPS_M[reference.y[1] > TALL_VEHICLE_M]
+    faces = [
+        _face_within((-half, half), (FACE_GRID.bottom, share * top), detections, reference)
+        for share in FIRST_TOP_SHARES
+    ]
     found = [face for face in faces if face is not None]
-    return max(found, key=lambda face: face.votes * len(face.aligned), default=None)
+    return max(found, key=lambda face: face.score * len(face.aligned), default=None)
 
 
-def _face_within(x: Span, y: Span, shown: list[Sighting], reference: Sighting) -> Face | None:
-    """The rectangle that all that is ``shown`` agrees on if it is first laid on each other by what lies between these
-    ``x`` and ``y`` of the ``reference``, and then by that rectangle."""
-    face: Face | None = None
+def _face_within(x: Span, y: Span, detections: list[Detection], reference: Detection) -> PlanarFace | None:
+    """The rectangle in which all ``detections`` agree if they are aligned first by the part of the ``reference``
+    between ``x`` and ``y``, and then by that rectangle."""
+    face: PlanarFace | None = None
     for _ in range(2):
-        aligned = _lay_on_each_other(shown, reference, x, y)
+        aligned = _align(detections, reference, x, y)
         if len(aligned) < 2:
             return None
-        face = _rectangle(aligned, reference)
+        face = _best_face(aligned, reference)
         if face is None:
             return None
         x, y = face.x, face.y
     return face
 
 
-def showing_face(track: Track) -> list[Sighting]:
-    """The sightings that reach down to a face: what hangs higher is a roof behind another vehicle, or none."""
-    return [sighting for sighting in track.kept if sighting.y[0] < FOOT]
+def with_visible_face(track: DetectionTrack) -> list[Detection]:
+    """The detections that reach down to a face: one that begins higher is a roof behind another vehicle, or none."""
+    return [detection for detection in track.kept if detection.y[0] < MAX_FOOT_M]
 
 
-def nearer_half(sightings: list[Sighting]) -> list[Sighting]:
-    """The half of some ``sightings`` in which the vehicle is larger."""
-    usual = np.median([_size(sighting) for sighting in sightings])
-    return [sighting for sighting in sightings if _size(sighting) >= usual]
+def nearer_half(detections: list[Detection]) -> list[Detection]:
+    """The half of ``detections`` in which the vehicle is larger."""
+    usual = np.median([_pixels_per_metre(detection) for detection in detections])
+    return [detection for detection in detections if _pixels_per_metre(detection) >= usual]
 
 
-def course(aligned: list[Aligned]) -> tuple[Array, Array]:
-    """When, s, and at which arc lengths of the first one's way, m, each of the frames ``aligned`` has the face: (N,)
+def face_positions(aligned: list[AlignedDetection]) -> tuple[Array, Array]:
+    """The times, s, and the arc lengths on the lane of the first, m, of the face in the frames ``aligned``: (N,)
     each."""
-    path = aligned[0].sighting.way.path
-    return np.array([a.sighting.time for a in aligned]), np.array([a.along(path) for a in aligned])
+    path = aligned[0].detection.lane.path
+    return np.array([a.detection.time for a in aligned]), np.array([a.arc_length_on(path) for a in aligned])
 
 
-def likeness(face: Face, aligned: list[Aligned]) -> Array:
-    """How much each of the frames ``aligned`` (N,) looks like most of them inside the rectangle of a ``face``: the
-    correlation with the median of their pictures, in the view that shows it worse."""
-    rows, columns = _window(face.x, face.y)
-    pictures = np.array([[card[rows, columns] for card in at.cards()] for at in aligned], float)
-    pictures -= pictures.mean((2, 3), keepdims=True)
-    pictures /= np.maximum(pictures.std((2, 3), keepdims=True), 1e-6)
-    usual = np.median(pictures, axis=(0, 1))
-    return np.asarray((pictures * usual).mean((2, 3)).min(1) / max(float(usual.std()), 1e-6))
+def similarity(face: PlanarFace, aligned: list[AlignedDetection]) -> Array:
+    """How much each of the frames ``aligned`` (N,) looks like most of them inside ``face``: the NCC with their median
+    image, in the view in which it is lower."""
+    rows, columns = _grid_window(face.x, face.y)
+    images = np.array([[image[rows, columns] for image in at.warp()] for at in aligned], float)
+    images -= images.mean((2, 3), keepdims=True)
+    images /= np.maximum(images.std((2, 3), keepdims=True), 1e-6)
+    usual = np.median(images, axis=(0, 1))
+    return np.asarray((images * usual).mean((2, 3)).min(1) / max(float(usual.std()), 1e-6))
 
 
-def _is_uncut(sighting: Sighting) -> bool:
-    """Whether neither its card nor a picture ends at a face: beyond its edge a picture repeats itself in both views."""
-    (left, right), (bottom, top) = sighting.x, sighting.y
-    if min(left - GRID.left, -GRID.left - right) <= 0.5 * GRID.cell:
+def _is_whole(detection: Detection) -> bool:
+    """Whether a face is cut off neither by its plane nor by an image: beyond its edge an image is repeated in both
+    views."""
+    (left, right), (bottom, top) = detection.x, detection.y
+    if min(left - FINE_GRID.left, -FINE_GRID.left - right) <= 0.5 * FINE_GRID.cell:
         return False
-    corners = np.array([[x, y] for x in (left, right) for y in (bottom, min(top, HIGHEST[top > TALLER]))])
-    views = zip(sighting.way.pixels(sighting.s, corners), sighting.way.rig.cameras, strict=True)
+    highest = min(top, MAX_TOPS_M[top > TALL_VEHICLE_M])
+    corners = np.array([[x, y] for x in (left, right) for y in (bottom, highest)])
+    views = zip(detection.lane.pixels(detection.s, corners), detection.lane.rig.cameras, strict=True)
     return all(((quad >= 0) & (quad <= np.array(camera.image_size) - 1)).all() for quad, camera in views)
 
 
-def _size(sighting: Sighting) -> float:
-    """Pixels per metre."""
-    left = sighting.way.pixels(sighting.s, sighting.middle + np.array([[-0.5, 0.5], [0.5, 0.5]]))[0]
+def _pixels_per_metre(detection: Detection) -> float:
+    left = detection.lane.pixels(detection.s, detection.lateral_offset + np.array([[-0.5, 0.5], [0.5, 0.5]]))[0]
     return float(np.linalg.norm(left[1] - left[0]))
 
 
-def _window(x: Span, y: Span) -> tuple[slice, slice]:
-    """Rows and columns of the fine grid within a rectangle."""
+def _grid_window(x: Span, y: Span) -> tuple[slice, slice]:
+    """Rows and columns of the face grid within a rectangle."""
     columns, rows = (
-        np.flatnonzero((FINE.x >= x[0]) & (FINE.x <= x[1])),
-        np.flatnonzero((FINE.y >= y[0]) & (FINE.y <= y[1])),
+        np.flatnonzero((FACE_GRID.x >= x[0]) & (FACE_GRID.x <= x[1])),
+        np.flatnonzero((FACE_GRID.y >= y[0]) & (FACE_GRID.y <= y[1])),
     )
     return slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
 
 
-def _lay_on_each_other(sightings: list[Sighting], reference: Sighting, x: Span, y: Span) -> list[Aligned]:
-    """Where each sighting has what the ``reference`` shows inside a rectangle: from one frame to the next."""
-    rows, columns = _window(x, y)
-    s = _where_views_agree(reference, rows, columns)
+def _align(detections: list[Detection], reference: Detection, x: Span, y: Span) -> list[AlignedDetection]:
+    """Where each detection shows what the ``reference`` shows inside a rectangle, from one frame to the next."""
+    rows, columns = _grid_window(x, y)
+    s = _stereo_position(reference, rows, columns)
     if s is None:
         return []
-    usual = float(np.clip(s - reference.s, -REACH[0], REACH[0]))
-    first = Aligned(reference, s, np.array([reference.middle, 0.0]), 1.0)
-    template = first.cards()[0][rows, columns]
-    start, found = sightings.index(reference), [first]
-    for others in (sightings[start + 1 :], sightings[:start][::-1]):
+    offset = float(np.clip(s - reference.s, -SEARCH_RANGE_M_PX[0], SEARCH_RANGE_M_PX[0]))
+    first = AlignedDetection(reference, s, np.array([reference.lateral_offset, 0.0]), 1.0)
+    template = first.warp()[0][rows, columns]
+    start, found = detections.index(reference), [first]
+    for others in (detections[start + 1 :], detections[:start][::-1]):
         near = first
-        for sighting in others:
-            at = _searched(sighting, template, rows, columns, near.on(sighting.way), usual)
-            if at.score >= MATCHED:
+        for detection in others:
+            at = _register(detection, template, rows, columns, near.origin_on(detection.lane), offset)
+            if at.score >= MIN_TEMPLATE_NCC:
                 found.append(at)
                 near = at
-    return sorted(found, key=lambda at: at.sighting.frame)
+    return sorted(found, key=lambda at: at.detection.frame)
 
 
-def _where_views_agree(sighting: Sighting, rows: slice, columns: slice) -> float | None:
-    """The arc length at which the two views of a face agree over the largest part of a window; or, of those at which
-    they do over much of it, that at which they fit each other far more sharply: the wide light about lamps agrees
-    anywhere. None where that is the end of what is looked at."""
-    origin, reach = np.array([sighting.middle, 0.0]), sighting.error(*REACH)
-    ahead, found = np.linspace(-reach, reach, STEPS), []
-    for s in sighting.s + ahead:
-        left, right = (Texture(card, WINDOW) for card in sighting.cards(float(s), FINE, origin))
-        area = (agreement(left, right) * _textured(left))[rows, columns].sum()
-        found.append((area, _fit(left.image[rows, columns], right.image[rows, columns])))
-    areas, fits = np.array(found, float).T
+def _stereo_position(detection: Detection, rows: slice, columns: slice) -> float | None:
+    """The arc length at which the consistent area of a window of the face is largest; or, of those where it is large,
+    the one with a far better NCC, because the wide glow about lamps agrees at any distance. None at an end of the
+    search range."""
+    origin, reach = np.array([detection.lateral_offset, 0.0]), detection.distance_error(*SEARCH_RANGE_M_PX)
+    ahead, found = np.linspace(-reach, reach, SEARCH_STEPS), []
+    for s in detection.s + ahead:
+        left, right = (LocalStatistics(image, NCC_WINDOW) for image in detection.warp(float(s), FACE_GRID, origin))
+        area = (photo_consistency(left, right) * _texture_weight(left))[rows, columns].sum()
+        found.append((area, _ncc(left.image[rows, columns], right.image[rows, columns])))
+    areas, correlations = np.array(found, float).T
     best, heights = int(np.argmax(areas)), areas
-    fitting = np.where(areas >= SHARPER[0] * areas[best], fits, -1.0)
-    sharp = int(np.argmax(fitting))
-    if 1.0 - fits[sharp] < SHARPER[1] * (1.0 - fits[best]):
-        best, heights = sharp, fits
-    if not areas[best] > 0.0 or not 0 < best < STEPS - 1:
+    candidates = np.where(areas >= MIN_SHARP_AREA_RATIO * areas[best], correlations, -1.0)
+    sharp = int(np.argmax(candidates))
+    if 1.0 - correlations[sharp] < MAX_SHARP_MISFIT_RATIO * (1.0 - correlations[best]):
+        best, heights = sharp, correlations
+    if not areas[best] > 0.0 or not 0 < best < SEARCH_STEPS - 1:
         return None
-    return float(sighting.s + ahead[best] + parabola_peak_at(heights, best) * (ahead[1] - ahead[0]))
+    return float(detection.s + ahead[best] + parabola_peak_at(heights, best) * (ahead[1] - ahead[0]))
 
 
-def _fit(left: Image, right: Image) -> float:
-    """The correlation of two pictures (H, W) as a whole; 0 where either has no contrast."""
+def _ncc(left: Image, right: Image) -> float:
+    """The NCC of two images (H, W) as a whole; 0 where either has no contrast."""
     a, b = left - left.mean(), right - right.mean()
     contrast = float(np.sqrt((a * a).mean() * (b * b).mean()))
-    return float((a * b).mean()) / contrast if contrast > FLAT else 0.0
+    return float((a * b).mean()) / contrast if contrast > MIN_STD_PRODUCT else 0.0
 
 
-def _textured(texture: Texture) -> Image:
-    """How much each place has to say, 0 to 1: strong edges count no more than clear ones."""
-    return np.asarray(np.clip(texture.std / (4 * CONTRAST), 0.0, 1.0) * (texture.std > CONTRAST), np.float32)
+def _texture_weight(texture: LocalStatistics) -> Image:
+    """The weight of each cell, 0 to 1: strong edges count no more than clear ones."""
+    return np.asarray(
+        np.clip(texture.std / (4 * MIN_CONTRAST_GREY), 0.0, 1.0) * (texture.std > MIN_CONTRAST_GREY), np.float32
+    )
 
 
-def _searched(sighting: Sighting, template: Image, rows: slice, columns: slice, origin: Array, usual: float) -> Aligned:
-    """Where both views of a sighting look most like the ``template``: about the ``origin`` that it has in a frame near
-    by, at its height rather than not, and about the ``usual`` metres past where the sighting is."""
-    along, reach = sighting.error(*REACH), round(SHIFT / FINE.cell)
-    off, found, moves = np.linspace(-1.0, 1.0, STEPS), [], []
-    ahead = usual + along * off
-    raised = RAISED * np.linspace(-1.0, 1.0, 2 * reach + 1, dtype=np.float32)[:, None] ** 2
-    for s in sighting.s + ahead:
-        cards = sighting.cards(float(s), FINE, origin)
-        left, right = (_match(card, template, rows, columns, reach) for card in cards)
-        alike = 0.5 * (left + right)
-        likely = alike - raised
-        peak = np.unravel_index(int(np.argmax(likely)), likely.shape)
-        found.append((alike[peak], likely[peak]))
-        moves.append(_subpixel(likely, peak) - reach)
+def _register(
+    detection: Detection, template: Image, rows: slice, columns: slice, origin: Array, offset: float
+) -> AlignedDetection:
+    """Where both views of ``detection`` match the ``template`` best: preferably at the height of ``origin``, which it
+    has in a neighbouring frame, and about ``offset`` metres past the detection."""
+    along, reach = detection.distance_error(*SEARCH_RANGE_M_PX), round(MAX_SHIFT_M / FACE_GRID.cell)
+    off, found, moves = np.linspace(-1.0, 1.0, SEARCH_STEPS), [], []
+    ahead = offset + along * off
+    penalty = HEIGHT_PENALTY_NCC * np.linspace(-1.0, 1.0, 2 * reach + 1, dtype=np.float32)[:, None] ** 2
+    for s in detection.s + ahead:
+        images = detection.warp(float(s), FACE_GRID, origin)
+        left, right = (_match_template(image, template, rows, columns, reach) for image in images)
+        ncc = 0.5 * (left + right)
+        penalised = ncc - penalty
+        peak = np.unravel_index(int(np.argmax(penalised)), penalised.shape)
+        found.append((ncc[peak], penalised[peak]))
+        moves.append(_subpixel(penalised, peak) - reach)
     scores, preferred = np.array(found, float).T
-    preferred -= UNUSUAL * off**2
+    preferred -= DISTANCE_PENALTY_NCC * off**2
     best = int(np.argmax(preferred))
-    s = sighting.s + ahead[best] + parabola_peak_at(preferred, best) * (ahead[1] - ahead[0])
+    s = detection.s + ahead[best] + parabola_peak_at(preferred, best) * (ahead[1] - ahead[0])
     down, across = moves[best]
-    return Aligned(sighting, float(s), origin + np.array([across, -down]) * FINE.cell, float(scores[best]))
+    shift = np.array([across, -down]) * FACE_GRID.cell
+    return AlignedDetection(detection, float(s), origin + shift, float(scores[best]))
 
 
-def _match(card: Image, template: Image, rows: slice, columns: slice, reach: int) -> Image:
-    pad = cv2.copyMakeBorder(card, reach, reach, reach, reach, cv2.BORDER_REPLICATE)
+def _match_template(image: Image, template: Image, rows: slice, columns: slice, reach: int) -> Image:
+    """The NCC of ``template`` with a window of ``image``, shifted by up to ``reach`` cells in both directions."""
+    pad = cv2.copyMakeBorder(image, reach, reach, reach, reach, cv2.BORDER_REPLICATE)
     window = np.ascontiguousarray(pad[rows.start : rows.stop + 2 * reach, columns.start : columns.stop + 2 * reach])
     scores = cv2.matchTemplate(window, np.ascontiguousarray(template), cv2.TM_CCOEFF_NORMED)
     return np.asarray(np.nan_to_num(scores, nan=-1.0, posinf=-1.0, neginf=-1.0), np.float32)
@@ -272,61 +290,69 @@ def _subpixel(scores: Image, peak: tuple[np.intp, ...]) -> Array:
     )
 
 
-def _rectangle(aligned: list[Aligned], reference: Sighting) -> Face | None:
-    """The rectangle in which all that is aligned agrees with the reference most."""
-    first = next(a for a in aligned if a.sighting is reference)
-    template = Texture(first.cards()[0], WINDOW)
+def _best_face(aligned: list[AlignedDetection], reference: Detection) -> PlanarFace | None:
+    """The rectangle in which all ``aligned`` detections agree with the reference best."""
+    first = next(a for a in aligned if a.detection is reference)
+    template = LocalStatistics(first.warp()[0], NCC_WINDOW)
     correlations, changes = [], []
     for a in aligned:
-        views, before = ([Texture(card, WINDOW) for card in cards] for cards in (a.cards(), a.cards_before()))
-        correlations += [correlation(template, view) for view in views[a is first :]]
-        changes += [correlation(view, scene) <= SAME for view, scene in zip(views, before, strict=True)]
-    agreement = np.median(correlations, axis=0)  # a shadow that passes over a face is there in few frames
+        views, background = (
+            [LocalStatistics(image, NCC_WINDOW) for image in images] for images in (a.warp(), a.warp_background())
+        )
+        correlations += [local_ncc(template, view) for view in views[a is first :]]
+        changes += [local_ncc(view, empty) <= UNCHANGED_NCC for view, empty in zip(views, background, strict=True)]
+    ncc = np.median(correlations, axis=0)  # a shadow that passes over a face is there in few frames
     changed = np.mean(changes, axis=0)
-    beside = np.abs(FINE.x) > 0.5 * (reference.x[1] - reference.x[0])
-    agreement[(changed < SELDOM) & beside] = 0.0  # what was there before looks the same in all frames as well
-    weight = _textured(template)
-    highest, widest = HIGHEST[reference.y[1] > TALLER], _widest(reference)
-    narrowest = max(NARROWEST, MOST_OF * min(reference.x[1] - reference.x[0], widest))
-    cell = COARSE * FINE.cell
-    widths = round((narrowest + 2 * INSET) / cell), round((widest + 2 * INSET) / cell)
-    middle = len(FINE.x[::COARSE]) // 2
-    for agreed in AGREED:
-        votes = _votes(agreement, weight, agreed)
-        votes[FINE.y > highest] = -1.0
-        found = best_rectangle(votes[::COARSE, ::COARSE], round((LOWEST + 2 * INSET) / cell), widths, middle)
+    beside = np.abs(FACE_GRID.x) > 0.5 * (reference.x[1] - reference.x[0])
+    ncc[(changed < MIN_CHANGED_SHARE) & beside] = 0.0  # the background looks the same in all frames as well
+    weight = _texture_weight(template)
+    highest, widest = MAX_TOPS_M[reference.y[1] > TALL_VEHICLE_M], _max_width(reference)
+    narrowest = max(MIN_WIDTH_M, MIN_WIDTH_RATIO * min(reference.x[1] - reference.x[0], widest))
+    cell = COARSE_CELLS * FACE_GRID.cell
+    widths = round((narrowest + 2 * INSET_M) / cell), round((widest + 2 * INSET_M) / cell)
+    height, middle = round((MIN_HEIGHT_M + 2 * INSET_M) / cell), len(FACE_GRID.x[::COARSE_CELLS]) // 2
+    for threshold in NCC_THRESHOLDS:
+        scores = _cell_scores(ncc, weight, threshold)
+        scores[FACE_GRID.y > highest] = -1.0
+        found = best_rectangle(scores[::COARSE_CELLS, ::COARSE_CELLS], height, widths, middle)
         if found is not None:
             break
     else:
         return None
-    top, bottom, left, right = (COARSE * k for k in found)
-    x, y = FINE.x[[left, min(right, len(FINE.x)) - 1]], FINE.y[[min(bottom, len(FINE.y)) - 1, top]]
+    top, bottom, left, right = (COARSE_CELLS * k for k in found)
+    x = FACE_GRID.x[[left, min(right, len(FACE_GRID.x)) - 1]]
+    y = FACE_GRID.y[[min(bottom, len(FACE_GRID.y)) - 1, top]]
     part = np.s_[top:bottom, left:right]
-    return Face(_inset(x), _inset(y), aligned, float(_votes(agreement[part], weight[part], AGREED[-1]).sum()))
+    score = float(_cell_scores(ncc[part], weight[part], NCC_THRESHOLDS[-1]).sum())
+    return PlanarFace(_inset(x), _inset(y), aligned, score)
 
 
-def _widest(reference: Sighting) -> float:
-    """How wide a rectangle may be on what is as large as the ``reference``, m."""
+def _max_width(reference: Detection) -> float:
+    """The greatest width of a rectangle on a vehicle as large as the ``reference``, m."""
     width = reference.x[1] - reference.x[0]
-    return WIDEST[1] if reference.y[1] > TALLER or width < PART else float(np.clip(width, *WIDEST))
+    is_large = reference.y[1] > TALL_VEHICLE_M or width < MIN_CAR_WIDTH_M
+    return MAX_WIDTHS_M[1] if is_large else float(np.clip(width, *MAX_WIDTHS_M))
 
 
-def _votes(agreement: Image, weight: Image, agreed: float) -> Array:
-    """What each place (rows, columns) says for a rectangle that holds it, if it takes ``agreed`` to speak for it."""
-    return np.asarray((np.maximum(agreement, 0.0) - agreed) * weight - COST, float)
+def _cell_scores(ncc: Image, weight: Image, threshold: float) -> Array:
+    """The contribution of each cell (rows, columns) to the score of a rectangle that holds it; positive above the
+    ``threshold`` of the NCC."""
+    return np.asarray((np.maximum(ncc, 0.0) - threshold) * weight - CELL_COST, float)
 
 
 def _inset(span: Array) -> Span:
-    return float(span[0]) + INSET, float(span[1]) - INSET
+    return float(span[0]) + INSET_M, float(span[1]) - INSET_M
 
 
-def best_rectangle(votes: Array, height: int, widths: tuple[int, int], column: int) -> tuple[int, int, int, int] | None:
-    """The rows and columns, from where and to before where, of the rectangle of ``votes`` (H, W) with the largest sum,
-    at least ``height`` high and between ``widths`` wide, that holds a ``column``; None where no sum is positive."""
-    H, W = votes.shape
+def best_rectangle(
+    scores: Array, height: int, widths: tuple[int, int], column: int
+) -> tuple[int, int, int, int] | None:
+    """The rectangle of ``scores`` (H, W) with the largest sum, at least ``height`` high and between ``widths`` wide,
+    that holds a ``column``: (top, bottom, left, right), the ends excluded; None where no sum is positive."""
+    H, W = scores.shape
     narrowest, widest = widths
     sums = np.zeros((H + 1, W + 1))
-    sums[1:, 1:] = votes.cumsum(0).cumsum(1)
+    sums[1:, 1:] = scores.cumsum(0).cumsum(1)
     best, where = 0.0, None
     for top in range(H - height + 1):
         rows = sums[top + height :] - sums[top]  # (bottoms, W + 1): sums from the left

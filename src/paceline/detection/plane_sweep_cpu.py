@@ -1,6 +1,7 @@
-"""The loops over the cells of a card, compiled by Numba: both pictures laid out, and how they agree place by place.
+"""Loops over the cells of a sweep plane, compiled by Numba: both images warped to the plane, and their local NCC.
 
-As :mod:`paceline.detection.photo_consistency` has it, for one card after the other without storing what lies between.
+They compute what :mod:`paceline.detection.photo_consistency` defines, one plane at a time and without storing the
+intermediate results of all planes.
 """
 
 from __future__ import annotations
@@ -11,21 +12,23 @@ from paceline.arrays import Array, Bytes, Image, Mask
 from paceline.detection import photo_consistency
 from paceline.numba_cache import cached_njit
 
-AGREE, CHANGED, FLAT = photo_consistency.AGREE, photo_consistency.CHANGED, photo_consistency.FLAT
-SUMS = {"reassoc", "contract", "nsz"}  # sums may be taken in another order
+NCC_RAMP, MIN_CHANGE = photo_consistency.NCC_RAMP, photo_consistency.MIN_CHANGE
+MIN_STD_PRODUCT = photo_consistency.MIN_STD_PRODUCT
+REORDERED_SUMS = {"reassoc", "contract", "nsz"}  # fastmath flags: sums may be taken in another order
 
 
-@cached_njit(nogil=True, fastmath=SUMS, error_model="numpy")
-def lay_out(image: Image, H: Array, scale: float, card: Image) -> None:
-    """Fill ``card`` (rows, columns) with ``image`` at ``scale`` times the pixels that ``H`` (3, 3) makes of its cells
-    (column, row, 1), and take off the mean, which leaves the sums of squares exact; the border repeats."""
+@cached_njit(nogil=True, fastmath=REORDERED_SUMS, error_model="numpy")
+def warp(image: Image, H: Array, scale: float, warped: Image) -> None:
+    """Fill ``warped`` (rows, columns) with ``image``, bilinearly, at ``scale`` times the pixels to which ``H`` (3, 3)
+    maps its cells (column, row, 1), and subtract the mean, which leaves the sums of squares exact. The border
+    repeats."""
     height, width = image.shape
-    rows, columns = card.shape
+    rows, columns = warped.shape
     x, y = np.empty(columns, np.float32), np.empty(columns, np.float32)
     right, bottom = np.float32(width - 1.001), np.float32(height - 1.001)
     total = 0.0
     for r in range(rows):
-        out = card[r]
+        out = warped[r]
         for c in range(columns):
             w = scale / (H[2, 0] * c + H[2, 1] * r + H[2, 2])
             x[c] = min(max((H[0, 0] * c + H[0, 1] * r + H[0, 2]) * w, 0.0), right)
@@ -41,12 +44,12 @@ def lay_out(image: Image, H: Array, scale: float, card: Image) -> None:
     mean = np.float32(total / (rows * columns))
     for r in range(rows):
         for c in range(columns):
-            card[r, c] -= mean
+            warped[r, c] -= mean
 
 
-@cached_njit(nogil=True, fastmath=SUMS, error_model="numpy")
-def _means(a: Image, b: Image, window: int, means: Image) -> None:
-    """The ``means`` (H, W) of a·b over ``window`` × ``window`` places about each, mirrored at the border."""
+@cached_njit(nogil=True, fastmath=REORDERED_SUMS, error_model="numpy")
+def _local_means(a: Image, b: Image, window: int, means: Image) -> None:
+    """The ``means`` (H, W) of a·b over ``window`` × ``window`` cells about each, mirrored at the border."""
     rows, columns = a.shape
     half = window // 2
     across, padded = np.zeros((rows, columns), np.float32), np.empty(columns + 2 * half, np.float32)
@@ -69,124 +72,122 @@ def _means(a: Image, b: Image, window: int, means: Image) -> None:
                 mean[c] += share * row[c]
 
 
-@cached_njit(nogil=True, fastmath=SUMS, error_model="numpy")
-def _moments(card: Image, ones: Image, window: int, mean: Image, std: Image) -> None:
-    """The local ``mean`` and standard deviation of a ``card``, all (H, W)."""
-    _means(card, ones, window, mean)
-    _means(card, card, window, std)
-    for r in range(len(card)):
-        for c in range(card.shape[1]):
+@cached_njit(nogil=True, fastmath=REORDERED_SUMS, error_model="numpy")
+def _local_moments(image: Image, ones: Image, window: int, mean: Image, std: Image) -> None:
+    """The local ``mean`` and standard deviation ``std`` of ``image``, all (H, W)."""
+    _local_means(image, ones, window, mean)
+    _local_means(image, image, window, std)
+    for r in range(len(image)):
+        for c in range(image.shape[1]):
             std[r, c] = np.sqrt(max(std[r, c] - mean[r, c] * mean[r, c], np.float32(0.0)))
 
 
-@cached_njit(nogil=True, fastmath=SUMS, error_model="numpy")
-def _correlated(a: Image, of_a: Image, b: Image, of_b: Image, window: int, correlation: Image) -> None:
-    """The local ``correlation`` of two cards (H, W), with means and standard deviations ``of_a`` and ``of_b``
+@cached_njit(nogil=True, fastmath=REORDERED_SUMS, error_model="numpy")
+def _local_ncc(a: Image, moments_a: Image, b: Image, moments_b: Image, window: int, ncc: Image) -> None:
+    """The local ``ncc`` of two images (H, W), with means and standard deviations ``moments_a`` and ``moments_b``
     (2, H, W)."""
-    _means(a, b, window, correlation)
+    _local_means(a, b, window, ncc)
     for r in range(len(a)):
         for c in range(a.shape[1]):
-            contrast = of_a[1, r, c] * of_b[1, r, c]
-            covariance = correlation[r, c] - of_a[0, r, c] * of_b[0, r, c]
-            correlation[r, c] = covariance / contrast if contrast > FLAT else np.float32(0.0)
+            contrast = moments_a[1, r, c] * moments_b[1, r, c]
+            covariance = ncc[r, c] - moments_a[0, r, c] * moments_b[0, r, c]
+            ncc[r, c] = covariance / contrast if contrast > MIN_STD_PRODUCT else np.float32(0.0)
 
 
 @cached_njit(nogil=True, error_model="numpy")
-def _laid_out(
+def _warp_views(
     left: Image, right: Image, H: Array, scale: float, window: int, size: tuple[int, int]
 ) -> tuple[Image, Image]:
-    """What two pictures show on a card of ``size`` (rows, columns), (2, rows, columns), with the local means and
-    standard deviations (2, 2, rows, columns)."""
-    ones, cards = np.ones(size, np.float32), np.empty((2, *size), np.float32)
+    """Two images warped to a plane of ``size`` (rows, columns), (2, rows, columns), and their local means and standard
+    deviations (2, 2, rows, columns)."""
+    ones, warped = np.ones(size, np.float32), np.empty((2, *size), np.float32)
     moments = np.empty((2, 2, *size), np.float32)
     for view, image in enumerate((left, right)):
-        lay_out(image, H[view], scale, cards[view])
-        _moments(cards[view], ones, window, moments[view, 0], moments[view, 1])
-    return cards, moments
+        warp(image, H[view], scale, warped[view])
+        _local_moments(warped[view], ones, window, moments[view, 0], moments[view, 1])
+    return warped, moments
 
 
 @cached_njit(nogil=True, error_model="numpy")
-def correlate(
-    left: Image, right: Image, H: Array, scale: float, window: int, correlation: Image, contrast: Image
-) -> None:
-    """The local ``correlation`` of what two pictures show on a card, ``H`` (2, 3, 3), and the local ``contrast`` of the
-    left one, both (rows, columns)."""
-    cards, moments = _laid_out(left, right, H, scale, window, correlation.shape)
-    _correlated(cards[0], moments[0], cards[1], moments[1], window, correlation)
+def correlate(left: Image, right: Image, H: Array, scale: float, window: int, ncc: Image, contrast: Image) -> None:
+    """The local ``ncc`` of two images on a plane, ``H`` (2, 3, 3), and the local ``contrast`` of the left one, both
+    (rows, columns)."""
+    warped, moments = _warp_views(left, right, H, scale, window, ncc.shape)
+    _local_ncc(warped[0], moments[0], warped[1], moments[1], window, ncc)
     contrast[:] = moments[0, 1]
 
 
 @cached_njit(nogil=True, error_model="numpy")
-def count(
-    left: Image, right: Image, left_before: Image, right_before: Image, H: Array, scale: float, window: int,
-    least: float, enough: float, counts: Image,
+def consistency(
+    left: Image, right: Image, left_background: Image, right_background: Image, H: Array, scale: float, window: int,
+    min_contrast: float, min_cells: float, result: Image,
 ) -> None:  # fmt: skip
-    """How much each place of a card counts (rows, columns), 0 to 1: where two pictures of it have a contrast of
-    ``least`` grey levels and agree with each other, and neither with what it showed ``before``. Nothing does where
-    they count less than ``enough`` in all."""
-    rows, columns = counts.shape
-    cards, moments = _laid_out(left, right, H, scale, window, counts.shape)
-    _correlated(cards[0], moments[0], cards[1], moments[1], window, counts)
+    """The photo-consistency of two images on a plane (rows, columns), 0 to 1: 0 where either has a contrast below
+    ``min_contrast`` grey levels or looks like its background, and everywhere where the sum is below ``min_cells``."""
+    rows, columns = result.shape
+    warped, moments = _warp_views(left, right, H, scale, window, result.shape)
+    _local_ncc(warped[0], moments[0], warped[1], moments[1], window, result)
     total = 0.0
     for r in range(rows):
         for c in range(columns):
-            agree = min(max((counts[r, c] - AGREE[0]) / (AGREE[1] - AGREE[0]), 0.0), 1.0)
-            counts[r, c] = agree if min(moments[0, 1, r, c], moments[1, 1, r, c]) > least else 0.0
-            total += counts[r, c]
-    before, of_before = np.empty((rows, columns), np.float32), np.empty((2, rows, columns), np.float32)
-    ones, same = np.ones((rows, columns), np.float32), np.empty((rows, columns), np.float32)
-    for view, image in enumerate((left_before, right_before)):
-        if total >= enough:
-            lay_out(image, H[view], scale, before)
-            _moments(before, ones, window, of_before[0], of_before[1])
-            _correlated(cards[view], moments[view], before, of_before, window, same)
+            agree = min(max((result[r, c] - NCC_RAMP[0]) / (NCC_RAMP[1] - NCC_RAMP[0]), 0.0), 1.0)
+            result[r, c] = agree if min(moments[0, 1, r, c], moments[1, 1, r, c]) > min_contrast else 0.0
+            total += result[r, c]
+    background = np.empty((rows, columns), np.float32)
+    background_moments = np.empty((2, rows, columns), np.float32)
+    ones, unchanged = np.ones((rows, columns), np.float32), np.empty((rows, columns), np.float32)
+    for view, image in enumerate((left_background, right_background)):
+        if total >= min_cells:
+            warp(image, H[view], scale, background)
+            _local_moments(background, ones, window, background_moments[0], background_moments[1])
+            _local_ncc(warped[view], moments[view], background, background_moments, window, unchanged)
             total = 0.0
             for r in range(rows):
                 for c in range(columns):
-                    if same[r, c] >= 1 - CHANGED:
-                        counts[r, c] = 0.0
-                    total += counts[r, c]
-    if total < enough:
-        counts[:] = np.float32(0.0)
+                    if unchanged[r, c] >= 1 - MIN_CHANGE:
+                        result[r, c] = 0.0
+                    total += result[r, c]
+    if total < min_cells:
+        result[:] = np.float32(0.0)
 
 
 @cached_njit(nogil=True, error_model="numpy")
-def hide(counts: Image, explained: Bytes, H: Array) -> None:
-    """Count nothing at the cells of a card, ``H`` (3, 3), that lie in the ``explained`` part of a picture."""
-    height, width = explained.shape
-    for r in range(counts.shape[0]):
-        for c in range(counts.shape[1]):
-            if counts[r, c] == 0.0:
+def clear_masked(consistency: Image, mask: Bytes, H: Array) -> None:
+    """Set ``consistency`` to 0 at the cells of a plane, ``H`` (3, 3), that lie in the ``mask`` of an image."""
+    height, width = mask.shape
+    for r in range(consistency.shape[0]):
+        for c in range(consistency.shape[1]):
+            if consistency[r, c] == 0.0:
                 continue
             w = 1.0 / (H[2, 0] * c + H[2, 1] * r + H[2, 2])
             x = (H[0, 0] * c + H[0, 1] * r + H[0, 2]) * w + 0.5
             y = (H[1, 0] * c + H[1, 1] * r + H[1, 2]) * w + 0.5
-            if 0.0 <= x < width and 0.0 <= y < height and explained[int(y), int(x)]:
-                counts[r, c] = 0.0
+            if 0.0 <= x < width and 0.0 <= y < height and mask[int(y), int(x)]:
+                consistency[r, c] = 0.0
 
 
-@cached_njit(nogil=True, fastmath=SUMS, error_model="numpy")
-def weighted(counts: Image, weights: Image) -> float:
-    """The sum of ``counts`` (rows, columns) by the ``weights`` (columns,) of the columns."""
+@cached_njit(nogil=True, fastmath=REORDERED_SUMS, error_model="numpy")
+def weighted_sum(consistency: Image, weights: Image) -> float:
+    """The sum of ``consistency`` (rows, columns), its columns weighted by ``weights`` (columns,)."""
     total = 0.0
-    for r in range(counts.shape[0]):
-        for c in range(counts.shape[1]):
-            total += counts[r, c] * weights[c]
+    for r in range(consistency.shape[0]):
+        for c in range(consistency.shape[1]):
+            total += consistency[r, c] * weights[c]
     return total
 
 
 @cached_njit(nogil=True, error_model="numpy")
-def sharpness(left: Image, right: Image, H: Array, scale: float, window: int, piece: Mask) -> float:
-    """The correlation of what two pictures show in a ``piece`` (rows, columns) of a card, ``H`` (2, 3, 3), the more of
-    it the more contrast both have, −1 to 1."""
-    cards, moments = _laid_out(left, right, H, scale, window, piece.shape)
-    correlation = np.empty(piece.shape, np.float32)
-    _correlated(cards[0], moments[0], cards[1], moments[1], window, correlation)
-    alike, contrast = 0.0, 1e-9
-    for r in range(piece.shape[0]):
-        for c in range(piece.shape[1]):
-            if piece[r, c]:
+def weighted_ncc(left: Image, right: Image, H: Array, scale: float, window: int, mask: Mask) -> float:
+    """The mean local NCC of two images inside a ``mask`` (rows, columns) of a plane, ``H`` (2, 3, 3), weighted by
+    contrast, −1 to 1."""
+    warped, moments = _warp_views(left, right, H, scale, window, mask.shape)
+    ncc = np.empty(mask.shape, np.float32)
+    _local_ncc(warped[0], moments[0], warped[1], moments[1], window, ncc)
+    agreement, contrast = 0.0, 1e-9
+    for r in range(mask.shape[0]):
+        for c in range(mask.shape[1]):
+            if mask[r, c]:
                 a, b = moments[0, 1, r, c], moments[1, 1, r, c]
-                alike += correlation[r, c] * min(a, b) ** 2
+                agreement += ncc[r, c] * min(a, b) ** 2
                 contrast += max(a, b) ** 2
-    return alike / contrast
+    return agreement / contrast

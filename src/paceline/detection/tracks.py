@@ -1,4 +1,4 @@
-"""Sightings joined over time: what moves along a way as vehicles do is one."""
+"""Tracks of detections: data association over time along the lanes."""
 
 from __future__ import annotations
 
@@ -8,243 +8,249 @@ import cv2
 import numpy as np
 
 from paceline.arrays import Array
-from paceline.detection.detector import GRID, Sighting
-from paceline.detection.lane_paths import Way
+from paceline.detection.detector import FINE_GRID, Detection
+from paceline.detection.lane_paths import LanePath
 from paceline.speed.configuration import DEFAULT_LIMITS
 
-ALIKE = 0.5  # correlation of the faces of one vehicle in two frames,
-SETTLED = 3, 1.0  # sightings from which on, and seconds since the last up to which, where it must be tells more:
-# something may have hidden part of it
-ASIDE = 1.3  # m across the way that a vehicle moves at most from one sighting to the next,
-GAP = 0.5  # or that may lie between what is seen of it on either side of a pole
-ERROR = 2.5, 1.5  # m along the way, and px of disparity, by which a sighting is off at most
-LEAST_TRAVEL = 1.5, 1.5  # m along the way, and px of disparity: what moves less stands
-CHANGING = 8.0  # m/s², by which a vehicle gathers or loses speed at most
-LOW = 1.3  # m, up to where faces are compared: windscreens mirror what is around
-SHIFT = 0.35  # m that a face may have moved on its card
-PATIENCE = 3, 0.7  # frames, and seconds, without a sighting after which a vehicle has gone,
-GONE = 1.5  # s after which it has in any case: frames may be missing, and where it would be is not known any more
-BODY = 6.0, 2.5  # m along and across, within which there is no second vehicle
-ABREAST = 3.0  # m across, from which on there may be one in any case
-RECENT, LATEST = 8, 4  # sightings that say how fast a vehicle is, and from where on it is next
-TOGETHER = 0.8  # of their errors, by which sightings of one vehicle are off its course at most, in the median
-BENT = 1.0  # m/s², of a course: as unlikely as to be off by one error
-REFITTED, EXACT = 10, 0.05  # times, and parts of an error, of a fit by the sum of what is off
-KEPT = 12  # sightings of a vehicle that are kept, evenly spread
+MIN_NCC = 0.5  # of the faces of one vehicle in two frames
+# from which on the position is predicted so well that no NCC is needed, because part of the vehicle may be hidden
+MIN_PREDICTABLE_DETECTIONS, MAX_PREDICTABLE_GAP_S = 3, 1.0
+MAX_LATERAL_STEP_M = 1.3  # from one detection to the next,
+MAX_LATERAL_GAP_M = 0.5  # or between what is seen of a vehicle on either side of a pole
+POSITION_ERROR_M_PX = 2.5, 1.5  # greatest error of a detection along the lane, m, or px of disparity if that is more
+MIN_TRAVEL_M_PX = 1.5, 1.5  # along the lane, m, or px of disparity if that is more: what travels less is stationary
+MAX_ACCELERATION_MPS2 = 8.0
+MAX_COMPARED_HEIGHT_M = 1.3  # up to which faces are compared: windscreens reflect the surroundings
+MAX_SHIFT_M = 0.35  # of a face on its plane
+MAX_UNSEEN_FRAMES, MAX_UNSEEN_S = 3, 0.7  # a track that exceeds both has ended,
+MAX_GAP_S = 1.5  # and one that exceeds this in any case: frames may be missing, and the prediction is worth nothing
+MIN_SPACING_ALONG_M, MIN_SPACING_ACROSS_M = 6.0, 2.5  # detections that are nearer than both are of one vehicle
+ABREAST_SPACING_M = 3.0  # lateral distance from which on there are two vehicles in any case
+SPEED_DETECTIONS, PREDICTION_DETECTIONS = 8, 4  # latest ones used for the speed and for the next position
+MAX_JOINT_RESIDUAL = 0.8  # median, in position errors, of two tracks of one vehicle about their joint motion
+ACCELERATION_STD_MPS2 = 1.0  # prior of that motion
+IRLS_ITERATIONS, MIN_IRLS_RESIDUAL = 10, 0.05  # of an L1 fit by reweighted least squares; the latter in position errors
+MAX_KEPT_DETECTIONS = 12  # of a track, evenly spread
 
 
 @dataclass(eq=False)
-class Track:
-    """Sightings of one vehicle, in order of time; ``kept`` are evenly spread ones from the first to about the last."""
+class DetectionTrack:
+    """The detections of one vehicle in order of time; ``kept`` are evenly spread ones from the first to about the
+    last."""
 
-    way_s: list[float] = field(default_factory=list)  # m along the first sighting's way
+    arc_lengths: list[float] = field(default_factory=list)  # m along the lane of the first detection
     times: list[float] = field(default_factory=list)
     areas: list[float] = field(default_factory=list)
-    upright: list[float] = field(default_factory=list)  # times better that it is seen than if it lay on the road
-    places: list[Array] = field(default_factory=list)  # (3,) m each, in the world
-    errors: list[float] = field(default_factory=list)  # m along the way, by which one is off at most
-    kept: list[Sighting] = field(default_factory=list)
-    last: Sighting | None = None
-    unseen: int = 0  # frames since it was seen last,
-    missed: int = 0  # and before that, since it was seen first
+    upright_ratios: list[float] = field(default_factory=list)
+    positions: list[Array] = field(default_factory=list)  # world points (3,)
+    errors: list[float] = field(default_factory=list)  # greatest error along the lane, m
+    kept: list[Detection] = field(default_factory=list)
+    last: Detection | None = None
+    frames_unseen: int = 0  # since the last detection
+    frames_missed: int = 0  # between the first and the last detection
     _stride: int = 1
 
-    def add(self, sighting: Sighting) -> None:
+    def add(self, detection: Detection) -> None:
         if len(self.times) % self._stride == 0:
-            self.kept.append(sighting)
-            if len(self.kept) > KEPT:
+            self.kept.append(detection)
+            if len(self.kept) > MAX_KEPT_DETECTIONS:
                 self.kept, self._stride = self.kept[::2], 2 * self._stride
-        self.way_s.append(self.along(sighting))
-        self.times.append(sighting.time)
-        self.areas.append(sighting.area)
-        self.upright.append(sighting.upright)
-        self.places.append(sighting.place)
-        self.errors.append(sighting.error(*ERROR))
-        self.missed += self.unseen
-        self.last, self.unseen = sighting, 0
+        self.arc_lengths.append(self.arc_length(detection))
+        self.times.append(detection.time)
+        self.areas.append(detection.area)
+        self.upright_ratios.append(detection.upright_ratio)
+        self.positions.append(detection.position)
+        self.errors.append(detection.distance_error(*POSITION_ERROR_M_PX))
+        self.frames_missed += self.frames_unseen
+        self.last, self.frames_unseen = detection, 0
 
     @property
-    def first(self) -> Sighting:
+    def first(self) -> Detection:
         return self.kept[0]
 
     @property
     def width(self) -> float:
-        """Metres across, in the median, of what is seen of it."""
+        """Median width of the detections, m."""
         return float(np.median([s.x[1] - s.x[0] for s in self.kept]))
 
-    def along(self, sighting: Sighting) -> float:
-        """Arc length of a sighting on this track's way, m."""
-        if not self.kept or sighting.way is self.first.way:
-            return sighting.s
-        return self.first.way.path.nearest(sighting.place)
+    def arc_length(self, detection: Detection) -> float:
+        """Arc length of a detection on this track's lane, m."""
+        if not self.kept or detection.lane is self.first.lane:
+            return detection.s
+        return self.first.lane.path.nearest(detection.position)
 
     @property
     def speed(self) -> float:
-        """Metres per second along the way, over all of it; NaN for a single sighting."""
-        return slope(np.array(self.times), np.array(self.way_s))
+        """Mean speed along the lane, m/s; NaN for a single detection."""
+        return theil_sen_slope(np.array(self.times), np.array(self.arc_lengths))
 
     @property
     def travel(self) -> float:
-        """Metres along the way that it has moved, by the medians of the first and of the last third."""
-        third = -(-len(self.way_s) // 3)
-        early, late = np.median(self.way_s[:third]), np.median(self.way_s[-third:])
-        return float(late - early) * (len(self.way_s) - 1) / max(len(self.way_s) - third, 1)
+        """Distance travelled along the lane, m, from the medians of the first and of the last third."""
+        third = -(-len(self.arc_lengths) // 3)
+        early, late = np.median(self.arc_lengths[:third]), np.median(self.arc_lengths[-third:])
+        return float(late - early) * (len(self.arc_lengths) - 1) / max(len(self.arc_lengths) - third, 1)
 
     @property
-    def moves(self) -> bool:
-        """Whether it has moved by more than an error."""
-        return len(self.times) > 1 and abs(self.travel) >= self.kept[len(self.kept) // 2].error(*LEAST_TRAVEL)
+    def is_moving(self) -> bool:
+        """Whether it has travelled by more than `MIN_TRAVEL_M_PX`."""
+        middle = self.kept[len(self.kept) // 2]
+        return len(self.times) > 1 and abs(self.travel) >= middle.distance_error(*MIN_TRAVEL_M_PX)
 
     @property
     def unsteadiness(self) -> float:
-        """How badly a constant acceleration fits where it was, beside two places where it stood, with one jump from
-        one to the other (metres by metres): near 0 for what drives, above 1 for what sways here and then there."""
-        s = np.array(self.way_s)
-        jumping = min(_scatter(s[:k]) + _scatter(s[k:]) for k in range(1, len(s)))
-        return float(np.abs(self._off_smooth).sum()) / max(jumping, 1e-9)
+        """The residual of a motion of constant acceleration over that of one jump between two fixed places: near 0 for
+        a vehicle, above 1 for what sways between two places."""
+        s = np.array(self.arc_lengths)
+        jumping = min(_absolute_deviation(s[:k]) + _absolute_deviation(s[k:]) for k in range(1, len(s)))
+        return float(np.abs(self._smooth_residuals).sum()) / max(jumping, 1e-9)
 
     @property
-    def roughness(self) -> float:
-        """How far it was, rms, from where a constant acceleration fits best, px of disparity."""
-        return float(np.sqrt(np.mean(self._off_smooth**2))) / self.kept[len(self.kept) // 2].error(0.0, 1.0)
+    def roughness_px(self) -> float:
+        """RMS residual about the best motion of constant acceleration, px of disparity."""
+        middle = self.kept[len(self.kept) // 2]
+        return float(np.sqrt(np.mean(self._smooth_residuals**2))) / middle.distance_error(0.0, 1.0)
 
     @property
-    def _off_smooth(self) -> Array:
-        t, s = np.array(self.times) - self.times[0], np.array(self.way_s)
+    def _smooth_residuals(self) -> Array:
+        t, s = np.array(self.times) - self.times[0], np.array(self.arc_lengths)
         return np.asarray(s - np.polyval(np.polyfit(t, s, 2), t))
 
-    def is_of(self, other: Track) -> bool:
-        """Whether it saw the vehicle of another track: then one course leads through what both saw about the time of
-        both."""
+    def same_vehicle(self, other: DetectionTrack) -> bool:
+        """Whether this track and ``other`` follow one vehicle: one motion then fits the detections of both about the
+        time that they share."""
         begun, ended = max(self.times[0], other.times[0]), min(self.times[-1], other.times[-1])
-        if begun - ended > GONE:
+        if begun - ended > MAX_GAP_S:
             return False
-        way, shared = self.first.way, (min(begun, ended) - GONE, max(begun, ended) + GONE)
-        mine, others = self._on(way, *shared), other._on(way, *shared)
+        lane, shared = self.first.lane, (min(begun, ended) - MAX_GAP_S, max(begun, ended) + MAX_GAP_S)
+        mine, others = self._observations(lane, *shared), other._observations(lane, *shared)
         apart = abs(np.median(mine[3]) - np.median(others[3]))
-        if apart > max(BODY[1], min(0.5 * (self.width + other.width), ABREAST)):
+        if apart > max(MIN_SPACING_ACROSS_M, min(0.5 * (self.width + other.width), ABREAST_SPACING_M)):
             return False
-        off = np.abs(off_course(*np.hstack([mine, others])[:3]))
+        residuals = np.abs(motion_residuals(*np.hstack([mine, others])[:3]))
         count = mine.shape[1]
-        return bool(max(np.median(off[:count]), np.median(off[count:])) <= TOGETHER)
+        return bool(max(np.median(residuals[:count]), np.median(residuals[count:])) <= MAX_JOINT_RESIDUAL)
 
-    def _on(self, way: Way, start: float, end: float) -> Array:
-        """Times, arc lengths on a ``way``, errors, and metres aside (4, N), of what was seen from ``start`` to
+    def _observations(self, lane: LanePath, start: float, end: float) -> Array:
+        """Times, arc lengths on ``lane``, errors and lateral offsets (4, N) of the detections from ``start`` to
         ``end``."""
         found = []
-        for time, place, error in zip(self.times, self.places, self.errors, strict=True):
+        for time, position, error in zip(self.times, self.positions, self.errors, strict=True):
             if start <= time <= end:
-                s, aside, _ = way.on_card(place)
-                found.append((time, s, error, aside))
+                s, offset, _ = lane.plane_coordinates(position)
+                found.append((time, s, error, offset))
         return np.array(found).T
 
-    def settled(self, time: float) -> bool:
-        """Whether at ``time`` it is known well where the vehicle must be."""
-        return len(self.times) >= SETTLED[0] and time - self.times[-1] <= SETTLED[1]
+    def is_predictable(self, time: float) -> bool:
+        """Whether the position at ``time`` is predicted well enough to associate a detection without a comparison of
+        images."""
+        return len(self.times) >= MIN_PREDICTABLE_DETECTIONS and time - self.times[-1] <= MAX_PREDICTABLE_GAP_S
 
-    def fits(self, sighting: Sighting) -> bool:
-        """Whether a vehicle seen so far may be where ``sighting`` is."""
-        assert self.last is not None, "a track begins with a sighting"
-        dt = sighting.time - self.times[-1]
-        if dt > GONE:
+    def in_gate(self, detection: Detection) -> bool:
+        """Whether the vehicle may have driven to the place of ``detection``."""
+        assert self.last is not None, "a track begins with a detection"
+        dt = detection.time - self.times[-1]
+        if dt > MAX_GAP_S:
             return False
-        s, way = self.along(sighting), self.first.way
-        aside = (sighting.place - self.last.place) @ way.axes(s)[1]
-        half_widths = 0.5 * (sighting.x[1] - sighting.x[0] + self.last.x[1] - self.last.x[0])
-        if abs(aside) > max(ASIDE, half_widths + GAP):
+        s, lane = self.arc_length(detection), self.first.lane
+        lateral = (detection.position - self.last.position) @ lane.axes(s)[1]
+        half_widths = 0.5 * (detection.x[1] - detection.x[0] + self.last.x[1] - self.last.x[0])
+        if abs(lateral) > max(MAX_LATERAL_STEP_M, half_widths + MAX_LATERAL_GAP_M):
             return False
-        error = sighting.error(*ERROR)
+        error = detection.distance_error(*POSITION_ERROR_M_PX)
         if len(self.times) == 1:
-            return bool(abs(s - self.way_s[-1]) <= DEFAULT_LIMITS.max_speed * dt + error)
-        recent = slice(-RECENT, None)
-        t, places = np.array(self.times[recent]) - sighting.time, np.array(self.way_s[recent])
-        v = slope(t, places)
-        there = float(np.median((places - v * t)[-LATEST:]))
-        doubt = error + self.errors[-1] * dt / (t[-1] - t[0]) + 0.5 * CHANGING * dt**2
-        return bool(abs(s - there) <= doubt)
+            return bool(abs(s - self.arc_lengths[-1]) <= DEFAULT_LIMITS.max_speed * dt + error)
+        recent = slice(-SPEED_DETECTIONS, None)
+        t, places = np.array(self.times[recent]) - detection.time, np.array(self.arc_lengths[recent])
+        v = theil_sen_slope(t, places)
+        predicted = float(np.median((places - v * t)[-PREDICTION_DETECTIONS:]))
+        gate = error + self.errors[-1] * dt / (t[-1] - t[0]) + 0.5 * MAX_ACCELERATION_MPS2 * dt**2
+        return bool(abs(s - predicted) <= gate)
 
 
-def _scatter(s: Array) -> float:
+def _absolute_deviation(s: Array) -> float:
     return float(np.abs(s - np.median(s)).sum())
 
 
-def slope(t: Array, s: Array) -> float:
+def theil_sen_slope(t: Array, s: Array) -> float:
     """The median of the slopes of all pairs (Theil and Sen); NaN where there is none."""
     i, j = np.triu_indices(len(t), 1)
     return float(np.median((s[j] - s[i]) / (t[j] - t[i]))) if len(i) else float("nan")
 
 
-def off_course(t: Array, s: Array, error: Array) -> Array:
-    """How far, in parts of its ``error``, each place ``s`` at a time ``t`` (N,) is off the course that they are
-    off least in sum: a line, bent as little as they are worth."""
+def motion_residuals(t: Array, s: Array, error: Array) -> Array:
+    """The residuals (N,), in units of ``error``, of positions ``s`` at times ``t`` about the motion of constant
+    acceleration with the least sum of absolute residuals, the acceleration's own included."""
     powers, places = np.vander(t - t.mean(), 3) / error[:, None], s / error
-    bend = np.array([[2.0 / BENT, 0.0, 0.0]])
+    prior = np.array([[2.0 / ACCELERATION_STD_MPS2, 0.0, 0.0]])
     weight = np.ones(len(t) + 1)
-    for _ in range(REFITTED):
-        A, b = weight[:, None] * np.concatenate([powers, bend]), weight * np.append(places, 0.0)
-        course = np.linalg.lstsq(A, b, rcond=None)[0]
-        off = np.append(places - powers @ course, bend @ course)
-        weight = 1.0 / np.sqrt(np.maximum(np.abs(off), EXACT))
-    return np.asarray(off[:-1])
+    for _ in range(IRLS_ITERATIONS):
+        A, b = weight[:, None] * np.concatenate([powers, prior]), weight * np.append(places, 0.0)
+        motion = np.linalg.lstsq(A, b, rcond=None)[0]
+        residuals = np.append(places - powers @ motion, prior @ motion)
+        weight = 1.0 / np.sqrt(np.maximum(np.abs(residuals), MIN_IRLS_RESIDUAL))
+    return np.asarray(residuals[:-1])
 
 
-def likeness(a: Sighting, b: Sighting) -> float:
-    """The best correlation of the lower part of the narrower face with the card of the other, shifted a little, and
-    anywhere within a wider one, which may show more than the vehicle."""
+def similarity(a: Detection, b: Detection) -> float:
+    """The best NCC of the lower part of the narrower face with the plane of the other one, shifted a little, and
+    anywhere within a wider one, which may contain more than the vehicle."""
     if b.x[1] - b.x[0] < a.x[1] - a.x[0]:
         a, b = b, a
-    template, card = (s.cards(s.s, GRID, np.array([s.middle, 0.0]))[0] for s in (a, b))
+    template, searched = (s.warp(s.s, FINE_GRID, np.array([s.lateral_offset, 0.0]))[0] for s in (a, b))
     width, wider = a.x[1] - a.x[0], b.x[1] - b.x[0]
-    columns = np.flatnonzero(np.abs(GRID.x) <= 0.5 * width)
-    rows = np.flatnonzero(GRID.y <= max(LOW, a.y[0] + 0.4))
-    down, across = round(SHIFT / GRID.cell), round((SHIFT + 0.5 * (wider - width)) / GRID.cell)
-    pad = cv2.copyMakeBorder(card, down, down, across, across, cv2.BORDER_REPLICATE)
+    columns = np.flatnonzero(np.abs(FINE_GRID.x) <= 0.5 * width)
+    rows = np.flatnonzero(FINE_GRID.y <= max(MAX_COMPARED_HEIGHT_M, a.y[0] + 0.4))
+    down, across = (round(reach / FINE_GRID.cell) for reach in (MAX_SHIFT_M, MAX_SHIFT_M + 0.5 * (wider - width)))
+    pad = cv2.copyMakeBorder(searched, down, down, across, across, cv2.BORDER_REPLICATE)
     window = pad[rows[0] : rows[-1] + 1 + 2 * down, columns[0] : columns[-1] + 1 + 2 * across].copy()
     face = template[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1].copy()
     scores = cv2.matchTemplate(window, face, cv2.TM_CCOEFF_NORMED)
     return float(np.nan_to_num(scores, nan=-1.0, posinf=-1.0).max())
 
 
-def is_one(a: Sighting, b: Sighting) -> bool:
-    """Whether two sightings in one frame are so near each other that they are parts of one vehicle."""
-    apart = a.place - b.place
-    forward, right, _ = b.way.path.frames(np.array(b.s)).T
-    return bool(abs(apart @ forward) < BODY[0] and abs(apart @ right) < BODY[1])
+def same_vehicle_in_frame(a: Detection, b: Detection) -> bool:
+    """Whether two detections in one frame are so near each other that they are parts of one vehicle."""
+    apart = a.position - b.position
+    forward, right, _ = b.lane.path.frames(np.array(b.s)).T
+    return bool(abs(apart @ forward) < MIN_SPACING_ALONG_M and abs(apart @ right) < MIN_SPACING_ACROSS_M)
 
 
-class Linker:
-    """Takes the sightings of frame after frame; gives each vehicle's track when it has gone."""
+class TrackAssociator:
+    """Associates the detections of frame after frame with tracks, and returns each track when it has ended."""
 
     def __init__(self) -> None:
-        self.tracks: list[Track] = []
+        self.tracks: list[DetectionTrack] = []
 
-    def link(self, time: float, sightings: list[Sighting]) -> list[Track]:
-        """The tracks that have ended by now; ``sightings`` at ``time`` go to those that go on, or begin new ones."""
-        pairs = [  # what has moved goes first: what stands, as a bush does, is hidden by it, and will be seen again
-            (track.moves, likeness(track.last, sighting), i, j)
+    def associate(self, time: float, detections: list[Detection]) -> list[DetectionTrack]:
+        """Add ``detections`` at ``time`` to the tracks, or begin new ones; returns the tracks that have ended by
+        now."""
+        pairs = [  # moving tracks first: a stationary object, such as a bush, is hidden by a vehicle and seen again
+            # later
+            (track.is_moving, similarity(track.last, detection), i, j)
             for i, track in enumerate(self.tracks)
-            for j, sighting in enumerate(sightings)
-            if track.last is not None and track.fits(sighting)
+            for j, detection in enumerate(detections)
+            if track.last is not None and track.in_gate(detection)
         ]
         taken_tracks: set[int] = set()
         taken: set[int] = set()
         for _, score, i, j in sorted(pairs, reverse=True):
-            known = score >= ALIKE or self.tracks[i].settled(time)
-            if known and i not in taken_tracks and j not in taken:
-                self.tracks[i].add(sightings[j])
+            accepted = score >= MIN_NCC or self.tracks[i].is_predictable(time)
+            if accepted and i not in taken_tracks and j not in taken:
+                self.tracks[i].add(detections[j])
                 taken_tracks.add(i)
                 taken.add(j)
         ended = []
         for i, track in enumerate(self.tracks):
             if i not in taken_tracks:
-                track.unseen += 1
+                track.frames_unseen += 1
                 unseen = time - track.times[-1]
-                if unseen > GONE or (track.unseen > PATIENCE[0] and unseen > PATIENCE[1]):
+                if unseen > MAX_GAP_S or (track.frames_unseen > MAX_UNSEEN_FRAMES and unseen > MAX_UNSEEN_S):
                     ended.append(track)
         self.tracks = [track for track in self.tracks if track not in ended]
-        seen = [sightings[j] for j in taken]
-        for j, sighting in enumerate(sightings):
-            if j not in taken and not any(is_one(sighting, other) for other in seen):
-                self.tracks.append(Track())
-                self.tracks[-1].add(sighting)
+        associated = [detections[j] for j in taken]
+        for j, detection in enumerate(detections):
+            if j not in taken and not any(same_vehicle_in_frame(detection, other) for other in associated):
+                self.tracks.append(DetectionTrack())
+                self.tracks[-1].add(detection)
         return ended

@@ -10,22 +10,24 @@ import numpy as np
 from paceline.arrays import Array, Image, Mask
 from paceline.cameras import StereoRig
 from paceline.lanes.road_alignment import Alignment
-from paceline.lanes.road_surface import Surface
+from paceline.lanes.road_surface import RoadSurface
 from paceline.recordings.background import Background
 
-DARKEST = 2.0  # grey levels added before the logarithm, below which pictures hold little but noise
+LOG_OFFSET_GREY = 2.0  # grey levels added before the logarithm, below which pictures hold little but noise
 
 
 @dataclass(frozen=True, eq=False)
-class Chart:
+class GroundImage:
     """A view from above: the logarithm ``light`` (H, W) of the grey, in which paint has one contrast in sun and shade,
     and where the ground is ``seen``."""
 
-    light: Image
-    seen: Mask
+    log_intensity: Image
+    visible: Mask
 
 
-def chart(rig: StereoRig, background: Background, side: int, surface: Surface, ground: Array) -> Chart:
+def map_to_ground(
+    rig: StereoRig, background: Background, side: int, surface: RoadSurface, ground: Array
+) -> GroundImage:
     """What the left (0) or right (1) view shows at ``ground`` (H, W, 2) of a ``surface``."""
     points = surface.points(ground)
     if side == 1:
@@ -35,15 +37,15 @@ def chart(rig: StereoRig, background: Background, side: int, surface: Surface, g
     pixels = camera.project(np.where(ahead[..., None], points, [0.0, 0.0, 1.0]))
     width, height = camera.image_size
     x, y = np.moveaxis(pixels, -1, 0)
-    seen = ahead & (x >= 1) & (y >= 1) & (x <= width - 2) & (y <= height - 2)
-    at = [np.where(seen, c, -10).astype(np.float32) for c in (x, y)]
-    log = np.log(np.maximum(background.images[side], 0) + np.float32(DARKEST)).astype(np.float32)
-    light = cv2.remap(log, at[0], at[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    settled = cv2.remap(background.settled[side].astype(np.uint8), at[0], at[1], cv2.INTER_NEAREST, borderValue=0)
-    return Chart(np.asarray(light, np.float32), seen & (np.asarray(settled) > 0))
+    visible = ahead & (x >= 1) & (y >= 1) & (x <= width - 2) & (y <= height - 2)
+    at = [np.where(visible, c, -10).astype(np.float32) for c in (x, y)]
+    log = np.log(np.maximum(background.images[side], 0) + np.float32(LOG_OFFSET_GREY)).astype(np.float32)
+    log_intensity = cv2.remap(log, at[0], at[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    stable = cv2.remap(background.stable[side].astype(np.uint8), at[0], at[1], cv2.INTER_NEAREST, borderValue=0)
+    return GroundImage(np.asarray(log_intensity, np.float32), visible & (np.asarray(stable) > 0))
 
 
-def pixel_size(rig: StereoRig, surface: Surface, alignment: Alignment, s: Array, d: float) -> Array:
+def pixel_size(rig: StereoRig, surface: RoadSurface, alignment: Alignment, s: Array, d: float) -> Array:
     """Metres (N, 2) along and across the road that one pixel of the left view covers at road coordinates (s, d), the
     larger where the pixel is seen aslant."""
     step = 0.05

@@ -11,29 +11,29 @@ from paceline.arrays import Array
 from paceline.cameras import StereoRig, perturbed_rigs
 from paceline.errors import UnusableInput
 from paceline.geometry import triangulate
-from paceline.lanes.line_adjustment import Road
-from paceline.lanes.line_detection import TERMS, UNIT, along
+from paceline.lanes.line_adjustment import RoadModel
+from paceline.lanes.line_detection import CURVE_TERMS, UNIT_M, lateral_offset
 from paceline.speed.geometry.path_reconstruction import reconstruct
 from paceline.speed.geometry.paths import Path, jacobian
 from paceline.verdicts import NO_REASON, Message, message
 
-NARROWEST, WIDEST = 2.2, 5.5  # m between the lines of a lane
-SAMPLES = 15  # places along a lane at which its width is measured
-SHORTEST = 8.0  # m that both lines of a lane must run beside each other
-UNCERTAIN = 0.25  # m, the standard deviation across beyond which a lane is not drawn
-DRAWN = 24  # points of a drawn path in each view
-STRAIGHT = 0.6  # px, rms: a path is a curve where its drawing departs more from a line in either view
-SMALLEST = 40.0  # px that a drawn path must be long in each view
+MIN_LANE_WIDTH_M, MAX_LANE_WIDTH_M = 2.2, 5.5  # m between the lines of a lane
+WIDTH_SAMPLES = 15  # places along a lane at which its width is measured
+MIN_LENGTH_M = 8.0  # m that both lines of a lane must run beside each other
+MAX_LATERAL_STD_M = 0.25  # m, the standard deviation across beyond which a lane is not drawn
+DRAWN_POINTS = 24  # points of a drawn path in each view
+MAX_STRAIGHT_RMS_PX = 0.6  # px, rms: a path is a curve where its drawing departs more from a line in either view
+MIN_DRAWN_PX = 40.0  # px that a drawn path must be long in each view
 
 
 @dataclass(frozen=True, eq=False)
-class Line:
-    """A line of the road as it was found. ``points`` (N, 3) in space; ``sigma`` (N,) m across the road."""
+class RoadLine:
+    """A line of the road as it was found. ``points`` (N, 3) in space; ``lateral_std`` (N,) m across the road."""
 
     id: str
     kind: str
     points: Array
-    sigma: Array
+    lateral_std: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,64 +52,64 @@ class Lane:
     reason: Message = NO_REASON
 
 
-def lines_of(road: Road) -> list[Line]:
+def road_lines(road: RoadModel) -> list[RoadLine]:
     """The lines of a road, from left to right, numbered from 1."""
     found = []
     for k, (curve, trace) in enumerate(zip(road.curves, road.lines, strict=True)):
         s = np.linspace(*trace.span, 60)
-        points = road.surface.points(road.course.to_ground(s, along(curve, s)))
-        found.append(Line(str(k + 1), trace.kind, points, _sigma(road, k, s)))
+        points = road.surface.points(road.alignment.to_ground(s, lateral_offset(curve, s)))
+        found.append(RoadLine(str(k + 1), trace.kind, points, _lateral_std(road, k, s)))
     return found
 
 
-def _sigma(road: Road, k: int, s: Array) -> Array:
+def _lateral_std(road: RoadModel, k: int, s: Array) -> Array:
     """Standard deviations (N,) m across the road of line k at ``s`` (N,)."""
-    mine = slice(6 + TERMS * k, 6 + TERMS * (k + 1))
-    powers = (s[:, None] / UNIT) ** np.arange(TERMS)
+    mine = slice(6 + CURVE_TERMS * k, 6 + CURVE_TERMS * (k + 1))
+    powers = (s[:, None] / UNIT_M) ** np.arange(CURVE_TERMS)
     return np.asarray(np.sqrt(np.maximum(((powers @ road.covariance[mine, mine]) * powers).sum(1), 0.0)))
 
 
-def propose(rig: StereoRig, road: Road) -> tuple[list[Lane], list[Message]]:
+def propose_lanes(rig: StereoRig, road: RoadModel) -> tuple[list[Lane], list[Message]]:
     """The lanes between neighbouring lines, from left to right, and a remark on every pair that makes none."""
     lanes, remarks = [], []
     for k in range(len(road.lines) - 1):
         a, b = road.lines[k], road.lines[k + 1]
         start, end = max(a.span[0], b.span[0]), min(a.span[1], b.span[1])
         names = str(k + 1), str(k + 2)
-        if end - start < SHORTEST:
+        if end - start < MIN_LENGTH_M:
             remarks.append(
                 message(
                     "lines_not_beside_each_other",
                     first=names[0],
                     second=names[1],
                     shared_m=max(end - start, 0.0),
-                    min_shared_m=SHORTEST,
+                    min_shared_m=MIN_LENGTH_M,
                 )
             )
             continue
-        width, std = _width(rig, road, k, np.linspace(start, end, SAMPLES))
-        if not NARROWEST <= width <= WIDEST:
+        width, std = _width(rig, road, k, np.linspace(start, end, WIDTH_SAMPLES))
+        if not MIN_LANE_WIDTH_M <= width <= MAX_LANE_WIDTH_M:
             remarks.append(
                 message(
                     "lane_width_implausible",
                     first=names[0],
                     second=names[1],
                     width_m=width,
-                    min_width_m=NARROWEST,
-                    max_width_m=WIDEST,
+                    min_width_m=MIN_LANE_WIDTH_M,
+                    max_width_m=MAX_LANE_WIDTH_M,
                 )
             )
             continue
-        first, last = _certain(road, k, min(a.span[0], b.span[0]), max(a.span[1], b.span[1]))
-        if last - first < SHORTEST:
+        first, last = _known_stretch(road, k, min(a.span[0], b.span[0]), max(a.span[1], b.span[1]))
+        if last - first < MIN_LENGTH_M:
             remarks.append(
                 message(
                     "lines_uncertain",
                     first=names[0],
                     second=names[1],
-                    max_std_m=UNCERTAIN,
+                    max_std_m=MAX_LATERAL_STD_M,
                     known_m=last - first,
-                    min_known_m=SHORTEST,
+                    min_known_m=MIN_LENGTH_M,
                 )
             )
             continue
@@ -117,27 +117,27 @@ def propose(rig: StereoRig, road: Road) -> tuple[list[Lane], list[Message]]:
     return lanes, remarks
 
 
-def _certain(road: Road, k: int, first: float, last: float) -> tuple[float, float]:
+def _known_stretch(road: RoadModel, k: int, first: float, last: float) -> tuple[float, float]:
     """The longest stretch between ``first`` and ``last`` (m along) on which lines k and k + 1 are known well enough."""
     s = np.linspace(first, last, 200)
-    known = np.maximum(_sigma(road, k, s), _sigma(road, k + 1, s)) < UNCERTAIN
+    known = np.maximum(_lateral_std(road, k, s), _lateral_std(road, k + 1, s)) < MAX_LATERAL_STD_M
     stretches = [part[part >= 0] for part in np.split(np.where(known, np.arange(200), -1), np.flatnonzero(~known))]
     longest = max(stretches, key=len)
     return (float(s[longest[0]]), float(s[longest[-1]])) if len(longest) else (first, first)
 
 
-def _width(rig: StereoRig, road: Road, k: int, s: Array) -> tuple[float, float]:
+def _width(rig: StereoRig, road: RoadModel, k: int, s: Array) -> tuple[float, float]:
     """Mean width (m) between lines k and k + 1 over ``s`` (N,), weighted by how well it is known where, and its
     standard deviation, the stated calibration's part included."""
-    mine = np.r_[0:6, 6 + TERMS * k : 6 + TERMS * (k + 2)]
+    mine = np.r_[0:6, 6 + CURVE_TERMS * k : 6 + CURVE_TERMS * (k + 2)]
 
     def sides(x: Array) -> tuple[Array, Array]:
         surface = road.surface.with_heights(x[:6])
-        curves = x[6:].reshape(2, TERMS)
+        curves = x[6:].reshape(2, CURVE_TERMS)
         dense = np.linspace(s[0] - 5.0, s[-1] + 5.0, 400)
         return (
-            surface.points(road.course.to_ground(s, along(curves[0], s))),
-            surface.points(road.course.to_ground(dense, along(curves[1], dense))),
+            surface.points(road.alignment.to_ground(s, lateral_offset(curves[0], s))),
+            surface.points(road.alignment.to_ground(dense, lateral_offset(curves[1], dense))),
         )
 
     x = np.concatenate([road.surface.heights, road.curves[k], road.curves[k + 1]])
@@ -164,21 +164,26 @@ def _distances(points: Array, line: Array) -> Array:
 
 
 def _lane(
-    rig: StereoRig, road: Road, k: int, names: tuple[str, str], width: tuple[float, float], span: tuple[float, float]
+    rig: StereoRig,
+    road: RoadModel,
+    k: int,
+    names: tuple[str, str],
+    width: tuple[float, float],
+    span: tuple[float, float],
 ) -> Lane:
     middle = (road.curves[k] + road.curves[k + 1]) / 2
 
     def centre(s: Array) -> Array:
-        return road.surface.points(road.course.to_ground(s, along(middle, s)))
+        return road.surface.points(road.alignment.to_ground(s, lateral_offset(middle, s)))
 
-    drawn = [_drawn(rig, side, centre, span) for side in (0, 1)]
-    shape = "line" if max(map(_bend, drawn)) < STRAIGHT else "curve"
+    drawn = [_draw(rig, side, centre, span) for side in (0, 1)]
+    shape = "line" if max(map(_straightness_rms, drawn)) < MAX_STRAIGHT_RMS_PX else "curve"
     recorded = [camera.distort_points(pixels) for camera, pixels in zip(rig.cameras, drawn, strict=True)]
     path, reason = None, NO_REASON
     name = f"between lines {names[0]} and {names[1]}"
     length = float(min(np.linalg.norm(np.ptp(pixels, axis=0)) for pixels in drawn))
-    if length < SMALLEST:
-        reason = message("lane_outside_views", path=name, length_px=length, min_length_px=SMALLEST)
+    if length < MIN_DRAWN_PX:
+        reason = message("lane_outside_views", path=name, length_px=length, min_length_px=MIN_DRAWN_PX)
     else:
         try:
             path = reconstruct(name, shape, rig, drawn[0], drawn[1])
@@ -187,7 +192,7 @@ def _lane(
     return Lane(names, *width, shape, recorded[0], recorded[1], path, reason)
 
 
-def _drawn(rig: StereoRig, side: int, centre: Callable[[Array], Array], span: tuple[float, float]) -> Array:
+def _draw(rig: StereoRig, side: int, centre: Callable[[Array], Array], span: tuple[float, float]) -> Array:
     """Ideal pixels (N, 2) of a line in space inside a view, from far to near, evenly in the root of the length, as a
     perspective crowds what is far."""
     pixels = rig.project(centre(np.linspace(span[1], span[0], 600)))[side]
@@ -196,10 +201,10 @@ def _drawn(rig: StereoRig, side: int, centre: Callable[[Array], Array], span: tu
     if len(pixels) < 2:
         return np.zeros((1, 2))
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(pixels, axis=0), axis=1))])
-    at = length[-1] * np.linspace(0, 1, DRAWN) ** 1.5
+    at = length[-1] * np.linspace(0, 1, DRAWN_POINTS) ** 1.5
     return np.column_stack([np.interp(at, length, c) for c in pixels.T])
 
 
-def _bend(pixels: Array) -> float:
+def _straightness_rms(pixels: Array) -> float:
     """Root mean square departure of pixels (N, 2) from a straight line, px."""
     return float(np.linalg.svd(pixels - pixels.mean(0), compute_uv=False)[1] / np.sqrt(len(pixels)))

@@ -10,29 +10,31 @@ from scipy.ndimage import uniform_filter1d
 from paceline.arrays import Array
 from paceline.cameras import StereoRig
 from paceline.lanes.road_alignment import Alignment
-from paceline.lanes.road_direction import Votes
-from paceline.lanes.road_rectification import REACH, Strip
-from paceline.lanes.road_surface import Surface
+from paceline.lanes.road_direction import DirectionVotes
+from paceline.lanes.road_rectification import HALF_WIDTH_M, RectifiedRoad
+from paceline.lanes.road_surface import RoadSurface
 
-UNIT = 30.0  # m of s in which a line's polynomial counts
-DEGREE = 3  # of it, while it is traced
-TERMS = 5  # of it, once it is matched
-STRAY = np.array([0.3, 0.2, 0.1])  # m by which a line's slope, bend and third term depart from the course's, at UNIT
-CELL = 0.05  # m of the histogram over d
-SMOOTHING = 5  # of its cells
-NARROWING = (0.5, 0.4, 0.3, 0.25, 0.2, 0.15, 0.15)  # m from a line within which paint is gathered, round by round
-APART = 0.45  # m between lines: a double line is one
-LEAST_PAINT = 4.0  # m in each view
-LEAST_SPAN = 12.0  # m from a line's first paint to its last
-ABOVE_CHANCE = 3.0  # times the paint found beside it
-SOLID = 0.65  # share of a line's visible length that is painted where it counts as solid
+UNIT_M = 30.0  # m of s in which a line's polynomial counts
+DETECTION_DEGREE = 3  # of it, while it is traced
+CURVE_TERMS = 5  # of it, once it is matched
+CURVE_PRIOR_STD = np.array(
+    [0.3, 0.2, 0.1]
+)  # m by which a line's slope, bend and third term depart from the course's, at UNIT
+BIN_M = 0.05  # m of the histogram over d
+SMOOTHING_BINS = 5  # of its cells
+GATES_M = (0.5, 0.4, 0.3, 0.25, 0.2, 0.15, 0.15)  # m from a line within which paint is gathered, round by round
+MIN_LINE_SPACING_M = 0.45  # m between lines: a double line is one
+MIN_PAINT_M = 4.0  # m in each view
+MIN_SPAN_M = 12.0  # m from a line's first paint to its last
+MIN_PAINT_RATIO = 3.0  # times the paint found beside it
+MIN_SOLID_SHARE = 0.65  # share of a line's visible length that is painted where it counts as solid
 BLOCK = 14.0, 1.5  # px and m along, at least, that are measured as one
-LONGEST_BLOCK = 4.5  # m
-MOST_LINES = 24
+MAX_SEGMENT_M = 4.5  # m
+MAX_LINES = 24
 
 
 @dataclass(frozen=True, eq=False)
-class Hits:
+class PaintSamples:
     """Paint found in one view: ``s``, ``d`` (N,) of each place and the ``length`` (N,) m it stands for."""
 
     s: Array
@@ -41,7 +43,7 @@ class Hits:
 
 
 @dataclass(frozen=True, eq=False)
-class Trace:
+class LaneLine:
     """One line in both views. ``curve`` (4,) are the coefficients of d over s / UNIT; ``left`` and ``right`` are its
     measured pixels (N, 2) and (M, 2), from near to far, each the mean of a short stretch; ``painted`` is the share of
     the visible length that is painted, ``span`` the s between which both views show it."""
@@ -49,130 +51,137 @@ class Trace:
     curve: Array
     left: Array
     right: Array
-    painted: float
+    painted_share: float
     span: tuple[float, float]
 
     @property
     def kind(self) -> str:
-        return "solid" if self.painted >= SOLID else "broken"
+        return "solid" if self.painted_share >= MIN_SOLID_SHARE else "broken"
 
 
-def along(curve: Array, s: Array) -> Array:
+def lateral_offset(curve: Array, s: Array) -> Array:
     """d (…) of a line at ``s`` (…)."""
-    return np.asarray(np.polynomial.polynomial.polyval(np.asarray(s) / UNIT, curve))
+    return np.asarray(np.polynomial.polynomial.polyval(np.asarray(s) / UNIT_M, curve))
 
 
-def hits_of(strip: Strip) -> Hits:
-    row, column = np.nonzero(strip.stands_out)
-    return Hits(strip.s[row], strip.places(row, column), strip.step[row])
+def paint_samples(view: RectifiedRoad) -> PaintSamples:
+    row, column = np.nonzero(view.is_paint)
+    return PaintSamples(view.s[row], view.paint_offsets(row, column), view.step[row])
 
 
-def as_votes(strips: tuple[Strip, Strip], course: Alignment) -> Votes:
+def direction_votes(views_: tuple[RectifiedRoad, RectifiedRoad], alignment: Alignment) -> DirectionVotes:
     """The paint of both strips as votes for the course."""
-    hits = [hits_of(strip) for strip in strips]
-    s, d, length = (np.concatenate(parts) for parts in zip(*((h.s, h.d, h.length) for h in hits), strict=True))
-    return Votes(course.to_ground(s, d), course.direction(s), length)
+    samples = [paint_samples(view) for view in views_]
+    s, d, length = (np.concatenate(parts) for parts in zip(*((h.s, h.d, h.length) for h in samples), strict=True))
+    return DirectionVotes(alignment.to_ground(s, d), alignment.direction(s), length)
 
 
-def trace(rig: StereoRig, surface: Surface, course: Alignment, strips: tuple[Strip, Strip]) -> list[Trace]:
+def detect_lines(
+    rig: StereoRig, surface: RoadSurface, alignment: Alignment, views_: tuple[RectifiedRoad, RectifiedRoad]
+) -> list[LaneLine]:
     """The lines that both views show, from left to right."""
-    views = [hits_of(strip) for strip in strips]
-    both = Hits(*(np.concatenate([getattr(h, name) for h in views]) for name in ("s", "d", "length")))
+    views = [paint_samples(view) for view in views_]
+    both = PaintSamples(*(np.concatenate([getattr(h, name) for h in views]) for name in ("s", "d", "length")))
     curves: list[Array] = []
     for start in _peaks(both):
-        curve = _gathered(both, start)
-        s = both.s[np.abs(both.d - along(curve, both.s)) < NARROWING[-1]]
-        if all(np.median(np.abs(along(curve, s) - along(other, s))) > APART for other in curves) and len(s):
+        curve = _fit_curve(both, start)
+        s = both.s[np.abs(both.d - lateral_offset(curve, both.s)) < GATES_M[-1]]
+        if all(
+            np.median(np.abs(lateral_offset(curve, s) - lateral_offset(other, s))) > MIN_LINE_SPACING_M
+            for other in curves
+        ) and len(s):
             curves.append(curve)
     found = []
     for curve in curves:
         if all(_is_line(h, curve) for h in views):
-            left, right = (_blocks(rig, surface, course, side, views[side], curve) for side in (0, 1))
+            left, right = (_segment_pixels(rig, surface, alignment, side, views[side], curve) for side in (0, 1))
             if min(len(left), len(right)) >= 3:
-                found.append(Trace(curve, left, right, _painted(strips, views, curve), _span(views, curve)))
+                found.append(LaneLine(curve, left, right, _painted_share(views_, views, curve), _span(views, curve)))
     return sorted(found, key=lambda line: line.curve[0])
 
 
-def _peaks(hits: Hits) -> list[float]:
+def _peaks(samples: PaintSamples) -> list[float]:
     """d of the histogram's peaks, the greatest first."""
-    cells = int(2 * REACH / CELL)
-    count = np.bincount(np.clip(((hits.d + REACH) / CELL).astype(int), 0, cells - 1), hits.length, cells)
-    smooth = uniform_filter1d(count, SMOOTHING, mode="constant") * SMOOTHING
+    cells = int(2 * HALF_WIDTH_M / BIN_M)
+    count = np.bincount(np.clip(((samples.d + HALF_WIDTH_M) / BIN_M).astype(int), 0, cells - 1), samples.length, cells)
+    smooth = uniform_filter1d(count, SMOOTHING_BINS, mode="constant") * SMOOTHING_BINS
     peaks = []
-    for _ in range(MOST_LINES):
+    for _ in range(MAX_LINES):
         top = int(np.argmax(smooth))
-        if smooth[top] < LEAST_PAINT:
+        if smooth[top] < MIN_PAINT_M:
             break
-        peaks.append((top + 0.5) * CELL - REACH)
-        reach = round(APART / 2 / CELL)
+        peaks.append((top + 0.5) * BIN_M - HALF_WIDTH_M)
+        reach = round(MIN_LINE_SPACING_M / 2 / BIN_M)
         smooth[max(0, top - reach) : top + reach + 1] = 0.0
     return peaks
 
 
-def _gathered(hits: Hits, start: float) -> Array:
-    curve = np.array([start, *np.zeros(DEGREE)])
-    powers = (hits.s[:, None] / UNIT) ** np.arange(DEGREE + 1)
-    prior = np.diag([0.0, *STRAY**-2])
-    for reach in NARROWING:
-        aside = np.abs(hits.d - powers @ curve)
-        weight = hits.length * np.maximum(1 - (aside / reach) ** 2, 0.0) ** 2
+def _fit_curve(samples: PaintSamples, start: float) -> Array:
+    curve = np.array([start, *np.zeros(DETECTION_DEGREE)])
+    powers = (samples.s[:, None] / UNIT_M) ** np.arange(DETECTION_DEGREE + 1)
+    prior = np.diag([0.0, *CURVE_PRIOR_STD**-2])
+    for reach in GATES_M:
+        aside = np.abs(samples.d - powers @ curve)
+        weight = samples.length * np.maximum(1 - (aside / reach) ** 2, 0.0) ** 2
         # a metre of paint says where the line is to about a fifth of the reach
         information = (powers * weight[:, None]).T @ powers / (0.2 * reach) ** 2
         curve = np.linalg.lstsq(
-            information + prior, (powers * weight[:, None]).T @ hits.d / (0.2 * reach) ** 2, rcond=None
+            information + prior, (powers * weight[:, None]).T @ samples.d / (0.2 * reach) ** 2, rcond=None
         )[0]
     return curve
 
 
-def _is_line(hits: Hits, curve: Array) -> bool:
+def _is_line(samples: PaintSamples, curve: Array) -> bool:
     """Whether one view has enough paint along ``curve``, over a long enough stretch, and much more than beside it."""
-    aside = np.abs(hits.d - along(curve, hits.s))
-    on = aside < NARROWING[-1]
-    if hits.length[on].sum() < LEAST_PAINT or np.ptp(hits.s[on]) < LEAST_SPAN:
+    aside = np.abs(samples.d - lateral_offset(curve, samples.s))
+    on = aside < GATES_M[-1]
+    if samples.length[on].sum() < MIN_PAINT_M or np.ptp(samples.s[on]) < MIN_SPAN_M:
         return False
-    first, last = hits.s[on].min(), hits.s[on].max()
-    beside = (aside > 2 * NARROWING[-1]) & (aside < 5 * NARROWING[-1]) & (hits.s >= first) & (hits.s <= last)
-    return bool(hits.length[on].sum() > ABOVE_CHANCE * hits.length[beside].sum() / 3)
+    first, last = samples.s[on].min(), samples.s[on].max()
+    beside = (aside > 2 * GATES_M[-1]) & (aside < 5 * GATES_M[-1]) & (samples.s >= first) & (samples.s <= last)
+    return bool(samples.length[on].sum() > MIN_PAINT_RATIO * samples.length[beside].sum() / 3)
 
 
-def _span(views: list[Hits], curve: Array) -> tuple[float, float]:
-    on = [hits.s[np.abs(hits.d - along(curve, hits.s)) < NARROWING[-1]] for hits in views]
+def _span(views: list[PaintSamples], curve: Array) -> tuple[float, float]:
+    on = [samples.s[np.abs(samples.d - lateral_offset(curve, samples.s)) < GATES_M[-1]] for samples in views]
     return max(float(s.min()) for s in on), min(float(s.max()) for s in on)
 
 
-def _painted(strips: tuple[Strip, Strip], views: list[Hits], curve: Array) -> float:
+def _painted_share(views_: tuple[RectifiedRoad, RectifiedRoad], views: list[PaintSamples], curve: Array) -> float:
     """Share of the line's length, where a view shows the road there, that is painted; of the view that shows more."""
     shares = []
-    for strip, hits in zip(strips, views, strict=True):
-        on = np.abs(hits.d - along(curve, hits.s)) < NARROWING[-1]
-        at = np.searchsorted(strip.d, along(curve, strip.s)).clip(0, len(strip.d) - 1)
-        inside = (strip.s >= hits.s[on].min()) & (strip.s <= hits.s[on].max())
-        length = float(strip.step[inside & strip.seen[np.arange(len(strip.s)), at]].sum())
-        shares.append(float(hits.length[on].sum()) / max(length, 1e-6))
+    for view, samples in zip(views_, views, strict=True):
+        on = np.abs(samples.d - lateral_offset(curve, samples.s)) < GATES_M[-1]
+        at = np.searchsorted(view.d, lateral_offset(curve, view.s)).clip(0, len(view.d) - 1)
+        inside = (view.s >= samples.s[on].min()) & (view.s <= samples.s[on].max())
+        length = float(view.step[inside & view.visible[np.arange(len(view.s)), at]].sum())
+        shares.append(float(samples.length[on].sum()) / max(length, 1e-6))
     return min(1.0, max(shares))
 
 
-def _blocks(rig: StereoRig, surface: Surface, course: Alignment, side: int, hits: Hits, curve: Array) -> Array:
+def _segment_pixels(
+    rig: StereoRig, surface: RoadSurface, alignment: Alignment, side: int, samples: PaintSamples, curve: Array
+) -> Array:
     """Pixels (N, 2) of a line in a view, near to far: its paint's means over stretches of at least `BLOCK`."""
-    on = np.abs(hits.d - along(curve, hits.s)) < NARROWING[-1]
-    order = np.argsort(hits.s[on])
-    s, d, length = (values[on][order] for values in (hits.s, hits.d, hits.length))
-    points = surface.points(course.to_ground(s, d))
+    on = np.abs(samples.d - lateral_offset(curve, samples.s)) < GATES_M[-1]
+    order = np.argsort(samples.s[on])
+    s, d, length = (values[on][order] for values in (samples.s, samples.d, samples.length))
+    points = surface.points(alignment.to_ground(s, d))
     pixels = rig.cameras[side].project(points if side == 0 else rig.to_right(points))
     found, first = [], 0
     for k in range(1, len(s) + 1):
         if k < len(s):
             away, metres = np.linalg.norm(pixels[k] - pixels[first]), s[k] - s[first]
-            if metres < BLOCK[1] or (away < BLOCK[0] and metres < LONGEST_BLOCK):
+            if metres < BLOCK[1] or (away < BLOCK[0] and metres < MAX_SEGMENT_M):
                 continue
         mine = slice(first, k)
-        aside = d[mine] - along(curve, s[mine])
+        aside = d[mine] - lateral_offset(curve, s[mine])
         scatter = np.abs(aside - np.median(aside))
         steady = scatter < 0.06 + 3 * np.median(scatter)
         if steady.sum() >= 2:
             middle = np.asarray(np.average(s[mine], weights=length[mine] * steady))
-            found.append((middle, along(curve, middle) + np.average(aside, weights=length[mine] * steady)))
+            found.append((middle, lateral_offset(curve, middle) + np.average(aside, weights=length[mine] * steady)))
         first = k
     middles = np.array(found).reshape(-1, 2)
-    points = surface.points(course.to_ground(middles[:, 0], middles[:, 1]))
+    points = surface.points(alignment.to_ground(middles[:, 0], middles[:, 1]))
     return rig.cameras[side].project(points if side == 0 else rig.to_right(points))

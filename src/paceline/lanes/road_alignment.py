@@ -8,8 +8,8 @@ import numpy as np
 
 from paceline.arrays import Array
 
-SCALE = 30.0  # m of s at which each term of the deviation is 1
-SMALL = 1e-9  # 1/m, below which an arc is a line
+SCALE_M = 30.0  # m of s at which each term of the deviation is 1
+MIN_CURVATURE_PER_M = 1e-9  # 1/m, below which an arc is a line
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,50 +22,50 @@ class Alignment:
     deviating road.
     """
 
-    place: Array
+    origin: Array
     heading: float
     curvature: float
     deviation: Array = field(default_factory=lambda: np.zeros(5))
 
     @property
-    def directions(self) -> tuple[Array, Array]:
+    def axes(self) -> tuple[Array, Array]:
         """Unit vectors (2,) along and to the right at ``place``."""
         c, s = np.cos(self.heading), np.sin(self.heading)
         return np.array([s, c]), np.array([c, -s])
 
-    def delta(self, s: Array) -> Array:
+    def lateral_deviation(self, s: Array) -> Array:
         """δ(s), shape of ``s``."""
-        return np.asarray(np.polynomial.polynomial.polyval(np.asarray(s) / SCALE, self.deviation))
+        return np.asarray(np.polynomial.polynomial.polyval(np.asarray(s) / SCALE_M, self.deviation))
 
     def direction(self, s: Array) -> Array:
         """Where the road heads (rad, from ahead to the right) at ``s`` (…)."""
         slope = np.polynomial.polynomial.polyval(
-            np.asarray(s) / SCALE, np.polynomial.polynomial.polyder(self.deviation)
+            np.asarray(s) / SCALE_M, np.polynomial.polynomial.polyder(self.deviation)
         )
-        return np.asarray(self.heading + self.curvature * np.asarray(s) + np.arctan(slope / SCALE))
+        return np.asarray(self.heading + self.curvature * np.asarray(s) + np.arctan(slope / SCALE_M))
 
     def to_ground(self, s: Array, d: Array | float) -> Array:
         """Ground coordinates (…, 2) of road coordinates, which are broadcast."""
         s, d = np.broadcast_arrays(np.asarray(s, float), np.asarray(d, float))
-        d = np.asarray(d + self.delta(s))
+        d = np.asarray(d + self.lateral_deviation(s))
         turned = self.curvature * s
         along = s * np.sinc(turned / np.pi) - d * np.sin(turned)
-        across = 0.5 * self.curvature * s**2 * np.sinc(turned / (2 * np.pi)) ** 2 + d * np.cos(turned)
-        forward, right = self.directions
-        return np.asarray(self.place + along[..., None] * forward + across[..., None] * right)
+        lateral_axis = 0.5 * self.curvature * s**2 * np.sinc(turned / (2 * np.pi)) ** 2 + d * np.cos(turned)
+        forward, right = self.axes
+        return np.asarray(self.origin + along[..., None] * forward + lateral_axis[..., None] * right)
 
     def from_ground(self, ground: Array) -> tuple[Array, Array]:
         """Road coordinates s and d (…) of ``ground`` (…, 2)."""
-        forward, right = self.directions
-        relative = np.asarray(ground, float) - self.place
+        forward, right = self.axes
+        relative = np.asarray(ground, float) - self.origin
         u, v = relative @ forward, relative @ right
         k = self.curvature
         q = np.hypot(k * u, 1 - k * v)
         d = (2 * v - k * (u * u + v * v)) / (1 + q)
-        s = u if abs(k) < SMALL else np.arctan2(k * u, 1 - k * v) / k
-        return np.asarray(s), np.asarray(d - self.delta(s))
+        s = u if abs(k) < MIN_CURVATURE_PER_M else np.arctan2(k * u, 1 - k * v) / k
+        return np.asarray(s), np.asarray(d - self.lateral_deviation(s))
 
-    def across(self, s: Array) -> Array:
+    def lateral_axis(self, s: Array) -> Array:
         """Unit vectors (…, 2) to the right of the arc at ``s`` (…)."""
         angle = self.heading + self.curvature * np.asarray(s)
         return np.stack([np.cos(angle), -np.sin(angle)], axis=-1)

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from paceline.blas import on_one_blas_thread
 from paceline.cameras import StereoRig
-from paceline.lanes.ground_plane import first_surface
-from paceline.lanes.line_adjustment import Road, match
-from paceline.lanes.line_detection import as_votes, trace
-from paceline.lanes.road_direction import find_course
-from paceline.lanes.road_rectification import unroll
+from paceline.lanes.ground_plane import initial_surface
+from paceline.lanes.line_adjustment import RoadModel, adjust
+from paceline.lanes.line_detection import detect_lines, direction_votes
+from paceline.lanes.road_direction import estimate_direction
+from paceline.lanes.road_rectification import rectify
 from paceline.recordings.background import Background
 from paceline.verdicts import Message, message
 
-ROUNDS = 3  # of tracing the lines and adjusting the surface to them
+ADJUSTMENT_ROUNDS = 3  # of tracing the lines and adjusting the surface to them
 
 
-class NoRoad(Exception):
+class RoadNotFound(Exception):
     """No road was found, for a ``reason``."""
 
     def __init__(self, reason: Message) -> None:
@@ -24,23 +24,23 @@ class NoRoad(Exception):
 
 
 @on_one_blas_thread
-def find_road(rig: StereoRig, background: Background) -> Road:
-    """The lines that both views show on the road's surface. Raises `NoRoad`."""
-    surface = first_surface(rig, background)
+def detect_road(rig: StereoRig, background: Background) -> RoadModel:
+    """The lines that both views show on the road's surface. Raises `RoadNotFound`."""
+    surface = initial_surface(rig, background)
     if surface is None:
-        raise NoRoad(message("no_ground"))
-    course = find_course(rig, background, surface)
-    if course is None:
-        raise NoRoad(message("no_painted_lines"))
-    road: Road | None = None
-    for _ in range(ROUNDS):
-        course = as_votes(unroll(rig, background, surface, course), course).polish(course)
-        lines = trace(rig, surface, course, unroll(rig, background, surface, course))
+        raise RoadNotFound(message("no_ground"))
+    alignment = estimate_direction(rig, background, surface)
+    if alignment is None:
+        raise RoadNotFound(message("no_painted_lines"))
+    road: RoadModel | None = None
+    for _ in range(ADJUSTMENT_ROUNDS):
+        alignment = direction_votes(rectify(rig, background, surface, alignment), alignment).refine(alignment)
+        lines = detect_lines(rig, surface, alignment, rectify(rig, background, surface, alignment))
         if not lines:
-            raise NoRoad(message("lines_too_short"))
-        road = match(rig, surface, course, lines)
+            raise RoadNotFound(message("lines_too_short"))
+        road = adjust(rig, surface, alignment, lines)
         if road is None:
-            raise NoRoad(message("lines_along_baseline"))
-        surface, course = road.surface, road.common_course
+            raise RoadNotFound(message("lines_along_baseline"))
+        surface, alignment = road.surface, road.common_alignment
     assert road is not None, "there is at least one round"
     return road

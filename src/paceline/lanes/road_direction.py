@@ -12,84 +12,84 @@ from scipy.optimize import minimize
 
 from paceline.arrays import Array, Image
 from paceline.cameras import StereoRig
-from paceline.lanes.inverse_perspective import Chart, chart
+from paceline.lanes.inverse_perspective import GroundImage, map_to_ground
 from paceline.lanes.road_alignment import Alignment
-from paceline.lanes.road_surface import Surface
+from paceline.lanes.road_surface import RoadSurface
 from paceline.recordings.background import Background
 
-CELL = 0.06  # m of the ground grid
-NEAREST, FARTHEST, ASIDE = 4.0, 90.0, 40.0  # m of ground looked at
-RIDGE = 0.07  # m, the scale of the ridges: half a marking's width, a little more
-CONTRAST = 0.03  # least strength of a ridge
-PLAIN = 0.1  # strength beyond which it counts no more
-ABOVE_TEXTURE = 3.0  # times the strength usual around it
-AROUND = 3.0  # m
-LINEAR = 0.5  # of the curvature across a ridge, the most along it
-PIXEL = 0.3  # m of ground along the view in one pixel, beyond which it counts less
-MOST = 5000  # ridge points that vote
-FEWEST = 40
-FEW = 1000  # of them that vote in the search over everything
-HEADINGS = np.radians(np.arange(-90.0, 90.0, 1.0))
-CURVATURES = np.linspace(-1, 1, 61) / 22.0  # 1/m
-STARTS, CLIMBS = 10, 9
-TURN = np.radians(4.0)  # by which a ridge may point aside of the road, one standard deviation
-ROUGH, MIDDLING, FINE = 0.5, 0.25, 0.12  # m, the histogram's cells in the search and towards its end
+CELL_M = 0.06  # m of the ground grid
+MIN_DISTANCE_M, MAX_DISTANCE_M, MAX_LATERAL_M = 4.0, 90.0, 40.0  # m of ground looked at
+RIDGE_SCALE_M = 0.07  # m, the scale of the ridges: half a marking's width, a little more
+MIN_RIDGE_STRENGTH = 0.03  # least strength of a ridge
+MAX_COUNTED_STRENGTH = 0.1  # strength beyond which it counts no more
+MIN_STRENGTH_RATIO = 3.0  # times the strength usual around it
+NEIGHBOURHOOD_M = 3.0  # m
+MAX_CURVATURE_RATIO = 0.5  # of the curvature across a ridge, the most along it
+MAX_FULL_WEIGHT_PIXEL_M = 0.3  # m of ground along the view in one pixel, beyond which it counts less
+MAX_VOTES = 5000  # ridge points that vote
+MIN_VOTES = 40
+GRID_SEARCH_VOTES = 1000  # of them that vote in the search over everything
+HEADINGS_RAD = np.radians(np.arange(-90.0, 90.0, 1.0))
+CURVATURES_PER_M = np.linspace(-1, 1, 61) / 22.0  # 1/m
+HILL_CLIMB_STARTS, HILL_CLIMB_STEPS = 10, 9
+ANGLE_STD_RAD = np.radians(4.0)  # by which a ridge may point aside of the road, one standard deviation
+COARSE_BIN_M, MEDIUM_BIN_M, FINE_BIN_M = 0.5, 0.25, 0.12  # m, the histogram's cells in the search and towards its end
 
 
-def find_course(rig: StereoRig, background: Background, surface: Surface) -> Alignment | None:
+def estimate_direction(rig: StereoRig, background: Background, surface: RoadSurface) -> Alignment | None:
     """The road's course, to some decimetres over its visible length; None where the ground shows nothing like lines."""
     found = ridge_points(rig, background, surface)
-    if len(found.ground) < FEWEST:
+    if len(found.ground) < MIN_VOTES:
         return None
-    return found.course()
+    return found.best_alignment()
 
 
 @dataclass(frozen=True, eq=False)
-class Votes:
+class DirectionVotes:
     """Points of paint on the ground (N, 2), the angles (N,) they run at and their ``weight`` (N,)."""
 
     ground: Array
     angle: Array
     weight: Array
 
-    def course(self) -> Alignment:
+    def best_alignment(self) -> Alignment:
         """The arc, with its deviation, that the votes agree on best."""
-        votes, place = self.some(MOST), np.median(self.ground, axis=0)
-        few = votes.some(FEW)
-        grid = [Alignment(place, heading, curvature) for heading in HEADINGS for curvature in CURVATURES]
-        scores = np.array([few.agreement(alignment, ROUGH) for alignment in grid])
-        climbed = [votes.climb(grid[i]) for i in np.argsort(-scores)[:STARTS]]
-        return votes.polish(max(climbed, key=lambda alignment: votes.agreement(alignment, FINE)))
+        votes, place = self.subsample(MAX_VOTES), np.median(self.ground, axis=0)
+        few = votes.subsample(GRID_SEARCH_VOTES)
+        grid = [Alignment(place, heading, curvature) for heading in HEADINGS_RAD for curvature in CURVATURES_PER_M]
+        scores = np.array([few.concentration(alignment, COARSE_BIN_M) for alignment in grid])
+        climbed = [votes.hill_climb(grid[i]) for i in np.argsort(-scores)[:HILL_CLIMB_STARTS]]
+        return votes.refine(max(climbed, key=lambda alignment: votes.concentration(alignment, FINE_BIN_M)))
 
-    def some(self, count: int) -> Votes:
+    def subsample(self, count: int) -> DirectionVotes:
         """About ``count`` of the points, by chance, but the same ones each time."""
         chosen = np.random.default_rng(0).random(len(self.weight)) < count / len(self.weight)
-        return Votes(self.ground[chosen], self.angle[chosen], self.weight[chosen])
+        return DirectionVotes(self.ground[chosen], self.angle[chosen], self.weight[chosen])
 
-    def agreement(self, alignment: Alignment, cell: float) -> float:
+    def concentration(self, alignment: Alignment, cell: float) -> float:
         """How well the points that run along ``alignment`` gather in few lines parallel to it: the sum of squares of
         their histogram over d in cells of ``cell`` m, each point shared between two so that it is smooth."""
         s, d = alignment.from_ground(self.ground)
         aside = self.angle - alignment.direction(s)
         aside -= np.pi * np.round(aside / np.pi)
-        weight = self.weight * np.exp(-0.5 * (aside / TURN) ** 2)
+        weight = self.weight * np.exp(-0.5 * (aside / ANGLE_STD_RAD) ** 2)
         position = (d - d.min()) / cell
         low = position.astype(np.int64)
         part, cells = position - low, int(low.max()) + 2
         count = np.bincount(low, weight * (1 - part), cells) + np.bincount(low + 1, weight * part, cells)
         return float(count @ count)
 
-    def climb(self, start: Alignment) -> Alignment:
+    def hill_climb(self, start: Alignment) -> Alignment:
         """The best alignment near ``start``, by a pattern search that halves its steps."""
-        best, score = start, self.agreement(start, FINE)
-        turn, bend = (HEADINGS[1] - HEADINGS[0]) / 2, (CURVATURES[1] - CURVATURES[0]) / 2
-        for _ in range(CLIMBS):
+        best, score = start, self.concentration(start, FINE_BIN_M)
+        turn, bend = (HEADINGS_RAD[1] - HEADINGS_RAD[0]) / 2, (CURVATURES_PER_M[1] - CURVATURES_PER_M[0]) / 2
+        for _ in range(HILL_CLIMB_STEPS):
             around = [
                 replace(best, heading=best.heading + a * turn, curvature=best.curvature + b * bend)
                 for a, b in product((-1, 0, 1), repeat=2)
                 if a or b
             ]
-            scores = [self.agreement(alignment, FINE) for alignment in around]
+            scores = [self.concentration(alignment, FINE_BIN_M) for alignment in around]
             top = int(np.argmax(scores))
             if scores[top] > score:
                 best, score = around[top], scores[top]
@@ -97,7 +97,7 @@ class Votes:
                 turn, bend = turn / 2, bend / 2
         return best
 
-    def polish(self, start: Alignment) -> Alignment:
+    def refine(self, start: Alignment) -> Alignment:
         """The best alignment near ``start`` that may also deviate from its arc, slowly."""
         step = np.array([np.radians(0.5), 3e-4, 0.3, 0.1])
 
@@ -109,9 +109,9 @@ class Votes:
             )
 
         x = np.zeros(4)
-        for cell in (ROUGH, MIDDLING, FINE):
+        for cell in (COARSE_BIN_M, MEDIUM_BIN_M, FINE_BIN_M):
             found = minimize(
-                lambda x, cell=cell: -self.agreement(bent(x), cell) * np.exp(-0.01 * x @ x),
+                lambda x, cell=cell: -self.concentration(bent(x), cell) * np.exp(-0.01 * x @ x),
                 x,
                 method="Nelder-Mead",
                 options={"initial_simplex": np.vstack([x, x + np.eye(4)]), "maxfev": 150, "xatol": 0.02, "fatol": 0.0},
@@ -120,33 +120,42 @@ class Votes:
         return bent(x)
 
 
-def ridge_points(rig: StereoRig, background: Background, surface: Surface) -> Votes:
+def ridge_points(rig: StereoRig, background: Background, surface: RoadSurface) -> DirectionVotes:
     """Thin bright ridges that both views show at the same place of the ground: what stands above it, they do not."""
-    x, z = np.arange(-ASIDE, ASIDE, CELL), np.arange(NEAREST, FARTHEST, CELL)
+    x, z = np.arange(-MAX_LATERAL_M, MAX_LATERAL_M, CELL_M), np.arange(MIN_DISTANCE_M, MAX_DISTANCE_M, CELL_M)
     ground = np.stack(np.meshgrid(x, z), axis=-1)
-    views = [_ridges(chart(rig, background, side, surface, ground)) for side in (0, 1)]
+    views = [_ridges(map_to_ground(rig, background, side, surface, ground)) for side in (0, 1)]
     near = [cv2.dilate(strength, np.ones((3, 3), np.uint8)) for strength, _ in views]
     row, column = np.nonzero((views[0][0] > 0) & (near[1] > 0))
     strength, angle = (values[row, column].astype(float) for values in views[0])
     strength = np.minimum(strength, near[1][row, column])
     # far away a pixel covers much ground, and its neighbours on the chart are no further evidence
     covered = z[row] ** 2 / (rig.left.K[1, 1] * np.linalg.norm(surface.origin))
-    return Votes(ground[row, column], angle, np.minimum(strength, PLAIN) * np.minimum(1.0, PIXEL / covered))
+    return DirectionVotes(
+        ground[row, column],
+        angle,
+        np.minimum(strength, MAX_COUNTED_STRENGTH) * np.minimum(1.0, MAX_FULL_WEIGHT_PIXEL_M / covered),
+    )
 
 
-def _ridges(view: Chart) -> tuple[Image, Image]:
+def _ridges(view: GroundImage) -> tuple[Image, Image]:
     """Strength (H, W) of a view's ridges on their crests, 0 elsewhere, and the angle they run at (rad, from ahead to
     the right)."""
-    light = cv2.GaussianBlur(view.light, (0, 0), RIDGE / CELL)
-    scale = (RIDGE / CELL) ** 2 / 4
+    light = cv2.GaussianBlur(view.log_intensity, (0, 0), RIDGE_SCALE_M / CELL_M)
+    scale = (RIDGE_SCALE_M / CELL_M) ** 2 / 4
     xx, zz, xz = (scale * cv2.Sobel(light, cv2.CV_32F, i, j, ksize=3) for i, j in ((2, 0), (0, 2), (1, 1)))
     mean, half = (xx + zz) / 2, np.hypot((xx - zz) / 2, xz)
     strength, along = np.maximum(half - mean, 0), np.abs(half + mean)  # the Hessian's eigenvalues
-    window = (round(AROUND / CELL),) * 2
-    known = cv2.blur(view.seen.astype(np.float32), window)
-    usual = cv2.blur(strength * view.seen, window) / np.maximum(known, 1e-3)
-    whole = cv2.erode(view.seen.astype(np.uint8), np.ones((7, 7), np.uint8)) > 0
-    ridge = whole & (strength > CONTRAST) & (strength > ABOVE_TEXTURE * usual) & (along < LINEAR * strength)
+    window = (round(NEIGHBOURHOOD_M / CELL_M),) * 2
+    known = cv2.blur(view.visible.astype(np.float32), window)
+    usual = cv2.blur(strength * view.visible, window) / np.maximum(known, 1e-3)
+    whole = cv2.erode(view.visible.astype(np.uint8), np.ones((7, 7), np.uint8)) > 0
+    ridge = (
+        whole
+        & (strength > MIN_RIDGE_STRENGTH)
+        & (strength > MIN_STRENGTH_RATIO * usual)
+        & (along < MAX_CURVATURE_RATIO * strength)
+    )
     normal = 0.5 * np.arctan2(-2 * xz, zz - xx)  # of the eigenvector across, from x towards z
     row, column = np.nonzero(ridge)
     step = np.sin(normal[row, column]), np.cos(normal[row, column])

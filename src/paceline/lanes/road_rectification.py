@@ -10,27 +10,27 @@ from numpy.typing import NDArray
 
 from paceline.arrays import Array, Image, Mask
 from paceline.cameras import StereoRig
-from paceline.lanes.inverse_perspective import chart, pixel_size
+from paceline.lanes.inverse_perspective import map_to_ground, pixel_size
 from paceline.lanes.road_alignment import Alignment
-from paceline.lanes.road_surface import Surface
+from paceline.lanes.road_surface import RoadSurface
 from paceline.recordings.background import Background
 
-REACH = 16.0  # m to either side of the course
-CELL = 0.02  # m across
-LEAST_STEP = 0.25  # m along
-PIXELS = 1.5  # a step along covers at least
-FINER = 4  # samples along each step, averaged
-FARTHEST = 110.0  # m
-MOST_TURNED = np.radians(120.0)  # of the arc, to either side of its middle
-WIDTHS = (0.12, 0.24)  # m of paint looked for
-GAP, BESIDE = 0.08, 0.16  # m between paint and the asphalt it is compared with, and of that asphalt
-LEAST_CONTRAST = 0.1  # of paint to the brighter side of the asphalt, in logarithms
-ABOVE_TEXTURE = 2.5  # times the contrasts usual around it
-AROUND = (3.0, 4.0)  # m along and across that are around
+HALF_WIDTH_M = 16.0  # m to either side of the course
+CELL_M = 0.02  # m across
+MIN_STEP_M = 0.25  # m along
+MIN_STEP_PX = 1.5  # a step along covers at least
+SAMPLES_PER_STEP = 4  # samples along each step, averaged
+MAX_DEPTH_M = 110.0  # m
+MAX_TURN_RAD = np.radians(120.0)  # of the arc, to either side of its middle
+PAINT_WIDTHS_M = (0.12, 0.24)  # m of paint looked for
+ASPHALT_GAP_M, ASPHALT_WIDTH_M = 0.08, 0.16  # m between paint and the asphalt it is compared with, and of that asphalt
+MIN_LOG_CONTRAST = 0.1  # of paint to the brighter side of the asphalt, in logarithms
+MIN_TEXTURE_RATIO = 2.5  # times the contrasts usual around it
+NEIGHBOURHOOD_M = (3.0, 4.0)  # m along and across that are around
 
 
 @dataclass(frozen=True, eq=False)
-class Strip:
+class RectifiedRoad:
     """One view of the road unrolled: at ``s`` (N,) and ``d`` (M,), with ``step`` (N,) m between the s, where paint
     ``stands_out`` (N, M) on its middle line, and where the road is ``seen`` (N, M). ``brighter`` (N, M) is how much
     each place exceeds what lies beside it, in logarithms."""
@@ -38,43 +38,45 @@ class Strip:
     s: Array
     step: Array
     d: Array
-    brighter: Image
-    stands_out: Mask
-    seen: Mask
+    contrast: Image
+    is_paint: Mask
+    visible: Mask
 
-    def places(self, row: NDArray[np.int64], column: NDArray[np.int64]) -> Array:
+    def paint_offsets(self, row: NDArray[np.int64], column: NDArray[np.int64]) -> Array:
         """d (K,) of the paint's middle to a fraction of a cell, by a parabola through the contrasts about it."""
         inside = np.clip(column, 1, len(self.d) - 2)
-        low, top, high = (self.brighter[row, inside + k].astype(float) for k in (-1, 0, 1))
+        low, top, high = (self.contrast[row, inside + k].astype(float) for k in (-1, 0, 1))
         bend = np.minimum(low - 2 * top + high, -1e-6)
-        return np.asarray(self.d[inside] + CELL * np.clip(0.5 * (low - high) / bend, -0.5, 0.5))
+        return np.asarray(self.d[inside] + CELL_M * np.clip(0.5 * (low - high) / bend, -0.5, 0.5))
 
 
-def unroll(rig: StereoRig, background: Background, surface: Surface, course: Alignment) -> tuple[Strip, Strip]:
+def rectify(
+    rig: StereoRig, background: Background, surface: RoadSurface, alignment: Alignment
+) -> tuple[RectifiedRoad, RectifiedRoad]:
     """Both views of the road along ``course``."""
-    s, step = stations(rig, surface, course)
-    d = np.arange(-REACH, REACH, CELL)
-    fine = (s[:, None] + step[:, None] * ((np.arange(FINER) + 0.5) / FINER - 0.5)).ravel()
-    ground = course.to_ground(fine[:, None], d)
+    s, step = sample_positions(rig, surface, alignment)
+    d = np.arange(-HALF_WIDTH_M, HALF_WIDTH_M, CELL_M)
+    fine = (s[:, None] + step[:, None] * ((np.arange(SAMPLES_PER_STEP) + 0.5) / SAMPLES_PER_STEP - 0.5)).ravel()
+    ground = alignment.to_ground(fine[:, None], d)
     strips = []
     for side in (0, 1):
-        view = chart(rig, background, side, surface, ground)
-        light = np.asarray(view.light.reshape(len(s), FINER, len(d)).mean(1), np.float32)
-        seen = np.asarray(view.seen.reshape(len(s), FINER, len(d)).all(1))
-        brighter, least = _contrasts(light)
-        stands_out = _stands_out(brighter, least, seen, float(np.median(step)))
-        strips.append(Strip(s, step, d, brighter, stands_out, seen))
+        view = map_to_ground(rig, background, side, surface, ground)
+        light = np.asarray(view.log_intensity.reshape(len(s), SAMPLES_PER_STEP, len(d)).mean(1), np.float32)
+        visible = np.asarray(view.visible.reshape(len(s), SAMPLES_PER_STEP, len(d)).all(1))
+        contrast, least = _contrasts(light)
+        is_paint = _paint_mask(contrast, least, visible, float(np.median(step)))
+        strips.append(RectifiedRoad(s, step, d, contrast, is_paint, visible))
     return strips[0], strips[1]
 
 
-def stations(rig: StereoRig, surface: Surface, course: Alignment) -> tuple[Array, Array]:
+def sample_positions(rig: StereoRig, surface: RoadSurface, alignment: Alignment) -> tuple[Array, Array]:
     """s (N,) and the steps (N,) between them along what the left view may show of the road."""
-    s = np.arange(-FARTHEST, FARTHEST, LEAST_STEP)
-    if abs(course.curvature) * FARTHEST > MOST_TURNED:
-        s = s[np.abs(s * course.curvature) < MOST_TURNED]
-    depth = surface.points(course.to_ground(s, 0.0))[:, 2]
-    s, depth = s[(depth > 1.0) & (depth < FARTHEST)], depth[(depth > 1.0) & (depth < FARTHEST)]
-    wanted = np.maximum(LEAST_STEP, PIXELS * pixel_size(rig, surface, course, s, 0.0)[:, 0])
+    s = np.arange(-MAX_DEPTH_M, MAX_DEPTH_M, MIN_STEP_M)
+    if abs(alignment.curvature) * MAX_DEPTH_M > MAX_TURN_RAD:
+        s = s[np.abs(s * alignment.curvature) < MAX_TURN_RAD]
+    depth = surface.points(alignment.to_ground(s, 0.0))[:, 2]
+    s, depth = s[(depth > 1.0) & (depth < MAX_DEPTH_M)], depth[(depth > 1.0) & (depth < MAX_DEPTH_M)]
+    wanted = np.maximum(MIN_STEP_M, MIN_STEP_PX * pixel_size(rig, surface, alignment, s, 0.0)[:, 0])
     chosen, steps, end = [], [], -np.inf
     for at, step in zip(s.tolist(), wanted.tolist(), strict=True):
         if at >= end:
@@ -88,10 +90,10 @@ def _contrasts(light: Image) -> tuple[Image, Image]:
     """How much the paint-wide middle at each place exceeds the mean of what lies beside it, and the brighter side of
     it; of the paint widths, the one that exceeds most."""
     best: tuple[Image, Image] = (np.full(light.shape, -np.inf, np.float32), np.full(light.shape, -np.inf, np.float32))
-    for width in WIDTHS:
-        middle = cv2.blur(light, (2 * round(width / CELL / 2) + 1, 1))
-        beside = cv2.blur(light, (2 * round(BESIDE / CELL / 2) + 1, 1))
-        away = round((width / 2 + GAP + BESIDE / 2) / CELL)
+    for width in PAINT_WIDTHS_M:
+        middle = cv2.blur(light, (2 * round(width / CELL_M / 2) + 1, 1))
+        beside = cv2.blur(light, (2 * round(ASPHALT_WIDTH_M / CELL_M / 2) + 1, 1))
+        away = round((width / 2 + ASPHALT_GAP_M + ASPHALT_WIDTH_M / 2) / CELL_M)
         left, right = np.roll(beside, away, axis=1), np.roll(beside, -away, axis=1)
         least = middle - np.maximum(left, right)
         better = least > best[1]
@@ -100,10 +102,10 @@ def _contrasts(light: Image) -> tuple[Image, Image]:
     return np.asarray(cv2.GaussianBlur(best[0], (5, 1), 1.0), np.float32), best[1]
 
 
-def _stands_out(brighter: Image, least: Image, seen: Mask, step: float) -> Mask:
-    window = 2 * round(AROUND[1] / CELL / 2) + 1, 2 * max(1, round(AROUND[0] / step / 2)) + 1
-    known = cv2.blur(seen.astype(np.float32), window)
-    usual = cv2.blur(np.abs(brighter) * seen, window) / np.maximum(known, 1e-3)
-    top = brighter >= cv2.dilate(brighter, np.ones((1, 2 * round(0.15 / CELL) + 1), np.uint8))
-    whole = cv2.erode(seen.astype(np.uint8), np.ones((1, 2 * round(0.4 / CELL) + 1), np.uint8)) > 0
-    return np.asarray(top & whole & (least > LEAST_CONTRAST) & (least > ABOVE_TEXTURE * usual))
+def _paint_mask(contrast: Image, least: Image, visible: Mask, step: float) -> Mask:
+    window = 2 * round(NEIGHBOURHOOD_M[1] / CELL_M / 2) + 1, 2 * max(1, round(NEIGHBOURHOOD_M[0] / step / 2)) + 1
+    known = cv2.blur(visible.astype(np.float32), window)
+    usual = cv2.blur(np.abs(contrast) * visible, window) / np.maximum(known, 1e-3)
+    top = contrast >= cv2.dilate(contrast, np.ones((1, 2 * round(0.15 / CELL_M) + 1), np.uint8))
+    whole = cv2.erode(visible.astype(np.uint8), np.ones((1, 2 * round(0.4 / CELL_M) + 1), np.uint8)) > 0
+    return np.asarray(top & whole & (least > MIN_LOG_CONTRAST) & (least > MIN_TEXTURE_RATIO * usual))

@@ -14,14 +14,14 @@ import numpy as np
 from paceline.arrays import Array
 from paceline.cameras import StereoRig
 
-SCALE = 30.0  # m: at it, each φⱼ is about 1
-TERMS = 6
-NEWTON = 5  # steps, after which less than a micrometre is left on roads
-FARTHEST_RAY = 2e3  # m
+SCALE_M = 30.0  # m: at it, each φⱼ is about 1
+HEIGHT_TERMS = 6
+NEWTON_STEPS = 5  # steps, after which less than a micrometre is left on roads
+MAX_RAY_M = 2e3  # m
 
 
 @dataclass(frozen=True, eq=False)
-class Surface:
+class RoadSurface:
     """A ground frame and the surface above it.
 
     ``origin`` (3,) and ``axes`` (3, 3), columns right, up and ahead, are in the world frame; ``heights`` (6,) are the
@@ -35,7 +35,7 @@ class Surface:
 
     def basis(self, ground: Array) -> Array:
         """The φⱼ (…, 6) at ``ground`` (…, 2)."""
-        x, z = np.moveaxis((np.asarray(ground, float) - self.middle) / SCALE, -1, 0)
+        x, z = np.moveaxis((np.asarray(ground, float) - self.middle) / SCALE_M, -1, 0)
         return np.stack([np.ones_like(x), x, z, x * x, x * z, z * z], axis=-1)
 
     def points(self, ground: Array) -> Array:
@@ -47,11 +47,11 @@ class Surface:
 
     def slopes(self, ground: Array) -> Array:
         """∂h/∂x and ∂h/∂z (…, 2) at ``ground`` (…, 2)."""
-        x, z = np.moveaxis((np.asarray(ground, float) - self.middle) / SCALE, -1, 0)
-        _, right, ahead, xx, xz, zz = self.heights / SCALE
+        x, z = np.moveaxis((np.asarray(ground, float) - self.middle) / SCALE_M, -1, 0)
+        _, right, ahead, xx, xz, zz = self.heights / SCALE_M
         return np.stack([right + 2 * xx * x + xz * z, ahead + xz * x + 2 * zz * z], axis=-1)
 
-    def meet(self, centre: Array, rays: Array) -> Array:
+    def intersect(self, centre: Array, rays: Array) -> Array:
         """Ground coordinates (…, 2) where ``rays`` (…, 3) from a ``centre`` (3,) meet the surface; NaN where none does.
 
         Newton's method along each ray, from where it meets the plane.
@@ -60,32 +60,32 @@ class Surface:
         level = [0, 2]
         with np.errstate(divide="ignore", invalid="ignore"):
             depth = -start[1] / towards[..., 1]
-            for _ in range(NEWTON):
-                depth = np.where((depth > 0) & (depth < FARTHEST_RAY), depth, np.nan)
+            for _ in range(NEWTON_STEPS):
+                depth = np.where((depth > 0) & (depth < MAX_RAY_M), depth, np.nan)
                 ground = start[level] + depth[..., None] * towards[..., level]
                 above = start[1] + depth * towards[..., 1] - self.basis(ground) @ self.heights
                 depth = depth - above / (towards[..., 1] - (self.slopes(ground) * towards[..., level]).sum(-1))
         return np.asarray(start[level] + depth[..., None] * towards[..., level])
 
-    def seen_at(self, rig: StereoRig, side: int, pixels: Array) -> Array:
+    def ground_at(self, rig: StereoRig, side: int, pixels: Array) -> Array:
         """Ground coordinates (…, 2) of the surface at ideal ``pixels`` (…, 2) of the left (0) or right (1) view."""
-        centre, rays = viewing(rig, side, pixels)
-        return self.meet(centre, rays)
+        centre, rays = viewing_rays(rig, side, pixels)
+        return self.intersect(centre, rays)
 
-    def with_heights(self, heights: Array) -> Surface:
+    def with_heights(self, heights: Array) -> RoadSurface:
         return replace(self, heights=heights)
 
 
-def viewing(rig: StereoRig, side: int, pixels: Array) -> tuple[Array, Array]:
+def viewing_rays(rig: StereoRig, side: int, pixels: Array) -> tuple[Array, Array]:
     """Centre (3,) of a camera of ``rig`` and the directions (…, 3) of its ``pixels`` (…, 2), in the world."""
     rays = rig.cameras[side].rays(pixels)
     return rig.centres[side], rays if side == 0 else rays @ rig.R
 
 
-def plane_surface(normal: Array, distance: float, middle_ahead: float) -> Surface:
+def plane_surface(normal: Array, distance: float, middle_ahead: float) -> RoadSurface:
     """The plane ``normal``·X = ``distance`` m below the left camera, ``normal`` (3,) pointing down."""
     down = normal / np.linalg.norm(normal)
     ahead = np.array([0.0, 0.0, 1.0]) - down[2] * down
     ahead /= np.linalg.norm(ahead)
     axes = np.stack([np.cross(down, ahead), -down, ahead], axis=1)
-    return Surface(distance * down, axes, np.array([0.0, middle_ahead]), np.zeros(TERMS))
+    return RoadSurface(distance * down, axes, np.array([0.0, middle_ahead]), np.zeros(HEIGHT_TERMS))

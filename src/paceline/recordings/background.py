@@ -1,4 +1,4 @@
-"""The empty scene behind the traffic: what each pixel shows most of the time a stationary camera looks."""
+"""The background of a recording: what each pixel of a stationary camera shows when nothing passes."""
 
 from __future__ import annotations
 
@@ -12,39 +12,39 @@ from paceline.progress import Progress
 from paceline.recordings.stereo import StereoRecording
 from paceline.verdicts import NO_REASON, Message, message
 
-FRAMES = 31  # looked at, evenly spread: what the memory holds however long the recording is
-FEWEST = 5  # pairs of frames from which what moves can be told from what stands
-SHORTEST_SHARE = 0.4  # of a pixel's values that lie closest together: what stands still, shown that often or more
-NEAR = 3.0  # standard deviations within which a value belongs to what stands still
-LEAST_NOISE = 0.5  # grey levels, of rounding
-BUSIEST = 4.0  # times the usual noise: more is no noise but something that moves
-SETTLED = 0.5  # share of the frames that must show a pixel's background
-MOSTLY_UNSETTLED = 0.3  # share of the pictures without a background from which on the cameras cannot have stood still
-STRIP = 64  # rows worked on at once
-COARSE = 4  # px between those that tell the usual noise
+BACKGROUND_FRAMES = 31  # evenly spread: as many as fit in memory however long the recording is
+MIN_FRAMES = 5  # from which moving objects can be separated from the background
+SHORTH_SHARE = 0.4  # of a pixel's values, in the shortest interval: the background is visible that often or more
+MAX_BACKGROUND_SIGMA = 3.0  # standard deviations within which a value belongs to the background
+MIN_NOISE_GREY = 0.5  # due to rounding
+MAX_NOISE_RATIO = 4.0  # of a pixel's noise to the usual one: more is due to motion
+MIN_STABLE_SHARE = 0.5  # of the frames that show the background of a stable pixel
+MAX_UNSTABLE_SHARE = 0.3  # of the pixels: more means that the cameras moved
+ROWS_PER_BLOCK = 64  # processed at once
+NOISE_SAMPLE_STEP_PX = 4  # between the pixels from which the usual noise is estimated
 
 
 @dataclass(frozen=True, eq=False)
 class Background:
-    """The scene without what moves: grey (H, W) on a 0–255 scale in ideal pixels, and where it is ``settled``: shown,
-    unhidden, by most of the ``frames``."""
+    """The scene without moving objects: grey (H, W) on a 0–255 scale in ideal pixels, and where it is ``stable``:
+    visible in most of the ``frames``."""
 
     images: tuple[Image, Image]
-    settled: tuple[Mask, Mask]
+    stable: tuple[Mask, Mask]
     frames: int
 
     @property
-    def unsettled_share(self) -> float:
-        """Of both pictures, the part in which no background stands out."""
-        return 1.0 - float(np.mean([mask.mean() for mask in self.settled]))
+    def unstable_share(self) -> float:
+        """The share of both images in which the background is not stable."""
+        return 1.0 - float(np.mean([mask.mean() for mask in self.stable]))
 
 
-def empty_scene(recording: StereoRecording, progress: Progress | None = None) -> Background:
-    """The background of both views from up to `FRAMES` frames spread evenly over ``recording``.
+def estimate_background(recording: StereoRecording, progress: Progress | None = None) -> Background:
+    """The background of both views from up to `BACKGROUND_FRAMES` frames spread evenly over ``recording``.
 
-    Copies of an earlier frame are left out; there may be fewer than `FEWEST` frames, which is for the caller to judge.
+    Copies of an earlier frame are left out; there may be fewer than `MIN_FRAMES` frames: see `background_problem`.
     """
-    chosen = np.unique(np.linspace(0, len(recording) - 1, min(FRAMES, len(recording))).round().astype(int))
+    chosen = np.unique(np.linspace(0, len(recording) - 1, min(BACKGROUND_FRAMES, len(recording))).round().astype(int))
     stacks: tuple[list[NDArray[np.float16]], list[NDArray[np.float16]]] = [], []
     for done, k in enumerate(chosen, 1):
         at = int(recording.indices[k])
@@ -54,44 +54,45 @@ def empty_scene(recording: StereoRecording, progress: Progress | None = None) ->
                 stacks[1].append(frame.right.astype(np.float16))
         if progress:
             progress(done, len(chosen))
-    return background_of(*stacks)
+    return background_from(*stacks)
 
 
-def background_of(left: list[NDArray[np.float16]], right: list[NDArray[np.float16]]) -> Background:
-    """The background behind as many pictures (H, W) of either view."""
-    found = [steady(np.stack(stack)) for stack in (left, right)]
+def background_from(left: list[NDArray[np.float16]], right: list[NDArray[np.float16]]) -> Background:
+    """The background of as many images (H, W) of either view."""
+    found = [shorth_background(np.stack(stack)) for stack in (left, right)]
     return Background((found[0][0], found[1][0]), (found[0][1], found[1][1]), len(left))
 
 
-def no_background(background: Background) -> Message:
-    """Why the recording shows no empty road; empty where it does."""
-    if background.frames < FEWEST:
-        return message("background_too_few_frames", frames=background.frames, min_frames=FEWEST)
-    if (share := background.unsettled_share) > MOSTLY_UNSETTLED:
-        return message("background_unstable", unstable=100 * share, max_unstable=100 * MOSTLY_UNSETTLED)
+def background_problem(background: Background) -> Message:
+    """Why a background cannot be used; empty where it can."""
+    if background.frames < MIN_FRAMES:
+        return message("background_too_few_frames", frames=background.frames, min_frames=MIN_FRAMES)
+    if (share := background.unstable_share) > MAX_UNSTABLE_SHARE:
+        return message("background_unstable", unstable=100 * share, max_unstable=100 * MAX_UNSTABLE_SHARE)
     return NO_REASON
 
 
-def steady(stack: NDArray[np.float16]) -> tuple[Image, Mask]:
-    """What each pixel of a ``stack`` (N, H, W) shows when nothing passes, and where most of the frames show it.
+def shorth_background(stack: NDArray[np.float16]) -> tuple[Image, Mask]:
+    """The background (H, W) of a ``stack`` (N, H, W), and where most of the frames show it.
 
-    The values that lie closest together (the shorth, but of `SHORTEST_SHARE` of them, so that a road seen in fewer
-    frames than half is still found) say where the background is; the mean of all values near them is the result.
+    The shortest interval that holds a share `SHORTH_SHARE` of a pixel's values (the shorth has half of them; with fewer
+    a road is found that is visible in less than half of the frames) locates the background; the mean of all values near
+    it is the result.
     """
     count, height, width = stack.shape
     image, share = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
-    least = min(count, max(2, int(np.ceil(SHORTEST_SHARE * count))))
-    some = np.sort(stack[:, ::COARSE, ::COARSE].astype(np.float32), axis=0)
-    usual = max(float(np.median((some[least - 1 :] - some[: count - least + 1]).min(0))), LEAST_NOISE)
-    for row in range(0, height, STRIP):
-        values = np.sort(stack[:, row : row + STRIP].astype(np.float32), axis=0)
+    least = min(count, max(2, int(np.ceil(SHORTH_SHARE * count))))
+    some = np.sort(stack[:, ::NOISE_SAMPLE_STEP_PX, ::NOISE_SAMPLE_STEP_PX].astype(np.float32), axis=0)
+    usual = max(float(np.median((some[least - 1 :] - some[: count - least + 1]).min(0))), MIN_NOISE_GREY)
+    for row in range(0, height, ROWS_PER_BLOCK):
+        values = np.sort(stack[:, row : row + ROWS_PER_BLOCK].astype(np.float32), axis=0)
         spread = values[least - 1 :] - values[: count - least + 1]
         first = np.argmin(spread, axis=0)[None]
         narrowest = np.take_along_axis(spread, first, 0)
         centre = np.take_along_axis(values, first + least // 2, 0)
-        # a normal spread holds its densest two fifths within one standard deviation
-        sigma = np.clip(narrowest, usual, BUSIEST * usual)
-        near = np.abs(values - centre) <= NEAR * sigma
-        image[row : row + STRIP] = (values * near).sum(0) / near.sum(0)
-        share[row : row + STRIP] = near.mean(0)
-    return image, share >= SETTLED
+        # a normal distribution holds its densest two fifths within one standard deviation
+        sigma = np.clip(narrowest, usual, MAX_NOISE_RATIO * usual)
+        near = np.abs(values - centre) <= MAX_BACKGROUND_SIGMA * sigma
+        image[row : row + ROWS_PER_BLOCK] = (values * near).sum(0) / near.sum(0)
+        share[row : row + ROWS_PER_BLOCK] = near.mean(0)
+    return image, share >= MIN_STABLE_SHARE

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from paceline.detection.finder import Found
+from paceline.detection.finder import DetectedVehicle
 from paceline.reports.common.drawing import WHITE_BGR, Color, Picture, draw_label, draw_outline, scale_points
 
 OUTLINE_COLOR: Color = (110, 220, 90)
@@ -14,13 +14,13 @@ PICTURE_HEIGHT_PX = 420  # px
 DISPLAY_GAMMA = 0.6  # exponent by which dark recordings are shown brighter
 
 
-def draw_detected_vehicle(found: Found, height: int = PICTURE_HEIGHT_PX) -> Picture:
+def draw_detected_vehicle(found: DetectedVehicle, height: int = PICTURE_HEIGHT_PX) -> Picture:
     """Both views about a vehicle in the frame in which it is outlined, ``height`` px high. It has to have an
     outline."""
     assert found.vehicle is not None, "there is an outline to draw"
     views = []
     for side, (crop, corner, quad) in enumerate(
-        zip(found.crops, found.corners, (found.vehicle.left, found.vehicle.right), strict=True)
+        zip(found.crops, found.crop_origins, (found.vehicle.left, found.vehicle.right), strict=True)
     ):
         scale = height / crop.shape[0]
         picture = _brightened(crop, scale, height)

@@ -7,7 +7,7 @@ import numpy as np
 
 from paceline.arrays import Array
 from paceline.cameras import StereoRig
-from paceline.lanes.lane_proposals import Lane, Line
+from paceline.lanes.lane_proposals import Lane, RoadLine
 from paceline.recordings.background import Background
 from paceline.reports.common.drawing import (
     SUBPIXEL_BITS,
@@ -27,7 +27,9 @@ UNUSED_COLOR: Color = (90, 90, 230)
 DISPLAY_GAMMA = 0.6  # exponent by which dark recordings are shown brighter
 
 
-def draw_lanes(rig: StereoRig, background: Background, side: int, lines: list[Line], lanes: dict[str, Lane]) -> Picture:
+def draw_lanes(
+    rig: StereoRig, background: Background, side: int, lines: list[RoadLine], lanes: dict[str, Lane]
+) -> Picture:
     """The left (0) or right (1) view in ideal pixels: lines in yellow with their 95 % band, in red those that bound no
     lane, centre lines of lanes in green."""
     image = background.images[side]
@@ -64,11 +66,11 @@ def _label_position(picture: Picture, pixels: Array, share: float) -> tuple[floa
     return float(x), float(y)
 
 
-def _draw_band(picture: Picture, rig: StereoRig, side: int, line: Line, color: Color) -> None:
+def _draw_band(picture: Picture, rig: StereoRig, side: int, line: RoadLine, color: Color) -> None:
     along = np.gradient(line.points, axis=0)
     across = np.stack([along[:, 2], np.zeros(len(along)), -along[:, 0]], axis=1)
     across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
-    shift = COVERAGE_95 * line.sigma[:, None] * across
+    shift = COVERAGE_95 * line.lateral_std[:, None] * across
     edges = [rig.project(line.points + sign * shift)[side] for sign in (-1, 1)]
     polygon = np.array([to_fixed_point(p) for p in np.concatenate([edges[0], edges[1][::-1]])], np.int32)
     shade = picture.copy()

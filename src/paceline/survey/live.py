@@ -1,8 +1,8 @@
-"""Vehicle after vehicle, measured while the cameras record.
+"""Measurement of vehicle after vehicle while the cameras record.
 
-First the empty scene is learned, unless a detector proposes the vehicles along given paths; from then on every pair of
-frames is looked through for vehicles. Each vehicle that has gone is outlined, and measured on the frames of the last
-seconds, in a process of its own so that the looking goes on.
+First the background is estimated, unless a detector proposes the vehicles along given paths; from then on vehicles are
+detected in every image pair. Each vehicle that has passed is outlined and measured on the buffered image pairs, in a
+process of its own so that detection goes on.
 """
 
 from __future__ import annotations
@@ -22,15 +22,20 @@ from numpy.typing import NDArray
 from paceline.blas import on_one_blas_thread
 from paceline.cameras import ALL_ROWS
 from paceline.detection import plane_sweep
-from paceline.detection.background_model import Detect, DetectedScene, EmptyScene, Scene
-from paceline.detection.finder import Finder, Found, Register, as_seen, found_on
-from paceline.detection.lane_paths import ways_of
-from paceline.detection.search import with_lanes_found
-from paceline.detection.tracks import Track
+from paceline.detection.background_model import (
+    BackgroundModel,
+    DetectBoxes,
+    DetectorBackground,
+    RunningMedianBackground,
+)
+from paceline.detection.finder import DetectedVehicle, DuplicateFilter, VehicleFinder, outline, without_outline
+from paceline.detection.lane_paths import lane_paths_of
+from paceline.detection.search import with_detected_lanes
+from paceline.detection.tracks import DetectionTrack
 from paceline.documents.loading import Clip
 from paceline.errors import UnusableInput
-from paceline.lanes.road_detection import NoRoad
-from paceline.recordings.background import FRAMES, Background, background_of, no_background
+from paceline.lanes.road_detection import RoadNotFound
+from paceline.recordings.background import BACKGROUND_FRAMES, Background, background_from, background_problem
 from paceline.recordings.live_stereo import LiveViews, RawPair, undistorted
 from paceline.recordings.stereo import StereoFrame
 from paceline.speed.configuration import SpeedConfiguration
@@ -40,20 +45,20 @@ from paceline.speed.results import Measurement
 from paceline.speed.verdict import apply_tolerance
 from paceline.verdicts import Message, message
 
-LEARNING = 30.0  # s in which the empty scene is learned
-APART = 0.2  # s between pairs to measure on, at most: of more pairs than needed every second or third one is left out
+BACKGROUND_S = 30.0  # in which the background is estimated
+MAX_PAIR_SPACING_S = 0.2  # of the pairs to measure on, where every second or third is left out
 
-Told = Callable[[Found, Measurement | None, Message], None]
-Looked = Callable[[RawPair, list[Track]], None]
+OnResult = Callable[[DetectedVehicle, Measurement | None, Message], None]
+OnFrame = Callable[[RawPair, list[DetectionTrack]], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Recent:
-    """The pairs of the last seconds, as a recording of ``clip``'s rig."""
+class BufferedRecording:
+    """The buffered image pairs, as a recording of the rig of ``clip``."""
 
     clip: Clip
     pairs: list[RawPair]
-    rows: slice  # outside which nothing is looked at
+    rows: slice  # that are used
     notices: list[str] = field(default_factory=list)
 
     @property
@@ -64,23 +69,24 @@ class Recent:
         return len(self.pairs)
 
     def frames(self) -> Iterator[StereoFrame]:
-        return in_ideal_pixels(self.pairs, self.clip, self.rows)
+        return undistorted_frames(self.pairs, self.clip, self.rows)
 
 
-def last_seen(track: Track) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The face (4, 2) of what a ``track`` has seen last, in ideal pixels of both views, clockwise from the top left."""
-    assert track.last is not None, "a track begins with a sighting"
+def last_outline(track: DetectionTrack) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The outline (4, 2) of the last detection of a ``track``, in ideal pixels of both views, clockwise from the top
+    left."""
+    assert track.last is not None, "a track begins with a detection"
     (left, right), (low, high) = track.last.x, track.last.y
     corners = np.array([[left, high], [right, high], [right, low], [left, low]])
-    return track.last.way.pixels(track.last.s, corners)
+    return track.last.lane.pixels(track.last.s, corners)
 
 
-def in_ideal_pixels(pairs: Iterable[RawPair], clip: Clip, rows: slice = ALL_ROWS) -> Iterator[StereoFrame]:
-    """The frames of ``pairs`` as the measurement takes them, outside of ``rows`` black."""
-    before = None
+def undistorted_frames(pairs: Iterable[RawPair], clip: Clip, rows: slice = ALL_ROWS) -> Iterator[StereoFrame]:
+    """The frames of ``pairs`` in ideal pixels, black outside ``rows``."""
+    previous = None
     for pair in pairs:
-        yield undistorted(pair, clip.rig, before, rows)
-        before = pair
+        yield undistorted(pair, clip.rig, previous, rows)
+        previous = pair
 
 
 @on_one_blas_thread
@@ -88,72 +94,72 @@ def survey(
     clip: Clip,
     views: LiveViews,
     configuration: SpeedConfiguration,
-    told: Told,
-    learning: float = LEARNING,
-    ready: Callable[[int], None] = lambda paths: None,
-    looked: Looked = lambda pair, tracks: None,
-    detect: Detect | None = None,
+    on_result: OnResult,
+    background_s: float = BACKGROUND_S,
+    on_ready: Callable[[int], None] = lambda paths: None,
+    on_frame: OnFrame = lambda pair, tracks: None,
+    detect: DetectBoxes | None = None,
 ) -> Message:
     """Measure every vehicle that passes, until the sources end or are stopped; returns why there was none, where that
     is so.
 
-    ``told`` is called once for each vehicle that has gone, in the order in which they were found, with its measurement,
-    or None and why it has none; ``ready`` with the number of paths once the scene is learned; ``looked`` with every
-    pair of frames that has been looked through, and what moves in it. With ``detect`` there are vehicles only in its
-    boxes, and nothing is learned where the clip has paths. Raises UnusableInput where no empty road is seen in the
-    first ``learning`` seconds, or where there are neither paths nor lanes.
+    ``on_result`` is called once for each vehicle that has passed, in the order in which they were found, with its
+    measurement, or None and why it has none; ``on_ready`` with the number of paths once the background is estimated;
+    ``on_frame`` with every image pair that has been processed, and the tracks visible in it. With ``detect``, vehicles
+    are found only inside its boxes, and the background is not estimated where the clip has paths. Raises UnusableInput
+    where the road is not visible in the first ``background_s`` seconds, or where there are neither paths nor lanes.
     """
     plane_sweep.warm_up()
     pairs = iter(views)
 
     def first() -> Iterator[RawPair]:
         for pair in pairs:
-            looked(pair, [])
+            on_frame(pair, [])
             yield pair
 
-    scene: Scene | None = None if detect is None else DetectedScene(detect)
-    if scene is None or not clip.paths:
-        background = _learned(clip, first(), learning)
-        if reason := no_background(background):
+    model: BackgroundModel | None = None if detect is None else DetectorBackground(detect)
+    if model is None or not clip.paths:
+        background = _estimate_background(clip, first(), background_s)
+        if reason := background_problem(background):
             raise UnusableInput(f"{clip.path}: {reason}")
         if not clip.paths:
             try:
-                clip = with_lanes_found(clip, background)
-            except NoRoad as error:
+                clip = with_detected_lanes(clip, background)
+            except RoadNotFound as error:
                 raise UnusableInput(f"{clip.path}: paths: there are none, and no lane was found: {error}") from None
-        scene = scene or EmptyScene(background.images)
+        model = model or RunningMedianBackground(background.images)
     else:
-        scene.follow(_begun(clip, pairs))
-    ready(len(clip.paths))
-    finder = Finder(ways_of(clip), scene)
-    recent: deque[RawPair] = deque(maxlen=configuration.live.buffer_pairs)
+        model.update(_first_frame(clip, pairs))
+    on_ready(len(clip.paths))
+    finder = VehicleFinder(lane_paths_of(clip), model)
+    buffer: deque[RawPair] = deque(maxlen=configuration.live.buffer_pairs)
 
-    def remembered() -> Iterator[RawPair]:
+    def buffered() -> Iterator[RawPair]:
         for pair in pairs:
-            recent.append(pair)
+            buffer.append(pair)
             yield pair
 
-    with another_process() as measuring:
-        desk = _Desk(clip, configuration, measuring, told, finder.rows)
-        rows = finder.rows if detect is None else ALL_ROWS  # a detector knows whole vehicles
-        for frame in in_ideal_pixels(remembered(), clip, rows):
-            for track in finder.gone(frame):
-                desk.take(track, recent)
-            desk.tell()
-            looked(recent[-1], finder.in_view)
-        for track in finder.rest():
-            desk.take(track, recent)
-        desk.close()
-    return scene.nothing
+    with worker_process() as worker:
+        queue = MeasurementQueue(clip, configuration, worker, on_result, finder.rows)
+        rows = finder.rows if detect is None else ALL_ROWS  # a detector needs whole vehicles
+        for frame in undistorted_frames(buffered(), clip, rows):
+            for track in finder.finished_tracks(frame):
+                queue.submit(track, buffer)
+            queue.publish()
+            on_frame(buffer[-1], finder.visible_tracks)
+        for track in finder.remaining_tracks():
+            queue.submit(track, buffer)
+        queue.close()
+    return model.no_vehicle_reason
 
 
-def another_process() -> ProcessPoolExecutor:
-    """A process for the measuring. Ctrl-C at a terminal reaches every process: this one goes on, so that what has
-    passed is still measured. Where the process that looks is killed, there is nobody to measure for."""
+def worker_process() -> ProcessPoolExecutor:
+    """A process that measures. Ctrl-C at a terminal reaches every process: this one ignores it, so that what has passed
+    is still measured. It ends when its parent process is killed."""
     executor = ProcessPoolExecutor(1, get_context("spawn"), _end_with_parent)
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
-        executor.submit(int)  # begins the process, which inherits what is blocked
+        executor.submit(int)  # starts the process, which inherits the blocked signal
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
     return executor
@@ -170,149 +176,143 @@ def _end_with_parent() -> None:
     Thread(target=wait, daemon=True).start()
 
 
-def _begun(clip: Clip, pairs: Iterator[RawPair]) -> StereoFrame:
-    """The first of the ``pairs``, judged."""
-    frame = next(in_ideal_pixels(pairs, clip), None)
+def _first_frame(clip: Clip, pairs: Iterator[RawPair]) -> StereoFrame:
+    """The first of the ``pairs``, checked."""
+    frame = next(undistorted_frames(pairs, clip), None)
     if frame is None:
         raise UnusableInput(f"{clip.path}: left and right: ended before they showed anything")
     require_two_views(clip, frame)
     return frame
 
 
-def _learned(clip: Clip, pairs: Iterator[RawPair], learning: float) -> Background:
-    """The background of the first ``learning`` seconds, by frames spread evenly over them."""
+def _estimate_background(clip: Clip, pairs: Iterator[RawPair], background_s: float) -> Background:
+    """The background of the first ``background_s`` seconds, from frames spread evenly over them."""
     stacks: tuple[list[NDArray[np.float16]], list[NDArray[np.float16]]] = [], []
     begun, due = None, 0.0
-    for frame in in_ideal_pixels(pairs, clip):
+    for frame in undistorted_frames(pairs, clip):
         if begun is None:
             require_two_views(clip, frame)
             begun = frame.time
         passed = frame.time - begun
         if passed >= due and not frame.duplicate:
-            due += learning / (FRAMES - 1)
+            due += background_s / (BACKGROUND_FRAMES - 1)
             for stack, image in zip(stacks, (frame.left, frame.right), strict=True):
                 stack.append(image.astype(np.float16))
-        if passed >= learning:
+        if passed >= background_s:
             break
     else:
         raise UnusableInput(
-            f"{clip.path}: left and right: ended within the {learning:g} s in which the empty road is learned"
+            f"{clip.path}: left and right: ended within the {background_s:g} s in which the empty road is learned"
         )
-    return background_of(*stacks)
+    return background_from(*stacks)
 
 
 @dataclass(eq=False)
-class _Case:
-    """A vehicle that waits: first for its outline, then, known as ``found``, for its measurement on the ``pairs`` since
-    it appeared."""
+class PendingVehicle:
+    """A vehicle that waits: first for its outline, then, with it in ``found``, for its measurement on the ``pairs``
+    since it appeared."""
 
-    track: Track
-    outlined: Future[Found]
+    track: DetectionTrack
+    outlined: Future[DetectedVehicle]
     pairs: list[RawPair]
-    found: Found | None = None
-    again: bool = False  # one that was found before
+    found: DetectedVehicle | None = None
+    is_duplicate: bool = False
     measured: Future[Measurement] | None = None
 
 
-class _Desk:
-    """Takes vehicles that have gone, has them measured one after the other, and tells what came of it."""
+class MeasurementQueue:
+    """Vehicles that have passed, measured one after the other in a ``worker`` process, and their results in order."""
 
     def __init__(
         self,
         clip: Clip,
         configuration: SpeedConfiguration,
-        measuring: ProcessPoolExecutor,
-        told: Told,
+        worker: ProcessPoolExecutor,
+        on_result: OnResult,
         rows: slice = ALL_ROWS,
     ) -> None:
-        self._clip, self._configuration, self._measuring, self._told = clip, configuration, measuring, told
-        self._rows, self._cases = rows, deque[_Case]()
-        self._register, self._count = Register(), 0
-        self._latest = deque[Measurement](maxlen=2 * configuration.joint_calibration.neighbours)
+        self._clip, self._configuration, self._worker, self._on_result = clip, configuration, worker, on_result
+        self._rows, self._pending = rows, deque[PendingVehicle]()
+        self._duplicates, self._count = DuplicateFilter(), 0
+        self._recent = deque[Measurement](maxlen=2 * configuration.joint_calibration.neighbours)
 
-    def take(self, track: Track, recent: Iterable[RawPair]) -> None:
-        if (waiting := sum(bool(case.pairs) for case in self._cases)) >= self._configuration.live.queue:
-            outlined: Future[Found] = Future()
-            outlined.set_result(
-                as_seen(track, message("queue_full", waiting=waiting, max_waiting=self._configuration.live.queue))
-            )
-            self._cases.append(_Case(track, outlined, []))
+    def submit(self, track: DetectionTrack, buffer: Iterable[RawPair]) -> None:
+        """Add the vehicle of a ``track``, of which the ``buffer`` holds image pairs."""
+        limit = self._configuration.live.queue
+        if (count := sum(bool(waiting.pairs) for waiting in self._pending)) >= limit:
+            outlined: Future[DetectedVehicle] = Future()
+            outlined.set_result(without_outline(track, message("queue_full", waiting=count, max_waiting=limit)))
+            self._pending.append(PendingVehicle(track, outlined, []))
         else:
-            pairs = [pair for pair in recent if pair.index >= track.first.frame]
-            self._cases.append(_Case(track, self._measuring.submit(found_on, track), pairs))
+            pairs = [pair for pair in buffer if pair.index >= track.first.frame]
+            self._pending.append(PendingVehicle(track, self._worker.submit(outline, track), pairs))
 
-    def tell(self) -> None:
-        """What is known by now, in order."""
-        for case in self._cases:
-            if case.found is None and not case.outlined.done():
+    def publish(self) -> None:
+        """Hand out the results that are known by now, in order."""
+        for waiting in self._pending:
+            if waiting.found is None and not waiting.outlined.done():
                 break
-            self._go_on(case)
-        while self._cases and (first := self._cases[0]).found and (first.measured is None or first.measured.done()):
-            self._tell_first()
+            self._start_measurement(waiting)
+        while self._pending and (first := self._pending[0]).found and (first.measured is None or first.measured.done()):
+            self._publish_first()
 
     def close(self) -> None:
-        """Wait for what is being measured."""
-        for case in self._cases:
-            self._go_on(case)
-        while self._cases:
-            self._tell_first()
+        """Wait for all results and hand them out."""
+        for waiting in self._pending:
+            self._start_measurement(waiting)
+        while self._pending:
+            self._publish_first()
 
-    def _go_on(self, case: _Case) -> None:
-        """Have a vehicle measured, once it is known what its outline is."""
-        if case.found is not None:
+    def _start_measurement(self, waiting: PendingVehicle) -> None:
+        """Have a vehicle measured, once its outline is known."""
+        if waiting.found is not None:
             return
-        case.found = case.outlined.result()
-        case.again = not self._register.is_new(case.track, case.found)
-        if case.again:
+        waiting.found = waiting.outlined.result()
+        waiting.is_duplicate = not self._duplicates.is_new(waiting.track, waiting.found)
+        if waiting.is_duplicate:
             return
-        if (vehicle := case.found.vehicle) is None:
+        if (vehicle := waiting.found.vehicle) is None:
             return
         vehicle = replace(vehicle, id=f"v{self._count}")
         self._count += 1
-        case.found = replace(case.found, vehicle=vehicle)
-        pairs = [pair for pair in case.pairs if pair.index >= vehicle.frame]
+        waiting.found = replace(waiting.found, vehicle=vehicle)
+        pairs = [pair for pair in waiting.pairs if pair.index >= vehicle.frame]
         if not pairs or pairs[0].index > vehicle.frame:
-            case.found = replace(
-                case.found, reason=message("frames_expired", max_pairs=self._configuration.live.buffer_pairs)
-            )
+            reason = message("frames_expired", max_pairs=self._configuration.live.buffer_pairs)
+            waiting.found = replace(waiting.found, reason=reason)
         else:
             clip = replace(self._clip, vehicles=[vehicle])
-            case.measured = self._measuring.submit(
-                _measured,
-                clip,
-                thinned(pairs, self._configuration.live.pairs_per_vehicle),
-                self._rows,
-                self._configuration,
-            )
+            chosen = subsample(pairs, self._configuration.live.pairs_per_vehicle)
+            waiting.measured = self._worker.submit(_measure, clip, chosen, self._rows, self._configuration)
 
-    def _tell_first(self) -> None:
-        case = self._cases.popleft()
-        assert case.found is not None, "what is told is known"
-        if case.again:
+    def _publish_first(self) -> None:
+        waiting = self._pending.popleft()
+        assert waiting.found is not None, "an outline was looked for"
+        if waiting.is_duplicate:
             return
-        measurement, reason = None, case.found.reason
-        if case.measured is not None:
+        measurement, reason = None, waiting.found.reason
+        if waiting.measured is not None:
             try:
-                measurement = self._put_right(case.measured.result())
+                measurement = self._jointly_calibrated(waiting.measured.result())
             except UnusableInput as unusable:
                 reason = message("input_unusable", problem=unusable)
-        self._told(case.found, measurement, reason)
+        self._on_result(waiting.found, measurement, reason)
 
-    def _put_right(self, m: Measurement) -> Measurement:
-        """``m`` with what the latest vehicles tell of the rig, too."""
-        right = apply_tolerance(with_neighbours(m, self._latest, self._configuration), self._configuration.tolerance)
+    def _jointly_calibrated(self, m: Measurement) -> Measurement:
+        """``m`` with what the measurements of recent vehicles add to the calibration."""
+        joint = apply_tolerance(with_neighbours(m, self._recent, self._configuration), self._configuration.tolerance)
         if m.rig_information is not None:
-            self._latest.append(m)
-        return right
+            self._recent.append(m)
+        return joint
 
 
-def thinned(pairs: list[RawPair], most_pairs: int) -> list[RawPair]:
-    """The first of ``pairs`` and as many of the others, evenly spread, as a vehicle is measured on."""
+def subsample(pairs: list[RawPair], max_pairs: int) -> list[RawPair]:
+    """The first of ``pairs`` and every n-th after it: about ``max_pairs``, or more if they would be too far apart."""
     interval = (pairs[-1].time - pairs[0].time) / max(len(pairs) - 1, 1)
-    most = int(APART / interval + 0.1) if interval > 0 else 1
-    return pairs[:: max(min(-(-len(pairs) // most_pairs), most), 1)]
+    most = int(MAX_PAIR_SPACING_S / interval + 0.1) if interval > 0 else 1
+    return pairs[:: max(min(-(-len(pairs) // max_pairs), most), 1)]
 
 
 @on_one_blas_thread
-def _measured(clip: Clip, pairs: list[RawPair], rows: slice, configuration: SpeedConfiguration) -> Measurement:
-    return measure(clip, Recent(clip, pairs, rows), configuration).measurements[0]
+def _measure(clip: Clip, pairs: list[RawPair], rows: slice, configuration: SpeedConfiguration) -> Measurement:
+    return measure(clip, BufferedRecording(clip, pairs, rows), configuration).measurements[0]

@@ -7,8 +7,8 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 
-from paceline.detection.background_model import Detect
-from paceline.detection.onnx_detector import Detector
+from paceline.detection.background_model import DetectBoxes
+from paceline.detection.onnx_detector import OnnxDetector
 from paceline.detection.search import find_vehicles
 from paceline.documents.loading import Clip, load_clip
 from paceline.errors import UnusableInput
@@ -30,7 +30,7 @@ def measure_clip(
     configuration: SpeedConfiguration | None = None,
     progress: Progress | None = None,
     device: DeviceName = "cpu",
-    detect: Detect | None = None,
+    detect: DetectBoxes | None = None,
     method: str = DEFAULT_METHOD,
 ) -> ClipResult:
     """Measure every vehicle of ``clip``, a clip.yaml or what `load_clip` made of it, by the ``method`` of this name;
@@ -56,7 +56,7 @@ def measure_recording(
     configuration: SpeedConfiguration,
     method: str = DEFAULT_METHOD,
     device: DeviceName = "cpu",
-    detect: Detect | None = None,
+    detect: DetectBoxes | None = None,
     stage: Stage = lambda doing: nullcontext(),
     on_estimate: OnEstimate | None = None,
 ) -> ClipResult:
@@ -80,7 +80,7 @@ def measure_recording(
     else:
         result = measured(search.clip)
         result = replace(result, notices=[*result.notices, *search.notices])
-    if isinstance(detect, Detector):
+    if isinstance(detect, OnnxDetector):
         result = replace(
             result,
             configuration={**result.configuration, "detector": detect.name},

@@ -12,7 +12,7 @@ from types import TracebackType
 
 import cv2
 
-from paceline.detection.finder import Found
+from paceline.detection.finder import DetectedVehicle
 from paceline.errors import UnusableInput
 from paceline.reports.common.output_folder import write_all_or_none
 from paceline.reports.common.tables import json_text
@@ -72,7 +72,7 @@ class LiveResults:
         write_all_or_none({self.out / "estimates.csv": (",".join(ESTIMATE_COLUMNS) + "\n").encode(), **self._summary()})
         self._begun = True
 
-    def add(self, measurement: Measurement, found: Found, seen_at: str) -> None:
+    def add(self, measurement: Measurement, found: DetectedVehicle, seen_at: str) -> None:
         """Note a vehicle that has been measured, and was seen first at the time of day ``seen_at``."""
         file = self.out / "estimates.csv"
         try:
@@ -85,7 +85,7 @@ class LiveResults:
         self._keep_picture(measurement.vehicle, found)
         self.save()
 
-    def add_unmeasured(self, found: Found, seen_at: str, reason: Message) -> None:
+    def add_unmeasured(self, found: DetectedVehicle, seen_at: str, reason: Message) -> None:
         """Note a vehicle that could not be measured for a ``reason``."""
         self.unmeasured.append({**_passage_data(found, seen_at), "reason": reason, "reason_code": reason.code})
         self._changed = True
@@ -107,7 +107,7 @@ class LiveResults:
     def _summary(self) -> dict[Path, bytes]:
         return {self.out / "summary.json": json_text(self.document()).encode()}
 
-    def _keep_picture(self, name: str, found: Found) -> None:
+    def _keep_picture(self, name: str, found: DetectedVehicle) -> None:
         """Write the picture of a vehicle, and remove the oldest one where there are enough."""
         picture = draw_detected_vehicle(found, PICTURE_HEIGHT_PX)
         jpeg = bytes(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1])
@@ -117,9 +117,9 @@ class LiveResults:
                 (self.out / PICTURES_FOLDER / f"{self.vehicles[-self.kept_pictures - 1]['vehicle']}.jpg").unlink()
 
 
-def _passage_data(found: Found, seen_at: str) -> dict[str, object]:
+def _passage_data(found: DetectedVehicle, seen_at: str) -> dict[str, object]:
     """Where and when a vehicle was seen."""
-    x, _, z = (round(float(value), 2) for value in found.place)
+    x, _, z = (round(float(value), 2) for value in found.position)
     assert math.isfinite(x + z), "it was seen on its way"
     seen = {"seen_from_s": found.times[0], "seen_to_s": found.times[1], "seen_at": seen_at}
     return {"path": found.path, **seen, "first_seen_m": [x, z]}
