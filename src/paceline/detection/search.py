@@ -21,6 +21,7 @@ from paceline.lanes.site_yaml import lane_names
 from paceline.progress import Progress
 from paceline.recordings.background import Background, background_problem, estimate_background
 from paceline.recordings.stereo import StereoRecording
+from paceline.speed.measurement import require_two_views
 from paceline.verdicts import NO_REASON, Message, message
 
 
