@@ -46,11 +46,11 @@ def run(item: tuple[str, int], latency: float, without: Sequence[str] = ()) -> D
     loop = ClosedLoop(resolve_drive(scene, seed), seed, latency, configuration=configuration)
     figures, taken = DriveStatistics(), []
     for step in loop.steps():
-        figures.add(step, loop.stage.world.body.width)
+        figures.add(step, loop.scene.world.body.width)
         taken.append(step.estimate.latency)
     rows = check_requirements(loop.model, figures)
-    figures.forget()
-    return Drive(scene, seed, loop.stage.scene.kind, figures, rows, 1e3 * float(np.median(taken)))
+    figures.release_step()
+    return Drive(scene, seed, loop.scene.chase_scene.kind, figures, rows, 1e3 * float(np.median(taken)))
 
 
 COLUMNS = (

@@ -29,15 +29,15 @@ from paceline.simulation.chase.clip import ChaseScene, ChaseTruth, Occlusion, re
 from paceline.simulation.random_scenes import random_chase
 from paceline.simulation.vehicle_catalogue import RASTERIZED_KINDS
 
-CALM: dict[str, Any] = {"shadows": 0.0, "parallel": 0.0, "bounce": 2.0, "crowding": 0.5, "ambient": 0.6}
+CALM: dict[str, Any] = {"shadows": 0.0, "parallel_share": 0.0, "shake_px": 2.0, "object_density": 0.5, "ambient": 0.6}
 SCENARIOS: dict[str, Callable[[int], dict[str, Any]]] = {
     "plain": lambda seed: CALM,
     "strong shadows": lambda seed: CALM | {"shadows": 1.6, "ambient": 0.28, "sun_azimuth": 2.7 if seed % 2 else -2.7},
-    "parallel edges": lambda seed: CALM | {"parallel": 1.0, "crowding": 1.6},
-    "bounce": lambda seed: CALM | {"bounce": 5.0},
+    "parallel edges": lambda seed: CALM | {"parallel_share": 1.0, "object_density": 1.6},
+    "shake_px": lambda seed: CALM | {"shake_px": 5.0},
     "occlusion": lambda seed: CALM | {"occlusions": _crossings(seed)},
     "turned by 10°": lambda seed: CALM | {"yaw": np.radians(10.0 if seed % 2 else -10.0)},
-    "everything": lambda seed: {"shadows": 1.3, "parallel": 0.7, "bounce": 4.0, "occlusions": _crossings(seed)},
+    "everything": lambda seed: {"shadows": 1.3, "parallel_share": 0.7, "shake_px": 4.0, "occlusions": _crossings(seed)},
 }
 
 OFF = {  # of the start: x and y in sizes of the target, and the factor of its scale

@@ -30,8 +30,8 @@ def scene_of(car: int, samples: int) -> SpeedScene:
     scene = named_scenes.speed_scene("straight-55")
     assert scene is not None
     vehicle = scene.vehicles[0].model_copy(update={"seed": car})
-    exact = scene.clicks.model_copy(update={"corner": 0.0, "line": 0.0})
-    return scene.model_copy(update={"vehicles": [vehicle], "samples": samples, "clicks": exact})
+    exact = scene.operator_noise.model_copy(update={"corner": 0.0, "line": 0.0})
+    return scene.model_copy(update={"vehicles": [vehicle], "samples": samples, "operator_noise": exact})
 
 
 @contextmanager
@@ -54,7 +54,7 @@ def main() -> None:
     args = parser.parse_args()
     print(head("car", "face", "true, km/h", "error", "95 % ±", "verdict"), flush=True)
     errors: dict[str, list[float]] = {"glossy": [], "matte": []}
-    for car in args.cars:
+    for car in args.vehicles:
         for face, found in errors.items():
             with painted(face == "matte"):
                 path = stereo_clip.write(scene_of(car, args.samples), args.out / f"{car}-{face}")

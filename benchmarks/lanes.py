@@ -29,20 +29,20 @@ SAME = 1.0  # m that a lane's middle may lie beside the true one
 HALF = 1.96
 
 
-def true_lanes(stage: PlacedStereoScene) -> list[Array]:
+def true_lanes(placed: PlacedStereoScene) -> list[Array]:
     """Centre lines (N, 3) in the left camera's frame of the lanes between painted lines that both pictures show."""
-    s = np.arange(0.5, stage.road.length, 0.5)
-    view, found = stage.views[0], []
-    for a, b in zip(stage.road.markings, stage.road.markings[1:], strict=False):
+    s = np.arange(0.5, placed.road.length, 0.5)
+    view, found = placed.views[0], []
+    for a, b in zip(placed.road.markings, placed.road.markings[1:], strict=False):
         shown = np.ones(len(s), bool)
         for marking in (a, b):
-            points = stage.road.line(marking, s[0], s[-1], 0.5)
-            for camera in stage.views:
+            points = placed.road.line(marking, s[0], s[-1], 0.5)
+            for camera in placed.views:
                 depth, pixels = camera.to_camera(points)[:, 2], camera.project(points)
                 inside = ((pixels > 2) & (pixels < np.array(camera.camera.image_size) - 3)).all(1)
                 shown &= (depth > NEAREST) & (depth < FARTHEST) & inside
         if 0.5 * shown.sum() >= SEEN:
-            found.append(view.to_camera(stage.road.line((a + b) / 2, s[0], s[-1], 0.5)))
+            found.append(view.to_camera(placed.road.line((a + b) / 2, s[0], s[-1], 0.5)))
     return found
 
 
@@ -67,8 +67,8 @@ def main(folders: list[Path]) -> None:
     widths, middles = [], []
     print("clip              lanes  found  false  width error, m (± 95 %)            middle, m  CPU, s")
     for folder in folders:
-        stage = PlacedStereoScene(load_speed_scene(folder / "scene.yaml"))
-        truths, start = true_lanes(stage), time.process_time()
+        placed = PlacedStereoScene(load_speed_scene(folder / "scene.yaml"))
+        truths, start = true_lanes(placed), time.process_time()
         clip = load_recorded(folder / "clip.yaml")
         try:
             background = estimate_background(open_recording(clip))
@@ -86,7 +86,7 @@ def main(folders: list[Path]) -> None:
                 false += 1
                 continue
             met.add(k)
-            error = lane.width - stage.road.shape.lane_width
+            error = lane.width - placed.road.shape.lane_width
             errors.append(f"{error:+.3f} (± {HALF * lane.width_std:.3f})")
             inside += abs(error) <= HALF * lane.width_std
             widths.append(error)

@@ -64,7 +64,7 @@ def _suits(scene: Scene) -> bool:
     vehicle = scene.vehicles[0]
     way = float(Motion(CircularRoad(scene), vehicle, duration).travelled(np.array(duration)))
     ends = vehicle.start_distance, vehicle.start_distance + (way if vehicle.receding else -way)
-    when = 3 * vehicle.after / duration
+    when = 3 * vehicle.acceleration_start / duration
     return scene.frames >= 10 and way >= 25 and min(ends) >= 15 and max(ends) <= 80 and (not when or 1 <= when <= 2)
 
 

@@ -428,7 +428,7 @@ def test_vehicles_are_weighed_together_as_each_on_the_cpu(device: CudaDevice, la
 def clips(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """A vehicle on a straight road and one on a bend, four frames each, in pictures of 320 × 240."""
     small: dict[str, object] = {"image_size": (320, 240), "focal": 700.0, "click_sigma": 0.15, "line_sigma": 0.12}
-    vehicles = (Vehicle("v0", 11.0, start_distance=24.0, texture_seed=1, guess=11.0),)
+    vehicles = (Vehicle("v0", 11.0, start_distance=24.0, texture_seed=1, initial_speed=11.0),)
     scenes = {
         "line": Scene(1, vehicles, frames=4, **small),  # type: ignore[arg-type]
         "curve": Scene(2, vehicles, frames=4, radius=-150.0, road_depth=30.0, **small),  # type: ignore[arg-type]

@@ -24,7 +24,14 @@ from paceline.simulation.random_scenes import random_chase
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 
-QUIET = {"noise_sigma": 0.0, "shot_noise": 0.0, "vignetting": 0.0, "drift": 0.0, "shutter": 0.0, "exposure": 0.7}
+QUIET = {
+    "noise_sigma": 0.0,
+    "shot_noise": 0.0,
+    "vignetting": 0.0,
+    "exposure_drift": 0.0,
+    "shutter_s": 0.0,
+    "exposure": 0.7,
+}
 # A lorry from straight behind and lower than its roof: nothing but its rear plane has its paint.
 BEHIND = ChaseScene(
     seed=5,
@@ -65,12 +72,12 @@ def test_a_plain_card_lies_where_its_projection_says(distance: float, yaw: float
     state = road_pose(road, 20 + distance, 0.31, 0.0)
     card = Face(AntialiasedCanvas(1.9, 1.4, 200.0, density=50).finish(), (-0.95, -1.9, 0.0), (1.9, 0, 0), (0, 1.4, 0))
     faces = place_faces((card,), atlas, road, replace(state, heading=state.heading + yaw))
-    atlas.close()
+    atlas.pack()
     origin = road_pose(road, 20.0, 0.0, 0.0)
-    eye = CameraPose(K, R, 2.0, origin.x, origin.y, origin.heading)
+    camera = CameraPose(K, R, 2.0, origin.x, origin.y, origin.heading)
     canvas = np.zeros((242 * n, 256 * n, 2), np.float32)
     to_canvas = np.array([[n, 0, 0.5 * n - 0.5], [0, n, 0.5 * n - 0.5], [0, 0, 1.0]])
-    draw_faces(canvas, faces, atlas, eye, Sun(3.0, 0.8, 0.4), np.ones((64, 64), np.float32), to_canvas)
+    draw_faces(canvas, faces, atlas, camera, Sun(3.0, 0.8, 0.4), np.ones((64, 64), np.float32), to_canvas)
     coverage = cv2.resize(canvas[..., 1], (256, 242), interpolation=cv2.INTER_AREA).astype(float)
     flat = np.array([[-0.95, -1.9], [0.95, -1.9], [0.95, -0.5], [-0.95, -0.5]])
     right, ahead = 0.31 + flat[:, 0] * np.cos(yaw), distance + flat[:, 0] * np.sin(yaw)
@@ -91,8 +98,8 @@ def edge(profile: Array) -> float:
 
 def test_the_leads_outline_lies_where_its_corners_say() -> None:
     """Two paints, everything else the same: what differs is the rear plane, however varied its surroundings."""
-    light, truths = frames(replace(BEHIND, crowding=0.0, paint=170.0))
-    dark, _ = frames(replace(BEHIND, crowding=0.0, paint=80.0))
+    light, truths = frames(replace(BEHIND, object_density=0.0, paint=170.0))
+    dark, _ = frames(replace(BEHIND, object_density=0.0, paint=80.0))
     errors = []
     for a, b, truth in zip(light, dark, truths, strict=True):
         difference, c = a.astype(float) - b, truth.corners
@@ -118,17 +125,17 @@ def test_the_position_is_what_the_corners_tell() -> None:
     x, y = script.world.body.width / 2, script.world.body.height / 2
     plane = np.array([[-x, -y, 0], [x, -y, 0], [x, y, 0], [-x, y, 0]])
     for t in (0.0, 0.7, 2.1):
-        moment = script.moment(t)
-        _, _, found = cv2.solvePnP(plane, moment.corners, scene.camera.K, None, flags=cv2.SOLVEPNP_ITERATIVE)
-        np.testing.assert_allclose(found.ravel(), moment.position, atol=1e-4)
+        state = script.state_at(t)
+        _, _, found = cv2.solvePnP(plane, state.corners, scene.camera.K, None, flags=cv2.SOLVEPNP_ITERATIVE)
+        np.testing.assert_allclose(found.ravel(), state.position, atol=1e-4)
 
 
 def test_the_chase_vehicle_moves_where_it_heads_and_so_does_the_lead() -> None:
     """Odometry and positions, put together as a follower would, give two smooth paths along their headings."""
-    scene = replace(BEHIND, radius=120.0, weave=0.7, bounce=0.0, tilt=0.0, frames=150)
+    scene = replace(BEHIND, radius=120.0, weave=0.7, shake_px=0.0, tilt=0.0, frames=150)
     script = ChaseScript(scene)
-    moments = [script.moment(k / 15) for k in range(150)]
-    eyes = np.array([[m.eye.x, m.eye.y, m.eye.heading] for m in moments])
+    moments = [script.state_at(k / 15) for k in range(150)]
+    eyes = np.array([[m.camera.x, m.camera.y, m.camera.heading] for m in moments])
     ahead, right = (np.array([m.position[i] for m in moments]) for i in (2, 0))
     c, s = np.cos(eyes[:, 2]), np.sin(eyes[:, 2])
     lead = eyes[:, :2] + np.column_stack([c * ahead + s * right, s * ahead - c * right])
@@ -145,9 +152,9 @@ def test_the_chase_vehicle_moves_where_it_heads_and_so_does_the_lead() -> None:
 @pytest.mark.parametrize("preset", ["nist", "hd"])
 def test_vehicles_accelerate_as_vehicles_can(preset: str) -> None:
     for seed in range(4):
-        scene = random_chase(seed, preset, crowding=0.0, traffic=False)
+        scene = random_chase(seed, preset, object_density=0.0, traffic=False)
         script = ChaseScript(scene)
-        gap = np.array([script.moment(k / scene.rate).gap for k in range(scene.frames)])
+        gap = np.array([script.state_at(k / scene.rate).gap for k in range(scene.frames)])
         assert scene.gap[0] - 1 < gap.min() < gap.max() < scene.gap[1] + 1
         assert np.abs(np.diff(gap, 2)).max() * scene.rate**2 < 6.0
 
@@ -156,12 +163,12 @@ def test_road_and_things_lie_in_one_plan() -> None:
     road = winding_road(np.random.default_rng(3), 400.0, 110.0)
     for s0 in (20.0, 90.0, 200.0):
         origin = road_pose(road, s0, 0.4, 0.02)
-        eye = CameraPose(np.eye(3), np.eye(3), 2.0, origin.x, origin.y, origin.heading)
-        table = road.ahead(s0, origin.x, origin.y, origin.heading, 120.0)
+        camera = CameraPose(np.eye(3), np.eye(3), 2.0, origin.x, origin.y, origin.heading)
+        table = road.axis_ahead(s0, origin.x, origin.y, origin.heading, 120.0)
         for distance in (5.0, 15.0, 40.0, 70.0):
             for lateral in (-4.0, 0.0, 1.75):
                 spot = road_pose(road, s0 + distance, lateral, 0.0)
-                right, ahead = eye.level(spot.x, spot.y)
+                right, ahead = camera.to_level(spot.x, spot.y)
                 found = road_coordinates(float(ahead), float(right), table, ROAD_STEP_M)
                 np.testing.assert_allclose(found, (distance, lateral), atol=0.03)
 
@@ -179,7 +186,7 @@ def test_a_seed_gives_the_same_clip_and_another_seed_another() -> None:
 def test_targets_follow_the_vehicle(kind: str) -> None:
     """From the nominal range the model's lines fall on strong edges of the picture."""
     scene = replace(
-        BEHIND, kind=kind, crowding=0.0, paint=160.0, camera_height=2.2, gap=(9.99, 10.01), frames=1, bounce=0.0
+        BEHIND, kind=kind, object_density=0.0, paint=160.0, camera_height=2.2, gap=(9.99, 10.01), frames=1, shake_px=0.0
     )
     (image,), (truth,) = frames(scene)
     target = target_document(scene)
@@ -218,7 +225,7 @@ def test_shadows_and_brake_lamps_show() -> None:
     assert np.mean([np.mean(b < 0.8 * a.astype(float)) for a, b in zip(lit, shaded, strict=True)]) > 0.05
     scene = replace(BEHIND, brakes=True, gap=(8.0, 25.0), frames=300)
     script = ChaseScript(scene)
-    braking = [script.moment(k / 15).braking for k in range(300)]
+    braking = [script.state_at(k / 15).braking for k in range(300)]
     assert 0.05 < np.mean(braking) < 0.95
 
 

@@ -51,7 +51,7 @@ def test_the_lead_keeps_to_its_speeds() -> None:
 
 def test_it_slows_for_a_bend_in_time_and_no_more_than_needed() -> None:
     road = road_from_pieces([(100.0, 0.0), (60.0, 1 / 25.0)], 400.0)
-    lead = LeadVehicle(road, 10.0, 40.0, np.array([[0.0, 12.0]]), bends=1.5)
+    lead = LeadVehicle(road, 10.0, 40.0, np.array([[0.0, 12.0]]), max_lateral_acceleration=1.5)
     curvature = np.abs(np.interp(lead.arc, road.s, road.curvature))
     assert (lead.speed**2 * curvature).max() < 1.5 * 1.05
     assert lead.speed[curvature > 0.039].mean() == pytest.approx(np.sqrt(1.5 * 25), rel=0.03)
@@ -80,9 +80,9 @@ def test_lane_changes_and_weaving_lie_on_the_path() -> None:
 def test_the_offset_from_the_path_is_what_was_put_there(arc: float, offset: float, seed: int) -> None:
     road = winding_road(np.random.default_rng(seed), 400.0, 60.0)
     lead = LeadVehicle(road, 10.0, 30.0, np.array([[0.0, 10.0]]), (LaneChange(6.0, 4.0, 2.0),))
-    p = lead.state_at_arc(arc)
+    p = lead.pose_at_arc(arc)
     x, y = p.x + offset * np.sin(p.heading), p.y - offset * np.cos(p.heading)
-    found, beside = lead.offset(x, y, arc + 5.0)
+    found, beside = lead.path_offset(x, y, arc + 5.0)
     assert found == pytest.approx(offset, abs=0.02)
     assert beside == pytest.approx(arc, abs=0.15)
 
@@ -93,7 +93,7 @@ def test_a_point_beside_the_road_is_found_again(arc: float, lateral: float, seed
     road = winding_road(np.random.default_rng(seed), 400.0, 60.0)
     x, y, _ = (float(v) for v in road.frame(arc, lateral))
     # the axis is a polygon of half metres
-    np.testing.assert_allclose(road.beside(x, y, arc - 3.0), (arc, lateral), atol=ROAD_STEP_M * 4 / 60 + 0.01)
+    np.testing.assert_allclose(road.locate(x, y, arc - 3.0), (arc, lateral), atol=ROAD_STEP_M * 4 / 60 + 0.01)
 
 
 # --- spacing ---------------------------------------------------------------------------------------------------------
@@ -124,9 +124,9 @@ def test_the_braking_needed_is_just_enough(speed: float, lead_speed: float, brak
 
 def test_at_the_wanted_gap_nothing_is_asked_for() -> None:
     for speed in (2.0, 9.0):
-        assert headway_acceleration(POLICY, speed, POLICY.wanted(speed), speed, 0.0) == pytest.approx(0.0)
-        assert headway_acceleration(POLICY, speed, POLICY.wanted(speed) + 2, speed, 0.0) > 0.3
-        assert headway_acceleration(POLICY, speed, POLICY.wanted(speed) - 2, speed, 0.0) < -0.3
+        assert headway_acceleration(POLICY, speed, POLICY.desired_gap(speed), speed, 0.0) == pytest.approx(0.0)
+        assert headway_acceleration(POLICY, speed, POLICY.desired_gap(speed) + 2, speed, 0.0) > 0.3
+        assert headway_acceleration(POLICY, speed, POLICY.desired_gap(speed) - 2, speed, 0.0) < -0.3
 
 
 def test_the_filter_finds_speed_and_acceleration() -> None:
@@ -147,10 +147,10 @@ def test_the_filter_finds_speed_and_acceleration() -> None:
 def test_what_jumps_is_not_seen() -> None:
     controller = GapController(POLICY)
     for k in range(45):
-        controller.acceleration(k / 15, 9.0, POLICY.wanted(9.0), 0.06, True)
+        controller.acceleration(k / 15, 9.0, POLICY.desired_gap(9.0), 0.06, True)
     steady = controller.lead.state
     assert steady is not None
-    controller.acceleration(3.0, 9.0, POLICY.wanted(9.0) + 6.0, 0.06, True)
+    controller.acceleration(3.0, 9.0, POLICY.desired_gap(9.0) + 6.0, 0.06, True)
     after = controller.lead.state
     assert after is not None and abs(after[0] - steady[0]) < 0.2
 
@@ -186,12 +186,12 @@ def run(
 
 def test_it_settles_at_the_wanted_gap_without_overshooting() -> None:
     rows = run(GapController(POLICY), 40.0, 8.0, 20.0, 8.0, 100.0)
-    assert rows[-1, 2] == pytest.approx(POLICY.wanted(8.0), abs=0.05)
-    assert rows[:, 2].min() > POLICY.wanted(8.0) - 0.4
+    assert rows[-1, 2] == pytest.approx(POLICY.desired_gap(8.0), abs=0.05)
+    assert rows[:, 2].min() > POLICY.desired_gap(8.0) - 0.4
 
 
 def test_a_lead_that_is_gone_means_a_stop_and_a_short_gap_in_sight_does_not() -> None:
-    rows = run(GapController(POLICY), 12.0, 9.0, POLICY.wanted(9.0), 9.0, 4.0)
+    rows = run(GapController(POLICY), 12.0, 9.0, POLICY.desired_gap(9.0), 9.0, 4.0)
     assert rows[-1, 1] == 0.0
     assert np.trapezoid(rows[rows[:, 0] > 4.0, 1], rows[rows[:, 0] > 4.0, 0]) < 22.0
     assert rows[rows[:, 0] < 4.3, 1].min() > 8.8
@@ -249,7 +249,7 @@ SHORT: dict[str, Any] = {
     "duration": 6.0,
     "road": {"pieces": [[60.0, 0.0], [60.0, 80.0]]},
     "lead": {"kind": "van", "speed": [[0.0, 8.0]]},
-    "look": {"crowding": 0.3, "traffic": False, "paint": 160.0},
+    "appearance": {"object_density": 0.3, "traffic": False, "paint": 160.0},
 }
 
 
@@ -260,13 +260,13 @@ def loop_of(seed: int = 3, latency: float = 0.128, **changes: Any) -> ClosedLoop
 def test_a_short_drive_follows_and_its_figures_hold() -> None:
     loop, figures, log = loop_of(), DriveStatistics(), DriveLog(keep=32)
     for step in loop.steps():
-        figures.add(step, loop.stage.world.body.width)
+        figures.add(step, loop.scene.world.body.width)
         log.add(step)
     rows = check_requirements(loop.model, figures)
     assert all(r.holds for r in rows), rows
     assert figures.frames == loop.frames == 90
     assert figures.path_rms < 0.1 and figures.range_rms < 0.02
-    assert figures.way == pytest.approx(6.0 * 8.0, rel=0.05)
+    assert figures.distance == pytest.approx(6.0 * 8.0, rel=0.05)
     assert 16 <= len(log.time) <= 32 and log.time[0] == 0.0  # thinned, and evenly
     assert np.ptp(np.diff(log.time)) < 1e-9
 
@@ -277,18 +277,18 @@ def test_a_twin_that_cuts_in_is_not_followed(seed: int) -> None:
     Before, both were taken for it after seconds."""
     loop, figures = ClosedLoop(resolve_drive("cuts-in", seed), seed), DriveStatistics()
     for step in loop.steps():
-        figures.add(step, loop.stage.world.body.width)
-    assert figures.wrong == 0
+        figures.add(step, loop.scene.world.body.width)
+    assert figures.wrong_frames == 0
     assert all(r.holds for r in check_requirements(loop.model, figures))
 
 
 def test_pictures_come_from_where_the_plant_is() -> None:
     """The lead's place in the camera's axes is that of both vehicles in plan, whatever body and road do."""
-    for step in loop_of(look=SHORT["look"] | {"bounce": 5.0}).steps():
-        eye = step.truth
+    for step in loop_of(appearance=SHORT["appearance"] | {"shake_px": 5.0}).steps():
+        camera = step.truth
         ahead = VehicleParameters().camera_ahead
-        assert np.hypot(eye.x - step.chase.x, eye.y - step.chase.y) == pytest.approx(ahead, abs=1e-6)
-        level = np.hypot(step.lead.x - eye.x, step.lead.y - eye.y)
+        assert np.hypot(camera.x - step.chase.x, camera.y - step.chase.y) == pytest.approx(ahead, abs=1e-6)
+        level = np.hypot(step.lead.x - camera.x, step.lead.y - camera.y)
         assert np.linalg.norm(step.truth.position) == pytest.approx(level, abs=0.35)  # the rest is the height
         if step.frame == 20:
             break
@@ -300,7 +300,7 @@ def test_commands_come_late_by_the_latency() -> None:
         steps: list[LoopStep] = []
         for step in loop_of(latency=latency, lead=SHORT["lead"] | {"speed": [[0.0, 8.0], [0.1, 3.0]]}).steps():
             steps.append(step)
-            assert step.asked.time == pytest.approx(step.time + latency)
+            assert step.command.time == pytest.approx(step.time + latency)
             if step.time > 1.2:
                 break
         moved = next(s.time for s in steps if s.chase.acceleration < -0.05)
@@ -321,7 +321,7 @@ def test_the_same_seed_drives_the_same_and_another_does_not() -> None:
 def test_what_does_not_hold_is_told() -> None:
     loop, figures = loop_of(), DriveStatistics()
     for step in loop.steps():
-        figures.add(replace(step, path_error=2.0, clearance=0.0), loop.stage.world.body.width)
+        figures.add(replace(step, path_error=2.0, clearance=0.0), loop.scene.world.body.width)
         if step.frame == 20:
             break
     failed = {r.what for r in check_requirements(loop.model, figures) if not r.holds}

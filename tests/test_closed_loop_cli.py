@@ -23,6 +23,7 @@ from paceline.simulation.closed_loop.drive_yaml import (
     LeadModel,
     RequirementsModel,
     RoadModel,
+    drive_document,
     resolve_drive,
 )
 from paceline.simulation.closed_loop.named_scenes import NAMED_SCENES
@@ -33,7 +34,7 @@ SHORT: dict[str, Any] = {
     "duration": 4.0,
     "road": {"pieces": [[60.0, 0.0], [60.0, 90.0]]},
     "lead": {"kind": "van", "speed": [[0.0, 8.0]]},
-    "look": {"crowding": 0.3, "traffic": False},
+    "appearance": {"object_density": 0.3, "traffic": False},
 }
 FILES = {"drive.csv", "drive.yaml", "summary.json", "report.html", "overlay.mp4", "plots"}
 
@@ -102,7 +103,7 @@ def test_the_scene_written_drives_again(driven: tuple[Path, str]) -> None:
 
 
 def test_what_fails_ends_with_1_and_is_told(tmp_path: Path) -> None:
-    file = write(tmp_path, duration=1.0, must={"clearance": 50.0})
+    file = write(tmp_path, duration=1.0, requirements={"clearance": 50.0})
     done = paceline("drive", file, "-o", tmp_path / "out", "--no-overlay")
     assert done.returncode == 1
     assert re.search(r"least distance to another vehicle .* at least 50.00 m +fails", done.stdout)
@@ -121,8 +122,8 @@ def test_what_fails_ends_with_1_and_is_told(tmp_path: Path) -> None:
         ({"lead": {"speed": [[0.0, 0.0]]}}, ("a lead that moves",)),
         ({"lead": {"speed": [[0.0, 5.0]], "kind": "tank"}}, ("lead.kind", "tank")),
         ({"thrott1e": "gap"}, ("thrott1e", "throttle")),
-        ({"must": {"stops_within": 5.0}}, ("must.stops_within", "vanishes")),
-        ({"must": {"clearance": 0.0}}, ("must.clearance", "above 0")),
+        ({"requirements": {"stops_within": 5.0}}, ("requirements.stops_within", "vanishes")),
+        ({"requirements": {"clearance": 0.0}}, ("requirements.clearance", "above 0")),
     ],
 )
 def test_a_scene_that_cannot_be_is_refused(tmp_path: Path, changes: dict[str, Any], words: tuple[str, ...]) -> None:
@@ -132,6 +133,41 @@ def test_a_scene_that_cannot_be_is_refused(tmp_path: Path, changes: dict[str, An
     assert "\n" not in str(refused.value)
     for word in (str(file), *words):
         assert word in str(refused.value)
+
+
+OLD_KEYS: dict[str, Any] = {
+    "lead": {"kind": "van", "speed": [[0.0, 8.0]], "haste": 3.0, "bends": 1.2},
+    "look": {"crowding": 0.5, "parallel": 0.7, "bounce": 2.0},
+    "must": {"max_gap": 20.0},
+}
+NEW_KEYS: dict[str, Any] = {
+    "lead": {"kind": "van", "speed": [[0.0, 8.0]], "max_acceleration": 3.0, "max_lateral_acceleration": 1.2},
+    "appearance": {"object_density": 0.5, "parallel_share": 0.7, "shake_px": 2.0},
+    "requirements": {"max_gap": 20.0},
+}
+
+
+def test_earlier_names_of_keys_are_accepted(tmp_path: Path) -> None:
+    base = {key: value for key, value in SHORT.items() if key not in ("lead", "appearance")}
+    (tmp_path / "old.yaml").write_text(yaml.safe_dump(base | OLD_KEYS))
+    (tmp_path / "new.yaml").write_text(yaml.safe_dump(base | NEW_KEYS))
+    old, new = (resolve_drive(str(tmp_path / name), 1) for name in ("old.yaml", "new.yaml"))
+    assert old == new
+    assert drive_document(old).items() >= NEW_KEYS.items()
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"must": {"clearance": 0.0}}, ("must.clearance", "above 0")),
+        ({"must": {}, "requirements": {}}, ("requirements and must", "expected one of them")),
+        ({"requirement": {}}, ("unknown key 'requirement'", "'requirements'")),
+    ],
+)
+def test_a_key_is_refused_by_the_name_in_the_file(
+    tmp_path: Path, changes: dict[str, Any], words: tuple[str, ...]
+) -> None:
+    test_a_scene_that_cannot_be_is_refused(tmp_path, changes, words)
 
 
 def test_what_cannot_be_driven_is_one_plain_line_and_leaves_nothing(tmp_path: Path) -> None:

@@ -117,7 +117,7 @@ def test_a_target_that_has_braked_is_believed_after_half_a_second(braking):
 @pytest.mark.parametrize(("before", "after", "refused"), [(0, 1, 5), (3, 1, 6), (3, 3, 12), (0, 4, 15)])
 def test_sights_that_are_metres_wrong_keep_nobody_from_being_believed(wrong, seconds, before, after, refused):
     """Half hidden by what passes in between a target looks as the whole farther off, or nearer: at last ``before`` it
-    is hidden, and at first ``after``, where it comes out again."""
+    is hidden, and at first ``acceleration_start``, where it comes out again."""
     ride = Ride(noise=0.003)
     for _ in range(before):
         ride.go()

@@ -122,14 +122,14 @@ def test_another_scene_does_not_go_into_the_same_folder(written: Path, tmp_path:
 
 
 def test_a_vehicle_that_is_never_seen_is_named(tmp_path: Path) -> None:
-    away = {"id": "v9", "start": 79.0, "speed": 1.0, "towards": True}
+    away = {"id": "v9", "start": 79.0, "speed": 1.0, "oncoming": True}
     with pytest.raises(UnusableInput, match="vehicle v9: is never wholly visible"):
         write_speed(speed(vehicles=[away], road={"length": 300.0}, frames=2), tmp_path / "clip")
     assert not (tmp_path / "clip").exists()
 
 
 def test_videos_keep_their_times(tmp_path: Path) -> None:
-    scene = speed(sensor={"keep": "h264", "color": True, "quality": 95}, dropped=[1], frames=4, skew=0.004)
+    scene = speed(sensor={"image_format": "h264", "color": True, "quality": 95}, dropped=[1], frames=4, skew=0.004)
     clip = load_clip(write_speed(scene, tmp_path / "clip"))
     frames = list(open_recording(clip).frames(0))
     assert np.diff([f.time for f in frames]) == pytest.approx([0.2, 0.1], abs=1e-4)
@@ -140,7 +140,7 @@ def test_dropped_frames_and_skew_stand_in_the_times(tmp_path: Path) -> None:
     occluder = {"id": "near", "kind": "bus", "start": 19.0, "speed": 0.0, "measured": False, "seed": 1}
     vehicles = [*small_speed()["vehicles"], occluder | {"lane": 1}]
     rig = small_speed()["rig"] | {"distortion": [-0.1, 0.02, 0.0, 0.0, 0.0]}
-    scene = speed(sensor={"keep": "jpeg", "quality": 80}, dropped=[1], skew=0.01, vehicles=vehicles, rig=rig)
+    scene = speed(sensor={"image_format": "jpeg", "quality": 80}, dropped=[1], skew=0.01, vehicles=vehicles, rig=rig)
     folder = write_speed(scene, tmp_path / "clip").parent
     assert (folder / "times.csv").read_text().splitlines()[1:] == ["0,0.000000,0.010000", "1,0.200000,0.210000"]
     assert [p.name for p in sorted((folder / "right").iterdir())] == ["0000.jpg", "0001.jpg"]

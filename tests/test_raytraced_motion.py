@@ -31,24 +31,24 @@ ROADS = [
 @st.composite
 def drives(draw: st.DrawFn) -> DrivingPlan:
     """Drives that stay on the road for two seconds from time 0."""
-    towards = draw(st.booleans())
+    oncoming = draw(st.booleans())
     speed = draw(st.floats(8, 40))
     change = None
     if draw(st.booleans()):
         shift = draw(st.floats(1.5, 4.0)) * draw(st.sampled_from([-1, 1]))
         change = LaneChange(draw(st.floats(-1.0, 1.0)), draw(st.floats(3.0, 6.0)), shift)
     drive = DrivingPlan(
-        150.0 if towards else 50.0,
+        150.0 if oncoming else 50.0,
         speed,
         draw(st.sampled_from([-1.8, 1.8])),
         draw(st.floats(-3.0, 3.0)),
         draw(st.floats(0.0, 1.0)),
         draw(st.floats(0.5, 5.0)),
         change,
-        towards,
+        oncoming,
     )
     # what brakes nearly to a stand cannot change its lane meanwhile, and is refused
-    slowest = drive.speed + min(drive.acceleration, 0.0) * drive.lasting
+    slowest = drive.speed + min(drive.acceleration, 0.0) * drive.acceleration_duration
     assume(change is None or slowest > 2 * 2.0 * abs(change.shift) / change.duration)
     return drive
 
@@ -74,7 +74,7 @@ def test_the_body_drives_as_stated(shape: RoadShape, drive: DrivingPlan, t: floa
     for axle in (0.0, WHEELBASE):
         at = origin + axle * R[:, 0]
         s, lateral = motion.position(t)
-        s, lateral = road.locate(at, s + (axle if not drive.towards else -axle), lateral)
+        s, lateral = road.locate(at, s + (axle if not drive.oncoming else -axle), lateral)
         np.testing.assert_allclose(road.frame(s, lateral)[0], at, atol=2e-5)
 
 
@@ -89,25 +89,25 @@ def test_on_a_plane_the_axis_is_the_velocity() -> None:
 
 
 @pytest.mark.parametrize("lateral", [-1.8, 1.8])
-@pytest.mark.parametrize("towards", [False, True])
-def test_constant_speed_is_that_of_its_own_way(lateral: float, towards: bool) -> None:
+@pytest.mark.parametrize("oncoming", [False, True])
+def test_constant_speed_is_that_of_its_own_way(lateral: float, oncoming: bool) -> None:
     """On a circle the arc driven per second is the speed at the vehicle's own radius, not at the axis's."""
-    drive = DrivingPlan(100.0, 20.0, lateral, towards=towards)
+    drive = DrivingPlan(100.0, 20.0, lateral, oncoming=oncoming)
     motion = VehicleMotion(Road(RoadShape("circle", 80.0), LENGTH, 1), drive, WHEELBASE)
     angle = [np.arctan2(p[0], p[1] + 80) for p in (motion.pose(t)[1] for t in (0.0, 1.0, 3.0))]
     own = 80 - lateral
     turned = np.diff(np.unwrap(angle))
     np.testing.assert_allclose(np.abs(turned) * own, [20.0, 40.0], atol=1e-6)
-    assert (turned > 0).all() != towards
-    assert motion.pose(0.0)[0][0, 0] * (-1 if towards else 1) * np.cos(100 / 80) > 0
+    assert (turned > 0).all() != oncoming
+    assert motion.pose(0.0)[0][0, 0] * (-1 if oncoming else 1) * np.cos(100 / 80) > 0
 
 
 @given(drives(), st.floats(-2, 2.5), st.floats(-2, 2.5))
 @settings(max_examples=60, deadline=None)
 def test_the_distance_is_the_integral_of_the_speed(drive: DrivingPlan, a: float, b: float) -> None:
-    breaks = [drive.after, drive.after + drive.lasting]
+    breaks = [drive.acceleration_start, drive.acceleration_start + drive.acceleration_duration]
     driven, _ = quad(drive.speed_at, a, b, points=[p for p in breaks if min(a, b) < p < max(a, b)] or None)
-    assert drive.driven(b) - drive.driven(a) == pytest.approx(driven, abs=1e-6)
+    assert drive.distance_at(b) - drive.distance_at(a) == pytest.approx(driven, abs=1e-6)
 
 
 def test_a_lane_change_ends_in_the_other_lane() -> None:
@@ -122,10 +122,10 @@ def test_a_lane_change_ends_in_the_other_lane() -> None:
 
 
 def test_a_vehicle_that_brakes_stands() -> None:
-    drive = DrivingPlan(40.0, 10.0, 1.8, acceleration=-4.0, after=1.0)
+    drive = DrivingPlan(40.0, 10.0, 1.8, acceleration=-4.0, acceleration_start=1.0)
     motion = VehicleMotion(Road(RoadShape("circle", 90.0), LENGTH, 1), drive, WHEELBASE)
     assert motion.speed(3.4) == pytest.approx(0.4) and motion.speed(5.0) == 0
-    assert motion.rolled(60.0) == pytest.approx(10 + 100 / 8)
+    assert motion.distance(60.0) == pytest.approx(10 + 100 / 8)
     standing, later = motion.pose(4.0), motion.pose(60.0)
     for a, b in zip(standing, later, strict=True):
         np.testing.assert_allclose(a, b, atol=1e-9)

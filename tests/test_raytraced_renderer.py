@@ -195,7 +195,7 @@ def test_what_is_moved_looks_as_if_it_had_always_stood_there() -> None:
     moved = Renderer([ground()], [[cube(np.zeros(3), 0.8)]], DAY)
     moved.place([(np.eye(3), np.array([9.0, 9, 9]))])
     moved.place([(R, t)])
-    stood = Renderer([ground(), cube(np.zeros(3), 0.8).moved(R, t)], [], DAY)
+    stood = Renderer([ground(), cube(np.zeros(3), 0.8).transformed(R, t)], [], DAY)
     a, b = (w.render(view, 64, 3) for w in (moved, stood))
     assert np.abs(a - b).mean() < 0.02 * b.mean()
 

@@ -26,7 +26,7 @@ from paceline.simulation.raytraced.scene import PlacedStereoScene, make_rigs
 from paceline.simulation.raytraced.scene_yaml import FollowScene, SpeedScene, load_follow_scene, load_speed_scene
 
 
-def stage(**changes: Any) -> PlacedStereoScene:
+def place_scene(**changes: Any) -> PlacedStereoScene:
     return PlacedStereoScene(SpeedScene.model_validate(small_speed(**changes)))
 
 
@@ -37,8 +37,8 @@ def frames_inside(placed: PlacedStereoScene, i: int) -> int:
     """Frames in which the ``i``-th vehicle's plane is wholly inside both pictures."""
     size, count = placed.rig.left.image_size, 0
     for t in placed.clocks[0].tolist():
-        if placed.cars[i].is_there(t):
-            corners = placed.cars[i].corners(t)
+        if placed.vehicles[i].is_there(t):
+            corners = placed.vehicles[i].corners(t)
             ahead = all((view.to_camera(corners)[:, 2] > 1).all() for view in placed.views)
             count += ahead and all(is_inside_image(view.project(corners), size) for view in placed.views)
     return count
@@ -49,9 +49,9 @@ def test_named_vehicles_are_seen_for_long(name: str) -> None:
     scene = named_scenes.speed_scene(name)
     assert scene is not None
     placed = PlacedStereoScene(scene)
-    for i in range(len(placed.cars)):
-        assert frames_inside(placed, i) >= 8, placed.cars[i].model.id
-        assert placed.cars[i].plane.end == "front"
+    for i in range(len(placed.vehicles)):
+        assert frames_inside(placed, i) >= 8, placed.vehicles[i].model.id
+        assert placed.vehicles[i].plane.end == "front"
 
 
 def test_named_scenes_drive_as_the_papers_say() -> None:
@@ -86,17 +86,17 @@ def test_suites_vary() -> None:
     scenes = [varied(seed) for seed in range(24)]
     cars = [scene.vehicles[0] for scene in scenes]
     assert len({car.kind for car in cars}) >= 4
-    assert {car.towards for car in cars} == {True, False}
+    assert {car.oncoming for car in cars} == {True, False}
     assert len({scene.road.kind for scene in scenes}) == 3
     speeds = np.array([car.speed for car in cars]) * 3.6
     assert speeds.min() < 40 and speeds.max() > 100
-    assert any(scene.rig.written for scene in scenes) and any(scene.rig.written is None for scene in scenes)
+    assert any(scene.rig.rig_error_std for scene in scenes) and any(scene.rig.rig_error_std is None for scene in scenes)
 
 
 def test_the_planes_centre_swings_out_in_a_bend() -> None:
     """On a circle the plane, ahead of the rear axle by a, is faster than it by the root of 1 + (a / r)²."""
-    placed = stage(road={"kind": "circle", "radius": -60.0, "length": 80.0})
-    car = placed.cars[0]
+    placed = place_scene(road={"kind": "circle", "radius": -60.0, "length": 80.0})
+    car = placed.vehicles[0]
     radius = 60.0 + placed.road.lanes[0]  # to the left of the axis lies the centre
     ahead = car.plane.center[0]
     assert car.speed(0.1) == pytest.approx(12.0 * np.sqrt(1 + (ahead / radius) ** 2), rel=2e-4)
@@ -105,13 +105,13 @@ def test_the_planes_centre_swings_out_in_a_bend() -> None:
 
 def test_a_vehicle_that_goes_away_shows_its_rear() -> None:
     car = {"id": "v0", "start": 20.0, "speed": 9.0, "lane": 1}
-    assert stage(vehicles=[car]).cars[0].plane.end == "rear"
+    assert place_scene(vehicles=[car]).vehicles[0].plane.end == "rear"
 
 
 def test_wheels_roll_without_slipping() -> None:
     """The point of a wheel that touches the road stands still."""
-    placed = stage()
-    car, body = placed.cars[0], placed.cars[0].body
+    placed = place_scene()
+    car, body = placed.vehicles[0], placed.vehicles[0].body
     wheel = body.wheels[0]
     R, at = car.placements(0.3)[1]
     bottom = R.T @ (car.motion.pose(0.3)[0] @ (wheel.center - [0, 0, wheel.radius]) + car.motion.pose(0.3)[1] - at)
@@ -124,7 +124,7 @@ def test_the_written_rig_is_the_true_one_unless_asked() -> None:
     true, same = make_rigs(SpeedScene.model_validate(small_speed()))
     assert same is true
     written = {"focal_length_px": 2.0, "rotation_rad": [1e-4, 1e-4, 1e-4], "translation_m": [1e-3, 1e-3, 1e-3]}
-    rig = small_speed()["rig"] | {"written": written}
+    rig = small_speed()["rig"] | {"rig_error_std": written}
     deviations = []
     for seed in range(400):
         true, other = make_rigs(SpeedScene.model_validate(small_speed(seed=seed, rig=rig)))
@@ -138,13 +138,13 @@ def test_the_written_rig_is_the_true_one_unless_asked() -> None:
 
 
 def test_rows_read_late_show_vehicles_later() -> None:
-    slow = stage(sensor={"readout": 0.05, "bands": 4})
-    at_once, car, view = stage(), slow.cars[0], slow.views[0]
-    seen = slow.seen(view, car, 0.1)
+    slow = place_scene(sensor={"readout": 0.05, "bands": 4})
+    at_once, car, view = place_scene(), slow.vehicles[0], slow.views[0]
+    seen = slow.project_plane(view, car, 0.1)
     for corner, pixel in zip(range(4), seen, strict=True):
         delay = float(slow.shutter.row_delay(pixel[1], 144))
         assert pixel == pytest.approx(view.project(car.corners(0.1 + delay))[corner], abs=1e-6)
-    assert np.abs(seen - at_once.seen(view, car, 0.1)).max() > 0.05
+    assert np.abs(seen - at_once.project_plane(view, car, 0.1)).max() > 0.05
 
 
 WRONG = [
@@ -169,6 +169,40 @@ def test_wrong_scenes_are_refused_in_one_line(tmp_path: Path, change: dict[str, 
     assert "\n" not in str(refused.value)
 
 
+def test_earlier_names_of_keys_are_accepted() -> None:
+    car = {"id": "a", "start": 36.0, "speed": 9.0, "acceleration": 1.0}
+    rig, sensor = small_speed()["rig"], {"quality": 80}
+    old = small_speed(
+        vehicles=[car | {"towards": True, "guess": 8.0, "after": 0.5, "lasting": 1.0}],
+        rig=rig | {"written": {"focal_length_px": 1.0}, "stated": False},
+        sensor=sensor | {"open_for": 0.002, "keep": "jpeg"},
+        clicks={"corner": 1.0},
+    )
+    times = {"acceleration_start": 0.5, "acceleration_duration": 1.0}
+    new = small_speed(
+        vehicles=[car | {"oncoming": True, "initial_speed": 8.0} | times],
+        rig=rig | {"rig_error_std": {"focal_length_px": 1.0}, "states_uncertainty": False},
+        sensor=sensor | {"shutter_s": 0.002, "image_format": "jpeg"},
+        operator_noise={"corner": 1.0},
+    )
+    assert SpeedScene.model_validate(old) == SpeedScene.model_validate(new)
+    assert SpeedScene.model_validate(SpeedScene.model_validate(old).model_dump()) == SpeedScene.model_validate(new)
+    chases = (FollowScene.model_validate(small_follow(chase={key: 2.0})) for key in ("bounce", "shake_px"))
+    assert next(chases) == next(chases)
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"sensor": {"keep": "bmp"}}, "sensor.keep: expected 'png'"),
+        ({"sensor": {"keep": "png", "image_format": "png"}}, "image_format and keep: one key under two names"),
+        ({"sensor": {"image_formt": "png"}}, "unknown key 'image_formt'; did you mean 'image_format'"),
+    ],
+)
+def test_a_key_is_refused_by_the_name_in_the_file(tmp_path: Path, change: dict[str, Any], text: str) -> None:
+    test_wrong_scenes_are_refused_in_one_line(tmp_path, change, text)
+
+
 def test_gaps_are_in_order(tmp_path: Path) -> None:
     file = tmp_path / "scene.yaml"
     file.write_text(yaml.safe_dump(small_follow(lead={"gap": [9.0, 5.0]})))
@@ -179,6 +213,6 @@ def test_gaps_are_in_order(tmp_path: Path) -> None:
 
 def test_roads_that_contradict_themselves_are_refused() -> None:
     with pytest.raises(UnusableInput, match="radius"):
-        stage(road={"kind": "circle", "length": 80.0})
+        place_scene(road={"kind": "circle", "length": 80.0})
     with pytest.raises(UnusableInput, match=r"vehicles\[0\]: start 500 m"):
-        stage(vehicles=[{"id": "a", "start": 500.0, "speed": 9.0}])
+        place_scene(vehicles=[{"id": "a", "start": 500.0, "speed": 9.0}])

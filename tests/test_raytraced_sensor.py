@@ -76,7 +76,7 @@ def test_a_bent_picture_holds_each_ray_where_the_lens_puts_it() -> None:
     lens = Lens.of(LENS)
     w, h = lens.pinhole.image_size
     x, y = np.meshgrid(np.arange(w) + lens.offset[0], np.arange(h) + lens.offset[1])
-    bent = lens.bend(np.stack([x, y, 0 * x], -1).astype(np.float32))
+    bent = lens.distort(np.stack([x, y, 0 * x], -1).astype(np.float32))
     at = np.stack(np.meshgrid(np.arange(80), np.arange(60)), -1).astype(float)
     assert bent[..., :2] == pytest.approx(LENS.undistort_points(at), abs=0.05)
 

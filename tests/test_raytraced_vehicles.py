@@ -37,7 +37,7 @@ EACH = pytest.mark.parametrize(("kind", "seed"), [(kind, seed) for kind in RAYTR
 
 
 def all_solids(body: Body) -> list[SceneMesh]:
-    return [*body.solids, *(w.solid.moved(np.eye(3), w.center) for w in body.wheels)]
+    return [*body.meshes, *(w.mesh.transformed(np.eye(3), w.center) for w in body.wheels)]
 
 
 def first_hits(solids: list[SceneMesh], origins: Array, direction: Array) -> tuple[Array, Array]:
@@ -85,11 +85,11 @@ def test_wheels_stand_on_the_road_below_their_axles(bodies: dict[tuple[str, int]
     for wheel in body.wheels:
         assert wheel.center[2] == wheel.radius
         assert min(abs(wheel.center[0]), abs(wheel.center[0] - body.wheelbase)) < 1e-9
-        rim = np.hypot(wheel.solid.vertices[:, 0], wheel.solid.vertices[:, 2])
+        rim = np.hypot(wheel.mesh.vertices[:, 0], wheel.mesh.vertices[:, 2])
         assert rim.max() < wheel.radius + 1e-9
-        if wheel.solid.name == "rubber":
+        if wheel.mesh.name == "rubber":
             assert rim.max() == pytest.approx(wheel.radius)
-    spokes = next(w for w in body.wheels if w.solid.name == "rim").solid.vertices
+    spokes = next(w for w in body.wheels if w.mesh.name == "rim").mesh.vertices
     c, s = np.cos(0.3), np.sin(0.3)
     turned = spokes @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]).T
     assert cKDTree(spokes).query(turned)[0].max() > 0.01  # that it turns can be seen
@@ -113,7 +113,7 @@ def test_who_looks_at_it_sees_outer_sides(bodies: dict[tuple[str, int], Body], k
 @EACH
 def test_bodies_are_symmetric(bodies: dict[tuple[str, int], Body], kind: str, seed: int) -> None:
     body = bodies[kind, seed]
-    for solid in all_solids(body) if kind != "motorcycle" else body.solids:
+    for solid in all_solids(body) if kind != "motorcycle" else body.meshes:
         mirrored = solid.vertices * [1, -1, 1]
         twin = [s.vertices for s in all_solids(body) if s.name == solid.name]
         if solid.name not in ("rim", "chrome", "dark"):  # how spokes of a wheel are mirrored is not theirs
@@ -132,7 +132,7 @@ def test_planes_lie_where_the_mesh_is(bodies: dict[tuple[str, int], Body], kind:
     rng = np.random.default_rng(2)
     weights = rng.dirichlet(np.ones(4), 100)
     points = weights @ corners
-    depth = first_hits(list(body.solids), points + [sign * 15, 0, 0], np.array([-sign, 0.0, 0.0]))[0]
+    depth = first_hits(list(body.meshes), points + [sign * 15, 0, 0], np.array([-sign, 0.0, 0.0]))[0]
     x = sign * (15 - depth)  # ahead of the plane
     met = np.isfinite(depth)
     assert met.mean() > (0.97 if kind != "motorcycle" else 0.4)
@@ -140,7 +140,7 @@ def test_planes_lie_where_the_mesh_is(bodies: dict[tuple[str, int], Body], kind:
         assert np.abs(x[met]).max() < 0.8 and np.median(np.abs(x[met])) < 0.1
     across, up = np.meshgrid(np.linspace(-0.47, 0.47, 17), np.linspace(-0.46, 0.46, 12))
     grid = plane.center + np.stack([15 * sign + 0 * across, across * plane.width, up * plane.height], -1).reshape(-1, 3)
-    depth = first_hits(list(body.solids), grid, np.array([-sign, 0.0, 0.0]))[0]
+    depth = first_hits(list(body.meshes), grid, np.array([-sign, 0.0, 0.0]))[0]
     assert (15 - depth[np.isfinite(depth)]).mean() == pytest.approx(0, abs=0.03 if kind != "motorcycle" else 0.1)
 
 
@@ -152,7 +152,7 @@ def test_fronts_have_relief(bodies: dict[tuple[str, int], Body], kind: str) -> N
         plane = body.front
         z = np.linspace(0.3, plane.center[2] + plane.height / 2 - 0.03, 120)
         origins = np.column_stack([np.full(120, 30.0), np.full(120, 0.28), z])
-        x = 30 - first_hits(list(body.solids), origins, np.array([-1.0, 0, 0]))[0]
+        x = 30 - first_hits(list(body.meshes), origins, np.array([-1.0, 0, 0]))[0]
         z, x = z[np.isfinite(x)], x[np.isfinite(x)]
         half = z < (z[0] + z[-1]) / 2
         assert 0.05 < x[half].max() - x[~half].min() < 0.3
@@ -198,7 +198,7 @@ def test_reflectances_and_textures_fit(bodies: dict[tuple[str, int], Body]) -> N
             if m.texture is not None:
                 assert solid.uv is not None and solid.uv.min() >= 0 and solid.uv.max() <= 1
                 assert m.texture.dtype == np.float32 and m.texture.min() > 0 and m.texture.max() < 0.85
-        assert {"front plate", "rear plate"} & {s.name for s in body.solids}
+        assert {"front plate", "rear plate"} & {s.name for s in body.meshes}
 
 
 def test_an_unknown_kind_is_refused() -> None:

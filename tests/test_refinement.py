@@ -206,7 +206,7 @@ def test_occluded_frames_at_the_end_are_not_measured(tmp_path: Path) -> None:
 def test_a_change_of_speed_that_begins_later_is_found(rendered: Callable[[Scene], Path], acceleration: float) -> None:
     """A constant acceleration, fitted to this, was wrong by 1 mph in the mean and by 5 mph at the worst frame."""
     begins = 1.0
-    s = scene("line", 16.0, 9, frames=11, acceleration=acceleration, after=begins, start_distance=56.0)
+    s = scene("line", 16.0, 9, frames=11, acceleration=acceleration, acceleration_start=begins, start_distance=56.0)
     m = measure_clip(rendered(s)).measurements[0]
     assert (m.verdict, m.model) == ("measured", "changing acceleration")
     t = m.track.time

@@ -58,7 +58,7 @@ def test_lags_are_exponential() -> None:
 
 def test_limits_hold() -> None:
     plant = VehicleDynamics(VEHICLE, VehicleState(0.0, 0.0, 0.0, 20.0))
-    plant.ask(Command(0.0, 2.0, -50.0))
+    plant.queue(Command(0.0, 2.0, -50.0))
     before = plant.state
     for k in range(1, 80):
         s = plant.advance(k / 20)
@@ -77,7 +77,7 @@ def test_the_stopping_distance_is_that_of_a_lag_and_a_constant_deceleration() ->
     """A first-order lag τ before a deceleration a costs v τ, all but what it saves: s = v²/2a + v τ − a τ²/2 + …"""
     speed, braking, tau = 15.0, VEHICLE.braking_limit, VEHICLE.brake_lag
     plant = VehicleDynamics(VEHICLE, VehicleState(0.0, 0.0, 0.0, speed))
-    plant.ask(Command(0.0, 0.0, -braking))
+    plant.queue(Command(0.0, 0.0, -braking))
     assert plant.advance(10.0).x == pytest.approx(
         speed**2 / (2 * braking) + speed * tau - braking * tau**2 / 2, rel=2e-3
     )
@@ -85,11 +85,11 @@ def test_the_stopping_distance_is_that_of_a_lag_and_a_constant_deceleration() ->
 
 def test_commands_act_when_they_are_due() -> None:
     plant = VehicleDynamics(VEHICLE, VehicleState(0.0, 0.0, 0.0, 10.0))
-    plant.ask(Command(0.128, 0.1, 0.0))
+    plant.queue(Command(0.128, 0.1, 0.0))
     assert plant.advance(0.128).steering == 0.0
     assert plant.advance(0.15).steering == pytest.approx(0.022 * VEHICLE.steering_rate, rel=1e-6)  # as fast as it can
     with pytest.raises(ValueError, match="expected a time from 0.15 s on"):
-        plant.ask(Command(0.1, 0.0, 0.0))
+        plant.queue(Command(0.1, 0.0, 0.0))
 
 
 @settings(max_examples=30, deadline=None)
@@ -99,7 +99,7 @@ def test_it_does_not_matter_when_one_looks(pauses: list[float], steering: float,
     ends = np.cumsum(pauses)
     a, b = (VehicleDynamics(VEHICLE, VehicleState(1.0, 2.0, 0.5, 9.0)) for _ in range(2))
     for plant in (a, b):
-        plant.ask(Command(0.05, steering, acceleration))
+        plant.queue(Command(0.05, steering, acceleration))
     for end in ends:
         a.advance(float(end))
     b.advance(float(ends[-1]))

@@ -17,7 +17,7 @@ def small_speed(**changes: Any) -> dict[str, Any]:
         "samples": 2,
         "road": {"length": 80.0},
         "scenery": BARE,
-        "vehicles": [{"id": "v0", "start": 36.0, "speed": 12.0, "towards": True, "seed": 2}],
+        "vehicles": [{"id": "v0", "start": 36.0, "speed": 12.0, "oncoming": True, "seed": 2}],
         "rig": {
             "image_size": [192, 144],
             "focal": 430.0,

@@ -21,8 +21,8 @@ SETTINGS: Numbers = {
     "seeds": [970, 971, 972, 973, 974],
     "frames": 120,
 }
-ABRUPT: dict[str, Any] = CALM | {"bounce": 0.0, "weave": 2.5}
-SHADED: dict[str, Any] = CALM | {"bounce": 0.0, "shadows": 1.6, "ambient": 0.28}
+ABRUPT: dict[str, Any] = CALM | {"shake_px": 0.0, "weave": 2.5}
+SHADED: dict[str, Any] = CALM | {"shake_px": 0.0, "shadows": 1.6, "ambient": 0.28}
 KINDS: dict[str, dict[str, Any]] = {"abrupt motion": ABRUPT, "shadows": SHADED}
 ADAPTIVE = "adaptive, all remedies"
 

@@ -79,11 +79,11 @@ def text(shown: Numbers) -> str:
 
 def draw(numbers: Numbers, folder: Path) -> None:
     sheet = []
-    for scenario, moment in numbers["drawn"].items():
-        wanted, views = {f["frame"]: f for f in moment["frames"]}, []
+    for scenario, state in numbers["drawn"].items():
+        wanted, views = {f["frame"]: f for f in state["frames"]}, []
         if not wanted:
             continue
-        for picture, truth, _ in scenes.followed(_scene(scenario, moment["seed"]), {}):
+        for picture, truth, _ in scenes.followed(_scene(scenario, state["seed"]), {}):
             if truth.frame not in wanted:
                 continue
             one = wanted[truth.frame]

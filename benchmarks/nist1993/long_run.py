@@ -23,7 +23,7 @@ def compute() -> Numbers:
     loop, figures = ClosedLoop(resolve_drive(SETTINGS["scene"], SETTINGS["seed"]), SETTINGS["seed"]), DriveStatistics()
     milliseconds, trace = [], []
     for step in loop.steps():
-        figures.add(step, loop.stage.world.body.width)
+        figures.add(step, loop.scene.world.body.width)
         milliseconds.append(1e3 * step.estimate.latency)
         if step.frame % EVERY == 0:
             e = step.estimate
@@ -33,14 +33,14 @@ def compute() -> Numbers:
             trace[-1] += [round(float(error), 3) if seen else None, round(float(step.path_error), 4)]
     requirements = check_requirements(loop.model, figures)
     shown: dict[str, Any] = {
-        "kind": loop.stage.scene.kind,
+        "kind": loop.scene.chase_scene.kind,
         "frames": figures.frames,
-        "minutes": figures.frames / loop.stage.scene.rate / 60,
-        "way": figures.way,
-        "showing": figures.showing,
-        "tracked": figures.tracked,
+        "minutes": figures.frames / loop.scene.chase_scene.rate / 60,
+        "way": figures.distance,
+        "showing": figures.visible_frames,
+        "tracked": figures.tracked_frames,
         "losses": figures.losses,
-        "wrong": figures.wrong,
+        "wrong": figures.wrong_frames,
         "path_rms": figures.path_rms,
         "path_max": figures.path_max,
         "range_rms": 100 * figures.range_rms,
@@ -100,7 +100,7 @@ ITEM = Item(
     compute=compute,
     text=text,
     draw=draw,
-    pictures=("nist-long.svg",),
+    render=("nist-long.svg",),
     settings=SETTINGS,
     rooms=("follow", "simulation/driving"),
 )

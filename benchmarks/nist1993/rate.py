@@ -24,10 +24,10 @@ def compute() -> Numbers:
     spent: dict[str, list[float]] = {name: [] for name in CONFIGURATIONS}
     for seed in SETTINGS["seeds"]:
         scene = random_chase(seed, frames=SETTINGS["frames"])
-        film = list(render_frames(scene))  # beforehand: rendering between two frames would empty the caches
+        renderer = list(render_frames(scene))  # beforehand: rendering between two frames would empty the caches
         for name, configuration in CONFIGURATIONS.items():
-            tracker = FollowTracker(scene.camera, *operators_start(scene, film[0][1]), configuration)
-            for image, truth in film:
+            tracker = FollowTracker(scene.camera, *operators_start(scene, renderer[0][1]), configuration)
+            for image, truth in renderer:
                 pose = Pose(truth.x, truth.y, truth.heading)
                 spent[name].append(1e3 * tracker.update(image, truth.time, truth.frame, pose).latency)
     shown = {

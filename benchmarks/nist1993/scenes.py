@@ -31,7 +31,7 @@ def item(
     picture: str | None = None,
     rooms: tuple[str, ...] = ("follow",),
 ) -> Item:
-    """An item with one ``picture`` or none, whose numbers hang on the ``rooms`` of the package and on this module."""
+    """An item with one ``render`` or none, whose numbers hang on the ``rooms`` of the package and on this module."""
     return Item(
         name=f"nist-{script}",
         script=f"nist1993.{script}",
@@ -39,7 +39,7 @@ def item(
         compute=compute,
         text=text,
         draw=draw,
-        pictures=() if picture is None else (picture,),
+        render=() if picture is None else (picture,),
         settings=settings,
         rooms=rooms,
         helpers=(sys.modules[__name__],),

@@ -17,7 +17,7 @@ from paceline.reports.common.drawing import draw_line, scale_points
 from paceline.reports.common.plots import VEHICLE_COLORS
 from paceline.simulation.random_scenes import random_chase
 
-SETTINGS: Numbers = {"seed": 907, "kind": "van", "gap": [6.0, 10.0], "bounce": 2.0, "shadows": 0.4, "frame": 40}
+SETTINGS: Numbers = {"seed": 907, "kind": "van", "gap": [6.0, 10.0], "shake_px": 2.0, "shadows": 0.4, "frame": 40}
 VIEW = (384, 363)
 
 
@@ -29,7 +29,7 @@ def _frames() -> tuple[Any, Any, Any, Any]:
         frames=s["frame"] + 1,
         kind=s["kind"],
         gap=tuple(s["gap"]),
-        bounce=s["bounce"],
+        shake_px=s["shake_px"],
         shadows=s["shadows"],
         paint=150.0,
     )

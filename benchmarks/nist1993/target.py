@@ -25,7 +25,7 @@ TEN = 10  # segments, as [NIST] has; the last of the file, the body's lower edge
 def _first() -> tuple[np.ndarray, list, np.ndarray, list]:
     s = SETTINGS
     scene = random_chase(
-        s["seed"], frames=1, kind=s["kind"], gap=tuple(s["gap"]), shadows=s["shadows"], paint=s["paint"], bounce=0.0
+        s["seed"], frames=1, kind=s["kind"], gap=tuple(s["gap"]), shadows=s["shadows"], paint=s["paint"], shake_px=0.0
     )
     picture, truth = next(iter(render_frames(scene)))
     whole, _, _ = operators_start(scene, truth)

@@ -47,7 +47,7 @@ def _print_drive(result: DriveResult) -> None:
 
     f = result.figures
     print(
-        f"{result.scene}, seed {result.seed}: {result.duration:.0f} s and {f.way:.0f} m behind a {result.target}, "
+        f"{result.scene}, seed {result.seed}: {result.duration:.0f} s and {f.distance:.0f} m behind a {result.target}, "
         f"up to {3.6 * f.speed_max:.0f} km/h"
     )
     rows = [("what must hold", "found", "must be", ""), *map(format_requirement, result.requirements)]

@@ -10,7 +10,17 @@ from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 import yaml
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    AfterValidator,
+    AliasChoices,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    model_validator,
+)
+from pydantic.fields import FieldInfo
 
 from paceline.arrays import Array
 from paceline.errors import UnusableInput
@@ -99,7 +109,10 @@ Covariance = Annotated[Array, BeforeValidator(_covariance)]
 
 
 class KnownKeys(BaseModel):
-    """A model that refuses an unknown key with the nearest one that it knows."""
+    """A model that refuses an unknown key with the nearest one that it knows.
+
+    A field with ``validation_alias=AliasChoices(name, old name)`` accepts an older name of its key, too.
+    """
 
     model_config = ConfigDict(allow_inf_nan=False, extra="forbid")
 
@@ -110,10 +123,18 @@ class KnownKeys(BaseModel):
             return value
         if not isinstance(value, dict):
             raise ValueError(f"expected the keys {', '.join(cls.model_fields)}, found {_shown(value)}")
+        aliases = {str(old): name for name, field in cls.model_fields.items() for old in _older_names(field)}
         for key in value:
-            if key not in cls.model_fields:
+            if key not in cls.model_fields and key not in aliases:
                 raise ValueError(f"unknown key {key!r}; {nearest_of(str(key), list(cls.model_fields))}")
+            if aliases.get(key) in value:
+                raise ValueError(f"{aliases[key]} and {key}: one key under two names; expected one of them")
         return value
+
+
+def _older_names(field: FieldInfo) -> list[Any]:
+    """The names beside its own under which a field is accepted."""
+    return field.validation_alias.choices[1:] if isinstance(field.validation_alias, AliasChoices) else []
 
 
 class Document(KnownKeys):

@@ -56,34 +56,34 @@ class SimulatedStereoScene(Protocol):
     @property
     def views(self) -> tuple[PosedCamera, PosedCamera]: ...
     @property
-    def cars(self) -> Sequence[SimulatedVehicle]: ...
+    def vehicles(self) -> Sequence[SimulatedVehicle]: ...
 
 
-def clip_document(stage: SimulatedStereoScene, truth: list[dict[str, Any]], hidden: IsHidden) -> dict[str, Any]:
+def clip_document(placed: SimulatedStereoScene, truth: list[dict[str, Any]], hidden: IsHidden) -> dict[str, Any]:
     """The contents of clip.yaml, pixels as recorded.
 
     Raises UnusableInput where a measured vehicle or the line beside it is never seen well enough.
     """
-    scene, rng = stage.scene, np.random.default_rng([stage.scene.seed, 13])
-    video = scene.sensor.keep == "h264"
+    scene, rng = placed.scene, np.random.default_rng([placed.scene.seed, 13])
+    video = scene.sensor.image_format == "h264"
     clip: dict[str, Any] = {side: f"{side}.mp4" if video else side for side in ("left", "right")}
     if not video:
         clip |= {"times": "times.csv"} if scene.dropped or scene.skew else {"rate": scene.rate}
     clip["rig"] = "rig.yaml"
     lanes: dict[tuple[int, bool], str] = {}
-    measured = [car for car in stage.cars if car.model.measured]
+    measured = [car for car in placed.vehicles if car.model.measured]
     for car in measured:
-        lanes.setdefault((car.model.lane, car.model.towards), f"lane{len(lanes)}")
+        lanes.setdefault((car.model.lane, car.model.oncoming), f"lane{len(lanes)}")
     seen = {car.model.id: rows_from_outline(car, truth) for car in measured}
     clip["paths"] = {}
-    for (lane, towards), name in lanes.items():
-        users = [car for car in measured if (car.model.lane, car.model.towards) == (lane, towards)]
+    for (lane, oncoming), name in lanes.items():
+        users = [car for car in measured if (car.model.lane, car.model.oncoming) == (lane, oncoming)]
         driven = np.array([_arc_length(car, row["time_s"]) for car in users for row in seen[car.model.id]])
-        clip["paths"][name] = _draw_path(stage, lane, towards, driven, hidden, rng)
+        clip["paths"][name] = _draw_path(placed, lane, oncoming, driven, hidden, rng)
     clip["vehicles"] = [
-        {"id": car.model.id, "path": lanes[car.model.lane, car.model.towards], "frame": seen[car.model.id][0]["frame"]}
-        | {side: _click_corners(stage, side, seen[car.model.id][0][side], rng) for side in ("left", "right")}
-        | ({"speed": car.model.guess} if car.model.guess else {})
+        {"id": car.model.id, "path": lanes[car.model.lane, car.model.oncoming], "frame": seen[car.model.id][0]["frame"]}
+        | {side: _click_corners(placed, side, seen[car.model.id][0][side], rng) for side in ("left", "right")}
+        | ({"speed": car.model.initial_speed} if car.model.initial_speed else {})
         for car in measured
     ]
     return clip
@@ -106,10 +106,10 @@ def _arc_length(car: SimulatedVehicle, t: float) -> float:
 
 
 def _click_corners(
-    stage: SimulatedStereoScene, side: str, corners: list[list[float]], rng: np.random.Generator
+    placed: SimulatedStereoScene, side: str, corners: list[list[float]], rng: np.random.Generator
 ) -> list[list[float]]:
-    camera = stage.rig.left if side == "left" else stage.rig.right
-    return add_click_noise(camera.distort_points(np.array(corners)), stage.scene.clicks.corner, rng)
+    camera = placed.rig.left if side == "left" else placed.rig.right
+    return add_click_noise(camera.distort_points(np.array(corners)), placed.scene.operator_noise.corner, rng)
 
 
 def add_click_noise(pixels: Array, sigma: float, rng: np.random.Generator) -> list[list[float]]:
@@ -129,32 +129,34 @@ def draw_line(pixels: Array, camera: Camera, points: int, sigma: float, rng: np.
 
 
 def _draw_path(
-    stage: SimulatedStereoScene, lane: int, towards: bool, driven: Array, hidden: IsHidden, rng: np.random.Generator
+    placed: SimulatedStereoScene, lane: int, oncoming: bool, driven: Array, hidden: IsHidden, rng: np.random.Generator
 ) -> dict[str, Any]:
-    """The painted line beside a lane that is seen best, drawn in each view along where vehicles drive, ``driven`` (N,)
-    m of arc length."""
-    middle, road = stage.road.lanes[lane], stage.road
+    """The best visible painted line beside a lane, drawn in each view along the arc lengths ``driven`` (N,) m of its
+    vehicles."""
+    middle, road = placed.road.lanes[lane], placed.road
     beside = sorted(road.markings, key=lambda m: abs(m - middle))[:2]
-    found = {m: [_visible_line(stage, m, driven, view, hidden) for view in stage.views] for m in beside}
+    found = {m: [_visible_line(placed, m, driven, view, hidden) for view in placed.views] for m in beside}
     marking = max(found, key=lambda m: min(len(line) for line in found[m]))
     if min(len(line) for line in found[marking]) < 10:
         raise UnusableInput(f"no painted line beside lane {lane} is visible in both pictures")
     shape = road.shape
     path: dict[str, Any] = {"shape": "line" if shape.kind == "straight" and shape.crest_radius is None else "curve"}
-    for side, camera, pixels in zip(("left", "right"), stage.rig.cameras, found[marking], strict=True):
-        path[side] = draw_line(pixels, camera, stage.scene.clicks.points, stage.scene.clicks.line, rng)
-    path["lateral_offset"] = round((middle - marking) * (-1.0 if towards else 1.0), 3)
+    for side, camera, pixels in zip(("left", "right"), placed.rig.cameras, found[marking], strict=True):
+        path[side] = draw_line(
+            pixels, camera, placed.scene.operator_noise.points, placed.scene.operator_noise.line, rng
+        )
+    path["lateral_offset"] = round((middle - marking) * (-1.0 if oncoming else 1.0), 3)
     return path
 
 
 def _visible_line(
-    stage: SimulatedStereoScene, marking: float, driven: Array, view: PosedCamera, hidden: IsHidden
+    placed: SimulatedStereoScene, marking: float, driven: Array, view: PosedCamera, hidden: IsHidden
 ) -> Array:
     """Pixels (N, 2) closely along the line at ``marking``, from far to near, where nothing hides it: its longest
     stretch."""
-    points = stage.road.line(marking, float(driven.min()) - LINE_BEFORE_M, float(driven.max()) + LINE_BEFORE_M, 0.25)
+    points = placed.road.line(marking, float(driven.min()) - LINE_BEFORE_M, float(driven.max()) + LINE_BEFORE_M, 0.25)
     depth = view.to_camera(points)[:, 2]
-    along = stage.road.line(0.0, float(driven.min()), float(driven.max()), 0.25)
+    along = placed.road.line(0.0, float(driven.min()), float(driven.max()), 0.25)
     nearest, farthest = (f(view.to_camera(along)[:, 2]) for f in (np.min, np.max))
     points = points[(depth > max(2.0, nearest - LINE_BEFORE_M)) & (depth < farthest + LINE_BEYOND_M)]
     points = points[np.argsort(-view.to_camera(points)[:, 2], kind="stable")]

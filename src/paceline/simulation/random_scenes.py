@@ -217,18 +217,18 @@ def random_chase(seed: int, preset: str = "nist", **overrides: Any) -> ChaseScen
         kind=kind,
         paint=rng.uniform(110, 205) if light else rng.uniform(28, 60),
         weave=rng.uniform(0.3, 1.0),
-        bounce=rng.uniform(2.0, 5.0),
-        crowding=rng.uniform(0.6, 1.5),
-        parallel=float(rng.choice([0.0, 0.2, 0.5, 0.9])),
+        shake_px=rng.uniform(2.0, 5.0),
+        object_density=rng.uniform(0.6, 1.5),
+        parallel_share=float(rng.choice([0.0, 0.2, 0.5, 0.9])),
         shadows=float(rng.choice([0.0, 0.4, 0.8, 1.3])),
         ambient=rng.uniform(0.28, 0.65),
         sun_azimuth=rng.uniform(-np.pi, np.pi),
         sun_elevation=rng.uniform(0.5, 1.1),
         exposure=rng.uniform(0.8, 1.5),
-        drift=rng.uniform(0.0, 0.25),
+        exposure_drift=rng.uniform(0.0, 0.25),
         vignetting=rng.uniform(0.0, 0.35),
         blur_sigma=rng.uniform(0.45, 0.9),
-        shutter=rng.uniform(0.002, 0.012),
+        shutter_s=rng.uniform(0.002, 0.012),
         noise_sigma=rng.uniform(0.8, 3.0),
         shot_noise=rng.uniform(0.0, 0.04),
     )
@@ -258,7 +258,7 @@ def _draw_speed_scene(seed: int, speed: float, rng: np.random.Generator) -> dict
     suitable = [r for r in RAYTRACED_FRAME_RATES_HZ if 5.0 <= speed * (frames - 1) / r <= 60.0]
     rate = float(rng.choice(suitable or [RAYTRACED_FRAME_RATES_HZ[-1]]))
     way = speed * (frames - 1) / rate
-    near, towards = float(rng.uniform(17, max(18.0, 75 - way))), bool(rng.random() < 0.65)
+    near, oncoming = float(rng.uniform(17, max(18.0, 75 - way))), bool(rng.random() < 0.65)
     kind = str(rng.choice(["straight", "straight", "circle", "clothoid"]))
     lanes = int(rng.choice([2, 2, 3]))
     road: dict[str, Any] = {"kind": kind, "lanes": lanes, "length": 260.0, "wear": float(rng.uniform(0, 0.6))}
@@ -267,7 +267,7 @@ def _draw_speed_scene(seed: int, speed: float, rng: np.random.Generator) -> dict
         road["radius"] = float(rng.choice([-1, 1]) * rng.uniform(80, 400))
     along = 20.0
     side = float(rng.choice([-1, 1]))
-    lane = 0 if towards else lanes - 1
+    lane = 0 if oncoming else lanes - 1
     focal, height = float(rng.uniform(1400, 3000)), float(rng.uniform(1.6, 5.0))
     eye = {"along": along, "right": side * (1.8 * lanes + rng.uniform(2.5, 5.0)), "height": height}
     middle = along + near + way / 2
@@ -278,9 +278,9 @@ def _draw_speed_scene(seed: int, speed: float, rng: np.random.Generator) -> dict
         "seed": int(rng.integers(2**31)),
         "lane": lane,
         "offset": float(rng.normal(0, 0.15)),
-        "start": along + near + (way if towards else 0.0) + (4.0 if towards else 0.0),
+        "start": along + near + (way if oncoming else 0.0) + (4.0 if oncoming else 0.0),
         "speed": speed,
-        "towards": towards,
+        "oncoming": oncoming,
     }
     behaviour = rng.random()
     if behaviour < 0.2:
@@ -297,7 +297,7 @@ def _draw_speed_scene(seed: int, speed: float, rng: np.random.Generator) -> dict
         "target": target,
     }
     if rng.random() < 0.25:
-        rig["written"] = {
+        rig["rig_error_std"] = {
             "focal_length_px": float(rng.uniform(0.3, 2.0)),
             "rotation_rad": [float(rng.uniform(1e-5, 6e-5)) for _ in range(3)],
             "translation_m": [float(rng.uniform(1e-4, 4e-4)) for _ in range(3)],
@@ -331,7 +331,7 @@ def random_follow_scene(seed: int, frames: int = 300) -> FollowScene:
     chase = {
         "height": float(rng.uniform(1.6, 2.3)),
         "tilt": float(rng.uniform(0.035, 0.08)),
-        "bounce": float(rng.uniform(1, 4)),
+        "shake_px": float(rng.uniform(1, 4)),
     }
     light, beside, sensor = _draw_light(rng), _draw_scenery(rng), _draw_sensor(rng)
     exposure = float(rng.uniform(0.001, 0.008))  # a short one moves nothing by more than a part of a pixel
@@ -343,7 +343,7 @@ def random_follow_scene(seed: int, frames: int = 300) -> FollowScene:
         "road": road,
         "light": light,
         "scenery": beside,
-        "sensor": sensor | {"open_for": exposure, "steps": 1 if exposure < 0.004 else 2},
+        "sensor": sensor | {"shutter_s": exposure, "steps": 1 if exposure < 0.004 else 2},
         "lead": lead,
         "chase": chase,
     }
@@ -373,7 +373,7 @@ def _draw_sensor(rng: np.random.Generator) -> dict[str, Any]:
         "vignetting": float(rng.uniform(0, 0.3)),
         "blur_sigma": float(rng.uniform(0.45, 0.8)),
         "gamma": float(rng.choice([1.0, 2.2])),
-        "keep": str(rng.choice(["png", "jpeg"], p=[0.8, 0.2])),
+        "image_format": str(rng.choice(["png", "jpeg"], p=[0.8, 0.2])),
         "quality": 92,
     }
 
@@ -381,33 +381,33 @@ def _draw_sensor(rng: np.random.Generator) -> dict[str, Any]:
 def _is_suitable_raytraced(scene: SpeedScene) -> bool:
     """Whether the vehicle is inside both images and large enough to be outlined in `MIN_VISIBLE_FRAMES` frames."""
     try:
-        stage = PlacedStereoScene(scene)
+        placed = PlacedStereoScene(scene)
     except (UnusableInput, ValueError):
         return False
-    car, size = stage.cars[0], stage.rig.left.image_size
+    car, size = placed.vehicles[0], placed.rig.left.image_size
     count = 0
-    for t in stage.clocks[0].tolist():
+    for t in placed.clocks[0].tolist():
         if not car.is_there(t):
             continue
         corners = car.corners(t)
-        if min(view.to_camera(corners)[:, 2].min() for view in stage.views) < MIN_RAYTRACED_DISTANCE_M:
+        if min(view.to_camera(corners)[:, 2].min() for view in placed.views) < MIN_RAYTRACED_DISTANCE_M:
             continue
-        pixels = [view.project(corners) for view in stage.views]
+        pixels = [view.project(corners) for view in placed.views]
         wide = min(np.ptp(p[:, 0]) for p in pixels) > 1.1 * MIN_OUTLINE_WIDTH_PX
-        distance = np.linalg.norm(car.center(t) - stage.views[0].centre)
+        distance = np.linalg.norm(car.center(t) - placed.views[0].centre)
         count += int(wide and distance < MAX_RAYTRACED_DISTANCE_M and all(is_inside_image(p, size) for p in pixels))
-    return count >= max(MIN_VISIBLE_FRAMES, 0.7 * len(stage.clocks[0])) and all(
-        _is_raytraced_line_usable(stage, v) for v in stage.views
+    return count >= max(MIN_VISIBLE_FRAMES, 0.7 * len(placed.clocks[0])) and all(
+        _is_raytraced_line_usable(placed, v) for v in placed.views
     )
 
 
-def _is_raytraced_line_usable(stage: PlacedStereoScene, view: PosedCamera) -> bool:
+def _is_raytraced_line_usable(placed: PlacedStereoScene, view: PosedCamera) -> bool:
     """Whether a painted line beside the lane runs well across the epipolar lines, which are nearly level."""
-    car, size = stage.cars[0], np.array(stage.rig.left.image_size)
-    arcs = [car.motion.position(t)[0] for t in stage.clocks[0].tolist() if car.is_there(t)]
-    beside = sorted(stage.road.markings, key=lambda m: abs(m - stage.road.lanes[car.model.lane]))[:2]
+    car, size = placed.vehicles[0], np.array(placed.rig.left.image_size)
+    arcs = [car.motion.position(t)[0] for t in placed.clocks[0].tolist() if car.is_there(t)]
+    beside = sorted(placed.road.markings, key=lambda m: abs(m - placed.road.lanes[car.model.lane]))[:2]
     for marking in beside:
-        points = stage.road.line(marking, min(arcs) - 25, max(arcs))
+        points = placed.road.line(marking, min(arcs) - 25, max(arcs))
         pixels = view.project(points[view.to_camera(points)[:, 2] > 2])
         pixels = pixels[((pixels > 8) & (pixels < size - 9)).all(1)]
         if len(pixels) < 10:

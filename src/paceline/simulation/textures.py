@@ -36,7 +36,7 @@ class Texture:
             levels.append(np.asarray(half, np.float32))
         return levels
 
-    def lit(self, gamma: float) -> Texture:
+    def to_light(self, gamma: float) -> Texture:
         """The light of which these are the grey values, as it goes by their power ``gamma``."""
         return Texture(grey_to_light(self.value, gamma), self.alpha)
 

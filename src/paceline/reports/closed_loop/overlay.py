@@ -27,12 +27,14 @@ def draw_step(step: LoopStep, vehicle: VehicleParameters) -> Picture:
     panel: Picture = np.full((PANEL_HEIGHT_PX, view.shape[1], 3), DARK_BGR, np.uint8)
     texts = (
         f"{format_number(3.6 * step.chase.speed, 1)} km/h",
-        f"gap {format_number(step.gap, 1)} of {format_number(step.wanted, 1)} m" if step.shown else "the lead is gone",
+        f"gap {format_number(step.gap, 1)} of {format_number(step.desired_gap, 1)} m"
+        if step.lead_present
+        else "the lead is gone",
         f"path {format_number(step.path_error, 2)} m",
     )
     for text, x in zip(texts, (14, 160, 390), strict=True):
         draw_text(panel, text, (x, 26), 17, WHITE_BGR)
-    _draw_bar(panel, (14, 40), 340, step.asked.steering / vehicle.steering_limit, COMMAND_COLOR, "steering asked")
+    _draw_bar(panel, (14, 40), 340, step.command.steering / vehicle.steering_limit, COMMAND_COLOR, "steering asked")
     _draw_bar(panel, (14, 52), 340, step.chase.steering / vehicle.steering_limit, WHEEL_COLOR, "wheels")
     pedal = step.chase.acceleration / FULL_PEDAL_MPS2
     _draw_bar(panel, (500, 46), 150, pedal, WHEEL_COLOR if pedal >= 0 else BRAKE_COLOR, "brake, throttle")

@@ -36,7 +36,7 @@ def write_drive_page(
         rows=[format_requirement(r) for r in result.requirements],
         failed=sum(not r.holds for r in result.requirements),
         duration=format_number(result.duration, 1),
-        way=format_number(f.way, 0),
+        distance=format_number(f.distance, 0),
         fastest=format_number(3.6 * f.speed_max, 1),
         path_rms=format_number(f.path_rms, 3),
         path_max=format_number(f.path_max, 2),

@@ -57,7 +57,7 @@ def _plan_size(log: DriveLog) -> tuple[float, float]:
 def _draw_plan(figure: Figure, log: DriveLog) -> None:
     axes = figure.subplots()
     chase, lead = _rotated_to_horizontal(log)
-    shown = log.shown > 0
+    shown = log.lead_present > 0
     axes.plot(*lead[shown].T, color=INTERVAL_COLOR, lw=3.2, alpha=0.8, label="lead")
     axes.plot(*chase.T, color=FILTER_COLOR, lw=1.2, label="chase vehicle")
     axes.plot(*chase[0], marker="o", color=INK_COLOR, ms=5, ls="", label="start")
@@ -72,7 +72,7 @@ def _draw_plan(figure: Figure, log: DriveLog) -> None:
 
 def _draw_gap(figure: Figure, log: DriveLog) -> None:
     axes = figure.subplots()
-    axes.plot(log.time, log.wanted, color=MUTED_COLOR, lw=1.0, ls=(0, (4, 2)), label="wanted")
+    axes.plot(log.time, log.desired_gap, color=MUTED_COLOR, lw=1.0, ls=(0, (4, 2)), label="wanted")
     axes.plot(log.time, log.gap, color=INK_COLOR, lw=1.4, label="true")
     axes.plot(log.time, log.range, color=FILTER_COLOR, lw=1.0, label="estimated")
     axes.set_ylim(bottom=0)
@@ -92,7 +92,7 @@ def _draw_error(figure: Figure, log: DriveLog) -> None:
 
 def _draw_steering(figure: Figure, log: DriveLog) -> None:
     axes = figure.subplots()
-    axes.plot(log.time, np.degrees(log.asked), color=INTERVAL_COLOR, lw=0.9, label="asked for")
+    axes.plot(log.time, np.degrees(log.steering_command), color=INTERVAL_COLOR, lw=0.9, label="asked for")
     axes.plot(log.time, np.degrees(log.steering), color=FILTER_COLOR, lw=1.2, label="wheels")
     axes.set_ylabel("degrees, to the right")
     _finish_axes(figure, axes, log)

@@ -42,7 +42,7 @@ def write_drive_files(
     begun = time.perf_counter()
     warm_up()
     figures, log, stills, notices = DriveStatistics(), DriveLog(), StillSelection(), list[str]()
-    rate, width = loop.stage.scene.rate, loop.stage.world.body.width
+    rate, width = loop.scene.chase_scene.rate, loop.scene.world.body.width
     with ExitStack() as stack:
         table = stack.enter_context(DriveTable(folder / "drive.csv"))
         video = stack.enter_context(VideoWriter(folder / "overlay.mp4", 1 / rate, VIDEO_CRF)) if overlay else None
@@ -61,7 +61,7 @@ def write_drive_files(
         scene=loop.model.name,
         seed=loop.seed,
         throttle=loop.model.throttle,
-        target=loop.stage.scene.kind,
+        target=loop.scene.chase_scene.kind,
         latency=loop.latency,
         duration=loop.frames / rate,
         figures=figures,

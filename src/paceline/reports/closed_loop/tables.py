@@ -34,8 +34,8 @@ class DriveTable:
             s.time, c.x, c.y, c.heading, c.speed, c.acceleration,
             s.lead.x, s.lead.y, s.lead.heading, s.lead_speed,
             *e.position, e.position_std[2], *s.truth.position,
-            s.asked.steering, c.steering, s.asked.acceleration, s.asked.time,
-            s.wanted, s.path_error, s.clearance, s.truth.visible, e.latency,
+            s.command.steering, c.steering, s.command.acceleration, s.command.time,
+            s.desired_gap, s.path_error, s.clearance, s.truth.visible, e.latency,
         ]  # fmt: skip
         self._writer.writerow([s.frame, *map(format_cell, numbers), e.status, e.reason])
 
@@ -70,8 +70,8 @@ def write_drive_summary(result: DriveResult, file: Path) -> None:
         "status": {name: f.status[name] for name in ("tracking", "coasting", "lost")},
         "tracked_share": f.tracked_share,
         "losses": f.losses,
-        "wrong_frames": f.wrong,
-        "way_m": f.way,
+        "wrong_frames": f.wrong_frames,
+        "way_m": f.distance,
         "speed_max_mps": f.speed_max,
         "clearance_min_m": f.clearance,
         "path_error_m": {"rms": f.path_rms, "max": f.path_max},

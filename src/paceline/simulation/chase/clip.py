@@ -63,18 +63,20 @@ def render_frames(scene: ChaseScene) -> Iterator[tuple[NDArray[np.uint8], ChaseT
     """Picture (H, W) and truth, frame by frame; the same scene gives the same pictures. Nothing is kept of the frames
     before."""
     script = ChaseScript(scene)
-    film = Renderer(script.world)
+    renderer = Renderer(script.world)
     for frame in range(scene.frames):
-        moment = script.moment(frame / scene.rate)
-        image, visible = film.picture(moment)
-        yield image, truth_of(scene, frame, moment, visible)
+        state = script.state_at(frame / scene.rate)
+        image, visible = renderer.render(state)
+        yield image, truth_of(scene, frame, state, visible)
 
 
 def truth_of(scene: ChaseScene, frame: int, m: WorldState, visible: float) -> ChaseTruth:
     """The truth of the picture of a moment."""
     center = scene.camera.project(m.position)
-    eye = m.eye
-    return ChaseTruth(frame, m.time, m.position, center, m.corners, visible, eye.x, eye.y, eye.heading, m.braking)
+    camera = m.camera
+    return ChaseTruth(
+        frame, m.time, m.position, center, m.corners, visible, camera.x, camera.y, camera.heading, m.braking
+    )
 
 
 def camera_document(scene: ChaseScene) -> dict[str, Any]:

@@ -97,7 +97,7 @@ class TabulatedRoad:
         y = np.interp(s, self.s, self.y) - lateral * np.cos(heading)
         return x, y, heading
 
-    def beside(self, x: float, y: float, near: float) -> tuple[float, float]:
+    def locate(self, x: float, y: float, near: float) -> tuple[float, float]:
         """Arc length and lateral position (m) of a point in plan, looked for from arc length ``near`` on."""
         arc = near
         for _ in range(50):
@@ -108,7 +108,7 @@ class TabulatedRoad:
                 break
         return float(arc), float((x - x0) * np.sin(heading) - (y - y0) * np.cos(heading))
 
-    def ahead(self, s0: float, x0: float, y0: float, heading: float, reach: float) -> Array:
+    def axis_ahead(self, s0: float, x0: float, y0: float, heading: float, reach: float) -> Array:
         """The axis as seen by an observer beside ``s0``: rows (right, sine, cosine, arc - s0) every
         `ROAD_STEP_M` ahead, for `rasterizer.draw_ground`."""
         s = np.arange(s0 - 4.0, s0 + 1.3 * reach, ROAD_STEP_M)

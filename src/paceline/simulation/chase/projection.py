@@ -29,13 +29,13 @@ class TextureAtlas:
             self._textures.append(texture)  # kept, so that its id stays its own
         return self._known[id(texture)]
 
-    def close(self) -> None:
-        """Gather what was added: ``pixels`` (T, 2), and ``sheets`` (textures, levels, 3): start, rows, columns."""
+    def pack(self) -> None:
+        """Gather what was added: ``pixels`` (T, 2), and ``levels`` (textures, levels, 3): start, rows, columns."""
         levels = [t.pyramid for t in self._textures]
         shapes = np.array([[level.shape[:2] for level in pyramid] for pyramid in levels], np.int64)
         sizes = shapes.prod(-1).ravel()
         starts = np.concatenate([[0], np.cumsum(sizes)[:-1]]).reshape(shapes.shape[:2])
-        self.sheets: Indices = np.concatenate([starts[..., None], shapes], axis=-1)
+        self.levels: Indices = np.concatenate([starts[..., None], shapes], axis=-1)
         self.pixels: Image = np.concatenate([level.reshape(-1, 2) for pyramid in levels for level in pyramid])
         for texture in self._textures:
             del texture.__dict__["pyramid"]  # the copies are enough
@@ -63,20 +63,20 @@ class Faces:
         return Faces(*(getattr(self, f.name)[which] for f in fields(self)))
 
 
-def place_faces(faces: tuple[Face, ...], atlas: TextureAtlas, road: TabulatedRoad, state: RoadPose) -> Faces:
-    """The ``faces`` of an object at ``state``."""
+def place_faces(faces: tuple[Face, ...], atlas: TextureAtlas, road: TabulatedRoad, pose: RoadPose) -> Faces:
+    """The ``faces`` of an object at ``pose``."""
     n = len(faces)
     vectors = np.array([[f.corner, f.across, f.down] for f in faces], float).reshape(n, 3, 3)
-    along = float(road.frame(state.arc)[2])
-    where = (state.x, state.y, state.heading, along, state.arc, state.lateral)
+    along = float(road.frame(pose.arc)[2])
+    where = (pose.x, pose.y, pose.heading, along, pose.arc, pose.lateral)
     texture = np.array([atlas.add(f.texture) for f in faces], np.int64)
     return Faces(vectors[:, 0], vectors[:, 1], vectors[:, 2], texture, *(np.full(n, w, float) for w in where))
 
 
-def move_faces(faces: Faces, road: TabulatedRoad, state: RoadPose) -> Faces:
+def move_faces(faces: Faces, road: TabulatedRoad, pose: RoadPose) -> Faces:
     """The faces of one object, at another state."""
-    along = float(road.frame(state.arc)[2])
-    where = (state.x, state.y, state.heading, along, state.arc, state.lateral)
+    along = float(road.frame(pose.arc)[2])
+    where = (pose.x, pose.y, pose.heading, along, pose.arc, pose.lateral)
     return Faces(faces.corner, faces.across, faces.down, faces.texture, *(np.full(len(faces), w, float) for w in where))
 
 
@@ -116,13 +116,13 @@ class CameraPose:
     y: float
     heading: float
 
-    def level(self, x: Array | float, y: Array | float) -> tuple[Array, Array]:
+    def to_level(self, x: Array | float, y: Array | float) -> tuple[Array, Array]:
         """Right and ahead (m) of points in plan."""
         c, s = np.cos(self.heading), np.sin(self.heading)
         dx, dy = np.asarray(x) - self.x, np.asarray(y) - self.y
         return dx * s - dy * c, dx * c + dy * s
 
-    def camera(self, points: Array) -> Array:
+    def to_camera(self, points: Array) -> Array:
         """Camera axes (…, 3) of points right, down (from the ground), ahead of the eye's foot."""
         return np.asarray((points + np.array([0.0, self.height, 0.0])) @ self.R.T)
 
@@ -143,10 +143,10 @@ def _turn_left(vectors: Array, angle: Array) -> Array:
     return np.stack([r * c - a * s, d, r * s + a * c], axis=-1)
 
 
-def face_vectors(faces: Faces, eye: CameraPose) -> Array:
+def face_vectors(faces: Faces, camera: CameraPose) -> Array:
     """(N, 3, 3): corner, across and down of each face, right, down, ahead of the eye's foot."""
-    vectors = _turn_left(np.stack([faces.corner, faces.across, faces.down], axis=1), faces.heading - eye.heading)
-    vectors[:, 0, ::2] += np.column_stack(eye.level(faces.x, faces.y))
+    vectors = _turn_left(np.stack([faces.corner, faces.across, faces.down], axis=1), faces.heading - camera.heading)
+    vectors[:, 0, ::2] += np.column_stack(camera.to_level(faces.x, faces.y))
     return vectors
 
 
@@ -154,21 +154,21 @@ def draw_faces(
     canvas: Image,
     faces: Faces,
     atlas: TextureAtlas,
-    eye: CameraPose,
+    camera: CameraPose,
     sun: Sun,
     shade: Image,
     to_canvas: Array,
-    glow: float = 0.0,
+    emission: float = 0.0,
 ) -> None:
-    """Lay ``faces`` over ``canvas`` (h, w, 2) in their order, as ``eye`` sees them.
+    """Lay ``faces`` over ``canvas`` (h, w, 2) in their order, as ``camera`` sees them.
 
-    ``to_canvas`` (3, 3) takes image pixels to those of the canvas; ``glow`` is light of the faces' own.
+    ``to_canvas`` (3, 3) takes image pixels to those of the canvas; ``emission`` is light of the faces' own.
     """
-    vectors = face_vectors(faces, eye)
-    ahead = eye.camera(vectors[:, 0])
-    M = np.stack([vectors[:, 1] @ eye.R.T, vectors[:, 2] @ eye.R.T, ahead], axis=-1)  # unit square -> camera
+    vectors = face_vectors(faces, camera)
+    ahead = camera.to_camera(vectors[:, 0])
+    M = np.stack([vectors[:, 1] @ camera.R.T, vectors[:, 2] @ camera.R.T, ahead], axis=-1)  # unit square -> camera
     corners = M @ np.array([[0, 1, 1, 0], [0, 0, 1, 1], [1, 1, 1, 1.0]])
-    M = to_canvas @ eye.K @ M
+    M = to_canvas @ camera.K @ M
     seen = (corners[:, 2].min(1) > MIN_FACE_DEPTH_M) & (np.linalg.det(M) > 0)
     quads = M @ np.array([[0, 1, 1, 0], [0, 0, 1, 1], [1, 1, 1, 1.0]])
     quads = quads[:, :2] / np.where(seen[:, None, None], quads[:, 2:], 1.0)
@@ -179,8 +179,8 @@ def draw_faces(
     if not seen.any():
         return
     faces, vectors, M, quads = faces[seen], vectors[seen], M[seen], quads[seen]
-    light, shadow = _face_light(faces, vectors, eye, sun)
-    light[:, 0] += glow
+    light, shadow = _face_light(faces, vectors, camera, sun)
+    light[:, 0] += emission
     rasterizer.draw_rectangles(
         canvas,
         np.linalg.inv(M),
@@ -196,27 +196,27 @@ def draw_faces(
 def _select_levels(texture: Indices, quads: Array, atlas: TextureAtlas) -> Indices:
     """The sheet of each face whose texels are nearest to canvas pixels in size."""
     sides = np.linalg.norm(np.roll(quads, -1, axis=2) - quads, axis=1)  # top, right, bottom, left
-    texels = atlas.sheets[texture, 0, 1:]
+    texels = atlas.levels[texture, 0, 1:]
     ratio = np.maximum(
         texels[:, 1] / np.maximum(sides[:, ::2].max(1), 1e-6), texels[:, 0] / np.maximum(sides[:, 1::2].max(1), 1e-6)
     )
-    level = np.clip(np.rint(np.log2(ratio)), 0, atlas.sheets.shape[1] - 1).astype(int)
-    return np.ascontiguousarray(atlas.sheets[texture, level])
+    level = np.clip(np.rint(np.log2(ratio)), 0, atlas.levels.shape[1] - 1).astype(int)
+    return np.ascontiguousarray(atlas.levels[texture, level])
 
 
-def _face_light(faces: Faces, vectors: Array, eye: CameraPose, sun: Sun) -> tuple[Array, Array]:
+def _face_light(faces: Faces, vectors: Array, camera: CameraPose, sun: Sun) -> tuple[Array, Array]:
     """Ambient and direct light (N, 2) on faces, and where on the road (N, 2, 3) their shade is to be read."""
     normal = np.cross(vectors[:, 2], vectors[:, 1])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    towards = sun.direction(eye.heading)
+    towards = sun.direction(camera.heading)
     sky = 0.75 - 0.25 * normal[:, 1]  # a face that looks up sees the whole of it
     light = np.column_stack([sun.ambient * sky, sun.direct * np.maximum(normal @ towards, 0.0)])
     # Light that reaches a point above the road would have reached the road farther from the sun.
     fall = -towards[::2] / towards[1]  # horizontal metres towards the sun per metre up
     relative = vectors[:, :, ::2].copy()
-    relative[:, 0] -= np.column_stack(eye.level(faces.x, faces.y))
+    relative[:, 0] -= np.column_stack(camera.to_level(faces.x, faces.y))
     relative += vectors[:, :, 1:2] * fall
-    turn = (faces.along - eye.heading)[:, None]
+    turn = (faces.along - camera.heading)[:, None]
     c, s = np.cos(turn), np.sin(turn)
     r, a = relative[..., 0], relative[..., 1]
     lateral, arc = r * c + a * s, a * c - r * s

@@ -46,7 +46,7 @@ def draw_rectangles(
     canvas: Image,
     inverse: Array,
     boxes: Indices,
-    sheets: Indices,
+    levels: Indices,
     atlas: Image,
     light: Array,
     shadow: Array,
@@ -55,13 +55,13 @@ def draw_rectangles(
     """Lay N rectangles over ``canvas`` (h, w, 2), premultiplied grey and coverage, in their order.
 
     ``inverse`` (N, 3, 3) takes canvas pixels to the unit square of each rectangle, ``boxes`` (N, 4) are x0, y0, x1,
-    y1; ``sheets`` (N, 3) say where in ``atlas`` (T, 2), premultiplied grey and coverage, a texture begins, and its
+    y1; ``levels`` (N, 3) say where in ``atlas`` (T, 2), premultiplied grey and coverage, a texture begins, and its
     rows and columns. ``light`` (N, 2): ambient, and direct where the ``shade`` map, read at ``shadow`` (N, 2, 3) ·
     (u, v, 1), is 1.
     """
     for k in range(len(inverse)):
         m, s = inverse[k], shadow[k]
-        start, rows, columns = sheets[k]
+        start, rows, columns = levels[k]
         ambient, direct = light[k]
         for y in range(boxes[k, 1], boxes[k, 3]):
             for x in range(boxes[k, 0], boxes[k, 2]):
@@ -123,14 +123,17 @@ def road_coordinates(ahead: float, right: float, road: Array, step: float) -> tu
 
 
 @cached_njit(fastmath=True)
-def draw_sky(image: Image, rays: Array, heading: float, focal: float, look: Array, ridges: Array, grain: Image) -> None:
-    """Paint sky and far silhouettes, down to a little below the horizon, into ``image`` (h, w, 2).
+def draw_sky(
+    image: Image, rays: Array, heading: float, focal: float, appearance: Array, skylines: Array, noise: Image
+) -> None:
+    """Draw sky and far skylines, down to a little below the horizon, into ``image`` (h, w, 2).
 
-    ``rays`` as in `draw_ground`. ``look``: grey at the horizon, its change upwards, clouds, the sun's azimuth;
-    ``ridges`` (2, A + 1) are the slopes of two skylines over a full turn, then their grey levels in the last column.
+    ``rays`` as in `draw_ground`. ``appearance``: grey level at the horizon, its change upwards, that of the clouds,
+    the sun's azimuth; ``skylines`` (2, A + 1) are the slopes of two skylines over a full turn, then their grey levels
+    in the last column.
     """
     rows, columns = image.shape[:2]
-    turns = ridges.shape[1] - 1
+    turns = skylines.shape[1] - 1
     for y in range(rows):
         for x in range(columns):
             right = rays[0, 0] * x + rays[0, 1] * y + rays[0, 2]
@@ -140,17 +143,17 @@ def draw_sky(image: Image, rays: Array, heading: float, focal: float, look: Arra
             if up < -2 * MIN_GROUND_SLOPE:
                 continue
             azimuth = heading - math.atan(right / ahead)
-            grey = look[0] + look[1] * up + 30 * math.cos(azimuth - look[3])
+            grey = appearance[0] + appearance[1] * up + 30 * math.cos(azimuth - appearance[3])
             if up > 0.01:
-                grey += look[2] * sample_periodic(grain, 6 / (up + 0.1), azimuth * (64 / (2 * math.pi)))
+                grey += appearance[2] * sample_periodic(noise, 6 / (up + 0.1), azimuth * (64 / (2 * math.pi)))
             place = azimuth % (2 * math.pi) * (turns / (2 * math.pi))
             k = int(place)
             part = place - k
             for r in range(2):
-                top = ridges[r, k % turns] * (1 - part) + ridges[r, (k + 1) % turns] * part
+                top = skylines[r, k % turns] * (1 - part) + skylines[r, (k + 1) % turns] * part
                 covered = min(max(0.5 + (top - up) * focal, 0.0), 1.0)
-                spot = grain[int(up * 300) & 255, int(place * 2) & 255]
-                grey += (ridges[r, turns] * (1 + 0.12 * spot) - grey) * covered
+                spot = noise[int(up * 300) & 255, int(place * 2) & 255]
+                grey += (skylines[r, turns] * (1 + 0.12 * spot) - grey) * covered
             image[y, x, 0] = grey
             image[y, x, 1] = 1.0
 
@@ -168,22 +171,23 @@ def draw_ground(
     road: Array,
     step: float,
     arc0: float,
-    look: Array,
-    grain: Image,
+    appearance: Array,
+    noise: Image,
     shade: Image,
     coarse: Image,
-    casts: Array,
-    holds: Array,
+    shadow_edges: Array,
+    occlusion: Array,
 ) -> None:
-    """Paint the ground below the horizon of ``image`` (h, w, 2).
+    """Draw the ground below the horizon of ``image`` (h, w, 2).
 
     ``rays`` (3, 3) takes (x, y, 1) to a direction right, down, ahead of a camera ``height`` metres above the ground;
-    ``road`` and ``step`` as in `road_coordinates`, ``arc0`` the arc length beside the camera. ``look``: asphalt, verge
-    and paint in grey levels, ambient and direct light, distance between crossroads and the first, and half a lane's
-    width. ``casts`` (C, E, 3) outline what vehicles shadow by E edges: (ahead, right, 1) · edge is how far inside a
-    point lies, m; ``holds`` (C, 2) the ambient light that each holds off too, and how softly it ends, m.
+    ``road`` and ``step`` as in `road_coordinates`, ``arc0`` the arc length beside the camera. ``appearance``: asphalt,
+    verge and paint in grey levels, ambient and direct light, distance between crossroads and the first, and half a
+    lane's width. ``shadow_edges`` (C, E, 3) outline the shadows of vehicles by E edges: (ahead, right, 1) · edge is the
+    distance of a point inside, m; ``occlusion`` (C, 2) is the share of ambient light that each occludes, too, and the
+    width of its soft border, m.
     """
-    asphalt, verge, paint, ambient, direct, crossing_every, crossing_at, half = look
+    asphalt, verge, paint, ambient, direct, crossing_every, crossing_at, half = appearance
     rows, columns = image.shape[:2]
     for y in range(rows):
         for x in range(columns):
@@ -210,9 +214,9 @@ def draw_ground(
                 blur = away / wavelength
                 if blur < 2.0:
                     keep = amplitude * (2.5 - 1.5 * paved) / (1 + blur**4)
-                    grey *= 1 + keep * sample_periodic(grain, arc * (2 / wavelength), lateral * (2 / wavelength))
+                    grey *= 1 + keep * sample_periodic(noise, arc * (2 / wavelength), lateral * (2 / wavelength))
             lane = math.floor((lateral + half) / (2 * half))
-            patch = grain[int(math.floor(arc / 7.3)) & 255, int(lane) & 255]  # repairs
+            patch = noise[int(math.floor(arc / 7.3)) & 255, int(lane) & 255]  # repairs
             grey *= 1 + 0.05 * patch * paved * (1 - junction) / (1 + away)
             marks = 0.0
             if paved > 0:
@@ -231,12 +235,14 @@ def draw_ground(
                 for part in range(3):  # along the pixel's long footprint
                     lit += _sample_shade(coarse, arc + (part - 1) * 0.33 * away, lateral, 0.25 / SHADE_CELL_M) / 3
             sky = ambient
-            for c in range(len(casts)):
+            for c in range(len(shadow_edges)):
                 inside = 1e9
-                for e in range(casts.shape[1]):
-                    inside = min(inside, casts[c, e, 0] * ahead + casts[c, e, 1] * right + casts[c, e, 2])
-                covered = min(max(0.5 + inside / (holds[c, 1] + across), 0.0), 1.0)
+                for e in range(shadow_edges.shape[1]):
+                    inside = min(
+                        inside, shadow_edges[c, e, 0] * ahead + shadow_edges[c, e, 1] * right + shadow_edges[c, e, 2]
+                    )
+                covered = min(max(0.5 + inside / (occlusion[c, 1] + across), 0.0), 1.0)
                 lit *= 1 - covered
-                sky *= 1 - holds[c, 0] * covered
+                sky *= 1 - occlusion[c, 0] * covered
             image[y, x, 0] = grey * (sky + direct * lit)
             image[y, x, 1] = 1.0

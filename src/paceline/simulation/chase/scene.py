@@ -1,4 +1,4 @@
-"""What a chase is made of, and chases drawn at random, varied enough to judge a tracker by."""
+"""The description of a chase scene: road, two vehicles, light and camera."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ CHASE_PRESETS: dict[str, dict[str, Any]] = {
 
 @dataclass(frozen=True)
 class Occlusion:
-    """Something that crosses between the two vehicles, in front of the lead's middle at ``time`` s and for
-    ``duration`` s overlapping it: a "vehicle" or a "post"."""
+    """A "vehicle" or a "post" that crosses between the two vehicles: in front of the lead's middle at ``time`` s,
+    overlapping it for ``duration`` s."""
 
     time: float
     duration: float = 0.8
@@ -42,19 +42,20 @@ class Occlusion:
 
 @dataclass(frozen=True)
 class ChaseScene:
-    """A chase: the road, the two vehicles, the light and the camera. Angles in rad.
+    """A chase scene: the road, the two vehicles, the light and the camera. Angles in rad.
 
     The chase vehicle drives at half of ``top_speed`` (m/s) to the whole of it on a road without turns tighter than
-    ``radius`` (m). The lead is a ``kind`` of `DRAWN` in a ``paint`` of that grey level; its rear plane
-    keeps within ``gap`` (m) of the camera, weaves by up to ``weave`` (m) and stands ``yaw`` to its path, turned to the
-    left. The camera is shaken so that with 300 px of focal length and at 15 Hz the image moves up and down by about
-    half of ``bounce`` px RMS from frame to frame, and by twice of it over bumps.
+    ``radius`` (m). The lead is one of `RASTERIZED_KINDS`, painted in the grey level ``paint``; its rear plane keeps
+    within ``gap`` (m) of the camera, weaves by up to ``weave`` (m) and is turned by ``yaw`` to the left of its path.
+    The camera shakes: with 300 px of focal length and at 15 Hz the image moves up and down by about half of
+    ``shake_px`` RMS from frame to frame, and by twice of it over bumps.
 
-    ``crowding`` is how much stands beside the road, ``parallel`` (0–1) the share of edges along the lead's own, close
-    to it; ``shadows`` is how densely shadows lie on the road (1: a third of it), ``ambient`` the light in them.
-    ``sun_azimuth`` is counted to the left of the first direction of travel: 0 is ahead. ``drift`` is the amplitude of
-    the changing exposure, ``shutter`` the time (s) that it is open. ``model_error`` (m) is the standard deviation of
-    the lines of the target file from the true ones.
+    ``object_density`` is the number of objects beside the road (about 1: a busy street), ``parallel_share`` (0–1) the
+    share of objects whose edges are parallel and close to the lead's; ``shadows`` is the density of shadows on the
+    road (1: a third of it), ``ambient`` the light in them. ``sun_azimuth`` is counted to the left of the first
+    direction of travel: 0 is ahead. ``exposure_drift`` is the relative amplitude of the varying exposure,
+    ``shutter_s`` the exposure time. ``model_error`` (m) is the standard deviation of the lines of the target file from
+    the true ones.
     """
 
     seed: int
@@ -71,9 +72,9 @@ class ChaseScene:
     paint: float = 150.0
     weave: float = 0.7
     yaw: float = 0.0
-    bounce: float = 4.0
-    crowding: float = 1.0
-    parallel: float = 0.2
+    shake_px: float = 4.0
+    object_density: float = 1.0
+    parallel_share: float = 0.2
     shadows: float = 0.7
     ambient: float = 0.45
     sun_azimuth: float = 2.5
@@ -82,10 +83,10 @@ class ChaseScene:
     brakes: bool = True
     occlusions: tuple[Occlusion, ...] = ()
     exposure: float = 0.8
-    drift: float = 0.15
+    exposure_drift: float = 0.15
     vignetting: float = 0.2
     blur_sigma: float = 0.6
-    shutter: float = 0.006
+    shutter_s: float = 0.006
     noise_sigma: float = 1.5
     shot_noise: float = 0.02
     model_error: float = 0.0

@@ -30,11 +30,11 @@ class RoadsideObject:
     turn: float = 0.0  # rad, to the left of the road's direction
 
 
-def place_roadside(seed: int, length: float, crowding: float, parallel: float) -> list[RoadsideObject]:
-    """Things along ``length`` metres of road in its order, ``crowding`` about 1 being a busy street.
+def place_roadside(seed: int, length: float, object_density: float, parallel_share: float) -> list[RoadsideObject]:
+    """Objects along ``length`` metres of road in its order; an ``object_density`` of about 1 is a busy street.
 
-    ``parallel`` (0–1) is the share of poles, gables and parapets close beside the road, whose edges run along those of
-    a vehicle. A longer road begins as a shorter one does.
+    ``parallel_share`` (0–1) is the share of poles, gables and parapets close beside the road, whose edges are parallel
+    to those of a vehicle. A longer road begins as a shorter one does.
     """
     rng = np.random.default_rng([seed, 53])
     makers = {
@@ -48,11 +48,11 @@ def place_roadside(seed: int, length: float, crowding: float, parallel: float) -
     walls, bridge = [_make_wall(rng) for _ in range(3)], _make_bridge(rng)
     # per 10 m of road and side: how many, and how far from the road's edge
     wanted = {
-        "tree": (0.35 * (1 - 0.5 * parallel), (1.5, 16.0)),
+        "tree": (0.35 * (1 - 0.5 * parallel_share), (1.5, 16.0)),
         "hedge": (0.15, (0.6, 7.0)),
-        "pole": (0.12 + 0.5 * parallel, (0.6, 3.0)),
-        "building": (0.12 + 0.35 * parallel, (3.0 - 2.0 * parallel, 18.0 - 12.0 * parallel)),
-        "sign": (0.06 + 0.1 * parallel, (0.6, 2.5)),
+        "pole": (0.12 + 0.5 * parallel_share, (0.6, 3.0)),
+        "building": (0.12 + 0.35 * parallel_share, (3.0 - 2.0 * parallel_share, 18.0 - 12.0 * parallel_share)),
+        "sign": (0.06 + 0.1 * parallel_share, (0.6, 2.5)),
         "parked": (0.06, (0.3, 1.2)),
     }
     things: list[RoadsideObject] = []
@@ -60,16 +60,18 @@ def place_roadside(seed: int, length: float, crowding: float, parallel: float) -
         rng, start = np.random.default_rng([seed, 59, block]), BLOCK_LENGTH_M * block
         for side, edge in ((-1, -LEFT_EDGE_M), (1, RIGHT_EDGE_M)):
             for kind, (density, (near, far)) in wanted.items():
-                for arc in start + BLOCK_LENGTH_M * rng.random(rng.poisson(crowding * density * BLOCK_LENGTH_M / 10)):
+                for arc in start + BLOCK_LENGTH_M * rng.random(
+                    rng.poisson(object_density * density * BLOCK_LENGTH_M / 10)
+                ):
                     make = makers[kind][int(rng.integers(len(makers[kind])))]
                     lateral = side * (edge + rng.uniform(near, far) + make.half)
                     things.append(RoadsideObject(make(side), float(arc), float(lateral), float(rng.normal(0, 0.02))))
-            if rng.random() < 0.12 * crowding + 0.4 * parallel:
+            if rng.random() < 0.12 * object_density + 0.4 * parallel_share:
                 make, lateral = walls[int(rng.integers(len(walls)))], side * (edge + rng.uniform(0.8, 4.0))
                 things += [
                     RoadsideObject(make(side), start + 4.0 * j, float(lateral)) for j in range(int(BLOCK_LENGTH_M / 4))
                 ]
-        if block % 6 == 3 and rng.random() < 0.5 + 0.5 * parallel:
+        if block % 6 == 3 and rng.random() < 0.5 + 0.5 * parallel_share:
             things.append(RoadsideObject(bridge, start + 20.0, (RIGHT_EDGE_M + LEFT_EDGE_M) / 2))
     return sorted(things, key=lambda thing: thing.arc)
 

@@ -26,43 +26,47 @@ class Renderer:
         self.sun = world.sun
         self.shade = shade_map(rng, scene.shadows, -world.sun.azimuth)
         self.coarse = np.asarray(cv2.resize(self.shade, None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA))
-        self.grain = rng.standard_normal((256, 256)).astype(np.float32)
+        self.noise_texture = rng.standard_normal((256, 256)).astype(np.float32)
         asphalt, verge = rng.uniform(75, 125), rng.uniform(50, 95)
         direct = (1 - self.sun.ambient) * float(scene.shadows > 0 or rng.random() < 0.8)
-        self.look = np.array(
+        self.ground_appearance = np.array(
             [asphalt, verge, 215.0, 1 - direct, direct, rng.uniform(120, 320), rng.uniform(0, 320), LANE_WIDTH_M / 2]
         )
-        self.heaven = np.array([rng.uniform(160, 225), rng.uniform(-90, -20), rng.uniform(0, 14), self.sun.azimuth])
-        self.ridges = _draw_skylines(rng)
+        self.sky_appearance = np.array(
+            [rng.uniform(160, 225), rng.uniform(-90, -20), rng.uniform(0, 14), self.sun.azimuth]
+        )
+        self.skylines = _draw_skylines(rng)
         self.exposure = SmoothNoise(rng, 2.5, 20.0)
         self.noise = np.random.default_rng([scene.seed, 29])
         self.vignette = self._vignette()
 
-    def picture(self, moment: WorldState) -> tuple[NDArray[np.uint8], float]:
+    def render(self, state: WorldState) -> tuple[NDArray[np.uint8], float]:
         """Picture (H, W), and the part of the lead's rear plane that is visible; each call draws new noise."""
-        grey, hidden = self._grey(moment)
-        return self._exposed(grey, moment.time), self._visible(moment, hidden)
+        grey, hidden = self._render_grey(state)
+        return self._expose(grey, state.time), self._visible(state, hidden)
 
-    def _grey(self, moment: WorldState) -> tuple[Image, Image | None]:
+    def _render_grey(self, state: WorldState) -> tuple[Image, Image | None]:
         """Grey levels (H, W) before the sensor, and what hides the lead (H, W), if anything."""
-        eye, blur = moment.eye, self._blur(moment)
+        camera, blur = state.camera, self._blur(state)
         width, height = self.scene.image_size
         image = np.zeros((height, width, 2), np.float32)
-        rays = eye.R.T @ np.linalg.inv(eye.K)
-        rasterizer.draw_sky(image, rays, eye.heading, eye.K[0, 0], self.heaven, self.ridges, self.grain)
-        self._paint_ground(image, rays, moment)
-        things, distance = self._things(moment)
-        draw_faces(image, things, self.world.atlas, eye, self.sun, self.shade, np.eye(3))
+        rays = camera.R.T @ np.linalg.inv(camera.K)
+        rasterizer.draw_sky(
+            image, rays, camera.heading, camera.K[0, 0], self.sky_appearance, self.skylines, self.noise_texture
+        )
+        self._paint_ground(image, rays, state)
+        things, distance = self._roadside(state)
+        draw_faces(image, things, self.world.atlas, camera, self.sun, self.shade, np.eye(3))
         grey = np.asarray(cv2.GaussianBlur(image[..., 0], (0, 0), blur[0], sigmaY=blur[1]), np.float32)
-        patch = self._patch(moment, blur) if moment.shown else None
+        patch = self._lead_window(state, blur) if state.lead_present else None
         if patch is None:
             return grey, None
         rows, columns = patch
-        lead = self._lead(moment, rows, columns, blur)
-        before = things[distance < moment.gap]
+        lead = self._draw_lead(state, rows, columns, blur)
+        before = things[distance < state.gap]
         front = np.zeros((rows.stop - rows.start, columns.stop - columns.start, 2), np.float32)
         shift = np.array([[1, 0, -columns.start], [0, 1, -rows.start], [0, 0, 1.0]])
-        draw_faces(front, before, self.world.atlas, eye, self.sun, self.shade, shift)
+        draw_faces(front, before, self.world.atlas, camera, self.sun, self.shade, shift)
         front = np.asarray(cv2.GaussianBlur(front, (0, 0), blur[0], sigmaY=blur[1]), np.float32)
         # front over lead over backdrop, where the backdrop already has the front over it
         under = grey[rows, columns] * (1 - lead[..., 1]) + lead[..., 1] * front[..., 0]
@@ -71,51 +75,51 @@ class Renderer:
         hidden[rows, columns] = front[..., 1]
         return grey, hidden
 
-    def _blur(self, moment: WorldState) -> tuple[float, float]:
+    def _blur(self, state: WorldState) -> tuple[float, float]:
         """Sigma in x and y, px: the lens and what the image moved while the shutter was open."""
-        sweep = np.array(moment.sweep) * self.scene.focal * self.scene.shutter
+        sweep = np.array(state.image_motion) * self.scene.focal * self.scene.shutter_s
         x, y = np.sqrt(self.scene.blur_sigma**2 + sweep**2 / 12)
         return float(x), float(y)
 
-    def _paint_ground(self, image: Image, rays: Array, moment: WorldState) -> None:
-        eye, chase = moment.eye, moment.chase
-        road = self.world.road.ahead(chase.arc, chase.x, chase.y, eye.heading, ROAD_AHEAD_M)
-        casts, holds = self.world.casts(moment)
+    def _paint_ground(self, image: Image, rays: Array, state: WorldState) -> None:
+        camera, chase = state.camera, state.chase
+        road = self.world.road.axis_ahead(chase.arc, chase.x, chase.y, camera.heading, ROAD_AHEAD_M)
+        shadows, occlusion = self.world.shadow_outlines(state)
         rasterizer.draw_ground(
             image,
             rays,
-            eye.height,
+            camera.height,
             road,
             ROAD_STEP_M,
             chase.arc,
-            self.look,
-            self.grain,
+            self.ground_appearance,
+            self.noise_texture,
             self.shade,
             np.asarray(self.coarse, np.float32),
-            casts,
-            holds,
+            shadows,
+            occlusion,
         )
 
-    def _things(self, moment: WorldState) -> tuple[Faces, Array]:
+    def _roadside(self, state: WorldState) -> tuple[Faces, Array]:
         """What stands and drives in view but for the lead, the farthest first, and how far ahead each is, m."""
-        near = self.world.standing_between(moment.chase.arc, moment.chase.arc + MAX_OBJECT_DISTANCE_M)
-        things = join_faces([near, *self.world.passing(moment)])
-        distance = moment.eye.level(things.x, things.y)[1]
+        near = self.world.roadside_faces(state.chase.arc, state.chase.arc + MAX_OBJECT_DISTANCE_M)
+        things = join_faces([near, *self.world.moving_faces(state)])
+        distance = state.camera.to_level(things.x, things.y)[1]
         order = np.argsort(-distance, kind="stable")
         return things[order], distance[order]
 
-    def _patch(self, moment: WorldState, blur: tuple[float, float]) -> tuple[slice, slice] | None:
+    def _lead_window(self, state: WorldState, blur: tuple[float, float]) -> tuple[slice, slice] | None:
         """Rows and columns of the image that the lead may touch; None where it is out of the image."""
-        vectors = face_vectors(self.world.lead_faces(moment), moment.eye)
+        vectors = face_vectors(self.world.lead_faces(state), state.camera)
         steps = np.array([[1, 0, 0], [1, 1, 0], [1, 1, 1], [1, 0, 1.0]])
-        corners = moment.eye.camera(steps @ vectors).reshape(-1, 3) @ moment.eye.K.T
+        corners = state.camera.to_camera(steps @ vectors).reshape(-1, 3) @ state.camera.K.T
         pixels = corners[:, :2] / corners[:, 2:]
         pad = 3 + int(np.ceil(4 * max(blur)))
         low = np.maximum(np.floor(pixels.min(0)).astype(int) - pad, 0)
         high = np.minimum(np.ceil(pixels.max(0)).astype(int) + pad + 1, self.scene.image_size)
         return None if (low >= high).any() else (slice(low[1], high[1]), slice(low[0], high[0]))
 
-    def _lead(self, moment: WorldState, rows: slice, columns: slice, blur: tuple[float, float]) -> Image:
+    def _draw_lead(self, state: WorldState, rows: slice, columns: slice, blur: tuple[float, float]) -> Image:
         """Premultiplied grey and coverage (h, w, 2) of the lead."""
         size = columns.stop - columns.start, rows.stop - rows.start
         n = int(np.clip(round(240 / size[0]), 2, 4))
@@ -124,11 +128,11 @@ class Renderer:
         start = np.array([columns.start, rows.start])
         to_canvas = np.array([[n, 0, 0], [0, n, 0], [0, 0, 1.0]])
         to_canvas[:2, 2] = n * (0.5 - start) - 0.5
-        faces = self.world.lead_faces(moment)
+        faces = self.world.lead_faces(state)
         painted = len(self.world.body.faces)
-        arguments = (self.world.atlas, moment.eye, self.sun, self.shade, to_canvas)
+        arguments = (self.world.atlas, state.camera, self.sun, self.shade, to_canvas)
         draw_faces(canvas, faces[:painted], *arguments)
-        draw_faces(canvas, faces[painted:], *arguments, glow=2.2 if moment.braking else 0.0)
+        draw_faces(canvas, faces[painted:], *arguments, emission=2.2 if state.braking else 0.0)
         canvas = np.asarray(cv2.GaussianBlur(canvas, (0, 0), blur[0] * n, sigmaY=blur[1] * n), np.float32)
         return np.asarray(cv2.resize(canvas, size, interpolation=cv2.INTER_AREA), np.float32)
 
@@ -137,22 +141,22 @@ class Renderer:
         v, u = np.ogrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j]
         return np.asarray((1 - self.scene.vignetting * (u**2 + v**2) / 2) * self.scene.exposure, np.float32)
 
-    def _exposed(self, grey: Image, time: float) -> NDArray[np.uint8]:
+    def _expose(self, grey: Image, time: float) -> NDArray[np.uint8]:
         """The picture that the sensor makes of the grey levels."""
-        gain = np.float32(1 + self.scene.drift * self.exposure(time))
+        gain = np.float32(1 + self.scene.exposure_drift * self.exposure(time))
         level = np.minimum(grey * self.vignette * gain, 262)
         noise = self.noise.standard_normal(level.shape, np.float32)
         level += noise * np.sqrt(self.scene.noise_sigma**2 + self.scene.shot_noise * np.maximum(level, 0))
         return np.asarray(np.clip(np.rint(level), 0, 255), np.uint8)
 
-    def _visible(self, moment: WorldState, hidden: Image | None) -> float:
+    def _visible(self, state: WorldState, hidden: Image | None) -> float:
         """The part of the rear plane's area that is inside the image and not hidden."""
-        x, y = (np.float64(v) for v in moment.corners.T)
+        x, y = (np.float64(v) for v in state.corners.T)
         area = abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2
         if hidden is None:
             return 0.0
         mask = np.zeros(hidden.shape, np.float32)
-        cv2.fillConvexPoly(mask, np.round(moment.corners * 16).astype(np.int32), 1.0, cv2.LINE_AA, 4)
+        cv2.fillConvexPoly(mask, np.round(state.corners * 16).astype(np.int32), 1.0, cv2.LINE_AA, 4)
         return float(min((mask * (1 - np.minimum(hidden, 1))).sum() / area, 1.0))
 
 

@@ -1,4 +1,4 @@
-"""The world of a chase: everything in it placed, and any moment of it, wherever the two vehicles are."""
+"""The world of a chase: all objects placed along the road, and its state for given poses of the two vehicles."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ from paceline.simulation.chase.scenery import (
 )
 from paceline.simulation.chase.vehicles import AntialiasedCanvas, Body, Face, make_vehicle
 
-CROSSING_VEHICLE_LENGTH_M = 3.2  # m, of the vehicle that crosses
+CROSSING_VEHICLE_LENGTH_M = 3.2
 
 
 @dataclass(frozen=True, eq=False)
 class WorldState:
-    """The chase at one time: the camera and where it looks, the lead, the corners (4, 2) px of its rear plane."""
+    """The world at one time: the poses of camera and vehicles, the corners (4, 2) px of the lead's rear plane."""
 
     time: float
-    eye: CameraPose
+    camera: CameraPose
     chase: RoadPose
     lead: RoadPose
     lead_roll: float
@@ -46,17 +46,17 @@ class WorldState:
     gap: float  # m ahead of the camera's foot, level
     position: Array  # (3,) m, camera axes
     corners: Array
-    sweep: tuple[float, float]  # rad/s, of the image to the right and down
+    image_motion: tuple[float, float]  # rad/s, of the image to the right and down
     braking: bool
-    shown: bool  # False: the lead is not there to be seen
-    companions: tuple[RoadPose, ...]  # other vehicles on the same way, as the world's ``companions``
+    lead_present: bool  # False: the lead has vanished
+    other_vehicles: tuple[RoadPose, ...]  # in the order of the world's ``other_vehicles``
 
 
 class ChaseWorld:
-    """A scene with everything placed along its ``road``; whoever drives, a script or a controller, asks for moments.
+    """A scene with all objects placed along its ``road``; `state_at` gives its state for the poses of the vehicles.
 
-    ``arc`` tells about where on the road the chase vehicle will be at a time, so that traffic meets it; ``start`` is
-    where it begins, m. Draws what it needs from ``rng``.
+    ``arc`` is the approximate arc length (m) of the chase vehicle at a time, at which oncoming traffic meets it;
+    ``start`` is its first arc length, m. Random numbers come from ``rng``.
     """
 
     def __init__(
@@ -66,22 +66,22 @@ class ChaseWorld:
         start: float,
         arc: Callable[[float], float],
         rng: np.random.Generator,
-        companions: tuple[Body, ...] = (),
+        other_vehicles: tuple[Body, ...] = (),
     ) -> None:
         self.scene, self.road, self._arc = scene, road, arc
         azimuth = float(road.frame(start)[2]) + scene.sun_azimuth
         self.sun = Sun(azimuth, scene.sun_elevation, scene.ambient)
         self.atlas = TextureAtlas()
-        self.body, self.companions = lead_body(scene), companions
+        self.body, self.other_vehicles = lead_body(scene), other_vehicles
         self._lead = self._faces(self.body.faces + self.body.lamps)
-        self._place_things(place_roadside(scene.seed, road.length - 30, scene.crowding, scene.parallel))
+        self._place_things(place_roadside(scene.seed, road.length - 30, scene.object_density, scene.parallel_share))
         self._oncoming = [self._faces(oncoming_faces(rng)) for _ in range(3)]
-        self.meeting = float(rng.uniform(5, 12)), rng.uniform(0.2, 0.8, 64)
+        self.oncoming_schedule = float(rng.uniform(5, 12)), rng.uniform(0.2, 0.8, 64)
         self._crossing = [self._faces(_make_crossing_faces(rng, o, scene)) for o in scene.occlusions]
         self._companions = [
-            self._faces(stand_on_ground(b.faces + b.lamps, b.clearance + b.height / 2)) for b in companions
+            self._faces(stand_on_ground(b.faces + b.lamps, b.clearance + b.height / 2)) for b in other_vehicles
         ]
-        self.atlas.close()
+        self.atlas.pack()
 
     def _faces(self, faces: tuple[Face, ...]) -> Faces:
         return place_faces(faces, self.atlas, self.road, RoadPose(0.0, 0.0, 0.0, 0.0, 0.0))
@@ -90,104 +90,116 @@ class ChaseWorld:
         placed = [self._faces(())]
         for thing in things:
             x, y, heading = self.road.frame(thing.arc, thing.lateral)
-            state = RoadPose(thing.arc, thing.lateral, float(x), float(y), float(heading) + thing.turn)
-            placed.append(place_faces(thing.faces, self.atlas, self.road, state))
-        self._things = join_faces(placed)
+            pose = RoadPose(thing.arc, thing.lateral, float(x), float(y), float(heading) + thing.turn)
+            placed.append(place_faces(thing.faces, self.atlas, self.road, pose))
+        self._roadside = join_faces(placed)
 
-    def standing_between(self, arc0: float, arc1: float) -> Faces:
-        """What stands beside the road from one arc length to another."""
-        first, last = np.searchsorted(self._things.arc, (arc0, arc1))
-        return self._things[int(first) : int(last)]
+    def roadside_faces(self, arc0: float, arc1: float) -> Faces:
+        """Faces of the objects beside the road from one arc length to another."""
+        first, last = np.searchsorted(self._roadside.arc, (arc0, arc1))
+        return self._roadside[int(first) : int(last)]
 
-    def passing(self, moment: WorldState) -> list[Faces]:
-        """Oncoming traffic, what crosses before the lead, and companions."""
+    def moving_faces(self, state: WorldState) -> list[Faces]:
+        """Faces of oncoming traffic, of what crosses before the lead, and of the other vehicles."""
         groups = []
         if self.scene.traffic:
-            every, part = self.meeting
-            for k in range(int(moment.time / every), int(moment.time / every) + 2):
+            every, part = self.oncoming_schedule
+            for k in range(int(state.time / every), int(state.time / every) + 2):
                 meet = (k + part[k % len(part)]) * every
-                arc = self._arc(meet) + self.scene.top_speed * (meet - moment.time)
-                if moment.chase.arc < arc < min(moment.chase.arc + 150, self.road.s[-1]):
-                    state = road_pose(self.road, arc, -LANE_WIDTH_M, 0.0)
-                    groups.append(move_faces(self._oncoming[k % len(self._oncoming)], self.road, state))
+                arc = self._arc(meet) + self.scene.top_speed * (meet - state.time)
+                if state.chase.arc < arc < min(state.chase.arc + 150, self.road.s[-1]):
+                    pose = road_pose(self.road, arc, -LANE_WIDTH_M, 0.0)
+                    groups.append(move_faces(self._oncoming[k % len(self._oncoming)], self.road, pose))
         for occlusion, faces in zip(self.scene.occlusions, self._crossing, strict=True):
-            if abs(moment.time - occlusion.time) < 4 * occlusion.duration:
-                groups.append(move_faces(faces, self.road, self._crossing_state(moment, occlusion)))
-        for faces, state in zip(self._companions, moment.companions, strict=True):
-            groups.append(move_faces(faces, self.road, state))
+            if abs(state.time - occlusion.time) < 4 * occlusion.duration:
+                groups.append(move_faces(faces, self.road, self._crossing_state(state, occlusion)))
+        for faces, pose in zip(self._companions, state.other_vehicles, strict=True):
+            groups.append(move_faces(faces, self.road, pose))
         return groups
 
-    def _crossing_state(self, moment: WorldState, occlusion: Occlusion) -> RoadPose:
-        """Half-way to the lead, at a constant speed across its middle."""
-        ahead = 0.55 * moment.gap
-        across, _ = moment.eye.level(moment.lead.x, moment.lead.y)
+    def _crossing_state(self, state: WorldState, occlusion: Occlusion) -> RoadPose:
+        """The pose of what crosses: about half-way to the lead, at a constant speed across its middle."""
+        ahead = 0.55 * state.gap
+        across, _ = state.camera.to_level(state.lead.x, state.lead.y)
         long = CROSSING_VEHICLE_LENGTH_M if occlusion.kind == "vehicle" else 0.3
         speed = (long + 0.55 * self.body.width) / occlusion.duration
-        right = 0.55 * float(across) + speed * (moment.time - occlusion.time)
-        c, s = np.cos(moment.eye.heading), np.sin(moment.eye.heading)
-        x, y = moment.eye.x + ahead * c + right * s, moment.eye.y + ahead * s - right * c
-        return RoadPose(moment.chase.arc + ahead, right, float(x), float(y), moment.eye.heading)
+        right = 0.55 * float(across) + speed * (state.time - occlusion.time)
+        c, s = np.cos(state.camera.heading), np.sin(state.camera.heading)
+        x, y = state.camera.x + ahead * c + right * s, state.camera.y + ahead * s - right * c
+        return RoadPose(state.chase.arc + ahead, right, float(x), float(y), state.camera.heading)
 
-    def moment(
+    def state_at(
         self,
         time: float,
-        eye: CameraPose,
+        camera: CameraPose,
         chase: RoadPose,
         lead: RoadPose,
         *,
         lead_roll: float = 0.0,
         lead_lift: float = 0.0,
-        sweep: tuple[float, float] = (0.0, 0.0),
+        image_motion: tuple[float, float] = (0.0, 0.0),
         braking: bool = False,
-        shown: bool = True,
-        companions: tuple[RoadPose, ...] = (),
+        lead_present: bool = True,
+        other_vehicles: tuple[RoadPose, ...] = (),
     ) -> WorldState:
-        """Everything at ``time``, s, with the camera and the vehicles where they are said to be."""
-        plane = self._plane(eye, lead, lead_roll, lead_lift)
+        """The state of the world at ``time``, s, for given poses of the camera and the vehicles."""
+        plane = self._plane(camera, lead, lead_roll, lead_lift)
         corners = self.scene.camera.project(plane[1:])
-        ahead = float(eye.level(lead.x, lead.y)[1])
+        ahead = float(camera.to_level(lead.x, lead.y)[1])
         return WorldState(
-            time, eye, chase, lead, lead_roll, lead_lift, ahead, plane[0], corners, sweep, braking, shown, companions
+            time,
+            camera,
+            chase,
+            lead,
+            lead_roll,
+            lead_lift,
+            ahead,
+            plane[0],
+            corners,
+            image_motion,
+            braking,
+            lead_present,
+            other_vehicles,
         )
 
-    def _plane(self, eye: CameraPose, lead: RoadPose, roll: float, lift: float) -> Array:
+    def _plane(self, camera: CameraPose, lead: RoadPose, roll: float, lift: float) -> Array:
         """Centre and corners (5, 3) of the lead's rear plane in camera axes."""
         x, y = self.body.width / 2, self.body.height / 2
         flat = np.array([[0, 0], [-x, -y], [x, -y], [x, y], [-x, y]])
         c, s = np.cos(roll), np.sin(roll)
         right, down = flat[:, 0] * c - flat[:, 1] * s, flat[:, 0] * s + flat[:, 1] * c
-        turn = lead.heading - eye.heading
-        r0, a0 = eye.level(lead.x, lead.y)
+        turn = lead.heading - camera.heading
+        r0, a0 = camera.to_level(lead.x, lead.y)
         height = self.body.clearance + y + lift
         level = np.column_stack([r0 + right * np.cos(turn), down - height, a0 + right * np.sin(turn)])
-        return eye.camera(level)
+        return camera.to_camera(level)
 
-    def lead_faces(self, moment: WorldState) -> Faces:
+    def lead_faces(self, state: WorldState) -> Faces:
         """The lead's faces, lamps last, about the foot of its rear plane."""
-        c, s = np.cos(moment.lead_roll), np.sin(moment.lead_roll)
+        c, s = np.cos(state.lead_roll), np.sin(state.lead_roll)
         roll = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-        lift = np.array([0, self.body.clearance + self.body.height / 2 + moment.lead_lift, 0])
+        lift = np.array([0, self.body.clearance + self.body.height / 2 + state.lead_lift, 0])
         f = self._lead
         rolled = replace(f, corner=f.corner @ roll.T - lift, across=f.across @ roll.T, down=f.down @ roll.T)
-        return move_faces(rolled, self.road, moment.lead)
+        return move_faces(rolled, self.road, state.lead)
 
-    def casts(self, moment: WorldState) -> tuple[Array, Array]:
+    def shadow_outlines(self, state: WorldState) -> tuple[Array, Array]:
         """Outlines (2 V, E, 3) of the shadow in the sun and of the dark under each of V vehicles; see
         `rasterizer.ground`."""
-        vehicles = [(self.body, moment.lead)] if moment.shown else []
-        vehicles += zip(self.companions, moment.companions, strict=True)
-        outlines = [edges for body, state in vehicles for edges in self._cast(moment.eye, body, state)]
-        holds = [(0.0, 0.05), (0.8, 0.35)] * len(vehicles)
-        return np.array(outlines).reshape(-1, 8, 3), np.array(holds).reshape(-1, 2)
+        vehicles = [(self.body, state.lead)] if state.lead_present else []
+        vehicles += zip(self.other_vehicles, state.other_vehicles, strict=True)
+        outlines = [edges for body, pose in vehicles for edges in self._shadow_outline(state.camera, body, pose)]
+        occlusion = [(0.0, 0.05), (0.8, 0.35)] * len(vehicles)
+        return np.array(outlines).reshape(-1, 8, 3), np.array(occlusion).reshape(-1, 2)
 
-    def _cast(self, eye: CameraPose, body: Body, state: RoadPose) -> tuple[Array, Array]:
+    def _shadow_outline(self, camera: CameraPose, body: Body, pose: RoadPose) -> tuple[Array, Array]:
         half, length = body.width / 2, body.length
-        turn = state.heading - eye.heading
+        turn = pose.heading - camera.heading
         box = np.array([[-half, 0], [half, 0], [half, length], [-half, length]])
         c, s = np.cos(turn), np.sin(turn)
-        r0, a0 = eye.level(state.x, state.y)
+        r0, a0 = camera.to_level(pose.x, pose.y)
         foot = np.column_stack([a0 + box[:, 0] * s + box[:, 1] * c, r0 + box[:, 0] * c - box[:, 1] * s])
-        towards = self.sun.direction(eye.heading)
+        towards = self.sun.direction(camera.heading)
         tall = body.clearance + body.height / 2 + body.top
         roof = foot + tall * towards[[2, 0]] / towards[1]
         return _outline_edges(np.vstack([foot, roof])), _outline_edges(foot)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import AliasChoices, Field, model_validator
 
 from paceline.documents.models import Document, nearest_of, read_document
 from paceline.errors import UnusableInput
@@ -56,8 +56,12 @@ class WeaveModel(Document):
 class LeadModel(Document):
     kind: RasterizedKind | None = None  # drawn otherwise
     speed: Pairs
-    haste: Annotated[float, Field(gt=0, le=5)] = 2.0  # m/s², its strongest acceleration
-    bends: Annotated[float, Field(gt=0, le=5)] = 1.8  # m/s² to the side, that it slows down to
+    max_acceleration: Annotated[
+        float, Field(validation_alias=AliasChoices("max_acceleration", "haste"), gt=0, le=5)
+    ] = 2.0  # m/s², its strongest acceleration
+    max_lateral_acceleration: Annotated[
+        float, Field(validation_alias=AliasChoices("max_lateral_acceleration", "bends"), gt=0, le=5)
+    ] = 1.8  # m/s² to the side, that it slows down to
     lane_changes: list[LaneChangeModel] = []
     weaves: list[WeaveModel] = []
     vanishes: Seconds | None = None
@@ -96,9 +100,15 @@ class AppearanceModel(Document):
     paint: Annotated[float, Field(ge=0, le=255)] | None = None
     shadows: Annotated[float, Field(ge=0, le=3)] | None = None
     ambient: Annotated[float, Field(gt=0, le=1)] | None = None
-    parallel: Annotated[float, Field(ge=0, le=1)] | None = None
-    crowding: Annotated[float, Field(ge=0, le=3)] | None = None
-    bounce: Annotated[float, Field(ge=0, le=10)] | None = None
+    parallel_share: Annotated[
+        Annotated[float, Field(ge=0, le=1)] | None, Field(validation_alias=AliasChoices("parallel_share", "parallel"))
+    ] = None
+    object_density: Annotated[
+        Annotated[float, Field(ge=0, le=3)] | None, Field(validation_alias=AliasChoices("object_density", "crowding"))
+    ] = None
+    shake_px: Annotated[
+        Annotated[float, Field(ge=0, le=10)] | None, Field(validation_alias=AliasChoices("shake_px", "bounce"))
+    ] = None
     traffic: bool | None = None
 
 
@@ -129,15 +139,19 @@ class DriveModel(Document):
     lead: LeadModel
     cut_ins: list[CutInModel] = []
     crossings: list[CrossingModel] = []
-    look: AppearanceModel = AppearanceModel()
-    must: RequirementsModel = RequirementsModel()
+    appearance: Annotated[AppearanceModel, Field(validation_alias=AliasChoices("appearance", "look"))] = (
+        AppearanceModel()
+    )
+    requirements: Annotated[RequirementsModel, Field(validation_alias=AliasChoices("requirements", "must"))] = (
+        RequirementsModel()
+    )
 
     @model_validator(mode="after")
     def _fits(self) -> DriveModel:
         if not any(v > 0 for _, v in self.lead.speed):
             raise ValueError("lead.speed: expected a lead that moves")
-        if self.must.stops_within is not None and self.lead.vanishes is None:
-            raise ValueError("must.stops_within: expected a lead that vanishes (lead.vanishes)")
+        if self.requirements.stops_within is not None and self.lead.vanishes is None:
+            raise ValueError("requirements.stops_within: expected a lead that vanishes (lead.vanishes)")
         return self
 
 

@@ -39,7 +39,7 @@ class GapPolicy:
     reaction: float = 0.35  # s until brakes act
     lead_braking: float = 6.0  # m/s²: no lead is taken to brake harder
 
-    def wanted(self, speed: float) -> float:
+    def desired_gap(self, speed: float) -> float:
         """m, at ``speed`` in m/s."""
         return self.standstill + self.headway * speed
 
@@ -51,23 +51,23 @@ class LeadFilter:
         self.state: Array | None = None  # (3,)
         self.covariance = np.zeros((3, 3))
         self._time = self._seen = 0.0
-        self._sight, self._streak = 0.0, 0  # the gap seen last, and how many sightings in a row agree with it
+        self._last_gap, self._agreeing = 0.0, 0  # the gap seen last, and how many sightings in a row agree with it
 
     def update(self, time: float, own_speed: float, gap: float, std: float, seen: bool) -> Array | None:
         """The state at ``time``, s, with the ``gap`` measured to ``std`` m if the lead is ``seen``; None before it ever
         was."""
         if self.state is not None:
             self._predict(time, own_speed)
-        self._streak = (
-            self._streak + 1 if seen and abs(gap - self._sight) < MAX_CONFIRMING_GAP_CHANGE * gap else int(seen)
+        self._agreeing = (
+            self._agreeing + 1 if seen and abs(gap - self._last_gap) < MAX_CONFIRMING_GAP_CHANGE * gap else int(seen)
         )
-        self._sight = gap
+        self._last_gap = gap
         gone = time - self._seen
-        if seen and (self.state is None or (gone > RESTART_UNSEEN_S and self._streak >= MIN_CONFIRMING_FRAMES)):
+        if seen and (self.state is None or (gone > RESTART_UNSEEN_S and self._agreeing >= MIN_CONFIRMING_FRAMES)):
             self.state = np.array([gap, own_speed, 0.0])
             self.covariance = np.diag([std**2, 2.0**2, LEAD_ACCELERATION_STD_MPS2**2])
             self._seen = time
-        elif seen and self._plausible(gap, std) and (gone <= MAX_UNSEEN_S or self._streak >= MIN_CONFIRMING_FRAMES):
+        elif seen and self._inside_gate(gap, std) and (gone <= MAX_UNSEEN_S or self._agreeing >= MIN_CONFIRMING_FRAMES):
             self._correct(gap, std)
             self._seen = time
         self._time = time
@@ -86,7 +86,7 @@ class LeadFilter:
         g = np.array([dt**2 / 2, dt, 1.0])
         self.covariance = F @ self.covariance @ F.T + LEAD_ACCELERATION_STD_MPS2**2 * (1 - decay**2) * np.outer(g, g)
 
-    def _plausible(self, gap: float, std: float) -> bool:
+    def _inside_gate(self, gap: float, std: float) -> bool:
         """Whether a vehicle can have moved there: what jumps is something else, and not seen."""
         assert self.state is not None
         return bool(abs(gap - self.state[0]) <= GATE_SIGMA * np.sqrt(self.covariance[0, 0] + std**2))
@@ -104,7 +104,7 @@ def headway_acceleration(
     policy: GapPolicy, speed: float, gap: float, lead_speed: float, lead_acceleration: float
 ) -> float:
     """The acceleration (m/s²) that keeps the policy's gap, at the chase vehicle's ``speed``."""
-    error = gap - policy.wanted(speed)
+    error = gap - policy.desired_gap(speed)
     wanted = (lead_speed - speed + policy.correction * error) / policy.headway
     wanted += policy.anticipation * min(max(lead_acceleration, -policy.comfort), 1.0)
     wanted = min(wanted, policy.throttle, policy.top_speed - speed)

@@ -19,14 +19,14 @@ class HumanThrottle:
     """Keeps a gap that varies smoothly within ``gaps`` (m), from the true gap and speeds `REACTION_DELAY_S` before."""
 
     def __init__(self, policy: GapPolicy, gaps: tuple[float, float], rng: np.random.Generator) -> None:
-        self._policy, self._gaps, self._mood = policy, gaps, SmoothNoise(rng, 12.0, 45.0)
+        self._policy, self._gaps, self._gap_variation = policy, gaps, SmoothNoise(rng, 12.0, 45.0)
         self._seen: deque[tuple[float, float, float]] = deque()  # time, gap, lead's speed
 
-    def wanted(self, time: float, speed: float) -> float:
+    def desired_gap(self, time: float, speed: float) -> float:
         """The gap, m, kept at ``time``, s: shorter at low speed."""
         low, high = self._gaps
         nearest = min(low + MIN_HEADWAY_S * speed, high)
-        share = min(speed / self._policy.top_speed, 1.0) * 0.5 * (1 + self._mood(time))
+        share = min(speed / self._policy.top_speed, 1.0) * 0.5 * (1 + self._gap_variation(time))
         return nearest + (high - nearest) * share
 
     def acceleration(self, time: float, speed: float, gap: float, lead_speed: float) -> float:
@@ -35,6 +35,6 @@ class HumanThrottle:
         while len(self._seen) > 1 and self._seen[1][0] <= time - REACTION_DELAY_S:
             self._seen.popleft()
         _, gap, lead_speed = self._seen[0]
-        asked = GAP_GAIN * (gap - self.wanted(time, speed)) + CLOSING_GAIN * (lead_speed - speed)
+        asked = GAP_GAIN * (gap - self.desired_gap(time, speed)) + CLOSING_GAIN * (lead_speed - speed)
         asked = min(max(asked, -MAX_BRAKING_MPS2), self._policy.throttle, self._policy.top_speed - speed)
         return min(asked, -1.0) if speed < 0.15 and lead_speed < 0.3 else asked

@@ -34,12 +34,12 @@ class Weave:
 
 
 class LeadVehicle:
-    """Where the lead is at any time. Its lateral position is a function of arc length alone, so that its path is a
+    """The pose of the lead at any time. Its lateral position is a function of arc length alone, so that its path is a
     curve, known before and behind it.
 
-    ``speeds`` (N, 2) are times (s) and speeds (m/s), joined by straight lines; it speeds up by at most ``haste`` m/s²
-    and slows for bends so that it feels no more than ``bends`` m/s² to the side.
-    It drives ``duration`` seconds from ``start`` metres along the ``road``.
+    ``speeds`` (N, 2) are times (s) and speeds (m/s), joined by straight lines; it accelerates by at most
+    ``max_acceleration`` (m/s²) and slows for bends to at most ``max_lateral_acceleration`` (m/s²). It drives
+    ``duration`` seconds from ``start`` metres along the ``road``.
     """
 
     def __init__(
@@ -50,29 +50,29 @@ class LeadVehicle:
         speeds: Array,
         changes: tuple[LaneChange, ...] = (),
         weaves: tuple[Weave, ...] = (),
-        haste: float = 2.0,
-        bends: float = 1.8,
+        max_acceleration: float = 2.0,
+        max_lateral_acceleration: float = 1.8,
     ) -> None:
         self.road, self.start = road, start
         self.time = np.arange(0.0, duration + 2 * PLAN_STEP_S, PLAN_STEP_S)
         wished = np.interp(self.time, speeds[:, 0], speeds[:, 1])
-        allowed = curve_speed_limits(road, bends)
+        allowed = curve_speed_limits(road, max_lateral_acceleration)
         self.speed, self.arc = np.empty_like(self.time), np.empty_like(self.time)
         v, s = min(float(wished[0]), float(np.interp(start, road.s, allowed))), start
         for k, wish in enumerate(wished.tolist()):
             target = min(wish, _interpolate(allowed, s / ROAD_STEP_M))
-            before, v = v, max(min(target, v + haste * PLAN_STEP_S), 0.0)
+            before, v = v, max(min(target, v + max_acceleration * PLAN_STEP_S), 0.0)
             s += 0.5 * (before + v) * PLAN_STEP_S if k else 0.0
             self.speed[k], self.arc[k] = v, s
         self.rate = np.gradient(self.speed, PLAN_STEP_S)
-        self._changes = [(*self._stretch(c.at, c.duration), c.shift) for c in changes]
-        self._weaves = [self._swing(w) for w in weaves]
+        self._changes = [(*self._arc_interval(c.at, c.duration), c.shift) for c in changes]
+        self._weaves = [self._weave_interval(w) for w in weaves]
 
-    def _stretch(self, at: float, duration: float) -> tuple[float, float]:
+    def _arc_interval(self, at: float, duration: float) -> tuple[float, float]:
         """Arc length at a time and metres driven in ``duration`` seconds from there on at that speed, 1 m at least."""
         return self.arc_at(at), max(self.speed_at(at) * duration, 1.0)
 
-    def _swing(self, w: Weave) -> tuple[float, float, float, float]:
+    def _weave_interval(self, w: Weave) -> tuple[float, float, float, float]:
         begin, end = self.arc_at(w.start), self.arc_at(w.stop)
         mean = (end - begin) / max(w.stop - w.start, PLAN_STEP_S)
         return begin, end, w.amplitude, max(mean * w.period, 1.0)
@@ -98,26 +98,26 @@ class LeadVehicle:
             total += amplitude * inside * np.sin(2 * np.pi * (arc - begin) / wave)
         return total
 
-    def state_at_arc(self, arc: float) -> RoadPose:
+    def pose_at_arc(self, arc: float) -> RoadPose:
         """The lead's place and heading where its rear plane is at ``arc``."""
         before, here, after = self.lateral(np.array([arc - 0.05, arc, arc + 0.05])).tolist()
         return road_pose(self.road, arc, here, (after - before) / 0.1)
 
-    def state(self, time: float) -> RoadPose:
-        return self.state_at_arc(self.arc_at(time))
+    def pose_at(self, time: float) -> RoadPose:
+        return self.pose_at_arc(self.arc_at(time))
 
-    def offset(self, x: float, y: float, near: float) -> tuple[float, float]:
+    def path_offset(self, x: float, y: float, near: float) -> tuple[float, float]:
         """How far (m) a point lies to the right of the lead's path, and the arc length beside it, looked for from
         ``near`` on."""
         arc = near
         for _ in range(20):
-            p = self.state_at_arc(arc)
+            p = self.pose_at_arc(arc)
             c, s = np.cos(p.heading), np.sin(p.heading)
             along = (x - p.x) * c + (y - p.y) * s
             arc += along
             if abs(along) < 1e-6:
                 break
-        p = self.state_at_arc(arc)
+        p = self.pose_at_arc(arc)
         return float((x - p.x) * np.sin(p.heading) - (y - p.y) * np.cos(p.heading)), float(arc)
 
 

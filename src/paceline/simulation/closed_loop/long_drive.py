@@ -45,9 +45,9 @@ def draw_long_drive(rng: np.random.Generator) -> dict[str, Any]:
     return {
         "duration": DURATION_S,
         "road": {"pieces": pieces, "blend": 20.0},
-        "lead": {"speed": speeds, "weaves": weaves, "bends": 1.2},
+        "lead": {"speed": speeds, "weaves": weaves, "max_lateral_acceleration": 1.2},
         "crossings": crossings,
-        "must": {"rms_gap_error": 2.0},
+        "requirements": {"rms_gap_error": 2.0},
     }
 
 

@@ -44,12 +44,12 @@ class LoopStep:
     chase: VehicleState
     lead: Placed
     lead_speed: float
-    asked: Command  # of this picture, and when it takes effect
+    command: Command  # of this picture, and when it takes effect
     gap: float  # from the camera to the lead's rear, along the camera's axis
-    wanted: float  # by the throttle, at this speed
+    desired_gap: float  # by the throttle, at this speed
     path_error: float  # of the rear axle, to the right of the lead's path
     clearance: float  # between the bodies: to the lead, or to another vehicle that is nearer
-    shown: bool  # the lead is there to be seen
+    lead_present: bool  # the lead is there to be seen
 
 
 class ClosedLoop:
@@ -66,7 +66,7 @@ class ClosedLoop:
     ) -> None:
         self.vehicle = vehicle or VehicleParameters()
         self.model, self.seed, self.latency = model, seed, latency
-        self.stage = DriveScene(model, seed, self.vehicle)
+        self.scene = DriveScene(model, seed, self.vehicle)
         v = self.vehicle
         own = {"wheelbase": v.wheelbase, "camera_ahead": v.camera_ahead, "steering_limit": v.steering_limit}
         self.configuration = (configuration or FollowConfiguration()).model_copy(update=own)
@@ -74,53 +74,53 @@ class ClosedLoop:
 
     @property
     def frames(self) -> int:
-        return self.stage.scene.frames
+        return self.scene.chase_scene.frames
 
     def settings(self) -> dict[str, object]:
         """Everything that was set, resolved."""
         return {
             "latency": self.latency,
             "vehicle": asdict(self.vehicle),
-            "gap_policy": asdict(self.stage.policy),
+            "gap_policy": asdict(self.scene.policy),
             "odometer_errors": asdict(self.errors),
             "follow": self.configuration.model_dump(),
         }
 
     def steps(self) -> Iterator[LoopStep]:
         """Every cycle, in order."""
-        stage, scene = self.stage, self.stage.scene
+        placed, scene = self.scene, self.scene.chase_scene
         rng = np.random.default_rng([self.seed, 79])
-        plant, film = VehicleDynamics(self.vehicle, stage.start()), Renderer(stage.world)
+        plant, renderer = VehicleDynamics(self.vehicle, placed.start()), Renderer(placed.world)
         odometer = Odometer(self.errors, rng, plant.state.speed)
-        controller = GapController(stage.policy)
-        nearest = stage.policy.standstill + VISIBILITY_MARGIN_M
-        operator = HumanThrottle(stage.policy, (nearest, MAX_HUMAN_GAP_M[self.model.camera]), rng)
+        controller = GapController(placed.policy)
+        nearest = placed.policy.standstill + VISIBILITY_MARGIN_M
+        operator = HumanThrottle(placed.policy, (nearest, MAX_HUMAN_GAP_M[self.model.camera]), rng)
         manual = self.model.throttle == "manual"
         tracker: FollowTracker | None = None
-        near = stage.lead.start
+        near = placed.lead.start
         for frame in range(scene.frames):
             time = frame / scene.rate
             chase = plant.advance(time)
-            moment = stage.moment(time, chase, near)
-            near = moment.chase.arc
-            image, visible = film.picture(moment)
-            truth = truth_of(scene, frame, moment, visible)
+            state = placed.state_at(time, chase, near)
+            near = state.chase.arc
+            image, visible = renderer.render(state)
+            truth = truth_of(scene, frame, state, visible)
             tracker = tracker or start_tracker(scene, truth, self.configuration)
-            pose = odometer.read(time, stage.pose(time, chase))
+            pose = odometer.read(time, placed.pose(time, chase))
             e = tracker.update(image, time, frame, pose)
-            gap, lead_speed = float(truth.position[2]), stage.lead.speed_at(time)
+            gap, lead_speed = float(truth.position[2]), placed.lead.speed_at(time)
             if manual:
                 throttle = operator.acceleration(time, chase.speed, gap, lead_speed)
-                wanted = operator.wanted(time, chase.speed)
+                wanted = operator.desired_gap(time, chase.speed)
             else:
                 seen = e.status == "tracking"
                 throttle = controller.acceleration(
                     time, odometer.speed, float(e.position[2]), float(e.position_std[2]), seen
                 )
-                wanted = stage.policy.wanted(chase.speed)
-            asked = Command(time + self.latency, e.steering, throttle)
-            plant.ask(asked)
-            error, _ = stage.lead.offset(chase.x, chase.y, near - self.vehicle.camera_ahead)
+                wanted = placed.policy.desired_gap(chase.speed)
+            command = Command(time + self.latency, e.steering, throttle)
+            plant.queue(command)
+            error, _ = placed.lead.path_offset(chase.x, chase.y, near - self.vehicle.camera_ahead)
             yield LoopStep(
                 frame=frame,
                 time=time,
@@ -128,22 +128,22 @@ class ClosedLoop:
                 estimate=e,
                 truth=truth,
                 chase=chase,
-                lead=moment.lead,
+                lead=state.lead,
                 lead_speed=lead_speed,
-                asked=asked,
+                command=command,
                 gap=gap,
-                wanted=wanted,
+                desired_gap=wanted,
                 path_error=error,
-                clearance=self._clearance(chase, moment),
-                shown=moment.shown,
+                clearance=self._clearance(chase, state),
+                lead_present=state.lead_present,
             )
 
-    def _clearance(self, chase: VehicleState, moment: WorldState) -> float:
+    def _clearance(self, chase: VehicleState, state: WorldState) -> float:
         v = self.vehicle
         own = vehicle_outline(chase.x, chase.y, chase.heading, -v.tail, v.nose, v.width)
-        world = self.stage.world
-        others: list[tuple[Body, Placed]] = [(world.body, moment.lead)] if moment.shown else []
-        others += zip(world.companions, moment.companions, strict=True)
+        world = self.scene.world
+        others: list[tuple[Body, Placed]] = [(world.body, state.lead)] if state.lead_present else []
+        others += zip(world.other_vehicles, state.other_vehicles, strict=True)
         return min((outline_distance(own, _body_outline(body, place)) for body, place in others), default=float("nan"))
 
 

@@ -44,8 +44,8 @@ def intersection(rng: np.random.Generator) -> dict[str, Any]:
         "duration": 40.0,
         "throttle": "manual",
         "road": {"pieces": [[100.0, 0.0], [arc, side * radius], [120.0, 0.0]], "blend": 8.0},
-        "lead": {"kind": kind, "speed": [[0.0, 7.0]], "bends": 0.8},
-        "look": NO_TRAFFIC,
+        "lead": {"kind": kind, "speed": [[0.0, 7.0]], "max_lateral_acceleration": 0.8},
+        "appearance": NO_TRAFFIC,
     }
 
 
@@ -64,12 +64,14 @@ def stops(rng: np.random.Generator) -> dict[str, Any]:
                 [53, 6],
             ]
         },
-        "must": {"rms_gap_error": 1.5},
+        "requirements": {"rms_gap_error": 1.5},
     }
 
 
 def shadows(rng: np.random.Generator) -> dict[str, Any]:
-    return _constant_speed(60.0, throttle="manual", look={"shadows": 1.6, "ambient": float(rng.uniform(0.26, 0.34))})
+    return _constant_speed(
+        60.0, throttle="manual", appearance={"shadows": 1.6, "ambient": float(rng.uniform(0.26, 0.34))}
+    )
 
 
 def weaving(rng: np.random.Generator) -> dict[str, Any]:
@@ -79,7 +81,7 @@ def weaving(rng: np.random.Generator) -> dict[str, Any]:
 
 
 def parallel_edges(rng: np.random.Generator) -> dict[str, Any]:
-    return _constant_speed(60.0, throttle="manual", look={"parallel": 1.0, "crowding": 1.6})
+    return _constant_speed(60.0, throttle="manual", appearance={"parallel_share": 1.0, "object_density": 1.6})
 
 
 def brakes_hard(rng: np.random.Generator) -> dict[str, Any]:
@@ -91,7 +93,10 @@ def brakes_hard(rng: np.random.Generator) -> dict[str, Any]:
 
 def accelerates_away(rng: np.random.Generator) -> dict[str, Any]:
     speeds = [[0, 4.0], [6, 4.0], [6 + 8.0 / 3, 12.0], [16, 12.0], [20, 7.0]]
-    return _constant_speed(30.0) | {"lead": {"speed": speeds, "haste": 3.0}, "must": {"max_gap": 26.0}}
+    return _constant_speed(30.0) | {
+        "lead": {"speed": speeds, "max_acceleration": 3.0},
+        "requirements": {"max_gap": 26.0},
+    }
 
 
 def changes_lane(rng: np.random.Generator) -> dict[str, Any]:
@@ -99,16 +104,16 @@ def changes_lane(rng: np.random.Generator) -> dict[str, Any]:
         {"at": 8.0, "duration": float(rng.uniform(3.5, 5.0)), "shift": -LANE_WIDTH_M},
         {"at": 20.0, "duration": float(rng.uniform(3.5, 5.0)), "shift": LANE_WIDTH_M},
     ]
-    return _constant_speed(32.0, look=NO_TRAFFIC) | {
+    return _constant_speed(32.0, appearance=NO_TRAFFIC) | {
         "lead": {"speed": [[0.0, CRUISE_SPEED_MPS]], "lane_changes": changes}
     }
 
 
 def cuts_in(rng: np.random.Generator) -> dict[str, Any]:
     stay = float(rng.uniform(3.5, 5.0))
-    return _constant_speed(35.0, look=NO_TRAFFIC, headway=1.3, road={"radius": 250.0}) | {
+    return _constant_speed(35.0, appearance=NO_TRAFFIC, headway=1.3, road={"radius": 250.0}) | {
         "cut_ins": [{"at": 8.0, "until": 8.0 + 2.5 + stay, "kind": str(rng.choice(["van", "saloon"]))}],
-        "must": {"lost": None, "tracked": 0.2, "ends": "either"},
+        "requirements": {"lost": None, "tracked": 0.2, "ends": "either"},
     }
 
 
@@ -125,14 +130,14 @@ def stop_and_go(rng: np.random.Generator) -> dict[str, Any]:
         brake = top / float(rng.uniform(1.5, 3.0))
         speeds += [[t, top], [t + hold, top], [t + hold + brake, 0.0], [t + hold + brake + 2.5, 0.0]]
         t += hold + brake + 2.5 + top / 1.5
-    return _constant_speed(60.0) | {"lead": {"speed": [*speeds, [t, 4.0]]}, "must": {"rms_gap_error": 1.5}}
+    return _constant_speed(60.0) | {"lead": {"speed": [*speeds, [t, 4.0]]}, "requirements": {"rms_gap_error": 1.5}}
 
 
 def lost(rng: np.random.Generator) -> dict[str, Any]:
     at = float(rng.uniform(9.0, 12.0))
     return _constant_speed(25.0) | {
         "lead": {"speed": [[0.0, CRUISE_SPEED_MPS]], "vanishes": at},
-        "must": {"lost": None, "stops_within": 25.0, "ends": "standing"},
+        "requirements": {"lost": None, "stops_within": 25.0, "ends": "standing"},
     }
 
 
@@ -145,8 +150,8 @@ def motorway(rng: np.random.Generator) -> dict[str, Any]:
         "duration": 60.0,
         "road": {"radius": 450.0},
         "lead": {"speed": speeds, "lane_changes": [change, back]},
-        "look": NO_TRAFFIC,
-        "must": {"rms_path_error": 0.6, "max_path_error": 1.8},
+        "appearance": NO_TRAFFIC,
+        "requirements": {"rms_path_error": 0.6, "max_path_error": 1.8},
     }
 
 

@@ -1,4 +1,4 @@
-"""What a drive is judged by: figures gathered cycle by cycle, and the table of what must hold."""
+"""The requirements of a drive: statistics gathered cycle by cycle, and the table of each requirement and its bound."""
 
 from __future__ import annotations
 
@@ -10,21 +10,17 @@ import numpy as np
 from paceline.simulation.closed_loop.drive_yaml import DriveModel
 from paceline.simulation.closed_loop.loop import LoopStep
 
-MIN_VISIBLE_SHARE = 0.6  # of the rear plane must be visible where a frame counts as one that shows the lead
-MAX_RANGE_ERROR, MAX_LATERAL_ERROR_WIDTHS = (
-    0.15,
-    0.5,
-)  # relative, and in widths of the lead: an estimate that is of something else
-MAX_STANDING_SPEED_MPS = 0.1  # m/s
-FINAL_FRAMES, MIN_FINAL_TRACKED_SHARE = (
-    15,
-    0.8,
-)  # frames that tell how a drive ends, and the share of them that must be tracked
+MIN_VISIBLE_SHARE = 0.6  # of the rear plane, where a frame counts as one that shows the lead
+MAX_RANGE_ERROR = 0.15  # relative; beyond, the estimate is of something else
+MAX_LATERAL_ERROR_WIDTHS = 0.5  # in widths of the lead; beyond, the estimate is of something else
+MAX_STANDING_SPEED_MPS = 0.1
+FINAL_FRAMES = 15  # that decide how a drive ends
+MIN_FINAL_TRACKED_SHARE = 0.8  # of those frames
 
 
 @dataclass(frozen=True)
 class Requirement:
-    """One row of the table: what, the figure found, and its bound with whether it is met."""
+    """One row of the table: the quantity, its value, its bound, and whether the bound is met."""
 
     what: str
     value: float
@@ -36,15 +32,15 @@ class Requirement:
 
 @dataclass
 class DriveStatistics:
-    """Figures over all cycles of a drive; SI units."""
+    """Statistics over all cycles of a drive; SI units."""
 
     frames: int = 0
     status: Counter[str] = field(default_factory=Counter)
-    shown: int = 0  # frames with a lead, be it in view or hidden
-    showing: int = 0  # frames that show it
-    tracked: int = 0  # of those
-    losses: int = 0  # times that a lead in view was lost
-    wrong: int = 0  # frames that claim to track and are far off
+    lead_frames: int = 0  # with a lead on the road, visible or hidden
+    visible_frames: int = 0  # in which the lead is visible
+    tracked_frames: int = 0  # of those
+    losses: int = 0  # times that a lead on the road was lost
+    wrong_frames: int = 0  # with status tracking and an estimate that is far off
     clearance: float = np.inf
     path_squares: float = 0.0
     path_max: float = 0.0
@@ -53,10 +49,10 @@ class DriveStatistics:
     gap_max: float = -np.inf
     range_squares: float = 0.0
     range_frames: int = 0
-    way: float = 0.0  # m driven
-    way_unseen: float = 0.0  # m driven since the lead vanished
+    distance: float = 0.0  # m driven
+    distance_unseen: float = 0.0  # m driven since the lead vanished
     speed_max: float = 0.0
-    speed: float = 0.0  # at last
+    speed: float = 0.0  # in the last cycle
     _last: LoopStep | None = None
     _ending: list[str] = field(default_factory=list)
 
@@ -66,45 +62,47 @@ class DriveStatistics:
         tracking = e.status == "tracking"
         self.frames += 1
         self.status[e.status] += 1
-        if s.shown and e.status == "lost" and (last is None or last.estimate.status != "lost"):
+        if s.lead_present and e.status == "lost" and (last is None or last.estimate.status != "lost"):
             self.losses += 1
-        if s.shown and s.truth.visible >= MIN_VISIBLE_SHARE:
-            self.showing += 1
-            self.tracked += tracking
+        if s.lead_present and s.truth.visible >= MIN_VISIBLE_SHARE:
+            self.visible_frames += 1
+            self.tracked_frames += tracking
         off = e.position - s.truth.position
-        self.wrong += tracking and (
-            not s.shown or abs(off[2]) > MAX_RANGE_ERROR * s.gap or abs(off[0]) > MAX_LATERAL_ERROR_WIDTHS * width
+        self.wrong_frames += tracking and (
+            not s.lead_present
+            or abs(off[2]) > MAX_RANGE_ERROR * s.gap
+            or abs(off[0]) > MAX_LATERAL_ERROR_WIDTHS * width
         )
-        if tracking and s.shown:
+        if tracking and s.lead_present:
             self.range_squares += float(off[2] / s.gap) ** 2
             self.range_frames += 1
         if np.isfinite(s.clearance):
             self.clearance = min(self.clearance, s.clearance)
-        if s.shown:
+        if s.lead_present:
             self.path_squares += s.path_error**2
             self.path_max = max(self.path_max, abs(s.path_error))
-            self.gap_squares += (s.gap - s.wanted) ** 2
-            self.shown += 1
+            self.gap_squares += (s.gap - s.desired_gap) ** 2
+            self.lead_frames += 1
             self.gap_min, self.gap_max = min(self.gap_min, s.gap), max(self.gap_max, s.gap)
         if last is not None:
             moved = float(np.hypot(s.chase.x - last.chase.x, s.chase.y - last.chase.y))
-            self.way += moved
-            self.way_unseen += 0.0 if s.shown else moved
+            self.distance += moved
+            self.distance_unseen += 0.0 if s.lead_present else moved
         self.speed, self.speed_max = s.chase.speed, max(self.speed_max, s.chase.speed)
         self._ending = [*self._ending[-FINAL_FRAMES + 1 :], e.status]
         self._last = s
 
-    def forget(self) -> None:
-        """Let go of the last cycle and its picture; the figures stay."""
+    def release_step(self) -> None:
+        """Drop the last cycle and its image; the statistics stay."""
         self._last = None
 
     @property
     def path_rms(self) -> float:
-        return float(np.sqrt(self.path_squares / max(self.shown, 1)))
+        return float(np.sqrt(self.path_squares / max(self.lead_frames, 1)))
 
     @property
     def gap_rms(self) -> float:
-        return float(np.sqrt(self.gap_squares / max(self.shown, 1)))
+        return float(np.sqrt(self.gap_squares / max(self.lead_frames, 1)))
 
     @property
     def range_rms(self) -> float:
@@ -113,40 +111,40 @@ class DriveStatistics:
 
     @property
     def tracked_share(self) -> float:
-        """Of the frames that show the lead."""
-        return self.tracked / self.showing if self.showing else float("nan")
+        """Share of the frames that show the lead."""
+        return self.tracked_frames / self.visible_frames if self.visible_frames else float("nan")
 
     @property
     def ends_tracking(self) -> bool:
-        """Single frames may be coasted over: the lead is followed all the same."""
+        """Whether the lead is tracked at the end; single frames may be coasted over."""
         return (
             self._ending.count("tracking") >= MIN_FINAL_TRACKED_SHARE * len(self._ending) and "lost" not in self._ending
         )
 
 
 def check_requirements(model: DriveModel, f: DriveStatistics) -> list[Requirement]:
-    """The table of what must hold, with what was found."""
-    must = model.must
+    """The table of requirements with the values found."""
+    must = model.requirements
 
-    def most(what: str, value: float, bound: float | None, unit: str) -> list[Requirement]:
+    def at_most(what: str, value: float, bound: float | None, unit: str) -> list[Requirement]:
         return [] if bound is None else [Requirement(what, value, bound, unit, bool(value <= bound))]
 
-    def least(what: str, value: float, bound: float | None, unit: str) -> list[Requirement]:
+    def at_least_bound(what: str, value: float, bound: float | None, unit: str) -> list[Requirement]:
         return [] if bound is None else [Requirement(what, value, bound, unit, bool(value >= bound), True)]
 
     rows = [
-        *least("least distance to another vehicle", f.clearance, must.clearance, "m"),
-        *most("path error, RMS", f.path_rms, must.rms_path_error, "m"),
-        *most("path error, greatest", f.path_max, must.max_path_error, "m"),
-        *most("gap error, RMS", f.gap_rms, must.rms_gap_error, "m"),
-        *most("greatest gap", f.gap_max, must.max_gap, "m"),
-        *most("times lost", f.losses, must.lost, ""),
-        *least("share of frames tracked", f.tracked_share, must.tracked, ""),
-        *most("frames in which something else was followed", f.wrong, must.wrong, ""),
-        *most("way driven after it vanished", f.way_unseen, must.stops_within, "m"),
+        *at_least_bound("least distance to another vehicle", f.clearance, must.clearance, "m"),
+        *at_most("path error, RMS", f.path_rms, must.rms_path_error, "m"),
+        *at_most("path error, greatest", f.path_max, must.max_path_error, "m"),
+        *at_most("gap error, RMS", f.gap_rms, must.rms_gap_error, "m"),
+        *at_most("greatest gap", f.gap_max, must.max_gap, "m"),
+        *at_most("times lost", f.losses, must.lost, ""),
+        *at_least_bound("share of frames tracked", f.tracked_share, must.tracked, ""),
+        *at_most("frames in which something else was followed", f.wrong_frames, must.wrong, ""),
+        *at_most("way driven after it vanished", f.distance_unseen, must.stops_within, "m"),
     ]
     if must.ends == "standing" or (must.ends == "either" and not f.ends_tracking):
-        rows += most("speed at the end", f.speed, MAX_STANDING_SPEED_MPS, "m/s")
+        rows += at_most("speed at the end", f.speed, MAX_STANDING_SPEED_MPS, "m/s")
     else:
-        rows += least("tracking at the end", float(f.ends_tracking), 1.0, "")
+        rows += at_least_bound("tracking at the end", float(f.ends_tracking), 1.0, "")
     return rows

@@ -27,14 +27,14 @@ class LogRow:
     lead_speed: float
     gap: float
     range: float  # as estimated; NaN where the lead is not tracked
-    wanted: float
+    desired_gap: float
     path_error: float
-    asked: float  # steering
+    steering_command: float  # steering
     steering: float
     acceleration: float
     processing: float
     status: float  # index into `STATUS_NAMES`
-    shown: float
+    lead_present: float
 
 
 class DriveLog:
@@ -75,16 +75,16 @@ def _log_row(s: LoopStep) -> LogRow:
         lead_y=s.lead.y,
         speed=c.speed,
         lead_speed=s.lead_speed,
-        gap=s.gap if s.shown else np.nan,
+        gap=s.gap if s.lead_present else np.nan,
         range=float(e.position[2]) if tracking else np.nan,
-        wanted=s.wanted,
+        desired_gap=s.desired_gap,
         path_error=s.path_error,
-        asked=s.asked.steering,
+        steering_command=s.command.steering,
         steering=c.steering,
         acceleration=c.acceleration,
         processing=e.latency,
         status=float(STATUS_NAMES.index(e.status)),
-        shown=float(s.shown),
+        lead_present=float(s.lead_present),
     )
 
 

@@ -39,11 +39,11 @@ class DriveScene:
 
     def __init__(self, model: DriveModel, seed: int, chase: VehicleParameters) -> None:
         self.model, self.vehicle = model, chase
-        self.scene = _draw_chase_scene(model, seed)
-        self.policy = gap_policy(model, self.scene)
+        self.chase_scene = _draw_chase_scene(model, seed)
+        self.policy = gap_policy(model, self.chase_scene)
         rng = np.random.default_rng([seed, 73])
         fastest = max(v for _, v in model.lead.speed)
-        first = START_ARC_M + self.policy.wanted(model.lead.speed[0][1])
+        first = START_ARC_M + self.policy.desired_gap(model.lead.speed[0][1])
         self.road = _make_road(
             model, first + fastest * model.duration + ROAD_BEYOND_END_M, np.random.default_rng([seed, 61])
         )
@@ -54,16 +54,16 @@ class DriveScene:
             np.array(model.lead.speed),
             tuple(LaneChange(c.at, c.duration, c.shift) for c in model.lead.lane_changes),
             tuple(Weave(w.start, w.stop, w.amplitude, w.period) for w in model.lead.weaves),
-            model.lead.haste,
-            model.lead.bends,
+            model.lead.max_acceleration,
+            model.lead.max_lateral_acceleration,
         )
-        bounce = self.scene.bounce
-        self._pitching, self._yawing = (CameraShake(rng, a * bounce / 300) for a in (2.4, 0.25))
-        self._rolling, self._heaving = CameraShake(rng, 0.004 * bounce / 4), CameraShake(rng, 0.02 * bounce / 4)
-        self._leaning, self._lifting = SmoothNoise(rng, 0.8, 4.0), SmoothNoise(rng, 0.5, 3.0)
-        companions = tuple(_make_cut_in_body(rng, c) for c in model.cut_ins)
+        shake = self.chase_scene.shake_px
+        self._pitch_shake, self._yaw_shake = (CameraShake(rng, a * shake / 300) for a in (2.4, 0.25))
+        self._roll_shake, self._heave_shake = CameraShake(rng, 0.004 * shake / 4), CameraShake(rng, 0.02 * shake / 4)
+        self._lead_roll, self._lead_lift = SmoothNoise(rng, 0.8, 4.0), SmoothNoise(rng, 0.5, 3.0)
+        other_vehicles = tuple(_make_cut_in_body(rng, c) for c in model.cut_ins)
         about = partial(_expected_arc, self.lead, self.policy.standstill)
-        self.world = ChaseWorld(self.scene, self.road, START_ARC_M, about, rng, companions)
+        self.world = ChaseWorld(self.chase_scene, self.road, START_ARC_M, about, rng, other_vehicles)
 
     def start(self) -> Chase:
         """The chase vehicle on the lead's way, at the lead's speed and the policy's distance."""
@@ -73,46 +73,46 @@ class DriveScene:
     def pose(self, time: float, chase: Chase) -> Pose:
         """The camera in plan, shaken as the body is."""
         x, y = point_ahead(chase, self.vehicle.camera_ahead)
-        return Pose(float(x), float(y), chase.heading + self._rough(chase) * self._yawing(time))
+        return Pose(float(x), float(y), chase.heading + self._shake_share(chase) * self._yaw_shake(time))
 
-    def moment(self, time: float, chase: Chase, near: float) -> WorldState:
+    def state_at(self, time: float, chase: Chase, near: float) -> WorldState:
         """The world at ``time``, s, with the chase vehicle at ``chase``, its camera about ``near`` m along the road."""
-        scene, rough, pose = self.scene, self._rough(chase), self.pose(time, chase)
-        arc, lateral = self.road.beside(pose.x, pose.y, near)
-        eye = CameraPose(
+        scene, rough, pose = self.chase_scene, self._shake_share(chase), self.pose(time, chase)
+        arc, lateral = self.road.locate(pose.x, pose.y, near)
+        camera = CameraPose(
             scene.camera.K,
             camera_rotation(
-                scene.tilt + chase.pitch + rough * self._pitching(time), chase.roll + rough * self._rolling(time)
+                scene.tilt + chase.pitch + rough * self._pitch_shake(time), chase.roll + rough * self._roll_shake(time)
             ),
-            scene.camera_height + rough * self._heaving(time),
+            scene.camera_height + rough * self._heave_shake(time),
             pose.x,
             pose.y,
             pose.heading,
         )
-        turning = rough * self._yawing.rate(time) + self._yaw_rate(chase)
-        nodding = rough * self._pitching.rate(time) + chase.pitch_rate
+        turning = rough * self._yaw_shake.rate(time) + self._yaw_rate(chase)
+        nodding = rough * self._pitch_shake.rate(time) + chase.pitch_rate
         model, vanishes = self.model, self.model.lead.vanishes
-        return self.world.moment(
+        return self.world.state_at(
             time,
-            eye,
+            camera,
             RoadPose(arc, lateral, pose.x, pose.y, pose.heading),
-            self.lead.state(time),
-            lead_roll=0.008 * self._leaning(time),
-            lead_lift=0.015 * self._lifting(time),
-            sweep=(turning, nodding),
+            self.lead.pose_at(time),
+            lead_roll=0.008 * self._lead_roll(time),
+            lead_lift=0.015 * self._lead_lift(time),
+            image_motion=(turning, nodding),
             braking=self.lead.acceleration_at(time) < -0.5 or self.lead.speed_at(time) < 0.1,
-            shown=vanishes is None or time < vanishes,
-            companions=tuple(map(self._cutting_in, model.cut_ins, self.world.companions, repeat(time))),
+            lead_present=vanishes is None or time < vanishes,
+            other_vehicles=tuple(map(self._cut_in_pose, model.cut_ins, self.world.other_vehicles, repeat(time))),
         )
 
-    def _rough(self, chase: Chase) -> float:
+    def _shake_share(self, chase: Chase) -> float:
         return min(chase.speed / FULL_SHAKE_SPEED_MPS, 1.0)
 
     def _yaw_rate(self, chase: Chase) -> float:
         v = self.vehicle
         return float(-chase.speed * np.tan(chase.steering) / (v.wheelbase + v.understeer * chase.speed**2))
 
-    def _cutting_in(self, c: CutInModel, body: Body, time: float) -> RoadPose:
+    def _cut_in_pose(self, c: CutInModel, body: Body, time: float) -> RoadPose:
         """A vehicle that comes up in the other lane, changes in behind the lead and out again."""
 
         def where(t: float) -> tuple[float, float]:
@@ -149,7 +149,7 @@ def gap_policy(model: DriveModel, scene: ChaseScene) -> GapPolicy:
 
 
 def _draw_chase_scene(model: DriveModel, seed: int) -> ChaseScene:
-    given: dict[str, Any] = model.look.model_dump(exclude_none=True)
+    given: dict[str, Any] = model.appearance.model_dump(exclude_none=True)
     if model.lead.kind is not None:
         given["kind"] = model.lead.kind
     given["occlusions"] = tuple(Occlusion(c.at, c.duration, c.kind) for c in model.crossings)

@@ -109,36 +109,36 @@ class Command:
 
 
 class VehicleDynamics:
-    """The vehicle in time: `ask` for what shall take effect later, `advance` to a time."""
+    """The vehicle in time: `queue` for what shall take effect later, `advance` to a time."""
 
     def __init__(self, vehicle: VehicleParameters, state: VehicleState, time: float = 0.0) -> None:
         self.vehicle, self.time = vehicle, time
         self._vehicle = np.array(astuple(vehicle)[:14])
         self._state = np.array(astuple(state))
         self._acting = Command(time, state.steering, state.acceleration)
-        self._waiting: list[Command] = []
+        self._pending: list[Command] = []
 
     @property
     def state(self) -> VehicleState:
         return VehicleState(*map(float, self._state))
 
     @property
-    def acting(self) -> Command:
+    def active_command(self) -> Command:
         """The command that acts now."""
         return self._acting
 
-    def ask(self, command: Command) -> None:
+    def queue(self, command: Command) -> None:
         """Commands take effect in the order in which they are given; ValueError for one before the last."""
-        last = self._waiting[-1].time if self._waiting else self.time
+        last = self._pending[-1].time if self._pending else self.time
         if command.time < last:
             raise ValueError(f"command: expected a time from {last:g} s on, found {command.time:g}")
-        self._waiting.append(command)
+        self._pending.append(command)
 
     def advance(self, time: float) -> VehicleState:
         """Move on to ``time``, s, from one command to the next."""
-        while self._waiting and self._waiting[0].time <= time:
-            self._integrate(self._waiting[0].time)
-            self._acting = self._waiting.pop(0)
+        while self._pending and self._pending[0].time <= time:
+            self._integrate(self._pending[0].time)
+            self._acting = self._pending.pop(0)
         self._integrate(time)
         return self.state
 

@@ -61,9 +61,9 @@ class PlacedChaseScene:
         self.plane = self.body.rear
         self.speed = SmoothNoise(rng, 8, 40)
         self.gap = GapProfile(rng, (lead.gap[0], lead.gap[1]))
-        self.weaving, self.straying = SmoothNoise(rng, 4.0, 12.0), SmoothNoise(rng, 8.0, 25.0)
-        self.pitching, self.yawing = (CameraShake(rng, a * chase.bounce / 300) for a in (2.4, 0.25))
-        self.rolling, self.heaving = (CameraShake(rng, a * chase.bounce / 4) for a in (0.004, 0.02))
+        self.lead_weave, self.camera_drift = SmoothNoise(rng, 4.0, 12.0), SmoothNoise(rng, 8.0, 25.0)
+        self.pitch_shake, self.yaw_shake = (CameraShake(rng, a * chase.shake_px / 300) for a in (2.4, 0.25))
+        self.roll_shake, self.heave_shake = (CameraShake(rng, a * chase.shake_px / 4) for a in (0.004, 0.02))
         w, h = chase.image_size
         K = np.array([[chase.focal, 0, (w - 1) / 2], [0, chase.focal, (h - 1) / 2], [0, 0, 1.0]])
         self.camera = Camera((w, h), K)
@@ -76,40 +76,40 @@ class PlacedChaseScene:
 
     def foot(self, t: float) -> tuple[_PlanPose, Array, Array]:
         """The camera's place in plan, the point below it (3,) and the road's axes (3, 3) there."""
-        at, axes = self.road.frame(self.arc(t), self.lane + 0.35 * self.straying(t))
-        heading = float(np.arctan2(axes[1, 0], axes[0, 0])) + self.yawing(t)
+        at, axes = self.road.frame(self.arc(t), self.lane + 0.35 * self.camera_drift(t))
+        heading = float(np.arctan2(axes[1, 0], axes[0, 0])) + self.yaw_shake(t)
         return _PlanPose(float(at[0]), float(at[1]), heading), at, axes
 
     def view(self, t: float) -> PosedCamera:
         """The camera at ``t`` s."""
         foot, at, _ = self.foot(t)
-        pitch, roll = self.scene.chase.tilt + self.pitching(t), self.rolling(t)
+        pitch, roll = self.scene.chase.tilt + self.pitch_shake(t), self.roll_shake(t)
         c, s = np.cos(foot.heading), np.sin(foot.heading)
         level = np.array([[s, -c, 0.0], [0.0, 0.0, -1.0], [c, s, 0.0]])  # right, down, ahead
         a, b = np.cos(pitch), np.sin(pitch)
         tilt = np.array([[1, 0, 0], [0, a, -b], [0, b, a]])
         d, e = np.cos(roll), np.sin(roll)
         R = np.array([[d, e, 0], [-e, d, 0], [0, 0, 1]]) @ tilt @ level
-        eye = at + np.array([0.0, 0.0, self.scene.chase.height + self.heaving(t)])
+        eye = at + np.array([0.0, 0.0, self.scene.chase.height + self.heave_shake(t)])
         return PosedCamera(self.camera, R, -R @ eye)
 
     def pose(self, t: float) -> Placement:
         """Of the lead's body at ``t`` s; its rear plane is the gap ahead of the camera."""
         gap, closing = self.gap(t)
         weave, v = self.scene.lead.weave, self.scene.chase.top_speed * (0.75 + 0.25 * self.speed(t)) + closing
-        drift = np.arctan(weave * self.weaving.rate(t) / max(v, 1.0))
-        at, axes = self.road.frame(self.arc(t) + gap - self.plane.center[0], self.lane + weave * self.weaving(t))
+        drift = np.arctan(weave * self.lead_weave.rate(t) / max(v, 1.0))
+        at, axes = self.road.frame(self.arc(t) + gap - self.plane.center[0], self.lane + weave * self.lead_weave(t))
         c, s = np.cos(-drift), np.sin(-drift)  # to the right is clockwise
         return axes @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]), at
 
     def placements(self, t: float) -> list[Placement]:
         return place_body(self.body, self.pose(t), self.arc(t) + self.gap(t)[0])
 
-    def still(self) -> list[SceneMesh]:
+    def static_meshes(self) -> list[SceneMesh]:
         spec = Scenery(**self.scene.scenery.model_dump(), seed=self.scene.seed)
         return road_surface.road_meshes(self.road) + build_scenery(self.road, spec, 0.0, self.road.length)
 
-    def moving(self) -> list[Sequence[SceneMesh]]:
+    def moving_groups(self) -> list[Sequence[SceneMesh]]:
         return list(rigid_groups(self.body))
 
     @cached_property
@@ -166,11 +166,11 @@ def write(
     """Render ``scene`` into ``directory`` and return the path of its follow.yaml; as `stereo_clip.write`."""
     directory, variant = Path(directory), variant or default_variant()
     chase = PlacedChaseScene(_with_long_road(scene))
-    renderer = Renderer(chase.still(), chase.moving(), chase.light, variant)
-    renderer.place([OFF_SCENE] * len(chase.moving()))
+    renderer = Renderer(chase.static_meshes(), chase.moving_groups(), chase.light, variant)
+    renderer.place([OFF_SCENE] * len(chase.moving_groups()))
     rows = [chase.row(k, renderer) for k in range(scene.frames)]
     clip_folder.open_folder(directory, scene, variant)
-    white, suffix = chase.light.level_irradiance / np.pi, ".jpg" if scene.sensor.keep == "jpeg" else ".png"
+    white, suffix = chase.light.level_irradiance / np.pi, ".jpg" if scene.sensor.image_format == "jpeg" else ".png"
     paths = [directory / "frames" / f"{k:05d}{suffix}" for k in range(scene.frames)]
     video = directory / "frames.mp4"
     view = lru_cache(maxsize=4)(chase.view)
@@ -182,7 +182,7 @@ def write(
             clip_folder.write_picture(path, picture, scene.sensor.quality)
         if progress:
             progress(k + 1, scene.frames)
-    filmed = scene.sensor.keep == "h264"
+    filmed = scene.sensor.image_format == "h264"
     if filmed and not video.exists():
         clip_folder.write_video(video, paths, chase.times, scene.sensor.quality)
     _write_documents(chase, rows, directory, filmed)

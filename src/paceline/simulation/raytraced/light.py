@@ -43,7 +43,7 @@ class Light:
         return np.array([c * np.cos(self.azimuth), c * np.sin(self.azimuth), np.sin(self.elevation)])
 
     @property
-    def sun(self) -> Array:
+    def sun_irradiance(self) -> Array:
         """Irradiance (3,) of red, green and blue on a surface that faces the sun.
 
         Meinel and Meinel's attenuation, 1.353 · 0.7^(m^0.678) for an air mass m.
@@ -62,9 +62,9 @@ class Light:
     @property
     def level_irradiance(self) -> float:
         """Luminance of all light on open level ground."""
-        return float(self.sun @ LUMINANCE_WEIGHTS * max(np.sin(self.elevation), 0.0) + self.sky_irradiance)
+        return float(self.sun_irradiance @ LUMINANCE_WEIGHTS * max(np.sin(self.elevation), 0.0) + self.sky_irradiance)
 
-    def sky(self) -> NDArray[np.float32]:
+    def sky_radiance(self) -> NDArray[np.float32]:
         """The sky's radiance (H, 2 H, 3), without the sun: rows from the zenith to the nadir, evenly in angle; columns
         from north over east, evenly in azimuth."""
         zenith = (np.arange(SKY_ROWS) + 0.5) * np.pi / SKY_ROWS
@@ -117,6 +117,6 @@ def _sky_tint(above: Array) -> Array:
 
 
 def _normalize_sky(sky: Array, up: Array, zenith: Array) -> Array:
-    """``sky`` (H, W, 3) so that it lights level ground with a luminance of 1."""
+    """``sky_radiance`` (H, W, 3) so that it lights level ground with a luminance of 1."""
     cell = np.sin(zenith)[:, None] * (np.pi / SKY_ROWS) ** 2
     return np.asarray(sky / ((sky @ LUMINANCE_WEIGHTS) * np.maximum(up, 0) * cell).sum())

@@ -23,7 +23,7 @@ class Mesh:
     triangles: Indices
     uv: Array
 
-    def moved(self, t: ArrayLike, R: ArrayLike | None = None) -> Mesh:
+    def transformed(self, t: ArrayLike, R: ArrayLike | None = None) -> Mesh:
         """The mesh at R X + t; without R it only shifts."""
         turned = self.vertices if R is None else self.vertices @ np.asarray(R, float).T
         return Mesh(turned + np.asarray(t, float), self.triangles, self.uv)
@@ -32,11 +32,11 @@ class Mesh:
         """Its image across the plane y = 0."""
         return Mesh(self.vertices * np.array([1.0, -1.0, 1.0]), self.triangles[:, ::-1], self.uv)
 
-    def both(self) -> Mesh:
+    def with_mirror_image(self) -> Mesh:
         """The mesh and its image across the plane y = 0."""
         return join_meshes([self, self.mirrored()])
 
-    def solid(self, name: str, material: Material, smooth: bool = False) -> SceneMesh:
+    def with_material(self, name: str, material: Material, smooth: bool = False) -> SceneMesh:
         """The mesh made of ``material``; its texture coordinates go with it where the material has a texture."""
         textured = material.texture is not None or material.alpha is not None
         return SceneMesh(name, self.vertices, self.triangles, material, self.uv if textured else None, smooth)

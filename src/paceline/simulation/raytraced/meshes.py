@@ -45,6 +45,6 @@ class SceneMesh:
     uv: Array | None = None
     smooth: bool = False
 
-    def moved(self, R: Array, t: Array) -> SceneMesh:
+    def transformed(self, R: Array, t: Array) -> SceneMesh:
         """The solid at R X + t."""
         return replace(self, vertices=self.vertices @ np.asarray(R).T + t)

@@ -24,7 +24,7 @@ class LaneChange:
     duration: float
     shift: float
 
-    def moved(self, t: float) -> tuple[float, float]:
+    def shift_at(self, t: float) -> tuple[float, float]:
         """The part of the shift (m) done at ``t`` and its rate (m/s): a quintic with rate and acceleration zero at
         both ends."""
         u = min(max((t - self.start) / self.duration, 0.0), 1.0)
@@ -34,41 +34,43 @@ class LaneChange:
 
 @dataclass(frozen=True)
 class DrivingPlan:
-    """``speed`` (m/s) at time 0, changed by ``acceleration`` (m/s²) from time ``after`` for ``lasting`` s or until the
-    vehicle stands; the body's origin starts at arc length ``start`` (m) and ``lateral`` (m, positive to the right of
-    growing arc length). ``towards`` drives it towards smaller arc length."""
+    """How a vehicle drives: ``speed`` (m/s) at time 0, changed by ``acceleration`` (m/s²) from ``acceleration_start``
+    (s) for ``acceleration_duration`` (s) or until the vehicle stands.
+
+    The body's origin starts at arc length ``start`` (m) and ``lateral`` (m, positive to the right of growing arc
+    length). An ``oncoming`` vehicle drives towards smaller arc length."""
 
     start: float
     speed: float
     lateral: float
     acceleration: float = 0.0
-    after: float = 0.0
-    lasting: float = np.inf
+    acceleration_start: float = 0.0
+    acceleration_duration: float = np.inf
     lane_change: LaneChange | None = None
-    towards: bool = False
+    oncoming: bool = False
 
     def speed_at(self, t: float) -> float:
-        phase = min(max(t - self.after, 0.0), self.lasting)
+        phase = min(max(t - self.acceleration_start, 0.0), self.acceleration_duration)
         return max(self.speed + self.acceleration * phase, 0.0)
 
-    def driven(self, t: float) -> float:
+    def distance_at(self, t: float) -> float:
         """Distance from time 0 to ``t``, negative before it: the integral of the speed."""
         return self._integral(t) - self._integral(0.0)
 
     def _integral(self, t: float) -> float:
-        """Of the speed, from ``after`` to ``t``."""
-        if t <= self.after:
-            return self.speed * (t - self.after)
-        change = self.lasting
+        """Of the speed, from ``acceleration_start`` to ``t``."""
+        if t <= self.acceleration_start:
+            return self.speed * (t - self.acceleration_start)
+        change = self.acceleration_duration
         if self.acceleration < 0:
             change = min(change, -self.speed / self.acceleration)
-        phase = min(t - self.after, change)
-        steady = self.speed_at(t) * (t - self.after - phase)
+        phase = min(t - self.acceleration_start, change)
+        steady = self.speed_at(t) * (t - self.acceleration_start - phase)
         return self.speed * phase + self.acceleration * phase**2 / 2 + (steady if steady > 0 else 0.0)
 
     def lateral_at(self, t: float) -> tuple[float, float]:
         """Lateral (m) and its rate (m/s)."""
-        shift, rate = self.lane_change.moved(t) if self.lane_change else (0.0, 0.0)
+        shift, rate = self.lane_change.shift_at(t) if self.lane_change else (0.0, 0.0)
         return self.lateral + shift, rate
 
 
@@ -83,13 +85,13 @@ class VehicleMotion:
 
     def __init__(self, road: Road, drive: DrivingPlan, wheelbase: float) -> None:
         self.road, self.drive, self.wheelbase = road, drive, wheelbase
-        self._sign = -1.0 if drive.towards else 1.0
+        self._sign = -1.0 if drive.oncoming else 1.0
         self._check()
         change = drive.lane_change
-        breaks = [0.0, drive.after, drive.after + drive.lasting]
+        breaks = [0.0, drive.acceleration_start, drive.acceleration_start + drive.acceleration_duration]
         breaks += [change.start, change.start + change.duration] if change else []
         if drive.acceleration < 0:
-            breaks.append(drive.after - drive.speed / drive.acceleration)
+            breaks.append(drive.acceleration_start - drive.speed / drive.acceleration)
         self._pieces = self._solve(0.0, MIN_TIME_S, breaks)[::-1] + self._solve(0.0, MAX_TIME_S, breaks)
 
     def _check(self) -> None:
@@ -177,6 +179,6 @@ class VehicleMotion:
         """Of the body's origin, m/s."""
         return self.drive.speed_at(t)
 
-    def rolled(self, t: float) -> float:
+    def distance(self, t: float) -> float:
         """Distance driven since time 0, m."""
-        return self.drive.driven(t)
+        return self.drive.distance_at(t)

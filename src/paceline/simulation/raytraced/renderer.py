@@ -42,7 +42,7 @@ class Renderer:
         scene: dict[str, Any] = {"type": "scene", "integrator": {"type": "path", "max_depth": MAX_BOUNCES + 1}}
         scene["sky"] = {
             "type": "envmap",
-            "bitmap": mi.Bitmap(light.sky()),
+            "bitmap": mi.Bitmap(light.sky_radiance()),
             "to_world": mi.ScalarTransform4f().rotate([1, 0, 0], 90),  # from its up, y, to ours
         }
         if light.elevation > 0 and light.clouds < 1:
@@ -51,7 +51,7 @@ class Renderer:
             asked = min(1 - light.sky_irradiance / light.level_irradiance, MAX_SUN_SAMPLING_SHARE)
             scene["sky"]["sampling_weight"] = 1 - asked
             towards = {"direction": (-light.direction).tolist()}
-            irradiance = {"irradiance": _rgb(light.sun), "sampling_weight": asked}
+            irradiance = {"irradiance": _rgb(light.sun_irradiance), "sampling_weight": asked}
             scene["sun"] = {"type": "directional", **towards, **irradiance}
         solids = merge_meshes(still)
         scene |= {f"lamp{k}": _mesh(mi, f"lamp{k}", s) for k, s in enumerate(solids) if s.material.kind == "glow"}

@@ -64,11 +64,13 @@ def road_meshes(road: RoadGeometry) -> list[SceneMesh]:
     stations = _stations(road, 0.0, road.length)
     columns = np.sort([-road.half_width, *road.markings, *road.lanes, road.half_width])
     return [
-        surface_strip(road, stations, columns, 0.0, (2 * road.half_width, ASPHALT_TILE_M)).solid("asphalt", cover),
+        surface_strip(road, stations, columns, 0.0, (2 * road.half_width, ASPHALT_TILE_M)).with_material(
+            "asphalt", cover
+        ),
         *_repairs(road, rng, reflectance),
         *_markings(road, rng, reflectance),
-        split_creases(_verge(road, rng, stations), 30.0).solid("verge", grass, smooth=True),
-        _land(road, rng).solid("land", grass, smooth=True),
+        split_creases(_verge(road, rng, stations), 30.0).with_material("verge", grass, smooth=True),
+        _land(road, rng).with_material("land", grass, smooth=True),
     ]
 
 
@@ -102,7 +104,7 @@ def _markings(road: RoadGeometry, rng: np.random.Generator, ground: float) -> li
         sides = lateral + np.array([-width / 2, width / 2])
         meshes = [surface_strip(road, _stations(road, a, b), sides, LINE_HEIGHT_M, (width, 12.7)) for a, b in pieces]
         paint = textures.road_paint_texture(rng, width, 12.7, 160.0, road.shape.wear, ground)
-        result.append(join_meshes(meshes).solid(f"marking {k}", Material("matte", (0.45, 0.45, 0.43), paint)))
+        result.append(join_meshes(meshes).with_material(f"marking {k}", Material("matte", (0.45, 0.45, 0.43), paint)))
     return result
 
 
@@ -121,7 +123,7 @@ def _repairs(road: RoadGeometry, rng: np.random.Generator, ground: float) -> lis
         sides = np.array([x, min(x + rng.uniform(0.4, 2.5), road.half_width)])
         if b > a + 0.1:
             meshes.append(surface_strip(road, _stations(road, a, b), sides, 0.001, (5.0, 5.0)))
-    return [join_meshes(meshes).solid("repairs", cover)] if meshes else []
+    return [join_meshes(meshes).with_material("repairs", cover)] if meshes else []
 
 
 def _verge(road: RoadGeometry, rng: np.random.Generator, stations: Array) -> Mesh:
@@ -152,7 +154,7 @@ def _land(road: RoadGeometry, rng: np.random.Generator) -> Mesh:
     stations = np.arange(0.0, road.length + 1.0, 1.0).clip(max=road.length)
     phase = rng.uniform(0, 2 * np.pi, 4)
     near = _ground(road, stations, phase, 6.0, (0.0, 130.0))
-    return join_meshes([near, _ground(road, stations, phase, 40.0, (60.0, 1500.0)).moved([0, 0, -0.5])])
+    return join_meshes([near, _ground(road, stations, phase, 40.0, (60.0, 1500.0)).transformed([0, 0, -0.5])])
 
 
 def _ground(road: RoadGeometry, stations: Array, phase: Array, cell: float, reach: tuple[float, float]) -> Mesh:

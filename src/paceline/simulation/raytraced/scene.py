@@ -60,16 +60,16 @@ class PlacedVehicle:
         """Of the body and of each wheel at ``t`` s."""
         if not self.is_there(t):
             return [OFF_SCENE] * (1 + len(self.body.wheels))
-        return place_body(self.body, self.motion.pose(t), self.motion.rolled(t))
+        return place_body(self.body, self.motion.pose(t), self.motion.distance(t))
 
 
 def rigid_groups(body: Body) -> list[Sequence[SceneMesh]]:
     """What of ``body`` moves as one: the body and each wheel."""
-    return [body.solids, *((wheel.solid,) for wheel in body.wheels)]
+    return [body.meshes, *((wheel.mesh,) for wheel in body.wheels)]
 
 
 def place_body(body: Body, pose: Placement, rolled: float) -> list[Placement]:
-    """Placements of `rigid_groups` where the body stands at ``pose`` and has driven ``rolled`` metres."""
+    """Placements of `rigid_groups` where the body stands at ``pose`` and has driven ``distance`` metres."""
     R, at = pose
     placements = [(R, at)]
     for wheel in body.wheels:
@@ -80,15 +80,15 @@ def place_body(body: Body, pose: Placement, rolled: float) -> list[Placement]:
 
 
 class PlacedStereoScene:
-    """A speed scene, placed. ``rig`` is the true one, ``written`` what rig.yaml holds; ``views`` are the true cameras
-    in the world; ``clocks`` (2, F) s are when the left and the right pictures are taken.
+    """A speed scene with everything placed. ``rig`` is the true one, ``written_rig`` that of rig.yaml; ``views`` are
+    the true cameras in the world; ``clocks`` (2, F) s are the times of the left and the right images.
 
     Raises UnusableInput where the scene contradicts itself.
     """
 
     def __init__(self, scene: SpeedScene) -> None:
         self.scene, self.road, self.light = scene, make_road(scene), make_light(scene)
-        self.rig, self.written = make_rigs(scene)
+        self.rig, self.written_rig = make_rigs(scene)
         left = look_at(self.rig.left, self._place(scene.rig.eye), self._place(scene.rig.target))
         right = PosedCamera(self.rig.right, self.rig.R @ left.R, self.rig.R @ left.t + self.rig.t)
         self.views = left, right
@@ -96,7 +96,7 @@ class PlacedStereoScene:
         if len(ticks) == 0:
             raise UnusableInput("dropped: no frame is left")
         self.clocks = np.stack([ticks, ticks + scene.skew])
-        self.cars = [self._car(i, model) for i, model in enumerate(scene.vehicles)]
+        self.vehicles = [self._car(i, model) for i, model in enumerate(scene.vehicles)]
         self.shutter = make_shutter(scene)
 
     def _place(self, place: PositionModel) -> Array:
@@ -105,9 +105,18 @@ class PlacedStereoScene:
 
     def _car(self, i: int, m: VehicleModel) -> PlacedVehicle:
         change = m.lane_change and LaneChange(m.lane_change.start, m.lane_change.duration, m.lane_change.shift)
-        lasting = np.inf if m.lasting is None else m.lasting
+        acceleration_duration = np.inf if m.acceleration_duration is None else m.acceleration_duration
         lateral = self.road.lanes[m.lane] + m.offset
-        drive = DrivingPlan(m.start, m.speed, lateral, m.acceleration, m.after, lasting, change or None, m.towards)
+        drive = DrivingPlan(
+            m.start,
+            m.speed,
+            lateral,
+            m.acceleration,
+            m.acceleration_start,
+            acceleration_duration,
+            change or None,
+            m.oncoming,
+        )
         body = build(m.kind, m.seed)
         try:
             motion = VehicleMotion(self.road, drive, body.wheelbase)
@@ -117,36 +126,36 @@ class PlacedStereoScene:
         coming = (self.views[0].centre - at) @ R[:, 0] > 0
         return PlacedVehicle(m, body, motion, body.front if coming else body.rear)
 
-    def still(self) -> list[SceneMesh]:
+    def static_meshes(self) -> list[SceneMesh]:
         """All that does not move."""
         rig = self.scene.rig
-        clear = ((rig.eye.along, rig.eye.right, 4.0), *self._sight())
+        clear = ((rig.eye.along, rig.eye.right, 4.0), *self._line_of_sight_circles())
         spec = Scenery(**self.scene.scenery.model_dump(), seed=self.scene.seed, clear=clear)
         return road_surface.road_meshes(self.road) + build_scenery(self.road, spec, 0.0, self.road.length)
 
-    def _sight(self) -> list[tuple[float, float, float]]:
+    def _line_of_sight_circles(self) -> list[tuple[float, float, float]]:
         """Circles along the line of sight, so that no tree hides what the rig was put up for."""
         eye, target = self.scene.rig.eye, self.scene.rig.target
         share = np.linspace(0.0, 1.0, 20)[1:]
         along, right = eye.along + share * (target.along - eye.along), eye.right + share * (target.right - eye.right)
         return [(float(a), float(r), 2.5) for a, r in zip(along, right, strict=True)]
 
-    def moving(self) -> list[Sequence[SceneMesh]]:
-        return [part for car in self.cars for part in rigid_groups(car.body)]
+    def moving_groups(self) -> list[Sequence[SceneMesh]]:
+        return [part for car in self.vehicles for part in rigid_groups(car.body)]
 
     def placements(self, t: float) -> list[Placement]:
-        return [p for car in self.cars for p in car.placements(t)]
+        return [p for car in self.vehicles for p in car.placements(t)]
 
-    def empty(self) -> list[Placement]:
+    def empty_placements(self) -> list[Placement]:
         """Placements without any vehicle."""
-        return [OFF_SCENE] * sum(1 + len(car.body.wheels) for car in self.cars)
+        return [OFF_SCENE] * sum(1 + len(car.body.wheels) for car in self.vehicles)
 
     def truth(self, renderer: Renderer) -> list[dict[str, Any]]:
         """One row for every vehicle and frame in which it is before both cameras."""
-        rows: dict[str, list[dict[str, Any]]] = {car.model.id: [] for car in self.cars}
+        rows: dict[str, list[dict[str, Any]]] = {car.model.id: [] for car in self.vehicles}
         for k, times in enumerate(self.clocks.T.tolist()):
             renderer.place(self.placements(times[0]))
-            for car in self.cars:
+            for car in self.vehicles:
                 if car.is_there(times[0]) and (row := self._row(car, k, times, renderer)):
                     rows[car.model.id].append(row)
         return [row for own in rows.values() for row in own]
@@ -156,7 +165,7 @@ class PlacedStereoScene:
         corners = car.corners(times[0])
         if min(float(view.to_camera(corners)[:, 2].min()) for view in self.views) < 1.0:
             return None
-        left, right = (self.seen(view, car, t) for view, t in zip(self.views, times, strict=True))
+        left, right = (self.project_plane(view, car, t) for view, t in zip(self.views, times, strict=True))
         size = self.rig.left.image_size
         center = car.center(times[0])
         return {
@@ -174,7 +183,7 @@ class PlacedStereoScene:
             "axle_speed_mps": car.motion.speed(times[0]),
         }
 
-    def seen(self, view: PosedCamera, car: PlacedVehicle, t: float) -> Array:
+    def project_plane(self, view: PosedCamera, car: PlacedVehicle, t: float) -> Array:
         """Ideal pixels (4, 2) of a vehicle's plane in the frame of time ``t`` s, each at the time its row is read."""
         pixels = view.project(car.corners(t))
         for _ in range(8 if self.shutter.readout else 0):
@@ -199,7 +208,7 @@ def make_sensor(scene: SceneModel) -> Sensor:
 
 def make_shutter(scene: SceneModel) -> Shutter:
     s = scene.sensor
-    return Shutter(s.open_for, s.steps, s.readout, s.bands)
+    return Shutter(s.shutter_s, s.steps, s.readout, s.bands)
 
 
 def look_at(camera: Camera, eye: Array, target: Array) -> PosedCamera:
@@ -236,9 +245,9 @@ def make_rigs(scene: SpeedScene) -> tuple[StereoRig, StereoRig]:
     R = np.asarray(cv2.Rodrigues(inwards)[0] @ cv2.Rodrigues(rng.normal(0, 1, 3) * rig.misalignment)[0], float)
     t = -R @ np.array([rig.baseline, *rng.normal(0, 0.004, 2)])
     true = StereoRig(left, right, R, t)
-    if rig.written is None:
+    if rig.rig_error_std is None:
         return true, true
-    w = rig.written
+    w = rig.rig_error_std
     stated = RigUncertainty(
         w.focal_length_px,
         w.principal_point_px,
@@ -248,7 +257,7 @@ def make_rigs(scene: SpeedScene) -> tuple[StereoRig, StereoRig]:
     turn = np.asarray(cv2.Rodrigues(rng.normal(0, 1, 3) * stated.rotation_rad)[0], float)
     shift = rng.normal(0, 1, 3) * stated.translation_m
     cameras = [_miscalibrate(c, stated, rng) for c in true.cameras]
-    return true, StereoRig(cameras[0], cameras[1], turn @ R, t + shift, stated if rig.stated else None)
+    return true, StereoRig(cameras[0], cameras[1], turn @ R, t + shift, stated if rig.states_uncertainty else None)
 
 
 def _miscalibrate(camera: Camera, sigma: RigUncertainty, rng: np.random.Generator) -> Camera:

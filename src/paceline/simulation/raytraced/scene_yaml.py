@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import AliasChoices, Field, model_validator
 
 from paceline.documents.models import Document, Name, Rate, Size, UncertaintyModel, read_document
 from paceline.simulation.vehicle_catalogue import RaytracedKind
@@ -60,8 +60,8 @@ class LaneChangeModel(Document):
 
 class VehicleModel(Document):
     """A vehicle: its ``lane`` counted from the left of growing arc length, its ``offset`` to the right of that lane's
-    middle, the arc length ``start`` at time 0. ``towards`` drives it to smaller arc length. ``measured`` ones stand in
-    clip.yaml, with a first ``guess`` of their speed where one is given."""
+    middle, the arc length ``start`` at time 0. ``oncoming`` drives it to smaller arc length. ``measured`` ones stand in
+    clip.yaml, with a first ``initial_speed`` of their speed where one is given."""
 
     id: Name
     kind: RaytracedKind = "saloon"
@@ -71,12 +71,14 @@ class VehicleModel(Document):
     start: float
     speed: Annotated[float, Field(ge=0, le=100)]
     acceleration: Annotated[float, Field(ge=-12, le=12)] = 0.0
-    after: float = 0.0
-    lasting: Positive | None = None
+    acceleration_start: Annotated[float, Field(validation_alias=AliasChoices("acceleration_start", "after"))] = 0.0
+    acceleration_duration: Annotated[
+        Positive | None, Field(validation_alias=AliasChoices("acceleration_duration", "lasting"))
+    ] = None
     lane_change: LaneChangeModel | None = None
-    towards: bool = False
+    oncoming: Annotated[bool, Field(validation_alias=AliasChoices("oncoming", "towards"))] = False
     measured: bool = True
-    guess: Positive | None = None
+    initial_speed: Annotated[Positive | None, Field(validation_alias=AliasChoices("initial_speed", "guess"))] = None
 
 
 class PositionModel(Document):
@@ -89,8 +91,8 @@ class PositionModel(Document):
 
 class RigSceneModel(Document):
     """Two cameras ``baseline`` apart. The left one stands at ``eye`` and looks at ``target``; the right one does so up
-    to random turns of ``misalignment`` (standard deviation, rad). ``written`` are standard deviations of what rig.yaml
-    states from what is true; with ``stated`` it states them too."""
+    to random rotations of ``misalignment`` (standard deviation, rad). ``rig_error_std`` are standard deviations of the
+    parameters in rig.yaml from the true ones; with ``states_uncertainty`` rig.yaml states them, too."""
 
     image_size: Annotated[list[Size], Field(min_length=2, max_length=2)] = [1024, 768]
     focal: Positive = 2200.0
@@ -99,8 +101,10 @@ class RigSceneModel(Document):
     target: PositionModel
     misalignment: Annotated[float, Field(ge=0, le=0.05)] = 0.004
     distortion: list[float] = []
-    written: UncertaintyModel | None = None
-    stated: bool = True
+    rig_error_std: Annotated[
+        UncertaintyModel | None, Field(validation_alias=AliasChoices("rig_error_std", "written"))
+    ] = None
+    states_uncertainty: Annotated[bool, Field(validation_alias=AliasChoices("states_uncertainty", "stated"))] = True
 
     @model_validator(mode="after")
     def _count_coefficients(self) -> RigSceneModel:
@@ -110,7 +114,7 @@ class RigSceneModel(Document):
 
 
 class SensorModel(Document):
-    """`sensor.Sensor` and `sensor.Shutter`, its exposure ``open_for``; the lens's ``blur_sigma`` (px); how pictures
+    """`sensor.Sensor` and `sensor.Shutter`, its exposure ``shutter_s``; the lens's ``blur_sigma`` (px); how pictures
     are kept: ``png``, ``jpeg`` or ``h264``, with ``quality`` from 1 to 100."""
 
     exposure: Positive = 1.2
@@ -120,11 +124,13 @@ class SensorModel(Document):
     gamma: Annotated[float, Field(ge=1, le=4)] = 2.2
     color: bool = False
     blur_sigma: Annotated[float, Field(ge=0.3, le=5)] = 0.55
-    open_for: Annotated[float, Field(ge=0, le=1)] = 0.001
+    shutter_s: Annotated[float, Field(validation_alias=AliasChoices("shutter_s", "open_for"), ge=0, le=1)] = 0.001
     steps: Count = 1
     readout: Annotated[float, Field(ge=0, le=1)] = 0.0
     bands: Count = 1
-    keep: Literal["png", "jpeg", "h264"] = "png"
+    image_format: Annotated[
+        Literal["png", "jpeg", "h264"], Field(validation_alias=AliasChoices("image_format", "keep"))
+    ] = "png"
     quality: Annotated[int, Field(ge=1, le=100)] = 90
 
 
@@ -156,7 +162,9 @@ class SpeedScene(SceneModel):
     kind: Literal["speed"]
     vehicles: Annotated[list[VehicleModel], Field(min_length=1)]
     rig: RigSceneModel
-    clicks: OperatorNoiseModel = OperatorNoiseModel()
+    operator_noise: Annotated[OperatorNoiseModel, Field(validation_alias=AliasChoices("operator_noise", "clicks"))] = (
+        OperatorNoiseModel()
+    )
     dropped: list[Annotated[int, Field(ge=0)]] = []
     skew: Annotated[float, Field(ge=-0.1, le=0.1)] = 0.0
 
@@ -184,7 +192,7 @@ class LeadModel(Document):
 
 
 class ChaseModel(Document):
-    """The vehicle that carries the camera, at half of ``top_speed`` (m/s) to the whole of it; ``bounce`` as in
+    """The vehicle that carries the camera, at half of ``top_speed`` (m/s) to the whole of it; ``shake_px`` as in
     `chase.scene.ChaseScene`."""
 
     image_size: Annotated[list[Size], Field(min_length=2, max_length=2)] = [256, 242]
@@ -192,7 +200,7 @@ class ChaseModel(Document):
     height: Positive = 2.1
     tilt: Annotated[float, Field(ge=-0.5, le=0.5)] = 0.05
     top_speed: Annotated[float, Field(gt=0, le=60)] = 9.7
-    bounce: Annotated[float, Field(ge=0, le=20)] = 3.0
+    shake_px: Annotated[float, Field(validation_alias=AliasChoices("shake_px", "bounce"), ge=0, le=20)] = 3.0
 
 
 class FollowScene(SceneModel):

@@ -121,7 +121,7 @@ def render_exposure(
 
 @dataclass(frozen=True, eq=False)
 class Lens:
-    """A lens with distortion over a pinhole camera that sees as much: the ``pinhole`` is rendered, `bend` does the
+    """A lens with distortion over a pinhole camera that sees as much: the ``pinhole`` is rendered, `distort` does the
     rest.
 
     ``offset`` (2,) are the ideal pixels of the pinhole's first pixel; ``x`` and ``y`` (H, W) say where each recorded
@@ -148,7 +148,7 @@ class Lens:
         w, h = (high - low + 1).tolist()
         return Lens(Camera((w, h), K), (int(low[0]), int(low[1])), x, y)
 
-    def bend(self, picture: Radiance) -> Radiance:
+    def distort(self, picture: Radiance) -> Radiance:
         """The picture as recorded, (H, W, 3), of the pinhole's; by cubic interpolation."""
         if self.x is None or self.y is None:
             return picture

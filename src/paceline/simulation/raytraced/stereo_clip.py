@@ -45,44 +45,47 @@ def write(
     bit for bit on the same variant of the renderer. Raises UnusableInput where the scene or the folder cannot be used.
     """
     directory, variant = Path(directory), variant or default_variant()
-    stage = PlacedStereoScene(scene)
-    renderer = Renderer(stage.still(), stage.moving(), stage.light, variant)
-    truth = stage.truth(renderer)
+    placed = PlacedStereoScene(scene)
+    renderer = Renderer(placed.static_meshes(), placed.moving_groups(), placed.light, variant)
+    truth = placed.truth(renderer)
 
     def hidden(view: PosedCamera, points: Array) -> Mask:
-        renderer.place(stage.empty())
+        renderer.place(placed.empty_placements())
         return np.asarray(renderer.distance(view.centre, points) <= 0.98 * np.linalg.norm(points - view.centre, axis=1))
 
-    clip = clip_document(stage, truth, hidden)
+    clip = clip_document(placed, truth, hidden)
     clip_folder.open_folder(directory, scene, variant)
-    total, done = stage.clocks.size, 0
+    total, done = placed.clocks.size, 0
     for i, side in enumerate(("left", "right")):
-        film = _CameraRenderer(stage, renderer, i, directory / f".still-{side}.npy")
-        paths = [directory / side / f"{k:04d}{IMAGE_SUFFIX[scene.sensor.keep]}" for k in range(stage.clocks.shape[1])]
+        camera_renderer = _CameraRenderer(placed, renderer, i, directory / f".still-{side}.npy")
+        paths = [
+            directory / side / f"{k:04d}{IMAGE_SUFFIX[scene.sensor.image_format]}"
+            for k in range(placed.clocks.shape[1])
+        ]
         video = directory / f"{side}.mp4"
         for k, path in enumerate(paths):
-            if not path.exists() and not (scene.sensor.keep == "h264" and video.exists()):
-                clip_folder.write_picture(path, film.picture(k), scene.sensor.quality)
+            if not path.exists() and not (scene.sensor.image_format == "h264" and video.exists()):
+                clip_folder.write_picture(path, camera_renderer.render(k), scene.sensor.quality)
             done += 1
             if progress:
                 progress(done, total)
-        if scene.sensor.keep == "h264" and not video.exists():
-            clip_folder.write_video(video, paths, stage.clocks[i].tolist(), scene.sensor.quality)
-    _write_documents(stage, clip, truth, directory)
+        if scene.sensor.image_format == "h264" and not video.exists():
+            clip_folder.write_video(video, paths, placed.clocks[i].tolist(), scene.sensor.quality)
+    _write_documents(placed, clip, truth, directory)
     _remove_temporary_files(directory, scene)
     return directory / "clip.yaml"
 
 
 def _write_documents(
-    stage: PlacedStereoScene, clip: dict[str, Any], truth: list[dict[str, Any]], directory: Path
+    placed: PlacedStereoScene, clip: dict[str, Any], truth: list[dict[str, Any]], directory: Path
 ) -> None:
-    clip_folder.write_atomically(directory / "rig.yaml", rig_yaml(stage.written).encode())
+    clip_folder.write_atomically(directory / "rig.yaml", rig_yaml(placed.written_rig).encode())
     clip_folder.write_atomically(directory / "truth.json", json.dumps(truth).encode())
-    clip_folder.write_atomically(directory / "true_rig.yaml", rig_yaml(stage.rig).encode())
+    clip_folder.write_atomically(directory / "true_rig.yaml", rig_yaml(placed.rig).encode())
     if "times" in clip:
         table = io.StringIO()
         table.write("frame,left_s,right_s\n")
-        for k, (left, right) in enumerate(stage.clocks.T.tolist()):
+        for k, (left, right) in enumerate(placed.clocks.T.tolist()):
             table.write(f"{k},{left:.6f},{right:.6f}\n")
         clip_folder.write_atomically(directory / "times.csv", table.getvalue().encode())
     clip_folder.write_yaml(directory / "clip.yaml", clip)
@@ -91,25 +94,25 @@ def _write_documents(
 def _remove_temporary_files(directory: Path, scene: SpeedScene) -> None:
     for side in ("left", "right"):
         (directory / f".still-{side}.npy").unlink(missing_ok=True)
-        if scene.sensor.keep == "h264" and (directory / side).is_dir():
+        if scene.sensor.image_format == "h264" and (directory / side).is_dir():
             clip_folder.remove_pictures(directory / side)
 
 
 class _CameraRenderer:
     """The pictures of one camera of a stage."""
 
-    def __init__(self, stage: PlacedStereoScene, renderer: Renderer, i: int, cache: Path) -> None:
-        self.stage, self.renderer, self.i, self.cache = stage, renderer, i, cache
-        true = stage.views[i]
+    def __init__(self, placed: PlacedStereoScene, renderer: Renderer, i: int, cache: Path) -> None:
+        self.placed, self.renderer, self.i, self.cache = placed, renderer, i, cache
+        true = placed.views[i]
         self.lens = Lens.of(true.camera)
         self.view = PosedCamera(self.lens.pinhole, true.R, true.t)
         self._still: Radiance | None = None
 
-    def picture(self, k: int) -> clip_folder.Picture:
+    def render(self, k: int) -> clip_folder.Picture:
         """The ``k``-th picture, (H, W) or (H, W, 3) uint8."""
-        scene, time = self.stage.scene, float(self.stage.clocks[self.i, k])
-        light = self.still().copy()
-        around = self.window(time, lambda car, t: _shadow_extent(car, t, self.stage.light))
+        scene, time = self.placed.scene, float(self.placed.clocks[self.i, k])
+        light = self.static_meshes().copy()
+        around = self.window(time, lambda car, t: _shadow_extent(car, t, self.placed.light))
         bodies = self.window(time, lambda car, t: _vehicle_box(car, t, VEHICLE_MARGIN_M))
         for part, (window, samples) in enumerate(
             ((around, scene.samples // BACKGROUND_SAMPLE_DIVISOR), (bodies, scene.samples))
@@ -119,26 +122,26 @@ class _CameraRenderer:
                 own = int(np.random.SeedSequence([scene.seed, 17, self.i, k, part]).generate_state(1)[0])
                 light[y0:y1, x0:x1] = render_exposure(
                     self.renderer,
-                    self.stage.placements,
+                    self.placed.placements,
                     lambda t: self.view,
                     time,
-                    self.stage.shutter,
+                    self.placed.shutter,
                     max(1, samples),
                     own,
                     window,
                 )
-        white = self.stage.light.level_irradiance / np.pi
+        white = self.placed.light.level_irradiance / np.pi
         noise = np.random.default_rng([scene.seed, 19, self.i, k])
-        return expose(self.lens.bend(light), white, make_sensor(scene), noise)
+        return expose(self.lens.distort(light), white, make_sensor(scene), noise)
 
-    def still(self) -> Radiance:
+    def static_meshes(self) -> Radiance:
         """The light (H, W, 3) without any vehicle, kept in a file in case of an interruption."""
         if self._still is None and self.cache.exists():
             self._still = np.load(self.cache)
         if self._still is None:
-            self.renderer.place(self.stage.empty())
-            seed = int(np.random.SeedSequence([self.stage.scene.seed, 23, self.i]).generate_state(1)[0])
-            samples = max(1, self.stage.scene.samples // BACKGROUND_SAMPLE_DIVISOR)
+            self.renderer.place(self.placed.empty_placements())
+            seed = int(np.random.SeedSequence([self.placed.scene.seed, 23, self.i]).generate_state(1)[0])
+            samples = max(1, self.placed.scene.samples // BACKGROUND_SAMPLE_DIVISOR)
             self._still = self.renderer.render(self.view, samples, seed)
             content = io.BytesIO()
             np.save(content, self._still)
@@ -148,10 +151,10 @@ class _CameraRenderer:
     def window(self, time: float, extent: Callable[[PlacedVehicle, float], Array]) -> Window | None:
         """The part of the picture that the ``extent`` of vehicles, points (N, 3) of the world at a time, takes up at
         ``time`` s; None where there is none."""
-        shutter = self.stage.shutter
+        shutter = self.placed.shutter
         reach = shutter.exposure / 2 + shutter.readout / 2
         moments = sorted({time - reach, time, time + reach})
-        points = [extent(car, t) for car in self.stage.cars for t in moments if car.is_there(t)]
+        points = [extent(car, t) for car in self.placed.vehicles for t in moments if car.is_there(t)]
         if not points:
             return None
         around = np.concatenate(points)

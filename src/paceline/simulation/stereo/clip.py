@@ -137,8 +137,8 @@ class World:
                 entry[side] = add_click_noise(np.array(first[side]), scene.click_sigma, rng)
             if scene.draw_path and vehicle.plane == "side":
                 entry["plane"] = "side"
-            if vehicle.guess is not None:
-                entry["speed"] = vehicle.guess
+            if vehicle.initial_speed is not None:
+                entry["speed"] = vehicle.initial_speed
             clip["vehicles"].append(entry)
         return clip
 
@@ -163,7 +163,7 @@ def render(scene: Scene) -> RenderedClip:
     cannot be seen.
     """
     world = World(scene)
-    left, right = _Renderer(world).pictures()
+    left, right = _Renderer(world).render()
     return RenderedClip(left, right, *world.clocks, world.rig, world.clip, world.truth)
 
 
@@ -175,17 +175,17 @@ class _Renderer:
         rng = np.random.default_rng([self.scene.seed, 17])
         self.backdrop = StaticBackground(self.scene, world.road, self.scene.seed)
         pole = make_occluder(world.road, world.poses[0][0], rng) if self.scene.occluder else None
-        self.pole = pole and replace(pole, texture=pole.texture.lit(self.scene.gamma))
+        self.pole = pole and replace(pole, texture=pole.texture.to_light(self.scene.gamma))
         self.phases = rng.uniform(0, 2 * np.pi, 2)
         self.glares = [_SpecularSpot(rng, len(world.clocks[0])) for _ in self.scene.vehicles]
         self.parts = [_make_vehicle_parts(v, self.scene.gamma) for v in self.scene.vehicles]
-        self.shadow = _SHADOW_TEXTURE.lit(self.scene.gamma)
+        self.shadow = _SHADOW_TEXTURE.to_light(self.scene.gamma)
 
-    def pictures(self) -> tuple[list[NDArray[np.uint8]], list[NDArray[np.uint8]]]:
-        left, right = (self._seen_by(i) for i in (0, 1))
+    def render(self) -> tuple[list[NDArray[np.uint8]], list[NDArray[np.uint8]]]:
+        left, right = (self._render_view(i) for i in (0, 1))
         return left, right
 
-    def _seen_by(self, i: int) -> list[NDArray[np.uint8]]:
+    def _render_view(self, i: int) -> list[NDArray[np.uint8]]:
         scene, view, poses = self.scene, self.world.views[i], self.world.poses[i]
         still = textures.grey_to_light(self.backdrop.draw(view), scene.gamma)
         mask = draw_planes([self.pole], view, scene.blur_sigma, SUPERSAMPLING) if self.pole else None
@@ -244,7 +244,7 @@ class _SpecularSpot:
 def _make_vehicle_parts(vehicle: Vehicle, gamma: float) -> list[FacePart]:
     make = textures.front_parts if vehicle.plane == "front" else textures.side_parts
     parts = make(np.random.default_rng([vehicle.texture_seed, 7]), vehicle.width, vehicle.height, vehicle.relief)
-    return [replace(part, texture=part.texture.lit(gamma)) for part in parts]
+    return [replace(part, texture=part.texture.to_light(gamma)) for part in parts]
 
 
 def _place_vehicle_parts(parts: list[FacePart], pose: Pose) -> list[TexturedPlane]:

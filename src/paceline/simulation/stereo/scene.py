@@ -33,12 +33,12 @@ class Vehicle:
     """A vehicle whose main plane — front, rear or side, ``width`` × ``height`` metres — is what a clip shows of it.
 
     ``speed`` (m/s, positive) is that of the plane's centre along its own path at time 0; it changes by ``acceleration``
-    (m/s²) from ``after`` s on, all the time where that is 0.
+    (m/s²) from ``acceleration_start`` s on, all the time where that is 0.
     ``start_distance`` is the arc length along the road at time 0, in metres; see `Scene`. ``lane`` (m) puts the
     centre line of its lane to the right of the road's axis as seen towards growing arc length; ``lateral`` is what
     the vehicle deviates from that, in the same sense, and no drawing knows of. It drives at ``heading_error`` (rad,
     positive to the right of travel) to its lane. ``relief`` (m) is how far lamps, grille and plate lie before or
-    behind the main plane at most. ``guess`` is the first guess of the speed that the clip states, m/s.
+    behind the main plane at most. ``initial_speed`` is the first guess of the speed that the clip states, m/s.
     """
 
     id: str
@@ -56,8 +56,8 @@ class Vehicle:
     relief: float = 0.0
     lane_change: LaneChange | None = None
     glare: bool = False
-    guess: float | None = None
-    after: float = 0.0
+    initial_speed: float | None = None
+    acceleration_start: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -193,7 +193,7 @@ class Motion:
 
     def _changing(self, t: Array) -> Array:
         """For how long the speed has been changing at times ``t``."""
-        return np.maximum(t - self.vehicle.after, 0.0) if self.vehicle.after else t
+        return np.maximum(t - self.vehicle.acceleration_start, 0.0) if self.vehicle.acceleration_start else t
 
     def pose(self, t: float) -> Pose:
         """The main plane at time ``t`` s: a front perpendicular to the direction of travel, a side parallel to it."""

@@ -111,4 +111,4 @@ def repeat_along(road: Road, mesh: Mesh, lateral: float, places: Array) -> Mesh:
     """Copies of ``mesh`` at arc lengths ``places`` (N,); its x runs along the road and its y away from it."""
     points, axes = road.frame(places, lateral)
     turn = axes if lateral < 0 else axes * [-1, -1, 1]
-    return join_meshes(mesh.moved(p, R) for p, R in zip(points, turn, strict=True))
+    return join_meshes(mesh.transformed(p, R) for p, R in zip(points, turn, strict=True))

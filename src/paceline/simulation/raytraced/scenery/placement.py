@@ -43,7 +43,7 @@ def build_scenery(road: Road, spec: Scenery, start: float, end: float) -> list[S
         *_place_barriers(rng, place, spec),
     ]
     made_of = _make_materials(rng)
-    return [mesh.solid(name, made_of[name]) for name, mesh in group_by_name(named).items()]
+    return [mesh.with_material(name, made_of[name]) for name, mesh in group_by_name(named).items()]
 
 
 def _make_materials(rng: Generator) -> dict[str, Material]:
@@ -112,7 +112,7 @@ class _Placer:
         c, k = np.cos(angle), np.sin(angle)
         down = VERGE_DROP_M * np.clip(out / VERGE_WIDTH_M, 0, 1)
         R = np.array([[c, -k, 0], [k, c, 0], [0, 0, 1.0]])
-        return [(name, mesh.moved(point - [0, 0, down], R)) for name, mesh in named]
+        return [(name, mesh.transformed(point - [0, 0, down], R)) for name, mesh in named]
 
 
 def _place_trees(rng: Generator, place: _Placer, density: float) -> list[NamedMesh]:

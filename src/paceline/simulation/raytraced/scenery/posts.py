@@ -27,7 +27,8 @@ def utility_pole(rng: np.random.Generator) -> list[NamedMesh]:
     pole = revolve([[0.16, -1.0], [0.12, high]], 10)
     arm = box([0.12, 2.2, 0.12], [0.1, 0, high - 0.5])
     caps = [
-        revolve([[0.04, 0.0], [0.05, 0.08], [0.0, 0.16]], 8).moved([0.1, y, high - 0.44]) for y in (-1, -0.4, 0.4, 1)
+        revolve([[0.04, 0.0], [0.05, 0.08], [0.0, 0.16]], 8).transformed([0.1, y, high - 0.44])
+        for y in (-1, -0.4, 0.4, 1)
     ]
     return [("timber", join_meshes([pole, arm])), ("white", join_meshes(caps))]
 

@@ -31,10 +31,10 @@ class Plane:
 
 @dataclass(frozen=True, eq=False)
 class Wheel:
-    """A part of a wheel: ``solid`` about the wheel's centre with its axle along y, ``center`` (3,) in body axes,
+    """A part of a wheel: ``mesh`` about the wheel's centre with its axle along y, ``center`` (3,) in body axes,
     ``radius`` of the tyre, m. A tyre and its rim are two of these."""
 
-    solid: SceneMesh
+    mesh: SceneMesh
     center: Array
     radius: float
 
@@ -52,7 +52,7 @@ class Body:
     width: float
     height: float
     wheelbase: float
-    solids: tuple[SceneMesh, ...]
+    meshes: tuple[SceneMesh, ...]
     wheels: tuple[Wheel, ...]
     front: Plane
     rear: Plane
@@ -60,8 +60,8 @@ class Body:
 
     @cached_property
     def bounds(self) -> tuple[Array, Array]:
-        """The least and the greatest coordinates (3,) of its solids."""
-        vertices = np.concatenate([solid.vertices for solid in self.solids])
+        """The least and the greatest coordinates (3,) of its meshes."""
+        vertices = np.concatenate([mesh.vertices for mesh in self.meshes])
         return vertices.min(0), vertices.max(0)
 
     def lines(self, end: str) -> Array:

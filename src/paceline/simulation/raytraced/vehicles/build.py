@@ -38,7 +38,7 @@ def build(kind: str, seed: int) -> Body:
 
 
 def _make_mesh(name: str, mesh: Mesh, made_of: dict[str, Material]) -> SceneMesh:
-    return split_creases(weld(mesh), 38.0).solid(name, made_of[name], smooth=True)
+    return split_creases(weld(mesh), 38.0).with_material(name, made_of[name], smooth=True)
 
 
 def _draft_vehicle(kind: str, rng: np.random.Generator) -> VehicleDraft:

@@ -26,7 +26,7 @@ class VehicleDraft:
 
     def add(self, named: Iterable[NamedMesh]) -> None:
         """Parts of the left half, and their mirror images."""
-        self.meshes += [(name, mesh.both()) for name, mesh in named]
+        self.meshes += [(name, mesh.with_mirror_image()) for name, mesh in named]
 
     def axle(self, mesh: dict[str, Mesh], x: float, y: float, radius: float) -> None:
         """A pair of wheels."""

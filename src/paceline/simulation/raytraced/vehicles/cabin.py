@@ -98,7 +98,7 @@ class _Loft:
         )
 
     def post(self, x: float, middle: Point, bend: float, soft: float, kind: str) -> None:
-        """A station over side panes and roof from x at the belt; the roof's border is ``bend`` behind its middle."""
+        """A station over side panes and roof from x at the belt; the roof's border is ``distort`` behind its middle."""
         f, q = self.form, self.band.at(x)
         foot, (roof_x, roof) = self.band.points(q, self.band.high), middle
         edge, gap = roof_x - bend, 0.32 * (f.header[1] - f.belt)

@@ -147,7 +147,9 @@ def _load(rng: np.random.Generator, draft: VehicleDraft, x1: float, x0: float, h
     draft.meshes += parts.number_plate("rear", [x0 + 0.05, 0.0, carrier])
     flap = box([0.02, 0.5, 0.45], [-0.75, half - 0.3, 0.5])
     tank = revolve([[0.0, -0.55], [0.27, -0.54], [0.3, -0.5], [0.3, 0.5], [0.27, 0.54], [0.0, 0.55]], 18)
-    tank_along = tank.moved([0.5 * draft.wheelbase, half - 0.38, 0.66], np.array([[0, 0, 1.0], [0, 1, 0], [-1, 0, 0]]))
+    tank_along = tank.transformed(
+        [0.5 * draft.wheelbase, half - 0.38, 0.66], np.array([[0, 0, 1.0], [0, 1, 0], [-1, 0, 0]])
+    )
     guard = boxes([[1.6, 0.03, 0.1]] * 2, [[0.5 * draft.wheelbase - 0.1, half - 0.04, z] for z in (0.5, 0.78)])
     draft.add([("rubber", flap), ("rim", tank_along), ("rim", guard)])
     arch = np.linspace(0.1, np.pi - 0.1, 12)

@@ -107,7 +107,7 @@ def _rider_parts(rng: np.random.Generator, seat: float, draft: VehicleDraft) -> 
         ellipsoid(hip + [-0.03, 0.06, -0.03], [0.17, 0.13, 0.13], 6, 10),
     ]
     return [
-        ("cloth", join_meshes([wide, *(m.both() for m in limbs)])),
+        ("cloth", join_meshes([wide, *(m.with_mirror_image() for m in limbs)])),
         (helmet, ellipsoid(center, [0.15, 0.125, 0.155], 10, 18)),
         ("glass", ellipsoid(center + [0.045, 0, 0.01], [0.113, 0.115, 0.06], 8, 16)),
     ]
@@ -148,5 +148,5 @@ def _wheel(rng: np.random.Generator, radius: float, width: float) -> dict[str, M
         tube(np.array([[0.03 * np.cos(t), 0.03 * np.sin(t), 0], [inner * np.cos(t), inner * np.sin(t), 0]]), 0.018, 8)
         for t in angles
     ]
-    named = {"rubber": tyre, "rim": join_meshes([lip, hub, *spokes]), "chrome": disc.moved([0, 0, 0])}
-    return {name: mesh.moved([0, 0, 0], Z_TO_Y) for name, mesh in named.items()}
+    named = {"rubber": tyre, "rim": join_meshes([lip, hub, *spokes]), "chrome": disc.transformed([0, 0, 0])}
+    return {name: mesh.transformed([0, 0, 0], Z_TO_Y) for name, mesh in named.items()}

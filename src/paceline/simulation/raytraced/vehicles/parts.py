@@ -99,7 +99,7 @@ def round_lamp(center: ArrayLike, radius: float, end: str) -> list[NamedMesh]:
     )
     facing = np.array([[0, 0, out], [0, out, 0], [-1, 0, 0.0]])
     ball = ellipsoid([0, 0, -0.012], [0.6 * radius, 0.6 * radius, 0.022], 6, 14)
-    return [("chrome", ring.moved(center, facing)), ("glass", ball.moved(center, facing))]
+    return [("chrome", ring.transformed(center, facing)), ("glass", ball.transformed(center, facing))]
 
 
 def wheel(
@@ -138,9 +138,9 @@ def wheel(
         np.array([[np.cos(t), -np.sin(t), 0], [np.sin(t), np.cos(t), 0], [0, 0, 1]])
         for t in 2 * np.pi * np.arange(n) / n
     ]
-    arms = [spoke.moved([0, 0, 0], turn) for turn in turns]
+    arms = [spoke.transformed([0, 0, 0], turn) for turn in turns]
     parts = {"rubber": tyre, "rim": join_meshes([lip, hub, *arms]), "dark": back}
-    return {name: mesh.moved([0, 0, 0], Z_TO_Y) for name, mesh in parts.items()}
+    return {name: mesh.transformed([0, 0, 0], Z_TO_Y) for name, mesh in parts.items()}
 
 
 def mirror(center: ArrayLike, size: float, material: str) -> list[NamedMesh]:
