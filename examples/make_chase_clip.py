@@ -14,14 +14,14 @@ import av
 import cv2
 import yaml
 
-from paceline.simulation.chase.clip import Occlusion, write
-from paceline.simulation.random_scenes import random_chase
+import paceline
 
 OUT = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent / "chase"
 QUALITY = "20"  # of H.264; losses at 18 are hard to see
 
-scene = random_chase(11, frames=180, kind="van", occlusions=(Occlusion(time=7.0, duration=0.7, kind="vehicle"),))
-follow = write(scene, OUT)
+lorry = paceline.ChaseOcclusion(time=7.0, duration=0.7, kind="vehicle")
+scene = paceline.random_chase_scene(11, frames=180, kind="van", occlusions=(lorry,))
+follow = paceline.write_chase_clip(scene, OUT)
 frames = OUT / "frames"
 with av.open(str(OUT / "frames.mp4"), "w") as container:
     stream = container.add_stream("libx264", rate=Fraction(scene.rate).limit_denominator(1000))

@@ -14,16 +14,16 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from paceline.simulation.stereo.clip import Scene, Vehicle, render, write_documents
+import paceline
 
 MILE_PER_HOUR = 0.44704
 TIME_BASE = Fraction(1, 1000)
 
-SCENE = Scene(
+SCENE = paceline.StereoScene(
     seed=3,
     vehicles=(
-        Vehicle("v0", 45 * MILE_PER_HOUR, start_distance=76.0, lane=-1.85, texture_seed=6, relief=0.03),
-        Vehicle("v1", 38 * MILE_PER_HOUR, start_distance=64.0, lane=1.85, texture_seed=7, relief=0.03),
+        paceline.StereoVehicle("v0", 45 * MILE_PER_HOUR, start_distance=76.0, lane=-1.85, texture_seed=6, relief=0.03),
+        paceline.StereoVehicle("v1", 38 * MILE_PER_HOUR, start_distance=64.0, lane=1.85, texture_seed=7, relief=0.03),
     ),
     camera_height=2.6,
     tilt=0.025,
@@ -59,11 +59,11 @@ def write_video(path: Path, images: list[NDArray[np.uint8]], times: NDArray[np.f
 
 
 def main(directory: Path) -> None:
-    rendered = render(SCENE)
+    rendered = paceline.render_stereo_clip(SCENE)
     directory.mkdir(parents=True, exist_ok=True)
     write_video(directory / "left.mp4", rendered.left, rendered.times, SCENE.rate)
     write_video(directory / "right.mp4", rendered.right, rendered.right_times, SCENE.rate)
-    write_documents(rendered, directory)
+    paceline.write_stereo_documents(rendered, directory)
     rig = yaml.safe_load((directory / "rig.yaml").read_text())
     (directory / "rig.yaml").write_text(yaml.safe_dump({**rig, "uncertainty": UNCERTAINTY}, sort_keys=False))
     clip = {**rendered.clip, "left": "left.mp4", "right": "right.mp4"}

@@ -50,6 +50,7 @@ MAY_IMPORT = {
     "reports": READ | MADE,
     "console": READ | {"reports", "targets", "speed.geometry"},
     "commands": READ | MADE | {"reports", "console"},
+    "api": READ | MADE,
     "cli": GROUND | {"commands"},
     "__main__": {"cli"},
 }
@@ -171,6 +172,15 @@ def test_there_are_no_circles(folder: str) -> None:
 def test_the_names_of_the_api_exist(name: str) -> None:
     assert getattr(paceline, name) is not None
     assert name in dir(paceline)
+
+
+@pytest.mark.parametrize("document", [*DOCUMENTS, *sorted((ROOT / "examples").glob("*.py"))], ids=lambda p: p.name)
+def test_examples_use_the_api_alone(document: Path) -> None:
+    """Neither imports of inner modules nor names in them."""
+    text = document.read_text(encoding="utf-8")
+    assert not re.findall(r"(?:from|import) paceline\.[\w.]*", text)
+    rooms = "|".join(sorted({name.split(".")[0] for name in MODULES} - {"follow"}))
+    assert not re.findall(rf"\bpaceline\.(?:{rooms})\.\w+|\bpaceline\.follow\.\w+", text)
 
 
 def test_an_unknown_name_is_refused() -> None:

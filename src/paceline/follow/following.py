@@ -50,6 +50,21 @@ def follow(
     yield from (at_once if recording.live else in_hindsight)(tracker, _posed(clip, recording, odometry))
 
 
+def estimates(
+    clip: FollowClip | Path | str, configuration: FollowConfiguration | None = None
+) -> Iterator[FollowEstimate]:
+    """Where the target of ``clip``, a follow.yaml or what `load_follow` made of it, is at every frame, one by one::
+
+        for estimate in paceline.follow("follow.yaml"):
+            print(estimate.time, estimate.position, estimate.status)
+
+    Raises UnusableInput.
+    """
+    loaded = clip if isinstance(clip, FollowClip) else load_follow(clip)
+    for _, estimate in follow(loaded, open_camera(loaded), configuration):
+        yield estimate
+
+
 def _posed(
     clip: FollowClip, recording: CameraRecording, odometry: Odometry | None
 ) -> Iterator[tuple[CameraFrame, Pose | None]]:

@@ -47,7 +47,7 @@ class TrackingSettings(Section):
     """The filter from the third frame on."""
 
     max_occluded_frames: int = Field(
-        4, ge=0, le=10_000, description="frames in a row that may hide the vehicle before it is given up as lost"
+        4, ge=1, le=10_000, description="frames in a row that may hide the vehicle before it is given up as lost"
     )
 
 

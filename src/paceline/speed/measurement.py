@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path as FilePath
@@ -19,9 +19,10 @@ from paceline.progress import Progress
 from paceline.recordings.stereo import StereoFrame, StereoFrames, open_recording
 from paceline.speed import verdict
 from paceline.speed.choices import DeviceName
-from paceline.speed.configuration import SpeedConfiguration
+from paceline.speed.configuration import DEFAULTS, SpeedConfiguration
 from paceline.speed.filter.batch import TrackerBatch
 from paceline.speed.filter.device import open_device
+from paceline.speed.filter.estimate import Estimate
 from paceline.speed.geometry.path_reconstruction import path_from_document
 from paceline.speed.geometry.paths import Path
 from paceline.speed.joint_calibration import calibrate_jointly
@@ -65,6 +66,42 @@ def measure(
 
 
 register(DEFAULT_METHOD, Method(measure, uses_gpu=True))
+
+
+def track(
+    clip: Clip,
+    frames: Iterable[StereoFrame],
+    configuration: SpeedConfiguration = DEFAULTS,
+    device: DeviceName = "cpu",
+) -> Iterator[Estimate]:
+    """The filter's estimates of every vehicle of ``clip``, made as the ``frames`` arrive; it ends with the last track.
+
+    Raises UnusableInput and DeviceFailure as `measure` does.
+    """
+    batch = TrackerBatch(open_device(device), carry_on=device == "auto")
+    made: list[Estimate] = []
+    filtering = configuration.model_copy(update={"refine": False})  # so that no images are kept
+    drawn = _reconstruct(clip, configuration)
+    runs = {
+        v.id: VehicleMeasurement(
+            clip, v, drawn, filtering, batch, on_estimate=lambda name, estimate: made.append(estimate)
+        )
+        for v in clip.vehicles
+    }
+    for frame in frames:
+        for vehicle in clip.vehicles:
+            run = runs.get(vehicle.id)
+            if (
+                run is not None
+                and frame.index >= vehicle.frame
+                and not frame.duplicate
+                and not on_one_blas_thread(run.process)(frame)
+            ):
+                del runs[vehicle.id]
+        yield from made
+        made.clear()
+        if not runs:
+            return
 
 
 class VehicleProcessor(Protocol):

@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from importlib import import_module
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from paceline.arrays import Array
+from paceline.errors import UnusableInput
 from paceline.verdicts import Message
 
 CONFIDENCE_LEVEL = 0.95  # of all intervals
+
+
+SUMMARY_COLUMNS = (
+    "vehicle", "speed_mps", "speed_lo_mps", "speed_hi_mps", "frames", "verdict", "reason", "reason_code",
+    "random_std_mps", "systematic_std_mps", "calibrated_by", "model", "acceleration_mps2", "residual_rms",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +89,26 @@ class Measurement:
     rig_information: RigInformation | None = None  # for joint calibration, None where that is done or impossible
     reason_code: str = ""  # of `paceline.verdicts`; empty when measured
 
+    def summary(self) -> dict[str, object]:
+        """What summary.json says of the vehicle."""
+        return {
+            "vehicle": self.vehicle,
+            "speed_mps": self.speed,
+            "speed_lo_mps": self.speed_lo,
+            "speed_hi_mps": self.speed_hi,
+            "frames": self.frames,
+            "verdict": self.verdict,
+            "reason": self.reason,
+            "reason_code": self.reason_code,
+            "random_std_mps": self.random_std,
+            "systematic_std_mps": self.systematic_std,
+            "calibrated_by": self.calibrated_by,
+            "model": self.model,
+            "acceleration_mps2": self.acceleration,
+            "residual_rms": self.residual_rms,
+            "notices": self.notices,
+        }
+
     def judged(self, reason: Message) -> Measurement:
         """The same with the verdict for a ``reason``: rejected, or measured where that is empty."""
         verdict = "rejected" if reason else "measured"
@@ -107,3 +136,24 @@ class ClipResult:
     versions: dict[str, str]
     notices: list[str]  # dropped, duplicated, skewed frames and the like
     seconds: float = float("nan")  # processing time
+
+    def to_pandas(self) -> Any:
+        """A pandas.DataFrame with a row per vehicle: the keys of summary.json but for the notices. Raises UnusableInput
+        where pandas is not installed."""
+        return _import("pandas", "to_pandas").DataFrame(self._columns())
+
+    def to_arrow(self) -> Any:
+        """As `to_pandas`, a pyarrow.Table."""
+        return _import("pyarrow", "to_arrow").table(self._columns())
+
+    def _columns(self) -> dict[str, list[object]]:
+        rows = [m.summary() for m in self.measurements]
+        return {key: [row[key] for row in rows] for key in SUMMARY_COLUMNS}
+
+
+def _import(package: str, purpose: str) -> Any:
+    """A package that Paceline does not depend on."""
+    try:
+        return import_module(package)
+    except ImportError as error:
+        raise UnusableInput(f"{purpose} needs {package} ({error}); install it with: pip install {package}") from None

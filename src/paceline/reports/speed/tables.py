@@ -55,23 +55,7 @@ def write_summary(result: ClipResult, file: Path) -> None:
 
 def vehicle_summary(measurement: Measurement) -> dict[str, object]:
     """What summary.json says of one vehicle."""
-    return {
-        "vehicle": measurement.vehicle,
-        "speed_mps": measurement.speed,
-        "speed_lo_mps": measurement.speed_lo,
-        "speed_hi_mps": measurement.speed_hi,
-        "frames": measurement.frames,
-        "verdict": measurement.verdict,
-        "reason": measurement.reason,
-        "reason_code": measurement.reason_code,
-        "random_std_mps": measurement.random_std,
-        "systematic_std_mps": measurement.systematic_std,
-        "calibrated_by": measurement.calibrated_by,
-        "model": measurement.model,
-        "acceleration_mps2": measurement.acceleration,
-        "residual_rms": measurement.residual_rms,
-        "notices": measurement.notices,
-    }
+    return measurement.summary()
 
 
 def summary_column(vehicles: Sequence[Mapping[str, object]], key: str) -> Array:

@@ -24,3 +24,4 @@ class Estimate:
     similarity: float  # correlation with the reference, −1 … 1
     particles_left: Array  # (N, 2) of at most `particle_set.MAX_DRAWN_PARTICLES` particles
     particles_right: Array  # (N, 2)
+    vehicle: str = ""  # its id

@@ -205,6 +205,7 @@ class Tracker:
             similarity=1.0,
             particles_left=motion_models.diagonal_crossings(state.left[shown]),
             particles_right=motion_models.diagonal_crossings(state.right[shown]),
+            vehicle=self.vehicle.id,
         )
 
     def _acquire(self, frame: StereoFrame, dt: float) -> None:
@@ -334,6 +335,7 @@ class Tracker:
             similarity=similarity,
             particles_left=posterior.particles_left,
             particles_right=posterior.particles_right,
+            vehicle=self.vehicle.id,
         )
 
     def _learn(self, mean: State) -> float:

@@ -1,0 +1,91 @@
+"""What Python users call: the jobs of the command line as plain functions of a clip. `paceline` offers them by name.
+
+A clip is a clip.yaml or follow.yaml, or what `load_clip` or `load_follow` made of it. Input that cannot be used raises
+UnusableInput.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import paceline.baselines.registry  # noqa: F401  makes the baselines known
+from paceline.detection import search
+from paceline.detection.background_model import DetectBoxes, DetectorBackground, RunningMedianBackground
+from paceline.detection.finder import VehicleFinder
+from paceline.detection.lane_paths import lane_paths_of
+from paceline.documents.loading import Clip, load_clip
+from paceline.errors import UnusableInput
+from paceline.progress import Progress
+from paceline.recordings.background import background_problem, estimate_background
+from paceline.recordings.stereo import StereoFrame, open_recording
+from paceline.speed import measurement
+from paceline.speed.choices import DeviceName
+from paceline.speed.configuration import DEFAULTS, SpeedConfiguration
+from paceline.speed.filter.estimate import Estimate
+from paceline.survey.recording import measure_clip as measure
+
+__all__ = ["find_vehicles", "measure", "track", "vehicle_finder"]
+
+
+def track(
+    clip: Clip | Path | str,
+    configuration: SpeedConfiguration | None = None,
+    *,
+    vehicle: str | None = None,
+    frames: Iterable[StereoFrame] | None = None,
+    device: DeviceName = "cpu",
+) -> Iterator[Estimate]:
+    """The filter's estimates of a clip's vehicles, frame by frame::
+
+        for estimate in paceline.track("clip.yaml"):
+            print(estimate.vehicle, estimate.time, estimate.speed, estimate.speed_std)
+
+    Of all vehicles, or of the one called ``vehicle``; where the clip outlines none, they are found first. ``frames``
+    take the place of the clip's recording: any source of `StereoFrame`, such as a live one. The refined speed needs
+    the whole track: see `measure`.
+    """
+    loaded = _loaded(clip)
+    if frames is None:
+        recording = open_recording(loaded)
+        if not loaded.vehicles:
+            loaded = search.find_vehicles(loaded, recording).clip
+        frames = recording.frames(min((v.frame for v in loaded.vehicles), default=0))
+    if vehicle is not None:
+        if vehicle not in (names := [v.id for v in loaded.vehicles]):
+            raise UnusableInput(
+                f"{loaded.path}: vehicles: none is called {vehicle!r}; expected one of {', '.join(names)}"
+            )
+        loaded = replace(loaded, vehicles=[v for v in loaded.vehicles if v.id == vehicle])
+    return measurement.track(loaded, frames, configuration or DEFAULTS, device)
+
+
+def find_vehicles(
+    clip: Clip | Path | str, progress: Progress | None = None, detect: DetectBoxes | None = None
+) -> search.SearchResult:
+    """The vehicles that drive through a clip: their outlines and paths, and why some cannot be measured. With
+    ``detect`` there are vehicles only inside its boxes."""
+    loaded = _loaded(clip)
+    return search.find_vehicles(loaded, open_recording(loaded), progress, detect)
+
+
+def vehicle_finder(clip: Clip | Path | str, detect: DetectBoxes | None = None) -> VehicleFinder:
+    """A finder of vehicles to be given frames one by one; see `find_vehicles` for a whole recording.
+
+    It first looks through some frames of the clip's recording for the background, unless ``detect`` boxes the
+    vehicles. The clip needs paths.
+    """
+    loaded = _loaded(clip)
+    if not loaded.paths:
+        raise UnusableInput(f"{loaded.path}: paths: none; expected some, such as paceline lanes adds")
+    if detect is not None:
+        return VehicleFinder(lane_paths_of(loaded), DetectorBackground(detect))
+    background = estimate_background(open_recording(loaded))
+    if reason := background_problem(background):
+        raise UnusableInput(f"{loaded.path}: {reason}")
+    return VehicleFinder(lane_paths_of(loaded), RunningMedianBackground(background.images))
+
+
+def _loaded(clip: Clip | Path | str) -> Clip:
+    return clip if isinstance(clip, Clip) else load_clip(Path(clip))
