@@ -66,7 +66,7 @@ def loaded(scene: str) -> Loaded:
 
 
 def as_printed(**settings: Any) -> SpeedConfiguration:
-    """[Zhu]'s filter: nothing but the dynamics model proposes, and the drawn path is an exact rail."""
+    """[Zhu]'s filter: nothing but the dynamics model proposes, and the drawn path is a hard constraint."""
     return SpeedConfiguration(guided=False, exact_path=True, refine=False, **settings)
 
 

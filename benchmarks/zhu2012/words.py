@@ -15,8 +15,8 @@ following", 1993. Their recordings are not published: the scenes here have their
 and baselines ([simulation.md](simulation.md)), but are other clips, so numbers can be compared in kind, not digit
 by digit.
 
-*As printed* is the paper's particle filter alone: nothing but its dynamics proposes, and the drawn road line is an
-exact rail. *Refined* is what `paceline speed` reports. *Drawn without error* gives the filter the true outline and
+*As printed* is the paper's particle filter alone: nothing but its dynamics proposes, and the drawn road line is a
+hard constraint. *Refined* is what `paceline speed` reports. *Drawn without error* gives the filter the true outline and
 the true way in place of an operator's clicks (σ 0.5 px for corners, 0.4 px for the line). Speeds are in mph, as in
 the paper."""
 
@@ -57,8 +57,8 @@ stay at several mph. `paceline speed`'s own filter, which moves its particles by
 it as in the paper where an operator drew; drawn without error the runs that settle on a wrong speed outweigh it.""",
     "hand": """\
 400 particles, 20 seeds, the refinement once. On the straight road the outline is the cause: its two views together
-give a depth that is 3 m short ([figure 6](#zhu-figures-5-and-6-straight-road-55-mph), right), and a filter on an
-exact rail turns a share of missing depth into the same share of missing speed. The road line adds nothing on this
+give a depth that is 3 m short ([figure 6](#zhu-figures-5-and-6-straight-road-55-mph), right), and a filter under a
+hard constraint turns a share of missing depth into the same share of missing speed. The road line adds nothing on this
 clip; on others it does ([benchmarks](../benchmarks/README.md), `bias.py`). The refined
 speed hardly depends on them.""",
     "first-guess": """\
@@ -94,7 +94,7 @@ paper. The refined speed of the left vehicle misses its interval, as on the stra
 it.""",
     "figures-16-15": f"""{_FIGURE}
 
-400 particles. On a straight path the paper's particles have no freedom sideways: that filter stays on its rail
+400 particles. On a straight path the paper's particles have no freedom sideways: that filter stays on the path
 while the vehicle leaves it. "Drifting" (shown in the pictures) takes the line as a curve, on which they have σ_P =
 0.1 m a frame, as the paper did here. It follows both changes, with a degraded speed, as
 there. The refinement takes swerving as one more model and measures both.""",
