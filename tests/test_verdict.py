@@ -143,7 +143,7 @@ def test_frames_are_kept_as_long_as_most_are_consistent(consistent: list[bool]) 
         (4.0, 0.27, 0.18, ""),
         (4.0, 0.28, 0.0, "± 7.0% of the speed (limit 6.9%)"),
         (4.0, 0.2, 0.19, "± 4.8% of the speed without the calibration's part (limit 4.6%)"),
-        (0.1, 0.6, 0.0, "the speed is not known: ± 0.6 m/s about 0.1 m/s (limit 0.28)"),
+        (0.1, 0.6, 0.0, "the speed is not known: ± 0.6 m/s about 0.1 m/s (limit 0.28 m/s)"),
     ],
 )
 def test_how_wide_an_interval_may_be(speed: float, half: float, own: float, reason: str) -> None:
@@ -156,7 +156,7 @@ def test_a_tolerance_rejects_what_is_known_less_well_and_nothing_else() -> None:
     assert apply_tolerance(good, None) is good and apply_tolerance(good, 0.31) is good
     refused = apply_tolerance(good, 0.2)
     assert (refused.verdict, refused.reason_code) == ("rejected", "tolerance_exceeded")
-    assert refused.reason == "interval too wide: ± 0.3 m/s, 1.50 times the tolerance (limit 0.2)"
+    assert refused.reason == "interval too wide: ± 0.3 m/s, 1.50 times the tolerance (limit 0.2 m/s)"
     assert (refused.speed, refused.speed_lo, refused.speed_hi) == (20.0, 19.7, 20.3)
     bad = replace(good, speed=nan, speed_lo=nan, speed_hi=nan, verdict="rejected", reason="lost")
     assert apply_tolerance(bad, 0.2) is bad

@@ -130,7 +130,7 @@ _REJECTED = {
         "Check this vehicle's outline in both views: the other vehicles agree on the calibration.",
     ),
     "speed_implausible": (
-        "implausible: the speed is {speed_mps:.1f} m/s (limits 0 and {max_speed_mps:g})",
+        "implausible: the speed is {speed_mps:.1f} m/s (limits 0 and {max_speed_mps:g} m/s)",
         "Check that both views show the same vehicle and the same road line, and that `rate` or the time stamps are "
         "right.",
     ),
@@ -172,11 +172,12 @@ _REJECTED = {
     ),
     "speed_unknown": (
         "interval too wide: the speed is not known: ± {half_width_mps:.1f} m/s about {speed_mps:.1f} m/s (limit "
-        "{max_half_width_mps:.2f})",
+        "{max_half_width_mps:.2f} m/s)",
         _NARROWER,
     ),
     "tolerance_exceeded": (
-        "interval too wide: ± {half_width_mps:.3g} m/s, {ratio:.2f} times the tolerance (limit {tolerance_mps:.3g})",
+        "interval too wide: ± {half_width_mps:.3g} m/s, {ratio:.2f} times the tolerance (limit {tolerance_mps:.3g} "
+        "m/s)",
         f"Ask for a larger `--tolerance`. {_NARROWER}",
     ),
 }
