@@ -1,4 +1,4 @@
-"""Vehicles found without outlines: the geometry of cards, the choice of a plane, and whole clips with known truth."""
+"""Detection of vehicles: geometry of sweep planes, choice of a face, and whole clips with known truth."""
 
 from __future__ import annotations
 
@@ -44,28 +44,28 @@ MPH = 0.44704  # m/s
 WINDOW = 5
 
 
-# --- cards -----------------------------------------------------------------------------------------------------------
+# --- sweep planes ----------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
-def way(rig: StereoRig) -> LanePath:
+def lane(rig: StereoRig) -> LanePath:
     """A road that goes away to the right, 1.8 m below the cameras."""
     return LanePath("lane0", rig, from_points("lane0", "line", np.array([[-4.0, 1.8, 12.0], [3.0, 1.6, 70.0]])))
 
 
 @given(s=st.floats(0, 58), x=st.floats(-3, 3), y=st.floats(0, 3), turned=st.booleans())
-def test_a_card_is_where_its_points_project(s: float, x: float, y: float, turned: bool) -> None:
+def test_points_of_a_sweep_plane_project_to_its_pixels(s: float, x: float, y: float, turned: bool) -> None:
     rig = make_rig()
     path = from_points("lane0", "line", np.array([[-4.0, 1.8, 12.0], [3.0, 1.6, 70.0]]))
-    way = LanePath("lane0", rig, path.reversed() if turned else path)
-    world = way.point(s, x, y)
-    pixels = way.pixels(s, np.array([x, y]))
+    lane = LanePath("lane0", rig, path.reversed() if turned else path)
+    world = lane.point(s, x, y)
+    pixels = lane.pixels(s, np.array([x, y]))
     for seen, expected in zip(pixels, rig.project(world), strict=True):
         np.testing.assert_allclose(seen, expected, atol=1e-6)
     along = path.points[-1] - path.points[0]
-    assert (world - way.point(s, 0.0, 0.0)) @ along == pytest.approx(0.0, abs=1e-9)
-    assert way.point(s, 1.0, 0.0)[0] > way.point(s, -1.0, 0.0)[0]  # right in the picture, whichever way one drives
-    assert way.point(s, 0.0, 1.0)[1] < way.point(s, 0.0, 0.0)[1]
+    assert (world - lane.point(s, 0.0, 0.0)) @ along == pytest.approx(0.0, abs=1e-9)
+    assert lane.point(s, 1.0, 0.0)[0] > lane.point(s, -1.0, 0.0)[0]  # right in the image, in either direction of travel
+    assert lane.point(s, 0.0, 1.0)[1] < lane.point(s, 0.0, 0.0)[1]
 
 
 @cache
@@ -73,18 +73,18 @@ def make_rig() -> StereoRig:
     return World(scene()).rig
 
 
-def test_stations_lie_in_both_pictures_and_equally_apart_in_disparity(way: LanePath) -> None:
-    s = way.sweep_positions()
-    places = way.path.at(s)
+def test_sweep_planes_lie_in_both_images_at_equal_disparity_steps(lane: LanePath) -> None:
+    s = lane.sweep_positions()
+    places = lane.path.at(s)
     assert (places[:, 2] > MIN_DEPTH_M).all() and len(s) > 20
-    for pixels, camera in zip(way.rig.project(places), way.rig.cameras, strict=True):
+    for pixels, camera in zip(lane.rig.project(places), lane.rig.cameras, strict=True):
         assert ((pixels >= 0) & (pixels <= np.array(camera.image_size) - 1)).all()
-    steps = np.diff(way.rig.left.K[0, 0] * way.rig.baseline / places[:, 2])
+    steps = np.diff(lane.rig.left.K[0, 0] * lane.rig.baseline / places[:, 2])
     np.testing.assert_allclose(steps, np.median(steps), rtol=0.02)
 
 
-def test_ways_are_one_where_they_run_alike(rig: StereoRig) -> None:
-    """Two lines give one where they run alike, in the same sense."""
+def test_lane_paths_coincide_in_place_and_direction(rig: StereoRig) -> None:
+    """Two lines give one lane path where they run alike, in the same direction."""
     path = from_points("", "line", np.array([[-2.0, 1.8, 12.0], [3.0, 1.6, 70.0]]))
     lane = LanePath("near", rig, path)
     assert lane.coincides_with(LanePath("far", rig, path.shifted(0.2)))
@@ -92,18 +92,19 @@ def test_ways_are_one_where_they_run_alike(rig: StereoRig) -> None:
     assert not lane.coincides_with(LanePath("far", rig, path.reversed()))
 
 
-def test_a_card_shows_what_is_painted_on_it(way: LanePath) -> None:
-    """A picture whose grey levels are a function of where the card is seen is that function on the card."""
+def test_an_image_is_warped_to_a_plane(lane: LanePath) -> None:
+    """An image whose grey levels are a function of plane coordinates is that function on the plane."""
     grid, s = PlaneGrid(left=-1.0, top=1.5, bottom=0.5, cell=0.05), 40.0
-    width, height = way.rig.left.image_size
+    width, height = lane.rig.left.image_size
     x, y = np.meshgrid(np.arange(width), np.arange(height))
-    card = np.stack([x, y, np.ones_like(x)], -1) @ np.linalg.inv(way.homographies(s)[0]).T
-    picture = (100 + 30 * card[..., 0] / card[..., 2] - 20 * card[..., 1] / card[..., 2]).astype(np.float32)
+    at = np.stack([x, y, np.ones_like(x)], -1) @ np.linalg.inv(lane.homographies(s)[0]).T
+    picture = (100 + 30 * at[..., 0] / at[..., 2] - 20 * at[..., 1] / at[..., 2]).astype(np.float32)
     expected = 100 + 30 * grid.x[None] - 20 * grid.y[:, None]
-    np.testing.assert_allclose(warp_to_plane(image_pyramid(picture), way.homographies(s)[0], grid), expected, atol=0.05)
+    warped = warp_to_plane(image_pyramid(picture), lane.homographies(s)[0], grid)
+    np.testing.assert_allclose(warped, expected, atol=0.05)
 
 
-def test_correlation_is_the_textbooks(rng: np.random.Generator) -> None:
+def test_local_ncc_is_the_correlation_coefficient(rng: np.random.Generator) -> None:
     a, b = rng.normal(100, 10, (2, 20, 24)).astype(np.float32)
     b = 0.5 * b + 0.5 * a
     found = local_ncc(LocalStatistics(a, WINDOW), LocalStatistics(b, WINDOW))
@@ -118,7 +119,7 @@ def rng() -> np.random.Generator:
     return np.random.default_rng(4)
 
 
-# --- the plane, the track, the scene ---------------------------------------------------------------------------------
+# --- face, track, background -----------------------------------------------------------------------------------------
 
 
 @settings(max_examples=40)
@@ -129,7 +130,7 @@ def rng() -> np.random.Generator:
     more=st.integers(0, 5),
     column=st.integers(0, 8),
 )
-def test_the_best_rectangle_is_that_of_all_that_hold_a_column(
+def test_best_rectangle_is_that_of_exhaustive_search(
     seed: int, height: int, narrowest: int, more: int, column: int
 ) -> None:
     votes = np.random.default_rng(seed).normal(-0.3, 1.0, (7, 9))
@@ -150,7 +151,7 @@ def test_the_best_rectangle_is_that_of_all_that_hold_a_column(
 
 
 @given(seed=st.integers(0, 10**6), n=st.integers(2, 12))
-def test_the_slope_is_theils_and_sens(seed: int, n: int) -> None:
+def test_slope_is_that_of_scipy(seed: int, n: int) -> None:
     rng = np.random.default_rng(seed)
     t, s = np.cumsum(rng.uniform(0.05, 0.3, n)), rng.normal(0, 10, n)
     assert theil_sen_slope(t, s) == pytest.approx(float(theilslopes(s, t)[0]))
@@ -161,7 +162,7 @@ def still_frame(index: int, time: float, image: Image) -> StereoFrame:
     return StereoFrame(index, time, image, image.copy(), 0.0, duplicate=False)
 
 
-def test_a_passing_vehicle_leaves_no_trace_and_slow_light_is_followed() -> None:
+def test_running_median_ignores_a_passing_vehicle_and_follows_the_light() -> None:
     road = np.full((20, 30), 80.0, np.float32)
     empty = RunningMedianBackground((road, road))
     passing = road.copy()
@@ -188,7 +189,7 @@ def unclicked(rendered: RenderedClip, folder: Path) -> Path:
 
 def found_in(file: Path) -> list[DetectedVehicle]:
     clip = load_clip(file)
-    return find_vehicles(clip, open_recording(clip)).found
+    return find_vehicles(clip, open_recording(clip)).detected
 
 
 def outlines(found: list[DetectedVehicle]) -> list[VehicleDocument]:
@@ -200,7 +201,7 @@ def two() -> RenderedClip:
     return render(scene(*TWO))
 
 
-def test_vehicles_in_both_senses_are_found_once_where_they_are(tmp_path: Path) -> None:
+def test_vehicles_in_both_directions_are_found_once_at_their_positions(tmp_path: Path) -> None:
     clip = load_clip(unclicked(two(), tmp_path))
     search = find_vehicles(clip, open_recording(clip))
     assert [v.id for v in search.clip.vehicles] == ["v0", "v1"] and not search.reason and not search.notices
@@ -221,7 +222,7 @@ def test_vehicles_in_both_senses_are_found_once_where_they_are(tmp_path: Path) -
     assert sorted(names) == ["v0", "v1"]
 
 
-def test_they_are_measured_as_if_they_had_been_outlined(tmp_path: Path) -> None:
+def test_detected_vehicles_are_measured(tmp_path: Path) -> None:
     result = measure_clip(unclicked(two(), tmp_path))
     measured = sorted(m.speed for m in result.measurements)
     assert [m.verdict for m in result.measurements] == ["measured"] * 2
@@ -230,7 +231,7 @@ def test_they_are_measured_as_if_they_had_been_outlined(tmp_path: Path) -> None:
         assert m.speed_lo < min((13.0, 16.0), key=lambda v: abs(v - m.speed)) < m.speed_hi
 
 
-def test_three_vehicles_two_of_them_in_one_lane_are_told_apart(tmp_path: Path) -> None:
+def test_three_vehicles_of_which_two_share_a_lane_are_separated(tmp_path: Path) -> None:
     behind = replace(TWO[0], id="v1", start_distance=62.0, speed=14.0, texture_seed=7)
     opposite = Vehicle("v2", 15.0, start_distance=20.0, lane=1.85, texture_seed=8, relief=0.03, receding=True)
     first = replace(TWO[0], start_distance=40.0, speed=15.0)
@@ -304,7 +305,7 @@ def test_a_recording_of_a_still_road_says_so(tmp_path: Path) -> None:
     assert summary["vehicles"] == [] and any("drives along the paths" in notice for notice in summary["notices"])
 
 
-def test_too_few_frames_tell_nothing(tmp_path: Path) -> None:
+def test_too_few_frames_are_refused(tmp_path: Path) -> None:
     rendered = render(scene())
     short = replace(rendered, left=rendered.left[:3], right=rendered.right[:3], times=rendered.times[:3])
     done = paceline("vehicles", unclicked(short, tmp_path))

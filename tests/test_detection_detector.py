@@ -1,4 +1,4 @@
-"""How frames are looked through: many cards at once, what stands and what lies, and what is one vehicle over time."""
+"""The plane-sweep detector, its upright ratio, tracks over time, and the queue of measurements."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def world() -> World:
 
 
 @cache
-def way(lane: float = -1.85) -> LanePath:
+def lane_path(lane: float = -1.85) -> LanePath:
     """The middle of a lane as it is, no matter how it was drawn."""
     points = world().road.point(np.array([80.0, 12.0]), lane)
     return LanePath("lane0", world().rig, from_points("lane0", "line", points))
@@ -84,70 +84,70 @@ def frame(index: int) -> StereoFrame:
     return StereoFrame(index, float(clip().times[index]), left, right, 0.0, duplicate=False)
 
 
-# --- cards -----------------------------------------------------------------------------------------------------------
+# --- sweep planes ----------------------------------------------------------------------------------------------------
 
 
-def counting(views: list[LocalStatistics], empty: list[LocalStatistics], least: float) -> Image:
+def expected_consistency(views: list[LocalStatistics], empty: list[LocalStatistics], least: float) -> Image:
     """What `Card.counts` says, in whole pictures."""
     left, right = views
-    counts = photo_consistency(left, right) * (np.minimum(left.std, right.std) > least)
+    consistency = photo_consistency(left, right) * (np.minimum(left.std, right.std) > least)
     for now, before in zip(views, empty, strict=True):
-        counts *= local_ncc(now, before) < 1 - MIN_CHANGE
-    return counts
+        consistency *= local_ncc(now, before) < 1 - MIN_CHANGE
+    return consistency
 
 
-def textures(views: Pyramids, card: SweepPlane) -> list[LocalStatistics]:
+def textures(views: Pyramids, plane: SweepPlane) -> list[LocalStatistics]:
     """Both pictures on a card, laid out by OpenCV."""
-    grid, found = card.grid, []
-    for levels, cells in zip(views, card.cells, strict=True):
-        H = np.diag([0.5**card.level, 0.5**card.level, 1.0]) @ cells
+    grid, found = plane.grid, []
+    for levels, cells in zip(views, plane.homographies, strict=True):
+        H = np.diag([0.5**plane.level, 0.5**plane.level, 1.0]) @ cells
         flags, border = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, cv2.BORDER_REPLICATE
-        laid = cv2.warpPerspective(levels[card.level], H, grid.size, flags=flags, borderMode=border)
-        found.append(LocalStatistics(np.asarray(laid, np.float32), card.window))
+        laid = cv2.warpPerspective(levels[plane.level], H, grid.size, flags=flags, borderMode=border)
+        found.append(LocalStatistics(np.asarray(laid, np.float32), plane.window))
     return found
 
 
 def card_and_views(k: int, grid: PlaneGrid, window: int) -> tuple[SweepPlane, Pyramids, Pyramids]:
     """A card at the ``k``-th station, a frame and the empty scene, without the pictures' first 16 rows."""
-    card = plane_at(way().homographies(way().sweep_positions()[k]), grid, window, 16)
+    plane = plane_at(lane_path().homographies(lane_path().sweep_positions()[k]), grid, window, 16)
     views, scenes = ([image_pyramid(i[16:]) for i in pair] for pair in ((frame(2).left, frame(2).right), empty()))
-    return card, views, scenes
+    return plane, views, scenes
 
 
 @pytest.mark.parametrize(("grid", "window"), [(FINE_GRID, NCC_WINDOW), (COARSE_GRID, COARSE_NCC_WINDOW)])
 @pytest.mark.parametrize("k", [3, 24, 50])
-def test_a_card_counts_what_whole_pictures_say(grid: PlaneGrid, window: int, k: int) -> None:
+def test_consistency_of_a_plane_is_that_of_whole_images(grid: PlaneGrid, window: int, k: int) -> None:
     """But for OpenCV's rounding of places to 1/32 px."""
-    card, views, scenes = card_and_views(k, grid, window)
-    now, before = textures(views, card), textures(scenes, card)
-    alike, contrast = card.correlation_map(views)
+    plane, views, scenes = card_and_views(k, grid, window)
+    now, before = textures(views, plane), textures(scenes, plane)
+    alike, contrast = plane.correlation_map(views)
     np.testing.assert_allclose(alike, local_ncc(*now), atol=0.1)
     assert np.abs(alike - local_ncc(*now)).mean() < 0.005
     np.testing.assert_allclose(contrast, now[0].std, atol=0.5, rtol=0.1)
-    expected = counting(now, before, 2.0)
-    assert np.abs(card.consistency_map(views, scenes, 2.0) - expected).mean() < 0.01
-    assert expected.sum() == pytest.approx(card.consistency_map(views, scenes, 2.0).sum(), rel=0.05, abs=2.0)
+    expected = expected_consistency(now, before, 2.0)
+    assert np.abs(plane.consistency_map(views, scenes, 2.0) - expected).mean() < 0.01
+    assert expected.sum() == pytest.approx(plane.consistency_map(views, scenes, 2.0).sum(), rel=0.05, abs=2.0)
 
 
-def test_nothing_counts_on_a_card_where_it_would_not_be_enough() -> None:
-    card, views, scenes = card_and_views(24, COARSE_GRID, COARSE_NCC_WINDOW)
-    counts = card.consistency_map(views, scenes, 2.0)
-    area = float(counts.sum()) * COARSE_GRID.cell**2
+def test_consistency_below_the_minimum_area_is_zero() -> None:
+    plane, views, scenes = card_and_views(24, COARSE_GRID, COARSE_NCC_WINDOW)
+    consistency = plane.consistency_map(views, scenes, 2.0)
+    area = float(consistency.sum()) * COARSE_GRID.cell**2
     assert area > 0
-    np.testing.assert_array_equal(card.consistency_map(views, scenes, 2.0, 0.99 * area), counts)
-    assert not card.consistency_map(views, scenes, 2.0, 1.01 * area).any()
+    np.testing.assert_array_equal(plane.consistency_map(views, scenes, 2.0, 0.99 * area), consistency)
+    assert not plane.consistency_map(views, scenes, 2.0, 1.01 * area).any()
 
 
-def test_what_is_explained_counts_no_more() -> None:
-    card, views, _ = card_and_views(24, FINE_GRID, NCC_WINDOW)
+def test_masked_cells_are_cleared() -> None:
+    plane, views, _ = card_and_views(24, FINE_GRID, NCC_WINDOW)
     explained = np.zeros(views[0][0].shape, np.uint8)
     explained[:, : explained.shape[1] // 3] = 1
     flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
-    expected = cv2.warpPerspective(explained, card.cells[0], FINE_GRID.size, flags=flags) == 0
-    counts = np.ones(FINE_GRID.size[::-1], np.float32)
-    card.clear_masked(counts, explained)
+    expected = cv2.warpPerspective(explained, plane.homographies[0], FINE_GRID.size, flags=flags) == 0
+    consistency = np.ones(FINE_GRID.size[::-1], np.float32)
+    plane.clear_masked(consistency, explained)
     assert 0 < expected.mean() < 1 or explained.all()
-    assert ((counts > 0) != expected).mean() < 0.01  # on the edge
+    assert ((consistency > 0) != expected).mean() < 0.01  # on the edge
 
 
 @pytest.mark.parametrize("height", [4.0, 4.5, 5.0])
@@ -161,56 +161,56 @@ def test_a_vehicle_is_seen_over_the_roof_of_the_one_before_it(height: float) -> 
     lane = LanePath("lane0", world.rig, from_points("lane0", "line", points))
     left, right = (StaticBackground(of, world.road, of.seed).draw(view) for view in world.views)
     pair = (np.asarray(pictures[0], np.float32) for pictures in (clip.left, clip.right))
-    sightings = PlaneSweepDetector([lane]).detect(StereoFrame(0, 0.0, *pair, 0.0, duplicate=False), (left, right))
+    detections = PlaneSweepDetector([lane]).detect(StereoFrame(0, 0.0, *pair, 0.0, duplicate=False), (left, right))
     truth = sorted(lane.plane_coordinates(np.array(row["position"]))[0] for row in clip.truth)
-    assert len(sightings) == 2
-    for sighting, s in zip(sorted(sightings, key=lambda at: at.s), truth, strict=True):
-        assert abs(sighting.s - s) < sighting.distance_error(1.0, 1.0)
-        assert sighting.y[0] < 0.5  # its face is seen, not its roof alone
+    assert len(detections) == 2
+    for detection, s in zip(sorted(detections, key=lambda at: at.s), truth, strict=True):
+        assert abs(detection.s - s) < detection.distance_error(1.0, 1.0)
+        assert detection.y[0] < 0.5  # its face is seen, not its roof alone
 
 
-def test_rows_without_anything_to_look_at_are_not_looked_at() -> None:
+def test_rows_outside_the_visible_ones_are_not_used() -> None:
     """What is found is the same when the other rows are black."""
-    lookout, before = PlaneSweepDetector([way()]), empty()
+    detector, before = PlaneSweepDetector([lane_path()]), empty()
     height = len(before[0])
-    assert 0 < lookout.rows.start < lookout.rows.stop <= height
+    assert 0 < detector.rows.start < detector.rows.stop <= height
     kept = np.zeros((height, 1), np.float32)
-    kept[lookout.rows] = 1.0
+    kept[detector.rows] = 1.0
     whole, cut = frame(4), replace(frame(4), left=frame(4).left * kept, right=frame(4).right * kept)
-    (a, b) = (lookout.detect(f, e)[0] for f, e in ((whole, before), (cut, (before[0] * kept, before[1] * kept))))
+    (a, b) = (detector.detect(f, e)[0] for f, e in ((whole, before), (cut, (before[0] * kept, before[1] * kept))))
     assert (a.s, a.x, a.y, a.area) == (b.s, b.x, b.y, b.area)
     np.testing.assert_array_equal(a.crops[0], b.crops[0])
 
 
-def test_the_coarse_look_misses_nothing_that_a_fine_one_at_all_stations_sees() -> None:
+def test_coarse_pass_misses_no_maximum_of_the_fine_planes() -> None:
     """The first sighting lies where, of all stations, most counts on the fine card."""
-    lookout, stations = PlaneSweepDetector([way()]), way().sweep_positions()
+    detector, positions = PlaneSweepDetector([lane_path()]), lane_path().sweep_positions()
     for index in (0, 4, 8):
-        sighting = lookout.detect(frame(index), empty())[0]
+        detection = detector.detect(frame(index), empty())[0]
         views, scenes = (
             [image_pyramid(i) for i in pair] for pair in ((frame(index).left, frame(index).right), empty())
         )
         areas = []
-        for s in stations:
+        for s in positions:
             now, before = (
                 [
                     LocalStatistics(warp_to_plane(v, H, FINE_GRID), NCC_WINDOW)
-                    for v, H in zip(pair, way().homographies(s), strict=True)
+                    for v, H in zip(pair, lane_path().homographies(s), strict=True)
                 ]
                 for pair in (views, scenes)
             )
-            areas.append(counting(now, before, 2.0).sum())
+            areas.append(expected_consistency(now, before, 2.0).sum())
         best = int(np.argmax(areas))
-        assert stations[best - 1] <= sighting.s <= stations[best + 1]
+        assert positions[best - 1] <= detection.s <= positions[best + 1]
 
 
-def test_what_stands_in_the_empty_scene_is_not_seen() -> None:
-    lookout = PlaneSweepDetector([way()])
-    assert lookout.detect(frame(2), (frame(2).left, frame(2).right)) == []
-    assert lookout.detect(frame(2), empty())
+def test_background_is_not_detected() -> None:
+    detector = PlaneSweepDetector([lane_path()])
+    assert detector.detect(frame(2), (frame(2).left, frame(2).right)) == []
+    assert detector.detect(frame(2), empty())
 
 
-# --- what stands -----------------------------------------------------------------------------------------------------
+# --- upright ratio ---------------------------------------------------------------------------------------------------
 
 
 def painted(lying: bool, s: float) -> tuple[Image, Image]:
@@ -220,22 +220,23 @@ def painted(lying: bool, s: float) -> tuple[Image, Image]:
     pictures = []
     for view, picture in enumerate(empty()):
         if lying:
-            ends = [way().point(s + away, x, 0.0) for away, x in ((7.0, -0.8), (7.0, 0.8), (3.0, 0.8), (3.0, -0.8))]
-            corners = way().rig.project(np.array(ends))[view]
+            rectangle = ((7.0, -0.8), (7.0, 0.8), (3.0, 0.8), (3.0, -0.8))
+            ends = [lane_path().point(s + away, x, 0.0) for away, x in rectangle]
+            corners = lane_path().rig.project(np.array(ends))[view]
         else:
-            corners = way().pixels(s, np.array([[-0.8, 1.3], [0.8, 1.3], [0.8, 0.3], [-0.8, 0.3]]))[view]
+            corners = lane_path().pixels(s, np.array([[-0.8, 1.3], [0.8, 1.3], [0.8, 0.3], [-0.8, 0.3]]))[view]
         H = cv2.getPerspectiveTransform(source, corners.astype(np.float32))
         pictures.append(picture + cv2.warpPerspective(texture, H, picture.shape[::-1]))
     return pictures[0], pictures[1]
 
 
 @pytest.mark.parametrize("lying", [False, True])
-def test_what_lies_on_the_road_is_told_from_what_stands(lying: bool) -> None:
-    s = float(way().sweep_positions()[40])
+def test_texture_on_the_road_is_distinguished_from_an_upright_one(lying: bool) -> None:
+    s = float(lane_path().sweep_positions()[40])
     pictures = painted(lying, s)
     views, scenes = ([image_pyramid(np.asarray(i, np.float32)) for i in pair] for pair in (pictures, empty()))
-    left, right = way().homographies(s)
-    road = way().road_homography(s) @ left
+    left, right = lane_path().homographies(s)
+    road = lane_path().road_homography(s) @ left
     seen, upright, flat = (
         LocalStatistics(warp_to_plane(views[side], H, FINE_GRID), NCC_WINDOW)
         for side, H in ((0, left), (1, right), (1, road))
@@ -243,20 +244,21 @@ def test_what_lies_on_the_road_is_told_from_what_stands(lying: bool) -> None:
     before = [
         LocalStatistics(warp_to_plane(v, H, FINE_GRID), NCC_WINDOW) for v, H in zip(scenes, (left, right), strict=True)
     ]
-    counts = counting([seen, upright], before, 1.0)
-    assert counts.sum() > 0
-    assert (upright_ratio(counts, local_ncc(seen, flat), seen.std) < 1.0) == lying
-    sightings = PlaneSweepDetector([way()]).detect(replace(frame(0), left=pictures[0], right=pictures[1]), empty())
-    assert len(sightings) == (0 if lying else 1)
+    consistency = expected_consistency([seen, upright], before, 1.0)
+    assert consistency.sum() > 0
+    assert (upright_ratio(consistency, local_ncc(seen, flat), seen.std) < 1.0) == lying
+    pair = replace(frame(0), left=pictures[0], right=pictures[1])
+    detections = PlaneSweepDetector([lane_path()]).detect(pair, empty())
+    assert len(detections) == (0 if lying else 1)
 
 
-def test_sharp_lamps_stand_in_spite_of_wide_light_on_the_road() -> None:
+def test_sharp_lamps_are_upright_in_spite_of_light_on_the_road() -> None:
     """The light agrees better lying, over nine tenths of the card; what is faint says little."""
     lamps = np.arange(20) < 2
-    counts, lying = np.where(lamps, 0.9, 0.5)[None], np.where(lamps, 0.4, 0.95)[None]
+    consistency, lying = np.where(lamps, 0.9, 0.5)[None], np.where(lamps, 0.4, 0.95)[None]
     faint, even = np.where(lamps, 80.0, 4.0)[None], np.ones((1, 20))
-    assert upright_ratio(counts, lying, faint) > 1.5 and upright_ratio(counts, lying, even) < 1.0
-    assert upright_ratio(counts, lying, 3.0 * faint) == pytest.approx(upright_ratio(counts, lying, faint))
+    assert upright_ratio(consistency, lying, faint) > 1.5 and upright_ratio(consistency, lying, even) < 1.0
+    assert upright_ratio(consistency, lying, 3.0 * faint) == pytest.approx(upright_ratio(consistency, lying, faint))
 
 
 Spot = tuple[float, float, float, float, float]  # m ahead, aside and up, and wide (one sigma); grey levels at its peak
@@ -268,7 +270,7 @@ def lit(s: float, spots: list[Spot]) -> tuple[Image, Image]:
     for view, picture in enumerate(empty()):
         image, v, u = 0.07 * picture, *np.mgrid[: picture.shape[0], : picture.shape[1]]
         for ahead, x, y, sigma, peak in spots:
-            centre, beside = (way().pixels(s + ahead, np.array([x + d, y]))[view] for d in (0.0, sigma))
+            centre, beside = (lane_path().pixels(s + ahead, np.array([x + d, y]))[view] for d in (0.0, sigma))
             width = np.linalg.norm(beside - centre)
             image += peak * np.exp(-((u - centre[0]) ** 2 + (v - centre[1]) ** 2) / (2 * width**2))
         noise = np.random.default_rng(view).normal(0, 1.0, image.shape)
@@ -291,40 +293,40 @@ def dark() -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
 def off(s: float, spots: list[Spot]) -> float:
     """How far from ``s`` the first vehicle is seen, px of disparity."""
     left, right = lit(s, spots)
-    first, *_ = PlaneSweepDetector([way()]).detect(replace(frame(0), left=left, right=right), unlit(), 1.0)
+    first, *_ = PlaneSweepDetector([lane_path()]).detect(replace(frame(0), left=left, right=right), unlit(), 1.0)
     return abs(first.s - s) / first.distance_error(0.0, 1.0)
 
 
 @pytest.mark.parametrize("k", [24, 36, 48])
-def test_lamps_are_where_they_are_and_not_where_their_light_lies(k: int) -> None:
+def test_lamps_are_located_at_themselves_and_not_at_their_light_on_the_road(k: int) -> None:
     """It lies four metres behind them in one piece."""
     spots = [(0.0, -0.7, 0.6, 0.1, 700.0), (0.0, 0.7, 0.6, 0.1, 700.0), (4.0, 0.0, 0.5, 0.9, 60.0)]
-    assert off(float(way().sweep_positions()[k]), spots) < 0.25
+    assert off(float(lane_path().sweep_positions()[k]), spots) < 0.25
 
 
 @pytest.mark.parametrize("s", [2.0, 2.25, 3.0, 3.5])
 @pytest.mark.parametrize("x", [0.25, 0.3])
-def test_lamps_near_by_are_not_where_the_wide_light_about_them_agrees_too(s: float, x: float) -> None:
+def test_near_lamps_are_not_located_by_the_glow_about_them(s: float, x: float) -> None:
     """As much of it counts at stations that are many pixels of disparity apart."""
     lamps = ((0.0, 0.3, 0.12, 700.0), (0.0, 0.3, 0.6, 35.0), (-4.0, -0.3, 0.84, 21.0))
     assert off(s, [(ahead, side * x, *lamp) for side in (-1, 1) for ahead, *lamp in lamps]) < 0.25
 
 
 @pytest.mark.parametrize("side", [-1, 1])
-def test_of_a_vehicle_of_which_one_lamp_was_seen_the_other_one_is_kept(side: int) -> None:
+def test_crop_of_one_detected_lamp_contains_the_other(side: int) -> None:
     left, right = lit(20.0, [(0.0, 0.9 * side, 0.6, 0.1, 700.0)])
-    seen, *_ = PlaneSweepDetector([way()]).detect(replace(frame(0), left=left, right=right), unlit(), 1.0)
+    seen, *_ = PlaneSweepDetector([lane_path()]).detect(replace(frame(0), left=left, right=right), unlit(), 1.0)
     assert np.abs(seen.x).max() < 1.5
     for crop, corner, lamp in zip(
-        seen.crops, seen.crop_origins, way().pixels(20.0, np.array([[-0.95 * side, 0.6]])), strict=True
+        seen.crops, seen.crop_origins, lane_path().pixels(20.0, np.array([[-0.95 * side, 0.6]])), strict=True
     ):
         assert (lamp - corner > 0).all() and (lamp - corner < crop.shape[::-1]).all()
 
 
-def test_a_vehicle_is_kept_with_what_was_there_before_it() -> None:
+def test_detection_keeps_a_copy_of_its_background() -> None:
     """Of which the scene may later be changed."""
     now, scene = frame(0), tuple(view.copy() for view in empty())
-    seen, *_ = PlaneSweepDetector([way()]).detect(now, scene)
+    seen, *_ = PlaneSweepDetector([lane_path()]).detect(now, scene)
     for view in scene:
         view[:] = 0.0
     for crop, before, corner, view, behind in zip(
@@ -339,14 +341,14 @@ def test_a_vehicle_is_kept_with_what_was_there_before_it() -> None:
 # --- over time -------------------------------------------------------------------------------------------------------
 
 
-def sighting(time: float, s: float, x: tuple[float, float] = (-0.9, 0.9), of: StereoFrame | None = None) -> Detection:
+def detection(time: float, s: float, x: tuple[float, float] = (-0.9, 0.9), of: StereoFrame | None = None) -> Detection:
     crops = (empty() if of is None else (of.left, of.right), flat(empty()), np.zeros((2, 2)))
-    return Detection(round(10 * time), time, way(), s, x, (0.2, 1.5), 1.5, 9.0, *crops)
+    return Detection(round(10 * time), time, lane_path(), s, x, (0.2, 1.5), 1.5, 9.0, *crops)
 
 
-def test_a_start_out_of_step_is_not_taken() -> None:
+def test_outlier_at_the_start_is_left_out() -> None:
     times = np.arange(8) / 5
-    aligned = [AlignedDetection(sighting(t, 5 + 14 * t), 5 + 14 * t, np.zeros(2), 0.8) for t in times]
+    aligned = [AlignedDetection(detection(t, 5 + 14 * t), 5 + 14 * t, np.zeros(2), 0.8) for t in times]
     assert motion_inliers(aligned) == aligned
     wrong = [replace(aligned[0], s=9.0), *aligned[1:]]
     assert motion_inliers(wrong) == aligned[1:]
@@ -354,52 +356,52 @@ def test_a_start_out_of_step_is_not_taken() -> None:
 
 
 @pytest.mark.parametrize("off", [-12.0, -9.0, 9.0, 12.0])
-def test_a_start_out_of_step_does_not_bend_the_course_to_itself(off: float) -> None:
+def test_outlier_at_the_start_does_not_bend_the_motion(off: float) -> None:
     """A vehicle that goes was seen once, and again from a second later on: places far away, which may be off by more,
     would give way."""
     times = np.array([0.0, *(1.1 + 0.5 * np.arange(7))])
-    aligned = [AlignedDetection(sighting(t, 8 + 13 * (t - 1.1)), 8 + 13 * (t - 1.1), np.zeros(2), 0.8) for t in times]
+    aligned = [AlignedDetection(detection(t, 8 + 13 * (t - 1.1)), 8 + 13 * (t - 1.1), np.zeros(2), 0.8) for t in times]
     assert motion_inliers(aligned) == aligned
     assert motion_inliers([replace(aligned[0], s=aligned[0].s + off), *aligned[1:]]) == aligned[1:]
 
 
 @given(speed=st.floats(-30, 30), n=st.integers(4, 30), seed=st.integers(0, 1000))
-def test_travel_is_the_way_that_was_driven(speed: float, n: int, seed: int) -> None:
+def test_travel_is_the_distance_driven(speed: float, n: int, seed: int) -> None:
     noise = np.random.default_rng(seed).normal(0, 0.02, n)
-    track = DetectionTrack(way_s=(speed * 0.1 * np.arange(n) + noise).tolist())
+    track = DetectionTrack(arc_lengths=(speed * 0.1 * np.arange(n) + noise).tolist())
     assert track.travel == pytest.approx(speed * 0.1 * (n - 1), abs=0.2 + 0.05 * abs(speed))
 
 
-def test_a_face_keeps_its_place_on_the_cards_of_another_way() -> None:
-    other = way(1.85)
-    at = AlignedDetection(sighting(0.0, 20.0), 20.0, np.array([0.4, 0.1]), 0.8)
-    place = way().point(20.0, *at.origin)
-    moved = at.on(other)
-    assert at.on(way()) is at.origin
+def test_origin_of_a_face_on_the_planes_of_another_lane() -> None:
+    other = lane_path(1.85)
+    at = AlignedDetection(detection(0.0, 20.0), 20.0, np.array([0.4, 0.1]), 0.8)
+    place = lane_path().point(20.0, *at.origin)
+    moved = at.origin_on(other)
+    assert at.origin_on(lane_path()) is at.origin
     np.testing.assert_allclose(other.point(other.path.nearest(place), *moved), place, atol=1e-3)
     assert moved[0] == pytest.approx(0.4 - 3.7, abs=0.1)
 
 
-def test_frames_without_a_sighting_are_counted_only_between_sightings() -> None:
+def test_frames_without_a_detection_are_counted_only_between_detections() -> None:
     track = DetectionTrack()
     for time, unseen in ((0.0, 0), (0.3, 2), (0.4, 0)):
         track.frames_unseen = unseen
-        track.add(sighting(time, 10 + time))
+        track.add(detection(time, 10 + time))
     track.frames_unseen = 5
     assert track.frames_missed == 2
 
 
-def test_a_face_is_known_again_within_a_wider_sighting() -> None:
+def test_face_is_matched_within_a_wider_detection() -> None:
     at = next(r for r in clip().truth if r["vehicle"] == "v0" and r["frame"] == 3)
-    s = way().path.nearest(np.array(at["position"]))
-    narrow = sighting(0.6, s, (-0.9, 0.9), frame(3))
-    wide = sighting(0.6, s, (-0.9, 2.9), frame(3))
+    s = lane_path().path.nearest(np.array(at["position"]))
+    narrow = detection(0.6, s, (-0.9, 0.9), frame(3))
+    wide = detection(0.6, s, (-0.9, 2.9), frame(3))
     assert similarity(narrow, wide) > 0.95 and similarity(wide, narrow) > 0.95
-    assert similarity(narrow, sighting(0.6, s + 12.0, (-0.9, 0.9), frame(3))) < 0.6
+    assert similarity(narrow, detection(0.6, s + 12.0, (-0.9, 0.9), frame(3))) < 0.6
 
 
 @given(n=st.integers(1, 400), rate=st.floats(2.0, 60.0))
-def test_no_more_pairs_are_measured_on_than_needed_and_none_far_apart(n: int, rate: float) -> None:
+def test_pairs_are_subsampled_up_to_the_maximum_spacing(n: int, rate: float) -> None:
     blank = np.zeros((1, 1), np.uint8)
     pairs = [RawPair(k, k / rate, blank, blank, 0.0) for k in range(n)]
     chosen = subsample(pairs, MAX_PAIRS_PER_VEHICLE)
@@ -411,7 +413,7 @@ def test_no_more_pairs_are_measured_on_than_needed_and_none_far_apart(n: int, ra
         assert chosen == pairs
 
 
-def test_a_grid_knows_its_cells() -> None:
+def test_grid_size_is_its_number_of_cells() -> None:
     grid = PlaneGrid(left=-1.0, top=2.0, bottom=0.5, cell=0.25)
     assert grid.size == (len(grid.x), len(grid.y)) == (9, 7)
     assert (grid.x[0], grid.x[-1], grid.y[0], grid.y[-1]) == (-1.0, 1.0, 2.0, 0.5)
@@ -468,12 +470,12 @@ def seen_at(index: int) -> DetectionTrack:
 def driven(times: NDArray[np.float64], s: NDArray[np.float64], x: tuple[float, float] = (-0.9, 0.9)) -> DetectionTrack:
     track = DetectionTrack()
     for t, at in zip(times, s, strict=True):
-        track.add(sighting(float(t), float(at), x))
+        track.add(detection(float(t), float(at), x))
     return track
 
 
 @pytest.mark.parametrize(("wide", "top"), [(0.4, 1.5), (1.4, 2.3)])
-def test_a_narrow_piece_above_a_face_makes_it_no_taller(wide: float, top: float) -> None:
+def test_thin_part_above_a_face_is_left_out_of_its_extent(wide: float, top: float) -> None:
     """Of the next vehicle's roof, whose level edges agree at any distance; a wide one is the vehicle's own. The same
     holds for a mirror beside it."""
     x, y = FINE_GRID.x[None], FINE_GRID.y[:, None]
@@ -488,25 +490,25 @@ def test_a_motorcycle_is_as_tall_as_its_rider_beside_something_low_and_wide() ->
     np.testing.assert_allclose(extent(piece), ((-0.35, 0.35), (0.2, 1.7)), atol=1.01 * FINE_GRID.cell)
 
 
-def test_a_piece_may_be_one_row_high() -> None:
+def test_component_of_one_row_has_an_extent() -> None:
     row = (np.abs(FINE_GRID.x) < 0.5) & (np.arange(len(FINE_GRID.y)) == 20)[:, None]
     x, y = extent(row)
     assert y == (FINE_GRID.y[20], FINE_GRID.y[20]) and np.allclose(x, (-0.5, 0.5), atol=1.01 * FINE_GRID.cell)
 
 
 @given(st.integers(0, 2**16), st.floats(0.5, 4.0), st.floats(0.0, 1.5))
-def test_forgetting_piece_after_piece_ends(seed: int, grain: float, sparse: float) -> None:
+def test_removing_component_after_component_ends(seed: int, grain: float, sparse: float) -> None:
     """Each takes something away, also a ring's empty middle."""
     noise = np.random.default_rng(seed).standard_normal(FINE_GRID.size[::-1]).astype(np.float32)
     smooth = cv2.GaussianBlur(noise, (0, 0), grain)
-    counts = np.clip(smooth / smooth.std() - sparse, 0, 1).astype(np.float32)
-    while counts.any():
-        piece = largest_component(counts)
-        left = without_component(piece, counts)
-        assert left.sum() < counts.sum()
+    consistency = np.clip(smooth / smooth.std() - sparse, 0, 1).astype(np.float32)
+    while consistency.any():
+        piece = largest_component(consistency)
+        left = without_component(piece, consistency)
+        assert left.sum() < consistency.sum()
         assert not left[piece].any()
-        assert ((left == counts) | (left == 0)).all()
-        counts = left
+        assert ((left == consistency) | (left == 0)).all()
+        consistency = left
 
 
 def outlined(index: int) -> VehicleDocument:
@@ -514,40 +516,40 @@ def outlined(index: int) -> VehicleDocument:
     return VehicleDocument("", "lane0", index, quad, quad, "front", None)
 
 
-def test_vehicles_are_told_in_order_and_only_those_outlined_are_numbered() -> None:
+def test_results_come_in_order_and_only_outlined_vehicles_are_numbered() -> None:
     blank = np.zeros((1, 1), np.uint8)
-    told: list[Any] = []
+    results: list[Any] = []
     recent = [RawPair(k, 0.1 * k, blank, blank, 0.0) for k in range(5, 15)]
     process = Slow({6: outlined(7), 8: None, 9: outlined(9), 2: outlined(2)})
-    queue = live.MeasurementQueue(OneClip([]), SpeedConfiguration(), process, lambda *said: told.append(said))  # type: ignore[arg-type]
+    queue = live.MeasurementQueue(OneClip([]), SpeedConfiguration(), process, lambda *said: results.append(said))  # type: ignore[arg-type]
     for index in (6, 8, 9, 2):
         queue.submit(seen_at(index), recent)
     queue.publish()
-    assert told == []  # nothing is known yet, and nobody has waited for it
+    assert results == []  # nothing is known yet, and nobody has waited for it
     for _ in range(2):
         process.work()
         queue.publish()
-    names = [found.vehicle and found.vehicle.id for found, _, _ in told]
+    names = [found.vehicle and found.vehicle.id for found, _, _ in results]
     assert names == ["v0", None, "v1", "v2"]
-    assert [measurement for _, measurement, _ in told] == [
+    assert [measurement for _, measurement, _ in results] == [
         Seen("v0", list(range(7, 15))),
         None,
         Seen("v1", list(range(9, 15))),
         None,
     ]
-    assert [reason for _, _, reason in told][:3] == ["", "smooth", ""] and told[3][2].code == "frames_expired"
+    assert [reason for _, _, reason in results][:3] == ["", "smooth", ""] and results[3][2].code == "frames_expired"
 
 
-def test_vehicles_that_come_too_fast_are_told_without_a_measurement() -> None:
+def test_vehicles_beyond_the_queue_are_reported_without_a_measurement() -> None:
     blank = np.zeros((1, 1), np.uint8)
-    told: list[Any] = []
+    results: list[Any] = []
     recent = [RawPair(k, 0.1 * k, blank, blank, 0.0) for k in range(20)]
     process = Slow({3: None})
-    queue = live.MeasurementQueue(None, SpeedConfiguration(), process, lambda *said: told.append(said))  # type: ignore[arg-type]
+    queue = live.MeasurementQueue(None, SpeedConfiguration(), process, lambda *said: results.append(said))  # type: ignore[arg-type]
     for _ in range(DEFAULTS.live.queue + 2):
         queue.submit(seen_at(3), recent)
     process.work()
     queue.publish()
-    reasons = [reason for _, _, reason in told]
+    reasons = [reason for _, _, reason in results]
     assert reasons[: DEFAULTS.live.queue] == ["smooth"] * DEFAULTS.live.queue
     assert [reason.code for reason in reasons[DEFAULTS.live.queue :]] == ["queue_full"] * 2

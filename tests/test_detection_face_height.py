@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from selection import slow_after
-from synthetic_detections import BOTTOM, CARD, TOP, X, face_with, texture_up_to
+from synthetic_detections import BOTTOM, PLANE_GRID, TOP, X, face_with, texture_up_to
 
 from paceline.detection.face_height import HEIGHT_STEP_M, MIN_HEIGHT_M, select_height
 from paceline.detection.planar_face import PlanarFace
@@ -19,7 +19,7 @@ def clear(lower: PlanarFace) -> bool:
 
 @pytest.mark.parametrize("seed", slow_after(1, [1, 2, 3]))
 @pytest.mark.parametrize("height", [0.75, 0.95])
-def test_what_is_flat_at_the_top_of_a_face_is_left_away(height: float, seed: int) -> None:
+def test_untextured_top_of_a_face_is_cut_off(height: float, seed: int) -> None:
     face = face_with(texture_up_to(height, seed), seed)
     lower = select_height(face, face.aligned, clear)
     assert lower.x == face.x and lower.y[0] == BOTTOM and lower.aligned is face.aligned
@@ -29,8 +29,8 @@ def test_what_is_flat_at_the_top_of_a_face_is_left_away(height: float, seed: int
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_of_a_face_with_texture_everywhere_most_stays(seed: int) -> None:
-    face = face_with(texture_up_to(CARD.top, seed), seed)
+def test_most_of_a_textured_face_is_kept(seed: int) -> None:
+    face = face_with(texture_up_to(PLANE_GRID.top, seed), seed)
     assert select_height(face, face.aligned, clear).y[1] > BOTTOM + (TOP - BOTTOM) * 2 / 3 - HEIGHT_STEP_M
 
 
@@ -54,7 +54,7 @@ def test_no_outline_is_taken_that_is_not_clear() -> None:
     assert select_height(face, face.aligned, lambda lower: lower.y[1] > 1.1).y[1] == pytest.approx(TOP - HEIGHT_STEP_M)
 
 
-def test_a_face_whose_pictures_hold_no_numbers_stays_as_it_is() -> None:
+def test_face_with_images_of_nan_is_kept() -> None:
     face = face_with(texture_up_to(0.75, 1), 1)
     for a in face.aligned:
         a.detection.crops[0][:] = np.nan

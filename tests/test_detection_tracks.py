@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from test_detection_detector import driven, outlined, sighting
+from test_detection_detector import detection, driven, outlined
 
 from paceline.detection.finder import DuplicateFilter, continued_by, is_vehicle, without_outline
 from paceline.detection.planar_face import with_visible_face
@@ -18,11 +18,11 @@ from paceline.detection.tracks import DetectionTrack, TrackAssociator, motion_re
 @pytest.fixture(autouse=True, scope="module")
 def drawn() -> None:
     """The empty road behind all sightings takes longer at first than Hypothesis allows."""
-    sighting(0.0, 5.0)
+    detection(0.0, 5.0)
 
 
 @given(st.integers(0, 2**16), st.floats(8, 35), st.floats(-4, 4), st.integers(6, 30))
-def test_what_drives_is_steadier_than_two_things_that_sway(seed: int, v: float, a: float, n: int) -> None:
+def test_vehicle_is_steadier_than_two_swaying_objects(seed: int, v: float, a: float, n: int) -> None:
     rng = np.random.default_rng(seed)
     times = np.sort(rng.choice(40, n, replace=False)) / 10
     driving = driven(times, 5.0 + v * times + 0.5 * a * times**2)
@@ -42,7 +42,7 @@ def test_two_bushes_in_the_wind_are_no_vehicle() -> None:
 
 
 @pytest.mark.parametrize(("metres", "off"), [(6.0, 0.2), (8.0, 0.25)])
-def test_what_comes_a_short_way_as_smoothly_as_it_can_be_measured_is_a_vehicle(metres: float, off: float) -> None:
+def test_short_but_smooth_track_is_a_vehicle(metres: float, off: float) -> None:
     """In a second and a half, each place ``off`` by so many pixels of disparity: two places fit almost as well."""
     rng, t, found = np.random.default_rng(5), np.arange(16) / 10, 0
     pixel = driven(t[:3], 29.0 + t[:3]).kept[1].distance_error(0.0, 1.0)
@@ -55,7 +55,7 @@ def test_what_comes_a_short_way_as_smoothly_as_it_can_be_measured_is_a_vehicle(m
 
 
 @given(st.integers(0, 2**16), st.floats(-30, 30), st.integers(6, 30), st.booleans())
-def test_a_course_leads_through_most_places(seed: int, speed: float, n: int, brakes: bool) -> None:
+def test_motion_fits_most_positions(seed: int, speed: float, n: int, brakes: bool) -> None:
     """One in four far off, at either end too, moves nothing by more than the others are off."""
     rng = np.random.default_rng(seed)
     times, wrong = 7.0 + np.arange(n) / 10, np.zeros(n, bool)
@@ -66,7 +66,7 @@ def test_a_course_leads_through_most_places(seed: int, speed: float, n: int, bra
     assert np.abs(off[wrong]).min() > 4.0
 
 
-def test_places_count_by_their_errors() -> None:
+def test_positions_are_weighted_by_their_errors() -> None:
     times, error = np.arange(9) / 5, np.where(np.arange(9) < 5, 15.0, 1.0)
     s = 4 + 20 * times + np.where(error > 1, 7.5, 0.0)  # far off half an error, near by none
     off = motion_residuals(times, s, error)
@@ -74,7 +74,7 @@ def test_places_count_by_their_errors() -> None:
     np.testing.assert_allclose(motion_residuals(times[:2], s[:2], error[:2]), 0.0, atol=1e-6)
 
 
-def test_no_vehicle_is_told_twice_and_two_are_told_as_two() -> None:
+def test_each_vehicle_is_reported_once() -> None:
     """The left and the right lamp of one, followed one after the other, and a second vehicle 10 m behind it."""
     times = np.arange(10) / 10
     left, right = driven(times, 4 + 15 * times, (-0.9, -0.5)), driven(times + 1.2, 22 + 15 * times, (0.5, 0.9))
@@ -98,7 +98,7 @@ def test_what_overlaps_is_one_vehicle_and_what_lies_apart_are_two(apart: float, 
     assert left.same_vehicle(right) == right.same_vehicle(left) == one
 
 
-def test_a_vehicle_that_is_followed_further_has_not_gone() -> None:
+def test_vehicle_that_is_followed_by_a_longer_track_has_not_passed() -> None:
     """Its halo was lost after five frames; the vehicle is in view. Neither is another one a reason to wait."""
     times = np.arange(12) / 10
     halo, lamps = driven(times[:5], 5.5 + 15 * times[:5]), driven(times, 4 + 15 * times)
@@ -111,14 +111,14 @@ ENOUGH_OF_IT, TOO_LITTLE = [(0.36, 4), (0.26, 8), (0.18, 16)], [(0.36, 3), (0.26
 
 
 @pytest.mark.parametrize(("area", "count"), ENOUGH_OF_IT + TOO_LITTLE)
-def test_what_is_small_has_to_be_seen_often(area: float, count: int) -> None:
+def test_small_face_needs_many_detections(area: float, count: int) -> None:
     times = np.arange(count) / 10
     track = driven(times, 4 + 25 * times)
     track.areas = [area] * count
     assert is_vehicle(track) == ((area, count) in ENOUGH_OF_IT)
 
 
-def test_what_now_and_then_seems_to_stand_lies_on_the_road() -> None:
+def test_track_is_upright_by_its_median() -> None:
     """Two shadows one behind the other, as they were seen, and a van in rain; the most that a shadow had, and the least
     of a vehicle at night."""
     times = np.arange(5) / 10
@@ -130,48 +130,48 @@ def test_what_now_and_then_seems_to_stand_lies_on_the_road() -> None:
 
 
 @pytest.mark.parametrize(("upright", "vehicle"), [(3.0, False), (8.0, False), (20.0, True)])
-def test_what_is_low_is_a_shadow_unless_it_clearly_stands(upright: float, vehicle: bool) -> None:
+def test_low_track_is_a_shadow_unless_clearly_upright(upright: float, vehicle: bool) -> None:
     """At night a row of lamps is all that shows of a car: 34 times, 45 times better than if it lay on the road."""
     times, track = np.arange(10) / 10, DetectionTrack()
     for t in times.tolist():
-        track.add(replace(sighting(t, 4 + 15 * t), y=(0.2, 0.6)))
+        track.add(replace(detection(t, 4 + 15 * t), y=(0.2, 0.6)))
     track.upright_ratios = [upright] * 10
     assert is_vehicle(track) == vehicle
 
 
 @pytest.mark.parametrize(("middles", "vehicle"), [((1.5, 2.6), True), ((-3.6, 0.0), True), ((2.3, 2.3), False)])
-def test_what_changes_its_lane_drives_on_both(middles: tuple[float, float], vehicle: bool) -> None:
+def test_vehicle_may_change_lanes(middles: tuple[float, float], vehicle: bool) -> None:
     """As a motorcycle was seen that left its lane; what stays two metres aside drives elsewhere."""
     times, track = np.arange(11) / 15, DetectionTrack()
     for t, middle in zip(times.tolist(), np.linspace(*middles, 11).tolist(), strict=True):
-        track.add(replace(sighting(t, 4 + 22 * t), x=(middle - 0.6, middle + 0.6)))
+        track.add(replace(detection(t, 4 + 22 * t), x=(middle - 0.6, middle + 0.6)))
     assert is_vehicle(track) == vehicle
 
 
 @pytest.mark.parametrize(("shown", "vehicle"), [(0, False), (1, False), (2, True), (10, True)])
-def test_what_hangs_above_the_road_is_no_vehicle(shown: int, vehicle: bool) -> None:
+def test_track_above_the_road_is_no_vehicle(shown: int, vehicle: bool) -> None:
     """A skyline, or the roof of a van that is hidden by the car before it, until its face comes into view."""
     times, track = np.arange(10) / 10, DetectionTrack()
     for k, t in enumerate(times.tolist()):
-        at = sighting(t, 4 + 15 * t)
+        at = detection(t, 4 + 15 * t)
         track.add(at if k >= 10 - shown else replace(at, y=(1.9, 2.5)))
     assert is_vehicle(track) == vehicle
     assert len(with_visible_face(track)) == shown
 
 
-def test_a_vehicle_that_passes_a_bush_is_not_taken_for_it() -> None:
+def test_passing_vehicle_is_not_associated_with_a_bush() -> None:
     """Both look alike, and both may be where something is seen; nor is the bush what is seen far ahead."""
-    linker = TrackAssociator()
+    associator = TrackAssociator()
     for time in np.arange(6) / 5:
-        linker.associate(float(time), [sighting(float(time), 5 + 12 * float(time)), sighting(float(time), 20.0)])
-    vehicle, bush = linker.tracks
+        associator.associate(float(time), [detection(float(time), 5 + 12 * float(time)), detection(float(time), 20.0)])
+    vehicle, bush = associator.tracks
     assert vehicle.is_moving and not bush.is_moving
-    linker.associate(1.2, [sighting(1.2, 5 + 12 * 1.2)])
+    associator.associate(1.2, [detection(1.2, 5 + 12 * 1.2)])
     assert vehicle.last is not None and vehicle.last.time == 1.2 and bush.frames_unseen == 1
-    assert not driven(np.arange(3) / 10, np.full(3, 20.0)).in_gate(sighting(0.9, 70.0))
+    assert not driven(np.arange(3) / 10, np.full(3, 20.0)).in_gate(detection(0.9, 70.0))
 
 
-def test_what_has_no_outline_hides_none_that_has_one() -> None:
+def test_vehicle_without_outline_is_no_duplicate() -> None:
     times = np.arange(10) / 10
     track, register = driven(times, 4 + 15 * times), DuplicateFilter()
     assert register.is_new(track, without_outline(track, "too small"))

@@ -129,7 +129,7 @@ def test_lanes_of_a_painted_road_become_paths_that_can_be_measured_along(clip: P
         assert cv2.imread(str(clip / f"lanes-{name}.png")).shape == (*SIZE[::-1], 3)
 
 
-def test_too_few_frames_are_said(clip: Path, tmp_path: Path) -> None:
+def test_too_few_frames_are_reported(clip: Path, tmp_path: Path) -> None:
     for name in ("left", "right"):
         (tmp_path / name).mkdir()
         for k in range(3):
@@ -151,7 +151,7 @@ def test_one_place_to_write_to(tmp_path: Path) -> None:
 # --- parts ---------------------------------------------------------------------------------------------------------
 
 
-def test_the_background_outlasts_what_hides_it_in_half_of_the_frames() -> None:
+def test_background_is_found_where_it_is_hidden_in_half_of_the_frames() -> None:
     rng = np.random.default_rng(3)
     truth = rng.uniform(20, 200, (70, 40))
     stack = truth + rng.normal(0, 1.5, (21, 70, 40))

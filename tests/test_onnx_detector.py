@@ -321,14 +321,14 @@ UNUSABLE: dict[str, tuple[Network, list[str]]] = {
 
 
 @pytest.mark.parametrize("network, words", UNUSABLE.values(), ids=list(UNUSABLE))
-def test_what_is_no_detector_is_told_in_one_line(tmp_path: Path, network: Network, words: list[str]) -> None:
+def test_file_without_a_detector_is_refused_in_one_line(tmp_path: Path, network: Network, words: list[str]) -> None:
     file = network(tmp_path / "model.onnx")
     done = paceline("speed", clip_file(tmp_path / "clip"), "-o", tmp_path / "out", "--detector", file)
     assert_one_line_error(done, "model.onnx", *words)
     assert not (tmp_path / "out").exists()
 
 
-def test_lists_that_come_apart_are_told(tmp_path: Path) -> None:
+def test_lists_of_different_lengths_are_refused(tmp_path: Path) -> None:
     """Of a bright picture this one puts out fewer scores than boxes."""
     tables = {"boxes": np.tile(BOX, (9, 1)).astype(np.float32), "labels": np.ones(9, int)}
     nodes = [helper.make_node("Identity", [f"{name}0"], [name]) for name in tables]
@@ -367,7 +367,7 @@ def test_outlines_leave_nothing_to_detect(tmp_path: Path) -> None:
 # --- the scene -------------------------------------------------------------------------------------------------------
 
 
-def test_nothing_in_a_box_agrees_with_what_was_before() -> None:
+def test_background_in_a_box_is_inverted() -> None:
     rng = np.random.default_rng(2)
     views = [rng.uniform(0, 255, (60, 80)).astype(np.float32) for _ in range(2)]
     boxes = [np.array([[20.0, 10.0, 40.0, 30.0]]), np.array([[60.0, 40.0, 120.0, 55.0], [5.0, 9.0, 2.0, 3.0]])]
@@ -447,7 +447,7 @@ def test_where_nothing_is_boxed_nothing_is_measured(tmp_path: Path) -> None:
     assert summary_of(out)["vehicles"] == [] and why in summary_of(out)["notices"] and (out / "report.html").exists()
 
 
-def test_boxes_in_which_nothing_drives_are_told_from_none(tmp_path: Path) -> None:
+def test_boxes_in_which_nothing_moves_have_a_reason_of_their_own(tmp_path: Path) -> None:
     clip = load_clip(clip_file(tmp_path / "clip"))
     views = iter([np.array([[0.0, 0.0, 9.0, 9.0]]), np.zeros((0, 4))] * len(two().left))
     reason = find_vehicles(clip, open_recording(clip), detect=lambda picture: next(views)).reason
@@ -455,16 +455,16 @@ def test_boxes_in_which_nothing_drives_are_told_from_none(tmp_path: Path) -> Non
     assert reason.startswith(f"the detector saw a vehicle in {count} of {2 * count} images, but nothing that")
 
 
-def test_the_second_frame_tells_the_noise_of_the_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    clip, told = load_clip(clip_file(tmp_path / "clip")), []
+def test_noise_of_the_first_frame_comes_from_the_second(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    clip, given = load_clip(clip_file(tmp_path / "clip")), []
 
-    def see(lookout: PlaneSweepDetector, frame: StereoFrame, empty: object, noise: float | None) -> list[Detection]:
-        told.append(noise)
+    def detect(self: PlaneSweepDetector, frame: StereoFrame, empty: object, noise: float | None) -> list[Detection]:
+        given.append(noise)
         return []
 
-    monkeypatch.setattr(PlaneSweepDetector, "see", see)
+    monkeypatch.setattr(PlaneSweepDetector, "detect", detect)
     find_vehicles(clip, open_recording(clip), detect=lambda picture: np.zeros((0, 4)))
-    assert len(told) == len(two().left) and told[0] == told[1] and None not in told
+    assert len(given) == len(two().left) and given[0] == given[1] and None not in given
 
 
 def test_what_is_found_in_boxes_is_outlined_in_the_clip(tmp_path: Path) -> None:
@@ -490,7 +490,7 @@ def test_a_vehicle_without_a_box_in_one_view_is_not_found(tmp_path: Path) -> Non
 
 
 @pytest.mark.slow
-def test_live_nothing_has_to_be_learned(tmp_path: Path) -> None:
+def test_live_with_a_detector_needs_no_background(tmp_path: Path) -> None:
     file, out = clip_file(tmp_path / "clip", rate=2.0), tmp_path / "out"
     model = contrast(tmp_path / "model.onnx", 300.0)
     done = paceline("speed", file, "-o", out, "--live", "--detector", model)

@@ -189,16 +189,18 @@ GAPS = [k for k in ALL if k not in (9, 10, 12, 13, 18, 21, 22, 23, 28, 34)]  # a
 
 
 def surveyed(
-    folder: Path, frames: list[int], looked: Callable[[RawPair, list[DetectionTrack]], None] = lambda pair, tracks: None
+    folder: Path,
+    frames: list[int],
+    on_frame: Callable[[RawPair, list[DetectionTrack]], None] = lambda pair, tracks: None,
 ) -> list[tuple[DetectedVehicle, Measurement]]:
     passed: list[tuple[DetectedVehicle, Measurement]] = []
 
-    def told(found: DetectedVehicle, measurement: Measurement | None, reason: str) -> None:
+    def on_result(found: DetectedVehicle, measurement: Measurement | None, reason: str) -> None:
         assert measurement is not None, reason
         passed.append((found, measurement))
 
     views: Any = Given(frames)
-    survey(load_clip(survey_file(folder)), views, SpeedConfiguration(), told, 4.0, looked=looked)
+    survey(load_clip(survey_file(folder)), views, SpeedConfiguration(), on_result, 4.0, on_frame=on_frame)
     return passed
 
 
@@ -218,20 +220,20 @@ def test_every_vehicle_is_measured_once(tmp_path: Path, frames: list[int]) -> No
 
 
 @pytest.mark.slow
-def test_vehicles_that_pass_put_the_calibration_right_together(tmp_path: Path) -> None:
+def test_vehicles_are_calibrated_jointly(tmp_path: Path) -> None:
     """The first is measured alone, and each further one with what those before it told of the cameras."""
     stated = {"uncertainty": {"focal_length_px": 1.0, "rotation_rad": [4e-5] * 3, "translation_m": [3e-4] * 3}}
     rig = survey_file(tmp_path / "clip").parent / "rig.yaml"
     rig.write_text(yaml.safe_dump({**yaml.safe_load(rig.read_text()), **stated}))
     passed: list[Measurement] = []
 
-    def told(found: DetectedVehicle, measurement: Measurement | None, reason: str) -> None:
+    def on_result(found: DetectedVehicle, measurement: Measurement | None, reason: str) -> None:
         assert measurement is not None, reason
         passed.append(measurement)
 
     views: Any = Given(ALL)
     clip = load_clip(rig.parent / "clip.yaml")
-    survey(clip, views, SpeedConfiguration(), told, 4.0)
+    survey(clip, views, SpeedConfiguration(), on_result, 4.0)
     assert [m.calibrated_by for m in passed] == [1, 2, 3]
     assert [m.verdict for m in passed] == ["measured"] * 3
     halves = [(m.speed_hi - m.speed_lo) / 2 for m in passed]
@@ -239,7 +241,7 @@ def test_vehicles_that_pass_put_the_calibration_right_together(tmp_path: Path) -
         error = min(abs(speed - m.speed) for speed in SPEEDS)
         assert error < 4 * half and 0 < m.systematic_std < 0.1
     passed.clear()
-    survey(clip, views, SpeedConfiguration(tolerance=float(np.median(halves))), told, 4.0)
+    survey(clip, views, SpeedConfiguration(tolerance=float(np.median(halves))), on_result, 4.0)
     assert [m.verdict for m in passed] == ["measured" if half <= np.median(halves) else "rejected" for half in halves]
 
 
@@ -251,7 +253,7 @@ def covered(box: NDArray[np.float64], plane: NDArray[np.float64]) -> float:
 
 
 @pytest.mark.slow
-def test_what_is_in_view_is_boxed_where_it_is(tmp_path: Path) -> None:
+def test_last_outline_covers_the_vehicle(tmp_path: Path) -> None:
     """The whole face, of which the rendered plane is the lower part."""
     truth: dict[int, list[list[NDArray[np.float64]]]] = {}
     for first, vehicles in ((10, TWO), (23, LATER)):
@@ -260,13 +262,13 @@ def test_what_is_in_view_is_boxed_where_it_is(tmp_path: Path) -> None:
     seen: list[int] = []
     alike: list[float] = []
 
-    def looked(pair: RawPair, tracks: list[DetectionTrack]) -> None:
+    def on_frame(pair: RawPair, tracks: list[DetectionTrack]) -> None:
         seen.append(pair.index)
         for track in tracks:
             boxes = last_outline(track)
             alike.append(max(min(map(covered, boxes, planes)) for planes in truth[pair.index]))
 
-    surveyed(tmp_path / "clip", ALL, looked)
+    surveyed(tmp_path / "clip", ALL, on_frame)
     assert seen == ALL and len(alike) >= 16  # of 27 frames in which a vehicle is there, two to see that it moves
     assert min(alike) > 0.8, sorted(alike)
 
