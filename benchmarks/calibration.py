@@ -14,9 +14,9 @@ import numpy as np
 from common import Array, head, machine, rms, row, share_out
 
 from paceline.calibration.board_calibration import Calibration, calibrate
-from paceline.calibration.board_views import View, Views
-from paceline.calibration.boards import Corners, detector, parse_board, same_way_round
-from paceline.calibration.parameters import NAMES, Rig, difference
+from paceline.calibration.board_views import BoardView, BoardViews
+from paceline.calibration.boards import Corners, board_detector, matching_order, parse_board
+from paceline.calibration.parameters import PARAMETER_NAMES, RigState, parameter_step
 from paceline.errors import UnusableInput
 from paceline.geometry import triangulate
 from paceline.simulation.boards import CalibrationSetup, add_noise, corners_by_view, project_board, random_setup, render
@@ -62,19 +62,21 @@ def run(task: tuple[int, bool]) -> Outcome:
         pairs, spoilt = _spoilt(corners_by_view(add_noise(rng, exact, sigma), board), rng, sigma)
         what = f"{sigma:.2f} px, {views} views, {board.columns}x{board.rows}, {distortion} coefficients"
     began = time.perf_counter()
-    found = Views(board, [View(str(i), *pair) for i, pair in enumerate(pairs)], [], (size, size), [])
+    found = BoardViews(board, [BoardView(str(i), *pair) for i, pair in enumerate(pairs)], [], (size, size), [])
     try:
         c = calibrate(found)
     except UnusableInput as error:
-        nothing = np.full(len(NAMES) + 1, np.nan)
+        nothing = np.full(len(PARAMETER_NAMES) + 1, np.nan)
         return Outcome(seed, what, nothing, nothing, spoilt, set(), str(error), time.perf_counter() - began)
     seconds = time.perf_counter() - began
     effect = next(e.along for e in c.effects if e.distance == JUDGED)
-    errors = np.append(difference(c.fit.rig, setup.rig), speed_error(c, setup.rig))
-    return Outcome(seed, what, errors, c.factor * np.append(c.std, effect), spoilt, set(c.rejected), "", seconds)
+    errors = np.append(parameter_step(c.fit.rig, setup.rig), speed_error(c, setup.rig))
+    return Outcome(
+        seed, what, errors, c.coverage_factor * np.append(c.std, effect), spoilt, set(c.rejected), "", seconds
+    )
 
 
-def speed_error(c: Calibration, true: Rig) -> float:
+def speed_error(c: Calibration, true: RigState) -> float:
     """By how much a speed at 50 m along the line of sight really comes out wrong, through the whole lens model."""
     ends = np.array([[0.0, 0.0, JUDGED - 5], [0.0, 0.0, JUDGED + 5]])
     truth = true.stereo(c.views.sizes)
@@ -108,14 +110,14 @@ def _spoilt(pairs: list[Pair], rng: np.random.Generator, sigma: float) -> tuple[
 
 def _filmed(setup: CalibrationSetup, rng: np.random.Generator) -> tuple[list[Pair], set[int]]:
     """What the finder sees in rendered pictures; in one pair the board moves between the exposures."""
-    find, pairs = detector(setup.board), []
+    find, pairs = board_detector(setup.board), []
     moved = int(rng.integers(len(setup.poses.t)))
     for v in range(len(setup.poses.t)):
         found = []
         for picture in render(setup, v, rng, float(rng.uniform(0.5, 1.2)), float(rng.uniform(1, 4))):
             found.append(find(picture.astype(np.float32)))
         if setup.board.marker is None and len(found[0]) and len(found[1]):
-            found[1] = same_way_round(found[0], found[1])
+            found[1] = matching_order(found[0], found[1])
         if v == moved and len(found[1]):
             found[1] = Corners(found[1].ids, found[1].pixels + [3.0, 1.5])
         pairs.append((found[0], found[1]))
@@ -143,7 +145,7 @@ def _report(name: str, outcomes: list[Outcome]) -> None:
     print(f"**{name}**: {len(done)} of {len(outcomes)} runs calibrated\n")
     print(head("parameter", "n", "within its 95 % interval", "error in standard uncertainties, rms"))
     errors, halves = np.array([o.errors for o in done]), np.array([o.halves for o in done])
-    for k, parameter in enumerate([*NAMES, SPEED]):
+    for k, parameter in enumerate([*PARAMETER_NAMES, SPEED]):
         stated = halves[:, k] > 0
         if stated.sum() >= len(done) // 4:  # a coefficient that hardly any lens needed says little
             share = np.abs(errors[stated, k]) / halves[stated, k]

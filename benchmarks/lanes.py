@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from paceline.cameras import StereoRig
-from paceline.documents.loading import load_recorded
+from paceline.documents.loading import load_clip_recording
 from paceline.lanes.lane_proposals import Lane, propose_lanes
 from paceline.lanes.road_detection import RoadNotFound, detect_road
 from paceline.recordings.background import estimate_background
@@ -69,7 +69,7 @@ def main(folders: list[Path]) -> None:
     for folder in folders:
         placed = PlacedStereoScene(load_speed_scene(folder / "scene.yaml"))
         truths, start = true_lanes(placed), time.process_time()
-        clip = load_recorded(folder / "clip.yaml")
+        clip = load_clip_recording(folder / "clip.yaml")
         try:
             background = estimate_background(open_recording(clip))
             proposed, _ = propose_lanes(clip.rig, detect_road(clip.rig, background))

@@ -27,7 +27,7 @@ from paceline.detection.finder import DetectedVehicle, VehicleFinder
 from paceline.detection.lane_paths import lane_paths_of
 from paceline.documents.loading import Clip, load_clip
 from paceline.documents.rig_yaml import rig_yaml
-from paceline.recordings.live_stereo import LiveViews, RawPair, undistorted
+from paceline.recordings.live_stereo import LiveStereo, RawPair, undistort_pair
 from paceline.simulation.stereo.clip import Scene, Vehicle, World, render
 from paceline.simulation.stereo.scenery import StaticBackground
 from paceline.speed.configuration import SpeedConfiguration
@@ -121,7 +121,7 @@ def alone(of: Film, clip: Clip) -> list[float]:
     before, seconds = None, []
     for k, (left, right) in enumerate(zip(*of.views, strict=True)):
         pair, begun = RawPair(k, k / RATE, left, right, 0.0), time.process_time()
-        finder.finished_tracks(undistorted(pair, clip.rig, before, finder.rows))
+        finder.finished_tracks(undistort_pair(pair, clip.rig, before, finder.rows))
         seconds.append(time.process_time() - begun)
         before = pair
     return seconds
@@ -145,7 +145,7 @@ def main() -> None:
         def note(found: DetectedVehicle, measurement: Measurement | None, reason: str) -> None:
             told.append(measurement)
 
-        views = LiveViews(clip)
+        views = LiveStereo(clip)
         looking, begun = time.process_time(), time.monotonic()
         learned: list[int] = []
         survey(clip, views, SpeedConfiguration(), note, LEARNED, lambda paths: learned.append(views.dropped))

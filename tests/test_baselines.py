@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 from paceline.baselines import image_cues, kalman, optical_flow, polynomial_track, sift, triangulation_covariance
 from paceline.baselines.disparity import Rectification
 from paceline.baselines.rigid_alignment import align
-from paceline.baselines.template_tracking import Move, Regions, move_between
+from paceline.baselines.template_tracking import ScaledShift, TemplateTracker, shift_between
 from paceline.cameras import Camera, StereoRig
 from paceline.geometry import triangulate
 from paceline.recordings.stereo import StereoFrame
@@ -66,12 +66,12 @@ def test_the_covariance_is_that_of_triangulated_points(rig: StereoRig) -> None:
     place = np.array([1.5, -0.5, 40.0])
     left, right = (p + rng.normal(0, sigma, (n, 2)) for p in rig.project(place))
     off = triangulate(rig, left, right) - place
-    whitened = off @ np.linalg.cholesky(triangulation_covariance.information(rig, place, sigma))
+    whitened = off @ np.linalg.cholesky(triangulation_covariance.triangulation_information(rig, place, sigma))
     # eigenvalues of a sample covariance of n draws in three dimensions, five standard deviations
     assert np.linalg.eigvalsh(np.cov(whitened.T)) == pytest.approx(np.ones(3), abs=5 * np.sqrt(2 / n) + 3 * 3 / n)
-    assert triangulation_covariance.covariance(rig, place, sigma) @ triangulation_covariance.information(
+    assert triangulation_covariance.triangulation_covariance(
         rig, place, sigma
-    ) == pytest.approx(np.eye(3), abs=1e-9)
+    ) @ triangulation_covariance.triangulation_information(rig, place, sigma) == pytest.approx(np.eye(3), abs=1e-9)
 
 
 # --- Kalman filter ---------------------------------------------------------------------------------------------------
@@ -83,9 +83,9 @@ def test_the_kalman_filter_is_batch_least_squares() -> None:
     places = rng.normal(0, 1, (12, 3)) + np.linspace([0, 0, 60], [5, 1, 20], 12)
     noises = [(lambda A: A @ A.T + 0.1 * np.eye(3))(rng.normal(0, 1, (3, 3))) for _ in places]
 
-    belief = kalman.first_belief(places[0], noises[0])
+    belief = kalman.initial_state(places[0], noises[0])
     for dt, place, noise in zip(steps, places[1:], noises[1:], strict=True):
-        belief = kalman.updated(kalman.predicted(belief, dt, strength), place, noise)
+        belief = kalman.update(kalman.predict(belief, dt, strength), place, noise)
 
     # all twelve states at once: every measurement, the first velocity and every step is a row
     rows, values, n = [], [], 6 * len(places)
@@ -99,7 +99,7 @@ def test_the_kalman_filter_is_batch_least_squares() -> None:
 
     for k, (place, noise) in enumerate(zip(places, noises, strict=True)):
         add([(k, np.eye(3, 6))], place, noise)
-    add([(0, np.eye(6)[3:])], np.zeros(3), kalman.UNKNOWN**2 * np.eye(3))
+    add([(0, np.eye(6)[3:])], np.zeros(3), kalman.INITIAL_VELOCITY_STD_MPS**2 * np.eye(3))
     for k, dt in enumerate(steps):
         Q = strength * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
         F = np.eye(6) + dt * np.eye(6, k=3)
@@ -120,7 +120,7 @@ def test_a_way_through_exact_places_is_exact(degree: int, seed: int) -> None:
     coefficients = np.concatenate([rng.uniform(5, 20, (1, 3)), rng.uniform(-1, 1, (degree - 1, 3))])
     u = times - times[0]
     places = sum(c * u[:, None] ** (m + 1) for m, c in enumerate(coefficients))
-    way = polynomial_track.way_through(times, places, np.eye(24), degree)
+    way = polynomial_track.fit_polynomial(times, places, np.eye(24), degree)
     assert isinstance(places, np.ndarray)
     velocity = sum((m + 1) * c * u[:, None] ** m for m, c in enumerate(coefficients))
     assert way.velocities(times) == pytest.approx(velocity, rel=1e-6, abs=1e-6)
@@ -137,7 +137,7 @@ def test_the_uncertainty_of_a_way_is_that_of_its_scatter() -> None:
     count = np.eye(9) + np.ones((9, 9))
     for _ in range(trials):
         noisy = times[:, None] * velocity + rng.normal(0, 0.2, (10, 3))
-        way = polynomial_track.way_through(times, noisy, np.kron(count, np.eye(3)), 1)
+        way = polynomial_track.fit_polynomial(times, noisy, np.kron(count, np.eye(3)), 1)
         speed, std = way.mean_speed()
         z.append((speed - np.linalg.norm(velocity)) / std)
         assert way.speeds(times)[1] == pytest.approx(np.full(10, std))
@@ -147,7 +147,7 @@ def test_the_uncertainty_of_a_way_is_that_of_its_scatter() -> None:
 
 def test_too_few_places_make_no_way() -> None:
     with pytest.raises(np.linalg.LinAlgError):
-        polynomial_track.way_through(np.array([0.0, 0.2]), np.zeros((2, 3)), np.eye(3))
+        polynomial_track.fit_polynomial(np.array([0.0, 0.2]), np.zeros((2, 3)), np.eye(3))
 
 
 # --- alignment -------------------------------------------------------------------------------------------------------
@@ -208,7 +208,7 @@ def level() -> StereoRig:
     return StereoRig(camera, camera, np.eye(3), np.array([-0.5, 0.0, 0.0]))
 
 
-def _moved(image: Image, move: Move) -> Image:
+def _moved(image: Image, move: ScaledShift) -> Image:
     return np.asarray(cv2.warpAffine(image, move.matrix, (512, 512), flags=cv2.INTER_CUBIC), np.float32)
 
 
@@ -216,17 +216,17 @@ def _frame(left: Image, right: Image, time: float) -> StereoFrame:
     return StereoFrame(round(time / 0.2), time, left, right, 0.0, False)
 
 
-def _regions(rig: StereoRig, texture: Image) -> Regions:
+def _regions(rig: StereoRig, texture: Image) -> TemplateTracker:
     """Of a vehicle at ``QUAD`` in the left view."""
-    right = _moved(texture, Move(1.0, -DISPARITY))
-    return Regions(rig, np.stack([QUAD, QUAD - DISPARITY]), _frame(texture, right, 0.0))
+    right = _moved(texture, ScaledShift(1.0, -DISPARITY))
+    return TemplateTracker(rig, np.stack([QUAD, QUAD - DISPARITY]), _frame(texture, right, 0.0))
 
 
 @pytest.mark.parametrize(("scale", "shift"), [(1.0, (0.0, 0.0)), (1.18, (-30.0, -18.0)), (0.84, (35.0, 28.0))])
 def test_a_region_is_found_where_it_went(
     level: StereoRig, texture: Image, scale: float, shift: tuple[float, float]
 ) -> None:
-    move, regions = Move(scale, np.array(shift)), _regions(level, texture)
+    move, regions = ScaledShift(scale, np.array(shift)), _regions(level, texture)
     left, right = (_moved(image, move) for image in regions.images)
     found = regions.find(_frame(left, right, 0.2))
     assert found is not None
@@ -240,7 +240,7 @@ def test_views_that_show_different_things_do_not_count(
 ) -> None:
     """Too near, too far, and off the epipolar line."""
     regions = _regions(level, texture)
-    right = _moved(regions.images[1], Move(1.0, np.array(off)))
+    right = _moved(regions.images[1], ScaledShift(1.0, np.array(off)))
     assert regions.find(_frame(texture, right, 0.2)) is None
 
 
@@ -256,7 +256,7 @@ def test_a_region_is_not_found_where_it_is_not(level: StereoRig, texture: Image)
 
 def test_a_region_that_drives_out_of_the_image_unseen_has_ended(rig: StereoRig, texture: Image) -> None:
     quad = np.array([[30.0, 220], [100, 220], [100, 250], [30, 250]])
-    regions = Regions(rig, np.stack([quad, quad]), _frame(texture, texture, 0.0))
+    regions = TemplateTracker(rig, np.stack([quad, quad]), _frame(texture, texture, 0.0))
     regions.accept(np.stack([quad - [20, 0]] * 2), _frame(texture, texture, 0.2))
     assert regions.status == "tracking"
     assert not regions.miss(0.4) and regions.status == "ended"
@@ -265,38 +265,38 @@ def test_a_region_that_drives_out_of_the_image_unseen_has_ended(rig: StereoRig, 
 def test_a_region_without_texture_is_refused(rig: StereoRig) -> None:
     blank = np.full((512, 512), 90, np.float32)
     with pytest.raises(np.linalg.LinAlgError):
-        Regions(rig, np.stack([QUAD, QUAD]), _frame(blank, blank, 0.0))
+        TemplateTracker(rig, np.stack([QUAD, QUAD]), _frame(blank, blank, 0.0))
 
 
 def test_the_move_between_quadrilaterals() -> None:
     quad = np.array([[10.0, 10], [60, 12], [58, 30], [9, 31]])
-    move = Move(1.3, np.array([4.0, -7.0]))
-    assert move_between(quad, move(quad)).matrix == pytest.approx(move.matrix)
+    move = ScaledShift(1.3, np.array([4.0, -7.0]))
+    assert shift_between(quad, move(quad)).matrix == pytest.approx(move.matrix)
 
 
 @pytest.mark.parametrize("exposure", [1.0, 0.8])
 def test_points_are_tracked_to_a_fraction_of_a_pixel(texture: Image, exposure: float) -> None:
     quad = np.array([[200.0, 220], [290, 220], [290, 260], [200, 260]])
-    points = optical_flow.corners(texture, quad, np.empty((0, 2)))
+    points = optical_flow.detect_corners(texture, quad, np.empty((0, 2)))
     assert len(points) > 20
-    true = Move(1.08, np.array([-12.4, -9.3]))
+    true = ScaledShift(1.08, np.array([-12.4, -9.3]))
     after = np.asarray(cv2.warpAffine(texture, true.matrix, (512, 512), flags=cv2.INTER_CUBIC), np.float32)
     after = exposure * after + np.random.default_rng(8).normal(0, 1, after.shape).astype(np.float32)
-    guess = Move(1.07, true.shift + 1.07 * quad.mean(0) * (1.08 / 1.07 - 1) + [0.8, -0.6])
-    found, good = optical_flow.tracked(texture, after, points, guess, optical_flow.window_for(quad))
+    guess = ScaledShift(1.07, true.shift + 1.07 * quad.mean(0) * (1.08 / 1.07 - 1) + [0.8, -0.6])
+    found, good = optical_flow.track_points(texture, after, points, guess, optical_flow.window_size(quad))
     assert good.mean() > 0.8
     off = np.linalg.norm(found - true(points), axis=1)[good]
     assert np.median(off) < 0.08
-    across, good = optical_flow.matched(texture, after, points, guess(points), optical_flow.window_for(quad))
+    across, good = optical_flow.match_points(texture, after, points, guess(points), optical_flow.window_size(quad))
     assert np.median(np.linalg.norm(across - true(points), axis=1)[good]) < 0.15  # at another scale
 
 
 def test_new_corners_keep_clear_of_known_ones(texture: Image) -> None:
     quad = np.array([[200.0, 220], [290, 220], [290, 260], [200, 260]])
-    some = optical_flow.corners(texture, quad, np.empty((0, 2)))[::2]
-    new = optical_flow.corners(texture, quad, some)
+    some = optical_flow.detect_corners(texture, quad, np.empty((0, 2)))[::2]
+    new = optical_flow.detect_corners(texture, quad, some)
     apart = np.linalg.norm(new[:, None] - some, axis=2)
-    assert apart.min() >= optical_flow.SPACING - 1  # the mask is made of whole pixels
+    assert apart.min() >= optical_flow.MIN_CORNER_SPACING_PX - 1  # the mask is made of whole pixels
 
 
 # --- depth -----------------------------------------------------------------------------------------------------------
@@ -341,19 +341,19 @@ def test_the_depth_of_a_plane(rig: StereoRig, texture: Image, upright: bool) -> 
 def test_histograms_tell_boxes_apart(texture: Image) -> None:
     here = np.array([[100.0, 100], [160, 100], [160, 130], [100, 130]])
     boxes = np.stack([here, here + 0.4, here + [150, 90]])
-    seen = image_cues.histograms(image_cues.picked(texture, image_cues.inside(boxes)))
+    seen = image_cues.histograms(image_cues.sample_nearest(texture, image_cues.sample_points(boxes)))
     assert seen.sum(1) == pytest.approx(np.ones(3))
-    alike = image_cues.likeness(seen, seen[0])
+    alike = image_cues.bhattacharyya(seen, seen[0])
     assert alike[0] == pytest.approx(1) and alike[0] > alike[1] > alike[2]
 
 
 def test_outside_the_picture_nothing_is_known(texture: Image) -> None:
     box = np.array([[[-60.0, 100], [60, 100], [60, 130], [-60, 130]]])
-    values = image_cues.picked(texture, image_cues.inside(box))
-    mean, share = image_cues.mean_known(values)
+    values = image_cues.sample_nearest(texture, image_cues.sample_points(box))
+    mean, share = image_cues.mean_of_finite(values)
     assert share[0] == pytest.approx(0.5)
     assert mean[0] == pytest.approx(np.nanmean(values))
-    assert image_cues.mean_known(np.full((1, 4), np.nan)) == (pytest.approx([0.0]), pytest.approx([0.0]))
+    assert image_cues.mean_of_finite(np.full((1, 4), np.nan)) == (pytest.approx([0.0]), pytest.approx([0.0]))
 
 
 def test_edges_are_strongest_at_the_outline() -> None:
@@ -361,7 +361,7 @@ def test_edges_are_strongest_at_the_outline() -> None:
     picture[80:120, 60:140] = 200
     outline = np.array([[59.5, 79.5], [139.5, 79.5], [139.5, 119.5], [59.5, 119.5]])
     offsets = np.array([[0, 0], [3, 0], [0, 3], [-4, 2], [30, 30]])
-    strengths = image_cues.edge_strengths(image_cues.slopes(picture), outline + offsets[:, None])
+    strengths = image_cues.edge_strengths(image_cues.image_gradients(picture), outline + offsets[:, None])
     assert strengths.argmax() == 0
     assert strengths[-1] < 0.5 * strengths[0]
 
@@ -394,7 +394,7 @@ def test_few_features_match_nothing() -> None:
 
 def test_features_stay_inside_their_region(texture: Image) -> None:
     quad = np.array([[200.0, 220], [290, 225], [285, 270], [205, 262]])
-    places, descriptors = sift.inside(cv2.SIFT.create(), texture, quad)
+    places, descriptors = sift.features_inside(cv2.SIFT.create(), texture, quad)
     assert len(places) == len(descriptors) > 5
     inside = [cv2.pointPolygonTest(quad.astype(np.float32), tuple(map(float, p)), True) for p in places]
     assert min(inside) > -1.5  # the mask is made of whole pixels

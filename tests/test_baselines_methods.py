@@ -15,7 +15,7 @@ import pytest
 from numpy.typing import NDArray
 
 import paceline.baselines.registry  # noqa: F401  makes the baselines known
-from paceline.baselines.multimodal import Cloud, Multimodal
+from paceline.baselines.multimodal import Multimodal, Particles
 from paceline.documents.loading import Clip, load_clip
 from paceline.errors import UnusableInput
 from paceline.recordings.stereo import open_recording
@@ -257,7 +257,7 @@ def test_kernel_smoothing_leaves_mean_and_covariance(clip: Clip) -> None:
     rng = np.random.default_rng(10)
     state = rng.normal(0, 1, (n, 6)) @ rng.normal(0, 1, (6, 6)) + rng.normal(0, 5, 6)
     weights = Weights(-0.5 * state[:, 0] ** 2 / state[:, 0].var())
-    cloud = run._smoothed(Cloud(state[:, :3], state[:, 3:]), weights)
+    cloud = run._smooth(Particles(state[:, :3], state[:, 3:]), weights)
     smoothed = np.concatenate([cloud.places, cloud.velocities], axis=1)
     before = weights.covariance(state)
     assert np.abs(smoothed.mean(0) - weights.mean(state)) == pytest.approx(

@@ -9,9 +9,9 @@ import pytest
 
 from paceline.calibration import board_calibration, outlier_views
 from paceline.calibration.board_calibration import Calibration, calibrate, empty_cells
-from paceline.calibration.board_views import View, Views
-from paceline.calibration.boards import Board, Corners, detector, parse_board, same_way_round
-from paceline.calibration.parameters import N_LENS, Poses, difference
+from paceline.calibration.board_views import BoardView, BoardViews
+from paceline.calibration.boards import Board, Corners, board_detector, matching_order, parse_board
+from paceline.calibration.parameters import N_LENS, Poses, parameter_step
 from paceline.errors import UnusableInput
 from paceline.simulation import boards
 from paceline.simulation.boards import CalibrationSetup
@@ -27,9 +27,9 @@ def corners(seed: int, views: int = 14, distortion: int = 2) -> tuple[Calibratio
     return setup, boards.corners_by_view(boards.add_noise(rng, exact, SIGMA), BOARD)
 
 
-def views_of(setup: CalibrationSetup, pairs: list[tuple[Corners, Corners]]) -> Views:
-    views = [View(f"{i:02d}.png", *pair) for i, pair in enumerate(pairs)]
-    return Views(BOARD, views, [], (setup.size, setup.size), [])
+def views_of(setup: CalibrationSetup, pairs: list[tuple[Corners, Corners]]) -> BoardViews:
+    views = [BoardView(f"{i:02d}.png", *pair) for i, pair in enumerate(pairs)]
+    return BoardViews(BOARD, views, [], (setup.size, setup.size), [])
 
 
 def calibrated(seed: int, **options: int) -> tuple[CalibrationSetup, Calibration]:
@@ -46,7 +46,7 @@ def test_the_true_parameters_lie_within_their_intervals() -> None:
     for seed in range(6):
         setup, found = calibrated(seed, distortion=(0, 1, 2, 4)[seed % 4])
         stated = found.std > 0
-        share = np.abs(difference(found.fit.rig, setup.rig)[stated]) / (found.factor * found.std[stated])
+        share = np.abs(parameter_step(found.fit.rig, setup.rig)[stated]) / (found.coverage_factor * found.std[stated])
         inside += (share <= 1).tolist()
         of_rig.append((share <= 1).mean())
     assert np.mean(inside) > 0.88
@@ -61,9 +61,9 @@ def test_the_lens_model_is_chosen_by_evidence(k1: float) -> None:
     exact = boards.project_board(setup.poses, setup.rig, BOARD, setup.size)
     pairs = boards.corners_by_view(boards.add_noise(np.random.default_rng(1), exact, SIGMA), BOARD)
     found = calibrate(views_of(setup, pairs))
-    assert found.distortion == min(found.held_out, key=lambda name: found.held_out[name])
-    assert (found.held_out["none"] > 1.2 * found.held_out["k1"]) == (k1 != 0)
-    assert found.held_out["k1"] == pytest.approx(SIGMA, rel=0.12)
+    assert found.distortion == min(found.cross_validation_px, key=lambda name: found.cross_validation_px[name])
+    assert (found.cross_validation_px["none"] > 1.2 * found.cross_validation_px["k1"]) == (k1 != 0)
+    assert found.cross_validation_px["k1"] == pytest.approx(SIGMA, rel=0.12)
 
 
 # --- wrong views ---------------------------------------------------------------------------------------------------
@@ -102,7 +102,7 @@ def test_a_wrong_view_is_found_and_named(clean: Calibration, spoil: object, said
     assert list(found.rejected) == [4]
     assert said in found.rejected[4]
     assert 4 not in found.used
-    gap = np.abs(difference(found.fit.rig, clean.fit.rig)) / np.maximum(clean.std, 1e-300)
+    gap = np.abs(parameter_step(found.fit.rig, clean.fit.rig)) / np.maximum(clean.std, 1e-300)
     assert gap[clean.std > 0].max() < 2
 
 
@@ -138,17 +138,17 @@ def test_a_view_of_one_camera_alone_helps_its_lens() -> None:
     pairs[2], pairs[7] = (pairs[2][0], nothing), (nothing, pairs[7][1])
     found = calibrate(views_of(setup, pairs))
     assert not found.rejected
-    assert np.isnan(found.errors[[2, 7], [1, 0]]).all()
-    share = np.abs(difference(found.fit.rig, setup.rig)) / np.maximum(found.std, 1e-300)
+    assert np.isnan(found.view_rms_px[[2, 7], [1, 0]]).all()
+    share = np.abs(parameter_step(found.fit.rig, setup.rig)) / np.maximum(found.std, 1e-300)
     assert share[found.std > 0].max() < 5
 
 
 def test_outlying_is_judged_by_the_spread_of_the_others() -> None:
     even = np.array([0.1, 0.11, 0.09, 0.1, 0.12, 0.1])
-    assert outlier_views.outlying(np.append(even, 0.2)).tolist() == [False] * 6 + [True]
+    assert outlier_views.outliers(np.append(even, 0.2)).tolist() == [False] * 6 + [True]
     varied = np.array([0.1, 0.3, 0.05, 0.2, 0.08, 0.15])
-    assert not outlier_views.outlying(np.append(varied, 0.5)).any()
-    assert outlier_views.outlying(np.append(even, np.nan))[-1]
+    assert not outlier_views.outliers(np.append(varied, 0.5)).any()
+    assert outlier_views.outliers(np.append(even, np.nan))[-1]
 
 
 # --- what is missing -----------------------------------------------------------------------------------------------
@@ -230,11 +230,11 @@ def test_corners_are_found_where_they_are(text: str) -> None:
     rng = np.random.default_rng(71)
     setup = boards.random_setup(rng, board, 1, (1024, 768), distortion=5)
     exact = boards.project_board(setup.poses, setup.rig, board, setup.size)
-    find = detector(board)
+    find = board_detector(board)
     for side, picture in enumerate(boards.render(setup, 0, rng)):
         found = find(picture.astype(np.float32))
         mine = exact.where(exact.side == side)
-        assert len(found) >= min(0.5 * len(board.points), board.least_corners)
+        assert len(found) >= min(0.5 * len(board.points), board.min_corners)
         if board.marker is None and np.linalg.norm(found.pixels[0] - mine.pixels[0]) > 20:
             found = Corners(found.ids, found.pixels[::-1].copy())  # the same board, turned by half a turn
         ids = np.abs(mine.points[:, None] - board.points).sum(-1).argmin(1)
@@ -247,25 +247,29 @@ def test_corners_are_found_where_they_are(text: str) -> None:
 def test_a_picture_without_a_board_holds_no_corners() -> None:
     noise = np.random.default_rng(0).uniform(0, 255, (240, 320)).astype(np.float32)
     for text in ("charuco:9x7:0.06:0.045:DICT_5X5_100", "chessboard:8x6:0.06"):
-        assert len(detector(parse_board(text))(noise)) == 0
+        assert len(board_detector(parse_board(text))(noise)) == 0
 
 
 def test_a_chessboard_is_counted_from_the_same_end_in_both_views() -> None:
     board = Board(4, 3, 0.05)
     ids, pixels = np.arange(12), 100 * board.points[:, :2] + 50
     left, right = Corners(ids, pixels), Corners(ids, pixels[::-1].copy())
-    np.testing.assert_array_equal(same_way_round(left, right).pixels, pixels)
-    assert same_way_round(left, left) is left
+    np.testing.assert_array_equal(matching_order(left, right).pixels, pixels)
+    assert matching_order(left, left) is left
 
 
 def test_the_mixture_is_the_chosen_models_own_where_the_others_are_out_of_the_question() -> None:
     setup, pairs = corners(81)
     seen = boards.project_board(setup.poses, setup.rig, BOARD, setup.size)
     seen = boards.add_noise(np.random.default_rng(2), seen, SIGMA)
-    models = board_calibration.lens_models(setup.rig, setup.poses, seen)
-    alone = {name: m if name == "k1, k2" else replace(m, squares=m.squares + 100) for name, m in models.items()}
-    np.testing.assert_allclose(board_calibration.mixed_covariance(alone, "k1, k2"), models["k1, k2"].fit.covariance)
-    mixed = board_calibration.mixed_covariance(models, "k1, k2")
+    models = board_calibration.fit_lens_models(setup.rig, setup.poses, seen)
+    alone = {
+        name: m if name == "k1, k2" else replace(m, squared_errors=m.squared_errors + 100) for name, m in models.items()
+    }
+    np.testing.assert_allclose(
+        board_calibration.model_averaged_covariance(alone, "k1, k2"), models["k1, k2"].fit.covariance
+    )
+    mixed = board_calibration.model_averaged_covariance(models, "k1, k2")
     assert mixed[N_LENS + 8, N_LENS + 8] > 0  # k3, which the chosen model holds at zero, is in doubt all the same
     assert np.linalg.eigvalsh(mixed).min() > -1e-12
     assert len(pairs) == 14

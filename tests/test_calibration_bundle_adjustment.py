@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from paceline.calibration.boards import parse_board
-from paceline.calibration.bundle_adjustment import errors_by_view, fit
-from paceline.calibration.initialization import first_rig
-from paceline.calibration.parameters import N_LENS, Observations, difference, free_parameters, project
+from paceline.calibration.bundle_adjustment import adjust, rms_by_view
+from paceline.calibration.initialization import initial_rig
+from paceline.calibration.parameters import N_LENS, Observations, free_parameters, parameter_step, project
 from paceline.simulation import boards
 from paceline.simulation.boards import CalibrationSetup
 
@@ -29,17 +29,17 @@ def filmed(seed: int, views: int = 10) -> tuple[CalibrationSetup, Observations, 
 @pytest.mark.parametrize("seed", range(4))
 def test_exact_corners_give_the_exact_rig_from_a_rough_start(seed: int) -> None:
     setup, exact, _ = filmed(seed)
-    found = fit(*first_rig([setup.size] * 2, exact, 10), exact, free_parameters("none"), "redescending")
-    found = fit(found.rig, found.poses, exact, FREE)
-    assert np.abs(difference(found.rig, setup.rig)[:4]).max() < 1e-3  # px
-    assert np.abs(difference(found.rig, setup.rig)[18:]).max() < 1e-6
+    found = adjust(*initial_rig([setup.size] * 2, exact, 10), exact, free_parameters("none"), "redescending")
+    found = adjust(found.rig, found.poses, exact, FREE)
+    assert np.abs(parameter_step(found.rig, setup.rig)[:4]).max() < 1e-3  # px
+    assert np.abs(parameter_step(found.rig, setup.rig)[18:]).max() < 1e-6
     assert np.abs(found.residuals).max() < 1e-4
 
 
 def test_the_covariance_is_that_of_all_parameters_at_once() -> None:
     """The poses eliminated give the same as the inverse of the whole normal matrix."""
     setup, _, seen = filmed(5, 6)
-    found = fit(setup.rig, setup.poses, seen, FREE)
+    found = adjust(setup.rig, setup.poses, seen, FREE)
     _, J, Q = project(found.rig, found.poses, seen)
     P, V = len(FREE), 6
     dense = np.zeros((2 * len(seen.view), P + 6 * V))
@@ -47,7 +47,7 @@ def test_the_covariance_is_that_of_all_parameters_at_once() -> None:
     for m, v in enumerate(seen.view):
         dense[2 * m : 2 * m + 2, P + 6 * v : P + 6 * v + 6] = Q[m]
     w = np.repeat(found.weights, 2)[:, None]
-    expected = np.linalg.inv((dense * w).T @ dense)[:P, :P] * max(found.sigma**2, found.dispersion)
+    expected = np.linalg.inv((dense * w).T @ dense)[:P, :P] * max(found.sigma**2, found.cluster_variance)
     C = found.covariance[np.ix_(FREE, FREE)]
     scale = np.sqrt(np.diag(expected))
     np.testing.assert_allclose(C / np.outer(scale, scale), expected / np.outer(scale, scale), atol=1e-6)
@@ -58,7 +58,7 @@ def test_the_covariance_is_that_of_all_parameters_at_once() -> None:
 def test_it_agrees_with_opencv() -> None:
     """cv2.stereoCalibrate minimises the same sum, where every corner counts alike."""
     setup, _, seen = filmed(7, 12)
-    found = fit(setup.rig, setup.poses, seen, FREE)
+    found = adjust(setup.rig, setup.poses, seen, FREE)
     ids = [{side: seen.where((seen.view == v) & (seen.side == side)) for side in (0, 1)} for v in range(12)]
     objects, left, right = [], [], []
     for pair in ids:  # OpenCV wants the same corners on both sides
@@ -90,8 +90,8 @@ def test_stated_uncertainties_are_those_that_errors_have() -> None:
     z = []
     for seed in range(60):
         seen = boards.add_noise(np.random.default_rng(1000 + seed), exact, SIGMA)
-        found = fit(setup.rig, setup.poses, seen, FREE)
-        z.append(difference(found.rig, setup.rig)[FREE] / np.sqrt(np.diag(found.covariance))[FREE])
+        found = adjust(setup.rig, setup.poses, seen, FREE)
+        z.append(parameter_step(found.rig, setup.rig)[FREE] / np.sqrt(np.diag(found.covariance))[FREE])
     spread = np.sqrt((np.array(z) ** 2).mean(0))
     # a sum of 60 squares: its root stays within 0.70 and 1.32 of 1 at a chance of 1e-4 on each side
     assert spread.max() < 1.32
@@ -108,38 +108,38 @@ def test_errors_common_to_a_view_widen_the_covariance() -> None:
     middle = np.stack([exact.pixels[(exact.view == v) & (exact.side == s)].mean(0) for v in range(14) for s in (0, 1)])
     from_middle = exact.pixels - middle[2 * exact.view + exact.side]
     bent = Observations(exact.view, exact.side, exact.points, exact.pixels + stretch * from_middle)
-    found = fit(setup.rig, setup.poses, boards.add_noise(rng, bent, 0.05), FREE)
-    assert found.dispersion > 2 * found.sigma**2
-    even = fit(setup.rig, setup.poses, boards.add_noise(rng, exact, 0.05), FREE)
-    assert even.dispersion < 2 * even.sigma**2
+    found = adjust(setup.rig, setup.poses, boards.add_noise(rng, bent, 0.05), FREE)
+    assert found.cluster_variance > 2 * found.sigma**2
+    even = adjust(setup.rig, setup.poses, boards.add_noise(rng, exact, 0.05), FREE)
+    assert even.cluster_variance < 2 * even.sigma**2
 
 
 def test_sigma_is_the_noise() -> None:
     _, _, seen = filmed(17, 14)
     setup, _, _ = filmed(17, 14)
-    found = fit(setup.rig, setup.poses, seen, FREE)
+    found = adjust(setup.rig, setup.poses, seen, FREE)
     assert found.sigma == pytest.approx(SIGMA, rel=4 / np.sqrt(2 * 2 * len(seen.view)) + 0.02)
 
 
 def test_single_gross_corners_hardly_matter() -> None:
     setup, _, seen = filmed(19)
-    clean = fit(setup.rig, setup.poses, seen, FREE)
+    clean = adjust(setup.rig, setup.poses, seen, FREE)
     pixels = seen.pixels.copy()
     pixels[::97] += 15
-    found = fit(setup.rig, setup.poses, Observations(seen.view, seen.side, seen.points, pixels), FREE)
+    found = adjust(setup.rig, setup.poses, Observations(seen.view, seen.side, seen.points, pixels), FREE)
     std = np.sqrt(np.diag(clean.covariance))[FREE]
-    assert np.abs(difference(found.rig, clean.rig)[FREE] / std).max() < 2.5
+    assert np.abs(parameter_step(found.rig, clean.rig)[FREE] / std).max() < 2.5
 
 
 def test_with_no_free_parameters_only_the_poses_move() -> None:
     setup, exact, _ = filmed(23)
     rng = np.random.default_rng(1)
     away = setup.poses.moved(rng.normal(0, 0.01, (10, 6)))
-    found = fit(setup.rig, away, exact, np.empty(0, np.int64))
+    found = adjust(setup.rig, away, exact, np.empty(0, np.int64))
     np.testing.assert_allclose(found.poses.t, setup.poses.t, atol=1e-6)
-    np.testing.assert_allclose(difference(found.rig, setup.rig), 0, atol=1e-12)
+    np.testing.assert_allclose(parameter_step(found.rig, setup.rig), 0, atol=1e-12)
 
 
 def test_errors_by_view() -> None:
     residuals = np.array([[3.0, 4.0], [0.0, 0.0], [1.0, 1.0]])
-    np.testing.assert_allclose(errors_by_view(residuals, np.array([0, 0, 2]), 3), [2.5, np.nan, 1.0])
+    np.testing.assert_allclose(rms_by_view(residuals, np.array([0, 0, 2]), 3), [2.5, np.nan, 1.0])

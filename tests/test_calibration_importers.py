@@ -10,7 +10,7 @@ import pytest
 import yaml
 from run_command import assert_one_line_error, paceline
 
-from paceline.calibration.importers import Wishes, import_rig
+from paceline.calibration.importers import ImportOptions, import_rig
 from paceline.cameras import Camera, StereoRig
 from paceline.documents.loading import load_rig
 from paceline.errors import UnusableInput
@@ -58,7 +58,7 @@ def test_opencvs_two_files(tmp_path: Path, truth: StereoRig, suffix: str) -> Non
         M1=truth.left.K, D1=truth.left.distortion[None], M2=truth.right.K, D2=truth.right.distortion[None],
     )  # fmt: skip
     b = write_opencv(tmp_path / f"extrinsics{suffix}", R=truth.R, T=truth.t[:, None], P1=np.eye(3, 4), Q=np.eye(4))
-    found, kind = import_rig([a, b], Wishes(size=SIZE))
+    found, kind = import_rig([a, b], ImportOptions(size=SIZE))
     assert kind == "OpenCV"
     same(found, truth)
 
@@ -69,9 +69,9 @@ def test_opencvs_one_file_with_its_size_and_millimetres(tmp_path: Path, truth: S
         cameraMatrix1=truth.left.K, distCoeffs1=truth.left.distortion, cameraMatrix2=truth.right.K,
         distCoeffs2=truth.right.distortion, R=truth.R, T=1000 * truth.t, image_width=SIZE[0], image_height=SIZE[1],
     )  # fmt: skip
-    same(import_rig([file], Wishes(unit=0.001))[0], truth)
+    same(import_rig([file], ImportOptions(unit=0.001))[0], truth)
     with pytest.raises(UnusableInput, match="are these millimetres.*--unit mm"):
-        import_rig([file], Wishes())
+        import_rig([file], ImportOptions())
 
 
 # --- Kalibr --------------------------------------------------------------------------------------------------------
@@ -98,7 +98,7 @@ def kalibr(truth: StereoRig) -> dict[str, dict[str, object]]:
 def test_kalibrs_chain(tmp_path: Path, truth: StereoRig) -> None:
     file = tmp_path / "camchain.yaml"
     file.write_text(yaml.safe_dump(kalibr(truth)))
-    found, kind = import_rig([file], Wishes())
+    found, kind = import_rig([file], ImportOptions())
     assert kind == "Kalibr"
     same(found, truth, lenses=False)
     np.testing.assert_allclose(found.left.distortion, truth.left.distortion[:4])
@@ -111,7 +111,7 @@ def test_two_cameras_of_a_longer_chain(tmp_path: Path, truth: StereoRig) -> None
     turn[:3, :3], turn[:3, 3] = cv2.Rodrigues(np.array([0, 0.1, 0]))[0], [-0.2, 0, 0]
     chain["cam2"] = {**chain["cam1"], "T_cn_cnm1": turn.tolist()}
     (tmp_path / "camchain.yaml").write_text(yaml.safe_dump(chain))
-    found = import_rig([tmp_path / "camchain.yaml"], Wishes(cameras=(0, 2)))[0]
+    found = import_rig([tmp_path / "camchain.yaml"], ImportOptions(cameras=(0, 2)))[0]
     np.testing.assert_allclose(found.R, turn[:3, :3] @ truth.R, atol=1e-9)
     np.testing.assert_allclose(found.t, turn[:3, :3] @ truth.t + turn[:3, 3], atol=1e-9)
 
@@ -140,13 +140,13 @@ def write_ros(folder: Path, truth: StereoRig) -> list[Path]:
 
 
 def test_ros_unrectified_is_the_rig_itself(tmp_path: Path, truth: StereoRig) -> None:
-    found, kind = import_rig(write_ros(tmp_path, truth), Wishes(rectified=False))
+    found, kind = import_rig(write_ros(tmp_path, truth), ImportOptions(rectified=False))
     assert kind == "ROS"
     same(found, truth)
 
 
 def test_ros_rectified_sees_the_same_points_in_rectified_pictures(tmp_path: Path, truth: StereoRig) -> None:
-    found = import_rig(write_ros(tmp_path, truth), Wishes())[0]
+    found = import_rig(write_ros(tmp_path, truth), ImportOptions())[0]
     R1, R2, P1, P2, *_ = cv2.stereoRectify(
         truth.left.K, truth.left.distortion, truth.right.K, truth.right.distortion, SIZE, truth.R, truth.t[:, None]
     )
@@ -181,8 +181,8 @@ def kitti(truth: StereoRig) -> str:
 def test_kittis_raw_recordings(tmp_path: Path, truth: StereoRig) -> None:
     file = tmp_path / "calib_cam_to_cam.txt"
     file.write_text(kitti(truth))
-    same(import_rig([file], Wishes(rectified=False))[0], truth)
-    found, kind = import_rig([file], Wishes())
+    same(import_rig([file], ImportOptions(rectified=False))[0], truth)
+    found, kind = import_rig([file], ImportOptions())
     assert kind == "KITTI"
     assert found.left.image_size == (1242, 375)
     np.testing.assert_allclose(found.t, [-0.5, 0, 0])
@@ -194,17 +194,17 @@ def test_kittis_projection_matrices_need_a_size(tmp_path: Path) -> None:
     file = tmp_path / "000000.txt"
     file.write_text("P0: 707 0 604 0 0 707 180 0 0 0 1 0\nP1: 707 0 604 -379.8 0 707 180 0 0 0 1 0\n")
     with pytest.raises(UnusableInput, match="expected --size"):
-        import_rig([file], Wishes())
-    np.testing.assert_allclose(import_rig([file], Wishes(size=(1242, 375)))[0].t, [-379.8 / 707, 0, 0])
+        import_rig([file], ImportOptions())
+    np.testing.assert_allclose(import_rig([file], ImportOptions(size=(1242, 375)))[0].t, [-379.8 / 707, 0, 0])
 
 
 def test_the_shared_recordings_rig_is_kittis(tmp_path: Path) -> None:
     folder = SHARED / "kitti_crossing"
     if not folder.exists():
         pytest.skip(f"{folder} is absent")
-    found = import_rig([folder / "calib_cam_to_cam.txt"], Wishes(cameras=(2, 3)))[0]
+    found = import_rig([folder / "calib_cam_to_cam.txt"], ImportOptions(cameras=(2, 3)))[0]
     same(found, load_rig(folder / "rig.yaml"))
-    raw = import_rig([folder / "calib_cam_to_cam.txt"], Wishes(cameras=(2, 3), rectified=False))[0]
+    raw = import_rig([folder / "calib_cam_to_cam.txt"], ImportOptions(cameras=(2, 3), rectified=False))[0]
     assert raw.baseline == pytest.approx(found.baseline, rel=1e-3)  # the same cameras, before and after rectifying
 
 
@@ -272,6 +272,6 @@ def test_a_chain_that_cannot_be_used_names_the_key(
     chain["cam1"][key] = value
     (tmp_path / "camchain.yaml").write_text(yaml.safe_dump(chain))
     with pytest.raises(UnusableInput) as refused:
-        import_rig([tmp_path / "camchain.yaml"], Wishes())
+        import_rig([tmp_path / "camchain.yaml"], ImportOptions())
     assert said in str(refused.value)
     assert str(tmp_path / "camchain.yaml") in str(refused.value)

@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 
 from paceline.calibration import parameters
 from paceline.calibration.boards import parse_board
-from paceline.calibration.parameters import DISTORTIONS, N_RIG, NAMES, Observations, Poses, Rig
+from paceline.calibration.parameters import LENS_MODELS, N_RIG, PARAMETER_NAMES, Observations, Poses, RigState
 from paceline.simulation import boards
 
 BOARD = parse_board("charuco:7x5:0.08:0.06:DICT_4X4_50")
 
 
-def setup(seed: int) -> tuple[Rig, Poses, Observations]:
+def setup(seed: int) -> tuple[RigState, Poses, Observations]:
     rng = np.random.default_rng(seed)
     s = boards.random_setup(rng, BOARD, 3, distortion=5)
     s.rig.lenses[:, 4:] = rng.normal(0, [0.2, 0.1, 2e-3, 2e-3, 0.05], (2, 5))
@@ -47,7 +47,7 @@ def test_derivatives_are_those_of_differences(seed: int) -> None:
         step = np.eye(N_RIG)[k] * h * (1000 if k % 9 < 4 and k < 18 else 1)
         ends = [parameters.project(rig.moved(s * step), poses, seen)[0] for s in (1, -1)]
         np.testing.assert_allclose(
-            by_rig[..., k], (ends[0] - ends[1]) / (2 * step[k]), rtol=1e-4, atol=2e-3, err_msg=NAMES[k]
+            by_rig[..., k], (ends[0] - ends[1]) / (2 * step[k]), rtol=1e-4, atol=2e-3, err_msg=PARAMETER_NAMES[k]
         )
     for k in range(6):
         step = np.tile(np.eye(6)[k] * h, (len(poses.t), 1))
@@ -59,20 +59,20 @@ def test_derivatives_are_those_of_differences(seed: int) -> None:
 @settings(max_examples=30, deadline=None)
 def test_a_step_is_found_again_as_the_difference(step: list[float], seed: int) -> None:
     rig, _, _ = setup(seed)
-    np.testing.assert_allclose(parameters.difference(rig.moved(np.array(step)), rig), step, atol=1e-9)
+    np.testing.assert_allclose(parameters.parameter_step(rig.moved(np.array(step)), rig), step, atol=1e-9)
 
 
 def test_richer_lens_models_estimate_more() -> None:
-    free = [set(parameters.free_parameters(name).tolist()) for name in DISTORTIONS]
+    free = [set(parameters.free_parameters(name).tolist()) for name in LENS_MODELS]
     assert all(a < b for a, b in zip(free, free[1:], strict=False))
-    assert [NAMES[k] for k in parameters.free_parameters("none")] == [
-        n for n in NAMES if n.split()[1] not in ("k1", "k2", "p1", "p2", "k3")
+    assert [PARAMETER_NAMES[k] for k in parameters.free_parameters("none")] == [
+        n for n in PARAMETER_NAMES if n.split()[1] not in ("k1", "k2", "p1", "p2", "k3")
     ]
     assert free[-1] == set(range(N_RIG))
 
 
 def test_a_rig_of_cameras_is_the_same_rig() -> None:
     rig, _, _ = setup(3)
-    again = parameters.rig_of(rig.stereo([(640, 480), (640, 480)]))
-    np.testing.assert_array_equal(parameters.difference(again, rig)[:18], 0)
-    np.testing.assert_allclose(parameters.difference(again, rig), 0, atol=1e-12)
+    again = parameters.rig_parameters(rig.stereo([(640, 480), (640, 480)]))
+    np.testing.assert_array_equal(parameters.parameter_step(again, rig)[:18], 0)
+    np.testing.assert_allclose(parameters.parameter_step(again, rig), 0, atol=1e-12)

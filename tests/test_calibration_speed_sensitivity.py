@@ -11,8 +11,8 @@ import pytest
 import yaml
 
 from paceline.calibration import speed_sensitivity
-from paceline.calibration.bundle_adjustment import fit
-from paceline.calibration.parameters import POSE, Rig, camera_of, free_parameters
+from paceline.calibration.bundle_adjustment import adjust
+from paceline.calibration.parameters import POSE_SLICE, RigState, free_parameters, lens_camera
 from paceline.cameras import Camera, RigUncertainty, StereoRig, perturbed_rig, perturbed_rigs
 from paceline.documents.loading import load_rig
 from paceline.documents.rig_yaml import rig_yaml
@@ -24,11 +24,11 @@ BOARD = boards.Board(9, 7, 0.06, 0.045, "DICT_5X5_100")
 SIZES = ((1280, 960), (1280, 960))
 
 
-def calibrated(seed: int) -> tuple[Rig, np.ndarray]:
+def calibrated(seed: int) -> tuple[RigState, np.ndarray]:
     rng = np.random.default_rng(seed)
     setup = boards.random_setup(rng, BOARD, 15)
     exact = boards.project_board(setup.poses, setup.rig, BOARD, setup.size)
-    found = fit(setup.rig, setup.poses, boards.add_noise(rng, exact, 0.1), free_parameters("k1, k2"))
+    found = adjust(setup.rig, setup.poses, boards.add_noise(rng, exact, 0.1), free_parameters("k1, k2"))
     return found.rig, found.covariance
 
 
@@ -66,7 +66,7 @@ def test_the_nearest_pinhole_by_differences_is_that_of_large_changes(seed: int) 
     np.testing.assert_allclose(D[:, :4], np.eye(4), atol=0.05)  # a pinhole's own parameters are themselves, nearly
     changed = lens.copy()
     changed[4] += 0.004
-    true, file = camera_of(changed, SIZES[0]), camera_of(lens, SIZES[0])
+    true, file = lens_camera(changed, SIZES[0]), lens_camera(lens, SIZES[0])
     u = 640 + np.linspace(-380, 380, 21)
     pixels = np.stack(np.meshgrid(u, u * 0.75), -1).reshape(-1, 2)
     rays = true.rays(true.undistort_points(pixels))
@@ -86,11 +86,13 @@ def test_the_four_keys_make_no_speed_surer_than_the_covariance() -> None:
         keys = RigUncertainty(
             stated.focal_length_px, stated.principal_point_px, stated.rotation_rad, stated.translation_m
         )
-        for distance in speed_sensitivity.DISTANCES:
-            for across in speed_sensitivity.ACROSS:
-                for way in speed_sensitivity._ways(rig, distance, across):
+        for distance in speed_sensitivity.DISTANCES_M:
+            for across in speed_sensitivity.LATERAL_SHARES:
+                for way in speed_sensitivity._displacements(rig, distance, across):
                     exact, simple = (
-                        np.linalg.norm([speed_sensitivity.speed_change(rig, m, *way) for m in perturbed_rigs(rig, u)])
+                        np.linalg.norm(
+                            [speed_sensitivity.relative_speed_change(rig, m, *way) for m in perturbed_rigs(rig, u)]
+                        )
                         for u in (stated, keys)
                     )
                     assert simple > 0.999 * exact
@@ -147,7 +149,7 @@ def test_a_wider_baseline_makes_speeds_surer() -> None:
 
 
 def test_the_pose_is_last() -> None:
-    assert range(24)[POSE] == range(18, 24)
+    assert range(24)[POSE_SLICE] == range(18, 24)
 
 
 # --- rig.yaml ------------------------------------------------------------------------------------------------------

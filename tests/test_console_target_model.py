@@ -21,7 +21,7 @@ from paceline.console.editing.follow_document import Chase, read_chase, save_cha
 from paceline.console.editing.target_model import learned, outlined
 from paceline.console.frames.frame_cache import ChasePictures
 from paceline.documents.loading import load_follow, load_target
-from paceline.documents.yaml_editing import with_values
+from paceline.documents.yaml_editing import set_values
 from paceline.errors import UnusableInput
 
 K = np.array([[300.0, 0, 127.5], [0, 310.0, 120.5], [0, 0, 1]])
@@ -140,7 +140,7 @@ STYLES = [
 @pytest.mark.parametrize("text", STYLES)
 def test_one_value_is_changed_however_it_is_written(text: str) -> None:
     start = {"frame": 3, "center": [1.5, 2.25]}
-    new = with_values(text, "follow.yaml", {"start": start})
+    new = set_values(text, "follow.yaml", {"start": start})
     assert yaml.safe_load(new) == {**yaml.safe_load(text), "start": start}
     assert [line for line in text.splitlines() if "#" in line and "start" not in line] == [
         line for line in new.splitlines() if "#" in line and "start" not in line
@@ -151,7 +151,7 @@ def test_one_value_is_changed_however_it_is_written(text: str) -> None:
 @pytest.mark.parametrize("text", ["", "- 1\n", "a: &x {frame: 0}\nstart: *x\n<<: {c: 1}\n", "{a: 1}"])
 def test_what_cannot_be_added_to_is_refused(text: str) -> None:
     with pytest.raises(UnusableInput, match="cannot be added to|is written in a way"):
-        with_values(text, "follow.yaml", {"start": {"frame": 3}})
+        set_values(text, "follow.yaml", {"start": {"frame": 3}})
 
 
 def test_pictures_come_in_any_order(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from paceline.documents.loading import load_clip, load_rig
-from paceline.documents.plausibility import wrong_quadrilateral
+from paceline.documents.plausibility import check_quadrilateral
 from paceline.errors import UnusableInput
 
 K = [[1000.0, 0.0, 319.5], [0.0, 1000.0, 239.5], [0.0, 0.0, 1.0]]
@@ -297,7 +297,7 @@ def test_a_turned_rectangle_is_right_in_one_order_only(degrees, width, height, s
     shape = np.array([[-width, -height], [width, -height], [width, height], [-width, height]]) / 2
     corners = shape @ np.array([[1, shear], [0, 1]]).T @ np.array([[c, -s], [s, c]]).T + [320, 240]
     if abs(degrees) < 20:
-        assert wrong_quadrilateral(corners, (640, 480)) is None
-        assert wrong_quadrilateral(np.roll(corners, shift, axis=0), (640, 480)) is not None
-    assert wrong_quadrilateral(corners[::-1], (640, 480)) is not None
-    assert "cross" in (wrong_quadrilateral(corners[[0, 2, 1, 3]], (640, 480)) or "")
+        assert check_quadrilateral(corners, (640, 480)) is None
+        assert check_quadrilateral(np.roll(corners, shift, axis=0), (640, 480)) is not None
+    assert check_quadrilateral(corners[::-1], (640, 480)) is not None
+    assert "cross" in (check_quadrilateral(corners[[0, 2, 1, 3]], (640, 480)) or "")

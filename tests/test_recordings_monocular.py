@@ -234,12 +234,12 @@ def test_a_signal_ends_it_while_nothing_comes(tmp_path: Path) -> None:
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, before)
-    assert 1.4 < time.monotonic() - begun < monocular.SILENCE / 2
+    assert 1.4 < time.monotonic() - begun < monocular.SILENCE_TIMEOUT_S / 2
     assert len(frames) > 50
 
 
 def test_a_source_that_falls_silent_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(monocular, "SILENCE", 1.0)
+    monkeypatch.setattr(monocular, "SILENCE_TIMEOUT_S", 1.0)
     recording = open_camera(Clip(served(video(tmp_path / "v.mkv", range(0, 600, 10)).read_bytes(), silent=30.0)))
     assert len(list(recording)) > 50
     assert recording.notices == [f"{recording.name}: the source ended (nothing came for 1 s)"]

@@ -13,10 +13,16 @@ from run_command import paceline
 from selection import slow_after
 
 from paceline.calibration import rig_check
-from paceline.calibration.rig_check import check, clustered_covariance, enough, refine, turned
-from paceline.calibration.scene_matches import TILE, Matches, match_scene
+from paceline.calibration.rig_check import (
+    check_rig,
+    clustered_covariance,
+    correct_rotation,
+    has_enough_matches,
+    rotated_rig,
+)
+from paceline.calibration.scene_matches import TILE_PX, SceneMatches, match_scene
 from paceline.cameras import RigUncertainty, StereoRig, perturbed_rig
-from paceline.documents.loading import load_recorded, load_rig
+from paceline.documents.loading import load_clip_recording, load_rig
 from paceline.recordings.stereo import open_recording
 
 ROOT = Path(__file__).parents[1]
@@ -29,7 +35,7 @@ def with_uncertainty(rig: StereoRig, stated: RigUncertainty | None = STATED) -> 
     return StereoRig(rig.left, rig.right, rig.R, rig.t, stated)
 
 
-def scene(true: StereoRig, seed: int, count: int = 600, sigma: float = 0.3, mistakes: int = 40) -> Matches:
+def scene(true: StereoRig, seed: int, count: int = 600, sigma: float = 0.3, mistakes: int = 40) -> SceneMatches:
     """Points at 8 to 100 m seen by the ``true`` rig with noise, some of them matched wrongly."""
     rng = np.random.default_rng(seed)
     width, height = true.left.image_size
@@ -40,8 +46,8 @@ def scene(true: StereoRig, seed: int, count: int = 600, sigma: float = 0.3, mist
     left, right = left[inside][:count], right[inside][:count]
     left, right = (p + rng.normal(0, sigma, p.shape) for p in (left, right))
     right[:mistakes] += rng.uniform(-20, 20, (mistakes, 2))
-    x, y = (left // TILE).astype(np.int64).T
-    return Matches(left, right, y * 100 + x, 1)
+    x, y = (left // TILE_PX).astype(np.int64).T
+    return SceneMatches(left, right, y * 100 + x, 1)
 
 
 def random_rig(rig: StereoRig, seed: int) -> StereoRig:
@@ -51,9 +57,9 @@ def random_rig(rig: StereoRig, seed: int) -> StereoRig:
 
 def test_a_rig_that_stands_is_seldom_said_to_have_moved(rig: StereoRig) -> None:
     """At a chance of 1e-3 each, more than one of 40 has a chance of 8e-4."""
-    said = [check(with_uncertainty(rig), scene(random_rig(rig, s), s)) for s in range(40)]
+    said = [check_rig(with_uncertainty(rig), scene(random_rig(rig, s), s)) for s in range(40)]
     assert sum(found.moved for found in said) <= 1
-    assert np.mean([found.chance < 0.5 for found in said]) < 0.85
+    assert np.mean([found.p_value < 0.5 for found in said]) < 0.85
 
 
 @pytest.mark.parametrize("degrees", slow_after(1, [((-0.02, 0.05, 0.08),), ((0.03, 0, 0),), ((0, 0, 0.1),)]))
@@ -61,16 +67,16 @@ def test_a_rig_that_was_knocked_is_found_and_set_right(rig: StereoRig, degrees: 
     knock = np.radians(degrees)
     file = with_uncertainty(rig)
     for seed in range(5):
-        true = turned(random_rig(rig, seed), knock)
-        found = check(file, scene(true, seed))
+        true = rotated_rig(random_rig(rig, seed), knock)
+        found = check_rig(file, scene(true, seed))
         assert found.moved
-        assert np.abs((found.turn - knock)[[0, 2]] / found.std[[0, 2]]).max() < 4
-        better = refine(file, found)
-        np.testing.assert_allclose(better.rig.R, turned(file, better.turn).R)
-        off = np.abs(better.turn - knock) / better.std
+        assert np.abs((found.rotation - knock)[[0, 2]] / found.std[[0, 2]]).max() < 4
+        better = correct_rotation(file, found)
+        np.testing.assert_allclose(better.rig.R, rotated_rig(file, better.rotation).R)
+        off = np.abs(better.rotation - knock) / better.std
         assert off[[0, 2]].max() < 4
         assert off[1] < 4  # the pan, which the scene hardly shows, is stated to be as unsure as it is
-        assert (better.from_scene[[0, 2]] > 0.8).all()
+        assert (better.scene_share[[0, 2]] > 0.8).all()
         assert better.std[1] > 5 * better.std[0]
         assert better.effects[1].along > 3 * rig_check.speed_effects(file)[1].along
 
@@ -78,22 +84,22 @@ def test_a_rig_that_was_knocked_is_found_and_set_right(rig: StereoRig, degrees: 
 def test_the_turn_is_that_of_the_covariance(rig: StereoRig) -> None:
     z = []
     for seed in range(40):
-        found = check(with_uncertainty(rig, None), scene(rig, seed, mistakes=0))
-        z.append(found.turn[[0, 2]] / np.sqrt(np.diag(found.scene_covariance))[[0, 2]])
+        found = check_rig(with_uncertainty(rig, None), scene(rig, seed, mistakes=0))
+        z.append(found.rotation[[0, 2]] / np.sqrt(np.diag(found.scene_covariance))[[0, 2]])
     assert 0.7 < np.sqrt(np.mean(np.square(z))) < 1.35  # 80 squares: 0.75 to 1.27 at a chance of 1e-3 on each side
 
 
 def test_wrong_matches_are_left_out(rig: StereoRig) -> None:
-    found = check(with_uncertainty(rig), scene(rig, 3, mistakes=100))
-    assert 80 <= found.mistakes <= 130
-    assert found.scatter == pytest.approx(0.3 * np.sqrt(2), rel=0.15)  # both views' noise
+    found = check_rig(with_uncertainty(rig), scene(rig, 3, mistakes=100))
+    assert 80 <= found.outliers <= 130
+    assert found.residual_px == pytest.approx(0.3 * np.sqrt(2), rel=0.15)  # both views' noise
 
 
 def test_what_the_calibration_leaves_open_is_no_movement(rig: StereoRig) -> None:
     """The same difference is a movement or not by what the rig states about itself."""
-    true = turned(rig, np.array([8e-5, 0, 0]))
+    true = rotated_rig(rig, np.array([8e-5, 0, 0]))
     sure, unsure = (
-        check(with_uncertainty(rig, RigUncertainty(rotation_rad=(s, s, s))), scene(true, 1)) for s in (1e-6, 1e-4)
+        check_rig(with_uncertainty(rig, RigUncertainty(rotation_rad=(s, s, s))), scene(true, 1)) for s in (1e-6, 1e-4)
     )
     assert sure.moved
     assert not unsure.moved
@@ -101,9 +107,9 @@ def test_what_the_calibration_leaves_open_is_no_movement(rig: StereoRig) -> None
 
 def test_refining_a_rig_that_stands_changes_it_within_its_uncertainty(rig: StereoRig) -> None:
     file = with_uncertainty(rig)
-    found = check(file, scene(random_rig(rig, 7), 7))
-    better = refine(file, found)
-    assert np.abs(better.turn / np.array(STATED.rotation_rad)).max() < 4
+    found = check_rig(file, scene(random_rig(rig, 7), 7))
+    better = correct_rotation(file, found)
+    assert np.abs(better.rotation / np.array(STATED.rotation_rad)).max() < 4
     assert (better.std <= np.array(STATED.rotation_rad) * 1.001).all()
 
 
@@ -121,21 +127,21 @@ def test_clusters_count_once() -> None:
 
 def test_a_few_points_are_not_enough(rig: StereoRig) -> None:
     matches = scene(rig, 1)
-    assert enough(matches)
-    assert not enough(matches.where(np.arange(len(matches)) < 20))
-    assert not enough(Matches(matches.left, matches.right, np.zeros(len(matches), np.int64), 1))
+    assert has_enough_matches(matches)
+    assert not has_enough_matches(matches.where(np.arange(len(matches)) < 20))
+    assert not has_enough_matches(SceneMatches(matches.left, matches.right, np.zeros(len(matches), np.int64), 1))
 
 
 # --- on pictures ---------------------------------------------------------------------------------------------------
 
 
 def test_the_points_matched_in_the_example_lie_on_their_lines() -> None:
-    clip = load_recorded(EXAMPLE / "clip.yaml")
+    clip = load_clip_recording(EXAMPLE / "clip.yaml")
     matches = match_scene(open_recording(clip))
-    assert enough(matches)
-    found = check(clip.rig, matches)
+    assert has_enough_matches(matches)
+    found = check_rig(clip.rig, matches)
     assert found.matches > 500
-    assert found.error < 0.1
+    assert found.rotation_error_px < 0.1
     assert not found.moved
 
 
@@ -144,7 +150,7 @@ def test_the_command_notices_a_knock_and_sets_the_rig_right(tmp_path: Path) -> N
     document = yaml.safe_load((EXAMPLE / "rig.yaml").read_text())
     knock = np.radians([0.05, 0.0, -0.05])
     true = load_rig(EXAMPLE / "rig.yaml")
-    knocked = turned(true, -knock)
+    knocked = rotated_rig(true, -knock)
     document["rotation"], document["translation"] = knocked.R.tolist(), knocked.t.tolist()
     (tmp_path / "clip" / "rig.yaml").write_text(yaml.safe_dump(document))
     moved = paceline("rig", "check", tmp_path / "clip")
@@ -183,7 +189,7 @@ def test_the_shared_rendered_rig_stands() -> None:
     folder = SHARED / "rendered" / "straight"
     if not folder.exists():
         pytest.skip(f"{folder} is absent")
-    clip = load_recorded(folder / "clip.yaml")
-    found = check(clip.rig, match_scene(open_recording(clip)))
+    clip = load_clip_recording(folder / "clip.yaml")
+    found = check_rig(clip.rig, match_scene(open_recording(clip)))
     assert not found.moved
     assert np.degrees(found.std[0]) < 0.01

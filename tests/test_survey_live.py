@@ -29,7 +29,7 @@ from paceline.detection.finder import DetectedVehicle
 from paceline.detection.tracks import DetectionTrack
 from paceline.documents.loading import load_clip
 from paceline.recordings import live_stereo
-from paceline.recordings.live_stereo import RawPair, _paired, _View
+from paceline.recordings.live_stereo import LiveCamera, RawPair, _pairs
 from paceline.recordings.monocular import CameraFrame, CameraRecording
 from paceline.simulation.stereo.clip import RenderedClip, Scene, Vehicle, World, render, write
 from paceline.simulation.stereo.scenery import StaticBackground
@@ -67,12 +67,12 @@ class Source:
         pass
 
 
-def view(source: Source, total: int | None = None) -> _View:
+def view(source: Source, total: int | None = None) -> LiveCamera:
     camera = Camera(SIZE, np.array([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]]))
-    return _View(CameraRecording(camera, source, total))
+    return LiveCamera(CameraRecording(camera, source, total))
 
 
-def begun(*views: _View) -> None:
+def begun(*views: LiveCamera) -> None:
     for v in views:
         v.begin(time.monotonic())
 
@@ -81,7 +81,7 @@ def test_frames_that_belong_together_are_paired_and_others_left_out() -> None:
     every = [0.05 * k for k in range(12)]
     left, right = view(Source(every)), view(Source([t + 0.004 for k, t in enumerate(every) if k not in (4, 5)]))
     begun(left, right)
-    pairs = list(_paired(left, right, 0.0))
+    pairs = list(_pairs(left, right, 0.0))
     assert [p.index for p in pairs] == [k for k in range(12) if k not in (4, 5)]
     assert [p.right[0, 0] for p in pairs] == [*range(10)]
 
@@ -90,9 +90,9 @@ def test_cameras_with_clocks_of_their_own_are_paired_by_their_arrival() -> None:
     times = [0.05 * k for k in range(30)]
     left, right = view(Source(times)), view(Source(times, ahead=1234.5))
     begun(left, right)
-    late = [v.lateness() for v in (left, right)]
+    late = [v.delay_s() for v in (left, right)]
     assert late[0] - late[1] == pytest.approx(1234.5, abs=0.02)
-    pairs = list(_paired(left, right, late[0] - late[1]))
+    pairs = list(_pairs(left, right, late[0] - late[1]))
     assert len(pairs) >= 12 and all(p.left[0, 0] == p.right[0, 0] == p.index for p in pairs)
     assert all(p.skew == 0.0 for p in pairs)
 
@@ -103,7 +103,7 @@ def test_a_pause_loses_nothing() -> None:
     left, right = view(Source(times)), view(Source(times))
     begun(left, right)
     indices = []
-    for pair in _paired(left, right, 0.0):
+    for pair in _pairs(left, right, 0.0):
         if not indices:
             time.sleep(0.6)
         indices.append(pair.index)
@@ -115,7 +115,7 @@ def test_once_stopped_nothing_that_waits_is_handed_out() -> None:
     left, right = view(Source(times)), view(Source(times))
     begun(left, right)
     indices = []
-    for pair in _paired(left, right, 0.0):
+    for pair in _pairs(left, right, 0.0):
         indices.append(pair.index)
         if pair.index == 1:
             time.sleep(0.2)  # many are waiting
@@ -125,12 +125,12 @@ def test_once_stopped_nothing_that_waits_is_handed_out() -> None:
 
 
 def test_what_is_not_used_in_time_is_dropped_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(live_stereo, "HELD", held := 3)
+    monkeypatch.setattr(live_stereo, "MAX_QUEUED_FRAMES", held := 3)
     times = [0.01 * k for k in range(40)]
     left, right = view(Source(times)), view(Source(times))
     begun(left, right)
     taken = 0
-    for _ in _paired(left, right, 0.0):
+    for _ in _pairs(left, right, 0.0):
         taken += 1
         time.sleep(0.05)
     assert left.dropped >= 20 and taken + left.dropped <= 40

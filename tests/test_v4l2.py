@@ -23,7 +23,7 @@ import yaml
 from run_command import COMMAND, ENVIRONMENT, Done, assert_one_line_error, paceline
 
 from paceline.cameras import Camera
-from paceline.recordings.live_stereo import HELD, SETTLING, _paired, _View
+from paceline.recordings.live_stereo import CLOCK_OFFSET_FRAMES, MAX_QUEUED_FRAMES, LiveCamera, _pairs
 from paceline.recordings.monocular import CameraFrame, CameraRecording
 
 SIZE = WIDTH, HEIGHT = 64, 48
@@ -243,7 +243,7 @@ def test_jitter_breaks_no_pairs_up(skew: float) -> None:
     """Of 2 ms, about a skew of almost half an interval between two devices that share a clock."""
     rng, times = np.random.default_rng(1), np.arange(400) / 30
     left, right = (Taken(times + off / 30 + rng.normal(0, 0.002, 400)) for off in (0.0, skew))
-    pairs = list(_paired(left, right, 0.0))  # type: ignore[arg-type]
+    pairs = list(_pairs(left, right, 0.0))  # type: ignore[arg-type]
     assert len(pairs) > 380
     assert np.mean([pair.skew for pair in pairs]) == pytest.approx(skew / 30, abs=0.001)
 
@@ -258,7 +258,7 @@ class Backlog:
 
     def read(self, start: int) -> Iterator[CameraFrame]:
         begun = time.monotonic()
-        for k in range(self.waited + 3 * SETTLING):
+        for k in range(self.waited + 3 * CLOCK_OFFSET_FRAMES):
             moment = 0.02 * (k - self.waited)
             time.sleep(max(0.0, begun + moment - time.monotonic()))
             yield CameraFrame(k, moment, np.zeros(SIZE[::-1], np.uint8))
@@ -272,11 +272,11 @@ class Backlog:
 
 def test_clocks_are_compared_once_nothing_waits_any_more() -> None:
     camera = Camera(SIZE, np.array([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]]))
-    views = [_View(CameraRecording(camera, Backlog(waited), None)) for waited in (0, HELD // 2)]
+    views = [LiveCamera(CameraRecording(camera, Backlog(waited), None)) for waited in (0, MAX_QUEUED_FRAMES // 2)]
     begun = time.monotonic()
     for view in views:
         view.begin(begun)
-    late = [view.lateness() for view in views]
+    late = [view.delay_s() for view in views]
     assert late == pytest.approx([begun, begun], abs=0.1)  # half of what waits is 0.3 s old
 
 

@@ -15,11 +15,11 @@ import numpy as np
 from paceline.arrays import Array, Image
 from paceline.cameras import StereoRig
 
-BLOCK = 5  # px
-SMOOTHNESS = (8 * BLOCK**2, 32 * BLOCK**2)  # for disparities that change by one, and by more
-RANGE = (0.6, 1.6)  # disparities searched, as shares of the expected one
-SLACK = 6  # px of disparity beyond that
-LEAST_DEPTH = 1.0  # m
+BLOCK_PX = 5  # px
+SMOOTHNESS_PENALTIES = (8 * BLOCK_PX**2, 32 * BLOCK_PX**2)  # for disparities that change by one, and by more
+DISPARITY_RANGE = (0.6, 1.6)  # disparities searched, as shares of the expected one
+DISPARITY_MARGIN_PX = 6  # px of disparity beyond that
+MIN_DEPTH_M = 1.0  # m
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,9 +75,9 @@ class Rectification:
 
     def depths(self, images: tuple[Image, Image], region: Array, depth: float) -> DepthMap:
         """Depths inside the rectified box about ``region`` (n, 2) px, where about ``depth`` metres are expected."""
-        expected = self.fb / max(depth, LEAST_DEPTH)
-        least = int(np.floor(RANGE[0] * expected)) - SLACK
-        count = 16 * int(np.ceil((RANGE[1] * expected + SLACK - least) / 16))
+        expected = self.fb / max(depth, MIN_DEPTH_M)
+        least = int(np.floor(DISPARITY_RANGE[0] * expected)) - DISPARITY_MARGIN_PX
+        count = 16 * int(np.ceil((DISPARITY_RANGE[1] * expected + DISPARITY_MARGIN_PX - least) / 16))
         low, high = np.floor(region.min(0)), np.ceil(region.max(0)) + 1
         size = int(high[0] - low[0]) + count, int(high[1] - low[1])
         start = low - [count, 0]
@@ -86,9 +86,9 @@ class Rectification:
         matcher = cv2.StereoSGBM.create(
             minDisparity=0,
             numDisparities=count,
-            blockSize=BLOCK,
-            P1=SMOOTHNESS[0],
-            P2=SMOOTHNESS[1],
+            blockSize=BLOCK_PX,
+            P1=SMOOTHNESS_PENALTIES[0],
+            P2=SMOOTHNESS_PENALTIES[1],
             disp12MaxDiff=1,
             uniquenessRatio=5,
             speckleWindowSize=40,

@@ -15,9 +15,9 @@ from paceline.arrays import Array, Image
 
 Picture = NDArray[np.floating]
 
-BINS = 16
-ACROSS, DOWN = 24, 12  # samples of a box
-ALONG = 24  # samples of each of its sides
+HISTOGRAM_BINS = 16
+SAMPLES_ACROSS, SAMPLES_DOWN = 24, 12  # samples of a box
+SAMPLES_PER_SIDE = 24  # samples of each of its sides
 
 
 def _bilinear(u: Array, v: Array) -> Array:
@@ -25,18 +25,25 @@ def _bilinear(u: Array, v: Array) -> Array:
     return np.stack([(1 - u) * (1 - v), u * (1 - v), u * v, (1 - u) * v], axis=1)
 
 
-_U, _V = (x.ravel() for x in np.meshgrid((np.arange(ACROSS) + 0.5) / ACROSS, (np.arange(DOWN) + 0.5) / DOWN))
-INSIDE = _bilinear(_U, _V)
-KERNEL = np.maximum(1 - 0.5 * ((2 * _U - 1) ** 2 + (2 * _V - 1) ** 2), 0.0)  # Epanechnikov's, over the whole box
-KERNEL /= KERNEL.sum()
+_U, _V = (
+    x.ravel()
+    for x in np.meshgrid(
+        (np.arange(SAMPLES_ACROSS) + 0.5) / SAMPLES_ACROSS, (np.arange(SAMPLES_DOWN) + 0.5) / SAMPLES_DOWN
+    )
+)
+CORNER_SHARES = _bilinear(_U, _V)
+EPANECHNIKOV_WEIGHTS = np.maximum(
+    1 - 0.5 * ((2 * _U - 1) ** 2 + (2 * _V - 1) ** 2), 0.0
+)  # Epanechnikov's, over the whole box
+EPANECHNIKOV_WEIGHTS /= EPANECHNIKOV_WEIGHTS.sum()
 
 
-def inside(boxes: Array) -> Array:
+def sample_points(boxes: Array) -> Array:
     """Sample places (N, n, 2) inside ``boxes`` (N, 4, 2)."""
-    return np.asarray(np.einsum("nc,bcd->bnd", INSIDE, boxes))
+    return np.asarray(np.einsum("nc,bcd->bnd", CORNER_SHARES, boxes))
 
 
-def picked(picture: Picture, places: Array) -> Array:
+def sample_nearest(picture: Picture, places: Array) -> Array:
     """The pixels (…) of ``picture`` (H, W) nearest to ``places`` (…, 2), NaN outside it."""
     x, y = (np.rint(places[..., i]).astype(np.int64) for i in (0, 1))
     height, width = picture.shape
@@ -49,36 +56,36 @@ def histograms(greys: Array) -> Array:
     """Normalised histograms (N, BINS) of ``greys`` (N, n), 0–255, in which the middle of a box counts most."""
     N = len(greys)
     known = np.isfinite(greys)
-    bins = np.clip(np.where(known, greys, 0.0) * (BINS / 256), 0, BINS - 1).astype(np.int64)
-    index = np.arange(N)[:, None] * BINS + bins
-    weights = np.where(known, KERNEL, 0.0)
-    counts = np.bincount(index.ravel(), weights.ravel(), N * BINS).reshape(N, BINS)
+    bins = np.clip(np.where(known, greys, 0.0) * (HISTOGRAM_BINS / 256), 0, HISTOGRAM_BINS - 1).astype(np.int64)
+    index = np.arange(N)[:, None] * HISTOGRAM_BINS + bins
+    weights = np.where(known, EPANECHNIKOV_WEIGHTS, 0.0)
+    counts = np.bincount(index.ravel(), weights.ravel(), N * HISTOGRAM_BINS).reshape(N, HISTOGRAM_BINS)
     return np.asarray(counts / np.maximum(counts.sum(1, keepdims=True), 1e-12))
 
 
-def likeness(seen: Array, reference: Array) -> Array:
+def bhattacharyya(seen: Array, reference: Array) -> Array:
     """Bhattacharyya's coefficients (N,) of histograms ``seen`` (N, BINS) with the ``reference`` (BINS,), 0 … 1."""
     return np.asarray(np.sqrt(seen * reference).sum(-1))
 
 
-def slopes(grey: Image) -> Array:
+def image_gradients(grey: Image) -> Array:
     """∂I/∂x and ∂I/∂y (2, H, W) of a picture, by Sobel's operator."""
     return np.stack([cv2.Sobel(grey, cv2.CV_32F, *which) / 8 for which in ((1, 0), (0, 1))]).astype(float)
 
 
 def edge_strengths(gradient: Array, boxes: Array) -> Array:
     """Mean size (N,) of the ``gradient`` (2, H, W) across the sides of ``boxes`` (N, 4, 2) (Birchfield 1998)."""
-    t = (np.arange(ALONG) + 0.5) / ALONG
+    t = (np.arange(SAMPLES_PER_SIDE) + 0.5) / SAMPLES_PER_SIDE
     start, end = boxes, np.roll(boxes, -1, axis=1)
     side = end - start
     places = start[:, :, None] + t[:, None] * side[:, :, None]
     normal = np.stack([side[..., 1], -side[..., 0]], axis=-1)
     normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
-    across = sum(picked(gradient[i], places) * normal[:, :, None, i] for i in (0, 1))
+    across = sum(sample_nearest(gradient[i], places) * normal[:, :, None, i] for i in (0, 1))
     return np.asarray(np.nan_to_num(np.abs(across)).mean((1, 2)))
 
 
-def mean_known(values: Array) -> tuple[Array, Array]:
+def mean_of_finite(values: Array) -> tuple[Array, Array]:
     """The mean (N,) of what is known of ``values`` (N, n), 0 where nothing is, and the share (N,) that is."""
     known = np.isfinite(values)
     count = known.sum(1)

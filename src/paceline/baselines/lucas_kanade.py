@@ -15,9 +15,9 @@ import numpy as np
 from paceline.arrays import Array, Image, Indices, Mask
 from paceline.baselines import optical_flow, polynomial_track
 from paceline.baselines.rigid_alignment import align
-from paceline.baselines.template_tracking import Move, Regions, move_between
-from paceline.baselines.track import MeanSpeed, Sight, judged, rejected, too_few, unseen
-from paceline.baselines.triangulation_covariance import covariance
+from paceline.baselines.template_tracking import ScaledShift, TemplateTracker, shift_between
+from paceline.baselines.track import FrameResult, MeanSpeed, check_frame_count, measurement_of, rejected, unseen_frame
+from paceline.baselines.triangulation_covariance import triangulation_covariance
 from paceline.cameras import StereoRig
 from paceline.documents.loading import VehicleDocument
 from paceline.geometry import epipolar_distance, triangulate
@@ -29,40 +29,40 @@ from paceline.speed.methods import register
 from paceline.speed.results import Measurement
 from paceline.verdicts import message
 
-LEAST_POINTS = 4
-EPIPOLAR = 1.0  # px from the epipolar line
-APART = 1.5  # px from the region's common motion in an image
-DEEP = 4.0  # scaled median deviations of depth beyond which a match is a mistake
-SIGMA = 0.15  # px, of a matched coordinate
-HUBER = 1.5
-KEPT_SCALE = 1.2  # change of scale after which points are tracked from a new key frame
-KEPT_POINTS = 0.6  # share of the points, fewer than which call for a new one
-GROUPS = 8  # of points, left out one after the other
-PASSES = 2  # of aligning and of turning the body as its way turns
-MOST_FRAMES = 32  # in the alignment; of a longer track, evenly spread ones
+MIN_POINTS = 4
+MAX_EPIPOLAR_PX = 1.0  # px from the epipolar line
+MAX_MOTION_RESIDUAL_PX = 1.5  # px from the region's common motion in an image
+MAX_DEPTH_DEVIATIONS = 4.0  # scaled median deviations of depth beyond which a match is a mistake
+MATCH_SIGMA_PX = 0.15  # px, of a matched coordinate
+HUBER_SIGMA = 1.5
+KEYFRAME_SCALE_RATIO = 1.2  # change of scale after which points are tracked from a new key frame
+KEYFRAME_POINT_SHARE = 0.6  # share of the points, fewer than which call for a new one
+JACKKNIFE_GROUPS = 8  # of points, left out one after the other
+ALIGNMENT_PASSES = 2  # of aligning and of turning the body as its track turns
+MAX_ALIGNED_FRAMES = 32  # in the alignment; of a longer track, evenly spread ones
 
 
 class LucasKanade:
-    """One vehicle on its way through the clip."""
+    """One vehicle on its track through the clip."""
 
     def __init__(self, rig: StereoRig, vehicle: VehicleDocument, limits: Limits) -> None:
         self.rig, self.vehicle, self.limits = rig, vehicle, limits
-        self.sights: list[Sight] = []
-        self._regions: Regions | None = None
-        self._key: _Key
-        self._seen: list[tuple[int, _Matches]] = []  # by row of the sights
+        self.frame_results: list[FrameResult] = []
+        self._templates: TemplateTracker | None = None
+        self._keyframe: _Keyframe
+        self._tracked: list[tuple[int, _Matches]] = []  # by row of the sights
         self._next = 0  # number of the next new point
 
     def process(self, frame: StereoFrame) -> bool:
-        """Follow the vehicle into ``frame``; whether it can be followed further."""
-        if self._regions is None:
-            return self._begin(frame)
-        regions, before = self._regions, self._seen[-1][1]
+        """Process ``frame``; whether the vehicle can be tracked further."""
+        if self._templates is None:
+            return self._initialize(frame)
+        regions, before = self._templates, self._tracked[-1][1]
         moves = regions.find(frame)
-        found = None if moves is None else self._follow(frame, moves)
+        found = None if moves is None else self._track(frame, moves)
         if found is None:
             further = regions.miss(frame.time)
-            self.sights.append(unseen(frame, regions))
+            self.frame_results.append(unseen_frame(frame, regions))
             return further
         matches, quads = found
         dt = frame.time - regions.time
@@ -70,39 +70,39 @@ class LucasKanade:
         displacement, spread = _displacement(self.rig, before, matches)
         speed = float(np.linalg.norm(displacement)) / dt
         ahead = displacement / np.maximum(speed * dt, 1e-12)
-        self._note(frame, matches, speed, float(np.sqrt(ahead @ spread @ ahead)) / dt)
+        self._record(frame, matches, speed, float(np.sqrt(ahead @ spread @ ahead)) / dt)
         return regions.status == "tracking"
 
-    def _begin(self, frame: StereoFrame) -> bool:
+    def _initialize(self, frame: StereoFrame) -> bool:
         quads = np.stack([self.vehicle.left, self.vehicle.right])
         nothing = _Matches(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2)), np.empty((0, 3)))
         try:
-            self._regions = Regions(self.rig, quads, frame)
+            self._templates = TemplateTracker(self.rig, quads, frame)
         except np.linalg.LinAlgError:
             return False
-        matches = self._with_new_points(frame, nothing, quads)
-        self._key = _Key((frame.left, frame.right), quads, matches)
-        self._note(frame, matches, self.vehicle.speed or float("nan"), float("nan"))
-        return len(matches.number) >= LEAST_POINTS
+        matches = self._add_points(frame, nothing, quads)
+        self._keyframe = _Keyframe((frame.left, frame.right), quads, matches)
+        self._record(frame, matches, self.vehicle.speed or float("nan"), float("nan"))
+        return len(matches.number) >= MIN_POINTS
 
-    def _follow(self, frame: StereoFrame, moves: tuple[Move, Move]) -> tuple[_Matches, Array] | None:
+    def _track(self, frame: StereoFrame, moves: tuple[ScaledShift, ScaledShift]) -> tuple[_Matches, Array] | None:
         """The points in ``frame`` and the regions (2, 4, 2) that moved with them; None where too few are found.
 
         Points are tracked from the last key frame, not from the last one: what they slip then adds up less often.
         """
-        assert self._regions is not None
-        key, expected = self._key, [m(q) for m, q in zip(moves, self._regions.quads, strict=True)]
-        left_move, right_move = (move_between(a, b) for a, b in zip(key.quads, expected, strict=True))
-        window = optical_flow.window_for(expected[0])
-        left, good = optical_flow.tracked(key.images[0], frame.left, key.matches.left, left_move, window)
-        good &= self._together(key.matches.left, left, good)
-        if good.sum() < LEAST_POINTS:
+        assert self._templates is not None
+        key, expected = self._keyframe, [m(q) for m, q in zip(moves, self._templates.quads, strict=True)]
+        left_move, right_move = (shift_between(a, b) for a, b in zip(key.quads, expected, strict=True))
+        window = optical_flow.window_size(expected[0])
+        left, good = optical_flow.track_points(key.images[0], frame.left, key.matches.left, left_move, window)
+        good &= self._moving_alike(key.matches.left, left, good)
+        if good.sum() < MIN_POINTS:
             return None
         from_key = key.matches.chosen(good)
         left = left[good]
-        right, good = optical_flow.matched(frame.left, frame.right, left, right_move(from_key.right), window)
+        right, good = optical_flow.match_points(frame.left, frame.right, left, right_move(from_key.right), window)
         good &= self._plausible(left, right, good)
-        if good.sum() < LEAST_POINTS:
+        if good.sum() < MIN_POINTS:
             return None
         from_key, left, right = from_key.chosen(good), left[good], right[good]
         matches = _Matches(from_key.number, left, right, triangulate(self.rig, left, right))
@@ -110,20 +110,20 @@ class LucasKanade:
         quads = [q @ m[:, :2].T + m[:, 2] for q, m in zip(key.quads, moved, strict=True) if m is not None]
         if len(quads) < 2:
             return None
-        grown = abs(np.log(move_between(key.quads[0], quads[0]).scale))
-        if grown > np.log(KEPT_SCALE) or len(left) < KEPT_POINTS * len(key.matches.number):
-            matches = self._with_new_points(frame, matches, np.stack(quads))
-            self._key = _Key((frame.left, frame.right), np.stack(quads), matches)
+        grown = abs(np.log(shift_between(key.quads[0], quads[0]).scale))
+        if grown > np.log(KEYFRAME_SCALE_RATIO) or len(left) < KEYFRAME_POINT_SHARE * len(key.matches.number):
+            matches = self._add_points(frame, matches, np.stack(quads))
+            self._keyframe = _Keyframe((frame.left, frame.right), np.stack(quads), matches)
         return matches, np.stack(quads)
 
-    def _with_new_points(self, frame: StereoFrame, matches: _Matches, quads: Array) -> _Matches:
+    def _add_points(self, frame: StereoFrame, matches: _Matches, quads: Array) -> _Matches:
         """``matches`` and what new corners in the regions ``quads`` (2, 4, 2) add to them."""
-        new = optical_flow.corners(frame.left, quads[0], matches.left)
+        new = optical_flow.detect_corners(frame.left, quads[0], matches.left)
         if not len(new):
             return matches
         across = cv2.getPerspectiveTransform(quads[0].astype(np.float32), quads[1].astype(np.float32))
         guess = np.asarray(cv2.perspectiveTransform(new[:, None], across), float)[:, 0]
-        right, good = optical_flow.matched(frame.left, frame.right, new, guess, optical_flow.window_for(quads[0]))
+        right, good = optical_flow.match_points(frame.left, frame.right, new, guess, optical_flow.window_size(quads[0]))
         good &= self._plausible(new, right, good)
         number = self._next + np.arange(int(good.sum()))
         self._next += len(number)
@@ -134,100 +134,104 @@ class LucasKanade:
             np.concatenate([matches.points, triangulate(self.rig, new[good], right[good])]),
         )
 
-    def _together(self, before: Array, after: Array, good: Mask) -> Mask:
+    def _moving_alike(self, before: Array, after: Array, good: Mask) -> Mask:
         """Which points move as most of them do in the image."""
         together = np.zeros(len(before), bool)
-        if good.sum() >= LEAST_POINTS and (move := _similarity(before[good], after[good])) is not None:
+        if good.sum() >= MIN_POINTS and (move := _similarity(before[good], after[good])) is not None:
             miss = np.linalg.norm(before @ move[:, :2].T + move[:, 2] - after, axis=1)
-            together = miss < APART * (1 + 0.01 * np.ptp(after[good]))
+            together = miss < MAX_MOTION_RESIDUAL_PX * (1 + 0.01 * np.ptp(after[good]))
         return together
 
     def _plausible(self, left: Array, right: Array, good: Mask) -> Mask:
         """Which matches lie on their epipolar lines and about as deep as most."""
-        plausible = good & (np.abs(epipolar_distance(self.rig, left, right)) < EPIPOLAR)
+        plausible = good & (np.abs(epipolar_distance(self.rig, left, right)) < MAX_EPIPOLAR_PX)
         depth = triangulate(self.rig, left, right)[:, 2]
         plausible &= np.isfinite(depth) & (depth > 1.0)
         if plausible.any():
             inverse = 1.0 / np.where(plausible, depth, 1.0)
             off = np.abs(inverse - np.median(inverse[plausible]))
-            least = SIGMA / (self.rig.left.K[0, 0] * self.rig.baseline)
-            plausible &= off < DEEP * max(1.4826 * float(np.median(off[plausible])), least)
+            least = MATCH_SIGMA_PX / (self.rig.left.K[0, 0] * self.rig.baseline)
+            plausible &= off < MAX_DEPTH_DEVIATIONS * max(1.4826 * float(np.median(off[plausible])), least)
         return plausible
 
-    def _note(self, frame: StereoFrame, matches: _Matches, speed: float, std: float) -> None:
-        assert self._regions is not None
-        quads = self._regions.quads
-        sight = Sight(
+    def _record(self, frame: StereoFrame, matches: _Matches, speed: float, std: float) -> None:
+        assert self._templates is not None
+        quads = self._templates.quads
+        result = FrameResult(
             frame=frame.index,
             time=frame.time,
             left=quads[0],
             right=quads[1],
-            status=self._regions.status,
+            status=self._templates.status,
             speed=speed,
             speed_std=std,
             position=triangulate(self.rig, quads[0].mean(0), quads[1].mean(0)),
             points_left=matches.left,
             points_right=matches.right,
-            strength=float(len(matches.number)),
+            effective_points=float(len(matches.number)),
         )
-        if sight.status == "tracking":
-            self._seen.append((len(self.sights), matches))
-        self.sights.append(sight)
+        if result.status == "tracking":
+            self._tracked.append((len(self.frame_results), matches))
+        self.frame_results.append(result)
 
     def result(self) -> Measurement:
         """The measurement, by all matches together."""
         name = self.vehicle.id
-        if not self._seen or len(self._seen[0][1].number) < LEAST_POINTS:
-            test = f"fewer than {LEAST_POINTS} corners match across the views"
-            return rejected(name, self.sights, message("too_little_texture", test=test))
-        if few := too_few(self.sights, self.limits):
-            return rejected(name, self.sights, few)
+        if not self._tracked or len(self._tracked[0][1].number) < MIN_POINTS:
+            test = f"fewer than {MIN_POINTS} corners match across the views"
+            return rejected(name, self.frame_results, message("too_little_texture", test=test))
+        if few := check_frame_count(self.frame_results, self.limits):
+            return rejected(name, self.frame_results, few)
         try:
-            way, places, groups = self._fit()
+            track, places, groups = self._fit()
         except np.linalg.LinAlgError:
             test = "the equations of its motion are singular"
-            return rejected(name, self.sights, message("no_motion_fits", test=test))
-        times = np.array([s.time for s in self.sights])
+            return rejected(name, self.frame_results, message("no_motion_fits", test=test))
+        times = np.array([s.time for s in self.frame_results])
         rows = list(places)
         speeds, stds = (np.full(len(times), np.nan) for _ in range(2))
-        speeds[rows], stds[rows] = way.speeds(times[rows])
+        speeds[rows], stds[rows] = track.speeds(times[rows])
         for row, place in places.items():
-            self.sights[row] = replace(self.sights[row], position=place)
-        speed, scatter = way.mean_speed()
-        # frames scatter about the way, and the matches of one point err alike in all of them
-        std = float(np.hypot(scatter, np.sqrt((GROUPS - 1) * np.var(groups))))
+            self.frame_results[row] = replace(self.frame_results[row], position=place)
+        speed, scatter = track.mean_speed()
+        # frames scatter about the track, and the matches of one point err alike in all of them
+        std = float(np.hypot(scatter, np.sqrt((JACKKNIFE_GROUPS - 1) * np.var(groups))))
         stds *= std / max(scatter, 1e-12)
-        mean = MeanSpeed(speed, std, GROUPS - 1, way.model, speeds, stds)
-        return judged(name, self.sights, mean, self.limits)
+        mean = MeanSpeed(speed, std, JACKKNIFE_GROUPS - 1, track.model, speeds, stds)
+        return measurement_of(name, self.frame_results, mean, self.limits)
 
-    def _fit(self) -> tuple[polynomial_track.Way, dict[int, Array], list[float]]:
-        """The way through the aligned places, these by row of the sights, and the mean speeds that follow when one
+    def _fit(self) -> tuple[polynomial_track.PolynomialTrack, dict[int, Array], list[float]]:
+        """The track through the aligned places, these by row of the sights, and the mean speeds that follow when one
         group of points after the other is left out (a jackknife)."""
-        chosen = np.unique(np.linspace(0, len(self._seen) - 1, min(len(self._seen), MOST_FRAMES)).round().astype(int))
-        rows = [self._seen[i][0] for i in chosen]
-        matches = [self._seen[i][1] for i in chosen]
+        chosen = np.unique(
+            np.linspace(0, len(self._tracked) - 1, min(len(self._tracked), MAX_ALIGNED_FRAMES)).round().astype(int)
+        )
+        rows = [self._tracked[i][0] for i in chosen]
+        matches = [self._tracked[i][1] for i in chosen]
         number = np.unique(np.concatenate([m.number for m in matches]))
         seen = np.zeros((len(number), len(rows)), bool)
         points = np.zeros((*seen.shape, 3))
         for k, m in enumerate(matches):
             at = np.searchsorted(number, m.number)
             seen[at, k], points[at, k] = True, m.points
-        times = np.array([self.sights[row].time for row in rows])
-        places = np.array([self.sights[row].position for row in rows])
+        times = np.array([self.frame_results[row].time for row in rows])
+        places = np.array([self.frame_results[row].position for row in rows])
         turns = np.tile(np.eye(3), (len(rows), 1, 1))
-        for _ in range(PASSES):
+        for _ in range(ALIGNMENT_PASSES):
             aligned = align(points, seen, turns, places)
-            way = polynomial_track.way_through(times, aligned.places, aligned.covariance)
-            if way.degree == 1:
+            track = polynomial_track.fit_polynomial(times, aligned.places, aligned.covariance)
+            if track.degree == 1:
                 break
-            frames = level_frames(way.velocities(times))
+            frames = level_frames(track.velocities(times))
             turns = frames @ frames[0].T
         groups = []
-        for group in range(GROUPS):
-            kept = np.arange(len(seen)) % GROUPS != group
+        for group in range(JACKKNIFE_GROUPS):
+            kept = np.arange(len(seen)) % JACKKNIFE_GROUPS != group
             some = align(points[kept], seen[kept], turns, aligned.places)
-            groups.append(polynomial_track.way_through(times, some.places, some.covariance, way.degree).mean_speed()[0])
-        return way, dict(zip(rows, aligned.places, strict=True)), groups
+            groups.append(
+                polynomial_track.fit_polynomial(times, some.places, some.covariance, track.degree).mean_speed()[0]
+            )
+        return track, dict(zip(rows, aligned.places, strict=True)), groups
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,7 +248,7 @@ class _Matches:
 
 
 @dataclass(frozen=True, eq=False)
-class _Key:
+class _Keyframe:
     """A frame from which points are tracked: its images, the regions (2, 4, 2) and the points there."""
 
     images: tuple[Image, Image]
@@ -259,21 +263,25 @@ def _displacement(rig: StereoRig, before: _Matches, after: _Matches) -> tuple[Ar
     if not len(i):
         return np.full(3, np.nan), np.full((3, 3), np.nan)
     a, b = before.points[i], after.points[j]
-    W = np.linalg.inv(covariance(rig, a, SIGMA) + covariance(rig, b, SIGMA))
+    W = np.linalg.inv(
+        triangulation_covariance(rig, a, MATCH_SIGMA_PX) + triangulation_covariance(rig, b, MATCH_SIGMA_PX)
+    )
     d, w = b - a, np.ones(len(a))
     for _ in range(6):
         A = np.einsum("n,nij->ij", w, W)
         mean = np.linalg.solve(A, np.einsum("n,nij,nj->i", w, W, d))
         off = np.sqrt(np.einsum("ni,nij,nj->n", d - mean, W, d - mean))
         scale = max(float(np.median(off)) / 1.54, 1e-6)
-        w = np.minimum(1.0, 2 * HUBER * scale / np.maximum(off, 1e-12))
+        w = np.minimum(1.0, 2 * HUBER_SIGMA * scale / np.maximum(off, 1e-12))
     return mean, np.linalg.inv(A) * scale**2
 
 
 def _similarity(before: Array, after: Array) -> Array | None:
     """The similarity (2, 3) by which most points move."""
     cv2.setRNGSeed(0)
-    move = cv2.estimateAffinePartial2D(before, after, method=cv2.RANSAC, ransacReprojThreshold=APART)[0]
+    move = cv2.estimateAffinePartial2D(before, after, method=cv2.RANSAC, ransacReprojThreshold=MAX_MOTION_RESIDUAL_PX)[
+        0
+    ]
     return None if move is None else np.asarray(move, float)
 
 

@@ -7,94 +7,98 @@ import numpy as np
 from numpy.typing import NDArray
 
 from paceline.arrays import Array, Image, Mask
-from paceline.baselines.template_tracking import Move
+from paceline.baselines.template_tracking import ScaledShift
 
-WINDOW = (7, 17)  # px, of the least and the greatest window
+WINDOW_LIMITS_PX = (7, 17)  # px, of the least and the greatest window
 WINDOW_SHARE = 0.4  # of the region's height
-RETURN = 0.3  # px: a point tracked there and back ends no farther from where it began
-MOST_POINTS = 150
-QUALITY = 0.01  # of a corner, relative to the best one
-SPACING = 3.0  # px between corners
-RIM = 0.25  # share of a side that is left out at most
-BORDER = 40  # px of picture about the points
-MEAN, CONTRAST = 128.0, 45.0  # grey levels
-STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-3)
+MAX_FORWARD_BACKWARD_PX = 0.3  # px: a point tracked there and back ends no farther from where it began
+MAX_POINTS = 150
+CORNER_QUALITY = 0.01  # of a corner, relative to the best one
+MIN_CORNER_SPACING_PX = 3.0  # px between corners
+MAX_RIM_SHARE = 0.25  # share of a side that is left out at most
+CROP_BORDER_PX = 40  # px of picture about the points
+NORMALIZED_MEAN, NORMALIZED_STD = 128.0, 45.0  # grey levels
+FLOW_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-3)
 
 
-def corners(image: Image, quad: Array, known: Array) -> Array:
+def detect_corners(image: Image, quad: Array, known: Array) -> Array:
     """Corners (n, 2) inside ``quad`` (4, 2) that are clear of the ``known`` points (m, 2).
 
     They keep half a window from its sides: a window that shows what is behind the vehicle is drawn to its depth.
     """
-    rim = np.minimum(0.5 * window_for(quad) / np.ptp(quad, axis=0), RIM)
+    rim = np.minimum(0.5 * window_size(quad) / np.ptp(quad, axis=0), MAX_RIM_SHARE)
     inner = quad.mean(0) + (1 - 2 * rim) * (quad - quad.mean(0))
     low = np.maximum(np.floor(quad.min(0)).astype(int), 0)
     high = np.ceil(quad.max(0)).astype(int) + 1
     picture = _bytes(image[low[1] : high[1], low[0] : high[0]])
-    wanted = MOST_POINTS - len(known)
+    wanted = MAX_POINTS - len(known)
     if wanted <= 0 or not picture.size:
         return np.empty((0, 2))
     mask = np.zeros(picture.shape, np.uint8)
     cv2.fillConvexPoly(mask, np.rint(inner - low).astype(np.int32), 255)
     for x, y in np.rint(known - low).astype(int).tolist():
-        cv2.circle(mask, (x, y), round(SPACING), 0, cv2.FILLED)
-    found = cv2.goodFeaturesToTrack(picture, wanted, QUALITY, SPACING, mask=mask, blockSize=3)
+        cv2.circle(mask, (x, y), round(MIN_CORNER_SPACING_PX), 0, cv2.FILLED)
+    found = cv2.goodFeaturesToTrack(picture, wanted, CORNER_QUALITY, MIN_CORNER_SPACING_PX, mask=mask, blockSize=3)
     return np.empty((0, 2)) if found is None else np.asarray(found.reshape(-1, 2) + low, float)
 
 
-def tracked(before: Image, after: Image, points: Array, move: Move, window: int) -> tuple[Array, Mask]:
+def track_points(before: Image, after: Image, points: Array, move: ScaledShift, window: int) -> tuple[Array, Mask]:
     """Where ``points`` (n, 2) of ``before`` are in ``after``, near ``move``, and which of them can be trusted.
 
     The earlier picture is first brought to the later one's place and scale, because the method itself knows of shifts
     only.
     """
     start = move(points)
-    low, high = _around(start, after)
+    low, high = _crop_bounds(start, after)
     here = after[low[1] : high[1], low[0] : high[0]]
     matrix = move.matrix - np.column_stack([np.zeros((2, 2)), low])
     size = int(high[0] - low[0]), int(high[1] - low[1])
     there = np.asarray(cv2.warpAffine(before, matrix, size, flags=cv2.INTER_CUBIC), np.float32)
-    found, good = _there_and_back(there, here, start - low, start - low, window)
+    found, good = _forward_backward(there, here, start - low, start - low, window)
     return found + low, good
 
 
-def matched(left: Image, right: Image, points: Array, guess: Array, window: int) -> tuple[Array, Mask]:
+def match_points(left: Image, right: Image, points: Array, guess: Array, window: int) -> tuple[Array, Mask]:
     """Where ``points`` (n, 2) of ``left`` are in ``right``, near the ``guess`` (n, 2), and which can be trusted."""
-    low, high = _around(points, left)
-    low_right, high_right = _around(guess, right)
+    low, high = _crop_bounds(points, left)
+    low_right, high_right = _crop_bounds(guess, right)
     a = left[low[1] : high[1], low[0] : high[0]]
     b = right[low_right[1] : high_right[1], low_right[0] : high_right[0]]
     height, width = min(a.shape[0], b.shape[0]), min(a.shape[1], b.shape[1])
     crops = a[:height, :width], b[:height, :width]
-    found, good = _there_and_back(*crops, points - low, guess - low_right, window)
+    found, good = _forward_backward(*crops, points - low, guess - low_right, window)
     return found + low_right, good
 
 
-def window_for(quad: Array) -> int:
+def window_size(quad: Array) -> int:
     """The odd width in pixels of the window that suits a region."""
-    size = int(np.clip(WINDOW_SHARE * np.ptp(quad[:, 1]), *WINDOW))
+    size = int(np.clip(WINDOW_SHARE * np.ptp(quad[:, 1]), *WINDOW_LIMITS_PX))
     return size | 1
 
 
-def _there_and_back(before: Image, after: Image, points: Array, guess: Array, window: int) -> tuple[Array, Mask]:
-    a, b = _levelled(before, points), _levelled(after, guess)
+def _forward_backward(before: Image, after: Image, points: Array, guess: Array, window: int) -> tuple[Array, Mask]:
+    a, b = _normalized(before, points), _normalized(after, guess)
     start = points.astype(np.float32)
-    how = (None, None, (window, window), 1, STOP, cv2.OPTFLOW_USE_INITIAL_FLOW)
+    how = (None, None, (window, window), 1, FLOW_CRITERIA, cv2.OPTFLOW_USE_INITIAL_FLOW)
     there, seen, _ = map(np.asarray, cv2.calcOpticalFlowPyrLK(a, b, start, guess.astype(np.float32), *how))
     back, seen_back, _ = map(np.asarray, cv2.calcOpticalFlowPyrLK(b, a, there, start.copy(), *how))
-    good = (seen.ravel() == 1) & (seen_back.ravel() == 1) & (np.linalg.norm(back - start, axis=1) < RETURN)
+    good = (
+        (seen.ravel() == 1)
+        & (seen_back.ravel() == 1)
+        & (np.linalg.norm(back - start, axis=1) < MAX_FORWARD_BACKWARD_PX)
+    )
     return np.asarray(there - 0.5 * (back - start), float), good  # both ways' mean: what errs alike in both cancels
 
 
-def _around(points: Array, image: Image) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _crop_bounds(points: Array, image: Image) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """The first pixel, and the one after the last, of the picture about ``points``."""
     end = np.array(image.shape[::-1])
-    low = np.clip(np.floor(points.min(0)).astype(np.int64) - BORDER, 0, end - 1)
-    high = np.clip(np.ceil(points.max(0)).astype(np.int64) + BORDER, low + 1, end)
+    low = np.clip(np.floor(points.min(0)).astype(np.int64) - CROP_BORDER_PX, 0, end - 1)
+    high = np.clip(np.ceil(points.max(0)).astype(np.int64) + CROP_BORDER_PX, low + 1, end)
     return low, high
 
 
-def _levelled(image: Image, points: Array) -> NDArray[np.uint8]:
+def _normalized(image: Image, points: Array) -> NDArray[np.uint8]:
     """``image`` with the mean and the contrast about the ``points`` (n, 2) brought to fixed values.
 
     The method takes a change of exposure for motion.
@@ -103,7 +107,7 @@ def _levelled(image: Image, points: Array) -> NDArray[np.uint8]:
     about = image[max(y0, 0) : y1, max(x0, 0) : x1]
     if not about.size:
         return _bytes(image)
-    return _bytes(MEAN + CONTRAST * (image - about.mean()) / max(float(about.std()), 1.0))
+    return _bytes(NORMALIZED_MEAN + NORMALIZED_STD * (image - about.mean()) / max(float(about.std()), 1.0))
 
 
 def _bytes(image: Image) -> NDArray[np.uint8]:

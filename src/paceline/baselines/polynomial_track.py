@@ -8,13 +8,13 @@ import numpy as np
 
 from paceline.arrays import Array
 
-MOST_DEGREE = 4
-SAMPLES = 257  # of the speed along a way, for its mean
-MODELS = {1: "constant velocity", 2: "constant acceleration"}
+MAX_DEGREE = 4
+SPEED_SAMPLES = 257  # of the speed along a way, for its mean
+MODEL_NAMES = {1: "constant velocity", 2: "constant acceleration"}
 
 
 @dataclass(frozen=True, eq=False)
-class Way:
+class PolynomialTrack:
     """A polynomial in time through places, relative to that at the first time.
 
     ``coefficients`` (degree, 3) of the powers 1 … degree of ``(t − times[0]) / length``; ``covariance`` (3·degree,
@@ -32,7 +32,7 @@ class Way:
 
     @property
     def model(self) -> str:
-        return MODELS.get(self.degree, f"polynomial of degree {self.degree}")
+        return MODEL_NAMES.get(self.degree, f"polynomial of degree {self.degree}")
 
     def velocities(self, times: Array) -> Array:
         """(N, 3) m/s at ``times`` (N,)."""
@@ -45,7 +45,7 @@ class Way:
 
     def mean_speed(self) -> tuple[float, float]:
         """Length of the way by its duration, and the standard uncertainty, m/s."""
-        at = np.linspace(self.times[0], self.times[-1], SAMPLES)
+        at = np.linspace(self.times[0], self.times[-1], SPEED_SAMPLES)
         speeds, rows = self._speeds_and_rows(at)
         duration = at[-1] - at[0]
         row = np.trapezoid(rows, at, axis=0) / duration
@@ -64,7 +64,7 @@ class Way:
         return speeds, np.einsum("nm,nc->nmc", slopes, ahead).reshape(len(times), -1)
 
 
-def way_through(times: Array, places: Array, covariance: Array, degree: int | None = None) -> Way:
+def fit_polynomial(times: Array, places: Array, covariance: Array, degree: int | None = None) -> PolynomialTrack:
     """The most probable way through ``places`` (K, 3) at ``times`` (K,), by generalised least squares.
 
     ``covariance`` (3(K−1), 3(K−1)) is that of the places relative to the first, up to a factor, which their scatter
@@ -78,7 +78,7 @@ def way_through(times: Array, places: Array, covariance: Array, degree: int | No
     whitener = np.linalg.inv(np.linalg.cholesky(covariance))
     y = whitener @ (places[1:] - places[0]).ravel()
     n, best = len(y), None
-    degrees = range(1, min(MOST_DEGREE, K - 2) + 1) if degree is None else [degree]
+    degrees = range(1, min(MAX_DEGREE, K - 2) + 1) if degree is None else [degree]
     for d in degrees:
         powers = np.stack([u**m for m in range(1, d + 1)], axis=1)
         rows = whitener @ np.kron(powers, np.eye(3))
@@ -90,4 +90,4 @@ def way_through(times: Array, places: Array, covariance: Array, degree: int | No
             best = criterion, solution.reshape(d, 3), scatter * np.linalg.inv(rows.T @ rows), n - unknowns
     assert best is not None
     _, coefficients, spread, dof = best
-    return Way(times, coefficients, spread, float(dof))
+    return PolynomialTrack(times, coefficients, spread, float(dof))

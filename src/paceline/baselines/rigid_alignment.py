@@ -13,15 +13,15 @@ import numpy as np
 
 from paceline.arrays import Array, Mask
 
-ITERATIONS = 20
-HUBER = 0.9  # of a coordinate's standard deviation in each of three: the errors of matches have long tails
-CONVERGED = 1e-6  # m
+MAX_ITERATIONS = 20
+HUBER_SIGMA = 0.9  # of a coordinate's standard deviation in each of three: the errors of matches have long tails
+CONVERGENCE_M = 1e-6  # m
 MEDIAN_CHI = 1.538  # of three degrees of freedom
-LEAST_SCATTER = 1e-9  # 1/m
+MIN_SCATTER_PER_M = 1e-9  # 1/m
 
 
 @dataclass(frozen=True, eq=False)
-class Aligned:
+class RigidAlignment:
     """``places`` (K, 3) m of the body, the first as given, and the ``covariance`` (3(K−1), 3(K−1)) of the others
     relative to it."""
 
@@ -29,7 +29,7 @@ class Aligned:
     covariance: Array
 
 
-def align(points: Array, seen: Mask, turns: Array, places: Array) -> Aligned:
+def align(points: Array, seen: Mask, turns: Array, places: Array) -> RigidAlignment:
     """Aligns the ``points`` (P, K, 3) m of a body where they are ``seen`` (P, K), X = place + turn · point.
 
     ``turns`` (K, 3, 3) are known; ``places`` (K, 3) are where to begin. Raises numpy.linalg.LinAlgError where the
@@ -44,7 +44,7 @@ def align(points: Array, seen: Mask, turns: Array, places: Array) -> Aligned:
     own = np.einsum("kji,pkj->pki", turns, points - places[0])  # turned back, as seen from the first place
     apart = np.einsum("kab,lcb->kalc", turns, turns)
     w, found = seen.astype(float), places
-    for _ in range(ITERATIONS):
+    for _ in range(MAX_ITERATIONS):
         W = w / depths**4
         total = W.sum(1)
         S = -np.einsum("pk,pl,p->kl", W, W, 1 / total, optimize=True)[:, None, :, None] * apart
@@ -57,8 +57,8 @@ def align(points: Array, seen: Mask, turns: Array, places: Array) -> Aligned:
         back = own - np.einsum("kji,kj->ki", turns, found - places[0])
         body = (W[..., None] * back).sum(1) / total[:, None]
         off = np.linalg.norm(back - body[:, None], axis=-1) / depths**2
-        scatter = max(float(np.median(off[seen])) / MEDIAN_CHI, LEAST_SCATTER)
-        w = np.where(seen, np.minimum(1.0, HUBER * np.sqrt(3) * scatter / np.maximum(off, 1e-15)), 0.0)
-        if np.abs(found - before).max() < CONVERGED:
+        scatter = max(float(np.median(off[seen])) / MEDIAN_CHI, MIN_SCATTER_PER_M)
+        w = np.where(seen, np.minimum(1.0, HUBER_SIGMA * np.sqrt(3) * scatter / np.maximum(off, 1e-15)), 0.0)
+        if np.abs(found - before).max() < CONVERGENCE_M:
             break
-    return Aligned(found, scatter**2 * np.linalg.inv(information))
+    return RigidAlignment(found, scatter**2 * np.linalg.inv(information))

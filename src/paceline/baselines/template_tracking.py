@@ -17,23 +17,23 @@ from paceline.geometry import epipolar_distance, triangulate
 from paceline.recordings.stereo import StereoFrame
 from paceline.subpixel import parabola_peak_at
 
-FIRST_SCALES = np.geomspace(0.66, 1.52, 19)  # of a vehicle whose motion is not known yet
-FIRST_REACH = 0.8  # lengths of its longer side that it may have moved
-SCALES = np.geomspace(0.91, 1.1, 9)  # about the prediction
-REACH = 0.25
-LEAST_REACH = 6.0  # px
-SEARCHED = 64  # px: larger regions are searched at this width
-ALIKE = 0.6  # correlation below which it is not the vehicle
-PATIENCE = 4  # frames that may pass so before it is given up
-CONTRAST = 2.0  # grey levels, standard deviation: less is no texture
-ACROSS = 3.0  # px from the epipolar line at which both views still show the same thing
-DEEPER = (0.25, 2.0)  # by which its depth may differ from what its scale says: a share, and px of disparity
-NEAREST = 0.3  # share of its depth that a vehicle keeps from one sight to the next
-LEAST_SIZE = 8.0  # px, a smaller region tells nothing
+INITIAL_SCALES = np.geomspace(0.66, 1.52, 19)  # of a vehicle whose motion is not known yet
+INITIAL_SEARCH_SHARE = 0.8  # lengths of its longer side that it may have moved
+SCALE_STEPS = np.geomspace(0.91, 1.1, 9)  # about the prediction
+SEARCH_SHARE = 0.25
+MIN_SEARCH_PX = 6.0  # px
+MAX_TEMPLATE_PX = 64  # px: larger regions are searched at this width
+MIN_TEMPLATE_NCC = 0.6  # correlation below which it is not the vehicle
+MAX_UNSEEN_FRAMES = 4  # frames that may pass so before it is given up
+MIN_CONTRAST_GREY = 2.0  # grey levels, standard deviation: less is no texture
+MAX_EPIPOLAR_PX = 3.0  # px from the epipolar line at which both views still show the same thing
+MAX_DEPTH_MISMATCH = (0.25, 2.0)  # by which its depth may differ from what its scale says: a share, and px of disparity
+MIN_DEPTH_SHARE = 0.3  # share of its depth that a vehicle keeps from one sight to the next
+MIN_REGION_PX = 8.0  # px, a smaller region tells nothing
 
 
 @dataclass(frozen=True, eq=False)
-class Move:
+class ScaledShift:
     """A change of place and scale in an image: ``p' = scale · p + shift``."""
 
     scale: float
@@ -48,13 +48,13 @@ class Move:
         return np.column_stack([self.scale * np.eye(2), self.shift])
 
 
-def move_between(before: Array, after: Array) -> Move:
+def shift_between(before: Array, after: Array) -> ScaledShift:
     """The move that takes the centre and the size of one quadrilateral (4, 2) to those of another."""
     scale = float(np.sqrt(_area(after) / _area(before)))
-    return Move(scale, after.mean(0) - scale * before.mean(0))
+    return ScaledShift(scale, after.mean(0) - scale * before.mean(0))
 
 
-class Regions:
+class TemplateTracker:
     """The regions of one vehicle in both views.
 
     ``quads`` (2, 4, 2) px and ``images`` are those of the ``time`` at which it was last seen. ``status`` is tracking,
@@ -65,42 +65,46 @@ class Regions:
         """The regions as outlined in ``frame``. Raises numpy.linalg.LinAlgError where they hold no texture."""
         self.rig, self.quads, self.images, self.time = rig, quads, (frame.left, frame.right), frame.time
         self.status = "tracking"
-        self._step: tuple[Array, float, float] | None = None  # the centres (2, 2) before, the growth and the time since
+        self._last_step: tuple[Array, float, float] | None = (
+            None  # the centres (2, 2) before, the growth and the time since
+        )
         self._unseen = 0
-        if min(_cut(i, q).std() for i, q in zip(self.images, quads, strict=True)) < CONTRAST:
+        if min(_crop(i, q).std() for i, q in zip(self.images, quads, strict=True)) < MIN_CONTRAST_GREY:
             raise np.linalg.LinAlgError("the region has no texture")
 
-    def find(self, frame: StereoFrame) -> tuple[Move, Move] | None:
+    def find(self, frame: StereoFrame) -> tuple[ScaledShift, ScaledShift] | None:
         """How the regions moved to ``frame`` since they were last seen; None where nothing like them is seen."""
-        moves: list[Move] = []
+        moves: list[ScaledShift] = []
         for view, image in enumerate((frame.left, frame.right)):
             expected = self._expected(view, frame.time)
-            if self._step is None:
-                scales, reach = FIRST_SCALES, FIRST_REACH
+            if self._last_step is None:
+                scales, reach = INITIAL_SCALES, INITIAL_SEARCH_SHARE
             else:
-                scales, reach = expected.scale * SCALES ** (1 + self._unseen), REACH * (1 + self._unseen)
+                scales, reach = expected.scale * SCALE_STEPS ** (1 + self._unseen), SEARCH_SHARE * (1 + self._unseen)
             if moves:  # both views see about the same change of scale
                 scales = moves[0].scale * np.geomspace(0.98, 1.02, 3)
             quad = self.quads[view]
-            move, likeness = _search(self.images[view], quad, image, expected(quad.mean(0)), scales, reach)
-            if likeness < ALIKE:
+            move, ncc = _search(self.images[view], quad, image, expected(quad.mean(0)), scales, reach)
+            if ncc < MIN_TEMPLATE_NCC:
                 return None
             moves.append(move)
         return (moves[0], moves[1]) if self._agree(*moves) else None
 
-    def _agree(self, left: Move, right: Move) -> bool:
+    def _agree(self, left: ScaledShift, right: ScaledShift) -> bool:
         """Whether both views found the same thing, as much nearer as it is larger."""
         before = self.quads.mean(1)
         after = np.stack([left(before[0]), right(before[1])])
         depth_before, depth = (float(triangulate(self.rig, *centres)[2]) for centres in (before, after))
-        slack = DEEPER[0] + DEEPER[1] * depth_before / (self.rig.left.K[0, 0] * self.rig.baseline)
+        slack = MAX_DEPTH_MISMATCH[0] + MAX_DEPTH_MISMATCH[1] * depth_before / (
+            self.rig.left.K[0, 0] * self.rig.baseline
+        )
         across = abs(float(epipolar_distance(self.rig, *after)))
-        return across < ACROSS and abs(left.scale * depth / depth_before - 1) < slack
+        return across < MAX_EPIPOLAR_PX and abs(left.scale * depth / depth_before - 1) < slack
 
     def accept(self, quads: Array, frame: StereoFrame) -> None:
         """The vehicle is seen in ``frame`` at ``quads`` (2, 4, 2)."""
-        grown = move_between(self.quads[0], quads[0]).scale
-        self._step = self.quads.mean(1), grown, frame.time - self.time
+        grown = shift_between(self.quads[0], quads[0]).scale
+        self._last_step = self.quads.mean(1), grown, frame.time - self.time
         self.quads, self.images, self.time, self._unseen = quads, (frame.left, frame.right), frame.time, 0
         if self._outside(quads):
             self.status = "ended"
@@ -111,61 +115,63 @@ class Regions:
         expected = np.stack([self._expected(view, time)(self.quads[view]) for view in (0, 1)])
         if self._outside(expected):
             self.status = "ended"
-        elif self._unseen >= PATIENCE:
+        elif self._unseen >= MAX_UNSEEN_FRAMES:
             self.status = "lost"
         return self.status == "tracking"
 
-    def _expected(self, view: int, time: float) -> Move:
+    def _expected(self, view: int, time: float) -> ScaledShift:
         """The move of a constant velocity in space: depth, and pixels times depth, go on as they went."""
-        if self._step is None:
-            return Move(1.0, np.zeros(2))
-        centres, grown, since = self._step
+        if self._last_step is None:
+            return ScaledShift(1.0, np.zeros(2))
+        centres, grown, since = self._last_step
         steps, centre = (time - self.time) / since, self.quads[view].mean(0)
-        depth = max(1 + (1 - grown) * steps, NEAREST)  # in units of the depth now; before, it was ``grown``
-        return Move(1 / depth, (centre + (centre - grown * centres[view]) * steps) / depth - centre / depth)
+        depth = max(1 + (1 - grown) * steps, MIN_DEPTH_SHARE)  # in units of the depth now; before, it was ``grown``
+        return ScaledShift(1 / depth, (centre + (centre - grown * centres[view]) * steps) / depth - centre / depth)
 
     def _outside(self, quads: Array) -> bool:
         """Whether a region has left its image, or shrunk to nothing."""
         for quad, image in zip(quads, self.images, strict=True):
             if not ((quad >= 0).all() and (quad <= np.array(image.shape[::-1]) - 1).all()):
                 return True
-        return bool(np.ptp(quads[0], axis=0).min() < LEAST_SIZE)
+        return bool(np.ptp(quads[0], axis=0).min() < MIN_REGION_PX)
 
 
-def _search(before: Image, quad: Array, image: Image, centre: Array, scales: Array, reach: float) -> tuple[Move, float]:
+def _search(
+    before: Image, quad: Array, image: Image, centre: Array, scales: Array, reach: float
+) -> tuple[ScaledShift, float]:
     """How the picture of ``quad`` (4, 2) in ``before`` moved to ``image``, and how alike it is there, −1 … 1."""
     size = np.ptp(quad, axis=0)
-    shrink = min(1.0, SEARCHED / float(size[0]))
-    template = _shrunk(_cut(before, quad), shrink)
+    shrink = min(1.0, MAX_TEMPLATE_PX / float(size[0]))
+    template = _resized(_crop(before, quad), shrink)
     edge = np.maximum(np.floor(quad.min(0)), 0) - 0.5  # of the template, where its first pixel begins
-    best = (Move(1.0, np.zeros(2)), -1.0)
+    best = (ScaledShift(1.0, np.zeros(2)), -1.0)
     for scale in scales.tolist():
-        half = 0.5 * scale * size + max(reach * float(size.max()), LEAST_REACH)
+        half = 0.5 * scale * size + max(reach * float(size.max()), MIN_SEARCH_PX)
         x0, y0 = np.maximum(np.floor(centre - half), 0).astype(int)
         x1, y1 = np.maximum(np.ceil(centre + half), 0).astype(int) + 1
-        window = _shrunk(image[y0:y1, x0:x1], shrink)
+        window = _resized(image[y0:y1, x0:x1], shrink)
         width, height = np.maximum(np.rint(np.array(template.shape[::-1]) * scale), 2).astype(int).tolist()
         if window.shape[0] < height or window.shape[1] < width:
             continue
         sought = cv2.resize(template, (width, height), interpolation=cv2.INTER_LINEAR)
         score = np.asarray(cv2.matchTemplate(window, sought, cv2.TM_CCOEFF_NORMED), float)
         score = np.nan_to_num(score, posinf=-1.0, neginf=-1.0)
-        _, likeness, _, (x, y) = cv2.minMaxLoc(score)
-        if likeness > best[1]:
+        _, ncc, _, (x, y) = cv2.minMaxLoc(score)
+        if ncc > best[1]:
             peak = np.array([x + parabola_peak_at(score[y], x), y + parabola_peak_at(score[:, x], y)])
             found = peak / shrink + [x0 - 0.5, y0 - 0.5]
-            best = (Move(scale, found - scale * edge), float(likeness))
+            best = (ScaledShift(scale, found - scale * edge), float(ncc))
     return best
 
 
-def _cut(image: Image, quad: Array) -> Image:
+def _crop(image: Image, quad: Array) -> Image:
     """The upright box of ``image`` about ``quad`` (4, 2)."""
     x0, y0 = np.maximum(np.floor(quad.min(0)), 0).astype(int)
     x1, y1 = np.ceil(quad.max(0)).astype(int) + 1
     return image[y0:y1, x0:x1]
 
 
-def _shrunk(image: Image, factor: float) -> Image:
+def _resized(image: Image, factor: float) -> Image:
     if factor == 1.0 or not image.size:
         return image
     return np.asarray(cv2.resize(image, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA), np.float32)

@@ -1,4 +1,4 @@
-"""What every baseline leaves behind: a track, a mean speed with its interval, and a verdict."""
+"""The result of every baseline: a track, a mean speed with its interval, and a verdict."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from paceline.arrays import Array
-from paceline.baselines.template_tracking import Regions
+from paceline.baselines.template_tracking import TemplateTracker
 from paceline.recordings.stereo import StereoFrame
 from paceline.speed.configuration import Limits
 from paceline.speed.results import CONFIDENCE_LEVEL, Measurement, Track
@@ -20,12 +20,12 @@ NAN = float("nan")
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
-    """A vehicle at one frame (SI units, ideal pixels); NaN where the method cannot say.
+class FrameResult:
+    """A vehicle at one frame (SI units, ideal pixels); NaN where the method gives no value.
 
     ``status`` is tracking, lost (not seen in this frame; it may be seen again) or ended (out of an image).
-    ``points_left`` and ``points_right`` (n, 2) are the features or particles that the overlay shows, and ``strength``
-    how many of them count: matched features, or the effective sample size of particles.
+    ``points_left`` and ``points_right`` (n, 2) are the features or particles that the overlay shows,
+    ``effective_points`` the number of matched features, or the effective sample size of the particles.
     """
 
     frame: int
@@ -38,7 +38,7 @@ class Sight:
     position: Array = field(default_factory=lambda: np.full(3, NAN))
     points_left: Array = field(default_factory=lambda: np.empty((0, 2)))
     points_right: Array = field(default_factory=lambda: np.empty((0, 2)))
-    strength: float = NAN
+    effective_points: float = NAN
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,21 +55,21 @@ class MeanSpeed:
     stds: Array | None = None
 
 
-def filtered(vehicle: str, sights: Sequence[Sight], model: str, limits: Limits) -> Measurement:
+def measurement_of_filter(vehicle: str, results: Sequence[FrameResult], model: str, limits: Limits) -> Measurement:
     """The measurement by a filter's own speeds: their mean, each counted by what it claims to know.
 
     A filter's successive estimates repeat one another's errors, so that their scatter is not divided by their number.
     """
-    known = [s for s in sights if s.status == "tracking" and np.isfinite(s.speed_std)]
+    known = [s for s in results if s.status == "tracking" and np.isfinite(s.speed_std)]
     speeds, stds = (np.array([getattr(s, name) for s in known]) for name in ("speed", "speed_std"))
     information = np.maximum(stds, np.median(stds)) ** -2.0  # a cloud that has shrunk to a point knows no more
     mean = float(np.average(speeds, weights=information))
     scatter = float(np.average((speeds - mean) ** 2, weights=information))
     std = float(np.sqrt(scatter + 1.0 / information.mean()))
-    return judged(vehicle, sights, MeanSpeed(mean, std, len(known) - 1.0, model), limits)
+    return measurement_of(vehicle, results, MeanSpeed(mean, std, len(known) - 1.0, model), limits)
 
 
-def judged(vehicle: str, sights: Sequence[Sight], mean: MeanSpeed, limits: Limits) -> Measurement:
+def measurement_of(vehicle: str, results: Sequence[FrameResult], mean: MeanSpeed, limits: Limits) -> Measurement:
     """The measurement of a vehicle; rejected, with the reason, where its interval says too little."""
     half = float(stdtrit(mean.dof, 0.5 + CONFIDENCE_LEVEL / 2) * mean.std)
     if not np.isfinite([mean.speed, half]).all():
@@ -80,13 +80,13 @@ def judged(vehicle: str, sights: Sequence[Sight], mean: MeanSpeed, limits: Limit
         reason = check_interval(mean.speed, half, limits=limits)
     return Measurement(
         vehicle=vehicle,
-        track=track_of(vehicle, sights, mean.speeds, mean.stds),
+        track=track_of(vehicle, results, mean.speeds, mean.stds),
         speed=mean.speed,
         speed_lo=mean.speed - half,
         speed_hi=mean.speed + half,
         random_std=mean.std,
         systematic_std=NAN,
-        frames=_frames(sights),
+        frames=_tracked_frames(results),
         verdict="rejected" if reason else "measured",
         reason=str(reason),
         reason_code=reason.code,
@@ -95,50 +95,52 @@ def judged(vehicle: str, sights: Sequence[Sight], mean: MeanSpeed, limits: Limit
     )
 
 
-def unseen(frame: StereoFrame, regions: Regions) -> Sight:
+def unseen_frame(frame: StereoFrame, regions: TemplateTracker) -> FrameResult:
     """A frame that does not show the vehicle: the regions stay where they were."""
     status = "ended" if regions.status == "ended" else "lost"
-    return Sight(frame.index, frame.time, regions.quads[0], regions.quads[1], status=status)
+    return FrameResult(frame.index, frame.time, regions.quads[0], regions.quads[1], status=status)
 
 
-def rejected(vehicle: str, sights: Sequence[Sight], reason: Message) -> Measurement:
+def rejected(vehicle: str, results: Sequence[FrameResult], reason: Message) -> Measurement:
     """A vehicle for which there is no speed."""
-    track, frames = track_of(vehicle, sights), _frames(sights)
+    track, frames = track_of(vehicle, results), _tracked_frames(results)
     return Measurement(vehicle, track, NAN, NAN, NAN, NAN, NAN, frames, "rejected", "", "none").judged(reason)
 
 
-def too_few(sights: Sequence[Sight], limits: Limits) -> Message:
+def check_frame_count(results: Sequence[FrameResult], limits: Limits) -> Message:
     """Why there is no track to measure by; empty where there is one."""
-    return check_frames(sights[-1].status if sights else "tracking", _frames(sights), limits)
+    return check_frames(results[-1].status if results else "tracking", _tracked_frames(results), limits)
 
 
-def track_of(vehicle: str, sights: Sequence[Sight], speeds: Array | None = None, stds: Array | None = None) -> Track:
+def track_of(
+    vehicle: str, results: Sequence[FrameResult], speeds: Array | None = None, stds: Array | None = None
+) -> Track:
     """The aligned arrays of a track; points are filled up with NaN to one number in every frame."""
-    nothing = np.full(len(sights), NAN)
+    nothing = np.full(len(results), NAN)
     return Track(
         vehicle=vehicle,
-        frame=np.array([s.frame for s in sights], np.int64),
-        time=np.array([s.time for s in sights]),
-        speed=np.array([s.speed for s in sights]),
-        speed_std=np.array([s.speed_std for s in sights]),
-        position=np.array([s.position for s in sights]).reshape(-1, 3),
+        frame=np.array([s.frame for s in results], np.int64),
+        time=np.array([s.time for s in results]),
+        speed=np.array([s.speed for s in results]),
+        speed_std=np.array([s.speed_std for s in results]),
+        position=np.array([s.position for s in results]).reshape(-1, 3),
         yaw_rate=nothing,
-        left=np.array([s.left for s in sights]).reshape(-1, 4, 2),
-        right=np.array([s.right for s in sights]).reshape(-1, 4, 2),
-        ess=np.array([s.strength for s in sights]),
-        status=[s.status for s in sights],
-        particles_left=_filled_up([s.points_left for s in sights]),
-        particles_right=_filled_up([s.points_right for s in sights]),
+        left=np.array([s.left for s in results]).reshape(-1, 4, 2),
+        right=np.array([s.right for s in results]).reshape(-1, 4, 2),
+        ess=np.array([s.effective_points for s in results]),
+        status=[s.status for s in results],
+        particles_left=_padded([s.points_left for s in results]),
+        particles_right=_padded([s.points_right for s in results]),
         refined_speed=nothing if speeds is None else speeds,
         refined_std=nothing if stds is None else stds,
     )
 
 
-def _frames(sights: Sequence[Sight]) -> int:
-    return sum(s.status == "tracking" for s in sights)
+def _tracked_frames(results: Sequence[FrameResult]) -> int:
+    return sum(s.status == "tracking" for s in results)
 
 
-def _filled_up(points: Sequence[Array]) -> Array:
+def _padded(points: Sequence[Array]) -> Array:
     most = max((len(p) for p in points), default=0)
     filled = np.full((len(points), max(most, 1), 2), NAN)
     for row, p in zip(filled, points, strict=True):

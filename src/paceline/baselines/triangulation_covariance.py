@@ -15,16 +15,16 @@ def image_jacobian(rig: StereoRig, points: Array) -> Array:
     return np.concatenate([left, right], axis=-2)
 
 
-def information(rig: StereoRig, points: Array, sigma: float) -> Array:
+def triangulation_information(rig: StereoRig, points: Array, sigma: float) -> Array:
     """Inverse covariance (…, 3, 3) of optimally triangulated ``points`` (…, 3), each of the four pixel coordinates of
     which has the standard deviation ``sigma``."""
     J = image_jacobian(rig, points)
     return np.asarray(np.swapaxes(J, -1, -2) @ J) / sigma**2
 
 
-def covariance(rig: StereoRig, points: Array, sigma: float) -> Array:
+def triangulation_covariance(rig: StereoRig, points: Array, sigma: float) -> Array:
     """The covariance (…, 3, 3), m², to that information: to first order, of optimally triangulated points."""
-    return np.asarray(np.linalg.inv(information(rig, points, sigma)))
+    return np.asarray(np.linalg.inv(triangulation_information(rig, points, sigma)))
 
 
 def _projection_jacobian(K: Array, points: Array) -> Array:

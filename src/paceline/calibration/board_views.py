@@ -9,19 +9,19 @@ from pathlib import Path
 import numpy as np
 
 from paceline.arrays import Image
-from paceline.calibration.boards import Board, Corners, Detector, detector, same_way_round
+from paceline.calibration.boards import Board, BoardDetector, Corners, board_detector, matching_order
 from paceline.calibration.parameters import Observations
 from paceline.errors import UnusableInput
 from paceline.progress import Progress
-from paceline.recordings.image_sources import ImageFiles, Source, open_source
+from paceline.recordings.image_sources import ImageFiles, ImageSource, open_source
 from paceline.recordings.stereo import pair_by_time, pair_images
 from paceline.verdicts import message
 
-MOST_VIEWS = 80  # of longer recordings, evenly spread ones: more cost time and hardly add
+MAX_VIEWS = 80  # of longer recordings, evenly spread ones: more cost time and hardly add
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class BoardView:
     """One pair of pictures: what messages call it, and the corners in each."""
 
     name: str
@@ -34,17 +34,17 @@ class View:
 
 
 @dataclass(frozen=True, eq=False)
-class Views:
+class BoardViews:
     """Pairs in which a camera sees the board; ``empty`` names those in which none does. ``sizes``: (width, height)."""
 
     board: Board
-    views: list[View]
+    views: list[BoardView]
     empty: list[str]
     sizes: tuple[tuple[int, int], tuple[int, int]]
     notices: list[str]
 
 
-def collect_views(left: Path, right: Path, board: Board, progress: Progress | None = None) -> Views:
+def collect_views(left: Path, right: Path, board: Board, progress: Progress | None = None) -> BoardViews:
     """The corners of ``board`` in two folders of images, patterns or videos.
 
     Raises UnusableInput where the two do not belong together, a file is bad or no picture shows the board.
@@ -53,10 +53,10 @@ def collect_views(left: Path, right: Path, board: Board, progress: Progress | No
         raise UnusableInput(f"{left}: is given for both cameras; expected the left one's pictures and the right one's")
     sources = open_source(left), open_source(right)
     pairs, notices = _pairs(*sources)
-    if len(pairs) > MOST_VIEWS:
-        notices.append(message("pairs_thinned", used=MOST_VIEWS, pairs=len(pairs)))
-        pairs = [pairs[i] for i in np.linspace(0, len(pairs) - 1, MOST_VIEWS).round().astype(int)]
-    find = detector(board)
+    if len(pairs) > MAX_VIEWS:
+        notices.append(message("pairs_thinned", used=MAX_VIEWS, pairs=len(pairs)))
+        pairs = [pairs[i] for i in np.linspace(0, len(pairs) - 1, MAX_VIEWS).round().astype(int)]
+    find = board_detector(board)
     views, empty, sizes = [], [], [(0, 0), (0, 0)]
     reads = [source.read([pair[side] for pair in pairs]) for side, source in enumerate(sources)]
     for k, (pair, *images) in enumerate(zip(pairs, *reads, strict=True)):
@@ -65,9 +65,9 @@ def collect_views(left: Path, right: Path, board: Board, progress: Progress | No
         for side, image in enumerate(images):
             sizes[side] = _size(sources[side], pair[side], image, sizes[side])
         if len(found[0]) and len(found[1]) and board.marker is None:
-            found[1] = same_way_round(found[0], found[1])
+            found[1] = matching_order(found[0], found[1])
         if len(found[0]) or len(found[1]):
-            views.append(View(name, found[0], found[1]))
+            views.append(BoardView(name, found[0], found[1]))
         else:
             empty.append(name)
         if progress:
@@ -76,10 +76,10 @@ def collect_views(left: Path, right: Path, board: Board, progress: Progress | No
         raise UnusableInput(f"{left} and {right}: no picture shows the board; is --board what was filmed?")
     for source in sources:
         notices += source.notices
-    return Views(board, views, empty, (sizes[0], sizes[1]), notices)
+    return BoardViews(board, views, empty, (sizes[0], sizes[1]), notices)
 
 
-def _pairs(left: Source, right: Source) -> tuple[list[tuple[int, int]], list[str]]:
+def _pairs(left: ImageSource, right: ImageSource) -> tuple[list[tuple[int, int]], list[str]]:
     if isinstance(left, ImageFiles) and isinstance(right, ImageFiles):
         pairing = pair_images(left, right, 1.0)
         notices: list[str] = [n for n in pairing.notices if n.code in ("frame_numbers_offset", "frames_unmatched")]
@@ -91,15 +91,15 @@ def _pairs(left: Source, right: Source) -> tuple[list[tuple[int, int]], list[str
     return list(zip(pairing.left.tolist(), pairing.right.tolist(), strict=True)), notices
 
 
-def _find(find: Detector, image: Image | None) -> Corners:
+def _find(find: BoardDetector, image: Image | None) -> Corners:
     return Corners(np.empty(0, np.int64), np.empty((0, 2))) if image is None else find(image)
 
 
-def _name(source: Source, frame: int) -> str:
+def _name(source: ImageSource, frame: int) -> str:
     return Path(source.label(frame)).name if isinstance(source, ImageFiles) else f"frame {frame}"
 
 
-def _size(source: Source, frame: int, image: Image | None, before: tuple[int, int]) -> tuple[int, int]:
+def _size(source: ImageSource, frame: int, image: Image | None, before: tuple[int, int]) -> tuple[int, int]:
     if image is None:
         return before
     size = image.shape[1], image.shape[0]
@@ -110,7 +110,7 @@ def _size(source: Source, frame: int, image: Image | None, before: tuple[int, in
     return size
 
 
-def observations(board: Board, views: Sequence[View]) -> Observations:
+def observations(board: Board, views: Sequence[BoardView]) -> Observations:
     """All corners of ``views`` in one list, numbered by their places."""
     view, side, points, pixels = [], [], [], []
     for v, pair in enumerate(views):

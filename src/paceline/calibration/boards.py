@@ -12,19 +12,22 @@ from numpy.typing import NDArray
 from paceline.arrays import Array, Image, Indices
 from paceline.errors import UnusableInput
 
-Detector = Callable[[Image], "Corners"]
+BoardDetector = Callable[[Image], "Corners"]
 
-EXPECTED = (
+EXPECTED_BOARD = (
     "expected charuco:COLUMNSxROWS:SQUARE:MARKER:DICTIONARY, squares counted and sizes in metres "
     "(charuco:11x8:0.06:0.045:DICT_5X5_100), or chessboard:COLUMNSxROWS:SQUARE, inner corners counted "
     "(chessboard:9x6:0.05)"
 )
-MOST_SQUARES = 100
-LARGEST_SQUARE = 2.0  # m
-CLEAR, WINDOW = 0.75, (2, 9)  # half a window, as a share of the way to the marker, and in px at least and at most
-SETTLED = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-4)
-NEAR = 1.5  # px, between a corner as OpenCV finds it and as it is found again
-LEAST_CORNERS = 8  # of one view of a ChArUco board: fewer hardly fix a pose beside a lens
+MAX_SQUARES_PER_SIDE = 100
+MAX_SQUARE_M = 2.0  # m
+WINDOW_SHARE, WINDOW_LIMITS_PX = (
+    0.75,
+    (2, 9),
+)  # half a window, as a share of the way to the marker, and in px at least and at most
+SUBPIXEL_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-4)
+MAX_REFINEMENT_SHIFT_PX = 1.5  # px, between a corner as OpenCV finds it and as it is found again
+MIN_CORNERS = 8  # of one view of a ChArUco board: fewer hardly fix a pose beside a lens
 
 
 @dataclass(frozen=True)
@@ -49,9 +52,9 @@ class Board:
         return self.square * np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1)
 
     @property
-    def least_corners(self) -> int:
+    def min_corners(self) -> int:
         """Corners that a usable view shows: a chessboard is seen whole or not at all."""
-        return len(self.points) if self.marker is None else min(LEAST_CORNERS, len(self.points))
+        return len(self.points) if self.marker is None else min(MIN_CORNERS, len(self.points))
 
     def charuco(self) -> cv2.aruco.CharucoBoard:
         """OpenCV's description of a ChArUco board."""
@@ -78,9 +81,9 @@ def parse_board(text: str) -> Board:
     kind, *rest = text.split(":")
     legacy = kind == "charuco" and rest[4:] == ["legacy"]
     if (kind, len(rest) - legacy) not in (("charuco", 4), ("chessboard", 2)):
-        raise UnusableInput(f"--board {text}: {EXPECTED}")
+        raise UnusableInput(f"--board {text}: {EXPECTED_BOARD}")
     columns, rows = _counts(text, rest[0])
-    square = _size(text, "square", rest[1], LARGEST_SQUARE)
+    square = _size(text, "square", rest[1], MAX_SQUARE_M)
     if kind == "chessboard":
         if min(columns, rows) < 3:
             raise UnusableInput(f"--board {text}: {columns}x{rows} corners; expected at least 3x3")
@@ -103,9 +106,9 @@ def parse_board(text: str) -> Board:
 def _counts(text: str, part: str) -> tuple[int, int]:
     columns, cross, rows = part.partition("x")
     if not (cross and columns.isdecimal() and rows.isdecimal()):
-        raise UnusableInput(f"--board {text}: {part!r} is no COLUMNSxROWS; {EXPECTED}")
-    if max(int(columns), int(rows)) > MOST_SQUARES:
-        raise UnusableInput(f"--board {text}: {part} is more than {MOST_SQUARES} a side")
+        raise UnusableInput(f"--board {text}: {part!r} is no COLUMNSxROWS; {EXPECTED_BOARD}")
+    if max(int(columns), int(rows)) > MAX_SQUARES_PER_SIDE:
+        raise UnusableInput(f"--board {text}: {part} is more than {MAX_SQUARES_PER_SIDE} a side")
     return int(columns), int(rows)
 
 
@@ -113,35 +116,35 @@ def _size(text: str, what: str, part: str, largest: float) -> float:
     try:
         size = float(part)
     except ValueError:
-        raise UnusableInput(f"--board {text}: {what} {part!r} is no number; {EXPECTED}") from None
-    if not 1e-3 <= size <= LARGEST_SQUARE:
-        raise UnusableInput(f"--board {text}: the {what} measures {part}; expected metres, 0.001 to {LARGEST_SQUARE:g}")
+        raise UnusableInput(f"--board {text}: {what} {part!r} is no number; {EXPECTED_BOARD}") from None
+    if not 1e-3 <= size <= MAX_SQUARE_M:
+        raise UnusableInput(f"--board {text}: the {what} measures {part}; expected metres, 0.001 to {MAX_SQUARE_M:g}")
     if what == "marker" and size >= largest:
         raise UnusableInput(f"--board {text}: the marker ({part} m) is not smaller than the square ({largest:g} m)")
     return size
 
 
-def detector(board: Board) -> Detector:
+def board_detector(board: Board) -> BoardDetector:
     """A function that finds the corners of ``board`` in an image (H, W), 0–255; none where the board is not seen."""
     return _chessboard_detector(board) if board.marker is None else _charuco_detector(board)
 
 
-def _charuco_detector(board: Board) -> Detector:
+def _charuco_detector(board: Board) -> BoardDetector:
     pattern = board.charuco()
     found = cv2.aruco.CharucoDetector(pattern)
 
     def detect(image: Image) -> Corners:
         pixels, ids, *_ = found.detectBoard(_bytes(image))
-        if ids is None or len(ids) < board.least_corners or pattern.checkCharucoCornersCollinear(ids):
-            return NOTHING
+        if ids is None or len(ids) < board.min_corners or pattern.checkCharucoCornersCollinear(ids):
+            return NO_CORNERS
         order = np.argsort(np.ravel(ids))
         corners = Corners(np.ravel(ids)[order].astype(np.int64), np.reshape(pixels, (-1, 2))[order].astype(float))
-        return _refined(board, corners, _bytes(image))
+        return _refine_corners(board, corners, _bytes(image))
 
     return detect
 
 
-def _refined(board: Board, corners: Corners, image: NDArray[np.uint8]) -> Corners:
+def _refine_corners(board: Board, corners: Corners, image: NDArray[np.uint8]) -> Corners:
     """ChArUco ``corners`` found again in windows that stay clear of the markers.
 
     OpenCV's own windows are chosen for the image's size and may reach into a marker, whose edges draw the corner
@@ -151,34 +154,36 @@ def _refined(board: Board, corners: Corners, image: NDArray[np.uint8]) -> Corner
     on_board = board.points[corners.ids]
     H = cv2.findHomography(on_board[:, :2], corners.pixels)[0]
     if H is None:
-        return NOTHING
+        return NO_CORNERS
     gap = (board.square - board.marker) / 2
     steps = gap * np.array([[1, 0], [-1, 0], [0, 1], [0, -1.0]])
     around = cv2.perspectiveTransform((on_board[:, None, :2] + steps).reshape(-1, 1, 2), H).reshape(-1, 4, 2)
     clear = np.linalg.norm(around - corners.pixels[:, None], axis=2).min(1)
-    windows = np.clip(CLEAR * clear, *WINDOW).astype(int)
+    windows = np.clip(WINDOW_SHARE * clear, *WINDOW_LIMITS_PX).astype(int)
     pixels = corners.pixels.copy()
     for size in np.unique(windows):
         mine = windows == size
         start = pixels[mine].astype(np.float32).reshape(-1, 1, 2)
-        pixels[mine] = cv2.cornerSubPix(image, start, (size, size), (-1, -1), SETTLED).reshape(-1, 2)
-    near = np.linalg.norm(pixels - corners.pixels, axis=1) < NEAR  # elsewhere something else was found
-    return Corners(corners.ids[near], pixels[near]) if near.sum() >= board.least_corners else NOTHING
+        pixels[mine] = cv2.cornerSubPix(image, start, (size, size), (-1, -1), SUBPIXEL_CRITERIA).reshape(-1, 2)
+    near = (
+        np.linalg.norm(pixels - corners.pixels, axis=1) < MAX_REFINEMENT_SHIFT_PX
+    )  # elsewhere something else was found
+    return Corners(corners.ids[near], pixels[near]) if near.sum() >= board.min_corners else NO_CORNERS
 
 
-def _chessboard_detector(board: Board) -> Detector:
+def _chessboard_detector(board: Board) -> BoardDetector:
     size = board.columns, board.rows
 
     def detect(image: Image) -> Corners:
         found, pixels = cv2.findChessboardCornersSB(_bytes(image), size, flags=cv2.CALIB_CB_ACCURACY)
         if not found:
-            return NOTHING
+            return NO_CORNERS
         return Corners(np.arange(len(board.points)), np.reshape(pixels, (-1, 2)).astype(float))
 
     return detect
 
 
-def same_way_round(left: Corners, right: Corners) -> Corners:
+def matching_order(left: Corners, right: Corners) -> Corners:
     """``right`` with a chessboard's corners counted from the end that they are counted from in ``left``.
 
     A chessboard looks the same turned by half a turn; the cameras of a rig are not turned against each other.
@@ -191,4 +196,4 @@ def _bytes(image: Image) -> NDArray[np.uint8]:
     return np.clip(np.rint(image), 0, 255).astype(np.uint8)
 
 
-NOTHING = Corners(np.empty(0, np.int64), np.empty((0, 2)))
+NO_CORNERS = Corners(np.empty(0, np.int64), np.empty((0, 2)))

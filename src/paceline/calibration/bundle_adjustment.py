@@ -11,20 +11,22 @@ from typing import Literal
 import numpy as np
 
 from paceline.arrays import Array, Indices
-from paceline.calibration.parameters import N_RIG, Observations, Poses, Rig, project
+from paceline.calibration.parameters import N_RIG, Observations, Poses, RigState, project
 
-Weighing = Literal["huber", "redescending"]
+Weighting = Literal["huber", "redescending"]
 
-HUBER = 2.5  # standard deviations from which a corner counts less
-FAR = 6.0  # standard deviations at which a corner counts a quarter when gross errors are still among them
-MOST_STEPS = 60
-SETTLED = 1e-7  # relative change of the sum of squares that ends the steps
-LEAST_SIGMA = 1e-3  # px; keeps perfect corners from being weighed against rounding
-NORMAL = 1.1774  # median length of a two-dimensional error in standard deviations of each coordinate
+HUBER_SIGMA = 2.5  # standard deviations from which a corner counts less
+REDESCENDING_SIGMA = (
+    6.0  # standard deviations at which a corner counts a quarter when gross errors are still among them
+)
+MAX_STEPS = 60
+CONVERGENCE_TOLERANCE = 1e-7  # relative change of the sum of squares that ends the steps
+MIN_SIGMA_PX = 1e-3  # px; keeps perfect corners from being weighed against rounding
+RAYLEIGH_MEDIAN = 1.1774  # median length of a two-dimensional error in standard deviations of each coordinate
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class BundleAdjustment:
     """A rig and poses that fit; ``free`` (P,) are the rig's parameters that were estimated.
 
     ``residuals`` (M, 2) px are seen minus expected, ``weights`` (M,) what each corner counted. ``information``
@@ -32,14 +34,14 @@ class Fit:
     gradient that it leaves, both for corners of a standard deviation of one pixel.
     """
 
-    rig: Rig
+    rig: RigState
     poses: Poses
     free: Indices
     residuals: Array
     weights: Array
     information: Array
     scores: Array
-    settled: bool
+    converged: bool
 
     @property
     def sigma(self) -> float:
@@ -49,7 +51,7 @@ class Fit:
         return float(np.sqrt((self.weights[:, None] * self.residuals**2).sum() / max(spare, 1.0)))
 
     @property
-    def dispersion(self) -> float:
+    def cluster_variance(self) -> float:
         """Variance of a corner's coordinate, px², as the views show it when each is taken as a whole.
 
         Errors common to the corners of a view (a board that is not flat, blur, a finder that errs all one way) do not
@@ -71,11 +73,13 @@ class Fit:
         """
         inverse = np.linalg.inv(self.information.sum(0))
         C = np.zeros((N_RIG, N_RIG))
-        C[np.ix_(self.free, self.free)] = max(self.sigma**2, self.dispersion) * inverse
+        C[np.ix_(self.free, self.free)] = max(self.sigma**2, self.cluster_variance) * inverse
         return C
 
 
-def fit(rig: Rig, poses: Poses, seen: Observations, free: Indices, weighing: Weighing = "huber") -> Fit:
+def adjust(
+    rig: RigState, poses: Poses, seen: Observations, free: Indices, weighing: Weighting = "huber"
+) -> BundleAdjustment:
     """The rig's ``free`` parameters and all poses that fit ``seen`` best, from a start that is roughly right.
 
     With no free parameters only the poses are fitted. Every view must hold corners, listed in the views' order.
@@ -84,7 +88,7 @@ def fit(rig: Rig, poses: Poses, seen: Observations, free: Indices, weighing: Wei
     expected, J, Q = project(rig, poses, seen)
     residuals = seen.pixels - expected
     weights, settled = _weights(residuals, weighing), False
-    for _ in range(MOST_STEPS):
+    for _ in range(MAX_STEPS):
         blocks = _normal_equations(J[..., free], Q, residuals, weights, seen.view, V)
         cost = _cost(residuals, weights)
         while True:
@@ -105,14 +109,14 @@ def fit(rig: Rig, poses: Poses, seen: Observations, free: Indices, weighing: Wei
             break
         rig, poses, residuals, J, Q = new_rig, new_poses, new_residuals, new_J, new_Q
         damping = max(damping / 10, 1e-12)
-        if cost - new_cost <= SETTLED * cost:
+        if cost - new_cost <= CONVERGENCE_TOLERANCE * cost:
             settled = True
             break
         weights = _weights(residuals, weighing)
     A, B, C, a, b = _normal_equations(J[..., free], Q, residuals, weights, seen.view, V)
     kept = np.linalg.solve(C, np.concatenate([B.transpose(0, 2, 1), b[..., None]], axis=2))
     information, scores = A - B @ kept[..., :P], a - (B @ kept[..., P:])[..., 0]
-    return Fit(rig, poses, free, residuals, weights, information, scores, settled)
+    return BundleAdjustment(rig, poses, free, residuals, weights, information, scores, settled)
 
 
 Blocks = tuple[Array, Array, Array, Array, Array]
@@ -141,12 +145,12 @@ def _solve(blocks: Blocks, damping: float) -> tuple[Array, Array]:
     return step, kept[..., P] - kept[..., :P] @ step
 
 
-def _weights(residuals: Array, weighing: Weighing) -> Array:
+def _weights(residuals: Array, weighing: Weighting) -> Array:
     length = np.linalg.norm(residuals, axis=1)
-    sigma = max(float(np.median(length)) / NORMAL, LEAST_SIGMA)
+    sigma = max(float(np.median(length)) / RAYLEIGH_MEDIAN, MIN_SIGMA_PX)
     if weighing == "huber":
-        return np.asarray(np.minimum(1.0, HUBER * sigma / np.maximum(length, 1e-12)))
-    return np.asarray(1.0 / (1.0 + (length / (FAR * sigma)) ** 2) ** 2)
+        return np.asarray(np.minimum(1.0, HUBER_SIGMA * sigma / np.maximum(length, 1e-12)))
+    return np.asarray(1.0 / (1.0 + (length / (REDESCENDING_SIGMA * sigma)) ** 2) ** 2)
 
 
 def _cost(residuals: Array, weights: Array) -> float:
@@ -154,7 +158,7 @@ def _cost(residuals: Array, weights: Array) -> float:
         return float((weights[:, None] * residuals**2).sum())
 
 
-def errors_by_view(residuals: Array, view: Indices, V: int) -> Array:
+def rms_by_view(residuals: Array, view: Indices, V: int) -> Array:
     """Root mean square (V,) px of the coordinates of ``residuals`` (M, 2) in every view; NaN where there are none."""
     count = np.bincount(view, minlength=V)
     squares = np.bincount(view, (residuals**2).sum(1), minlength=V)

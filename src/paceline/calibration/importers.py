@@ -26,7 +26,7 @@ from paceline.errors import UnusableInput
 
 Size = tuple[int, int]
 
-OPENCV = {  # what a matrix may be called, first the names of OpenCV's own example
+OPENCV_KEYS = {  # what a matrix may be called, first the names of OpenCV's own example
     "K1": ("M1", "K1", "cameraMatrix1", "camera_matrix_1", "left_camera_matrix", "K_left"),
     "K2": ("M2", "K2", "cameraMatrix2", "camera_matrix_2", "right_camera_matrix", "K_right"),
     "D1": ("D1", "distCoeffs1", "dist_coeffs_1", "left_distortion_coefficients", "D_left"),
@@ -34,14 +34,16 @@ OPENCV = {  # what a matrix may be called, first the names of OpenCV's own examp
     "R": ("R", "rotation", "rotation_matrix"),
     "T": ("T", "t", "translation", "translation_vector"),
 }
-WIDTH = ("image_width", "imageWidth", "width")
-HEIGHT = ("image_height", "imageHeight", "height")
-COEFFICIENTS = (0, 4, 5, 8, 12, 14)
-KINDS = "an OpenCV stereo calibration (YAML or XML), a Kalibr camchain, two ROS camera_info files or a KITTI calib file"
+WIDTH_KEYS = ("image_width", "imageWidth", "width")
+HEIGHT_KEYS = ("image_height", "imageHeight", "height")
+COEFFICIENT_COUNTS = (0, 4, 5, 8, 12, 14)
+EXPECTED_FILES = (
+    "an OpenCV stereo calibration (YAML or XML), a Kalibr camchain, two ROS camera_info files or a KITTI calib file"
+)
 
 
 @dataclass(frozen=True)
-class Wishes:
+class ImportOptions:
     """What the files may leave open: the image ``size`` where they do not say it, metres in their ``unit`` of length,
     the two ``cameras`` of a chain, and whether the pictures are ``rectified``."""
 
@@ -51,7 +53,7 @@ class Wishes:
     rectified: bool = True
 
 
-def import_rig(files: Sequence[Path], wishes: Wishes) -> tuple[StereoRig, str]:
+def import_rig(files: Sequence[Path], wishes: ImportOptions) -> tuple[StereoRig, str]:
     """The rig that ``files`` describe, and the kind of file they are.
 
     Raises UnusableInput, naming the file and the key, where they describe none.
@@ -61,7 +63,7 @@ def import_rig(files: Sequence[Path], wishes: Wishes) -> tuple[StereoRig, str]:
         raise UnusableInput(f"{files[0]}: is given twice; expected the left camera's file and the right one's")
     first, content = next(iter(texts.items()))
     if re.search(r"^P(_rect_0)?0:", content, re.MULTILINE):
-        reader: Callable[[dict[Path, str], Wishes], StereoRig] = _kitti
+        reader: Callable[[dict[Path, str], ImportOptions], StereoRig] = _kitti
         kind = "KITTI"
     elif re.match(r"\s*(<\?xml|<opencv_storage|%YAML)", content):
         reader, kind = _opencv, "OpenCV"
@@ -72,14 +74,14 @@ def import_rig(files: Sequence[Path], wishes: Wishes) -> tuple[StereoRig, str]:
         elif "camera_matrix" in document or {"k", "K"} & document.keys():
             reader, kind = _ros, "ROS"
         else:
-            raise UnusableInput(f"{first}: is not known; expected {KINDS}")
+            raise UnusableInput(f"{first}: is not known; expected {EXPECTED_FILES}")
     if len(files) > (2 if kind in ("OpenCV", "ROS") else 1):
         raise UnusableInput(f"{files[-1]}: one file too many; a {kind} rig is described by fewer")
     rig = reader(texts, wishes)
     for complaint in (
-        *(plausibility.wrong_intrinsics(camera) for camera in rig.cameras),
-        plausibility.wrong_rotation(rig.R),
-        plausibility.wrong_baseline(rig),
+        *(plausibility.check_intrinsics(camera) for camera in rig.cameras),
+        plausibility.check_rotation(rig.R),
+        plausibility.check_baseline(rig),
     ):
         if complaint:
             hint = "; --unit mm says so" if "millimetres" in complaint else ""
@@ -90,7 +92,7 @@ def import_rig(files: Sequence[Path], wishes: Wishes) -> tuple[StereoRig, str]:
 # --- OpenCV --------------------------------------------------------------------------------------------------------
 
 
-def _opencv(texts: dict[Path, str], wishes: Wishes) -> StereoRig:
+def _opencv(texts: dict[Path, str], wishes: ImportOptions) -> StereoRig:
     found: dict[str, Array] = {}
     where = " and ".join(map(str, texts))
     for file, text in texts.items():
@@ -98,7 +100,7 @@ def _opencv(texts: dict[Path, str], wishes: Wishes) -> StereoRig:
             storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
         except (cv2.error, SystemError) as error:
             raise UnusableInput(f"{file}: is no whole OpenCV file") from error
-        for name, names in {**OPENCV, "width": WIDTH, "height": HEIGHT}.items():
+        for name, names in {**OPENCV_KEYS, "width": WIDTH_KEYS, "height": HEIGHT_KEYS}.items():
             for key in names:
                 node = storage.getNode(key)
                 if not node.empty() and name not in found:
@@ -109,7 +111,7 @@ def _opencv(texts: dict[Path, str], wishes: Wishes) -> StereoRig:
         storage.release()
     for name in ("K1", "K2", "R", "T"):
         if name not in found:
-            raise UnusableInput(f"{where}: {OPENCV[name][0]} is missing; expected M1, D1, M2, D2, R and T")
+            raise UnusableInput(f"{where}: {OPENCV_KEYS[name][0]} is missing; expected M1, D1, M2, D2, R and T")
     size = wishes.size
     if "width" in found and "height" in found:
         size = int(found["width"]), int(found["height"])
@@ -123,7 +125,7 @@ def _opencv(texts: dict[Path, str], wishes: Wishes) -> StereoRig:
 # --- Kalibr --------------------------------------------------------------------------------------------------------
 
 
-def _kalibr(texts: dict[Path, str], wishes: Wishes) -> StereoRig:
+def _kalibr(texts: dict[Path, str], wishes: ImportOptions) -> StereoRig:
     file, text = next(iter(texts.items()))
     chain = _yaml(file, text)
     a, b = wishes.cameras
@@ -155,7 +157,7 @@ def _kalibr(texts: dict[Path, str], wishes: Wishes) -> StereoRig:
 # --- ROS -----------------------------------------------------------------------------------------------------------
 
 
-def _ros(texts: dict[Path, str], wishes: Wishes) -> StereoRig:
+def _ros(texts: dict[Path, str], wishes: ImportOptions) -> StereoRig:
     if len(texts) != 2:
         raise UnusableInput(f"{next(iter(texts))}: is one camera's camera_info; expected the left and the right one")
     lenses: list[Camera] = []
@@ -163,7 +165,7 @@ def _ros(texts: dict[Path, str], wishes: Wishes) -> StereoRig:
     shifts: list[Array] = []
     for file, text in texts.items():
         info = _yaml(file, text)
-        size = int(_scalar(file, info, WIDTH)), int(_scalar(file, info, HEIGHT))
+        size = int(_scalar(file, info, WIDTH_KEYS)), int(_scalar(file, info, HEIGHT_KEYS))
         K = _matrix(file, info, ("camera_matrix", "k", "K"), (3, 3))
         R = _matrix(file, info, ("rectification_matrix", "r", "R"), (3, 3))
         P = _matrix(file, info, ("projection_matrix", "p", "P"), (3, 4))
@@ -183,7 +185,7 @@ def _ros(texts: dict[Path, str], wishes: Wishes) -> StereoRig:
     return _from_rectified(lenses, turns, shifts, wishes)
 
 
-def _from_rectified(lenses: list[Camera], turns: list[Array], shifts: list[Array], wishes: Wishes) -> StereoRig:
+def _from_rectified(lenses: list[Camera], turns: list[Array], shifts: list[Array], wishes: ImportOptions) -> StereoRig:
     """The rig of cameras that see ``X_rect = turn X`` plus a shift of their own, both in the same rectified axes."""
     t = wishes.unit * (shifts[1] - shifts[0])
     if wishes.rectified:
@@ -194,7 +196,7 @@ def _from_rectified(lenses: list[Camera], turns: list[Array], shifts: list[Array
 # --- KITTI ---------------------------------------------------------------------------------------------------------
 
 
-def _kitti(texts: dict[Path, str], wishes: Wishes) -> StereoRig:
+def _kitti(texts: dict[Path, str], wishes: ImportOptions) -> StereoRig:
     file, text = next(iter(texts.items()))
     values = {}
     for line in text.splitlines():
@@ -249,16 +251,16 @@ def _text(file: Path) -> str:
     except OSError as error:
         raise UnusableInput(f"{file}: cannot be read ({error.strerror})") from error
     except UnicodeDecodeError as error:
-        raise UnusableInput(f"{file}: is not a text file; expected {KINDS}") from error
+        raise UnusableInput(f"{file}: is not a text file; expected {EXPECTED_FILES}") from error
 
 
 def _yaml(file: Path, text: str) -> dict[str, Any]:
     try:
         document = yaml.safe_load(text)
     except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise UnusableInput(f"{file}: is not valid YAML; expected {KINDS}") from error
+        raise UnusableInput(f"{file}: is not valid YAML; expected {EXPECTED_FILES}") from error
     if not isinstance(document, dict):
-        raise UnusableInput(f"{file}: is not known; expected {KINDS}")
+        raise UnusableInput(f"{file}: is not known; expected {EXPECTED_FILES}")
     return document
 
 
@@ -275,7 +277,7 @@ def _camera(file: Path | str, key: str, K: Array, coefficients: Sequence[float],
         D = np.array(coefficients, float).ravel()
     except (TypeError, ValueError):
         raise UnusableInput(f"{file}: {key}: the distortion is no list of numbers") from None
-    if len(D) not in COEFFICIENTS or not np.isfinite(D).all():
+    if len(D) not in COEFFICIENT_COUNTS or not np.isfinite(D).all():
         raise UnusableInput(f"{file}: {key}: expected 4, 5, 8, 12 or 14 coefficients of distortion, found {len(D)}")
     return Camera(size, K, D)
 
@@ -292,7 +294,7 @@ def _rotation(file: Path | str, key: str, R: Array) -> Array:
     return R
 
 
-def _vector(file: Path | str, key: str, t: Array, wishes: Wishes) -> Array:
+def _vector(file: Path | str, key: str, t: Array, wishes: ImportOptions) -> Array:
     if t.size != 3:
         raise UnusableInput(f"{file}: {key}: expected three numbers, found {t.size}")
     return wishes.unit * t.ravel()

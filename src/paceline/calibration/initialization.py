@@ -8,13 +8,13 @@ import cv2
 import numpy as np
 
 from paceline.arrays import Array
-from paceline.calibration.parameters import LENS, N_LENS, Observations, Poses, Rig
+from paceline.calibration.parameters import LENS_PARAMETERS, N_LENS, Observations, Poses, RigState
 
-FOCAL_LENGTHS = np.geomspace(0.4, 12.0, 30)  # tried, as shares of the image's width: fields of view of 103° to 5°
-NOWHERE = np.inf
+FOCAL_LENGTH_SHARES = np.geomspace(0.4, 12.0, 30)  # tried, as shares of the image's width: fields of view of 103° to 5°
+UNSOLVED_ERROR_PX = np.inf
 
 
-def first_rig(sizes: Sequence[tuple[int, int]], seen: Observations, views: int) -> tuple[Rig, Poses]:
+def initial_rig(sizes: Sequence[tuple[int, int]], seen: Observations, views: int) -> tuple[RigState, Poses]:
     """A rig without distortion, and the poses of ``views`` views, each of which is seen by a camera at least.
 
     The focal length of each camera is the one with which the median view fits best, so that views which are wrong do
@@ -23,10 +23,10 @@ def first_rig(sizes: Sequence[tuple[int, int]], seen: Observations, views: int) 
     lenses = np.zeros((2, N_LENS))
     poses = []
     for side in (0, 1):
-        lenses[side], found = _first_lens(sizes[side], seen.where(seen.side == side), views)
+        lenses[side], found = _initial_lens(sizes[side], seen.where(seen.side == side), views)
         poses.append(found)
-    R, t = _first_pose(lenses, poses, seen)
-    rig = Rig(lenses, R, t)
+    R, t = _initial_pose(lenses, poses, seen)
+    rig = RigState(lenses, R, t)
     left, right = poses
     unseen = np.isnan(left.t[:, 0])  # by the left camera: where the right one sees it
     return rig, Poses(
@@ -34,11 +34,11 @@ def first_rig(sizes: Sequence[tuple[int, int]], seen: Observations, views: int) 
     )
 
 
-def _first_lens(size: tuple[int, int], seen: Observations, views: int) -> tuple[Array, Poses]:
+def _initial_lens(size: tuple[int, int], seen: Observations, views: int) -> tuple[Array, Poses]:
     """A lens (9,) and the poses that it gives the views; NaN for views not ``seen``."""
     best, least = None, np.inf
-    for share in FOCAL_LENGTHS:
-        lens = np.zeros(len(LENS))
+    for share in FOCAL_LENGTH_SHARES:
+        lens = np.zeros(len(LENS_PARAMETERS))
         lens[:4] = share * size[0], share * size[0], (size[0] - 1) / 2, (size[1] - 1) / 2
         poses, errors = _poses(lens, seen, views)
         middle = float(np.nanmedian(errors))
@@ -65,11 +65,11 @@ def _poses(lens: Array, seen: Observations, views: int) -> tuple[Poses, Array]:
                 float(np.ravel(error)[best]),
             )
         else:
-            errors[v] = NOWHERE
+            errors[v] = UNSOLVED_ERROR_PX
     return Poses(R, t), errors
 
 
-def _first_pose(lenses: Array, poses: list[Poses], seen: Observations) -> tuple[Array, Array]:
+def _initial_pose(lenses: Array, poses: list[Poses], seen: Observations) -> tuple[Array, Array]:
     """R and t of the right camera: of all views' own, the one with which the median view fits best."""
     left, right = poses
     both = np.flatnonzero(np.isfinite(left.t[:, 0]) & np.isfinite(right.t[:, 0]))

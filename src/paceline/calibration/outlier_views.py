@@ -7,22 +7,24 @@ from dataclasses import dataclass
 import numpy as np
 
 from paceline.arrays import Array, Indices, Mask
-from paceline.calibration.bundle_adjustment import NORMAL, fit
-from paceline.calibration.parameters import Observations, Poses, Rig, free_parameters
+from paceline.calibration.bundle_adjustment import RAYLEIGH_MEDIAN, adjust
+from paceline.calibration.parameters import Observations, Poses, RigState, free_parameters
 from paceline.errors import UnusableInput
 from paceline.verdicts import Message, message
 
-OUTLYING = 4.0  # scaled median deviations of the logarithm of its error beyond which a view is none of the others
-EVEN = 0.12  # the least such deviation: boards nearer, farther or more oblique differ by that much
-ROUNDS = 8
-APART = 3.0  # times that most views may fit worse together than each camera's alone
-LEAST_ERROR = 0.05  # px; below it views are not told apart
-STRETCHED = "k1, k2"  # the lens model while views are judged
-NOTHING_FREE: Indices = np.empty(0, np.int64)
+MAX_ERROR_DEVIATIONS = (
+    4.0  # scaled median deviations of the logarithm of its error beyond which a view is none of the others
+)
+MIN_ERROR_SPREAD = 0.12  # the least such deviation: boards nearer, farther or more oblique differ by that much
+MAX_ROUNDS = 8
+MAX_JOINT_ERROR_RATIO = 3.0  # times that most views may fit worse together than each camera's alone
+MIN_ERROR_PX = 0.05  # px; below it views are not told apart
+SCREENING_LENS_MODEL = "k1, k2"  # the lens model while views are judged
+NO_PARAMETERS: Indices = np.empty(0, np.int64)
 
 
 @dataclass(frozen=True, eq=False)
-class Errors:
+class ViewErrors:
     """Standard deviation of a corner's coordinate in each of V views (V,), px, robustly: of the worse side with one
     pose for both cameras, and of each with a pose of its own; NaN where a camera does not see the board."""
 
@@ -31,63 +33,63 @@ class Errors:
     right: Array
 
 
-def screen(rig: Rig, poses: Poses, seen: Observations) -> tuple[Rig, Poses, Mask, list[str]]:
+def select_consistent_views(rig: RigState, poses: Poses, seen: Observations) -> tuple[RigState, Poses, Mask, list[str]]:
     """The rig from those views that agree, all poses, which views (V,) agree, and what is wrong with each.
 
     Raises UnusableInput where no rig fits most of the views.
     """
     V = len(poses.t)
-    used, free = np.ones(V, bool), free_parameters(STRETCHED)
-    for _ in range(ROUNDS):
-        mine = numbered(seen, used)
+    used, free = np.ones(V, bool), free_parameters(SCREENING_LENS_MODEL)
+    for _ in range(MAX_ROUNDS):
+        mine = renumbered(seen, used)
         for parameters in (free_parameters("none"), free):
-            found = fit(rig, poses.of(np.flatnonzero(used)), mine, parameters, "redescending")
+            found = adjust(rig, poses.of(np.flatnonzero(used)), mine, parameters, "redescending")
             rig = found.rig
-        errors, poses = judge(rig, poses, seen)
-        agree = ~outlying(errors.joint)
+        errors, poses = view_errors(rig, poses, seen)
+        agree = ~outliers(errors.joint)
         if np.array_equal(agree, used):
             break
         used = agree
-    _refuse_if_apart(errors, used)
+    _check_common_rig(errors, used)
     usual = float(np.median(errors.joint[used]))
-    return rig, poses, used, ["" if used[v] else what_is_wrong(errors, v, usual) for v in range(V)]
+    return rig, poses, used, ["" if used[v] else explain_outlier(errors, v, usual) for v in range(V)]
 
 
-def judge(rig: Rig, poses: Poses, seen: Observations) -> tuple[Errors, Poses]:
+def view_errors(rig: RigState, poses: Poses, seen: Observations) -> tuple[ViewErrors, Poses]:
     """How well each view fits to ``rig``, and the poses that fit best."""
     V = len(poses.t)
-    joint = fit(rig, poses, seen, NOTHING_FREE, "redescending")
-    together = [robust_errors(joint.residuals[seen.side == s], seen.view[seen.side == s], V) for s in (0, 1)]
+    joint = adjust(rig, poses, seen, NO_PARAMETERS, "redescending")
+    together = [robust_errors_px(joint.residuals[seen.side == s], seen.view[seen.side == s], V) for s in (0, 1)]
     alone = []
     for side in (0, 1):
         of_side = seen.where(seen.side == side)
         has = np.isin(np.arange(V), of_side.view)
-        f = fit(rig, joint.poses.of(np.flatnonzero(has)), numbered(of_side, has), NOTHING_FREE, "redescending")
+        f = adjust(rig, joint.poses.of(np.flatnonzero(has)), renumbered(of_side, has), NO_PARAMETERS, "redescending")
         error = np.full(V, np.nan)
-        error[has] = robust_errors(f.residuals, numbered(of_side, has).view, int(has.sum()))
+        error[has] = robust_errors_px(f.residuals, renumbered(of_side, has).view, int(has.sum()))
         alone.append(error)
-    return Errors(np.fmax(*together), alone[0], alone[1]), joint.poses
+    return ViewErrors(np.fmax(*together), alone[0], alone[1]), joint.poses
 
 
-def robust_errors(residuals: Array, view: Indices, V: int) -> Array:
+def robust_errors_px(residuals: Array, view: Indices, V: int) -> Array:
     """Standard deviation (V,) of a coordinate in each view from the median length of ``residuals`` (M, 2); NaN in views
     without any."""
     length = np.linalg.norm(residuals, axis=1)
     mine = [length[view == v] for v in range(V)]
-    return np.array([np.median(m) / NORMAL if len(m) else np.nan for m in mine])
+    return np.array([np.median(m) / RAYLEIGH_MEDIAN if len(m) else np.nan for m in mine])
 
 
-def outlying(errors: Array) -> Mask:
+def outliers(errors: Array) -> Mask:
     """Which ``errors`` (V,) are too large to be of the same kind as most: by the median and the median deviation of
     their logarithms, as noise scales rather than adds."""
-    scale = np.log(np.maximum(np.nan_to_num(errors, nan=np.inf), LEAST_ERROR))
+    scale = np.log(np.maximum(np.nan_to_num(errors, nan=np.inf), MIN_ERROR_PX))
     finite = scale[np.isfinite(scale)]
     middle = np.median(finite)
-    spread = max(1.4826 * float(np.median(np.abs(finite - middle))), EVEN)
-    return np.asarray(scale - middle > OUTLYING * spread)
+    spread = max(1.4826 * float(np.median(np.abs(finite - middle))), MIN_ERROR_SPREAD)
+    return np.asarray(scale - middle > MAX_ERROR_DEVIATIONS * spread)
 
 
-def what_is_wrong(errors: Errors, view: int, usual: float) -> Message:
+def explain_outlier(errors: ViewErrors, view: int, usual: float) -> Message:
     """Why the view fits badly, beside the ``usual`` error, px."""
     left, right = errors.left[view], errors.right[view]
     worst = np.nanmax([left, right])
@@ -97,22 +99,22 @@ def what_is_wrong(errors: Errors, view: int, usual: float) -> Message:
     return message("corners_scatter", view=side, error_px=worst, usual_px=usual)
 
 
-def _refuse_if_apart(errors: Errors, used: Mask) -> None:
+def _check_common_rig(errors: ViewErrors, used: Mask) -> None:
     both = used & np.isfinite(errors.left) & np.isfinite(errors.right)
     together = float(np.median(errors.joint[both])) if both.any() else np.nan
     alone = (
-        max(float(np.median(np.concatenate([errors.left[both], errors.right[both]]))), LEAST_ERROR)
+        max(float(np.median(np.concatenate([errors.left[both], errors.right[both]]))), MIN_ERROR_PX)
         if both.any()
         else 1.0
     )
-    if 2 * both.sum() < np.isfinite(errors.left * errors.right).sum() or not together < APART * alone:
+    if 2 * both.sum() < np.isfinite(errors.left * errors.right).sum() or not together < MAX_JOINT_ERROR_RATIO * alone:
         raise UnusableInput(
             f"left and right: most pairs fit no common rig ({together:.2f} px together, {alone:.2f} px each alone); "
             "expected pictures of a board that stands still, taken at the same time and paired rightly"
         )
 
 
-def numbered(seen: Observations, used: Mask) -> Observations:
+def renumbered(seen: Observations, used: Mask) -> Observations:
     """The corners of the ``used`` views (V,), the views counted anew."""
     mine = seen.where(used[seen.view])
     return Observations((np.cumsum(used) - 1)[mine.view], mine.side, mine.points, mine.pixels)

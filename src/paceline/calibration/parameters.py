@@ -2,7 +2,7 @@
 
 The 24 parameters of a rig, in this order: fx, fy, cx, cy, k1, k2, p1, p2, k3 of the left camera, the same of the right
 one, a turn (rad) about the right camera's x, y, z axes and a shift (m) along them. Turns and shifts are steps from a
-:class:`Rig`'s present rotation and translation: ``X_right = exp(turn) (R X_left + t) + shift``. Boards move alike.
+:class:`RigState`'s present rotation and translation: ``X_right = exp(turn) (R X_left + t) + shift``. Boards move alike.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from scipy.spatial.transform import Rotation
 from paceline.arrays import Array, Indices
 from paceline.cameras import Camera, StereoRig
 
-LENS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
-NAMES = (
-    *(f"{side} {name}" for side in ("left", "right") for name in LENS),
+LENS_PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
+PARAMETER_NAMES = (
+    *(f"{side} {name}" for side in ("left", "right") for name in LENS_PARAMETERS),
     *(f"{what} {axis}" for what in ("rotation", "translation") for axis in "xyz"),
 )
-N_LENS, N_RIG = len(LENS), len(NAMES)
-POSE = np.s_[2 * N_LENS : N_RIG]  # of the right camera
+N_LENS, N_RIG = len(LENS_PARAMETERS), len(PARAMETER_NAMES)
+POSE_SLICE = np.s_[2 * N_LENS : N_RIG]  # of the right camera
 
 # Lens models from plain to rich: which of k1, k2, p1, p2, k3 are free.
-DISTORTIONS: dict[str, tuple[int, ...]] = {
+LENS_MODELS: dict[str, tuple[int, ...]] = {
     "none": (),
     "k1": (0,),
     "k1, k2": (0, 1),
@@ -38,39 +38,41 @@ DISTORTIONS: dict[str, tuple[int, ...]] = {
 
 def free_parameters(distortion: str) -> Indices:
     """Places in the 24 of what a calibration with that lens model estimates."""
-    lens = [0, 1, 2, 3, *(4 + k for k in DISTORTIONS[distortion])]
+    lens = [0, 1, 2, 3, *(4 + k for k in LENS_MODELS[distortion])]
     return np.array([*lens, *(N_LENS + k for k in lens), *range(2 * N_LENS, N_RIG)])
 
 
 @dataclass(frozen=True, eq=False)
-class Rig:
-    """Two lenses (2, 9), in the order of ``LENS``, and ``X_right = R X_left + t``."""
+class RigState:
+    """Two lenses (2, 9), in the order of ``LENS_PARAMETERS``, and ``X_right = R X_left + t``."""
 
     lenses: Array
     R: Array
     t: Array
 
-    def moved(self, step: Array) -> Rig:
+    def moved(self, step: Array) -> RigState:
         """The rig after a ``step`` (24,) of its parameters."""
-        turn = rotation(step[POSE][:3])
-        return Rig(self.lenses + step[: 2 * N_LENS].reshape(2, N_LENS), turn @ self.R, turn @ self.t + step[POSE][3:])
+        turn = rotation_matrix(step[POSE_SLICE][:3])
+        return RigState(
+            self.lenses + step[: 2 * N_LENS].reshape(2, N_LENS), turn @ self.R, turn @ self.t + step[POSE_SLICE][3:]
+        )
 
     def stereo(self, sizes: Sequence[tuple[int, int]]) -> StereoRig:
         """The same for everything else: cameras of the image ``sizes``, (width, height)."""
-        left, right = (camera_of(lens, size) for lens, size in zip(self.lenses, sizes, strict=True))
+        left, right = (lens_camera(lens, size) for lens, size in zip(self.lenses, sizes, strict=True))
         return StereoRig(left, right, self.R, self.t)
 
 
-def rig_of(stereo: StereoRig) -> Rig:
+def rig_parameters(stereo: StereoRig) -> RigState:
     """The model of a rig whose lenses have at most k1, k2, p1, p2, k3."""
     lenses = np.zeros((2, N_LENS))
     for lens, camera in zip(lenses, stereo.cameras, strict=True):
         lens[:4] = camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]
         lens[4 : 4 + len(camera.distortion)] = camera.distortion
-    return Rig(lenses, stereo.R, stereo.t)
+    return RigState(lenses, stereo.R, stereo.t)
 
 
-def camera_of(lens: Array, size: tuple[int, int]) -> Camera:
+def lens_camera(lens: Array, size: tuple[int, int]) -> Camera:
     fx, fy, cx, cy = lens[:4]
     return Camera(size, np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), lens[4:] if lens[4:].any() else np.zeros(0))
 
@@ -84,7 +86,7 @@ class Poses:
 
     def moved(self, step: Array) -> Poses:
         """The poses after steps (V, 6): turns about and shifts along the left camera's axes."""
-        turn = np.array([rotation(s) for s in step[:, :3]]).reshape(-1, 3, 3)
+        turn = np.array([rotation_matrix(s) for s in step[:, :3]]).reshape(-1, 3, 3)
         return Poses(turn @ self.R, np.einsum("vij,vj->vi", turn, self.t) + step[:, 3:])
 
     def of(self, views: Indices) -> Poses:
@@ -104,14 +106,14 @@ class Observations:
         return Observations(self.view[chosen], self.side[chosen], self.points[chosen], self.pixels[chosen])
 
 
-def difference(rig: Rig, other: Rig) -> Array:
+def parameter_step(rig: RigState, other: RigState) -> Array:
     """The step (24,) that takes ``other`` to ``rig``."""
     turn = rig.R @ other.R.T
     vector = Rotation.from_matrix(turn).as_rotvec()  # OpenCV's is zero below 1e-5
     return np.concatenate([(rig.lenses - other.lenses).ravel(), vector, rig.t - turn @ other.t])
 
 
-def rotation(vector: Array) -> Array:
+def rotation_matrix(vector: Array) -> Array:
     """exp of a rotation ``vector`` (3,), shape (3, 3)."""
     return np.asarray(cv2.Rodrigues(np.asarray(vector, float))[0])
 
@@ -144,7 +146,7 @@ def lens_projection(lenses: Array, points: Array) -> tuple[Array, Array, Array]:
     return np.stack([fx * xd + cx, fy * yd + cy], -1), of_lens.transpose(2, 0, 1), of_point.transpose(2, 0, 1)
 
 
-def project(rig: Rig, poses: Poses, seen: Observations) -> tuple[Array, Array, Array]:
+def project(rig: RigState, poses: Poses, seen: Observations) -> tuple[Array, Array, Array]:
     """Pixels (M, 2) at which corners should be seen, with derivatives by the rig (M, 2, 24) and by their own view's
     pose (M, 2, 6)."""
     R, right = poses.R[seen.view], (seen.side == 1)[:, None]
@@ -156,12 +158,12 @@ def project(rig: Rig, poses: Poses, seen: Observations) -> tuple[Array, Array, A
     left_side, right_side = seen.side == 0, seen.side == 1
     by_rig[left_side, :, :N_LENS] = of_lens[left_side]
     by_rig[right_side, :, N_LENS : 2 * N_LENS] = of_lens[right_side]
-    by_rig[right_side, :, POSE] = _by_motion(of_point[right_side], in_right[right_side])
+    by_rig[right_side, :, POSE_SLICE] = _pose_jacobian(of_point[right_side], in_right[right_side])
     of_left = np.where(right[..., None], of_point @ rig.R, of_point)
-    return pixels, by_rig, _by_motion(of_left, in_left)
+    return pixels, by_rig, _pose_jacobian(of_left, in_left)
 
 
-def _by_motion(of_point: Array, points: Array) -> Array:
+def _pose_jacobian(of_point: Array, points: Array) -> Array:
     """∂pixel/∂(turn, shift) (M, 2, 6) of ``points`` (M, 3) about and along the axes that they are given in."""
     (X, Y, Z), (a, b, c) = points.T[..., None], np.moveaxis(of_point, -1, 0)
     return np.stack([Y * c - Z * b, Z * a - X * c, X * b - Y * a, a, b, c], axis=-1)  # g · (ω × X) = ω · (X × g)

@@ -15,15 +15,17 @@ from paceline.progress import Progress
 from paceline.recordings.stereo import StereoRecording
 from paceline.sift_features import detect_features, match_descriptors
 
-FRAMES = 6  # looked at, evenly spread: what stands still is seen again in each, and adds little
-FEATURES = 3000  # of each view
-RATIO = 0.75  # of the distances to the best and the second best descriptor (Lowe 2004)
-ASTRAY = 0.04  # of the image's height: farther from its epipolar line no match is believed, however the rig has moved
-TILE = 64  # px
+MAX_FRAMES = 6  # looked at, evenly spread: what stands still is seen again in each, and adds little
+MAX_FEATURES = 3000  # of each view
+LOWE_RATIO = 0.75  # of the distances to the best and the second best descriptor (Lowe 2004)
+MAX_EPIPOLAR_SHARE = (
+    0.04  # of the image's height: farther from its epipolar line no match is believed, however the rig has moved
+)
+TILE_PX = 64  # px
 
 
 @dataclass(frozen=True, eq=False)
-class Matches:
+class SceneMatches:
     """N points seen by both cameras: ideal pixels (N, 2) in each view, and in which ``tile`` (N,) of the left one.
 
     Errors of points in one tile are taken as common: the same thing is seen there in every frame, through the same part
@@ -38,34 +40,34 @@ class Matches:
     def __len__(self) -> int:
         return len(self.left)
 
-    def where(self, chosen: NDArray[np.bool_]) -> Matches:
+    def where(self, chosen: NDArray[np.bool_]) -> SceneMatches:
         return replace(self, left=self.left[chosen], right=self.right[chosen], tile=self.tile[chosen])
 
 
-def match_scene(recording: StereoRecording, progress: Progress | None = None) -> Matches:
+def match_scene(recording: StereoRecording, progress: Progress | None = None) -> SceneMatches:
     """Points matched across the views of a few frames."""
-    chosen = np.unique(np.linspace(0, len(recording) - 1, min(FRAMES, len(recording))).round().astype(int))
-    detector = cv2.SIFT.create(nfeatures=FEATURES)
+    chosen = np.unique(np.linspace(0, len(recording) - 1, min(MAX_FRAMES, len(recording))).round().astype(int))
+    detector = cv2.SIFT.create(nfeatures=MAX_FEATURES)
     found, done = [], 0
     for k in chosen:
         for frame in recording.frames(int(recording.indices[k]), int(recording.indices[k]) + 1):
-            found.append(match(recording.rig, detector, frame.left, frame.right))
+            found.append(match_views(recording.rig, detector, frame.left, frame.right))
             done += 1
         if progress:
             progress(done, len(chosen))
     left = np.concatenate([f[0] for f in found]) if found else np.empty((0, 2))
     right = np.concatenate([f[1] for f in found]) if found else np.empty((0, 2))
-    across = recording.image_size[0] // TILE + 1
-    x, y = np.maximum(left // TILE, 0).astype(np.int64).T
-    return Matches(left, right, y * across + x, done)
+    across = recording.image_size[0] // TILE_PX + 1
+    x, y = np.maximum(left // TILE_PX, 0).astype(np.int64).T
+    return SceneMatches(left, right, y * across + x, done)
 
 
-def match(rig: StereoRig, detector: cv2.SIFT, left: Image, right: Image) -> tuple[Array, Array]:
+def match_views(rig: StereoRig, detector: cv2.SIFT, left: Image, right: Image) -> tuple[Array, Array]:
     """Features (n, 2) of two views that are each other's best match by far, near their epipolar lines and in front."""
     (a, of_a), (b, of_b) = (detect_features(detector, image) for image in (left, right))
-    i, j = match_descriptors(of_a, of_b, RATIO)
+    i, j = match_descriptors(of_a, of_b, LOWE_RATIO)
     p, q = a[i], b[j]
     with np.errstate(invalid="ignore", divide="ignore"):
         in_front = triangulate(rig, p, q)[:, 2] > 0
-    near = np.abs(epipolar_distance(rig, p, q)) < ASTRAY * rig.left.image_size[1]
+    near = np.abs(epipolar_distance(rig, p, q)) < MAX_EPIPOLAR_SHARE * rig.left.image_size[1]
     return p[near & in_front], q[near & in_front]

@@ -13,16 +13,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from paceline.arrays import Array
-from paceline.calibration.parameters import LENS, N_LENS, N_RIG, Rig, camera_of
+from paceline.calibration.parameters import LENS_PARAMETERS, N_LENS, N_RIG, RigState, lens_camera
 from paceline.cameras import RigUncertainty, StereoRig, perturbed_rigs
 from paceline.geometry import triangulate
 
-DISTANCES = (20.0, 50.0, 80.0)  # m
-STRETCH = 10.0  # m, over which a speed is measured
-ACROSS = (-0.25, 0.0, 0.25)  # of the image's width from its centre: where vehicles drive
-MIDDLE = 0.6  # share of the image over which a pinhole is fitted to a lens
-STEPS = np.array([1.0, 1.0, 1.0, 1.0, 1e-3, 1e-3, 1e-4, 1e-4, 1e-3])  # of a lens's parameters, for differences
-PINHOLE = 4
+DISTANCES_M = (20.0, 50.0, 80.0)  # m
+TRAVEL_M = 10.0  # m, over which a speed is measured
+LATERAL_SHARES = (-0.25, 0.0, 0.25)  # of the image's width from its centre: where vehicles drive
+FITTED_IMAGE_SHARE = 0.6  # share of the image over which a pinhole is fitted to a lens
+LENS_STEPS = np.array([1.0, 1.0, 1.0, 1.0, 1e-3, 1e-3, 1e-4, 1e-4, 1e-3])  # of a lens's parameters, for differences
+N_PINHOLE = 4
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class SpeedEffect:
     across: float
 
 
-def speed_effects(rig: StereoRig, distances: Sequence[float] = DISTANCES) -> list[SpeedEffect]:
+def speed_effects(rig: StereoRig, distances: Sequence[float] = DISTANCES_M) -> list[SpeedEffect]:
     """What the stated uncertainty of ``rig`` does to speeds in the middle of the picture: every move that it allows,
     with the pixels held fixed, before any vehicle's pictures put some of it right."""
     assert rig.uncertainty is not None
@@ -43,14 +43,14 @@ def speed_effects(rig: StereoRig, distances: Sequence[float] = DISTANCES) -> lis
     effects = []
     for distance in distances:
         along, across = (
-            float(np.linalg.norm([speed_change(rig, moved, *ends) for moved in moves]))
-            for ends in _ways(rig, distance, 0.0)
+            float(np.linalg.norm([relative_speed_change(rig, moved, *ends) for moved in moves]))
+            for ends in _displacements(rig, distance, 0.0)
         )
         effects.append(SpeedEffect(distance, along, across))
     return effects
 
 
-def speed_change(rig: StereoRig, moved: StereoRig, start: Array, end: Array) -> float:
+def relative_speed_change(rig: StereoRig, moved: StereoRig, start: Array, end: Array) -> float:
     """By how much, as a share of it, the distance from ``start`` (3,) to ``end`` (3,) comes out larger when the pixels
     that ``rig`` sees are triangulated with ``moved``."""
     ends = np.stack([start, end])
@@ -58,39 +58,39 @@ def speed_change(rig: StereoRig, moved: StereoRig, start: Array, end: Array) -> 
     return float(np.linalg.norm(found[1] - found[0]) / np.linalg.norm(end - start)) - 1
 
 
-def _ways(rig: StereoRig, distance: float, across: float) -> list[tuple[Array, Array]]:
+def _displacements(rig: StereoRig, distance: float, across: float) -> list[tuple[Array, Array]]:
     """Start and end of a way along the line of sight at ``distance`` and ``across``, and of one at right angles."""
     width = rig.left.image_size[0]
     x = rig.left.K[0, 2] + across * width
     middle = distance * rig.left.rays(np.array([x, rig.left.K[1, 2]]))
-    half = STRETCH / 2 * np.array([[0.0, 0, 1], [1, 0, 0]])
+    half = TRAVEL_M / 2 * np.array([[0.0, 0, 1], [1, 0, 0]])
     return [(middle - h, middle + h) for h in half]
 
 
-def pinhole_covariance(rig: Rig, covariance: Array, sizes: Sequence[tuple[int, int]]) -> Array:
+def pinhole_covariance(rig: RigState, covariance: Array, sizes: Sequence[tuple[int, int]]) -> Array:
     """Covariance (14, 14) of the pinholes' parameters, rotation and translation from that of all (24, 24)."""
-    M = np.zeros((2 * PINHOLE + 6, N_RIG))
+    M = np.zeros((2 * N_PINHOLE + 6, N_RIG))
     for side, size in enumerate(sizes):
-        rows = slice(PINHOLE * side, PINHOLE * (side + 1))
+        rows = slice(N_PINHOLE * side, N_PINHOLE * (side + 1))
         M[rows, N_LENS * side : N_LENS * (side + 1)] = equivalent_pinhole(rig.lenses[side], size)
-    M[2 * PINHOLE :, 2 * N_LENS :] = np.eye(6)
+    M[2 * N_PINHOLE :, 2 * N_LENS :] = np.eye(6)
     return M @ covariance @ M.T
 
 
 def equivalent_pinhole(lens: Array, size: tuple[int, int]) -> Array:
     """∂(fx, fy, cx, cy)/∂lens (4, 9) of the pinhole nearest to the ideal pixels that ``lens`` (9,) computes, as they
     relate to the rays of the true lens: least squares over the middle of an image of that ``size``."""
-    camera = camera_of(lens, size)
+    camera = lens_camera(lens, size)
     w, h = size
-    u = np.linspace((1 - MIDDLE) / 2, (1 + MIDDLE) / 2, 13)
+    u = np.linspace((1 - FITTED_IMAGE_SHARE) / 2, (1 + FITTED_IMAGE_SHARE) / 2, 13)
     pixels = np.stack(np.meshgrid(u * (w - 1), u * (h - 1)), -1).reshape(-1, 2)
-    ideal, D = camera.undistort_points(pixels), np.zeros((PINHOLE, len(LENS)))
-    for k, step in enumerate(STEPS):
+    ideal, D = camera.undistort_points(pixels), np.zeros((N_PINHOLE, len(LENS_PARAMETERS)))
+    for k, step in enumerate(LENS_STEPS):
         ends = []
         for sign in (-1, 1):
             other = lens.copy()
             other[k] += sign * step
-            true = camera_of(other, size)
+            true = lens_camera(other, size)
             rays = true.rays(true.undistort_points(pixels))
             for i in (0, 1):  # ideal = f · ray + c
                 design = np.column_stack([rays[:, i], np.ones(len(rays))])
@@ -114,11 +114,13 @@ def stated_uncertainty(rig: StereoRig, covariance: Array) -> RigUncertainty:
         together[0, first + 1] = -sign / camera.K[1, 1]
     std = np.sqrt(np.diag(together @ covariance @ together.T))
     turn, shift = _triple(std[:3]), _triple(std[3:])
-    ways = [way for distance in DISTANCES for across in ACROSS for way in _ways(rig, distance, across)]
+    ways = [
+        way for distance in DISTANCES_M for across in LATERAL_SHARES for way in _displacements(rig, distance, across)
+    ]
 
     def variances(stated: RigUncertainty) -> Array:
         moves = perturbed_rigs(rig, stated)
-        return np.array([sum(speed_change(rig, moved, *way) ** 2 for moved in moves) for way in ways])
+        return np.array([sum(relative_speed_change(rig, moved, *way) ** 2 for moved in moves) for way in ways])
 
     wanted, focal = variances(RigUncertainty(covariance=covariance)), variances(RigUncertainty(1.0))
     lacking = np.maximum(wanted - variances(RigUncertainty(0.0, 0.0, turn, shift)), 0.0)

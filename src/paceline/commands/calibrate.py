@@ -60,10 +60,10 @@ def _print(c: Calibration) -> None:
     rows = [("", "left", "right"), *_lenses(c), *_pose(c)]
     print_columns(rows)
     print(f"\nviews       {len(c.used)} of {len(c.views.views) + len(c.views.empty)} used", end="")
-    print(f", {c.stray} stray corners left out" if c.stray else "")
-    models = ", ".join(f"{name} {error:.3f}" for name, error in c.held_out.items())
+    print(f", {c.outlier_corners} stray corners left out" if c.outlier_corners else "")
+    models = ", ".join(f"{name} {error:.3f}" for name, error in c.cross_validation_px.items())
     print(f"lens model  {c.distortion}; error on views held out, px: {models}")
-    effects = "   ".join(f"{e.distance:.0f} m ± {100 * c.factor * e.along:.2f} %" for e in c.effects)
+    effects = "   ".join(f"{e.distance:.0f} m ± {100 * c.coverage_factor * e.along:.2f} %" for e in c.effects)
     print(f"speeds      {effects}   (95 %, from the calibration alone)")
     print(f"verdict     {verdict(c)}")
     for v, reason in c.rejected.items():
@@ -78,14 +78,18 @@ def _print(c: Calibration) -> None:
 
 def _lenses(c: Calibration) -> list[tuple[str, str, str]]:
     """A row for each parameter of the lenses, with half its 95 % interval."""
-    from paceline.calibration.parameters import LENS, N_LENS
+    from paceline.calibration.parameters import LENS_PARAMETERS, N_LENS
 
-    titles = dict(zip(LENS, ("focal length x, px", "focal length y, px", "centre x, px", "centre y, px"), strict=False))
+    titles = dict(
+        zip(LENS_PARAMETERS, ("focal length x, px", "focal length y, px", "centre x, px", "centre y, px"), strict=False)
+    )
     rows = []
-    for k, name in enumerate(LENS):
+    for k, name in enumerate(LENS_PARAMETERS):
         if k < 4 or k in c.fit.free:
             left, right = (
-                _with_interval(c.fit.rig.lenses[side, k], c.factor * c.std[side * N_LENS + k], 2 if k < 4 else 5)
+                _with_interval(
+                    c.fit.rig.lenses[side, k], c.coverage_factor * c.std[side * N_LENS + k], 2 if k < 4 else 5
+                )
                 for side in (0, 1)
             )
             rows.append((titles.get(name, name), left, right))
@@ -96,12 +100,12 @@ def _pose(c: Calibration) -> list[tuple[str, str, str]]:
     import cv2
     import numpy as np
 
-    from paceline.calibration.parameters import POSE
+    from paceline.calibration.parameters import POSE_SLICE
 
-    std = c.factor * c.std[POSE]
+    std = c.coverage_factor * c.std[POSE_SLICE]
     angles = np.degrees(np.ravel(cv2.Rodrigues(c.rig.R)[0]))
     along = c.rig.t / c.rig.baseline
-    of_baseline = c.factor * float(np.sqrt(along @ c.covariance[POSE, POSE][3:, 3:] @ along))
+    of_baseline = c.coverage_factor * float(np.sqrt(along @ c.covariance[POSE_SLICE, POSE_SLICE][3:, 3:] @ along))
     rows = [("distance apart, m", "", _with_interval(c.rig.baseline, of_baseline, 5))]
     for k, axis in enumerate("xyz"):
         rows.append((f"turned about {axis}, degrees", "", _with_interval(angles[k], float(np.degrees(std[k])), 4)))
@@ -114,7 +118,7 @@ def _with_interval(value: float, half: float, digits: int) -> str:
 
 def verdict(c: Calibration) -> str:
     """One line on what this calibration is good for."""
-    share = c.factor * next(e.along for e in c.effects if e.distance == JUDGED)
+    share = c.coverage_factor * next(e.along for e in c.effects if e.distance == JUDGED)
     what = f"the calibration leaves speeds at {JUDGED:.0f} m unsure by {100 * share:.2f} %"
     if share <= GOOD:
         return f"good: {what}"

@@ -15,7 +15,7 @@ from paceline.errors import UnusableInput
 from paceline.verdicts import message
 
 if TYPE_CHECKING:
-    from paceline.calibration.rig_check import Check, Refinement
+    from paceline.calibration.rig_check import RigCheck, RotationCorrection
 
 rig = typer.Typer(help="Rigs: import and check them.", rich_markup_mode=None)
 
@@ -55,13 +55,13 @@ def rig_import(
     ] = True,
 ) -> int:
     """Write the rig.yaml of a calibration that another program made."""
-    from paceline.calibration.importers import Wishes, import_rig
+    from paceline.calibration.importers import ImportOptions, import_rig
     from paceline.documents.rig_yaml import rig_yaml
     from paceline.reports.calibration import check_rig_file_name
     from paceline.reports.common.output_folder import write_all_or_none
 
     check_rig_file_name(out)
-    found, kind = import_rig(files, Wishes(_size(size), METRES[unit], _pair(cameras), rectified))
+    found, kind = import_rig(files, ImportOptions(_size(size), METRES[unit], _pair(cameras), rectified))
     comments = [
         f"from {kind}: {', '.join(f.name for f in files)}",
         "it states no uncertainty: see uncertainty in docs/files.md",
@@ -96,10 +96,10 @@ def rig_check(
     if refine != (out is not None):
         raise UnusableInput("--refine and --out belong together: the refined rig needs a file to go to")
 
-    from paceline.calibration.rig_check import check, enough
-    from paceline.calibration.rig_check import refine as refine_rig
+    from paceline.calibration.rig_check import check_rig, has_enough_matches
+    from paceline.calibration.rig_check import correct_rotation as refine_rig
     from paceline.calibration.scene_matches import match_scene
-    from paceline.documents.loading import load_recorded
+    from paceline.documents.loading import load_clip_recording
     from paceline.documents.rig_yaml import rig_yaml
     from paceline.recordings.stereo import open_recording
     from paceline.reports.calibration import check_rig_file_name
@@ -107,14 +107,14 @@ def rig_check(
 
     if out is not None:
         check_rig_file_name(out)
-    document = load_recorded(file_named(clip, "clip.yaml"), other)
+    document = load_clip_recording(file_named(clip, "clip.yaml"), other)
     recording = open_recording(document)
     with progress_bar("matching", sys.stderr.isatty()) as advance:
         matches = match_scene(recording, advance)
-    if not enough(matches):
+    if not has_enough_matches(matches):
         print(f"verdict  {message('rig_unchecked', points=len(matches))}")
         return NOTHING_MEASURED
-    found = check(document.rig, matches)
+    found = check_rig(document.rig, matches)
     _print_check(found, matches.frames)
     if out is not None:
         better = refine_rig(document.rig, found)
@@ -125,12 +125,12 @@ def rig_check(
     return NOTHING_MEASURED if found.moved else DONE
 
 
-def _print_check(found: Check, frames: int) -> None:
+def _print_check(found: RigCheck, frames: int) -> None:
     import numpy as np
 
     from paceline.units import COVERAGE_95
 
-    turn, half = np.degrees(found.turn), np.degrees(COVERAGE_95 * found.std)
+    turn, half = np.degrees(found.rotation), np.degrees(COVERAGE_95 * found.std)
     print_columns(
         [
             ("turned since its calibration", "degrees, 95 %"),
@@ -138,8 +138,8 @@ def _print_check(found: Check, frames: int) -> None:
         ]
     )
     print(
-        f"\n{found.matches} points in {frames} frames, off their lines by {found.error:.2f} px (rms) through the turn "
-        f"and {found.scatter:.2f} px besides"
+        f"\n{found.matches} points in {frames} frames, off their epipolar lines by {found.rotation_error_px:.2f} px "
+        f"(rms) by the rotation and {found.residual_px:.2f} px besides"
     )
     print(f"verdict  {verdict(found)}")
     if not found.states_uncertainty:
@@ -148,21 +148,21 @@ def _print_check(found: Check, frames: int) -> None:
         print(f"note: {notice}", file=sys.stderr)
 
 
-def verdict(found: Check) -> str:
+def verdict(found: RigCheck) -> str:
     """One line on whether the rig stands as it was calibrated."""
-    from paceline.calibration.rig_check import UNLIKELY
+    from paceline.calibration.rig_check import SIGNIFICANCE_LEVEL
 
     if not found.moved:
-        return f"the rig stands as calibrated; the scene agrees (chance of so large a difference: {found.chance:.2g})"
+        return f"the rig stands as calibrated; the scene agrees (chance of so large a difference: {found.p_value:.2g})"
     return message(
         "rig_moved" if found.states_uncertainty else "rig_differs_from_file",
-        offset_px=found.error,
-        chance=found.chance,
-        min_chance=UNLIKELY,
+        offset_px=found.rotation_error_px,
+        chance=found.p_value,
+        min_chance=SIGNIFICANCE_LEVEL,
     )
 
 
-def _print_refinement(better: Refinement, out: Path) -> None:
+def _print_refinement(better: RotationCorrection, out: Path) -> None:
     import numpy as np
 
     from paceline.units import COVERAGE_95
@@ -170,7 +170,7 @@ def _print_refinement(better: Refinement, out: Path) -> None:
     print()
     rows = [("refined", "turned by, degrees, 95 %", "known from")]
     for what, t, s, share in zip(
-        TURNS, np.degrees(better.turn), np.degrees(better.std), better.from_scene, strict=True
+        TURNS, np.degrees(better.rotation), np.degrees(better.std), better.scene_share, strict=True
     ):
         source = "the scene" if share > 0.5 else "the calibration: the scene cannot tell it"
         rows.append((what, f"{t:+.4f} ± {COVERAGE_95 * s:.4f}", source))

@@ -81,7 +81,7 @@ def simulate_suite(
 
 def _file(scene: str, kind: str) -> Path:
     """The path that ``scene`` is, where no named scene is called so."""
-    from paceline.documents.models import nearest_of
+    from paceline.documents.models import suggestion
     from paceline.simulation.raytraced.named_scenes import list_scenes
 
     path = Path(scene)
@@ -89,7 +89,7 @@ def _file(scene: str, kind: str) -> Path:
         path = path / "scene.yaml"
     if path.suffix not in (".yaml", ".yml") and not path.exists():
         own = [name for k, name, _ in list_scenes() if k == kind]
-        raise UnusableInput(f"{scene}: no {kind} scene has this name; {nearest_of(scene, own)}")
+        raise UnusableInput(f"{scene}: no {kind} scene has this name; {suggestion(scene, own)}")
     return path
 
 

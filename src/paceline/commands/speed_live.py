@@ -40,7 +40,7 @@ def measure_live(
 
     from paceline.detection.onnx_detector import OnnxDetector
     from paceline.errors import UnusableInput
-    from paceline.recordings.live_stereo import LiveViews
+    from paceline.recordings.live_stereo import LiveStereo
     from paceline.reports.live.report import LiveResults
     from paceline.survey.live import BACKGROUND_S, survey
     from paceline.verdicts import message
@@ -51,7 +51,7 @@ def measure_live(
     at_once = detector is not None and bool(clip.paths)
     cv2.setNumThreads(1)  # the cards are small: a second thread costs more than it does, and is wanted for measuring
     detect = None if detector is None else OnnxDetector(detector)
-    views = LiveViews(clip)
+    views = LiveStereo(clip)
     learning = BACKGROUND_S if learning is None else learning
     settings, used = {**configuration.model_dump(), "learn": learning}, versions()
     if detect is not None:

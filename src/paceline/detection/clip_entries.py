@@ -6,7 +6,7 @@ import yaml
 
 from paceline.cameras import StereoRig
 from paceline.detection.finder import DetectedVehicle
-from paceline.documents.yaml_editing import added_below, pixels, quoted, read_back
+from paceline.documents.yaml_editing import format_pixels, format_text, insert_below, parse_edited
 from paceline.errors import UnusableInput
 
 
@@ -18,9 +18,9 @@ def with_vehicles(text: str, file: str, rig: StereoRig, found: list[DetectedVehi
     before = yaml.safe_load(text)
     if before.get("vehicles"):
         raise UnusableInput(f"{file}: vehicles: some are outlined already; expected none, to be found without a person")
-    added = added_below(text, "vehicles", lambda indent: _entries(rig, found, indent))
+    added = insert_below(text, "vehicles", lambda indent: _entries(rig, found, indent))
     new = yaml.safe_load("\n".join(_entries(rig, found, 0))) or None
-    after = read_back(added)
+    after = parse_edited(added)
     if after | {"vehicles": after.get("vehicles")} != before | {"vehicles": new}:
         raise UnusableInput(f"{file}: vehicles: is written in a way that cannot be added to; expected no such key")
     return added
@@ -34,10 +34,10 @@ def _entries(rig: StereoRig, found: list[DetectedVehicle], indent: int) -> list[
             continue
         lines += [
             f"{pad}- id: {v.id}  # found by paceline vehicles, seen from {f.times[0]:.2f} to {f.times[1]:.2f} s",
-            f"{pad}  path: {quoted(f.path)}",
+            f"{pad}  path: {format_text(f.path)}",
             f"{pad}  frame: {v.frame}",
-            f"{pad}  left: {pixels(rig.left.distort_points(v.left))}",
-            f"{pad}  right: {pixels(rig.right.distort_points(v.right))}",
+            f"{pad}  left: {format_pixels(rig.left.distort_points(v.left))}",
+            f"{pad}  right: {format_pixels(rig.right.distort_points(v.right))}",
         ]
         if v.speed is not None:
             lines.append(f"{pad}  speed: {v.speed}  # a first guess, m/s")

@@ -26,8 +26,8 @@ from paceline.documents.models import (
     TargetModel,
     UncertaintyModel,
     VehicleModel,
-    nearest_of,
     read_document,
+    suggestion,
 )
 from paceline.errors import UnusableInput
 
@@ -112,10 +112,10 @@ def load_rig(path: str | Path) -> StereoRig:
     path = Path(path)
     model = read_document(RigModel, path)
     left, right = _camera(path, "left.", model.left), _camera(path, "right.", model.right)
-    _refuse(path, "rotation", plausibility.wrong_rotation(model.rotation))
+    _refuse(path, "rotation", plausibility.check_rotation(model.rotation))
     R = plausibility.nearest_rotation(model.rotation)
-    rig = StereoRig(left, right, R, model.translation, _stated(model.uncertainty))
-    _refuse(path, "translation", plausibility.wrong_baseline(rig))
+    rig = StereoRig(left, right, R, model.translation, _uncertainty(model.uncertainty))
+    _refuse(path, "translation", plausibility.check_baseline(rig))
     return rig
 
 
@@ -124,7 +124,7 @@ def load_clip(path: str | Path) -> Clip:
     path = Path(path)
     model = read_document(ClipModel, path)
     site, rig = _site(path, model)
-    clip = _recorded(path, model, rig)
+    clip = _recording(path, model, rig)
     paths = {name: _path(path, clip.rig, name, p) for name, p in (model.paths or {}).items()}
     if model.site is not None and site is not None and site.paths:
         for name, p in site.paths.items():
@@ -139,12 +139,12 @@ def load_clip(path: str | Path) -> Clip:
     return replace(clip, paths=paths, vehicles=vehicles)
 
 
-def load_recorded(path: str | Path, rig: Path | None = None) -> Clip:
+def load_clip_recording(path: str | Path, rig: Path | None = None) -> Clip:
     """What a clip.yaml says of its recording, with its rig or another; paths and vehicles are left aside, as a rig that
     has moved would make them contradict each other."""
     path = Path(path)
     model = read_document(ClipModel, path)
-    return _recorded(path, model, rig or _site(path, model)[1])
+    return _recording(path, model, rig or _site(path, model)[1])
 
 
 def rig_file(path: str | Path) -> Path:
@@ -166,7 +166,7 @@ def _site(path: Path, model: ClipModel) -> tuple[SiteModel | None, Path]:
     return site, file.parent / site.rig
 
 
-def _recorded(path: Path, model: ClipModel, rig: Path) -> Clip:
+def _recording(path: Path, model: ClipModel, rig: Path) -> Clip:
     if model.rate is not None and model.times is not None:
         raise UnusableInput(f"{path}: rate and times: expected one of them, found both")
     return Clip(
@@ -200,11 +200,11 @@ def load_target(path: str | Path) -> TargetDocument:
     path = Path(path)
     model = read_document(TargetModel, path)
     for i, (a, b) in enumerate(model.segments):
-        _refuse(path, f"segments[{i}]", plausibility.wrong_segment(a, b, model.corners))
+        _refuse(path, f"segments[{i}]", plausibility.check_segment(a, b, model.corners))
     place = {name: i for i, name in enumerate(model.corners)}
     corners = np.array(list(model.corners.values())).reshape(-1, 2)
     segments = np.array([[place[a], place[b]] for a, b in model.segments], np.int64).reshape(-1, 2)
-    _refuse(path, "segments", plausibility.wrong_target(corners[segments]))
+    _refuse(path, "segments", plausibility.check_target(corners[segments]))
     return TargetDocument(model.name, model.nominal_range, corners, segments, model.tolerance or 0.0)
 
 
@@ -219,7 +219,7 @@ def load_follow(path: str | Path) -> FollowClip:
     target = load_target(path.parent / model.target)
     start = model.start
     ends = target.ends * camera.K[[0, 1], [0, 1]] / target.nominal_range
-    if wrong := plausibility.wrong_start(start.center, start.scale, ends, camera.image_size):
+    if wrong := plausibility.check_start(start.center, start.scale, ends, camera.image_size):
         _refuse(path, f"start.{wrong[0]}", wrong[1])
     return FollowClip(
         path=path,
@@ -238,11 +238,11 @@ def load_follow(path: str | Path) -> FollowClip:
 
 def _camera(file: Path, prefix: str, m: CameraModel) -> Camera:
     camera = Camera((m.image_size[0], m.image_size[1]), m.K, np.array(m.distortion, float))
-    _refuse(file, f"{prefix}K", plausibility.wrong_intrinsics(camera))
+    _refuse(file, f"{prefix}K", plausibility.check_intrinsics(camera))
     return camera
 
 
-def _stated(u: UncertaintyModel | None) -> RigUncertainty | None:
+def _uncertainty(u: UncertaintyModel | None) -> RigUncertainty | None:
     if u is None:
         return None
     (a, b, c), (x, y, z) = u.rotation_rad, u.translation_m
@@ -254,14 +254,14 @@ def _path(file: Path, rig: StereoRig, name: str, m: PathModel) -> PathDocument:
     if m.points is not None:
         if m.left is not None or m.right is not None:
             raise UnusableInput(f"{file}: {key}: expected either points or left and right, found both")
-        _refuse(file, f"{key}.points", plausibility.wrong_path_points(m.points))
+        _refuse(file, f"{key}.points", plausibility.check_path_points(m.points))
         return PathDocument(name, m.shape, None, None, m.lateral_offset, m.points)
     if m.left is None or m.right is None:
         seen = [side for side, drawn in (("left", m.left), ("right", m.right)) if drawn is not None]
         found = f"drawn in the {seen[0]} view only" if seen else "not drawn"
         raise UnusableInput(f"{file}: {key}: {found}; expected the same road line in both views, or points")
     for side, drawn in (("left", m.left), ("right", m.right)):
-        _refuse(file, f"{key}.{side}", plausibility.wrong_drawing(drawn, m.shape))
+        _refuse(file, f"{key}.{side}", plausibility.check_drawing(drawn, m.shape))
     left, right = rig.left.undistort_points(m.left), rig.right.undistort_points(m.right)
     return PathDocument(name, m.shape, left, right, m.lateral_offset, None)
 
@@ -270,11 +270,11 @@ def _vehicle(
     file: Path, rig: StereoRig, paths: Mapping[str, PathDocument], key: str, m: VehicleModel
 ) -> VehicleDocument:
     if m.path is not None and m.path not in paths:
-        raise UnusableInput(f"{file}: {key}.path: no path is called {m.path!r}; {nearest_of(m.path, list(paths))}")
+        raise UnusableInput(f"{file}: {key}.path: no path is called {m.path!r}; {suggestion(m.path, list(paths))}")
     for side, corners, camera in (("left", m.left, rig.left), ("right", m.right, rig.right)):
-        _refuse(file, f"{key}.{side}", plausibility.wrong_quadrilateral(corners, camera.image_size))
+        _refuse(file, f"{key}.{side}", plausibility.check_quadrilateral(corners, camera.image_size))
     left, right = rig.left.undistort_points(m.left), rig.right.undistort_points(m.right)
-    _refuse(file, key, plausibility.wrong_views(rig, left, right))
+    _refuse(file, key, plausibility.check_views(rig, left, right))
     plane = m.plane or ("free" if m.path is None else "front")
     return VehicleDocument(m.id, m.path, m.frame, left, right, plane, m.speed)
 

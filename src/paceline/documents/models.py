@@ -25,9 +25,9 @@ from pydantic.fields import FieldInfo
 from paceline.arrays import Array
 from paceline.errors import UnusableInput
 
-LONGEST_NAME = 100
-LARGEST = 1e9  # no pixel or metre in these files comes near it; NaN and infinity are not below it either
-MOST_VALUES = 1_000_000  # in one document; more is a mistake, or meant to exhaust the memory
+MAX_NAME_LENGTH = 100
+MAX_NUMBER = 1e9  # no pixel or metre in these files comes near it; NaN and infinity are not below it either
+MAX_VALUES = 1_000_000  # in one document; more is a mistake, or meant to exhaust the memory
 RIG_PARAMETERS = 14  # fx, fy, cx, cy of each camera, rotation, translation
 _WORDS = {2: "two", 3: "three", 4: "four"}
 
@@ -40,10 +40,10 @@ def _array(columns: int, rows: int | None = None, what: str = "points") -> Befor
 
     def validate(value: Any) -> Array:
         if not isinstance(value, list):
-            raise ValueError(f"expected {expected}, found {_shown(value)}")
+            raise ValueError(f"expected {expected}, found {_excerpt(value)}")
         for i, item in enumerate(value):
             if not (isinstance(item, list) and len(item) == columns and all(map(_is_number, item))):
-                raise ValueError(f"expected {expected}, found {_shown(item)} in place {i}")
+                raise ValueError(f"expected {expected}, found {_excerpt(item)} in place {i}")
         if rows is not None and len(value) != rows:
             raise ValueError(f"expected {expected}, found {len(value)}")
         return np.array(value, float).reshape(-1, columns)
@@ -54,7 +54,7 @@ def _array(columns: int, rows: int | None = None, what: str = "points") -> Befor
 def _vector(length: int) -> BeforeValidator:
     def validate(value: Any) -> Array:
         if not (isinstance(value, list) and len(value) == length and all(map(_is_number, value))):
-            raise ValueError(f"expected {_WORDS[length]} finite numbers, found {_shown(value)}")
+            raise ValueError(f"expected {_WORDS[length]} finite numbers, found {_excerpt(value)}")
         return np.array(value, float)
 
     return BeforeValidator(validate)
@@ -65,7 +65,7 @@ def _covariance(value: Any) -> Any:
         return None
     rows = value if isinstance(value, list) else []
     if len(rows) != RIG_PARAMETERS or any(not isinstance(r, list) or len(r) != RIG_PARAMETERS for r in rows):
-        raise ValueError(f"expected {RIG_PARAMETERS} rows of {RIG_PARAMETERS} numbers, found {_shown(value)}")
+        raise ValueError(f"expected {RIG_PARAMETERS} rows of {RIG_PARAMETERS} numbers, found {_excerpt(value)}")
     if not all(_is_number(x) for row in rows for x in row):
         raise ValueError("expected finite numbers")
     C = np.array(rows, float)
@@ -84,13 +84,13 @@ def _name(value: Any) -> Any:
 
 def _legible(name: str) -> str:
     """A name goes into tables, labels and file names."""
-    if len(name) > LONGEST_NAME or not name.isprintable():
-        raise ValueError(f"expected at most {LONGEST_NAME} printable characters")
+    if len(name) > MAX_NAME_LENGTH or not name.isprintable():
+        raise ValueError(f"expected at most {MAX_NAME_LENGTH} printable characters")
     return name
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < LARGEST
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < MAX_NUMBER
 
 
 Pixels = Annotated[Array, _array(2)]
@@ -122,11 +122,11 @@ class KnownKeys(BaseModel):
         if isinstance(value, cls):
             return value
         if not isinstance(value, dict):
-            raise ValueError(f"expected the keys {', '.join(cls.model_fields)}, found {_shown(value)}")
+            raise ValueError(f"expected the keys {', '.join(cls.model_fields)}, found {_excerpt(value)}")
         aliases = {str(old): name for name, field in cls.model_fields.items() for old in _older_names(field)}
         for key in value:
             if key not in cls.model_fields and key not in aliases:
-                raise ValueError(f"unknown key {key!r}; {nearest_of(str(key), list(cls.model_fields))}")
+                raise ValueError(f"unknown key {key!r}; {suggestion(str(key), list(cls.model_fields))}")
             if aliases.get(key) in value:
                 raise ValueError(f"{aliases[key]} and {key}: one key under two names; expected one of them")
         return value
@@ -238,8 +238,8 @@ class _Loader(yaml.SafeLoader):
 
     def get_single_node(self) -> yaml.Node | None:
         node: yaml.Node | None = super().get_single_node()
-        if node is not None and _values(node, {}) > MOST_VALUES:
-            problem = f"holds more than {MOST_VALUES} values, those repeated by * included"
+        if node is not None and _values(node, {}) > MAX_VALUES:
+            problem = f"holds more than {MAX_VALUES} values, those repeated by * included"
             raise yaml.constructor.ConstructorError(None, None, problem, node.start_mark)
         return node
 
@@ -329,18 +329,18 @@ def _first_problem(error: ValidationError) -> str:
     elif first["type"] == "missing":
         text = "missing"
     else:
-        text = f"{expected.get(first['type'], first['msg'])}, found {_shown(first['input'])}"
+        text = f"{expected.get(first['type'], first['msg'])}, found {_excerpt(first['input'])}"
     return f"{key}: {text}" if key else text
 
 
-def _shown(value: Any) -> str:
+def _excerpt(value: Any) -> str:
     if value is None:
         return "nothing"
     text = repr(value)
     return text if len(text) <= 60 else f"{text[:57]}…"
 
 
-def nearest_of(name: str, valid: list[str]) -> str:
+def suggestion(name: str, valid: list[str]) -> str:
     """Names the entry of ``valid`` that was probably meant, or all of them where none resembles ``name``."""
     if near := difflib.get_close_matches(name, valid, 1, 0.5):
         return f"did you mean {near[0]!r}?"

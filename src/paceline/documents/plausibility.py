@@ -10,19 +10,21 @@ from paceline.arrays import Array
 from paceline.cameras import Camera, StereoRig
 from paceline.geometry import epipolar_distance, triangulate
 
-ORTHONORMAL = 1e-3  # largest entry of RᵀR − I that rounding in a file explains
-WIDEST_BASELINE = 100.0  # m
-SMALLEST_AREA, SHORTEST_SIDE = 64.0, 4.0  # px², px: less holds no texture to track
-SHORTEST_DRAWING = 2.0  # px
-OBLIQUE = 0.01  # drift of a segment across its direction, as a share of its length, that rounding in a file explains
-SHORTEST_SEGMENT, LARGEST_TARGET = 0.01, 20.0  # m
-SMALLEST_TARGET = 8.0  # px: less shows no lines
-SHOWN = 0.5  # share of a target that its first frame has to show
-CORNERS = ("top-left", "top-right", "bottom-right", "bottom-left")
-CORNER_ORDER = f"{', '.join(CORNERS)} as seen in the image"
+MAX_ORTHONORMALITY_ERROR = 1e-3  # largest entry of RᵀR − I that rounding in a file explains
+MAX_BASELINE_M = 100.0  # m
+MIN_AREA_PX2, MIN_SIDE_PX = 64.0, 4.0  # px², px: less holds no texture to track
+MIN_DRAWING_PX = 2.0  # px
+MAX_OBLIQUENESS = (
+    0.01  # drift of a segment across its direction, as a share of its length, that rounding in a file explains
+)
+MIN_SEGMENT_M, MAX_TARGET_M = 0.01, 20.0  # m
+MIN_TARGET_PX = 8.0  # px: less shows no lines
+MIN_VISIBLE_SHARE = 0.5  # share of a target that its first frame has to show
+CORNER_NAMES = ("top-left", "top-right", "bottom-right", "bottom-left")
+CORNER_ORDER = f"{', '.join(CORNER_NAMES)} as seen in the image"
 
 
-def wrong_intrinsics(camera: Camera) -> str | None:
+def check_intrinsics(camera: Camera) -> str | None:
     K, size = camera.K, np.array(camera.image_size)
     if K[0, 0] <= 0 or K[1, 1] <= 0:
         return f"expected positive focal lengths, found {K[0, 0]:g} and {K[1, 1]:g}"
@@ -37,9 +39,9 @@ def wrong_intrinsics(camera: Camera) -> str | None:
     return None
 
 
-def wrong_rotation(R: Array) -> str | None:
+def check_rotation(R: Array) -> str | None:
     error = float(np.abs(R.T @ R - np.eye(3)).max())
-    if error > ORTHONORMAL:
+    if error > MAX_ORTHONORMALITY_ERROR:
         return f"is not a rotation: RᵀR differs from the identity by {error:.2g}; expected orthonormal rows"
     if np.linalg.det(R) < 0:
         return "is a reflection, its determinant is -1; expected a rotation"
@@ -52,10 +54,10 @@ def nearest_rotation(R: Array) -> Array:
     return np.asarray(u @ vt)
 
 
-def wrong_baseline(rig: StereoRig) -> str | None:
+def check_baseline(rig: StereoRig) -> str | None:
     if rig.baseline == 0:
         return "both cameras stand in the same place; expected a distance in metres"
-    if rig.baseline > WIDEST_BASELINE:
+    if rig.baseline > MAX_BASELINE_M:
         return f"the cameras stand {rig.baseline:g} m apart; expected metres (are these millimetres?)"
     centre = -rig.t @ rig.R  # of the right camera, in the left one's axes
     if np.argmax(np.abs(centre)) == 0 and centre[0] < 0:
@@ -63,7 +65,7 @@ def wrong_baseline(rig: StereoRig) -> str | None:
     return None
 
 
-def wrong_path_points(points: Array) -> str | None:
+def check_path_points(points: Array) -> str | None:
     if len(points) < 2:
         return f"expected at least two [x, y, z] points, found {len(points)}"
     if (np.linalg.norm(np.diff(points, axis=0), axis=1) < 1e-6).any():
@@ -71,16 +73,16 @@ def wrong_path_points(points: Array) -> str | None:
     return None
 
 
-def wrong_drawing(pixels: Array, shape: str) -> str | None:
+def check_drawing(pixels: Array, shape: str) -> str | None:
     least, word = (2, "two") if shape == "line" else (4, "four")
     if len(pixels) < least:
         return f"expected at least {word} [x, y] points for a {shape}, found {len(pixels)}"
-    if np.linalg.norm(np.ptp(pixels, axis=0)) < SHORTEST_DRAWING:
+    if np.linalg.norm(np.ptp(pixels, axis=0)) < MIN_DRAWING_PX:
         return "all points lie in the same place; expected points along the road line"
     return None
 
 
-def wrong_quadrilateral(corners: Array, image_size: tuple[int, int]) -> str | None:
+def check_quadrilateral(corners: Array, image_size: tuple[int, int]) -> str | None:
     """What is wrong with ``corners`` (4, 2), as clicked in an image of that (width, height)."""
     limit = np.array(image_size) - 0.5
     outside = ((corners < -0.5) | (corners > limit)).any(axis=1)
@@ -93,10 +95,10 @@ def wrong_quadrilateral(corners: Array, image_size: tuple[int, int]) -> str | No
     turns = _turn(sides, np.roll(sides, -1, axis=0))  # positive: clockwise as seen
     area = 0.5 * float(_turn(corners, np.roll(corners, -1, axis=0)).sum())
     shortest = float(np.linalg.norm(sides, axis=1).min())
-    if abs(area) < SMALLEST_AREA or shortest < SHORTEST_SIDE:
+    if abs(area) < MIN_AREA_PX2 or shortest < MIN_SIDE_PX:
         return (
             f"is too small to track (area {abs(area):.0f} px², shortest side {shortest:.1f} px); "
-            f"expected at least {SMALLEST_AREA:.0f} px² and {SHORTEST_SIDE:.0f} px"
+            f"expected at least {MIN_AREA_PX2:.0f} px² and {MIN_SIDE_PX:.0f} px"
         )
     if area < 0:
         return f"the corners go counter-clockwise; expected the order {CORNER_ORDER}"
@@ -109,7 +111,7 @@ def wrong_quadrilateral(corners: Array, image_size: tuple[int, int]) -> str | No
     return None
 
 
-def wrong_views(rig: StereoRig, left: Array, right: Array) -> str | None:
+def check_views(rig: StereoRig, left: Array, right: Array) -> str | None:
     """What is wrong with the corners (4, 2) of one vehicle in the two views, ideal pixels.
 
     The outlines need not cover exactly the same part, so only a gross disagreement is one.
@@ -125,21 +127,21 @@ def wrong_views(rig: StereoRig, left: Array, right: Array) -> str | None:
     behind = ~((points[:, 2] > 0) & (rig.to_right(points)[:, 2] > 0))
     if behind.any():
         return (
-            f"the {CORNERS[int(np.argmax(behind))]} corner triangulates behind the cameras; "
+            f"the {CORNER_NAMES[int(np.argmax(behind))]} corner triangulates behind the cameras; "
             "expected the same corner in both views (are left and right swapped?)"
         )
     return None
 
 
-def wrong_segment(name_a: str, name_b: str, corners: Mapping[str, Array]) -> str | None:
+def check_segment(name_a: str, name_b: str, corners: Mapping[str, Array]) -> str | None:
     """What is wrong with the line between two named ``corners`` (2,) of a target, metres."""
     for name in (name_a, name_b):
         if name not in corners:
             return f"no corner is called {name!r}; expected one of {', '.join(corners)}"
     across, down = (float(d) for d in np.abs(corners[name_b] - corners[name_a]))
-    if max(across, down) < SHORTEST_SEGMENT:
-        return f"{name_a} and {name_b} lie in the same place; expected a line at least {SHORTEST_SEGMENT:g} m long"
-    if min(across, down) > OBLIQUE * max(across, down):
+    if max(across, down) < MIN_SEGMENT_M:
+        return f"{name_a} and {name_b} lie in the same place; expected a line at least {MIN_SEGMENT_M:g} m long"
+    if min(across, down) > MAX_OBLIQUENESS * max(across, down):
         return (
             f"the line from {name_a} to {name_b} is oblique, {across:g} m across and {down:g} m down; "
             "expected a horizontal or vertical one"
@@ -147,12 +149,12 @@ def wrong_segment(name_a: str, name_b: str, corners: Mapping[str, Array]) -> str
     return None
 
 
-def wrong_target(ends: Array) -> str | None:
+def check_target(ends: Array) -> str | None:
     """What is wrong with a target's lines as a whole; ``ends`` (S, 2, 2) in metres, each horizontal or vertical."""
     if not len(ends):
         return "expected at least one horizontal and one vertical line, found none"
     extent = np.ptp(ends.reshape(-1, 2), axis=0)
-    if extent.max() > LARGEST_TARGET:
+    if extent.max() > MAX_TARGET_M:
         return f"the target is {extent.max():g} m large; expected metres (are these pixels or millimetres?)"
     across, down = np.abs(ends[:, 1] - ends[:, 0]).T
     vertical = down > across
@@ -160,12 +162,12 @@ def wrong_target(ends: Array) -> str | None:
         if not there.any():
             return f"there is no {direction} line; expected at least one horizontal and one vertical one"
     apart = [np.ptp(ends[lines].mean(axis=1)[:, axis]) for lines, axis in ((~vertical, 1), (vertical, 0))]
-    if max(apart) < SHORTEST_SEGMENT:
+    if max(apart) < MIN_SEGMENT_M:
         return "its lines show no size; expected two parallel ones, some distance apart"
     return None
 
 
-def wrong_start(center: Array, scale: float, ends: Array, image_size: tuple[int, int]) -> tuple[str, str] | None:
+def check_start(center: Array, scale: float, ends: Array, image_size: tuple[int, int]) -> tuple[str, str] | None:
     """The key and what is wrong with it, where a target cannot begin.
 
     ``ends`` (N, 2) of its lines are px from its centre at scale 1.
@@ -176,17 +178,17 @@ def wrong_start(center: Array, scale: float, ends: Array, image_size: tuple[int,
         return "center", f"[{x:g}, {y:g}] lies outside the image of {size[0]} × {size[1]} pixels"
     low, high = scale * ends.min(axis=0), scale * ends.max(axis=0)
     width, height = high - low
-    if max(width, height) < SMALLEST_TARGET:
+    if max(width, height) < MIN_TARGET_PX:
         return "scale", (
-            f"{scale:g} makes the target {width:.2g} × {height:.2g} px large; expected at least {SMALLEST_TARGET:g} px"
+            f"{scale:g} makes the target {width:.2g} × {height:.2g} px large; expected at least {MIN_TARGET_PX:g} px"
         )
     if width > 2 * size[0] or height > 2 * size[1]:
         return "scale", f"{scale:g} makes the target {width:.0f} × {height:.0f} px large, far more than the image"
     inside = np.prod(np.minimum(center + high, size - 1) - np.maximum(center + low, 0)) / (width * height)
-    if inside < SHOWN:
+    if inside < MIN_VISIBLE_SHARE:
         return "center", (
             f"[{x:g}, {y:g}] leaves {100 * inside:.0f} % of the target, {width:.0f} × {height:.0f} px, in the image of "
-            f"{size[0]} × {size[1]}; expected at least {100 * SHOWN:.0f} %"
+            f"{size[0]} × {size[1]}; expected at least {100 * MIN_VISIBLE_SHARE:.0f} %"
         )
     return None
 

@@ -13,7 +13,7 @@ from paceline.errors import UnusableInput
 Plain = dict[str, Any]
 
 
-def added_below(text: str, name: str, entries: Callable[[int], list[str]]) -> str:
+def insert_below(text: str, name: str, entries: Callable[[int], list[str]]) -> str:
     """``text`` of a YAML mapping with ``entries``, made for an indent, added to what stands below the key ``name``, or
     below a new key."""
     root = yaml.compose(text)
@@ -27,7 +27,7 @@ def added_below(text: str, name: str, entries: Callable[[int], list[str]]) -> st
         indent = value.value[0][0].start_mark.column
         last = value.value[-1][1].end_mark
         end = last.line if last.column == 0 else last.line + 1
-        while end > key.start_mark.line + 1 and _is_aside(lines[end - 1], indent):
+        while end > key.start_mark.line + 1 and _is_outer_comment(lines[end - 1], indent):
             end -= 1  # what stands between these entries and the next key belongs to that key
         return "\n".join([*lines[:end], *entries(indent), *lines[end:]]) + "\n"
     row = key.start_mark.line
@@ -36,7 +36,7 @@ def added_below(text: str, name: str, entries: Callable[[int], list[str]]) -> st
     return "\n".join([*lines[:row], head, *entries(key.start_mark.column + 2), *lines[row + 1 :]]) + "\n"
 
 
-def read_back(text: str) -> dict[str, Any]:
+def parse_edited(text: str) -> dict[str, Any]:
     """What ``text`` holds after something was added to it; empty where it is no YAML any more."""
     try:
         found: dict[str, Any] = yaml.safe_load(text)
@@ -45,23 +45,23 @@ def read_back(text: str) -> dict[str, Any]:
     return found
 
 
-def _is_aside(line: str, indent: int) -> bool:
+def _is_outer_comment(line: str, indent: int) -> bool:
     """Whether a line is empty or a comment that stands further left than the paths."""
     bare = line.lstrip()
     return not bare or (bare.startswith("#") and len(line) - len(bare) < indent)
 
 
-def pixels(points: Array) -> str:
+def format_pixels(points: Array) -> str:
     """``points`` (N, 2) as a line of YAML."""
     return "[" + ", ".join(f"[{x:.2f}, {y:.2f}]" for x, y in points) + "]"
 
 
-def quoted(text: str) -> str:
+def format_text(text: str) -> str:
     """``text`` as a value of YAML in one line."""
     return yaml.safe_dump(text, allow_unicode=True, width=10**6).splitlines()[0]
 
 
-def flow(value: object) -> str:
+def format_flow(value: object) -> str:
     """``value`` in one line of YAML."""
     text = yaml.dump(value, Dumper=_Flow, default_flow_style=True, allow_unicode=True, sort_keys=False, width=2**30)
     return str(text).removesuffix("...\n").strip()
@@ -72,11 +72,11 @@ class _Flow(yaml.SafeDumper):
         return True  # a list that occurs twice is written twice
 
 
-def with_values(text: str, file: str, values: Plain) -> str:
+def set_values(text: str, file: str, values: Plain) -> str:
     """``text`` of a YAML mapping with these top-level ``values``, all else as it was. Raises UnusableInput."""
     new = text
     for key, value in values.items():
-        new = _with_value(new, key, value)
+        new = _set_value(new, key, value)
     try:
         before, after = yaml.safe_load(text), yaml.safe_load(new)
         kept = {**before, **values} == after
@@ -87,20 +87,20 @@ def with_values(text: str, file: str, values: Plain) -> str:
     return new
 
 
-def _with_value(text: str, key: str, value: object) -> str:
+def _set_value(text: str, key: str, value: object) -> str:
     root = yaml.compose(text)
     found = {k.value: (k, v) for k, v in root.value} if isinstance(root, yaml.MappingNode) else {}
-    line = f"{key}: {flow(value)}"
+    line = f"{key}: {format_flow(value)}"
     if key not in found:
         return f"{text.rstrip()}\n{line}\n"
     name, old = found[key]
     end = old.end_mark.index
     if isinstance(old, yaml.CollectionNode) and not old.flow_style:  # it ends where the next key begins
-        end = old.start_mark.index + len(_without_what_follows(text[old.start_mark.index : end]))
+        end = old.start_mark.index + len(_own_lines(text[old.start_mark.index : end]))
     return text[: name.start_mark.index] + line + text[end:]
 
 
-def _without_what_follows(block: str) -> str:
+def _own_lines(block: str) -> str:
     """A block's text without the empty lines and comments after it, which belong to what follows."""
     lines = block.splitlines()
     while lines and (not lines[-1].strip() or lines[-1].startswith("#")):

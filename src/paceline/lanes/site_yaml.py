@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import yaml
 
-from paceline.documents.yaml_editing import added_below, pixels, quoted, read_back
+from paceline.documents.yaml_editing import format_pixels, format_text, insert_below, parse_edited
 from paceline.errors import UnusableInput
 from paceline.lanes.lane_proposals import Lane
 from paceline.units import COVERAGE_95
@@ -26,7 +26,7 @@ def lane_names(count: int, taken: Iterable[str] = ()) -> list[str]:
 def site_yaml(rig: str, lanes: dict[str, Lane]) -> str:
     """The site.yaml of ``lanes`` by name; ``rig`` is the rig.yaml as seen from its folder."""
     head = ["# lanes found by paceline lanes: look at the pictures beside this file before you use it"]
-    return "\n".join([*head, f"rig: {quoted(rig)}", "paths:", *_entries(lanes, 2)]) + "\n"
+    return "\n".join([*head, f"rig: {format_text(rig)}", "paths:", *_entries(lanes, 2)]) + "\n"
 
 
 def with_lanes(text: str, file: str, lanes: dict[str, Lane]) -> str:
@@ -34,10 +34,10 @@ def with_lanes(text: str, file: str, lanes: dict[str, Lane]) -> str:
 
     Raises UnusableInput where its paths are written in a way that cannot be added to.
     """
-    added = added_below(text, "paths", lambda indent: _entries(lanes, indent))
+    added = insert_below(text, "paths", lambda indent: _entries(lanes, indent))
     before, new = yaml.safe_load(text), yaml.safe_load("\n".join(_entries(lanes, 0))) or {}
     wanted = before | {"paths": (before.get("paths") or {}) | new}
-    after = read_back(added)
+    after = parse_edited(added)
     if after | {"paths": after.get("paths") or {}} != wanted:
         raise UnusableInput(
             f"{file}: paths: is written in a way that cannot be added to; expected one path per line below a line "
@@ -53,8 +53,8 @@ def _entries(lanes: dict[str, Lane], indent: int) -> list[str]:
         lines += [
             f"{pad}{name}:  # between lines {lane.between[0]} and {lane.between[1]}, {width}",
             f"{pad}  shape: {lane.shape}",
-            f"{pad}  left: {pixels(lane.left)}",
-            f"{pad}  right: {pixels(lane.right)}",
+            f"{pad}  left: {format_pixels(lane.left)}",
+            f"{pad}  right: {format_pixels(lane.right)}",
             f"{pad}  lateral_offset: 0.0  # what is drawn is the middle of the lane, for travel in either direction",
         ]
     return lines

@@ -21,13 +21,13 @@ from paceline.arrays import Array, Image
 from paceline.errors import UnusableInput
 from paceline.verdicts import message
 
-Stored = NDArray[Any]  # uint8 or uint16
+StoredImage = NDArray[Any]  # uint8 or uint16
 
 IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm", ".webp"}
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 
-class Source(Protocol):
+class ImageSource(Protocol):
     """One view of a recording."""
 
     name: str
@@ -45,7 +45,7 @@ class Source(Protocol):
         ...
 
 
-def open_source(where: Path, bit_depth: int | None = None) -> Source:
+def open_source(where: Path, bit_depth: int | None = None) -> ImageSource:
     """The images of a folder, the images that a pattern (``left/*.png``, ``left/%04d.png``) matches, or a video.
 
     ``bit_depth`` says how many bits of 16-bit images are used (all 16 by default). Raises UnusableInput where there
@@ -55,7 +55,7 @@ def open_source(where: Path, bit_depth: int | None = None) -> Source:
         files = [p for p in where.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith(".")]
         return ImageFiles(str(where), files, bit_depth)
     if where.exists():
-        return Video(where, bit_depth)
+        return VideoFile(where, bit_depth)
     pattern = re.sub(r"%0(\d+)d", lambda m: "[0-9]" * int(m[1]), str(where))
     if glob.has_magic(pattern):
         return ImageFiles(str(where), [Path(p) for p in glob.glob(pattern)], bit_depth)
@@ -100,7 +100,7 @@ class ImageFiles:
             yield to_grey(image, 16 if self._bit_depth is None else self._bit_depth, self.label(frame))
 
 
-class Video:
+class VideoFile:
     """A video file, timed by its presentation time stamps (never by its frame rate).
 
     Opening it reads the packets' time stamps, and decodes only what follows the last key frame to find out whether the
@@ -179,7 +179,7 @@ class Video:
                 stream = container.streams.video[0]
                 pts, key, cut = _packets(container, stream)
                 time_base = stream.time_base or Fraction(1, av.time_base)
-                promised = _promised_end(container, stream)
+                promised = _stated_end(container, stream)
         except av.FFmpegError as error:
             raise UnusableInput(f"{self.name}: cannot be read as a video ({error.strerror})") from error
         if pts and None in pts:  # the container numbers its packets only; the decoder may know better
@@ -238,7 +238,7 @@ def _packets(
     return pts, key, cut or len(pts) < stream.frames
 
 
-def _promised_end(container: av.container.InputContainer, stream: av.VideoStream) -> float | None:
+def _stated_end(container: av.container.InputContainer, stream: av.VideoStream) -> float | None:
     """The time in seconds at which the container says that the video ends, if it does."""
     if stream.duration is not None and stream.time_base is not None:
         return float((stream.duration + (stream.start_time or 0)) * stream.time_base)
@@ -247,7 +247,7 @@ def _promised_end(container: av.container.InputContainer, stream: av.VideoStream
     return None
 
 
-def read_image_file(path: Path) -> Stored:
+def read_image_file(path: Path) -> StoredImage:
     """The image as stored: (H, W) or (H, W, 3 or 4) in blue, green, red[, alpha] order, 8 or 16 bits.
 
     Raises UnusableInput for a file that is missing, empty, damaged or of another kind.
@@ -288,7 +288,7 @@ def _png_is_whole(data: bytes) -> bool:
     return False
 
 
-def to_grey(image: Stored, bits: int, label: str) -> Image:
+def to_grey(image: StoredImage, bits: int, label: str) -> Image:
     """The luma (Rec. 601) of an image as read, as float32 (H, W) on a 0–255 scale; alpha is ignored.
 
     16-bit images use ``bits`` bits; UnusableInput, naming ``label``, where a value does not fit.

@@ -19,16 +19,21 @@ import numpy as np
 
 from paceline.cameras import ALL_ROWS, Camera, StereoRig
 from paceline.recordings.monocular import CameraFrame, CameraRecording, Grey, open_camera
-from paceline.recordings.stereo import NOTABLE_SKEW, StereoFrame
+from paceline.recordings.stereo import MIN_REPORTED_SKEW_S, StereoFrame
 from paceline.verdicts import message
 
-HELD = 64  # frames of a view that wait to be used, so that a pause of seconds loses none; beyond, the oldest is dropped
-SETTLING = 8  # frames of each live view that tell by how much their clocks differ
-ALIKE = 0.25, 0.5  # of the interval between frames: how far apart two of a pair may be dated, in files or live,
-STILL = 1.5  # and times as far once a pair was found: jitter about half an interval breaks none up
-RECENT = 15  # intervals of a view, of which the median counts: light and load make single ones long or short
-LATE = 1.0  # s, more than one camera's pictures take longer than another's to arrive
-PATIENCE = 0.1  # s between two looks at whether to stop
+MAX_QUEUED_FRAMES = (
+    64  # frames of a view that wait to be used, so that a pause of seconds loses none; beyond, the oldest is dropped
+)
+CLOCK_OFFSET_FRAMES = 8  # frames of each live view that tell by how much their clocks differ
+PAIR_TOLERANCE = (
+    0.25,
+    0.5,
+)  # of the interval between frames: how far apart two of a pair may be dated, in files or live,
+PAIRED_TOLERANCE_FACTOR = 1.5  # and times as far once a pair was found: jitter about half an interval breaks none up
+MAX_INTERVALS = 15  # intervals of a view, of which the median counts: light and load make single ones long or short
+MAX_DELAY_DIFFERENCE_S = 1.0  # s, more than one camera's pictures take longer than another's to arrive
+POLL_INTERVAL_S = 0.1  # s between two looks at whether to stop
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +48,7 @@ class RawPair:
     skew: float
 
 
-class Description(Protocol):
+class LiveSource(Protocol):
     """Where both cameras can be reached, as a clip.yaml says it."""
 
     @property
@@ -58,16 +63,16 @@ class Description(Protocol):
     def rig(self) -> StereoRig: ...
 
 
-class LiveViews:
+class LiveStereo:
     """The pairs of frames of a rig as they come; to be iterated once. Memory does not grow with time.
 
     ``dropped`` counts the left view's frames that were not used because newer ones had come. Raises UnusableInput for
     sources that cannot be opened.
     """
 
-    def __init__(self, clip: Description) -> None:
+    def __init__(self, clip: LiveSource) -> None:
         self._views = [
-            _View(open_camera(_OneView(clip.path, address, clip.rate, clip.bit_depth, camera)))
+            LiveCamera(open_camera(_ViewSource(clip.path, address, clip.rate, clip.bit_depth, camera)))
             for address, camera in zip(clip.addresses, clip.rig.cameras, strict=True)
         ]
         self._ahead = 0.0  # s, the right view's clock over the left one's; 0 where they share one
@@ -83,7 +88,7 @@ class LiveViews:
         own: list[str] = []
         if self._ahead:
             own.append(message("no_common_clock"))
-        if self._apart > NOTABLE_SKEW:
+        if self._apart > MIN_REPORTED_SKEW_S:
             skew = f"up to {1e3 * self._apart:.1f} ms apart, which is allowed for"
             own.append(message("views_skewed", frames="left and right frames", skew=skew))
         return [*own, *(line for view in self._views for line in view.recording.notices)]
@@ -99,8 +104,8 @@ class LiveViews:
         for view in self._views:
             view.begin(begun)
         try:
-            self._ahead = _ahead(left, right)
-            for pair in _paired(left, right, self._ahead):
+            self._ahead = _clock_offset(left, right)
+            for pair in _pairs(left, right, self._ahead):
                 self._apart = max(self._apart, abs(pair.skew))
                 yield pair
         finally:
@@ -111,7 +116,7 @@ class LiveViews:
 
 
 @dataclass(frozen=True)
-class _OneView:
+class _ViewSource:
     """A view as `monocular.open_camera` wants it described."""
 
     path: Path
@@ -122,7 +127,7 @@ class _OneView:
 
 
 @dataclass(eq=False)
-class _View:
+class LiveCamera:
     """A view and the thread that receives it."""
 
     recording: CameraRecording
@@ -131,7 +136,7 @@ class _View:
     error: Exception | None = None
     _waiting: deque[tuple[CameraFrame, float]] = field(default_factory=deque)  # with its arrival
     _changed: Condition = field(default_factory=Condition)
-    _intervals: deque[float] = field(default_factory=lambda: deque(maxlen=RECENT))
+    _intervals: deque[float] = field(default_factory=lambda: deque(maxlen=MAX_INTERVALS))
     _last: float = -np.inf
     _ended: bool = False
     _stopped: bool = False
@@ -143,33 +148,33 @@ class _View:
         self._stopped = True
         self.recording.stop()
 
-    def head(self) -> CameraFrame | None:
+    def peek(self) -> CameraFrame | None:
         """The oldest frame not yet taken, when there is one and an interval is known; None at the end, and as soon as
         the views are stopped."""
         with self._changed:
             while not (self._stopped or (self._waiting and np.isfinite(self.interval))):
                 if self._ended:
                     return None
-                self._changed.wait(PATIENCE)
+                self._changed.wait(POLL_INTERVAL_S)
             return None if self._stopped else self._waiting[0][0]
 
-    def take(self, frame: CameraFrame) -> None:
+    def pop(self, frame: CameraFrame) -> None:
         """Take ``frame``, unless it has been dropped meanwhile."""
         with self._changed:
             if self._waiting and self._waiting[0][0] is frame:
                 self._waiting.popleft()
 
-    def lateness(self) -> float:
+    def delay_s(self) -> float:
         """How much later than their own time stamps its frames come, s, in the median of the first ones that come as
         evenly as they were taken: what was taken while nobody read comes first, and all at once."""
-        late: deque[float] = deque(maxlen=SETTLING)
-        for _ in range(HELD):
-            if self.head() is None:
+        late: deque[float] = deque(maxlen=CLOCK_OFFSET_FRAMES)
+        for _ in range(MAX_QUEUED_FRAMES):
+            if self.peek() is None:
                 break
             with self._changed:
                 frame, arrival = self._waiting.popleft()
             late.append(arrival - frame.time)
-            if len(late) == SETTLING and max(late) - min(late) < ALIKE[True] * self.interval:
+            if len(late) == CLOCK_OFFSET_FRAMES and max(late) - min(late) < PAIR_TOLERANCE[True] * self.interval:
                 break
         return median(late) if late else 0.0
 
@@ -190,7 +195,7 @@ class _View:
 
     def _wait_until(self, moment: float) -> None:
         while not self._stopped and (left := moment - time.monotonic()) > 0:
-            time.sleep(min(left, PATIENCE))
+            time.sleep(min(left, POLL_INTERVAL_S))
 
     def _hand_on(self, frame: CameraFrame) -> None:
         with self._changed:
@@ -198,42 +203,42 @@ class _View:
                 self._intervals.append(frame.time - self._last)
                 self.interval = median(self._intervals)
             self._last = frame.time
-            if len(self._waiting) == HELD:
+            if len(self._waiting) == MAX_QUEUED_FRAMES:
                 self._waiting.popleft()
                 self.dropped += 1
             self._waiting.append((frame, time.monotonic()))
             self._changed.notify()
 
 
-def _ahead(left: _View, right: _View) -> float:
+def _clock_offset(left: LiveCamera, right: LiveCamera) -> float:
     """Seconds by which the right view's clock is ahead of the left one's, 0 where they share one, as files do."""
     if not (left.recording.live or right.recording.live):
         return 0.0
-    ahead = left.lateness() - right.lateness()
+    ahead = left.delay_s() - right.delay_s()
     devices = left.recording.device and right.recording.device
-    return 0.0 if devices and abs(ahead) < LATE else ahead
+    return 0.0 if devices and abs(ahead) < MAX_DELAY_DIFFERENCE_S else ahead
 
 
-def _paired(left: _View, right: _View, ahead: float) -> Iterator[RawPair]:
+def _pairs(left: LiveCamera, right: LiveCamera, ahead: float) -> Iterator[RawPair]:
     """Pairs of frames that were taken together; what has no partner is left out."""
     files = not (left.recording.live or right.recording.live)
     one_clock = ahead == 0.0
-    alike = ALIKE[not files]
-    while (a := left.head()) is not None and (b := right.head()) is not None:
+    alike = PAIR_TOLERANCE[not files]
+    while (a := left.peek()) is not None and (b := right.peek()) is not None:
         skew = b.time - ahead - a.time
         if abs(skew) <= alike * left.interval:
-            alike = STILL * ALIKE[not files]
-            left.take(a)
-            right.take(b)
+            alike = PAIRED_TOLERANCE_FACTOR * PAIR_TOLERANCE[not files]
+            left.pop(a)
+            right.pop(b)
             assert a.image is not None and b.image is not None
             yield RawPair(a.index, a.time + 0.5 * skew * one_clock, a.image, b.image, skew * one_clock)
         elif skew > 0:
-            left.take(a)
+            left.pop(a)
         else:
-            right.take(b)
+            right.pop(b)
 
 
-def undistorted(pair: RawPair, rig: StereoRig, before: RawPair | None, rows: slice = ALL_ROWS) -> StereoFrame:
+def undistort_pair(pair: RawPair, rig: StereoRig, before: RawPair | None, rows: slice = ALL_ROWS) -> StereoFrame:
     """``pair`` in ideal pixels, outside of ``rows`` black; a copy of a picture of the pair ``before`` makes it a
     duplicate."""
     left, right = (

@@ -28,25 +28,25 @@ from numpy.typing import NDArray
 from paceline.arrays import Array
 from paceline.cameras import Camera
 from paceline.errors import UnusableInput
-from paceline.recordings.image_sources import ImageFiles, Source, open_source
+from paceline.recordings.image_sources import ImageFiles, ImageSource, open_source
 from paceline.verdicts import message
 
 Grey = NDArray[np.uint8]  # (H, W)
 
-LISTED = 8  # notices of one kind that are kept
-JUMP = 1.5  # usual intervals between two frames that are noticed
-RECENT = 31  # intervals that say what is usual
+MAX_LISTED_NOTICES = 8  # notices of one kind that are kept
+MIN_GAP_RATIO = 1.5  # usual intervals between two frames that are noticed
+MAX_INTERVALS = 31  # intervals that say what is usual
 LIVE_OPTIONS = {"rtsp_flags": "prefer_tcp"}  # of FFmpeg; sources without them ignore them
-PROBLEMS = {  # of a device, where the system's own words mislead
+DEVICE_PROBLEMS = {  # of a device, where the system's own words mislead
     errno.EBUSY: "it is in use already",
     errno.EINVAL: "it offers no format that FFmpeg can read",
     errno.ENODEV: "it is no camera that FFmpeg can read",
     errno.ENOTTY: "it is no camera that FFmpeg can read",
     errno.ENOSPC: "its USB bus has no bandwidth left; each camera needs a bus of its own, or smaller pictures",
 }
-OPENING, SILENCE = 15.0, 10.0  # s until a live source counts as unreachable, or as ended
-WAITING = 8  # pictures received and not yet asked for; beyond them the source has to wait
-PATIENCE = 0.1  # s between two looks at whether to stop
+OPEN_TIMEOUT_S, SILENCE_TIMEOUT_S = 15.0, 10.0  # s until a live source counts as unreachable, or as ended
+MAX_QUEUED_PICTURES = 8  # pictures received and not yet asked for; beyond them the source has to wait
+POLL_INTERVAL_S = 0.1  # s between two looks at whether to stop
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +58,7 @@ class CameraFrame:
     image: Grey | None
 
 
-class Description(Protocol):
+class CameraSource(Protocol):
     """Where a chase-camera recording lies and how it is timed, as a follow.yaml says it."""
 
     @property
@@ -97,8 +97,8 @@ class CameraRecording:
         self.total = total
         self.name = feed.name
         self._feed = feed
-        self._missing = _Few()
-        self._jumps = _Few()
+        self._missing = _LimitedLines()
+        self._jumps = _LimitedLines()
 
     @property
     def live(self) -> bool:
@@ -125,7 +125,7 @@ class CameraRecording:
     def frames(self, start: int = 0) -> Iterator[CameraFrame]:
         """The frames from index ``start`` on. Raises UnusableInput, naming the frame, for one of another size."""
         width, height = self.camera.image_size
-        steps: deque[float] = deque(maxlen=RECENT)
+        steps: deque[float] = deque(maxlen=MAX_INTERVALS)
         before: CameraFrame | None = None
         for frame in self._feed.read(start):
             if frame.image is None:
@@ -137,7 +137,7 @@ class CameraRecording:
                 )
             if before is not None:
                 step = frame.time - before.time
-                if steps and step > JUMP * median(steps):
+                if steps and step > MIN_GAP_RATIO * median(steps):
                     gap = f"frames {before.index} and {frame.index} lie {step:.3f} s apart"
                     self._jumps.add(message("frames_missing", gap=gap, usual_s=median(steps)))
                 steps.append(step)
@@ -145,7 +145,7 @@ class CameraRecording:
             yield frame
 
 
-def open_camera(clip: Description) -> CameraRecording:
+def open_camera(clip: CameraSource) -> CameraRecording:
     """The recording that a follow.yaml names: images, a video file, or a live source that PyAV opens.
 
     An address (``rtsp://…``), a device (``/dev/video0``) or a named pipe is live. Raises UnusableInput for whatever
@@ -160,7 +160,7 @@ def open_camera(clip: Description) -> CameraRecording:
     if isinstance(source, ImageFiles):
         if clip.rate is None:
             raise UnusableInput(f"{clip.path}: rate: missing; a folder of images needs it")
-        times = _counted(source) / clip.rate
+        times = _frame_counters(source) / clip.rate
     elif source.times is None:
         raise UnusableInput(f"{clip.video}: carries no times; expected a video that does, or images and their rate")
     else:
@@ -169,12 +169,12 @@ def open_camera(clip: Description) -> CameraRecording:
     return CameraRecording(clip.camera, FileFeed(source, times), len(source))
 
 
-def _note_unused_rate(clip: Description, source: Source | Feed) -> None:
+def _note_unused_rate(clip: CameraSource, source: ImageSource | Feed) -> None:
     if clip.rate is not None:
         source.notices.append(message("rate_ignored", clip=clip.path, source=f"{source.name} carries its"))
 
 
-def _counted(images: ImageFiles) -> Array:
+def _frame_counters(images: ImageFiles) -> Array:
     """The images' places in the recording (N,), from 0: numbers in their names that skip mean dropped frames."""
     numbers = images.numbers
     if numbers is not None:
@@ -188,7 +188,7 @@ def _counted(images: ImageFiles) -> Array:
 class FileFeed:
     """Images or a video file whose frames were taken at ``times`` (N,) seconds."""
 
-    def __init__(self, source: Source, times: Array) -> None:
+    def __init__(self, source: ImageSource, times: Array) -> None:
         self.name = source.name
         self.notices = source.notices
         self.label = source.label
@@ -242,11 +242,13 @@ class LiveFeed:
         self.notices: list[str] = []
         self._stopped = False
         try:
-            self._container = _opened(address, size)
+            self._container = _open(address, size)
         except UnusableInput:
             raise
         except (av.FFmpegError, OSError, ValueError) as error:
-            reason = (PROBLEMS.get(getattr(error, "errno", 0)) if _is_device(address) else None) or _problem(error)
+            reason = (
+                DEVICE_PROBLEMS.get(getattr(error, "errno", 0)) if _is_device(address) else None
+            ) or _describe_error(error)
             raise UnusableInput(f"{self.name}: cannot be opened as a live video ({reason})") from error
         if not self._container.streams.video:
             self._container.close()
@@ -262,13 +264,13 @@ class LiveFeed:
         self._stopped = True
 
     def read(self, start: int) -> Iterator[CameraFrame]:
-        received: Queue[_Picture | Exception | None] = Queue(WAITING)
+        received: Queue[_Picture | Exception | None] = Queue(MAX_QUEUED_PICTURES)
         Thread(target=self._receive, args=[received], daemon=True).start()
-        clock = _Clock(self.name, self.notices)
+        clock = _MonotonicClock(self.name, self.notices)
         index, begun = -1, monotonic()
         try:
             while (picture := self._next(received)) is not None:
-                damaged = index < 0 and picture.image is None and monotonic() - begun < SILENCE
+                damaged = index < 0 and picture.image is None and monotonic() - begun < SILENCE_TIMEOUT_S
                 if picture.stamp is None or damaged:  # as the first ones of many sources
                     continue
                 index += 1
@@ -285,10 +287,10 @@ class LiveFeed:
         begun = monotonic()
         while not self._stopped:
             try:
-                picture = received.get(timeout=PATIENCE)
+                picture = received.get(timeout=POLL_INTERVAL_S)
             except Empty:
-                if monotonic() - begun > SILENCE:
-                    self.notices.append(message("source_silent", source=self.name, limit_s=SILENCE))
+                if monotonic() - begun > SILENCE_TIMEOUT_S:
+                    self.notices.append(message("source_silent", source=self.name, limit_s=SILENCE_TIMEOUT_S))
                     return None
                 continue
             if isinstance(picture, Exception):
@@ -300,7 +302,7 @@ class LiveFeed:
         def hand_on(picture: _Picture | Exception | None) -> None:
             while not self._stopped:
                 try:
-                    return received.put(picture, timeout=PATIENCE)
+                    return received.put(picture, timeout=POLL_INTERVAL_S)
                 except Full:
                     continue
 
@@ -329,7 +331,7 @@ class LiveFeed:
                 return
             except (av.FFmpegError, OSError) as error:
                 if not self._stopped:
-                    problem = f" ({_problem(error)})"
+                    problem = f" ({_describe_error(error)})"
                     self.notices.append(message("source_ended", source=self.name, problem=problem))
                 return
             try:
@@ -346,7 +348,7 @@ def _is_device(address: str) -> bool:
     return Path(address).is_char_device()
 
 
-def _opened(address: str, size: tuple[int, int]) -> InputContainer:
+def _open(address: str, size: tuple[int, int]) -> InputContainer:
     """What FFmpeg opens at an ``address``. It waits for the first picture of a device, and for whoever writes into a
     pipe, without end and without hearing a signal: hence in a thread of its own."""
     answer: Queue[InputContainer | Exception] = Queue()
@@ -354,23 +356,23 @@ def _opened(address: str, size: tuple[int, int]) -> InputContainer:
     def ask() -> None:
         try:
             if _is_device(address):
-                answer.put(_camera(address, size))
+                answer.put(_open_device(address, size))
             else:
-                answer.put(av.open(address, options=LIVE_OPTIONS, timeout=(OPENING, 2 * SILENCE)))
+                answer.put(av.open(address, options=LIVE_OPTIONS, timeout=(OPEN_TIMEOUT_S, 2 * SILENCE_TIMEOUT_S)))
         except Exception as error:  # is raised where the answer is wanted
             answer.put(error)
 
     Thread(target=ask, daemon=True).start()
     try:
-        opened = answer.get(timeout=None if "://" in address else OPENING)
+        opened = answer.get(timeout=None if "://" in address else OPEN_TIMEOUT_S)
     except Empty:
-        raise TimeoutError(errno.ETIMEDOUT, f"no answer within {OPENING:.0f} s") from None
+        raise TimeoutError(errno.ETIMEDOUT, f"no answer within {OPEN_TIMEOUT_S:.0f} s") from None
     if isinstance(opened, Exception):
         raise opened
     return opened
 
 
-def _camera(device: str, size: tuple[int, int]) -> InputContainer:
+def _open_device(device: str, size: tuple[int, int]) -> InputContainer:
     """A ``device`` that sends pictures of ``size`` (width, height), in the format that FFmpeg prefers or else as JPEG:
     many offer their larger ones only so. Raises UnusableInput when it offers other sizes only."""
     wanted, offered = "{} × {}".format(*size), ""
@@ -393,14 +395,14 @@ def _camera(device: str, size: tuple[int, int]) -> InputContainer:
     )
 
 
-def _problem(error: Exception) -> str:
+def _describe_error(error: Exception) -> str:
     """What FFmpeg says of a live source, in words."""
     if isinstance(error, av.error.ExitError):  # PyAV's own time limit
-        return f"no answer within {OPENING:.0f} s"
+        return f"no answer within {OPEN_TIMEOUT_S:.0f} s"
     return getattr(error, "strerror", None) or "not known to FFmpeg"
 
 
-class _Clock:
+class _MonotonicClock:
     """A live source's time, which goes on evenly where its time stamps jump back."""
 
     def __init__(self, name: str, notices: list[str]) -> None:
@@ -414,7 +416,7 @@ class _Clock:
         if time <= self._last:
             back, time = self._last - time, self._last + self._step
             self._offset = time - stamp
-            if len(self._notices) < LISTED:
+            if len(self._notices) < MAX_LISTED_NOTICES:
                 self._notices.append(message("times_backward", source=self._name, back_s=back, frame=index))
         elif np.isfinite(self._last):
             self._step = time - self._last
@@ -428,7 +430,7 @@ def _grey(picture: av.VideoFrame) -> Grey:
 
 
 @dataclass
-class _Few:
+class _LimitedLines:
     """The first lines of a kind, and how many more there are."""
 
     first: list[str] = field(default_factory=list)
@@ -436,7 +438,7 @@ class _Few:
 
     def add(self, line: str) -> None:
         self.count += 1
-        if len(self.first) < LISTED:
+        if len(self.first) < MAX_LISTED_NOTICES:
             self.first.append(line)
 
     def lines(self) -> list[str]:

@@ -11,7 +11,7 @@ import numpy as np
 from paceline.arrays import Array, Indices
 from paceline.errors import UnusableInput
 
-HEADER = ["frame", "x_m", "y_m", "heading_rad"]
+ODOMETRY_COLUMNS = ["frame", "x_m", "y_m", "heading_rad"]
 
 
 @dataclass(frozen=True)
@@ -50,9 +50,9 @@ def read_odometry(path: Path) -> Odometry:
         with path.open(newline="", encoding="utf-8-sig") as file:
             rows = csv.reader(file)
             header = [name.strip() for name in next(rows, [])]
-            if header[:4] != HEADER:
+            if header[:4] != ODOMETRY_COLUMNS:
                 found = ",".join(header)
-                raise UnusableInput(f"{path}: the first line reads {found!r}; expected {','.join(HEADER)!r}")
+                raise UnusableInput(f"{path}: the first line reads {found!r}; expected {','.join(ODOMETRY_COLUMNS)!r}")
             for row in filter(None, rows):
                 where = f"{path}: line {rows.line_num}"
                 try:

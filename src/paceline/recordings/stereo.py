@@ -17,11 +17,11 @@ import numpy as np
 from paceline.arrays import Array, Image, Indices
 from paceline.cameras import StereoRig
 from paceline.errors import UnusableInput
-from paceline.recordings.image_sources import ImageFiles, Source, open_source
+from paceline.recordings.image_sources import ImageFiles, ImageSource, open_source
 from paceline.verdicts import Message, message
 
-NOTABLE_SKEW = 1.1e-3  # s; rounding both views to whole milliseconds explains less
-LISTED = 8  # frames that a notice lists at most
+MIN_REPORTED_SKEW_S = 1.1e-3  # s; rounding both views to whole milliseconds explains less
+MAX_LISTED_FRAMES = 8  # frames that a notice lists at most
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,7 @@ class Pairing:
     notices: list[Message] = field(default_factory=list)
 
 
-class Description(Protocol):
+class StereoSource(Protocol):
     """Where a recording lies and how it is timed, as a clip.yaml says it."""
 
     @property
@@ -95,7 +95,7 @@ class StereoRecording:
     Memory does not grow with its length.
     """
 
-    def __init__(self, rig: StereoRig, left: Source, right: Source, pairing: Pairing) -> None:
+    def __init__(self, rig: StereoRig, left: ImageSource, right: ImageSource, pairing: Pairing) -> None:
         """Raises UnusableInput when the first images do not have the rig's size."""
         self.rig = rig
         self.pairing = pairing
@@ -115,7 +115,7 @@ class StereoRecording:
         return self.frames()
 
     @property
-    def sources(self) -> tuple[Source, Source]:
+    def sources(self) -> tuple[ImageSource, ImageSource]:
         """What the left and the right camera recorded, distorted as it is."""
         return self._sources
 
@@ -146,9 +146,9 @@ class StereoRecording:
         found += _gap_notices(self.pairing)
         for source, repeated, damaged in zip(self._sources, self._repeated, self._damaged, strict=True):
             if damaged:
-                found.append(message("frames_undecodable", frames=f"{source.name}: {_listed(damaged)}"))
+                found.append(message("frames_undecodable", frames=f"{source.name}: {_format_frames(damaged)}"))
             if repeated:
-                frames = f"{_listed(repeated)} {_are(repeated)}"
+                frames = f"{_format_frames(repeated)} {_are(repeated)}"
                 found.append(message("frames_repeated", source=source.name, frames=frames))
         return found
 
@@ -168,7 +168,7 @@ class StereoRecording:
                     self._damaged[side].add(frame)
                     continue
                 self._check_size(side, frame, image)
-                if _same(image, previous[side]):
+                if _is_copy(image, previous[side]):
                     self._repeated[side].add(frame)
                     duplicate = True
                 previous[side] = image
@@ -187,7 +187,7 @@ class StereoRecording:
             )
 
 
-def open_recording(clip: Description) -> StereoRecording:
+def open_recording(clip: StereoSource) -> StereoRecording:
     """The recording of a clip. Raises UnusableInput for whatever can be found out without reading all of it."""
     left, right = (open_source(where, clip.bit_depth) for where in (clip.left, clip.right))
     if clip.times is not None:
@@ -224,11 +224,9 @@ def pair_by_time(left: Array, right: Array, tolerance: float | None = None) -> P
             f"(left {left[0]:.3f} to {left[-1]:.3f} s, right {right[0]:.3f} to {right[-1]:.3f} s)"
         )
     within = f"within {1e3 * tolerance:.3g} ms"
-    notices = [
-        *_unmatched("left", len(left), i, within), *_unmatched("right", len(right), j, within)
-    ]
+    notices = [*_unmatched("left", len(left), i, within), *_unmatched("right", len(right), j, within)]
     skews = right[j] - left[i]
-    if np.abs(skews).max() > NOTABLE_SKEW:
+    if np.abs(skews).max() > MIN_REPORTED_SKEW_S:
         median, largest = 1e3 * float(np.median(skews)), 1e3 * float(np.abs(skews).max())
         skew = f"{median:+.1f} ms from the left ones (median; at most {largest:.1f} ms)"
         notices.append(message("views_skewed", frames="right frames", skew=skew))
@@ -262,7 +260,8 @@ def pair_images(left: ImageFiles, right: ImageFiles, rate: float) -> Pairing:
         if not len(common):
             raise UnusableInput(f"{left.name} and {right.name}: no two images have the same number in their names")
         notices = [
-            *_unmatched("left", len(n), i, "of the same number"), *_unmatched("right", len(m), j, "of the same number")
+            *_unmatched("left", len(n), i, "of the same number"),
+            *_unmatched("right", len(m), j, "of the same number"),
         ]
     return Pairing(i, j, (n[i] - n[0]) / rate, np.zeros(len(i)), 1 / rate, notices)
 
@@ -340,14 +339,14 @@ def _unmatched(side: str, count: int, matched: Indices, what: str) -> list[Messa
     other = "right" if side == "left" else "left"
     if not len(alone):
         return []
-    frames = f"{_listed(alone)} {_are(alone)}"
+    frames = f"{_format_frames(alone)} {_are(alone)}"
     return [message("frames_unmatched", view=side, frames=frames, other=other, match=what)]
 
 
-def _listed(frames: set[int] | Indices) -> str:
+def _format_frames(frames: set[int] | Indices) -> str:
     numbers = sorted(int(f) for f in frames)
-    shown = ", ".join(map(str, numbers[:LISTED]))
-    more = f" and {len(numbers) - LISTED} more" if len(numbers) > LISTED else ""
+    shown = ", ".join(map(str, numbers[:MAX_LISTED_FRAMES]))
+    more = f" and {len(numbers) - MAX_LISTED_FRAMES} more" if len(numbers) > MAX_LISTED_FRAMES else ""
     return f"frame{'s' * (len(numbers) > 1)} {shown}{more}"
 
 
@@ -355,5 +354,5 @@ def _are(frames: set[int] | Indices) -> str:
     return "is" if len(frames) == 1 else "are"
 
 
-def _same(image: Image, previous: Image | None) -> bool:
+def _is_copy(image: Image, previous: Image | None) -> bool:
     return previous is not None and np.array_equal(image, previous)

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from paceline.calibration.board_calibration import Calibration
-from paceline.calibration.parameters import NAMES
+from paceline.calibration.parameters import PARAMETER_NAMES
 from paceline.documents.rig_yaml import rig_yaml
 from paceline.errors import UnusableInput
 from paceline.reports.common.output_folder import write_all_or_none
@@ -53,11 +53,11 @@ def check_rig_file_name(file: Path) -> None:
 
 
 def rig_comments(calibration: Calibration) -> list[str]:
-    """What a rig.yaml says of its own making."""
+    """The comments at the top of a calibrated rig.yaml."""
     c = calibration
     return [
         f"calibrated by paceline {__version__} from {len(c.used)} of {len(c.views.views)} views of a board",
-        f"lens model {c.distortion}; corners of views held out lie {c.held_out[c.distortion]:.3f} px off (rms)",
+        f"lens model {c.distortion}; residual of held-out views {c.cross_validation_px[c.distortion]:.3f} px (rms)",
     ]
 
 
@@ -65,7 +65,7 @@ def calibration_data(calibration: Calibration) -> dict[str, Any]:
     """Everything about a calibration, for programs: SI units and pixels."""
     c = calibration
     values = np.concatenate([c.fit.rig.lenses.ravel(), np.zeros(3), c.rig.t])
-    errors = c.errors
+    errors = c.view_rms_px
     views = []
     for v, view in enumerate(c.views.views):
         entry: dict[str, Any] = {"view": view.name, "used": v in c.used}
@@ -78,18 +78,18 @@ def calibration_data(calibration: Calibration) -> dict[str, Any]:
         views.append(entry)
     return {
         "board": vars(c.views.board),
-        "parameters": list(NAMES),
+        "parameters": list(PARAMETER_NAMES),
         "values": values.tolist(),
         "std": c.std.tolist(),
         "covariance": c.covariance.tolist(),
         "lens_model": c.distortion,
-        "held_out_px": c.held_out,
+        "held_out_px": c.cross_validation_px,
         "corner_std_px": c.fit.sigma,
-        "corner_std_by_views_px": float(np.sqrt(c.fit.dispersion)),
+        "corner_std_by_views_px": float(np.sqrt(c.fit.cluster_variance)),
         "speed_std_share": [{"distance_m": e.distance, "along": e.along, "across": e.across} for e in c.effects],
         "views": views,
         "without_a_board": c.views.empty,
-        "strays": c.stray,
+        "strays": c.outlier_corners,
         "advice": c.advice,
         "paceline": __version__,
     }
@@ -127,7 +127,7 @@ def _draw_coverage(axes: Axes, calibration: Calibration, side: int, name: str) -
 def _draw_errors(axes: Axes, calibration: Calibration) -> None:
     c = calibration
     errors = np.full((len(c.views.views), 2), np.nan)
-    errors[c.used] = c.errors
+    errors[c.used] = c.view_rms_px
     usual = float(np.nanmedian(errors))
     top = max(1.25 * float(np.nanmax(errors)), 2 * usual)
     place = np.arange(len(errors))

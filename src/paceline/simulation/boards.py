@@ -11,7 +11,7 @@ from scipy.interpolate import RectBivariateSpline
 
 from paceline.arrays import Array
 from paceline.calibration.boards import Board, Corners
-from paceline.calibration.parameters import Observations, Poses, Rig, lens_projection, project, rotation
+from paceline.calibration.parameters import Observations, Poses, RigState, lens_projection, project, rotation_matrix
 
 PIXELS_PER_SQUARE = 48  # of the printed board
 OVERSAMPLING = 2  # the picture is drawn on a finer grid and averaged
@@ -23,7 +23,7 @@ PAPER_GREY, INK_GREY, WALL_GREY = 225.0, 25.0, 110.0  # grey levels
 class CalibrationSetup:
     """A rig, its image size (width, height), and the poses in which the board is held."""
 
-    rig: Rig
+    rig: RigState
     size: tuple[int, int]
     board: Board
     poses: Poses
@@ -42,21 +42,21 @@ def random_setup(
         lens[:2] = focal * (1 + rng.normal(0, 0.01)) * (1 + rng.normal(0, 1e-3, 2))
         lens[2:4] = (np.array(size) - 1) / 2 + rng.normal(0, 0.01, 2) * width
         lens[4:] = np.where(np.arange(5) < distortion, strength * rng.uniform(0.9, 1.1), 0.0)
-    R = rotation(rng.normal(0, [0.01, 0.02, 0.01]))
+    R = rotation_matrix(rng.normal(0, [0.01, 0.02, 0.01]))
     t = np.array([-rng.uniform(0.3, 0.8), *rng.normal(0, 0.02, 2)])
-    rig = Rig(lenses, R, t)
+    rig = RigState(lenses, R, t)
     return CalibrationSetup(rig, size, board, _draw_poses(rng, rig, size, board, views))
 
 
-def _draw_poses(rng: np.random.Generator, rig: Rig, size: tuple[int, int], board: Board, views: int) -> Poses:
+def _draw_poses(rng: np.random.Generator, rig: RigState, size: tuple[int, int], board: Board, views: int) -> Poses:
     """Poses in which both views hold most of the board, a chessboard whole; it covers a third to two thirds of them."""
     points = board.points
-    least = max(0.6 * len(points), board.least_corners)
+    least = max(0.6 * len(points), board.min_corners)
     middle, extent = points.mean(0), np.ptp(points, axis=0)
     rotations: list[Array] = []
     places: list[Array] = []
     while len(places) < views:
-        R = rotation(rng.uniform(-1, 1, 3) * [0.6, 0.6, 0.25])
+        R = rotation_matrix(rng.uniform(-1, 1, 3) * [0.6, 0.6, 0.25])
         depth = rig.lenses[0, 1] * extent[1] / (rng.uniform(0.3, 0.65) * size[1])
         direction = (rng.uniform(0.1, 0.9, 2) * size - rig.lenses[0, 2:4]) / rig.lenses[0, :2]
         t = depth * np.array([*direction, 1.0]) - R @ middle
@@ -67,7 +67,7 @@ def _draw_poses(rng: np.random.Generator, rig: Rig, size: tuple[int, int], board
     return Poses(np.array(rotations), np.array(places))
 
 
-def project_board(poses: Poses, rig: Rig, board: Board, size: tuple[int, int]) -> Observations:
+def project_board(poses: Poses, rig: RigState, board: Board, size: tuple[int, int]) -> Observations:
     """Exact corners that lie inside both images' borders."""
     V, points = len(poses.t), board.points
     n = len(points)

@@ -38,12 +38,23 @@ class Method:
 
 
 _registered: dict[str, Method] = {}
+_old_names: dict[str, str] = {}  # accepted, but not listed
 
 
-def register(name: str, method: Method) -> None:
-    """Makes ``method`` known under ``name``. Raises ValueError for a name that is taken by another method."""
+def register(name: str, method: Method, old_name: str | None = None) -> None:
+    """Makes ``method`` known under ``name``, and under an ``old_name`` that is accepted but not listed.
+
+    Raises ValueError for a name that is taken by another method.
+    """
     if _registered.setdefault(name, method) is not method:
         raise ValueError(f"method {name!r} is registered twice")
+    if old_name is not None:
+        _old_names[old_name] = name
+
+
+def current_name(name: str) -> str:
+    """The present name of a method, given that or an old one."""
+    return _old_names.get(name, name)
 
 
 def method_names() -> list[str]:
@@ -54,6 +65,7 @@ def method_names() -> list[str]:
 def method_named(name: str, device: DeviceName = "cpu") -> Method:
     """The method called ``name``. Raises UnusableInput where there is none, listing the known ones, and where it does
     not compute on the ``device``."""
+    name = current_name(name)
     method = _registered.get(name) or _loaded(name)
     if device == "cuda" and not method.uses_gpu:
         raise UnusableInput(f"--device cuda: --method {name} computes on the CPU only; use --device cpu")
@@ -94,7 +106,7 @@ def measure(
 
 def named(method: str) -> dict[str, object]:
     """What a result's configuration says of its ``method``: nothing where it is Paceline's own."""
-    return {} if method == DEFAULT_METHOD else {"method": method}
+    return {} if method == DEFAULT_METHOD else {"method": current_name(method)}
 
 
 def _plugins() -> dict[str, EntryPoint]:

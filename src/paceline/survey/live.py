@@ -36,7 +36,7 @@ from paceline.documents.loading import Clip
 from paceline.errors import UnusableInput
 from paceline.lanes.road_detection import RoadNotFound
 from paceline.recordings.background import BACKGROUND_FRAMES, Background, background_from, background_problem
-from paceline.recordings.live_stereo import LiveViews, RawPair, undistorted
+from paceline.recordings.live_stereo import LiveStereo, RawPair, undistort_pair
 from paceline.recordings.stereo import StereoFrame
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.joint_calibration import with_neighbours
@@ -85,14 +85,14 @@ def undistorted_frames(pairs: Iterable[RawPair], clip: Clip, rows: slice = ALL_R
     """The frames of ``pairs`` in ideal pixels, black outside ``rows``."""
     previous = None
     for pair in pairs:
-        yield undistorted(pair, clip.rig, previous, rows)
+        yield undistort_pair(pair, clip.rig, previous, rows)
         previous = pair
 
 
 @on_one_blas_thread
 def survey(
     clip: Clip,
-    views: LiveViews,
+    views: LiveStereo,
     configuration: SpeedConfiguration,
     on_result: OnResult,
     background_s: float = BACKGROUND_S,

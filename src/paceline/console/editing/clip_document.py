@@ -16,7 +16,7 @@ from pydantic import ValidationError
 
 from paceline.documents.loading import load_clip
 from paceline.documents.models import ClipModel, PathModel, SiteModel, VehicleModel, read_document
-from paceline.documents.yaml_editing import flow
+from paceline.documents.yaml_editing import format_flow
 from paceline.errors import UnusableInput
 
 Entry = dict[str, Any]
@@ -195,6 +195,6 @@ def _with_comments(lines: list[str], start: int, begin: int, indent: int) -> int
 def _lines(section: str, name: str, entry: Entry, indent: int) -> list[str]:
     pad = " " * indent
     if section == "paths":
-        return [f"{pad}{flow(name)}:", *(f"{pad}  {key}: {flow(value)}" for key, value in entry.items())]
+        return [f"{pad}{format_flow(name)}:", *(f"{pad}  {key}: {format_flow(value)}" for key, value in entry.items())]
     marks = ["- ", *["  "] * (len(entry) - 1)]
-    return [f"{pad}{mark}{key}: {flow(value)}" for mark, (key, value) in zip(marks, entry.items(), strict=True)]
+    return [f"{pad}{mark}{key}: {format_flow(value)}" for mark, (key, value) in zip(marks, entry.items(), strict=True)]

@@ -12,7 +12,7 @@ from scipy.optimize import minimize
 
 from paceline.arrays import Array, Image
 from paceline.cameras import StereoRig
-from paceline.documents.plausibility import wrong_quadrilateral
+from paceline.documents.plausibility import check_quadrilateral
 from paceline.errors import UnusableInput
 
 NEAREST, FARTHEST = 2.0, 400.0  # m, of what is looked for
@@ -51,7 +51,7 @@ def propose_quadrilateral(
     The plane's distance is found over all of them with the plane upright and facing the camera, or along ``normal``
     (3,) where a path gives it; then distance and slant together. Raises UnusableInput where nothing matches.
     """
-    if wrong := wrong_quadrilateral(corners, rig.left.image_size):
+    if wrong := check_quadrilateral(corners, rig.left.image_size):
         raise UnusableInput(f"the outline {wrong}")
     samples = _grid(corners)
     rays = rig.left.rays(samples)
@@ -83,7 +83,7 @@ def propose_quadrilateral(
     fit = minimize(lambda x: -alike(x), start, method="Nelder-Mead", options=options)
     plane = fit.x if -fit.fun > scores[best] else start
     pixels = _seen_at(rig, rig.left.rays(corners), rig.left.rays(corners) @ plane)
-    if wrong_quadrilateral(pixels, rig.right.image_size):
+    if check_quadrilateral(pixels, rig.right.image_size):
         raise UnusableInput("it lies outside the other view")
     return Proposal(pixels, alike(plane))
 

@@ -13,7 +13,7 @@ from paceline.console.editing.clip_document import Changed, revision_of
 from paceline.console.editing.target_model import checked_start, checked_target, plain_target
 from paceline.documents.loading import load_follow
 from paceline.documents.models import TargetModel, read_document
-from paceline.documents.yaml_editing import Plain, flow, with_values
+from paceline.documents.yaml_editing import Plain, format_flow, set_values
 from paceline.errors import UnusableInput
 from paceline.reports.common.output_folder import write_all_or_none
 
@@ -64,7 +64,7 @@ def save_chase(file: Path, camera: Camera, chase: Chase) -> Chase:
         named = _free(file.parent)
         values["target"] = named.name
         contents[named] = target_text(target).encode()
-    new = with_values(file.read_text(encoding="utf-8"), str(file), values)
+    new = set_values(file.read_text(encoding="utf-8"), str(file), values)
     _check(file, new, contents)
     write_all_or_none({**contents, file: new.encode()})
     return read_chase(file)
@@ -96,9 +96,13 @@ def _free(folder: Path) -> Path:
 def target_text(target: TargetModel) -> str:
     """``target`` as target.yaml, without corners that no line uses."""
     used = {name for pair in target.segments for name in pair}
-    corners = [f"  {flow(n)}: {flow([round(float(v), 4) for v in c])}" for n, c in target.corners.items() if n in used]
-    segments = [f"  - {flow(list(pair))}" for pair in target.segments]
-    head = [f"name: {flow(target.name)}", f"nominal_range: {flow(target.nominal_range)}"]
+    corners = [
+        f"  {format_flow(n)}: {format_flow([round(float(v), 4) for v in c])}"
+        for n, c in target.corners.items()
+        if n in used
+    ]
+    segments = [f"  - {format_flow(list(pair))}" for pair in target.segments]
+    head = [f"name: {format_flow(target.name)}", f"nominal_range: {format_flow(target.nominal_range)}"]
     if target.tolerance is not None:
-        head.append(f"tolerance: {flow(target.tolerance)}")
+        head.append(f"tolerance: {format_flow(target.tolerance)}")
     return "\n".join([*head, "corners:", *corners, "segments:", *segments]) + "\n"

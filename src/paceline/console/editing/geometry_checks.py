@@ -12,7 +12,7 @@ from paceline.arrays import Array, Image
 from paceline.cameras import StereoRig
 from paceline.console.editing.clip_document import Entry
 from paceline.console.editing.cross_view_proposals import Proposal, propose_line, propose_quadrilateral, turned
-from paceline.documents.plausibility import wrong_drawing, wrong_path_points, wrong_quadrilateral, wrong_views
+from paceline.documents.plausibility import check_drawing, check_path_points, check_quadrilateral, check_views
 from paceline.errors import UnusableInput
 from paceline.geometry import epipolar_distance, triangulate
 from paceline.speed.geometry.path_reconstruction import reconstruct
@@ -84,7 +84,7 @@ def _check_path(rig: StereoRig, name: str, entry: Entry, found: dict[str, Path])
 def _path(rig: StereoRig, name: str, entry: Entry) -> Path:
     if "points" in entry:
         points = np.array(entry["points"], float)
-        if wrong := wrong_path_points(points):
+        if wrong := check_path_points(points):
             raise UnusableInput(wrong)
         return from_points(name, entry["shape"], points)
     drawn = []
@@ -92,7 +92,7 @@ def _path(rig: StereoRig, name: str, entry: Entry) -> Path:
         pixels = np.array(entry.get(side) or [], float).reshape(-1, 2)
         if not len(pixels):
             raise UnusableInput(f"draw the same line in the {side} view")
-        if wrong := wrong_drawing(pixels, entry["shape"]):
+        if wrong := check_drawing(pixels, entry["shape"]):
             raise UnusableInput(f"{side} view: {wrong}")
         drawn.append(camera.undistort_points(pixels))
     return reconstruct(name, entry["shape"], rig, *drawn)
@@ -118,11 +118,11 @@ def _check_vehicle(rig: StereoRig, entry: Entry, paths: Mapping[str, Path]) -> F
         corners = np.array(entry.get(side) or [], float).reshape(-1, 2)
         if len(corners) != 4:
             return {"problem": f"outline the same part in the {side} view"}
-        if wrong := wrong_quadrilateral(corners, camera.image_size):
+        if wrong := check_quadrilateral(corners, camera.image_size):
             return {"problem": f"{side} view: {wrong}"}
         ideal.append(camera.undistort_points(corners))
     left, right = ideal
-    if wrong := wrong_views(rig, left, right):
+    if wrong := check_views(rig, left, right):
         return {"problem": wrong}
     tl, tr, br, bl = triangulate(rig, left, right)
     centre = triangulate(rig, left.mean(axis=0), right.mean(axis=0))

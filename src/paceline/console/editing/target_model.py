@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from paceline.arrays import Array, Image
 from paceline.cameras import Camera
 from paceline.documents.models import StartModel, TargetModel
-from paceline.documents.plausibility import wrong_segment, wrong_start, wrong_target
+from paceline.documents.plausibility import check_segment, check_start, check_target
 from paceline.errors import UnusableInput
 from paceline.targets.learning import corner_names, learn_target
 
@@ -28,10 +28,10 @@ def checked_target(target: object) -> TargetModel:
     except ValidationError as error:
         raise UnusableInput(f"target: {_first(error)}") from error
     for i, (a, b) in enumerate(model.segments):
-        if wrong := wrong_segment(a, b, model.corners):
+        if wrong := check_segment(a, b, model.corners):
             raise UnusableInput(f"segments[{i}]: {wrong}")
     ends = np.array([[model.corners[a], model.corners[b]] for a, b in model.segments]).reshape(-1, 2, 2)
-    if wrong := wrong_target(ends):
+    if wrong := check_target(ends):
         raise UnusableInput(f"segments: {wrong}")
     return model
 
@@ -43,7 +43,7 @@ def checked_start(camera: Camera, target: TargetModel, start: object) -> StartMo
     except ValidationError as error:
         raise UnusableInput(f"start: {_first(error)}") from error
     ends = np.array([target.corners[name] for pair in target.segments for name in pair])
-    if wrong := wrong_start(model.center, model.scale, ends * _magnification(camera, target), camera.image_size):
+    if wrong := check_start(model.center, model.scale, ends * _magnification(camera, target), camera.image_size):
         raise UnusableInput(f"{wrong[0]}: {wrong[1]}")
     return model
 

@@ -15,9 +15,9 @@ from paceline.arrays import Array, Image
 from paceline.cameras import Camera
 from paceline.console.confinement import NotHere, check_document, named_files
 from paceline.console.document_names import ChaseModel, is_chase, live_views, read_small
-from paceline.documents.loading import Clip, load_camera, load_recorded
+from paceline.documents.loading import Clip, load_camera, load_clip_recording
 from paceline.errors import UnusableInput
-from paceline.recordings.image_sources import Source, open_source
+from paceline.recordings.image_sources import ImageSource, open_source
 from paceline.recordings.stereo import StereoRecording, open_recording
 
 Numbers = NDArray[np.int64]
@@ -38,7 +38,9 @@ class Pictures:
     with the number ``numbers[v][k]`` of ``sources[v]``.
     """
 
-    def __init__(self, sources: Sequence[Source], numbers: Sequence[Numbers], frames: Numbers, times: Array) -> None:
+    def __init__(
+        self, sources: Sequence[ImageSource], numbers: Sequence[Numbers], frames: Numbers, times: Array
+    ) -> None:
         self.frames = [int(i) for i in frames]
         self.times = times
         self._sources, self._numbers = sources, numbers
@@ -88,7 +90,7 @@ class StereoPictures(Pictures):
     """The pairs of a clip.yaml's recording; frames are the left view's."""
 
     def __init__(self, file: Path) -> None:
-        self.clip: Clip = load_recorded(file)
+        self.clip: Clip = load_clip_recording(file)
         self.recording: StereoRecording = open_recording(self.clip)
         pairing = self.recording.pairing
         super().__init__(

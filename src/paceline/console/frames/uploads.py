@@ -19,7 +19,7 @@ import yaml
 from paceline.console.confinement import check_container, check_document, check_name
 from paceline.console.document_names import CLIP, FOLLOW, ChaseModel
 from paceline.console.frames.frame_cache import ChasePictures
-from paceline.documents.loading import load_recorded, load_rig
+from paceline.documents.loading import load_clip_recording, load_rig
 from paceline.documents.models import ClipModel, read_document
 from paceline.errors import UnusableInput
 from paceline.recordings.image_sources import IMAGE_SUFFIXES, open_source
@@ -153,7 +153,7 @@ class Imports:
         if found.chase:
             ChasePictures(file)
         elif "rig" in clip:
-            open_recording(load_recorded(file))
+            open_recording(load_clip_recording(file))
         else:
             for view in views:
                 open_source(found.folder / str(clip[view]))

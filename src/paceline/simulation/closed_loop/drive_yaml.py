@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import AliasChoices, Field, model_validator
 
-from paceline.documents.models import Document, nearest_of, read_document
+from paceline.documents.models import Document, read_document, suggestion
 from paceline.errors import UnusableInput
 from paceline.simulation.closed_loop.named_scenes import NAMED_SCENES
 from paceline.simulation.vehicle_catalogue import RasterizedKind
@@ -167,7 +167,7 @@ def resolve_drive(text: str, seed: int) -> DriveModel:
     path = Path(text)
     if path.suffix in (".yaml", ".yml") or path.exists():
         return load_drive(path / "drive.yaml" if path.is_dir() else path)
-    raise UnusableInput(f"{text}: no such scene; {nearest_of(text, list(NAMED_SCENES))}")
+    raise UnusableInput(f"{text}: no such scene; {suggestion(text, list(NAMED_SCENES))}")
 
 
 def drive_document(model: DriveModel) -> dict[str, Any]:
