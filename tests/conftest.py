@@ -49,7 +49,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def client(folder: Path) -> Iterator[TestClient]:
     """What asks the console of that folder."""
-    from console_client import asked
+    from console_client import open_client
 
-    with asked(folder) as client:
+    with open_client(folder) as client:
         yield client

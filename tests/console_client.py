@@ -1,4 +1,4 @@
-"""The console's addresses as a browser asks them, without one: a folder with one clip, beside one it may not see."""
+"""A client of the console's HTTP routes without a browser: a folder with one clip, beside one it may not see."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from fastapi import FastAPI
 from fastapi.testclient import TestClient
 from tiny_clips import put_clip
 
-from paceline.console.access_control import Guard
-from paceline.console.frames.uploads import Imports
+from paceline.console.access_control import AccessControl
+from paceline.console.frames.uploads import Uploads
 from paceline.console.library import Library
-from paceline.console.routes import add_api
+from paceline.console.routes import add_routes
 
 HOST = "127.0.0.1:8640"
 SAME = {"host": HOST, "origin": f"http://{HOST}", "sec-fetch-site": "same-origin"}
@@ -29,12 +29,12 @@ def put_folder(base: Path) -> Path:
 
 
 @contextmanager
-def asked(folder: Path) -> Iterator[TestClient]:
-    """What asks the console of a ``folder``, as its own pages do if the headers say so."""
-    library, imports = Library(folder), Imports(folder)
+def open_client(folder: Path) -> Iterator[TestClient]:
+    """A test client of the console of a ``folder``; with the headers SAME its requests look like its own pages'."""
+    library, imports = Library(folder), Uploads(folder)
     app = FastAPI()
-    add_api(app, library, imports)
-    guarded: Any = Guard(app, {HOST}, None)
+    add_routes(app, library, imports)
+    guarded: Any = AccessControl(app, {HOST}, None)
     with TestClient(guarded, base_url=f"http://{HOST}") as client:
         yield client
     library.runs.close()

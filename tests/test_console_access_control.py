@@ -11,8 +11,8 @@ from fastapi import FastAPI, WebSocket
 from fastapi.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
-from paceline.console.access_control import Guard
-from paceline.console.server import _address, _names
+from paceline.console.access_control import AccessControl
+from paceline.console.server import _host_names, _public_address
 
 FOREIGN = [
     {"host": "evil.example"},  # another name pointed at this machine
@@ -53,7 +53,7 @@ def test_an_address_that_others_reach_asks_for_its_token() -> None:
     def page() -> str:
         return "the console"
 
-    guarded: Any = Guard(app, set(), "s3cret")
+    guarded: Any = AccessControl(app, set(), "s3cret")
     with TestClient(guarded, base_url="http://road.example:8640") as client:
         for given in ("/", "/?token=", "/?token=wrong", "/?token=s3cre"):
             assert client.get(given).status_code == 403
@@ -72,7 +72,7 @@ def test_sockets_of_other_sites_are_refused() -> None:
         await socket.accept()
         await socket.send_text("the console")
 
-    guarded: Any = Guard(app, {HOST}, None)
+    guarded: Any = AccessControl(app, {HOST}, None)
     with TestClient(guarded, base_url=f"http://{HOST}") as client:
         for headers in ({"host": HOST, "origin": "http://evil.example"}, {"host": HOST}, {"host": "evil.example"}):
             with pytest.raises(WebSocketDisconnect), client.websocket_connect("/ws", headers=headers):
@@ -90,12 +90,12 @@ def test_sockets_of_other_sites_are_refused() -> None:
     ],
 )
 def test_this_machine_is_known_by_its_own_names_only(host: str, port: int, shown: str, names: set[str]) -> None:
-    assert _address(host, port) == (shown, None) and _names(shown) == names
+    assert _public_address(host, port) == (shown, None) and _host_names(shown) == names
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.168.0.7", "road.example"])
 def test_every_other_address_has_a_token_of_its_own(host: str) -> None:
-    (address, token), (_, another) = _address(host, 8640), _address(host, 8640)
+    (address, token), (_, another) = _public_address(host, 8640), _public_address(host, 8640)
     assert token and another and token != another and address.endswith(f":8640/?token={token}")
 
 
@@ -111,7 +111,7 @@ def test_an_asker_who_has_gone_needs_no_answer() -> None:
             return message
 
         scope = {"type": "http", "server": ("127.0.0.1", 8640), "headers": [(b"host", HOST.encode())], "method": "GET"}
-        anyio.run(Guard(app, {HOST}, None), scope, receive, None)
+        anyio.run(AccessControl(app, {HOST}, None), scope, receive, None)
 
     answered({"type": "http.disconnect"})
     with pytest.raises(RuntimeError, match="No response"):

@@ -95,7 +95,7 @@ def test_from_import_to_report(recording: Path, console: Console) -> None:
     other.open(f"{address}/runs?clip=north")
     other.wait_for("Nothing measured yet")
     tab.drag(tab.place("document.querySelector('.pl-settings .q-item')"))
-    tolerance = "document.querySelector('input[aria-label^=Tolerance]')"
+    tolerance = "document.querySelector('input[aria-label^=Largest]')"
     tab.wait(f"{tolerance}?.offsetHeight > 0")
     tab.run(f"{tolerance}.focus()")
     tab.call("Input.insertText", text="5")
@@ -105,7 +105,9 @@ def test_from_import_to_report(recording: Path, console: Console) -> None:
         tab.call("Page.reload")
         tab.wait_for("Close-up of v0")
         tab.wait_for("Cancel")
-        believed = [json.loads(t.run("document.querySelector('pl-watch').getAttribute('scene')")) for t in (tab, other)]
+        believed = [
+            json.loads(t.run("document.querySelector('pl-live-view').getAttribute('scene')")) for t in (tab, other)
+        ]
         other.click("Close-up of v0")
     tab.wait_for("Open the report")
     other.wait_for("measured")

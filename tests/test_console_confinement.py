@@ -11,10 +11,10 @@ from fastapi.testclient import TestClient
 from tiny_clips import put_clip
 
 from paceline.console import document_names
-from paceline.console.confinement import NotHere, check_document, file_below, folder_below, named_files
+from paceline.console.confinement import NotFound, check_document, file_below, folder_below, named_files
 from paceline.console.frames import uploads
-from paceline.console.library import Contents, Library
-from paceline.console.routes import clip_of, results_address
+from paceline.console.library import ClipContents, Library
+from paceline.console.routes import decode_clip, result_address
 from paceline.errors import UnusableInput
 
 CLIMBING = [
@@ -25,9 +25,9 @@ CLIMBING = [
 
 @pytest.mark.parametrize("name", CLIMBING)
 def test_names_that_climb_lead_nowhere(folder: Path, client: TestClient, name: str) -> None:
-    with pytest.raises(NotHere):
+    with pytest.raises(NotFound):
         folder_below(folder, name)
-    with pytest.raises(NotHere):
+    with pytest.raises(NotFound):
         file_below(folder, name)
     if "\0" not in name:
         for address in ("/api/setup", "/api/thumbnail", "/api/run?number=1"):
@@ -59,7 +59,7 @@ def test_results_of_other_folders_are_not_given(client: TestClient, address: str
 
 @pytest.mark.parametrize("name", [".", "a/b", "Strasse – Süd", "100%?#"])
 def test_addresses_of_results_keep_every_name(name: str) -> None:
-    assert clip_of(results_address(name, 3, "report.html").split("/")[2]) == name
+    assert decode_clip(result_address(name, 3, "report.html").split("/")[2]) == name
 
 
 @pytest.mark.parametrize(
@@ -144,7 +144,7 @@ def test_the_list_does_not_wait_for_a_document_that_takes_long(tmp_path: Path, m
     may_go_on = threading.Event()
     examine = Library._examine
 
-    def slowly(library: Library, file: Path) -> Contents:
+    def slowly(library: Library, file: Path) -> ClipContents:
         if file.parent.name == "slow":
             may_go_on.wait(60)
         return examine(library, file)
@@ -163,9 +163,9 @@ def test_a_document_above_the_bound_is_refused_unread(tmp_path: Path) -> None:
     root = tmp_path.resolve()
     file = put_clip(root) / "clip.yaml"
     text = file.read_bytes() + b"\n#"
-    file.write_bytes(text.ljust(document_names.LARGEST_DOCUMENT, b"x"))
+    file.write_bytes(text.ljust(document_names.MAX_DOCUMENT_BYTES, b"x"))
     check_document(root, file)
-    file.write_bytes(text.ljust(document_names.LARGEST_DOCUMENT + 1, b"x"))
+    file.write_bytes(text.ljust(document_names.MAX_DOCUMENT_BYTES + 1, b"x"))
     with pytest.raises(UnusableInput, match="clip.yaml: is larger than 512 KiB; no such file needs to be"):
         check_document(root, file)
 

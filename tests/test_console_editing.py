@@ -14,10 +14,17 @@ from hypothesis import strategies as st
 from tiny_clips import put_clip, rendered
 
 from paceline.cameras import Camera, StereoRig
-from paceline.console.editing.clip_document import Changed, Setup, read_setup, read_site_paths, save_setup, with_setup
-from paceline.console.editing.edge_snapping import snapped
-from paceline.console.editing.geometry_checks import check_setup, epipolar_line, propose
-from paceline.console.frames.frame_cache import Gallery
+from paceline.console.editing.clip_document import (
+    ClipSetup,
+    FileChanged,
+    read_clip_setup,
+    read_site_paths,
+    save_clip_setup,
+    with_clip_setup,
+)
+from paceline.console.editing.edge_snapping import snap_point
+from paceline.console.editing.geometry_checks import check_setup, epipolar_line, propose_in_other_view
+from paceline.console.frames.frame_cache import FrameCache
 from paceline.documents.loading import load_clip
 from paceline.errors import UnusableInput
 from paceline.geometry import epipolar_distance, triangulate
@@ -60,20 +67,20 @@ def drawn(text: str) -> tuple[dict[str, Any], list[dict[str, Any]]]:
 
 
 def test_what_stays_the_same_keeps_every_line() -> None:
-    assert with_setup(WRITTEN, "clip.yaml", *drawn(WRITTEN)) == WRITTEN
+    assert with_clip_setup(WRITTEN, "clip.yaml", *drawn(WRITTEN)) == WRITTEN
 
 
 def test_a_change_touches_only_its_own_lines() -> None:
     paths, vehicles = drawn(WRITTEN)
     vehicles[1]["frame"] = 3
     paths["new: #"] = {"shape": "curve", "left": [[1.5, 2.0]] * 4, "right": [[1.0, 2.0]] * 4}
-    new = with_setup(WRITTEN, "clip.yaml", paths, vehicles)
+    new = with_clip_setup(WRITTEN, "clip.yaml", paths, vehicles)
     assert drawn(new) == (paths, vehicles)
     gone = set(WRITTEN.splitlines()) - set(new.splitlines())
     assert len(gone) == 1 and next(iter(gone)).startswith("- {id: v1")
     assert new.index("'new: #'") < new.index("# and what does") < new.index("vehicles:")
     del paths["lane0"]
-    removed = with_setup(new, "clip.yaml", paths, [])
+    removed = with_clip_setup(new, "clip.yaml", paths, [])
     assert drawn(removed) == (paths, []) and "vehicles:" not in removed and "# the end" in removed
     assert "the kerb" not in removed and "# where they drive" in removed
 
@@ -92,7 +99,7 @@ HEADS = [
 def test_every_way_of_writing_is_added_to_or_refused(head: str) -> None:
     paths, vehicles = drawn(WRITTEN)
     try:
-        new = with_setup(head, "clip.yaml", paths, vehicles)
+        new = with_clip_setup(head, "clip.yaml", paths, vehicles)
     except UnusableInput as error:
         assert "clip.yaml: paths and vehicles: are written in a way" in str(error) and head.startswith("{")
         return
@@ -115,27 +122,27 @@ def test_any_set_up_reads_back(added: dict[str, list[list[float]]], order: list[
     before, vehicles = drawn(WRITTEN)
     paths = {name: before[name] for name in order[:kept]}
     paths |= {name: {"shape": "line", "left": p, "right": p} for name, p in added.items()}
-    new = with_setup(WRITTEN, "clip.yaml", paths, vehicles[:kept])
+    new = with_clip_setup(WRITTEN, "clip.yaml", paths, vehicles[:kept])
     assert drawn(new) == (paths, vehicles[:kept])
-    assert with_setup(new, "clip.yaml", paths, vehicles[:kept]) == new
+    assert with_clip_setup(new, "clip.yaml", paths, vehicles[:kept]) == new
 
 
 def test_a_set_up_is_saved_whole_or_not_at_all(tmp_path: Path) -> None:
     file = put_clip(tmp_path) / "clip.yaml"
-    setup, text = read_setup(file), file.read_text()
+    setup, text = read_clip_setup(file), file.read_text()
     broken = {**setup.vehicles[0], "left": [[0, 0], [1, 0], [1, 1], [0, 1]]}
     with pytest.raises(UnusableInput, match=r"road/clip.yaml: vehicles\[0\].left: is too small"):
-        save_setup(file, Setup(setup.paths, [broken], setup.revision))
+        save_clip_setup(file, ClipSetup(setup.paths, [broken], setup.revision))
     unknown = {**setup.vehicles[0], "colour": "red"}
     with pytest.raises(UnusableInput, match="colour"):
-        save_setup(file, Setup(setup.paths, [unknown], setup.revision))
+        save_clip_setup(file, ClipSetup(setup.paths, [unknown], setup.revision))
     assert file.read_text() == text
     file.chmod(0o664)  # colleagues may write it too
-    saved = save_setup(file, Setup(setup.paths, [{**setup.vehicles[0], "id": "car"}], setup.revision))
+    saved = save_clip_setup(file, ClipSetup(setup.paths, [{**setup.vehicles[0], "id": "car"}], setup.revision))
     assert file.stat().st_mode & 0o777 == 0o664
     assert saved.vehicles[0]["id"] == "car" and [v.id for v in load_clip(file).vehicles] == ["car"]
-    with pytest.raises(Changed):
-        save_setup(file, setup)
+    with pytest.raises(FileChanged):
+        save_clip_setup(file, setup)
     assert sorted(p.name for p in file.parent.iterdir()) == ["clip.yaml", "left", "rig.yaml", "right"]
 
 
@@ -146,9 +153,9 @@ def test_the_paths_of_a_site_are_kept_apart_and_may_be_driven_on(tmp_path: Path)
     site.write_text(yaml.safe_dump({"rig": "road/rig.yaml", "paths": given.pop("paths")}))
     del given["rig"]
     file.write_text(yaml.safe_dump(given | {"site": "../site.yaml"}))
-    setup = read_setup(file)
+    setup = read_clip_setup(file)
     assert setup.paths == {} and list(read_site_paths(file)) == ["lane0"]
-    saved = save_setup(file, Setup({}, [{**setup.vehicles[0], "id": "car"}], setup.revision))
+    saved = save_clip_setup(file, ClipSetup({}, [{**setup.vehicles[0], "id": "car"}], setup.revision))
     assert saved.vehicles[0]["path"] == "lane0" and load_clip(file).vehicles[0].id == "car"
 
 
@@ -190,11 +197,11 @@ def test_the_facts_of_a_set_up_are_those_of_the_scene(tmp_path: Path) -> None:
     vehicle, path = facts["vehicles"][0], facts["paths"]["lane0"]
     assert vehicle["distance_m"] == pytest.approx(np.linalg.norm(row["position"]), rel=0.01)
     assert vehicle["width_m"] == pytest.approx(1.8, abs=0.15) and vehicle["height_m"] == pytest.approx(0.7, abs=0.3)
-    assert vehicle["epipolar_px"] < 0.5 and "doubt" not in vehicle and "problem" not in vehicle
+    assert vehicle["epipolar_px"] < 0.5 and "warning" not in vehicle and "problem" not in vehicle
     assert vehicle["beside_path_m"] == pytest.approx(1.85, abs=0.4)
     assert path["near_m"] < 25 and path["far_m"] > 35 and "problem" not in path
     shifted = {**entry, "right": [[x, y + 8] for x, y in entry["right"]]}
-    assert "epipolar line" in check_setup(clip.rig, {}, [shifted])["vehicles"][0]["doubt"]
+    assert "epipolar line" in check_setup(clip.rig, {}, [shifted])["vehicles"][0]["warning"]
     beside = clip.clip["paths"] | {"again": clip.clip["paths"]["lane0"]}
     assert check_setup(clip.rig, beside, [])["paths"]["again"]["gap_m"] == pytest.approx(0, abs=1e-6)
 
@@ -209,41 +216,43 @@ def test_what_is_half_drawn_is_asked_for() -> None:
 @pytest.mark.parametrize("view", [0, 1])
 def test_an_outline_is_proposed_where_the_other_camera_sees_it(tmp_path: Path, view: int) -> None:
     clip = put_clip(tmp_path.resolve())
-    pictures = Gallery(tmp_path.resolve()).open(clip / "clip.yaml")
+    pictures = FrameCache(tmp_path.resolve()).open(clip / "clip.yaml")
     given = rendered().clip["vehicles"][0]
     row = next(r for r in rendered().truth if r["frame"] == given["frame"])
     sides = ("left", "right")
     entry = {"id": "v0", "frame": given["frame"], "path": "lane0", sides[view]: row[sides[view]], sides[1 - view]: []}
     shown = pictures.picture(0, entry["frame"]), pictures.picture(1, entry["frame"])
     for path in (None, rendered().clip["paths"]["lane0"]):
-        pixels, alike = propose(rendered().rig, view, shown, entry, path)
-        assert np.abs(pixels - row[sides[1 - view]]).max() < 0.8 and alike > 0.9
-    with pytest.raises(UnusableInput, match="nothing like it|several places|outside"):
-        propose(rendered().rig, view, (shown[0], shown[0] * 0 + 90), entry, None)
+        pixels, correlation = propose_in_other_view(rendered().rig, view, shown, entry, path)
+        assert np.abs(pixels - row[sides[1 - view]]).max() < 0.8 and correlation > 0.9
+    with pytest.raises(UnusableInput, match="nothing in the other view matches|several places|outside"):
+        propose_in_other_view(rendered().rig, view, (shown[0], shown[0] * 0 + 90), entry, None)
     with pytest.raises(UnusableInput, match="outline"):
-        propose(rendered().rig, view, shown, {**entry, sides[view]: [[1, 1], [2, 1], [2, 2], [1, 2]]}, None)
+        propose_in_other_view(
+            rendered().rig, view, shown, {**entry, sides[view]: [[1, 1], [2, 1], [2, 2], [1, 2]]}, None
+        )
 
 
 def test_a_road_line_is_proposed_along_its_epipolar_lines(tmp_path: Path) -> None:
     clip = put_clip(tmp_path.resolve())
-    pictures = Gallery(tmp_path.resolve()).open(clip / "clip.yaml")
+    pictures = FrameCache(tmp_path.resolve()).open(clip / "clip.yaml")
     rig, given = rendered().rig, rendered().clip["paths"]["lane0"]
     shown = pictures.picture(0, 0), pictures.picture(1, 0)
-    pixels, alike = propose(rig, 0, shown, {**given, "right": []}, None)
+    pixels, correlation = propose_in_other_view(rig, 0, shown, {**given, "right": []}, None)
     left = np.array(given["left"])
-    assert np.abs(epipolar_distance(rig, left, pixels)).max() < 1e-6 and alike > 0.6
+    assert np.abs(epipolar_distance(rig, left, pixels)).max() < 1e-6 and correlation > 0.6
     proposed = check_setup(rig, {"a": {**given, "right": pixels.tolist()}, "b": given}, [])["paths"]
     assert proposed["a"]["gap_m"] < 0.35, proposed
-    with pytest.raises(UnusableInput, match="nothing like it"):
-        propose(rig, 0, (shown[0], shown[0] * 0 + 90), {**given, "right": []}, None)
+    with pytest.raises(UnusableInput, match="nothing in the other view matches"):
+        propose_in_other_view(rig, 0, (shown[0], shown[0] * 0 + 90), {**given, "right": []}, None)
 
 
 def test_triangulated_proposals_stand_upright_on_the_scene(tmp_path: Path) -> None:
     clip = put_clip(tmp_path.resolve())
-    pictures = Gallery(tmp_path.resolve()).open(clip / "clip.yaml")
+    pictures = FrameCache(tmp_path.resolve()).open(clip / "clip.yaml")
     row = next(r for r in rendered().truth if r["frame"] == 2)
     entry = {"id": "v", "frame": 2, "left": row["left"], "right": []}
-    pixels, _ = propose(rendered().rig, 0, (pictures.picture(0, 2), pictures.picture(1, 2)), entry, None)
+    pixels, _ = propose_in_other_view(rendered().rig, 0, (pictures.picture(0, 2), pictures.picture(1, 2)), entry, None)
     corners = triangulate(rendered().rig, np.array(row["left"]), pixels)
     assert corners.mean(axis=0) == pytest.approx(np.array(row["position"]), rel=0.02, abs=0.3)
 
@@ -262,18 +271,18 @@ def square(x: float, y: float) -> np.ndarray[Any, np.dtype[np.float32]]:
 @given(st.floats(28, 32), st.floats(28, 32), st.floats(-2, 2), st.floats(-2, 2))
 @settings(deadline=None, max_examples=40)
 def test_a_point_snaps_to_the_corner_nearby(x: float, y: float, dx: float, dy: float) -> None:
-    found = snapped(square(x, y), np.array([x + dx, y + dy]), 6)
+    found = snap_point(square(x, y), np.array([x + dx, y + dy]), 6)
     assert found == pytest.approx(np.array([x, y]), abs=0.5)
 
 
 @given(st.floats(28, 32), st.floats(-3, 3))
 @settings(deadline=None, max_examples=40)
 def test_a_point_snaps_across_to_an_edge(x: float, dx: float) -> None:
-    found = snapped(square(x, -100), np.array([x + dx, 30.0]), 6)
+    found = snap_point(square(x, -100), np.array([x + dx, 30.0]), 6)
     assert found[0] == pytest.approx(x, abs=0.3) and abs(found[1] - 30) < 1.1
 
 
 @pytest.mark.parametrize("point", [[30.0, 30.0], [0.0, 0.0], [-5.0, 1e6], [59.0, 59.0]])
 def test_a_point_stays_where_nothing_stands_out(point: list[float]) -> None:
     flat = np.random.default_rng(0).normal(90, 2, (60, 60)).astype(np.float32)
-    assert snapped(flat, np.array(point), 6).tolist() == point
+    assert snap_point(flat, np.array(point), 6).tolist() == point

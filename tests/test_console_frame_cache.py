@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 from tiny_clips import put_clip
 
-from paceline.console.frames.frame_cache import Gallery
+from paceline.console.frames.frame_cache import FrameCache
 from paceline.errors import UnusableInput
 
 FRAMES, WIDTH, HEIGHT = 40, 160, 120
@@ -53,7 +53,7 @@ def put_videos(folder: Path, name: str) -> Path:
 @pytest.mark.parametrize("name", KINDS)
 def test_any_order_shows_the_same_pictures(tmp_path: Path, name: str) -> None:
     file = put_videos(tmp_path.resolve(), name)
-    pictures = Gallery(tmp_path.resolve()).open(file)
+    pictures = FrameCache(tmp_path.resolve()).open(file)
     assert pictures.frames == list(range(FRAMES))
     through = [frame.left for frame in pictures.recording]
     rng = np.random.default_rng(1)
@@ -64,7 +64,7 @@ def test_any_order_shows_the_same_pictures(tmp_path: Path, name: str) -> None:
 
 
 def test_frames_that_are_not_there_are_told(tmp_path: Path) -> None:
-    pictures = Gallery(tmp_path.resolve()).open(put_clip(tmp_path.resolve()) / "clip.yaml")
+    pictures = FrameCache(tmp_path.resolve()).open(put_clip(tmp_path.resolve()) / "clip.yaml")
     for frame in (-1, 5, 10**9):
         with pytest.raises(UnusableInput, match=f"frame {frame}: is not in the recording"):
             pictures.picture(0, frame)
@@ -72,7 +72,7 @@ def test_frames_that_are_not_there_are_told(tmp_path: Path) -> None:
 
 def test_a_damaged_picture_is_told_and_the_others_shown(tmp_path: Path) -> None:
     clip = put_clip(tmp_path.resolve())
-    gallery = Gallery(tmp_path.resolve())
+    gallery = FrameCache(tmp_path.resolve())
     (clip / "right" / "0002.png").write_bytes(b"no picture")
     pictures = gallery.open(clip / "clip.yaml")
     for frame in (1, 2, 3, 2):
@@ -86,7 +86,7 @@ def test_a_damaged_picture_is_told_and_the_others_shown(tmp_path: Path) -> None:
 
 def test_what_changes_on_disk_is_shown_anew(tmp_path: Path) -> None:
     clip = put_clip(tmp_path.resolve())
-    gallery = Gallery(tmp_path.resolve())
+    gallery = FrameCache(tmp_path.resolve())
     before = gallery.open(clip / "clip.yaml")
     assert gallery.open(clip / "clip.yaml") is before
     (clip / "rig.yaml").write_text((clip / "rig.yaml").read_text() + "\n")

@@ -18,23 +18,30 @@ import numpy as np
 import pytest
 import tiny_chase
 import yaml
-from console_client import SAME, asked
+from console_client import SAME, open_client
 from run_command import ENVIRONMENT
 from test_console_runs import wait
 from test_survey_live import survey_file
 from tiny_clips import put_clip
 
 from paceline.commands.progress_output import small_jpegs
-from paceline.console.confinement import NotHere
+from paceline.console.confinement import NotFound
 from paceline.console.document_names import is_live, live_views
 from paceline.console.library import Library
-from paceline.console.routes import results_address
+from paceline.console.routes import result_address
 from paceline.console.runs.inputs import copy_documents
-from paceline.console.runs.kinds import AHEAD, LIVE, arguments
-from paceline.console.runs.monitor import LATEST as KEPT_FRAMES
-from paceline.console.runs.monitor import Watch
-from paceline.console.runs.options import in_unit, options_of
-from paceline.console.runs.results import LATEST, files_of, picture_of, read_series, read_summary, why_nothing
+from paceline.console.runs.kinds import FOLLOW_RUN, LIVE_RUN, command_arguments
+from paceline.console.runs.monitor import MAX_KEPT_FRAMES as KEPT_FRAMES
+from paceline.console.runs.monitor import RunMonitor
+from paceline.console.runs.options import command_options, convert_tolerance
+from paceline.console.runs.results import (
+    MAX_LIVE_SERIES,
+    nothing_measured_reason,
+    picture_name,
+    read_series,
+    read_summary,
+    result_files,
+)
 from paceline.documents.loading import load_clip
 from paceline.errors import UnusableInput
 from paceline.progress import MAX_LINE_LENGTH, format_pictures, parse_estimate, parse_pictures, parse_progress
@@ -85,7 +92,7 @@ def test_live_clips_are_listed_and_not_opened(library: Library) -> None:
     found = {name: library.entry(name) for name in library.names()}
     assert {name: entry.state for name, entry in found.items()} == {"drive": "live", "gate": "live", "pipe": "live"}
     assert found["gate"].contents.live == ("rtsp://camera/left", "/dev/video1")
-    assert found["gate"].reason == "rtsp://camera/left and /dev/video1: measured while recording"
+    assert found["gate"].reason == "rtsp://camera/left and /dev/video1: measured while they record"
     assert not any(entry.contents.pictures for entry in found.values())
     assert "secret" not in repr(found)
     assert live_views(library.file("pipe")) == ["fifo", "rtsp://camera/right"]
@@ -94,7 +101,7 @@ def test_live_clips_are_listed_and_not_opened(library: Library) -> None:
 def test_their_pictures_are_not_fetched(library: Library) -> None:
     root = library.root
     library.runs.close()
-    with asked(root) as client:
+    with open_client(root) as client:
         for clip in ("gate", "drive", "pipe"):
             for address in ("/api/thumbnail?", "/api/frame?view=0&frame=0&", "/api/setup?", "/api/target?"):
                 answer = client.get(f"{address}clip={clip}", headers=SAME)
@@ -123,7 +130,7 @@ def test_a_run_goes_out_from_a_copy_without_vehicles(tmp_path: Path) -> None:
     clip = put_clip(root)
     change(clip / "clip.yaml", right="rtsp://camera/right", rate=None)
     copy_documents(root, clip / "clip.yaml", clip / "asked", vehicles=False)
-    command = arguments(LIVE, "road/clip.yaml", clip)
+    command = command_arguments(LIVE_RUN, "road/clip.yaml", clip)
     assert command == ["speed", "road/clip.yaml", "-o", str(clip / "out"), "--live"]
     copy = load_clip(clip / "asked" / "road" / "clip.yaml")
     assert copy.left == clip / "left" and copy.addresses == (str(clip / "left"), "rtsp://camera/right")
@@ -135,20 +142,31 @@ def test_a_run_goes_out_from_a_copy_without_vehicles(tmp_path: Path) -> None:
 
 def test_only_known_settings_reach_a_live_run() -> None:
     given = {"learn": 12.5, "particles": 99, "seed": None, "motion": "line", "units": "km/h", "overlay": False}
-    assert options_of(LIVE, given) == ["--particles", "99", "--motion", "line", "--units", "km/h", "--learn", "12.5"]
-    assert options_of(LIVE, {"tolerance": 0.5}) == ["--tolerance", "0.5"]
-    for tolerance in (0, -1, 1001, "1", float("nan")):
+    assert command_options(LIVE_RUN, given) == [
+        "--particles",
+        "99",
+        "--motion",
+        "line",
+        "--units",
+        "km/h",
+        "--learn",
+        "12.5",
+    ]
+    assert command_options(LIVE_RUN, {"tolerance": 0.5}) == ["--tolerance", "0.5"]
+    for tolerance in (0, -1, "1", float("nan")):
         with pytest.raises(UnusableInput):
-            options_of(LIVE, {"tolerance": tolerance})
-    assert options_of(AHEAD, given) == ["--no-overlay"] and options_of(AHEAD, {"overlay": True}) == []
-    for learn in (1, 1e9, "30", True, float("nan")):
+            command_options(LIVE_RUN, {"tolerance": tolerance})
+    assert (
+        command_options(FOLLOW_RUN, given) == ["--no-overlay"] and command_options(FOLLOW_RUN, {"overlay": True}) == []
+    )
+    for learn in (-1, 1e9, "30", True, float("nan")):
         with pytest.raises(UnusableInput):
-            options_of(LIVE, {"learn": learn})
+            command_options(LIVE_RUN, {"learn": learn})
 
 
 def test_a_tolerance_stays_as_much_as_it_was_in_another_unit() -> None:
-    assert in_unit(5.0, "mph", "km/h") == 8.05 and in_unit(8.05, "km/h", "mph") == 5.0
-    assert in_unit(1.0, "m/s", "km/h") == 3.6
+    assert convert_tolerance(5.0, "mph", "km/h") == 8.05 and convert_tolerance(8.05, "km/h", "mph") == 5.0
+    assert convert_tolerance(1.0, "m/s", "km/h") == 3.6
 
 
 def test_what_a_killed_console_had_measured_can_be_read(tmp_path: Path) -> None:
@@ -169,7 +187,7 @@ def test_what_a_killed_console_had_measured_can_be_read(tmp_path: Path) -> None:
     assert read_summary(out)["vehicles"][0]["speed_mps"] == 20.0
     series = read_series(out, growing=True)
     assert series[-1].vehicle == "v9999" and series[-1].time == list(range(99_990, 100_000))
-    assert len(series) == LATEST and all(s.value == [21.0] * 10 for s in series)
+    assert len(series) == MAX_LIVE_SERIES and all(s.value == [21.0] * 10 for s in series)
     library.runs.close()
 
 
@@ -179,14 +197,14 @@ def test_what_a_killed_console_had_measured_can_be_read(tmp_path: Path) -> None:
         ({"vehicles": [{"vehicle": "v0", "reason": ""}, {"vehicle": "v1", "reason": "too few"}]}, "v1: too few"),
         ({"vehicles": [], "notices": ["no vehicle was found: fog"]}, "no vehicle was found: fog"),
         ({"reasons": {"too few of its features are found": 9}}, "too few of its features are found"),
-        ({"vehicles": [], "notices": []}, "nothing came by that could be measured"),
+        ({"vehicles": [], "notices": []}, "no vehicle passed that could be measured"),
         ({"vehicles": [], "unmeasured": [{"reason": "fog"}], "notices": ["note"]}, "not measured: fog"),
         ([], ""),
     ],
 )
 def test_why_nothing_was_measured_is_said_in_a_line(tmp_path: Path, summary: object, why: str) -> None:
     (tmp_path / "summary.json").write_text(json.dumps(summary))
-    assert why_nothing(tmp_path.resolve()) == why
+    assert nothing_measured_reason(tmp_path.resolve()) == why
 
 
 def test_a_vehicle_is_followed_live_until_it_is_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -197,7 +215,7 @@ def test_a_vehicle_is_followed_live_until_it_is_stopped(tmp_path: Path, monkeypa
     change(file, video="pipe", rate=None)
     os.mkfifo(root / "drive" / "pipe")
     library = Library(root)
-    run = library.runs.start("drive", AHEAD, ["--no-overlay"])
+    run = library.runs.start("drive", FOLLOW_RUN, ["--no-overlay"])
     ended = threading.Event()
 
     def play() -> None:
@@ -213,8 +231,8 @@ def test_a_vehicle_is_followed_live_until_it_is_stopped(tmp_path: Path, monkeypa
 
     player = threading.Thread(target=play)
     player.start()
-    wait(lambda: library.runs.watch(run)[1].get("frame", 0) >= 5)
-    (series,), scene = library.runs.watch(run)
+    wait(lambda: library.runs.live_data(run)[1].get("frame", 0) >= 5)
+    (series,), scene = library.runs.live_data(run)
     jpeg = np.frombuffer(library.runs.picture(run, scene["frame"], 0), np.uint8)
     assert cv2.imdecode(jpeg, cv2.IMREAD_UNCHANGED).shape == tiny_chase.SIZE[::-1] == tuple(scene["size"][::-1])
     assert [v["vehicle"] for v in scene["vehicles"]] == ["small van"] and scene["vehicles"][0]["outlines"][0]
@@ -227,7 +245,7 @@ def test_a_vehicle_is_followed_live_until_it_is_stopped(tmp_path: Path, monkeypa
     player.join()
     now = library.runs.get("drive", run.number)
     assert now is not None and now.state == "measured", now
-    assert {"report.html", "track.csv"} <= set(files_of(library.runs.out(now)))
+    assert {"report.html", "track.csv"} <= set(result_files(library.runs.out(now)))
     library.runs.close()
 
 
@@ -256,14 +274,16 @@ def test_other_lines_are_no_pictures(rest: str) -> None:
 
 
 def test_the_latest_pictures_are_kept_with_what_is_in_them() -> None:
-    watch = Watch()
+    monitor = RunMonitor()
     for frame in range(100):
         told_of = {"frame": frame, "time_s": frame / 2, "value": 9.0, "std": None}
         if frame % 2:
-            watch.add({"vehicle": "lane0", **told_of})
-        watch.show({"frame": frame, "time_s": frame / 2, "size": [64, 48], "pictures": [bytes([frame]), b"right"]})
-        assert watch.scene["frame"] == frame and len(watch.scene["vehicles"]) == frame % 2
-    assert list(watch.pictures) == list(range(100 - KEPT_FRAMES, 100)) and watch.pictures[99][0] == bytes([99])
+            monitor.add_estimate({"vehicle": "lane0", **told_of})
+        monitor.add_pictures(
+            {"frame": frame, "time_s": frame / 2, "size": [64, 48], "pictures": [bytes([frame]), b"right"]}
+        )
+        assert monitor.scene["frame"] == frame and len(monitor.scene["vehicles"]) == frame % 2
+    assert list(monitor.pictures) == list(range(100 - KEPT_FRAMES, 100)) and monitor.pictures[99][0] == bytes([99])
 
 
 def test_a_live_run_is_watched_and_leaves_a_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -271,13 +291,13 @@ def test_a_live_run_is_watched_and_leaves_a_report(tmp_path: Path, monkeypatch: 
     root = tmp_path.resolve() / "clips"
     survey_file(root / "road")
     library = Library(root)
-    run = library.runs.start("road", LIVE, ["--learn", "4"])
+    run = library.runs.start("road", LIVE_RUN, ["--learn", "4"])
     frames, doing = set(), set()
     end = time.monotonic() + 180
     while (now := library.runs.get("road", 1)) is not None and now.active:
         assert time.monotonic() < end
         doing.add(now.doing)
-        _, scene = library.runs.watch(now)
+        _, scene = library.runs.live_data(now)
         if scene and scene["frame"] not in frames:
             frames.add(scene["frame"])
             jpeg = np.frombuffer(library.runs.picture(now, scene["frame"], 1), np.uint8)
@@ -285,13 +305,13 @@ def test_a_live_run_is_watched_and_leaves_a_report(tmp_path: Path, monkeypatch: 
         time.sleep(0.02)
     assert now is not None and now.state == "measured", now
     assert doing >= {"learning", "measuring"} and len(frames) >= 8
-    assert "report.html" in files_of(library.runs.out(now))
-    with pytest.raises(NotHere):
+    assert "report.html" in result_files(library.runs.out(now))
+    with pytest.raises(NotFound):
         library.runs.picture(now, max(frames), 0)  # nothing is kept of it in memory
     vehicle = read_summary(library.runs.out(now))["vehicles"][0]["vehicle"]
     library.runs.close()
-    with asked(root) as client:
-        address = results_address("road", run.number, picture_of(vehicle))
+    with open_client(root) as client:
+        address = result_address("road", run.number, picture_name(vehicle))
         assert client.get(address, headers=SAME).headers["content-type"] == "image/jpeg"
         for name in ("..%2Fsummary", "v99", ".v0", "x" * 999):
             assert client.get(address.replace(vehicle, name), headers=SAME).status_code == 404
@@ -304,7 +324,7 @@ def test_a_live_run_that_is_killed_holds_nothing_up(tmp_path: Path, monkeypatch:
     root = tmp_path.resolve() / "clips"
     survey_file(root / "road")
     library = Library(root)
-    run = library.runs.start("road", LIVE, ["--learn", "4"])
+    run = library.runs.start("road", LIVE_RUN, ["--learn", "4"])
     out = library.runs.out(run)
     until(lambda: (out / "summary.json").is_file() and bool(read_summary(out)["vehicles"]))
     process = library.runs._process

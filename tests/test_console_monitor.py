@@ -17,7 +17,7 @@ from run_command import ENVIRONMENT, paceline
 from tiny_clips import put_clip
 
 from paceline.console.library import Library
-from paceline.console.runs.monitor import MOST, Watch
+from paceline.console.runs.monitor import MAX_VALUES, RunMonitor
 from paceline.progress import (
     MAX_LINE_LENGTH,
     MAX_PARTICLES,
@@ -67,29 +67,29 @@ def estimate(vehicle: str, frame: int, value: float | None) -> dict[str, object]
 
 
 def test_a_frame_is_shown_once_all_of_its_vehicles_are_told() -> None:
-    watch = Watch()
-    watch.turn()
-    assert watch.scene == {} and watch.series() == []
-    watch.add(estimate("a", 3, None))
-    watch.add(estimate("b", 3, 20.0))
-    assert watch.scene == {}
-    watch.turn()
-    watch.add(estimate("a", 4, 10.0))
-    assert watch.scene["frame"] == 3 and [v["vehicle"] for v in watch.scene["vehicles"]] == ["a", "b"]
-    watch.turn()
-    assert [v["vehicle"] for v in watch.scene["vehicles"]] == ["a"]
-    assert {s.vehicle: (s.time, s.value) for s in watch.series()} == {"b": ([0.6], [20.0]), "a": ([0.8], [10.0])}
+    monitor = RunMonitor()
+    monitor.finish_frame()
+    assert monitor.scene == {} and monitor.series() == []
+    monitor.add_estimate(estimate("a", 3, None))
+    monitor.add_estimate(estimate("b", 3, 20.0))
+    assert monitor.scene == {}
+    monitor.finish_frame()
+    monitor.add_estimate(estimate("a", 4, 10.0))
+    assert monitor.scene["frame"] == 3 and [v["vehicle"] for v in monitor.scene["vehicles"]] == ["a", "b"]
+    monitor.finish_frame()
+    assert [v["vehicle"] for v in monitor.scene["vehicles"]] == ["a"]
+    assert {s.vehicle: (s.time, s.value) for s in monitor.series()} == {"b": ([0.6], [20.0]), "a": ([0.8], [10.0])}
 
 
-@pytest.mark.parametrize("count", [MOST, MOST + 1, 25_000])
+@pytest.mark.parametrize("count", [MAX_VALUES, MAX_VALUES + 1, 25_000])
 def test_what_is_kept_does_not_grow_with_the_recording(count: int) -> None:
-    watch = Watch()
+    monitor = RunMonitor()
     for frame in range(count):
-        watch.add(estimate("a", frame, float(frame)))
-        watch.turn()
-    (series,) = watch.series()
+        monitor.add_estimate(estimate("a", frame, float(frame)))
+        monitor.finish_frame()
+    (series,) = monitor.series()
     steps = np.diff(series.value)
-    assert MOST / 2 <= len(series.value) <= MOST and (steps == steps[0]).all()  # even in time
+    assert MAX_VALUES / 2 <= len(series.value) <= MAX_VALUES and (steps == steps[0]).all()  # even in time
     assert series.value[0] == 0 and series.value[-1] > count - 1 - steps[0]
 
 
@@ -132,12 +132,12 @@ def test_a_run_is_watched_while_it_goes_on(tmp_path: Path, monkeypatch: pytest.M
     end = time.monotonic() + 120
     while (now := library.runs.get("road", run.number)) is not None and now.active:
         assert time.monotonic() < end
-        values, scene = library.runs.watch(now)
+        values, scene = library.runs.live_data(now)
         if scene:
             series, seen[scene["frame"]] = values, scene
         time.sleep(0.005)
     assert now is not None and now.state == "measured"
-    assert library.runs.watch(now) == ([], {})
+    assert library.runs.live_data(now) == ([], {})
     rows = rows_of(library.runs.out(now) / "estimates.csv")
     assert set(seen) <= {int(row["frame"]) for row in rows} and len(seen) >= 2
     known = [float(row["speed_mps"]) for row in rows if row["speed_mps"]]

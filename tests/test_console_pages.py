@@ -28,7 +28,7 @@ EDITOR = "document.querySelector('pl-editor')"
 WATCHED = """(() => {
   window.scenes = [];
   const note = () => {
-    const scene = document.querySelector('pl-watch')?.getAttribute('scene');
+    const scene = document.querySelector('pl-live-view')?.getAttribute('scene');
     if (scene) window.scenes.push(scene);
   };
   const all = { subtree: true, childList: true, attributes: true, attributeFilter: ['scene'] };
@@ -74,7 +74,7 @@ def test_a_vehicle_ahead_is_learned_from_a_box_and_followed(tmp_path: Path, cons
     tab.click("Learn the lines in the box")
     tab.wait_for("lines learned")
     z = tiny_chase.truth(0)[2]
-    tab.wait(f"Math.abs(document.querySelector('pl-target').shown?.range_m - {z}) < {0.02 * z}")
+    tab.wait(f"Math.abs(document.querySelector('pl-target').projection?.range_m - {z}) < {0.02 * z}")
 
     before = tab.run("document.querySelector('pl-target').model.start.center")
     middle = [(x0 + x1) / 2, (y0 + y1) / 2]
@@ -133,23 +133,23 @@ def test_a_survey_goes_on_until_it_is_stopped(console: Console) -> None:
     (root / "gate" / "clip.yaml").write_text(yaml.safe_dump({**given, "left": "rtsp://me:secret@127.0.0.1:9/x"}))
     tab = new()
     tab.open(f"{address}/runs?clip=survey")
-    tab.wait_for("vehicles are looked for")
+    tab.wait_for("vehicles are detected")
     tab.run("document.querySelector('.pl-settings .q-item').click()")
     tab.wait_for("Play it as a live stream")
     tab.run("document.querySelector('.q-checkbox').click()")
-    tab.wait_for("This recording lasts 17.5 s, and the empty road would be learned for 30 s of them")
+    tab.wait_for("This recording lasts 17.5 s, and 30 s of them would be used to estimate the background")
     tab.click("Start")
     assert not (root / "survey" / "runs").exists()
-    field = "[...document.querySelectorAll('input')].find((e) => e.getAttribute('aria-label')?.startsWith('Learn'))"
+    field = "[...document.querySelectorAll('input')].find((e) => e.getAttribute('aria-label')?.startsWith('Estimate'))"
     tab.wait(f"{field}.offsetParent && ({field}.focus(), {field}.select(), true)")
     tab.call("Input.insertText", text="4")
     tab.wait("!document.querySelector('.pl-warning').offsetParent")
     tab.click("Start")
-    tab.wait_for("The empty road is being learned")
-    tab.wait("document.querySelector('pl-watch')?.drawn")
+    tab.wait_for("Estimating the background")
+    tab.wait("document.querySelector('pl-live-view')?.drawn")
     tab.wait("document.querySelectorAll('tbody tr').length > 0")
-    tab.wait("[...document.querySelectorAll('.pl-passed img')].some((e) => e.naturalHeight === 240)")
-    shown = "document.querySelector('pl-watch').views[0].image"
+    tab.wait("[...document.querySelectorAll('.pl-recent img')].some((e) => e.naturalHeight === 240)")
+    shown = "document.querySelector('pl-live-view').views[0].image"
     assert tab.run(f"[{shown}.width, {shown}.height]") == [480, 360]
     tab.click("Stop")
     tab.wait_for("Summary (JSON)")
@@ -179,7 +179,7 @@ def test_a_survey_goes_on_until_it_is_stopped(console: Console) -> None:
     for k in (1197, 1198, 1199):
         shutil.copyfile(pictures / f"{vehicles[-1]['vehicle']}.jpg", pictures / f"v{k}.jpg")
     tab.open(f"{address}/runs?clip=survey")
-    tab.wait_for("The last 1000 of 1200 vehicles; the files have all of them.")
+    tab.wait_for("The last 1000 of 1200 vehicles; the files hold all of them.")
     assert "2 vehicles were seen, but not measured: <i>too small</i>" in tab.text() and "v1199" in tab.text()
     (run / "out" / "summary.json").write_text("[")
     tab.open(f"{address}/runs?clip=survey")
@@ -298,7 +298,7 @@ def test_a_vehicle_is_outlined_by_keys_alone(console: Console) -> None:
         tab.key("ArrowUp")
         for fine, least in ((0, 8.5), (SHIFT, 0.7)):
             while True:
-                off = tab.run(f"[0, 1].map((i) => ({json.dumps(corner)}[i] - {EDITOR}.keys.cross.place[i])"
+                off = tab.run(f"[0, 1].map((i) => ({json.dumps(corner)}[i] - {EDITOR}.keyboard.cross.place[i])"
                               f" * {EDITOR}.views[0].scale)")  # fmt: skip
                 axis = int(np.argmax(np.abs(off)))
                 if abs(off[axis]) < least:
@@ -347,7 +347,7 @@ def test_a_folder_that_cannot_be_written_is_looked_at_and_read(tmp_path: Path) -
             tab.open(f"{address}/setup?clip=road")
             tab.wait_for("width × height")
             shown = set(tab.text().split("\n"))
-            assert {"Read…", "Play"} <= shown and not {"Save", "Vehicle", "Propose lanes"} & shown
+            assert {"Results…", "Play"} <= shown and not {"Save", "Vehicle", "Propose lanes"} & shown
             tab.run(f"{EDITOR}.model.change((m) => {{ m.vehicles[0].speed = 9; }})")
             assert "speed" not in setup_of(tab)[1][0]
             tab.open(f"{address}/runs?clip=road")

@@ -22,8 +22,8 @@ from paceline.console import library as library_module
 from paceline.console.library import Library
 from paceline.console.runs import run_list as runs_module
 from paceline.console.runs.inputs import copy_documents
-from paceline.console.runs.results import differences, read_series, read_summary, vehicle_rows
-from paceline.console.runs.run_list import Run, Runs
+from paceline.console.runs.results import compare_summaries, read_series, read_summary, vehicle_rows
+from paceline.console.runs.run_list import Run, RunList
 from paceline.documents.loading import load_clip
 from paceline.errors import UnusableInput
 from paceline.progress import PROGRESS_VARIABLE, format_progress, parse_progress
@@ -111,12 +111,12 @@ def test_runs_wait_for_each_other_are_read_and_are_cancelled(library: Library) -
     (series,) = read_series(out)
     assert series.refined and series.time[0] == 0 and series.value[-1] == pytest.approx(18.0, abs=0.5)
     faster = vehicle | {"speed_mps": vehicle["speed_mps"] + 0.25}
-    assert [r["change"] for r in differences([vehicle], [faster], "m/s")] == ["+0.25"]
-    assert [r["change"] for r in differences([faster], [vehicle], "km/h")] == ["−0.90"]
+    assert [r["change"] for r in compare_summaries([vehicle], [faster], "m/s")] == ["+0.25"]
+    assert [r["change"] for r in compare_summaries([faster], [vehicle], "km/h")] == ["−0.90"]
     nearly = vehicle | {"speed_mps": vehicle["speed_mps"] - 1e-6}
-    assert [r["change"] for r in differences([vehicle], [nearly, {"vehicle": "other"}], "m/s")] == ["0.00"]
+    assert [r["change"] for r in compare_summaries([vehicle], [nearly, {"vehicle": "other"}], "m/s")] == ["0.00"]
     assert contents(clip) == before
-    asked, here = load_clip(library.runs.asked(first)), load_clip(clip / "clip.yaml")
+    asked, here = load_clip(library.runs.input_document(first)), load_clip(clip / "clip.yaml")
     assert asked.left == here.left and asked.vehicles[0].left.tolist() == here.vehicles[0].left.tolist()
 
 
@@ -264,8 +264,8 @@ def test_the_folder_itself_may_be_a_clip(tmp_path: Path) -> None:
 
 def test_a_recording_is_opened_once_to_be_listed(library: Library, monkeypatch: pytest.MonkeyPatch) -> None:
     opened: list[Path] = []
-    before = library_module.Gallery.open
-    monkeypatch.setattr(library_module.Gallery, "open", lambda self, file: opened.append(file) or before(self, file))
+    before = library_module.FrameCache.open
+    monkeypatch.setattr(library_module.FrameCache, "open", lambda self, file: opened.append(file) or before(self, file))
     for _ in range(3):
         library.entry("road")
     assert len(opened) == 1
@@ -292,14 +292,14 @@ def test_a_run_folder_that_cannot_be_made_is_told(library: Library) -> None:
 def test_on_a_full_disk_no_run_begins_and_the_end_of_one_is_told(
     library: Library, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    write = runs_module._write
+    write = runs_module._write_run
 
     def full(folder: Path, run: Run) -> None:
         if run.active and run.number == 1:
             return write(folder, run)
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(runs_module, "_write", full)
+    monkeypatch.setattr(runs_module, "_write_run", full)
     library.runs.start("road", "speed", ["--particles", "0"])
     run = ended(library, 1)
     assert run.state == "failed" and "--particles 0" in run.reason
@@ -356,7 +356,7 @@ def test_the_command_tells_its_progress_when_asked(tmp_path: Path, monkeypatch: 
 def test_runs_are_numbered_on(library: Library) -> None:
     (library.folder("road") / "runs" / "0041").mkdir(parents=True)
     run = library.runs.start("road", "speed", FAST)
-    assert run.number == 42 and isinstance(library.runs, Runs)
+    assert run.number == 42 and isinstance(library.runs, RunList)
     library.runs.cancel("road", run.number)
     assert ended(library, 42).state == "cancelled"
 

@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 import tiny_chase
 import yaml
-from console_client import SAME, asked
+from console_client import SAME, open_client
 from fastapi.testclient import TestClient
 from run_command import paceline
 from tiny_clips import put_clip
 
 from paceline.cameras import Camera
-from paceline.console.editing.clip_document import Changed
-from paceline.console.editing.follow_document import Chase, read_chase, save_chase
-from paceline.console.editing.target_model import learned, outlined
-from paceline.console.frames.frame_cache import ChasePictures
+from paceline.console.editing.clip_document import FileChanged
+from paceline.console.editing.follow_document import FollowSetup, read_follow_setup, save_follow_setup
+from paceline.console.editing.target_model import learn_model, project_model
+from paceline.console.frames.frame_cache import ChaseFrames
 from paceline.documents.loading import load_follow, load_target
 from paceline.documents.yaml_editing import set_values
 from paceline.errors import UnusableInput
@@ -39,7 +39,7 @@ def box_of(frame: int) -> list[float]:
 def test_lines_lie_where_the_camera_sees_them(distortion: list[float]) -> None:
     camera = Camera((256, 242), K, np.array(distortion))
     start = {"frame": 0, "center": [90.0, 150.0], "scale": 0.8}
-    shown = outlined(camera, tiny_chase.TARGET, start)
+    shown = project_model(camera, tiny_chase.TARGET, start)
     corners: Any = tiny_chase.TARGET["corners"]
     for (a, b), line in zip(tiny_chase.TARGET["segments"], shown["lines"], strict=True):  # type: ignore[call-overload]
         rays = (np.linalg.inv(K) @ np.append(camera.undistort_points(np.array([[90.0, 150.0]]))[0], 1))[:2]
@@ -49,26 +49,28 @@ def test_lines_lie_where_the_camera_sees_them(distortion: list[float]) -> None:
             assert np.abs(ideal - (K @ (point / point[2]))[:2]).max() < 0.05
     assert shown["range_m"] == pytest.approx(12.5) and shown["size_m"] == [2.0, 1.5]
     assert shown["size_px"] == pytest.approx([2 * 24, 1.5 * 24.8], abs=0.06)
-    assert "problem" not in shown and "doubt" not in shown
+    assert "problem" not in shown and "warning" not in shown
 
 
 def test_what_cannot_be_followed_is_said_while_it_is_placed() -> None:
     camera = Camera((256, 242), K)
-    far = outlined(camera, tiny_chase.TARGET, {"frame": 0, "center": [300.0, 9.0], "scale": 1.0})
+    far = project_model(camera, tiny_chase.TARGET, {"frame": 0, "center": [300.0, 9.0], "scale": 1.0})
     assert "lies outside the image" in far["problem"] and np.isfinite(far["lines"]).all()
     few = {**tiny_chase.TARGET, "segments": [["a", "b"], ["b", "c"], ["c", "d"], ["d", "a"]]}
-    assert "4 lines are few" in outlined(camera, few, {"frame": 0, "center": [99.0, 99.0], "scale": 1.0})["doubt"]
+    assert (
+        "4 lines are few" in project_model(camera, few, {"frame": 0, "center": [99.0, 99.0], "scale": 1.0})["warning"]
+    )
 
 
 def test_a_model_is_learned_as_the_command_learns_it(tmp_path: Path) -> None:
     file = tiny_chase.write(tmp_path, 2)
-    pictures, box = ChasePictures(file), [round(v, 2) for v in box_of(1)]
-    found = learned(pictures.camera, pictures.picture(0, 1), 1, box, 2.0, "small van")
+    pictures, box = ChaseFrames(file), [round(v, 2) for v in box_of(1)]
+    found = learn_model(pictures.camera, pictures.picture(0, 1), 1, box, 2.0, "small van")
     picture, out = tmp_path / "frames" / "0001.png", tmp_path / "learned.yaml"
     given = ["--box", ",".join(map(str, box)), "--width", "2", "--camera", tmp_path / "camera.yaml", "-o", out]
     assert paceline("target", "learn", picture, *given, "--name", "small van").returncode == 0
-    by_command, before = load_target(out), read_chase(file)
-    saved = save_chase(file, pictures.camera, Chase(found["target"], found["start"], before.revision))
+    by_command, before = load_target(out), read_follow_setup(file)
+    saved = save_follow_setup(file, pictures.camera, FollowSetup(found["target"], found["start"], before.revision))
     here = load_follow(file)
     assert saved.start is not None and (here.frame, here.scale) == (1, 1.0) and saved.start["frame"] == 1
     assert here.target.name == by_command.name
@@ -80,19 +82,19 @@ def test_a_model_is_learned_as_the_command_learns_it(tmp_path: Path) -> None:
 
 
 def test_a_box_that_shows_nothing_is_refused_in_the_page_s_own_words(tmp_path: Path) -> None:
-    pictures = ChasePictures(tiny_chase.write(tmp_path, 2))
+    pictures = ChaseFrames(tiny_chase.write(tmp_path, 2))
     for box, words in (([5.0, 5.0, 40.0, 40.0], "the box shows"), ([9.0, 9.0, 8.0, 8.0], "^box 9,9,8,8")):
         with pytest.raises(UnusableInput, match=words):
-            learned(pictures.camera, pictures.picture(0, 0), 0, box, 2.0, "x")
+            learn_model(pictures.camera, pictures.picture(0, 0), 0, box, 2.0, "x")
 
 
 def test_only_the_start_is_written_where_the_model_is_the_same(tmp_path: Path) -> None:
     file = tiny_chase.write(tmp_path, 3)
     text = "# my drive\n" + file.read_text() + "\n# the end\n"
     file.write_text(text)
-    chase, camera = read_chase(file), ChasePictures(file).camera
+    chase, camera = read_follow_setup(file), ChaseFrames(file).camera
     start = {"frame": 2, "center": [120.127, 99.5], "scale": 1.234567}
-    saved = save_chase(file, camera, Chase(chase.target, start, chase.revision))
+    saved = save_follow_setup(file, camera, FollowSetup(chase.target, start, chase.revision))
     assert saved.start == {"frame": 2, "center": [120.13, 99.5], "scale": 1.23457}
     assert sorted(p.name for p in tmp_path.iterdir()) == ["camera.yaml", "follow.yaml", "frames", "target.yaml"]
     before, after = text.splitlines(), file.read_text().splitlines()
@@ -100,8 +102,8 @@ def test_only_the_start_is_written_where_the_model_is_the_same(tmp_path: Path) -
         "start: {frame: 2, center: [120.13, 99.5], scale: 1.23457}"
     ]
     assert {"# my drive", "# the end"} <= set(after)
-    with pytest.raises(Changed):
-        save_chase(file, camera, Chase(chase.target, start, chase.revision))
+    with pytest.raises(FileChanged):
+        save_follow_setup(file, camera, FollowSetup(chase.target, start, chase.revision))
 
 
 @pytest.mark.parametrize(
@@ -120,7 +122,7 @@ def test_what_could_not_be_followed_is_not_saved(tmp_path: Path, target: Any, st
     file = tiny_chase.write(tmp_path, 2)
     before = {p.name: p.read_bytes() for p in tmp_path.glob("*.yaml")}
     with pytest.raises(UnusableInput, match=words):
-        save_chase(file, ChasePictures(file).camera, Chase(target, start, read_chase(file).revision))
+        save_follow_setup(file, ChaseFrames(file).camera, FollowSetup(target, start, read_follow_setup(file).revision))
     assert {p.name: p.read_bytes() for p in tmp_path.glob("*.yaml")} == before
 
 
@@ -155,7 +157,7 @@ def test_what_cannot_be_added_to_is_refused(text: str) -> None:
 
 
 def test_pictures_come_in_any_order(tmp_path: Path) -> None:
-    pictures = ChasePictures(tiny_chase.write(tmp_path, 20))
+    pictures = ChaseFrames(tiny_chase.write(tmp_path, 20))
     for frame in (3, 4, 19, 0, 18, 2):
         assert np.array_equal(pictures.picture(0, frame), tiny_chase.picture(frame))
     assert pictures.times == pytest.approx(np.arange(20) / 15)
@@ -176,7 +178,7 @@ def test_a_chase_is_imported_placed_and_saved(tmp_path: Path) -> None:
     tiny_chase.write(tmp_path / "given", 4)
     root = tmp_path / "clips"
     root.mkdir()
-    with asked(root.resolve()) as client:
+    with open_client(root.resolve()) as client:
         key = ask(client, "POST", "/api/import", {"name": "drive", "kind": "chase"}).json()["key"]
         sent = [("video", p) for p in sorted((tmp_path / "given" / "frames").iterdir())]
         for slot, file in [*sent, ("camera", tmp_path / "given" / "camera.yaml")]:
@@ -209,7 +211,7 @@ def test_a_chase_is_imported_placed_and_saved(tmp_path: Path) -> None:
 def test_an_import_without_a_camera_file_says_so(tmp_path: Path) -> None:
     tiny_chase.write(tmp_path / "given", 2)
     (tmp_path / "clips").mkdir()
-    with asked((tmp_path / "clips").resolve()) as client:
+    with open_client((tmp_path / "clips").resolve()) as client:
         key = ask(client, "POST", "/api/import", {"name": "drive", "kind": "chase"}).json()["key"]
         for file in sorted((tmp_path / "given" / "frames").iterdir()):
             client.put(f"/api/import/{key}/video?name={file.name}", content=file.read_bytes(), headers=SAME)
@@ -226,7 +228,7 @@ def test_targets_are_asked_for_only_where_there_is_a_follow_yaml_of_its_own(tmp_
     put_clip(root)
     tiny_chase.write(root / "drive", 2)
     elsewhere = tiny_chase.write(tmp_path / "secret", 2).parent
-    with asked(root) as client:
+    with open_client(root) as client:
         for address in ("/api/target?clip=road", "/api/setup?clip=drive", "/api/target?clip=../secret"):
             assert client.get(address, headers=SAME).status_code == 404
         body = {"target": tiny_chase.TARGET, "start": tiny_chase.start(0)}

@@ -21,7 +21,7 @@ from tiny_clips import put_clip
 
 from paceline.console.confinement import check_name
 from paceline.console.frames import uploads
-from paceline.console.frames.uploads import Imports
+from paceline.console.frames.uploads import Uploads
 from paceline.errors import UnusableInput
 
 
@@ -97,7 +97,7 @@ def test_what_is_no_recording_is_refused(
 
 def test_uploads_are_bounded(folder: Path, client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
     """Both by what the browser announces and by what really comes; a zip by what it really holds."""
-    monkeypatch.setattr(uploads, "LARGEST_FILE", 3 << 20)
+    monkeypatch.setattr(uploads, "MAX_RECORDING_BYTES", 3 << 20)
     key = begin(client)
     pieces = (b"x" * (1 << 20) for _ in range(64))
     endless = client.put(f"/api/import/{key}/left", params={"name": "a.mp4"}, content=pieces, headers=SAME)
@@ -109,10 +109,10 @@ def test_uploads_are_bounded(folder: Path, client: TestClient, monkeypatch: pyte
     assert len(bomb) < 100_000 and send(client, key, "left", "a.zip", bomb).status_code == 200
     assert send(client, key, "right", "a.zip", bomb).status_code == 200
     done = client.post(f"/api/import/{key}", json={"rate": 5}, headers=SAME)
-    assert done.status_code == 422 and "more than there is room for" in done.json()["reason"]
-    monkeypatch.setattr(uploads, "SPARE", 1 << 62)
+    assert done.status_code == 422 and "more than fits on the disk" in done.json()["reason"]
+    monkeypatch.setattr(uploads, "MIN_FREE_DISK_BYTES", 1 << 62)
     full = send(client, key, "rig", "b.yaml", b"x")
-    assert full.status_code == 422 and "not enough room" in full.json()["reason"]
+    assert full.status_code == 422 and "not enough free disk space" in full.json()["reason"]
     client.request("DELETE", f"/api/import/{key}", headers=SAME)
     assert sorted(p.name for p in folder.iterdir()) == ["road"]
 
@@ -154,7 +154,7 @@ def test_a_file_that_comes_twice_keeps_the_first(folder: Path, client: TestClien
     key = begin(client)
     assert send(client, key, "left", "one/a.png", b"first").status_code == 200
     again = send(client, key, "left", "two/a.png", b"second")
-    assert again.status_code == 422 and "came twice" in again.json()["reason"]
+    assert again.status_code == 422 and "sent twice" in again.json()["reason"]
     long = send(client, key, "left", "x" * 300 + ".png", b"x")
     assert long.status_code == 422 and "cannot be written" in long.json()["reason"]
     assert [p.read_bytes() for p in folder.glob(".paceline-import.*/left/*")] == [b"first"]
@@ -192,7 +192,7 @@ def test_nothing_is_imported_into_a_clip(tmp_path: Path) -> None:
     """It would lie in the clip and be listed nowhere."""
     clip = put_clip(tmp_path.resolve())
     with pytest.raises(UnusableInput, match="open the console on the folder above"):
-        Imports(clip).begin("new")
+        Uploads(clip).begin("new")
 
 
 @pytest.mark.parametrize("entry", [{}, {"left": []}, {"left": [[1, 1], [9, 9]]}, {"left": [[1, 1]] * 5},
@@ -240,5 +240,5 @@ def wait_until(true: Callable[[], object]) -> None:
 
 def test_half_done_imports_are_cleared_away(tmp_path: Path) -> None:
     (tmp_path / ".paceline-import.0123" / "left").mkdir(parents=True)
-    Imports(tmp_path.resolve())
+    Uploads(tmp_path.resolve())
     assert list(tmp_path.iterdir()) == []

@@ -48,7 +48,7 @@ MAY_IMPORT = {
     "simulation.boards": READ | {"calibration"},
     "survey": READ | {"detection", "lanes", "speed"},
     "reports": READ | MADE,
-    "console": READ | {"reports", "targets", "speed.geometry"},
+    "console": READ | {"reports", "targets", "speed.geometry", "speed.configuration", "speed.choices"},
     "commands": READ | MADE | {"reports", "console"},
     "api": READ | MADE,
     "cli": GROUND | {"commands"},

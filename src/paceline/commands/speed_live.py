@@ -42,7 +42,8 @@ def measure_live(
     from paceline.errors import UnusableInput
     from paceline.recordings.live_stereo import LiveStereo
     from paceline.reports.live.report import LiveResults
-    from paceline.survey.live import BACKGROUND_S, survey
+    from paceline.speed.configuration import DEFAULT_BACKGROUND_S
+    from paceline.survey.live import survey
     from paceline.verdicts import message
     from paceline.version import versions
 
@@ -52,7 +53,7 @@ def measure_live(
     cv2.setNumThreads(1)  # the cards are small: a second thread costs more than it does, and is wanted for measuring
     detect = None if detector is None else OnnxDetector(detector)
     views = LiveStereo(clip)
-    learning = BACKGROUND_S if learning is None else learning
+    learning = DEFAULT_BACKGROUND_S if learning is None else learning
     settings, used = {**configuration.model_dump(), "learn": learning}, versions()
     if detect is not None:
         settings["detector"], used["onnxruntime"] = detect.name, detect.runtime

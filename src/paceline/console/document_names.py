@@ -1,4 +1,4 @@
-"""What the documents of clips are called and name: recordings, rigs, cameras, targets, and live sources."""
+"""The documents of clips, and the files and live sources that they name: recordings, rigs, cameras, targets."""
 
 from __future__ import annotations
 
@@ -10,105 +10,103 @@ from typing import TypeVar, cast
 from paceline.documents.models import ClipModel, Document, FollowModel, SiteModel, StartModel, Text, read_document
 from paceline.errors import UnusableInput
 
-CLIP, FOLLOW = "clip.yaml", "follow.yaml"  # a folder that holds both is a stereo clip
-# What may be opened beyond the console's folder, by a run that a person starts: cameras, and nothing on the disk.
-STREAM = re.compile(r"(rtsps?|https?|udp|rtp|srt|rtmps?)://\S+", re.IGNORECASE)
-DEVICE = re.compile(r"/dev/video\d+")
+CLIP_FILE, FOLLOW_FILE = "clip.yaml", "follow.yaml"  # a folder that holds both is a stereo clip
+# What a run may open outside the console's folder: cameras and streams, no files.
+STREAM_PATTERN = re.compile(r"(rtsps?|https?|udp|rtp|srt|rtmps?)://\S+", re.IGNORECASE)
+DEVICE_PATTERN = re.compile(r"/dev/video\d+")
 
-
-LARGEST_DOCUMENT = 512 << 10  # bytes, of some 2500 outlined vehicles; reading YAML takes ten seconds for each MiB
-REMEMBERED = 64  # documents
+MAX_DOCUMENT_BYTES = 512 << 10  # some 2500 outlined vehicles; parsing YAML takes 10 s per MiB
+MAX_CACHED_DOCUMENTS = 64
 
 M = TypeVar("M", bound=Document)
 
 
-class ChaseModel(FollowModel):
-    """A follow.yaml on its way: the target and where it starts may still be missing."""
+class PartialFollowModel(FollowModel):
+    """A follow.yaml that may not be complete: target and start may be missing."""
 
     target: Text | None = None  # type: ignore[assignment]
     start: StartModel | None = None  # type: ignore[assignment]
 
 
-def read_small(model: type[M], file: Path) -> M:
+def read_cached(model: type[M], file: Path) -> M:
     """`read_document`, of a file that is not too large, again only once it has changed. Raises UnusableInput."""
-    check_small(file)
+    check_size(file)
     try:
         stat = file.stat()
-    except (OSError, ValueError):  # for the reading to complain of
+    except (OSError, ValueError):  # the reader reports it
         return read_document(model, file)
-    found = _read(model, file, stat.st_mtime_ns, stat.st_size)
+    found = _read_or_message(model, file, stat.st_mtime_ns, stat.st_size)
     if isinstance(found, str):
         raise UnusableInput(found)
     return cast(M, found)
 
 
-@lru_cache(REMEMBERED)
-def _read(model: type[M], file: Path, changed: int, size: int) -> M | str:
-    """The document, or what is wrong with it: several questions are asked of the same one."""
+@lru_cache(MAX_CACHED_DOCUMENTS)
+def _read_or_message(model: type[M], file: Path, changed: int, size: int) -> M | str:
+    """The document, or the message of its error; cached, as each page reads the same documents repeatedly."""
     try:
         return read_document(model, file)
     except UnusableInput as error:
         return str(error)
 
 
-def check_small(file: Path) -> None:
-    """Raises UnusableInput where the document ``file`` is larger than LARGEST_DOCUMENT; others complain of one that is
-    not there."""
+def check_size(file: Path) -> None:
+    """Raises UnusableInput where the document ``file`` exists and is larger than MAX_DOCUMENT_BYTES."""
     try:
         size = file.stat().st_size
     except (OSError, ValueError):
         return
-    if size > LARGEST_DOCUMENT:
-        raise UnusableInput(f"{file}: is larger than {LARGEST_DOCUMENT >> 10} KiB; no such file needs to be")
+    if size > MAX_DOCUMENT_BYTES:
+        raise UnusableInput(f"{file}: is larger than {MAX_DOCUMENT_BYTES >> 10} KiB; no such file needs to be")
 
 
-def is_chase(file: Path) -> bool:
-    """Whether the document ``file`` is a follow.yaml, of one camera."""
-    return file.name == FOLLOW
+def is_follow(file: Path) -> bool:
+    """Whether the document ``file`` is a follow.yaml, of one chase camera."""
+    return file.name == FOLLOW_FILE
 
 
 def recordings_of(file: Path) -> dict[str, str]:
     """The recordings that a document names, by key. Raises UnusableInput."""
-    if is_chase(file):
-        return {"video": read_small(ChaseModel, file).video}
-    model = read_small(ClipModel, file)
+    if is_follow(file):
+        return {"video": read_cached(PartialFollowModel, file).video}
+    model = read_cached(ClipModel, file)
     return {"left": model.left, "right": model.right}
 
 
 def files_of(file: Path) -> dict[str, str]:
     """The other files that a document names, by key. Raises UnusableInput."""
-    if is_chase(file):
-        chase = read_small(ChaseModel, file)
+    if is_follow(file):
+        chase = read_cached(PartialFollowModel, file)
         named = {"camera": chase.camera, "target": chase.target, "odometry": chase.odometry}
     else:
-        clip = read_small(ClipModel, file)
+        clip = read_cached(ClipModel, file)
         named = {"rig": clip.rig, "site": clip.site, "times": clip.times}
     return {key: given for key, given in named.items() if given is not None}
 
 
 def rig_of_site(site: Path) -> Path:
     """The rig.yaml that a site.yaml names. Raises UnusableInput."""
-    return site.parent / read_small(SiteModel, site).rig
+    return site.parent / read_cached(SiteModel, site).rig
 
 
 def is_live(file: Path, given: str) -> bool:
-    """Whether the recording that the document ``file`` calls ``given`` is a camera or a stream. Raises UnusableInput
-    for an address of anything else."""
-    if STREAM.fullmatch(given) or DEVICE.fullmatch(given):
+    """Whether the recording ``given`` in the document ``file`` is a camera or a stream. Raises UnusableInput for an
+    address of any other kind."""
+    if STREAM_PATTERN.fullmatch(given) or DEVICE_PATTERN.fullmatch(given):
         return True
     if "://" in given:
         raise UnusableInput(f"{file}: {without_password(given)}: expected a file, or an rtsp, http, udp or srt address")
     try:
         return (file.parent / given).is_fifo()
-    except (OSError, ValueError):  # a name too long, a zero byte: for others to complain of
+    except (OSError, ValueError):  # a name too long, a zero byte: the reader reports it
         return False
 
 
 def live_views(file: Path) -> list[str]:
-    """The live sources of a document as people may see them. Raises UnusableInput."""
+    """The live sources of a document, without passwords. Raises UnusableInput."""
     return [without_password(given) for given in recordings_of(file).values() if is_live(file, given)]
 
 
 def without_password(address: str) -> str:
-    """``address`` as messages may repeat it."""
+    """``address`` without user name and password, for messages."""
     return re.sub(r"//[^/@]*@", "//", address)

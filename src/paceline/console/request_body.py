@@ -1,4 +1,4 @@
-"""What comes with a request: bytes and JSON up to a size, refused in one line otherwise."""
+"""Reads request bodies, bytes or JSON, up to a size limit."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from fastapi import Request
 
 from paceline.errors import UnusableInput
 
-LARGEST_BODY = 4 << 20  # bytes of JSON
+MAX_JSON_BYTES = 4 << 20
 
 
-async def received_json(request: Request) -> dict[str, Any]:
-    """The JSON object that a request sends. Raises UnusableInput."""
-    body = await received(request.stream(), LARGEST_BODY)
+async def read_json(request: Request) -> dict[str, Any]:
+    """The JSON object in the body of a request. Raises UnusableInput."""
+    body = await read_body(request.stream(), MAX_JSON_BYTES)
     try:
-        found = json.loads(body, parse_constant=_no_constant)
+        found = json.loads(body, parse_constant=_refuse_constant)
     except (ValueError, RecursionError) as error:
-        raise UnusableInput("the request is no JSON") from error
+        raise UnusableInput("the request is not JSON") from error
     if not isinstance(found, dict):
-        raise UnusableInput("the request is no JSON object")
+        raise UnusableInput("the request is not a JSON object")
     return found
 
 
-async def received(stream: AsyncIterator[bytes], most: int) -> bytes:
-    """All bytes of a ``stream``, at most so many. Raises UnusableInput."""
+async def read_body(stream: AsyncIterator[bytes], most: int) -> bytes:
+    """The bytes of a ``stream``. Raises UnusableInput where there are more than ``most``."""
     content = bytearray()
     async for chunk in stream:
         content += chunk
@@ -35,5 +35,5 @@ async def received(stream: AsyncIterator[bytes], most: int) -> bytes:
     return bytes(content)
 
 
-def _no_constant(name: str) -> float:
+def _refuse_constant(name: str) -> float:
     raise ValueError(name)

@@ -1,4 +1,4 @@
-"""The console as a running server: one folder, one address, until it is told to end."""
+"""Runs the console as a web server for one folder, until the process is interrupted."""
 
 from __future__ import annotations
 
@@ -16,54 +16,57 @@ import uvicorn
 from fastapi import FastAPI
 from fastapi.staticfiles import StaticFiles
 
-from paceline.console.access_control import Guard
-from paceline.console.frames.uploads import Imports
+from paceline.console.access_control import AccessControl
+from paceline.console.frames.uploads import Uploads
 from paceline.console.library import Library
-from paceline.console.routes import add_api
+from paceline.console.routes import add_routes
 from paceline.errors import UnusableInput
 
 DEFAULT_PORT = 8640
-TRIED = 10  # ports from the default one on, where none is asked for
-PATIENCE = 30.0  # s without a sign of a page: runs may take all of the computer
+MAX_TRIED_PORTS = 10  # from DEFAULT_PORT on, if no port is given
+RECONNECT_TIMEOUT_S = 30.0  # runs may use the whole computer, so that pages respond late
 
 
-def serve(folder: Path, host: str, port: int | None, browse: bool, say: Callable[[str], None]) -> None:
-    """Serves the clips below ``folder`` until the process is told to end. Raises UnusableInput."""
+def serve(folder: Path, host: str, port: int | None, browse: bool, report: Callable[[str], None]) -> None:
+    """Serves the clips below ``folder`` until the process is interrupted; messages for the user go to ``report``.
+
+    Raises UnusableInput where the folder or the address cannot be used.
+    """
     try:
         root = folder.resolve()
         there = root.is_dir()
-    except (OSError, RuntimeError) as error:  # not ours to see, a name too long, links in a circle
+    except (OSError, RuntimeError) as error:  # no permission, a name too long, a cycle of links
         raise UnusableInput(f"{str(folder)[:200]}: cannot be read") from error
     if not there:
         raise UnusableInput(f"{folder}: is no folder; expected the one that holds the clips")
     if not os.access(root, os.R_OK | os.X_OK):
         raise UnusableInput(f"{folder}: cannot be read; expected a folder of clips")
-    listening = _listen(host, port)
+    listening = _open_socket(host, port)
     with contextlib.closing(listening):
-        address, token = _address(host, listening.getsockname()[1])
+        address, token = _public_address(host, listening.getsockname()[1])
         library = Library(root)
-        imports = Imports(root)
+        imports = Uploads(root)
         try:
             app = make_app(library, imports)
-            guarded = Guard(app, _names(address), token)
+            protected = AccessControl(app, _host_names(address), token)
             settings = uvicorn.Config(
-                guarded, log_level="warning", server_header=False, ws="websockets-sansio", timeout_graceful_shutdown=2
+                protected, log_level="warning", server_header=False, ws="websockets-sansio", timeout_graceful_shutdown=2
             )
-            say(f"The console of {root} is at {address}\nCtrl-C ends it.")
+            report(f"The console of {root} is at {address}\nCtrl-C ends it.")
             if library.read_only:
-                say("The folder cannot be written: its clips can be looked at and read, not changed or measured.")
+                report("The folder cannot be written: clips and results can be viewed, not changed or measured.")
             if browse:
                 webbrowser.open(address)
-            with contextlib.suppress(KeyboardInterrupt):  # the usual way to end it
+            with contextlib.suppress(KeyboardInterrupt):  # the usual way to stop it
                 uvicorn.Server(settings).run(sockets=[listening])
         finally:
             library.runs.close()
             imports.close()
 
 
-def make_app(library: Library, imports: Imports) -> FastAPI:
-    """The whole application, not yet guarded."""
-    # Decided when it is imported; the console keeps nothing there, and so leaves no folder of that name behind.
+def make_app(library: Library, imports: Uploads) -> FastAPI:
+    """The whole application, without access control."""
+    # NiceGUI reads this when it is imported; the console stores nothing there, so the folder is never created.
     os.environ.setdefault("NICEGUI_STORAGE_PATH", str(library.root / ".paceline-console"))
     from nicegui import ui
 
@@ -74,16 +77,16 @@ def make_app(library: Library, imports: Imports) -> FastAPI:
         yield
 
     app = FastAPI(lifespan=lifespan, docs_url=None, redoc_url=None, openapi_url=None)
-    add_api(app, library, imports)
+    add_routes(app, library, imports)
     with resources.as_file(resources.files("paceline.console") / "static") as static:
         app.mount("/static", StaticFiles(directory=static))
     add_pages(library)
-    ui.run_with(app, title="Paceline", dark=None, show_welcome_message=False, reconnect_timeout=PATIENCE)
+    ui.run_with(app, title="Paceline", dark=None, show_welcome_message=False, reconnect_timeout=RECONNECT_TIMEOUT_S)
     return app
 
 
-def _listen(host: str, port: int | None) -> socket.socket:
-    wanted = [port] if port is not None else list(range(DEFAULT_PORT, DEFAULT_PORT + TRIED))
+def _open_socket(host: str, port: int | None) -> socket.socket:
+    wanted = [port] if port is not None else list(range(DEFAULT_PORT, DEFAULT_PORT + MAX_TRIED_PORTS))
     for number in wanted:
         try:
             family, kind, _, _, where = socket.getaddrinfo(host, number, type=socket.SOCK_STREAM)[0]
@@ -99,17 +102,17 @@ def _listen(host: str, port: int | None) -> socket.socket:
         except OSError as error:
             if number == wanted[-1]:
                 raise UnusableInput(f"--host {host} --port {number}: cannot be used ({error.strerror})") from error
-    raise AssertionError("some port is always tried")
+    raise AssertionError("at least one port is tried")
 
 
-def _names(address: str) -> set[str]:
-    """What a request may call the host of ``address``."""
+def _host_names(address: str) -> set[str]:
+    """The Host headers that mean ``address``."""
     name = address.split("/")[2].removesuffix(":80")
     return {name, name.replace("127.0.0.1", "localhost"), name.replace("localhost", "127.0.0.1")}
 
 
-def _address(host: str, port: int) -> tuple[str, str | None]:
-    """Where a browser finds the console, with a token for any address that other machines can reach."""
+def _public_address(host: str, port: int) -> tuple[str, str | None]:
+    """The console's URL, with a token where other machines can reach it, and the token."""
     try:
         number = ipaddress.ip_address(host)
     except ValueError:

@@ -1,4 +1,4 @@
-"""What the target page asks for and sends: the model and its start, where its lines are, models learned or opened."""
+"""The HTTP routes of the target page: the model and its start, projected lines, models learned or uploaded."""
 
 from __future__ import annotations
 
@@ -9,83 +9,89 @@ from typing import Any
 from fastapi import APIRouter, Request
 from starlette.concurrency import run_in_threadpool
 
-from paceline.console.editing.follow_document import Chase, read_chase, save_chase
-from paceline.console.editing.target_model import checked_target, learned, outlined, placed, plain_target
-from paceline.console.frames.uploads import LARGEST_RIG
+from paceline.console.editing.follow_document import FollowSetup, read_follow_setup, save_follow_setup
+from paceline.console.editing.target_model import (
+    centred_start,
+    learn_model,
+    project_model,
+    target_as_dict,
+    validated_target,
+)
+from paceline.console.frames.uploads import MAX_YAML_BYTES
 from paceline.console.library import Library
-from paceline.console.request_body import received, received_json
-from paceline.console.runs.options import to_number, to_whole
+from paceline.console.request_body import read_body, read_json
+from paceline.console.runs.options import parse_number, parse_whole_number
 from paceline.documents.models import TargetModel, read_document
 from paceline.errors import UnusableInput
 
 
 def target_router(library: Library) -> APIRouter:
-    """The addresses of the target page."""
+    """The routes of the target page."""
     router = APIRouter()
 
     @router.get("/api/target")
     def get(clip: str) -> dict[str, Any]:
         file = library.file(clip)
-        pictures = library.gallery.chase(file)
+        pictures = library.frame_cache.chase(file)
         return {
             "size": pictures.camera.image_size,
             "frames": pictures.frames,
             "times": [round(float(t), 4) for t in pictures.times],
             "notices": pictures.notices,
-            **_shown(library, read_chase(file)),
+            **_setup_data(library, read_follow_setup(file)),
         }
 
     @router.put("/api/target")
     async def put(clip: str, request: Request) -> dict[str, Any]:
         library.refuse_read_only()
-        body, file = await received_json(request), library.file(clip)
-        pictures = await run_in_threadpool(library.gallery.chase, file)
+        body, file = await read_json(request), library.file(clip)
+        pictures = await run_in_threadpool(library.frame_cache.chase, file)
         start = body.get("start")
         if isinstance(start, dict):
-            pictures.place_of(to_whole(start.get("frame"), 10**9))
-        chase = Chase(body.get("target"), start, str(body.get("revision")))
-        return _shown(library, await run_in_threadpool(save_chase, file, pictures.camera, chase))
+            pictures.position_of(parse_whole_number(start.get("frame"), 10**9))
+        setup = FollowSetup(body.get("target"), start, str(body.get("revision")))
+        return _setup_data(library, await run_in_threadpool(save_follow_setup, file, pictures.camera, setup))
 
     @router.post("/api/outline")
     async def outline(clip: str, request: Request) -> dict[str, Any]:
-        body = await received_json(request)
-        camera = (await run_in_threadpool(library.gallery.chase, library.file(clip))).camera
-        return await run_in_threadpool(outlined, camera, body.get("target"), body.get("start"))
+        body = await read_json(request)
+        camera = (await run_in_threadpool(library.frame_cache.chase, library.file(clip))).camera
+        return await run_in_threadpool(project_model, camera, body.get("target"), body.get("start"))
 
     @router.post("/api/learn")
     async def learn(clip: str, request: Request) -> dict[str, Any]:
-        body = await received_json(request)
+        body = await read_json(request)
         box = body.get("box")
         if not isinstance(box, list) or len(box) != 4:
             raise UnusableInput("box: expected x0, y0, x1, y1 in pixels")
         name = str(body.get("name") or "vehicle ahead")
-        frame, width = to_whole(body.get("frame"), 10**9), to_number(body.get("width"))
-        return await run_in_threadpool(_learn, library, clip, frame, [to_number(v) for v in box], width, name)
+        frame, width = parse_whole_number(body.get("frame"), 10**9), parse_number(body.get("width"))
+        return await run_in_threadpool(_learn_model, library, clip, frame, [parse_number(v) for v in box], width, name)
 
     @router.post("/api/model")
     async def model(clip: str, frame: int, request: Request) -> dict[str, Any]:
         library.refuse_read_only()
-        content, file = await received(request.stream(), LARGEST_RIG), library.file(clip)
-        camera = (await run_in_threadpool(library.gallery.chase, file)).camera
-        target = await run_in_threadpool(_opened, file.parent, content)
-        return {"target": plain_target(target), "start": placed(camera, target, frame)}
+        content, file = await read_body(request.stream(), MAX_YAML_BYTES), library.file(clip)
+        camera = (await run_in_threadpool(library.frame_cache.chase, file)).camera
+        target = await run_in_threadpool(_read_model, file.parent, content)
+        return {"target": target_as_dict(target), "start": centred_start(camera, target, frame)}
 
     return router
 
 
-def _learn(library: Library, clip: str, frame: int, box: list[float], width: float, name: str) -> dict[str, Any]:
-    pictures = library.gallery.chase(library.file(clip))
-    found = learned(pictures.camera, pictures.picture(0, frame), frame, box, width, name)
-    checked_target(found["target"])
+def _learn_model(library: Library, clip: str, frame: int, box: list[float], width: float, name: str) -> dict[str, Any]:
+    pictures = library.frame_cache.chase(library.file(clip))
+    found = learn_model(pictures.camera, pictures.picture(0, frame), frame, box, width, name)
+    validated_target(found["target"])
     return found
 
 
-def _opened(folder: Path, content: bytes) -> TargetModel:
-    """The model in a file that a person gave, which lies in ``folder`` while it is read. Raises UnusableInput."""
+def _read_model(folder: Path, content: bytes) -> TargetModel:
+    """The model in an uploaded file, which is kept in ``folder`` while it is read. Raises UnusableInput."""
     file = folder / f".target.{secrets.token_hex(4)}.partial"
     try:
         file.write_bytes(content)
-        return checked_target(plain_target(read_document(TargetModel, file)))
+        return validated_target(target_as_dict(read_document(TargetModel, file)))
     except OSError as error:
         raise UnusableInput(f"{folder}: cannot be written ({error.strerror})") from error
     except UnusableInput as error:
@@ -94,6 +100,6 @@ def _opened(folder: Path, content: bytes) -> TargetModel:
         file.unlink(missing_ok=True)
 
 
-def _shown(library: Library, chase: Chase) -> dict[str, Any]:
-    problem = library.shown(UnusableInput(chase.problem))
-    return {"target": chase.target, "start": chase.start, "revision": chase.revision, "problem": problem}
+def _setup_data(library: Library, setup: FollowSetup) -> dict[str, Any]:
+    problem = library.relative_message(UnusableInput(setup.problem))
+    return {"target": setup.target, "start": setup.start, "revision": setup.revision, "problem": problem}

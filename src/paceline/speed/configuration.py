@@ -16,6 +16,7 @@ from paceline.documents.models import KnownKeys, Text, read_document
 from paceline.speed.choices import DeviceName, Motion, Resampling
 from paceline.units import SpeedUnit
 
+DEFAULT_BACKGROUND_S = 30.0  # `learn` where absent
 DIGEST = re.compile(r" \(SHA-256 [0-9a-f]{12}…\)$")  # of a detector, as a summary names it
 
 
@@ -180,7 +181,10 @@ class SpeedSettings(SpeedConfiguration):
         None, description="an ONNX detector in whose boxes vehicles are looked for, relative to the configuration file"
     )
     learn: float | None = Field(
-        None, ge=0, le=3600, description="seconds in which `--live` estimates the background; 30 where absent"
+        None,
+        ge=0,
+        le=3600,
+        description=f"seconds in which `--live` estimates the background; {DEFAULT_BACKGROUND_S:g} where absent",
     )
 
     @property

@@ -38,14 +38,13 @@ from paceline.lanes.road_detection import RoadNotFound
 from paceline.recordings.background import BACKGROUND_FRAMES, Background, background_from, background_problem
 from paceline.recordings.live_stereo import LiveStereo, RawPair, undistort_pair
 from paceline.recordings.stereo import StereoFrame
-from paceline.speed.configuration import SpeedConfiguration
+from paceline.speed.configuration import DEFAULT_BACKGROUND_S, SpeedConfiguration
 from paceline.speed.joint_calibration import with_neighbours
 from paceline.speed.measurement import measure, require_two_views
 from paceline.speed.results import Measurement
 from paceline.speed.verdict import apply_tolerance
 from paceline.verdicts import Message, message
 
-BACKGROUND_S = 30.0  # in which the background is estimated
 MAX_PAIR_SPACING_S = 0.2  # of the pairs to measure on, where every second or third is left out
 
 OnResult = Callable[[DetectedVehicle, Measurement | None, Message], None]
@@ -95,7 +94,7 @@ def survey(
     views: LiveStereo,
     configuration: SpeedConfiguration,
     on_result: OnResult,
-    background_s: float = BACKGROUND_S,
+    background_s: float = DEFAULT_BACKGROUND_S,
     on_ready: Callable[[int], None] = lambda paths: None,
     on_frame: OnFrame = lambda pair, tracks: None,
     detect: DetectBoxes | None = None,

@@ -1,4 +1,4 @@
-"""The paths and vehicles of a clip.yaml, read for editing and written back with all else as a person wrote it."""
+"""Reads the paths and vehicles of a clip.yaml for editing, and writes them back with the rest of the file unchanged."""
 
 from __future__ import annotations
 
@@ -21,61 +21,61 @@ from paceline.errors import UnusableInput
 
 Entry = dict[str, Any]
 
-DECIMALS = 2  # of a pixel or a metre as written
+COORDINATE_DECIMALS = 2  # of written pixels and metres
 
 
-class Changed(Exception):
-    """The file is not the one that was read: someone else wrote it in the meantime."""
+class FileChanged(Exception):
+    """The file has changed since it was read."""
 
 
 @dataclass(frozen=True)
-class Setup:
-    """What a person draws: ``paths`` by name and ``vehicles`` in order, as plain values in pixels of the recorded
-    images; ``revision`` is the file that they were read from."""
+class ClipSetup:
+    """Drawn ``paths`` by name and ``vehicles`` in order, as plain values in pixels of the images as recorded;
+    ``revision`` identifies the content of the file that they were read from."""
 
     paths: dict[str, Entry]
     vehicles: list[Entry]
     revision: str
 
 
-def read_setup(file: Path) -> Setup:
-    """The set-up in a clip.yaml. Raises UnusableInput."""
-    revision = revision_of(file)
+def read_clip_setup(file: Path) -> ClipSetup:
+    """The paths and vehicles in a clip.yaml. Raises UnusableInput."""
+    revision = file_revision(file)
     model = read_document(ClipModel, file)
     paths = {name: _plain(path) for name, path in (model.paths or {}).items()}
-    return Setup(paths, [_plain(vehicle) for vehicle in model.vehicles or []], revision)
+    return ClipSetup(paths, [_plain(vehicle) for vehicle in model.vehicles or []], revision)
 
 
 def read_site_paths(file: Path) -> dict[str, Entry]:
-    """The paths that a clip.yaml has from its site, none without one. Raises UnusableInput."""
+    """The paths of the site.yaml that a clip.yaml names, none if it names no site. Raises UnusableInput."""
     site = read_document(ClipModel, file).site
-    return {} if site is None else read_lanes(file.parent / site)
+    return {} if site is None else read_paths_of_site(file.parent / site)
 
 
-def read_lanes(file: Path) -> dict[str, Entry]:
+def read_paths_of_site(file: Path) -> dict[str, Entry]:
     """The paths of a site.yaml. Raises UnusableInput."""
     return {name: _plain(path) for name, path in (read_document(SiteModel, file).paths or {}).items()}
 
 
-def checked(paths: Mapping[str, Entry], vehicles: list[Entry]) -> tuple[dict[str, Entry], list[Entry]]:
-    """The same with numbers rounded as they are written. Raises UnusableInput for what a clip.yaml may not hold."""
+def validated_setup(paths: Mapping[str, Entry], vehicles: list[Entry]) -> tuple[dict[str, Entry], list[Entry]]:
+    """``paths`` and ``vehicles``, rounded as they are written. Raises UnusableInput where they are invalid."""
     try:
         model = ClipModel.model_validate({"left": "-", "right": "-", "paths": dict(paths), "vehicles": vehicles})
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"] if part != "[key]")
         raise UnusableInput(f"{where}: {first['msg'].removeprefix('Value error, ')}") from error
-    known = {name: _rounded(_plain(path)) for name, path in (model.paths or {}).items()}
-    return known, [_rounded(_plain(vehicle)) for vehicle in model.vehicles or []]
+    known = {name: _rounded_entry(_plain(path)) for name, path in (model.paths or {}).items()}
+    return known, [_rounded_entry(_plain(vehicle)) for vehicle in model.vehicles or []]
 
 
-def save_setup(file: Path, setup: Setup) -> Setup:
-    """Puts ``setup`` into the clip.yaml ``file`` in one step. Raises Changed where it is not of the setup's revision,
-    UnusableInput where it could not be measured from then on."""
-    if revision_of(file) != setup.revision:
-        raise Changed
-    paths, vehicles = checked(setup.paths, setup.vehicles)
-    text = with_setup(file.read_text(encoding="utf-8"), str(file), paths, vehicles)
+def save_clip_setup(file: Path, setup: ClipSetup) -> ClipSetup:
+    """Writes ``setup`` into the clip.yaml ``file`` atomically. Raises FileChanged where the file has another revision,
+    UnusableInput where the clip could not be measured with it."""
+    if file_revision(file) != setup.revision:
+        raise FileChanged
+    paths, vehicles = validated_setup(setup.paths, setup.vehicles)
+    text = with_clip_setup(file.read_text(encoding="utf-8"), str(file), paths, vehicles)
     partial = file.with_name(f".{file.name}.{secrets.token_hex(4)}.partial")
     try:
         partial.write_text(text, encoding="utf-8")
@@ -89,33 +89,36 @@ def save_setup(file: Path, setup: Setup) -> Setup:
         raise UnusableInput(f"{file}: cannot be written ({error.strerror})") from error
     finally:
         partial.unlink(missing_ok=True)
-    return read_setup(file)
+    return read_clip_setup(file)
 
 
-def with_setup(text: str, file: str, paths: Mapping[str, Entry], vehicles: list[Entry]) -> str:
-    """``text`` of a clip.yaml with these ``paths`` and ``vehicles``; entries that stay the same keep their lines and
-    comments, and everything else stands as it was. Raises UnusableInput where the file is written too unusually."""
+def with_clip_setup(text: str, file: str, paths: Mapping[str, Entry], vehicles: list[Entry]) -> str:
+    """``text`` of a clip.yaml with these ``paths`` and ``vehicles``; unchanged entries keep their lines and
+    comments, and the rest of the file stays as it is. Raises UnusableInput where the file's style does not allow it."""
     try:
         new = _with_section(text, "paths", list(paths.items()))
         new = _with_section(new, "vehicles", [(vehicle["id"], vehicle) for vehicle in vehicles])
         before, after = ({**yaml.safe_load(t), "paths": None, "vehicles": None} for t in (text, new))
-        kept = before == after and _contents(ClipModel.model_validate(yaml.safe_load(new))) == (dict(paths), vehicles)
+        kept = before == after and _plain_setup(ClipModel.model_validate(yaml.safe_load(new))) == (
+            dict(paths),
+            vehicles,
+        )
     except (yaml.YAMLError, ValidationError):
         kept = False
     if not kept:
         raise UnusableInput(
-            f"{file}: paths and vehicles: are written in a way that cannot be added to; expected one key per line"
+            f"{file}: paths and vehicles: are written in a way that cannot be edited; expected one key per line"
         )
     return new
 
 
-def _contents(model: ClipModel) -> tuple[dict[str, Entry], list[Entry]]:
+def _plain_setup(model: ClipModel) -> tuple[dict[str, Entry], list[Entry]]:
     paths = {name: _plain(path) for name, path in (model.paths or {}).items()}
     return paths, [_plain(vehicle) for vehicle in model.vehicles or []]
 
 
-def revision_of(file: Path) -> str:
-    """What changes when the ``file`` does. Raises UnusableInput."""
+def file_revision(file: Path) -> str:
+    """A digest of the ``file``. Raises UnusableInput."""
     try:
         return hashlib.sha256(file.read_bytes()).hexdigest()[:16]
     except OSError as error:
@@ -123,14 +126,15 @@ def revision_of(file: Path) -> str:
 
 
 def _plain(model: PathModel | VehicleModel) -> Entry:
-    """What is given, in the order of the file format, as values that JSON and YAML know."""
+    """The keys that are given, in the order of the file format, as plain JSON and YAML values."""
     given = {key: getattr(model, key) for key in type(model).model_fields if key in model.model_fields_set}
     return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in given.items() if v is not None}
 
 
-def _rounded(entry: Entry) -> Entry:
+def _rounded_entry(entry: Entry) -> Entry:
     return {
-        key: np.round(value, DECIMALS).tolist() if key in ("left", "right") else value for key, value in entry.items()
+        key: np.round(value, COORDINATE_DECIMALS).tolist() if key in ("left", "right") else value
+        for key, value in entry.items()
     }
 
 
@@ -144,7 +148,7 @@ def _with_section(text: str, section: str, entries: list[tuple[str, Entry]]) -> 
     lines = text.splitlines()
     found = {key.value: (key, value) for key, value in root.value} if isinstance(root, yaml.MappingNode) else {}
     if section not in found:
-        body = [line for name, entry in entries for line in _lines(section, name, entry, 2)]
+        body = [line for name, entry in entries for line in _entry_lines(section, name, entry, 2)]
         return "\n".join([*lines, *([f"{section}:", *body] if body else [])]) + "\n"
     key, value = found[section]
     begin = key.start_mark.line
@@ -152,29 +156,34 @@ def _with_section(text: str, section: str, entries: list[tuple[str, Entry]]) -> 
     if in_lines and value.start_mark.line > begin:
         starts = [(e[0] if isinstance(e, tuple) else e).start_mark.line for e in value.value]
         indent = len(lines[starts[0]]) - len(lines[starts[0]].lstrip())
-        end = _end(lines, value, starts[-1], indent)
+        end = _section_end(lines, value, starts[-1], indent)
         starts = [_with_comments(lines, start, begin, indent) for start in starts]
-        old = {_key(v): lines[a:b] for v, a, b in zip(_old(section, text), starts, [*starts[1:], end], strict=True)}
+        old = {
+            _entry_key(v): lines[a:b]
+            for v, a, b in zip(_existing_entries(section, text), starts, [*starts[1:], end], strict=True)
+        }
         head = lines[begin : starts[0]]
     else:  # nothing, or all in one line
         old, indent = {}, key.start_mark.column + 2
         end = max(value.end_mark.line + (value.end_mark.column > 0), begin + 1)
         head = [f"{section}:"]
-    body = [line for name, e in entries for line in old.get(_key((name, e)), _lines(section, name, e, indent))]
+    body = [
+        line for name, e in entries for line in old.get(_entry_key((name, e)), _entry_lines(section, name, e, indent))
+    ]
     return "\n".join([*lines[:begin], *([*head, *body] if body else []), *lines[end:]]) + "\n"
 
 
-def _old(section: str, text: str) -> list[tuple[str, Entry]]:
-    paths, vehicles = _contents(ClipModel.model_validate(yaml.safe_load(text)))
+def _existing_entries(section: str, text: str) -> list[tuple[str, Entry]]:
+    paths, vehicles = _plain_setup(ClipModel.model_validate(yaml.safe_load(text)))
     return list(paths.items()) if section == "paths" else [(vehicle["id"], vehicle) for vehicle in vehicles]
 
 
-def _key(entry: tuple[str, Entry]) -> str:
+def _entry_key(entry: tuple[str, Entry]) -> str:
     return repr(entry)
 
 
-def _end(lines: list[str], value: yaml.Node, last: int, indent: int) -> int:
-    """The line after a section; empty lines and comments further left belong to what follows."""
+def _section_end(lines: list[str], value: yaml.Node, last: int, indent: int) -> int:
+    """The line after a section; empty lines and less indented comments belong to the next one."""
     mark = value.end_mark
     end = mark.line if mark.column == 0 else mark.line + 1
     while end > last + 1:
@@ -186,13 +195,13 @@ def _end(lines: list[str], value: yaml.Node, last: int, indent: int) -> int:
 
 
 def _with_comments(lines: list[str], start: int, begin: int, indent: int) -> int:
-    """The first of the comment lines right above an entry, indented as it is."""
+    """The first of the comment lines right above an entry that are indented like it."""
     while start - 1 > begin and lines[start - 1].startswith(" " * indent + "#"):
         start -= 1
     return start
 
 
-def _lines(section: str, name: str, entry: Entry, indent: int) -> list[str]:
+def _entry_lines(section: str, name: str, entry: Entry, indent: int) -> list[str]:
     pad = " " * indent
     if section == "paths":
         return [f"{pad}{format_flow(name)}:", *(f"{pad}  {key}: {format_flow(value)}" for key, value in entry.items())]

@@ -1,4 +1,4 @@
-"""A point set by hand, moved to the edge or corner that was meant."""
+"""Moves a drawn point to the nearest strong edge or corner of the image."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ import numpy as np
 from paceline.arrays import Array, Image
 from paceline.subpixel import parabola_peak
 
-LARGEST_REACH = 12  # px
-CONTRAST = 6.0  # grey levels per pixel: less is no edge
-CORNER = 0.25  # the weaker gradient's share of the stronger from which on a place is a corner
+MAX_REACH_PX = 12
+MIN_GRADIENT_PER_PX = 6.0  # grey levels per pixel, of an edge
+MIN_CORNER_GRADIENT_RATIO = 0.25  # of the weaker to the stronger gradient, of a corner
 
 
-def snapped(image: Image, point: Array, reach: float) -> Array:
+def snap_point(image: Image, point: Array, reach: float) -> Array:
     """``point`` (2,) moved by at most ``reach`` pixels to the corner, or else the edge, of the grey ``image`` (H, W)
-    that is strongest for its distance; where nothing stands out, the point as it was."""
-    reach = min(reach, LARGEST_REACH)
+    that is strongest for its distance; the point as it was where there is none."""
+    reach = min(reach, MAX_REACH_PX)
     x, y = (int(round(float(v))) for v in point)
     margin = int(np.ceil(reach)) + 3
     height, width = image.shape
@@ -28,24 +28,27 @@ def snapped(image: Image, point: Array, reach: float) -> Array:
     far = np.hypot(places[None, :] + x - point[0], places[:, None] + y - point[1])
     weight = np.where(far <= reach, np.exp(-0.5 * (far / (0.5 * reach)) ** 2), 0.0)
     strength = np.hypot(gx, gy)
-    if (strength * (weight > 0)).max() < CONTRAST:
+    if (strength * (weight > 0)).max() < MIN_GRADIENT_PER_PX:
         return np.asarray(point, float)
     sums = [cv2.GaussianBlur(a, (0, 0), 1.5) for a in (gx * gx, gx * gy, gy * gy)]
     half, spread = (sums[0] + sums[2]) / 2, np.hypot((sums[0] - sums[2]) / 2, sums[1])
     weaker = np.maximum(half - spread, 0.0)
     corner = np.unravel_index(int(np.argmax(weaker * weight)), weaker.shape)
-    if weaker[corner] > CORNER**2 * (half + spread)[corner] and np.sqrt(weaker[corner]) > CONTRAST / 2:
+    if (
+        weaker[corner] > MIN_CORNER_GRADIENT_RATIO**2 * (half + spread)[corner]
+        and np.sqrt(weaker[corner]) > MIN_GRADIENT_PER_PX / 2
+    ):
         start = np.array([[[x + corner[1] - margin, y + corner[0] - margin]]], np.float32)
         criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.01)
         found = cv2.cornerSubPix(image, start, (4, 4), (-1, -1), criteria).reshape(2).astype(float)
         if np.linalg.norm(found - point) <= reach:
             return np.asarray(found)
     edge = np.unravel_index(int(np.argmax(strength * weight)), strength.shape)
-    return _on_edge(strength, gx, gy, edge) + [x - margin, y - margin]
+    return _edge_position(strength, gx, gy, edge) + [x - margin, y - margin]
 
 
-def _on_edge(strength: Image, gx: Image, gy: Image, at: tuple[np.intp, ...]) -> Array:
-    """The edge's place (2,) along its gradient by a parabola through three samples, pixels of the window."""
+def _edge_position(strength: Image, gx: Image, gy: Image, at: tuple[np.intp, ...]) -> Array:
+    """The edge's position (2,) along its gradient, by a parabola through three samples; pixels of the window."""
     row, column = (int(v) for v in at)
     place = np.array([column, row], float)
     along = np.array([gx[row, column], gy[row, column]], float)

@@ -1,4 +1,4 @@
-"""The target and the start of a follow.yaml, read for editing and written back with all else as a person wrote it."""
+"""Reads the target and the start of a follow.yaml for editing, and writes them back, the rest of the file unchanged."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from paceline.cameras import Camera
-from paceline.console.document_names import ChaseModel
-from paceline.console.editing.clip_document import Changed, revision_of
-from paceline.console.editing.target_model import checked_start, checked_target, plain_target
+from paceline.console.document_names import PartialFollowModel
+from paceline.console.editing.clip_document import FileChanged, file_revision
+from paceline.console.editing.target_model import target_as_dict, validated_start, validated_target
 from paceline.documents.loading import load_follow
 from paceline.documents.models import TargetModel, read_document
 from paceline.documents.yaml_editing import Plain, format_flow, set_values
 from paceline.errors import UnusableInput
 from paceline.reports.common.output_folder import write_all_or_none
 
-DECIMALS = 2  # of a pixel as written
+CENTER_DECIMALS = 2  # of written pixels
 SCALE_DECIMALS = 5
 
 
 @dataclass(frozen=True)
-class Chase:
-    """What a person places: the ``target`` model and its ``start``, None while there is none; ``revision`` is the file
-    that they were read from, ``problem`` says why there is no target although the file names one."""
+class FollowSetup:
+    """The ``target`` model and its ``start``, None while there is none; ``revision`` identifies the content of the file
+    that they were read from, ``problem`` is why the target that the file names cannot be used."""
 
     target: Plain | None
     start: Plain | None
@@ -32,46 +32,46 @@ class Chase:
     problem: str = ""
 
 
-def read_chase(file: Path) -> Chase:
+def read_follow_setup(file: Path) -> FollowSetup:
     """The target and the start in a follow.yaml. Raises UnusableInput."""
-    revision = revision_of(file)
-    model = read_document(ChaseModel, file)
+    revision = file_revision(file)
+    model = read_document(PartialFollowModel, file)
     target, problem = None, ""
     if model.target is not None:
         try:
-            target = plain_target(read_document(TargetModel, file.parent / model.target))
-            checked_target(target)
+            target = target_as_dict(read_document(TargetModel, file.parent / model.target))
+            validated_target(target)
         except UnusableInput as error:
             target, problem = None, str(error)
     start = None
     if model.start is not None:
         start = {"frame": model.start.frame, "center": model.start.center.tolist(), "scale": model.start.scale}
-    return Chase(target, start, revision, problem)
+    return FollowSetup(target, start, revision, problem)
 
 
-def save_chase(file: Path, camera: Camera, chase: Chase) -> Chase:
-    """Puts the target and the start of ``chase`` into the follow.yaml ``file``, and a target that has changed into a
-    new file beside it. Raises Changed where ``file`` is not of that revision, UnusableInput where nothing could be
-    followed from then on."""
-    if revision_of(file) != chase.revision:
-        raise Changed
-    target = checked_target(chase.target)
-    start = checked_start(camera, target, chase.start)
-    center = [round(float(value), DECIMALS) for value in start.center]
+def save_follow_setup(file: Path, camera: Camera, setup: FollowSetup) -> FollowSetup:
+    """Writes the target and the start of ``setup`` into the follow.yaml ``file``, and a changed target into a new file
+    beside it. Raises FileChanged where ``file`` has another revision, UnusableInput where nothing could be followed
+    with them."""
+    if file_revision(file) != setup.revision:
+        raise FileChanged
+    target = validated_target(setup.target)
+    start = validated_start(camera, target, setup.start)
+    center = [round(float(value), CENTER_DECIMALS) for value in start.center]
     values: Plain = {"start": {"frame": start.frame, "center": center, "scale": round(start.scale, SCALE_DECIMALS)}}
     contents: dict[Path, bytes] = {}
-    if read_chase(file).target != plain_target(target):
-        named = _free(file.parent)
+    if read_follow_setup(file).target != target_as_dict(target):
+        named = _unused_target_file(file.parent)
         values["target"] = named.name
-        contents[named] = target_text(target).encode()
+        contents[named] = target_yaml(target).encode()
     new = set_values(file.read_text(encoding="utf-8"), str(file), values)
-    _check(file, new, contents)
+    _check_loadable(file, new, contents)
     write_all_or_none({**contents, file: new.encode()})
-    return read_chase(file)
+    return read_follow_setup(file)
 
 
-def _check(file: Path, text: str, contents: dict[Path, bytes]) -> None:
-    """Raises UnusableInput where the follow.yaml ``file`` would be none with this ``text`` and ``contents`` beside."""
+def _check_loadable(file: Path, text: str, contents: dict[Path, bytes]) -> None:
+    """Raises UnusableInput where ``file`` with this ``text``, and ``contents`` beside it, could not be loaded."""
     written = [*contents, file.with_name(f".{file.name}.{secrets.token_hex(4)}.partial")]
     try:
         for path, content in zip(written, [*contents.values(), text.encode()], strict=True):
@@ -87,14 +87,14 @@ def _check(file: Path, text: str, contents: dict[Path, bytes]) -> None:
                 path.unlink()
 
 
-def _free(folder: Path) -> Path:
-    """A name for a new model; one that is there already may be someone's work, and stays."""
+def _unused_target_file(folder: Path) -> Path:
+    """A file name for a new model that no existing file has."""
     names = ("target.yaml", *(f"target-{number}.yaml" for number in range(2, 10_000)))
     return next(path for name in names if not (path := folder / name).exists() and not path.is_symlink())
 
 
-def target_text(target: TargetModel) -> str:
-    """``target`` as target.yaml, without corners that no line uses."""
+def target_yaml(target: TargetModel) -> str:
+    """``target`` as target.yaml, without unused corners."""
     used = {name for pair in target.segments for name in pair}
     corners = [
         f"  {format_flow(n)}: {format_flow([round(float(v), 4) for v in c])}"

@@ -1,4 +1,4 @@
-"""The line model of the vehicle ahead on the camera's picture: where its lines are, and models learned from a box."""
+"""The line model of the vehicle ahead in the image: its projection, and models learned from a drawn box."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from paceline.targets.learning import corner_names, learn_target
 
 Plain = dict[str, Any]
 
-ALONG = 5  # places of each line that are shown: a lens bends it
-FEW = 8  # lines below which a vehicle may be taken for another
-USUAL = 0.25  # of the picture's width: how large a model is first shown
+POINTS_PER_LINE = 5  # of the shown polyline: lens distortion bends it
+MIN_RECOMMENDED_LINES = 8  # fewer may match another vehicle
+INITIAL_WIDTH_SHARE = 0.25  # of the image width, for a model that is not placed yet
 
 
-def checked_target(target: object) -> TargetModel:
-    """``target`` as target.yaml may hold it. Raises UnusableInput, naming the key."""
+def validated_target(target: object) -> TargetModel:
+    """The validated ``target`` of a target.yaml. Raises UnusableInput, naming the key."""
     try:
         model = TargetModel.model_validate(target)
     except ValidationError as error:
-        raise UnusableInput(f"target: {_first(error)}") from error
+        raise UnusableInput(f"target: {_first_error(error)}") from error
     for i, (a, b) in enumerate(model.segments):
         if wrong := check_segment(a, b, model.corners):
             raise UnusableInput(f"segments[{i}]: {wrong}")
@@ -36,28 +36,28 @@ def checked_target(target: object) -> TargetModel:
     return model
 
 
-def checked_start(camera: Camera, target: TargetModel, start: object) -> StartModel:
-    """``start`` as follow.yaml may hold it. Raises UnusableInput, naming the key."""
+def validated_start(camera: Camera, target: TargetModel, start: object) -> StartModel:
+    """The validated ``start`` of a follow.yaml. Raises UnusableInput, naming the key."""
     try:
         model = StartModel.model_validate(start)
     except ValidationError as error:
-        raise UnusableInput(f"start: {_first(error)}") from error
+        raise UnusableInput(f"start: {_first_error(error)}") from error
     ends = np.array([target.corners[name] for pair in target.segments for name in pair])
     if wrong := check_start(model.center, model.scale, ends * _magnification(camera, target), camera.image_size):
         raise UnusableInput(f"{wrong[0]}: {wrong[1]}")
     return model
 
 
-def outlined(camera: Camera, target: object, start: object) -> Plain:
-    """Where the model's lines are in the picture as recorded, (S, ALONG, 2) px, with what it is in space; ``problem``
-    where it cannot be followed from there, ``doubt`` where that is unlikely to work."""
-    model = checked_target(target)
+def project_model(camera: Camera, target: object, start: object) -> Plain:
+    """Projects the model's lines into the image as recorded, (S, POINTS_PER_LINE, 2) px, and gives its distance and
+    size; ``problem`` where it cannot be followed from there, ``warning`` where following it is unlikely to work."""
+    model = validated_target(target)
     try:
         place = StartModel.model_validate(start)
     except ValidationError as error:
-        raise UnusableInput(f"start: {_first(error)}") from error
+        raise UnusableInput(f"start: {_first_error(error)}") from error
     ends = np.array([[model.corners[a], model.corners[b]] for a, b in model.segments])
-    share = np.linspace(0, 1, ALONG)[:, None]
+    share = np.linspace(0, 1, POINTS_PER_LINE)[:, None]
     metres = ends[:, :1] * (1 - share) + ends[:, 1:] * share
     with np.errstate(all="ignore"):
         ideal = camera.undistort_points(place.center) + place.scale * _magnification(camera, model) * metres
@@ -71,17 +71,17 @@ def outlined(camera: Camera, target: object, start: object) -> Plain:
         "size_px": np.round(size, 1).tolist(),
     }
     try:
-        checked_start(camera, model, start)
+        validated_start(camera, model, start)
     except UnusableInput as error:
         facts["problem"] = str(error)
-    if len(model.segments) < FEW:
-        facts["doubt"] = f"{len(model.segments)} lines are few to tell a vehicle by; {FEW} or more are better"
+    if len(model.segments) < MIN_RECOMMENDED_LINES:
+        facts["warning"] = f"{len(model.segments)} lines are few: {MIN_RECOMMENDED_LINES} or more are recommended"
     return facts
 
 
-def learned(camera: Camera, picture: Image, frame: int, box: list[float], width: float, name: str) -> Plain:
-    """The model of what a ``box`` (x0, y0, x1, y1) in the ``picture`` of a ``frame`` encloses, ``width`` m wide, and
-    where it starts. Raises UnusableInput."""
+def learn_model(camera: Camera, picture: Image, frame: int, box: list[float], width: float, name: str) -> Plain:
+    """Learns a model from the lines inside a ``box`` (x0, y0, x1, y1) of a ``frame``'s ``picture`` that is ``width`` m
+    wide; returns it with its start. Raises UnusableInput."""
     x0, y0, x1, y1 = box
     try:
         found = learn_target(picture, (x0, y0, x1, y1), width, camera, name)
@@ -98,16 +98,20 @@ def learned(camera: Camera, picture: Image, frame: int, box: list[float], width:
     return {"target": target, "start": {"frame": frame, "center": found.center.tolist(), "scale": 1.0}}
 
 
-def placed(camera: Camera, target: TargetModel, frame: int) -> Plain:
-    """A start in the middle of the picture, for a person to move it."""
+def centred_start(camera: Camera, target: TargetModel, frame: int) -> Plain:
+    """A start in the middle of the image, at INITIAL_WIDTH_SHARE."""
     corners = np.array(list(target.corners.values()))
     width = float(np.ptp(corners[:, 0]) * _magnification(camera, target)[0])
     middle = [(size - 1) / 2 for size in camera.image_size]
-    return {"frame": frame, "center": middle, "scale": round(USUAL * camera.image_size[0] / max(width, 1e-6), 4)}
+    return {
+        "frame": frame,
+        "center": middle,
+        "scale": round(INITIAL_WIDTH_SHARE * camera.image_size[0] / max(width, 1e-6), 4),
+    }
 
 
-def plain_target(model: TargetModel) -> Plain:
-    """``model`` as values that JSON and YAML know."""
+def target_as_dict(model: TargetModel) -> Plain:
+    """``model`` as plain JSON and YAML values."""
     corners = {name: corner.tolist() for name, corner in model.corners.items()}
     return {**model.model_dump(exclude={"corners"}, exclude_none=True), "corners": corners, "segments": model.segments}
 
@@ -117,7 +121,7 @@ def _magnification(camera: Camera, target: TargetModel) -> Array:
     return np.array([camera.K[0, 0], camera.K[1, 1]]) / target.nominal_range
 
 
-def _first(error: ValidationError) -> str:
+def _first_error(error: ValidationError) -> str:
     first = error.errors()[0]
     where = ".".join(str(part) for part in first["loc"] if part != "[key]")
     return f"{where}: {first['msg'].removeprefix('Value error, ')}"

@@ -1,4 +1,4 @@
-"""The pictures of clips as they were recorded, for looking at: opened once, decoded in order, kept a while as JPEG."""
+"""Cache of decoded frames for display: recordings are opened once, decoded in order, frames kept as JPEG."""
 
 from __future__ import annotations
 
@@ -13,29 +13,29 @@ from numpy.typing import NDArray
 
 from paceline.arrays import Array, Image
 from paceline.cameras import Camera
-from paceline.console.confinement import NotHere, check_document, named_files
-from paceline.console.document_names import ChaseModel, is_chase, live_views, read_small
+from paceline.console.confinement import NotFound, check_document, named_files
+from paceline.console.document_names import PartialFollowModel, is_follow, live_views, read_cached
 from paceline.documents.loading import Clip, load_camera, load_clip_recording
 from paceline.errors import UnusableInput
 from paceline.recordings.image_sources import ImageSource, open_source
 from paceline.recordings.stereo import StereoRecording, open_recording
 
 Numbers = NDArray[np.int64]
-Stamps = tuple[tuple[Path, int, int], ...]
+FileStamps = tuple[tuple[Path, int, int], ...]
 
-VIEWS = ("left", "right")
-OPEN_AT_ONCE = 4  # clips
-KEPT = 96 << 20  # bytes of JPEG
-READ_ON = 12  # pairs that are rather decoded on the way than sought anew
-QUALITY = 90
-THUMBNAIL = 320  # px wide
+VIEW_NAMES = ("left", "right")
+MAX_OPEN_CLIPS = 4
+MAX_JPEG_BYTES = 96 << 20
+MAX_FORWARD_FRAMES = 12  # decoded one after the other; farther ahead the decoder seeks
+JPEG_QUALITY = 90
+THUMBNAIL_WIDTH_PX = 320
 
 
-class Pictures:
-    """The pictures of a recording in any order, though fastest forwards; several threads may ask.
+class RecordingFrames:
+    """Random access to the frames of a recording; fastest forwards, and thread-safe.
 
-    ``frames`` are the numbers that its document counts by, ``times`` (N,) their seconds; picture k of view v is the one
-    with the number ``numbers[v][k]`` of ``sources[v]``.
+    ``frames`` are the frame numbers that its document uses, ``times`` (N,) their seconds; frame k of view v is
+    number ``numbers[v][k]`` of ``sources[v]``.
     """
 
     def __init__(
@@ -46,33 +46,33 @@ class Pictures:
         self._sources, self._numbers = sources, numbers
         self._lock = threading.Lock()
         self._streams: list[Iterator[Image | None] | None] = [None for _ in sources]
-        self._next = [0 for _ in sources]  # picture at which each stream stands
+        self._next = [0 for _ in sources]  # position of each stream
 
     @property
     def seconds(self) -> float:
-        """How long the recording lasts."""
+        """Duration of the recording."""
         return float(self.times[-1] - self.times[0]) if len(self.times) else 0.0
 
-    def place_of(self, frame: int) -> int:
-        """The place of the ``frame`` in the recording. Raises UnusableInput where it is not there."""
-        place = int(np.searchsorted(self.frames, frame))
-        if place >= len(self.frames) or self.frames[place] != frame:
+    def position_of(self, frame: int) -> int:
+        """The position of the ``frame`` in the recording. Raises UnusableInput where there is none."""
+        position = int(np.searchsorted(self.frames, frame))
+        if position >= len(self.frames) or self.frames[position] != frame:
             raise UnusableInput(f"frame {frame}: is not in the recording")
-        return place
+        return position
 
     def picture(self, view: int, frame: int) -> Image:
         """The grey image (H, W), 0–255, of a ``view`` (0 left or the only one, 1 right) in ``frame``, as recorded."""
         if view >= len(self._sources):
             raise UnusableInput(f"view {view}: the recording has one view only")
-        place = self.place_of(frame)
+        position = self.position_of(frame)
         with self._lock:
             stream = self._streams[view]
-            if stream is None or not 0 <= place - self._next[view] <= READ_ON:
-                stream = self._streams[view] = self._sources[view].read(self._numbers[view][place:].tolist())
-                self._next[view] = place
+            if stream is None or not 0 <= position - self._next[view] <= MAX_FORWARD_FRAMES:
+                stream = self._streams[view] = self._sources[view].read(self._numbers[view][position:].tolist())
+                self._next[view] = position
             image = None
             try:
-                while self._next[view] <= place:
+                while self._next[view] <= position:
                     image = next(stream)
                     self._next[view] += 1
             except BaseException:
@@ -83,11 +83,11 @@ class Pictures:
         return image
 
     def _name(self, view: int) -> str:
-        return VIEWS[view] if len(self._sources) > 1 else "video"
+        return VIEW_NAMES[view] if len(self._sources) > 1 else "video"
 
 
-class StereoPictures(Pictures):
-    """The pairs of a clip.yaml's recording; frames are the left view's."""
+class StereoFrames(RecordingFrames):
+    """The frames of a clip.yaml's recording, numbered as in the left view."""
 
     def __init__(self, file: Path) -> None:
         self.clip: Clip = load_clip_recording(file)
@@ -98,11 +98,11 @@ class StereoPictures(Pictures):
         )
 
 
-class ChasePictures(Pictures):
+class ChaseFrames(RecordingFrames):
     """The frames of a follow.yaml's recording."""
 
     def __init__(self, file: Path) -> None:
-        model = read_small(ChaseModel, file)
+        model = read_cached(PartialFollowModel, file)
         self.camera: Camera = load_camera(file.parent / model.camera)
         source = open_source(file.parent / model.video, model.bit_depth)
         if source.times is None and model.rate is None:
@@ -118,32 +118,32 @@ class ChasePictures(Pictures):
         super().__init__([source], [numbers], numbers, times)
 
 
-class Gallery:
-    """The clips that are being looked at."""
+class FrameCache:
+    """The opened clips below the folder ``root``, and JPEGs of their frames."""
 
     def __init__(self, root: Path) -> None:
         self._root = root
         self._lock = threading.Lock()
-        self._opened: OrderedDict[Path, tuple[Stamps, StereoPictures | ChasePictures]] = OrderedDict()
-        self._jpegs: OrderedDict[tuple[Pictures, int, int], bytes] = OrderedDict()  # view -1: a thumbnail
+        self._opened: OrderedDict[Path, tuple[FileStamps, StereoFrames | ChaseFrames]] = OrderedDict()
+        self._jpegs: OrderedDict[tuple[RecordingFrames, int, int], bytes] = OrderedDict()  # view -1: a thumbnail
         self._size = 0
 
-    def stereo(self, file: Path) -> StereoPictures:
-        """The pairs of a clip.yaml. Raises UnusableInput, NotHere for another document."""
+    def stereo(self, file: Path) -> StereoFrames:
+        """The frames of a clip.yaml. Raises UnusableInput, NotFound for another document."""
         pictures = self.open(file)
-        if not isinstance(pictures, StereoPictures):
-            raise NotHere(file.name)
+        if not isinstance(pictures, StereoFrames):
+            raise NotFound(file.name)
         return pictures
 
-    def chase(self, file: Path) -> ChasePictures:
-        """The frames of a follow.yaml. Raises UnusableInput, NotHere for another document."""
+    def chase(self, file: Path) -> ChaseFrames:
+        """The frames of a follow.yaml. Raises UnusableInput, NotFound for another document."""
         pictures = self.open(file)
-        if not isinstance(pictures, ChasePictures):
-            raise NotHere(file.name)
+        if not isinstance(pictures, ChaseFrames):
+            raise NotFound(file.name)
         return pictures
 
-    def open(self, file: Path) -> StereoPictures | ChasePictures:
-        """The pictures of a clip.yaml or follow.yaml, opened anew once a file has changed. Raises UnusableInput."""
+    def open(self, file: Path) -> StereoFrames | ChaseFrames:
+        """The frames of a clip.yaml or follow.yaml, reopened once a file has changed. Raises UnusableInput."""
         with self._lock:
             known = self._opened.get(file)
             if known is not None and is_unchanged(known[0]):
@@ -151,49 +151,49 @@ class Gallery:
                 return known[1]
         check_document(self._root, file)
         if views := live_views(file):
-            raise UnusableInput(f"{file}: {views[0]} is a live source; its pictures are not shown here")
-        stamps = stamps_of(named_files(self._root, file))
-        pictures = ChasePictures(file) if is_chase(file) else StereoPictures(file)
+            raise UnusableInput(f"{file}: {views[0]} is a live source; its frames are not shown here")
+        stamps = file_stamps(named_files(self._root, file))
+        pictures = ChaseFrames(file) if is_follow(file) else StereoFrames(file)
         with self._lock:
             self._opened[file] = stamps, pictures
-            while len(self._opened) > OPEN_AT_ONCE:
+            while len(self._opened) > MAX_OPEN_CLIPS:
                 self._opened.popitem(last=False)
         return pictures
 
     def jpeg(self, file: Path, view: int, frame: int) -> bytes:
-        """One picture as JPEG."""
+        """One frame as JPEG."""
         key = self.open(file), view, frame
-        return self._kept(key) or self._keep(key, _jpeg(key[0].picture(view, frame)))
+        return self._kept(key) or self._keep(key, _encode_jpeg(key[0].picture(view, frame)))
 
     def thumbnail(self, file: Path) -> bytes:
-        """The first picture, of the left view, small, as JPEG."""
+        """The first frame of the left view, THUMBNAIL_WIDTH_PX wide, as JPEG."""
         pictures = self.open(file)
         key = pictures, -1, 0
         kept = self._kept(key)
         if kept is not None:
             return kept
         image = pictures.picture(0, pictures.frames[0])
-        height = max(round(THUMBNAIL * image.shape[0] / image.shape[1]), 1)
-        small = cv2.resize(image, (THUMBNAIL, height), interpolation=cv2.INTER_AREA)
-        return self._keep(key, _jpeg(np.asarray(small, np.float32)))
+        height = max(round(THUMBNAIL_WIDTH_PX * image.shape[0] / image.shape[1]), 1)
+        small = cv2.resize(image, (THUMBNAIL_WIDTH_PX, height), interpolation=cv2.INTER_AREA)
+        return self._keep(key, _encode_jpeg(np.asarray(small, np.float32)))
 
-    def _kept(self, key: tuple[Pictures, int, int]) -> bytes | None:
+    def _kept(self, key: tuple[RecordingFrames, int, int]) -> bytes | None:
         with self._lock:
             if key in self._jpegs:
                 self._jpegs.move_to_end(key)
             return self._jpegs.get(key)
 
-    def _keep(self, key: tuple[Pictures, int, int], jpeg: bytes) -> bytes:
+    def _keep(self, key: tuple[RecordingFrames, int, int], jpeg: bytes) -> bytes:
         with self._lock:
             self._size += len(jpeg) - len(self._jpegs.get(key, b""))
             self._jpegs[key] = jpeg
-            while self._size > KEPT:
+            while self._size > MAX_JPEG_BYTES:
                 self._size -= len(self._jpegs.popitem(last=False)[1])
         return jpeg
 
 
-def stamps_of(files: list[Path]) -> Stamps:
-    """What changes when one of ``files`` does: each with its time of change and size, zeros where it is not there."""
+def file_stamps(files: list[Path]) -> FileStamps:
+    """Modification time and size of each of ``files``, zeros where it does not exist."""
     found = []
     for file in files:
         try:
@@ -204,11 +204,11 @@ def stamps_of(files: list[Path]) -> Stamps:
     return tuple(found)
 
 
-def is_unchanged(stamps: Stamps) -> bool:
-    """Whether all files are as they were when ``stamps`` were taken."""
-    return stamps_of([file for file, _, _ in stamps]) == stamps
+def is_unchanged(stamps: FileStamps) -> bool:
+    """Whether no file has changed since ``stamps`` were taken."""
+    return file_stamps([file for file, _, _ in stamps]) == stamps
 
 
-def _jpeg(image: Image) -> bytes:
+def _encode_jpeg(image: Image) -> bytes:
     grey = np.clip(np.rint(image), 0, 255).astype(np.uint8)
-    return bytes(cv2.imencode(".jpg", grey, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1])
+    return bytes(cv2.imencode(".jpg", grey, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1])

@@ -1,4 +1,4 @@
-"""New clips from files that a browser sends, written to disk as they come and put in place whole."""
+"""Uploads of new clips: files are streamed to a hidden folder, which becomes the clip once it is complete."""
 
 from __future__ import annotations
 
@@ -17,31 +17,31 @@ from typing import IO
 import yaml
 
 from paceline.console.confinement import check_container, check_document, check_name
-from paceline.console.document_names import CLIP, FOLLOW, ChaseModel
-from paceline.console.frames.frame_cache import ChasePictures
+from paceline.console.document_names import CLIP_FILE, FOLLOW_FILE, PartialFollowModel
+from paceline.console.frames.frame_cache import ChaseFrames
 from paceline.documents.loading import load_clip_recording, load_rig
 from paceline.documents.models import ClipModel, read_document
 from paceline.errors import UnusableInput
 from paceline.recordings.image_sources import IMAGE_SUFFIXES, open_source
 from paceline.recordings.stereo import open_recording
 
-PARTIAL = ".paceline-import."
-STEREO, CHASE = ("left", "right"), ("video",)  # recordings of a clip
-TEXTS = {"rig": "rig.yaml", "camera": "camera.yaml", "target": "target.yaml"}  # and what belongs to them
+PARTIAL_PREFIX = ".paceline-import."
+STEREO_VIEWS, CHASE_VIEWS = ("left", "right"), ("video",)  # recordings of a clip
+YAML_NAMES = {"rig": "rig.yaml", "camera": "camera.yaml", "target": "target.yaml"}  # file names of the documents
 VIDEO_SUFFIXES = {".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".ts", ".mts", ".mpg", ".mpeg", ".ogv", ".mxf"}
-LARGEST_FILE = 64 << 30  # bytes, of one video, of one zip, and of what a zip holds
-LARGEST_RIG = 1 << 20
-MOST_IMAGES = 100_000  # of one view
-SPARE = 256 << 20  # bytes that stay free on the disk
-CHUNK = 1 << 20
-# What a zip that is damaged, locked or too large for the disk makes unpacking raise.
-DAMAGED = (OSError, RuntimeError, ValueError, EOFError, zipfile.BadZipFile, zlib.error, lzma.LZMAError)
+MAX_RECORDING_BYTES = 64 << 30  # of one video, of one zip file, and of an unpacked zip file
+MAX_YAML_BYTES = 1 << 20
+MAX_IMAGES = 100_000  # per view
+MIN_FREE_DISK_BYTES = 256 << 20  # that stay free
+CHUNK_BYTES = 1 << 20
+# Raised while unpacking a zip file that is damaged, encrypted or too large for the disk.
+UNPACK_ERRORS = (OSError, RuntimeError, ValueError, EOFError, zipfile.BadZipFile, zlib.error, lzma.LZMAError)
 
 
 @dataclass
-class Import:
-    """A clip on its way in: its hidden folder, and what has come so far, by slot. It is of two cameras, or, as a
-    ``chase``, of one that follows a vehicle."""
+class Upload:
+    """An unfinished upload: its hidden folder, and the received files by slot. The clip is of two cameras or, with
+    ``chase``, of one camera behind a vehicle."""
 
     name: str
     folder: Path
@@ -49,64 +49,63 @@ class Import:
     received: dict[str, list[Path]] = field(default_factory=dict)
 
 
-class Imports:
-    """The clips on their way into ``root``. What an earlier console left half done is removed."""
+class Uploads:
+    """The unfinished uploads into ``root``. Those of an earlier console are removed."""
 
     def __init__(self, root: Path) -> None:
         self._root = root
-        self._open: dict[str, Import] = {}
-        for left_over in root.glob(f"{PARTIAL}*"):
+        self._open: dict[str, Upload] = {}
+        for left_over in root.glob(f"{PARTIAL_PREFIX}*"):
             if not left_over.is_symlink():
                 shutil.rmtree(left_over, ignore_errors=True)
 
     def begin(self, name: str, chase: bool = False) -> str:
-        """Makes room for a clip; returns the key of its import. Raises UnusableInput."""
+        """Begins the upload of a clip; returns its key. Raises UnusableInput."""
         try:
             taken = (self._root / check_name(name)).exists()
-        except OSError as error:  # 80 characters may be too many bytes
+        except OSError as error:  # MAX_NAME_LENGTH characters may be too many bytes
             raise UnusableInput(f"name {name!r}: cannot be used ({error.strerror})") from error
         if taken:
             raise UnusableInput(f"name {name!r}: there is a clip or folder of this name; expected another")
         if (self._root / "clip.yaml").is_file():
             raise UnusableInput("the console's folder is a clip itself; open the console on the folder above it")
         key = secrets.token_urlsafe(12)
-        folder = self._root / f"{PARTIAL}{secrets.token_hex(6)}"
+        folder = self._root / f"{PARTIAL_PREFIX}{secrets.token_hex(6)}"
         try:
             folder.mkdir()
         except OSError as error:
             raise UnusableInput(f"the folder of the console cannot be written ({error.strerror})") from error
-        self._open[key] = Import(name, folder, chase)
+        self._open[key] = Upload(name, folder, chase)
         return key
 
     async def receive(self, key: str, slot: str, name: str, size: int | None, body: AsyncIterator[bytes]) -> None:
-        """Writes one file into the ``slot`` (left, right, rig; or video, camera, target) as it comes; ``size`` is what
-        the browser announces.
-        Raises UnusableInput, after which nothing of the file is left."""
+        """Writes one file of the ``slot`` (left, right, rig; or video, camera, target); ``size`` is what the browser
+        announces, bytes. Raises UnusableInput and removes the file where it cannot be taken."""
         found = self._find(key)
-        file = _place(found, slot, name)
-        most = LARGEST_RIG if slot in TEXTS else LARGEST_FILE
+        file = _upload_path(found, slot, name)
+        most = MAX_YAML_BYTES if slot in YAML_NAMES else MAX_RECORDING_BYTES
         shown = Path(name).name[:80]
         if size is not None and size > most:
-            raise UnusableInput(f"{shown}: is larger than {_bytes(most)}")
-        if shutil.disk_usage(self._root).free < (size or 0) + SPARE:
-            raise UnusableInput(f"{shown}: there is not enough room for it on the disk")
+            raise UnusableInput(f"{shown}: is larger than {_format_bytes(most)}")
+        if shutil.disk_usage(self._root).free < (size or 0) + MIN_FREE_DISK_BYTES:
+            raise UnusableInput(f"{shown}: there is not enough free disk space for it")
         written = 0
         try:
             file.parent.mkdir(exist_ok=True)
             stream = file.open("xb")
         except FileExistsError as error:
-            raise UnusableInput(f"{shown}: came twice; expected different names") from error
+            raise UnusableInput(f"{shown}: was sent twice; expected different names") from error
         except OSError as error:
             raise UnusableInput(f"{shown}: cannot be written ({error.strerror})") from error
         try:
             with stream:
-                async for part in _gathered(body):
+                async for part in _in_chunks(body):
                     written += len(part)
                     if written > most:
-                        raise UnusableInput(f"{shown}: is larger than {_bytes(most)}")
+                        raise UnusableInput(f"{shown}: is larger than {_format_bytes(most)}")
                     await asyncio.to_thread(stream.write, part)
             if size is not None and written != size:
-                raise UnusableInput(f"{shown}: came incomplete; try again")
+                raise UnusableInput(f"{shown}: was not received completely; try again")
         except BaseException as error:
             file.unlink(missing_ok=True)
             if isinstance(error, OSError):
@@ -115,8 +114,8 @@ class Imports:
         found.received.setdefault(slot, []).append(file)
 
     def finish(self, key: str, rate: float | None) -> str:
-        """Checks what has come and puts the clip in place; returns its name. Raises UnusableInput, after which the
-        import is still open for another file or rate."""
+        """Checks the received files and makes them a clip; returns its name. Raises UnusableInput, and then keeps the
+        upload open for another file or rate."""
         found = self._find(key)
         try:
             self._complete(found, rate)
@@ -132,50 +131,50 @@ class Imports:
         del self._open[key]
         return found.name
 
-    def _complete(self, found: Import, rate: float | None) -> None:
+    def _complete(self, found: Upload, rate: float | None) -> None:
         """Writes the clip.yaml or follow.yaml and checks that its recordings can be read."""
-        views = CHASE if found.chase else STEREO
-        clip: dict[str, object] = {view: _recorded(found, view) for view in views}
+        views = CHASE_VIEWS if found.chase else STEREO_VIEWS
+        clip: dict[str, object] = {view: _recording_name(found, view) for view in views}
         if any((found.folder / str(clip[view])).is_dir() for view in views):
             if rate is None:
-                raise UnusableInput("frames per second: missing; images do not tell when they were taken")
+                raise UnusableInput("frames per second: missing; image files have no time stamps")
             clip["rate"] = rate
-        clip |= {slot: name for slot, name in TEXTS.items() if slot in found.received}
+        clip |= {slot: name for slot, name in YAML_NAMES.items() if slot in found.received}
         if found.chase and "camera" not in clip:
             raise UnusableInput("camera: missing; expected the camera.yaml of the camera")
-        file = found.folder / (FOLLOW if found.chase else CLIP)
+        file = found.folder / (FOLLOW_FILE if found.chase else CLIP_FILE)
         try:
             file.write_text(yaml.safe_dump(clip, sort_keys=False, allow_unicode=True), encoding="utf-8")
         except OSError as error:
             raise UnusableInput(f"{file}: cannot be written ({error.strerror})") from error
-        read_document(ChaseModel if found.chase else ClipModel, file)
+        read_document(PartialFollowModel if found.chase else ClipModel, file)
         check_document(self._root, file)
         if found.chase:
-            ChasePictures(file)
+            ChaseFrames(file)
         elif "rig" in clip:
             open_recording(load_clip_recording(file))
         else:
             for view in views:
                 open_source(found.folder / str(clip[view]))
 
-    def give_up(self, key: str) -> None:
-        """Removes what has come."""
+    def discard(self, key: str) -> None:
+        """Removes an unfinished upload."""
         if key in self._open:
             shutil.rmtree(self._open.pop(key).folder, ignore_errors=True)
 
     def close(self) -> None:
-        """Removes whatever is half done."""
+        """Removes all unfinished uploads."""
         for key in list(self._open):
-            self.give_up(key)
+            self.discard(key)
 
-    def _find(self, key: str) -> Import:
+    def _find(self, key: str) -> Upload:
         if key not in self._open:
-            raise UnusableInput("this import is no longer open; begin it again")
+            raise UnusableInput("this import is no longer open; start it again")
         return self._open[key]
 
 
 def add_rig(file: Path, content: bytes) -> None:
-    """Puts a rig.yaml beside the clip.yaml ``file``, which has none yet, and names it there. Raises UnusableInput."""
+    """Adds a rig.yaml to the clip.yaml ``file``, which must not have one yet. Raises UnusableInput."""
     model = read_document(ClipModel, file)
     rig = file.with_name("rig.yaml")
     if model.rig is not None or model.site is not None or rig.exists():
@@ -190,7 +189,7 @@ def add_rig(file: Path, content: bytes) -> None:
             raise UnusableInput(str(error).replace(str(partials[rig]), "the rig file")) from error
         partials[file].write_text(text.rstrip("\n") + "\nrig: rig.yaml\n", encoding="utf-8")
         if read_document(ClipModel, partials[file]).rig != "rig.yaml":
-            raise UnusableInput(f"{file.name}: is written in a way that cannot be added to")
+            raise UnusableInput(f"{file.name}: is written in a way that cannot be edited")
         for path, partial in partials.items():
             partial.replace(path)
     except OSError as error:
@@ -200,16 +199,16 @@ def add_rig(file: Path, content: bytes) -> None:
             partial.unlink(missing_ok=True)
 
 
-def _place(found: Import, slot: str, name: str) -> Path:
-    """Where a file of this ``name`` goes: a video, a zip of images, or one of many images. Raises UnusableInput."""
+def _upload_path(found: Upload, slot: str, name: str) -> Path:
+    """The path for an uploaded file ``name``: a video, a zip of images, or one of many images. Raises UnusableInput."""
     base = re.sub(r"[^\w.()+-]", "_", name.replace("\\", "/").rsplit("/", 1)[-1])
     suffix = Path(base).suffix.lower()
     here = found.received.get(slot, [])
-    views, texts = (CHASE, ("camera", "target")) if found.chase else (STEREO, ("rig",))
+    views, texts = (CHASE_VIEWS, ("camera", "target")) if found.chase else (STEREO_VIEWS, ("rig",))
     if slot in texts and suffix in (".yaml", ".yml"):
         if here:
-            raise UnusableInput(f"{slot}: came twice; expected one file")
-        return found.folder / TEXTS[slot]
+            raise UnusableInput(f"{slot}: was sent twice; expected one file")
+        return found.folder / YAML_NAMES[slot]
     if slot in views and suffix in VIDEO_SUFFIXES | {".zip"}:
         if here:
             raise UnusableInput(f"{slot}: expected one video, one zip or several images")
@@ -217,14 +216,14 @@ def _place(found: Import, slot: str, name: str) -> Path:
     if slot in views and suffix in IMAGE_SUFFIXES:
         if any(path.parent == found.folder for path in here) or base.startswith("."):
             raise UnusableInput(f"{slot}: expected one video, one zip or several images")
-        if len(here) >= MOST_IMAGES:
-            raise UnusableInput(f"{slot}: more than {MOST_IMAGES} images")
+        if len(here) >= MAX_IMAGES:
+            raise UnusableInput(f"{slot}: more than {MAX_IMAGES} images")
         return found.folder / slot / base
-    raise UnusableInput(f"{base[:80]}: is no {TEXTS.get(slot, 'video, zip or image')}")
+    raise UnusableInput(f"{base[:80]}: is no {YAML_NAMES.get(slot, 'video, zip or image')}")
 
 
-def _recorded(found: Import, view: str) -> str:
-    """The file or folder of a view as its clip.yaml names it; a zip is unpacked. Raises UnusableInput."""
+def _recording_name(found: Upload, view: str) -> str:
+    """The file or folder of a view as the clip.yaml names it; a zip file is unpacked. Raises UnusableInput."""
     files = found.received.get(view, [])
     if not files:
         raise UnusableInput(f"{view}: missing; expected a video, a zip of images or several images")
@@ -238,45 +237,45 @@ def _recorded(found: Import, view: str) -> str:
     return first.name
 
 
-async def _gathered(body: AsyncIterator[bytes]) -> AsyncIterator[bytes]:
-    """The same bytes in pieces of about CHUNK."""
+async def _in_chunks(body: AsyncIterator[bytes]) -> AsyncIterator[bytes]:
+    """The same bytes in chunks of about CHUNK_BYTES."""
     part = bytearray()
     async for chunk in body:
         part += chunk
-        if len(part) >= CHUNK:
+        if len(part) >= CHUNK_BYTES:
             yield bytes(part)
             part.clear()
     yield bytes(part)
 
 
 def _unpack(archive: Path, folder: Path) -> None:
-    """The images of ``archive`` in a new ``folder``, without their own folders. Raises UnusableInput."""
+    """Unpacks the images of ``archive`` into a new ``folder``, without subfolders. Raises UnusableInput."""
     total = 0
     try:
         with zipfile.ZipFile(archive) as packed:
             members = [m for m in packed.infolist() if not m.is_dir() and _is_image(m.filename)]
-            if len(members) > MOST_IMAGES:
-                raise UnusableInput(f"{archive.name}: holds more than {MOST_IMAGES} images")
+            if len(members) > MAX_IMAGES:
+                raise UnusableInput(f"{archive.name}: holds more than {MAX_IMAGES} images")
             folder.mkdir()
             for member in members:
                 file = folder / re.sub(r"[^\w.()+-]", "_", Path(member.filename).name)
                 with packed.open(member) as source, file.open("xb") as target:
-                    total = _copy(source, target, total, archive)
+                    total = _copy_member(source, target, total, archive)
     except BaseException as error:
         shutil.rmtree(folder, ignore_errors=True)
         if isinstance(error, FileExistsError):
-            raise UnusableInput(f"{archive.name}: holds two images of one name") from error
-        if isinstance(error, DAMAGED):
+            raise UnusableInput(f"{archive.name}: holds two images with the same name") from error
+        if isinstance(error, UNPACK_ERRORS):
             raise UnusableInput(f"{archive.name}: cannot be unpacked ({error})") from error
         raise
 
 
-def _copy(source: IO[bytes], target: IO[bytes], total: int, archive: Path) -> int:
-    """Copies one member; its stated size is not believed."""
-    while chunk := source.read(CHUNK):
+def _copy_member(source: IO[bytes], target: IO[bytes], total: int, archive: Path) -> int:
+    """Copies one member, counting its bytes: the size stated in the archive may be wrong. Returns the new total."""
+    while chunk := source.read(CHUNK_BYTES):
         total += len(chunk)
-        if total > LARGEST_FILE or shutil.disk_usage(archive.parent).free < SPARE:
-            raise UnusableInput(f"{archive.name}: holds more than there is room for")
+        if total > MAX_RECORDING_BYTES or shutil.disk_usage(archive.parent).free < MIN_FREE_DISK_BYTES:
+            raise UnusableInput(f"{archive.name}: holds more than fits on the disk")
         target.write(chunk)
     return total
 
@@ -286,5 +285,5 @@ def _is_image(name: str) -> bool:
     return Path(base).suffix.lower() in IMAGE_SUFFIXES and not base.startswith(".")
 
 
-def _bytes(count: int) -> str:
+def _format_bytes(count: int) -> str:
     return f"{count >> 30} GiB" if count >= 1 << 30 else f"{count >> 20} MiB"

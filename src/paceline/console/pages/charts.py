@@ -1,4 +1,4 @@
-"""Values over time as a chart that answers to the mouse."""
+"""Interactive charts of values over time, as ECharts options."""
 
 from __future__ import annotations
 
@@ -8,30 +8,30 @@ from typing import Any
 from paceline.console.runs.results import Series
 from paceline.units import convert
 
-COLORS = ("#2f6fb0", "#c2601f", "#3a8a57", "#8a4fa3", "#a8323e", "#3d8f99", "#857022", "#666f7a")
+SERIES_COLORS = ("#2f6fb0", "#c2601f", "#3a8a57", "#8a4fa3", "#a8323e", "#3d8f99", "#857022", "#666f7a")
 
-DOTTED = 100  # values up to which each has its dot
+MAX_DOTTED_VALUES = 100  # of a series; longer ones have no dots
 
 
 def speed_chart(series: list[Series], compared: list[Series] | None, unit: str) -> dict[str, Any]:
-    """Options of a chart of speeds, in one unit."""
+    """Options of a chart of speeds in ``unit``, dashed for those ``compared``."""
     return _chart(series, compared, unit, lambda v: float(convert(v, unit)))
 
 
 def distance_chart(series: list[Series], compared: list[Series] | None) -> dict[str, Any]:
-    """Options of a chart of distances ahead."""
+    """Options of a chart of distances ahead, m."""
     return _chart(series, compared, "m", lambda v: v)
 
 
 def _chart(
-    series: list[Series], compared: list[Series] | None, unit: str, shown_as: Callable[[float], float]
+    series: list[Series], compared: list[Series] | None, unit: str, to_unit: Callable[[float], float]
 ) -> dict[str, Any]:
     """A line and a band per vehicle, dashed lines for those of another run."""
     shown: list[dict[str, Any]] = []
-    colors = {s.vehicle: COLORS[i % len(COLORS)] for i, s in enumerate(series)}
+    colors = {s.vehicle: SERIES_COLORS[i % len(SERIES_COLORS)] for i, s in enumerate(series)}
     for s in series:
-        value = [round(shown_as(v), 2) for v in s.value]
-        half = [round(shown_as(v), 3) for v in s.half]
+        value = [round(to_unit(v), 2) for v in s.value]
+        half = [round(to_unit(v), 3) for v in s.half]
         low = [[t, round(v - h, 3)] for t, v, h in zip(s.time, value, half, strict=True)]
         band = [[t, round(2 * h, 3)] for t, h in zip(s.time, half, strict=True)]
         hidden = {"type": "line", "name": s.vehicle, "color": colors[s.vehicle], "stack": f"band {s.vehicle}",
@@ -41,9 +41,9 @@ def _chart(
         shown.append({**hidden, "data": band, "areaStyle": {"color": colors[s.vehicle], "opacity": 0.15}})
         line = [[t, v] for t, v in zip(s.time, value, strict=True)]
         visible = {"type": "line", "name": s.vehicle, "color": colors[s.vehicle]}
-        shown.append({**visible, "data": line, "symbolSize": 5 if len(line) < DOTTED else 0})
+        shown.append({**visible, "data": line, "symbolSize": 5 if len(line) < MAX_DOTTED_VALUES else 0})
     for s in compared or []:
-        line = [[t, round(shown_as(v), 2)] for t, v in zip(s.time, s.value, strict=True)]
+        line = [[t, round(to_unit(v), 2)] for t, v in zip(s.time, s.value, strict=True)]
         color = colors.get(s.vehicle, "#888888")
         shown.append({"type": "line", "name": f"{s.vehicle}, other run", "data": line, "color": color,
                       "symbol": "none", "lineStyle": {"type": "dashed"}})  # fmt: skip

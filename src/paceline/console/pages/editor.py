@@ -1,34 +1,41 @@
-"""Looking at a clip, and drawing what is measured. The work is done in static/: by the stereo editor, or the editor of
-the vehicle ahead."""
+"""The set-up page: shows a clip and lets paths and vehicles, or the target, be drawn by the editors in static/."""
 
 from __future__ import annotations
 
 from nicegui import run, ui
 
-from paceline.console.confinement import NotHere
+from paceline.console.confinement import NotFound
 from paceline.console.library import Library
-from paceline.console.pages.layout import PATIENCE, SET_UP, TARGET, badge, not_here, page, runs_address
+from paceline.console.pages.layout import (
+    RESPONSE_TIMEOUT_S,
+    TAB_SET_UP,
+    TAB_TARGET,
+    badge,
+    not_found_page,
+    page,
+    runs_address,
+)
 
-LIVE = (
-    "Its cameras are live: their pictures are not shown here. Paths come from the site file or the clip.yaml, or lanes "
-    "are found at the start. Vehicles are found by themselves. Go on to measure."
+LIVE_TEXT = (
+    "The cameras are live: their frames are not shown here. Paths come from the site file or the clip.yaml, or lanes "
+    "are detected at the start. Vehicles are detected automatically. Continue with Run and results."
 )
 
 
 def add(library: Library) -> None:
-    @ui.page("/setup", response_timeout=PATIENCE)
+    @ui.page("/setup", response_timeout=RESPONSE_TIMEOUT_S)
     async def setup(clip: str = ".") -> None:
         try:
             entry = await run.io_bound(library.entry, clip)
-        except NotHere:
-            return not_here()
+        except NotFound:
+            return not_found_page()
         assert entry is not None, "is None only while the server ends"
         contents = entry.contents
-        with page(f"Set up {clip}", entry, TARGET if contents.chase else SET_UP):
+        with page(f"Set up {clip}", entry, TAB_TARGET if contents.chase else TAB_SET_UP):
             if not contents.pictures:
                 with ui.element("div").classes("pl-panel"):
                     badge(entry.state)
-                    ui.label(LIVE if contents.live and not contents.state else entry.reason).classes("pl-reason")
+                    ui.label(LIVE_TEXT if contents.live and not contents.state else entry.reason).classes("pl-reason")
                     if entry.state == "no rig" and not library.read_only:
                         element = ui.element("pl-rig")
                         element.props["clip"] = clip

@@ -1,4 +1,4 @@
-"""What all pages share: the head of the page, addresses, and words for times and states."""
+"""What all pages share: the header with its tabs, addresses, and how times and states are shown."""
 
 from __future__ import annotations
 
@@ -9,46 +9,61 @@ from urllib.parse import quote
 
 from nicegui import ui
 
-from paceline.console.library import BEING_READ, Entry
-from paceline.console.runs.kinds import AHEAD, LIVE
-from paceline.console.runs.run_list import CANCELLED, FAILED, INTERRUPTED, MEASURED, NOTHING, RUNNING, WAITING, Run
+from paceline.console.library import ClipEntry
+from paceline.console.runs.kinds import FOLLOW_RUN, LIVE_RUN
+from paceline.console.runs.run_list import (
+    STATE_FAILED,
+    STATE_INTERRUPTED,
+    STATE_MEASURED,
+    STATE_NOTHING,
+    STATE_RUNNING,
+    STATE_WAITING,
+    Run,
+)
+from paceline.progress import ACTIVITY_LABELS
 
-HEAD = '<link rel="stylesheet" href="/static/console.css">'
-ACCENT = "#2f7ac4"
-DOING = {"looking": "looking for vehicles: ", "averaging": "looking for lanes: "}
-LEARNING = "learning"
-SET_UP, READ_AND_MEASURE = "Set up", "Measure and read"
-TARGET, READ_AND_FOLLOW = "Target", "Follow and read"
-READ_ONLY = "This folder cannot be written: its clips can be looked at and read, not changed or measured."
-PATIENCE = 60.0  # s, for a page whose clip lies on a slow disk
-TONES = {
-    MEASURED: "good", "ready": "good", RUNNING: "busy", WAITING: "busy", NOTHING: "warn", INTERRUPTED: "warn",
-    CANCELLED: "calm", FAILED: "bad", "unreadable": "bad", "no rig": "warn", "no paths": "calm", "no vehicles": "calm",
-    "no target": "calm", "live": "busy", BEING_READ: "calm",
-}  # fmt: skip
+STYLESHEET_LINK = '<link rel="stylesheet" href="/static/console.css">'
+ACCENT_COLOR = "#2f7ac4"
+PREPARING = ("looking", "averaging")  # activities of progress lines that come before measuring
+LEARNING = "learning"  # the activity of a live run before it measures
+TAB_SET_UP, TAB_TARGET, TAB_RUNS = "Set up", "Target", "Run and results"
+READ_ONLY_TEXT = "This folder cannot be written: clips and results can be viewed, not changed or measured."
+RESPONSE_TIMEOUT_S = 60.0  # of a page whose clip is on a slow disk
+STATE_TONES = {
+    STATE_MEASURED: "good",
+    "ready": "good",
+    STATE_RUNNING: "busy",
+    STATE_WAITING: "busy",
+    "live": "busy",
+    STATE_NOTHING: "warn",
+    STATE_INTERRUPTED: "warn",
+    "no rig": "warn",
+    STATE_FAILED: "bad",
+    "unreadable": "bad",
+}  # others are calm
 
 
 @contextmanager
-def page(title: str, entry: Entry | None = None, here: str = "") -> Iterator[None]:
-    """The head of a page and, within the context, its contents; ``here`` is the tab that is shown of a clip."""
+def page(title: str, entry: ClipEntry | None = None, active_tab: str = "") -> Iterator[None]:
+    """The header of a page and, within the context, its contents; ``active_tab`` is the one of the clip's tabs."""
     ui.page_title(f"{title} – Paceline")
-    ui.add_head_html(HEAD)
-    ui.colors(primary=ACCENT)
+    ui.add_head_html(STYLESHEET_LINK)
+    ui.colors(primary=ACCENT_COLOR)
     with ui.header(elevated=False).classes("pl-header"):
         ui.link("Paceline", "/").classes("pl-brand")
         if entry is not None:
-            tabs = (TARGET, READ_AND_FOLLOW) if entry.contents.chase else (SET_UP, READ_AND_MEASURE)
-            ui.label(shown_name(entry.name)).classes("pl-clip")
+            tabs = (TAB_TARGET if entry.contents.chase else TAB_SET_UP, TAB_RUNS)
+            ui.label(clip_label(entry.name)).classes("pl-clip")
             with ui.element("nav").classes("pl-tabs").props('aria-label="Parts of this clip"'):
                 for name, target in zip(tabs, (setup_address(entry.name), runs_address(entry.name)), strict=True):
                     link = ui.link(name, target).classes("pl-tab")
-                    if name == here:
+                    if name == active_tab:
                         link.classes("pl-here").props('aria-current="page"')
     with ui.element("main").classes("pl-main"):
         yield
 
 
-def shown_name(clip: str) -> str:
+def clip_label(clip: str) -> str:
     return "this folder's clip" if clip == "." else clip
 
 
@@ -61,19 +76,19 @@ def runs_address(clip: str, number: int | None = None) -> str:
 
 
 def badge(state: str) -> None:
-    """A state as a small coloured word."""
-    ui.label(state).classes(f"pl-badge pl-{TONES.get(state, 'calm')}")
+    """A small coloured label of a state."""
+    ui.label(state).classes(f"pl-badge pl-{STATE_TONES.get(state, 'calm')}")
 
 
-def not_here() -> None:
-    """What is shown for an address that leads nowhere."""
-    with page("Not here"):
+def not_found_page() -> None:
+    """The page for an address without a clip."""
+    with page("Not found"):
         ui.label("There is no such clip here.").classes("pl-title")
         ui.link("All clips", "/")
 
 
-def duration(seconds: float) -> str:
-    """For people: 8 s, 3 min 20 s, 1 h 5 min."""
+def format_duration(seconds: float) -> str:
+    """For example 8 s, 3 min 20 s, 1 h 5 min."""
     whole = max(round(seconds), 0)
     if whole < 60:
         return f"{whole} s"
@@ -82,25 +97,26 @@ def duration(seconds: float) -> str:
     return f"{whole // 3600} h {whole % 3600 // 60} min"
 
 
-def moment(run: Run) -> str:
-    """When a run was asked for."""
+def format_created(run: Run) -> str:
+    """The time at which a run was requested."""
     return time.strftime("%-d %B %Y, %H:%M", time.localtime(run.created))
 
 
-def progress(run: Run) -> str:
-    """How far a run is, in words."""
-    if run.state == WAITING:
-        return "waits for the run before it"
-    if run.state != RUNNING:
+def progress_text(run: Run) -> str:
+    """The progress of an active run; empty for others."""
+    if run.state == STATE_WAITING:
+        return "waiting for the previous run"
+    if run.state != STATE_RUNNING:
         return ""
-    if run.kind == LIVE and run.doing == LEARNING:
-        return f"learning the empty road, {run.done} of {run.total} s"
-    if run.kind == LIVE and run.started is not None:
-        return f"for {duration(time.time() - run.started)}"
+    if run.kind == LIVE_RUN and run.doing == LEARNING:
+        return f"{ACTIVITY_LABELS[LEARNING]}, {run.done} of {run.total} s"
+    if run.kind == LIVE_RUN and run.started is not None:
+        return f"running for {format_duration(time.time() - run.started)}"
     if run.done == 0:
         return "starting"
-    if run.done == run.total and run.doing == ("following" if run.kind == AHEAD else "measuring"):
+    if run.done == run.total and run.doing == ("following" if run.kind == FOLLOW_RUN else "measuring"):
         return "writing the report"
-    told = DOING.get(run.doing, "") + f"frame {run.done}" + ("" if run.total is None else f" of {run.total}")
+    activity = f"{ACTIVITY_LABELS[run.doing]}: " if run.doing in PREPARING else ""
+    frames = f"frame {run.done}" + ("" if run.total is None else f" of {run.total}")
     left = run.seconds_left(time.time())
-    return told if left is None else f"{told}, about {duration(left)} left"
+    return activity + frames + ("" if left is None else f", about {format_duration(left)} left")

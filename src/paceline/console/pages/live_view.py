@@ -1,4 +1,4 @@
-"""A run under way: its last frame with outlines and particles, and a plot that grows; live, a table that grows."""
+"""The view of an active run: its last frame with outlines and particles, and a chart; live, a table of results."""
 
 from __future__ import annotations
 
@@ -8,160 +8,163 @@ from typing import Any
 from nicegui import ui
 from nicegui.run import io_bound
 
-from paceline.console.confinement import NotHere
-from paceline.console.frames.frame_cache import stamps_of
+from paceline.console.confinement import NotFound
+from paceline.console.frames.frame_cache import file_stamps
 from paceline.console.library import Library
-from paceline.console.pages.charts import COLORS, distance_chart, speed_chart
-from paceline.console.pages.layout import LEARNING
-from paceline.console.pages.results import PAGE, passed, vehicle_table
-from paceline.console.runs.kinds import AHEAD, LIVE
+from paceline.console.pages.charts import SERIES_COLORS, distance_chart, speed_chart
+from paceline.console.pages.layout import LEARNING, PREPARING
+from paceline.console.pages.results import ROWS_PER_PAGE, show_recent_vehicles, show_vehicle_table
+from paceline.console.runs.kinds import FOLLOW_RUN, LIVE_RUN
 from paceline.console.runs.results import Series, read_series, read_summary
-from paceline.console.runs.run_list import WAITING, Run
+from paceline.console.runs.run_list import STATE_WAITING, Run
 from paceline.errors import UnusableInput
 from paceline.reports.common.formatting import format_number, format_speed_number
 
-FILTERED = (
-    "What the filter believes, frame by frame. These are first values: the speeds that count are fitted to the whole "
-    "track at the end, and stand here then."
+FILTER_TEXT = (
+    "Filter estimates, frame by frame (preliminary). The final speeds are fitted to the whole track at the end, and "
+    "then shown here."
 )
-FOLLOWED = "Where the tracker believes the vehicle ahead to be, frame by frame."
-WAITS = "This run waits for the one before it."
-LOOKS = "Vehicles are looked for first, in the whole recording; then they are measured, and shown here."
-STARTS = "The first frame comes in a moment."
-LEARNS = "The empty road is being learned: no speeds yet. It should be empty most of this time."
-MEASURES = (
-    "Measuring. A box is what moves along a lane just now, with roughly its speed; every vehicle appears below, "
-    "measured, once it has gone by, and is kept in the tables from then on. Stop ends the run as the end of the "
-    "recording would."
+FOLLOW_TEXT = "Distance of the vehicle ahead, frame by frame."
+WAITING_TEXT = "This run waits for the previous one."
+DETECTING_TEXT = "Detecting vehicles in the whole recording first; then they are measured and shown here."
+STARTING_TEXT = "Starting: the first frame follows in a moment."
+BACKGROUND_TEXT = "Estimating the background: no speeds yet. The road should be empty most of this time."
+LIVE_TEXT = (
+    "Measuring. A box marks what moves along a lane now, with its approximate speed. Every vehicle is measured once it "
+    "has passed, appears below, and is saved in the tables. Stop ends the run; the vehicles seen so far are still "
+    "measured."
 )
-AGAIN = 0.5  # s between looks at what a live run has measured
+POLL_INTERVAL_S = 0.5  # between updates of what a live run has measured
 
 
-class Watching:
-    """What one tab shows of a run under way, in the present element."""
+class LiveView:
+    """Shows an active run in the current element of one tab."""
 
     def __init__(self, library: Library, run: Run, unit: str, pictures: bool) -> None:
         self.library, self.run, self.unit, self.pictures = library, run, unit, pictures
-        self.read: object = None
-        self.seen: int | None = None  # the live frame that is shown
+        self.shown_state: object = None
+        self.shown_frame: int | None = None  # of a live run
         ui.label(f"Run {run.number}").classes("pl-subtitle")
-        self.words = ui.label().classes("pl-fact")
-        self.top = ui.element("div").classes("pl-watched")
-        self.place = ui.element("div").classes("pl-watched")
-        self.element: ui.element | None = None
+        self.status = ui.label().classes("pl-fact")
+        self.picture_area = ui.element("div").classes("pl-live")
+        self.result_area = ui.element("div").classes("pl-live")
+        self.picture_element: ui.element | None = None
         self.chart: ui.echart | None = None
-        if run.kind == LIVE:
-            ui.timer(AGAIN, self._look_for_passed)
+        if run.kind == LIVE_RUN:
+            ui.timer(POLL_INTERVAL_S, self._update_measured)
 
-    def look(self, run: Run) -> None:
-        """Shows how far the run is now."""
-        if run.kind == LIVE:
-            return self._look_live(run)
-        series, scene = self.library.runs.watch(run)
-        text = FOLLOWED if run.kind == AHEAD else FILTERED
-        begins = LOOKS if run.doing in ("looking", "averaging") else STARTS
-        self.words.text = WAITS if run.state == WAITING else text if scene else begins
+    def update(self, run: Run) -> None:
+        """Updates the view from the present state of the run."""
+        if run.kind == LIVE_RUN:
+            return self._update_live(run)
+        series, scene = self.library.runs.live_data(run)
+        text = FOLLOW_TEXT if run.kind == FOLLOW_RUN else FILTER_TEXT
+        preparing = DETECTING_TEXT if run.doing in PREPARING else STARTING_TEXT
+        self.status.text = WAITING_TEXT if run.state == STATE_WAITING else text if scene else preparing
         now = scene.get("frame"), sum(len(s.time) for s in series)
-        if not scene or now == self.read:
+        if not scene or now == self.shown_state:
             return
-        self.read = now
+        self.shown_state = now
         options = self._chart(series)
         if self.chart is None:
-            with self.place:
+            with self.result_area:
                 if self.pictures:
-                    self._look_at(run, live=False)
-                ui.label(self._axis()).classes("pl-fact")
+                    self._add_picture_element(run, live=False)
+                ui.label(self._axis_label()).classes("pl-fact")
                 self.chart = ui.echart(options).classes("pl-chart")
-        if self.element is None and "size" in scene:
-            with self.top:
-                self._look_at(run, live=True)
-        if self.element is not None:
-            self._paint(scene, series)
+        if self.picture_element is None and "size" in scene:
+            with self.picture_area:
+                self._add_picture_element(run, live=True)
+        if self.picture_element is not None:
+            self._draw(scene, series)
         self.chart.options.clear()
         self.chart.options.update(options)
         self.chart.update()
 
-    def _look_live(self, run: Run) -> None:
-        if run.state == WAITING:
-            self.words.text = WAITS
+    def _update_live(self, run: Run) -> None:
+        if run.state == STATE_WAITING:
+            self.status.text = WAITING_TEXT
             return
-        series, scene = self.library.runs.watch(run)
-        self.words.text = STARTS if not scene else LEARNS if run.doing == LEARNING else MEASURES
-        if scene and scene["frame"] != self.seen:
-            self.seen = scene["frame"]
-            if self.element is None:
-                with self.top:
-                    self._look_at(run, live=True)
-            self._paint(scene, series)
+        series, scene = self.library.runs.live_data(run)
+        self.status.text = STARTING_TEXT if not scene else BACKGROUND_TEXT if run.doing == LEARNING else LIVE_TEXT
+        if scene and scene["frame"] != self.shown_frame:
+            self.shown_frame = scene["frame"]
+            if self.picture_element is None:
+                with self.picture_area:
+                    self._add_picture_element(run, live=True)
+            self._draw(scene, series)
 
-    async def _look_for_passed(self) -> None:
-        """Shows the vehicles that a live run has measured so far, once there are more of them."""
+    async def _update_measured(self) -> None:
+        """Shows the vehicles that a live run has measured so far, when there are new ones."""
         try:
-            found = await io_bound(self._read_passed)
-        except (UnusableInput, NotHere):  # there is none before the empty road is known
+            found = await io_bound(self._read_measured)
+        except (UnusableInput, NotFound):  # there are none before the background is estimated
             return
-        if found is None or self.place.is_deleted:
+        if found is None or self.result_area.is_deleted:
             return
         summary, series = found
         vehicles = summary["vehicles"]
-        self.place.clear()
-        with self.place:
-            passed(self.run, summary, self.unit)
+        self.result_area.clear()
+        with self.result_area:
+            show_recent_vehicles(self.run, summary, self.unit)
             if not vehicles:
                 if not summary["unmeasured"]:
-                    ui.label("No vehicle has gone by yet.").classes("pl-fact")
+                    ui.label("No vehicle has passed yet.").classes("pl-fact")
                 return
-            vehicle_table(vehicles, self.unit, PAGE)
+            show_vehicle_table(vehicles, self.unit, ROWS_PER_PAGE)
             if series:
-                ui.label(self._axis()).classes("pl-fact")
+                ui.label(self._axis_label()).classes("pl-fact")
                 ui.echart(speed_chart(series, None, self.unit)).classes("pl-chart")
 
-    def _read_passed(self) -> tuple[dict[str, Any], list[Series]] | None:
-        """The summary of a live run and the courses of its latest vehicles, or None while they are those shown."""
+    def _read_measured(self) -> tuple[dict[str, Any], list[Series]] | None:
+        """The summary of a live run and the series of its latest vehicles; None if they are already shown."""
         out = self.library.runs.out(self.run)
-        stamps = stamps_of([out / "summary.json"])
-        if stamps == self.read:
+        stamps = file_stamps([out / "summary.json"])
+        if stamps == self.shown_state:
             return None
         found = read_summary(out), read_series(out, growing=True)
-        self.read = stamps
+        self.shown_state = stamps
         return found
 
-    def _look_at(self, run: Run, live: bool) -> None:
-        """Shows the pictures of a recording, or those that a live run tells."""
-        self.element = ui.element("pl-watch")
-        self.element.props["clip"], self.element.props["cameras"] = run.clip, 1 if run.kind == AHEAD else 2
+    def _add_picture_element(self, run: Run, live: bool) -> None:
+        """Adds the element for the frames of a recording, or for the pictures of a live run."""
+        self.picture_element = ui.element("pl-live-view")
+        self.picture_element.props["clip"], self.picture_element.props["cameras"] = (
+            run.clip,
+            1 if run.kind == FOLLOW_RUN else 2,
+        )
         if live:
-            self.element.props["live"] = run.number
+            self.picture_element.props["live"] = run.number
 
-    def _paint(self, scene: dict[str, Any], series: list[Series]) -> None:
-        assert self.element is not None, "there is something to paint on"
-        self.element.props["scene"] = json.dumps(self._scene(scene, series))
-        self.element.update()
+    def _draw(self, scene: dict[str, Any], series: list[Series]) -> None:
+        assert self.picture_element is not None, "the element is there"
+        self.picture_element.props["scene"] = json.dumps(self._scene(scene, series))
+        self.picture_element.update()
 
-    def _axis(self) -> str:
-        if self.run.kind == AHEAD:
+    def _axis_label(self) -> str:
+        if self.run.kind == FOLLOW_RUN:
             return "Distance over time, m"
         return f"Speed over time, {self.unit}"
 
     def _chart(self, series: list[Series]) -> dict[str, Any]:
-        return distance_chart(series, None) if self.run.kind == AHEAD else speed_chart(series, None, self.unit)
+        return distance_chart(series, None) if self.run.kind == FOLLOW_RUN else speed_chart(series, None, self.unit)
 
     def _scene(self, scene: dict[str, Any], series: list[Series]) -> dict[str, Any]:
-        """A frame as the page draws it: each vehicle in the colour of its line, with its value in words."""
+        """The data of a frame to draw: each vehicle in the colour of its series, labelled with its value."""
         names = [s.vehicle for s in series]
         shown = []
         for vehicle in scene["vehicles"]:
             name, value = vehicle["vehicle"], vehicle["value"]
-            known = "" if value is None else self._value(value)
-            color = COLORS[names.index(name) % len(COLORS)] if name in names else "#888888"
+            known = "" if value is None else self._format_value(value)
+            color = SERIES_COLORS[names.index(name) % len(SERIES_COLORS)] if name in names else "#888888"
             drawn = {key: vehicle[key] for key in ("outlines", "particles")}
             shown.append({"name": name, "label": f"{name}  {known}".strip(), "color": color, **drawn})
         size = {"size": scene["size"]} if "size" in scene else {}
         return {"frame": scene["frame"], "time": scene["time_s"], "vehicles": shown, **size}
 
-    def _value(self, value: float) -> str:
+    def _format_value(self, value: float) -> str:
         return (
             f"{format_number(value, 1)} m"
-            if self.run.kind == AHEAD
+            if self.run.kind == FOLLOW_RUN
             else f"{format_speed_number(value, self.unit)} {self.unit}"
         )

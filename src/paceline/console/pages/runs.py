@@ -1,4 +1,4 @@
-"""Measuring a clip, watching it, and reading what came of it."""
+"""The page of a clip's runs: starting one, viewing its progress, and its results."""
 
 from __future__ import annotations
 
@@ -6,198 +6,195 @@ from typing import Any
 
 from nicegui import run, ui
 
-from paceline.console.confinement import NotHere
-from paceline.console.library import Entry, Library
+from paceline.console.confinement import NotFound
+from paceline.console.library import ClipEntry, Library
 from paceline.console.pages import results
 from paceline.console.pages.layout import (
-    PATIENCE,
-    READ_AND_FOLLOW,
-    READ_AND_MEASURE,
-    READ_ONLY,
+    READ_ONLY_TEXT,
+    RESPONSE_TIMEOUT_S,
+    TAB_RUNS,
     badge,
-    duration,
-    moment,
-    not_here,
+    format_created,
+    format_duration,
+    not_found_page,
     page,
-    progress,
+    progress_text,
     runs_address,
 )
-from paceline.console.pages.live_view import Watching
-from paceline.console.runs.kinds import AHEAD, LIVE, MEASURING, SPEED
-from paceline.console.runs.options import (
-    LEAST_LEARNING,
-    LEAST_PARTICLES,
-    MOST_LEARNING,
-    MOST_PARTICLES,
-    MOST_TOLERANCE,
-    UNITS,
-    in_unit,
-    options_of,
-)
-from paceline.console.runs.results import files_of
-from paceline.console.runs.run_list import MEASURED, NOTHING, Run
+from paceline.console.pages.live_view import LiveView
+from paceline.console.runs.kinds import FOLLOW_RUN, LIVE_RUN, MEASURING_KINDS, SPEED_RUN
+from paceline.console.runs.options import UNIT_NAMES, command_options, convert_tolerance, setting_range
+from paceline.console.runs.results import result_files
+from paceline.console.runs.run_list import STATE_MEASURED, STATE_NOTHING, Run
 from paceline.errors import UnusableInput
+from paceline.speed.configuration import DEFAULT_BACKGROUND_S
 
-AGAIN = 0.5  # s between looks at the runs
-GONE = "The clip is no longer there."
-ENDING = "ending; what has passed is measured"
-LEARNS = 30.0  # s, as the command has it
+POLL_INTERVAL_S = 0.5  # between updates of the page
+REMOVED_TEXT = "The clip has been removed."
+TOLERANCE_LABEL = "Largest half-width ±"
+STOPPING_TEXT = "stopping; the vehicles seen so far are still measured"
 
 
 def add(library: Library) -> None:
-    @ui.page("/runs", response_timeout=PATIENCE)
+    @ui.page("/runs", response_timeout=RESPONSE_TIMEOUT_S)
     async def runs(clip: str = ".", number: int | None = None, unit: str = "mph") -> None:
         try:
             entry = await run.io_bound(library.entry, clip)
-        except NotHere:
-            return not_here()
+        except NotFound:
+            return not_found_page()
         assert entry is not None, "is None only while the server ends"
-        if unit not in UNITS:
+        if unit not in UNIT_NAMES:
             unit = "mph"
         chase = entry.contents.chase
-        with page(f"{'Follow' if chase else 'Measure'} {clip}", entry, READ_AND_FOLLOW if chase else READ_AND_MEASURE):
-            _Page(library, entry, number, unit)
-            ui.add_body_html('<script type="module" src="/static/watch.js"></script>')
+        with page(f"{'Follow' if chase else 'Measure'} {clip}", entry, TAB_RUNS):
+            _RunsPage(library, entry, number, unit)
+            ui.add_body_html('<script type="module" src="/static/live_view.js"></script>')
 
 
-class _Page:
-    """One tab's view of a clip's runs; what it shows is read anew from the runs whenever they change."""
+class _RunsPage:
+    """One tab's page of a clip's runs, updated whenever they change."""
 
-    def __init__(self, library: Library, entry: Entry, number: int | None, unit: str) -> None:
+    def __init__(self, library: Library, entry: ClipEntry, number: int | None, unit: str) -> None:
         self.library, self.clip, self.unit = library, entry.name, unit
         self.live, self.pictures = bool(entry.contents.live), entry.contents.pictures
         self.seconds = entry.contents.seconds
         self.chosen = number
         self.other: int | None = None
-        self.listed: object = None  # what the list and the result show now, to leave them alone until it changes
-        self.read: object = None
-        self.watching: Watching | None = None
-        self.going: dict[int, tuple[ui.linear_progress, ui.label]] = {}
+        self.shown_list: object = None  # what the list and the result show, to update them only on a change
+        self.shown_result: object = None
+        self.live_view: LiveView | None = None
+        self.progress_bars: dict[int, tuple[ui.linear_progress, ui.label]] = {}
         with ui.element("div").classes("pl-columns"):
             with ui.element("aside").classes("pl-side"):
-                self._ask(entry)
+                self._add_form(entry)
                 ui.label("Runs").classes("pl-subtitle")
                 self.list = ui.element("div").classes("pl-runs")
             self.result = ui.element("section").classes("pl-result")
-        self.look()
-        ui.timer(AGAIN, self.look)
+        self.update()
+        ui.timer(POLL_INTERVAL_S, self.update)
 
-    def _ask(self, entry: Entry) -> None:
+    def _add_form(self, entry: ClipEntry) -> None:
         contents = entry.contents
         self.fields: dict[str, Any] = {}
         with ui.element("div").classes("pl-panel"):
             ui.label("Follow the vehicle ahead" if contents.chase else "Measure the speeds").classes("pl-subtitle")
             if self.library.read_only:
-                ui.label(READ_ONLY).classes("pl-fact")
+                ui.label(READ_ONLY_TEXT).classes("pl-fact")
             else:
-                self.kind = AHEAD if contents.chase else LIVE if contents.live else SPEED
+                self.kind = FOLLOW_RUN if contents.chase else LIVE_RUN if contents.live else SPEED_RUN
                 ui.button("Start", on_click=self.start, color=None).props("unelevated no-caps").classes("pl-start")
-                if words := _before(entry):
-                    ui.label(words).classes("pl-fact")
+                if text := _start_note(entry):
+                    ui.label(text).classes("pl-fact")
                 self.warning = ui.label().classes("pl-reason pl-warning").props('role="status"')
                 self.warning.set_visibility(False)
                 with ui.expansion("Settings").classes("pl-settings").props("dense") as self.settings:
-                    self._settings(entry)
+                    self._add_settings(entry)
             if not contents.chase:
-                ui.select(list(UNITS), value=self.unit, label="Speeds in", on_change=self.change_unit).props("dense")
+                ui.select(list(UNIT_NAMES), value=self.unit, label="Speeds in", on_change=self.change_unit).props(
+                    "dense"
+                )
 
-    def _settings(self, entry: Entry) -> None:
+    def _add_settings(self, entry: ClipEntry) -> None:
         if entry.contents.chase:
             self.fields["overlay"] = ui.checkbox("Write the video, which takes most of the time", value=True)
             return
-        particles = ui.number("Particles", min=LEAST_PARTICLES, max=MOST_PARTICLES, precision=0)
+        least, most = setting_range("particles")
+        particles = ui.number("Particles", min=least, max=most, precision=0)
         particles.props("dense clearable")
-        particles.tooltip("More are slower and steadier; empty takes the usual number.")
-        seed = ui.number("Seed", min=0, precision=0).props("dense clearable")
+        particles.tooltip("More are slower and give smoother estimates; empty: the default number.")
+        seed = ui.number("Seed", min=setting_range("seed")[0], precision=0).props("dense clearable")
         seed.tooltip("The same seed gives the same result.")
         motion = ui.select(
             {"auto": "along their paths", "free": "freely", "line": "straight", "curve": "on a curve"},
             value="auto",
             label="Vehicles move",
         )
-        tolerance = ui.number(f"Tolerance ±, {self.unit}", min=0, max=MOST_TOLERANCE).props("dense clearable")
-        tolerance.tooltip("Speeds that are known less well are rejected as well; empty takes the usual limits alone.")
+        tolerance = ui.number(f"{TOLERANCE_LABEL}, {self.unit}", min=0).props("dense clearable")
+        tolerance.tooltip(
+            "Speeds whose 95 % interval is wider than ± this are rejected; empty: the default limits only."
+        )
         self.fields |= {"particles": particles, "seed": seed, "motion": motion.props("dense"), "tolerance": tolerance}
         if not entry.contents.live:
             live = ui.checkbox("Play it as a live stream", on_change=self.change_kind)
-            live.tooltip("To try what live measuring does: vehicle after vehicle, as if the cameras recorded now.")
+            live.tooltip("To try live measurement: vehicle after vehicle, as if the cameras recorded now.")
+        least, most = setting_range("learn")
         self.learn = ui.number(
-            "Learn the empty road for, s", value=LEARNS, min=LEAST_LEARNING, max=MOST_LEARNING, on_change=self.warn
+            "Estimate the background for, s", value=DEFAULT_BACKGROUND_S, min=least, max=most, on_change=self.warn
         ).props("dense")
-        self.learn.set_visibility(self.kind == LIVE)
+        self.learn.set_visibility(self.kind == LIVE_RUN)
         self.fields["learn"] = self.learn
 
     def change_kind(self, event: Any) -> None:
-        self.kind = LIVE if event.value else SPEED
+        self.kind = LIVE_RUN if event.value else SPEED_RUN
         self.learn.set_visibility(event.value)
         self.warn()
 
     def warn(self) -> None:
-        """Says before the start what cannot come to anything."""
-        self.warning.text = _too_short(self.seconds, self.learn.value) if self.kind == LIVE else ""
+        """Shows before the start why a run could measure nothing."""
+        self.warning.text = _too_short(self.seconds, self.learn.value) if self.kind == LIVE_RUN else ""
         self.warning.set_visibility(bool(self.warning.text))
 
     async def start(self) -> None:
         if self.warning.text:
             ui.notify(self.warning.text, type="warning", multi_line=True, timeout=10_000)
             return
-        asked: dict[str, Any] = {"units": self.unit}
+        given: dict[str, Any] = {"units": self.unit}
         for name, field in self.fields.items():
             value = field.value
-            asked[name] = int(value) if name in ("particles", "seed") and value is not None else value
+            given[name] = int(value) if name in ("particles", "seed") and value is not None else value
         try:
-            options = options_of(self.kind, asked)
+            options = command_options(self.kind, given)
             started = await run.io_bound(self.library.runs.start, self.clip, self.kind, options)
-        except (UnusableInput, NotHere) as error:
-            words = GONE if isinstance(error, NotHere) else self.library.shown(error)
-            ui.notify(words, type="negative", multi_line=True, timeout=10_000)
+        except (UnusableInput, NotFound) as error:
+            text = REMOVED_TEXT if isinstance(error, NotFound) else self.library.relative_message(error)
+            ui.notify(text, type="negative", multi_line=True, timeout=10_000)
             return
         if started is not None:
-            self.settings.close()  # it would stand before what is to be watched
+            self.settings.close()  # it would cover the live view
             self.choose(started.number)
 
     def change_unit(self, event: Any) -> None:
         if tolerance := self.fields.get("tolerance"):
-            tolerance.props["label"] = f"Tolerance ±, {event.value}"
+            tolerance.props["label"] = f"{TOLERANCE_LABEL}, {event.value}"
             if tolerance.value is not None:
-                tolerance.value = in_unit(tolerance.value, self.unit, event.value)
+                tolerance.value = convert_tolerance(tolerance.value, self.unit, event.value)
         self.unit = event.value
-        self.read = None
-        self.look()
+        self.shown_result = None
+        self.update()
 
     def choose(self, number: int) -> None:
-        self.chosen, self.other, self.read = number, None, None
+        self.chosen, self.other, self.shown_result = number, None, None
         ui.run_javascript(f"history.replaceState(null, '', {runs_address(self.clip, number)!r})")
-        self.look()
+        self.update()
 
-    def look(self) -> None:
-        """Shows the runs as they are now, and the chosen one's result once it has one."""
+    def update(self) -> None:
+        """Shows the present state of the runs, and the chosen one's progress or result."""
         try:
-            runs = [r for r in self.library.runs.of(self.clip) if r.kind in MEASURING]
-        except NotHere:
+            runs = [r for r in self.library.runs.of(self.clip) if r.kind in MEASURING_KINDS]
+        except NotFound:
             return
         if self.chosen is None and runs:
             self.chosen = runs[0].number
         listed = self.chosen, [(r.number, r.state, self.library.runs.is_stopping(r)) for r in runs]
-        if listed != self.listed:
-            self.listed = listed
+        if listed != self.shown_list:
+            self.shown_list = listed
             self._show_list(runs)
         for r in runs:
-            if r.number in self.going:
-                bar, words = self.going[r.number]
+            if r.number in self.progress_bars:
+                bar, text = self.progress_bars[r.number]
                 bar.value = r.done / r.total if r.total else 0.0
-                words.text = ENDING if self.library.runs.is_stopping(r) else progress(r)
+                text.text = STOPPING_TEXT if self.library.runs.is_stopping(r) else progress_text(r)
         chosen = next((r for r in runs if r.number == self.chosen), None)
         read = (chosen and (chosen.number, chosen.active or chosen.state)), self.unit, self.other, len(runs)
-        if read != self.read:
-            self.read = read
+        if read != self.shown_result:
+            self.shown_result = read
             self._show_result(chosen, runs)
-        if chosen is not None and self.watching is not None:
-            self.watching.look(chosen)
+        if chosen is not None and self.live_view is not None:
+            self.live_view.update(chosen)
 
     def _show_list(self, runs: list[Run]) -> None:
         self.list.clear()
-        self.going.clear()
+        self.progress_bars.clear()
         with self.list:
             if not runs:
                 ui.label("None yet.").classes("pl-fact")
@@ -206,95 +203,97 @@ class _Page:
                     with ui.element("div").classes("pl-row"):
                         name = ui.button(f"Run {r.number}", on_click=lambda _, n=r.number: self.choose(n), color=None)
                         name.props("flat dense no-caps").classes("pl-run-name")
-                        badge("live" if r.kind == LIVE and r.active else r.state)
+                        badge("live" if r.kind == LIVE_RUN and r.active else r.state)
                     if r.active:
-                        self._show_going(r)
+                        self._show_progress(r)
                     else:
-                        took = duration(r.ended - r.started) if r.ended and r.started else ""
-                        words = [moment(r), took, "live" if r.kind == LIVE else ""]
-                        ui.label(", ".join(filter(None, words))).classes("pl-fact")
+                        took = format_duration(r.ended - r.started) if r.ended and r.started else ""
+                        text = [format_created(r), took, "live" if r.kind == LIVE_RUN else ""]
+                        ui.label(", ".join(filter(None, text))).classes("pl-fact")
 
-    def _show_going(self, r: Run) -> None:
+    def _show_progress(self, r: Run) -> None:
         bar = ui.linear_progress(0.0, show_value=False).props(f'aria-label="Run {r.number}"')
-        bar.set_visibility(r.kind != LIVE)
+        bar.set_visibility(r.kind != LIVE_RUN)
         with ui.element("div").classes("pl-row"):
-            words = ui.label(progress(r)).classes("pl-fact")
-            self.going[r.number] = bar, words
-            endless = r.kind == LIVE or self.live
+            text = ui.label(progress_text(r)).classes("pl-fact")
+            self.progress_bars[r.number] = bar, text
+            endless = r.kind == LIVE_RUN or self.live
             if endless and not self.library.runs.is_stopping(r) and r.started:
                 stop = ui.button("Stop", on_click=lambda _, n=r.number: self.stop(n), color=None)
-                stop.props("flat dense no-caps").tooltip("Ends it; what has been measured stays.")
+                stop.props("flat dense no-caps").tooltip(
+                    "Stops the run; the vehicles seen so far are measured and kept."
+                )
             else:
                 cancel = ui.button("Cancel", on_click=lambda _, n=r.number: self.cancel(n), color=None)
                 cancel.props("flat dense no-caps")
 
     def stop(self, number: int) -> None:
         self.library.runs.stop(self.clip, number)
-        self.look()
+        self.update()
 
     def cancel(self, number: int) -> None:
         self.library.runs.cancel(self.clip, number)
-        self.look()
+        self.update()
 
     def _show_result(self, chosen: Run | None, runs: list[Run]) -> None:
         self.result.clear()
-        self.watching = None
+        self.live_view = None
         with self.result:
             if chosen is None:
                 ui.label("Nothing measured yet." if self.library.read_only else "Nothing measured yet. Start a run on "
                          "the left.").classes("pl-empty")  # fmt: skip
                 return
             if chosen.active:
-                self.watching = Watching(self.library, chosen, self.unit, self.pictures)
+                self.live_view = LiveView(self.library, chosen, self.unit, self.pictures)
                 return
             try:
-                ended = chosen.state in (MEASURED, NOTHING)
+                ended = chosen.state in (STATE_MEASURED, STATE_NOTHING)
                 if not ended:
-                    ui.label(f"Run {chosen.number} {_ended(chosen)}").classes("pl-subtitle")
+                    ui.label(f"Run {chosen.number} {_end_text(chosen)}").classes("pl-subtitle")
                     ui.label(chosen.reason).classes("pl-reason")
-                if ended or (chosen.kind == LIVE and files_of(self.library.runs.out(chosen))):
+                if ended or (chosen.kind == LIVE_RUN and result_files(self.library.runs.out(chosen))):
                     self._show_measured(chosen, runs)
-            except (UnusableInput, NotHere) as error:
-                words = GONE if isinstance(error, NotHere) else self.library.shown(error)
-                ui.label(words).classes("pl-reason")
+            except (UnusableInput, NotFound) as error:
+                text = REMOVED_TEXT if isinstance(error, NotFound) else self.library.relative_message(error)
+                ui.label(text).classes("pl-reason")
 
     def _show_measured(self, chosen: Run, runs: list[Run]) -> None:
-        results.links(self.library, chosen)
-        if chosen.kind == AHEAD:
-            results.ahead(self.library, chosen, runs, self.other, self.compare)
+        results.show_links(self.library, chosen)
+        if chosen.kind == FOLLOW_RUN:
+            results.show_range(self.library, chosen, runs, self.other, self.compare)
         else:
-            results.speeds(self.library, chosen, runs, self.unit, self.other, self.compare)
+            results.show_speeds(self.library, chosen, runs, self.unit, self.other, self.compare)
 
     def compare(self, event: Any) -> None:
         self.other = event.value
-        self.look()
+        self.update()
 
 
-def _before(entry: Entry) -> str:
-    """What a person should know before they start a run."""
+def _start_note(entry: ClipEntry) -> str:
+    """What to know before starting a run; empty where nothing is special."""
     contents = entry.contents
     if entry.state in ("unreadable", "no rig", "no target"):
         return f"This clip cannot be {'followed' if contents.chase else 'measured'} yet: {entry.reason}"
     if contents.live:
         sources = " and ".join(contents.live)
-        road = "" if contents.paths else " Lanes are looked for first, unless the site has them."
-        learn = f"The empty road is learned first, {LEARNS:.0f} s long if you set nothing else"
-        return f"Live, from {sources}. {learn}; then every vehicle that passes is measured, until you stop it.{road}"
+        road = "" if contents.paths else " Lanes are detected first, unless the site has them."
+        background = f"The background is estimated first, for {DEFAULT_BACKGROUND_S:.0f} s by default"
+        return f"Live, from {sources}. {background}; then every passing vehicle is measured, until you stop it.{road}"
     if contents.vehicles or contents.chase:
         return ""
-    return f"No vehicle is outlined: {'vehicles' if contents.paths else 'lanes and vehicles'} are looked for."
+    return f"No vehicle is outlined: {'vehicles' if contents.paths else 'lanes and vehicles'} are detected."
 
 
 def _too_short(seconds: float | None, learn: float | None) -> str:
-    """Why a recording of ``seconds`` cannot be played as a live one whose first ``learn`` seconds show the road."""
-    learn = LEARNS if learn is None else learn
+    """Why ``seconds`` of recording are too short for ``learn`` seconds of background; empty if they are not."""
+    learn = DEFAULT_BACKGROUND_S if learn is None else learn
     if seconds is None or learn < seconds:
         return ""
     return (
-        f"This recording lasts {seconds:.1f} s, and the empty road would be learned for {learn:g} s of them: nothing "
-        "would be measured. Learn for less, or take a longer recording."
+        f"This recording lasts {seconds:.1f} s, and {learn:g} s of them would be used to estimate the background: "
+        "nothing would be measured. Set a shorter time, or use a longer recording."
     )
 
 
-def _ended(run: Run) -> str:
+def _end_text(run: Run) -> str:
     return {"failed": "could not be measured", "cancelled": "was cancelled"}.get(run.state, "was interrupted")

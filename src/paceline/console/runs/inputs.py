@@ -1,6 +1,7 @@
-"""What a run measures: its documents as they were when it was asked for, copied into a folder of its own.
+"""The inputs of a run: copies of its documents at the time it was requested, in a folder of its own.
 
-The copies lie there as the originals do in the console's folder, so that messages and results name them alike.
+The copies have the same relative paths there as the originals in the console's folder, so that messages and results
+name them alike.
 """
 
 from __future__ import annotations
@@ -13,54 +14,54 @@ from typing import Any
 import numpy as np
 import yaml
 
-from paceline.console.document_names import STREAM, ChaseModel, is_chase, read_small
+from paceline.console.document_names import STREAM_PATTERN, PartialFollowModel, is_follow, read_cached
 from paceline.documents.models import ClipModel, Document, SiteModel
 from paceline.errors import UnusableInput
 
-ASKED = "asked"  # the folder of the copies
-RECORDED = ("left", "right", "video", "times", "odometry")  # stay where they are
-NAMED = ("rig", "camera", "target", "site")
+INPUTS_FOLDER = "asked"
+RECORDING_KEYS = ("left", "right", "video", "times", "odometry")  # paths to files that are not copied
+DOCUMENT_KEYS = ("rig", "camera", "target", "site")
 
 
-def copy_documents(root: Path, file: Path, asked: Path, vehicles: bool) -> None:
-    """Copies the clip.yaml or follow.yaml ``file`` below ``root``, with its ``vehicles`` or without, and the documents
-    that it names into the new folder ``asked``, such that they say there what they say here. Nothing that they name may
-    lie outside ``root``. Raises UnusableInput."""
-    given = _values(read_small(ChaseModel if is_chase(file) else ClipModel, file))
+def copy_documents(root: Path, file: Path, inputs: Path, vehicles: bool) -> None:
+    """Copies the clip.yaml or follow.yaml ``file`` below ``root``, with or without its ``vehicles``, and the documents
+    that it names into the new folder ``inputs``; relative paths are adapted. Files that they name must lie below
+    ``root``. Raises UnusableInput."""
+    given = _given_values(read_cached(PartialFollowModel if is_follow(file) else ClipModel, file))
     if not vehicles:
         given.pop("vehicles", None)
-    for key in RECORDED:
-        if key in given and not STREAM.fullmatch(given[key]):
+    for key in RECORDING_KEYS:
+        if key in given and not STREAM_PATTERN.fullmatch(given[key]):
             given[key] = str(file.parent / given[key])
     try:
-        asked.mkdir()
-        _put(root, file, asked, given)
+        inputs.mkdir()
+        _write_copy(root, file, inputs, given)
     except OSError as error:
-        raise UnusableInput(f"{asked}: cannot be written ({error.strerror})") from error
+        raise UnusableInput(f"{inputs}: cannot be written ({error.strerror})") from error
 
 
-def _put(root: Path, file: Path, asked: Path, given: dict[str, Any]) -> None:
-    """Writes the copy of ``file`` that says what is ``given``, and copies what that names."""
-    copy = asked / file.relative_to(root)
+def _write_copy(root: Path, file: Path, inputs: Path, given: dict[str, Any]) -> None:
+    """Writes the copy of ``file`` with the values ``given``, and copies the documents that these name."""
+    copy = inputs / file.relative_to(root)
     copy.parent.mkdir(parents=True, exist_ok=True)
-    for key in NAMED:
+    for key in DOCUMENT_KEYS:
         if key not in given:
             continue
         named = (file.parent / given[key]).resolve()
-        there = asked / named.relative_to(root)
-        given[key] = os.path.relpath(there, copy.parent)
+        target = inputs / named.relative_to(root)
+        given[key] = os.path.relpath(target, copy.parent)
         if not named.is_file():
-            continue  # for the command to complain of
-        there.parent.mkdir(parents=True, exist_ok=True)
+            continue  # the command reports it
+        target.parent.mkdir(parents=True, exist_ok=True)
         if key == "site":
-            _put(root, named, asked, _values(read_small(SiteModel, named)))
+            _write_copy(root, named, inputs, _given_values(read_cached(SiteModel, named)))
         else:
-            shutil.copyfile(named, there)
+            shutil.copyfile(named, target)
     copy.write_text(yaml.safe_dump(given, allow_unicode=True, sort_keys=False), encoding="utf-8")
 
 
-def _values(model: Document) -> dict[str, Any]:
-    """What is given in a document, as values that YAML knows."""
+def _given_values(model: Document) -> dict[str, Any]:
+    """The given values of a document, as plain YAML values."""
     plain: dict[str, Any] = _plain(model.model_dump(exclude_unset=True, exclude_none=True))
     return plain
 

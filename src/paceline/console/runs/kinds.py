@@ -1,31 +1,35 @@
-"""The kinds of runs: what each asks of the command line, and where it may write."""
+"""The kinds of runs: the command line of each, and where it may write."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from paceline.console.document_names import CLIP, FOLLOW
+from paceline.console.document_names import CLIP_FILE, FOLLOW_FILE
 
-SPEED, LIVE, AHEAD, LANES, VEHICLES = "speed", "live", "follow", "lanes", "vehicles"
-KINDS = (SPEED, LIVE, AHEAD, LANES, VEHICLES)
-MEASURING = (SPEED, LIVE, AHEAD)  # those that a person reads; the others propose what to draw
+SPEED_RUN, LIVE_RUN, FOLLOW_RUN, LANES_RUN, VEHICLES_RUN = "speed", "live", "follow", "lanes", "vehicles"
+RUN_KINDS = (SPEED_RUN, LIVE_RUN, FOLLOW_RUN, LANES_RUN, VEHICLES_RUN)
+MEASURING_KINDS = (
+    SPEED_RUN,
+    LIVE_RUN,
+    FOLLOW_RUN,
+)  # whose results are shown; the others propose paths or vehicles to the editor
 
 
 def document_of(kind: str) -> str:
-    """The name of the document that a run of this ``kind`` goes out from."""
-    return FOLLOW if kind == AHEAD else CLIP
+    """The name of the document that a run of this ``kind`` reads."""
+    return FOLLOW_FILE if kind == FOLLOW_RUN else CLIP_FILE
 
 
 def keeps_vehicles(kind: str) -> bool:
-    """Whether a run of this ``kind`` wants to know the vehicles that are outlined; the others look for them."""
-    return kind not in (LIVE, VEHICLES)
+    """Whether a run of this ``kind`` uses the outlined vehicles; the others detect vehicles."""
+    return kind not in (LIVE_RUN, VEHICLES_RUN)
 
 
-def arguments(kind: str, file: str, where: Path) -> list[str]:
-    """The command for ``file``, the run's own copy of the document, such that all it writes is below ``where``."""
-    if kind == LANES:
+def command_arguments(kind: str, file: str, where: Path) -> list[str]:
+    """Arguments of the command for ``file``, the run's copy of the document; it writes only below ``where``."""
+    if kind == LANES_RUN:
         return ["lanes", file, "-o", str(where / "site.yaml")]
-    if kind == VEHICLES:  # adds to the clip.yaml that it is given
+    if kind == VEHICLES_RUN:  # adds vehicles to the clip.yaml itself
         return ["vehicles", file, "--write"]
-    live = ["--live"] if kind == LIVE else []
-    return [AHEAD if kind == AHEAD else SPEED, file, "-o", str(where / "out"), *live]
+    live = ["--live"] if kind == LIVE_RUN else []
+    return [FOLLOW_RUN if kind == FOLLOW_RUN else SPEED_RUN, file, "-o", str(where / "out"), *live]

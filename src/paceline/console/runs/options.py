@@ -1,60 +1,63 @@
-"""What a page may ask of a run, as arguments of the command line: known settings in known ranges, and nothing else."""
+"""The settings that a page may choose for a run, checked against their model, as arguments of the command line."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, get_args
 
-from paceline.console.runs.kinds import AHEAD, LIVE, SPEED
+from pydantic import ValidationError
+
+from paceline.console.runs.kinds import FOLLOW_RUN, LIVE_RUN, SPEED_RUN
 from paceline.errors import UnusableInput
-from paceline.units import convert, parse_unit
+from paceline.speed.choices import Motion
+from paceline.speed.configuration import SpeedSettings
+from paceline.units import SpeedUnit, convert, parse_unit
 
-LEAST_PARTICLES, MOST_PARTICLES = 20, 100_000
-MOTIONS, UNITS = ("auto", "free", "line", "curve"), ("mph", "km/h", "m/s")
-MOST_TOLERANCE = 1000.0  # of any unit
-LEAST_LEARNING, MOST_LEARNING = 2.0, 3600.0  # s
+MOTION_NAMES: tuple[str, ...] = get_args(Motion)
+UNIT_NAMES = tuple(unit.value for unit in SpeedUnit)
 
 
-def options_of(kind: str, given: dict[str, Any]) -> list[str]:
+def setting_range(name: str) -> tuple[float | None, float | None]:
+    """The least and the greatest value of a numeric setting, None where its model has no such limit."""
+    limits = {
+        kind: value
+        for limit in SpeedSettings.model_fields[name].metadata
+        for kind in ("ge", "le")
+        if (value := getattr(limit, kind, None)) is not None
+    }
+    return limits.get("ge"), limits.get("le")
+
+
+def command_options(kind: str, given: dict[str, Any]) -> list[str]:
     """Arguments for a run of this ``kind``. Raises UnusableInput, naming the setting."""
-    if kind not in (SPEED, LIVE):
-        return ["--no-overlay"] if kind == AHEAD and given.get("overlay") is False else []
-    arguments: list[str] = []
-    for option, most in (("particles", MOST_PARTICLES), ("seed", 2**31)):
-        if given.get(option) is not None:
-            arguments += [f"--{option}", str(to_whole(given[option], most))]
-    if given.get("particles") is not None and given["particles"] < LEAST_PARTICLES:
-        raise UnusableInput(f"particles: expected {LEAST_PARTICLES} to {MOST_PARTICLES}")
-    for option, valid in (("motion", MOTIONS), ("units", UNITS)):
-        if given.get(option) is not None:
-            if given[option] not in valid:
-                raise UnusableInput(f"{option}: expected one of {', '.join(valid)}")
-            arguments += [f"--{option}", str(given[option])]
-    if given.get("tolerance") is not None:
-        if not 0 < (half := to_number(given["tolerance"])) <= MOST_TOLERANCE:
-            raise UnusableInput(f"tolerance: expected a speed above 0, at most {MOST_TOLERANCE:g}")
-        arguments += ["--tolerance", f"{half:g}"]
-    if kind == LIVE and given.get("learn") is not None:
-        seconds = to_number(given["learn"])
-        if not LEAST_LEARNING <= seconds <= MOST_LEARNING:
-            raise UnusableInput(f"learn: expected {LEAST_LEARNING:g} to {MOST_LEARNING:g} seconds")
-        arguments += ["--learn", f"{seconds:g}"]
-    return arguments
+    if kind not in (SPEED_RUN, LIVE_RUN):
+        return ["--no-overlay"] if kind == FOLLOW_RUN and given.get("overlay") is False else []
+    names = ("particles", "seed", "motion", "units", "tolerance", *(("learn",) if kind == LIVE_RUN else ()))
+    chosen = {name: given[name] for name in names if given.get(name) is not None}
+    if chosen.get("units", UNIT_NAMES[0]) not in UNIT_NAMES:
+        raise UnusableInput(f"units: expected one of {', '.join(UNIT_NAMES)}")
+    try:  # a tolerance is positive in any unit
+        SpeedSettings.model_validate({name: chosen[name] for name in chosen if name != "units"}, strict=True)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise UnusableInput(f"{first['loc'][0]}: {first['msg'].replace('Input should be', 'expected')}") from error
+    texts = {name: f"{value:g}" if name in ("tolerance", "learn") else str(value) for name, value in chosen.items()}
+    return [argument for name, text in texts.items() for argument in (f"--{name}", text)]
 
 
-def in_unit(tolerance: float, before: str, unit: str) -> float:
-    """A tolerance in the unit ``before`` in another ``unit``, as many of them as make it as much as it was."""
+def convert_tolerance(tolerance: float, before: str, unit: str) -> float:
+    """A tolerance in the unit ``before``, converted to ``unit`` and rounded to three digits."""
     return float(f"{convert(tolerance * parse_unit(before).mps, unit):.3g}")
 
 
-def to_whole(value: object, most: int) -> int:
+def parse_whole_number(value: object, most: int) -> int:
     """``value``, if it is a whole number from 0 to ``most``. Raises UnusableInput."""
     if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value <= most:
         raise UnusableInput(f"expected a whole number from 0 to {most}, found {str(value)[:40]!r}")
     return value
 
 
-def to_number(value: object) -> float:
-    """``value``, if it is a number that anything here can be. Raises UnusableInput."""
+def parse_number(value: object) -> float:
+    """``value``, if it is a number below 10⁹ in size. Raises UnusableInput."""
     if not isinstance(value, int | float) or isinstance(value, bool) or not abs(value) < 1e9:
         raise UnusableInput(f"expected a number, found {str(value)[:40]!r}")
     return float(value)

@@ -1,4 +1,4 @@
-"""What a finished run left behind, read for people: verdicts in one unit, and speeds over time."""
+"""Reads the results of a run for display: verdicts in one unit, and speeds or distances over time."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from paceline.console.confinement import NotHere, file_below
+from paceline.console.confinement import NotFound, file_below
 from paceline.errors import UnusableInput
 from paceline.reports.common.formatting import NO_VALUE, format_number, format_speed_number, rejected_advice
 from paceline.units import COVERAGE_95, convert
 
-FILES = {  # that a run may leave behind, and what they are called
+RESULT_FILES = {  # of a run, with the text of their links
     "report.html": "Open the report",
     "estimates.csv": "Every frame (CSV)",
     "track.csv": "Every frame (CSV)",
     "summary.json": "Summary (JSON)",
     "overlay.mp4": "Video with the outlines",
 }
-MOST_SHOWN = 1500  # values of a series that a chart shows; of more, evenly spread ones
-TAIL = 256 << 10  # bytes of a growing table that are read, its last ones
-LATEST = 12  # vehicles of a growing table that a chart shows
+MAX_CHART_VALUES = 1500  # of one series; of more, evenly spread ones are shown
+TAIL_BYTES = 256 << 10  # read from the end of a growing table
+MAX_LIVE_SERIES = 12  # the latest vehicles of a growing table
 
 
 @dataclass(frozen=True)
 class Series:
-    """One vehicle over time: seconds, and its speed (m/s) or distance (m) with the half width of the 95 % interval;
-    ``refined`` or the filter's."""
+    """One vehicle over time: seconds, its speed (m/s) or distance (m), and the half-width of the 95 % interval;
+    ``refined`` or the filter's estimates."""
 
     vehicle: str
     time: list[float]
@@ -42,8 +42,8 @@ class Series:
 
 
 def read_summary(out: Path) -> dict[str, Any]:
-    """summary.json of a run; ``unmeasured`` are the reasons of those that a live one saw and could not measure. Raises
-    UnusableInput."""
+    """The vehicles and notices in the summary.json of a run; ``unmeasured`` are the reasons of vehicles that a live run
+    saw and could not measure. Raises UnusableInput."""
     file = out / "summary.json"
     try:
         summary = json.loads(file_below(out, file.name).read_text(encoding="utf-8"))
@@ -52,62 +52,64 @@ def read_summary(out: Path) -> dict[str, Any]:
             "notices": list(map(str, summary["notices"])),
             "unmeasured": [str(passage["reason"]) for passage in summary.get("unmeasured", [])],
         }
-    except (OSError, NotHere, ValueError, KeyError, TypeError) as error:
+    except (OSError, NotFound, ValueError, KeyError, TypeError) as error:
         raise UnusableInput(f"{file}: is no summary of a measurement") from error
 
 
-def why_nothing(out: Path) -> str:
-    """Why a run measured nothing, in a line, as its summary.json says it."""
+def nothing_measured_reason(out: Path) -> str:
+    """Why a run measured nothing: the first reason or notice in its summary.json."""
     try:
         summary = json.loads(file_below(out, "summary.json").read_text(encoding="utf-8"))
-        said = [f"{v['vehicle']}: {v['reason']}" for v in summary.get("vehicles", []) if v.get("reason")]
-        said += [f"not measured: {passage['reason']}" for passage in summary.get("unmeasured", [])]
-        said += [*summary.get("reasons", {}), *summary.get("notices", [])]
-    except (OSError, NotHere, ValueError, KeyError, TypeError, AttributeError):
+        reasons = [f"{v['vehicle']}: {v['reason']}" for v in summary.get("vehicles", []) if v.get("reason")]
+        reasons += [f"not measured: {passage['reason']}" for passage in summary.get("unmeasured", [])]
+        reasons += [*summary.get("reasons", {}), *summary.get("notices", [])]
+    except (OSError, NotFound, ValueError, KeyError, TypeError, AttributeError):
         return ""
-    return str(said[0]) if said else "nothing came by that could be measured"
+    return str(reasons[0]) if reasons else "no vehicle passed that could be measured"
 
 
-def picture_of(vehicle: str) -> str:
-    """Where the picture of a live run's ``vehicle`` is, in its output."""
+def picture_name(vehicle: str) -> str:
+    """The picture of a live run's ``vehicle``, relative to the output folder."""
     return f"pictures/{vehicle}.jpg"
 
 
-def files_of(out: Path) -> dict[str, str]:
-    """The files of a run that are there, with what they are called."""
+def result_files(out: Path) -> dict[str, str]:
+    """The existing files of a run, with the text of their links."""
     found = {}
-    for name, words in FILES.items():
-        with suppress(NotHere):
+    for name, text in RESULT_FILES.items():
+        with suppress(NotFound):
             file_below(out, name)
-            found[name] = words
+            found[name] = text
     return found
 
 
 def read_series(out: Path, growing: bool = False) -> list[Series]:
-    """Speeds over time from estimates.csv, in order of the vehicles; of a ``growing`` one those of the latest vehicles.
+    """Speeds over time from estimates.csv, in order of the vehicles; of a ``growing`` table those of the latest ones.
     Raises UnusableInput."""
     file = out / "estimates.csv"
     rows: dict[str, list[dict[str, str]]] = {}
     try:
-        for row in _rows(file_below(out, file.name), TAIL if growing else None):
+        for row in _read_rows(file_below(out, file.name), TAIL_BYTES if growing else None):
             rows.setdefault(row["vehicle"], []).append(row)
-        return [_speeds(vehicle, found) for vehicle, found in list(rows.items())[-LATEST if growing else 0 :]]
-    except (OSError, NotHere, ValueError, KeyError, TypeError) as error:
+        return [
+            _speed_series(vehicle, found) for vehicle, found in list(rows.items())[-MAX_LIVE_SERIES if growing else 0 :]
+        ]
+    except (OSError, NotFound, ValueError, KeyError, TypeError) as error:
         raise UnusableInput(f"{file}: is no table of estimates") from error
 
 
-def read_distance(out: Path, target: str) -> list[Series]:
+def read_range_series(out: Path, target: str) -> list[Series]:
     """The distance ahead over time from track.csv, where the ``target`` was tracked. Raises UnusableInput."""
     file = out / "track.csv"
     try:
-        rows = [row for row in _rows(file_below(out, file.name)) if row["status"] == "tracking" and row["z_m"]]
-        return [_values(target, rows, "z_m", "z_std_m", True)]
-    except (OSError, NotHere, ValueError, KeyError, TypeError) as error:
+        rows = [row for row in _read_rows(file_below(out, file.name)) if row["status"] == "tracking" and row["z_m"]]
+        return [_series_of_columns(target, rows, "z_m", "z_std_m", True)]
+    except (OSError, NotFound, ValueError, KeyError, TypeError) as error:
         raise UnusableInput(f"{file}: is no table of a vehicle ahead") from error
 
 
-def _rows(file: Path, tail: int | None = None) -> Iterator[dict[str, str]]:
-    """The rows of a table that are whole; where it is longer, those of its last ``tail`` bytes."""
+def _read_rows(file: Path, tail: int | None = None) -> Iterator[dict[str, str]]:
+    """The complete rows of a table; with ``tail``, those in its last ``tail`` bytes."""
     with file.open("rb") as stream:
         head = stream.readline()
         if tail is not None and (size := file.stat().st_size) > len(head) + tail:
@@ -118,15 +120,15 @@ def _rows(file: Path, tail: int | None = None) -> Iterator[dict[str, str]]:
     yield from csv.DictReader(io.StringIO(text, newline=""))
 
 
-def _speeds(vehicle: str, rows: list[dict[str, str]]) -> Series:
+def _speed_series(vehicle: str, rows: list[dict[str, str]]) -> Series:
     refined = any(row["refined_speed_mps"] for row in rows)
     columns = ("refined_speed_mps", "refined_std_mps") if refined else ("speed_mps", "speed_std_mps")
-    return _values(vehicle, rows, *columns, refined)
+    return _series_of_columns(vehicle, rows, *columns, refined)
 
 
-def _values(vehicle: str, rows: list[dict[str, str]], value: str, std: str, refined: bool) -> Series:
+def _series_of_columns(vehicle: str, rows: list[dict[str, str]], value: str, std: str, refined: bool) -> Series:
     known = [row for row in rows if row[value]]
-    known = known[:: -(-len(known) // MOST_SHOWN) or 1]
+    known = known[:: -(-len(known) // MAX_CHART_VALUES) or 1]
     return Series(
         vehicle,
         [float(row["time_s"]) for row in known],
@@ -136,8 +138,8 @@ def _values(vehicle: str, rows: list[dict[str, str]], value: str, std: str, refi
     )
 
 
-def read_followed(out: Path) -> dict[str, Any]:
-    """summary.json of a run that followed a vehicle: its parts that people are shown. Raises UnusableInput."""
+def read_follow_summary(out: Path) -> dict[str, Any]:
+    """The displayed parts of the summary.json of a run that followed a vehicle. Raises UnusableInput."""
     file = out / "summary.json"
     try:
         summary = json.loads(file_below(out, file.name).read_text(encoding="utf-8"))
@@ -147,21 +149,21 @@ def read_followed(out: Path) -> dict[str, Any]:
             "frames": int(summary["frames"]),
             "share": float(summary["tracked_share"]),
             "status": {name: int(summary["status"][name]) for name in ("tracking", "coasting", "lost")},
-            "range": [_number(distance[key]) for key in ("min", "mean", "max")],
+            "range": [_number_or_nan(distance[key]) for key in ("min", "mean", "max")],
             "reasons": {str(reason): int(count) for reason, count in summary["reasons"].items()},
             "notices": list(map(str, summary["notices"])),
         }
-    except (OSError, NotHere, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (OSError, NotFound, ValueError, KeyError, TypeError, AttributeError) as error:
         raise UnusableInput(f"{file}: is no summary of a vehicle ahead") from error
 
 
 def vehicle_rows(vehicles: list[dict[str, Any]], unit: str) -> list[dict[str, str]]:
     """A row of text per vehicle of a summary: speed, interval, frames, verdict, reason and advice."""
-    return [_row(vehicle, unit) for vehicle in vehicles]
+    return [_vehicle_row(vehicle, unit) for vehicle in vehicles]
 
 
-def _row(vehicle: dict[str, Any], unit: str) -> dict[str, str]:
-    speed, lo, hi = (_number(vehicle.get(key)) for key in ("speed_mps", "speed_lo_mps", "speed_hi_mps"))
+def _vehicle_row(vehicle: dict[str, Any], unit: str) -> dict[str, str]:
+    speed, lo, hi = (_number_or_nan(vehicle.get(key)) for key in ("speed_mps", "speed_lo_mps", "speed_hi_mps"))
     half = (hi - lo) / 2
     shown = format_speed_number(speed, unit, half)
     return {
@@ -177,26 +179,26 @@ def _row(vehicle: dict[str, Any], unit: str) -> dict[str, str]:
     }
 
 
-def differences(first: list[dict[str, Any]], second: list[dict[str, Any]], unit: str) -> list[dict[str, str]]:
-    """A row per vehicle that both summaries have: both speeds, and the second less the first."""
+def compare_summaries(first: list[dict[str, Any]], second: list[dict[str, Any]], unit: str) -> list[dict[str, str]]:
+    """A row per vehicle that both summaries have: both speeds, and the second minus the first."""
     others = {str(vehicle.get("vehicle")): vehicle for vehicle in second}
     rows = []
     for vehicle in first:
         other = others.get(str(vehicle.get("vehicle")))
         if other is not None:
-            a, b = _number(vehicle.get("speed_mps")), _number(other.get("speed_mps"))
+            a, b = _number_or_nan(vehicle.get("speed_mps")), _number_or_nan(other.get("speed_mps"))
             change = round(convert(b - a, unit), 2) + 0.0  # no negative zero
             sign = "+" if change > 0 else ""
             rows.append(
                 {
                     "vehicle": str(vehicle.get("vehicle")),
-                    "first": _row(vehicle, unit)["speed"],
-                    "second": _row(other, unit)["speed"],
+                    "first": _vehicle_row(vehicle, unit)["speed"],
+                    "second": _vehicle_row(other, unit)["speed"],
                     "change": sign + format_number(change, 2),
                 }
             )
     return rows
 
 
-def _number(value: object) -> float:
+def _number_or_nan(value: object) -> float:
     return float(value) if isinstance(value, int | float) else math.nan

@@ -1,21 +1,21 @@
-// What the editors share: how they open, their tools, undo and redo, what they say, and when they paint.
+// What the editors share: loading, the tool bar, undo and redo, messages, and painting.
 
-import { ask, make } from "./importer.js";
+import { make, sendRequest } from "./importer.js";
 
-export const NEAR = 12; // px on the screen
-export const READ_ONLY = "This folder cannot be written: look around; nothing here is changed.";
+export const HIT_RADIUS_PX = 12; // on the screen
+export const READ_ONLY = "This folder cannot be written: you can look, but not change anything.";
 
 export function pushButton(text, action, title = "") {
   return make("button", { className: "pl-button", type: "button", textContent: text, title, onclick: action });
 }
 
-export class Editing extends HTMLElement { // of a clip: a subclass has a model, views, film, tool and hint, take() and drawings()
-  async opened(kind) { // whether it opens now, with the clip's set-up of this kind
-    if (this.begun) return false;
-    this.begun = true;
+export class EditorElement extends HTMLElement { // a subclass has a model, views, player, tool and hint, take() and drawings()
+  async loadSetup(kind) { // loads the clip's set-up of this kind once; returns whether it has
+    if (this.loaded) return false;
+    this.loaded = true;
     this.clip = encodeURIComponent(this.getAttribute("clip"));
     try {
-      this.setup = await ask("GET", `/api/${kind}?clip=${this.clip}`);
+      this.setup = await sendRequest("GET", `/api/${kind}?clip=${this.clip}`);
     } catch (error) {
       this.append(make("div", { className: "pl-error", role: "alert", textContent: error.message }));
       return false;
@@ -23,9 +23,9 @@ export class Editing extends HTMLElement { // of a clip: a subclass has a model,
     return true;
   }
 
-  get frame() { return this.film.frame; }
+  get frame() { return this.player.frame; }
 
-  buildTools(tools) { // the buttons of ``tools``, {name: [text, key, hint]}, and those that undo
+  buildTools(tools) { // the buttons of `tools`, {name: [text, key, hint]}, and those for undo and redo
     this.toolButtons = Object.fromEntries(Object.entries(tools).map(([tool, [text, key, hint]]) =>
       [tool, pushButton(text, () => this.take(tool), `${hint} (${key.toUpperCase()})`)]));
     this.undoButton = pushButton("Undo", () => this.model.undo(), "Ctrl-Z");
@@ -39,7 +39,7 @@ export class Editing extends HTMLElement { // of a clip: a subclass has a model,
     this.redoButton.disabled = !this.model.future.length;
   }
 
-  say(text, bad = false) {
+  showMessage(text, bad = false) {
     this.hint.textContent = text;
     this.hint.classList.toggle("pl-error", bad);
   }

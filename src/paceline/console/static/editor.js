@@ -1,13 +1,13 @@
 // The stereo editor: both views side by side, road lines and vehicles drawn in them, proposals and checks by the server.
 
-import { Editing, NEAR, pushButton, READ_ONLY } from "./editing.js";
-import { Film } from "./player.js";
-import { ask, make } from "./importer.js";
-import { Keeper } from "./drafts.js";
-import { Keys } from "./keyboard.js";
+import { EditorElement, HIT_RADIUS_PX, pushButton, READ_ONLY } from "./editing.js";
+import { Player } from "./player.js";
+import { make, sendRequest } from "./importer.js";
+import { DraftStore } from "./drafts.js";
+import { Keyboard } from "./keyboard.js";
 import { Model, VIEWS, ordered, rounded, sortedCorners } from "./model.js";
-import { Panel } from "./item_list.js";
-import { Pointers } from "./pointer_tools.js";
+import { ItemList } from "./item_list.js";
+import { PointerTools } from "./pointer_tools.js";
 import { Proposals } from "./proposals.js";
 import { COLORS, View } from "./view.js";
 
@@ -20,15 +20,15 @@ const KEYS = "V look, L line, R outline; drawing: arrows move a cross (Shift: fi
   + "Looking: ← → frames, Space plays, N next point, arrows nudge it (Shift: more). "
   + "Always: , . frames, Del removes, Ctrl-Z undoes, Ctrl-S saves, + − 0 zoom, S snapping, Esc leaves";
 
-// What two people may have changed, by name, for comparing.
+// The named parts of a state, to compare two versions of the file.
 function parts([paths, vehicles]) {
   return Object.fromEntries([...Object.entries(paths).map(([name, entry]) => [`path ${name}`, entry]),
     ...vehicles.map((entry) => [`vehicle ${entry.id}`, entry])]);
 }
 
-class Editor extends Editing {
+class Editor extends EditorElement {
   async connectedCallback() {
-    if (!await this.opened("setup")) return;
+    if (!await this.loadSetup("setup")) return;
     this.model = new Model(this.setup);
     this.readonly = this.model.frozen = this.hasAttribute("readonly");
     this.views = VIEWS.map((side, i) => new View(side, this.setup.sizes[i]));
@@ -37,19 +37,19 @@ class Editor extends Editing {
     this.linked = true;
     this.chosen = null;
     this.draft = null; // {kind, view, points}
-    this.moving = null; // where the chosen point is dragged to just now
+    this.moving = null; // the position of the chosen point while it is dragged
     this.build();
     this.model.listeners.push(() => this.changed());
-    this.keeper = new Keeper(this, { address: `/api/setup?clip=${this.clip}`, file: "clip.yaml", parts,
+    this.drafts = new DraftStore(this, { address: `/api/setup?clip=${this.clip}`, file: "clip.yaml", parts,
       send: ({ paths, vehicles }) => ({ paths, vehicles }) });
     new ResizeObserver(() => this.resized()).observe(this.views[0].canvas);
     const first = this.model.vehicles[0];
-    this.film.goTo(first ? Math.max(this.setup.frames.indexOf(first.frame), 0) : 0);
-    if (!this.readonly && this.keeper.recall()) this.say("What you had drawn and not saved is back. Undo leaves it.");
+    this.player.goTo(first ? Math.max(this.setup.frames.indexOf(first.frame), 0) : 0);
+    if (!this.readonly && this.drafts.restoreDraft()) this.showMessage("What you had drawn and not saved is back. Undo discards it.");
     this.changed();
     if (!this.readonly) this.proposals.resume();
     window.addEventListener("beforeunload", (event) => { if (this.model.dirty) event.preventDefault(); });
-    this.keys = new Keys(this, TOOLS);
+    this.keyboard = new Keyboard(this, TOOLS);
   }
 
   // --- the page ----------------------------------------------------------------------------------------------------
@@ -62,7 +62,7 @@ class Editor extends Editing {
     this.vehiclesButton = pushButton("Propose vehicles", () => this.proposals.vehicles(), "Find what drives along the paths; this reads the whole recording");
     this.saveButton = pushButton("Save", () => this.save(), "Writes clip.yaml (Ctrl-S)");
     this.saveButton.classList.add("primary");
-    this.measureButton = make("a", { className: "pl-button", href: this.getAttribute("runs"), textContent: this.readonly ? "Read…" : "Measure…" });
+    this.measureButton = make("a", { className: "pl-button", href: this.getAttribute("runs"), textContent: this.readonly ? "Results…" : "Measure…" });
     this.hint = make("div", { className: "ed-hint", role: "status", "aria-live": "polite" });
     drawing.push(this.snapButton);
     for (const element of [...drawing, this.saveButton, this.lanesButton, this.vehiclesButton]) element.hidden = this.readonly;
@@ -72,18 +72,18 @@ class Editor extends Editing {
       view.canvas.setAttribute("aria-label", `${view.side} view`);
       return make("div", { className: "ed-view" }, view.canvas, make("span", { className: "tag", textContent: view.side }));
     });
-    this.film = new Film(this, [0, 1], this.setup);
-    this.panel = new Panel(this);
-    this.pointers = new Pointers(this);
+    this.player = new Player(this, [0, 1], this.setup);
+    this.itemList = new ItemList(this);
+    this.pointers = new PointerTools(this);
     this.proposals = new Proposals(this);
     const keys = make("details", { className: "pl-fact" }, make("summary", { textContent: "Keys" }), KEYS);
     this.append(
       make("div", { className: "ed-work" }, bar, this.hint, make("div", { className: "ed-views" }, ...boxes),
-        this.film.element, keys),
-      this.panel.element);
+        this.player.element, keys),
+      this.itemList.element);
     this.take("move");
-    this.say(this.next());
-    for (const notice of this.setup.notices) this.panel.element.append(make("div", { className: "pl-fact", textContent: `Note: ${notice}` }));
+    this.showMessage(this.nextStep());
+    for (const notice of this.setup.notices) this.itemList.element.append(make("div", { className: "pl-fact", textContent: `Note: ${notice}` }));
   }
 
   buttons() {
@@ -94,12 +94,12 @@ class Editor extends Editing {
     this.measureButton.classList.toggle("primary", !this.readonly && !this.model.dirty && this.model.vehicles.length > 0); // the next step
   }
 
-  next() { // what a person would do next
+  nextStep() { // the hint for the next step
     if (this.readonly) return READ_ONLY;
     const { paths, vehicles, sitePaths } = this.model;
     if (!vehicles.length && !Object.keys({ ...paths, ...sitePaths }).length) {
       return "First draw the road line that the vehicles follow, or let lanes be proposed. Then outline the vehicles. "
-        + "Or just measure: lanes and vehicles are then looked for.";
+        + "Or just measure: lanes and vehicles are then detected.";
     }
     if (!vehicles.length) return "Now outline each vehicle, in a frame that shows it well and early.";
     return TOOLS[this.tool][2];
@@ -107,9 +107,9 @@ class Editor extends Editing {
 
   take(tool) {
     if (this.readonly) tool = "move";
-    this.pointers.then(() => this.finishDraft());
+    this.pointers.inOrder(() => this.finishDraft());
     this.tool = tool;
-    this.say(this.readonly ? READ_ONLY : TOOLS[tool][2]);
+    this.showMessage(this.readonly ? READ_ONLY : TOOLS[tool][2]);
     this.buttons();
     this.paint();
   }
@@ -121,7 +121,7 @@ class Editor extends Editing {
 
   // --- pictures ----------------------------------------------------------------------------------------------------
 
-  arrived() { this.paint(); } // another frame is shown
+  frameShown() { this.paint(); } // by the player
 
   drawings(view) {
     const side = VIEWS[view];
@@ -153,8 +153,8 @@ class Editor extends Editing {
   choose(item) {
     this.chosen = item;
     const entry = this.model.entry(item);
-    if (item?.kind === "vehicle" && entry.frame !== this.frame) this.film.goTo(this.setup.frames.indexOf(entry.frame));
-    this.panel.show();
+    if (item?.kind === "vehicle" && entry.frame !== this.frame) this.player.goTo(this.setup.frames.indexOf(entry.frame));
+    this.itemList.show();
     this.paint();
   }
 
@@ -178,11 +178,11 @@ class Editor extends Editing {
     this.model.change((m) => m.remove(item));
   }
 
-  items() { // all that is drawn
+  items() { // everything drawn
     return [...Object.keys(this.model.paths).map((id) => ({ kind: "path", id })), ...this.model.vehicles.map((_, id) => ({ kind: "vehicle", id }))];
   }
 
-  // What lies under a place on the screen: the chosen item's points first, then anything drawn.
+  // The drawn point at a position on the screen; the chosen item's points come first.
   hit(view, at) {
     const side = VIEWS[view];
     const items = this.items().filter((item) => item.kind === "path" || this.model.entry(item).frame === this.frame);
@@ -191,7 +191,7 @@ class Editor extends Editing {
       const points = (this.model.entry(item)[side] ?? []).map((p) => this.views[view].toScreen(p));
       const gaps = points.map((p) => Math.hypot(p[0] - at[0], p[1] - at[1]));
       const nearest = gaps.indexOf(Math.min(...gaps));
-      if (gaps[nearest] <= NEAR) return { ...item, view, point: nearest };
+      if (gaps[nearest] <= HIT_RADIUS_PX) return { ...item, view, point: nearest };
     }
     return null;
   }
@@ -202,30 +202,30 @@ class Editor extends Editing {
     if (this.snapping === opposite) return rounded(place);
     const reach = Math.min(Math.max(8 / this.views[view].scale, 1.5), 6);
     try {
-      return await ask("GET", `/api/snap?clip=${this.clip}&view=${view}&frame=${this.frame}&x=${place[0]}&y=${place[1]}&reach=${reach}`);
+      return await sendRequest("GET", `/api/snap?clip=${this.clip}&view=${view}&frame=${this.frame}&x=${place[0]}&y=${place[1]}&reach=${reach}`);
     } catch {
-      return rounded(place); // where it was put
+      return rounded(place); // unsnapped
     }
   }
 
-  async trace(view, place) { // the epipolar line of the cursor, one question at a time
-    this.tracing = { view, place };
-    if (this.asking) return;
-    this.asking = true;
-    while (this.tracing) {
-      const now = this.tracing;
-      this.tracing = null;
+  async updateEpipolarLine(view, place) { // of the cursor in the other view, one request at a time
+    this.nextCursor = { view, place };
+    if (this.requesting) return;
+    this.requesting = true;
+    while (this.nextCursor) {
+      const now = this.nextCursor;
+      this.nextCursor = null;
       try {
-        const found = await ask("GET", `/api/epipolar?clip=${this.clip}&view=${now.view}&x=${now.place[0]}&y=${now.place[1]}`);
+        const found = await sendRequest("GET", `/api/epipolar?clip=${this.clip}&view=${now.view}&x=${now.place[0]}&y=${now.place[1]}`);
         this.views[1 - now.view].epipolar = found;
         this.views[now.view].epipolar = null;
       } catch (error) {
-        this.say(error.message, true);
+        this.showMessage(error.message, true);
         break;
       }
       this.paint();
     }
-    this.asking = false;
+    this.requesting = false;
   }
 
   // --- drawing -----------------------------------------------------------------------------------------------------
@@ -239,8 +239,8 @@ class Editor extends Editing {
       const points = sortedCorners(this.draft.points);
       this.draft = null;
       await this.outlined(view, points);
-    } else if (kind === "path") this.say("Click further along the line; Enter or a double click ends it.");
-    else this.say(`${4 - this.draft.points.length} more corner${this.draft.points.length === 3 ? "" : "s"}`);
+    } else if (kind === "path") this.showMessage("Click further along the line; Enter or a double click ends it.");
+    else this.showMessage(`${4 - this.draft.points.length} more corner${this.draft.points.length === 3 ? "" : "s"}`);
   }
 
   async finishDraft() {
@@ -258,7 +258,7 @@ class Editor extends Editing {
     });
     this.choose({ kind: "path", id: item.id });
     if (!waiting) await this.proposals.other(this.chosen, draft.view);
-    else this.say("The line is drawn in both views. Next: the vehicles.");
+    else this.showMessage("The line is drawn in both views. Next: the vehicles.");
   }
 
   async outlined(view, points) {
@@ -275,10 +275,10 @@ class Editor extends Editing {
     });
     this.choose({ kind: "vehicle", id: item.id });
     if (!waiting) await this.proposals.other(this.chosen, view);
-    else this.say("The vehicle is outlined in both views.");
+    else this.showMessage("The vehicle is outlined in both views.");
   }
 
-  put(place) { // the chosen point
+  movePoint(place) { // the chosen one
     if (this.chosen?.point === undefined) return;
     const { view, point } = this.chosen;
     this.model.change((m) => { m.entry(this.chosen)[VIEWS[view]][point] = place; });
@@ -291,31 +291,31 @@ class Editor extends Editing {
     const points = this.chosen?.view === undefined ? null : this.model.entry(this.chosen)[VIEWS[this.chosen.view]];
     if (points && !(this.chosen.point < points.length)) this.chosen = { kind: this.chosen.kind, id: this.chosen.id };
     this.buttons();
-    this.panel.show();
+    this.itemList.show();
     this.paint();
     clearTimeout(this.timer);
     this.timer = setTimeout(() => this.check(), 120);
   }
 
   async check() {
-    const asked = this.model.text();
+    const sent = this.model.text();
     try {
-      const found = await ask("POST", `/api/check?clip=${this.clip}`, { paths: this.model.allPaths, vehicles: this.model.vehicles });
-      if (asked !== this.model.text()) return;
+      const found = await sendRequest("POST", `/api/check?clip=${this.clip}`, { paths: this.model.allPaths, vehicles: this.model.vehicles });
+      if (sent !== this.model.text()) return;
       this.checks = found;
-      this.panel.show();
+      this.itemList.show();
     } catch (error) {
-      this.say(error.message, true);
+      this.showMessage(error.message, true);
     }
   }
 
   async save() {
     if (!this.model.dirty) return;
     const next = () => (this.model.vehicles.length ? "measure" : "outline the vehicles, or let them be proposed");
-    await this.keeper.save(() => `Saved in clip.yaml. Next: ${next()}.`);
+    await this.drafts.save(() => `Saved in clip.yaml. Next: ${next()}.`);
   }
 
-  erase() {
+  removeChosen() {
     if (!this.chosen) return;
     const points = this.chosen.point === undefined ? null : this.model.entry(this.chosen)[VIEWS[this.chosen.view]];
     if (this.chosen.kind === "path" && points && points.length > 2) {

@@ -1,14 +1,14 @@
-// Something that is edited, with undo, and whether it is saved. No browser needed.
+// An edited document with undo and redo, and whether it is saved. Needs no browser.
 
-const DEPTH = 200; // steps that can be undone
+const MAX_UNDO_STEPS = 200;
 
-export class History { // of a subclass with state(), what JSON can hold, and restore(state)
+export class History { // a subclass has state(), a JSON value, and restore(state)
   begin() {
     this.saved = this.text();
     this.past = [];
     this.future = [];
     this.listeners = [];
-    this.frozen = false; // where nothing can be saved
+    this.frozen = false; // read-only: nothing can be changed
   }
 
   text() { return JSON.stringify(this.state()); }
@@ -20,9 +20,9 @@ export class History { // of a subclass with state(), what JSON can hold, and re
     edit(this);
     if (this.text() === before) return;
     this.past.push(before);
-    if (this.past.length > DEPTH) this.past.shift();
+    if (this.past.length > MAX_UNDO_STEPS) this.past.shift();
     this.future = [];
-    this.tell();
+    this.notify();
   }
 
   undo() { this.step(this.past, this.future); }
@@ -31,8 +31,8 @@ export class History { // of a subclass with state(), what JSON can hold, and re
     if (!from.length) return;
     to.push(this.text());
     this.restore(JSON.parse(from.pop()));
-    this.tell();
+    this.notify();
   }
 
-  tell() { for (const listener of this.listeners) listener(); }
+  notify() { for (const listener of this.listeners) listener(); }
 }

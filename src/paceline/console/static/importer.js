@@ -1,9 +1,9 @@
-// Importing a clip: recordings and what belongs to them, chosen or dropped, sent one after the other as they are.
+// Importing a clip: recordings and their documents, chosen or dropped, uploaded one after the other.
 
-const IMAGE = /\.(png|jpe?g|tiff?|bmp|pgm|ppm|webp)$/i;
-const MEDIA = /\.(png|jpe?g|tiff?|bmp|pgm|ppm|webp|zip|mp4|mov|m4v|mkv|webm|avi|m?ts|mpe?g|ogv|mxf)$/i;
-const RIG = /\.ya?ml$/i;
-const KINDS = {
+const IMAGE_PATTERN = /\.(png|jpe?g|tiff?|bmp|pgm|ppm|webp)$/i;
+const MEDIA_PATTERN = /\.(png|jpe?g|tiff?|bmp|pgm|ppm|webp|zip|mp4|mov|m4v|mkv|webm|avi|m?ts|mpe?g|ogv|mxf)$/i;
+const YAML_PATTERN = /\.ya?ml$/i;
+const RECORDING_KINDS = {
   stereo: ["Two fixed cameras at a road", {
     left: ["Left camera", "a video, a zip of images, or images"],
     right: ["Right camera", "a video, a zip of images, or images"],
@@ -15,8 +15,8 @@ const KINDS = {
     target: ["Model of the vehicle", "target.yaml; may be learned later"],
   }],
 };
-const TEXTS = ["rig", "camera", "target"];
-const LATER = ["rig", "target"];
+const YAML_SLOTS = ["rig", "camera", "target"];
+const OPTIONAL_SLOTS = ["rig", "target"];
 
 export function make(tag, properties = {}, ...children) {
   const element = Object.assign(document.createElement(tag), properties);
@@ -27,7 +27,7 @@ export function make(tag, properties = {}, ...children) {
   return element;
 }
 
-export async function ask(method, address, body) {
+export async function sendRequest(method, address, body) {
   const options = { method };
   if (body !== undefined) options.body = body instanceof Blob ? body : JSON.stringify(body);
   let answer;
@@ -39,12 +39,12 @@ export async function ask(method, address, body) {
   let found = {};
   try {
     found = await answer.json();
-  } catch { /* an error page: the status says enough */ }
+  } catch { /* an error page: the status is enough */ }
   if (!answer.ok) throw Object.assign(new Error(found.reason ?? `the console answers ${answer.status}`), { status: answer.status });
   return found;
 }
 
-// Files of a drop, those of folders too.
+// The files of a drop, including those in folders.
 async function dropped(transfer) {
   const entries = [...transfer.items].map((item) => item.webkitGetAsEntry?.()).filter(Boolean);
   if (!entries.length) return [...transfer.files];
@@ -79,11 +79,11 @@ class Importer extends HTMLElement {
     this.send = make("button", { className: "pl-button primary", textContent: "Import", disabled: true, onclick: () => this.run() });
     this.cancel = make("button", { className: "pl-button", textContent: "Cancel", onclick: () => this.stop() });
     this.places = make("div", { className: "pl-slots" });
-    this.kinds = Object.fromEntries(Object.entries(KINDS).map(([kind, [title]]) =>
-      [kind, make("button", { className: "pl-button", type: "button", textContent: title, onclick: () => this.recorded(kind) })]));
+    this.kinds = Object.fromEntries(Object.entries(RECORDING_KINDS).map(([kind, [title]]) =>
+      [kind, make("button", { className: "pl-button", type: "button", textContent: title, onclick: () => this.setKind(kind) })]));
     this.dialog = make("dialog", { "aria-label": "Import a clip" },
       make("div", { className: "pl-subtitle", textContent: "Import a clip" }),
-      make("div", { className: "pl-fact", textContent: "Drop a file on its place, or all of them anywhere here: names that say left and right sort themselves." }),
+      make("div", { className: "pl-fact", textContent: "Drop a file on its place, or all of them anywhere here: names with left and right are sorted automatically." }),
       make("div", { className: "ed-bar", role: "group", "aria-label": "What recorded it" }, ...Object.values(this.kinds)),
       make("label", { className: "pl-field" }, "Name of the clip", this.name), this.places, this.rateField, this.missing, this.error, this.progress,
       make("div", { className: "pl-row" }, this.cancel, this.send));
@@ -92,15 +92,15 @@ class Importer extends HTMLElement {
     this.dialog.ondragover = (event) => event.preventDefault();
     this.dialog.ondrop = async (event) => { event.preventDefault(); this.sort(await dropped(event.dataTransfer)); };
     this.append(this.open, this.dialog);
-    this.recorded("stereo");
+    this.setKind("stereo");
     window.addEventListener("beforeunload", (event) => { if (this.key) event.preventDefault(); });
-    window.addEventListener("pagehide", () => this.giveUp());
+    window.addEventListener("pagehide", () => this.discard());
   }
 
-  recorded(kind) { // by two cameras, or by one
+  setKind(kind) { // stereo or chase
     this.kind = kind;
     this.slots = {};
-    this.files = Object.fromEntries(Object.keys(KINDS[kind][1]).map((slot) => [slot, []]));
+    this.files = Object.fromEntries(Object.keys(RECORDING_KINDS[kind][1]).map((slot) => [slot, []]));
     this.places.replaceChildren(...Object.keys(this.files).map((slot) => this.makeSlot(slot)));
     for (const [name, button] of Object.entries(this.kinds)) button.setAttribute("aria-pressed", String(name === kind));
     this.error.textContent = "";
@@ -108,10 +108,10 @@ class Importer extends HTMLElement {
   }
 
   makeSlot(slot) {
-    const [title, what] = KINDS[this.kind][1][slot];
-    const input = make("input", { type: "file", multiple: !TEXTS.includes(slot), onchange: () => this.take(slot, [...input.files]) });
-    const told = make("span", { className: "pl-fact", textContent: what });
-    const box = make("div", { className: "pl-slot" }, make("strong", { textContent: title }), told, input,
+    const [title, what] = RECORDING_KINDS[this.kind][1][slot];
+    const input = make("input", { type: "file", multiple: !YAML_SLOTS.includes(slot), onchange: () => this.take(slot, [...input.files]) });
+    const description = make("span", { className: "pl-fact", textContent: what });
+    const box = make("div", { className: "pl-slot" }, make("strong", { textContent: title }), description, input,
       make("button", { className: "pl-button", textContent: "Choose…", onclick: () => input.click() }));
     box.dataset.slot = slot;
     box.ondragover = (event) => { event.preventDefault(); box.classList.add("over"); };
@@ -120,18 +120,18 @@ class Importer extends HTMLElement {
       event.preventDefault(); event.stopPropagation();
       box.classList.remove("over");
       const files = await dropped(event.dataTransfer);
-      const fits = files.length === 1 || (!TEXTS.includes(slot) && files.every((file) => IMAGE.test(file.name)));
-      if (fits) this.take(slot, files); else this.sort(files); // all at once, let go by chance over this place
+      const fits = files.length === 1 || (!YAML_SLOTS.includes(slot) && files.every((file) => IMAGE_PATTERN.test(file.name)));
+      if (fits) this.take(slot, files); else this.sort(files); // several kinds at once, dropped over this slot
     };
-    this.slots[slot] = { box, told };
+    this.slots[slot] = { box, description };
     return box;
   }
 
   sort(files) {
-    const rest = files.filter((file) => MEDIA.test(file.name));
-    const texts = files.filter((file) => RIG.test(file.name));
+    const rest = files.filter((file) => MEDIA_PATTERN.test(file.name));
+    const texts = files.filter((file) => YAML_PATTERN.test(file.name));
     const named = (slot) => texts.find((file) => new RegExp(slot, "i").test(file.name));
-    for (const slot of Object.keys(this.files).filter((name) => TEXTS.includes(name))) {
+    for (const slot of Object.keys(this.files).filter((name) => YAML_SLOTS.includes(name))) {
       const found = named(slot) ?? (texts.length === 1 && slot !== "target" && !named("target") ? texts[0] : null);
       if (found) this.take(slot, [found]);
     }
@@ -146,11 +146,11 @@ class Importer extends HTMLElement {
     const rights = rest.filter((file) => /right|cam_?1|_r\b/i.test(path(file)));
     if (lefts.length && rights.length) { this.take("left", lefts); this.take("right", rights); }
     else if (rest.length === 2) { this.take("left", [rest[0]]); this.take("right", [rest[1]]); }
-    else if (rest.length) this.error.textContent = "Which of them are left and which right? Drop them on their places.";
+    else if (rest.length) this.error.textContent = "Cannot tell left from right by their names: drop them on their places.";
   }
 
   take(slot, files) {
-    if (!TEXTS.includes(slot) && files.length > 1) files = files.filter((file) => IMAGE.test(file.name));
+    if (!YAML_SLOTS.includes(slot) && files.length > 1) files = files.filter((file) => IMAGE_PATTERN.test(file.name));
     this.files[slot] = files;
     this.error.textContent = "";
     if (!this.name.value && ["left", "video"].includes(slot) && files.length === 1) {
@@ -160,16 +160,16 @@ class Importer extends HTMLElement {
   }
 
   show() {
-    for (const [slot, { box, told }] of Object.entries(this.slots)) {
+    for (const [slot, { box, description }] of Object.entries(this.slots)) {
       const files = this.files[slot];
       box.classList.toggle("full", files.length > 0);
-      told.textContent = !files.length ? KINDS[this.kind][1][slot][1] : files.length === 1 ? files[0].name : `${files.length} images`;
+      description.textContent = !files.length ? RECORDING_KINDS[this.kind][1][slot][1] : files.length === 1 ? files[0].name : `${files.length} images`;
     }
-    const images = Object.values(this.files).flat().some((file) => IMAGE.test(file.name) || /\.zip$/i.test(file.name));
+    const images = Object.values(this.files).flat().some((file) => IMAGE_PATTERN.test(file.name) || /\.zip$/i.test(file.name));
     this.rateField.hidden = !images;
     const missing = [
       [!this.name.value.trim(), "a name"],
-      ...Object.entries(this.files).map(([slot, files]) => [!files.length && !LATER.includes(slot), `the ${KINDS[this.kind][1][slot][0].toLowerCase()}`]),
+      ...Object.entries(this.files).map(([slot, files]) => [!files.length && !OPTIONAL_SLOTS.includes(slot), `the ${RECORDING_KINDS[this.kind][1][slot][0].toLowerCase()}`]),
       [images && !this.rate.value, "frames per second"],
     ].filter(([lacks]) => lacks).map(([, what]) => what);
     this.missing.textContent = missing.length ? `Still needed: ${missing.join(", ")}.` : "";
@@ -185,28 +185,28 @@ class Importer extends HTMLElement {
     let sent = 0;
     this.progress.hidden = false;
     try {
-      this.key = (await ask("POST", "/api/import", { name: this.name.value.trim(), kind: this.kind })).key;
+      this.key = (await sendRequest("POST", "/api/import", { name: this.name.value.trim(), kind: this.kind })).key;
       for (const [slot, file] of all) {
         await this.upload(slot, file, (part) => { this.progress.value = (sent + part) / total; });
         sent += file.size;
       }
-      this.progress.removeAttribute("value"); // it is being checked; nobody knows how long
-      const { name } = await ask("POST", `/api/import/${this.key}`, { rate: this.rate.value ? Number(this.rate.value) : null });
+      this.progress.removeAttribute("value"); // indeterminate while the server checks it
+      const { name } = await sendRequest("POST", `/api/import/${this.key}`, { rate: this.rate.value ? Number(this.rate.value) : null });
       this.key = null;
       location.href = `/setup?clip=${encodeURIComponent(name)}`;
     } catch (error) {
-      this.giveUp();
+      this.discard();
       if (!this.stopped) this.error.textContent = error.message;
       this.progress.hidden = true;
       this.show();
     }
   }
 
-  upload(slot, file, tell) {
+  upload(slot, file, onProgress) {
     return new Promise((done, failed) => {
       const request = this.request = new XMLHttpRequest();
       request.open("PUT", `/api/import/${this.key}/${slot}?name=${encodeURIComponent(file.name)}`);
-      request.upload.onprogress = (event) => tell(event.loaded);
+      request.upload.onprogress = (event) => onProgress(event.loaded);
       request.onload = () => {
         if (request.status === 200) return done();
         let reason = `the console answers ${request.status}`;
@@ -218,7 +218,7 @@ class Importer extends HTMLElement {
     });
   }
 
-  giveUp() {
+  discard() {
     if (this.key) fetch(`/api/import/${this.key}`, { method: "DELETE", keepalive: true }).catch(() => {}); // also as the page goes
     this.key = null;
   }
@@ -226,7 +226,7 @@ class Importer extends HTMLElement {
   stop() {
     this.stopped = true;
     this.request?.abort();
-    this.giveUp();
+    this.discard();
     this.progress.hidden = true;
     this.dialog.close();
   }
@@ -239,7 +239,7 @@ class RigFile extends HTMLElement {
     const input = make("input", { type: "file", accept: ".yaml,.yml", hidden: true });
     input.onchange = async () => {
       try {
-        await ask("PUT", `/api/rig?clip=${encodeURIComponent(this.getAttribute("clip"))}`, input.files[0]);
+        await sendRequest("PUT", `/api/rig?clip=${encodeURIComponent(this.getAttribute("clip"))}`, input.files[0]);
         location.reload();
       } catch (problem) {
         error.textContent = problem.message;

@@ -1,4 +1,4 @@
-// The list beside the pictures: every path and vehicle with its fields and what it is in space.
+// The list beside the views: every path and vehicle with its fields and its checked geometry.
 
 import { make } from "./importer.js";
 import { COLORS } from "./view.js";
@@ -24,7 +24,7 @@ function facts(kind, found) {
   return list;
 }
 
-export class Panel {
+export class ItemList {
   constructor(editor) {
     this.editor = editor;
     this.paths = make("div");
@@ -60,7 +60,7 @@ export class Panel {
       box.append(make("dl", {}, ...list.flatMap(([term, value]) => [make("dt", { textContent: term }), make("dd", { textContent: value })])));
     }
     if (found?.problem) box.append(make("p", { className: "problem", textContent: found.problem }));
-    if (found?.doubt) box.append(make("p", { className: "doubt", textContent: found.doubt }));
+    if (found?.warning) box.append(make("p", { className: "warning", textContent: found.warning }));
     if (now && !editor.readonly) box.append(...this.fields(chosen, name, entry));
     return box;
   }
@@ -104,7 +104,7 @@ export class Panel {
     for (const side of drawn) {
       const other = side === "left" ? "right" : "left";
       const button = act(`Propose ${other}`, () => editor.proposals.other(chosen, side === "left" ? 0 : 1));
-      button.title = `Look in the ${other} view for what is drawn in the ${side} one`;
+      button.title = `Find in the ${other} view what is drawn in the ${side} one`;
       row.append(button);
     }
     row.append(act("Remove", () => editor.remove(chosen)));

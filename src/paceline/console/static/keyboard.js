@@ -1,11 +1,11 @@
-// Keys: what all editors share, and those of the stereo editor, by which everything can be drawn without a pointer.
+// Keyboard input: keys shared by all editors, and those of the stereo editor, which allow drawing without a pointer.
 
 import { rounded, VIEWS } from "./model.js";
 
 const ARROWS = { arrowleft: [-1, 0], arrowright: [1, 0], arrowup: [0, -1], arrowdown: [0, 1] };
-const STRIDE = 16; // px on the screen that the cross moves by, one with Shift
+const CROSS_STEP_PX = 16; // on the screen, per arrow key; 1 px with Shift
 
-// The key as an editor wants it, {pressed, arrow}; null where it was undo, redo, save, or is none of the editor's.
+// The pressed key, {pressed, arrow}; null where it was undo, redo or save, or is not meant for the editor.
 export function keyFor(event, editor) {
   const command = event.ctrlKey || event.metaKey;
   const pressed = event.key.toLowerCase();
@@ -15,11 +15,11 @@ export function keyFor(event, editor) {
   if (command && pressed === "z") return done(() => (event.shiftKey ? editor.model.redo() : editor.model.undo()));
   if (command && pressed === "y") return done(() => editor.model.redo());
   if (command || event.altKey) return null;
-  const button = event.target.closest?.("button, a, summary"); // these do what they do on Space and Enter
+  const button = event.target.closest?.("button, a, summary"); // Space and Enter activate these
   return button && (pressed === " " || pressed === "enter") ? null : { pressed, arrow: ARROWS[pressed] };
 }
 
-export class Keys { // of the stereo editor
+export class Keyboard { // of the stereo editor
   constructor(editor, tools) {
     this.editor = editor;
     this.tools = Object.fromEntries(Object.entries(tools).map(([tool, [, key]]) => [key, tool]));
@@ -30,17 +30,17 @@ export class Keys { // of the stereo editor
     });
   }
 
-  press({ pressed, arrow }, shift) { // whether the key means anything
+  press({ pressed, arrow }, shift) { // returns whether the key has a function
     const { editor } = this;
     if (arrow) this.move(arrow, shift);
     else if (pressed in this.tools) { this.cross = null; editor.take(this.tools[pressed]); }
-    else if (pressed === " " && this.cross) this.put();
-    else if (pressed === " ") editor.film.play();
-    else if (pressed === "x" && editor.tool !== "move") this.change();
-    else if (pressed === "," || pressed === ".") editor.film.goTo(editor.film.place + (pressed === "," ? -1 : 1));
-    else if (pressed === "enter" && editor.draft) editor.pointers.then(() => editor.finishDraft());
+    else if (pressed === " " && this.cross) this.addPoint();
+    else if (pressed === " ") editor.player.play();
+    else if (pressed === "x" && editor.tool !== "move") this.switchView();
+    else if (pressed === "," || pressed === ".") editor.player.goTo(editor.player.place + (pressed === "," ? -1 : 1));
+    else if (pressed === "enter" && editor.draft) editor.pointers.inOrder(() => editor.finishDraft());
     else if (pressed === "escape") this.leave();
-    else if (pressed === "delete" || pressed === "backspace") editor.erase();
+    else if (pressed === "delete" || pressed === "backspace") editor.removeChosen();
     else if (pressed === "s") editor.toggleSnapping();
     else if (pressed === "n") this.next();
     else if (pressed === "0") { for (const view of editor.views) view.fit(); editor.paint(); }
@@ -49,40 +49,40 @@ export class Keys { // of the stereo editor
     return true;
   }
 
-  move([x, y], shift) { // the cross, the chosen point, or on to another frame
+  move([x, y], shift) { // the cross, the chosen point, or to another frame
     const { editor } = this;
     if (editor.tool !== "move") {
       document.activeElement?.blur?.();
       const now = this.cross ?? { view: 0, place: [...editor.views[0].centre] };
-      const step = (shift ? 1 : STRIDE) / editor.views[now.view].scale;
-      this.look({ view: now.view, place: [now.place[0] + x * step, now.place[1] + y * step] });
+      const step = (shift ? 1 : CROSS_STEP_PX) / editor.views[now.view].scale;
+      this.moveCross({ view: now.view, place: [now.place[0] + x * step, now.place[1] + y * step] });
     } else if (editor.chosen?.point === undefined) {
-      if (x) editor.film.goTo(editor.film.place + x);
+      if (x) editor.player.goTo(editor.player.place + x);
     } else {
       const { view, point } = editor.chosen;
       const [px, py] = editor.model.entry(editor.chosen)[VIEWS[view]][point];
       const step = shift ? 2 : 0.25;
-      editor.put(rounded([px + x * step, py + y * step]));
+      editor.movePoint(rounded([px + x * step, py + y * step]));
       const place = editor.model.entry(editor.chosen)[VIEWS[view]][point];
       editor.magnified = { view, place };
-      editor.trace(view, place);
+      editor.updateEpipolarLine(view, place);
     }
   }
 
-  look(cross) {
+  moveCross(cross) {
     this.cross = this.editor.magnified = cross;
-    this.editor.trace(cross.view, cross.place);
+    this.editor.updateEpipolarLine(cross.view, cross.place);
     this.editor.paint();
   }
 
-  change() { // to the other view
+  switchView() {
     const view = 1 - (this.cross?.view ?? 1);
-    this.look({ view, place: [...this.editor.views[view].centre] });
+    this.moveCross({ view, place: [...this.editor.views[view].centre] });
   }
 
-  put() {
+  addPoint() {
     const { view, place } = this.cross;
-    this.editor.pointers.then(async () => this.editor.clicked(view, await this.editor.snapped(view, place, false)));
+    this.editor.pointers.inOrder(async () => this.editor.clicked(view, await this.editor.snapped(view, place, false)));
   }
 
   zoom(factor) { // about the cross, where there is one
@@ -101,7 +101,7 @@ export class Keys { // of the stereo editor
     else editor.choose(null);
   }
 
-  next() { // the next point of what is chosen, or of the first thing there is
+  next() { // chooses the next point of the chosen item, or of the first one
     const { editor } = this;
     const chosen = editor.chosen ?? editor.items()[0];
     const entry = editor.model.entry(chosen);

@@ -1,4 +1,4 @@
-// What is drawn: paths by name and vehicles in order, with undo. No browser needed.
+// The drawn set-up: paths by name and vehicles in order, with undo. Needs no browser.
 
 import { History } from "./history.js";
 
@@ -15,10 +15,10 @@ export class Model extends History {
   restore([paths, vehicles]) { Object.assign(this, { paths, vehicles }); }
   get allPaths() { return { ...this.sitePaths, ...this.paths }; }
 
-  accept({ paths, vehicles, revision }) { // what the server has written
+  accept({ paths, vehicles, revision }) { // as the server has saved them
     Object.assign(this, { paths, vehicles, revision });
     this.saved = this.text();
-    this.tell();
+    this.notify();
   }
 
   entry(chosen) {
@@ -62,13 +62,13 @@ export class Model extends History {
   }
 }
 
-// Keys in the order of the file format, so that a file reads as a person would write it.
+// Keys in the order of the file format, as a person would write them.
 export function ordered(entry) {
   const keys = ["shape", "id", "path", "frame", "left", "right", "points", "lateral_offset", "plane", "speed"];
   return Object.fromEntries(keys.filter((key) => entry[key] !== undefined && entry[key] !== null).map((key) => [key, entry[key]]));
 }
 
-// Four corners as top-left, top-right, bottom-right, bottom-left, however they were clicked.
+// Four corners, clicked in any order, as top-left, top-right, bottom-right, bottom-left.
 export function sortedCorners(points) {
   const cx = points.reduce((sum, p) => sum + p[0], 0) / 4;
   const cy = points.reduce((sum, p) => sum + p[1], 0) / 4;

@@ -1,13 +1,13 @@
-// Mouse, pen and fingers on pictures: panning and zooming, the same everywhere. What else they do, a subclass says.
+// Pointer events (mouse, pen, touch) on the views: panning and zooming; subclasses add tools.
 
-const STILL = 5; // px on the screen that a click may wander
+const MAX_CLICK_MOVE_PX = 5; // on the screen: a longer movement is a drag
 
-export class Hands {
-  constructor(editor) { // has views, linked, paint() and say()
+export class PanZoom {
+  constructor(editor) { // has views, linked, paint() and showMessage()
     this.editor = editor;
-    this.down = new Map(); // where each finger or button is
-    this.drag = null; // {kind: pinch | pan | whatever begin() gives, start}
-    this.turn = Promise.resolve(); // what clicks do ask the server; they take effect in their order
+    this.down = new Map(); // position of each pressed pointer
+    this.drag = null; // {kind: pinch | pan | a kind of beginDrag(), start}
+    this.queue = Promise.resolve(); // clicks need answers of the server: they take effect in their order
     editor.views.forEach((view, i) => this.listen(view.canvas, i));
   }
 
@@ -21,22 +21,22 @@ export class Hands {
     on("pointerdown", (_, at, event) => { canvas.setPointerCapture(event.pointerId); this.press(i, at, event); });
     on("pointermove", (_, at, event) => this.move(i, at, event));
     on("pointerup", (_, at, event) => this.release(i, at, event));
-    on("pointercancel", (_, at, event) => { this.down.delete(event.pointerId); this.forget(); });
-    on("pointerleave", () => { this.left(i); this.editor.paint(); });
-    on("dblclick", () => this.twice(i));
+    on("pointercancel", (_, at, event) => { this.down.delete(event.pointerId); this.cancelDrag(); });
+    on("pointerleave", () => { this.pointerLeft(i); this.editor.paint(); });
+    on("dblclick", () => this.doubleClicked(i));
   }
 
-  // What a subclass may do; places are pixels of the picture, `at` is on the screen.
-  begin() { return { kind: "pan" }; } // a press: what it drags
-  hover() {} // a move, pressed or not
-  pull() {} // a move of what begin() gave
-  finish() {} // the end of it
-  left() {}
-  twice() {}
+  // Hooks for subclasses; `place` is in pixels of the image, `at` on the screen.
+  beginDrag() { return { kind: "pan" }; } // a press: what is dragged
+  pointerMoved() {} // pressed or not
+  dragTo() {} // a movement of what beginDrag() returned
+  endDrag() {}
+  pointerLeft() {}
+  doubleClicked() {}
 
-  then(act) { this.turn = this.turn.then(act).catch((error) => this.editor.say(error.message, true)); }
+  inOrder(act) { this.queue = this.queue.then(act).catch((error) => this.editor.showMessage(error.message, true)); }
 
-  forget() {
+  cancelDrag() {
     this.drag = null;
     this.editor.paint();
   }
@@ -58,28 +58,28 @@ export class Hands {
     document.activeElement?.blur?.();
     this.down.set(event.pointerId, at);
     if (this.down.size === 2) {
-      this.forget();
+      this.cancelDrag();
       this.drag = { kind: "pinch" };
     } else if (event.button === 1 || event.button === 2) this.drag = { kind: "pan", last: at };
-    else this.drag = { last: at, start: at, ...this.begin(i, at, event) };
+    else this.drag = { last: at, start: at, ...this.beginDrag(i, at, event) };
   }
 
   move(i, at, event) {
     const { drag } = this;
     const place = this.editor.views[i].toImage(at);
-    this.hover(i, place, at);
+    this.pointerMoved(i, place, at);
     if (this.down.has(event.pointerId)) {
       if (drag?.kind === "pinch") this.pinch(i, event.pointerId, at);
       else if (drag?.kind === "pan") {
         this.pan(i, [at[0] - drag.last[0], at[1] - drag.last[1]]);
         drag.last = at;
-      } else if (drag) this.pull(i, place, at, drag);
+      } else if (drag) this.dragTo(i, place, at, drag);
       this.down.set(event.pointerId, at);
     }
     this.editor.paint();
   }
 
-  wandered(at) { return Math.hypot(at[0] - this.drag.start[0], at[1] - this.drag.start[1]) >= STILL; }
+  movedFar(at) { return Math.hypot(at[0] - this.drag.start[0], at[1] - this.drag.start[1]) >= MAX_CLICK_MOVE_PX; }
 
   pinch(i, id, at) {
     const [other] = [...this.down].filter(([key]) => key !== id).map(([, value]) => value);
@@ -96,9 +96,9 @@ export class Hands {
       if (!this.down.size) this.drag = null;
       return;
     }
-    const still = drag?.start && !this.wandered(at);
+    const isClick = drag?.start && !this.movedFar(at);
     this.drag = null;
-    this.finish(i, this.editor.views[i].toImage(at), drag, still, event);
+    this.endDrag(i, this.editor.views[i].toImage(at), drag, isClick, event);
     this.editor.paint();
   }
 }

@@ -1,13 +1,13 @@
-// A recording's pictures under an editor: scrubbing, playing, and keeping the last ones.
+// The player below an editor: scrubbing, playing, and a cache of the latest images.
 
 import { make } from "./importer.js";
 
-const KEPT = 48; // pictures
+const MAX_KEPT_IMAGES = 48;
 
-export class Film { // of an editor with clip, views, say() and arrived()
+export class Player { // of an editor with clip, views, showMessage() and frameShown()
   constructor(editor, views, { frames, times }) {
     Object.assign(this, { editor, views, frames, times });
-    this.place = 0; // of the frame that is shown
+    this.place = 0; // index of the shown frame
     this.pictures = new Map();
     this.scrub = make("input", { type: "range", min: 0, max: frames.length - 1, value: 0, "aria-label": "Frame" });
     this.scrub.oninput = () => this.goTo(Number(this.scrub.value));
@@ -29,14 +29,14 @@ export class Film { // of an editor with clip, views, say() and arrived()
       const images = await Promise.all(this.views.map((view) => this.picture(view, this.frames[wanted])));
       if (wanted !== this.place) return;
       editor.views.forEach((view, i) => { view.image = images[i]; });
-      if (this.unread) { this.unread = false; editor.say(editor.next()); }
+      if (this.failed) { this.failed = false; editor.showMessage(editor.nextStep()); }
     } catch (error) {
       if (wanted !== this.place) return;
-      this.unread = true;
+      this.failed = true;
       editor.views.forEach((view) => { view.image = null; });
-      editor.say(error.message, true);
+      editor.showMessage(error.message, true);
     }
-    editor.arrived();
+    editor.frameShown();
   }
 
   picture(view, frame) {
@@ -45,14 +45,14 @@ export class Film { // of an editor with clip, views, say() and arrived()
     this.pictures.delete(key);
     const picture = known ?? this.load(view, frame);
     this.pictures.set(key, picture);
-    if (this.pictures.size > KEPT) this.pictures.delete(this.pictures.keys().next().value);
+    if (this.pictures.size > MAX_KEPT_IMAGES) this.pictures.delete(this.pictures.keys().next().value);
     picture.catch(() => this.pictures.delete(key));
     return picture;
   }
 
   async load(view, frame) {
     const answer = await fetch(`/api/frame?clip=${this.editor.clip}&view=${view}&frame=${frame}`);
-    if (!answer.ok) throw new Error((await answer.json()).reason ?? "this picture cannot be shown");
+    if (!answer.ok) throw new Error((await answer.json()).reason ?? "this frame cannot be shown");
     return createImageBitmap(await answer.blob());
   }
 

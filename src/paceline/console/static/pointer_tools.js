@@ -1,23 +1,23 @@
-// Mouse, pen and fingers in the stereo editor: moving points, drawing.
+// The pointer tools of the stereo editor: moving points, drawing lines and outlines.
 
-import { Hands } from "./pan_zoom.js";
+import { PanZoom } from "./pan_zoom.js";
 import { rounded, sortedCorners } from "./model.js";
 
-export class Pointers extends Hands {
-  left(i) {
+export class PointerTools extends PanZoom {
+  pointerLeft(i) {
     this.editor.magnified = null;
     this.editor.views[1 - i].epipolar = null;
   }
 
-  twice() { this.then(() => this.editor.finishDraft()); }
+  doubleClicked() { this.inOrder(() => this.editor.finishDraft()); }
 
-  forget() {
+  cancelDrag() {
     this.editor.moving = null;
     if (this.editor.draft?.closed) this.editor.draft = null;
-    super.forget();
+    super.cancelDrag();
   }
 
-  begin(i, at) {
+  beginDrag(i, at) {
     const { editor } = this;
     if (editor.tool === "vehicle" && !editor.draft) return { kind: "box", from: editor.views[i].toImage(at) };
     if (editor.tool !== "move") return { kind: "click" };
@@ -26,37 +26,37 @@ export class Pointers extends Hands {
     return { kind: hit ? "point" : "pan" };
   }
 
-  hover(i, place) {
+  pointerMoved(i, place) {
     const { editor, drag } = this;
-    editor.trace(i, place);
+    editor.updateEpipolarLine(i, place);
     const working = editor.tool !== "move" || drag?.kind === "point";
     editor.magnified = working && drag?.kind !== "pan" ? { view: i, place } : null;
   }
 
-  pull(i, place, at, drag) {
+  dragTo(i, place, at, drag) {
     const { editor } = this;
-    if (drag.kind === "box" && this.wandered(at)) {
+    if (drag.kind === "box" && this.movedFar(at)) {
       const [a, b] = [drag.from, place];
       editor.draft = { kind: "vehicle", view: i, closed: true, points: [a, [b[0], a[1]], b, [a[0], b[1]]] };
-    } else if (drag.kind === "point" && (this.wandered(at) || editor.moving)) editor.moving = place;
+    } else if (drag.kind === "point" && (this.movedFar(at) || editor.moving)) editor.moving = place;
   }
 
-  finish(i, place, drag, still, event) {
+  endDrag(i, place, drag, isClick, event) {
     const { editor } = this;
     if (drag?.kind === "pan") {
-      if (still) editor.choose(null);
+      if (isClick) editor.choose(null);
     } else if (drag?.kind === "point" && editor.moving) {
-      this.then(async () => {
-        const put = await editor.snapped(i, place, event.altKey);
+      this.inOrder(async () => {
+        const snapped = await editor.snapped(i, place, event.altKey);
         editor.moving = null;
-        editor.put(put);
+        editor.movePoint(snapped);
       });
     } else if (drag?.kind === "box" && editor.draft?.closed) {
       const points = sortedCorners(editor.draft.points).map(rounded);
       editor.draft = null;
-      this.then(() => editor.outlined(i, points));
+      this.inOrder(() => editor.outlined(i, points));
     } else if (drag?.kind === "box" || drag?.kind === "click") {
-      this.then(async () => editor.clicked(i, await editor.snapped(i, place, event.altKey)));
+      this.inOrder(async () => editor.clicked(i, await editor.snapped(i, place, event.altKey)));
     }
   }
 }

@@ -1,11 +1,11 @@
 // The vehicle ahead: a line model placed on the camera's picture, learned from a box, saved for following.
 
-import { Editing, NEAR, pushButton, READ_ONLY } from "./editing.js";
-import { Film } from "./player.js";
-import { Hands } from "./pan_zoom.js";
+import { EditorElement, HIT_RADIUS_PX, pushButton, READ_ONLY } from "./editing.js";
+import { Player } from "./player.js";
+import { PanZoom } from "./pan_zoom.js";
 import { History } from "./history.js";
-import { ask, make } from "./importer.js";
-import { Keeper } from "./drafts.js";
+import { make, sendRequest } from "./importer.js";
+import { DraftStore } from "./drafts.js";
 import { keyFor } from "./keyboard.js";
 import { View } from "./view.js";
 
@@ -30,28 +30,28 @@ class Placement extends History {
   accept({ target, start, revision }) {
     Object.assign(this, { target, start, revision });
     this.saved = this.text();
-    this.tell();
+    this.notify();
   }
 }
 
-class TargetHands extends Hands {
-  begin(i, at) {
+class TargetPointerTools extends PanZoom {
+  beginDrag(i, at) {
     const { editor } = this;
     if (editor.tool === "box") return { kind: "box", from: editor.views[0].toImage(at) };
     const handle = editor.tool === "place" ? editor.handle(at) : null;
     return handle ? { ...handle, before: editor.model.start } : { kind: "pan" };
   }
 
-  pull(i, place, at, drag) {
+  dragTo(i, place, at, drag) {
     const { editor } = this;
     if (drag.kind === "box") editor.box = [drag.from, place];
-    else if (this.wandered(at) || editor.moving) editor.moving = editor.dragged(drag, place);
-    editor.trace();
+    else if (this.movedFar(at) || editor.moving) editor.moving = editor.dragged(drag, place);
+    editor.updateProjection();
   }
 
-  finish(i, place, drag, still) {
+  endDrag(i, place, drag, isClick) {
     const { editor } = this;
-    if (drag && drag.kind !== "box" && still) editor.chooseLine(place);
+    if (drag && drag.kind !== "box" && isClick) editor.chooseLine(place);
     if (drag?.kind === "box") editor.boxed();
     if (editor.moving) {
       const { moving } = editor;
@@ -61,9 +61,9 @@ class TargetHands extends Hands {
   }
 }
 
-class TargetEditor extends Editing {
+class TargetEditor extends EditorElement {
   async connectedCallback() {
-    if (!await this.opened("target")) return;
+    if (!await this.loadSetup("target")) return;
     this.model = new Placement(this.setup);
     this.readonly = this.model.frozen = this.hasAttribute("readonly");
     this.views = [new View("camera", this.setup.size)];
@@ -71,20 +71,20 @@ class TargetEditor extends Editing {
     this.tool = "look";
     this.line = null; // the chosen one
     this.box = null; // two corners, drawn or being drawn
-    this.moving = null; // a start while it is dragged
+    this.moving = null; // the start while it is dragged
     this.build();
-    this.film = new Film(this, [0], this.setup);
-    this.work.append(this.film.element, make("details", { className: "pl-fact" }, make("summary", { textContent: "Keys" }), KEYS));
-    this.hands = new TargetHands(this);
+    this.player = new Player(this, [0], this.setup);
+    this.work.append(this.player.element, make("details", { className: "pl-fact" }, make("summary", { textContent: "Keys" }), KEYS));
+    this.pointers = new TargetPointerTools(this);
     this.model.listeners.push(() => this.changed());
-    this.keeper = new Keeper(this, { address: `/api/target?clip=${this.clip}`, file: "follow.yaml",
+    this.drafts = new DraftStore(this, { address: `/api/target?clip=${this.clip}`, file: "follow.yaml",
       parts: ([target, start]) => ({ "the model": target, "where it starts": start }), send: ({ target, start }) => ({ target, start }) });
     new ResizeObserver(() => this.resized()).observe(this.views[0].canvas);
-    const recalled = !this.readonly && this.keeper.recall();
+    const recalled = !this.readonly && this.drafts.restoreDraft();
     this.take(this.readonly ? "look" : this.model.target ? "place" : "box");
-    if (this.setup.problem) this.say(this.setup.problem, true);
-    if (recalled) this.say("What you had placed and not saved is back. Undo leaves it.");
-    this.film.goTo(this.model.start ? Math.max(this.setup.frames.indexOf(this.model.start.frame), 0) : 0);
+    if (this.setup.problem) this.showMessage(this.setup.problem, true);
+    if (recalled) this.showMessage("What you had placed and not saved is back. Undo discards it.");
+    this.player.goTo(this.model.start ? Math.max(this.setup.frames.indexOf(this.model.start.frame), 0) : 0);
     this.changed();
     window.addEventListener("beforeunload", (event) => { if (this.model.dirty) event.preventDefault(); });
     window.addEventListener("keydown", (event) => this.key(event));
@@ -96,7 +96,7 @@ class TargetEditor extends Editing {
     const drawing = this.buildTools(TOOLS);
     this.saveButton = pushButton("Save", () => this.save(), "Writes follow.yaml, and a new model beside it (Ctrl-S)");
     this.saveButton.classList.add("primary");
-    this.followButton = make("a", { className: "pl-button", href: this.getAttribute("runs"), textContent: this.readonly ? "Read…" : "Follow…" });
+    this.followButton = make("a", { className: "pl-button", href: this.getAttribute("runs"), textContent: this.readonly ? "Results…" : "Follow…" });
     this.hint = make("div", { className: "ed-hint", role: "status", "aria-live": "polite" });
     for (const element of [...drawing, this.saveButton]) element.hidden = this.readonly;
     const bar = make("div", { className: "ed-bar", role: "toolbar", "aria-label": "Tools" }, ...drawing,
@@ -113,7 +113,7 @@ class TargetEditor extends Editing {
   buildSide() {
     this.facts = make("dl");
     this.problem = make("p", { className: "problem" });
-    this.doubt = make("p", { className: "doubt" });
+    this.warning = make("p", { className: "warning" });
     this.width = make("input", { type: "number", min: 0.2, max: 10, step: 0.01, value: 1.75 });
     this.name = make("input", { maxLength: 100, disabled: this.readonly, value: this.setup.target?.name ?? "vehicle ahead" });
     this.name.onchange = () => { if (this.name.value.trim() && this.model.target) this.model.change((m) => { m.target = { ...m.target, name: this.name.value.trim() }; }); };
@@ -122,20 +122,20 @@ class TargetEditor extends Editing {
     const file = make("input", { type: "file", accept: ".yaml,.yml", hidden: true, onchange: () => this.open(file) });
     const label = (text, input) => make("label", {}, text, input);
     const model = make("section", { className: "pl-panel ed-item", "aria-label": "Vehicle ahead" },
-      make("div", { className: "pl-subtitle", textContent: "Vehicle ahead" }), label("name", this.name), this.facts, this.problem, this.doubt,
+      make("div", { className: "pl-subtitle", textContent: "Vehicle ahead" }), label("name", this.name), this.facts, this.problem, this.warning,
       make("div", { className: "ed-bar", hidden: this.readonly }, this.startButton, pushButton("Open a model file…", () => file.click(), "A target.yaml from elsewhere"), file));
     const learn = make("section", { className: "pl-panel ed-item", "aria-label": "Learn a model", hidden: this.readonly },
       make("div", { className: "pl-subtitle", textContent: "Learn a model" }),
-      make("div", { className: "pl-fact", textContent: "Drag a box around the rear in a picture in which it is near. Distances will be as exact as the width that you give." }),
+      make("div", { className: "pl-fact", textContent: "Drag a box around the rear in a frame in which it is near. Distances are as accurate as the width that you enter." }),
       label("width of the box, m", this.width), make("div", { className: "ed-bar" }, this.learnButton));
     return make("div", { className: "ed-side" }, model, learn);
   }
 
-  next() { return this.readonly ? READ_ONLY : TOOLS[this.tool][2]; }
+  nextStep() { return this.readonly ? READ_ONLY : TOOLS[this.tool][2]; }
 
   take(tool) {
     this.tool = this.readonly ? "look" : tool;
-    this.say(this.next());
+    this.showMessage(this.nextStep());
     this.buttons();
     this.paint();
   }
@@ -150,7 +150,7 @@ class TargetEditor extends Editing {
     this.followButton.classList.toggle("primary", !this.readonly && !model.dirty && Boolean(model.target && model.start));
   }
 
-  arrived() { // another frame is shown
+  frameShown() { // by the player
     this.buttons();
     this.paint();
   }
@@ -161,10 +161,10 @@ class TargetEditor extends Editing {
     if (this.line !== null && !this.model.target?.segments[this.line]) this.line = null;
     if (this.model.target) this.name.value = this.model.target.name;
     this.buttons();
-    this.trace();
+    this.updateProjection();
   }
 
-  start(start) { // placed by hand
+  start(start) { // set by the user
     this.model.change((m) => { m.start = { ...start, center: start.center.map((v) => Math.round(v * 100) / 100), scale: Math.round(start.scale * 1e5) / 1e5 }; });
   }
 
@@ -175,12 +175,12 @@ class TargetEditor extends Editing {
     return { frame: this.frame, center, scale: scale * Math.max(far(place) / Math.max(far(drag.from), 1), 0.02) };
   }
 
-  handle(at) { // what of the model lies under a place on the screen: a corner scales, the rest moves
-    if (!this.shown?.lines.length) return null;
+  handle(at) { // the part of the model at a position on the screen: a corner scales it, the rest moves it
+    if (!this.projection?.lines.length) return null;
     const from = this.views[0].toImage(at);
     const corners = this.corners();
     const [[left, top], , [right, bottom]] = corners;
-    const near = NEAR / this.views[0].scale;
+    const near = HIT_RADIUS_PX / this.views[0].scale;
     for (const corner of corners) {
       if (Math.hypot(from[0] - corner[0], from[1] - corner[1]) <= near) return { kind: "scale", from };
     }
@@ -189,33 +189,33 @@ class TargetEditor extends Editing {
   }
 
   corners() { // of the model in the picture, clockwise from the top left
-    const all = this.shown.lines.flat();
+    const all = this.projection.lines.flat();
     const [xs, ys] = [all.map((p) => p[0]), all.map((p) => p[1])];
     const [left, right, top, bottom] = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
     return [[left, top], [right, top], [right, bottom], [left, bottom]];
   }
 
-  async trace() { // where the lines are, one question at a time
-    this.tracing = true;
-    if (this.asking) return;
-    this.asking = true;
-    while (this.tracing) {
-      this.tracing = false;
+  async updateProjection() { // of the model into the image, one request at a time
+    this.outdated = true;
+    if (this.requesting) return;
+    this.requesting = true;
+    while (this.outdated) {
+      this.outdated = false;
       const [target, start] = [this.model.target, this.moving ?? this.model.start];
       try {
-        this.shown = target && start ? await ask("POST", `/api/outline?clip=${this.clip}`, { target, start }) : null;
+        this.projection = target && start ? await sendRequest("POST", `/api/outline?clip=${this.clip}`, { target, start }) : null;
       } catch (error) {
-        this.shown = null;
-        this.say(error.message, true);
+        this.projection = null;
+        this.showMessage(error.message, true);
       }
-      this.tell(target);
+      this.showFacts(target);
       this.paint();
     }
-    this.asking = false;
+    this.requesting = false;
   }
 
-  tell(target) {
-    const { shown } = this;
+  showFacts(target) {
+    const shown = this.projection;
     const rows = shown ? [
       ["distance", `${shown.range_m.toFixed(1)} m`],
       ["width × height", `${shown.size_m[0].toFixed(2)} × ${shown.size_m[1].toFixed(2)} m`],
@@ -225,19 +225,19 @@ class TargetEditor extends Editing {
     ] : [["model", target ? "not placed" : "none"]];
     this.facts.replaceChildren(...rows.flatMap(([term, value]) => [make("dt", { textContent: term }), make("dd", { textContent: value })]));
     this.problem.textContent = shown?.problem ?? "";
-    this.doubt.textContent = shown?.doubt ?? "";
+    this.warning.textContent = shown?.warning ?? "";
   }
 
   chooseLine(place) {
-    const near = NEAR / this.views[0].scale;
-    const gaps = (this.shown?.lines ?? []).map((points) => Math.min(...points.slice(1).map((b, i) => gap(place, points[i], b))));
+    const near = HIT_RADIUS_PX / this.views[0].scale;
+    const gaps = (this.projection?.lines ?? []).map((points) => Math.min(...points.slice(1).map((b, i) => gap(place, points[i], b))));
     const best = gaps.indexOf(Math.min(...gaps));
     this.line = gaps[best] <= near ? best : null;
-    if (this.line !== null) this.say("Del removes this line from the model.");
+    if (this.line !== null) this.showMessage("Del removes this line from the model.");
     this.paint();
   }
 
-  erase() {
+  removeChosen() {
     if (this.line === null) return;
     const chosen = this.line;
     this.line = null;
@@ -248,44 +248,44 @@ class TargetEditor extends Editing {
 
   boxed() {
     if (this.box && Math.min(...[0, 1].map((i) => Math.abs(this.box[0][i] - this.box[1][i]))) < 8) this.box = null;
-    if (this.box) this.say("Now say how wide the box is, and learn the lines in it.");
+    if (this.box) this.showMessage("Now enter the width of the box, and learn the lines in it.");
     this.buttons();
   }
 
   async learn() {
     const [xs, ys] = [0, 1].map((i) => this.box.map((p) => Math.round(p[i] * 100) / 100).sort((a, b) => a - b));
     const body = { frame: this.frame, box: [xs[0], ys[0], xs[1], ys[1]], width: Number(this.width.value), name: this.name.value.trim() };
-    await this.put(() => ask("POST", `/api/learn?clip=${this.clip}`, body), "learned. Look closely: click a line that lies on a shadow or the background, and press Del. Then save.");
+    await this.useModel(() => sendRequest("POST", `/api/learn?clip=${this.clip}`, body), "learned. Look closely: click a line that lies on a shadow or the background, and press Del. Then save.");
   }
 
   async open(input) {
     const [file] = input.files;
     input.value = "";
-    if (file) await this.put(() => ask("POST", `/api/model?clip=${this.clip}&frame=${this.frame}`, file), "opened. Drag the model onto the vehicle, and its corners to scale it. Then save.");
+    if (file) await this.useModel(() => sendRequest("POST", `/api/model?clip=${this.clip}&frame=${this.frame}`, file), "opened. Drag the model onto the vehicle, and its corners to scale it. Then save.");
   }
 
-  async put(given, words) {
+  async useModel(request, text) {
     try {
-      const { target, start } = await given();
+      const { target, start } = await request();
       this.box = null;
       this.model.change((m) => Object.assign(m, { target, start }));
       this.take("place");
-      this.say(`${target.segments.length} lines ${words}`);
+      this.showMessage(`${target.segments.length} lines ${text}`);
     } catch (error) {
-      this.say(error.message, true);
+      this.showMessage(error.message, true);
     }
   }
 
   async save() {
     if (this.saveButton.disabled || this.readonly) return;
-    await this.keeper.save(() => "Saved in follow.yaml. Next: follow.");
+    await this.drafts.save(() => "Saved in follow.yaml. Next: follow.");
   }
 
   // --- drawing and keys --------------------------------------------------------------------------------------------
 
   drawings() {
     const here = (this.moving ?? this.model.start)?.frame === this.frame;
-    const lines = (this.shown?.lines ?? []).map((points, i) => ({ points, color: i === this.line ? "#ff6b75" : "#4aa3ff", bold: i === this.line, faint: !here }));
+    const lines = (this.projection?.lines ?? []).map((points, i) => ({ points, color: i === this.line ? "#ff6b75" : "#4aa3ff", bold: i === this.line, faint: !here }));
     if (this.tool === "place" && lines.length) lines.push(...this.corners().map((corner) => ({ points: [corner], color: "#4aa3ff" })));
     if (this.box) {
       const [[ax, ay], [bx, by]] = this.box;
@@ -301,20 +301,20 @@ class TargetEditor extends Editing {
     if (key && this.press(key, event)) event.preventDefault();
   }
 
-  press({ pressed, arrow }, { key, shiftKey }) { // whether the key means anything
+  press({ pressed, arrow }, { key, shiftKey }) { // returns whether the key has a function
     const { start } = this.model;
     const tool = Object.keys(TOOLS).find((name) => TOOLS[name][1] === pressed);
     const scaling = { "[": -1, "]": 1, "{": -1, "}": 1 }[key];
     if (tool && !(tool === "place" && !this.model.target)) this.take(tool);
     else if (arrow) this.arrow(arrow, shiftKey);
     else if (scaling && start) this.start({ ...start, frame: this.frame, scale: start.scale * (1 + scaling * (shiftKey ? 0.02 : 0.002)) });
-    else if (pressed === "," || pressed === ".") this.film.goTo(this.film.place + (pressed === "," ? -1 : 1));
-    else if (pressed === " ") this.film.play();
+    else if (pressed === "," || pressed === ".") this.player.goTo(this.player.place + (pressed === "," ? -1 : 1));
+    else if (pressed === " ") this.player.play();
     else if (pressed === "escape") { if (this.box) this.box = null; else this.line = null; this.buttons(); this.paint(); }
     else if (pressed === "n") this.nextLine();
-    else if (pressed === "delete" || pressed === "backspace") this.erase();
+    else if (pressed === "delete" || pressed === "backspace") this.removeChosen();
     else if (pressed === "0") { this.views[0].fit(); this.paint(); }
-    else if (pressed === "+" || pressed === "=" || pressed === "-") this.hands.zoom(0, pressed === "-" ? 0.8 : 1.25, [this.views[0].width / 2, this.views[0].height / 2]);
+    else if (pressed === "+" || pressed === "=" || pressed === "-") this.pointers.zoom(0, pressed === "-" ? 0.8 : 1.25, [this.views[0].width / 2, this.views[0].height / 2]);
     else return false;
     return true;
   }
@@ -329,7 +329,7 @@ class TargetEditor extends Editing {
     const { start } = this.model;
     const step = far ? 2 : 0.25;
     if (this.tool === "box") { this.stretch(x, y, far); return; }
-    if (this.tool !== "place" || !start) { if (x) this.film.goTo(this.film.place + x); return; }
+    if (this.tool !== "place" || !start) { if (x) this.player.goTo(this.player.place + x); return; }
     this.start({ ...start, frame: this.frame, center: [start.center[0] + x * step, start.center[1] + y * step] });
   }
 

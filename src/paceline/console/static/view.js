@@ -1,9 +1,9 @@
-// One camera's picture on a canvas: zoom, pan, and everything drawn over it. Pixel centres are at whole numbers.
+// One camera's image on a canvas: zoom, pan, and everything drawn over it. Pixel centres are at whole numbers.
 
-const HANDLE = 5;
-const LABEL = 19; // px high
-const LOUPE = 84; // radius on the screen
-const LOUPE_ZOOM = 8;
+const HANDLE_RADIUS_PX = 5; // on the screen, as all below
+const LABEL_HEIGHT_PX = 19;
+const MAGNIFIER_RADIUS_PX = 84;
+const MAGNIFIER_ZOOM = 8;
 export const COLORS = ["#4aa3ff", "#ff9d42", "#53c87d", "#d17cf0", "#ff6b75", "#41c9d6", "#e3c847", "#b9c2cc"];
 
 export class View {
@@ -50,7 +50,7 @@ export class View {
     this.scale = Math.min(Math.max(Math.min(this.width / (span[0] * room + 1), this.height / (span[1] * room + 1)), this.fitting), 24);
   }
 
-  // `drawings`: {points, closed, color, chosen, bold, faint, point}, or {points, dots}, or {points, words}; `cursor`: the image place under the magnifier, if any.
+  // `drawings`: {points, closed, color, chosen, bold, faint, point}, or {points, dots}, or {points, text}; `cursor`: the image place under the magnifier, if any.
   draw(drawings, cursor) {
     const ratio = window.devicePixelRatio || 1;
     const { canvas, width, height } = this;
@@ -75,11 +75,11 @@ export class View {
   }
 
   marks(context, place, drawings) {
-    this.labels = []; // that are drawn already: another one goes above
+    this.labels = []; // drawn so far: others must not overlap them
     if (this.epipolar) this.line(context, place);
     for (const drawing of drawings) {
       const { points, closed, color, chosen, bold, faint, point } = drawing;
-      if (drawing.dots || drawing.words) {
+      if (drawing.dots || drawing.text) {
         this.annotate(context, place, drawing);
         continue;
       }
@@ -97,7 +97,7 @@ export class View {
       if (chosen || points.length === 1) {
         points.map(place).forEach(([x, y], i) => {
           context.beginPath();
-          context.arc(x, y, i === point ? HANDLE + 2 : HANDLE, 0, 7);
+          context.arc(x, y, i === point ? HANDLE_RADIUS_PX + 2 : HANDLE_RADIUS_PX, 0, 7);
           context.fillStyle = i === point ? color : "#0006";
           context.fill();
           context.strokeStyle = i === point ? "#fff" : color;
@@ -109,21 +109,21 @@ export class View {
     }
   }
 
-  annotate(context, place, { points, color, words }) {
+  annotate(context, place, { points, color, text }) {
     context.font = "600 13px system-ui, sans-serif";
     for (const [x, y] of points.map(place)) {
-      context.fillStyle = words ? "#000b" : color;
-      if (!words) {
+      context.fillStyle = text ? "#000b" : color;
+      if (!text) {
         context.fillRect(x - 1, y - 1, 2, 2);
         continue;
       }
-      const box = { x: x - 4, y: y - 24, width: context.measureText(words).width + 8 };
-      const hides = (other) => Math.abs(other.y - box.y) < LABEL && other.x < box.x + box.width && box.x < other.x + other.width;
-      while (this.labels.some(hides)) box.y -= 1;
+      const box = { x: x - 4, y: y - 24, width: context.measureText(text).width + 8 };
+      const overlaps = (other) => Math.abs(other.y - box.y) < LABEL_HEIGHT_PX && other.x < box.x + box.width && box.x < other.x + other.width;
+      while (this.labels.some(overlaps)) box.y -= 1;
       this.labels.push(box);
-      context.fillRect(box.x, box.y, box.width, LABEL);
+      context.fillRect(box.x, box.y, box.width, LABEL_HEIGHT_PX);
       context.fillStyle = "#fff";
-      context.fillText(words, x, box.y + 14);
+      context.fillText(text, x, box.y + 14);
     }
   }
 
@@ -147,14 +147,14 @@ export class View {
   }
 
   magnify(context, cursor, drawings) {
-    const scale = Math.max(LOUPE_ZOOM, this.scale * 2);
+    const scale = Math.max(MAGNIFIER_ZOOM, this.scale * 2);
     const [sx, sy] = this.toScreen(cursor);
-    const left = sx > this.width / 2 ? LOUPE + 10 : this.width - LOUPE - 10;
-    const top = sy > this.height / 2 ? LOUPE + 10 : this.height - LOUPE - 10;
+    const left = sx > this.width / 2 ? MAGNIFIER_RADIUS_PX + 10 : this.width - MAGNIFIER_RADIUS_PX - 10;
+    const top = sy > this.height / 2 ? MAGNIFIER_RADIUS_PX + 10 : this.height - MAGNIFIER_RADIUS_PX - 10;
     const place = ([x, y]) => [left + (x - cursor[0]) * scale, top + (y - cursor[1]) * scale];
     context.save();
     context.beginPath();
-    context.arc(left, top, LOUPE, 0, 7);
+    context.arc(left, top, MAGNIFIER_RADIUS_PX, 0, 7);
     context.fillStyle = "#000";
     context.fill();
     context.clip();
@@ -170,7 +170,7 @@ export class View {
     context.stroke();
     context.restore();
     context.beginPath();
-    context.arc(left, top, LOUPE, 0, 7);
+    context.arc(left, top, MAGNIFIER_RADIUS_PX, 0, 7);
     context.strokeStyle = "#fff8";
     context.lineWidth = 1.5;
     context.stroke();
