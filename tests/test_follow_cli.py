@@ -157,7 +157,7 @@ def test_nothing_tracked_is_status_1_with_the_reason(clip: Path, tmp_path: Path)
     found = summary(tmp_path / "out")
     assert found["status"]["tracking"] == 0 and found["reasons"] and found["range_m"]["mean"] is None
     page = (tmp_path / "out" / "report.html").read_text()
-    assert "tracked in none of" in page and "What to do:" in page and "nan" not in page
+    assert "tracked in none of" in page and "Advice:" in page and "nan" not in page
 
 
 def test_the_documents_loop_runs(

@@ -153,7 +153,7 @@ def test_the_page_is_complete_and_self_contained(out: Path) -> None:
     assert "50 tracking, 5 coasting, 5 lost" in text
     assert "<td>20 to 29</td><td>1.33</td><td>1.93</td><td>lost</td><td>too few lines</td>" in html
     assert "typically known within ± 0.06 m" in text  # 1.96 times 0.03
-    for part in ("the lens is dirty", "What to do:", "What the words mean", "wheelbase", "paceline"):
+    for part in ("the lens is dirty", "Advice:", "Terms", "wheelbase", "paceline"):
         assert part in text
     assert {a for a in page.addresses if not a.startswith("data:")} == {"overlay.mp4", "track.csv", "summary.json"}
     assert "script" not in page.tags

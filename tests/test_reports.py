@@ -218,7 +218,7 @@ def test_nothing_found(tmp_path: Path) -> None:
     """No vehicle: the outputs still say so."""
     empty = ClipResult("c", [], [], {}, {}, ["no vehicle was found"])
     write_report(empty, Recording(), tmp_path / "out")
-    assert "No vehicle was found" in (tmp_path / "out" / "report.html").read_text()
+    assert "No vehicle was detected" in (tmp_path / "out" / "report.html").read_text()
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["vehicles"] == []
 
 
@@ -260,9 +260,9 @@ class Page(HTMLParser):
 def test_page_is_complete_and_self_contained(out: Path) -> None:
     page = Page((out / "report.html").read_text())
     text = " ".join(page.text.split())
-    assert "45.0 mph, 95 % sure between 44.7 and 45.2 mph" in text
+    assert "45.0 mph, 95 % interval 44.7 to 45.2 mph" in text
     assert "Rejected: too few frames (7 of at least 8)" in text
-    assert "What to do:" in text and "for longer" in text
+    assert "Advice:" in text and "for longer" in text
     for part in ("± 0.13 random ± 0.18 systematic", "frame 4 repeats frame 3", "left the picture at frame 11"):
         assert part in text
     for part in ("How it was measured", "What the interval means", "noise.speed", "paceline 0.1.0", "Path lane0"):
@@ -317,7 +317,7 @@ def browse(page: Path, folder: Path, width: int = 1280) -> tuple[str, Path, set[
 def test_page_in_a_browser(out: Path, tmp_path: Path, width: int) -> None:
     """The page renders, shows its numbers and asks the network for nothing."""
     text, shot, asked = browse(out / "report.html", tmp_path, width)
-    assert "45.0 mph" in text and "between 44.7 and 45.2" in text
+    assert "45.0 mph" in text and "44.7 to 45.2" in text
     pixels = cv2.imread(str(shot))
     assert pixels is not None and pixels.shape == (1400, width, 3) and pixels.std() > 10
     assert not asked

@@ -1,4 +1,4 @@
-"""``paceline drive``: a closed loop in a rendered world, and whether what must hold does."""
+"""``paceline drive``: a closed loop in a rendered world, and whether its requirements hold."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def _print_drive(result: DriveResult) -> None:
         f"{result.scene}, seed {result.seed}: {result.duration:.0f} s and {f.distance:.0f} m behind a {result.target}, "
         f"up to {3.6 * f.speed_max:.0f} km/h"
     )
-    rows = [("what must hold", "found", "must be", ""), *map(format_requirement, result.requirements)]
+    rows = [("requirement", "found", "must be", ""), *map(format_requirement, result.requirements)]
     print_columns(rows)
     taken = result.processing
     print(f"processing time {1e3 * taken['median']:.2f} ms per picture, 99 of 100 within {1e3 * taken['p99']:.2f} ms")

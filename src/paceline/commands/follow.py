@@ -37,8 +37,8 @@ def follow_vehicle(
     with OutputFolder(out) as folder:
         recording = open_camera(document)
         with progress_bar("following", sys.stderr.isatty() and not quiet) as advance, _ended(recording):
-            teller = range_line_writer(document.target.name, recording.live)
-            result, tally = write_follow_files(document, recording, folder, None, overlay, advance, teller)
+            on_frame = range_line_writer(document.target.name, recording.live)
+            result, tally = write_follow_files(document, recording, folder, None, overlay, advance, on_frame)
     if not quiet:
         _print_follow(result, tally)
         print(f"\nReport: {out / 'report.html'}")

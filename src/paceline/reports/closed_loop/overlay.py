@@ -1,4 +1,4 @@
-"""The video of a drive as the driver saw it: the follower's overlay, with instruments below."""
+"""The video of a drive: the follower's overlay, with gauges for speed, gap, steering and pedals below."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from paceline.reports.follow.overlay import draw_frame
 from paceline.simulation.closed_loop.loop import LoopStep
 from paceline.simulation.closed_loop.vehicle_dynamics import VehicleParameters
 
-PANEL_HEIGHT_PX = 64  # height of the strip below the picture, px
+PANEL_HEIGHT_PX = 64  # of the strip below the image
 COMMAND_COLOR: Color = (60, 160, 235)
 WHEEL_COLOR: Color = (80, 220, 120)
 BRAKE_COLOR: Color = (70, 70, 235)
 BAR_FRAME_COLOR: Color = (110, 100, 90)
-FULL_PEDAL_MPS2 = 4.0  # m/s² that fill the pedal's bar
+FULL_PEDAL_MPS2 = 4.0  # of a full pedal bar
 
 
 def draw_step(step: LoopStep, vehicle: VehicleParameters) -> Picture:
@@ -29,12 +29,12 @@ def draw_step(step: LoopStep, vehicle: VehicleParameters) -> Picture:
         f"{format_number(3.6 * step.chase.speed, 1)} km/h",
         f"gap {format_number(step.gap, 1)} of {format_number(step.desired_gap, 1)} m"
         if step.lead_present
-        else "the lead is gone",
+        else "lead not visible",
         f"path {format_number(step.path_error, 2)} m",
     )
     for text, x in zip(texts, (14, 160, 390), strict=True):
         draw_text(panel, text, (x, 26), 17, WHITE_BGR)
-    _draw_bar(panel, (14, 40), 340, step.command.steering / vehicle.steering_limit, COMMAND_COLOR, "steering asked")
+    _draw_bar(panel, (14, 40), 340, step.command.steering / vehicle.steering_limit, COMMAND_COLOR, "steering command")
     _draw_bar(panel, (14, 52), 340, step.chase.steering / vehicle.steering_limit, WHEEL_COLOR, "wheels")
     pedal = step.chase.acceleration / FULL_PEDAL_MPS2
     _draw_bar(panel, (500, 46), 150, pedal, WHEEL_COLOR if pedal >= 0 else BRAKE_COLOR, "brake, throttle")

@@ -1,4 +1,4 @@
-"""report.html of a drive: one self-contained page with the verdict, what must hold, and the drawings."""
+"""report.html of a drive: one self-contained page with the verdict, the requirements, and the plots."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from paceline.reports.follow.page import format_percent
 from paceline.simulation.closed_loop.requirements import Requirement
 from paceline.simulation.closed_loop.results import DriveResult
 
-# What each plot shows, for someone who has never seen one.
+# What each plot shows, in plain words.
 PLOT_CAPTIONS = {
-    "plan": "The way of the vehicle ahead, and of the one that follows it by its camera. One on the other is good.",
-    "gap": "How far ahead the vehicle is: as it was, as the camera told it, and as the throttle wants it. Shaded "
-    "stretches were not tracked.",
-    "path_error": "How far the rear axle is from where the vehicle ahead drove; to the right is up.",
-    "steering": "What was asked for, and what the front wheels did, later and not faster than they can.",
-    "speed": "Both vehicles. The one behind should be calmer than the one ahead.",
-    "processing": "What the tracker took for each picture on this machine; the loop itself runs on simulated time.",
+    "plan": "The paths of the vehicle ahead and of the one that follows it by its camera; ideally they coincide.",
+    "gap": "The gap to the vehicle ahead: true, estimated by the camera, and wanted by the throttle control. In shaded "
+    "intervals it was not tracked.",
+    "path_error": "Distance of the rear axle from the path of the vehicle ahead; positive to the right.",
+    "steering": "The commanded angle, and that of the front wheels, with their delay and limited rate.",
+    "speed": "Both vehicles. The speed of the follower should vary less than that of the lead.",
+    "processing": "Computing time of the tracker per frame on this machine; the loop itself runs on simulated time.",
 }
 
 
@@ -57,7 +57,7 @@ def write_drive_page(
 
 
 def format_requirement(r: Requirement) -> tuple[str, str, str, str]:
-    """What, the figure found, its bound, and whether it holds, as text."""
+    """Text of a requirement: its name, the value found, its bound, and whether it holds."""
     if r.what == "tracking at the end":
         return r.what, "yes" if r.value else "no", "yes", "holds" if r.holds else "fails"
     whole = r.unit == "" and float(r.value).is_integer() and float(r.bound).is_integer()

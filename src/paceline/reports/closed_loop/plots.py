@@ -23,7 +23,7 @@ STATUS_COLORS = {1.0: INTERVAL_COLOR, 2.0: MUTED_COLOR}
 
 
 def drive_plots(log: DriveLog) -> list[Plot]:
-    """The drawings of a drive, stretches in which the lead was not tracked shaded."""
+    """The plots of a drive, with intervals shaded in which the lead was not tracked."""
     return [
         make_plot("plan", "Both paths from above", _plan_size(log), lambda f: _draw_plan(f, log)),
         make_plot("gap", "Gap to the lead over time", WIDE_FIGURE_IN, lambda f: _draw_gap(f, log)),
@@ -33,18 +33,18 @@ def drive_plots(log: DriveLog) -> list[Plot]:
         make_plot("steering", "Steering angle over time", HALF_FIGURE_IN, lambda f: _draw_steering(f, log)),
         make_plot("speed", "Speeds over time", HALF_FIGURE_IN, lambda f: _draw_speed(f, log)),
         make_plot(
-            "processing", "The tracker's time for each picture", HALF_FIGURE_IN, lambda f: _draw_processing(f, log)
+            "processing", "Computing time of the tracker per frame", HALF_FIGURE_IN, lambda f: _draw_processing(f, log)
         ),
     ]
 
 
 def _rotated_to_horizontal(log: DriveLog) -> tuple[Array, Array]:
-    """Both paths (N, 2) turned so that the longest way lies across the page."""
+    """Both paths (N, 2), rotated so that their principal axis is horizontal."""
     both = np.column_stack([log.chase_x, log.chase_y]), np.column_stack([log.lead_x, log.lead_y])
     centre = both[0].mean(0)
     _, _, axes = np.linalg.svd(np.vstack(both) - centre, full_matrices=False)
     axes[0] *= 1.0 if axes[0] @ (both[0][-1] - both[0][0]) >= 0 else -1.0
-    across = np.array([-axes[0, 1], axes[0, 0]])  # to the left, so that nothing is mirrored
+    across = np.array([-axes[0, 1], axes[0, 0]])  # to the left: no mirroring
     turned = np.column_stack([axes[0], across])
     return (both[0] - centre) @ turned, (both[1] - centre) @ turned
 
@@ -92,7 +92,7 @@ def _draw_error(figure: Figure, log: DriveLog) -> None:
 
 def _draw_steering(figure: Figure, log: DriveLog) -> None:
     axes = figure.subplots()
-    axes.plot(log.time, np.degrees(log.steering_command), color=INTERVAL_COLOR, lw=0.9, label="asked for")
+    axes.plot(log.time, np.degrees(log.steering_command), color=INTERVAL_COLOR, lw=0.9, label="command")
     axes.plot(log.time, np.degrees(log.steering), color=FILTER_COLOR, lw=1.2, label="wheels")
     axes.set_ylabel("degrees, to the right")
     _finish_axes(figure, axes, log)

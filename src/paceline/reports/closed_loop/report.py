@@ -1,4 +1,4 @@
-"""Runs a closed loop and writes everything that is left behind, in one pass."""
+"""Runs a closed loop and writes its tables, plots, video and report, in one pass."""
 
 from __future__ import annotations
 

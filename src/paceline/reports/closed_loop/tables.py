@@ -49,7 +49,7 @@ class DriveTable:
 
 
 def write_drive_summary(result: DriveResult, file: Path) -> None:
-    """Writes summary.json: the table of what must hold, the figures, the scene and the configuration."""
+    """Writes summary.json: the requirements, the figures, the scene and the configuration."""
     f = result.figures
     summary = {
         "scene": result.scene,

@@ -1,4 +1,4 @@
-"""The overlay video of a run: model lines, window, edge points believed, range and status over the camera's view."""
+"""The overlay video of a run: model lines, window, accepted edge points, range and status over the camera's view."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ from paceline.reports.common.formatting import NO_VALUE, format_number
 from paceline.reports.common.video import pad_to_even
 from paceline.units import COVERAGE_95
 
-VIDEO_WIDTHS_PX = (768, 1920)  # of the video, px: small pictures are magnified, large ones reduced
-HEADER_HEIGHT_PX = 40  # height of the strip above the picture, pixels
+VIDEO_WIDTHS_PX = (768, 1920)  # of the video: small images are magnified, large ones reduced
+HEADER_HEIGHT_PX = 40  # of the strip above the image
 STATUS_COLORS: dict[str, Color] = {"tracking": (80, 220, 120), "coasting": (40, 170, 255), "lost": (190, 190, 190)}
 POINT_COLOR: Color = (250, 220, 90)
 WINDOW_COLOR: Color = (150, 130, 120)
-MAX_EDGE_POINTS = 400  # edge points drawn at most
+MAX_EDGE_POINTS = 400  # drawn
 
-STILL_SIZE_PX = (400, 300)  # width and height, pixels
+STILL_SIZE_PX = (400, 300)  # width and height
 STILL_TARGET_WIDTHS = 1.8  # width of a still in widths of the target
 MAX_SPREAD_STILLS = 6
 MAX_LOSS_STILLS = 2
@@ -60,7 +60,7 @@ def draw_frame(frame: CameraFrame, image: NDArray[np.uint8], e: FollowEstimate) 
     canvas = np.empty((HEADER_HEIGHT_PX + view.shape[0], view.shape[1], 3), np.uint8)
     canvas[:HEADER_HEIGHT_PX] = DARK_BGR
     canvas[HEADER_HEIGHT_PX:] = view
-    note = "   no picture" if frame.image is None else ""
+    note = "   no image" if frame.image is None else ""
     draw_text(canvas, f"frame {frame.index}   {frame.time:.3f} s{note}", (14, 27), 17, WHITE_BGR)
     draw_text(
         canvas, format_status(e), (min(300, view.shape[1] // 3), 27), 17, STATUS_COLORS.get(e.status, WHITE_BGR), 500
@@ -69,12 +69,12 @@ def draw_frame(frame: CameraFrame, image: NDArray[np.uint8], e: FollowEstimate) 
 
 
 def format_status(e: FollowEstimate) -> str:
-    """The status and, where it does not track, why."""
+    """The status and, unless tracking, the reason."""
     return f"{e.status}: {e.reason}" if e.reason else e.status
 
 
 def format_range(e: FollowEstimate) -> str:
-    """For example ``10.58 ± 0.05 m``, half of a 95 % interval; what is only carried on is said to be."""
+    """For example ``10.58 ± 0.05 m``, half of a 95 % interval; predicted values are marked."""
     distance, half = float(e.position[2]), COVERAGE_95 * float(e.position_std[2])
     if not np.isfinite(distance):
         return NO_VALUE
@@ -92,7 +92,7 @@ def draw_estimate(view: Picture, e: FollowEstimate, scale: float, shift: Array |
     for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         draw_line(view, a, b, WINDOW_COLOR)
     lines = scale_points(np.asarray(e.lines, float), scale) + moved
-    for a, b in lines:  # thinner than a pixel of the recording, so that the edge below shows
+    for a, b in lines:  # thinner than a pixel of the recording, so that the edge stays visible
         draw_line(view, a, b, color, 2 if scale > 2 else 1)
     points = np.asarray(e.points, float)[:: len(e.points) // MAX_EDGE_POINTS + 1]
     draw_dots(view, scale_points(points, scale) + moved, POINT_COLOR, 0.3 * max(scale, 2))
@@ -104,8 +104,8 @@ def draw_estimate(view: Picture, e: FollowEstimate, scale: float, shift: Array |
 
 @dataclass
 class StillSelection:
-    """A few pictures spread over a run whose length is not known — every second is dropped when there are too many —
-    and the first moments at which the target was no longer seen."""
+    """Selects stills of a run of unknown length: some spread evenly (every second one is dropped when there are too
+    many), and the first frames in which tracking was lost."""
 
     evenly_spread: list[TargetStill] = field(default_factory=list)
     losses: list[TargetStill] = field(default_factory=list)

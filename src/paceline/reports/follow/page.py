@@ -1,4 +1,4 @@
-"""report.html of a following run: one self-contained page that explains the result to anyone."""
+"""report.html of a following run: one self-contained page with the result and its explanation."""
 
 from __future__ import annotations
 
@@ -13,17 +13,16 @@ from paceline.reports.follow.overlay import TargetStill
 from paceline.reports.follow.tables import finite_quantile
 from paceline.units import COVERAGE_95
 
-MAX_LISTED_EPISODES = 50  # episodes listed on the page; summary.json holds more
-GOOD_TRACKED_SHARE = 0.95  # share of frames tracked from which no advice is given
+MAX_LISTED_EPISODES = 50  # on the page; summary.json holds more
+GOOD_TRACKED_SHARE = 0.95  # from which on no advice is given
 
-# What each plot shows, for someone who has never seen one.
+# What each plot shows, in plain words.
 PLOT_CAPTIONS = {
-    "range": "How far ahead the vehicle is. The band is the 95 % interval; shaded stretches were not tracked.",
-    "bearing": "The direction to the vehicle, and the steering angle that would follow its path; to the right is up.",
-    "confidence": "How firmly each frame fixes the target’s place across and down the picture and its size; higher is "
-    "better.",
-    "residual": "How far the vehicle’s edges lie from the model’s lines on average; a sudden rise means trouble.",
-    "latency": "How long each frame took from its arrival to its estimate.",
+    "range": "Distance of the vehicle ahead, with its 95 % interval. In shaded intervals it was not tracked.",
+    "bearing": "Direction to the vehicle, and the steering angle that follows its path; positive to the right.",
+    "confidence": "How well each frame determines the target’s position and size; higher is better.",
+    "residual": "RMS distance of the vehicle’s edges from the model’s lines; a sudden rise indicates a tracking error.",
+    "latency": "Time of each frame from its arrival to its estimate.",
 }
 
 
@@ -59,22 +58,22 @@ def write_follow_page(
 
 
 def format_percent(share: float) -> str:
-    """``99.3 %``; 100 % only when nothing is missing."""
+    """``99.3 %``; 100 % only if every frame is tracked."""
     shown = 100 * share
     return f"{format_number(min(shown, 99.9) if shown < 100 else shown, 0 if shown in (0.0, 100.0) else 1)} %"
 
 
 def advice(tally: Tally) -> str:
-    """What the person can do where too little was tracked; empty where nothing needs to be done."""
+    """Advice where too few frames were tracked; empty otherwise."""
     if not tally.tracked:
         return (
-            "Look at the first picture of the overlay: do the model’s lines lie on the vehicle’s edges? If not, "
+            "Check the first frame of the overlay: do the model’s lines lie on the vehicle’s edges? If not, "
             "correct the start in follow.yaml, or learn a model from this recording with paceline target learn."
         )
     if tally.share < GOOD_TRACKED_SHARE:
         return (
-            "Find the moments listed below in the overlay. Something in front of the vehicle is normal and passes. If "
-            "the lines slide off the vehicle by themselves, the model or the start does not fit it well enough."
+            "Find the frames listed below in the overlay. A short occlusion is normal. If the lines drift off the "
+            "vehicle without one, the model or the start does not fit it well enough."
         )
     return ""
 

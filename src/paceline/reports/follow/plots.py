@@ -27,7 +27,7 @@ STATUS_COLORS = {"coasting": INTERVAL_COLOR, "lost": MUTED_COLOR}
 
 
 def follow_plots(result: FollowResult) -> list[Plot]:
-    """The drawings of a run, rows where the target was not tracked left out and shaded."""
+    """The plots of a run; frames in which the target was not tracked are left out and shaded."""
     return [
         make_plot("range", "Distance to the vehicle ahead over time", WIDE_FIGURE_IN, lambda f: _draw_range(f, result)),
         make_plot(
@@ -37,7 +37,7 @@ def follow_plots(result: FollowResult) -> list[Plot]:
             "confidence", "Confidence of the fit over time", HALF_FIGURE_IN, lambda f: _draw_confidence(f, result)
         ),
         make_plot(
-            "residual", "Misfit of the model's lines over time", HALF_FIGURE_IN, lambda f: _draw_residual(f, result)
+            "residual", "Residual of the model's lines over time", HALF_FIGURE_IN, lambda f: _draw_residual(f, result)
         ),
         make_plot("latency", "Processing time of each frame", HALF_FIGURE_IN, lambda f: _draw_latency(f, result)),
     ]
@@ -91,7 +91,7 @@ def _draw_residual(figure: Figure, result: FollowResult) -> None:
     axes.plot(_since_first(result), result.residual, color=FILTER_COLOR, lw=1.1)
     axes.set_ylim(bottom=0)
     _shade(axes, result, label=False)
-    axes.set_ylabel("misfit, pixels rms")
+    axes.set_ylabel("residual (RMS), pixels")
     _label_time(axes, result)
 
 

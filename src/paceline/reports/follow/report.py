@@ -1,4 +1,4 @@
-"""Follows a target through a recording, and writes everything that is left behind, in one pass."""
+"""Follows a target through a recording and writes its tables, plots, video and report, in one pass."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ from paceline.reports.follow.page import write_follow_page
 from paceline.reports.follow.plots import follow_plots
 from paceline.reports.follow.tables import TrackTable, write_summary
 
-VIDEO_CRF = 23  # magnified noise costs much and says little
-LIVE_FRAME_INTERVAL_S = 1 / 25  # s, nominal only: live pictures keep their own times
+VIDEO_CRF = 23  # magnified noise compresses badly
+LIVE_FRAME_INTERVAL_S = 1 / 25  # nominal: live frames keep their own times
 
 
 @on_one_blas_thread
@@ -54,9 +54,9 @@ def write_follow_files(
     configuration: FollowConfiguration | None = None,
     overlay: bool = True,
     progress: Progress | None = None,
-    told: Callable[[CameraFrame, FollowEstimate], None] | None = None,
+    on_frame: Callable[[CameraFrame, FollowEstimate], None] | None = None,
 ) -> tuple[FollowResult, Tally]:
-    """As `follow_and_report`, straight into an existing ``folder``; ``told`` is called with every frame and its
+    """As `follow_and_report`, straight into an existing ``folder``; ``on_frame`` is called with every frame and its
     estimate as it is made. Memory does not grow with the recording."""
     begun = time.perf_counter()
     history, stills = History(), StillSelection()
@@ -67,10 +67,10 @@ def write_follow_files(
         for frame, estimate in follow(clip, recording, configuration):
             table.add(estimate)
             history.add(estimate)
-            if told is not None:
-                told(frame, estimate)
+            if on_frame is not None:
+                on_frame(frame, estimate)
             stills.add(frame.image, estimate)
-            if video is not None:  # where there is no picture, the last one stands still
+            if video is not None:  # without an image the last one is repeated
                 seen = seen if frame.image is None else frame.image
                 video.add(draw_frame(frame, seen, estimate), frame.time)
             if progress is not None:

@@ -45,7 +45,7 @@ def render_live_page(summary: dict[str, Any], pictures: Path, kept: int, plot: P
 
 
 def _format_period(passages: Sequence[Passage]) -> str:
-    """From when to when vehicles were seen, for people."""
+    """The period in which vehicles were seen."""
     if not passages:
         return ""
     first, last = (passages[k]["seen_at"] for k in (0, -1))
@@ -90,9 +90,11 @@ def _pictures(vehicles: Sequence[Passage], folder: Path, unit: str) -> list[dict
     """The pictures of ``vehicles``, the latest first."""
     found = []
     for vehicle in reversed(vehicles):
-        with suppress(OSError):  # somebody removed it
+        with suppress(OSError):  # it has been removed
             row = _passage_row(vehicle, unit)
             speed = row["verdict"] if row["speed"] == NO_VALUE else f"{row['speed']} {unit}"
-            words = f"{row['name']}, {row['at']}, {row['path']}: {speed}"
-            found.append({"name": row["name"], "jpeg": (folder / f"{row['name']}.jpg").read_bytes(), "words": words})
+            caption = f"{row['name']}, {row['at']}, {row['path']}: {speed}"
+            found.append(
+                {"name": row["name"], "jpeg": (folder / f"{row['name']}.jpg").read_bytes(), "caption": caption}
+            )
     return found

@@ -1,4 +1,4 @@
-"""report.html: one self-contained page that explains the result to anyone."""
+"""report.html: one self-contained page with the result and its explanation."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ def write_page(
         {
             "id": m.vehicle,
             "m": m,
-            "words": (words := format_speed(m, unit)),
-            "headline": _headline(m, words),
+            "text": (text := format_speed(m, unit)),
+            "headline": _headline(m, text),
             "color": colors[m.vehicle],
             "advice": rejected_advice(m.reason_code),
             "facts": _facts(m, unit),
@@ -50,7 +50,7 @@ def write_page(
         }
         for m in result.measurements
     ]
-    text = render(
+    html = render(
         "speed/page.html.j2",
         result=result,
         unit=unit,
@@ -62,14 +62,14 @@ def write_page(
         seconds=format_number(result.seconds, 1),
         missing=NO_VALUE,
     )
-    file.write_text(text, encoding="utf-8")
+    file.write_text(html, encoding="utf-8")
 
 
-def _headline(measurement: Measurement, words: SpeedText) -> str:
-    """The result in one plain sentence."""
+def _headline(measurement: Measurement, text: SpeedText) -> str:
+    """The result in one line."""
     if measurement.verdict != "measured":
         return f"Rejected: {measurement.reason}"
-    return f"{words.speed} {words.unit}, 95 % sure between {words.lo} and {words.hi} {words.unit}"
+    return f"{text.speed} {text.unit}, 95 % interval {text.lo} to {text.hi} {text.unit}"
 
 
 def _facts(measurement: Measurement, unit: str) -> list[tuple[str, str]]:
@@ -80,7 +80,7 @@ def _facts(measurement: Measurement, unit: str) -> list[tuple[str, str]]:
     facts = [
         ("frames measured", f"{measurement.frames}, over {seconds:.2f} s"),
         ("distance travelled", f"{format_number(distance_travelled(track), 1)} m"),
-        ("model of the motion", measurement.model),
+        ("motion model", measurement.model),
     ]
     if len(depth):
         facts.insert(
@@ -90,7 +90,7 @@ def _facts(measurement: Measurement, unit: str) -> list[tuple[str, str]]:
         per_second = format_number(float(convert(measurement.acceleration, unit)), 2)
         facts.append(("acceleration", f"{acceleration} m/s² ({per_second} {unit} each second)"))
     if (residual := format_number(measurement.residual_rms, 1)) != NO_VALUE:
-        facts.append(("misfit of the pictures", f"{residual} of 255 grey levels"))
+        facts.append(("image residual (RMS)", f"{residual} of 255 grey levels"))
     return facts
 
 
