@@ -33,7 +33,7 @@ Array = NDArray[np.float64]
 
 SUITES = {"plain": common.plain_scene, "hard": random_scene, "crossing": random_crossing}
 OURS = {"ours, filter alone": False, "ours, refined": True}
-ORDER = ["sift", "kalman", "kalman-wander", "multimodal", "lucas-kanade", *OURS]
+ORDER = ["sift", "kalman", "kalman-scatter", "multimodal", "lucas-kanade", *OURS]
 
 
 @dataclass(frozen=True, eq=False)

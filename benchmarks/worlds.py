@@ -92,7 +92,7 @@ class Speed:
 SPEED_GROUPS: Groups = {
     "steady, calibrated": lambda o: o.is_steady and o.is_calibrated,
     "all": lambda o: True,
-    "known to ± 1 km/h (--tolerance 1)": lambda o: o.half <= 1,
+    "known to ± 1 km/h (--max-half-width 1)": lambda o: o.half <= 1,
     "miscalibrated": lambda o: not o.is_calibrated,
     "accelerates": lambda o: o.car["acceleration"] != 0,
     "changes lane": lambda o: o.car["lane_change"] is not None,

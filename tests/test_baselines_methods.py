@@ -33,7 +33,7 @@ Image = NDArray[np.uint8]
 SPEED = 17.0  # m/s
 ALL = [name for name in method_names() if name != DEFAULT_METHOD]
 # share of the speed by which the mean may be off: a few times what each method errs by on such clips
-BOUND = {"sift": 0.04, "kalman": 0.6, "kalman-wander": 0.05, "multimodal": 0.2, "lucas-kanade": 0.015}
+BOUND = {"sift": 0.04, "kalman": 0.6, "kalman-scatter": 0.05, "multimodal": 0.2, "lucas-kanade": 0.015}
 
 
 def scene(**more: Any) -> Scene:

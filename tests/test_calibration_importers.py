@@ -70,7 +70,7 @@ def test_opencvs_one_file_with_its_size_and_millimetres(tmp_path: Path, truth: S
         distCoeffs2=truth.right.distortion, R=truth.R, T=1000 * truth.t, image_width=SIZE[0], image_height=SIZE[1],
     )  # fmt: skip
     same(import_rig([file], ImportOptions(unit=0.001))[0], truth)
-    with pytest.raises(UnusableInput, match="are these millimetres.*--unit mm"):
+    with pytest.raises(UnusableInput, match="are these millimetres.*--translation-unit mm"):
         import_rig([file], ImportOptions())
 
 

@@ -66,7 +66,7 @@ def test_the_same_seed_gives_the_same_result(clip: Path, measured: tuple[Done, P
 
 
 def test_options_reach_the_configuration(clip: Path, tmp_path: Path) -> None:
-    options = ["--particles", "150", "--parts", "6", "--motion", "free", "--no-refine", "--seed", "3"]
+    options = ["--particles", "150", "--feature-parts", "6", "--motion", "free", "--no-refine", "--seed", "3"]
     done = paceline("speed", clip, "-o", tmp_path / "out", *options)
     assert done.returncode in (0, 1), done.stderr
     configuration = json.loads((tmp_path / "out" / "summary.json").read_text())["configuration"]
@@ -173,8 +173,8 @@ def test_a_clip_with_an_unknown_key(clip: Path, tmp_path: Path) -> None:
         (["speed", "c", "-o", "o", "--particles", "0"], ["--particles 0", "expected greater"]),
         (["speed", "c", "-o", "o", "--particles", "many"], ["--particles", "integer"]),
         (["speed", "c", "-o", "o", "--seed", "-1"], ["--seed -1", "expected greater"]),
-        (["speed", "c", "-o", "o", "--parts", "0"], ["--parts 0", "expected"]),
-        (["speed", "c", "-o", "o", "--tolerance", "0", "--units", "km/h"], ["--tolerance 0", "km/h above 0"]),
+        (["speed", "c", "-o", "o", "--feature-parts", "0"], ["--feature-parts 0", "expected"]),
+        (["speed", "c", "-o", "o", "--max-half-width", "0", "--units", "km/h"], ["--max-half-width 0", "km/h above 0"]),
         (["speed", "c", "-o", "o", "--motion", "zigzag"], ["--motion", "zigzag", "auto"]),
         (["speed", "c", "-o", "o", "--device", "tpu"], ["--device", "cpu"]),
         (["speed", "c", "-o", "o", "--device", "cuda", "--method", "sift"], ["--device cuda", "use --device cpu"]),
@@ -192,7 +192,16 @@ def test_version_and_help() -> None:
     assert in_a_process("--version").stdout == f"paceline {__version__}\n"
     done = paceline("speed", "--help")
     assert done.returncode == 0
-    for option in ("--particles", "--seed", "--motion", "--device", "--units", "--parts", "--no-refine", "--tolerance"):
+    for option in (
+        "--particles",
+        "--seed",
+        "--motion",
+        "--device",
+        "--units",
+        "--feature-parts",
+        "--no-refine",
+        "--max-half-width",
+    ):
         assert option in done.stdout
 
 

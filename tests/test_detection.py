@@ -315,7 +315,7 @@ def test_too_few_frames_are_refused(tmp_path: Path) -> None:
 def test_the_command_writes_what_speed_reads(tmp_path: Path) -> None:
     file = unclicked(two(), tmp_path)
     file.write_text("# a survey\n" + file.read_text(encoding="utf-8"), encoding="utf-8")
-    done = paceline("vehicles", file, "--write")
+    done = paceline("vehicles", file, "--in-place")
     assert done.returncode == 0, done.stderr
     assert [line.split()[0] for line in done.stdout.splitlines()[:3]] == ["vehicle", "v0", "v1"]
     assert file.read_text(encoding="utf-8").startswith("# a survey\n")
@@ -326,7 +326,7 @@ def test_the_command_writes_what_speed_reads(tmp_path: Path) -> None:
     for name in ("v0", "v1"):
         picture = cv2.imread(str(tmp_path / f"vehicle-{name}.png"))
         assert picture is not None and len(np.unique(picture)) > 50
-    assert_one_line_error(paceline("vehicles", file, "--write"), "clip.yaml", "vehicles", "outlined already")
+    assert_one_line_error(paceline("vehicles", file, "--in-place"), "clip.yaml", "vehicles", "outlined already")
 
 
 def test_without_paths_nothing_is_written(tmp_path: Path) -> None:
@@ -334,7 +334,7 @@ def test_without_paths_nothing_is_written(tmp_path: Path) -> None:
     document = yaml.safe_load(file.read_text(encoding="utf-8"))
     del document["paths"]
     file.write_text(yaml.safe_dump(document), encoding="utf-8")
-    assert_one_line_error(paceline("vehicles", file, "--write"), "clip.yaml", "paths", "paceline lanes --write")
+    assert_one_line_error(paceline("vehicles", file, "--in-place"), "clip.yaml", "paths", "paceline lanes --in-place")
 
 
 def test_one_view_shown_twice_is_refused(tmp_path: Path) -> None:

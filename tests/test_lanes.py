@@ -106,7 +106,7 @@ def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
 
 
 def test_lanes_of_a_painted_road_become_paths_that_can_be_measured_along(clip: Path) -> None:
-    done = run(clip, "--write")
+    done = run(clip, "--in-place")
     assert done.returncode == 0, done.stderr + done.stdout
     text = (clip / "clip.yaml").read_text()
     assert text.startswith("left: left  # kept\nright: right\nrate: 5\nrig: rig.yaml\npaths:\n")
@@ -143,9 +143,9 @@ def test_too_few_frames_are_reported(clip: Path, tmp_path: Path) -> None:
 
 
 def test_one_place_to_write_to(tmp_path: Path) -> None:
-    done = run(tmp_path / "clip.yaml", "--write", "-o", tmp_path / "site.yaml")
+    done = run(tmp_path / "clip.yaml", "--in-place", "-o", tmp_path / "site.yaml")
     assert done.returncode == 2
-    assert done.stderr.startswith("paceline: --write and --out exclude each other")
+    assert done.stderr.startswith("paceline: --in-place and --out exclude each other")
 
 
 # --- parts ---------------------------------------------------------------------------------------------------------
@@ -258,7 +258,7 @@ def test_the_clip_and_its_rig_are_not_written_over(clip: Path, name: str) -> Non
 def test_a_read_only_clip_stays(clip: Path) -> None:
     (clip / "clip.yaml").chmod(0o444)
     try:
-        assert_one_line_error(paceline("lanes", clip, "--write"), "clip.yaml: cannot be written (it is read-only)")
+        assert_one_line_error(paceline("lanes", clip, "--in-place"), "clip.yaml: cannot be written (it is read-only)")
     finally:
         (clip / "clip.yaml").chmod(0o644)
 

@@ -193,8 +193,8 @@ def test_same_seed_same_file(command: Command, clip: Path, tmp_path: Path) -> No
     ("options", "expected"),
     slow_after(2, [
         (["--motion", "free"], {"motion": "free"}),
-        (["--parts", "4"], {"parts": 4}),
-        (["--parts", "16"], {"parts": 16}),
+        (["--feature-parts", "4"], {"parts": 4}),
+        (["--feature-parts", "16"], {"parts": 16}),
         (["--particles", "100"], {"particles": 100}),
         (["--motion", "line"], {"motion": "line"}),
         (["--motion", "curve"], {"motion": "curve"}),
@@ -229,7 +229,7 @@ def test_a_tolerance_is_in_the_unit_that_people_are_shown(command: Command, clip
     half = (v["speed_hi_mps"] - v["speed_lo_mps"]) / 2
     in_kmh = 3.6 * half
     for factor, verdict in ((1.1, "measured"), (0.5, "rejected")):
-        answer = command(clip, "--units", "km/h", "--tolerance", f"{factor * in_kmh:.6f}")
+        answer = command(clip, "--units", "km/h", "--max-half-width", f"{factor * in_kmh:.6f}")
         assert answer.configuration["tolerance"] == pytest.approx(factor * half, rel=1e-3)
         (found,) = answer.vehicles.values()
         assert found["verdict"] == verdict and found["speed_mps"] == v["speed_mps"]

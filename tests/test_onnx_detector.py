@@ -469,7 +469,7 @@ def test_noise_of_the_first_frame_comes_from_the_second(tmp_path: Path, monkeypa
 
 def test_what_is_found_in_boxes_is_outlined_in_the_clip(tmp_path: Path) -> None:
     file, model = clip_file(tmp_path / "clip", one()), contrast(tmp_path / "model.onnx", 300.0)
-    done = paceline("vehicles", file, "--write", "--detector", model)
+    done = paceline("vehicles", file, "--in-place", "--detector", model)
     assert done.returncode == 0, done.stderr
     assert [vehicle.id for vehicle in load_clip(file).vehicles] == ["v0"]
     nothing = contrast(tmp_path / "nothing.onnx", 1e-3)
@@ -504,5 +504,5 @@ def test_live_with_a_detector_needs_no_background(tmp_path: Path) -> None:
     nothing = contrast(tmp_path / "nothing.onnx", 1e-3)
     done = paceline("speed", file, "-o", tmp_path / "nothing", "--live", "--detector", nothing)
     assert done.returncode == 1 and "no vehicle was found: the detector saw a vehicle in none of" in done.stderr
-    done = paceline("speed", file, "-o", tmp_path / "again", "--live", "--detector", model, "--learn", "5")
-    assert_one_line_error(done, "--learn", "--detector")
+    done = paceline("speed", file, "-o", tmp_path / "again", "--live", "--detector", model, "--background-seconds", "5")
+    assert_one_line_error(done, "--background-seconds", "--detector")

@@ -158,7 +158,7 @@ def test_the_command_notices_a_knock_and_sets_the_rig_right(tmp_path: Path) -> N
     assert "the rig has moved" in moved.stdout
 
     out = tmp_path / "refined.yaml"
-    refined = paceline("rig", "check", tmp_path / "clip", "--refine", "-o", out)
+    refined = paceline("rig", "check", tmp_path / "clip", "--correct-rotation", "-o", out)
     assert refined.returncode == 0, refined.stderr
     assert "the scene cannot tell it" in refined.stdout
     better = load_rig(out)
@@ -172,10 +172,10 @@ def test_the_command_notices_a_knock_and_sets_the_rig_right(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["--refine"], "--refine and --out belong together"),
-        (["-o", "rig.yaml"], "--refine and --out belong together"),
+        (["--correct-rotation"], "--correct-rotation and --out belong together"),
+        (["-o", "rig.yaml"], "--correct-rotation and --out belong together"),
         (["--rig", "nowhere.yaml"], "nowhere.yaml: no such file"),
-        (["--refine", "-o", "rig.csv"], "expected the name of a YAML file"),
+        (["--correct-rotation", "-o", "rig.csv"], "expected the name of a YAML file"),
     ],
 )
 def test_wrong_options_are_one_plain_line(arguments: list[str], said: str) -> None:

@@ -276,7 +276,7 @@ def test_last_outline_covers_the_vehicle(tmp_path: Path) -> None:
 def test_tables_hold_every_vehicle_that_passed(tmp_path: Path) -> None:
     """The streams play in real time: on a busy computer frames are left out, and what suffers is rejected by name."""
     file, out, begun = survey_file(tmp_path / "clip"), tmp_path / "out", datetime.now().astimezone()
-    done = paceline("speed", file, "-o", out, "--live", "--learn", "4")
+    done = paceline("speed", file, "-o", out, "--live", "--background-seconds", "4")
     assert done.returncode == 0, done.stderr
     summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
     vehicles = summary["vehicles"]
@@ -305,7 +305,18 @@ def test_tables_hold_every_vehicle_that_passed(tmp_path: Path) -> None:
 def test_what_was_measured_stays_when_it_is_ended(tmp_path: Path) -> None:
     """Ctrl-C, which reaches every process at a terminal, ends a survey; what has passed by then is in the tables."""
     file, out = survey_file(tmp_path / "clip"), tmp_path / "out"
-    command = [sys.executable, "-m", "paceline", "speed", str(file), "-o", str(out), "--live", "--learn", "4"]
+    command = [
+        sys.executable,
+        "-m",
+        "paceline",
+        "speed",
+        str(file),
+        "-o",
+        str(out),
+        "--live",
+        "--background-seconds",
+        "4",
+    ]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     with subprocess.Popen(command, start_new_session=True, **pipes) as running:  # type: ignore[call-overload]
         assert running.stdout is not None
@@ -346,8 +357,8 @@ def test_nothing_goes_on_measuring_for_a_survey_that_was_killed(tmp_path: Path) 
     ("arguments", "keys", "words"),
     [
         (["--live", "--method", "sift"], {}, ["--live", "--method"]),
-        (["--learn", "3"], {}, ["--learn", "--live"]),
-        (["--live", "--quiet", "--learn", "60"], {}, ["clip.yaml", "ended within the 60 s"]),
+        (["--background-seconds", "3"], {}, ["--background-seconds", "--live"]),
+        (["--live", "--quiet", "--background-seconds", "60"], {}, ["clip.yaml", "ended within the 60 s"]),
         (["--live"], {"left": "nowhere.mp4"}, ["nowhere.mp4"]),
         (["--live", "--quiet"], {"right": "left"}, ["left and right", "same picture"]),
         (["--live"], {"right": "rtsp://127.0.0.1:9/none"}, ["rtsp://127.0.0.1:9/none", "cannot be opened"]),

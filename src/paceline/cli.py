@@ -16,9 +16,10 @@ from paceline.commands.console import console
 from paceline.commands.drive import drive
 from paceline.commands.follow import follow_vehicle
 from paceline.commands.lanes import lanes
+from paceline.commands.renamed_options import accepting
 from paceline.commands.rig import rig
 from paceline.commands.simulate import simulate
-from paceline.commands.speed import speed
+from paceline.commands.speed import OLD_OPTIONS, speed
 from paceline.commands.target import target
 from paceline.commands.vehicles import vehicles
 from paceline.errors import UnusableInput
@@ -30,11 +31,11 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-app.command()(speed)
+app.command(cls=accepting(OLD_OPTIONS))(speed)
 app.command("follow")(follow_vehicle)
 app.command()(calibrate)
-app.command()(lanes)
-app.command()(vehicles)
+app.command(cls=accepting({"--write": "--in-place"}))(lanes)
+app.command(cls=accepting({"--write": "--in-place"}))(vehicles)
 app.add_typer(rig, name="rig")
 app.add_typer(target, name="target")
 app.add_typer(simulate, name="simulate")

@@ -178,7 +178,7 @@ _REJECTED = {
     "tolerance_exceeded": (
         "interval too wide: ± {half_width_mps:.3g} m/s, {ratio:.2f} times the tolerance (limit {tolerance_mps:.3g} "
         "m/s)",
-        f"Ask for a larger `--tolerance`. {_NARROWER}",
+        f"Ask for a larger `--max-half-width`. {_NARROWER}",
     ),
 }
 
@@ -243,13 +243,13 @@ _NOTHING = {
     ),
     "rig_moved": (
         "the rig has moved: points lie {offset_px:.2f} px off their lines (chance otherwise: {chance:.1g}, limit "
-        "{min_chance:g}); calibrate it again, or --refine -o rig.yaml",
-        "Calibrate the cameras again, or correct their rotation with `paceline rig check --refine`.",
+        "{min_chance:g}); calibrate it again, or --correct-rotation -o rig.yaml",
+        "Calibrate the cameras again, or correct their rotation with `paceline rig check --correct-rotation`.",
     ),
     "rig_differs_from_file": (
         "the rig does not stand as its file says: points lie {offset_px:.2f} px off their lines (chance otherwise: "
-        "{chance:.1g}, limit {min_chance:g}); calibrate it again, or --refine -o rig.yaml",
-        "Calibrate the cameras again, or correct their rotation with `paceline rig check --refine`.",
+        "{chance:.1g}, limit {min_chance:g}); calibrate it again, or --correct-rotation -o rig.yaml",
+        "Calibrate the cameras again, or correct their rotation with `paceline rig check --correct-rotation`.",
     ),
     "rig_unchecked": (
         "cannot be decided: only {points} points of the scene match, in too few places; film something with more "

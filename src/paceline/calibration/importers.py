@@ -84,7 +84,7 @@ def import_rig(files: Sequence[Path], wishes: ImportOptions) -> tuple[StereoRig,
         plausibility.check_baseline(rig),
     ):
         if complaint:
-            hint = "; --unit mm says so" if "millimetres" in complaint else ""
+            hint = "; --translation-unit mm states that" if "millimetres" in complaint else ""
             raise UnusableInput(f"{first}: {complaint}{hint}")
     return StereoRig(rig.left, rig.right, plausibility.nearest_rotation(rig.R), rig.t), kind
 

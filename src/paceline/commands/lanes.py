@@ -27,7 +27,7 @@ NOTABLY_UNSETTLED = 0.02
 def lanes(
     clip: Annotated[Path, typer.Argument(metavar="CLIP", help="A clip.yaml, or the folder that contains it.")],
     out: Annotated[Path | None, typer.Option("-o", "--out", help="The site.yaml to write.")] = None,
-    write: Annotated[bool, typer.Option("--write", help="Add the lanes to the clip.yaml itself.")] = False,
+    write: Annotated[bool, typer.Option("--in-place", help="Add the lanes to the clip.yaml itself.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
 ) -> int:
     """Find the lanes of a road and propose them as paths, with pictures to check.
@@ -35,7 +35,7 @@ def lanes(
     Ends with status 1 where no lane can be found.
     """
     if write and out is not None:
-        raise UnusableInput("--write and --out exclude each other: the lanes go to the clip.yaml or to a site.yaml")
+        raise UnusableInput("--in-place and --out exclude each other: the lanes go to the clip.yaml or to a site.yaml")
 
     from paceline.documents.loading import load_clip, rig_file
     from paceline.lanes.lane_proposals import propose_lanes, road_lines
@@ -50,7 +50,9 @@ def lanes(
     if out is not None:
         check_rig_file_name(out)
         if out.resolve() in {file.resolve(), rig_file(file).resolve()}:
-            raise UnusableInput(f"--out {out}: is the clip itself or its rig; expected a name of its own, or --write")
+            raise UnusableInput(
+                f"--out {out}: is the clip itself or its rig; expected a name of its own, or --in-place"
+            )
     elif write:
         refuse_read_only(file, ", or use -o")
         with_lanes(file.read_text(encoding="utf-8"), str(file), {})  # refuses now what it would refuse at the end

@@ -11,6 +11,7 @@ import typer
 
 from paceline.commands import DONE, NOTHING_MEASURED, file_named, print_columns
 from paceline.commands.progress_output import progress_bar
+from paceline.commands.renamed_options import accepting
 from paceline.errors import UnusableInput
 from paceline.verdicts import message
 
@@ -33,7 +34,7 @@ class Unit(StrEnum):
 METRES = {Unit.m: 1.0, Unit.cm: 0.01, Unit.mm: 0.001}
 
 
-@rig.command("import")
+@rig.command("import", cls=accepting({"--unit": "--translation-unit"}))
 def rig_import(
     files: Annotated[
         list[Path],
@@ -45,7 +46,10 @@ def rig_import(
     size: Annotated[
         str | None, typer.Option(metavar="WIDTHxHEIGHT", help="Size of the images, where the files do not say it.")
     ] = None,
-    unit: Annotated[Unit, typer.Option(help="In which the files state the distance between the cameras.")] = Unit.m,
+    unit: Annotated[
+        Unit,
+        typer.Option("--translation-unit", help="In which the files state the distance between the cameras."),
+    ] = Unit.m,
     cameras: Annotated[
         str, typer.Option(metavar="LEFT,RIGHT", help="Which cameras of a Kalibr chain or of KITTI's are the pair.")
     ] = "0,1",
@@ -78,26 +82,27 @@ def rig_import(
     return DONE
 
 
-@rig.command("check")
+@rig.command("check", cls=accepting({"--refine": "--correct-rotation"}))
 def rig_check(
     clip: Annotated[Path, typer.Argument(metavar="CLIP", help="A clip.yaml, or the folder that contains it.")],
     other: Annotated[
         Path | None, typer.Option("--rig", help="The rig.yaml to check in place of the clip's own.")
     ] = None,
-    refine: Annotated[
-        bool, typer.Option("--refine", help="Set the rotation right by the scene, and write it to --out.")
+    correct: Annotated[
+        bool, typer.Option("--correct-rotation", help="Correct the rotation by the scene, and write the rig to --out.")
     ] = False,
-    out: Annotated[Path | None, typer.Option("-o", "--out", help="The rig.yaml to write with --refine.")] = None,
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", help="The rig.yaml to write with --correct-rotation.")
+    ] = None,
 ) -> int:
     """Check by points of the scene whether the cameras still stand as they were calibrated.
 
     Ends with status 1 where they do not, or where the scene cannot tell.
     """
-    if refine != (out is not None):
-        raise UnusableInput("--refine and --out belong together: the refined rig needs a file to go to")
+    if correct != (out is not None):
+        raise UnusableInput("--correct-rotation and --out belong together: the corrected rig needs a file to go to")
 
-    from paceline.calibration.rig_check import check_rig, has_enough_matches
-    from paceline.calibration.rig_check import correct_rotation as refine_rig
+    from paceline.calibration.rig_check import check_rig, correct_rotation, has_enough_matches
     from paceline.calibration.scene_matches import match_scene
     from paceline.documents.loading import load_clip_recording
     from paceline.documents.rig_yaml import rig_yaml
@@ -117,7 +122,7 @@ def rig_check(
     found = check_rig(document.rig, matches)
     _print_check(found, matches.frames)
     if out is not None:
-        better = refine_rig(document.rig, found)
+        better = correct_rotation(document.rig, found)
         comments = [f"rotation refined by {found.matches} points of the scene in {clip.name}"]
         write_all_or_none({out: rig_yaml(better.rig, comments).encode()})
         _print_refinement(better, out)

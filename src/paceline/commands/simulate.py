@@ -64,7 +64,7 @@ def simulate_list() -> int:
 @simulate.command("suite")
 def simulate_suite(
     out: Out,
-    n: Annotated[int, typer.Option("-n", min=1, max=10000, help="Number of scenes.")],
+    n: Annotated[int, typer.Option("-n", "--count", min=1, max=10000, help="Number of scenes.")],
     seed: Annotated[int, typer.Option(min=0, help="Seed of the suite.")] = 0,
     kind: Annotated[Kind, typer.Option(help="What the clips are for.")] = Kind.speed,
     samples: Samples = None,

@@ -18,6 +18,13 @@ if TYPE_CHECKING:  # what computes is imported when a command runs, so that --he
     from paceline.speed.results import ClipResult
     from paceline.units import SpeedUnit
 
+OLD_OPTIONS = {
+    "--tolerance": "--max-half-width",
+    "--parts": "--feature-parts",
+    "--learn": "--background-seconds",
+}
+OPTIONS = {old.removeprefix("--"): new for old, new in OLD_OPTIONS.items()}  # of settings that are named otherwise
+
 
 def speed(
     clip: Annotated[Path, typer.Argument(metavar="CLIP", help="A clip.yaml, or the folder that contains it.")],
@@ -41,9 +48,14 @@ def speed(
     ] = "mph",
     tolerance: Annotated[
         float | None,
-        typer.Option(help="Reject every speed whose 95 % interval is wider than ± this, in the unit of --units."),
+        typer.Option(
+            "--max-half-width",
+            help="Reject every speed whose 95 % interval is wider than ± this, in the unit of --units.",
+        ),
     ] = None,
-    parts: Annotated[int | None, typer.Option(help="Number of parts of the likelihood.")] = None,
+    parts: Annotated[
+        int | None, typer.Option("--feature-parts", help="Number of parts of the plane in which features are compared.")
+    ] = None,
     refine: Annotated[
         bool | None,
         typer.Option(
@@ -60,7 +72,8 @@ def speed(
         bool, typer.Option("--live", help="Measure vehicle after vehicle as the cameras record, until Ctrl-C.")
     ] = False,
     learn: Annotated[
-        float | None, typer.Option(help="Seconds in which --live learns what the empty road looks like.")
+        float | None,
+        typer.Option("--background-seconds", help="Seconds in which --live estimates the background, the empty road."),
     ] = None,
     detector: Annotated[
         Path | None,
@@ -86,7 +99,7 @@ def speed(
     if live:
         return _measure_live(clip, out, settings, unit, quiet, detector, learn is not None)
     if learn is not None:
-        raise UnusableInput("--learn: goes with --live only")
+        raise UnusableInput("--background-seconds: goes with --live only")
     result = _measure(clip, out, settings, unit, quiet, detector)
     if not quiet:
         _print_result(result, unit)
@@ -137,7 +150,9 @@ def _measure_live(
         raise UnusableInput("--live: measures by Paceline's own method on the CPU; leave --method and --device out")
     at_once = detector is not None and bool(document.paths)
     if at_once and asked:
-        raise UnusableInput("--learn: nothing is learned with --detector along given paths; leave it out")
+        raise UnusableInput(
+            "--background-seconds: no background is needed with --detector along given paths; leave it out"
+        )
     learning = 0.0 if at_once else settings.learn
     return measure_live(document, out, settings.configuration, unit, learning, quiet, detector)
 
@@ -154,7 +169,7 @@ def _unit(text: str) -> SpeedUnit:
 def _tolerance(value: float, unit: SpeedUnit) -> float:
     """In m/s."""
     if not 0 < value < float("inf"):
-        raise UnusableInput(f"--tolerance {value:g}: expected {unit} above 0")
+        raise UnusableInput(f"--max-half-width {value:g}: expected {unit} above 0")
     return value * unit.mps
 
 
@@ -170,7 +185,8 @@ def _settings(config: Path | None, given: dict[str, object]) -> SpeedSettings:
     except ValidationError as error:
         first = error.errors()[0]
         expected = first["msg"].replace("Input should be", "expected")
-        raise UnusableInput(f"--{first['loc'][0]} {first['input']}: {expected}") from error
+        key = str(first["loc"][0])
+        raise UnusableInput(f"{OPTIONS.get(key, f'--{key}')} {first['input']}: {expected}") from error
 
 
 def _detector(config: Path | None, settings: SpeedSettings) -> Path | None:

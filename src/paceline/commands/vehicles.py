@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 def vehicles(
     clip: Annotated[Path, typer.Argument(metavar="CLIP", help="A clip.yaml, or the folder that contains it.")],
     write: Annotated[
-        bool, typer.Option("--write", help="Add the vehicles to the clip.yaml, with a picture of each beside it.")
+        bool, typer.Option("--in-place", help="Add the vehicles to the clip.yaml, with a picture of each beside it.")
     ] = False,
     detector: Annotated[
         Path | None,
@@ -42,7 +42,7 @@ def vehicles(
     if write:
         refuse_read_only(file)
         if not document.paths:
-            raise UnusableInput(f"{file}: paths: none; expected some, such as paceline lanes --write adds")
+            raise UnusableInput(f"{file}: paths: none; expected some, such as paceline lanes --in-place adds")
         # refuses now what it would refuse at the end
         with_vehicles(file.read_text(encoding="utf-8"), str(file), document.rig, [])
     detect = None if detector is None else OnnxDetector(detector)
