@@ -11,22 +11,22 @@ import argparse
 import os
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numba
 import numpy as np
-from common import Array, head, machine, row
+from common import head, machine, row
 from likelihood import HEIGHT, WIDTH, Work
 
 from paceline import SpeedConfiguration
 from paceline.cameras import Camera, StereoRig
 from paceline.recordings.stereo import StereoFrame
-from paceline.speed.filter import likelihood, motion_models, random_numbers
+from paceline.speed.filter import likelihood, random_numbers
 from paceline.speed.filter.device import DeviceFailure, open_device
-from paceline.speed.filter.likelihood import PackedImage, PartGrid
+from paceline.speed.filter.likelihood import ObservationModel, PartGrid, pack_views
 from paceline.speed.filter.motion_models import PathMotion, State
-from paceline.speed.filter.particle_set import ParticleSet, pack_views
+from paceline.speed.filter.particle_set import CPU, ParticleSet
 from paceline.speed.filter.resampling import Weights
 from paceline.speed.geometry import paths
 
@@ -35,26 +35,19 @@ VEHICLES = [1, 4, 16, 64, 256]
 CELL = 6.0  # s, that one cell may take
 REPETITIONS = 15
 BYTES = 2_100  # of device memory a particle takes at most, while the room for them grows
-DT = 1e-4  # s: the cloud stays where the pictures show the region
+DT = 1e-4  # s: the particles stay where the images show the region
 MAPS, OUT = 39 * 4, 8  # bytes a particle that the kernel must read and write at least
 INSTRUCTIONS = 48  # of PTX for a sample: its place, the clamps, the interpolation, the sums
 
 
 @dataclass
-class Followed:
-    """One vehicle, as far as a device needs to know."""
+class Vehicle:
+    """The filter of one vehicle, without registration."""
 
-    rig: StereoRig
-    grid: PartGrid
     configuration: SpeedConfiguration
+    model: ObservationModel
     particle_set: Any
     rng: np.random.Generator
-    pack_views: tuple[PackedImage, PackedImage] = field(init=False)
-    reference: Array = field(init=False)
-
-    def observed(self, state: State) -> likelihood.Observation:
-        cross = motion_models.cross_homographies(self.rig, state)
-        return likelihood.observe(*self.views, state.left, state.right, cross, self.grid)
 
 
 class Road:
@@ -78,31 +71,27 @@ class Road:
             zeros = np.zeros((particles, 3))
             normal = np.tile([0.0, 0.0, -1.0], (particles, 1))
             state = State(left, right, normal, -at[:, 2], zeros[:, 0] + 20, zeros[:, 0], zeros[:, :2], zeros, zeros)
-            particle_set: Any = ParticleSet(rig, PathMotion(rig, lane, c), state, Weights.equal(particles))
-            one = Followed(rig, PartGrid.for_region(c.parts, left[0]), c, particle_set, rng)
-            one.views = pack_views(self.frame, [particle_set.image_bounds()])
-            one.reference = one.observed(state[np.zeros(1, np.int64)]).features[0]
-            one.particle_set = particle_set if device is None else device.particle_set(particle_set)
-            self.after_shift.append(one)
-        self.samples = 16 * c.parts * self.after_shift[0].grid.samples[0] * self.after_shift[0].grid.samples[1]
+            particle_set = ParticleSet(rig, PathMotion(rig, lane, c), state, Weights.equal(particles))
+            model = ObservationModel(rig, PartGrid.for_region(c.parts, left[0]), c)
+            model.initialize(pack_views(self.frame, [particle_set.image_bounds()]), state[np.zeros(1, np.int64)])
+            self.vehicles.append(Vehicle(c, model, (device or CPU).particle_set(particle_set), rng))
+        grid = self.vehicles[0].model.grid
+        self.samples = 16 * c.parts * grid.samples[0] * grid.samples[1]
+
+    def weight(self) -> None:
+        """Update the weights by the likelihood of what the frame shows."""
+        views = pack_views(self.frame, [vehicle.particle_set.image_bounds() for vehicle in self.vehicles])
+        for vehicle in self.vehicles:
+            vehicle.particle_set.weight(vehicle.model, views)
 
     def step(self) -> None:
-        """One stereo frame as [Zhu] has it, registration left out: propagate, weigh, estimate, resample."""
-        for one in self.after_shift:
-            one.particle_set.propagate(DT, one.rng)
-        both = pack_views(self.frame, [one.particle_set.image_bounds() for one in self.after_shift])
-        for one in self.after_shift:
-            one.views = both
-        if self.device is not None:
-            self.device.weight(self.after_shift)
-        else:
-            for one in self.after_shift:
-                c, seen = one.configuration, one.observed(one.particle_set.state)
-                ll = likelihood.log_likelihood(seen, one.reference, c.lambda_single, c.lambda_cross)
-                one.particle_set.weight(ll)
-        for one in self.after_shift:
-            one.particle_set.posterior()
-            one.particle_set.resample(one.configuration, one.rng)
+        """One stereo frame as [Zhu] has it, without registration: predict, weight, estimate, resample."""
+        for vehicle in self.vehicles:
+            vehicle.particle_set.propagate(DT, vehicle.rng)
+        self.weight()
+        for vehicle in self.vehicles:
+            vehicle.particle_set.posterior()
+            vehicle.particle_set.resample(vehicle.configuration, vehicle.rng)
 
 
 def milliseconds(work: Callable[[], object], until: float) -> float:
@@ -161,7 +150,7 @@ def limits(seed: int, device: Any) -> None:
         road = Road(particles, 1, seed, device)
         (one,) = road.after_shift
         device.weight([one])  # sends what the kernel looks at, and compiles
-        seconds = _timed(lambda parts=one.configuration.parts: device.look(parts))
+        seconds = _timed(lambda parts=one.configuration.parts: device.compute_likelihood(parts))
         samples = particles * road.samples * (2 + 1 / likelihood.patch_features_cpu.CORRELATION_ROW_STEP)
         moved, done = particles * (MAPS + OUT) / seconds / 1e9, samples * INSTRUCTIONS / seconds
         cells = (

@@ -20,7 +20,7 @@ from paceline.documents.loading import Clip, load_clip
 from paceline.recordings.stereo import StereoFrame, open_recording
 from paceline.simulation.stereo.clip import Scene, Vehicle, render, write
 from paceline.speed.configuration import SpeedConfiguration
-from paceline.speed.filter import likelihood, motion_models, random_numbers
+from paceline.speed.filter import likelihood, random_numbers
 from paceline.speed.filter.batch import TrackerBatch
 from paceline.speed.filter.cuda import device as cuda_device
 from paceline.speed.filter.cuda import kernels, memory_layout, patch_features, weights
@@ -28,12 +28,12 @@ from paceline.speed.filter.cuda import random_numbers as cuda_random_numbers
 from paceline.speed.filter.cuda.device import CudaDevice
 from paceline.speed.filter.cuda.particle_set import CudaParticleSet
 from paceline.speed.filter.device import DeviceFailure
-from paceline.speed.filter.estimate import Estimate
-from paceline.speed.filter.likelihood import PartGrid
+from paceline.speed.filter.estimate import MIN_VISIBLE_SIMILARITY, Estimate
+from paceline.speed.filter.likelihood import ObservationModel, PartGrid, pack_views
 from paceline.speed.filter.motion_models import FreeMotion, PathMotion, State
-from paceline.speed.filter.particle_set import ParticleSet, pack_views
+from paceline.speed.filter.particle_set import ParticleSet
 from paceline.speed.filter.resampling import Weights
-from paceline.speed.filter.tracker import MIN_VISIBLE_SIMILARITY, Tracker
+from paceline.speed.filter.tracker import Tracker
 from paceline.speed.geometry import paths
 from paceline.speed.geometry.path_reconstruction import path_from_document
 
@@ -121,8 +121,8 @@ def assert_same(found: ParticleSet, expected: ParticleSet) -> None:
     np.testing.assert_allclose(found.weights.lw, expected.weights.lw, rtol=0, atol=1e-9)
 
 
-def seen(on_device: CudaParticleSet, ll: Array) -> None:
-    """``device``, weighed by log p(z | x) ``ll`` (N,) as if that had been seen."""
+def update_weights(on_device: CudaParticleSet, ll: Array) -> None:
+    """Update the weights of ``on_device`` by log p(z | x) ``ll`` (N,)."""
     device = on_device.device
     device.execute()
     half = int(device.commands[on_device.slot, memory_layout.HALF_AFTER])
@@ -183,16 +183,16 @@ def test_particles_move_as_on_the_cpu(
 
 
 @pytest.mark.parametrize(("kind", "n"), [("curve", 1), ("free", 13)])
-@pytest.mark.parametrize("taken_back", slow_after(1, [True, False]))
+@pytest.mark.parametrize("restored", slow_after(1, [True, False]))
 @pytest.mark.usefixtures("sharing")
-def test_the_posterior_is_that_of_the_cpu(device: CudaDevice, kind: str, n: int, taken_back: bool) -> None:
+def test_the_posterior_is_that_of_the_cpu(device: CudaDevice, kind: str, n: int, restored: bool) -> None:
     on_host = particles(way(kind), 3, n)
     on_device = device.particle_set(on_host)
     assert_same(on_device.to_host(), on_host)
     ll = np.random.default_rng(4).normal(-30.0, 2.0, n)
-    on_host.weight(ll)
-    seen(on_device, ll)
-    if taken_back:
+    on_host.update_weights(ll)
+    update_weights(on_device, ll)
+    if restored:
         on_host.restore_weights()
         on_device.restore_weights()
     assert_same(on_device.to_host(), on_host)
@@ -219,7 +219,7 @@ def test_the_same_particles_survive(device: CudaDevice, n: int, scatter: float) 
     on_host = particles(way("line"), 5, n)
     on_host.weights = Weights(np.random.default_rng(6).normal(0.0, scatter, n))
     on_device = device.particle_set(on_host.to_host())
-    seen(on_device, np.zeros(n))
+    update_weights(on_device, np.zeros(n))
     settings = SETTINGS.model_copy(update={"particles": n})
     for particle_set in (on_host, on_device):
         particle_set.resample(settings, np.random.default_rng(7))
@@ -231,7 +231,7 @@ def test_the_same_particles_survive(device: CudaDevice, n: int, scatter: float) 
         assert rng.random() == np.random.default_rng(7).random()
     settings_below = settings.model_copy(update={"resample_below": 0.5})
     before = on_device.to_host()
-    seen(on_device, np.zeros(n))
+    update_weights(on_device, np.zeros(n))
     on_device.resample(settings_below, np.random.default_rng(7))
     assert_same(on_device.to_host(), before)
 
@@ -240,7 +240,7 @@ def test_the_same_particles_survive(device: CudaDevice, n: int, scatter: float) 
 @pytest.mark.usefixtures("sharing")
 def test_weights_that_vanish_are_told(device: CudaDevice, ll: float) -> None:
     on_device = device.particle_set(particles(way("line"), 5))
-    seen(on_device, np.full(N, ll))
+    update_weights(on_device, np.full(N, ll))
     with pytest.raises(FloatingPointError, match="all particle weights vanish"):
         on_device.posterior()
 
@@ -250,7 +250,7 @@ def test_weights_that_vanish_are_told(device: CudaDevice, ll: float) -> None:
 
 @pytest.mark.parametrize("seed", slow_after(1, [2, 0, 1, 3]))
 @pytest.mark.usefixtures("sharing")
-def test_clouds_come_and_go_in_any_order(seed: int) -> None:
+def test_particle_sets_come_and_go_in_any_order(seed: int) -> None:
     """Whatever is done to which cloud, and whoever joins and leaves meanwhile: all are as on the CPU."""
     device, drawing = CudaDevice(), np.random.default_rng([9, seed])
     pairs: list[tuple[ParticleSet, CudaParticleSet, tuple[np.random.Generator, np.random.Generator]]] = []
@@ -266,7 +266,7 @@ def test_clouds_come_and_go_in_any_order(seed: int) -> None:
         pairs.append((on_host, device.particle_set(on_host.to_host()), (here, on_device)))
 
     join()
-    done = ["join", "leave", "propagate", "propagate", "square", "correct", "weigh", "resample", "look"]
+    done = ["join", "leave", "propagate", "propagate", "set normal", "correct", "weight", "resample", "look"]
     for _ in range(18):
         what = str(drawing.choice(done))
         if what == "join" or not pairs:
@@ -281,12 +281,15 @@ def test_clouds_come_and_go_in_any_order(seed: int) -> None:
         for particle_set, numbers in ((on_host, rng), (on_device, same)):
             if what == "propagate":
                 particle_set.propagate(0.1, numbers)
-            elif what == "square":
+            elif what == "set normal":
                 particle_set.set_plane_normal(np.array([0.0, 0.6, -0.8]))
             elif what == "correct":
                 particle_set.ensemble_kalman_update(np.array([0.4, 0.75, 19.0]), np.diag([0.01, 0.02, 0.3]), numbers)
             elif what in ("weight", "resample"):
-                seen(particle_set, ll) if isinstance(particle_set, CudaParticleSet) else particle_set.weight(ll)
+                if isinstance(particle_set, ParticleSet):
+                    particle_set.update_weights(ll)
+                else:
+                    update_weights(particle_set, ll)
             if what == "resample":
                 particle_set.resample(SETTINGS.model_copy(update={"particles": len(on_device)}), numbers)
         if what == "look":
@@ -295,8 +298,8 @@ def test_clouds_come_and_go_in_any_order(seed: int) -> None:
         assert_same(on_device.to_host(), on_host)
 
 
-def test_room_is_used_again() -> None:
-    """A cloud that nobody holds leaves its columns, and its place in the tables, to the next that fits."""
+def test_freed_memory_is_used_again() -> None:
+    """A particle set that is freed leaves its columns and its slot to the next that fits."""
     device = CudaDevice()
     first, second, third = (device.particle_set(particles(way("line"), i, n)) for i, n in enumerate((5, 4, 3)))
     columns = device._pool.value.shape[2]
@@ -339,56 +342,43 @@ def test_launches_do_not_grow_with_the_number_of_vehicles(
         for name in names:
             monkeypatch.setattr(module, name, Counting(getattr(module, name), counts, name))
     device, frame, grid = CudaDevice(), textured(8), PartGrid(2, 2, (2, 3))
-    homes = [particles(way("curve"), seed, 3) for seed in range(vehicles)]
-    each = [Seeing(device.particle_set(on_host), grid, frame, SETTINGS) for on_host in homes]
+    each = [device.particle_set(particles(way("curve"), seed, 3)) for seed in range(vehicles)]
+    model = observation_model(grid, frame, SETTINGS)
     settings = SETTINGS.model_copy(update={"particles": 3, "resample_below": 1.0})
     rng = np.random.default_rng(1)
     for _ in range(2):
         counts.clear()
-        for tracker in each:
-            tracker.particle_set.propagate(0.01, rng)
-        for tracker in each:
-            tracker.particle_set.mean()
-            tracker.particle_set.ensemble_kalman_update(np.array([0.5, 0.8, 20.0]), np.eye(3), rng)
-        both = pack_views(frame, [tracker.particle_set.image_bounds() for tracker in each])
-        for tracker in each:
-            tracker.views = both
-        device.weight(each)
-        for tracker in each:
-            tracker.particle_set.posterior()
+        for particle_set in each:
+            particle_set.propagate(0.01, rng)
+        for particle_set in each:
+            particle_set.mean()
+            particle_set.ensemble_kalman_update(np.array([0.5, 0.8, 20.0]), np.eye(3), rng)
+        views = pack_views(frame, [particle_set.image_bounds() for particle_set in each])
+        for particle_set in each:
+            particle_set.weight(model, views)
+        for particle_set in each:
+            particle_set.posterior()
             if hidden:
-                tracker.particle_set.restore_weights()
-        for tracker in each:
+                particle_set.restore_weights()
+        for particle_set in each:
             if hidden:
-                tracker.particle_set.posterior()
+                particle_set.posterior()
             else:
-                tracker.particle_set.resample(settings, rng)
-            tracker.particle_set.set_plane_normal(np.array([0.0, 0.6, -0.8]))
-    # the orders of a frame begin with what the frame before left to be done
+                particle_set.resample(settings, rng)
+            particle_set.set_plane_normal(np.array([0.0, 0.6, -0.8]))
+    # the commands of a frame begin with those that the frame before left enqueued
     assert counts == (OCCLUDED_FRAME_LAUNCHES if hidden else FRAME_LAUNCHES)
 
 
 # --- the likelihood ------------------------------------------------------------------------------------------------
 
 
-class Seeing:
-    """What the device asks a tracker for."""
-
-    def __init__(
-        self, particle_set: CudaParticleSet, grid: PartGrid, frame: StereoFrame, settings: SpeedConfiguration
-    ) -> None:
-        self.particle_set, self.grid, self.configuration, self.rig = particle_set, grid, settings, rig()
-        first = particles(way("line"), 90, 1)
-        self.views = pack_views(frame, [first.image_bounds()])
-        self.reference = self._seen(first.state).features[0]
-
-    def _seen(self, state: State) -> likelihood.Observation:
-        cross = motion_models.cross_homographies(self.rig, state)
-        return likelihood.observe(*self.views, state.left, state.right, cross, self.grid)
-
-    def log_likelihood(self, state: State) -> Array:
-        c = self.configuration
-        return likelihood.log_likelihood(self._seen(state), self.reference, c.lambda_single, c.lambda_cross)
+def observation_model(grid: PartGrid, frame: StereoFrame, settings: SpeedConfiguration) -> ObservationModel:
+    """A model whose reference is what a particle observes in ``frame``."""
+    model = ObservationModel(rig(), grid, settings)
+    first = particles(way("line"), 90, 1)
+    model.initialize(pack_views(frame, [first.image_bounds()]), first.state)
+    return model
 
 
 def textured(seed: int) -> StereoFrame:
@@ -398,27 +388,27 @@ def textured(seed: int) -> StereoFrame:
 
 
 @pytest.mark.parametrize("lambdas", [(15.0, 20.0), (15.0, 1e-9), (1e-9, 20.0)])
-def test_vehicles_are_weighed_together_as_each_on_the_cpu(device: CudaDevice, lambdas: tuple[float, float]) -> None:
+def test_vehicles_are_weighted_together_as_each_on_the_cpu(device: CudaDevice, lambdas: tuple[float, float]) -> None:
     """Three vehicles with grids and numbers of particles of their own; some particles see nothing, or nowhere."""
     settings = SETTINGS.model_copy(update={"lambda_single": lambdas[0], "lambda_cross": lambdas[1]})
-    frame, homes, seeing = textured(8), [], []
+    frame, on_host, on_device, models = textured(8), [], [], []
     grids = [PartGrid(2, 2, (2, 3)), PartGrid(4, 1, (2, 2)), PartGrid(1, 4, (3, 2))]
     for seed, (grid, n) in enumerate(zip(grids, (3, 1, 4), strict=True)):
-        on_host = particles(way("line"), seed, n)
+        particle_set = particles(way("line"), seed, n)
         if n > 1:
-            on_host.state.left[0] = on_host.state.left[0, 0]  # without area
-            on_host.state.right[1, :, 0] += 300.0  # beyond the picture
-        homes.append(on_host)
-        seeing.append(Seeing(device.particle_set(on_host), grid, frame, settings))
-    both = pack_views(frame, [on_host.image_bounds() for on_host in homes])
-    for tracker in seeing:
-        tracker.views = both
-    device.weight(seeing)  # type: ignore[arg-type]
-    for on_host, tracker in zip(homes, seeing, strict=True):
-        ll = tracker.log_likelihood(on_host.state)
-        np.testing.assert_allclose(device.log_likelihood(tracker, on_host.state), ll, rtol=2e-6, atol=2e-4)  # type: ignore[arg-type]
-        on_host.weight(ll)
-        np.testing.assert_allclose(tracker.particle_set.to_host().weights.lw, on_host.weights.lw, rtol=2e-6, atol=4e-4)  # type: ignore[attr-defined]
+            particle_set.state.left[0] = particle_set.state.left[0, 0]  # without area
+            particle_set.state.right[1, :, 0] += 300.0  # beyond the picture
+        on_host.append(particle_set)
+        on_device.append(device.particle_set(particle_set))
+        models.append(observation_model(grid, frame, settings))
+    views = pack_views(frame, [particle_set.image_bounds() for particle_set in on_host])
+    for particle_set, model in zip(on_device, models, strict=True):
+        particle_set.weight(model, views)
+    for expected, found, model in zip(on_host, on_device, models, strict=True):
+        ll = model.log_likelihood(views, expected.state)
+        np.testing.assert_allclose(device.log_likelihood(model, views, expected.state), ll, rtol=2e-6, atol=2e-4)
+        expected.update_weights(ll)
+        np.testing.assert_allclose(found.to_host().weights.lw, expected.weights.lw, rtol=2e-6, atol=4e-4)
 
 
 # --- whole clips ---------------------------------------------------------------------------------------------------
@@ -450,17 +440,17 @@ def trackers(clip: Clip, settings: SpeedConfiguration, device: CudaDevice | None
     return found
 
 
-def track_all(clip: Clip, fleet: TrackerBatch, each: list[Tracker], hidden: int = -1) -> list[list[Estimate]]:
+def track_all(clip: Clip, batch: TrackerBatch, each: list[Tracker], hidden: int = -1) -> list[list[Estimate]]:
     """The estimates, frame by frame; a wall stands before the cameras in the ``hidden`` frame."""
     for tracker in each:
-        fleet.join(tracker)
+        batch.add(tracker)
     wall = np.random.default_rng(8).uniform(0.0, 255.0, (240, 320)).astype(np.float32)
     frames = list(open_recording(clip).frames(0))
     frames = [replace(f, left=wall, right=wall[:, ::-1]) if f.index == hidden else f for f in frames]
     estimates = []
     for frame in frames:
         active = [t for t in each if t.status == "tracking" and t.vehicle.frame <= frame.index]
-        estimates.append([fleet.update(t, frame) for t in active])
+        estimates.append([batch.update(t, frame) for t in active])
     return estimates
 
 
@@ -486,7 +476,7 @@ CASES = [("line", "auto", False), ("line", "free", True), ("curve", "auto", True
 
 
 @pytest.mark.parametrize(("name", "kind", "guided"), slow_after(2, CASES))
-def test_the_filter_sees_what_it_sees_on_the_cpu(
+def test_the_filter_estimates_what_it_estimates_on_the_cpu(
     device: CudaDevice, clips: dict[str, Path], name: str, kind: str, guided: bool
 ) -> None:
     clip = load_clip(clips[name])
@@ -499,7 +489,7 @@ def test_the_filter_sees_what_it_sees_on_the_cpu(
 
 
 @pytest.mark.slow
-def test_vehicles_join_and_end_while_others_go_on(device: CudaDevice, clips: dict[str, Path]) -> None:
+def test_vehicles_come_and_end_while_others_continue(device: CudaDevice, clips: dict[str, Path]) -> None:
     clip = load_clip(clips["line"])
 
     def three(where: CudaDevice | None) -> list[Tracker]:
@@ -519,7 +509,7 @@ def test_vehicles_join_and_end_while_others_go_on(device: CudaDevice, clips: dic
     assert_same_numbers(on_device, here)
 
 
-def test_a_vehicle_that_is_hidden_is_awaited_as_on_the_cpu(device: CudaDevice, clips: dict[str, Path]) -> None:
+def test_an_occluded_vehicle_is_awaited_as_on_the_cpu(device: CudaDevice, clips: dict[str, Path]) -> None:
     clip = load_clip(clips["line"])
     expected = track_all(clip, TrackerBatch(), trackers(clip, SETTINGS, None), hidden=2)
     assert expected[2][0].similarity < MIN_VISIBLE_SIMILARITY
@@ -564,13 +554,13 @@ def test_the_cpu_carries_on_from_the_same_frame(
     expected = track_all(clip, TrackerBatch(), here, hidden)
     monkeypatch.setattr(CudaDevice, where, breaking)
     device = CudaDevice()
-    fleet, on_device = TrackerBatch(device, carry_on=True), trackers(clip, SETTINGS, device)
-    assert_same_estimates(track_all(clip, fleet, on_device, hidden), expected)
+    batch, on_device = TrackerBatch(device, fall_back_to_cpu=True), trackers(clip, SETTINGS, device)
+    assert_same_estimates(track_all(clip, batch, on_device, hidden), expected)
     assert_same_numbers(on_device, here)
     assert len(calls) == breaks_at + 1
-    frame = int(fleet.notices[0].split("frame ")[1].split()[0])
+    frame = int(batch.notices[0].split("frame ")[1].split()[0])
     assert 1 <= frame <= 3
-    assert fleet.notices == [
+    assert batch.notices == [
         f"computed on the CPU from frame {frame} on: the GPU failed ([719] Call to cuCtxSynchronize results in "
         "CUDA_ERROR_LAUNCH_FAILED)"
     ]

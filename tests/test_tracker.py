@@ -17,7 +17,7 @@ from paceline.recordings.stereo import StereoFrame, open_recording
 from paceline.simulation.stereo.clip import Scene, Vehicle, render, write
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.filter.estimate import Estimate
-from paceline.speed.filter.tracker import MAX_OCCLUDED_FRAMES, Tracker
+from paceline.speed.filter.tracker import Tracker
 from paceline.speed.geometry.path_reconstruction import path_from_document
 from paceline.speed.geometry.paths import Path
 
@@ -25,6 +25,7 @@ Array = NDArray[np.float64]
 
 MPH = 0.44704  # m/s
 CONVERGED = 5  # frames after which the filter has found the speed
+MAX_OCCLUDED_FRAMES = SpeedConfiguration().tracking.max_occluded_frames
 FOLDERS: list[FilePath] = []
 
 
@@ -120,7 +121,7 @@ def test_without_a_guess(kind: str) -> None:
 
 
 @pytest.mark.parametrize("seed", [2, 11, 16, 32, 35])
-def test_the_second_frame_tells_how_fast_a_near_vehicle_leaves(seed: int) -> None:
+def test_the_second_frame_gives_the_speed_of_a_near_vehicle_that_leaves(seed: int) -> None:
     """The picture of a vehicle that leaves close by shrinks much, and from the mean of all speeds it is far."""
     rng = np.random.default_rng(seed)
     speed, start = float(rng.uniform(6, 28)), float(rng.uniform(13, 24))
@@ -132,7 +133,7 @@ def test_the_second_frame_tells_how_fast_a_near_vehicle_leaves(seed: int) -> Non
 
 @pytest.mark.parametrize(("rate", "speed"), [(30.0, 3.0), (60.0, 9.0)])
 @pytest.mark.parametrize("guess", slow_after(1, [None, 1.0]))
-def test_a_first_speed_is_as_uncertain_as_two_frames_leave_it(rate: float, speed: float, guess: float | None) -> None:
+def test_the_first_speeds_std_matches_its_error(rate: float, speed: float, guess: float | None) -> None:
     """In which a vehicle far off hardly moves by more than it is seen to by chance."""
     z = []
     for seed in range(8):
@@ -154,7 +155,7 @@ def test_the_same_seed_gives_the_same_bits() -> None:
 
 @pytest.mark.parametrize("resampling", ["systematic", "stratified", "residual", "multinomial"])
 @pytest.mark.parametrize("resample_below", [1.0, 0.5])
-def test_every_way_to_resample(resampling: str, resample_below: float) -> None:
+def test_every_resampling_scheme(resampling: str, resample_below: float) -> None:
     s = small("line", 15.0, seed=2)
     estimates = track(s, 0.9, resampling=resampling, resample_below=resample_below)
     assert np.abs(errors(s, estimates)[CONVERGED:]).max() < 1.0
@@ -194,7 +195,7 @@ def test_a_vehicle_that_leaves_the_image_ends() -> None:
 
 
 @pytest.mark.parametrize("kind", slow_after(1, ["right", "line", "receding"]))
-def test_a_vehicle_hidden_for_good_is_lost(kind: str) -> None:
+def test_a_vehicle_occluded_for_good_is_lost(kind: str) -> None:
     """And until that is said, nothing wild is."""
     s = small(kind, 15.0, seed=2)
     frames = walled(clip_of(s)[1], range(5, 99))
@@ -205,7 +206,7 @@ def test_a_vehicle_hidden_for_good_is_lost(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", ["line", "left"])
 @pytest.mark.parametrize("hidden", [(4,), (4, 5)])
-def test_a_vehicle_hidden_for_a_moment_is_found_again(kind: str, hidden: tuple[int, ...]) -> None:
+def test_a_vehicle_occluded_for_a_moment_is_tracked_again(kind: str, hidden: tuple[int, ...]) -> None:
     s = small(kind, 15.0, seed=2)
     estimates = track(s, 0.95, walled(clip_of(s)[1], hidden))
     assert len(estimates) == s.frames and estimates[-1].status == "tracking"
@@ -214,7 +215,7 @@ def test_a_vehicle_hidden_for_a_moment_is_found_again(kind: str, hidden: tuple[i
 
 
 @pytest.mark.parametrize("kind", ["line", "left"])
-def test_what_hides_a_vehicle_chooses_none_of_its_particles(kind: str) -> None:
+def test_an_occluder_does_not_weight_the_particles(kind: str) -> None:
     """While it is hidden all of them count, and know less from frame to frame."""
     s, hidden = small(kind, 15.0, seed=2), (4, 5)
     for seed in range(4):
@@ -247,7 +248,7 @@ def test_braking_is_followed() -> None:
 
 @pytest.mark.parametrize("motion", ["as printed", "exact", "printed and exact"])
 def test_the_method_as_printed(motion: str) -> None:
-    """Blind proposals and an exact rail run too, less accurately."""
+    """Proposals without registration and the path as a hard constraint run too, less accurately."""
     s = small("line", 15.0, seed=2)
     settings = {"guided": "printed" not in motion, "exact_path": "exact" in motion}
     estimates = track(s, 1.05, speed_noise=0.15, particles=1000, **settings)

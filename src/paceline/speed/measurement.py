@@ -57,7 +57,7 @@ def measure(
     ``progress`` is called with frames done and frames in all, ``on_estimate`` with a vehicle and each of the filter's
     estimates. Raises UnusableInput; a DeviceFailure where ``device`` is ``cuda`` and fails.
     """
-    batch = TrackerBatch(open_device(device), carry_on=device == "auto")
+    batch = TrackerBatch(open_device(device), fall_back_to_cpu=device == "auto")
     begin = partial(VehicleMeasurement, batch=batch, on_estimate=on_estimate)
     result = measure_each(clip, recording, configuration, begin, progress)
     jointly = calibrate_jointly(result.measurements, configuration)
@@ -78,7 +78,7 @@ def track(
 
     Raises UnusableInput and DeviceFailure as `measure` does.
     """
-    batch = TrackerBatch(open_device(device), carry_on=device == "auto")
+    batch = TrackerBatch(open_device(device), fall_back_to_cpu=device == "auto")
     made: list[Estimate] = []
     filtering = configuration.model_copy(update={"refine": False})  # so that no images are kept
     drawn = _reconstruct(clip, configuration)

@@ -15,8 +15,8 @@ from paceline.recordings.stereo import StereoFrame
 from paceline.speed import verdict
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.filter.batch import TrackerBatch
-from paceline.speed.filter.estimate import Estimate
-from paceline.speed.filter.tracker import MIN_REFERENCE_SIMILARITY, MIN_VISIBLE_SIMILARITY, Tracker
+from paceline.speed.filter.estimate import MIN_REFERENCE_SIMILARITY, MIN_VISIBLE_SIMILARITY, Estimate
+from paceline.speed.filter.tracker import Tracker
 from paceline.speed.geometry import paths
 from paceline.speed.geometry.initial_plane import plane_across, plane_from_outlines
 from paceline.speed.geometry.paths import Path
@@ -51,10 +51,10 @@ class VehicleMeasurement:
         on_path = vehicle.path if vehicle.path in drawn else None
         self.path = drawn[on_path] if on_path is not None else None
         offset = clip.paths[on_path].lateral_offset if on_path is not None else 0.0
-        self.tracker = batch.join(Tracker(clip.rig, vehicle, self.path, offset, configuration, batch.device))
+        self.tracker = batch.add(Tracker(clip.rig, vehicle, self.path, offset, configuration, batch.device))
         if self.path is not None:
             centre = self.tracker.plane.centre
-            nearest = [way.at(np.array(way.nearest(centre))) for way in self.tracker.ways]
+            nearest = [way.at(np.array(way.nearest(centre))) for way in self.tracker.candidate_paths]
             beside = min(float(np.linalg.norm(place - centre)) for place in nearest)
             if not beside < MAX_PATH_DISTANCE_M:
                 raise UnusableInput(

@@ -1,10 +1,13 @@
-"""What the filter says of one frame."""
+"""The filter's estimate at one frame."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 from paceline.arrays import Array
+
+MIN_REFERENCE_SIMILARITY = 0.55  # to the reference, above which a frame updates it
+MIN_VISIBLE_SIMILARITY = 0.25  # to the reference, below which the vehicle is occluded
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,8 +1,10 @@
-"""The first particles: where the outline puts them, and, a frame later, which way and how fast they go."""
+"""The first two frames of a track: the plane and its reference, then direction and speed ("track initiation")."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -10,9 +12,19 @@ import numpy as np
 from paceline.arrays import Array, Image
 from paceline.cameras import StereoRig
 from paceline.documents.loading import VehicleDocument
+from paceline.recordings.stereo import StereoFrame
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.filter import motion_models
+from paceline.speed.filter.estimate import MIN_REFERENCE_SIMILARITY
+from paceline.speed.filter.likelihood import ObservationModel, pack_views
 from paceline.speed.filter.motion_models import FreeMotion, PathMotion, State
+from paceline.speed.filter.particle_set import Device, Particles, ParticleSet
+from paceline.speed.filter.registration import (
+    PlaneObservation,
+    ReferenceTexture,
+    register_plane,
+    update_by_registration,
+)
 from paceline.speed.filter.resampling import Weights
 from paceline.speed.geometry.initial_plane import InitialPlane
 from paceline.speed.geometry.paths import LANE_KEEPING_STD
@@ -27,8 +39,109 @@ START_STEP_TOLERANCE = 0.02  # change of the registered position at which it has
 START_SPEED_STD_FACTOR = 2.0  # std of the drawn speeds over that of the speed from two registered positions
 
 
+@dataclass(frozen=True, eq=False)
+class Initialization:
+    """The initialization of one vehicle's track, with what `tracker.Tracker` has for it.
+
+    ``motions`` are the candidates, one for each direction along the path; ``texture`` is None without registration.
+    """
+
+    rig: StereoRig
+    vehicle: VehicleDocument
+    configuration: SpeedConfiguration
+    motions: Sequence[PathMotion | FreeMotion]
+    model: ObservationModel
+    texture: ReferenceTexture | None
+    plane: InitialPlane
+    device: Device
+    rng: np.random.Generator
+
+    def initialize_plane(self, frame: StereoFrame) -> tuple[InitialPlane, ParticleSet]:
+        """The first frame: the plane at the depth at which the views agree, and particles there, without a speed."""
+        c, plane = self.configuration, self.plane
+        if self.texture is not None:
+            with suppress(np.linalg.LinAlgError):  # without texture the plane stays where it was outlined
+                plane = self.texture.initialize((frame.left, frame.right), self.vehicle.left, plane)
+        factor = c.start.particle_factor if self.vehicle.speed is None else 1
+        state = initial_state(plane, self.vehicle, c.particles * factor, self.rng)
+        return plane, ParticleSet(self.rig, self.motions[0], state, Weights.equal(len(state)))
+
+    def initialize_speed(self, frame: StereoFrame, first: StereoFrame, start: State) -> Particles:
+        """The second frame: particles with the direction and the speed of the vehicle.
+
+        From ``start``, their state at the ``first`` frame, particles are drawn for each candidate motion; the likeliest
+        candidate is kept. Registration starts from its weighted mean; the particles are drawn anew about the speed that
+        it finds, because the weights would leave too few of them to represent its uncertainty.
+        """
+        dt, images = frame.time - first.time, (first.left, frame.left)
+        prior = operator_speed(self.vehicle, self.configuration)
+        outcomes = []
+        for motion in self.motions:
+            state = motion.propagate(self.draw_start(start, motion, images, dt, prior), dt, self.rng)
+            views = pack_views(frame, [(state.left, state.right)])
+            lw = self.device.log_likelihood(self.model, views, state)
+            outcomes.append((float(np.logaddexp.reduce(lw)), state, lw, motion))
+        _, state, lw, motion = max(outcomes, key=lambda outcome: outcome[0])
+        if self.texture is None:
+            likeliest = ParticleSet(self.rig, motion, state, Weights(lw))
+        else:
+            likeliest = ParticleSet(self.rig, motion, state, tempered_weights(lw))
+            particle_set, observation = self.refine_start(self.texture, frame, likeliest, start, images, dt)
+            if observation is not None and observation.inside_gate:
+                update_by_registration(self.texture, particle_set, observation, self.rng)
+                return self.device.particle_set(particle_set)
+        likeliest.resample(self.configuration, self.rng)
+        return self.device.particle_set(likeliest)
+
+    def refine_start(
+        self,
+        texture: ReferenceTexture,
+        frame: StereoFrame,
+        likeliest: ParticleSet,
+        start: State,
+        images: tuple[Image, Image],
+        dt: float,
+    ) -> tuple[ParticleSet, PlaneObservation | None]:
+        """Particles drawn anew about the speed that registration finds from the ``likeliest`` ones, and where it finds
+        the plane from these.
+
+        Along a path this is repeated until the registered position converges: while the particles have very different
+        speeds, their mean region may be too far from the vehicle for one registration.
+        """
+        motion, particle_set = likeliest.motion, likeliest
+        start = start[np.arange(self.configuration.particles)]
+        observation = register_plane(texture, particle_set, frame)
+        for _ in range(MAX_START_ITERATIONS if isinstance(motion, PathMotion) else 1):
+            if observation is None or observation.registration.similarity < MIN_REFERENCE_SIMILARITY:
+                break
+            before, covariance = observation.place, observation.registration.covariance
+            prior = speed_prior(before, covariance, self.plane, motion, dt, self.vehicle, self.configuration)
+            state = motion.propagate(self.draw_start(start, motion, images, dt, prior), dt, self.rng)
+            particle_set = ParticleSet(self.rig, motion, state, Weights.equal(len(state)))
+            observation = register_plane(texture, particle_set, frame)
+            if observation is None:
+                break
+            change = float(np.linalg.norm(observation.place - before))
+            if change < START_STEP_TOLERANCE * prior[0] * dt:
+                break
+        return particle_set, observation
+
+    def draw_start(
+        self,
+        start: State,
+        motion: PathMotion | FreeMotion,
+        images: tuple[Image, Image],
+        dt: float,
+        prior: SpeedPrior | None,
+    ) -> State:
+        """``start`` with drawn motions; ``images`` are the left ones of the first and the second frame."""
+        if isinstance(motion, PathMotion):
+            return draw_path_start(start, self.plane, motion, self.rig, prior, self.configuration, self.rng)
+        return draw_free_start(start, self.plane, self.rig, self.vehicle, *images, dt, self.configuration, self.rng)
+
+
 def initial_state(plane: InitialPlane, vehicle: VehicleDocument, n: int, rng: np.random.Generator) -> State:
-    """``n`` particles at the operator's quadrilaterals, at distances as uncertain as the plane's; the first is sure."""
+    """``n`` particles at the operator's quadrilaterals, at distances drawn about the plane's; the first at its own."""
     scale = 1.0 / np.maximum(1.0 + rng.normal(0.0, plane.inverse_depth_std, n), 0.2)
     scale[0] = 1.0
     return State(
@@ -47,26 +160,26 @@ def initial_state(plane: InitialPlane, vehicle: VehicleDocument, n: int, rng: np
 def draw_path_start(
     state: State,
     plane: InitialPlane,
-    model: PathMotion,
+    motion: PathMotion,
     rig: StereoRig,
-    guess: SpeedPrior | None,
+    prior: SpeedPrior | None,
     configuration: SpeedConfiguration,
     rng: np.random.Generator,
 ) -> State:
-    """``state`` set off along ``model``'s path: at speeds about a ``guess``, or over all that vehicles drive.
+    """``state`` with motions along ``motion``'s path: speeds drawn from the ``prior``, or spread over the speed range.
 
-    Each particle draws its own heading: from the covariance of the path's reconstruction, and from how drivers keep to
-    a path.
+    Each particle draws its own heading from the covariance of the path's reconstruction and from how closely drivers
+    keep to a path.
     """
     N = len(state)
-    speed = np.linspace(*configuration.start.speed_range, N) if guess is None else np.abs(rng.normal(*guess, N))
-    start = model.path.nearest(plane.centre)
+    speed = np.linspace(*configuration.start.speed_range, N) if prior is None else np.abs(rng.normal(*prior, N))
+    start = motion.path.nearest(plane.centre)
     heading = np.zeros((N, 2))
     if not configuration.exact_path:
-        yaw, pitch = model.path.heading_modes(np.array([start]))
+        yaw, pitch = motion.path.heading_modes(np.array([start]))
         heading = rng.normal(0.0, 1.0, (N, len(yaw))) @ np.concatenate([yaw, pitch], axis=1)
         heading += rng.normal(0.0, 1.0, (N, 2)) * LANE_KEEPING_STD
-    forward = model.path.frames(np.array(start))[:, 0]
+    forward = motion.path.frames(np.array(start))[:, 0]
     s = start + (motion_models.plane_centres(rig, state) - plane.centre) @ forward
     return replace(state, speed=speed, s=s, heading=heading)
 
@@ -80,26 +193,28 @@ def speed_prior(
     place: Array,
     covariance: Array,
     plane: InitialPlane,
-    way: PathMotion | FreeMotion,
+    motion: PathMotion | FreeMotion,
     dt: float,
     vehicle: VehicleDocument,
     configuration: SpeedConfiguration,
 ) -> SpeedPrior:
-    """The speed, m/s, by which the ``plane`` is at the ``place`` (3,), of that ``covariance``, where it was seen after
-    ``dt`` s, as uncertain as both places leave it or more: what the particles then make of the sight must not count it
-    twice. A stated speed is worth as much as it is sure."""
-    gone = place - plane.centre
-    forward = gone / max(float(np.linalg.norm(gone)), 1e-9)
-    if isinstance(way, PathMotion):
-        forward = way.path.frames(np.array(way.path.nearest(plane.centre)))[:, 0]
+    """The speed, m/s, that takes ``plane`` within ``dt`` s to the registered ``place`` (3,) of ``covariance`` (3, 3).
+
+    Its standard deviation is greater than both positions imply: the registration is used once more for the update of
+    the particles. It is combined with the operator's speed where there is one.
+    """
+    travel = place - plane.centre
+    forward = travel / max(float(np.linalg.norm(travel)), 1e-9)
+    if isinstance(motion, PathMotion):
+        forward = motion.path.frames(np.array(motion.path.nearest(plane.centre)))[:, 0]
     depth_std = plane.inverse_depth_std * float(np.linalg.norm(plane.centre))
-    doubt = float(np.hypot(np.sqrt(forward @ covariance @ forward), depth_std)) / dt
-    speed = float(np.clip(gone @ forward / dt, 0.0, configuration.start.speed_range[1]))
+    measured_std = float(np.hypot(np.sqrt(forward @ covariance @ forward), depth_std)) / dt
+    speed = float(np.clip(travel @ forward / dt, 0.0, configuration.start.speed_range[1]))
     operator = operator_speed(vehicle, configuration)
     if operator is None:
-        return speed, max(configuration.speed_guess_spread * speed, START_SPEED_STD_FACTOR * doubt)
-    said, std = operator
-    return said + (speed - said) * std**2 / (std**2 + doubt**2), std
+        return speed, max(configuration.speed_guess_spread * speed, START_SPEED_STD_FACTOR * measured_std)
+    stated, std = operator
+    return stated + (speed - stated) * std**2 / (std**2 + measured_std**2), std
 
 
 def draw_free_start(
@@ -113,7 +228,7 @@ def draw_free_start(
     configuration: SpeedConfiguration,
     rng: np.random.Generator,
 ) -> State:
-    """``state`` set off without a path: at velocities about where the left view's picture went and how it grew."""
+    """``state`` with velocities drawn about the one by which the left view's template moved and grew."""
     fastest = 1.3 * vehicle.speed if vehicle.speed else configuration.start.speed_range[1]
     focal = rig.left.K[0, 0]
     before = plane.centre
@@ -128,8 +243,8 @@ def draw_free_start(
 
 
 def match_template(first: Image, now: Image, quad: Array, reach: float) -> tuple[Array, float]:
-    """Where the picture inside ``quad`` (4, 2) went from ``first`` to ``now``: its shift (2,) in pixels, at most
-    about ``image_bounds``, and the factor by which it grew."""
+    """Match the template inside ``quad`` (4, 2) of ``first`` in ``now``: its shift (2,) in pixels, at most about
+    ``reach``, and its change of scale."""
     x0, y0 = np.maximum(np.floor(quad.min(0)).astype(int), 0)
     x1, y1 = np.ceil(quad.max(0)).astype(int) + 1
     template = first[y0:y1, x0:x1]
@@ -151,7 +266,7 @@ def match_template(first: Image, now: Image, quad: Array, reach: float) -> tuple
 
 
 def tempered_weights(lw: Array) -> Weights:
-    """Weights by a power of the likelihood that leaves particles enough alive for a covariance that means something."""
+    """Weights by a power ½ᵏ of the likelihood at which the effective sample size suffices for a covariance."""
     weights = Weights(lw)
     while MIN_START_ESS_SHARE * len(lw) > weights.ESS:
         lw = 0.5 * lw

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
 from paceline.arrays import Array, Floats
+from paceline.cameras import StereoRig
+from paceline.recordings.stereo import StereoFrame
+from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.filter import patch_features_cpu
+from paceline.speed.filter.motion_models import State, cross_homographies
 from paceline.speed.geometry.quadrilaterals_cpu import inward_edges, unit_square_to
 
 PackedImage = patch_features_cpu.PackedImage
+Views = tuple[PackedImage, PackedImage]  # left and right
 
 SAMPLES_PER_REGION = 2560  # about this many samples a region, 64 × 40 in [Zhu]'s terms
 CONTRAST_FLOOR = 0.3  # share of the typical part's contrast below which a part counts less: it is mostly noise
@@ -62,6 +68,12 @@ def pack(image: Floats, quads: Array | None = None) -> PackedImage:
     packed = PackedImage(np.empty((bottom - top, right - left), np.uint32), left, top)
     patch_features_cpu.pack(image, packed)
     return packed
+
+
+def pack_views(frame: StereoFrame, bounds: Iterable[tuple[Array, Array]]) -> Views:
+    """Both images of ``frame``, packed between the pixels (…, 2) of the left and of the right view in ``bounds``."""
+    left, right = (np.concatenate([places.reshape(-1, 2) for places in side]) for side in zip(*bounds, strict=True))
+    return pack(frame.left, left), pack(frame.right, right)
 
 
 def _pixel_range(low: float, high: float, size: int) -> tuple[int, int]:
@@ -133,3 +145,40 @@ def log_likelihood(seen: Observation, reference: Floats, lambda_single: float, l
     """log p(z | x) (N,) by (12), (13), (18): both single-view terms and the cross-view term."""
     single = distances(seen.features, reference).sum(-1)
     return np.asarray(-lambda_single * single - lambda_cross * (1.0 - seen.ncc) ** 2, float)
+
+
+class ObservationModel:
+    """The likelihood (12) of one vehicle's particles: observed features compared with those of a reference.
+
+    ``reference`` (2, parts, 16) are the vehicle's features in the left and right view; they follow its appearance
+    slowly (14).
+    """
+
+    def __init__(self, rig: StereoRig, grid: PartGrid, configuration: SpeedConfiguration) -> None:
+        self.rig, self.grid = rig, grid
+        self.lambda_single, self.lambda_cross = configuration.lambda_single, configuration.lambda_cross
+        self.memory = configuration.reference_memory  # ε of (14)
+        self.reference: Floats = np.zeros((2, grid.parts, 16), np.float32)
+
+    def observe(self, views: Views, state: State) -> Observation:
+        """What the particles ``state`` observe in ``views``."""
+        left, right = views
+        return observe(left, right, state.left, state.right, cross_homographies(self.rig, state), self.grid)
+
+    def log_likelihood(self, views: Views, state: State) -> Array:
+        """log p(z | x) (N,) of the particles ``state``."""
+        return log_likelihood(self.observe(views, state), self.reference, self.lambda_single, self.lambda_cross)
+
+    def initialize(self, views: Views, state: State) -> None:
+        """Set the reference to what a state of one particle observes."""
+        self.reference = self.observe(views, state).features[0]
+
+    def similarity(self, features: Floats) -> float:
+        """Correlation, −1 … 1, of ``features`` (2, parts, 16) with the reference, the mean of both views."""
+        both = np.stack([features, self.reference]).reshape(2, 2, -1)  # (observed and reference, views, features)
+        norms = np.linalg.norm(both, axis=2).prod(0)
+        return float(((both[0] * both[1]).sum(1) / np.maximum(norms, 1e-6)).mean())
+
+    def update(self, features: Floats) -> None:
+        """Update the reference by the observed ``features`` (14)."""
+        self.reference = self.memory * self.reference + (1 - self.memory) * features

@@ -1,8 +1,8 @@
 """Sub-pixel registration of the tracked plane in both views at once.
 
-The picture of the plane is kept as one texture on a grid over the region. Registration finds the translation in space
-of the plane that makes both views show it, by Gauss–Newton on intensities. Each view has its
-own gain and each part its own offset; a part that does not fit is weighted down.
+The appearance of the plane is kept as one texture on a grid over the region. Registration finds the translation of the
+plane in space for which both views show that texture, by Gauss–Newton on intensities. Each view has its own gain and
+each part its own offset; a part that does not fit is given a small weight.
 """
 
 from __future__ import annotations
@@ -16,28 +16,33 @@ from numpy.typing import NDArray
 
 from paceline.arrays import Array, Image
 from paceline.cameras import StereoRig
-from paceline.speed.filter import registration_cpu
+from paceline.recordings.stereo import StereoFrame
+from paceline.speed.filter import motion_models, registration_cpu
+from paceline.speed.filter.estimate import MIN_REFERENCE_SIMILARITY
 from paceline.speed.filter.likelihood import PartGrid
+from paceline.speed.filter.particle_set import Particles
 from paceline.speed.geometry.initial_plane import InitialPlane
 from paceline.speed.geometry.quadrilaterals_cpu import unit_square_to
 
 Number = TypeVar("Number", bound=np.generic)
 
 MAX_ITERATIONS = 8
-COARSE_LEVELS = (6.0, 2.5)  # grid steps of smoothing, for searches that begin farther away
-CONVERGED_STEP_CHI2 = 0.1  # squared standard deviations of a step: the next one, quadratically smaller, would not show
+COARSE_LEVELS = (6.0, 2.5)  # grid steps of smoothing, for searches that start farther away
+CONVERGED_STEP_CHI2 = 0.1  # squared standard deviations of the last step; the next one is quadratically smaller
 GAIN_RANGE = (0.2, 5.0)
-MAX_DEPTH_SHIFT_SIGMA = 5.0  # standard deviations of the hand
+MAX_DEPTH_SHIFT_SIGMA = 5.0  # of the outline's depth
 CORRELATED_SAMPLES = 4.0  # a sample's noise is shared with about this many neighbours
 QUANTISATION_VARIANCE = 1.0 / 12.0  # grey levels², of 8-bit images
-MAX_SMOOTHING_PX = 60.0  # px: a region smoothed by more is nowhere that pictures show
-RIM_PX = 2.0  # px of the first region: its rim shows what is behind the vehicle, and at another depth
+MAX_SMOOTHING_PX = 60.0  # a region that would need more fills more than the image
+RIM_PX = 2.0  # of the first region, left out: it may show the background, which has another depth
+MIN_SIMILARITY_OUTSIDE_GATE = 0.9  # at which a registration is accepted outside the gate
+GATE_CHI2 = 50.0  # squared Mahalanobis distance, three degrees of freedom, above which it may be another object
 
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """The plane's ``shift`` (3,) in metres from where it was expected, its ``covariance`` (3, 3), how well the views
-    fit the texture (``similarity``, −1 … 1), and the ``texture`` (2, parts, samples) that each view shows there."""
+    """The plane's ``shift`` (3,) in metres from where it was expected, its ``covariance`` (3, 3), the correlation of
+    the views with the texture (``similarity``, −1 … 1), and the ``texture`` (2, parts, samples) of each view there."""
 
     shift: Array
     covariance: Array
@@ -173,7 +178,7 @@ def _smoothed_crop(image: Image, pixels: Array, grid: PlaneGrid, coarseness: flo
 
 
 def sample(rig: StereoRig, images: tuple[Image, Image], points: Array, grid: PlaneGrid) -> Array:
-    """What both views show at ``points`` (parts, samples, 3), smoothed to the grid's spacing: (2, parts, samples)."""
+    """Both images sampled at ``points`` (parts, samples, 3), smoothed to the grid's spacing: (2, parts, samples)."""
     sampled = []
     for v, image in enumerate(images):
         pixels = _project(rig.cameras[v].K, _to_camera(rig, v, points))
@@ -184,7 +189,7 @@ def sample(rig: StereoRig, images: tuple[Image, Image], points: Array, grid: Pla
 
 
 class ReferenceTexture:
-    """What the tracked plane looks like: one texture for both views, learned from every frame that shows it."""
+    """The reference texture of the tracked plane, one for both views, updated at every frame that shows it."""
 
     def __init__(self, rig: StereoRig, grid: PartGrid, region: Array, memory: float) -> None:
         self.rig = rig
@@ -193,16 +198,18 @@ class ReferenceTexture:
         self.texture = np.zeros((0, 0))
 
     def initialize(self, images: tuple[Image, Image], left: Array, plane: InitialPlane) -> InitialPlane:
-        """Learn the left view's picture of the region (4, 2), and lay the plane where the right view agrees with it.
+        """Take the texture from the left view's region (4, 2); return ``plane`` at the depth where the right view
+        shows it.
 
-        A depth that the operator's hand can hardly have missed so far — a pole before the vehicle has another one —
-        is not believed: then the plane stays where it was outlined.
+        A depth that differs from the outlined one by more than the click noise explains is rejected, as it may be that
+        of a pole in front of the vehicle: then ``plane`` is returned unchanged. Raises numpy.linalg.LinAlgError where
+        the texture determines nothing.
         """
         normal = plane.normal
         self.texture = sample(self.rig, images, self.plane_points(left, normal, plane.distance), self.grid)[0]
         scale = 1.0
         for _ in range(MAX_ITERATIONS):
-            # what is behind the outline grows with its distance: the plane is laid anew after every step
+            # the part of the plane behind the outline grows with its distance: recomputed after every step
             points = self.plane_points(left, normal, plane.distance * scale)
             centre = points.reshape(-1, 3).mean(0)
             length = float(np.linalg.norm(centre))
@@ -217,30 +224,28 @@ class ReferenceTexture:
         return replace(plane, centre=plane.centre * scale, distance=plane.distance * scale, inverse_depth_std=std)
 
     def register(
-        self, images: tuple[Image, Image], left: Array, normal: Array, distance: float, doubt: float
+        self, images: tuple[Image, Image], left: Array, normal: Array, distance: float, spread: float
     ) -> Registration:
-        """Where the plane is that was expected behind the left region (4, 2) at n·P = d.
+        """Register the plane that is expected behind the left region (4, 2) at n·P = d.
 
-        ``doubt`` is how far off that may be, in pixels: a picture is found from no farther away than its finest
-        detail is wide, so the search begins as coarse as need be.
+        ``spread`` is the standard deviation of its position in the image, in pixels: registration converges only from
+        within the width of the finest detail, so the search starts as coarsely as that requires.
         """
         points = self.plane_points(left, normal, distance)
         start = np.zeros(3)
         step = float((np.ptp(left, axis=0) * self.grid.step).max())
-        for coarseness in [c for c in COARSE_LEVELS if 0.7 * c * step < doubt]:
-            start = (
-                start
-                + register(
-                    self.rig, images, points + start, self.texture, self.grid, np.eye(3), coarseness=coarseness
-                ).shift
+        for coarseness in [c for c in COARSE_LEVELS if 0.7 * c * step < spread]:
+            coarse = register(
+                self.rig, images, points + start, self.texture, self.grid, np.eye(3), coarseness=coarseness
             )
+            start = start + coarse.shift
         found = register(self.rig, images, points + start, self.texture, self.grid, np.eye(3))
         return replace(found, shift=start + found.shift)
 
     def update(self, found: Registration) -> None:
-        """Update the texture by (14), as the features are: from the left view alone.
+        """Update the texture by (14) from the left view alone.
 
-        A mean of both views would repeat their present disparity, right or wrong, and keep it from being corrected.
+        A mean of both views would contain their present disparity, right or wrong, and prevent its correction.
         """
         self.texture = self.memory * self.texture + (1 - self.memory) * found.texture[0]
 
@@ -250,3 +255,44 @@ class ReferenceTexture:
         rays = to_rays @ self.grid.places.reshape(3, -1)
         surface = (rays * (distance / (normal @ rays))).reshape(self.grid.places.shape)
         return np.asarray(np.moveaxis(surface, 0, -1))
+
+
+# --- registration of the particles' plane --------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class PlaneObservation:
+    """Where registration found the plane: the ``place`` (3,) of its centre, m, the ``registration``, and whether that
+    is ``inside_gate``, which is wider the more similar the texture is."""
+
+    place: Array
+    registration: Registration
+    inside_gate: bool
+
+
+def register_plane(texture: ReferenceTexture, particle_set: Particles, frame: StereoFrame) -> PlaneObservation | None:
+    """Register the mean plane of the particles to both images of ``frame``; None where its texture determines nothing.
+
+    The gate is on the squared Mahalanobis distance between the registered and the predicted centre.
+    """
+    mean, spread = particle_set.mean(), particle_set.image_spread_px()
+    images = frame.left, frame.right
+    try:
+        found = texture.register(images, mean.left[0], mean.normal[0], float(mean.distance[0]), spread)
+    except np.linalg.LinAlgError:
+        return None
+    # while the speed is hardly known, the mean region is not the projection of the mean plane
+    place = motion_models.plane_centres(texture.rig, mean)[0] + found.shift
+    centre, covariance = particle_set.centre()
+    innovation = place - centre
+    chi2 = float(innovation @ np.linalg.solve(covariance + found.covariance, innovation))
+    threshold = MIN_REFERENCE_SIMILARITY if chi2 < GATE_CHI2 else MIN_SIMILARITY_OUTSIDE_GATE
+    return PlaneObservation(place, found, found.similarity >= threshold)
+
+
+def update_by_registration(
+    texture: ReferenceTexture, particle_set: Particles, observation: PlaneObservation, rng: np.random.Generator
+) -> None:
+    """The ensemble Kalman update by the registered centre, and the update of the texture."""
+    particle_set.ensemble_kalman_update(observation.place, observation.registration.covariance, rng)
+    texture.update(observation.registration)

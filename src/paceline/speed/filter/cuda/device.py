@@ -1,18 +1,18 @@
-"""A GPU on which the particles of all vehicles are moved, weighed and resampled together, in a few launches a frame.
+"""A GPU that moves, weights and resamples the particles of all vehicles together, in a few launches a frame.
 
-A launch takes longer than the GPU needs for the particles of a vehicle. So the clouds only note what is to be done
-with their particles; the first to ask for a result has the orders of all of them carried out at once, and the results
-of all come back at once. What goes to the GPU for a frame is the part of both images that is looked at, the orders,
-and for up to `filter.random_numbers.MANY` particles their random numbers.
+A launch takes longer than the GPU needs for the particles of one vehicle. So the particle sets only enqueue commands;
+the first that needs a result has those of all executed at once, and the results of all are downloaded at once. Uploaded
+for a frame are the part of both images that the regions cover, the commands, and for up to
+`filter.random_numbers.MAX_SEQUENTIAL_PARTICLES` particles their random numbers.
 """
 
 from __future__ import annotations
 
 import warnings
 import weakref
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numba import cuda
@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 
 from paceline.arrays import Array
 from paceline.cameras import StereoRig
-from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.filter.cuda import kernels, patch_features, weights
 from paceline.speed.filter.cuda import memory_layout as layout
 from paceline.speed.filter.cuda.particle_set import CudaParticleSet, Moments, derived_rows_of, rows_of
@@ -31,51 +30,38 @@ from paceline.speed.filter.cuda.weights import (
     QUANTITIES_PER_BLOCK,
     THREADS_PER_QUANTITY,
 )
-from paceline.speed.filter.likelihood import CONTRAST_FLOOR, PART_DISTANCE_CAP, PartGrid
+from paceline.speed.filter.likelihood import CONTRAST_FLOOR, PART_DISTANCE_CAP, ObservationModel, Views
 from paceline.speed.filter.motion_models import State
-from paceline.speed.filter.particle_set import MAX_DRAWN_PARTICLES, ParticleSet, Views
+from paceline.speed.filter.particle_set import MAX_DRAWN_PARTICLES, ParticleSet
 
 OnDevice = Any  # an array in the device's memory: Numba has no type for it
 
-THREADS_PER_BLOCK = 128  # threads of a block, one a particle
-MIN_PARTICLES_PER_THREAD = (
-    8  # particles at least that a thread adds up, before another block takes a share in a vehicle
-)
-MAX_BLOCKS_PER_VEHICLE = 64  # that share one
-MAX_PARTICLES_PER_LAUNCH = 1 << 18  # particles of the search for a first speed that are weighed in one launch
+THREADS_PER_BLOCK = 128  # one for each particle
+MIN_PARTICLES_PER_THREAD = 8  # that a thread adds up before another block shares the vehicle
+MAX_BLOCKS_PER_VEHICLE = 64
+MAX_PARTICLES_PER_LAUNCH = 1 << 18  # of `CudaDevice.log_likelihood`
 SECOND_MOMENT_ROWS = layout.MOMENT_PAIRS[:, layout.CARRIED_ROWS :]  # (2, pairs, 2) rows of second moments, by IS_FREE
 
 
-class TrackedVehicle(Protocol):
-    """One who follows a vehicle: what its particles look at and are compared with."""
-
-    rig: StereoRig
-    configuration: SpeedConfiguration
-    particle_set: ParticleSet | CudaParticleSet
-    views: Views
-    grid: PartGrid
-    reference: NDArray[np.float32]
-
-
 class DeviceArray(cuda.In):  # type: ignore[misc, name-defined]
-    """An array in the device's memory that is given to launch after launch.
+    """An array in the device's memory that is passed to many launches.
 
-    Numba describes an array to the driver anew for every launch, which takes it three times as long as all else in a
-    launch; this one is described once.
+    Numba prepares an array's descriptor anew for every launch, which takes three times as long as the rest of a launch;
+    this one is prepared once.
     """
 
     def __init__(self, array: OnDevice) -> None:
         super().__init__(array)
-        self._described = super().to_device([])
+        self._descriptor = super().to_device([])
 
     def to_device(self, retr: object, stream: object = 0) -> OnDevice:
-        """What the launch is told, as Numba asks for it."""
-        return self._described
+        """The prepared descriptor, when Numba requests it for a launch."""
+        return self._descriptor
 
 
 @dataclass
 class _TransferBuffer:
-    """An array in the computer's memory from which the device is fed, or to which it tells, and its copy there."""
+    """A page-locked array in the computer's memory, and its copy on the device."""
 
     host: NDArray[Any]
     device: DeviceArray
@@ -87,17 +73,19 @@ class _TransferBuffer:
         return cls(host, DeviceArray(cuda.device_array(size, kind)))
 
     def upload(self, size: int) -> None:
-        """The first ``size`` numbers."""
+        """Copy the first ``size`` numbers to the device."""
         driver.host_to_device(self.device.value, self.host, size * self.host.itemsize)  # type: ignore[no-untyped-call]
 
     def download(self, size: int) -> NDArray[Any]:
-        """Of all that is at home the first numbers, so many, anew."""
+        """Copy the first ``size`` numbers from the device; returns the whole array."""
         driver.device_to_host(self.host, self.device.value, size * self.host.itemsize)  # type: ignore[no-untyped-call]
         return self.host
 
 
 class CudaDevice:
-    """The current GPU, and the clouds that live on it for as long as somebody holds them."""
+    """The current GPU, and the particle sets on it, which are freed when nothing refers to them."""
+
+    resampling_schemes: Collection[str] = ("systematic",)
 
     def __init__(self) -> None:
         cuda.current_context()  # type: ignore[no-untyped-call]
@@ -106,22 +94,25 @@ class CudaDevice:
         self._pool = DeviceArray(cuda.device_array((2, layout.ROWS, 1)))
         self._maps = DeviceArray(cuda.device_array((1, layout.SAMPLING_MAP), np.float32))
         self._pixels = _TransferBuffer.of(1, np.uint32)
-        self._host_copy: Array | None = None  # all states and log weights, as long as they are as fetched
-        self._added: set[int] = set()  # slots of clouds that are not in the tables yet
+        self._host_copy: Array | None = None  # all states and log weights, until they change
+        self._added: set[int] = set()  # slots that are not in the tables yet
         self._to_restore: list[CudaParticleSet] = []
+        self._to_weight: list[tuple[CudaParticleSet, ObservationModel]] = []
+        self._views: Views | None = None  # of those to weight
+        self._parameters = 0, 0.0, 0.0  # of those to weight: parts, λ_D, λ_c
         self._pending = False
-        self._noise = 0  # numbers of it that are on the desk
+        self._noise = 0  # numbers of it in the command buffer
         self._build_tables({})
 
     def free_memory(self) -> int:
-        """Bytes."""
+        """Free memory of the device, bytes."""
         return int(cuda.current_context().get_memory_info().free)  # type: ignore[no-untyped-call]
 
-    # --- clouds ------------------------------------------------------------------------------------------------------
+    # --- particle sets -----------------------------------------------------------------------------------------------
 
     def particle_set(self, host: ParticleSet) -> CudaParticleSet:
         """``host`` copied to the device."""
-        if self._pending:
+        if self._pending or self._to_weight:
             self.execute()
         living = self._living()
         slot = next(i for i in range(len(living) + 1) if i not in living)
@@ -142,7 +133,7 @@ class CudaDevice:
         return {slot: particle_set for slot, ref in self._particle_sets.items() if (particle_set := ref()) is not None}
 
     def _grow(self, columns: int) -> None:
-        """Room for so many in the pool, or more."""
+        """Enlarge the pool to at least so many columns."""
         before = self._pool.value.shape[2]
         if columns > before:
             old, old_maps = self._pool, self._maps
@@ -153,7 +144,7 @@ class CudaDevice:
             self._maps.value[:before].copy_to_device(old_maps.value)
 
     def _build_tables(self, living: dict[int, CudaParticleSet]) -> None:
-        """The tables of all ``living`` clouds, by slot; what was ordered before has been carried out."""
+        """Build the tables of all ``living`` particle sets, by slot; all earlier commands have been executed."""
         slots = max(living, default=-1) + 1
         commands = np.zeros((slots, layout.COMMAND))
         knots, rigs, knot, total = [np.zeros((1, layout.KNOT_SIZE))], [np.zeros((7, 3, 3))], 1, 0
@@ -197,7 +188,9 @@ class CudaDevice:
         sharing = min(-(-self._largest // (MIN_PARTICLES_PER_THREAD * MAX_THREADS_PER_BLOCK)), MAX_BLOCKS_PER_VEHICLE)
         self._shares = DeviceArray(cuda.device_array((max(slots, 1), sharing, PARTIAL_SUMS)))
         shown = int(np.ceil(counts / np.maximum(commands[:, layout.DRAWN_STRIDE], 1)).max(initial=0))
-        pairs = SECOND_MOMENT_ROWS[[int(particle_set.free) for particle_set in living.values()]]  # (clouds, pairs, 2)
+        pairs = SECOND_MOMENT_ROWS[
+            [int(particle_set.free) for particle_set in living.values()]
+        ]  # (particle sets, pairs, 2)
         self._second = np.arange(len(pairs))[:, None], pairs[..., 0], pairs[..., 1]
         self._moments_size = slots * layout.QUANTITY_COUNT * self._blocks * 2
         self._results = _TransferBuffer.of(max(self._moments_size + slots * layout.DRAWN_ROWS * shown, 1), np.float64)
@@ -205,20 +198,20 @@ class CudaDevice:
         self._added.clear()
 
     def _allocate_commands(self, commands: Array, size: int) -> None:
-        """A desk of so many numbers, with ``commands`` (slots, COMMAND) on it."""
+        """Allocate a command buffer of ``size`` numbers that begins with ``commands`` (slots, COMMAND)."""
         self._command_buffer = _TransferBuffer.of(size, np.float64)
         self.commands = self._command_buffer.host[: commands.size].reshape(commands.shape)
         self.commands[:] = commands
 
     def enqueue(self, particle_set: CudaParticleSet, what: int) -> None:
-        """Notes that ``what`` is to be done with ``particle_set``, after what is already to be done."""
-        if self._added or self.commands[particle_set.slot, what : layout.KALMAN_UPDATE + 1].any():
+        """Enqueue the command ``what`` for ``particle_set``, after those already enqueued."""
+        if self._added or self._to_weight or self.commands[particle_set.slot, what : layout.KALMAN_UPDATE + 1].any():
             self.execute()
         self.commands[particle_set.slot, what] = self.commands[particle_set.slot, layout.PREPARE] = 1
         self._pending, self._host_copy, particle_set.moments = True, None, None
 
     def store_noise(self, noise: Array) -> int:
-        """Puts ``noise`` on the desk; returns where."""
+        """Append ``noise`` to the command buffer; returns its index."""
         where = self.commands.size + self._noise
         if where + noise.size > self._command_buffer.host.size:
             before = self._command_buffer.host
@@ -231,15 +224,18 @@ class CudaDevice:
     # --- launches ----------------------------------------------------------------------------------------------------
 
     def execute(self) -> None:
-        """Does with all clouds what was ordered."""
+        """Execute everything that was enqueued: restored weights, then commands, then the update of weights."""
         if self._added:
             self._build_tables(self._living())
-        if not self._pending:
-            return
+        if self._pending:
+            self._execute_commands()
+        if self._to_weight:
+            self._weight()
+
+    def _execute_commands(self) -> None:
         if self._to_restore:
-            self._observation_table()[
-                [particle_set.slot for particle_set in self._to_restore], layout.WEIGHT_UPDATE
-            ] = -1
+            slots = [particle_set.slot for particle_set in self._to_restore]
+            self._observation_table()[slots, layout.WEIGHT_UPDATE] = -1
             self._observations.upload(self._observations.host.size)
             self._update_weights(self._to_restore)
             self._to_restore = []
@@ -255,37 +251,46 @@ class CudaDevice:
         commands[:, layout.RESAMPLE : layout.PREPARE + 1] = 0
         self._noise, self._pending = 0, False
 
-    def weight(self, trackers: Sequence[TrackedVehicle]) -> None:
-        """Update the weights of all clouds of ``trackers``, which look at the same views."""
-        self.execute()
-        c, particle_sets = (
-            trackers[0].configuration,
-            [t.particle_set for t in trackers if isinstance(t.particle_set, CudaParticleSet)],
-        )
-        alike = {(t.configuration.parts, t.configuration.lambda_single, t.configuration.lambda_cross) for t in trackers}
-        assert len(alike) == 1 and len(particle_sets) == len(trackers)
+    def weight(self, particle_set: CudaParticleSet, model: ObservationModel, views: Views) -> None:
+        """Enqueue the update of the weights of ``particle_set`` by what ``views`` show.
+
+        All that are enqueued with the same views before a result is requested are updated in the same launches.
+        """
+        parameters = model.grid.parts, model.lambda_single, model.lambda_cross
+        if self._to_weight and (views is not self._views or parameters != self._parameters):
+            self.execute()
+        self._views, self._parameters = views, parameters
+        self._to_weight.append((particle_set, model))
+        self._host_copy, particle_set.moments = None, None
+
+    def _weight(self) -> None:
+        assert self._views is not None
         observations = self._observation_table()
-        for tracker, particle_set in zip(trackers, particle_sets, strict=True):
-            _write_reference(observations[particle_set.slot], tracker)
+        for particle_set, model in self._to_weight:
+            _write_reference(observations[particle_set.slot], model)
             observations[particle_set.slot, layout.WEIGHT_UPDATE] = 1
-        self._upload_views(trackers[0].views, c, self._observations)
+        parts, *lambdas = self._parameters
+        self._upload_views(self._views, lambdas, self._observations)
         self._observations.upload(self._observations.host.size)
-        self.compute_likelihood(c.parts)
-        self._update_weights(particle_sets)
+        self.compute_likelihood(parts)
+        self._update_weights([particle_set for particle_set, _ in self._to_weight])
+        self._to_weight, self._views = [], None
 
     def compute_likelihood(self, parts: int) -> None:
-        """log p(z | x) by (12), (13), (18) of all particles that are to be weighed, by what was sent."""
+        """Launch log p(z | x) by (12), (13), (18) for all particles to be weighted, from what was uploaded."""
         patch_features.log_likelihood[(self._largest, len(self.commands)), 16 * parts](
             self._pixels.device, self._maps, self._observations.device, self._pool
         )
 
     def restore_weights(self, particle_set: CudaParticleSet) -> None:
-        """Notes that the last update of the weights of ``particle_set`` is to be taken back."""
+        """Enqueue that the weights of ``particle_set`` before their last update are restored."""
+        if self._to_weight:
+            self.execute()
         self._to_restore.append(particle_set)
         self._pending, self._host_copy, particle_set.moments = True, None, None
 
     def _observation_table(self) -> Array:
-        """The table (slots, OBSERVATION) of sights, in which nothing is to be weighed yet."""
+        """The table (slots, OBSERVATION) of observations, with no weights to be updated yet."""
         observations = self._observations.host[layout.HEADER :].reshape(-1, layout.OBSERVATION)
         observations[:, : layout.WEIGHT_UPDATE] = self.commands[:, : layout.WEIGHT_UPDATE]
         observations[:, layout.WEIGHT_UPDATE] = 0
@@ -313,8 +318,8 @@ class CudaDevice:
         for particle_set in particle_sets:
             particle_set.moments = None
 
-    def _upload_views(self, views: Views, c: SpeedConfiguration, observations: _TransferBuffer) -> None:
-        """Sends the pixels of both ``views``, and writes the header of ``observations``."""
+    def _upload_views(self, views: Views, lambdas: Sequence[float], observations: _TransferBuffer) -> None:
+        """Upload the pixels of both ``views``, and write the header of ``observations``."""
         sizes = [packed.words.size for packed in views]
         if sum(sizes) > self._pixels.host.size:
             self._pixels = _TransferBuffer.of(2 * sum(sizes), np.uint32)
@@ -322,17 +327,17 @@ class CudaDevice:
         self._pixels.host[sizes[0] : sum(sizes)] = views[1].words.reshape(-1)
         self._pixels.upload(sum(sizes))
         frames = [(*packed.words.shape, packed.left, packed.top) for packed in views]
-        constants = CONTRAST_FLOOR, PART_DISTANCE_CAP, c.lambda_single, c.lambda_cross
+        constants = CONTRAST_FLOOR, PART_DISTANCE_CAP, *lambdas
         observations.host[: layout.HEADER] = *frames[0], *frames[1], *sizes, *constants
 
-    def log_likelihood(self, tracker: TrackedVehicle, state: State) -> Array:
+    def log_likelihood(self, model: ObservationModel, views: Views, state: State) -> Array:
         """log p(z | x) (N,) of particles that are in the computer's memory."""
         found = []
         observations = _TransferBuffer.of(layout.HEADER + layout.OBSERVATION, np.float64)
         observation = observations.host[layout.HEADER :]
-        _write_reference(observation, tracker)
-        self._upload_views(tracker.views, tracker.configuration, observations)
-        rigs, knots = cuda.to_device(_one(rig_numbers(tracker.rig))), cuda.to_device(np.zeros((1, layout.KNOT_SIZE)))
+        _write_reference(observation, model)
+        self._upload_views(views, (model.lambda_single, model.lambda_cross), observations)
+        rigs, knots = cuda.to_device(_one(rig_numbers(model.rig))), cuda.to_device(np.zeros((1, layout.KNOT_SIZE)))
         for first in range(0, len(state), MAX_PARTICLES_PER_LAUNCH):
             part = state[np.arange(first, min(first + MAX_PARTICLES_PER_LAUNCH, len(state)))]
             N = len(part)
@@ -344,7 +349,7 @@ class CudaDevice:
             rows[0, : layout.STATE] = rows_of(part)
             pool, maps = cuda.to_device(rows), cuda.device_array((N, layout.SAMPLING_MAP), np.float32)
             kernels.execute[(_grid(N), 1), THREADS_PER_BLOCK](pool, cuda.to_device(command), rigs, knots, maps)
-            patch_features.log_likelihood[(N, 1), 16 * tracker.configuration.parts](
+            patch_features.log_likelihood[(N, 1), 16 * model.grid.parts](
                 self._pixels.device, maps, observations.device, pool
             )
             found.append(pool[0, layout.LIKELIHOOD].copy_to_host())
@@ -352,9 +357,8 @@ class CudaDevice:
 
     # --- results -----------------------------------------------------------------------------------------------------
 
-    def reduce_moments(self, shown: bool) -> None:
-        """Has everything carried out, and tells all clouds what their particles come to, and the places ``shown`` if
-        these are asked for."""
+    def reduce_moments(self, drawn: bool) -> None:
+        """Execute everything, and give all particle sets their moments, with ``drawn`` also the centres to draw."""
         self.execute()
         living = self._living()
         if len(living) < len(self._particle_sets):
@@ -367,21 +371,21 @@ class CudaDevice:
         )
         threads = min(self._threads, THREADS_PER_QUANTITY), QUANTITIES_PER_BLOCK
         weights.reduce_moments[blocks, threads](self._pool, self._command_buffer.device, self._results.device)
-        results = self._results.download(self._results.host.size if shown else self._moments_size)
-        places = results[self._moments_size :].reshape(len(self.commands), layout.DRAWN_ROWS, -1) if shown else None
+        results = self._results.download(self._results.host.size if drawn else self._moments_size)
+        places = results[self._moments_size :].reshape(len(self.commands), layout.DRAWN_ROWS, -1) if drawn else None
         parts = results[: self._moments_size].reshape(-1, layout.QUANTITY_COUNT, self._blocks, 2)[list(living)]
         sums, extremes = parts[:, : layout.FIRST_EXTREME, :, 0].sum(2), parts[:, layout.FIRST_EXTREME :]
         mean = sums[:, : layout.CARRIED_ROWS] + parts[:, : layout.CARRIED_ROWS, 0, 1]
         squares, (each, i, j) = sums[:, layout.SUM_OF_SQUARES].tolist(), self._second
         second = sums[:, layout.CARRIED_ROWS : layout.MOMENT_COUNT] - sums[each, i] * sums[each, j]
-        reach = np.stack([extremes[..., 0].min(2), extremes[..., 1].max(2)], axis=1).reshape(-1, 2, 2, 4, 2)
+        bounds = np.stack([extremes[..., 0].min(2), extremes[..., 1].max(2)], axis=1).reshape(-1, 2, 2, 4, 2)
         for k, (slot, particle_set) in enumerate(living.items()):
             particle_set.moments = Moments(
-                mean[k], second[k], squares[k], reach[k], None if places is None else places[slot]
+                mean[k], second[k], squares[k], bounds[k], None if places is None else places[slot]
             )
 
     def download(self, particle_set: CudaParticleSet) -> Array:
-        """The state and the log weights (STATE + 1, N) of ``particle_set``; those of all are fetched at once."""
+        """The state and the log weights (STATE + 1, N) of ``particle_set``; those of all are downloaded at once."""
         self.execute()
         if self._host_copy is None:
             host = cuda.device_array((layout.STATE + 1, self._total))
@@ -394,7 +398,7 @@ class CudaDevice:
 
 
 def _one(numbers: Array) -> Array:
-    """``numbers`` in an array of one; by indexing its stride would be 0, which Numba copies number by number."""
+    """``numbers`` with a leading axis of one; by indexing its stride would be 0, which Numba copies slowly."""
     return numbers.reshape(1, *numbers.shape)
 
 
@@ -402,15 +406,15 @@ def _grid(n: int) -> int:
     return -(-n // THREADS_PER_BLOCK)
 
 
-def _write_reference(observation: Array, tracker: TrackedVehicle) -> None:
-    """What ``tracker`` compares its particles with, into its ``observation`` (OBSERVATION,)."""
-    grid, reference = tracker.grid, tracker.reference
+def _write_reference(observation: Array, model: ObservationModel) -> None:
+    """Write the grid and the reference features of ``model`` into the ``observation`` (OBSERVATION,) of a vehicle."""
+    grid, reference = model.grid, model.reference
     observation[layout.GRID : layout.GRID + 4] = grid.across, grid.down, *grid.samples
     observation[layout.REFERENCE : layout.REFERENCE + reference.size] = reference.reshape(-1)
 
 
 def rig_numbers(rig: StereoRig) -> Array:
-    """What the kernels of `motion` need of ``rig``: (7, 3, 3)."""
+    """The matrices of ``rig`` for the kernels of `motion`: (7, 3, 3)."""
     shifts = np.stack([rig.t, rig.right.K @ rig.t, np.zeros(3)])
     across = rig.right.K @ rig.R @ rig.left.K_inv
     return np.stack([rig.left.K, rig.left.K_inv, rig.right.K, rig.right.K_inv, rig.R, across, shifts])

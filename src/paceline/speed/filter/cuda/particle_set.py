@@ -16,6 +16,7 @@ from paceline.cameras import StereoRig
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.filter import motion_models
 from paceline.speed.filter.cuda import memory_layout as layout
+from paceline.speed.filter.likelihood import ObservationModel, Views
 from paceline.speed.filter.motion_models import (
     ZHU_FRAME_INTERVAL_S,
     FreeMotion,
@@ -28,7 +29,7 @@ from paceline.speed.filter.particle_set import ParticleSet, Posterior
 from paceline.speed.filter.random_numbers import CounterGenerator
 from paceline.speed.filter.resampling import JITTER_SCALE, Weights, ess_sufficient
 
-# where second moments stand: see `memory_layout.MOMENT_PAIRS`
+# indices of second moments, see `memory_layout.MOMENT_PAIRS`
 _CROSSING, _SPEED, _HEADING = (
     layout.VARIANCE_ROWS.index(row) for row in (layout.CROSSING_LEFT, layout.SPEED, layout.HEADING)
 )
@@ -37,17 +38,17 @@ _CENTRE = len(layout.VARIANCE_ROWS)
 
 @dataclass(slots=True, eq=False)
 class Moments:
-    """What a vehicle's weighted particles come to."""
+    """Moments of a vehicle's weighted particles."""
 
     mean: Array  # (CARRIED_ROWS,) of all rows
     second: Array  # (pairs,) covariances of the pairs of `memory_layout.MOMENT_PAIRS`
     squares: float  # Σ W²
-    reach: Array  # (2, 2, 4, 2) the least and the greatest place, for each coordinate, of both views' vertices
-    shown: Array | None  # (4, M) the planes' projected centres in both views, if asked for; the vehicle's come first
+    bounds: Array  # (2, 2, 4, 2) least and greatest values of the coordinates of both views' vertices
+    drawn: Array | None  # (4, M) the planes' projected centres in both views, if requested; the vehicle's come first
 
 
 class Device(Protocol):
-    """What a cloud asks of `device.CudaDevice`, which says more of each."""
+    """What a particle set needs of `device.CudaDevice`, which documents each."""
 
     commands: Array  # (slots, COMMAND)
 
@@ -55,9 +56,11 @@ class Device(Protocol):
 
     def store_noise(self, noise: Array) -> int: ...
 
+    def weight(self, particle_set: CudaParticleSet, model: ObservationModel, views: Views) -> None: ...
+
     def restore_weights(self, particle_set: CudaParticleSet) -> None: ...
 
-    def reduce_moments(self, shown: bool) -> None: ...
+    def reduce_moments(self, drawn: bool) -> None: ...
 
     def download(self, particle_set: CudaParticleSet) -> Array: ...
 
@@ -67,7 +70,7 @@ class CudaParticleSet:
 
     def __init__(self, device: Device, host: ParticleSet, slot: int, first: int) -> None:
         self.device = device
-        self.slot, self.first = slot, first  # its place in the tables, and its first column in the pool
+        self.slot, self.first = slot, first  # its row of the tables, and its first column of the pool
         self.rig: StereoRig = host.rig
         self.motion = host.motion
         self.free = isinstance(host.motion, FreeMotion)
@@ -80,7 +83,7 @@ class CudaParticleSet:
 
     @property
     def _command(self) -> Array:
-        """What is to be done (COMMAND,), see `memory_layout`; where it lies may change as noise is put on the desk."""
+        """The vehicle's command (COMMAND,), see `memory_layout`; `Device.store_noise` may move it."""
         return np.asarray(self.device.commands[self.slot])
 
     def propagate(self, dt: float, rng: np.random.Generator) -> None:
@@ -119,7 +122,7 @@ class CudaParticleSet:
         )
 
     def _draw(self, draw: int, sigma: float, k: int, rng: np.random.Generator) -> None:
-        """Notes normal numbers, ``k`` a particle, the same as ``rng`` gives the CPU."""
+        """Request normal numbers, ``k`` for each particle, the same as ``rng`` draws on the CPU."""
         if isinstance(rng, CounterGenerator):
             self._command[layout.KEY : layout.KEY + 4] = rng.key_words
             where = -1 - rng.calls
@@ -128,13 +131,16 @@ class CudaParticleSet:
             where = self.device.store_noise(rng.normal(0.0, sigma, (self._N, k)))
         self._command[layout.NOISE + 2 * draw : layout.NOISE + 2 * draw + 2] = where, sigma
 
+    def weight(self, model: ObservationModel, views: Views) -> None:
+        self.device.weight(self, model, views)
+
     def restore_weights(self) -> None:
         self.device.restore_weights(self)
 
-    def _moments(self, shown: bool = False) -> Moments:
-        """What the particles come to. Raises FloatingPointError where every one has weight zero."""
-        if self.moments is None or (shown and self.moments.shown is None):
-            self.device.reduce_moments(shown)
+    def _moments(self, drawn: bool = False) -> Moments:
+        """The moments of the particles. Raises FloatingPointError where every one has weight zero."""
+        if self.moments is None or (drawn and self.moments.drawn is None):
+            self.device.reduce_moments(drawn)
         found = self.moments
         assert found is not None
         if not np.isfinite(found.squares):
@@ -153,21 +159,21 @@ class CudaParticleSet:
         return found.mean[layout.CENTRE : layout.CENTRE + 3], found.second[_CENTRE : _CENTRE + 9].reshape(3, 3)
 
     def image_bounds(self) -> tuple[Array, Array]:
-        reach = self._moments().reach
-        return reach[:, 0], reach[:, 1]
+        bounds = self._moments().bounds
+        return bounds[:, 0], bounds[:, 1]
 
     def posterior(self) -> Posterior:
-        found = self._moments(shown=True)
-        assert found.shown is not None
-        shown = found.shown[:, : -(-self._N // int(self.device.commands[self.slot, layout.DRAWN_STRIDE]))]
+        found = self._moments(drawn=True)
+        assert found.drawn is not None
+        drawn = found.drawn[:, : -(-self._N // int(self.device.commands[self.slot, layout.DRAWN_STRIDE]))]
         return Posterior(
             mean=self.mean(),
             position=found.mean[layout.CENTRE : layout.CENTRE + 3],
             speed=float(found.mean[layout.SPEED]),
             speed_std=float(np.sqrt(max(found.second[_SPEED], 0.0))),
             ess=1.0 / found.squares,
-            particles_left=shown[:2].T.copy(),
-            particles_right=shown[2:].T.copy(),
+            particles_left=drawn[:2].T.copy(),
+            particles_right=drawn[2:].T.copy(),
         )
 
     def to_host(self) -> ParticleSet:
@@ -180,7 +186,7 @@ class CudaParticleSet:
 
 @dataclass(frozen=True, eq=False)
 class ParticleCheckpoint:
-    """A cloud as it was: ``rows`` (STATE + 1, N), its state and its log weights."""
+    """Particles as they were: ``rows`` (STATE + 1, N), their state and log weights."""
 
     rig: StereoRig
     motion: PathMotion | FreeMotion
@@ -214,7 +220,7 @@ def rows_of(state: State) -> Array:
 
 
 def derived_rows_of(particle_set: ParticleSet) -> Array:
-    """The state of ``particle_set``, what follows from it, and the weights, as rows (LIKELIHOOD, N)."""
+    """The state of ``particle_set``, what is derived from it, and the weights, as rows (LIKELIHOOD, N)."""
     state, weights = particle_set.state, particle_set.weights
     rows = np.zeros((layout.LIKELIHOOD, len(state)))
     rows[: layout.STATE] = rows_of(state)
