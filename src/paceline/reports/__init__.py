@@ -1,4 +1,4 @@
-"""What comes out of a measurement: tables, plots, the overlay video and the page."""
+"""Writes results as tables, plots, an overlay video and an HTML report."""
 
 from __future__ import annotations
 

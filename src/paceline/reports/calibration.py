@@ -1,4 +1,4 @@
-"""A calibration as files: rig.yaml, a picture of where the board was seen and how well it fits, and all numbers."""
+"""Writes a calibration: rig.yaml, a plot of board coverage and reprojection errors, and all numbers as JSON."""
 
 from __future__ import annotations
 
@@ -19,17 +19,20 @@ from paceline.reports.common.plots import FILTER_COLOR, INK_COLOR, INTERVAL_COLO
 from paceline.version import __version__
 
 VIEW_NAMES = ("left", "right")
-FIGURE_SIZE_IN = (9.4, 6.4)  # inches
-MAX_LABELLED_VIEWS = 30  # views whose names fit under the bars
+FIGURE_SIZE_IN = (9.4, 6.4)
+MAX_LABELLED_VIEWS = 30  # under the bars
 
 
 def write_calibration(calibration: Calibration, file: Path) -> list[Path]:
-    """Writes rig.yaml to ``file`` and, beside it, the picture and the numbers; returns all three paths.
+    """Writes rig.yaml to ``file`` and, beside it, the plot and the numbers; returns all three paths.
 
-    Raises UnusableInput where they cannot be written; then none is.
+    Raises UnusableInput, and writes none of them, where one cannot be written.
     """
     plot = make_plot(
-        "calibration", "Where the board was seen", FIGURE_SIZE_IN, lambda figure: _draw(figure, calibration)
+        "calibration",
+        "Coverage by the board and reprojection errors",
+        FIGURE_SIZE_IN,
+        lambda figure: _draw(figure, calibration),
     )
     contents = {
         file: rig_yaml(calibration.rig, rig_comments(calibration)).encode(),
@@ -41,7 +44,7 @@ def write_calibration(calibration: Calibration, file: Path) -> list[Path]:
 
 
 def check_rig_file_name(file: Path) -> None:
-    """Raises UnusableInput for a ``file`` that is no name for a rig.yaml."""
+    """Raises UnusableInput where ``file`` is not a valid name for a new YAML file."""
     if file.suffix not in (".yaml", ".yml"):
         raise UnusableInput(f"--out {file}: expected the name of a YAML file to write, for instance rig.yaml")
     try:
@@ -62,7 +65,7 @@ def rig_comments(calibration: Calibration) -> list[str]:
 
 
 def calibration_data(calibration: Calibration) -> dict[str, Any]:
-    """Everything about a calibration, for programs: SI units and pixels."""
+    """All numbers of a calibration for JSON, in SI units and pixels."""
     c = calibration
     values = np.concatenate([c.fit.rig.lenses.ravel(), np.zeros(3), c.rig.t])
     errors = c.view_rms_px
@@ -128,15 +131,15 @@ def _draw_errors(axes: Axes, calibration: Calibration) -> None:
     c = calibration
     errors = np.full((len(c.views.views), 2), np.nan)
     errors[c.used] = c.view_rms_px
-    usual = float(np.nanmedian(errors))
-    top = max(1.25 * float(np.nanmax(errors)), 2 * usual)
+    median = float(np.nanmedian(errors))
+    top = max(1.25 * float(np.nanmax(errors)), 2 * median)
     place = np.arange(len(errors))
     for side, (name, color) in enumerate(zip(VIEW_NAMES, (FILTER_COLOR, MUTED_COLOR), strict=True)):
         axes.bar(place + (side - 0.5) * 0.38, errors[:, side], 0.36, color=color, label=name)
     for v in c.rejected:
         axes.axvspan(v - 0.45, v + 0.45, color=INTERVAL_COLOR, alpha=0.25, lw=0)
         axes.text(v, 0.96 * top, "left out", rotation=90, ha="center", va="top", color=INK_COLOR, fontsize=7)
-    axes.axhline(usual, color=INK_COLOR, lw=0.8, ls=(0, (4, 3)))
+    axes.axhline(median, color=INK_COLOR, lw=0.8, ls=(0, (4, 3)))
     axes.set_ylim(0, top)
     axes.set_title("error of each view, px (rms of a coordinate); dashed: the median")
     axes.grid(axis="x", visible=False)

@@ -1,4 +1,4 @@
-"""Found vehicles drawn for approval: each one's outline in both views, side by side."""
+"""Draws detected vehicles: the outline of each in both views, side by side."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from paceline.reports.common.drawing import WHITE_BGR, Color, Picture, draw_labe
 
 OUTLINE_COLOR: Color = (110, 220, 90)
 PICTURE_HEIGHT_PX = 420  # px
-DISPLAY_GAMMA = 0.6  # exponent by which dark recordings are shown brighter
+DISPLAY_GAMMA = 0.6  # exponent that brightens dark recordings
 
 
 def draw_detected_vehicle(found: DetectedVehicle, height: int = PICTURE_HEIGHT_PX) -> Picture:

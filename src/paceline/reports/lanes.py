@@ -1,4 +1,4 @@
-"""Lanes drawn for approval: each view with its lines, their uncertainty, and the lanes between them."""
+"""Draws proposed lanes: each view with its lines, their uncertainty, and the lanes between them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from paceline.units import COVERAGE_95
 LINE_COLOR: Color = (60, 200, 255)
 CENTRE_COLOR: Color = (110, 220, 90)
 UNUSED_COLOR: Color = (90, 90, 230)
-DISPLAY_GAMMA = 0.6  # exponent by which dark recordings are shown brighter
+DISPLAY_GAMMA = 0.6  # exponent that brightens dark recordings
 
 
 def draw_lanes(
@@ -56,7 +56,7 @@ def draw_lanes(
 
 
 def _label_position(picture: Picture, pixels: Array, share: float) -> tuple[float, float]:
-    """Where among the ``pixels`` (N, 2) that are inside the picture a label goes."""
+    """The position of a label: among the ``pixels`` (N, 2) inside the picture, at a ``share`` of their height."""
     height, width = picture.shape[:2]
     inside = pixels[((pixels >= 0) & (pixels < [width, height])).all(1)]
     if not len(inside):

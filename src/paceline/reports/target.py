@@ -1,4 +1,4 @@
-"""A learned target as files: target.yaml, and a picture of where its lines lie."""
+"""Writes a learned target: target.yaml, and an image with its lines."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from paceline.reports.common.drawing import (
 from paceline.reports.common.output_folder import write_all_or_none
 from paceline.targets.learning import LearnedTarget, corner_names
 
-PICTURE_SIZE_PX = 900  # px, the larger side of the picture
-MARGIN_SHARE = 0.15  # share of the target's size shown around it
-HEADER_HEIGHT_PX = 40  # px
+PICTURE_SIZE_PX = 900  # of the larger side
+MARGIN_SHARE = 0.15  # of the target's size, shown around it
+HEADER_HEIGHT_PX = 40
 HORIZONTAL_COLOR: Color = (250, 200, 90)
 VERTICAL_COLOR: Color = (80, 190, 250)
 
 
 def write_target(learned: LearnedTarget, image: Image, file: Path) -> Path:
-    """Writes target.yaml to ``file`` and the picture beside it, both or neither; returns the picture's path.
+    """Writes target.yaml to ``file`` and the image beside it, both or neither; returns the image's path.
 
     ``image`` (H, W), 0–255, is the one learned from. Raises UnusableInput where they cannot be written.
     """
@@ -56,13 +56,13 @@ def target_yaml(learned: LearnedTarget) -> str:
 
 
 def start_entry(learned: LearnedTarget) -> str:
-    """The line for follow.yaml that starts on the picture learned from, as the recording's first frame."""
+    """The ``start`` entry for follow.yaml, if the image learned from is the recording's first frame."""
     x, y = learned.center
     return f"start: {{frame: 0, center: [{x:.2f}, {y:.2f}], scale: 1.0}}"
 
 
 def draw_target(learned: LearnedTarget, image: Image) -> Picture:
-    """The target's surroundings, magnified, with the model's lines and the corners' names."""
+    """A magnified crop around the target with the model's lines and the corners' names."""
     corners, target = learned.corners, learned.target
     low, high = corners.min(axis=0), corners.max(axis=0)
     margin = MARGIN_SHARE * (high - low) + 3

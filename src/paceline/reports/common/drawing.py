@@ -1,4 +1,4 @@
-"""Lines, points and words drawn on pictures, to a fraction of a pixel."""
+"""Draws lines, points and text on images with sub-pixel precision."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ SUBPIXEL_BITS = 4  # fractional bits of the coordinates given to OpenCV
 
 
 def draw_text(picture: Picture, text: str, at: tuple[int, int], size: int, color: Color, weight: int = 400) -> None:
-    """``text`` with its base line beginning at ``at``, ``size`` pixels high."""
+    """Draws ``text``, ``size`` pixels high, with its base line starting at ``at``."""
     cv2.putText(picture, text, at, color, SANS_FONT, size, weight)
 
 
 def text_width(text: str, size: int, weight: int = 400) -> int:
-    """Pixels."""
+    """The width of ``text`` in pixels."""
     return int(cv2.getTextSize((0, 0), text, (0, 0), SANS_FONT, size, weight)[2])
 
 
 def draw_label(picture: Picture, text: str, at: tuple[float, float], color: Color, taken: Sequence[Box] = ()) -> Box:
-    """``text`` centred above ``at``, inside the picture and clear of the labels in ``taken``; returns its box."""
+    """Draws ``text`` centred above ``at``, inside the picture and clear of the boxes in ``taken``; returns its box."""
     height, width = picture.shape[:2]
     w, h = text_width(text, LABEL_SIZE, LABEL_WEIGHT) + 18, LABEL_SIZE + 10
     x = int(np.clip(at[0] - w / 2, 2, max(2, width - w - 2)))
@@ -46,32 +46,32 @@ def draw_label(picture: Picture, text: str, at: tuple[float, float], color: Colo
 
 
 def draw_outline(picture: Picture, corners: Array, color: Color, thickness: int) -> None:
-    """A closed polygon (N, 2) of finite points, with a dark edge."""
+    """Draws a closed polygon (N, 2) of finite points, with a dark edge."""
     outline = [np.array([to_fixed_point(corner) for corner in corners], np.int32)]
     cv2.polylines(picture, outline, True, DARK_BGR, thickness + 2, cv2.LINE_AA, SUBPIXEL_BITS)
     cv2.polylines(picture, outline, True, color, thickness, cv2.LINE_AA, SUBPIXEL_BITS)
 
 
 def draw_line(picture: Picture, start: Array, stop: Array, color: Color, thickness: int = 1) -> None:
-    """A line between two points (2,) of the picture; nothing where one is not finite."""
+    """Draws a line between two points (2,) of the picture; nothing where one is not finite."""
     if np.isfinite([start, stop]).all():
         a, b = to_fixed_point(start), to_fixed_point(stop)
         cv2.line(picture, (a[0], a[1]), (b[0], b[1]), color, thickness, cv2.LINE_AA, SUBPIXEL_BITS)
 
 
 def draw_dots(picture: Picture, points: Array, color: Color, radius: float) -> None:
-    """Filled circles at ``points`` (M, 2)."""
+    """Draws filled circles at ``points`` (M, 2), except those that are not finite."""
     for point in points[np.isfinite(points).all(axis=1)]:
         x, y = to_fixed_point(point)
         cv2.circle(picture, (x, y), round(radius * (1 << SUBPIXEL_BITS)), color, cv2.FILLED, cv2.LINE_AA, SUBPIXEL_BITS)
 
 
 def scale_points(points: Array, scale: float) -> Array:
-    """Pixels of a picture magnified by ``scale``; the pixels' edges, not their centres, keep their place at zero."""
+    """``points`` in a picture magnified by ``scale``; pixel edges, not centres, scale about zero."""
     return (points + 0.5) * scale - 0.5
 
 
 def to_fixed_point(point: Array) -> tuple[int, int]:
-    """A finite point (2,) in OpenCV's fixed-point coordinates."""
+    """A finite point (2,) in OpenCV's fixed-point coordinates, SUBPIXEL_BITS fractional bits."""
     x, y = np.clip(point, -1e5, 1e5) * (1 << SUBPIXEL_BITS)
     return round(float(x)), round(float(y))

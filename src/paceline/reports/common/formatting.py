@@ -1,4 +1,4 @@
-"""How a measurement reads: numbers with as many digits as their uncertainty deserves, and plain advice."""
+"""Formats measurements as text: numbers with as many digits as their uncertainty allows, verdicts, and advice."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pages from templates: self-contained, and safe whatever a person's files hold."""
+"""Renders self-contained HTML pages from templates; all text is escaped."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from paceline.reports.common.tables import to_json_value
 
 
 def render(template: str, **values: object) -> str:
-    """The page that ``template`` makes of ``values``; pictures go into it as data, everything else is escaped."""
+    """Renders ``template`` with ``values``; the filters jpeg and svg embed images, all other values are escaped."""
     templates = Environment(
         loader=PackageLoader("paceline.reports"),
         autoescape=True,

@@ -1,4 +1,4 @@
-"""The output of a command, a folder or a few files: whole or absent, never half written."""
+"""Writes the output of a command, a folder or a few files, atomically: all of it or none."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from types import FrameType, TracebackType
 
 from paceline.errors import UnusableInput
 
-# An error without a file name is taken as the output's when only writing can have caused it.
+# Errors without a file name that only writing can have caused.
 WRITE_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG}
 
 
@@ -67,7 +67,7 @@ class OutputFolder:
             self._clean_up()
 
     def _clean_up(self) -> None:
-        """Takes away what is not put in place."""
+        """Removes what has not been moved to the target."""
         shutil.rmtree(self._partial, ignore_errors=True)
         self._remove_created()
 
@@ -76,7 +76,7 @@ class OutputFolder:
             self._partial.rename(self.out)
             return
         files = [p.relative_to(self._partial) for p in sorted(self._partial.rglob("*")) if p.is_file()]
-        for file in files:  # all obstacles are found before the first file is replaced
+        for file in files:  # obstacles are found before the first file is replaced
             if (self.out / file).is_dir():
                 raise IsADirectoryError(errno.EISDIR, "a folder is in the way", str(self.out / file))
             if any((self.out / folder).is_file() for folder in file.parents):
@@ -97,7 +97,7 @@ class OutputFolder:
         for folder in reversed(self._created):
             try:
                 folder.rmdir()
-            except OSError:  # someone else uses it by now
+            except OSError:  # it is in use
                 return
 
 
@@ -117,13 +117,13 @@ def write_all_or_none(contents: dict[Path, bytes]) -> None:
         raise UnusableInput(f"{first}: cannot be written ({error.strerror})") from error
     finally:
         for path in partial.values():
-            with suppress(OSError):  # most often it was put in place
+            with suppress(OSError):  # usually it has been moved
                 path.unlink()
 
 
 @contextmanager
 def _defer_interrupts() -> Iterator[None]:
-    """Holds back Ctrl-C and termination for the few milliseconds in which files change places."""
+    """Defers Ctrl-C and termination while files are being replaced."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

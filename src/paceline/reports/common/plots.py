@@ -1,4 +1,4 @@
-"""How plots are made and look, on paper and on a page."""
+"""Makes plots in one style, as PNG and as SVG for light and dark pages."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 import matplotlib
 from matplotlib.figure import Figure
 
-# Colours that stay apart for colour-blind readers, after Okabe and Ito.
+# Colours that colour-blind readers can distinguish, after Okabe and Ito.
 INK_COLOR, MUTED_COLOR, GRID_COLOR = "#1f2933", "#66727f", "#dfe4ea"
 FILTER_COLOR, REFINED_COLOR, INTERVAL_COLOR = "#5b8db8", "#c2500a", "#e8a33d"
 VEHICLE_COLORS = [
@@ -22,7 +22,7 @@ VEHICLE_COLORS = [
     "#c99700",
     "#5fb0dd",
 ]  # on white, black and pictures alike
-# What the colours become for a reader with a dark setting.
+# The same colours on dark pages.
 DARK_THEME = {
     INK_COLOR: "#e6eaee",
     MUTED_COLOR: "#9aa6b2",
@@ -63,7 +63,7 @@ PLOT_STYLE: dict[Any, Any] = {
 
 @dataclass(frozen=True)
 class Plot:
-    """One drawing: ``png`` for a file, ``svg`` for the page (light and dark)."""
+    """One plot: ``png`` for a file, ``svg`` for the page (light and dark)."""
 
     name: str
     description: str
@@ -72,19 +72,19 @@ class Plot:
 
 
 def make_plot(name: str, description: str, size: tuple[float, float], draw: Callable[[Figure], None]) -> Plot:
-    """What ``draw`` puts onto a figure of ``size`` (inches), in the style of all plots."""
+    """The plot that ``draw`` makes on a figure of ``size`` (inches), in PLOT_STYLE."""
     with matplotlib.rc_context(PLOT_STYLE):
         figure = Figure(figsize=size, layout="constrained")
         draw(figure)
         png, svg = io.BytesIO(), io.StringIO()
         figure.savefig(png, format="png", dpi=140, facecolor="white", metadata={"Software": None})
-        figure.set_layout_engine("none")  # the layout stands; finding it again would cost as much as drawing
+        figure.set_layout_engine("none")  # computing the layout again would cost as much as drawing
         figure.savefig(svg, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
     return Plot(name, description, png.getvalue(), _themed(svg.getvalue()))
 
 
 def _themed(svg: str) -> str:
-    """``svg`` with the theme's colours as variables that follow the reader's light or dark setting."""
+    """``svg`` with colours as CSS variables that follow the reader's light or dark setting."""
     names = {color: f"--c{i}" for i, color in enumerate(DARK_THEME)}
     svg = re.sub("|".join(DARK_THEME), lambda found: f"var({names[found[0]]})", svg)
     light = ";".join(f"{names[color]}:{color}" for color in DARK_THEME)

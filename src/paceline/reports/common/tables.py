@@ -1,4 +1,4 @@
-"""Results as data: cells of a table, and JSON."""
+"""Formats results as data: cells of a table, and JSON."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ def write_json(document: dict[str, object], file: Path) -> None:
 
 
 def json_text(document: dict[str, object]) -> str:
-    """``document`` as JSON for people too; what is not finite becomes null."""
+    """``document`` as indented JSON; numbers that are not finite become null."""
     return json.dumps(to_json_value(document), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def to_json_value(value: object) -> object:
-    """``value`` with only what JSON knows; numbers that are not finite become null."""
+    """``value`` converted to JSON types; numbers that are not finite become null."""
     if isinstance(value, Mapping):
         return {str(key): to_json_value(item) for key, item in value.items()}
     if isinstance(value, np.ndarray):

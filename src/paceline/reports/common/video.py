@@ -1,4 +1,4 @@
-"""An H.264 video written picture by picture with the pictures' own times."""
+"""Writes an H.264 video picture by picture, with the time stamps of the pictures."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from paceline.verdicts import message
 TICKS_PER_S = 60000  # time stamps per second; MPEG-4 allows 65535
 H264_CODECS = ["libx264", "libopenh264"]  # both write H.264, which browsers play
 FALLBACK_CODEC = "mpeg4"
-FALLBACK_BIT_RATE = 8_000_000  # for encoders that know no constant quality
+FALLBACK_BIT_RATE = 8_000_000  # for encoders without constant quality
 
 
 class VideoWriter:
     """Writes an MP4 file; all pictures have the first one's size, which is even in both directions.
 
     With ``fragmented`` the file's index does not grow in memory with its length, at the price of slower seeking.
-    ``notices`` says so where no H.264 encoder is at hand and the video is MPEG-4 instead.
+    ``notices`` has a note where no H.264 encoder is available and the video is MPEG-4 instead.
     """
 
     def __init__(self, file: Path, step: float, crf: int = 20, fragmented: bool = False) -> None:

@@ -87,7 +87,7 @@ def _speed_columns(passage: Passage, unit: str) -> dict[str, str]:
 
 
 def _pictures(vehicles: Sequence[Passage], folder: Path, unit: str) -> list[dict[str, Any]]:
-    """The pictures of ``vehicles``, the latest first."""
+    """The pictures of ``vehicles``, latest first."""
     found = []
     for vehicle in reversed(vehicles):
         with suppress(OSError):  # it has been removed

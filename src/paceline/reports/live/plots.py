@@ -14,8 +14,8 @@ from paceline.reports.speed.tables import summary_column
 from paceline.units import convert
 
 Vehicles = Sequence[dict[str, object]]  # as summary.json has them
-MINUTES_AXIS_FROM_S = 600.0  # s, from which on time is shown in minutes
-MAX_DRAWN_INTERVALS = 400  # vehicles, from which on intervals would only blacken the plot
+MINUTES_AXIS_FROM_S = 600.0  # longer time axes are in minutes
+MAX_DRAWN_INTERVALS = 400  # more intervals would blacken the plot
 
 
 def speeds_plot(vehicles: Vehicles, unit: str) -> Plot:

@@ -32,16 +32,16 @@ from paceline.units import format_speed
 Grey = NDArray[np.uint8]  # (H, W)
 
 MAX_VIDEO_WIDTH_PX = 1920
-HEADER_HEIGHT_PX = 40  # height of the strip above the pictures, pixels
+HEADER_HEIGHT_PX = 40  # of the strip above the views
 
 PATH_COLOR: Color = (240, 226, 180)
 LOST_COLOR: Color = (190, 190, 190)
-OUTSIDE_GREY_LEVEL = 96  # grey level in stills, outside the picture
+OUTSIDE_GREY_LEVEL = 96  # in stills, outside the image
 PARTICLE_COLOR: Color = (90, 220, 250)
 
-STILL_SIZE_PX = (400, 300)  # width and height, pixels
+STILL_SIZE_PX = (400, 300)  # width and height
 STILL_OUTLINE_WIDTHS = 2.2  # width of a still in widths of the outline
-MIN_STILL_WIDTH_PX = 48.0  # pixels of the recording
+MIN_STILL_WIDTH_PX = 48.0  # in pixels of the recording
 PARTICLE_RADIUS_PX = 9 / 16  # px
 PARTICLE_OPACITY = 0.6
 
@@ -68,7 +68,7 @@ def write_overlay(
     """Writes the overlay video in one pass over ``recording`` and returns a few stills of every vehicle.
 
     The frames keep the recording's presentation times. ``colors`` gives each vehicle's colour as ``#rrggbb``. A notice
-    says so where no H.264 encoder is at hand and the video is MPEG-4 instead.
+    says so where no H.264 encoder is available and the video is MPEG-4 instead.
     """
     layers = [_Layer(m, _parse_color(colors[m.vehicle])) for m in result.measurements]
     overlay = Overlay({layer.track.vehicle: [] for layer in layers})
@@ -87,7 +87,7 @@ def write_overlay(
 
 
 class _Layer:
-    """What is drawn for one vehicle."""
+    """The drawing of one vehicle."""
 
     def __init__(self, measurement: Measurement, color: Color) -> None:
         self.measurement = measurement
@@ -123,7 +123,7 @@ def _draw(result: ClipResult, layers: list[_Layer], frame: StereoFrame, views: t
         draw_text(canvas, name, (x + 14, 27), 17, (200, 190, 180))
         x += panel.shape[1]
     canvas[:, panels[0].shape[1] - 1 : panels[0].shape[1] + 1] = DARK_BGR
-    note = "   repeated picture" if frame.duplicate else ""
+    note = "   repeated frame" if frame.duplicate else ""
     draw_text(canvas, f"frame {frame.index}   {frame.time:.3f} s{note}", (80, 27), 17, WHITE_BGR)
     return pad_to_even(canvas)
 

@@ -24,7 +24,7 @@ MAX_DOTTED_FRAMES = 80
 
 
 def vehicle_plots(measurement: Measurement, unit: str, color: str) -> list[Plot]:
-    """Speed, depth, and the filter's health over time; speeds in ``unit``."""
+    """Speed, depth, particle spread and effective sample size over time; speeds in ``unit``."""
     name, track = measurement.vehicle, measurement.track
     wide, half = (9.4, 3.5), (4.6, 3.0)
     return [
@@ -74,7 +74,7 @@ def _draw_speed(figure: Figure, measurement: Measurement, unit: str) -> None:
 
 
 def _limit_y(axes: Axes, visible: Array, lower: Array, upper: Array) -> None:
-    """Shows ``visible`` and most of the band between ``lower`` and ``upper``, however wide it begins."""
+    """Shows ``visible`` and most of the band between ``lower`` and ``upper``, which is often wide at its beginning."""
     values = np.concatenate([visible, *(_central_values(edge) for edge in (lower, upper))])
     values = values[np.isfinite(values)]
     if len(values):
@@ -129,7 +129,7 @@ def _draw_plan(figure: Figure, result: ClipResult, colors: dict[str, str]) -> No
 
 
 def _draw_frames(axes: Axes, x: Array, y: Array, color: str, label: str | None = None) -> None:
-    """A line with a dot per frame while dots can be told apart."""
+    """A line, with a dot per frame for at most MAX_DOTTED_FRAMES."""
     axes.plot(x, y, color=color, lw=1.4, marker="o" if len(x) <= MAX_DOTTED_FRAMES else "", ms=3, label=label)
 
 

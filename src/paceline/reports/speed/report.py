@@ -1,4 +1,4 @@
-"""Writes everything that a measurement leaves behind."""
+"""Writes the report of a measurement: tables, plots, overlay and page."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from paceline.speed.results import ClipResult
 def write_report(result: ClipResult, recording: StereoRecording, out: str | Path, unit: str = "mph") -> ClipResult:
     """Writes tables, plots, overlay and page into the folder ``out``, whole or not at all.
 
-    ``unit`` (mph, km/h or m/s) is what people are shown; data files are in SI units. Returns ``result`` with any
+    ``unit`` (mph, km/h or m/s) is that of the report; data files are in SI units. Returns ``result`` with any
     notice that came up on the way. Raises UnusableInput when ``out`` cannot be written.
     """
     with OutputFolder(out) as folder:
@@ -46,7 +46,7 @@ def write_files(result: ClipResult, recording: StereoRecording, folder: Path, un
 
 
 def _file_stems(vehicles: list[str]) -> list[str]:
-    """A file name for each vehicle: its id with what file systems dislike replaced, numbered where two would clash."""
+    """A file name for each vehicle: its id with unsafe characters replaced, numbered where two would clash."""
     stems: list[str] = []
     for vehicle in vehicles:
         plain = re.sub(r"[^\w.-]+", "_", vehicle).strip("._")[:60] or "vehicle"

@@ -54,10 +54,10 @@ def write_summary(result: ClipResult, file: Path) -> None:
 
 
 def vehicle_summary(measurement: Measurement) -> dict[str, object]:
-    """What summary.json says of one vehicle."""
+    """The entry of one vehicle in summary.json."""
     return measurement.summary()
 
 
 def summary_column(vehicles: Sequence[Mapping[str, object]], key: str) -> Array:
-    """The numbers (V,) that `vehicle_summary` gives to the ``key``."""
+    """The values (V,) of one ``key`` of `vehicle_summary`, for all ``vehicles``."""
     return np.array([vehicle[key] for vehicle in vehicles], float)
