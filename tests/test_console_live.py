@@ -149,10 +149,10 @@ def test_only_known_settings_reach_a_live_run() -> None:
         "line",
         "--units",
         "km/h",
-        "--learn",
+        "--background-seconds",
         "12.5",
     ]
-    assert command_options(LIVE_RUN, {"tolerance": 0.5}) == ["--tolerance", "0.5"]
+    assert command_options(LIVE_RUN, {"tolerance": 0.5}) == ["--max-half-width", "0.5"]
     for tolerance in (0, -1, "1", float("nan")):
         with pytest.raises(UnusableInput):
             command_options(LIVE_RUN, {"tolerance": tolerance})
@@ -291,7 +291,7 @@ def test_a_live_run_is_watched_and_leaves_a_report(tmp_path: Path, monkeypatch: 
     root = tmp_path.resolve() / "clips"
     survey_file(root / "road")
     library = Library(root)
-    run = library.runs.start("road", LIVE_RUN, ["--learn", "4"])
+    run = library.runs.start("road", LIVE_RUN, ["--background-seconds", "4"])
     frames, doing = set(), set()
     end = time.monotonic() + 180
     while (now := library.runs.get("road", 1)) is not None and now.active:
@@ -324,7 +324,7 @@ def test_a_live_run_that_is_killed_holds_nothing_up(tmp_path: Path, monkeypatch:
     root = tmp_path.resolve() / "clips"
     survey_file(root / "road")
     library = Library(root)
-    run = library.runs.start("road", LIVE_RUN, ["--learn", "4"])
+    run = library.runs.start("road", LIVE_RUN, ["--background-seconds", "4"])
     out = library.runs.out(run)
     until(lambda: (out / "summary.json").is_file() and bool(read_summary(out)["vehicles"]))
     process = library.runs._process

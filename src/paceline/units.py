@@ -8,6 +8,7 @@ from typing import overload
 
 from paceline.arrays import Array
 
+MPS_PER_MPH, MPS_PER_KMH = 0.44704, 1 / 3.6  # exact by definition
 COVERAGE_95 = 1.96  # standard deviations on each side of the 95 % interval of a normal distribution
 
 
@@ -19,7 +20,7 @@ class SpeedUnit(StrEnum):
     @property
     def mps(self) -> float:
         """One of this unit in m/s, exact by definition."""
-        return {SpeedUnit.MPH: 0.44704, SpeedUnit.KMH: 1 / 3.6, SpeedUnit.MPS: 1.0}[self]
+        return {SpeedUnit.MPH: MPS_PER_MPH, SpeedUnit.KMH: MPS_PER_KMH, SpeedUnit.MPS: 1.0}[self]
 
 
 def parse_unit(text: str) -> SpeedUnit:

@@ -23,14 +23,13 @@ from paceline.simulation.vehicle_catalogue import (
     RAYTRACED_KINDS,
     TRAFFIC_SHARES,
 )
+from paceline.units import MPS_PER_KMH, MPS_PER_MPH
 
-MPH = 0.44704
 FRAME_RATES_HZ = (5.0, 7.5, 10.0, 12.5, 15.0, 20.0, 25.0, 30.0)
 IMAGE_SIZES = ((1024, 768), (1280, 720), (1280, 960), (1440, 1080))
 
 # of those that are ray-traced
-KMH = 1 / 3.6
-MIN_RAYTRACED_SPEED_MPS, MAX_RAYTRACED_SPEED_MPS = 15 * KMH, 130 * KMH
+MIN_RAYTRACED_SPEED_MPS, MAX_RAYTRACED_SPEED_MPS = 15 * MPS_PER_KMH, 130 * MPS_PER_KMH
 MIN_VISIBLE_FRAMES = 8  # frames in which a vehicle is inside both pictures
 MIN_RAYTRACED_DISTANCE_M, MAX_RAYTRACED_DISTANCE_M = 10.0, 90.0  # m from the cameras
 RAYS_PER_PIXEL = 64  # rays per pixel of a vehicle; of 16 the noise on glossy paint is several times the sensor's
@@ -43,7 +42,7 @@ def random_scene(seed: int, *, vehicle: dict[str, Any] | None = None, **override
     ``overrides`` fix fields of `Scene`, and ``vehicle`` fields of its `Vehicle`; the rest is drawn to suit them.
     Raises ValueError where nothing suits them.
     """
-    return _draw_suitable_scene(seed, _propose_approach, MPH * 5, MPH * 130, vehicle or {}, overrides)
+    return _draw_suitable_scene(seed, _propose_approach, MPS_PER_MPH * 5, MPS_PER_MPH * 130, vehicle or {}, overrides)
 
 
 def random_crossing(seed: int, *, vehicle: dict[str, Any] | None = None, **overrides: Any) -> Scene:
@@ -51,7 +50,7 @@ def random_crossing(seed: int, *, vehicle: dict[str, Any] | None = None, **overr
 
     Overrides and errors as for `random_scene`.
     """
-    return _draw_suitable_scene(seed, _propose_crossing, MPH * 10, MPH * 60, vehicle or {}, overrides)
+    return _draw_suitable_scene(seed, _propose_crossing, MPS_PER_MPH * 10, MPS_PER_MPH * 60, vehicle or {}, overrides)
 
 
 Proposal = Callable[[int, np.random.Generator, float, dict[str, Any]], Scene]

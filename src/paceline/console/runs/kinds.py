@@ -30,6 +30,6 @@ def command_arguments(kind: str, file: str, where: Path) -> list[str]:
     if kind == LANES_RUN:
         return ["lanes", file, "-o", str(where / "site.yaml")]
     if kind == VEHICLES_RUN:  # adds vehicles to the clip.yaml itself
-        return ["vehicles", file, "--write"]
+        return ["vehicles", file, "--in-place"]
     live = ["--live"] if kind == LIVE_RUN else []
     return [FOLLOW_RUN if kind == FOLLOW_RUN else SPEED_RUN, file, "-o", str(where / "out"), *live]

@@ -14,6 +14,7 @@ from paceline.units import SpeedUnit, convert, parse_unit
 
 MOTION_NAMES: tuple[str, ...] = get_args(Motion)
 UNIT_NAMES = tuple(unit.value for unit in SpeedUnit)
+OPTION_NAMES = {"tolerance": "--max-half-width", "learn": "--background-seconds"}  # where a setting is named otherwise
 
 
 def setting_range(name: str) -> tuple[float | None, float | None]:
@@ -41,7 +42,7 @@ def command_options(kind: str, given: dict[str, Any]) -> list[str]:
         first = error.errors()[0]
         raise UnusableInput(f"{first['loc'][0]}: {first['msg'].replace('Input should be', 'expected')}") from error
     texts = {name: f"{value:g}" if name in ("tolerance", "learn") else str(value) for name, value in chosen.items()}
-    return [argument for name, text in texts.items() for argument in (f"--{name}", text)]
+    return [argument for name, text in texts.items() for argument in (OPTION_NAMES.get(name, f"--{name}"), text)]
 
 
 def convert_tolerance(tolerance: float, before: str, unit: str) -> float:

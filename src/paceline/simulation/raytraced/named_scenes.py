@@ -11,8 +11,7 @@ from collections.abc import Callable
 from typing import Any
 
 from paceline.simulation.raytraced.scene_yaml import FollowScene, SpeedScene
-
-MPH, KMH = 0.44704, 1 / 3.6
+from paceline.units import MPS_PER_MPH
 
 RECORDED_RIG: dict[str, Any] = {"image_size": [1280, 960], "focal": 2600.0}
 SPARSE_SCENERY: dict[str, Any] = {"trees": 0.3, "poles": 0.3, "buildings": 0.2}
@@ -26,7 +25,7 @@ def _make_rig(
 
 
 def _oncoming_vehicle(start: float, mph: float, **more: Any) -> dict[str, Any]:
-    return {"id": "v0", "start": start, "speed": mph * MPH, "lane": 0, "oncoming": True, **more}
+    return {"id": "v0", "start": start, "speed": mph * MPS_PER_MPH, "lane": 0, "oncoming": True, **more}
 
 
 def _speed_document(frames: int, rig: dict[str, Any], vehicles: list[dict[str, Any]], **more: Any) -> dict[str, Any]:
@@ -86,8 +85,9 @@ _SPEED_SCENES: dict[str, tuple[str, Callable[[], dict[str, Any]]]] = {
             12,
             _make_rig(10.0, -9.0, 75.0, 0.0, height=6.0, **RECORDED_RIG),
             [
-                _oncoming_vehicle(105.0, 50, seed=7, initial_speed=55 * MPH),
-                _oncoming_vehicle(112.0, 57, seed=8, kind="van", initial_speed=55 * MPH) | {"id": "v1", "lane": 2},
+                _oncoming_vehicle(105.0, 50, seed=7, initial_speed=55 * MPS_PER_MPH),
+                _oncoming_vehicle(112.0, 57, seed=8, kind="van", initial_speed=55 * MPS_PER_MPH)
+                | {"id": "v1", "lane": 2},
             ],
             road={"lanes": 3, "length": 300.0, "lane_width": 3.7},
         ),
