@@ -435,7 +435,7 @@ class Seen(NamedTuple):
     vehicle: str
     frames: list[int]
     verdict: str = "rejected"
-    rig: None = None
+    rig_information: None = None
 
 
 class Slow:
