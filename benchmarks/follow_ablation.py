@@ -34,7 +34,7 @@ SCENARIOS: dict[str, Callable[[int], dict[str, Any]]] = {
     "plain": lambda seed: CALM,
     "strong shadows": lambda seed: CALM | {"shadows": 1.6, "ambient": 0.28, "sun_azimuth": 2.7 if seed % 2 else -2.7},
     "parallel edges": lambda seed: CALM | {"parallel_share": 1.0, "object_density": 1.6},
-    "shake_px": lambda seed: CALM | {"shake_px": 5.0},
+    "camera shake": lambda seed: CALM | {"shake_px": 5.0},
     "occlusion": lambda seed: CALM | {"occlusions": _crossings(seed)},
     "turned by 10°": lambda seed: CALM | {"yaw": np.radians(10.0 if seed % 2 else -10.0)},
     "everything": lambda seed: {"shadows": 1.3, "parallel_share": 0.7, "shake_px": 4.0, "occlusions": _crossings(seed)},

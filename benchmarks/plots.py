@@ -85,7 +85,7 @@ def speed() -> Figure:
 def intervals() -> Figure:
     """Errors beside the half-widths of their 95 % intervals; below the line the interval holds."""
     figure, axes = plt.subplots(figsize=(6, 5), layout="constrained")
-    clips = rows("worlds", "suite 1, clip by clip")
+    clips = rows("raytraced", "suite 1, clip by clip")
     kinds = [("calibrated", "C0"), ("rig not as stated", "C1")]
     for (name, colour), off in zip(kinds, (False, True), strict=True):
         for measured, face in ((True, colour), (False, "none")):

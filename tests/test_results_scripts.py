@@ -23,7 +23,7 @@ SCRIPTS = sorted(
     f"{folder}.{file.stem}"
     for folder in ("zhu2012", "nist1993")
     for file in (BENCHMARKS / folder).glob("*.py")
-    if "\nITEM = " in file.read_text(encoding="utf-8")
+    if "\nREPRODUCTION = " in file.read_text(encoding="utf-8")
 )
 RESULTS: dict[str, Any] = json.loads((ROOT / "docs" / "results.json").read_text(encoding="utf-8"))
 TEXT = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
@@ -47,7 +47,7 @@ def writer() -> ModuleType:
 def test_every_script_makes_an_item_and_can_be_run(
     name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    item = importlib.import_module(name).ITEM
+    item = importlib.import_module(name).REPRODUCTION
     assert item.script == name
     monkeypatch.setattr(sys, "argv", [name, "--help"])
     monkeypatch.delitem(sys.modules, name)  # or it would be said to be run a second time
@@ -58,9 +58,9 @@ def test_every_script_makes_an_item_and_can_be_run(
 
 
 def test_every_script_is_in_the_document(writer: ModuleType) -> None:
-    assert sorted(item.script for item in writer.ITEMS) == SCRIPTS
-    assert len({item.name for item in writer.ITEMS}) == len(writer.ITEMS)
-    for item in writer.ITEMS:
+    assert sorted(item.script for item in writer.REPRODUCTIONS) == SCRIPTS
+    assert len({item.name for item in writer.REPRODUCTIONS}) == len(writer.REPRODUCTIONS)
+    for item in writer.REPRODUCTIONS:
         assert f"### {item.title}\n" in TEXT
         assert f"`{item.command}`" in TEXT
 
@@ -97,7 +97,7 @@ def numbers(value: Any) -> Iterator[float]:
 def test_every_number_in_a_table_was_measured_or_printed_in_the_paper(writer: ModuleType) -> None:
     """Independently of how the text is made: each number of a table, to the digits shown, is one of the item's."""
     checked = 0
-    for item in writer.ITEMS:
+    for item in writer.REPRODUCTIONS:
         if item.name not in RESULTS["items"]:
             continue
         module = importlib.import_module(item.script)
@@ -118,14 +118,14 @@ def test_every_number_in_a_table_was_measured_or_printed_in_the_paper(writer: Mo
 
 def test_the_pictures_are_there_and_small(writer: ModuleType) -> None:
     folder = writer.PICTURES
-    expected = {name for item in writer.ITEMS if item.name in RESULTS["items"] for name in item.pictures}
+    expected = {name for item in writer.REPRODUCTIONS if item.name in RESULTS["items"] for name in item.pictures}
     assert {file.name for file in folder.iterdir()} == expected
     assert set(re.findall(r"\]\(images/results/([^)]+)\)", TEXT)) == expected
     assert sum(file.stat().st_size for file in folder.iterdir()) < LARGEST
 
 
 def test_numbers_that_went_stale_are_computed_anew(writer: ModuleType, tmp_path: Path, monkeypatch: Any) -> None:
-    items = importlib.import_module("zhu2012.items")
+    items = importlib.import_module("zhu2012.reproductions")
     monkeypatch.setattr(items, "BUILD", tmp_path)
     calls: list[int] = []
 
@@ -134,7 +134,7 @@ def test_numbers_that_went_stale_are_computed_anew(writer: ModuleType, tmp_path:
         return {"shown": {"n": len(calls)}, "drawn": {}}
 
     def item(**settings: Any) -> Any:
-        return items.Item("one", "none", "none", compute, str, settings=settings, rooms=())
+        return items.Reproduction("one", "none", "none", compute, str, settings=settings, rooms=())
 
     assert item(a=1).up_to_date()["shown"] == {"n": 1}
     assert item(a=1).up_to_date()["shown"] == {"n": 1}
@@ -144,17 +144,17 @@ def test_numbers_that_went_stale_are_computed_anew(writer: ModuleType, tmp_path:
 
 def test_changed_words_leave_the_numbers_and_changed_settings_do_not(writer: ModuleType) -> None:
     """Of items whose parts are written once for several scripts: what only shows is no part of the key."""
-    item = importlib.import_module("zhu2012.figures_5_6").ITEM
+    item = importlib.import_module("zhu2012.figures_5_6").REPRODUCTION
     computing = item._computing()
     assert "def compute(" in computing and "all_methods" in computing
     assert "def text(" not in computing and "def draw(" not in computing
-    others = [importlib.import_module(f"zhu2012.{name}").ITEM for name in ("figures_8_9", "figures_10_11")]
+    others = [importlib.import_module(f"zhu2012.{name}").REPRODUCTION for name in ("figures_8_9", "figures_10_11")]
     assert all(other.settings != item.settings for other in others)
 
 
 def test_what_is_not_run_stays_as_committed(writer: ModuleType, tmp_path: Path, monkeypatch: Any) -> None:
     """A clone has no cached numbers; an item of other settings than those committed has none at all."""
-    monkeypatch.setattr(importlib.import_module("zhu2012.items"), "BUILD", tmp_path)
+    monkeypatch.setattr(importlib.import_module("zhu2012.reproductions"), "BUILD", tmp_path)
     monkeypatch.setattr(writer, "PICTURES", tmp_path)
     name, other = list(RESULTS["items"])[:2]
     changed = {"items": RESULTS["items"] | {name: RESULTS["items"][name] | {"settings": {"particles": 1}}}}

@@ -9,7 +9,7 @@ from common import head, row
 from follow_ablation import CALM
 from matplotlib.figure import Figure
 from zhu2012 import drawing
-from zhu2012.items import Numbers, image, run_alone
+from zhu2012.reproductions import Numbers, image, run_alone
 
 from nist1993 import scenes
 from paceline.follow.configuration import FollowConfiguration
@@ -69,7 +69,7 @@ def draw(numbers: Numbers, folder: Path) -> None:
     drawing.plot(folder / "nist-decay.svg", (7.0, 4.0), curves)
 
 
-ITEM = scenes.item("decay", "section 4: the decay's trade-off", SETTINGS, compute, text, draw, "nist-decay.svg")
+REPRODUCTION = scenes.item("decay", "section 4: the decay's trade-off", SETTINGS, compute, text, draw, "nist-decay.svg")
 
 if __name__ == "__main__":
-    run_alone(ITEM)
+    run_alone(REPRODUCTION)

@@ -9,7 +9,7 @@ import numpy as np
 from common import head, row
 from follow_ablation import SCENARIOS, remedies
 from zhu2012 import drawing
-from zhu2012.items import Numbers, image, run_alone
+from zhu2012.reproductions import Numbers, image, run_alone
 
 from nist1993 import scenes
 from paceline.follow.configuration import FollowConfiguration
@@ -79,11 +79,11 @@ def text(shown: Numbers) -> str:
 
 def draw(numbers: Numbers, folder: Path) -> None:
     sheet = []
-    for scenario, state in numbers["drawn"].items():
-        wanted, views = {f["frame"]: f for f in state["frames"]}, []
+    for scenario, moment in numbers["drawn"].items():
+        wanted, views = {f["frame"]: f for f in moment["frames"]}, []
         if not wanted:
             continue
-        for picture, truth, _ in scenes.followed(_scene(scenario, state["seed"]), {}):
+        for picture, truth, _ in scenes.followed(_scene(scenario, moment["seed"]), {}):
             if truth.frame not in wanted:
                 continue
             one = wanted[truth.frame]
@@ -98,9 +98,9 @@ def draw(numbers: Numbers, folder: Path) -> None:
     drawing.save(folder / "nist-failures.webp", drawing.montage(sheet))
 
 
-ITEM = scenes.item(
+REPRODUCTION = scenes.item(
     "failures", "section 4: shadows and parallel edges", SETTINGS, compute, text, draw, "nist-failures.webp"
 )
 
 if __name__ == "__main__":
-    run_alone(ITEM)
+    run_alone(REPRODUCTION)

@@ -9,7 +9,7 @@ import numpy as np
 from common import head, row
 from matplotlib.figure import Figure
 from zhu2012 import drawing
-from zhu2012.items import Item, Numbers, image, run_alone
+from zhu2012.reproductions import Numbers, Reproduction, image, run_alone
 
 from paceline.simulation.closed_loop.drive_yaml import resolve_drive
 from paceline.simulation.closed_loop.loop import ClosedLoop
@@ -93,17 +93,17 @@ def draw(numbers: Numbers, folder: Path) -> None:
     drawing.plot(folder / "nist-long.svg", (8.0, 5.0), lines)
 
 
-ITEM = Item(
+REPRODUCTION = Reproduction(
     name="nist-long",
     script="nist1993.long_run",
     title="[NIST] section 4: 17 minutes",
     compute=compute,
     text=text,
     draw=draw,
-    render=("nist-long.svg",),
+    pictures=("nist-long.svg",),
     settings=SETTINGS,
     rooms=("follow", "simulation/driving"),
 )
 
 if __name__ == "__main__":
-    run_alone(ITEM)
+    run_alone(REPRODUCTION)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from common import head, row
 from follow import operators_start
-from zhu2012.items import Numbers, run_alone
+from zhu2012.reproductions import Numbers, run_alone
 
 from nist1993 import scenes
 from paceline.follow.configuration import FollowConfiguration
@@ -24,10 +24,10 @@ def compute() -> Numbers:
     spent: dict[str, list[float]] = {name: [] for name in CONFIGURATIONS}
     for seed in SETTINGS["seeds"]:
         scene = random_chase(seed, frames=SETTINGS["frames"])
-        renderer = list(render_frames(scene))  # beforehand: rendering between two frames would empty the caches
+        frames = list(render_frames(scene))  # beforehand: rendering between two frames would empty the caches
         for name, configuration in CONFIGURATIONS.items():
-            tracker = FollowTracker(scene.camera, *operators_start(scene, renderer[0][1]), configuration)
-            for image, truth in renderer:
+            tracker = FollowTracker(scene.camera, *operators_start(scene, frames[0][1]), configuration)
+            for image, truth in frames:
                 pose = Pose(truth.x, truth.y, truth.heading)
                 spent[name].append(1e3 * tracker.update(image, truth.time, truth.frame, pose).latency)
     shown = {
@@ -51,7 +51,7 @@ def text(shown: Numbers) -> str:
     return "\n".join(lines)
 
 
-ITEM = scenes.item("rate", "section 3: rate and delay", SETTINGS, compute, text)
+REPRODUCTION = scenes.item("rate", "section 3: rate and delay", SETTINGS, compute, text)
 
 if __name__ == "__main__":
-    run_alone(ITEM)
+    run_alone(REPRODUCTION)

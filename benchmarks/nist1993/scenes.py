@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from follow import OFF_PLACE, OFF_RANGE, SEEN, operators_start
 from numpy.typing import NDArray
-from zhu2012.items import Item, Numbers
+from zhu2012.reproductions import Numbers, Reproduction
 
 from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.results import FollowEstimate
@@ -30,16 +30,16 @@ def item(
     draw: Callable[[Numbers, Path], None] | None = None,
     picture: str | None = None,
     rooms: tuple[str, ...] = ("follow",),
-) -> Item:
-    """An item with one ``render`` or none, whose numbers hang on the ``rooms`` of the package and on this module."""
-    return Item(
+) -> Reproduction:
+    """An item with one ``picture`` or none, whose numbers hang on the ``rooms`` of the package and on this module."""
+    return Reproduction(
         name=f"nist-{script}",
         script=f"nist1993.{script}",
         title=f"[NIST] {title}",
         compute=compute,
         text=text,
         draw=draw,
-        render=() if picture is None else (picture,),
+        pictures=() if picture is None else (picture,),
         settings=settings,
         rooms=rooms,
         helpers=(sys.modules[__name__],),

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from common import head, row
 from zhu2012 import drawing
-from zhu2012.items import Numbers, image, run_alone
+from zhu2012.reproductions import Numbers, image, run_alone
 
 from nist1993 import scenes
 from paceline.follow.configuration import FollowConfiguration
@@ -123,7 +123,9 @@ def draw(numbers: Numbers, folder: Path) -> None:
     drawing.save(folder / "nist-stages.webp", drawing.montage([sheet[:2], sheet[2:]]))
 
 
-ITEM = scenes.item("stages", "figure 1: the stages on one frame", SETTINGS, compute, text, draw, "nist-stages.webp")
+REPRODUCTION = scenes.item(
+    "stages", "figure 1: the stages on one frame", SETTINGS, compute, text, draw, "nist-stages.webp"
+)
 
 if __name__ == "__main__":
-    run_alone(ITEM)
+    run_alone(REPRODUCTION)

@@ -10,7 +10,7 @@ import numpy as np
 from common import head, row
 from follow import operators_start
 from zhu2012 import drawing
-from zhu2012.items import Numbers, image, run_alone
+from zhu2012.reproductions import Numbers, image, run_alone
 
 from nist1993 import scenes
 from paceline.reports.common.drawing import DARK_BGR, draw_line, draw_text, scale_points
@@ -73,7 +73,7 @@ def draw(numbers: Numbers, folder: Path) -> None:
     drawing.save(folder / "nist-target.webp", drawing.montage([[v[0] for v in views]]))
 
 
-ITEM = scenes.item(
+REPRODUCTION = scenes.item(
     "target",
     "figures 2 and 3: the target and its segments",
     SETTINGS,
@@ -85,4 +85,4 @@ ITEM = scenes.item(
 )
 
 if __name__ == "__main__":
-    run_alone(ITEM)
+    run_alone(REPRODUCTION)

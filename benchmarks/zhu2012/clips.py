@@ -19,7 +19,7 @@ from paceline.speed.filter.estimate import Estimate
 from paceline.speed.filter.tracker import Tracker
 from paceline.speed.geometry.path_reconstruction import path_from_document
 from paceline.speed.geometry.paths import Path
-from zhu2012.items import clip_folder
+from zhu2012.reproductions import clip_folder
 
 BEYOND = 30.0  # m by which the true way is carried on straight at both ends
 
@@ -38,7 +38,7 @@ class Loaded:
         """The first guess of every vehicle's speed ``factor`` times the true one."""
         return replace(self, clip=guessed(self.clip, factor, self.truth))
 
-    def without_hand(self) -> Loaded:
+    def without_noise(self) -> Loaded:
         """As if the operator had drawn without error: the true way as path, the true outline."""
         paths, vehicles = {}, []
         for v in self.clip.vehicles:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from zhu2012 import clips, figures, methods
-from zhu2012.items import Item, Numbers, image
+from zhu2012.reproductions import Numbers, Reproduction, image
 
 BESIDE_SPEED = {"depth": "error of the depth", "turn": "angular velocity"}  # the second panel of the plot over time
 
@@ -24,13 +24,18 @@ class Comparison:
     pictured: tuple[str, ...]
     beside_speed: str
     unconstrained: bool = False
-    hand: bool = True
+    operator_noise: bool = True
 
     def compute(self) -> Numbers:
         s = self.settings
         configuration = clips.as_printed(particles=s["particles"], speed_noise=s["speed_noise"])
         return methods.all_methods(
-            self.scene, configuration, s["guess"], self.baselines, unconstrained=self.unconstrained, hand=self.hand
+            self.scene,
+            configuration,
+            s["guess"],
+            self.baselines,
+            unconstrained=self.unconstrained,
+            operator_noise=self.operator_noise,
         )
 
     @property
@@ -51,10 +56,14 @@ class Comparison:
         figures.tracks(tracks, self.scene, drawn, self.pictured)
         figures.over_time(over_time, drawn, list(drawn["runs"]), ("speed", self.beside_speed))
 
-    def item(self) -> Item:
+    def item(self) -> Reproduction:
         first, second = self.figures
-        chosen = {"baselines": list(self.baselines), "unconstrained": self.unconstrained, "hand": self.hand}
-        return Item(
+        chosen = {
+            "baselines": list(self.baselines),
+            "unconstrained": self.unconstrained,
+            "operator_noise": self.operator_noise,
+        }
+        return Reproduction(
             name=f"figures-{first}-{second}",
             script=f"zhu2012.figures_{first}_{second}",
             title=f"[Zhu] figures {first} and {second}: {self.title}",

@@ -26,14 +26,14 @@ from zhu2012 import (
     figures_14_15,
     figures_16_15,
     first_guess,
-    hand,
+    operator_noise,
     table_1a,
     table_1b,
     table_2a,
     table_2b,
 )
-from zhu2012.items import PICTURES, ROOT, Item, Numbers
-from zhu2012.words import HEADS, INTRODUCTION, WORDS
+from zhu2012.captions import CAPTIONS, HEADINGS, INTRODUCTION
+from zhu2012.reproductions import PICTURES, ROOT, Numbers, Reproduction
 
 DOCUMENT, NUMBERS = ROOT / "docs" / "results.md", ROOT / "docs" / "results.json"
 KEPT = ("settings", "shown", "processor_seconds", "load", "machine")  # of an item's numbers
@@ -44,7 +44,7 @@ MODULES = (
     table_1b,
     table_2a,
     table_2b,
-    hand,
+    operator_noise,
     first_guess,
     figures_5_6,
     figure_7,
@@ -60,7 +60,7 @@ MODULES = (
     decay,
     rate,
 )
-ITEMS: tuple[Item, ...] = tuple(module.ITEM for module in MODULES)
+REPRODUCTIONS: tuple[Reproduction, ...] = tuple(module.REPRODUCTION for module in MODULES)
 
 
 def rounded(value: Any) -> Any:
@@ -76,15 +76,15 @@ def document(results: Numbers) -> str:
     """The whole document, of the numbers in ``results`` and nothing else."""
     parts = ["# Results", INTRODUCTION]
     found = results["items"]
-    for item in ITEMS:
-        if item.name in HEADS:
-            parts.append(HEADS[item.name])
+    for item in REPRODUCTIONS:
+        if item.name in HEADINGS:
+            parts.append(HEADINGS[item.name])
         parts.append(f"### {item.title}")
         if item.name not in found:
             parts += ["Not run for this version of the document.", f"`{item.command}`"]
             continue
         one = found[item.name]
-        parts += [item.text(one["shown"]), WORDS.get(item.name, "")]
+        parts += [item.text(one["shown"]), CAPTIONS.get(item.name, "")]
         parts.append(f"`{item.command}` — {one['processor_seconds']:.0f} processor seconds.")
     spent = sum(one["processor_seconds"] for one in found.values())
     busy = max(one["load"] for one in found.values())
@@ -100,7 +100,7 @@ def run(names: Sequence[str], cached: bool, committed: Numbers) -> Numbers:
     """The results of all items that have any, the named ones brought up to date, the others at least as committed."""
     PICTURES.mkdir(parents=True, exist_ok=True)
     found: Numbers = {}
-    for item in ITEMS:
+    for item in REPRODUCTIONS:
         begun = time.perf_counter()
         wanted = not cached and (not names or item.name in names)
         numbers = item.up_to_date() if wanted else item.cached()
@@ -122,7 +122,7 @@ def run(names: Sequence[str], cached: bool, committed: Numbers) -> Numbers:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="Writes docs/results.md from all items.")
-    parser.add_argument("names", nargs="*", choices=[item.name for item in ITEMS] + [[]], metavar="NAME")
+    parser.add_argument("names", nargs="*", choices=[item.name for item in REPRODUCTIONS] + [[]], metavar="NAME")
     parser.add_argument("--cached", action="store_true", help="run nothing")
     args = parser.parse_args()
     begun = time.perf_counter()
@@ -130,7 +130,10 @@ def main() -> None:
     NUMBERS.write_text(json.dumps(results, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     DOCUMENT.write_text(document(json.loads(NUMBERS.read_text(encoding="utf-8"))), encoding="utf-8")
     size = sum(
-        (PICTURES / name).stat().st_size for item in ITEMS for name in item.pictures if (PICTURES / name).exists()
+        (PICTURES / name).stat().st_size
+        for item in REPRODUCTIONS
+        for name in item.pictures
+        if (PICTURES / name).exists()
     )
     print(f"\n{DOCUMENT}: {time.perf_counter() - begun:.0f} s; pictures {size / 1e6:.2f} MB")
 

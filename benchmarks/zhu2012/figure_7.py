@@ -9,7 +9,7 @@ from common import MPH, head, row
 
 from paceline.speed.filter.likelihood import PartGrid
 from zhu2012 import clips, drawing, figures, methods
-from zhu2012.items import Item, Numbers, image, run_alone
+from zhu2012.reproductions import Numbers, Reproduction, image, run_alone
 
 SCENE = "straight-55"
 SETTINGS: Numbers = {"parts": [4, 10, 16], "particles": 200, "speed_noise": 0.05, "guess": 0.9}
@@ -58,7 +58,7 @@ def draw(numbers: Numbers, folder: Path) -> None:
     drawing.save(folder / "figure-7.webp", drawing.montage(sheet))
 
 
-ITEM = Item(
+REPRODUCTION = Reproduction(
     name="figure-7",
     script="zhu2012.figure_7",
     title="[Zhu] figure 7: parts of the likelihood",
@@ -72,4 +72,4 @@ ITEM = Item(
 )
 
 if __name__ == "__main__":
-    run_alone(ITEM)
+    run_alone(REPRODUCTION)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from zhu2012.comparison import Comparison
-from zhu2012.items import run_alone
+from zhu2012.reproductions import run_alone
 
-ITEM = Comparison(
+REPRODUCTION = Comparison(
     (10, 11),
     "straight road as recorded, 36 mph",
     scene="recorded-straight-36",
@@ -16,4 +16,4 @@ ITEM = Comparison(
 ).item()
 
 if __name__ == "__main__":
-    run_alone(ITEM)
+    run_alone(REPRODUCTION)

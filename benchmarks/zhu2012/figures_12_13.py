@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from zhu2012.comparison import Comparison
-from zhu2012.items import run_alone
+from zhu2012.reproductions import run_alone
 
-ITEM = Comparison(
+REPRODUCTION = Comparison(
     (12, 13),
     "winding road, 28 mph",
     scene="neil-28",
@@ -16,4 +16,4 @@ ITEM = Comparison(
 ).item()
 
 if __name__ == "__main__":
-    run_alone(ITEM)
+    run_alone(REPRODUCTION)

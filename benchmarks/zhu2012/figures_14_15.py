@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from zhu2012 import clips, drawing, figures, methods
-from zhu2012.items import Item, Numbers, image, run_alone
+from zhu2012.reproductions import Numbers, Reproduction, image, run_alone
 
 SCENE = "oh315"
 VEHICLES = ("v0", "v1")
@@ -39,7 +39,7 @@ def draw(numbers: Numbers, folder: Path) -> None:
     drawing.save(folder / "figure-14.webp", drawing.montage(sheet))
 
 
-ITEM = Item(
+REPRODUCTION = Reproduction(
     name="figures-14-15",
     script="zhu2012.figures_14_15",
     title="[Zhu] figures 14 and 15(a): two vehicles, 50 and 57 mph",
@@ -54,4 +54,4 @@ ITEM = Item(
 )
 
 if __name__ == "__main__":
-    run_alone(ITEM)
+    run_alone(REPRODUCTION)

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from zhu2012 import clips, drawing, figures, methods
-from zhu2012.items import Item, Numbers, image, run_alone
+from zhu2012.reproductions import Numbers, Reproduction, image, run_alone
 
 SCENES = ("lane-change-35", "lane-change-30")
 SETTINGS: Numbers = {"particles": 400, "speed_noise": 0.15, "guess": 0.9}
@@ -54,7 +54,7 @@ def draw(numbers: Numbers, folder: Path) -> None:
     drawing.save(folder / "figure-16.webp", drawing.montage(sheet))
 
 
-ITEM = Item(
+REPRODUCTION = Reproduction(
     name="figures-16-15",
     script="zhu2012.figures_16_15",
     title="[Zhu] figures 16 and 15(b): lane changes",
@@ -69,4 +69,4 @@ ITEM = Item(
 )
 
 if __name__ == "__main__":
-    run_alone(ITEM)
+    run_alone(REPRODUCTION)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from zhu2012.comparison import Comparison
-from zhu2012.items import run_alone
+from zhu2012.reproductions import run_alone
 
-ITEM = Comparison(
+REPRODUCTION = Comparison(
     (5, 6),
     "straight road, 55 mph",
     scene="straight-55",
@@ -17,4 +17,4 @@ ITEM = Comparison(
 ).item()
 
 if __name__ == "__main__":
-    run_alone(ITEM)
+    run_alone(REPRODUCTION)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from zhu2012.comparison import Comparison
-from zhu2012.items import run_alone
+from zhu2012.reproductions import run_alone
 
-ITEM = Comparison(
+REPRODUCTION = Comparison(
     (8, 9),
     "circle of 41 m, 36 mph",
     scene="circle-36",
@@ -13,8 +13,8 @@ ITEM = Comparison(
     baselines=("sift", "kalman", "lucas-kanade"),
     pictured=("as printed",),
     beside_speed="turn",
-    hand=False,
+    operator_noise=False,
 ).item()
 
 if __name__ == "__main__":
-    run_alone(ITEM)
+    run_alone(REPRODUCTION)

@@ -6,7 +6,7 @@ from common import head, row
 
 from zhu2012 import clips, repeats
 from zhu2012.clips import as_printed, loaded
-from zhu2012.items import Item, Numbers, run_alone
+from zhu2012.reproductions import Numbers, Reproduction, run_alone
 
 SETTINGS: Numbers = {"guesses": [0.8, 0.9, 1.0, 1.1], "particles": 400, "straight-55": 0.05, "neil-28": 0.15}
 SCENES = ("straight-55", "neil-28")
@@ -16,7 +16,7 @@ def compute() -> Numbers:
     shown: Numbers = {}
     for scene in SCENES:
         configuration = as_printed(particles=SETTINGS["particles"], speed_noise=SETTINGS[scene])
-        perfect = loaded(scene).without_hand()
+        perfect = loaded(scene).without_noise()
         shown[scene] = [repeats.repeated(perfect.with_guess(guess), configuration) for guess in SETTINGS["guesses"]]
     return {"shown": shown, "drawn": {}}
 
@@ -29,7 +29,7 @@ def text(shown: Numbers) -> str:
     return "\n".join(lines)
 
 
-ITEM = Item(
+REPRODUCTION = Reproduction(
     name="first-guess",
     script="zhu2012.first_guess",
     title="What the first guess of the speed does to these tables",
@@ -41,4 +41,4 @@ ITEM = Item(
 )
 
 if __name__ == "__main__":
-    run_alone(ITEM)
+    run_alone(REPRODUCTION)

@@ -59,14 +59,14 @@ def all_methods(
     methods: Sequence[str],
     index: int = 0,
     unconstrained: bool = False,
-    hand: bool = True,
+    operator_noise: bool = True,
 ) -> dict[str, Any]:
     """Every method on one vehicle of a clip: ``runs`` frame by frame, the truth beside them, and what is ``shown``.
 
     ``guess`` is the first guess of the speed over the true one; None leaves it to the methods or to the clip. Without
-    a ``hand`` outline and way are the true ones.
+    a ``operator_noise`` outline and way are the true ones.
     """
-    view = loaded(scene) if hand else loaded(scene).without_hand()
+    view = loaded(scene) if operator_noise else loaded(scene).without_noise()
     view = view if guess is None else view.with_guess(guess)
     vehicle = view.clip.vehicles[index].id
     runs = {"as printed": of_filter(filtered(view, configuration, index)[0])}

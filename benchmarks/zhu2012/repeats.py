@@ -43,7 +43,7 @@ def table(scene: str, guess: float, name: str, varied: Sequence[dict[str, Any]],
     """The shown numbers of a table in which the settings ``varied`` take turns; the first guess of the speed is
     ``guess`` times the true one."""
     view = loaded(scene).with_guess(guess)
-    perfect = view.without_hand()
+    perfect = view.without_noise()
     rows = []
     for settings in varied:
         configuration = as_printed(**fixed | settings)
@@ -63,7 +63,7 @@ def defaults(scene: str, guess: float) -> dict[str, Any]:
     return {
         "guided": guided(view),
         "refined": refined(view, REFINED),
-        "perfect": refined(view.without_hand(), 1),
+        "perfect": refined(view.without_noise(), 1),
     }
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from zhu2012 import clips, repeats, tables
-from zhu2012.items import Item, Numbers
+from zhu2012.reproductions import Numbers, Reproduction
 
 
 @dataclass(frozen=True)
@@ -41,8 +41,8 @@ class Sweep:
             parts.append(tables.default_words(shown))
         return "\n\n".join(parts)
 
-    def item(self) -> Item:
-        return Item(
+    def item(self) -> Reproduction:
+        return Reproduction(
             name=f"table-{self.table}",
             script=f"zhu2012.table_{self.table}",
             title=self.title,

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from zhu2012.items import run_alone
+from zhu2012.reproductions import run_alone
 from zhu2012.sweep import Sweep
 
 PAPER = ((54.50, 0.82, 127.5), (54.93, 0.33, 213.1), (54.95, 0.28, 405.3), (55.01, 0.31, 575.2), (54.95, 0.25, 761.4))
-ITEM = Sweep(
+REPRODUCTION = Sweep(
     "1a",
     "[Zhu] Table I(a): particles, straight road, 55 mph",
     scene="straight-55",
@@ -21,4 +21,4 @@ ITEM = Sweep(
 ).item()
 
 if __name__ == "__main__":
-    run_alone(ITEM)
+    run_alone(REPRODUCTION)

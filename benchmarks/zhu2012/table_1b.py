@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from zhu2012.items import run_alone
+from zhu2012.reproductions import run_alone
 from zhu2012.sweep import Sweep
 
 PAPER = ((54.01, 2.72), (54.24, 1.33), (54.71, 0.65), (54.93, 0.33), (54.95, 0.35), (55.05, 0.52))
-ITEM = Sweep(
+REPRODUCTION = Sweep(
     "1b",
     "[Zhu] Table I(b): parts of the likelihood, straight road, 55 mph",
     scene="straight-55",
@@ -20,4 +20,4 @@ ITEM = Sweep(
 ).item()
 
 if __name__ == "__main__":
-    run_alone(ITEM)
+    run_alone(REPRODUCTION)

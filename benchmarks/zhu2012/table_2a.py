@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from zhu2012.items import run_alone
+from zhu2012.reproductions import run_alone
 from zhu2012.sweep import Sweep
 
 PAPER = (
@@ -12,7 +12,7 @@ PAPER = (
     (27.83, 0.665, 598.0),
     (27.87, 0.575, 790.7),
 )
-ITEM = Sweep(
+REPRODUCTION = Sweep(
     "2a",
     "[Zhu] Table II(a): particles, winding road, 28 mph",
     scene="neil-28",
@@ -27,4 +27,4 @@ ITEM = Sweep(
 ).item()
 
 if __name__ == "__main__":
-    run_alone(ITEM)
+    run_alone(REPRODUCTION)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from zhu2012.items import run_alone
+from zhu2012.reproductions import run_alone
 from zhu2012.sweep import Sweep
 
 PAPER = ((27.63, 0.601), (27.71, 0.731), (27.86, 0.961), (27.69, 1.409), (27.89, 1.513))
-ITEM = Sweep(
+REPRODUCTION = Sweep(
     "2b",
     "[Zhu] Table II(b): noise of the dynamics, winding road, 28 mph",
     scene="neil-28",
@@ -20,4 +20,4 @@ ITEM = Sweep(
 ).item()
 
 if __name__ == "__main__":
-    run_alone(ITEM)
+    run_alone(REPRODUCTION)

@@ -1,4 +1,4 @@
-"""What docs/results.md says beside its tables and pictures."""
+"""The text of docs/results.md beside its tables and figures."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ INTRODUCTION = """\
 The tables and figures of the two papers that Paceline implements, on rendered scenes with exact truth, written by
 `make results`. Every item names the command that measures it alone; all numbers stand in
 [results.json](results.json), and the commands read and write `build/results`. No clip and no seed was chosen by
-its result; two scenes of [NIST] were made harder until they showed what they are for, shadows and weaving. How good
-Paceline is in general, over many clips, stands in [accuracy.md](accuracy.md).
+its result; two scenes of [NIST] were made harder until they showed the effects of shadows and weaving. The accuracy of
+Paceline over many clips stands in [accuracy.md](accuracy.md).
 
 [Zhu] is J. Zhu, L. Yuan, Y. F. Zheng, R. L. Ewing, "Stereo Visual Tracking Within Structured Environments for
 Measuring Vehicle Speed", 2012; [NIST] is H. Schneiderman, M. Nashman, R. Lumia, "Model-based vision for car
@@ -15,12 +15,12 @@ following", 1993. Their recordings are not published: the scenes here have their
 and baselines ([simulation.md](simulation.md)), but are other clips, so numbers can be compared in kind, not digit
 by digit.
 
-*As printed* is the paper's particle filter alone: nothing but its dynamics proposes, and the drawn road line is a
+*As printed* is the paper's particle filter alone: its dynamics are the only proposal, and the drawn road line is a
 hard constraint. *Refined* is what `paceline speed` reports. *Drawn without error* gives the filter the true outline and
-the true way in place of an operator's clicks (σ 0.5 px for corners, 0.4 px for the line). Speeds are in mph, as in
+the true path in place of an operator's clicks (σ 0.5 px for corners, 0.4 px for the line). Speeds are in mph, as in
 the paper."""
 
-HEADS = {
+HEADINGS = {
     "table-1a": "## [Zhu]: the tables",
     "figures-5-6": "## [Zhu]: the figures",
     "nist-target": "## [NIST]",
@@ -31,18 +31,18 @@ Green is the estimate, red the truth, blue the particles. In the table an error 
 second estimated speed on; the depth beside a refined speed is that of the filter before it."""
 
 _DISPARITIES = """\
-The last row shows the disparities that the multimodal particles are weighed by: the lighter the nearer, blue where the
-two views do not match."""
+The last row shows the disparities by which the multimodal particles are weighted: the lighter the nearer, blue where
+the two views do not match."""
 
-WORDS = {
+CAPTIONS = {
     "table-1a": """\
 Averages and maximum errors are those of the last frame over 20 seeds; the first guess is 10 % low. Drawn without
 error the averages are the paper's, and the maximum error falls with the number of particles as there, but stays
 two to four times as large. Drawn by an operator the same filter is more than 1 mph low, whatever the number of
-particles: see [what the hand does](#what-the-operators-hand-does-to-these-tables). The refined speed is
-a little too fast here, with and without the hand. What is wrong is what the car mirrors: with matte paint the same car
-is measured within 0.01 mph ([method.md](method.md#refinement)). Over many clips with flat fronts the same refinement
-has 0.03 mph root mean square ([accuracy.md](accuracy.md)).""",
+particles: see [the effect of the operator's noise](#effect-of-the-operators-noise-on-these-tables). The refined speed
+is a little too fast here, with and without that noise. The cause are specular reflections: with matte paint the same
+car is measured within 0.01 mph ([method.md](method.md#refinement)). Over many clips with flat fronts the same
+refinement has 0.03 mph root mean square ([accuracy.md](accuracy.md)).""",
     "table-1b": """\
 200 particles, as in the paper. Its steep gain from 4 to 10 parts does not show: the averages differ by less than the
 maximum errors, and 4 parts are hardly worse than 10. In the picture the centre is as near with 4 parts as with 10
@@ -55,26 +55,26 @@ stay at several mph. `paceline speed`'s own filter, which moves its particles by
     "table-2b": """\
 400 particles. More noise lets the speed leave the low first guess, so the averages rise. The maximum errors grow with
 it as in the paper where an operator drew; drawn without error the runs that settle on a wrong speed outweigh it.""",
-    "hand": """\
+    "operator-noise": """\
 400 particles, 20 seeds, the refinement once. On the straight road the outline is the cause: its two views together
 give a depth that is 3 m short ([figure 6](#zhu-figures-5-and-6-straight-road-55-mph), right), and a filter under a
 hard constraint turns a share of missing depth into the same share of missing speed. The road line adds nothing on this
-clip; on others it does ([benchmarks](../benchmarks/README.md), `bias.py`). The refined
+clip; on others it does ([benchmarks](../benchmarks/README.md), `path_constraint.py`). The refined
 speed hardly depends on them.""",
     "first-guess": """\
 400 particles, drawn without error, 20 seeds; all else as in Tables I(a) and II(a). On the winding road the first guess
 explains that the average is low: begun at the true speed it is right. The single runs far off stay.""",
     "figures-5-6": f"""{_FIGURE} {_DISPARITIES}
 
-800 particles. With the path the cloud stays small and the speed steady; without it both are wider, as in the
-paper. SIFT and the Kalman filter over it scatter as there, and the multimodal particles drift off the front.
+800 particles. With the path the particles stay close together and the speed steady; without it both are wider, as in
+the paper. SIFT and the Kalman filter over it scatter as there, and the multimodal particles drift off the front.
 Unlike there the constrained filter ends low, by the outline's error. The refined speed falls during the track,
 though the true one is constant. `lucas-kanade` keeps the depth error of the outline; its speed does not need it.""",
     "figure-7": "200 particles, one seed. All three stay on the front; none is lost.",
     "figures-8-9": f"""{_FIGURE}
 
 200 particles. The operator's line of this scene runs nearly along the epipolar lines and is refused with one plain
-line, so outline and way are the true ones here. As in the paper the speed settles at once, slightly low, and the
+line, so outline and path are the true ones here. As in the paper the speed settles at once, slightly low, and the
 angular velocity with it. The baselines lose the turning front after a few frames; no speed of theirs is shown.""",
     "figures-10-11": f"""{_FIGURE} {_DISPARITIES}
 
@@ -85,8 +85,8 @@ front has nearly its disparity, so that depth does not hold the outline where it
     "figures-12-13": f"""{_FIGURE}
 
 400 particles, seed 0: one of the runs of Table II(a) that settle on a wrong speed. The error of its depth is of the
-same kind, and the angular velocity is that of the drawn curve at that wrong place. The refined speed is not led astray
-by it: it begins with Paceline's own filter.""",
+same kind, and the angular velocity is that of the drawn curve at that wrong place. The refined speed is not affected:
+it begins with Paceline's own filter.""",
     "figures-14-15": f"""{_FIGURE}
 
 400 particles each, both begun at 55 mph. Both filters leave the wrong first guess within a few frames, as in the
@@ -94,13 +94,13 @@ paper. The refined speed of the left vehicle misses its interval, as on the stra
 it.""",
     "figures-16-15": f"""{_FIGURE}
 
-400 particles. On a straight path the paper's particles have no freedom sideways: that filter stays on the path
+400 particles. On a straight path the paper's particles have no lateral freedom: that filter stays on the path
 while the vehicle leaves it. "Drifting" (shown in the pictures) takes the line as a curve, on which they have σ_P =
 0.1 m a frame, as the paper did here. It follows both changes, with a degraded speed, as
 there. The refinement takes swerving as one more model and measures both.""",
     "nist-stages": """\
 Grey is where the last frame's estimate was, blue and orange are edge points near the vertical and the horizontal,
-then one colour per feature for the points that were believed.""",
+then one colour per feature for the accepted points.""",
     "nist-long": """\
 The camera's vehicle drives itself, at 15 pictures a second and with 128 ms from picture to steering
 ([driving.md](driving.md)); the paper's 17 minutes were a video tape.""",
@@ -109,7 +109,7 @@ Red is the published method, green all remedies, in the last frame before the pu
 frames later. The middle part of the table adds one remedy at a time to the published method, the last part takes one
 away. Alone the wide search, adaptive decay and polarity help most; from the whole the wide search and the
 predicted gates are missed most. On these few clips continuity, the check of polarity, the appearance and
-the snapshot cost 10 to 14 frames of 450 under strong shadows in place of saving any; what they are for is shown in
+the snapshot cost 10 to 14 frames of 450 under strong shadows and save none; their benefit is shown in
 [benchmarks](../benchmarks/README.md), `follow_ablation.py`.""",
     "nist-decay": """\
 The published method with one decay for all three parameters, beside the present one. *Abrupt motion* is a lead

@@ -1,6 +1,6 @@
 """Many vehicles at once found without clicking, in good and in bad sight, and an empty road on which none may be found.
 
-python benchmarks/traffic.py [--scenes 48] [--seed 0] [--empty 10] [--count]
+python benchmarks/dense_traffic.py [--scenes 48] [--seed 0] [--empty 10] [--count]
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from itertools import islice
 
 import numpy as np
 from common import head, machine, rms, row
-from nuisances import Bush, Image, Shade, body, bushes, fill, night, rain, shades
+from distractors import Bush, Image, Shade, body, bushes, fill, night, rain, shades
 from numpy.typing import NDArray
 from vehicles import Speed, speeds, who
 

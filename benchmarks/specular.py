@@ -1,6 +1,6 @@
-"""What a face mirrors: the same cars on the straight road of [Zhu], glossy as they are and with matte paint.
+"""Specular reflections: the same cars on the straight road of [Zhu], glossy as they are and with matte paint.
 
-python benchmarks/gloss.py -o worlds/gloss
+python benchmarks/specular.py -o suites/specular
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ KMH = SpeedUnit.KMH.mps
 
 
 def scene_of(car: int, samples: int) -> SpeedScene:
-    """`straight-55` with another car, outlined and its road drawn without error: what is left is not the hand's."""
+    """`straight-55` with another car, its outline and road drawn without the operator's noise."""
     scene = named_scenes.speed_scene("straight-55")
     assert scene is not None
     vehicle = scene.vehicles[0].model_copy(update={"seed": car})
@@ -47,14 +47,14 @@ def painted(matte: bool) -> Iterator[None]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="What glossy paint and lamps do to the speed.")
+    parser = argparse.ArgumentParser(description="The effect of specular reflections on the speed.")
     parser.add_argument("-o", "--out", type=Path, required=True, help="folder for the clips; those there are kept")
     parser.add_argument("--samples", type=int, default=48, help="rays per pixel")
     parser.add_argument("--cars", type=int, nargs="+", default=[3, 11, 12, 13, 14, 15, 16], help="their seeds")
     args = parser.parse_args()
     print(head("car", "face", "true, km/h", "error", "95 % ±", "verdict"), flush=True)
     errors: dict[str, list[float]] = {"glossy": [], "matte": []}
-    for car in args.vehicles:
+    for car in args.cars:
         for face, found in errors.items():
             with painted(face == "matte"):
                 path = stereo_clip.write(scene_of(car, args.samples), args.out / f"{car}-{face}")

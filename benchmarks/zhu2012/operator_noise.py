@@ -1,4 +1,4 @@
-"""What the operator's hand does to the tables of [Zhu]: errors in the road line, in the outline, both or neither."""
+"""Effect of the operator's noise on the tables of [Zhu]: errors in the road line, in the outline, both or neither."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from common import MPH, head, measured, row
 
 from zhu2012 import clips, repeats
 from zhu2012.clips import Loaded, as_printed, loaded
-from zhu2012.items import Item, Numbers, run_alone
+from zhu2012.reproductions import Numbers, Reproduction, run_alone
 
 SETTINGS: Numbers = {"straight-55": [0.05, 0.9], "neil-28": [0.15, 0.8], "particles": 400}
 SCENES = ("straight-55", "neil-28")
@@ -23,7 +23,7 @@ DRAWN = {
 
 def _drawn(view: Loaded, line: bool, outline: bool) -> Loaded:
     """``view`` with the operator's errors in the road line, in the outline, in both or in neither."""
-    perfect = view.without_hand()
+    perfect = view.without_noise()
     if not line:
         vehicles = [
             replace(p, left=v.left, right=v.right) if outline else p
@@ -59,7 +59,7 @@ def compute() -> Numbers:
 
 def text(shown: Numbers) -> str:
     columns = ("as printed: average, mph", "max error", "refined, mph", "its model", "acceleration, m/s²")
-    lines = [head("clip", "drawn by hand", *columns)]
+    lines = [head("clip", "drawn with noise", *columns)]
     for scene in SCENES:
         for name in DRAWN:
             s = shown[scene][name]
@@ -68,10 +68,10 @@ def text(shown: Numbers) -> str:
     return "\n".join(lines)
 
 
-ITEM = Item(
-    name="hand",
-    script="zhu2012.hand",
-    title="What the operator's hand does to these tables",
+REPRODUCTION = Reproduction(
+    name="operator-noise",
+    script="zhu2012.operator_noise",
+    title="Effect of the operator's noise on these tables",
     compute=compute,
     text=text,
     settings=SETTINGS,
@@ -80,4 +80,4 @@ ITEM = Item(
 )
 
 if __name__ == "__main__":
-    run_alone(ITEM)
+    run_alone(REPRODUCTION)

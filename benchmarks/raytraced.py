@@ -1,9 +1,9 @@
-"""Both trackers on ray-traced worlds: errors, coverage of the intervals, frames lost, by what was in the scenes.
+"""Both trackers on ray-traced clips: errors, coverage of the intervals, frames lost, by properties of the scenes.
 
-paceline simulate suite -n 60 --seed 1 -o worlds/speed
-paceline simulate suite -n 20 --seed 1 --kind follow -o worlds/follow
-python benchmarks/worlds.py worlds/speed [--workers 2]
-python benchmarks/worlds.py worlds/follow [--workers 2] [--hands 3]
+paceline simulate suite -n 60 --seed 1 -o suites/speed
+paceline simulate suite -n 20 --seed 1 --kind follow -o suites/follow
+python benchmarks/raytraced.py suites/speed [--workers 2]
+python benchmarks/raytraced.py suites/follow [--workers 2] [--starts 3]
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-import yaml
 from common import head, machine, measured, read_truth, rms, row, share_out, true_mean, why_not
 from follow import OFF_PLACE, OFF_RANGE, SEEN, WITHIN
 
@@ -27,6 +26,7 @@ from paceline import load_clip, load_follow, open_camera
 from paceline.documents.loading import FollowClip
 from paceline.follow.following import follow
 from paceline.simulation.operator import START as CLICK
+from paceline.simulation.raytraced.scene_yaml import load_follow_scene, load_speed_scene
 from paceline.speed.results import Measurement
 from paceline.units import SpeedUnit
 
@@ -71,13 +71,13 @@ class Speed:
 
     @property
     def is_calibrated(self) -> bool:
-        return self.scene["rig"]["written"] is None
+        return self.scene["rig"]["rig_error_std"] is None
 
     def describe(self) -> str:
         car, rig, road = self.car, self.scene["rig"], self.scene["road"]
         words = [
             car["kind"],
-            "coming" if car["towards"] else "going",
+            "oncoming" if car["oncoming"] else "receding",
             f"{self.distance:.0f} m",
             road["kind"] + (f" {road['radius']:.0f} m" if road["radius"] else ""),
             f"{self.scene['frames']} × {1 / self.scene['rate']:.2f} s",
@@ -112,7 +112,7 @@ SPEED_GROUPS: Groups = {
 
 def run_speed(folder: Path) -> Speed:
     """Measure and compare the clip in ``folder``."""
-    scene = yaml.safe_load((folder / "scene.yaml").read_text())
+    scene = load_speed_scene(folder / "scene.yaml").model_dump()
     rows = read_truth(folder)
     make = partial(Speed, folder.name, scene, float(np.mean([r["distance_m"] for r in rows])))
     try:
@@ -200,12 +200,12 @@ SIGHT_GROUPS: Groups = {
 
 
 def run_chase(begun: tuple[Path, int]) -> Chase:
-    """Follow and compare the clip in a folder, from its own start or, with a number above 0, from another hand's."""
-    folder, hand = begun
+    """Follow and compare the clip in a folder, from its own start or, with a number above 0, from another one."""
+    folder, start = begun
     clip = load_follow(folder / "follow.yaml")
     truth = {r["frame"]: r for r in json.loads((folder / "truth.json").read_text())}
-    if hand:
-        clip = by_another_hand(clip, truth[clip.frame], np.random.default_rng([*folder.name.encode(), hand]))
+    if start:
+        clip = with_another_start(clip, truth[clip.frame], np.random.default_rng([*folder.name.encode(), start]))
     sights = []
     for frame, e in follow(clip, open_camera(clip)):
         true = truth[frame.index]
@@ -220,11 +220,11 @@ def run_chase(begun: tuple[Path, int]) -> Chase:
         wrong = bool(abs(z) > OFF_RANGE * far or off > OFF_PLACE * true["width_px"])
         covered = bool(abs(z) <= WITHIN * e.position_std[2])
         sights.append(Sight(far, True, wrong, float(z / far), float(x), covered))
-    name = f"{folder.name}, hand {hand}" if hand else folder.name
-    return Chase(name, yaml.safe_load((folder / "scene.yaml").read_text()), sights)
+    name = f"{folder.name}, start {start}" if start else folder.name
+    return Chase(name, load_follow_scene(folder / "scene.yaml").model_dump(), sights)
 
 
-def by_another_hand(clip: FollowClip, first: dict[str, Any], rng: np.random.Generator) -> FollowClip:
+def with_another_start(clip: FollowClip, first: dict[str, Any], rng: np.random.Generator) -> FollowClip:
     """A ``clip`` with its start drawn anew about the truth of its ``first`` frame."""
     across, share = CLICK
     center = np.array(first["center"]) + rng.normal(0, across, 2)
@@ -267,10 +267,10 @@ def grouped(outcomes: Sequence[Outcome], groups: Groups) -> list[tuple[str, list
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="Both trackers on ray-traced worlds.")
+    parser = argparse.ArgumentParser(description="Both trackers on ray-traced clips.")
     parser.add_argument("suite", type=Path, help="folder that paceline simulate suite has made")
     parser.add_argument("--workers", type=int, default=2, help="processes")
-    parser.add_argument("--hands", type=int, default=1, help="operators' starts of each chase")
+    parser.add_argument("--starts", type=int, default=1, help="operators' starts of each chase")
     args = parser.parse_args()
     begun = time.perf_counter()
     if speeds := sorted(p.parent for p in args.suite.glob("*/clip.yaml")):
@@ -283,7 +283,7 @@ def main() -> None:
     if chases := sorted(p.parent for p in args.suite.glob("*/follow.yaml")):
         print(head("clip", "scene", *CHASE_COLUMNS), flush=True)
         followed = []
-        for c in share_out(run_chase, list(product(chases, range(args.hands))), args.workers):
+        for c in share_out(run_chase, list(product(chases, range(args.starts))), args.workers):
             followed.append(c)
             print_chase(c)
         print(f"\n{chase_summary(followed)}\n")

@@ -1,6 +1,6 @@
 """Braking, gathering speed and changing lanes: mean speeds and speeds frame by frame, beside Lucas–Kanade points.
 
-python benchmarks/motions.py [--n 4] [--seed 7000] [--workers 1]
+python benchmarks/manoeuvres.py [--n 4] [--seed 7000] [--workers 1]
 """
 
 from __future__ import annotations

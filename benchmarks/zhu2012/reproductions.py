@@ -1,4 +1,4 @@
-"""An item of docs/results.md: what it computes, how its numbers are kept, and the clips that it looks at.
+"""A reproduction of a table or figure in docs/results.md: its computation, the cache of its numbers, and its clips.
 
 Numbers are cached as JSON under build/results, clips under build/results/clips. A cached number is used again as long
 as all that went into it is the same: settings, code, clips.
@@ -31,12 +31,12 @@ Numbers = dict[str, Any]
 
 
 @dataclass(frozen=True)
-class Item:
+class Reproduction:
     """One table or figure of the document.
 
     ``compute`` makes the numbers: ``shown``, of which the text is made and which are committed, and ``drawn``, which
     only the pictures need. ``text`` writes Markdown from the shown ones alone; ``draw`` puts ``pictures`` into a
-    folder. ``scenes`` are the rendered clips that are looked at, ``rooms`` the parts of the package and ``helpers``
+    folder. ``scenes`` are the rendered clips that it uses, ``rooms`` the parts of the package and ``helpers``
     the modules whose change makes the numbers stale.
     """
 
@@ -113,7 +113,7 @@ class Item:
         return json.loads(self.cache.read_text())
 
 
-def run_alone(item: Item) -> None:
+def run_alone(item: Reproduction) -> None:
     """What a script does when it is run: compute, print, draw."""
     parser = argparse.ArgumentParser(description=item.title)
     parser.add_argument("--pictures", type=Path, default=PICTURES, help="folder for the pictures")

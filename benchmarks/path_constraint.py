@@ -1,6 +1,6 @@
 """The drawn path as a hard constraint and as a prior: the speed error with each.
 
-python benchmarks/bias.py [--n 20] [--seed 2000] [--workers 2]
+python benchmarks/path_constraint.py [--n 20] [--seed 2000] [--workers 2]
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ from paceline.speed.results import Measurement
 
 SETTLED = 6  # frames after which a filter is judged: by then the first guess is forgotten
 FILTERS: dict[str, dict[str, Any]] = {
-    "filter as printed, the path a hard constraint": {"guided": False, "exact_path": True},
-    "filter as printed, the path a prior": {"guided": False},
-    "guided filter, the path a hard constraint": {"exact_path": True},
-    "guided filter, the path a prior": {},
+    "filter as printed, path as a hard constraint": {"guided": False, "exact_path": True},
+    "filter as printed, path as a prior": {"guided": False},
+    "filter with registration, path as a hard constraint": {"exact_path": True},
+    "filter with registration, path as a prior": {},
 }
 REFINED = "refinement"
 METHODS = [*FILTERS, REFINED]
@@ -57,7 +57,7 @@ def _settled(m: Measurement, true: Array) -> float:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="What taking the drawn path as exact does to the speed.")
+    parser = argparse.ArgumentParser(description="The effect on the speed of a drawn path as a hard constraint.")
     parser.add_argument("--n", type=int, default=20, help="number of clips")
     parser.add_argument("--seed", type=int, default=2000, help="seed of the first clip")
     parser.add_argument("--workers", type=int, default=2, help="processes")
