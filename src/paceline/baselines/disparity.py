@@ -15,11 +15,11 @@ import numpy as np
 from paceline.arrays import Array, Image
 from paceline.cameras import StereoRig
 
-BLOCK_PX = 5  # px
+BLOCK_PX = 5
 SMOOTHNESS_PENALTIES = (8 * BLOCK_PX**2, 32 * BLOCK_PX**2)  # for disparities that change by one, and by more
-DISPARITY_RANGE = (0.6, 1.6)  # disparities searched, as shares of the expected one
-DISPARITY_MARGIN_PX = 6  # px of disparity beyond that
-MIN_DEPTH_M = 1.0  # m
+DISPARITY_RANGE = (0.6, 1.6)  # searched, relative to the expected disparity
+DISPARITY_MARGIN_PX = 6  # searched beyond that
+MIN_DEPTH_M = 1.0
 
 
 @dataclass(frozen=True, eq=False)

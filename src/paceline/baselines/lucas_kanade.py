@@ -30,16 +30,16 @@ from paceline.speed.results import Measurement
 from paceline.verdicts import message
 
 MIN_POINTS = 4
-MAX_EPIPOLAR_PX = 1.0  # px from the epipolar line
-MAX_MOTION_RESIDUAL_PX = 1.5  # px from the region's common motion in an image
-MAX_DEPTH_DEVIATIONS = 4.0  # scaled median deviations of depth beyond which a match is a mistake
-MATCH_SIGMA_PX = 0.15  # px, of a matched coordinate
+MAX_EPIPOLAR_PX = 1.0
+MAX_MOTION_RESIDUAL_PX = 1.5  # from the common motion of the region
+MAX_DEPTH_DEVIATIONS = 4.0  # scaled median deviations of inverse depth beyond which a match is an outlier
+MATCH_SIGMA_PX = 0.15  # standard deviation of a matched coordinate
 HUBER_SIGMA = 1.5
-KEYFRAME_SCALE_RATIO = 1.2  # change of scale after which points are tracked from a new key frame
-KEYFRAME_POINT_SHARE = 0.6  # share of the points, fewer than which call for a new one
-JACKKNIFE_GROUPS = 8  # of points, left out one after the other
-ALIGNMENT_PASSES = 2  # of aligning and of turning the body as its track turns
-MAX_ALIGNED_FRAMES = 32  # in the alignment; of a longer track, evenly spread ones
+KEYFRAME_SCALE_RATIO = 1.2  # change of scale that starts a new keyframe
+KEYFRAME_POINT_SHARE = 0.6  # of the keyframe's points still tracked, below which a new one starts
+JACKKNIFE_GROUPS = 8  # of points, each left out once
+ALIGNMENT_PASSES = 2  # of alignment and of the rotation along the track
+MAX_ALIGNED_FRAMES = 32  # longer tracks are subsampled evenly
 
 
 class LucasKanade:

@@ -31,16 +31,16 @@ from paceline.speed.methods import register
 from paceline.speed.results import Measurement
 from paceline.verdicts import message
 
-NOISE_STEP_S = 0.2  # s, the step that the configuration's noises belong to
-LAMBDA_GREY = 20.0  # on 1 − Bhattacharyya's coefficient
-LAMBDA_EDGE = 5.0  # on what the sides' gradient lacks to that of the best particle
-DISPARITY_SIGMA_PX = 0.5  # px, of a box's mean disparity
+NOISE_STEP_S = 0.2  # to which the noises of the configuration refer
+LAMBDA_GREY = 20.0  # on 1 − Bhattacharyya coefficient
+LAMBDA_EDGE = 5.0  # on 1 − gradient relative to that of the best particle
+DISPARITY_SIGMA_PX = 0.5  # of a box's mean disparity
 SMOOTHING_DISCOUNT = 0.95  # δ of kernel smoothing
-REFERENCE_UPDATE_SHARE = 0.1  # share of what is seen in the new reference
-MIN_UPDATE_SIMILARITY = 0.8  # similarity above which the reference is adapted
-MIN_VISIBLE_SIMILARITY = 0.5  # similarity below which the vehicle is not in view
-MARGIN_SHARE = 0.3  # lengths of the box's longer side, of picture about the particles
-MAX_PARTICLE_MARGINS = 5.0  # of these, beyond which particles are strays
+REFERENCE_UPDATE_SHARE = 0.1  # of the present histogram in the new reference
+MIN_UPDATE_SIMILARITY = 0.8  # above it the reference is updated
+MIN_VISIBLE_SIMILARITY = 0.5  # below it the vehicle is not in view
+MARGIN_SHARE = 0.3  # of the box's longer side, image margin about the particles
+MAX_PARTICLE_MARGINS = 5.0  # margins beyond which particles are ignored in the choice of the crop
 
 
 @dataclass(frozen=True, eq=False)

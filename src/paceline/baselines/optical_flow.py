@@ -9,14 +9,14 @@ from numpy.typing import NDArray
 from paceline.arrays import Array, Image, Mask
 from paceline.baselines.template_tracking import ScaledShift
 
-WINDOW_LIMITS_PX = (7, 17)  # px, of the least and the greatest window
+WINDOW_LIMITS_PX = (7, 17)
 WINDOW_SHARE = 0.4  # of the region's height
-MAX_FORWARD_BACKWARD_PX = 0.3  # px: a point tracked there and back ends no farther from where it began
+MAX_FORWARD_BACKWARD_PX = 0.3  # distance between a point and its position tracked forth and back
 MAX_POINTS = 150
-CORNER_QUALITY = 0.01  # of a corner, relative to the best one
-MIN_CORNER_SPACING_PX = 3.0  # px between corners
-MAX_RIM_SHARE = 0.25  # share of a side that is left out at most
-CROP_BORDER_PX = 40  # px of picture about the points
+CORNER_QUALITY = 0.01  # relative to the best corner
+MIN_CORNER_SPACING_PX = 3.0
+MAX_RIM_SHARE = 0.25  # of a side, excluded at the region's border
+CROP_BORDER_PX = 40  # of image around the points
 NORMALIZED_MEAN, NORMALIZED_STD = 128.0, 45.0  # grey levels
 FLOW_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-3)
 

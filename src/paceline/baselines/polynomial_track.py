@@ -9,7 +9,7 @@ import numpy as np
 from paceline.arrays import Array
 
 MAX_DEGREE = 4
-SPEED_SAMPLES = 257  # of the speed along a way, for its mean
+SPEED_SAMPLES = 257  # along a track, for its mean speed
 MODEL_NAMES = {1: "constant velocity", 2: "constant acceleration"}
 
 

@@ -14,10 +14,10 @@ import numpy as np
 from paceline.arrays import Array, Mask
 
 MAX_ITERATIONS = 20
-HUBER_SIGMA = 0.9  # of a coordinate's standard deviation in each of three: the errors of matches have long tails
-CONVERGENCE_M = 1e-6  # m
-MEDIAN_CHI = 1.538  # of three degrees of freedom
-MIN_SCATTER_PER_M = 1e-9  # 1/m
+HUBER_SIGMA = 0.9  # standard deviations, for each of three coordinates: the errors of matches are heavy-tailed
+CONVERGENCE_M = 1e-6
+MEDIAN_CHI = 1.538  # median of the chi distribution of three degrees of freedom
+MIN_SCATTER_PER_M = 1e-9
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,12 +23,12 @@ from paceline.speed.results import Measurement
 from paceline.verdicts import Message, message
 
 LOWE_RATIO = 0.8  # of the distances to the best and the second best descriptor (Lowe 2004)
-MAX_EPIPOLAR_PX = 1.5  # px from the epipolar line
-MAX_DEPTH_DEVIATIONS = 3.0  # scaled median deviations of inverse depth beyond which a match is a mistake
+MAX_EPIPOLAR_PX = 1.5
+MAX_DEPTH_DEVIATIONS = 3.0  # scaled median deviations of inverse depth beyond which a match is an outlier
 MIN_MATCHES = 3
-MATCH_SIGMA_PX = 0.5  # px, of a matched feature ([Zhu] section V)
-DESCRIPTOR_MARGIN_PX = 16  # px of picture about the region, which descriptors may show
-CONTRAST_THRESHOLD = 0.02  # SIFT's threshold of contrast: half of the usual one, as distant vehicles are small
+MATCH_SIGMA_PX = 0.5  # standard deviation of a matched feature's coordinate ([Zhu] section V)
+DESCRIPTOR_MARGIN_PX = 16  # of image around the region, for the descriptors
+CONTRAST_THRESHOLD = 0.02  # half of OpenCV's default, as distant vehicles are small
 
 
 class Sift:

@@ -17,19 +17,19 @@ from paceline.geometry import epipolar_distance, triangulate
 from paceline.recordings.stereo import StereoFrame
 from paceline.subpixel import parabola_peak_at
 
-INITIAL_SCALES = np.geomspace(0.66, 1.52, 19)  # of a vehicle whose motion is not known yet
-INITIAL_SEARCH_SHARE = 0.8  # lengths of its longer side that it may have moved
-SCALE_STEPS = np.geomspace(0.91, 1.1, 9)  # about the prediction
-SEARCH_SHARE = 0.25
-MIN_SEARCH_PX = 6.0  # px
-MAX_TEMPLATE_PX = 64  # px: larger regions are searched at this width
-MIN_TEMPLATE_NCC = 0.6  # correlation below which it is not the vehicle
-MAX_UNSEEN_FRAMES = 4  # frames that may pass so before it is given up
-MIN_CONTRAST_GREY = 2.0  # grey levels, standard deviation: less is no texture
-MAX_EPIPOLAR_PX = 3.0  # px from the epipolar line at which both views still show the same thing
-MAX_DEPTH_MISMATCH = (0.25, 2.0)  # by which its depth may differ from what its scale says: a share, and px of disparity
-MIN_DEPTH_SHARE = 0.3  # share of its depth that a vehicle keeps from one sight to the next
-MIN_REGION_PX = 8.0  # px, a smaller region tells nothing
+INITIAL_SCALES = np.geomspace(0.66, 1.52, 19)  # searched while the motion is unknown
+INITIAL_SEARCH_SHARE = 0.8  # of the region's longer side, searched while the motion is unknown
+SCALE_STEPS = np.geomspace(0.91, 1.1, 9)  # searched about the predicted scale
+SEARCH_SHARE = 0.25  # of the region's longer side, searched about the prediction
+MIN_SEARCH_PX = 6.0
+MAX_TEMPLATE_PX = 64  # larger regions are searched at this width
+MIN_TEMPLATE_NCC = 0.6  # below it the vehicle is not found
+MAX_UNSEEN_FRAMES = 4  # in a row, after which the vehicle is lost
+MIN_CONTRAST_GREY = 2.0  # standard deviation of a region, grey levels
+MAX_EPIPOLAR_PX = 3.0  # from the epipolar line, for both views to show the same region
+MAX_DEPTH_MISMATCH = (0.25, 2.0)  # between the depth and the change of scale: a share, and px of disparity
+MIN_DEPTH_SHARE = 0.3  # of the predicted depth to the last one
+MIN_REGION_PX = 8.0
 
 
 @dataclass(frozen=True, eq=False)

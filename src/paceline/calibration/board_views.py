@@ -17,7 +17,7 @@ from paceline.recordings.image_sources import ImageFiles, ImageSource, open_sour
 from paceline.recordings.stereo import pair_by_time, pair_images
 from paceline.verdicts import message
 
-MAX_VIEWS = 80  # of longer recordings, evenly spread ones: more cost time and hardly add
+MAX_VIEWS = 80  # longer recordings are subsampled evenly: more views cost time and add little
 
 
 @dataclass(frozen=True, eq=False)

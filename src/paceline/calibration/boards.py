@@ -20,14 +20,11 @@ EXPECTED_BOARD = (
     "(chessboard:9x6:0.05)"
 )
 MAX_SQUARES_PER_SIDE = 100
-MAX_SQUARE_M = 2.0  # m
-WINDOW_SHARE, WINDOW_LIMITS_PX = (
-    0.75,
-    (2, 9),
-)  # half a window, as a share of the way to the marker, and in px at least and at most
+MAX_SQUARE_M = 2.0
+WINDOW_SHARE, WINDOW_LIMITS_PX = 0.75, (2, 9)  # half width of the corner window: share of the distance to a marker, px
 SUBPIXEL_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-4)
-MAX_REFINEMENT_SHIFT_PX = 1.5  # px, between a corner as OpenCV finds it and as it is found again
-MIN_CORNERS = 8  # of one view of a ChArUco board: fewer hardly fix a pose beside a lens
+MAX_REFINEMENT_SHIFT_PX = 1.5  # between a corner as OpenCV finds it and as it is refined
+MIN_CORNERS = 8  # in a view of a ChArUco board; fewer hardly determine a pose beside a lens
 
 
 @dataclass(frozen=True)

@@ -15,14 +15,14 @@ from paceline.calibration.parameters import N_RIG, Observations, Poses, RigState
 
 Weighting = Literal["huber", "redescending"]
 
-HUBER_SIGMA = 2.5  # standard deviations from which a corner counts less
+HUBER_SIGMA = 2.5  # standard deviations above which a corner is downweighted
 REDESCENDING_SIGMA = (
-    6.0  # standard deviations at which a corner counts a quarter when gross errors are still among them
+    6.0  # standard deviations at which a corner has a quarter of the weight, before outliers are removed
 )
 MAX_STEPS = 60
-CONVERGENCE_TOLERANCE = 1e-7  # relative change of the sum of squares that ends the steps
-MIN_SIGMA_PX = 1e-3  # px; keeps perfect corners from being weighed against rounding
-RAYLEIGH_MEDIAN = 1.1774  # median length of a two-dimensional error in standard deviations of each coordinate
+CONVERGENCE_TOLERANCE = 1e-7  # relative change of the sum of squares
+MIN_SIGMA_PX = 1e-3  # keeps the weights of perfect corners from following rounding errors
+RAYLEIGH_MEDIAN = 1.1774  # median length of a two-dimensional error, in standard deviations of a coordinate
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ import numpy as np
 from paceline.arrays import Array
 from paceline.calibration.parameters import LENS_PARAMETERS, N_LENS, Observations, Poses, RigState
 
-FOCAL_LENGTH_SHARES = np.geomspace(0.4, 12.0, 30)  # tried, as shares of the image's width: fields of view of 103° to 5°
+FOCAL_LENGTH_SHARES = np.geomspace(0.4, 12.0, 30)  # candidates, of the image's width: fields of view of 103° to 5°
 UNSOLVED_ERROR_PX = np.inf
 
 

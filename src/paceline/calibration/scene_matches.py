@@ -15,13 +15,11 @@ from paceline.progress import Progress
 from paceline.recordings.stereo import StereoRecording
 from paceline.sift_features import detect_features, match_descriptors
 
-MAX_FRAMES = 6  # looked at, evenly spread: what stands still is seen again in each, and adds little
-MAX_FEATURES = 3000  # of each view
+MAX_FRAMES = 6  # evenly spread: static points recur in every frame and add little
+MAX_FEATURES = 3000  # per view
 LOWE_RATIO = 0.75  # of the distances to the best and the second best descriptor (Lowe 2004)
-MAX_EPIPOLAR_SHARE = (
-    0.04  # of the image's height: farther from its epipolar line no match is believed, however the rig has moved
-)
-TILE_PX = 64  # px
+MAX_EPIPOLAR_SHARE = 0.04  # of the image's height: matches farther from their epipolar line are rejected in any rig
+TILE_PX = 64
 
 
 @dataclass(frozen=True, eq=False)

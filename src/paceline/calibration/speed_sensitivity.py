@@ -17,11 +17,11 @@ from paceline.calibration.parameters import LENS_PARAMETERS, N_LENS, N_RIG, RigS
 from paceline.cameras import RigUncertainty, StereoRig, perturbed_rigs
 from paceline.geometry import triangulate
 
-DISTANCES_M = (20.0, 50.0, 80.0)  # m
-TRAVEL_M = 10.0  # m, over which a speed is measured
-LATERAL_SHARES = (-0.25, 0.0, 0.25)  # of the image's width from its centre: where vehicles drive
-FITTED_IMAGE_SHARE = 0.6  # share of the image over which a pinhole is fitted to a lens
-LENS_STEPS = np.array([1.0, 1.0, 1.0, 1.0, 1e-3, 1e-3, 1e-4, 1e-4, 1e-3])  # of a lens's parameters, for differences
+DISTANCES_M = (20.0, 50.0, 80.0)
+TRAVEL_M = 10.0  # over which a speed is measured
+LATERAL_SHARES = (-0.25, 0.0, 0.25)  # offsets from the image's centre at which vehicles drive, of its width
+FITTED_IMAGE_SHARE = 0.6  # of the image, over which a pinhole is fitted to a lens
+LENS_STEPS = np.array([1.0, 1.0, 1.0, 1.0, 1e-3, 1e-3, 1e-4, 1e-4, 1e-3])  # of central differences
 N_PINHOLE = 4
 
 

@@ -10,16 +10,14 @@ from paceline.arrays import Array
 from paceline.cameras import Camera, StereoRig
 from paceline.geometry import epipolar_distance, triangulate
 
-MAX_ORTHONORMALITY_ERROR = 1e-3  # largest entry of RᵀR − I that rounding in a file explains
-MAX_BASELINE_M = 100.0  # m
-MIN_AREA_PX2, MIN_SIDE_PX = 64.0, 4.0  # px², px: less holds no texture to track
-MIN_DRAWING_PX = 2.0  # px
-MAX_OBLIQUENESS = (
-    0.01  # drift of a segment across its direction, as a share of its length, that rounding in a file explains
-)
-MIN_SEGMENT_M, MAX_TARGET_M = 0.01, 20.0  # m
-MIN_TARGET_PX = 8.0  # px: less shows no lines
-MIN_VISIBLE_SHARE = 0.5  # share of a target that its first frame has to show
+MAX_ORTHONORMALITY_ERROR = 1e-3  # greatest entry of RᵀR − I that rounding in a file explains
+MAX_BASELINE_M = 100.0
+MIN_AREA_PX2, MIN_SIDE_PX = 64.0, 4.0  # of an outline: less holds no texture to track
+MIN_DRAWING_PX = 2.0
+MAX_OBLIQUENESS = 0.01  # of a segment: offset across its direction by its length, as rounding explains
+MIN_SEGMENT_M, MAX_TARGET_M = 0.01, 20.0
+MIN_TARGET_PX = 8.0
+MIN_VISIBLE_SHARE = 0.5  # of a target in its first frame
 CORNER_NAMES = ("top-left", "top-right", "bottom-right", "bottom-left")
 CORNER_ORDER = f"{', '.join(CORNER_NAMES)} as seen in the image"
 

@@ -22,18 +22,13 @@ from paceline.recordings.monocular import CameraFrame, CameraRecording, Grey, op
 from paceline.recordings.stereo import MIN_REPORTED_SKEW_S, StereoFrame
 from paceline.verdicts import message
 
-MAX_QUEUED_FRAMES = (
-    64  # frames of a view that wait to be used, so that a pause of seconds loses none; beyond, the oldest is dropped
-)
-CLOCK_OFFSET_FRAMES = 8  # frames of each live view that tell by how much their clocks differ
-PAIR_TOLERANCE = (
-    0.25,
-    0.5,
-)  # of the interval between frames: how far apart two of a pair may be dated, in files or live,
-PAIRED_TOLERANCE_FACTOR = 1.5  # and times as far once a pair was found: jitter about half an interval breaks none up
-MAX_INTERVALS = 15  # intervals of a view, of which the median counts: light and load make single ones long or short
-MAX_DELAY_DIFFERENCE_S = 1.0  # s, more than one camera's pictures take longer than another's to arrive
-POLL_INTERVAL_S = 0.1  # s between two looks at whether to stop
+MAX_QUEUED_FRAMES = 64  # per view; a pause of seconds loses none, beyond it the oldest is dropped
+CLOCK_OFFSET_FRAMES = 8  # per live view, from which the offset between the two clocks is estimated
+PAIR_TOLERANCE = 0.25, 0.5  # greatest offset between the frames of a pair, in frame intervals: of files, of live views
+PAIRED_TOLERANCE_FACTOR = 1.5  # on the tolerance once a pair was found: jitter must not break the pairing up
+MAX_INTERVALS = 15  # of which the median is the frame interval; single ones vary with exposure and load
+MAX_DELAY_DIFFERENCE_S = 1.0  # between the delays of two cameras that share this computer's clock
+POLL_INTERVAL_S = 0.1  # between checks for a request to stop
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,20 +33,20 @@ from paceline.verdicts import message
 
 Grey = NDArray[np.uint8]  # (H, W)
 
-MAX_LISTED_NOTICES = 8  # notices of one kind that are kept
-MIN_GAP_RATIO = 1.5  # usual intervals between two frames that are noticed
-MAX_INTERVALS = 31  # intervals that say what is usual
+MAX_LISTED_NOTICES = 8  # of one kind
+MIN_GAP_RATIO = 1.5  # to the usual interval, above which frames are reported as missing
+MAX_INTERVALS = 31  # of which the median is the usual one
 LIVE_OPTIONS = {"rtsp_flags": "prefer_tcp"}  # of FFmpeg; sources without them ignore them
-DEVICE_PROBLEMS = {  # of a device, where the system's own words mislead
+DEVICE_PROBLEMS = {  # messages for a device where those of the operating system mislead
     errno.EBUSY: "it is in use already",
     errno.EINVAL: "it offers no format that FFmpeg can read",
     errno.ENODEV: "it is no camera that FFmpeg can read",
     errno.ENOTTY: "it is no camera that FFmpeg can read",
     errno.ENOSPC: "its USB bus has no bandwidth left; each camera needs a bus of its own, or smaller pictures",
 }
-OPEN_TIMEOUT_S, SILENCE_TIMEOUT_S = 15.0, 10.0  # s until a live source counts as unreachable, or as ended
-MAX_QUEUED_PICTURES = 8  # pictures received and not yet asked for; beyond them the source has to wait
-POLL_INTERVAL_S = 0.1  # s between two looks at whether to stop
+OPEN_TIMEOUT_S, SILENCE_TIMEOUT_S = 15.0, 10.0  # after which a live source is unreachable, or has ended
+MAX_QUEUED_PICTURES = 8  # received and not yet read; beyond them the source has to wait
+POLL_INTERVAL_S = 0.1  # between checks for a request to stop
 
 
 @dataclass(frozen=True, eq=False)
