@@ -1,4 +1,4 @@
-"""What one camera recorded: numbered images or a video, read in order as grey images on a 0–255 scale."""
+"""The recording of one camera: numbered images or a video, read in order as grey images on a 0–255 scale."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class ImageSource(Protocol):
         ...
 
     def label(self, frame: int) -> str:
-        """What messages call this frame."""
+        """The name of this frame in messages."""
         ...
 
 
@@ -112,8 +112,8 @@ class VideoFile:
         self.notices: list[str] = []
         self._path = path
         self._bit_depth = bit_depth
-        self._enterable = True  # at key frames; not where only the decoder knows the time stamps
-        self._threads = "SLICE"  # of one picture: with a picture each, chance decides what a damaged end costs
+        self._seekable = True  # to key frames; not where only the decoder gives time stamps
+        self._threads = "SLICE"  # frame-parallel decoding loses a varying number of frames at a damaged end
         self._pts, self._time_base = self._scan()
         self.times: Array | None = np.array([float(p * self._time_base) for p in self._pts])
 
@@ -142,8 +142,8 @@ class VideoFile:
         yield from [None] * len(order)
 
     def _decode_from(self, frame: int) -> Iterator[av.VideoFrame]:
-        """Pictures from the key frame at or before ``frame``; from the first where a file cannot be entered there."""
-        if frame and self._enterable:
+        """Pictures from the key frame at or before ``frame``; from the first where a file cannot be seeked."""
+        if frame and self._seekable:
             pictures = self._decode(self._pts[frame])
             first = None
             with suppress(av.FFmpegError):
@@ -163,7 +163,7 @@ class VideoFile:
                 container.seek(start, stream=stream)
             packets = container.demux(stream)
             while True:
-                try:  # a damaged packet costs its own pictures only
+                try:  # a damaged packet loses its own pictures only
                     pictures = next(packets).decode()
                 except StopIteration:
                     return
@@ -179,12 +179,12 @@ class VideoFile:
                 stream = container.streams.video[0]
                 pts, key, cut = _packets(container, stream)
                 time_base = stream.time_base or Fraction(1, av.time_base)
-                promised = _stated_end(container, stream)
+                stated_end = _stated_end(container, stream)
         except av.FFmpegError as error:
             raise UnusableInput(f"{self.name}: cannot be read as a video ({error.strerror})") from error
         if pts and None in pts:  # the container numbers its packets only; the decoder may know better
             pts, key = [picture.pts for picture in self._decode()], None
-            self._enterable = False
+            self._seekable = False
             if None in pts:
                 raise UnusableInput(
                     f"{self.name}: carries no presentation time stamps; expected a video that does, or images"
@@ -194,7 +194,7 @@ class VideoFile:
             raise UnusableInput(f"{self.name}: frame {repeated[0] + 1} has the same time stamp as the frame before it")
         if key is not None:
             whole = {picture.pts for picture in self._decode(key)}
-            if key not in whole:  # not every container can be entered at a key frame
+            if key not in whole:  # not every container can be seeked to a key frame
                 whole = {picture.pts for picture in self._decode()}
             last = max((p for p in whole if p is not None), default=stamps[0] - 1)
             cut = cut or stamps[-1] > last
@@ -203,7 +203,7 @@ class VideoFile:
             raise UnusableInput(f"{self.name}: fewer than two frames can be decoded")
         end = float(stamps[-1] * time_base)
         last_duration = float(max(np.median(np.diff(stamps)), stamps[-1] - stamps[-2]) * time_base)
-        if cut or (promised is not None and promised > end + 1.5 * last_duration):
+        if cut or (stated_end is not None and stated_end > end + 1.5 * last_duration):
             self.notices.append(message("video_truncated", video=self.name, frame=len(stamps) - 1, time_s=end))
         else:
             self._threads = "AUTO"
@@ -239,7 +239,7 @@ def _packets(
 
 
 def _stated_end(container: av.container.InputContainer, stream: av.VideoStream) -> float | None:
-    """The time in seconds at which the container says that the video ends, if it does."""
+    """The end of the video in seconds, as the container states it; None where it does not."""
     if stream.duration is not None and stream.time_base is not None:
         return float((stream.duration + (stream.start_time or 0)) * stream.time_base)
     if container.duration is not None and len(container.streams) == 1:

@@ -1,7 +1,7 @@
-"""Two cameras as they record: pairs of frames, of which those are left out that come faster than they are used.
+"""Live stereo: pairs of frames from two cameras; frames that arrive faster than they are processed are dropped.
 
-Each view is received in a thread of its own. An address or a named pipe is dated by its own clock, a device by this
-computer's, a file is played at the pace of its time stamps.
+Each view is received in a thread of its own. An address or a named pipe has its own clock, a device that of this
+computer; a file is played at the rate of its time stamps.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ POLL_INTERVAL_S = 0.1  # between checks for a request to stop
 
 @dataclass(frozen=True, eq=False)
 class RawPair:
-    """What both cameras recorded at ``time``, s: pictures (H, W) as they came, not undistorted; ``index`` counts the
+    """The frames of both cameras at ``time``, s: images (H, W) as recorded, not undistorted; ``index`` counts the
     left view's frames from 0, ``skew`` is right minus left, s."""
 
     index: int
@@ -44,7 +44,7 @@ class RawPair:
 
 
 class LiveSource(Protocol):
-    """Where both cameras can be reached, as a clip.yaml says it."""
+    """The addresses and settings of two live cameras, as in a clip.yaml."""
 
     @property
     def path(self) -> Path: ...
@@ -59,7 +59,7 @@ class LiveSource(Protocol):
 
 
 class LiveStereo:
-    """The pairs of frames of a rig as they come; to be iterated once. Memory does not grow with time.
+    """The live pairs of frames of a rig; to be iterated once. Memory does not grow with time.
 
     ``dropped`` counts the left view's frames that were not used because newer ones had come. Raises UnusableInput for
     sources that cannot be opened.
@@ -70,8 +70,8 @@ class LiveStereo:
             LiveCamera(open_camera(_ViewSource(clip.path, address, clip.rate, clip.bit_depth, camera)))
             for address, camera in zip(clip.addresses, clip.rig.cameras, strict=True)
         ]
-        self._ahead = 0.0  # s, the right view's clock over the left one's; 0 where they share one
-        self._apart = 0.0  # s, between the two of a pair, at most
+        self._clock_offset = 0.0  # s, right clock minus left clock; 0 where they share one
+        self._max_skew = 0.0  # s, the greatest of all pairs
 
     @property
     def dropped(self) -> int:
@@ -81,10 +81,10 @@ class LiveStereo:
     def notices(self) -> list[str]:
         """What a user should know about the sources, one plain line each."""
         own: list[str] = []
-        if self._ahead:
+        if self._clock_offset:
             own.append(message("no_common_clock"))
-        if self._apart > MIN_REPORTED_SKEW_S:
-            skew = f"up to {1e3 * self._apart:.1f} ms apart, which is allowed for"
+        if self._max_skew > MIN_REPORTED_SKEW_S:
+            skew = f"up to {1e3 * self._max_skew:.1f} ms apart, which is allowed for"
             own.append(message("views_skewed", frames="left and right frames", skew=skew))
         return [*own, *(line for view in self._views for line in view.recording.notices)]
 
@@ -99,9 +99,9 @@ class LiveStereo:
         for view in self._views:
             view.begin(begun)
         try:
-            self._ahead = _clock_offset(left, right)
-            for pair in _pairs(left, right, self._ahead):
-                self._apart = max(self._apart, abs(pair.skew))
+            self._clock_offset = _clock_offset(left, right)
+            for pair in _pairs(left, right, self._clock_offset):
+                self._max_skew = max(self._max_skew, abs(pair.skew))
                 yield pair
         finally:
             self.stop()
@@ -112,7 +112,7 @@ class LiveStereo:
 
 @dataclass(frozen=True)
 class _ViewSource:
-    """A view as `monocular.open_camera` wants it described."""
+    """One view as a `monocular.CameraSource`."""
 
     path: Path
     video: str
@@ -144,8 +144,7 @@ class LiveCamera:
         self.recording.stop()
 
     def peek(self) -> CameraFrame | None:
-        """The oldest frame not yet taken, when there is one and an interval is known; None at the end, and as soon as
-        the views are stopped."""
+        """The oldest queued frame, once there is one and the interval is known; None at the end, and once stopped."""
         with self._changed:
             while not (self._stopped or (self._waiting and np.isfinite(self.interval))):
                 if self._ended:
@@ -154,14 +153,14 @@ class LiveCamera:
             return None if self._stopped else self._waiting[0][0]
 
     def pop(self, frame: CameraFrame) -> None:
-        """Take ``frame``, unless it has been dropped meanwhile."""
+        """Removes ``frame`` from the queue, unless it has been dropped meanwhile."""
         with self._changed:
             if self._waiting and self._waiting[0][0] is frame:
                 self._waiting.popleft()
 
     def delay_s(self) -> float:
-        """How much later than their own time stamps its frames come, s, in the median of the first ones that come as
-        evenly as they were taken: what was taken while nobody read comes first, and all at once."""
+        """Median delay, arrival minus time stamp, s, of the first frames that arrive as evenly as they were taken;
+        frames buffered before reading began arrive all at once and are skipped."""
         late: deque[float] = deque(maxlen=CLOCK_OFFSET_FRAMES)
         for _ in range(MAX_QUEUED_FRAMES):
             if self.peek() is None:
@@ -181,7 +180,7 @@ class LiveCamera:
                 if self._stopped:
                     break
                 if frame.image is not None:
-                    self._hand_on(frame)
+                    self._enqueue(frame)
         except Exception as error:  # is raised where the pairs are read
             self.error = error
         with self._changed:
@@ -192,7 +191,7 @@ class LiveCamera:
         while not self._stopped and (left := moment - time.monotonic()) > 0:
             time.sleep(min(left, POLL_INTERVAL_S))
 
-    def _hand_on(self, frame: CameraFrame) -> None:
+    def _enqueue(self, frame: CameraFrame) -> None:
         with self._changed:
             if np.isfinite(self._last):
                 self._intervals.append(frame.time - self._last)
@@ -206,7 +205,7 @@ class LiveCamera:
 
 
 def _clock_offset(left: LiveCamera, right: LiveCamera) -> float:
-    """Seconds by which the right view's clock is ahead of the left one's, 0 where they share one, as files do."""
+    """The right view's clock minus the left one's, s; 0 where they share one, as files do."""
     if not (left.recording.live or right.recording.live):
         return 0.0
     ahead = left.delay_s() - right.delay_s()
@@ -215,7 +214,7 @@ def _clock_offset(left: LiveCamera, right: LiveCamera) -> float:
 
 
 def _pairs(left: LiveCamera, right: LiveCamera, ahead: float) -> Iterator[RawPair]:
-    """Pairs of frames that were taken together; what has no partner is left out."""
+    """Pairs of frames that were taken at the same time; frames without a partner are left out."""
     files = not (left.recording.live or right.recording.live)
     one_clock = ahead == 0.0
     alike = PAIR_TOLERANCE[not files]
@@ -234,8 +233,8 @@ def _pairs(left: LiveCamera, right: LiveCamera, ahead: float) -> Iterator[RawPai
 
 
 def undistort_pair(pair: RawPair, rig: StereoRig, before: RawPair | None, rows: slice = ALL_ROWS) -> StereoFrame:
-    """``pair`` in ideal pixels, outside of ``rows`` black; a copy of a picture of the pair ``before`` makes it a
-    duplicate."""
+    """``pair`` in ideal pixels, black outside of ``rows``; a duplicate where an image equals that of the pair
+    ``before``."""
     left, right = (
         camera.undistort_image(image.astype(np.float32), rows)
         for camera, image in zip(rig.cameras, (pair.left, pair.right), strict=True)

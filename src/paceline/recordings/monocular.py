@@ -1,7 +1,7 @@
-"""What one camera recorded, or records now: grey frames by time.
+"""The recording of one camera, from files or live: grey frames with their times.
 
-Frames are as recorded, not undistorted. One that cannot be decoded is handed on without a picture, so that whoever
-follows something through the recording knows that time has passed. Memory does not grow with the recording's length.
+Frames are as recorded, not undistorted. One that cannot be decoded is passed on without an image, so that a tracker
+knows that time has passed. Memory does not grow with the recording's length.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class CameraFrame:
 
 
 class CameraSource(Protocol):
-    """Where a chase-camera recording lies and how it is timed, as a follow.yaml says it."""
+    """The location and timing of a chase-camera recording, as in a follow.yaml."""
 
     @property
     def path(self) -> Path: ...
@@ -74,7 +74,7 @@ class CameraSource(Protocol):
 
 
 class Feed(Protocol):
-    """Where frames come from."""
+    """A source of frames, from files or live."""
 
     name: str
     notices: list[str]
@@ -221,8 +221,8 @@ class FileFeed:
 
 @dataclass(frozen=True, eq=False)
 class _Picture:
-    """What came from a live source: its time stamp in seconds, None where it has none, and the picture (H, W), None
-    where it cannot be decoded."""
+    """A received picture: its time stamp in seconds, None where it has none, and the image (H, W), None where it cannot
+    be decoded."""
 
     stamp: float | None
     image: Grey | None
@@ -231,14 +231,14 @@ class _Picture:
 class LiveFeed:
     """A camera or stream that PyAV opens, read once; frames have its own time stamps, or that of their arrival.
 
-    It is received in a thread of its own: FFmpeg waits for data without hearing a signal, and what comes while nobody
-    reads would be lost.
+    It is received in a thread of its own: while FFmpeg waits for data it does not react to signals, and data that
+    arrives while nothing reads would be lost.
     """
 
     def __init__(self, address: str, size: tuple[int, int]) -> None:
         """Asks a device for pictures of ``size`` (width, height). Raises UnusableInput when the source cannot be opened
         or shows no video."""
-        self.name = re.sub(r"//[^/@]*@", "//", address)  # a password belongs into no message
+        self.name = re.sub(r"//[^/@]*@", "//", address)  # no password in messages
         self.notices: list[str] = []
         self._stopped = False
         try:
@@ -254,7 +254,7 @@ class LiveFeed:
             self._container.close()
             raise UnusableInput(f"{self.name}: shows no video")
         self._untimed = Flags.no_timestamps in Flags(self._container.format.flags)
-        if self._untimed:  # FFmpeg would make up times from a rate that it guesses
+        if self._untimed:  # FFmpeg would invent times from a guessed rate
             self.notices.append(message("no_time_stamps", source=self.name))
 
     def label(self, frame: int) -> str:
@@ -283,7 +283,7 @@ class LiveFeed:
             raise UnusableInput(f"{self.name}: sends no picture that can be decoded and has a time stamp")
 
     def _next(self, received: Queue[_Picture | Exception | None]) -> _Picture | None:
-        """The picture that came first of those not yet read; None at the end, or after too long a silence."""
+        """The oldest picture not yet read; None at the end, or after ``SILENCE_TIMEOUT_S`` without one."""
         begun = monotonic()
         while not self._stopped:
             try:
@@ -299,7 +299,7 @@ class LiveFeed:
         return None
 
     def _receive(self, received: Queue[_Picture | Exception | None]) -> None:
-        def hand_on(picture: _Picture | Exception | None) -> None:
+        def enqueue(picture: _Picture | Exception | None) -> None:
             while not self._stopped:
                 try:
                     return received.put(picture, timeout=POLL_INTERVAL_S)
@@ -308,18 +308,18 @@ class LiveFeed:
 
         try:
             for picture in self._pictures():
-                hand_on(picture)
+                enqueue(picture)
                 if self._stopped:
                     break
-            hand_on(None)
+            enqueue(None)
         except Exception as error:  # is raised where it is read
-            hand_on(error)
+            enqueue(error)
         finally:
-            self._container.close()  # says goodbye, and waits for the answer
+            self._container.close()  # ends the connection, which may take a while
 
     def _pictures(self) -> Iterator[_Picture]:
         stream = self._container.streams.video[0]
-        stream.thread_type = "SLICE"  # whole frames in parallel would each arrive late
+        stream.thread_type = "SLICE"  # frame-parallel decoding would delay every frame
         packets = self._container.demux(stream)
         begun = monotonic()
         while True:
@@ -349,8 +349,8 @@ def _is_device(address: str) -> bool:
 
 
 def _open(address: str, size: tuple[int, int]) -> InputContainer:
-    """What FFmpeg opens at an ``address``. It waits for the first picture of a device, and for whoever writes into a
-    pipe, without end and without hearing a signal: hence in a thread of its own."""
+    """Opens the ``address`` with FFmpeg, in a thread of its own: without end, and without reacting to signals, it may
+    wait for the first picture of a device or for the writer of a pipe."""
     answer: Queue[InputContainer | Exception] = Queue()
 
     def ask() -> None:
@@ -359,7 +359,7 @@ def _open(address: str, size: tuple[int, int]) -> InputContainer:
                 answer.put(_open_device(address, size))
             else:
                 answer.put(av.open(address, options=LIVE_OPTIONS, timeout=(OPEN_TIMEOUT_S, 2 * SILENCE_TIMEOUT_S)))
-        except Exception as error:  # is raised where the answer is wanted
+        except Exception as error:  # is raised by the caller
             answer.put(error)
 
     Thread(target=ask, daemon=True).start()
@@ -396,14 +396,14 @@ def _open_device(device: str, size: tuple[int, int]) -> InputContainer:
 
 
 def _describe_error(error: Exception) -> str:
-    """What FFmpeg says of a live source, in words."""
+    """FFmpeg's error for a live source, in words."""
     if isinstance(error, av.error.ExitError):  # PyAV's own time limit
         return f"no answer within {OPEN_TIMEOUT_S:.0f} s"
     return getattr(error, "strerror", None) or "not known to FFmpeg"
 
 
 class _MonotonicClock:
-    """A live source's time, which goes on evenly where its time stamps jump back."""
+    """The time of a live source, continued evenly where its time stamps jump back."""
 
     def __init__(self, name: str, notices: list[str]) -> None:
         self._name, self._notices = name, notices
@@ -431,7 +431,7 @@ def _grey(picture: av.VideoFrame) -> Grey:
 
 @dataclass
 class _LimitedLines:
-    """The first lines of a kind, and how many more there are."""
+    """The first notices of one kind, and the number of all."""
 
     first: list[str] = field(default_factory=list)
     count: int = 0

@@ -1,7 +1,7 @@
 """Stereo recordings: pairs of undistorted grey frames by time.
 
 Each view is a :mod:`source <paceline.recordings.image_sources>` of its own; a :class:`Pairing` says which of their
-frames belong together and when they were taken. Whatever is left out or looks wrong is said in ``notices``.
+frames belong together and when they were taken. Frames left out and suspected faults are reported in ``notices``.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ MAX_LISTED_FRAMES = 8  # in a notice
 
 @dataclass(frozen=True, eq=False)
 class StereoFrame:
-    """What both cameras saw at one time.
+    """The frames of both cameras at one time.
 
     ``index`` counts the left view's frames from 0. ``left`` and ``right`` are (H, W) grey on a 0–255 scale in ideal
     pixels, ``time`` and ``skew`` (right minus left) are in seconds. ``duplicate``: a view repeats its previous image.
@@ -58,7 +58,7 @@ class Pairing:
 
 
 class StereoSource(Protocol):
-    """Where a recording lies and how it is timed, as a clip.yaml says it."""
+    """The location and timing of a stereo recording, as in a clip.yaml."""
 
     @property
     def path(self) -> Path: ...
@@ -79,7 +79,7 @@ class StereoSource(Protocol):
 
 
 class StereoFrames(Protocol):
-    """Frames of a rig with what is to be said of them, to be gone through as often as needed."""
+    """Frames of a rig and their notices, to be iterated as often as needed."""
 
     @property
     def indices(self) -> Indices: ...
@@ -116,7 +116,7 @@ class StereoRecording:
 
     @property
     def sources(self) -> tuple[ImageSource, ImageSource]:
-        """What the left and the right camera recorded, distorted as it is."""
+        """The left and the right recording, distorted."""
         return self._sources
 
     @property
