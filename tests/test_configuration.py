@@ -82,6 +82,9 @@ def test_a_detector_that_a_file_names_lies_beside_it(tmp_path: Path) -> None:
     done = command("speed", clip, "-o", tmp_path / "out", "--config", written(tmp_path, text))
     assert done.returncode == 2
     assert str(tmp_path / "none.onnx") in done.stderr and done.stderr.count("\n") == 1
+    (tmp_path / "none.onnx").write_bytes(b"another network")
+    done = command("speed", clip, "-o", tmp_path / "out", "--config", tmp_path / "settings.yaml")
+    assert done.returncode == 2 and "settings.yaml: detector: expected none.onnx (SHA-256 0123456789ab…)" in done.stderr
 
 
 def test_a_summarys_configuration_reproduces_the_result(tmp_path: Path) -> None:

@@ -195,7 +195,13 @@ def _detector(config: Path | None, settings: SpeedSettings) -> Path | None:
     if config is None or file is None:
         return None
     beside = config.parent / file
-    return file if file.exists() and not beside.exists() else beside
+    found = file if file.exists() and not beside.exists() else beside
+    if settings.detector != str(file):  # as a summary names it, with the digest
+        from paceline.detection.onnx_detector import detector_name
+
+        if (name := detector_name(found)) != settings.detector:
+            raise UnusableInput(f"{config}: detector: expected {settings.detector}, found {found.parent / name}")
+    return found
 
 
 def _print_result(result: ClipResult, unit: str) -> None:

@@ -40,7 +40,7 @@ class OnnxDetector:
 
     def __init__(self, file: Path) -> None:
         self._file = file
-        self.name = f"{file.name} (SHA-256 {_digest(file)[:12]}…)"
+        self.name = detector_name(file)
         self._session, self.runtime = _session(file)
         self._input, self._size, self._type, self._shape = self._input_of()
         outputs = self._run(np.full(self._size[::-1], PADDING_GREY / 255.0, np.float32))
@@ -131,6 +131,11 @@ def _session(file: Path) -> tuple[InferenceSession, str]:
     except Exception as error:  # ONNX Runtime has many
         raise UnusableInput(f"{file}: cannot be read as an ONNX model: {_error_text(error)}") from error
     return session, onnxruntime.__version__
+
+
+def detector_name(file: Path) -> str:
+    """The name of an ONNX ``file`` and how its SHA-256 begins. Raises UnusableInput where it cannot be read."""
+    return f"{file.name} (SHA-256 {_digest(file)[:12]}…)"
 
 
 def _digest(file: Path) -> str:
