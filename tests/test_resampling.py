@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pydantic import ValidationError
 
-from paceline.speed.filter.resampling import SCHEMES, Weights, ess_sufficient, resample
+from paceline.speed.configuration import SpeedConfiguration
+from paceline.speed.filter import resampling
+from paceline.speed.filter.resampling import SCHEMES, Weights, ess_sufficient, resample, resampling_scheme
 
 LOG_WEIGHTS = st.lists(st.floats(-30, 30), min_size=1, max_size=60).map(np.array)
 SHARES = st.lists(st.floats(0, 1), min_size=2, max_size=60).filter(lambda v: sum(v) > 0.1).map(np.array)
@@ -127,8 +130,31 @@ def test_resampling_depends_on_nothing_but_its_generator(scheme):
 
 
 @given(st.integers(1, 5000), st.floats(-50, 50))
-def test_equal_weights_are_even_enough_whatever_the_rounding(n: int, lw: float) -> None:
+def test_equal_weights_need_no_resampling_whatever_the_rounding(n: int, lw: float) -> None:
     weights = Weights(np.full(n, lw))
     assert ess_sufficient(weights.ESS, n, 1.0)
     assert not ess_sufficient(0.999 * weights.ESS, n, 1.0)
     assert ess_sufficient(0.501 * n, n, 0.5) and not ess_sufficient(0.499 * n, n, 0.5)
+
+
+def test_a_registered_scheme_is_a_setting(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(ValidationError, match="'systematic', 'stratified', 'residual' or 'multinomial'"):
+        SpeedConfiguration(resampling="last_particle")
+
+    def last_particle(W, rng):
+        return np.full(len(W), len(W) - 1)
+
+    monkeypatch.setattr(resampling, "SCHEMES", dict(SCHEMES))
+    resampling_scheme(last_particle)
+    name = SpeedConfiguration(resampling="last_particle").resampling
+    assert (resample(name, np.array([0.5, 0.3, 0.2]), np.random.default_rng(0)) == 2).all()
+    with pytest.raises(ValueError, match="registered twice"):
+        resampling_scheme(scheme_named("last_particle"))
+
+
+def scheme_named(name):
+    def scheme(W, rng):
+        return np.arange(len(W))
+
+    scheme.__name__ = name
+    return scheme

@@ -2,8 +2,15 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import Literal
 
 Motion = Literal["auto", "free", "line", "curve"]
-Resampling = Literal["systematic", "stratified", "residual", "multinomial"]
 DeviceName = Literal["auto", "cpu", "cuda"]
+
+RESAMPLING_MODULE = "paceline.speed.filter.resampling"  # registers the schemes; loaded when their names are needed
+
+
+def resampling_schemes() -> list[str]:
+    """The names of the registered resampling schemes."""
+    return list(import_module(RESAMPLING_MODULE).SCHEMES)

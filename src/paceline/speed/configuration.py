@@ -10,10 +10,11 @@ import re
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, ConfigDict, Field
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field
+from pydantic_core import PydanticKnownError
 
 from paceline.documents.models import KnownKeys, Text, read_document
-from paceline.speed.choices import DeviceName, Motion, Resampling
+from paceline.speed.choices import DeviceName, Motion, resampling_schemes
 from paceline.units import SpeedUnit
 
 DEFAULT_BACKGROUND_S = 30.0  # `learn` where absent
@@ -30,6 +31,16 @@ def _range(value: Any) -> tuple[float, float]:
     return low, high
 
 
+def _registered_scheme(name: str) -> str:
+    schemes = resampling_schemes()
+    if name not in schemes:
+        *others, last = map(repr, schemes)
+        raise PydanticKnownError("literal_error", {"expected": f"{', '.join(others)} or {last}"})
+    return name
+
+
+REGISTERED_SCHEME = AfterValidator(_registered_scheme)
+ResamplingScheme = Annotated[str, REGISTERED_SCHEME]
 Range = Annotated[tuple[float, float], BeforeValidator(_range)]
 
 
@@ -124,7 +135,7 @@ class SpeedConfiguration(Section):
     motion: Motion = Field("auto", description="`auto` follows the path's shape, `free` ignores paths")
     parts: Literal[4, 6, 8, 10, 12, 16] = Field(10, description="parts N_p of the likelihood")
     refine: bool = Field(True, description="fit the whole track at the end; off: the filter's mean speed, biased")
-    resampling: Resampling = Field(
+    resampling: ResamplingScheme = Field(
         "systematic", description="scheme by which particles are resampled; on a GPU only `systematic`"
     )
     tolerance: float | None = Field(

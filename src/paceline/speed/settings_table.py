@@ -7,7 +7,8 @@ from typing import Any, Literal, get_args, get_origin
 
 from pydantic.fields import FieldInfo
 
-from paceline.speed.configuration import Section, SpeedSettings
+from paceline.speed.choices import resampling_schemes
+from paceline.speed.configuration import REGISTERED_SCHEME, Section, SpeedSettings
 
 HEAD = """# Settings of `paceline speed`
 
@@ -72,6 +73,8 @@ def range_of(field: FieldInfo) -> str:
     """What a field may hold, in words."""
     if get_origin(field.annotation) is Literal:
         return ", ".join(map(str, get_args(field.annotation)))
+    if REGISTERED_SCHEME in field.metadata:
+        return ", ".join(resampling_schemes())
     if field.annotation is bool:
         return "true, false"
     return ", ".join(bounds(field)) or ("two speeds" if isinstance(field.default, tuple) else "text")

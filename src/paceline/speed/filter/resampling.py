@@ -9,10 +9,21 @@ import numpy as np
 
 from paceline.arrays import Array, Indices
 
-JITTER_SCALE = 0.1  # share of a static parameter's spread that resampling gives back to it
-SHRINKAGE = float(np.sqrt(1 - JITTER_SCALE**2))  # share of it that is left before
-EVEN = 1e-9  # relative: by which a sample size may fall short of its bound by rounding
-Scheme = Callable[[Array, np.random.Generator], Indices]
+JITTER_SCALE = 0.1  # of a static parameter at resampling, as a share of its standard deviation
+SHRINKAGE = float(
+    np.sqrt(1 - JITTER_SCALE**2)
+)  # of a static parameter to its mean before the jitter [Liu and West 2001]
+EVEN = 1e-9  # for rounding
+Scheme = Callable[[Array, np.random.Generator], Indices]  # weights (N,) to indices (N,)
+
+SCHEMES: dict[str, Scheme] = {}  # by name, in the order of registration
+
+
+def resampling_scheme(scheme: Scheme) -> Scheme:
+    """Register ``scheme`` under its function's name, as a decorator. Raises ValueError where that is taken."""
+    if SCHEMES.setdefault(scheme.__name__, scheme) is not scheme:
+        raise ValueError(f"resampling scheme {scheme.__name__!r} is registered twice")
+    return scheme
 
 
 class Weights:
@@ -22,7 +33,7 @@ class Weights:
     """
 
     def __init__(self, lw: Array) -> None:
-        with np.errstate(invalid="ignore"):  # −∞ + −∞ where every weight vanishes: told below
+        with np.errstate(invalid="ignore"):  # −∞ + −∞ where every weight vanishes: raised below
             total = np.logaddexp.reduce(lw)
         if not np.isfinite(total):
             raise FloatingPointError("all particle weights vanish")
@@ -65,23 +76,21 @@ def _inverse_cdf(points: Array, W: Array) -> Indices:
     return np.searchsorted(cumulative, points, side="left").astype(np.int64)
 
 
+@resampling_scheme
 def systematic(W: Array, rng: np.random.Generator) -> Indices:
     """One uniform offset for all strata."""
     n = len(W)
     return _inverse_cdf((np.arange(n) + rng.random()) / n, W)
 
 
+@resampling_scheme
 def stratified(W: Array, rng: np.random.Generator) -> Indices:
     """One uniform draw in every stratum."""
     n = len(W)
     return _inverse_cdf((np.arange(n) + rng.random(n)) / n, W)
 
 
-def multinomial(W: Array, rng: np.random.Generator) -> Indices:
-    """Independent draws."""
-    return _inverse_cdf(np.sort(rng.random(len(W))), W)
-
-
+@resampling_scheme
 def residual(W: Array, rng: np.random.Generator) -> Indices:
     """⌊N·W⌋ copies of each, the rest drawn from what is left over."""
     n = len(W)
@@ -94,16 +103,14 @@ def residual(W: Array, rng: np.random.Generator) -> Indices:
     return np.concatenate([kept, rest])
 
 
-SCHEMES: dict[str, Scheme] = {
-    "systematic": systematic,
-    "stratified": stratified,
-    "residual": residual,
-    "multinomial": multinomial,
-}
+@resampling_scheme
+def multinomial(W: Array, rng: np.random.Generator) -> Indices:
+    """Independent draws."""
+    return _inverse_cdf(np.sort(rng.random(len(W))), W)
 
 
 def ess_sufficient(ess: float, n: int, below: float) -> bool:
-    """Whether ``n`` particles of that effective size need no resampling, which is for sizes ``below`` a share of n."""
+    """Whether ``n`` particles with the effective sample size ``ess`` need no resampling: ``ess`` ≥ ``below`` · n."""
     return ess >= below * n * (1 - EVEN)
 
 
