@@ -1,4 +1,4 @@
-"""Found vehicles put into a clip.yaml."""
+"""Outlines of detected vehicles as entries of a clip.yaml."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A vehicle detector of the user's own: a neural network in an ONNX file, run by ONNX Runtime on the CPU."""
+"""An object detector that the user provides: a neural network in an ONNX file, run by ONNX Runtime on the CPU."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ if TYPE_CHECKING:
     from onnxruntime import InferenceSession, NodeArg
 
 
-INFERENCE_THREADS = 2  # more help small networks little, and what measures wants some too
-DEFAULT_SIDE_PX, ACCEPTED_SIDES_PX = 640, range(32, 8193)  # px of an input that may have any size, and of any
-PADDING_GREY = 114.0  # grey beside a picture that has another shape than the input
+INFERENCE_THREADS = 2  # more hardly help small networks, and the measurement needs some too
+DEFAULT_SIDE_PX, ACCEPTED_SIDES_PX = 640, range(32, 8193)  # of an input of any size; of any input
+PADDING_GREY = 114.0  # beside an image whose aspect ratio differs from the input's
 FLOAT_TYPES: dict[str, type[np.floating]] = {"tensor(float)": np.float32, "tensor(float16)": np.float16}
-LOG_FATAL_ONLY = 4  # what ONNX Runtime logs: what goes wrong is raised as well
-MAX_NAMES_LENGTH = 1_000_000  # characters of the names of classes, at most
-MAX_QUOTED_LENGTH = 300  # characters that a message takes over from a file
-ERROR_PREFIX = re.compile(  # what ONNX Runtime says beside what went wrong: in which of its lines, and with which file
+LOG_FATAL_ONLY = 4  # log level of ONNX Runtime: errors are raised as well
+MAX_NAMES_LENGTH = 1_000_000  # characters of the class names
+MAX_QUOTED_LENGTH = 300  # characters quoted from a file in a message
+ERROR_PREFIX = re.compile(  # source lines and file names in the errors of ONNX Runtime
     r".*\[ONNXRuntimeError\] : \d+ : \w+ : |Load model from .*? failed:|/\S+\.(?:h|cc):\d+ .*?\) (?:const )?"
 )
 
 
 class OnnxDetector:
-    """Finds vehicles in pictures by the ONNX ``file``; the same picture gives the same boxes.
+    """Detects vehicles in images by the network in the ONNX ``file``, deterministically.
 
     ``name`` is the file's name and how its SHA-256 begins, ``runtime`` the version of ONNX Runtime. Raises
     UnusableInput for a file that holds no detector of a known layout, and where ONNX Runtime is not installed.
@@ -114,7 +114,7 @@ def letterbox(picture: Image, size: tuple[int, int]) -> tuple[Image, Array]:
 
 
 def _session(file: Path) -> tuple[InferenceSession, str]:
-    """What runs the ONNX ``file``, and the version of ONNX Runtime."""
+    """The inference session of the ONNX ``file``, and the version of ONNX Runtime."""
     try:
         import onnxruntime
     except ImportError:
@@ -169,11 +169,11 @@ def _shapes(described: list[NodeArg], found: Outputs | None = None) -> str:
 
 
 def _error_text(error: Exception) -> str:
-    """What went wrong in ONNX Runtime."""
+    """The message of an error of ONNX Runtime, shortened."""
     return _shorten(ERROR_PREFIX.sub("", " ".join(str(error).split())))
 
 
 def _shorten(text: str) -> str:
-    """The beginning of a ``text`` that somebody else wrote, on one line."""
+    """The beginning of a ``text`` from a file, on one line and printable."""
     plain = "".join(c for c in " ".join(text.split()) if c.isprintable())
     return plain if len(plain) <= MAX_QUOTED_LENGTH else f"{plain[: MAX_QUOTED_LENGTH - 1]}…"

@@ -1,6 +1,6 @@
-"""What detectors put out, read as boxes around vehicles: the layouts that are common, told apart by their shapes.
+"""Outputs of object detectors as boxes around vehicles: the common layouts, identified by their shapes.
 
-Boxes that overlap are not thinned out: a place lies in a box or it does not.
+There is no suppression of overlapping boxes: only whether a pixel lies in any box matters.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from paceline.arrays import Array
 
 Outputs = list[NDArray[np.generic]]
 
-MIN_SCORE = 0.25  # that most detectors are used with; what is boxed wrongly has yet to stand upright and to drive
-MAX_BOXES = 1000  # boxes of a picture, those that score best
-MAX_NORMALISED_PX = 1.5  # px, within which no box of a vehicle lies: such boxes are shares of the input's size
-CELL_STRIDES_PX = 8, 16, 32  # px of the cells that raw outputs have rows for
+MIN_SCORE = 0.25  # as is usual; a false box still has to contain something upright that drives
+MAX_BOXES = 1000  # of an image, those with the highest scores
+MAX_NORMALISED_PX = 1.5  # boxes that all lie within it are fractions of the input's size
+CELL_STRIDES_PX = 8, 16, 32  # of the grids whose cells raw outputs have a row each for
 VEHICLE_WORDS = {
     "ambulance", "bus", "car", "coach", "lorry", "minibus", "motor", "motorbike", "motorcycle", "pickup", "rickshaw",
     "scooter", "suv", "taxi", "tractor", "trailer", "tricycle", "truck", "van", "vehicle",
@@ -45,8 +45,8 @@ class Candidates:
 
 @dataclass(frozen=True, eq=False)
 class OutputLayout:
-    """How to ``read`` the outputs of a detector whose input has ``white`` for white, and how many ``classes`` it tells
-    apart, if its outputs say so."""
+    """How to ``read`` the outputs of a detector, the value of ``white`` in its input, and its number of ``classes``
+    where the outputs contain it."""
 
     read: Callable[[Outputs], Candidates]
     white: float = 1.0
@@ -54,8 +54,7 @@ class OutputLayout:
 
 
 def output_layout(outputs: Outputs, size: tuple[int, int]) -> OutputLayout | None:
-    """The layout of what a detector put out for a plain picture of ``size`` (width, height); None if it is none that
-    is known."""
+    """The layout of the ``outputs`` for a uniform image of ``size`` (width, height); None for an unknown one."""
     if not all(np.issubdtype(output.dtype, np.number) for output in outputs):
         return None
     if len(outputs) == 3 and (order := _list_order(outputs)):
@@ -77,19 +76,20 @@ def output_layout(outputs: Outputs, size: tuple[int, int]) -> OutputLayout | Non
     plain, grid = _table(outputs, at), _cell_grid(size)  # a row for each cell, as YOLOX and YOLOv6 have it
     if plain[:, 2:4].min() < 0:  # logarithms of sizes, and places in the cell: as YOLOX leaves them
         return OutputLayout(lambda found: _from_objectness(_decode_cells(_table(found, at), grid)), 255.0, columns - 5)
-    white = 1.0 if plain[:, 4].min() > MIN_SCORE else 255.0  # that there is something everywhere says only YOLOv6
+    white = 1.0 if plain[:, 4].min() > MIN_SCORE else 255.0  # only YOLOv6 has an objectness of 1 everywhere
     return OutputLayout(lambda found: _from_objectness(_table(found, at)), white, columns - 5)
 
 
 def vehicle_classes(names: dict[int, str] | None, count: int | None) -> Array | None:
-    """Which of ``count`` classes are vehicles', by their ``names`` where they have some; None: all of them."""
+    """The indices of the vehicle classes among ``count``, by their ``names`` where these are known; None: all of
+    them."""
     if names is not None:
         return np.array([k for k, name in names.items() if _is_vehicle(name)], float)
     return np.array(COCO_VEHICLE_CLASSES[count], float) if count in COCO_VEHICLE_CLASSES else None
 
 
 def select_boxes(candidates: Candidates, classes: Array | None, size: tuple[int, int]) -> Array:
-    """The boxes (N, 4) that score enough, of these ``classes``, in px of an input of ``size`` (width, height)."""
+    """The boxes (N, 4) with a sufficient score, of these ``classes``, in px of an input of ``size`` (width, height)."""
     boxes, scores = candidates.boxes, candidates.scores
     scoring = (scores >= MIN_SCORE) & np.isfinite(boxes).all(1) & (boxes[:, 2:] > boxes[:, :2]).all(1)
     if scoring.any() and np.abs(boxes[scoring]).max() <= MAX_NORMALISED_PX:
@@ -125,19 +125,19 @@ def _from_lists(boxes: NDArray[np.generic], labels: NDArray[np.generic], scores:
 
 
 def _from_rows(rows: Array) -> Candidates:
-    """Of rows of left, top, right, bottom, score and class."""
+    """From rows of left, top, right, bottom, score and class."""
     return Candidates(rows[:, :4], rows[:, 4], rows[:, 5])
 
 
 def _from_class_scores(rows: Array) -> Candidates:
-    """Of rows of a centre, width and height, and a score for each class."""
+    """From rows of a centre, width and height, and a score for each class."""
     centre, half = rows[:, :2], rows[:, 2:4] / 2
     boxes = np.concatenate([centre - half, centre + half], axis=1)
     return Candidates(boxes, rows[:, 4:].max(1), rows[:, 4:].argmax(1).astype(float))
 
 
 def _from_objectness(rows: Array) -> Candidates:
-    """As `_of_scores`, of rows in which before these stands how surely there is anything."""
+    """As `_from_class_scores`, from rows that hold an objectness before the scores."""
     return _from_class_scores(np.concatenate([rows[:, :4], rows[:, 4:5] * rows[:, 5:]], axis=1))
 
 

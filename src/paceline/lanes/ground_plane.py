@@ -1,4 +1,4 @@
-"""A first road surface from dense stereo: the plane under the camera that most of the scene lies in, then its bend."""
+"""The initial road surface from dense stereo: a plane by RANSAC, then its bend by robust least squares."""
 
 from __future__ import annotations
 
@@ -13,20 +13,18 @@ from paceline.cameras import StereoRig
 from paceline.lanes.road_surface import RoadSurface, plane_surface
 from paceline.recordings.background import Background
 
-MATCHING_WIDTH_PX = 640  # px to which pictures are reduced: far more than a first guess needs
-SGBM_BLOCK_PX = 7  # px
-MIN_DEPTH_M, MAX_DEPTH_M = 4.0, 90.0  # m of depth that count
-MIN_NORMAL_COSINE = np.cos(np.radians(40.0))  # between the ground's normal and the picture's downward axis
-MIN_CAMERA_HEIGHT_M, MAX_CAMERA_HEIGHT_M = 0.7, 25.0  # m of the camera above the road
-RANSAC_TRIALS = 400  # triples of points; one in fifty on the ground suffices
-DISPARITY_STD_PX = 0.5  # px of a disparity that belongs to the ground
-HEIGHT_PRIOR_STD_M = np.array(
-    [10.0, 10.0, 10.0, 0.5, 0.5, 0.75]
-)  # m at 30 m: verges that fall away shall not bend the road
+MATCHING_WIDTH_PX = 640  # to which images are reduced
+SGBM_BLOCK_PX = 7
+MIN_DEPTH_M, MAX_DEPTH_M = 4.0, 90.0  # of the points that are used
+MIN_NORMAL_COSINE = np.cos(np.radians(40.0))  # between the ground's normal and the image's downward axis
+MIN_CAMERA_HEIGHT_M, MAX_CAMERA_HEIGHT_M = 0.7, 25.0  # above the road
+RANSAC_TRIALS = 400  # triples of points; an inlier share of one in fifty suffices
+DISPARITY_STD_PX = 0.5
+HEIGHT_PRIOR_STD_M = np.array([10.0, 10.0, 10.0, 0.5, 0.5, 0.75])  # at 30 m: sloping verges must not bend the road
 IRLS_ITERATIONS = 12
-MAX_POINTS = 6000  # points at most
-MIN_INLIER_SHARE = 0.04  # of the points matched, in the ground
-GAMMA = 0.5  # exponent by which dark scenes are brought up before they are matched
+MAX_POINTS = 6000
+MIN_INLIER_SHARE = 0.04  # of the matched points
+GAMMA = 0.5  # exponent by which dark scenes are brightened before they are matched
 
 
 def initial_surface(rig: StereoRig, background: Background) -> RoadSurface | None:
@@ -58,13 +56,13 @@ def initial_surface(rig: StereoRig, background: Background) -> RoadSurface | Non
 
 def _fit_bend(surface: RoadSurface, points: Array, deviation: Array) -> RoadSurface:
     """``surface`` through the ``points`` (N, 3) near it, whose heights deviate by ``deviation`` (N,) m; those above,
-    such as trees, lose their say (Tukey's weights)."""
+    such as trees, get little weight (Tukey's)."""
     local = (points - surface.origin) @ surface.axes
     basis = surface.basis(local[:, [0, 2]]) / deviation[:, None]
     observed = local[:, 1] / deviation
     c = surface.heights
     for k in range(IRLS_ITERATIONS):
-        reach = 4.0 + 6.0 * 0.7**k  # wider at first, for what is bent
+        reach = 4.0 + 6.0 * 0.7**k  # larger at first, for a bent surface
         weight = np.maximum(1 - ((observed - basis @ c) / reach) ** 2, 0.0) ** 2
         information = (basis * weight[:, None]).T @ basis + np.diag(HEIGHT_PRIOR_STD_M**-2)
         c = np.linalg.solve(information, (basis * weight[:, None]).T @ observed)

@@ -1,4 +1,4 @@
-"""Both views of the road as seen from above: by the ground, and along the road."""
+"""Inverse perspective mapping: both views of the road resampled on the ground, as if seen from above."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from paceline.lanes.road_alignment import Alignment
 from paceline.lanes.road_surface import RoadSurface
 from paceline.recordings.background import Background
 
-LOG_OFFSET_GREY = 2.0  # grey levels added before the logarithm, below which pictures hold little but noise
+LOG_OFFSET_GREY = 2.0  # added before the logarithm: below it images contain little but noise
 
 
 @dataclass(frozen=True, eq=False)
 class GroundImage:
-    """A view from above: the logarithm ``light`` (H, W) of the grey, in which paint has one contrast in sun and shade,
-    and where the ground is ``seen``."""
+    """A view resampled on the ground: the logarithm of its grey levels (H, W), in which paint has the same contrast in
+    sun and shade, and where the ground is ``visible`` (H, W)."""
 
     log_intensity: Image
     visible: Mask
@@ -28,7 +28,7 @@ class GroundImage:
 def map_to_ground(
     rig: StereoRig, background: Background, side: int, surface: RoadSurface, ground: Array
 ) -> GroundImage:
-    """What the left (0) or right (1) view shows at ``ground`` (H, W, 2) of a ``surface``."""
+    """The left (0) or right (1) view at the points ``ground`` (H, W, 2) of a ``surface``."""
     points = surface.points(ground)
     if side == 1:
         points = rig.to_right(points)
@@ -46,8 +46,8 @@ def map_to_ground(
 
 
 def pixel_size(rig: StereoRig, surface: RoadSurface, alignment: Alignment, s: Array, d: float) -> Array:
-    """Metres (N, 2) along and across the road that one pixel of the left view covers at road coordinates (s, d), the
-    larger where the pixel is seen aslant."""
+    """Metres (N, 2) along and across the road that one pixel of the left view covers at road coordinates (s, d), which
+    grows with the obliquity of the view."""
     step = 0.05
     base = rig.left.project(surface.points(alignment.to_ground(s, d)))
     along = rig.left.project(surface.points(alignment.to_ground(s + step, d))) - base

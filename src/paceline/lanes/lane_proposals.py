@@ -17,13 +17,13 @@ from paceline.speed.geometry.path_reconstruction import reconstruct
 from paceline.speed.geometry.paths import Path, jacobian
 from paceline.verdicts import NO_REASON, Message, message
 
-MIN_LANE_WIDTH_M, MAX_LANE_WIDTH_M = 2.2, 5.5  # m between the lines of a lane
-WIDTH_SAMPLES = 15  # places along a lane at which its width is measured
-MIN_LENGTH_M = 8.0  # m that both lines of a lane must run beside each other
-MAX_LATERAL_STD_M = 0.25  # m, the standard deviation across beyond which a lane is not drawn
-DRAWN_POINTS = 24  # points of a drawn path in each view
-MAX_STRAIGHT_RMS_PX = 0.6  # px, rms: a path is a curve where its drawing departs more from a line in either view
-MIN_DRAWN_PX = 40.0  # px that a drawn path must be long in each view
+MIN_LANE_WIDTH_M, MAX_LANE_WIDTH_M = 2.2, 5.5  # between its lines
+WIDTH_SAMPLES = 15  # positions along a lane at which its width is measured
+MIN_LENGTH_M = 8.0  # over which both lines of a lane run beside each other
+MAX_LATERAL_STD_M = 0.25  # standard deviation across the road beyond which a lane is not drawn
+DRAWN_POINTS = 24  # of a drawn path in each view
+MAX_STRAIGHT_RMS_PX = 0.6  # of a drawing about a straight line: beyond in either view, a path is a curve
+MIN_DRAWN_PX = 40.0  # length of a drawn path in each view
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,10 +55,10 @@ class Lane:
 def road_lines(road: RoadModel) -> list[RoadLine]:
     """The lines of a road, from left to right, numbered from 1."""
     found = []
-    for k, (curve, trace) in enumerate(zip(road.curves, road.lines, strict=True)):
-        s = np.linspace(*trace.span, 60)
+    for k, (curve, line) in enumerate(zip(road.curves, road.lines, strict=True)):
+        s = np.linspace(*line.span, 60)
         points = road.surface.points(road.alignment.to_ground(s, lateral_offset(curve, s)))
-        found.append(RoadLine(str(k + 1), trace.kind, points, _lateral_std(road, k, s)))
+        found.append(RoadLine(str(k + 1), line.kind, points, _lateral_std(road, k, s)))
     return found
 
 
@@ -70,7 +70,8 @@ def _lateral_std(road: RoadModel, k: int, s: Array) -> Array:
 
 
 def propose_lanes(rig: StereoRig, road: RoadModel) -> tuple[list[Lane], list[Message]]:
-    """The lanes between neighbouring lines, from left to right, and a remark on every pair that makes none."""
+    """The lanes between neighbouring lines, from left to right, and for every other pair the reason why it is no
+    lane."""
     lanes, remarks = [], []
     for k in range(len(road.lines) - 1):
         a, b = road.lines[k], road.lines[k + 1]
@@ -118,7 +119,8 @@ def propose_lanes(rig: StereoRig, road: RoadModel) -> tuple[list[Lane], list[Mes
 
 
 def _known_stretch(road: RoadModel, k: int, first: float, last: float) -> tuple[float, float]:
-    """The longest stretch between ``first`` and ``last`` (m along) on which lines k and k + 1 are known well enough."""
+    """The longest stretch between ``first`` and ``last`` (m along) on which lines k and k + 1 are known to
+    `MAX_LATERAL_STD_M`."""
     s = np.linspace(first, last, 200)
     known = np.maximum(_lateral_std(road, k, s), _lateral_std(road, k + 1, s)) < MAX_LATERAL_STD_M
     stretches = [part[part >= 0] for part in np.split(np.where(known, np.arange(200), -1), np.flatnonzero(~known))]

@@ -1,4 +1,4 @@
-"""Lines matched between the views: the road's surface is where both views put every line in the same place.
+"""Least-squares adjustment of lines and road surface: on the surface both views give every line the same position.
 
 For a view, raising the surface by dh moves what it shows there over the ground, towards the camera, by dh times the
 distance over the camera's height; across the road the two views then differ by dh·(baseline across the road)/(height).
@@ -27,22 +27,22 @@ from paceline.lanes.line_detection import (
 from paceline.lanes.road_alignment import Alignment
 from paceline.lanes.road_surface import RoadSurface
 
-PAINT_STD_PX = 0.15  # px, the noise of a measured stretch of paint
-PAINT_STD_M = 0.01  # m, how raggedly paint is laid and worn
-SURFACE_PRIOR_STD_M = np.array([0.15, 0.6, 0.4, 2.0, 0.6, 0.6])  # m at 30 m by which the first surface may be wrong
-PARALLEL_STD_M = np.array([0.12, 0.06, 0.04])  # m at 30 m by which the lines of one road depart from each other
-MIN_DESCENT_M = 0.2  # m of descent below which a ray only skims the road
-UNCONSTRAINED_STD_M = 30.0  # m: no constraint
+PAINT_STD_PX = 0.15  # noise of a measured stretch of paint,
+PAINT_STD_M = 0.01  # and irregularity of paint as it is laid and worn
+SURFACE_PRIOR_STD_M = np.array([0.15, 0.6, 0.4, 2.0, 0.6, 0.6])  # at 30 m, of the initial surface's heights
+PARALLEL_STD_M = np.array([0.12, 0.06, 0.04])  # at 30 m, of the terms by which the lines of a road differ
+MIN_DESCENT_M = 0.2  # of a ray, below which it only grazes the road
+UNCONSTRAINED_STD_M = 30.0  # no constraint
 GAUSS_NEWTON_STEPS = 4
-HUBER_SIGMA = 2.0  # standard deviations
-LEVEL_RANGE_M = 0.18  # m of height within which the lines of one road lie against the first surface
-MAX_ELEVATION_M = 0.10  # m from the road's surface: what lies farther from it is no marking
-MAX_HEIGHT_STD_M = 0.15  # m, the standard deviation of a height that tells nothing
+HUBER_SIGMA = 2.0
+LEVEL_RANGE_M = 0.18  # of the heights of one road's lines above the initial surface
+MAX_ELEVATION_M = 0.10  # of a line above the road's surface: beyond, it is no marking
+MAX_HEIGHT_STD_M = 0.15  # above which the height of a line is unknown
 
 
 @dataclass(frozen=True, eq=False)
 class RoadModel:
-    """Lines on one surface. ``curves`` (K, 5) are the lines' polynomials in road coordinates of ``course``;
+    """Lines on one surface. ``curves`` (K, 5) are the lines' polynomials in road coordinates of ``alignment``;
     ``covariance`` (6 + 5K, 6 + 5K) is that of the surface's heights and of the curves; ``misfit`` is how many times the
     measured stretches scatter more than expected."""
 
@@ -55,7 +55,7 @@ class RoadModel:
 
     @property
     def common_alignment(self) -> Alignment:
-        """The course with what all lines deviate from it in common."""
+        """The alignment, with the mean deviation of all lines added."""
         return replace(self.alignment, deviation=self.alignment.deviation + [0.0, *self.curves[:, 1:].mean(0)])
 
 
@@ -86,11 +86,11 @@ class Observations:
 
 
 def adjust(rig: StereoRig, first: RoadSurface, alignment: Alignment, lines: list[LaneLine]) -> RoadModel | None:
-    """The road on which the ``lines`` lie, without those that lie above or below it; None where no line tells its
-    height.
+    """The road on which the ``lines`` lie, without those that lie above or below it; None where the height
+    of no line is known.
 
-    By their parallax against the ``first`` surface most of the paint lies at one height; guard rails, their shadows on
-    the verge and the tops of posts at others. Once the road is fitted its own lines are judged again.
+    By their parallax relative to the ``first`` surface most of the paint lies at one height; guard rails, their shadows
+    on the verge and the tops of posts at others. The lines are checked again against the fitted surface.
     """
     heights = np.array([_elevation(rig, first, alignment, line, line.curve) for line in lines])
     lines = [line for line, height in zip(lines, heights, strict=True) if np.isfinite(height)]
@@ -110,9 +110,9 @@ def adjust(rig: StereoRig, first: RoadSurface, alignment: Alignment, lines: list
 
 
 def _gauss_newton(rig: StereoRig, first: RoadSurface, alignment: Alignment, lines: list[LaneLine]) -> RoadModel:
-    """Gauss–Newton over the surface's heights, the course's deviation and the lines' own curves at once, robust against
-    single stretches. The course may change freely, as on another surface it looks different; the lines of a road are
-    parallel but for `PARALLEL`."""
+    """Gauss–Newton over the surface's heights, the alignment's deviation and the lines' own curves at once, robust
+    against single stretches. The alignment may change freely, as on another surface it looks different; the lines of a
+    road are parallel but for `PARALLEL`."""
     seen = Observations.of(lines)
     count = 6 + CURVE_TERMS - 1 + (DETECTION_DEGREE + 1) * len(lines)
     spread = np.concatenate(
@@ -185,8 +185,8 @@ def _shift_per_height(
 
 
 def _elevation(rig: StereoRig, surface: RoadSurface, alignment: Alignment, line: LaneLine, curve: Array) -> float:
-    """Height of a line, which runs about along ``curve``, above ``surface`` in metres, by its parallax; infinite where
-    it has none that tells."""
+    """Height of a line, which runs about along ``curve``, above ``surface`` in metres, from its parallax; infinite
+    where this does not determine it."""
     seen = Observations.of([line])
     s, d = seen.road_coordinates(rig, surface, alignment)
     usable = np.isfinite(s)

@@ -1,4 +1,4 @@
-"""Lines of paint in the unrolled road: where it stands out again and again along one slow curve."""
+"""Detection of painted lines in the rectified road: much paint along one smooth curve."""
 
 from __future__ import annotations
 
@@ -14,28 +14,27 @@ from paceline.lanes.road_direction import DirectionVotes
 from paceline.lanes.road_rectification import HALF_WIDTH_M, RectifiedRoad
 from paceline.lanes.road_surface import RoadSurface
 
-UNIT_M = 30.0  # m of s in which a line's polynomial counts
-DETECTION_DEGREE = 3  # of it, while it is traced
-CURVE_TERMS = 5  # of it, once it is matched
-CURVE_PRIOR_STD = np.array(
-    [0.3, 0.2, 0.1]
-)  # m by which a line's slope, bend and third term depart from the course's, at UNIT
-BIN_M = 0.05  # m of the histogram over d
-SMOOTHING_BINS = 5  # of its cells
-GATES_M = (0.5, 0.4, 0.3, 0.25, 0.2, 0.15, 0.15)  # m from a line within which paint is gathered, round by round
-MIN_LINE_SPACING_M = 0.45  # m between lines: a double line is one
-MIN_PAINT_M = 4.0  # m in each view
-MIN_SPAN_M = 12.0  # m from a line's first paint to its last
-MIN_PAINT_RATIO = 3.0  # times the paint found beside it
-MIN_SOLID_SHARE = 0.65  # share of a line's visible length that is painted where it counts as solid
-BLOCK = 14.0, 1.5  # px and m along, at least, that are measured as one
-MAX_SEGMENT_M = 4.5  # m
+UNIT_M = 30.0  # of s at which each term of a line's polynomial is 1
+DETECTION_DEGREE = 3  # of the polynomial in the detection,
+CURVE_TERMS = 5  # number of its terms in the adjustment
+# standard deviations, m at `UNIT_M`, of a line's slope, bend and third term relative to the road's alignment
+CURVE_PRIOR_STD = np.array([0.3, 0.2, 0.1])
+BIN_M = 0.05  # of the histogram over d
+SMOOTHING_BINS = 5
+GATES_M = (0.5, 0.4, 0.3, 0.25, 0.2, 0.15, 0.15)  # distance from a line within which paint is used, by iteration
+MIN_LINE_SPACING_M = 0.45  # a double line is one
+MIN_PAINT_M = 4.0  # length of paint in each view
+MIN_SPAN_M = 12.0  # from a line's first paint to its last
+MIN_PAINT_RATIO = 3.0  # of the paint on a line to that beside it
+MIN_SOLID_SHARE = 0.65  # of a line's visible length that is painted, for it to be solid
+MIN_SEGMENT_PX, MIN_SEGMENT_M, MAX_SEGMENT_M = 14.0, 1.5, 4.5  # length of a stretch that is measured as one
 MAX_LINES = 24
 
 
 @dataclass(frozen=True, eq=False)
 class PaintSamples:
-    """Paint found in one view: ``s``, ``d`` (N,) of each place and the ``length`` (N,) m it stands for."""
+    """Paint found in one view: ``s`` and ``d`` (N,) of each sample and the ``length`` (N,) m along the road that it
+    represents."""
 
     s: Array
     d: Array
@@ -44,9 +43,9 @@ class PaintSamples:
 
 @dataclass(frozen=True, eq=False)
 class LaneLine:
-    """One line in both views. ``curve`` (4,) are the coefficients of d over s / UNIT; ``left`` and ``right`` are its
-    measured pixels (N, 2) and (M, 2), from near to far, each the mean of a short stretch; ``painted`` is the share of
-    the visible length that is painted, ``span`` the s between which both views show it."""
+    """One line in both views. ``curve`` (4,) are the coefficients of d over s / `UNIT_M`; ``left`` and ``right`` are
+    its measured pixels (N, 2) and (M, 2), from near to far, each the mean of a short stretch; ``painted_share`` is that
+    of the visible length that is painted, ``span`` the s between which both views show it."""
 
     curve: Array
     left: Array
@@ -69,18 +68,18 @@ def paint_samples(view: RectifiedRoad) -> PaintSamples:
     return PaintSamples(view.s[row], view.paint_offsets(row, column), view.step[row])
 
 
-def direction_votes(views_: tuple[RectifiedRoad, RectifiedRoad], alignment: Alignment) -> DirectionVotes:
-    """The paint of both strips as votes for the course."""
-    samples = [paint_samples(view) for view in views_]
+def direction_votes(roads: tuple[RectifiedRoad, RectifiedRoad], alignment: Alignment) -> DirectionVotes:
+    """The paint in both views, ``roads``, as votes for the road's direction."""
+    samples = [paint_samples(view) for view in roads]
     s, d, length = (np.concatenate(parts) for parts in zip(*((h.s, h.d, h.length) for h in samples), strict=True))
     return DirectionVotes(alignment.to_ground(s, d), alignment.direction(s), length)
 
 
 def detect_lines(
-    rig: StereoRig, surface: RoadSurface, alignment: Alignment, views_: tuple[RectifiedRoad, RectifiedRoad]
+    rig: StereoRig, surface: RoadSurface, alignment: Alignment, roads: tuple[RectifiedRoad, RectifiedRoad]
 ) -> list[LaneLine]:
     """The lines that both views show, from left to right."""
-    views = [paint_samples(view) for view in views_]
+    views = [paint_samples(view) for view in roads]
     both = PaintSamples(*(np.concatenate([getattr(h, name) for h in views]) for name in ("s", "d", "length")))
     curves: list[Array] = []
     for start in _peaks(both):
@@ -96,12 +95,12 @@ def detect_lines(
         if all(_is_line(h, curve) for h in views):
             left, right = (_segment_pixels(rig, surface, alignment, side, views[side], curve) for side in (0, 1))
             if min(len(left), len(right)) >= 3:
-                found.append(LaneLine(curve, left, right, _painted_share(views_, views, curve), _span(views, curve)))
+                found.append(LaneLine(curve, left, right, _painted_share(roads, views, curve), _span(views, curve)))
     return sorted(found, key=lambda line: line.curve[0])
 
 
 def _peaks(samples: PaintSamples) -> list[float]:
-    """d of the histogram's peaks, the greatest first."""
+    """d of the peaks of the histogram of paint, the highest first."""
     cells = int(2 * HALF_WIDTH_M / BIN_M)
     count = np.bincount(np.clip(((samples.d + HALF_WIDTH_M) / BIN_M).astype(int), 0, cells - 1), samples.length, cells)
     smooth = uniform_filter1d(count, SMOOTHING_BINS, mode="constant") * SMOOTHING_BINS
@@ -123,7 +122,7 @@ def _fit_curve(samples: PaintSamples, start: float) -> Array:
     for reach in GATES_M:
         aside = np.abs(samples.d - powers @ curve)
         weight = samples.length * np.maximum(1 - (aside / reach) ** 2, 0.0) ** 2
-        # a metre of paint says where the line is to about a fifth of the reach
+        # a metre of paint locates the line to about a fifth of the gate
         information = (powers * weight[:, None]).T @ powers / (0.2 * reach) ** 2
         curve = np.linalg.lstsq(
             information + prior, (powers * weight[:, None]).T @ samples.d / (0.2 * reach) ** 2, rcond=None
@@ -147,14 +146,14 @@ def _span(views: list[PaintSamples], curve: Array) -> tuple[float, float]:
     return max(float(s.min()) for s in on), min(float(s.max()) for s in on)
 
 
-def _painted_share(views_: tuple[RectifiedRoad, RectifiedRoad], views: list[PaintSamples], curve: Array) -> float:
+def _painted_share(roads: tuple[RectifiedRoad, RectifiedRoad], views: list[PaintSamples], curve: Array) -> float:
     """Share of the line's length, where a view shows the road there, that is painted; of the view that shows more."""
     shares = []
-    for view, samples in zip(views_, views, strict=True):
+    for road, samples in zip(roads, views, strict=True):
         on = np.abs(samples.d - lateral_offset(curve, samples.s)) < GATES_M[-1]
-        at = np.searchsorted(view.d, lateral_offset(curve, view.s)).clip(0, len(view.d) - 1)
-        inside = (view.s >= samples.s[on].min()) & (view.s <= samples.s[on].max())
-        length = float(view.step[inside & view.visible[np.arange(len(view.s)), at]].sum())
+        at = np.searchsorted(road.d, lateral_offset(curve, road.s)).clip(0, len(road.d) - 1)
+        inside = (road.s >= samples.s[on].min()) & (road.s <= samples.s[on].max())
+        length = float(road.step[inside & road.visible[np.arange(len(road.s)), at]].sum())
         shares.append(float(samples.length[on].sum()) / max(length, 1e-6))
     return min(1.0, max(shares))
 
@@ -162,7 +161,8 @@ def _painted_share(views_: tuple[RectifiedRoad, RectifiedRoad], views: list[Pain
 def _segment_pixels(
     rig: StereoRig, surface: RoadSurface, alignment: Alignment, side: int, samples: PaintSamples, curve: Array
 ) -> Array:
-    """Pixels (N, 2) of a line in a view, near to far: its paint's means over stretches of at least `BLOCK`."""
+    """Pixels (N, 2) of a line in a view, near to far: its paint's means over stretches of at least `MIN_SEGMENT_PX` and
+    `MIN_SEGMENT_M`."""
     on = np.abs(samples.d - lateral_offset(curve, samples.s)) < GATES_M[-1]
     order = np.argsort(samples.s[on])
     s, d, length = (values[on][order] for values in (samples.s, samples.d, samples.length))
@@ -172,7 +172,7 @@ def _segment_pixels(
     for k in range(1, len(s) + 1):
         if k < len(s):
             away, metres = np.linalg.norm(pixels[k] - pixels[first]), s[k] - s[first]
-            if metres < BLOCK[1] or (away < BLOCK[0] and metres < MAX_SEGMENT_M):
+            if metres < MIN_SEGMENT_M or (away < MIN_SEGMENT_PX and metres < MAX_SEGMENT_M):
                 continue
         mine = slice(first, k)
         aside = d[mine] - lateral_offset(curve, s[mine])

@@ -1,4 +1,4 @@
-"""Where a road runs over the ground: an arc with a slow deviation, and road coordinates along and across it."""
+"""Horizontal alignment of a road: an arc with a slow deviation, and road coordinates along and across it."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ import numpy as np
 
 from paceline.arrays import Array
 
-SCALE_M = 30.0  # m of s at which each term of the deviation is 1
-MIN_CURVATURE_PER_M = 1e-9  # 1/m, below which an arc is a line
+SCALE_M = 30.0  # of s at which each term of the deviation is 1
+MIN_CURVATURE_PER_M = 1e-9  # below which an arc is a line
 
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """A circular arc through ``place`` (2,) on the ground with ``heading`` (rad, from ahead to the right) there and
+    """A circular arc through ``origin`` (2,) on the ground with ``heading`` (rad, from ahead to the right) there and
     ``curvature`` (1/m, positive to the right), and how far the road deviates from it to the right:
-    δ(s) = Σⱼ ``deviation``ⱼ (s / SCALE)ʲ in metres.
+    δ(s) = Σⱼ ``deviation``ⱼ (s / `SCALE_M`)ʲ in metres.
 
-    Road coordinates of a ground point are s, metres along the arc from ``place``, and d, metres to the right of the
+    Road coordinates of a ground point are s, metres along the arc from ``origin``, and d, metres to the right of the
     deviating road.
     """
 
@@ -29,7 +29,7 @@ class Alignment:
 
     @property
     def axes(self) -> tuple[Array, Array]:
-        """Unit vectors (2,) along and to the right at ``place``."""
+        """Unit vectors (2,) along and to the right at ``origin``."""
         c, s = np.cos(self.heading), np.sin(self.heading)
         return np.array([s, c]), np.array([c, -s])
 

@@ -1,4 +1,4 @@
-"""From an empty road to its lines on one surface."""
+"""Detection of a road in the background: its painted lines on one surface."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from paceline.lanes.road_rectification import rectify
 from paceline.recordings.background import Background
 from paceline.verdicts import Message, message
 
-ADJUSTMENT_ROUNDS = 3  # of tracing the lines and adjusting the surface to them
+ADJUSTMENT_ROUNDS = 3  # of detecting the lines and adjusting the surface to them
 
 
 class RoadNotFound(Exception):

@@ -1,4 +1,5 @@
-"""The course of the road: the arc that most of the thin bright ridges on the ground are parallel to."""
+"""The direction of the road, by voting as in a Hough transform: the arc to which most thin bright ridges on the ground
+are parallel."""
 
 from __future__ import annotations
 
@@ -17,27 +18,27 @@ from paceline.lanes.road_alignment import Alignment
 from paceline.lanes.road_surface import RoadSurface
 from paceline.recordings.background import Background
 
-CELL_M = 0.06  # m of the ground grid
-MIN_DISTANCE_M, MAX_DISTANCE_M, MAX_LATERAL_M = 4.0, 90.0, 40.0  # m of ground looked at
-RIDGE_SCALE_M = 0.07  # m, the scale of the ridges: half a marking's width, a little more
-MIN_RIDGE_STRENGTH = 0.03  # least strength of a ridge
-MAX_COUNTED_STRENGTH = 0.1  # strength beyond which it counts no more
-MIN_STRENGTH_RATIO = 3.0  # times the strength usual around it
-NEIGHBOURHOOD_M = 3.0  # m
-MAX_CURVATURE_RATIO = 0.5  # of the curvature across a ridge, the most along it
-MAX_FULL_WEIGHT_PIXEL_M = 0.3  # m of ground along the view in one pixel, beyond which it counts less
-MAX_VOTES = 5000  # ridge points that vote
+CELL_M = 0.06  # of the ground grid
+MIN_DISTANCE_M, MAX_DISTANCE_M, MAX_LATERAL_M = 4.0, 90.0, 40.0  # part of the ground that is searched
+RIDGE_SCALE_M = 0.07  # of the Gaussian: a little more than half a marking's width
+MIN_RIDGE_STRENGTH = 0.03
+MAX_COUNTED_STRENGTH = 0.1  # beyond which a ridge counts no more
+MIN_STRENGTH_RATIO = 3.0  # to the mean strength in its neighbourhood
+NEIGHBOURHOOD_M = 3.0
+MAX_CURVATURE_RATIO = 0.5  # of the light's second derivative along a ridge to that across it
+MAX_FULL_WEIGHT_PIXEL_M = 0.3  # of ground along the viewing direction in one pixel, beyond which a ridge counts less
+MAX_VOTES = 5000
 MIN_VOTES = 40
-GRID_SEARCH_VOTES = 1000  # of them that vote in the search over everything
+GRID_SEARCH_VOTES = 1000  # that are used in the search over all headings and curvatures
 HEADINGS_RAD = np.radians(np.arange(-90.0, 90.0, 1.0))
-CURVATURES_PER_M = np.linspace(-1, 1, 61) / 22.0  # 1/m
+CURVATURES_PER_M = np.linspace(-1, 1, 61) / 22.0
 HILL_CLIMB_STARTS, HILL_CLIMB_STEPS = 10, 9
-ANGLE_STD_RAD = np.radians(4.0)  # by which a ridge may point aside of the road, one standard deviation
-COARSE_BIN_M, MEDIUM_BIN_M, FINE_BIN_M = 0.5, 0.25, 0.12  # m, the histogram's cells in the search and towards its end
+ANGLE_STD_RAD = np.radians(4.0)  # of a ridge relative to the road
+COARSE_BIN_M, MEDIUM_BIN_M, FINE_BIN_M = 0.5, 0.25, 0.12  # of the histogram, from the search to its end
 
 
 def estimate_direction(rig: StereoRig, background: Background, surface: RoadSurface) -> Alignment | None:
-    """The road's course, to some decimetres over its visible length; None where the ground shows nothing like lines."""
+    """The road's alignment, to some decimetres over its visible length; None where there are no line-like ridges."""
     found = ridge_points(rig, background, surface)
     if len(found.ground) < MIN_VOTES:
         return None
@@ -46,7 +47,7 @@ def estimate_direction(rig: StereoRig, background: Background, surface: RoadSurf
 
 @dataclass(frozen=True, eq=False)
 class DirectionVotes:
-    """Points of paint on the ground (N, 2), the angles (N,) they run at and their ``weight`` (N,)."""
+    """Points of paint on the ground (N, 2), the angles (N,) of the paint at them, and their ``weight`` (N,)."""
 
     ground: Array
     angle: Array
@@ -62,13 +63,13 @@ class DirectionVotes:
         return votes.refine(max(climbed, key=lambda alignment: votes.concentration(alignment, FINE_BIN_M)))
 
     def subsample(self, count: int) -> DirectionVotes:
-        """About ``count`` of the points, by chance, but the same ones each time."""
+        """About ``count`` of the points, drawn at random with a fixed seed."""
         chosen = np.random.default_rng(0).random(len(self.weight)) < count / len(self.weight)
         return DirectionVotes(self.ground[chosen], self.angle[chosen], self.weight[chosen])
 
     def concentration(self, alignment: Alignment, cell: float) -> float:
-        """How well the points that run along ``alignment`` gather in few lines parallel to it: the sum of squares of
-        their histogram over d in cells of ``cell`` m, each point shared between two so that it is smooth."""
+        """How well the points that run along ``alignment`` concentrate on few lines parallel to it: the sum of squares
+        of their histogram over d in cells of ``cell`` m, each point shared between two so that it is smooth."""
         s, d = alignment.from_ground(self.ground)
         aside = self.angle - alignment.direction(s)
         aside -= np.pi * np.round(aside / np.pi)
@@ -121,7 +122,7 @@ class DirectionVotes:
 
 
 def ridge_points(rig: StereoRig, background: Background, surface: RoadSurface) -> DirectionVotes:
-    """Thin bright ridges that both views show at the same place of the ground: what stands above it, they do not."""
+    """Thin bright ridges that both views show at the same place of the ground: for what is above it they do not."""
     x, z = np.arange(-MAX_LATERAL_M, MAX_LATERAL_M, CELL_M), np.arange(MIN_DISTANCE_M, MAX_DISTANCE_M, CELL_M)
     ground = np.stack(np.meshgrid(x, z), axis=-1)
     views = [_ridges(map_to_ground(rig, background, side, surface, ground)) for side in (0, 1)]
@@ -129,7 +130,7 @@ def ridge_points(rig: StereoRig, background: Background, surface: RoadSurface) -
     row, column = np.nonzero((views[0][0] > 0) & (near[1] > 0))
     strength, angle = (values[row, column].astype(float) for values in views[0])
     strength = np.minimum(strength, near[1][row, column])
-    # far away a pixel covers much ground, and its neighbours on the chart are no further evidence
+    # far away a pixel covers much ground, and its neighbours on the grid are no further evidence
     covered = z[row] ** 2 / (rig.left.K[1, 1] * np.linalg.norm(surface.origin))
     return DirectionVotes(
         ground[row, column],

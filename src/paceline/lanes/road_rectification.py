@@ -1,4 +1,4 @@
-"""The road unrolled: what each view shows along and across the course, and where paint stands out in it."""
+"""The rectified road: each view resampled along and across the road, and the paint detected in it."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from paceline.lanes.road_alignment import Alignment
 from paceline.lanes.road_surface import RoadSurface
 from paceline.recordings.background import Background
 
-HALF_WIDTH_M = 16.0  # m to either side of the course
-CELL_M = 0.02  # m across
-MIN_STEP_M = 0.25  # m along
-MIN_STEP_PX = 1.5  # a step along covers at least
-SAMPLES_PER_STEP = 4  # samples along each step, averaged
-MAX_DEPTH_M = 110.0  # m
+HALF_WIDTH_M = 16.0  # of the rectified road
+CELL_M = 0.02  # across the road
+MIN_STEP_M, MIN_STEP_PX = 0.25, 1.5  # along the road
+SAMPLES_PER_STEP = 4  # that are averaged
+MAX_DEPTH_M = 110.0
 MAX_TURN_RAD = np.radians(120.0)  # of the arc, to either side of its middle
-PAINT_WIDTHS_M = (0.12, 0.24)  # m of paint looked for
-ASPHALT_GAP_M, ASPHALT_WIDTH_M = 0.08, 0.16  # m between paint and the asphalt it is compared with, and of that asphalt
-MIN_LOG_CONTRAST = 0.1  # of paint to the brighter side of the asphalt, in logarithms
-MIN_TEXTURE_RATIO = 2.5  # times the contrasts usual around it
-NEIGHBOURHOOD_M = (3.0, 4.0)  # m along and across that are around
+PAINT_WIDTHS_M = (0.12, 0.24)
+ASPHALT_GAP_M, ASPHALT_WIDTH_M = 0.08, 0.16  # between paint and the asphalt that it is compared with, and of that
+# asphalt
+MIN_LOG_CONTRAST = 0.1  # of paint to the brighter side of the asphalt, difference of logarithms
+MIN_TEXTURE_RATIO = 2.5  # to the mean contrast in its neighbourhood
+NEIGHBOURHOOD_M = (3.0, 4.0)  # along and across
 
 
 @dataclass(frozen=True, eq=False)
 class RectifiedRoad:
-    """One view of the road unrolled: at ``s`` (N,) and ``d`` (M,), with ``step`` (N,) m between the s, where paint
-    ``stands_out`` (N, M) on its middle line, and where the road is ``seen`` (N, M). ``brighter`` (N, M) is how much
-    each place exceeds what lies beside it, in logarithms."""
+    """One view of the road in road coordinates ``s`` (N,) and ``d`` (M,), with ``step`` (N,) m between the s:
+    the ``contrast`` (N, M) of each cell to both sides, as difference of logarithms, where it ``is_paint`` (N, M) on the
+    middle of a line, and where the road is ``visible`` (N, M)."""
 
     s: Array
     step: Array
@@ -53,24 +53,24 @@ class RectifiedRoad:
 def rectify(
     rig: StereoRig, background: Background, surface: RoadSurface, alignment: Alignment
 ) -> tuple[RectifiedRoad, RectifiedRoad]:
-    """Both views of the road along ``course``."""
+    """Both views of the road along ``alignment``."""
     s, step = sample_positions(rig, surface, alignment)
     d = np.arange(-HALF_WIDTH_M, HALF_WIDTH_M, CELL_M)
     fine = (s[:, None] + step[:, None] * ((np.arange(SAMPLES_PER_STEP) + 0.5) / SAMPLES_PER_STEP - 0.5)).ravel()
     ground = alignment.to_ground(fine[:, None], d)
-    strips = []
+    roads = []
     for side in (0, 1):
         view = map_to_ground(rig, background, side, surface, ground)
         light = np.asarray(view.log_intensity.reshape(len(s), SAMPLES_PER_STEP, len(d)).mean(1), np.float32)
         visible = np.asarray(view.visible.reshape(len(s), SAMPLES_PER_STEP, len(d)).all(1))
         contrast, least = _contrasts(light)
         is_paint = _paint_mask(contrast, least, visible, float(np.median(step)))
-        strips.append(RectifiedRoad(s, step, d, contrast, is_paint, visible))
-    return strips[0], strips[1]
+        roads.append(RectifiedRoad(s, step, d, contrast, is_paint, visible))
+    return roads[0], roads[1]
 
 
 def sample_positions(rig: StereoRig, surface: RoadSurface, alignment: Alignment) -> tuple[Array, Array]:
-    """s (N,) and the steps (N,) between them along what the left view may show of the road."""
+    """s (N,) and the steps (N,) between them along the part of the road that the left view may show."""
     s = np.arange(-MAX_DEPTH_M, MAX_DEPTH_M, MIN_STEP_M)
     if abs(alignment.curvature) * MAX_DEPTH_M > MAX_TURN_RAD:
         s = s[np.abs(s * alignment.curvature) < MAX_TURN_RAD]
@@ -87,8 +87,8 @@ def sample_positions(rig: StereoRig, surface: RoadSurface, alignment: Alignment)
 
 
 def _contrasts(light: Image) -> tuple[Image, Image]:
-    """How much the paint-wide middle at each place exceeds the mean of what lies beside it, and the brighter side of
-    it; of the paint widths, the one that exceeds most."""
+    """The contrast of a strip as wide as paint about each cell to the mean of both sides, and to the brighter side; of
+    the paint widths, the one with the largest contrast."""
     best: tuple[Image, Image] = (np.full(light.shape, -np.inf, np.float32), np.full(light.shape, -np.inf, np.float32))
     for width in PAINT_WIDTHS_M:
         middle = cv2.blur(light, (2 * round(width / CELL_M / 2) + 1, 1))

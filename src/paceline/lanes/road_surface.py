@@ -1,8 +1,8 @@
-"""The road's surface in space: a plane with a little bend, over a ground frame of metres below the left camera.
+"""The road's surface in space: a quadratic height above a plane below the left camera.
 
 Ground coordinates (x, z) are metres to the right and ahead of the point below the left camera; the surface lies at the
 height  h(x, z) = Σ cⱼ φⱼ(x, z)  above the plane they are measured in. The φⱼ are 1, x, z, x², xz and z² about a
-``middle``, in units of `SCALE`, so that crest, sag, crossfall and a growing bank are all within reach.
+``middle``, in units of `SCALE_M`, which represents crest, sag, crossfall and changing superelevation.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ import numpy as np
 from paceline.arrays import Array
 from paceline.cameras import StereoRig
 
-SCALE_M = 30.0  # m: at it, each φⱼ is about 1
-HEIGHT_TERMS = 6
-NEWTON_STEPS = 5  # steps, after which less than a micrometre is left on roads
-MAX_RAY_M = 2e3  # m
+SCALE_M = 30.0  # at which each φⱼ is about 1
+HEIGHT_TERMS = 6  # number of the φⱼ
+NEWTON_STEPS = 5  # after which the error on roads is below a micrometre
+MAX_RAY_M = 2e3  # length of a viewing ray
 
 
 @dataclass(frozen=True, eq=False)
