@@ -1,4 +1,4 @@
-"""Depth about a vehicle by semi-global block matching, on pictures rectified for any rig.
+"""Depth around a vehicle by semi-global block matching, on images rectified for any rig.
 
 Both views are turned until their rows run along the baseline; only the crop in which the vehicle is expected is
 computed, whatever way the cameras look.

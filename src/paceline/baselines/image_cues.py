@@ -1,4 +1,4 @@
-"""What tells a particle of the multimodal tracker right from wrong: grey levels, edges and depth inside its box.
+"""The image cues of the multimodal tracker: grey levels, edges and depth inside a particle's box.
 
 After R. Muñoz-Salinas, M. García-Silvente, R. Medina Carnicer, "Adaptive multi-modal stereo people tracking without
 background modelling", J. Vis. Commun. Image Represent. 19(2), 2008. Theirs are histograms of colour; recordings here
@@ -53,7 +53,7 @@ def sample_nearest(picture: Picture, places: Array) -> Array:
 
 
 def histograms(greys: Array) -> Array:
-    """Normalised histograms (N, BINS) of ``greys`` (N, n), 0–255, in which the middle of a box counts most."""
+    """Normalised histograms (N, HISTOGRAM_BINS) of ``greys`` (N, n), 0–255, with Epanechnikov weights."""
     N = len(greys)
     known = np.isfinite(greys)
     bins = np.clip(np.where(known, greys, 0.0) * (HISTOGRAM_BINS / 256), 0, HISTOGRAM_BINS - 1).astype(np.int64)
@@ -64,12 +64,12 @@ def histograms(greys: Array) -> Array:
 
 
 def bhattacharyya(seen: Array, reference: Array) -> Array:
-    """Bhattacharyya's coefficients (N,) of histograms ``seen`` (N, BINS) with the ``reference`` (BINS,), 0 … 1."""
+    """Bhattacharyya coefficients (N,), 0 … 1, of histograms ``seen`` (N, HISTOGRAM_BINS) with the ``reference``."""
     return np.asarray(np.sqrt(seen * reference).sum(-1))
 
 
 def image_gradients(grey: Image) -> Array:
-    """∂I/∂x and ∂I/∂y (2, H, W) of a picture, by Sobel's operator."""
+    """∂I/∂x and ∂I/∂y (2, H, W) of an image, by the Sobel operator."""
     return np.stack([cv2.Sobel(grey, cv2.CV_32F, *which) / 8 for which in ((1, 0), (0, 1))]).astype(float)
 
 
@@ -86,7 +86,7 @@ def edge_strengths(gradient: Array, boxes: Array) -> Array:
 
 
 def mean_of_finite(values: Array) -> tuple[Array, Array]:
-    """The mean (N,) of what is known of ``values`` (N, n), 0 where nothing is, and the share (N,) that is."""
+    """The mean (N,) of the finite ``values`` (N, n), 0 where there are none, and their share (N,)."""
     known = np.isfinite(values)
     count = known.sum(1)
     return np.where(known, values, 0.0).sum(1) / np.maximum(count, 1), count / values.shape[1]

@@ -1,4 +1,4 @@
-"""Lucas–Kanade stereo: what a good engineer builds from OpenCV.
+"""Lucas–Kanade stereo: a carefully engineered OpenCV tracker.
 
 Corners in the vehicle's region are tracked over time and matched across the views, both there and back, to a fraction
 of a pixel, and triangulated; the motion between frames is their robust common displacement. At the end the points of
@@ -43,14 +43,14 @@ MAX_ALIGNED_FRAMES = 32  # longer tracks are subsampled evenly
 
 
 class LucasKanade:
-    """One vehicle on its track through the clip."""
+    """The Lucas–Kanade tracker of one vehicle."""
 
     def __init__(self, rig: StereoRig, vehicle: VehicleDocument, limits: Limits) -> None:
         self.rig, self.vehicle, self.limits = rig, vehicle, limits
         self.frame_results: list[FrameResult] = []
         self._templates: TemplateTracker | None = None
         self._keyframe: _Keyframe
-        self._tracked: list[tuple[int, _Matches]] = []  # by row of the sights
+        self._tracked: list[tuple[int, _Matches]] = []  # by row of the frame results
         self._next = 0  # number of the next new point
 
     def process(self, frame: StereoFrame) -> bool:
@@ -86,7 +86,7 @@ class LucasKanade:
         return len(matches.number) >= MIN_POINTS
 
     def _track(self, frame: StereoFrame, moves: tuple[ScaledShift, ScaledShift]) -> tuple[_Matches, Array] | None:
-        """The points in ``frame`` and the regions (2, 4, 2) that moved with them; None where too few are found.
+        """The points tracked into ``frame`` and the regions (2, 4, 2) moved with them; None where too few are found.
 
         Points are tracked from the last key frame, not from the last one: what they slip then adds up less often.
         """
@@ -117,7 +117,7 @@ class LucasKanade:
         return matches, np.stack(quads)
 
     def _add_points(self, frame: StereoFrame, matches: _Matches, quads: Array) -> _Matches:
-        """``matches`` and what new corners in the regions ``quads`` (2, 4, 2) add to them."""
+        """``matches`` together with those of new corners in the regions ``quads`` (2, 4, 2)."""
         new = optical_flow.detect_corners(frame.left, quads[0], matches.left)
         if not len(new):
             return matches
@@ -135,7 +135,7 @@ class LucasKanade:
         )
 
     def _moving_alike(self, before: Array, after: Array, good: Mask) -> Mask:
-        """Which points move as most of them do in the image."""
+        """Which points follow the dominant motion in the image."""
         together = np.zeros(len(before), bool)
         if good.sum() >= MIN_POINTS and (move := _similarity(before[good], after[good])) is not None:
             miss = np.linalg.norm(before @ move[:, :2].T + move[:, 2] - after, axis=1)
@@ -143,7 +143,7 @@ class LucasKanade:
         return together
 
     def _plausible(self, left: Array, right: Array, good: Mask) -> Mask:
-        """Which matches lie on their epipolar lines and about as deep as most."""
+        """Which matches lie on their epipolar lines and at a consistent depth."""
         plausible = good & (np.abs(epipolar_distance(self.rig, left, right)) < MAX_EPIPOLAR_PX)
         depth = triangulate(self.rig, left, right)[:, 2]
         plausible &= np.isfinite(depth) & (depth > 1.0)
@@ -175,7 +175,7 @@ class LucasKanade:
         self.frame_results.append(result)
 
     def result(self) -> Measurement:
-        """The measurement, by all matches together."""
+        """The measurement, from the alignment of all matches."""
         name = self.vehicle.id
         if not self._tracked or len(self._tracked[0][1].number) < MIN_POINTS:
             test = f"fewer than {MIN_POINTS} corners match across the views"
@@ -201,8 +201,8 @@ class LucasKanade:
         return measurement_of(name, self.frame_results, mean, self.limits)
 
     def _fit(self) -> tuple[polynomial_track.PolynomialTrack, dict[int, Array], list[float]]:
-        """The track through the aligned places, these by row of the sights, and the mean speeds that follow when one
-        group of points after the other is left out (a jackknife)."""
+        """The track fitted to the aligned positions, these by row of the frame results, and the mean speeds with one
+        group of points left out at a time (jackknife)."""
         chosen = np.unique(
             np.linspace(0, len(self._tracked) - 1, min(len(self._tracked), MAX_ALIGNED_FRAMES)).round().astype(int)
         )
@@ -249,7 +249,7 @@ class _Matches:
 
 @dataclass(frozen=True, eq=False)
 class _Keyframe:
-    """A frame from which points are tracked: its images, the regions (2, 4, 2) and the points there."""
+    """A keyframe, from which points are tracked: its images, regions (2, 4, 2) and points."""
 
     images: tuple[Image, Image]
     quads: Array
@@ -277,7 +277,7 @@ def _displacement(rig: StereoRig, before: _Matches, after: _Matches) -> tuple[Ar
 
 
 def _similarity(before: Array, after: Array) -> Array | None:
-    """The similarity (2, 3) by which most points move."""
+    """The dominant similarity transform (2, 3), by RANSAC."""
     cv2.setRNGSeed(0)
     move = cv2.estimateAffinePartial2D(before, after, method=cv2.RANSAC, ransacReprojThreshold=MAX_MOTION_RESIDUAL_PX)[
         0

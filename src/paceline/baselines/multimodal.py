@@ -1,4 +1,4 @@
-"""Multimodal stereo particle tracking, as [Zhu] section V compares with.
+"""Multimodal stereo particle tracking, a comparison method of [Zhu] section V.
 
 R. Muñoz-Salinas, M. García-Silvente, R. Medina Carnicer, "Adaptive multi-modal stereo people tracking without
 background modelling" (2008), with the two changes of [Zhu]: the person's ellipses become a quadrangle, the vehicle's
@@ -46,14 +46,14 @@ MAX_PARTICLE_MARGINS = 5.0  # margins beyond which particles are ignored in the 
 @dataclass(frozen=True, eq=False)
 class Particles:
     """N particles: ``places`` (N, 3) m of the plane's centre, and ``velocities`` (N, 3) m/s along, across and down the
-    way."""
+    path."""
 
     places: Array
     velocities: Array
 
 
 class Multimodal:
-    """One vehicle on its way through the clip; ``path`` is that of its lane where it has one."""
+    """The particle filter of one vehicle; ``path`` is the drawn one, if any."""
 
     def __init__(
         self, rig: StereoRig, vehicle: VehicleDocument, path: Path | None, configuration: SpeedConfiguration
@@ -116,7 +116,7 @@ class Multimodal:
         return True
 
     def _draw_particles(self, frame: StereoFrame, dt: float) -> Particles | None:
-        """The first particles, by where the region is found in the second frame; None where it is not."""
+        """Initial particles from the region found in the second frame; None where it is not found."""
         assert self._templates is not None
         moves = self._templates.find(frame)
         if moves is None:
@@ -141,7 +141,7 @@ class Multimodal:
     # --- every further frame ----------------------------------------------------------------------------------------
 
     def _propagate(self, particles: Particles, dt: float) -> Particles:
-        """The particles ``dt`` seconds later: constant velocity along the way, with the noises of [Zhu]."""
+        """The particles ``dt`` seconds later: constant velocity along the path, with the noises of [Zhu]."""
         c, N = self.configuration, self.configuration.particles
         if self.path is None:
             walks = np.array([c.translation_noise] * 3)
@@ -157,15 +157,15 @@ class Multimodal:
         return Particles(particles.places + steps @ axes.T, velocities)
 
     def _axes_at(self, place: Array) -> Array:
-        """Columns (3, 3) along, across and down the way at ``place`` (3,)."""
+        """Unit vectors along, across and down the path at ``place`` (3,), as columns (3, 3)."""
         return self._axes if self.path is None else self.path.frames(np.array(self.path.nearest(place)))
 
     def _boxes(self, places: Array, axes: Array) -> Array:
-        """World corners (N, 4, 3) of the plane at ``places`` (N, 3), turned with the way."""
+        """World corners (N, 4, 3) of the plane at ``places`` (N, 3), rotated with the path."""
         return np.asarray(places[:, None] + self.corners @ (axes @ self._axes.T).T)
 
     def _depths(self, frame: StereoFrame, places: Array, axes: Array) -> DepthMap:
-        """The depth map about all of ``places`` (N, 3) but a few strays, where about their depth is expected."""
+        """The depth map of a crop around ``places`` (N, 3), without a few outliers, searched about their depth."""
         boxes = self.rectified.project(self._boxes(places, axes))
         middle = np.median(boxes, axis=0)
         margin = MARGIN_SHARE * float(np.ptp(middle, axis=0).max())
@@ -176,7 +176,7 @@ class Multimodal:
         return self.rectified.depths((frame.left, frame.right), np.stack([low, high]), depth)
 
     def _histograms_at(self, places: Array, axes: Array, depths: DepthMap) -> Array:
-        """Histograms (N, BINS) of the boxes at ``places`` (N, 3)."""
+        """Histograms (N, HISTOGRAM_BINS) of the boxes at ``places`` (N, 3)."""
         boxes = self.rectified.project(self._boxes(places, axes)) - depths.low
         return image_cues.histograms(image_cues.sample_nearest(depths.grey, image_cues.sample_points(boxes)))
 
@@ -198,8 +198,8 @@ class Multimodal:
         return np.asarray(grey + edge - 0.5 * confidence * ((mean - places @ normal) / sigma) ** 2)
 
     def _smooth(self, particles: Particles, weights: Weights) -> Particles:
-        """Resampled particles, drawn to their mean and stirred as much: kernel smoothing (Liu and West 2001), which
-        leaves mean and covariance as they are."""
+        """Resampled particles after kernel smoothing (Liu and West 2001): shrinkage to the mean and jitter, which
+        together preserve mean and covariance."""
         state = np.concatenate([particles.places, particles.velocities], axis=1)
         a = (3 * SMOOTHING_DISCOUNT - 1) / (2 * SMOOTHING_DISCOUNT)
         values, vectors = np.linalg.eigh(weights.covariance(state))
@@ -213,7 +213,7 @@ class Multimodal:
     def _record(
         self, frame: StereoFrame, particles: Particles, weights: Weights, axes: Array, depths: DepthMap
     ) -> bool:
-        """Keep the estimate at ``frame``; whether the vehicle can be followed further."""
+        """Records the estimate at ``frame``; whether the vehicle can be tracked further."""
         place, velocity = weights.mean(particles.places), weights.mean(particles.velocities)
         seen = self._histograms_at(place[None], axes, depths)[0]
         similarity = float(image_cues.bhattacharyya(seen, self._reference))
@@ -249,7 +249,7 @@ class Multimodal:
         )
 
     def result(self) -> Measurement:
-        """The measurement: the filter's speeds, averaged by what they claim to know."""
+        """The measurement: the mean of the filter's speeds, weighted by their inverse variances."""
         name = self.vehicle.id
         if not self.frame_results:
             test = "the equations of its motion are singular"

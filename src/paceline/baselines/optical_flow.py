@@ -1,4 +1,4 @@
-"""Points from picture to picture by Lucas and Kanade's method, with the checks that make it trustworthy."""
+"""Point tracking by Lucas and Kanade's method, with a forward-backward check."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def detect_corners(image: Image, quad: Array, known: Array) -> Array:
 
 
 def track_points(before: Image, after: Image, points: Array, move: ScaledShift, window: int) -> tuple[Array, Mask]:
-    """Where ``points`` (n, 2) of ``before`` are in ``after``, near ``move``, and which of them can be trusted.
+    """The positions of ``points`` (n, 2) of ``before`` in ``after``, starting from ``move``, and which pass the check.
 
     The earlier picture is first brought to the later one's place and scale, because the method itself knows of shifts
     only.
@@ -59,7 +59,7 @@ def track_points(before: Image, after: Image, points: Array, move: ScaledShift, 
 
 
 def match_points(left: Image, right: Image, points: Array, guess: Array, window: int) -> tuple[Array, Mask]:
-    """Where ``points`` (n, 2) of ``left`` are in ``right``, near the ``guess`` (n, 2), and which can be trusted."""
+    """The positions of ``points`` (n, 2) of ``left`` in ``right``, starting from ``guess`` (n, 2), and which pass."""
     low, high = _crop_bounds(points, left)
     low_right, high_right = _crop_bounds(guess, right)
     a = left[low[1] : high[1], low[0] : high[0]]
@@ -71,7 +71,7 @@ def match_points(left: Image, right: Image, points: Array, guess: Array, window:
 
 
 def window_size(quad: Array) -> int:
-    """The odd width in pixels of the window that suits a region."""
+    """The odd window width in pixels for a region."""
     size = int(np.clip(WINDOW_SHARE * np.ptp(quad[:, 1]), *WINDOW_LIMITS_PX))
     return size | 1
 
@@ -91,7 +91,7 @@ def _forward_backward(before: Image, after: Image, points: Array, guess: Array, 
 
 
 def _crop_bounds(points: Array, image: Image) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The first pixel, and the one after the last, of the picture about ``points``."""
+    """The first pixel, and the one after the last, of the crop around ``points``."""
     end = np.array(image.shape[::-1])
     low = np.clip(np.floor(points.min(0)).astype(np.int64) - CROP_BORDER_PX, 0, end - 1)
     high = np.clip(np.ceil(points.max(0)).astype(np.int64) + CROP_BORDER_PX, low + 1, end)
@@ -99,7 +99,7 @@ def _crop_bounds(points: Array, image: Image) -> tuple[NDArray[np.int64], NDArra
 
 
 def _normalized(image: Image, points: Array) -> NDArray[np.uint8]:
-    """``image`` with the mean and the contrast about the ``points`` (n, 2) brought to fixed values.
+    """``image`` with the mean and the contrast around ``points`` (n, 2) normalised to fixed values.
 
     The method takes a change of exposure for motion.
     """

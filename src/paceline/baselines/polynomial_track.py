@@ -1,4 +1,4 @@
-"""A smooth way through a vehicle's places, and the speed along it with its uncertainty."""
+"""A polynomial track fitted to a vehicle's positions, and the speed along it with its uncertainty."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ MODEL_NAMES = {1: "constant velocity", 2: "constant acceleration"}
 
 @dataclass(frozen=True, eq=False)
 class PolynomialTrack:
-    """A polynomial in time through places, relative to that at the first time.
+    """A polynomial in time fitted to positions, relative to the first one.
 
     ``coefficients`` (degree, 3) of the powers 1 … degree of ``(t − times[0]) / length``; ``covariance`` (3·degree,
-    3·degree) from the scatter of the places about it, known from ``dof`` degrees of freedom.
+    3·degree) from the scatter of the positions about it, known from ``dof`` degrees of freedom.
     """
 
     times: Array
@@ -44,7 +44,7 @@ class PolynomialTrack:
         return speeds, np.sqrt(np.einsum("na,ab,nb->n", rows, self.covariance, rows))
 
     def mean_speed(self) -> tuple[float, float]:
-        """Length of the way by its duration, and the standard uncertainty, m/s."""
+        """Length of the track divided by its duration, and the standard uncertainty, m/s."""
         at = np.linspace(self.times[0], self.times[-1], SPEED_SAMPLES)
         speeds, rows = self._speeds_and_rows(at)
         duration = at[-1] - at[0]
@@ -65,7 +65,7 @@ class PolynomialTrack:
 
 
 def fit_polynomial(times: Array, places: Array, covariance: Array, degree: int | None = None) -> PolynomialTrack:
-    """The most probable way through ``places`` (K, 3) at ``times`` (K,), by generalised least squares.
+    """The track fitted to positions ``places`` (K, 3) at ``times`` (K,), by generalised least squares.
 
     ``covariance`` (3(K−1), 3(K−1)) is that of the places relative to the first, up to a factor, which their scatter
     gives. Without a ``degree``, it is that of the least Bayesian information criterion. Raises

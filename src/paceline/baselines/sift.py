@@ -1,5 +1,5 @@
-"""Feature triangulation, as [Zhu] section V compares with: SIFT matches across the views, optimally triangulated, whose
-centroid's displacement between frames is the velocity."""
+"""Feature triangulation, a comparison method of [Zhu] section V: SIFT matches between the views are triangulated
+optimally, and the displacement of their centroid between frames is the velocity."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ CONTRAST_THRESHOLD = 0.02  # half of OpenCV's default, as distant vehicles are s
 
 
 class Sift:
-    """One vehicle on its track through the clip."""
+    """The feature tracker of one vehicle."""
 
     def __init__(self, rig: StereoRig, vehicle: VehicleDocument, limits: Limits) -> None:
         self.rig, self.vehicle, self.limits = rig, vehicle, limits
@@ -62,7 +62,7 @@ class Sift:
         return self._templates.status == "tracking"
 
     def _matches(self, frame: StereoFrame, quads: Array) -> tuple[Array, Array]:
-        """Features (n, 2) of the regions ``quads`` (2, 4, 2) that match across the views."""
+        """Matched features (n, 2) of each view, inside the regions ``quads`` (2, 4, 2)."""
         (a, of_a), (b, of_b) = (
             features_inside(self._detector, image, quad)
             for image, quad in zip((frame.left, frame.right), quads, strict=True)
@@ -120,22 +120,22 @@ class Sift:
         return message("too_little_texture", test=f"fewer than {MIN_MATCHES} features match across the views")
 
     def result(self) -> Measurement:
-        """The measurement: the speed along a smooth track through the centroids."""
+        """The measurement: the mean speed of a polynomial track fitted to the centroids."""
         name = self.vehicle.id
         if reason := self.unmeasurable():
             return rejected(name, self.frame_results, reason)
         seen = [s for s in self.frame_results if s.status == "tracking"]
         places = np.array([s.position for s in seen])
-        # the centroid wanders with the set of matches, alike in all directions, and the first place is in all steps
+        # the centroid scatters with the set of matches, isotropically; the first position is part of all displacements
         count = len(seen) - 1
-        wander = np.kron(np.eye(count) + np.ones((count, count)), np.eye(3))
-        track = polynomial_track.fit_polynomial(np.array([s.time for s in seen]), places, np.asarray(wander, float))
+        scatter = np.kron(np.eye(count) + np.ones((count, count)), np.eye(3))
+        track = polynomial_track.fit_polynomial(np.array([s.time for s in seen]), places, np.asarray(scatter, float))
         speed, std = track.mean_speed()
         return measurement_of(name, self.frame_results, MeanSpeed(speed, std, track.dof, track.model), self.limits)
 
 
 def centroid_covariance(rig: StereoRig, place: Array, matches: int) -> Array:
-    """Covariance (3, 3), m², of the centroid of so many independent ``matches`` about ``place`` (3,)."""
+    """Covariance (3, 3), m², of the centroid of this number of independent ``matches`` near ``place`` (3,)."""
     return triangulation_covariance(rig, place, MATCH_SIGMA_PX) / matches
 
 

@@ -1,4 +1,4 @@
-"""The vehicle's region in each view from frame to frame, by normalised cross-correlation over places and scales.
+"""Template tracking of the vehicle's region in each view, by normalised cross-correlation over position and scale.
 
 A method that matches features has no model of where its vehicle will be, so it looks for the picture that the region
 showed last: anywhere near in the second frame, close to the prediction of a constant velocity afterwards.
@@ -49,13 +49,13 @@ class ScaledShift:
 
 
 def shift_between(before: Array, after: Array) -> ScaledShift:
-    """The move that takes the centre and the size of one quadrilateral (4, 2) to those of another."""
+    """The shift and scale that take the centre and the size of one quadrilateral (4, 2) to those of another."""
     scale = float(np.sqrt(_area(after) / _area(before)))
     return ScaledShift(scale, after.mean(0) - scale * before.mean(0))
 
 
 class TemplateTracker:
-    """The regions of one vehicle in both views.
+    """Tracks the regions of one vehicle in both views.
 
     ``quads`` (2, 4, 2) px and ``images`` are those of the ``time`` at which it was last seen. ``status`` is tracking,
     lost (unseen for too long) or ended (out of an image).
@@ -73,7 +73,7 @@ class TemplateTracker:
             raise np.linalg.LinAlgError("the region has no texture")
 
     def find(self, frame: StereoFrame) -> tuple[ScaledShift, ScaledShift] | None:
-        """How the regions moved to ``frame`` since they were last seen; None where nothing like them is seen."""
+        """The motion of both regions to ``frame`` since they were last found; None where they are not found."""
         moves: list[ScaledShift] = []
         for view, image in enumerate((frame.left, frame.right)):
             expected = self._expected(view, frame.time)
@@ -91,7 +91,7 @@ class TemplateTracker:
         return (moves[0], moves[1]) if self._agree(*moves) else None
 
     def _agree(self, left: ScaledShift, right: ScaledShift) -> bool:
-        """Whether both views found the same thing, as much nearer as it is larger."""
+        """Whether both views found the same region, with a change of depth that agrees with its scale."""
         before = self.quads.mean(1)
         after = np.stack([left(before[0]), right(before[1])])
         depth_before, depth = (float(triangulate(self.rig, *centres)[2]) for centres in (before, after))
@@ -102,7 +102,7 @@ class TemplateTracker:
         return across < MAX_EPIPOLAR_PX and abs(left.scale * depth / depth_before - 1) < slack
 
     def accept(self, quads: Array, frame: StereoFrame) -> None:
-        """The vehicle is seen in ``frame`` at ``quads`` (2, 4, 2)."""
+        """Records that the vehicle is found in ``frame`` at ``quads`` (2, 4, 2)."""
         grown = shift_between(self.quads[0], quads[0]).scale
         self._last_step = self.quads.mean(1), grown, frame.time - self.time
         self.quads, self.images, self.time, self._unseen = quads, (frame.left, frame.right), frame.time, 0
@@ -110,7 +110,7 @@ class TemplateTracker:
             self.status = "ended"
 
     def miss(self, time: float) -> bool:
-        """The vehicle is not seen at ``time``; whether to look for it further."""
+        """Records that the vehicle is not found at ``time``; whether to search for it further."""
         self._unseen += 1
         expected = np.stack([self._expected(view, time)(self.quads[view]) for view in (0, 1)])
         if self._outside(expected):
@@ -120,7 +120,7 @@ class TemplateTracker:
         return self.status == "tracking"
 
     def _expected(self, view: int, time: float) -> ScaledShift:
-        """The move of a constant velocity in space: depth, and pixels times depth, go on as they went."""
+        """The motion predicted from a constant velocity in space: depth, and pixels times depth, are linear in time."""
         if self._last_step is None:
             return ScaledShift(1.0, np.zeros(2))
         centres, grown, since = self._last_step
@@ -139,7 +139,7 @@ class TemplateTracker:
 def _search(
     before: Image, quad: Array, image: Image, centre: Array, scales: Array, reach: float
 ) -> tuple[ScaledShift, float]:
-    """How the picture of ``quad`` (4, 2) in ``before`` moved to ``image``, and how alike it is there, −1 … 1."""
+    """The motion of the template ``quad`` (4, 2) of ``before`` to ``image``, and its NCC there, −1 … 1."""
     size = np.ptp(quad, axis=0)
     shrink = min(1.0, MAX_TEMPLATE_PX / float(size[0]))
     template = _resized(_crop(before, quad), shrink)

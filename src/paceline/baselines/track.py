@@ -56,13 +56,15 @@ class MeanSpeed:
 
 
 def measurement_of_filter(vehicle: str, results: Sequence[FrameResult], model: str, limits: Limits) -> Measurement:
-    """The measurement by a filter's own speeds: their mean, each counted by what it claims to know.
+    """The measurement from a filter's own speeds: their mean, weighted by inverse variances.
 
     A filter's successive estimates repeat one another's errors, so that their scatter is not divided by their number.
     """
     known = [s for s in results if s.status == "tracking" and np.isfinite(s.speed_std)]
     speeds, stds = (np.array([getattr(s, name) for s in known]) for name in ("speed", "speed_std"))
-    information = np.maximum(stds, np.median(stds)) ** -2.0  # a cloud that has shrunk to a point knows no more
+    information = (
+        np.maximum(stds, np.median(stds)) ** -2.0
+    )  # particles that have collapsed to a point carry no more information
     mean = float(np.average(speeds, weights=information))
     scatter = float(np.average((speeds - mean) ** 2, weights=information))
     std = float(np.sqrt(scatter + 1.0 / information.mean()))
@@ -70,7 +72,7 @@ def measurement_of_filter(vehicle: str, results: Sequence[FrameResult], model: s
 
 
 def measurement_of(vehicle: str, results: Sequence[FrameResult], mean: MeanSpeed, limits: Limits) -> Measurement:
-    """The measurement of a vehicle; rejected, with the reason, where its interval says too little."""
+    """The measurement of a vehicle; rejected, with the reason, where its speed or interval fails the limits."""
     half = float(stdtrit(mean.dof, 0.5 + CONFIDENCE_LEVEL / 2) * mean.std)
     if not np.isfinite([mean.speed, half]).all():
         reason = message("no_motion_fits", test="the fitted speed is not a finite number")
@@ -96,19 +98,19 @@ def measurement_of(vehicle: str, results: Sequence[FrameResult], mean: MeanSpeed
 
 
 def unseen_frame(frame: StereoFrame, regions: TemplateTracker) -> FrameResult:
-    """A frame that does not show the vehicle: the regions stay where they were."""
+    """The result of a frame in which the vehicle is not found: the regions stay where they were."""
     status = "ended" if regions.status == "ended" else "lost"
     return FrameResult(frame.index, frame.time, regions.quads[0], regions.quads[1], status=status)
 
 
 def rejected(vehicle: str, results: Sequence[FrameResult], reason: Message) -> Measurement:
-    """A vehicle for which there is no speed."""
+    """A rejected measurement without a speed."""
     track, frames = track_of(vehicle, results), _tracked_frames(results)
     return Measurement(vehicle, track, NAN, NAN, NAN, NAN, NAN, frames, "rejected", "", "none").judged(reason)
 
 
 def check_frame_count(results: Sequence[FrameResult], limits: Limits) -> Message:
-    """Why there is no track to measure by; empty where there is one."""
+    """Why the track is too short to be measured; empty where it is not."""
     return check_frames(results[-1].status if results else "tracking", _tracked_frames(results), limits)
 
 
