@@ -89,7 +89,7 @@ def test_sockets_of_other_sites_are_refused() -> None:
         ("::1", 9000, "http://[::1]:9000/", {"[::1]:9000"}),
     ],
 )
-def test_this_machine_is_known_by_its_own_names_only(host: str, port: int, shown: str, names: set[str]) -> None:
+def test_only_names_of_this_machine_are_accepted(host: str, port: int, shown: str, names: set[str]) -> None:
     assert _public_address(host, port) == (shown, None) and _host_names(shown) == names
 
 
@@ -99,8 +99,8 @@ def test_every_other_address_has_a_token_of_its_own(host: str) -> None:
     assert token and another and token != another and address.endswith(f":8640/?token={token}")
 
 
-def test_an_asker_who_has_gone_needs_no_answer() -> None:
-    """The framework complains of it; anything else that it complains of is told."""
+def test_a_disconnected_client_gets_no_answer() -> None:
+    """The framework raises an error for it; any other error is passed on."""
 
     def answered(message: dict[str, Any]) -> None:
         async def app(scope: Any, receive: Any, send: Any) -> None:

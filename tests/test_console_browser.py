@@ -105,7 +105,7 @@ def test_from_import_to_report(recording: Path, console: Console) -> None:
         tab.call("Page.reload")
         tab.wait_for("Close-up of v0")
         tab.wait_for("Cancel")
-        believed = [
+        scenes = [
             json.loads(t.run("document.querySelector('pl-live-view').getAttribute('scene')")) for t in (tab, other)
         ]
         other.click("Close-up of v0")
@@ -113,7 +113,7 @@ def test_from_import_to_report(recording: Path, console: Console) -> None:
     other.wait_for("measured")
     with (root / "north" / "runs" / "0001" / "out" / "estimates.csv").open(newline="") as stream:
         filtered = {int(row["frame"]): row for row in csv.DictReader(stream)}
-    for scene in believed:
+    for scene in scenes:
         (shown,), row = scene["vehicles"], filtered[scene["frame"]]
         speed = format_speed_number(float(row["speed_mps"]), "mph") if row["speed_mps"] else ""
         assert shown["label"] == f"v0  {speed} mph" if speed else "v0"
@@ -144,7 +144,7 @@ def test_from_import_to_report(recording: Path, console: Console) -> None:
 
 
 @needs_chromium
-def test_what_files_say_is_only_text(console: Console) -> None:
+def test_text_from_files_is_escaped(console: Console) -> None:
     """Names of vehicles, paths and folders, and reasons made from YAML, are shown as they are and never run."""
     evil = "<img src=x onerror=window.hit=1>"
     root, address, new = console
@@ -187,7 +187,7 @@ def test_what_files_say_is_only_text(console: Console) -> None:
 
 
 @needs_chromium
-def test_corners_are_sorted_however_they_are_clicked(console: Console) -> None:
+def test_corners_clicked_in_any_order_are_sorted(console: Console) -> None:
     _, address, new = console
     tab = new()
     tab.open(address)
@@ -203,7 +203,7 @@ def test_corners_are_sorted_however_they_are_clicked(console: Console) -> None:
             assert tab.run(script) == quad, order
 
 
-def test_a_console_is_served_guarded_and_ends_without_a_trace(tmp_path: Path) -> None:
+def test_a_console_is_served_with_a_token_and_ends_cleanly(tmp_path: Path) -> None:
     root = tmp_path / "clips"
     root.mkdir()
     with serving(root, "--host", "0.0.0.0", cwd=root) as (printed, process):
@@ -234,16 +234,20 @@ def test_a_console_is_served_guarded_and_ends_without_a_trace(tmp_path: Path) ->
         ([".", "--port", "70000"], ["--port", "65535"]),
     ],
 )
-def test_what_cannot_be_served_is_one_plain_line(tmp_path: Path, arguments: list[str], words: list[str]) -> None:
+def test_an_unusable_folder_or_address_is_a_one_line_error(
+    tmp_path: Path, arguments: list[str], words: list[str]
+) -> None:
     assert_one_line_error(paceline("console", "--no-browser", *arguments, folder=tmp_path), *words)
 
 
-def test_a_folder_in_a_circle_of_links_is_one_plain_line(tmp_path: Path) -> None:
+def test_a_cycle_of_links_is_a_one_line_error(tmp_path: Path) -> None:
     (tmp_path / "loop").symlink_to(tmp_path / "loop")
     assert_one_line_error(paceline("console", "--no-browser", tmp_path / "loop"), "loop", "cannot be read")
 
 
-def test_without_nicegui_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_nicegui_the_error_names_the_package_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(sys.modules, "nicegui", None)  # as where it is not installed
     done = paceline("console", "--no-browser", folder=tmp_path)
     assert_one_line_error(done, "the console needs NiceGUI; install it with: pip install 'paceline[console]'")

@@ -24,7 +24,7 @@ CLIMBING = [
 
 
 @pytest.mark.parametrize("name", CLIMBING)
-def test_names_that_climb_lead_nowhere(folder: Path, client: TestClient, name: str) -> None:
+def test_names_with_parent_folders_are_not_found(folder: Path, client: TestClient, name: str) -> None:
     with pytest.raises(NotFound):
         folder_below(folder, name)
     with pytest.raises(NotFound):
@@ -68,7 +68,7 @@ def test_addresses_of_results_keep_every_name(name: str) -> None:
      ("left", "../../secret/left/*.png"), ("times", "/etc/passwd"), ("left", "link"), ("left", "images"),
      ("rig", "link.yaml")],
 )  # fmt: skip
-def test_a_clip_that_leads_out_is_refused(tmp_path: Path, key: str, value: str) -> None:
+def test_a_clip_that_names_files_outside_is_refused(tmp_path: Path, key: str, value: str) -> None:
     root = tmp_path.resolve() / "mine"
     secret = put_clip(root.parent, "secret")
     clip = put_clip(root)
@@ -101,7 +101,7 @@ def test_one_clip_that_names_no_file_leaves_the_others_shown(tmp_path: Path, val
     assert "left: " in shown["odd"].reason and "cannot be read" in shown["odd"].reason
 
 
-def test_a_clip_of_its_own_is_let_through(folder: Path) -> None:
+def test_a_clip_inside_the_folder_is_allowed(folder: Path) -> None:
     check_document(folder, folder / "road" / "clip.yaml")
 
 
@@ -137,7 +137,7 @@ def test_a_document_is_parsed_once_for_all_questions(tmp_path: Path, monkeypatch
     assert parsed == [file, file]
 
 
-def test_the_list_does_not_wait_for_a_document_that_takes_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_list_does_not_wait_for_a_slow_document(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     root = tmp_path.resolve()
     for name in ("fine", "slow"):
         put_clip(root, name)

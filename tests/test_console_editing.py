@@ -96,7 +96,7 @@ HEADS = [
 
 
 @pytest.mark.parametrize("head", HEADS)
-def test_every_way_of_writing_is_added_to_or_refused(head: str) -> None:
+def test_every_yaml_style_is_edited_or_refused(head: str) -> None:
     paths, vehicles = drawn(WRITTEN)
     try:
         new = with_clip_setup(head, "clip.yaml", paths, vehicles)
@@ -206,7 +206,7 @@ def test_the_facts_of_a_set_up_are_those_of_the_scene(tmp_path: Path) -> None:
     assert check_setup(clip.rig, beside, [])["paths"]["again"]["gap_m"] == pytest.approx(0, abs=1e-6)
 
 
-def test_what_is_half_drawn_is_asked_for() -> None:
+def test_missing_parts_of_a_drawing_are_reported() -> None:
     rig = rendered().rig
     facts = check_setup(rig, {"a": {"shape": "line", "left": [[1, 2], [50, 60]]}}, [{"id": "v", "frame": 0}])
     assert facts["paths"]["a"]["problem"] == "draw the same line in the right view"
@@ -214,7 +214,7 @@ def test_what_is_half_drawn_is_asked_for() -> None:
 
 
 @pytest.mark.parametrize("view", [0, 1])
-def test_an_outline_is_proposed_where_the_other_camera_sees_it(tmp_path: Path, view: int) -> None:
+def test_an_outline_is_proposed_in_the_other_view(tmp_path: Path, view: int) -> None:
     clip = put_clip(tmp_path.resolve())
     pictures = FrameCache(tmp_path.resolve()).open(clip / "clip.yaml")
     given = rendered().clip["vehicles"][0]

@@ -63,14 +63,14 @@ def test_any_order_shows_the_same_pictures(tmp_path: Path, name: str) -> None:
             assert np.array_equal(pictures.picture(view, frame), through[frame]), (frame, view)
 
 
-def test_frames_that_are_not_there_are_told(tmp_path: Path) -> None:
+def test_missing_frames_are_reported(tmp_path: Path) -> None:
     pictures = FrameCache(tmp_path.resolve()).open(put_clip(tmp_path.resolve()) / "clip.yaml")
     for frame in (-1, 5, 10**9):
         with pytest.raises(UnusableInput, match=f"frame {frame}: is not in the recording"):
             pictures.picture(0, frame)
 
 
-def test_a_damaged_picture_is_told_and_the_others_shown(tmp_path: Path) -> None:
+def test_a_damaged_frame_is_reported_and_the_others_are_shown(tmp_path: Path) -> None:
     clip = put_clip(tmp_path.resolve())
     gallery = FrameCache(tmp_path.resolve())
     (clip / "right" / "0002.png").write_bytes(b"no picture")
@@ -84,7 +84,7 @@ def test_a_damaged_picture_is_told_and_the_others_shown(tmp_path: Path) -> None:
     assert decoded(gallery.thumbnail(clip / "clip.yaml")).shape == (240, 320)
 
 
-def test_what_changes_on_disk_is_shown_anew(tmp_path: Path) -> None:
+def test_files_that_change_on_disk_are_reloaded(tmp_path: Path) -> None:
     clip = put_clip(tmp_path.resolve())
     gallery = FrameCache(tmp_path.resolve())
     before = gallery.open(clip / "clip.yaml")

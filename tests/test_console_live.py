@@ -98,7 +98,7 @@ def test_live_clips_are_listed_and_not_opened(library: Library) -> None:
     assert live_views(library.file("pipe")) == ["fifo", "rtsp://camera/right"]
 
 
-def test_their_pictures_are_not_fetched(library: Library) -> None:
+def test_frames_of_live_sources_are_not_fetched(library: Library) -> None:
     root = library.root
     library.runs.close()
     with open_client(root) as client:
@@ -109,7 +109,7 @@ def test_their_pictures_are_not_fetched(library: Library) -> None:
     library.runs = Library(root).runs  # for the fixture to close
 
 
-def test_a_live_source_may_not_stand_in_for_a_file(tmp_path: Path) -> None:
+def test_a_live_source_cannot_replace_a_file(tmp_path: Path) -> None:
     root = tmp_path.resolve() / "clips"
     clip = put_clip(root)
     os.mkfifo(tmp_path / "fifo")
@@ -164,12 +164,12 @@ def test_only_known_settings_reach_a_live_run() -> None:
             command_options(LIVE_RUN, {"learn": learn})
 
 
-def test_a_tolerance_stays_as_much_as_it_was_in_another_unit() -> None:
+def test_a_tolerance_is_converted_between_units() -> None:
     assert convert_tolerance(5.0, "mph", "km/h") == 8.05 and convert_tolerance(8.05, "km/h", "mph") == 5.0
     assert convert_tolerance(1.0, "m/s", "km/h") == 3.6
 
 
-def test_what_a_killed_console_had_measured_can_be_read(tmp_path: Path) -> None:
+def test_results_of_a_killed_console_can_be_read(tmp_path: Path) -> None:
     """Its tables grow vehicle by vehicle, so that their being there does not say that the run had ended."""
     root = tmp_path.resolve()
     put_clip(root)
@@ -202,7 +202,7 @@ def test_what_a_killed_console_had_measured_can_be_read(tmp_path: Path) -> None:
         ([], ""),
     ],
 )
-def test_why_nothing_was_measured_is_said_in_a_line(tmp_path: Path, summary: object, why: str) -> None:
+def test_the_reason_why_nothing_was_measured_is_one_line(tmp_path: Path, summary: object, why: str) -> None:
     (tmp_path / "summary.json").write_text(json.dumps(summary))
     assert nothing_measured_reason(tmp_path.resolve()) == why
 
@@ -252,7 +252,7 @@ def test_a_vehicle_is_followed_live_until_it_is_stopped(tmp_path: Path, monkeypa
 # --- pictures ---------------------------------------------------------------------------------------------------------
 
 
-def test_pictures_come_through_as_they_were_told() -> None:
+def test_pictures_lines_are_parsed_as_formatted() -> None:
     """Even those that are all noise, which JPEG cannot make small."""
     noise = np.random.default_rng(1).integers(0, 2, (2, 1200, 1600)).astype(np.uint8) * 255
     small = small_jpegs(*noise)
@@ -286,7 +286,7 @@ def test_the_latest_pictures_are_kept_with_what_is_in_them() -> None:
     assert list(monitor.pictures) == list(range(100 - KEPT_FRAMES, 100)) and monitor.pictures[99][0] == bytes([99])
 
 
-def test_a_live_run_is_watched_and_leaves_a_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_live_run_is_monitored_and_has_a_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", ENVIRONMENT["PYTHONPATH"])
     root = tmp_path.resolve() / "clips"
     survey_file(root / "road")
@@ -318,7 +318,7 @@ def test_a_live_run_is_watched_and_leaves_a_report(tmp_path: Path, monkeypatch: 
 
 
 @pytest.mark.slow
-def test_a_live_run_that_is_killed_holds_nothing_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_killed_live_run_does_not_block_the_console(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its measuring is a process of its own, and has the same standard error."""
     monkeypatch.setenv("PYTHONPATH", ENVIRONMENT["PYTHONPATH"])
     root = tmp_path.resolve() / "clips"

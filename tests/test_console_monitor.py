@@ -32,7 +32,7 @@ FINITE = st.floats(-1e6, 1e6)
 
 
 @given(name=st.text(max_size=100), time_s=FINITE, value=FINITE, std=FINITE, count=st.integers(0, 2000))
-def test_an_estimate_comes_through_as_it_was_told(
+def test_an_estimate_line_is_parsed_as_formatted(
     name: str, time_s: float, value: float, std: float, count: int
 ) -> None:
     corners, places = np.arange(8.0).reshape(4, 2), np.linspace(0, 99, 2 * count).reshape(-1, 2)
@@ -49,7 +49,7 @@ def test_an_estimate_comes_through_as_it_was_told(
         assert np.abs(places - place).max(axis=1).min() < 0.006
 
 
-def test_what_is_not_known_is_told_as_such() -> None:
+def test_unknown_values_are_null() -> None:
     found = parse_estimate(format_estimate("v", 0, 0.0, NAN, math.inf, "lost", [np.full((4, 2), 1e30)]))
     assert found is not None and found["value"] is None and found["std"] is None
     assert json.loads(json.dumps(found)) == found and np.isfinite(found["outlines"]).all()
@@ -66,7 +66,7 @@ def estimate(vehicle: str, frame: int, value: float | None) -> dict[str, object]
     return {"vehicle": vehicle, "frame": frame, "time_s": frame / 5, "value": value, "std": None}
 
 
-def test_a_frame_is_shown_once_all_of_its_vehicles_are_told() -> None:
+def test_a_frame_is_shown_once_all_its_estimates_are_added() -> None:
     monitor = RunMonitor()
     monitor.finish_frame()
     assert monitor.scene == {} and monitor.series() == []
@@ -82,7 +82,7 @@ def test_a_frame_is_shown_once_all_of_its_vehicles_are_told() -> None:
 
 
 @pytest.mark.parametrize("count", [MAX_VALUES, MAX_VALUES + 1, 25_000])
-def test_what_is_kept_does_not_grow_with_the_recording(count: int) -> None:
+def test_the_kept_values_do_not_grow_with_the_recording(count: int) -> None:
     monitor = RunMonitor()
     for frame in range(count):
         monitor.add_estimate(estimate("a", frame, float(frame)))
@@ -105,7 +105,7 @@ def rows_of(file: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(stream))
 
 
-def test_a_follower_tells_what_stands_in_its_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_estimate_lines_of_a_follower_match_its_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file, out = tiny_chase.write(tmp_path / "chase", 8), tmp_path / "out"
     told_by = lines_of("follow", file, "-o", out, "--no-overlay", monkeypatch=monkeypatch)
     rows = rows_of(out / "track.csv")
@@ -121,7 +121,7 @@ def test_a_follower_tells_what_stands_in_its_table(tmp_path: Path, monkeypatch: 
         assert [lines[..., 0].min(), lines[..., 0].max()] == pytest.approx(edges, abs=0.6)
 
 
-def test_a_run_is_watched_while_it_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_active_run_is_monitored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every value of the filter comes, as it stands in the table later; afterwards nothing is kept of it."""
     monkeypatch.setenv("PYTHONPATH", ENVIRONMENT["PYTHONPATH"])
     put_clip(tmp_path.resolve())

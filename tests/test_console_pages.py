@@ -108,8 +108,8 @@ def test_a_vehicle_ahead_is_learned_from_a_box_and_followed(tmp_path: Path, cons
     scenes = [json.loads(text) for text in tab.run("window.scenes")]
     assert scenes
     for scene in scenes:
-        told = float(scene["vehicles"][0]["label"].removeprefix("vehicle ahead").removesuffix("m"))
-        assert told == pytest.approx(tiny_chase.truth(scene["frame"])[2], abs=0.35)
+        distance = float(scene["vehicles"][0]["label"].removeprefix("vehicle ahead").removesuffix("m"))
+        assert distance == pytest.approx(tiny_chase.truth(scene["frame"])[2], abs=0.35)
     other.wait_for("Open the report")
     summary = json.loads((root / "drive" / "runs" / "0001" / "out" / "summary.json").read_text())
     distances = [tiny_chase.truth(k)[2] for k in range(40)]
@@ -124,7 +124,7 @@ def test_a_vehicle_ahead_is_learned_from_a_box_and_followed(tmp_path: Path, cons
 
 
 @pytest.mark.slow
-def test_a_survey_goes_on_until_it_is_stopped(console: Console) -> None:
+def test_a_survey_runs_until_it_is_stopped(console: Console) -> None:
     root, address, new = console
     survey_file(root / "survey")
     shutil.copytree(root / "survey", root / "gate")
@@ -187,7 +187,7 @@ def test_a_survey_goes_on_until_it_is_stopped(console: Console) -> None:
     assert str(root) not in tab.text() and complaints(tab) == []
 
 
-def test_drafts_come_back_and_a_file_changed_elsewhere_is_settled(console: Console) -> None:
+def test_drafts_are_restored_and_conflicts_resolved(console: Console) -> None:
     root, address, new = console
     file = put_clip(root, "draft") / "clip.yaml"
     tab = new()
@@ -230,7 +230,7 @@ def test_drafts_come_back_and_a_file_changed_elsewhere_is_settled(console: Conso
     assert complaints(tab) == []
 
 
-def test_a_search_that_was_left_is_taken_up_again(console: Console) -> None:
+def test_a_search_is_resumed_after_a_reload(console: Console) -> None:
     """One that has ended meanwhile; and what it proposed is a draft like any other."""
     root, address, new = console
     file = put_clip(root, "search") / "clip.yaml"
@@ -318,7 +318,7 @@ def test_a_vehicle_is_outlined_by_keys_alone(console: Console) -> None:
     assert complaints(tab) == []
 
 
-def test_a_folder_that_cannot_be_written_is_looked_at_and_read(tmp_path: Path) -> None:
+def test_a_read_only_folder_can_be_viewed(tmp_path: Path) -> None:
     """By an owner without the right to write, as on a disk that is mounted to be read."""
     before = []
     if os.geteuid() == 0:

@@ -80,7 +80,7 @@ def watched(library: Library, number: int) -> Iterator[set[str]]:
     watcher.join()
 
 
-def test_runs_wait_for_each_other_are_read_and_are_cancelled(library: Library) -> None:
+def test_runs_are_queued_read_and_cancelled(library: Library) -> None:
     clip = library.folder("road")
     before = contents(clip)
     for _ in range(3):
@@ -120,7 +120,7 @@ def test_runs_wait_for_each_other_are_read_and_are_cancelled(library: Library) -
     assert asked.left == here.left and asked.vehicles[0].left.tolist() == here.vehicles[0].left.tolist()
 
 
-def test_each_run_measures_what_was_saved_when_it_was_asked_for(library: Library) -> None:
+def test_each_run_measures_the_documents_as_saved_at_its_request(library: Library) -> None:
     """Not what is saved while it waits, in none of its documents; and its results name the clip, not the copy."""
     file, rig = library.file("road"), library.folder("road") / "rig.yaml"
     for name in ("v0", "later"):
@@ -136,7 +136,7 @@ def test_each_run_measures_what_was_saved_when_it_was_asked_for(library: Library
         assert "<h1>road/clip.yaml</h1>" in (library.runs.out(run) / "report.html").read_text()
 
 
-def test_the_copies_of_documents_say_what_the_originals_do(tmp_path: Path) -> None:
+def test_copied_documents_have_the_content_of_the_originals(tmp_path: Path) -> None:
     """A site elsewhere that names a rig elsewhere, and names that go through a link."""
     root = tmp_path.resolve()
     road = put_clip(root)
@@ -169,7 +169,7 @@ def test_a_run_whose_process_is_killed_is_interrupted(library: Library) -> None:
     assert contents(library.folder("road")) == before and library.entry("road").state == "interrupted"
 
 
-def test_what_cannot_be_measured_says_why(library: Library) -> None:
+def test_a_failed_run_has_a_reason(library: Library) -> None:
     file = library.file("road")
     file.write_text(file.read_text().replace("frame: 0", "frame: 99"))
     found = ended(library, library.runs.start("road", "speed", FAST).number)
@@ -190,7 +190,7 @@ time.sleep(600)
 """
 
 
-def test_a_killed_console_takes_its_run_along(tmp_path: Path) -> None:
+def test_a_killed_console_ends_its_run(tmp_path: Path) -> None:
     """Nobody reads what the command says of its progress any more: it ends, and its run is found interrupted."""
     root = tmp_path.resolve()
     clip = put_clip(root)
@@ -218,7 +218,7 @@ def _alive(pid: int) -> bool:
         return False
 
 
-def test_closing_ends_what_is_under_way(tmp_path: Path) -> None:
+def test_closing_ends_the_active_run(tmp_path: Path) -> None:
     put_clip(tmp_path.resolve())
     library = Library(tmp_path.resolve())
     library.runs.start("road", "speed", FAST)
@@ -282,14 +282,14 @@ def test_a_recording_is_opened_once_to_be_listed(library: Library, monkeypatch: 
     assert library.entry("road").state == "unreadable" and len(opened) == 4
 
 
-def test_a_run_folder_that_cannot_be_made_is_told(library: Library) -> None:
+def test_a_run_folder_that_cannot_be_created_is_reported(library: Library) -> None:
     (library.folder("road") / "runs").write_text("a file is in the way")
     with pytest.raises(UnusableInput, match="road/runs: cannot be written"):
         library.runs.start("road", "speed", FAST)
     assert library.runs.of("road") == [] and library.runs.active() == []
 
 
-def test_on_a_full_disk_no_run_begins_and_the_end_of_one_is_told(
+def test_on_a_full_disk_no_run_starts_and_the_end_of_one_is_reported(
     library: Library, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write = runs_module._write_run
@@ -332,20 +332,20 @@ def test_results_are_not_read_through_links(library: Library, tmp_path: Path) ->
             read(out)
 
 
-def test_time_left_follows_the_pace() -> None:
+def test_the_remaining_time_is_extrapolated() -> None:
     run = Run("c", 1, "speed", (), "running", 0.0, started=5.0, done=3, total=11, first=20.0)
     assert run.seconds_left(24.0) == pytest.approx(16.0)  # two frames took 4 s, eight are left
     assert Run("c", 1, "speed", (), "running", 0.0, done=1, total=11, first=20.0).seconds_left(24.0) is None
 
 
-def test_progress_is_told_in_lines() -> None:
+def test_progress_lines_are_parsed_as_formatted() -> None:
     assert parse_progress(format_progress("measuring", 3, 12) + "\n") == ("measuring", 3, 12)
     assert parse_progress(format_progress("averaging", 3, None)) == ("averaging", 3, None)
     for line in ("", "note: measuring 3 of 12", "progress: measuring x 12", "progress: measuring 3 12 4"):
         assert parse_progress(line) is None
 
 
-def test_the_command_tells_its_progress_when_asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_command_writes_progress_lines_on_request(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(PROGRESS_VARIABLE, "lines")
     done = paceline("lanes", put_clip(tmp_path), "-o", tmp_path / "site.yaml")
     assert done.returncode == 1 and done.stdout.startswith("no lane found: ")
@@ -361,7 +361,7 @@ def test_runs_are_numbered_on(library: Library) -> None:
     assert ended(library, 42).state == "cancelled"
 
 
-def test_vehicles_are_looked_for_in_a_copy_of_the_clip(tmp_path: Path) -> None:
+def test_vehicles_are_detected_in_a_copy_of_the_clip(tmp_path: Path) -> None:
     """The command adds to the clip.yaml that it is given, which is one in the run's own folder."""
     root = tmp_path.resolve()
     clip = put_clip(root)

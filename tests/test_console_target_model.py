@@ -36,7 +36,7 @@ def box_of(frame: int) -> list[float]:
 
 
 @pytest.mark.parametrize("distortion", [[], [-0.25, 0.08, 0.001, -0.002, 0.01]])
-def test_lines_lie_where_the_camera_sees_them(distortion: list[float]) -> None:
+def test_model_lines_are_projected_through_the_lens(distortion: list[float]) -> None:
     camera = Camera((256, 242), K, np.array(distortion))
     start = {"frame": 0, "center": [90.0, 150.0], "scale": 0.8}
     shown = project_model(camera, tiny_chase.TARGET, start)
@@ -52,7 +52,7 @@ def test_lines_lie_where_the_camera_sees_them(distortion: list[float]) -> None:
     assert "problem" not in shown and "warning" not in shown
 
 
-def test_what_cannot_be_followed_is_said_while_it_is_placed() -> None:
+def test_problems_of_a_placed_model_are_reported() -> None:
     camera = Camera((256, 242), K)
     far = project_model(camera, tiny_chase.TARGET, {"frame": 0, "center": [300.0, 9.0], "scale": 1.0})
     assert "lies outside the image" in far["problem"] and np.isfinite(far["lines"]).all()
@@ -81,7 +81,7 @@ def test_a_model_is_learned_as_the_command_learns_it(tmp_path: Path) -> None:
     assert yaml.safe_load((tmp_path / "target.yaml").read_text()) == tiny_chase.TARGET
 
 
-def test_a_box_that_shows_nothing_is_refused_in_the_page_s_own_words(tmp_path: Path) -> None:
+def test_a_box_without_lines_is_refused(tmp_path: Path) -> None:
     pictures = ChaseFrames(tiny_chase.write(tmp_path, 2))
     for box, words in (([5.0, 5.0, 40.0, 40.0], "the box shows"), ([9.0, 9.0, 8.0, 8.0], "^box 9,9,8,8")):
         with pytest.raises(UnusableInput, match=words):
@@ -118,7 +118,7 @@ def test_only_the_start_is_written_where_the_model_is_the_same(tmp_path: Path) -
         (tiny_chase.TARGET, {"frame": 0, "center": [99.0, 99.0], "scale": 99.0}, "scale: .*large"),
     ],
 )
-def test_what_could_not_be_followed_is_not_saved(tmp_path: Path, target: Any, start: Any, words: str) -> None:
+def test_a_target_that_cannot_be_followed_is_not_saved(tmp_path: Path, target: Any, start: Any, words: str) -> None:
     file = tiny_chase.write(tmp_path, 2)
     before = {p.name: p.read_bytes() for p in tmp_path.glob("*.yaml")}
     with pytest.raises(UnusableInput, match=words):
@@ -151,7 +151,7 @@ def test_one_value_is_changed_however_it_is_written(text: str) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "- 1\n", "a: &x {frame: 0}\nstart: *x\n<<: {c: 1}\n", "{a: 1}"])
-def test_what_cannot_be_added_to_is_refused(text: str) -> None:
+def test_yaml_that_cannot_be_edited_is_refused(text: str) -> None:
     with pytest.raises(UnusableInput, match="cannot be added to|is written in a way"):
         set_values(text, "follow.yaml", {"start": {"frame": 3}})
 
@@ -208,7 +208,7 @@ def test_a_chase_is_imported_placed_and_saved(tmp_path: Path) -> None:
         assert load_follow(follow).frame == 2 and load_follow(follow).target.name == "small van"
 
 
-def test_an_import_without_a_camera_file_says_so(tmp_path: Path) -> None:
+def test_an_import_without_a_camera_file_is_refused(tmp_path: Path) -> None:
     tiny_chase.write(tmp_path / "given", 2)
     (tmp_path / "clips").mkdir()
     with open_client((tmp_path / "clips").resolve()) as client:
@@ -223,7 +223,7 @@ def test_an_import_without_a_camera_file_says_so(tmp_path: Path) -> None:
         assert "has 256 × 242 pixels, but the camera has 640 × 480" in done.json()["reason"]
 
 
-def test_targets_are_asked_for_only_where_there_is_a_follow_yaml_of_its_own(tmp_path: Path) -> None:
+def test_target_routes_need_a_follow_yaml_inside_the_folder(tmp_path: Path) -> None:
     root = tmp_path.resolve() / "clips"
     put_clip(root)
     tiny_chase.write(root / "drive", 2)

@@ -85,7 +85,7 @@ def test_names_that_a_clip_may_not_have(folder: Path, client: TestClient, name: 
         ("rig", "rig.yaml", b"x" * (1 << 20 | 1), "larger than 1 MiB"),
     ],
 )
-def test_what_is_no_recording_is_refused(
+def test_a_file_that_is_no_recording_is_refused(
     folder: Path, client: TestClient, slot: str, name: str, content: bytes, words: str
 ) -> None:
     key = begin(client)
@@ -103,8 +103,8 @@ def test_uploads_are_bounded(folder: Path, client: TestClient, monkeypatch: pyte
     endless = client.put(f"/api/import/{key}/left", params={"name": "a.mp4"}, content=pieces, headers=SAME)
     assert endless.status_code == 422 and "is larger than 3 MiB" in endless.json()["reason"]
     announced = {**SAME, "content-length": str(4 << 20)}
-    told = client.put(f"/api/import/{key}/left", params={"name": "a.mp4"}, content=b"x", headers=announced)
-    assert told.status_code == 422 and "is larger" in told.json()["reason"]
+    refused = client.put(f"/api/import/{key}/left", params={"name": "a.mp4"}, content=b"x", headers=announced)
+    assert refused.status_code == 422 and "is larger" in refused.json()["reason"]
     bomb = zipped([(f"{i}.png", bytes(1 << 20)) for i in range(8)])
     assert len(bomb) < 100_000 and send(client, key, "left", "a.zip", bomb).status_code == 200
     assert send(client, key, "right", "a.zip", bomb).status_code == 200
@@ -128,7 +128,7 @@ def test_a_request_of_json_is_bounded(client: TestClient) -> None:
                                   b'{"paths": {}, "vehicles": [{"left": "x"}]}',
                                   b'{"paths": {"a": {"shape": "spiral"}}, "vehicles": []}',
                                   b'{"paths": {"a": {"left": [[1, 1]]}}, "vehicles": []}'])  # fmt: skip
-def test_what_is_no_set_up_is_refused(client: TestClient, body: bytes) -> None:
+def test_an_invalid_set_up_is_refused(client: TestClient, body: bytes) -> None:
     for method, address in (("POST", "/api/check"), ("PUT", "/api/setup")):
         answer = client.request(method, f"{address}?clip=road", content=body, headers=SAME)
         assert answer.status_code == 422 and answer.json()["reason"]
@@ -162,7 +162,7 @@ def test_a_file_that_comes_twice_keeps_the_first(folder: Path, client: TestClien
 
 
 @pytest.mark.parametrize(("where", "words"), [(slice(60, 200), "cannot be unpacked"), (slice(-30, -20), "unpacked")])
-def test_a_damaged_zip_is_told_and_leaves_nothing(folder: Path, client: TestClient, where: slice, words: str) -> None:
+def test_a_damaged_zip_is_reported_and_removed(folder: Path, client: TestClient, where: slice, words: str) -> None:
     archive = bytearray(zipped(images(folder, "left")))
     archive[where] = b"\xff" * len(archive[where])
     key = begin(client)
@@ -203,7 +203,7 @@ def test_only_lines_and_outlines_are_proposed(client: TestClient, entry: dict[st
     assert answer.status_code == 422 and "four corners" in answer.json()["reason"]
 
 
-def test_an_outline_in_a_frame_that_is_not_there_is_told(client: TestClient) -> None:
+def test_an_outline_in_a_missing_frame_is_reported(client: TestClient) -> None:
     given = client.get("/api/setup?clip=road", headers=SAME).json()
     (vehicle,), paths = given["vehicles"], given["paths"]
     body = {"paths": paths, "vehicles": [vehicle, vehicle | {"frame": 99_999}, vehicle | {"frame": [0]}]}
@@ -212,7 +212,7 @@ def test_an_outline_in_a_frame_that_is_not_there_is_told(client: TestClient) -> 
     assert "is not in the recording" in facts[2]["problem"]
 
 
-def test_a_file_that_ends_half_way_leaves_nothing_and_no_word(tmp_path: Path) -> None:
+def test_an_interrupted_upload_leaves_nothing(tmp_path: Path) -> None:
     """As when its tab is closed, or the network goes."""
     root = tmp_path / "clips"
     root.mkdir()
@@ -238,7 +238,7 @@ def wait_until(true: Callable[[], object]) -> None:
         time.sleep(0.05)
 
 
-def test_half_done_imports_are_cleared_away(tmp_path: Path) -> None:
+def test_unfinished_imports_are_removed(tmp_path: Path) -> None:
     (tmp_path / ".paceline-import.0123" / "left").mkdir(parents=True)
     Uploads(tmp_path.resolve())
     assert list(tmp_path.iterdir()) == []

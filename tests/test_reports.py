@@ -167,7 +167,7 @@ def test_summary_is_exact(out: Path) -> None:
     assert summary["notices"] == ["frame 4 repeats frame 3"]
 
 
-def test_words_add_up() -> None:
+def test_random_and_systematic_parts_add_up() -> None:
     words = format_speed(measured("v"), "m/s")
     assert (words.speed, words.lo, words.hi, words.plus_minus) == ("20.1", "20.0", "20.2", "0.1")
     # 0.03 and 0.04 make 0.05; the interval's half width of 0.1 is twice that.
@@ -176,7 +176,7 @@ def test_words_add_up() -> None:
     assert format_speed(replace(measured("v"), systematic_std=NAN), "mph").systematic == "–"
 
 
-def test_the_speed_of_a_frame_has_an_interval_as_cautious_as_the_mean_s() -> None:
+def test_the_speed_of_a_frame_has_the_coverage_factor_of_the_mean() -> None:
     wide = replace(measured("v"), speed_lo=19.0, speed_hi=21.2)  # 1.1 where 0.05 is one standard uncertainty: 22
     assert speed_at(wide, 0) == pytest.approx((20.1, 22 * 0.05))
     assert speed_at(rejected("v"), 2)[1] == pytest.approx(1.96 * rejected("v").track.speed_std[2])
@@ -207,7 +207,7 @@ def test_wide_pictures_are_scaled(result: ClipResult, tmp_path: Path) -> None:
         assert container.streams.video[0].width == 1920
 
 
-def test_a_missing_encoder_is_told(result: ClipResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_encoder_is_reported(result: ClipResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("paceline.reports.common.video.H264_CODECS", ["no-such-encoder"])
     written = write_report(result, Recording(), tmp_path / "out")
     assert any("no H.264 encoder" in notice for notice in written.notices)
@@ -324,7 +324,7 @@ def test_page_in_a_browser(out: Path, tmp_path: Path, width: int) -> None:
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
-def test_the_browser_test_would_see_a_request(tmp_path: Path) -> None:
+def test_the_browser_test_detects_requests(tmp_path: Path) -> None:
     (tmp_path / "page.html").write_text('<img src="http://example.invalid/x.png">')
     assert browse(tmp_path / "page.html", tmp_path)[2] == {"http://example.invalid/x.png"}
 

@@ -42,7 +42,7 @@ def passed(k: int, result: Measurement | None = None) -> Measurement:
     return replace(result or measured("v"), vehicle=f"v{k}", track=measured(f"v{k}").track)
 
 
-def test_the_report_says_of_each_vehicle_what_is_known(tmp_path: Path) -> None:
+def test_the_live_report_lists_every_vehicle(tmp_path: Path) -> None:
     with LiveResults(tmp_path / "out", ABOUT, "mph") as results:
         results.begin()
         results.add(passed(0), found(0), DAY.format(3))
@@ -73,7 +73,7 @@ def test_the_report_says_of_each_vehicle_what_is_known(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("end", [SystemExit(143), KeyboardInterrupt(), OSError("the camera is gone")])
-def test_whatever_ends_it_there_is_a_report(tmp_path: Path, end: BaseException) -> None:
+def test_a_report_is_written_however_a_survey_ends(tmp_path: Path, end: BaseException) -> None:
     with pytest.raises(type(end)), LiveResults(tmp_path, ABOUT, "km/h") as results:
         results.begin()
         results.add(passed(0), found(0), DAY.format(3))
@@ -81,13 +81,13 @@ def test_whatever_ends_it_there_is_a_report(tmp_path: Path, end: BaseException) 
     assert "1 of 1 vehicle measured" in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
-def test_what_ends_before_the_road_is_known_leaves_nothing(tmp_path: Path) -> None:
+def test_a_survey_that_ends_before_the_background_is_estimated_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(OSError, match="gone"), LiveResults(tmp_path / "out", ABOUT, "mph"):
         raise OSError("gone")
     assert not (tmp_path / "out").exists()
 
 
-def test_a_full_disk_leaves_what_was_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_on_a_full_disk_the_tables_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def write(contents: dict[Path, bytes]) -> None:
         if any(path.suffix in (".html", ".jpg") for path in contents):
             raise UnusableInput("No space left on device")
@@ -101,7 +101,7 @@ def test_a_full_disk_leaves_what_was_measured(tmp_path: Path, monkeypatch: pytes
     assert [v["vehicle"] for v in summary["vehicles"]] == ["v0"] and not (tmp_path / "report.html").exists()
 
 
-def test_writing_takes_its_share_of_the_time_and_no_more(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_writing_the_summary_takes_a_limited_share_of_the_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """However many vehicles there are: one rewrite takes 0.2 s here, so there may be one every 20 s."""
     now, written = 100.0, []
 
@@ -136,13 +136,13 @@ def test_writing_takes_its_share_of_the_time_and_no_more(tmp_path: Path, monkeyp
     assert len(json.loads((tmp_path / "summary.json").read_text())["unmeasured"]) == 2
 
 
-def test_nothing_that_passed_is_a_report_too(tmp_path: Path) -> None:
+def test_a_survey_without_vehicles_has_a_report(tmp_path: Path) -> None:
     with LiveResults(tmp_path, ABOUT, "mph") as results:
         results.begin()
     assert "No vehicle was measured." in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
-def test_pictures_are_bounded_and_the_report_says_so(tmp_path: Path) -> None:
+def test_the_number_of_pictures_is_limited_and_reported(tmp_path: Path) -> None:
     with LiveResults(tmp_path, ABOUT, "mph", kept_pictures=3) as results:
         results.begin()
         for k in range(5):
