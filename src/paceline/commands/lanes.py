@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from paceline.lanes.lane_proposals import Lane, RoadLine
     from paceline.recordings.background import Background
 
-NOTABLY_UNSETTLED = 0.02
+MAX_UNREPORTED_UNSTABLE_SHARE = 0.02  # of the pixels, above which a note is printed
 
 
 def lanes(
@@ -75,8 +75,8 @@ def lanes(
     named = dict(zip(lane_names(len(kept), document.paths if write else ()), kept, strict=True))
     if not quiet:
         _print(lines, named, remarks)
-        if background.unstable_share > NOTABLY_UNSETTLED:
-            unstable, limit = 100 * background.unstable_share, 100 * NOTABLY_UNSETTLED
+        if background.unstable_share > MAX_UNREPORTED_UNSTABLE_SHARE:
+            unstable, limit = 100 * background.unstable_share, 100 * MAX_UNREPORTED_UNSTABLE_SHARE
             notice = message("background_partly_unstable", unstable=unstable, max_unstable=limit)
             print(f"note: {notice}", file=sys.stderr)
     if not kept:

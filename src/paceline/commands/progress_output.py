@@ -89,9 +89,9 @@ def live_line_writer(rig: StereoRig) -> Callable[[RawPair, list[DetectionTrack]]
         due = now + PICTURE_INTERVAL_S
         seen: Counter[str] = Counter()
         for track in tracks:
-            way = track.first.lane.name
-            seen[way] += 1
-            name = way if seen[way] == 1 else f"{way} ({seen[way]})"
+            lane = track.first.lane.name
+            seen[lane] += 1
+            name = lane if seen[lane] == 1 else f"{lane} ({seen[lane]})"
             outlines = [c.distort_points(o) for c, o in zip(rig.cameras, last_outline(track), strict=True)]
             speed = abs(track.speed)
             _write_line(format_estimate(name, pair.index, pair.time, speed, float("nan"), "seen", outlines))

@@ -50,7 +50,7 @@ def measure_live(
     if clip.vehicles:
         raise UnusableInput(f"{clip.path}: vehicles: --live finds them itself; expected none")
     at_once = detector is not None and bool(clip.paths)
-    cv2.setNumThreads(1)  # the cards are small: a second thread costs more than it does, and is wanted for measuring
+    cv2.setNumThreads(1)  # images are small: a second thread costs more than it gains, and the measurement needs it
     detect = None if detector is None else OnnxDetector(detector)
     views = LiveStereo(clip)
     learning = DEFAULT_BACKGROUND_S if learning is None else learning
@@ -65,7 +65,7 @@ def measure_live(
         if not quiet:
             print(text, flush=True)
 
-    def told(found: DetectedVehicle, measurement: Measurement | None, reason: Message) -> None:
+    def on_result(found: DetectedVehicle, measurement: Measurement | None, reason: Message) -> None:
         seen_at = looking.time_of_day(found.times[0])
         if measurement is not None:
             results.add(measurement, found, seen_at)
@@ -73,7 +73,7 @@ def measure_live(
             results.add_unmeasured(found, seen_at, reason)
         say(_line(found, measurement, reason, unit))
 
-    def looked(pair: RawPair, tracks: list[DetectionTrack]) -> None:
+    def on_frame(pair: RawPair, tracks: list[DetectionTrack]) -> None:
         results.save()
         looking.looked(pair, tracks)
 
@@ -87,7 +87,7 @@ def measure_live(
     with results:
         with ended_by_interrupt(views.stop):
             try:
-                nothing = survey(clip, views, configuration, told, learning, ready, looked, detect)
+                nothing = survey(clip, views, configuration, on_result, learning, ready, on_frame, detect)
             except BrokenExecutor as error:
                 killed = "the process that measures was killed; is there memory enough?"
                 raise UnusableInput(f"{clip.path}: {killed}") from error
