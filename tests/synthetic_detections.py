@@ -1,4 +1,4 @@
-"""A face whose picture is drawn, carried along a road, as all that was seen of it."""
+"""Detections of a synthetic face that moves along a road."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ SPEED, FRAMES = 2.0, 9  # m a frame
 
 
 def face_with(texture: Image, seed: int, covered: tuple[Image, int] | None = None) -> PlanarFace:
-    """A face that comes 2 m a frame, all of it as outlined, and on its card nothing but the ``texture`` (H, W): another
-    one, where it is ``covered``, in the first so many frames."""
+    """A face that comes 2 m a frame, all of it as outlined, and on its plane nothing but the ``texture`` (H, W):
+    another one, where it is ``covered``, in the first so many frames."""
     world, rng = World(scene(Vehicle("v0", 16.0, start_distance=60.0), frames=FRAMES)), np.random.default_rng(seed)
     lane = LanePath("lane0", world.rig, from_points("lane0", "line", world.road.point(np.array([80.0, 12.0]), 1.85)))
     aligned = []
@@ -35,7 +35,7 @@ def face_with(texture: Image, seed: int, covered: tuple[Image, int] | None = Non
 
 
 def painted_on(lane: LanePath, s: float, texture: Image, rng: np.random.Generator) -> tuple[Image, Image]:
-    """Both views of nothing but a ``texture`` on the card at ``s``."""
+    """Both views of nothing but a ``texture`` on the plane at ``s``."""
     views = []
     for H, camera in zip(lane.homographies(s), lane.rig.cameras, strict=True):
         view = cv2.warpPerspective(texture, H @ PLANE_GRID.to_metres, camera.image_size, borderValue=100.0)

@@ -88,7 +88,7 @@ def frame(index: int) -> StereoFrame:
 
 
 def expected_consistency(views: list[LocalStatistics], empty: list[LocalStatistics], least: float) -> Image:
-    """What `Card.counts` says, in whole pictures."""
+    """The result of `SweepPlane.consistency_map`, computed on whole images."""
     left, right = views
     consistency = photo_consistency(left, right) * (np.minimum(left.std, right.std) > least)
     for now, before in zip(views, empty, strict=True):
@@ -97,7 +97,7 @@ def expected_consistency(views: list[LocalStatistics], empty: list[LocalStatisti
 
 
 def textures(views: Pyramids, plane: SweepPlane) -> list[LocalStatistics]:
-    """Both pictures on a card, laid out by OpenCV."""
+    """Both images warped to a plane by OpenCV."""
     grid, found = plane.grid, []
     for levels, cells in zip(views, plane.homographies, strict=True):
         H = np.diag([0.5**plane.level, 0.5**plane.level, 1.0]) @ cells
@@ -108,7 +108,7 @@ def textures(views: Pyramids, plane: SweepPlane) -> list[LocalStatistics]:
 
 
 def card_and_views(k: int, grid: PlaneGrid, window: int) -> tuple[SweepPlane, Pyramids, Pyramids]:
-    """A card at the ``k``-th station, a frame and the empty scene, without the pictures' first 16 rows."""
+    """The ``k``-th sweep plane, a frame and its background, without the first 16 rows of the images."""
     plane = plane_at(lane_path().homographies(lane_path().sweep_positions()[k]), grid, window, 16)
     views, scenes = ([image_pyramid(i[16:]) for i in pair] for pair in ((frame(2).left, frame(2).right), empty()))
     return plane, views, scenes
@@ -183,7 +183,7 @@ def test_rows_outside_the_visible_ones_are_not_used() -> None:
 
 
 def test_coarse_pass_misses_no_maximum_of_the_fine_planes() -> None:
-    """The first sighting lies where, of all stations, most counts on the fine card."""
+    """The first detection lies on the plane with the largest consistent area on the fine grid."""
     detector, positions = PlaneSweepDetector([lane_path()]), lane_path().sweep_positions()
     for index in (0, 4, 8):
         detection = detector.detect(frame(index), empty())[0]
@@ -253,7 +253,7 @@ def test_texture_on_the_road_is_distinguished_from_an_upright_one(lying: bool) -
 
 
 def test_sharp_lamps_are_upright_in_spite_of_light_on_the_road() -> None:
-    """The light agrees better lying, over nine tenths of the card; what is faint says little."""
+    """The light matches better lying, over nine tenths of the plane, but with little contrast."""
     lamps = np.arange(20) < 2
     consistency, lying = np.where(lamps, 0.9, 0.5)[None], np.where(lamps, 0.4, 0.95)[None]
     faint, even = np.where(lamps, 80.0, 4.0)[None], np.ones((1, 20))
@@ -430,7 +430,7 @@ class OneClip:
 
 
 class Seen(NamedTuple):
-    """A measurement that tells on which frames it was made, and nothing of the rig."""
+    """A measurement that knows its frames, without information on the rig."""
 
     vehicle: str
     frames: list[int]

@@ -1,4 +1,4 @@
-"""The top of a face that is left away where it tells nothing of the motion."""
+"""The top of a face is cut off where it adds nothing to what is known of the motion."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def test_untextured_top_of_a_face_is_cut_off(height: float, seed: int) -> None:
     face = face_with(texture_up_to(height, seed), seed)
     lower = select_height(face, face.aligned, clear)
     assert lower.x == face.x and lower.y[0] == BOTTOM and lower.aligned is face.aligned
-    # what is flat goes but for a step, and the rim of an outline, which is not looked at; of what has texture no more
+    # what is flat goes but for a step, and the rim of an outline, which is not used; of what has texture no more
     # than a third, even if every row said as much
     assert BOTTOM + (height - BOTTOM) * 2 / 3 - HEIGHT_STEP_M < lower.y[1] < height + HEIGHT_STEP_M + RIM
 

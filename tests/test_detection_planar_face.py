@@ -96,7 +96,7 @@ def test_face_at_night_is_located_at_its_lamps_and_not_at_their_light(start: flo
 
 
 def rear_lamps_seen(apart: float, x: tuple[float, float], whole: int) -> DetectionTrack:
-    """Of two lamps so far apart, m, the left one, from ``x`` to ``x`` on the card; the other one shows in as many
+    """Of two lamps so far apart, m, the left one, from ``x`` to ``x`` on the plane; the other one shows in as many
     frames as it is ``whole``, the nearest."""
     track, rng = DetectionTrack(), np.random.default_rng(1)
     for k, s in enumerate(30.0 + 3.0 * np.arange(10)):
@@ -166,7 +166,7 @@ def test_a_vehicle_that_another_one_hides_farther_away_is_outlined_as_it_was_nea
 
 @pytest.mark.parametrize("ahead", [-3.8, -3.4, 3.4, 3.8])
 def test_face_beyond_the_search_range_is_not_found(ahead: float) -> None:
-    """It looks more and more like one towards the end of what is looked at."""
+    """It looks more and more like one towards the end of the search range."""
     assert find_face(with_visible_face(lamps_seen(25.0 + 2.5 * np.arange(6), ahead))) is None
 
 

@@ -1,4 +1,4 @@
-"""What is one vehicle over time: courses, tracks that are joined or kept apart, and what is told once."""
+"""Tracks of vehicles over time: motions, association, duplicates."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from paceline.detection.tracks import DetectionTrack, TrackAssociator, motion_re
 
 @pytest.fixture(autouse=True, scope="module")
 def drawn() -> None:
-    """The empty road behind all sightings takes longer at first than Hypothesis allows."""
+    """The background of all detections takes longer at first than Hypothesis allows."""
     detection(0.0, 5.0)
 
 

@@ -72,7 +72,7 @@ def bright(
     kind: int = TensorProto.FLOAT,
     shape: tuple[int | str, ...] = (1, 3, SIZE[1], SIZE[0]),
 ) -> Path:
-    """A network that puts out ``tables``, but where ``scores`` say the mean of its input."""
+    """A network whose outputs are ``tables``, with the mean of its input at ``scores``."""
     nodes = [
         helper.make_node("Cast", ["picture"], ["numbers"], to=TensorProto.FLOAT),
         helper.make_node("ReduceMean", ["numbers"], ["mean"], keepdims=0),
@@ -478,7 +478,7 @@ def test_what_is_found_in_boxes_is_outlined_in_the_clip(tmp_path: Path) -> None:
 
 
 def test_a_vehicle_without_a_box_in_one_view_is_not_found(tmp_path: Path) -> None:
-    """And what has one in both is found where the recording is too short to tell what the empty road looks like."""
+    """And what has one in both is found where the recording is too short to estimate the background."""
     first = {side: getattr(two(), side)[:4] for side in ("left", "right", "times", "right_times")}
     clip = load_clip(clip_file(tmp_path / "clip", replace(two(), **first)))
     everywhere, nowhere = np.array([[0.0, 0.0, *clip.rig.left.image_size]]), np.zeros((0, 4))

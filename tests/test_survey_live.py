@@ -221,7 +221,7 @@ def test_every_vehicle_is_measured_once(tmp_path: Path, frames: list[int]) -> No
 
 @pytest.mark.slow
 def test_vehicles_are_calibrated_jointly(tmp_path: Path) -> None:
-    """The first is measured alone, and each further one with what those before it told of the cameras."""
+    """The first is measured alone, and each further one with the information on the rig from those before it."""
     stated = {"uncertainty": {"focal_length_px": 1.0, "rotation_rad": [4e-5] * 3, "translation_m": [3e-4] * 3}}
     rig = survey_file(tmp_path / "clip").parent / "rig.yaml"
     rig.write_text(yaml.safe_dump({**yaml.safe_load(rig.read_text()), **stated}))
