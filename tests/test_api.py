@@ -58,7 +58,7 @@ def test_a_simulated_clip_can_be_drawn_and_written(tmp_path: Path) -> None:
 
 def test_the_closed_loop_steps() -> None:
     step = next(iter(paceline.ClosedLoop(paceline.load_drive("turns", 2), seed=2).steps()))
-    assert step.frame == 0 and step.shown
+    assert step.frame == 0 and step.lead_present
 
 
 def test_a_result_is_a_table(result: ClipResult, monkeypatch: pytest.MonkeyPatch) -> None:
