@@ -1,6 +1,6 @@
 """Where to compute: on the CPU, or on a GPU while there is one.
 
-Whatever goes wrong with a GPU becomes one `DeviceFailure`, a plain line.
+Every failure of a GPU becomes a `DeviceFailure`, with a message of one line.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from paceline.speed.filter.cuda.device import CudaDevice
 
 INSTALL_HINT = "install Paceline with its extra cuda"
-GPU_ERROR_MODULES = ("numba.cuda", "cuda.")  # where the packages that drive a GPU define their errors
+GPU_ERROR_MODULES = ("numba.cuda", "cuda.")  # packages whose errors are the GPU's
 
 
 class DeviceFailure(UnusableInput):
-    """A GPU that is not there, cannot be used, or went away."""
+    """A GPU is missing, cannot be used, or has failed."""
 
     def __init__(self, reason: str) -> None:
         super().__init__(f"--device cuda: {reason}; --device cpu computes without a GPU")
@@ -44,7 +44,7 @@ def open_device(name: DeviceName) -> CudaDevice | None:
 
 @contextmanager
 def as_device_failure() -> Iterator[None]:
-    """Turns what a GPU or its software raises into a DeviceFailure; other errors pass."""
+    """Turn what a GPU or its software raises into a DeviceFailure; other errors pass."""
     try:
         yield
     except ImportError as error:
@@ -59,8 +59,8 @@ def as_device_failure() -> Iterator[None]:
 
 
 def _abandon_device() -> None:
-    """Has what a failed GPU holds given back by the end of the process alone: Numba would ask the GPU for it, each time
-    in vain and with a traceback."""
+    """Leave the memory of a failed GPU to the end of the process: Numba would try in vain to free it, with a traceback
+    each time."""
     from numba import cuda
 
     with suppress(Exception):
@@ -71,7 +71,7 @@ _cleanup_deferred = ExitStack()
 
 
 def _missing(error: ImportError) -> str:
-    """Numba tells of a missing driver or compiler by an ImportError of its own."""
+    """The reason for an ImportError; Numba raises one of its own for a missing driver or compiler."""
     if type(error).__name__ == "CudaSupportError":
         return f"no GPU can be used ({_first_line(error)})"
     return f"the software for it is not complete ({_first_line(error)}); {INSTALL_HINT}"
@@ -87,6 +87,6 @@ def _reason(error: Exception) -> str:
 
 
 def _first_line(error: Exception) -> str:
-    """What ``error`` says, shortened to one line."""
+    """The message of ``error``, shortened to one line."""
     lines = [line.strip(" :") for line in str(error).splitlines() if line.strip(" :")]
     return (lines[0] if lines else type(error).__name__)[:160]

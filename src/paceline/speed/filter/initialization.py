@@ -185,7 +185,7 @@ def draw_path_start(
 
 
 def operator_speed(vehicle: VehicleDocument, configuration: SpeedConfiguration) -> SpeedPrior | None:
-    """The operator's guess of the speed, m/s, with its standard deviation."""
+    """The speed that the operator stated, m/s, with its standard deviation; None without one."""
     return None if vehicle.speed is None else (vehicle.speed, configuration.speed_guess_spread * vehicle.speed)
 
 

@@ -19,8 +19,8 @@ PackedImage = patch_features_cpu.PackedImage
 Views = tuple[PackedImage, PackedImage]  # left and right
 
 SAMPLES_PER_REGION = 2560  # about this many samples a region, 64 × 40 in [Zhu]'s terms
-CONTRAST_FLOOR = 0.3  # share of the typical part's contrast below which a part counts less: it is mostly noise
-PART_DISTANCE_CAP = 1.0  # D² of a part that does not fit at all: an occluded part says no more than that
+CONTRAST_FLOOR = 0.3  # share of the median part's contrast; a part below it has a smaller weight, as it is mostly noise
+PART_DISTANCE_CAP = 1.0  # greatest D² of a part, so that an occluded part has a limited effect
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Observation:
 def pack(image: Floats, quads: Array | None = None) -> PackedImage:
     """2×2 neighbourhoods of ``image`` (H, W), 0–255, packed for sampling.
 
-    Given ``quads`` (N, 4, 2), only in the upright rectangle that they reach.
+    Given ``quads`` (N, 4, 2), only within their bounding box.
     """
     height, width = image.shape
     (left, right), (top, bottom) = (0, width), (0, height)
@@ -77,8 +77,8 @@ def pack_views(frame: StereoFrame, bounds: Iterable[tuple[Array, Array]]) -> Vie
 
 
 def _pixel_range(low: float, high: float, size: int) -> tuple[int, int]:
-    """First and last pixel, the last excluded, of an axis of ``size`` pixels that sampling between these places may
-    read.
+    """First and last pixel, the last excluded, of an axis of ``size`` pixels that sampling between ``low`` and
+    ``high`` may read.
 
     Places beyond the border read the pixels at the border; where there is no place, any pixels will do.
     """
@@ -89,7 +89,7 @@ def _pixel_range(low: float, high: float, size: int) -> tuple[int, int]:
 def observe(
     left: PackedImage, right: PackedImage, quads_left: Array, quads_right: Array, cross: Array, grid: PartGrid
 ) -> Observation:
-    """What N particles see of the packed images.
+    """Features and correlation of N particles in the packed images.
 
     ``quads_left``, ``quads_right`` (N, 4, 2) are the 2-D substates, ``cross`` (N, 3, 3) the homographies H_c (15).
     """
@@ -98,7 +98,7 @@ def observe(
     to_left = unit_square_to(quads_left)
     H[:, 0], H[:, 1], H[:, 2] = to_left, unit_square_to(quads_right), cross @ to_left
     edges = inward_edges(quads_right).astype(np.float32)
-    # a region without area has no map: it is looked at in one pixel, where it resembles nothing
+    # a degenerate region has no homography: it is sampled at one pixel, which resembles nothing
     wild = ~(np.isfinite(H).all((1, 2, 3)) & np.isfinite(edges).all((1, 2)))
     H[wild] = [[0, 0, 0], [0, 0, 0], [0, 0, 1]]
     edges[wild] = [0, 0, -1]
@@ -112,11 +112,11 @@ def observe(
 
 
 def normalised(features: Floats) -> Floats:
-    """Wavelet features (…, parts, 16) freed of each view's brightness and contrast.
+    """Wavelet features (…, parts, 16) without each view's brightness and contrast.
 
-    The median of all parts is taken from the averages, then each part is scaled to its own contrast; a part with
-    little contrast beside the usual one keeps a smaller norm instead of showing its noise enlarged. Medians, because
-    one part that is hidden must not change the others.
+    The median over all parts is subtracted from the averages, then each part is divided by its contrast; a part with
+    much less contrast than the median keeps a smaller norm, so that its noise is not amplified. Medians, because an
+    occluded part must not change the others.
     """
     f = np.array(features, np.float32, order="C")
     _normalise(f)
@@ -129,7 +129,7 @@ def _normalise(features: Floats) -> None:
 
 
 def distances(features: Floats, reference: Floats) -> Floats:
-    """D² of (13) in each view, (N, 2): the sum over parts, no part counting more than one that does not fit.
+    """D² of (13) in each view, (N, 2): the sum over parts, each limited to PART_DISTANCE_CAP.
 
     ``features`` (N, 2, parts, 16) and ``reference`` (2, parts, 16) are normalised.
     """

@@ -27,8 +27,8 @@ COVARIANCE_FLOOR_M2 = 1e-12  # m², keeps a covariance positive definite
 class State:
     """N particles: 2-D substates, the plane n·P = d in the left camera's frame, and its motion.
 
-    Along a path the motion is ``speed`` at arc length ``s``, and ``heading`` is each particle's own guess of how the
-    true path turns away (yaw, pitch, in radians) from the drawn one. Without a path it is ``velocity`` and
+    Along a path the motion is ``speed`` at arc length ``s``, and ``heading`` is each particle's own angle (yaw,
+    pitch, in radians) between the true path and the drawn one. Without a path it is ``velocity`` and
     ``turning`` (Euler angles per second).
     """
 
@@ -113,7 +113,7 @@ def ensemble_kalman_update(
     """``state`` after an ensemble Kalman step on where the planes are.
 
     ``places`` (N, 3) are the plane centres, ``seen`` (N, 3) one perturbed measurement of it for each particle,
-    ``noise`` (3, 3) its covariance. The gain comes from the weighted cloud's own covariance.
+    ``noise`` (3, 3) its covariance. The gain comes from the weighted particles' covariance.
     """
     fields = model.corrected_fields
     columns = [places, *(getattr(state, f).reshape(len(state), -1) for f in fields)]
@@ -185,8 +185,8 @@ class FreeMotion:
 class PathMotion:
     """Along a path: one speed, and the rotation of the path's frame ([Zhu] (22)–(27)).
 
-    The path is a prior: every particle follows its own version of it, turned by its ``heading``, which changes a little
-    from frame to frame, as that of a vehicle which leaves its lane. On a curve the noise (27) across the path is added.
+    The path is a prior: every particle follows its own version of it, turned by its ``heading``, a random walk from
+    frame to frame, as a vehicle may leave its lane. On a curve the noise (27) across the path is added.
     """
 
     corrected_fields = ("speed", "heading")

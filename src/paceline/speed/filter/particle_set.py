@@ -31,7 +31,7 @@ class Posterior:
     speed: float
     speed_std: float
     ess: float
-    particles_left: Array  # (N, 2) px, the planes' projected centres, of MAX_DRAWN_PARTICLES or a few more particles
+    particles_left: Array  # (N, 2) px, the planes' projected centres, of about MAX_DRAWN_PARTICLES particles at most
     particles_right: Array  # (N, 2) px
 
 

@@ -1,4 +1,4 @@
-"""Where a filter's random numbers come from: the same ones for the same seed, wherever it computes."""
+"""The random numbers of a filter: the same ones for the same seed on the CPU and on a GPU."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from paceline.arrays import Array
 
 MAX_SEQUENTIAL_PARTICLES = (
-    900  # particles for which numbers drawn one after another would take longer than all the rest on a GPU
+    900  # with more, drawing numbers sequentially on the CPU would take longer than the GPU's step
 )
 
 
 def make_generator(seed: list[int], particles: int) -> np.random.Generator:
-    """Random numbers for a cloud of ``particles``: drawn one after another for few, by counting for many."""
+    """Random numbers for ``particles`` particles: sequential for few, counter-based for many."""
     if particles <= MAX_SEQUENTIAL_PARTICLES:
         return np.random.default_rng(seed)
     key = np.random.SeedSequence(seed).generate_state(2, np.uint64).astype(np.uint64)
@@ -23,11 +23,11 @@ def make_generator(seed: list[int], particles: int) -> np.random.Generator:
 
 
 class CounterGenerator(np.random.Generator):
-    """Normal numbers of which each depends on its place alone, so that any number of threads can make them at once.
+    """Normal numbers that depend on their index alone, so that any number of threads can generate them at once.
 
     The k numbers of particle p in the c-th call of `normal` come from Philox 4×64 under ``key`` (2,), at the counters
-    (p·⌈k/4⌉ + 1 …, c, 0, 0), as uniform ones in the way of NumPy and two by two as normal ones in that of Box and
-    Muller. Everything else comes from ``bits``.
+    (p·⌈k/4⌉ + 1 …, c, 0, 0), made uniform as by NumPy, and normal in pairs by Box and Muller. Everything else comes
+    from ``bits``.
     """
 
     def __init__(self, bits: np.random.BitGenerator, key: NDArray[np.uint64], calls: int = 0) -> None:

@@ -89,7 +89,7 @@ class PlaneGrid:
         return slopes
 
     def smoothed(self, values: Array, coarseness: float) -> Array:
-        """``values`` (parts, samples) smoothed as a picture is that was smoothed ``coarseness`` times as much."""
+        """``values`` (parts, samples) smoothed as an image that is smoothed ``coarseness`` times as much."""
         sigma = 0.7 * np.sqrt(coarseness**2 - 1.0)
         whole = cv2.GaussianBlur(self.as_grid(values), (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
         return self.by_part(np.asarray(whole))
@@ -168,7 +168,7 @@ def _smoothed_crop(image: Image, pixels: Array, grid: PlaneGrid, coarseness: flo
     size = (high - low) * np.array(grid.step)
     sigma = max(0.6, 0.7 * float(size.max())) * coarseness
     if not sigma < MAX_SMOOTHING_PX:
-        raise np.linalg.LinAlgError("the region fills more than the picture")
+        raise np.linalg.LinAlgError("the region fills more than the image")
     corner = np.maximum(np.floor(low - 8 - 3 * sigma), 0).astype(int)
     end = np.ceil(high + 9 + 3 * sigma).astype(int)
     corner = np.minimum(corner, np.array(image.shape[1::-1]) - 2)  # two by two pixels at least, to interpolate between

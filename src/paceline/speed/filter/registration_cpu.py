@@ -46,7 +46,7 @@ def part_products(
     TI: Array,
     II: Array,
 ) -> None:
-    """Inner products, part by part, of one view's picture I, the texture T and the sensitivities J to k shifts.
+    """Inner products, part by part, of one view's image I, the texture T and the sensitivities J to k shifts.
 
     All three are freed of their mean over the part. ``image`` (H, W); ``K`` (3, 3) to its pixels; ``points``
     (3, parts, samples) moved by ``shift`` (3,), and ``directions`` (3, k), all in the camera's frame; zero-mean

@@ -10,10 +10,8 @@ import numpy as np
 from paceline.arrays import Array, Indices
 
 JITTER_SCALE = 0.1  # of a static parameter at resampling, as a share of its standard deviation
-SHRINKAGE = float(
-    np.sqrt(1 - JITTER_SCALE**2)
-)  # of a static parameter to its mean before the jitter [Liu and West 2001]
-EVEN = 1e-9  # for rounding
+SHRINKAGE = float(np.sqrt(1 - JITTER_SCALE**2))  # towards the mean, before the jitter [Liu and West 2001]
+ESS_REL_TOLERANCE = 1e-9  # for rounding
 Scheme = Callable[[Array, np.random.Generator], Indices]  # weights (N,) to indices (N,)
 
 SCHEMES: dict[str, Scheme] = {}  # by name, in the order of registration
@@ -111,7 +109,7 @@ def multinomial(W: Array, rng: np.random.Generator) -> Indices:
 
 def ess_sufficient(ess: float, n: int, below: float) -> bool:
     """Whether ``n`` particles with the effective sample size ``ess`` need no resampling: ``ess`` ≥ ``below`` · n."""
-    return ess >= below * n * (1 - EVEN)
+    return ess >= below * n * (1 - ESS_REL_TOLERANCE)
 
 
 def resample(scheme: str, W: Array, rng: np.random.Generator) -> Indices:

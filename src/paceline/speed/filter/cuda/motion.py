@@ -1,6 +1,6 @@
-"""How a particle moves on a GPU, as in `motion_models`, and what the likelihood samples it by.
+"""The motion of a particle on a GPU, as in `motion_models`, and the maps by which the likelihood samples it.
 
-How particles lie in memory, and the orders for them, is told in `memory_layout`. The functions take a half of the pool
+`memory_layout` describes the memory and the commands. The functions take a half of the pool
 as ``rows`` (ROWS, columns) and the particle's column ``q``; ``p`` is its number within the vehicle.
 """
 
@@ -21,7 +21,7 @@ _cross_diagonals = _device(quadrilaterals.cross_diagonals)
 _unit_square_to = _device(quadrilaterals.unit_square_to)
 _inward_edges = _device(quadrilaterals.inward_edges)
 
-# what a rig comes to: (7, 3, 3), by place
+# indices of the matrices of a rig, (7, 3, 3)
 K_LEFT, K_LEFT_INV, K_RIGHT, K_RIGHT_INV, R_RIG, ACROSS, SHIFTS = range(7)
 
 
@@ -275,11 +275,11 @@ def set_speed(rows, q):
 
 @cuda.jit(device=True)
 def prepare(rows, q, rig, out):
-    """Into ``out`` (SAMPLING_MAP,) what the likelihood samples by.
+    """Write the sampling map of the likelihood to ``out`` (SAMPLING_MAP,).
 
     That is homographies (9 each) of the unit square to the left region, to the right region, and to the left region
-    carried into the right view by (15), and the right region's edges (12). A region without area has no map: it is
-    looked at in one pixel, where it resembles nothing.
+    carried into the right view by (15), and the right region's edges (12). A degenerate region has no homography: it
+    is sampled at one pixel, which resembles nothing.
     """
     quad, edges = cuda.local.array((4, 2), np.float64), cuda.local.array((4, 3), np.float64)
     H, cross, transferred = (
