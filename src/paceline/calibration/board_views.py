@@ -1,4 +1,4 @@
-"""Pairs of pictures of a board: which belong together, and the corners seen in each."""
+"""Pairs of board images: their pairing, and the corners detected in each."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ MAX_VIEWS = 80  # longer recordings are subsampled evenly: more views cost time 
 
 @dataclass(frozen=True, eq=False)
 class BoardView:
-    """One pair of pictures: what messages call it, and the corners in each."""
+    """One pair of images: its name in messages, and the corners in each."""
 
     name: str
     left: Corners
@@ -35,7 +35,7 @@ class BoardView:
 
 @dataclass(frozen=True, eq=False)
 class BoardViews:
-    """Pairs in which a camera sees the board; ``empty`` names those in which none does. ``sizes``: (width, height)."""
+    """Pairs in which at least one camera sees the board; ``empty`` names the others. ``sizes``: (width, height)."""
 
     board: Board
     views: list[BoardView]
@@ -111,7 +111,7 @@ def _size(source: ImageSource, frame: int, image: Image | None, before: tuple[in
 
 
 def observations(board: Board, views: Sequence[BoardView]) -> Observations:
-    """All corners of ``views`` in one list, numbered by their places."""
+    """All corners of ``views``; each corner holds the index of its view."""
     view, side, points, pixels = [], [], [], []
     for v, pair in enumerate(views):
         for s, corners in enumerate(pair.sides):

@@ -1,4 +1,4 @@
-"""Calibration boards: what a board's name says, and where its corners are in an image."""
+"""Calibration boards: parsing of a board's description, and detection of its corners in an image."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Board:
 
     @property
     def min_corners(self) -> int:
-        """Corners that a usable view shows: a chessboard is seen whole or not at all."""
+        """Corners of a usable view: a chessboard is detected whole or not at all."""
         return len(self.points) if self.marker is None else min(MIN_CORNERS, len(self.points))
 
     def charuco(self) -> cv2.aruco.CharucoBoard:
@@ -122,7 +122,7 @@ def _size(text: str, what: str, part: str, largest: float) -> float:
 
 
 def board_detector(board: Board) -> BoardDetector:
-    """A function that finds the corners of ``board`` in an image (H, W), 0–255; none where the board is not seen."""
+    """A function that detects the corners of ``board`` in an image (H, W), 0–255; none where it is not seen."""
     return _chessboard_detector(board) if board.marker is None else _charuco_detector(board)
 
 
@@ -142,10 +142,10 @@ def _charuco_detector(board: Board) -> BoardDetector:
 
 
 def _refine_corners(board: Board, corners: Corners, image: NDArray[np.uint8]) -> Corners:
-    """ChArUco ``corners`` found again in windows that stay clear of the markers.
+    """ChArUco ``corners`` refined in windows that stay clear of the markers.
 
-    OpenCV's own windows are chosen for the image's size and may reach into a marker, whose edges draw the corner
-    towards it by tenths of a pixel.
+    OpenCV chooses its windows by the image's size; they may reach into a marker, whose edges bias the corner by tenths
+    of a pixel.
     """
     assert board.marker is not None
     on_board = board.points[corners.ids]
@@ -164,7 +164,7 @@ def _refine_corners(board: Board, corners: Corners, image: NDArray[np.uint8]) ->
         pixels[mine] = cv2.cornerSubPix(image, start, (size, size), (-1, -1), SUBPIXEL_CRITERIA).reshape(-1, 2)
     near = (
         np.linalg.norm(pixels - corners.pixels, axis=1) < MAX_REFINEMENT_SHIFT_PX
-    )  # elsewhere something else was found
+    )  # farther away another feature was found
     return Corners(corners.ids[near], pixels[near]) if near.sum() >= board.min_corners else NO_CORNERS
 
 

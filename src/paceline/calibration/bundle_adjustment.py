@@ -1,6 +1,6 @@
-"""Bundle adjustment: the rig and the board's pose in every view from all corners at once.
+"""Bundle adjustment of the rig and the board's pose in every view, from all corners at once.
 
-Levenberg and Marquardt's steps with the poses eliminated (Schur complement), and corners weighed down that lie far off.
+Levenberg–Marquardt with the poses eliminated (Schur complement) and robust weights.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ RAYLEIGH_MEDIAN = 1.1774  # median length of a two-dimensional error, in standar
 
 @dataclass(frozen=True, eq=False)
 class BundleAdjustment:
-    """A rig and poses that fit; ``free`` (P,) are the rig's parameters that were estimated.
+    """The adjusted rig and poses; ``free`` (P,) are the rig's parameters that were estimated.
 
-    ``residuals`` (M, 2) px are seen minus expected, ``weights`` (M,) what each corner counted. ``information``
-    (V, P, P) is what every view says about the free parameters once its pose is eliminated, ``scores`` (V, P) the
-    gradient that it leaves, both for corners of a standard deviation of one pixel.
+    ``residuals`` (M, 2) px are observed minus predicted, ``weights`` (M,) those of the corners. ``information``
+    (V, P, P) is that of every view on the free parameters once its pose is eliminated, ``scores`` (V, P) its gradient,
+    both for corners of a standard deviation of one pixel.
     """
 
     rig: RigState
@@ -52,7 +52,7 @@ class BundleAdjustment:
 
     @property
     def cluster_variance(self) -> float:
-        """Variance of a corner's coordinate, px², as the views show it when each is taken as a whole.
+        """Variance of a corner's coordinate, px², estimated with the views as clusters.
 
         Errors common to the corners of a view (a board that is not flat, blur, a finder that errs all one way) do not
         average out within it. Under independent errors the scores s_v have the covariance σ² (A_v − A_v A⁻¹ A_v), so
@@ -66,7 +66,7 @@ class BundleAdjustment:
 
     @property
     def covariance(self) -> Array:
-        """Covariance (24, 24) of all parameters of the rig; zero for those that were held.
+        """Covariance (24, 24) of all parameters of the rig; zero for those that were fixed.
 
         From independent corners or from views as clusters, whichever is wider. Raises numpy.linalg.LinAlgError where
         the views do not determine the parameters.
@@ -80,7 +80,7 @@ class BundleAdjustment:
 def adjust(
     rig: RigState, poses: Poses, seen: Observations, free: Indices, weighing: Weighting = "huber"
 ) -> BundleAdjustment:
-    """The rig's ``free`` parameters and all poses that fit ``seen`` best, from a start that is roughly right.
+    """Adjusts the rig's ``free`` parameters and all poses to the corners ``seen``, from an approximate start.
 
     With no free parameters only the poses are fitted. Every view must hold corners, listed in the views' order.
     """
@@ -104,7 +104,7 @@ def adjust(
             damping *= 10
             if damping > 1e10:
                 break
-        if not new_cost <= cost:  # no step helps any more
+        if not new_cost <= cost:  # no step reduces the cost any more
             settled = True
             break
         rig, poses, residuals, J, Q = new_rig, new_poses, new_residuals, new_J, new_Q

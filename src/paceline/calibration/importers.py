@@ -44,8 +44,8 @@ EXPECTED_FILES = (
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """What the files may leave open: the image ``size`` where they do not say it, metres in their ``unit`` of length,
-    the two ``cameras`` of a chain, and whether the pictures are ``rectified``."""
+    """What the files may leave open: the image ``size``, the metres per ``unit`` of length, the two ``cameras`` of a
+    chain, and whether the images are ``rectified``."""
 
     size: Size | None = None
     unit: float = 1.0

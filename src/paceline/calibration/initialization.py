@@ -1,4 +1,4 @@
-"""A first rig from views some of which may be wrong, good enough to start the bundle adjustment from."""
+"""The initial rig for the bundle adjustment, robust against wrong views."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ UNSOLVED_ERROR_PX = np.inf
 
 
 def initial_rig(sizes: Sequence[tuple[int, int]], seen: Observations, views: int) -> tuple[RigState, Poses]:
-    """A rig without distortion, and the poses of ``views`` views, each of which is seen by a camera at least.
+    """A rig without distortion, and the poses of ``views`` views, each seen by at least one camera.
 
-    The focal length of each camera is the one with which the median view fits best, so that views which are wrong do
-    not matter while most are right; so is the pose of the right camera.
+    The focal length of each camera is the one with the least median error over the views, which is robust while most
+    views are right; so is the pose of the right camera.
     """
     lenses = np.zeros((2, N_LENS))
     poses = []
@@ -35,7 +35,7 @@ def initial_rig(sizes: Sequence[tuple[int, int]], seen: Observations, views: int
 
 
 def _initial_lens(size: tuple[int, int], seen: Observations, views: int) -> tuple[Array, Poses]:
-    """A lens (9,) and the poses that it gives the views; NaN for views not ``seen``."""
+    """A lens (9,) and the poses of the views with it; NaN for views not ``seen``."""
     best, least = None, np.inf
     for share in FOCAL_LENGTH_SHARES:
         lens = np.zeros(len(LENS_PARAMETERS))
@@ -70,7 +70,7 @@ def _poses(lens: Array, seen: Observations, views: int) -> tuple[Poses, Array]:
 
 
 def _initial_pose(lenses: Array, poses: list[Poses], seen: Observations) -> tuple[Array, Array]:
-    """R and t of the right camera: of all views' own, the one with which the median view fits best."""
+    """R and t of the right camera: of those of the single views, the one with the least median error over all views."""
     left, right = poses
     both = np.flatnonzero(np.isfinite(left.t[:, 0]) & np.isfinite(right.t[:, 0]))
     fx, fy, cx, cy = lenses[1, :4]

@@ -1,4 +1,4 @@
-"""Views that cannot be used: found by their residuals against all others, and named with what is wrong."""
+"""Outlier views: found by their residuals against all others, and reported with the reason."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class ViewErrors:
 
 
 def select_consistent_views(rig: RigState, poses: Poses, seen: Observations) -> tuple[RigState, Poses, Mask, list[str]]:
-    """The rig from those views that agree, all poses, which views (V,) agree, and what is wrong with each.
+    """The rig fitted to consistent views, all poses, which views (V,) are consistent, and the reason for each other.
 
     Raises UnusableInput where no rig fits most of the views.
     """
@@ -54,7 +54,7 @@ def select_consistent_views(rig: RigState, poses: Poses, seen: Observations) -> 
 
 
 def view_errors(rig: RigState, poses: Poses, seen: Observations) -> tuple[ViewErrors, Poses]:
-    """How well each view fits to ``rig``, and the poses that fit best."""
+    """The errors of each view with ``rig``, and the poses that fit best."""
     V = len(poses.t)
     joint = adjust(rig, poses, seen, NO_PARAMETERS, "redescending")
     together = [robust_errors_px(joint.residuals[seen.side == s], seen.view[seen.side == s], V) for s in (0, 1)]
@@ -88,7 +88,7 @@ def outliers(errors: Array) -> Mask:
 
 
 def explain_outlier(errors: ViewErrors, view: int, usual: float) -> Message:
-    """Why the view fits badly, beside the ``usual`` error, px."""
+    """Why a view is an outlier; ``usual`` is the median error, px."""
     left, right = errors.left[view], errors.right[view]
     worst = np.nanmax([left, right])
     if worst < 0.5 * errors.joint[view] and np.isfinite([left, right]).all():
@@ -113,6 +113,6 @@ def _check_common_rig(errors: ViewErrors, used: Mask) -> None:
 
 
 def renumbered(seen: Observations, used: Mask) -> Observations:
-    """The corners of the ``used`` views (V,), the views counted anew."""
+    """The corners of the ``used`` views (V,), the views renumbered."""
     mine = seen.where(used[seen.view])
     return Observations((np.cumsum(used) - 1)[mine.view], mine.side, mine.points, mine.pixels)

@@ -1,8 +1,8 @@
-"""The model that a calibration fits: two lenses, the pose of the right camera, the pose of the board in every view.
+"""The parameters of a calibration: two lenses, the pose of the right camera, the pose of the board in every view.
 
 The 24 parameters of a rig, in this order: fx, fy, cx, cy, k1, k2, p1, p2, k3 of the left camera, the same of the right
-one, a turn (rad) about the right camera's x, y, z axes and a shift (m) along them. Turns and shifts are steps from a
-:class:`RigState`'s present rotation and translation: ``X_right = exp(turn) (R X_left + t) + shift``. Boards move alike.
+one, a rotation (rad) about the right camera's x, y, z axes and a translation (m) along them. Both are steps from a
+:class:`RigState`'s present pose: ``X_right = exp(rotation) (R X_left + t) + translation``; likewise for boards.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ LENS_MODELS: dict[str, tuple[int, ...]] = {
 
 
 def free_parameters(distortion: str) -> Indices:
-    """Places in the 24 of what a calibration with that lens model estimates."""
+    """Indices into the 24 parameters of those that a calibration with that lens model estimates."""
     lens = [0, 1, 2, 3, *(4 + k for k in LENS_MODELS[distortion])]
     return np.array([*lens, *(N_LENS + k for k in lens), *range(2 * N_LENS, N_RIG)])
 
@@ -58,13 +58,13 @@ class RigState:
         )
 
     def stereo(self, sizes: Sequence[tuple[int, int]]) -> StereoRig:
-        """The same for everything else: cameras of the image ``sizes``, (width, height)."""
+        """As a :class:`StereoRig` with cameras of the image ``sizes``, (width, height)."""
         left, right = (lens_camera(lens, size) for lens, size in zip(self.lenses, sizes, strict=True))
         return StereoRig(left, right, self.R, self.t)
 
 
 def rig_parameters(stereo: StereoRig) -> RigState:
-    """The model of a rig whose lenses have at most k1, k2, p1, p2, k3."""
+    """The state of a rig whose lenses have at most k1, k2, p1, p2, k3."""
     lenses = np.zeros((2, N_LENS))
     for lens, camera in zip(lenses, stereo.cameras, strict=True):
         lens[:4] = camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]
@@ -79,7 +79,7 @@ def lens_camera(lens: Array, size: tuple[int, int]) -> Camera:
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """Where the board is in each of V views: ``X_left = R[v] X_board + t[v]``, (V, 3, 3) and (V, 3)."""
+    """The pose of the board in each of V views: ``X_left = R[v] X_board + t[v]``, (V, 3, 3) and (V, 3)."""
 
     R: Array
     t: Array
@@ -147,8 +147,8 @@ def lens_projection(lenses: Array, points: Array) -> tuple[Array, Array, Array]:
 
 
 def project(rig: RigState, poses: Poses, seen: Observations) -> tuple[Array, Array, Array]:
-    """Pixels (M, 2) at which corners should be seen, with derivatives by the rig (M, 2, 24) and by their own view's
-    pose (M, 2, 6)."""
+    """Predicted pixels (M, 2) of the corners, with derivatives by the rig (M, 2, 24) and by their own view's pose
+    (M, 2, 6)."""
     R, right = poses.R[seen.view], (seen.side == 1)[:, None]
     in_left = np.einsum("mij,mj->mi", R, seen.points) + poses.t[seen.view]
     in_right = in_left @ rig.R.T + rig.t

@@ -1,4 +1,4 @@
-"""Points of the scene that both cameras see: SIFT features matched across the views of a clip."""
+"""Scene points seen by both cameras: SIFT features matched between the views of a clip."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ TILE_PX = 64
 class SceneMatches:
     """N points seen by both cameras: ideal pixels (N, 2) in each view, and in which ``tile`` (N,) of the left one.
 
-    Errors of points in one tile are taken as common: the same thing is seen there in every frame, through the same part
-    of the lenses.
+    Errors of points in one tile are treated as correlated: the same static object is seen there in every frame, through
+    the same part of the lenses.
     """
 
     left: Array
@@ -43,7 +43,7 @@ class SceneMatches:
 
 
 def match_scene(recording: StereoRecording, progress: Progress | None = None) -> SceneMatches:
-    """Points matched across the views of a few frames."""
+    """Points matched between the views of a few frames."""
     chosen = np.unique(np.linspace(0, len(recording) - 1, min(MAX_FRAMES, len(recording))).round().astype(int))
     detector = cv2.SIFT.create(nfeatures=MAX_FEATURES)
     found, done = [], 0
@@ -61,7 +61,7 @@ def match_scene(recording: StereoRecording, progress: Progress | None = None) ->
 
 
 def match_views(rig: StereoRig, detector: cv2.SIFT, left: Image, right: Image) -> tuple[Array, Array]:
-    """Features (n, 2) of two views that are each other's best match by far, near their epipolar lines and in front."""
+    """Features (n, 2) of two views, matched by mutual choice and the ratio test, near epipolar lines and in front."""
     (a, of_a), (b, of_b) = (detect_features(detector, image) for image in (left, right))
     i, j = match_descriptors(of_a, of_b, LOWE_RATIO)
     p, q = a[i], b[j]

@@ -1,6 +1,6 @@
-"""What the uncertainty of a calibration does to speeds, and how rig.yaml states it.
+"""The effect of a calibration's uncertainty on speeds, and its statement in rig.yaml.
 
-Above this room cameras are pinholes: pictures are undistorted once, by the calibration itself. An error of the
+Everything that uses a rig works with pinholes: images are undistorted once, by the calibration itself. An error of the
 distortion therefore acts as the error of a pinhole that comes nearest to it over the image's middle, and the 24
 parameters' covariance becomes one of 14: fx, fy, cx, cy of each camera, rotation and translation.
 """
@@ -36,8 +36,8 @@ class SpeedEffect:
 
 
 def speed_effects(rig: StereoRig, distances: Sequence[float] = DISTANCES_M) -> list[SpeedEffect]:
-    """What the stated uncertainty of ``rig`` does to speeds in the middle of the picture: every move that it allows,
-    with the pixels held fixed, before any vehicle's pictures put some of it right."""
+    """The effect of the stated uncertainty of ``rig`` on speeds in the middle of the image, with the pixels held fixed:
+    before any vehicle's images correct part of it."""
     assert rig.uncertainty is not None
     moves = perturbed_rigs(rig, rig.uncertainty)
     effects = []
@@ -51,15 +51,15 @@ def speed_effects(rig: StereoRig, distances: Sequence[float] = DISTANCES_M) -> l
 
 
 def relative_speed_change(rig: StereoRig, moved: StereoRig, start: Array, end: Array) -> float:
-    """By how much, as a share of it, the distance from ``start`` (3,) to ``end`` (3,) comes out larger when the pixels
-    that ``rig`` sees are triangulated with ``moved``."""
+    """The relative change of the distance from ``start`` (3,) to ``end`` (3,) when the pixels of ``rig`` are
+    triangulated with ``moved``."""
     ends = np.stack([start, end])
     found = triangulate(moved, *rig.project(ends))
     return float(np.linalg.norm(found[1] - found[0]) / np.linalg.norm(end - start)) - 1
 
 
 def _displacements(rig: StereoRig, distance: float, across: float) -> list[tuple[Array, Array]]:
-    """Start and end of a way along the line of sight at ``distance`` and ``across``, and of one at right angles."""
+    """Start and end of a displacement along the line of sight at ``distance`` and ``across``, and of one across it."""
     width = rig.left.image_size[0]
     x = rig.left.K[0, 2] + across * width
     middle = distance * rig.left.rays(np.array([x, rig.left.K[1, 2]]))

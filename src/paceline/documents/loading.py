@@ -1,6 +1,6 @@
 """rig.yaml, clip.yaml, camera.yaml, target.yaml and follow.yaml, read and checked.
 
-What is handed on is plain: a :class:`~paceline.cameras.StereoRig`, a :class:`Clip` whose pixels are ideal ones
+The results are plain: a :class:`~paceline.cameras.StereoRig`, a :class:`Clip` whose pixels are ideal ones
 (undistorted), a :class:`FollowClip` whose pixels are those of the images as recorded.
 """
 
@@ -140,8 +140,8 @@ def load_clip(path: str | Path) -> Clip:
 
 
 def load_clip_recording(path: str | Path, rig: Path | None = None) -> Clip:
-    """What a clip.yaml says of its recording, with its rig or another; paths and vehicles are left aside, as a rig that
-    has moved would make them contradict each other."""
+    """The clip of a clip.yaml without paths and vehicles, with its own rig or another: where a rig has moved, outlines
+    drawn in both views contradict each other."""
     path = Path(path)
     model = read_document(ClipModel, path)
     return _recording(path, model, rig or _site(path, model)[1])

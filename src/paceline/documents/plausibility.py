@@ -1,4 +1,4 @@
-"""Whether a rig, a drawn path, an outlined vehicle or a target can be; a check returns what is wrong, or None."""
+"""Plausibility checks of a rig, a drawn path, an outlined vehicle and a target; each returns what is wrong, or None."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""YAML written into what a person wrote: values and entries go in, all else stands as it was, comments too."""
+"""Edits YAML files written by people: inserts values and entries, and preserves all else, comments included."""
 
 from __future__ import annotations
 
