@@ -25,7 +25,7 @@ from follow import OFF_PLACE, OFF_RANGE, SEEN, WITHIN
 from paceline import load_clip, load_follow, open_camera
 from paceline.documents.loading import FollowClip
 from paceline.follow.following import follow
-from paceline.simulation.operator import START as CLICK
+from paceline.simulation.operator import OPERATOR_NOISE
 from paceline.simulation.raytraced.scene_yaml import load_follow_scene, load_speed_scene
 from paceline.speed.results import Measurement
 from paceline.units import SpeedUnit
@@ -226,9 +226,8 @@ def run_chase(begun: tuple[Path, int]) -> Chase:
 
 def with_another_start(clip: FollowClip, first: dict[str, Any], rng: np.random.Generator) -> FollowClip:
     """A ``clip`` with its start drawn anew about the truth of its ``first`` frame."""
-    across, share = CLICK
-    center = np.array(first["center"]) + rng.normal(0, across, 2)
-    scale = clip.target.nominal_range / first["position"][2] * (1 + rng.normal(0, share))
+    center = np.array(first["center"]) + rng.normal(0, OPERATOR_NOISE.center_px, 2)
+    scale = clip.target.nominal_range / first["position"][2] * (1 + rng.normal(0, OPERATOR_NOISE.scale))
     return replace(clip, center=center, scale=float(scale))
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import yaml
 from run_command import paceline
-from tiny_scenes import small_speed
+from tiny_scenes import tiny_speed
 
 
 def test_list_names_the_scenes() -> None:
@@ -44,7 +44,7 @@ def test_wrong_calls_end_with_one_line(arguments: list[str], text: str, tmp_path
 
 
 def test_a_scene_file_becomes_a_clip(tmp_path: Path) -> None:
-    (tmp_path / "scene.yaml").write_text(yaml.safe_dump(small_speed(frames=1)))
+    (tmp_path / "scene.yaml").write_text(yaml.safe_dump(tiny_speed(frames=1)))
     out = tmp_path / "out"
     done = paceline("simulate", "speed", str(tmp_path / "scene.yaml"), "-o", str(out), "--samples", "1", "--seed", "5")
     assert done.returncode == 0, done.stderr

@@ -9,7 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from tiny_scenes import small_follow, small_speed
+from tiny_scenes import tiny_follow, tiny_speed
 
 from paceline.documents.loading import load_clip, load_follow, load_rig
 from paceline.errors import UnusableInput
@@ -23,7 +23,7 @@ from paceline.simulation.raytraced.scene_yaml import FollowScene, SpeedScene
 
 
 def speed(**changes: Any) -> SpeedScene:
-    return SpeedScene.model_validate(small_speed(**changes))
+    return SpeedScene.model_validate(tiny_speed(**changes))
 
 
 def write_speed(scene: SpeedScene, folder: Path, progress: Progress = None) -> Path:
@@ -138,8 +138,8 @@ def test_videos_keep_their_times(tmp_path: Path) -> None:
 
 def test_dropped_frames_and_skew_stand_in_the_times(tmp_path: Path) -> None:
     occluder = {"id": "near", "kind": "bus", "start": 19.0, "speed": 0.0, "measured": False, "seed": 1}
-    vehicles = [*small_speed()["vehicles"], occluder | {"lane": 1}]
-    rig = small_speed()["rig"] | {"distortion": [-0.1, 0.02, 0.0, 0.0, 0.0]}
+    vehicles = [*tiny_speed()["vehicles"], occluder | {"lane": 1}]
+    rig = tiny_speed()["rig"] | {"distortion": [-0.1, 0.02, 0.0, 0.0, 0.0]}
     scene = speed(sensor={"image_format": "jpeg", "quality": 80}, dropped=[1], skew=0.01, vehicles=vehicles, rig=rig)
     folder = write_speed(scene, tmp_path / "clip").parent
     assert (folder / "times.csv").read_text().splitlines()[1:] == ["0,0.000000,0.010000", "1,0.200000,0.210000"]
@@ -154,7 +154,7 @@ def test_dropped_frames_and_skew_stand_in_the_times(tmp_path: Path) -> None:
 
 
 def test_a_chase_is_one_that_paceline_reads(tmp_path: Path) -> None:
-    scene = FollowScene.model_validate(small_follow())
+    scene = FollowScene.model_validate(tiny_follow())
     folder = chase_clip.write(scene, tmp_path / "chase", variant=PORTABLE_VARIANT).parent
     document = load_follow(folder / "follow.yaml")
     assert len(list(open_camera(document).frames())) == 2

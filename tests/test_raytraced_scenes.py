@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import yaml
 from selection import slow_after
-from tiny_scenes import small_follow, small_speed
+from tiny_scenes import tiny_follow, tiny_speed
 
 from paceline.errors import UnusableInput
 from paceline.simulation.operator import is_inside_image
@@ -27,7 +27,7 @@ from paceline.simulation.raytraced.scene_yaml import FollowScene, SpeedScene, lo
 
 
 def place_scene(**changes: Any) -> PlacedStereoScene:
-    return PlacedStereoScene(SpeedScene.model_validate(small_speed(**changes)))
+    return PlacedStereoScene(SpeedScene.model_validate(tiny_speed(**changes)))
 
 
 varied = cache(random_speed_scene)
@@ -121,13 +121,13 @@ def test_wheels_roll_without_slipping() -> None:
 
 
 def test_the_written_rig_is_the_true_one_unless_asked() -> None:
-    true, same = make_rigs(SpeedScene.model_validate(small_speed()))
+    true, same = make_rigs(SpeedScene.model_validate(tiny_speed()))
     assert same is true
     written = {"focal_length_px": 2.0, "rotation_rad": [1e-4, 1e-4, 1e-4], "translation_m": [1e-3, 1e-3, 1e-3]}
-    rig = small_speed()["rig"] | {"rig_error_std": written}
+    rig = tiny_speed()["rig"] | {"rig_error_std": written}
     deviations = []
     for seed in range(400):
-        true, other = make_rigs(SpeedScene.model_validate(small_speed(seed=seed, rig=rig)))
+        true, other = make_rigs(SpeedScene.model_validate(tiny_speed(seed=seed, rig=rig)))
         assert other.uncertainty is not None
         turn = cv2.Rodrigues(other.R @ true.R.T)[0].ravel() / 1e-4
         focal = (other.left.K[0, 0] - true.left.K[0, 0]) / 2.0
@@ -162,7 +162,7 @@ WRONG = [
 @pytest.mark.parametrize(("change", "text"), WRONG, ids=[text for _, text in WRONG])
 def test_wrong_scenes_are_refused_in_one_line(tmp_path: Path, change: dict[str, Any], text: str) -> None:
     file = tmp_path / "scene.yaml"
-    file.write_text(yaml.safe_dump(small_speed(**change)))
+    file.write_text(yaml.safe_dump(tiny_speed(**change)))
     with pytest.raises(UnusableInput) as refused:
         load_speed_scene(file)
     assert text in str(refused.value) and str(refused.value).startswith(str(file))
@@ -171,15 +171,15 @@ def test_wrong_scenes_are_refused_in_one_line(tmp_path: Path, change: dict[str, 
 
 def test_earlier_names_of_keys_are_accepted() -> None:
     car = {"id": "a", "start": 36.0, "speed": 9.0, "acceleration": 1.0}
-    rig, sensor = small_speed()["rig"], {"quality": 80}
-    old = small_speed(
+    rig, sensor = tiny_speed()["rig"], {"quality": 80}
+    old = tiny_speed(
         vehicles=[car | {"towards": True, "guess": 8.0, "after": 0.5, "lasting": 1.0}],
         rig=rig | {"written": {"focal_length_px": 1.0}, "stated": False},
         sensor=sensor | {"open_for": 0.002, "keep": "jpeg"},
         clicks={"corner": 1.0},
     )
     times = {"acceleration_start": 0.5, "acceleration_duration": 1.0}
-    new = small_speed(
+    new = tiny_speed(
         vehicles=[car | {"oncoming": True, "initial_speed": 8.0} | times],
         rig=rig | {"rig_error_std": {"focal_length_px": 1.0}, "states_uncertainty": False},
         sensor=sensor | {"shutter_s": 0.002, "image_format": "jpeg"},
@@ -187,7 +187,7 @@ def test_earlier_names_of_keys_are_accepted() -> None:
     )
     assert SpeedScene.model_validate(old) == SpeedScene.model_validate(new)
     assert SpeedScene.model_validate(SpeedScene.model_validate(old).model_dump()) == SpeedScene.model_validate(new)
-    chases = (FollowScene.model_validate(small_follow(chase={key: 2.0})) for key in ("bounce", "shake_px"))
+    chases = (FollowScene.model_validate(tiny_follow(chase={key: 2.0})) for key in ("bounce", "shake_px"))
     assert next(chases) == next(chases)
 
 
@@ -205,10 +205,10 @@ def test_a_key_is_refused_by_the_name_in_the_file(tmp_path: Path, change: dict[s
 
 def test_gaps_are_in_order(tmp_path: Path) -> None:
     file = tmp_path / "scene.yaml"
-    file.write_text(yaml.safe_dump(small_follow(lead={"gap": [9.0, 5.0]})))
+    file.write_text(yaml.safe_dump(tiny_follow(lead={"gap": [9.0, 5.0]})))
     with pytest.raises(UnusableInput, match="expected a smaller and a larger distance"):
         load_follow_scene(file)
-    assert FollowScene.model_validate(small_follow()).lead.kind == "van"
+    assert FollowScene.model_validate(tiny_follow()).lead.kind == "van"
 
 
 def test_roads_that_contradict_themselves_are_refused() -> None:

@@ -7,7 +7,7 @@ from typing import Any
 BARE = {"trees": 0.0, "poles": 0.0, "buildings": 0.0}
 
 
-def small_speed(**changes: Any) -> dict[str, Any]:
+def tiny_speed(**changes: Any) -> dict[str, Any]:
     """A saloon that comes towards a small pair of cameras from 22 m away."""
     scene: dict[str, Any] = {
         "kind": "speed",
@@ -28,7 +28,7 @@ def small_speed(**changes: Any) -> dict[str, Any]:
     return scene | changes
 
 
-def small_follow(**changes: Any) -> dict[str, Any]:
+def tiny_follow(**changes: Any) -> dict[str, Any]:
     """Two frames behind a van."""
     scene: dict[str, Any] = {
         "kind": "follow",

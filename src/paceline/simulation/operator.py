@@ -1,11 +1,12 @@
-"""What an operator draws: the outlines of vehicles, and the painted line beside each one's lane.
+"""A simulated operator: draws the outlines of vehicles, the painted line beside each lane, and a target's start.
 
-It knows the truth and, of what renders, whether anything hides a point.
+The operator knows the ground truth and whether anything hides a point, but no renderer.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -15,19 +16,28 @@ from paceline.cameras import Camera, PosedCamera, StereoRig
 from paceline.errors import UnusableInput
 from paceline.simulation.road import Road
 
-MIN_VISIBLE_SHARE = 0.97  # share of a plane that has to be visible where it is outlined
-MIN_OUTLINE_WIDTH_PX = 24.0  # px, a plane's width where it is outlined
-LINE_BEFORE_M, LINE_BEYOND_M = (
-    60.0,
-    6.0,
-)  # m of a line that are drawn nearer to the camera and farther than the vehicle drives
-LINE_BORDER_PX = 6.0  # px
-START = 0.4, 0.008  # px and share of the size, standard deviations of where a target is said to be
-MIN_BORDER_DISTANCE_PX = 10.0  # px that a quadrilateral keeps from the image's border where it counts as inside
+MIN_VISIBLE_SHARE = 0.97  # of a plane, in the frame in which it is outlined
+MIN_OUTLINE_WIDTH_PX = 24.0  # of a plane, in the frame in which it is outlined
+LINE_BEFORE_M = 60.0  # of a line drawn nearer to the camera than the vehicle drives
+LINE_BEYOND_M = 6.0  # of a line drawn farther from the camera than the vehicle drives
+LINE_BORDER_PX = 6.0  # between a line's points and the border of the image
+MIN_BORDER_DISTANCE_PX = 10.0  # of a quadrilateral that counts as inside the image
 
-IsHidden = Callable[
-    [PosedCamera, Array], Mask
-]  # whether (N,) anything that stands still hides points (N, 3) from a view
+IsHidden = Callable[[PosedCamera, Array], Mask]  # whether (N,) a static object hides points (N, 3) from a view
+
+
+@dataclass(frozen=True)
+class OperatorNoise:
+    """Standard deviations of what an operator draws: corners and lines of a stereo clip (px), the center (px) and the
+    scale (relative) at which a target is started."""
+
+    corner_px: float = 0.5
+    line_px: float = 0.4
+    center_px: float = 0.4
+    scale: float = 0.008
+
+
+OPERATOR_NOISE = OperatorNoise()
 
 
 class VehicleMotion(Protocol):
@@ -36,7 +46,7 @@ class VehicleMotion(Protocol):
 
 
 class SimulatedVehicle(Protocol):
-    """What this module needs to know of a vehicle."""
+    """A vehicle as far as the operator needs it."""
 
     @property
     def model(self) -> Any: ...
@@ -45,7 +55,7 @@ class SimulatedVehicle(Protocol):
 
 
 class SimulatedStereoScene(Protocol):
-    """What this module needs to know of a scene that is filmed."""
+    """A scene before a stereo rig as far as the operator needs it."""
 
     @property
     def scene(self) -> Any: ...
@@ -174,11 +184,11 @@ def _visible_line(
 def draw_start(
     center: Array, distance: float, nominal_range: float, seed: int, focal: float = 1.0, usual: float = 1.0
 ) -> dict[str, Any]:
-    """``start`` of follow.yaml, as it is set on the first frame, in which the target's ``center`` (2,) px is
-    ``distance`` m away. Pictures of a longer ``focal`` length than ``usual`` are clicked in as much less precisely."""
+    """``start`` of follow.yaml with the operator's noise, for the first frame, in which the target's ``center`` (2,) px
+    is ``distance`` m away. The noise of the center grows with ``focal`` over the ``usual`` focal length."""
     rng = np.random.default_rng([seed, 47])
-    x, y = center + rng.normal(0, START[0], 2) * focal / usual
-    scale = nominal_range / distance * (1 + rng.normal(0, START[1]))
+    x, y = center + rng.normal(0, OPERATOR_NOISE.center_px, 2) * focal / usual
+    scale = nominal_range / distance * (1 + rng.normal(0, OPERATOR_NOISE.scale))
     return {"frame": 0, "center": [round(float(x), 1), round(float(y), 1)], "scale": round(float(scale), 3)}
 
 

@@ -70,16 +70,16 @@ def _draw_suitable_scene(
 
 def _propose_approach(seed: int, rng: np.random.Generator, speed: float, fixed: dict[str, Any]) -> Scene:
     frames, rate = _draw_frames_and_rate(rng, speed, 60.0)
-    way = speed * (frames - 1) / rate
-    near = rng.uniform(15, max(16.0, 78 - way))
-    middle = near + way / 2
+    distance = speed * (frames - 1) / rate
+    near = rng.uniform(15, max(16.0, 78 - distance))
+    middle = near + distance / 2
     receding = bool(rng.random() < 0.35)
     height = rng.uniform(1.5, 6.0)
     vehicle = Vehicle(
         "v0",
         speed,
         acceleration=_draw_acceleration(rng, speed, frames / rate),
-        start_distance=near if receding else near + way,
+        start_distance=near if receding else near + distance,
         receding=receding,
         width=rng.uniform(1.6, 2.0),
         height=rng.uniform(0.55, 0.8),
@@ -110,14 +110,14 @@ def _propose_approach(seed: int, rng: np.random.Generator, speed: float, fixed: 
 
 def _propose_crossing(seed: int, rng: np.random.Generator, speed: float, fixed: dict[str, Any]) -> Scene:
     frames, rate = _draw_frames_and_rate(rng, speed, 14.0)
-    way = speed * (frames - 1) / rate
+    distance = speed * (frames - 1) / rate
     depth, height = rng.uniform(12, 25), rng.uniform(1.2, 3.0)
     receding = bool(rng.random() < 0.5)
     vehicle = Vehicle(
         "v0",
         speed,
         acceleration=_draw_acceleration(rng, speed, frames / rate),
-        start_distance=depth + (-1 if receding else 1) * way / 2,
+        start_distance=depth + (-1 if receding else 1) * distance / 2,
         receding=receding,
         width=rng.uniform(2.6, 3.8),
         height=rng.uniform(0.55, 0.75),
@@ -256,8 +256,8 @@ def _draw_speed_scene(seed: int, speed: float, rng: np.random.Generator) -> dict
     frames = int(rng.integers(10, 16))
     suitable = [r for r in RAYTRACED_FRAME_RATES_HZ if 5.0 <= speed * (frames - 1) / r <= 60.0]
     rate = float(rng.choice(suitable or [RAYTRACED_FRAME_RATES_HZ[-1]]))
-    way = speed * (frames - 1) / rate
-    near, oncoming = float(rng.uniform(17, max(18.0, 75 - way))), bool(rng.random() < 0.65)
+    distance = speed * (frames - 1) / rate
+    near, oncoming = float(rng.uniform(17, max(18.0, 75 - distance))), bool(rng.random() < 0.65)
     kind = str(rng.choice(["straight", "straight", "circle", "clothoid"]))
     lanes = int(rng.choice([2, 2, 3]))
     road: dict[str, Any] = {"kind": kind, "lanes": lanes, "length": 260.0, "wear": float(rng.uniform(0, 0.6))}
@@ -269,7 +269,7 @@ def _draw_speed_scene(seed: int, speed: float, rng: np.random.Generator) -> dict
     lane = 0 if oncoming else lanes - 1
     focal, height = float(rng.uniform(1400, 3000)), float(rng.uniform(1.6, 5.0))
     eye = {"along": along, "right": side * (1.8 * lanes + rng.uniform(2.5, 5.0)), "height": height}
-    middle = along + near + way / 2
+    middle = along + near + distance / 2
     target = {"along": middle, "right": (lane + 0.5 - lanes / 2) * 3.6 * 0.6, "height": 0.8}
     car: dict[str, Any] = {
         "id": "v0",
@@ -277,7 +277,7 @@ def _draw_speed_scene(seed: int, speed: float, rng: np.random.Generator) -> dict
         "seed": int(rng.integers(2**31)),
         "lane": lane,
         "offset": float(rng.normal(0, 0.15)),
-        "start": along + near + (way if oncoming else 0.0) + (4.0 if oncoming else 0.0),
+        "start": along + near + (distance if oncoming else 0.0) + (4.0 if oncoming else 0.0),
         "speed": speed,
         "oncoming": oncoming,
     }

@@ -24,7 +24,7 @@ class RoadShape:
     ``radius`` (m, of the plan) belongs to a circle, to a clothoid's end or to a winding road's tightest place.
     ``grade`` is the rise per metre of plan in the road's middle; with a ``crest_radius`` (m, positive a crest, negative
     a sag) it changes along the road. ``bank`` (rad) lowers the right edge. The edge lines are solid, the inner lines
-    as ``markings`` says; ``wear`` goes from 0, fresh paint, to 1, nearly gone.
+    as ``markings``; ``wear`` goes from 0, fresh paint, to 1, nearly gone.
     """
 
     kind: str = "straight"  # straight | circle | clothoid | winding

@@ -1,4 +1,4 @@
-"""How a chase vehicle and its lead move: the road, smooth wandering in time, bumps.
+"""The motion of a chase vehicle and its lead: the road, smooth noise in time, bumps.
 
 Everything is a closed function of time or of arc length, so that a run of any length needs no memory of its past.
 Plan view: x east, y north, headings counter-clockwise from x; lateral positions to the right of travel.
@@ -69,12 +69,12 @@ class GapProfile:
     def __init__(self, rng: np.random.Generator, bounds: tuple[float, float]) -> None:
         self.low, self.high = bounds
         shortest = 2.0 + 5.0 * np.sqrt((self.high - self.low) / 2)  # s: no harder than drivers brake and accelerate
-        self.wander = SmoothNoise(rng, shortest, 2.5 * shortest, terms=4)
+        self.noise = SmoothNoise(rng, shortest, 2.5 * shortest, terms=4)
 
     def __call__(self, t: float) -> tuple[float, float]:
-        bent = np.sin(np.pi * self.wander(t) * 0.9)
+        bent = np.sin(np.pi * self.noise(t) * 0.9)
         half = (self.high - self.low) / 2
-        slope = np.cos(np.pi * self.wander(t) * 0.9) * np.pi * 0.9 * self.wander.rate(t)
+        slope = np.cos(np.pi * self.noise(t) * 0.9) * np.pi * 0.9 * self.noise.rate(t)
         return float(self.low + half * (1 + bent)), float(half * slope)
 
 

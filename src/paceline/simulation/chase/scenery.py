@@ -1,4 +1,4 @@
-"""What stands beside a chase road, and the shadows that lie over it."""
+"""The objects beside the road of a chase, and the shadows on the road."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def place_roadside(seed: int, length: float, object_density: float, parallel_sha
     }
     walls, bridge = [_make_wall(rng) for _ in range(3)], _make_bridge(rng)
     # per 10 m of road and side: how many, and how far from the road's edge
-    wanted = {
+    densities = {
         "tree": (0.35 * (1 - 0.5 * parallel_share), (1.5, 16.0)),
         "hedge": (0.15, (0.6, 7.0)),
         "pole": (0.12 + 0.5 * parallel_share, (0.6, 3.0)),
@@ -59,7 +59,7 @@ def place_roadside(seed: int, length: float, object_density: float, parallel_sha
     for block in range(int(length / BLOCK_LENGTH_M)):
         rng, start = np.random.default_rng([seed, 59, block]), BLOCK_LENGTH_M * block
         for side, edge in ((-1, -LEFT_EDGE_M), (1, RIGHT_EDGE_M)):
-            for kind, (density, (near, far)) in wanted.items():
+            for kind, (density, (near, far)) in densities.items():
                 for arc in start + BLOCK_LENGTH_M * rng.random(
                     rng.poisson(object_density * density * BLOCK_LENGTH_M / 10)
                 ):
@@ -175,7 +175,7 @@ def stand_on_ground(faces: tuple[Face, ...], height: float) -> tuple[Face, ...]:
 
 
 def oncoming_faces(rng: np.random.Generator) -> tuple[Face, ...]:
-    """The front of a car that comes the other way, about its foot."""
+    """The front of an oncoming car, about its foot."""
     width, height = rng.uniform(1.65, 1.85), rng.uniform(0.6, 0.75)
     parts = textures.front_parts(rng, width, height, 0.04)
     faces = tuple(

@@ -1,4 +1,4 @@
-"""The pictures of a chase: what the light, the lens and the sensor make of a world."""
+"""The images of a chase: the light, the lens and the sensor of its camera."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ MAX_OBJECT_DISTANCE_M = 170.0  # m, of things beside the road
 
 
 class Renderer:
-    """The pictures of a world, one at a time."""
+    """Renders the images of a world, one at a time."""
 
     def __init__(self, world: ChaseWorld) -> None:
         self.world, self.scene = world, world.scene
@@ -41,7 +41,7 @@ class Renderer:
         self.vignette = self._vignette()
 
     def render(self, state: WorldState) -> tuple[NDArray[np.uint8], float]:
-        """Picture (H, W), and the part of the lead's rear plane that is visible; each call draws new noise."""
+        """Image (H, W), and the visible share of the lead's rear plane; each call draws new noise."""
         grey, hidden = self._render_grey(state)
         return self._expose(grey, state.time), self._visible(state, hidden)
 

@@ -1,4 +1,4 @@
-"""Throttle and brake by what the camera tells: a filter for the lead's motion, and a law that keeps a time headway.
+"""Throttle and brake from the tracker's estimates: a filter of the lead's motion, and a time headway policy.
 
 The law is the constant time headway policy of Ioannou and Chien, "Autonomous intelligent cruise control" (1993): with
 the gap's error e the acceleration is (lead's speed − own + λ e) / headway. To this come part of the lead's own
@@ -16,7 +16,7 @@ from paceline.arrays import Array
 LEAD_ACCELERATION_STD_MPS2 = 2.0  # m/s², standard deviation of the lead's acceleration
 LEAD_ACCELERATION_TIME_S = 1.0  # s over which it is correlated (Singer's model)
 MAX_UNSEEN_S = 0.35  # s for which an unseen lead is taken to go on as it did
-MIN_CONFIRMING_FRAMES = 4  # sightings in a row that must agree before a lead that was gone for longer is believed again
+MIN_CONFIRMING_FRAMES = 4  # measurements in a row that must agree before a lead that was lost for longer is accepted
 MAX_CONFIRMING_GAP_CHANGE = 0.1  # relative change of the gap within which they agree
 RESTART_UNSEEN_S = 1.0  # s unseen, after which what is found may be anywhere
 GATE_SIGMA = 5.0  # standard deviations
@@ -51,7 +51,7 @@ class LeadFilter:
         self.state: Array | None = None  # (3,)
         self.covariance = np.zeros((3, 3))
         self._time = self._seen = 0.0
-        self._last_gap, self._agreeing = 0.0, 0  # the gap seen last, and how many sightings in a row agree with it
+        self._last_gap, self._agreeing = 0.0, 0  # the last measured gap, and how many measurements in a row agree
 
     def update(self, time: float, own_speed: float, gap: float, std: float, seen: bool) -> Array | None:
         """The state at ``time``, s, with the ``gap`` measured to ``std`` m if the lead is ``seen``; None before it ever

@@ -1,4 +1,4 @@
-"""The vehicle ahead: a driver who keeps to a programme of speeds, slows for bends, changes lanes and weaves."""
+"""The vehicle ahead: its speed profile, slowed in bends, its lane changes and its weaving."""
 
 from __future__ import annotations
 

@@ -38,9 +38,9 @@ def draw_long_drive(rng: np.random.Generator) -> dict[str, Any]:
             speeds += [[t + top / braking, 0.0], [t + top / braking + wait, 0.0]]
             t += top / braking + wait
     pieces: list[list[float]] = []
-    way = 0.0
-    while way < 10.0 * DURATION_S:
-        block, way = _draw_road_block(rng), way + 400.0
+    distance = 0.0
+    while distance < 10.0 * DURATION_S:
+        block, distance = _draw_road_block(rng), distance + 400.0
         pieces += block
     return {
         "duration": DURATION_S,

@@ -1,4 +1,4 @@
-"""The closed loop: the plant carries the camera, the tracker sees the pictures, its estimates steer and brake."""
+"""The closed loop: the simulated vehicle carries the camera, and the tracker's estimates steer and brake it."""
 
 from __future__ import annotations
 
@@ -111,13 +111,13 @@ class ClosedLoop:
             gap, lead_speed = float(truth.position[2]), placed.lead.speed_at(time)
             if manual:
                 throttle = operator.acceleration(time, chase.speed, gap, lead_speed)
-                wanted = operator.desired_gap(time, chase.speed)
+                desired_gap = operator.desired_gap(time, chase.speed)
             else:
                 seen = e.status == "tracking"
                 throttle = controller.acceleration(
                     time, odometer.speed, float(e.position[2]), float(e.position_std[2]), seen
                 )
-                wanted = placed.policy.desired_gap(chase.speed)
+                desired_gap = placed.policy.desired_gap(chase.speed)
             command = Command(time + self.latency, e.steering, throttle)
             plant.queue(command)
             error, _ = placed.lead.path_offset(chase.x, chase.y, near - self.vehicle.camera_ahead)
@@ -132,7 +132,7 @@ class ClosedLoop:
                 lead_speed=lead_speed,
                 command=command,
                 gap=gap,
-                desired_gap=wanted,
+                desired_gap=desired_gap,
                 path_error=error,
                 clearance=self._clearance(chase, state),
                 lead_present=state.lead_present,

@@ -1,4 +1,4 @@
-"""What the chase vehicle knows of its own motion: dead reckoning from wheel speed and yaw rate, with their errors."""
+"""The chase vehicle's odometry: dead reckoning from wheel speed and yaw rate, with their errors."""
 
 from __future__ import annotations
 
@@ -41,13 +41,13 @@ class Odometer:
         # the chord's direction in the vehicle's own axes, then the turn, each as it is measured
         course = np.arctan2(true.y - last.y, true.x - last.x) - last.heading if moved > 0 else 0.0
         slip, jitter = self._rng.standard_normal(2)
-        way = moved * self._scale * (1 + self._errors.slip * slip)
+        distance = moved * self._scale * (1 + self._errors.slip * slip)
         turn = true.heading - last.heading + self._drift * dt + self._errors.jitter * jitter * (moved > 0)
         p = self._pose
         self._pose = Pose(
-            float(p.x + way * np.cos(p.heading + course)),
-            float(p.y + way * np.sin(p.heading + course)),
+            float(p.x + distance * np.cos(p.heading + course)),
+            float(p.y + distance * np.sin(p.heading + course)),
             float(p.heading + turn),
         )
-        self.speed = float(way / dt)
+        self.speed = float(distance / dt)
         return self._pose

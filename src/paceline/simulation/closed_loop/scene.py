@@ -1,4 +1,4 @@
-"""The stage of a closed loop: the world and its road, the lead's plan, who cuts in, and the picture's moment."""
+"""The scene of a closed loop: the world and its road, the motion of the lead and of vehicles that cut in."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class DriveScene:
         self.world = ChaseWorld(self.chase_scene, self.road, START_ARC_M, about, rng, other_vehicles)
 
     def start(self) -> Chase:
-        """The chase vehicle on the lead's way, at the lead's speed and the policy's distance."""
+        """The chase vehicle on the lead's path, at the lead's speed and the policy's distance."""
         p = road_pose(self.road, START_ARC_M - self.vehicle.camera_ahead, 0.0, 0.0)
         return Chase(p.x, p.y, p.heading, self.lead.speed_at(0.0))
 

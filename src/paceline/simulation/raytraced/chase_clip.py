@@ -145,7 +145,7 @@ class PlacedChaseScene:
         segments = []
         for line in np.stack([right, down], -1):
             across = 0 if abs(line[1, 0] - line[0, 0]) < abs(line[1, 1] - line[0, 1]) else 1
-            line[:, across] = line[:, across].mean()  # horizontal or vertical, as the model wants it
+            line[:, across] = line[:, across].mean()  # exactly horizontal or vertical, as target.yaml demands
             places = [(round(float(x), 4), round(float(y), 4)) for x, y in line]
             segments.append([corners.setdefault(p, f"c{len(corners)}") for p in places])
         return {

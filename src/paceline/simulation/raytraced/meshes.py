@@ -36,7 +36,7 @@ class Material:
 @dataclass(frozen=True, eq=False)
 class SceneMesh:
     """A mesh: ``vertices`` (V, 3) m, ``triangles`` (T, 3), counter-clockwise seen from outside, ``uv`` (V, 2) where its
-    material has a texture. Vertices are shared only where the surface is smooth; ``smooth`` tells to shade it so."""
+    material has a texture. Vertices are shared only where the surface is smooth; ``smooth`` shades it so."""
 
     name: str
     vertices: Array

@@ -40,7 +40,7 @@ def find_llvm() -> str | None:
 
 
 def _library_version(path: str) -> int | None:
-    """The major version of the LLVM library at ``path``; None where it does not tell, as before 16."""
+    """The major version of the LLVM library at ``path``; None where it has no such function, as before 16."""
     try:
         ask = ctypes.CDLL(path).LLVMGetVersion
     except (OSError, AttributeError):

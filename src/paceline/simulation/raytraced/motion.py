@@ -77,7 +77,7 @@ class DrivingPlan:
 class VehicleMotion:
     """A drive on a road by a vehicle whose front axle is ``wheelbase`` metres before its origin.
 
-    The origin moves at the drive's speed along its own way, whatever the road and the lane change do, and the body
+    The origin moves at the plan's speed along its own path, whatever the road and the lane change do, and the body
     points along it, so its rear axle never slips sideways. Both axles stand on the surface: over a crest the body is
     the chord between them. The pose is known while the origin is on the road or within `ROAD_MARGIN_M` −
     `ROAD_END_DISTANCE_M` of it.

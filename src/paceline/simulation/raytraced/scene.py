@@ -24,9 +24,12 @@ from paceline.simulation.raytraced.sensor import Sensor, Shutter
 from paceline.simulation.raytraced.vehicles.build import Body, Plane, build
 from paceline.simulation.road import Road, RoadShape
 
-OFF_SCENE: Placement = (np.eye(3), np.array([0.0, 0.0, -1e4]))  # below the ground, for who is not there
+OFF_SCENE: Placement = (
+    np.eye(3),
+    np.array([0.0, 0.0, -1e4]),
+)  # below the ground, for a vehicle that is not on the road
 MAX_RELIEF_M = 0.6  # m that a vehicle's own surfaces may lie before its plane
-VISIBILITY_GRID = 9, 15  # points of a plane that tell how much of it is visible
+VISIBILITY_GRID = 9, 15  # rows and columns of the points by which the visible share of a plane is estimated
 
 
 @dataclass(frozen=True, eq=False)

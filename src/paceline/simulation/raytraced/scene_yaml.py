@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 from pydantic import AliasChoices, Field, model_validator
 
 from paceline.documents.models import Document, Name, Rate, Size, UncertaintyModel, read_document
+from paceline.simulation.operator import OPERATOR_NOISE
 from paceline.simulation.vehicle_catalogue import RaytracedKind
 
 Positive = Annotated[float, Field(gt=0)]
@@ -135,10 +136,10 @@ class SensorModel(Document):
 
 
 class OperatorNoiseModel(Document):
-    """Standard deviations (px) of what an operator clicks, and how many points a line gets."""
+    """Standard deviations (px) of the clicked corners and lines, and the number of points of a line."""
 
-    corner: Annotated[float, Field(ge=0, le=20)] = 0.5
-    line: Annotated[float, Field(ge=0, le=20)] = 0.4
+    corner: Annotated[float, Field(ge=0, le=20)] = OPERATOR_NOISE.corner_px
+    line: Annotated[float, Field(ge=0, le=20)] = OPERATOR_NOISE.line_px
     points: Annotated[int, Field(ge=4)] = 20
 
 

@@ -99,7 +99,8 @@ def render_exposure(
 ) -> Radiance:
     """The light (H, W, 3) that a pinhole camera takes at ``time`` s, in a ``window`` of its picture or the whole.
 
-    ``placements`` and ``view`` say at any time where everything is; ``samples`` are rays per pixel in all.
+    ``placements`` and ``view`` give the poses of all meshes and of the camera at any time; ``samples`` are the rays per
+    pixel in total.
     """
     width, height = view(time).camera.image_size
     x0, y0, x1, y1 = window or (0, 0, width, height)
@@ -124,7 +125,7 @@ class Lens:
     """A lens with distortion over a pinhole camera that sees as much: the ``pinhole`` is rendered, `distort` does the
     rest.
 
-    ``offset`` (2,) are the ideal pixels of the pinhole's first pixel; ``x`` and ``y`` (H, W) say where each recorded
+    ``offset`` (2,) are the ideal pixels of the pinhole's first pixel; ``x`` and ``y`` (H, W) are where each recorded
     pixel lies in its picture, None without distortion.
     """
 

@@ -27,12 +27,10 @@ from paceline.simulation.raytraced.scene import PlacedStereoScene, PlacedVehicle
 from paceline.simulation.raytraced.scene_yaml import SpeedScene
 from paceline.simulation.raytraced.sensor import Lens, expose, render_exposure
 
-BACKGROUND_SAMPLE_DIVISOR = (
-    4  # times fewer samples where there is no vehicle: it takes most of the time, and nothing is measured there
-)
+BACKGROUND_SAMPLE_DIVISOR = 4  # where there is no vehicle: most of the time is spent there, nothing measured
 VEHICLE_MARGIN_M = 0.1  # m around a vehicle's box that get all samples
 SHADED_MARGIN_M = 1.2  # m around a vehicle in which it darkens the road
-MAX_SHADOW_LENGTH_M = 40.0  # m
+MAX_SHADOW_LENGTH_M = 40.0
 IMAGE_SUFFIX = {"png": ".png", "jpeg": ".jpg", "h264": ".png"}
 
 

@@ -1,4 +1,4 @@
-"""The geometry of a rendered world: a flat road, vehicles that drive along it, and the rig that watches.
+"""The geometry of a stereo scene: a flat road, vehicles that drive along it, and the rig.
 
 Written on its own, apart from the measuring code, so that the two can disagree.
 """
@@ -14,7 +14,7 @@ from scipy.interpolate import CubicSpline
 
 from paceline.arrays import Array
 from paceline.cameras import Camera, PosedCamera, StereoRig
-from paceline.simulation.operator import longest_visible_run
+from paceline.simulation.operator import OPERATOR_NOISE, longest_visible_run
 
 PLANE_CLEARANCE_M = 0.35  # m from the road to the lower edge of a vehicle's main plane
 
@@ -95,8 +95,8 @@ class Scene:
     road_depth: float = 0.0
     line_offset: float = -1.85
     draw_path: bool = True
-    click_sigma: float = 0.5
-    line_sigma: float = 0.4
+    click_sigma: float = OPERATOR_NOISE.corner_px
+    line_sigma: float = OPERATOR_NOISE.line_px
     line_points: int = 20
     noise_sigma: float = 1.5
     shot_noise: float = 0.0

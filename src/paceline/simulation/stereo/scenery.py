@@ -1,4 +1,4 @@
-"""What stands still in a rendered world: sky, road and its marks, buildings, trees and poles."""
+"""The static background of a stereo scene: sky, road and its markings, buildings, trees and poles."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ class Plane:
     end: str
 
     def corners(self) -> Array:
-        """Corners (4, 3), body axes: top-left, top-right, bottom-right, bottom-left as seen by who looks at it."""
+        """Corners (4, 3), body axes: top-left, top-right, bottom-right, bottom-left as seen from outside."""
         right = 1.0 if self.end == "front" else -1.0
         y, z = right * self.width / 2, self.height / 2
         return np.asarray(self.center + np.array([[0, -y, z], [0, y, z], [0, y, -z], [0, -y, -z]]))
@@ -72,7 +72,7 @@ class Body:
 
 def end_plane(solids: Iterable[SceneMesh], end: str, width: float, bottom: float, top: float) -> Plane:
     """The plane of an end ``width`` m across from height ``bottom`` to ``top``, at the area-weighted mean depth of
-    what is seen there from straight ahead; bodies being symmetric, their left half tells."""
+    what is seen there from straight ahead; as bodies are symmetric, of their left half."""
     y, z = np.meshgrid((np.arange(20) + 0.5) / 40 * width, bottom + (np.arange(24) + 0.5) / 24 * (top - bottom))
     depth = visible_depth(solids, end, np.column_stack([y.ravel(), z.ravel()]))
     return Plane(np.array([np.nanmean(depth), 0.0, (bottom + top) / 2]), width, top - bottom, end)

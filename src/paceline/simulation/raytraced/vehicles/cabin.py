@@ -74,7 +74,7 @@ _SEGMENT_MATERIALS = {  # of the five strips between the rows, by the kind of th
 
 
 class _Loft:
-    """Stations across the left half, from front to rear; ``kind`` says what the segment behind a station is."""
+    """Stations across the left half, from front to rear; ``kind`` is that of the segment behind a station."""
 
     def __init__(self, form: HullShape, band: BodyBand) -> None:
         self.form, self.band = form, band
