@@ -79,4 +79,5 @@ def _draw_band(picture: Picture, rig: StereoRig, side: int, line: RoadLine, colo
 
 
 def encode_png(picture: Picture) -> bytes:
+    """``picture`` as PNG."""
     return bytes(cv2.imencode(".png", picture)[1])

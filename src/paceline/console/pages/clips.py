@@ -33,6 +33,8 @@ HELP_TEXT = (
 
 
 def add(library: Library) -> None:
+    """Adds the page / to the application."""
+
     @ui.page("/", response_timeout=RESPONSE_TIMEOUT_S)
     async def clips() -> None:
         with page("Clips"):

@@ -23,6 +23,8 @@ LIVE_TEXT = (
 
 
 def add(library: Library) -> None:
+    """Adds the page /setup to the application."""
+
     @ui.page("/setup", response_timeout=RESPONSE_TIMEOUT_S)
     async def setup(clip: str = ".") -> None:
         try:

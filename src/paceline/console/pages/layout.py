@@ -24,8 +24,8 @@ from paceline.progress import ACTIVITY_LABELS
 
 STYLESHEET_LINK = '<link rel="stylesheet" href="/static/console.css">'
 ACCENT_COLOR = "#2f7ac4"
-PREPARING = ("looking", "averaging")  # activities of progress lines that come before measuring
-LEARNING = "learning"  # the activity of a live run before it measures
+PREPARING_ACTIVITIES = ("looking", "averaging")  # activities of progress lines that come before measuring
+BACKGROUND_ACTIVITY = "learning"  # the activity of a live run before it measures
 TAB_SET_UP, TAB_TARGET, TAB_RUNS = "Set up", "Target", "Run and results"
 READ_ONLY_TEXT = "This folder cannot be written: clips and results can be viewed, not changed or measured."
 RESPONSE_TIMEOUT_S = 60.0  # of a page whose clip is on a slow disk
@@ -64,14 +64,17 @@ def page(title: str, entry: ClipEntry | None = None, active_tab: str = "") -> It
 
 
 def clip_label(clip: str) -> str:
+    """The displayed name of a clip."""
     return "this folder's clip" if clip == "." else clip
 
 
 def setup_address(clip: str) -> str:
+    """The address of a clip's set-up page."""
     return f"/setup?clip={quote(clip, safe='')}"
 
 
 def runs_address(clip: str, number: int | None = None) -> str:
+    """The address of the page of a clip's runs, or of one of them."""
     return f"/runs?clip={quote(clip, safe='')}" + ("" if number is None else f"&number={number}")
 
 
@@ -108,15 +111,15 @@ def progress_text(run: Run) -> str:
         return "waiting for the previous run"
     if run.state != STATE_RUNNING:
         return ""
-    if run.kind == LIVE_RUN and run.doing == LEARNING:
-        return f"{ACTIVITY_LABELS[LEARNING]}, {run.done} of {run.total} s"
+    if run.kind == LIVE_RUN and run.doing == BACKGROUND_ACTIVITY:
+        return f"{ACTIVITY_LABELS[BACKGROUND_ACTIVITY]}, {run.done} of {run.total} s"
     if run.kind == LIVE_RUN and run.started is not None:
         return f"running for {format_duration(time.time() - run.started)}"
     if run.done == 0:
         return "starting"
     if run.done == run.total and run.doing == ("following" if run.kind == FOLLOW_RUN else "measuring"):
         return "writing the report"
-    activity = f"{ACTIVITY_LABELS[run.doing]}: " if run.doing in PREPARING else ""
+    activity = f"{ACTIVITY_LABELS[run.doing]}: " if run.doing in PREPARING_ACTIVITIES else ""
     frames = f"frame {run.done}" + ("" if run.total is None else f" of {run.total}")
     left = run.seconds_left(time.time())
     return activity + frames + ("" if left is None else f", about {format_duration(left)} left")

@@ -12,7 +12,7 @@ from paceline.console.confinement import NotFound
 from paceline.console.frames.frame_cache import file_stamps
 from paceline.console.library import Library
 from paceline.console.pages.charts import SERIES_COLORS, distance_chart, speed_chart
-from paceline.console.pages.layout import LEARNING, PREPARING
+from paceline.console.pages.layout import BACKGROUND_ACTIVITY, PREPARING_ACTIVITIES
 from paceline.console.pages.results import ROWS_PER_PAGE, show_recent_vehicles, show_vehicle_table
 from paceline.console.runs.kinds import FOLLOW_RUN, LIVE_RUN
 from paceline.console.runs.results import Series, read_series, read_summary
@@ -59,7 +59,7 @@ class LiveView:
             return self._update_live(run)
         series, scene = self.library.runs.live_data(run)
         text = FOLLOW_TEXT if run.kind == FOLLOW_RUN else FILTER_TEXT
-        preparing = DETECTING_TEXT if run.doing in PREPARING else STARTING_TEXT
+        preparing = DETECTING_TEXT if run.doing in PREPARING_ACTIVITIES else STARTING_TEXT
         self.status.text = WAITING_TEXT if run.state == STATE_WAITING else text if scene else preparing
         now = scene.get("frame"), sum(len(s.time) for s in series)
         if not scene or now == self.shown_state:
@@ -86,7 +86,9 @@ class LiveView:
             self.status.text = WAITING_TEXT
             return
         series, scene = self.library.runs.live_data(run)
-        self.status.text = STARTING_TEXT if not scene else BACKGROUND_TEXT if run.doing == LEARNING else LIVE_TEXT
+        self.status.text = (
+            STARTING_TEXT if not scene else BACKGROUND_TEXT if run.doing == BACKGROUND_ACTIVITY else LIVE_TEXT
+        )
         if scene and scene["frame"] != self.shown_frame:
             self.shown_frame = scene["frame"]
             if self.picture_element is None:

@@ -36,6 +36,8 @@ STOPPING_TEXT = "stopping; the vehicles seen so far are still measured"
 
 
 def add(library: Library) -> None:
+    """Adds the page /runs to the application."""
+
     @ui.page("/runs", response_timeout=RESPONSE_TIMEOUT_S)
     async def runs(clip: str = ".", number: int | None = None, unit: str = "mph") -> None:
         try:

@@ -5,18 +5,18 @@ import { Player } from "./player.js";
 import { make, sendRequest } from "./importer.js";
 import { DraftStore } from "./drafts.js";
 import { Keyboard } from "./keyboard.js";
-import { Model, VIEWS, ordered, rounded, sortedCorners } from "./model.js";
+import { Model, VIEW_NAMES, ordered, rounded, sortedCorners } from "./model.js";
 import { ItemList } from "./item_list.js";
 import { PointerTools } from "./pointer_tools.js";
 import { Proposals } from "./proposals.js";
-import { COLORS, View } from "./view.js";
+import { ITEM_COLORS, View } from "./view.js";
 
-const TOOLS = {
+const EDITOR_TOOLS = {
   move: ["Look", "v", "Drag a point to move it, the picture to pan; the wheel zooms."],
   line: ["Road line", "l", "Click along a road line; Enter ends it. Then the same line in the other view, or let it be proposed."],
   vehicle: ["Vehicle", "r", "Drag across a flat front, rear or side, or click its four corners."],
 };
-const KEYS = "V look, L line, R outline; drawing: arrows move a cross (Shift: finely), X the other view, Space puts a point, Enter ends a line. "
+const KEYS_HELP = "V look, L line, R outline; drawing: arrows move a cross (Shift: finely), X the other view, Space puts a point, Enter ends a line. "
   + "Looking: ← → frames, Space plays, N next point, arrows nudge it (Shift: more). "
   + "Always: , . frames, Del removes, Ctrl-Z undoes, Ctrl-S saves, + − 0 zoom, S snapping, Esc leaves";
 
@@ -31,7 +31,7 @@ class Editor extends EditorElement {
     if (!await this.loadSetup("setup")) return;
     this.model = new Model(this.setup);
     this.readonly = this.model.frozen = this.hasAttribute("readonly");
-    this.views = VIEWS.map((side, i) => new View(side, this.setup.sizes[i]));
+    this.views = VIEW_NAMES.map((side, i) => new View(side, this.setup.sizes[i]));
     this.tool = "move";
     this.snapping = true;
     this.linked = true;
@@ -49,13 +49,13 @@ class Editor extends EditorElement {
     this.changed();
     if (!this.readonly) this.proposals.resume();
     window.addEventListener("beforeunload", (event) => { if (this.model.dirty) event.preventDefault(); });
-    this.keyboard = new Keyboard(this, TOOLS);
+    this.keyboard = new Keyboard(this, EDITOR_TOOLS);
   }
 
   // --- the page ----------------------------------------------------------------------------------------------------
 
   build() {
-    const drawing = this.buildTools(TOOLS);
+    const drawing = this.buildTools(EDITOR_TOOLS);
     this.snapButton = pushButton("Snap", () => this.toggleSnapping(), "Points move to the nearest edge or corner (S); Alt does the opposite for one point");
     this.linkButton = pushButton("Zoom together", () => { this.linked = !this.linked; this.buttons(); }, "Zoom and pan both views as one");
     this.lanesButton = pushButton("Propose lanes", () => this.proposals.lanes(), "Find the painted lines of the empty road; this reads the whole recording");
@@ -76,7 +76,7 @@ class Editor extends EditorElement {
     this.itemList = new ItemList(this);
     this.pointers = new PointerTools(this);
     this.proposals = new Proposals(this);
-    const keys = make("details", { className: "pl-fact" }, make("summary", { textContent: "Keys" }), KEYS);
+    const keys = make("details", { className: "pl-fact" }, make("summary", { textContent: "Keys" }), KEYS_HELP);
     this.append(
       make("div", { className: "ed-work" }, bar, this.hint, make("div", { className: "ed-views" }, ...boxes),
         this.player.element, keys),
@@ -102,14 +102,14 @@ class Editor extends EditorElement {
         + "Or just measure: lanes and vehicles are then detected.";
     }
     if (!vehicles.length) return "Now outline each vehicle, in a frame that shows it well and early.";
-    return TOOLS[this.tool][2];
+    return EDITOR_TOOLS[this.tool][2];
   }
 
   take(tool) {
     if (this.readonly) tool = "move";
     this.pointers.inOrder(() => this.finishDraft());
     this.tool = tool;
-    this.showMessage(this.readonly ? READ_ONLY : TOOLS[tool][2]);
+    this.showMessage(this.readonly ? READ_ONLY : EDITOR_TOOLS[tool][2]);
     this.buttons();
     this.paint();
   }
@@ -124,7 +124,7 @@ class Editor extends EditorElement {
   frameShown() { this.paint(); } // by the player
 
   drawings(view) {
-    const side = VIEWS[view];
+    const side = VIEW_NAMES[view];
     const list = [];
     for (const entry of Object.values(this.model.sitePaths)) {
       if (entry[side]) list.push({ points: entry[side], color: "#b9c2cc", faint: true });
@@ -143,7 +143,7 @@ class Editor extends EditorElement {
     const chosen = this.isChosen(item);
     const point = chosen && this.chosen.view === view ? this.chosen.point : undefined;
     if (point !== undefined && this.moving) points = points.map((p, k) => (k === point ? this.moving : p));
-    return { points, closed, color: COLORS[i % COLORS.length], chosen, point };
+    return { points, closed, color: ITEM_COLORS[i % ITEM_COLORS.length], chosen, point };
   }
 
   // --- choosing ----------------------------------------------------------------------------------------------------
@@ -184,7 +184,7 @@ class Editor extends EditorElement {
 
   // The drawn point at a position on the screen; the chosen item's points come first.
   hit(view, at) {
-    const side = VIEWS[view];
+    const side = VIEW_NAMES[view];
     const items = this.items().filter((item) => item.kind === "path" || this.model.entry(item).frame === this.frame);
     items.sort((a, b) => Number(this.isChosen(b)) - Number(this.isChosen(a)));
     for (const item of items) {
@@ -249,7 +249,7 @@ class Editor extends EditorElement {
     if (draft?.kind !== "path") return this.paint();
     const points = draft.points.filter((p, i) => !i || Math.hypot(p[0] - draft.points[i - 1][0], p[1] - draft.points[i - 1][1]) > 1);
     if (points.length < 2) return this.paint();
-    const side = VIEWS[draft.view];
+    const side = VIEW_NAMES[draft.view];
     const waiting = this.chosen?.kind === "path" && !this.model.entry(this.chosen)?.[side]?.length;
     let item = this.chosen;
     this.model.change((m) => {
@@ -262,7 +262,7 @@ class Editor extends EditorElement {
   }
 
   async outlined(view, points) {
-    const side = VIEWS[view];
+    const side = VIEW_NAMES[view];
     const now = this.chosen?.kind === "vehicle" ? this.model.entry(this.chosen) : null;
     const waiting = now && now.frame === this.frame && !now[side]?.length;
     let item = this.chosen;
@@ -281,14 +281,14 @@ class Editor extends EditorElement {
   movePoint(place) { // the chosen one
     if (this.chosen?.point === undefined) return;
     const { view, point } = this.chosen;
-    this.model.change((m) => { m.entry(this.chosen)[VIEWS[view]][point] = place; });
+    this.model.change((m) => { m.entry(this.chosen)[VIEW_NAMES[view]][point] = place; });
   }
 
   // --- changes -----------------------------------------------------------------------------------------------------
 
   changed() {
     if (this.chosen && !this.model.entry(this.chosen)) this.chosen = null;
-    const points = this.chosen?.view === undefined ? null : this.model.entry(this.chosen)[VIEWS[this.chosen.view]];
+    const points = this.chosen?.view === undefined ? null : this.model.entry(this.chosen)[VIEW_NAMES[this.chosen.view]];
     if (points && !(this.chosen.point < points.length)) this.chosen = { kind: this.chosen.kind, id: this.chosen.id };
     this.buttons();
     this.itemList.show();
@@ -317,11 +317,11 @@ class Editor extends EditorElement {
 
   removeChosen() {
     if (!this.chosen) return;
-    const points = this.chosen.point === undefined ? null : this.model.entry(this.chosen)[VIEWS[this.chosen.view]];
+    const points = this.chosen.point === undefined ? null : this.model.entry(this.chosen)[VIEW_NAMES[this.chosen.view]];
     if (this.chosen.kind === "path" && points && points.length > 2) {
       const { view, point } = this.chosen;
       this.chosen = { kind: "path", id: this.chosen.id };
-      this.model.change((m) => { m.entry(this.chosen)[VIEWS[view]].splice(point, 1); });
+      this.model.change((m) => { m.entry(this.chosen)[VIEW_NAMES[view]].splice(point, 1); });
     } else this.remove(this.chosen);
   }
 }

@@ -1,7 +1,7 @@
 // The list beside the views: every path and vehicle with its fields and its checked geometry.
 
 import { make } from "./importer.js";
-import { COLORS } from "./view.js";
+import { ITEM_COLORS } from "./view.js";
 import { ordered } from "./model.js";
 
 const COVERAGE_95 = 1.96; // standard deviations on each side of a 95 % interval
@@ -39,9 +39,9 @@ export class ItemList {
     const { model, checks } = this.editor;
     const site = Object.keys(model.sitePaths).map((name) => make("div", { className: "pl-fact", textContent: `${name}: from the site file` }));
     const paths = Object.entries(model.paths).map(([name, entry], i) =>
-      this.item({ kind: "path", id: name }, name, entry, checks?.paths[name], COLORS[i % COLORS.length]));
+      this.item({ kind: "path", id: name }, name, entry, checks?.paths[name], ITEM_COLORS[i % ITEM_COLORS.length]));
     const vehicles = model.vehicles.map((entry, i) =>
-      this.item({ kind: "vehicle", id: i }, entry.id, entry, checks?.vehicles[i], COLORS[i % COLORS.length]));
+      this.item({ kind: "vehicle", id: i }, entry.id, entry, checks?.vehicles[i], ITEM_COLORS[i % ITEM_COLORS.length]));
     const none = (text) => [make("div", { className: "pl-fact", textContent: text })];
     this.paths.replaceChildren(...site, ...(paths.length || site.length ? paths : none("None. Draw a road line that the vehicles follow, in both views.")));
     this.vehicles.replaceChildren(...(vehicles.length ? vehicles : none("None. Outline a flat front, rear or side, in both views.")));

@@ -1,8 +1,8 @@
 // Keyboard input: keys shared by all editors, and those of the stereo editor, which allow drawing without a pointer.
 
-import { rounded, VIEWS } from "./model.js";
+import { rounded, VIEW_NAMES } from "./model.js";
 
-const ARROWS = { arrowleft: [-1, 0], arrowright: [1, 0], arrowup: [0, -1], arrowdown: [0, 1] };
+const ARROW_KEYS = { arrowleft: [-1, 0], arrowright: [1, 0], arrowup: [0, -1], arrowdown: [0, 1] };
 const CROSS_STEP_PX = 16; // on the screen, per arrow key; 1 px with Shift
 
 // The pressed key, {pressed, arrow}; null where it was undo, redo or save, or is not meant for the editor.
@@ -16,7 +16,7 @@ export function keyFor(event, editor) {
   if (command && pressed === "y") return done(() => editor.model.redo());
   if (command || event.altKey) return null;
   const button = event.target.closest?.("button, a, summary"); // Space and Enter activate these
-  return button && (pressed === " " || pressed === "enter") ? null : { pressed, arrow: ARROWS[pressed] };
+  return button && (pressed === " " || pressed === "enter") ? null : { pressed, arrow: ARROW_KEYS[pressed] };
 }
 
 export class Keyboard { // of the stereo editor
@@ -60,10 +60,10 @@ export class Keyboard { // of the stereo editor
       if (x) editor.player.goTo(editor.player.place + x);
     } else {
       const { view, point } = editor.chosen;
-      const [px, py] = editor.model.entry(editor.chosen)[VIEWS[view]][point];
+      const [px, py] = editor.model.entry(editor.chosen)[VIEW_NAMES[view]][point];
       const step = shift ? 2 : 0.25;
       editor.movePoint(rounded([px + x * step, py + y * step]));
-      const place = editor.model.entry(editor.chosen)[VIEWS[view]][point];
+      const place = editor.model.entry(editor.chosen)[VIEW_NAMES[view]][point];
       editor.magnified = { view, place };
       editor.updateEpipolarLine(view, place);
     }
@@ -106,7 +106,7 @@ export class Keyboard { // of the stereo editor
     const chosen = editor.chosen ?? editor.items()[0];
     const entry = editor.model.entry(chosen);
     if (!entry) return;
-    const places = VIEWS.flatMap((side, view) => (entry[side] ?? []).map((_, point) => ({ view, point })));
+    const places = VIEW_NAMES.flatMap((side, view) => (entry[side] ?? []).map((_, point) => ({ view, point })));
     const now = places.findIndex(({ view, point }) => view === chosen.view && point === chosen.point);
     if (places.length) editor.choose({ kind: chosen.kind, id: chosen.id, ...places[(now + 1) % places.length] });
   }

@@ -2,7 +2,7 @@
 
 import { History } from "./history.js";
 
-export const VIEWS = ["left", "right"];
+export const VIEW_NAMES = ["left", "right"];
 
 export class Model extends History {
   constructor({ paths, vehicles, sitePaths, revision }) {

@@ -1,7 +1,7 @@
 // Proposals of the server: the same item in the other view, lanes, vehicles.
 
 import { sendRequest } from "./importer.js";
-import { VIEWS, ordered } from "./model.js";
+import { VIEW_NAMES, ordered } from "./model.js";
 
 function searchText(kind, { state, done, total }) {
   if (state === "waiting") return `Detecting ${kind}: waiting for the previous run`;
@@ -13,7 +13,7 @@ export class Proposals {
   constructor(editor) { this.editor = editor; }
 
   async other(item, view) {
-    const other = VIEWS[1 - view];
+    const other = VIEW_NAMES[1 - view];
     const entry = this.editor.model.entry(item);
     this.editor.showMessage(`Searching the ${other} view…`);
     try {

@@ -9,12 +9,12 @@ import { DraftStore } from "./drafts.js";
 import { keyFor } from "./keyboard.js";
 import { View } from "./view.js";
 
-const TOOLS = {
+const EDITOR_TOOLS = {
   look: ["Look", "v", "Drag the picture to pan; the wheel zooms. Click a line of the model to choose it."],
   place: ["Place", "p", "Drag the model onto the vehicle; drag a corner to scale it. Arrows and [ ] do it finely."],
   box: ["Learn from a box", "b", "Drag a box tightly around the rear: from one side of the body to the other."],
 };
-const KEYS = "V look, P place: arrows move by ¼ px (Shift: 2 px), [ ] smaller and larger by 0.2 % (Shift: 2 %); "
+const KEYS_HELP = "V look, P place: arrows move by ¼ px (Shift: 2 px), [ ] smaller and larger by 0.2 % (Shift: 2 %); "
   + "B box: arrows move it by 1 px (Shift: its lower right corner), Enter learns. "
   + "Always: , . frames, Space plays, N next line, Del removes it, Ctrl-Z undoes, Ctrl-S saves, + − 0 zoom, Esc leaves";
 
@@ -74,7 +74,7 @@ class TargetEditor extends EditorElement {
     this.moving = null; // the start while it is dragged
     this.build();
     this.player = new Player(this, [0], this.setup);
-    this.work.append(this.player.element, make("details", { className: "pl-fact" }, make("summary", { textContent: "Keys" }), KEYS));
+    this.work.append(this.player.element, make("details", { className: "pl-fact" }, make("summary", { textContent: "Keys" }), KEYS_HELP));
     this.pointers = new TargetPointerTools(this);
     this.model.listeners.push(() => this.changed());
     this.drafts = new DraftStore(this, { address: `/api/target?clip=${this.clip}`, file: "follow.yaml",
@@ -93,7 +93,7 @@ class TargetEditor extends EditorElement {
   // --- the page ----------------------------------------------------------------------------------------------------
 
   build() {
-    const drawing = this.buildTools(TOOLS);
+    const drawing = this.buildTools(EDITOR_TOOLS);
     this.saveButton = pushButton("Save", () => this.save(), "Writes follow.yaml, and a new model beside it (Ctrl-S)");
     this.saveButton.classList.add("primary");
     this.followButton = make("a", { className: "pl-button", href: this.getAttribute("runs"), textContent: this.readonly ? "Results…" : "Follow…" });
@@ -131,7 +131,7 @@ class TargetEditor extends EditorElement {
     return make("div", { className: "ed-side" }, model, learn);
   }
 
-  nextStep() { return this.readonly ? READ_ONLY : TOOLS[this.tool][2]; }
+  nextStep() { return this.readonly ? READ_ONLY : EDITOR_TOOLS[this.tool][2]; }
 
   take(tool) {
     this.tool = this.readonly ? "look" : tool;
@@ -303,7 +303,7 @@ class TargetEditor extends EditorElement {
 
   press({ pressed, arrow }, { key, shiftKey }) { // returns whether the key has a function
     const { start } = this.model;
-    const tool = Object.keys(TOOLS).find((name) => TOOLS[name][1] === pressed);
+    const tool = Object.keys(EDITOR_TOOLS).find((name) => EDITOR_TOOLS[name][1] === pressed);
     const scaling = { "[": -1, "]": 1, "{": -1, "}": 1 }[key];
     if (tool && !(tool === "place" && !this.model.target)) this.take(tool);
     else if (arrow) this.arrow(arrow, shiftKey);

@@ -4,7 +4,7 @@ const HANDLE_RADIUS_PX = 5; // on the screen, as all below
 const LABEL_HEIGHT_PX = 19;
 const MAGNIFIER_RADIUS_PX = 84;
 const MAGNIFIER_ZOOM = 8;
-export const COLORS = ["#4aa3ff", "#ff9d42", "#53c87d", "#d17cf0", "#ff6b75", "#41c9d6", "#e3c847", "#b9c2cc"];
+export const ITEM_COLORS = ["#4aa3ff", "#ff9d42", "#53c87d", "#d17cf0", "#ff6b75", "#41c9d6", "#e3c847", "#b9c2cc"];
 
 export class View {
   constructor(side, size) {

@@ -35,6 +35,7 @@ class SpeedText:
 
 
 def format_number(value: float, decimals: int) -> str:
+    """``value`` with a fixed number of ``decimals``; NO_VALUE where it is not finite."""
     return f"{value:.{decimals}f}".replace("-", "−") if math.isfinite(value) else NO_VALUE
 
 

@@ -58,6 +58,8 @@ class StereoStill:
 
 @dataclass
 class Overlay:
+    """What `write_overlay` returns: stills by vehicle, and notices about the video."""
+
     stills: dict[str, list[StereoStill]]
     notices: list[str] = field(default_factory=list)
 
@@ -68,7 +70,7 @@ def write_overlay(
     """Writes the overlay video in one pass over ``recording`` and returns a few stills of every vehicle.
 
     The frames keep the recording's presentation times. ``colors`` gives each vehicle's colour as ``#rrggbb``. A notice
-    says so where no H.264 encoder is available and the video is MPEG-4 instead.
+    is given where no H.264 encoder is available and the video is MPEG-4 instead.
     """
     layers = [_Layer(m, _parse_color(colors[m.vehicle])) for m in result.measurements]
     overlay = Overlay({layer.track.vehicle: [] for layer in layers})
