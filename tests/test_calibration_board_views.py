@@ -91,8 +91,8 @@ def clean() -> Calibration:
     ("spoil", "said"),
     [
         (moved, "do not show the board in one place"),
-        (blurred, "in the left picture"),
-        (mistaken, "in the right picture"),
+        (blurred, "in the left image"),
+        (mistaken, "in the right image"),
     ],
 )
 def test_a_wrong_view_is_found_and_named(clean: Calibration, spoil: object, said: str) -> None:
