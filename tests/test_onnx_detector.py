@@ -393,7 +393,7 @@ def test_the_noise_is_that_between_two_frames() -> None:
         for k in range(2)
     ]
     seen = DetectorBackground(lambda picture: np.zeros((0, 4)))
-    assert "in none of 0 pictures" in seen.no_vehicle_reason
+    assert "in none of 0 images" in seen.no_vehicle_reason
     assert seen.background(frames[0]).noise is None
     seen.update(frames[0])
     assert seen.background(frames[1]).noise == pytest.approx(2.5, rel=0.05)
