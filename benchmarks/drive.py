@@ -74,7 +74,7 @@ def cells(drives: list[Drive]) -> tuple[str, ...]:
         f"{sum(not d.failed for d in drives)} of {len(drives)}",
         str(sum(x.frames for x in f)),
         str(sum(x.losses for x in f)),
-        str(sum(x.wrong for x in f)),
+        str(sum(x.wrong_frames for x in f)),
         f"{np.sqrt(np.mean([x.path_rms**2 for x in f])):.3f}",
         f"{max(x.path_max for x in f):.2f}",
         f"{min(x.clearance for x in f):.2f}",

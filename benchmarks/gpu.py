@@ -61,7 +61,7 @@ class Road:
         rig = StereoRig(Camera((WIDTH, HEIGHT), K), Camera((WIDTH, HEIGHT), K), np.eye(3), np.array([-0.5, 0, 0]))
         lane = paths.from_points("lane", "line", np.array([[0.0, 1.0, 80.0], [0.0, 1.0, 20.0]]))
         c = SpeedConfiguration(particles=particles)
-        self.after_shift = []
+        self.vehicles: list[Vehicle] = []
         for v in range(vehicles):
             rng = random_numbers.make_generator([seed, v], particles)
             centre = np.array([rng.uniform(-8, 8), rng.uniform(-6, 6), 60.0])
@@ -148,7 +148,7 @@ def limits(seed: int, device: Any) -> None:
         if particles * BYTES > device.free_memory():
             continue
         road = Road(particles, 1, seed, device)
-        (one,) = road.after_shift
+        (one,) = road.vehicles
         device.weight([one])  # sends what the kernel looks at, and compiles
         seconds = _timed(lambda parts=one.configuration.parts: device.compute_likelihood(parts))
         samples = particles * road.samples * (2 + 1 / likelihood.patch_features_cpu.CORRELATION_ROW_STEP)

@@ -41,7 +41,7 @@ NOISE = 1.0  # grey levels
 
 
 @dataclass(frozen=True, eq=False)
-class Film:
+class RenderedStreams:
     """Pictures (H, W) of both views, and in which of them two vehicles are in view."""
 
     views: tuple[list[NDArray[np.uint8]], list[NDArray[np.uint8]]]
@@ -68,7 +68,7 @@ def scene(k: int) -> Scene:
     )
 
 
-def film(groups: int) -> Film:
+def render_streams(groups: int) -> RenderedStreams:
     """An empty road, and group after group on it."""
     world, rng = World(scene(0)), np.random.default_rng(3)
     stills = [StaticBackground(world.scene, world.road, world.scene.seed).draw(view) for view in world.views]
@@ -93,10 +93,10 @@ def film(groups: int) -> Film:
         busy.extend(len(vehicles) == 2 for vehicles in shown)
         speeds += [v.speed for v in scene(k).vehicles]
         empty(GAP)
-    return Film(views, busy, speeds)
+    return RenderedStreams(views, busy, speeds)
 
 
-def write(of: Film, folder: Path) -> Clip:
+def write(of: RenderedStreams, folder: Path) -> Clip:
     """The film as two H.264 videos, as network cameras send them, with a rig.yaml whose (very slight) distortion costs
     what a strong one does."""
     world = World(scene(0))
@@ -114,7 +114,7 @@ def write(of: Film, folder: Path) -> Clip:
     return load_clip(folder / "clip.yaml")
 
 
-def alone(of: Film, clip: Clip) -> list[float]:
+def alone(of: RenderedStreams, clip: Clip) -> list[float]:
     """Processor seconds for each pair: undistortion, and everything that the finder does while it looks."""
     empty = [pictures[0].astype(np.float32) for pictures in of.views]
     finder = VehicleFinder(lane_paths_of(clip), RunningMedianBackground((empty[0], empty[1])))
@@ -132,7 +132,7 @@ def main() -> None:
     parser.add_argument("--groups", type=int, default=6, help="pairs of vehicles that pass")
     args = parser.parse_args()
     cv2.setNumThreads(1)  # as the command does
-    of = film(args.groups)
+    of = render_streams(args.groups)
     with tempfile.TemporaryDirectory() as folder:
         clip = write(of, Path(folder))
         seconds, busy = np.array(alone(of, clip)), np.array(of.busy)

@@ -37,12 +37,12 @@ def scene_of(car: int, samples: int) -> SpeedScene:
 @contextmanager
 def painted(matte: bool) -> Iterator[None]:
     """All that vehicles are made of as it is, or with nothing that mirrors."""
-    as_it_is = build.materials
+    as_it_is = build.vehicle_materials
 
     def dull(rng: np.random.Generator, fleet: bool = False) -> dict[str, Material]:
         return {name: replace(m, kind="matte") for name, m in as_it_is(rng, fleet).items()}
 
-    with mock.patch.object(build, "materials", dull if matte else as_it_is):
+    with mock.patch.object(build, "vehicle_materials", dull if matte else as_it_is):
         yield
 
 

@@ -38,7 +38,7 @@ import numpy as np
 from paceline.recordings.stereo import monocular
 from paceline.cameras import Camera, StereoRig
 
-monocular.OPENING = 1.0
+monocular.OPEN_TIMEOUT_S = 1.0
 camera = Camera((64, 48), np.array([[50.0, 0, 31.5], [0, 50.0, 23.5], [0, 0, 1.0]]))
 
 @dataclass
@@ -72,15 +72,15 @@ def interrupt(number, frame):
 signal.signal(signal.SIGALRM, interrupt)
 signal.setitimer(signal.ITIMER_REAL, 0.3)
 begun = time.monotonic()
-monocular.OPENING = 20.0
+monocular.OPEN_TIMEOUT_S = 20.0
 try:
     monocular.open_camera(Clip(sys.argv[2]))
 except KeyboardInterrupt:
     Path(sys.argv[1]).write_text(json.dumps(time.monotonic() - begun))
 """
 PAIRS = """
-from paceline.recordings.live_stereo import LiveViews
-views = LiveViews(Clip(addresses=sys.argv[2:]))
+from paceline.recordings.live_stereo import LiveStereo
+views = LiveStereo(Clip(addresses=sys.argv[2:]))
 time.sleep(0.3)
 pairs = [[pair.time, pair.skew, int(pair.left[0, 0]), int(pair.right[0, 0])] for pair in views]
 Path(sys.argv[1]).write_text(json.dumps([pairs, views.notices]))
