@@ -99,8 +99,8 @@ def test_every_function_that_is_kept_closes_over_what_it_is_made_of() -> None:
         ),
         (
             "speed/filter/patch_features.py",
-            "LEAST_OVERLAP = 0.25",
-            "LEAST_OVERLAP = 0.5",
+            "MIN_OVERLAP = 0.25",
+            "MIN_OVERLAP = 0.5",
             ["speed.filter.patch_features_cpu"],
         ),
         ("follow/picture_cpu.py", "SUMS = {", 'SUMS = {"nsz", ', ["follow.carrying_cpu"]),  # an option of its helpers
