@@ -192,7 +192,7 @@ def test_it_coasts_and_goes_on(spoil: Callable[[Clip], object], clip: Clip, comm
     (episode,) = json.loads((tmp_path / "out" / "summary.json").read_text())["episodes"]
     assert episode["first_frame"] == FIRST and LAST <= episode["last_frame"] <= LAST + 2
     page = (tmp_path / "out" / "report.html").read_text()
-    assert "Where it was not tracked" in page and episode["reason"] in page
+    assert "Frames that were not tracked" in page and episode["reason"] in page
 
 
 def test_damage_is_named(clip: Clip, command: Command) -> None:

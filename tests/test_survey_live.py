@@ -335,9 +335,9 @@ def test_what_was_measured_stays_when_it_is_ended(tmp_path: Path) -> None:
 
 MEASURES = """
 import os, time
-from paceline.survey.live import another_process
+from paceline.survey.live import worker_process
 if __name__ == "__main__":
-    with another_process() as measuring:
+    with worker_process() as measuring:
         print(measuring.submit(os.getpid).result(), flush=True)
         time.sleep(600)
 """

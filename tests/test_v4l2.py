@@ -35,7 +35,7 @@ import json, signal, sys, time
 from dataclasses import dataclass
 from pathlib import Path
 import numpy as np
-from paceline.recordings.stereo import monocular
+from paceline.recordings import monocular
 from paceline.cameras import Camera, StereoRig
 
 monocular.OPEN_TIMEOUT_S = 1.0
@@ -231,10 +231,10 @@ class Taken:
     def __init__(self, times: np.ndarray) -> None:
         self.waiting = [CameraFrame(k, float(t), np.zeros((2, 2), np.uint8)) for k, t in enumerate(times)]
 
-    def head(self) -> CameraFrame | None:
+    def peek(self) -> CameraFrame | None:
         return self.waiting[0] if self.waiting else None
 
-    def take(self, frame: CameraFrame) -> None:
+    def pop(self, frame: CameraFrame) -> None:
         assert self.waiting.pop(0) is frame
 
 
