@@ -11,8 +11,8 @@ from paceline.simulation.raytraced.vehicles.body import Body, Plane, Wheel, end_
 from paceline.simulation.raytraced.vehicles.builder import VehicleDraft
 from paceline.simulation.raytraced.vehicles.cars import draft_car
 from paceline.simulation.raytraced.vehicles.lorry import draft_lorry
+from paceline.simulation.raytraced.vehicles.materials import vehicle_materials
 from paceline.simulation.raytraced.vehicles.motorcycle import draft_motorcycle
-from paceline.simulation.raytraced.vehicles.parts import vehicle_materials
 from paceline.simulation.raytraced.vehicles.vans import draft_bus, draft_van
 from paceline.simulation.vehicle_catalogue import RAYTRACED_KINDS
 
