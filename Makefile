@@ -28,7 +28,7 @@ test: ready-for-tests
 	$(PYTEST) -m "not slow"
 
 test-all: ready-for-tests
-	$(PYTEST)
+	$(PYTEST) --hypothesis-profile default
 
 # What the tests need is installed while Numba compiles what else each worker would compile for itself.
 ready-for-tests: $(VENV)/installed

@@ -10,12 +10,17 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 import pytest
+from hypothesis import settings
 
 from paceline.cameras import Camera, StereoRig
 
 if TYPE_CHECKING:
     from fastapi.testclient import TestClient
 
+
+# Every run tries the same examples, so that what fails is what was changed; `make test-all` looks for new ones.
+settings.register_profile("same examples", derandomize=True, deadline=None)
+settings.load_profile("same examples")
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as a shell leaves it to what it starts in the background
     signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -12,9 +12,9 @@ from typing import Any
 import pytest
 import yaml
 
+import paceline
 from paceline.documents.loading import load_clip, load_follow
 from paceline.recordings.stereo import open_recording
-from paceline.simulation import random_scenes
 from paceline.simulation.chase.scene import ChaseScene
 from paceline.simulation.random_scenes import random_chase
 
@@ -75,7 +75,7 @@ def test_the_chase_is_what_its_script_makes(frames: int, tmp_path: Path, monkeyp
     def shortened(*given: Any, **keys: Any) -> ChaseScene:
         return random_chase(*given, **{**keys, "frames": frames})
 
-    monkeypatch.setattr(random_scenes, "random_chase", shortened)
+    monkeypatch.setattr(paceline, "random_chase_scene", shortened)
     run(EXAMPLES / "make_chase_clip.py", tmp_path, monkeypatch=monkeypatch)
     for name in ("camera.yaml", "follow.yaml", "target.yaml"):
         assert (tmp_path / name).read_text() == (EXAMPLES / "chase" / name).read_text()
