@@ -55,7 +55,7 @@ def _tiny(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cuda_device, "MAX_BLOCKS_PER_VEHICLE", 2)
 
 
-@pytest.fixture(params=["one block", "several blocks"])
+@pytest.fixture(params=slow_after(1, ["several blocks", "one block"]))
 def sharing(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whether several blocks share a vehicle's weights and moments, as they do those of many particles."""
     monkeypatch.setattr(cuda_device, "MIN_PARTICLES_PER_THREAD", 1 if request.param == "several blocks" else N)
@@ -387,7 +387,7 @@ def textured(seed: int) -> StereoFrame:
     return StereoFrame(index=0, time=0.0, left=pictures[0], right=pictures[1], skew=0.0, duplicate=False)
 
 
-@pytest.mark.parametrize("lambdas", [(15.0, 20.0), (15.0, 1e-9), (1e-9, 20.0)])
+@pytest.mark.parametrize("lambdas", slow_after(1, [((15.0, 20.0),), ((15.0, 1e-9),), ((1e-9, 20.0),)]))
 def test_vehicles_are_weighted_together_as_each_on_the_cpu(device: CudaDevice, lambdas: tuple[float, float]) -> None:
     """Three vehicles with grids and numbers of particles of their own; some particles see nothing, or nowhere."""
     settings = SETTINGS.model_copy(update={"lambda_single": lambdas[0], "lambda_cross": lambdas[1]})
@@ -472,10 +472,10 @@ def assert_same_numbers(found: list[Tracker], expected: list[Tracker]) -> None:
         assert a.rng.random() == b.rng.random()
 
 
-CASES = [("line", "auto", False), ("line", "free", True), ("curve", "auto", True)]
+CASES = [("line", "free", True), ("line", "auto", False), ("curve", "auto", True)]
 
 
-@pytest.mark.parametrize(("name", "kind", "guided"), slow_after(2, CASES))
+@pytest.mark.parametrize(("name", "kind", "guided"), slow_after(1, CASES))
 def test_the_filter_estimates_what_it_estimates_on_the_cpu(
     device: CudaDevice, clips: dict[str, Path], name: str, kind: str, guided: bool
 ) -> None:

@@ -18,6 +18,7 @@ import pytest
 import yaml
 from damaged_inputs import Folder
 from run_command import COMMAND, ENVIRONMENT, Done, assert_one_line_error, paceline
+from selection import slow_after
 
 from paceline.simulation.stereo.clip import Scene, Vehicle, render, write
 
@@ -394,7 +395,7 @@ def test_cameras_one_behind_the_other_are_rejected_in_time(clip: Clip, command: 
     assert time.monotonic() - begun < 60.0
 
 
-@pytest.mark.parametrize("share", [0.6, 0.9])
+@pytest.mark.parametrize("share", slow_after(1, [0.6, 0.9]))
 def test_a_video_cut_short_is_measured_as_far_as_it_goes(share: float, clip: Clip, command: Command) -> None:
     video_cut(clip, share)
     status, stdout, stderr = command(clip.folder)

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from selection import slow_after
 
 from paceline.documents.loading import load_follow
 from paceline.simulation.chase.clip import ChaseScene, ChaseTruth, Occlusion, render_frames, target_document, write
@@ -149,7 +150,7 @@ def test_the_chase_vehicle_moves_where_it_heads_and_so_does_the_lead() -> None:
     assert 8.5 < distance.min() < distance.max() < 12.5
 
 
-@pytest.mark.parametrize("preset", ["nist", "hd"])
+@pytest.mark.parametrize("preset", slow_after(1, ["nist", "hd"]))
 def test_vehicles_accelerate_as_vehicles_can(preset: str) -> None:
     for seed in range(4):
         scene = random_chase(seed, preset, object_density=0.0, traffic=False)
@@ -219,6 +220,7 @@ def test_an_occlusion_hides_the_lead_and_passes() -> None:
         assert 5 <= (visible < 0.97).sum() <= 20
 
 
+@pytest.mark.slow
 def test_shadows_and_brake_lamps_show() -> None:
     lit, _ = frames(replace(BEHIND, seed=8))
     shaded, _ = frames(replace(BEHIND, seed=8, shadows=1.5))
@@ -245,6 +247,7 @@ def test_a_clip_is_written_and_loads(tmp_path: Path) -> None:
     assert clip.odometry is not None
 
 
+@pytest.mark.slow
 def test_long_runs_need_no_more_memory() -> None:
     scene = random_chase(2, frames=330, image_size=(64, 60), focal=75.0, occlusions=(Occlusion(3.0),))
     tracemalloc.start()

@@ -271,6 +271,7 @@ def test_a_short_drive_follows_and_its_figures_hold() -> None:
     assert np.ptp(np.diff(log.time)) < 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", slow_after(1, [390, 387]))
 def test_a_twin_that_cuts_in_is_not_followed(seed: int) -> None:
     """A van between that looks as the van ahead, and a saloon before a saloon: what was seen to come is not the lead.

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from selection import slow_after
 from tiny_clips import put_clip
 
 from paceline.console.frames.frame_cache import FrameCache
@@ -50,7 +51,7 @@ def put_videos(folder: Path, name: str) -> Path:
     return clip / "clip.yaml"
 
 
-@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.parametrize("name", slow_after(3, KINDS))
 def test_any_order_shows_the_same_pictures(tmp_path: Path, name: str) -> None:
     file = put_videos(tmp_path.resolve(), name)
     pictures = FrameCache(tmp_path.resolve()).open(file)

@@ -286,6 +286,7 @@ def test_the_latest_pictures_are_kept_with_what_is_in_them() -> None:
     assert list(monitor.pictures) == list(range(100 - KEPT_FRAMES, 100)) and monitor.pictures[99][0] == bytes([99])
 
 
+@pytest.mark.slow
 def test_a_live_run_is_monitored_and_has_a_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", ENVIRONMENT["PYTHONPATH"])
     root = tmp_path.resolve() / "clips"

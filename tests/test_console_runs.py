@@ -120,6 +120,7 @@ def test_runs_are_queued_read_and_cancelled(library: Library) -> None:
     assert asked.left == here.left and asked.vehicles[0].left.tolist() == here.vehicles[0].left.tolist()
 
 
+@pytest.mark.slow
 def test_each_run_measures_the_documents_as_saved_at_its_request(library: Library) -> None:
     """Not what is saved while it waits, in none of its documents; and its results name the clip, not the copy."""
     file, rig = library.file("road"), library.folder("road") / "rig.yaml"

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 import pytest
 import tiny_chase
+from selection import slow_after
 from test_reports import CHROMIUM, Page, browse
 
 from paceline.documents.loading import FollowClip, load_follow
@@ -183,7 +184,7 @@ def test_a_share_is_never_rounded_up_to_all(share: float, words: str) -> None:
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("status", ["tracking", "lost"])
-@pytest.mark.parametrize("count", [1, 2])
+@pytest.mark.parametrize("count", slow_after(1, [1, 2]))
 def test_plots_of_short_runs(status: str, count: int) -> None:
     history = History()
     for k in range(count):

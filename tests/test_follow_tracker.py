@@ -275,6 +275,7 @@ def is_right(estimates, positions):
     return np.array([e.status == "tracking" and abs(e.position[0] - positions[e.frame][0]) < 0.1 for e in estimates])
 
 
+@pytest.mark.slow
 def test_what_covers_part_of_a_target_is_not_taken_for_it():
     """It shows more of the model than that does now, and as much as that ever did; but it was not there before."""
     frames, comes = 80, 20
@@ -286,7 +287,7 @@ def test_what_covers_part_of_a_target_is_not_taken_for_it():
     assert any(CAME in e.reason for e in estimates[comes:])
 
 
-@pytest.mark.parametrize(("off", "size"), [((-25.0, 10.0), 0.85), ((0.0, 0.0), 0.7)])
+@pytest.mark.parametrize(("off", "size"), slow_after(1, [((-25.0, 10.0), 0.85), ((0.0, 0.0), 0.7)]))
 def test_a_start_that_was_put_right_is_not_held_against_the_target(off, size):
     """Nor is what was taken for it before: an image is missing right afterwards."""
     images, positions = film(60, seed=0)
@@ -296,6 +297,7 @@ def test_a_start_that_was_put_right_is_not_held_against_the_target(off, size):
     assert is_right(estimates[settled + 8 :], positions).all()
 
 
+@pytest.mark.slow
 def test_where_the_target_was_before_the_time_jumped_is_not_held_against_it():
     images, positions = (np.concatenate(parts) for parts in zip(film(40), film(40, beside=1.0), strict=True))
     k = np.arange(80)
@@ -303,6 +305,7 @@ def test_where_the_target_was_before_the_time_jumped_is_not_held_against_it():
     assert is_right(estimates[:40], positions).all() and is_right(estimates[60:], positions).all()
 
 
+@pytest.mark.slow
 def test_whoever_appears_where_the_target_was_hidden_is_not_taken_for_it():
     k, hidden, comes, back = np.arange(60), 15, 25, 45
     images, positions, _ = film_beside_another(len(k), (k < hidden) | (k >= back), k >= comes)
@@ -568,6 +571,7 @@ def test_a_pose_steers_along_the_path(clip):
     assert len(tracker.steering.path) >= 5
 
 
+@pytest.mark.slow
 def test_memory_is_flat(clip):
     images, positions = clip
     tracker = begin(positions[0])

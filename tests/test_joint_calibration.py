@@ -324,6 +324,7 @@ def test_vehicles_of_one_clip_correct_each_others_rig(two: Clip) -> None:
     assert np.sum(np.square(z)) < chi2.ppf(0.999, len(z))
 
 
+@pytest.mark.slow
 def test_a_rejected_vehicle_is_not_combined_and_stays_rejected(two: Clip) -> None:
     """A third outline, whose right corners are not those of the left ones."""
     clip = replace(two, rig=replace(two.rig, uncertainty=KNOWN))
@@ -352,6 +353,7 @@ def test_the_rig_information_belongs_to_the_reported_speed(tmp_path: Path) -> No
     assert alone == pytest.approx(np.hypot(m.random_std, m.systematic_std), rel=0.15)  # by another route
 
 
+@pytest.mark.slow
 def test_a_tolerance_applies_after_joint_calibration(two: Clip) -> None:
     clip = replace(two, rig=replace(two.rig, uncertainty=KNOWN))
     halves = [(m.speed_hi - m.speed_lo) / 2 for m in measure_clip(clip).measurements]

@@ -181,6 +181,7 @@ def test_two_vehicles_and_everything_that_comes_out(command: Command, tmp_path: 
         assert any(f"{v:.1f}" in answer.stdout for v in np.arange(speed - 0.4, speed + 0.45, 0.1)), answer.stdout
 
 
+@pytest.mark.slow
 def test_same_seed_same_file(command: Command, clip: Path, tmp_path: Path) -> None:
     tables = [
         (command(clip, "--seed", seed, "--quiet", out=tmp_path / name).out / "estimates.csv").read_bytes()
@@ -224,6 +225,7 @@ def test_units_are_for_people_only(command: Command, clip: Path, unit: str, show
     assert f"speed, {unit}" in answer.stdout and unit in (answer.out / "report.html").read_text()
 
 
+@pytest.mark.slow
 def test_a_tolerance_is_in_the_unit_that_people_are_shown(command: Command, clip: Path) -> None:
     v = command(clip).vehicles["v0"]
     half = (v["speed_hi_mps"] - v["speed_lo_mps"]) / 2
@@ -284,7 +286,7 @@ def test_a_crossing_vehicle_without_a_path(command: Command, crossing: tuple[Sce
     assert_right(command(clip), speed=s.vehicles[0].speed, slack=0.1)
 
 
-@pytest.mark.parametrize("receding", [False, True])
+@pytest.mark.parametrize("receding", slow_after(1, [True, False]))
 def test_a_vehicle_that_comes_or_goes_without_a_path(command: Command, tmp_path: Path, receding: bool) -> None:
     vehicle = Vehicle("v0", SPEED, start_distance=24.0 if receding else 56.0, receding=receding, texture_seed=6)
     clip = write(render(scene(vehicles=(vehicle,), draw_path=False)), tmp_path / "clip")
@@ -453,6 +455,7 @@ def test_what_never_looks_like_the_region_is_not_measured(clip: Path, monkeypatc
     assert m.reason.startswith("unlike itself: only 3 of 10 frames look like the outlined region")
 
 
+@pytest.mark.slow
 def test_the_mean_speed_of_a_long_track_counts_to_its_last_frame(tmp_path: Path) -> None:
     """Of 44 frames every second one is kept, and the last."""
     braking = Vehicle("v0", SPEED, start_distance=58.0, acceleration=-3.0, texture_seed=21)

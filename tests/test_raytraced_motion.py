@@ -9,6 +9,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad
+from selection import slow_after
 
 from paceline.errors import UnusableInput
 from paceline.simulation.raytraced.motion import DrivingPlan, LaneChange, VehicleMotion
@@ -53,7 +54,7 @@ def drives(draw: st.DrawFn) -> DrivingPlan:
     return drive
 
 
-@pytest.mark.parametrize("shape", ROADS)
+@pytest.mark.parametrize("shape", slow_after(2, ROADS))
 @given(drives(), st.floats(0.05, 1.95))
 @settings(max_examples=12, deadline=None)
 def test_the_body_drives_as_stated(shape: RoadShape, drive: DrivingPlan, t: float) -> None:

@@ -159,7 +159,7 @@ def varied(seed: int) -> Scene:
     return random_scene(seed, radius=None if seed % 4 else 180.0 * (-1) ** (seed // 4), **small)
 
 
-@pytest.mark.parametrize("count", slow_after(1, [2, len(PLAIN)]))
+@pytest.mark.parametrize("count", slow_after(1, [1, len(PLAIN)]))
 def test_intervals_cover_the_truth(
     rendered: Callable[[Scene], Path], plain: Callable[[int], Measurement], count: int
 ) -> None:
@@ -696,7 +696,7 @@ def test_the_systematic_part_equals_the_response_to_other_rigs(rendered: Callabl
     assert m.speed_hi - m.speed > 1.95 * np.hypot(m.systematic_std, m.random_std)
 
 
-@pytest.mark.parametrize("count", slow_after(1, [3, 8]))
+@pytest.mark.parametrize("count", slow_after(1, [2, 8]))
 def test_self_calibration_corrects_a_wrong_rig(rendered: Callable[[Scene], Path], count: int) -> None:
     """Rigs with errors as stated, compared with the same ones taken as exact."""
     known = RigUncertainty(1.0, 0.0, (4e-5, 4e-5, 4e-5), (3e-4, 3e-4, 3e-4))
@@ -836,7 +836,7 @@ def test_a_rig_without_uncertainty_gives_a_notice(plain: Callable[[int], Measure
 # --- the path as a hard constraint -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("count", slow_after(1, [2, 6]))
+@pytest.mark.parametrize("count", slow_after(1, [1, 6]))
 def test_a_hard_path_constraint_biases_and_the_refinement_does_not(
     rendered: Callable[[Scene], Path], count: int
 ) -> None:

@@ -196,6 +196,7 @@ def test_overlay_plays_with_the_recordings_times(out: Path) -> None:
     assert blue > 100, "the first vehicle's outline is blue"
 
 
+@pytest.mark.slow
 def test_wide_pictures_are_scaled(result: ClipResult, tmp_path: Path) -> None:
     class Wide(Recording):
         def __iter__(self) -> Iterator[StereoFrame]:
@@ -290,6 +291,7 @@ def test_page_escapes_what_comes_from_files(result: ClipResult, tmp_path: Path) 
     assert svgs and not any(b"<script" in base64.b64decode(a.split(",")[1]) for a in svgs)
 
 
+@pytest.mark.slow
 def test_vehicle_names_that_clash_keep_their_plots(result: ClipResult, tmp_path: Path) -> None:
     write_report(replace(result, measurements=[measured("a/b"), measured("a b")]), Recording(), tmp_path / "out")
     names = {p.name for p in (tmp_path / "out" / "plots").iterdir()}

@@ -131,7 +131,7 @@ def test_the_second_frame_gives_the_speed_of_a_near_vehicle_that_leaves(seed: in
     assert track(s, None, clip_of(s)[1][:2])[1].speed == pytest.approx(speed, rel=0.1)
 
 
-@pytest.mark.parametrize(("rate", "speed"), [(30.0, 3.0), (60.0, 9.0)])
+@pytest.mark.parametrize(("rate", "speed"), slow_after(1, [(30.0, 3.0), (60.0, 9.0)]))
 @pytest.mark.parametrize("guess", slow_after(1, [None, 1.0]))
 def test_the_first_speeds_std_matches_its_error(rate: float, speed: float, guess: float | None) -> None:
     """In which a vehicle far off hardly moves by more than it is seen to by chance."""
