@@ -1,4 +1,4 @@
-"""``python -m paceline``."""
+"""Runs the command line program: ``python -m paceline``."""
 
 from paceline.cli import main
 

@@ -1,7 +1,7 @@
-"""What Python users call: the jobs of the command line as plain functions of a clip. `paceline` offers them by name.
+"""The Python API: the tasks of the command line as plain functions of a clip, exported by `paceline`.
 
-A clip is a clip.yaml or follow.yaml, or what `load_clip` or `load_follow` made of it. Input that cannot be used raises
-UnusableInput.
+A clip is a clip.yaml or follow.yaml, or what `load_clip` or `load_follow` returned for it. Input that cannot be used
+raises UnusableInput.
 """
 
 from __future__ import annotations

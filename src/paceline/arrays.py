@@ -1,4 +1,4 @@
-"""Types of arrays by element; shapes and units are stated where they are used."""
+"""Array types by element type; shapes and units are documented where the arrays are used."""
 
 from __future__ import annotations
 

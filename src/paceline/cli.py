@@ -1,4 +1,4 @@
-"""The command line: thin commands over plain functions."""
+"""The command line program ``paceline``: its global options, and its commands from `paceline.commands`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Epipolar distances and triangulation. Pixels are ideal ones; leading axes broadcast."""
+"""Epipolar distances and triangulation. Pixels are ideal ones (undistorted); leading axes broadcast."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """The progress of a command as lines of text: written to standard error by the command, read by the console.
 
-A program that starts a command asks for the lines with ``PACELINE_PROGRESS=lines`` in its environment.
+A program that starts a command requests the lines with ``PACELINE_PROGRESS=lines`` in its environment.
 """
 
 from __future__ import annotations

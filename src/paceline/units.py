@@ -1,4 +1,4 @@
-"""Speeds for people: mph, km/h or m/s. Files are always in m/s."""
+"""Units of speed for people: mph, km/h or m/s. Files are always in m/s."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Every verdict and notice: its code, message, severity and advice.
 
 A code is stable: programs may rely on it. A message may change, except that a rejection keeps the words before its
-colon; it states what was tested, the number and its limit. Advice is looked up by code, never by words of a message.
+colon; it names the tested quantity, its value and its limit. Advice is found by code, never by words of a message.
 """
 
 from __future__ import annotations

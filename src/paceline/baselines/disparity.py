@@ -1,7 +1,7 @@
 """Depth around a vehicle by semi-global block matching, on images rectified for any rig.
 
-Both views are turned until their rows run along the baseline; only the crop in which the vehicle is expected is
-computed, whatever way the cameras look.
+Both views are rotated until their rows are parallel to the baseline; only the crop in which the vehicle is expected is
+computed, whatever the directions of the cameras.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Lucas–Kanade stereo: a carefully engineered OpenCV tracker.
 
-Corners in the vehicle's region are tracked over time and matched across the views, both there and back, to a fraction
-of a pixel, and triangulated; the motion between frames is their robust common displacement. At the end the points of
-all frames are aligned together, and a straight line or a curve in time is fitted to the places.
+Corners in the vehicle's region are tracked over time and matched across the views, both with a forward-backward check
+and sub-pixel precision, and triangulated; the motion between frames is their robust common displacement. At the end the
+points of all frames are aligned together, and a straight line or a curve in time is fitted to the positions.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The methods that Paceline is compared with. Each is registered where it is defined, when this module is imported."""
+"""Imports every comparison method: a method is registered when the module that defines it is imported."""
 
 from paceline.baselines import kalman, lucas_kanade, multimodal, sift
 

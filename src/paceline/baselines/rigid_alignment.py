@@ -1,8 +1,8 @@
-"""The places of a rigid body from its triangulated points in all frames.
+"""The positions of a rigid body in all frames, from its triangulated points.
 
-The body's points keep their places relative to it, and it turns as its way turns. What is wrong with a triangulated
-point is mostly its depth, and grows with its square; so each point counts by the fourth power of its nearness, and less
-where it lies off. The body's points are eliminated, which leaves a small system of the frames alone.
+The points are fixed in the body, and the body rotates with the direction of its path. The error of a triangulated point
+is mostly in its depth and grows with the square of the depth; so each point is weighted by depth⁻⁴, and outliers are
+down-weighted. The points are eliminated, which leaves a small system in the positions alone.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Template tracking of the vehicle's region in each view, by normalised cross-correlation over position and scale.
 
-A method that matches features has no model of where its vehicle will be, so it looks for the picture that the region
-showed last: anywhere near in the second frame, close to the prediction of a constant velocity afterwards.
+A method that matches features has no model of where its vehicle will be. So it searches for the last image of the
+region: in a wide neighbourhood in the second frame, near the prediction of a constant velocity afterwards.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""How sure a triangulated point is: L. Matthies, S. A. Shafer, "Error modeling in stereo navigation", 1987."""
+"""The covariance of a triangulated point: L. Matthies, S. A. Shafer, "Error modeling in stereo navigation", 1987."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The initial rig for the bundle adjustment, robust against wrong views."""
+"""The initial rig for the bundle adjustment, robust to outlier views."""
 
 from __future__ import annotations
 

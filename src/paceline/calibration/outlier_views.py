@@ -1,4 +1,4 @@
-"""Outlier views: found by their residuals against all others, and reported with the reason."""
+"""Outlier views: detected by their residuals under a calibration from all other views, and reported with the reason."""
 
 from __future__ import annotations
 

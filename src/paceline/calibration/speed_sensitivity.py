@@ -1,8 +1,8 @@
 """The effect of a calibration's uncertainty on speeds, and its statement in rig.yaml.
 
-Everything that uses a rig works with pinholes: images are undistorted once, by the calibration itself. An error of the
-distortion therefore acts as the error of a pinhole that comes nearest to it over the image's middle, and the 24
-parameters' covariance becomes one of 14: fx, fy, cx, cy of each camera, rotation and translation.
+Everything that uses a rig works with pinhole cameras: images are undistorted once, with the calibration itself. An
+error of the distortion therefore acts like the error of the pinhole camera that approximates it best over the image's
+middle, and the 24 parameters' covariance becomes one of 14: fx, fy, cx, cy of each camera, rotation and translation.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""``paceline calibrate``: pictures of a board become a rig.yaml."""
+"""``paceline calibrate``: calibrates a stereo rig from images of a board and writes rig.yaml."""
 
 from __future__ import annotations
 

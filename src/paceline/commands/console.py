@@ -1,4 +1,4 @@
-"""``paceline console``: set up, watch and read measurements in the browser."""
+"""``paceline console``: runs the web server in which clips are edited, measured and viewed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``paceline drive``: a closed loop in a rendered world, and whether its requirements hold."""
+"""``paceline drive``: simulates following in a closed loop and checks the requirements of the drive."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``paceline follow``: where the vehicle ahead is, frame by frame."""
+"""``paceline follow``: the position of the vehicle ahead in every frame of a recording or a live camera."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What Ctrl-C does while a live source is read."""
+"""Handling of Ctrl-C while a live source is read."""
 
 from __future__ import annotations
 

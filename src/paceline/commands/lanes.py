@@ -1,4 +1,4 @@
-"""``paceline lanes``: the lanes of a road, found in the recording of a stationary rig."""
+"""``paceline lanes``: detects the lanes of a road in the recording of a stationary rig."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``paceline rig``: calibrations of other programs, and whether a rig still stands as it was calibrated."""
+"""``paceline rig``: imports calibrations of other programs, and checks whether a calibrated rig has moved."""
 
 from __future__ import annotations
 

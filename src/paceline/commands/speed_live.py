@@ -1,4 +1,4 @@
-"""``paceline speed --live``: vehicle after vehicle, while two cameras record."""
+"""``paceline speed --live``: the speed of each vehicle that passes while two cameras record."""
 
 from __future__ import annotations
 

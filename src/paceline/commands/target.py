@@ -1,4 +1,4 @@
-"""``paceline target``: line models of vehicles to follow."""
+"""``paceline target``: learns the line model of a vehicle to follow from one image."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``paceline vehicles``: the vehicles that drive through a stereo clip, found without a person's outlines."""
+"""``paceline vehicles``: detects the vehicles that drive through a stereo clip, without outlines drawn by a person."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""The console: clips set up, measured and read in the browser, on this machine."""
+"""The console: a local web application in which clips are edited, measured and viewed."""

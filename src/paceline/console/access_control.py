@@ -1,4 +1,4 @@
-"""Access control: only the console's own pages, opened under its own address or with its token, are answered."""
+"""Access control: the console answers only requests from its own pages at its own address, or with its token."""
 
 from __future__ import annotations
 

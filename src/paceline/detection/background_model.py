@@ -1,5 +1,8 @@
-"""Background models: what both views would show without vehicles. Either a running median, which follows the light and
-what comes to stand in the scene, or everything outside the boxes of an object detector."""
+"""Background models: the images of both views without vehicles.
+
+Either a running median, which follows changes of the light and objects that are left in the scene, or everything
+outside the boxes of an object detector.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The step of a running median, compiled by Numba."""
+"""One update of a running median, compiled by Numba."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """Detection of vehicles in one image pair by a plane sweep: upright faces that are not in the background.
 
 On each sweep plane the two views are compared with each other and with the background. A cell of the plane is
-consistent where the views agree with each other and neither agrees with the background. Shadows and the light of
-headlamps lie on the road, leaves and rain are at different places for the two views: their consistent area is small.
+consistent where the views match each other and neither matches the background. Shadows and the light of headlamps are
+on the road, and leaves and rain appear at different positions in the two views: their consistent area is small.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""The upper edge of a face: the top is left out where it adds little to what is known of the motion, because it may lie
-behind the plane of the face.
+"""Selection of a face's upper edge: the top, which may be behind the plane of the face, is cut where it adds little
+information on the motion.
 
-A bonnet or a windscreen above a face agrees in both views and over time nearly as well as the face does. Far away no
-parallax distinguishes it from the face, but in the fit of the motion it passes for a tilt of the face, which absorbs
+A bonnet or a windscreen above a face matches in both views and over time nearly as well as the face does. At a distance
+no parallax distinguishes it from the face, but the fit of the motion explains it as a tilt of the face, which absorbs
 the information that it could give. So the motion is fitted to outlines of several heights, and the lowest is selected
 whose speed has nearly the smallest standard deviation.
 """

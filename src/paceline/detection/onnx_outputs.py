@@ -1,6 +1,6 @@
 """Outputs of object detectors as boxes around vehicles: the common layouts, identified by their shapes.
 
-There is no suppression of overlapping boxes: only whether a pixel lies in any box matters.
+Overlapping boxes are not suppressed: only whether a pixel lies in any box matters.
 """
 
 from __future__ import annotations

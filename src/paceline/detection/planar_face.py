@@ -1,9 +1,9 @@
-"""The planar part of a vehicle's front or rear that is measured: its appearance is constant in both views and over
-time.
+"""The planar part of a vehicle's front or rear that is measured: it looks the same in both views and over time.
 
 A number plate, lamps and a bumper lie in one plane and keep their appearance there while the vehicle drives; a
-windscreen slopes and reflects the surroundings, a bonnet moves relative to the bumper as the viewing direction changes.
-So the detections of a vehicle are aligned with each other, and the rectangle is taken in which they agree best.
+windscreen slopes and reflects the surroundings, a bonnet shifts relative to the bumper as the viewing direction
+changes. So the detections of a vehicle are aligned with each other, and the rectangle with the best agreement is
+selected.
 """
 
 from __future__ import annotations

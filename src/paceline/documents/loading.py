@@ -1,4 +1,4 @@
-"""rig.yaml, clip.yaml, camera.yaml, target.yaml and follow.yaml, read and checked.
+"""Loads rig.yaml, clip.yaml, camera.yaml, target.yaml and follow.yaml, and checks them.
 
 The results are plain: a :class:`~paceline.cameras.StereoRig`, a :class:`Clip` whose pixels are ideal ones
 (undistorted), a :class:`FollowClip` whose pixels are those of the images as recorded.

@@ -1,4 +1,4 @@
-"""What the YAML files may hold, as pydantic models, and the reading of files into them."""
+"""The pydantic models of the YAML files: keys, types and ranges, and the reading of a file into its model."""
 
 from __future__ import annotations
 

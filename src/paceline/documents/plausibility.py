@@ -1,4 +1,4 @@
-"""Plausibility checks of a rig, a drawn path, an outlined vehicle and a target; each returns what is wrong, or None."""
+"""Plausibility checks of a rig, a drawn path, an outlined vehicle and a target; each returns the problem, or None."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A rig as the text of a rig.yaml."""
+"""Formats a rig as the text of a rig.yaml."""
 
 from __future__ import annotations
 

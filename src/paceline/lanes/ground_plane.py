@@ -1,4 +1,4 @@
-"""The initial road surface from dense stereo: a plane by RANSAC, then its bend by robust least squares."""
+"""The initial road surface from dense stereo: a plane by RANSAC, then its curvature by robust least squares."""
 
 from __future__ import annotations
 

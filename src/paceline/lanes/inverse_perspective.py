@@ -1,4 +1,4 @@
-"""Inverse perspective mapping: both views of the road resampled on the ground, as if seen from above."""
+"""Inverse perspective mapping: both views of the road resampled on the ground, as seen from above."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 """Least-squares adjustment of lines and road surface: on the surface both views give every line the same position.
 
-For a view, raising the surface by dh moves what it shows there over the ground, towards the camera, by dh times the
+If the surface is raised by dh, each view's image of it moves over the ground towards its camera, by dh times the
 distance over the camera's height; across the road the two views then differ by dh·(baseline across the road)/(height).
-So every line that runs across the baseline measures the height below it, and one that runs along it, as an epipolar
-line does, none.
+So every line that runs across the baseline measures the height below it; one that runs along it, like an epipolar line,
+does not.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Detection of painted lines in the rectified road: much paint along one smooth curve."""
+"""Detection of painted lines in the rectified road: a line is much paint along one smooth curve."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Horizontal alignment of a road: an arc with a slow deviation, and road coordinates along and across it."""
+"""Horizontal alignment of a road: an arc with a smooth deviation, and road coordinates along and across it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Detection of a road in the background: its painted lines on one surface."""
+"""Detection of a road in the background image: its painted lines on one surface."""
 
 from __future__ import annotations
 

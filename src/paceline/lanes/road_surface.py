@@ -1,6 +1,6 @@
 """The road's surface in space: a quadratic height above a plane below the left camera.
 
-Ground coordinates (x, z) are metres to the right and ahead of the point below the left camera; the surface lies at the
+Ground coordinates (x, z) are metres to the right and ahead of the point below the left camera; the surface has the
 height  h(x, z) = Σ cⱼ φⱼ(x, z)  above the plane they are measured in. The φⱼ are 1, x, z, x², xz and z² about a
 ``middle``, in units of `SCALE_M`, which represents crest, sag, crossfall and changing superelevation.
 """

@@ -1,4 +1,4 @@
-"""Proposed lanes as YAML: a site.yaml of their own, or put among the paths of a clip.yaml."""
+"""Proposed lanes as YAML: a new site.yaml, or entries among the paths of a clip.yaml."""
 
 from __future__ import annotations
 

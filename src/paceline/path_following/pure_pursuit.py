@@ -1,4 +1,4 @@
-"""Steering along the path that the vehicle ahead has driven ([NIST] stage 9): pure pursuit."""
+"""Steering along the recorded path of the vehicle ahead ([NIST] stage 9): pure pursuit."""
 
 from __future__ import annotations
 

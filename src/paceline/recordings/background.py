@@ -1,4 +1,4 @@
-"""The background of a recording: what each pixel of a stationary camera shows when nothing passes."""
+"""The background of a recording: the grey level of each pixel of a stationary camera when no vehicle is in view."""
 
 from __future__ import annotations
 

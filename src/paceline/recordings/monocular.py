@@ -1,7 +1,7 @@
 """The recording of one camera, from files or live: grey frames with their times.
 
-Frames are as recorded, not undistorted. One that cannot be decoded is passed on without an image, so that a tracker
-knows that time has passed. Memory does not grow with the recording's length.
+Frames are as recorded, not undistorted. A frame that cannot be decoded is passed on without an image, so that a tracker
+can count its time. Memory does not grow with the recording's length.
 """
 
 from __future__ import annotations

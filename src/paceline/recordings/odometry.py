@@ -1,4 +1,4 @@
-"""Where a vehicle was at each frame of a recording, by its own odometry."""
+"""The pose of a vehicle at each frame of a recording, from its own odometry."""
 
 from __future__ import annotations
 

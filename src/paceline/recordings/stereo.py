@@ -1,7 +1,7 @@
 """Stereo recordings: pairs of undistorted grey frames by time.
 
-Each view is a :mod:`source <paceline.recordings.image_sources>` of its own; a :class:`Pairing` says which of their
-frames belong together and when they were taken. Frames left out and suspected faults are reported in ``notices``.
+Each view has a :mod:`source <paceline.recordings.image_sources>` of its own; a :class:`Pairing` pairs their frames and
+gives the times at which they were taken. Frames left out and suspected faults are reported in ``notices``.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Boards as a pair of cameras would see them, with exact truth: rehearsals for a calibration, tests and benchmarks."""
+"""Simulated stereo images of calibration boards with exact truth, for practice, tests and benchmarks."""
 
 from __future__ import annotations
 

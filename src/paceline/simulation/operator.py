@@ -1,6 +1,6 @@
 """A simulated operator: draws the outlines of vehicles, the painted line beside each lane, and a target's start.
 
-The operator knows the ground truth and whether anything hides a point, but no renderer.
+The operator is given the ground truth and a test for occluded points, but no renderer.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Scenes drawn at random, varied enough to judge a measurement and its intervals by."""
+"""Scenes drawn at random, varied enough to evaluate a measurement and its intervals."""
 
 from __future__ import annotations
 

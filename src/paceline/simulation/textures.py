@@ -1,4 +1,4 @@
-"""Procedural textures of vehicles and of the things beside a road, in grey levels 0–255."""
+"""Procedural textures of vehicles and of objects beside a road, in grey levels 0–255."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which vehicles there are to simulate: their kinds, shares in traffic, and how near they are seen from behind."""
+"""The simulated kinds of vehicles: names, shares in traffic, and the smallest gap at which each is followed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Settings that are one of a few: their values, which the command line shows without loading what computes."""
+"""Settings with a few allowed values: these values, which the command line shows without importing the computation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The registry of measuring methods: from a clip, its recording and a configuration to speeds, by the method's name.
+"""The registry of measuring methods, by name: each takes a clip, its recording and a configuration and returns speeds.
 
 A method is registered by one line in the module that defines it. Other packages add methods of their own as entry
 points of the group ``paceline.methods``; the name of the entry point is the name of the method.

@@ -1,4 +1,4 @@
-"""The page of all settings, docs/configuration.md, made from the model: ``python -m paceline.speed.settings_table``."""
+"""Writes docs/configuration.md, every setting with its range and effect: ``python -m paceline.speed.settings_table``."""
 
 from __future__ import annotations
 

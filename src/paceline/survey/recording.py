@@ -1,4 +1,4 @@
-"""The speeds of all vehicles of a recording: of those that its clip.yaml outlines, or else of those found in it."""
+"""The speeds of all vehicles of a recording: those that its clip.yaml outlines, or else those detected in it."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""A target model from one picture: the strong horizontal and vertical lines inside a box around a vehicle's rear.
+"""A target model from one image: the strong horizontal and vertical lines inside a box around a vehicle's rear.
 
-[NIST] 2.2 leaves the model to an operator with a ruler. Here edge points vote for lines; each line runs where edge
+In [NIST] 2.2 an operator measures the model with a ruler. Here edge points vote for lines; each line runs where edge
 points follow each other without wide gaps; ends that meet share a corner.
 """
 

@@ -1,4 +1,4 @@
-"""Proposes in one view what is drawn in the other: by the correlation of the two images over all distances."""
+"""Proposes in one view what is drawn in the other, by correlation of the two images over all distances."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Checks drawn paths and vehicles in space: distances, sizes, agreement of the views. Pixels are as recorded."""
+"""Checks drawn paths and vehicles in space: distances, sizes, consistency of the two views. Pixels are as recorded."""
 
 from __future__ import annotations
 

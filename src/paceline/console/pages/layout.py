@@ -1,4 +1,4 @@
-"""What all pages share: the header with its tabs, addresses, and how times and states are shown."""
+"""Parts that all pages share: the header with its tabs, addresses of pages, and the display of times and states."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The view of an active run: its last frame with outlines and particles, and a chart; live, a table of results."""
+"""The view of an active run: the last frame with outlines and particles, a chart and, if live, a table of results."""
 
 from __future__ import annotations
 

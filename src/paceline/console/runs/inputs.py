@@ -1,7 +1,7 @@
 """The inputs of a run: copies of its documents at the time it was requested, in a folder of its own.
 
-The copies have the same relative paths there as the originals in the console's folder, so that messages and results
-name them alike.
+The copies have the same paths below that folder as the originals below the console's folder, so that messages and
+results name them alike.
 """
 
 from __future__ import annotations

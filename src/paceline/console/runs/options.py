@@ -1,4 +1,4 @@
-"""The settings that a page may choose for a run, checked against their model, as arguments of the command line."""
+"""The settings that a page may choose for a run, validated by their model, as arguments of the command line."""
 
 from __future__ import annotations
 

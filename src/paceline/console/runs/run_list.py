@@ -1,4 +1,4 @@
-"""The console's list of runs, which go one after the other, each a command in a process and a folder of its own.
+"""The console's list of runs, executed one after another, each a command in a process and a folder of its own.
 
 A run of clip C is stored in ``C/runs/0001/``: ``run.json`` is what was requested and how the run ended, ``asked/``
 holds copies of the documents at that time, which the run measures, and ``out/`` is the command's output. The command

@@ -1,4 +1,4 @@
-"""Runs a closed loop and writes its tables, plots, video and report, in one pass."""
+"""Runs a closed loop and writes its tables, plots, video and report while it runs."""
 
 from __future__ import annotations
 

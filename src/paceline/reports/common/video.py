@@ -1,4 +1,4 @@
-"""Writes an H.264 video picture by picture, with the time stamps of the pictures."""
+"""Writes an H.264 video frame by frame, with the time stamps of the frames."""
 
 from __future__ import annotations
 

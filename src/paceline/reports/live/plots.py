@@ -1,4 +1,4 @@
-"""The plot of a live survey: every vehicle's speed, by the time at which it was seen."""
+"""The plot of a live survey: every vehicle's speed, by the time at which it was measured."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Writes a live survey: tables and pictures that grow with every vehicle, and a report at the end."""
+"""Writes a live survey: tables and images that are extended with every vehicle, and a report at the end."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Clips of a chase camera behind a vehicle, with exact truth, cheap enough for runs of a quarter of an hour.
+"""Clips of a chase camera behind a vehicle, with exact truth, fast enough for runs of a quarter of an hour.
 
-``render_frames(random_chase(seed))`` yields picture after picture with its truth; ``write`` puts a clip into files.
+``render_frames(random_chase(seed))`` yields image after image with its truth; ``write`` writes a clip's files.
 """
 
 from __future__ import annotations

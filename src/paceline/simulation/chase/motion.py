@@ -1,6 +1,6 @@
 """The motion of a chase vehicle and its lead: the road, smooth noise in time, bumps.
 
-Everything is a closed function of time or of arc length, so that a run of any length needs no memory of its past.
+Everything is a closed-form function of time or of arc length, so that a run of any length needs no memory of its past.
 Plan view: x east, y north, headings counter-clockwise from x; lateral positions to the right of travel.
 """
 

@@ -1,4 +1,4 @@
-"""Faces of things, placed on a road and projected into a chase camera."""
+"""Rectangular faces placed on a road and projected into a chase camera."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Numba kernels that fill the pictures of a chase camera: the ground, and textured rectangles over it.
+"""Numba kernels that draw the images of a chase camera: the ground, and textured rectangles over it.
 
-Edges of rectangles are covered exactly (the part of a pixel's square that lies inside), so they are where the geometry
-says to a few thousandths of a pixel. Pixel centres lie at integer coordinates.
+Edges of rectangles are anti-aliased exactly (by the part of a pixel's square that lies inside), so their position is
+exact to a few thousandths of a pixel. Pixel centres have integer coordinates.
 """
 
 from __future__ import annotations

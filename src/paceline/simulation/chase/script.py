@@ -1,4 +1,4 @@
-"""A scripted chase: the poses of both vehicles are closed functions of time."""
+"""A scripted chase: the poses of both vehicles as closed-form functions of time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The images of a chase: the light, the lens and the sensor of its camera."""
+"""The image formation of a chase camera: illumination, lens and sensor."""
 
 from __future__ import annotations
 

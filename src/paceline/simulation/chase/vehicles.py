@@ -1,4 +1,4 @@
-"""Vehicles seen from behind: a rear plane with painted lines, a bumper that stands off it, sides, roof and wheels.
+"""Vehicles seen from behind: a rear plane with painted lines, a bumper in front of that plane, sides, roof and wheels.
 
 A vehicle's axes: x right, y down, z ahead, in metres from the centre of its rear plane.
 """

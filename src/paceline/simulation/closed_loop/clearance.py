@@ -1,4 +1,4 @@
-"""Vehicles as rectangles in plan, and how far apart they are."""
+"""Vehicles as rectangles in plan view, and the distance between them."""
 
 from __future__ import annotations
 

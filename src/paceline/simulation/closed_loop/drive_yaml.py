@@ -1,4 +1,4 @@
-"""drive.yaml: a closed loop to run and what must hold in it, read and checked."""
+"""drive.yaml: the description of a closed loop and its requirements, read and checked."""
 
 from __future__ import annotations
 

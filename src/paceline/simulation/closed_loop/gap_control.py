@@ -1,8 +1,9 @@
 """Throttle and brake from the tracker's estimates: a filter of the lead's motion, and a time headway policy.
 
-The law is the constant time headway policy of Ioannou and Chien, "Autonomous intelligent cruise control" (1993): with
-the gap's error e the acceleration is (lead's speed − own + λ e) / headway. To this come part of the lead's own
-acceleration, and brakes by the distance that both need to stop. A lead that is not seen is taken to brake.
+The control law is the constant time headway policy of Ioannou and Chien, "Autonomous intelligent cruise control"
+(1993): with the gap's error e the acceleration is (lead's speed − own + λ e) / headway. Part of the lead's own
+acceleration is added, and braking where the stopping distances of both require it. A lead that is not tracked is
+assumed to brake.
 """
 
 from __future__ import annotations

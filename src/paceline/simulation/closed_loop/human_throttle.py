@@ -1,4 +1,4 @@
-"""The throttle of [NIST]'s trials: a person who sees the vehicle ahead, with a delay, and keeps a distance."""
+"""The throttle of [NIST]'s trials: a human driver who keeps a distance to the vehicle ahead, with a delay."""
 
 from __future__ import annotations
 

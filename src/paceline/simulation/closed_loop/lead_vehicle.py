@@ -1,4 +1,4 @@
-"""The vehicle ahead: its speed profile, slowed in bends, its lane changes and its weaving."""
+"""The motion of the vehicle ahead: its speed profile, slower in bends, its lane changes and its weaving."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A long drive in which everything happens, one thing after the other."""
+"""A long drive of randomly drawn manoeuvres, one after another."""
 
 from __future__ import annotations
 

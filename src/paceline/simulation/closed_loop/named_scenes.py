@@ -1,4 +1,4 @@
-"""Named scenes: what [NIST] drove, what a convoy must bear, and a long drive of all of it."""
+"""Closed-loop scenes by name: the trials of [NIST], demanding manoeuvres of a convoy, and a long drive of all."""
 
 from __future__ import annotations
 

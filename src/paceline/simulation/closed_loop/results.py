@@ -1,4 +1,4 @@
-"""What a drive leaves: rows for its plots, evenly thinned where it is long, its figures and the verdict."""
+"""The results of a drive: rows for its plots, subsampled evenly if the drive is long, statistics and the verdict."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The chase vehicle: a bicycle model with actuators that lag, and a body that nods and leans on its springs.
+"""The chase vehicle: a bicycle model whose actuators lag and whose body pitches and rolls on its springs.
 
 Steady-state understeer and the axes follow Gillespie, "Fundamentals of Vehicle Dynamics": the turn's radius is
 (wheelbase + understeer · speed²) / tan(steering angle). Plan view as in `chase.motion`; steering positive to the right.

@@ -1,1 +1,1 @@
-"""Worlds rendered physically, with exact truth: what stands in them, how it moves, what the light and the sensor do."""
+"""Physically rendered worlds with exact truth: objects, motion, light and sensor."""

@@ -1,4 +1,4 @@
-"""The folder of a clip that is being rendered: begun once, gone on with after an interruption, never mixed up."""
+"""The folder of a clip that is being rendered: an interrupted rendering is resumed, never mixed with another."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Plain triangle meshes and what they are put together from: sheets, boxes, tubes, turned parts, creases."""
+"""Triangle meshes and their elements: sheets, boxes, tubes, bodies of revolution, creases."""
 
 from __future__ import annotations
 

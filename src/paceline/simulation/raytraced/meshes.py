@@ -1,4 +1,4 @@
-"""Triangle meshes with materials: what worlds are built from, whatever renders them.
+"""Triangle meshes with materials, of which every world is built, for any renderer.
 
 Every world has x east, y north and z up, in metres; a body's own axes are x forward, y left and z up.
 """

@@ -1,4 +1,4 @@
-"""Which of Mitsuba's variants renders: the fast one where LLVM 19 is found, the portable one otherwise."""
+"""The choice of Mitsuba's variant: the fast one where LLVM 19 is found, the portable one otherwise."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How vehicles drive along a road: exact poses on its surface, at any time."""
+"""The motion of vehicles along a road: exact poses on its surface, at any time."""
 
 from __future__ import annotations
 

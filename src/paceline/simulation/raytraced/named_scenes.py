@@ -1,6 +1,6 @@
-"""Scenes by name: those of the papers, and what resembles them.
+"""Ray-traced scenes by name: those of the papers, and similar ones.
 
-[Zhu] V: pictures of 1024×768 (rendered) or 1280×960 (recorded) at 5 frames/s, cameras half a metre apart; on the
+[Zhu] V: images of 1024×768 (rendered) or 1280×960 (recorded) at 5 frames/s, cameras half a metre apart; on the
 circle 36 mph at 22.5°/s, a radius of 41 m. [NIST] 3: 256×242 at 15 Hz, 5 to 15 m behind, to 35 km/h, moderate turns and
 shadows.
 """

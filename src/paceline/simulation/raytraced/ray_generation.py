@@ -1,7 +1,7 @@
-"""Taking pictures of a Mitsuba scene: with rays of our own where code is compiled, with Mitsuba's sensor where not.
+"""Rendering of windows of a Mitsuba scene: with generated rays in compiled variants, with Mitsuba's sensor in others.
 
-Mitsuba traces its own code anew for each picture, and compiles it anew for each size of picture. Rays through any
-pixels need that once for a world, and the code is replayed for all its pictures.
+Mitsuba traces its own code anew for each image, and compiles it anew for each image size. With generated rays, through
+any pixels, both happen once per world, and the code is replayed for all its images.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Pictures of solids by path tracing: Mitsuba behind three calls, in the camera model of `paceline.cameras`."""
+"""Images of meshes by path tracing: Mitsuba behind three calls, in the camera model of `paceline.cameras`."""
 
 from __future__ import annotations
 

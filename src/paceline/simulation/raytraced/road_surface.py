@@ -1,4 +1,4 @@
-"""What a road is made of: asphalt, repairs, painted lines, verge and the land around it."""
+"""Meshes and materials of a road: asphalt, repairs, painted lines, verge and the surrounding land."""
 
 from __future__ import annotations
 

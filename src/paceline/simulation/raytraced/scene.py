@@ -1,4 +1,4 @@
-"""A speed scene with everything in it placed: road, vehicles, cameras, light, and the exact truth about them."""
+"""A speed scene with all objects placed: road, vehicles, cameras, light, and the exact truth about them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What lens, shutter and sensor make of light: from linear radiance to the numbers in a file."""
+"""Image formation by lens, shutter and sensor: from linear radiance to pixel values in a file."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Writing rendered stereo clips, as `paceline speed` reads them, with truth.json beside them.
 
-The cameras stand still, so what does not move is rendered once for each of them, and every frame only where vehicles
-and their shadows are. Far from them a vehicle changes no pixel but by the light that it scatters, which is left out.
+The cameras do not move, so the static scene is rendered once for each of them, and each frame only near vehicles and
+their shadows. Far from them a vehicle changes a pixel only by the light that it scatters, which is neglected.
 """
 
 from __future__ import annotations

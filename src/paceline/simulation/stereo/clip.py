@@ -1,8 +1,8 @@
 """Stereo clips of vehicles made from textured planes, with exact truth.
 
-A vehicle is a rectangle that moves along a road, with a few more rectangles around it, before a scene that stands
-still. ``render(random_scene(seed))`` gives the pictures, the rig, the clip as a person would have drawn it, and the
-truth; ``write`` puts them into files.
+A vehicle is a rectangle that moves along a road, with a few more rectangles around it, in front of a static scene.
+``render(random_scene(seed))`` returns the images, the rig, the clip as a person would have drawn it, and the truth;
+``write`` writes their files.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The geometry of a stereo scene: a flat road, vehicles that drive along it, and the rig.
 
-Written on its own, apart from the measuring code, so that the two can disagree.
+Implemented independently of the measuring code, so that an error in one shows as a difference from the other.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Textured rectangles in space, drawn with exact homographies and area sampling.
 
-Every card is warped onto a grid of ``oversampling``² sub-pixels; all together are blurred as by a lens and averaged
-over each pixel's area. Pixel centres lie at integer coordinates.
+Every rectangle is warped onto a grid of ``oversampling``² sub-pixels; all together are blurred as by a lens and
+averaged over each pixel's area. Pixel centres have integer coordinates.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Where to compute: on the CPU, or on a GPU while there is one.
+"""The choice of the device that computes: the CPU, or a GPU while there is one.
 
 Every failure of a GPU becomes a `DeviceFailure`, with a message of one line.
 """

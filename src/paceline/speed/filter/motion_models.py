@@ -1,4 +1,4 @@
-"""How particles move: [Zhu] (9)–(11) without a path, (22)–(24) along a straight one, (25)–(27) along a curve.
+"""The motion of particles: [Zhu] (9)–(11) without a path, (22)–(24) along a straight one, (25)–(27) along a curve.
 
 The state of N particles is kept in aligned arrays. The 2-D substates are dependent variables: they follow the plane's
 motion through the homographies (5), and no noise is added to them.

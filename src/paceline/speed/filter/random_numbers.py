@@ -1,4 +1,4 @@
-"""The random numbers of a filter: the same ones for the same seed on the CPU and on a GPU."""
+"""The random numbers of a filter: a seed gives the same ones on the CPU and on a GPU."""
 
 from __future__ import annotations
 

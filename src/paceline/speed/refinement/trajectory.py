@@ -1,7 +1,7 @@
 """Motion model of the refinement: a plane's motion along its path as a function of a few parameters.
 
-A :class:`Trajectory` maps them to the homographies from the unit square of the plane's region to both views at every
-frame.
+A :class:`Trajectory` maps the parameters to the homographies from the unit square of the plane's region to both views
+at every frame.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Built things: houses, and rails, walls and fences that run along a road."""
+"""Built objects: houses, and rails, walls and fences that run along a road."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What stands beside a road: trees, bushes, poles, signs, buildings, rails and fences."""
+"""Placement of the objects beside a road: trees, bushes, poles, signs, buildings, rails and fences."""
 
 from __future__ import annotations
 

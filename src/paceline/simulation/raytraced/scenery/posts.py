@@ -1,5 +1,7 @@
-"""Slender things beside a road: lamp posts, utility poles, markers, signs. Each stands at the origin; x is the road's
-direction and y points away from the road."""
+"""Slender objects beside a road: lamp posts, utility poles, markers, signs.
+
+Each has its foot at the origin; x is the road's direction and y points away from the road.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Trees and bushes of real leaves: crowns with gaps that let sunlight through."""
+"""Trees and bushes with individual leaves: crowns with gaps that let sunlight through."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a vehicle is to the rest of a world: solids, wheels that turn, and the planes that an operator would outline."""
+"""A finished vehicle: its meshes, its rotating wheels, and the planes that an operator would outline."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Vehicles with real relief, procedural and seeded; see `body` for what they are to a world."""
+"""Builds vehicles with real relief, procedurally from a seed; see `body` for the result."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A vehicle while it is built."""
+"""The draft of a vehicle, to which its meshes, wheels and edges are added one after another."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What lies on a hull's band: bonnet, windscreen, side panes, roof, rear pane and boot."""
+"""The parts above the band of a hull: bonnet, windscreen, side panes, roof, rear pane and boot."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The hull of cars, vans, buses and cabs: its measures, and the band with wheel arches, doors and ends."""
+"""The hull of cars, vans, buses and cabs: its dimensions, and the band with wheel arches, doors and ends."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What vehicles are made of: paint and its colours, glass, plastic, rubber, number plates."""
+"""Materials of vehicles: paint and its colours, glass, plastic, rubber, number plates."""
 
 from __future__ import annotations
 

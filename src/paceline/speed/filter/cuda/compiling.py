@@ -1,4 +1,4 @@
-"""How kernels are compiled: once, and kept on disk for as long as nothing changes of which they are made."""
+"""Compilation of GPU kernels: once, with a disk cache that is valid as long as no source they depend on changes."""
 
 from __future__ import annotations
 
