@@ -6,18 +6,25 @@ import copy
 
 import numpy as np
 
-from paceline.arrays import Array, Floats
+from paceline.arrays import Floats
 from paceline.cameras import StereoRig
 from paceline.documents.loading import VehicleDocument
 from paceline.recordings.stereo import StereoFrame
 from paceline.speed.configuration import SpeedConfiguration
-from paceline.speed.filter import motion_models, random_numbers
+from paceline.speed.filter import random_numbers
 from paceline.speed.filter.batch import step
-from paceline.speed.filter.estimate import MIN_REFERENCE_SIMILARITY, MIN_VISIBLE_SIMILARITY, Estimate
+from paceline.speed.filter.estimate import (
+    MIN_REFERENCE_SIMILARITY,
+    MIN_VISIBLE_SIMILARITY,
+    Estimate,
+    estimate_from,
+    has_left_image,
+    initial_estimate,
+)
 from paceline.speed.filter.initialization import Initialization
 from paceline.speed.filter.likelihood import ObservationModel, PartGrid, Views, pack_views
-from paceline.speed.filter.motion_models import FreeMotion, PathMotion, State
-from paceline.speed.filter.particle_set import CPU, MAX_DRAWN_PARTICLES, Device, Particles
+from paceline.speed.filter.motion_models import FreeMotion, PathMotion
+from paceline.speed.filter.particle_set import CPU, Device, Particles
 from paceline.speed.filter.registration import ReferenceTexture, register_plane, update_by_registration
 from paceline.speed.geometry.initial_plane import plane_across, plane_from_outlines
 from paceline.speed.geometry.paths import Path
@@ -124,26 +131,12 @@ class Tracker:
             self._occluded_frames += 1
         elif similarity > MIN_REFERENCE_SIMILARITY:  # between the two it may be similar by chance
             self._occluded_frames = 0
-        if self._has_left_image(posterior.mean, posterior.position):
+        if has_left_image(posterior, self.rig):
             self.status = "ended"
         elif self._occluded_frames >= self.configuration.tracking.max_occluded_frames:
             self.status = "lost"
-        self._estimate = Estimate(
-            frame=frame.index,
-            time=frame.time,
-            speed=posterior.speed,
-            speed_std=posterior.speed_std,
-            position=posterior.position,
-            yaw_rate=self.particle_set.motion.yaw_rate(posterior.mean, frame.time - self._time),
-            left=posterior.mean.left[0],
-            right=posterior.mean.right[0],
-            ess=posterior.ess,
-            status=self.status,
-            similarity=similarity,
-            particles_left=posterior.particles_left,
-            particles_right=posterior.particles_right,
-            vehicle=self.vehicle.id,
-        )
+        yaw_rate = self.particle_set.motion.yaw_rate(posterior.mean, frame.time - self._time)
+        self._estimate = estimate_from(posterior, frame, yaw_rate, similarity, self.status, self.vehicle.id)
         self._time = frame.time
         return self._estimate
 
@@ -177,42 +170,18 @@ class Tracker:
 
     @property
     def _initialization(self) -> Initialization:
+        c, device, rng = self.configuration, self.device, self.rng
         return Initialization(
-            self.rig,
-            self.vehicle,
-            self.configuration,
-            self._motions,
-            self.model,
-            self.texture,
-            self.plane,
-            self.device,
-            self.rng,
+            self.rig, self.vehicle, c, self._motions, self.model, self.texture, self.plane, device, rng
         )
 
     def initialize(self, frame: StereoFrame) -> Estimate:
         """The first frame: the reference, and the depth at which the views agree."""
-        c = self.configuration
         self.plane, particle_set = self._initialization.initialize_plane(frame)
         self.particle_set, state = particle_set, particle_set.state
         self.model.initialize(pack_views(frame, [particle_set.image_bounds()]), state[np.zeros(1, np.int64)])
         self._first, self._time = frame, frame.time
-        drawn = slice(None, c.particles, -(-c.particles // MAX_DRAWN_PARTICLES))
-        return Estimate(
-            frame=frame.index,
-            time=frame.time,
-            speed=self.vehicle.speed or float("nan"),
-            speed_std=float("nan"),
-            position=self.plane.centre,
-            yaw_rate=float("nan"),
-            left=self.vehicle.left,
-            right=self.vehicle.right,
-            ess=float(c.particles),
-            status="tracking",
-            similarity=1.0,
-            particles_left=motion_models.diagonal_crossings(state.left[drawn]),
-            particles_right=motion_models.diagonal_crossings(state.right[drawn]),
-            vehicle=self.vehicle.id,
-        )
+        return initial_estimate(frame, self.vehicle, self.plane, state, self.configuration.particles)
 
     # --- checkpoints -------------------------------------------------------------------------------------------------
 
@@ -229,11 +198,3 @@ class Tracker:
         self.__dict__.update(kept)
         if "particle_set" in kept:
             self.particle_set = self.particle_set.to_host()
-
-    def _has_left_image(self, mean: State, position: Array) -> bool:
-        """Whether the region has left an image, or the vehicle is nearer than a metre."""
-        for quad, camera in ((mean.left[0], self.rig.left), (mean.right[0], self.rig.right)):
-            beyond = (quad < 0) | (quad > np.array(camera.image_size) - 1) | ~np.isfinite(quad)
-            if beyond.any():
-                return True
-        return bool(position[2] < 1.0)
