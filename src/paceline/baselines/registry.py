@@ -1,4 +1,4 @@
-"""Imports every comparison method: a method is registered when the module that defines it is imported."""
+"""The registry of comparison methods: each is registered where it is defined, when this module is imported."""
 
 from paceline.baselines import kalman, lucas_kanade, multimodal, sift
 

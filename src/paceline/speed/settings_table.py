@@ -1,4 +1,4 @@
-"""Writes docs/configuration.md, every setting with its range and effect: ``python -m paceline.speed.settings_table``."""
+"""Writes docs/configuration.md, every setting with range and effect: ``python -m paceline.speed.settings_table``."""
 
 from __future__ import annotations
 
