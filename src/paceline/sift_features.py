@@ -26,8 +26,8 @@ def match_descriptors(a: Descriptors, b: Descriptors, ratio: float) -> tuple[Ind
     """Rows of the descriptors ``a`` (n, 128) and ``b`` (m, 128) that are each other's best, nearer than ``ratio`` of
     the distance to the second best (Lowe 2004)."""
     if len(a) < 2 or len(b) < 2:
-        none = np.empty(0, np.int64)
-        return none, none
+        no_match = np.empty(0, np.int64)
+        return no_match, no_match
     distance, best = _nearest(a, b, 2)
     _, back = _nearest(b, a, 1)
     mutual = back[best[:, 0], 0] == np.arange(len(a))

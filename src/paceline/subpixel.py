@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-def parabola_peak(before: float, at: float, behind: float, reach: float = 0.5) -> float:
+def parabola_peak(before: float, centre: float, behind: float, reach: float = 0.5) -> float:
     """Offset of the maximum of the parabola through three values, one step apart, in steps from the middle one.
 
     At most ``reach``; where the parabola has no maximum, ``reach`` towards the greater neighbour.
     """
-    bend = min(before - 2.0 * at + behind, -1e-9)
+    bend = min(before - 2.0 * centre + behind, -1e-9)
     return min(max(0.5 * (before - behind) / bend, -reach), reach)
 
 

@@ -50,9 +50,9 @@ class Message(str):
         """What usually helps; empty where nothing is to be done."""
         return advice_for(self.code)
 
-    def after(self, words: str) -> Message:
-        """The same message with ``words`` and a colon before it."""
-        return Message(f"{words}: {self}", self.code)
+    def after(self, prefix: str) -> Message:
+        """The same message with ``prefix`` and a colon before it."""
+        return Message(f"{prefix}: {self}", self.code)
 
 
 NO_REASON = Message("", "")

@@ -63,8 +63,8 @@ class Rectification:
 
     def rays(self, pixels: Array) -> Array:
         """World directions (…, 3), of rectified depth 1, through ``pixels`` (…, 2) of the rectified left view."""
-        ones = np.ones((*pixels.shape[:-1], 1))
-        return np.concatenate([pixels / self.f, ones], axis=-1) @ self.rotation
+        homogeneous = np.ones((*pixels.shape[:-1], 1))
+        return np.concatenate([pixels / self.f, homogeneous], axis=-1) @ self.rotation
 
     def crop(self, image: Image, view: int, low: Array, size: tuple[int, int]) -> Image:
         """``size`` (width, height) pixels of the rectified ``view`` (0 left, 1 right) from ``low`` (2,) on."""

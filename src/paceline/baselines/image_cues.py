@@ -70,7 +70,7 @@ def bhattacharyya(seen: Array, reference: Array) -> Array:
 
 def image_gradients(grey: Image) -> Array:
     """∂I/∂x and ∂I/∂y (2, H, W) of an image, by the Sobel operator."""
-    return np.stack([cv2.Sobel(grey, cv2.CV_32F, *which) / 8 for which in ((1, 0), (0, 1))]).astype(float)
+    return np.stack([cv2.Sobel(grey, cv2.CV_32F, *order) / 8 for order in ((1, 0), (0, 1))]).astype(float)
 
 
 def edge_strengths(gradient: Array, boxes: Array) -> Array:

@@ -75,12 +75,12 @@ class LucasKanade:
 
     def _initialize(self, frame: StereoFrame) -> bool:
         quads = np.stack([self.vehicle.left, self.vehicle.right])
-        nothing = _Matches(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2)), np.empty((0, 3)))
+        no_matches = _Matches(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2)), np.empty((0, 3)))
         try:
             self._templates = TemplateTracker(self.rig, quads, frame)
         except np.linalg.LinAlgError:
             return False
-        matches = self._add_points(frame, nothing, quads)
+        matches = self._add_points(frame, no_matches, quads)
         self._keyframe = _Keyframe((frame.left, frame.right), quads, matches)
         self._record(frame, matches, self.vehicle.speed or float("nan"), float("nan"))
         return len(matches.number) >= MIN_POINTS
@@ -136,11 +136,11 @@ class LucasKanade:
 
     def _moving_alike(self, before: Array, after: Array, good: Mask) -> Mask:
         """Which points follow the dominant motion in the image."""
-        together = np.zeros(len(before), bool)
+        consistent = np.zeros(len(before), bool)
         if good.sum() >= MIN_POINTS and (move := _similarity(before[good], after[good])) is not None:
             miss = np.linalg.norm(before @ move[:, :2].T + move[:, 2] - after, axis=1)
-            together = miss < MAX_MOTION_RESIDUAL_PX * (1 + 0.01 * np.ptp(after[good]))
-        return together
+            consistent = miss < MAX_MOTION_RESIDUAL_PX * (1 + 0.01 * np.ptp(after[good]))
+        return consistent
 
     def _plausible(self, left: Array, right: Array, good: Mask) -> Mask:
         """Which matches lie on their epipolar lines and at a consistent depth."""
@@ -149,9 +149,9 @@ class LucasKanade:
         plausible &= np.isfinite(depth) & (depth > 1.0)
         if plausible.any():
             inverse = 1.0 / np.where(plausible, depth, 1.0)
-            off = np.abs(inverse - np.median(inverse[plausible]))
+            deviation = np.abs(inverse - np.median(inverse[plausible]))
             least = MATCH_SIGMA_PX / (self.rig.left.K[0, 0] * self.rig.baseline)
-            plausible &= off < MAX_DEPTH_DEVIATIONS * max(1.4826 * float(np.median(off[plausible])), least)
+            plausible &= deviation < MAX_DEPTH_DEVIATIONS * max(1.4826 * float(np.median(deviation[plausible])), least)
         return plausible
 
     def _record(self, frame: StereoFrame, matches: _Matches, speed: float, std: float) -> None:
@@ -180,8 +180,8 @@ class LucasKanade:
         if not self._tracked or len(self._tracked[0][1].number) < MIN_POINTS:
             test = f"fewer than {MIN_POINTS} corners match across the views"
             return rejected(name, self.frame_results, message("too_little_texture", test=test))
-        if few := check_frame_count(self.frame_results, self.limits):
-            return rejected(name, self.frame_results, few)
+        if too_few := check_frame_count(self.frame_results, self.limits):
+            return rejected(name, self.frame_results, too_few)
         try:
             track, places, groups = self._fit()
         except np.linalg.LinAlgError:
@@ -212,8 +212,8 @@ class LucasKanade:
         seen = np.zeros((len(number), len(rows)), bool)
         points = np.zeros((*seen.shape, 3))
         for k, m in enumerate(matches):
-            at = np.searchsorted(number, m.number)
-            seen[at, k], points[at, k] = True, m.points
+            frame_index = np.searchsorted(number, m.number)
+            seen[frame_index, k], points[frame_index, k] = True, m.points
         times = np.array([self.frame_results[row].time for row in rows])
         places = np.array([self.frame_results[row].position for row in rows])
         turns = np.tile(np.eye(3), (len(rows), 1, 1))
@@ -226,10 +226,12 @@ class LucasKanade:
             turns = frames @ frames[0].T
         groups = []
         for group in range(JACKKNIFE_GROUPS):
-            kept = np.arange(len(seen)) % JACKKNIFE_GROUPS != group
-            some = align(points[kept], seen[kept], turns, aligned.places)
+            included = np.arange(len(seen)) % JACKKNIFE_GROUPS != group
+            alignment = align(points[included], seen[included], turns, aligned.places)
             groups.append(
-                polynomial_track.fit_polynomial(times, some.places, some.covariance, track.degree).mean_speed()[0]
+                polynomial_track.fit_polynomial(
+                    times, alignment.places, alignment.covariance, track.degree
+                ).mean_speed()[0]
             )
         return track, dict(zip(rows, aligned.places, strict=True)), groups
 
@@ -243,8 +245,8 @@ class _Matches:
     right: Array
     points: Array
 
-    def chosen(self, these: Mask) -> _Matches:
-        return _Matches(self.number[these], self.left[these], self.right[these], self.points[these])
+    def chosen(self, selection: Mask) -> _Matches:
+        return _Matches(self.number[selection], self.left[selection], self.right[selection], self.points[selection])
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,9 +272,9 @@ def _displacement(rig: StereoRig, before: _Matches, after: _Matches) -> tuple[Ar
     for _ in range(6):
         A = np.einsum("n,nij->ij", w, W)
         mean = np.linalg.solve(A, np.einsum("n,nij,nj->i", w, W, d))
-        off = np.sqrt(np.einsum("ni,nij,nj->n", d - mean, W, d - mean))
-        scale = max(float(np.median(off)) / 1.54, 1e-6)
-        w = np.minimum(1.0, 2 * HUBER_SIGMA * scale / np.maximum(off, 1e-12))
+        distance = np.sqrt(np.einsum("ni,nij,nj->n", d - mean, W, d - mean))
+        scale = max(float(np.median(distance)) / 1.54, 1e-6)
+        w = np.minimum(1.0, 2 * HUBER_SIGMA * scale / np.maximum(distance, 1e-12))
     return mean, np.linalg.inv(A) * scale**2
 
 

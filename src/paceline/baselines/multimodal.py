@@ -204,9 +204,9 @@ class Multimodal:
         a = (3 * SMOOTHING_DISCOUNT - 1) / (2 * SMOOTHING_DISCOUNT)
         values, vectors = np.linalg.eigh(weights.covariance(state))
         kernel = vectors * np.sqrt(np.maximum(values, 0.0) * (1 - a**2))
-        kept = state[resample(self.configuration.resampling, weights.W, self.rng)]
-        kept = a * kept + (1 - a) * weights.mean(state) + self.rng.normal(size=kept.shape) @ kernel.T
-        return Particles(kept[:, :3], kept[:, 3:])
+        resampled = state[resample(self.configuration.resampling, weights.W, self.rng)]
+        resampled = a * resampled + (1 - a) * weights.mean(state) + self.rng.normal(size=resampled.shape) @ kernel.T
+        return Particles(resampled[:, :3], resampled[:, 3:])
 
     # --- what is found ----------------------------------------------------------------------------------------------
 
@@ -254,8 +254,8 @@ class Multimodal:
         if not self.frame_results:
             test = "the equations of its motion are singular"
             return rejected(name, self.frame_results, message("too_little_texture", test=test))
-        if few := check_frame_count(self.frame_results, self.configuration.limits):
-            return rejected(name, self.frame_results, few)
+        if too_few := check_frame_count(self.frame_results, self.configuration.limits):
+            return rejected(name, self.frame_results, too_few)
         return measurement_of_filter(name, self.frame_results, "particle filter", self.configuration.limits)
 
 

@@ -31,14 +31,14 @@ def detect_corners(image: Image, quad: Array, known: Array) -> Array:
     low = np.maximum(np.floor(quad.min(0)).astype(int), 0)
     high = np.ceil(quad.max(0)).astype(int) + 1
     picture = _bytes(image[low[1] : high[1], low[0] : high[0]])
-    wanted = MAX_POINTS - len(known)
-    if wanted <= 0 or not picture.size:
+    max_new = MAX_POINTS - len(known)
+    if max_new <= 0 or not picture.size:
         return np.empty((0, 2))
     mask = np.zeros(picture.shape, np.uint8)
     cv2.fillConvexPoly(mask, np.rint(inner - low).astype(np.int32), 255)
     for x, y in np.rint(known - low).astype(int).tolist():
         cv2.circle(mask, (x, y), round(MIN_CORNER_SPACING_PX), 0, cv2.FILLED)
-    found = cv2.goodFeaturesToTrack(picture, wanted, CORNER_QUALITY, MIN_CORNER_SPACING_PX, mask=mask, blockSize=3)
+    found = cv2.goodFeaturesToTrack(picture, max_new, CORNER_QUALITY, MIN_CORNER_SPACING_PX, mask=mask, blockSize=3)
     return np.empty((0, 2)) if found is None else np.asarray(found.reshape(-1, 2) + low, float)
 
 
@@ -50,11 +50,11 @@ def track_points(before: Image, after: Image, points: Array, move: ScaledShift, 
     """
     start = move(points)
     low, high = _crop_bounds(start, after)
-    here = after[low[1] : high[1], low[0] : high[0]]
+    crop_after = after[low[1] : high[1], low[0] : high[0]]
     matrix = move.matrix - np.column_stack([np.zeros((2, 2)), low])
     size = int(high[0] - low[0]), int(high[1] - low[1])
-    there = np.asarray(cv2.warpAffine(before, matrix, size, flags=cv2.INTER_CUBIC), np.float32)
-    found, good = _forward_backward(there, here, start - low, start - low, window)
+    start_crop = np.asarray(cv2.warpAffine(before, matrix, size, flags=cv2.INTER_CUBIC), np.float32)
+    found, good = _forward_backward(start_crop, crop_after, start - low, start - low, window)
     return found + low, good
 
 
@@ -79,15 +79,19 @@ def window_size(quad: Array) -> int:
 def _forward_backward(before: Image, after: Image, points: Array, guess: Array, window: int) -> tuple[Array, Mask]:
     a, b = _normalized(before, points), _normalized(after, guess)
     start = points.astype(np.float32)
-    how = (None, None, (window, window), 1, FLOW_CRITERIA, cv2.OPTFLOW_USE_INITIAL_FLOW)
-    there, seen, _ = map(np.asarray, cv2.calcOpticalFlowPyrLK(a, b, start, guess.astype(np.float32), *how))
-    back, seen_back, _ = map(np.asarray, cv2.calcOpticalFlowPyrLK(b, a, there, start.copy(), *how))
-    good = (
-        (seen.ravel() == 1)
-        & (seen_back.ravel() == 1)
-        & (np.linalg.norm(back - start, axis=1) < MAX_FORWARD_BACKWARD_PX)
+    options = (None, None, (window, window), 1, FLOW_CRITERIA, cv2.OPTFLOW_USE_INITIAL_FLOW)
+    tracked, tracked_found, _ = map(
+        np.asarray, cv2.calcOpticalFlowPyrLK(a, b, start, guess.astype(np.float32), *options)
     )
-    return np.asarray(there - 0.5 * (back - start), float), good  # both ways' mean: what errs alike in both cancels
+    returned, returned_found, _ = map(np.asarray, cv2.calcOpticalFlowPyrLK(b, a, tracked, start.copy(), *options))
+    good = (
+        (tracked_found.ravel() == 1)
+        & (returned_found.ravel() == 1)
+        & (np.linalg.norm(returned - start, axis=1) < MAX_FORWARD_BACKWARD_PX)
+    )
+    return np.asarray(
+        tracked - 0.5 * (returned - start), float
+    ), good  # both ways' mean: what errs alike in both cancels
 
 
 def _crop_bounds(points: Array, image: Image) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

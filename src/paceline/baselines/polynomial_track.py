@@ -45,11 +45,11 @@ class PolynomialTrack:
 
     def mean_speed(self) -> tuple[float, float]:
         """Length of the track divided by its duration, and the standard uncertainty, m/s."""
-        at = np.linspace(self.times[0], self.times[-1], SPEED_SAMPLES)
-        speeds, rows = self._speeds_and_rows(at)
-        duration = at[-1] - at[0]
-        row = np.trapezoid(rows, at, axis=0) / duration
-        return float(np.trapezoid(speeds, at) / duration), float(np.sqrt(row @ self.covariance @ row))
+        t = np.linspace(self.times[0], self.times[-1], SPEED_SAMPLES)
+        speeds, rows = self._speeds_and_rows(t)
+        duration = t[-1] - t[0]
+        row = np.trapezoid(rows, t, axis=0) / duration
+        return float(np.trapezoid(speeds, t) / duration), float(np.sqrt(row @ self.covariance @ row))
 
     def _slopes(self, times: Array) -> Array:
         length = self.times[-1] - self.times[0]

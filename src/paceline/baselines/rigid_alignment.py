@@ -35,19 +35,19 @@ def align(points: Array, seen: Mask, turns: Array, places: Array) -> RigidAlignm
     ``turns`` (K, 3, 3) are known; ``places`` (K, 3) are where to begin. Raises numpy.linalg.LinAlgError where the
     frames are not joined by common points.
     """
-    often = seen.sum(1) >= 2
-    points, seen = points[often], seen[often]
+    in_two_frames = seen.sum(1) >= 2
+    points, seen = points[in_two_frames], seen[in_two_frames]
     if not seen.any(axis=0).all():
         raise np.linalg.LinAlgError("a frame shares no point with the others")
     K = len(places)
     depths = np.array([np.median(p[s, 2]) for p, s in zip(points.swapaxes(0, 1), seen.T, strict=True)])
     own = np.einsum("kji,pkj->pki", turns, points - places[0])  # turned back, as seen from the first place
-    apart = np.einsum("kab,lcb->kalc", turns, turns)
+    relative_rotations = np.einsum("kab,lcb->kalc", turns, turns)
     w, found = seen.astype(float), places
     for _ in range(MAX_ITERATIONS):
         W = w / depths**4
         total = W.sum(1)
-        S = -np.einsum("pk,pl,p->kl", W, W, 1 / total, optimize=True)[:, None, :, None] * apart
+        S = -np.einsum("pk,pl,p->kl", W, W, 1 / total, optimize=True)[:, None, :, None] * relative_rotations
         S[np.arange(K), :, np.arange(K)] += W.sum(0)[:, None, None] * np.eye(3)
         mean = (W[..., None] * own).sum(1) / total[:, None]
         pull = np.einsum("pk,kij,pkj->ki", W, turns, own - mean[:, None], optimize=True)
@@ -56,9 +56,9 @@ def align(points: Array, seen: Mask, turns: Array, places: Array) -> RigidAlignm
         found = places[0] + np.concatenate([np.zeros(3), np.linalg.solve(information, pull[1:].ravel())]).reshape(K, 3)
         back = own - np.einsum("kji,kj->ki", turns, found - places[0])
         body = (W[..., None] * back).sum(1) / total[:, None]
-        off = np.linalg.norm(back - body[:, None], axis=-1) / depths**2
-        scatter = max(float(np.median(off[seen])) / MEDIAN_CHI, MIN_SCATTER_PER_M)
-        w = np.where(seen, np.minimum(1.0, HUBER_SIGMA * np.sqrt(3) * scatter / np.maximum(off, 1e-15)), 0.0)
+        distance = np.linalg.norm(back - body[:, None], axis=-1) / depths**2
+        scatter = max(float(np.median(distance[seen])) / MEDIAN_CHI, MIN_SCATTER_PER_M)
+        w = np.where(seen, np.minimum(1.0, HUBER_SIGMA * np.sqrt(3) * scatter / np.maximum(distance, 1e-15)), 0.0)
         if np.abs(found - before).max() < CONVERGENCE_M:
             break
     return RigidAlignment(found, scatter**2 * np.linalg.inv(information))

@@ -73,9 +73,9 @@ class Sift:
             inverse = 1.0 / triangulate(self.rig, left, right)[:, 2]
         good = (np.abs(epipolar_distance(self.rig, left, right)) < MAX_EPIPOLAR_PX) & (inverse > 0)
         if good.any():
-            off = np.abs(inverse - np.median(inverse[good]))
+            deviation = np.abs(inverse - np.median(inverse[good]))
             least = MATCH_SIGMA_PX / (self.rig.left.K[0, 0] * self.rig.baseline)
-            good &= off < MAX_DEPTH_DEVIATIONS * max(1.4826 * float(np.median(off[good])), least)
+            good &= deviation < MAX_DEPTH_DEVIATIONS * max(1.4826 * float(np.median(deviation[good])), least)
         return left[good], right[good]
 
     def _miss(self, frame: StereoFrame) -> bool:

@@ -153,8 +153,8 @@ def _search(
         width, height = np.maximum(np.rint(np.array(template.shape[::-1]) * scale), 2).astype(int).tolist()
         if window.shape[0] < height or window.shape[1] < width:
             continue
-        sought = cv2.resize(template, (width, height), interpolation=cv2.INTER_LINEAR)
-        score = np.asarray(cv2.matchTemplate(window, sought, cv2.TM_CCOEFF_NORMED), float)
+        scaled_template = cv2.resize(template, (width, height), interpolation=cv2.INTER_LINEAR)
+        score = np.asarray(cv2.matchTemplate(window, scaled_template, cv2.TM_CCOEFF_NORMED), float)
         score = np.nan_to_num(score, posinf=-1.0, neginf=-1.0)
         _, ncc, _, (x, y) = cv2.minMaxLoc(score)
         if ncc > best[1]:

@@ -118,7 +118,7 @@ def track_of(
     vehicle: str, results: Sequence[FrameResult], speeds: Array | None = None, stds: Array | None = None
 ) -> Track:
     """The aligned arrays of a track; points are filled up with NaN to one number in every frame."""
-    nothing = np.full(len(results), NAN)
+    undefined = np.full(len(results), NAN)
     return Track(
         vehicle=vehicle,
         frame=np.array([s.frame for s in results], np.int64),
@@ -126,15 +126,15 @@ def track_of(
         speed=np.array([s.speed for s in results]),
         speed_std=np.array([s.speed_std for s in results]),
         position=np.array([s.position for s in results]).reshape(-1, 3),
-        yaw_rate=nothing,
+        yaw_rate=undefined,
         left=np.array([s.left for s in results]).reshape(-1, 4, 2),
         right=np.array([s.right for s in results]).reshape(-1, 4, 2),
         ess=np.array([s.effective_points for s in results]),
         status=[s.status for s in results],
         particles_left=_padded([s.points_left for s in results]),
         particles_right=_padded([s.points_right for s in results]),
-        refined_speed=nothing if speeds is None else speeds,
-        refined_std=nothing if stds is None else stds,
+        refined_speed=undefined if speeds is None else speeds,
+        refined_std=undefined if stds is None else stds,
     )
 
 
@@ -143,8 +143,8 @@ def _tracked_frames(results: Sequence[FrameResult]) -> int:
 
 
 def _padded(points: Sequence[Array]) -> Array:
-    most = max((len(p) for p in points), default=0)
-    filled = np.full((len(points), max(most, 1), 2), NAN)
+    max_count = max((len(p) for p in points), default=0)
+    filled = np.full((len(points), max(max_count, 1), 2), NAN)
     for row, p in zip(filled, points, strict=True):
         row[: len(p)] = p
     return filled

@@ -101,14 +101,14 @@ def calibrate(views: BoardViews) -> Calibration:
             f"{len(both)} of {len(views.views) + len(views.empty)} pairs show the board to both cameras; expected at "
             f"least {MIN_VIEWS}, better {RECOMMENDED_VIEWS} to 30, the board tilted in various ways"
         )
-    everything = observations(views.board, views.views)
+    all_corners = observations(views.board, views.views)
     V = len(views.views)
-    rig, poses, agree, reasons = select_consistent_views(*initial_rig(views.sizes, everything, V), everything)
+    rig, poses, agree, reasons = select_consistent_views(*initial_rig(views.sizes, all_corners, V), all_corners)
     used = np.flatnonzero(agree)
     pairs = sum(len(views.views[v].left) > 0 and len(views.views[v].right) > 0 for v in used)
     if pairs < MIN_VIEWS:
         raise UnusableInput(f"only {pairs} pairs agree with each other; expected at least {MIN_VIEWS}")
-    seen, outlier_corners = _without_outliers(rig, poses.of(used), renumbered(everything, agree))
+    seen, outlier_corners = _without_outliers(rig, poses.of(used), renumbered(all_corners, agree))
     try:
         models = fit_lens_models(rig, poses.of(used), seen)
         distortion = min(models, key=lambda name: models[name].cross_validation_px)
@@ -155,18 +155,18 @@ def fit_lens_models(rig: RigState, poses: Poses, seen: Observations) -> dict[str
     models = {}
     for name in LENS_MODELS:
         free = free_parameters(name)
-        whole = adjust(_with_lens_parameters(rig, free), poses, seen, free)
+        fit_to_all = adjust(_with_lens_parameters(rig, free), poses, seen, free)
         squares, count = np.zeros(V), 0
         for k in range(fold.max() + 1):
             train, test = fold != k, fold == k
-            fitted = adjust(whole.rig, whole.poses.of(np.flatnonzero(train)), renumbered(seen, train), free)
+            fitted = adjust(fit_to_all.rig, fit_to_all.poses.of(np.flatnonzero(train)), renumbered(seen, train), free)
             of_test = renumbered(seen, test)
-            posed = adjust(fitted.rig, whole.poses.of(np.flatnonzero(test)), of_test, NO_PARAMETERS)
-            each = posed.weights * (posed.residuals**2).sum(1)
-            squares[test] = np.bincount(of_test.view, each, minlength=int(test.sum()))
+            posed = adjust(fitted.rig, fit_to_all.poses.of(np.flatnonzero(test)), of_test, NO_PARAMETERS)
+            weighted_squares = posed.weights * (posed.residuals**2).sum(1)
+            squares[test] = np.bincount(of_test.view, weighted_squares, minlength=int(test.sum()))
             count += 2 * len(of_test.view) - 6 * int(test.sum())
-        models[name] = LensModel(whole, float(np.sqrt(squares.sum() / max(count, 1))), squares)
-        rig, poses = whole.rig, whole.poses  # the start for the next richer model
+        models[name] = LensModel(fit_to_all, float(np.sqrt(squares.sum() / max(count, 1))), squares)
+        rig, poses = fit_to_all.rig, fit_to_all.poses  # the start for the next richer model
     return models
 
 
@@ -179,9 +179,9 @@ def model_averaged_covariance(models: dict[str, LensModel], chosen: str) -> Arra
     best = models[chosen]
     C, total = np.zeros((len(PARAMETER_NAMES), len(PARAMETER_NAMES))), 0.0
     for model in models.values():
-        worse = (model.squared_errors - best.squared_errors) / best.cross_validation_px**2
-        standard_error = np.sqrt(len(worse)) * worse.std(ddof=1)
-        weight = float(np.exp(-max(worse.sum() - standard_error, 0.0) / 2))
+        excess = (model.squared_errors - best.squared_errors) / best.cross_validation_px**2
+        standard_error = np.sqrt(len(excess)) * excess.std(ddof=1)
+        weight = float(np.exp(-max(excess.sum() - standard_error, 0.0) / 2))
         if weight > MIN_MODEL_WEIGHT:
             d = parameter_step(model.fit.rig, best.fit.rig)
             C += weight * (model.fit.covariance + np.outer(d, d))
@@ -217,29 +217,29 @@ UNDETERMINED_MESSAGE = (
 def _check_focal_length(final: BundleAdjustment, covariance: Array) -> None:
     focal = final.rig.lenses[:, :2].ravel()
     std = np.sqrt(np.diag(covariance))[[0, 1, len(LENS_PARAMETERS), len(LENS_PARAMETERS) + 1]]
-    worst = float(np.max(std / np.abs(focal)))
-    if not worst < MAX_FOCAL_UNCERTAINTY:
-        raise UnusableInput(f"{UNDETERMINED_MESSAGE} (a focal length is known to ± {100 * worst:.0f} % only)")
+    max_share = float(np.max(std / np.abs(focal)))
+    if not max_share < MAX_FOCAL_UNCERTAINTY:
+        raise UnusableInput(f"{UNDETERMINED_MESSAGE} (a focal length is known to ± {100 * max_share:.0f} % only)")
 
 
 def _advice(final: BundleAdjustment, seen: Observations, sizes: tuple[tuple[int, int], tuple[int, int]]) -> list[str]:
     """What is missing among the views, one plain line each."""
-    said: list[str] = []
+    messages: list[str] = []
     V = len(final.poses.t)
     if V < RECOMMENDED_VIEWS:
-        said.append(message("few_views", views=V, min_views=RECOMMENDED_VIEWS))
+        messages.append(message("few_views", views=V, min_views=RECOMMENDED_VIEWS))
     normal = final.poses.R[:, :, 2]
     towards = final.poses.t / np.linalg.norm(final.poses.t, axis=1, keepdims=True)
     tilt = np.degrees(np.arccos(np.clip(np.abs((normal * towards).sum(1)), 0, 1)))
     if (tilt > MIN_TILT_DEG).sum() < min(MIN_TILTED_VIEWS, V):
-        said.append(message("few_tilted_views", tilted=(tilt > MIN_TILT_DEG).sum(), views=V, tilt=MIN_TILT_DEG))
+        messages.append(message("few_tilted_views", tilted=(tilt > MIN_TILT_DEG).sum(), views=V, tilt=MIN_TILT_DEG))
     for side, name in enumerate(("left", "right")):
         empty = empty_cells(seen.pixels[seen.side == side], sizes[side])
         if empty:
-            said.append(message("image_part_uncovered", view=name, parts=", ".join(empty)))
+            messages.append(message("image_part_uncovered", view=name, parts=", ".join(empty)))
     if not final.converged:
-        said.append(message("adjustment_unsettled"))
-    return said
+        messages.append(message("adjustment_unsettled"))
+    return messages
 
 
 def empty_cells(pixels: Array, size: tuple[int, int]) -> list[str]:

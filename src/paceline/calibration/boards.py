@@ -109,14 +109,16 @@ def _counts(text: str, part: str) -> tuple[int, int]:
     return int(columns), int(rows)
 
 
-def _size(text: str, what: str, part: str, largest: float) -> float:
+def _size(text: str, quantity: str, part: str, largest: float) -> float:
     try:
         size = float(part)
     except ValueError:
-        raise UnusableInput(f"--board {text}: {what} {part!r} is no number; {EXPECTED_BOARD}") from None
+        raise UnusableInput(f"--board {text}: {quantity} {part!r} is no number; {EXPECTED_BOARD}") from None
     if not 1e-3 <= size <= MAX_SQUARE_M:
-        raise UnusableInput(f"--board {text}: the {what} measures {part}; expected metres, 0.001 to {MAX_SQUARE_M:g}")
-    if what == "marker" and size >= largest:
+        raise UnusableInput(
+            f"--board {text}: the {quantity} measures {part}; expected metres, 0.001 to {MAX_SQUARE_M:g}"
+        )
+    if quantity == "marker" and size >= largest:
         raise UnusableInput(f"--board {text}: the marker ({part} m) is not smaller than the square ({largest:g} m)")
     return size
 
@@ -159,9 +161,9 @@ def _refine_corners(board: Board, corners: Corners, image: NDArray[np.uint8]) ->
     windows = np.clip(WINDOW_SHARE * clear, *WINDOW_LIMITS_PX).astype(int)
     pixels = corners.pixels.copy()
     for size in np.unique(windows):
-        mine = windows == size
-        start = pixels[mine].astype(np.float32).reshape(-1, 1, 2)
-        pixels[mine] = cv2.cornerSubPix(image, start, (size, size), (-1, -1), SUBPIXEL_CRITERIA).reshape(-1, 2)
+        in_group = windows == size
+        start = pixels[in_group].astype(np.float32).reshape(-1, 1, 2)
+        pixels[in_group] = cv2.cornerSubPix(image, start, (size, size), (-1, -1), SUBPIXEL_CRITERIA).reshape(-1, 2)
     near = (
         np.linalg.norm(pixels - corners.pixels, axis=1) < MAX_REFINEMENT_SHIFT_PX
     )  # farther away another feature was found

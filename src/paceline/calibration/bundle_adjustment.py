@@ -47,8 +47,8 @@ class BundleAdjustment:
     def sigma(self) -> float:
         """Standard deviation of a corner's coordinate, px, from the residuals."""
         unknown = len(self.free) + 6 * len(self.poses.t)
-        spare = 2 * self.weights.sum() - unknown
-        return float(np.sqrt((self.weights[:, None] * self.residuals**2).sum() / max(spare, 1.0)))
+        dof = 2 * self.weights.sum() - unknown
+        return float(np.sqrt((self.weights[:, None] * self.residuals**2).sum() / max(dof, 1.0)))
 
     @property
     def cluster_variance(self) -> float:
@@ -93,9 +93,9 @@ def adjust(
         cost = _cost(residuals, weights)
         while True:
             step, poses_step = _solve(blocks, damping)
-            whole = np.zeros(N_RIG)
-            whole[free] = step
-            new_rig, new_poses = rig.moved(whole), poses.moved(poses_step)
+            rig_step = np.zeros(N_RIG)
+            rig_step[free] = step
+            new_rig, new_poses = rig.moved(rig_step), poses.moved(poses_step)
             new_expected, new_J, new_Q = project(new_rig, new_poses, seen)
             new_residuals = seen.pixels - new_expected
             new_cost = _cost(new_residuals, weights)
@@ -114,8 +114,8 @@ def adjust(
             break
         weights = _weights(residuals, weighing)
     A, B, C, a, b = _normal_equations(J[..., free], Q, residuals, weights, seen.view, V)
-    kept = np.linalg.solve(C, np.concatenate([B.transpose(0, 2, 1), b[..., None]], axis=2))
-    information, scores = A - B @ kept[..., :P], a - (B @ kept[..., P:])[..., 0]
+    eliminated = np.linalg.solve(C, np.concatenate([B.transpose(0, 2, 1), b[..., None]], axis=2))
+    information, scores = A - B @ eliminated[..., :P], a - (B @ eliminated[..., P:])[..., 0]
     return BundleAdjustment(rig, poses, free, residuals, weights, information, scores, settled)
 
 
@@ -136,13 +136,13 @@ def _solve(blocks: Blocks, damping: float) -> tuple[Array, Array]:
     A, B, C, a, b = blocks
     P = A.shape[1]
     damped = C + damping * C * np.eye(6)
-    kept = np.linalg.solve(damped, np.concatenate([B.transpose(0, 2, 1), b[..., None]], axis=2))
+    eliminated = np.linalg.solve(damped, np.concatenate([B.transpose(0, 2, 1), b[..., None]], axis=2))
     step = np.zeros(P)
     if P:
         total = A.sum(0)
-        reduced = total + damping * total * np.eye(P) - (B @ kept[..., :P]).sum(0)
-        step = np.linalg.lstsq(reduced, a.sum(0) - (B @ kept[..., P:])[..., 0].sum(0), rcond=1e-14)[0]
-    return step, kept[..., P] - kept[..., :P] @ step
+        reduced = total + damping * total * np.eye(P) - (B @ eliminated[..., :P]).sum(0)
+        step = np.linalg.lstsq(reduced, a.sum(0) - (B @ eliminated[..., P:])[..., 0].sum(0), rcond=1e-14)[0]
+    return step, eliminated[..., P] - eliminated[..., :P] @ step
 
 
 def _weights(residuals: Array, weighing: Weighting) -> Array:

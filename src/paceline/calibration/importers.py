@@ -53,7 +53,7 @@ class ImportOptions:
     rectified: bool = True
 
 
-def import_rig(files: Sequence[Path], wishes: ImportOptions) -> tuple[StereoRig, str]:
+def import_rig(files: Sequence[Path], options: ImportOptions) -> tuple[StereoRig, str]:
     """The rig that ``files`` describe, and the kind of file they are.
 
     Raises UnusableInput, naming the file and the key, where they describe none.
@@ -77,7 +77,7 @@ def import_rig(files: Sequence[Path], wishes: ImportOptions) -> tuple[StereoRig,
             raise UnusableInput(f"{first}: is not known; expected {EXPECTED_FILES}")
     if len(files) > (2 if kind in ("OpenCV", "ROS") else 1):
         raise UnusableInput(f"{files[-1]}: one file too many; a {kind} rig is described by fewer")
-    rig = reader(texts, wishes)
+    rig = reader(texts, options)
     for complaint in (
         *(plausibility.check_intrinsics(camera) for camera in rig.cameras),
         plausibility.check_rotation(rig.R),
@@ -92,9 +92,9 @@ def import_rig(files: Sequence[Path], wishes: ImportOptions) -> tuple[StereoRig,
 # --- OpenCV --------------------------------------------------------------------------------------------------------
 
 
-def _opencv(texts: dict[Path, str], wishes: ImportOptions) -> StereoRig:
+def _opencv(texts: dict[Path, str], options: ImportOptions) -> StereoRig:
     found: dict[str, Array] = {}
-    where = " and ".join(map(str, texts))
+    file_names = " and ".join(map(str, texts))
     for file, text in texts.items():
         try:
             storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
@@ -111,24 +111,26 @@ def _opencv(texts: dict[Path, str], wishes: ImportOptions) -> StereoRig:
         storage.release()
     for name in ("K1", "K2", "R", "T"):
         if name not in found:
-            raise UnusableInput(f"{where}: {OPENCV_KEYS[name][0]} is missing; expected M1, D1, M2, D2, R and T")
-    size = wishes.size
+            raise UnusableInput(f"{file_names}: {OPENCV_KEYS[name][0]} is missing; expected M1, D1, M2, D2, R and T")
+    size = options.size
     if "width" in found and "height" in found:
         size = int(found["width"]), int(found["height"])
     lenses = []
     for k in "12":
         D = found.get(f"D{k}", np.zeros(0))
-        lenses.append(_camera(where, f"M{k}", found[f"K{k}"], D.ravel().tolist(), size))
-    return StereoRig(lenses[0], lenses[1], _rotation(where, "R", found["R"]), _vector(where, "T", found["T"], wishes))
+        lenses.append(_camera(file_names, f"M{k}", found[f"K{k}"], D.ravel().tolist(), size))
+    return StereoRig(
+        lenses[0], lenses[1], _rotation(file_names, "R", found["R"]), _vector(file_names, "T", found["T"], options)
+    )
 
 
 # --- Kalibr --------------------------------------------------------------------------------------------------------
 
 
-def _kalibr(texts: dict[Path, str], wishes: ImportOptions) -> StereoRig:
+def _kalibr(texts: dict[Path, str], options: ImportOptions) -> StereoRig:
     file, text = next(iter(texts.items()))
     chain = _yaml(file, text)
-    a, b = wishes.cameras
+    a, b = options.cameras
     T, lenses = np.eye(4), []
     for k in range(a, b + 1) if a < b else ():
         if f"cam{k}" not in chain:
@@ -151,13 +153,13 @@ def _kalibr(texts: dict[Path, str], wishes: ImportOptions) -> StereoRig:
         K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
         coefficients = camera.get("distortion_coeffs") or [] if distortion == "radtan" else []
         lenses.append(_camera(file, f"cam{k}", K, coefficients, (int(size[0]), int(size[1]))))
-    return StereoRig(lenses[0], lenses[1], T[:3, :3], wishes.unit * T[:3, 3])
+    return StereoRig(lenses[0], lenses[1], T[:3, :3], options.unit * T[:3, 3])
 
 
 # --- ROS -----------------------------------------------------------------------------------------------------------
 
 
-def _ros(texts: dict[Path, str], wishes: ImportOptions) -> StereoRig:
+def _ros(texts: dict[Path, str], options: ImportOptions) -> StereoRig:
     if len(texts) != 2:
         raise UnusableInput(f"{next(iter(texts))}: is one camera's camera_info; expected the left and the right one")
     lenses: list[Camera] = []
@@ -180,15 +182,17 @@ def _ros(texts: dict[Path, str], wishes: ImportOptions) -> StereoRig:
             raise UnusableInput(f"{file}: the camera is not calibrated, its matrices hold zeros")
         shifts.append(_shift(P))
         turns.append(_rotation(file, "rectification_matrix", R))
-        lens = _camera(file, "camera_matrix", P[:, :3] if wishes.rectified else K, [] if wishes.rectified else D, size)
+        lens = _camera(
+            file, "camera_matrix", P[:, :3] if options.rectified else K, [] if options.rectified else D, size
+        )
         lenses.append(lens)
-    return _from_rectified(lenses, turns, shifts, wishes)
+    return _from_rectified(lenses, turns, shifts, options)
 
 
-def _from_rectified(lenses: list[Camera], turns: list[Array], shifts: list[Array], wishes: ImportOptions) -> StereoRig:
+def _from_rectified(lenses: list[Camera], turns: list[Array], shifts: list[Array], options: ImportOptions) -> StereoRig:
     """The rig of cameras that see ``X_rect = turn X`` plus a shift of their own, both in the same rectified axes."""
-    t = wishes.unit * (shifts[1] - shifts[0])
-    if wishes.rectified:
+    t = options.unit * (shifts[1] - shifts[0])
+    if options.rectified:
         return StereoRig(lenses[0], lenses[1], np.eye(3), t)
     return StereoRig(lenses[0], lenses[1], turns[1].T @ turns[0], turns[1].T @ t)
 
@@ -196,7 +200,7 @@ def _from_rectified(lenses: list[Camera], turns: list[Array], shifts: list[Array
 # --- KITTI ---------------------------------------------------------------------------------------------------------
 
 
-def _kitti(texts: dict[Path, str], wishes: ImportOptions) -> StereoRig:
+def _kitti(texts: dict[Path, str], options: ImportOptions) -> StereoRig:
     file, text = next(iter(texts.items()))
     values = {}
     for line in text.splitlines():
@@ -206,7 +210,7 @@ def _kitti(texts: dict[Path, str], wishes: ImportOptions) -> StereoRig:
         except ValueError:  # a date
             continue
     raw = any(key.startswith("P_rect_") for key in values)
-    if not raw and not wishes.rectified:
+    if not raw and not options.rectified:
         raise UnusableInput(
             f"{file}: holds the rectified cameras alone; expected calib_cam_to_cam.txt for --unrectified"
         )
@@ -221,12 +225,12 @@ def _kitti(texts: dict[Path, str], wishes: ImportOptions) -> StereoRig:
     lenses: list[Camera] = []
     turns: list[Array] = []
     shifts: list[Array] = []
-    for k in wishes.cameras:
-        size = wishes.size
+    for k in options.cameras:
+        size = options.size
         if raw:
-            width, height = read(f"S_rect_{k:02d}" if wishes.rectified else f"S_{k:02d}", (2,))
+            width, height = read(f"S_rect_{k:02d}" if options.rectified else f"S_{k:02d}", (2,))
             size = int(width), int(height)
-        if wishes.rectified:
+        if options.rectified:
             P = read(f"P_rect_{k:02d}" if raw else f"P{k}", (3, 4))
             lenses.append(_camera(file, f"P{k}", P[:, :3], [], size))
             turns.append(np.eye(3))
@@ -236,10 +240,10 @@ def _kitti(texts: dict[Path, str], wishes: ImportOptions) -> StereoRig:
             lenses.append(_camera(file, f"K_{k:02d}", K, D.tolist(), size))
             turns.append(read(f"R_{k:02d}", (3, 3)))
             shifts.append(read(f"T_{k:02d}", (3,)))
-    if wishes.rectified:
-        return _from_rectified(lenses, turns, shifts, wishes)
+    if options.rectified:
+        return _from_rectified(lenses, turns, shifts, options)
     R = np.asarray(turns[1] @ turns[0].T, float)  # each: from camera 0 to its own axes
-    return StereoRig(lenses[0], lenses[1], R, wishes.unit * (shifts[1] - R @ shifts[0]))
+    return StereoRig(lenses[0], lenses[1], R, options.unit * (shifts[1] - R @ shifts[0]))
 
 
 # --- what they share -----------------------------------------------------------------------------------------------
@@ -294,10 +298,10 @@ def _rotation(file: Path | str, key: str, R: Array) -> Array:
     return R
 
 
-def _vector(file: Path | str, key: str, t: Array, wishes: ImportOptions) -> Array:
+def _vector(file: Path | str, key: str, t: Array, options: ImportOptions) -> Array:
     if t.size != 3:
         raise UnusableInput(f"{file}: {key}: expected three numbers, found {t.size}")
-    return wishes.unit * t.ravel()
+    return options.unit * t.ravel()
 
 
 def _array(file: Path | str, key: str, value: Any, shape: tuple[int, ...]) -> Array:

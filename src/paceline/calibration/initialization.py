@@ -28,9 +28,10 @@ def initial_rig(sizes: Sequence[tuple[int, int]], seen: Observations, views: int
     R, t = _initial_pose(lenses, poses, seen)
     rig = RigState(lenses, R, t)
     left, right = poses
-    unseen = np.isnan(left.t[:, 0])  # by the left camera: where the right one sees it
+    not_in_left = np.isnan(left.t[:, 0])  # by the left camera: where the right one sees it
     return rig, Poses(
-        np.where(unseen[:, None, None], R.T @ right.R, left.R), np.where(unseen[:, None], (right.t - t) @ R, left.t)
+        np.where(not_in_left[:, None, None], R.T @ right.R, left.R),
+        np.where(not_in_left[:, None], (right.t - t) @ R, left.t),
     )
 
 
@@ -53,9 +54,9 @@ def _poses(lens: Array, seen: Observations, views: int) -> tuple[Poses, Array]:
     K = np.array([[lens[0], 0, lens[2]], [0, lens[1], lens[3]], [0, 0, 1]])
     R, t, errors = np.full((views, 3, 3), np.nan), np.full((views, 3), np.nan), np.full(views, np.nan)
     for v in np.unique(seen.view):
-        mine = seen.where(seen.view == v)
+        corners = seen.where(seen.view == v)
         found, rotations, shifts, error = cv2.solvePnPGeneric(
-            mine.points, mine.pixels, K, np.zeros(0), flags=cv2.SOLVEPNP_IPPE
+            corners.points, corners.pixels, K, np.zeros(0), flags=cv2.SOLVEPNP_IPPE
         )
         if found:
             best = int(np.argmin(error))
@@ -80,10 +81,10 @@ def _initial_pose(lenses: Array, poses: list[Poses], seen: Observations) -> tupl
         R = right.R[v] @ left.R[v].T
         t = right.t[v] - R @ left.t[v]
         errors = []
-        for w, mine in zip(both, corners, strict=True):
-            X = (mine.points @ left.R[w].T + left.t[w]) @ R.T + t
+        for w, view_corners in zip(both, corners, strict=True):
+            X = (view_corners.points @ left.R[w].T + left.t[w]) @ R.T + t
             pixels = X[:, :2] / X[:, 2:] * [fx, fy] + [cx, cy]
-            errors.append(float(np.median(np.linalg.norm(pixels - mine.pixels, axis=1))))
+            errors.append(float(np.median(np.linalg.norm(pixels - view_corners.pixels, axis=1))))
         middle = float(np.median(errors))
         if middle < least or best is None:
             best, least = (R, t), middle

@@ -39,9 +39,9 @@ def select_consistent_views(rig: RigState, poses: Poses, seen: Observations) -> 
     V = len(poses.t)
     used, free = np.ones(V, bool), free_parameters(SCREENING_LENS_MODEL)
     for _ in range(MAX_ROUNDS):
-        mine = renumbered(seen, used)
+        observations = renumbered(seen, used)
         for parameters in (free_parameters("none"), free):
-            found = adjust(rig, poses.of(np.flatnonzero(used)), mine, parameters, "redescending")
+            found = adjust(rig, poses.of(np.flatnonzero(used)), observations, parameters, "redescending")
             rig = found.rig
         errors, poses = view_errors(rig, poses, seen)
         agree = ~outliers(errors.joint)
@@ -49,32 +49,40 @@ def select_consistent_views(rig: RigState, poses: Poses, seen: Observations) -> 
             break
         used = agree
     _check_common_rig(errors, used)
-    usual = float(np.median(errors.joint[used]))
-    return rig, poses, used, ["" if used[v] else explain_outlier(errors, v, usual) for v in range(V)]
+    typical_px = float(np.median(errors.joint[used]))
+    return rig, poses, used, ["" if used[v] else explain_outlier(errors, v, typical_px) for v in range(V)]
 
 
 def view_errors(rig: RigState, poses: Poses, seen: Observations) -> tuple[ViewErrors, Poses]:
     """The errors of each view with ``rig``, and the poses that fit best."""
     V = len(poses.t)
     joint = adjust(rig, poses, seen, NO_PARAMETERS, "redescending")
-    together = [robust_errors_px(joint.residuals[seen.side == s], seen.view[seen.side == s], V) for s in (0, 1)]
-    alone = []
+    joint_errors = [robust_errors_px(joint.residuals[seen.side == s], seen.view[seen.side == s], V) for s in (0, 1)]
+    separate = []
     for side in (0, 1):
         of_side = seen.where(seen.side == side)
-        has = np.isin(np.arange(V), of_side.view)
-        f = adjust(rig, joint.poses.of(np.flatnonzero(has)), renumbered(of_side, has), NO_PARAMETERS, "redescending")
+        has_corners = np.isin(np.arange(V), of_side.view)
+        f = adjust(
+            rig,
+            joint.poses.of(np.flatnonzero(has_corners)),
+            renumbered(of_side, has_corners),
+            NO_PARAMETERS,
+            "redescending",
+        )
         error = np.full(V, np.nan)
-        error[has] = robust_errors_px(f.residuals, renumbered(of_side, has).view, int(has.sum()))
-        alone.append(error)
-    return ViewErrors(np.fmax(*together), alone[0], alone[1]), joint.poses
+        error[has_corners] = robust_errors_px(
+            f.residuals, renumbered(of_side, has_corners).view, int(has_corners.sum())
+        )
+        separate.append(error)
+    return ViewErrors(np.fmax(*joint_errors), separate[0], separate[1]), joint.poses
 
 
 def robust_errors_px(residuals: Array, view: Indices, V: int) -> Array:
     """Standard deviation (V,) of a coordinate in each view from the median length of ``residuals`` (M, 2); NaN in views
     without any."""
     length = np.linalg.norm(residuals, axis=1)
-    mine = [length[view == v] for v in range(V)]
-    return np.array([np.median(m) / RAYLEIGH_MEDIAN if len(m) else np.nan for m in mine])
+    lengths_by_view = [length[view == v] for v in range(V)]
+    return np.array([np.median(m) / RAYLEIGH_MEDIAN if len(m) else np.nan for m in lengths_by_view])
 
 
 def outliers(errors: Array) -> Mask:
@@ -87,32 +95,36 @@ def outliers(errors: Array) -> Mask:
     return np.asarray(scale - middle > MAX_ERROR_DEVIATIONS * spread)
 
 
-def explain_outlier(errors: ViewErrors, view: int, usual: float) -> Message:
-    """Why a view is an outlier; ``usual`` is the median error, px."""
+def explain_outlier(errors: ViewErrors, view: int, typical_px: float) -> Message:
+    """Why a view is an outlier; ``typical_px`` is the median error, px."""
     left, right = errors.left[view], errors.right[view]
-    worst = np.nanmax([left, right])
-    if worst < 0.5 * errors.joint[view] and np.isfinite([left, right]).all():
-        return message("board_moved", error_px=errors.joint[view], usual_px=usual)
+    max_px = np.nanmax([left, right])
+    if max_px < 0.5 * errors.joint[view] and np.isfinite([left, right]).all():
+        return message("board_moved", error_px=errors.joint[view], usual_px=typical_px)
     side = "left" if np.nan_to_num(left) >= np.nan_to_num(right) else "right"
-    return message("corners_scatter", view=side, error_px=worst, usual_px=usual)
+    return message("corners_scatter", view=side, error_px=max_px, usual_px=typical_px)
 
 
 def _check_common_rig(errors: ViewErrors, used: Mask) -> None:
     both = used & np.isfinite(errors.left) & np.isfinite(errors.right)
-    together = float(np.median(errors.joint[both])) if both.any() else np.nan
-    alone = (
+    joint_px = float(np.median(errors.joint[both])) if both.any() else np.nan
+    separate_px = (
         max(float(np.median(np.concatenate([errors.left[both], errors.right[both]]))), MIN_ERROR_PX)
         if both.any()
         else 1.0
     )
-    if 2 * both.sum() < np.isfinite(errors.left * errors.right).sum() or not together < MAX_JOINT_ERROR_RATIO * alone:
+    if (
+        2 * both.sum() < np.isfinite(errors.left * errors.right).sum()
+        or not joint_px < MAX_JOINT_ERROR_RATIO * separate_px
+    ):
         raise UnusableInput(
-            f"left and right: most pairs fit no common rig ({together:.2f} px together, {alone:.2f} px each alone); "
-            "expected pictures of a board that stands still, taken at the same time and paired rightly"
+            f"left and right: most pairs fit no common rig ({joint_px:.2f} px together, "
+            f"{separate_px:.2f} px each alone); expected pictures "
+            "of a board that stands still, taken at the same time and paired rightly"
         )
 
 
 def renumbered(seen: Observations, used: Mask) -> Observations:
     """The corners of the ``used`` views (V,), the views renumbered."""
-    mine = seen.where(used[seen.view])
-    return Observations((np.cumsum(used) - 1)[mine.view], mine.side, mine.points, mine.pixels)
+    remaining = seen.where(used[seen.view])
+    return Observations((np.cumsum(used) - 1)[remaining.view], remaining.side, remaining.points, remaining.pixels)

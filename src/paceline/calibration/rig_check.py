@@ -92,23 +92,23 @@ def has_enough_matches(matches: SceneMatches) -> bool:
 def check_rig(rig: StereoRig, matches: SceneMatches) -> RigCheck:
     """Estimates the rotation of the right camera by robust least squares of the distances from epipolar lines."""
     rotation, keep, residual_px = _fit_rotation(rig, matches)
-    kept = matches.where(keep)
-    at = rotated_rig(rig, rotation)
-    J = _rotation_jacobian(at, kept)
-    residuals = epipolar_distance(at, kept.left, kept.right)
-    scene = clustered_covariance(J, residuals, kept.tile)
-    by_distortion = np.linalg.pinv(J) @ _tangential_change(at, kept)
+    inliers = matches.where(keep)
+    rotated = rotated_rig(rig, rotation)
+    J = _rotation_jacobian(rotated, inliers)
+    residuals = epipolar_distance(rotated, inliers.left, inliers.right)
+    scene = clustered_covariance(J, residuals, inliers.tile)
+    by_distortion = np.linalg.pinv(J) @ _tangential_change(rotated, inliers)
     scene += np.outer(by_distortion, by_distortion)
-    response = np.linalg.pinv(J) @ _parameter_jacobian(at, kept)  # the rotation that errors of rig.yaml cause
+    response = np.linalg.pinv(J) @ _parameter_jacobian(rotated, inliers)  # the rotation that errors of rig.yaml cause
     uncertainty = rig.uncertainty or RigUncertainty()
     root = response @ uncertainty.covariance_root.T
     of_rig = root @ root.T
-    tiles = len(np.unique(kept.tile))
+    tiles = len(np.unique(inliers.tile))
     distance = float(rotation @ np.linalg.solve(scene + of_rig, rotation))
     p_value = float(f_distribution.sf(distance / 3 * (tiles - 3) / (tiles - 1), 3, tiles - 3))  # Hotelling's T²
     return RigCheck(
-        matches=len(kept),
-        outliers=len(matches) - len(kept),
+        matches=len(inliers),
+        outliers=len(matches) - len(inliers),
         tiles=tiles,
         rotation=rotation,
         scene_covariance=scene,
@@ -162,9 +162,9 @@ def _fit_rotation(rig: StereoRig, matches: SceneMatches) -> tuple[Array, Mask, f
     e = epipolar_distance(rig, matches.left, matches.right)
     scale = 1.4826 * float(np.median(np.abs(e - np.median(e))))  # about the median, as a nod shifts all points alike
     for _ in range(MAX_STEPS):
-        at = rotated_rig(rig, rotation)
-        e = epipolar_distance(at, matches.left, matches.right)
-        J = _rotation_jacobian(at, matches)
+        rotated = rotated_rig(rig, rotation)
+        e = epipolar_distance(rotated, matches.left, matches.right)
+        J = _rotation_jacobian(rotated, matches)
         w = 1.0 / (1.0 + (e / (REDESCENDING_SIGMA * scale)) ** 2) ** 2
         step = -np.linalg.solve((J * w[:, None]).T @ J, (J * w[:, None]).T @ e)
         rotation = rotation + step
@@ -172,12 +172,12 @@ def _fit_rotation(rig: StereoRig, matches: SceneMatches) -> tuple[Array, Mask, f
         if np.abs(step).max() < 1e-9:
             break
     keep = np.abs(epipolar_distance(rotated_rig(rig, rotation), matches.left, matches.right)) < MAX_MATCH_SIGMA * scale
-    kept = matches.where(keep)
+    inliers = matches.where(keep)
     for _ in range(3):  # unweighted steps, so that the least-squares covariance holds
-        at = rotated_rig(rig, rotation)
-        J = _rotation_jacobian(at, kept)
-        rotation = rotation - np.linalg.lstsq(J, epipolar_distance(at, kept.left, kept.right), rcond=None)[0]
-    return rotation, keep, float(np.std(epipolar_distance(rotated_rig(rig, rotation), kept.left, kept.right)))
+        rotated = rotated_rig(rig, rotation)
+        J = _rotation_jacobian(rotated, inliers)
+        rotation = rotation - np.linalg.lstsq(J, epipolar_distance(rotated, inliers.left, inliers.right), rcond=None)[0]
+    return rotation, keep, float(np.std(epipolar_distance(rotated_rig(rig, rotation), inliers.left, inliers.right)))
 
 
 def clustered_covariance(J: Array, residuals: Array, cluster: NDArray[np.int64]) -> Array:

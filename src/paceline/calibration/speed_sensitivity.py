@@ -108,25 +108,33 @@ def stated_uncertainty(rig: StereoRig, covariance: Array) -> RigUncertainty:
     focal length is given what is then still lacking, up to its own uncertainty, and all are enlarged together where no
     speed would otherwise be as unsure as by the covariance.
     """
-    together = np.hstack([np.zeros((6, 8)), np.eye(6)])
+    shift_jacobian = np.hstack([np.zeros((6, 8)), np.eye(6)])
     for first, camera, sign in ((2, rig.left, -1.0), (6, rig.right, 1.0)):
-        together[1, first] = sign / camera.K[0, 0]  # the right camera: ray and pixel shift alike
-        together[0, first + 1] = -sign / camera.K[1, 1]
-    std = np.sqrt(np.diag(together @ covariance @ together.T))
+        shift_jacobian[1, first] = sign / camera.K[0, 0]  # the right camera: ray and pixel shift alike
+        shift_jacobian[0, first + 1] = -sign / camera.K[1, 1]
+    std = np.sqrt(np.diag(shift_jacobian @ covariance @ shift_jacobian.T))
     turn, shift = _triple(std[:3]), _triple(std[3:])
-    ways = [
-        way for distance in DISTANCES_M for across in LATERAL_SHARES for way in _displacements(rig, distance, across)
+    displacements = [
+        displacement
+        for distance in DISTANCES_M
+        for across in LATERAL_SHARES
+        for displacement in _displacements(rig, distance, across)
     ]
 
     def variances(stated: RigUncertainty) -> Array:
         moves = perturbed_rigs(rig, stated)
-        return np.array([sum(relative_speed_change(rig, moved, *way) ** 2 for moved in moves) for way in ways])
+        return np.array(
+            [
+                sum(relative_speed_change(rig, moved, *displacement) ** 2 for moved in moves)
+                for displacement in displacements
+            ]
+        )
 
-    wanted, focal = variances(RigUncertainty(covariance=covariance)), variances(RigUncertainty(1.0))
-    lacking = np.maximum(wanted - variances(RigUncertainty(0.0, 0.0, turn, shift)), 0.0)
+    total, focal = variances(RigUncertainty(covariance=covariance)), variances(RigUncertainty(1.0))
+    lacking = np.maximum(total - variances(RigUncertainty(0.0, 0.0, turn, shift)), 0.0)
     known = np.diag(covariance)[[0, 1, 4, 5]].max()
     length = float(np.sqrt(min(known, (lacking / focal).max())))
-    larger = float(np.sqrt(max(1.0, (wanted / variances(RigUncertainty(length, 0.0, turn, shift))).max())))
+    larger = float(np.sqrt(max(1.0, (total / variances(RigUncertainty(length, 0.0, turn, shift))).max())))
     return RigUncertainty(larger * length, 0.0, _triple(larger * std[:3]), _triple(larger * std[3:]), covariance)
 
 

@@ -18,12 +18,12 @@ def print_columns(rows: Sequence[Sequence[str]]) -> None:
         print("  ".join([*(cell.ljust(width) for cell, width in zip(cells, widths, strict=True)), last]).rstrip())
 
 
-def file_named(given: Path, usual: str) -> Path:
-    """The file that a person means by ``given``: itself, or the ``usual`` one in a folder. Raises UnusableInput."""
+def file_named(path: Path, default_name: str) -> Path:
+    """``path``, or the file ``default_name`` in it where it is a folder. Raises UnusableInput."""
     try:
-        return given / usual if given.is_dir() else given
+        return path / default_name if path.is_dir() else path
     except OSError as error:  # a name that is too long
-        raise UnusableInput(f"{given}: cannot be read ({error.strerror})") from error
+        raise UnusableInput(f"{path}: cannot be read ({error.strerror})") from error
 
 
 def refuse_read_only(file: Path, otherwise: str = "") -> None:

@@ -119,9 +119,9 @@ def _with_interval(value: float, half: float, digits: int) -> str:
 def verdict(c: Calibration) -> str:
     """One line on what this calibration is good for."""
     share = c.coverage_factor * next(e.along for e in c.effects if e.distance == JUDGED)
-    what = f"the calibration leaves speeds at {JUDGED:.0f} m unsure by {100 * share:.2f} %"
+    statement = f"the calibration leaves speeds at {JUDGED:.0f} m unsure by {100 * share:.2f} %"
     if share <= GOOD:
-        return f"good: {what}"
+        return f"good: {statement}"
     if share <= USABLE:
-        return f"usable: {what}; more views, larger in the picture and more tilted, make it better"
-    return f"too unsure for speeds at {JUDGED:.0f} m: {what}; add views, larger in the picture and more tilted"
+        return f"usable: {statement}; more views, larger in the picture and more tilted, make it better"
+    return f"too unsure for speeds at {JUDGED:.0f} m: {statement}; add views, larger in the picture and more tilted"

@@ -52,7 +52,7 @@ def _print_drive(result: DriveResult) -> None:
     )
     rows = [("requirement", "found", "must be", ""), *map(format_requirement, result.requirements)]
     print_columns(rows)
-    taken = result.processing
-    print(f"processing time {1e3 * taken['median']:.2f} ms per picture, 99 of 100 within {1e3 * taken['p99']:.2f} ms")
+    times = result.processing
+    print(f"processing time {1e3 * times['median']:.2f} ms per picture, 99 of 100 within {1e3 * times['p99']:.2f} ms")
     for notice in result.notices:
         print(f"note: {notice}", file=sys.stderr)

@@ -70,16 +70,16 @@ def lanes(
         return NOTHING_MEASURED
     lines = road_lines(road)
     proposed, remarks = propose_lanes(document.rig, road)
-    kept = [lane for lane in proposed if lane.path is not None]
+    with_path = [lane for lane in proposed if lane.path is not None]
     remarks += [lane.reason for lane in proposed if lane.path is None]
-    named = dict(zip(lane_names(len(kept), document.paths if write else ()), kept, strict=True))
+    named = dict(zip(lane_names(len(with_path), document.paths if write else ()), with_path, strict=True))
     if not quiet:
         _print(lines, named, remarks)
         if background.unstable_share > MAX_UNREPORTED_UNSTABLE_SHARE:
             unstable, limit = 100 * background.unstable_share, 100 * MAX_UNREPORTED_UNSTABLE_SHARE
             notice = message("background_partly_unstable", unstable=unstable, max_unstable=limit)
             print(f"note: {notice}", file=sys.stderr)
-    if not kept:
+    if not with_path:
         print(f"no lane found: {message('no_lane_between_lines')}")
         return NOTHING_MEASURED
     if write or out is not None:

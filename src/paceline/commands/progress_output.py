@@ -57,15 +57,15 @@ def range_line_writer(target: str, live: bool) -> Callable[[CameraFrame, FollowE
     ``live`` camera, a pictures line every PICTURE_INTERVAL_S; None if no lines are asked for."""
     if not lines_requested():
         return None
-    due = 0.0
+    next_time = 0.0
 
     def write(frame: CameraFrame, e: FollowEstimate) -> None:
-        nonlocal due
+        nonlocal next_time
         outlines, points = ([], []) if e.status == "lost" else ([e.lines], [e.points])
         distance, std = float(e.position[2]), float(e.position_std[2])
         _write_line(format_estimate(target, e.frame, e.time, distance, std, e.status, outlines, points))
-        if live and frame.image is not None and (now := time.monotonic()) >= due:
-            due = now + PICTURE_INTERVAL_S
+        if live and frame.image is not None and (now := time.monotonic()) >= next_time:
+            next_time = now + PICTURE_INTERVAL_S
             height, width = frame.image.shape
             _write_line(format_pictures(frame.index, frame.time, (width, height), small_jpegs(frame.image)))
 
@@ -80,13 +80,13 @@ def live_line_writer(rig: StereoRig) -> Callable[[RawPair, list[DetectionTrack]]
         return None
     from paceline.survey.live import last_outline
 
-    due = 0.0
+    next_time = 0.0
 
     def write(pair: RawPair, tracks: list[DetectionTrack]) -> bool:
-        nonlocal due
-        if (now := time.monotonic()) < due:
+        nonlocal next_time
+        if (now := time.monotonic()) < next_time:
             return False
-        due = now + PICTURE_INTERVAL_S
+        next_time = now + PICTURE_INTERVAL_S
         seen: Counter[str] = Counter()
         for track in tracks:
             lane = track.first.lane.name

@@ -122,10 +122,10 @@ def rig_check(
     found = check_rig(document.rig, matches)
     _print_check(found, matches.frames)
     if out is not None:
-        better = correct_rotation(document.rig, found)
+        corrected = correct_rotation(document.rig, found)
         comments = [f"rotation refined by {found.matches} points of the scene in {clip.name}"]
-        write_all_or_none({out: rig_yaml(better.rig, comments).encode()})
-        _print_refinement(better, out)
+        write_all_or_none({out: rig_yaml(corrected.rig, comments).encode()})
+        _print_refinement(corrected, out)
         return DONE
     return NOTHING_MEASURED if found.moved else DONE
 
@@ -139,7 +139,7 @@ def _print_check(found: RigCheck, frames: int) -> None:
     print_columns(
         [
             ("turned since its calibration", "degrees, 95 %"),
-            *((what, f"{t:+.4f} ± {h:.4f}") for what, t, h in zip(TURNS, turn, half, strict=True)),
+            *((axis, f"{t:+.4f} ± {h:.4f}") for axis, t, h in zip(TURNS, turn, half, strict=True)),
         ]
     )
     print(
@@ -167,20 +167,20 @@ def verdict(found: RigCheck) -> str:
     )
 
 
-def _print_refinement(better: RotationCorrection, out: Path) -> None:
+def _print_refinement(correction: RotationCorrection, out: Path) -> None:
     import numpy as np
 
     from paceline.units import COVERAGE_95
 
     print()
     rows = [("refined", "turned by, degrees, 95 %", "known from")]
-    for what, t, s, share in zip(
-        TURNS, np.degrees(better.rotation), np.degrees(better.std), better.scene_share, strict=True
+    for axis, t, s, share in zip(
+        TURNS, np.degrees(correction.rotation), np.degrees(correction.std), correction.scene_share, strict=True
     ):
         source = "the scene" if share > 0.5 else "the calibration: the scene cannot tell it"
-        rows.append((what, f"{t:+.4f} ± {COVERAGE_95 * s:.4f}", source))
+        rows.append((axis, f"{t:+.4f} ± {COVERAGE_95 * s:.4f}", source))
     print_columns(rows)
-    effects = "   ".join(f"{e.distance:.0f} m ± {100 * COVERAGE_95 * e.along:.1f} %" for e in better.effects)
+    effects = "   ".join(f"{e.distance:.0f} m ± {100 * COVERAGE_95 * e.along:.1f} %" for e in correction.effects)
     print(f"speeds   {effects}   (95 %, from the calibration alone)")
     print(f"No scene tells the distance between the cameras: {out} keeps the calibration's.")
 

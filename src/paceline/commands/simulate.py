@@ -94,8 +94,8 @@ def _file(scene: str, kind: str) -> Path:
 
 
 def _changed(scene: SpeedScene | FollowScene, samples: int | None, seed: int | None) -> SpeedScene | FollowScene:
-    given = {name: value for name, value in (("samples", samples), ("seed", seed)) if value is not None}
-    return scene.model_copy(update=given)
+    overrides = {name: value for name, value in (("samples", samples), ("seed", seed)) if value is not None}
+    return scene.model_copy(update=overrides)
 
 
 def _render(scene: SpeedScene | FollowScene, out: Path, quiet: bool) -> int:

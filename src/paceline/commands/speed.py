@@ -139,9 +139,15 @@ def _measure(
 
 
 def _measure_live(
-    clip: Path, out: Path, settings: SpeedSettings, unit: SpeedUnit, quiet: bool, detector: Path | None, asked: bool
+    clip: Path,
+    out: Path,
+    settings: SpeedSettings,
+    unit: SpeedUnit,
+    quiet: bool,
+    detector: Path | None,
+    background_given: bool,
 ) -> int:
-    """Measures what two cameras record; the exit status. ``asked``: whether the time to learn is by an option."""
+    """Measures what two cameras record; the exit status. ``background_given``: whether an option sets its time."""
     from paceline.commands.speed_live import measure_live
     from paceline.documents.loading import load_clip
 
@@ -149,7 +155,7 @@ def _measure_live(
     if settings.method != "paceline" or settings.device != "cpu":
         raise UnusableInput("--live: measures by Paceline's own method on the CPU; leave --method and --device out")
     at_once = detector is not None and bool(document.paths)
-    if at_once and asked:
+    if at_once and background_given:
         raise UnusableInput(
             "--background-seconds: no background is needed with --detector along given paths; leave it out"
         )
@@ -173,15 +179,15 @@ def _tolerance(value: float, unit: SpeedUnit) -> float:
     return value * unit.mps
 
 
-def _settings(config: Path | None, given: dict[str, object]) -> SpeedSettings:
-    """What the file ``config`` says, unless options are ``given``."""
+def _settings(config: Path | None, options: dict[str, object]) -> SpeedSettings:
+    """What the file ``config`` says, unless options are ``options``."""
     from pydantic import ValidationError
 
     from paceline.speed.configuration import SpeedSettings, load_settings
 
     file = {} if config is None else load_settings(config).model_dump(exclude_unset=True)
     try:
-        return SpeedSettings.model_validate({**file, **given})
+        return SpeedSettings.model_validate({**file, **options})
     except ValidationError as error:
         first = error.errors()[0]
         expected = first["msg"].replace("Input should be", "expected")
@@ -209,9 +215,9 @@ def _print_result(result: ClipResult, unit: str) -> None:
 
     rows = [("vehicle", f"speed, {unit}", "95 % interval", "verdict")]
     for m in result.measurements:
-        words = format_speed(m, unit)
-        interval = f"{words.lo} to {words.hi}" if words.lo != NO_VALUE else NO_VALUE
-        speed = f"{words.speed} ± {words.plus_minus}" if words.known else NO_VALUE
+        formatted = format_speed(m, unit)
+        interval = f"{formatted.lo} to {formatted.hi}" if formatted.lo != NO_VALUE else NO_VALUE
+        speed = f"{formatted.speed} ± {formatted.plus_minus}" if formatted.known else NO_VALUE
         rows.append((m.vehicle, speed, interval, format_verdict(m)))
     print_columns(rows)
     for m in result.measurements:

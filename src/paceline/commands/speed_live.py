@@ -31,7 +31,7 @@ def measure_live(
     out: Path,
     configuration: SpeedConfiguration,
     unit: SpeedUnit,
-    learning: float | None,
+    background_s: float | None,
     quiet: bool,
     detector: Path | None = None,
 ) -> int:
@@ -53,13 +53,15 @@ def measure_live(
     cv2.setNumThreads(1)  # images are small: a second thread costs more than it gains, and the measurement needs it
     detect = None if detector is None else OnnxDetector(detector)
     views = LiveStereo(clip)
-    learning = DEFAULT_BACKGROUND_S if learning is None else learning
-    settings, used = {**configuration.model_dump(), "learn": learning}, versions()
+    background_s = DEFAULT_BACKGROUND_S if background_s is None else background_s
+    settings, package_versions = {**configuration.model_dump(), "learn": background_s}, versions()
     if detect is not None:
-        settings["detector"], used["onnxruntime"] = detect.name, detect.runtime
-    kept = configuration.live.kept_pictures
-    results = LiveResults(out, {"clip": str(clip.path), "configuration": settings, "versions": used}, unit, kept)
-    looking = _Looking(clip.rig, learning)
+        settings["detector"], package_versions["onnxruntime"] = detect.name, detect.runtime
+    max_pictures = configuration.live.kept_pictures
+    results = LiveResults(
+        out, {"clip": str(clip.path), "configuration": settings, "versions": package_versions}, unit, max_pictures
+    )
+    looking = _Looking(clip.rig, background_s)
 
     def say(text: str) -> None:
         if not quiet:
@@ -83,17 +85,17 @@ def measure_live(
         say(f"{paths} {'path' if paths == 1 else 'paths'}; measuring until Ctrl-C")
 
     if not at_once:
-        say(f"learning the empty road for {learning:g} s")
+        say(f"learning the empty road for {background_s:g} s")
     with results:
         with ended_by_interrupt(views.stop):
             try:
-                nothing = survey(clip, views, configuration, on_result, learning, ready, on_frame, detect)
+                no_vehicle = survey(clip, views, configuration, on_result, background_s, ready, on_frame, detect)
             except BrokenExecutor as error:
                 killed = "the process that measures was killed; is there memory enough?"
                 raise UnusableInput(f"{clip.path}: {killed}") from error
         results.notices += views.notices
         if detect is not None and not (results.vehicles or results.unmeasured):
-            results.notices.append(nothing.after("no vehicle was found"))
+            results.notices.append(no_vehicle.after("no vehicle was found"))
         if views.dropped:
             results.notices.append(message("frames_dropped_live", frames=views.dropped))
     for notice in results.notices:
@@ -144,8 +146,8 @@ def _line(found: DetectedVehicle, measurement: Measurement | None, reason: Messa
     when = f"{time.strftime('%H:%M:%S')}  {name:<5} {found.path:<8}"
     if measurement is None:
         return f"{when} not measured: {reason}{_advice(reason.advice)}"
-    words = format_speed(measurement, unit)
-    speed = f"{words.speed} ± {words.plus_minus} {unit}" if words.known else NO_VALUE
+    formatted = format_speed(measurement, unit)
+    speed = f"{formatted.speed} ± {formatted.plus_minus} {unit}" if formatted.known else NO_VALUE
     advice = "" if measurement.verdict == "measured" else rejected_advice(measurement.reason_code)
     return f"{when} {speed}  {format_verdict(measurement)}{_advice(advice)}"
 

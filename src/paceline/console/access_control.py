@@ -51,18 +51,18 @@ class AccessControl:
                 answer["Cross-Origin-Resource-Policy"] = "same-origin"
             await send(message)
 
-        gone = False
+        disconnected = False
 
         async def receive_until_gone() -> Message:
-            nonlocal gone
+            nonlocal disconnected
             message = await receive()
-            gone = gone or message["type"] == "http.disconnect"
+            disconnected = disconnected or message["type"] == "http.disconnect"
             return message
 
         try:
             await self.app(scope, receive_until_gone, send_with_headers)
         except (RuntimeError, ClientDisconnect):  # a browser that disconnects half way needs no answer
-            if not gone:
+            if not disconnected:
                 raise
 
     def _refusal(self, scope: Scope, headers: Headers) -> Response | None:
@@ -73,8 +73,8 @@ class AccessControl:
             return PlainTextResponse("Requests from other sites are refused.", 403)
         cookie = f"paceline-token-{scope['server'][1]}"  # cookies ignore ports; a machine may run two consoles
         if self.token is not None and not self._token_matches(_cookie_value(headers, cookie)):
-            given = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0]
-            if not self._token_matches(given):
+            token = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0]
+            if not self._token_matches(token):
                 return PlainTextResponse("Open the address that the console printed, with its token.", 403)
             # a page that redirects: the browser would not send a strict cookie after a 302
             redirect = HTMLResponse(REDIRECT_PAGE)
@@ -92,8 +92,8 @@ class AccessControl:
         followed = scope.get("method") == "GET" and headers.get("sec-fetch-dest") == "document"
         return site not in ("same-origin", "none") and not followed
 
-    def _token_matches(self, given: str) -> bool:
-        return self.token is not None and secrets.compare_digest(given.encode(), self.token.encode())
+    def _token_matches(self, token: str) -> bool:
+        return self.token is not None and secrets.compare_digest(token.encode(), self.token.encode())
 
 
 def _cookie_value(headers: Headers, cookie: str) -> str:

@@ -41,10 +41,10 @@ def folder_below(root: Path, name: str) -> Path:
     with "..", hidden or absolute ones, and links."""
     folder = root if name == "." else root.joinpath(*_path_parts(name))
     try:
-        there = folder.is_dir() and folder.resolve() == folder
+        exists = folder.is_dir() and folder.resolve() == folder
     except OSError:  # a name that is too long
-        there = False
-    if not there:
+        exists = False
+    if not exists:
         raise NotFound(name)
     return folder
 
@@ -53,10 +53,10 @@ def file_below(folder: Path, name: str) -> Path:
     """The regular file ``name`` below the resolved ``folder``. Raises NotFound, also for links."""
     file = folder.joinpath(*_path_parts(name))
     try:
-        there = file.is_file() and file.resolve() == file
+        exists = file.is_file() and file.resolve() == file
     except OSError:
-        there = False
-    if not there:
+        exists = False
+    if not exists:
         raise NotFound(name)
     return file
 
@@ -75,14 +75,14 @@ def check_document(root: Path, file: Path) -> None:
     """
     _require_inside(root, file, file, file.name)
     others = files_of(file)
-    for key, given in others.items():
-        path = _require_inside(root, file, file.parent / given, key)
+    for key, name in others.items():
+        path = _require_inside(root, file, file.parent / name, key)
         if key in YAML_KEYS:
             check_size(path)
-    for key, given in recordings_of(file).items():
-        if is_live(file, given) and not (file.parent / given).is_fifo():
+    for key, name in recordings_of(file).items():
+        if is_live(file, name) and not (file.parent / name).is_fifo():
             continue
-        path = _require_inside(root, file, file.parent / given, key)
+        path = _require_inside(root, file, file.parent / name, key)
         try:
             _check_recording(root, file, path, key)
         except OSError as error:  # a folder without permission to read
@@ -96,7 +96,7 @@ def named_files(root: Path, file: Path) -> list[Path]:
     found = [file, file.parent]
     try:
         others = files_of(file)
-        found += [file.parent / given for given in [*others.values(), *recordings_of(file).values()]]
+        found += [file.parent / name for name in [*others.values(), *recordings_of(file).values()]]
         if "site" in others:
             found.append(rig_of_site(_require_inside(root, file, file.parent / others["site"], "site")))
     except UnusableInput:
@@ -104,15 +104,15 @@ def named_files(root: Path, file: Path) -> list[Path]:
     return found
 
 
-def _check_recording(root: Path, file: Path, where: Path, key: str) -> None:
-    if where.is_dir():
-        images = [p for p in where.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES]
-    elif where.is_fifo():
+def _check_recording(root: Path, file: Path, path: Path, key: str) -> None:
+    if path.is_dir():
+        images = [p for p in path.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES]
+    elif path.is_fifo():
         return  # opening it would block until something writes into it
-    elif where.exists():
-        return check_container(where)
+    elif path.exists():
+        return check_container(path)
     else:
-        images = [Path(p) for p in glob.glob(re.sub(r"%0(\d{1,2})d", lambda m: "[0-9]" * int(m[1]), str(where)))]
+        images = [Path(p) for p in glob.glob(re.sub(r"%0(\d{1,2})d", lambda m: "[0-9]" * int(m[1]), str(path)))]
     for folder in {image.parent for image in images}:
         _require_inside(root, file, folder, key)
     for image in images:

@@ -81,7 +81,7 @@ def files_of(file: Path) -> dict[str, str]:
     else:
         clip = read_cached(ClipModel, file)
         named = {"rig": clip.rig, "site": clip.site, "times": clip.times}
-    return {key: given for key, given in named.items() if given is not None}
+    return {key: name for key, name in named.items() if name is not None}
 
 
 def rig_of_site(site: Path) -> Path:
@@ -89,22 +89,22 @@ def rig_of_site(site: Path) -> Path:
     return site.parent / read_cached(SiteModel, site).rig
 
 
-def is_live(file: Path, given: str) -> bool:
-    """Whether the recording ``given`` in the document ``file`` is a camera or a stream. Raises UnusableInput for an
+def is_live(file: Path, name: str) -> bool:
+    """Whether the recording ``name`` in the document ``file`` is a camera or a stream. Raises UnusableInput for an
     address of any other kind."""
-    if STREAM_PATTERN.fullmatch(given) or DEVICE_PATTERN.fullmatch(given):
+    if STREAM_PATTERN.fullmatch(name) or DEVICE_PATTERN.fullmatch(name):
         return True
-    if "://" in given:
-        raise UnusableInput(f"{file}: {without_password(given)}: expected a file, or an rtsp, http, udp or srt address")
+    if "://" in name:
+        raise UnusableInput(f"{file}: {without_password(name)}: expected a file, or an rtsp, http, udp or srt address")
     try:
-        return (file.parent / given).is_fifo()
+        return (file.parent / name).is_fifo()
     except (OSError, ValueError):  # a name too long, a zero byte: the reader reports it
         return False
 
 
 def live_views(file: Path) -> list[str]:
     """The live sources of a document, without passwords. Raises UnusableInput."""
-    return [without_password(given) for given in recordings_of(file).values() if is_live(file, given)]
+    return [without_password(name) for name in recordings_of(file).values() if is_live(file, name)]
 
 
 def without_password(address: str) -> str:

@@ -169,9 +169,9 @@ class Library:
 def _clip_state(contents: ClipContents, runs: list[Run]) -> tuple[str, str]:
     if any(run.active for run in runs):
         return STATE_RUNNING, ""
-    done = [run for run in runs if run.state != STATE_CANCELLED]
-    if done:
-        return done[0].state, done[0].reason
+    finished = [run for run in runs if run.state != STATE_CANCELLED]
+    if finished:
+        return finished[0].state, finished[0].reason
     if contents.live:
         return "live", f"{' and '.join(contents.live)}: measured while they record"
     if contents.chase:

@@ -25,13 +25,13 @@ async def read_json(request: Request) -> dict[str, Any]:
     return found
 
 
-async def read_body(stream: AsyncIterator[bytes], most: int) -> bytes:
-    """The bytes of a ``stream``. Raises UnusableInput where there are more than ``most``."""
+async def read_body(stream: AsyncIterator[bytes], max_bytes: int) -> bytes:
+    """The bytes of a ``stream``. Raises UnusableInput where there are more than ``max_bytes``."""
     content = bytearray()
     async for chunk in stream:
         content += chunk
-        if len(content) > most:
-            raise UnusableInput(f"the request is larger than {most >> 20} MiB")
+        if len(content) > max_bytes:
+            raise UnusableInput(f"the request is larger than {max_bytes >> 20} MiB")
     return bytes(content)
 
 

@@ -179,8 +179,8 @@ def _import_routes(library: Library, imports: Uploads) -> APIRouter:
     @router.post("/api/import/{key}")
     async def finish(key: str, request: Request) -> dict[str, str]:
         rate = (await read_json(request)).get("rate")
-        given = None if rate is None else parse_number(rate)
-        return {"name": await run_in_threadpool(imports.finish, key, given)}
+        frame_rate = None if rate is None else parse_number(rate)
+        return {"name": await run_in_threadpool(imports.finish, key, frame_rate)}
 
     @router.delete("/api/import/{key}")
     def discard(key: str) -> dict[str, str]:

@@ -34,10 +34,10 @@ def serve(folder: Path, host: str, port: int | None, browse: bool, report: Calla
     """
     try:
         root = folder.resolve()
-        there = root.is_dir()
+        exists = root.is_dir()
     except (OSError, RuntimeError) as error:  # no permission, a name too long, a cycle of links
         raise UnusableInput(f"{str(folder)[:200]}: cannot be read") from error
-    if not there:
+    if not exists:
         raise UnusableInput(f"{folder}: is no folder; expected the one that holds the clips")
     if not os.access(root, os.R_OK | os.X_OK):
         raise UnusableInput(f"{folder}: cannot be read; expected a folder of clips")

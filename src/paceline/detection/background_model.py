@@ -67,8 +67,8 @@ class RunningMedianBackground:
         """Move the running median, or only its ``rows``, towards ``frame``."""
         if self._time is not None:
             step = MAX_CHANGE_GREY_PER_S * (frame.time - self._time)
-            for image, now in zip(self.images, (frame.left, frame.right), strict=True):
-                background_model_cpu.step_towards(image[rows], now[rows], step)
+            for image, current in zip(self.images, (frame.left, frame.right), strict=True):
+                background_model_cpu.step_towards(image[rows], current[rows], step)
         self._time = frame.time
 
     @property
@@ -90,7 +90,7 @@ class DetectorBackground:
         """Its noise is that between ``frame`` and the last one; None for the first frame."""
         boxes = self._detect(frame.left), self._detect(frame.right)
         self._images += 2
-        self._boxed += sum(len(of) > 0 for of in boxes)
+        self._boxed += sum(len(image_boxes) > 0 for image_boxes in boxes)
         images = _inverted_in_boxes(frame.left, boxes[0]), _inverted_in_boxes(frame.right, boxes[1])
         if self._last is None:
             return BackgroundEstimate(images)

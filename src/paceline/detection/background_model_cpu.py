@@ -9,9 +9,9 @@ from paceline.numba_cache import cached_njit
 
 
 @cached_njit(nogil=True)
-def step_towards(image: Image, now: Image, step: float) -> None:
-    """Move every pixel of ``image`` (H, W), in place, towards ``now``, by ``step`` grey levels at most."""
-    most = np.float32(step)
+def step_towards(image: Image, target: Image, step: float) -> None:
+    """Move every pixel of ``image`` (H, W), in place, towards ``target``, by ``step`` grey levels at most."""
+    max_step = np.float32(step)
     for y in range(len(image)):
         for x in range(image.shape[1]):
-            image[y, x] += min(max(now[y, x] - image[y, x], -most), most)
+            image[y, x] += min(max(target[y, x] - image[y, x], -max_step), max_step)

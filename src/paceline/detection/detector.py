@@ -215,10 +215,10 @@ class PlaneSweepDetector:
             least = max(MIN_COARSE_AREA_M2, MIN_PEAK_RATIO * float(areas.max()))
             found = np.flatnonzero((areas >= previous) & (areas >= following) & (areas >= least))
             peaks = [int(k) for k in found[np.argsort(-areas[found])][:MAX_PEAKS]]
-            lying = [k for k in peaks if not is_upright(k)]
-            if not lying:
+            not_upright = [k for k in peaks if not is_upright(k)]
+            if not not_upright:
                 return peaks
-            areas[lying] = 0.0
+            areas[not_upright] = 0.0
 
     def _climb(self, volume: _ConsistencyVolume, k: int) -> int:
         """The local maximum of the consistent area reached from plane ``k`` by hill climbing."""
@@ -248,7 +248,7 @@ class PlaneSweepDetector:
         NCC is taken. By day there is hardly such a plane, and the area locates the vehicle better.
         """
         first, end = self._lane_range(best)
-        ncc = cache(partial(volume.weighted_ncc, component=component, of=best))
+        ncc = cache(partial(volume.weighted_ncc, component=component, peak=best))
         for share, reach, misfit_ratio in (WIDE_PLATEAU, CLOSE_PLATEAU):
             least, low, high = share * volume.area(best), best, best
             while low > max(first, best - reach) and volume.area(low - 1) >= least:
@@ -300,8 +300,8 @@ class PlaneSweepDetector:
             crops.append(image[part].copy())
             empty.append(np.clip(np.rint(scene[part]), 0, 255).astype(np.uint8))
             origins.append(low)
-        views, scenes, at = (crops[0], crops[1]), (empty[0], empty[1]), np.array(origins, float)
-        return Detection(frame.index, frame.time, lane, s, x, y, area, upright, views, scenes, at)
+        views, scenes, crop_origins = (crops[0], crops[1]), (empty[0], empty[1]), np.array(origins, float)
+        return Detection(frame.index, frame.time, lane, s, x, y, area, upright, views, scenes, crop_origins)
 
 
 class _ConsistencyVolume:
@@ -331,11 +331,11 @@ class _ConsistencyVolume:
             self._areas[index] = _area(self.consistency_map(index), FINE_GRID)
         return self._areas[index]
 
-    def weighted_ncc(self, index: int, component: Mask, of: int) -> float:
+    def weighted_ncc(self, index: int, component: Mask, peak: int) -> float:
         """The weighted NCC of both views on plane ``index``, where the left view shows the ``component`` of plane
-        ``of``."""
+        ``peak``."""
         plane = self._planes[index]
-        return plane.weighted_ncc(self._views, plane.transfer_mask(component, self._planes[of]))
+        return plane.weighted_ncc(self._views, plane.transfer_mask(component, self._planes[peak]))
 
     def discard(self, index: int, component: Mask) -> None:
         """Set a ``component`` (rows, columns) of a plane to 0, with the cells about it that made it one."""
@@ -384,8 +384,8 @@ def _visible_rows(planes: list[tuple[LanePath, float]]) -> slice:
     ]
     if not rows:
         return slice(0, 0)
-    height, whole = planes[0][0].rig.left.image_size[1], 2 ** (PYRAMID_LEVELS - 1)
-    top = int(np.min(rows) // whole) * whole
+    height, row_multiple = planes[0][0].rig.left.image_size[1], 2 ** (PYRAMID_LEVELS - 1)
+    top = int(np.min(rows) // row_multiple) * row_multiple
     return slice(max(top, 0), min(int(np.max(rows)) + 2, height))
 
 
@@ -457,13 +457,13 @@ def _vehicle_mask(detection: Detection, points: Array, shape: tuple[int, ...], t
     corners = np.array([[a, b] for a in x for b in (0.0, high)])
     forward = lane.path.frames(np.array(s))[:, 0]
     ahead = np.sign(forward[2]) or 1.0
-    before, at, behind = (lane.pixels(s + ahead * d, corners)[0] for d in (-FACE_LEAD_M, 0.0, length))
+    before, at_face, behind = (lane.pixels(s + ahead * d, corners)[0] for d in (-FACE_LEAD_M, 0.0, length))
     if lane.path.at(np.array(s - ahead * FACE_LEAD_M))[2] <= 1.0:
-        before = at
+        before = at_face
     masks = []
-    for hull in ((before, behind), (before, at)):
+    for hull in ((before, behind), (before, at_face)):
         pixels = np.clip(np.concatenate(hull) - [0, top], -1e4, 1e4).round().astype(np.int32)
         masks.append(np.zeros(shape, np.uint8))
         cv2.fillConvexPoly(masks[-1], cv2.convexHull(pixels), 1)
-    beyond = ahead * ((points - detection.position) @ forward)
-    return _VehicleMask(masks[0], masks[1], beyond < LORRY_LENGTH_M + BODY_CLEARANCE_M)
+    distance_behind = ahead * ((points - detection.position) @ forward)
+    return _VehicleMask(masks[0], masks[1], distance_behind < LORRY_LENGTH_M + BODY_CLEARANCE_M)

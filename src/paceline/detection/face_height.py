@@ -50,7 +50,7 @@ def select_height(face: PlanarFace, seen: list[AlignedDetection], is_clear: Call
 def _speed_stds(outlines: list[PlanarFace], seen: list[AlignedDetection]) -> Array:
     """The standard deviations of the mean speed, m/s, due to pixel noise, with each of the ``outlines`` in the frames
     ``seen``; only those of the first ones where the others are far worse."""
-    keyframes = [_keyframe(outlines[0], at) for at in seen]
+    keyframes = [_keyframe(outlines[0], aligned) for aligned in seen]
     found: list[float] = []
     try:
         trajectory, speed = _initial_trajectory(keyframes, seen)
@@ -66,14 +66,14 @@ def _speed_stds(outlines: list[PlanarFace], seen: list[AlignedDetection]) -> Arr
     return np.array(found or [0.0])
 
 
-def _outline_pixels(face: PlanarFace, at: AlignedDetection) -> Array:
+def _outline_pixels(face: PlanarFace, aligned: AlignedDetection) -> Array:
     """An outline (2, 4, 2) in both views of a frame, px."""
-    return np.stack(at.detection.lane.pixels(at.s, face.corners(at)))
+    return np.stack(aligned.detection.lane.pixels(aligned.s, face.corners(aligned)))
 
 
-def _keyframe(face: PlanarFace, at: AlignedDetection) -> Keyframe:
-    d = at.detection
-    return Keyframe(d.frame, (d.time, d.time), d.crops, d.crop_origins, _outline_pixels(face, at))
+def _keyframe(face: PlanarFace, aligned: AlignedDetection) -> Keyframe:
+    d = aligned.detection
+    return Keyframe(d.frame, (d.time, d.time), d.crops, d.crop_origins, _outline_pixels(face, aligned))
 
 
 def _initial_trajectory(keyframes: list[Keyframe], seen: list[AlignedDetection]) -> tuple[Trajectory, float]:

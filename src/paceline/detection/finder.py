@@ -204,16 +204,16 @@ def _outline_from(track: DetectionTrack, detections: list[Detection]) -> Detecte
     if face is None:
         return without_outline(track, message("no_planar_face"))
     inliers = motion_inliers(face.aligned)
-    clear = [at for at in inliers if _is_clear(face, at)]
+    clear = [aligned for aligned in inliers if _is_clear(face, aligned)]
     if not clear:
         reason = message("face_never_clear", min_width_px=MIN_OUTLINE_PX[0], min_height_px=MIN_OUTLINE_PX[1])
         return without_outline(track, reason)
     similar = similarity(face, clear)
-    at = clear[int(np.argmax(similar >= MIN_SIMILARITY_RATIO * np.median(similar)))]
-    seen = inliers[inliers.index(at) :]
-    face = select_height(face, seen, partial(_is_clear, at=at))
-    detection = at.detection
-    left, right = detection.lane.pixels(at.s, face.corners(at))
+    first = clear[int(np.argmax(similar >= MIN_SIMILARITY_RATIO * np.median(similar)))]
+    seen = inliers[inliers.index(first) :]
+    face = select_height(face, seen, partial(_is_clear, aligned=first))
+    detection = first.detection
+    left, right = detection.lane.pixels(first.s, face.corners(first))
     document = VehicleDocument("", detection.lane.name, detection.frame, left, right, "front", initial_speed(seen))
     return replace(
         without_outline(track, NO_REASON),
@@ -242,17 +242,17 @@ def motion_inliers(aligned: list[AlignedDetection]) -> list[AlignedDetection]:
 def initial_speed(seen: list[AlignedDetection]) -> float | None:
     """A first guess of the speed, m/s, from the first half of the frames ``seen``; None where these are too few, or it
     hardly moves."""
-    early = seen[: max(MIN_DETECTIONS, len(seen) // 2)]
-    if len(early) < MIN_DETECTIONS:
+    first_detections = seen[: max(MIN_DETECTIONS, len(seen) // 2)]
+    if len(first_detections) < MIN_DETECTIONS:
         return None
-    speed = round(abs(theil_sen_slope(*face_positions(early))), 1)
+    speed = round(abs(theil_sen_slope(*face_positions(first_detections))), 1)
     return speed if speed >= DEFAULTS.start.speed_range[0] else None
 
 
-def _is_clear(face: PlanarFace, at: AlignedDetection) -> bool:
+def _is_clear(face: PlanarFace, aligned: AlignedDetection) -> bool:
     """Whether a face is large enough in a frame, and wholly inside both images."""
-    lane = at.detection.lane
-    for quad, camera in zip(lane.pixels(at.s, face.corners(at)), lane.rig.cameras, strict=True):
+    lane = aligned.detection.lane
+    for quad, camera in zip(lane.pixels(aligned.s, face.corners(aligned)), lane.rig.cameras, strict=True):
         inside = (quad >= MIN_BORDER_PX) & (quad <= np.array(camera.image_size) - 1 - MIN_BORDER_PX)
         if not inside.all() or (np.ptp(quad, axis=0) < MIN_OUTLINE_PX).any():
             return False

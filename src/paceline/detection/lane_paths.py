@@ -41,9 +41,9 @@ class LanePath:
     def axes(self, s: float) -> tuple[Array, Array, Array]:
         """The sweep plane at ``s``: its origin (3,) on the road and its unit vectors, right in the image and up, (3,)
         each."""
-        at = np.array(s)
-        _, right, down = self.path.frames(at).T
-        return self.path.at(at), right * (1.0 if right[0] >= 0 else -1.0), -down
+        arc_length = np.array(s)
+        _, right, down = self.path.frames(arc_length).T
+        return self.path.at(arc_length), right * (1.0 if right[0] >= 0 else -1.0), -down
 
     def homographies(self, s: float) -> tuple[Array, Array]:
         """(3, 3) each, from plane coordinates (x, y, 1) at ``s`` to ideal pixels of the left and of the right view."""

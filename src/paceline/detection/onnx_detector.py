@@ -76,10 +76,10 @@ class OnnxDetector:
         if len(inputs) == 1 and len(shape := inputs[0].shape) in (3, 4) and inputs[0].type in FLOAT_TYPES:
             usual = (3, DEFAULT_SIDE_PX, DEFAULT_SIDE_PX)
             colours, height, width = (n if isinstance(n, int) else u for n, u in zip(shape[-3:], usual, strict=True))
-            alone = not isinstance(shape[0], int) or shape[:-3] in ([], [1])
-            if alone and colours in (1, 3) and height in ACCEPTED_SIDES_PX and width in ACCEPTED_SIDES_PX:
-                whole = (1, colours, height, width)[-len(shape) :]
-                return inputs[0].name, (width, height), FLOAT_TYPES[inputs[0].type], whole
+            single_image = not isinstance(shape[0], int) or shape[:-3] in ([], [1])
+            if single_image and colours in (1, 3) and height in ACCEPTED_SIDES_PX and width in ACCEPTED_SIDES_PX:
+                full_shape = (1, colours, height, width)[-len(shape) :]
+                return inputs[0].name, (width, height), FLOAT_TYPES[inputs[0].type], full_shape
         raise UnusableInput(
             f"{self._file}: inputs {_shapes(inputs)}: expected one picture of floating-point numbers, "
             "(1, 3, height, width)"
@@ -98,8 +98,8 @@ class OnnxDetector:
             )
         classes = vehicle_classes(names, count)
         if classes is None or not len(classes):
-            some = _shorten(", ".join(names.values())) or "none"
-            raise UnusableInput(f"{self._file}: names: {some}; expected some vehicles, such as car or truck")
+            examples = _shorten(", ".join(names.values())) or "none"
+            raise UnusableInput(f"{self._file}: names: {examples}; expected some vehicles, such as car or truck")
         return classes
 
 
@@ -163,9 +163,11 @@ def _names(text: str) -> dict[int, str] | None:
 
 def _shapes(described: list[NodeArg], found: Outputs | None = None) -> str:
     """The names, shapes and types of inputs or outputs, those ``found`` where they are known."""
-    of = [(n.shape, n.type[7:-1]) for n in described] if found is None else [(o.shape, o.dtype) for o in found]
-    words = [f"{n.name} ({', '.join(map(str, s))}) {kind}" for n, (s, kind) in zip(described, of, strict=True)]
-    return _shorten(", ".join(words)) or "none"
+    shapes = [(n.shape, n.type[7:-1]) for n in described] if found is None else [(o.shape, o.dtype) for o in found]
+    descriptions = [
+        f"{n.name} ({', '.join(map(str, s))}) {kind}" for n, (s, kind) in zip(described, shapes, strict=True)
+    ]
+    return _shorten(", ".join(descriptions)) or "none"
 
 
 def _error_text(error: Exception) -> str:

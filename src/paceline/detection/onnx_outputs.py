@@ -62,22 +62,24 @@ def output_layout(outputs: Outputs, size: tuple[int, int]) -> OutputLayout | Non
     tables = [k for k, output in enumerate(outputs) if output.ndim == 3 and len(output) == 1]
     if len(tables) != 1:
         return None
-    at = tables[0]
-    _, rows, columns = outputs[at].shape
+    index = tables[0]
+    _, rows, columns = outputs[index].shape
     cells = sum((size[0] // stride) * (size[1] // stride) for stride in CELL_STRIDES_PX)
     if columns == 6 and rows < cells:
-        return OutputLayout(lambda found: _from_rows(_table(found, at)))
+        return OutputLayout(lambda found: _from_rows(_table(found, index)))
     if 5 <= rows < columns:
-        return OutputLayout(lambda found: _from_class_scores(_table(found, at).T), classes=rows - 4)
+        return OutputLayout(lambda found: _from_class_scores(_table(found, index).T), classes=rows - 4)
     if not 6 <= columns < rows:
         return None
     if rows != cells:
-        return OutputLayout(lambda found: _from_objectness(_table(found, at)), classes=columns - 5)
-    plain, grid = _table(outputs, at), _cell_grid(size)  # a row for each cell, as YOLOX and YOLOv6 have it
+        return OutputLayout(lambda found: _from_objectness(_table(found, index)), classes=columns - 5)
+    plain, grid = _table(outputs, index), _cell_grid(size)  # a row for each cell, as YOLOX and YOLOv6 have it
     if plain[:, 2:4].min() < 0:  # logarithms of sizes, and places in the cell: as YOLOX leaves them
-        return OutputLayout(lambda found: _from_objectness(_decode_cells(_table(found, at), grid)), 255.0, columns - 5)
+        return OutputLayout(
+            lambda found: _from_objectness(_decode_cells(_table(found, index), grid)), 255.0, columns - 5
+        )
     white = 1.0 if plain[:, 4].min() > MIN_SCORE else 255.0  # only YOLOv6 has an objectness of 1 everywhere
-    return OutputLayout(lambda found: _from_objectness(_table(found, at)), white, columns - 5)
+    return OutputLayout(lambda found: _from_objectness(_table(found, index)), white, columns - 5)
 
 
 def vehicle_classes(names: dict[int, str] | None, count: int | None) -> Array | None:
@@ -96,8 +98,8 @@ def select_boxes(candidates: Candidates, classes: Array | None, size: tuple[int,
         boxes = boxes * np.tile(size, 2)
     if classes is not None:
         scoring &= np.isin(candidates.classes, classes)
-    kept = np.flatnonzero(scoring)
-    return boxes[kept[np.argsort(-scores[kept], kind="stable")[:MAX_BOXES]]]
+    selected = np.flatnonzero(scoring)
+    return boxes[selected[np.argsort(-scores[selected], kind="stable")[:MAX_BOXES]]]
 
 
 def _is_vehicle(name: str) -> bool:
@@ -108,16 +110,16 @@ def _is_vehicle(name: str) -> bool:
 
 def _list_order(outputs: Outputs) -> tuple[int, int, int] | None:
     """Which of three outputs are the boxes (N, 4), the labels (N) and the scores (N)."""
-    whole = [np.issubdtype(output.dtype, np.integer) for output in outputs]
+    is_integer = [np.issubdtype(output.dtype, np.integer) for output in outputs]
     boxes = [k for k, output in enumerate(outputs) if output.ndim == 2 and output.shape[1] == 4]
-    labels = [k for k, output in enumerate(outputs) if output.ndim == 1 and whole[k]]
-    scores = [k for k, output in enumerate(outputs) if output.ndim == 1 and not whole[k]]
-    apart = len(boxes) == len(labels) == len(scores) == 1 and len({len(output) for output in outputs}) == 1
-    return (boxes[0], labels[0], scores[0]) if apart else None
+    labels = [k for k, output in enumerate(outputs) if output.ndim == 1 and is_integer[k]]
+    scores = [k for k, output in enumerate(outputs) if output.ndim == 1 and not is_integer[k]]
+    separate = len(boxes) == len(labels) == len(scores) == 1 and len({len(output) for output in outputs}) == 1
+    return (boxes[0], labels[0], scores[0]) if separate else None
 
 
-def _table(outputs: Outputs, at: int) -> Array:
-    return np.asarray(outputs[at][0], float)
+def _table(outputs: Outputs, index: int) -> Array:
+    return np.asarray(outputs[index][0], float)
 
 
 def _from_lists(boxes: NDArray[np.generic], labels: NDArray[np.generic], scores: NDArray[np.generic]) -> Candidates:

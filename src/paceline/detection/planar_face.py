@@ -97,19 +97,19 @@ class PlanarFace:
     aligned: list[AlignedDetection]
     score: float
 
-    def corners(self, at: AlignedDetection) -> Array:
+    def corners(self, aligned: AlignedDetection) -> Array:
         """Plane coordinates (4, 2) of its corners in a frame: top left, top right, bottom right, bottom left."""
         (x0, x1), (y0, y1) = self.x, self.y
-        return np.array([[x0, y1], [x1, y1], [x1, y0], [x0, y0]]) + at.origin
+        return np.array([[x0, y1], [x1, y1], [x1, y0], [x0, y0]]) + aligned.origin
 
 
 def find_face(detections: list[Detection]) -> PlanarFace | None:
     """The rectangle on a vehicle's face in which its ``detections`` agree; None where they agree in none."""
     if not detections:
         return None
-    whole = [detection for detection in detections if _is_whole(detection)] or detections
-    usual = float(np.quantile([detection.area for detection in whole], 0.5, method="higher"))  # that of one of them
-    typical = (s for s in whole if TYPICAL_AREA_RATIO[0] * usual <= s.area <= TYPICAL_AREA_RATIO[1] * usual)
+    complete = [detection for detection in detections if _is_whole(detection)] or detections
+    usual = float(np.quantile([detection.area for detection in complete], 0.5, method="higher"))  # that of one of them
+    typical = (s for s in complete if TYPICAL_AREA_RATIO[0] * usual <= s.area <= TYPICAL_AREA_RATIO[1] * usual)
     reference = max(typical, key=_pixels_per_metre)
     half = float(np.clip(0.5 * (reference.x[1] - reference.x[0]), FACE_GRID.cell, -FACE_GRID.left))
     top = MAX_TOPS_M[reference.y[1] > TALL_VEHICLE_M]
@@ -158,7 +158,7 @@ def similarity(face: PlanarFace, aligned: list[AlignedDetection]) -> Array:
     """How much each of the frames ``aligned`` (N,) looks like most of them inside ``face``: the NCC with their median
     image, in the view in which it is lower."""
     rows, columns = _grid_window(face.x, face.y)
-    images = np.array([[image[rows, columns] for image in at.warp()] for at in aligned], float)
+    images = np.array([[image[rows, columns] for image in detection.warp()] for detection in aligned], float)
     images -= images.mean((2, 3), keepdims=True)
     images /= np.maximum(images.std((2, 3), keepdims=True), 1e-6)
     usual = np.median(images, axis=(0, 1))
@@ -204,11 +204,11 @@ def _align(detections: list[Detection], reference: Detection, x: Span, y: Span) 
     for others in (detections[start + 1 :], detections[:start][::-1]):
         near = first
         for detection in others:
-            at = _register(detection, template, rows, columns, near.origin_on(detection.lane), offset)
-            if at.score >= MIN_TEMPLATE_NCC:
-                found.append(at)
-                near = at
-    return sorted(found, key=lambda at: at.detection.frame)
+            candidate = _register(detection, template, rows, columns, near.origin_on(detection.lane), offset)
+            if candidate.score >= MIN_TEMPLATE_NCC:
+                found.append(candidate)
+                near = candidate
+    return sorted(found, key=lambda candidate: candidate.detection.frame)
 
 
 def _stereo_position(detection: Detection, rows: slice, columns: slice) -> float | None:
@@ -252,8 +252,8 @@ def _register(
     """Where both views of ``detection`` match the ``template`` best: preferably at the height of ``origin``, which it
     has in a neighbouring frame, and about ``offset`` metres past the detection."""
     along, reach = detection.distance_error(*SEARCH_RANGE_M_PX), round(MAX_SHIFT_M / FACE_GRID.cell)
-    off, found, moves = np.linspace(-1.0, 1.0, SEARCH_STEPS), [], []
-    ahead = offset + along * off
+    relative_offset, found, moves = np.linspace(-1.0, 1.0, SEARCH_STEPS), [], []
+    ahead = offset + along * relative_offset
     penalty = HEIGHT_PENALTY_NCC * np.linspace(-1.0, 1.0, 2 * reach + 1, dtype=np.float32)[:, None] ** 2
     for s in detection.s + ahead:
         images = detection.warp(float(s), FACE_GRID, origin)
@@ -264,7 +264,7 @@ def _register(
         found.append((ncc[peak], penalised[peak]))
         moves.append(_subpixel(penalised, peak) - reach)
     scores, preferred = np.array(found, float).T
-    preferred -= DISTANCE_PENALTY_NCC * off**2
+    preferred -= DISTANCE_PENALTY_NCC * relative_offset**2
     best = int(np.argmax(preferred))
     s = detection.s + ahead[best] + parabola_peak_at(preferred, best) * (ahead[1] - ahead[0])
     down, across = moves[best]

@@ -88,8 +88,8 @@ class DetectionTrack:
     def travel(self) -> float:
         """Distance travelled along the lane, m, from the medians of the first and of the last third."""
         third = -(-len(self.arc_lengths) // 3)
-        early, late = np.median(self.arc_lengths[:third]), np.median(self.arc_lengths[-third:])
-        return float(late - early) * (len(self.arc_lengths) - 1) / max(len(self.arc_lengths) - third, 1)
+        first_median, last_median = np.median(self.arc_lengths[:third]), np.median(self.arc_lengths[-third:])
+        return float(last_median - first_median) * (len(self.arc_lengths) - 1) / max(len(self.arc_lengths) - third, 1)
 
     @property
     def is_moving(self) -> bool:
@@ -123,12 +123,12 @@ class DetectionTrack:
         if begun - ended > MAX_GAP_S:
             return False
         lane, shared = self.first.lane, (min(begun, ended) - MAX_GAP_S, max(begun, ended) + MAX_GAP_S)
-        mine, others = self._observations(lane, *shared), other._observations(lane, *shared)
-        apart = abs(np.median(mine[3]) - np.median(others[3]))
-        if apart > max(MIN_SPACING_ACROSS_M, min(0.5 * (self.width + other.width), ABREAST_SPACING_M)):
+        own, others = self._observations(lane, *shared), other._observations(lane, *shared)
+        lateral_distance = abs(np.median(own[3]) - np.median(others[3]))
+        if lateral_distance > max(MIN_SPACING_ACROSS_M, min(0.5 * (self.width + other.width), ABREAST_SPACING_M)):
             return False
-        residuals = np.abs(motion_residuals(*np.hstack([mine, others])[:3]))
-        count = mine.shape[1]
+        residuals = np.abs(motion_residuals(*np.hstack([own, others])[:3]))
+        count = own.shape[1]
         return bool(max(np.median(residuals[:count]), np.median(residuals[count:])) <= MAX_JOINT_RESIDUAL)
 
     def _observations(self, lane: LanePath, start: float, end: float) -> Array:
@@ -211,9 +211,9 @@ def similarity(a: Detection, b: Detection) -> float:
 
 def same_vehicle_in_frame(a: Detection, b: Detection) -> bool:
     """Whether two detections in one frame are so near each other that they are parts of one vehicle."""
-    apart = a.position - b.position
+    displacement = a.position - b.position
     forward, right, _ = b.lane.path.frames(np.array(b.s)).T
-    return bool(abs(apart @ forward) < MIN_SPACING_ALONG_M and abs(apart @ right) < MIN_SPACING_ACROSS_M)
+    return bool(abs(displacement @ forward) < MIN_SPACING_ALONG_M and abs(displacement @ right) < MIN_SPACING_ACROSS_M)
 
 
 class TrackAssociator:

@@ -156,11 +156,11 @@ def check_target(ends: Array) -> str | None:
         return f"the target is {extent.max():g} m large; expected metres (are these pixels or millimetres?)"
     across, down = np.abs(ends[:, 1] - ends[:, 0]).T
     vertical = down > across
-    for direction, there in (("horizontal", ~vertical), ("vertical", vertical)):
-        if not there.any():
+    for direction, present in (("horizontal", ~vertical), ("vertical", vertical)):
+        if not present.any():
             return f"there is no {direction} line; expected at least one horizontal and one vertical one"
-    apart = [np.ptp(ends[lines].mean(axis=1)[:, axis]) for lines, axis in ((~vertical, 1), (vertical, 0))]
-    if max(apart) < MIN_SEGMENT_M:
+    extents = [np.ptp(ends[lines].mean(axis=1)[:, axis]) for lines, axis in ((~vertical, 1), (vertical, 0))]
+    if max(extents) < MIN_SEGMENT_M:
         return "its lines show no size; expected two parallel ones, some distance apart"
     return None
 

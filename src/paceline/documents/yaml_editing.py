@@ -79,10 +79,10 @@ def set_values(text: str, file: str, values: Plain) -> str:
         new = _set_value(new, key, value)
     try:
         before, after = yaml.safe_load(text), yaml.safe_load(new)
-        kept = {**before, **values} == after
+        unchanged = {**before, **values} == after
     except (yaml.YAMLError, TypeError):
-        kept = False
-    if not kept:
+        unchanged = False
+    if not unchanged:
         raise UnusableInput(f"{file}: is written in a way that cannot be added to; expected one key per line")
     return new
 

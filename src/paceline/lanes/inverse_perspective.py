@@ -38,10 +38,12 @@ def map_to_ground(
     width, height = camera.image_size
     x, y = np.moveaxis(pixels, -1, 0)
     visible = ahead & (x >= 1) & (y >= 1) & (x <= width - 2) & (y <= height - 2)
-    at = [np.where(visible, c, -10).astype(np.float32) for c in (x, y)]
+    pixel_maps = [np.where(visible, c, -10).astype(np.float32) for c in (x, y)]
     log = np.log(np.maximum(background.images[side], 0) + np.float32(LOG_OFFSET_GREY)).astype(np.float32)
-    log_intensity = cv2.remap(log, at[0], at[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    stable = cv2.remap(background.stable[side].astype(np.uint8), at[0], at[1], cv2.INTER_NEAREST, borderValue=0)
+    log_intensity = cv2.remap(log, pixel_maps[0], pixel_maps[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    stable = cv2.remap(
+        background.stable[side].astype(np.uint8), pixel_maps[0], pixel_maps[1], cv2.INTER_NEAREST, borderValue=0
+    )
     return GroundImage(np.asarray(log_intensity, np.float32), visible & (np.asarray(stable) > 0))
 
 

@@ -64,9 +64,9 @@ def road_lines(road: RoadModel) -> list[RoadLine]:
 
 def _lateral_std(road: RoadModel, k: int, s: Array) -> Array:
     """Standard deviations (N,) m across the road of line k at ``s`` (N,)."""
-    mine = slice(6 + CURVE_TERMS * k, 6 + CURVE_TERMS * (k + 1))
+    own_terms = slice(6 + CURVE_TERMS * k, 6 + CURVE_TERMS * (k + 1))
     powers = (s[:, None] / UNIT_M) ** np.arange(CURVE_TERMS)
-    return np.asarray(np.sqrt(np.maximum(((powers @ road.covariance[mine, mine]) * powers).sum(1), 0.0)))
+    return np.asarray(np.sqrt(np.maximum(((powers @ road.covariance[own_terms, own_terms]) * powers).sum(1), 0.0)))
 
 
 def propose_lanes(rig: StereoRig, road: RoadModel) -> tuple[list[Lane], list[Message]]:
@@ -131,7 +131,7 @@ def _known_stretch(road: RoadModel, k: int, first: float, last: float) -> tuple[
 def _width(rig: StereoRig, road: RoadModel, k: int, s: Array) -> tuple[float, float]:
     """Mean width (m) between lines k and k + 1 over ``s`` (N,), weighted by how well it is known where, and its
     standard deviation, the stated calibration's part included."""
-    mine = np.r_[0:6, 6 + CURVE_TERMS * k : 6 + CURVE_TERMS * (k + 2)]
+    own_terms = np.r_[0:6, 6 + CURVE_TERMS * k : 6 + CURVE_TERMS * (k + 2)]
 
     def sides(x: Array) -> tuple[Array, Array]:
         surface = road.surface.with_heights(x[:6])
@@ -144,7 +144,7 @@ def _width(rig: StereoRig, road: RoadModel, k: int, s: Array) -> tuple[float, fl
 
     x = np.concatenate([road.surface.heights, road.curves[k], road.curves[k + 1]])
     J = jacobian(lambda x: _distances(*sides(x)), x, 1e-4)
-    covariance = J @ road.covariance[np.ix_(mine, mine)] @ J.T
+    covariance = J @ road.covariance[np.ix_(own_terms, own_terms)] @ J.T
     weight = 1 / np.diag(covariance)
     weight /= weight.sum()
     first, second = sides(x)
@@ -203,8 +203,8 @@ def _draw(rig: StereoRig, side: int, centre: Callable[[Array], Array], span: tup
     if len(pixels) < 2:
         return np.zeros((1, 2))
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(pixels, axis=0), axis=1))])
-    at = length[-1] * np.linspace(0, 1, DRAWN_POINTS) ** 1.5
-    return np.column_stack([np.interp(at, length, c) for c in pixels.T])
+    lengths = length[-1] * np.linspace(0, 1, DRAWN_POINTS) ** 1.5
+    return np.column_stack([np.interp(lengths, length, c) for c in pixels.T])
 
 
 def _straightness_rms(pixels: Array) -> float:

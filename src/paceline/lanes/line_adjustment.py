@@ -80,8 +80,8 @@ class Observations:
         """Road coordinates s and d (N,) on a surface."""
         ground = np.empty_like(self.pixels)
         for side in (0, 1):
-            mine = self.side == side
-            ground[mine] = surface.ground_at(rig, side, self.pixels[mine])
+            in_view = self.side == side
+            ground[in_view] = surface.ground_at(rig, side, self.pixels[in_view])
         return alignment.from_ground(ground)
 
 
@@ -100,13 +100,17 @@ def adjust(rig: StereoRig, first: RoadSurface, alignment: Alignment, lines: list
     amount = np.array([len(line.left) + len(line.right) for line in lines])
     within = np.abs(heights[:, None] - heights) <= LEVEL_RANGE_M / 2
     middle = int(np.argmax((within * amount).sum(1) - np.abs(heights)))
-    kept = [line for line, near in zip(lines, within[middle], strict=True) if near]
-    road = _gauss_newton(rig, first, alignment, kept)
-    off = np.array(
-        [_elevation(rig, road.surface, alignment, line, c) for line, c in zip(kept, road.curves, strict=True)]
+    candidates = [line for line, near in zip(lines, within[middle], strict=True) if near]
+    road = _gauss_newton(rig, first, alignment, candidates)
+    elevations = np.array(
+        [_elevation(rig, road.surface, alignment, line, c) for line, c in zip(candidates, road.curves, strict=True)]
     )
-    level = [line for line, height in zip(kept, off, strict=True) if abs(height - np.median(off)) <= MAX_ELEVATION_M]
-    return _gauss_newton(rig, first, alignment, level) if 2 <= len(level) < len(kept) else road
+    level = [
+        line
+        for line, height in zip(candidates, elevations, strict=True)
+        if abs(height - np.median(elevations)) <= MAX_ELEVATION_M
+    ]
+    return _gauss_newton(rig, first, alignment, level) if 2 <= len(level) < len(candidates) else road
 
 
 def _gauss_newton(rig: StereoRig, first: RoadSurface, alignment: Alignment, lines: list[LaneLine]) -> RoadModel:
@@ -179,9 +183,11 @@ def _shift_per_height(
     ground = alignment.to_ground(s, d)
     local = (rig.centres[side] - surface.origin) @ surface.axes
     above = local[:, 1] - surface.basis(ground) @ surface.heights
-    away = ground - local[:, [0, 2]]
-    descent = above + (surface.slopes(ground) * away).sum(1)  # of the ray towards the surface, over the way to it
-    return np.asarray(-(away * alignment.lateral_axis(s)).sum(1) / np.maximum(descent, MIN_DESCENT_M))
+    from_camera = ground - local[:, [0, 2]]
+    descent = above + (surface.slopes(ground) * from_camera).sum(
+        1
+    )  # of the ray towards the surface, over the way to it
+    return np.asarray(-(from_camera * alignment.lateral_axis(s)).sum(1) / np.maximum(descent, MIN_DESCENT_M))
 
 
 def _elevation(rig: StereoRig, surface: RoadSurface, alignment: Alignment, line: LaneLine, curve: Array) -> float:

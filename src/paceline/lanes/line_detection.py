@@ -120,8 +120,8 @@ def _fit_curve(samples: PaintSamples, start: float) -> Array:
     powers = (samples.s[:, None] / UNIT_M) ** np.arange(DETECTION_DEGREE + 1)
     prior = np.diag([0.0, *CURVE_PRIOR_STD**-2])
     for reach in GATES_M:
-        aside = np.abs(samples.d - powers @ curve)
-        weight = samples.length * np.maximum(1 - (aside / reach) ** 2, 0.0) ** 2
+        residuals = np.abs(samples.d - powers @ curve)
+        weight = samples.length * np.maximum(1 - (residuals / reach) ** 2, 0.0) ** 2
         # a metre of paint locates the line to about a fifth of the gate
         information = (powers * weight[:, None]).T @ powers / (0.2 * reach) ** 2
         curve = np.linalg.lstsq(
@@ -132,29 +132,31 @@ def _fit_curve(samples: PaintSamples, start: float) -> Array:
 
 def _is_line(samples: PaintSamples, curve: Array) -> bool:
     """Whether one view has enough paint along ``curve``, over a long enough stretch, and much more than beside it."""
-    aside = np.abs(samples.d - lateral_offset(curve, samples.s))
-    on = aside < GATES_M[-1]
-    if samples.length[on].sum() < MIN_PAINT_M or np.ptp(samples.s[on]) < MIN_SPAN_M:
+    offsets = np.abs(samples.d - lateral_offset(curve, samples.s))
+    inliers = offsets < GATES_M[-1]
+    if samples.length[inliers].sum() < MIN_PAINT_M or np.ptp(samples.s[inliers]) < MIN_SPAN_M:
         return False
-    first, last = samples.s[on].min(), samples.s[on].max()
-    beside = (aside > 2 * GATES_M[-1]) & (aside < 5 * GATES_M[-1]) & (samples.s >= first) & (samples.s <= last)
-    return bool(samples.length[on].sum() > MIN_PAINT_RATIO * samples.length[beside].sum() / 3)
+    first, last = samples.s[inliers].min(), samples.s[inliers].max()
+    beside = (offsets > 2 * GATES_M[-1]) & (offsets < 5 * GATES_M[-1]) & (samples.s >= first) & (samples.s <= last)
+    return bool(samples.length[inliers].sum() > MIN_PAINT_RATIO * samples.length[beside].sum() / 3)
 
 
 def _span(views: list[PaintSamples], curve: Array) -> tuple[float, float]:
-    on = [samples.s[np.abs(samples.d - lateral_offset(curve, samples.s)) < GATES_M[-1]] for samples in views]
-    return max(float(s.min()) for s in on), min(float(s.max()) for s in on)
+    inlier_positions = [
+        samples.s[np.abs(samples.d - lateral_offset(curve, samples.s)) < GATES_M[-1]] for samples in views
+    ]
+    return max(float(s.min()) for s in inlier_positions), min(float(s.max()) for s in inlier_positions)
 
 
 def _painted_share(roads: tuple[RectifiedRoad, RectifiedRoad], views: list[PaintSamples], curve: Array) -> float:
     """Share of the line's length, where a view shows the road there, that is painted; of the view that shows more."""
     shares = []
     for road, samples in zip(roads, views, strict=True):
-        on = np.abs(samples.d - lateral_offset(curve, samples.s)) < GATES_M[-1]
-        at = np.searchsorted(road.d, lateral_offset(curve, road.s)).clip(0, len(road.d) - 1)
-        inside = (road.s >= samples.s[on].min()) & (road.s <= samples.s[on].max())
-        length = float(road.step[inside & road.visible[np.arange(len(road.s)), at]].sum())
-        shares.append(float(samples.length[on].sum()) / max(length, 1e-6))
+        inliers = np.abs(samples.d - lateral_offset(curve, samples.s)) < GATES_M[-1]
+        column = np.searchsorted(road.d, lateral_offset(curve, road.s)).clip(0, len(road.d) - 1)
+        inside = (road.s >= samples.s[inliers].min()) & (road.s <= samples.s[inliers].max())
+        length = float(road.step[inside & road.visible[np.arange(len(road.s)), column]].sum())
+        shares.append(float(samples.length[inliers].sum()) / max(length, 1e-6))
     return min(1.0, max(shares))
 
 
@@ -163,24 +165,26 @@ def _segment_pixels(
 ) -> Array:
     """Pixels (N, 2) of a line in a view, near to far: its paint's means over stretches of at least `MIN_SEGMENT_PX` and
     `MIN_SEGMENT_M`."""
-    on = np.abs(samples.d - lateral_offset(curve, samples.s)) < GATES_M[-1]
-    order = np.argsort(samples.s[on])
-    s, d, length = (values[on][order] for values in (samples.s, samples.d, samples.length))
+    inliers = np.abs(samples.d - lateral_offset(curve, samples.s)) < GATES_M[-1]
+    order = np.argsort(samples.s[inliers])
+    s, d, length = (values[inliers][order] for values in (samples.s, samples.d, samples.length))
     points = surface.points(alignment.to_ground(s, d))
     pixels = rig.cameras[side].project(points if side == 0 else rig.to_right(points))
     found, first = [], 0
     for k in range(1, len(s) + 1):
         if k < len(s):
-            away, metres = np.linalg.norm(pixels[k] - pixels[first]), s[k] - s[first]
-            if metres < MIN_SEGMENT_M or (away < MIN_SEGMENT_PX and metres < MAX_SEGMENT_M):
+            length_px, metres = np.linalg.norm(pixels[k] - pixels[first]), s[k] - s[first]
+            if metres < MIN_SEGMENT_M or (length_px < MIN_SEGMENT_PX and metres < MAX_SEGMENT_M):
                 continue
-        mine = slice(first, k)
-        aside = d[mine] - lateral_offset(curve, s[mine])
-        scatter = np.abs(aside - np.median(aside))
+        in_segment = slice(first, k)
+        offsets = d[in_segment] - lateral_offset(curve, s[in_segment])
+        scatter = np.abs(offsets - np.median(offsets))
         steady = scatter < 0.06 + 3 * np.median(scatter)
         if steady.sum() >= 2:
-            middle = np.asarray(np.average(s[mine], weights=length[mine] * steady))
-            found.append((middle, lateral_offset(curve, middle) + np.average(aside, weights=length[mine] * steady)))
+            middle = np.asarray(np.average(s[in_segment], weights=length[in_segment] * steady))
+            found.append(
+                (middle, lateral_offset(curve, middle) + np.average(offsets, weights=length[in_segment] * steady))
+            )
         first = k
     middles = np.array(found).reshape(-1, 2)
     points = surface.points(alignment.to_ground(middles[:, 0], middles[:, 1]))

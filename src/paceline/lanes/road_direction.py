@@ -56,9 +56,9 @@ class DirectionVotes:
     def best_alignment(self) -> Alignment:
         """The arc, with its deviation, that the votes agree on best."""
         votes, place = self.subsample(MAX_VOTES), np.median(self.ground, axis=0)
-        few = votes.subsample(GRID_SEARCH_VOTES)
+        subsample = votes.subsample(GRID_SEARCH_VOTES)
         grid = [Alignment(place, heading, curvature) for heading in HEADINGS_RAD for curvature in CURVATURES_PER_M]
-        scores = np.array([few.concentration(alignment, COARSE_BIN_M) for alignment in grid])
+        scores = np.array([subsample.concentration(alignment, COARSE_BIN_M) for alignment in grid])
         climbed = [votes.hill_climb(grid[i]) for i in np.argsort(-scores)[:HILL_CLIMB_STARTS]]
         return votes.refine(max(climbed, key=lambda alignment: votes.concentration(alignment, FINE_BIN_M)))
 
@@ -71,9 +71,9 @@ class DirectionVotes:
         """How well the points that run along ``alignment`` concentrate on few lines parallel to it: the sum of squares
         of their histogram over d in cells of ``cell`` m, each point shared between two so that it is smooth."""
         s, d = alignment.from_ground(self.ground)
-        aside = self.angle - alignment.direction(s)
-        aside -= np.pi * np.round(aside / np.pi)
-        weight = self.weight * np.exp(-0.5 * (aside / ANGLE_STD_RAD) ** 2)
+        angle_offset = self.angle - alignment.direction(s)
+        angle_offset -= np.pi * np.round(angle_offset / np.pi)
+        weight = self.weight * np.exp(-0.5 * (angle_offset / ANGLE_STD_RAD) ** 2)
         position = (d - d.min()) / cell
         low = position.astype(np.int64)
         part, cells = position - low, int(low.max()) + 2
@@ -149,12 +149,12 @@ def _ridges(view: GroundImage) -> tuple[Image, Image]:
     strength, along = np.maximum(half - mean, 0), np.abs(half + mean)  # the Hessian's eigenvalues
     window = (round(NEIGHBOURHOOD_M / CELL_M),) * 2
     known = cv2.blur(view.visible.astype(np.float32), window)
-    usual = cv2.blur(strength * view.visible, window) / np.maximum(known, 1e-3)
-    whole = cv2.erode(view.visible.astype(np.uint8), np.ones((7, 7), np.uint8)) > 0
+    mean_strength = cv2.blur(strength * view.visible, window) / np.maximum(known, 1e-3)
+    interior = cv2.erode(view.visible.astype(np.uint8), np.ones((7, 7), np.uint8)) > 0
     ridge = (
-        whole
+        interior
         & (strength > MIN_RIDGE_STRENGTH)
-        & (strength > MIN_STRENGTH_RATIO * usual)
+        & (strength > MIN_STRENGTH_RATIO * mean_strength)
         & (along < MAX_CURVATURE_RATIO * strength)
     )
     normal = 0.5 * np.arctan2(-2 * xz, zz - xx)  # of the eigenvector across, from x towards z

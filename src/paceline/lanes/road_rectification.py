@@ -76,13 +76,13 @@ def sample_positions(rig: StereoRig, surface: RoadSurface, alignment: Alignment)
         s = s[np.abs(s * alignment.curvature) < MAX_TURN_RAD]
     depth = surface.points(alignment.to_ground(s, 0.0))[:, 2]
     s, depth = s[(depth > 1.0) & (depth < MAX_DEPTH_M)], depth[(depth > 1.0) & (depth < MAX_DEPTH_M)]
-    wanted = np.maximum(MIN_STEP_M, MIN_STEP_PX * pixel_size(rig, surface, alignment, s, 0.0)[:, 0])
+    min_steps = np.maximum(MIN_STEP_M, MIN_STEP_PX * pixel_size(rig, surface, alignment, s, 0.0)[:, 0])
     chosen, steps, end = [], [], -np.inf
-    for at, step in zip(s.tolist(), wanted.tolist(), strict=True):
-        if at >= end:
-            chosen.append(at + step / 2)
+    for position, step in zip(s.tolist(), min_steps.tolist(), strict=True):
+        if position >= end:
+            chosen.append(position + step / 2)
             steps.append(step)
-            end = at + step - 1e-9
+            end = position + step - 1e-9
     return np.array(chosen), np.array(steps)
 
 
@@ -93,19 +93,19 @@ def _contrasts(light: Image) -> tuple[Image, Image]:
     for width in PAINT_WIDTHS_M:
         middle = cv2.blur(light, (2 * round(width / CELL_M / 2) + 1, 1))
         beside = cv2.blur(light, (2 * round(ASPHALT_WIDTH_M / CELL_M / 2) + 1, 1))
-        away = round((width / 2 + ASPHALT_GAP_M + ASPHALT_WIDTH_M / 2) / CELL_M)
-        left, right = np.roll(beside, away, axis=1), np.roll(beside, -away, axis=1)
+        distance_cells = round((width / 2 + ASPHALT_GAP_M + ASPHALT_WIDTH_M / 2) / CELL_M)
+        left, right = np.roll(beside, distance_cells, axis=1), np.roll(beside, -distance_cells, axis=1)
         least = middle - np.maximum(left, right)
-        better = least > best[1]
+        higher = least > best[1]
         mean = middle - (left + right) / 2
-        best = np.where(better, mean, best[0]).astype(np.float32), np.where(better, least, best[1]).astype(np.float32)
+        best = np.where(higher, mean, best[0]).astype(np.float32), np.where(higher, least, best[1]).astype(np.float32)
     return np.asarray(cv2.GaussianBlur(best[0], (5, 1), 1.0), np.float32), best[1]
 
 
 def _paint_mask(contrast: Image, least: Image, visible: Mask, step: float) -> Mask:
     window = 2 * round(NEIGHBOURHOOD_M[1] / CELL_M / 2) + 1, 2 * max(1, round(NEIGHBOURHOOD_M[0] / step / 2)) + 1
     known = cv2.blur(visible.astype(np.float32), window)
-    usual = cv2.blur(np.abs(contrast) * visible, window) / np.maximum(known, 1e-3)
+    mean_contrast = cv2.blur(np.abs(contrast) * visible, window) / np.maximum(known, 1e-3)
     top = contrast >= cv2.dilate(contrast, np.ones((1, 2 * round(0.15 / CELL_M) + 1), np.uint8))
-    whole = cv2.erode(visible.astype(np.uint8), np.ones((1, 2 * round(0.4 / CELL_M) + 1), np.uint8)) > 0
-    return np.asarray(top & whole & (least > MIN_LOG_CONTRAST) & (least > MIN_TEXTURE_RATIO * usual))
+    interior = cv2.erode(visible.astype(np.uint8), np.ones((1, 2 * round(0.4 / CELL_M) + 1), np.uint8)) > 0
+    return np.asarray(top & interior & (least > MIN_LOG_CONTRAST) & (least > MIN_TEXTURE_RATIO * mean_contrast))

@@ -36,9 +36,9 @@ def with_lanes(text: str, file: str, lanes: dict[str, Lane]) -> str:
     """
     added = insert_below(text, "paths", lambda indent: _entries(lanes, indent))
     before, new = yaml.safe_load(text), yaml.safe_load("\n".join(_entries(lanes, 0))) or {}
-    wanted = before | {"paths": (before.get("paths") or {}) | new}
+    expected = before | {"paths": (before.get("paths") or {}) | new}
     after = parse_edited(added)
-    if after | {"paths": after.get("paths") or {}} != wanted:
+    if after | {"paths": after.get("paths") or {}} != expected:
         raise UnusableInput(
             f"{file}: paths: is written in a way that cannot be added to; expected one path per line below a line "
             "'paths:', or use -o site.yaml"

@@ -46,14 +46,14 @@ def estimate_background(recording: StereoRecording, progress: Progress | None = 
     """
     chosen = np.unique(np.linspace(0, len(recording) - 1, min(BACKGROUND_FRAMES, len(recording))).round().astype(int))
     stacks: tuple[list[NDArray[np.float16]], list[NDArray[np.float16]]] = [], []
-    for done, k in enumerate(chosen, 1):
-        at = int(recording.indices[k])
-        for frame in recording.frames(at, at + 1):
+    for n_done, k in enumerate(chosen, 1):
+        frame_index = int(recording.indices[k])
+        for frame in recording.frames(frame_index, frame_index + 1):
             if not frame.duplicate:
                 stacks[0].append(frame.left.astype(np.float16))
                 stacks[1].append(frame.right.astype(np.float16))
         if progress:
-            progress(done, len(chosen))
+            progress(n_done, len(chosen))
     return background_from(*stacks)
 
 
@@ -83,7 +83,7 @@ def shorth_background(stack: NDArray[np.float16]) -> tuple[Image, Mask]:
     image, share = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
     least = min(count, max(2, int(np.ceil(SHORTH_SHARE * count))))
     some = np.sort(stack[:, ::NOISE_SAMPLE_STEP_PX, ::NOISE_SAMPLE_STEP_PX].astype(np.float32), axis=0)
-    usual = max(float(np.median((some[least - 1 :] - some[: count - least + 1]).min(0))), MIN_NOISE_GREY)
+    typical_std = max(float(np.median((some[least - 1 :] - some[: count - least + 1]).min(0))), MIN_NOISE_GREY)
     for row in range(0, height, ROWS_PER_BLOCK):
         values = np.sort(stack[:, row : row + ROWS_PER_BLOCK].astype(np.float32), axis=0)
         spread = values[least - 1 :] - values[: count - least + 1]
@@ -91,7 +91,7 @@ def shorth_background(stack: NDArray[np.float16]) -> tuple[Image, Mask]:
         narrowest = np.take_along_axis(spread, first, 0)
         centre = np.take_along_axis(values, first + least // 2, 0)
         # a normal distribution holds its densest two fifths within one standard deviation
-        sigma = np.clip(narrowest, usual, MAX_NOISE_RATIO * usual)
+        sigma = np.clip(narrowest, typical_std, MAX_NOISE_RATIO * typical_std)
         near = np.abs(values - centre) <= MAX_BACKGROUND_SIGMA * sigma
         image[row : row + ROWS_PER_BLOCK] = (values * near).sum(0) / near.sum(0)
         share[row : row + ROWS_PER_BLOCK] = near.mean(0)

@@ -45,21 +45,21 @@ class ImageSource(Protocol):
         ...
 
 
-def open_source(where: Path, bit_depth: int | None = None) -> ImageSource:
+def open_source(path: Path, bit_depth: int | None = None) -> ImageSource:
     """The images of a folder, the images that a pattern (``left/*.png``, ``left/%04d.png``) matches, or a video.
 
     ``bit_depth`` says how many bits of 16-bit images are used (all 16 by default). Raises UnusableInput where there
     is nothing to read.
     """
-    if where.is_dir():
-        files = [p for p in where.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith(".")]
-        return ImageFiles(str(where), files, bit_depth)
-    if where.exists():
-        return VideoFile(where, bit_depth)
-    pattern = re.sub(r"%0(\d+)d", lambda m: "[0-9]" * int(m[1]), str(where))
+    if path.is_dir():
+        files = [p for p in path.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith(".")]
+        return ImageFiles(str(path), files, bit_depth)
+    if path.exists():
+        return VideoFile(path, bit_depth)
+    pattern = re.sub(r"%0(\d+)d", lambda m: "[0-9]" * int(m[1]), str(path))
     if glob.has_magic(pattern):
-        return ImageFiles(str(where), [Path(p) for p in glob.glob(pattern)], bit_depth)
-    raise UnusableInput(f"{where}: no such file or folder; expected a folder of images, a pattern or a video")
+        return ImageFiles(str(path), [Path(p) for p in glob.glob(pattern)], bit_depth)
+    raise UnusableInput(f"{path}: no such file or folder; expected a folder of images, a pattern or a video")
 
 
 class ImageFiles:
@@ -193,10 +193,10 @@ class VideoFile:
         if repeated := [i for i, (a, b) in enumerate(zip(stamps, stamps[1:], strict=False)) if a == b]:
             raise UnusableInput(f"{self.name}: frame {repeated[0] + 1} has the same time stamp as the frame before it")
         if key is not None:
-            whole = {picture.pts for picture in self._decode(key)}
-            if key not in whole:  # not every container can be seeked to a key frame
-                whole = {picture.pts for picture in self._decode()}
-            last = max((p for p in whole if p is not None), default=stamps[0] - 1)
+            decodable = {picture.pts for picture in self._decode(key)}
+            if key not in decodable:  # not every container can be seeked to a key frame
+                decodable = {picture.pts for picture in self._decode()}
+            last = max((p for p in decodable if p is not None), default=stamps[0] - 1)
             cut = cut or stamps[-1] > last
             stamps = [p for p in stamps if p <= last]
         if len(stamps) < 2:
@@ -276,15 +276,15 @@ def read_image_file(path: Path) -> StoredImage:
 
 def _png_is_whole(data: bytes) -> bool:
     """Whether every chunk is there with its right checksum, to the end."""
-    at = len(PNG_SIGNATURE)
-    while at + 12 <= len(data):
-        length, kind = struct.unpack_from(">I4s", data, at)
-        end = at + 8 + length
-        if end + 4 > len(data) or zlib.crc32(data[at + 4 : end]) != struct.unpack_from(">I", data, end)[0]:
+    offset = len(PNG_SIGNATURE)
+    while offset + 12 <= len(data):
+        length, kind = struct.unpack_from(">I4s", data, offset)
+        end = offset + 8 + length
+        if end + 4 > len(data) or zlib.crc32(data[offset + 4 : end]) != struct.unpack_from(">I", data, end)[0]:
             return False
         if kind == b"IEND":
             return True
-        at = end + 4
+        offset = end + 4
     return False
 
 

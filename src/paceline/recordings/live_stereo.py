@@ -161,16 +161,16 @@ class LiveCamera:
     def delay_s(self) -> float:
         """Median delay, arrival minus time stamp, s, of the first frames that arrive as evenly as they were taken;
         frames buffered before reading began arrive all at once and are skipped."""
-        late: deque[float] = deque(maxlen=CLOCK_OFFSET_FRAMES)
+        delays: deque[float] = deque(maxlen=CLOCK_OFFSET_FRAMES)
         for _ in range(MAX_QUEUED_FRAMES):
             if self.peek() is None:
                 break
             with self._changed:
                 frame, arrival = self._waiting.popleft()
-            late.append(arrival - frame.time)
-            if len(late) == CLOCK_OFFSET_FRAMES and max(late) - min(late) < PAIR_TOLERANCE[True] * self.interval:
+            delays.append(arrival - frame.time)
+            if len(delays) == CLOCK_OFFSET_FRAMES and max(delays) - min(delays) < PAIR_TOLERANCE[True] * self.interval:
                 break
-        return median(late) if late else 0.0
+        return median(delays) if delays else 0.0
 
     def _receive(self, begun: float) -> None:
         try:
@@ -217,11 +217,11 @@ def _pairs(left: LiveCamera, right: LiveCamera, ahead: float) -> Iterator[RawPai
     """Pairs of frames that were taken at the same time; frames without a partner are left out."""
     files = not (left.recording.live or right.recording.live)
     one_clock = ahead == 0.0
-    alike = PAIR_TOLERANCE[not files]
+    tolerance = PAIR_TOLERANCE[not files]
     while (a := left.peek()) is not None and (b := right.peek()) is not None:
         skew = b.time - ahead - a.time
-        if abs(skew) <= alike * left.interval:
-            alike = PAIRED_TOLERANCE_FACTOR * PAIR_TOLERANCE[not files]
+        if abs(skew) <= tolerance * left.interval:
+            tolerance = PAIRED_TOLERANCE_FACTOR * PAIR_TOLERANCE[not files]
             left.pop(a)
             right.pop(b)
             assert a.image is not None and b.image is not None

@@ -151,12 +151,12 @@ def open_camera(clip: CameraSource) -> CameraRecording:
     An address (``rtsp://…``), a device (``/dev/video0``) or a named pipe is live. Raises UnusableInput for whatever
     can be found out without reading all of it.
     """
-    where = Path(clip.video)
-    if "://" in clip.video or where.is_char_device() or where.is_fifo():
+    path = Path(clip.video)
+    if "://" in clip.video or path.is_char_device() or path.is_fifo():
         live = LiveFeed(clip.video, clip.camera.image_size)
         _note_unused_rate(clip, live)
         return CameraRecording(clip.camera, live, None)
-    source = open_source(where, clip.bit_depth)
+    source = open_source(path, clip.bit_depth)
     if isinstance(source, ImageFiles):
         if clip.rate is None:
             raise UnusableInput(f"{clip.path}: rate: missing; a folder of images needs it")
@@ -375,10 +375,10 @@ def _open(address: str, size: tuple[int, int]) -> InputContainer:
 def _open_device(device: str, size: tuple[int, int]) -> InputContainer:
     """A ``device`` that sends pictures of ``size`` (width, height), in the format that FFmpeg prefers or else as JPEG:
     many offer their larger ones only so. Raises UnusableInput when it offers other sizes only."""
-    wanted, offered = "{} × {}".format(*size), ""
+    size_text, offered = "{} × {}".format(*size), ""
     for preferred in {}, {"input_format": "mjpeg"}:
         # as mere "options" they would be the decoder's, too, which then takes pictures of any size for those
-        options = {"video_size": wanted.replace(" × ", "x"), **preferred}
+        options = {"video_size": size_text.replace(" × ", "x"), **preferred}
         try:
             container = av.open(device, format="v4l2", container_options=options)
         except (av.FFmpegError, OSError):
@@ -391,7 +391,7 @@ def _open_device(device: str, size: tuple[int, int]) -> InputContainer:
         offered = offered or f"{video.width} × {video.height}"
         container.close()
     raise UnusableInput(
-        f"{device}: offers {offered} pixels where {wanted} are asked for; expected the image_size of its calibration"
+        f"{device}: offers {offered} pixels where {size_text} are asked for; expected the image_size of its calibration"
     )
 
 

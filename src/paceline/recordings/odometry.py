@@ -54,15 +54,17 @@ def read_odometry(path: Path) -> Odometry:
                 found = ",".join(header)
                 raise UnusableInput(f"{path}: the first line reads {found!r}; expected {','.join(ODOMETRY_COLUMNS)!r}")
             for row in filter(None, rows):
-                where = f"{path}: line {rows.line_num}"
+                row_name = f"{path}: line {rows.line_num}"
                 try:
                     frame, pose = int(row[0]), [float(cell) for cell in row[1:4]]
                 except ValueError:
-                    raise UnusableInput(f"{where}: {','.join(row)!r}; expected a frame and three numbers") from None
+                    raise UnusableInput(f"{row_name}: {','.join(row)!r}; expected a frame and three numbers") from None
                 if len(pose) < 3 or not np.isfinite(pose).all():
-                    raise UnusableInput(f"{where}: {','.join(row)!r}; expected a frame and three finite numbers")
+                    raise UnusableInput(f"{row_name}: {','.join(row)!r}; expected a frame and three finite numbers")
                 if frames and frame <= frames[-1]:
-                    raise UnusableInput(f"{where}: frame {frame} follows frame {frames[-1]}; expected them to increase")
+                    raise UnusableInput(
+                        f"{row_name}: frame {frame} follows frame {frames[-1]}; expected them to increase"
+                    )
                 frames.append(frame)
                 poses.append(pose)
     except OSError as error:

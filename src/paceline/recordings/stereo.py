@@ -189,7 +189,7 @@ class StereoRecording:
 
 def open_recording(clip: StereoSource) -> StereoRecording:
     """The recording of a clip. Raises UnusableInput for whatever can be found out without reading all of it."""
-    left, right = (open_source(where, clip.bit_depth) for where in (clip.left, clip.right))
+    left, right = (open_source(path, clip.bit_depth) for path in (clip.left, clip.right))
     if clip.times is not None:
         pairing = pair_by_time(*read_times(clip.times, len(left), len(right)), clip.tolerance)
     elif isinstance(left, ImageFiles) and isinstance(right, ImageFiles):
@@ -322,24 +322,24 @@ def _nearest(times: Array, among: Array) -> Indices:
 
 
 def _gap_notices(pairing: Pairing) -> list[Message]:
-    gaps, usual = np.diff(pairing.times), pairing.interval
+    gaps, interval = np.diff(pairing.times), pairing.interval
     return [
         message(
             "frames_missing",
-            gap=f"{round(gaps[k] / usual) - 1} dropped between frames {pairing.left[k]} and {pairing.left[k + 1]}: "
+            gap=f"{round(gaps[k] / interval) - 1} dropped between frames {pairing.left[k]} and {pairing.left[k + 1]}: "
             f"{gaps[k]:.3f} s lie between them",
-            usual_s=usual,
+            usual_s=interval,
         )
-        for k in np.flatnonzero(gaps > 1.5 * usual)
+        for k in np.flatnonzero(gaps > 1.5 * interval)
     ]
 
 
 def _unmatched(side: str, count: int, matched: Indices, what: str) -> list[Message]:
-    alone = np.setdiff1d(np.arange(count), matched)
+    unmatched = np.setdiff1d(np.arange(count), matched)
     other = "right" if side == "left" else "left"
-    if not len(alone):
+    if not len(unmatched):
         return []
-    frames = f"{_format_frames(alone)} {_are(alone)}"
+    frames = f"{_format_frames(unmatched)} {_are(unmatched)}"
     return [message("frames_unmatched", view=side, frames=frames, other=other, match=what)]
 
 

@@ -109,8 +109,8 @@ def _draw(figure: Figure, calibration: Calibration) -> None:
 def _draw_coverage(axes: Axes, calibration: Calibration, side: int, name: str) -> None:
     c = calibration
     width, height = c.views.sizes[side]
-    mine = c.seen.side == side
-    pixels = c.seen.pixels[mine]
+    in_view = c.seen.side == side
+    pixels = c.seen.pixels[in_view]
     axes.scatter(pixels[:, 0], pixels[:, 1], s=3, color=FILTER_COLOR, lw=0, label="corners used")
     left_out = [c.views.views[v].sides[side].pixels for v in c.rejected]
     if left_out:

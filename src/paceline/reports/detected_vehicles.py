@@ -25,8 +25,8 @@ def draw_detected_vehicle(found: DetectedVehicle, height: int = PICTURE_HEIGHT_P
         scale = height / crop.shape[0]
         picture = _brightened(crop, scale, height)
         draw_outline(picture, scale_points(quad - corner, scale), OUTLINE_COLOR, 1)
-        what = (f"{found.vehicle.id}, frame {found.vehicle.frame}, left", "right")[side]
-        draw_label(picture, what, (0, 0), WHITE_BGR)
+        label = (f"{found.vehicle.id}, frame {found.vehicle.frame}, left", "right")[side]
+        draw_label(picture, label, (0, 0), WHITE_BGR)
         views.append(picture)
     return np.hstack(views)
 

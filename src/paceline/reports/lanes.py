@@ -35,23 +35,25 @@ def draw_lanes(
     image = background.images[side]
     light = np.clip(np.maximum(image, 0) / max(float(np.percentile(image, 99)), 1.0), 0, 1) ** DISPLAY_GAMMA
     picture: Picture = np.asarray(cv2.cvtColor((255 * light).astype(np.uint8), cv2.COLOR_GRAY2BGR), np.uint8)
-    used = {name for lane in lanes.values() for name in lane.between}
-    taken: list[Box] = []
+    used_lines = {name for lane in lanes.values() for name in lane.between}
+    label_boxes: list[Box] = []
     for line in lines:
-        color = LINE_COLOR if line.id in used else UNUSED_COLOR
+        color = LINE_COLOR if line.id in used_lines else UNUSED_COLOR
         _draw_band(picture, rig, side, line, color)
         pixels = rig.project(line.points)[side]
         for a, b in zip(pixels, pixels[1:], strict=False):
             draw_line(picture, a, b, color, 1)
-        taken.append(draw_label(picture, f"{line.id} {line.kind}", _label_position(picture, pixels, 0.7), color, taken))
+        label_boxes.append(
+            draw_label(picture, f"{line.id} {line.kind}", _label_position(picture, pixels, 0.7), color, label_boxes)
+        )
     for name, lane in lanes.items():
         recorded = (lane.left, lane.right)[side]
         pixels = rig.cameras[side].undistort_points(recorded)
         for a, b in zip(pixels, pixels[1:], strict=False):
             draw_line(picture, a, b, CENTRE_COLOR, 2)
         text = f"{name}  {lane.width:.2f} ± {COVERAGE_95 * lane.width_std:.2f} m"
-        taken.append(draw_label(picture, text, _label_position(picture, pixels, 0.5), CENTRE_COLOR, taken))
-    draw_label(picture, "yellow: lines with their 95 % band, green: middle of a lane", (0, 0), WHITE_BGR, taken)
+        label_boxes.append(draw_label(picture, text, _label_position(picture, pixels, 0.5), CENTRE_COLOR, label_boxes))
+    draw_label(picture, "yellow: lines with their 95 % band, green: middle of a lane", (0, 0), WHITE_BGR, label_boxes)
     return picture
 
 

@@ -38,8 +38,8 @@ def write_target(learned: LearnedTarget, image: Image, file: Path) -> Path:
     if file.suffix not in (".yaml", ".yml"):
         raise UnusableInput(f"{file}: expected the name of a YAML file to write, for instance target.yaml")
     beside = file.with_suffix(".png")
-    done, png = cv2.imencode(".png", draw_target(learned, image))
-    assert done
+    encoded, png = cv2.imencode(".png", draw_target(learned, image))
+    assert encoded
     write_all_or_none({file: target_yaml(learned).encode(), beside: bytes(png)})
     return beside
 

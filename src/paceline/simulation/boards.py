@@ -72,10 +72,10 @@ def project_board(poses: Poses, rig: RigState, board: Board, size: tuple[int, in
     V, points = len(poses.t), board.points
     n = len(points)
     view, side = np.repeat(np.arange(V), 2 * n), np.tile(np.repeat([0, 1], n), V)
-    everything = Observations(view, side, np.tile(points, (2 * V, 1)), np.zeros((2 * V * n, 2)))
-    pixels, _, _ = project(rig, poses, everything)
+    all_points = Observations(view, side, np.tile(points, (2 * V, 1)), np.zeros((2 * V * n, 2)))
+    pixels, _, _ = project(rig, poses, all_points)
     inside = ((pixels > 8) & (pixels < np.array(size) - 9)).all(1)
-    return Observations(view[inside], side[inside], everything.points[inside], pixels[inside])
+    return Observations(view[inside], side[inside], all_points.points[inside], pixels[inside])
 
 
 def add_noise(rng: np.random.Generator, seen: Observations, sigma: float) -> Observations:
@@ -89,9 +89,9 @@ def corners_by_view(seen: Observations, board: Board) -> list[tuple[Corners, Cor
     for v in range(int(seen.view.max()) + 1):
         found = []
         for side in (0, 1):
-            mine = seen.where((seen.view == v) & (seen.side == side))
-            ids = np.abs(mine.points[:, None] - board.points).sum(-1).argmin(1)
-            found.append(Corners(ids, mine.pixels))
+            in_view = seen.where((seen.view == v) & (seen.side == side))
+            ids = np.abs(in_view.points[:, None] - board.points).sum(-1).argmin(1)
+            found.append(Corners(ids, in_view.pixels))
         pairs.append((found[0], found[1]))
     return pairs
 
@@ -137,10 +137,10 @@ def _render_view(
     H = np.linalg.inv(np.column_stack([R[:, 0], R[:, 1], t]))  # rays to metres on the board
     x, y, w = (H[i, 0] * rays[..., 0] + H[i, 1] * rays[..., 1] + H[i, 2] for i in range(3))
     squares = np.stack([x / w, y / w], -1) / setup.board.square + 2  # a square of margin, one to the first inner corner
-    at = squares * PIXELS_PER_SQUARE - 0.5
-    shrink = float(np.median(np.linalg.norm(np.diff(at[::8, ::8], axis=1), axis=-1))) / 8
+    texture_position = squares * PIXELS_PER_SQUARE - 0.5
+    shrink = float(np.median(np.linalg.norm(np.diff(texture_position[::8, ::8], axis=1), axis=-1))) / 8
     soft = cv2.GaussianBlur(pattern, (0, 0), max(0.4 * shrink, 0.3))
-    across, down = (np.ascontiguousarray(at[..., i], np.float32) for i in (0, 1))
+    across, down = (np.ascontiguousarray(texture_position[..., i], np.float32) for i in (0, 1))
     drawn = cv2.remap(soft, across, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=-1.0)
     shown = np.where(drawn < 0, WALL_GREY, INK_GREY + (PAPER_GREY - INK_GREY) * drawn / 255)
     picture = np.full(setup.size[::-1], WALL_GREY)

@@ -132,9 +132,9 @@ def draw_line(pixels: Array, camera: Camera, points: int, sigma: float, rng: np.
     length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(pixels, axis=0), axis=1))])
     # People click more densely far away, where a line bends in the picture: evenly in the root of the length.
     count = points + int(rng.integers(-1, 2))
-    at = length[-1] * ((np.arange(count) + rng.uniform(0.1, 0.9, count)) / count) ** 2
+    lengths = length[-1] * ((np.arange(count) + rng.uniform(0.1, 0.9, count)) / count) ** 2
     return add_click_noise(
-        camera.distort_points(np.column_stack([np.interp(at, length, c) for c in pixels.T])), sigma, rng
+        camera.distort_points(np.column_stack([np.interp(lengths, length, c) for c in pixels.T])), sigma, rng
     )
 
 

@@ -146,8 +146,8 @@ def _propose_crossing(seed: int, rng: np.random.Generator, speed: float, fixed: 
 def _draw_frames_and_rate(rng: np.random.Generator, speed: float, longest: float) -> tuple[int, float]:
     """A number of frames and a rate at which a vehicle drives between 5 and ``longest`` metres."""
     frames = int(rng.integers(10, 18))
-    suitable = [r for r in FRAME_RATES_HZ if 5.0 <= speed * (frames - 1) / r <= longest]
-    return frames, float(rng.choice(suitable or [FRAME_RATES_HZ[0] if speed < 10 else FRAME_RATES_HZ[-1]]))
+    rates = [r for r in FRAME_RATES_HZ if 5.0 <= speed * (frames - 1) / r <= longest]
+    return frames, float(rng.choice(rates or [FRAME_RATES_HZ[0] if speed < 10 else FRAME_RATES_HZ[-1]]))
 
 
 def _draw_acceleration(rng: np.random.Generator, speed: float, duration: float) -> float:
@@ -254,8 +254,8 @@ def random_speed_scene(seed: int) -> SpeedScene:
 
 def _draw_speed_scene(seed: int, speed: float, rng: np.random.Generator) -> dict[str, Any]:
     frames = int(rng.integers(10, 16))
-    suitable = [r for r in RAYTRACED_FRAME_RATES_HZ if 5.0 <= speed * (frames - 1) / r <= 60.0]
-    rate = float(rng.choice(suitable or [RAYTRACED_FRAME_RATES_HZ[-1]]))
+    rates = [r for r in RAYTRACED_FRAME_RATES_HZ if 5.0 <= speed * (frames - 1) / r <= 60.0]
+    rate = float(rng.choice(rates or [RAYTRACED_FRAME_RATES_HZ[-1]]))
     distance = speed * (frames - 1) / rate
     near, oncoming = float(rng.uniform(17, max(18.0, 75 - distance))), bool(rng.random() < 0.65)
     kind = str(rng.choice(["straight", "straight", "circle", "clothoid"]))

@@ -291,8 +291,8 @@ def _plate_texture(rng: np.random.Generator, grey: _ContrastScale) -> Texture:
         x = 0.03 + 0.067 * k
         strokes = rng.random(7) < 0.62
         strokes[int(rng.integers(7))] = True
-        for on, (dx, dy, w, h) in zip(strokes, _GLYPH_STROKES, strict=True):
-            if on:
+        for is_drawn, (dx, dy, w, h) in zip(strokes, _GLYPH_STROKES, strict=True):
+            if is_drawn:
                 c.box(x + dx, 0.02 + dy, w, h, grey(25))
     return c.finish()
 

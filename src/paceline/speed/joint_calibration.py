@@ -82,13 +82,15 @@ def combine_consistent(
     The least consistent piece is left out, one after the other. None is used where the last two contradict each other,
     as nothing shows which of them is right.
     """
-    used, prior = np.full(len(evidence), True), rig_prior(len(evidence[0].score))
-    while used.sum() > 1:
-        posterior = sum((e for e, u in zip(evidence, used, strict=True) if u), prior)
-        shifts = np.array([shift_sigma(posterior - e, e) if u else 0.0 for e, u in zip(evidence, used, strict=True)])
+    consistent, prior = np.full(len(evidence), True), rig_prior(len(evidence[0].score))
+    while consistent.sum() > 1:
+        posterior = sum((e for e, u in zip(evidence, consistent, strict=True) if u), prior)
+        shifts = np.array(
+            [shift_sigma(posterior - e, e) if u else 0.0 for e, u in zip(evidence, consistent, strict=True)]
+        )
         if shifts.max() <= max_shift_sigma:
-            return posterior, used
-        used[np.argmax(shifts)] = False
+            return posterior, consistent
+        consistent[np.argmax(shifts)] = False
     return prior, np.full(len(evidence), False)
 
 

@@ -79,12 +79,12 @@ def track(
     Raises UnusableInput and DeviceFailure as `measure` does.
     """
     batch = TrackerBatch(open_device(device), fall_back_to_cpu=device == "auto")
-    made: list[Estimate] = []
+    estimates: list[Estimate] = []
     filtering = configuration.model_copy(update={"refine": False})  # so that no images are kept
     drawn = _reconstruct(clip, configuration)
     runs = {
         v.id: VehicleMeasurement(
-            clip, v, drawn, filtering, batch, on_estimate=lambda name, estimate: made.append(estimate)
+            clip, v, drawn, filtering, batch, on_estimate=lambda name, estimate: estimates.append(estimate)
         )
         for v in clip.vehicles
     }
@@ -98,8 +98,8 @@ def track(
                 and not on_one_blas_thread(run.process)(frame)
             ):
                 del runs[vehicle.id]
-        yield from made
-        made.clear()
+        yield from estimates
+        estimates.clear()
         if not runs:
             return
 
@@ -136,7 +136,7 @@ def measure_each(
             )
     drawn = _reconstruct(clip, configuration) if on_paths else {}
     runs = {v.id: begin(clip, v, drawn, configuration) for v in clip.vehicles}
-    done: dict[str, Measurement] = {}
+    finished: dict[str, Measurement] = {}
     total = len(recording)
     for count, frame in enumerate(recording.frames(), start=1):
         if count == 1:
@@ -144,15 +144,15 @@ def measure_each(
         for vehicle in clip.vehicles:
             run = runs.get(vehicle.id)
             if run is not None and frame.index >= vehicle.frame and not frame.duplicate and not run.process(frame):
-                done[vehicle.id] = runs.pop(vehicle.id).result()
+                finished[vehicle.id] = runs.pop(vehicle.id).result()
         if progress is not None:
             progress(count, total)
         if not runs:
             break
-    done |= {name: run.result() for name, run in runs.items()}
+    finished |= {name: run.result() for name, run in runs.items()}
     return ClipResult(
         clip=str(clip.path),
-        measurements=[done[v.id] for v in clip.vehicles],
+        measurements=[finished[v.id] for v in clip.vehicles],
         paths=[_path_drawing(clip.rig, p) for p in drawn.values()],
         configuration=configuration.model_dump(),
         versions=versions(),

@@ -54,7 +54,7 @@ class VehicleMeasurement:
         self.tracker = batch.add(Tracker(clip.rig, vehicle, self.path, offset, configuration, batch.device))
         if self.path is not None:
             centre = self.tracker.plane.centre
-            nearest = [way.at(np.array(way.nearest(centre))) for way in self.tracker.candidate_paths]
+            nearest = [path.at(np.array(path.nearest(centre))) for path in self.tracker.candidate_paths]
             beside = min(float(np.linalg.norm(place - centre)) for place in nearest)
             if not beside < MAX_PATH_DISTANCE_M:
                 raise UnusableInput(
@@ -98,8 +98,8 @@ class VehicleMeasurement:
         self.estimates = _lost_after_occlusion(self.estimates)
         tracked = [e for e in self.estimates if e.status == "tracking"]
         last = self.estimates[-1].status if self.estimates else "tracking"
-        if few := verdict.check_frames(last, len(tracked), self.limits):
-            return self._rejected(few)
+        if too_few := verdict.check_frames(last, len(tracked), self.limits):
+            return self._rejected(too_few)
         if (seen := sum(e.similarity >= MIN_REFERENCE_SIMILARITY for e in tracked)) < self.limits.min_frames:
             return self._rejected(
                 message(
@@ -111,9 +111,9 @@ class VehicleMeasurement:
         try:
             refined = self._refined()
             while (
-                self.limits.min_frames <= (kept := verdict.frames_to_refit(refined, self.limits)) < len(self.keyframes)
+                self.limits.min_frames <= (count := verdict.frames_to_refit(refined, self.limits)) < len(self.keyframes)
             ):
-                self.keyframes = self.keyframes[:kept]
+                self.keyframes = self.keyframes[:count]
                 self.estimates = _lost_after(self.estimates, self.keyframes[-1].frame)
                 refined = self._refined()
         except np.linalg.LinAlgError:
@@ -181,26 +181,26 @@ class VehicleMeasurement:
 
     def _rig_information(self, refined: RefinedMotion, fit: RigEstimate, student: float) -> RigInformation:
         """What the images determine of the rig; ``student`` is the quantile for the noise's interval."""
-        mean, each = refined.trajectory.mean_speed_gradient, refined.trajectory.speed_jacobian
+        mean, gradients = refined.trajectory.mean_speed_gradient, refined.trajectory.speed_jacobian
         noise, model = (float(np.sqrt(mean @ C @ mean)) for C in (fit.covariance, refined.model_covariance))
-        variances = np.einsum("fi,ij,fj->f", each, fit.covariance + refined.model_covariance, each)
+        variances = np.einsum("fi,ij,fj->f", gradients, fit.covariance + refined.model_covariance, gradients)
         return RigInformation(
             offset=fit.offset,
             information=fit.information,
             mean_speed_gradient=mean @ fit.response,
             mean_speed_std=float(np.hypot(noise, model)),
             half_width=float(np.hypot(student * noise, ndtri(0.5 + CONFIDENCE_LEVEL / 2) * model)),
-            speed_jacobian=self._by_row(each @ fit.response),
+            speed_jacobian=self._by_row(gradients @ fit.response),
             speed_stds=self._by_row(np.sqrt(variances)),
         )
 
     def _by_row(self, fitted: Array) -> Array:
         """``fitted`` (F, …) at the keyframes, by the rows of the track: NaN at other frames."""
         rows = np.full((len(self.estimates), *fitted.shape[1:]), np.nan)
-        kept = {k.frame: i for i, k in enumerate(self.keyframes)}
+        keyframe_index = {k.frame: i for i, k in enumerate(self.keyframes)}
         for row, e in enumerate(self.estimates):
-            if e.frame in kept:
-                rows[row] = fitted[kept[e.frame]]
+            if e.frame in keyframe_index:
+                rows[row] = fitted[keyframe_index[e.frame]]
         return rows
 
     def _notices(self, refined: RefinedMotion) -> list[str]:
@@ -211,8 +211,8 @@ class VehicleMeasurement:
         hidden = sum(e.similarity < MIN_REFERENCE_SIMILARITY for e in self.estimates)
         if hidden:
             notices.append(message("occluded_frames", frames=plural(hidden, "frame")))
-        if lost := [e.frame for e in self.estimates if e.status == "lost"]:
-            notices.append(message("lost_at_frame", frame=lost[0]))
+        if lost_frames := [e.frame for e in self.estimates if e.status == "lost"]:
+            notices.append(message("lost_at_frame", frame=lost_frames[0]))
         return notices
 
     def _from_filter(self, tracked: list[Estimate]) -> Measurement:

@@ -42,9 +42,9 @@ def settings_page() -> str:
     parts = [HEAD, "\n".join([COLUMNS, *map(row, plain, plain.values())])]
     for name, field in SpeedSettings.model_fields.items():
         if (section := section_of(field)) is not None:
-            words = (section.__doc__ or "").strip()
+            docstring = (section.__doc__ or "").strip()
             rows = "\n".join([COLUMNS, *(row(f"{name}.{key}", f) for key, f in section.model_fields.items())])
-            parts.append(f"\n## {name}\n\n{words}\n\n{rows}")
+            parts.append(f"\n## {name}\n\n{docstring}\n\n{rows}")
     return "\n".join(parts) + "\n"
 
 
@@ -82,9 +82,9 @@ def range_of(field: FieldInfo) -> str:
 
 def bounds(field: FieldInfo) -> Iterator[str]:
     for limit in field.metadata:
-        for name, words in (("gt", "above"), ("ge", "at least"), ("lt", "below"), ("le", "at most")):
+        for name, relation in (("gt", "above"), ("ge", "at least"), ("lt", "below"), ("le", "at most")):
             if (value := getattr(limit, name, None)) is not None:
-                yield f"{words} {value:,}".replace(",", " ")
+                yield f"{relation} {value:,}".replace(",", " ")
 
 
 if __name__ == "__main__":

@@ -62,11 +62,11 @@ def check_outline(
 
 def consistent_frames(refined: RefinedMotion, limits: Limits = DEFAULT_LIMITS) -> NDArray[np.bool_]:
     """Frames (F,) of which all views that were used fit the motion."""
-    used = np.isfinite(refined.explained_share)
+    compared = np.isfinite(refined.explained_share)
     fits = (refined.explained_share >= 1.0 - limits.unexplained_contrast**2) & (
         np.linalg.norm(refined.offsets, axis=-1) <= limits.image_offset_px
     )
-    return np.asarray(used.any(1) & (fits | ~used).all(1))
+    return np.asarray(compared.any(1) & (fits | ~compared).all(1))
 
 
 def check_residuals(refined: RefinedMotion, limits: Limits = DEFAULT_LIMITS) -> Message:
@@ -104,8 +104,8 @@ def frames_to_refit(refined: RefinedMotion, limits: Limits = DEFAULT_LIMITS) -> 
     Half of them where no motion fits, as the occlusion may have begun early.
     """
     consistent = consistent_frames(refined, limits)
-    if limits.min_frames <= (kept := frames_before_occlusion(consistent)) < len(consistent):
-        return kept
+    if limits.min_frames <= (count := frames_before_occlusion(consistent)) < len(consistent):
+        return count
     return len(consistent) // 2 if check_residuals(refined, limits) else len(consistent)
 
 

@@ -187,14 +187,14 @@ def _first_frame(clip: Clip, pairs: Iterator[RawPair]) -> StereoFrame:
 def _estimate_background(clip: Clip, pairs: Iterator[RawPair], background_s: float) -> Background:
     """The background of the first ``background_s`` seconds, from frames spread evenly over them."""
     stacks: tuple[list[NDArray[np.float16]], list[NDArray[np.float16]]] = [], []
-    begun, due = None, 0.0
+    begun, next_s = None, 0.0
     for frame in undistorted_frames(pairs, clip):
         if begun is None:
             require_two_views(clip, frame)
             begun = frame.time
         passed = frame.time - begun
-        if passed >= due and not frame.duplicate:
-            due += background_s / (BACKGROUND_FRAMES - 1)
+        if passed >= next_s and not frame.duplicate:
+            next_s += background_s / (BACKGROUND_FRAMES - 1)
             for stack, image in zip(stacks, (frame.left, frame.right), strict=True):
                 stack.append(image.astype(np.float16))
         if passed >= background_s:
@@ -308,8 +308,8 @@ class MeasurementQueue:
 def subsample(pairs: list[RawPair], max_pairs: int) -> list[RawPair]:
     """The first of ``pairs`` and every n-th after it: about ``max_pairs``, or more if they would be too far apart."""
     interval = (pairs[-1].time - pairs[0].time) / max(len(pairs) - 1, 1)
-    most = int(MAX_PAIR_SPACING_S / interval + 0.1) if interval > 0 else 1
-    return pairs[:: max(min(-(-len(pairs) // max_pairs), most), 1)]
+    max_step = int(MAX_PAIR_SPACING_S / interval + 0.1) if interval > 0 else 1
+    return pairs[:: max(min(-(-len(pairs) // max_pairs), max_step), 1)]
 
 
 @on_one_blas_thread

@@ -132,20 +132,20 @@ def find_lines(image: Image, box: tuple[float, float, float, float]) -> list[Lin
     across, along = x1 - x0, y1 - y0
     tolerance = LINE_TOLERANCE[0] + LINE_TOLERANCE[1] * max(across, along)
     shortest = max(MIN_LINE_LENGTH[0], MIN_LINE_LENGTH[1] * along)
-    apart = max(MIN_LINE_SPACING[0], MIN_LINE_SPACING[1] * across)
+    min_distance = max(MIN_LINE_SPACING[0], MIN_LINE_SPACING[1] * across)
     found: list[Line] = []
     for sign in (1, -1):
         points = _edge_points(sign * image, box)
         while (
             len(points) and _max_count_within(points[:, 0], 2 * tolerance) > 0.5 * shortest
         ):  # fewer make no line so long
-            line, used = _best_line(points, tolerance)
+            line, inliers = _best_line(points, tolerance)
             if line.length >= shortest:
                 found.append(line)
-            points = points[~used]
+            points = points[~inliers]
     chosen: list[Line] = []
     for line in sorted(found, key=lambda line: -line.strength):
-        if len(chosen) < MAX_LINES_PER_DIRECTION and not any(_too_close(line, other, apart) for other in chosen):
+        if len(chosen) < MAX_LINES_PER_DIRECTION and not any(_too_close(line, other, min_distance) for other in chosen):
             chosen.append(line)
     return sorted(chosen, key=lambda line: line.place)
 
@@ -153,7 +153,7 @@ def find_lines(image: Image, box: tuple[float, float, float, float]) -> list[Lin
 def _edge_points(image: Image, box: tuple[float, float, float, float]) -> Array:
     """Where ``image`` grows brightest from left to right: x to a fraction of a pixel, y, gradient; shape (N, 3)."""
     x0, y0, x1, y1 = box
-    beyond = max(BOX_MARGIN[0], BOX_MARGIN[1] * max(x1 - x0, y1 - y0))
+    margin = max(BOX_MARGIN[0], BOX_MARGIN[1] * max(x1 - x0, y1 - y0))
     gx = cv2.Sobel(image, cv2.CV_32F, 1, 0, scale=1 / 8)
     gy = cv2.Sobel(image, cv2.CV_32F, 0, 1, scale=1 / 8)
     left, mid, right = gx[:, :-2], gx[:, 1:-1], gx[:, 2:]
@@ -162,8 +162,8 @@ def _edge_points(image: Image, box: tuple[float, float, float, float]) -> Array:
     a, b, c = (part[y, x].astype(float) for part in (left, mid, right))
     fraction = 0.5 * (a - c) / (a - 2 * b + c)
     points = np.column_stack([x + 1 + fraction, y, b])
-    inside = (np.abs(points[:, 0] - 0.5 * (x0 + x1)) <= 0.5 * (x1 - x0) + beyond) & (
-        np.abs(points[:, 1] - 0.5 * (y0 + y1)) <= 0.5 * (y1 - y0) + beyond
+    inside = (np.abs(points[:, 0] - 0.5 * (x0 + x1)) <= 0.5 * (x1 - x0) + margin) & (
+        np.abs(points[:, 1] - 0.5 * (y0 + y1)) <= 0.5 * (y1 - y0) + margin
     )
     return np.asarray(points[inside])
 
@@ -177,12 +177,12 @@ def _best_line(points: Array, tolerance: float) -> tuple[Line, NDArray[np.bool_]
     near = total[np.searchsorted(x[order], x + tolerance, "right")] - total[np.searchsorted(x[order], x - tolerance)]
     place = float(x[np.argmax(near)])
     for _ in range(3):
-        on = np.abs(x - place) <= tolerance
-        start, stop = _longest_run(y[on])
-        on &= (y >= start) & (y <= stop)
-        place = float(np.average(x[on], weights=weight[on]))
+        inliers = np.abs(x - place) <= tolerance
+        start, stop = _longest_run(y[inliers])
+        inliers &= (y >= start) & (y <= stop)
+        place = float(np.average(x[inliers], weights=weight[inliers]))
     # a row's pixel reaches half a pixel beyond its centre
-    return Line(place, start - 0.5, stop + 0.5, float(weight[on].sum())), on
+    return Line(place, start - 0.5, stop + 0.5, float(weight[inliers].sum())), inliers
 
 
 def _max_count_within(x: Array, width: float) -> int:
@@ -203,10 +203,10 @@ def _longest_run(rows: Array) -> tuple[float, float]:
     return float(first + start), float(first + stop - 1)
 
 
-def _too_close(line: Line, other: Line, apart: float) -> bool:
+def _too_close(line: Line, other: Line, min_distance: float) -> bool:
     """Whether two lines are so near side by side that a tracker would confuse them."""
     overlap = min(line.stop, other.stop) - max(line.start, other.start)
-    return overlap > 0 and abs(line.place - other.place) < apart
+    return overlap > 0 and abs(line.place - other.place) < min_distance
 
 
 def _side(vertical: list[Line], x: float, size: Array) -> tuple[float, float]:
@@ -235,9 +235,9 @@ def join_lines(horizontal: list[Line], vertical: list[Line], meet: Array) -> tup
     for (i, across), (j, down) in product(enumerate(horizontal), enumerate(vertical)):
         for a, b in product((0, 1), (0, 1)):
             tip, foot = (across.start, across.stop)[a], (down.start, down.stop)[b]
-            off = np.abs([tip - down.place, foot - across.place]) / meet
-            if off.max() <= 1:
-                pairs.append((float(off.sum()), ("h", i, a), ("v", j, b), (down.place, across.place)))
+            distances = np.abs([tip - down.place, foot - across.place]) / meet
+            if distances.max() <= 1:
+                pairs.append((float(distances.sum()), ("h", i, a), ("v", j, b), (down.place, across.place)))
     shared: dict[End, End] = {}
     for _, h, v, corner in sorted(pairs):
         if h not in shared and v not in shared:

@@ -71,8 +71,8 @@ class Target:
     @cached_property
     def box(self) -> Array:
         """(4,) m: x0, y0, x1, y1 around all segments."""
-        used = self.corners[self.segments.ravel()]
-        return np.concatenate([used.min(0), used.max(0)])
+        used_corners = self.corners[self.segments.ravel()]
+        return np.concatenate([used_corners.min(0), used_corners.max(0)])
 
     @cached_property
     def size(self) -> Array:

@@ -63,8 +63,8 @@ def validated_setup(paths: Mapping[str, Entry], vehicles: list[Entry]) -> tuple[
         model = ClipModel.model_validate({"left": "-", "right": "-", "paths": dict(paths), "vehicles": vehicles})
     except ValidationError as error:
         first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"] if part != "[key]")
-        raise UnusableInput(f"{where}: {first['msg'].removeprefix('Value error, ')}") from error
+        key = ".".join(str(part) for part in first["loc"] if part != "[key]")
+        raise UnusableInput(f"{key}: {first['msg'].removeprefix('Value error, ')}") from error
     known = {name: _rounded_entry(_plain(path)) for name, path in (model.paths or {}).items()}
     return known, [_rounded_entry(_plain(vehicle)) for vehicle in model.vehicles or []]
 
@@ -99,13 +99,13 @@ def with_clip_setup(text: str, file: str, paths: Mapping[str, Entry], vehicles: 
         new = _with_section(text, "paths", list(paths.items()))
         new = _with_section(new, "vehicles", [(vehicle["id"], vehicle) for vehicle in vehicles])
         before, after = ({**yaml.safe_load(t), "paths": None, "vehicles": None} for t in (text, new))
-        kept = before == after and _plain_setup(ClipModel.model_validate(yaml.safe_load(new))) == (
+        unchanged = before == after and _plain_setup(ClipModel.model_validate(yaml.safe_load(new))) == (
             dict(paths),
             vehicles,
         )
     except (yaml.YAMLError, ValidationError):
-        kept = False
-    if not kept:
+        unchanged = False
+    if not unchanged:
         raise UnusableInput(
             f"{file}: paths and vehicles: are written in a way that cannot be edited; expected one key per line"
         )
@@ -127,8 +127,8 @@ def file_revision(file: Path) -> str:
 
 def _plain(model: PathModel | VehicleModel) -> Entry:
     """The keys that are given, in the order of the file format, as plain JSON and YAML values."""
-    given = {key: getattr(model, key) for key in type(model).model_fields if key in model.model_fields_set}
-    return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in given.items() if v is not None}
+    values = {key: getattr(model, key) for key in type(model).model_fields if key in model.model_fields_set}
+    return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in values.items() if v is not None}
 
 
 def _rounded_entry(entry: Entry) -> Entry:

@@ -46,18 +46,18 @@ def inverse_depths(rig: StereoRig) -> Array:
 
 
 def propose_quadrilateral(
-    rig: StereoRig, here: Image, there: Image, corners: Array, normal: Array | None = None
+    rig: StereoRig, image: Image, other_image: Image, corners: Array, normal: Array | None = None
 ) -> Proposal:
     """Finds the outline ``corners`` (4, 2) of a plane, drawn in the rig's left ideal image, in the right one.
 
     A search over depth with the plane upright and facing the camera, or with the ``normal`` (3,) that a path gives,
     starts a Nelder-Mead search over depth and slant. Raises UnusableInput where nothing matches.
     """
-    if wrong := check_quadrilateral(corners, rig.left.image_size):
-        raise UnusableInput(f"the outline {wrong}")
+    if problem := check_quadrilateral(corners, rig.left.image_size):
+        raise UnusableInput(f"the outline {problem}")
     samples = _sample_grid(corners)
     rays = rig.left.rays(samples)
-    texture = _standardized(_sample_image(here, samples))
+    texture = _standardized(_sample_image(image, samples))
     middle = rig.left.rays(corners.mean(axis=0))
     facing = np.array([middle[0], 0.0, 1.0]) if normal is None else normal
     facing = facing / (facing @ middle)
@@ -66,7 +66,9 @@ def propose_quadrilateral(
         w = rays @ plane
         if (w <= 0).any():
             return -1.0
-        return float(texture @ _standardized(_sample_image(there, _project_to_other_view(rig, rays, w)))) / len(texture)
+        return float(texture @ _standardized(_sample_image(other_image, _project_to_other_view(rig, rays, w)))) / len(
+            texture
+        )
 
     depths = inverse_depths(rig)
     scores = np.array([correlation(w * facing) for w in depths])
@@ -75,8 +77,8 @@ def propose_quadrilateral(
         raise UnusableInput("nothing in the other view matches it; outline it there by hand")
     width = max(float(np.ptp(corners[:, 0])), 8.0)
     disparity = depths * rig.left.K[0, 0] * rig.baseline
-    away = np.abs(disparity - disparity[best]) > 0.5 * width
-    if away.any() and scores[away].max() > max(MAX_SECOND_PEAK_RATIO * scores[best], MIN_CORRELATION):
+    other_peaks = np.abs(disparity - disparity[best]) > 0.5 * width
+    if other_peaks.any() and scores[other_peaks].max() > max(MAX_SECOND_PEAK_RATIO * scores[best], MIN_CORRELATION):
         raise UnusableInput("several places in the other view match it equally well; outline it there by hand")
     start = depths[best] * facing
     spread = np.diag([0.15, 0.15, 0.02]) * depths[best]
@@ -90,7 +92,9 @@ def propose_quadrilateral(
     return Proposal(pixels, correlation(plane))
 
 
-def propose_line(rig: StereoRig, here: Image, there: Image, drawn: Array, shape: Literal["line", "curve"]) -> Proposal:
+def propose_line(
+    rig: StereoRig, image: Image, other_image: Image, drawn: Array, shape: Literal["line", "curve"]
+) -> Proposal:
     """Finds the road line ``drawn`` (N, 2) in the rig's left ideal image in the right one.
 
     Along a straight line in space the inverse depth is linear in its image. So inverse depths are chosen at the ends of
@@ -110,21 +114,23 @@ def propose_line(rig: StereoRig, here: Image, there: Image, drawn: Array, shape:
     for a, b, length in zip(knots[:-1], knots[1:], pieces, strict=True):
         count = int(np.clip(MAX_LINE_SAMPLES * length / pieces.sum(), 3, MAX_LINE_SAMPLES))
         share = (np.arange(count) + 0.5) / count
-        correlations = np.stack([_patch_correlations(rig, here, there, (1 - t) * a + t * b, depths) for t in share])
+        correlations = np.stack(
+            [_patch_correlations(rig, image, other_image, (1 - t) * a + t * b, depths) for t in share]
+        )
         gain = np.zeros((len(depths), len(depths)))  # from the depth at a, over that at b
         i, j = np.arange(len(depths))[:, None], np.arange(len(depths))[None, :]
         for t, row in zip(share, correlations, strict=True):
             gain += row[np.rint((1 - t) * i + t * j).astype(int)]
-        reached = total[:, None] + gain
-        back.append(np.argmax(reached, axis=0))
-        total, score = reached.max(axis=0), score + count
-    at = [int(np.argmax(total))]
+        total_with_step = total[:, None] + gain
+        back.append(np.argmax(total_with_step, axis=0))
+        total, score = total_with_step.max(axis=0), score + count
+    indices = [int(np.argmax(total))]
     for step in reversed(back):
-        at.append(int(step[at[-1]]))
+        indices.append(int(step[indices[-1]]))
     correlation = float(total.max()) / score
     if correlation < MIN_CORRELATION:
         raise UnusableInput("nothing in the other view matches it; draw it there by hand")
-    knot_depths = depths[at[::-1]]
+    knot_depths = depths[indices[::-1]]
     along = np.concatenate([[0.0], np.cumsum(pieces)])
     places = _positions_along(drawn, knots) if shape == "line" else along
     w = np.interp(places, along, knot_depths)
@@ -137,14 +143,14 @@ def _positions_along(points: Array, ends: Array) -> Array:
     return np.asarray((points - ends[0]) @ d)
 
 
-def _patch_correlations(rig: StereoRig, here: Image, there: Image, pixel: Array, depths: Array) -> Array:
+def _patch_correlations(rig: StereoRig, image: Image, other_image: Image, pixel: Array, depths: Array) -> Array:
     """Correlations (M,) of the patch about ``pixel`` with the other view at inverse ``depths`` (M,)."""
     u = np.arange(-PATCH_RADIUS_PX, PATCH_RADIUS_PX + 1.0)
     patch = np.stack(np.meshgrid(u, u), axis=-1).reshape(-1, 2)
-    texture = _standardized(_sample_image(here, pixel + patch))
+    texture = _standardized(_sample_image(image, pixel + patch))
     centres = _project_to_other_view(rig, np.repeat(rig.left.rays(pixel)[None], len(depths), axis=0), depths)
     zoom = rig.right.K[0, 0] / rig.left.K[0, 0]
-    seen = _sample_image(there, centres[:, None] + zoom * patch)
+    seen = _sample_image(other_image, centres[:, None] + zoom * patch)
     return np.asarray(_standardized(seen) @ texture) / len(patch)
 
 

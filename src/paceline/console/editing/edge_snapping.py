@@ -47,12 +47,12 @@ def snap_point(image: Image, point: Array, reach: float) -> Array:
     return _edge_position(strength, gx, gy, edge) + [x - margin, y - margin]
 
 
-def _edge_position(strength: Image, gx: Image, gy: Image, at: tuple[np.intp, ...]) -> Array:
+def _edge_position(strength: Image, gx: Image, gy: Image, index: tuple[np.intp, ...]) -> Array:
     """The edge's position (2,) along its gradient, by a parabola through three samples; pixels of the window."""
-    row, column = (int(v) for v in at)
+    row, column = (int(v) for v in index)
     place = np.array([column, row], float)
     along = np.array([gx[row, column], gy[row, column]], float)
     along /= np.linalg.norm(along)
     samples = (place + np.outer([-1.0, 0.0, 1.0], along)).astype(np.float32).reshape(1, 3, 2)
-    before, there, behind = cv2.remap(strength, samples[..., 0], samples[..., 1], cv2.INTER_LINEAR)[0].tolist()
-    return np.asarray(place + along * parabola_peak(before, there, behind, reach=1.0))
+    before, centre, behind = cv2.remap(strength, samples[..., 0], samples[..., 1], cv2.INTER_LINEAR)[0].tolist()
+    return np.asarray(place + along * parabola_peak(before, centre, behind, reach=1.0))

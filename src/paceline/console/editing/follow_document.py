@@ -95,11 +95,11 @@ def _unused_target_file(folder: Path) -> Path:
 
 def target_yaml(target: TargetModel) -> str:
     """``target`` as target.yaml, without unused corners."""
-    used = {name for pair in target.segments for name in pair}
+    used_corners = {name for pair in target.segments for name in pair}
     corners = [
         f"  {format_flow(n)}: {format_flow([round(float(v), 4) for v in c])}"
         for n, c in target.corners.items()
-        if n in used
+        if n in used_corners
     ]
     segments = [f"  - {format_flow(list(pair))}" for pair in target.segments]
     head = [f"name: {format_flow(target.name)}", f"nominal_range: {format_flow(target.nominal_range)}"]

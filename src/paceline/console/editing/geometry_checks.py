@@ -34,10 +34,12 @@ def epipolar_line(rig: StereoRig, view: int, pixel: Array) -> dict[str, list[Any
     ray = pair.left.rays(pair.left.undistort_points(pixel[None]))[0]
     inverse = np.linspace(1e-4, 0.5, 64)
     line, seen = _project_ray(pair, ray, inverse)
-    marks, there = _project_ray(pair, ray, 1.0 / np.array(EPIPOLAR_MARKS_M, float))
+    marks, visible = _project_ray(pair, ray, 1.0 / np.array(EPIPOLAR_MARKS_M, float))
     return {
         "line": np.round(line[seen], 2).tolist(),
-        "marks": [[m, *np.round(p, 2).tolist()] for m, p, ok in zip(EPIPOLAR_MARKS_M, marks, there, strict=True) if ok],
+        "marks": [
+            [m, *np.round(p, 2).tolist()] for m, p, ok in zip(EPIPOLAR_MARKS_M, marks, visible, strict=True) if ok
+        ],
     }
 
 
@@ -84,16 +86,16 @@ def _check_path(rig: StereoRig, name: str, entry: Entry, found: dict[str, Path])
 def _path(rig: StereoRig, name: str, entry: Entry) -> Path:
     if "points" in entry:
         points = np.array(entry["points"], float)
-        if wrong := check_path_points(points):
-            raise UnusableInput(wrong)
+        if problem := check_path_points(points):
+            raise UnusableInput(problem)
         return from_points(name, entry["shape"], points)
     drawn = []
     for side, camera in zip(("left", "right"), rig.cameras, strict=True):
         pixels = np.array(entry.get(side) or [], float).reshape(-1, 2)
         if not len(pixels):
             raise UnusableInput(f"draw the same line in the {side} view")
-        if wrong := check_drawing(pixels, entry["shape"]):
-            raise UnusableInput(f"{side} view: {wrong}")
+        if problem := check_drawing(pixels, entry["shape"]):
+            raise UnusableInput(f"{side} view: {problem}")
         drawn.append(camera.undistort_points(pixels))
     return reconstruct(name, entry["shape"], rig, *drawn)
 
@@ -118,22 +120,22 @@ def _check_vehicle(rig: StereoRig, entry: Entry, paths: Mapping[str, Path]) -> F
         corners = np.array(entry.get(side) or [], float).reshape(-1, 2)
         if len(corners) != 4:
             return {"problem": f"outline the same part in the {side} view"}
-        if wrong := check_quadrilateral(corners, camera.image_size):
-            return {"problem": f"{side} view: {wrong}"}
+        if problem := check_quadrilateral(corners, camera.image_size):
+            return {"problem": f"{side} view: {problem}"}
         ideal.append(camera.undistort_points(corners))
     left, right = ideal
-    if wrong := check_views(rig, left, right):
-        return {"problem": wrong}
+    if problem := check_views(rig, left, right):
+        return {"problem": problem}
     tl, tr, br, bl = triangulate(rig, left, right)
     centre = triangulate(rig, left.mean(axis=0), right.mean(axis=0))
-    off = float(np.abs(epipolar_distance(rig, left, right)).max())
+    epipolar_px = float(np.abs(epipolar_distance(rig, left, right)).max())
     # sizes at the centre's depth: the depth of a single corner is too uncertain
     scale = float(centre[2]) / np.sqrt(np.prod(rig.left.K[[0, 1], [0, 1]]))
     width, height = (
         scale * float(np.linalg.norm(d, axis=1).mean()) for d in (_horizontal_edges(left), _vertical_edges(left))
     )
     facts: Facts = {
-        "distance_m": float(np.linalg.norm(centre)), "width_m": width, "height_m": height, "epipolar_px": off,
+        "distance_m": float(np.linalg.norm(centre)), "width_m": width, "height_m": height, "epipolar_px": epipolar_px,
         "distance_std_m": DEFAULTS.click_sigma * np.sqrt(0.5) * float(centre[2]) ** 2
         / (rig.left.K[0, 0] * rig.baseline),
     }  # fmt: skip
@@ -142,16 +144,18 @@ def _check_vehicle(rig: StereoRig, entry: Entry, paths: Mapping[str, Path]) -> F
         foot = path.at(np.array(path.nearest(centre)))
         facts["beside_path_m"] = float(np.hypot(*(foot - centre)[[0, 2]]))
         facts["above_path_m"] = float(foot[1] - centre[1])
-    for what, value, (least, most) in (
+    for quantity, value, (minimum, maximum) in (
         ("wide", width, VEHICLE_WIDTH_RANGE_M),
         ("high", height, VEHICLE_HEIGHT_RANGE_M),
     ):
-        if not least <= value <= most:
+        if not minimum <= value <= maximum:
             facts["warning"] = (
-                f"it would be {value:.2g} m {what}; does the outline mark the same corners in both views?"
+                f"it would be {value:.2g} m {quantity}; does the outline mark the same corners in both views?"
             )
-    if off > MAX_EPIPOLAR_DISTANCE_PX:
-        facts["warning"] = f"a corner lies {off:.1f} px off its epipolar line; mark the same corners in both views"
+    if epipolar_px > MAX_EPIPOLAR_DISTANCE_PX:
+        facts["warning"] = (
+            f"a corner lies {epipolar_px:.1f} px off its epipolar line; mark the same corners in both views"
+        )
     return facts
 
 
@@ -173,18 +177,18 @@ def propose_in_other_view(
     """
     pair = rig if view == 0 else swapped_views(rig)
     side = ("left", "right")[view]
-    here, there = (
+    image, other_image = (
         camera.undistort_image(pictures[i]) for camera, i in zip(pair.cameras, (view, 1 - view), strict=True)
     )
     drawn = pair.left.undistort_points(np.array(entry.get(side) or [], float).reshape(-1, 2))
     found: Proposal
     if "shape" in entry:
-        found = propose_line(pair, here, there, drawn, entry["shape"])
+        found = propose_line(pair, image, other_image, drawn, entry["shape"])
     else:
         normal = None
         if path is not None and entry.get("plane", "front") == "front":
             normal = _path_direction(rig, pair, drawn, path)
-        found = propose_quadrilateral(pair, here, there, drawn, normal)
+        found = propose_quadrilateral(pair, image, other_image, drawn, normal)
     return pair.right.distort_points(found.pixels), found.correlation
 
 

@@ -28,11 +28,11 @@ def validated_target(target: object) -> TargetModel:
     except ValidationError as error:
         raise UnusableInput(f"target: {_first_error(error)}") from error
     for i, (a, b) in enumerate(model.segments):
-        if wrong := check_segment(a, b, model.corners):
-            raise UnusableInput(f"segments[{i}]: {wrong}")
+        if problem := check_segment(a, b, model.corners):
+            raise UnusableInput(f"segments[{i}]: {problem}")
     ends = np.array([[model.corners[a], model.corners[b]] for a, b in model.segments]).reshape(-1, 2, 2)
-    if wrong := check_target(ends):
-        raise UnusableInput(f"segments: {wrong}")
+    if problem := check_target(ends):
+        raise UnusableInput(f"segments: {problem}")
     return model
 
 
@@ -43,8 +43,8 @@ def validated_start(camera: Camera, target: TargetModel, start: object) -> Start
     except ValidationError as error:
         raise UnusableInput(f"start: {_first_error(error)}") from error
     ends = np.array([target.corners[name] for pair in target.segments for name in pair])
-    if wrong := check_start(model.center, model.scale, ends * _magnification(camera, target), camera.image_size):
-        raise UnusableInput(f"{wrong[0]}: {wrong[1]}")
+    if problem := check_start(model.center, model.scale, ends * _magnification(camera, target), camera.image_size):
+        raise UnusableInput(f"{problem[0]}: {problem[1]}")
     return model
 
 
@@ -123,5 +123,5 @@ def _magnification(camera: Camera, target: TargetModel) -> Array:
 
 def _first_error(error: ValidationError) -> str:
     first = error.errors()[0]
-    where = ".".join(str(part) for part in first["loc"] if part != "[key]")
-    return f"{where}: {first['msg'].removeprefix('Value error, ')}"
+    key = ".".join(str(part) for part in first["loc"] if part != "[key]")
+    return f"{key}: {first['msg'].removeprefix('Value error, ')}"

@@ -169,9 +169,9 @@ class FrameCache:
         """The first frame of the left view, THUMBNAIL_WIDTH_PX wide, as JPEG."""
         pictures = self.open(file)
         key = pictures, -1, 0
-        kept = self._kept(key)
-        if kept is not None:
-            return kept
+        cached = self._kept(key)
+        if cached is not None:
+            return cached
         image = pictures.picture(0, pictures.frames[0])
         height = max(round(THUMBNAIL_WIDTH_PX * image.shape[0] / image.shape[1]), 1)
         small = cv2.resize(image, (THUMBNAIL_WIDTH_PX, height), interpolation=cv2.INTER_AREA)

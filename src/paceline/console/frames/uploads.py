@@ -62,10 +62,10 @@ class Uploads:
     def begin(self, name: str, chase: bool = False) -> str:
         """Begins the upload of a clip; returns its key. Raises UnusableInput."""
         try:
-            taken = (self._root / check_name(name)).exists()
+            exists = (self._root / check_name(name)).exists()
         except OSError as error:  # MAX_NAME_LENGTH characters may be too many bytes
             raise UnusableInput(f"name {name!r}: cannot be used ({error.strerror})") from error
-        if taken:
+        if exists:
             raise UnusableInput(f"name {name!r}: there is a clip or folder of this name; expected another")
         if (self._root / "clip.yaml").is_file():
             raise UnusableInput("the console's folder is a clip itself; open the console on the folder above it")
@@ -83,10 +83,10 @@ class Uploads:
         announces, bytes. Raises UnusableInput and removes the file where it cannot be taken."""
         found = self._find(key)
         file = _upload_path(found, slot, name)
-        most = MAX_YAML_BYTES if slot in YAML_NAMES else MAX_RECORDING_BYTES
+        max_bytes = MAX_YAML_BYTES if slot in YAML_NAMES else MAX_RECORDING_BYTES
         shown = Path(name).name[:80]
-        if size is not None and size > most:
-            raise UnusableInput(f"{shown}: is larger than {_format_bytes(most)}")
+        if size is not None and size > max_bytes:
+            raise UnusableInput(f"{shown}: is larger than {_format_bytes(max_bytes)}")
         if shutil.disk_usage(self._root).free < (size or 0) + MIN_FREE_DISK_BYTES:
             raise UnusableInput(f"{shown}: there is not enough free disk space for it")
         written = 0
@@ -101,8 +101,8 @@ class Uploads:
             with stream:
                 async for part in _in_chunks(body):
                     written += len(part)
-                    if written > most:
-                        raise UnusableInput(f"{shown}: is larger than {_format_bytes(most)}")
+                    if written > max_bytes:
+                        raise UnusableInput(f"{shown}: is larger than {_format_bytes(max_bytes)}")
                     await asyncio.to_thread(stream.write, part)
             if size is not None and written != size:
                 raise UnusableInput(f"{shown}: was not received completely; try again")
@@ -203,20 +203,20 @@ def _upload_path(found: Upload, slot: str, name: str) -> Path:
     """The path for an uploaded file ``name``: a video, a zip of images, or one of many images. Raises UnusableInput."""
     base = re.sub(r"[^\w.()+-]", "_", name.replace("\\", "/").rsplit("/", 1)[-1])
     suffix = Path(base).suffix.lower()
-    here = found.received.get(slot, [])
+    received = found.received.get(slot, [])
     views, texts = (CHASE_VIEWS, ("camera", "target")) if found.chase else (STEREO_VIEWS, ("rig",))
     if slot in texts and suffix in (".yaml", ".yml"):
-        if here:
+        if received:
             raise UnusableInput(f"{slot}: was sent twice; expected one file")
         return found.folder / YAML_NAMES[slot]
     if slot in views and suffix in VIDEO_SUFFIXES | {".zip"}:
-        if here:
+        if received:
             raise UnusableInput(f"{slot}: expected one video, one zip or several images")
         return found.folder / f"{slot}{suffix}"
     if slot in views and suffix in IMAGE_SUFFIXES:
-        if any(path.parent == found.folder for path in here) or base.startswith("."):
+        if any(path.parent == found.folder for path in received) or base.startswith("."):
             raise UnusableInput(f"{slot}: expected one video, one zip or several images")
-        if len(here) >= MAX_IMAGES:
+        if len(received) >= MAX_IMAGES:
             raise UnusableInput(f"{slot}: more than {MAX_IMAGES} images")
         return found.folder / slot / base
     raise UnusableInput(f"{base[:80]}: is no {YAML_NAMES.get(slot, 'video, zip or image')}")

@@ -64,10 +64,10 @@ def add(library: Library) -> None:
 
 
 def _read_entries(library: Library) -> list[ClipEntry]:
-    found, until = [], time.monotonic() + LIST_TIMEOUT_S
+    found, deadline = [], time.monotonic() + LIST_TIMEOUT_S
     for name in library.names():
         try:
-            found.append(library.entry(name, max(until - time.monotonic(), 0.0)))
+            found.append(library.entry(name, max(deadline - time.monotonic(), 0.0)))
         except NotFound:  # it has been removed
             continue
     return found
@@ -85,11 +85,11 @@ def _show_card(entry: ClipEntry) -> None:
         with ui.element("div").classes("pl-row"):
             ui.label(clip_label(entry.name)).classes("pl-name")
             badge(entry.state)
-        what, runs = entry.contents, _count(len(entry.runs), "run")
-        if what.chase:
-            counts = [f"follows the {what.target}" if what.target else "one camera", runs]
+        contents, runs = entry.contents, _count(len(entry.runs), "run")
+        if contents.chase:
+            counts = [f"follows the {contents.target}" if contents.target else "one camera", runs]
         else:
-            counts = [_count(what.vehicles, "vehicle"), _count(what.paths, "path"), runs]
+            counts = [_count(contents.vehicles, "vehicle"), _count(contents.paths, "path"), runs]
         if entry.state not in ("unreadable", STATE_BEING_READ):
             ui.label(", ".join(counts)).classes("pl-fact")
         active = next((r for r in reversed(entry.runs) if r.active), None)
@@ -99,5 +99,5 @@ def _show_card(entry: ClipEntry) -> None:
             ui.label(line).classes("pl-reason")
 
 
-def _count(number: int, what: str) -> str:
-    return f"{number or 'no'} {what}{'' if number == 1 else 's'}"
+def _count(number: int, noun: str) -> str:
+    return f"{number or 'no'} {noun}{'' if number == 1 else 's'}"

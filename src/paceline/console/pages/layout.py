@@ -92,12 +92,12 @@ def not_found_page() -> None:
 
 def format_duration(seconds: float) -> str:
     """For example 8 s, 3 min 20 s, 1 h 5 min."""
-    whole = max(round(seconds), 0)
-    if whole < 60:
-        return f"{whole} s"
-    if whole < 3600:
-        return f"{whole // 60} min {whole % 60} s"
-    return f"{whole // 3600} h {whole % 3600 // 60} min"
+    total_s = max(round(seconds), 0)
+    if total_s < 60:
+        return f"{total_s} s"
+    if total_s < 3600:
+        return f"{total_s // 60} min {total_s % 60} s"
+    return f"{total_s // 3600} h {total_s % 3600 // 60} min"
 
 
 def format_created(run: Run) -> str:

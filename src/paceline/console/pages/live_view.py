@@ -61,10 +61,10 @@ class LiveView:
         text = FOLLOW_TEXT if run.kind == FOLLOW_RUN else FILTER_TEXT
         preparing = DETECTING_TEXT if run.doing in PREPARING_ACTIVITIES else STARTING_TEXT
         self.status.text = WAITING_TEXT if run.state == STATE_WAITING else text if scene else preparing
-        now = scene.get("frame"), sum(len(s.time) for s in series)
-        if not scene or now == self.shown_state:
+        state = scene.get("frame"), sum(len(s.time) for s in series)
+        if not scene or state == self.shown_state:
             return
-        self.shown_state = now
+        self.shown_state = state
         options = self._chart(series)
         if self.chart is None:
             with self.result_area:

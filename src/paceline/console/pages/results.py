@@ -84,12 +84,12 @@ def show_speeds(
         ui.echart(speed_chart(series, compared, unit)).classes("pl-chart")
 
 
-def show_vehicle_table(vehicles: list[dict[str, Any]], unit: str, most: int = MAX_ROWS) -> None:
-    """Shows a row for each of the last ``most`` vehicles; those of a live run with the time at which they were seen,
-    latest first."""
-    if len(vehicles) > most:
-        ui.label(f"The last {most} of {len(vehicles)} vehicles; the files hold all of them.").classes("pl-fact")
-        vehicles = vehicles[-most:]
+def show_vehicle_table(vehicles: list[dict[str, Any]], unit: str, max_rows: int = MAX_ROWS) -> None:
+    """Shows a row for each of the last ``max_rows`` vehicles; of a live run latest first, with the
+    times at which they were seen."""
+    if len(vehicles) > max_rows:
+        ui.label(f"The last {max_rows} of {len(vehicles)} vehicles; the files hold all of them.").classes("pl-fact")
+        vehicles = vehicles[-max_rows:]
     live = any("seen_from_s" in vehicle for vehicle in vehicles)
     rows = vehicle_rows(vehicles, unit)
     columns = [{**column, "label": column["label"].format(unit=unit)} for column in TABLE_COLUMNS]
@@ -131,8 +131,8 @@ def show_range(library: Library, run: Run, runs: list[Run], other: int | None, c
     counts = ", ".join(f"{count} {status}" for status, count in found["status"].items())
     ui.label(f"{found['target']}: tracked in {100 * found['share']:.0f} % of {found['frames']} frames ({counts})")
     if found["status"]["tracking"]:
-        least, mean, most = (format_number(value, 1) for value in found["range"])
-        ui.label(f"Distance ahead {least} to {most} m, {mean} m on average")
+        minimum, mean, maximum = (format_number(value, 1) for value in found["range"])
+        ui.label(f"Distance ahead {minimum} to {maximum} m, {mean} m on average")
     for reason, count in found["reasons"].items():
         ui.label(f"In {count} {'frame' if count == 1 else 'frames'}: {reason}").classes("pl-fact")
     for notice in found["notices"]:

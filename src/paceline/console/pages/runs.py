@@ -100,8 +100,8 @@ class _RunsPage:
         if entry.contents.chase:
             self.fields["overlay"] = ui.checkbox("Write the video, which takes most of the time", value=True)
             return
-        least, most = setting_range("particles")
-        particles = ui.number("Particles", min=least, max=most, precision=0)
+        minimum, maximum = setting_range("particles")
+        particles = ui.number("Particles", min=minimum, max=maximum, precision=0)
         particles.props("dense clearable")
         particles.tooltip("More are slower and give smoother estimates; empty: the default number.")
         seed = ui.number("Seed", min=setting_range("seed")[0], precision=0).props("dense clearable")
@@ -119,9 +119,9 @@ class _RunsPage:
         if not entry.contents.live:
             live = ui.checkbox("Play it as a live stream", on_change=self.change_kind)
             live.tooltip("To try live measurement: vehicle after vehicle, as if the cameras recorded now.")
-        least, most = setting_range("learn")
+        minimum, maximum = setting_range("learn")
         self.learn = ui.number(
-            "Estimate the background for, s", value=DEFAULT_BACKGROUND_S, min=least, max=most, on_change=self.warn
+            "Estimate the background for, s", value=DEFAULT_BACKGROUND_S, min=minimum, max=maximum, on_change=self.warn
         ).props("dense")
         self.learn.set_visibility(self.kind == LIVE_RUN)
         self.fields["learn"] = self.learn
@@ -140,12 +140,12 @@ class _RunsPage:
         if self.warning.text:
             ui.notify(self.warning.text, type="warning", multi_line=True, timeout=10_000)
             return
-        given: dict[str, Any] = {"units": self.unit}
+        settings: dict[str, Any] = {"units": self.unit}
         for name, field in self.fields.items():
             value = field.value
-            given[name] = int(value) if name in ("particles", "seed") and value is not None else value
+            settings[name] = int(value) if name in ("particles", "seed") and value is not None else value
         try:
-            options = command_options(self.kind, given)
+            options = command_options(self.kind, settings)
             started = await run.io_bound(self.library.runs.start, self.clip, self.kind, options)
         except (UnusableInput, NotFound) as error:
             text = REMOVED_TEXT if isinstance(error, NotFound) else self.library.relative_message(error)
@@ -209,8 +209,8 @@ class _RunsPage:
                     if r.active:
                         self._show_progress(r)
                     else:
-                        took = format_duration(r.ended - r.started) if r.ended and r.started else ""
-                        text = [format_created(r), took, "live" if r.kind == LIVE_RUN else ""]
+                        duration = format_duration(r.ended - r.started) if r.ended and r.started else ""
+                        text = [format_created(r), duration, "live" if r.kind == LIVE_RUN else ""]
                         ui.label(", ".join(filter(None, text))).classes("pl-fact")
 
     def _show_progress(self, r: Run) -> None:

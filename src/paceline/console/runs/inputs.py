@@ -27,29 +27,29 @@ def copy_documents(root: Path, file: Path, inputs: Path, vehicles: bool) -> None
     """Copies the clip.yaml or follow.yaml ``file`` below ``root``, with or without its ``vehicles``, and the documents
     that it names into the new folder ``inputs``; relative paths are adapted. Files that they name must lie below
     ``root``. Raises UnusableInput."""
-    given = _given_values(read_cached(PartialFollowModel if is_follow(file) else ClipModel, file))
+    values = _given_values(read_cached(PartialFollowModel if is_follow(file) else ClipModel, file))
     if not vehicles:
-        given.pop("vehicles", None)
+        values.pop("vehicles", None)
     for key in RECORDING_KEYS:
-        if key in given and not STREAM_PATTERN.fullmatch(given[key]):
-            given[key] = str(file.parent / given[key])
+        if key in values and not STREAM_PATTERN.fullmatch(values[key]):
+            values[key] = str(file.parent / values[key])
     try:
         inputs.mkdir()
-        _write_copy(root, file, inputs, given)
+        _write_copy(root, file, inputs, values)
     except OSError as error:
         raise UnusableInput(f"{inputs}: cannot be written ({error.strerror})") from error
 
 
-def _write_copy(root: Path, file: Path, inputs: Path, given: dict[str, Any]) -> None:
-    """Writes the copy of ``file`` with the values ``given``, and copies the documents that these name."""
+def _write_copy(root: Path, file: Path, inputs: Path, values: dict[str, Any]) -> None:
+    """Writes the copy of ``file`` with the values ``values``, and copies the documents that these name."""
     copy = inputs / file.relative_to(root)
     copy.parent.mkdir(parents=True, exist_ok=True)
     for key in DOCUMENT_KEYS:
-        if key not in given:
+        if key not in values:
             continue
-        named = (file.parent / given[key]).resolve()
+        named = (file.parent / values[key]).resolve()
         target = inputs / named.relative_to(root)
-        given[key] = os.path.relpath(target, copy.parent)
+        values[key] = os.path.relpath(target, copy.parent)
         if not named.is_file():
             continue  # the command reports it
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -57,7 +57,7 @@ def _write_copy(root: Path, file: Path, inputs: Path, given: dict[str, Any]) -> 
             _write_copy(root, named, inputs, _given_values(read_cached(SiteModel, named)))
         else:
             shutil.copyfile(named, target)
-    copy.write_text(yaml.safe_dump(given, allow_unicode=True, sort_keys=False), encoding="utf-8")
+    copy.write_text(yaml.safe_dump(values, allow_unicode=True, sort_keys=False), encoding="utf-8")
 
 
 def _given_values(model: Document) -> dict[str, Any]:

@@ -25,11 +25,11 @@ def keeps_vehicles(kind: str) -> bool:
     return kind not in (LIVE_RUN, VEHICLES_RUN)
 
 
-def command_arguments(kind: str, file: str, where: Path) -> list[str]:
-    """Arguments of the command for ``file``, the run's copy of the document; it writes only below ``where``."""
+def command_arguments(kind: str, file: str, folder: Path) -> list[str]:
+    """Arguments of the command for ``file``, the run's copy of the document; it writes only below ``folder``."""
     if kind == LANES_RUN:
-        return ["lanes", file, "-o", str(where / "site.yaml")]
+        return ["lanes", file, "-o", str(folder / "site.yaml")]
     if kind == VEHICLES_RUN:  # adds vehicles to the clip.yaml itself
         return ["vehicles", file, "--in-place"]
     live = ["--live"] if kind == LIVE_RUN else []
-    return [FOLLOW_RUN if kind == FOLLOW_RUN else SPEED_RUN, file, "-o", str(where / "out"), *live]
+    return [FOLLOW_RUN if kind == FOLLOW_RUN else SPEED_RUN, file, "-o", str(folder / "out"), *live]

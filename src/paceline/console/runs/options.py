@@ -28,12 +28,12 @@ def setting_range(name: str) -> tuple[float | None, float | None]:
     return limits.get("ge"), limits.get("le")
 
 
-def command_options(kind: str, given: dict[str, Any]) -> list[str]:
+def command_options(kind: str, settings: dict[str, Any]) -> list[str]:
     """Arguments for a run of this ``kind``. Raises UnusableInput, naming the setting."""
     if kind not in (SPEED_RUN, LIVE_RUN):
-        return ["--no-overlay"] if kind == FOLLOW_RUN and given.get("overlay") is False else []
+        return ["--no-overlay"] if kind == FOLLOW_RUN and settings.get("overlay") is False else []
     names = ("particles", "seed", "motion", "units", "tolerance", *(("learn",) if kind == LIVE_RUN else ()))
-    chosen = {name: given[name] for name in names if given.get(name) is not None}
+    chosen = {name: settings[name] for name in names if settings.get(name) is not None}
     if chosen.get("units", UNIT_NAMES[0]) not in UNIT_NAMES:
         raise UnusableInput(f"units: expected one of {', '.join(UNIT_NAMES)}")
     try:  # a tolerance is positive in any unit
@@ -50,10 +50,10 @@ def convert_tolerance(tolerance: float, before: str, unit: str) -> float:
     return float(f"{convert(tolerance * parse_unit(before).mps, unit):.3g}")
 
 
-def parse_whole_number(value: object, most: int) -> int:
-    """``value``, if it is a whole number from 0 to ``most``. Raises UnusableInput."""
-    if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value <= most:
-        raise UnusableInput(f"expected a whole number from 0 to {most}, found {str(value)[:40]!r}")
+def parse_whole_number(value: object, maximum: int) -> int:
+    """``value``, if it is a whole number from 0 to ``maximum``. Raises UnusableInput."""
+    if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value <= maximum:
+        raise UnusableInput(f"expected a whole number from 0 to {maximum}, found {str(value)[:40]!r}")
     return value
 
 

@@ -312,9 +312,9 @@ class RunList:
                     continue
                 with self._lock:
                     self._monitors[key].finish_frame()
-                    run, (doing, done, total) = self._active[key], progress
-                    first = run.first if run.first and run.doing == doing else time.time()
-                    self._active[key] = replace(run, doing=doing, done=done, total=total, first=first)
+                    run, (activity, done, total) = self._active[key], progress
+                    first = run.first if run.first and run.doing == activity else time.time()
+                    self._active[key] = replace(run, doing=activity, done=done, total=total, first=first)
         return [message for message in messages if message]
 
     def _end(self, run: Run) -> None:

@@ -41,9 +41,9 @@ def draw_step(step: LoopStep, vehicle: VehicleParameters) -> Picture:
     return pad_to_even(np.vstack([view, panel]))
 
 
-def _draw_bar(panel: Picture, at: tuple[int, int], width: int, value: float, color: Color, name: str) -> None:
+def _draw_bar(panel: Picture, position: tuple[int, int], width: int, value: float, color: Color, name: str) -> None:
     """A bar from the middle of a scale from −1 to 1."""
-    x, y = at
+    x, y = position
     middle, end = x + width // 2, x + width // 2 + round(float(np.clip(value, -1, 1)) * width / 2)
     cv2.rectangle(panel, (x, y), (x + width, y + 7), BAR_FRAME_COLOR, 1)
     cv2.rectangle(panel, (min(middle, end), y), (max(middle, end), y + 7), color, cv2.FILLED)

@@ -60,8 +60,8 @@ def format_requirement(r: Requirement) -> tuple[str, str, str, str]:
     """Text of a requirement: its name, the value found, its bound, and whether it holds."""
     if r.what == "tracking at the end":
         return r.what, "yes" if r.value else "no", "yes", "holds" if r.holds else "fails"
-    whole = r.unit == "" and float(r.value).is_integer() and float(r.bound).is_integer()
-    decimals = 0 if whole else 3 if max(abs(r.bound), 1e-9) < 1 else 2
+    is_integer = r.unit == "" and float(r.value).is_integer() and float(r.bound).is_integer()
+    decimals = 0 if is_integer else 3 if max(abs(r.bound), 1e-9) < 1 else 2
     unit = f" {r.unit}" if r.unit else ""
     bound = f"at {'least' if r.at_least else 'most'} {format_number(r.bound, decimals)}{unit}"
     return r.what, f"{format_number(r.value, decimals)}{unit}", bound, "holds" if r.holds else "fails"

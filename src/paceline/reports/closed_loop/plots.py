@@ -61,9 +61,9 @@ def _draw_plan(figure: Figure, log: DriveLog) -> None:
     axes.plot(*lead[shown].T, color=INTERVAL_COLOR, lw=3.2, alpha=0.8, label="lead")
     axes.plot(*chase.T, color=FILTER_COLOR, lw=1.2, label="chase vehicle")
     axes.plot(*chase[0], marker="o", color=INK_COLOR, ms=5, ls="", label="start")
-    lost = log.status == 2
-    if lost.any():
-        axes.plot(*chase[lost].T, color=REFINED_COLOR, lw=0, marker=".", ms=3, label="lost")
+    is_lost = log.status == 2
+    if is_lost.any():
+        axes.plot(*chase[is_lost].T, color=REFINED_COLOR, lw=0, marker=".", ms=3, label="lost")
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_xlabel("m")
     axes.set_ylabel("m")

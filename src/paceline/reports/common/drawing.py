@@ -21,9 +21,11 @@ LABEL_SIZE, LABEL_WEIGHT = 16, 500
 SUBPIXEL_BITS = 4  # fractional bits of the coordinates given to OpenCV
 
 
-def draw_text(picture: Picture, text: str, at: tuple[int, int], size: int, color: Color, weight: int = 400) -> None:
-    """Draws ``text``, ``size`` pixels high, with its base line starting at ``at``."""
-    cv2.putText(picture, text, at, color, SANS_FONT, size, weight)
+def draw_text(
+    picture: Picture, text: str, position: tuple[int, int], size: int, color: Color, weight: int = 400
+) -> None:
+    """Draws ``text``, ``size`` pixels high, with its base line starting at ``position``."""
+    cv2.putText(picture, text, position, color, SANS_FONT, size, weight)
 
 
 def text_width(text: str, size: int, weight: int = 400) -> int:
@@ -31,13 +33,15 @@ def text_width(text: str, size: int, weight: int = 400) -> int:
     return int(cv2.getTextSize((0, 0), text, (0, 0), SANS_FONT, size, weight)[2])
 
 
-def draw_label(picture: Picture, text: str, at: tuple[float, float], color: Color, taken: Sequence[Box] = ()) -> Box:
-    """Draws ``text`` centred above ``at``, inside the picture and clear of the boxes in ``taken``; returns its box."""
+def draw_label(
+    picture: Picture, text: str, position: tuple[float, float], color: Color, occupied: Sequence[Box] = ()
+) -> Box:
+    """Draws ``text`` centred above ``position``, inside the picture, off the ``occupied`` boxes; returns its box."""
     height, width = picture.shape[:2]
     w, h = text_width(text, LABEL_SIZE, LABEL_WEIGHT) + 18, LABEL_SIZE + 10
-    x = int(np.clip(at[0] - w / 2, 2, max(2, width - w - 2)))
-    y = int(np.clip(at[1] - h - 10, 2, max(2, height - h - 2)))
-    while any(x < r and left < x + w and y < b and top < y + h for left, top, r, b in taken) and y > h:
+    x = int(np.clip(position[0] - w / 2, 2, max(2, width - w - 2)))
+    y = int(np.clip(position[1] - h - 10, 2, max(2, height - h - 2)))
+    while any(x < r and left < x + w and y < b and top < y + h for left, top, r, b in occupied) and y > h:
         y -= h + 4
     cv2.rectangle(picture, (x, y), (x + w, y + h), DARK_BGR, cv2.FILLED)
     cv2.rectangle(picture, (x, y), (x + 4, y + h), color, cv2.FILLED)

@@ -18,9 +18,9 @@ from paceline.verdicts import advice_for
 Passage = dict[str, Any]  # of one vehicle, as summary.json has it
 
 
-def render_live_page(summary: dict[str, Any], pictures: Path, kept: int, plot: Plot, unit: str) -> str:
-    """The page for a ``summary`` as summary.json holds it; the folder ``pictures`` has those of the ``kept`` latest
-    vehicles. Needs no other file and no network."""
+def render_live_page(summary: dict[str, Any], pictures: Path, max_pictures: int, plot: Plot, unit: str) -> str:
+    """The page for a ``summary`` as summary.json holds it; the folder ``pictures`` has those of the latest
+    ``max_pictures`` vehicles. Needs no other file and no network."""
     vehicles: Sequence[Passage] = summary["vehicles"]
     measured = [v for v in vehicles if v["verdict"] == "measured"]
     passages = sorted([*vehicles, *summary["unmeasured"]], key=lambda v: float(v["seen_from_s"]))
@@ -35,8 +35,8 @@ def render_live_page(summary: dict[str, Any], pictures: Path, kept: int, plot: P
         median=format_speed_number(float(np.median(speeds)), unit) if len(speeds) else NO_VALUE,
         period=_format_period(passages),
         rows=[_passage_row(v, unit) for v in passages],
-        pictures=_pictures(vehicles[-kept:], pictures, unit),
-        kept=kept,
+        pictures=_pictures(vehicles[-max_pictures:], pictures, unit),
+        kept=max_pictures,
         plot=plot,
         settings=flatten_settings(summary["configuration"]),
         seconds=NO_VALUE,
@@ -49,8 +49,8 @@ def _format_period(passages: Sequence[Passage]) -> str:
     if not passages:
         return ""
     first, last = (passages[k]["seen_at"] for k in (0, -1))
-    until = last[11:19] if last[:10] == first[:10] else f"{last[:10]} {last[11:19]}"
-    return f"{first[:10]}, {first[11:19]} to {until}"
+    end = last[11:19] if last[:10] == first[:10] else f"{last[:10]} {last[11:19]}"
+    return f"{first[:10]}, {first[11:19]} to {end}"
 
 
 def _passage_row(passage: Passage, unit: str) -> dict[str, str]:

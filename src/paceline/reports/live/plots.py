@@ -33,8 +33,15 @@ def _draw(figure: Figure, vehicles: Vehicles, unit: str) -> None:
     mean, lo, hi = (convert(summary_column(measured, k), unit) for k in ("speed_mps", "speed_lo_mps", "speed_hi_mps"))
     paths = [str(v["path"]) for v in measured]
     for i, path in enumerate(sorted(set(paths))):
-        on = np.array([p == path for p in paths])
-        _draw_path(axes, time[on], mean[on], np.stack([lo[on], hi[on]]), VEHICLE_COLORS[i % len(VEHICLE_COLORS)], path)
+        on_path = np.array([p == path for p in paths])
+        _draw_path(
+            axes,
+            time[on_path],
+            mean[on_path],
+            np.stack([lo[on_path], hi[on_path]]),
+            VEHICLE_COLORS[i % len(VEHICLE_COLORS)],
+            path,
+        )
     if not measured:
         axes.text(0.5, 0.5, "no vehicle was measured", transform=axes.transAxes, ha="center", color=MUTED_COLOR)
     axes.set_xlabel(f"seen first, {'minutes' if minutes else 's'} since the first vehicle")

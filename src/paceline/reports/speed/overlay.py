@@ -157,10 +157,10 @@ def _draw_view(
         )
         draw_outline(picture, corners, color, thickness=1 if layer.rejected else 2)
         labels.append((layer.label(row, unit), corners, color))
-    taken: list[Box] = []
+    label_boxes: list[Box] = []
     for text, corners, color in labels:  # last, so that no outline crosses a label
         above = float(corners[:, 0].min() + corners[:, 0].max()) / 2, float(corners[:, 1].min())
-        taken.append(draw_label(picture, text, above, color, taken))
+        label_boxes.append(draw_label(picture, text, above, color, label_boxes))
     return picture
 
 
@@ -194,8 +194,8 @@ def _crop(view: Grey, corners: Array, color: Color) -> bytes:
     method = cv2.INTER_CUBIC if scale > 1 else cv2.INTER_AREA
     picture = _to_bgr(cv2.warpAffine(view, transform, STILL_SIZE_PX, flags=method, borderValue=OUTSIDE_GREY_LEVEL))
     draw_outline(picture, scale * corners + shift, color, thickness=2)
-    done, jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 85])
-    assert done
+    encoded, jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 85])
+    assert encoded
     return bytes(jpeg)
 
 

@@ -46,8 +46,8 @@ class CameraShake:
         self.seed = int(rng.integers(2**31))
 
     def __call__(self, t: float) -> float:
-        now = int(t // BUMP_PERIOD_S)
-        return self.amplitude * (1.2 * self.roughness(t) + sum(self._bump(k, t) for k in (now - 1, now)))
+        index = int(t // BUMP_PERIOD_S)
+        return self.amplitude * (1.2 * self.roughness(t) + sum(self._bump(k, t) for k in (index - 1, index)))
 
     def rate(self, t: float) -> float:
         """The derivative in time, per second."""
@@ -117,8 +117,8 @@ class TabulatedRoad:
         z = (x - x0) * np.cos(heading) + (y - y0) * np.sin(heading)
         right = (x - x0) * np.sin(heading) - (y - y0) * np.cos(heading)
         z = np.maximum.accumulate(z)
-        at = np.arange(0.0, reach, ROAD_STEP_M)
-        return np.column_stack([np.interp(at, z, c) for c in (right, np.sin(turn), np.cos(turn), s - s0)])
+        distances = np.arange(0.0, reach, ROAD_STEP_M)
+        return np.column_stack([np.interp(distances, z, c) for c in (right, np.sin(turn), np.cos(turn), s - s0)])
 
 
 def winding_road(rng: np.random.Generator, length: float, radius: float) -> TabulatedRoad:

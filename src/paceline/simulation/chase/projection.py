@@ -59,8 +59,8 @@ class Faces:
     def __len__(self) -> int:
         return len(self.texture)
 
-    def __getitem__(self, which: NDArray[np.bool_] | Indices | slice) -> Faces:
-        return Faces(*(getattr(self, f.name)[which] for f in fields(self)))
+    def __getitem__(self, selection: NDArray[np.bool_] | Indices | slice) -> Faces:
+        return Faces(*(getattr(self, f.name)[selection] for f in fields(self)))
 
 
 def place_faces(faces: tuple[Face, ...], atlas: TextureAtlas, road: TabulatedRoad, pose: RoadPose) -> Faces:
@@ -68,16 +68,18 @@ def place_faces(faces: tuple[Face, ...], atlas: TextureAtlas, road: TabulatedRoa
     n = len(faces)
     vectors = np.array([[f.corner, f.across, f.down] for f in faces], float).reshape(n, 3, 3)
     along = float(road.frame(pose.arc)[2])
-    where = (pose.x, pose.y, pose.heading, along, pose.arc, pose.lateral)
+    pose_values = (pose.x, pose.y, pose.heading, along, pose.arc, pose.lateral)
     texture = np.array([atlas.add(f.texture) for f in faces], np.int64)
-    return Faces(vectors[:, 0], vectors[:, 1], vectors[:, 2], texture, *(np.full(n, w, float) for w in where))
+    return Faces(vectors[:, 0], vectors[:, 1], vectors[:, 2], texture, *(np.full(n, w, float) for w in pose_values))
 
 
 def move_faces(faces: Faces, road: TabulatedRoad, pose: RoadPose) -> Faces:
     """The faces of one object, at another state."""
     along = float(road.frame(pose.arc)[2])
-    where = (pose.x, pose.y, pose.heading, along, pose.arc, pose.lateral)
-    return Faces(faces.corner, faces.across, faces.down, faces.texture, *(np.full(len(faces), w, float) for w in where))
+    pose_values = (pose.x, pose.y, pose.heading, along, pose.arc, pose.lateral)
+    return Faces(
+        faces.corner, faces.across, faces.down, faces.texture, *(np.full(len(faces), w, float) for w in pose_values)
+    )
 
 
 def join_faces(groups: list[Faces]) -> Faces:

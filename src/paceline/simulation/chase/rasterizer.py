@@ -198,26 +198,26 @@ def draw_ground(
             ahead = depth * (rays[2, 0] * x + rays[2, 1] * y + rays[2, 2])
             right = depth * (rays[0, 0] * x + rays[0, 1] * y + rays[0, 2])
             across = depth * rays[0, 0]  # metres per pixel
-            away = across * depth / height
+            pixel_length = across * depth / height
             s, lateral = road_coordinates(ahead, right, road, step)
             arc = arc0 + s
             k = min(int(max(ahead, 0.0) / step), len(road) - 1)
             sine, cosine = abs(road[k, 1]), abs(road[k, 2])
-            sideways = across * cosine + away * abs(sine - abs(right) / max(ahead, 1.0) * cosine) + 1e-3
-            lengthways = away * cosine + across * sine + 1e-3
+            sideways = across * cosine + pixel_length * abs(sine - abs(right) / max(ahead, 1.0) * cosine) + 1e-3
+            lengthways = pixel_length * cosine + across * sine + 1e-3
 
             paved = _box_coverage(lateral, -3 * half - SHOULDER_WIDTH_M, half + SHOULDER_WIDTH_M, sideways)
             junction = _box_coverage(_modulo(arc - crossing_at, crossing_every), 0.0, 6.5, lengthways)
             paved = max(paved, junction)
             grey = verge + (asphalt - verge) * paved
             for wavelength, amplitude in ((5.0, 0.06), (0.8, 0.05), (0.13, 0.07)):
-                blur = away / wavelength
+                blur = pixel_length / wavelength
                 if blur < 2.0:
                     keep = amplitude * (2.5 - 1.5 * paved) / (1 + blur**4)
                     grey *= 1 + keep * sample_periodic(noise, arc * (2 / wavelength), lateral * (2 / wavelength))
             lane = math.floor((lateral + half) / (2 * half))
             patch = noise[int(math.floor(arc / 7.3)) & 255, int(lane) & 255]  # repairs
-            grey *= 1 + 0.05 * patch * paved * (1 - junction) / (1 + away)
+            grey *= 1 + 0.05 * patch * paved * (1 - junction) / (1 + pixel_length)
             marks = 0.0
             if paved > 0:
                 dash = _box_coverage(_modulo(arc, 9.0), 2.0, 5.0, lengthways)
@@ -229,11 +229,13 @@ def draw_ground(
                 grey += (paint - grey) * 0.9 * min(marks, 1.0)
 
             lit = 0.0
-            if away < 0.15:
+            if pixel_length < 0.15:
                 lit = _sample_shade(shade, arc, lateral, 1 / SHADE_CELL_M)
             else:
                 for part in range(3):  # along the pixel's long footprint
-                    lit += _sample_shade(coarse, arc + (part - 1) * 0.33 * away, lateral, 0.25 / SHADE_CELL_M) / 3
+                    lit += (
+                        _sample_shade(coarse, arc + (part - 1) * 0.33 * pixel_length, lateral, 0.25 / SHADE_CELL_M) / 3
+                    )
             sky = ambient
             for c in range(len(shadow_edges)):
                 inside = 1e9

@@ -162,8 +162,8 @@ class Renderer:
 
 def _draw_skylines(rng: np.random.Generator) -> Array:
     """Slopes of a far and a near skyline over a full turn, and their grey levels in the last column."""
-    at = np.linspace(0, 2 * np.pi, 2048, endpoint=False)
-    far = sum(rng.uniform(0, 0.014) * np.sin(k * at + rng.uniform(0, 2 * np.pi)) for k in (3, 7, 13, 29))
+    azimuth = np.linspace(0, 2 * np.pi, 2048, endpoint=False)
+    far = sum(rng.uniform(0, 0.014) * np.sin(k * azimuth + rng.uniform(0, 2 * np.pi)) for k in (3, 7, 13, 29))
     near = np.repeat(rng.uniform(0.005, 0.045, 256), 8) * np.repeat(rng.random(128) < 0.6, 16)
     near = near + 0.006 * np.abs(rng.standard_normal(2048))
     return np.vstack([np.append(0.03 + far, rng.uniform(110, 150)), np.append(near, rng.uniform(55, 95))])

@@ -63,12 +63,16 @@ class LeadFilter:
             self._agreeing + 1 if seen and abs(gap - self._last_gap) < MAX_CONFIRMING_GAP_CHANGE * gap else int(seen)
         )
         self._last_gap = gap
-        gone = time - self._seen
-        if seen and (self.state is None or (gone > RESTART_UNSEEN_S and self._agreeing >= MIN_CONFIRMING_FRAMES)):
+        unseen_s = time - self._seen
+        if seen and (self.state is None or (unseen_s > RESTART_UNSEEN_S and self._agreeing >= MIN_CONFIRMING_FRAMES)):
             self.state = np.array([gap, own_speed, 0.0])
             self.covariance = np.diag([std**2, 2.0**2, LEAD_ACCELERATION_STD_MPS2**2])
             self._seen = time
-        elif seen and self._inside_gate(gap, std) and (gone <= MAX_UNSEEN_S or self._agreeing >= MIN_CONFIRMING_FRAMES):
+        elif (
+            seen
+            and self._inside_gate(gap, std)
+            and (unseen_s <= MAX_UNSEEN_S or self._agreeing >= MIN_CONFIRMING_FRAMES)
+        ):
             self._correct(gap, std)
             self._seen = time
         self._time = time
@@ -106,13 +110,13 @@ def headway_acceleration(
 ) -> float:
     """The acceleration (m/s²) that keeps the policy's gap, at the chase vehicle's ``speed``."""
     error = gap - policy.desired_gap(speed)
-    wanted = (lead_speed - speed + policy.correction * error) / policy.headway
-    wanted += policy.anticipation * min(max(lead_acceleration, -policy.comfort), 1.0)
-    wanted = min(wanted, policy.throttle, policy.top_speed - speed)
-    needed = required_braking(policy, speed, gap, lead_speed, lead_acceleration)
-    if needed > policy.comfort:
-        return -1.1 * needed
-    return max(wanted, -policy.comfort)
+    desired = (lead_speed - speed + policy.correction * error) / policy.headway
+    desired += policy.anticipation * min(max(lead_acceleration, -policy.comfort), 1.0)
+    desired = min(desired, policy.throttle, policy.top_speed - speed)
+    braking = required_braking(policy, speed, gap, lead_speed, lead_acceleration)
+    if braking > policy.comfort:
+        return -1.1 * braking
+    return max(desired, -policy.comfort)
 
 
 def required_braking(policy: GapPolicy, speed: float, gap: float, lead_speed: float, lead_acceleration: float) -> float:
@@ -143,8 +147,8 @@ class GapController:
         state = self.lead.update(time, speed, gap, std, seen)
         if state is None:
             return -self.policy.comfort
-        asked = headway_acceleration(self.policy, speed, *map(float, state))
+        command = headway_acceleration(self.policy, speed, *map(float, state))
         resting = speed < STANDING_SPEED_MPS and (
             not seen or (state[1] < STANDING_SPEED_MPS * 4 and state[0] < self.policy.standstill + 1.0)
         )
-        return min(asked, -1.0) if resting else asked
+        return min(command, -1.0) if resting else command

@@ -35,6 +35,6 @@ class HumanThrottle:
         while len(self._seen) > 1 and self._seen[1][0] <= time - REACTION_DELAY_S:
             self._seen.popleft()
         _, gap, lead_speed = self._seen[0]
-        asked = GAP_GAIN * (gap - self.desired_gap(time, speed)) + CLOSING_GAIN * (lead_speed - speed)
-        asked = min(max(asked, -MAX_BRAKING_MPS2), self._policy.throttle, self._policy.top_speed - speed)
-        return min(asked, -1.0) if speed < 0.15 and lead_speed < 0.3 else asked
+        command = GAP_GAIN * (gap - self.desired_gap(time, speed)) + CLOSING_GAIN * (lead_speed - speed)
+        command = min(max(command, -MAX_BRAKING_MPS2), self._policy.throttle, self._policy.top_speed - speed)
+        return min(command, -1.0) if speed < 0.15 and lead_speed < 0.3 else command

@@ -55,12 +55,12 @@ class LeadVehicle:
     ) -> None:
         self.road, self.start = road, start
         self.time = np.arange(0.0, duration + 2 * PLAN_STEP_S, PLAN_STEP_S)
-        wished = np.interp(self.time, speeds[:, 0], speeds[:, 1])
+        desired_speeds = np.interp(self.time, speeds[:, 0], speeds[:, 1])
         allowed = curve_speed_limits(road, max_lateral_acceleration)
         self.speed, self.arc = np.empty_like(self.time), np.empty_like(self.time)
-        v, s = min(float(wished[0]), float(np.interp(start, road.s, allowed))), start
-        for k, wish in enumerate(wished.tolist()):
-            target = min(wish, _interpolate(allowed, s / ROAD_STEP_M))
+        v, s = min(float(desired_speeds[0]), float(np.interp(start, road.s, allowed))), start
+        for k, desired_speed in enumerate(desired_speeds.tolist()):
+            target = min(desired_speed, _interpolate(allowed, s / ROAD_STEP_M))
             before, v = v, max(min(target, v + max_acceleration * PLAN_STEP_S), 0.0)
             s += 0.5 * (before + v) * PLAN_STEP_S if k else 0.0
             self.speed[k], self.arc[k] = v, s
@@ -68,9 +68,9 @@ class LeadVehicle:
         self._changes = [(*self._arc_interval(c.at, c.duration), c.shift) for c in changes]
         self._weaves = [self._weave_interval(w) for w in weaves]
 
-    def _arc_interval(self, at: float, duration: float) -> tuple[float, float]:
+    def _arc_interval(self, start: float, duration: float) -> tuple[float, float]:
         """Arc length at a time and metres driven in ``duration`` seconds from there on at that speed, 1 m at least."""
-        return self.arc_at(at), max(self.speed_at(at) * duration, 1.0)
+        return self.arc_at(start), max(self.speed_at(start) * duration, 1.0)
 
     def _weave_interval(self, w: Weave) -> tuple[float, float, float, float]:
         begin, end = self.arc_at(w.start), self.arc_at(w.stop)
@@ -100,8 +100,8 @@ class LeadVehicle:
 
     def pose_at_arc(self, arc: float) -> RoadPose:
         """The lead's place and heading where its rear plane is at ``arc``."""
-        before, here, after = self.lateral(np.array([arc - 0.05, arc, arc + 0.05])).tolist()
-        return road_pose(self.road, arc, here, (after - before) / 0.1)
+        before, lateral, after = self.lateral(np.array([arc - 0.05, arc, arc + 0.05])).tolist()
+        return road_pose(self.road, arc, lateral, (after - before) / 0.1)
 
     def pose_at(self, time: float) -> RoadPose:
         return self.pose_at_arc(self.arc_at(time))

@@ -85,9 +85,9 @@ def parallel_edges(rng: np.random.Generator) -> dict[str, Any]:
 
 
 def brakes_hard(rng: np.random.Generator) -> dict[str, Any]:
-    at, braking = float(rng.uniform(8, 12)), float(rng.uniform(5.5, 6.5))
+    start, braking = float(rng.uniform(8, 12)), float(rng.uniform(5.5, 6.5))
     return _constant_speed(25.0) | {
-        "lead": {"speed": [[0, CRUISE_SPEED_MPS], [at, CRUISE_SPEED_MPS], [at + CRUISE_SPEED_MPS / braking, 0.0]]}
+        "lead": {"speed": [[0, CRUISE_SPEED_MPS], [start, CRUISE_SPEED_MPS], [start + CRUISE_SPEED_MPS / braking, 0.0]]}
     }
 
 
@@ -119,7 +119,7 @@ def cuts_in(rng: np.random.Generator) -> dict[str, Any]:
 
 def occluded(rng: np.random.Generator) -> dict[str, Any]:
     kinds = rng.permutation(["vehicle", "post"])
-    crossings = [{"at": at, "duration": 1.0, "kind": str(k)} for at, k in zip((8.0, 17.0), kinds, strict=True)]
+    crossings = [{"at": start, "duration": 1.0, "kind": str(k)} for start, k in zip((8.0, 17.0), kinds, strict=True)]
     return _constant_speed(27.0) | {"crossings": crossings}
 
 
@@ -134,9 +134,9 @@ def stop_and_go(rng: np.random.Generator) -> dict[str, Any]:
 
 
 def lost(rng: np.random.Generator) -> dict[str, Any]:
-    at = float(rng.uniform(9.0, 12.0))
+    vanishing_time = float(rng.uniform(9.0, 12.0))
     return _constant_speed(25.0) | {
-        "lead": {"speed": [[0.0, CRUISE_SPEED_MPS]], "vanishes": at},
+        "lead": {"speed": [[0.0, CRUISE_SPEED_MPS]], "vanishes": vanishing_time},
         "requirements": {"lost": None, "stops_within": 25.0, "ends": "standing"},
     }
 

@@ -67,14 +67,14 @@ class DriveStatistics:
         if s.lead_present and s.truth.visible >= MIN_VISIBLE_SHARE:
             self.visible_frames += 1
             self.tracked_frames += tracking
-        off = e.position - s.truth.position
+        error = e.position - s.truth.position
         self.wrong_frames += tracking and (
             not s.lead_present
-            or abs(off[2]) > MAX_RANGE_ERROR * s.gap
-            or abs(off[0]) > MAX_LATERAL_ERROR_WIDTHS * width
+            or abs(error[2]) > MAX_RANGE_ERROR * s.gap
+            or abs(error[0]) > MAX_LATERAL_ERROR_WIDTHS * width
         )
         if tracking and s.lead_present:
-            self.range_squares += float(off[2] / s.gap) ** 2
+            self.range_squares += float(error[2] / s.gap) ** 2
             self.range_frames += 1
         if np.isfinite(s.clearance):
             self.clearance = min(self.clearance, s.clearance)
@@ -124,26 +124,26 @@ class DriveStatistics:
 
 def check_requirements(model: DriveModel, f: DriveStatistics) -> list[Requirement]:
     """The table of requirements with the values found."""
-    must = model.requirements
+    bounds = model.requirements
 
-    def at_most(what: str, value: float, bound: float | None, unit: str) -> list[Requirement]:
-        return [] if bound is None else [Requirement(what, value, bound, unit, bool(value <= bound))]
+    def at_most(name: str, value: float, bound: float | None, unit: str) -> list[Requirement]:
+        return [] if bound is None else [Requirement(name, value, bound, unit, bool(value <= bound))]
 
-    def at_least_bound(what: str, value: float, bound: float | None, unit: str) -> list[Requirement]:
-        return [] if bound is None else [Requirement(what, value, bound, unit, bool(value >= bound), True)]
+    def at_least_bound(name: str, value: float, bound: float | None, unit: str) -> list[Requirement]:
+        return [] if bound is None else [Requirement(name, value, bound, unit, bool(value >= bound), True)]
 
     rows = [
-        *at_least_bound("least distance to another vehicle", f.clearance, must.clearance, "m"),
-        *at_most("path error, RMS", f.path_rms, must.rms_path_error, "m"),
-        *at_most("path error, greatest", f.path_max, must.max_path_error, "m"),
-        *at_most("gap error, RMS", f.gap_rms, must.rms_gap_error, "m"),
-        *at_most("greatest gap", f.gap_max, must.max_gap, "m"),
-        *at_most("times lost", f.losses, must.lost, ""),
-        *at_least_bound("share of frames tracked", f.tracked_share, must.tracked, ""),
-        *at_most("frames in which something else was followed", f.wrong_frames, must.wrong, ""),
-        *at_most("way driven after it vanished", f.distance_unseen, must.stops_within, "m"),
+        *at_least_bound("least distance to another vehicle", f.clearance, bounds.clearance, "m"),
+        *at_most("path error, RMS", f.path_rms, bounds.rms_path_error, "m"),
+        *at_most("path error, greatest", f.path_max, bounds.max_path_error, "m"),
+        *at_most("gap error, RMS", f.gap_rms, bounds.rms_gap_error, "m"),
+        *at_most("greatest gap", f.gap_max, bounds.max_gap, "m"),
+        *at_most("times lost", f.losses, bounds.lost, ""),
+        *at_least_bound("share of frames tracked", f.tracked_share, bounds.tracked, ""),
+        *at_most("frames in which something else was followed", f.wrong_frames, bounds.wrong, ""),
+        *at_most("way driven after it vanished", f.distance_unseen, bounds.stops_within, "m"),
     ]
-    if must.ends == "standing" or (must.ends == "either" and not f.ends_tracking):
+    if bounds.ends == "standing" or (bounds.ends == "either" and not f.ends_tracking):
         rows += at_most("speed at the end", f.speed, MAX_STANDING_SPEED_MPS, "m/s")
     else:
         rows += at_least_bound("tracking at the end", float(f.ends_tracking), 1.0, "")

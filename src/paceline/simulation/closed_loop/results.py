@@ -115,5 +115,5 @@ class DriveResult:
     @property
     def processing(self) -> dict[str, float]:
         """Seconds that the tracker took for a picture: median, 99 of 100, and the longest."""
-        taken = self.log.processing
-        return {"median": float(np.median(taken)), "p99": float(np.quantile(taken, 0.99)), "max": float(taken.max())}
+        times = self.log.processing
+        return {"median": float(np.median(times)), "p99": float(np.quantile(times, 0.99)), "max": float(times.max())}

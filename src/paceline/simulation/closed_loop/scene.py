@@ -116,8 +116,8 @@ class DriveScene:
         """A vehicle that comes up in the other lane, changes in behind the lead and out again."""
 
         def where(t: float) -> tuple[float, float]:
-            beyond = OVERTAKING_SPEED_MPS * (min(t - c.at, 0.0) + max(t - c.until - c.duration, 0.0))
-            arc = self._lead_arc(t) - c.behind - body.length + beyond
+            extra_distance = OVERTAKING_SPEED_MPS * (min(t - c.at, 0.0) + max(t - c.until - c.duration, 0.0))
+            arc = self._lead_arc(t) - c.behind - body.length + extra_distance
             inside = smoothstep((t - c.at) / c.duration) - smoothstep((t - c.until) / c.duration)
             return arc, LANE_WIDTH_M * (inside - 1)
 
@@ -149,12 +149,12 @@ def gap_policy(model: DriveModel, scene: ChaseScene) -> GapPolicy:
 
 
 def _draw_chase_scene(model: DriveModel, seed: int) -> ChaseScene:
-    given: dict[str, Any] = model.appearance.model_dump(exclude_none=True)
+    settings: dict[str, Any] = model.appearance.model_dump(exclude_none=True)
     if model.lead.kind is not None:
-        given["kind"] = model.lead.kind
-    given["occlusions"] = tuple(Occlusion(c.at, c.duration, c.kind) for c in model.crossings)
+        settings["kind"] = model.lead.kind
+    settings["occlusions"] = tuple(Occlusion(c.at, c.duration, c.kind) for c in model.crossings)
     rate = 15.0
-    return random_chase(seed, model.camera, frames=round(model.duration * rate), **(given | {"rate": rate}))
+    return random_chase(seed, model.camera, frames=round(model.duration * rate), **(settings | {"rate": rate}))
 
 
 def _make_road(model: DriveModel, length: float, rng: np.random.Generator) -> TabulatedRoad:

@@ -71,14 +71,14 @@ def state_derivative(s: Array, steering: float, acceleration: float, v: Array) -
     lateral = min(max(lateral, -grip), grip)
     d[2] = -lateral / speed if speed > 1e-6 else 0.0
     d[3] = s[4] if s[3] > 0.0 or s[4] > 0.0 else 0.0
-    wanted = min(max(acceleration, -slow_down), speed_up)
-    d[4] = (wanted - s[4]) / (throttle_lag if wanted > s[4] and wanted > 0.0 else brake_lag)
+    target = min(max(acceleration, -slow_down), speed_up)
+    d[4] = (target - s[4]) / (throttle_lag if target > s[4] and target > 0.0 else brake_lag)
     angle = min(max(steering, -limit), limit)
     d[5] = min(max((angle - s[5]) / lag, -rate), rate)
     omega = 2 * np.pi * spring
-    felt = d[3]  # a standing body no longer nods
+    body_acceleration = d[3]  # a standing body no longer nods
     d[6] = s[7]
-    d[7] = -2 * damping * omega * s[7] - omega * omega * (s[6] + nod * felt)
+    d[7] = -2 * damping * omega * s[7] - omega * omega * (s[6] + nod * body_acceleration)
     d[8] = s[9]
     d[9] = -2 * damping * omega * s[9] - omega * omega * (s[8] + lean * lateral)
     return d

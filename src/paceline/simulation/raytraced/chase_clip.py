@@ -76,13 +76,13 @@ class PlacedChaseScene:
 
     def foot(self, t: float) -> tuple[_PlanPose, Array, Array]:
         """The camera's place in plan, the point below it (3,) and the road's axes (3, 3) there."""
-        at, axes = self.road.frame(self.arc(t), self.lane + 0.35 * self.camera_drift(t))
+        origin, axes = self.road.frame(self.arc(t), self.lane + 0.35 * self.camera_drift(t))
         heading = float(np.arctan2(axes[1, 0], axes[0, 0])) + self.yaw_shake(t)
-        return _PlanPose(float(at[0]), float(at[1]), heading), at, axes
+        return _PlanPose(float(origin[0]), float(origin[1]), heading), origin, axes
 
     def view(self, t: float) -> PosedCamera:
         """The camera at ``t`` s."""
-        foot, at, _ = self.foot(t)
+        foot, origin, _ = self.foot(t)
         pitch, roll = self.scene.chase.tilt + self.pitch_shake(t), self.roll_shake(t)
         c, s = np.cos(foot.heading), np.sin(foot.heading)
         level = np.array([[s, -c, 0.0], [0.0, 0.0, -1.0], [c, s, 0.0]])  # right, down, ahead
@@ -90,7 +90,7 @@ class PlacedChaseScene:
         tilt = np.array([[1, 0, 0], [0, a, -b], [0, b, a]])
         d, e = np.cos(roll), np.sin(roll)
         R = np.array([[d, e, 0], [-e, d, 0], [0, 0, 1]]) @ tilt @ level
-        eye = at + np.array([0.0, 0.0, self.scene.chase.height + self.heave_shake(t)])
+        eye = origin + np.array([0.0, 0.0, self.scene.chase.height + self.heave_shake(t)])
         return PosedCamera(self.camera, R, -R @ eye)
 
     def pose(self, t: float) -> Placement:
@@ -98,9 +98,9 @@ class PlacedChaseScene:
         gap, closing = self.gap(t)
         weave, v = self.scene.lead.weave, self.scene.chase.top_speed * (0.75 + 0.25 * self.speed(t)) + closing
         drift = np.arctan(weave * self.lead_weave.rate(t) / max(v, 1.0))
-        at, axes = self.road.frame(self.arc(t) + gap - self.plane.center[0], self.lane + weave * self.lead_weave(t))
+        origin, axes = self.road.frame(self.arc(t) + gap - self.plane.center[0], self.lane + weave * self.lead_weave(t))
         c, s = np.cos(-drift), np.sin(-drift)  # to the right is clockwise
-        return axes @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]), at
+        return axes @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]), origin
 
     def placements(self, t: float) -> list[Placement]:
         return place_body(self.body, self.pose(t), self.arc(t) + self.gap(t)[0])
@@ -120,8 +120,8 @@ class PlacedChaseScene:
         """The truth of one frame, its keys as `paceline.simulation.chase.clip` writes them; what may hide the lead is
         what stands still."""
         t = self.times[k]
-        view, (R, at), foot = self.view(t), self.pose(t), self.foot(t)[0]
-        corners, center = self.plane.corners() @ R.T + at, R @ self.plane.center + at
+        view, (R, origin), foot = self.view(t), self.pose(t), self.foot(t)[0]
+        corners, center = self.plane.corners() @ R.T + origin, R @ self.plane.center + origin
         pixels = view.project(corners)
         return {
             "frame": k,
@@ -182,26 +182,26 @@ def write(
             clip_folder.write_picture(path, picture, scene.sensor.quality)
         if progress:
             progress(k + 1, scene.frames)
-    filmed = scene.sensor.image_format == "h264"
-    if filmed and not video.exists():
+    as_video = scene.sensor.image_format == "h264"
+    if as_video and not video.exists():
         clip_folder.write_video(video, paths, chase.times, scene.sensor.quality)
-    _write_documents(chase, rows, directory, filmed)
-    if filmed and (directory / "frames").is_dir():
+    _write_documents(chase, rows, directory, as_video)
+    if as_video and (directory / "frames").is_dir():
         clip_folder.remove_pictures(directory / "frames")
     return directory / "follow.yaml"
 
 
 def _with_long_road(scene: FollowScene) -> FollowScene:
     """The scene with a road as long as the drive."""
-    way = START_ARC_M + scene.chase.top_speed * (scene.frames / scene.rate + 2) + scene.lead.gap[1] + 30
-    if scene.road.length >= way:
+    length = START_ARC_M + scene.chase.top_speed * (scene.frames / scene.rate + 2) + scene.lead.gap[1] + 30
+    if scene.road.length >= length:
         return scene
-    return scene.model_copy(update={"road": scene.road.model_copy(update={"length": float(np.ceil(way))})})
+    return scene.model_copy(update={"road": scene.road.model_copy(update={"length": float(np.ceil(length))})})
 
 
-def _write_documents(chase: PlacedChaseScene, rows: list[dict[str, Any]], directory: Path, filmed: bool) -> None:
+def _write_documents(chase: PlacedChaseScene, rows: list[dict[str, Any]], directory: Path, as_video: bool) -> None:
     camera = {"image_size": list(chase.camera.image_size), "K": chase.camera.K.tolist()}
-    follow: dict[str, Any] = {"video": "frames.mp4"} if filmed else {"video": "frames", "rate": chase.scene.rate}
+    follow: dict[str, Any] = {"video": "frames.mp4"} if as_video else {"video": "frames", "rate": chase.scene.rate}
     follow |= {"camera": "camera.yaml", "target": "target.yaml", "start": chase.start_document(rows[0])}
     documents = {
         "camera": camera,

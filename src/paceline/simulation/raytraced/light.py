@@ -97,9 +97,9 @@ class Light:
             noise += (fine[edge : edge + size, edge : edge + size] / 1.8**octave).astype(np.float32)
         layer = (view[..., :2] / (above[..., None] + 0.1) * 60).astype(np.float32)
         x, y = layer[..., 0].copy(), layer[..., 1].copy()
-        there = cv2.remap(noise, x % size, y % size, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
+        density = cv2.remap(noise, x % size, y % size, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
         threshold = np.quantile(noise, 1 - self.clouds) if self.clouds < 1 else noise.min() - 1
-        return np.asarray(np.clip(0.5 + (there - threshold) / (0.6 * noise.std()), 0, 1) * min(4 * self.clouds, 1))
+        return np.asarray(np.clip(0.5 + (density - threshold) / (0.6 * noise.std()), 0, 1) * min(4 * self.clouds, 1))
 
 
 def _cie_sky(kind: tuple[float, ...], above: Array, angle: Array) -> Array:

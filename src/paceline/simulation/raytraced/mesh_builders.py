@@ -127,8 +127,8 @@ def weld(mesh: Mesh, tolerance: float = 1e-5) -> Mesh:
     cells = np.round(mesh.vertices / tolerance).astype(np.int64)
     _, first, label = np.unique(cells, axis=0, return_index=True, return_inverse=True)
     t = label.reshape(-1)[mesh.triangles]
-    whole = (t[:, 0] != t[:, 1]) & (t[:, 1] != t[:, 2]) & (t[:, 2] != t[:, 0])
-    return Mesh(mesh.vertices[first], t[whole], mesh.uv[first])
+    nondegenerate = (t[:, 0] != t[:, 1]) & (t[:, 1] != t[:, 2]) & (t[:, 2] != t[:, 0])
+    return Mesh(mesh.vertices[first], t[nondegenerate], mesh.uv[first])
 
 
 def triangle_normals(mesh: Mesh) -> Array:

@@ -35,18 +35,18 @@ def find_llvm() -> str | None:
     """
     named = os.environ.get("DRJIT_LIBLLVM_PATH")
     found = [named] if named else [path for pattern in _LIBRARY_PATTERNS for path in sorted(glob.glob(pattern))]
-    likely = [path for path in found if named or str(LLVM_VERSION) in os.path.basename(os.path.realpath(path))]
-    return next((path for path in likely if _library_version(path) == LLVM_VERSION), None)
+    candidates = [path for path in found if named or str(LLVM_VERSION) in os.path.basename(os.path.realpath(path))]
+    return next((path for path in candidates if _library_version(path) == LLVM_VERSION), None)
 
 
 def _library_version(path: str) -> int | None:
     """The major version of the LLVM library at ``path``; None where it has no such function, as before 16."""
     try:
-        ask = ctypes.CDLL(path).LLVMGetVersion
+        get_version = ctypes.CDLL(path).LLVMGetVersion
     except (OSError, AttributeError):
         return None
     major = ctypes.c_uint()
-    ask(ctypes.byref(major), None, None)
+    get_version(ctypes.byref(major), None, None)
     return major.value
 
 

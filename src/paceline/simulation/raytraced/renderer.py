@@ -48,10 +48,10 @@ class Renderer:
         if light.elevation > 0 and light.clouds < 1:
             # Every place asks one light, sun or sky. Asked as often as it gives, the noise of sunlit paint is least;
             # the sky a little oftener, for the shade.
-            asked = min(1 - light.sky_irradiance / light.level_irradiance, MAX_SUN_SAMPLING_SHARE)
-            scene["sky"]["sampling_weight"] = 1 - asked
+            sun_share = min(1 - light.sky_irradiance / light.level_irradiance, MAX_SUN_SAMPLING_SHARE)
+            scene["sky"]["sampling_weight"] = 1 - sun_share
             towards = {"direction": (-light.direction).tolist()}
-            irradiance = {"irradiance": _rgb(light.sun_irradiance), "sampling_weight": asked}
+            irradiance = {"irradiance": _rgb(light.sun_irradiance), "sampling_weight": sun_share}
             scene["sun"] = {"type": "directional", **towards, **irradiance}
         solids = merge_meshes(still)
         scene |= {f"lamp{k}": _mesh(mi, f"lamp{k}", s) for k, s in enumerate(solids) if s.material.kind == "glow"}
@@ -67,11 +67,11 @@ class Renderer:
 
     def place(self, placements: Sequence[Placement]) -> None:
         """Moves each group to its placement."""
-        now = np.array([np.column_stack(placement) for placement in placements])
-        if np.array_equal(now, self._placed):
+        matrices = np.array([np.column_stack(placement) for placement in placements])
+        if np.array_equal(matrices, self._placed):
             return
-        mi, self._placed = load_mitsuba(self.variant), now
-        for key, place in zip(self._moving, now, strict=True):
+        mi, self._placed = load_mitsuba(self.variant), matrices
+        for key, place in zip(self._moving, matrices, strict=True):
             self._parameters[key] = mi.ScalarTransform4f(np.vstack([place, [0.0, 0.0, 0.0, 1.0]]))
         self._parameters.update()
 
@@ -108,10 +108,10 @@ class Renderer:
 
 def merge_meshes(solids: Iterable[SceneMesh]) -> list[SceneMesh]:
     """The same surfaces in as few solids as their materials allow."""
-    alike: dict[tuple[int, bool, bool], list[SceneMesh]] = {}
+    groups: dict[tuple[int, bool, bool], list[SceneMesh]] = {}
     for solid in solids:
-        alike.setdefault((id(solid.material), solid.smooth, solid.uv is None), []).append(solid)
-    return [_merge_group(group) for group in alike.values()]
+        groups.setdefault((id(solid.material), solid.smooth, solid.uv is None), []).append(solid)
+    return [_merge_group(group) for group in groups.values()]
 
 
 def _merge_group(group: list[SceneMesh]) -> SceneMesh:

@@ -128,23 +128,23 @@ def _repairs(road: RoadGeometry, rng: np.random.Generator, ground: float) -> lis
 
 def _verge(road: RoadGeometry, rng: np.random.Generator, stations: Array) -> Mesh:
     """Grass that falls away on both sides, uneven by a few centimetres, with a ragged border over the asphalt."""
-    out = np.array([0.0, 0.25, 0.8, 1.6, 3.0, 5.0, VERGE_WIDTH_M, VERGE_WIDTH_M + 0.8])
-    fall = _verge_height(out) + np.where(out > 0, -0.03, 0.004)
+    distances = np.array([0.0, 0.25, 0.8, 1.6, 3.0, 5.0, VERGE_WIDTH_M, VERGE_WIDTH_M + 0.8])
+    fall = _verge_height(distances) + np.where(distances > 0, -0.03, 0.004)
     fall[-1] -= 0.8  # below the land
     meshes = []
     for side in (-1, 1):
-        ragged = np.outer(rng.uniform(-0.1, 0.0, len(stations)), out == 0)
-        bumps = rng.normal(0, 0.03, (len(stations), len(out))) * (out > 0.5)
-        laterals, height = side * (road.half_width + out + ragged), fall + bumps
+        ragged = np.outer(rng.uniform(-0.1, 0.0, len(stations)), distances == 0)
+        bumps = rng.normal(0, 0.03, (len(stations), len(distances))) * (distances > 0.5)
+        laterals, height = side * (road.half_width + distances + ragged), fall + bumps
         if side < 0:
             laterals, height = laterals[:, ::-1], height[:, ::-1]
         meshes.append(surface_strip(road, stations, laterals, height, (10.0, 10.0)))
     return join_meshes(meshes)
 
 
-def _verge_height(out: Array) -> Array:
-    """Height of the verge ``out`` metres beyond the shoulder, relative to the banked plane of the road."""
-    u = np.clip(out / VERGE_WIDTH_M, 0, 1)
+def _verge_height(distance: Array) -> Array:
+    """Height of the verge ``distance`` metres beyond the shoulder, relative to the banked plane of the road."""
+    u = np.clip(distance / VERGE_WIDTH_M, 0, 1)
     return np.asarray(-VERGE_DROP_M * u * u * (3 - 2 * u))
 
 
@@ -163,11 +163,11 @@ def _ground(road: RoadGeometry, stations: Array, phase: Array, cell: float, reac
     low, high = axis[:, :2].min(0) - reach[1], axis[:, :2].max(0) + reach[1]
     x, y = (np.arange(a, b + cell, cell) for a, b in zip(low, high, strict=True))
     grid = np.stack(np.meshgrid(x, y[::-1]), -1)
-    away, nearest = (found.ravel() for found in cKDTree(axis[:, :2]).query(grid))
+    distance, nearest = (found.ravel() for found in cKDTree(axis[:, :2]).query(grid))
     flat = sheet(np.concatenate([grid, np.zeros((*grid.shape[:2], 1))], -1), grid / 10.0)
-    triangles = flat.triangles[((away > reach[0]) & (away < reach[1]))[flat.triangles].all(1)]
+    triangles = flat.triangles[((distance > reach[0]) & (distance < reach[1]))[flat.triangles].all(1)]
     used, triangles = np.unique(triangles, return_inverse=True)
-    ground, away, nearest = flat.vertices[used, :2], away[used], nearest[used]
+    ground, distance, nearest = flat.vertices[used, :2], distance[used], nearest[used]
     edge = road.half_width + VERGE_WIDTH_M
     left = frames[nearest, :, 1]
     to_left = ((ground - axis[nearest, :2]) * left[:, :2]).sum(1)
@@ -175,6 +175,6 @@ def _ground(road: RoadGeometry, stations: Array, phase: Array, cell: float, reac
     X, Y = ground.T
     waves = np.sin(X / 37 + phase[0]) * np.sin(Y / 43 + phase[1])
     waves += 1.6 * np.sin(X / 91 + phase[2]) * np.sin(Y / 83 + phase[3])
-    rolling = 1.2 * waves * (1 - np.exp(-np.maximum(away - edge, 0.0) / 60))
+    rolling = 1.2 * waves * (1 - np.exp(-np.maximum(distance - edge, 0.0) / 60))
     height = axis[nearest, 2] + bank - VERGE_DROP_M - 0.05 + rolling
     return Mesh(np.column_stack([ground, height]), triangles.reshape(-1, 3), flat.uv[used])

@@ -43,13 +43,13 @@ class PlacedVehicle:
 
     def center(self, t: float) -> Array:
         """The plane's centre (3,) in the world at ``t`` s."""
-        R, at = self.motion.pose(t)
-        return np.asarray(R @ self.plane.center + at)
+        R, origin = self.motion.pose(t)
+        return np.asarray(R @ self.plane.center + origin)
 
     def corners(self, t: float) -> Array:
         """The plane's corners (4, 3) in the world at ``t`` s."""
-        R, at = self.motion.pose(t)
-        return np.asarray(self.plane.corners() @ R.T + at)
+        R, origin = self.motion.pose(t)
+        return np.asarray(self.plane.corners() @ R.T + origin)
 
     def speed(self, t: float) -> float:
         """Speed of the plane's centre, m/s: in a bend it is not that of the rear axle."""
@@ -73,12 +73,12 @@ def rigid_groups(body: Body) -> list[Sequence[SceneMesh]]:
 
 def place_body(body: Body, pose: Placement, rolled: float) -> list[Placement]:
     """Placements of `rigid_groups` where the body stands at ``pose`` and has driven ``distance`` metres."""
-    R, at = pose
-    placements = [(R, at)]
+    R, origin = pose
+    placements = [(R, origin)]
     for wheel in body.wheels:
         c, s = np.cos(rolled / wheel.radius), np.sin(rolled / wheel.radius)
         turned = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])  # the top goes forward
-        placements.append((R @ turned, R @ wheel.center + at))
+        placements.append((R @ turned, R @ wheel.center + origin))
     return placements
 
 
@@ -103,8 +103,8 @@ class PlacedStereoScene:
         self.shutter = make_shutter(scene)
 
     def _place(self, place: PositionModel) -> Array:
-        at, axes = self.road.frame(place.along, place.right)
-        return np.asarray(at + place.height * np.array([0.0, 0.0, 1.0]))
+        position, axes = self.road.frame(place.along, place.right)
+        return np.asarray(position + place.height * np.array([0.0, 0.0, 1.0]))
 
     def _car(self, i: int, m: VehicleModel) -> PlacedVehicle:
         change = m.lane_change and LaneChange(m.lane_change.start, m.lane_change.duration, m.lane_change.shift)
@@ -125,9 +125,9 @@ class PlacedStereoScene:
             motion = VehicleMotion(self.road, drive, body.wheelbase)
         except UnusableInput as error:
             raise UnusableInput(f"vehicles[{i}]: {error}") from None
-        R, at = motion.pose(0.0)
-        coming = (self.views[0].centre - at) @ R[:, 0] > 0
-        return PlacedVehicle(m, body, motion, body.front if coming else body.rear)
+        R, origin = motion.pose(0.0)
+        approaching = (self.views[0].centre - origin) @ R[:, 0] > 0
+        return PlacedVehicle(m, body, motion, body.front if approaching else body.rear)
 
     def static_meshes(self) -> list[SceneMesh]:
         """All that does not move."""
@@ -243,8 +243,8 @@ def make_rigs(scene: SpeedScene) -> tuple[StereoRig, StereoRig]:
         return Camera(size, np.array([[fx, 0, cx], [0, fx, cy], [0, 0, 1.0]]), np.array(rig.distortion, float))
 
     left, right = camera(), camera()
-    away = np.hypot(rig.target.along - rig.eye.along, rig.target.right - rig.eye.right)
-    inwards = np.array([0.0, rig.baseline / max(float(away), 1.0), 0.0])  # both cameras look at the target
+    distance = np.hypot(rig.target.along - rig.eye.along, rig.target.right - rig.eye.right)
+    inwards = np.array([0.0, rig.baseline / max(float(distance), 1.0), 0.0])  # both cameras look at the target
     R = np.asarray(cv2.Rodrigues(inwards)[0] @ cv2.Rodrigues(rng.normal(0, 1, 3) * rig.misalignment)[0], float)
     t = -R @ np.array([rig.baseline, *rng.normal(0, 0.004, 2)])
     true = StereoRig(left, right, R, t)

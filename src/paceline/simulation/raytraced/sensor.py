@@ -43,8 +43,8 @@ def expose(radiance: Radiance, white: float, sensor: Sensor, rng: np.random.Gene
     )
     falloff = vignette(radiance.shape[:2], sensor.vignetting).reshape(radiance.shape[:2] + (1,) * (light.ndim - 2))
     electrons = np.maximum(light * falloff, 0) * (sensor.exposure / white * sensor.full_well)
-    counted = rng.poisson(electrons) + sensor.read_noise * rng.standard_normal(electrons.shape, np.float32)
-    share = np.clip(counted / sensor.full_well, 0, 1)
+    charge = rng.poisson(electrons) + sensor.read_noise * rng.standard_normal(electrons.shape, np.float32)
+    share = np.clip(charge / sensor.full_well, 0, 1)
     return np.asarray(np.rint(255 * share ** (1 / sensor.gamma)), np.uint8)
 
 
@@ -106,7 +106,7 @@ def render_exposure(
     x0, y0, x1, y1 = window or (0, 0, width, height)
     edges = np.linspace(0, height, shutter.bands + 1).astype(int).tolist()
     picture = np.zeros((y1 - y0, x1 - x0, 3), np.float32)
-    each = max(1, round(samples / shutter.steps))
+    samples_per_step = max(1, round(samples / shutter.steps))
     seeds = iter(np.random.SeedSequence([seed, 5]).generate_state(shutter.bands * shutter.steps))
     for top, bottom in zip(edges[:-1], edges[1:], strict=True):
         first, end = max(top, y0), min(bottom, y1)
@@ -115,7 +115,7 @@ def render_exposure(
             moment, own = read + shutter.exposure * ((step + 0.5) / shutter.steps - 0.5), int(next(seeds))
             if first < end:
                 renderer.place(placements(moment))
-                part = renderer.render(view(moment), each, own, (x0, first, x1, end))
+                part = renderer.render(view(moment), samples_per_step, own, (x0, first, x1, end))
                 picture[first - y0 : end - y0] += part / shutter.steps
     return picture
 
@@ -139,8 +139,8 @@ class Lens:
         if not camera.has_distortion:
             return Lens(camera, (0, 0))
         width, height = camera.image_size
-        at = np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1).astype(float)
-        ideal = camera.undistort_points(at)
+        pixels = np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1).astype(float)
+        ideal = camera.undistort_points(pixels)
         low = np.floor(ideal.reshape(-1, 2).min(0)).astype(int) - 2  # room for the interpolation
         high = np.ceil(ideal.reshape(-1, 2).max(0)).astype(int) + 2
         K = camera.K.copy()

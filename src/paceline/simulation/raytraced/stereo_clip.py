@@ -53,7 +53,7 @@ def write(
 
     clip = clip_document(placed, truth, hidden)
     clip_folder.open_folder(directory, scene, variant)
-    total, done = placed.clocks.size, 0
+    total, n_done = placed.clocks.size, 0
     for i, side in enumerate(("left", "right")):
         camera_renderer = _CameraRenderer(placed, renderer, i, directory / f".still-{side}.npy")
         paths = [
@@ -64,9 +64,9 @@ def write(
         for k, path in enumerate(paths):
             if not path.exists() and not (scene.sensor.image_format == "h264" and video.exists()):
                 clip_folder.write_picture(path, camera_renderer.render(k), scene.sensor.quality)
-            done += 1
+            n_done += 1
             if progress:
-                progress(done, total)
+                progress(n_done, total)
         if scene.sensor.image_format == "h264" and not video.exists():
             clip_folder.write_video(video, paths, placed.clocks[i].tolist(), scene.sensor.quality)
     _write_documents(placed, clip, truth, directory)
@@ -180,9 +180,9 @@ def _shadow_extent(car: PlacedVehicle, t: float, light: Light) -> Array:
 
 def _vehicle_box(car: PlacedVehicle, t: float, margin: float) -> Array:
     """Corners (8, 3), world, of a vehicle's box, ``margin`` m wider and 0.2 m deeper; every other one is at its top."""
-    R, at = car.motion.pose(t)
+    R, origin = car.motion.pose(t)
     low, high = car.body.bounds
     low, high = low - [margin, margin, 0], high + [margin, margin, 0]
     low[2] = -0.2
     box = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
-    return np.asarray(box @ R.T + at)
+    return np.asarray(box @ R.T + origin)

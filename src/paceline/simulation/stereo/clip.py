@@ -117,9 +117,9 @@ class World:
     def _draw_clip(self, rng: np.random.Generator) -> dict[str, Any]:
         """The contents of clip.yaml, with clicked quadrilaterals and drawn lines."""
         scene = self.scene
-        uneven = bool(scene.dropped or scene.skew_s)
+        needs_times = bool(scene.dropped or scene.skew_s)
         clip: dict[str, Any] = {"left": "left", "right": "right"}
-        clip |= {"times": "times.csv"} if uneven else {"rate": scene.rate}
+        clip |= {"times": "times.csv"} if needs_times else {"rate": scene.rate}
         clip["rig"] = "rig.yaml"
         lanes: dict[tuple[float, bool], str] = {}
         if scene.draw_path:
@@ -187,12 +187,12 @@ class _Renderer:
 
     def _render_view(self, i: int) -> list[NDArray[np.uint8]]:
         scene, view, poses = self.scene, self.world.views[i], self.world.poses[i]
-        still = textures.grey_to_light(self.backdrop.draw(view), scene.gamma)
+        static = textures.grey_to_light(self.backdrop.draw(view), scene.gamma)
         mask = draw_planes([self.pole], view, scene.blur_sigma, SUPERSAMPLING) if self.pole else None
         sensor = np.random.default_rng([scene.seed, 19, i])
         images = []
         for k, t in enumerate(self.world.clocks[i]):
-            image = still.copy()
+            image = static.copy()
             for j in np.argsort([-track[k].centre[2] for track in poses]):
                 vehicle, pose = scene.vehicles[j], poses[j][k]
                 composite(image, draw_planes([_shadow_plane(self.shadow, vehicle, pose)], view, scene.blur_sigma, 1))

@@ -203,10 +203,10 @@ class Motion:
         height = PLANE_CLEARANCE_M + self.vehicle.height / 2
         centre = self.road.point(np.asarray(s), lateral) - height * down
         travel = np.cos(heading) * along + np.sin(heading) * right
-        away = travel if self.vehicle.plane == "front" else np.cross(down, travel)
-        if away @ centre < 0:
-            away = -away
-        return Pose(centre, np.column_stack([np.cross(down, away), down, away]))
+        normal = travel if self.vehicle.plane == "front" else np.cross(down, travel)
+        if normal @ centre < 0:
+            normal = -normal
+        return Pose(centre, np.column_stack([np.cross(down, normal), down, normal]))
 
 
 def _integrate(f: Array, u: Array) -> Array:

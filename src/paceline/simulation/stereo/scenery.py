@@ -49,7 +49,7 @@ class StaticBackground:
         distance = float((self.road.anchor - centre) @ self.road.down) / fall
         arc, lateral = (c.astype(np.float32) for c in self.road.coordinates(centre + distance[..., None] * rays))
         across = distance / self.scene.focal  # metres per pixel, across and along the line of sight
-        away = across / fall
+        pixel_length = across / fall
         left, right = self.lanes[0] - LANE_EDGE_M, self.lanes[-1] + LANE_EDGE_M
         paved = _box_coverage(lateral, left - SHOULDER_WIDTH_M, right + SHOULDER_WIDTH_M, across)
         surface = self.grass + (self.asphalt - self.grass) * paved
@@ -61,7 +61,7 @@ class StaticBackground:
                 cv2.INTER_LINEAR,
                 borderMode=cv2.BORDER_WRAP,
             )
-            surface = surface * (1 + amplitude * np.exp(-((away / wavelength) ** 2)) * noise)
+            surface = surface * (1 + amplitude * np.exp(-((pixel_length / wavelength) ** 2)) * noise)
         sideways, lengthways = _pixel_gradient(lateral), _pixel_gradient(arc)
         marks = np.zeros_like(surface)
         for edge in sorted({round(lane + side, 3) for lane in self.lanes for side in (-LANE_EDGE_M, LANE_EDGE_M)}):

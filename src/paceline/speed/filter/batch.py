@@ -105,8 +105,8 @@ class TrackerBatch:
                 if not self.fall_back_to_cpu:
                     raise
                 self.device = None
-                for each, before in zip(self._trackers, self._checkpoints, strict=True):
-                    each.restore(before)
+                for each_tracker, checkpoint in zip(self._trackers, self._checkpoints, strict=True):
+                    each_tracker.restore(checkpoint)
                 self._estimates = {}
                 self.notices.append(message("gpu_fallback", frame=frame.index, problem=failure.reason))
         found = self._estimates.pop(tracker.vehicle.id, None)

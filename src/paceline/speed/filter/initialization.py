@@ -223,7 +223,7 @@ def draw_free_start(
     rig: StereoRig,
     vehicle: VehicleDocument,
     first: Image,
-    now: Image,
+    second: Image,
     dt: float,
     configuration: SpeedConfiguration,
     rng: np.random.Generator,
@@ -232,7 +232,7 @@ def draw_free_start(
     fastest = 1.3 * vehicle.speed if vehicle.speed else configuration.start.speed_range[1]
     focal = rig.left.K[0, 0]
     before = plane.centre
-    shift, growth = match_template(first, now, vehicle.left, fastest * dt * focal / before[2])
+    shift, growth = match_template(first, second, vehicle.left, fastest * dt * focal / before[2])
     after = rig.left.rays(vehicle.left.mean(0) + shift) * before[2] / growth
     size = float(np.sqrt(np.prod(np.ptp(vehicle.left, axis=0))))
     N = len(state)
@@ -242,8 +242,8 @@ def draw_free_start(
     return replace(state, velocity=velocity, speed=np.linalg.norm(velocity, axis=1))
 
 
-def match_template(first: Image, now: Image, quad: Array, reach: float) -> tuple[Array, float]:
-    """Match the template inside ``quad`` (4, 2) of ``first`` in ``now``: its shift (2,) in pixels, at most about
+def match_template(first: Image, second: Image, quad: Array, reach: float) -> tuple[Array, float]:
+    """Match the template inside ``quad`` (4, 2) of ``first`` in ``second``: its shift (2,) in pixels, at most about
     ``reach``, and its change of scale."""
     x0, y0 = np.maximum(np.floor(quad.min(0)).astype(int), 0)
     x1, y1 = np.ceil(quad.max(0)).astype(int) + 1
@@ -251,7 +251,7 @@ def match_template(first: Image, now: Image, quad: Array, reach: float) -> tuple
     across = int(reach) + (x1 - x0) // 4
     down = int(min(reach, 0.25 * reach + (y1 - y0)))
     left, top = max(x0 - across, 0), max(y0 - down, 0)
-    window = now[top : y1 + down, left : x1 + across]
+    window = second[top : y1 + down, left : x1 + across]
     best = (-1.0, np.zeros(2), 1.0)
     for growth in SCALE_CANDIDATES:
         scaled = cv2.resize(template, None, fx=growth, fy=growth, interpolation=cv2.INTER_LINEAR)

@@ -99,9 +99,9 @@ def observe(
     H[:, 0], H[:, 1], H[:, 2] = to_left, unit_square_to(quads_right), cross @ to_left
     edges = inward_edges(quads_right).astype(np.float32)
     # a degenerate region has no homography: it is sampled at one pixel, which resembles nothing
-    wild = ~(np.isfinite(H).all((1, 2, 3)) & np.isfinite(edges).all((1, 2)))
-    H[wild] = [[0, 0, 0], [0, 0, 0], [0, 0, 1]]
-    edges[wild] = [0, 0, -1]
+    invalid = ~(np.isfinite(H).all((1, 2, 3)) & np.isfinite(edges).all((1, 2)))
+    H[invalid] = [[0, 0, 0], [0, 0, 0], [0, 0, 1]]
+    edges[invalid] = [0, 0, -1]
     features = np.empty((N, 2, grid.parts, 16), np.float32)
     ncc = np.empty(N, np.float32)
     patch_features_cpu.observe(

@@ -122,11 +122,11 @@ def ensemble_kalman_update(
     gain = kalman_gain(((W[:, None] * deviation).T @ deviation)[:, :3], noise)
     change = (seen - places) @ gain.T
     after = apply_rigid_motion(state, rig, change[:, :3])
-    updates, at = {}, 3
+    updates, start = {}, 3
     for f, column in zip(fields, columns[1:], strict=True):
         width = column.shape[1]
-        updates[f] = getattr(state, f) + change[:, at : at + width].reshape(getattr(state, f).shape)
-        at += width
+        updates[f] = getattr(state, f) + change[:, start : start + width].reshape(getattr(state, f).shape)
+        start += width
     return model.after_shift(replace(after, **updates), change[:, :3])
 
 
@@ -234,8 +234,8 @@ class PathMotion:
     def yaw_rate(self, state: State, dt: float) -> float:
         """Turning (rad/s) about the camera's y axis, to the right, over the last ``dt``, of one particle."""
         s = np.array([state.s[0] - state.speed[0] * dt, state.s[0]])
-        before, now = self.path.frames(s)[:, :, 0]
-        return float(np.cross(before, now)[1] / dt)
+        before, current = self.path.frames(s)[:, :, 0]
+        return float(np.cross(before, current)[1] / dt)
 
     def after_shift(self, state: State, shift: Array) -> State:
         """``state`` whose planes were moved by ``shift`` (N, 3): their arc lengths follow."""

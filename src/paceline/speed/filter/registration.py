@@ -91,8 +91,8 @@ class PlaneGrid:
     def smoothed(self, values: Array, coarseness: float) -> Array:
         """``values`` (parts, samples) smoothed as an image that is smoothed ``coarseness`` times as much."""
         sigma = 0.7 * np.sqrt(coarseness**2 - 1.0)
-        whole = cv2.GaussianBlur(self.as_grid(values), (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
-        return self.by_part(np.asarray(whole))
+        grid = cv2.GaussianBlur(self.as_grid(values), (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
+        return self.by_part(np.asarray(grid))
 
 
 def register(

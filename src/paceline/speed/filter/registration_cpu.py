@@ -134,11 +134,11 @@ def normal_equations(
         gain = min(max((w[v] * TI[v]).sum() / ((w[v] * TT).sum() + 1e-9), gains[0]), gains[1])
         for p in range(parts):
             variance[p] = max(II[v, p] / gain**2 - 2 * TI[v, p] / gain + TT[p], 0.0) / samples
-        usual = np.median(variance)
+        median_variance = np.median(variance)
         contrast = 0.0
         along[:] = 0.0
         for p in range(parts):
-            w[v, p] = 1.0 / (variance[p] + 0.5 * usual + quantisation)
+            w[v, p] = 1.0 / (variance[p] + 0.5 * median_variance + quantisation)
             contrast += w[v, p] * TT[p]
             along += w[v, p] * JT[v, p]
         # the gain is common to the view: what it explains is taken from the sensitivities

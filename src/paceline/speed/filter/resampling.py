@@ -93,12 +93,12 @@ def residual(W: Array, rng: np.random.Generator) -> Indices:
     """⌊N·W⌋ copies of each, the rest drawn from what is left over."""
     n = len(W)
     copies = np.floor(n * W + 1e-9).astype(np.int64)
-    kept = np.repeat(np.arange(n), copies)
+    copied = np.repeat(np.arange(n), copies)
     left = np.maximum(n * W - copies, 0.0)
-    if len(kept) == n:
-        return kept
-    rest = _inverse_cdf(np.sort(rng.random(n - len(kept))), left / left.sum())
-    return np.concatenate([kept, rest])
+    if len(copied) == n:
+        return copied
+    rest = _inverse_cdf(np.sort(rng.random(n - len(copied))), left / left.sum())
+    return np.concatenate([copied, rest])
 
 
 @resampling_scheme

@@ -208,8 +208,8 @@ def _match_along_epipolar_lines(rig: StereoRig, left: Array, right: Array) -> Ar
     chosen = _smoothest_chain(candidates)
     points = []
     for j, r in chosen:
-        at = min(int(r), len(b) - 2)
-        pixel = b[at] + (r - at) * tangent[at]
+        segment = min(int(r), len(b) - 2)
+        pixel = b[segment] + (r - segment) * tangent[segment]
         points.append(triangulate(rig, a[j], pixel))
     return np.array(points).reshape(-1, 3)
 
@@ -219,21 +219,21 @@ def _smoothest_chain(candidates: list[list[tuple[float, float]]]) -> list[tuple[
 
     Crossings nearly parallel to their epipolar line are left out. Returns (left sample, right parameter) pairs.
     """
-    kept = [(j, [r for r, slope in c if slope > 0.08]) for j, c in enumerate(candidates)]
-    kept = [(j, rs) for j, rs in kept if rs]
-    if not kept:
+    crossings = [(j, [r for r, slope in c if slope > 0.08]) for j, c in enumerate(candidates)]
+    crossings = [(j, rs) for j, rs in crossings if rs]
+    if not crossings:
         return []
-    cost = np.zeros(len(kept[0][1]))
+    cost = np.zeros(len(crossings[0][1]))
     back: list[NDArray[np.int64]] = []
-    for (_, previous), (_, current) in zip(kept, kept[1:], strict=False):
+    for (_, previous), (_, current) in zip(crossings, crossings[1:], strict=False):
         total = cost[:, None] + np.abs(np.subtract.outer(previous, current))
         back.append(np.argmin(total, axis=0))
         cost = total.min(0)
     k = int(np.argmin(cost))
-    chain = [(kept[-1][0], kept[-1][1][k])]
+    chain = [(crossings[-1][0], crossings[-1][1][k])]
     for step in range(len(back) - 1, -1, -1):
         k = int(back[step][k])
-        chain.append((kept[step][0], kept[step][1][k]))
+        chain.append((crossings[step][0], crossings[step][1][k]))
     return chain[::-1]
 
 
@@ -242,10 +242,10 @@ def _polyline(points: Array, n: int) -> Array:
     u = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     keep = np.concatenate([[True], np.diff(u) > 1e-6])
     u, points = u[keep], points[keep]
-    at = np.linspace(0, u[-1], n)
+    lengths = np.linspace(0, u[-1], n)
     if len(u) < 6:
-        return np.asarray(CubicSpline(u, points, axis=0)(at))
+        return np.asarray(CubicSpline(u, points, axis=0)(lengths))
     order = np.arange(len(u), dtype=float)  # drawn points crowd with distance: smooth over their order
     noise = len(u) * (1.5 * DRAWING_SIGMA_PX) ** 2
     smooth = [UnivariateSpline(order, c, k=3, s=noise)(order) for c in points.T]
-    return np.stack([np.interp(at, u, c) for c in smooth], axis=1)
+    return np.stack([np.interp(lengths, u, c) for c in smooth], axis=1)

@@ -49,8 +49,8 @@ class Path:
         if self.shape == "line":
             return np.asarray(self.points[0] + (np.asarray(s)[..., None] - self.s[0]) * self._line_frame[:, 0])
         inside = np.clip(s, self.s[0], self.s[-1])
-        beyond = np.asarray(s) - inside
-        return np.asarray(self._spline(inside) + beyond[..., None] * self._spline(inside, 1))
+        excess = np.asarray(s) - inside
+        return np.asarray(self._spline(inside) + excess[..., None] * self._spline(inside, 1))
 
     @cached_property
     def _line_frame(self) -> Array:

@@ -79,10 +79,10 @@ def refine(trajectory: Trajectory, keyframes: list[Keyframe], speed: float, on_p
         added = [t for t in MOTION_TERMS if t != excluded and t not in terms]
         richer = {t: fit.with_term(prior(trajectory, speed, (*terms, t)), t) for t in added}
         others = list(richer.values())
-        convincing = [t for t in richer if richer[t][0] >= log_odds]
-        if "acceleration" in convincing:  # whether it varies is tested in the next round
-            convincing = [t for t in convincing if t != "varying_acceleration"]
-        best = max(convincing, key=lambda t: richer[t][0], default=None)
+        supported = [t for t in richer if richer[t][0] >= log_odds]
+        if "acceleration" in supported:  # whether it varies is tested in the next round
+            supported = [t for t in supported if t != "varying_acceleration"]
+        best = max(supported, key=lambda t: richer[t][0], default=None)
         if best is None:
             break
         terms, fit = (*terms, best), richer[best][1]

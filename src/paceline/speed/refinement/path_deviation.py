@@ -43,8 +43,8 @@ class PathDeviation:
 
     def angles(self, amplitudes: Array, u: Array) -> Array:
         """Yaw and pitch (2, …, M) rad by ``amplitudes`` (…, K) at distances ``u`` (M,); constant outside ``self.u``."""
-        at = self._spline(np.clip(u, self.u[0], self.u[-1]))
-        return np.asarray(np.moveaxis(np.tensordot(amplitudes, at, (-1, 1)), -1, 0))
+        modes = self._spline(np.clip(u, self.u[0], self.u[-1]))
+        return np.asarray(np.moveaxis(np.tensordot(amplitudes, modes, (-1, 1)), -1, 0))
 
 
 def deviation_of(path: Path, plane: InitialPlane, times: Array, speed: float, on_path: bool) -> PathDeviation:
@@ -73,9 +73,9 @@ def deviation_modes(path: Path, start: float, length: float, on_path: bool) -> P
         modes += list(_yaw_process_modes(u, *LANE_KEEPING_GP))
     _, size, shapes = np.linalg.svd(np.reshape(modes, (len(modes), -1)), full_matrices=False)
     keep = size > MIN_MODE_RAD * np.sqrt(len(u))
-    kept = (size[keep, None] * shapes[keep]).reshape(-1, 2, len(u))
+    components = (size[keep, None] * shapes[keep]).reshape(-1, 2, len(u))
     lane_change = _yaw_process_modes(u, *LANE_CHANGE_GP)
-    return PathDeviation(u, np.concatenate([kept, lane_change]), len(lane_change))
+    return PathDeviation(u, np.concatenate([components, lane_change]), len(lane_change))
 
 
 def _yaw_process_modes(u: Array, sigma: float, length: float) -> Array:

@@ -85,7 +85,7 @@ class PhotometricFit:
         """
         other = self._restarted()
         other.prior = prior
-        other.gauss_newton(CONVERGED_STEP_SIGMA, most=1)
+        other.gauss_newton(CONVERGED_STEP_SIGMA, max_steps=1)
         evidence = other._log_evidence(term, self.prior, 1.0)
         if evidence < np.log(MIN_MODEL_PROBABILITY):
             return evidence, other
@@ -93,15 +93,15 @@ class PhotometricFit:
             other = PhotometricFit(self._rig.stated, self.keyframes, prior).with_free_rig()
         return other._log_evidence(term, self.prior, other._covariance_inflation), other
 
-    def on_outline(self, quad: Array, most: int) -> PhotometricFit:
+    def on_outline(self, quad: Array, max_steps: int) -> PhotometricFit:
         """The same model fitted from here to another outline ``quad`` (4, 2) px of the first left view, in at most
-        ``most`` steps."""
+        ``max_steps`` steps."""
         other = copy(self)
         other.trajectory = replace(self.trajectory, quad=quad)
         other._rig = replace(self._rig, stated=replace(self._rig.stated, quad=quad))
         quads = other.trajectory.quads(self.theta)
         other._reset(self.theta, build_levels(self.keyframes, quads, self.gamma, *LEVEL_SCHEDULE[-1]))
-        other.gauss_newton(CONVERGED_STEP_SIGMA, most)
+        other.gauss_newton(CONVERGED_STEP_SIGMA, max_steps)
         return other
 
     def on_grid(self, grid: PatchGrid) -> PhotometricFit:
@@ -217,31 +217,33 @@ class PhotometricFit:
         free = np.isin(self.prior.free, self.trajectory.index(term))
         precision = np.linalg.inv(inflation * np.linalg.inv(self.A)[: len(free), : len(free)][np.ix_(free, free)])
         wide = self.prior.information[np.ix_(free, free)]
-        kept = np.isin(narrower.free, self.trajectory.index(term))
-        narrow = narrower.information[np.ix_(kept, kept)] if kept.any() else wide / ABSENT_TERM_SCALE**2
+        in_term = np.isin(narrower.free, self.trajectory.index(term))
+        of_term = narrower.information[np.ix_(in_term, in_term)] if in_term.any() else wide / ABSENT_TERM_SCALE**2
         score = precision @ self.theta[self.trajectory.index(term)]
-        confined = precision - wide + narrow
-        logdet = [np.linalg.slogdet(m)[1] for m in (precision, wide, confined, narrow)]
+        confined = precision - wide + of_term
+        logdet = [np.linalg.slogdet(m)[1] for m in (precision, wide, confined, of_term)]
         misfit = score @ (np.linalg.solve(precision, score) - np.linalg.solve(confined, score))
         return float(0.5 * (misfit - logdet[0] + logdet[1] + logdet[2] - logdet[3]))
 
-    def gauss_newton(self, converged_step: float, most: int = MAX_STEPS) -> None:
-        """Gauss–Newton until no motion parameter changes by ``converged_step`` standard deviations, ``most`` steps."""
+    def gauss_newton(self, converged_step: float, max_steps: int = MAX_STEPS) -> None:
+        """Gauss–Newton until no motion parameter changes by ``converged_step`` std, or for ``max_steps`` steps."""
         P, Q = len(self.prior.free), len(self.rig_offset)
-        for _ in range(most):
+        for _ in range(max_steps):
             self.A, score, *self._cells = self._assemble()
             change = -np.linalg.solve(self.A, score)
-            at = P + Q  # γ, held at the limit of its range where it would leave it
-            if not GAMMA_RANGE[0] <= self.gamma + change[at] <= GAMMA_RANGE[1]:
-                self.A[at, at] += FIXED_INFORMATION
-                score[at] -= FIXED_INFORMATION * (np.clip(self.gamma + change[at], *GAMMA_RANGE) - self.gamma)
+            gamma_index = P + Q  # γ, held at the limit of its range where it would leave it
+            if not GAMMA_RANGE[0] <= self.gamma + change[gamma_index] <= GAMMA_RANGE[1]:
+                self.A[gamma_index, gamma_index] += FIXED_INFORMATION
+                score[gamma_index] -= FIXED_INFORMATION * (
+                    np.clip(self.gamma + change[gamma_index], *GAMMA_RANGE) - self.gamma
+                )
                 change = -np.linalg.solve(self.A, score)
             if not np.isfinite(change).all():
                 raise np.linalg.LinAlgError("the images determine no step")
             self.theta[self.prior.free] += change[:P]
-            self.rig_offset = self.rig_offset + change[P:at]
-            self.gamma = float(np.clip(self.gamma + change[at], *GAMMA_RANGE))
-            self.depth_offsets += change[at + 1 :].reshape(self.depth_offsets.shape)
+            self.rig_offset = self.rig_offset + change[P:gamma_index]
+            self.gamma = float(np.clip(self.gamma + change[gamma_index], *GAMMA_RANGE))
+            self.depth_offsets += change[gamma_index + 1 :].reshape(self.depth_offsets.shape)
             if Q:
                 self.trajectory = self._rig.trajectory(self.rig_offset)
             step = float(np.abs(change[:P] / np.sqrt(np.diag(np.linalg.inv(self.A))[:P])).max())

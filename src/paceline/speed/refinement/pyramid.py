@@ -188,13 +188,15 @@ class PyramidLevel:
         I, laplacian, by_gamma = np.empty((3, len(x), x.shape[2]))
         slope = np.empty((len(x), 2, x.shape[2]))
         for v, (image, change) in enumerate(self.images):
-            at = (x[v] - self.origins[v][:, None]).astype(np.float32).reshape(2, self.patches, -1)
-            sampled = cv2.remap(image, at[0], at[1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+            pixel_maps = (x[v] - self.origins[v][:, None]).astype(np.float32).reshape(2, self.patches, -1)
+            sampled = cv2.remap(image, pixel_maps[0], pixel_maps[1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
             values = sampled.reshape(-1, 4).T
             I[v] = values[0]
             slope[v] = values[1] * B[v, 0] + values[2] * B[v, 1]
             laplacian[v] = values[3]
-            by_gamma[v] = cv2.remap(change, at[0], at[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).ravel()
+            by_gamma[v] = cv2.remap(
+                change, pixel_maps[0], pixel_maps[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+            ).ravel()
         shape = len(x), self.patches, self.samples
         return I.reshape(shape), slope, laplacian.reshape(shape), by_gamma.reshape(shape)
 

@@ -31,7 +31,7 @@ def linearise(
     sample belongs to a row of its patch.
     """
     V, K, _, m = M.shape
-    c, off = np.empty((3, m), np.float32), np.empty(m, np.float32)
+    c, by_offset = np.empty((3, m), np.float32), np.empty(m, np.float32)
     for k in range(K):
         first = k * m
         fields = np.ascontiguousarray(nuisance[:, k])
@@ -44,18 +44,18 @@ def linearise(
                 ax = (g[0, n] * B[v, 1, 1, n] - g[1, n] * B[v, 1, 0, n]) / det
                 ay = (g[1, n] * B[v, 0, 0, n] - g[0, n] * B[v, 0, 1, n]) / det
                 c[0, i], c[1, i], c[2, i] = ax, ay, -(ax * x[v, 0, n] + ay * x[v, 1, n])
-            off[:] = 0.0
+            by_offset[:] = 0.0
             for j in range(9):
                 row, factor, place = own[j], c[j // 3], points[j % 3, first : first + m]
                 per_metre = np.float32(H_d[v, j])
                 for i in range(m):
                     row[i] = factor[i] * place[i]
                 for i in range(m):
-                    off[i] += per_metre * row[i]
+                    by_offset[i] += per_metre * row[i]
             for j in range(len(rows)):
                 row, row_mask = own[9 + j], rows[j]
                 for i in range(m):
-                    row[i] = off[i] * row_mask[i]
+                    row[i] = by_offset[i] * row_mask[i]
             own -= np.dot(np.dot(own, by_sample), fields)
 
 

@@ -45,8 +45,8 @@ def covariance(A: Array, prior: Array, cells_A: Array, cells: Array, gradient: A
     by_patch = [(assemble(cells_A * only[k], P), assemble_scores(cells * only[k, :, 0], P)) for k in range(K)]
     candidates = []
     for clusters in (by_frame, by_patch):
-        meat = sum((np.outer(s, s) for s in _corrected_scores(A, clusters)), prior)
-        candidates.append((inverse @ meat @ inverse)[:P, :P])
+        score_covariance = sum((np.outer(s, s) for s in _corrected_scores(A, clusters)), prior)
+        candidates.append((inverse @ score_covariance @ inverse)[:P, :P])
     return max(candidates, key=lambda C: float(gradient @ C @ gradient))
 
 

@@ -45,15 +45,19 @@ class RigParameters:
         rig = self._offset_rig(offset)
         return replace(self.stated.scaled(rig.baseline / self.stated.rig.baseline), rig=rig)
 
-    def homography_jacobian(self, here: Trajectory, theta: Array, offset: Array, H: Array) -> Array:
+    def homography_jacobian(self, trajectory: Trajectory, theta: Array, offset: Array, H: Array) -> Array:
         """∂H/∂offset (views, 3, 3, Q) by finite differences; the motion stays, but the path scales with the baseline.
 
-        ``H`` (views, 3, 3) are the homographies of ``theta`` (n,) and the trajectory ``here`` at ``offset`` (Q,).
+        ``H`` (views, 3, 3) are the homographies of ``theta`` (n,) of ``trajectory`` at ``offset`` (Q,).
         """
         rigs = [self._offset_rig(further) for further in offset + DIFFERENCE_STEP * np.eye(len(offset))]
-        by_rig = np.moveaxis((here.homographies_by_rig(rigs, theta).reshape(-1, *H.shape) - H) / DIFFERENCE_STEP, 0, -1)
-        by_scale = (here.scaled(1.0 + DIFFERENCE_STEP).homographies(theta)[0].reshape(H.shape) - H) / DIFFERENCE_STEP
-        scaling = np.array([rig.baseline / here.rig.baseline - 1.0 for rig in rigs]) / DIFFERENCE_STEP
+        by_rig = np.moveaxis(
+            (trajectory.homographies_by_rig(rigs, theta).reshape(-1, *H.shape) - H) / DIFFERENCE_STEP, 0, -1
+        )
+        by_scale = (
+            trajectory.scaled(1.0 + DIFFERENCE_STEP).homographies(theta)[0].reshape(H.shape) - H
+        ) / DIFFERENCE_STEP
+        scaling = np.array([rig.baseline / trajectory.rig.baseline - 1.0 for rig in rigs]) / DIFFERENCE_STEP
         return np.asarray(by_rig + by_scale[..., None] * scaling)
 
     def _offset_rig(self, offset: Array) -> StereoRig:

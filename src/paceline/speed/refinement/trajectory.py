@@ -156,24 +156,24 @@ class Trajectory:
 
         Rotations (…, F, 2, 3, 3), translations (…, F, 2, 3), n (…, 3) and d (…).
         """
-        many = theta.reshape(-1, theta.shape[-1])
+        parameters = theta.reshape(-1, theta.shape[-1])
         shape = theta.shape[:-1]
-        start = self._ray * np.exp(many[:, :1])
-        depths, which = np.unique(many[:, 0], return_inverse=True)
-        s0 = np.array([self.path.nearest(self._ray * np.exp(depth)) for depth in depths])[which]
-        travelled = np.tensordot(many, self._distance_jacobian, (1, 2))
+        start = self._ray * np.exp(parameters[:, :1])
+        depths, inverse = np.unique(parameters[:, 0], return_inverse=True)
+        s0 = np.array([self.path.nearest(self._ray * np.exp(depth)) for depth in depths])[inverse]
+        travelled = np.tensordot(parameters, self._distance_jacobian, (1, 2))
         u = np.linspace(min(travelled.min(), 0.0) - 1.0, max(travelled.max(), 0.0) + 1.0, 97)
-        yaw, pitch = self.deviation.angles(many[:, len(PARAMETER_NAMES) :][:, : len(self.deviation.modes)], u)
-        yaw = yaw + many[:, PARAMETER_INDEX["curvature"], None] * u
+        yaw, pitch = self.deviation.angles(parameters[:, len(PARAMETER_NAMES) :][:, : len(self.deviation.modes)], u)
+        yaw = yaw + parameters[:, PARAMETER_INDEX["curvature"], None] * u
         F = self.path.frames(s0[:, None] + u)
         T = F[..., 0] + yaw[..., None] * F[..., 1] + pitch[..., None] * F[..., 2]
         tangent = CubicSpline(u, T / np.linalg.norm(T, axis=-1, keepdims=True), axis=1)
         place = tangent.antiderivative()
         roll = rotation_minimising_roll(level_frames(T))
-        first = np.zeros((len(many), 1))
-        here = rolled(level_frames(_evaluate_each(tangent, first)), _interpolate_each(u, roll, first))[:, 0]
-        there = rolled(level_frames(_evaluate_each(tangent, travelled)), _interpolate_each(u, roll, travelled))
-        R = there @ np.swapaxes(here, -1, -2)[:, None, None]
+        first = np.zeros((len(parameters), 1))
+        start_frame = rolled(level_frames(_evaluate_each(tangent, first)), _interpolate_each(u, roll, first))[:, 0]
+        frames = rolled(level_frames(_evaluate_each(tangent, travelled)), _interpolate_each(u, roll, travelled))
+        R = frames @ np.swapaxes(start_frame, -1, -2)[:, None, None]
         origin = start[:, None, None]
         t = (
             origin
@@ -181,8 +181,8 @@ class Trajectory:
             - _evaluate_each(place, first)[:, None]
             - (R @ origin[..., None])[..., 0]
         )
-        yaw, tilt = (many[:, PARAMETER_INDEX[name]] for name in ("normal_yaw", "normal_tilt"))
-        n = (here @ rotate_normal(self._normal_in_path_frame, yaw, tilt)[..., None])[..., 0]
+        yaw, tilt = (parameters[:, PARAMETER_INDEX[name]] for name in ("normal_yaw", "normal_tilt"))
+        n = (start_frame @ rotate_normal(self._normal_in_path_frame, yaw, tilt)[..., None])[..., 0]
         d = (n * start).sum(-1)
         return R.reshape(*shape, *R.shape[1:]), t.reshape(*shape, *t.shape[1:]), n.reshape(*shape, 3), d.reshape(shape)
 

@@ -42,10 +42,10 @@ def house(rng: np.random.Generator) -> list[NamedMesh]:
     panes, frames = [], []
     count = int(length / rng.uniform(2.2, 3.2))
     for storey in range(storeys):
-        for at in (np.arange(count) + 0.5) / count * (length - 1) - (length - 1) / 2:
+        for window_x in (np.arange(count) + 0.5) / count * (length - 1) - (length - 1) / 2:
             z = 2.9 * storey + 1.6
-            panes += [[[at - 0.5, s * (y + 0.01), z]] for s in (-1, 1)]
-            frames += [[at, s * (y + 0.0), z - 0.78] for s in (-1, 1)]
+            panes += [[[window_x - 0.5, s * (y + 0.01), z]] for s in (-1, 1)]
+            frames += [[window_x, s * (y + 0.0), z - 0.78] for s in (-1, 1)]
     centers = np.array(panes).reshape(-1, 3) + [0.5, 0, 0]
     glass = boxes(np.tile([1.0, 0.06, 1.4], (len(centers), 1)), centers)
     bars = boxes(np.tile([0.06, 0.1, 1.4], (len(centers), 1)), centers)

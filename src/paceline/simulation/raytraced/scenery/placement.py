@@ -74,8 +74,8 @@ class _Placer:
 
     def __init__(self, road: Road, spec: Scenery, start: float, end: float) -> None:
         self.road, self.start, self.end = road, start, end
-        at = [(road.frame(s, lateral)[0], radius) for s, lateral, radius in spec.clear]
-        self.clear = np.array([[*p[:2], r] for p, r in at]).reshape(-1, 3)
+        clearings = [(road.frame(s, lateral)[0], radius) for s, lateral, radius in spec.clear]
+        self.clear = np.array([[*p[:2], r] for p, r in clearings]).reshape(-1, 3)
         self._axis = road.frame(np.arange(start, end, 2.0))[0][:, :2]
 
     def is_beside(self, s: float, lateral: float) -> bool:
@@ -83,17 +83,17 @@ class _Placer:
         point = self.road.frame(s, lateral)[0][:2]
         return bool(np.linalg.norm(self._axis - point, axis=1).min() > 0.8 * abs(lateral))
 
-    def stations(self, rng: Generator, spacing: float, chance: float) -> Array:
-        """Arc lengths about ``spacing`` apart, each there with the given ``chance``."""
+    def stations(self, rng: Generator, spacing: float, probability: float) -> Array:
+        """Arc lengths about ``spacing`` apart, each there with the given ``probability``."""
         s = np.arange(self.start, self.end, spacing)
         s = s + rng.uniform(0, spacing, len(s))
-        return s[(rng.random(len(s)) < chance) & (s < self.end)]
+        return s[(rng.random(len(s)) < probability) & (s < self.end)]
 
     def stretches(self, lateral: float, start: float, end: float) -> list[tuple[float, float]]:
         """The parts, 5 m long at least, of the line at ``lateral`` that lie in no clear circle."""
         s = np.linspace(start, end, int(end - start) + 2)
-        away = np.linalg.norm(self.road.frame(s, lateral)[0][:, None, :2] - self.clear[:, :2], axis=2)
-        free = s[(away > self.clear[:, 2] + 1.0).all(1)]
+        distance = np.linalg.norm(self.road.frame(s, lateral)[0][:, None, :2] - self.clear[:, :2], axis=2)
+        free = s[(distance > self.clear[:, 2] + 1.0).all(1)]
         parts = np.split(free, np.flatnonzero(np.diff(free) > 1.5) + 1)
         return [(float(p[0]), float(p[-1])) for p in parts if len(p) and p[-1] - p[0] >= 5.0]
 
@@ -103,14 +103,14 @@ class _Placer:
         """Parts moved to a place; their x along the road, turned by ``turn``, their y away from it. Nothing where a
         clear circle is nearer than ``room`` metres."""
         point, axes = self.road.frame(s, lateral)
-        away = np.hypot(*(self.clear[:, :2] - point[:2]).T) - self.clear[:, 2]
-        if (away < room).any():
+        clearance = np.hypot(*(self.clear[:, :2] - point[:2]).T) - self.clear[:, 2]
+        if (clearance < room).any():
             return []
-        out = abs(lateral) - self.road.half_width
+        off_road = abs(lateral) - self.road.half_width
         forward = axes[:2, 0] if lateral < 0 else -axes[:2, 0]
         angle = np.arctan2(forward[1], forward[0]) + turn
         c, k = np.cos(angle), np.sin(angle)
-        down = VERGE_DROP_M * np.clip(out / VERGE_WIDTH_M, 0, 1)
+        down = VERGE_DROP_M * np.clip(off_road / VERGE_WIDTH_M, 0, 1)
         R = np.array([[c, -k, 0], [k, c, 0], [0, 0, 1.0]])
         return [(name, mesh.transformed(point - [0, 0, down], R)) for name, mesh in named]
 
@@ -130,9 +130,9 @@ def _place_trees(rng: Generator, place: _Placer, density: float) -> list[NamedMe
         (far, 9.0, min(1.0, 0.3 + density), (60.0, 120.0), 6.0),
     ]
     result: list[NamedMesh] = []
-    for kinds, spacing, chance, (inner, outer), room in rows:
+    for kinds, spacing, probability, (inner, outer), room in rows:
         for side in (-1, 1):
-            for s in place.stations(rng, spacing, chance):
+            for s in place.stations(rng, spacing, probability):
                 kind = kinds[rng.integers(len(kinds))]
                 lateral = side * (edge + rng.uniform(inner, outer))
                 turn = rng.uniform(0, 2 * np.pi)
@@ -143,18 +143,18 @@ def _place_trees(rng: Generator, place: _Placer, density: float) -> list[NamedMe
 
 def _place_poles(rng: Generator, place: _Placer, density: float) -> list[NamedMesh]:
     """Lamp posts or utility poles in a row on one side, signs and markers on both."""
-    side = int(rng.choice([-1, 1]))
+    pole_side = int(rng.choice([-1, 1]))
     make: Callable[[Generator], list[NamedMesh]] = posts.lamp_post if rng.random() < 0.5 else posts.utility_pole
     pole, edge = make(rng), place.road.half_width
     result: list[NamedMesh] = []
     for s in np.arange(place.start + rng.uniform(0, 30), place.end, 30.0):
         if rng.random() < density:
-            result += place.put(pole, float(s), side * (edge + 1.2), 0.0, 0.3)
-    for where in (-1, 1):
+            result += place.put(pole, float(s), pole_side * (edge + 1.2), 0.0, 0.3)
+    for side in (-1, 1):
         for s in place.stations(rng, 45.0, density):
-            result += place.put(posts.sign(rng), float(s), where * (edge + 1.6), 0.0, 0.8)
+            result += place.put(posts.sign(rng), float(s), side * (edge + 1.6), 0.0, 0.8)
         for s in np.arange(place.start + 5, place.end, 25.0) if density > 0 else ():
-            result += place.put(posts.marker(rng), float(s), where * (edge + 0.6), np.pi / 2, 0.1)
+            result += place.put(posts.marker(rng), float(s), side * (edge + 0.6), np.pi / 2, 0.1)
     return result
 
 

@@ -35,13 +35,13 @@ def leaves(rng: np.random.Generator, centers: Array, spread: Array, count: int, 
     n = len(centers) * count
     offset = rng.normal(size=(len(centers), count, 3)) * [1, 1, 0.7]
     offset *= (spread[:, None] / np.maximum(1.0, np.linalg.norm(offset, axis=-1) / 1.6))[..., None]
-    where = (centers[:, None] + offset).reshape(-1, 3)
+    positions = (centers[:, None] + offset).reshape(-1, 3)
     along = rng.normal(size=(n, 3)) * [1, 1, 0.6]
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     across = np.cross(along, rng.normal(size=(n, 3)))
     across /= np.linalg.norm(across, axis=1, keepdims=True)
     length = size * rng.uniform(0.7, 1.3, (n, 1))
-    vertices = where[:, None] + length[:, None] * np.stack([-along / 2, 0.6 * across, along / 2], 1)
+    vertices = positions[:, None] + length[:, None] * np.stack([-along / 2, 0.6 * across, along / 2], 1)
     triangles = np.arange(3 * n).reshape(n, 3)
     rim = np.linalg.norm(offset.reshape(-1, 3), axis=1) / np.repeat(spread, count) / 1.6
     shade = np.clip((PALETTE - 1) * (0.25 + 0.5 * rim) + rng.normal(0, 2.5, n), 0, PALETTE - 1)

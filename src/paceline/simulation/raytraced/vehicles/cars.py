@@ -111,8 +111,8 @@ def _front_features(
     for y in np.linspace(inner + 1.2 * size, outer - 1.6 * size, 2 if outer - inner > 4 * size else 1):
         center = b.points(b.across(float(y), "front"), z, -0.015)
         draft.add(parts.round_lamp(center, size, "front"))
-    at = b.points(0.0, 0.435, 0.02)
-    draft.meshes += parts.number_plate("front", at)
+    plate_center = b.points(0.0, 0.435, 0.02)
+    draft.meshes += parts.number_plate("front", plate_center)
     for height in (z0, z1):
         draft.level("front", b, grille, height)
     draft.level("front", b, 0.26, 0.435 + 0.057)
@@ -175,7 +175,7 @@ def _side_parts(f: HullShape, b: BodyBand, post: float) -> list[NamedMesh]:
     x = f.cowl[0] - f.wrap - 0.12
     base = b.points(b.at(x), f.lip)
     result = parts.mirror(base + [0.02, 0.13, 0.06], 1.0, "paint")
-    for at in (post + 0.16, post - 0.78):
-        p = b.points(b.at(at), f.lip - 0.06)
+    for handle_x in (post + 0.16, post - 0.78):
+        p = b.points(b.at(handle_x), f.lip - 0.06)
         result.append(("paint", box([0.17, 0.035, 0.03], p + [0, 0.01, 0])))
     return result

@@ -86,9 +86,9 @@ def hull_band(form: HullShape) -> BodyBand:
     )
 
     def lower(x: Array) -> Array:
-        away = np.min([np.abs(x - axle) for axle in f.axles], axis=0)
-        round_wheel = f.axle_height + np.sqrt(np.maximum(f.arch**2 - away**2, 0))
-        return np.where(away < f.arch, round_wheel, f.low)
+        distance = np.min([np.abs(x - axle) for axle in f.axles], axis=0)
+        round_wheel = f.axle_height + np.sqrt(np.maximum(f.arch**2 - distance**2, 0))
+        return np.where(distance < f.arch, round_wheel, f.low)
 
     rows = BandRows(f.low, f.lip, (min(f.axle_height + f.arch + 0.05, f.lip), f.knee), lower, upper)
     section = interpolate([(rows.nominal(z, f.belt), wide) for z, wide in f.section])

@@ -80,9 +80,9 @@ def _face(
         low = z0 + k * tall
         features.append(PanelFeature("dark", (0, q), (low, low + 0.6 * tall), -0.05, 0.01))
     inner, outer = 0.55 * w, 0.93 * w
-    at = {y: b.across(y, "front") for y in (inner, outer)}
+    q_at = {y: b.across(y, "front") for y in (inner, outer)}
     z = bumper - 0.22, bumper - 0.04
-    features.append(PanelFeature("housing", (at[inner], at[outer]), z, -0.04, 0.012))
+    features.append(PanelFeature("housing", (q_at[inner], q_at[outer]), z, -0.04, 0.012))
     for y in (inner + 0.12, outer - 0.13):
         draft.add(parts.round_lamp(b.points(b.across(y, "front"), sum(z) / 2, -0.012), 0.075, "front"))
     draft.meshes += parts.number_plate("front", b.points(0.0, bumper - 0.15, 0.015))
@@ -91,7 +91,7 @@ def _face(
     draft.level("front", b, 0.9 * w, bumper - 0.02)
     draft.level("front", b, 0.85 * w, f.lip)
     for y in (inner, outer):
-        draft.edge("front", b.points(at[y], z[0]), b.points(at[y], z[1]))
+        draft.edge("front", b.points(q_at[y], z[0]), b.points(q_at[y], z[1]))
     draft.outlined["front"] = 2 * outer, 0.5, f.lip
     return features
 
@@ -112,13 +112,13 @@ def _load(rng: np.random.Generator, draft: VehicleDraft, x1: float, x0: float, h
     named.append(("housing", boxes(rails, places)))
     x = x0 - 0.012
     across = [[0.03, 2 * half, frame], [0.03, 2 * half, frame], [0.03, frame, tall], [0.03, frame, tall]]
-    at = [
+    centers = [
         [x, 0, low + frame / 2],
         [x, 0, top - frame / 2],
         [x, half - frame / 2, (low + top) / 2],
         [x, frame / 2 - half, (low + top) / 2],
     ]
-    named.append(("housing", boxes(across, at)))
+    named.append(("housing", boxes(across, centers)))
     named.append(("seam", box([0.01, 0.02, tall - 2 * frame], [x0 - 0.004, 0, (low + top) / 2])))
     for y in sorted(rng.uniform(0.12, 0.75, int(rng.integers(1, 3))) * half):
         rod = tube([[x0 - 0.035, y, low - 0.02], [x0 - 0.035, y, top - 0.02]], 0.017, 8)

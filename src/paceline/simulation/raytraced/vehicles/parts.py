@@ -24,20 +24,20 @@ Z_TO_Y = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # turns a z axis to y
 def number_plate(end: str, center: ArrayLike, width: float = 0.52, height: float = 0.114) -> list[NamedMesh]:
     """A number plate at ``center`` (3,), facing its end, on a dark holder."""
     x, y, z = np.asarray(center, float)
-    out = 1.0 if end == "front" else -1.0
-    a, b = out * width / 2, height / 2
+    outward = 1.0 if end == "front" else -1.0
+    a, b = outward * width / 2, height / 2
     face = quads([[[x, y - a, z + b], [x, y + a, z + b], [x, y + a, z - b], [x, y - a, z - b]]])
-    holder = box([0.012, width + 0.02, height + 0.02], [x - out * 0.007, y, z])
+    holder = box([0.012, width + 0.02, height + 0.02], [x - outward * 0.007, y, z])
     return [(f"{end} plate", face), ("plastic", holder)]
 
 
 def round_lamp(center: ArrayLike, radius: float, end: str) -> list[NamedMesh]:
     """A round lamp's reflector ring with a ball of glass in it, facing an end."""
-    out = 1.0 if end == "front" else -1.0
+    outward = 1.0 if end == "front" else -1.0
     ring = revolve(
         [[radius, -0.03], [radius, 0.0], [0.86 * radius, 0.006], [0.7 * radius, -0.02], [0.05 * radius, -0.03]], 20
     )
-    facing = np.array([[0, 0, out], [0, out, 0], [-1, 0, 0.0]])
+    facing = np.array([[0, 0, outward], [0, outward, 0], [-1, 0, 0.0]])
     ball = ellipsoid([0, 0, -0.012], [0.6 * radius, 0.6 * radius, 0.022], 6, 14)
     return [("chrome", ring.transformed(center, facing)), ("glass", ball.transformed(center, facing))]
 

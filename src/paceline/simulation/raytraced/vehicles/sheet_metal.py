@@ -135,14 +135,14 @@ class BodyBand:
         """Points (..., 3) at q and nominal height z, ``out`` m outside the wall."""
         q, z, out = np.broadcast_arrays(np.asarray(q, float), np.asarray(z, float), np.asarray(out, float))
         e = 0.02  # m to both sides, for the direction of the outline
-        before, at, after = (
+        before, position, after = (
             np.stack([np.interp(q + d, self.q, self.outline[:, k]) for k in (0, 1)]) for d in (-e, 0, e)
         )
         dx, dy = after - before
         ends = (q < e) | (q > self.length - e)  # where the outline crosses the middle, straight across
         normal_x = np.where(ends, np.sign(dy), dy / np.hypot(dx, dy))
         normal_y = np.where(ends, 0.0, -dx / np.hypot(dx, dy))
-        x, y = at
+        x, y = position
         ahead, behind = ((x - self.outline[0, 0]) / 0.5 + 1.5, (self.outline[-1, 0] - x) / 0.5 + 1.5)
         moved = _smoothstep(ahead) * self.front(z) - _smoothstep(behind) * self.rear(z)
         return np.stack([x + moved + out * normal_x, y * self.section(z) + out * normal_y, self.rows.true(x, z)], -1)
@@ -171,8 +171,8 @@ class BodyBand:
             within = (f.q[0] + inset <= Q) & (f.q[1] - inset >= Q) & (f.z[0] + inset <= Z) & (f.z[1] - inset >= Z)
             depth[within] = f.depth
             kind[(f.q[0] < mid_q) & (mid_q < f.q[1]) & (f.z[0] < mid_z) & (mid_z < f.z[1])] = k
-        whole = sheet(self.points(Q, Z, depth))
-        return split_by_kind(whole, kind, [name, *(f.name for f in features)])
+        wall_mesh = sheet(self.points(Q, Z, depth))
+        return split_by_kind(wall_mesh, kind, [name, *(f.name for f in features)])
 
 
 def split_by_kind(mesh: Mesh, kind: Indices, names: Sequence[str]) -> list[NamedMesh]:

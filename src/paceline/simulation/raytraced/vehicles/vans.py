@@ -82,30 +82,30 @@ def _van_front_features(
     w, z0, z1 = f.half, bumper + 0.04, f.lip - 0.08
     inner, outer = rng.uniform(0.56, 0.62) * w, rng.uniform(0.92, 0.97) * w
     grille = inner - rng.uniform(0.03, 0.1)
-    at = {y: b.across(y, "front") for y in (grille, inner, outer)}
+    q_at = {y: b.across(y, "front") for y in (grille, inner, outer)}
     features = [PanelFeature("paint", (0, b.length), (bumper + 0.01, f.lip))]
-    features.append(PanelFeature("dark", (0, at[grille]), (z0, z1), -0.05, 0.01))
+    features.append(PanelFeature("dark", (0, q_at[grille]), (z0, z1), -0.05, 0.01))
     bars = int(rng.integers(3, 5))
     for k in range(bars):
         z = z0 + (k + 0.5) / bars * (z1 - z0)
         name = "chrome" if rng.random() < 0.3 else "plastic"
-        features.append(PanelFeature(name, (0, at[grille] - 0.01), (z - 0.014, z + 0.014), 0.004, 0.005))
-    features.append(PanelFeature("housing", (at[inner], at[outer]), (z0, z1 + 0.05), -0.03, 0.012))
+        features.append(PanelFeature(name, (0, q_at[grille] - 0.01), (z - 0.014, z + 0.014), 0.004, 0.005))
+    features.append(PanelFeature("housing", (q_at[inner], q_at[outer]), (z0, z1 + 0.05), -0.03, 0.012))
     features.append(PanelFeature("dark", (0, b.across(0.6 * w, "front")), (0.33, 0.42), -0.06, 0.012))
     size = 0.3 * (z1 + 0.05 - z0)
     draft.add(
         parts.round_lamp(b.points(b.across(inner + 1.25 * size, "front"), (z0 + z1 + 0.05) / 2, -0.012), size, "front")
     )
     low = b.across(outer - 0.09, "front")
-    features.append(PanelFeature("amber", (low, at[outer] - 0.012), (z0 + 0.02, z1 + 0.03), -0.015, 0.005))
+    features.append(PanelFeature("amber", (low, q_at[outer] - 0.012), (z0 + 0.02, z1 + 0.03), -0.015, 0.005))
     draft.meshes += parts.number_plate("front", b.points(0.0, 0.49, 0.015))
     for z in (z0, z1):
         draft.level("front", b, grille, z)
     for z in (0.49 - 0.057, 0.49 + 0.057):
         draft.level("front", b, 0.26, z)
     draft.level("front", b, 0.8 * w, bumper)
-    draft.edge("front", b.points(at[inner], z0), b.points(at[inner], z1 + 0.05))
-    draft.edge("front", b.points(at[outer], z0), b.points(at[outer], z1 + 0.05))
+    draft.edge("front", b.points(q_at[inner], z0), b.points(q_at[inner], z1 + 0.05))
+    draft.edge("front", b.points(q_at[outer], z0), b.points(q_at[outer], z1 + 0.05))
     draft.outlined["front"] = 2 * outer, 0.38, f.lip
     return features
 
@@ -213,13 +213,13 @@ def _bus_front_features(
     w, z0, z1 = f.half, bumper + 0.05, f.lip - 0.12
     grille = rng.uniform(0.3, 0.5) * w
     inner, outer = 0.62 * w, 0.95 * w
-    at = {y: b.across(y, "front") for y in (grille, inner, outer)}
+    q_at = {y: b.across(y, "front") for y in (grille, inner, outer)}
     features = [PanelFeature("paint", (0, b.length), (bumper, f.lip))]
     for k in range(int(rng.integers(2, 5))):
         z = z1 - 0.07 * k
         if z - 0.045 > z0:
-            features.append(PanelFeature("dark", (0, at[grille]), (z - 0.04, z), -0.03, 0.006))
-    features.append(PanelFeature("housing", (at[inner], at[outer]), (z0, min(z0 + 0.22, z1 + 0.05)), -0.035, 0.012))
+            features.append(PanelFeature("dark", (0, q_at[grille]), (z - 0.04, z), -0.03, 0.006))
+    features.append(PanelFeature("housing", (q_at[inner], q_at[outer]), (z0, min(z0 + 0.22, z1 + 0.05)), -0.035, 0.012))
     for y in (inner + 0.13, outer - 0.13):
         draft.add(
             parts.round_lamp(
@@ -232,7 +232,7 @@ def _bus_front_features(
     draft.level("front", b, 0.9 * w, bumper - 0.02)
     draft.level("front", b, 0.85 * w, f.lip)
     for y in (inner, outer):
-        draft.edge("front", b.points(at[y], z0), b.points(at[y], z0 + 0.2))
+        draft.edge("front", b.points(q_at[y], z0), b.points(q_at[y], z0 + 0.2))
     for z in (bumper - 0.167, bumper - 0.053):
         draft.level("front", b, 0.26, z)
     draft.outlined["front"] = 2 * outer, 0.4, f.lip

@@ -203,23 +203,23 @@ class CudaDevice:
         self.commands = self._command_buffer.host[: commands.size].reshape(commands.shape)
         self.commands[:] = commands
 
-    def enqueue(self, particle_set: CudaParticleSet, what: int) -> None:
-        """Enqueue the command ``what`` for ``particle_set``, after those already enqueued."""
-        if self._added or self._to_weight or self.commands[particle_set.slot, what : layout.KALMAN_UPDATE + 1].any():
+    def enqueue(self, particle_set: CudaParticleSet, command: int) -> None:
+        """Enqueue the command ``command`` for ``particle_set``, after those already enqueued."""
+        if self._added or self._to_weight or self.commands[particle_set.slot, command : layout.KALMAN_UPDATE + 1].any():
             self.execute()
-        self.commands[particle_set.slot, what] = self.commands[particle_set.slot, layout.PREPARE] = 1
+        self.commands[particle_set.slot, command] = self.commands[particle_set.slot, layout.PREPARE] = 1
         self._pending, self._host_copy, particle_set.moments = True, None, None
 
     def store_noise(self, noise: Array) -> int:
         """Append ``noise`` to the command buffer; returns its index."""
-        where = self.commands.size + self._noise
-        if where + noise.size > self._command_buffer.host.size:
+        offset = self.commands.size + self._noise
+        if offset + noise.size > self._command_buffer.host.size:
             before = self._command_buffer.host
-            self._allocate_commands(self.commands, 2 * (where + noise.size))
-            self._command_buffer.host[:where] = before[:where]
-        self._command_buffer.host[where : where + noise.size] = noise.reshape(-1)
+            self._allocate_commands(self.commands, 2 * (offset + noise.size))
+            self._command_buffer.host[:offset] = before[:offset]
+        self._command_buffer.host[offset : offset + noise.size] = noise.reshape(-1)
         self._noise += noise.size
-        return where
+        return offset
 
     # --- launches ----------------------------------------------------------------------------------------------------
 

@@ -68,7 +68,7 @@ def _set_plane_normal(rows, q, normal):
 def _ensemble_kalman_update(rows, q, p, command_buffer, command, rig, knots):
     """`motion_models.ensemble_kalman_update`, with the motion's ``after_shift``: the ensemble Kalman step."""
     noise = cuda.local.array(3, np.float64)
-    off, shift = cuda.local.array(3, np.float64), cuda.local.array(3, np.float64)
+    innovation, shift = cuda.local.array(3, np.float64), cuda.local.array(3, np.float64)
     change, dR = cuda.local.array(3, np.float64), cuda.local.array((3, 3), np.float64)
     place, factor, gain = (
         command[layout.KALMAN_STEP : layout.KALMAN_STEP + 3],
@@ -78,10 +78,12 @@ def _ensemble_kalman_update(rows, q, p, command_buffer, command, rig, knots):
     draw(command_buffer, command, layout.MEASUREMENT_NOISE, 3, p, noise, 0)
     for i in range(3):
         perturbation = factor[3 * i] * noise[0] + factor[3 * i + 1] * noise[1] + factor[3 * i + 2] * noise[2]
-        off[i] = place[i] + perturbation - rows[layout.CENTRE + i, q]
+        innovation[i] = place[i] + perturbation - rows[layout.CENTRE + i, q]
     for i in range(3):
-        shift[i] = gain[3 * i] * off[0] + gain[3 * i + 1] * off[1] + gain[3 * i + 2] * off[2]
-        change[i] = gain[9 + 3 * i] * off[0] + gain[10 + 3 * i] * off[1] + gain[11 + 3 * i] * off[2]
+        shift[i] = gain[3 * i] * innovation[0] + gain[3 * i + 1] * innovation[1] + gain[3 * i + 2] * innovation[2]
+        change[i] = (
+            gain[9 + 3 * i] * innovation[0] + gain[10 + 3 * i] * innovation[1] + gain[11 + 3 * i] * innovation[2]
+        )
     if command[layout.IS_FREE] != 0.0:
         for i in range(3):
             rows[layout.VELOCITY + i, q] += change[i]
@@ -141,11 +143,11 @@ def download(pool, command_buffer, host):
     command = command_buffer[v * layout.COMMAND : (v + 1) * layout.COMMAND]
     if p >= int(command[layout.COUNT]):
         return
-    rows, q, to = (
+    rows, q, column = (
         pool[int(command[layout.HALF_AFTER])],
         int(command[layout.FIRST]) + p,
         int(command[layout.HOST_COLUMN]) + p,
     )
     for i in range(layout.STATE):
-        host[i, to] = rows[i, q]
-    host[layout.STATE, to] = rows[layout.LOG_WEIGHT, q]
+        host[i, column] = rows[i, q]
+    host[layout.STATE, column] = rows[layout.LOG_WEIGHT, q]

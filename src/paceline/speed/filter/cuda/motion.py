@@ -130,12 +130,12 @@ def identity(dR):
 @cuda.jit(device=True)
 def draw(command_buffer, command, kind, k, p, out, first):
     """``k`` numbers of a ``kind`` of noise for particle ``p``, into ``out`` from the ``first`` on."""
-    where, sigma = int(command[layout.NOISE + 2 * kind]), command[layout.NOISE + 2 * kind + 1]
-    if where < 0:
-        counter_normals(command[layout.KEY : layout.KEY + 4], -1 - where, sigma, p, k, out, first)
+    source, sigma = int(command[layout.NOISE + 2 * kind]), command[layout.NOISE + 2 * kind + 1]
+    if source < 0:
+        counter_normals(command[layout.KEY : layout.KEY + 4], -1 - source, sigma, p, k, out, first)
     else:
         for i in range(k):
-            out[first + i] = command_buffer[where + p * k + i]
+            out[first + i] = command_buffer[source + p * k + i]
 
 
 # --- along a path --------------------------------------------------------------------------------------------------
@@ -224,8 +224,8 @@ def propagate_along_path(rows, q, p, command_buffer, command, rig, knots):
     for i in range(3):
         ahead += (end[i] - start[i]) * F[i, 0]
     for i in range(3):
-        aside = F[i, 1] * rows[layout.HEADING, q] + F[i, 2] * rows[layout.HEADING + 1, q]
-        shift[i] = end[i] - start[i] + ahead * aside
+        offset = F[i, 1] * rows[layout.HEADING, q] + F[i, 2] * rows[layout.HEADING + 1, q]
+        shift[i] = end[i] - start[i] + ahead * offset
     identity(dR)
     if turns:
         frame(knots, s, after)

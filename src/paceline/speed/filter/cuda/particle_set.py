@@ -52,7 +52,7 @@ class Device(Protocol):
 
     commands: Array  # (slots, COMMAND)
 
-    def enqueue(self, particle_set: CudaParticleSet, what: int) -> None: ...
+    def enqueue(self, particle_set: CudaParticleSet, command: int) -> None: ...
 
     def store_noise(self, noise: Array) -> int: ...
 
@@ -125,11 +125,11 @@ class CudaParticleSet:
         """Request normal numbers, ``k`` for each particle, the same as ``rng`` draws on the CPU."""
         if isinstance(rng, CounterGenerator):
             self._command[layout.KEY : layout.KEY + 4] = rng.key_words
-            where = -1 - rng.calls
+            offset = -1 - rng.calls
             rng.calls += 1
         else:
-            where = self.device.store_noise(rng.normal(0.0, sigma, (self._N, k)))
-        self._command[layout.NOISE + 2 * draw : layout.NOISE + 2 * draw + 2] = where, sigma
+            offset = self.device.store_noise(rng.normal(0.0, sigma, (self._N, k)))
+        self._command[layout.NOISE + 2 * draw : layout.NOISE + 2 * draw + 2] = offset, sigma
 
     def weight(self, model: ObservationModel, views: Views) -> None:
         self.device.weight(self, model, views)

@@ -254,10 +254,10 @@ def cumulate_weights(pool, command_buffer, shares):
     for p in range(first, last):
         total += rows[layout.WEIGHT, begin + p]
         rows[layout.CUMULATIVE_WEIGHT, begin + p] = total if p < N - 1 else 1.0
-        then = _points_below(total, u, N) if p < N - 1 else float(N)
-        yaw += (then - below) * rows[layout.HEADING, begin + p]
-        pitch += (then - below) * rows[layout.HEADING + 1, begin + p]
-        below = then
+        end = _points_below(total, u, N) if p < N - 1 else float(N)
+        yaw += (end - below) * rows[layout.HEADING, begin + p]
+        pitch += (end - below) * rows[layout.HEADING + 1, begin + p]
+        below = end
     yaw = _block_sum(yaw, scratch)
     pitch = _block_sum(pitch, scratch)
     if t == 0:
