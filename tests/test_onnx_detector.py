@@ -495,7 +495,7 @@ def test_live_with_a_detector_needs_no_background(tmp_path: Path) -> None:
     model = contrast(tmp_path / "model.onnx", 300.0)
     done = paceline("speed", file, "-o", out, "--live", "--detector", model)
     assert done.returncode == 0, done.stderr
-    assert "learning" not in done.stdout and "2 of 2 vehicles measured" in done.stdout
+    assert "estimating" not in done.stdout and "2 of 2 vehicles measured" in done.stdout
     summary = summary_of(out)
     speeds = sorted(v["speed_mps"] for v in summary["vehicles"])
     assert speeds == pytest.approx([13.0 * 2 / 5, 16.0 * 2 / 5], abs=0.1)  # m/s, at two frames a second instead of five

@@ -159,8 +159,8 @@ def _measure_live(
         raise UnusableInput(
             "--background-seconds: no background is needed with --detector along given paths; leave it out"
         )
-    learning = 0.0 if at_once else settings.learn
-    return measure_live(document, out, settings.configuration, unit, learning, quiet, detector)
+    background_s = 0.0 if at_once else settings.learn
+    return measure_live(document, out, settings.configuration, unit, background_s, quiet, detector)
 
 
 def _unit(text: str) -> SpeedUnit:

@@ -35,7 +35,7 @@ def measure_live(
     quiet: bool,
     detector: Path | None = None,
 ) -> int:
-    """Measure every vehicle that passes, until the sources end or Ctrl-C; a line and a row for each."""
+    """Measures every vehicle that passes, until the sources end or Ctrl-C; prints a line and writes a row for each."""
     import cv2
 
     from paceline.detection.onnx_detector import OnnxDetector
@@ -61,38 +61,38 @@ def measure_live(
     results = LiveResults(
         out, {"clip": str(clip.path), "configuration": settings, "versions": package_versions}, unit, max_pictures
     )
-    looking = _Looking(clip.rig, background_s)
+    live_progress = _LiveProgress(clip.rig, background_s)
 
-    def say(text: str) -> None:
+    def print_line(text: str) -> None:
         if not quiet:
             print(text, flush=True)
 
     def on_result(found: DetectedVehicle, measurement: Measurement | None, reason: Message) -> None:
-        seen_at = looking.time_of_day(found.times[0])
+        seen_at = live_progress.time_of_day(found.times[0])
         if measurement is not None:
             results.add(measurement, found, seen_at)
         else:
             results.add_unmeasured(found, seen_at, reason)
-        say(_line(found, measurement, reason, unit))
+        print_line(_format_vehicle(found, measurement, reason, unit))
 
     def on_frame(pair: RawPair, tracks: list[DetectionTrack]) -> None:
         results.save()
-        looking.looked(pair, tracks)
+        live_progress.report_pair(pair, tracks)
 
-    def ready(paths: int) -> None:
-        looking.has_learned()
+    def on_ready(paths: int) -> None:
+        live_progress.end_background()
         results.begin()
-        say(f"{paths} {'path' if paths == 1 else 'paths'}; measuring until Ctrl-C")
+        print_line(f"{paths} {'path' if paths == 1 else 'paths'}; measuring until Ctrl-C")
 
     if not at_once:
-        say(f"learning the empty road for {background_s:g} s")
+        print_line(f"estimating the background for {background_s:g} s")
     with results:
         with ended_by_interrupt(views.stop):
             try:
-                no_vehicle = survey(clip, views, configuration, on_result, background_s, ready, on_frame, detect)
+                no_vehicle = survey(clip, views, configuration, on_result, background_s, on_ready, on_frame, detect)
             except BrokenExecutor as error:
-                killed = "the process that measures was killed; is there memory enough?"
-                raise UnusableInput(f"{clip.path}: {killed}") from error
+                problem = "the process that measures was killed; is there memory enough?"
+                raise UnusableInput(f"{clip.path}: {problem}") from error
         results.notices += views.notices
         if detect is not None and not (results.vehicles or results.unmeasured):
             results.notices.append(no_vehicle.after("no vehicle was found"))
@@ -101,57 +101,58 @@ def measure_live(
     for notice in results.notices:
         print(f"note: {notice}", file=sys.stderr)
     measured = sum(vehicle["verdict"] == "measured" for vehicle in results.vehicles)
-    say(f"{measured} of {len(results.vehicles)} vehicles measured; report: {out / 'report.html'}")
+    print_line(f"{measured} of {len(results.vehicles)} vehicles measured; report: {out / 'report.html'}")
     return DONE if measured else NOTHING_MEASURED
 
 
 @dataclass
-class _Looking:
-    """What goes on while the cameras are looked at: what is told of it, and what time of day it is."""
+class _LiveProgress:
+    """Reports the progress of a live measurement, and converts the cameras' clock to the time of day."""
 
     rig: StereoRig
-    learning: float  # s
-    _begun: float | None = None  # s, by the cameras' clock
-    _learned: bool = False
-    _ahead: float = field(default_factory=time.time)  # s, of the time of day over the cameras' clock
+    background_s: float
+    _first_time: float | None = None  # s, by the cameras' clock
+    _background_estimated: bool = False
+    _clock_offset: float = field(default_factory=time.time)  # s, of the time of day from the cameras' clock
 
     def __post_init__(self) -> None:
-        self._tell = live_line_writer(self.rig)
+        self._write_line = live_line_writer(self.rig)
 
-    def looked(self, pair: RawPair, tracks: list[DetectionTrack]) -> None:
-        """Note that a ``pair`` has been looked through, with these ``tracks`` in view."""
-        self._ahead = time.time() - pair.time
-        if self._tell is None:
+    def report_pair(self, pair: RawPair, tracks: list[DetectionTrack]) -> None:
+        """Reports that a ``pair`` has been processed, with these ``tracks`` in view."""
+        self._clock_offset = time.time() - pair.time
+        if self._write_line is None:
             return
-        if self._begun is None:
-            self._begun = pair.time
-        if self._tell(pair, tracks) and not self._learned:
-            write_progress("learning", int(pair.time - self._begun), int(self.learning))
+        if self._first_time is None:
+            self._first_time = pair.time
+        if self._write_line(pair, tracks) and not self._background_estimated:
+            write_progress("learning", int(pair.time - self._first_time), int(self.background_s))
 
-    def has_learned(self) -> None:
-        self._learned = True
-        if self._tell is not None:
+    def end_background(self) -> None:
+        """Reports that the background is estimated and the measurement begins."""
+        self._background_estimated = True
+        if self._write_line is not None:
             write_progress("measuring", 0, None)
 
     def time_of_day(self, moment: float) -> str:
-        """When a ``moment`` of the cameras' clock was, s, where they are played or come without delay."""
-        return datetime.fromtimestamp(self._ahead + moment).astimezone().isoformat(timespec="seconds")
+        """The time of day at ``moment`` (s) of the cameras' clock, if they deliver frames without delay."""
+        return datetime.fromtimestamp(self._clock_offset + moment).astimezone().isoformat(timespec="seconds")
 
 
-def _line(found: DetectedVehicle, measurement: Measurement | None, reason: Message, unit: SpeedUnit) -> str:
-    """What is shown of a vehicle that has passed."""
+def _format_vehicle(found: DetectedVehicle, measurement: Measurement | None, reason: Message, unit: SpeedUnit) -> str:
+    """The printed line of a vehicle that has passed."""
     from paceline.reports.common.formatting import NO_VALUE, format_speed, format_verdict, rejected_advice
 
     name = found.vehicle.id if found.vehicle is not None else NO_VALUE
-    when = f"{time.strftime('%H:%M:%S')}  {name:<5} {found.path:<8}"
+    prefix = f"{time.strftime('%H:%M:%S')}  {name:<5} {found.path:<8}"
     if measurement is None:
-        return f"{when} not measured: {reason}{_advice(reason.advice)}"
+        return f"{prefix} not measured: {reason}{_advice(reason.advice)}"
     formatted = format_speed(measurement, unit)
     speed = f"{formatted.speed} ± {formatted.plus_minus} {unit}" if formatted.known else NO_VALUE
     advice = "" if measurement.verdict == "measured" else rejected_advice(measurement.reason_code)
-    return f"{when} {speed}  {format_verdict(measurement)}{_advice(advice)}"
+    return f"{prefix} {speed}  {format_verdict(measurement)}{_advice(advice)}"
 
 
 def _advice(text: str) -> str:
-    """A line of its own for an advice, where there is one."""
+    """The advice on a line of its own; empty if there is none."""
     return f"\n          {text}" if text else ""

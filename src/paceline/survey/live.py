@@ -99,11 +99,11 @@ def survey(
     on_frame: OnFrame = lambda pair, tracks: None,
     detect: DetectBoxes | None = None,
 ) -> Message:
-    """Measure every vehicle that passes, until the sources end or are stopped; returns why there was none, where that
-    is so.
+    """Measures every vehicle that passes, until the sources end or are stopped; returns why no vehicle was found, if
+    none was.
 
     ``on_result`` is called once for each vehicle that has passed, in the order in which they were found, with its
-    measurement, or None and why it has none; ``on_ready`` with the number of paths once the background is estimated;
+    measurement, or None and the reason; ``on_ready`` with the number of paths once the background is estimated;
     ``on_frame`` with every image pair that has been processed, and the tracks visible in it. With ``detect``, vehicles
     are found only inside its boxes, and the background is not estimated where the clip has paths. Raises UnusableInput
     where the road is not visible in the first ``background_s`` seconds, or where there are neither paths nor lanes.
