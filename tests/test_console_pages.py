@@ -163,7 +163,7 @@ def test_a_survey_runs_until_it_is_stopped(console: Console) -> None:
         assert f"{vehicle['seen_from_s']:.1f} to {vehicle['seen_to_s']:.1f}" in tab.text()
 
     tab.open(f"{address}/setup?clip=gate")
-    tab.wait_for("Its cameras are live")
+    tab.wait_for("The cameras are live")
     tab.open(f"{address}/runs?clip=gate")
     tab.wait_for("Live, from rtsp://127.0.0.1:9/x")
     tab.click("Start")
