@@ -16,9 +16,9 @@ HEAD = """# Settings of `paceline speed`
 paceline speed CLIP -o OUT --config settings.yaml
 ```
 
-reads settings from a YAML file; every key may be left out. Options of the command line win over the file. An unknown
+reads settings from a YAML file; every key may be left out. Options of the command line override the file. An unknown
 key, a key given twice or a value out of range ends the command with status 2 and one line. The settings that were
-used stand in `summary.json` under `configuration`; put into a file, they reproduce the result.
+used are in `summary.json` under `configuration`; as a file, they reproduce the result.
 
 ```yaml
 particles: 1000
