@@ -13,8 +13,9 @@ from baselines import Outcome, by_each
 from common import PLAIN_RIG, head, machine, rms, row, share_out
 from numpy.typing import NDArray
 
+from paceline.simulation.lane_change import LaneChange
 from paceline.simulation.random_scenes import random_scene
-from paceline.simulation.stereo.clip import LaneChange, Scene
+from paceline.simulation.stereo.clip import Scene
 from paceline.simulation.stereo.scene import CircularRoad, Motion
 
 Array = NDArray[np.float64]
@@ -49,7 +50,7 @@ def scene_of(kind: str, seed: int) -> Scene:
         if "brake" in kind or "gather" in kind:
             vehicle["acceleration"] = CHANGE if "gather" in kind else -CHANGE
         if "begins" in kind:
-            vehicle["after"] = rng.uniform(0.5, 2.0)
+            vehicle["acceleration_start"] = rng.uniform(0.5, 2.0)
         try:
             scene = random_scene(TRIES * seed + k, vehicle=vehicle, occluder=False, **PLAIN_RIG)
         except ValueError:  # nowhere could this motion be seen well

@@ -14,7 +14,7 @@ from selection import slow_after
 from paceline.recordings.odometry import Pose
 from paceline.simulation.chase.motion import ROAD_STEP_M, TabulatedRoad, winding_road
 from paceline.simulation.closed_loop.clearance import outline_distance, vehicle_outline
-from paceline.simulation.closed_loop.drive_yaml import DriveModel, resolve_drive
+from paceline.simulation.closed_loop.drive_yaml import DriveModel, LaneChangeModel, WeaveModel, resolve_drive
 from paceline.simulation.closed_loop.gap_control import (
     GapController,
     GapPolicy,
@@ -23,7 +23,7 @@ from paceline.simulation.closed_loop.gap_control import (
     required_braking,
 )
 from paceline.simulation.closed_loop.human_throttle import HumanThrottle
-from paceline.simulation.closed_loop.lead_vehicle import LaneChange, LeadVehicle, Weave, road_from_pieces
+from paceline.simulation.closed_loop.lead_vehicle import LeadVehicle, road_from_pieces
 from paceline.simulation.closed_loop.loop import ClosedLoop, LoopStep
 from paceline.simulation.closed_loop.named_scenes import NAMED_SCENES
 from paceline.simulation.closed_loop.odometer import Odometer, OdometerErrors
@@ -65,9 +65,9 @@ def test_a_road_of_pieces_turns_by_what_they_say() -> None:
 
 
 def test_lane_changes_and_weaving_lie_on_the_path() -> None:
-    lead = LeadVehicle(
-        STRAIGHT, 10.0, 60.0, np.array([[0.0, 10.0]]), (LaneChange(5.0, 4.0, -3.5),), (Weave(20.0, 40.0, 1.0, 8.0),)
-    )
+    change = LaneChangeModel(at=5.0, duration=4.0, shift=-3.5)
+    weave = WeaveModel(start=20.0, stop=40.0, amplitude=1.0, period=8.0)
+    lead = LeadVehicle(STRAIGHT, 10.0, 60.0, np.array([[0.0, 10.0]]), [change], [weave])
     assert float(lead.lateral(59.0)) == 0.0
     assert float(lead.lateral(80.0)) == pytest.approx(-1.75, abs=0.01)  # half-way, 7 s after the start at 10 m
     assert float(lead.lateral(101.0)) == pytest.approx(-3.5)
@@ -79,7 +79,8 @@ def test_lane_changes_and_weaving_lie_on_the_path() -> None:
 @given(st.floats(40.0, 300.0), st.floats(-3.0, 3.0), st.integers(0, 5))
 def test_the_offset_from_the_path_is_what_was_put_there(arc: float, offset: float, seed: int) -> None:
     road = winding_road(np.random.default_rng(seed), 400.0, 60.0)
-    lead = LeadVehicle(road, 10.0, 30.0, np.array([[0.0, 10.0]]), (LaneChange(6.0, 4.0, 2.0),))
+    change = LaneChangeModel(at=6.0, duration=4.0, shift=2.0)
+    lead = LeadVehicle(road, 10.0, 30.0, np.array([[0.0, 10.0]]), [change])
     p = lead.pose_at_arc(arc)
     x, y = p.x + offset * np.sin(p.heading), p.y - offset * np.cos(p.heading)
     found, beside = lead.path_offset(x, y, arc + 5.0)

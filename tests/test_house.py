@@ -60,7 +60,10 @@ NEVER = {
     "speed.geometry": {"speed.filter", "speed.refinement"},
     "speed.filter": {"speed.refinement"},
     "speed.refinement": {"speed.filter"},
-    **{f"simulation.{shared}": SIMULATORS for shared in ("operator", "road", "vehicle_catalogue", "textures")},
+    **{
+        f"simulation.{shared}": SIMULATORS
+        for shared in ("operator", "road", "lane_change", "vehicle_catalogue", "textures")
+    },
     "simulation.stereo": SIMULATORS | {"simulation.random_scenes"},
     "simulation.chase": SIMULATORS | {"simulation.random_scenes"},
     "simulation.raytraced": SIMULATORS - {"simulation.chase"},

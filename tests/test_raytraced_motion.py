@@ -12,7 +12,7 @@ from scipy.integrate import quad
 from selection import slow_after
 
 from paceline.errors import UnusableInput
-from paceline.simulation.raytraced.motion import DrivingPlan, LaneChange, VehicleMotion
+from paceline.simulation.raytraced.motion import DrivingPlan, VehicleMotion
 from paceline.simulation.road import Road, RoadShape
 
 LENGTH = 200.0
@@ -34,10 +34,6 @@ def drives(draw: st.DrawFn) -> DrivingPlan:
     """Drives that stay on the road for two seconds from time 0."""
     oncoming = draw(st.booleans())
     speed = draw(st.floats(8, 40))
-    change = None
-    if draw(st.booleans()):
-        shift = draw(st.floats(1.5, 4.0)) * draw(st.sampled_from([-1, 1]))
-        change = LaneChange(draw(st.floats(-1.0, 1.0)), draw(st.floats(3.0, 6.0)), shift)
     drive = DrivingPlan(
         150.0 if oncoming else 50.0,
         speed,
@@ -45,13 +41,16 @@ def drives(draw: st.DrawFn) -> DrivingPlan:
         draw(st.floats(-3.0, 3.0)),
         draw(st.floats(0.0, 1.0)),
         draw(st.floats(0.5, 5.0)),
-        change,
-        oncoming,
+        oncoming=oncoming,
     )
+    if not draw(st.booleans()):
+        return drive
+    shift = draw(st.floats(1.5, 4.0)) * draw(st.sampled_from([-1, 1]))
+    start, duration = draw(st.floats(-1.0, 1.0)), draw(st.floats(3.0, 6.0))
     # what brakes nearly to a stand cannot change its lane meanwhile, and is refused
     slowest = drive.speed + min(drive.acceleration, 0.0) * drive.acceleration_duration
-    assume(change is None or slowest > 2 * 2.0 * abs(change.shift) / change.duration)
-    return drive
+    assume(slowest > 2 * 2.0 * abs(shift) / duration)
+    return drive.with_lane_change(start, duration, shift)
 
 
 @pytest.mark.parametrize("shape", slow_after(2, ROADS))
@@ -113,13 +112,31 @@ def test_the_distance_is_the_integral_of_the_speed(drive: DrivingPlan, a: float,
 
 def test_a_lane_change_ends_in_the_other_lane() -> None:
     road = Road(RoadShape("winding", 200.0), LENGTH, 1)
-    motion = VehicleMotion(road, DrivingPlan(10.0, 20.0, -1.8, lane_change=LaneChange(1.0, 4.0, 3.6)), WHEELBASE)
+    motion = VehicleMotion(road, DrivingPlan(10.0, 20.0, -1.8).with_lane_change(1.0, 4.0, 3.6), WHEELBASE)
     laterals = np.array([motion.position(t)[1] for t in np.linspace(0, 6, 601)])
     assert laterals[:100].tolist() == pytest.approx([-1.8] * 100, abs=1e-5)
     assert laterals[-95:].tolist() == pytest.approx([1.8] * 95, abs=1e-5)
     rate = np.diff(laterals) / 0.01
     assert rate.max() == pytest.approx(15 / 8 * 3.6 / 4, rel=1e-3)  # of a quintic
     assert np.abs(np.diff(rate)).max() / 0.01 < 6 * 3.6 / 4**2  # smooth
+
+
+@pytest.mark.parametrize("oncoming", [False, True])
+def test_a_lane_change_takes_its_time_whatever_the_speed(oncoming: bool) -> None:
+    """Also while the vehicle brakes: begun and ended at the stated times, to the right of growing arc length."""
+    drive = DrivingPlan(150.0 if oncoming else 10.0, 20.0, -1.8, acceleration=-3.0, oncoming=oncoming)
+    motion = VehicleMotion(Road(RoadShape(), LENGTH, 1), drive.with_lane_change(1.0, 4.0, 3.6), WHEELBASE)
+    laterals = [motion.position(t)[1] for t in (0.0, 1.0, 1.2, 4.8, 5.0, 6.0)]
+    assert laterals[:2] == [-1.8, -1.8] and laterals[4:] == pytest.approx([1.8, 1.8], abs=1e-12)
+    assert -1.8 < laterals[2] < -1.7 and 1.7 < laterals[3] < 1.8
+
+
+def test_a_standing_vehicle_has_a_pose() -> None:
+    motion = VehicleMotion(Road(RoadShape(), LENGTH, 1), DrivingPlan(50.0, 0.0, 1.8), WHEELBASE)
+    assert motion.span == (-5.0, 7200.0)
+    R, origin = motion.pose(100.0)
+    np.testing.assert_allclose(R, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(origin, [50.0, -1.8, 0.0], atol=1e-6)
 
 
 def test_a_vehicle_that_brakes_stands() -> None:
@@ -151,9 +168,9 @@ DRIVE = DrivingPlan(50.0, 20.0, 1.8)
     [
         (replace(DRIVE, start=-3.0), "start -3 m: expected a place on the road"),
         (replace(DRIVE, speed=-1.0), "towards turns the vehicle round"),
-        (replace(DRIVE, lane_change=LaneChange(0.0, 0.0, 3.6)), "lane change of 0 s"),
-        (replace(DRIVE, speed=2.0, lane_change=LaneChange(0.0, 2.0, 3.6)), "faster sideways than half"),
-        (replace(DRIVE, acceleration=-20.0, lane_change=LaneChange(0.5, 3.0, 3.6)), "faster sideways than half"),
+        (DRIVE.with_lane_change(0.0, 0.0, 3.6), "lane change of 0 m"),
+        (replace(DRIVE, speed=2.0).with_lane_change(0.0, 2.0, 3.6), "faster sideways than half"),
+        (replace(DRIVE, acceleration=-20.0).with_lane_change(0.5, 3.0, 3.6), "faster sideways than half"),
     ],
 )
 def test_impossible_drives_are_refused(drive: DrivingPlan, message: str) -> None:

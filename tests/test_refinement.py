@@ -21,8 +21,9 @@ from selection import slow_after
 
 from paceline.cameras import RigUncertainty, perturbed_rig
 from paceline.documents.loading import Clip, load_clip
+from paceline.simulation.lane_change import LaneChange
 from paceline.simulation.random_scenes import random_crossing, random_scene
-from paceline.simulation.stereo.clip import LaneChange, Scene, Vehicle, render, write
+from paceline.simulation.stereo.clip import Scene, Vehicle, render, write
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.measurement import measure_clip
 from paceline.speed.refinement import pyramid_cpu, view_dependence

@@ -12,8 +12,9 @@ import pytest
 import yaml
 from numpy.typing import NDArray
 
+from paceline.simulation.lane_change import LaneChange
 from paceline.simulation.random_scenes import random_crossing, random_scene
-from paceline.simulation.stereo.clip import SUPERSAMPLING, LaneChange, Scene, Vehicle, World, render, write
+from paceline.simulation.stereo.clip import SUPERSAMPLING, Scene, Vehicle, World, render, write
 from paceline.simulation.stereo.scene import CircularRoad, Motion, Pose, make_rig, rig_views
 from paceline.simulation.stereo.textured_planes import TexturedPlane, composite, draw_planes
 from paceline.simulation.textures import Texture

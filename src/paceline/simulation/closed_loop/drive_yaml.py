@@ -41,12 +41,16 @@ class RoadModel(Document):
 
 
 class LaneChangeModel(Document):
+    """A move by ``shift`` m to the right, begun at time ``at`` and taking ``duration`` s at the speed there."""
+
     at: Seconds
     duration: Annotated[float, Field(ge=0.5, le=60)]
     shift: Annotated[float, Field(ge=-8, le=8)]
 
 
 class WeaveModel(Document):
+    """Swings of ``amplitude`` m to either side, ``period`` s each at the mean speed, from ``start`` to ``stop``, s."""
+
     start: Seconds
     stop: Seconds
     amplitude: Annotated[float, Field(ge=0, le=4)]

@@ -2,35 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 
 from paceline.arrays import Array
 from paceline.simulation.chase.motion import ROAD_STEP_M, RoadPose, TabulatedRoad, road_pose
+from paceline.simulation.closed_loop.drive_yaml import LaneChangeModel, WeaveModel
+from paceline.simulation.lane_change import LaneChange, smoothstep
 
 PLAN_STEP_S = 0.02  # s between the rows of the plan
 BEND_BRAKING_MPS2 = 1.2  # m/s², braking for a bend
 WEAVE_BLEND_M = 12.0  # m over which weaving begins and ends
-
-
-@dataclass(frozen=True)
-class LaneChange:
-    """A move of ``shift`` metres to the right, begun at time ``at`` and taking ``duration`` s at the speed there."""
-
-    at: float
-    duration: float
-    shift: float
-
-
-@dataclass(frozen=True)
-class Weave:
-    """Swings of ``amplitude`` metres to either side, ``period`` s each at the speed there, between two times."""
-
-    start: float
-    stop: float
-    amplitude: float
-    period: float
 
 
 class LeadVehicle:
@@ -48,8 +31,8 @@ class LeadVehicle:
         start: float,
         duration: float,
         speeds: Array,
-        changes: tuple[LaneChange, ...] = (),
-        weaves: tuple[Weave, ...] = (),
+        changes: Sequence[LaneChangeModel] = (),
+        weaves: Sequence[WeaveModel] = (),
         max_acceleration: float = 2.0,
         max_lateral_acceleration: float = 1.8,
     ) -> None:
@@ -65,14 +48,14 @@ class LeadVehicle:
             s += 0.5 * (before + v) * PLAN_STEP_S if k else 0.0
             self.speed[k], self.arc[k] = v, s
         self.rate = np.gradient(self.speed, PLAN_STEP_S)
-        self._changes = [(*self._arc_interval(c.at, c.duration), c.shift) for c in changes]
+        self._changes = [self._lane_change(c) for c in changes]
         self._weaves = [self._weave_interval(w) for w in weaves]
 
-    def _arc_interval(self, start: float, duration: float) -> tuple[float, float]:
-        """Arc length at a time and metres driven in ``duration`` seconds from there on at that speed, 1 m at least."""
-        return self.arc_at(start), max(self.speed_at(start) * duration, 1.0)
+    def _lane_change(self, c: LaneChangeModel) -> LaneChange:
+        """Along the road, as long as ``duration`` seconds at the speed where it begins, 1 m at least."""
+        return LaneChange(self.arc_at(c.at), max(self.speed_at(c.at) * c.duration, 1.0), c.shift)
 
-    def _weave_interval(self, w: Weave) -> tuple[float, float, float, float]:
+    def _weave_interval(self, w: WeaveModel) -> tuple[float, float, float, float]:
         begin, end = self.arc_at(w.start), self.arc_at(w.stop)
         mean = (end - begin) / max(w.stop - w.start, PLAN_STEP_S)
         return begin, end, w.amplitude, max(mean * w.period, 1.0)
@@ -91,10 +74,10 @@ class LeadVehicle:
         """m to the right of the road's axis at arc length ``arc``."""
         arc = np.asarray(arc, float)
         total = np.zeros_like(arc)
-        for begin, length, shift in self._changes:
-            total += shift * _smoothstep((arc - begin) / length)
+        for change in self._changes:
+            total += change.shift_at(arc)
         for begin, end, amplitude, wave in self._weaves:
-            inside = _smoothstep((arc - begin) / WEAVE_BLEND_M) * _smoothstep((end - arc) / WEAVE_BLEND_M)
+            inside = smoothstep((arc - begin) / WEAVE_BLEND_M) * smoothstep((end - arc) / WEAVE_BLEND_M)
             total += amplitude * inside * np.sin(2 * np.pi * (arc - begin) / wave)
         return total
 
@@ -135,12 +118,6 @@ def _interpolate(table: Array, place: float) -> float:
     """The table's value between two rows; a plain look-up, as there are many."""
     k = min(int(place), len(table) - 2)
     return float(table[k] + (place - k) * (table[k + 1] - table[k]))
-
-
-def _smoothstep(part: Array) -> Array:
-    """From 0 to 1 with no jump in speed or acceleration."""
-    u = np.clip(part, 0.0, 1.0)
-    return np.asarray(u**3 * (10 - 15 * u + 6 * u**2))
 
 
 def road_from_pieces(pieces: list[tuple[float, float]], length: float, blend: float = 8.0) -> TabulatedRoad:

@@ -18,9 +18,10 @@ from paceline.simulation.chase.vehicles import Body, make_vehicle
 from paceline.simulation.chase.world import ChaseWorld, WorldState
 from paceline.simulation.closed_loop.drive_yaml import CutInModel, DriveModel
 from paceline.simulation.closed_loop.gap_control import GapPolicy
-from paceline.simulation.closed_loop.lead_vehicle import LaneChange, LeadVehicle, Weave, road_from_pieces
+from paceline.simulation.closed_loop.lead_vehicle import LeadVehicle, road_from_pieces
 from paceline.simulation.closed_loop.vehicle_dynamics import VehicleParameters, point_ahead
 from paceline.simulation.closed_loop.vehicle_dynamics import VehicleState as Chase
+from paceline.simulation.lane_change import smoothstep
 from paceline.simulation.random_scenes import random_chase
 from paceline.simulation.vehicle_catalogue import MIN_RASTERIZED_GAP_M
 
@@ -52,8 +53,8 @@ class DriveScene:
             first,
             model.duration,
             np.array(model.lead.speed),
-            tuple(LaneChange(c.at, c.duration, c.shift) for c in model.lead.lane_changes),
-            tuple(Weave(w.start, w.stop, w.amplitude, w.period) for w in model.lead.weaves),
+            model.lead.lane_changes,
+            model.lead.weaves,
             model.lead.max_acceleration,
             model.lead.max_lateral_acceleration,
         )
@@ -118,7 +119,7 @@ class DriveScene:
         def where(t: float) -> tuple[float, float]:
             extra_distance = OVERTAKING_SPEED_MPS * (min(t - c.at, 0.0) + max(t - c.until - c.duration, 0.0))
             arc = self._lead_arc(t) - c.behind - body.length + extra_distance
-            inside = smoothstep((t - c.at) / c.duration) - smoothstep((t - c.until) / c.duration)
+            inside = float(smoothstep((t - c.at) / c.duration) - smoothstep((t - c.until) / c.duration))
             return arc, LANE_WIDTH_M * (inside - 1)
 
         (before, left), (after, right) = where(time - 0.01), where(time + 0.01)
@@ -134,11 +135,6 @@ class DriveScene:
 def _expected_arc(lead: LeadVehicle, metres: float, time: float) -> float:
     """About where the chase vehicle is at ``time``, s: m along the road."""
     return lead.arc_at(time) - metres
-
-
-def smoothstep(u: float) -> float:
-    u = min(max(u, 0.0), 1.0)
-    return u**3 * (10 - 15 * u + 6 * u**2)
 
 
 def gap_policy(model: DriveModel, scene: ChaseScene) -> GapPolicy:

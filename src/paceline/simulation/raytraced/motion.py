@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 from paceline.arrays import Array
 from paceline.errors import UnusableInput
+from paceline.simulation.lane_change import LaneChange
 from paceline.simulation.road import ROAD_MARGIN_M, Road
 
 MIN_TIME_S = -5.0  # s
@@ -17,28 +19,13 @@ ROAD_END_DISTANCE_M = 20.0  # m that a vehicle stays away from where its road is
 
 
 @dataclass(frozen=True)
-class LaneChange:
-    """A move by ``shift`` metres, positive to the right of growing arc length, from ``start`` s for ``duration`` s."""
-
-    start: float
-    duration: float
-    shift: float
-
-    def shift_at(self, t: float) -> tuple[float, float]:
-        """The part of the shift (m) done at ``t`` and its rate (m/s): a quintic with rate and acceleration zero at
-        both ends."""
-        u = min(max((t - self.start) / self.duration, 0.0), 1.0)
-        rate = 30 * u**2 * (1 - u) ** 2 / self.duration
-        return self.shift * u**3 * (10 - 15 * u + 6 * u**2), self.shift * rate
-
-
-@dataclass(frozen=True)
 class DrivingPlan:
     """How a vehicle drives: ``speed`` (m/s) at time 0, changed by ``acceleration`` (m/s²) from ``acceleration_start``
     (s) for ``acceleration_duration`` (s) or until the vehicle stands.
 
     The body's origin starts at arc length ``start`` (m) and ``lateral`` (m, positive to the right of growing arc
-    length). An ``oncoming`` vehicle drives towards smaller arc length."""
+    length). An ``oncoming`` vehicle drives towards smaller arc length. ``lane_change`` counts the distance from time 0
+    on."""
 
     start: float
     speed: float
@@ -68,10 +55,19 @@ class DrivingPlan:
         steady = self.speed_at(t) * (t - self.acceleration_start - phase)
         return self.speed * phase + self.acceleration * phase**2 / 2 + (steady if steady > 0 else 0.0)
 
-    def lateral_at(self, t: float) -> tuple[float, float]:
-        """Lateral (m) and its rate (m/s)."""
-        shift, rate = self.lane_change.shift_at(t) if self.lane_change else (0.0, 0.0)
-        return self.lateral + shift, rate
+    def lateral_at(self, distance: float) -> tuple[float, float]:
+        """Lateral (m) after so many metres of the drive, and its change per metre."""
+        if self.lane_change is None:
+            return self.lateral, 0.0
+        right = -1.0 if self.oncoming else 1.0
+        shift, slope = self.lane_change.shift_at(distance), self.lane_change.slope_at(distance)
+        return self.lateral + right * float(shift), right * float(slope)
+
+    def with_lane_change(self, start: float, duration: float, shift: float) -> DrivingPlan:
+        """The same drive with a move by ``shift`` metres, positive to the right of growing arc length, from ``start`` s
+        on for ``duration`` s."""
+        before, after = self.distance_at(start), self.distance_at(start + duration)
+        return replace(self, lane_change=LaneChange(before, after - before, -shift if self.oncoming else shift))
 
 
 class VehicleMotion:
@@ -80,19 +76,16 @@ class VehicleMotion:
     The origin moves at the plan's speed along its own path, whatever the road and the lane change do, and the body
     points along it, so its rear axle never slips sideways. Both axles stand on the surface: over a crest the body is
     the chord between them. The pose is known while the origin is on the road or within `ROAD_MARGIN_M` −
-    `ROAD_END_DISTANCE_M` of it.
+    `ROAD_END_DISTANCE_M` of it: ``span`` are the first and the last time, s.
     """
 
     def __init__(self, road: Road, drive: DrivingPlan, wheelbase: float) -> None:
         self.road, self.drive, self.wheelbase = road, drive, wheelbase
         self._sign = -1.0 if drive.oncoming else 1.0
         self._check()
-        change = drive.lane_change
-        breaks = [0.0, drive.acceleration_start, drive.acceleration_start + drive.acceleration_duration]
-        breaks += [change.start, change.start + change.duration] if change else []
-        if drive.acceleration < 0:
-            breaks.append(drive.acceleration_start - drive.speed / drive.acceleration)
-        self._pieces = self._solve(0.0, MIN_TIME_S, breaks)[::-1] + self._solve(0.0, MAX_TIME_S, breaks)
+        ends = drive.distance_at(MIN_TIME_S) - 1.0, drive.distance_at(MAX_TIME_S) + 1.0  # m, a standing one's path, too
+        self._pieces = self._solve(ends[0])[::-1] + self._solve(ends[1])
+        self.span = self._time_at(self._pieces[0][0]), self._time_at(self._pieces[-1][1])
 
     def _check(self) -> None:
         d = self.drive
@@ -101,33 +94,32 @@ class VehicleMotion:
         if d.speed < 0:
             raise UnusableInput(f"speed {d.speed:g} m/s: expected no negative one; towards turns the vehicle round")
         if d.lane_change:
-            if d.lane_change.duration <= 0:
-                raise UnusableInput(f"lane change of {d.lane_change.duration:g} s: expected some time")
-            for t in d.lane_change.start + np.linspace(0.01, 0.99, 99) * d.lane_change.duration:
-                if abs(d.lateral_at(float(t))[1]) > 0.5 * d.speed_at(float(t)):
-                    raise UnusableInput("lane change: faster sideways than half the vehicle's speed")
+            if d.lane_change.length <= 0:
+                raise UnusableInput(f"lane change of {d.lane_change.length:g} m: expected some length")
+            if d.lane_change.max_slope > 0.5:
+                raise UnusableInput("lane change: faster sideways than half the vehicle's speed")
 
-    def _rate(self, t: float, s: float) -> float:
-        """Arc length per second: what the lateral move leaves of the speed; the two are perpendicular."""
-        lateral, sideways = self.drive.lateral_at(t)
+    def _rate(self, distance: float, s: float) -> float:
+        """Arc length per metre driven: what the lateral move leaves of it; the two are perpendicular."""
+        lateral, slope = self.drive.lateral_at(distance)
         _, along, _ = self.road.tangents(np.clip(s, -ROAD_MARGIN_M, self.road.length + ROAD_MARGIN_M), lateral)
-        ahead = np.sqrt(max(self.drive.speed_at(t) ** 2 - sideways**2, 0.0))
-        return float(self._sign * ahead / np.linalg.norm(along))
+        return float(self._sign * np.sqrt(1 - slope**2) / np.linalg.norm(along))
 
-    def _solve(self, start: float, end: float, breaks: list[float]) -> list[tuple[float, float, object]]:
-        """Arc length over time from ``start`` to ``end`` or the road's end, smooth from break to break."""
+    def _solve(self, end: float) -> list[tuple[float, float, object]]:
+        """Arc length over the distance driven, from 0 to ``end`` m or the road's end, smooth from break to break."""
         low, high = -ROAD_MARGIN_M + ROAD_END_DISTANCE_M, self.road.length + ROAD_MARGIN_M - ROAD_END_DISTANCE_M
 
-        def leaves(t: float, y: Array) -> float:
+        def leaves(distance: float, y: Array) -> float:
             return float(min(y[0] - low, high - y[0]))
 
         leaves.terminal = True  # type: ignore[attr-defined]
-        forward = end > start
-        inner = sorted({b for b in breaks if min(start, end) < b < max(start, end)}, reverse=not forward)
+        change = self.drive.lane_change
+        breaks = (change.start, change.start + change.length) if change else ()
+        inner = sorted((b for b in breaks if min(0.0, end) < b < max(0.0, end)), reverse=end < 0)
         pieces, s = [], self.drive.start
-        for a, b in zip([start, *inner], [*inner, end], strict=True):
+        for a, b in zip([0.0, *inner], [*inner, end], strict=True):
             found = solve_ivp(
-                lambda t, y: [self._rate(t, y[0])],
+                lambda distance, y: [self._rate(distance, y[0])],
                 (a, b),
                 [s],
                 "DOP853",
@@ -143,30 +135,35 @@ class VehicleMotion:
                 break
         return pieces
 
-    @property
-    def span(self) -> tuple[float, float]:
-        """The first and the last time (s) at which the pose is known."""
-        return self._pieces[0][0], self._pieces[-1][1]
+    def _time_at(self, distance: float) -> float:
+        """When the vehicle has driven so far, or the first or last time where that is beyond it."""
+        if self.drive.distance_at(MIN_TIME_S) >= distance:
+            return MIN_TIME_S
+        if self.drive.distance_at(MAX_TIME_S) <= distance:
+            return MAX_TIME_S
+        return float(brentq(lambda t: self.drive.distance_at(t) - distance, MIN_TIME_S, MAX_TIME_S))
+
+    def _place(self, t: float) -> tuple[float, float]:
+        """Distance driven and arc length, m. Raises ValueError outside ``span``."""
+        if not self.span[0] <= t <= self.span[1]:
+            raise ValueError("time {:g} s: the vehicle is on the road from {:.2f} to {:.2f} s".format(t, *self.span))
+        distance = min(max(self.drive.distance_at(t), self._pieces[0][0]), self._pieces[-1][1])
+        solution = next(solution for a, b, solution in self._pieces if a <= distance <= b)
+        return distance, float(solution(distance)[0])  # type: ignore[operator]
 
     def position(self, t: float) -> tuple[float, float]:
-        """Arc length and lateral (m) of the body's origin. Raises ValueError outside `span`."""
-        for a, b, solution in self._pieces:
-            if a <= t <= b:
-                return float(solution(t)[0]), self.drive.lateral_at(t)[0]  # type: ignore[operator]
-        raise ValueError("time {:g} s: the vehicle is on the road from {:.2f} to {:.2f} s".format(t, *self.span))
+        """Arc length and lateral (m) of the body's origin. Raises ValueError outside ``span``."""
+        distance, s = self._place(t)
+        return s, self.drive.lateral_at(distance)[0]
 
     def pose(self, t: float) -> tuple[Array, Array]:
         """R (3, 3) and t (3,) of world = R body + t."""
-        s, lateral = self.position(t)
+        distance, s = self._place(t)
+        lateral, slope = self.drive.lateral_at(distance)
         origin, along, left = self.road.tangents(s, lateral)
-        sideways, rate = self.drive.lateral_at(t)[1], self._rate(t, s)
-        velocity = along * rate - left * sideways
-        if not np.any(velocity):
-            velocity = self._sign * along
-        heading = velocity / np.linalg.norm(velocity)
-        ahead = origin + self.wheelbase * heading
-        step = self.wheelbase / np.linalg.norm(velocity)
-        front = self.road.locate(ahead, s + step * rate, lateral + step * sideways)
+        rate = self._rate(distance, s)
+        ahead = origin + self.wheelbase * (along * rate - left * slope)
+        front = self.road.locate(ahead, s + self.wheelbase * rate, lateral + self.wheelbase * slope)
         at_front, axes = self.road.frame(*front)
         x = at_front - origin
         x /= np.linalg.norm(x)

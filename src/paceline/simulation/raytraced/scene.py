@@ -16,7 +16,7 @@ from paceline.simulation.operator import is_inside_image
 from paceline.simulation.raytraced import road_surface
 from paceline.simulation.raytraced.light import Light
 from paceline.simulation.raytraced.meshes import Placement, SceneMesh
-from paceline.simulation.raytraced.motion import DrivingPlan, LaneChange, VehicleMotion
+from paceline.simulation.raytraced.motion import DrivingPlan, VehicleMotion
 from paceline.simulation.raytraced.renderer import Renderer
 from paceline.simulation.raytraced.scene_yaml import PositionModel, SceneModel, SpeedScene, VehicleModel
 from paceline.simulation.raytraced.scenery.placement import Scenery, build_scenery
@@ -107,19 +107,17 @@ class PlacedStereoScene:
         return np.asarray(position + place.height * np.array([0.0, 0.0, 1.0]))
 
     def _car(self, i: int, m: VehicleModel) -> PlacedVehicle:
-        change = m.lane_change and LaneChange(m.lane_change.start, m.lane_change.duration, m.lane_change.shift)
-        acceleration_duration = np.inf if m.acceleration_duration is None else m.acceleration_duration
-        lateral = self.road.lanes[m.lane] + m.offset
         drive = DrivingPlan(
             m.start,
             m.speed,
-            lateral,
+            self.road.lanes[m.lane] + m.offset,
             m.acceleration,
             m.acceleration_start,
-            acceleration_duration,
-            change or None,
-            m.oncoming,
+            np.inf if m.acceleration_duration is None else m.acceleration_duration,
+            oncoming=m.oncoming,
         )
+        if m.lane_change:
+            drive = drive.with_lane_change(m.lane_change.start, m.lane_change.duration, m.lane_change.shift)
         body = build(m.kind, m.seed)
         try:
             motion = VehicleMotion(self.road, drive, body.wheelbase)

@@ -26,7 +26,6 @@ from paceline.simulation.operator import add_click_noise, draw_line, is_inside_i
 from paceline.simulation.stereo.scene import (
     PLANE_CLEARANCE_M,
     CircularRoad,
-    LaneChange,
     Motion,
     Pose,
     Scene,
@@ -40,7 +39,6 @@ from paceline.simulation.stereo.textured_planes import TexturedPlane, composite,
 from paceline.simulation.textures import FacePart, Texture
 
 __all__ = [
-    "LaneChange",
     "RenderedClip",
     "Scene",
     "Vehicle",

@@ -14,18 +14,10 @@ from scipy.interpolate import CubicSpline
 
 from paceline.arrays import Array
 from paceline.cameras import Camera, PosedCamera, StereoRig
+from paceline.simulation.lane_change import LaneChange
 from paceline.simulation.operator import OPERATOR_NOISE, longest_visible_run
 
 PLANE_CLEARANCE_M = 0.35  # m from the road to the lower edge of a vehicle's main plane
-
-
-@dataclass(frozen=True)
-class LaneChange:
-    """A smooth move of ``shift`` metres to the right of travel, begun after ``start`` metres and ``length`` m long."""
-
-    start: float
-    length: float
-    shift: float
 
 
 @dataclass(frozen=True)
@@ -173,10 +165,8 @@ class Motion:
             raise ValueError(f"vehicle {vehicle.id} does not move forward throughout the clip")
         u = np.linspace(travelled[0], travelled[-1], 4001)
         heading = np.full_like(u, vehicle.heading_error)
-        if (change := vehicle.lane_change) is not None:
-            phase = np.clip((u - change.start) / change.length, 0, 1)
-            slope = change.shift / change.length * (1 - np.cos(2 * np.pi * phase))
-            heading += np.arcsin(slope)
+        if vehicle.lane_change is not None:
+            heading += np.arcsin(vehicle.lane_change.slope_at(u))
         start = vehicle.lane + vehicle.lateral
         drift = _integrate(np.sin(heading), u)
         lateral = start + self.direction * (drift - np.interp(0.0, u, drift))
