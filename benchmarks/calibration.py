@@ -16,7 +16,7 @@ from common import Array, head, machine, rms, row, share_out
 from paceline.calibration.board_calibration import Calibration, calibrate
 from paceline.calibration.board_views import BoardView, BoardViews
 from paceline.calibration.boards import Corners, board_detector, matching_order, parse_board
-from paceline.calibration.parameters import PARAMETER_NAMES, RigState, parameter_step
+from paceline.calibration.parameters import RIG_PARAMETER_NAMES, RigState, parameter_step
 from paceline.errors import UnusableInput
 from paceline.geometry import triangulate
 from paceline.simulation.boards import CalibrationSetup, add_noise, corners_by_view, project_board, random_setup, render
@@ -66,7 +66,7 @@ def run(task: tuple[int, bool]) -> Outcome:
     try:
         c = calibrate(found)
     except UnusableInput as error:
-        nothing = np.full(len(PARAMETER_NAMES) + 1, np.nan)
+        nothing = np.full(len(RIG_PARAMETER_NAMES) + 1, np.nan)
         return Outcome(seed, what, nothing, nothing, spoilt, set(), str(error), time.perf_counter() - began)
     seconds = time.perf_counter() - began
     effect = next(e.along for e in c.effects if e.distance == JUDGED)
@@ -145,7 +145,7 @@ def _report(name: str, outcomes: list[Outcome]) -> None:
     print(f"**{name}**: {len(done)} of {len(outcomes)} runs calibrated\n")
     print(head("parameter", "n", "within its 95 % interval", "error in standard uncertainties, rms"))
     errors, halves = np.array([o.errors for o in done]), np.array([o.halves for o in done])
-    for k, parameter in enumerate([*PARAMETER_NAMES, SPEED]):
+    for k, parameter in enumerate([*RIG_PARAMETER_NAMES, SPEED]):
         stated = halves[:, k] > 0
         if stated.sum() >= len(done) // 4:  # a coefficient that hardly any lens needed says little
             share = np.abs(errors[stated, k]) / halves[stated, k]

@@ -126,7 +126,7 @@ def update_weights(on_device: CudaParticleSet, ll: Array) -> None:
     device = on_device.device
     device.execute()
     half = int(device.commands[on_device.slot, memory_layout.HALF_AFTER])
-    device._pool.value[half, memory_layout.LIKELIHOOD, on_device.first : on_device.first + len(on_device)] = ll
+    device._pool.value[half, memory_layout.LIKELIHOOD_ROW, on_device.first : on_device.first + len(on_device)] = ll
     device._observation_table()[on_device.slot, memory_layout.WEIGHT_UPDATE] = 1
     device._observations.upload(device._observations.host.size)
     device._update_weights([on_device])

@@ -469,7 +469,7 @@ def test_an_interrupt_inside_an_exec_ends_with_its_status(tmp_path: Path) -> Non
         "    try:\n"
         "        exec('raise KeyboardInterrupt')\n"
         "    except KeyboardInterrupt:\n"
-        "        return cli.INTERRUPTED\n"
+        "        return cli.EXIT_INTERRUPTED\n"
         "cli.app = app\n"
         "cli.main()\n"
     )

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from paceline.calibration import parameters
 from paceline.calibration.boards import parse_board
-from paceline.calibration.parameters import LENS_MODELS, N_RIG, PARAMETER_NAMES, Observations, Poses, RigState
+from paceline.calibration.parameters import LENS_MODELS, N_RIG, RIG_PARAMETER_NAMES, Observations, Poses, RigState
 from paceline.simulation import boards
 
 BOARD = parse_board("charuco:7x5:0.08:0.06:DICT_4X4_50")
@@ -47,7 +47,7 @@ def test_derivatives_are_those_of_differences(seed: int) -> None:
         step = np.eye(N_RIG)[k] * h * (1000 if k % 9 < 4 and k < 18 else 1)
         ends = [parameters.project(rig.moved(s * step), poses, seen)[0] for s in (1, -1)]
         np.testing.assert_allclose(
-            by_rig[..., k], (ends[0] - ends[1]) / (2 * step[k]), rtol=1e-4, atol=2e-3, err_msg=PARAMETER_NAMES[k]
+            by_rig[..., k], (ends[0] - ends[1]) / (2 * step[k]), rtol=1e-4, atol=2e-3, err_msg=RIG_PARAMETER_NAMES[k]
         )
     for k in range(6):
         step = np.tile(np.eye(6)[k] * h, (len(poses.t), 1))
@@ -65,8 +65,8 @@ def test_a_step_is_found_again_as_the_difference(step: list[float], seed: int) -
 def test_richer_lens_models_estimate_more() -> None:
     free = [set(parameters.free_parameters(name).tolist()) for name in LENS_MODELS]
     assert all(a < b for a, b in zip(free, free[1:], strict=False))
-    assert [PARAMETER_NAMES[k] for k in parameters.free_parameters("none")] == [
-        n for n in PARAMETER_NAMES if n.split()[1] not in ("k1", "k2", "p1", "p2", "k3")
+    assert [RIG_PARAMETER_NAMES[k] for k in parameters.free_parameters("none")] == [
+        n for n in RIG_PARAMETER_NAMES if n.split()[1] not in ("k1", "k2", "p1", "p2", "k3")
     ]
     assert free[-1] == set(range(N_RIG))
 

@@ -17,7 +17,7 @@ from run_command import ENVIRONMENT, paceline
 from tiny_clips import put_clip
 
 from paceline.console.library import Library
-from paceline.console.runs.monitor import MAX_VALUES, RunMonitor
+from paceline.console.runs.monitor import MAX_SERIES_VALUES, RunMonitor
 from paceline.progress import (
     MAX_LINE_LENGTH,
     MAX_PARTICLES,
@@ -81,7 +81,7 @@ def test_a_frame_is_shown_once_all_its_estimates_are_added() -> None:
     assert {s.vehicle: (s.time, s.value) for s in monitor.series()} == {"b": ([0.6], [20.0]), "a": ([0.8], [10.0])}
 
 
-@pytest.mark.parametrize("count", [MAX_VALUES, MAX_VALUES + 1, 25_000])
+@pytest.mark.parametrize("count", [MAX_SERIES_VALUES, MAX_SERIES_VALUES + 1, 25_000])
 def test_the_kept_values_do_not_grow_with_the_recording(count: int) -> None:
     monitor = RunMonitor()
     for frame in range(count):
@@ -89,7 +89,7 @@ def test_the_kept_values_do_not_grow_with_the_recording(count: int) -> None:
         monitor.finish_frame()
     (series,) = monitor.series()
     steps = np.diff(series.value)
-    assert MAX_VALUES / 2 <= len(series.value) <= MAX_VALUES and (steps == steps[0]).all()  # even in time
+    assert MAX_SERIES_VALUES / 2 <= len(series.value) <= MAX_SERIES_VALUES and (steps == steps[0]).all()  # even in time
     assert series.value[0] == 0 and series.value[-1] > count - 1 - steps[0]
 
 

@@ -31,9 +31,9 @@ NO_METHOD = 3
 def plugged_in(monkeypatch: pytest.MonkeyPatch) -> None:
     """Three entry points of another package: a method, something else, and what cannot be imported."""
     points = [
-        EntryPoint("constant", "test_methods:PLUGGED_IN", methods.GROUP),
-        EntryPoint("wrong", "test_methods:NO_METHOD", methods.GROUP),
-        EntryPoint("missing", "no_such_package:METHOD", methods.GROUP),
+        EntryPoint("constant", "test_methods:PLUGGED_IN", methods.ENTRY_POINT_GROUP),
+        EntryPoint("wrong", "test_methods:NO_METHOD", methods.ENTRY_POINT_GROUP),
+        EntryPoint("missing", "no_such_package:METHOD", methods.ENTRY_POINT_GROUP),
     ]
     monkeypatch.setattr(methods, "entry_points", lambda group: [p for p in points if p.group == group])
 

@@ -42,7 +42,7 @@ from paceline.speed.refinement.pyramid import (
 )
 from paceline.speed.refinement.robust_covariance import MIN_VARIANCE_SHARE
 from paceline.speed.refinement.self_calibration import RigParameters, fixed_rig
-from paceline.speed.refinement.trajectory import PARAMETER_NAMES, Prior, Trajectory
+from paceline.speed.refinement.trajectory import MOTION_PARAMETER_NAMES, Prior, Trajectory
 from paceline.speed.results import Measurement
 from paceline.speed.verdict import MAX_DEVIATION_SIGMA
 
@@ -242,7 +242,7 @@ def test_the_deviation_of_a_lane_change_is_within_the_prior(
     """RMS of the amplitudes of the deviation from the path, lane change included where there is one."""
     for fit in [*lane_changes, *(fit for fit, _ in responses(1.0, count))]:
         deviation_modes = fit.trajectory.deviation
-        amplitudes = fit.theta[len(PARAMETER_NAMES) :][: len(deviation_modes.modes)]
+        amplitudes = fit.theta[len(MOTION_PARAMETER_NAMES) :][: len(deviation_modes.modes)]
         if not (changes_lane := np.abs(amplitudes[-deviation_modes.lane_change_modes :]).max() > 0):
             amplitudes = amplitudes[: -deviation_modes.lane_change_modes]
         assert changes_lane == (fit in lane_changes)

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.filter import resampling
-from paceline.speed.filter.resampling import SCHEMES, Weights, ess_sufficient, resample, resampling_scheme
+from paceline.speed.filter.resampling import RESAMPLING_SCHEMES, Weights, ess_sufficient, resample, resampling_scheme
 
 LOG_WEIGHTS = st.lists(st.floats(-30, 30), min_size=1, max_size=60).map(np.array)
 SHARES = st.lists(st.floats(0, 1), min_size=2, max_size=60).filter(lambda v: sum(v) > 0.1).map(np.array)
@@ -75,7 +75,7 @@ def test_some_weights_may_vanish():
     np.testing.assert_allclose(weights.ESS, 2)
 
 
-@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("scheme", RESAMPLING_SCHEMES)
 @pytest.mark.parametrize("W", W_EXAMPLES.values(), ids=W_EXAMPLES)
 def test_every_scheme_draws_N_W_copies_on_average(scheme, W):
     rng, draws = np.random.default_rng(11), 4000
@@ -99,7 +99,7 @@ def test_deviations_stay_within_their_bounds(shares, seed):
     for scheme in ("systematic", "stratified"):
         cumulative = np.cumsum(counts_of(scheme, W, seed)) - np.cumsum(expected)
         assert (np.abs(cumulative) < 1 + 1e-9).all()
-    for scheme in SCHEMES:
+    for scheme in RESAMPLING_SCHEMES:
         index = resample(scheme, W, np.random.default_rng(seed))
         assert index.shape == (N,) and ((index >= 0) & (index < N)).all()
 
@@ -111,7 +111,7 @@ def test_equal_weights_keep_every_particle(scheme):
         assert sorted(index.tolist()) == list(range(N)), N
 
 
-@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("scheme", RESAMPLING_SCHEMES)
 @pytest.mark.parametrize("heavy", [0, 3, 9])
 def test_one_particle_with_all_the_weight_is_the_only_survivor(scheme, heavy):
     lw = np.full(10, -2000.0)
@@ -121,7 +121,7 @@ def test_one_particle_with_all_the_weight_is_the_only_survivor(scheme, heavy):
     assert (resample(scheme, weights.W, np.random.default_rng(0)) == heavy).all()
 
 
-@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("scheme", RESAMPLING_SCHEMES)
 def test_resampling_depends_on_nothing_but_its_generator(scheme):
     W = Weights(np.random.default_rng(3).normal(0, 2, 500)).W
     a, b = (resample(scheme, W, np.random.default_rng(5)) for _ in range(2))
@@ -144,7 +144,7 @@ def test_a_registered_scheme_is_a_setting(monkeypatch: pytest.MonkeyPatch) -> No
     def last_particle(W, rng):
         return np.full(len(W), len(W) - 1)
 
-    monkeypatch.setattr(resampling, "SCHEMES", dict(SCHEMES))
+    monkeypatch.setattr(resampling, "RESAMPLING_SCHEMES", dict(RESAMPLING_SCHEMES))
     resampling_scheme(last_particle)
     name = SpeedConfiguration(resampling="last_particle").resampling
     assert (resample(name, np.array([0.5, 0.3, 0.2]), np.random.default_rng(0)) == 2).all()

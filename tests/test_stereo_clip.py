@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from paceline.simulation.lane_change import LaneChange
 from paceline.simulation.random_scenes import random_crossing, random_scene
-from paceline.simulation.stereo.clip import SUPERSAMPLING, Scene, Vehicle, World, render, write
+from paceline.simulation.stereo.clip import SCENE_SUBPIXELS_PER_SIDE, Scene, Vehicle, World, render, write
 from paceline.simulation.stereo.scene import CircularRoad, Motion, Pose, make_rig, rig_views
 from paceline.simulation.stereo.textured_planes import TexturedPlane, composite, draw_planes
 from paceline.simulation.textures import Texture
@@ -55,7 +55,7 @@ def test_a_disc_lies_where_its_projection_says(distance: float, yaw: float) -> N
     v, u = np.mgrid[:480, :640]
     for view in rig_views(make_rig(scene)):
         image = np.full((480, 640), 20, np.float32)
-        composite(image, draw_planes([card], view, 0.6, SUPERSAMPLING))
+        composite(image, draw_planes([card], view, 0.6, SCENE_SUBPIXELS_PER_SIDE))
         weight = image.astype(float) - 20
         seen = np.array([(weight * u).sum(), (weight * v).sum()]) / weight.sum()
         np.testing.assert_allclose(seen, centroid_within(view.project(world)), atol=0.008)

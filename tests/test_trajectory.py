@@ -16,9 +16,9 @@ from paceline.speed.refinement import path_deviation, trajectory
 from paceline.speed.refinement.path_deviation import PathDeviation, deviation_modes
 from paceline.speed.refinement.photometric_fit import PhotometricFit
 from paceline.speed.refinement.trajectory import (
+    MOTION_PARAMETER_NAMES,
     MOTION_TERMS,
     PARAMETER_INDEX,
-    PARAMETER_NAMES,
     Prior,
     Trajectory,
     prior,
@@ -74,7 +74,7 @@ def test_on_a_curve_the_distance_is_speed_times_time():
     t = trajectory_on(curved_path(), times=np.linspace(0, 1.5, 200))
     theta = start_of(t)
     count = len(t.deviation.modes)
-    theta[len(PARAMETER_NAMES) :][:count] = np.random.default_rng(2).normal(0, 0.5, count)
+    theta[len(MOTION_PARAMETER_NAMES) :][:count] = np.random.default_rng(2).normal(0, 0.5, count)
     length = np.linalg.norm(np.diff(t.centres(theta), axis=0), axis=1).sum()
     assert length == pytest.approx(15.0 * 1.5, rel=1e-4)
 

@@ -12,7 +12,7 @@ from string import Formatter
 import pytest
 
 from paceline.reports.common.formatting import GENERAL_ADVICE, rejected_advice
-from paceline.verdicts import NO_REASON, VERDICTS, Message, Severity, advice_for, message
+from paceline.verdicts import NO_REASON, VERDICTS_BY_CODE, Message, Severity, advice_for, message
 
 ROOT = Path(__file__).parents[1]
 TABLE = ROOT / "src" / "paceline" / "verdicts.py"
@@ -44,7 +44,7 @@ BEGINNINGS = {
 
 
 def fields(code: str) -> set[str]:
-    return {name for _, name, _, _ in Formatter().parse(VERDICTS[code].message) if name}
+    return {name for _, name, _, _ in Formatter().parse(VERDICTS_BY_CODE[code].message) if name}
 
 
 def made(text: str) -> Iterator[tuple[str, set[str], int]]:
@@ -61,10 +61,10 @@ def test_every_code_is_produced_and_none_is_misspelt() -> None:
     produced = set()
     for file, text in SOURCE.items():
         for code, given, line in made(text):
-            assert code in VERDICTS, f"{file}:{line}: there is no verdict {code}"
+            assert code in VERDICTS_BY_CODE, f"{file}:{line}: there is no verdict {code}"
             assert given == fields(code), f"{file}:{line}: {code} has the fields {sorted(fields(code))}"
             produced.add(code)
-    assert produced == {*VERDICTS}
+    assert produced == {*VERDICTS_BY_CODE}
 
 
 def test_codes_that_are_compared_are_in_the_table() -> None:
@@ -74,12 +74,12 @@ def test_codes_that_are_compared_are_in_the_table() -> None:
             if isinstance(node, ast.Compare) and ast.unparse(node.left).endswith(".code"):
                 for constant in (c for other in node.comparators for c in ast.walk(other)):
                     if isinstance(constant, ast.Constant) and isinstance(constant.value, str):
-                        assert constant.value in VERDICTS, f"{file}:{node.lineno}: {constant.value}"
+                        assert constant.value in VERDICTS_BY_CODE, f"{file}:{node.lineno}: {constant.value}"
 
 
-@pytest.mark.parametrize("code", VERDICTS)
+@pytest.mark.parametrize("code", VERDICTS_BY_CODE)
 def test_a_row_is_well_formed(code: str) -> None:
-    verdict = VERDICTS[code]
+    verdict = VERDICTS_BY_CODE[code]
     assert re.fullmatch(r"[a-z0-9]+(_[a-z0-9]+)*", code)
     assert verdict.message == verdict.message.strip() != ""
     assert verdict.advice == "" or verdict.advice.endswith((".", "?")) and verdict.advice[0].isupper()
@@ -88,7 +88,8 @@ def test_a_row_is_well_formed(code: str) -> None:
 
 
 def test_a_rejection_keeps_the_words_before_its_colon() -> None:
-    found = {code: v.message.partition(":")[0] for code, v in VERDICTS.items() if v.severity is Severity.REJECTED}
+    rejections = {code: v for code, v in VERDICTS_BY_CODE.items() if v.severity is Severity.REJECTED}
+    found = {code: v.message.partition(":")[0] for code, v in rejections.items()}
     assert found == BEGINNINGS
 
 
@@ -138,7 +139,7 @@ def rows() -> dict[str, list[str]]:
 
 def test_every_verdict_is_documented_with_its_message_and_advice() -> None:
     found = rows()
-    assert {*found} == {code for code, verdict in VERDICTS.items() if verdict.severity in DOCUMENTED}
+    assert {*found} == {code for code, verdict in VERDICTS_BY_CODE.items() if verdict.severity in DOCUMENTED}
     for code, (text, advice) in found.items():
-        assert text == re.sub(r"\{[^}]*\}", "…", VERDICTS[code].message), code
-        assert advice == VERDICTS[code].advice, code
+        assert text == re.sub(r"\{[^}]*\}", "…", VERDICTS_BY_CODE[code].message), code
+        assert advice == VERDICTS_BY_CODE[code].advice, code

@@ -86,7 +86,7 @@ __all__ = [
 ]
 
 # Where each name is defined, and what it is called there. ``follow`` is a package that can be called.
-_HOMES = {
+_DEFINING_MODULES = {
     "ChaseOcclusion": ("paceline.simulation.chase.scene", "Occlusion"),
     "ClipResult": ("paceline.speed.results", "ClipResult"),
     "ClosedLoop": ("paceline.simulation.closed_loop.loop", "ClosedLoop"),
@@ -132,9 +132,9 @@ _HOMES = {
 def __getattr__(name: str) -> object:
     if name == "follow":
         return import_module("paceline.follow")
-    if name not in _HOMES:
+    if name not in _DEFINING_MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module, attribute = _HOMES[name]
+    module, attribute = _DEFINING_MODULES[name]
     value = getattr(import_module(module), attribute)
     globals()[name] = value
     return value

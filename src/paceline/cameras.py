@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from paceline.arrays import Array
 
 ALL_ROWS = slice(None)
+VIEW_NAMES = ("left", "right")
 _TO_CONVERGENCE = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-10)  # the default stops 0.2 px short
 
 

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from paceline.commands import INTERRUPTED, UNUSABLE
+from paceline.commands import EXIT_INTERRUPTED, EXIT_UNUSABLE_INPUT
 from paceline.commands.calibrate import calibrate
 from paceline.commands.console import console
 from paceline.commands.drive import drive
@@ -51,14 +51,14 @@ def main() -> None:
         status = app(prog_name="paceline", standalone_mode=False)
     except UnusableInput as error:
         print(f"paceline: {error}", file=sys.stderr)
-        status = UNUSABLE
+        status = EXIT_UNUSABLE_INPUT
     except typer.TyperException as error:  # a wrong option or argument
         text = " ".join(error.format_message().split()).replace("Value error, ", "").rstrip(".")
         print(f"paceline: {text}; see paceline --help", file=sys.stderr)
-        status = UNUSABLE
+        status = EXIT_UNUSABLE_INPUT
     except SystemError as error:
         status = _ended_within(error)
-    if status == INTERRUPTED:  # how Typer answers Ctrl-C
+    if status == EXIT_INTERRUPTED:  # how Typer answers Ctrl-C
         print("paceline: interrupted", file=sys.stderr)
         # where Ctrl-C came inside an exec of a string, as dataclasses are made by, ``python -m`` would be ended by the
         # signal itself, with another status; the next exec clears that
@@ -72,7 +72,7 @@ def _ended_within(error: SystemError) -> str | int | None:
     cause = error.__cause__
     while cause is not None:
         if isinstance(cause, KeyboardInterrupt):
-            return INTERRUPTED
+            return EXIT_INTERRUPTED
         if isinstance(cause, SystemExit):
             return cause.code
         cause = cause.__cause__

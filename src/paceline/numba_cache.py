@@ -20,8 +20,8 @@ from numba import njit
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-PACKAGE = __name__.split(".", maxsplit=1)[0]
-IMPORT_PATTERN = re.compile(rf"^(?:from|import) ({PACKAGE}[\w.]*)(?: import (\([^)]*\)|.*))?", re.MULTILINE)
+PACKAGE_NAME = __name__.split(".", maxsplit=1)[0]
+IMPORT_PATTERN = re.compile(rf"^(?:from|import) ({PACKAGE_NAME}[\w.]*)(?: import (\([^)]*\)|.*))?", re.MULTILINE)
 
 
 def cached_njit(**options: Any) -> Callable[[Function], Function]:

@@ -60,12 +60,12 @@ NO_REASON = Message("", "")
 
 def message(code: str, /, **values: object) -> Message:
     """The message of ``code`` with ``values`` for the fields of its format."""
-    return Message(VERDICTS[code].message.format(**values), code)
+    return Message(VERDICTS_BY_CODE[code].message.format(**values), code)
 
 
 def advice_for(code: str) -> str:
     """What usually helps where ``code`` is the reason; empty for a code that is not in the table."""
-    return VERDICTS[code].advice if code in VERDICTS else ""
+    return VERDICTS_BY_CODE[code].advice if code in VERDICTS_BY_CODE else ""
 
 
 def plural(count: int, noun: str) -> str:
@@ -73,29 +73,31 @@ def plural(count: int, noun: str) -> str:
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
-_FLAT = "Outline a flat, detailed part of the vehicle: grille, lamps and plate, not the windscreen or bonnet."
+_OUTLINE_ADVICE = "Outline a flat, detailed part of the vehicle: grille, lamps and plate, not the windscreen or bonnet."
 _SAME_PART = "Check that both outlines mark the same part of the vehicle, and that nothing hides it in that frame."
-_CALIBRATION = (
+_CALIBRATION_ADVICE = (
     "Check the cameras with `paceline rig check`; calibrate them anew if they have moved, or state a larger "
     "`uncertainty` in rig.yaml."
 )
-_NARROWER = (
+_NARROWER_INTERVAL_ADVICE = (
     "Where the random part is the larger one: more frames, a nearer vehicle or a larger outline. Where it is the "
     "systematic part: a better calibration, a wider baseline or a longer focal length."
 )
-_DRAW = "Draw the path by hand: the same road line in both views."
-_SYNCHRONISE = "Trigger both cameras in hardware, or give each view's true times in times.csv."
-_PAIRING = "Check that the frames are paired correctly; times.csv states when each was taken."
+_DRAW_PATH_ADVICE = "Draw the path by hand: the same road line in both views."
+_SYNCHRONISE_ADVICE = "Trigger both cameras in hardware, or give each view's true times in times.csv."
+_PAIRING_ADVICE = "Check that the frames are paired correctly; times.csv states when each was taken."
 
-_REJECTED = {
+_REJECTION_ROWS = {
     "no_motion_fits": (
         "residuals: no motion fits the images: {test}",
-        f"{_FLAT} Look for glare, for a pole in front of the vehicle, and for a path that belongs to another lane.",
+        f"{_OUTLINE_ADVICE} Look for glare, for a pole in front of the vehicle, and for a path that belongs to another "
+        "lane.",
     ),
     "image_residual_too_large": (
         "residuals: the images lie {offset_px:.2f} px rms off the fitted motion (limit {max_offset_px:g}) and "
         "{unexplained:.0%} of their contrast is unexplained (limit {max_unexplained:.0%})",
-        f"{_FLAT} Check that both outlines mark the same part. Glare and poles in front of the vehicle do harm.",
+        f"{_OUTLINE_ADVICE} Check that both outlines mark the same part. Glare and poles in front of the vehicle do "
+        "harm.",
     ),
     "too_few_consistent_frames": (
         "residuals: only {consistent} of {frames} frames show the vehicle where the fitted motion puts it "
@@ -117,12 +119,12 @@ _REJECTED = {
     ),
     "calibration_inconsistent": (
         "calibration: image evidence is {deviation:.1f} σ from rig.yaml (limit {max_deviation:g})",
-        _CALIBRATION,
+        _CALIBRATION_ADVICE,
     ),
     "calibration_inconsistent_jointly": (
         "calibration: image evidence of {vehicles} vehicles together is {deviation:.1f} σ from rig.yaml "
         "(limit {max_deviation:g})",
-        _CALIBRATION,
+        _CALIBRATION_ADVICE,
     ),
     "calibration_differs_between_vehicles": (
         "calibration: image evidence of this vehicle is {deviation:.1f} σ from that of the others "
@@ -164,7 +166,7 @@ _REJECTED = {
     ),
     "interval_too_wide": (
         "interval too wide: ± {relative:.1%} of the speed (limit {max_relative:.1%})",
-        _NARROWER,
+        _NARROWER_INTERVAL_ADVICE,
     ),
     "interval_too_wide_random": (
         "interval too wide: ± {relative:.1%} of the speed without the calibration's part (limit {max_relative:.1%})",
@@ -173,16 +175,16 @@ _REJECTED = {
     "speed_unknown": (
         "interval too wide: the speed is not known: ± {half_width_mps:.1f} m/s about {speed_mps:.1f} m/s (limit "
         "{max_half_width_mps:.2f} m/s)",
-        _NARROWER,
+        _NARROWER_INTERVAL_ADVICE,
     ),
     "tolerance_exceeded": (
         "interval too wide: ± {half_width_mps:.3g} m/s, {ratio:.2f} times the tolerance (limit {tolerance_mps:.3g} "
         "m/s)",
-        f"Ask for a larger `--max-half-width`. {_NARROWER}",
+        f"Ask for a larger `--max-half-width`. {_NARROWER_INTERVAL_ADVICE}",
     ),
 }
 
-_UNMEASURED = {
+_UNMEASURED_ROWS = {
     "no_planar_face": (
         "no flat part of its front or rear looks alike in both views and over time",
         "Outline the vehicle by hand; film it from nearer, and with sharper images.",
@@ -202,7 +204,7 @@ _UNMEASURED = {
     "input_unusable": ("{problem}", "Correct what the message names."),
 }
 
-_NOTHING = {
+_NOTHING_FOUND_ROWS = {
     "no_vehicle_detected": (
         "nothing that could be measured drives along the paths",
         "Check that the paths lie on the lanes in both views; record for longer.",
@@ -230,8 +232,8 @@ _NOTHING = {
         "no ground was found: the two views do not match below the cameras; check the rig first",
         "Check the cameras with `paceline rig check`.",
     ),
-    "no_painted_lines": ("nothing on the ground looks like painted lines in both views", _DRAW),
-    "lines_too_short": ("no painted line runs along the road for long enough in both views", _DRAW),
+    "no_painted_lines": ("nothing on the ground looks like painted lines in both views", _DRAW_PATH_ADVICE),
+    "lines_too_short": ("no painted line runs along the road for long enough in both views", _DRAW_PATH_ADVICE),
     "lines_along_baseline": (
         "the painted lines run along the line between the cameras, so the two views do not determine them in space; "
         "film the road more along its course",
@@ -239,7 +241,7 @@ _NOTHING = {
     ),
     "no_lane_between_lines": (
         "no two neighbouring lines that both views determine are a lane's width apart",
-        _DRAW,
+        _DRAW_PATH_ADVICE,
     ),
     "rig_moved": (
         "the rig has moved: points lie {offset_px:.2f} px off their lines (chance otherwise: {chance:.1g}, limit "
@@ -258,7 +260,7 @@ _NOTHING = {
     ),
 }
 
-_WARNINGS = {
+_WARNING_ROWS = {
     "rig_uncertainty_missing": (
         "{rig} states no uncertainty: {consequence}",
         "State `uncertainty` in rig.yaml; `paceline calibrate` writes it.",
@@ -271,12 +273,12 @@ _WARNINGS = {
     ),
     "baseline_interval": ("a baseline: the interval comes from scatter alone and holds no systematic part", ""),
     "vehicle_not_measured": ("a vehicle on {path} from {start:.2f} to {end:.2f} s is not measured: {reason}", ""),
-    "views_skewed": ("{frames} are taken {skew}", _SYNCHRONISE),
+    "views_skewed": ("{frames} are taken {skew}", _SYNCHRONISE_ADVICE),
     "no_common_clock": (
         "no common clock: frames that come together are taken as exposed together",
-        _SYNCHRONISE,
+        _SYNCHRONISE_ADVICE,
     ),
-    "frames_unmatched": ("{view}: {frames} left out, without a {other} frame {match}", _PAIRING),
+    "frames_unmatched": ("{view}: {frames} left out, without a {other} frame {match}", _PAIRING_ADVICE),
     "frames_missing": ("{gap} instead of {usual_s:.3f} s", ""),
     "frames_repeated": (
         "{source}: {frames} a copy of the frame before",
@@ -289,7 +291,7 @@ _WARNINGS = {
     ),
     "frame_numbers_offset": (
         "left images count from {left} and right ones from {right}; paired in order",
-        _PAIRING,
+        _PAIRING_ADVICE,
     ),
     "bit_depth_suspect": (
         "{image}: looks like a 12-bit recording in 16-bit images; set bit_depth",
@@ -340,7 +342,7 @@ _WARNINGS = {
     ),
 }
 
-_INFO = {
+_INFORMATION_ROWS = {
     "lines_not_beside_each_other": (
         "lines {first} and {second} run beside each other for {shared_m:.1f} m (at least {min_shared_m:g} needed)",
         "",
@@ -380,14 +382,14 @@ _INFO = {
     "pairs_thinned": ("{used} of {pairs} pairs are used, evenly spread", ""),
 }
 
-VERDICTS = {
+VERDICTS_BY_CODE = {
     code: Verdict(severity, *row)
     for severity, rows in (
-        (Severity.REJECTED, _REJECTED),
-        (Severity.UNMEASURED, _UNMEASURED),
-        (Severity.NOTHING, _NOTHING),
-        (Severity.WARNING, _WARNINGS),
-        (Severity.INFO, _INFO),
+        (Severity.REJECTED, _REJECTION_ROWS),
+        (Severity.UNMEASURED, _UNMEASURED_ROWS),
+        (Severity.NOTHING, _NOTHING_FOUND_ROWS),
+        (Severity.WARNING, _WARNING_ROWS),
+        (Severity.INFO, _INFORMATION_ROWS),
     )
     for code, row in rows.items()
 }

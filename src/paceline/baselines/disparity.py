@@ -19,7 +19,7 @@ BLOCK_PX = 5
 SMOOTHNESS_PENALTIES = (8 * BLOCK_PX**2, 32 * BLOCK_PX**2)  # for disparities that change by one, and by more
 DISPARITY_RANGE = (0.6, 1.6)  # searched, relative to the expected disparity
 DISPARITY_MARGIN_PX = 6  # searched beyond that
-MIN_DEPTH_M = 1.0
+MIN_MATCHED_DEPTH_M = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +75,7 @@ class Rectification:
 
     def depths(self, images: tuple[Image, Image], region: Array, depth: float) -> DepthMap:
         """Depths inside the rectified box about ``region`` (n, 2) px, where about ``depth`` metres are expected."""
-        expected = self.fb / max(depth, MIN_DEPTH_M)
+        expected = self.fb / max(depth, MIN_MATCHED_DEPTH_M)
         least = int(np.floor(DISPARITY_RANGE[0] * expected)) - DISPARITY_MARGIN_PX
         count = 16 * int(np.ceil((DISPARITY_RANGE[1] * expected + DISPARITY_MARGIN_PX - least) / 16))
         low, high = np.floor(region.min(0)), np.ceil(region.max(0)) + 1

@@ -15,7 +15,7 @@ import numpy as np
 
 from paceline.arrays import Array
 from paceline.baselines.sift import Sift, centroid_covariance
-from paceline.baselines.track import FrameResult, measurement_of_filter, rejected
+from paceline.baselines.track import NOISE_STEP_S, FrameResult, measurement_of_filter, rejected
 from paceline.cameras import StereoRig
 from paceline.documents.loading import VehicleDocument
 from paceline.geometry import triangulate
@@ -25,7 +25,6 @@ from paceline.speed.measurement import by_vehicle
 from paceline.speed.methods import register
 from paceline.speed.results import Measurement
 
-NOISE_STEP_S = 0.2  # to which the noises of the configuration refer
 INITIAL_VELOCITY_STD_MPS = 40.0  # of each component, before the second measurement
 
 

@@ -30,11 +30,11 @@ from paceline.speed.results import Measurement
 from paceline.verdicts import message
 
 MIN_POINTS = 4
-MAX_EPIPOLAR_PX = 1.0
+MAX_CORNER_EPIPOLAR_PX = 1.0
 MAX_MOTION_RESIDUAL_PX = 1.5  # from the common motion of the region
-MAX_DEPTH_DEVIATIONS = 4.0  # scaled median deviations of inverse depth beyond which a match is an outlier
-MATCH_SIGMA_PX = 0.15  # standard deviation of a matched coordinate
-HUBER_SIGMA = 1.5
+MAX_CORNER_DEPTH_DEVIATIONS = 4.0  # scaled median deviations of inverse depth beyond which a match is an outlier
+CORNER_MATCH_SIGMA_PX = 0.15  # standard deviation of a matched coordinate
+DISPLACEMENT_HUBER_SIGMA = 1.5
 KEYFRAME_SCALE_RATIO = 1.2  # change of scale that starts a new keyframe
 KEYFRAME_POINT_SHARE = 0.6  # of the keyframe's points still tracked, below which a new one starts
 JACKKNIFE_GROUPS = 8  # of points, each left out once
@@ -144,14 +144,16 @@ class LucasKanade:
 
     def _plausible(self, left: Array, right: Array, good: Mask) -> Mask:
         """Which matches lie on their epipolar lines and at a consistent depth."""
-        plausible = good & (np.abs(epipolar_distance(self.rig, left, right)) < MAX_EPIPOLAR_PX)
+        plausible = good & (np.abs(epipolar_distance(self.rig, left, right)) < MAX_CORNER_EPIPOLAR_PX)
         depth = triangulate(self.rig, left, right)[:, 2]
         plausible &= np.isfinite(depth) & (depth > 1.0)
         if plausible.any():
             inverse = 1.0 / np.where(plausible, depth, 1.0)
             deviation = np.abs(inverse - np.median(inverse[plausible]))
-            least = MATCH_SIGMA_PX / (self.rig.left.K[0, 0] * self.rig.baseline)
-            plausible &= deviation < MAX_DEPTH_DEVIATIONS * max(1.4826 * float(np.median(deviation[plausible])), least)
+            least = CORNER_MATCH_SIGMA_PX / (self.rig.left.K[0, 0] * self.rig.baseline)
+            plausible &= deviation < MAX_CORNER_DEPTH_DEVIATIONS * max(
+                1.4826 * float(np.median(deviation[plausible])), least
+            )
         return plausible
 
     def _record(self, frame: StereoFrame, matches: _Matches, speed: float, std: float) -> None:
@@ -266,7 +268,8 @@ def _displacement(rig: StereoRig, before: _Matches, after: _Matches) -> tuple[Ar
         return np.full(3, np.nan), np.full((3, 3), np.nan)
     a, b = before.points[i], after.points[j]
     W = np.linalg.inv(
-        triangulation_covariance(rig, a, MATCH_SIGMA_PX) + triangulation_covariance(rig, b, MATCH_SIGMA_PX)
+        triangulation_covariance(rig, a, CORNER_MATCH_SIGMA_PX)
+        + triangulation_covariance(rig, b, CORNER_MATCH_SIGMA_PX)
     )
     d, w = b - a, np.ones(len(a))
     for _ in range(6):
@@ -274,7 +277,7 @@ def _displacement(rig: StereoRig, before: _Matches, after: _Matches) -> tuple[Ar
         mean = np.linalg.solve(A, np.einsum("n,nij,nj->i", w, W, d))
         distance = np.sqrt(np.einsum("ni,nij,nj->n", d - mean, W, d - mean))
         scale = max(float(np.median(distance)) / 1.54, 1e-6)
-        w = np.minimum(1.0, 2 * HUBER_SIGMA * scale / np.maximum(distance, 1e-12))
+        w = np.minimum(1.0, 2 * DISPLACEMENT_HUBER_SIGMA * scale / np.maximum(distance, 1e-12))
     return mean, np.linalg.inv(A) * scale**2
 
 

@@ -15,8 +15,15 @@ import numpy as np
 from paceline.arrays import Array
 from paceline.baselines import image_cues
 from paceline.baselines.disparity import DepthMap, Rectification
-from paceline.baselines.template_tracking import MAX_UNSEEN_FRAMES, TemplateTracker
-from paceline.baselines.track import FrameResult, check_frame_count, measurement_of_filter, rejected, unseen_frame
+from paceline.baselines.template_tracking import MAX_MISSED_FRAMES, TemplateTracker
+from paceline.baselines.track import (
+    NOISE_STEP_S,
+    FrameResult,
+    check_frame_count,
+    measurement_of_filter,
+    rejected,
+    unseen_frame,
+)
 from paceline.baselines.triangulation_covariance import triangulation_covariance
 from paceline.cameras import StereoRig
 from paceline.documents.loading import VehicleDocument
@@ -31,15 +38,14 @@ from paceline.speed.methods import register
 from paceline.speed.results import Measurement
 from paceline.verdicts import message
 
-NOISE_STEP_S = 0.2  # to which the noises of the configuration refer
 LAMBDA_GREY = 20.0  # on 1 − Bhattacharyya coefficient
 LAMBDA_EDGE = 5.0  # on 1 − gradient relative to that of the best particle
 DISPARITY_SIGMA_PX = 0.5  # of a box's mean disparity
 SMOOTHING_DISCOUNT = 0.95  # δ of kernel smoothing
 REFERENCE_UPDATE_SHARE = 0.1  # of the present histogram in the new reference
 MIN_UPDATE_SIMILARITY = 0.8  # above it the reference is updated
-MIN_VISIBLE_SIMILARITY = 0.5  # below it the vehicle is not in view
-MARGIN_SHARE = 0.3  # of the box's longer side, image margin about the particles
+MIN_BOX_SIMILARITY = 0.5  # below it the vehicle is not in view
+CROP_MARGIN_SHARE = 0.3  # of the box's longer side, image margin about the particles
 MAX_PARTICLE_MARGINS = 5.0  # margins beyond which particles are ignored in the choice of the crop
 
 
@@ -168,7 +174,7 @@ class Multimodal:
         """The depth map of a crop around ``places`` (N, 3), without a few outliers, searched about their depth."""
         boxes = self.rectified.project(self._boxes(places, axes))
         middle = np.median(boxes, axis=0)
-        margin = MARGIN_SHARE * float(np.ptp(middle, axis=0).max())
+        margin = CROP_MARGIN_SHARE * float(np.ptp(middle, axis=0).max())
         low, high = np.quantile(boxes, [0.02, 0.98], axis=0)
         low = np.maximum(low.min(0), middle.min(0) - MAX_PARTICLE_MARGINS * margin) - margin
         high = np.minimum(high.max(0), middle.max(0) + MAX_PARTICLE_MARGINS * margin) + margin
@@ -219,9 +225,9 @@ class Multimodal:
         similarity = float(image_cues.bhattacharyya(seen, self._reference))
         if similarity > MIN_UPDATE_SIMILARITY:
             self._reference = (1 - REFERENCE_UPDATE_SHARE) * self._reference + REFERENCE_UPDATE_SHARE * seen
-        self._unseen = self._unseen + 1 if similarity < MIN_VISIBLE_SIMILARITY else 0
+        self._unseen = self._unseen + 1 if similarity < MIN_BOX_SIMILARITY else 0
         left, right = self.rig.project(self._boxes(place[None], axes)[0])
-        status = "tracking" if similarity >= MIN_VISIBLE_SIMILARITY else "lost"
+        status = "tracking" if similarity >= MIN_BOX_SIMILARITY else "lost"
         if self._outside(left, right) or place[2] < 1.0:
             status = "ended"
         points_left, points_right = self.rig.project(particles.places)
@@ -240,7 +246,7 @@ class Multimodal:
                 effective_points=weights.ESS,
             )
         )
-        return status != "ended" and self._unseen < MAX_UNSEEN_FRAMES
+        return status != "ended" and self._unseen < MAX_MISSED_FRAMES
 
     def _outside(self, left: Array, right: Array) -> bool:
         return any(

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from paceline.arrays import Array, Image, Mask
 from paceline.baselines.template_tracking import ScaledShift
 
-WINDOW_LIMITS_PX = (7, 17)
-WINDOW_SHARE = 0.4  # of the region's height
+FLOW_WINDOW_LIMITS_PX = (7, 17)
+FLOW_WINDOW_SHARE = 0.4  # of the region's height
 MAX_FORWARD_BACKWARD_PX = 0.3  # distance between a point and its position tracked forth and back
-MAX_POINTS = 150
+MAX_CORNERS = 150
 CORNER_QUALITY = 0.01  # relative to the best corner
 MIN_CORNER_SPACING_PX = 3.0
 MAX_RIM_SHARE = 0.25  # of a side, excluded at the region's border
@@ -31,7 +31,7 @@ def detect_corners(image: Image, quad: Array, known: Array) -> Array:
     low = np.maximum(np.floor(quad.min(0)).astype(int), 0)
     high = np.ceil(quad.max(0)).astype(int) + 1
     picture = _bytes(image[low[1] : high[1], low[0] : high[0]])
-    max_new = MAX_POINTS - len(known)
+    max_new = MAX_CORNERS - len(known)
     if max_new <= 0 or not picture.size:
         return np.empty((0, 2))
     mask = np.zeros(picture.shape, np.uint8)
@@ -72,7 +72,7 @@ def match_points(left: Image, right: Image, points: Array, guess: Array, window:
 
 def window_size(quad: Array) -> int:
     """The odd window width in pixels for a region."""
-    size = int(np.clip(WINDOW_SHARE * np.ptp(quad[:, 1]), *WINDOW_LIMITS_PX))
+    size = int(np.clip(FLOW_WINDOW_SHARE * np.ptp(quad[:, 1]), *FLOW_WINDOW_LIMITS_PX))
     return size | 1
 
 

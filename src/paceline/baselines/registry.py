@@ -2,4 +2,4 @@
 
 from paceline.baselines import kalman, lucas_kanade, multimodal, sift
 
-MODULES = sift, kalman, multimodal, lucas_kanade
+BASELINE_MODULES = sift, kalman, multimodal, lucas_kanade

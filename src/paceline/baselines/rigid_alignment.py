@@ -13,8 +13,10 @@ import numpy as np
 
 from paceline.arrays import Array, Mask
 
-MAX_ITERATIONS = 20
-HUBER_SIGMA = 0.9  # standard deviations, for each of three coordinates: the errors of matches are heavy-tailed
+MAX_ALIGNMENT_ITERATIONS = 20
+ALIGNMENT_HUBER_SIGMA = (
+    0.9  # standard deviations, for each of three coordinates: the errors of matches are heavy-tailed
+)
 CONVERGENCE_M = 1e-6
 MEDIAN_CHI = 1.538  # median of the chi distribution of three degrees of freedom
 MIN_SCATTER_PER_M = 1e-9
@@ -44,7 +46,7 @@ def align(points: Array, seen: Mask, turns: Array, places: Array) -> RigidAlignm
     own = np.einsum("kji,pkj->pki", turns, points - places[0])  # turned back, as seen from the first place
     relative_rotations = np.einsum("kab,lcb->kalc", turns, turns)
     w, found = seen.astype(float), places
-    for _ in range(MAX_ITERATIONS):
+    for _ in range(MAX_ALIGNMENT_ITERATIONS):
         W = w / depths**4
         total = W.sum(1)
         S = -np.einsum("pk,pl,p->kl", W, W, 1 / total, optimize=True)[:, None, :, None] * relative_rotations
@@ -58,7 +60,9 @@ def align(points: Array, seen: Mask, turns: Array, places: Array) -> RigidAlignm
         body = (W[..., None] * back).sum(1) / total[:, None]
         distance = np.linalg.norm(back - body[:, None], axis=-1) / depths**2
         scatter = max(float(np.median(distance[seen])) / MEDIAN_CHI, MIN_SCATTER_PER_M)
-        w = np.where(seen, np.minimum(1.0, HUBER_SIGMA * np.sqrt(3) * scatter / np.maximum(distance, 1e-15)), 0.0)
+        w = np.where(
+            seen, np.minimum(1.0, ALIGNMENT_HUBER_SIGMA * np.sqrt(3) * scatter / np.maximum(distance, 1e-15)), 0.0
+        )
         if np.abs(found - before).max() < CONVERGENCE_M:
             break
     return RigidAlignment(found, scatter**2 * np.linalg.inv(information))

@@ -22,11 +22,11 @@ from paceline.speed.methods import register
 from paceline.speed.results import Measurement
 from paceline.verdicts import Message, message
 
-LOWE_RATIO = 0.8  # of the distances to the best and the second best descriptor (Lowe 2004)
-MAX_EPIPOLAR_PX = 1.5
-MAX_DEPTH_DEVIATIONS = 3.0  # scaled median deviations of inverse depth beyond which a match is an outlier
-MIN_MATCHES = 3
-MATCH_SIGMA_PX = 0.5  # standard deviation of a matched feature's coordinate ([Zhu] section V)
+BASELINE_LOWE_RATIO = 0.8  # of the distances to the best and the second best descriptor (Lowe 2004)
+MAX_FEATURE_EPIPOLAR_PX = 1.5
+MAX_FEATURE_DEPTH_DEVIATIONS = 3.0  # scaled median deviations of inverse depth beyond which a match is an outlier
+MIN_FEATURE_MATCHES = 3
+FEATURE_MATCH_SIGMA_PX = 0.5  # standard deviation of a matched feature's coordinate ([Zhu] section V)
 DESCRIPTOR_MARGIN_PX = 16  # of image around the region, for the descriptors
 CONTRAST_THRESHOLD = 0.02  # half of OpenCV's default, as distant vehicles are small
 
@@ -54,7 +54,7 @@ class Sift:
                 return self._miss(frame)
             quads = np.stack([m(q) for m, q in zip(moves, self._templates.quads, strict=True)])
         left, right = self._matches(frame, quads)
-        if len(left) < MIN_MATCHES:
+        if len(left) < MIN_FEATURE_MATCHES:
             return self._miss(frame)
         if self.frame_results:
             self._templates.accept(quads, frame)
@@ -67,15 +67,15 @@ class Sift:
             features_inside(self._detector, image, quad)
             for image, quad in zip((frame.left, frame.right), quads, strict=True)
         )
-        i, j = match_descriptors(of_a, of_b, LOWE_RATIO)
+        i, j = match_descriptors(of_a, of_b, BASELINE_LOWE_RATIO)
         left, right = a[i], b[j]
         with np.errstate(invalid="ignore"):
             inverse = 1.0 / triangulate(self.rig, left, right)[:, 2]
-        good = (np.abs(epipolar_distance(self.rig, left, right)) < MAX_EPIPOLAR_PX) & (inverse > 0)
+        good = (np.abs(epipolar_distance(self.rig, left, right)) < MAX_FEATURE_EPIPOLAR_PX) & (inverse > 0)
         if good.any():
             deviation = np.abs(inverse - np.median(inverse[good]))
-            least = MATCH_SIGMA_PX / (self.rig.left.K[0, 0] * self.rig.baseline)
-            good &= deviation < MAX_DEPTH_DEVIATIONS * max(1.4826 * float(np.median(deviation[good])), least)
+            least = FEATURE_MATCH_SIGMA_PX / (self.rig.left.K[0, 0] * self.rig.baseline)
+            good &= deviation < MAX_FEATURE_DEPTH_DEVIATIONS * max(1.4826 * float(np.median(deviation[good])), least)
         return left[good], right[good]
 
     def _miss(self, frame: StereoFrame) -> bool:
@@ -117,7 +117,7 @@ class Sift:
         """Why there is nothing to measure by; empty where there is."""
         if self.frame_results:
             return check_frame_count(self.frame_results, self.limits)
-        return message("too_little_texture", test=f"fewer than {MIN_MATCHES} features match across the views")
+        return message("too_little_texture", test=f"fewer than {MIN_FEATURE_MATCHES} features match across the views")
 
     def result(self) -> Measurement:
         """The measurement: the mean speed of a polynomial track fitted to the centroids."""
@@ -136,7 +136,7 @@ class Sift:
 
 def centroid_covariance(rig: StereoRig, place: Array, matches: int) -> Array:
     """Covariance (3, 3), m², of the centroid of this number of independent ``matches`` near ``place`` (3,)."""
-    return triangulation_covariance(rig, place, MATCH_SIGMA_PX) / matches
+    return triangulation_covariance(rig, place, FEATURE_MATCH_SIGMA_PX) / matches
 
 
 def features_inside(detector: cv2.SIFT, image: Image, quad: Array) -> tuple[Array, Descriptors]:

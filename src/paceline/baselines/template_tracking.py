@@ -23,10 +23,10 @@ SCALE_STEPS = np.geomspace(0.91, 1.1, 9)  # searched about the predicted scale
 SEARCH_SHARE = 0.25  # of the region's longer side, searched about the prediction
 MIN_SEARCH_PX = 6.0
 MAX_TEMPLATE_PX = 64  # larger regions are searched at this width
-MIN_TEMPLATE_NCC = 0.6  # below it the vehicle is not found
-MAX_UNSEEN_FRAMES = 4  # in a row, after which the vehicle is lost
-MIN_CONTRAST_GREY = 2.0  # standard deviation of a region, grey levels
-MAX_EPIPOLAR_PX = 3.0  # from the epipolar line, for both views to show the same region
+MIN_REGION_NCC = 0.6  # below it the vehicle is not found
+MAX_MISSED_FRAMES = 4  # in a row, after which the vehicle is lost
+MIN_REGION_CONTRAST_GREY = 2.0  # standard deviation of a region, grey levels
+MAX_REGION_EPIPOLAR_PX = 3.0  # from the epipolar line, for both views to show the same region
 MAX_DEPTH_MISMATCH = (0.25, 2.0)  # between the depth and the change of scale: a share, and px of disparity
 MIN_DEPTH_SHARE = 0.3  # of the predicted depth to the last one
 MIN_REGION_PX = 8.0
@@ -69,7 +69,7 @@ class TemplateTracker:
             None  # the centres (2, 2) before, the growth and the time since
         )
         self._unseen = 0
-        if min(_crop(i, q).std() for i, q in zip(self.images, quads, strict=True)) < MIN_CONTRAST_GREY:
+        if min(_crop(i, q).std() for i, q in zip(self.images, quads, strict=True)) < MIN_REGION_CONTRAST_GREY:
             raise np.linalg.LinAlgError("the region has no texture")
 
     def find(self, frame: StereoFrame) -> tuple[ScaledShift, ScaledShift] | None:
@@ -85,7 +85,7 @@ class TemplateTracker:
                 scales = moves[0].scale * np.geomspace(0.98, 1.02, 3)
             quad = self.quads[view]
             move, ncc = _search(self.images[view], quad, image, expected(quad.mean(0)), scales, reach)
-            if ncc < MIN_TEMPLATE_NCC:
+            if ncc < MIN_REGION_NCC:
                 return None
             moves.append(move)
         return (moves[0], moves[1]) if self._agree(*moves) else None
@@ -99,7 +99,7 @@ class TemplateTracker:
             self.rig.left.K[0, 0] * self.rig.baseline
         )
         across = abs(float(epipolar_distance(self.rig, *after)))
-        return across < MAX_EPIPOLAR_PX and abs(left.scale * depth / depth_before - 1) < slack
+        return across < MAX_REGION_EPIPOLAR_PX and abs(left.scale * depth / depth_before - 1) < slack
 
     def accept(self, quads: Array, frame: StereoFrame) -> None:
         """Records that the vehicle is found in ``frame`` at ``quads`` (2, 4, 2)."""
@@ -115,7 +115,7 @@ class TemplateTracker:
         expected = np.stack([self._expected(view, time)(self.quads[view]) for view in (0, 1)])
         if self._outside(expected):
             self.status = "ended"
-        elif self._unseen >= MAX_UNSEEN_FRAMES:
+        elif self._unseen >= MAX_MISSED_FRAMES:
             self.status = "lost"
         return self.status == "tracking"
 

@@ -17,6 +17,7 @@ from paceline.speed.verdict import check_frames, check_interval
 from paceline.verdicts import Message, message
 
 NAN = float("nan")
+NOISE_STEP_S = 0.2  # time step to which the noises of the configuration refer
 
 
 @dataclass(frozen=True, eq=False)

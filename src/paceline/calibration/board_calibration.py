@@ -19,7 +19,7 @@ from paceline.calibration.outlier_views import NO_PARAMETERS, renumbered, select
 from paceline.calibration.parameters import (
     LENS_MODELS,
     LENS_PARAMETERS,
-    PARAMETER_NAMES,
+    RIG_PARAMETER_NAMES,
     Observations,
     Poses,
     RigState,
@@ -32,7 +32,7 @@ from paceline.documents import plausibility
 from paceline.errors import UnusableInput
 from paceline.verdicts import message
 
-MIN_VIEWS, RECOMMENDED_VIEWS = 5, 12
+MIN_BOARD_VIEWS, RECOMMENDED_VIEWS = 5, 12
 CROSS_VALIDATION_FOLDS = 5
 MAX_CORNER_SIGMA = 5.0  # standard deviations beyond which a corner is an outlier
 MIN_MODEL_WEIGHT = 1e-3  # of a lens model in the average
@@ -47,7 +47,7 @@ class Calibration:
     """A calibrated rig and its quality figures.
 
     ``rig`` states its uncertainty. ``covariance`` (24, 24) is that of all parameters in the order of
-    :data:`~paceline.calibration.parameters.PARAMETER_NAMES`, about and along the right camera's axes.
+    :data:`~paceline.calibration.parameters.RIG_PARAMETER_NAMES`, about and along the right camera's axes.
     ``cross_validation_px`` is the rms residual, for each lens model, of views that were held out of the fit. ``used``
     (V,) are the views of the fit; ``rejected`` holds the reason for each of the others. ``advice`` lists which views to
     add for a better calibration.
@@ -69,7 +69,7 @@ class Calibration:
     @property
     def names(self) -> list[str]:
         """The parameters that were estimated."""
-        return [PARAMETER_NAMES[k] for k in self.fit.free]
+        return [RIG_PARAMETER_NAMES[k] for k in self.fit.free]
 
     @property
     def std(self) -> Array:
@@ -96,18 +96,18 @@ def calibrate(views: BoardViews) -> Calibration:
     Raises UnusableInput where the views do not determine it, stating which to add.
     """
     both = [v for v in views.views if len(v.left) and len(v.right)]
-    if len(both) < MIN_VIEWS:
+    if len(both) < MIN_BOARD_VIEWS:
         raise UnusableInput(
             f"{len(both)} of {len(views.views) + len(views.empty)} pairs show the board to both cameras; expected at "
-            f"least {MIN_VIEWS}, better {RECOMMENDED_VIEWS} to 30, the board tilted in various ways"
+            f"least {MIN_BOARD_VIEWS}, better {RECOMMENDED_VIEWS} to 30, the board tilted in various ways"
         )
     all_corners = observations(views.board, views.views)
     V = len(views.views)
     rig, poses, agree, reasons = select_consistent_views(*initial_rig(views.sizes, all_corners, V), all_corners)
     used = np.flatnonzero(agree)
     pairs = sum(len(views.views[v].left) > 0 and len(views.views[v].right) > 0 for v in used)
-    if pairs < MIN_VIEWS:
-        raise UnusableInput(f"only {pairs} pairs agree with each other; expected at least {MIN_VIEWS}")
+    if pairs < MIN_BOARD_VIEWS:
+        raise UnusableInput(f"only {pairs} pairs agree with each other; expected at least {MIN_BOARD_VIEWS}")
     seen, outlier_corners = _without_outliers(rig, poses.of(used), renumbered(all_corners, agree))
     try:
         models = fit_lens_models(rig, poses.of(used), seen)
@@ -177,7 +177,7 @@ def model_averaged_covariance(models: dict[str, LensModel], chosen: str) -> Arra
     comparison (from the scatter between views); differences of the parameters add their squares.
     """
     best = models[chosen]
-    C, total = np.zeros((len(PARAMETER_NAMES), len(PARAMETER_NAMES))), 0.0
+    C, total = np.zeros((len(RIG_PARAMETER_NAMES), len(RIG_PARAMETER_NAMES))), 0.0
     for model in models.values():
         excess = (model.squared_errors - best.squared_errors) / best.cross_validation_px**2
         standard_error = np.sqrt(len(excess)) * excess.std(ddof=1)

@@ -21,7 +21,10 @@ EXPECTED_BOARD = (
 )
 MAX_SQUARES_PER_SIDE = 100
 MAX_SQUARE_M = 2.0
-WINDOW_SHARE, WINDOW_LIMITS_PX = 0.75, (2, 9)  # half width of the corner window: share of the distance to a marker, px
+CORNER_WINDOW_SHARE, CORNER_WINDOW_LIMITS_PX = (
+    0.75,
+    (2, 9),
+)  # half width of the corner window: share of the distance to a marker, px
 SUBPIXEL_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-4)
 MAX_REFINEMENT_SHIFT_PX = 1.5  # between a corner as OpenCV finds it and as it is refined
 MIN_CORNERS = 8  # in a view of a ChArUco board; fewer hardly determine a pose beside a lens
@@ -158,7 +161,7 @@ def _refine_corners(board: Board, corners: Corners, image: NDArray[np.uint8]) ->
     steps = gap * np.array([[1, 0], [-1, 0], [0, 1], [0, -1.0]])
     around = cv2.perspectiveTransform((on_board[:, None, :2] + steps).reshape(-1, 1, 2), H).reshape(-1, 4, 2)
     clear = np.linalg.norm(around - corners.pixels[:, None], axis=2).min(1)
-    windows = np.clip(WINDOW_SHARE * clear, *WINDOW_LIMITS_PX).astype(int)
+    windows = np.clip(CORNER_WINDOW_SHARE * clear, *CORNER_WINDOW_LIMITS_PX).astype(int)
     pixels = corners.pixels.copy()
     for size in np.unique(windows):
         in_group = windows == size

@@ -15,11 +15,11 @@ from paceline.calibration.parameters import N_RIG, Observations, Poses, RigState
 
 Weighting = Literal["huber", "redescending"]
 
-HUBER_SIGMA = 2.5  # standard deviations above which a corner is downweighted
-REDESCENDING_SIGMA = (
+CORNER_HUBER_SIGMA = 2.5  # standard deviations above which a corner is downweighted
+CORNER_REDESCENDING_SIGMA = (
     6.0  # standard deviations at which a corner has a quarter of the weight, before outliers are removed
 )
-MAX_STEPS = 60
+MAX_ADJUSTMENT_STEPS = 60
 CONVERGENCE_TOLERANCE = 1e-7  # relative change of the sum of squares
 MIN_SIGMA_PX = 1e-3  # keeps the weights of perfect corners from following rounding errors
 RAYLEIGH_MEDIAN = 1.1774  # median length of a two-dimensional error, in standard deviations of a coordinate
@@ -88,7 +88,7 @@ def adjust(
     expected, J, Q = project(rig, poses, seen)
     residuals = seen.pixels - expected
     weights, settled = _weights(residuals, weighing), False
-    for _ in range(MAX_STEPS):
+    for _ in range(MAX_ADJUSTMENT_STEPS):
         blocks = _normal_equations(J[..., free], Q, residuals, weights, seen.view, V)
         cost = _cost(residuals, weights)
         while True:
@@ -149,8 +149,8 @@ def _weights(residuals: Array, weighing: Weighting) -> Array:
     length = np.linalg.norm(residuals, axis=1)
     sigma = max(float(np.median(length)) / RAYLEIGH_MEDIAN, MIN_SIGMA_PX)
     if weighing == "huber":
-        return np.asarray(np.minimum(1.0, HUBER_SIGMA * sigma / np.maximum(length, 1e-12)))
-    return np.asarray(1.0 / (1.0 + (length / (REDESCENDING_SIGMA * sigma)) ** 2) ** 2)
+        return np.asarray(np.minimum(1.0, CORNER_HUBER_SIGMA * sigma / np.maximum(length, 1e-12)))
+    return np.asarray(1.0 / (1.0 + (length / (CORNER_REDESCENDING_SIGMA * sigma)) ** 2) ** 2)
 
 
 def _cost(residuals: Array, weights: Array) -> float:

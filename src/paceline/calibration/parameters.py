@@ -19,11 +19,11 @@ from paceline.arrays import Array, Indices
 from paceline.cameras import Camera, StereoRig
 
 LENS_PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
-PARAMETER_NAMES = (
+RIG_PARAMETER_NAMES = (
     *(f"{side} {name}" for side in ("left", "right") for name in LENS_PARAMETERS),
     *(f"{what} {axis}" for what in ("rotation", "translation") for axis in "xyz"),
 )
-N_LENS, N_RIG = len(LENS_PARAMETERS), len(PARAMETER_NAMES)
+N_LENS, N_RIG = len(LENS_PARAMETERS), len(RIG_PARAMETER_NAMES)
 POSE_SLICE = np.s_[2 * N_LENS : N_RIG]  # of the right camera
 
 # Lens models from plain to rich: which of k1, k2, p1, p2, k3 are free.

@@ -21,10 +21,10 @@ from paceline.calibration.speed_sensitivity import SpeedEffect, speed_effects, s
 from paceline.cameras import RigUncertainty, StereoRig, perturbed_rig
 from paceline.geometry import epipolar_distance
 
-MIN_MATCHES, MIN_TILES = 30, 12
-REDESCENDING_SIGMA = 3.0  # standard deviations at which a match has a quarter of the weight
+MIN_SCENE_MATCHES, MIN_TILES = 30, 12
+MATCH_REDESCENDING_SIGMA = 3.0  # standard deviations at which a match has a quarter of the weight
 MAX_MATCH_SIGMA = 4.0  # standard deviations beyond which a match is an outlier
-MAX_STEPS = 30
+MAX_ROTATION_STEPS = 30
 SIGNIFICANCE_LEVEL = 1e-3  # p-value below which the rig has moved
 # Tangential distortion p2 moves points off their lines as a rotation of 2 p2 about the vertical axis does, and no lens
 # model determines the difference of the two cameras' p2 better than this.
@@ -85,7 +85,7 @@ class RotationCorrection:
 
 def has_enough_matches(matches: SceneMatches) -> bool:
     """Whether the matches are enough, in number and spread, to check a rig."""
-    return len(matches) >= MIN_MATCHES and len(np.unique(matches.tile)) >= MIN_TILES
+    return len(matches) >= MIN_SCENE_MATCHES and len(np.unique(matches.tile)) >= MIN_TILES
 
 
 @on_one_blas_thread
@@ -161,11 +161,11 @@ def _fit_rotation(rig: StereoRig, matches: SceneMatches) -> tuple[Array, Mask, f
     rotation = np.zeros(3)
     e = epipolar_distance(rig, matches.left, matches.right)
     scale = 1.4826 * float(np.median(np.abs(e - np.median(e))))  # about the median, as a nod shifts all points alike
-    for _ in range(MAX_STEPS):
+    for _ in range(MAX_ROTATION_STEPS):
         rotated = rotated_rig(rig, rotation)
         e = epipolar_distance(rotated, matches.left, matches.right)
         J = _rotation_jacobian(rotated, matches)
-        w = 1.0 / (1.0 + (e / (REDESCENDING_SIGMA * scale)) ** 2) ** 2
+        w = 1.0 / (1.0 + (e / (MATCH_REDESCENDING_SIGMA * scale)) ** 2) ** 2
         step = -np.linalg.solve((J * w[:, None]).T @ J, (J * w[:, None]).T @ e)
         rotation = rotation + step
         scale = 1.4826 * float(np.median(np.abs(e + J @ step)))

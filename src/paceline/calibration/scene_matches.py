@@ -17,7 +17,7 @@ from paceline.sift_features import detect_features, match_descriptors
 
 MAX_FRAMES = 6  # evenly spread: static points recur in every frame and add little
 MAX_FEATURES = 3000  # per view
-LOWE_RATIO = 0.75  # of the distances to the best and the second best descriptor (Lowe 2004)
+SCENE_LOWE_RATIO = 0.75  # of the distances to the best and the second best descriptor (Lowe 2004)
 MAX_EPIPOLAR_SHARE = 0.04  # of the image's height: matches farther from their epipolar line are rejected in any rig
 TILE_PX = 64
 
@@ -63,7 +63,7 @@ def match_scene(recording: StereoRecording, progress: Progress | None = None) ->
 def match_views(rig: StereoRig, detector: cv2.SIFT, left: Image, right: Image) -> tuple[Array, Array]:
     """Features (n, 2) of two views, matched by mutual choice and the ratio test, near epipolar lines and in front."""
     (a, of_a), (b, of_b) = (detect_features(detector, image) for image in (left, right))
-    i, j = match_descriptors(of_a, of_b, LOWE_RATIO)
+    i, j = match_descriptors(of_a, of_b, SCENE_LOWE_RATIO)
     p, q = a[i], b[j]
     with np.errstate(invalid="ignore", divide="ignore"):
         in_front = triangulate(rig, p, q)[:, 2] > 0

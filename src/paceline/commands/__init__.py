@@ -8,7 +8,7 @@ from pathlib import Path
 
 from paceline.errors import UnusableInput
 
-DONE, NOTHING_MEASURED, UNUSABLE, INTERRUPTED = 0, 1, 2, 130  # exit statuses
+EXIT_DONE, EXIT_NOTHING_MEASURED, EXIT_UNUSABLE_INPUT, EXIT_INTERRUPTED = 0, 1, 2, 130  # exit statuses
 
 
 def print_columns(rows: Sequence[Sequence[str]]) -> None:

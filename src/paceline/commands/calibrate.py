@@ -8,15 +8,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from paceline.commands import DONE, print_columns
+from paceline.commands import EXIT_DONE, print_columns
 from paceline.commands.progress_output import progress_bar
 from paceline.verdicts import message
 
 if TYPE_CHECKING:
     from paceline.calibration.board_calibration import Calibration
 
-GOOD, USABLE = 0.005, 0.02  # half a 95 % interval of a speed at JUDGED metres, as a share of it
-JUDGED = 50.0
+MAX_GOOD_SPEED_SHARE, MAX_USABLE_SPEED_SHARE = (
+    0.005,
+    0.02,
+)  # half a 95 % interval of a speed at VERDICT_DISTANCE_M metres, as a share of it
+VERDICT_DISTANCE_M = 50.0
 
 
 def calibrate(
@@ -53,7 +56,7 @@ def calibrate(
     if not quiet:
         _print(calibration)
         print(f"\n{out}; look at {written[1]}")
-    return DONE
+    return EXIT_DONE
 
 
 def _print(c: Calibration) -> None:
@@ -117,11 +120,12 @@ def _with_interval(value: float, half: float, digits: int) -> str:
 
 
 def verdict(c: Calibration) -> str:
-    """One line on what this calibration is good for."""
-    share = c.coverage_factor * next(e.along for e in c.effects if e.distance == JUDGED)
-    statement = f"the calibration leaves speeds at {JUDGED:.0f} m unsure by {100 * share:.2f} %"
-    if share <= GOOD:
+    """One line that rates the calibration by the uncertainty of speeds that it causes."""
+    share = c.coverage_factor * next(e.along for e in c.effects if e.distance == VERDICT_DISTANCE_M)
+    statement = f"the calibration leaves speeds at {VERDICT_DISTANCE_M:.0f} m unsure by {100 * share:.2f} %"
+    if share <= MAX_GOOD_SPEED_SHARE:
         return f"good: {statement}"
-    if share <= USABLE:
+    if share <= MAX_USABLE_SPEED_SHARE:
         return f"usable: {statement}; more views, larger in the picture and more tilted, make it better"
-    return f"too unsure for speeds at {JUDGED:.0f} m: {statement}; add views, larger in the picture and more tilted"
+    advice = "add views, larger in the picture and more tilted"
+    return f"too unsure for speeds at {VERDICT_DISTANCE_M:.0f} m: {statement}; {advice}"

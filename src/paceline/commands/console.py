@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from paceline.commands import DONE
+from paceline.commands import EXIT_DONE
 from paceline.errors import UnusableInput
 
 
@@ -27,4 +27,4 @@ def console(
     from paceline.console.server import serve
 
     serve(folder, host, port, browser, lambda text: print(text, flush=True))
-    return DONE
+    return EXIT_DONE

@@ -14,7 +14,7 @@ from paceline.commands.progress_output import progress_bar
 if TYPE_CHECKING:
     from paceline.simulation.closed_loop.results import DriveResult
 
-HOLDS, FAILS = 0, 1
+EXIT_REQUIREMENTS_MET, EXIT_REQUIREMENT_FAILED = 0, 1
 
 
 def drive(
@@ -39,7 +39,7 @@ def drive(
     if not quiet:
         _print_drive(result)
         print(f"\nReport: {out / 'report.html'}")
-    return HOLDS if result.holds else FAILS
+    return EXIT_REQUIREMENTS_MET if result.holds else EXIT_REQUIREMENT_FAILED
 
 
 def _print_drive(result: DriveResult) -> None:

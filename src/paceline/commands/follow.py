@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from paceline.commands import DONE, NOTHING_MEASURED, file_named
+from paceline.commands import EXIT_DONE, EXIT_NOTHING_MEASURED, file_named
 from paceline.commands.interrupts import ended_by_interrupt
 from paceline.commands.progress_output import progress_bar, range_line_writer
 
@@ -42,7 +42,7 @@ def follow_vehicle(
     if not quiet:
         _print_follow(result, tally)
         print(f"\nReport: {out / 'report.html'}")
-    return DONE if tally.tracked else NOTHING_MEASURED
+    return EXIT_DONE if tally.tracked else EXIT_NOTHING_MEASURED
 
 
 def _ended(recording: CameraRecording) -> AbstractContextManager[None]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from paceline.commands import DONE, NOTHING_MEASURED, file_named, print_columns, refuse_read_only
+from paceline.commands import EXIT_DONE, EXIT_NOTHING_MEASURED, file_named, print_columns, refuse_read_only
 from paceline.commands.progress_output import progress_bar
 from paceline.errors import UnusableInput
 from paceline.verdicts import message
@@ -62,12 +62,12 @@ def lanes(
         background = estimate_background(open_recording(document), advance)
     if reason := background_problem(background):
         print(f"no lane found: {reason}")
-        return NOTHING_MEASURED
+        return EXIT_NOTHING_MEASURED
     try:
         road = detect_road(document.rig, background)
     except RoadNotFound as error:
         print(f"no lane found: {error}")
-        return NOTHING_MEASURED
+        return EXIT_NOTHING_MEASURED
     lines = road_lines(road)
     proposed, remarks = propose_lanes(document.rig, road)
     with_path = [lane for lane in proposed if lane.path is not None]
@@ -81,12 +81,12 @@ def lanes(
             print(f"note: {notice}", file=sys.stderr)
     if not with_path:
         print(f"no lane found: {message('no_lane_between_lines')}")
-        return NOTHING_MEASURED
+        return EXIT_NOTHING_MEASURED
     if write or out is not None:
         where = _write(file, out, document.rig, background, lines, named)
         if not quiet:
             print(f"\nLook at the pictures before you use them: {where}")
-    return DONE
+    return EXIT_DONE
 
 
 def _pictures(file: Path, out: Path | None) -> tuple[Path, Path]:

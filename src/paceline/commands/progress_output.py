@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 PICTURE_INTERVAL_S = 0.5  # between the pictures lines of a live source
 MAX_PICTURE_AREA_PX = 480 * 360  # two JPEGs of pure noise still fit into one line
-JPEG_QUALITY = 70
+LINE_JPEG_QUALITY = 70
 
 
 def lines_requested() -> bool:
@@ -111,7 +111,7 @@ def small_jpegs(*views: Grey) -> list[bytes]:
         scale = min((MAX_PICTURE_AREA_PX / view.size) ** 0.5, 1.0)
         size = max(1, round(view.shape[1] * scale)), max(1, round(view.shape[0] * scale))
         small = cv2.resize(view, size, interpolation=cv2.INTER_AREA) if scale < 1 else view
-        jpegs.append(bytes(cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1]))
+        jpegs.append(bytes(cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, LINE_JPEG_QUALITY])[1]))
     return jpegs
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from paceline.commands import DONE, NOTHING_MEASURED, file_named, print_columns
+from paceline.commands import EXIT_DONE, EXIT_NOTHING_MEASURED, file_named, print_columns
 from paceline.commands.progress_output import progress_bar
 from paceline.commands.renamed_options import accepting
 from paceline.errors import UnusableInput
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 rig = typer.Typer(help="Rigs: import and check them.", rich_markup_mode=None)
 
-TURNS = ("nod (about x)", "pan (about y)", "roll (about z)")
+ROTATION_NAMES = ("nod (about x)", "pan (about y)", "roll (about z)")
 
 
 class Unit(StrEnum):
@@ -31,7 +31,7 @@ class Unit(StrEnum):
     mm = "mm"
 
 
-METRES = {Unit.m: 1.0, Unit.cm: 0.01, Unit.mm: 0.001}
+METRES_PER_UNIT = {Unit.m: 1.0, Unit.cm: 0.01, Unit.mm: 0.001}
 
 
 @rig.command("import", cls=accepting({"--unit": "--translation-unit"}))
@@ -65,7 +65,7 @@ def rig_import(
     from paceline.reports.common.output_folder import write_all_or_none
 
     check_rig_file_name(out)
-    found, kind = import_rig(files, ImportOptions(_size(size), METRES[unit], _pair(cameras), rectified))
+    found, kind = import_rig(files, ImportOptions(_size(size), METRES_PER_UNIT[unit], _pair(cameras), rectified))
     comments = [
         f"from {kind}: {', '.join(f.name for f in files)}",
         "it states no uncertainty: see uncertainty in docs/files.md",
@@ -79,7 +79,7 @@ def rig_import(
     consequence = "speeds will have no systematic part; add it if you know it"
     notice = message("rig_uncertainty_missing", rig=out, consequence=consequence)
     print(f"note: {notice}", file=sys.stderr)
-    return DONE
+    return EXIT_DONE
 
 
 @rig.command("check", cls=accepting({"--refine": "--correct-rotation"}))
@@ -118,7 +118,7 @@ def rig_check(
         matches = match_scene(recording, advance)
     if not has_enough_matches(matches):
         print(f"verdict  {message('rig_unchecked', points=len(matches))}")
-        return NOTHING_MEASURED
+        return EXIT_NOTHING_MEASURED
     found = check_rig(document.rig, matches)
     _print_check(found, matches.frames)
     if out is not None:
@@ -126,8 +126,8 @@ def rig_check(
         comments = [f"rotation refined by {found.matches} points of the scene in {clip.name}"]
         write_all_or_none({out: rig_yaml(corrected.rig, comments).encode()})
         _print_refinement(corrected, out)
-        return DONE
-    return NOTHING_MEASURED if found.moved else DONE
+        return EXIT_DONE
+    return EXIT_NOTHING_MEASURED if found.moved else EXIT_DONE
 
 
 def _print_check(found: RigCheck, frames: int) -> None:
@@ -139,7 +139,7 @@ def _print_check(found: RigCheck, frames: int) -> None:
     print_columns(
         [
             ("turned since its calibration", "degrees, 95 %"),
-            *((axis, f"{t:+.4f} ± {h:.4f}") for axis, t, h in zip(TURNS, turn, half, strict=True)),
+            *((axis, f"{t:+.4f} ± {h:.4f}") for axis, t, h in zip(ROTATION_NAMES, turn, half, strict=True)),
         ]
     )
     print(
@@ -175,7 +175,7 @@ def _print_refinement(correction: RotationCorrection, out: Path) -> None:
     print()
     rows = [("refined", "turned by, degrees, 95 %", "known from")]
     for axis, t, s, share in zip(
-        TURNS, np.degrees(correction.rotation), np.degrees(correction.std), correction.scene_share, strict=True
+        ROTATION_NAMES, np.degrees(correction.rotation), np.degrees(correction.std), correction.scene_share, strict=True
     ):
         source = "the scene" if share > 0.5 else "the calibration: the scene cannot tell it"
         rows.append((axis, f"{t:+.4f} ± {COVERAGE_95 * s:.4f}", source))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from paceline.commands import DONE, NOTHING_MEASURED, file_named, print_columns
+from paceline.commands import EXIT_DONE, EXIT_NOTHING_MEASURED, file_named, print_columns
 from paceline.commands.progress_output import progress_bar, speed_line_writer
 from paceline.errors import UnusableInput
 from paceline.speed.choices import DeviceName, Motion
@@ -104,7 +104,7 @@ def speed(
     if not quiet:
         _print_result(result, unit)
         print(f"\nReport: {out / 'report.html'}")
-    return DONE if any(m.verdict == "measured" for m in result.measurements) else NOTHING_MEASURED
+    return EXIT_DONE if any(m.verdict == "measured" for m in result.measurements) else EXIT_NOTHING_MEASURED
 
 
 def _measure(

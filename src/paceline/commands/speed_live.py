@@ -10,7 +10,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from paceline.commands import DONE, NOTHING_MEASURED
+from paceline.commands import EXIT_DONE, EXIT_NOTHING_MEASURED
 from paceline.commands.interrupts import ended_by_interrupt
 from paceline.commands.progress_output import live_line_writer, write_progress
 
@@ -102,7 +102,7 @@ def measure_live(
         print(f"note: {notice}", file=sys.stderr)
     measured = sum(vehicle["verdict"] == "measured" for vehicle in results.vehicles)
     print_line(f"{measured} of {len(results.vehicles)} vehicles measured; report: {out / 'report.html'}")
-    return DONE if measured else NOTHING_MEASURED
+    return EXIT_DONE if measured else EXIT_NOTHING_MEASURED
 
 
 @dataclass

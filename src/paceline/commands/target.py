@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from paceline.commands import DONE
+from paceline.commands import EXIT_DONE
 from paceline.errors import UnusableInput
 
 target = typer.Typer(help="Line models of vehicles to follow.", rich_markup_mode=None)
@@ -41,7 +41,7 @@ def target_learn(
     beside = write_target(learned, picture, out)
     print(f"{len(learned.target.segments)} lines in {out}; look at them in {beside}")
     print(f"follow.yaml, where this picture is the first frame:\n{start_entry(learned)}")
-    return DONE
+    return EXIT_DONE
 
 
 def _box(text: str) -> tuple[float, float, float, float]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from paceline.commands import DONE, NOTHING_MEASURED, file_named, print_columns, refuse_read_only
+from paceline.commands import EXIT_DONE, EXIT_NOTHING_MEASURED, file_named, print_columns, refuse_read_only
 from paceline.commands.progress_output import progress_bar
 from paceline.errors import UnusableInput
 
@@ -51,12 +51,12 @@ def vehicles(
     if not quiet:
         _print(search)
     if search.reason:
-        return NOTHING_MEASURED
+        return EXIT_NOTHING_MEASURED
     if write:
         pictures = _write(file, search)
         if not quiet:
             print(f"\nLook at the pictures before you use them: {', '.join(map(str, pictures))}")
-    return DONE
+    return EXIT_DONE
 
 
 def _print(search: SearchResult) -> None:

@@ -15,7 +15,7 @@ from paceline.console.document_names import check_size, files_of, is_live, recor
 from paceline.errors import UnusableInput
 from paceline.recordings.image_sources import IMAGE_SUFFIXES
 
-MAX_NAME_LENGTH = 80
+MAX_CLIP_NAME_LENGTH = 80
 YAML_KEYS = ("rig", "site", "camera", "target")  # keys of documents whose files are read as YAML
 # Containers that hold their own frames; a playlist would make the decoder open the files that it names.
 ALLOWED_CONTAINERS = "mov,matroska,avi,mpegts,mpeg,ogg,flv,asf,mxf,nut,dv,h264,hevc,mjpeg,m4v,mpegvideo,ivf"
@@ -27,10 +27,10 @@ class NotFound(LookupError):
 
 def check_name(name: str) -> str:
     """``name``, if it is valid for a new clip. Raises UnusableInput."""
-    plain = 0 < len(name) <= MAX_NAME_LENGTH and name.isprintable() and name == name.strip()
+    plain = 0 < len(name) <= MAX_CLIP_NAME_LENGTH and name.isprintable() and name == name.strip()
     if not plain or name.startswith(".") or re.search(r'[/\\:*?"<>|]', name):
         raise UnusableInput(
-            f"name {name[:MAX_NAME_LENGTH]!r}: expected at most {MAX_NAME_LENGTH} characters "
+            f"name {name[:MAX_CLIP_NAME_LENGTH]!r}: expected at most {MAX_CLIP_NAME_LENGTH} characters "
             'without / \\ : * ? " < > |, not beginning with a dot'
         )
     return name

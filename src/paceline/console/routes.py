@@ -13,7 +13,7 @@ from fastapi import APIRouter, FastAPI, Request
 from fastapi.responses import FileResponse, JSONResponse, Response
 from starlette.concurrency import run_in_threadpool
 
-from paceline.cameras import StereoRig
+from paceline.cameras import VIEW_NAMES, StereoRig
 from paceline.console.confinement import NotFound, file_below
 from paceline.console.editing.clip_document import (
     ClipSetup,
@@ -26,7 +26,6 @@ from paceline.console.editing.clip_document import (
 )
 from paceline.console.editing.edge_snapping import snap_point
 from paceline.console.editing.geometry_checks import check_setup, epipolar_line, propose_in_other_view
-from paceline.console.frames.frame_cache import VIEW_NAMES
 from paceline.console.frames.uploads import MAX_YAML_BYTES, Uploads, add_rig
 from paceline.console.library import Library
 from paceline.console.request_body import read_body, read_json
@@ -37,7 +36,7 @@ from paceline.console.runs.run_list import Run
 from paceline.console.target_routes import target_router
 from paceline.errors import UnusableInput
 
-MAX_POINTS = 1000
+MAX_DRAWN_POINTS = 1000
 # A report holds names from files: it may show images, and may run no scripts.
 REPORT_SECURITY_POLICY = (
     "sandbox allow-same-origin allow-downloads allow-popups; default-src 'none'; img-src 'self' data:; "
@@ -291,8 +290,8 @@ def _parse_entry(value: object) -> Entry:
         raise UnusableInput("expected a path or a vehicle with its keys")
     for key, length in (("left", 2), ("right", 2), ("points", 3)):
         points = value.get(key, [])
-        if not isinstance(points, list) or len(points) > MAX_POINTS:
-            raise UnusableInput(f"{key}: expected a list of at most {MAX_POINTS} points")
+        if not isinstance(points, list) or len(points) > MAX_DRAWN_POINTS:
+            raise UnusableInput(f"{key}: expected a list of at most {MAX_DRAWN_POINTS} points")
         for point in points:
             if not isinstance(point, list) or len(point) != length:
                 raise UnusableInput(f"{key}: expected points of {length} numbers")

@@ -25,18 +25,18 @@ from pydantic.fields import FieldInfo
 from paceline.arrays import Array
 from paceline.errors import UnusableInput
 
-MAX_NAME_LENGTH = 100
+MAX_DOCUMENT_NAME_LENGTH = 100
 MAX_NUMBER = 1e9  # above every pixel or metre in these files; excludes NaN and infinity as well
-MAX_VALUES = 1_000_000  # in one document; more is a mistake or an attack on the memory
+MAX_DOCUMENT_VALUES = 1_000_000  # in one document; more is a mistake or an attack on the memory
 RIG_PARAMETERS = 14  # fx, fy, cx, cy of each camera, rotation, translation
-_WORDS = {2: "two", 3: "three", 4: "four"}
+_NUMBER_WORDS = {2: "two", 3: "three", 4: "four"}
 
 
 def _array(columns: int, rows: int | None = None, what: str = "points") -> BeforeValidator:
     """Validates nested lists of finite numbers into an array (rows, columns)."""
     row = f"[{', '.join('xyz'[:columns])}]"
-    wanted = f"{_WORDS[rows]} " if rows else ""
-    expected = f"{wanted}{row} points" if what == "points" else f"{wanted}rows of {_WORDS[columns]} numbers"
+    wanted = f"{_NUMBER_WORDS[rows]} " if rows else ""
+    expected = f"{wanted}{row} points" if what == "points" else f"{wanted}rows of {_NUMBER_WORDS[columns]} numbers"
 
     def validate(value: Any) -> Array:
         if not isinstance(value, list):
@@ -54,7 +54,7 @@ def _array(columns: int, rows: int | None = None, what: str = "points") -> Befor
 def _vector(length: int) -> BeforeValidator:
     def validate(value: Any) -> Array:
         if not (isinstance(value, list) and len(value) == length and all(map(_is_number, value))):
-            raise ValueError(f"expected {_WORDS[length]} finite numbers, found {_excerpt(value)}")
+            raise ValueError(f"expected {_NUMBER_WORDS[length]} finite numbers, found {_excerpt(value)}")
         return np.array(value, float)
 
     return BeforeValidator(validate)
@@ -84,8 +84,8 @@ def _name(value: Any) -> Any:
 
 def _legible(name: str) -> str:
     """A name goes into tables, labels and file names."""
-    if len(name) > MAX_NAME_LENGTH or not name.isprintable():
-        raise ValueError(f"expected at most {MAX_NAME_LENGTH} printable characters")
+    if len(name) > MAX_DOCUMENT_NAME_LENGTH or not name.isprintable():
+        raise ValueError(f"expected at most {MAX_DOCUMENT_NAME_LENGTH} printable characters")
     return name
 
 
@@ -238,8 +238,8 @@ class _Loader(yaml.SafeLoader):
 
     def get_single_node(self) -> yaml.Node | None:
         node: yaml.Node | None = super().get_single_node()
-        if node is not None and _values(node, {}) > MAX_VALUES:
-            problem = f"holds more than {MAX_VALUES} values, those repeated by * included"
+        if node is not None and _values(node, {}) > MAX_DOCUMENT_VALUES:
+            problem = f"holds more than {MAX_DOCUMENT_VALUES} values, those repeated by * included"
             raise yaml.constructor.ConstructorError(None, None, problem, node.start_mark)
         return node
 

@@ -14,10 +14,10 @@ MAX_ORTHONORMALITY_ERROR = 1e-3  # greatest entry of RᵀR − I that rounding i
 MAX_BASELINE_M = 100.0
 MIN_AREA_PX2, MIN_SIDE_PX = 64.0, 4.0  # of an outline: less holds no texture to track
 MIN_DRAWING_PX = 2.0
-MAX_OBLIQUENESS = 0.01  # of a segment: offset across its direction by its length, as rounding explains
-MIN_SEGMENT_M, MAX_TARGET_M = 0.01, 20.0
+MAX_SEGMENT_OBLIQUENESS = 0.01  # offset across a segment's direction over its length, as rounding explains
+MIN_TARGET_SEGMENT_M, MAX_TARGET_M = 0.01, 20.0
 MIN_TARGET_PX = 8.0
-MIN_VISIBLE_SHARE = 0.5  # of a target in its first frame
+MIN_TARGET_VISIBLE_SHARE = 0.5  # of a target in its first frame
 CORNER_NAMES = ("top-left", "top-right", "bottom-right", "bottom-left")
 CORNER_ORDER = f"{', '.join(CORNER_NAMES)} as seen in the image"
 
@@ -137,9 +137,9 @@ def check_segment(name_a: str, name_b: str, corners: Mapping[str, Array]) -> str
         if name not in corners:
             return f"no corner is called {name!r}; expected one of {', '.join(corners)}"
     across, down = (float(d) for d in np.abs(corners[name_b] - corners[name_a]))
-    if max(across, down) < MIN_SEGMENT_M:
-        return f"{name_a} and {name_b} lie in the same place; expected a line at least {MIN_SEGMENT_M:g} m long"
-    if min(across, down) > MAX_OBLIQUENESS * max(across, down):
+    if max(across, down) < MIN_TARGET_SEGMENT_M:
+        return f"{name_a} and {name_b} lie in the same place; expected a line at least {MIN_TARGET_SEGMENT_M:g} m long"
+    if min(across, down) > MAX_SEGMENT_OBLIQUENESS * max(across, down):
         return (
             f"the line from {name_a} to {name_b} is oblique, {across:g} m across and {down:g} m down; "
             "expected a horizontal or vertical one"
@@ -160,7 +160,7 @@ def check_target(ends: Array) -> str | None:
         if not present.any():
             return f"there is no {direction} line; expected at least one horizontal and one vertical one"
     extents = [np.ptp(ends[lines].mean(axis=1)[:, axis]) for lines, axis in ((~vertical, 1), (vertical, 0))]
-    if max(extents) < MIN_SEGMENT_M:
+    if max(extents) < MIN_TARGET_SEGMENT_M:
         return "its lines show no size; expected two parallel ones, some distance apart"
     return None
 
@@ -183,10 +183,10 @@ def check_start(center: Array, scale: float, ends: Array, image_size: tuple[int,
     if width > 2 * size[0] or height > 2 * size[1]:
         return "scale", f"{scale:g} makes the target {width:.0f} × {height:.0f} px large, far more than the image"
     inside = np.prod(np.minimum(center + high, size - 1) - np.maximum(center + low, 0)) / (width * height)
-    if inside < MIN_VISIBLE_SHARE:
+    if inside < MIN_TARGET_VISIBLE_SHARE:
         return "center", (
             f"[{x:g}, {y:g}] leaves {100 * inside:.0f} % of the target, {width:.0f} × {height:.0f} px, in the image of "
-            f"{size[0]} × {size[1]}; expected at least {100 * MIN_VISIBLE_SHARE:.0f} %"
+            f"{size[0]} × {size[1]}; expected at least {100 * MIN_TARGET_VISIBLE_SHARE:.0f} %"
         )
     return None
 

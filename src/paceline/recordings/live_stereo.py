@@ -18,7 +18,7 @@ from typing import Protocol
 import numpy as np
 
 from paceline.cameras import ALL_ROWS, Camera, StereoRig
-from paceline.recordings.monocular import CameraFrame, CameraRecording, Grey, open_camera
+from paceline.recordings.monocular import STOP_POLL_INTERVAL_S, CameraFrame, CameraRecording, Grey, open_camera
 from paceline.recordings.stereo import MIN_REPORTED_SKEW_S, StereoFrame
 from paceline.verdicts import message
 
@@ -26,9 +26,8 @@ MAX_QUEUED_FRAMES = 64  # per view; a pause of seconds loses none, beyond it the
 CLOCK_OFFSET_FRAMES = 8  # per live view, from which the offset between the two clocks is estimated
 PAIR_TOLERANCE = 0.25, 0.5  # greatest offset between the frames of a pair, in frame intervals: of files, of live views
 PAIRED_TOLERANCE_FACTOR = 1.5  # on the tolerance once a pair was found: jitter must not break the pairing up
-MAX_INTERVALS = 15  # of which the median is the frame interval; single ones vary with exposure and load
+MAX_LIVE_INTERVALS = 15  # of which the median is the frame interval; single ones vary with exposure and load
 MAX_DELAY_DIFFERENCE_S = 1.0  # between the delays of two cameras that share this computer's clock
-POLL_INTERVAL_S = 0.1  # between checks for a request to stop
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +130,7 @@ class LiveCamera:
     error: Exception | None = None
     _waiting: deque[tuple[CameraFrame, float]] = field(default_factory=deque)  # with its arrival
     _changed: Condition = field(default_factory=Condition)
-    _intervals: deque[float] = field(default_factory=lambda: deque(maxlen=MAX_INTERVALS))
+    _intervals: deque[float] = field(default_factory=lambda: deque(maxlen=MAX_LIVE_INTERVALS))
     _last: float = -np.inf
     _ended: bool = False
     _stopped: bool = False
@@ -149,7 +148,7 @@ class LiveCamera:
             while not (self._stopped or (self._waiting and np.isfinite(self.interval))):
                 if self._ended:
                     return None
-                self._changed.wait(POLL_INTERVAL_S)
+                self._changed.wait(STOP_POLL_INTERVAL_S)
             return None if self._stopped else self._waiting[0][0]
 
     def pop(self, frame: CameraFrame) -> None:
@@ -189,7 +188,7 @@ class LiveCamera:
 
     def _wait_until(self, moment: float) -> None:
         while not self._stopped and (left := moment - time.monotonic()) > 0:
-            time.sleep(min(left, POLL_INTERVAL_S))
+            time.sleep(min(left, STOP_POLL_INTERVAL_S))
 
     def _enqueue(self, frame: CameraFrame) -> None:
         with self._changed:

@@ -35,7 +35,7 @@ Grey = NDArray[np.uint8]  # (H, W)
 
 MAX_LISTED_NOTICES = 8  # of one kind
 MIN_GAP_RATIO = 1.5  # to the usual interval, above which frames are reported as missing
-MAX_INTERVALS = 31  # of which the median is the usual one
+MAX_FRAME_INTERVALS = 31  # of which the median is the usual one
 LIVE_OPTIONS = {"rtsp_flags": "prefer_tcp"}  # of FFmpeg; sources without them ignore them
 DEVICE_PROBLEMS = {  # messages for a device where those of the operating system mislead
     errno.EBUSY: "it is in use already",
@@ -46,7 +46,7 @@ DEVICE_PROBLEMS = {  # messages for a device where those of the operating system
 }
 OPEN_TIMEOUT_S, SILENCE_TIMEOUT_S = 15.0, 10.0  # after which a live source is unreachable, or has ended
 MAX_QUEUED_PICTURES = 8  # received and not yet read; beyond them the source has to wait
-POLL_INTERVAL_S = 0.1  # between checks for a request to stop
+STOP_POLL_INTERVAL_S = 0.1  # between checks for a request to stop
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +125,7 @@ class CameraRecording:
     def frames(self, start: int = 0) -> Iterator[CameraFrame]:
         """The frames from index ``start`` on. Raises UnusableInput, naming the frame, for one of another size."""
         width, height = self.camera.image_size
-        steps: deque[float] = deque(maxlen=MAX_INTERVALS)
+        steps: deque[float] = deque(maxlen=MAX_FRAME_INTERVALS)
         before: CameraFrame | None = None
         for frame in self._feed.read(start):
             if frame.image is None:
@@ -287,7 +287,7 @@ class LiveFeed:
         begun = monotonic()
         while not self._stopped:
             try:
-                picture = received.get(timeout=POLL_INTERVAL_S)
+                picture = received.get(timeout=STOP_POLL_INTERVAL_S)
             except Empty:
                 if monotonic() - begun > SILENCE_TIMEOUT_S:
                     self.notices.append(message("source_silent", source=self.name, limit_s=SILENCE_TIMEOUT_S))
@@ -302,7 +302,7 @@ class LiveFeed:
         def enqueue(picture: _Picture | Exception | None) -> None:
             while not self._stopped:
                 try:
-                    return received.put(picture, timeout=POLL_INTERVAL_S)
+                    return received.put(picture, timeout=STOP_POLL_INTERVAL_S)
                 except Full:
                     continue
 

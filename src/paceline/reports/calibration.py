@@ -11,14 +11,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from paceline.calibration.board_calibration import Calibration
-from paceline.calibration.parameters import PARAMETER_NAMES
+from paceline.calibration.parameters import RIG_PARAMETER_NAMES
+from paceline.cameras import VIEW_NAMES
 from paceline.documents.rig_yaml import rig_yaml
 from paceline.errors import UnusableInput
 from paceline.reports.common.output_folder import write_all_or_none
 from paceline.reports.common.plots import FILTER_COLOR, INK_COLOR, INTERVAL_COLOR, MUTED_COLOR, REFINED_COLOR, make_plot
 from paceline.version import __version__
 
-VIEW_NAMES = ("left", "right")
 FIGURE_SIZE_IN = (9.4, 6.4)
 MAX_LABELLED_VIEWS = 30  # under the bars
 
@@ -81,7 +81,7 @@ def calibration_data(calibration: Calibration) -> dict[str, Any]:
         views.append(entry)
     return {
         "board": vars(c.views.board),
-        "parameters": list(PARAMETER_NAMES),
+        "parameters": list(RIG_PARAMETER_NAMES),
         "values": values.tolist(),
         "std": c.std.tolist(),
         "covariance": c.covariance.tolist(),

@@ -7,14 +7,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from paceline.detection.finder import DetectedVehicle
-from paceline.reports.common.drawing import WHITE_BGR, Color, Picture, draw_label, draw_outline, scale_points
+from paceline.reports.common.drawing import (
+    DISPLAY_GAMMA,
+    WHITE_BGR,
+    Color,
+    Picture,
+    draw_label,
+    draw_outline,
+    scale_points,
+)
 
 OUTLINE_COLOR: Color = (110, 220, 90)
-PICTURE_HEIGHT_PX = 420  # px
-DISPLAY_GAMMA = 0.6  # exponent that brightens dark recordings
+VIEW_PICTURE_HEIGHT_PX = 420
 
 
-def draw_detected_vehicle(found: DetectedVehicle, height: int = PICTURE_HEIGHT_PX) -> Picture:
+def draw_detected_vehicle(found: DetectedVehicle, height: int = VIEW_PICTURE_HEIGHT_PX) -> Picture:
     """Both views about a vehicle in the frame in which it is outlined, ``height`` px high. It has to have an
     outline."""
     assert found.vehicle is not None, "there is an outline to draw"

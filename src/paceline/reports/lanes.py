@@ -10,6 +10,7 @@ from paceline.cameras import StereoRig
 from paceline.lanes.lane_proposals import Lane, RoadLine
 from paceline.recordings.background import Background
 from paceline.reports.common.drawing import (
+    DISPLAY_GAMMA,
     SUBPIXEL_BITS,
     WHITE_BGR,
     Box,
@@ -24,7 +25,6 @@ from paceline.units import COVERAGE_95
 LINE_COLOR: Color = (60, 200, 255)
 CENTRE_COLOR: Color = (110, 220, 90)
 UNUSED_COLOR: Color = (90, 90, 230)
-DISPLAY_GAMMA = 0.6  # exponent that brightens dark recordings
 
 
 def draw_lanes(

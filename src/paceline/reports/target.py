@@ -24,8 +24,8 @@ from paceline.reports.common.output_folder import write_all_or_none
 from paceline.targets.learning import LearnedTarget, corner_names
 
 PICTURE_SIZE_PX = 900  # of the larger side
-MARGIN_SHARE = 0.15  # of the target's size, shown around it
-HEADER_HEIGHT_PX = 40
+IMAGE_MARGIN_SHARE = 0.15  # of the target's size, shown around it
+TARGET_HEADER_HEIGHT_PX = 40
 HORIZONTAL_COLOR: Color = (250, 200, 90)
 VERTICAL_COLOR: Color = (80, 190, 250)
 
@@ -65,7 +65,7 @@ def draw_target(learned: LearnedTarget, image: Image) -> Picture:
     """A magnified crop around the target with the model's lines and the corners' names."""
     corners, target = learned.corners, learned.target
     low, high = corners.min(axis=0), corners.max(axis=0)
-    margin = MARGIN_SHARE * (high - low) + 3
+    margin = IMAGE_MARGIN_SHARE * (high - low) + 3
     x0, y0 = np.maximum(np.floor(low - margin), 0).astype(int)
     x1, y1 = np.minimum(np.ceil(high + margin) + 1, image.shape[::-1]).astype(int)
     scale = PICTURE_SIZE_PX / max(x1 - x0, y1 - y0)
@@ -81,7 +81,7 @@ def draw_target(learned: LearnedTarget, image: Image) -> Picture:
     draw_dots(view, points, WHITE_BGR, 3.5)
     for name, (x, y) in zip(corner_names(len(points)), points, strict=True):
         draw_text(view, name, (round(x) + 5, round(y) - 5), 15, WHITE_BGR, 500)
-    strip = np.empty((HEADER_HEIGHT_PX, view.shape[1], 3), np.uint8)
+    strip = np.empty((TARGET_HEADER_HEIGHT_PX, view.shape[1], 3), np.uint8)
     strip[:] = DARK_BGR
     text = f"{target.name}: {len(target.segments)} lines, {target.nominal_range:.2f} m away at scale 1"
     size = 17 if text_width(text, 17) < view.shape[1] - 28 else 11

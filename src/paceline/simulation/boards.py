@@ -14,7 +14,7 @@ from paceline.calibration.boards import Board, Corners
 from paceline.calibration.parameters import Observations, Poses, RigState, lens_projection, project, rotation_matrix
 
 PIXELS_PER_SQUARE = 48  # of the printed board
-OVERSAMPLING = 2  # the picture is drawn on a finer grid and averaged
+BOARD_SUBPIXELS_PER_SIDE = 2  # the picture is drawn on a finer grid and averaged
 NODE_SPACING_PX = 8  # px between the directions that are computed exactly
 PAPER_GREY, INK_GREY, WALL_GREY = 225.0, 25.0, 110.0  # grey levels
 
@@ -175,6 +175,7 @@ def _undistorted_rays(lens: Array, low: NDArray[np.int64], high: NDArray[np.int6
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-10)
     exact = cv2.undistortPoints(nodes.reshape(-1, 1, 2), K, lens[4:], criteria=criteria).reshape(nodes.shape)
     across, down = (
-        a + (np.arange((b - a) * OVERSAMPLING) + 0.5) / OVERSAMPLING - 0.5 for a, b in zip(low, high, strict=True)
+        a + (np.arange((b - a) * BOARD_SUBPIXELS_PER_SIDE) + 0.5) / BOARD_SUBPIXELS_PER_SIDE - 0.5
+        for a, b in zip(low, high, strict=True)
     )
     return np.stack([RectBivariateSpline(y, x, exact[..., i])(down, across) for i in (0, 1)], -1)

@@ -16,7 +16,7 @@ from paceline.cameras import Camera, PosedCamera, StereoRig
 from paceline.errors import UnusableInput
 from paceline.simulation.road import Road
 
-MIN_VISIBLE_SHARE = 0.97  # of a plane, in the frame in which it is outlined
+MIN_OUTLINE_VISIBLE_SHARE = 0.97  # of a plane, in the frame in which it is outlined
 MIN_OUTLINE_WIDTH_PX = 24.0  # of a plane, in the frame in which it is outlined
 LINE_BEFORE_M = 60.0  # of a line drawn nearer to the camera than the vehicle drives
 LINE_BEYOND_M = 6.0  # of a line drawn farther from the camera than the vehicle drives
@@ -104,7 +104,7 @@ def rows_from_outline(car: SimulatedVehicle, truth: list[dict[str, Any]]) -> lis
     rows = [row for row in truth if row["vehicle"] == car.model.id and row["inside"]]
     for i, row in enumerate(rows):
         width = min(np.ptp(np.array(row[side])[:, 0]) for side in ("left", "right"))
-        if row["visible"] >= MIN_VISIBLE_SHARE and width >= MIN_OUTLINE_WIDTH_PX:
+        if row["visible"] >= MIN_OUTLINE_VISIBLE_SHARE and width >= MIN_OUTLINE_WIDTH_PX:
             return rows[i:]
     raise UnusableInput(
         f"vehicle {car.model.id}: is never wholly visible and {MIN_OUTLINE_WIDTH_PX:g} px wide in both pictures"

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from paceline.arrays import Image
 
 TEXELS_PER_METRE = 560.0  # a vehicle's, fine enough for its nearest views
-PYRAMID_LEVELS = 6
+TEXTURE_LEVELS = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,7 +20,7 @@ class Texture:
     """Grey ``value`` (H, W) and coverage ``alpha`` (H, W) in 0–1, with a pyramid for area sampling.
 
     Texel (i, j) of every level covers its full cell, so all levels span exactly the same rectangle: H and W must be
-    multiples of ``2 ** (PYRAMID_LEVELS - 1)``.
+    multiples of ``2 ** (TEXTURE_LEVELS - 1)``.
     """
 
     value: Image
@@ -30,7 +30,7 @@ class Texture:
     def pyramid(self) -> list[Image]:
         """Premultiplied (H, W, 2) levels, each the area average of the one before."""
         levels = [np.ascontiguousarray(np.dstack([self.value * self.alpha, self.alpha]).astype(np.float32))]
-        while len(levels) < PYRAMID_LEVELS:
+        while len(levels) < TEXTURE_LEVELS:
             h, w = levels[-1].shape[:2]
             half = cv2.resize(levels[-1], (w // 2, h // 2), interpolation=cv2.INTER_AREA)
             levels.append(np.asarray(half, np.float32))
@@ -57,7 +57,7 @@ class Canvas:
     def __init__(
         self, width: float, height: float, grey: float = 0.0, alpha: float = 1.0, density: float = TEXELS_PER_METRE
     ) -> None:
-        cell = 2 ** (PYRAMID_LEVELS - 1)
+        cell = 2 ** (TEXTURE_LEVELS - 1)
         columns = max(1, round(width * density / cell)) * cell
         rows = max(1, round(height * density / cell)) * cell
         self.width, self.height = width, height

@@ -13,4 +13,4 @@ RESAMPLING_MODULE = "paceline.speed.filter.resampling"  # registers the schemes;
 
 def resampling_schemes() -> list[str]:
     """The names of the registered resampling schemes."""
-    return list(import_module(RESAMPLING_MODULE).SCHEMES)
+    return list(import_module(RESAMPLING_MODULE).RESAMPLING_SCHEMES)

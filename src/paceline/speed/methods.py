@@ -19,7 +19,7 @@ from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.filter.estimate import Estimate
 from paceline.speed.results import ClipResult
 
-GROUP = "paceline.methods"  # of entry points
+ENTRY_POINT_GROUP = "paceline.methods"  # of entry points
 DEFAULT_METHOD = "paceline"
 
 OnEstimate = Callable[[str, Estimate], None]  # called with a vehicle's id and each estimate as it is made
@@ -110,4 +110,4 @@ def named(method: str) -> dict[str, object]:
 
 
 def _plugins() -> dict[str, EntryPoint]:
-    return {point.name: point for point in entry_points(group=GROUP)}
+    return {point.name: point for point in entry_points(group=ENTRY_POINT_GROUP)}

@@ -10,7 +10,7 @@ from pydantic.fields import FieldInfo
 from paceline.speed.choices import resampling_schemes
 from paceline.speed.configuration import REGISTERED_SCHEME, Section, SpeedSettings
 
-HEAD = """# Settings of `paceline speed`
+PAGE_INTRODUCTION = """# Settings of `paceline speed`
 
 ```
 paceline speed CLIP -o OUT --config settings.yaml
@@ -33,17 +33,17 @@ in brackets are equations of the paper ([method.md](method.md)).
 
 This page is made from [configuration.py](../src/paceline/speed/configuration.py).
 """
-COLUMNS = "| key | default | range | effect |\n| --- | --- | --- | --- |"
+TABLE_HEADER = "| key | default | range | effect |\n| --- | --- | --- | --- |"
 
 
 def settings_page() -> str:
     """The text of docs/configuration.md."""
     plain = {name: field for name, field in SpeedSettings.model_fields.items() if section_of(field) is None}
-    parts = [HEAD, "\n".join([COLUMNS, *map(row, plain, plain.values())])]
+    parts = [PAGE_INTRODUCTION, "\n".join([TABLE_HEADER, *map(row, plain, plain.values())])]
     for name, field in SpeedSettings.model_fields.items():
         if (section := section_of(field)) is not None:
             docstring = (section.__doc__ or "").strip()
-            rows = "\n".join([COLUMNS, *(row(f"{name}.{key}", f) for key, f in section.model_fields.items())])
+            rows = "\n".join([TABLE_HEADER, *(row(f"{name}.{key}", f) for key, f in section.model_fields.items())])
             parts.append(f"\n## {name}\n\n{docstring}\n\n{rows}")
     return "\n".join(parts) + "\n"
 

@@ -40,7 +40,7 @@ MIN_SIDE_STRENGTH_RATIO = 0.4  # to the strongest line near that side
 LINE_SIDE_STD_PX, BOX_SIDE_STD_PX = 0.4, 1.0  # standard deviation of a side on a line, and of a side as drawn
 MIN_LINES_PER_DIRECTION, MAX_LINES_PER_DIRECTION, MIN_LINES = 2, 7, 5
 MIN_BOX_PX = 16.0
-MIN_WIDTH_M, MAX_WIDTH_M = 0.2, 10.0
+MIN_BOX_WIDTH_M, MAX_BOX_WIDTH_M = 0.2, 10.0
 
 
 @dataclass(frozen=True)
@@ -119,8 +119,8 @@ def _check(box: tuple[float, float, float, float], width: float, image_size: tup
                             "x0 and y0")  # fmt: skip
     if x0 < -0.5 or y0 < -0.5 or x1 > image_size[0] - 0.5 or y1 > image_size[1] - 0.5:
         raise UnusableInput(f"--box {shown}: lies outside the image of {image_size[0]} × {image_size[1]} pixels")
-    if not MIN_WIDTH_M <= width <= MAX_WIDTH_M:
-        raise UnusableInput(f"--width {width:g}: expected metres, {MIN_WIDTH_M:g} to {MAX_WIDTH_M:g}")
+    if not MIN_BOX_WIDTH_M <= width <= MAX_BOX_WIDTH_M:
+        raise UnusableInput(f"--width {width:g}: expected metres, {MIN_BOX_WIDTH_M:g} to {MAX_BOX_WIDTH_M:g}")
 
 
 # --- lines ---------------------------------------------------------------------------------------------------------

@@ -9,8 +9,7 @@ import numpy as np
 
 from paceline.arrays import Array, Indices, Mask
 from paceline.cameras import Camera
-
-MAX_OBLIQUENESS = 0.01  # share of its length by which a segment's ends may differ across it
+from paceline.documents.plausibility import MAX_SEGMENT_OBLIQUENESS
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +44,7 @@ class Target:
             along = np.abs(corners[b] - corners[a])
             if along.max() == 0:
                 raise ValueError(f"segments[{i}]: its two corners lie in one place")
-            if along.min() > MAX_OBLIQUENESS * along.max():
+            if along.min() > MAX_SEGMENT_OBLIQUENESS * along.max():
                 raise ValueError(f"segments[{i}]: is oblique; expected a horizontal or a vertical line")
         along = np.abs(corners[segments[:, 1]] - corners[segments[:, 0]])
         vertical = along[:, 1] > along[:, 0]

@@ -15,7 +15,7 @@ from paceline.cameras import StereoRig
 from paceline.documents.plausibility import check_quadrilateral
 from paceline.errors import UnusableInput
 
-MIN_DISTANCE_M, MAX_DISTANCE_M = 2.0, 400.0  # m, searched
+MIN_SEARCH_DISTANCE_M, MAX_SEARCH_DISTANCE_M = 2.0, 400.0  # m, searched
 MIN_CORRELATION = 0.6  # of a match that is offered
 MAX_SECOND_PEAK_RATIO = 0.92  # to the best peak: a higher second peak makes the match ambiguous
 MAX_GRID_SAMPLES = 40  # along the longer side of an outline
@@ -41,7 +41,9 @@ def inverse_depths(rig: StereoRig) -> Array:
     """Inverse depths (M,), 1/m, between which a point moves by at most half a pixel in the other view."""
     step = 0.5 / (max(rig.left.K[0, 0], rig.right.K[0, 0]) * rig.baseline)
     return np.linspace(
-        1 / MAX_DISTANCE_M, 1 / MIN_DISTANCE_M, int(np.clip((1 / MIN_DISTANCE_M - 1 / MAX_DISTANCE_M) / step, 64, 6000))
+        1 / MAX_SEARCH_DISTANCE_M,
+        1 / MIN_SEARCH_DISTANCE_M,
+        int(np.clip((1 / MIN_SEARCH_DISTANCE_M - 1 / MAX_SEARCH_DISTANCE_M) / step, 64, 6000)),
     )
 
 

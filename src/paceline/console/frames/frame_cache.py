@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from paceline.arrays import Array, Image
-from paceline.cameras import Camera
+from paceline.cameras import VIEW_NAMES, Camera
 from paceline.console.confinement import NotFound, check_document, named_files
 from paceline.console.document_names import PartialFollowModel, is_follow, live_views, read_cached
 from paceline.documents.loading import Clip, load_camera, load_clip_recording
@@ -23,11 +23,10 @@ from paceline.recordings.stereo import StereoRecording, open_recording
 Numbers = NDArray[np.int64]
 FileStamps = tuple[tuple[Path, int, int], ...]
 
-VIEW_NAMES = ("left", "right")
 MAX_OPEN_CLIPS = 4
 MAX_JPEG_BYTES = 96 << 20
 MAX_FORWARD_FRAMES = 12  # decoded one after the other; farther ahead the decoder seeks
-JPEG_QUALITY = 90
+FRAME_JPEG_QUALITY = 90
 THUMBNAIL_WIDTH_PX = 320
 
 
@@ -211,4 +210,4 @@ def is_unchanged(stamps: FileStamps) -> bool:
 
 def _encode_jpeg(image: Image) -> bytes:
     grey = np.clip(np.rint(image), 0, 255).astype(np.uint8)
-    return bytes(cv2.imencode(".jpg", grey, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1])
+    return bytes(cv2.imencode(".jpg", grey, [cv2.IMWRITE_JPEG_QUALITY, FRAME_JPEG_QUALITY])[1])

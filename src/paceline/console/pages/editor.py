@@ -16,7 +16,7 @@ from paceline.console.pages.layout import (
     runs_address,
 )
 
-LIVE_TEXT = (
+LIVE_SETUP_TEXT = (
     "The cameras are live: their frames are not shown here. Paths come from the site file or the clip.yaml, or lanes "
     "are detected at the start. Vehicles are detected automatically. Continue with Run and results."
 )
@@ -37,7 +37,9 @@ def add(library: Library) -> None:
             if not contents.pictures:
                 with ui.element("div").classes("pl-panel"):
                     badge(entry.state)
-                    ui.label(LIVE_TEXT if contents.live and not contents.state else entry.reason).classes("pl-reason")
+                    ui.label(LIVE_SETUP_TEXT if contents.live and not contents.state else entry.reason).classes(
+                        "pl-reason"
+                    )
                     if entry.state == "no rig" and not library.read_only:
                         element = ui.element("pl-rig")
                         element.props["clip"] = clip

@@ -29,12 +29,12 @@ WAITING_TEXT = "This run waits for the previous one."
 DETECTING_TEXT = "Detecting vehicles in the whole recording first; then they are measured and shown here."
 STARTING_TEXT = "Starting: the first frame follows in a moment."
 BACKGROUND_TEXT = "Estimating the background: no speeds yet. The road should be empty most of this time."
-LIVE_TEXT = (
+LIVE_RUN_TEXT = (
     "Measuring. A box marks what moves along a lane now, with its approximate speed. Every vehicle is measured once it "
     "has passed, appears below, and is saved in the tables. Stop ends the run; the vehicles seen so far are still "
     "measured."
 )
-POLL_INTERVAL_S = 0.5  # between updates of what a live run has measured
+RESULT_POLL_INTERVAL_S = 0.5  # between updates of what a live run has measured
 
 
 class LiveView:
@@ -51,7 +51,7 @@ class LiveView:
         self.picture_element: ui.element | None = None
         self.chart: ui.echart | None = None
         if run.kind == LIVE_RUN:
-            ui.timer(POLL_INTERVAL_S, self._update_measured)
+            ui.timer(RESULT_POLL_INTERVAL_S, self._update_measured)
 
     def update(self, run: Run) -> None:
         """Updates the view from the present state of the run."""
@@ -87,7 +87,7 @@ class LiveView:
             return
         series, scene = self.library.runs.live_data(run)
         self.status.text = (
-            STARTING_TEXT if not scene else BACKGROUND_TEXT if run.doing == BACKGROUND_ACTIVITY else LIVE_TEXT
+            STARTING_TEXT if not scene else BACKGROUND_TEXT if run.doing == BACKGROUND_ACTIVITY else LIVE_RUN_TEXT
         )
         if scene and scene["frame"] != self.shown_frame:
             self.shown_frame = scene["frame"]

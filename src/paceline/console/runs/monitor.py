@@ -8,7 +8,7 @@ from typing import Any
 from paceline.console.runs.results import Series
 from paceline.units import COVERAGE_95
 
-MAX_VALUES = 600  # kept of one vehicle; beyond, every second one is dropped
+MAX_SERIES_VALUES = 600  # kept of one vehicle; beyond, every second one is dropped
 MAX_KEPT_FRAMES = 6  # live frames whose pictures are kept: pages request them with a short delay
 
 
@@ -23,7 +23,7 @@ class DecimatedValues:
     def add(self, time: float, value: float, std: float) -> None:
         if self.count % self.stride == 0:
             self.rows.append((time, value, std))
-            if len(self.rows) > MAX_VALUES:
+            if len(self.rows) > MAX_SERIES_VALUES:
                 self.rows, self.stride = self.rows[::2], 2 * self.stride
         self.count += 1
 

@@ -18,6 +18,7 @@ SANS_FONT = cv2.FontFace("sans")
 DARK_BGR: Color = (36, 28, 22)
 WHITE_BGR: Color = (255, 255, 255)
 LABEL_SIZE, LABEL_WEIGHT = 16, 500
+DISPLAY_GAMMA = 0.6  # exponent that brightens dark recordings
 SUBPIXEL_BITS = 4  # fractional bits of the coordinates given to OpenCV
 
 

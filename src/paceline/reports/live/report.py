@@ -25,7 +25,7 @@ from paceline.speed.results import Measurement
 from paceline.verdicts import Message
 
 PICTURES_FOLDER = "pictures"
-PICTURE_HEIGHT_PX, JPEG_QUALITY = 240, 80  # px, and of the JPEG
+LIVE_PICTURE_HEIGHT_PX, PICTURE_JPEG_QUALITY = 240, 80  # px, and of the JPEG
 MAX_WRITE_TIME_SHARE = 0.01  # of the time, for writing summary.json, which grows and is always written whole
 
 
@@ -109,8 +109,8 @@ class LiveResults:
 
     def _keep_picture(self, name: str, found: DetectedVehicle) -> None:
         """Write the picture of a vehicle, and remove the oldest one where there are enough."""
-        picture = draw_detected_vehicle(found, PICTURE_HEIGHT_PX)
-        jpeg = bytes(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1])
+        picture = draw_detected_vehicle(found, LIVE_PICTURE_HEIGHT_PX)
+        jpeg = bytes(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, PICTURE_JPEG_QUALITY])[1])
         write_all_or_none({self.out / PICTURES_FOLDER / f"{name}.jpg": jpeg})
         if len(self.vehicles) > self.kept_pictures:
             with suppress(OSError):

@@ -32,7 +32,7 @@ from paceline.units import format_speed
 Grey = NDArray[np.uint8]  # (H, W)
 
 MAX_VIDEO_WIDTH_PX = 1920
-HEADER_HEIGHT_PX = 40  # of the strip above the views
+VIEWS_HEADER_HEIGHT_PX = 40  # of the strip above the views
 
 PATH_COLOR: Color = (240, 226, 180)
 LOST_COLOR: Color = (190, 190, 190)
@@ -117,11 +117,11 @@ def _draw(result: ClipResult, layers: list[_Layer], frame: StereoFrame, views: t
     scale = min(1.0, MAX_VIDEO_WIDTH_PX / total)
     panels = [_draw_view(result, layers, frame, view, side, scale, unit) for side, view in enumerate(views)]
     height, width = max(p.shape[0] for p in panels), sum(p.shape[1] for p in panels)
-    canvas = np.zeros((HEADER_HEIGHT_PX + height, width, 3), np.uint8)
-    canvas[:HEADER_HEIGHT_PX] = DARK_BGR
+    canvas = np.zeros((VIEWS_HEADER_HEIGHT_PX + height, width, 3), np.uint8)
+    canvas[:VIEWS_HEADER_HEIGHT_PX] = DARK_BGR
     x = 0
     for panel, name in zip(panels, ("left", "right"), strict=True):
-        canvas[HEADER_HEIGHT_PX : HEADER_HEIGHT_PX + panel.shape[0], x : x + panel.shape[1]] = panel
+        canvas[VIEWS_HEADER_HEIGHT_PX : VIEWS_HEADER_HEIGHT_PX + panel.shape[0], x : x + panel.shape[1]] = panel
         draw_text(canvas, name, (x + 14, 27), 17, (200, 190, 180))
         x += panel.shape[1]
     canvas[:, panels[0].shape[1] - 1 : panels[0].shape[1] + 1] = DARK_BGR

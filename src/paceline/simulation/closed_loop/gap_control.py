@@ -16,7 +16,7 @@ from paceline.arrays import Array
 
 LEAD_ACCELERATION_STD_MPS2 = 2.0  # m/s², standard deviation of the lead's acceleration
 LEAD_ACCELERATION_TIME_S = 1.0  # s over which it is correlated (Singer's model)
-MAX_UNSEEN_S = 0.35  # s for which an unseen lead is taken to go on as it did
+MAX_UNTRACKED_S = 0.35  # s for which an unseen lead is taken to go on as it did
 MIN_CONFIRMING_FRAMES = 4  # measurements in a row that must agree before a lead that was lost for longer is accepted
 MAX_CONFIRMING_GAP_CHANGE = 0.1  # relative change of the gap within which they agree
 RESTART_UNSEEN_S = 1.0  # s unseen, after which what is found may be anywhere
@@ -71,7 +71,7 @@ class LeadFilter:
         elif (
             seen
             and self._inside_gate(gap, std)
-            and (unseen_s <= MAX_UNSEEN_S or self._agreeing >= MIN_CONFIRMING_FRAMES)
+            and (unseen_s <= MAX_UNTRACKED_S or self._agreeing >= MIN_CONFIRMING_FRAMES)
         ):
             self._correct(gap, std)
             self._seen = time
@@ -82,7 +82,7 @@ class LeadFilter:
         assert self.state is not None
         dt = time - self._time
         d, v, a = self.state
-        if time - self._seen > MAX_UNSEEN_S:
+        if time - self._seen > MAX_UNTRACKED_S:
             a = min(a, -UNSEEN_BRAKING_MPS2)
         later = max(v + a * dt, 0.0)
         decay = np.exp(-dt / LEAD_ACCELERATION_TIME_S)

@@ -10,7 +10,7 @@ import numpy as np
 from paceline.simulation.closed_loop.drive_yaml import DriveModel
 from paceline.simulation.closed_loop.loop import LoopStep
 
-MIN_VISIBLE_SHARE = 0.6  # of the rear plane, where a frame counts as one that shows the lead
+MIN_LEAD_VISIBLE_SHARE = 0.6  # of the rear plane, where a frame counts as one that shows the lead
 MAX_RANGE_ERROR = 0.15  # relative; beyond, the estimate is of something else
 MAX_LATERAL_ERROR_WIDTHS = 0.5  # in widths of the lead; beyond, the estimate is of something else
 MAX_STANDING_SPEED_MPS = 0.1
@@ -64,7 +64,7 @@ class DriveStatistics:
         self.status[e.status] += 1
         if s.lead_present and e.status == "lost" and (last is None or last.estimate.status != "lost"):
             self.losses += 1
-        if s.lead_present and s.truth.visible >= MIN_VISIBLE_SHARE:
+        if s.lead_present and s.truth.visible >= MIN_LEAD_VISIBLE_SHARE:
             self.visible_frames += 1
             self.tracked_frames += tracking
         error = e.position - s.truth.position

@@ -49,7 +49,7 @@ __all__ = [
 ]
 
 
-SUPERSAMPLING = 4
+SCENE_SUBPIXELS_PER_SIDE = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,7 +186,7 @@ class _Renderer:
     def _render_view(self, i: int) -> list[NDArray[np.uint8]]:
         scene, view, poses = self.scene, self.world.views[i], self.world.poses[i]
         static = textures.grey_to_light(self.backdrop.draw(view), scene.gamma)
-        mask = draw_planes([self.pole], view, scene.blur_sigma, SUPERSAMPLING) if self.pole else None
+        mask = draw_planes([self.pole], view, scene.blur_sigma, SCENE_SUBPIXELS_PER_SIDE) if self.pole else None
         sensor = np.random.default_rng([scene.seed, 19, i])
         images = []
         for k, t in enumerate(self.world.clocks[i]):
@@ -195,7 +195,10 @@ class _Renderer:
                 vehicle, pose = scene.vehicles[j], poses[j][k]
                 composite(image, draw_planes([_shadow_plane(self.shadow, vehicle, pose)], view, scene.blur_sigma, 1))
                 composite(
-                    image, draw_planes(_place_vehicle_parts(self.parts[j], pose), view, scene.blur_sigma, SUPERSAMPLING)
+                    image,
+                    draw_planes(
+                        _place_vehicle_parts(self.parts[j], pose), view, scene.blur_sigma, SCENE_SUBPIXELS_PER_SIDE
+                    ),
                 )
                 if vehicle.glare:
                     self.glares[j].add(image, vehicle, pose, view, k)

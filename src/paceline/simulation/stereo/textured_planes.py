@@ -13,7 +13,7 @@ import numpy as np
 
 from paceline.arrays import Array, Image
 from paceline.cameras import PosedCamera
-from paceline.simulation.textures import PYRAMID_LEVELS, Texture
+from paceline.simulation.textures import TEXTURE_LEVELS, Texture
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +70,7 @@ def _draw_plane(canvas: Image, card: TexturedPlane, projection: Array, view: Pos
     sides = np.linalg.norm(np.roll(quad, -1, axis=1) - quad, axis=0)  # top, right, bottom, left in sub-pixels
     rows, columns = card.texture.value.shape
     texels = max(columns / max(sides[0], sides[2]), rows / max(sides[1], sides[3]))  # per sub-pixel
-    level = card.texture.pyramid[int(np.clip(round(np.log2(texels)), 0, PYRAMID_LEVELS - 1))]
+    level = card.texture.pyramid[int(np.clip(round(np.log2(texels)), 0, TEXTURE_LEVELS - 1))]
     rows, columns = level.shape[:2]
     unit = np.array([[1 / columns, 0, 0.5 / columns], [0, 1 / rows, 0.5 / rows], [0, 0, 1]])
     shift = np.array([[1, 0, -x0], [0, 1, -y0], [0, 0, 1.0]])

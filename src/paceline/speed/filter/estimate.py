@@ -16,7 +16,7 @@ from paceline.speed.geometry.initial_plane import InitialPlane
 
 MIN_REFERENCE_SIMILARITY = 0.55  # to the reference, above which a frame updates it
 MIN_VISIBLE_SIMILARITY = 0.25  # to the reference, below which the vehicle is occluded
-MIN_DEPTH_M = 1.0  # m before the left camera, below which a vehicle has left the image
+MIN_VEHICLE_DEPTH_M = 1.0  # m before the left camera, below which a vehicle has left the image
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,9 +86,9 @@ def estimate_from(
 
 
 def has_left_image(posterior: Posterior, rig: StereoRig) -> bool:
-    """Whether a corner of the mean region is outside its image, or the vehicle nearer than `MIN_DEPTH_M`."""
+    """Whether a corner of the mean region is outside its image, or the vehicle nearer than `MIN_VEHICLE_DEPTH_M`."""
     for corners, camera in ((posterior.mean.left[0], rig.left), (posterior.mean.right[0], rig.right)):
         inside = (corners >= 0) & (corners <= np.array(camera.image_size) - 1)  # false where a corner is not finite
         if not inside.all():
             return True
-    return bool(posterior.position[2] < MIN_DEPTH_M)
+    return bool(posterior.position[2] < MIN_VEHICLE_DEPTH_M)

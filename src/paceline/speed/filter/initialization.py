@@ -32,7 +32,7 @@ from paceline.speed.geometry.paths import LANE_KEEPING_STD
 SpeedPrior = tuple[float, float]  # a speed and its standard deviation, m/s
 
 SCALE_CANDIDATES = np.geomspace(0.72, 1.4, 23)  # of the template from the first frame to the second
-MATCH_SIGMA_PX = 0.7  # of a matched template's position and size
+TEMPLATE_MATCH_SIGMA_PX = 0.7  # of a matched template's position and size
 MIN_START_ESS_SHARE = 0.2  # effective sample size, as a share of the particles, that the second frame leaves at least
 MAX_START_ITERATIONS = 4  # of the first registration
 START_STEP_TOLERANCE = 0.02  # change of the registered position at which it has converged, as a share of the distance
@@ -236,8 +236,8 @@ def draw_free_start(
     after = rig.left.rays(vehicle.left.mean(0) + shift) * before[2] / growth
     size = float(np.sqrt(np.prod(np.ptp(vehicle.left, axis=0))))
     N = len(state)
-    across = rng.normal(0.0, MATCH_SIGMA_PX * before[2] / focal / dt, (N, 3))
-    along = rng.normal(0.0, MATCH_SIGMA_PX * before[2] / size / dt, (N, 1)) * before / np.linalg.norm(before)
+    across = rng.normal(0.0, TEMPLATE_MATCH_SIGMA_PX * before[2] / focal / dt, (N, 3))
+    along = rng.normal(0.0, TEMPLATE_MATCH_SIGMA_PX * before[2] / size / dt, (N, 1)) * before / np.linalg.norm(before)
     velocity = (after - before) / dt + across + along
     return replace(state, velocity=velocity, speed=np.linalg.norm(velocity, axis=1))
 

@@ -17,7 +17,14 @@ from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.filter import motion_models
 from paceline.speed.filter.likelihood import ObservationModel, Views
 from paceline.speed.filter.motion_models import FreeMotion, PathMotion, State
-from paceline.speed.filter.resampling import JITTER_SCALE, SCHEMES, SHRINKAGE, Weights, ess_sufficient, resample
+from paceline.speed.filter.resampling import (
+    JITTER_SCALE,
+    RESAMPLING_SCHEMES,
+    SHRINKAGE,
+    Weights,
+    ess_sufficient,
+    resample,
+)
 
 MAX_DRAWN_PARTICLES = 2000  # particles at most whose projections an estimate contains
 
@@ -184,7 +191,7 @@ class Device(Protocol):
 class Cpu:
     """The CPU as a `Device`."""
 
-    resampling_schemes: Collection[str] = SCHEMES
+    resampling_schemes: Collection[str] = RESAMPLING_SCHEMES
 
     def particle_set(self, host: ParticleSet) -> Particles:
         return host

@@ -26,15 +26,15 @@ from paceline.speed.geometry.quadrilaterals_cpu import unit_square_to
 
 Number = TypeVar("Number", bound=np.generic)
 
-MAX_ITERATIONS = 8
+MAX_REGISTRATION_ITERATIONS = 8
 COARSE_LEVELS = (6.0, 2.5)  # grid steps of smoothing, for searches that start farther away
 CONVERGED_STEP_CHI2 = 0.1  # squared standard deviations of the last step; the next one is quadratically smaller
-GAIN_RANGE = (0.2, 5.0)
+VIEW_GAIN_RANGE = (0.2, 5.0)
 MAX_DEPTH_SHIFT_SIGMA = 5.0  # of the outline's depth
-CORRELATED_SAMPLES = 4.0  # a sample's noise is shared with about this many neighbours
+NOISE_CORRELATED_SAMPLES = 4.0  # a sample's noise is shared with about this many neighbours
 QUANTISATION_VARIANCE = 1.0 / 12.0  # grey levels², of 8-bit images
 MAX_SMOOTHING_PX = 60.0  # a region that would need more fills more than the image
-RIM_PX = 2.0  # of the first region, left out: it may show the background, which has another depth
+REGION_RIM_PX = 2.0  # of the first region, left out: it may show the background, which has another depth
 MIN_SIMILARITY_OUTSIDE_GATE = 0.9  # at which a registration is accepted outside the gate
 GATE_CHI2 = 50.0  # squared Mahalanobis distance, three degrees of freedom, above which it may be another object
 
@@ -59,7 +59,7 @@ class PlaneGrid:
     def __init__(self, grid: PartGrid, region: Array) -> None:
         x, y = 4 * grid.samples[0], 4 * grid.samples[1]
         self.shape = (grid.down, y, grid.across, x)
-        rim = np.clip(RIM_PX / np.ptp(region, axis=0), 0.03, 0.2)
+        rim = np.clip(REGION_RIM_PX / np.ptp(region, axis=0), 0.03, 0.2)
         u = rim[0] + (1 - 2 * rim[0]) * (np.arange(grid.across * x) + 0.5) / (grid.across * x)
         v = rim[1] + (1 - 2 * rim[1]) * (np.arange(grid.down * y) + 0.5) / (grid.down * y)
         U, V = np.meshgrid(u, v)
@@ -127,13 +127,13 @@ def register(
     sampled, JJ, JT, JI = np.empty((V, parts, samples)), np.empty((V, parts, k, k)), *np.empty((2, V, parts, k))
     TI, II = np.empty((2, V, parts))
     normal, scores = np.empty((k, k)), np.empty((V, parts, k))
-    for _ in range(MAX_ITERATIONS):
+    for _ in range(MAX_REGISTRATION_ITERATIONS):
         for v, (picture, K, R, P, turned, slopes) in enumerate(seeing):
             registration_cpu.part_products(
                 picture, K, P, R @ shift, turned, T, slopes, sampled[v], JJ[v], JT[v], JI[v], TI[v], II[v]
             )
         registration_cpu.normal_equations(
-            JJ, JT, JI, TT, TI, II, samples, GAIN_RANGE, QUANTISATION_VARIANCE, w, normal, scores
+            JJ, JT, JI, TT, TI, II, samples, VIEW_GAIN_RANGE, QUANTISATION_VARIANCE, w, normal, scores
         )
         inverse = np.linalg.inv(normal)
         step = -inverse @ scores.sum((0, 1))
@@ -141,7 +141,7 @@ def register(
         if step @ normal @ step < CONVERGED_STEP_CHI2:
             break
     flat = scores.reshape(-1, k)
-    spread = inverse @ (flat.T @ flat + CORRELATED_SAMPLES * normal) @ inverse
+    spread = inverse @ (flat.T @ flat + NOISE_CORRELATED_SAMPLES * normal) @ inverse
     similarity = TI.sum(1) / np.sqrt((II.sum(1) + 1e-9) * (TT.sum() + 1e-9))
     return Registration(shift, directions @ spread @ directions.T, float(similarity.mean()), sampled)
 
@@ -208,7 +208,7 @@ class ReferenceTexture:
         normal = plane.normal
         self.texture = sample(self.rig, images, self.plane_points(left, normal, plane.distance), self.grid)[0]
         scale = 1.0
-        for _ in range(MAX_ITERATIONS):
+        for _ in range(MAX_REGISTRATION_ITERATIONS):
             # the part of the plane behind the outline grows with its distance: recomputed after every step
             points = self.plane_points(left, normal, plane.distance * scale)
             centre = points.reshape(-1, 3).mean(0)

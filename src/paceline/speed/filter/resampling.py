@@ -14,12 +14,12 @@ SHRINKAGE = float(np.sqrt(1 - JITTER_SCALE**2))  # towards the mean, before the 
 ESS_REL_TOLERANCE = 1e-9  # for rounding
 Scheme = Callable[[Array, np.random.Generator], Indices]  # weights (N,) to indices (N,)
 
-SCHEMES: dict[str, Scheme] = {}  # by name, in the order of registration
+RESAMPLING_SCHEMES: dict[str, Scheme] = {}  # by name, in the order of registration
 
 
 def resampling_scheme(scheme: Scheme) -> Scheme:
     """Register ``scheme`` under its function's name, as a decorator. Raises ValueError where that is taken."""
-    if SCHEMES.setdefault(scheme.__name__, scheme) is not scheme:
+    if RESAMPLING_SCHEMES.setdefault(scheme.__name__, scheme) is not scheme:
         raise ValueError(f"resampling scheme {scheme.__name__!r} is registered twice")
     return scheme
 
@@ -114,4 +114,4 @@ def ess_sufficient(ess: float, n: int, below: float) -> bool:
 
 def resample(scheme: str, W: Array, rng: np.random.Generator) -> Indices:
     """Indices (N,) of the surviving particles, each expected N·W times."""
-    return SCHEMES[scheme](W, rng)
+    return RESAMPLING_SCHEMES[scheme](W, rng)

@@ -18,7 +18,7 @@ DRIVER_PRIOR = {"yaw": (LANE_KEEPING_STD[0], 3e-4, 1e-5, 1e-7), "pitch": (LANE_K
 # The same without a path, where the direction comes from the filter; a turn is a motion term of its own
 FREE_DIRECTION_PRIOR = {"yaw": (np.radians(15.0), 3e-4), "pitch": (np.radians(5.0), 1e-4)}
 LENGTH_FACTOR = 1.1  # of the modelled path over the distance at the given speed
-MIN_LENGTH_M = 5.0  # of the modelled path
+MIN_PATH_LENGTH_M = 5.0  # of the modelled path
 MIN_MODE_RAD = 1e-4  # RMS; smaller modes move the image by less than 0.01 px
 LANE_CHANGE_GP = 0.1, 8.0  # heading during a lane change: standard deviation in rad, correlation length in m
 LANE_KEEPING_GP = 0.01, 10.0  # the same for lane keeping on a bend
@@ -50,7 +50,7 @@ class PathDeviation:
 def deviation_of(path: Path, plane: InitialPlane, times: Array, speed: float, on_path: bool) -> PathDeviation:
     """The `PathDeviation` of a ``plane`` that moves along ``path`` at about ``speed`` (m/s) for ``times`` (F, 2) s."""
     length = LENGTH_FACTOR * speed * float(np.ptp(times))
-    return deviation_modes(path, path.nearest(plane.centre), max(length, MIN_LENGTH_M), on_path)
+    return deviation_modes(path, path.nearest(plane.centre), max(length, MIN_PATH_LENGTH_M), on_path)
 
 
 def deviation_modes(path: Path, start: float, length: float, on_path: bool) -> PathDeviation:

@@ -32,7 +32,7 @@ from paceline.speed.refinement.trajectory import Prior, Trajectory
 LEVEL_SCHEDULE = ((2.5, False), (1.2, False), (0.7, True))
 # Besides the default grid
 PATCH_GRIDS = PatchGrid(8), PatchGrid(30), PatchGrid(share=(0.8, 1.0)), PatchGrid(share=(1.0, 0.8))
-MAX_STEPS = 10
+MAX_FIT_STEPS = 10
 MAX_RESTART_STEPS = 6  # of a fit that starts from another one with fewer assumptions
 MAX_GRID_STEPS = 3  # of a fit that starts from one on another patch grid
 CONVERGED_STEP_SIGMA = 0.1  # standard deviations
@@ -225,7 +225,7 @@ class PhotometricFit:
         misfit = score @ (np.linalg.solve(precision, score) - np.linalg.solve(confined, score))
         return float(0.5 * (misfit - logdet[0] + logdet[1] + logdet[2] - logdet[3]))
 
-    def gauss_newton(self, converged_step: float, max_steps: int = MAX_STEPS) -> None:
+    def gauss_newton(self, converged_step: float, max_steps: int = MAX_FIT_STEPS) -> None:
         """Gauss–Newton until no motion parameter changes by ``converged_step`` std, or for ``max_steps`` steps."""
         P, Q = len(self.prior.free), len(self.rig_offset)
         for _ in range(max_steps):

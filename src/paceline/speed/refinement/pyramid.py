@@ -22,13 +22,13 @@ OPTICAL_BLUR_PX = 0.8  # typical blur of lens and pixel; the rest is fitted
 GAMMA_STEP = 0.02  # for the derivative by γ
 LEVEL_RATIO = 1.5  # of the resolutions of two levels
 SAMPLES_PER_PIXEL = 1.3  # of a level's coarsest view
-RIM_PX = 1.5  # of a level's coarsest view, left out at the outline, where the background mixes in
+LEVEL_RIM_PX = 1.5  # of a level's coarsest view, left out at the outline, where the background mixes in
 GEMAN_MCCLURE_SCALE = 4.0  # of the squared residual, in expected variances
 MAX_VARIANCE_RATIO = 9.0  # to the expected variance; above, a patch of a view is taken as occluded
-GAIN_RANGE = (0.2, 5.0)
+PATCH_GAIN_RANGE = (0.2, 5.0)
 ROWS_PER_PATCH = 3  # with a depth offset each, as edges of bumpers and windows run through patches
-CORRELATED_SAMPLES = 12.0  # that share their noise, by blur and dense sampling
-MIN_VIEWS = 4
+BLUR_CORRELATED_SAMPLES = 12.0  # that share their noise, by blur and dense sampling
+MIN_LEVEL_VIEWS = 4
 SLOPE_KERNEL = np.array([[1.0, -8.0, 0.0, 8.0, -1.0]], np.float32) / 12
 
 
@@ -65,7 +65,7 @@ class PyramidLevel:
         across = max(1, round(grid.patches / down))
         x = max(int(np.ceil(w * SAMPLES_PER_PIXEL / across)), 4)
         y = max(int(np.ceil(h * SAMPLES_PER_PIXEL / down)), 4)
-        within = (1 - 2 * np.clip(RIM_PX / size, 0.03, 0.2)) * grid.share
+        within = (1 - 2 * np.clip(LEVEL_RIM_PX / size, 0.03, 0.2)) * grid.share
         u = 0.5 + within[0] * ((np.arange(across * x) + 0.5) / (across * x) - 0.5)
         v = 0.5 + within[1] * ((np.arange(down * y) + 0.5) / (down * y) - 0.5)
         samples = np.stack([*np.meshgrid(u, v), np.ones((down * y, across * x))])
@@ -167,7 +167,7 @@ class PyramidLevel:
         nuisance, known = [constant, along, blur], [constant, along, blur]
         # so would an illumination ramp over a patch; only the part that noise does not explain is removed, to keep
         # information
-        noise = CORRELATED_SAMPLES * np.median((r * r).mean(-1), axis=0)
+        noise = BLUR_CORRELATED_SAMPLES * np.median((r * r).mean(-1), axis=0)
         for ramp in self.ramps:
             ramp = _orthogonalised(root * ramp, known)
             known.append(ramp)
@@ -205,7 +205,7 @@ class PyramidLevel:
         T = I.mean(0) if self.texture is None else root * self.texture
         for _ in range(3):
             own = np.maximum((T * T).sum(-1), 1e-9)
-            self.gain = np.clip(np.einsum("vkm,km->vk", I, T) / own, *GAIN_RANGE)
+            self.gain = np.clip(np.einsum("vkm,km->vk", I, T) / own, *PATCH_GAIN_RANGE)
             w = self.robust_weights * self.gain
             T = np.einsum("vk,vkm->km", w, I) / np.maximum((w * self.gain).sum(0), 1e-12)[:, None]
         # gains and texture are determined up to a factor: set the mean gain to 1
@@ -235,7 +235,7 @@ class PyramidLevel:
         self.sample_weights = 1.0 / (1.0 + by_sample / (np.median(by_sample) + 1e-3))
         self.variance = variance
         damping = (1.0 + variance / (GEMAN_MCCLURE_SCALE * self.expected_variance)) ** 2
-        self.robust_weights = 1.0 / (CORRELATED_SAMPLES * self.expected_variance) / damping
+        self.robust_weights = 1.0 / (BLUR_CORRELATED_SAMPLES * self.expected_variance) / damping
 
 
 def build_levels(
@@ -251,8 +251,8 @@ def build_levels(
     crops = [c for k in keyframes for c in k.crops]
     origins = np.concatenate([k.origins for k in keyframes])
     usable = np.array([_covers(c, o, q) for c, o, q in zip(crops, origins, quads, strict=True)])
-    if usable.sum() < MIN_VIEWS:
-        raise np.linalg.LinAlgError(f"fewer than {MIN_VIEWS} views hold the whole region")
+    if usable.sum() < MIN_LEVEL_VIEWS:
+        raise np.linalg.LinAlgError(f"fewer than {MIN_LEVEL_VIEWS} views hold the whole region")
     smallest = scale[usable].min()
     size = _sides(quads[usable][np.argmin(scale[usable])])
     count = 1 + (int(np.log(scale[usable].max() / smallest) / np.log(LEVEL_RATIO) + 1e-6) if fine else 0)
@@ -260,7 +260,7 @@ def build_levels(
     for b in range(count):
         resolution = smallest * LEVEL_RATIO**b
         views = np.flatnonzero(usable & (scale >= 0.999 * resolution))
-        if len(views) < MIN_VIEWS:
+        if len(views) < MIN_LEVEL_VIEWS:
             break
         images = []
         for v in views:

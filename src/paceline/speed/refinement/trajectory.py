@@ -20,7 +20,7 @@ from paceline.speed.geometry.paths import Path, level_frames, rolled, rotation_m
 from paceline.speed.geometry.quadrilaterals_cpu import unit_square_to
 from paceline.speed.refinement.path_deviation import PathDeviation, gaussian_process_modes
 
-PARAMETER_NAMES = (
+MOTION_PARAMETER_NAMES = (
     "log_depth",  # ln m, of the region's centre at the first frame
     "speed",  # m/s at the first frame
     "acceleration",  # m/s²
@@ -28,14 +28,14 @@ PARAMETER_NAMES = (
     "normal_tilt",
     "curvature",  # 1/m, in addition to the path's, to the right
 )  # and then the amplitudes of the deviation from the path and of the varying acceleration
-PARAMETER_INDEX = {name: i for i, name in enumerate(PARAMETER_NAMES)}
+PARAMETER_INDEX = {name: i for i, name in enumerate(MOTION_PARAMETER_NAMES)}
 MOTION_TERMS = ("acceleration", "varying_acceleration", "lane_change", "curvature")
 DIFFERENCE_STEPS = np.array([1e-5, 1e-4, 1e-4, 1e-5, 1e-5, 1e-6])
 AMPLITUDE_STEP = 1e-3
 
 LOG_DEPTH_STD = 0.3
 SPEED_STD_MPS = 30.0  # so wide that it hardly matters
-ACCELERATION_STD_MPS2 = 2.0  # hard braking
+VARYING_ACCELERATION_STD_MPS2 = 2.0  # hard braking
 STEADY_ACCELERATION_STD_MPS2 = 0.15  # of drivers who hold their speed
 ACCELERATION_GP = 2.0, 0.4  # varying acceleration: standard deviation in m/s², correlation time in s
 CURVATURE_STD_PER_M = 0.03  # of a turning vehicle
@@ -55,8 +55,8 @@ class Trajectory:
     """A plane region ``quad`` (4, 2) px, outlined in the left view at time 0, that moves along ``path``.
 
     ``plane`` gives the initial normal; ``times`` (F, 2) are each view's exposures in seconds since the outline. The
-    parameters ``theta`` (n,) are those of PARAMETER_NAMES, then the amplitudes of ``deviation`` and those of a varying
-    acceleration, a Gaussian process over time.
+    parameters ``theta`` (n,) are those of MOTION_PARAMETER_NAMES, then the amplitudes of ``deviation`` and those of a
+    varying acceleration, a Gaussian process over time.
     """
 
     rig: StereoRig
@@ -77,7 +77,7 @@ class Trajectory:
         """Indices in ``theta`` of one of MOTION_TERMS, or of the whole "deviation"."""
         n = len(self.steps)
         if name == "deviation":
-            return np.arange(len(PARAMETER_NAMES), n - self._acceleration_count)
+            return np.arange(len(MOTION_PARAMETER_NAMES), n - self._acceleration_count)
         if name == "varying_acceleration":
             return np.arange(n - self._acceleration_count, n)
         if name == "lane_change":
@@ -163,7 +163,9 @@ class Trajectory:
         s0 = np.array([self.path.nearest(self._ray * np.exp(depth)) for depth in depths])[inverse]
         travelled = np.tensordot(parameters, self._distance_jacobian, (1, 2))
         u = np.linspace(min(travelled.min(), 0.0) - 1.0, max(travelled.max(), 0.0) + 1.0, 97)
-        yaw, pitch = self.deviation.angles(parameters[:, len(PARAMETER_NAMES) :][:, : len(self.deviation.modes)], u)
+        yaw, pitch = self.deviation.angles(
+            parameters[:, len(MOTION_PARAMETER_NAMES) :][:, : len(self.deviation.modes)], u
+        )
         yaw = yaw + parameters[:, PARAMETER_INDEX["curvature"], None] * u
         F = self.path.frames(s0[:, None] + u)
         T = F[..., 0] + yaw[..., None] * F[..., 1] + pitch[..., None] * F[..., 2]
@@ -281,10 +283,10 @@ def prior(trajectory: Trajectory, speed: float, terms: tuple[str, ...] = ()) -> 
 def parameter_stds(trajectory: Trajectory) -> Array:
     """Prior standard deviations (n,) of all parameters, with all motion terms."""
     std = np.ones(len(trajectory.steps))
-    std[: len(PARAMETER_NAMES)] = (
+    std[: len(MOTION_PARAMETER_NAMES)] = (
         LOG_DEPTH_STD,
         SPEED_STD_MPS,
-        ACCELERATION_STD_MPS2,
+        VARYING_ACCELERATION_STD_MPS2,
         *trajectory.plane.normal_std,
         CURVATURE_STD_PER_M,
     )

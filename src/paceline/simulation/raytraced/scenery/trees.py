@@ -10,7 +10,7 @@ from paceline.arrays import Array
 from paceline.simulation.raytraced.mesh_builders import Mesh, join_meshes, tube
 from paceline.simulation.raytraced.meshes import Texture
 
-PALETTE = 16  # colours of leaves
+LEAF_COLOR_COUNT = 16  # colours of leaves
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,10 +22,10 @@ class Tree:
 
 
 def leaf_palette(rng: np.random.Generator) -> Texture:
-    """Greens (1, PALETTE, 3), from those in the crown's depth to those at its rim."""
-    light = np.linspace(0.6, 1.25, PALETTE) * rng.uniform(0.9, 1.1, PALETTE)
+    """Greens (1, LEAF_COLOR_COUNT, 3), from those in the crown's depth to those at its rim."""
+    light = np.linspace(0.6, 1.25, LEAF_COLOR_COUNT) * rng.uniform(0.9, 1.1, LEAF_COLOR_COUNT)
     green = rng.uniform([0.035, 0.075, 0.012], [0.06, 0.10, 0.022])
-    autumn = np.outer(rng.random(PALETTE) < 0.08, [0.05, 0.02, 0.0])
+    autumn = np.outer(rng.random(LEAF_COLOR_COUNT) < 0.08, [0.05, 0.02, 0.0])
     return np.asarray((light[:, None] * green + autumn)[None], np.float32)
 
 
@@ -44,8 +44,8 @@ def leaves(rng: np.random.Generator, centers: Array, spread: Array, count: int, 
     vertices = positions[:, None] + length[:, None] * np.stack([-along / 2, 0.6 * across, along / 2], 1)
     triangles = np.arange(3 * n).reshape(n, 3)
     rim = np.linalg.norm(offset.reshape(-1, 3), axis=1) / np.repeat(spread, count) / 1.6
-    shade = np.clip((PALETTE - 1) * (0.25 + 0.5 * rim) + rng.normal(0, 2.5, n), 0, PALETTE - 1)
-    u = np.repeat((np.floor(shade) + 0.5) / PALETTE, 3)
+    shade = np.clip((LEAF_COLOR_COUNT - 1) * (0.25 + 0.5 * rim) + rng.normal(0, 2.5, n), 0, LEAF_COLOR_COUNT - 1)
+    u = np.repeat((np.floor(shade) + 0.5) / LEAF_COLOR_COUNT, 3)
     return Mesh(vertices.reshape(-1, 3), triangles, np.column_stack([u, np.full(3 * n, 0.5)]))
 
 

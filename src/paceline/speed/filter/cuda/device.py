@@ -40,7 +40,9 @@ THREADS_PER_BLOCK = 128  # one for each particle
 MIN_PARTICLES_PER_THREAD = 8  # that a thread adds up before another block shares the vehicle
 MAX_BLOCKS_PER_VEHICLE = 64
 MAX_PARTICLES_PER_LAUNCH = 1 << 18  # of `CudaDevice.log_likelihood`
-SECOND_MOMENT_ROWS = layout.MOMENT_PAIRS[:, layout.CARRIED_ROWS :]  # (2, pairs, 2) rows of second moments, by IS_FREE
+SECOND_MOMENT_ROWS = layout.MOMENT_PAIRS[
+    :, layout.CARRIED_ROW_COUNT :
+]  # (2, pairs, 2) rows of second moments, by IS_FREE
 
 
 class DeviceArray(cuda.In):  # type: ignore[misc, name-defined]
@@ -91,7 +93,7 @@ class CudaDevice:
         cuda.current_context()  # type: ignore[no-untyped-call]
         warnings.filterwarnings("ignore", "Grid size .* under-utilization")  # a vehicle's particles fill no GPU
         self._particle_sets: dict[int, weakref.ref[CudaParticleSet]] = {}  # by slot
-        self._pool = DeviceArray(cuda.device_array((2, layout.ROWS, 1)))
+        self._pool = DeviceArray(cuda.device_array((2, layout.ROW_COUNT, 1)))
         self._maps = DeviceArray(cuda.device_array((1, layout.SAMPLING_MAP), np.float32))
         self._pixels = _TransferBuffer.of(1, np.uint32)
         self._host_copy: Array | None = None  # all states and log weights, until they change
@@ -138,39 +140,39 @@ class CudaDevice:
         if columns > before:
             old, old_maps = self._pool, self._maps
             room = max(columns, 2 * before)
-            self._pool = DeviceArray(cuda.device_array((2, layout.ROWS, room)))
+            self._pool = DeviceArray(cuda.device_array((2, layout.ROW_COUNT, room)))
             self._maps = DeviceArray(cuda.device_array((room, layout.SAMPLING_MAP), np.float32))
-            kernels.upload[(_grid(before), layout.ROWS), THREADS_PER_BLOCK](old, self._pool, 0)
+            kernels.upload[(_grid(before), layout.ROW_COUNT), THREADS_PER_BLOCK](old, self._pool, 0)
             self._maps.value[:before].copy_to_device(old_maps.value)
 
     def _build_tables(self, living: dict[int, CudaParticleSet]) -> None:
         """Build the tables of all ``living`` particle sets, by slot; all earlier commands have been executed."""
         slots = max(living, default=-1) + 1
-        commands = np.zeros((slots, layout.COMMAND))
+        commands = np.zeros((slots, layout.COMMAND_SIZE))
         knots, rigs, knot, total = [np.zeros((1, layout.KNOT_SIZE))], [np.zeros((7, 3, 3))], 1, 0
         numbers: dict[int, int] = {}
         for slot, particle_set in living.items():
             command, N = commands[slot], len(particle_set)
             is_new = slot in self._added
             command[[layout.HALF_BEFORE, layout.HALF_AFTER]] = 0 if is_new else self.commands[slot, layout.HALF_AFTER]
-            command[[layout.FIRST, layout.COUNT, layout.DRAWN_STRIDE, layout.HOST_COLUMN]] = (
+            command[[layout.FIRST_COLUMN, layout.PARTICLE_COUNT, layout.DRAWN_STRIDE, layout.HOST_COLUMN]] = (
                 particle_set.first,
                 N,
                 -(-N // MAX_DRAWN_PARTICLES),
                 total,
             )
-            command[[layout.PREPARE, layout.IS_FREE, layout.IS_CURVE]] = (
+            command[[layout.IS_ACTIVE, layout.IS_FREE, layout.IS_CURVE]] = (
                 is_new,
                 particle_set.free,
                 particle_set.motion.name == "curve",
             )
-            command[[layout.KNOTS, layout.KNOT_COUNT]] = knot, len(particle_set.knots)
+            command[[layout.KNOT_TABLE_INDEX, layout.KNOT_COUNT]] = knot, len(particle_set.knots)
             knots.append(particle_set.knots)
             knot += len(particle_set.knots)
             if id(particle_set.rig) not in numbers:
                 numbers[id(particle_set.rig)] = len(rigs)
                 rigs.append(rig_numbers(particle_set.rig))
-            command[layout.RIG] = numbers[id(particle_set.rig)]
+            command[layout.RIG_INDEX] = numbers[id(particle_set.rig)]
             total += N
         self._particle_sets = {slot: weakref.ref(particle_set) for slot, particle_set in living.items()}
         self._knots, self._rigs = (
@@ -178,8 +180,8 @@ class CudaDevice:
             DeviceArray(cuda.to_device(np.stack(rigs))),
         )
         self._allocate_commands(commands, commands.size + 1)
-        self._observations = _TransferBuffer.of(layout.HEADER + slots * layout.OBSERVATION, np.float64)
-        counts = commands[:, layout.COUNT]
+        self._observations = _TransferBuffer.of(layout.HEADER_SIZE + slots * layout.OBSERVATION_SIZE, np.float64)
+        counts = commands[:, layout.PARTICLE_COUNT]
         self._largest, self._total = int(counts.max(initial=1)), total
         self._blocks = min(
             -(-self._largest // (MIN_PARTICLES_PER_THREAD * THREADS_PER_QUANTITY)), MAX_BLOCKS_PER_VEHICLE
@@ -193,12 +195,14 @@ class CudaDevice:
         ]  # (particle sets, pairs, 2)
         self._second = np.arange(len(pairs))[:, None], pairs[..., 0], pairs[..., 1]
         self._moments_size = slots * layout.QUANTITY_COUNT * self._blocks * 2
-        self._results = _TransferBuffer.of(max(self._moments_size + slots * layout.DRAWN_ROWS * shown, 1), np.float64)
+        self._results = _TransferBuffer.of(
+            max(self._moments_size + slots * layout.DRAWN_ROW_COUNT * shown, 1), np.float64
+        )
         self._host_copy, self._pending = None, bool(living)
         self._added.clear()
 
     def _allocate_commands(self, commands: Array, size: int) -> None:
-        """Allocate a command buffer of ``size`` numbers that begins with ``commands`` (slots, COMMAND)."""
+        """Allocate a command buffer of ``size`` numbers that begins with ``commands`` (slots, COMMAND_SIZE)."""
         self._command_buffer = _TransferBuffer.of(size, np.float64)
         self.commands = self._command_buffer.host[: commands.size].reshape(commands.shape)
         self.commands[:] = commands
@@ -207,7 +211,7 @@ class CudaDevice:
         """Enqueue the command ``command`` for ``particle_set``, after those already enqueued."""
         if self._added or self._to_weight or self.commands[particle_set.slot, command : layout.KALMAN_UPDATE + 1].any():
             self.execute()
-        self.commands[particle_set.slot, command] = self.commands[particle_set.slot, layout.PREPARE] = 1
+        self.commands[particle_set.slot, command] = self.commands[particle_set.slot, layout.IS_ACTIVE] = 1
         self._pending, self._host_copy, particle_set.moments = True, None, None
 
     def store_noise(self, noise: Array) -> int:
@@ -243,12 +247,12 @@ class CudaDevice:
         self._command_buffer.upload(commands.size + self._noise)
         if commands[:, layout.RESAMPLE].any():
             self._cumulate()
-        if commands[:, layout.PREPARE].any():
+        if commands[:, layout.IS_ACTIVE].any():
             kernels.execute[(_grid(self._largest), len(commands)), THREADS_PER_BLOCK](
                 self._pool, self._command_buffer.device, self._rigs, self._knots, self._maps
             )
         commands[:, layout.HALF_BEFORE] = commands[:, layout.HALF_AFTER]
-        commands[:, layout.RESAMPLE : layout.PREPARE + 1] = 0
+        commands[:, layout.RESAMPLE : layout.IS_ACTIVE + 1] = 0
         self._noise, self._pending = 0, False
 
     def weight(self, particle_set: CudaParticleSet, model: ObservationModel, views: Views) -> None:
@@ -290,8 +294,8 @@ class CudaDevice:
         self._pending, self._host_copy, particle_set.moments = True, None, None
 
     def _observation_table(self) -> Array:
-        """The table (slots, OBSERVATION) of observations, with no weights to be updated yet."""
-        observations = self._observations.host[layout.HEADER :].reshape(-1, layout.OBSERVATION)
+        """The table (slots, OBSERVATION_SIZE) of observations, with no weights to be updated yet."""
+        observations = self._observations.host[layout.HEADER_SIZE :].reshape(-1, layout.OBSERVATION_SIZE)
         observations[:, : layout.WEIGHT_UPDATE] = self.commands[:, : layout.WEIGHT_UPDATE]
         observations[:, layout.WEIGHT_UPDATE] = 0
         return observations
@@ -328,31 +332,36 @@ class CudaDevice:
         self._pixels.upload(sum(sizes))
         frames = [(*packed.words.shape, packed.left, packed.top) for packed in views]
         constants = CONTRAST_FLOOR, PART_DISTANCE_CAP, *lambdas
-        observations.host[: layout.HEADER] = *frames[0], *frames[1], *sizes, *constants
+        observations.host[: layout.HEADER_SIZE] = *frames[0], *frames[1], *sizes, *constants
 
     def log_likelihood(self, model: ObservationModel, views: Views, state: State) -> Array:
         """log p(z | x) (N,) of particles that are in the computer's memory."""
         found = []
-        observations = _TransferBuffer.of(layout.HEADER + layout.OBSERVATION, np.float64)
-        observation = observations.host[layout.HEADER :]
+        observations = _TransferBuffer.of(layout.HEADER_SIZE + layout.OBSERVATION_SIZE, np.float64)
+        observation = observations.host[layout.HEADER_SIZE :]
         _write_reference(observation, model)
         self._upload_views(views, (model.lambda_single, model.lambda_cross), observations)
         rigs, knots = cuda.to_device(_one(rig_numbers(model.rig))), cuda.to_device(np.zeros((1, layout.KNOT_SIZE)))
         for first in range(0, len(state), MAX_PARTICLES_PER_LAUNCH):
             part = state[np.arange(first, min(first + MAX_PARTICLES_PER_LAUNCH, len(state)))]
             N = len(part)
-            command = np.zeros(layout.COMMAND)
-            command[[layout.COUNT, layout.PREPARE]] = N, 1
-            observation[[layout.FIRST, layout.COUNT, layout.HALF_BEFORE, layout.WEIGHT_UPDATE]] = 0, N, 0, 1
+            command = np.zeros(layout.COMMAND_SIZE)
+            command[[layout.PARTICLE_COUNT, layout.IS_ACTIVE]] = N, 1
+            observation[[layout.FIRST_COLUMN, layout.PARTICLE_COUNT, layout.HALF_BEFORE, layout.WEIGHT_UPDATE]] = (
+                0,
+                N,
+                0,
+                1,
+            )
             observations.upload(observations.host.size)
-            rows = np.zeros((1, layout.ROWS, N))
-            rows[0, : layout.STATE] = rows_of(part)
+            rows = np.zeros((1, layout.ROW_COUNT, N))
+            rows[0, : layout.STATE_ROW_COUNT] = rows_of(part)
             pool, maps = cuda.to_device(rows), cuda.device_array((N, layout.SAMPLING_MAP), np.float32)
             kernels.execute[(_grid(N), 1), THREADS_PER_BLOCK](pool, cuda.to_device(command), rigs, knots, maps)
             patch_features.log_likelihood[(N, 1), 16 * model.grid.parts](
                 self._pixels.device, maps, observations.device, pool
             )
-            found.append(pool[0, layout.LIKELIHOOD].copy_to_host())
+            found.append(pool[0, layout.LIKELIHOOD_ROW].copy_to_host())
         return np.concatenate(found)
 
     # --- results -----------------------------------------------------------------------------------------------------
@@ -366,18 +375,20 @@ class CudaDevice:
             self.execute()
         blocks = (
             self._blocks,
-            -(-(layout.QUANTITY_COUNT + layout.DRAWN_ROWS) // QUANTITIES_PER_BLOCK),
+            -(-(layout.QUANTITY_COUNT + layout.DRAWN_ROW_COUNT) // QUANTITIES_PER_BLOCK),
             len(self.commands),
         )
         threads = min(self._threads, THREADS_PER_QUANTITY), QUANTITIES_PER_BLOCK
         weights.reduce_moments[blocks, threads](self._pool, self._command_buffer.device, self._results.device)
         results = self._results.download(self._results.host.size if drawn else self._moments_size)
-        places = results[self._moments_size :].reshape(len(self.commands), layout.DRAWN_ROWS, -1) if drawn else None
+        places = (
+            results[self._moments_size :].reshape(len(self.commands), layout.DRAWN_ROW_COUNT, -1) if drawn else None
+        )
         parts = results[: self._moments_size].reshape(-1, layout.QUANTITY_COUNT, self._blocks, 2)[list(living)]
         sums, extremes = parts[:, : layout.FIRST_EXTREME, :, 0].sum(2), parts[:, layout.FIRST_EXTREME :]
-        mean = sums[:, : layout.CARRIED_ROWS] + parts[:, : layout.CARRIED_ROWS, 0, 1]
+        mean = sums[:, : layout.CARRIED_ROW_COUNT] + parts[:, : layout.CARRIED_ROW_COUNT, 0, 1]
         squares, (each, i, j) = sums[:, layout.SUM_OF_SQUARES].tolist(), self._second
-        second = sums[:, layout.CARRIED_ROWS : layout.MOMENT_COUNT] - sums[each, i] * sums[each, j]
+        second = sums[:, layout.CARRIED_ROW_COUNT : layout.MOMENT_COUNT] - sums[each, i] * sums[each, j]
         bounds = np.stack([extremes[..., 0].min(2), extremes[..., 1].max(2)], axis=1).reshape(-1, 2, 2, 4, 2)
         for k, (slot, particle_set) in enumerate(living.items()):
             particle_set.moments = Moments(
@@ -385,10 +396,10 @@ class CudaDevice:
             )
 
     def download(self, particle_set: CudaParticleSet) -> Array:
-        """The state and the log weights (STATE + 1, N) of ``particle_set``; those of all are downloaded at once."""
+        """State and log weights (STATE_ROW_COUNT + 1, N) of ``particle_set``; those of all are downloaded at once."""
         self.execute()
         if self._host_copy is None:
-            host = cuda.device_array((layout.STATE + 1, self._total))
+            host = cuda.device_array((layout.STATE_ROW_COUNT + 1, self._total))
             kernels.download[(_grid(self._largest), len(self.commands)), THREADS_PER_BLOCK](
                 self._pool, self._command_buffer.device, host
             )
@@ -407,10 +418,10 @@ def _grid(n: int) -> int:
 
 
 def _write_reference(observation: Array, model: ObservationModel) -> None:
-    """Write the grid and the reference features of ``model`` into the ``observation`` (OBSERVATION,) of a vehicle."""
+    """Writes the grid and the reference features of ``model`` into a vehicle's ``observation`` (OBSERVATION_SIZE,)."""
     grid, reference = model.grid, model.reference
-    observation[layout.GRID : layout.GRID + 4] = grid.across, grid.down, *grid.samples
-    observation[layout.REFERENCE : layout.REFERENCE + reference.size] = reference.reshape(-1)
+    observation[layout.PART_GRID : layout.PART_GRID + 4] = grid.across, grid.down, *grid.samples
+    observation[layout.REFERENCE_FEATURES : layout.REFERENCE_FEATURES + reference.size] = reference.reshape(-1)
 
 
 def rig_numbers(rig: StereoRig) -> Array:

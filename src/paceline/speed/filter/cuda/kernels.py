@@ -33,24 +33,24 @@ def _resample(pool, q, p, command_buffer, command):
     """
     noise = cuda.local.array(2, np.float64)
     before, rows = pool[int(command[layout.HALF_BEFORE])], pool[int(command[layout.HALF_AFTER])]
-    first, N = int(command[layout.FIRST]), int(command[layout.COUNT])
-    point = (p + command[layout.OFFSET]) / N
+    first, N = int(command[layout.FIRST_COLUMN]), int(command[layout.PARTICLE_COUNT])
+    point = (p + command[layout.RESAMPLING_OFFSET]) / N
     low, high = 0, N - 1
     while low < high:
         half = (low + high) // 2
-        if before[layout.CUMULATIVE_WEIGHT, first + half] < point:
+        if before[layout.CUMULATIVE_WEIGHT_ROW, first + half] < point:
             low = half + 1
         else:
             high = half
-    for i in range(layout.CARRIED_ROWS):
+    for i in range(layout.CARRIED_ROW_COUNT):
         rows[i, q] = before[i, first + low]
-    rows[layout.LOG_WEIGHT, q] = -math.log(float(N))
-    rows[layout.WEIGHT, q] = 1.0 / N
-    draw(command_buffer, command, layout.JITTER, 2, p, noise, 0)
+    rows[layout.LOG_WEIGHT_ROW, q] = -math.log(float(N))
+    rows[layout.WEIGHT_ROW, q] = 1.0 / N
+    draw(command_buffer, command, layout.JITTER_KIND, 2, p, noise, 0)
     for k in range(2):
         mean = command[layout.MEAN_HEADING + k]
-        rows[layout.HEADING + k, q] = (
-            mean + SHRINKAGE * (rows[layout.HEADING + k, q] - mean) + noise[k] * command[layout.HEADING_STD + k]
+        rows[layout.HEADING_ROW + k, q] = (
+            mean + SHRINKAGE * (rows[layout.HEADING_ROW + k, q] - mean) + noise[k] * command[layout.HEADING_STD + k]
         )
 
 
@@ -59,9 +59,9 @@ def _set_plane_normal(rows, q, normal):
     """Give the plane the ``normal`` (3,), about its own centre."""
     distance = 0.0
     for i in range(3):
-        rows[layout.NORMAL + i, q] = normal[i]
-        distance += rows[layout.CENTRE + i, q] * normal[i]
-    rows[layout.DISTANCE, q] = distance
+        rows[layout.NORMAL_ROW + i, q] = normal[i]
+        distance += rows[layout.CENTRE_ROW + i, q] * normal[i]
+    rows[layout.DISTANCE_ROW, q] = distance
 
 
 @cuda.jit(device=True)
@@ -75,10 +75,10 @@ def _ensemble_kalman_update(rows, q, p, command_buffer, command, rig, knots):
         command[layout.KALMAN_STEP + 3 : layout.KALMAN_STEP + 12],
         command[layout.KALMAN_STEP + 12 : layout.KALMAN_STEP + 30],
     )
-    draw(command_buffer, command, layout.MEASUREMENT_NOISE, 3, p, noise, 0)
+    draw(command_buffer, command, layout.MEASUREMENT_NOISE_KIND, 3, p, noise, 0)
     for i in range(3):
         perturbation = factor[3 * i] * noise[0] + factor[3 * i + 1] * noise[1] + factor[3 * i + 2] * noise[2]
-        innovation[i] = place[i] + perturbation - rows[layout.CENTRE + i, q]
+        innovation[i] = place[i] + perturbation - rows[layout.CENTRE_ROW + i, q]
     for i in range(3):
         shift[i] = gain[3 * i] * innovation[0] + gain[3 * i + 1] * innovation[1] + gain[3 * i + 2] * innovation[2]
         change[i] = (
@@ -86,15 +86,15 @@ def _ensemble_kalman_update(rows, q, p, command_buffer, command, rig, knots):
         )
     if command[layout.IS_FREE] != 0.0:
         for i in range(3):
-            rows[layout.VELOCITY + i, q] += change[i]
+            rows[layout.VELOCITY_ROW + i, q] += change[i]
         set_speed(rows, q)
     else:
-        rows[layout.SPEED, q] += change[0]
-        rows[layout.HEADING, q] += change[1]
-        rows[layout.HEADING + 1, q] += change[2]
+        rows[layout.SPEED_ROW, q] += change[0]
+        rows[layout.HEADING_ROW, q] += change[1]
+        rows[layout.HEADING_ROW + 1, q] += change[2]
         F = cuda.local.array((3, 3), np.float64)
-        frame(knots, rows[layout.S, q], F)
-        rows[layout.S, q] += shift[0] * F[0, 0] + shift[1] * F[1, 0] + shift[2] * F[2, 0]
+        frame(knots, rows[layout.ARC_LENGTH_ROW, q], F)
+        rows[layout.ARC_LENGTH_ROW, q] += shift[0] * F[0, 0] + shift[1] * F[1, 0] + shift[2] * F[2, 0]
     identity(dR)
     move(rows, q, rig, dR, shift)
 
@@ -107,12 +107,14 @@ def execute(pool, command_buffer, rigs, knots, maps):
     (columns, SAMPLING_MAP).
     """
     v, p = cuda.blockIdx.y, cuda.grid(1)
-    command = command_buffer[v * layout.COMMAND : (v + 1) * layout.COMMAND]
-    if p >= int(command[layout.COUNT]) or command[layout.PREPARE] == 0.0:
+    command = command_buffer[v * layout.COMMAND_SIZE : (v + 1) * layout.COMMAND_SIZE]
+    if p >= int(command[layout.PARTICLE_COUNT]) or command[layout.IS_ACTIVE] == 0.0:
         return
-    q = int(command[layout.FIRST]) + p
-    rows, rig = pool[int(command[layout.HALF_AFTER])], rigs[int(command[layout.RIG])]
-    path = knots[int(command[layout.KNOTS]) : int(command[layout.KNOTS]) + int(command[layout.KNOT_COUNT])]
+    q = int(command[layout.FIRST_COLUMN]) + p
+    rows, rig = pool[int(command[layout.HALF_AFTER])], rigs[int(command[layout.RIG_INDEX])]
+    path = knots[
+        int(command[layout.KNOT_TABLE_INDEX]) : int(command[layout.KNOT_TABLE_INDEX]) + int(command[layout.KNOT_COUNT])
+    ]
     if command[layout.RESAMPLE] != 0.0:
         _resample(pool, q, p, command_buffer, command)
     if command[layout.SET_NORMAL] != 0.0:
@@ -138,16 +140,16 @@ def upload(source, pool, first):
 
 @kernel
 def download(pool, command_buffer, host):
-    """Copy the states and log weights of all vehicles, side by side, into ``host`` (STATE + 1, all particles)."""
+    """Copies the states and log weights of all vehicles into ``host`` (STATE_ROW_COUNT + 1, all particles)."""
     v, p = cuda.blockIdx.y, cuda.grid(1)
-    command = command_buffer[v * layout.COMMAND : (v + 1) * layout.COMMAND]
-    if p >= int(command[layout.COUNT]):
+    command = command_buffer[v * layout.COMMAND_SIZE : (v + 1) * layout.COMMAND_SIZE]
+    if p >= int(command[layout.PARTICLE_COUNT]):
         return
     rows, q, column = (
         pool[int(command[layout.HALF_AFTER])],
-        int(command[layout.FIRST]) + p,
+        int(command[layout.FIRST_COLUMN]) + p,
         int(command[layout.HOST_COLUMN]) + p,
     )
-    for i in range(layout.STATE):
+    for i in range(layout.STATE_ROW_COUNT):
         host[i, column] = rows[i, q]
-    host[layout.STATE, column] = rows[layout.LOG_WEIGHT, q]
+    host[layout.STATE_ROW_COUNT, column] = rows[layout.LOG_WEIGHT_ROW, q]

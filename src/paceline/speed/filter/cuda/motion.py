@@ -1,7 +1,7 @@
 """The motion of a particle on a GPU, as in `motion_models`, and the maps by which the likelihood samples it.
 
 `memory_layout` describes the memory and the commands. The functions take a half of the pool
-as ``rows`` (ROWS, columns) and the particle's column ``q``; ``p`` is its number within the vehicle.
+as ``rows`` (ROW_COUNT, columns) and the particle's column ``q``; ``p`` is its number within the vehicle.
 """
 
 from __future__ import annotations
@@ -72,18 +72,22 @@ def _derive(rows, q, rig):
     quad = cuda.local.array((4, 2), np.float64)
     crossing = cuda.local.array(2, np.float64)
     for view in range(2):
-        _fetch_region(rows, layout.RIGHT if view else layout.LEFT, q, quad)
+        _fetch_region(rows, layout.RIGHT_REGION_ROW if view else layout.LEFT_REGION_ROW, q, quad)
         _cross_diagonals(quad, crossing)
-        first = layout.CROSSING_RIGHT if view else layout.CROSSING_LEFT
+        first = layout.RIGHT_CROSSING_ROW if view else layout.LEFT_CROSSING_ROW
         rows[first, q], rows[first + 1, q] = crossing[0], crossing[1]
-    x, y, K_inv = rows[layout.CROSSING_LEFT, q], rows[layout.CROSSING_LEFT + 1, q], rig[K_LEFT_INV]
+    x, y, K_inv = rows[layout.LEFT_CROSSING_ROW, q], rows[layout.LEFT_CROSSING_ROW + 1, q], rig[K_LEFT_INV]
     a = K_inv[0, 0] * x + K_inv[0, 1] * y + K_inv[0, 2]
     b = K_inv[1, 0] * x + K_inv[1, 1] * y + K_inv[1, 2]
     c = K_inv[2, 0] * x + K_inv[2, 1] * y + K_inv[2, 2]
-    depth = rows[layout.DISTANCE, q] / (
-        a * rows[layout.NORMAL, q] + b * rows[layout.NORMAL + 1, q] + c * rows[layout.NORMAL + 2, q]
+    depth = rows[layout.DISTANCE_ROW, q] / (
+        a * rows[layout.NORMAL_ROW, q] + b * rows[layout.NORMAL_ROW + 1, q] + c * rows[layout.NORMAL_ROW + 2, q]
     )
-    rows[layout.CENTRE, q], rows[layout.CENTRE + 1, q], rows[layout.CENTRE + 2, q] = a * depth, b * depth, c * depth
+    rows[layout.CENTRE_ROW, q], rows[layout.CENTRE_ROW + 1, q], rows[layout.CENTRE_ROW + 2, q] = (
+        a * depth,
+        b * depth,
+        c * depth,
+    )
 
 
 @cuda.jit(device=True)
@@ -94,8 +98,8 @@ def move(rows, q, rig, dR, shift):
     plane = cuda.local.array(3, np.float64)
     product, dR_right = cuda.local.array((3, 3), np.float64), cuda.local.array((3, 3), np.float64)
     quad, transferred = cuda.local.array((4, 2), np.float64), cuda.local.array((4, 2), np.float64)
-    R, t, d = rig[R_RIG], rig[SHIFTS, 0], rows[layout.DISTANCE, q]
-    _fetch(rows, layout.NORMAL, q, n)
+    R, t, d = rig[R_RIG], rig[SHIFTS, 0], rows[layout.DISTANCE_ROW, q]
+    _fetch(rows, layout.NORMAL_ROW, q, n)
     _apply(R, n, n_right)
     d_right = d + (n_right[0] * t[0] + n_right[1] * t[1] + n_right[2] * t[2])
     _multiply(R, dR, product)
@@ -105,18 +109,18 @@ def move(rows, q, rig, dR, shift):
     for i in range(3):
         shift_right[i] = shift_right[i] + t[i] - turned[i]
         plane[i] = n[i] / d
-    _fetch_region(rows, layout.LEFT, q, quad)
+    _fetch_region(rows, layout.LEFT_REGION_ROW, q, quad)
     _transfer(quad, dR, shift, plane, rig[K_LEFT], rig[K_LEFT_INV], transferred)
-    _store_region(transferred, rows, layout.LEFT, q)
+    _store_region(transferred, rows, layout.LEFT_REGION_ROW, q)
     for i in range(3):
         plane[i] = n_right[i] / d_right
-    _fetch_region(rows, layout.RIGHT, q, quad)
+    _fetch_region(rows, layout.RIGHT_REGION_ROW, q, quad)
     _transfer(quad, dR_right, shift_right, plane, rig[K_RIGHT], rig[K_RIGHT_INV], transferred)
-    _store_region(transferred, rows, layout.RIGHT, q)
+    _store_region(transferred, rows, layout.RIGHT_REGION_ROW, q)
     _apply(dR, n, turned)
     for i in range(3):
-        rows[layout.NORMAL + i, q] = turned[i]
-    rows[layout.DISTANCE, q] = d + (shift[0] * turned[0] + shift[1] * turned[1] + shift[2] * turned[2])
+        rows[layout.NORMAL_ROW + i, q] = turned[i]
+    rows[layout.DISTANCE_ROW, q] = d + (shift[0] * turned[0] + shift[1] * turned[1] + shift[2] * turned[2])
     _derive(rows, q, rig)
 
 
@@ -130,9 +134,9 @@ def identity(dR):
 @cuda.jit(device=True)
 def draw(command_buffer, command, kind, k, p, out, first):
     """``k`` numbers of a ``kind`` of noise for particle ``p``, into ``out`` from the ``first`` on."""
-    source, sigma = int(command[layout.NOISE + 2 * kind]), command[layout.NOISE + 2 * kind + 1]
+    source, sigma = int(command[layout.NOISE_SOURCES + 2 * kind]), command[layout.NOISE_SOURCES + 2 * kind + 1]
     if source < 0:
-        counter_normals(command[layout.KEY : layout.KEY + 4], -1 - source, sigma, p, k, out, first)
+        counter_normals(command[layout.GENERATOR_KEY : layout.GENERATOR_KEY + 4], -1 - source, sigma, p, k, out, first)
     else:
         for i in range(k):
             out[first + i] = command_buffer[source + p * k + i]
@@ -204,12 +208,12 @@ def propagate_along_path(rows, q, p, command_buffer, command, rig, knots):
     )
     turns = command[layout.IS_CURVE] != 0.0
     for i in range(4):  # of the speed, along the path, of the heading's yaw and pitch
-        draw(command_buffer, command, layout.PROCESS_NOISE + i, 1, p, noise, i)
-    before = rows[layout.S, q]
-    speed = rows[layout.SPEED, q] + noise[0]
-    length = speed * command[layout.DT] + noise[1]
-    rows[layout.HEADING, q] += noise[2]
-    rows[layout.HEADING + 1, q] += noise[3]
+        draw(command_buffer, command, layout.PROCESS_NOISE_KIND + i, 1, p, noise, i)
+    before = rows[layout.ARC_LENGTH_ROW, q]
+    speed = rows[layout.SPEED_ROW, q] + noise[0]
+    length = speed * command[layout.TIME_STEP] + noise[1]
+    rows[layout.HEADING_ROW, q] += noise[2]
+    rows[layout.HEADING_ROW + 1, q] += noise[3]
     s = before + length
     _at(knots, before, start)
     if turns:
@@ -224,19 +228,19 @@ def propagate_along_path(rows, q, p, command_buffer, command, rig, knots):
     for i in range(3):
         ahead += (end[i] - start[i]) * F[i, 0]
     for i in range(3):
-        offset = F[i, 1] * rows[layout.HEADING, q] + F[i, 2] * rows[layout.HEADING + 1, q]
+        offset = F[i, 1] * rows[layout.HEADING_ROW, q] + F[i, 2] * rows[layout.HEADING_ROW + 1, q]
         shift[i] = end[i] - start[i] + ahead * offset
     identity(dR)
     if turns:
         frame(knots, s, after)
         _multiply_transposed(after, F, dR)  # (26)
         _apply(dR, start, turned)
-        draw(command_buffer, command, layout.PROCESS_NOISE + 4, 2, p, noise, 4)
-        across, down = noise[4] * command[layout.DRIFT], noise[5] * command[layout.DRIFT + 1]
+        draw(command_buffer, command, layout.PROCESS_NOISE_KIND + 4, 2, p, noise, 4)
+        across, down = noise[4] * command[layout.DRIFT_STD], noise[5] * command[layout.DRIFT_STD + 1]
         for i in range(3):
             shift[i] += start[i] - turned[i] + (after[i, 1] * across + after[i, 2] * down)  # (27)
-    rows[layout.SPEED, q] = speed
-    rows[layout.S, q] = s
+    rows[layout.SPEED_ROW, q] = speed
+    rows[layout.ARC_LENGTH_ROW, q] = s
     move(rows, q, rig, dR, shift)
 
 
@@ -246,31 +250,35 @@ def propagate_along_path(rows, q, p, command_buffer, command, rig, knots):
 @cuda.jit(device=True)
 def propagate_free(rows, q, p, command_buffer, command, rig):
     """`motion.FreeMotion.propagate`: (9)–(11)."""
-    noise, dt = cuda.local.array(6, np.float64), command[layout.DT]
+    noise, dt = cuda.local.array(6, np.float64), command[layout.TIME_STEP]
     centre, turned = cuda.local.array(3, np.float64), cuda.local.array(3, np.float64)
     shift, dR = cuda.local.array(3, np.float64), cuda.local.array((3, 3), np.float64)
     for i in range(2):  # of the turning and of the velocity
-        draw(command_buffer, command, layout.PROCESS_NOISE + i, 3, p, noise, 3 * i)
+        draw(command_buffer, command, layout.PROCESS_NOISE_KIND + i, 3, p, noise, 3 * i)
     for i in range(3):
-        rows[layout.TURNING + i, q] += noise[i]
-        rows[layout.VELOCITY + i, q] += noise[3 + i]
-    a, b, c = rows[layout.TURNING, q] * dt, rows[layout.TURNING + 1, q] * dt, rows[layout.TURNING + 2, q] * dt
+        rows[layout.TURN_RATE_ROW + i, q] += noise[i]
+        rows[layout.VELOCITY_ROW + i, q] += noise[3 + i]
+    a, b, c = (
+        rows[layout.TURN_RATE_ROW, q] * dt,
+        rows[layout.TURN_RATE_ROW + 1, q] * dt,
+        rows[layout.TURN_RATE_ROW + 2, q] * dt,
+    )
     ca, sa, cb, sb, cc, sc = math.cos(a), math.sin(a), math.cos(b), math.sin(b), math.cos(c), math.sin(c)
     dR[0, 0], dR[0, 1], dR[0, 2] = cc * cb, cc * sb * sa - sc * ca, cc * sb * ca + sc * sa  # about x, then y, then z
     dR[1, 0], dR[1, 1], dR[1, 2] = sc * cb, sc * sb * sa + cc * ca, sc * sb * ca - cc * sa
     dR[2, 0], dR[2, 1], dR[2, 2] = -sb, cb * sa, cb * ca
-    _fetch(rows, layout.CENTRE, q, centre)
+    _fetch(rows, layout.CENTRE_ROW, q, centre)
     _apply(dR, centre, turned)
     for i in range(3):
-        shift[i] = centre[i] + rows[layout.VELOCITY + i, q] * dt - turned[i]
+        shift[i] = centre[i] + rows[layout.VELOCITY_ROW + i, q] * dt - turned[i]
     move(rows, q, rig, dR, shift)
     set_speed(rows, q)
 
 
 @cuda.jit(device=True)
 def set_speed(rows, q):
-    x, y, z = rows[layout.VELOCITY, q], rows[layout.VELOCITY + 1, q], rows[layout.VELOCITY + 2, q]
-    rows[layout.SPEED, q] = math.sqrt(x * x + y * y + z * z)
+    x, y, z = rows[layout.VELOCITY_ROW, q], rows[layout.VELOCITY_ROW + 1, q], rows[layout.VELOCITY_ROW + 2, q]
+    rows[layout.SPEED_ROW, q] = math.sqrt(x * x + y * y + z * z)
 
 
 @cuda.jit(device=True)
@@ -291,15 +299,15 @@ def prepare(rows, q, rig, out):
     for j in range(3):
         plane = 0.0
         for i in range(3):
-            plane += rows[layout.NORMAL + i, q] / rows[layout.DISTANCE, q] * K_inv[i, j]
+            plane += rows[layout.NORMAL_ROW + i, q] / rows[layout.DISTANCE_ROW, q] * K_inv[i, j]
         for i in range(3):
             cross[i, j] = across[i, j] + K_t[i] * plane
-    _fetch_region(rows, layout.LEFT, q, quad)
+    _fetch_region(rows, layout.LEFT_REGION_ROW, q, quad)
     _unit_square_to(quad, H)
     _multiply(cross, H, transferred)
     for i in range(9):
         out[i], out[18 + i] = H[i // 3, i % 3], transferred[i // 3, i % 3]
-    _fetch_region(rows, layout.RIGHT, q, quad)
+    _fetch_region(rows, layout.RIGHT_REGION_ROW, q, quad)
     _unit_square_to(quad, H)
     _inward_edges(quad, edges)
     for i in range(9):

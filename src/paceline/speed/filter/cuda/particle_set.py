@@ -31,7 +31,7 @@ from paceline.speed.filter.resampling import JITTER_SCALE, Weights, ess_sufficie
 
 # indices of second moments, see `memory_layout.MOMENT_PAIRS`
 _CROSSING, _SPEED, _HEADING = (
-    layout.VARIANCE_ROWS.index(row) for row in (layout.CROSSING_LEFT, layout.SPEED, layout.HEADING)
+    layout.VARIANCE_ROWS.index(row) for row in (layout.LEFT_CROSSING_ROW, layout.SPEED_ROW, layout.HEADING_ROW)
 )
 _CENTRE = len(layout.VARIANCE_ROWS)
 
@@ -50,7 +50,7 @@ class Moments:
 class Device(Protocol):
     """What a particle set needs of `device.CudaDevice`, which documents each."""
 
-    commands: Array  # (slots, COMMAND)
+    commands: Array  # (slots, COMMAND_SIZE)
 
     def enqueue(self, particle_set: CudaParticleSet, command: int) -> None: ...
 
@@ -83,22 +83,22 @@ class CudaParticleSet:
 
     @property
     def _command(self) -> Array:
-        """The vehicle's command (COMMAND,), see `memory_layout`; `Device.store_noise` may move it."""
+        """The vehicle's command (COMMAND_SIZE,), see `memory_layout`; `Device.store_noise` may move it."""
         return np.asarray(self.device.commands[self.slot])
 
     def propagate(self, dt: float, rng: np.random.Generator) -> None:
         self.device.enqueue(self, layout.PROPAGATE)
         for i, (sigma, k) in enumerate(self.motion.noise_draws(dt)):
-            self._draw(layout.PROCESS_NOISE + i, sigma, k, rng)
+            self._draw(layout.PROCESS_NOISE_KIND + i, sigma, k, rng)
         command = self._command
-        command[layout.DT] = dt
+        command[layout.TIME_STEP] = dt
         if isinstance(self.motion, PathMotion):
-            command[layout.DRIFT : layout.DRIFT + 2] = self.motion.drift * np.sqrt(dt / ZHU_FRAME_INTERVAL_S)
+            command[layout.DRIFT_STD : layout.DRIFT_STD + 2] = self.motion.drift * np.sqrt(dt / ZHU_FRAME_INTERVAL_S)
 
     def ensemble_kalman_update(self, place: Array, covariance: Array, rng: np.random.Generator) -> None:
         gain = kalman_gain(self._moments().second[_CENTRE:].reshape(-1, 3), covariance)
         self.device.enqueue(self, layout.KALMAN_UPDATE)
-        self._draw(layout.MEASUREMENT_NOISE, 1.0, 3, rng)
+        self._draw(layout.MEASUREMENT_NOISE_KIND, 1.0, 3, rng)
         self._command[layout.KALMAN_STEP : layout.KALMAN_STEP + 30] = np.concatenate(
             [place[None], cholesky_factor(covariance), gain]
         ).reshape(-1)
@@ -114,9 +114,9 @@ class CudaParticleSet:
             return
         self.device.enqueue(self, layout.RESAMPLE)
         offset = rng.random()
-        self._draw(layout.JITTER, JITTER_SCALE, 2, rng)
+        self._draw(layout.JITTER_KIND, JITTER_SCALE, 2, rng)
         command = self._command
-        command[layout.HALF_AFTER], command[layout.OFFSET] = 1 - command[layout.HALF_BEFORE], offset
+        command[layout.HALF_AFTER], command[layout.RESAMPLING_OFFSET] = 1 - command[layout.HALF_BEFORE], offset
         command[layout.HEADING_STD : layout.HEADING_STD + 2] = np.sqrt(
             np.maximum(found.second[_HEADING : _HEADING + 2], 0.0)
         )
@@ -124,12 +124,12 @@ class CudaParticleSet:
     def _draw(self, draw: int, sigma: float, k: int, rng: np.random.Generator) -> None:
         """Request normal numbers, ``k`` for each particle, the same as ``rng`` draws on the CPU."""
         if isinstance(rng, CounterGenerator):
-            self._command[layout.KEY : layout.KEY + 4] = rng.key_words
+            self._command[layout.GENERATOR_KEY : layout.GENERATOR_KEY + 4] = rng.key_words
             offset = -1 - rng.calls
             rng.calls += 1
         else:
             offset = self.device.store_noise(rng.normal(0.0, sigma, (self._N, k)))
-        self._command[layout.NOISE + 2 * draw : layout.NOISE + 2 * draw + 2] = offset, sigma
+        self._command[layout.NOISE_SOURCES + 2 * draw : layout.NOISE_SOURCES + 2 * draw + 2] = offset, sigma
 
     def weight(self, model: ObservationModel, views: Views) -> None:
         self.device.weight(self, model, views)
@@ -156,7 +156,7 @@ class CudaParticleSet:
 
     def centre(self) -> tuple[Array, Array]:
         found = self._moments()
-        return found.mean[layout.CENTRE : layout.CENTRE + 3], found.second[_CENTRE : _CENTRE + 9].reshape(3, 3)
+        return found.mean[layout.CENTRE_ROW : layout.CENTRE_ROW + 3], found.second[_CENTRE : _CENTRE + 9].reshape(3, 3)
 
     def image_bounds(self) -> tuple[Array, Array]:
         bounds = self._moments().bounds
@@ -168,8 +168,8 @@ class CudaParticleSet:
         drawn = found.drawn[:, : -(-self._N // int(self.device.commands[self.slot, layout.DRAWN_STRIDE]))]
         return Posterior(
             mean=self.mean(),
-            position=found.mean[layout.CENTRE : layout.CENTRE + 3],
-            speed=float(found.mean[layout.SPEED]),
+            position=found.mean[layout.CENTRE_ROW : layout.CENTRE_ROW + 3],
+            speed=float(found.mean[layout.SPEED_ROW]),
             speed_std=float(np.sqrt(max(found.second[_SPEED], 0.0))),
             ess=1.0 / found.squares,
             particles_left=drawn[:2].T.copy(),
@@ -186,35 +186,35 @@ class CudaParticleSet:
 
 @dataclass(frozen=True, eq=False)
 class ParticleCheckpoint:
-    """Particles as they were: ``rows`` (STATE + 1, N), their state and log weights."""
+    """Particles as they were: ``rows`` (STATE_ROW_COUNT + 1, N), their state and log weights."""
 
     rig: StereoRig
     motion: PathMotion | FreeMotion
     rows: Array
 
     def to_host(self) -> ParticleSet:
-        weights = Weights(self.rows[layout.STATE].copy())
-        return ParticleSet(self.rig, self.motion, state_of(self.rows[: layout.STATE]), weights)
+        weights = Weights(self.rows[layout.STATE_ROW_COUNT].copy())
+        return ParticleSet(self.rig, self.motion, state_of(self.rows[: layout.STATE_ROW_COUNT]), weights)
 
 
 _FIELDS = tuple(  # rows and shape of each of a particle's fields
     (slice(first, end), shape)
     for first, end, shape in (
-        (layout.LEFT, layout.RIGHT, (4, 2)),
-        (layout.RIGHT, layout.NORMAL, (4, 2)),
-        (layout.NORMAL, layout.DISTANCE, (3,)),
-        (layout.DISTANCE, layout.SPEED, ()),
-        (layout.SPEED, layout.S, ()),
-        (layout.S, layout.HEADING, ()),
-        (layout.HEADING, layout.VELOCITY, (2,)),
-        (layout.VELOCITY, layout.TURNING, (3,)),
-        (layout.TURNING, layout.STATE, (3,)),
+        (layout.LEFT_REGION_ROW, layout.RIGHT_REGION_ROW, (4, 2)),
+        (layout.RIGHT_REGION_ROW, layout.NORMAL_ROW, (4, 2)),
+        (layout.NORMAL_ROW, layout.DISTANCE_ROW, (3,)),
+        (layout.DISTANCE_ROW, layout.SPEED_ROW, ()),
+        (layout.SPEED_ROW, layout.ARC_LENGTH_ROW, ()),
+        (layout.ARC_LENGTH_ROW, layout.HEADING_ROW, ()),
+        (layout.HEADING_ROW, layout.VELOCITY_ROW, (2,)),
+        (layout.VELOCITY_ROW, layout.TURN_RATE_ROW, (3,)),
+        (layout.TURN_RATE_ROW, layout.STATE_ROW_COUNT, (3,)),
     )
 )
 
 
 def rows_of(state: State) -> Array:
-    """``state`` as rows (STATE, N)."""
+    """``state`` as rows (STATE_ROW_COUNT, N)."""
     fields = (getattr(state, name) for name in State.__dataclass_fields__)
     return np.concatenate([field.reshape(len(state), -1).T for field in fields])
 
@@ -222,17 +222,17 @@ def rows_of(state: State) -> Array:
 def derived_rows_of(particle_set: ParticleSet) -> Array:
     """The state of ``particle_set``, what is derived from it, and the weights, as rows (LIKELIHOOD, N)."""
     state, weights = particle_set.state, particle_set.weights
-    rows = np.zeros((layout.LIKELIHOOD, len(state)))
-    rows[: layout.STATE] = rows_of(state)
-    rows[layout.CENTRE : layout.CENTRE + 3] = motion_models.plane_centres(particle_set.rig, state).T
-    rows[layout.CROSSING_LEFT : layout.CROSSING_LEFT + 2] = motion_models.diagonal_crossings(state.left).T
-    rows[layout.CROSSING_RIGHT : layout.CROSSING_RIGHT + 2] = motion_models.diagonal_crossings(state.right).T
-    rows[layout.LOG_WEIGHT], rows[layout.WEIGHT] = weights.lw, weights.W
+    rows = np.zeros((layout.LIKELIHOOD_ROW, len(state)))
+    rows[: layout.STATE_ROW_COUNT] = rows_of(state)
+    rows[layout.CENTRE_ROW : layout.CENTRE_ROW + 3] = motion_models.plane_centres(particle_set.rig, state).T
+    rows[layout.LEFT_CROSSING_ROW : layout.LEFT_CROSSING_ROW + 2] = motion_models.diagonal_crossings(state.left).T
+    rows[layout.RIGHT_CROSSING_ROW : layout.RIGHT_CROSSING_ROW + 2] = motion_models.diagonal_crossings(state.right).T
+    rows[layout.LOG_WEIGHT_ROW], rows[layout.WEIGHT_ROW] = weights.lw, weights.W
     return rows
 
 
 def state_of(rows: Array) -> State:
-    """The state of which `rows_of` made ``rows`` (STATE, N)."""
+    """The state of which `rows_of` made ``rows`` (STATE_ROW_COUNT, N)."""
     n = rows.shape[1]
     return State(*(np.array(rows[part].T, order="C").reshape(n, *shape) for part, shape in _FIELDS))
 

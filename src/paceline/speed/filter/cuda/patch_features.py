@@ -118,14 +118,14 @@ def log_likelihood(pixels, maps, observations, pool):
     norm2 = cuda.shared.array(_PARTS, np.float32)
     middles = cuda.shared.array((4, 2), np.float32)
     observation = observations[
-        layout.HEADER + cuda.blockIdx.y * layout.OBSERVATION : layout.HEADER
-        + (cuda.blockIdx.y + 1) * layout.OBSERVATION
+        layout.HEADER_SIZE + cuda.blockIdx.y * layout.OBSERVATION_SIZE : layout.HEADER_SIZE
+        + (cuda.blockIdx.y + 1) * layout.OBSERVATION_SIZE
     ]
-    if cuda.blockIdx.x >= int(observation[layout.COUNT]) or observation[layout.WEIGHT_UPDATE] == 0.0:
+    if cuda.blockIdx.x >= int(observation[layout.PARTICLE_COUNT]) or observation[layout.WEIGHT_UPDATE] == 0.0:
         return
-    particle = int(observation[layout.FIRST]) + cuda.blockIdx.x
-    across, down = int(observation[layout.GRID]), int(observation[layout.GRID + 1])
-    sx, sy = int(observation[layout.GRID + 2]), int(observation[layout.GRID + 3])
+    particle = int(observation[layout.FIRST_COLUMN]) + cuda.blockIdx.x
+    across, down = int(observation[layout.PART_GRID]), int(observation[layout.PART_GRID + 1])
+    sx, sy = int(observation[layout.PART_GRID + 2]), int(observation[layout.PART_GRID + 3])
     parts = across * down
     if t < 27:
         homographies[t] = maps[particle, t]
@@ -133,8 +133,8 @@ def log_likelihood(pixels, maps, observations, pool):
         e[(t - 27) // 3, (t - 27) % 3] = maps[particle, t]
     cuda.syncthreads()
 
-    words = int(observations[layout.WORDS])
-    left, right = pixels[:words], pixels[words : words + int(observations[layout.WORDS + 1])]
+    words = int(observations[layout.WORD_COUNTS])
+    left, right = pixels[:words], pixels[words : words + int(observations[layout.WORD_COUNTS + 1])]
     within_left, within_right = _frame(observations, layout.LEFT_FRAME), _frame(observations, layout.RIGHT_FRAME)
     first_row, first_column = (t // (4 * across)) * sy, (t % (4 * across)) * sx
     rows = np.float32(4 * down * sy)
@@ -193,14 +193,14 @@ def log_likelihood(pixels, maps, observations, pool):
         _settle_median(norm2, view * parts, parts, part, middles[2 + view])
     cuda.syncthreads()
     if view < 2:
-        floor = np.float32(observations[layout.FLOOR])
+        floor = np.float32(observations[layout.CONTRAST_FLOOR])
         least = floor * floor * (np.float32(0.5) * (middles[2 + view, 0] + middles[2 + view, 1])) + np.float32(1.0)
         scale = np.float32(1.0) / math.sqrt(norm2[t] + least)
         distance = np.float32(0.0)
         for c in range(16):
-            d = f[c] * scale - np.float32(observation[layout.REFERENCE + 16 * t + c])
+            d = f[c] * scale - np.float32(observation[layout.REFERENCE_FEATURES + 16 * t + c])
             distance += d * d
-        brightness[t] = min(distance, np.float32(observations[layout.CAP]))
+        brightness[t] = min(distance, np.float32(observations[layout.DISTANCE_CAP]))
     cuda.syncthreads()
     if t == 0:
         single = np.float32(0.0)
@@ -215,4 +215,4 @@ def log_likelihood(pixels, maps, observations, pool):
         ncc = _correlation(s, least)
         unlike = (1.0 - ncc) * (1.0 - ncc)
         ll = -observations[layout.LAMBDA_SINGLE] * single - observations[layout.LAMBDA_CROSS] * unlike
-        pool[int(observation[layout.HALF_BEFORE]), layout.LIKELIHOOD, particle] = ll
+        pool[int(observation[layout.HALF_BEFORE]), layout.LIKELIHOOD_ROW, particle] = ll

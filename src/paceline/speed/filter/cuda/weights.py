@@ -39,21 +39,21 @@ def _block_sum(value, scratch):
 def reduce_moments(pool, command_buffer, results):
     """Moments, extremes and Σ W² of the weighted particles of all vehicles.
 
-    Blocks are (x, groups of QUANTITIES_PER_BLOCK of QUANTITY_COUNT + DRAWN_ROWS quantities, slots), threads (x,
+    Blocks are (x, groups of QUANTITIES_PER_BLOCK of QUANTITY_COUNT + DRAWN_ROW_COUNT quantities, slots), threads (x,
     quantities of the group). ``results`` holds for each slot, quantity and x block two numbers: for first and second
     moments about the first particle, by MOMENT_PAIRS, and for Σ W² the sum over the block's particles and the first
     particle's own value; for the extremes the least and the greatest of the finite values. After these come for each
-    slot DRAWN_ROWS rows: the projected centres of every DRAWN_STRIDE-th particle.
+    slot DRAWN_ROW_COUNT rows: the projected centres of every DRAWN_STRIDE-th particle.
     """
     b, v, t, y = cuda.blockIdx.x, cuda.blockIdx.z, cuda.threadIdx.x, cuda.threadIdx.y
     blocks, slots, quantity = cuda.gridDim.x, cuda.gridDim.z, cuda.blockIdx.y * QUANTITIES_PER_BLOCK + y
     low = cuda.shared.array((QUANTITIES_PER_BLOCK, THREADS_PER_QUANTITY), np.float64)
     high = cuda.shared.array((QUANTITIES_PER_BLOCK, THREADS_PER_QUANTITY), np.float64)
-    command = command_buffer[v * layout.COMMAND : (v + 1) * layout.COMMAND]
-    N = int(command[layout.COUNT])
+    command = command_buffer[v * layout.COMMAND_SIZE : (v + 1) * layout.COMMAND_SIZE]
+    N = int(command[layout.PARTICLE_COUNT])
     if N == 0:
         return
-    rows, first = pool[int(command[layout.HALF_AFTER])], int(command[layout.FIRST])
+    rows, first = pool[int(command[layout.HALF_AFTER])], int(command[layout.FIRST_COLUMN])
     begin, stride = b * cuda.blockDim.x + t, blocks * cuda.blockDim.x
     moments, extremes = (
         slots * layout.QUANTITY_COUNT * blocks * 2,
@@ -68,7 +68,7 @@ def reduce_moments(pool, command_buffer, results):
                 one, other = min(one, value), max(other, value)
     elif quantity == layout.SUM_OF_SQUARES:
         for p in range(first + begin, first + N, stride):
-            one += rows[layout.WEIGHT, p] * rows[layout.WEIGHT, p]
+            one += rows[layout.WEIGHT_ROW, p] * rows[layout.WEIGHT_ROW, p]
     elif quantity < layout.MOMENT_COUNT:
         i, j = (
             layout.MOMENT_PAIRS[int(command[layout.IS_FREE]), quantity, 0],
@@ -76,16 +76,16 @@ def reduce_moments(pool, command_buffer, results):
         )
         other = rows[i, first]
         for p in range(first + begin, first + N, stride):
-            term = rows[layout.WEIGHT, p] * (rows[i, p] - other)
+            term = rows[layout.WEIGHT_ROW, p] * (rows[i, p] - other)
             if j >= 0:
                 term *= rows[j, p] - rows[j, first]
             one += term
-    elif quantity < layout.QUANTITY_COUNT + layout.DRAWN_ROWS:
+    elif quantity < layout.QUANTITY_COUNT + layout.DRAWN_ROW_COUNT:
         row, every = quantity - layout.QUANTITY_COUNT, int(command[layout.DRAWN_STRIDE])
-        shown = (results.shape[0] - moments) // (slots * layout.DRAWN_ROWS)
-        start = moments + (v * layout.DRAWN_ROWS + row) * shown
+        shown = (results.shape[0] - moments) // (slots * layout.DRAWN_ROW_COUNT)
+        start = moments + (v * layout.DRAWN_ROW_COUNT + row) * shown
         for k in range(begin, (N + every - 1) // every, stride):
-            results[start + k] = rows[layout.CROSSING_LEFT + row, first + k * every]
+            results[start + k] = rows[layout.LEFT_CROSSING_ROW + row, first + k * every]
     low[y, t], high[y, t] = one, other
     cuda.syncthreads()
     half = cuda.blockDim.x // 2
@@ -105,8 +105,8 @@ def reduce_moments(pool, command_buffer, results):
 def _normalise(rows, first, last, stride, total):
     """Normalise log weights whose sum is exp(``total``), from ``first`` to ``last``."""
     for p in range(first, last, stride):
-        rows[layout.LOG_WEIGHT, p] -= total
-        rows[layout.WEIGHT, p] = math.exp(rows[layout.LOG_WEIGHT, p])
+        rows[layout.LOG_WEIGHT_ROW, p] -= total
+        rows[layout.WEIGHT_ROW, p] = math.exp(rows[layout.LOG_WEIGHT_ROW, p])
 
 
 @cuda.jit(device=True)
@@ -124,25 +124,27 @@ def update_weights(pool, observations, shares):
     ``shares`` (slots, x, PARTIAL_SUMS), and `normalise` does the rest.
     """
     b, v, t, n = cuda.blockIdx.x, cuda.blockIdx.y, cuda.threadIdx.x, cuda.blockDim.x
-    observation = observations[layout.HEADER + v * layout.OBSERVATION : layout.HEADER + (v + 1) * layout.OBSERVATION]
-    times, N = observation[layout.WEIGHT_UPDATE], int(observation[layout.COUNT])
+    observation = observations[
+        layout.HEADER_SIZE + v * layout.OBSERVATION_SIZE : layout.HEADER_SIZE + (v + 1) * layout.OBSERVATION_SIZE
+    ]
+    times, N = observation[layout.WEIGHT_UPDATE], int(observation[layout.PARTICLE_COUNT])
     if N == 0 or times == 0.0:
         return
     rows = pool[int(observation[layout.HALF_BEFORE])]
-    first, stride = int(observation[layout.FIRST]) + b * n + t, cuda.gridDim.x * n
-    last = int(observation[layout.FIRST]) + N
+    first, stride = int(observation[layout.FIRST_COLUMN]) + b * n + t, cuda.gridDim.x * n
+    last = int(observation[layout.FIRST_COLUMN]) + N
     scratch = cuda.shared.array(MAX_THREADS_PER_BLOCK, np.float64)
     if times < 0.0:
         for p in range(first, last, stride):
-            rows[layout.LOG_WEIGHT, p] = rows[layout.PREVIOUS_LOG_WEIGHT, p]
-            rows[layout.WEIGHT, p] = math.exp(rows[layout.LOG_WEIGHT, p])
+            rows[layout.LOG_WEIGHT_ROW, p] = rows[layout.PREVIOUS_LOG_WEIGHT_ROW, p]
+            rows[layout.WEIGHT_ROW, p] = math.exp(rows[layout.LOG_WEIGHT_ROW, p])
         return
     greatest = -math.inf
     for p in range(first, last, stride):
-        rows[layout.PREVIOUS_LOG_WEIGHT, p] = rows[layout.LOG_WEIGHT, p]
-        rows[layout.LOG_WEIGHT, p] += rows[layout.LIKELIHOOD, p]
-        if rows[layout.LOG_WEIGHT, p] > greatest:
-            greatest = rows[layout.LOG_WEIGHT, p]
+        rows[layout.PREVIOUS_LOG_WEIGHT_ROW, p] = rows[layout.LOG_WEIGHT_ROW, p]
+        rows[layout.LOG_WEIGHT_ROW, p] += rows[layout.LIKELIHOOD_ROW, p]
+        if rows[layout.LOG_WEIGHT_ROW, p] > greatest:
+            greatest = rows[layout.LOG_WEIGHT_ROW, p]
     scratch[t] = greatest
     cuda.syncthreads()
     half = n // 2
@@ -155,7 +157,7 @@ def update_weights(pool, observations, shares):
     cuda.syncthreads()
     total = 0.0
     for p in range(first, last, stride):
-        total += math.exp(rows[layout.LOG_WEIGHT, p] - greatest)
+        total += math.exp(rows[layout.LOG_WEIGHT_ROW, p] - greatest)
     total = _block_sum(total, scratch)
     if cuda.gridDim.x == 1:
         _normalise(rows, first, last, stride, _logarithm(greatest, total))
@@ -167,8 +169,10 @@ def update_weights(pool, observations, shares):
 def normalise(pool, observations, shares):
     """Normalise the weights of vehicles that several blocks share, from the sums of `update_weights`."""
     v = cuda.blockIdx.y
-    observation = observations[layout.HEADER + v * layout.OBSERVATION : layout.HEADER + (v + 1) * layout.OBSERVATION]
-    N, first = int(observation[layout.COUNT]), int(observation[layout.FIRST])
+    observation = observations[
+        layout.HEADER_SIZE + v * layout.OBSERVATION_SIZE : layout.HEADER_SIZE + (v + 1) * layout.OBSERVATION_SIZE
+    ]
+    N, first = int(observation[layout.PARTICLE_COUNT]), int(observation[layout.FIRST_COLUMN])
     if N == 0 or observation[layout.WEIGHT_UPDATE] <= 0.0:
         return
     greatest, total = -math.inf, 0.0
@@ -199,7 +203,7 @@ def _range_sum(rows, first, last):
     """The sum of the weights from ``first`` to ``last``."""
     total = 0.0
     for p in range(first, last):
-        total += rows[layout.WEIGHT, p]
+        total += rows[layout.WEIGHT_ROW, p]
     return total
 
 
@@ -207,10 +211,10 @@ def _range_sum(rows, first, last):
 def sum_weights(pool, command_buffer, shares):
     """The sum of the weights of each of a vehicle's x blocks of `cumulate_weights`, into ``shares``."""
     v = cuda.blockIdx.y
-    command = command_buffer[v * layout.COMMAND : (v + 1) * layout.COMMAND]
+    command = command_buffer[v * layout.COMMAND_SIZE : (v + 1) * layout.COMMAND_SIZE]
     if command[layout.RESAMPLE] == 0.0:
         return
-    begin, (first, last) = int(command[layout.FIRST]), _thread_range(int(command[layout.COUNT]))
+    begin, (first, last) = int(command[layout.FIRST_COLUMN]), _thread_range(int(command[layout.PARTICLE_COUNT]))
     own = _range_sum(pool[int(command[layout.HALF_BEFORE])], begin + first, begin + last)
     own = _block_sum(own, cuda.shared.array(MAX_THREADS_PER_BLOCK, np.float64))
     if cuda.threadIdx.x == 0:
@@ -226,14 +230,14 @@ def cumulate_weights(pool, command_buffer, shares):
     `average_headings`.
     """
     b, v, t, n = cuda.blockIdx.x, cuda.blockIdx.y, cuda.threadIdx.x, cuda.blockDim.x
-    command = command_buffer[v * layout.COMMAND : (v + 1) * layout.COMMAND]
+    command = command_buffer[v * layout.COMMAND_SIZE : (v + 1) * layout.COMMAND_SIZE]
     if command[layout.RESAMPLE] == 0.0:
         return
     rows, begin, N, u = (
         pool[int(command[layout.HALF_BEFORE])],
-        int(command[layout.FIRST]),
-        int(command[layout.COUNT]),
-        command[layout.OFFSET],
+        int(command[layout.FIRST_COLUMN]),
+        int(command[layout.PARTICLE_COUNT]),
+        command[layout.RESAMPLING_OFFSET],
     )
     scratch = cuda.shared.array(MAX_THREADS_PER_BLOCK, np.float64)
     first, last = _thread_range(N)
@@ -252,11 +256,11 @@ def cumulate_weights(pool, command_buffer, shares):
         total += shares[v, other, 0]
     yaw, pitch, below = 0.0, 0.0, _points_below(total, u, N) if first > 0 else 0.0
     for p in range(first, last):
-        total += rows[layout.WEIGHT, begin + p]
-        rows[layout.CUMULATIVE_WEIGHT, begin + p] = total if p < N - 1 else 1.0
+        total += rows[layout.WEIGHT_ROW, begin + p]
+        rows[layout.CUMULATIVE_WEIGHT_ROW, begin + p] = total if p < N - 1 else 1.0
         end = _points_below(total, u, N) if p < N - 1 else float(N)
-        yaw += (end - below) * rows[layout.HEADING, begin + p]
-        pitch += (end - below) * rows[layout.HEADING + 1, begin + p]
+        yaw += (end - below) * rows[layout.HEADING_ROW, begin + p]
+        pitch += (end - below) * rows[layout.HEADING_ROW + 1, begin + p]
         below = end
     yaw = _block_sum(yaw, scratch)
     pitch = _block_sum(pitch, scratch)
@@ -270,13 +274,13 @@ def cumulate_weights(pool, command_buffer, shares):
 def average_headings(command_buffer, shares):
     """The mean headings of survivors, from the partial sums of `cumulate_weights`; one thread a vehicle."""
     v = cuda.grid(1)
-    if v >= shares.shape[0] or command_buffer[v * layout.COMMAND + layout.RESAMPLE] == 0.0:
+    if v >= shares.shape[0] or command_buffer[v * layout.COMMAND_SIZE + layout.RESAMPLE] == 0.0:
         return
-    yaw, pitch, N = 0.0, 0.0, command_buffer[v * layout.COMMAND + layout.COUNT]
+    yaw, pitch, N = 0.0, 0.0, command_buffer[v * layout.COMMAND_SIZE + layout.PARTICLE_COUNT]
     for b in range(shares.shape[1]):
         yaw += shares[v, b, 1]
         pitch += shares[v, b, 2]
     (
-        command_buffer[v * layout.COMMAND + layout.MEAN_HEADING],
-        command_buffer[v * layout.COMMAND + layout.MEAN_HEADING + 1],
+        command_buffer[v * layout.COMMAND_SIZE + layout.MEAN_HEADING],
+        command_buffer[v * layout.COMMAND_SIZE + layout.MEAN_HEADING + 1],
     ) = yaw / N, pitch / N
