@@ -9,7 +9,8 @@ import pytest
 from paceline.calibration.boards import parse_board
 from paceline.calibration.bundle_adjustment import adjust, rms_by_view
 from paceline.calibration.initialization import initial_rig
-from paceline.calibration.parameters import N_LENS, Observations, free_parameters, parameter_step, project
+from paceline.calibration.parameters import N_LENS, Observations, free_parameters, parameter_step
+from paceline.calibration.projection import project
 from paceline.simulation import boards
 from paceline.simulation.boards import CalibrationSetup
 
@@ -134,7 +135,7 @@ def test_single_gross_corners_hardly_matter() -> None:
 def test_with_no_free_parameters_only_the_poses_move() -> None:
     setup, exact, _ = filmed(23)
     rng = np.random.default_rng(1)
-    away = setup.poses.moved(rng.normal(0, 0.01, (10, 6)))
+    away = setup.poses.updated(rng.normal(0, 0.01, (10, 6)))
     found = adjust(setup.rig, away, exact, np.empty(0, np.int64))
     np.testing.assert_allclose(found.poses.t, setup.poses.t, atol=1e-6)
     np.testing.assert_allclose(parameter_step(found.rig, setup.rig), 0, atol=1e-12)

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from paceline.calibration import parameters
 from paceline.calibration.boards import parse_board
 from paceline.calibration.parameters import LENS_MODELS, N_RIG, RIG_PARAMETER_NAMES, Observations, Poses, RigState
+from paceline.calibration.projection import project
 from paceline.simulation import boards
 
 BOARD = parse_board("charuco:7x5:0.08:0.06:DICT_4X4_50")
@@ -26,7 +27,7 @@ def setup(seed: int) -> tuple[RigState, Poses, Observations]:
 @pytest.mark.parametrize("seed", range(5))
 def test_pixels_are_opencvs(seed: int) -> None:
     rig, poses, seen = setup(seed)
-    pixels, _, _ = parameters.project(rig, poses, seen)
+    pixels, _, _ = project(rig, poses, seen)
     stereo = rig.stereo([(1280, 960)] * 2)
     for side, camera in enumerate(stereo.cameras):
         mine = seen.side == side
@@ -41,17 +42,17 @@ def test_pixels_are_opencvs(seed: int) -> None:
 @given(st.integers(0, 10_000))
 def test_derivatives_are_those_of_differences(seed: int) -> None:
     rig, poses, seen = setup(seed)
-    _, by_rig, by_pose = parameters.project(rig, poses, seen)
+    _, by_rig, by_pose = project(rig, poses, seen)
     h = 1e-6
     for k in range(N_RIG):
         step = np.eye(N_RIG)[k] * h * (1000 if k % 9 < 4 and k < 18 else 1)
-        ends = [parameters.project(rig.moved(s * step), poses, seen)[0] for s in (1, -1)]
+        ends = [project(rig.updated(s * step), poses, seen)[0] for s in (1, -1)]
         np.testing.assert_allclose(
             by_rig[..., k], (ends[0] - ends[1]) / (2 * step[k]), rtol=1e-4, atol=2e-3, err_msg=RIG_PARAMETER_NAMES[k]
         )
     for k in range(6):
         step = np.tile(np.eye(6)[k] * h, (len(poses.t), 1))
-        ends = [parameters.project(rig, poses.moved(s * step), seen)[0] for s in (1, -1)]
+        ends = [project(rig, poses.updated(s * step), seen)[0] for s in (1, -1)]
         np.testing.assert_allclose(by_pose[..., k], (ends[0] - ends[1]) / (2 * h), rtol=1e-4, atol=2e-3)
 
 
@@ -59,7 +60,7 @@ def test_derivatives_are_those_of_differences(seed: int) -> None:
 @settings(max_examples=30, deadline=None)
 def test_a_step_is_found_again_as_the_difference(step: list[float], seed: int) -> None:
     rig, _, _ = setup(seed)
-    np.testing.assert_allclose(parameters.parameter_step(rig.moved(np.array(step)), rig), step, atol=1e-9)
+    np.testing.assert_allclose(parameters.parameter_step(rig.updated(np.array(step)), rig), step, atol=1e-9)
 
 
 def test_richer_lens_models_estimate_more() -> None:

@@ -50,7 +50,7 @@ def test_speeds_vary_as_stated_when_the_whole_lens_varies(seed: int) -> None:
             raw.append(cv2.projectPoints(X, np.zeros(3), np.zeros(3), camera.K, camera.distortion)[0][:, 0])
         drawn = []
         for _ in range(200):
-            other = model.moved(root @ rng.normal(size=24)).stereo(SIZES)
+            other = model.updated(root @ rng.normal(size=24)).stereo(SIZES)
             seen = [camera.undistort_points(p) for camera, p in zip(other.cameras, raw, strict=True)]
             found = triangulate(other, *seen)
             drawn.append(np.linalg.norm(found[1] - found[0]) / 10 - 1)

@@ -201,5 +201,7 @@ def line_displacement(camera: Camera, lines: Array, vertical: NDArray[np.bool_])
         return np.zeros(n), np.zeros(n)
     shares = np.array([0.1, 0.3, 0.5, 0.7, 0.9])[:, None, None]
     points = lines[None, :, 0] + shares * (lines[None, :, 1] - lines[None, :, 0])
-    moved = (camera.distort_points(points) - points).mean(0)
-    return np.where(vertical, moved[:, 0], moved[:, 1]), np.where(vertical, moved[:, 1], moved[:, 0])
+    displacement = (camera.distort_points(points) - points).mean(0)
+    return np.where(vertical, displacement[:, 0], displacement[:, 1]), np.where(
+        vertical, displacement[:, 1], displacement[:, 0]
+    )

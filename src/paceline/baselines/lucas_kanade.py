@@ -106,8 +106,8 @@ class LucasKanade:
             return None
         from_key, left, right = from_key.chosen(good), left[good], right[good]
         matches = _Matches(from_key.number, left, right, triangulate(self.rig, left, right))
-        moved = _similarity(from_key.left, left), _similarity(from_key.right, right)
-        quads = [q @ m[:, :2].T + m[:, 2] for q, m in zip(key.quads, moved, strict=True) if m is not None]
+        transforms = _similarity(from_key.left, left), _similarity(from_key.right, right)
+        quads = [q @ m[:, :2].T + m[:, 2] for q, m in zip(key.quads, transforms, strict=True) if m is not None]
         if len(quads) < 2:
             return None
         grown = abs(np.log(shift_between(key.quads[0], quads[0]).scale))
@@ -229,10 +229,10 @@ class LucasKanade:
         groups = []
         for group in range(JACKKNIFE_GROUPS):
             included = np.arange(len(seen)) % JACKKNIFE_GROUPS != group
-            alignment = align(points[included], seen[included], turns, aligned.places)
+            jackknife = align(points[included], seen[included], turns, aligned.places)
             groups.append(
                 polynomial_track.fit_polynomial(
-                    times, alignment.places, alignment.covariance, track.degree
+                    times, jackknife.places, jackknife.covariance, track.degree
                 ).mean_speed()[0]
             )
         return track, dict(zip(rows, aligned.places, strict=True)), groups

@@ -203,8 +203,8 @@ def _without_outliers(rig: RigState, poses: Poses, seen: Observations) -> tuple[
     """``seen`` without outlier corners, and the number removed."""
     found = adjust(rig, poses, seen, free_parameters("k1, k2, p1, p2"))
     length = np.linalg.norm(found.residuals, axis=1)
-    view = rms_by_view(found.residuals * np.sqrt(found.weights)[:, None], seen.view, len(poses.t))
-    keep = length <= MAX_CORNER_SIGMA * np.maximum(view[seen.view], np.median(view)) * np.sqrt(2)
+    view_rms = rms_by_view(found.residuals * np.sqrt(found.weights)[:, None], seen.view, len(poses.t))
+    keep = length <= MAX_CORNER_SIGMA * np.maximum(view_rms[seen.view], np.median(view_rms)) * np.sqrt(2)
     return seen.where(keep), int((~keep).sum())
 
 

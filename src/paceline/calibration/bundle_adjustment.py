@@ -11,7 +11,8 @@ from typing import Literal
 import numpy as np
 
 from paceline.arrays import Array, Indices
-from paceline.calibration.parameters import N_RIG, Observations, Poses, RigState, project
+from paceline.calibration.parameters import N_RIG, Observations, Poses, RigState
+from paceline.calibration.projection import project
 
 Weighting = Literal["huber", "redescending"]
 
@@ -95,7 +96,7 @@ def adjust(
             step, poses_step = _solve(blocks, damping)
             rig_step = np.zeros(N_RIG)
             rig_step[free] = step
-            new_rig, new_poses = rig.moved(rig_step), poses.moved(poses_step)
+            new_rig, new_poses = rig.updated(rig_step), poses.updated(poses_step)
             new_expected, new_J, new_Q = project(new_rig, new_poses, seen)
             new_residuals = seen.pixels - new_expected
             new_cost = _cost(new_residuals, weights)

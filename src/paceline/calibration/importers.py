@@ -163,7 +163,7 @@ def _ros(texts: dict[Path, str], options: ImportOptions) -> StereoRig:
     if len(texts) != 2:
         raise UnusableInput(f"{next(iter(texts))}: is one camera's camera_info; expected the left and the right one")
     lenses: list[Camera] = []
-    turns: list[Array] = []
+    rotations: list[Array] = []
     shifts: list[Array] = []
     for file, text in texts.items():
         info = _yaml(file, text)
@@ -181,20 +181,22 @@ def _ros(texts: dict[Path, str], options: ImportOptions) -> StereoRig:
         if not K[0, 0] > 0 or not P[0, 0] > 0:
             raise UnusableInput(f"{file}: the camera is not calibrated, its matrices hold zeros")
         shifts.append(_shift(P))
-        turns.append(_rotation(file, "rectification_matrix", R))
+        rotations.append(_rotation(file, "rectification_matrix", R))
         lens = _camera(
             file, "camera_matrix", P[:, :3] if options.rectified else K, [] if options.rectified else D, size
         )
         lenses.append(lens)
-    return _from_rectified(lenses, turns, shifts, options)
+    return _from_rectified(lenses, rotations, shifts, options)
 
 
-def _from_rectified(lenses: list[Camera], turns: list[Array], shifts: list[Array], options: ImportOptions) -> StereoRig:
+def _from_rectified(
+    lenses: list[Camera], rotations: list[Array], shifts: list[Array], options: ImportOptions
+) -> StereoRig:
     """The rig of cameras that see ``X_rect = turn X`` plus a shift of their own, both in the same rectified axes."""
     t = options.unit * (shifts[1] - shifts[0])
     if options.rectified:
         return StereoRig(lenses[0], lenses[1], np.eye(3), t)
-    return StereoRig(lenses[0], lenses[1], turns[1].T @ turns[0], turns[1].T @ t)
+    return StereoRig(lenses[0], lenses[1], rotations[1].T @ rotations[0], rotations[1].T @ t)
 
 
 # --- KITTI ---------------------------------------------------------------------------------------------------------

@@ -43,18 +43,18 @@ def speed_effects(rig: StereoRig, distances: Sequence[float] = DISTANCES_M) -> l
     effects = []
     for distance in distances:
         along, across = (
-            float(np.linalg.norm([relative_speed_change(rig, moved, *ends) for moved in moves]))
+            float(np.linalg.norm([relative_speed_change(rig, perturbed, *ends) for perturbed in moves]))
             for ends in _displacements(rig, distance, 0.0)
         )
         effects.append(SpeedEffect(distance, along, across))
     return effects
 
 
-def relative_speed_change(rig: StereoRig, moved: StereoRig, start: Array, end: Array) -> float:
+def relative_speed_change(rig: StereoRig, perturbed: StereoRig, start: Array, end: Array) -> float:
     """The relative change of the distance from ``start`` (3,) to ``end`` (3,) when the pixels of ``rig`` are
-    triangulated with ``moved``."""
+    triangulated with ``perturbed``."""
     ends = np.stack([start, end])
-    found = triangulate(moved, *rig.project(ends))
+    found = triangulate(perturbed, *rig.project(ends))
     return float(np.linalg.norm(found[1] - found[0]) / np.linalg.norm(end - start)) - 1
 
 
@@ -125,7 +125,7 @@ def stated_uncertainty(rig: StereoRig, covariance: Array) -> RigUncertainty:
         moves = perturbed_rigs(rig, stated)
         return np.array(
             [
-                sum(relative_speed_change(rig, moved, *displacement) ** 2 for moved in moves)
+                sum(relative_speed_change(rig, perturbed, *displacement) ** 2 for perturbed in moves)
                 for displacement in displacements
             ]
         )

@@ -107,10 +107,10 @@ def small_jpegs(*views: Grey) -> list[bytes]:
     import cv2
 
     jpegs = []
-    for view in views:
-        scale = min((MAX_PICTURE_AREA_PX / view.size) ** 0.5, 1.0)
-        size = max(1, round(view.shape[1] * scale)), max(1, round(view.shape[0] * scale))
-        small = cv2.resize(view, size, interpolation=cv2.INTER_AREA) if scale < 1 else view
+    for image in views:
+        scale = min((MAX_PICTURE_AREA_PX / image.size) ** 0.5, 1.0)
+        size = max(1, round(image.shape[1] * scale)), max(1, round(image.shape[0] * scale))
+        small = cv2.resize(image, size, interpolation=cv2.INTER_AREA) if scale < 1 else image
         jpegs.append(bytes(cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, LINE_JPEG_QUALITY])[1]))
     return jpegs
 

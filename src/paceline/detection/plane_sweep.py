@@ -95,6 +95,6 @@ def warm_up() -> None:
 
 def plane_at(homographies: tuple[Array, Array], grid: PlaneGrid, window: int, top: int = 0) -> SweepPlane:
     """The plane that both views see through ``homographies`` (3, 3), in images that begin at row ``top``."""
-    moved = np.array([[1.0, 0, 0], [0, 1, -top], [0, 0, 1]])
-    cells = np.stack([moved @ H @ grid.to_metres for H in homographies])
+    shift_matrix = np.array([[1.0, 0, 0], [0, 1, -top], [0, 0, 1]])
+    cells = np.stack([shift_matrix @ H @ grid.to_metres for H in homographies])
     return SweepPlane(grid, window, pyramid_level(homographies[0], grid), cells)

@@ -151,8 +151,8 @@ def _width(rig: StereoRig, road: RoadModel, k: int, s: Array) -> tuple[float, fl
     width = float(weight @ _distances(first, second))
     variance = float(weight @ covariance @ weight)
     if rig.uncertainty:
-        for moved in perturbed_rigs(rig, rig.uncertainty):
-            shifted = [triangulate(moved, *rig.project(points)) for points in (first, second)]
+        for perturbed in perturbed_rigs(rig, rig.uncertainty):
+            shifted = [triangulate(perturbed, *rig.project(points)) for points in (first, second)]
             variance += (float(weight @ _distances(shifted[0], shifted[1])) - width) ** 2
     return width, float(np.sqrt(variance))
 

@@ -63,14 +63,14 @@ def lateral_offset(curve: Array, s: Array) -> Array:
     return np.asarray(np.polynomial.polynomial.polyval(np.asarray(s) / UNIT_M, curve))
 
 
-def paint_samples(view: RectifiedRoad) -> PaintSamples:
-    row, column = np.nonzero(view.is_paint)
-    return PaintSamples(view.s[row], view.paint_offsets(row, column), view.step[row])
+def paint_samples(road: RectifiedRoad) -> PaintSamples:
+    row, column = np.nonzero(road.is_paint)
+    return PaintSamples(road.s[row], road.paint_offsets(row, column), road.step[row])
 
 
 def direction_votes(roads: tuple[RectifiedRoad, RectifiedRoad], alignment: Alignment) -> DirectionVotes:
     """The paint in both views, ``roads``, as votes for the road's direction."""
-    samples = [paint_samples(view) for view in roads]
+    samples = [paint_samples(road) for road in roads]
     s, d, length = (np.concatenate(parts) for parts in zip(*((h.s, h.d, h.length) for h in samples), strict=True))
     return DirectionVotes(alignment.to_ground(s, d), alignment.direction(s), length)
 
@@ -79,7 +79,7 @@ def detect_lines(
     rig: StereoRig, surface: RoadSurface, alignment: Alignment, roads: tuple[RectifiedRoad, RectifiedRoad]
 ) -> list[LaneLine]:
     """The lines that both views show, from left to right."""
-    views = [paint_samples(view) for view in roads]
+    views = [paint_samples(road) for road in roads]
     both = PaintSamples(*(np.concatenate([getattr(h, name) for h in views]) for name in ("s", "d", "length")))
     curves: list[Array] = []
     for start in _peaks(both):

@@ -139,18 +139,18 @@ def ridge_points(rig: StereoRig, background: Background, surface: RoadSurface) -
     )
 
 
-def _ridges(view: GroundImage) -> tuple[Image, Image]:
+def _ridges(ground_image: GroundImage) -> tuple[Image, Image]:
     """Strength (H, W) of a view's ridges on their crests, 0 elsewhere, and the angle they run at (rad, from ahead to
     the right)."""
-    light = cv2.GaussianBlur(view.log_intensity, (0, 0), RIDGE_SCALE_M / CELL_M)
+    light = cv2.GaussianBlur(ground_image.log_intensity, (0, 0), RIDGE_SCALE_M / CELL_M)
     scale = (RIDGE_SCALE_M / CELL_M) ** 2 / 4
     xx, zz, xz = (scale * cv2.Sobel(light, cv2.CV_32F, i, j, ksize=3) for i, j in ((2, 0), (0, 2), (1, 1)))
     mean, half = (xx + zz) / 2, np.hypot((xx - zz) / 2, xz)
     strength, along = np.maximum(half - mean, 0), np.abs(half + mean)  # the Hessian's eigenvalues
     window = (round(NEIGHBOURHOOD_M / CELL_M),) * 2
-    known = cv2.blur(view.visible.astype(np.float32), window)
-    mean_strength = cv2.blur(strength * view.visible, window) / np.maximum(known, 1e-3)
-    interior = cv2.erode(view.visible.astype(np.uint8), np.ones((7, 7), np.uint8)) > 0
+    known = cv2.blur(ground_image.visible.astype(np.float32), window)
+    mean_strength = cv2.blur(strength * ground_image.visible, window) / np.maximum(known, 1e-3)
+    interior = cv2.erode(ground_image.visible.astype(np.uint8), np.ones((7, 7), np.uint8)) > 0
     ridge = (
         interior
         & (strength > MIN_RIDGE_STRENGTH)

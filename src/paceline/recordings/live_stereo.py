@@ -85,18 +85,18 @@ class LiveStereo:
         if self._max_skew > MIN_REPORTED_SKEW_S:
             skew = f"up to {1e3 * self._max_skew:.1f} ms apart, which is allowed for"
             own.append(message("views_skewed", frames="left and right frames", skew=skew))
-        return [*own, *(line for view in self._views for line in view.recording.notices)]
+        return [*own, *(line for camera in self._views for line in camera.recording.notices)]
 
     def stop(self) -> None:
         """Ends the iteration after the present pair, as if the sources ended there; a signal handler may call it."""
-        for view in self._views:
-            view.stop()
+        for camera in self._views:
+            camera.stop()
 
     def __iter__(self) -> Iterator[RawPair]:
         left, right = self._views
         begun = time.monotonic()
-        for view in self._views:
-            view.begin(begun)
+        for camera in self._views:
+            camera.begin(begun)
         try:
             self._clock_offset = _clock_offset(left, right)
             for pair in _pairs(left, right, self._clock_offset):
@@ -104,9 +104,9 @@ class LiveStereo:
                 yield pair
         finally:
             self.stop()
-        for view in self._views:
-            if view.error is not None:
-                raise view.error
+        for camera in self._views:
+            if camera.error is not None:
+                raise camera.error
 
 
 @dataclass(frozen=True)

@@ -72,18 +72,18 @@ def draw_target(learned: LearnedTarget, image: Image) -> Picture:
     method = cv2.INTER_CUBIC if scale > 1 else cv2.INTER_AREA
     crop = cv2.convertScaleAbs(np.ascontiguousarray(image[y0:y1, x0:x1]))
     grey = cv2.resize(crop, None, fx=scale, fy=scale, interpolation=method)
-    view = np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), np.uint8)
+    picture = np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), np.uint8)
     points = scale_points(corners - (x0, y0), scale)
     for a, b in target.segments:
         upright = abs(corners[a, 0] - corners[b, 0]) < abs(corners[a, 1] - corners[b, 1])
-        draw_line(view, points[a], points[b], DARK_BGR, 4)
-        draw_line(view, points[a], points[b], VERTICAL_COLOR if upright else HORIZONTAL_COLOR, 2)
-    draw_dots(view, points, WHITE_BGR, 3.5)
+        draw_line(picture, points[a], points[b], DARK_BGR, 4)
+        draw_line(picture, points[a], points[b], VERTICAL_COLOR if upright else HORIZONTAL_COLOR, 2)
+    draw_dots(picture, points, WHITE_BGR, 3.5)
     for name, (x, y) in zip(corner_names(len(points)), points, strict=True):
-        draw_text(view, name, (round(x) + 5, round(y) - 5), 15, WHITE_BGR, 500)
-    strip = np.empty((TARGET_HEADER_HEIGHT_PX, view.shape[1], 3), np.uint8)
+        draw_text(picture, name, (round(x) + 5, round(y) - 5), 15, WHITE_BGR, 500)
+    strip = np.empty((TARGET_HEADER_HEIGHT_PX, picture.shape[1], 3), np.uint8)
     strip[:] = DARK_BGR
     text = f"{target.name}: {len(target.segments)} lines, {target.nominal_range:.2f} m away at scale 1"
-    size = 17 if text_width(text, 17) < view.shape[1] - 28 else 11
+    size = 17 if text_width(text, 17) < picture.shape[1] - 28 else 11
     draw_text(strip, text, (14, 27), size, WHITE_BGR)
-    return np.concatenate([strip, view])
+    return np.concatenate([strip, picture])

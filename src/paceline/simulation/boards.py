@@ -11,7 +11,8 @@ from scipy.interpolate import RectBivariateSpline
 
 from paceline.arrays import Array
 from paceline.calibration.boards import Board, Corners
-from paceline.calibration.parameters import Observations, Poses, RigState, lens_projection, project, rotation_matrix
+from paceline.calibration.parameters import Observations, Poses, RigState, rotation_matrix
+from paceline.calibration.projection import lens_projection, project
 
 PIXELS_PER_SQUARE = 48  # of the printed board
 BOARD_SUBPIXELS_PER_SIDE = 2  # the picture is drawn on a finer grid and averaged

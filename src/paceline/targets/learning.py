@@ -130,16 +130,16 @@ def find_lines(image: Image, box: tuple[float, float, float, float]) -> list[Lin
     """The strongest vertical lines of ``image`` inside ``box``, from left to right."""
     x0, y0, x1, y1 = box
     across, along = x1 - x0, y1 - y0
-    tolerance = LINE_TOLERANCE[0] + LINE_TOLERANCE[1] * max(across, along)
+    max_offset = LINE_TOLERANCE[0] + LINE_TOLERANCE[1] * max(across, along)
     shortest = max(MIN_LINE_LENGTH[0], MIN_LINE_LENGTH[1] * along)
     min_distance = max(MIN_LINE_SPACING[0], MIN_LINE_SPACING[1] * across)
     found: list[Line] = []
     for sign in (1, -1):
         points = _edge_points(sign * image, box)
         while (
-            len(points) and _max_count_within(points[:, 0], 2 * tolerance) > 0.5 * shortest
+            len(points) and _max_count_within(points[:, 0], 2 * max_offset) > 0.5 * shortest
         ):  # fewer make no line so long
-            line, inliers = _best_line(points, tolerance)
+            line, inliers = _best_line(points, max_offset)
             if line.length >= shortest:
                 found.append(line)
             points = points[~inliers]
@@ -168,16 +168,16 @@ def _edge_points(image: Image, box: tuple[float, float, float, float]) -> Array:
     return np.asarray(points[inside])
 
 
-def _best_line(points: Array, tolerance: float) -> tuple[Line, NDArray[np.bool_]]:
-    """The line with the most edge points within ``tolerance``, and which of ``points`` (N, 3) it uses up."""
+def _best_line(points: Array, max_offset: float) -> tuple[Line, NDArray[np.bool_]]:
+    """The line with the most edge points within ``max_offset``, and which of ``points`` (N, 3) it uses up."""
     x, y, gradient = points.T
     weight = np.minimum(gradient, SATURATION_GRADIENT)
     order = np.argsort(x, kind="stable")
     total = np.concatenate([[0.0], np.cumsum(weight[order])])
-    near = total[np.searchsorted(x[order], x + tolerance, "right")] - total[np.searchsorted(x[order], x - tolerance)]
+    near = total[np.searchsorted(x[order], x + max_offset, "right")] - total[np.searchsorted(x[order], x - max_offset)]
     place = float(x[np.argmax(near)])
     for _ in range(3):
-        inliers = np.abs(x - place) <= tolerance
+        inliers = np.abs(x - place) <= max_offset
         start, stop = _longest_run(y[inliers])
         inliers &= (y >= start) & (y <= stop)
         place = float(np.average(x[inliers], weights=weight[inliers]))

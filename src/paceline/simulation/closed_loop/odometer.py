@@ -37,12 +37,12 @@ class Odometer:
         before, last = self._last
         self._last = time, true
         dt = time - before
-        moved = np.hypot(true.x - last.x, true.y - last.y)
+        step_length = np.hypot(true.x - last.x, true.y - last.y)
         # the chord's direction in the vehicle's own axes, then the turn, each as it is measured
-        course = np.arctan2(true.y - last.y, true.x - last.x) - last.heading if moved > 0 else 0.0
+        course = np.arctan2(true.y - last.y, true.x - last.x) - last.heading if step_length > 0 else 0.0
         slip, jitter = self._rng.standard_normal(2)
-        distance = moved * self._scale * (1 + self._errors.slip * slip)
-        turn = true.heading - last.heading + self._drift * dt + self._errors.jitter * jitter * (moved > 0)
+        distance = step_length * self._scale * (1 + self._errors.slip * slip)
+        turn = true.heading - last.heading + self._drift * dt + self._errors.jitter * jitter * (step_length > 0)
         p = self._pose
         self._pose = Pose(
             float(p.x + distance * np.cos(p.heading + course)),

@@ -85,9 +85,9 @@ class DriveStatistics:
             self.lead_frames += 1
             self.gap_min, self.gap_max = min(self.gap_min, s.gap), max(self.gap_max, s.gap)
         if last is not None:
-            moved = float(np.hypot(s.chase.x - last.chase.x, s.chase.y - last.chase.y))
-            self.distance += moved
-            self.distance_unseen += 0.0 if s.lead_present else moved
+            step_length = float(np.hypot(s.chase.x - last.chase.x, s.chase.y - last.chase.y))
+            self.distance += step_length
+            self.distance_unseen += 0.0 if s.lead_present else step_length
         self.speed, self.speed_max = s.chase.speed, max(self.speed_max, s.chase.speed)
         self._ending = [*self._ending[-FINAL_FRAMES + 1 :], e.status]
         self._last = s

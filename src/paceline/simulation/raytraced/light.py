@@ -71,12 +71,12 @@ class Light:
         bearing = (np.arange(2 * SKY_ROWS) + 0.5) * np.pi / SKY_ROWS
         up = np.broadcast_to(np.cos(zenith)[:, None], (SKY_ROWS, 2 * SKY_ROWS))
         level = np.sin(zenith)[:, None]
-        view = np.stack([level * np.sin(bearing), level * np.cos(bearing), up], -1)
+        directions = np.stack([level * np.sin(bearing), level * np.cos(bearing), up], -1)
         above = np.maximum(up, 0.02)
-        angle = np.arccos(np.clip(view @ self.direction, -1, 1))
+        angle = np.arccos(np.clip(directions @ self.direction, -1, 1))
         clear = _cie_sky(_CLEAR_SKY, above, angle)[..., None] * _sky_tint(above)
         overcast = _cie_sky(_OVERCAST_SKY, above, angle)[..., None] * np.array(_OVERCAST_TINT)
-        part = self._cloud_cover(view, above)[..., None]
+        part = self._cloud_cover(directions, above)[..., None]
         sky = (1 - part) * _normalize_sky(clear, up, zenith) + part * _normalize_sky(overcast, up, zenith) * (
             2.2 - 1.2 * self.clouds
         )
@@ -84,7 +84,7 @@ class Light:
         ground = GROUND_REFLECTANCE * self.level_irradiance / np.pi * np.array([0.9, 1.0, 0.8])
         return np.where(up[..., None] > 0, sky, ground).astype(np.float32)
 
-    def _cloud_cover(self, view: Array, above: Array) -> Array:
+    def _cloud_cover(self, directions: Array, above: Array) -> Array:
         """How much cloud (H, W) hides of the sky, 0 to 1: noise on a layer above the land."""
         rng = np.random.default_rng([self.seed, 71])
         size = 512
@@ -95,7 +95,7 @@ class Light:
             fine = cv2.resize(grid, None, fx=size / n, fy=size / n, interpolation=cv2.INTER_CUBIC)
             edge = 2 * size // n
             noise += (fine[edge : edge + size, edge : edge + size] / 1.8**octave).astype(np.float32)
-        layer = (view[..., :2] / (above[..., None] + 0.1) * 60).astype(np.float32)
+        layer = (directions[..., :2] / (above[..., None] + 0.1) * 60).astype(np.float32)
         x, y = layer[..., 0].copy(), layer[..., 1].copy()
         density = cv2.remap(noise, x % size, y % size, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
         threshold = np.quantile(noise, 1 - self.clouds) if self.clouds < 1 else noise.min() - 1

@@ -122,9 +122,9 @@ def ellipsoid(center: ArrayLike, radii: ArrayLike, rings: int = 10, count: int =
     return Mesh(ball.vertices * np.asarray(radii, float) + np.asarray(center, float), ball.triangles, ball.uv)
 
 
-def weld(mesh: Mesh, tolerance: float = 1e-5) -> Mesh:
+def weld(mesh: Mesh, cell_size: float = 1e-5) -> Mesh:
     """The mesh with vertices at the same place (m) made one; triangles that vanish are left out."""
-    cells = np.round(mesh.vertices / tolerance).astype(np.int64)
+    cells = np.round(mesh.vertices / cell_size).astype(np.int64)
     _, first, label = np.unique(cells, axis=0, return_index=True, return_inverse=True)
     t = label.reshape(-1)[mesh.triangles]
     nondegenerate = (t[:, 0] != t[:, 1]) & (t[:, 1] != t[:, 2]) & (t[:, 2] != t[:, 0])

@@ -287,8 +287,8 @@ def resampled(name: str, shape: str, points: Array, modes: Array) -> Path:
     """The path through ``points`` (N, 3), in order, at equal arc lengths; ``modes`` (J, N, 3) come along."""
     chord = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     s = np.linspace(0, chord[-1], PATH_SAMPLES)
-    moved = CubicSpline(chord, modes, axis=1)(s) if len(modes) else np.zeros((0, PATH_SAMPLES, 3))
-    return Path(name, shape, s, np.asarray(CubicSpline(chord, points, axis=0)(s)), np.asarray(moved))
+    resampled_modes = CubicSpline(chord, modes, axis=1)(s) if len(modes) else np.zeros((0, PATH_SAMPLES, 3))
+    return Path(name, shape, s, np.asarray(CubicSpline(chord, points, axis=0)(s)), np.asarray(resampled_modes))
 
 
 def jacobian(f: Callable[[Array], Array], x: Array, step: float) -> Array:

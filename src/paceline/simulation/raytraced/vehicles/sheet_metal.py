@@ -144,8 +144,10 @@ class BodyBand:
         normal_y = np.where(ends, 0.0, -dx / np.hypot(dx, dy))
         x, y = position
         ahead, behind = ((x - self.outline[0, 0]) / 0.5 + 1.5, (self.outline[-1, 0] - x) / 0.5 + 1.5)
-        moved = _smoothstep(ahead) * self.front(z) - _smoothstep(behind) * self.rear(z)
-        return np.stack([x + moved + out * normal_x, y * self.section(z) + out * normal_y, self.rows.true(x, z)], -1)
+        end_offset = _smoothstep(ahead) * self.front(z) - _smoothstep(behind) * self.rear(z)
+        return np.stack(
+            [x + end_offset + out * normal_x, y * self.section(z) + out * normal_y, self.rows.true(x, z)], -1
+        )
 
     def wall(
         self,
