@@ -238,7 +238,7 @@ def test_the_same_particles_survive(device: CudaDevice, n: int, scatter: float) 
 
 @pytest.mark.parametrize("ll", slow_after(1, [np.nan, -np.inf]))
 @pytest.mark.usefixtures("sharing")
-def test_weights_that_vanish_are_told(device: CudaDevice, ll: float) -> None:
+def test_vanishing_weights_are_reported(device: CudaDevice, ll: float) -> None:
     on_device = device.particle_set(particles(way("line"), 5))
     update_weights(on_device, np.full(N, ll))
     with pytest.raises(FloatingPointError, match="all particle weights vanish"):

@@ -114,7 +114,7 @@ def test_the_kalman_filter_is_batch_least_squares() -> None:
 
 
 @given(degree=st.integers(1, 4), seed=st.integers(0, 10**6))
-def test_a_way_through_exact_places_is_exact(degree: int, seed: int) -> None:
+def test_a_track_through_exact_positions_is_exact(degree: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     times = np.cumsum(rng.uniform(0.1, 0.3, 9))
     coefficients = np.concatenate([rng.uniform(5, 20, (1, 3)), rng.uniform(-1, 1, (degree - 1, 3))])
@@ -130,7 +130,7 @@ def test_a_way_through_exact_places_is_exact(degree: int, seed: int) -> None:
     assert way.mean_speed()[0] == pytest.approx(length / u[-1], rel=1e-4)
 
 
-def test_the_uncertainty_of_a_way_is_that_of_its_scatter() -> None:
+def test_the_uncertainty_of_a_track_is_that_of_its_scatter() -> None:
     rng, trials, z = np.random.default_rng(4), 400, []
     times = np.arange(10) * 0.2
     velocity = np.array([3.0, 0.5, -20.0])
@@ -145,7 +145,7 @@ def test_the_uncertainty_of_a_way_is_that_of_its_scatter() -> None:
     assert np.mean(np.square(z)) == pytest.approx(expected, abs=5 * expected * np.sqrt(2.5 / trials))
 
 
-def test_too_few_places_make_no_way() -> None:
+def test_too_few_positions_give_no_track() -> None:
     with pytest.raises(np.linalg.LinAlgError):
         polynomial_track.fit_polynomial(np.array([0.0, 0.2]), np.zeros((2, 3)), np.eye(3))
 
@@ -170,7 +170,7 @@ def test_exact_points_are_aligned_exactly() -> None:
     assert align(points, seen, turns, begin).places == pytest.approx(places, abs=1e-6)
 
 
-def test_alignment_knows_its_scatter_and_bears_false_matches() -> None:
+def test_alignment_estimates_its_scatter_and_is_robust_to_false_matches() -> None:
     rng, misfits, sigma = np.random.default_rng(6), [], 2e-5  # times the square of the depth
     places, turns, exact = _body(rng)
     for _ in range(40):
@@ -338,7 +338,7 @@ def test_the_depth_of_a_plane(rig: StereoRig, texture: Image, upright: bool) -> 
 # --- cues ------------------------------------------------------------------------------------------------------------
 
 
-def test_histograms_tell_boxes_apart(texture: Image) -> None:
+def test_histograms_distinguish_boxes(texture: Image) -> None:
     here = np.array([[100.0, 100], [160, 100], [160, 130], [100, 130]])
     boxes = np.stack([here, here + 0.4, here + [150, 90]])
     seen = image_cues.histograms(image_cues.sample_nearest(texture, image_cues.sample_points(boxes)))

@@ -124,7 +124,7 @@ def test_a_curve_is_measured_along_the_curve(curve: Clip, method: str) -> None:
     assert m.model != "constant velocity"  # the chord alone would be 1.6 % short
 
 
-def test_lucas_kanade_is_measured_and_knows_its_smoothed_speeds(clip: Clip) -> None:
+def test_lucas_kanade_is_measured_and_has_smoothed_speeds(clip: Clip) -> None:
     m = measured(clip, "lucas-kanade")
     assert (m.verdict, m.reason) == ("measured", "")
     assert (np.abs(m.track.refined_speed - SPEED) < 5 * m.track.refined_std).all()
@@ -224,7 +224,7 @@ def test_the_same_files_come_out(clip: Clip, tmp_path: Path, method: str) -> Non
     assert (tmp_path / "out" / "report.html").exists() and (tmp_path / "out" / "overlay.mp4").exists()
 
 
-def test_progress_is_told(clip: Clip) -> None:
+def test_progress_is_reported(clip: Clip) -> None:
     told: list[tuple[int, int]] = []
     measure(clip, open_recording(clip), "sift", SpeedConfiguration(), lambda *seen: told.append(seen))
     assert told == [(k, 10) for k in range(1, 11)]

@@ -40,7 +40,7 @@ def calibrated(seed: int, **options: int) -> tuple[CalibrationSetup, Calibration
 # --- intervals -----------------------------------------------------------------------------------------------------
 
 
-def test_the_true_parameters_lie_within_their_intervals() -> None:
+def test_the_true_parameters_are_within_their_intervals() -> None:
     """Six rigs, all parameters: 95 % each, not independent within a rig; benchmarks/calibration.py has more."""
     inside, of_rig = [], []
     for seed in range(6):
@@ -112,7 +112,7 @@ def test_good_views_are_all_used() -> None:
     assert found.used == list(range(20))
 
 
-def test_a_third_of_wrong_views_does_no_harm() -> None:
+def test_a_third_of_outlier_views_has_no_effect() -> None:
     setup, pairs = corners(53, views=15)
     for v, spoil in zip((0, 3, 6, 9, 12), (moved, blurred, mistaken, moved, mistaken), strict=True):
         pairs[v] = spoil(pairs[v])
@@ -143,7 +143,7 @@ def test_a_view_of_one_camera_alone_helps_its_lens() -> None:
     assert share[found.std > 0].max() < 5
 
 
-def test_outlying_is_judged_by_the_spread_of_the_others() -> None:
+def test_outliers_are_relative_to_the_spread_of_the_others() -> None:
     even = np.array([0.1, 0.11, 0.09, 0.1, 0.12, 0.1])
     assert outlier_views.outliers(np.append(even, 0.2)).tolist() == [False] * 6 + [True]
     varied = np.array([0.1, 0.3, 0.05, 0.2, 0.08, 0.15])
@@ -160,7 +160,7 @@ def test_too_few_views_are_refused() -> None:
         calibrate(views_of(setup, pairs[:4]))
 
 
-def test_a_board_that_is_never_tilted_is_refused_or_told() -> None:
+def test_a_board_that_is_never_tilted_is_refused_or_reported() -> None:
     rng = np.random.default_rng(62)
     setup = boards.random_setup(rng, BOARD, 12)
     flat = Poses(np.tile(np.eye(3), (12, 1, 1)), setup.poses.t)
@@ -190,7 +190,7 @@ def test_advice_names_what_is_missing() -> None:
         ("chessboard:9x6:0.05", 9, 6, 54),
     ],
 )
-def test_a_board_is_what_its_name_says(text: str, columns: int, rows: int, corners: int) -> None:
+def test_a_board_is_parsed_from_its_description(text: str, columns: int, rows: int, corners: int) -> None:
     board = parse_board(text)
     assert (board.columns, board.rows, len(board.points)) == (columns, rows, corners)
     assert board.points[1, 0] == pytest.approx(board.square)

@@ -128,7 +128,7 @@ def test_independent_uncertainties_move_one_parameter_each(rig: StereoRig) -> No
         np.testing.assert_allclose(moves[11 + axis].t - rig.t, np.eye(3)[axis] * u.translation_m[axis], atol=1e-12)
 
 
-def test_a_move_turns_the_right_camera_where_it_stands(rig: StereoRig) -> None:
+def test_a_rotation_step_turns_the_right_camera_in_place(rig: StereoRig) -> None:
     move = np.zeros(14)
     move[8:11] = 1e-3, -2e-3, 5e-4
     other = perturbed_rig(rig, move)

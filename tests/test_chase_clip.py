@@ -66,7 +66,7 @@ def centroid_within(outline: Array) -> Array:
 @pytest.mark.parametrize("n", [1, 2, 4])
 @pytest.mark.parametrize("yaw", [0.0, 0.15])
 @pytest.mark.parametrize("distance", [5.0, 12.0, 60.0])
-def test_a_plain_card_lies_where_its_projection_says(distance: float, yaw: float, n: int) -> None:
+def test_a_plain_rectangle_is_drawn_at_its_projection(distance: float, yaw: float, n: int) -> None:
     K = np.array([[300.0, 0, 127.5], [0, 300, 120.5], [0, 0, 1]])
     R = np.asarray(cv2.Rodrigues(np.array([0.04, 0.0, 0.02]))[0], float)
     road, atlas = TabulatedRoad(np.zeros(401), 200.0), TextureAtlas()
@@ -97,7 +97,7 @@ def edge(profile: Array) -> float:
     return float(len(profile) - profile.sum() / plateau - 0.5)
 
 
-def test_the_leads_outline_lies_where_its_corners_say() -> None:
+def test_the_leads_outline_has_the_true_corners() -> None:
     """Two paints, everything else the same: what differs is the rear plane, however varied its surroundings."""
     light, truths = frames(replace(BEHIND, object_density=0.0, paint=170.0))
     dark, _ = frames(replace(BEHIND, object_density=0.0, paint=80.0))
@@ -120,7 +120,7 @@ def test_the_leads_outline_lies_where_its_corners_say() -> None:
     assert np.std(errors) < 0.02
 
 
-def test_the_position_is_what_the_corners_tell() -> None:
+def test_the_position_follows_from_the_corners() -> None:
     scene = replace(BEHIND, kind="van", yaw=0.1)
     script = ChaseScript(scene)
     x, y = script.world.body.width / 2, script.world.body.height / 2

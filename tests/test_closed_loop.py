@@ -58,7 +58,7 @@ def test_it_slows_for_a_bend_in_time_and_no_more_than_needed() -> None:
     assert np.diff(lead.speed).min() / 0.02 > -1.6
 
 
-def test_a_road_of_pieces_turns_by_what_they_say() -> None:
+def test_a_road_of_pieces_turns_by_their_angles() -> None:
     road = road_from_pieces([(50.0, 0.0), (20 * np.pi / 2, 1 / 20.0)], 200.0)
     assert road.heading[0] == pytest.approx(0.0, abs=1e-6)
     assert road.heading[-1] == pytest.approx(-np.pi / 2, abs=0.05)  # to the right
@@ -123,7 +123,7 @@ def test_the_braking_needed_is_just_enough(speed: float, lead_speed: float, brak
         assert nearest(needed * 0.9) < least + 0.1
 
 
-def test_at_the_wanted_gap_nothing_is_asked_for() -> None:
+def test_at_the_desired_gap_the_commanded_acceleration_is_zero() -> None:
     for speed in (2.0, 9.0):
         assert headway_acceleration(POLICY, speed, POLICY.desired_gap(speed), speed, 0.0) == pytest.approx(0.0)
         assert headway_acceleration(POLICY, speed, POLICY.desired_gap(speed) + 2, speed, 0.0) > 0.3
@@ -145,7 +145,7 @@ def test_the_filter_finds_speed_and_acceleration() -> None:
     assert np.abs(errors[75:90]).max() < 0.9
 
 
-def test_what_jumps_is_not_seen() -> None:
+def test_a_jumping_gap_measurement_is_rejected() -> None:
     controller = GapController(POLICY)
     for k in range(45):
         controller.acceleration(k / 15, 9.0, POLICY.desired_gap(9.0), 0.06, True)
@@ -156,7 +156,7 @@ def test_what_jumps_is_not_seen() -> None:
     assert after is not None and abs(after[0] - steady[0]) < 0.2
 
 
-def test_one_sight_of_something_after_a_loss_is_not_believed_and_four_are() -> None:
+def test_after_a_loss_four_consistent_frames_are_accepted_and_one_is_not() -> None:
     lead = LeadFilter()
     for k in range(30):
         lead.update(k / 15, 9.0, 14.0, 0.06, True)
@@ -191,14 +191,14 @@ def test_it_settles_at_the_wanted_gap_without_overshooting() -> None:
     assert rows[:, 2].min() > POLICY.desired_gap(8.0) - 0.4
 
 
-def test_a_lead_that_is_gone_means_a_stop_and_a_short_gap_in_sight_does_not() -> None:
+def test_a_vanished_lead_causes_a_stop_and_a_short_occlusion_does_not() -> None:
     rows = run(GapController(POLICY), 12.0, 9.0, POLICY.desired_gap(9.0), 9.0, 4.0)
     assert rows[-1, 1] == 0.0
     assert np.trapezoid(rows[rows[:, 0] > 4.0, 1], rows[rows[:, 0] > 4.0, 0]) < 22.0
     assert rows[rows[:, 0] < 4.3, 1].min() > 8.8
 
 
-def test_the_operator_keeps_off_and_stands_with_the_lead() -> None:
+def test_the_human_throttle_keeps_the_gap_and_stops_with_the_lead() -> None:
     operator = HumanThrottle(POLICY, (6.5, 15.0), np.random.default_rng(2))
     v, d, w, nearest = 9.0, 12.0, 9.0, 99.0
     for k in range(40 * 15):
@@ -217,7 +217,7 @@ def test_the_operator_keeps_off_and_stands_with_the_lead() -> None:
 # --- odometry and outlines -------------------------------------------------------------------------------------------
 
 
-def test_without_errors_the_odometer_tells_the_way_and_with_them_nearly() -> None:
+def test_the_odometer_is_exact_without_errors_and_close_with_them() -> None:
     t = np.arange(0, 20, 1 / 15)
     true = [Pose(50 * np.sin(0.1 * s), 50 * (1 - np.cos(0.1 * s)), 0.1 * s) for s in t]
     perfect = Odometer(OdometerErrors(0.0, 0.0, 0.0, 0.0), np.random.default_rng(0))
@@ -258,7 +258,7 @@ def loop_of(seed: int = 3, latency: float = 0.128, **changes: Any) -> ClosedLoop
     return ClosedLoop(DriveModel.model_validate(SHORT | changes), seed, latency)
 
 
-def test_a_short_drive_follows_and_its_figures_hold() -> None:
+def test_a_short_drive_meets_its_requirements() -> None:
     loop, figures, log = loop_of(), DriveStatistics(), DriveLog(keep=32)
     for step in loop.steps():
         figures.add(step, loop.scene.world.body.width)
@@ -320,7 +320,7 @@ def test_the_same_seed_drives_the_same_and_another_does_not() -> None:
     assert ends(3) == first != ends(4)
 
 
-def test_what_does_not_hold_is_told() -> None:
+def test_failed_requirements_are_listed() -> None:
     loop, figures = loop_of(), DriveStatistics()
     for step in loop.steps():
         figures.add(replace(step, path_error=2.0, clearance=0.0), loop.scene.world.body.width)

@@ -74,7 +74,7 @@ def test_the_table_is_of_the_drive(driven: tuple[Path, str]) -> None:
     np.testing.assert_allclose(number["z_m"][tracking], number["true_z_m"][tracking], rtol=0.05)
 
 
-def test_the_summary_says_what_must_hold_and_does(driven: tuple[Path, str]) -> None:
+def test_the_summary_lists_the_requirements_and_whether_they_hold(driven: tuple[Path, str]) -> None:
     out, printed = driven
     summary = json.loads((out / "summary.json").read_text())
     assert summary["holds"] is True and summary["latency_s"] == 0.2 and summary["seed"] == 3
@@ -87,7 +87,7 @@ def test_the_summary_says_what_must_hold_and_does(driven: tuple[Path, str]) -> N
     assert summary["clearance_min_m"] == pytest.approx(min(float(r["clearance_m"]) for r in rows))
 
 
-def test_the_page_stands_alone_and_the_video_plays(driven: tuple[Path, str]) -> None:
+def test_the_page_is_self_contained_and_the_video_plays(driven: tuple[Path, str]) -> None:
     out, _ = driven
     page = (out / "report.html").read_text()
     assert not re.search(r"(src|href)=[\"']?(https?:)?//", page)
@@ -102,7 +102,7 @@ def test_the_scene_written_drives_again(driven: tuple[Path, str]) -> None:
     assert DriveModel.model_validate(document) == DriveModel.model_validate(SHORT)
 
 
-def test_what_fails_ends_with_1_and_is_told(tmp_path: Path) -> None:
+def test_a_failed_requirement_ends_with_1_and_is_listed(tmp_path: Path) -> None:
     file = write(tmp_path, duration=1.0, requirements={"clearance": 50.0})
     done = paceline("drive", file, "-o", tmp_path / "out", "--no-overlay")
     assert done.returncode == 1
@@ -177,7 +177,7 @@ def test_what_cannot_be_driven_is_one_plain_line_and_leaves_nothing(tmp_path: Pa
     assert not out.exists()
 
 
-def test_a_wrong_name_is_answered_with_the_right_one(tmp_path: Path) -> None:
+def test_a_wrong_name_is_refused_with_the_right_one(tmp_path: Path) -> None:
     with pytest.raises(UnusableInput, match="brakes-hrad: no such scene; did you mean 'brakes-hard'"):
         resolve_drive("brakes-hrad", 1)
     with pytest.raises(UnusableInput, match="no such file"):

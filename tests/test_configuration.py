@@ -60,7 +60,7 @@ def test_a_file_sets_what_it_names_and_leaves_the_rest(tmp_path: Path) -> None:
         ("", "expected the keys particles, seed"),
     ],
 )
-def test_what_a_file_cannot_say_is_refused(tmp_path: Path, text: str, message: str) -> None:
+def test_invalid_settings_files_are_refused(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(UnusableInput, match=re.escape(f"settings.yaml: {message}")):
         load_settings(written(tmp_path, text))
 

@@ -46,7 +46,7 @@ def test_a_followed_link_changes_nothing(client: TestClient) -> None:
     assert client.post("/api/run?clip=road", headers=headers, json={"kind": "speed"}).status_code == 403
 
 
-def test_an_address_that_others_reach_asks_for_its_token() -> None:
+def test_an_address_that_others_reach_requires_its_token() -> None:
     app = FastAPI()
 
     @app.get("/")

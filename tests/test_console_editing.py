@@ -283,6 +283,6 @@ def test_a_point_snaps_across_to_an_edge(x: float, dx: float) -> None:
 
 
 @pytest.mark.parametrize("point", [[30.0, 30.0], [0.0, 0.0], [-5.0, 1e6], [59.0, 59.0]])
-def test_a_point_stays_where_nothing_stands_out(point: list[float]) -> None:
+def test_a_point_is_not_moved_where_there_is_no_edge(point: list[float]) -> None:
     flat = np.random.default_rng(0).normal(90, 2, (60, 60)).astype(np.float32)
     assert snap_point(flat, np.array(point), 6).tolist() == point

@@ -125,7 +125,7 @@ def test_a_live_source_cannot_replace_a_file(tmp_path: Path) -> None:
     library.runs.close()
 
 
-def test_a_run_goes_out_from_a_copy_without_vehicles(tmp_path: Path) -> None:
+def test_a_run_starts_from_a_copy_without_vehicles(tmp_path: Path) -> None:
     root = tmp_path.resolve()
     clip = put_clip(root)
     change(clip / "clip.yaml", right="rtsp://camera/right", rate=None)

@@ -258,7 +258,7 @@ def test_a_search_is_resumed_after_a_reload(console: Console) -> None:
     assert complaints(tab) == []
 
 
-def test_leaving_an_import_asks_and_leaves_nothing(tmp_path: Path, console: Console) -> None:
+def test_leaving_an_import_asks_for_confirmation_and_removes_its_files(tmp_path: Path, console: Console) -> None:
     root, address, new = console
     (tmp_path / "cam.mp4").write_bytes(bytes(1000))
     tab = new()

@@ -62,7 +62,7 @@ def test_problems_of_a_placed_model_are_reported() -> None:
     )
 
 
-def test_a_model_is_learned_as_the_command_learns_it(tmp_path: Path) -> None:
+def test_a_learned_model_equals_that_of_the_command(tmp_path: Path) -> None:
     file = tiny_chase.write(tmp_path, 2)
     pictures, box = ChaseFrames(file), [round(v, 2) for v in box_of(1)]
     found = learn_model(pictures.camera, pictures.picture(0, 1), 1, box, 2.0, "small van")

@@ -75,7 +75,7 @@ FAILURES = [
 
 
 @pytest.mark.parametrize(("error", "reason"), FAILURES, ids=lambda x: x if isinstance(x, str) else type(x).__name__)
-def test_what_goes_wrong_is_one_plain_line(error: Exception, reason: str) -> None:
+def test_device_errors_are_one_plain_line(error: Exception, reason: str) -> None:
     with pytest.raises(DeviceFailure) as failure, as_device_failure():
         raise error
     assert failure.value.reason == reason
@@ -110,19 +110,19 @@ def test_without_a_gpu_auto_is_the_cpu() -> None:
 
 
 @pytest.mark.usefixtures("no_gpu")
-def test_the_command_says_that_there_is_no_gpu(tmp_path: Path) -> None:
+def test_the_command_reports_a_missing_gpu(tmp_path: Path) -> None:
     done = paceline("speed", EXAMPLE, "-o", "out", "--device", "cuda", folder=tmp_path)
     assert_one_line_error(done, "--device cuda: no GPU can be used (CUDA driver library cannot be found); --device cpu")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_methods_that_know_no_gpu_say_so(tmp_path: Path) -> None:
+def test_methods_without_a_gpu_implementation_report_it(tmp_path: Path) -> None:
     done = paceline("speed", EXAMPLE, "-o", "out", "--device", "cuda", "--method", "sift", folder=tmp_path)
     assert_one_line_error(done, "--device cuda: --method sift computes on the CPU only; use --device cpu")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_cpu_asks_for_no_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_cpu_needs_no_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(device, "as_device_failure", None)
     assert open_device("cpu") is None
 

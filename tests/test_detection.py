@@ -286,7 +286,7 @@ def test_nothing_is_found_on_an_empty_road(tmp_path: Path) -> None:
     assert [found for frame in frames for found in finder.process(frame)] + finder.finish() == []
 
 
-def test_a_recording_of_a_still_road_says_so(tmp_path: Path) -> None:
+def test_a_recording_without_motion_is_reported(tmp_path: Path) -> None:
     rendered = render(scene())
     still = replace(rendered, left=[rendered.left[-1]] * 9, right=[rendered.right[-1]] * 9)
     noise = np.random.default_rng(3)

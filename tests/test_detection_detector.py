@@ -151,7 +151,7 @@ def test_masked_cells_are_cleared() -> None:
 
 
 @pytest.mark.parametrize("height", [4.0, 4.5, 5.0])
-def test_a_vehicle_is_seen_over_the_roof_of_the_one_before_it(height: float) -> None:
+def test_a_vehicle_is_detected_over_the_roof_of_the_one_before_it(height: float) -> None:
     """Nothing of its face is hidden; the one before reaches five metres back, not eighteen."""
     before = Vehicle("v0", 15.0, start_distance=27.0, lane=-1.85, texture_seed=6)
     behind = replace(before, id="v1", start_distance=46.0, texture_seed=9)

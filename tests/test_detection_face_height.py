@@ -34,7 +34,7 @@ def test_most_of_a_textured_face_is_kept(seed: int) -> None:
     assert select_height(face, face.aligned, clear).y[1] > BOTTOM + (TOP - BOTTOM) * 2 / 3 - HEIGHT_STEP_M
 
 
-def test_a_low_face_and_one_seen_too_seldom_stay_as_they_are() -> None:
+def test_a_low_face_and_one_with_few_frames_are_unchanged() -> None:
     face = face_with(texture_up_to(0.75, 1), 1)
     assert select_height(face, face.aligned[:3], clear) is face
     low = PlanarFace(X, (BOTTOM, BOTTOM + MIN_HEIGHT_M), face.aligned, 0.9)

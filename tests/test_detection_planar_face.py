@@ -135,7 +135,7 @@ def narrow_beside_a_wall(width: float, x: tuple[float, float], contrast: float, 
 @pytest.mark.parametrize(
     ("contrast", "light"), slow_after(2, [(8.0, 0.7), (25.0, 1.5), (25.0, 0.3), (8.0, 1.0), (25.0, 1.0)])
 )
-def test_a_wall_beside_what_is_narrow_or_seen_in_part_is_none_of_it(
+def test_a_wall_beside_a_narrow_or_partly_visible_vehicle_is_not_part_of_it(
     width: float, x: tuple[float, float], contrast: float, light: float
 ) -> None:
     """Its picture is the same in all frames, and in both views at any distance."""
@@ -154,7 +154,7 @@ def width_of(vehicle: VehicleDocument) -> float:
 
 
 @pytest.mark.parametrize("x", [(-1.2, -0.6), (-0.9, -0.9)])
-def test_where_one_lamp_of_a_lorry_was_seen_its_outline_reaches_to_the_other_one(x: tuple[float, float]) -> None:
+def test_the_outline_of_a_lorry_with_one_visible_lamp_includes_the_other(x: tuple[float, float]) -> None:
     found = outline(rear_lamps_seen(1.8, x, 10))
     assert found.vehicle is not None and width_of(found.vehicle) > 1.8
 

@@ -90,7 +90,7 @@ def straight_path(direction, through):
 
 
 @pytest.mark.parametrize("direction", [[0.1, 0.01, 1.0], [0.1, 0.01, -1.0], [1.0, 0.0, 0.05]])
-def test_fronts_stand_across_their_path_and_sides_along_it(rig, direction):
+def test_fronts_are_perpendicular_to_their_path_and_sides_parallel(rig, direction):
     path, k = straight_path(direction, [-1.0, 1.4, 35.0])
     corners, _ = rectangle([0.3, 0.8, 36.0], 0.0, 0.0)
     right = np.cross([0.0, 1.0, 0.0], k)
@@ -118,7 +118,7 @@ def test_fronts_and_rears_lean_back(rig, direction):
     assert back[0] - back[1] == pytest.approx(0.8 * np.tan(np.radians(8.0)), rel=0.05)
 
 
-def test_a_free_plane_does_not_ask_its_path(rig):
+def test_a_free_plane_does_not_depend_on_its_path(rig):
     path, _ = straight_path([0.0, 0.0, 1.0], [-1.0, 1.4, 35.0])
     corners, normal = rectangle([0.3, 0.8, 12.0], 0.5, 0.05)
     found = plane_from_outlines(rig, document(*rig.project(corners), "free", "lane0"), path, 1e-5)

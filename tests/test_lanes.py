@@ -237,7 +237,7 @@ def test_what_a_person_wrote_stays(text: str) -> None:
         "".join(f"  {line}\n" for line in HEAD.splitlines()),
     ],
 )
-def test_what_cannot_be_added_to_is_refused_by_name_and_not_spoilt(text: str) -> None:
+def test_a_file_that_cannot_be_edited_is_refused_by_name_and_unchanged(text: str) -> None:
     yaml.safe_load(text)
     with pytest.raises(UnusableInput, match="clip.yaml: paths: is written in a way that cannot be added to"):
         with_lanes(text, "clip.yaml", {"lane1": LANE})

@@ -153,7 +153,7 @@ def test_what_is_packed_for_some_regions_serves_them_as_the_whole_image_does(whe
 
 
 @given(arrays(float, (4, 2), elements=st.floats(-0.3, 0.3)), st.floats(5, 400), st.floats(-50, 900))
-def test_unit_squares_map_as_opencv_says(wobble, size, where):
+def test_unit_squares_map_as_in_opencv(wobble, size, where):
     quad = (where + size * (UNIT + wobble * 0.8)).astype(np.float32).astype(float)  # what OpenCV can take
     d = np.roll(quad, -1, axis=0) - quad
     turn = d[:, 0] * np.roll(d[:, 1], -1) - d[:, 1] * np.roll(d[:, 0], -1)
@@ -236,7 +236,7 @@ def test_observations_are_the_kernels_features_normalised():
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.3, 3), st.floats(-500, 500))
-def test_normalised_features_know_neither_brightness_nor_contrast(seed, gain, offset):
+def test_normalised_features_are_invariant_to_brightness_and_contrast(seed, gain, offset):
     f = np.random.default_rng(seed).normal(0, 300, (3, 2, 10, 16)).astype(np.float32)
     changed = f * np.float32(gain)
     changed[..., 0] += np.float32(offset)
@@ -285,7 +285,7 @@ def test_a_view_without_any_contrast_correlates_with_nothing(level):
         assert abs(seen_by(image, flat, QUAD[None], QUAD[None], grid).ncc[0]) < 0.05
 
 
-def test_one_thread_sees_what_two_do():
+def test_one_thread_gives_the_result_of_two():
     rng = np.random.default_rng(1)
     quads = QUAD + rng.normal(0, 3, (101, 4, 2))
     grid = PartGrid.for_region(12, QUAD)
@@ -301,7 +301,7 @@ def test_one_thread_sees_what_two_do():
     np.testing.assert_array_equal(found[0].ncc, found[1].ncc)
 
 
-def test_every_particle_is_seen_as_if_alone():
+def test_the_features_of_a_particle_do_not_depend_on_the_others():
     quads = QUAD + np.random.default_rng(2).normal(0, 3, (70, 4, 2))
     grid = PartGrid.for_region(8, QUAD)
     together = seen_by(texture(1), texture(2), quads, quads + 1.5, grid)
@@ -353,7 +353,7 @@ def test_regions_beyond_the_border_see_its_pixels_repeated(where):
     np.testing.assert_allclose(found / samples, expected_features(image, quad, grid) / samples, atol=0.1)
 
 
-def test_impossible_regions_are_unlikely_and_do_no_harm():
+def test_impossible_regions_are_unlikely_and_have_no_effect():
     """Regions without area or with infinities happen to wild particles; memory must not be read at their places."""
     program = """if True:
         import numpy as np

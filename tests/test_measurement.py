@@ -240,7 +240,7 @@ def test_a_tolerance_is_in_the_unit_that_people_are_shown(command: Command, clip
     assert found["reason"].startswith("interval too wide: ") and "2.00 times the tolerance" in found["reason"]
 
 
-def test_only_rejections_are_status_1_and_said_why(command: Command, clip: Path, tmp_path: Path) -> None:
+def test_only_rejections_end_with_status_1_and_a_reason(command: Command, clip: Path, tmp_path: Path) -> None:
     """A picture in which nothing moves: what is outlined never appears again."""
 
     def emptied(side: str) -> Images:
@@ -260,7 +260,7 @@ def test_only_rejections_are_status_1_and_said_why(command: Command, clip: Path,
 
 
 @pytest.mark.parametrize(("off", "verdict"), [(1.0, "measured"), (4.0, "rejected")])
-def test_what_is_not_where_both_outlines_say_is_not_measured(
+def test_a_track_that_contradicts_the_outlines_is_not_measured(
     command: Command, clip: Path, tmp_path: Path, off: float, verdict: str
 ) -> None:
     """The right one lies so many pixels beside what the left one marks, as it does where something else is outlined."""
@@ -287,7 +287,7 @@ def test_a_crossing_vehicle_without_a_path(command: Command, crossing: tuple[Sce
 
 
 @pytest.mark.parametrize("receding", slow_after(1, [True, False]))
-def test_a_vehicle_that_comes_or_goes_without_a_path(command: Command, tmp_path: Path, receding: bool) -> None:
+def test_an_approaching_or_receding_vehicle_without_a_path(command: Command, tmp_path: Path, receding: bool) -> None:
     vehicle = Vehicle("v0", SPEED, start_distance=24.0 if receding else 56.0, receding=receding, texture_seed=6)
     clip = write(render(scene(vehicles=(vehicle,), draw_path=False)), tmp_path / "clip")
     assert "path" not in yaml.safe_load(clip.read_text())["vehicles"][0]
@@ -469,7 +469,7 @@ def test_the_mean_speed_of_a_long_track_counts_to_its_last_frame(tmp_path: Path)
 # --- from Python ---------------------------------------------------------------------------------------------------
 
 
-def test_the_python_api_says_the_same(command: Command, clip: Path, tmp_path: Path) -> None:
+def test_the_python_api_gives_the_same_result(command: Command, clip: Path, tmp_path: Path) -> None:
     document = paceline.load_clip(clip)
     progress: list[tuple[int, int]] = []
     result = paceline.measure(document, paceline.SpeedConfiguration(seed=3), lambda *at: progress.append(at))

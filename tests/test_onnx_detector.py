@@ -352,7 +352,7 @@ def test_lists_of_different_lengths_are_refused(tmp_path: Path) -> None:
         detect(np.full((480, 960), 255, np.float32))
 
 
-def test_without_onnx_runtime_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_onnx_runtime_the_message_names_the_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
     with pytest.raises(UnusableInput, match=r"needs ONNX Runtime; install it with: pip install 'paceline\[detector\]'"):
         OnnxDetector(rows(tmp_path / "model.onnx"))

@@ -94,7 +94,7 @@ def test_the_path_is_bounded():
 
 
 @pytest.mark.parametrize("unseen", [1.0, 1.7, 1.9, 60.0])
-def test_a_straight_path_is_driven_straight_though_part_of_it_was_not_seen(unseen):
+def test_a_straight_path_with_an_untracked_part_is_driven_straight(unseen):
     """Also where the vehicle has passed the point at which it was seen last, for good or for a while."""
     steering, away, times = Steering(C), 0.1, np.arange(240) / 15
     angles = [steering.angle(t, 12.0, away, not 4.0 <= t < 4.0 + unseen, Pose(10.0 * t, 0.0, 0.0)) for t in times]
@@ -102,7 +102,7 @@ def test_a_straight_path_is_driven_straight_though_part_of_it_was_not_seen(unsee
     assert (np.diff(steering.path[:, 0]) < 0.51).all()
 
 
-def test_a_long_way_that_was_not_seen_replaces_the_path():
+def test_a_long_untracked_distance_replaces_the_path():
     steering = Steering(C)
     for k, x in enumerate((0.0, 1.0, 5000.0)):
         steering.angle(k / 15, 10.0, 0.0, True, Pose(x, 0.0, 0.0))
@@ -110,7 +110,7 @@ def test_a_long_way_that_was_not_seen_replaces_the_path():
     assert steering.path[-1, 0] == pytest.approx(5010.0, abs=0.5) and steering.path[0, 0] > 4700.0
 
 
-def test_what_is_not_seen_does_not_enter_the_path():
+def test_untracked_positions_do_not_enter_the_path():
     steering = Steering(C)
     for k in range(20):
         steering.angle(k / 15, 10.0, 0.0, k < 10, Pose(float(k), 0.0, 0.0))
@@ -149,7 +149,7 @@ def test_a_path_leads_on_as_it_bends(radius, seed):
 
 
 @pytest.mark.parametrize("unsure", [UNRELIABLE_END_POINTS, MAX_UNRELIABLE_POINTS])
-def test_what_was_not_seen_for_sure_before_it_was_hidden_has_no_say_in_where_the_path_leads(unsure):
+def test_uncertain_positions_before_an_occlusion_do_not_affect_the_path(unsure):
     """The points since the lead was seen for sure, and two before, are drawn aside; where it was hardly ever sure they
     are as good as any."""
     path = circle(60.0, 60)

@@ -66,7 +66,7 @@ def test_truth_is_consistent(written: Path) -> None:
     assert [row["speed_mps"] for row in truth] == pytest.approx([12.0] * 3, rel=1e-6)
 
 
-def test_the_vehicle_is_where_the_truth_says(written: Path) -> None:
+def test_the_rendered_vehicle_is_at_the_true_position(written: Path) -> None:
     """Pictures differ from frame to frame around the plane, and far from it by the sensor's noise only."""
     truth = json.loads((written / "truth.json").read_text())
     first, last = (cv2.imread(str(written / "left" / f"{k:04d}.png"), -1).astype(float) for k in (0, 2))
@@ -91,7 +91,7 @@ def test_the_lines_lie_on_paint(written: Path) -> None:
     assert along(0.0) > max(along(-12.0), along(12.0)) + 15
 
 
-def test_an_interrupted_clip_is_gone_on_with(written: Path, tmp_path: Path) -> None:
+def test_an_interrupted_clip_is_resumed(written: Path, tmp_path: Path) -> None:
     whole = contents(written)
     folder = tmp_path / "again"
 
@@ -121,7 +121,7 @@ def test_another_scene_does_not_go_into_the_same_folder(written: Path, tmp_path:
         write_speed(speed(), tmp_path / "mine.txt")
 
 
-def test_a_vehicle_that_is_never_seen_is_named(tmp_path: Path) -> None:
+def test_a_vehicle_that_is_never_visible_is_reported(tmp_path: Path) -> None:
     away = {"id": "v9", "start": 79.0, "speed": 1.0, "oncoming": True}
     with pytest.raises(UnusableInput, match="vehicle v9: is never wholly visible"):
         write_speed(speed(vehicles=[away], road={"length": 300.0}, frames=2), tmp_path / "clip")
@@ -136,7 +136,7 @@ def test_videos_keep_their_times(tmp_path: Path) -> None:
     assert not (tmp_path / "clip" / "left").exists()
 
 
-def test_dropped_frames_and_skew_stand_in_the_times(tmp_path: Path) -> None:
+def test_dropped_frames_and_skew_are_in_the_times(tmp_path: Path) -> None:
     occluder = {"id": "near", "kind": "bus", "start": 19.0, "speed": 0.0, "measured": False, "seed": 1}
     vehicles = [*tiny_speed()["vehicles"], occluder | {"lane": 1}]
     rig = tiny_speed()["rig"] | {"distortion": [-0.1, 0.02, 0.0, 0.0, 0.0]}

@@ -90,7 +90,7 @@ def test_on_a_plane_the_axis_is_the_velocity() -> None:
 
 @pytest.mark.parametrize("lateral", [-1.8, 1.8])
 @pytest.mark.parametrize("oncoming", [False, True])
-def test_constant_speed_is_that_of_its_own_way(lateral: float, oncoming: bool) -> None:
+def test_constant_speed_is_that_along_the_vehicles_own_path(lateral: float, oncoming: bool) -> None:
     """On a circle the arc driven per second is the speed at the vehicle's own radius, not at the axis's."""
     drive = DrivingPlan(100.0, 20.0, lateral, oncoming=oncoming)
     motion = VehicleMotion(Road(RoadShape("circle", 80.0), LENGTH, 1), drive, WHEELBASE)
@@ -139,7 +139,7 @@ def test_a_standing_vehicle_has_a_pose() -> None:
     np.testing.assert_allclose(origin, [50.0, -1.8, 0.0], atol=1e-6)
 
 
-def test_a_vehicle_that_brakes_stands() -> None:
+def test_a_braking_vehicle_stops() -> None:
     drive = DrivingPlan(40.0, 10.0, 1.8, acceleration=-4.0, acceleration_start=1.0)
     motion = VehicleMotion(Road(RoadShape("circle", 90.0), LENGTH, 1), drive, WHEELBASE)
     assert motion.speed(3.4) == pytest.approx(0.4) and motion.speed(5.0) == 0

@@ -189,7 +189,7 @@ def test_a_window_shows_what_the_whole_picture_shows() -> None:
     assert here < 0.5 * beside
 
 
-def test_what_is_moved_looks_as_if_it_had_always_stood_there() -> None:
+def test_a_moved_placement_renders_like_an_original_one() -> None:
     R, t = cv2.Rodrigues(np.array([0.1, 0.2, 0.7]))[0], np.array([0.4, -0.3, 0.8])
     _, view = corner_scene(default_variant())
     moved = Renderer([ground()], [[cube(np.zeros(3), 0.8)]], DAY)

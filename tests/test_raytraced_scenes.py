@@ -54,7 +54,7 @@ def test_named_vehicles_are_seen_for_long(name: str) -> None:
         assert placed.vehicles[i].plane.end == "front"
 
 
-def test_named_scenes_drive_as_the_papers_say() -> None:
+def test_named_scenes_have_the_speeds_of_the_papers() -> None:
     speeds = {"straight-55": 55, "circle-36": 36, "recorded-straight-36": 36, "neil-28": 28, "lane-change-30": 30}
     for name, mph in speeds.items():
         scene = named_scenes.speed_scene(name)
@@ -103,7 +103,7 @@ def test_the_planes_centre_swings_out_in_a_bend() -> None:
     assert car.motion.speed(0.1) == 12.0
 
 
-def test_a_vehicle_that_goes_away_shows_its_rear() -> None:
+def test_a_receding_vehicle_shows_its_rear() -> None:
     car = {"id": "v0", "start": 20.0, "speed": 9.0, "lane": 1}
     assert place_scene(vehicles=[car]).vehicles[0].plane.end == "rear"
 
@@ -120,7 +120,7 @@ def test_wheels_roll_without_slipping() -> None:
     assert speed < 0.02 * car.motion.speed(0.3)
 
 
-def test_the_written_rig_is_the_true_one_unless_asked() -> None:
+def test_the_written_rig_is_the_true_one_by_default() -> None:
     true, same = make_rigs(SpeedScene.model_validate(tiny_speed()))
     assert same is true
     written = {"focal_length_px": 2.0, "rotation_rad": [1e-4, 1e-4, 1e-4], "translation_m": [1e-3, 1e-3, 1e-3]}

@@ -48,7 +48,7 @@ def test_color_comes_as_blue_green_red() -> None:
 
 
 @pytest.mark.parametrize("sigma", [0.3, 0.55, 1.3])
-def test_a_point_is_spread_by_exactly_what_is_asked(sigma: float) -> None:
+def test_a_point_is_blurred_by_exactly_the_stated_sigma(sigma: float) -> None:
     point = np.zeros((31, 31), np.float32)
     point[15, 15] = 1.0
     spread, x = blur(point, sigma).sum(0), np.arange(31) - 15
@@ -71,7 +71,7 @@ def test_distorting_is_the_reverse_of_undistorting() -> None:
     assert LENS.undistort_points(distort_pixels(LENS, pixels)) == pytest.approx(pixels, abs=1e-6)
 
 
-def test_a_bent_picture_holds_each_ray_where_the_lens_puts_it() -> None:
+def test_lens_distortion_moves_each_ray_to_its_distorted_pixel() -> None:
     """A picture whose grey is the ideal pixel's place shows, once bent, the ideal place of each recorded pixel."""
     lens = Lens.of(LENS)
     w, h = lens.pinhole.image_size

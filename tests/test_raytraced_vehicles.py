@@ -80,7 +80,7 @@ def test_measures_are_real(bodies: dict[tuple[str, int], Body], kind: str, seed:
 
 
 @EACH
-def test_wheels_stand_on_the_road_below_their_axles(bodies: dict[tuple[str, int], Body], kind: str, seed: int) -> None:
+def test_wheels_are_on_the_road_below_their_axles(bodies: dict[tuple[str, int], Body], kind: str, seed: int) -> None:
     body = bodies[kind, seed]
     for wheel in body.wheels:
         assert wheel.center[2] == wheel.radius
@@ -96,7 +96,7 @@ def test_wheels_stand_on_the_road_below_their_axles(bodies: dict[tuple[str, int]
 
 
 @EACH
-def test_who_looks_at_it_sees_outer_sides(bodies: dict[tuple[str, int], Body], kind: str, seed: int) -> None:
+def test_visible_sides_are_outer_ones(bodies: dict[tuple[str, int], Body], kind: str, seed: int) -> None:
     body = bodies[kind, seed]
     solids = all_solids(body)
     rng = np.random.default_rng(1)

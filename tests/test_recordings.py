@@ -210,7 +210,7 @@ def test_sixteen_bits_are_scaled():
     np.testing.assert_allclose(grey, image * (255 / 65535), rtol=1e-6)
 
 
-def test_twelve_bits_in_sixteen_are_noticed_and_scaled_when_told():
+def test_twelve_bits_in_sixteen_cause_a_notice_and_are_scaled_on_request():
     image = picture(1, np.uint16) // 16
     source = open_source(Path(folder_of(image)))
     assert source.notices == ["one/0.png: looks like a 12-bit recording in 16-bit images; set bit_depth"]
@@ -273,7 +273,7 @@ def two_folders():
     write_folder("right", range(4))
 
 
-def test_what_is_missing_is_said_before_any_work():
+def test_missing_images_are_reported_before_any_work():
     write_folder("left", range(4))
     assert refusal(lambda: open_recording(clip())) == (
         "right: no such file or folder; expected a folder of images, a pattern or a video"

@@ -114,7 +114,7 @@ def test_a_damaged_image_is_passed_over(tmp_path: Path) -> None:
     assert "0003.png" in notice and "cannot be decoded" in notice
 
 
-def test_a_video_damaged_in_the_middle_goes_on(tmp_path: Path) -> None:
+def test_a_video_damaged_in_the_middle_is_read_to_its_end(tmp_path: Path) -> None:
     recording = open_camera(Clip(str(video(tmp_path / "v.mkv", range(0, 100, 10), spoilt=(4, 5)))))
     frames = list(recording)
     assert [f.index for f in frames if f.image is None] == [4, 5]
@@ -187,7 +187,7 @@ def test_a_stream_is_read_as_it_comes(tmp_path: Path) -> None:
     assert "frames 3 and 4 lie 0.450 s apart instead of 0.050 s" in recording.notices
 
 
-def test_a_stream_begins_at_the_frame_asked_for(tmp_path: Path) -> None:
+def test_a_stream_begins_at_the_requested_frame(tmp_path: Path) -> None:
     recording = live(video(tmp_path / "v.mkv", range(0, 60, 10)).read_bytes())
     assert [f.index for f in recording.frames(4)] == [4, 5]
 
@@ -205,7 +205,7 @@ def test_times_that_go_back_are_counted_on(tmp_path: Path) -> None:
     assert any("times go back by 0.400 s at frame 5" in notice for notice in recording.notices)
 
 
-def test_it_is_told_that_the_source_ended(tmp_path: Path) -> None:
+def test_the_end_of_the_source_is_reported(tmp_path: Path) -> None:
     recording = live(video(tmp_path / "v.mkv", range(0, 60, 10)).read_bytes())
     list(recording)
     assert recording.notices == [f"{recording.name}: the source ended"]

@@ -173,7 +173,7 @@ def test_a_texture_without_contrast_determines_nothing(clips):
 
 
 @pytest.mark.parametrize("away", [[0.0, -7.0, 0.0], [10.0, 0.0, 0.0], [-9.0, 5.0, 0.0], [200.0, 100.0, 0.0]])
-def test_planes_beyond_the_border_are_not_found_and_do_no_harm(clips, away):
+def test_planes_beyond_the_border_are_not_found_and_have_no_effect(clips, away):
     """A particle filter may expect a plane beside the image: that is unlike, never an error of the image library."""
     clip = clips[0]
     found = clip.found(1, np.array(away))

@@ -55,7 +55,7 @@ def random_rig(rig: StereoRig, seed: int) -> StereoRig:
     return perturbed_rig(rig, STATED.covariance_root.T @ np.random.default_rng(seed).normal(size=14))
 
 
-def test_a_rig_that_stands_is_seldom_said_to_have_moved(rig: StereoRig) -> None:
+def test_an_unmoved_rig_is_seldom_reported_as_moved(rig: StereoRig) -> None:
     """At a chance of 1e-3 each, more than one of 40 has a chance of 8e-4."""
     said = [check_rig(with_uncertainty(rig), scene(random_rig(rig, s), s)) for s in range(40)]
     assert sum(found.moved for found in said) <= 1
@@ -105,7 +105,7 @@ def test_what_the_calibration_leaves_open_is_no_movement(rig: StereoRig) -> None
     assert not unsure.moved
 
 
-def test_refining_a_rig_that_stands_changes_it_within_its_uncertainty(rig: StereoRig) -> None:
+def test_correcting_an_unmoved_rig_changes_it_within_its_uncertainty(rig: StereoRig) -> None:
     file = with_uncertainty(rig)
     found = check_rig(file, scene(random_rig(rig, 7), 7))
     better = correct_rotation(file, found)
@@ -185,7 +185,7 @@ def test_wrong_options_are_one_plain_line(arguments: list[str], said: str) -> No
     assert said in done.stderr
 
 
-def test_the_shared_rendered_rig_stands() -> None:
+def test_the_shared_rendered_rig_has_not_moved() -> None:
     folder = SHARED / "rendered" / "straight"
     if not folder.exists():
         pytest.skip(f"{folder} is absent")

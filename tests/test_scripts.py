@@ -44,7 +44,7 @@ def run(script: Path, *arguments: object, monkeypatch: pytest.MonkeyPatch) -> No
 
 
 @pytest.mark.parametrize("name", BENCHMARKS)
-def test_a_benchmark_says_how_it_is_run(
+def test_a_benchmark_states_its_command(
     name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     script = ROOT / "benchmarks" / name

@@ -76,7 +76,7 @@ def test_a_clothoid_is_fresnels(radius: float) -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_winding_road_bends_both_ways_and_no_tighter_than_stated(seed: int) -> None:
+def test_a_winding_road_bends_to_both_sides_and_no_tighter_than_stated(seed: int) -> None:
     road = Road(RoadShape("winding", 80.0), 600.0, seed)
     s = np.linspace(0, 600, 6001)
     _, axes = road.frame(s)
@@ -251,7 +251,7 @@ def test_noise_repeats_without_a_seam(grain: float) -> None:
 
 
 @pytest.mark.parametrize("seed", [0, 1, 4])
-def test_nothing_stands_in_a_clear_circle_nor_trunks_on_the_road(seed: int) -> None:
+def test_clear_circles_are_empty_and_no_trunk_is_on_the_road(seed: int) -> None:
     road = Road(RoadShape("circle", 200.0), 100.0, 1)
     spec = Scenery(trees=1.0, poles=1.0, buildings=0.5, seed=seed, clear=((30.0, -9.0, 12.0),))
     solids = build_scenery(road, spec, 0.0, 100.0)
@@ -268,7 +268,7 @@ def test_nothing_stands_in_a_clear_circle_nor_trunks_on_the_road(seed: int) -> N
 
 
 @pytest.mark.parametrize("radius", [-41.0, 60.0])
-def test_no_tree_stands_on_another_part_of_a_bend(radius: float) -> None:
+def test_no_tree_is_on_another_part_of_a_bend(radius: float) -> None:
     road = Road(RoadShape("circle", radius), 0.8 * 2 * np.pi * abs(radius), 1)
     wood = named(build_scenery(road, Scenery(trees=1.0, poles=0.0, seed=2), 0.0, road.length), "wood")
     axis = road.frame(np.arange(0, road.length))[0]

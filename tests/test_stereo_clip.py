@@ -45,7 +45,7 @@ def centroid_within(outline: Array) -> Array:
 
 @pytest.mark.parametrize("distance", [15.0, 30.0, 80.0])
 @pytest.mark.parametrize("yaw", [-0.3, 0.02])
-def test_a_disc_lies_where_its_projection_says(distance: float, yaw: float) -> None:
+def test_a_disc_is_drawn_at_its_projection(distance: float, yaw: float) -> None:
     scene = replace(SMALL, focal=2200.0, road_direction=yaw, road_depth=distance, camera_height=1.2, tilt=0.01)
     vehicle = Vehicle("v0", 10.0, start_distance=distance, lane=0.0137 * distance)
     card = disc_card(Motion(CircularRoad(scene), vehicle, 1.0).pose(0.013), (0.71, 0.35), 0.2)

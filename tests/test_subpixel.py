@@ -19,7 +19,7 @@ def test_the_top_of_a_parabola_is_where_it_was_put(at: float, bend: float, high:
 
 
 @pytest.mark.parametrize(("before", "at", "behind", "sign"), [(0, 1, 5, 1), (5, 1, 0, -1), (1, 1, 1, 0), (0, 1, 2, 1)])
-def test_what_has_no_top_within_reach_goes_towards_the_greater(before: int, at: int, behind: int, sign: int) -> None:
+def test_a_peak_out_of_reach_is_clamped_towards_the_greater_side(before: int, at: int, behind: int, sign: int) -> None:
     assert parabola_peak(before, at, behind) == 0.5 * sign
     assert parabola_peak(before, at, behind, reach=2.0) == 2.0 * sign
 

@@ -343,7 +343,7 @@ if __name__ == "__main__":
 """
 
 
-def test_nothing_goes_on_measuring_for_a_survey_that_was_killed(tmp_path: Path) -> None:
+def test_a_killed_survey_leaves_no_measuring_process(tmp_path: Path) -> None:
     (tmp_path / "measures.py").write_text(MEASURES, encoding="utf-8")
     command = [sys.executable, str(tmp_path / "measures.py")]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as running:

@@ -110,7 +110,7 @@ def test_a_wheel_beside_a_faint_side_is_not_taken_for_it() -> None:
     assert learned.target.tolerance == pytest.approx(np.hypot(0.4, 1.0) * 2.0 / sides, rel=0.01)
 
 
-def test_the_width_is_as_uncertain_as_the_model_says() -> None:
+def test_the_uncertainty_of_the_width_is_that_of_the_model() -> None:
     """Over hands that err by a pixel: the nominal range's error in units of what the tolerance makes of it."""
     z = []
     for frame in range(40):
@@ -203,7 +203,7 @@ def learn(folder: Path, *more: str, box: str = "", out: str = "target.yaml"):
     return paceline("target", "learn", "van.png", *options, folder=folder)
 
 
-def test_the_command_learns_and_shows(folder: Path) -> None:
+def test_the_command_writes_a_model_and_its_image(folder: Path) -> None:
     done = learn(folder, "--name", "the van")
     assert done.returncode == 0, done.stderr
     assert {p.name for p in folder.iterdir()} == {"camera.yaml", "van.png", "target.yaml", "target.png"}

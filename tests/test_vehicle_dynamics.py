@@ -27,7 +27,7 @@ def rolling(speed: float, steering: float = 0.0) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("speed", "steering"), [(3.0, 0.3), (10.0, 0.05), (25.0, -0.02)])
-def test_a_held_wheel_drives_the_circle_that_geometry_says(speed: float, steering: float) -> None:
+def test_a_constant_steering_angle_drives_the_geometric_circle(speed: float, steering: float) -> None:
     """Radius (L + K v²) / tan δ, to the right for a positive angle; the centre stays where it is."""
     radius = (VEHICLE.wheelbase + VEHICLE.understeer * speed**2) / np.tan(steering)
     seconds = 4.0
