@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from paceline.cameras import PosedCamera
 from paceline.simulation import textures
 from paceline.simulation.stereo.clip import Vehicle, World
-from paceline.simulation.stereo.scene import CircularRoad, Pose
+from paceline.simulation.stereo.scene import PlacedRoad, Pose
 from paceline.simulation.stereo.textured_planes import TexturedPlane, composite, draw_planes
 
 Array = NDArray[np.float64]
@@ -36,7 +36,7 @@ class Shade:
     swing: float = 0.0
     frequency: float = 0.0
 
-    def cast(self, image: Image, road: CircularRoad, view: PosedCamera, t: float) -> None:
+    def cast(self, image: Image, road: PlacedRoad, view: PosedCamera, t: float) -> None:
         """Darken the part of ``image`` (H, W) on which it lies at time ``t``, in place."""
         swing = self.swing * np.sin(2 * np.pi * self.frequency * t)
         s, x = self.s + self.velocity[0] * t + swing, self.x + self.velocity[1] * t + swing

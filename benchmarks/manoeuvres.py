@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from paceline.simulation.lane_change import LaneChange
 from paceline.simulation.random_scenes import random_scene
 from paceline.simulation.stereo.clip import Scene
-from paceline.simulation.stereo.scene import CircularRoad, Motion
+from paceline.simulation.stereo.scene import Motion, PlacedRoad
 
 Array = NDArray[np.float64]
 
@@ -63,7 +63,7 @@ def scene_of(kind: str, seed: int) -> Scene:
 def _suits(scene: Scene) -> bool:
     duration = (scene.frames - 1) / scene.rate
     vehicle = scene.vehicles[0]
-    way = float(Motion(CircularRoad(scene), vehicle, duration).travelled(np.array(duration)))
+    way = float(Motion(PlacedRoad(scene), vehicle, duration).travelled(np.array(duration)))
     ends = vehicle.start_distance, vehicle.start_distance + (way if vehicle.receding else -way)
     when = 3 * vehicle.acceleration_start / duration
     return scene.frames >= 10 and way >= 25 and min(ends) >= 15 and max(ends) <= 80 and (not when or 1 <= when <= 2)

@@ -15,12 +15,13 @@ from selection import slow_after
 
 from paceline.documents.loading import load_follow
 from paceline.simulation.chase.clip import ChaseScene, ChaseTruth, Occlusion, render_frames, target_document, write
-from paceline.simulation.chase.motion import ROAD_STEP_M, TabulatedRoad, road_pose, winding_road
-from paceline.simulation.chase.projection import CameraPose, Sun, TextureAtlas, draw_faces, place_faces
+from paceline.simulation.chase.motion import road_pose, winding_road
+from paceline.simulation.chase.projection import CameraPose, Sun, TextureAtlas, axis_ahead, draw_faces, place_faces
 from paceline.simulation.chase.rasterizer import road_coordinates
 from paceline.simulation.chase.script import ChaseScript
 from paceline.simulation.chase.vehicles import AntialiasedCanvas, Face
 from paceline.simulation.random_scenes import random_chase
+from paceline.simulation.road import POLYGON_STEP_M, PolygonalAxis
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
@@ -69,7 +70,7 @@ def centroid_within(outline: Array) -> Array:
 def test_a_plain_rectangle_is_drawn_at_its_projection(distance: float, yaw: float, n: int) -> None:
     K = np.array([[300.0, 0, 127.5], [0, 300, 120.5], [0, 0, 1]])
     R = np.asarray(cv2.Rodrigues(np.array([0.04, 0.0, 0.02]))[0], float)
-    road, atlas = TabulatedRoad(np.zeros(401), 200.0), TextureAtlas()
+    road, atlas = PolygonalAxis(np.zeros(401), 200.0), TextureAtlas()
     state = road_pose(road, 20 + distance, 0.31, 0.0)
     card = Face(AntialiasedCanvas(1.9, 1.4, 200.0, density=50).finish(), (-0.95, -1.9, 0.0), (1.9, 0, 0), (0, 1.4, 0))
     faces = place_faces((card,), atlas, road, replace(state, heading=state.heading + yaw))
@@ -165,12 +166,12 @@ def test_road_and_things_lie_in_one_plan() -> None:
     for s0 in (20.0, 90.0, 200.0):
         origin = road_pose(road, s0, 0.4, 0.02)
         camera = CameraPose(np.eye(3), np.eye(3), 2.0, origin.x, origin.y, origin.heading)
-        table = road.axis_ahead(s0, origin.x, origin.y, origin.heading, 120.0)
+        table = axis_ahead(road, s0, origin.x, origin.y, origin.heading, 120.0)
         for distance in (5.0, 15.0, 40.0, 70.0):
             for lateral in (-4.0, 0.0, 1.75):
                 spot = road_pose(road, s0 + distance, lateral, 0.0)
                 right, ahead = camera.to_level(spot.x, spot.y)
-                found = road_coordinates(float(ahead), float(right), table, ROAD_STEP_M)
+                found = road_coordinates(float(ahead), float(right), table, POLYGON_STEP_M)
                 np.testing.assert_allclose(found, (distance, lateral), atol=0.03)
 
 

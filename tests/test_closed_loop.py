@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from selection import slow_after
 
 from paceline.recordings.odometry import Pose
-from paceline.simulation.chase.motion import ROAD_STEP_M, TabulatedRoad, winding_road
+from paceline.simulation.chase.motion import winding_road
 from paceline.simulation.closed_loop.clearance import outline_distance, vehicle_outline
 from paceline.simulation.closed_loop.drive_yaml import DriveModel, LaneChangeModel, WeaveModel, resolve_drive
 from paceline.simulation.closed_loop.gap_control import (
@@ -30,9 +30,10 @@ from paceline.simulation.closed_loop.odometer import Odometer, OdometerErrors
 from paceline.simulation.closed_loop.requirements import FINAL_FRAMES, DriveStatistics, check_requirements
 from paceline.simulation.closed_loop.results import DriveLog
 from paceline.simulation.closed_loop.vehicle_dynamics import VehicleParameters
+from paceline.simulation.road import POLYGON_STEP_M, PolygonalAxis
 
 POLICY = GapPolicy()
-STRAIGHT = TabulatedRoad(np.zeros(2001), 1000.0)
+STRAIGHT = PolygonalAxis(np.zeros(2001), 1000.0)
 
 
 # --- the lead --------------------------------------------------------------------------------------------------------
@@ -52,7 +53,7 @@ def test_the_lead_keeps_to_its_speeds() -> None:
 def test_it_slows_for_a_bend_in_time_and_no_more_than_needed() -> None:
     road = road_from_pieces([(100.0, 0.0), (60.0, 1 / 25.0)], 400.0)
     lead = LeadVehicle(road, 10.0, 40.0, np.array([[0.0, 12.0]]), max_lateral_acceleration=1.5)
-    curvature = np.abs(np.interp(lead.arc, road.s, road.curvature))
+    curvature = np.abs(road.curvature(lead.arc))
     assert (lead.speed**2 * curvature).max() < 1.5 * 1.05
     assert lead.speed[curvature > 0.039].mean() == pytest.approx(np.sqrt(1.5 * 25), rel=0.03)
     assert np.diff(lead.speed).min() / 0.02 > -1.6
@@ -60,8 +61,9 @@ def test_it_slows_for_a_bend_in_time_and_no_more_than_needed() -> None:
 
 def test_a_road_of_pieces_turns_by_their_angles() -> None:
     road = road_from_pieces([(50.0, 0.0), (20 * np.pi / 2, 1 / 20.0)], 200.0)
-    assert road.heading[0] == pytest.approx(0.0, abs=1e-6)
-    assert road.heading[-1] == pytest.approx(-np.pi / 2, abs=0.05)  # to the right
+    heading = road.pose(road.s)[2]
+    assert heading[0] == pytest.approx(0.0, abs=1e-6)
+    assert heading[-1] == pytest.approx(-np.pi / 2, abs=0.05)  # to the right
 
 
 def test_lane_changes_and_weaving_lie_on_the_path() -> None:
@@ -94,7 +96,7 @@ def test_a_point_beside_the_road_is_found_again(arc: float, lateral: float, seed
     road = winding_road(np.random.default_rng(seed), 400.0, 60.0)
     x, y, _ = (float(v) for v in road.frame(arc, lateral))
     # the axis is a polygon of half metres
-    np.testing.assert_allclose(road.locate(x, y, arc - 3.0), (arc, lateral), atol=ROAD_STEP_M * 4 / 60 + 0.01)
+    np.testing.assert_allclose(road.locate(x, y, arc - 3.0), (arc, lateral), atol=POLYGON_STEP_M * 4 / 60 + 0.01)
 
 
 # --- spacing ---------------------------------------------------------------------------------------------------------

@@ -18,7 +18,16 @@ from paceline.simulation.raytraced.mesh_builders import Mesh, triangle_normals
 from paceline.simulation.raytraced.meshes import SceneMesh
 from paceline.simulation.raytraced.road_surface import road_meshes
 from paceline.simulation.raytraced.scenery.placement import Scenery, build_scenery
-from paceline.simulation.road import ROAD_MARGIN_M, Road, RoadShape
+from paceline.simulation.road import (
+    POLYGON_STEP_M,
+    ROAD_MARGIN_M,
+    Axis,
+    CircularAxis,
+    IntegratedAxis,
+    PolygonalAxis,
+    Road,
+    RoadShape,
+)
 
 Array = NDArray[np.float64]
 
@@ -45,6 +54,58 @@ def named(solids: list[SceneMesh], name: str) -> SceneMesh:
 
 
 # --- the axis ------------------------------------------------------------------------------------------------------
+
+
+def waves(s: Array) -> Array:
+    """The curvature of a road that winds right and left."""
+    return np.asarray(np.sin(s / 15.0) / 60.0)
+
+
+AXES = [
+    (CircularAxis(0.0), 1e-9),
+    (CircularAxis(1 / 70.0), 1e-9),
+    (CircularAxis(-1 / 25.0), 1e-9),
+    (IntegratedAxis(waves, LENGTH), 1e-8),
+    (PolygonalAxis(waves(POLYGON_STEP_M * np.arange(2 * LENGTH + 1)), LENGTH), POLYGON_STEP_M / 60),
+]
+
+
+@pytest.mark.parametrize(("axis", "tolerance"), AXES)
+def test_an_axis_heads_along_itself_and_turns_by_its_curvature(axis: Axis, tolerance: float) -> None:
+    assert np.ravel(axis.pose(0.0)).tolist() == pytest.approx([0.0, 0.0, 0.0], abs=1e-12)
+    s, h = np.linspace(1.1, LENGTH - 1.1, 230), 1e-3
+    before, after = (np.stack(axis.pose(at)) for at in (s - h, s + h))
+    heading = axis.pose(s)[2]
+    along, turning = (after[:2] - before[:2]) / (2 * h), (after[2] - before[2]) / (2 * h)
+    np.testing.assert_allclose(along, [np.cos(heading), np.sin(heading)], atol=1e-7 + tolerance)
+    np.testing.assert_allclose(turning, -axis.curvature(s), atol=1e-7 + tolerance / 15)  # positive to the right
+
+
+@pytest.mark.parametrize(("axis", "tolerance"), AXES)
+def test_points_beside_an_axis_are_found_again(axis: Axis, tolerance: float) -> None:
+    s, lateral = np.meshgrid(np.linspace(5, 60, 23), np.linspace(-6, 6, 7))
+    x, y, heading = axis.frame(s, lateral)
+    on_axis = axis.pose(s)
+    np.testing.assert_allclose(x - on_axis[0], lateral * np.sin(heading), atol=1e-12)
+    np.testing.assert_allclose(y - on_axis[1], -lateral * np.cos(heading), atol=1e-12)
+    found = axis.locate(x, y, s + 2.0)
+    np.testing.assert_allclose(found, (s, lateral), atol=2e-6 + 8 * tolerance)
+
+
+def test_a_polygon_follows_its_curve() -> None:
+    s = np.linspace(0, LENGTH, 1001)
+    curve, polygon = (np.stack(axis.pose(s)) for axis, _ in AXES[3:])
+    np.testing.assert_allclose(polygon[:2], curve[:2], atol=4e-3)
+    np.testing.assert_allclose(polygon[2], curve[2], atol=POLYGON_STEP_M**2 / 60)
+
+
+def test_a_clothoid_that_climbs_is_fresnels_in_plan() -> None:
+    """The places where its curvature begins and ends to change are no round numbers of metres in plan."""
+    s, plan = np.linspace(0, LENGTH, 50), LENGTH / np.hypot(1, 0.08)
+    points = Road(RoadShape("clothoid", 60.0, grade=0.08), LENGTH, 1).frame(s)[0]
+    a = np.sqrt(np.pi * plan * 60.0)
+    S, C = fresnel(s * plan / LENGTH / a)
+    np.testing.assert_allclose(points, np.column_stack([a * C, -a * S, 0.08 * s * plan / LENGTH]), atol=1e-8)
 
 
 def test_a_road_starts_at_the_origin_and_heads_east() -> None:

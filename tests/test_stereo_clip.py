@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from paceline.simulation.lane_change import LaneChange
 from paceline.simulation.random_scenes import random_crossing, random_scene
 from paceline.simulation.stereo.clip import SCENE_SUBPIXELS_PER_SIDE, Scene, Vehicle, World, render, write
-from paceline.simulation.stereo.scene import CircularRoad, Motion, Pose, make_rig, rig_views
+from paceline.simulation.stereo.scene import Motion, PlacedRoad, Pose, make_rig, rig_views
 from paceline.simulation.stereo.textured_planes import TexturedPlane, composite, draw_planes
 from paceline.simulation.textures import Texture
 
@@ -48,7 +48,7 @@ def centroid_within(outline: Array) -> Array:
 def test_a_disc_is_drawn_at_its_projection(distance: float, yaw: float) -> None:
     scene = replace(SMALL, focal=2200.0, road_direction=yaw, road_depth=distance, camera_height=1.2, tilt=0.01)
     vehicle = Vehicle("v0", 10.0, start_distance=distance, lane=0.0137 * distance)
-    card = disc_card(Motion(CircularRoad(scene), vehicle, 1.0).pose(0.013), (0.71, 0.35), 0.2)
+    card = disc_card(Motion(PlacedRoad(scene), vehicle, 1.0).pose(0.013), (0.71, 0.35), 0.2)
     angles = np.linspace(0, 2 * np.pi, 2000, endpoint=False)
     rim = np.array([0.71, 0.35]) + 0.2 * np.column_stack([np.cos(angles), np.sin(angles)])
     world = card.corner + rim / np.array([1.8, 0.64]) @ np.stack([card.across, card.down])
@@ -84,7 +84,7 @@ def test_the_picture_moves_as_the_truth_moves() -> None:
 def test_truth_is_the_projection_of_the_plane(scene: Scene) -> None:
     world = World(scene)
     vehicle = scene.vehicles[0]
-    motion = Motion(CircularRoad(scene), vehicle, 2.0)
+    motion = Motion(PlacedRoad(scene), vehicle, 2.0)
     for row in world.truth:
         pose, later = motion.pose(row["time_s"]), motion.pose(row["time_s"] + scene.skew_s)
         left, _ = world.rig.project(pose.corners(vehicle.width, vehicle.height))
@@ -106,7 +106,7 @@ def test_truth_is_the_projection_of_the_plane(scene: Scene) -> None:
 )
 @pytest.mark.parametrize("radius", [None, 90.0, -90.0])
 def test_the_centre_moves_at_the_stated_speed(vehicle: Vehicle, radius: float | None) -> None:
-    motion = Motion(CircularRoad(replace(SMALL, radius=radius, tilt=0.05, road_direction=0.1)), vehicle, 3.0)
+    motion = Motion(PlacedRoad(replace(SMALL, radius=radius, tilt=0.05, road_direction=0.1)), vehicle, 3.0)
     h = 1e-3
     for t in np.linspace(0, 3, 13):
         before, now, after = (motion.pose(float(t + dt)) for dt in (-h, 0, h))

@@ -15,7 +15,7 @@ from paceline.simulation.chase.scene import CHASE_PRESETS, ChaseScene
 from paceline.simulation.operator import MIN_OUTLINE_WIDTH_PX, is_inside_image
 from paceline.simulation.raytraced.scene import PlacedStereoScene
 from paceline.simulation.raytraced.scene_yaml import FollowScene, SpeedScene
-from paceline.simulation.stereo.scene import CircularRoad, Motion, Scene, Vehicle, make_rig, rig_views, visible_line
+from paceline.simulation.stereo.scene import Motion, PlacedRoad, Scene, Vehicle, make_rig, rig_views, visible_line
 from paceline.simulation.vehicle_catalogue import (
     MIN_RASTERIZED_GAP_M,
     MIN_RAYTRACED_GAP_M,
@@ -171,7 +171,7 @@ def _draw_image_quality(rng: np.random.Generator, frames: int) -> dict[str, Any]
 def _is_suitable(scene: Scene) -> bool:
     """Whether each vehicle is inside both images for 8 frames and most of its time, within 10–85 m, its picture large
     enough, and its line visible and well across the epipolar lines in both views."""
-    road, rig = CircularRoad(scene), make_rig(scene)
+    road, rig = PlacedRoad(scene), make_rig(scene)
     views = rig_views(rig)
     ticks = [k / scene.rate for k in range(scene.frames) if k not in scene.dropped]
     for vehicle in scene.vehicles:
@@ -189,7 +189,7 @@ def _is_suitable(scene: Scene) -> bool:
     return True
 
 
-def _is_line_usable(scene: Scene, road: CircularRoad, vehicle: Vehicle, corners: Array, view: PosedCamera) -> bool:
+def _is_line_usable(scene: Scene, road: PlacedRoad, vehicle: Vehicle, corners: Array, view: PosedCamera) -> bool:
     pixels = visible_line(scene, road, vehicle.lane, corners.mean(1), view)
     if len(pixels) < 10:
         return False

@@ -9,11 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
 
-from paceline.arrays import Array
+from paceline.simulation.road import POLYGON_STEP_M, Axis, PolygonalAxis
 
-ROAD_STEP_M = 0.5  # m between the road's tabulated points
 BUMP_PERIOD_S = 2.5  # s
 BUMP_DECAY_S = 0.25  # s
 
@@ -78,59 +76,16 @@ class GapProfile:
         return float(self.low + half * (1 + bent)), float(half * slope)
 
 
-class TabulatedRoad:
-    """A road of ``length`` metres whose axis has a given ``curvature`` (N,), 1/m, positive to the left, tabulated every
-    `ROAD_STEP_M`."""
-
-    def __init__(self, curvature: Array, length: float) -> None:
-        self.s, self.curvature, self.length = ROAD_STEP_M * np.arange(len(curvature)), curvature, length
-        self.heading = cumulative_trapezoid(curvature, dx=ROAD_STEP_M, initial=0.0)
-        # The mid-point rule along the road: consistent to micrometres at these radii.
-        middle = self.heading[:-1] + np.diff(self.heading) / 2
-        self.x = np.concatenate([[0.0], np.cumsum(np.cos(middle)) * ROAD_STEP_M])
-        self.y = np.concatenate([[0.0], np.cumsum(np.sin(middle)) * ROAD_STEP_M])
-
-    def frame(self, s: Array | float, lateral: Array | float = 0.0) -> tuple[Array, Array, Array]:
-        """x, y (m) and the road's heading (rad) at arc length ``s``, ``lateral`` metres to the right of the axis."""
-        heading = np.interp(s, self.s, self.heading)
-        x = np.interp(s, self.s, self.x) + lateral * np.sin(heading)
-        y = np.interp(s, self.s, self.y) - lateral * np.cos(heading)
-        return x, y, heading
-
-    def locate(self, x: float, y: float, near: float) -> tuple[float, float]:
-        """Arc length and lateral position (m) of a point in plan, looked for from arc length ``near`` on."""
-        arc = near
-        for _ in range(50):
-            x0, y0, heading = (float(v) for v in self.frame(arc))
-            along = (x - x0) * np.cos(heading) + (y - y0) * np.sin(heading)
-            arc += along
-            if abs(along) < 1e-6:
-                break
-        return float(arc), float((x - x0) * np.sin(heading) - (y - y0) * np.cos(heading))
-
-    def axis_ahead(self, s0: float, x0: float, y0: float, heading: float, reach: float) -> Array:
-        """The axis as seen by an observer beside ``s0``: rows (right, sine, cosine, arc - s0) every
-        `ROAD_STEP_M` ahead, for `rasterizer.draw_ground`."""
-        s = np.arange(s0 - 4.0, s0 + 1.3 * reach, ROAD_STEP_M)
-        x, y, h = self.frame(s)
-        turn = np.clip(heading - h, -1.3, 1.3)  # beyond, the road is out of view
-        z = (x - x0) * np.cos(heading) + (y - y0) * np.sin(heading)
-        right = (x - x0) * np.sin(heading) - (y - y0) * np.cos(heading)
-        z = np.maximum.accumulate(z)
-        distances = np.arange(0.0, reach, ROAD_STEP_M)
-        return np.column_stack([np.interp(distances, z, c) for c in (right, np.sin(turn), np.cos(turn), s - s0)])
-
-
-def winding_road(rng: np.random.Generator, length: float, radius: float) -> TabulatedRoad:
+def winding_road(rng: np.random.Generator, length: float, radius: float) -> PolygonalAxis:
     """A road of straights and turns joined by clothoids; no turn is tighter than ``radius``, m."""
-    s = np.arange(0.0, length + ROAD_STEP_M, ROAD_STEP_M)
+    s = np.arange(0.0, length + POLYGON_STEP_M, POLYGON_STEP_M)
     # One row per bend, so that a longer road begins as a shorter one does.
     draws = rng.random((int(length / (0.4 * radius)) + 2, 3))
     ends = np.cumsum(0.4 + 0.8 * draws[:, 0]) * radius
-    bends = (np.floor(3 * draws[:, 1]) - 1) * (0.4 + 0.6 * draws[:, 2]) / radius
+    bends = (1 - np.floor(3 * draws[:, 1])) * (0.4 + 0.6 * draws[:, 2]) / radius
     knots = np.concatenate([[0.0], np.ravel(np.column_stack([ends, ends + 0.3 * radius]))])
     values = np.ravel(np.column_stack([bends, np.append(bends[1:], 0.0)]))
-    return TabulatedRoad(np.interp(s, knots, np.append(bends[0], values)), length)
+    return PolygonalAxis(np.interp(s, knots, np.append(bends[0], values)), length)
 
 
 @dataclass(frozen=True)
@@ -144,7 +99,7 @@ class RoadPose:
     heading: float
 
 
-def road_pose(road: TabulatedRoad, arc: float, lateral: float, slope: float) -> RoadPose:
+def road_pose(road: Axis, arc: float, lateral: float, slope: float) -> RoadPose:
     """The state of a vehicle that drifts to the right by ``slope`` metres per metre of road."""
     x, y, heading = road.frame(arc, lateral)
     return RoadPose(arc, lateral, float(x), float(y), float(heading) - float(np.arctan(slope)))

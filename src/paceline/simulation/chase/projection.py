@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from paceline.arrays import Array, Image, Indices
 from paceline.simulation.chase import rasterizer
-from paceline.simulation.chase.motion import RoadPose, TabulatedRoad
+from paceline.simulation.chase.motion import RoadPose
 from paceline.simulation.chase.vehicles import Face
+from paceline.simulation.road import POLYGON_STEP_M, Axis
 from paceline.simulation.textures import Texture
 
 MIN_FACE_DEPTH_M = 0.3  # m ahead of the camera, before which a face is left out
@@ -63,7 +64,7 @@ class Faces:
         return Faces(*(getattr(self, f.name)[selection] for f in fields(self)))
 
 
-def place_faces(faces: tuple[Face, ...], atlas: TextureAtlas, road: TabulatedRoad, pose: RoadPose) -> Faces:
+def place_faces(faces: tuple[Face, ...], atlas: TextureAtlas, road: Axis, pose: RoadPose) -> Faces:
     """The ``faces`` of an object at ``pose``."""
     n = len(faces)
     vectors = np.array([[f.corner, f.across, f.down] for f in faces], float).reshape(n, 3, 3)
@@ -73,7 +74,7 @@ def place_faces(faces: tuple[Face, ...], atlas: TextureAtlas, road: TabulatedRoa
     return Faces(vectors[:, 0], vectors[:, 1], vectors[:, 2], texture, *(np.full(n, w, float) for w in pose_values))
 
 
-def move_faces(faces: Faces, road: TabulatedRoad, pose: RoadPose) -> Faces:
+def move_faces(faces: Faces, road: Axis, pose: RoadPose) -> Faces:
     """The faces of one object, at another state."""
     along = float(road.frame(pose.arc)[2])
     pose_values = (pose.x, pose.y, pose.heading, along, pose.arc, pose.lateral)
@@ -127,6 +128,19 @@ class CameraPose:
     def to_camera(self, points: Array) -> Array:
         """Camera axes (…, 3) of points right, down (from the ground), ahead of the eye's foot."""
         return np.asarray((points + np.array([0.0, self.height, 0.0])) @ self.R.T)
+
+
+def axis_ahead(road: Axis, s0: float, x0: float, y0: float, heading: float, reach: float) -> Array:
+    """The axis as seen by an observer beside ``s0``: rows (right, sine, cosine, arc - s0) every
+    `POLYGON_STEP_M` ahead, for `rasterizer.draw_ground`."""
+    s = np.arange(s0 - 4.0, s0 + 1.3 * reach, POLYGON_STEP_M)
+    x, y, h = road.frame(s)
+    turn = np.clip(heading - h, -1.3, 1.3)  # beyond, the road is out of view
+    z = (x - x0) * np.cos(heading) + (y - y0) * np.sin(heading)
+    right = (x - x0) * np.sin(heading) - (y - y0) * np.cos(heading)
+    z = np.maximum.accumulate(z)
+    distances = np.arange(0.0, reach, POLYGON_STEP_M)
+    return np.column_stack([np.interp(distances, z, c) for c in (right, np.sin(turn), np.cos(turn), s - s0)])
 
 
 def camera_rotation(pitch: float, roll: float) -> Array:

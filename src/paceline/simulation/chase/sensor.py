@@ -8,10 +8,11 @@ from numpy.typing import NDArray
 
 from paceline.arrays import Array, Image
 from paceline.simulation.chase import rasterizer
-from paceline.simulation.chase.motion import ROAD_STEP_M, SmoothNoise
-from paceline.simulation.chase.projection import Faces, draw_faces, face_vectors, join_faces
+from paceline.simulation.chase.motion import SmoothNoise
+from paceline.simulation.chase.projection import Faces, axis_ahead, draw_faces, face_vectors, join_faces
 from paceline.simulation.chase.scenery import LANE_WIDTH_M, shade_map
 from paceline.simulation.chase.world import ChaseWorld, WorldState
+from paceline.simulation.road import POLYGON_STEP_M
 
 ROAD_AHEAD_M = 260.0  # m of road ahead that is laid out
 MAX_OBJECT_DISTANCE_M = 170.0  # m, of things beside the road
@@ -83,14 +84,14 @@ class Renderer:
 
     def _paint_ground(self, image: Image, rays: Array, state: WorldState) -> None:
         camera, chase = state.camera, state.chase
-        road = self.world.road.axis_ahead(chase.arc, chase.x, chase.y, camera.heading, ROAD_AHEAD_M)
+        road = axis_ahead(self.world.road, chase.arc, chase.x, chase.y, camera.heading, ROAD_AHEAD_M)
         shadows, occlusion = self.world.shadow_outlines(state)
         rasterizer.draw_ground(
             image,
             rays,
             camera.height,
             road,
-            ROAD_STEP_M,
+            POLYGON_STEP_M,
             chase.arc,
             self.ground_appearance,
             self.noise_texture,

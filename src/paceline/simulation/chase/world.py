@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from paceline.arrays import Array
-from paceline.simulation.chase.motion import RoadPose, TabulatedRoad, road_pose
+from paceline.simulation.chase.motion import RoadPose, road_pose
 from paceline.simulation.chase.projection import (
     CameraPose,
     Faces,
@@ -29,6 +29,7 @@ from paceline.simulation.chase.scenery import (
     upright_face,
 )
 from paceline.simulation.chase.vehicles import AntialiasedCanvas, Body, Face, make_vehicle
+from paceline.simulation.road import PolygonalAxis
 
 CROSSING_VEHICLE_LENGTH_M = 3.2
 
@@ -62,7 +63,7 @@ class ChaseWorld:
     def __init__(
         self,
         scene: ChaseScene,
-        road: TabulatedRoad,
+        road: PolygonalAxis,
         start: float,
         arc: Callable[[float], float],
         rng: np.random.Generator,

@@ -7,9 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from paceline.arrays import Array
-from paceline.simulation.chase.motion import ROAD_STEP_M, RoadPose, TabulatedRoad, road_pose
+from paceline.simulation.chase.motion import RoadPose, road_pose
 from paceline.simulation.closed_loop.drive_yaml import LaneChangeModel, WeaveModel
 from paceline.simulation.lane_change import LaneChange, smoothstep
+from paceline.simulation.road import POLYGON_STEP_M, PolygonalAxis
 
 PLAN_STEP_S = 0.02  # s between the rows of the plan
 BEND_BRAKING_MPS2 = 1.2  # m/s², braking for a bend
@@ -27,7 +28,7 @@ class LeadVehicle:
 
     def __init__(
         self,
-        road: TabulatedRoad,
+        road: PolygonalAxis,
         start: float,
         duration: float,
         speeds: Array,
@@ -43,7 +44,7 @@ class LeadVehicle:
         self.speed, self.arc = np.empty_like(self.time), np.empty_like(self.time)
         v, s = min(float(desired_speeds[0]), float(np.interp(start, road.s, allowed))), start
         for k, desired_speed in enumerate(desired_speeds.tolist()):
-            target = min(desired_speed, _interpolate(allowed, s / ROAD_STEP_M))
+            target = min(desired_speed, _interpolate(allowed, s / POLYGON_STEP_M))
             before, v = v, max(min(target, v + max_acceleration * PLAN_STEP_S), 0.0)
             s += 0.5 * (before + v) * PLAN_STEP_S if k else 0.0
             self.speed[k], self.arc[k] = v, s
@@ -104,13 +105,13 @@ class LeadVehicle:
         return float((x - p.x) * np.sin(p.heading) - (y - p.y) * np.cos(p.heading)), float(arc)
 
 
-def curve_speed_limits(road: TabulatedRoad, lateral: float) -> Array:
-    """(N,) m/s: the greatest speed with ``lateral`` m/s² to the side at every tabulated point of the road, braked for
+def curve_speed_limits(road: PolygonalAxis, lateral: float) -> Array:
+    """(N,) m/s: the greatest speed with ``lateral`` m/s² to the side at every corner of the axis, braked for
     in time."""
-    limit = np.sqrt(lateral / np.maximum(np.abs(road.curvature), 1e-6))
+    limit = np.sqrt(lateral / np.maximum(np.abs(road.curvature(road.s)), 1e-6))
     squares = limit**2
     for k in range(len(squares) - 2, -1, -1):
-        squares[k] = min(squares[k], squares[k + 1] + 2 * BEND_BRAKING_MPS2 * ROAD_STEP_M)
+        squares[k] = min(squares[k], squares[k + 1] + 2 * BEND_BRAKING_MPS2 * POLYGON_STEP_M)
     return np.asarray(np.sqrt(squares), float)
 
 
@@ -120,11 +121,11 @@ def _interpolate(table: Array, place: float) -> float:
     return float(table[k] + (place - k) * (table[k + 1] - table[k]))
 
 
-def road_from_pieces(pieces: list[tuple[float, float]], length: float, blend: float = 8.0) -> TabulatedRoad:
+def road_from_pieces(pieces: list[tuple[float, float]], length: float, blend: float = 8.0) -> PolygonalAxis:
     """A road of ``pieces`` (metres, curvature in 1/m to the right), blended over ``blend`` metres; straight after."""
-    s = np.arange(0.0, length + ROAD_STEP_M, ROAD_STEP_M)
+    s = np.arange(0.0, length + POLYGON_STEP_M, POLYGON_STEP_M)
     curvature, ends = np.zeros_like(s), np.cumsum([p[0] for p in pieces])
     for (metres, bend), end in zip(pieces, ends, strict=True):
-        curvature[(s >= end - metres) & (s < end)] = -bend
-    kernel = np.ones(max(int(blend / ROAD_STEP_M), 1))
-    return TabulatedRoad(np.convolve(curvature, kernel / kernel.sum(), mode="same"), length)
+        curvature[(s >= end - metres) & (s < end)] = bend
+    kernel = np.ones(max(int(blend / POLYGON_STEP_M), 1))
+    return PolygonalAxis(np.convolve(curvature, kernel / kernel.sum(), mode="same"), length)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from paceline.recordings.odometry import Pose
-from paceline.simulation.chase.motion import CameraShake, RoadPose, SmoothNoise, TabulatedRoad, road_pose, winding_road
+from paceline.simulation.chase.motion import CameraShake, RoadPose, SmoothNoise, road_pose, winding_road
 from paceline.simulation.chase.projection import CameraPose, camera_rotation
 from paceline.simulation.chase.scene import ChaseScene, Occlusion
 from paceline.simulation.chase.scenery import LANE_WIDTH_M
@@ -23,6 +23,7 @@ from paceline.simulation.closed_loop.vehicle_dynamics import VehicleParameters, 
 from paceline.simulation.closed_loop.vehicle_dynamics import VehicleState as Chase
 from paceline.simulation.lane_change import smoothstep
 from paceline.simulation.random_scenes import random_chase
+from paceline.simulation.road import PolygonalAxis
 from paceline.simulation.vehicle_catalogue import MIN_RASTERIZED_GAP_M
 
 START_ARC_M = 30.0  # m along the road at which the camera begins
@@ -79,7 +80,7 @@ class DriveScene:
     def state_at(self, time: float, chase: Chase, near: float) -> WorldState:
         """The world at ``time``, s, with the chase vehicle at ``chase``, its camera about ``near`` m along the road."""
         scene, rough, pose = self.chase_scene, self._shake_share(chase), self.pose(time, chase)
-        arc, lateral = self.road.locate(pose.x, pose.y, near)
+        arc, lateral = map(float, self.road.locate(pose.x, pose.y, near))
         camera = CameraPose(
             scene.camera.K,
             camera_rotation(
@@ -153,7 +154,7 @@ def _draw_chase_scene(model: DriveModel, seed: int) -> ChaseScene:
     return random_chase(seed, model.camera, frames=round(model.duration * rate), **(settings | {"rate": rate}))
 
 
-def _make_road(model: DriveModel, length: float, rng: np.random.Generator) -> TabulatedRoad:
+def _make_road(model: DriveModel, length: float, rng: np.random.Generator) -> PolygonalAxis:
     if model.road.radius is not None:
         return winding_road(rng, length, model.road.radius)
     pieces = [(metres, 1 / radius if radius else 0.0) for metres, radius in model.road.pieces or []]

@@ -25,8 +25,8 @@ from paceline.simulation import textures
 from paceline.simulation.operator import add_click_noise, draw_line, is_inside_image
 from paceline.simulation.stereo.scene import (
     PLANE_CLEARANCE_M,
-    CircularRoad,
     Motion,
+    PlacedRoad,
     Pose,
     Scene,
     Vehicle,
@@ -73,7 +73,7 @@ class World:
     """
 
     def __init__(self, scene: Scene) -> None:
-        self.scene, self.road, self.rig = scene, CircularRoad(scene), make_rig(scene)
+        self.scene, self.road, self.rig = scene, PlacedRoad(scene), make_rig(scene)
         self.views = rig_views(self.rig)
         times = np.array([k for k in range(scene.frames) if k not in scene.dropped]) / scene.rate
         self.clocks = times, times + scene.skew_s

@@ -16,6 +16,7 @@ from paceline.arrays import Array
 from paceline.cameras import Camera, PosedCamera, StereoRig
 from paceline.simulation.lane_change import LaneChange
 from paceline.simulation.operator import OPERATOR_NOISE, longest_visible_run
+from paceline.simulation.road import CircularAxis
 
 PLANE_CLEARANCE_M = 0.35  # m from the road to the lower edge of a vehicle's main plane
 
@@ -100,14 +101,14 @@ class Scene:
     skew_s: float = 0.0
 
 
-class CircularRoad:
-    """The road of a scene in the left camera's frame."""
+class PlacedRoad:
+    """The road of a scene, flat, in the left camera's frame."""
 
     def __init__(self, scene: Scene) -> None:
         c, s = np.cos(scene.tilt), np.sin(scene.tilt)
         self.level = np.array([[1, 0, 0], [0, c, -s], [0, s, c]])  # columns: right, down, ahead of a level observer
         self.down = self.level[:, 1]
-        self.radius = scene.radius
+        self.axis = CircularAxis(1 / scene.radius if scene.radius else 0.0)
         yaw = scene.road_direction
         self.ahead = self.level @ np.array([np.sin(yaw), 0.0, np.cos(yaw)])
         self.right = self.level @ np.array([np.cos(yaw), 0.0, -np.sin(yaw)])
@@ -116,29 +117,20 @@ class CircularRoad:
 
     def frame(self, s: Array) -> tuple[Array, Array]:
         """Unit vectors (…, 3) along the road and to its right at arc lengths ``s`` (…)."""
-        turn = np.asarray((s - self.anchor_arc) / self.radius if self.radius else np.zeros_like(s))[..., None]
-        along = np.cos(turn) * self.ahead + np.sin(turn) * self.right
-        return along, np.cos(turn) * self.right - np.sin(turn) * self.ahead
+        heading = self.axis.pose(s - self.anchor_arc)[2][..., None]
+        cosine, sine = np.cos(heading), np.sin(heading)
+        return cosine * self.ahead - sine * self.right, cosine * self.right + sine * self.ahead
 
     def point(self, s: Array, lateral: Array | float) -> Array:
         """Points (…, 3) on the road's surface at arc lengths ``s``, ``lateral`` metres to the right of the axis."""
-        s = np.asarray(s, float)
-        _, right = self.frame(s)
-        if self.radius is None:
-            axis = self.anchor + (s - self.anchor_arc)[..., None] * self.ahead
-        else:
-            axis = self.anchor + self.radius * self.right - self.radius * right
-        return np.asarray(axis + np.asarray(lateral, float)[..., None] * right)
+        x, y, _ = self.axis.frame(s - self.anchor_arc, lateral)
+        return np.asarray(self.anchor + x[..., None] * self.ahead - y[..., None] * self.right)
 
     def coordinates(self, points: Array) -> tuple[Array, Array]:
         """Arc lengths and lateral positions (…) of ``points`` (…, 3) on the road's surface."""
         from_anchor = points - self.anchor
-        x, y = from_anchor @ self.ahead, from_anchor @ self.right
-        if self.radius is None:
-            return self.anchor_arc + x, y
-        sign = np.sign(self.radius)
-        turn = np.arctan2(sign * x, sign * (self.radius - y))
-        return self.anchor_arc + self.radius * turn, self.radius - sign * np.hypot(x, self.radius - y)
+        s, lateral = self.axis.locate(from_anchor @ self.ahead, -from_anchor @ self.right)
+        return self.anchor_arc + s, lateral
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +149,7 @@ class Pose:
 class Motion:
     """Where a vehicle is at any time: its centre moves along its own path with exactly its own speed."""
 
-    def __init__(self, road: CircularRoad, vehicle: Vehicle, duration: float) -> None:
+    def __init__(self, road: PlacedRoad, vehicle: Vehicle, duration: float) -> None:
         self.road, self.vehicle = road, vehicle
         self.direction = 1.0 if vehicle.receding else -1.0
         travelled = self.travelled(np.linspace(-0.1, duration + 0.1, 2001))
@@ -170,8 +162,7 @@ class Motion:
         start = vehicle.lane + vehicle.lateral
         drift = _integrate(np.sin(heading), u)
         lateral = start + self.direction * (drift - np.interp(0.0, u, drift))
-        stretch = 1.0 if road.radius is None else road.radius / (road.radius - lateral)
-        arc = _integrate(np.cos(heading) * stretch, u)
+        arc = _integrate(np.cos(heading) / (1 - road.axis.curvature(0.0) * lateral), u)
         arc = vehicle.start_distance + self.direction * (arc - CubicSpline(u, arc)(0.0))
         self._path = CubicSpline(u, np.column_stack([arc, lateral, heading]))
 
@@ -225,7 +216,7 @@ def rig_views(rig: StereoRig) -> tuple[PosedCamera, PosedCamera]:
     return PosedCamera(rig.left, np.eye(3), np.zeros(3)), PosedCamera(rig.right, rig.R, rig.t)
 
 
-def visible_line(scene: Scene, road: CircularRoad, lane: float, positions: Array, view: PosedCamera) -> Array:
+def visible_line(scene: Scene, road: PlacedRoad, lane: float, positions: Array, view: PosedCamera) -> Array:
     """Pixels (N, 2), closely along the line beside a lane, inside the image and near the ``positions``
     (M, 3): up to 60 m nearer to the camera and 6 m farther."""
     if len(positions) == 0:

@@ -8,7 +8,7 @@ import numpy as np
 from paceline.arrays import Array, Image
 from paceline.cameras import PosedCamera
 from paceline.simulation import textures
-from paceline.simulation.stereo.scene import CircularRoad, Pose, Scene
+from paceline.simulation.stereo.scene import PlacedRoad, Pose, Scene
 from paceline.simulation.stereo.textured_planes import TexturedPlane, composite, draw_planes
 
 LANE_EDGE_M = 1.85  # m from a lane's centre to the marks on either side
@@ -19,7 +19,7 @@ MIN_GROUND_SLOPE = 1e-3  # slope of the steepest ray that counts as seeing the g
 class StaticBackground:
     """A scene's standing surroundings; ``draw_planes(view)`` gives their grey levels (H, W)."""
 
-    def __init__(self, scene: Scene, road: CircularRoad, seed: int) -> None:
+    def __init__(self, scene: Scene, road: PlacedRoad, seed: int) -> None:
         rng = np.random.default_rng([seed, 11])
         self.scene, self.road = scene, road
         self.lanes = sorted({v.lane for v in scene.vehicles})
@@ -72,7 +72,7 @@ class StaticBackground:
         return np.asarray(surface + (205 - surface) * 0.9 * marks, np.float32)
 
 
-def make_occluder(road: CircularRoad, poses: list[Pose], rng: np.random.Generator) -> TexturedPlane:
+def make_occluder(road: PlacedRoad, poses: list[Pose], rng: np.random.Generator) -> TexturedPlane:
     """A pole that stands between the camera and the place of a vehicle half-way through its ``poses``."""
     target = poses[len(poses) // 2]
     foot = target.centre * rng.uniform(0.55, 0.7)
@@ -94,7 +94,7 @@ def _pixel_gradient(values: Image) -> Image:
 
 
 def _place_roadside(
-    scene: Scene, road: CircularRoad, lanes: list[float], rng: np.random.Generator
+    scene: Scene, road: PlacedRoad, lanes: list[float], rng: np.random.Generator
 ) -> list[TexturedPlane]:
     """Upright cards beside the road and behind it, the farthest first."""
     placed: list[tuple[float, TexturedPlane]] = []
@@ -115,7 +115,7 @@ def _place_roadside(
 
 
 def _upright_plane(
-    texture: textures.Texture, road: CircularRoad, foot: Array, width: float, height: float
+    texture: textures.Texture, road: PlacedRoad, foot: Array, width: float, height: float
 ) -> TexturedPlane:
     """A card that stands on the ground at ``foot`` (3,), facing the cameras."""
     across, down = road.level[:, 0] * width, road.down * height
