@@ -94,17 +94,17 @@ class LucasKanade:
         key, expected = self._keyframe, [m(q) for m, q in zip(moves, self._templates.quads, strict=True)]
         left_move, right_move = (shift_between(a, b) for a, b in zip(key.quads, expected, strict=True))
         window = optical_flow.window_size(expected[0])
-        left, good = optical_flow.track_points(key.images[0], frame.left, key.matches.left, left_move, window)
-        good &= self._moving_alike(key.matches.left, left, good)
-        if good.sum() < MIN_POINTS:
+        left, valid = optical_flow.track_points(key.images[0], frame.left, key.matches.left, left_move, window)
+        valid &= self._moving_alike(key.matches.left, left, valid)
+        if valid.sum() < MIN_POINTS:
             return None
-        from_key = key.matches.chosen(good)
-        left = left[good]
-        right, good = optical_flow.match_points(frame.left, frame.right, left, right_move(from_key.right), window)
-        good &= self._plausible(left, right, good)
-        if good.sum() < MIN_POINTS:
+        from_key = key.matches.chosen(valid)
+        left = left[valid]
+        right, valid = optical_flow.match_points(frame.left, frame.right, left, right_move(from_key.right), window)
+        valid &= self._plausible(left, right, valid)
+        if valid.sum() < MIN_POINTS:
             return None
-        from_key, left, right = from_key.chosen(good), left[good], right[good]
+        from_key, left, right = from_key.chosen(valid), left[valid], right[valid]
         matches = _Matches(from_key.number, left, right, triangulate(self.rig, left, right))
         transforms = _similarity(from_key.left, left), _similarity(from_key.right, right)
         quads = [q @ m[:, :2].T + m[:, 2] for q, m in zip(key.quads, transforms, strict=True) if m is not None]
@@ -123,28 +123,30 @@ class LucasKanade:
             return matches
         across = cv2.getPerspectiveTransform(quads[0].astype(np.float32), quads[1].astype(np.float32))
         guess = np.asarray(cv2.perspectiveTransform(new[:, None], across), float)[:, 0]
-        right, good = optical_flow.match_points(frame.left, frame.right, new, guess, optical_flow.window_size(quads[0]))
-        good &= self._plausible(new, right, good)
-        number = self._next + np.arange(int(good.sum()))
+        right, valid = optical_flow.match_points(
+            frame.left, frame.right, new, guess, optical_flow.window_size(quads[0])
+        )
+        valid &= self._plausible(new, right, valid)
+        number = self._next + np.arange(int(valid.sum()))
         self._next += len(number)
         return _Matches(
             np.concatenate([matches.number, number]),
-            np.concatenate([matches.left, new[good]]),
-            np.concatenate([matches.right, right[good]]),
-            np.concatenate([matches.points, triangulate(self.rig, new[good], right[good])]),
+            np.concatenate([matches.left, new[valid]]),
+            np.concatenate([matches.right, right[valid]]),
+            np.concatenate([matches.points, triangulate(self.rig, new[valid], right[valid])]),
         )
 
-    def _moving_alike(self, before: Array, after: Array, good: Mask) -> Mask:
+    def _moving_alike(self, before: Array, after: Array, valid: Mask) -> Mask:
         """Which points follow the dominant motion in the image."""
         consistent = np.zeros(len(before), bool)
-        if good.sum() >= MIN_POINTS and (move := _similarity(before[good], after[good])) is not None:
-            miss = np.linalg.norm(before @ move[:, :2].T + move[:, 2] - after, axis=1)
-            consistent = miss < MAX_MOTION_RESIDUAL_PX * (1 + 0.01 * np.ptp(after[good]))
+        if valid.sum() >= MIN_POINTS and (move := _similarity(before[valid], after[valid])) is not None:
+            residual = np.linalg.norm(before @ move[:, :2].T + move[:, 2] - after, axis=1)
+            consistent = residual < MAX_MOTION_RESIDUAL_PX * (1 + 0.01 * np.ptp(after[valid]))
         return consistent
 
-    def _plausible(self, left: Array, right: Array, good: Mask) -> Mask:
+    def _plausible(self, left: Array, right: Array, valid: Mask) -> Mask:
         """Which matches lie on their epipolar lines and at a consistent depth."""
-        plausible = good & (np.abs(epipolar_distance(self.rig, left, right)) < MAX_CORNER_EPIPOLAR_PX)
+        plausible = valid & (np.abs(epipolar_distance(self.rig, left, right)) < MAX_CORNER_EPIPOLAR_PX)
         depth = triangulate(self.rig, left, right)[:, 2]
         plausible &= np.isfinite(depth) & (depth > 1.0)
         if plausible.any():

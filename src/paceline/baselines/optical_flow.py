@@ -54,8 +54,8 @@ def track_points(before: Image, after: Image, points: Array, move: ScaledShift, 
     matrix = move.matrix - np.column_stack([np.zeros((2, 2)), low])
     size = int(high[0] - low[0]), int(high[1] - low[1])
     start_crop = np.asarray(cv2.warpAffine(before, matrix, size, flags=cv2.INTER_CUBIC), np.float32)
-    found, good = _forward_backward(start_crop, crop_after, start - low, start - low, window)
-    return found + low, good
+    found, valid = _forward_backward(start_crop, crop_after, start - low, start - low, window)
+    return found + low, valid
 
 
 def match_points(left: Image, right: Image, points: Array, guess: Array, window: int) -> tuple[Array, Mask]:
@@ -66,8 +66,8 @@ def match_points(left: Image, right: Image, points: Array, guess: Array, window:
     b = right[low_right[1] : high_right[1], low_right[0] : high_right[0]]
     height, width = min(a.shape[0], b.shape[0]), min(a.shape[1], b.shape[1])
     crops = a[:height, :width], b[:height, :width]
-    found, good = _forward_backward(*crops, points - low, guess - low_right, window)
-    return found + low_right, good
+    found, valid = _forward_backward(*crops, points - low, guess - low_right, window)
+    return found + low_right, valid
 
 
 def window_size(quad: Array) -> int:
@@ -84,14 +84,14 @@ def _forward_backward(before: Image, after: Image, points: Array, guess: Array, 
         np.asarray, cv2.calcOpticalFlowPyrLK(a, b, start, guess.astype(np.float32), *options)
     )
     returned, returned_found, _ = map(np.asarray, cv2.calcOpticalFlowPyrLK(b, a, tracked, start.copy(), *options))
-    good = (
+    valid = (
         (tracked_found.ravel() == 1)
         & (returned_found.ravel() == 1)
         & (np.linalg.norm(returned - start, axis=1) < MAX_FORWARD_BACKWARD_PX)
     )
     return np.asarray(
         tracked - 0.5 * (returned - start), float
-    ), good  # both ways' mean: what errs alike in both cancels
+    ), valid  # both ways' mean: what errs alike in both cancels
 
 
 def _crop_bounds(points: Array, image: Image) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -43,7 +43,7 @@ def align(points: Array, seen: Mask, turns: Array, places: Array) -> RigidAlignm
         raise np.linalg.LinAlgError("a frame shares no point with the others")
     K = len(places)
     depths = np.array([np.median(p[s, 2]) for p, s in zip(points.swapaxes(0, 1), seen.T, strict=True)])
-    own = np.einsum("kji,pkj->pki", turns, points - places[0])  # turned back, as seen from the first place
+    body_axes_points = np.einsum("kji,pkj->pki", turns, points - places[0])  # turned back, as seen from the first place
     relative_rotations = np.einsum("kab,lcb->kalc", turns, turns)
     w, found = seen.astype(float), places
     for _ in range(MAX_ALIGNMENT_ITERATIONS):
@@ -51,12 +51,12 @@ def align(points: Array, seen: Mask, turns: Array, places: Array) -> RigidAlignm
         total = W.sum(1)
         S = -np.einsum("pk,pl,p->kl", W, W, 1 / total, optimize=True)[:, None, :, None] * relative_rotations
         S[np.arange(K), :, np.arange(K)] += W.sum(0)[:, None, None] * np.eye(3)
-        mean = (W[..., None] * own).sum(1) / total[:, None]
-        pull = np.einsum("pk,kij,pkj->ki", W, turns, own - mean[:, None], optimize=True)
+        mean = (W[..., None] * body_axes_points).sum(1) / total[:, None]
+        pull = np.einsum("pk,kij,pkj->ki", W, turns, body_axes_points - mean[:, None], optimize=True)
         information = S[1:, :, 1:].reshape(3 * (K - 1), 3 * (K - 1))
         before = found
         found = places[0] + np.concatenate([np.zeros(3), np.linalg.solve(information, pull[1:].ravel())]).reshape(K, 3)
-        back = own - np.einsum("kji,kj->ki", turns, found - places[0])
+        back = body_axes_points - np.einsum("kji,kj->ki", turns, found - places[0])
         body = (W[..., None] * back).sum(1) / total[:, None]
         distance = np.linalg.norm(back - body[:, None], axis=-1) / depths**2
         scatter = max(float(np.median(distance[seen])) / MEDIAN_CHI, MIN_SCATTER_PER_M)

@@ -71,12 +71,12 @@ class Sift:
         left, right = a[i], b[j]
         with np.errstate(invalid="ignore"):
             inverse = 1.0 / triangulate(self.rig, left, right)[:, 2]
-        good = (np.abs(epipolar_distance(self.rig, left, right)) < MAX_FEATURE_EPIPOLAR_PX) & (inverse > 0)
-        if good.any():
-            deviation = np.abs(inverse - np.median(inverse[good]))
+        valid = (np.abs(epipolar_distance(self.rig, left, right)) < MAX_FEATURE_EPIPOLAR_PX) & (inverse > 0)
+        if valid.any():
+            deviation = np.abs(inverse - np.median(inverse[valid]))
             least = FEATURE_MATCH_SIGMA_PX / (self.rig.left.K[0, 0] * self.rig.baseline)
-            good &= deviation < MAX_FEATURE_DEPTH_DEVIATIONS * max(1.4826 * float(np.median(deviation[good])), least)
-        return left[good], right[good]
+            valid &= deviation < MAX_FEATURE_DEPTH_DEVIATIONS * max(1.4826 * float(np.median(deviation[valid])), least)
+        return left[valid], right[valid]
 
     def _miss(self, frame: StereoFrame) -> bool:
         assert self._templates is not None

@@ -95,11 +95,11 @@ class TemplateTracker:
         before = self.quads.mean(1)
         after = np.stack([left(before[0]), right(before[1])])
         depth_before, depth = (float(triangulate(self.rig, *centres)[2]) for centres in (before, after))
-        slack = MAX_DEPTH_MISMATCH[0] + MAX_DEPTH_MISMATCH[1] * depth_before / (
+        max_mismatch = MAX_DEPTH_MISMATCH[0] + MAX_DEPTH_MISMATCH[1] * depth_before / (
             self.rig.left.K[0, 0] * self.rig.baseline
         )
         across = abs(float(epipolar_distance(self.rig, *after)))
-        return across < MAX_REGION_EPIPOLAR_PX and abs(left.scale * depth / depth_before - 1) < slack
+        return across < MAX_REGION_EPIPOLAR_PX and abs(left.scale * depth / depth_before - 1) < max_mismatch
 
     def accept(self, quads: Array, frame: StereoFrame) -> None:
         """Records that the vehicle is found in ``frame`` at ``quads`` (2, 4, 2)."""

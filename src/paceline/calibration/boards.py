@@ -78,23 +78,23 @@ class Corners:
 
 def parse_board(text: str) -> Board:
     """The board that ``text`` names, as ``--board`` takes it; raises UnusableInput for one that cannot be."""
-    kind, *rest = text.split(":")
-    legacy = kind == "charuco" and rest[4:] == ["legacy"]
-    if (kind, len(rest) - legacy) not in (("charuco", 4), ("chessboard", 2)):
+    kind, *arguments = text.split(":")
+    legacy = kind == "charuco" and arguments[4:] == ["legacy"]
+    if (kind, len(arguments) - legacy) not in (("charuco", 4), ("chessboard", 2)):
         raise UnusableInput(f"--board {text}: {EXPECTED_BOARD}")
-    columns, rows = _counts(text, rest[0])
-    square = _size(text, "square", rest[1], MAX_SQUARE_M)
+    columns, rows = _counts(text, arguments[0])
+    square = _size(text, "square", arguments[1], MAX_SQUARE_M)
     if kind == "chessboard":
         if min(columns, rows) < 3:
             raise UnusableInput(f"--board {text}: {columns}x{rows} corners; expected at least 3x3")
         return Board(columns, rows, square)
     if min(columns, rows) < 3:
         raise UnusableInput(f"--board {text}: {columns}x{rows} squares; expected at least 3x3")
-    marker = _size(text, "marker", rest[2], square)
-    name = rest[3] if rest[3].startswith("DICT_") else f"DICT_{rest[3]}"
+    marker = _size(text, "marker", arguments[2], square)
+    name = arguments[3] if arguments[3].startswith("DICT_") else f"DICT_{arguments[3]}"
     if not hasattr(cv2.aruco, name):
         known = "DICT_4X4_50, DICT_5X5_100, DICT_6X6_250, DICT_APRILTAG_36h11 and others of OpenCV's"
-        raise UnusableInput(f"--board {text}: unknown dictionary {rest[3]!r}; expected one of {known}")
+        raise UnusableInput(f"--board {text}: unknown dictionary {arguments[3]!r}; expected one of {known}")
     held = len(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)).bytesList)
     if columns * rows // 2 > held:
         raise UnusableInput(
@@ -167,10 +167,10 @@ def _refine_corners(board: Board, corners: Corners, image: NDArray[np.uint8]) ->
         in_group = windows == size
         start = pixels[in_group].astype(np.float32).reshape(-1, 1, 2)
         pixels[in_group] = cv2.cornerSubPix(image, start, (size, size), (-1, -1), SUBPIXEL_CRITERIA).reshape(-1, 2)
-    near = (
+    accepted = (
         np.linalg.norm(pixels - corners.pixels, axis=1) < MAX_REFINEMENT_SHIFT_PX
     )  # farther away another feature was found
-    return Corners(corners.ids[near], pixels[near]) if near.sum() >= board.min_corners else NO_CORNERS
+    return Corners(corners.ids[accepted], pixels[accepted]) if accepted.sum() >= board.min_corners else NO_CORNERS
 
 
 def _chessboard_detector(board: Board) -> BoardDetector:

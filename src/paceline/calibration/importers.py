@@ -206,9 +206,9 @@ def _kitti(texts: dict[Path, str], options: ImportOptions) -> StereoRig:
     file, text = next(iter(texts.items()))
     values = {}
     for line in text.splitlines():
-        key, colon, rest = line.partition(":")
+        key, colon, numbers = line.partition(":")
         try:
-            values[key.strip()] = np.array([float(x) for x in rest.split()])
+            values[key.strip()] = np.array([float(x) for x in numbers.split()])
         except ValueError:  # a date
             continue
     raw = any(key.startswith("P_rect_") for key in values)

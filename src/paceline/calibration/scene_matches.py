@@ -67,5 +67,5 @@ def match_views(rig: StereoRig, detector: cv2.SIFT, left: Image, right: Image) -
     p, q = a[i], b[j]
     with np.errstate(invalid="ignore", divide="ignore"):
         in_front = triangulate(rig, p, q)[:, 2] > 0
-    near = np.abs(epipolar_distance(rig, p, q)) < MAX_EPIPOLAR_SHARE * rig.left.image_size[1]
-    return p[near & in_front], q[near & in_front]
+    near_line = np.abs(epipolar_distance(rig, p, q)) < MAX_EPIPOLAR_SHARE * rig.left.image_size[1]
+    return p[near_line & in_front], q[near_line & in_front]

@@ -131,9 +131,9 @@ def stated_uncertainty(rig: StereoRig, covariance: Array) -> RigUncertainty:
         )
 
     total, focal = variances(RigUncertainty(covariance=covariance)), variances(RigUncertainty(1.0))
-    lacking = np.maximum(total - variances(RigUncertainty(0.0, 0.0, turn, shift)), 0.0)
+    missing_variance = np.maximum(total - variances(RigUncertainty(0.0, 0.0, turn, shift)), 0.0)
     known = np.diag(covariance)[[0, 1, 4, 5]].max()
-    length = float(np.sqrt(min(known, (lacking / focal).max())))
+    length = float(np.sqrt(min(known, (missing_variance / focal).max())))
     larger = float(np.sqrt(max(1.0, (total / variances(RigUncertainty(length, 0.0, turn, shift))).max())))
     return RigUncertainty(larger * length, 0.0, _triple(larger * std[:3]), _triple(larger * std[3:]), covariance)
 

@@ -88,8 +88,8 @@ def _file(scene: str, kind: str) -> Path:
     if path.is_dir():
         path = path / "scene.yaml"
     if path.suffix not in (".yaml", ".yml") and not path.exists():
-        own = [name for k, name, _ in list_scenes() if k == kind]
-        raise UnusableInput(f"{scene}: no {kind} scene has this name; {suggestion(scene, own)}")
+        names = [name for k, name, _ in list_scenes() if k == kind]
+        raise UnusableInput(f"{scene}: no {kind} scene has this name; {suggestion(scene, names)}")
     return path
 
 

@@ -124,7 +124,7 @@ def _measure(
     if detector is not None and document.vehicles:
         raise UnusableInput(f"{document.path}: vehicles: --detector is to find them; expected none")
     with OutputFolder(out) as folder:  # before the work, so that an unwritable folder is told at once
-        recording, shown = open_recording(document), sys.stderr.isatty() and not quiet
+        recording, show_progress = open_recording(document), sys.stderr.isatty() and not quiet
         result = measure_recording(
             document,
             recording,
@@ -132,7 +132,7 @@ def _measure(
             settings.method,
             settings.device,
             None if detector is None else OnnxDetector(detector),
-            stage=lambda doing: progress_bar(doing, shown),
+            stage=lambda doing: progress_bar(doing, show_progress),
             on_estimate=speed_line_writer(document.rig),
         )
         return write_files(result, recording, folder, unit)
@@ -200,8 +200,8 @@ def _detector(config: Path | None, settings: SpeedSettings) -> Path | None:
     file = settings.detector_file
     if config is None or file is None:
         return None
-    beside = config.parent / file
-    found = file if file.exists() and not beside.exists() else beside
+    beside_config = config.parent / file
+    found = file if file.exists() and not beside_config.exists() else beside_config
     if settings.detector != str(file):  # as a summary names it, with the digest
         from paceline.detection.onnx_detector import detector_name
 

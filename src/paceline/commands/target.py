@@ -38,8 +38,8 @@ def target_learn(
         learned = learn_target(picture, corners, width, lens, name or out.stem)
     except UnusableInput as unusable:
         raise UnusableInput(f"{image}: {unusable}") from None
-    beside = write_target(learned, picture, out)
-    print(f"{len(learned.target.segments)} lines in {out}; look at them in {beside}")
+    image_file = write_target(learned, picture, out)
+    print(f"{len(learned.target.segments)} lines in {out}; look at them in {image_file}")
     print(f"follow.yaml, where this picture is the first frame:\n{start_entry(learned)}")
     return EXIT_DONE
 

@@ -27,8 +27,8 @@ class NotFound(LookupError):
 
 def check_name(name: str) -> str:
     """``name``, if it is valid for a new clip. Raises UnusableInput."""
-    plain = 0 < len(name) <= MAX_CLIP_NAME_LENGTH and name.isprintable() and name == name.strip()
-    if not plain or name.startswith(".") or re.search(r'[/\\:*?"<>|]', name):
+    printable = 0 < len(name) <= MAX_CLIP_NAME_LENGTH and name.isprintable() and name == name.strip()
+    if not printable or name.startswith(".") or re.search(r'[/\\:*?"<>|]', name):
         raise UnusableInput(
             f"name {name[:MAX_CLIP_NAME_LENGTH]!r}: expected at most {MAX_CLIP_NAME_LENGTH} characters "
             'without / \\ : * ? " < > |, not beginning with a dot'

@@ -152,9 +152,9 @@ def _propose(library: Library, clip: str, body: dict[str, Any]) -> dict[str, Any
     drawn = len(entry.get(VIEW_NAMES[view], []))
     if drawn < 2 if "shape" in entry else drawn != 4:
         raise UnusableInput("entry: expected a path with its shape and two points, or a vehicle with four corners")
-    shown = pictures.picture(0, frame), pictures.picture(1, frame)
+    images = pictures.picture(0, frame), pictures.picture(1, frame)
     pixels, correlation = propose_in_other_view(
-        pictures.clip.rig, view, shown, entry, None if path is None else _parse_path(path)
+        pictures.clip.rig, view, images, entry, None if path is None else _parse_path(path)
     )
     return {"pixels": np.round(pixels, 2).tolist(), "correlation": round(correlation, 3)}
 

@@ -117,10 +117,10 @@ def _public_address(host: str, port: int) -> tuple[str, str | None]:
         number = ipaddress.ip_address(host)
     except ValueError:
         number = None
-    shown = f"[{host}]" if number is not None and number.version == 6 else host
+    host_text = f"[{host}]" if number is not None and number.version == 6 else host
     if host == "localhost" or (number is not None and number.is_loopback):
-        return f"http://{shown}:{port}/", None
+        return f"http://{host_text}:{port}/", None
     if number is not None and number.is_unspecified:
-        shown = socket.gethostname()
+        host_text = socket.gethostname()
     token = secrets.token_urlsafe(24)
-    return f"http://{shown}:{port}/?token={token}", token
+    return f"http://{host_text}:{port}/?token={token}", token

@@ -208,8 +208,8 @@ def _outline_from(track: DetectionTrack, detections: list[Detection]) -> Detecte
     if not clear:
         reason = message("face_never_clear", min_width_px=MIN_OUTLINE_PX[0], min_height_px=MIN_OUTLINE_PX[1])
         return without_outline(track, reason)
-    similar = similarity(face, clear)
-    first = clear[int(np.argmax(similar >= MIN_SIMILARITY_RATIO * np.median(similar)))]
+    similarities = similarity(face, clear)
+    first = clear[int(np.argmax(similarities >= MIN_SIMILARITY_RATIO * np.median(similarities)))]
     seen = inliers[inliers.index(first) :]
     face = select_height(face, seen, partial(_is_clear, aligned=first))
     detection = first.detection

@@ -100,8 +100,8 @@ class LanePath:
         if not len(s):
             return s
         disparity = self.rig.left.K[0, 0] * self.rig.baseline / depth
-        passed = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(disparity)))])
-        return np.interp(np.arange(0.0, passed[-1], DISPARITY_STEP_PX), passed, s)
+        disparity_sum = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(disparity)))])
+        return np.interp(np.arange(0.0, disparity_sum[-1], DISPARITY_STEP_PX), disparity_sum, s)
 
 
 def lane_paths_of(clip: Clip) -> list[LanePath]:

@@ -177,5 +177,5 @@ def _error_text(error: Exception) -> str:
 
 def _shorten(text: str) -> str:
     """The beginning of a ``text`` from a file, on one line and printable."""
-    plain = "".join(c for c in " ".join(text.split()) if c.isprintable())
-    return plain if len(plain) <= MAX_QUOTED_LENGTH else f"{plain[: MAX_QUOTED_LENGTH - 1]}…"
+    printable = "".join(c for c in " ".join(text.split()) if c.isprintable())
+    return printable if len(printable) <= MAX_QUOTED_LENGTH else f"{printable[: MAX_QUOTED_LENGTH - 1]}…"

@@ -73,12 +73,12 @@ def output_layout(outputs: Outputs, size: tuple[int, int]) -> OutputLayout | Non
         return None
     if rows != cells:
         return OutputLayout(lambda found: _from_objectness(_table(found, index)), classes=columns - 5)
-    plain, grid = _table(outputs, index), _cell_grid(size)  # a row for each cell, as YOLOX and YOLOv6 have it
-    if plain[:, 2:4].min() < 0:  # logarithms of sizes, and places in the cell: as YOLOX leaves them
+    table, grid = _table(outputs, index), _cell_grid(size)  # a row for each cell, as YOLOX and YOLOv6 have it
+    if table[:, 2:4].min() < 0:  # logarithms of sizes, and places in the cell: as YOLOX leaves them
         return OutputLayout(
             lambda found: _from_objectness(_decode_cells(_table(found, index), grid)), 255.0, columns - 5
         )
-    white = 1.0 if plain[:, 4].min() > MIN_SCORE else 255.0  # only YOLOv6 has an objectness of 1 everywhere
+    white = 1.0 if table[:, 4].min() > MIN_SCORE else 255.0  # only YOLOv6 has an objectness of 1 everywhere
     return OutputLayout(lambda found: _from_objectness(_table(found, index)), white, columns - 5)
 
 

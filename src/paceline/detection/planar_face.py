@@ -202,12 +202,12 @@ def _align(detections: list[Detection], reference: Detection, x: Span, y: Span) 
     template = first.warp()[0][rows, columns]
     start, found = detections.index(reference), [first]
     for others in (detections[start + 1 :], detections[:start][::-1]):
-        near = first
+        previous = first
         for detection in others:
-            candidate = _register(detection, template, rows, columns, near.origin_on(detection.lane), offset)
+            candidate = _register(detection, template, rows, columns, previous.origin_on(detection.lane), offset)
             if candidate.score >= MIN_TEMPLATE_NCC:
                 found.append(candidate)
-                near = candidate
+                previous = candidate
     return sorted(found, key=lambda candidate: candidate.detection.frame)
 
 
@@ -303,8 +303,8 @@ def _best_face(aligned: list[AlignedDetection], reference: Detection) -> PlanarF
         changes += [local_ncc(view, empty) <= UNCHANGED_NCC for view, empty in zip(views, background, strict=True)]
     ncc = np.median(correlations, axis=0)  # a shadow that passes over a face is there in few frames
     changed = np.mean(changes, axis=0)
-    beside = np.abs(FACE_GRID.x) > 0.5 * (reference.x[1] - reference.x[0])
-    ncc[(changed < MIN_CHANGED_SHARE) & beside] = 0.0  # the background looks the same in all frames as well
+    outside_reference = np.abs(FACE_GRID.x) > 0.5 * (reference.x[1] - reference.x[0])
+    ncc[(changed < MIN_CHANGED_SHARE) & outside_reference] = 0.0  # the background looks the same in all frames as well
     weight = _texture_weight(template)
     highest, widest = MAX_TOPS_M[reference.y[1] > TALL_VEHICLE_M], _max_width(reference)
     narrowest = max(MIN_WIDTH_M, MIN_WIDTH_RATIO * min(reference.x[1] - reference.x[0], widest))

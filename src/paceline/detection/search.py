@@ -37,12 +37,12 @@ class SearchResult:
     @property
     def notices(self) -> list[str]:
         """One line for each vehicle that cannot be measured, and for there being none."""
-        missed: list[str] = [
+        messages: list[str] = [
             message("vehicle_not_measured", path=f.path, start=f.times[0], end=f.times[1], reason=f.reason)
             for f in self.detected
             if f.vehicle is None
         ]
-        return missed + ([self.reason.after("no vehicle was found")] if self.reason else [])
+        return messages + ([self.reason.after("no vehicle was found")] if self.reason else [])
 
 
 @on_one_blas_thread

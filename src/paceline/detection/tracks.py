@@ -119,16 +119,16 @@ class DetectionTrack:
     def same_vehicle(self, other: DetectionTrack) -> bool:
         """Whether this track and ``other`` follow one vehicle: one motion then fits the detections of both about the
         time that they share."""
-        begun, ended = max(self.times[0], other.times[0]), min(self.times[-1], other.times[-1])
-        if begun - ended > MAX_GAP_S:
+        start, end = max(self.times[0], other.times[0]), min(self.times[-1], other.times[-1])
+        if start - end > MAX_GAP_S:
             return False
-        lane, shared = self.first.lane, (min(begun, ended) - MAX_GAP_S, max(begun, ended) + MAX_GAP_S)
-        own, others = self._observations(lane, *shared), other._observations(lane, *shared)
-        lateral_distance = abs(np.median(own[3]) - np.median(others[3]))
+        lane, shared = self.first.lane, (min(start, end) - MAX_GAP_S, max(start, end) + MAX_GAP_S)
+        own_observations, others = self._observations(lane, *shared), other._observations(lane, *shared)
+        lateral_distance = abs(np.median(own_observations[3]) - np.median(others[3]))
         if lateral_distance > max(MIN_SPACING_ACROSS_M, min(0.5 * (self.width + other.width), ABREAST_SPACING_M)):
             return False
-        residuals = np.abs(motion_residuals(*np.hstack([own, others])[:3]))
-        count = own.shape[1]
+        residuals = np.abs(motion_residuals(*np.hstack([own_observations, others])[:3]))
+        count = own_observations.shape[1]
         return bool(max(np.median(residuals[:count]), np.median(residuals[count:])) <= MAX_JOINT_RESIDUAL)
 
     def _observations(self, lane: LanePath, start: float, end: float) -> Array:

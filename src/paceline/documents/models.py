@@ -342,6 +342,6 @@ def _excerpt(value: Any) -> str:
 
 def suggestion(name: str, valid: list[str]) -> str:
     """Names the entry of ``valid`` that was probably meant, or all of them where none resembles ``name``."""
-    if near := difflib.get_close_matches(name, valid, 1, 0.5):
-        return f"did you mean {near[0]!r}?"
+    if matches := difflib.get_close_matches(name, valid, 1, 0.5):
+        return f"did you mean {matches[0]!r}?"
     return f"expected one of {', '.join(valid)}" if valid else "none is given"

@@ -100,7 +100,7 @@ def adjust(rig: StereoRig, first: RoadSurface, alignment: Alignment, lines: list
     amount = np.array([len(line.left) + len(line.right) for line in lines])
     within = np.abs(heights[:, None] - heights) <= LEVEL_RANGE_M / 2
     middle = int(np.argmax((within * amount).sum(1) - np.abs(heights)))
-    candidates = [line for line, near in zip(lines, within[middle], strict=True) if near]
+    candidates = [line for line, is_near in zip(lines, within[middle], strict=True) if is_near]
     road = _gauss_newton(rig, first, alignment, candidates)
     elevations = np.array(
         [_elevation(rig, road.surface, alignment, line, c) for line, c in zip(candidates, road.curves, strict=True)]
@@ -127,7 +127,7 @@ def _gauss_newton(rig: StereoRig, first: RoadSurface, alignment: Alignment, line
         ]
     )
     surface, expected = first, np.concatenate([first.heights, np.zeros(count - 6)])
-    weight, own = np.ones(len(seen.line)), 5 + CURVE_TERMS + (DETECTION_DEGREE + 1) * seen.line
+    weight, first_column = np.ones(len(seen.line)), 5 + CURVE_TERMS + (DETECTION_DEGREE + 1) * seen.line
     for _ in range(GAUSS_NEWTON_STEPS):
         s, d = seen.road_coordinates(rig, surface, alignment)
         usable = np.isfinite(s) & np.isfinite(d)
@@ -139,18 +139,18 @@ def _gauss_newton(rig: StereoRig, first: RoadSurface, alignment: Alignment, line
         powers = (s[:, None] / UNIT_M) ** np.arange(CURVE_TERMS)
         J[:, 6 : 5 + CURVE_TERMS] = powers[:, 1:]
         for j in range(DETECTION_DEGREE + 1):
-            J[np.arange(len(s)), own + j] = powers[:, j]
+            J[np.arange(len(s)), first_column + j] = powers[:, j]
         target = d + J[:, :6] @ surface.heights  # linear about these heights
         W = usable * weight / sigma**2
         information = (J * W[:, None]).T @ J
         right = (J * W[:, None]).T @ target + expected / spread**2
         x = np.asarray(np.linalg.solve(information + np.diag(spread**-2), right))
         surface = surface.with_heights(x[:6])
-        miss = np.abs(target - J @ x) / sigma
-        scale = max(1.0, float(np.median(miss[usable])) / 0.6745)
-        weight = np.minimum(1.0, HUBER_SIGMA * scale / np.maximum(miss, 1e-9))
+        residuals = np.abs(target - J @ x) / sigma
+        scale = max(1.0, float(np.median(residuals[usable])) / 0.6745)
+        weight = np.minimum(1.0, HUBER_SIGMA * scale / np.maximum(residuals, 1e-9))
     free = max(1.0, usable.sum() - (DETECTION_DEGREE + 1) * len(lines))
-    misfit = max(1.0, float(np.sqrt((weight * miss**2)[usable].sum() / free)))
+    misfit = max(1.0, float(np.sqrt((weight * residuals**2)[usable].sum() / free)))
     known = np.linalg.inv(information / misfit**2 + np.diag(spread**-2))
     to_curves = _curve_map(len(lines), count)
     covariance: Array = np.asarray(to_curves @ known @ to_curves.T, np.float64)
@@ -164,10 +164,11 @@ def _curve_map(lines: int, count: int) -> Array:
     M[:6, :6] = np.eye(6)
     for k in range(lines):
         M[7 + CURVE_TERMS * k : 6 + CURVE_TERMS * (k + 1), 6 : 5 + CURVE_TERMS] = np.eye(CURVE_TERMS - 1)
-        own = 5 + CURVE_TERMS + (DETECTION_DEGREE + 1) * k
-        M[6 + CURVE_TERMS * k : 7 + CURVE_TERMS * k + DETECTION_DEGREE, own : own + DETECTION_DEGREE + 1] = np.eye(
-            DETECTION_DEGREE + 1
-        )
+        first_column = 5 + CURVE_TERMS + (DETECTION_DEGREE + 1) * k
+        M[
+            6 + CURVE_TERMS * k : 7 + CURVE_TERMS * k + DETECTION_DEGREE,
+            first_column : first_column + DETECTION_DEGREE + 1,
+        ] = np.eye(DETECTION_DEGREE + 1)
     return M
 
 

@@ -137,8 +137,8 @@ def _is_line(samples: PaintSamples, curve: Array) -> bool:
     if samples.length[inliers].sum() < MIN_PAINT_M or np.ptp(samples.s[inliers]) < MIN_SPAN_M:
         return False
     first, last = samples.s[inliers].min(), samples.s[inliers].max()
-    beside = (offsets > 2 * GATES_M[-1]) & (offsets < 5 * GATES_M[-1]) & (samples.s >= first) & (samples.s <= last)
-    return bool(samples.length[inliers].sum() > MIN_PAINT_RATIO * samples.length[beside].sum() / 3)
+    at_sides = (offsets > 2 * GATES_M[-1]) & (offsets < 5 * GATES_M[-1]) & (samples.s >= first) & (samples.s <= last)
+    return bool(samples.length[inliers].sum() > MIN_PAINT_RATIO * samples.length[at_sides].sum() / 3)
 
 
 def _span(views: list[PaintSamples], curve: Array) -> tuple[float, float]:
@@ -179,11 +179,11 @@ def _segment_pixels(
         in_segment = slice(first, k)
         offsets = d[in_segment] - lateral_offset(curve, s[in_segment])
         scatter = np.abs(offsets - np.median(offsets))
-        steady = scatter < 0.06 + 3 * np.median(scatter)
-        if steady.sum() >= 2:
-            middle = np.asarray(np.average(s[in_segment], weights=length[in_segment] * steady))
+        consistent = scatter < 0.06 + 3 * np.median(scatter)
+        if consistent.sum() >= 2:
+            middle = np.asarray(np.average(s[in_segment], weights=length[in_segment] * consistent))
             found.append(
-                (middle, lateral_offset(curve, middle) + np.average(offsets, weights=length[in_segment] * steady))
+                (middle, lateral_offset(curve, middle) + np.average(offsets, weights=length[in_segment] * consistent))
             )
         first = k
     middles = np.array(found).reshape(-1, 2)

@@ -126,10 +126,10 @@ def ridge_points(rig: StereoRig, background: Background, surface: RoadSurface) -
     x, z = np.arange(-MAX_LATERAL_M, MAX_LATERAL_M, CELL_M), np.arange(MIN_DISTANCE_M, MAX_DISTANCE_M, CELL_M)
     ground = np.stack(np.meshgrid(x, z), axis=-1)
     views = [_ridges(map_to_ground(rig, background, side, surface, ground)) for side in (0, 1)]
-    near = [cv2.dilate(strength, np.ones((3, 3), np.uint8)) for strength, _ in views]
-    row, column = np.nonzero((views[0][0] > 0) & (near[1] > 0))
+    dilated = [cv2.dilate(strength, np.ones((3, 3), np.uint8)) for strength, _ in views]
+    row, column = np.nonzero((views[0][0] > 0) & (dilated[1] > 0))
     strength, angle = (values[row, column].astype(float) for values in views[0])
-    strength = np.minimum(strength, near[1][row, column])
+    strength = np.minimum(strength, dilated[1][row, column])
     # far away a pixel covers much ground, and its neighbours on the grid are no further evidence
     covered = z[row] ** 2 / (rig.left.K[1, 1] * np.linalg.norm(surface.origin))
     return DirectionVotes(
@@ -160,8 +160,8 @@ def _ridges(ground_image: GroundImage) -> tuple[Image, Image]:
     normal = 0.5 * np.arctan2(-2 * xz, zz - xx)  # of the eigenvector across, from x towards z
     row, column = np.nonzero(ridge)
     step = np.sin(normal[row, column]), np.cos(normal[row, column])
-    beside = [map_coordinates(strength, [row + k * step[0], column + k * step[1]], order=1) for k in (-1, 1)]
-    crest = strength[row, column] >= np.maximum(*beside)
+    neighbours = [map_coordinates(strength, [row + k * step[0], column + k * step[1]], order=1) for k in (-1, 1)]
+    crest = strength[row, column] >= np.maximum(*neighbours)
     found = np.zeros_like(strength)
     found[row[crest], column[crest]] = strength[row[crest], column[crest]]
     return found, -normal

@@ -92,9 +92,9 @@ def _contrasts(light: Image) -> tuple[Image, Image]:
     best: tuple[Image, Image] = (np.full(light.shape, -np.inf, np.float32), np.full(light.shape, -np.inf, np.float32))
     for width in PAINT_WIDTHS_M:
         middle = cv2.blur(light, (2 * round(width / CELL_M / 2) + 1, 1))
-        beside = cv2.blur(light, (2 * round(ASPHALT_WIDTH_M / CELL_M / 2) + 1, 1))
+        asphalt = cv2.blur(light, (2 * round(ASPHALT_WIDTH_M / CELL_M / 2) + 1, 1))
         distance_cells = round((width / 2 + ASPHALT_GAP_M + ASPHALT_WIDTH_M / 2) / CELL_M)
-        left, right = np.roll(beside, distance_cells, axis=1), np.roll(beside, -distance_cells, axis=1)
+        left, right = np.roll(asphalt, distance_cells, axis=1), np.roll(asphalt, -distance_cells, axis=1)
         least = middle - np.maximum(left, right)
         higher = least > best[1]
         mean = middle - (left + right) / 2

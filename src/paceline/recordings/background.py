@@ -92,7 +92,7 @@ def shorth_background(stack: NDArray[np.float16]) -> tuple[Image, Mask]:
         centre = np.take_along_axis(values, first + least // 2, 0)
         # a normal distribution holds its densest two fifths within one standard deviation
         sigma = np.clip(narrowest, typical_std, MAX_NOISE_RATIO * typical_std)
-        near = np.abs(values - centre) <= MAX_BACKGROUND_SIGMA * sigma
-        image[row : row + ROWS_PER_BLOCK] = (values * near).sum(0) / near.sum(0)
-        share[row : row + ROWS_PER_BLOCK] = near.mean(0)
+        inliers = np.abs(values - centre) <= MAX_BACKGROUND_SIGMA * sigma
+        image[row : row + ROWS_PER_BLOCK] = (values * inliers).sum(0) / inliers.sum(0)
+        share[row : row + ROWS_PER_BLOCK] = inliers.mean(0)
     return image, share >= MIN_STABLE_SHARE

@@ -79,13 +79,13 @@ class LiveStereo:
     @property
     def notices(self) -> list[str]:
         """What a user should know about the sources, one plain line each."""
-        own: list[str] = []
+        messages: list[str] = []
         if self._clock_offset:
-            own.append(message("no_common_clock"))
+            messages.append(message("no_common_clock"))
         if self._max_skew > MIN_REPORTED_SKEW_S:
             skew = f"up to {1e3 * self._max_skew:.1f} ms apart, which is allowed for"
-            own.append(message("views_skewed", frames="left and right frames", skew=skew))
-        return [*own, *(line for camera in self._views for line in camera.recording.notices)]
+            messages.append(message("views_skewed", frames="left and right frames", skew=skew))
+        return [*messages, *(line for camera in self._views for line in camera.recording.notices)]
 
     def stop(self) -> None:
         """Ends the iteration after the present pair, as if the sources ended there; a signal handler may call it."""
@@ -94,9 +94,9 @@ class LiveStereo:
 
     def __iter__(self) -> Iterator[RawPair]:
         left, right = self._views
-        begun = time.monotonic()
+        start_time = time.monotonic()
         for camera in self._views:
-            camera.begin(begun)
+            camera.begin(start_time)
         try:
             self._clock_offset = _clock_offset(left, right)
             for pair in _pairs(left, right, self._clock_offset):
@@ -135,8 +135,8 @@ class LiveCamera:
     _ended: bool = False
     _stopped: bool = False
 
-    def begin(self, begun: float) -> None:
-        Thread(target=self._receive, args=[begun], daemon=True).start()
+    def begin(self, start_time: float) -> None:
+        Thread(target=self._receive, args=[start_time], daemon=True).start()
 
     def stop(self) -> None:
         self._stopped = True
@@ -171,11 +171,11 @@ class LiveCamera:
                 break
         return median(delays) if delays else 0.0
 
-    def _receive(self, begun: float) -> None:
+    def _receive(self, start_time: float) -> None:
         try:
             for frame in self.recording:
                 if not self.recording.live:
-                    self._wait_until(begun + frame.time)
+                    self._wait_until(start_time + frame.time)
                 if self._stopped:
                     break
                 if frame.image is not None:

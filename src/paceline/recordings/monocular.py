@@ -178,10 +178,10 @@ def _frame_counters(images: ImageFiles) -> Array:
     """The images' places in the recording (N,), from 0: numbers in their names that skip mean dropped frames."""
     numbers = images.numbers
     if numbers is not None:
-        passed = np.array(numbers, float) - numbers[0]
-        step = np.diff(passed).min()
-        if not (passed % step).any():  # clock readings are no counters
-            return np.asarray(passed / step)
+        counts = np.array(numbers, float) - numbers[0]
+        step = np.diff(counts).min()
+        if not (counts % step).any():  # clock readings are no counters
+            return np.asarray(counts / step)
     return np.arange(len(images), dtype=float)
 
 
@@ -267,10 +267,10 @@ class LiveFeed:
         received: Queue[_Picture | Exception | None] = Queue(MAX_QUEUED_PICTURES)
         Thread(target=self._receive, args=[received], daemon=True).start()
         clock = _MonotonicClock(self.name, self.notices)
-        index, begun = -1, monotonic()
+        index, start_time = -1, monotonic()
         try:
             while (picture := self._next(received)) is not None:
-                damaged = index < 0 and picture.image is None and monotonic() - begun < SILENCE_TIMEOUT_S
+                damaged = index < 0 and picture.image is None and monotonic() - start_time < SILENCE_TIMEOUT_S
                 if picture.stamp is None or damaged:  # as the first ones of many sources
                     continue
                 index += 1
@@ -284,12 +284,12 @@ class LiveFeed:
 
     def _next(self, received: Queue[_Picture | Exception | None]) -> _Picture | None:
         """The oldest picture not yet read; None at the end, or after ``SILENCE_TIMEOUT_S`` without one."""
-        begun = monotonic()
+        start_time = monotonic()
         while not self._stopped:
             try:
                 picture = received.get(timeout=STOP_POLL_INTERVAL_S)
             except Empty:
-                if monotonic() - begun > SILENCE_TIMEOUT_S:
+                if monotonic() - start_time > SILENCE_TIMEOUT_S:
                     self.notices.append(message("source_silent", source=self.name, limit_s=SILENCE_TIMEOUT_S))
                     return None
                 continue
@@ -321,11 +321,11 @@ class LiveFeed:
         stream = self._container.streams.video[0]
         stream.thread_type = "SLICE"  # frame-parallel decoding would delay every frame
         packets = self._container.demux(stream)
-        begun = monotonic()
+        start_time = monotonic()
         while True:
             try:
                 packet = next(packets)
-                arrival = monotonic() - begun
+                arrival = monotonic() - start_time
             except StopIteration:
                 self.notices.append(message("source_ended", source=self.name, problem=""))
                 return
@@ -375,23 +375,24 @@ def _open(address: str, size: tuple[int, int]) -> InputContainer:
 def _open_device(device: str, size: tuple[int, int]) -> InputContainer:
     """A ``device`` that sends pictures of ``size`` (width, height), in the format that FFmpeg prefers or else as JPEG:
     many offer their larger ones only so. Raises UnusableInput when it offers other sizes only."""
-    size_text, offered = "{} × {}".format(*size), ""
+    size_text, offered_sizes = "{} × {}".format(*size), ""
     for preferred in {}, {"input_format": "mjpeg"}:
         # as mere "options" they would be the decoder's, too, which then takes pictures of any size for those
         options = {"video_size": size_text.replace(" × ", "x"), **preferred}
         try:
             container = av.open(device, format="v4l2", container_options=options)
         except (av.FFmpegError, OSError):
-            if offered:
+            if offered_sizes:
                 break
             raise
         video = container.streams.video[0]
         if (video.width, video.height) == size:
             return container
-        offered = offered or f"{video.width} × {video.height}"
+        offered_sizes = offered_sizes or f"{video.width} × {video.height}"
         container.close()
     raise UnusableInput(
-        f"{device}: offers {offered} pixels where {size_text} are asked for; expected the image_size of its calibration"
+        f"{device}: offers {offered_sizes} pixels where {size_text} are asked for; "
+        "expected the image_size of its calibration"
     )
 
 

@@ -345,9 +345,9 @@ def _unmatched(side: str, count: int, matched: Indices, what: str) -> list[Messa
 
 def _format_frames(frames: set[int] | Indices) -> str:
     numbers = sorted(int(f) for f in frames)
-    shown = ", ".join(map(str, numbers[:MAX_LISTED_FRAMES]))
+    listed = ", ".join(map(str, numbers[:MAX_LISTED_FRAMES]))
     more = f" and {len(numbers) - MAX_LISTED_FRAMES} more" if len(numbers) > MAX_LISTED_FRAMES else ""
-    return f"frame{'s' * (len(numbers) > 1)} {shown}{more}"
+    return f"frame{'s' * (len(numbers) > 1)} {listed}{more}"
 
 
 def _are(frames: set[int] | Indices) -> str:

@@ -37,11 +37,11 @@ def write_target(learned: LearnedTarget, image: Image, file: Path) -> Path:
     """
     if file.suffix not in (".yaml", ".yml"):
         raise UnusableInput(f"{file}: expected the name of a YAML file to write, for instance target.yaml")
-    beside = file.with_suffix(".png")
+    image_file = file.with_suffix(".png")
     encoded, png = cv2.imencode(".png", draw_target(learned, image))
     assert encoded
-    write_all_or_none({file: target_yaml(learned).encode(), beside: bytes(png)})
-    return beside
+    write_all_or_none({file: target_yaml(learned).encode(), image_file: bytes(png)})
+    return image_file
 
 
 def target_yaml(learned: LearnedTarget) -> str:
@@ -50,8 +50,12 @@ def target_yaml(learned: LearnedTarget) -> str:
     names = corner_names(len(target.corners))
     corners = [f"  {name}: [{x:.4f}, {y:.4f}]" for name, (x, y) in zip(names, target.corners, strict=True)]
     segments = [f"  - [{names[a]}, {names[b]}]" for a, b in target.segments]
-    quoted = target.name.replace("'", "''")
-    head = [f"name: '{quoted}'", f"nominal_range: {target.nominal_range:.4f}", f"tolerance: {target.tolerance:.4f}"]
+    quoted_name = target.name.replace("'", "''")
+    head = [
+        f"name: '{quoted_name}'",
+        f"nominal_range: {target.nominal_range:.4f}",
+        f"tolerance: {target.tolerance:.4f}",
+    ]
     return "\n".join([*head, "corners:", *corners, "segments:", *segments]) + "\n"
 
 

@@ -143,9 +143,11 @@ def _render_view(
     soft = cv2.GaussianBlur(pattern, (0, 0), max(0.4 * shrink, 0.3))
     across, down = (np.ascontiguousarray(texture_position[..., i], np.float32) for i in (0, 1))
     drawn = cv2.remap(soft, across, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=-1.0)
-    shown = np.where(drawn < 0, WALL_GREY, INK_GREY + (PAPER_GREY - INK_GREY) * drawn / 255)
+    board_image = np.where(drawn < 0, WALL_GREY, INK_GREY + (PAPER_GREY - INK_GREY) * drawn / 255)
     picture = np.full(setup.size[::-1], WALL_GREY)
-    picture[low[1] : high[1], low[0] : high[0]] = cv2.resize(shown, (high - low).tolist(), interpolation=cv2.INTER_AREA)
+    picture[low[1] : high[1], low[0] : high[0]] = cv2.resize(
+        board_image, (high - low).tolist(), interpolation=cv2.INTER_AREA
+    )
     picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), max(blur, 0.05)), float)
     return np.clip(np.rint(picture + rng.normal(0, noise, picture.shape)), 0, 255).astype(np.uint8)
 

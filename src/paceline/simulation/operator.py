@@ -144,8 +144,8 @@ def _draw_path(
     """The best visible painted line beside a lane, drawn in each view along the arc lengths ``driven`` (N,) m of its
     vehicles."""
     middle, road = placed.road.lanes[lane], placed.road
-    beside = sorted(road.markings, key=lambda m: abs(m - middle))[:2]
-    found = {m: [_visible_line(placed, m, driven, view, hidden) for view in placed.views] for m in beside}
+    nearest_markings = sorted(road.markings, key=lambda m: abs(m - middle))[:2]
+    found = {m: [_visible_line(placed, m, driven, view, hidden) for view in placed.views] for m in nearest_markings}
     marking = max(found, key=lambda m: min(len(line) for line in found[m]))
     if min(len(line) for line in found[marking]) < 10:
         raise UnusableInput(f"no painted line beside lane {lane} is visible in both pictures")

@@ -198,56 +198,66 @@ class _ContrastScale:
 
 
 def _cabin_part(rng: np.random.Generator, width: float, height: float, body: float) -> FacePart:
-    tall = rng.uniform(0.55, 0.85)
+    part_height = rng.uniform(0.55, 0.85)
     bonnet = 0.45  # seen from above between the windscreen, which is set back, and the front
-    c = Canvas(width, tall + bonnet, 0.0, alpha=0.0)
-    c.box(0.02, tall, width - 0.04, bonnet, body * 1.1)
+    c = Canvas(width, part_height + bonnet, 0.0, alpha=0.0)
+    c.box(0.02, part_height, width - 0.04, bonnet, body * 1.1)
     inset = rng.uniform(0.08, 0.16) * width
-    c.polygon([(inset, 0), (width - inset, 0), (width - 0.02, tall), (0.02, tall)], body * 0.95)
+    c.polygon([(inset, 0), (width - inset, 0), (width - 0.02, part_height), (0.02, part_height)], body * 0.95)
     glass = rng.uniform(25, 60)
     c.polygon(
-        [(inset + 0.06, 0.09), (width - inset - 0.06, 0.09), (width - 0.13, tall - 0.05), (0.13, tall - 0.05)], glass
+        [
+            (inset + 0.06, 0.09),
+            (width - inset - 0.06, 0.09),
+            (width - 0.13, part_height - 0.05),
+            (0.13, part_height - 0.05),
+        ],
+        glass,
     )
     for x in (0.33, 0.67):  # the occupants' seats
-        c.ellipse(x * width, 0.55 * tall, 0.11, 0.16, glass * 0.6)
+        c.ellipse(x * width, 0.55 * part_height, 0.11, 0.16, glass * 0.6)
     c.mottle(rng, 0.08, 0.15)
-    centre = -height / 2 + 0.02 + (bonnet - tall) / 2
-    return FacePart(c.finish(), 0, centre, width, tall + bonnet, rng.uniform(0.7, 1.2))
+    centre = -height / 2 + 0.02 + (bonnet - part_height) / 2
+    return FacePart(c.finish(), 0, centre, width, part_height + bonnet, rng.uniform(0.7, 1.2))
 
 
 def _underbody_part(rng: np.random.Generator, width: float, height: float) -> FacePart:
-    tall = 0.36
-    c = Canvas(width, tall, 10.0, alpha=0.0)
+    part_height = 0.36
+    c = Canvas(width, part_height, 10.0, alpha=0.0)
     c.box(0.03 * width, 0, 0.94 * width, 0.15, 12)
     for x in (0.03, 0.97 - 0.13):
-        c.box(x * width, 0, 0.13 * width, tall, 16)
-        c.box((x + 0.03) * width, 0.02, 0.02 * width, tall - 0.03, 30)
+        c.box(x * width, 0, 0.13 * width, part_height, 16)
+        c.box((x + 0.03) * width, 0.02, 0.02 * width, part_height - 0.03, 30)
     c.mottle(rng, 0.1, 0.05)
-    return FacePart(c.finish(), 0, height / 2 + tall / 2 - 0.01, width, tall, 0.15)
+    return FacePart(c.finish(), 0, height / 2 + part_height / 2 - 0.01, width, part_height, 0.15)
 
 
 def _windows_part(rng: np.random.Generator, width: float, height: float, body: float) -> FacePart:
-    tall = rng.uniform(0.45, 0.6)
-    c = Canvas(width, tall, 0.0, alpha=0.0)
+    part_height = rng.uniform(0.45, 0.6)
+    c = Canvas(width, part_height, 0.0, alpha=0.0)
     left, right = rng.uniform(0.2, 0.3) * width, rng.uniform(0.82, 0.95) * width
-    c.polygon([(left, 0), (right, 0), (0.98 * width, tall), (0.12 * width, tall)], body)
+    c.polygon([(left, 0), (right, 0), (0.98 * width, part_height), (0.12 * width, part_height)], body)
     glass = rng.uniform(25, 70)
     middle = (left + right) / 2
-    c.polygon([(left + 0.05, 0.07), (middle - 0.04, 0.07), (middle - 0.04, tall), (0.17 * width, tall)], glass)
-    c.polygon([(middle + 0.04, 0.07), (right - 0.05, 0.07), (0.93 * width, tall), (middle + 0.04, tall)], glass)
+    c.polygon(
+        [(left + 0.05, 0.07), (middle - 0.04, 0.07), (middle - 0.04, part_height), (0.17 * width, part_height)], glass
+    )
+    c.polygon(
+        [(middle + 0.04, 0.07), (right - 0.05, 0.07), (0.93 * width, part_height), (middle + 0.04, part_height)], glass
+    )
     c.mottle(rng, 0.1, 0.2)
-    return FacePart(c.finish(), 0, -height / 2 - tall / 2 + 0.06, width, tall, 0.12)
+    return FacePart(c.finish(), 0, -height / 2 - part_height / 2 + 0.06, width, part_height, 0.12)
 
 
 def _wheels_part(rng: np.random.Generator, width: float, height: float) -> FacePart:
-    tall = 0.66
-    c = Canvas(width, tall, 10.0, alpha=0.0)
+    part_height = 0.66
+    c = Canvas(width, part_height, 10.0, alpha=0.0)
     c.box(0, 0.25, width, 0.18, 12)
     for x in (0.18, 0.8):
         c.ellipse(x * width, 0.33, 0.32, 0.32, 20)
         c.ellipse(x * width, 0.33, 0.20, 0.20, rng.uniform(90, 170))
         c.ellipse(x * width, 0.33, 0.07, 0.07, 40)
-    return FacePart(c.finish(), 0, height / 2 + 0.02, width, tall, 0.06)
+    return FacePart(c.finish(), 0, height / 2 + 0.02, width, part_height, 0.06)
 
 
 def _lamp_texture(rng: np.random.Generator, width: float, height: float, grey: _ContrastScale) -> Texture:

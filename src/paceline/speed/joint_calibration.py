@@ -96,23 +96,23 @@ def combine_consistent(
 
 def corrected(m: Measurement, rig: CanonicalGaussian) -> Measurement:
     """``m`` with its speeds at the estimated ``rig``, whose covariance gives the systematic part."""
-    own = m.rig_information
-    assert own is not None
-    change, covariance = rig.mean - own.offset, rig.covariance
-    systematic = float(np.sqrt(own.mean_speed_gradient @ covariance @ own.mean_speed_gradient))
-    half_width = float(np.hypot(own.half_width, ndtri(0.5 + CONFIDENCE_LEVEL / 2) * systematic))
-    speed = m.speed + float(own.mean_speed_gradient @ change)
-    variances = np.einsum("nq,qr,nr->n", own.speed_jacobian, covariance, own.speed_jacobian)
-    speed_changes = own.speed_jacobian @ change
+    information = m.rig_information
+    assert information is not None
+    change, covariance = rig.mean - information.offset, rig.covariance
+    systematic = float(np.sqrt(information.mean_speed_gradient @ covariance @ information.mean_speed_gradient))
+    half_width = float(np.hypot(information.half_width, ndtri(0.5 + CONFIDENCE_LEVEL / 2) * systematic))
+    speed = m.speed + float(information.mean_speed_gradient @ change)
+    variances = np.einsum("nq,qr,nr->n", information.speed_jacobian, covariance, information.speed_jacobian)
+    speed_changes = information.speed_jacobian @ change
     ends = np.flatnonzero(np.isfinite(speed_changes))[[0, -1]]
-    speeds, stds = m.track.refined_speed + speed_changes, np.sqrt(own.speed_stds**2 + variances)
+    speeds, stds = m.track.refined_speed + speed_changes, np.sqrt(information.speed_stds**2 + variances)
     return replace(
         m,
         track=replace(m.track, refined_speed=speeds, refined_std=stds),
         speed=speed,
         speed_lo=speed - half_width,
         speed_hi=speed + half_width,
-        random_std=own.mean_speed_std,
+        random_std=information.mean_speed_std,
         systematic_std=systematic,
         acceleration=m.acceleration + float(np.diff(speed_changes[ends])[0] / np.diff(m.track.time[ends])[0]),
     )

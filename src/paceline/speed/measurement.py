@@ -125,7 +125,7 @@ def measure_each(
     on_paths: bool = True,
 ) -> ClipResult:
     """As `measure`, by the processor that ``begin`` makes for each vehicle; paths are reconstructed if ``on_paths``."""
-    begun = time.perf_counter()
+    start_time = time.perf_counter()
     if not clip.vehicles:
         raise UnusableInput(f"{clip.path}: vehicles: none is outlined; expected at least one vehicle to measure")
     for vehicle in clip.vehicles:
@@ -157,7 +157,7 @@ def measure_each(
         configuration=configuration.model_dump(),
         versions=versions(),
         notices=list(recording.notices),
-        seconds=time.perf_counter() - begun,
+        seconds=time.perf_counter() - start_time,
     )
 
 

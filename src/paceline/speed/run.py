@@ -55,10 +55,10 @@ class VehicleMeasurement:
         if self.path is not None:
             centre = self.tracker.plane.centre
             nearest = [path.at(np.array(path.nearest(centre))) for path in self.tracker.candidate_paths]
-            beside = min(float(np.linalg.norm(place - centre)) for place in nearest)
-            if not beside < MAX_PATH_DISTANCE_M:
+            distance = min(float(np.linalg.norm(place - centre)) for place in nearest)
+            if not distance < MAX_PATH_DISTANCE_M:
                 raise UnusableInput(
-                    f"{clip.path}: paths.{on_path}: passes {beside:.0f} m beside vehicle {vehicle.id}; "
+                    f"{clip.path}: paths.{on_path}: passes {distance:.0f} m beside vehicle {vehicle.id}; "
                     "expected a line along which it drives, and lateral_offset in metres"
                 )
         self.estimates: list[Estimate] = []

@@ -38,8 +38,8 @@ TABLE_HEADER = "| key | default | range | effect |\n| --- | --- | --- | --- |"
 
 def settings_page() -> str:
     """The text of docs/configuration.md."""
-    plain = {name: field for name, field in SpeedSettings.model_fields.items() if section_of(field) is None}
-    parts = [PAGE_INTRODUCTION, "\n".join([TABLE_HEADER, *map(row, plain, plain.values())])]
+    fields = {name: field for name, field in SpeedSettings.model_fields.items() if section_of(field) is None}
+    parts = [PAGE_INTRODUCTION, "\n".join([TABLE_HEADER, *map(row, fields, fields.values())])]
     for name, field in SpeedSettings.model_fields.items():
         if (section := section_of(field)) is not None:
             docstring = (section.__doc__ or "").strip()

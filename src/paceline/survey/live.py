@@ -187,17 +187,17 @@ def _first_frame(clip: Clip, pairs: Iterator[RawPair]) -> StereoFrame:
 def _estimate_background(clip: Clip, pairs: Iterator[RawPair], background_s: float) -> Background:
     """The background of the first ``background_s`` seconds, from frames spread evenly over them."""
     stacks: tuple[list[NDArray[np.float16]], list[NDArray[np.float16]]] = [], []
-    begun, next_s = None, 0.0
+    start_time, next_s = None, 0.0
     for frame in undistorted_frames(pairs, clip):
-        if begun is None:
+        if start_time is None:
             require_two_views(clip, frame)
-            begun = frame.time
-        passed = frame.time - begun
-        if passed >= next_s and not frame.duplicate:
+            start_time = frame.time
+        elapsed = frame.time - start_time
+        if elapsed >= next_s and not frame.duplicate:
             next_s += background_s / (BACKGROUND_FRAMES - 1)
             for stack, image in zip(stacks, (frame.left, frame.right), strict=True):
                 stack.append(image.astype(np.float16))
-        if passed >= background_s:
+        if elapsed >= background_s:
             break
     else:
         raise UnusableInput(

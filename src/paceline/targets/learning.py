@@ -113,12 +113,12 @@ def corner_names(count: int) -> list[str]:
 
 def _check(box: tuple[float, float, float, float], width: float, image_size: tuple[int, int]) -> None:
     x0, y0, x1, y1 = box
-    shown = ",".join(f"{v:g}" for v in box)
+    box_text = ",".join(f"{v:g}" for v in box)
     if not np.isfinite(box).all() or x1 - x0 < MIN_BOX_PX or y1 - y0 < MIN_BOX_PX:
-        raise UnusableInput(f"--box {shown}: expected x0,y0,x1,y1 with x1 and y1 at least {MIN_BOX_PX:g} px beyond "
+        raise UnusableInput(f"--box {box_text}: expected x0,y0,x1,y1 with x1 and y1 at least {MIN_BOX_PX:g} px beyond "
                             "x0 and y0")  # fmt: skip
     if x0 < -0.5 or y0 < -0.5 or x1 > image_size[0] - 0.5 or y1 > image_size[1] - 0.5:
-        raise UnusableInput(f"--box {shown}: lies outside the image of {image_size[0]} × {image_size[1]} pixels")
+        raise UnusableInput(f"--box {box_text}: lies outside the image of {image_size[0]} × {image_size[1]} pixels")
     if not MIN_BOX_WIDTH_M <= width <= MAX_BOX_WIDTH_M:
         raise UnusableInput(f"--width {width:g}: expected metres, {MIN_BOX_WIDTH_M:g} to {MAX_BOX_WIDTH_M:g}")
 
@@ -174,8 +174,10 @@ def _best_line(points: Array, max_offset: float) -> tuple[Line, NDArray[np.bool_
     weight = np.minimum(gradient, SATURATION_GRADIENT)
     order = np.argsort(x, kind="stable")
     total = np.concatenate([[0.0], np.cumsum(weight[order])])
-    near = total[np.searchsorted(x[order], x + max_offset, "right")] - total[np.searchsorted(x[order], x - max_offset)]
-    place = float(x[np.argmax(near)])
+    counts = (
+        total[np.searchsorted(x[order], x + max_offset, "right")] - total[np.searchsorted(x[order], x - max_offset)]
+    )
+    place = float(x[np.argmax(counts)])
     for _ in range(3):
         inliers = np.abs(x - place) <= max_offset
         start, stop = _longest_run(y[inliers])
@@ -213,18 +215,22 @@ def _side(vertical: list[Line], x: float, size: Array) -> tuple[float, float]:
     """Where a side of a box of this ``size`` (2,) is, and its standard deviation: on the clear line nearest to it, if
     a long one is near, or else at ``x``."""
     reach, least = max(MAX_SIDE_OFFSET[0], MAX_SIDE_OFFSET[1] * size[0]), MIN_SIDE_LINE_SHARE * size[1]
-    near = [line for line in vertical if abs(line.place - x) <= reach and line.length >= least]
-    clear = [line.place for line in near if line.strength >= MIN_SIDE_STRENGTH_RATIO * max(n.strength for n in near)]
+    near_lines = [line for line in vertical if abs(line.place - x) <= reach and line.length >= least]
+    clear = [
+        line.place
+        for line in near_lines
+        if line.strength >= MIN_SIDE_STRENGTH_RATIO * max(n.strength for n in near_lines)
+    ]
     return (min(clear, key=lambda place: abs(place - x)), LINE_SIDE_STD_PX) if clear else (x, BOX_SIDE_STD_PX)
 
 
 # --- corners -------------------------------------------------------------------------------------------------------
 
 
-def join_lines(horizontal: list[Line], vertical: list[Line], meet: Array) -> tuple[Array, NDArray[np.int64]]:
+def join_lines(horizontal: list[Line], vertical: list[Line], max_gap: Array) -> tuple[Array, NDArray[np.int64]]:
     """Corners (C, 2) in pixels and segments (S, 2) of the lines, top to bottom, then left to right.
 
-    Ends of a horizontal and a vertical line within ``meet`` (2,) pixels across and down of each other share a corner.
+    Ends of a horizontal and a vertical line within ``max_gap`` (2,) px across and down of each other share a corner.
     """
     ends: dict[End, tuple[float, float]] = {}
     for i, line in enumerate(horizontal):
@@ -235,7 +241,7 @@ def join_lines(horizontal: list[Line], vertical: list[Line], meet: Array) -> tup
     for (i, across), (j, down) in product(enumerate(horizontal), enumerate(vertical)):
         for a, b in product((0, 1), (0, 1)):
             tip, foot = (across.start, across.stop)[a], (down.start, down.stop)[b]
-            distances = np.abs([tip - down.place, foot - across.place]) / meet
+            distances = np.abs([tip - down.place, foot - across.place]) / max_gap
             if distances.max() <= 1:
                 pairs.append((float(distances.sum()), ("h", i, a), ("v", j, b), (down.place, across.place)))
     shared: dict[End, End] = {}

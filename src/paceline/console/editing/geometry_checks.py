@@ -49,19 +49,21 @@ def _project_ray(pair: StereoRig, ray: Array, inverse: Array) -> tuple[Array, ND
     ahead = seen[:, 2] > 0.05 * points[:, 2]
     width, height = pair.right.image_size
     ideal = pair.right.project(np.where(ahead[:, None], seen, [0.0, 0.0, 1.0]))
-    near = (np.abs(ideal - [width / 2, height / 2]) < [width, height]).all(axis=1)  # the lens model holds only there
-    pixels = pair.right.distort_points(np.where((ahead & near)[:, None], ideal, 0.0))
-    return pixels, ahead & near
+    near_image = (np.abs(ideal - [width / 2, height / 2]) < [width, height]).all(
+        axis=1
+    )  # the lens model holds only there
+    pixels = pair.right.distort_points(np.where((ahead & near_image)[:, None], ideal, 0.0))
+    return pixels, ahead & near_image
 
 
 def check_setup(rig: StereoRig, paths: Mapping[str, Entry], vehicles: list[Entry]) -> dict[str, Any]:
     """Checks every path (by name) and vehicle (in order): facts in metres, ``problem`` where one cannot be measured,
     ``warning`` where it is implausible."""
     found: dict[str, Path] = {}
-    shown = {name: _check_path(rig, name, entry, found) for name, entry in paths.items()}
+    path_facts = {name: _check_path(rig, name, entry, found) for name, entry in paths.items()}
     for name, path in found.items():
-        shown[name] |= _nearest_path(name, path, found)
-    return {"paths": shown, "vehicles": [_check_vehicle(rig, entry, found) for entry in vehicles]}
+        path_facts[name] |= _nearest_path(name, path, found)
+    return {"paths": path_facts, "vehicles": [_check_vehicle(rig, entry, found) for entry in vehicles]}
 
 
 def _check_path(rig: StereoRig, name: str, entry: Entry, found: dict[str, Path]) -> Facts:

@@ -84,32 +84,32 @@ class Uploads:
         found = self._find(key)
         file = _upload_path(found, slot, name)
         max_bytes = MAX_YAML_BYTES if slot in YAML_NAMES else MAX_RECORDING_BYTES
-        shown = Path(name).name[:80]
+        short_name = Path(name).name[:80]
         if size is not None and size > max_bytes:
-            raise UnusableInput(f"{shown}: is larger than {_format_bytes(max_bytes)}")
+            raise UnusableInput(f"{short_name}: is larger than {_format_bytes(max_bytes)}")
         if shutil.disk_usage(self._root).free < (size or 0) + MIN_FREE_DISK_BYTES:
-            raise UnusableInput(f"{shown}: there is not enough free disk space for it")
+            raise UnusableInput(f"{short_name}: there is not enough free disk space for it")
         written = 0
         try:
             file.parent.mkdir(exist_ok=True)
             stream = file.open("xb")
         except FileExistsError as error:
-            raise UnusableInput(f"{shown}: was sent twice; expected different names") from error
+            raise UnusableInput(f"{short_name}: was sent twice; expected different names") from error
         except OSError as error:
-            raise UnusableInput(f"{shown}: cannot be written ({error.strerror})") from error
+            raise UnusableInput(f"{short_name}: cannot be written ({error.strerror})") from error
         try:
             with stream:
                 async for part in _in_chunks(body):
                     written += len(part)
                     if written > max_bytes:
-                        raise UnusableInput(f"{shown}: is larger than {_format_bytes(max_bytes)}")
+                        raise UnusableInput(f"{short_name}: is larger than {_format_bytes(max_bytes)}")
                     await asyncio.to_thread(stream.write, part)
             if size is not None and written != size:
-                raise UnusableInput(f"{shown}: was not received completely; try again")
+                raise UnusableInput(f"{short_name}: was not received completely; try again")
         except BaseException as error:
             file.unlink(missing_ok=True)
             if isinstance(error, OSError):
-                raise UnusableInput(f"{shown}: cannot be written ({error.strerror})") from error
+                raise UnusableInput(f"{short_name}: cannot be written ({error.strerror})") from error
             raise
         found.received.setdefault(slot, []).append(file)
 

@@ -27,7 +27,7 @@ def _chart(
     series: list[Series], compared: list[Series] | None, unit: str, to_unit: Callable[[float], float]
 ) -> dict[str, Any]:
     """A line and a band per vehicle, dashed lines for those of another run."""
-    shown: list[dict[str, Any]] = []
+    chart_series: list[dict[str, Any]] = []
     colors = {s.vehicle: SERIES_COLORS[i % len(SERIES_COLORS)] for i, s in enumerate(series)}
     for s in series:
         value = [round(to_unit(v), 2) for v in s.value]
@@ -37,15 +37,15 @@ def _chart(
         hidden = {"type": "line", "name": s.vehicle, "color": colors[s.vehicle], "stack": f"band {s.vehicle}",
                   "symbol": "none", "silent": True, "lineStyle": {"opacity": 0},
                   "tooltip": {"show": False}}  # fmt: skip
-        shown.append({**hidden, "data": low})
-        shown.append({**hidden, "data": band, "areaStyle": {"color": colors[s.vehicle], "opacity": 0.15}})
+        chart_series.append({**hidden, "data": low})
+        chart_series.append({**hidden, "data": band, "areaStyle": {"color": colors[s.vehicle], "opacity": 0.15}})
         line = [[t, v] for t, v in zip(s.time, value, strict=True)]
         visible = {"type": "line", "name": s.vehicle, "color": colors[s.vehicle]}
-        shown.append({**visible, "data": line, "symbolSize": 5 if len(line) < MAX_DOTTED_VALUES else 0})
+        chart_series.append({**visible, "data": line, "symbolSize": 5 if len(line) < MAX_DOTTED_VALUES else 0})
     for s in compared or []:
         line = [[t, round(to_unit(v), 2)] for t, v in zip(s.time, s.value, strict=True)]
         color = colors.get(s.vehicle, "#888888")
-        shown.append({"type": "line", "name": f"{s.vehicle}, other run", "data": line, "color": color,
+        chart_series.append({"type": "line", "name": f"{s.vehicle}, other run", "data": line, "color": color,
                       "symbol": "none", "lineStyle": {"type": "dashed"}})  # fmt: skip
     axis = {"nameTextStyle": {"color": "#888888"}, "axisLabel": {"color": "#888888"}, "scale": True,
             "splitLine": {"lineStyle": {"color": "#88888833"}}}  # fmt: skip
@@ -58,5 +58,5 @@ def _chart(
         "xAxis": {**axis, "type": "value", "name": "s", "nameLocation": "end"},
         "yAxis": {**axis, "type": "value", "name": unit},
         "dataZoom": [{"type": "inside"}],
-        "series": shown,
+        "series": chart_series,
     }

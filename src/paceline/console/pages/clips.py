@@ -45,14 +45,14 @@ def add(library: Library) -> None:
             ui.label(READ_ONLY_TEXT if library.read_only else HELP_TEXT).classes("pl-help")
             grid = ui.element("div").classes("pl-grid")
             ui.add_body_html('<script type="module" src="/static/importer.js"></script>')
-        shown: list[ClipEntry] | None = None
+        shown_entries: list[ClipEntry] | None = None
 
         async def refresh() -> None:
-            nonlocal shown
+            nonlocal shown_entries
             entries = await run.io_bound(_read_entries, library)
-            if entries is None or entries == shown:
+            if entries is None or entries == shown_entries:
                 return
-            shown = entries
+            shown_entries = entries
             grid.clear()
             with grid:
                 if not entries:

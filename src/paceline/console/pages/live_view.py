@@ -154,15 +154,15 @@ class LiveView:
     def _scene(self, scene: dict[str, Any], series: list[Series]) -> dict[str, Any]:
         """The data of a frame to draw: each vehicle in the colour of its series, labelled with its value."""
         names = [s.vehicle for s in series]
-        shown = []
+        outlines = []
         for vehicle in scene["vehicles"]:
             name, value = vehicle["vehicle"], vehicle["value"]
             known = "" if value is None else self._format_value(value)
             color = SERIES_COLORS[names.index(name) % len(SERIES_COLORS)] if name in names else "#888888"
             drawn = {key: vehicle[key] for key in ("outlines", "particles")}
-            shown.append({"name": name, "label": f"{name}  {known}".strip(), "color": color, **drawn})
+            outlines.append({"name": name, "label": f"{name}  {known}".strip(), "color": color, **drawn})
         size = {"size": scene["size"]} if "size" in scene else {}
-        return {"frame": scene["frame"], "time": scene["time_s"], "vehicles": shown, **size}
+        return {"frame": scene["frame"], "time": scene["time_s"], "vehicles": outlines, **size}
 
     def _format_value(self, value: float) -> str:
         return (

@@ -62,8 +62,8 @@ def _write_copy(root: Path, file: Path, inputs: Path, values: dict[str, Any]) ->
 
 def _given_values(model: Document) -> dict[str, Any]:
     """The given values of a document, as plain YAML values."""
-    plain: dict[str, Any] = _plain(model.model_dump(exclude_unset=True, exclude_none=True))
-    return plain
+    values: dict[str, Any] = _plain(model.model_dump(exclude_unset=True, exclude_none=True))
+    return values
 
 
 def _plain(value: Any) -> Any:

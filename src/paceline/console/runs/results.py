@@ -165,10 +165,10 @@ def vehicle_rows(vehicles: list[dict[str, Any]], unit: str) -> list[dict[str, st
 def _vehicle_row(vehicle: dict[str, Any], unit: str) -> dict[str, str]:
     speed, lo, hi = (_number_or_nan(vehicle.get(key)) for key in ("speed_mps", "speed_lo_mps", "speed_hi_mps"))
     half = (hi - lo) / 2
-    shown = format_speed_number(speed, unit, half)
+    speed_text = format_speed_number(speed, unit, half)
     return {
         "vehicle": str(vehicle.get("vehicle")),
-        "speed": shown if shown == NO_VALUE else f"{shown} ± {format_speed_number(half, unit, half)}",
+        "speed": speed_text if speed_text == NO_VALUE else f"{speed_text} ± {format_speed_number(half, unit, half)}",
         "interval": NO_VALUE
         if math.isnan(half)
         else f"{format_speed_number(lo, unit, half)} to {format_speed_number(hi, unit, half)}",

@@ -57,8 +57,8 @@ def _plan_size(log: DriveLog) -> tuple[float, float]:
 def _draw_plan(figure: Figure, log: DriveLog) -> None:
     axes = figure.subplots()
     chase, lead = _rotated_to_horizontal(log)
-    shown = log.lead_present > 0
-    axes.plot(*lead[shown].T, color=INTERVAL_COLOR, lw=3.2, alpha=0.8, label="lead")
+    lead_present = log.lead_present > 0
+    axes.plot(*lead[lead_present].T, color=INTERVAL_COLOR, lw=3.2, alpha=0.8, label="lead")
     axes.plot(*chase.T, color=FILTER_COLOR, lw=1.2, label="chase vehicle")
     axes.plot(*chase[0], marker="o", color=INK_COLOR, ms=5, ls="", label="start")
     is_lost = log.status == 2

@@ -39,7 +39,7 @@ def write_drive_files(
     loop: ClosedLoop, folder: Path, overlay: bool = True, progress: Progress | None = None
 ) -> DriveResult:
     """As `drive_and_report`, straight into an existing ``folder``; memory does not grow with the drive."""
-    begun = time.perf_counter()
+    start_time = time.perf_counter()
     warm_up()
     figures, log, stills, notices = DriveStatistics(), DriveLog(), StillSelection(), list[str]()
     rate, width = loop.scene.chase_scene.rate, loop.scene.world.body.width
@@ -72,7 +72,7 @@ def write_drive_files(
         versions=versions(),
         notices=notices,
     )
-    result = replace(result, seconds=time.perf_counter() - begun)
+    result = replace(result, seconds=time.perf_counter() - start_time)
     write_drive_summary(result, folder / "summary.json")
     (folder / "drive.yaml").write_text(
         yaml.safe_dump(result.document, sort_keys=False, allow_unicode=True), encoding="utf-8"

@@ -82,8 +82,8 @@ def _speed_columns(passage: Passage, unit: str) -> dict[str, str]:
         return {"speed": NO_VALUE, "interval": NO_VALUE}
     speed, lo, hi = (float(passage[key]) for key in ("speed_mps", "speed_lo_mps", "speed_hi_mps"))
     half = (hi - lo) / 2
-    shown = [format_speed_number(value, unit, half) for value in (speed, half, lo, hi)]
-    return {"speed": f"{shown[0]} ± {shown[1]}", "interval": f"{shown[2]} to {shown[3]}"}
+    texts = [format_speed_number(value, unit, half) for value in (speed, half, lo, hi)]
+    return {"speed": f"{texts[0]} ± {texts[1]}", "interval": f"{texts[2]} to {texts[3]}"}
 
 
 def _pictures(vehicles: Sequence[Passage], folder: Path, unit: str) -> list[dict[str, Any]]:

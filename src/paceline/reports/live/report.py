@@ -93,11 +93,11 @@ class LiveResults:
 
     def save(self) -> None:
         """Bring summary.json up to date, unless it has been written so lately that its share of the time is used up."""
-        begun = time.monotonic()
-        if self._changed and begun >= self._due:
+        start_time = time.monotonic()
+        if self._changed and start_time >= self._due:
             write_all_or_none(self._summary())
             self._changed = False
-            self._due = begun + (time.monotonic() - begun) / MAX_WRITE_TIME_SHARE
+            self._due = start_time + (time.monotonic() - start_time) / MAX_WRITE_TIME_SHARE
 
     def document(self) -> dict[str, object]:
         """What summary.json holds."""

@@ -167,8 +167,8 @@ def _draw_view(
 def _draw_path(picture: Picture, points: Array) -> None:
     """A path as a thin line; parts that are not finite or far outside the picture are left out."""
     height, width = picture.shape[:2]
-    near = (np.isfinite(points) & (points > -width - height) & (points < 2 * (width + height))).all(axis=1)
-    for a, b, drawn in zip(points[:-1], points[1:], near[:-1] & near[1:], strict=True):
+    near_image = (np.isfinite(points) & (points > -width - height) & (points < 2 * (width + height))).all(axis=1)
+    for a, b, drawn in zip(points[:-1], points[1:], near_image[:-1] & near_image[1:], strict=True):
         if drawn:
             draw_line(picture, a, b, PATH_COLOR)
 

@@ -49,10 +49,10 @@ def _file_stems(vehicles: list[str]) -> list[str]:
     """A file name for each vehicle: its id with unsafe characters replaced, numbered where two would clash."""
     stems: list[str] = []
     for vehicle in vehicles:
-        plain = re.sub(r"[^\w.-]+", "_", vehicle).strip("._")[:60] or "vehicle"
-        stem, count = plain, 1
+        base = re.sub(r"[^\w.-]+", "_", vehicle).strip("._")[:60] or "vehicle"
+        stem, count = base, 1
         while stem.lower() in (other.lower() for other in stems):
             count += 1
-            stem = f"{plain}_{count}"
+            stem = f"{base}_{count}"
         stems.append(stem)
     return stems

@@ -103,8 +103,8 @@ class Renderer:
 
     def _roadside(self, state: WorldState) -> tuple[Faces, Array]:
         """What stands and drives in view but for the lead, the farthest first, and how far ahead each is, m."""
-        near = self.world.roadside_faces(state.chase.arc, state.chase.arc + MAX_OBJECT_DISTANCE_M)
-        things = join_faces([near, *self.world.moving_faces(state)])
+        roadside = self.world.roadside_faces(state.chase.arc, state.chase.arc + MAX_OBJECT_DISTANCE_M)
+        things = join_faces([roadside, *self.world.moving_faces(state)])
         distance = state.camera.to_level(things.x, things.y)[1]
         order = np.argsort(-distance, kind="stable")
         return things[order], distance[order]

@@ -132,19 +132,19 @@ class _BodyBuilder:
         c.mottle(self.rng, 0.04, grain)
         return c.finish()
 
-    def bumper(self, tall: float, depth: float, grey: float) -> tuple[Face, Face]:
+    def bumper(self, height: float, depth: float, grey: float) -> tuple[Face, Face]:
         """Its top and its rear, ``depth`` metres behind the rear plane, down to the plane's lower edge."""
-        half, top = self.width / 2 - 0.01, self.height / 2 - tall
+        half, top = self.width / 2 - 0.01, self.height / 2 - height
         # One of the body's colour shows where its top ends, any other where the body ends.
-        self.model(-half, top, half, top + tall, "t", 0.0 if grey == self.trim else -depth)
-        self.model(-half, top, half, top + tall, "b", -depth)
-        c = AntialiasedCanvas(2 * half, tall, grey, density=REAR_TEXELS_PER_METRE)
+        self.model(-half, top, half, top + height, "t", 0.0 if grey == self.trim else -depth)
+        self.model(-half, top, half, top + height, "b", -depth)
+        c = AntialiasedCanvas(2 * half, height, grey, density=REAR_TEXELS_PER_METRE)
         c.mottle(self.rng, 0.05, 0.2)
-        c.box(0, 0.6 * tall, 2 * half, 0.03, 0.5 * grey)
+        c.box(0, 0.6 * height, 2 * half, 0.03, 0.5 * grey)
         above = self.panel(2 * half, max(depth, 0.08), 1.05 * grey)
         return (
             Face(above, (-half, top, 0.0), (2 * half, 0, 0), (0, 0, -depth)),
-            Face(c.finish(), (-half, top, -depth), (2 * half, 0, 0), (0, tall, 0)),
+            Face(c.finish(), (-half, top, -depth), (2 * half, 0, 0), (0, height, 0)),
         )
 
     def lamps(self, x: float, y: float, width: float, height: float, z: float = 0.0) -> tuple[Face, Face]:
@@ -162,28 +162,28 @@ class _BodyBuilder:
     def box_faces(self, length: float, top: float, bottom: float, z: float = 0.0, inset: float = 0.0) -> list[Face]:
         """Roof and sides of a box behind the plane from y = top to y = bottom."""
         half = self.width / 2 - inset
-        tall = bottom - top
-        side = AntialiasedCanvas(length, tall, self.paint, density=60)
+        side_height = bottom - top
+        side = AntialiasedCanvas(length, side_height, self.paint, density=60)
         side.shade(1.05, 0.8)
         side.mottle(self.rng, 0.04, 0.5)
         if self.kind != "lorry":
             for k in range(max(1, int(length / 1.2))):
-                side.box(0.25 + 1.2 * k, 0.12 * tall, 0.95, 0.36 * tall, self.glass)
+                side.box(0.25 + 1.2 * k, 0.12 * side_height, 0.95, 0.36 * side_height, self.glass)
         flank, roof = side.finish(), self.panel(2 * half, length, 1.02 * self.paint, 0.6)
         return [
             Face(roof, (-half, top, z + length), (2 * half, 0, 0), (0, 0, -length)),
-            Face(flank, (half, top, z), (0, 0, length), (0, tall, 0)),
-            Face(flank, (-half, top, z + length), (0, 0, -length), (0, tall, 0)),
+            Face(flank, (half, top, z), (0, 0, length), (0, side_height, 0)),
+            Face(flank, (-half, top, z + length), (0, 0, -length), (0, side_height, 0)),
         ]
 
-    def underside(self, tall: float) -> list[Face]:
+    def underside(self, height: float) -> list[Face]:
         """Wheels and the dark between them, below the rear plane."""
-        c = AntialiasedCanvas(self.width, tall, 0.0, alpha=0.0, density=120)
-        c.box(0.05, 0, self.width - 0.1, 0.4 * tall, 8)
+        c = AntialiasedCanvas(self.width, height, 0.0, alpha=0.0, density=120)
+        c.box(0.05, 0, self.width - 0.1, 0.4 * height, 8)
         for x in (0.04, self.width - 0.28):
-            c.box(x, 0, 0.24, tall, 14)
+            c.box(x, 0, 0.24, height, 14)
         c.mottle(self.rng, 0.1, 0.06)
-        return [Face(c.finish(), (-self.width / 2, self.height / 2, 0.25), (self.width, 0, 0), (0, tall, 0))]
+        return [Face(c.finish(), (-self.width / 2, self.height / 2, 0.25), (self.width, 0, 0), (0, height, 0))]
 
     def finish(
         self, behind: list[Face], before: tuple[Face, ...], lamps: tuple[Face, ...], length: float, top: float

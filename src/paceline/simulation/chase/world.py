@@ -106,8 +106,8 @@ class ChaseWorld:
         if self.scene.traffic:
             every, part = self.oncoming_schedule
             for k in range(int(state.time / every), int(state.time / every) + 2):
-                meet = (k + part[k % len(part)]) * every
-                arc = self._arc(meet) + self.scene.top_speed * (meet - state.time)
+                meeting_time = (k + part[k % len(part)]) * every
+                arc = self._arc(meeting_time) + self.scene.top_speed * (meeting_time - state.time)
                 if state.chase.arc < arc < min(state.chase.arc + 150, self.road.s[-1]):
                     pose = road_pose(self.road, arc, -LANE_WIDTH_M, 0.0)
                     groups.append(move_faces(self._oncoming[k % len(self._oncoming)], self.road, pose))
@@ -201,8 +201,8 @@ class ChaseWorld:
         r0, a0 = camera.to_level(pose.x, pose.y)
         foot = np.column_stack([a0 + box[:, 0] * s + box[:, 1] * c, r0 + box[:, 0] * c - box[:, 1] * s])
         towards = self.sun.direction(camera.heading)
-        tall = body.clearance + body.height / 2 + body.top
-        roof = foot + tall * towards[[2, 0]] / towards[1]
+        roof_height = body.clearance + body.height / 2 + body.top
+        roof = foot + roof_height * towards[[2, 0]] / towards[1]
         return _outline_edges(np.vstack([foot, roof])), _outline_edges(foot)
 
 

@@ -125,15 +125,15 @@ def required_braking(policy: GapPolicy, speed: float, gap: float, lead_speed: fl
     braking, tau = min(max(-lead_acceleration, 0.0), policy.lead_braking), policy.reaction
     later = max(lead_speed - braking * tau, 0.0)
     moves = lead_speed * tau - braking * tau**2 / 2 if later > 0 else lead_speed**2 / (2 * max(braking, 1e-9))
-    room, lead_speed = gap - (policy.standstill - policy.margin) + moves - speed * tau, later
+    available_distance, lead_speed = gap - (policy.standstill - policy.margin) + moves - speed * tau, later
     closing = max(speed - lead_speed, 0.0)
-    if room <= 0:
+    if available_distance <= 0:
         return np.inf if closing > 0 else braking
-    if 2 * room * braking <= closing * lead_speed:  # both are equally fast before the lead stands
-        return braking + closing**2 / (2 * room)
+    if 2 * available_distance * braking <= closing * lead_speed:  # both are equally fast before the lead stands
+        return braking + closing**2 / (2 * available_distance)
     if braking == 0:
         return 0.0
-    return speed**2 / (2 * (room + lead_speed**2 / (2 * braking)))
+    return speed**2 / (2 * (available_distance + lead_speed**2 / (2 * braking)))
 
 
 class GapController:

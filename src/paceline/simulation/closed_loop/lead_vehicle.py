@@ -90,10 +90,10 @@ class LeadVehicle:
     def pose_at(self, time: float) -> RoadPose:
         return self.pose_at_arc(self.arc_at(time))
 
-    def path_offset(self, x: float, y: float, near: float) -> tuple[float, float]:
+    def path_offset(self, x: float, y: float, start_arc: float) -> tuple[float, float]:
         """How far (m) a point lies to the right of the lead's path, and the arc length beside it, looked for from
-        ``near`` on."""
-        arc = near
+        ``start_arc`` on."""
+        arc = start_arc
         for _ in range(20):
             p = self.pose_at_arc(arc)
             c, s = np.cos(p.heading), np.sin(p.heading)

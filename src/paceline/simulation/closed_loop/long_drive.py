@@ -23,15 +23,15 @@ def draw_long_drive(rng: np.random.Generator) -> dict[str, Any]:
             top = float(rng.uniform(3.0, 5.0))
         speeds += [[t, speeds[-1][1]], [t + 4.0, top]]
         t += 4.0
-        stay = float(rng.uniform(8.0, 16.0))
+        duration = float(rng.uniform(8.0, 16.0))
         if manoeuvre == "weave":
             amplitude, period = float(rng.uniform(0.6, 1.2)), float(rng.uniform(7.0, 11.0))
-            weaves.append({"start": t, "stop": t + stay, "amplitude": amplitude, "period": period})
+            weaves.append({"start": t, "stop": t + duration, "amplitude": amplitude, "period": period})
         if manoeuvre == "crossing":
             kind = str(rng.choice(["vehicle", "post"]))
             crossings.append({"at": t + 4.0, "duration": float(rng.uniform(0.6, 1.0)), "kind": kind})
-        speeds.append([t + stay, top])
-        t += stay
+        speeds.append([t + duration, top])
+        t += duration
         if manoeuvre in ("stop", "hard"):
             braking = float(rng.uniform(4.5, 6.0) if manoeuvre == "hard" else rng.uniform(1.5, 3.0))
             wait = float(rng.uniform(2.0, 8.0))

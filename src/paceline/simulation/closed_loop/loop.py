@@ -68,8 +68,12 @@ class ClosedLoop:
         self.model, self.seed, self.latency = model, seed, latency
         self.scene = DriveScene(model, seed, self.vehicle)
         v = self.vehicle
-        own = {"wheelbase": v.wheelbase, "camera_ahead": v.camera_ahead, "steering_limit": v.steering_limit}
-        self.configuration = (configuration or FollowConfiguration()).model_copy(update=own)
+        vehicle_settings = {
+            "wheelbase": v.wheelbase,
+            "camera_ahead": v.camera_ahead,
+            "steering_limit": v.steering_limit,
+        }
+        self.configuration = (configuration or FollowConfiguration()).model_copy(update=vehicle_settings)
         self.errors = errors or OdometerErrors()
 
     @property
@@ -97,12 +101,12 @@ class ClosedLoop:
         operator = HumanThrottle(placed.policy, (nearest, MAX_HUMAN_GAP_M[self.model.camera]), rng)
         manual = self.model.throttle == "manual"
         tracker: FollowTracker | None = None
-        near = placed.lead.start
+        lead_arc = placed.lead.start
         for frame in range(scene.frames):
             time = frame / scene.rate
             chase = plant.advance(time)
-            state = placed.state_at(time, chase, near)
-            near = state.chase.arc
+            state = placed.state_at(time, chase, lead_arc)
+            lead_arc = state.chase.arc
             image, visible = renderer.render(state)
             truth = truth_of(scene, frame, state, visible)
             tracker = tracker or start_tracker(scene, truth, self.configuration)
@@ -120,7 +124,7 @@ class ClosedLoop:
                 desired_gap = placed.policy.desired_gap(chase.speed)
             command = Command(time + self.latency, e.steering, throttle)
             plant.queue(command)
-            error, _ = placed.lead.path_offset(chase.x, chase.y, near - self.vehicle.camera_ahead)
+            error, _ = placed.lead.path_offset(chase.x, chase.y, lead_arc - self.vehicle.camera_ahead)
             yield LoopStep(
                 frame=frame,
                 time=time,
@@ -140,11 +144,14 @@ class ClosedLoop:
 
     def _clearance(self, chase: VehicleState, state: WorldState) -> float:
         v = self.vehicle
-        own = vehicle_outline(chase.x, chase.y, chase.heading, -v.tail, v.nose, v.width)
+        chase_outline = vehicle_outline(chase.x, chase.y, chase.heading, -v.tail, v.nose, v.width)
         world = self.scene.world
         others: list[tuple[Body, Placed]] = [(world.body, state.lead)] if state.lead_present else []
         others += zip(world.other_vehicles, state.other_vehicles, strict=True)
-        return min((outline_distance(own, _body_outline(body, place)) for body, place in others), default=float("nan"))
+        return min(
+            (outline_distance(chase_outline, _body_outline(body, place)) for body, place in others),
+            default=float("nan"),
+        )
 
 
 def _body_outline(body: Body, place: Placed) -> Array:

@@ -110,9 +110,9 @@ def changes_lane(rng: np.random.Generator) -> dict[str, Any]:
 
 
 def cuts_in(rng: np.random.Generator) -> dict[str, Any]:
-    stay = float(rng.uniform(3.5, 5.0))
+    duration = float(rng.uniform(3.5, 5.0))
     return _constant_speed(35.0, appearance=NO_TRAFFIC, headway=1.3, road={"radius": 250.0}) | {
-        "cut_ins": [{"at": 8.0, "until": 8.0 + 2.5 + stay, "kind": str(rng.choice(["van", "saloon"]))}],
+        "cut_ins": [{"at": 8.0, "until": 8.0 + 2.5 + duration, "kind": str(rng.choice(["van", "saloon"]))}],
         "requirements": {"lost": None, "tracked": 0.2, "ends": "either"},
     }
 

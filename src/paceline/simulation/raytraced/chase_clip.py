@@ -176,8 +176,8 @@ def write(
     view = lru_cache(maxsize=4)(chase.view)
     for k, (path, t) in enumerate(zip(paths, chase.times, strict=True)):
         if not path.exists() and not video.exists():
-            own = int(np.random.SeedSequence([scene.seed, 17, k]).generate_state(1)[0])
-            light = render_exposure(renderer, chase.placements, view, t, make_shutter(scene), scene.samples, own)
+            frame_seed = int(np.random.SeedSequence([scene.seed, 17, k]).generate_state(1)[0])
+            light = render_exposure(renderer, chase.placements, view, t, make_shutter(scene), scene.samples, frame_seed)
             picture = expose(light, white, make_sensor(scene), np.random.default_rng([scene.seed, 19, k]))
             clip_folder.write_picture(path, picture, scene.sensor.quality)
         if progress:

@@ -52,8 +52,8 @@ class DrivingPlan:
         if self.acceleration < 0:
             change = min(change, -self.speed / self.acceleration)
         phase = min(t - self.acceleration_start, change)
-        steady = self.speed_at(t) * (t - self.acceleration_start - phase)
-        return self.speed * phase + self.acceleration * phase**2 / 2 + (steady if steady > 0 else 0.0)
+        steady_distance = self.speed_at(t) * (t - self.acceleration_start - phase)
+        return self.speed * phase + self.acceleration * phase**2 / 2 + (steady_distance if steady_distance > 0 else 0.0)
 
     def lateral_at(self, distance: float) -> tuple[float, float]:
         """Lateral (m) after so many metres of the drive, and its change per metre."""

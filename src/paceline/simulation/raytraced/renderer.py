@@ -87,8 +87,8 @@ class Renderer:
         ]
         seeds = np.random.SeedSequence(seed).generate_state(len(passes))
         total: Radiance | float = 0.0
-        for count, own in zip(passes, seeds, strict=True):
-            picture = self._take(view.camera, view.R, view.t, window, count, int(own))
+        for count, pass_seed in zip(passes, seeds, strict=True):
+            picture = self._take(view.camera, view.R, view.t, window, count, int(pass_seed))
             total = total + picture * np.float32(count / samples)
         return np.asarray(total, np.float32)
 

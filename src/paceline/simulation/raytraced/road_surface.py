@@ -153,8 +153,8 @@ def _land(road: RoadGeometry, rng: np.random.Generator) -> Mesh:
     and there a little lower so that the near land covers it."""
     stations = np.arange(0.0, road.length + 1.0, 1.0).clip(max=road.length)
     phase = rng.uniform(0, 2 * np.pi, 4)
-    near = _ground(road, stations, phase, 6.0, (0.0, 130.0))
-    return join_meshes([near, _ground(road, stations, phase, 40.0, (60.0, 1500.0)).transformed([0, 0, -0.5])])
+    near_ground = _ground(road, stations, phase, 6.0, (0.0, 130.0))
+    return join_meshes([near_ground, _ground(road, stations, phase, 40.0, (60.0, 1500.0)).transformed([0, 0, -0.5])])
 
 
 def _ground(road: RoadGeometry, stations: Array, phase: Array, cell: float, reach: tuple[float, float]) -> Mesh:

@@ -70,10 +70,10 @@ def road_paint_texture(
     shape = round(length * density), max(8, round(width * density))
     noise = mottle(rng, shape, 2.0) + 0.8 * mottle(rng, shape, 0.05 * density) + 0.7 * mottle(rng, shape, 0.4 * density)
     limit = np.quantile(noise, 1 - 0.9 * wear) if wear > 0 else np.inf
-    worn = smoothstep(noise, limit - 0.4, limit + 0.6) if wear > 0 else np.zeros(shape, np.float32)
+    wear_share = smoothstep(noise, limit - 0.4, limit + 0.6) if wear > 0 else np.zeros(shape, np.float32)
     paint = rng.uniform(0.42, 0.58) * (1 - 0.25 * wear) * (1 + 0.05 * mottle(rng, shape, 0.1 * density))
     under = ground * (1 + 0.2 * mottle(rng, shape, 1.0))
-    grey = np.clip(paint * (1 - worn) + under * worn, 0.02, 0.8)
+    grey = np.clip(paint * (1 - wear_share) + under * wear_share, 0.02, 0.8)
     return np.asarray(grey[..., None] * np.array([1.0, 0.99, 0.95]), np.float32)
 
 

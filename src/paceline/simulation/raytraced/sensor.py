@@ -112,10 +112,10 @@ def render_exposure(
         first, end = max(top, y0), min(bottom, y1)
         read = time + float(shutter.row_delay((top + bottom - 1) / 2, height))
         for step in range(shutter.steps):
-            moment, own = read + shutter.exposure * ((step + 0.5) / shutter.steps - 0.5), int(next(seeds))
+            moment, step_seed = read + shutter.exposure * ((step + 0.5) / shutter.steps - 0.5), int(next(seeds))
             if first < end:
                 renderer.place(placements(moment))
-                part = renderer.render(view(moment), samples_per_step, own, (x0, first, x1, end))
+                part = renderer.render(view(moment), samples_per_step, step_seed, (x0, first, x1, end))
                 picture[first - y0 : end - y0] += part / shutter.steps
     return picture
 

@@ -117,7 +117,7 @@ class _CameraRenderer:
         ):
             if window:
                 x0, y0, x1, y1 = window
-                own = int(np.random.SeedSequence([scene.seed, 17, self.i, k, part]).generate_state(1)[0])
+                frame_seed = int(np.random.SeedSequence([scene.seed, 17, self.i, k, part]).generate_state(1)[0])
                 light[y0:y1, x0:x1] = render_exposure(
                     self.renderer,
                     self.placed.placements,
@@ -125,7 +125,7 @@ class _CameraRenderer:
                     time,
                     self.placed.shutter,
                     max(1, samples),
-                    own,
+                    frame_seed,
                     window,
                 )
         white = self.placed.light.level_irradiance / np.pi

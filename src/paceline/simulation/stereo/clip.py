@@ -238,8 +238,8 @@ class _SpecularSpot:
         x, y = view.project(centre)
         sigma = 0.12 * vehicle.height * view.camera.K[0, 0] / float(view.depth(centre))
         v, u = np.ogrid[: image.shape[0], : image.shape[1]]
-        wide, tall = np.exp(-((u - x) ** 2) / (8 * sigma**2)), np.exp(-((v - y) ** 2) / (2 * sigma**2))
-        image += (self.peak * wide * tall).astype(np.float32)
+        wide, height = np.exp(-((u - x) ** 2) / (8 * sigma**2)), np.exp(-((v - y) ** 2) / (2 * sigma**2))
+        image += (self.peak * wide * height).astype(np.float32)
 
 
 def _make_vehicle_parts(vehicle: Vehicle, gamma: float) -> list[FacePart]:

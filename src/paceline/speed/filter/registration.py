@@ -67,8 +67,8 @@ class PlaneGrid:
         self.step = (u[1] - u[0], v[1] - v[0])
         sample = self.as_grid(np.arange(U.size).reshape(grid.parts, -1))
         around = np.pad(sample, 1, mode="edge")  # at the rim a sample is its own neighbour
-        beside = around[1:-1, :-2], around[1:-1, 2:], around[:-2, 1:-1], around[2:, 1:-1]
-        self.neighbours = np.stack([self.by_part(places) for places in beside]).reshape(4, -1)
+        neighbours = around[1:-1, :-2], around[1:-1, 2:], around[:-2, 1:-1], around[2:, 1:-1]
+        self.neighbours = np.stack([self.by_part(places) for places in neighbours]).reshape(4, -1)
 
     def by_part(self, values: NDArray[Number]) -> NDArray[Number]:
         """(rows, columns) of the whole grid as (parts, samples)."""

@@ -97,8 +97,8 @@ def residual(W: Array, rng: np.random.Generator) -> Indices:
     left = np.maximum(n * W - copies, 0.0)
     if len(copied) == n:
         return copied
-    rest = _inverse_cdf(np.sort(rng.random(n - len(copied))), left / left.sum())
-    return np.concatenate([copied, rest])
+    drawn = _inverse_cdf(np.sort(rng.random(n - len(copied))), left / left.sum())
+    return np.concatenate([copied, drawn])
 
 
 @resampling_scheme

@@ -77,15 +77,15 @@ def refine(trajectory: Trajectory, keyframes: list[Keyframe], speed: float, on_p
     log_odds = MIN_LOG_ODDS
     while len(keyframes) >= MIN_KEYFRAMES:
         added = [t for t in MOTION_TERMS if t != excluded and t not in terms]
-        richer = {t: fit.with_term(prior(trajectory, speed, (*terms, t)), t) for t in added}
-        others = list(richer.values())
-        supported = [t for t in richer if richer[t][0] >= log_odds]
+        extended = {t: fit.with_term(prior(trajectory, speed, (*terms, t)), t) for t in added}
+        others = list(extended.values())
+        supported = [t for t in extended if extended[t][0] >= log_odds]
         if "acceleration" in supported:  # whether it varies is tested in the next round
             supported = [t for t in supported if t != "varying_acceleration"]
-        best = max(supported, key=lambda t: richer[t][0], default=None)
+        best = max(supported, key=lambda t: extended[t][0], default=None)
         if best is None:
             break
-        terms, fit = (*terms, best), richer[best][1]
+        terms, fit = (*terms, best), extended[best][1]
         log_odds += MIN_LOG_ODDS
     chosen, fit = fit, fit.with_view_dependence()
     offset, theta, variance = fit.average_over_grids()

@@ -204,8 +204,8 @@ class PyramidLevel:
         """The texture (K, m) of all views, times ``root`` (K, m), and each view's gain (V, K), by alternation."""
         T = I.mean(0) if self.texture is None else root * self.texture
         for _ in range(3):
-            own = np.maximum((T * T).sum(-1), 1e-9)
-            self.gain = np.clip(np.einsum("vkm,km->vk", I, T) / own, *PATCH_GAIN_RANGE)
+            texture_power = np.maximum((T * T).sum(-1), 1e-9)
+            self.gain = np.clip(np.einsum("vkm,km->vk", I, T) / texture_power, *PATCH_GAIN_RANGE)
             w = self.robust_weights * self.gain
             T = np.einsum("vk,vkm->km", w, I) / np.maximum((w * self.gain).sum(0), 1e-12)[:, None]
         # gains and texture are determined up to a factor: set the mean gain to 1
@@ -274,10 +274,10 @@ def build_levels(
 
 def _orthogonalised(field: Array, known: list[Array]) -> Array:
     """The part of ``field`` (patches, samples) orthogonal to the ``known`` unit fields, normalised to length 1."""
-    rest = np.array(field)
+    residual = np.array(field)
     for other in known:
-        rest -= (rest * other).sum(-1, keepdims=True) * other
-    return np.asarray(rest / np.sqrt(np.maximum((rest * rest).sum(-1, keepdims=True), 1e-12)))
+        residual -= (residual * other).sum(-1, keepdims=True) * other
+    return np.asarray(residual / np.sqrt(np.maximum((residual * residual).sum(-1, keepdims=True), 1e-12)))
 
 
 def _band_pass(image: Floats, blurs: list[float], gamma: float) -> Floats:

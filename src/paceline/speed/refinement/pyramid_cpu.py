@@ -37,7 +37,7 @@ def linearise(
         fields = np.ascontiguousarray(nuisance[:, k])
         by_sample = fields.T.copy()
         for v in range(V):
-            own = M[v, k]
+            patch_rows = M[v, k]
             for i in range(m):
                 n = first + i
                 det = (B[v, 0, 0, n] * B[v, 1, 1, n] - B[v, 0, 1, n] * B[v, 1, 0, n]) * z[v, n]
@@ -46,17 +46,17 @@ def linearise(
                 c[0, i], c[1, i], c[2, i] = ax, ay, -(ax * x[v, 0, n] + ay * x[v, 1, n])
             by_offset[:] = 0.0
             for j in range(9):
-                row, factor, place = own[j], c[j // 3], points[j % 3, first : first + m]
+                row, factor, place = patch_rows[j], c[j // 3], points[j % 3, first : first + m]
                 per_metre = np.float32(H_d[v, j])
                 for i in range(m):
                     row[i] = factor[i] * place[i]
                 for i in range(m):
                     by_offset[i] += per_metre * row[i]
             for j in range(len(rows)):
-                row, row_mask = own[9 + j], rows[j]
+                row, row_mask = patch_rows[9 + j], rows[j]
                 for i in range(m):
                     row[i] = by_offset[i] * row_mask[i]
-            own -= np.dot(np.dot(own, by_sample), fields)
+            patch_rows -= np.dot(np.dot(patch_rows, by_sample), fields)
 
 
 @cached_njit(nogil=True, fastmath=FASTMATH_FLAGS, error_model="numpy")
@@ -79,6 +79,6 @@ def normal_equations(M: Floats, dH: Floats, whitening: Floats, r: Floats, A: Arr
         whitened = np.dot(whitening[k], J.reshape(V, n * m)).reshape(V, n, m)
         residuals = np.dot(whitening[k], r[k])
         for v in range(V):
-            own = whitened[v].astype(np.float64)
-            A[v, k] = np.dot(own, own.T)
-            score[v, k] = np.dot(own, residuals[v].astype(np.float64))
+            view_rows = whitened[v].astype(np.float64)
+            A[v, k] = np.dot(view_rows, view_rows.T)
+            score[v, k] = np.dot(view_rows, residuals[v].astype(np.float64))

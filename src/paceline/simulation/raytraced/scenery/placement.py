@@ -47,7 +47,7 @@ def build_scenery(road: Road, spec: Scenery, start: float, end: float) -> list[S
 
 
 def _make_materials(rng: Generator) -> dict[str, Material]:
-    plain = {
+    colors = {
         "wood": (0.09, 0.07, 0.05),
         "timber": (0.16, 0.12, 0.08),
         "white": (0.55, 0.55, 0.54),
@@ -62,7 +62,7 @@ def _make_materials(rng: Generator) -> dict[str, Material]:
         "round sign": posts.round_sign_texture(rng),
         "board": posts.board_texture(rng),
     }
-    result = {name: Material("matte", color) for name, color in plain.items()}
+    result = {name: Material("matte", color) for name, color in colors.items()}
     result |= {name: Material("matte", tuple(t.mean((0, 1)).tolist()), t) for name, t in textures.items()}
     result["steel"] = Material("metal", (0.42, 0.43, 0.44), roughness=0.4)
     result["pane"] = Material("glass", (0.02, 0.025, 0.03), roughness=0.02)
@@ -98,13 +98,13 @@ class _Placer:
         return [(float(p[0]), float(p[-1])) for p in parts if len(p) and p[-1] - p[0] >= 5.0]
 
     def put(
-        self, named: list[NamedMesh], s: float, lateral: float, turn: float = 0.0, room: float = 0.0
+        self, named: list[NamedMesh], s: float, lateral: float, turn: float = 0.0, min_clearance: float = 0.0
     ) -> list[NamedMesh]:
         """Parts moved to a place; their x along the road, turned by ``turn``, their y away from it. Nothing where a
-        clear circle is nearer than ``room`` metres."""
+        clear circle is nearer than ``min_clearance`` metres."""
         point, axes = self.road.frame(s, lateral)
         clearance = np.hypot(*(self.clear[:, :2] - point[:2]).T) - self.clear[:, 2]
-        if (clearance < room).any():
+        if (clearance < min_clearance).any():
             return []
         off_road = abs(lateral) - self.road.half_width
         forward = axes[:2, 0] if lateral < 0 else -axes[:2, 0]

@@ -88,8 +88,8 @@ def visible_depth(solids: Iterable[SceneMesh], end: str, points: Array) -> Array
         a, b, c = np.moveaxis(solid.vertices[solid.triangles], 1, 0)
         facing = sign * np.cross(b - a, c - a)[:, 0] > 1e-12
         corners = np.stack([a, b, c], 1)[..., 1:]
-        near = facing & (corners.max(1) >= low).all(1) & (corners.min(1) <= high).all(1)
-        a, b, c = a[near, None], b[near, None], c[near, None]
+        candidates = facing & (corners.max(1) >= low).all(1) & (corners.min(1) <= high).all(1)
+        a, b, c = a[candidates, None], b[candidates, None], c[candidates, None]
         u, v, p = (b - a)[..., 1:], (c - a)[..., 1:], points - a[..., 1:]
         area = u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]
         s = (p[..., 0] * v[..., 1] - p[..., 1] * v[..., 0]) / area

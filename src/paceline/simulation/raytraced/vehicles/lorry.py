@@ -75,10 +75,10 @@ def _face(
     q = b.across(grille, "front")
     features = [PanelFeature("paint", (0, b.length), (bumper, f.lip))]
     bars = int(rng.integers(3, 6))
-    tall = (z1 - z0) / bars
+    bar_height = (z1 - z0) / bars
     for k in range(bars):
-        low = z0 + k * tall
-        features.append(PanelFeature("dark", (0, q), (low, low + 0.6 * tall), -0.05, 0.01))
+        low = z0 + k * bar_height
+        features.append(PanelFeature("dark", (0, q), (low, low + 0.6 * bar_height), -0.05, 0.01))
     inner, outer = 0.55 * w, 0.93 * w
     q_at = {y: b.across(y, "front") for y in (inner, outer)}
     z = bumper - 0.22, bumper - 0.04
@@ -87,7 +87,7 @@ def _face(
         draft.add(parts.round_lamp(b.points(b.across(y, "front"), sum(z) / 2, -0.012), 0.075, "front"))
     draft.meshes += parts.number_plate("front", b.points(0.0, bumper - 0.15, 0.015))
     draft.level("front", b, grille, z0)
-    draft.level("front", b, grille, z1 - 0.4 * tall)
+    draft.level("front", b, grille, z1 - 0.4 * bar_height)
     draft.level("front", b, 0.9 * w, bumper - 0.02)
     draft.level("front", b, 0.85 * w, f.lip)
     for y in (inner, outer):
@@ -99,19 +99,19 @@ def _face(
 def _load(rng: np.random.Generator, draft: VehicleDraft, x1: float, x0: float, half: float) -> float:
     """Box, frame, tank, guards and the rear with its doors, bar and lamps; returns the box's top."""
     low, top = rng.uniform(0.98, 1.08), rng.uniform(3.2, 3.7)
-    middle, length, tall = (x0 + x1) / 2, x1 - x0, top - low
+    middle, length, height = (x0 + x1) / 2, x1 - x0, top - low
     frame = rng.uniform(0.07, 0.11)
     white = bool(rng.random() < 0.65)
     named: list[NamedMesh] = [
-        ("white" if white else "paint", box([length, 2 * half, tall], [middle, 0, (low + top) / 2]))
+        ("white" if white else "paint", box([length, 2 * half, height], [middle, 0, (low + top) / 2]))
     ]
-    rails = [[length + 0.02, 0.05, frame]] * 4 + [[0.05, 0.05, tall]] * 4
+    rails = [[length + 0.02, 0.05, frame]] * 4 + [[0.05, 0.05, height]] * 4
     y = half - 0.015
     places = [[middle, s * y, z] for s in (-1, 1) for z in (low + frame / 2, top - frame / 2)]
     places += [[x, s * y, (low + top) / 2] for s in (-1, 1) for x in (x0 + 0.02, x1 - 0.02)]
     named.append(("housing", boxes(rails, places)))
     x = x0 - 0.012
-    across = [[0.03, 2 * half, frame], [0.03, 2 * half, frame], [0.03, frame, tall], [0.03, frame, tall]]
+    across = [[0.03, 2 * half, frame], [0.03, 2 * half, frame], [0.03, frame, height], [0.03, frame, height]]
     centers = [
         [x, 0, low + frame / 2],
         [x, 0, top - frame / 2],
@@ -119,18 +119,18 @@ def _load(rng: np.random.Generator, draft: VehicleDraft, x1: float, x0: float, h
         [x, frame / 2 - half, (low + top) / 2],
     ]
     named.append(("housing", boxes(across, centers)))
-    named.append(("seam", box([0.01, 0.02, tall - 2 * frame], [x0 - 0.004, 0, (low + top) / 2])))
+    named.append(("seam", box([0.01, 0.02, height - 2 * frame], [x0 - 0.004, 0, (low + top) / 2])))
     for y in sorted(rng.uniform(0.12, 0.75, int(rng.integers(1, 3))) * half):
         rod = tube([[x0 - 0.035, y, low - 0.02], [x0 - 0.035, y, top - 0.02]], 0.017, 8)
-        grips = boxes([[0.05, 0.1, 0.05]] * 3, [[x0 - 0.03, y, low + u * tall] for u in (0.12, 0.5, 0.9)])
+        grips = boxes([[0.05, 0.1, 0.05]] * 3, [[x0 - 0.03, y, low + u * height] for u in (0.12, 0.5, 0.9)])
         draft.add([("rim", rod), ("plastic", grips)])
     joints = np.arange(x0 + 1.2, x1 - 0.3, 1.2)
-    draft.add([("housing", boxes([[0.04, 0.008, tall]] * len(joints), [[x, half, (low + top) / 2] for x in joints]))])
+    draft.add([("housing", boxes([[0.04, 0.008, height]] * len(joints), [[x, half, (low + top) / 2] for x in joints]))])
     if rng.random() < 0.6:  # a sign on the sides
-        size = np.array([rng.uniform(0.3, 0.6) * length, 0.012, rng.uniform(0.2, 0.4) * tall])
-        draft.add([("paint" if white else "white", box(size, [middle, half, low + 0.6 * tall]))])
+        size = np.array([rng.uniform(0.3, 0.6) * length, 0.012, rng.uniform(0.2, 0.4) * height])
+        draft.add([("paint" if white else "white", box(size, [middle, half, low + 0.6 * height]))])
     hinges = boxes(
-        [[0.02, 0.18, 0.05]] * 4, [[x0 - 0.02, half - frame - 0.06, low + u * tall] for u in (0.1, 0.35, 0.65, 0.9)]
+        [[0.02, 0.18, 0.05]] * 4, [[x0 - 0.02, half - frame - 0.06, low + u * height] for u in (0.1, 0.35, 0.65, 0.9)]
     )
     draft.add([("rim", hinges)])
     draft.add([("dark", box([length + 1.2, 0.09, 0.26], [middle + 0.5, 0.42, low - 0.17]))])

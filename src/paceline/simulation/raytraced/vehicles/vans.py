@@ -249,10 +249,12 @@ def _bus_rear_features(
     q = b.across(grille, "rear")
     low = bumper + 0.26
     bars = int(rng.integers(4, 7))
-    tall = (top - low) / bars
+    bar_height = (top - low) / bars
     for k in range(bars):
-        z = low + k * tall
-        features.append(PanelFeature("dark", (q, b.length), (z + 0.1 * tall, z + 0.75 * tall), -0.03, 0.005))
+        z = low + k * bar_height
+        features.append(
+            PanelFeature("dark", (q, b.length), (z + 0.1 * bar_height, z + 0.75 * bar_height), -0.03, 0.005)
+        )
     q0, q1 = b.across(0.96 * w, "rear"), b.across(0.96 * w - 0.15, "rear")
     for k, name in enumerate(("red", "amber", "white")):
         z1 = top - 0.16 * k

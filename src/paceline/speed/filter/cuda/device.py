@@ -116,10 +116,10 @@ class CudaDevice:
         """``host`` copied to the device."""
         if self._pending or self._to_weight:
             self.execute()
-        living = self._living()
-        slot = next(i for i in range(len(living) + 1) if i not in living)
+        occupied = self._living()
+        slot = next(i for i in range(len(occupied) + 1) if i not in occupied)
         N, first = len(host.state), 0
-        for other in sorted(living.values(), key=lambda other: other.first):
+        for other in sorted(occupied.values(), key=lambda other: other.first):
             if first + N <= other.first:
                 break
             first = other.first + len(other)
@@ -139,19 +139,19 @@ class CudaDevice:
         before = self._pool.value.shape[2]
         if columns > before:
             old, old_maps = self._pool, self._maps
-            room = max(columns, 2 * before)
-            self._pool = DeviceArray(cuda.device_array((2, layout.ROW_COUNT, room)))
-            self._maps = DeviceArray(cuda.device_array((room, layout.SAMPLING_MAP), np.float32))
+            capacity = max(columns, 2 * before)
+            self._pool = DeviceArray(cuda.device_array((2, layout.ROW_COUNT, capacity)))
+            self._maps = DeviceArray(cuda.device_array((capacity, layout.SAMPLING_MAP), np.float32))
             kernels.upload[(_grid(before), layout.ROW_COUNT), THREADS_PER_BLOCK](old, self._pool, 0)
             self._maps.value[:before].copy_to_device(old_maps.value)
 
-    def _build_tables(self, living: dict[int, CudaParticleSet]) -> None:
-        """Build the tables of all ``living`` particle sets, by slot; all earlier commands have been executed."""
-        slots = max(living, default=-1) + 1
+    def _build_tables(self, particle_sets: dict[int, CudaParticleSet]) -> None:
+        """Build the tables of all ``particle_sets`` particle sets, by slot; all earlier commands have been executed."""
+        slots = max(particle_sets, default=-1) + 1
         commands = np.zeros((slots, layout.COMMAND_SIZE))
         knots, rigs, knot, total = [np.zeros((1, layout.KNOT_SIZE))], [np.zeros((7, 3, 3))], 1, 0
         numbers: dict[int, int] = {}
-        for slot, particle_set in living.items():
+        for slot, particle_set in particle_sets.items():
             command, N = commands[slot], len(particle_set)
             is_new = slot in self._added
             command[[layout.HALF_BEFORE, layout.HALF_AFTER]] = 0 if is_new else self.commands[slot, layout.HALF_AFTER]
@@ -174,7 +174,7 @@ class CudaDevice:
                 rigs.append(rig_numbers(particle_set.rig))
             command[layout.RIG_INDEX] = numbers[id(particle_set.rig)]
             total += N
-        self._particle_sets = {slot: weakref.ref(particle_set) for slot, particle_set in living.items()}
+        self._particle_sets = {slot: weakref.ref(particle_set) for slot, particle_set in particle_sets.items()}
         self._knots, self._rigs = (
             DeviceArray(cuda.to_device(np.concatenate(knots))),
             DeviceArray(cuda.to_device(np.stack(rigs))),
@@ -189,16 +189,16 @@ class CudaDevice:
         self._threads = min(MAX_THREADS_PER_BLOCK, 1 << (self._largest - 1).bit_length())
         sharing = min(-(-self._largest // (MIN_PARTICLES_PER_THREAD * MAX_THREADS_PER_BLOCK)), MAX_BLOCKS_PER_VEHICLE)
         self._shares = DeviceArray(cuda.device_array((max(slots, 1), sharing, PARTIAL_SUMS)))
-        shown = int(np.ceil(counts / np.maximum(commands[:, layout.DRAWN_STRIDE], 1)).max(initial=0))
+        n_drawn = int(np.ceil(counts / np.maximum(commands[:, layout.DRAWN_STRIDE], 1)).max(initial=0))
         pairs = SECOND_MOMENT_ROWS[
-            [int(particle_set.free) for particle_set in living.values()]
+            [int(particle_set.free) for particle_set in particle_sets.values()]
         ]  # (particle sets, pairs, 2)
         self._second = np.arange(len(pairs))[:, None], pairs[..., 0], pairs[..., 1]
         self._moments_size = slots * layout.QUANTITY_COUNT * self._blocks * 2
         self._results = _TransferBuffer.of(
-            max(self._moments_size + slots * layout.DRAWN_ROW_COUNT * shown, 1), np.float64
+            max(self._moments_size + slots * layout.DRAWN_ROW_COUNT * n_drawn, 1), np.float64
         )
-        self._host_copy, self._pending = None, bool(living)
+        self._host_copy, self._pending = None, bool(particle_sets)
         self._added.clear()
 
     def _allocate_commands(self, commands: Array, size: int) -> None:
@@ -369,9 +369,9 @@ class CudaDevice:
     def reduce_moments(self, drawn: bool) -> None:
         """Execute everything, and give all particle sets their moments, with ``drawn`` also the centres to draw."""
         self.execute()
-        living = self._living()
-        if len(living) < len(self._particle_sets):
-            self._build_tables(living)
+        occupied = self._living()
+        if len(occupied) < len(self._particle_sets):
+            self._build_tables(occupied)
             self.execute()
         blocks = (
             self._blocks,
@@ -384,13 +384,13 @@ class CudaDevice:
         places = (
             results[self._moments_size :].reshape(len(self.commands), layout.DRAWN_ROW_COUNT, -1) if drawn else None
         )
-        parts = results[: self._moments_size].reshape(-1, layout.QUANTITY_COUNT, self._blocks, 2)[list(living)]
+        parts = results[: self._moments_size].reshape(-1, layout.QUANTITY_COUNT, self._blocks, 2)[list(occupied)]
         sums, extremes = parts[:, : layout.FIRST_EXTREME, :, 0].sum(2), parts[:, layout.FIRST_EXTREME :]
         mean = sums[:, : layout.CARRIED_ROW_COUNT] + parts[:, : layout.CARRIED_ROW_COUNT, 0, 1]
         squares, (each, i, j) = sums[:, layout.SUM_OF_SQUARES].tolist(), self._second
         second = sums[:, layout.CARRIED_ROW_COUNT : layout.MOMENT_COUNT] - sums[each, i] * sums[each, j]
         bounds = np.stack([extremes[..., 0].min(2), extremes[..., 1].max(2)], axis=1).reshape(-1, 2, 2, 4, 2)
-        for k, (slot, particle_set) in enumerate(living.items()):
+        for k, (slot, particle_set) in enumerate(occupied.items()):
             particle_set.moments = Moments(
                 mean[k], second[k], squares[k], bounds[k], None if places is None else places[slot]
             )

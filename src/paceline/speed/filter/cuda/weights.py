@@ -82,8 +82,8 @@ def reduce_moments(pool, command_buffer, results):
             one += term
     elif quantity < layout.QUANTITY_COUNT + layout.DRAWN_ROW_COUNT:
         row, every = quantity - layout.QUANTITY_COUNT, int(command[layout.DRAWN_STRIDE])
-        shown = (results.shape[0] - moments) // (slots * layout.DRAWN_ROW_COUNT)
-        start = moments + (v * layout.DRAWN_ROW_COUNT + row) * shown
+        n_drawn = (results.shape[0] - moments) // (slots * layout.DRAWN_ROW_COUNT)
+        start = moments + (v * layout.DRAWN_ROW_COUNT + row) * n_drawn
         for k in range(begin, (N + every - 1) // every, stride):
             results[start + k] = rows[layout.LEFT_CROSSING_ROW + row, first + k * every]
     low[y, t], high[y, t] = one, other
@@ -215,10 +215,10 @@ def sum_weights(pool, command_buffer, shares):
     if command[layout.RESAMPLE] == 0.0:
         return
     begin, (first, last) = int(command[layout.FIRST_COLUMN]), _thread_range(int(command[layout.PARTICLE_COUNT]))
-    own = _range_sum(pool[int(command[layout.HALF_BEFORE])], begin + first, begin + last)
-    own = _block_sum(own, cuda.shared.array(MAX_THREADS_PER_BLOCK, np.float64))
+    partial_sum = _range_sum(pool[int(command[layout.HALF_BEFORE])], begin + first, begin + last)
+    partial_sum = _block_sum(partial_sum, cuda.shared.array(MAX_THREADS_PER_BLOCK, np.float64))
     if cuda.threadIdx.x == 0:
-        shares[v, cuda.blockIdx.x, 0] = own
+        shares[v, cuda.blockIdx.x, 0] = partial_sum
 
 
 @kernel
