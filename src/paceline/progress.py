@@ -19,7 +19,7 @@ Progress = Callable[[int, int | None], None]  # called with frames done and the 
 
 PROGRESS_VARIABLE = "PACELINE_PROGRESS"  # environment variable; "lines" asks for lines
 ESTIMATE_PREFIX, PICTURES_PREFIX = "estimate: ", "pictures: "
-MAX_PARTICLES = 40  # written per view
+MAX_PARTICLES = 40  # particles written per view
 MAX_LINE_LENGTH = 1 << 19  # characters
 # What people read for an activity; the first field of its progress lines is the key, which other programs rely on.
 ACTIVITY_LABELS = {

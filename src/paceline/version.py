@@ -4,7 +4,7 @@ from __future__ import annotations
 
 __version__ = "0.1.0"
 
-COMPUTING_PACKAGES = "numpy", "scipy", "numba", "opencv-python-headless", "av"  # those that results depend on
+COMPUTING_PACKAGES = "numpy", "scipy", "numba", "opencv-python-headless", "av"  # packages on which results depend
 
 
 def versions() -> dict[str, str]:

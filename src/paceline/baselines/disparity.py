@@ -16,9 +16,9 @@ from paceline.arrays import Array, Image
 from paceline.cameras import StereoRig
 
 BLOCK_PX = 5
-SMOOTHNESS_PENALTIES = (8 * BLOCK_PX**2, 32 * BLOCK_PX**2)  # for disparities that change by one, and by more
-DISPARITY_RANGE = (0.6, 1.6)  # searched, relative to the expected disparity
-DISPARITY_MARGIN_PX = 6  # searched beyond that
+SMOOTHNESS_PENALTIES = (8 * BLOCK_PX**2, 32 * BLOCK_PX**2)  # disparity changes of 1 px, and of more
+DISPARITY_RANGE = (0.6, 1.6)  # search range relative to the expected disparity
+DISPARITY_MARGIN_PX = 6  # margin added to that range
 MIN_MATCHED_DEPTH_M = 1.0
 
 

@@ -16,8 +16,8 @@ from paceline.arrays import Array, Image
 Picture = NDArray[np.floating]
 
 HISTOGRAM_BINS = 16
-SAMPLES_ACROSS, SAMPLES_DOWN = 24, 12  # of a box
-SAMPLES_PER_SIDE = 24  # of a box
+SAMPLES_ACROSS, SAMPLES_DOWN = 24, 12  # grid of samples inside a box
+SAMPLES_PER_SIDE = 24  # samples on each side of a box
 
 
 def _bilinear(u: Array, v: Array) -> Array:

@@ -25,7 +25,7 @@ from paceline.speed.measurement import by_vehicle
 from paceline.speed.methods import register
 from paceline.speed.results import Measurement
 
-INITIAL_VELOCITY_STD_MPS = 40.0  # of each component, before the second measurement
+INITIAL_VELOCITY_STD_MPS = 40.0  # standard deviation of each velocity component before the second measurement
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,14 +31,14 @@ from paceline.verdicts import message
 
 MIN_POINTS = 4
 MAX_CORNER_EPIPOLAR_PX = 1.0
-MAX_MOTION_RESIDUAL_PX = 1.5  # from the common motion of the region
+MAX_MOTION_RESIDUAL_PX = 1.5  # greatest distance of a point from the common motion of the region
 MAX_CORNER_DEPTH_DEVIATIONS = 4.0  # scaled median deviations of inverse depth beyond which a match is an outlier
 CORNER_MATCH_SIGMA_PX = 0.15  # standard deviation of a matched coordinate
 DISPLACEMENT_HUBER_SIGMA = 1.5
 KEYFRAME_SCALE_RATIO = 1.2  # change of scale that starts a new keyframe
-KEYFRAME_POINT_SHARE = 0.6  # of the keyframe's points still tracked, below which a new one starts
-JACKKNIFE_GROUPS = 8  # of points, each left out once
-ALIGNMENT_PASSES = 2  # of alignment and of the rotation along the track
+KEYFRAME_POINT_SHARE = 0.6  # share of the keyframe's points still tracked, below which a new keyframe starts
+JACKKNIFE_GROUPS = 8  # groups of points, each left out once
+ALIGNMENT_PASSES = 2  # passes of the alignment and of the rotation along the track
 MAX_ALIGNED_FRAMES = 32  # longer tracks are subsampled evenly
 
 

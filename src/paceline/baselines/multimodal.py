@@ -38,14 +38,14 @@ from paceline.speed.methods import register
 from paceline.speed.results import Measurement
 from paceline.verdicts import message
 
-LAMBDA_GREY = 20.0  # on 1 − Bhattacharyya coefficient
-LAMBDA_EDGE = 5.0  # on 1 − gradient relative to that of the best particle
-DISPARITY_SIGMA_PX = 0.5  # of a box's mean disparity
-SMOOTHING_DISCOUNT = 0.95  # δ of kernel smoothing
-REFERENCE_UPDATE_SHARE = 0.1  # of the present histogram in the new reference
-MIN_UPDATE_SIMILARITY = 0.8  # above it the reference is updated
-MIN_BOX_SIMILARITY = 0.5  # below it the vehicle is not in view
-CROP_MARGIN_SHARE = 0.3  # of the box's longer side, image margin about the particles
+LAMBDA_GREY = 20.0  # weight of 1 − Bhattacharyya coefficient in the log-likelihood
+LAMBDA_EDGE = 5.0  # weight of 1 − gradient relative to that of the best particle
+DISPARITY_SIGMA_PX = 0.5  # standard deviation of a box's mean disparity
+SMOOTHING_DISCOUNT = 0.95  # discount δ of kernel smoothing
+REFERENCE_UPDATE_SHARE = 0.1  # weight of the present histogram in the new reference
+MIN_UPDATE_SIMILARITY = 0.8  # similarity above which the reference is updated
+MIN_BOX_SIMILARITY = 0.5  # similarity below which the vehicle is not in view
+CROP_MARGIN_SHARE = 0.3  # image margin around the particles, as a share of the box's longer side
 MAX_PARTICLE_MARGINS = 5.0  # margins beyond which particles are ignored in the choice of the crop
 
 

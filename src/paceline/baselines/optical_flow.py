@@ -10,14 +10,14 @@ from paceline.arrays import Array, Image, Mask
 from paceline.baselines.template_tracking import ScaledShift
 
 FLOW_WINDOW_LIMITS_PX = (7, 17)
-FLOW_WINDOW_SHARE = 0.4  # of the region's height
+FLOW_WINDOW_SHARE = 0.4  # window size as a share of the region's height
 MAX_FORWARD_BACKWARD_PX = 0.3  # distance between a point and its position tracked forth and back
 MAX_CORNERS = 150
-CORNER_QUALITY = 0.01  # relative to the best corner
+CORNER_QUALITY = 0.01  # least corner response relative to the best corner
 MIN_CORNER_SPACING_PX = 3.0
-MAX_RIM_SHARE = 0.25  # of a side, excluded at the region's border
-CROP_BORDER_PX = 40  # of image around the points
-NORMALIZED_MEAN, NORMALIZED_STD = 128.0, 45.0  # grey levels
+MAX_RIM_SHARE = 0.25  # greatest share of a side that is excluded at the region's border
+CROP_BORDER_PX = 40  # margin of image around the points
+NORMALIZED_MEAN, NORMALIZED_STD = 128.0, 45.0  # grey levels of the normalised crop
 FLOW_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-3)
 
 

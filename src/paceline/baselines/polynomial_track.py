@@ -9,7 +9,7 @@ import numpy as np
 from paceline.arrays import Array
 
 MAX_DEGREE = 4
-SPEED_SAMPLES = 257  # along a track, for its mean speed
+SPEED_SAMPLES = 257  # instants along a track at which its speed is sampled for the mean
 MODEL_NAMES = {1: "constant velocity", 2: "constant acceleration"}
 
 

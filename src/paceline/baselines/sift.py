@@ -22,12 +22,12 @@ from paceline.speed.methods import register
 from paceline.speed.results import Measurement
 from paceline.verdicts import Message, message
 
-BASELINE_LOWE_RATIO = 0.8  # of the distances to the best and the second best descriptor (Lowe 2004)
+BASELINE_LOWE_RATIO = 0.8  # ratio of the distances to the best and the second best descriptor (Lowe 2004)
 MAX_FEATURE_EPIPOLAR_PX = 1.5
 MAX_FEATURE_DEPTH_DEVIATIONS = 3.0  # scaled median deviations of inverse depth beyond which a match is an outlier
 MIN_FEATURE_MATCHES = 3
 FEATURE_MATCH_SIGMA_PX = 0.5  # standard deviation of a matched feature's coordinate ([Zhu] section V)
-DESCRIPTOR_MARGIN_PX = 16  # of image around the region, for the descriptors
+DESCRIPTOR_MARGIN_PX = 16  # margin of image around the region, for the descriptors
 CONTRAST_THRESHOLD = 0.02  # half of OpenCV's default, as distant vehicles are small
 
 

@@ -18,17 +18,17 @@ from paceline.recordings.stereo import StereoFrame
 from paceline.subpixel import parabola_peak_at
 
 INITIAL_SCALES = np.geomspace(0.66, 1.52, 19)  # searched while the motion is unknown
-INITIAL_SEARCH_SHARE = 0.8  # of the region's longer side, searched while the motion is unknown
+INITIAL_SEARCH_SHARE = 0.8  # search radius while the motion is unknown, as a share of the region's longer side
 SCALE_STEPS = np.geomspace(0.91, 1.1, 9)  # searched about the predicted scale
-SEARCH_SHARE = 0.25  # of the region's longer side, searched about the prediction
+SEARCH_SHARE = 0.25  # search radius about the prediction, as a share of the region's longer side
 MIN_SEARCH_PX = 6.0
-MAX_TEMPLATE_PX = 64  # larger regions are searched at this width
-MIN_REGION_NCC = 0.6  # below it the vehicle is not found
-MAX_MISSED_FRAMES = 4  # in a row, after which the vehicle is lost
+MAX_TEMPLATE_PX = 64  # width to which larger regions are reduced
+MIN_REGION_NCC = 0.6  # NCC below which the vehicle is not found
+MAX_MISSED_FRAMES = 4  # consecutive frames without a match after which the vehicle is lost
 MIN_REGION_CONTRAST_GREY = 2.0  # standard deviation of a region, grey levels
-MAX_REGION_EPIPOLAR_PX = 3.0  # from the epipolar line, for both views to show the same region
-MAX_DEPTH_MISMATCH = (0.25, 2.0)  # between the depth and the change of scale: a share, and px of disparity
-MIN_DEPTH_SHARE = 0.3  # of the predicted depth to the last one
+MAX_REGION_EPIPOLAR_PX = 3.0  # greatest epipolar distance for both views to show the same region
+MAX_DEPTH_MISMATCH = (0.25, 2.0)  # mismatch of depth and change of scale: a share, and px of disparity
+MIN_DEPTH_SHARE = 0.3  # least ratio of the predicted depth to the last one
 MIN_REGION_PX = 8.0
 
 

@@ -35,8 +35,8 @@ from paceline.verdicts import message
 MIN_BOARD_VIEWS, RECOMMENDED_VIEWS = 5, 12
 CROSS_VALIDATION_FOLDS = 5
 MAX_CORNER_SIGMA = 5.0  # standard deviations beyond which a corner is an outlier
-MIN_MODEL_WEIGHT = 1e-3  # of a lens model in the average
-MAX_FOCAL_UNCERTAINTY = 0.05  # relative; above it speeds cannot be measured
+MIN_MODEL_WEIGHT = 1e-3  # least weight of a lens model in the average
+MAX_FOCAL_UNCERTAINTY = 0.05  # relative uncertainty above which speeds cannot be measured
 MIN_TILT_DEG, MIN_TILTED_VIEWS = 15.0, 4
 COVERAGE_CELLS = (4, 3)  # across and down the image; each should hold corners
 CELL_NAMES = (("left", "middle left", "middle right", "right"), ("top", "middle", "bottom"))

@@ -17,7 +17,7 @@ from paceline.recordings.image_sources import ImageFiles, ImageSource, open_sour
 from paceline.recordings.stereo import pair_by_time, pair_images
 from paceline.verdicts import message
 
-MAX_VIEWS = 80  # longer recordings are subsampled evenly: more views cost time and add little
+MAX_VIEWS = 80  # greatest number of views: longer recordings are subsampled evenly, as more views add little
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,8 +26,8 @@ CORNER_WINDOW_SHARE, CORNER_WINDOW_LIMITS_PX = (
     (2, 9),
 )  # half width of the corner window: share of the distance to a marker, px
 SUBPIXEL_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-4)
-MAX_REFINEMENT_SHIFT_PX = 1.5  # between a corner as OpenCV finds it and as it is refined
-MIN_CORNERS = 8  # in a view of a ChArUco board; fewer hardly determine a pose beside a lens
+MAX_REFINEMENT_SHIFT_PX = 1.5  # greatest distance between OpenCV's corner and the refined one
+MIN_CORNERS = 8  # least corners in a view of a ChArUco board; fewer hardly determine a pose and a lens
 
 
 @dataclass(frozen=True)

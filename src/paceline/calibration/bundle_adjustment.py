@@ -22,7 +22,7 @@ CORNER_REDESCENDING_SIGMA = (
 )
 MAX_ADJUSTMENT_STEPS = 60
 CONVERGENCE_TOLERANCE = 1e-7  # relative change of the sum of squares
-MIN_SIGMA_PX = 1e-3  # keeps the weights of perfect corners from following rounding errors
+MIN_SIGMA_PX = 1e-3  # lower limit that keeps the weights of exact corners finite
 RAYLEIGH_MEDIAN = 1.1774  # median length of a two-dimensional error, in standard deviations of a coordinate
 
 

@@ -15,8 +15,8 @@ from paceline.verdicts import Message, message
 MAX_ERROR_DEVIATIONS = 4.0  # scaled median deviations of the log error beyond which a view is an outlier
 MIN_ERROR_SPREAD = 0.12  # least scaled median deviation: boards nearer, farther or more oblique differ by that much
 MAX_ROUNDS = 8
-MAX_JOINT_ERROR_RATIO = 3.0  # of the error with a common rig to that of each camera alone
-MIN_ERROR_PX = 0.05  # smaller errors are treated as equal
+MAX_JOINT_ERROR_RATIO = 3.0  # ratio of the error with a common rig to that of each camera alone
+MIN_ERROR_PX = 0.05  # error below which all errors are treated as equal
 SCREENING_LENS_MODEL = "k1, k2"
 NO_PARAMETERS: Indices = np.empty(0, np.int64)
 

@@ -29,7 +29,7 @@ SIGNIFICANCE_LEVEL = 1e-3  # p-value below which the rig has moved
 # Tangential distortion p2 moves points off their lines as a rotation of 2 p2 about the vertical axis does, and no lens
 # model determines the difference of the two cameras' p2 better than this.
 TANGENTIAL_DISTORTION_STD = 7e-4
-ROTATION_STEP_RAD = 1e-6  # of central differences
+ROTATION_STEP_RAD = 1e-6  # step of central differences
 PARAMETER_STEPS = np.array(
     [0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1, ROTATION_STEP_RAD, ROTATION_STEP_RAD, ROTATION_STEP_RAD, 1e-5, 1e-5, 1e-5]
 )

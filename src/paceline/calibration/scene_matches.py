@@ -15,10 +15,10 @@ from paceline.progress import Progress
 from paceline.recordings.stereo import StereoRecording
 from paceline.sift_features import detect_features, match_descriptors
 
-MAX_FRAMES = 6  # evenly spread: static points recur in every frame and add little
-MAX_FEATURES = 3000  # per view
-SCENE_LOWE_RATIO = 0.75  # of the distances to the best and the second best descriptor (Lowe 2004)
-MAX_EPIPOLAR_SHARE = 0.04  # of the image's height: matches farther from their epipolar line are rejected in any rig
+MAX_FRAMES = 6  # evenly spread frames: static points recur in every frame and add little
+MAX_FEATURES = 3000  # features per view
+SCENE_LOWE_RATIO = 0.75  # ratio of the distances to the best and the second best descriptor (Lowe 2004)
+MAX_EPIPOLAR_SHARE = 0.04  # epipolar distance beyond which a match is rejected, as a share of the image's height
 TILE_PX = 64
 
 

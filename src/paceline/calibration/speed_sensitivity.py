@@ -18,9 +18,9 @@ from paceline.cameras import RigUncertainty, StereoRig, perturbed_rigs
 from paceline.geometry import triangulate
 
 DISTANCES_M = (20.0, 50.0, 80.0)
-TRAVEL_M = 10.0  # over which a speed is measured
+TRAVEL_M = 10.0  # distance over which a speed is measured
 LATERAL_SHARES = (-0.25, 0.0, 0.25)  # offsets from the image's centre at which vehicles drive, of its width
-FITTED_IMAGE_SHARE = 0.6  # of the image, over which a pinhole is fitted to a lens
+FITTED_IMAGE_SHARE = 0.6  # share of the image over which a pinhole camera is fitted to a lens
 LENS_STEPS = np.array([1.0, 1.0, 1.0, 1.0, 1e-3, 1e-3, 1e-4, 1e-4, 1e-3])  # of central differences
 N_PINHOLE = 4
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from paceline.lanes.lane_proposals import Lane, RoadLine
     from paceline.recordings.background import Background
 
-MAX_UNREPORTED_UNSTABLE_SHARE = 0.02  # of the pixels, above which a note is printed
+MAX_UNREPORTED_UNSTABLE_SHARE = 0.02  # share of the pixels above which a note is printed
 
 
 def lanes(

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from paceline.recordings.monocular import CameraFrame, Grey
     from paceline.speed.filter.estimate import Estimate
 
-PICTURE_INTERVAL_S = 0.5  # between the pictures lines of a live source
+PICTURE_INTERVAL_S = 0.5  # time between the pictures lines of a live source
 MAX_PICTURE_AREA_PX = 480 * 360  # two JPEGs of pure noise still fit into one line
 LINE_JPEG_QUALITY = 70
 

@@ -26,9 +26,9 @@ from paceline.documents.loading import load_clip, load_follow
 from paceline.documents.models import ClipModel
 from paceline.errors import UnusableInput
 
-MAX_FOLDER_DEPTH = 4  # of subfolders searched for clips
+MAX_FOLDER_DEPTH = 4  # levels of subfolders that are searched for clips
 MAX_CLIPS = 1000
-READER_THREADS = 2  # documents read at the same time
+READER_THREADS = 2  # number of documents that are read at the same time
 STATE_BEING_READ = "being read"
 
 

@@ -23,8 +23,8 @@ from paceline.console.routes import add_routes
 from paceline.errors import UnusableInput
 
 DEFAULT_PORT = 8640
-MAX_TRIED_PORTS = 10  # from DEFAULT_PORT on, if no port is given
-RECONNECT_TIMEOUT_S = 30.0  # runs may use the whole computer, so that pages respond late
+MAX_TRIED_PORTS = 10  # ports that are tried from DEFAULT_PORT on, if no port is given
+RECONNECT_TIMEOUT_S = 30.0  # time limit for a page to reconnect: runs may use the whole computer
 
 
 def serve(folder: Path, host: str, port: int | None, browse: bool, report: Callable[[str], None]) -> None:

@@ -26,8 +26,8 @@ from paceline.arrays import Array
 from paceline.errors import UnusableInput
 
 MAX_DOCUMENT_NAME_LENGTH = 100
-MAX_NUMBER = 1e9  # above every pixel or metre in these files; excludes NaN and infinity as well
-MAX_DOCUMENT_VALUES = 1_000_000  # in one document; more is a mistake or an attack on the memory
+MAX_NUMBER = 1e9  # upper limit of every pixel and metre in these files; excludes NaN and infinity as well
+MAX_DOCUMENT_VALUES = 1_000_000  # values in one document; more is a mistake or an attack on the memory
 RIG_PARAMETERS = 14  # fx, fy, cx, cy of each camera, rotation, translation
 _NUMBER_WORDS = {2: "two", 3: "three", 4: "four"}
 

@@ -12,12 +12,12 @@ from paceline.geometry import epipolar_distance, triangulate
 
 MAX_ORTHONORMALITY_ERROR = 1e-3  # greatest entry of RᵀR − I that rounding in a file explains
 MAX_BASELINE_M = 100.0
-MIN_AREA_PX2, MIN_SIDE_PX = 64.0, 4.0  # of an outline: less holds no texture to track
+MIN_AREA_PX2, MIN_SIDE_PX = 64.0, 4.0  # least area and side of an outline: a smaller one has no texture to track
 MIN_DRAWING_PX = 2.0
 MAX_SEGMENT_OBLIQUENESS = 0.01  # offset across a segment's direction over its length, as rounding explains
 MIN_TARGET_SEGMENT_M, MAX_TARGET_M = 0.01, 20.0
 MIN_TARGET_PX = 8.0
-MIN_TARGET_VISIBLE_SHARE = 0.5  # of a target in its first frame
+MIN_TARGET_VISIBLE_SHARE = 0.5  # least visible share of a target in its first frame
 CORNER_NAMES = ("top-left", "top-right", "bottom-right", "bottom-left")
 CORNER_ORDER = f"{', '.join(CORNER_NAMES)} as seen in the image"
 

@@ -11,8 +11,8 @@ from paceline.arrays import Array
 from paceline.numba_cache import cached_njit
 from paceline.recordings.odometry import Pose
 
-PATH_SPACING_M = 0.5  # between two stored points of the path
-MAX_PATH_POINTS = 512  # 256 m: a day's drive needs no more memory than that
+PATH_SPACING_M = 0.5  # distance between two stored points of the path
+MAX_PATH_POINTS = 512  # greatest number of stored points, 256 m
 # Once the lead is no longer detected, the last points of its path are discarded: the occluder pulled them sideways.
 # With them go the points that were uncertain and some before these, unless there are too many: no occluder takes so
 # long to cover a vehicle, but in dim light every point is uncertain.
@@ -21,7 +21,7 @@ UNRELIABLE_MARGIN_POINTS, MAX_UNRELIABLE_POINTS = 2, 12
 # Extrapolation: a parabola through the last points, with the standard deviation of each across the path, and that of
 # the path's curvature as vehicles drive (lateral acceleration over speed², or the limit).
 FITTED_POINTS = 24
-LATERAL_STD_M = 0.1  # neighbouring points err alike
+LATERAL_STD_M = 0.1  # standard deviation of a point across the path; neighbouring points have similar errors
 LATERAL_ACCELERATION_STD_MPS2, MAX_CURVATURE_STD_PER_M = 1.5, 0.05
 SPEED_SMOOTHING_S = 0.3  # time constant of the chase vehicle's speed
 

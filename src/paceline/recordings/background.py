@@ -12,16 +12,16 @@ from paceline.progress import Progress
 from paceline.recordings.stereo import StereoRecording
 from paceline.verdicts import NO_REASON, Message, message
 
-BACKGROUND_FRAMES = 31  # evenly spread: as many as fit in memory however long the recording is
-MIN_FRAMES = 5  # from which moving objects can be separated from the background
-SHORTH_SHARE = 0.4  # of a pixel's values, in the shortest interval: the background is visible that often or more
+BACKGROUND_FRAMES = 31  # evenly spread frames, of which the memory does not depend on the recording's length
+MIN_FRAMES = 5  # least frames from which moving objects can be separated from the background
+SHORTH_SHARE = 0.4  # share of a pixel's values in the shortest interval: the background is visible at least that often
 MAX_BACKGROUND_SIGMA = 3.0  # standard deviations within which a value belongs to the background
-MIN_NOISE_GREY = 0.5  # due to rounding
-MAX_NOISE_RATIO = 4.0  # of a pixel's noise to the usual one: more is due to motion
-MIN_STABLE_SHARE = 0.5  # of the frames that show the background of a stable pixel
-MAX_UNSTABLE_SHARE = 0.3  # of the pixels: more means that the cameras moved
-ROWS_PER_BLOCK = 64  # processed at once
-NOISE_SAMPLE_STEP_PX = 4  # between the pixels from which the usual noise is estimated
+MIN_NOISE_GREY = 0.5  # noise of rounding
+MAX_NOISE_RATIO = 4.0  # ratio of a pixel's noise to the typical noise, above which it is due to motion
+MIN_STABLE_SHARE = 0.5  # least share of the frames that show the background at a stable pixel
+MAX_UNSTABLE_SHARE = 0.3  # share of the pixels above which the cameras have moved
+ROWS_PER_BLOCK = 64  # rows that are processed at once
+NOISE_SAMPLE_STEP_PX = 4  # distance between the pixels from which the typical noise is estimated
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,12 +22,12 @@ from paceline.recordings.monocular import STOP_POLL_INTERVAL_S, CameraFrame, Cam
 from paceline.recordings.stereo import MIN_REPORTED_SKEW_S, StereoFrame
 from paceline.verdicts import message
 
-MAX_QUEUED_FRAMES = 64  # per view; a pause of seconds loses none, beyond it the oldest is dropped
-CLOCK_OFFSET_FRAMES = 8  # per live view, from which the offset between the two clocks is estimated
+MAX_QUEUED_FRAMES = 64  # frames per view; a pause of seconds loses none, beyond them the oldest is dropped
+CLOCK_OFFSET_FRAMES = 8  # frames per live view from which the offset between the two clocks is estimated
 PAIR_TOLERANCE = 0.25, 0.5  # greatest offset between the frames of a pair, in frame intervals: of files, of live views
-PAIRED_TOLERANCE_FACTOR = 1.5  # on the tolerance once a pair was found: jitter must not break the pairing up
-MAX_LIVE_INTERVALS = 15  # of which the median is the frame interval; single ones vary with exposure and load
-MAX_DELAY_DIFFERENCE_S = 1.0  # between the delays of two cameras that share this computer's clock
+PAIRED_TOLERANCE_FACTOR = 1.5  # factor on the tolerance once a pair was found, so that jitter does not end the pairing
+MAX_LIVE_INTERVALS = 15  # latest intervals, whose median is the frame interval; single ones vary with exposure and load
+MAX_DELAY_DIFFERENCE_S = 1.0  # difference between the delays of two cameras that share this computer's clock
 
 
 @dataclass(frozen=True, eq=False)

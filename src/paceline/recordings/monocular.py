@@ -33,9 +33,9 @@ from paceline.verdicts import message
 
 Grey = NDArray[np.uint8]  # (H, W)
 
-MAX_LISTED_NOTICES = 8  # of one kind
-MIN_GAP_RATIO = 1.5  # to the usual interval, above which frames are reported as missing
-MAX_FRAME_INTERVALS = 31  # of which the median is the usual one
+MAX_LISTED_NOTICES = 8  # notices of one kind that are listed
+MIN_GAP_RATIO = 1.5  # ratio to the typical interval above which frames are reported as missing
+MAX_FRAME_INTERVALS = 31  # latest intervals, whose median is the typical one
 LIVE_OPTIONS = {"rtsp_flags": "prefer_tcp"}  # of FFmpeg; sources without them ignore them
 DEVICE_PROBLEMS = {  # messages for a device where those of the operating system mislead
     errno.EBUSY: "it is in use already",
@@ -44,9 +44,9 @@ DEVICE_PROBLEMS = {  # messages for a device where those of the operating system
     errno.ENOTTY: "it is no camera that FFmpeg can read",
     errno.ENOSPC: "its USB bus has no bandwidth left; each camera needs a bus of its own, or smaller pictures",
 }
-OPEN_TIMEOUT_S, SILENCE_TIMEOUT_S = 15.0, 10.0  # after which a live source is unreachable, or has ended
-MAX_QUEUED_PICTURES = 8  # received and not yet read; beyond them the source has to wait
-STOP_POLL_INTERVAL_S = 0.1  # between checks for a request to stop
+OPEN_TIMEOUT_S, SILENCE_TIMEOUT_S = 15.0, 10.0  # time after which a live source is unreachable, or has ended
+MAX_QUEUED_PICTURES = 8  # images received and not yet read; beyond them the source has to wait
+STOP_POLL_INTERVAL_S = 0.1  # time between checks for a request to stop
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,8 +20,8 @@ from paceline.errors import UnusableInput
 from paceline.recordings.image_sources import ImageFiles, ImageSource, open_source
 from paceline.verdicts import Message, message
 
-MIN_REPORTED_SKEW_S = 1.1e-3  # above what rounding both views to whole milliseconds explains
-MAX_LISTED_FRAMES = 8  # in a notice
+MIN_REPORTED_SKEW_S = 1.1e-3  # skew above that of rounding both views to whole milliseconds
+MAX_LISTED_FRAMES = 8  # frames listed in a notice
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,7 @@ from paceline.reports.common.plots import FILTER_COLOR, INK_COLOR, INTERVAL_COLO
 from paceline.version import __version__
 
 FIGURE_SIZE_IN = (9.4, 6.4)
-MAX_LABELLED_VIEWS = 30  # under the bars
+MAX_LABELLED_VIEWS = 30  # views with a label under their bars
 
 
 def write_calibration(calibration: Calibration, file: Path) -> list[Path]:

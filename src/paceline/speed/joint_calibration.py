@@ -22,7 +22,7 @@ from paceline.speed.refinement.photometric_fit import MIN_INFORMATION_SHARE
 from paceline.speed.results import CONFIDENCE_LEVEL, Measurement, RigInformation, Track
 from paceline.verdicts import message
 
-SAME_VEHICLE_M = 2.0  # median distance between two tracks of one vehicle, at most
+SAME_VEHICLE_M = 2.0  # greatest median distance between two tracks of one vehicle, m
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,7 @@ from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.filter.estimate import Estimate
 from paceline.speed.results import ClipResult
 
-ENTRY_POINT_GROUP = "paceline.methods"  # of entry points
+ENTRY_POINT_GROUP = "paceline.methods"  # group of the entry points
 DEFAULT_METHOD = "paceline"
 
 OnEstimate = Callable[[str, Estimate], None]  # called with a vehicle's id and each estimate as it is made

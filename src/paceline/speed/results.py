@@ -13,7 +13,7 @@ from paceline.arrays import Array
 from paceline.errors import UnusableInput
 from paceline.verdicts import Message
 
-CONFIDENCE_LEVEL = 0.95  # of all intervals
+CONFIDENCE_LEVEL = 0.95  # confidence level of all intervals
 
 
 SUMMARY_COLUMNS = (

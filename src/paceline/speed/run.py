@@ -29,8 +29,8 @@ from paceline.speed.refinement.trajectory import Trajectory
 from paceline.speed.results import CONFIDENCE_LEVEL, Measurement, RigInformation, Track
 from paceline.verdicts import Message, message, plural
 
-CROP_MARGIN = (0.6, 24.0)  # around a region, as a share of its size and in px
-MAX_PATH_DISTANCE_M = 15.0  # between a vehicle and its path
+CROP_MARGIN = (0.6, 24.0)  # margin around a region, as a share of its size and in px
+MAX_PATH_DISTANCE_M = 15.0  # greatest distance between a vehicle and its path
 
 
 class VehicleMeasurement:

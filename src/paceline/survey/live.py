@@ -45,7 +45,7 @@ from paceline.speed.results import Measurement
 from paceline.speed.verdict import apply_tolerance
 from paceline.verdicts import Message, message
 
-MAX_PAIR_SPACING_S = 0.2  # of the pairs to measure on, where every second or third is left out
+MAX_PAIR_SPACING_S = 0.2  # greatest time between the pairs that are measured, where pairs are left out
 
 OnResult = Callable[[DetectedVehicle, Measurement | None, Message], None]
 OnFrame = Callable[[RawPair, list[DetectionTrack]], None]

@@ -22,21 +22,21 @@ from paceline.errors import UnusableInput
 End = tuple[str, int, int]  # h or v, which line, 0 for its start and 1 for its stop
 
 # Edges, in grey levels per pixel
-BLUR_SIGMA_PX = 0.7  # removes the pixel noise before the gradient
-MIN_GRADIENT = 2.5  # across an edge
-SATURATION_GRADIENT = 30.0  # stronger edges weigh no more
+BLUR_SIGMA_PX = 0.7  # blur that removes the pixel noise before the gradient
+MIN_GRADIENT = 2.5  # least gradient across an edge
+SATURATION_GRADIENT = 30.0  # gradient above which edges have no more weight
 MAX_TILT_TANGENT = np.tan(np.deg2rad(15.0))  # δ of [NIST] (7)
 # Lines: px, and as a share of the box
 LINE_TOLERANCE = (0.6, 0.008)  # distance of edge points from their line
 MIN_LINE_LENGTH = (6.0, 0.1)
-MIN_LINE_SPACING = (2.5, 0.04)  # between parallel lines side by side
-BOX_MARGIN = (1.5, 0.03)  # outside the box, where the vehicle's own outline may lie
-MAX_CORNER_GAP = (3.0, 0.06)  # between the ends of two lines that share a corner
-MAX_SIDE_OFFSET = (2.0, 0.04)  # from a side of the box to the line that replaces it
-GAP_PENALTY = 1.0  # of a missing edge point on a line, in points
+MIN_LINE_SPACING = (2.5, 0.04)  # least distance between parallel lines side by side
+BOX_MARGIN = (1.5, 0.03)  # margin outside the box in which the vehicle's own outline may be
+MAX_CORNER_GAP = (3.0, 0.06)  # greatest distance between the ends of two lines that share a corner
+MAX_SIDE_OFFSET = (2.0, 0.04)  # greatest distance from a side of the box to the line that replaces it
+GAP_PENALTY = 1.0  # cost of a missing edge point on a line, in points
 # Sides of the box
-MIN_SIDE_LINE_SHARE = 0.4  # of the box's height: shorter lines belong to wheels or lamps
-MIN_SIDE_STRENGTH_RATIO = 0.4  # to the strongest line near that side
+MIN_SIDE_LINE_SHARE = 0.4  # least length as a share of the box's height: shorter lines belong to wheels or lamps
+MIN_SIDE_STRENGTH_RATIO = 0.4  # least strength relative to the strongest line near that side
 LINE_SIDE_STD_PX, BOX_SIDE_STD_PX = 0.4, 1.0  # standard deviation of a side on a line, and of a side as drawn
 MIN_LINES_PER_DIRECTION, MAX_LINES_PER_DIRECTION, MIN_LINES = 2, 7, 5
 MIN_BOX_PX = 16.0

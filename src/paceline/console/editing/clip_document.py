@@ -21,7 +21,7 @@ from paceline.errors import UnusableInput
 
 Entry = dict[str, Any]
 
-COORDINATE_DECIMALS = 2  # of written pixels and metres
+COORDINATE_DECIMALS = 2  # decimals of written pixels and metres
 
 
 class FileChanged(Exception):

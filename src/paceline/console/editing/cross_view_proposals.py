@@ -15,13 +15,13 @@ from paceline.cameras import StereoRig
 from paceline.documents.plausibility import check_quadrilateral
 from paceline.errors import UnusableInput
 
-MIN_SEARCH_DISTANCE_M, MAX_SEARCH_DISTANCE_M = 2.0, 400.0  # m, searched
-MIN_CORRELATION = 0.6  # of a match that is offered
-MAX_SECOND_PEAK_RATIO = 0.92  # to the best peak: a higher second peak makes the match ambiguous
-MAX_GRID_SAMPLES = 40  # along the longer side of an outline
-PATCH_RADIUS_PX = 7  # of the patches along a line
+MIN_SEARCH_DISTANCE_M, MAX_SEARCH_DISTANCE_M = 2.0, 400.0  # search range of distances
+MIN_CORRELATION = 0.6  # least correlation of a proposed match
+MAX_SECOND_PEAK_RATIO = 0.92  # ratio of the second peak to the best, above which a match is ambiguous
+MAX_GRID_SAMPLES = 40  # greatest number of samples along the longer side of an outline
+PATCH_RADIUS_PX = 7  # radius of the patches along a line
 MAX_LINE_SAMPLES = 48
-MAX_REMAP_ROWS = 32000  # of an image that OpenCV resamples at once
+MAX_REMAP_ROWS = 32000  # greatest number of rows that OpenCV resamples at once
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,8 +9,8 @@ from paceline.arrays import Array, Image
 from paceline.subpixel import parabola_peak
 
 MAX_REACH_PX = 12
-MIN_GRADIENT_PER_PX = 6.0  # grey levels per pixel, of an edge
-MIN_CORNER_GRADIENT_RATIO = 0.25  # of the weaker to the stronger gradient, of a corner
+MIN_GRADIENT_PER_PX = 6.0  # least gradient of an edge, grey levels per pixel
+MIN_CORNER_GRADIENT_RATIO = 0.25  # least ratio of a corner's weaker gradient to the stronger
 
 
 def snap_point(image: Image, point: Array, reach: float) -> Array:

@@ -17,7 +17,7 @@ from paceline.documents.yaml_editing import Plain, format_flow, set_values
 from paceline.errors import UnusableInput
 from paceline.reports.common.output_folder import write_all_or_none
 
-CENTER_DECIMALS = 2  # of written pixels
+CENTER_DECIMALS = 2  # decimals of written pixels
 SCALE_DECIMALS = 5
 
 

@@ -22,9 +22,9 @@ from paceline.speed.geometry.paths import Path, from_points
 Facts = dict[str, Any]
 
 VEHICLE_WIDTH_RANGE_M, VEHICLE_HEIGHT_RANGE_M = (0.3, 20.0), (0.1, 4.5)  # from a number plate to a lorry's side
-MAX_EPIPOLAR_DISTANCE_PX = 3.0  # of a corner: more is no click noise
+MAX_EPIPOLAR_DISTANCE_PX = 3.0  # epipolar distance of a corner that click noise can cause
 EPIPOLAR_MARKS_M = (5, 10, 20, 30, 50, 80, 150)  # distances marked on an epipolar line
-MAX_ROAD_SLOPE = 0.7  # in camera axes, the cameras may be tilted: steeper is a mistake
+MAX_ROAD_SLOPE = 0.7  # greatest slope in camera axes, as the cameras may be tilted; steeper is a mistake
 
 
 def epipolar_line(rig: StereoRig, view: int, pixel: Array) -> dict[str, list[Any]]:

@@ -16,9 +16,9 @@ from paceline.targets.learning import corner_names, learn_target
 
 Plain = dict[str, Any]
 
-POINTS_PER_LINE = 5  # of the shown polyline: lens distortion bends it
-MIN_RECOMMENDED_LINES = 8  # fewer may match another vehicle
-INITIAL_WIDTH_SHARE = 0.25  # of the image width, for a model that is not placed yet
+POINTS_PER_LINE = 5  # points of the displayed polyline, which lens distortion bends
+MIN_RECOMMENDED_LINES = 8  # number of lines below which another vehicle may match
+INITIAL_WIDTH_SHARE = 0.25  # width of a model that is not placed yet, as a share of the image width
 
 
 def validated_target(target: object) -> TargetModel:

@@ -25,7 +25,7 @@ FileStamps = tuple[tuple[Path, int, int], ...]
 
 MAX_OPEN_CLIPS = 4
 MAX_JPEG_BYTES = 96 << 20
-MAX_FORWARD_FRAMES = 12  # decoded one after the other; farther ahead the decoder seeks
+MAX_FORWARD_FRAMES = 12  # frames that are decoded one after another; farther ahead the decoder seeks
 FRAME_JPEG_QUALITY = 90
 THUMBNAIL_WIDTH_PX = 320
 

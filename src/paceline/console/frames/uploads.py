@@ -29,10 +29,10 @@ PARTIAL_PREFIX = ".paceline-import."
 STEREO_VIEWS, CHASE_VIEWS = ("left", "right"), ("video",)  # recordings of a clip
 YAML_NAMES = {"rig": "rig.yaml", "camera": "camera.yaml", "target": "target.yaml"}  # file names of the documents
 VIDEO_SUFFIXES = {".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".ts", ".mts", ".mpg", ".mpeg", ".ogv", ".mxf"}
-MAX_RECORDING_BYTES = 64 << 30  # of one video, of one zip file, and of an unpacked zip file
+MAX_RECORDING_BYTES = 64 << 30  # size limit of a video, of a zip file, and of an unpacked zip file
 MAX_YAML_BYTES = 1 << 20
-MAX_IMAGES = 100_000  # per view
-MIN_FREE_DISK_BYTES = 256 << 20  # that stay free
+MAX_IMAGES = 100_000  # images per view
+MIN_FREE_DISK_BYTES = 256 << 20  # disk space that uploads leave free
 CHUNK_BYTES = 1 << 20
 # Raised while unpacking a zip file that is damaged, encrypted or too large for the disk.
 UNPACK_ERRORS = (OSError, RuntimeError, ValueError, EOFError, zipfile.BadZipFile, zlib.error, lzma.LZMAError)

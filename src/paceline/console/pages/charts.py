@@ -10,7 +10,7 @@ from paceline.units import convert
 
 SERIES_COLORS = ("#2f6fb0", "#c2601f", "#3a8a57", "#8a4fa3", "#a8323e", "#3d8f99", "#857022", "#666f7a")
 
-MAX_DOTTED_VALUES = 100  # of a series; longer ones have no dots
+MAX_DOTTED_VALUES = 100  # values of a series that is drawn with dots
 
 
 def speed_chart(series: list[Series], compared: list[Series] | None, unit: str) -> dict[str, Any]:

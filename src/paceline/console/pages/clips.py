@@ -21,8 +21,8 @@ from paceline.console.pages.layout import (
     setup_address,
 )
 
-REFRESH_INTERVAL_S = 1.5  # between updates of the list
-LIST_TIMEOUT_S = 1.0  # for reading the clips; slower ones are shown as being read
+REFRESH_INTERVAL_S = 1.5  # time between updates of the list
+LIST_TIMEOUT_S = 1.0  # time limit for reading the clips; slower ones are shown as being read
 STATES_BEFORE_RESULTS = ("no paths", "no vehicles", "ready", "unreadable", "no rig", "no target", STATE_BEING_READ)
 
 HELP_TEXT = (

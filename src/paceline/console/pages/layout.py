@@ -28,7 +28,7 @@ PREPARING_ACTIVITIES = ("looking", "averaging")  # activities of progress lines 
 BACKGROUND_ACTIVITY = "learning"  # the activity of a live run before it measures
 TAB_SET_UP, TAB_TARGET, TAB_RUNS = "Set up", "Target", "Run and results"
 READ_ONLY_TEXT = "This folder cannot be written: clips and results can be viewed, not changed or measured."
-RESPONSE_TIMEOUT_S = 60.0  # of a page whose clip is on a slow disk
+RESPONSE_TIMEOUT_S = 60.0  # time limit of a page whose clip is on a slow disk
 STATE_TONES = {
     STATE_MEASURED: "good",
     "ready": "good",

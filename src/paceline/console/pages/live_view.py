@@ -34,7 +34,7 @@ LIVE_RUN_TEXT = (
     "has passed, appears below, and is saved in the tables. Stop ends the run; the vehicles seen so far are still "
     "measured."
 )
-RESULT_POLL_INTERVAL_S = 0.5  # between updates of what a live run has measured
+RESULT_POLL_INTERVAL_S = 0.5  # time between updates of the results of a live run
 
 
 class LiveView:

@@ -40,8 +40,8 @@ TABLE_COLUMNS = [
 SEEN_COLUMN = {"name": "seen", "label": "seen, s", "field": "seen", "align": "left"}
 ADVICE_COLUMN = {"name": "advice", "label": "advice", "field": "advice", "align": "left"}
 ROWS_PER_PAGE = 50
-MAX_ROWS = 1000  # ten times as many would block all pages for a second
-MAX_RECENT_PICTURES = 3  # of vehicles; the report has more
+MAX_ROWS = 1000  # rows of a table; ten times as many would block all pages for a second
+MAX_RECENT_PICTURES = 3  # vehicles with a picture on the page; the report has more
 CompareHandler = Callable[[Any], None]
 
 

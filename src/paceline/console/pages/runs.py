@@ -29,7 +29,7 @@ from paceline.console.runs.run_list import STATE_MEASURED, STATE_NOTHING, Run
 from paceline.errors import UnusableInput
 from paceline.speed.configuration import DEFAULT_BACKGROUND_S
 
-PAGE_POLL_INTERVAL_S = 0.5  # between updates of the page
+PAGE_POLL_INTERVAL_S = 0.5  # time between updates of the page
 REMOVED_TEXT = "The clip has been removed."
 TOLERANCE_LABEL = "Largest half-width ±"
 STOPPING_TEXT = "stopping; the vehicles seen so far are still measured"

@@ -8,7 +8,7 @@ from typing import Any
 from paceline.console.runs.results import Series
 from paceline.units import COVERAGE_95
 
-MAX_SERIES_VALUES = 600  # kept of one vehicle; beyond, every second one is dropped
+MAX_SERIES_VALUES = 600  # values that are kept of one vehicle; beyond, every second one is dropped
 MAX_KEPT_FRAMES = 6  # live frames whose pictures are kept: pages request them with a short delay
 
 

@@ -24,9 +24,9 @@ RESULT_FILES = {  # of a run, with the text of their links
     "summary.json": "Summary (JSON)",
     "overlay.mp4": "Video with the outlines",
 }
-MAX_CHART_VALUES = 1500  # of one series; of more, evenly spread ones are shown
-TAIL_BYTES = 256 << 10  # read from the end of a growing table
-MAX_LIVE_SERIES = 12  # the latest vehicles of a growing table
+MAX_CHART_VALUES = 1500  # values of one series; longer ones are subsampled evenly
+TAIL_BYTES = 256 << 10  # bytes that are read from the end of a growing table
+MAX_LIVE_SERIES = 12  # number of latest vehicles of a growing table that are shown
 
 
 @dataclass(frozen=True)

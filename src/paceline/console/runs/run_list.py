@@ -36,7 +36,7 @@ from paceline.progress import MAX_LINE_LENGTH, PROGRESS_VARIABLE, parse_estimate
 
 RUNS_FOLDER = "runs"
 EXIT_DONE, EXIT_NOTHING_MEASURED, EXIT_UNUSABLE = 0, 1, 2  # exit statuses of the command line
-TERMINATION_TIMEOUT_S = 5.0  # for a cancelled command to clean up before it is killed
+TERMINATION_TIMEOUT_S = 5.0  # time that a cancelled command has to clean up before it is killed
 MAX_MESSAGES = 20  # lines of a command's output that are kept
 MAX_MESSAGE_LENGTH = 400  # characters of a line
 

@@ -13,12 +13,12 @@ from paceline.reports.follow.overlay import draw_frame
 from paceline.simulation.closed_loop.loop import LoopStep
 from paceline.simulation.closed_loop.vehicle_dynamics import VehicleParameters
 
-PANEL_HEIGHT_PX = 64  # of the strip below the image
+PANEL_HEIGHT_PX = 64  # height of the strip below the image
 COMMAND_COLOR: Color = (60, 160, 235)
 WHEEL_COLOR: Color = (80, 220, 120)
 BRAKE_COLOR: Color = (70, 70, 235)
 BAR_FRAME_COLOR: Color = (110, 100, 90)
-FULL_PEDAL_MPS2 = 4.0  # of a full pedal bar
+FULL_PEDAL_MPS2 = 4.0  # acceleration that fills a pedal bar
 
 
 def draw_step(step: LoopStep, vehicle: VehicleParameters) -> Picture:

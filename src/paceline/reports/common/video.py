@@ -15,7 +15,7 @@ from paceline.verdicts import message
 TICKS_PER_S = 60000  # time stamps per second; MPEG-4 allows 65535
 H264_CODECS = ["libx264", "libopenh264"]  # both write H.264, which browsers play
 FALLBACK_CODEC = "mpeg4"
-FALLBACK_BIT_RATE = 8_000_000  # for encoders without constant quality
+FALLBACK_BIT_RATE = 8_000_000  # bits per second, for encoders without constant quality
 
 
 class VideoWriter:

@@ -32,10 +32,10 @@ from paceline.speed.geometry.paths import LANE_KEEPING_STD
 SpeedPrior = tuple[float, float]  # a speed and its standard deviation, m/s
 
 SCALE_CANDIDATES = np.geomspace(0.72, 1.4, 23)  # of the template from the first frame to the second
-TEMPLATE_MATCH_SIGMA_PX = 0.7  # of a matched template's position and size
-MIN_START_ESS_SHARE = 0.2  # effective sample size, as a share of the particles, that the second frame leaves at least
-MAX_START_ITERATIONS = 4  # of the first registration
-START_STEP_TOLERANCE = 0.02  # change of the registered position at which it has converged, as a share of the distance
+TEMPLATE_MATCH_SIGMA_PX = 0.7  # standard deviation of a matched template's position and size
+MIN_START_ESS_SHARE = 0.2  # least effective sample size after the second frame, as a share of the particles
+MAX_START_ITERATIONS = 4  # iterations of the first registration
+START_STEP_TOLERANCE = 0.02  # relative change of the registered distance at which the iteration has converged
 START_SPEED_STD_FACTOR = 2.0  # std of the drawn speeds over that of the speed from two registered positions
 
 

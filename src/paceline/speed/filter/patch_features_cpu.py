@@ -38,7 +38,7 @@ _diagonal = _inline(patch_features.haar_diagonal)
 _correlation = njit(nogil=True)(patch_features.correlation)
 
 
-THREAD_CHUNKS = 32  # into which the particles are divided for the threads
+THREAD_CHUNKS = 32  # chunks of particles that are distributed over the threads
 
 
 class PackedImage(NamedTuple):

@@ -27,15 +27,15 @@ from paceline.speed.geometry.quadrilaterals_cpu import unit_square_to
 Number = TypeVar("Number", bound=np.generic)
 
 MAX_REGISTRATION_ITERATIONS = 8
-COARSE_LEVELS = (6.0, 2.5)  # grid steps of smoothing, for searches that start farther away
+COARSE_LEVELS = (6.0, 2.5)  # smoothing in grid steps, for searches that start farther away
 CONVERGED_STEP_CHI2 = 0.1  # squared standard deviations of the last step; the next one is quadratically smaller
 VIEW_GAIN_RANGE = (0.2, 5.0)
-MAX_DEPTH_SHIFT_SIGMA = 5.0  # of the outline's depth
-NOISE_CORRELATED_SAMPLES = 4.0  # a sample's noise is shared with about this many neighbours
+MAX_DEPTH_SHIFT_SIGMA = 5.0  # greatest shift in standard deviations of the outline's depth
+NOISE_CORRELATED_SAMPLES = 4.0  # number of neighbouring samples that share their noise
 QUANTISATION_VARIANCE = 1.0 / 12.0  # grey levels², of 8-bit images
-MAX_SMOOTHING_PX = 60.0  # a region that would need more fills more than the image
-REGION_RIM_PX = 2.0  # of the first region, left out: it may show the background, which has another depth
-MIN_SIMILARITY_OUTSIDE_GATE = 0.9  # at which a registration is accepted outside the gate
+MAX_SMOOTHING_PX = 60.0  # smoothing that a region which fills more than the image would need
+REGION_RIM_PX = 2.0  # rim of the first region that is left out: it may show the background, at another depth
+MIN_SIMILARITY_OUTSIDE_GATE = 0.9  # similarity at which a registration outside the gate is accepted
 GATE_CHI2 = 50.0  # squared Mahalanobis distance, three degrees of freedom, above which it may be another object
 
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from paceline.arrays import Array, Indices
 
-JITTER_SCALE = 0.1  # of a static parameter at resampling, as a share of its standard deviation
+JITTER_SCALE = 0.1  # standard deviation of the jitter as a share of the static parameter's
 SHRINKAGE = float(np.sqrt(1 - JITTER_SCALE**2))  # towards the mean, before the jitter [Liu and West 2001]
-ESS_REL_TOLERANCE = 1e-9  # for rounding
+ESS_REL_TOLERANCE = 1e-9  # relative rounding error
 Scheme = Callable[[Array, np.random.Generator], Indices]  # weights (N,) to indices (N,)
 
 RESAMPLING_SCHEMES: dict[str, Scheme] = {}  # by name, in the order of registration

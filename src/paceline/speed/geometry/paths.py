@@ -20,8 +20,8 @@ from paceline.errors import UnusableInput
 
 DRAWING_SIGMA_PX = 0.5  # px, the noise of a drawn point where too few points are drawn to estimate it
 MAX_DIRECTION_STD_RAD = np.radians(6.0)  # standard deviation of the direction above which a drawing is refused
-MIN_PLANE_SEPARATION_SIGMA = 5.0  # of the angle between the planes through the drawn line in the two views
-SURVEY_SIGMA_M = 0.02  # m, of a surveyed point
+MIN_PLANE_SEPARATION_SIGMA = 5.0  # angle between the two views' planes through the line, in standard deviations
+SURVEY_SIGMA_M = 0.02  # standard deviation of a surveyed point, m
 LANE_KEEPING_STD = np.radians([1.0, 0.3])  # yaw and pitch of a vehicle's motion from its lane
 PATH_SAMPLES = 128
 

@@ -12,7 +12,7 @@ from paceline.speed.refinement.photometric_fit import MIN_LOG_ODDS, MIN_MODEL_PR
 from paceline.speed.refinement.self_calibration import RigEstimate
 from paceline.speed.refinement.trajectory import MOTION_TERMS, Trajectory, prior
 
-MIN_KEYFRAMES = 5  # for model selection
+MIN_KEYFRAMES = 5  # least keyframes for model selection
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,12 +17,12 @@ from paceline.speed.geometry.paths import LANE_KEEPING_STD, Path
 DRIVER_PRIOR = {"yaw": (LANE_KEEPING_STD[0], 3e-4, 1e-5, 1e-7), "pitch": (LANE_KEEPING_STD[1], 1e-4, 1e-6)}
 # The same without a path, where the direction comes from the filter; a turn is a motion term of its own
 FREE_DIRECTION_PRIOR = {"yaw": (np.radians(15.0), 3e-4), "pitch": (np.radians(5.0), 1e-4)}
-LENGTH_FACTOR = 1.1  # of the modelled path over the distance at the given speed
-MIN_PATH_LENGTH_M = 5.0  # of the modelled path
-MIN_MODE_RAD = 1e-4  # RMS; smaller modes move the image by less than 0.01 px
+LENGTH_FACTOR = 1.1  # length of the modelled path over the distance at the given speed
+MIN_PATH_LENGTH_M = 5.0  # least length of the modelled path
+MIN_MODE_RAD = 1e-4  # RMS below which a mode moves the image by less than 0.01 px
 LANE_CHANGE_GP = 0.1, 8.0  # heading during a lane change: standard deviation in rad, correlation length in m
 LANE_KEEPING_GP = 0.01, 10.0  # the same for lane keeping on a bend
-MIN_MODE_SHARE = 0.01  # of a process's standard deviation; smaller modes are left out
+MIN_MODE_SHARE = 0.01  # share of a process's standard deviation below which a mode is left out
 
 
 @dataclass(frozen=True, eq=False)

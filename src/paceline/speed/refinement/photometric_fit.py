@@ -33,19 +33,19 @@ LEVEL_SCHEDULE = ((2.5, False), (1.2, False), (0.7, True))
 # Besides the default grid
 PATCH_GRIDS = PatchGrid(8), PatchGrid(30), PatchGrid(share=(0.8, 1.0)), PatchGrid(share=(1.0, 0.8))
 MAX_FIT_STEPS = 10
-MAX_RESTART_STEPS = 6  # of a fit that starts from another one with fewer assumptions
-MAX_GRID_STEPS = 3  # of a fit that starts from one on another patch grid
+MAX_RESTART_STEPS = 6  # steps of a fit that starts from another one with fewer assumptions
+MAX_GRID_STEPS = 3  # steps of a fit that starts from one on another patch grid
 CONVERGED_STEP_SIGMA = 0.1  # standard deviations
 COARSE_STEP_SIGMA = 1.0  # the same before the last level of the schedule
-MAX_LAST_STEP_SIGMA = 1.0  # a longer last step means that the fit did not converge
-DEPTH_OFFSET_STD_M = 0.04, 0.05  # of a patch from the plane, and of each of its rows from the patch
+MAX_LAST_STEP_SIGMA = 1.0  # length of the last step above which the fit did not converge
+DEPTH_OFFSET_STD_M = 0.04, 0.05  # std of a patch's depth offset from the plane, and of each row's from the patch
 GAMMA_PRIOR = 1.7, 0.6  # mean and standard deviation of γ; grey values are light to the power 1 / γ
-GAMMA_RANGE = 1.0, 2.4  # other changes of the image may look like a γ outside
-FIXED_INFORMATION = 1e8  # of a parameter that is held fixed
-MIN_LOG_ODDS = 3.0  # prior odds of 20 to 1 against each further motion term
+GAMMA_RANGE = 1.0, 2.4  # range of γ, outside which other changes of the image may look like a γ
+FIXED_INFORMATION = 1e8  # information of a parameter that is held fixed
+MIN_LOG_ODDS = 3.0  # log of the prior odds, 20 to 1, against each further motion term
 ABSENT_TERM_SCALE = 1e-4  # prior standard deviation of an absent motion term over that of a present one
-MIN_MODEL_PROBABILITY = 1e-3  # of a model in the average
-MIN_INFORMATION_SHARE = 0.05  # reduction of a rig direction's variance, from which images determine it
+MIN_MODEL_PROBABILITY = 1e-3  # least probability of a model in the average
+MIN_INFORMATION_SHARE = 0.05  # least reduction of a rig direction's variance by the images
 # For errors that all frames and patches share, which scores cannot show; measured with benchmarks/accuracy.py
 COVARIANCE_FACTOR = 1.4
 

@@ -18,16 +18,16 @@ from paceline.arrays import Array, Floats
 from paceline.speed.refinement import pyramid_cpu, view_dependence
 from paceline.speed.refinement.keyframes import Keyframe
 
-OPTICAL_BLUR_PX = 0.8  # typical blur of lens and pixel; the rest is fitted
-GAMMA_STEP = 0.02  # for the derivative by γ
-LEVEL_RATIO = 1.5  # of the resolutions of two levels
-SAMPLES_PER_PIXEL = 1.3  # of a level's coarsest view
-LEVEL_RIM_PX = 1.5  # of a level's coarsest view, left out at the outline, where the background mixes in
-GEMAN_MCCLURE_SCALE = 4.0  # of the squared residual, in expected variances
-MAX_VARIANCE_RATIO = 9.0  # to the expected variance; above, a patch of a view is taken as occluded
+OPTICAL_BLUR_PX = 0.8  # typical blur of lens and pixel; the difference is fitted
+GAMMA_STEP = 0.02  # step of γ for the derivative
+LEVEL_RATIO = 1.5  # ratio of the resolutions of two levels
+SAMPLES_PER_PIXEL = 1.3  # samples per pixel of a level's coarsest view
+LEVEL_RIM_PX = 1.5  # rim in pixels of a level's coarsest view that is left out, as it may show the background
+GEMAN_MCCLURE_SCALE = 4.0  # scale of the squared residual, in expected variances
+MAX_VARIANCE_RATIO = 9.0  # ratio to the expected variance above which a patch of a view is assumed to be occluded
 PATCH_GAIN_RANGE = (0.2, 5.0)
-ROWS_PER_PATCH = 3  # with a depth offset each, as edges of bumpers and windows run through patches
-BLUR_CORRELATED_SAMPLES = 12.0  # that share their noise, by blur and dense sampling
+ROWS_PER_PATCH = 3  # rows with a depth offset each, as edges of bumpers and windows run through patches
+BLUR_CORRELATED_SAMPLES = 12.0  # number of samples that share their noise, by blur and dense sampling
 MIN_LEVEL_VIEWS = 4
 SLOPE_KERNEL = np.array([[1.0, -8.0, 0.0, 8.0, -1.0]], np.float32) / 12
 

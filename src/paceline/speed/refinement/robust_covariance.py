@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 
 from paceline.arrays import Array
 
-MIN_VARIANCE_SHARE = 0.5  # of the estimates' mean variance, that their mean has at least
+MIN_VARIANCE_SHARE = 0.5  # least variance of a mean of estimates, as a share of their mean variance
 MIN_INFORMATION_LEFT = 0.05  # share of the information that is assumed outside a single cluster
 
 

@@ -10,7 +10,7 @@ from paceline.arrays import Array
 from paceline.cameras import StereoRig, perturbed_rig
 from paceline.speed.refinement.trajectory import Trajectory
 
-DIFFERENCE_STEP = 1e-3  # standard uncertainties, or a share of the baseline, for finite differences
+DIFFERENCE_STEP = 1e-3  # step of finite differences, in standard uncertainties or as a share of the baseline
 
 
 @dataclass(frozen=True, eq=False)

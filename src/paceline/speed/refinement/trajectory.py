@@ -34,11 +34,11 @@ DIFFERENCE_STEPS = np.array([1e-5, 1e-4, 1e-4, 1e-5, 1e-5, 1e-6])
 AMPLITUDE_STEP = 1e-3
 
 LOG_DEPTH_STD = 0.3
-SPEED_STD_MPS = 30.0  # so wide that it hardly matters
-VARYING_ACCELERATION_STD_MPS2 = 2.0  # hard braking
-STEADY_ACCELERATION_STD_MPS2 = 0.15  # of drivers who hold their speed
+SPEED_STD_MPS = 30.0  # standard deviation of the speed's prior, so wide that it has little effect
+VARYING_ACCELERATION_STD_MPS2 = 2.0  # standard deviation of the acceleration of a vehicle that brakes hard
+STEADY_ACCELERATION_STD_MPS2 = 0.15  # standard deviation of the acceleration of a driver who holds the speed
 ACCELERATION_GP = 2.0, 0.4  # varying acceleration: standard deviation in m/s², correlation time in s
-CURVATURE_STD_PER_M = 0.03  # of a turning vehicle
+CURVATURE_STD_PER_M = 0.03  # standard deviation of the curvature of a turning vehicle's path
 
 
 @dataclass(frozen=True, eq=False)
