@@ -10,7 +10,6 @@ from typing import Annotated
 
 import typer
 
-from paceline.commands import EXIT_INTERRUPTED, EXIT_UNUSABLE_INPUT
 from paceline.commands.calibrate import calibrate
 from paceline.commands.console import console
 from paceline.commands.drive import drive
@@ -23,6 +22,7 @@ from paceline.commands.speed import OLD_OPTIONS, speed
 from paceline.commands.target import target
 from paceline.commands.vehicles import vehicles
 from paceline.errors import UnusableInput
+from paceline.exit_status import EXIT_INTERRUPTED, EXIT_UNUSABLE_INPUT
 
 app = typer.Typer(
     name="paceline",

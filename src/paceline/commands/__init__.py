@@ -8,8 +8,6 @@ from pathlib import Path
 
 from paceline.errors import UnusableInput
 
-EXIT_DONE, EXIT_NOTHING_MEASURED, EXIT_UNUSABLE_INPUT, EXIT_INTERRUPTED = 0, 1, 2, 130  # exit statuses
-
 
 def print_columns(rows: Sequence[Sequence[str]]) -> None:
     """Prints ``rows`` with their columns aligned, the last one as it is."""

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from paceline.commands import EXIT_DONE, print_columns
+from paceline.commands import print_columns
 from paceline.commands.progress_output import progress_bar
+from paceline.exit_status import EXIT_DONE
 from paceline.verdicts import message
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
-from paceline.commands import EXIT_DONE
 from paceline.errors import UnusableInput
+from paceline.exit_status import EXIT_DONE
 
 
 def console(

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from paceline.commands import EXIT_DONE, EXIT_NOTHING_MEASURED, file_named
+from paceline.commands import file_named
 from paceline.commands.interrupts import ended_by_interrupt
 from paceline.commands.progress_output import progress_bar, range_line_writer
+from paceline.exit_status import EXIT_DONE, EXIT_NOTHING_MEASURED
 
 if TYPE_CHECKING:  # what computes is imported when the command runs, so that --help answers at once
     from paceline.follow.history import Tally

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from paceline.commands import EXIT_DONE, EXIT_NOTHING_MEASURED, file_named, print_columns
+from paceline.commands import file_named, print_columns
 from paceline.commands.progress_output import progress_bar
 from paceline.commands.renamed_options import accepting
 from paceline.errors import UnusableInput
+from paceline.exit_status import EXIT_DONE, EXIT_NOTHING_MEASURED
 from paceline.verdicts import message
 
 if TYPE_CHECKING:

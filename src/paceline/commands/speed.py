@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from paceline.commands import EXIT_DONE, EXIT_NOTHING_MEASURED, file_named, print_columns
+from paceline.commands import file_named, print_columns
 from paceline.commands.progress_output import progress_bar, speed_line_writer
 from paceline.errors import UnusableInput
+from paceline.exit_status import EXIT_DONE, EXIT_NOTHING_MEASURED
 from paceline.speed.choices import DeviceName, Motion
 
 if TYPE_CHECKING:  # what computes is imported when a command runs, so that --help answers at once

@@ -10,9 +10,9 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from paceline.commands import EXIT_DONE, EXIT_NOTHING_MEASURED
 from paceline.commands.interrupts import ended_by_interrupt
 from paceline.commands.progress_output import live_line_writer, write_progress
+from paceline.exit_status import EXIT_DONE, EXIT_NOTHING_MEASURED
 
 if TYPE_CHECKING:
     from paceline.cameras import StereoRig

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from paceline.commands import EXIT_DONE
 from paceline.errors import UnusableInput
+from paceline.exit_status import EXIT_DONE
 
 target = typer.Typer(help="Line models of vehicles to follow.", rich_markup_mode=None)
 

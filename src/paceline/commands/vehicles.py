@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from paceline.commands import EXIT_DONE, EXIT_NOTHING_MEASURED, file_named, print_columns, refuse_read_only
+from paceline.commands import file_named, print_columns, refuse_read_only
 from paceline.commands.progress_output import progress_bar
 from paceline.errors import UnusableInput
+from paceline.exit_status import EXIT_DONE, EXIT_NOTHING_MEASURED
 
 if TYPE_CHECKING:
     from paceline.detection.search import SearchResult

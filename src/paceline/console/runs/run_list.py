@@ -32,10 +32,10 @@ from paceline.console.runs.kinds import LIVE_RUN, MEASURING_KINDS, command_argum
 from paceline.console.runs.monitor import RunMonitor
 from paceline.console.runs.results import Series, nothing_measured_reason
 from paceline.errors import UnusableInput
+from paceline.exit_status import EXIT_DONE, EXIT_NOTHING_MEASURED, EXIT_UNUSABLE_INPUT
 from paceline.progress import MAX_LINE_LENGTH, PROGRESS_VARIABLE, parse_estimate, parse_pictures, parse_progress
 
 RUNS_FOLDER = "runs"
-EXIT_DONE, EXIT_NOTHING_MEASURED, EXIT_UNUSABLE = 0, 1, 2  # exit statuses of the command line
 TERMINATION_TIMEOUT_S = 5.0  # time that a cancelled command has to clean up before it is killed
 MAX_MESSAGES = 20  # lines of a command's output that are kept
 MAX_MESSAGE_LENGTH = 400  # characters of a line
@@ -287,7 +287,7 @@ class RunList:
                 else self._relative_reason(run, reason)
             )
             return replace(run, state=STATE_NOTHING, reason=why)
-        if status == EXIT_UNUSABLE:
+        if status == EXIT_UNUSABLE_INPUT:
             return replace(run, state=STATE_FAILED, reason=self._relative_reason(run, reason))
         killed = f"its process was killed (signal {-status})" if status < 0 else f"it ended with status {status}"
         return replace(run, state=STATE_INTERRUPTED, reason=killed)

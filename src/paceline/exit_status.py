@@ -1,0 +1,3 @@
+"""Exit statuses of the command line."""
+
+EXIT_DONE, EXIT_NOTHING_MEASURED, EXIT_UNUSABLE_INPUT, EXIT_INTERRUPTED = 0, 1, 2, 130
