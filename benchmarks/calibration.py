@@ -20,6 +20,7 @@ from paceline.calibration.parameters import RIG_PARAMETER_NAMES, RigState, param
 from paceline.errors import UnusableInput
 from paceline.geometry import triangulate
 from paceline.simulation.boards import CalibrationSetup, add_noise, corners_by_view, project_board, random_setup, render
+from paceline.units import COVERAGE_95
 
 BOARDS = ("charuco:11x8:0.06:0.045:DICT_5X5_100", "charuco:7x5:0.1:0.075:DICT_4X4_50", "chessboard:9x6:0.06")
 SIZES = ((1280, 960), (1024, 768), (1920, 1080))
@@ -149,7 +150,7 @@ def _report(name: str, outcomes: list[Outcome]) -> None:
         stated = halves[:, k] > 0
         if stated.sum() >= len(done) // 4:  # a coefficient that hardly any lens needed says little
             share = np.abs(errors[stated, k]) / halves[stated, k]
-            print(row(parameter, stated.sum(), f"{100 * (share <= 1).mean():.0f} %", f"{1.96 * rms(share):.2f}"))
+            print(row(parameter, stated.sum(), f"{100 * (share <= 1).mean():.0f} %", f"{COVERAGE_95 * rms(share):.2f}"))
     spoilt, found = (sum(map(len, sets)) for sets in ([o.spoilt for o in done], [o.spoilt & o.rejected for o in done]))
     extra = sum(len(o.rejected - o.spoilt) for o in done)
     print(f"\nWrong views: {found} of {spoilt} found; {extra} good ones left out with them.")

@@ -38,6 +38,7 @@ from paceline.simulation.chase.clip import (
 )
 from paceline.simulation.random_scenes import random_chase
 from paceline.targets.line_model import Target
+from paceline.units import COVERAGE_95
 
 Image = NDArray[np.uint8]
 
@@ -46,7 +47,6 @@ WARM = 300  # frames after which memory may grow no more
 SEEN = 0.6  # of the rear plane must be visible where a frame counts
 OFF_RANGE, OFF_PLACE = 0.2, 0.25  # relative, and in widths of the vehicle: an estimate that is of something else
 DOUBTFUL = 25.0  # degrees of ViSP's projection error; 99 of 100 frames on target were below it where it was chosen
-WITHIN = 1.96  # standard deviations, of a 95 % interval
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,8 +193,8 @@ class Record:
             self.on_target.append(self.range_errors[-1])
         self.lateral_errors.append(float(x))
         if sight.std is not None:
-            self.in_range.append(bool(abs(z) <= WITHIN * sight.std[2]))
-            self.in_lateral.append(bool(abs(x) <= WITHIN * sight.std[0]))
+            self.in_range.append(bool(abs(z) <= COVERAGE_95 * sight.std[2]))
+            self.in_lateral.append(bool(abs(x) <= COVERAGE_95 * sight.std[0]))
 
 
 Frames = Iterable[tuple[Image, ChaseTruth]]

@@ -20,13 +20,13 @@ from paceline.recordings.background import estimate_background
 from paceline.recordings.stereo import open_recording
 from paceline.simulation.raytraced.scene import PlacedStereoScene
 from paceline.simulation.raytraced.scene_yaml import load_speed_scene
+from paceline.units import COVERAGE_95
 
 Array = NDArray[np.float64]
 
 NEAREST, FARTHEST = 4.0, 80.0  # m of depth
 SEEN = 15.0  # m of both of a lane's lines that have to be in both pictures
 SAME = 1.0  # m that a lane's middle may lie beside the true one
-HALF = 1.96
 
 
 def true_lanes(placed: PlacedStereoScene) -> list[Array]:
@@ -87,8 +87,8 @@ def main(folders: list[Path]) -> None:
                 continue
             met.add(k)
             error = lane.width - placed.road.shape.lane_width
-            errors.append(f"{error:+.3f} (± {HALF * lane.width_std:.3f})")
-            inside += abs(error) <= HALF * lane.width_std
+            errors.append(f"{error:+.3f} (± {COVERAGE_95 * lane.width_std:.3f})")
+            inside += abs(error) <= COVERAGE_95 * lane.width_std
             widths.append(error)
             middles.append(misses[k])
             off.append(misses[k])

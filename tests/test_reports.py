@@ -24,8 +24,15 @@ import pytest
 from paceline.errors import UnusableInput
 from paceline.recordings.stereo import StereoFrame
 from paceline.reports import OutputFolder, write_report
-from paceline.reports.common.formatting import format_speed, format_speed_number, rejected_advice, speed_at
+from paceline.reports.common.formatting import (
+    format_interval,
+    format_speed,
+    format_speed_number,
+    rejected_advice,
+    speed_at,
+)
 from paceline.speed.results import ClipResult, Measurement, PathDrawing, Track
+from paceline.units import COVERAGE_95
 
 NAN = float("nan")
 FRAMES = 12
@@ -173,13 +180,15 @@ def test_random_and_systematic_parts_add_up() -> None:
     # 0.03 and 0.04 make 0.05; the interval's half width of 0.1 is twice that.
     assert (words.random, words.systematic) == ("0.06", "0.08")
     assert format_speed_number(20.123, "m/s", 0.04) == "20.12"
+    assert format_interval(20.123, 0.04, "m/s") == "20.12 ± 0.04"
+    assert format_interval(20.123, NAN, "km/h") == "72.4 ± –"
     assert format_speed(replace(measured("v"), systematic_std=NAN), "mph").systematic == "–"
 
 
 def test_the_speed_of_a_frame_has_the_coverage_factor_of_the_mean() -> None:
     wide = replace(measured("v"), speed_lo=19.0, speed_hi=21.2)  # 1.1 where 0.05 is one standard uncertainty: 22
     assert speed_at(wide, 0) == pytest.approx((20.1, 22 * 0.05))
-    assert speed_at(rejected("v"), 2)[1] == pytest.approx(1.96 * rejected("v").track.speed_std[2])
+    assert speed_at(rejected("v"), 2)[1] == pytest.approx(COVERAGE_95 * rejected("v").track.speed_std[2])
     assert "longer" in rejected_advice(rejected("v").reason_code)
 
 

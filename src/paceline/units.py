@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from enum import StrEnum
 from typing import overload
 
 from paceline.arrays import Array
 
 MPS_PER_MPH, MPS_PER_KMH = 0.44704, 1 / 3.6  # exact by definition
-COVERAGE_95 = 1.96  # standard deviations on each side of the 95 % interval of a normal distribution
+COVERAGE_95 = 1.959963984540054  # standard deviations on each side of the 95 % interval of a normal distribution
 
 
 class SpeedUnit(StrEnum):
@@ -38,14 +37,3 @@ def convert(speed_mps: Array, unit: str) -> Array: ...
 def convert(speed_mps: float | Array, unit: str) -> float | Array:
     """``speed_mps`` in ``unit``, a SpeedUnit or its name; raises ValueError for an unknown one."""
     return speed_mps / parse_unit(unit).mps
-
-
-def format_speed(speed_mps: float, plus_minus_mps: float, unit: str) -> str:
-    """For example ``44.9 ± 0.1 mph``: rounded to the first digit of the uncertainty; ``± ?`` where that is unknown."""
-    speed, plus_minus = convert(speed_mps, unit), convert(plus_minus_mps, unit)
-    name = parse_unit(unit)
-    if not 0 < plus_minus < math.inf:
-        return f"{speed:.1f} ± ? {name}"
-    plus_minus = float(f"{plus_minus:.0e}")
-    decimals = max(0, -math.floor(math.log10(plus_minus)))
-    return f"{speed:.{decimals}f} ± {plus_minus:.{decimals}f} {name}"

@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
 from paceline.arrays import Array
 from paceline.speed import verdict
 from paceline.speed.configuration import DEFAULTS, JointCalibrationSettings, SpeedConfiguration
 from paceline.speed.refinement.photometric_fit import MIN_INFORMATION_SHARE
-from paceline.speed.results import CONFIDENCE_LEVEL, Measurement, RigInformation, Track
+from paceline.speed.results import Measurement, RigInformation, Track
+from paceline.units import COVERAGE_95
 from paceline.verdicts import message
 
 SAME_VEHICLE_M = 2.0  # greatest median distance between two tracks of one vehicle, m
@@ -100,7 +100,7 @@ def corrected(m: Measurement, rig: CanonicalGaussian) -> Measurement:
     assert information is not None
     change, covariance = rig.mean - information.offset, rig.covariance
     systematic = float(np.sqrt(information.mean_speed_gradient @ covariance @ information.mean_speed_gradient))
-    half_width = float(np.hypot(information.half_width, ndtri(0.5 + CONFIDENCE_LEVEL / 2) * systematic))
+    half_width = float(np.hypot(information.half_width, COVERAGE_95 * systematic))
     speed = m.speed + float(information.mean_speed_gradient @ change)
     variances = np.einsum("nq,qr,nr->n", information.speed_jacobian, covariance, information.speed_jacobian)
     speed_changes = information.speed_jacobian @ change

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri, stdtrit
+from scipy.special import stdtrit
 
 from paceline.arrays import Array
 from paceline.documents.loading import Clip, VehicleDocument
@@ -27,6 +27,7 @@ from paceline.speed.refinement.path_deviation import deviation_of
 from paceline.speed.refinement.self_calibration import RigEstimate
 from paceline.speed.refinement.trajectory import Trajectory
 from paceline.speed.results import CONFIDENCE_LEVEL, Measurement, RigInformation, Track
+from paceline.units import COVERAGE_95
 from paceline.verdicts import Message, message, plural
 
 CROP_MARGIN = (0.6, 24.0)  # margin around a region, as a share of its size and in px
@@ -143,9 +144,9 @@ class VehicleMeasurement:
         speed, noise_std, model_std, systematic_std = refined.mean_speed()
         random_std = float(np.hypot(noise_std, model_std))
         # Student's distribution for the noise, which is estimated from few frames and patches
-        normal, student = ndtri(0.5 + CONFIDENCE_LEVEL / 2), stdtrit(refined.dof, 0.5 + CONFIDENCE_LEVEL / 2)
-        random = float(np.hypot(student * noise_std, normal * model_std))
-        half_width = float(np.hypot(random, normal * np.nan_to_num(systematic_std)))
+        student = stdtrit(refined.dof, 0.5 + CONFIDENCE_LEVEL / 2)
+        random = float(np.hypot(student * noise_std, COVERAGE_95 * model_std))
+        half_width = float(np.hypot(random, COVERAGE_95 * np.nan_to_num(systematic_std)))
         reason = verdict.check_refined(refined, speed, half_width, self.limits) or verdict.check_outline(
             refined, self.vehicle.right, self.configuration.click_sigma, self.limits
         )
@@ -189,7 +190,7 @@ class VehicleMeasurement:
             information=fit.information,
             mean_speed_gradient=mean @ fit.response,
             mean_speed_std=float(np.hypot(noise, model)),
-            half_width=float(np.hypot(student * noise, ndtri(0.5 + CONFIDENCE_LEVEL / 2) * model)),
+            half_width=float(np.hypot(student * noise, COVERAGE_95 * model)),
             speed_jacobian=self._by_row(gradients @ fit.response),
             speed_stds=self._by_row(np.sqrt(variances)),
         )
@@ -220,7 +221,7 @@ class VehicleMeasurement:
         speeds = np.array([e.speed for e in tracked[1:]])
         information = 1.0 / np.array([e.speed_std for e in tracked[1:]]) ** 2
         speed, std = float(np.average(speeds, weights=information)), float(1.0 / np.sqrt(information.mean()))
-        half_width = float(ndtri(0.5 + CONFIDENCE_LEVEL / 2)) * std
+        half_width = COVERAGE_95 * std
         reason = verdict.check_interval(speed, half_width, limits=self.limits)
         return Measurement(
             vehicle=self.vehicle.id,

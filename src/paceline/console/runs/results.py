@@ -14,7 +14,13 @@ from typing import Any
 
 from paceline.console.confinement import NotFound, file_below
 from paceline.errors import UnusableInput
-from paceline.reports.common.formatting import NO_VALUE, format_number, format_speed_number, rejected_advice
+from paceline.reports.common.formatting import (
+    NO_VALUE,
+    format_interval,
+    format_number,
+    format_speed_number,
+    rejected_advice,
+)
 from paceline.units import COVERAGE_95, convert
 
 RESULT_FILES = {  # of a run, with the text of their links
@@ -165,10 +171,9 @@ def vehicle_rows(vehicles: list[dict[str, Any]], unit: str) -> list[dict[str, st
 def _vehicle_row(vehicle: dict[str, Any], unit: str) -> dict[str, str]:
     speed, lo, hi = (_number_or_nan(vehicle.get(key)) for key in ("speed_mps", "speed_lo_mps", "speed_hi_mps"))
     half = (hi - lo) / 2
-    speed_text = format_speed_number(speed, unit, half)
     return {
         "vehicle": str(vehicle.get("vehicle")),
-        "speed": speed_text if speed_text == NO_VALUE else f"{speed_text} ± {format_speed_number(half, unit, half)}",
+        "speed": NO_VALUE if math.isnan(speed) else format_interval(speed, half, unit),
         "interval": NO_VALUE
         if math.isnan(half)
         else f"{format_speed_number(lo, unit, half)} to {format_speed_number(hi, unit, half)}",

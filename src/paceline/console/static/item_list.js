@@ -4,7 +4,7 @@ import { make } from "./importer.js";
 import { ITEM_COLORS } from "./view.js";
 import { ordered } from "./model.js";
 
-const COVERAGE_95 = 1.96; // standard deviations on each side of a 95 % interval
+const COVERAGE_95 = 1.959963984540054; // standard deviations on each side of a 95 % interval
 
 const metres = (value, digits = 1) => `${value.toFixed(digits)} m`;
 

@@ -44,6 +44,11 @@ def format_speed_number(speed: float, unit: str, half_width: float = math.nan) -
     return format_number(convert(speed, unit), _decimals(convert(half_width, unit)))
 
 
+def format_interval(speed: float, half_width: float, unit: str) -> str:
+    """``speed`` ± ``half_width`` (m/s) as numbers in ``unit``, for example ``44.9 ± 0.1``."""
+    return " ± ".join(format_speed_number(value, unit, half_width) for value in (speed, half_width))
+
+
 def format_speed(measurement: Measurement, unit: str) -> SpeedText:
     """The measured speed in ``unit``, with random and systematic parts that add up (in squares) to the interval."""
     half = (measurement.speed_hi - measurement.speed_lo) / 2

@@ -9,7 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from paceline.reports.common.formatting import NO_VALUE, format_number, format_speed_number, rejected_advice
+from paceline.reports.common.formatting import (
+    NO_VALUE,
+    format_interval,
+    format_number,
+    format_speed_number,
+    rejected_advice,
+)
 from paceline.reports.common.html import flatten_settings, render
 from paceline.reports.common.plots import Plot
 from paceline.reports.speed.tables import summary_column
@@ -82,8 +88,8 @@ def _speed_columns(passage: Passage, unit: str) -> dict[str, str]:
         return {"speed": NO_VALUE, "interval": NO_VALUE}
     speed, lo, hi = (float(passage[key]) for key in ("speed_mps", "speed_lo_mps", "speed_hi_mps"))
     half = (hi - lo) / 2
-    texts = [format_speed_number(value, unit, half) for value in (speed, half, lo, hi)]
-    return {"speed": f"{texts[0]} ± {texts[1]}", "interval": f"{texts[2]} to {texts[3]}"}
+    ends = " to ".join(format_speed_number(value, unit, half) for value in (lo, hi))
+    return {"speed": format_interval(speed, half, unit), "interval": ends}
 
 
 def _pictures(vehicles: Sequence[Passage], folder: Path, unit: str) -> list[dict[str, Any]]:

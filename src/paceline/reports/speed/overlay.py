@@ -24,10 +24,9 @@ from paceline.reports.common.drawing import (
     draw_text,
     scale_points,
 )
-from paceline.reports.common.formatting import speed_at
+from paceline.reports.common.formatting import format_interval, speed_at
 from paceline.reports.common.video import VideoWriter, pad_to_even
 from paceline.speed.results import ClipResult, Measurement, Track
-from paceline.units import format_speed
 
 Grey = NDArray[np.uint8]  # (H, W)
 
@@ -104,7 +103,7 @@ class _Layer:
         if self.track.status[row] != "tracking":
             return f"{self.track.vehicle}  {self.track.status[row]}"
         speed, half = speed_at(self.measurement, row)
-        text = f"{self.track.vehicle}  {format_speed(speed, half, unit)}"
+        text = f"{self.track.vehicle}  {format_interval(speed, half, unit)} {unit}"
         return text + "  (rejected)" if self.rejected else text
 
     def outline_color(self, row: int) -> Color:
