@@ -123,6 +123,16 @@ def test_the_lines_covariance_is_calibrated(rig, geometry, sigma):
         assert 0.86 < np.mean(np.array(squares) < chi2.ppf(0.95, dof)) <= 0.995
 
 
+@pytest.mark.parametrize("shape", ["line", "curve"])
+def test_a_drawing_is_as_precise_as_it_is_said_to_be(rig, shape):
+    """Few exact points do not show how precisely they were drawn."""
+    points, _ = line_points(*GEOMETRIES[0])
+    drawn = drawn_line(rig, points)
+    paths = [reconstruct("a", shape, rig, *drawn, sigma) for sigma in (0.2, 0.4)]
+    fine, coarse = (np.median(np.linalg.norm(path.heading_modes(path.s)[0], axis=0)) for path in paths)
+    assert coarse > 1.3 * fine
+
+
 @pytest.mark.parametrize("heading", [np.pi / 2, np.pi / 2 - 0.002])
 def test_lines_along_the_epipolar_lines_are_refused(rig, heading):
     level = StereoRig(rig.left, rig.left, np.eye(3), np.array([-0.5, 0.0, 0.0]))

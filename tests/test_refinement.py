@@ -24,7 +24,7 @@ from paceline.documents.loading import Clip, load_clip
 from paceline.simulation.lane_change import LaneChange
 from paceline.simulation.random_scenes import random_crossing, random_scene
 from paceline.simulation.stereo.clip import Scene, Vehicle, render, write
-from paceline.speed.configuration import SpeedConfiguration
+from paceline.speed.configuration import DriverSettings, ModelSettings, SpeedConfiguration
 from paceline.speed.measurement import measure_clip
 from paceline.speed.refinement import pyramid_cpu, view_dependence
 from paceline.speed.refinement.keyframes import Keyframe
@@ -188,6 +188,21 @@ def test_a_change_of_speed_is_found(rendered: Callable[[Scene], Path], kind: str
     true = 18.0 + acceleration * m.track.time
     np.testing.assert_allclose(m.track.refined_speed, true, atol=0.4)
     assert (np.abs(m.track.refined_speed - true) < 4 * m.track.refined_std).all()
+
+
+def test_the_expected_driver_and_the_odds_asked_decide_on_the_model(rendered: Callable[[Scene], Path]) -> None:
+    """A vehicle that brakes, without the term for it: no steady driver does, a lively one may."""
+    clip = rendered(scene("line", 18.0, 9, frames=10, acceleration=-3.0, start_distance=58.0))
+    none = ModelSettings(min_log_odds=1e6)
+    steady, lively = (
+        measure_clip(clip, SpeedConfiguration(model=none, driver=driver)).measurements[0]
+        for driver in (DriverSettings(steadiness=0.02), DriverSettings(steadiness=3.0))
+    )
+    assert steady.model == lively.model == "constant speed"
+    gained = [m.track.refined_speed[-1] - m.track.refined_speed[0] for m in (steady, lively)]
+    true = -3.0 * np.ptp(lively.track.time)
+    assert gained[0] > 0.2 * true
+    assert gained[1] == pytest.approx(true, abs=0.5)
 
 
 def test_occluded_frames_at_the_end_are_not_measured(tmp_path: Path) -> None:

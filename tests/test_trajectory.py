@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,9 +11,10 @@ from scipy.integrate import quad
 from scipy.stats import norm
 
 from paceline.cameras import Camera, StereoRig
+from paceline.speed.configuration import DEFAULTS, DriverSettings
 from paceline.speed.geometry.initial_plane import InitialPlane
-from paceline.speed.geometry.paths import LANE_KEEPING_STD, from_points, resampled
-from paceline.speed.refinement import path_deviation, trajectory
+from paceline.speed.geometry.paths import from_points, resampled
+from paceline.speed.refinement import path_deviation
 from paceline.speed.refinement.path_deviation import PathDeviation, deviation_modes
 from paceline.speed.refinement.photometric_fit import PhotometricFit
 from paceline.speed.refinement.trajectory import (
@@ -92,10 +94,11 @@ def test_distance_is_the_integral_of_the_speed():
     assert v[0] == pytest.approx(15.0) and np.ptp(np.diff(v)) > 1e-4  # it does change its acceleration
 
 
-def test_varying_accelerations_have_the_stated_covariance():
+@pytest.mark.parametrize("driver", [DriverSettings(), DriverSettings(braking=5.0, braking_time=0.8)])
+def test_varying_accelerations_have_the_stated_covariance(driver):
     """Accelerations drawn from the prior have the stated deviation, and the stated correlation over time."""
-    t = trajectory_on(straight_path(), times=tuple(np.linspace(0.0, 2.0, 401)))
-    sigma, scale = trajectory.ACCELERATION_GP
+    t = replace(trajectory_on(straight_path(), times=tuple(np.linspace(0.0, 2.0, 401))), driver=driver)
+    sigma, scale = t.driver.braking, t.driver.braking_time
     a = np.gradient(t.speed_jacobian[:, t.index("varying_acceleration")], t.times[:, 0], axis=0)[1:-1]
     kernel, seconds = a @ a.T, t.times[1:-1, 0]
     expected = sigma**2 * np.exp(-0.5 * ((seconds[:, None] - seconds) / scale) ** 2)
@@ -154,13 +157,37 @@ def test_the_deviation_has_the_covariance_of_its_parts():
     expected[n:, n:] = pitch.T @ pitch
     expected[:n, n:] = yaw.T @ pitch
     expected[n:, :n] = expected[:n, n:].T
+    stds = path_deviation.direction_prior(DEFAULTS.driver)
     for half, name in ((slice(0, n), "yaw"), (slice(n, 2 * n), "pitch")):
-        for k, s in enumerate(path_deviation.DRIVER_PRIOR[name]):
+        for k, s in enumerate(stds[name]):
             term = s * u**k / powers[k]
             expected[half, half] += np.outer(term, term)
-    assert path_deviation.DRIVER_PRIOR["yaw"][0] == LANE_KEEPING_STD[0]
     variance = np.diag(expected)
     np.testing.assert_allclose(np.diag(lane_keeping.T @ lane_keeping), variance, atol=0.02 * variance.max())
+
+
+def test_the_expected_driver_is_the_prior():
+    path = straight_path()
+    usual = DriverSettings()
+    other = DriverSettings(
+        steadiness=0.05, braking=5.0, heading=0.05, pitch=0.02, lane_change=0.3, lane_change_length=20.0
+    )
+    deviations = [deviation_modes(path, 5.0, 40.0, on_path=True, driver=driver) for driver in (usual, other)]
+    kept = [d.modes[: len(d.modes) - d.lane_change_modes] for d in deviations]
+    at = np.argmin(np.abs(deviations[0].u))  # there the direction alone counts, and the reconstruction in both
+    gained = [np.square(modes[:, :, at]).sum(0) for modes in kept]
+    wanted = [0.05**2 - usual.heading**2, 0.02**2 - usual.pitch**2]
+    np.testing.assert_allclose(gained[1] - gained[0], wanted, rtol=0.02)
+    change = deviations[1].modes[-deviations[1].lane_change_modes :, 0]
+    u, wide = deviations[1].u, 0.3**2
+    np.testing.assert_allclose(
+        change.T @ change, wide * np.exp(-0.5 * ((u[:, None] - u) / 20.0) ** 2), atol=0.02 * wide
+    )
+    t = replace(trajectory_on(path), driver=other)
+    i = PARAMETER_INDEX["acceleration"]
+    for terms, std in (((), 0.05), (("acceleration",), 5.0)):
+        p = prior(t, 15.0, terms)
+        assert p.information[list(p.free).index(i), list(p.free).index(i)] == pytest.approx(std**-2)
 
 
 def test_angles_are_the_modes_and_constant_beyond_them():
@@ -177,7 +204,7 @@ def test_motion_terms_are_free_only_where_they_are_named():
     plain = prior(t, 15.0)
     assert not set(t.index("lane_change")) & set(plain.free) and PARAMETER_INDEX["curvature"] not in plain.free
     i = list(plain.free).index(PARAMETER_INDEX["acceleration"])  # steady drivers
-    assert plain.information[i, i] == pytest.approx(trajectory.STEADY_ACCELERATION_STD_MPS2**-2)
+    assert plain.information[i, i] == pytest.approx(t.driver.steadiness**-2)
     places = [set(t.index(term)) for term in MOTION_TERMS]
     assert sum(map(len, places)) == len(set().union(*places))
     for term, there in zip(MOTION_TERMS, places, strict=True):

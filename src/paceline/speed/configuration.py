@@ -10,6 +10,7 @@ import re
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field
 from pydantic_core import PydanticKnownError
 
@@ -60,6 +61,33 @@ class TrackingSettings(Section):
 
     max_occluded_frames: int = Field(
         4, ge=1, le=10_000, description="frames in a row that may hide the vehicle before it is given up as lost"
+    )
+
+
+class DriverSettings(Section):
+    """How vehicles are driven: standard deviations of the motion that the fit of the whole track expects."""
+
+    steadiness: float = Field(
+        0.15, gt=0, le=10, description="acceleration of a driver who holds the speed, m/s²; less: straighter speeds"
+    )
+    braking: float = Field(2.0, gt=0, le=30, description="acceleration of one who brakes or speeds up, m/s²")
+    braking_time: float = Field(0.4, ge=0.05, le=60, description="correlation time of an acceleration that varies, s")
+    heading: float = Field(
+        float(np.radians(1.0)),
+        gt=0,
+        le=0.2,
+        description="direction of travel from that of the path, sideways, rad; more: the path determines less",
+    )
+    pitch: float = Field(float(np.radians(0.3)), gt=0, le=0.2, description="the same up and down, rad")
+    lane_change: float = Field(0.1, gt=0, le=0.5, description="direction of travel in a lane change, sideways, rad")
+    lane_change_length: float = Field(8.0, ge=1, le=1000, description="correlation length of that direction, m")
+
+
+class ModelSettings(Section):
+    """The choice of the motion model: constant speed along the path, and the further terms that the images ask for."""
+
+    min_log_odds: float = Field(
+        3.0, ge=0, description="log odds asked of an acceleration, a lane change or a turn; 3: 20 to 1"
     )
 
 
@@ -167,11 +195,16 @@ class SpeedConfiguration(Section):
         0.15, gt=0, description="relative standard deviation of a speed that is given as a first guess"
     )
     click_sigma: float = Field(0.5, gt=0, description="standard deviation of a drawn corner, pixels")
+    line_sigma: float = Field(
+        0.5, gt=0, description="standard deviation of a drawn point of a road line, pixels, where few points tell"
+    )
     resample_below: float = Field(
         1.0, gt=0, le=1, description="resample when the effective sample size falls below this share of the particles"
     )
     start: StartSettings = StartSettings()
     tracking: TrackingSettings = TrackingSettings()
+    driver: DriverSettings = DriverSettings()
+    model: ModelSettings = ModelSettings()
     refinement: RefinementSettings = RefinementSettings()
     limits: Limits = Limits()
     joint_calibration: JointCalibrationSettings = JointCalibrationSettings()

@@ -210,7 +210,7 @@ def _reconstruct(clip: Clip, configuration: SpeedConfiguration) -> dict[str, Pat
     drawn = {}
     for name in dict.fromkeys(v.path for v in clip.vehicles if v.path is not None):
         try:
-            drawn[name] = path_from_document(clip.paths[name], clip.rig, shape)
+            drawn[name] = path_from_document(clip.paths[name], clip.rig, shape, configuration.line_sigma)
         except UnusableInput as unusable:
             raise UnusableInput(f"{clip.path}: {unusable}") from None
     return drawn

@@ -123,7 +123,8 @@ class VehicleMeasurement:
 
     def _refined(self) -> RefinedMotion:
         speed = float(np.mean([e.speed for e in self.estimates[1:] if e.status == "tracking"]))
-        return refine(self._trajectory(speed), self.keyframes, speed, self.path is not None)
+        min_log_odds = self.configuration.model.min_log_odds
+        return refine(self._trajectory(speed), self.keyframes, speed, self.path is not None, min_log_odds)
 
     def _trajectory(self, speed: float) -> Trajectory:
         """The outline's motion model: along the path in the direction of travel, or straight as the filter has it."""
@@ -137,8 +138,9 @@ class VehicleMeasurement:
         else:
             plane = plane_from_outlines(self.rig, self.vehicle, path, self.configuration.click_sigma)
         times = np.array([k.times for k in self.keyframes]) - np.mean(first.times)
-        deviation = deviation_of(path, plane, times, speed, self.path is not None)
-        return Trajectory(self.rig, self.vehicle.left, plane, path, times, deviation)
+        driver = self.configuration.driver
+        deviation = deviation_of(path, plane, times, speed, self.path is not None, driver)
+        return Trajectory(self.rig, self.vehicle.left, plane, path, times, deviation, driver)
 
     def _measured(self, refined: RefinedMotion, frames: int) -> Measurement:
         speed, noise_std, model_std, systematic_std = refined.mean_speed()

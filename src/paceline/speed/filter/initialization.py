@@ -27,7 +27,6 @@ from paceline.speed.filter.registration import (
 )
 from paceline.speed.filter.resampling import Weights
 from paceline.speed.geometry.initial_plane import InitialPlane
-from paceline.speed.geometry.paths import LANE_KEEPING_STD
 
 SpeedPrior = tuple[float, float]  # a speed and its standard deviation, m/s
 
@@ -171,14 +170,14 @@ def draw_path_start(
     Each particle draws its own heading from the covariance of the path's reconstruction and from how closely drivers
     keep to a path.
     """
-    N = len(state)
+    N, driver = len(state), configuration.driver
     speed = np.linspace(*configuration.start.speed_range, N) if prior is None else np.abs(rng.normal(*prior, N))
     start = motion.path.nearest(plane.centre)
     heading = np.zeros((N, 2))
     if not configuration.exact_path:
         yaw, pitch = motion.path.heading_modes(np.array([start]))
         heading = rng.normal(0.0, 1.0, (N, len(yaw))) @ np.concatenate([yaw, pitch], axis=1)
-        heading += rng.normal(0.0, 1.0, (N, 2)) * LANE_KEEPING_STD
+        heading += rng.normal(0.0, 1.0, (N, 2)) * [driver.heading, driver.pitch]
     forward = motion.path.frames(np.array(start))[:, 0]
     s = start + (motion_models.plane_centres(rig, state) - plane.centre) @ forward
     return replace(state, speed=speed, s=s, heading=heading)

@@ -15,7 +15,7 @@ from paceline.arrays import Array, Indices
 from paceline.cameras import Camera, StereoRig
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.geometry import quadrilaterals_cpu
-from paceline.speed.geometry.paths import LANE_KEEPING_STD, Path
+from paceline.speed.geometry.paths import Path
 
 NoiseDraws = list[tuple[float, int]]  # for each kind of noise, in the order of drawing: sigma, and numbers a particle
 
@@ -198,10 +198,9 @@ class PathMotion:
         self.speed_noise = configuration.speed_noise
         self.distance_noise = configuration.distance_noise
         self.drift = np.array([configuration.lateral_noise, configuration.vertical_noise])
+        lane_keeping = np.array([configuration.driver.heading, configuration.driver.pitch])
         self.turning = (
-            np.zeros(2)
-            if configuration.exact_path
-            else configuration.heading_noise * LANE_KEEPING_STD / LANE_KEEPING_STD[0]
+            np.zeros(2) if configuration.exact_path else configuration.heading_noise * lane_keeping / lane_keeping[0]
         )
 
     def propagate(self, state: State, dt: float, rng: np.random.Generator) -> State:

@@ -15,8 +15,8 @@ from paceline.cameras import StereoRig
 from paceline.documents.loading import PathDocument
 from paceline.errors import UnusableInput
 from paceline.geometry import triangulate
+from paceline.speed.configuration import DEFAULTS
 from paceline.speed.geometry.paths import (
-    DRAWING_SIGMA_PX,
     MAX_DIRECTION_STD_RAD,
     PATH_SAMPLES,
     Path,
@@ -30,17 +30,23 @@ CURVATURE_WALK_STRENGTHS = (2e-4, 1e-3, 5e-3)  # m^-1.5: an arc of constant radi
 VERTICAL_CURVATURE_WALK = 2e-4  # m^-1.5, the same for the vertical curvature
 
 
-def reconstruct(name: str, shape: str, rig: StereoRig, left: Array, right: Array) -> Path:
-    """The path whose drawings are the ideal pixels ``left`` (N, 2) and ``right`` (M, 2).
+def reconstruct(
+    name: str, shape: str, rig: StereoRig, left: Array, right: Array, sigma: float = DEFAULTS.line_sigma
+) -> Path:
+    """The path whose drawings are the ideal pixels ``left`` (N, 2) and ``right`` (M, 2), ``sigma`` px the noise of a
+    drawn point where too few are drawn to estimate it.
 
     ``shape`` is "line" or "curve". Raises UnusableInput where the drawing does not determine it in space.
     """
     make = reconstruct_line if shape == "line" else reconstruct_curve
-    return make(name, rig, left, right)
+    return make(name, rig, left, right, sigma)
 
 
-def path_from_document(document: PathDocument, rig: StereoRig, shape: str | None = None) -> Path:
+def path_from_document(
+    document: PathDocument, rig: StereoRig, shape: str | None = None, sigma: float = DEFAULTS.line_sigma
+) -> Path:
     """The path of a clip.yaml, surveyed or drawn, not yet moved to its lane's centre; ``shape`` overrides its own.
+    ``sigma`` as for `reconstruct`.
 
     Raises UnusableInput where the drawing does not determine it in space.
     """
@@ -48,10 +54,10 @@ def path_from_document(document: PathDocument, rig: StereoRig, shape: str | None
     if document.points is not None:
         return from_points(document.name, shape, document.points)
     assert document.left is not None and document.right is not None, "a path is drawn in both views or surveyed"
-    return reconstruct(document.name, shape, rig, document.left, document.right)
+    return reconstruct(document.name, shape, rig, document.left, document.right, sigma)
 
 
-def reconstruct_curve(name: str, rig: StereoRig, left: Array, right: Array) -> Path:
+def reconstruct_curve(name: str, rig: StereoRig, left: Array, right: Array, sigma: float = DEFAULTS.line_sigma) -> Path:
     """A space curve from two image curves whose points do not correspond.
 
     Each point of the left curve meets the right curve where its epipolar line crosses it; that gives a first curve.
@@ -60,7 +66,7 @@ def reconstruct_curve(name: str, rig: StereoRig, left: Array, right: Array) -> P
     Stretches nearly parallel to the epipolar lines do not constrain the depth: there it comes from the neighbouring
     stretches, and the covariance is larger.
     """
-    start = _match_along_epipolar_lines(rig, left, right)
+    start = _match_along_epipolar_lines(rig, left, right, sigma)
     if len(start) < 6:
         raise UnusableInput(
             f"path {name}: the two drawn curves do not meet along the epipolar lines, or run parallel to them; "
@@ -74,7 +80,7 @@ def reconstruct_curve(name: str, rig: StereoRig, left: Array, right: Array) -> P
     def distances(x: Array) -> Array:
         curve = np.maximum(road.points(x), [-np.inf, -np.inf, 0.5])
         views = zip(rig.cameras, (left, right), (curve, rig.to_right(curve)), strict=True)
-        return np.concatenate([_distances_to_polyline(p, c.project(q)) for c, p, q in views]) / DRAWING_SIGMA_PX
+        return np.concatenate([_distances_to_polyline(p, c.project(q)) for c, p, q in views]) / sigma
 
     best = (-np.inf, x, np.eye(len(x)))
     for strength in CURVATURE_WALK_STRENGTHS:
@@ -191,9 +197,9 @@ def _distances_to_polyline(points: Array, line: Array) -> Array:
     return np.asarray(offset[:, 0] * along[:, 1] - offset[:, 1] * along[:, 0])
 
 
-def _match_along_epipolar_lines(rig: StereoRig, left: Array, right: Array) -> Array:
+def _match_along_epipolar_lines(rig: StereoRig, left: Array, right: Array, sigma: float) -> Array:
     """World points (N, 3), in order along the left curve: where its points' epipolar lines cross the right one."""
-    a, b = (_polyline(p, 120) for p in (left, right))
+    a, b = (_polyline(p, 120, sigma) for p in (left, right))
     lines = np.column_stack([a, np.ones(len(a))]) @ rig.fundamental.T
     side = np.column_stack([b, np.ones(len(b))]) @ lines.T  # (right samples, left samples)
     candidates: list[list[tuple[float, float]]] = []
@@ -237,7 +243,7 @@ def _smoothest_chain(candidates: list[list[tuple[float, float]]]) -> list[tuple[
     return chain[::-1]
 
 
-def _polyline(points: Array, n: int) -> Array:
+def _polyline(points: Array, n: int, sigma: float) -> Array:
     """``n`` samples (n, 2), equally spaced in chord length, of a smoothing spline through drawn ``points`` (N, 2)."""
     u = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     keep = np.concatenate([[True], np.diff(u) > 1e-6])
@@ -246,6 +252,6 @@ def _polyline(points: Array, n: int) -> Array:
     if len(u) < 6:
         return np.asarray(CubicSpline(u, points, axis=0)(lengths))
     order = np.arange(len(u), dtype=float)  # drawn points crowd with distance: smooth over their order
-    noise = len(u) * (1.5 * DRAWING_SIGMA_PX) ** 2
+    noise = len(u) * (1.5 * sigma) ** 2
     smooth = [UnivariateSpline(order, c, k=3, s=noise)(order) for c in points.T]
     return np.stack([np.interp(lengths, u, c) for c in smooth], axis=1)

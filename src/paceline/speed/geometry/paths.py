@@ -17,12 +17,11 @@ from scipy.interpolate import CubicSpline
 from paceline.arrays import Array
 from paceline.cameras import Camera, StereoRig
 from paceline.errors import UnusableInput
+from paceline.speed.configuration import DEFAULTS
 
-DRAWING_SIGMA_PX = 0.5  # px, the noise of a drawn point where too few points are drawn to estimate it
 MAX_DIRECTION_STD_RAD = np.radians(6.0)  # standard deviation of the direction above which a drawing is refused
 MIN_PLANE_SEPARATION_SIGMA = 5.0  # angle between the two views' planes through the line, in standard deviations
 SURVEY_SIGMA_M = 0.02  # standard deviation of a surveyed point, m
-LANE_KEEPING_STD = np.radians([1.0, 0.3])  # yaw and pitch of a vehicle's motion from its lane
 PATH_SAMPLES = 128
 
 
@@ -172,9 +171,12 @@ def straight_path(name: str, places: Array) -> Path:
 # --- straight paths ------------------------------------------------------------------------------------------------
 
 
-def reconstruct_line(name: str, rig: StereoRig, left: Array, right: Array) -> Path:
-    """A straight path by intersecting the planes that its image lines span with the cameras ([Zhu] (19)–(21))."""
-    lines = [_fit_image_line(p) for p in (left, right)]
+def reconstruct_line(name: str, rig: StereoRig, left: Array, right: Array, sigma: float = DEFAULTS.line_sigma) -> Path:
+    """A straight path by intersecting the planes that its image lines span with the cameras ([Zhu] (19)–(21)).
+
+    ``sigma`` px is the noise of a drawn point where too few are drawn to estimate it.
+    """
+    lines = [_fit_image_line(p, sigma) for p in (left, right)]
     x0 = np.concatenate([x for x, *_ in lines])
     M = [rig.left.K @ np.eye(3, 4), rig.right.K @ np.column_stack([rig.R, rig.t])]
 
@@ -230,7 +232,7 @@ def _homogeneous_line(angle: float, offset: float, centre: Array) -> Array:
     return np.array([normal[0], normal[1], -(normal @ centre + offset)])
 
 
-def _fit_image_line(points: Array) -> tuple[Array, Array, Array]:
+def _fit_image_line(points: Array, sigma: float) -> tuple[Array, Array, Array]:
     """(angle of the normal, offset from the centroid), their covariance (2, 2), and the centroid, by orthogonal fit."""
     centre = points.mean(0)
     _, singular, axes = np.linalg.svd(points - centre)
@@ -238,7 +240,7 @@ def _fit_image_line(points: Array) -> tuple[Array, Array, Array]:
     residual = (points - centre) @ normal
     n = len(points)
     # the drawing's own scatter, shrunk towards the usual noise as if by four further residuals
-    variance = (residual @ residual + 4 * DRAWING_SIGMA_PX**2) / (n - 2 + 4)
+    variance = (residual @ residual + 4 * sigma**2) / (n - 2 + 4)
     return (
         np.array([np.arctan2(normal[1], normal[0]), 0.0]),
         np.diag([variance / along, variance / n]),

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from paceline.arrays import Array
+from paceline.speed.configuration import DEFAULTS
 from paceline.speed.refinement.keyframes import Keyframe
-from paceline.speed.refinement.photometric_fit import MIN_LOG_ODDS, MIN_MODEL_PROBABILITY, PhotometricFit
+from paceline.speed.refinement.photometric_fit import MIN_MODEL_PROBABILITY, PhotometricFit
 from paceline.speed.refinement.self_calibration import RigEstimate
 from paceline.speed.refinement.trajectory import MOTION_TERMS, Trajectory, prior
 
@@ -62,22 +63,28 @@ class RefinedMotion:
         return float(g @ self.theta), noise, model, systematic
 
 
-def refine(trajectory: Trajectory, keyframes: list[Keyframe], speed: float, on_path: bool) -> RefinedMotion:
+def refine(
+    trajectory: Trajectory,
+    keyframes: list[Keyframe],
+    speed: float,
+    on_path: bool,
+    min_log_odds: float = DEFAULTS.model.min_log_odds,
+) -> RefinedMotion:
     """Fit one motion to all ``keyframes``.
 
     ``trajectory`` moves the operator's outline along the path; ``speed`` (m/s) is the filter's mean. The model is
     constant speed along the path; terms for a constant acceleration, a lane change and, on a path, a varying
-    acceleration or, without one, a curvature are added where their Bayes factors outweigh the prior odds. Raises
-    numpy.linalg.LinAlgError where the images determine nothing.
+    acceleration or, without one, a curvature are added where the logarithms of their Bayes factors exceed
+    ``min_log_odds`` times the number of terms. Raises numpy.linalg.LinAlgError where the images determine nothing.
     """
     fit = PhotometricFit(trajectory, keyframes, prior(trajectory, speed)).with_free_rig()
     terms: tuple[str, ...] = ()
     excluded = "curvature" if on_path else "varying_acceleration"
     others: list[tuple[float, PhotometricFit]] = []
-    log_odds = MIN_LOG_ODDS
+    log_odds = min_log_odds
     while len(keyframes) >= MIN_KEYFRAMES:
         added = [t for t in MOTION_TERMS if t != excluded and t not in terms]
-        extended = {t: fit.with_term(prior(trajectory, speed, (*terms, t)), t) for t in added}
+        extended = {t: fit.with_term(prior(trajectory, speed, (*terms, t)), t, min_log_odds) for t in added}
         others = list(extended.values())
         supported = [t for t in extended if extended[t][0] >= log_odds]
         if "acceleration" in supported:  # whether it varies is tested in the next round
@@ -86,7 +93,7 @@ def refine(trajectory: Trajectory, keyframes: list[Keyframe], speed: float, on_p
         if best is None:
             break
         terms, fit = (*terms, best), extended[best][1]
-        log_odds += MIN_LOG_ODDS
+        log_odds += min_log_odds
     chosen, fit = fit, fit.with_view_dependence()
     offset, theta, variance = fit.average_over_grids()
     reduction = variance / fit.mean_speed_variance

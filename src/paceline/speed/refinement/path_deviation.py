@@ -10,18 +10,18 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from paceline.arrays import Array
+from paceline.speed.configuration import DEFAULTS, DriverSettings
 from paceline.speed.geometry.initial_plane import InitialPlane
-from paceline.speed.geometry.paths import LANE_KEEPING_STD, Path
+from paceline.speed.geometry.paths import Path
 
-# Standard deviations of a polynomial in the distance: heading (rad), curvature (1/m), and its derivatives
-DRIVER_PRIOR = {"yaw": (LANE_KEEPING_STD[0], 3e-4, 1e-5, 1e-7), "pitch": (LANE_KEEPING_STD[1], 1e-4, 1e-6)}
-# The same without a path, where the direction comes from the filter; a turn is a motion term of its own
+# Standard deviations of a polynomial in the distance: curvature (1/m) and its derivatives, on a path
+CURVATURE_PRIOR = {"yaw": (3e-4, 1e-5, 1e-7), "pitch": (1e-4, 1e-6)}
+# Direction (rad) and curvature without a path, where the direction comes from the filter; a turn is a motion term
 FREE_DIRECTION_PRIOR = {"yaw": (np.radians(15.0), 3e-4), "pitch": (np.radians(5.0), 1e-4)}
 LENGTH_FACTOR = 1.1  # length of the modelled path over the distance at the given speed
 MIN_PATH_LENGTH_M = 5.0  # least length of the modelled path
 MIN_MODE_RAD = 1e-4  # RMS below which a mode moves the image by less than 0.01 px
-LANE_CHANGE_GP = 0.1, 8.0  # heading during a lane change: standard deviation in rad, correlation length in m
-LANE_KEEPING_GP = 0.01, 10.0  # the same for lane keeping on a bend
+LANE_KEEPING_GP = 0.01, 10.0  # heading on a bend: standard deviation in rad, correlation length in m
 MIN_MODE_SHARE = 0.01  # share of a process's standard deviation below which a mode is left out
 
 
@@ -47,13 +47,22 @@ class PathDeviation:
         return np.asarray(np.moveaxis(np.tensordot(amplitudes, modes, (-1, 1)), -1, 0))
 
 
-def deviation_of(path: Path, plane: InitialPlane, times: Array, speed: float, on_path: bool) -> PathDeviation:
+def deviation_of(
+    path: Path,
+    plane: InitialPlane,
+    times: Array,
+    speed: float,
+    on_path: bool,
+    driver: DriverSettings = DEFAULTS.driver,
+) -> PathDeviation:
     """The `PathDeviation` of a ``plane`` that moves along ``path`` at about ``speed`` (m/s) for ``times`` (F, 2) s."""
     length = LENGTH_FACTOR * speed * float(np.ptp(times))
-    return deviation_modes(path, path.nearest(plane.centre), max(length, MIN_PATH_LENGTH_M), on_path)
+    return deviation_modes(path, path.nearest(plane.centre), max(length, MIN_PATH_LENGTH_M), on_path, driver)
 
 
-def deviation_modes(path: Path, start: float, length: float, on_path: bool) -> PathDeviation:
+def deviation_modes(
+    path: Path, start: float, length: float, on_path: bool, driver: DriverSettings = DEFAULTS.driver
+) -> PathDeviation:
     """The `PathDeviation` over ``length`` metres of ``path`` from arc length ``start``.
 
     The modes are the principal components of the path's reconstruction error and of lane keeping. A polynomial of the
@@ -61,10 +70,10 @@ def deviation_modes(path: Path, start: float, length: float, on_path: bool) -> P
     """
     u = np.linspace(-1.0, length + 1.0, 81)
     orders = (4, 3) if path.shape == "curve" else (2, 2)
-    driver = DRIVER_PRIOR if on_path else FREE_DIRECTION_PRIOR
+    stds = direction_prior(driver) if on_path else FREE_DIRECTION_PRIOR
     modes = [
         sigma * np.outer(axis, u**k / factorial(k))
-        for axis, order, sigmas in zip(np.eye(2), orders, driver.values(), strict=True)
+        for axis, order, sigmas in zip(np.eye(2), orders, stds.values(), strict=True)
         for k, sigma in enumerate(sigmas[:order])
     ]
     if on_path:
@@ -74,8 +83,17 @@ def deviation_modes(path: Path, start: float, length: float, on_path: bool) -> P
     _, size, shapes = np.linalg.svd(np.reshape(modes, (len(modes), -1)), full_matrices=False)
     keep = size > MIN_MODE_RAD * np.sqrt(len(u))
     components = (size[keep, None] * shapes[keep]).reshape(-1, 2, len(u))
-    lane_change = _yaw_process_modes(u, *LANE_CHANGE_GP)
+    lane_change = _yaw_process_modes(u, driver.lane_change, driver.lane_change_length)
     return PathDeviation(u, np.concatenate([components, lane_change]), len(lane_change))
+
+
+def direction_prior(driver: DriverSettings) -> dict[str, tuple[float, ...]]:
+    """Standard deviations along a path of a polynomial in the distance: direction (rad), curvature (1/m), and its
+    derivatives."""
+    return {
+        "yaw": (driver.heading, *CURVATURE_PRIOR["yaw"]),
+        "pitch": (driver.pitch, *CURVATURE_PRIOR["pitch"]),
+    }
 
 
 def _yaw_process_modes(u: Array, sigma: float, length: float) -> Array:

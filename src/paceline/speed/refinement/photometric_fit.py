@@ -42,7 +42,6 @@ DEPTH_OFFSET_STD_M = 0.04, 0.05  # std of a patch's depth offset from the plane,
 GAMMA_PRIOR = 1.7, 0.6  # mean and standard deviation of γ; grey values are light to the power 1 / γ
 GAMMA_RANGE = 1.0, 2.4  # range of γ, outside which other changes of the image may look like a γ
 FIXED_INFORMATION = 1e8  # information of a parameter that is held fixed
-MIN_LOG_ODDS = 3.0  # log of the prior odds, 20 to 1, against each further motion term
 ABSENT_TERM_SCALE = 1e-4  # prior standard deviation of an absent motion term over that of a present one
 MIN_MODEL_PROBABILITY = 1e-3  # least probability of a model in the average
 MIN_INFORMATION_SHARE = 0.05  # least reduction of a rig direction's variance by the images
@@ -77,11 +76,11 @@ class PhotometricFit:
                 self.depth_offsets = _zero_depth_offsets(self.levels)
             self.gauss_newton(CONVERGED_STEP_SIGMA if fine else COARSE_STEP_SIGMA)
 
-    def with_term(self, prior: Prior, term: str) -> tuple[float, PhotometricFit]:
+    def with_term(self, prior: Prior, term: str, min_log_odds: float) -> tuple[float, PhotometricFit]:
         """The log Bayes factor of the model with a further motion ``term``, and its fit.
 
         After one step from here where the evidence is clearly against the term. Fitted from the beginning where it is
-        for it, as the lack of the term may have led this fit astray.
+        for it, by more than ``min_log_odds``, as the lack of the term may have led this fit astray.
         """
         other = self._restarted()
         other.prior = prior
@@ -89,7 +88,7 @@ class PhotometricFit:
         evidence = other._log_evidence(term, self.prior, 1.0)
         if evidence < np.log(MIN_MODEL_PROBABILITY):
             return evidence, other
-        if evidence > MIN_LOG_ODDS:
+        if evidence > min_log_odds:
             other = PhotometricFit(self._rig.stated, self.keyframes, prior).with_free_rig()
         return other._log_evidence(term, self.prior, other._covariance_inflation), other
 

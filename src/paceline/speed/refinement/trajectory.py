@@ -15,6 +15,7 @@ from scipy.interpolate import CubicSpline, PPoly
 
 from paceline.arrays import Array
 from paceline.cameras import StereoRig
+from paceline.speed.configuration import DEFAULTS, DriverSettings
 from paceline.speed.geometry.initial_plane import InitialPlane
 from paceline.speed.geometry.paths import Path, level_frames, rolled, rotation_minimising_roll
 from paceline.speed.geometry.quadrilaterals_cpu import unit_square_to
@@ -35,9 +36,6 @@ AMPLITUDE_STEP = 1e-3
 
 LOG_DEPTH_STD = 0.3
 SPEED_STD_MPS = 30.0  # standard deviation of the speed's prior, so wide that it has little effect
-VARYING_ACCELERATION_STD_MPS2 = 2.0  # standard deviation of the acceleration of a vehicle that brakes hard
-STEADY_ACCELERATION_STD_MPS2 = 0.15  # standard deviation of the acceleration of a driver who holds the speed
-ACCELERATION_GP = 2.0, 0.4  # varying acceleration: standard deviation in m/s², correlation time in s
 CURVATURE_STD_PER_M = 0.03  # standard deviation of the curvature of a turning vehicle's path
 
 
@@ -56,7 +54,7 @@ class Trajectory:
 
     ``plane`` gives the initial normal; ``times`` (F, 2) are each view's exposures in seconds since the outline. The
     parameters ``theta`` (n,) are those of MOTION_PARAMETER_NAMES, then the amplitudes of ``deviation`` and those of a
-    varying acceleration, a Gaussian process over time.
+    varying acceleration, a Gaussian process over time. ``driver`` gives the prior of the motion.
     """
 
     rig: StereoRig
@@ -65,6 +63,7 @@ class Trajectory:
     path: Path
     times: Array
     deviation: PathDeviation
+    driver: DriverSettings = DEFAULTS.driver
 
     @cached_property
     def steps(self) -> Array:
@@ -90,7 +89,7 @@ class Trajectory:
     def _acceleration_process(self) -> CubicSpline:
         """Modes of the varying acceleration (m/s²) over time."""
         t = np.linspace(self.times.min() - 0.1, self.times.max() + 0.1, 81)
-        return CubicSpline(t, gaussian_process_modes(t, *ACCELERATION_GP).T)
+        return CubicSpline(t, gaussian_process_modes(t, self.driver.braking, self.driver.braking_time).T)
 
     @property
     def _acceleration_count(self) -> int:
@@ -272,7 +271,7 @@ def prior(trajectory: Trajectory, speed: float, terms: tuple[str, ...] = ()) -> 
     std = parameter_stds(trajectory)
     for name in MOTION_TERMS:
         if name not in terms:
-            std[trajectory.index(name)] = STEADY_ACCELERATION_STD_MPS2 if name == "acceleration" else 0.0
+            std[trajectory.index(name)] = trajectory.driver.steadiness if name == "acceleration" else 0.0
     mean = np.zeros_like(std)
     mean[:2] = np.log(trajectory.plane.centre[2]), speed
     mean[PARAMETER_INDEX["normal_tilt"]] = trajectory.plane.mean_tilt
@@ -286,7 +285,7 @@ def parameter_stds(trajectory: Trajectory) -> Array:
     std[: len(MOTION_PARAMETER_NAMES)] = (
         LOG_DEPTH_STD,
         SPEED_STD_MPS,
-        VARYING_ACCELERATION_STD_MPS2,
+        trajectory.driver.braking,
         *trajectory.plane.normal_std,
         CURVATURE_STD_PER_M,
     )
