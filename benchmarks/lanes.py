@@ -20,6 +20,7 @@ from paceline.recordings.background import estimate_background
 from paceline.recordings.stereo import open_recording
 from paceline.simulation.raytraced.scene import PlacedStereoScene
 from paceline.simulation.raytraced.scene_yaml import load_speed_scene
+from paceline.speed.configuration import DEFAULTS
 from paceline.units import COVERAGE_95
 
 Array = NDArray[np.float64]
@@ -71,7 +72,7 @@ def main(folders: list[Path]) -> None:
         truths, start = true_lanes(placed), time.process_time()
         clip = load_clip_recording(folder / "clip.yaml")
         try:
-            background = estimate_background(open_recording(clip))
+            background = estimate_background(open_recording(clip), DEFAULTS.background.frames)
             proposed, _ = propose_lanes(clip.rig, detect_road(clip.rig, background))
             lanes = [lane for lane in proposed if lane.path is not None]
         except RoadNotFound as reason:

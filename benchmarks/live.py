@@ -30,7 +30,7 @@ from paceline.documents.rig_yaml import rig_yaml
 from paceline.recordings.live_stereo import LiveStereo, RawPair, undistort_pair
 from paceline.simulation.stereo.clip import Scene, Vehicle, World, render
 from paceline.simulation.stereo.scenery import StaticBackground
-from paceline.speed.configuration import SpeedConfiguration
+from paceline.speed.configuration import BackgroundSettings, SpeedConfiguration
 from paceline.speed.results import Measurement
 from paceline.survey.live import survey
 
@@ -148,7 +148,8 @@ def main() -> None:
         views = LiveStereo(clip)
         looking, begun = time.process_time(), time.monotonic()
         learned: list[int] = []
-        survey(clip, views, SpeedConfiguration(), note, LEARNED, lambda paths: learned.append(views.dropped))
+        configuration = SpeedConfiguration(background=BackgroundSettings(seconds=LEARNED))
+        survey(clip, views, configuration, note, lambda paths: learned.append(views.dropped))
         looking, passed = time.process_time() - looking, time.monotonic() - begun
         children = resource.getrusage(resource.RUSAGE_CHILDREN)
     measured = [m for m in told if m is not None and m.verdict == "measured"]

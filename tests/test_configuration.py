@@ -12,7 +12,7 @@ import yaml
 from run_command import paceline as command
 
 from paceline.errors import UnusableInput
-from paceline.speed.configuration import SpeedConfiguration, SpeedSettings, load_settings
+from paceline.speed.configuration import BackgroundSettings, SpeedConfiguration, SpeedSettings, load_settings
 from paceline.speed.settings_table import settings_page
 
 ROOT = Path(__file__).parents[1]
@@ -29,7 +29,7 @@ def test_every_field_can_be_set_in_a_file(tmp_path: Path) -> None:
     document = json.loads(SpeedSettings(method="sift", device="auto", detector="d.onnx", learn=4.0).model_dump_json())
     settings = load_settings(written(tmp_path, yaml.safe_dump(document)))
     assert json.loads(settings.model_dump_json()) == document
-    assert settings.configuration == SpeedConfiguration()
+    assert settings.configuration == SpeedConfiguration(background=BackgroundSettings(seconds=4.0))
 
 
 def test_a_file_sets_what_it_names_and_leaves_the_rest(tmp_path: Path) -> None:
@@ -53,8 +53,16 @@ def test_a_file_sets_what_it_names_and_leaves_the_rest(tmp_path: Path) -> None:
         ("reference_memory: 1", "reference_memory: expected a number below 1, found 1"),
         ("tolerance: .inf", "tolerance: expected a finite number, found inf"),
         ("limits: 4", "limits: expected the keys min_frames, max_speed"),
-        ("start: {speed_range: [40, 1]}", "start.speed_range: expected two speeds, the slower one first"),
-        ("start: {speed_range: 3}", "start.speed_range: expected two speeds, the slower one first"),
+        ("start: {speed_range: [40, 1]}", "start.speed_range: expected two numbers above 0, the smaller one first"),
+        ("start: {speed_range: 3}", "start.speed_range: expected two numbers above 0"),
+        ("detection: {min_size_px: [16, 0]}", "detection.min_size_px: expected two numbers above 0"),
+        ("detection: {near: 20, far: 20}", "detection: expected near below far"),
+        ("driver: {brake: 2}", "driver: unknown key 'brake'; did you mean 'braking'?"),
+        ("model: {log_odds: 2}", "model: unknown key 'log_odds'; did you mean 'min_log_odds'?"),
+        ("background: {second: 2}", "background: unknown key 'second'; did you mean 'seconds'?"),
+        ("background: {frames: 4}", "background.frames: expected at least 5, found 4"),
+        ("background: {seconds: 4}\nlearn: 5", "learn and background.seconds: one key under two names"),
+        ("lanes: {widths: [2, 3]}", "lanes: unknown key 'widths'; did you mean 'width'?"),
         ("seed: 1\nseed: 2", "line 2, column 1: the key 'seed' occurs twice"),
         ("- 1", "expected the keys particles, seed"),
         ("", "expected the keys particles, seed"),
@@ -63,6 +71,11 @@ def test_a_file_sets_what_it_names_and_leaves_the_rest(tmp_path: Path) -> None:
 def test_invalid_settings_files_are_refused(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(UnusableInput, match=re.escape(f"settings.yaml: {message}")):
         load_settings(written(tmp_path, text))
+
+
+def test_learn_is_the_earlier_name_of_the_backgrounds_time(tmp_path: Path) -> None:
+    for text in ("learn: 12", "background: {seconds: 12}", "learn: 12\nbackground: {seconds: 12, frames: 31}"):
+        assert load_settings(written(tmp_path, text)).configuration.background == BackgroundSettings(seconds=12.0)
 
 
 def test_the_command_names_the_file_and_the_key(tmp_path: Path) -> None:

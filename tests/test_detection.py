@@ -22,7 +22,7 @@ from paceline.cameras import StereoRig
 from paceline.detection.background_model import MAX_CHANGE_GREY_PER_S, RunningMedianBackground
 from paceline.detection.clip_entries import with_vehicles
 from paceline.detection.finder import DetectedVehicle, VehicleFinder
-from paceline.detection.lane_paths import MIN_DEPTH_M, LanePath, PlaneGrid, image_pyramid, lane_paths_of, warp_to_plane
+from paceline.detection.lane_paths import LanePath, PlaneGrid, image_pyramid, lane_paths_of, warp_to_plane
 from paceline.detection.photo_consistency import LocalStatistics, local_ncc
 from paceline.detection.planar_face import best_rectangle
 from paceline.detection.search import find_vehicles
@@ -34,6 +34,7 @@ from paceline.recordings.background import shorth_background
 from paceline.recordings.stereo import StereoFrame, open_recording
 from paceline.simulation.stereo.clip import RenderedClip, Vehicle, World, render, write
 from paceline.simulation.stereo.scenery import StaticBackground
+from paceline.speed.configuration import DEFAULTS, DetectionSettings, SpeedConfiguration
 from paceline.speed.geometry.paths import from_points
 from paceline.survey.recording import measure_clip
 
@@ -76,7 +77,9 @@ def make_rig() -> StereoRig:
 def test_sweep_planes_lie_in_both_images_at_equal_disparity_steps(lane: LanePath) -> None:
     s = lane.sweep_positions()
     places = lane.path.at(s)
-    assert (places[:, 2] > MIN_DEPTH_M).all() and len(s) > 20
+    assert (places[:, 2] > DEFAULTS.detection.near).all() and len(s) > 20
+    within = lane.path.at(lane.sweep_positions(near=20.0, far=50.0))[:, 2]
+    assert 20.0 < within.min() < 21.0 and 48.0 < within.max() < 50.0
     for pixels, camera in zip(lane.rig.project(places), lane.rig.cameras, strict=True):
         assert ((pixels >= 0) & (pixels <= np.array(camera.image_size) - 1)).all()
     steps = np.diff(lane.rig.left.K[0, 0] * lane.rig.baseline / places[:, 2])
@@ -220,6 +223,19 @@ def test_vehicles_in_both_directions_are_found_once_at_their_positions(tmp_path:
         assert (v.left > corners.min(0) - around).all() and (v.left < corners.max(0) + around).all()
         assert np.abs(epipolar_distance(clip.rig, v.left, v.right)).max() < 1e-6
     assert sorted(names) == ["v0", "v1"]
+
+
+def test_what_is_looked_for_is_a_setting(tmp_path: Path) -> None:
+    """Vehicles that are too small in the images have no outline; there is none where nobody looks."""
+    clip = load_clip(unclicked(two(), tmp_path))
+    for looked_for, count, reason in (
+        (DetectionSettings(min_size_px=(500.0, 6.0)), 2, "face_never_clear"),
+        (DetectionSettings(near=140.0), 0, None),
+    ):
+        configuration = SpeedConfiguration(detection=looked_for)
+        search = find_vehicles(clip, open_recording(clip), configuration=configuration)
+        assert [f.reason.code for f in search.detected] == [reason] * count
+        assert search.reason and not search.clip.vehicles
 
 
 def test_detected_vehicles_are_measured(tmp_path: Path) -> None:

@@ -23,6 +23,7 @@ from paceline.detection.detector import (
     NCC_WINDOW,
     Detection,
     PlaneSweepDetector,
+    _vehicle_mask,
     extent,
     largest_component,
     without_component,
@@ -344,6 +345,12 @@ def test_detection_keeps_a_copy_of_its_background() -> None:
 def detection(time: float, s: float, x: tuple[float, float] = (-0.9, 0.9), of: StereoFrame | None = None) -> Detection:
     crops = (empty() if of is None else (of.left, of.right), flat(empty()), np.zeros((2, 2)))
     return Detection(round(10 * time), time, lane_path(), s, x, (0.2, 1.5), 1.5, 9.0, *crops)
+
+
+def test_the_tallest_vehicles_hide_what_is_behind_them() -> None:
+    lorry, shape = replace(detection(0.0, 30.0), y=(0.2, 2.5)), world().scene.image_size[::-1]
+    low, high = (_vehicle_mask(lorry, np.zeros((1, 3)), shape, 0, max_height).face for max_height in (3.0, 4.5))
+    assert (high >= low).all() and high.sum() > 1.3 * low.sum()
 
 
 def test_outlier_at_the_start_is_left_out() -> None:

@@ -22,7 +22,8 @@ from paceline.lanes.lane_proposals import Lane
 from paceline.lanes.road_alignment import Alignment
 from paceline.lanes.road_surface import RoadSurface, plane_surface, viewing_rays
 from paceline.lanes.site_yaml import lane_names, site_yaml, with_lanes
-from paceline.recordings.background import shorth_background
+from paceline.recordings.background import estimate_background, shorth_background
+from paceline.recordings.stereo import open_recording
 from paceline.speed.geometry.path_reconstruction import path_from_document
 
 Array = NDArray[np.float64]
@@ -140,6 +141,21 @@ def test_too_few_frames_are_reported(clip: Path, tmp_path: Path) -> None:
     assert (done.returncode, done.stderr) == (1, "")
     assert done.stdout.startswith("no lane found: only 3 frames")
     assert not (tmp_path / "site.yaml").exists()
+
+
+def test_the_width_of_a_lane_is_a_setting(clip: Path, tmp_path: Path) -> None:
+    (tmp_path / "settings.yaml").write_text("lanes: {width: [2.2, 3.0]}\n")
+    done = run(clip, "--config", tmp_path / "settings.yaml")
+    assert done.returncode == 1 and done.stdout.count("(limits 2.2 and 3)") == 2
+    (tmp_path / "settings.yaml").write_text("lanes: {width: [3.0, 2.2]}\n")
+    done = run(clip, "--config", tmp_path / "settings.yaml")
+    expected = "lanes.width: expected two numbers above 0, the smaller one first"
+    assert done.returncode == 2 and done.stderr == f"paceline: {tmp_path / 'settings.yaml'}: {expected}\n"
+
+
+def test_the_background_is_made_of_as_many_frames_as_asked(clip: Path) -> None:
+    recording = open_recording(load_clip(clip / "clip.yaml"))
+    assert [estimate_background(recording, most).frames for most in (5, 8, 31)] == [5, 8, 8]
 
 
 def test_one_place_to_write_to(tmp_path: Path) -> None:

@@ -246,6 +246,8 @@ def test_boxes_lie_in_the_picture_where_the_network_saw_them(tmp_path: Path) -> 
     np.testing.assert_allclose([*boxes[:, :2].min(0), *boxes[:, 2:].max(0)], [400, 192, 528, 320], atol=17)  # a cell
     assert len(boxes) >= 60
     np.testing.assert_array_equal(detect(picture), boxes)
+    fewer = OnnxDetector(tmp_path / "model.onnx", min_score=4.0)(picture)
+    assert 0 < len(fewer) < len(boxes)
 
 
 # --- what cannot be used ---------------------------------------------------------------------------------------------

@@ -33,13 +33,14 @@ from paceline.recordings.live_stereo import LiveCamera, RawPair, _pairs
 from paceline.recordings.monocular import CameraFrame, CameraRecording
 from paceline.simulation.stereo.clip import RenderedClip, Scene, Vehicle, World, render, write
 from paceline.simulation.stereo.scenery import StaticBackground
-from paceline.speed.configuration import SpeedConfiguration
+from paceline.speed.configuration import BackgroundSettings, SpeedConfiguration
 from paceline.speed.results import Measurement
 from paceline.survey.live import last_outline, survey
 
 SIZE = (64, 48)
 RATE, PLAYED = 5.0, 2.0  # frames/s, as rendered and as played: slow enough for any machine to keep up
 SPEEDS = [speed * PLAYED / RATE for speed in (13.0, 16.0, 19.0)]  # m/s
+CONFIGURATION = SpeedConfiguration(background=BackgroundSettings(seconds=4.0))
 LATER = (Vehicle("v0", 19.0, start_distance=68.0, lane=-1.85, texture_seed=12, relief=0.03),)
 
 
@@ -200,7 +201,7 @@ def surveyed(
         passed.append((found, measurement))
 
     views: Any = Given(frames)
-    survey(load_clip(survey_file(folder)), views, SpeedConfiguration(), on_result, 4.0, on_frame=on_frame)
+    survey(load_clip(survey_file(folder)), views, CONFIGURATION, on_result, on_frame=on_frame)
     return passed
 
 
@@ -233,7 +234,7 @@ def test_vehicles_are_calibrated_jointly(tmp_path: Path) -> None:
 
     views: Any = Given(ALL)
     clip = load_clip(rig.parent / "clip.yaml")
-    survey(clip, views, SpeedConfiguration(), on_result, 4.0)
+    survey(clip, views, CONFIGURATION, on_result)
     assert [m.calibrated_by for m in passed] == [1, 2, 3]
     assert [m.verdict for m in passed] == ["measured"] * 3
     halves = [(m.speed_hi - m.speed_lo) / 2 for m in passed]
@@ -241,7 +242,8 @@ def test_vehicles_are_calibrated_jointly(tmp_path: Path) -> None:
         error = min(abs(speed - m.speed) for speed in SPEEDS)
         assert error < 4 * half and 0 < m.systematic_std < 0.1
     passed.clear()
-    survey(clip, views, SpeedConfiguration(tolerance=float(np.median(halves))), on_result, 4.0)
+    strict = CONFIGURATION.model_copy(update={"tolerance": float(np.median(halves))})
+    survey(clip, views, strict, on_result)
     assert [m.verdict for m in passed] == ["measured" if half <= np.median(halves) else "rejected" for half in halves]
 
 

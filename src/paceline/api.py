@@ -50,7 +50,7 @@ def track(
     if frames is None:
         recording = open_recording(loaded)
         if not loaded.vehicles:
-            loaded = search.find_vehicles(loaded, recording).clip
+            loaded = search.find_vehicles(loaded, recording, configuration=configuration or DEFAULTS).clip
         frames = recording.frames(min((v.frame for v in loaded.vehicles), default=0))
     if vehicle is not None:
         if vehicle not in (names := [v.id for v in loaded.vehicles]):
@@ -62,15 +62,20 @@ def track(
 
 
 def find_vehicles(
-    clip: Clip | Path | str, progress: Progress | None = None, detect: DetectBoxes | None = None
+    clip: Clip | Path | str,
+    progress: Progress | None = None,
+    detect: DetectBoxes | None = None,
+    configuration: SpeedConfiguration | None = None,
 ) -> search.SearchResult:
     """The vehicles that drive through a clip: their outlines and paths, and why some cannot be measured. With
     ``detect`` there are vehicles only inside its boxes."""
     loaded = _loaded(clip)
-    return search.find_vehicles(loaded, open_recording(loaded), progress, detect)
+    return search.find_vehicles(loaded, open_recording(loaded), progress, detect, configuration or DEFAULTS)
 
 
-def vehicle_finder(clip: Clip | Path | str, detect: DetectBoxes | None = None) -> VehicleFinder:
+def vehicle_finder(
+    clip: Clip | Path | str, detect: DetectBoxes | None = None, configuration: SpeedConfiguration | None = None
+) -> VehicleFinder:
     """A finder of vehicles to be given frames one by one; see `find_vehicles` for a whole recording.
 
     It first looks through some frames of the clip's recording for the background, unless ``detect`` boxes the
@@ -79,12 +84,14 @@ def vehicle_finder(clip: Clip | Path | str, detect: DetectBoxes | None = None) -
     loaded = _loaded(clip)
     if not loaded.paths:
         raise UnusableInput(f"{loaded.path}: paths: none; expected some, such as paceline lanes adds")
+    settings = configuration or DEFAULTS
+    lanes = lane_paths_of(loaded, settings.line_sigma)
     if detect is not None:
-        return VehicleFinder(lane_paths_of(loaded), DetectorBackground(detect))
-    background = estimate_background(open_recording(loaded))
+        return VehicleFinder(lanes, DetectorBackground(detect), settings)
+    background = estimate_background(open_recording(loaded), settings.background.frames)
     if reason := background_problem(background):
         raise UnusableInput(f"{loaded.path}: {reason}")
-    return VehicleFinder(lane_paths_of(loaded), RunningMedianBackground(background.images))
+    return VehicleFinder(lanes, RunningMedianBackground(background.images), settings)
 
 
 def _loaded(clip: Clip | Path | str) -> Clip:

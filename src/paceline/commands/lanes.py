@@ -29,6 +29,10 @@ def lanes(
     clip: Annotated[Path, typer.Argument(metavar="CLIP", help="A clip.yaml, or the folder that contains it.")],
     out: Annotated[Path | None, typer.Option("-o", "--out", help="The site.yaml to write.")] = None,
     write: Annotated[bool, typer.Option("--in-place", help="Add the lanes to the clip.yaml itself.")] = False,
+    config: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.yaml", help="Settings, as paceline speed reads them: background, lanes."),
+    ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
 ) -> int:
     """Find the lanes of a road and propose them as paths, with pictures to check.
@@ -45,8 +49,10 @@ def lanes(
     from paceline.recordings.background import background_problem, estimate_background
     from paceline.recordings.stereo import open_recording
     from paceline.reports.calibration import check_rig_file_name
+    from paceline.speed.configuration import SpeedSettings, load_settings
 
     file = file_named(clip, "clip.yaml")
+    settings = SpeedSettings() if config is None else load_settings(config)
     document = load_clip(file)
     if out is not None:
         check_rig_file_name(out)
@@ -60,7 +66,7 @@ def lanes(
     if write or out is not None:
         _check_pictures(document, _pictures(file, out))
     with progress_bar("averaging", sys.stderr.isatty() and not quiet) as advance:
-        background = estimate_background(open_recording(document), advance)
+        background = estimate_background(open_recording(document), settings.background.frames, advance)
     if reason := background_problem(background):
         print(f"no lane found: {reason}")
         return EXIT_NOTHING_MEASURED
@@ -70,7 +76,7 @@ def lanes(
         print(f"no lane found: {error}")
         return EXIT_NOTHING_MEASURED
     lines = road_lines(road)
-    proposed, remarks = propose_lanes(document.rig, road)
+    proposed, remarks = propose_lanes(document.rig, road, settings.lanes.width)
     with_path = [lane for lane in proposed if lane.path is not None]
     remarks += [lane.reason for lane in proposed if lane.path is None]
     named = dict(zip(lane_names(len(with_path), document.paths if write else ()), with_path, strict=True))

@@ -24,7 +24,12 @@ OLD_OPTIONS = {
     "--parts": "--feature-parts",
     "--learn": "--background-seconds",
 }
-OPTIONS = {old.removeprefix("--"): new for old, new in OLD_OPTIONS.items()}  # of settings that are named otherwise
+# of settings that are named otherwise
+OPTIONS = {
+    "tolerance": "--max-half-width",
+    "parts": "--feature-parts",
+    "background.seconds": "--background-seconds",
+}
 
 
 def speed(
@@ -93,10 +98,10 @@ def speed(
         "parts": parts,
         "refine": refine,
         "tolerance": None if tolerance is None else _tolerance(tolerance, unit),
-        "learn": learn,
+        "background.seconds": learn,
     }
     settings = _settings(config, {key: value for key, value in given.items() if value is not None})
-    detector = _detector(config, settings) if detector is None else detector
+    detector = detector_of(config, settings) if detector is None else detector
     if live:
         return _measure_live(clip, out, settings, unit, quiet, detector, learn is not None)
     if learn is not None:
@@ -132,7 +137,7 @@ def _measure(
             settings.configuration,
             settings.method,
             settings.device,
-            None if detector is None else OnnxDetector(detector),
+            None if detector is None else OnnxDetector(detector, settings.detection.score),
             stage=lambda doing: progress_bar(doing, show_progress),
             on_estimate=speed_line_writer(document.rig),
         )
@@ -160,8 +165,11 @@ def _measure_live(
         raise UnusableInput(
             "--background-seconds: no background is needed with --detector along given paths; leave it out"
         )
-    background_s = 0.0 if at_once else settings.learn
-    return measure_live(document, out, settings.configuration, unit, background_s, quiet, detector)
+    configuration = settings.configuration
+    if at_once:
+        none = configuration.background.model_copy(update={"seconds": 0.0})
+        configuration = configuration.model_copy(update={"background": none})
+    return measure_live(document, out, configuration, unit, quiet, detector)
 
 
 def _unit(text: str) -> SpeedUnit:
@@ -181,22 +189,26 @@ def _tolerance(value: float, unit: SpeedUnit) -> float:
 
 
 def _settings(config: Path | None, options: dict[str, object]) -> SpeedSettings:
-    """What the file ``config`` says, unless options are ``options``."""
+    """The settings of the file ``config``; ``options``, by key or section.key, win."""
     from pydantic import ValidationError
 
     from paceline.speed.configuration import SpeedSettings, load_settings
 
-    file = {} if config is None else load_settings(config).model_dump(exclude_unset=True)
+    chosen = {} if config is None else load_settings(config).model_dump(exclude_unset=True)
+    chosen.pop("learn", None)  # it is background.seconds by now
+    for key, value in options.items():
+        section, _, name = key.rpartition(".")
+        (chosen.setdefault(section, {}) if section else chosen)[name] = value
     try:
-        return SpeedSettings.model_validate({**file, **options})
+        return SpeedSettings.model_validate(chosen)
     except ValidationError as error:
         first = error.errors()[0]
         expected = first["msg"].replace("Input should be", "expected")
-        key = str(first["loc"][0])
+        key = ".".join(map(str, first["loc"]))
         raise UnusableInput(f"{OPTIONS.get(key, f'--{key}')} {first['input']}: {expected}") from error
 
 
-def _detector(config: Path | None, settings: SpeedSettings) -> Path | None:
+def detector_of(config: Path | None, settings: SpeedSettings) -> Path | None:
     """The detector that a configuration file names: beside it, or where the command runs."""
     file = settings.detector_file
     if config is None or file is None:

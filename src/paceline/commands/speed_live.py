@@ -31,7 +31,6 @@ def measure_live(
     out: Path,
     configuration: SpeedConfiguration,
     unit: SpeedUnit,
-    background_s: float | None,
     quiet: bool,
     detector: Path | None = None,
 ) -> int:
@@ -42,7 +41,6 @@ def measure_live(
     from paceline.errors import UnusableInput
     from paceline.recordings.live_stereo import LiveStereo
     from paceline.reports.live.report import LiveResults
-    from paceline.speed.configuration import DEFAULT_BACKGROUND_S
     from paceline.survey.live import survey
     from paceline.verdicts import message
     from paceline.version import versions
@@ -51,9 +49,9 @@ def measure_live(
         raise UnusableInput(f"{clip.path}: vehicles: --live finds them itself; expected none")
     at_once = detector is not None and bool(clip.paths)
     cv2.setNumThreads(1)  # images are small: a second thread costs more than it gains, and the measurement needs it
-    detect = None if detector is None else OnnxDetector(detector)
+    detect = None if detector is None else OnnxDetector(detector, configuration.detection.score)
     views = LiveStereo(clip)
-    background_s = DEFAULT_BACKGROUND_S if background_s is None else background_s
+    background_s = configuration.background.seconds
     settings, package_versions = {**configuration.model_dump(), "learn": background_s}, versions()
     if detect is not None:
         settings["detector"], package_versions["onnxruntime"] = detect.name, detect.runtime
@@ -89,7 +87,7 @@ def measure_live(
     with results:
         with ended_by_interrupt(views.stop):
             try:
-                no_vehicle = survey(clip, views, configuration, on_result, background_s, on_ready, on_frame, detect)
+                no_vehicle = survey(clip, views, configuration, on_result, on_ready, on_frame, detect)
             except BrokenExecutor as error:
                 problem = "the process that measures was killed; is there memory enough?"
                 raise UnusableInput(f"{clip.path}: {problem}") from error

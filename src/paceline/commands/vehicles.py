@@ -10,6 +10,7 @@ import typer
 
 from paceline.commands import file_named, print_columns, refuse_read_only
 from paceline.commands.progress_output import progress_bar
+from paceline.commands.speed import detector_of
 from paceline.errors import UnusableInput
 from paceline.exit_status import EXIT_DONE, EXIT_NOTHING_MEASURED
 
@@ -26,6 +27,10 @@ def vehicles(
         Path | None,
         typer.Option(metavar="MODEL.onnx", help="A detector of your own, in whose boxes vehicles are looked for."),
     ] = None,
+    config: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.yaml", help="Settings, as paceline speed reads them: background, lanes, detection."),
+    ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
 ) -> int:
     """Find the vehicles that drive along the paths of a stereo clip and propose their outlines.
@@ -37,8 +42,11 @@ def vehicles(
     from paceline.detection.search import find_vehicles
     from paceline.documents.loading import load_clip
     from paceline.recordings.stereo import open_recording
+    from paceline.speed.configuration import SpeedSettings, load_settings
 
     file = file_named(clip, "clip.yaml")
+    settings = SpeedSettings() if config is None else load_settings(config)
+    detector = detector_of(config, settings) if detector is None else detector
     document = load_clip(file)
     if write:
         refuse_read_only(file)
@@ -46,9 +54,9 @@ def vehicles(
             raise UnusableInput(f"{file}: paths: none; expected some, such as paceline lanes --in-place adds")
         # refuses now what it would refuse at the end
         with_vehicles(file.read_text(encoding="utf-8"), str(file), document.rig, [])
-    detect = None if detector is None else OnnxDetector(detector)
+    detect = None if detector is None else OnnxDetector(detector, settings.detection.score)
     with progress_bar("looking", sys.stderr.isatty() and not quiet) as advance:
-        search = find_vehicles(document, open_recording(document), advance, detect)
+        search = find_vehicles(document, open_recording(document), advance, detect, settings.configuration)
     if not quiet:
         _print(search)
     if search.reason:

@@ -21,6 +21,7 @@ from paceline.detection.lane_paths import PYRAMID_LEVELS, LanePath, PlaneGrid, i
 from paceline.detection.photo_consistency import local_mean, upright_ratio
 from paceline.detection.plane_sweep import Pyramids, SweepPlane, plane_at
 from paceline.recordings.stereo import StereoFrame
+from paceline.speed.configuration import DEFAULTS, DetectionSettings
 from paceline.subpixel import parabola_peak
 
 FINE_GRID = PlaneGrid(left=-3.2, top=2.6, bottom=0.2, cell=0.05)  # m; what is lower may be road
@@ -46,7 +47,6 @@ CAR_LENGTH_M, LORRY_LENGTH_M = 5.0, 14.0  # by which a car, and a vehicle taller
 BODY_CLEARANCE_M = 2.0
 FACE_LEAD_M = 2.5  # by which a face may be nearer than the plane with the largest consistent area
 TALL_VEHICLE_M = 2.3  # height from which on a vehicle may be a lorry or a bus
-MAX_HEIGHT_M = 4.5
 MIN_CELL_SCORE = 0.25  # local mean of the consistency of cells that belong to a face
 MIN_EXTENT_SHARE = 0.3  # of a face's height or width: columns and rows with less are a mirror or a shadow,
 MAX_PROTRUSION_M = 0.3  # or, where narrow rows reach higher than this, the roof of another vehicle
@@ -129,8 +129,9 @@ class PlaneSweepDetector:
     consistent area is largest. Only certain ``rows`` of the images are used.
     """
 
-    def __init__(self, lanes: list[LanePath]) -> None:
-        self._planes = [(lane, float(s)) for lane in lanes for s in lane.sweep_positions()]
+    def __init__(self, lanes: list[LanePath], settings: DetectionSettings = DEFAULTS.detection) -> None:
+        self._max_height = settings.max_height
+        self._planes = [(lane, float(s)) for lane in lanes for s in lane.sweep_positions(settings.near, settings.far)]
         self._bounds = np.cumsum([0, *(sum(other is lane for other, _ in self._planes) for lane in lanes)])
         self.rows = _visible_rows(self._planes)
         self._points = np.array([lane.point(s, 0.0, 0.0) for lane, s in self._planes]).reshape(-1, 3)
@@ -172,7 +173,7 @@ class PlaneSweepDetector:
             detection = self._detection(frame, background, lane, s, consistency, component, upright)
             if first < index < end - 1:  # at an end of the lane path the true maximum may lie beyond it
                 found.append(detection)
-            mask = volume.mask_vehicle(detection, self.rows.start)
+            mask = volume.mask_vehicle(detection, self.rows.start, self._max_height)
             for k in np.flatnonzero(areas).tolist():
                 self._upright[k].clear_masked(coarse[k], mask.at(COARSE_STRIDE * k))
                 areas[k] = _area(coarse[k], COARSE_GRID)
@@ -342,10 +343,10 @@ class _ConsistencyVolume:
         self._maps[index] = without_component(component, self._maps[index])
         self._areas.pop(index, None)
 
-    def mask_vehicle(self, detection: Detection, top: int) -> _VehicleMask:
+    def mask_vehicle(self, detection: Detection, top: int, max_height: float) -> _VehicleMask:
         """Set to 0 what belongs to a vehicle that was detected, and return its mask; the image begins at row
-        ``top``."""
-        mask = _vehicle_mask(detection, self._points, self._views[0][0].shape, top)
+        ``top``, and the tallest vehicles have ``max_height`` m."""
+        mask = _vehicle_mask(detection, self._points, self._views[0][0].shape, top, max_height)
         self._masks.append(mask)
         self._areas = {}
         for index, consistency in self._maps.items():
@@ -446,11 +447,14 @@ class _VehicleMask:
         return self.body if self.near[index] else self.face
 
 
-def _vehicle_mask(detection: Detection, points: Array, shape: tuple[int, ...], top: int) -> _VehicleMask:
-    """The mask of a ``detection`` for planes at ``points`` (planes, 3), in an image that begins at row ``top``."""
+def _vehicle_mask(
+    detection: Detection, points: Array, shape: tuple[int, ...], top: int, max_height: float
+) -> _VehicleMask:
+    """The mask of a ``detection`` for planes at ``points`` (planes, 3), in an image that begins at row ``top``; the
+    tallest vehicles have ``max_height`` m."""
     lane, s = detection.lane, detection.s
     is_tall = detection.y[1] > TALL_VEHICLE_M
-    high, length = (MAX_HEIGHT_M, LORRY_LENGTH_M) if is_tall else (detection.y[1] + 0.2, CAR_LENGTH_M)
+    high, length = (max_height, LORRY_LENGTH_M) if is_tall else (detection.y[1] + 0.2, CAR_LENGTH_M)
     x = (detection.x[0] - 0.2, detection.x[1] + 0.2)
     if abs(detection.lateral_offset) < LANE_CORE_M:  # a lane holds one vehicle across, of which parts may be missing
         x = min(x[0], -BUS_HALF_WIDTH_M), max(x[1], BUS_HALF_WIDTH_M)

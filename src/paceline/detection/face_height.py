@@ -18,7 +18,7 @@ from paceline.arrays import Array
 from paceline.detection.planar_face import AlignedDetection, PlanarFace, face_positions
 from paceline.detection.tracks import theil_sen_slope
 from paceline.documents.loading import VehicleDocument
-from paceline.speed.configuration import DEFAULT_LIMITS
+from paceline.speed.configuration import DEFAULT_LIMITS, DEFAULTS, DriverSettings
 from paceline.speed.geometry.initial_plane import plane_from_outlines
 from paceline.speed.refinement.keyframes import Keyframe
 from paceline.speed.refinement.path_deviation import deviation_of
@@ -34,7 +34,12 @@ OUTLINE_STD_PX = 0.5  # of a corner, as of one drawn by hand
 REFIT_STEPS = 2  # of a fit that starts from that of the outline before
 
 
-def select_height(face: PlanarFace, seen: list[AlignedDetection], is_clear: Callable[[PlanarFace], bool]) -> PlanarFace:
+def select_height(
+    face: PlanarFace,
+    seen: list[AlignedDetection],
+    is_clear: Callable[[PlanarFace], bool],
+    driver: DriverSettings = DEFAULTS.driver,
+) -> PlanarFace:
     """``face`` cut at its top: the lowest outline that ``is_clear`` and with which the speed in the frames ``seen``, in
     order of time, is known nearly as well as with any."""
     low, high = face.y
@@ -43,17 +48,17 @@ def select_height(face: PlanarFace, seen: list[AlignedDetection], is_clear: Call
     outlines = [face, *filter(is_clear, lower)]
     if len(outlines) == 1 or len(seen) < DEFAULT_LIMITS.min_frames:
         return face
-    stds = _speed_stds(outlines, seen)
+    stds = _speed_stds(outlines, seen, driver)
     return outlines[int(np.flatnonzero(stds <= MAX_STD_RATIO * stds.min())[-1])]
 
 
-def _speed_stds(outlines: list[PlanarFace], seen: list[AlignedDetection]) -> Array:
+def _speed_stds(outlines: list[PlanarFace], seen: list[AlignedDetection], driver: DriverSettings) -> Array:
     """The standard deviations of the mean speed, m/s, due to pixel noise, with each of the ``outlines`` in the frames
     ``seen``; only those of the first ones where the others are far worse."""
     keyframes = [_keyframe(outlines[0], aligned) for aligned in seen]
     found: list[float] = []
     try:
-        trajectory, speed = _initial_trajectory(keyframes, seen)
+        trajectory, speed = _initial_trajectory(keyframes, seen, driver)
         fit = PhotometricFit(trajectory, keyframes, prior(trajectory, speed))
         found.append(fit.noise_std)
         for face in outlines[1:]:
@@ -76,7 +81,9 @@ def _keyframe(face: PlanarFace, aligned: AlignedDetection) -> Keyframe:
     return Keyframe(d.frame, (d.time, d.time), d.crops, d.crop_origins, _outline_pixels(face, aligned))
 
 
-def _initial_trajectory(keyframes: list[Keyframe], seen: list[AlignedDetection]) -> tuple[Trajectory, float]:
+def _initial_trajectory(
+    keyframes: list[Keyframe], seen: list[AlignedDetection], driver: DriverSettings
+) -> tuple[Trajectory, float]:
     """The outline of the first keyframe moved along its lane, and its speed, m/s."""
     lane, (left, right) = seen[0].detection.lane, keyframes[0].quads
     times = np.array([k.times for k in keyframes]) - keyframes[0].times[0]
@@ -84,5 +91,5 @@ def _initial_trajectory(keyframes: list[Keyframe], seen: list[AlignedDetection])
     path = lane.path if speed > 0 else lane.path.reversed()
     document = VehicleDocument("", lane.name, keyframes[0].frame, left, right, "front", None)
     plane = plane_from_outlines(lane.rig, document, path, OUTLINE_STD_PX)
-    deviation = deviation_of(path, plane, times, abs(speed), on_path=True)
-    return Trajectory(lane.rig, left, plane, path, times, deviation), abs(speed)
+    deviation = deviation_of(path, plane, times, abs(speed), on_path=True, driver=driver)
+    return Trajectory(lane.rig, left, plane, path, times, deviation, driver), abs(speed)

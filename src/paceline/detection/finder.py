@@ -25,7 +25,7 @@ from paceline.detection.planar_face import (
 from paceline.detection.tracks import DetectionTrack, TrackAssociator, motion_residuals, theil_sen_slope
 from paceline.documents.loading import VehicleDocument
 from paceline.recordings.stereo import StereoFrame
-from paceline.speed.configuration import DEFAULTS
+from paceline.speed.configuration import DEFAULTS, SpeedConfiguration
 from paceline.verdicts import NO_REASON, Message, message
 
 MIN_DETECTIONS = 4  # of a vehicle, plus half the frames without one between them, which must not be more than they
@@ -45,7 +45,6 @@ MIN_LOW_UPRIGHT_RATIO = 10.0  # unless its upright ratio is as high as this: lam
 # median over the track: two shadows one behind the other reached 2.0; of 260 vehicles by day the lowest was 4.4, at
 # night 2.9
 MIN_UPRIGHT_RATIO = 2.5
-MIN_OUTLINE_PX = 16.0, 6.0  # width and height
 MOTION_ERROR_M_PX = 1.0, 1.0  # greatest error of an aligned detection along the lane, m, or px of disparity if more
 MAX_COUNTED_RESIDUAL = 2.0  # in such errors, up to which a residual counts against a motion
 IGNORED_ERROR_FACTOR = 1e3  # by which the error of a detection is multiplied that shall not influence the motion
@@ -87,8 +86,11 @@ class VehicleFinder:
     Memory does not grow with the recording.
     """
 
-    def __init__(self, lanes: list[LanePath], background: BackgroundModel) -> None:
-        self._detector, self._associator, self._background = PlaneSweepDetector(lanes), TrackAssociator(), background
+    def __init__(
+        self, lanes: list[LanePath], background: BackgroundModel, configuration: SpeedConfiguration = DEFAULTS
+    ) -> None:
+        self._detector = PlaneSweepDetector(lanes, configuration.detection)
+        self._associator, self._background, self._configuration = TrackAssociator(), background, configuration
         self._duplicates = DuplicateFilter()
 
     @property
@@ -105,7 +107,7 @@ class VehicleFinder:
         return self._outline_new(self.remaining_tracks())
 
     def _outline_new(self, tracks: list[DetectionTrack]) -> list[DetectedVehicle]:
-        both = [(track, outline(track)) for track in tracks]
+        both = [(track, outline(track, self._configuration)) for track in tracks]
         return [found for track, found in both if self._duplicates.is_new(track, found)]
 
     def finished_tracks(self, frame: StereoFrame) -> list[DetectionTrack]:
@@ -187,34 +189,37 @@ def without_outline(track: DetectionTrack, reason: Message) -> DetectedVehicle:
     )
 
 
-def outline(track: DetectionTrack) -> DetectedVehicle:
+def outline(track: DetectionTrack, configuration: SpeedConfiguration = DEFAULTS) -> DetectedVehicle:
     """The vehicle of a ``track`` with its outline in the first frame that shows it well; where all detections give
     none, from the nearer half, because farther away another vehicle may hide most of it."""
     detections = with_visible_face(track)
-    found = _outline_from(track, detections)
+    found = _outline_from(track, detections, configuration)
     if found.vehicle is not None or not detections:
         return found
-    nearer = _outline_from(track, nearer_half(detections))
+    nearer = _outline_from(track, nearer_half(detections), configuration)
     return found if nearer.vehicle is None else nearer
 
 
-def _outline_from(track: DetectionTrack, detections: list[Detection]) -> DetectedVehicle:
+def _outline_from(
+    track: DetectionTrack, detections: list[Detection], configuration: SpeedConfiguration
+) -> DetectedVehicle:
     """The vehicle of a ``track``, with its outline from some of its ``detections``."""
     face = find_face(detections)
     if face is None:
         return without_outline(track, message("no_planar_face"))
-    inliers = motion_inliers(face.aligned)
-    clear = [aligned for aligned in inliers if _is_clear(face, aligned)]
+    inliers, min_size = motion_inliers(face.aligned), configuration.detection.min_size_px
+    clear = [aligned for aligned in inliers if _is_clear(face, aligned, min_size)]
     if not clear:
-        reason = message("face_never_clear", min_width_px=MIN_OUTLINE_PX[0], min_height_px=MIN_OUTLINE_PX[1])
+        reason = message("face_never_clear", min_width_px=min_size[0], min_height_px=min_size[1])
         return without_outline(track, reason)
     similarities = similarity(face, clear)
     first = clear[int(np.argmax(similarities >= MIN_SIMILARITY_RATIO * np.median(similarities)))]
     seen = inliers[inliers.index(first) :]
-    face = select_height(face, seen, partial(_is_clear, aligned=first))
+    face = select_height(face, seen, partial(_is_clear, aligned=first, min_size=min_size), configuration.driver)
     detection = first.detection
     left, right = detection.lane.pixels(first.s, face.corners(first))
-    document = VehicleDocument("", detection.lane.name, detection.frame, left, right, "front", initial_speed(seen))
+    speed = initial_speed(seen, configuration.start.speed_range[0])
+    document = VehicleDocument("", detection.lane.name, detection.frame, left, right, "front", speed)
     return replace(
         without_outline(track, NO_REASON),
         path=detection.lane.name,
@@ -239,21 +244,21 @@ def motion_inliers(aligned: list[AlignedDetection]) -> list[AlignedDetection]:
     return [a for a, residual in zip(aligned, best, strict=True) if abs(residual) <= 1]
 
 
-def initial_speed(seen: list[AlignedDetection]) -> float | None:
+def initial_speed(seen: list[AlignedDetection], slowest: float = DEFAULTS.start.speed_range[0]) -> float | None:
     """A first guess of the speed, m/s, from the first half of the frames ``seen``; None where these are too few, or it
-    hardly moves."""
+    is below ``slowest``."""
     first_detections = seen[: max(MIN_DETECTIONS, len(seen) // 2)]
     if len(first_detections) < MIN_DETECTIONS:
         return None
     speed = round(abs(theil_sen_slope(*face_positions(first_detections))), 1)
-    return speed if speed >= DEFAULTS.start.speed_range[0] else None
+    return speed if speed >= slowest else None
 
 
-def _is_clear(face: PlanarFace, aligned: AlignedDetection) -> bool:
-    """Whether a face is large enough in a frame, and wholly inside both images."""
+def _is_clear(face: PlanarFace, aligned: AlignedDetection, min_size: tuple[float, float]) -> bool:
+    """Whether a face has ``min_size`` px, width and height, in a frame and is wholly inside both images."""
     lane = aligned.detection.lane
     for quad, camera in zip(lane.pixels(aligned.s, face.corners(aligned)), lane.rig.cameras, strict=True):
         inside = (quad >= MIN_BORDER_PX) & (quad <= np.array(camera.image_size) - 1 - MIN_BORDER_PX)
-        if not inside.all() or (np.ptp(quad, axis=0) < MIN_OUTLINE_PX).any():
+        if not inside.all() or (np.ptp(quad, axis=0) < min_size).any():
             return False
     return True

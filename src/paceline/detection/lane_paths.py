@@ -18,10 +18,10 @@ from paceline.arrays import Array, Image
 from paceline.cameras import StereoRig
 from paceline.documents.loading import Clip
 from paceline.errors import UnusableInput
+from paceline.speed.configuration import DEFAULTS
 from paceline.speed.geometry.path_reconstruction import path_from_document
 from paceline.speed.geometry.paths import Path
 
-MIN_DEPTH_M, MAX_DEPTH_M = 5.0, 150.0  # range of depth in which vehicles are searched
 PATH_EXTENSION_M = 12.0  # by which a lane path is assumed to continue past the ends of its drawing
 COINCIDENCE_M = 0.3  # lane paths so near each other are one; with a smaller offset one path serves both directions
 COMPARED_POSITIONS = 5  # along a lane path at which it is compared with another
@@ -87,12 +87,13 @@ class LanePath:
                 return False
         return True
 
-    def sweep_positions(self) -> Array:
-        """Arc lengths (N,) of the sweep planes, `DISPARITY_STEP_PX` apart, where the road is inside both images."""
+    def sweep_positions(self, near: float = DEFAULTS.detection.near, far: float = DEFAULTS.detection.far) -> Array:
+        """Arc lengths (N,) of the sweep planes, `DISPARITY_STEP_PX` apart, from ``near`` to ``far`` m, where the road
+        is inside both images."""
         s = np.arange(self.path.s[0] - PATH_EXTENSION_M, self.path.s[-1] + PATH_EXTENSION_M, DEPTH_SAMPLING_M)
         points = self.path.at(s)
         depth = points[:, 2]
-        visible = (depth > MIN_DEPTH_M) & (depth < MAX_DEPTH_M)
+        visible = (depth > near) & (depth < far)
         pixels = self.rig.project(np.where(visible[:, None], points, [0.0, 0.0, 1.0]))
         for view, camera in zip(pixels, self.rig.cameras, strict=True):
             visible &= ((view >= 0) & (view <= np.array(camera.image_size) - 1)).all(1)
@@ -104,14 +105,15 @@ class LanePath:
         return np.interp(np.arange(0.0, disparity_sum[-1], DISPARITY_STEP_PX), disparity_sum, s)
 
 
-def lane_paths_of(clip: Clip) -> list[LanePath]:
+def lane_paths_of(clip: Clip, line_sigma: float = DEFAULTS.line_sigma) -> list[LanePath]:
     """The lane paths of ``clip``. A path with a lateral offset gives one on each side of its line, because the side
     depends on the direction of travel; where the lines on both sides of a lane give the same path twice, the one of the
-    line drawn in its direction is kept. Raises UnusableInput for a path that its drawing does not determine."""
+    line drawn in its direction is kept. ``line_sigma`` px is the noise of a drawn point. Raises
+    UnusableInput for a path that its drawing does not determine."""
     found, reversed_paths = [], []
     for name, document in clip.paths.items():
         try:
-            path = path_from_document(document, clip.rig)
+            path = path_from_document(document, clip.rig, sigma=line_sigma)
         except UnusableInput as unusable:
             raise UnusableInput(f"{clip.path}: {unusable}") from None
         offset = document.lateral_offset

@@ -14,6 +14,7 @@ import numpy as np
 from paceline.arrays import Array, Image
 from paceline.detection.onnx_outputs import EXPECTED_OUTPUTS, Outputs, output_layout, select_boxes, vehicle_classes
 from paceline.errors import UnusableInput
+from paceline.speed.configuration import DEFAULTS
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession, NodeArg
@@ -32,14 +33,15 @@ ERROR_PREFIX = re.compile(  # source lines and file names in the errors of ONNX 
 
 
 class OnnxDetector:
-    """Detects vehicles in images by the network in the ONNX ``file``, deterministically.
+    """Detects vehicles in images by the network in the ONNX ``file``, deterministically, in boxes of at least
+    ``min_score``.
 
     ``name`` is the file's name and how its SHA-256 begins, ``runtime`` the version of ONNX Runtime. Raises
     UnusableInput for a file that holds no detector of a known layout, and where ONNX Runtime is not installed.
     """
 
-    def __init__(self, file: Path) -> None:
-        self._file = file
+    def __init__(self, file: Path, min_score: float = DEFAULTS.detection.score) -> None:
+        self._file, self._min_score = file, min_score
         self.name = detector_name(file)
         self._session, self.runtime = _session(file)
         self._input, self._size, self._type, self._shape = self._input_of()
@@ -56,7 +58,7 @@ class OnnxDetector:
         outputs = self._run(padded * np.float32(self._layout.white / 255.0))
         try:
             with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is no box
-                boxes = select_boxes(self._layout.read(outputs), self._classes, self._size)
+                boxes = select_boxes(self._layout.read(outputs), self._classes, self._size, self._min_score)
         except (ValueError, IndexError):
             shapes = _shapes(self._session.get_outputs(), outputs)
             raise UnusableInput(f"{self._file}: outputs {shapes}: unlike those for a plain picture") from None

@@ -16,7 +16,7 @@ from paceline.arrays import Array
 
 Outputs = list[NDArray[np.generic]]
 
-MIN_SCORE = 0.25  # as is usual; a false box still has to contain something upright that drives
+MIN_CONSTANT_OBJECTNESS = 0.25  # in a plain picture, where other detectors see nothing
 MAX_BOXES = 1000  # of an image, those with the highest scores
 MAX_NORMALISED_PX = 1.5  # boxes that all lie within it are fractions of the input's size
 CELL_STRIDES_PX = 8, 16, 32  # of the grids whose cells raw outputs have a row each for
@@ -78,7 +78,8 @@ def output_layout(outputs: Outputs, size: tuple[int, int]) -> OutputLayout | Non
         return OutputLayout(
             lambda found: _from_objectness(_decode_cells(_table(found, index), grid)), 255.0, columns - 5
         )
-    white = 1.0 if table[:, 4].min() > MIN_SCORE else 255.0  # only YOLOv6 has an objectness of 1 everywhere
+    has_constant_objectness = table[:, 4].min() > MIN_CONSTANT_OBJECTNESS  # only that of YOLOv6, 1 everywhere
+    white = 1.0 if has_constant_objectness else 255.0
     return OutputLayout(lambda found: _from_objectness(_table(found, index)), white, columns - 5)
 
 
@@ -90,10 +91,11 @@ def vehicle_classes(names: dict[int, str] | None, count: int | None) -> Array | 
     return np.array(COCO_VEHICLE_CLASSES[count], float) if count in COCO_VEHICLE_CLASSES else None
 
 
-def select_boxes(candidates: Candidates, classes: Array | None, size: tuple[int, int]) -> Array:
-    """The boxes (N, 4) with a sufficient score, of these ``classes``, in px of an input of ``size`` (width, height)."""
+def select_boxes(candidates: Candidates, classes: Array | None, size: tuple[int, int], min_score: float) -> Array:
+    """The boxes (N, 4) with at least ``min_score``, of these ``classes``, in px of an input of ``size`` (width,
+    height)."""
     boxes, scores = candidates.boxes, candidates.scores
-    scoring = (scores >= MIN_SCORE) & np.isfinite(boxes).all(1) & (boxes[:, 2:] > boxes[:, :2]).all(1)
+    scoring = (scores >= min_score) & np.isfinite(boxes).all(1) & (boxes[:, 2:] > boxes[:, :2]).all(1)
     if scoring.any() and np.abs(boxes[scoring]).max() <= MAX_NORMALISED_PX:
         boxes = boxes * np.tile(size, 2)
     if classes is not None:

@@ -21,6 +21,7 @@ from paceline.lanes.site_yaml import lane_names
 from paceline.progress import Progress
 from paceline.recordings.background import Background, background_problem, estimate_background
 from paceline.recordings.stereo import StereoRecording
+from paceline.speed.configuration import DEFAULTS, SpeedConfiguration
 from paceline.speed.measurement import require_two_views
 from paceline.verdicts import NO_REASON, Message, message
 
@@ -47,7 +48,11 @@ class SearchResult:
 
 @on_one_blas_thread
 def find_vehicles(
-    clip: Clip, recording: StereoRecording, progress: Progress | None = None, detect: DetectBoxes | None = None
+    clip: Clip,
+    recording: StereoRecording,
+    progress: Progress | None = None,
+    detect: DetectBoxes | None = None,
+    configuration: SpeedConfiguration = DEFAULTS,
 ) -> SearchResult:
     """The vehicles that drive along the paths of ``clip``, or along its lanes where it has no paths, called v0, v1, …
     in order of appearance.
@@ -64,16 +69,16 @@ def find_vehicles(
         for frame in second:
             model.update(frame)  # from which the noise of the first is estimated
     if model is None or not clip.paths:
-        background = estimate_background(recording, progress)
+        background = estimate_background(recording, configuration.background.frames, progress)
         if reason := background_problem(background):
             return SearchResult(clip, [], reason)
         if not clip.paths:
             try:
-                clip = with_detected_lanes(clip, background)
+                clip = with_detected_lanes(clip, background, configuration.lanes.width)
             except RoadNotFound as error:
                 return SearchResult(clip, [], error.reason.after("there are no paths, and no lane was found"))
         model = model or RunningMedianBackground(background.images)
-    finder, detected = VehicleFinder(lane_paths_of(clip), model), []
+    finder, detected = VehicleFinder(lane_paths_of(clip, configuration.line_sigma), model, configuration), []
     for count, frame in enumerate(recording.frames(), start=1):
         detected += finder.process(frame)
         if progress:
@@ -95,9 +100,11 @@ def number_vehicles(detected: list[DetectedVehicle]) -> list[DetectedVehicle]:
     return ordered
 
 
-def with_detected_lanes(clip: Clip, background: Background) -> Clip:
-    """``clip`` with the lanes of its road as paths. Raises `RoadNotFound`."""
-    lanes = [lane for lane in propose_lanes(clip.rig, detect_road(clip.rig, background))[0] if lane.path is not None]
+def with_detected_lanes(clip: Clip, background: Background, widths: tuple[float, float] = DEFAULTS.lanes.width) -> Clip:
+    """``clip`` with the lanes of its road, of these least and greatest ``widths`` in m, as paths. Raises
+    `RoadNotFound`."""
+    proposed, _ = propose_lanes(clip.rig, detect_road(clip.rig, background), widths)
+    lanes = [lane for lane in proposed if lane.path is not None]
     if not lanes:
         raise RoadNotFound(message("no_lane_between_lines"))
     paths = {

@@ -13,11 +13,11 @@ from paceline.errors import UnusableInput
 from paceline.geometry import triangulate
 from paceline.lanes.line_adjustment import RoadModel
 from paceline.lanes.line_detection import CURVE_TERMS, UNIT_M, lateral_offset
+from paceline.speed.configuration import DEFAULTS
 from paceline.speed.geometry.path_reconstruction import reconstruct
 from paceline.speed.geometry.paths import Path, jacobian
 from paceline.verdicts import NO_REASON, Message, message
 
-MIN_LANE_WIDTH_M, MAX_LANE_WIDTH_M = 2.2, 5.5  # between its lines
 WIDTH_SAMPLES = 15  # positions along a lane at which its width is measured
 MIN_LENGTH_M = 8.0  # over which both lines of a lane run beside each other
 MAX_LATERAL_STD_M = 0.25  # standard deviation across the road beyond which a lane is not drawn
@@ -69,9 +69,11 @@ def _lateral_std(road: RoadModel, k: int, s: Array) -> Array:
     return np.asarray(np.sqrt(np.maximum(((powers @ road.covariance[own_terms, own_terms]) * powers).sum(1), 0.0)))
 
 
-def propose_lanes(rig: StereoRig, road: RoadModel) -> tuple[list[Lane], list[Message]]:
-    """The lanes between neighbouring lines, from left to right, and for every other pair the reason why it is no
-    lane."""
+def propose_lanes(
+    rig: StereoRig, road: RoadModel, widths: tuple[float, float] = DEFAULTS.lanes.width
+) -> tuple[list[Lane], list[Message]]:
+    """The lanes between neighbouring lines, from left to right, and for every other pair the reason why it is no lane.
+    ``widths`` are the least and the greatest width, m."""
     lanes, remarks = [], []
     for k in range(len(road.lines) - 1):
         a, b = road.lines[k], road.lines[k + 1]
@@ -89,15 +91,15 @@ def propose_lanes(rig: StereoRig, road: RoadModel) -> tuple[list[Lane], list[Mes
             )
             continue
         width, std = _width(rig, road, k, np.linspace(start, end, WIDTH_SAMPLES))
-        if not MIN_LANE_WIDTH_M <= width <= MAX_LANE_WIDTH_M:
+        if not widths[0] <= width <= widths[1]:
             remarks.append(
                 message(
                     "lane_width_implausible",
                     first=names[0],
                     second=names[1],
                     width_m=width,
-                    min_width_m=MIN_LANE_WIDTH_M,
-                    max_width_m=MAX_LANE_WIDTH_M,
+                    min_width_m=widths[0],
+                    max_width_m=widths[1],
                 )
             )
             continue

@@ -12,7 +12,6 @@ from paceline.progress import Progress
 from paceline.recordings.stereo import StereoRecording
 from paceline.verdicts import NO_REASON, Message, message
 
-BACKGROUND_FRAMES = 31  # evenly spread frames, of which the memory does not depend on the recording's length
 MIN_FRAMES = 5  # least frames from which moving objects can be separated from the background
 SHORTH_SHARE = 0.4  # share of a pixel's values in the shortest interval: the background is visible at least that often
 MAX_BACKGROUND_SIGMA = 3.0  # standard deviations within which a value belongs to the background
@@ -39,12 +38,12 @@ class Background:
         return 1.0 - float(np.mean([mask.mean() for mask in self.stable]))
 
 
-def estimate_background(recording: StereoRecording, progress: Progress | None = None) -> Background:
-    """The background of both views from up to `BACKGROUND_FRAMES` frames spread evenly over ``recording``.
+def estimate_background(recording: StereoRecording, max_frames: int, progress: Progress | None = None) -> Background:
+    """The background of both views from up to ``max_frames`` frames spread evenly over ``recording``.
 
     Copies of an earlier frame are left out; there may be fewer than `MIN_FRAMES` frames: see `background_problem`.
     """
-    chosen = np.unique(np.linspace(0, len(recording) - 1, min(BACKGROUND_FRAMES, len(recording))).round().astype(int))
+    chosen = np.unique(np.linspace(0, len(recording) - 1, min(max_frames, len(recording))).round().astype(int))
     stacks: tuple[list[NDArray[np.float16]], list[NDArray[np.float16]]] = [], []
     for n_done, k in enumerate(chosen, 1):
         frame_index = int(recording.indices[k])

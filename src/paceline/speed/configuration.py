@@ -8,28 +8,36 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, model_validator
 from pydantic_core import PydanticKnownError
 
 from paceline.documents.models import KnownKeys, Text, read_document
+from paceline.recordings.background import MIN_FRAMES
 from paceline.speed.choices import DeviceName, Motion, resampling_schemes
 from paceline.units import SpeedUnit
 
-DEFAULT_BACKGROUND_S = 30.0  # `learn` where absent
+MAX_BACKGROUND_S = 3600
+PAIR_WORDS = "two numbers above 0"
 DIGEST = re.compile(r" \(SHA-256 [0-9a-f]{12}…\)$")  # of a detector, as a summary names it
 
 
-def _range(value: Any) -> tuple[float, float]:
+def _pair(value: Any) -> tuple[float, float]:
     try:
-        low, high = (float(v) for v in value)
+        first, second = (float(v) for v in value)
     except (TypeError, ValueError):
-        low = high = 0.0
-    if not 0 < low < high < float("inf"):
-        raise ValueError("expected two speeds, the slower one first")
-    return low, high
+        first = second = 0.0
+    if not (0 < first < float("inf") and 0 < second < float("inf")):
+        raise ValueError(f"expected {PAIR_WORDS}")
+    return first, second
+
+
+def _ascending(pair: tuple[float, float]) -> tuple[float, float]:
+    if not pair[0] < pair[1]:
+        raise ValueError(f"expected {PAIR_WORDS}, the smaller one first")
+    return pair
 
 
 def _registered_scheme(name: str) -> str:
@@ -42,7 +50,9 @@ def _registered_scheme(name: str) -> str:
 
 REGISTERED_SCHEME = AfterValidator(_registered_scheme)
 ResamplingScheme = Annotated[str, REGISTERED_SCHEME]
-Range = Annotated[tuple[float, float], BeforeValidator(_range)]
+Pair = Annotated[tuple[float, float], BeforeValidator(_pair)]
+ASCENDING = AfterValidator(_ascending)
+Range = Annotated[Pair, ASCENDING]
 
 
 class Section(KnownKeys):
@@ -138,6 +148,43 @@ class JointCalibrationSettings(Section):
     window_s: float = Field(600.0, gt=0, description="seconds before and after a vehicle within which they pass")
 
 
+class BackgroundSettings(Section):
+    """The road without vehicles, in which lanes and vehicles are looked for."""
+
+    seconds: float = Field(
+        30.0, ge=0, le=MAX_BACKGROUND_S, description="seconds of which it is made with `--live`; else of the recording"
+    )
+    frames: int = Field(
+        31, ge=MIN_FRAMES, le=1000, description="frames of which it is made, evenly spread; more: cleaner, more memory"
+    )
+
+
+class LaneSettings(Section):
+    """Lanes between painted lines."""
+
+    width: Range = Field((2.2, 5.5), description="least and greatest width of a lane between its lines, m")
+
+
+class DetectionSettings(Section):
+    """Vehicles that nobody has outlined."""
+
+    near: float = Field(5.0, gt=0, description="distance from the left camera from which vehicles are looked for, m")
+    far: float = Field(150.0, gt=0, description="distance up to which they are, m; less: faster")
+    min_size_px: Pair = Field(
+        (16.0, 6.0), description="least width and height of an outline, pixels; less: from farther away, less exactly"
+    )
+    max_height: float = Field(
+        4.5, ge=2.5, le=20, description="height of the tallest vehicles, m; nothing is looked for behind them up to it"
+    )
+    score: float = Field(0.25, ge=0, le=1, description="least score of a detector's box")
+
+    @model_validator(mode="after")
+    def _near_before_far(self) -> Self:
+        if not self.near < self.far:
+            raise ValueError("expected near below far")
+        return self
+
+
 class LiveSettings(Section):
     """Measuring while the cameras record."""
 
@@ -208,6 +255,9 @@ class SpeedConfiguration(Section):
     refinement: RefinementSettings = RefinementSettings()
     limits: Limits = Limits()
     joint_calibration: JointCalibrationSettings = JointCalibrationSettings()
+    background: BackgroundSettings = BackgroundSettings()
+    lanes: LaneSettings = LaneSettings()
+    detection: DetectionSettings = DetectionSettings()
     live: LiveSettings = LiveSettings()
 
 
@@ -224,12 +274,19 @@ class SpeedSettings(SpeedConfiguration):
     detector: Text | None = Field(
         None, description="an ONNX detector in whose boxes vehicles are looked for, relative to the configuration file"
     )
-    learn: float | None = Field(
-        None,
-        ge=0,
-        le=3600,
-        description=f"seconds in which `--live` estimates the background; {DEFAULT_BACKGROUND_S:g} where absent",
-    )
+    learn: float | None = Field(None, ge=0, le=MAX_BACKGROUND_S, description="earlier name of `background.seconds`")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _apply_learn(cls, value: Any) -> Any:
+        if not isinstance(value, dict) or (learn := value.get("learn")) is None:
+            return value
+        background = value.get("background", {})
+        if not isinstance(background, dict):
+            return value
+        if background.get("seconds", learn) != learn:
+            raise ValueError("learn and background.seconds: one key under two names; expected one of them")
+        return {**value, "background": {**background, "seconds": learn}}
 
     @property
     def configuration(self) -> SpeedConfiguration:

@@ -8,7 +8,7 @@ from typing import Any, Literal, get_args, get_origin
 from pydantic.fields import FieldInfo
 
 from paceline.speed.choices import resampling_schemes
-from paceline.speed.configuration import REGISTERED_SCHEME, Section, SpeedSettings
+from paceline.speed.configuration import ASCENDING, PAIR_WORDS, REGISTERED_SCHEME, Section, SpeedSettings
 
 PAGE_INTRODUCTION = """# Settings of `paceline speed`
 
@@ -75,9 +75,11 @@ def range_of(field: FieldInfo) -> str:
         return ", ".join(map(str, get_args(field.annotation)))
     if REGISTERED_SCHEME in field.metadata:
         return ", ".join(resampling_schemes())
+    if get_origin(field.annotation) is tuple:
+        return PAIR_WORDS + ", the smaller one first" * (ASCENDING in field.metadata)
     if field.annotation is bool:
         return "true, false"
-    return ", ".join(bounds(field)) or ("two speeds" if isinstance(field.default, tuple) else "text")
+    return ", ".join(bounds(field)) or "text"
 
 
 def bounds(field: FieldInfo) -> Iterator[str]:

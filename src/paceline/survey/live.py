@@ -35,10 +35,10 @@ from paceline.detection.tracks import DetectionTrack
 from paceline.documents.loading import Clip
 from paceline.errors import UnusableInput
 from paceline.lanes.road_detection import RoadNotFound
-from paceline.recordings.background import BACKGROUND_FRAMES, Background, background_from, background_problem
+from paceline.recordings.background import Background, background_from, background_problem
 from paceline.recordings.live_stereo import LiveStereo, RawPair, undistort_pair
 from paceline.recordings.stereo import StereoFrame
-from paceline.speed.configuration import DEFAULT_BACKGROUND_S, SpeedConfiguration
+from paceline.speed.configuration import BackgroundSettings, SpeedConfiguration
 from paceline.speed.joint_calibration import with_neighbours
 from paceline.speed.measurement import measure, require_two_views
 from paceline.speed.results import Measurement
@@ -94,7 +94,6 @@ def survey(
     views: LiveStereo,
     configuration: SpeedConfiguration,
     on_result: OnResult,
-    background_s: float = DEFAULT_BACKGROUND_S,
     on_ready: Callable[[int], None] = lambda paths: None,
     on_frame: OnFrame = lambda pair, tracks: None,
     detect: DetectBoxes | None = None,
@@ -106,7 +105,7 @@ def survey(
     measurement, or None and the reason; ``on_ready`` with the number of paths once the background is estimated;
     ``on_frame`` with every image pair that has been processed, and the tracks visible in it. With ``detect``, vehicles
     are found only inside its boxes, and the background is not estimated where the clip has paths. Raises UnusableInput
-    where the road is not visible in the first ``background_s`` seconds, or where there are neither paths nor lanes.
+    where the road is not visible in the first seconds, or where there are neither paths nor lanes.
     """
     plane_sweep.warm_up()
     pairs = iter(views)
@@ -118,19 +117,19 @@ def survey(
 
     model: BackgroundModel | None = None if detect is None else DetectorBackground(detect)
     if model is None or not clip.paths:
-        background = _estimate_background(clip, first(), background_s)
+        background = _estimate_background(clip, first(), configuration.background)
         if reason := background_problem(background):
             raise UnusableInput(f"{clip.path}: {reason}")
         if not clip.paths:
             try:
-                clip = with_detected_lanes(clip, background)
+                clip = with_detected_lanes(clip, background, configuration.lanes.width)
             except RoadNotFound as error:
                 raise UnusableInput(f"{clip.path}: paths: there are none, and no lane was found: {error}") from None
         model = model or RunningMedianBackground(background.images)
     else:
         model.update(_first_frame(clip, pairs))
     on_ready(len(clip.paths))
-    finder = VehicleFinder(lane_paths_of(clip), model)
+    finder = VehicleFinder(lane_paths_of(clip, configuration.line_sigma), model, configuration)
     buffer: deque[RawPair] = deque(maxlen=configuration.live.buffer_pairs)
 
     def buffered() -> Iterator[RawPair]:
@@ -184,8 +183,8 @@ def _first_frame(clip: Clip, pairs: Iterator[RawPair]) -> StereoFrame:
     return frame
 
 
-def _estimate_background(clip: Clip, pairs: Iterator[RawPair], background_s: float) -> Background:
-    """The background of the first ``background_s`` seconds, from frames spread evenly over them."""
+def _estimate_background(clip: Clip, pairs: Iterator[RawPair], settings: BackgroundSettings) -> Background:
+    """The background of the first seconds, from frames spread evenly over them."""
     stacks: tuple[list[NDArray[np.float16]], list[NDArray[np.float16]]] = [], []
     start_time, next_s = None, 0.0
     for frame in undistorted_frames(pairs, clip):
@@ -194,14 +193,14 @@ def _estimate_background(clip: Clip, pairs: Iterator[RawPair], background_s: flo
             start_time = frame.time
         elapsed = frame.time - start_time
         if elapsed >= next_s and not frame.duplicate:
-            next_s += background_s / (BACKGROUND_FRAMES - 1)
+            next_s += settings.seconds / (settings.frames - 1)
             for stack, image in zip(stacks, (frame.left, frame.right), strict=True):
                 stack.append(image.astype(np.float16))
-        if elapsed >= background_s:
+        if elapsed >= settings.seconds:
             break
     else:
         raise UnusableInput(
-            f"{clip.path}: left and right: ended within the {background_s:g} s in which the empty road is learned"
+            f"{clip.path}: left and right: ended within the {settings.seconds:g} s in which the empty road is learned"
         )
     return background_from(*stacks)
 
@@ -244,7 +243,7 @@ class MeasurementQueue:
             self._pending.append(PendingVehicle(track, outlined, []))
         else:
             pairs = [pair for pair in buffer if pair.index >= track.first.frame]
-            self._pending.append(PendingVehicle(track, self._worker.submit(outline, track), pairs))
+            self._pending.append(PendingVehicle(track, self._worker.submit(outline, track, self._configuration), pairs))
 
     def publish(self) -> None:
         """Hand out the results that are known by now, in order."""

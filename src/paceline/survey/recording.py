@@ -72,7 +72,7 @@ def measure_recording(
     if clip.vehicles:
         return measured(clip)
     with stage("looking") as progress:
-        search = find_vehicles(clip, recording, progress, detect)
+        search = find_vehicles(clip, recording, progress, detect, configuration)
     if search.reason:
         notices = [*recording.notices, *search.notices]
         settings = methods.named(method) | configuration.model_dump()

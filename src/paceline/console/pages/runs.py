@@ -27,7 +27,7 @@ from paceline.console.runs.options import UNIT_NAMES, command_options, convert_t
 from paceline.console.runs.results import result_files
 from paceline.console.runs.run_list import STATE_MEASURED, STATE_NOTHING, Run
 from paceline.errors import UnusableInput
-from paceline.speed.configuration import DEFAULT_BACKGROUND_S
+from paceline.speed.configuration import DEFAULTS
 
 PAGE_POLL_INTERVAL_S = 0.5  # time between updates of the page
 REMOVED_TEXT = "The clip has been removed."
@@ -121,7 +121,11 @@ class _RunsPage:
             live.tooltip("To try live measurement: vehicle after vehicle, as if the cameras recorded now.")
         minimum, maximum = setting_range("learn")
         self.learn = ui.number(
-            "Estimate the background for, s", value=DEFAULT_BACKGROUND_S, min=minimum, max=maximum, on_change=self.warn
+            "Estimate the background for, s",
+            value=DEFAULTS.background.seconds,
+            min=minimum,
+            max=maximum,
+            on_change=self.warn,
         ).props("dense")
         self.learn.set_visibility(self.kind == LIVE_RUN)
         self.fields["learn"] = self.learn
@@ -279,7 +283,7 @@ def _start_note(entry: ClipEntry) -> str:
     if contents.live:
         sources = " and ".join(contents.live)
         road = "" if contents.paths else " Lanes are detected first, unless the site has them."
-        background = f"The background is estimated first, for {DEFAULT_BACKGROUND_S:.0f} s by default"
+        background = f"The background is estimated first, for {DEFAULTS.background.seconds:.0f} s by default"
         return f"Live, from {sources}. {background}; then every passing vehicle is measured, until you stop it.{road}"
     if contents.vehicles or contents.chase:
         return ""
@@ -288,7 +292,7 @@ def _start_note(entry: ClipEntry) -> str:
 
 def _too_short(seconds: float | None, learn: float | None) -> str:
     """Why ``seconds`` of recording are too short for ``learn`` seconds of background; empty if they are not."""
-    learn = DEFAULT_BACKGROUND_S if learn is None else learn
+    learn = DEFAULTS.background.seconds if learn is None else learn
     if seconds is None or learn < seconds:
         return ""
     return (

@@ -40,7 +40,8 @@ def command_options(kind: str, settings: dict[str, Any]) -> list[str]:
         SpeedSettings.model_validate({name: chosen[name] for name in chosen if name != "units"}, strict=True)
     except ValidationError as error:
         first = error.errors()[0]
-        raise UnusableInput(f"{first['loc'][0]}: {first['msg'].replace('Input should be', 'expected')}") from error
+        key, expected = ".".join(map(str, first["loc"])), first["msg"].replace("Input should be", "expected")
+        raise UnusableInput(f"{key}: {expected}") from error
     texts = {name: f"{value:g}" if name in ("tolerance", "learn") else str(value) for name, value in chosen.items()}
     return [argument for name, text in texts.items() for argument in (OPTION_NAMES.get(name, f"--{name}"), text)]
 
