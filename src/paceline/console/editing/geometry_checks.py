@@ -99,7 +99,7 @@ def _path(rig: StereoRig, name: str, entry: Entry) -> Path:
         if problem := check_drawing(pixels, entry["shape"]):
             raise UnusableInput(f"{side} view: {problem}")
         drawn.append(camera.undistort_points(pixels))
-    return reconstruct(name, entry["shape"], rig, *drawn)
+    return reconstruct(name, entry["shape"], rig, drawn[0], drawn[1])
 
 
 def _nearest_path(name: str, path: Path, paths: Mapping[str, Path]) -> Facts:
