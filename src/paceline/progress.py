@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 Progress = Callable[[int, int | None], None]  # called with frames done and the total, None where it is unknown
 
-PROGRESS_VARIABLE = "PACELINE_PROGRESS"  # environment variable; "lines" asks for lines
+PROGRESS_VARIABLE = "PACELINE_PROGRESS"  # environment variable; "lines" requests the lines
 ESTIMATE_PREFIX, PICTURES_PREFIX = "estimate: ", "pictures: "
 MAX_PARTICLES = 40  # particles written per view
 MAX_LINE_LENGTH = 1 << 19  # characters
@@ -29,9 +29,9 @@ ACTIVITY_LABELS = {
 }
 
 
-def format_progress(doing: str, done: int, total: int | None) -> str:
+def format_progress(activity: str, done: int, total: int | None) -> str:
     """The progress line for an activity with ``done`` of ``total`` frames processed."""
-    return f"progress: {doing} {done} {total or '?'}"
+    return f"progress: {activity} {done} {total or '?'}"
 
 
 def parse_progress(line: str) -> tuple[str, int, int | None] | None:

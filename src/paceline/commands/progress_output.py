@@ -115,9 +115,9 @@ def small_jpegs(*views: Grey) -> list[bytes]:
     return jpegs
 
 
-def write_progress(doing: str, done: int, total: int | None) -> None:
+def write_progress(activity: str, done: int, total: int | None) -> None:
     """Writes a progress line; arguments as in `format_progress`."""
-    _write_line(format_progress(doing, done, total))
+    _write_line(format_progress(activity, done, total))
 
 
 def _write_line(line: str) -> None:
@@ -125,13 +125,13 @@ def _write_line(line: str) -> None:
 
 
 @contextmanager
-def progress_bar(doing: str, show: bool) -> Iterator[Progress | None]:
+def progress_bar(activity: str, show: bool) -> Iterator[Progress | None]:
     """A progress bar on standard error; yields what advances it, called with frames done and the total if known.
 
     A program that asks for lines gets progress lines instead; when it stops reading them, the command ends.
     """
     if lines_requested():
-        yield lambda done, total: write_progress(doing, done, total)
+        yield lambda done, total: write_progress(activity, done, total)
         return
     if not show:
         yield None
@@ -152,7 +152,7 @@ def progress_bar(doing: str, show: bool) -> Iterator[Progress | None]:
         def render(self, task: Task) -> Text:
             return Text(f"{task.speed:.1f} frames/s" if task.speed else "")
 
-    label = ACTIVITY_LABELS.get(doing, doing)
+    label = ACTIVITY_LABELS.get(activity, activity)
     columns = [TextColumn(label), BarColumn(), MofNCompleteColumn(), TextColumn("frames"), Rate()]
     with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("", total=None)

@@ -21,7 +21,7 @@ from paceline.speed.methods import DEFAULT_METHOD, OnEstimate
 from paceline.speed.results import ClipResult
 from paceline.version import versions
 
-# Called with what is done next, "looking" or "measuring"; gives what is called with frames done and frames in all.
+# From the next activity, "looking" or "measuring", to a context that yields its progress callback.
 Stage = Callable[[str], AbstractContextManager[Progress | None]]
 
 
@@ -33,10 +33,10 @@ def measure_clip(
     detect: DetectBoxes | None = None,
     method: str = DEFAULT_METHOD,
 ) -> ClipResult:
-    """Measure every vehicle of ``clip``, a clip.yaml or what `load_clip` made of it, by the ``method`` of this name;
-    where it outlines none, the vehicles in it are found first, with ``detect`` only in its boxes.
+    """Measures every vehicle of ``clip``, a clip.yaml or what `load_clip` returned for it, by the ``method``
+    of this name; if it outlines none, the vehicles in it are detected first, with ``detect`` only in its boxes.
 
-    ``progress`` is called with frames done and frames in all. Raises UnusableInput.
+    ``progress`` is called with the number of processed frames and their total. Raises UnusableInput.
     """
     loaded = clip if isinstance(clip, Clip) else load_clip(Path(clip))
     return measure_recording(
@@ -46,7 +46,7 @@ def measure_clip(
         method,
         device,
         detect,
-        stage=lambda doing: nullcontext(progress),
+        stage=lambda activity: nullcontext(progress),
     )
 
 
@@ -57,7 +57,7 @@ def measure_recording(
     method: str = DEFAULT_METHOD,
     device: DeviceName = "cpu",
     detect: DetectBoxes | None = None,
-    stage: Stage = lambda doing: nullcontext(),
+    stage: Stage = lambda activity: nullcontext(),
     on_estimate: OnEstimate | None = None,
 ) -> ClipResult:
     """As `measure_clip`, in the ``recording`` of ``clip``; ``on_estimate`` is called with a vehicle and each of the

@@ -50,7 +50,7 @@ COMMAND_SIZE = DRAWN_STRIDE + 1
 
 LEFT_FRAME, RIGHT_FRAME = 0, 4  # (4,) height, width, and first pixel (x, y) of a packed image
 WORD_COUNTS = 8  # (2,) number of words of each packed image
-CONTRAST_FLOOR, DISTANCE_CAP, LAMBDA_SINGLE, LAMBDA_CROSS = range(10, 14)
+CONTRAST_FLOOR_INDEX, DISTANCE_CAP_INDEX, LAMBDA_SINGLE_INDEX, LAMBDA_CROSS_INDEX = range(10, 14)
 HEADER_SIZE = 14
 MAX_PARTS = 16
 # 1 to update the weights, −1 to restore them; FIRST_COLUMN, PARTICLE_COUNT and HALF_BEFORE are as in the commands

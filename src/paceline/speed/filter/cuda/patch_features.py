@@ -193,14 +193,14 @@ def log_likelihood(pixels, maps, observations, pool):
         _settle_median(norm2, view * parts, parts, part, middles[2 + view])
     cuda.syncthreads()
     if view < 2:
-        floor = np.float32(observations[layout.CONTRAST_FLOOR])
+        floor = np.float32(observations[layout.CONTRAST_FLOOR_INDEX])
         least = floor * floor * (np.float32(0.5) * (middles[2 + view, 0] + middles[2 + view, 1])) + np.float32(1.0)
         scale = np.float32(1.0) / math.sqrt(norm2[t] + least)
         distance = np.float32(0.0)
         for c in range(16):
             d = f[c] * scale - np.float32(observation[layout.REFERENCE_FEATURES + 16 * t + c])
             distance += d * d
-        brightness[t] = min(distance, np.float32(observations[layout.DISTANCE_CAP]))
+        brightness[t] = min(distance, np.float32(observations[layout.DISTANCE_CAP_INDEX]))
     cuda.syncthreads()
     if t == 0:
         single = np.float32(0.0)
@@ -214,5 +214,5 @@ def log_likelihood(pixels, maps, observations, pool):
         least = np.float32(MIN_OVERLAP) * (np.float32(4 * across * sx) * rows / np.float32(CORRELATION_ROW_STEP))
         ncc = _correlation(s, least)
         unlike = (1.0 - ncc) * (1.0 - ncc)
-        ll = -observations[layout.LAMBDA_SINGLE] * single - observations[layout.LAMBDA_CROSS] * unlike
+        ll = -observations[layout.LAMBDA_SINGLE_INDEX] * single - observations[layout.LAMBDA_CROSS_INDEX] * unlike
         pool[int(observation[layout.HALF_BEFORE]), layout.LIKELIHOOD_ROW, particle] = ll
