@@ -48,14 +48,14 @@ def with_source_digest(function: FunctionType) -> FunctionType:
 @cache
 def source_digest(module: str) -> str:
     """SHA-256 of the sources of ``module`` and of all modules of this package that it imports, directly or not."""
-    found: dict[str, str] = {}
+    digests: dict[str, str] = {}
     left = [module]
     while left:
         name = left.pop()
-        if name not in found:
-            found[name] = _source(name)
-            left += _imported(found[name])
-    return hashlib.sha256("\0".join(found[name] for name in sorted(found)).encode()).hexdigest()
+        if name not in digests:
+            digests[name] = _source(name)
+            left += _imported(digests[name])
+    return hashlib.sha256("\0".join(digests[name] for name in sorted(digests)).encode()).hexdigest()
 
 
 def _source(module: str) -> str:

@@ -36,8 +36,8 @@ def format_progress(activity: str, done: int, total: int | None) -> str:
 
 def parse_progress(line: str) -> tuple[str, int, int | None] | None:
     """The activity, frames done and total (None if unknown) of a progress line; None for any other line."""
-    found = re.fullmatch(r"progress: (\S+) (\d+) (\d+|\?)\n?", line)
-    return None if found is None else (found[1], int(found[2]), None if found[3] == "?" else int(found[3]))
+    match = re.fullmatch(r"progress: (\S+) (\d+) (\d+|\?)\n?", line)
+    return None if match is None else (match[1], int(match[2]), None if match[3] == "?" else int(match[3]))
 
 
 def format_estimate(
@@ -69,10 +69,14 @@ def parse_estimate(line: str) -> dict[str, Any] | None:
     if not line.startswith(ESTIMATE_PREFIX):
         return None
     try:
-        found = json.loads(line.removeprefix(ESTIMATE_PREFIX))
+        content = json.loads(line.removeprefix(ESTIMATE_PREFIX))
     except ValueError:
         return None
-    return found if isinstance(found, dict) and {"vehicle", "frame", "time_s", "value", "std"} <= found.keys() else None
+    return (
+        content
+        if isinstance(content, dict) and {"vehicle", "frame", "time_s", "value", "std"} <= content.keys()
+        else None
+    )
 
 
 def format_pictures(frame: int, time: float, size: tuple[int, int], pictures: Sequence[bytes]) -> str:
@@ -88,10 +92,10 @@ def parse_pictures(line: str) -> dict[str, Any] | None:
     if not line.startswith(PICTURES_PREFIX):
         return None
     try:
-        found = json.loads(line.removeprefix(PICTURES_PREFIX))
-        pictures = [base64.b64decode(data, validate=True) for data in found["pictures"]]
-        width, height = map(int, found["size"])
-        return {"frame": int(found["frame"]), "time_s": float(found["time_s"]), "size": [width, height],
+        content = json.loads(line.removeprefix(PICTURES_PREFIX))
+        pictures = [base64.b64decode(data, validate=True) for data in content["pictures"]]
+        width, height = map(int, content["size"])
+        return {"frame": int(content["frame"]), "time_s": float(content["time_s"]), "size": [width, height],
                 "pictures": pictures}  # fmt: skip
     except (ValueError, KeyError, TypeError):
         return None
@@ -103,5 +107,5 @@ def _finite_or_none(value: float) -> float | None:
 
 def _rounded_pixels(points: Array, decimals: int = 1) -> list[Any]:
     """``points`` as rounded numbers, clipped to ± 10⁵ px so that the line stays short."""
-    found: list[Any] = points.clip(-1e5, 1e5).round(decimals).tolist()
-    return found
+    rounded: list[Any] = points.clip(-1e5, 1e5).round(decimals).tolist()
+    return rounded

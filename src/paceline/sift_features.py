@@ -16,10 +16,10 @@ def detect_features(
 ) -> tuple[Array, Descriptors]:
     """Places (n, 2) px of features of ``image`` (H, W), 0–255, where the ``mask`` is set, and descriptors (n, 128)."""
     picture = np.clip(np.rint(image), 0, 255).astype(np.uint8)
-    found, descriptors = detector.detectAndCompute(picture, mask)
-    if not found:
+    keypoints, descriptors = detector.detectAndCompute(picture, mask)
+    if not keypoints:
         return np.empty((0, 2)), np.empty((0, 128), np.float32)
-    return np.array([f.pt for f in found]), np.asarray(descriptors, np.float32)
+    return np.array([f.pt for f in keypoints]), np.asarray(descriptors, np.float32)
 
 
 def match_descriptors(a: Descriptors, b: Descriptors, ratio: float) -> tuple[Indices, Indices]:

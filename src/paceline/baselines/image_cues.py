@@ -63,9 +63,9 @@ def histograms(greys: Array) -> Array:
     return np.asarray(counts / np.maximum(counts.sum(1, keepdims=True), 1e-12))
 
 
-def bhattacharyya(seen: Array, reference: Array) -> Array:
-    """Bhattacharyya coefficients (N,), 0 … 1, of histograms ``seen`` (N, HISTOGRAM_BINS) with the ``reference``."""
-    return np.asarray(np.sqrt(seen * reference).sum(-1))
+def bhattacharyya(histogram: Array, reference: Array) -> Array:
+    """Bhattacharyya coefficients (N,), 0 … 1, of each ``histogram`` (N, HISTOGRAM_BINS) with the ``reference``."""
+    return np.asarray(np.sqrt(histogram * reference).sum(-1))
 
 
 def image_gradients(grey: Image) -> Array:

@@ -59,12 +59,12 @@ class LucasKanade:
             return self._initialize(frame)
         regions, before = self._templates, self._tracked[-1][1]
         moves = regions.find(frame)
-        found = None if moves is None else self._track(frame, moves)
-        if found is None:
+        tracked_quads = None if moves is None else self._track(frame, moves)
+        if tracked_quads is None:
             further = regions.miss(frame.time)
             self.frame_results.append(unseen_frame(frame, regions))
             return further
-        matches, quads = found
+        matches, quads = tracked_quads
         dt = frame.time - regions.time
         regions.accept(quads, frame)
         displacement, spread = _displacement(self.rig, before, matches)
@@ -213,16 +213,16 @@ class LucasKanade:
         rows = [self._tracked[i][0] for i in chosen]
         matches = [self._tracked[i][1] for i in chosen]
         number = np.unique(np.concatenate([m.number for m in matches]))
-        seen = np.zeros((len(number), len(rows)), bool)
-        points = np.zeros((*seen.shape, 3))
+        observed = np.zeros((len(number), len(rows)), bool)
+        points = np.zeros((*observed.shape, 3))
         for k, m in enumerate(matches):
             frame_index = np.searchsorted(number, m.number)
-            seen[frame_index, k], points[frame_index, k] = True, m.points
+            observed[frame_index, k], points[frame_index, k] = True, m.points
         times = np.array([self.frame_results[row].time for row in rows])
         places = np.array([self.frame_results[row].position for row in rows])
         turns = np.tile(np.eye(3), (len(rows), 1, 1))
         for _ in range(ALIGNMENT_PASSES):
-            aligned = align(points, seen, turns, places)
+            aligned = align(points, observed, turns, places)
             track = polynomial_track.fit_polynomial(times, aligned.places, aligned.covariance)
             if track.degree == 1:
                 break
@@ -230,8 +230,8 @@ class LucasKanade:
             turns = frames @ frames[0].T
         groups = []
         for group in range(JACKKNIFE_GROUPS):
-            included = np.arange(len(seen)) % JACKKNIFE_GROUPS != group
-            jackknife = align(points[included], seen[included], turns, aligned.places)
+            included = np.arange(len(observed)) % JACKKNIFE_GROUPS != group
+            jackknife = align(points[included], observed[included], turns, aligned.places)
             groups.append(
                 polynomial_track.fit_polynomial(
                     times, jackknife.places, jackknife.covariance, track.degree

@@ -221,10 +221,10 @@ class Multimodal:
     ) -> bool:
         """Records the estimate at ``frame``; whether the vehicle can be tracked further."""
         place, velocity = weights.mean(particles.places), weights.mean(particles.velocities)
-        seen = self._histograms_at(place[None], axes, depths)[0]
-        similarity = float(image_cues.bhattacharyya(seen, self._reference))
+        histograms = self._histograms_at(place[None], axes, depths)[0]
+        similarity = float(image_cues.bhattacharyya(histograms, self._reference))
         if similarity > MIN_UPDATE_SIMILARITY:
-            self._reference = (1 - REFERENCE_UPDATE_SHARE) * self._reference + REFERENCE_UPDATE_SHARE * seen
+            self._reference = (1 - REFERENCE_UPDATE_SHARE) * self._reference + REFERENCE_UPDATE_SHARE * histograms
         self._unseen = self._unseen + 1 if similarity < MIN_BOX_SIMILARITY else 0
         left, right = self.rig.project(self._boxes(place[None], axes)[0])
         status = "tracking" if similarity >= MIN_BOX_SIMILARITY else "lost"

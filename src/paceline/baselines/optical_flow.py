@@ -38,8 +38,8 @@ def detect_corners(image: Image, quad: Array, known: Array) -> Array:
     cv2.fillConvexPoly(mask, np.rint(inner - low).astype(np.int32), 255)
     for x, y in np.rint(known - low).astype(int).tolist():
         cv2.circle(mask, (x, y), round(MIN_CORNER_SPACING_PX), 0, cv2.FILLED)
-    found = cv2.goodFeaturesToTrack(picture, max_new, CORNER_QUALITY, MIN_CORNER_SPACING_PX, mask=mask, blockSize=3)
-    return np.empty((0, 2)) if found is None else np.asarray(found.reshape(-1, 2) + low, float)
+    corners = cv2.goodFeaturesToTrack(picture, max_new, CORNER_QUALITY, MIN_CORNER_SPACING_PX, mask=mask, blockSize=3)
+    return np.empty((0, 2)) if corners is None else np.asarray(corners.reshape(-1, 2) + low, float)
 
 
 def track_points(before: Image, after: Image, points: Array, move: ScaledShift, window: int) -> tuple[Array, Mask]:
@@ -54,8 +54,8 @@ def track_points(before: Image, after: Image, points: Array, move: ScaledShift, 
     matrix = move.matrix - np.column_stack([np.zeros((2, 2)), low])
     size = int(high[0] - low[0]), int(high[1] - low[1])
     start_crop = np.asarray(cv2.warpAffine(before, matrix, size, flags=cv2.INTER_CUBIC), np.float32)
-    found, valid = _forward_backward(start_crop, crop_after, start - low, start - low, window)
-    return found + low, valid
+    tracked, valid = _forward_backward(start_crop, crop_after, start - low, start - low, window)
+    return tracked + low, valid
 
 
 def match_points(left: Image, right: Image, points: Array, guess: Array, window: int) -> tuple[Array, Mask]:
@@ -66,8 +66,8 @@ def match_points(left: Image, right: Image, points: Array, guess: Array, window:
     b = right[low_right[1] : high_right[1], low_right[0] : high_right[0]]
     height, width = min(a.shape[0], b.shape[0]), min(a.shape[1], b.shape[1])
     crops = a[:height, :width], b[:height, :width]
-    found, valid = _forward_backward(*crops, points - low, guess - low_right, window)
-    return found + low_right, valid
+    matched, valid = _forward_backward(*crops, points - low, guess - low_right, window)
+    return matched + low_right, valid
 
 
 def window_size(quad: Array) -> int:

@@ -31,21 +31,21 @@ class RigidAlignment:
     covariance: Array
 
 
-def align(points: Array, seen: Mask, turns: Array, places: Array) -> RigidAlignment:
-    """Aligns the ``points`` (P, K, 3) m of a body where they are ``seen`` (P, K), X = place + turn · point.
+def align(points: Array, observed: Mask, turns: Array, places: Array) -> RigidAlignment:
+    """Aligns the ``points`` (P, K, 3) m of a body where they are ``observed`` (P, K), X = place + turn · point.
 
     ``turns`` (K, 3, 3) are known; ``places`` (K, 3) are where to begin. Raises numpy.linalg.LinAlgError where the
     frames are not joined by common points.
     """
-    in_two_frames = seen.sum(1) >= 2
-    points, seen = points[in_two_frames], seen[in_two_frames]
-    if not seen.any(axis=0).all():
+    in_two_frames = observed.sum(1) >= 2
+    points, observed = points[in_two_frames], observed[in_two_frames]
+    if not observed.any(axis=0).all():
         raise np.linalg.LinAlgError("a frame shares no point with the others")
     K = len(places)
-    depths = np.array([np.median(p[s, 2]) for p, s in zip(points.swapaxes(0, 1), seen.T, strict=True)])
+    depths = np.array([np.median(p[s, 2]) for p, s in zip(points.swapaxes(0, 1), observed.T, strict=True)])
     body_axes_points = np.einsum("kji,pkj->pki", turns, points - places[0])  # turned back, as seen from the first place
     relative_rotations = np.einsum("kab,lcb->kalc", turns, turns)
-    w, found = seen.astype(float), places
+    w, places_estimate = observed.astype(float), places
     for _ in range(MAX_ALIGNMENT_ITERATIONS):
         W = w / depths**4
         total = W.sum(1)
@@ -54,15 +54,17 @@ def align(points: Array, seen: Mask, turns: Array, places: Array) -> RigidAlignm
         mean = (W[..., None] * body_axes_points).sum(1) / total[:, None]
         pull = np.einsum("pk,kij,pkj->ki", W, turns, body_axes_points - mean[:, None], optimize=True)
         information = S[1:, :, 1:].reshape(3 * (K - 1), 3 * (K - 1))
-        before = found
-        found = places[0] + np.concatenate([np.zeros(3), np.linalg.solve(information, pull[1:].ravel())]).reshape(K, 3)
-        back = body_axes_points - np.einsum("kji,kj->ki", turns, found - places[0])
+        before = places_estimate
+        places_estimate = places[0] + np.concatenate(
+            [np.zeros(3), np.linalg.solve(information, pull[1:].ravel())]
+        ).reshape(K, 3)
+        back = body_axes_points - np.einsum("kji,kj->ki", turns, places_estimate - places[0])
         body = (W[..., None] * back).sum(1) / total[:, None]
         distance = np.linalg.norm(back - body[:, None], axis=-1) / depths**2
-        scatter = max(float(np.median(distance[seen])) / MEDIAN_CHI, MIN_SCATTER_PER_M)
+        scatter = max(float(np.median(distance[observed])) / MEDIAN_CHI, MIN_SCATTER_PER_M)
         w = np.where(
-            seen, np.minimum(1.0, ALIGNMENT_HUBER_SIGMA * np.sqrt(3) * scatter / np.maximum(distance, 1e-15)), 0.0
+            observed, np.minimum(1.0, ALIGNMENT_HUBER_SIGMA * np.sqrt(3) * scatter / np.maximum(distance, 1e-15)), 0.0
         )
-        if np.abs(found - before).max() < CONVERGENCE_M:
+        if np.abs(places_estimate - before).max() < CONVERGENCE_M:
             break
-    return RigidAlignment(found, scatter**2 * np.linalg.inv(information))
+    return RigidAlignment(places_estimate, scatter**2 * np.linalg.inv(information))

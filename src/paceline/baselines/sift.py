@@ -124,12 +124,12 @@ class Sift:
         name = self.vehicle.id
         if reason := self.unmeasurable():
             return rejected(name, self.frame_results, reason)
-        seen = [s for s in self.frame_results if s.status == "tracking"]
-        places = np.array([s.position for s in seen])
+        tracked = [s for s in self.frame_results if s.status == "tracking"]
+        places = np.array([s.position for s in tracked])
         # the centroid scatters with the set of matches, isotropically; the first position is part of all displacements
-        count = len(seen) - 1
+        count = len(tracked) - 1
         scatter = np.kron(np.eye(count) + np.ones((count, count)), np.eye(3))
-        track = polynomial_track.fit_polynomial(np.array([s.time for s in seen]), places, np.asarray(scatter, float))
+        track = polynomial_track.fit_polynomial(np.array([s.time for s in tracked]), places, np.asarray(scatter, float))
         speed, std = track.mean_speed()
         return measurement_of(name, self.frame_results, MeanSpeed(speed, std, track.dof, track.model), self.limits)
 

@@ -159,8 +159,8 @@ def _search(
         _, ncc, _, (x, y) = cv2.minMaxLoc(score)
         if ncc > best[1]:
             peak = np.array([x + parabola_peak_at(score[y], x), y + parabola_peak_at(score[:, x], y)])
-            found = peak / shrink + [x0 - 0.5, y0 - 0.5]
-            best = (ScaledShift(scale, found - scale * edge), float(ncc))
+            position = peak / shrink + [x0 - 0.5, y0 - 0.5]
+            best = (ScaledShift(scale, position - scale * edge), float(ncc))
     return best
 
 

@@ -148,19 +148,21 @@ class LensModel:
     squared_errors: Array
 
 
-def fit_lens_models(rig: RigState, poses: Poses, seen: Observations) -> dict[str, LensModel]:
+def fit_lens_models(rig: RigState, poses: Poses, observations: Observations) -> dict[str, LensModel]:
     """Every lens model, fitted to all views, and cross-validated: of held-out views only the poses are fitted."""
     V = len(poses.t)
     fold = np.arange(V) % min(CROSS_VALIDATION_FOLDS, V)
     models = {}
     for name in LENS_MODELS:
         free = free_parameters(name)
-        fit_to_all = adjust(_with_lens_parameters(rig, free), poses, seen, free)
+        fit_to_all = adjust(_with_lens_parameters(rig, free), poses, observations, free)
         squares, count = np.zeros(V), 0
         for k in range(fold.max() + 1):
             train, test = fold != k, fold == k
-            fitted = adjust(fit_to_all.rig, fit_to_all.poses.of(np.flatnonzero(train)), renumbered(seen, train), free)
-            of_test = renumbered(seen, test)
+            fitted = adjust(
+                fit_to_all.rig, fit_to_all.poses.of(np.flatnonzero(train)), renumbered(observations, train), free
+            )
+            of_test = renumbered(observations, test)
             posed = adjust(fitted.rig, fit_to_all.poses.of(np.flatnonzero(test)), of_test, NO_PARAMETERS)
             weighted_squares = posed.weights * (posed.residuals**2).sum(1)
             squares[test] = np.bincount(of_test.view, weighted_squares, minlength=int(test.sum()))
@@ -199,13 +201,13 @@ def _with_lens_parameters(rig: RigState, free: Indices) -> RigState:
     return RigState(lenses, rig.R, rig.t)
 
 
-def _without_outliers(rig: RigState, poses: Poses, seen: Observations) -> tuple[Observations, int]:
-    """``seen`` without outlier corners, and the number removed."""
-    found = adjust(rig, poses, seen, free_parameters("k1, k2, p1, p2"))
-    length = np.linalg.norm(found.residuals, axis=1)
-    view_rms = rms_by_view(found.residuals * np.sqrt(found.weights)[:, None], seen.view, len(poses.t))
-    keep = length <= MAX_CORNER_SIGMA * np.maximum(view_rms[seen.view], np.median(view_rms)) * np.sqrt(2)
-    return seen.where(keep), int((~keep).sum())
+def _without_outliers(rig: RigState, poses: Poses, observations: Observations) -> tuple[Observations, int]:
+    """``observations`` without outlier corners, and the number removed."""
+    adjusted = adjust(rig, poses, observations, free_parameters("k1, k2, p1, p2"))
+    length = np.linalg.norm(adjusted.residuals, axis=1)
+    view_rms = rms_by_view(adjusted.residuals * np.sqrt(adjusted.weights)[:, None], observations.view, len(poses.t))
+    keep = length <= MAX_CORNER_SIGMA * np.maximum(view_rms[observations.view], np.median(view_rms)) * np.sqrt(2)
+    return observations.where(keep), int((~keep).sum())
 
 
 UNDETERMINED_MESSAGE = (
@@ -222,7 +224,9 @@ def _check_focal_length(final: BundleAdjustment, covariance: Array) -> None:
         raise UnusableInput(f"{UNDETERMINED_MESSAGE} (a focal length is known to ± {100 * max_share:.0f} % only)")
 
 
-def _advice(final: BundleAdjustment, seen: Observations, sizes: tuple[tuple[int, int], tuple[int, int]]) -> list[str]:
+def _advice(
+    final: BundleAdjustment, observations: Observations, sizes: tuple[tuple[int, int], tuple[int, int]]
+) -> list[str]:
     """What is missing among the views, one plain line each."""
     messages: list[str] = []
     V = len(final.poses.t)
@@ -234,7 +238,7 @@ def _advice(final: BundleAdjustment, seen: Observations, sizes: tuple[tuple[int,
     if (tilt > MIN_TILT_DEG).sum() < min(MIN_TILTED_VIEWS, V):
         messages.append(message("few_tilted_views", tilted=(tilt > MIN_TILT_DEG).sum(), views=V, tilt=MIN_TILT_DEG))
     for side, name in enumerate(("left", "right")):
-        empty = empty_cells(seen.pixels[seen.side == side], sizes[side])
+        empty = empty_cells(observations.pixels[observations.side == side], sizes[side])
         if empty:
             messages.append(message("image_part_uncovered", view=name, parts=", ".join(empty)))
     if not final.converged:

@@ -61,13 +61,13 @@ def collect_views(left: Path, right: Path, board: Board, progress: Progress | No
     reads = [source.read([pair[side] for pair in pairs]) for side, source in enumerate(sources)]
     for k, (pair, *images) in enumerate(zip(pairs, *reads, strict=True)):
         name = _name(sources[0], pair[0])
-        found = [_find(find, image) for image in images]
+        corners = [_find(find, image) for image in images]
         for side, image in enumerate(images):
             sizes[side] = _size(sources[side], pair[side], image, sizes[side])
-        if len(found[0]) and len(found[1]) and board.marker is None:
-            found[1] = matching_order(found[0], found[1])
-        if len(found[0]) or len(found[1]):
-            views.append(BoardView(name, found[0], found[1]))
+        if len(corners[0]) and len(corners[1]) and board.marker is None:
+            corners[1] = matching_order(corners[0], corners[1])
+        if len(corners[0]) or len(corners[1]):
+            views.append(BoardView(name, corners[0], corners[1]))
         else:
             empty.append(name)
         if progress:

@@ -133,10 +133,10 @@ def board_detector(board: Board) -> BoardDetector:
 
 def _charuco_detector(board: Board) -> BoardDetector:
     pattern = board.charuco()
-    found = cv2.aruco.CharucoDetector(pattern)
+    detector = cv2.aruco.CharucoDetector(pattern)
 
     def detect(image: Image) -> Corners:
-        pixels, ids, *_ = found.detectBoard(_bytes(image))
+        pixels, ids, *_ = detector.detectBoard(_bytes(image))
         if ids is None or len(ids) < board.min_corners or pattern.checkCharucoCornersCollinear(ids):
             return NO_CORNERS
         order = np.argsort(np.ravel(ids))

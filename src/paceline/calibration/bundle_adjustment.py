@@ -62,8 +62,8 @@ class BundleAdjustment:
         inverse = np.linalg.inv(self.information.sum(0))
         share = inverse @ self.information
         expected = np.trace(share - share @ share, axis1=1, axis2=2).sum()
-        found = np.einsum("vi,ij,vj->", self.scores, inverse, self.scores)
-        return float(found / max(expected, 1e-9))
+        weighted_squares = np.einsum("vi,ij,vj->", self.scores, inverse, self.scores)
+        return float(weighted_squares / max(expected, 1e-9))
 
     @property
     def covariance(self) -> Array:
@@ -79,26 +79,26 @@ class BundleAdjustment:
 
 
 def adjust(
-    rig: RigState, poses: Poses, seen: Observations, free: Indices, weighing: Weighting = "huber"
+    rig: RigState, poses: Poses, observations: Observations, free: Indices, weighing: Weighting = "huber"
 ) -> BundleAdjustment:
-    """Adjusts the rig's ``free`` parameters and all poses to the corners ``seen``, from an approximate start.
+    """Adjusts the rig's ``free`` parameters and all poses to the ``observations``, from an approximate start.
 
     With no free parameters only the poses are fitted. Every view must hold corners, listed in the views' order.
     """
     V, P, damping = len(poses.t), len(free), 1e-3
-    expected, J, Q = project(rig, poses, seen)
-    residuals = seen.pixels - expected
+    expected, J, Q = project(rig, poses, observations)
+    residuals = observations.pixels - expected
     weights, settled = _weights(residuals, weighing), False
     for _ in range(MAX_ADJUSTMENT_STEPS):
-        blocks = _normal_equations(J[..., free], Q, residuals, weights, seen.view, V)
+        blocks = _normal_equations(J[..., free], Q, residuals, weights, observations.view, V)
         cost = _cost(residuals, weights)
         while True:
             step, poses_step = _solve(blocks, damping)
             rig_step = np.zeros(N_RIG)
             rig_step[free] = step
             new_rig, new_poses = rig.updated(rig_step), poses.updated(poses_step)
-            new_expected, new_J, new_Q = project(new_rig, new_poses, seen)
-            new_residuals = seen.pixels - new_expected
+            new_expected, new_J, new_Q = project(new_rig, new_poses, observations)
+            new_residuals = observations.pixels - new_expected
             new_cost = _cost(new_residuals, weights)
             if np.isfinite(new_cost) and new_cost <= cost:
                 break
@@ -114,7 +114,7 @@ def adjust(
             settled = True
             break
         weights = _weights(residuals, weighing)
-    A, B, C, a, b = _normal_equations(J[..., free], Q, residuals, weights, seen.view, V)
+    A, B, C, a, b = _normal_equations(J[..., free], Q, residuals, weights, observations.view, V)
     eliminated = np.linalg.solve(C, np.concatenate([B.transpose(0, 2, 1), b[..., None]], axis=2))
     information, scores = A - B @ eliminated[..., :P], a - (B @ eliminated[..., P:])[..., 0]
     return BundleAdjustment(rig, poses, free, residuals, weights, information, scores, settled)

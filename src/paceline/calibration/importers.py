@@ -93,7 +93,7 @@ def import_rig(files: Sequence[Path], options: ImportOptions) -> tuple[StereoRig
 
 
 def _opencv(texts: dict[Path, str], options: ImportOptions) -> StereoRig:
-    found: dict[str, Array] = {}
+    matrices: dict[str, Array] = {}
     file_names = " and ".join(map(str, texts))
     for file, text in texts.items():
         try:
@@ -103,24 +103,27 @@ def _opencv(texts: dict[Path, str], options: ImportOptions) -> StereoRig:
         for name, names in {**OPENCV_KEYS, "width": WIDTH_KEYS, "height": HEIGHT_KEYS}.items():
             for key in names:
                 node = storage.getNode(key)
-                if not node.empty() and name not in found:
+                if not node.empty() and name not in matrices:
                     scalar = name in ("width", "height")
                     value = node.real() if scalar else node.mat() if node.isMap() else None
                     if value is not None:
-                        found[name] = np.asarray(value, float)
+                        matrices[name] = np.asarray(value, float)
         storage.release()
     for name in ("K1", "K2", "R", "T"):
-        if name not in found:
+        if name not in matrices:
             raise UnusableInput(f"{file_names}: {OPENCV_KEYS[name][0]} is missing; expected M1, D1, M2, D2, R and T")
     size = options.size
-    if "width" in found and "height" in found:
-        size = int(found["width"]), int(found["height"])
+    if "width" in matrices and "height" in matrices:
+        size = int(matrices["width"]), int(matrices["height"])
     lenses = []
     for k in "12":
-        D = found.get(f"D{k}", np.zeros(0))
-        lenses.append(_camera(file_names, f"M{k}", found[f"K{k}"], D.ravel().tolist(), size))
+        D = matrices.get(f"D{k}", np.zeros(0))
+        lenses.append(_camera(file_names, f"M{k}", matrices[f"K{k}"], D.ravel().tolist(), size))
     return StereoRig(
-        lenses[0], lenses[1], _rotation(file_names, "R", found["R"]), _vector(file_names, "T", found["T"], options)
+        lenses[0],
+        lenses[1],
+        _rotation(file_names, "R", matrices["R"]),
+        _vector(file_names, "T", matrices["T"], options),
     )
 
 
@@ -308,13 +311,13 @@ def _vector(file: Path | str, key: str, t: Array, options: ImportOptions) -> Arr
 
 def _array(file: Path | str, key: str, value: Any, shape: tuple[int, ...]) -> Array:
     try:
-        found = np.array(value, float)
+        array = np.array(value, float)
     except (TypeError, ValueError):
-        found = np.full(1, np.nan)
-    if found.size != np.prod(shape) or not np.isfinite(found).all():
+        array = np.full(1, np.nan)
+    if array.size != np.prod(shape) or not np.isfinite(array).all():
         expected = " × ".join(map(str, shape))
         raise UnusableInput(f"{file}: {key}: expected {expected} finite numbers")
-    return found.reshape(shape)
+    return array.reshape(shape)
 
 
 def _matrix(file: Path, info: Mapping[str, Any], keys: Sequence[str], shape: tuple[int, int]) -> Array:

@@ -14,7 +14,7 @@ FOCAL_LENGTH_SHARES = np.geomspace(0.4, 12.0, 30)  # candidates, of the image's 
 UNSOLVED_ERROR_PX = np.inf
 
 
-def initial_rig(sizes: Sequence[tuple[int, int]], seen: Observations, views: int) -> tuple[RigState, Poses]:
+def initial_rig(sizes: Sequence[tuple[int, int]], observations: Observations, views: int) -> tuple[RigState, Poses]:
     """A rig without distortion, and the poses of ``views`` views, each seen by at least one camera.
 
     The focal length of each camera is the one with the least median error over the views, which is robust while most
@@ -23,9 +23,9 @@ def initial_rig(sizes: Sequence[tuple[int, int]], seen: Observations, views: int
     lenses = np.zeros((2, N_LENS))
     poses = []
     for side in (0, 1):
-        lenses[side], found = _initial_lens(sizes[side], seen.where(seen.side == side), views)
-        poses.append(found)
-    R, t = _initial_pose(lenses, poses, seen)
+        lenses[side], side_poses = _initial_lens(sizes[side], observations.where(observations.side == side), views)
+        poses.append(side_poses)
+    R, t = _initial_pose(lenses, poses, observations)
     rig = RigState(lenses, R, t)
     left, right = poses
     not_in_left = np.isnan(left.t[:, 0])  # by the left camera: where the right one sees it
@@ -35,13 +35,13 @@ def initial_rig(sizes: Sequence[tuple[int, int]], seen: Observations, views: int
     )
 
 
-def _initial_lens(size: tuple[int, int], seen: Observations, views: int) -> tuple[Array, Poses]:
-    """A lens (9,) and the poses of the views with it; NaN for views not ``seen``."""
+def _initial_lens(size: tuple[int, int], observations: Observations, views: int) -> tuple[Array, Poses]:
+    """A lens (9,) and the poses of the views with it; NaN for views without corners."""
     best, least = None, np.inf
     for share in FOCAL_LENGTH_SHARES:
         lens = np.zeros(len(LENS_PARAMETERS))
         lens[:4] = share * size[0], share * size[0], (size[0] - 1) / 2, (size[1] - 1) / 2
-        poses, errors = _poses(lens, seen, views)
+        poses, errors = _poses(lens, observations, views)
         middle = float(np.nanmedian(errors))
         if middle < least:
             best, least = (lens, poses), middle
@@ -49,16 +49,16 @@ def _initial_lens(size: tuple[int, int], seen: Observations, views: int) -> tupl
     return best
 
 
-def _poses(lens: Array, seen: Observations, views: int) -> tuple[Poses, Array]:
+def _poses(lens: Array, observations: Observations, views: int) -> tuple[Poses, Array]:
     """Poses of the views and their errors (V,) px, through a lens without distortion."""
     K = np.array([[lens[0], 0, lens[2]], [0, lens[1], lens[3]], [0, 0, 1]])
     R, t, errors = np.full((views, 3, 3), np.nan), np.full((views, 3), np.nan), np.full(views, np.nan)
-    for v in np.unique(seen.view):
-        corners = seen.where(seen.view == v)
-        found, rotations, shifts, error = cv2.solvePnPGeneric(
+    for v in np.unique(observations.view):
+        corners = observations.where(observations.view == v)
+        n_solutions, rotations, shifts, error = cv2.solvePnPGeneric(
             corners.points, corners.pixels, K, np.zeros(0), flags=cv2.SOLVEPNP_IPPE
         )
-        if found:
+        if n_solutions:
             best = int(np.argmin(error))
             R[v], t[v], errors[v] = (
                 cv2.Rodrigues(rotations[best])[0],
@@ -70,12 +70,12 @@ def _poses(lens: Array, seen: Observations, views: int) -> tuple[Poses, Array]:
     return Poses(R, t), errors
 
 
-def _initial_pose(lenses: Array, poses: list[Poses], seen: Observations) -> tuple[Array, Array]:
+def _initial_pose(lenses: Array, poses: list[Poses], observations: Observations) -> tuple[Array, Array]:
     """R and t of the right camera: of those of the single views, the one with the least median error over all views."""
     left, right = poses
     both = np.flatnonzero(np.isfinite(left.t[:, 0]) & np.isfinite(right.t[:, 0]))
     fx, fy, cx, cy = lenses[1, :4]
-    corners = [seen.where((seen.view == v) & (seen.side == 1)) for v in both]
+    corners = [observations.where((observations.view == v) & (observations.side == 1)) for v in both]
     best, least = None, np.inf
     for v in both:
         R = right.R[v] @ left.R[v].T

@@ -31,7 +31,9 @@ class ViewErrors:
     right: Array
 
 
-def select_consistent_views(rig: RigState, poses: Poses, seen: Observations) -> tuple[RigState, Poses, Mask, list[str]]:
+def select_consistent_views(
+    rig: RigState, poses: Poses, observations: Observations
+) -> tuple[RigState, Poses, Mask, list[str]]:
     """The rig fitted to consistent views, all poses, which views (V,) are consistent, and the reason for each other.
 
     Raises UnusableInput where no rig fits most of the views.
@@ -39,11 +41,11 @@ def select_consistent_views(rig: RigState, poses: Poses, seen: Observations) -> 
     V = len(poses.t)
     used, free = np.ones(V, bool), free_parameters(SCREENING_LENS_MODEL)
     for _ in range(MAX_ROUNDS):
-        observations = renumbered(seen, used)
+        used_observations = renumbered(observations, used)
         for parameters in (free_parameters("none"), free):
-            found = adjust(rig, poses.of(np.flatnonzero(used)), observations, parameters, "redescending")
-            rig = found.rig
-        errors, poses = view_errors(rig, poses, seen)
+            adjusted = adjust(rig, poses.of(np.flatnonzero(used)), used_observations, parameters, "redescending")
+            rig = adjusted.rig
+        errors, poses = view_errors(rig, poses, observations)
         agree = ~outliers(errors.joint)
         if np.array_equal(agree, used):
             break
@@ -53,14 +55,17 @@ def select_consistent_views(rig: RigState, poses: Poses, seen: Observations) -> 
     return rig, poses, used, ["" if used[v] else explain_outlier(errors, v, typical_px) for v in range(V)]
 
 
-def view_errors(rig: RigState, poses: Poses, seen: Observations) -> tuple[ViewErrors, Poses]:
+def view_errors(rig: RigState, poses: Poses, observations: Observations) -> tuple[ViewErrors, Poses]:
     """The errors of each view with ``rig``, and the poses that fit best."""
     V = len(poses.t)
-    joint = adjust(rig, poses, seen, NO_PARAMETERS, "redescending")
-    joint_errors = [robust_errors_px(joint.residuals[seen.side == s], seen.view[seen.side == s], V) for s in (0, 1)]
+    joint = adjust(rig, poses, observations, NO_PARAMETERS, "redescending")
+    joint_errors = [
+        robust_errors_px(joint.residuals[observations.side == s], observations.view[observations.side == s], V)
+        for s in (0, 1)
+    ]
     separate = []
     for side in (0, 1):
-        of_side = seen.where(seen.side == side)
+        of_side = observations.where(observations.side == side)
         has_corners = np.isin(np.arange(V), of_side.view)
         f = adjust(
             rig,
@@ -124,7 +129,7 @@ def _check_common_rig(errors: ViewErrors, used: Mask) -> None:
         )
 
 
-def renumbered(seen: Observations, used: Mask) -> Observations:
+def renumbered(observations: Observations, used: Mask) -> Observations:
     """The corners of the ``used`` views (V,), the views renumbered."""
-    remaining = seen.where(used[seen.view])
+    remaining = observations.where(used[observations.view])
     return Observations((np.cumsum(used) - 1)[remaining.view], remaining.side, remaining.points, remaining.pixels)

@@ -36,16 +36,16 @@ def lens_projection(lenses: Array, points: Array) -> tuple[Array, Array, Array]:
     return np.stack([fx * xd + cx, fy * yd + cy], -1), of_lens.transpose(2, 0, 1), of_point.transpose(2, 0, 1)
 
 
-def project(rig: RigState, poses: Poses, seen: Observations) -> tuple[Array, Array, Array]:
+def project(rig: RigState, poses: Poses, observations: Observations) -> tuple[Array, Array, Array]:
     """Predicted pixels (M, 2) of the corners, with derivatives by the rig (M, 2, 24) and by their own view's pose
     (M, 2, 6)."""
-    R, right = poses.R[seen.view], (seen.side == 1)[:, None]
-    in_left = np.einsum("mij,mj->mi", R, seen.points) + poses.t[seen.view]
+    R, right = poses.R[observations.view], (observations.side == 1)[:, None]
+    in_left = np.einsum("mij,mj->mi", R, observations.points) + poses.t[observations.view]
     in_right = in_left @ rig.R.T + rig.t
-    pixels, of_lens, of_point = lens_projection(rig.lenses[seen.side], np.where(right, in_right, in_left))
+    pixels, of_lens, of_point = lens_projection(rig.lenses[observations.side], np.where(right, in_right, in_left))
 
     by_rig = np.zeros((len(pixels), 2, N_RIG))
-    left_side, right_side = seen.side == 0, seen.side == 1
+    left_side, right_side = observations.side == 0, observations.side == 1
     by_rig[left_side, :, :N_LENS] = of_lens[left_side]
     by_rig[right_side, :, N_LENS : 2 * N_LENS] = of_lens[right_side]
     by_rig[right_side, :, POSE_SLICE] = _pose_jacobian(of_point[right_side], in_right[right_side])

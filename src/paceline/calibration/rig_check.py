@@ -122,7 +122,7 @@ def check_rig(rig: StereoRig, matches: SceneMatches) -> RigCheck:
 
 
 @on_one_blas_thread
-def correct_rotation(rig: StereoRig, found: RigCheck) -> RotationCorrection:
+def correct_rotation(rig: StereoRig, check: RigCheck) -> RotationCorrection:
     """``rig`` with its rotation corrected by the scene, and the uncertainty that it then has.
 
     The prior is the rig's calibration. Where the rig has moved, the prior of the rotation is widened: a knock rotates a
@@ -132,16 +132,16 @@ def correct_rotation(rig: StereoRig, found: RigCheck) -> RotationCorrection:
     """
     U = (rig.uncertainty or RigUncertainty()).covariance_root
     prior = U.T @ U
-    if found.moved or not found.states_uncertainty:
-        knock = found.rotation**2 - (np.diag(found.scene_covariance + found.rig_covariance) if found.moved else 0.0)
+    if check.moved or not check.states_uncertainty:
+        knock = check.rotation**2 - (np.diag(check.scene_covariance + check.rig_covariance) if check.moved else 0.0)
         prior[8:11, 8:11] += max(float(knock[[0, 2]].max()), ROTATION_STEP_RAD**2) * np.eye(3)
-    G = found.response
-    S = G @ prior @ G.T + found.scene_covariance
+    G = check.response
+    S = G @ prior @ G.T + check.scene_covariance
     gain = np.zeros((14, 3))
     gain[8:11] = (prior @ G.T @ np.linalg.inv(S))[8:11]
     keep = np.eye(14) - gain @ G
-    posterior = keep @ prior @ keep.T + gain @ found.scene_covariance @ gain.T
-    correction = gain[8:11] @ found.rotation
+    posterior = keep @ prior @ keep.T + gain @ check.scene_covariance @ gain.T
+    correction = gain[8:11] @ check.rotation
     before, after = np.diag(prior)[8:11], np.diag(posterior)[8:11]
     corrected = rotated_rig(rig, correction)
     stated = stated_uncertainty(corrected, posterior)

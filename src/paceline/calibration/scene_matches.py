@@ -46,15 +46,15 @@ def match_scene(recording: StereoRecording, progress: Progress | None = None) ->
     """Points matched between the views of a few frames."""
     chosen = np.unique(np.linspace(0, len(recording) - 1, min(MAX_FRAMES, len(recording))).round().astype(int))
     detector = cv2.SIFT.create(nfeatures=MAX_FEATURES)
-    found, n_done = [], 0
+    matches, n_done = [], 0
     for k in chosen:
         for frame in recording.frames(int(recording.indices[k]), int(recording.indices[k]) + 1):
-            found.append(match_views(recording.rig, detector, frame.left, frame.right))
+            matches.append(match_views(recording.rig, detector, frame.left, frame.right))
             n_done += 1
         if progress:
             progress(n_done, len(chosen))
-    left = np.concatenate([f[0] for f in found]) if found else np.empty((0, 2))
-    right = np.concatenate([f[1] for f in found]) if found else np.empty((0, 2))
+    left = np.concatenate([f[0] for f in matches]) if matches else np.empty((0, 2))
+    right = np.concatenate([f[1] for f in matches]) if matches else np.empty((0, 2))
     across = recording.image_size[0] // TILE_PX + 1
     x, y = np.maximum(left // TILE_PX, 0).astype(np.int64).T
     return SceneMatches(left, right, y * across + x, n_done)

@@ -54,8 +54,8 @@ def relative_speed_change(rig: StereoRig, perturbed: StereoRig, start: Array, en
     """The relative change of the distance from ``start`` (3,) to ``end`` (3,) when the pixels of ``rig`` are
     triangulated with ``perturbed``."""
     ends = np.stack([start, end])
-    found = triangulate(perturbed, *rig.project(ends))
-    return float(np.linalg.norm(found[1] - found[0]) / np.linalg.norm(end - start)) - 1
+    triangulated = triangulate(perturbed, *rig.project(ends))
+    return float(np.linalg.norm(triangulated[1] - triangulated[0]) / np.linalg.norm(end - start)) - 1
 
 
 def _displacements(rig: StereoRig, distance: float, across: float) -> list[tuple[Array, Array]]:

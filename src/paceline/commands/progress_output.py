@@ -87,11 +87,11 @@ def live_line_writer(rig: StereoRig) -> Callable[[RawPair, list[DetectionTrack]]
         if (now := time.monotonic()) < next_time:
             return False
         next_time = now + PICTURE_INTERVAL_S
-        seen: Counter[str] = Counter()
+        lane_counts: Counter[str] = Counter()
         for track in tracks:
             lane = track.first.lane.name
-            seen[lane] += 1
-            name = lane if seen[lane] == 1 else f"{lane} ({seen[lane]})"
+            lane_counts[lane] += 1
+            name = lane if lane_counts[lane] == 1 else f"{lane} ({lane_counts[lane]})"
             outlines = [c.distort_points(o) for c, o in zip(rig.cameras, last_outline(track), strict=True)]
             speed = abs(track.speed)
             _write_line(format_estimate(name, pair.index, pair.time, speed, float("nan"), "seen", outlines))

@@ -66,16 +66,16 @@ def rig_import(
     from paceline.reports.common.output_folder import write_all_or_none
 
     check_rig_file_name(out)
-    found, kind = import_rig(files, ImportOptions(_size(size), METRES_PER_UNIT[unit], _pair(cameras), rectified))
+    imported, kind = import_rig(files, ImportOptions(_size(size), METRES_PER_UNIT[unit], _pair(cameras), rectified))
     comments = [
         f"from {kind}: {', '.join(f.name for f in files)}",
         "it states no uncertainty: see uncertainty in docs/files.md",
     ]
-    write_all_or_none({out: rig_yaml(found, comments).encode()})
-    width, height = found.left.image_size
+    write_all_or_none({out: rig_yaml(imported, comments).encode()})
+    width, height = imported.left.image_size
     print(
-        f"{kind}: {width} × {height} pixels, focal length {found.left.K[0, 0]:.1f} px, cameras {found.baseline:.4f} m "
-        f"apart; {out}"
+        f"{kind}: {width} × {height} pixels, focal length {imported.left.K[0, 0]:.1f} px, "
+        f"cameras {imported.baseline:.4f} m apart; {out}"
     )
     consequence = "speeds will have no systematic part; add it if you know it"
     notice = message("rig_uncertainty_missing", rig=out, consequence=consequence)
@@ -120,23 +120,23 @@ def rig_check(
     if not has_enough_matches(matches):
         print(f"verdict  {message('rig_unchecked', points=len(matches))}")
         return EXIT_NOTHING_MEASURED
-    found = check_rig(document.rig, matches)
-    _print_check(found, matches.frames)
+    check = check_rig(document.rig, matches)
+    _print_check(check, matches.frames)
     if out is not None:
-        corrected = correct_rotation(document.rig, found)
-        comments = [f"rotation refined by {found.matches} points of the scene in {clip.name}"]
+        corrected = correct_rotation(document.rig, check)
+        comments = [f"rotation refined by {check.matches} points of the scene in {clip.name}"]
         write_all_or_none({out: rig_yaml(corrected.rig, comments).encode()})
         _print_refinement(corrected, out)
         return EXIT_DONE
-    return EXIT_NOTHING_MEASURED if found.moved else EXIT_DONE
+    return EXIT_NOTHING_MEASURED if check.moved else EXIT_DONE
 
 
-def _print_check(found: RigCheck, frames: int) -> None:
+def _print_check(check: RigCheck, frames: int) -> None:
     import numpy as np
 
     from paceline.units import COVERAGE_95
 
-    turn, half = np.degrees(found.rotation), np.degrees(COVERAGE_95 * found.std)
+    turn, half = np.degrees(check.rotation), np.degrees(COVERAGE_95 * check.std)
     print_columns(
         [
             ("turned since its calibration", "degrees, 95 %"),
@@ -144,26 +144,26 @@ def _print_check(found: RigCheck, frames: int) -> None:
         ]
     )
     print(
-        f"\n{found.matches} points in {frames} frames, off their epipolar lines by {found.rotation_error_px:.2f} px "
-        f"(rms) by the rotation and {found.residual_px:.2f} px besides"
+        f"\n{check.matches} points in {frames} frames, off their epipolar lines by {check.rotation_error_px:.2f} px "
+        f"(rms) by the rotation and {check.residual_px:.2f} px besides"
     )
-    print(f"verdict  {verdict(found)}")
-    if not found.states_uncertainty:
+    print(f"verdict  {verdict(check)}")
+    if not check.states_uncertainty:
         consequence = "every difference counts as a movement"
         notice = message("rig_uncertainty_missing", rig="the rig", consequence=consequence)
         print(f"note: {notice}", file=sys.stderr)
 
 
-def verdict(found: RigCheck) -> str:
+def verdict(check: RigCheck) -> str:
     """One line on whether the rig stands as it was calibrated."""
     from paceline.calibration.rig_check import SIGNIFICANCE_LEVEL
 
-    if not found.moved:
-        return f"the rig stands as calibrated; the scene agrees (chance of so large a difference: {found.p_value:.2g})"
+    if not check.moved:
+        return f"the rig stands as calibrated; the scene agrees (chance of so large a difference: {check.p_value:.2g})"
     return message(
-        "rig_moved" if found.states_uncertainty else "rig_differs_from_file",
-        offset_px=found.rotation_error_px,
-        chance=found.p_value,
+        "rig_moved" if check.states_uncertainty else "rig_differs_from_file",
+        offset_px=check.rotation_error_px,
+        chance=check.p_value,
         min_chance=SIGNIFICANCE_LEVEL,
     )
 

@@ -37,8 +37,8 @@ def simulate_speed(scene: Scene, out: Out, samples: Samples = None, seed: Seed =
     from paceline.simulation.raytraced.named_scenes import speed_scene
     from paceline.simulation.raytraced.scene_yaml import load_speed_scene
 
-    found = speed_scene(scene) or load_speed_scene(_file(scene, "speed"))
-    return _render(_changed(found, samples, seed), out, quiet)
+    model = speed_scene(scene) or load_speed_scene(_file(scene, "speed"))
+    return _render(_changed(model, samples, seed), out, quiet)
 
 
 @simulate.command("follow")
@@ -47,8 +47,8 @@ def simulate_follow(scene: Scene, out: Out, samples: Samples = None, seed: Seed 
     from paceline.simulation.raytraced.named_scenes import follow_scene
     from paceline.simulation.raytraced.scene_yaml import load_follow_scene
 
-    found = follow_scene(scene) or load_follow_scene(_file(scene, "follow"))
-    return _render(_changed(found, samples, seed), out, quiet)
+    model = follow_scene(scene) or load_follow_scene(_file(scene, "follow"))
+    return _render(_changed(model, samples, seed), out, quiet)
 
 
 @simulate.command("list")

@@ -214,13 +214,13 @@ def detector_of(config: Path | None, settings: SpeedSettings) -> Path | None:
     if config is None or file is None:
         return None
     beside_config = config.parent / file
-    found = file if file.exists() and not beside_config.exists() else beside_config
+    path = file if file.exists() and not beside_config.exists() else beside_config
     if settings.detector != str(file):  # as a summary names it, with the digest
         from paceline.detection.onnx_detector import detector_name
 
-        if (name := detector_name(found)) != settings.detector:
-            raise UnusableInput(f"{config}: detector: expected {settings.detector}, found {found.parent / name}")
-    return found
+        if (name := detector_name(path)) != settings.detector:
+            raise UnusableInput(f"{config}: detector: expected {settings.detector}, found {path.parent / name}")
+    return path
 
 
 def _print_result(result: ClipResult, unit: str) -> None:

@@ -65,13 +65,13 @@ def measure_live(
         if not quiet:
             print(text, flush=True)
 
-    def on_result(found: DetectedVehicle, measurement: Measurement | None, reason: Message) -> None:
-        seen_at = live_progress.time_of_day(found.times[0])
+    def on_result(detected: DetectedVehicle, measurement: Measurement | None, reason: Message) -> None:
+        seen_at = live_progress.time_of_day(detected.times[0])
         if measurement is not None:
-            results.add(measurement, found, seen_at)
+            results.add(measurement, detected, seen_at)
         else:
-            results.add_unmeasured(found, seen_at, reason)
-        print_line(_format_vehicle(found, measurement, reason, unit))
+            results.add_unmeasured(detected, seen_at, reason)
+        print_line(_format_vehicle(detected, measurement, reason, unit))
 
     def on_frame(pair: RawPair, tracks: list[DetectionTrack]) -> None:
         results.save()
@@ -137,12 +137,14 @@ class _LiveProgress:
         return datetime.fromtimestamp(self._clock_offset + moment).astimezone().isoformat(timespec="seconds")
 
 
-def _format_vehicle(found: DetectedVehicle, measurement: Measurement | None, reason: Message, unit: SpeedUnit) -> str:
+def _format_vehicle(
+    detected: DetectedVehicle, measurement: Measurement | None, reason: Message, unit: SpeedUnit
+) -> str:
     """The printed line of a vehicle that has passed."""
     from paceline.reports.common.formatting import NO_VALUE, format_speed, format_verdict, rejected_advice
 
-    name = found.vehicle.id if found.vehicle is not None else NO_VALUE
-    prefix = f"{time.strftime('%H:%M:%S')}  {name:<5} {found.path:<8}"
+    name = detected.vehicle.id if detected.vehicle is not None else NO_VALUE
+    prefix = f"{time.strftime('%H:%M:%S')}  {name:<5} {detected.path:<8}"
     if measurement is None:
         return f"{prefix} not measured: {reason}{_advice(reason.advice)}"
     formatted = format_speed(measurement, unit)

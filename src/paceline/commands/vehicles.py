@@ -74,9 +74,9 @@ def _print(search: SearchResult) -> None:
         if f.vehicle is not None:
             distance = float(f.position @ f.position) ** 0.5
             width, height = (f.vehicle.left.max(0) - f.vehicle.left.min(0)).tolist()
-            seen = f"{f.times[0]:.2f} to {f.times[1]:.2f}"
+            period = f"{f.times[0]:.2f} to {f.times[1]:.2f}"
             frame, size = f"frame {f.vehicle.frame}", f"{width:.0f} × {height:.0f} px"
-            rows.append((f.vehicle.id, f.path, seen, frame, f"{distance:.0f} m", size))
+            rows.append((f.vehicle.id, f.path, period, frame, f"{distance:.0f} m", size))
     if len(rows) > 1:
         print_columns(rows)
     for notice in search.notices:

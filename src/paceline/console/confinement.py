@@ -93,15 +93,15 @@ def check_document(root: Path, file: Path) -> None:
 
 def named_files(root: Path, file: Path) -> list[Path]:
     """The document ``file``, its folder and the files that it names, as far as they can be read below ``root``."""
-    found = [file, file.parent]
+    paths = [file, file.parent]
     try:
         others = files_of(file)
-        found += [file.parent / name for name in [*others.values(), *recordings_of(file).values()]]
+        paths += [file.parent / name for name in [*others.values(), *recordings_of(file).values()]]
         if "site" in others:
-            found.append(rig_of_site(_require_inside(root, file, file.parent / others["site"], "site")))
+            paths.append(rig_of_site(_require_inside(root, file, file.parent / others["site"], "site")))
     except UnusableInput:
         pass
-    return found
+    return paths
 
 
 def _check_recording(root: Path, file: Path, path: Path, key: str) -> None:

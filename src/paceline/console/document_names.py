@@ -35,10 +35,10 @@ def read_cached(model: type[M], file: Path) -> M:
         stat = file.stat()
     except (OSError, ValueError):  # the reader reports it
         return read_document(model, file)
-    found = _read_or_message(model, file, stat.st_mtime_ns, stat.st_size)
-    if isinstance(found, str):
-        raise UnusableInput(found)
-    return cast(M, found)
+    content = _read_or_message(model, file, stat.st_mtime_ns, stat.st_size)
+    if isinstance(content, str):
+        raise UnusableInput(content)
+    return cast(M, content)
 
 
 @lru_cache(MAX_CACHED_DOCUMENTS)

@@ -92,12 +92,12 @@ class Library:
 
     def names(self) -> list[str]:
         """The names of the clips, sorted; links, hidden folders and folders inside a clip are skipped."""
-        found = []
+        names = []
         for name in _find_clips(self.root, Path("."), MAX_FOLDER_DEPTH):
-            found.append(name)
-            if len(found) == MAX_CLIPS:
+            names.append(name)
+            if len(names) == MAX_CLIPS:
                 break
-        return sorted(found, key=str.lower)
+        return sorted(names, key=str.lower)
 
     def entry(self, name: str, timeout: float | None = None) -> ClipEntry:
         """The clip ``name``; in the state STATE_BEING_READ where reading it takes longer than ``timeout`` s. Raises

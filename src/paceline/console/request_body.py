@@ -17,12 +17,12 @@ async def read_json(request: Request) -> dict[str, Any]:
     """The JSON object in the body of a request. Raises UnusableInput."""
     body = await read_body(request.stream(), MAX_JSON_BYTES)
     try:
-        found = json.loads(body, parse_constant=_refuse_constant)
+        content = json.loads(body, parse_constant=_refuse_constant)
     except (ValueError, RecursionError) as error:
         raise UnusableInput("the request is not JSON") from error
-    if not isinstance(found, dict):
+    if not isinstance(content, dict):
         raise UnusableInput("the request is not a JSON object")
-    return found
+    return content
 
 
 async def read_body(stream: AsyncIterator[bytes], max_bytes: int) -> bytes:

@@ -123,13 +123,13 @@ def _setup_routes(library: Library) -> APIRouter:
     async def check(clip: str, request: Request) -> dict[str, Any]:
         paths, vehicles = _parse_setup(await read_json(request))
         pictures = await run_in_threadpool(library.frame_cache.stereo, library.file(clip))
-        found = await run_in_threadpool(_check, pictures.clip.rig, json.dumps([paths, vehicles]))
-        seen = [
+        checks = await run_in_threadpool(_check, pictures.clip.rig, json.dumps([paths, vehicles]))
+        visible_vehicles = [
             facts if vehicle.get("frame") in (None, *pictures.frames)
             else {"problem": f"frame {str(vehicle['frame'])[:40]} is not in the recording; outline it in one that is"}
-            for vehicle, facts in zip(vehicles, found["vehicles"], strict=True)
+            for vehicle, facts in zip(vehicles, checks["vehicles"], strict=True)
         ]  # fmt: skip
-        return {**found, "vehicles": seen}
+        return {**checks, "vehicles": visible_vehicles}
 
     @router.post("/api/propose")
     async def propose_other(clip: str, request: Request) -> dict[str, Any]:

@@ -81,9 +81,9 @@ def target_router(library: Library) -> APIRouter:
 
 def _learn_model(library: Library, clip: str, frame: int, box: list[float], width: float, name: str) -> dict[str, Any]:
     pictures = library.frame_cache.chase(library.file(clip))
-    found = learn_model(pictures.camera, pictures.picture(0, frame), frame, box, width, name)
-    validated_target(found["target"])
-    return found
+    learned = learn_model(pictures.camera, pictures.picture(0, frame), frame, box, width, name)
+    validated_target(learned["target"])
+    return learned
 
 
 def _read_model(folder: Path, content: bytes) -> TargetModel:

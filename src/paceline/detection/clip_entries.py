@@ -10,25 +10,25 @@ from paceline.documents.yaml_editing import format_pixels, format_text, insert_b
 from paceline.errors import UnusableInput
 
 
-def with_vehicles(text: str, file: str, rig: StereoRig, found: list[DetectedVehicle]) -> str:
-    """``text`` of a clip.yaml that outlines no vehicle, with those ``found`` added, everything else as it stands.
+def with_vehicles(text: str, file: str, rig: StereoRig, detected: list[DetectedVehicle]) -> str:
+    """``text`` of a clip.yaml that outlines no vehicle, with the vehicles ``detected`` added and the rest unchanged.
 
     Raises UnusableInput where it outlines vehicles already, or is written in a way that cannot be added to.
     """
     before = yaml.safe_load(text)
     if before.get("vehicles"):
         raise UnusableInput(f"{file}: vehicles: some are outlined already; expected none, to be found without a person")
-    added = insert_below(text, "vehicles", lambda indent: _entries(rig, found, indent))
-    new = yaml.safe_load("\n".join(_entries(rig, found, 0))) or None
+    added = insert_below(text, "vehicles", lambda indent: _entries(rig, detected, indent))
+    new = yaml.safe_load("\n".join(_entries(rig, detected, 0))) or None
     after = parse_edited(added)
     if after | {"vehicles": after.get("vehicles")} != before | {"vehicles": new}:
         raise UnusableInput(f"{file}: vehicles: is written in a way that cannot be added to; expected no such key")
     return added
 
 
-def _entries(rig: StereoRig, found: list[DetectedVehicle], indent: int) -> list[str]:
+def _entries(rig: StereoRig, detected: list[DetectedVehicle], indent: int) -> list[str]:
     pad, lines = " " * indent, []
-    for f in found:
+    for f in detected:
         v = f.vehicle
         if v is None:
             continue

@@ -110,11 +110,11 @@ class Detection:
 
     def _warp(self, views: list[list[Image]], s: float, grid: PlaneGrid, origin: Array) -> tuple[Image, Image]:
         move = np.array([[1, 0, origin[0]], [0, 1, origin[1]], [0, 0, 1.0]])
-        found = []
+        images = []
         for levels, corner, H in zip(views, self.crop_origins, self.lane.homographies(s), strict=True):
             to_crop = np.array([[1, 0, -corner[0]], [0, 1, -corner[1]], [0, 0, 1.0]])
-            found.append(warp_to_plane(levels, to_crop @ H @ move, grid))
-        return found[0], found[1]
+            images.append(warp_to_plane(levels, to_crop @ H @ move, grid))
+        return images[0], images[1]
 
 
 def distance_error(lane: LanePath, depth: float, min_m: float, pixels: float) -> float:
@@ -157,7 +157,7 @@ class PlaneSweepDetector:
         volume = _ConsistencyVolume(views, empty, self._fine, self._points, min_contrast)
         coarse, areas = self._coarse_pass(views, empty, min_contrast)
         coarse_is_upright = partial(self._is_upright, coarse, views)
-        found: list[Detection] = []
+        detections: list[Detection] = []
         while len(peaks := self._peaks(areas, coarse_is_upright)):
             best = max((self._climb(volume, COARSE_STRIDE * k) for k in peaks), key=volume.area)
             if volume.area(best) < MIN_AREA_M2:
@@ -172,12 +172,12 @@ class PlaneSweepDetector:
             lane = self._planes[index][0]
             detection = self._detection(frame, background, lane, s, consistency, component, upright)
             if first < index < end - 1:  # at an end of the lane path the true maximum may lie beyond it
-                found.append(detection)
+                detections.append(detection)
             mask = volume.mask_vehicle(detection, self.rows.start, self._max_height)
             for k in np.flatnonzero(areas).tolist():
                 self._upright[k].clear_masked(coarse[k], mask.at(COARSE_STRIDE * k))
                 areas[k] = _area(coarse[k], COARSE_GRID)
-        return found
+        return detections
 
     def _coarse_pass(
         self, views: Pyramids, background: Pyramids, min_contrast: float
@@ -214,8 +214,8 @@ class PlaneSweepDetector:
         while True:
             previous, following = np.append(0.0, areas[:-1]), np.append(areas[1:], 0.0)
             least = max(MIN_COARSE_AREA_M2, MIN_PEAK_RATIO * float(areas.max()))
-            found = np.flatnonzero((areas >= previous) & (areas >= following) & (areas >= least))
-            peaks = [int(k) for k in found[np.argsort(-areas[found])][:MAX_PEAKS]]
+            peak_indices = np.flatnonzero((areas >= previous) & (areas >= following) & (areas >= least))
+            peaks = [int(k) for k in peak_indices[np.argsort(-areas[peak_indices])][:MAX_PEAKS]]
             not_upright = [k for k in peaks if not is_upright(k)]
             if not not_upright:
                 return peaks

@@ -36,39 +36,39 @@ REFIT_STEPS = 2  # of a fit that starts from that of the outline before
 
 def select_height(
     face: PlanarFace,
-    seen: list[AlignedDetection],
+    detections: list[AlignedDetection],
     is_clear: Callable[[PlanarFace], bool],
     driver: DriverSettings = DEFAULTS.driver,
 ) -> PlanarFace:
-    """``face`` cut at its top: the lowest outline that ``is_clear`` and with which the speed in the frames ``seen``, in
-    order of time, is known nearly as well as with any."""
+    """``face`` cut at its top: the lowest outline that ``is_clear`` and whose speed over the ``detections``, in order
+    of time, has nearly the smallest standard deviation."""
     low, high = face.y
     tops = np.arange(high - HEIGHT_STEP_M, low + MIN_HEIGHT_M, -HEIGHT_STEP_M).tolist()
     lower = [replace(face, y=(low, top)) for top in tops]
     outlines = [face, *filter(is_clear, lower)]
-    if len(outlines) == 1 or len(seen) < DEFAULT_LIMITS.min_frames:
+    if len(outlines) == 1 or len(detections) < DEFAULT_LIMITS.min_frames:
         return face
-    stds = _speed_stds(outlines, seen, driver)
+    stds = _speed_stds(outlines, detections, driver)
     return outlines[int(np.flatnonzero(stds <= MAX_STD_RATIO * stds.min())[-1])]
 
 
-def _speed_stds(outlines: list[PlanarFace], seen: list[AlignedDetection], driver: DriverSettings) -> Array:
+def _speed_stds(outlines: list[PlanarFace], detections: list[AlignedDetection], driver: DriverSettings) -> Array:
     """The standard deviations of the mean speed, m/s, due to pixel noise, with each of the ``outlines`` in the frames
-    ``seen``; only those of the first ones where the others are far worse."""
-    keyframes = [_keyframe(outlines[0], aligned) for aligned in seen]
-    found: list[float] = []
+    ``detections``; only those of the first ones where the others are far worse."""
+    keyframes = [_keyframe(outlines[0], aligned) for aligned in detections]
+    stds: list[float] = []
     try:
-        trajectory, speed = _initial_trajectory(keyframes, seen, driver)
+        trajectory, speed = _initial_trajectory(keyframes, detections, driver)
         fit = PhotometricFit(trajectory, keyframes, prior(trajectory, speed))
-        found.append(fit.noise_std)
+        stds.append(fit.noise_std)
         for face in outlines[1:]:
-            if found[-1] > MAX_STD_RATIO_STOP * min(found) or found[0] > MAX_SPEED_STD_RATIO * speed:
+            if stds[-1] > MAX_STD_RATIO_STOP * min(stds) or stds[0] > MAX_SPEED_STD_RATIO * speed:
                 break
-            fit = fit.on_outline(_outline_pixels(face, seen[0])[0], REFIT_STEPS)
-            found.append(fit.noise_std)
+            fit = fit.on_outline(_outline_pixels(face, detections[0])[0], REFIT_STEPS)
+            stds.append(fit.noise_std)
     except np.linalg.LinAlgError:
         pass  # an outline that does not determine the motion: the whole one is kept, or the best of those fitted so far
-    return np.array(found or [0.0])
+    return np.array(stds or [0.0])
 
 
 def _outline_pixels(face: PlanarFace, aligned: AlignedDetection) -> Array:
@@ -82,12 +82,12 @@ def _keyframe(face: PlanarFace, aligned: AlignedDetection) -> Keyframe:
 
 
 def _initial_trajectory(
-    keyframes: list[Keyframe], seen: list[AlignedDetection], driver: DriverSettings
+    keyframes: list[Keyframe], detections: list[AlignedDetection], driver: DriverSettings
 ) -> tuple[Trajectory, float]:
     """The outline of the first keyframe moved along its lane, and its speed, m/s."""
-    lane, (left, right) = seen[0].detection.lane, keyframes[0].quads
+    lane, (left, right) = detections[0].detection.lane, keyframes[0].quads
     times = np.array([k.times for k in keyframes]) - keyframes[0].times[0]
-    speed = theil_sen_slope(*face_positions(seen))
+    speed = theil_sen_slope(*face_positions(detections))
     path = lane.path if speed > 0 else lane.path.reversed()
     document = VehicleDocument("", lane.name, keyframes[0].frame, left, right, "front", None)
     plane = plane_from_outlines(lane.rig, document, path, OUTLINE_STD_PX)

@@ -108,7 +108,7 @@ class VehicleFinder:
 
     def _outline_new(self, tracks: list[DetectionTrack]) -> list[DetectedVehicle]:
         both = [(track, outline(track, self._configuration)) for track in tracks]
-        return [found for track, found in both if self._duplicates.is_new(track, found)]
+        return [detected for track, detected in both if self._duplicates.is_new(track, detected)]
 
     def finished_tracks(self, frame: StereoFrame) -> list[DetectionTrack]:
         """As `process`, but the tracks only, for which `outline` has yet to find what can be measured: that takes
@@ -139,11 +139,11 @@ class DuplicateFilter:
     def __init__(self) -> None:
         self._recent: deque[DetectionTrack] = deque(maxlen=RECENT_VEHICLES)
 
-    def is_new(self, track: DetectionTrack, found: DetectedVehicle) -> bool:
-        """Whether the vehicle ``found`` on a ``track`` is none of those; one with an outline is added to them."""
+    def is_new(self, track: DetectionTrack, detected: DetectedVehicle) -> bool:
+        """Whether the vehicle ``detected`` on a ``track`` is none of those; one with an outline is added to them."""
         if any(track.same_vehicle(other) for other in self._recent):
             return False
-        if found.vehicle is not None:
+        if detected.vehicle is not None:
             self._recent.append(track)
         return True
 
@@ -193,11 +193,11 @@ def outline(track: DetectionTrack, configuration: SpeedConfiguration = DEFAULTS)
     """The vehicle of a ``track`` with its outline in the first frame that shows it well; where all detections give
     none, from the nearer half, because farther away another vehicle may hide most of it."""
     detections = with_visible_face(track)
-    found = _outline_from(track, detections, configuration)
-    if found.vehicle is not None or not detections:
-        return found
+    detected = _outline_from(track, detections, configuration)
+    if detected.vehicle is not None or not detections:
+        return detected
     nearer = _outline_from(track, nearer_half(detections), configuration)
-    return found if nearer.vehicle is None else nearer
+    return detected if nearer.vehicle is None else nearer
 
 
 def _outline_from(
@@ -214,11 +214,13 @@ def _outline_from(
         return without_outline(track, reason)
     similarities = similarity(face, clear)
     first = clear[int(np.argmax(similarities >= MIN_SIMILARITY_RATIO * np.median(similarities)))]
-    seen = inliers[inliers.index(first) :]
-    face = select_height(face, seen, partial(_is_clear, aligned=first, min_size=min_size), configuration.driver)
+    later_detections = inliers[inliers.index(first) :]
+    face = select_height(
+        face, later_detections, partial(_is_clear, aligned=first, min_size=min_size), configuration.driver
+    )
     detection = first.detection
     left, right = detection.lane.pixels(first.s, face.corners(first))
-    speed = initial_speed(seen, configuration.start.speed_range[0])
+    speed = initial_speed(later_detections, configuration.start.speed_range[0])
     document = VehicleDocument("", detection.lane.name, detection.frame, left, right, "front", speed)
     return replace(
         without_outline(track, NO_REASON),
@@ -244,10 +246,10 @@ def motion_inliers(aligned: list[AlignedDetection]) -> list[AlignedDetection]:
     return [a for a, residual in zip(aligned, best, strict=True) if abs(residual) <= 1]
 
 
-def initial_speed(seen: list[AlignedDetection], slowest: float = DEFAULTS.start.speed_range[0]) -> float | None:
-    """A first guess of the speed, m/s, from the first half of the frames ``seen``; None where these are too few, or it
+def initial_speed(detections: list[AlignedDetection], slowest: float = DEFAULTS.start.speed_range[0]) -> float | None:
+    """A first guess of the speed, m/s, from the first half of the ``detections``; None where these are too few, or it
     is below ``slowest``."""
-    first_detections = seen[: max(MIN_DETECTIONS, len(seen) // 2)]
+    first_detections = detections[: max(MIN_DETECTIONS, len(detections) // 2)]
     if len(first_detections) < MIN_DETECTIONS:
         return None
     speed = round(abs(theil_sen_slope(*face_positions(first_detections))), 1)

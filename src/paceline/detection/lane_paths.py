@@ -110,7 +110,7 @@ def lane_paths_of(clip: Clip, line_sigma: float = DEFAULTS.line_sigma) -> list[L
     depends on the direction of travel; where the lines on both sides of a lane give the same path twice, the one of the
     line drawn in its direction is kept. ``line_sigma`` px is the noise of a drawn point. Raises
     UnusableInput for a path that its drawing does not determine."""
-    found, reversed_paths = [], []
+    lanes, reversed_paths = [], []
     for name, document in clip.paths.items():
         try:
             path = path_from_document(document, clip.rig, sigma=line_sigma)
@@ -118,14 +118,14 @@ def lane_paths_of(clip: Clip, line_sigma: float = DEFAULTS.line_sigma) -> list[L
             raise UnusableInput(f"{clip.path}: {unusable}") from None
         offset = document.lateral_offset
         if abs(offset) <= COINCIDENCE_M:
-            found.append(LanePath(name, clip.rig, path.shifted(offset)))
+            lanes.append(LanePath(name, clip.rig, path.shifted(offset)))
         else:
-            found.append(LanePath(name, clip.rig, path.shifted(offset)))
+            lanes.append(LanePath(name, clip.rig, path.shifted(offset)))
             reversed_paths.append(LanePath(name, clip.rig, path.reversed().shifted(offset)))
     for lane in reversed_paths:
-        if not any(lane.coincides_with(other) for other in found):
-            found.append(lane)
-    return found
+        if not any(lane.coincides_with(other) for other in lanes):
+            lanes.append(lane)
+    return lanes
 
 
 @dataclass(frozen=True)

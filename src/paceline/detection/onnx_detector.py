@@ -143,8 +143,8 @@ def detector_name(file: Path) -> str:
 def _digest(file: Path) -> str:
     """The SHA-256 of a ``file``."""
     if not file.is_file():
-        found = "is no file" if file.exists() else "no such file"
-        raise UnusableInput(f"{file}: {found}; expected a detector in the ONNX format")
+        problem = "is no file" if file.exists() else "no such file"
+        raise UnusableInput(f"{file}: {problem}; expected a detector in the ONNX format")
     try:
         with file.open("rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
@@ -163,9 +163,9 @@ def _names(text: str) -> dict[int, str] | None:
         return None
 
 
-def _shapes(described: list[NodeArg], found: Outputs | None = None) -> str:
-    """The names, shapes and types of inputs or outputs, those ``found`` where they are known."""
-    shapes = [(n.shape, n.type[7:-1]) for n in described] if found is None else [(o.shape, o.dtype) for o in found]
+def _shapes(described: list[NodeArg], outputs: Outputs | None = None) -> str:
+    """The names, shapes and types of inputs or outputs, those ``outputs`` where they are known."""
+    shapes = [(n.shape, n.type[7:-1]) for n in described] if outputs is None else [(o.shape, o.dtype) for o in outputs]
     descriptions = [
         f"{n.name} ({', '.join(map(str, s))}) {kind}" for n, (s, kind) in zip(described, shapes, strict=True)
     ]

@@ -58,7 +58,7 @@ def output_layout(outputs: Outputs, size: tuple[int, int]) -> OutputLayout | Non
     if not all(np.issubdtype(output.dtype, np.number) for output in outputs):
         return None
     if len(outputs) == 3 and (order := _list_order(outputs)):
-        return OutputLayout(lambda found: _from_lists(*(found[k] for k in order)))
+        return OutputLayout(lambda arrays: _from_lists(*(arrays[k] for k in order)))
     tables = [k for k, output in enumerate(outputs) if output.ndim == 3 and len(output) == 1]
     if len(tables) != 1:
         return None
@@ -66,21 +66,21 @@ def output_layout(outputs: Outputs, size: tuple[int, int]) -> OutputLayout | Non
     _, rows, columns = outputs[index].shape
     cells = sum((size[0] // stride) * (size[1] // stride) for stride in CELL_STRIDES_PX)
     if columns == 6 and rows < cells:
-        return OutputLayout(lambda found: _from_rows(_table(found, index)))
+        return OutputLayout(lambda arrays: _from_rows(_table(arrays, index)))
     if 5 <= rows < columns:
-        return OutputLayout(lambda found: _from_class_scores(_table(found, index).T), classes=rows - 4)
+        return OutputLayout(lambda arrays: _from_class_scores(_table(arrays, index).T), classes=rows - 4)
     if not 6 <= columns < rows:
         return None
     if rows != cells:
-        return OutputLayout(lambda found: _from_objectness(_table(found, index)), classes=columns - 5)
+        return OutputLayout(lambda arrays: _from_objectness(_table(arrays, index)), classes=columns - 5)
     table, grid = _table(outputs, index), _cell_grid(size)  # a row for each cell, as YOLOX and YOLOv6 have it
     if table[:, 2:4].min() < 0:  # logarithms of sizes, and places in the cell: as YOLOX leaves them
         return OutputLayout(
-            lambda found: _from_objectness(_decode_cells(_table(found, index), grid)), 255.0, columns - 5
+            lambda arrays: _from_objectness(_decode_cells(_table(arrays, index), grid)), 255.0, columns - 5
         )
     has_constant_objectness = table[:, 4].min() > MIN_CONSTANT_OBJECTNESS  # only that of YOLOv6, 1 everywhere
     white = 1.0 if has_constant_objectness else 255.0
-    return OutputLayout(lambda found: _from_objectness(_table(found, index)), white, columns - 5)
+    return OutputLayout(lambda arrays: _from_objectness(_table(arrays, index)), white, columns - 5)
 
 
 def vehicle_classes(names: dict[int, str] | None, count: int | None) -> Array | None:

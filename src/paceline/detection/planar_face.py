@@ -117,8 +117,8 @@ def find_face(detections: list[Detection]) -> PlanarFace | None:
         _face_within((-half, half), (FACE_GRID.bottom, share * top), detections, reference)
         for share in FIRST_TOP_SHARES
     ]
-    found = [face for face in faces if face is not None]
-    return max(found, key=lambda face: face.score * len(face.aligned), default=None)
+    valid_faces = [face for face in faces if face is not None]
+    return max(valid_faces, key=lambda face: face.score * len(face.aligned), default=None)
 
 
 def _face_within(x: Span, y: Span, detections: list[Detection], reference: Detection) -> PlanarFace | None:
@@ -200,15 +200,15 @@ def _align(detections: list[Detection], reference: Detection, x: Span, y: Span) 
     offset = float(np.clip(s - reference.s, -SEARCH_RANGE_M_PX[0], SEARCH_RANGE_M_PX[0]))
     first = AlignedDetection(reference, s, np.array([reference.lateral_offset, 0.0]), 1.0)
     template = first.warp()[0][rows, columns]
-    start, found = detections.index(reference), [first]
+    start, aligned = detections.index(reference), [first]
     for others in (detections[start + 1 :], detections[:start][::-1]):
         previous = first
         for detection in others:
             candidate = _register(detection, template, rows, columns, previous.origin_on(detection.lane), offset)
             if candidate.score >= MIN_TEMPLATE_NCC:
-                found.append(candidate)
+                aligned.append(candidate)
                 previous = candidate
-    return sorted(found, key=lambda candidate: candidate.detection.frame)
+    return sorted(aligned, key=lambda candidate: candidate.detection.frame)
 
 
 def _stereo_position(detection: Detection, rows: slice, columns: slice) -> float | None:
@@ -216,12 +216,12 @@ def _stereo_position(detection: Detection, rows: slice, columns: slice) -> float
     the one with a far better NCC, because the wide glow about lamps agrees at any distance. None at an end of the
     search range."""
     origin, reach = np.array([detection.lateral_offset, 0.0]), detection.distance_error(*SEARCH_RANGE_M_PX)
-    ahead, found = np.linspace(-reach, reach, SEARCH_STEPS), []
+    ahead, scores = np.linspace(-reach, reach, SEARCH_STEPS), []
     for s in detection.s + ahead:
         left, right = (LocalStatistics(image, NCC_WINDOW) for image in detection.warp(float(s), FACE_GRID, origin))
         area = (photo_consistency(left, right) * _texture_weight(left))[rows, columns].sum()
-        found.append((area, _ncc(left.image[rows, columns], right.image[rows, columns])))
-    areas, correlations = np.array(found, float).T
+        scores.append((area, _ncc(left.image[rows, columns], right.image[rows, columns])))
+    areas, correlations = np.array(scores, float).T
     best, heights = int(np.argmax(areas)), areas
     candidates = np.where(areas >= MIN_SHARP_AREA_RATIO * areas[best], correlations, -1.0)
     sharp = int(np.argmax(candidates))
@@ -252,7 +252,7 @@ def _register(
     """Where both views of ``detection`` match the ``template`` best: preferably at the height of ``origin``, which it
     has in a neighbouring frame, and about ``offset`` metres past the detection."""
     along, reach = detection.distance_error(*SEARCH_RANGE_M_PX), round(MAX_SHIFT_M / FACE_GRID.cell)
-    relative_offset, found, moves = np.linspace(-1.0, 1.0, SEARCH_STEPS), [], []
+    relative_offset, shift_scores, moves = np.linspace(-1.0, 1.0, SEARCH_STEPS), [], []
     ahead = offset + along * relative_offset
     penalty = HEIGHT_PENALTY_NCC * np.linspace(-1.0, 1.0, 2 * reach + 1, dtype=np.float32)[:, None] ** 2
     for s in detection.s + ahead:
@@ -261,9 +261,9 @@ def _register(
         ncc = 0.5 * (left + right)
         penalised = ncc - penalty
         peak = np.unravel_index(int(np.argmax(penalised)), penalised.shape)
-        found.append((ncc[peak], penalised[peak]))
+        shift_scores.append((ncc[peak], penalised[peak]))
         moves.append(_subpixel(penalised, peak) - reach)
-    scores, preferred = np.array(found, float).T
+    scores, preferred = np.array(shift_scores, float).T
     preferred -= DISTANCE_PENALTY_NCC * relative_offset**2
     best = int(np.argmax(preferred))
     s = detection.s + ahead[best] + parabola_peak_at(preferred, best) * (ahead[1] - ahead[0])
@@ -314,12 +314,12 @@ def _best_face(aligned: list[AlignedDetection], reference: Detection) -> PlanarF
     for threshold in NCC_THRESHOLDS:
         scores = _cell_scores(ncc, weight, threshold)
         scores[FACE_GRID.y > highest] = -1.0
-        found = best_rectangle(scores[::COARSE_CELLS, ::COARSE_CELLS], height, widths, middle)
-        if found is not None:
+        rectangle = best_rectangle(scores[::COARSE_CELLS, ::COARSE_CELLS], height, widths, middle)
+        if rectangle is not None:
             break
     else:
         return None
-    top, bottom, left, right = (COARSE_CELLS * k for k in found)
+    top, bottom, left, right = (COARSE_CELLS * k for k in rectangle)
     x = FACE_GRID.x[[left, min(right, len(FACE_GRID.x)) - 1]]
     y = FACE_GRID.y[[min(bottom, len(FACE_GRID.y)) - 1, top]]
     part = np.s_[top:bottom, left:right]

@@ -134,12 +134,12 @@ class DetectionTrack:
     def _observations(self, lane: LanePath, start: float, end: float) -> Array:
         """Times, arc lengths on ``lane``, errors and lateral offsets (4, N) of the detections from ``start`` to
         ``end``."""
-        found = []
+        observations = []
         for time, position, error in zip(self.times, self.positions, self.errors, strict=True):
             if start <= time <= end:
                 s, offset, _ = lane.plane_coordinates(position)
-                found.append((time, s, error, offset))
-        return np.array(found).T
+                observations.append((time, s, error, offset))
+        return np.array(observations).T
 
     def is_predictable(self, time: float) -> bool:
         """Whether the position at ``time`` is predicted well enough to associate a detection without a comparison of

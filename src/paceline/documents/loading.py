@@ -257,9 +257,9 @@ def _path(file: Path, rig: StereoRig, name: str, m: PathModel) -> PathDocument:
         _refuse(file, f"{key}.points", plausibility.check_path_points(m.points))
         return PathDocument(name, m.shape, None, None, m.lateral_offset, m.points)
     if m.left is None or m.right is None:
-        seen = [side for side, drawn in (("left", m.left), ("right", m.right)) if drawn is not None]
-        found = f"drawn in the {seen[0]} view only" if seen else "not drawn"
-        raise UnusableInput(f"{file}: {key}: {found}; expected the same road line in both views, or points")
+        drawn_sides = [side for side, drawn in (("left", m.left), ("right", m.right)) if drawn is not None]
+        problem = f"drawn in the {drawn_sides[0]} view only" if drawn_sides else "not drawn"
+        raise UnusableInput(f"{file}: {key}: {problem}; expected the same road line in both views, or points")
     for side, drawn in (("left", m.left), ("right", m.right)):
         _refuse(file, f"{key}.{side}", plausibility.check_drawing(drawn, m.shape))
     left, right = rig.left.undistort_points(m.left), rig.right.undistort_points(m.right)

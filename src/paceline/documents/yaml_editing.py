@@ -19,10 +19,10 @@ def insert_below(text: str, name: str, entries: Callable[[int], list[str]]) -> s
     root = yaml.compose(text)
     assert isinstance(root, yaml.MappingNode), "a document that was read is a mapping"
     lines = text.splitlines()
-    found = {key.value: (key, value) for key, value in root.value}
-    if name not in found:
+    entries_by_key = {key.value: (key, value) for key, value in root.value}
+    if name not in entries_by_key:
         return "\n".join([*lines, f"{name}:", *entries(2)]) + "\n"
-    key, value = found[name]
+    key, value = entries_by_key[name]
     if isinstance(value, yaml.MappingNode) and value.value and not value.flow_style:
         indent = value.value[0][0].start_mark.column
         last = value.value[-1][1].end_mark
@@ -39,10 +39,10 @@ def insert_below(text: str, name: str, entries: Callable[[int], list[str]]) -> s
 def parse_edited(text: str) -> dict[str, Any]:
     """What ``text`` holds after something was added to it; empty where it is no YAML any more."""
     try:
-        found: dict[str, Any] = yaml.safe_load(text)
+        document: dict[str, Any] = yaml.safe_load(text)
     except yaml.YAMLError:
         return {}
-    return found
+    return document
 
 
 def _is_outer_comment(line: str, indent: int) -> bool:
@@ -89,11 +89,11 @@ def set_values(text: str, file: str, values: Plain) -> str:
 
 def _set_value(text: str, key: str, value: object) -> str:
     root = yaml.compose(text)
-    found = {k.value: (k, v) for k, v in root.value} if isinstance(root, yaml.MappingNode) else {}
+    entries_by_key = {k.value: (k, v) for k, v in root.value} if isinstance(root, yaml.MappingNode) else {}
     line = f"{key}: {format_flow(value)}"
-    if key not in found:
+    if key not in entries_by_key:
         return f"{text.rstrip()}\n{line}\n"
-    name, old = found[key]
+    name, old = entries_by_key[key]
     end = old.end_mark.index
     if isinstance(old, yaml.CollectionNode) and not old.flow_style:  # it ends where the next key begins
         end = old.start_mark.index + len(_own_lines(text[old.start_mark.index : end]))

@@ -54,12 +54,12 @@ class Lane:
 
 def road_lines(road: RoadModel) -> list[RoadLine]:
     """The lines of a road, from left to right, numbered from 1."""
-    found = []
+    lines = []
     for k, (curve, line) in enumerate(zip(road.curves, road.lines, strict=True)):
         s = np.linspace(*line.span, 60)
         points = road.surface.points(road.alignment.to_ground(s, lateral_offset(curve, s)))
-        found.append(RoadLine(str(k + 1), line.kind, points, _lateral_std(road, k, s)))
-    return found
+        lines.append(RoadLine(str(k + 1), line.kind, points, _lateral_std(road, k, s)))
+    return lines
 
 
 def _lateral_std(road: RoadModel, k: int, s: Array) -> Array:

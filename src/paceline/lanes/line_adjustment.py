@@ -117,7 +117,7 @@ def _gauss_newton(rig: StereoRig, first: RoadSurface, alignment: Alignment, line
     """Gauss–Newton over the surface's heights, the alignment's deviation and the lines' own curves at once, robust
     against single stretches. The alignment may change freely, as on another surface it looks different; the lines of a
     road are parallel but for `PARALLEL`."""
-    seen = Observations.of(lines)
+    observations = Observations.of(lines)
     count = 6 + CURVE_TERMS - 1 + (DETECTION_DEGREE + 1) * len(lines)
     spread = np.concatenate(
         [
@@ -127,13 +127,13 @@ def _gauss_newton(rig: StereoRig, first: RoadSurface, alignment: Alignment, line
         ]
     )
     surface, expected = first, np.concatenate([first.heights, np.zeros(count - 6)])
-    weight, first_column = np.ones(len(seen.line)), 5 + CURVE_TERMS + (DETECTION_DEGREE + 1) * seen.line
+    weight, first_column = np.ones(len(observations.line)), 5 + CURVE_TERMS + (DETECTION_DEGREE + 1) * observations.line
     for _ in range(GAUSS_NEWTON_STEPS):
-        s, d = seen.road_coordinates(rig, surface, alignment)
+        s, d = observations.road_coordinates(rig, surface, alignment)
         usable = np.isfinite(s) & np.isfinite(d)
         s, d = np.where(usable, s, 0.0), np.where(usable, d, 0.0)
         sigma = _segment_std(rig, surface, alignment, s)
-        rise = _shift_per_height(rig, surface, alignment, s, d, seen.side)
+        rise = _shift_per_height(rig, surface, alignment, s, d, observations.side)
         J = np.zeros((len(s), count))
         J[:, :6] = -rise[:, None] * surface.basis(alignment.to_ground(s, d))
         powers = (s[:, None] / UNIT_M) ** np.arange(CURVE_TERMS)
@@ -194,12 +194,12 @@ def _shift_per_height(
 def _elevation(rig: StereoRig, surface: RoadSurface, alignment: Alignment, line: LaneLine, curve: Array) -> float:
     """Height of a line, which runs about along ``curve``, above ``surface`` in metres, from its parallax; infinite
     where this does not determine it."""
-    seen = Observations.of([line])
-    s, d = seen.road_coordinates(rig, surface, alignment)
+    observations = Observations.of([line])
+    s, d = observations.road_coordinates(rig, surface, alignment)
     usable = np.isfinite(s)
     if usable.sum() < DETECTION_DEGREE + 3:
         return np.inf
-    s, d, side = s[usable], d[usable], seen.side[usable]
+    s, d, side = s[usable], d[usable], observations.side[usable]
     sigma = _segment_std(rig, surface, alignment, s)
     rise = _shift_per_height(rig, surface, alignment, s, d, side)
     J = np.column_stack([-rise, (s[:, None] / UNIT_M) ** np.arange(DETECTION_DEGREE + 1)]) / sigma[:, None]

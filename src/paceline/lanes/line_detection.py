@@ -90,13 +90,13 @@ def detect_lines(
             for other in curves
         ) and len(s):
             curves.append(curve)
-    found = []
+    lines = []
     for curve in curves:
         if all(_is_line(h, curve) for h in views):
             left, right = (_segment_pixels(rig, surface, alignment, side, views[side], curve) for side in (0, 1))
             if min(len(left), len(right)) >= 3:
-                found.append(LaneLine(curve, left, right, _painted_share(roads, views, curve), _span(views, curve)))
-    return sorted(found, key=lambda line: line.curve[0])
+                lines.append(LaneLine(curve, left, right, _painted_share(roads, views, curve), _span(views, curve)))
+    return sorted(lines, key=lambda line: line.curve[0])
 
 
 def _peaks(samples: PaintSamples) -> list[float]:
@@ -170,7 +170,7 @@ def _segment_pixels(
     s, d, length = (values[inliers][order] for values in (samples.s, samples.d, samples.length))
     points = surface.points(alignment.to_ground(s, d))
     pixels = rig.cameras[side].project(points if side == 0 else rig.to_right(points))
-    found, first = [], 0
+    segments, first = [], 0
     for k in range(1, len(s) + 1):
         if k < len(s):
             length_px, metres = np.linalg.norm(pixels[k] - pixels[first]), s[k] - s[first]
@@ -182,10 +182,10 @@ def _segment_pixels(
         consistent = scatter < 0.06 + 3 * np.median(scatter)
         if consistent.sum() >= 2:
             middle = np.asarray(np.average(s[in_segment], weights=length[in_segment] * consistent))
-            found.append(
+            segments.append(
                 (middle, lateral_offset(curve, middle) + np.average(offsets, weights=length[in_segment] * consistent))
             )
         first = k
-    middles = np.array(found).reshape(-1, 2)
+    middles = np.array(segments).reshape(-1, 2)
     points = surface.points(alignment.to_ground(middles[:, 0], middles[:, 1]))
     return rig.cameras[side].project(points if side == 0 else rig.to_right(points))

@@ -39,10 +39,10 @@ COARSE_BIN_M, MEDIUM_BIN_M, FINE_BIN_M = 0.5, 0.25, 0.12  # of the histogram, fr
 
 def estimate_direction(rig: StereoRig, background: Background, surface: RoadSurface) -> Alignment | None:
     """The road's alignment, to some decimetres over its visible length; None where there are no line-like ridges."""
-    found = ridge_points(rig, background, surface)
-    if len(found.ground) < MIN_VOTES:
+    votes = ridge_points(rig, background, surface)
+    if len(votes.ground) < MIN_VOTES:
         return None
-    return found.best_alignment()
+    return votes.best_alignment()
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,13 +111,13 @@ class DirectionVotes:
 
         x = np.zeros(4)
         for cell in (COARSE_BIN_M, MEDIUM_BIN_M, FINE_BIN_M):
-            found = minimize(
+            optimum = minimize(
                 lambda x, cell=cell: -self.concentration(bent(x), cell) * np.exp(-0.01 * x @ x),
                 x,
                 method="Nelder-Mead",
                 options={"initial_simplex": np.vstack([x, x + np.eye(4)]), "maxfev": 150, "xatol": 0.02, "fatol": 0.0},
             )
-            x = found.x
+            x = optimum.x
         return bent(x)
 
 
@@ -162,6 +162,6 @@ def _ridges(ground_image: GroundImage) -> tuple[Image, Image]:
     step = np.sin(normal[row, column]), np.cos(normal[row, column])
     neighbours = [map_coordinates(strength, [row + k * step[0], column + k * step[1]], order=1) for k in (-1, 1)]
     crest = strength[row, column] >= np.maximum(*neighbours)
-    found = np.zeros_like(strength)
-    found[row[crest], column[crest]] = strength[row[crest], column[crest]]
-    return found, -normal
+    ridges = np.zeros_like(strength)
+    ridges[row[crest], column[crest]] = strength[row[crest], column[crest]]
+    return ridges, -normal

@@ -58,8 +58,8 @@ def estimate_background(recording: StereoRecording, max_frames: int, progress: P
 
 def background_from(left: list[NDArray[np.float16]], right: list[NDArray[np.float16]]) -> Background:
     """The background of as many images (H, W) of either view."""
-    found = [shorth_background(np.stack(stack)) for stack in (left, right)]
-    return Background((found[0][0], found[1][0]), (found[0][1], found[1][1]), len(left))
+    backgrounds = [shorth_background(np.stack(stack)) for stack in (left, right)]
+    return Background((backgrounds[0][0], backgrounds[1][0]), (backgrounds[0][1], backgrounds[1][1]), len(left))
 
 
 def background_problem(background: Background) -> Message:

@@ -131,9 +131,9 @@ class CameraRecording:
             if frame.image is None:
                 self._missing.add(self._feed.label(frame.index))
             elif frame.image.shape != (height, width):
-                found = f"{frame.image.shape[1]} × {frame.image.shape[0]}"
+                size_text = f"{frame.image.shape[1]} × {frame.image.shape[0]}"
                 raise UnusableInput(
-                    f"{self._feed.label(frame.index)}: has {found} pixels, but the camera has {width} × {height}"
+                    f"{self._feed.label(frame.index)}: has {size_text} pixels, but the camera has {width} × {height}"
                 )
             if before is not None:
                 step = frame.time - before.time

@@ -51,8 +51,10 @@ def read_odometry(path: Path) -> Odometry:
             rows = csv.reader(file)
             header = [name.strip() for name in next(rows, [])]
             if header[:4] != ODOMETRY_COLUMNS:
-                found = ",".join(header)
-                raise UnusableInput(f"{path}: the first line reads {found!r}; expected {','.join(ODOMETRY_COLUMNS)!r}")
+                header_text = ",".join(header)
+                raise UnusableInput(
+                    f"{path}: the first line reads {header_text!r}; expected {','.join(ODOMETRY_COLUMNS)!r}"
+                )
             for row in filter(None, rows):
                 row_name = f"{path}: line {rows.line_num}"
                 try:

@@ -142,15 +142,15 @@ class StereoRecording:
     @property
     def notices(self) -> list[str]:
         """What a user should know about the recording, one plain line each; iterating may add to it."""
-        found: list[str] = [*self._sources[0].notices, *self._sources[1].notices, *self.pairing.notices]
-        found += _gap_notices(self.pairing)
+        messages: list[str] = [*self._sources[0].notices, *self._sources[1].notices, *self.pairing.notices]
+        messages += _gap_notices(self.pairing)
         for source, repeated, damaged in zip(self._sources, self._repeated, self._damaged, strict=True):
             if damaged:
-                found.append(message("frames_undecodable", frames=f"{source.name}: {_format_frames(damaged)}"))
+                messages.append(message("frames_undecodable", frames=f"{source.name}: {_format_frames(damaged)}"))
             if repeated:
                 frames = f"{_format_frames(repeated)} {_are(repeated)}"
-                found.append(message("frames_repeated", source=source.name, frames=frames))
-        return found
+                messages.append(message("frames_repeated", source=source.name, frames=frames))
+        return messages
 
     def frames(self, start: int = 0, stop: int | None = None) -> Iterator[StereoFrame]:
         """The frames with ``start`` ≤ index < ``stop``. Raises UnusableInput, naming the file, for one that is bad."""

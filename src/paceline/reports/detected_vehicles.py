@@ -21,18 +21,18 @@ OUTLINE_COLOR: Color = (110, 220, 90)
 VIEW_PICTURE_HEIGHT_PX = 420
 
 
-def draw_detected_vehicle(found: DetectedVehicle, height: int = VIEW_PICTURE_HEIGHT_PX) -> Picture:
+def draw_detected_vehicle(detected: DetectedVehicle, height: int = VIEW_PICTURE_HEIGHT_PX) -> Picture:
     """Both views about a vehicle in the frame in which it is outlined, ``height`` px high. It has to have an
     outline."""
-    assert found.vehicle is not None, "there is an outline to draw"
+    assert detected.vehicle is not None, "there is an outline to draw"
     views = []
     for side, (crop, corner, quad) in enumerate(
-        zip(found.crops, found.crop_origins, (found.vehicle.left, found.vehicle.right), strict=True)
+        zip(detected.crops, detected.crop_origins, (detected.vehicle.left, detected.vehicle.right), strict=True)
     ):
         scale = height / crop.shape[0]
         picture = _brightened(crop, scale, height)
         draw_outline(picture, scale_points(quad - corner, scale), OUTLINE_COLOR, 1)
-        label = (f"{found.vehicle.id}, frame {found.vehicle.frame}, left", "right")[side]
+        label = (f"{detected.vehicle.id}, frame {detected.vehicle.frame}, left", "right")[side]
         draw_label(picture, label, (0, 0), WHITE_BGR)
         views.append(picture)
     return np.hstack(views)

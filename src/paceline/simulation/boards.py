@@ -61,8 +61,8 @@ def _draw_poses(rng: np.random.Generator, rig: RigState, size: tuple[int, int], 
         depth = rig.lenses[0, 1] * extent[1] / (rng.uniform(0.3, 0.65) * size[1])
         direction = (rng.uniform(0.1, 0.9, 2) * size - rig.lenses[0, 2:4]) / rig.lenses[0, :2]
         t = depth * np.array([*direction, 1.0]) - R @ middle
-        seen = project_board(Poses(R[None], t[None]), rig, board, size)
-        if all((seen.side == side).sum() >= least for side in (0, 1)):
+        observations = project_board(Poses(R[None], t[None]), rig, board, size)
+        if all((observations.side == side).sum() >= least for side in (0, 1)):
             rotations.append(R)
             places.append(t)
     return Poses(np.array(rotations), np.array(places))
@@ -79,21 +79,26 @@ def project_board(poses: Poses, rig: RigState, board: Board, size: tuple[int, in
     return Observations(view[inside], side[inside], all_points.points[inside], pixels[inside])
 
 
-def add_noise(rng: np.random.Generator, seen: Observations, sigma: float) -> Observations:
-    """``seen`` with errors of that standard deviation in every coordinate, px."""
-    return Observations(seen.view, seen.side, seen.points, seen.pixels + rng.normal(0, sigma, seen.pixels.shape))
+def add_noise(rng: np.random.Generator, observations: Observations, sigma: float) -> Observations:
+    """``observations`` with errors of that standard deviation in every coordinate, px."""
+    return Observations(
+        observations.view,
+        observations.side,
+        observations.points,
+        observations.pixels + rng.normal(0, sigma, observations.pixels.shape),
+    )
 
 
-def corners_by_view(seen: Observations, board: Board) -> list[tuple[Corners, Corners]]:
+def corners_by_view(observations: Observations, board: Board) -> list[tuple[Corners, Corners]]:
     """The corners of every view as a finder returns them, left and right."""
     pairs = []
-    for v in range(int(seen.view.max()) + 1):
-        found = []
+    for v in range(int(observations.view.max()) + 1):
+        views = []
         for side in (0, 1):
-            in_view = seen.where((seen.view == v) & (seen.side == side))
+            in_view = observations.where((observations.view == v) & (observations.side == side))
             ids = np.abs(in_view.points[:, None] - board.points).sum(-1).argmin(1)
-            found.append(Corners(ids, in_view.pixels))
-        pairs.append((found[0], found[1]))
+            views.append(Corners(ids, in_view.pixels))
+        pairs.append((views[0], views[1]))
     return pairs
 
 

@@ -84,15 +84,19 @@ def clip_document(placed: SimulatedStereoScene, truth: list[dict[str, Any]], hid
     measured = [car for car in placed.vehicles if car.model.measured]
     for car in measured:
         lanes.setdefault((car.model.lane, car.model.oncoming), f"lane{len(lanes)}")
-    seen = {car.model.id: rows_from_outline(car, truth) for car in measured}
+    visible_rows = {car.model.id: rows_from_outline(car, truth) for car in measured}
     clip["paths"] = {}
     for (lane, oncoming), name in lanes.items():
         users = [car for car in measured if (car.model.lane, car.model.oncoming) == (lane, oncoming)]
-        driven = np.array([_arc_length(car, row["time_s"]) for car in users for row in seen[car.model.id]])
+        driven = np.array([_arc_length(car, row["time_s"]) for car in users for row in visible_rows[car.model.id]])
         clip["paths"][name] = _draw_path(placed, lane, oncoming, driven, hidden, rng)
     clip["vehicles"] = [
-        {"id": car.model.id, "path": lanes[car.model.lane, car.model.oncoming], "frame": seen[car.model.id][0]["frame"]}
-        | {side: _click_corners(placed, side, seen[car.model.id][0][side], rng) for side in ("left", "right")}
+        {
+            "id": car.model.id,
+            "path": lanes[car.model.lane, car.model.oncoming],
+            "frame": visible_rows[car.model.id][0]["frame"],
+        }
+        | {side: _click_corners(placed, side, visible_rows[car.model.id][0][side], rng) for side in ("left", "right")}
         | ({"speed": car.model.initial_speed} if car.model.initial_speed else {})
         for car in measured
     ]
@@ -145,13 +149,13 @@ def _draw_path(
     vehicles."""
     middle, road = placed.road.lanes[lane], placed.road
     nearest_markings = sorted(road.markings, key=lambda m: abs(m - middle))[:2]
-    found = {m: [_visible_line(placed, m, driven, view, hidden) for view in placed.views] for m in nearest_markings}
-    marking = max(found, key=lambda m: min(len(line) for line in found[m]))
-    if min(len(line) for line in found[marking]) < 10:
+    lines = {m: [_visible_line(placed, m, driven, view, hidden) for view in placed.views] for m in nearest_markings}
+    marking = max(lines, key=lambda m: min(len(line) for line in lines[m]))
+    if min(len(line) for line in lines[marking]) < 10:
         raise UnusableInput(f"no painted line beside lane {lane} is visible in both pictures")
     shape = road.shape
     path: dict[str, Any] = {"shape": "line" if shape.kind == "straight" and shape.crest_radius is None else "curve"}
-    for side, camera, pixels in zip(("left", "right"), placed.rig.cameras, found[marking], strict=True):
+    for side, camera, pixels in zip(("left", "right"), placed.rig.cameras, lines[marking], strict=True):
         path[side] = draw_line(
             pixels, camera, placed.scene.operator_noise.points, placed.scene.operator_noise.line, rng
         )
@@ -174,9 +178,9 @@ def _visible_line(
         return np.empty((0, 2))
     pixels = view.project(points)
     size = np.array(view.camera.image_size)
-    seen = ((pixels > LINE_BORDER_PX) & (pixels < size - 1 - LINE_BORDER_PX)).all(1) & ~hidden(view, points)
+    is_visible = ((pixels > LINE_BORDER_PX) & (pixels < size - 1 - LINE_BORDER_PX)).all(1) & ~hidden(view, points)
     # Posts hide a line for a moment only, and people draw across; a curve may leave the picture and come back.
-    closed = np.convolve(seen, np.ones(9), "same") > 0
+    closed = np.convolve(is_visible, np.ones(9), "same") > 0
     inside = closed & ((pixels > LINE_BORDER_PX) & (pixels < size - 1 - LINE_BORDER_PX)).all(1)
     return longest_visible_run(pixels, inside)
 
@@ -192,9 +196,9 @@ def draw_start(
     return {"frame": 0, "center": [round(float(x), 1), round(float(y), 1)], "scale": round(float(scale), 3)}
 
 
-def longest_visible_run(pixels: Array, seen: Mask) -> Array:
-    """The longest part (M, 2) of a line of ``pixels`` (N, 2) that is ``seen`` (N,) without a gap."""
-    pieces = np.split(pixels, np.flatnonzero(~seen))
+def longest_visible_run(pixels: Array, is_visible: Mask) -> Array:
+    """The longest part (M, 2) of a line of ``pixels`` (N, 2) that is ``is_visible`` (N,) without a gap."""
+    pieces = np.split(pixels, np.flatnonzero(~is_visible))
     return np.asarray(max((p[1:] if i else p for i, p in enumerate(pieces)), key=len, default=np.empty((0, 2))))
 
 

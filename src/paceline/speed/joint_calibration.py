@@ -125,13 +125,13 @@ def neighbours(
     candidates = [
         (abs(float(o.track.time.mean() - m.track.time.mean())), o) for o in others if o.rig_information is not None
     ]
-    found: list[Measurement] = []
+    nearby: list[Measurement] = []
     for interval, other in sorted(candidates, key=lambda pair: pair[0]):
-        if interval > settings.window_s or len(found) == settings.neighbours:
+        if interval > settings.window_s or len(nearby) == settings.neighbours:
             break
-        if not any(same_vehicle(other.track, known.track) for known in [m, *found]):
-            found.append(other)
-    return found
+        if not any(same_vehicle(other.track, known.track) for known in [m, *nearby]):
+            nearby.append(other)
+    return nearby
 
 
 def same_vehicle(track: Track, other: Track) -> bool:

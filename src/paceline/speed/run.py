@@ -101,10 +101,13 @@ class VehicleMeasurement:
         last = self.estimates[-1].status if self.estimates else "tracking"
         if too_few := verdict.check_frames(last, len(tracked), self.limits):
             return self._rejected(too_few)
-        if (seen := sum(e.similarity >= MIN_REFERENCE_SIMILARITY for e in tracked)) < self.limits.min_frames:
+        if (n_similar := sum(e.similarity >= MIN_REFERENCE_SIMILARITY for e in tracked)) < self.limits.min_frames:
             return self._rejected(
                 message(
-                    "appearance_lost_from_start", similar=seen, frames=len(tracked), min_frames=self.limits.min_frames
+                    "appearance_lost_from_start",
+                    similar=n_similar,
+                    frames=len(tracked),
+                    min_frames=self.limits.min_frames,
                 )
             )
         if not self.configuration.refine:
@@ -273,8 +276,8 @@ class VehicleMeasurement:
 
 def _lost_after_occlusion(estimates: list[Estimate]) -> list[Estimate]:
     """``estimates`` with those ``lost`` that come after the last frame in which the vehicle was visible."""
-    seen = [e.frame for e in estimates if e.status == "tracking" and e.similarity >= MIN_VISIBLE_SIMILARITY]
-    return _lost_after(estimates, max(seen, default=-1))
+    visible_frames = [e.frame for e in estimates if e.status == "tracking" and e.similarity >= MIN_VISIBLE_SIMILARITY]
+    return _lost_after(estimates, max(visible_frames, default=-1))
 
 
 def _lost_after(estimates: list[Estimate], frame: int) -> list[Estimate]:

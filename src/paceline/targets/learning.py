@@ -76,8 +76,8 @@ def learn_target(
     Raises UnusableInput for a box that cannot be, or that encloses too few lines.
     """
     if image.shape != camera.image_size[::-1]:
-        found = f"{image.shape[1]} × {image.shape[0]}"
-        raise UnusableInput(f"the image has {found} pixels, but the camera has {camera.image_size[0]} × "
+        size_text = f"{image.shape[1]} × {image.shape[0]}"
+        raise UnusableInput(f"the image has {size_text} pixels, but the camera has {camera.image_size[0]} × "
                             f"{camera.image_size[1]}")  # fmt: skip
     _check(box, width, camera.image_size)
     x0, y0, x1, y1 = box
@@ -133,7 +133,7 @@ def find_lines(image: Image, box: tuple[float, float, float, float]) -> list[Lin
     max_offset = LINE_TOLERANCE[0] + LINE_TOLERANCE[1] * max(across, along)
     shortest = max(MIN_LINE_LENGTH[0], MIN_LINE_LENGTH[1] * along)
     min_distance = max(MIN_LINE_SPACING[0], MIN_LINE_SPACING[1] * across)
-    found: list[Line] = []
+    lines: list[Line] = []
     for sign in (1, -1):
         points = _edge_points(sign * image, box)
         while (
@@ -141,10 +141,10 @@ def find_lines(image: Image, box: tuple[float, float, float, float]) -> list[Lin
         ):  # fewer make no line so long
             line, inliers = _best_line(points, max_offset)
             if line.length >= shortest:
-                found.append(line)
+                lines.append(line)
             points = points[~inliers]
     chosen: list[Line] = []
-    for line in sorted(found, key=lambda line: -line.strength):
+    for line in sorted(lines, key=lambda line: -line.strength):
         if len(chosen) < MAX_LINES_PER_DIRECTION and not any(_too_close(line, other, min_distance) for other in chosen):
             chosen.append(line)
     return sorted(chosen, key=lambda line: line.place)

@@ -146,11 +146,13 @@ def _with_section(text: str, section: str, entries: list[tuple[str, Entry]]) -> 
     order."""
     root = yaml.compose(text)
     lines = text.splitlines()
-    found = {key.value: (key, value) for key, value in root.value} if isinstance(root, yaml.MappingNode) else {}
-    if section not in found:
+    entries_by_key = (
+        {key.value: (key, value) for key, value in root.value} if isinstance(root, yaml.MappingNode) else {}
+    )
+    if section not in entries_by_key:
         body = [line for name, entry in entries for line in _entry_lines(section, name, entry, 2)]
         return "\n".join([*lines, *([f"{section}:", *body] if body else [])]) + "\n"
-    key, value = found[section]
+    key, value = entries_by_key[section]
     begin = key.start_mark.line
     in_lines = isinstance(value, yaml.CollectionNode) and bool(value.value) and not value.flow_style
     if in_lines and value.start_mark.line > begin:

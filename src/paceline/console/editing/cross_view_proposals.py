@@ -152,8 +152,8 @@ def _patch_correlations(rig: StereoRig, image: Image, other_image: Image, pixel:
     texture = _standardized(_sample_image(image, pixel + patch))
     centres = _project_to_other_view(rig, np.repeat(rig.left.rays(pixel)[None], len(depths), axis=0), depths)
     zoom = rig.right.K[0, 0] / rig.left.K[0, 0]
-    seen = _sample_image(other_image, centres[:, None] + zoom * patch)
-    return np.asarray(_standardized(seen) @ texture) / len(patch)
+    patches = _sample_image(other_image, centres[:, None] + zoom * patch)
+    return np.asarray(_standardized(patches) @ texture) / len(patch)
 
 
 def _sample_grid(corners: Array) -> Array:

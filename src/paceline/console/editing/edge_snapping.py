@@ -40,9 +40,9 @@ def snap_point(image: Image, point: Array, reach: float) -> Array:
     ):
         start = np.array([[[x + corner[1] - margin, y + corner[0] - margin]]], np.float32)
         criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.01)
-        found = cv2.cornerSubPix(image, start, (4, 4), (-1, -1), criteria).reshape(2).astype(float)
-        if np.linalg.norm(found - point) <= reach:
-            return np.asarray(found)
+        refined = cv2.cornerSubPix(image, start, (4, 4), (-1, -1), criteria).reshape(2).astype(float)
+        if np.linalg.norm(refined - point) <= reach:
+            return np.asarray(refined)
     edge = np.unravel_index(int(np.argmax(strength * weight)), strength.shape)
     return _edge_position(strength, gx, gy, edge) + [x - margin, y - margin]
 

@@ -33,10 +33,10 @@ def epipolar_line(rig: StereoRig, view: int, pixel: Array) -> dict[str, list[Any
     pair = rig if view == 0 else swapped_views(rig)
     ray = pair.left.rays(pair.left.undistort_points(pixel[None]))[0]
     inverse = np.linspace(1e-4, 0.5, 64)
-    line, seen = _project_ray(pair, ray, inverse)
+    line, visible_points = _project_ray(pair, ray, inverse)
     marks, visible = _project_ray(pair, ray, 1.0 / np.array(EPIPOLAR_MARKS_M, float))
     return {
-        "line": np.round(line[seen], 2).tolist(),
+        "line": np.round(line[visible_points], 2).tolist(),
         "marks": [
             [m, *np.round(p, 2).tolist()] for m, p, ok in zip(EPIPOLAR_MARKS_M, marks, visible, strict=True) if ok
         ],
@@ -45,10 +45,10 @@ def epipolar_line(rig: StereoRig, view: int, pixel: Array) -> dict[str, list[Any
 
 def _project_ray(pair: StereoRig, ray: Array, inverse: Array) -> tuple[Array, NDArray[np.bool_]]:
     points = ray / inverse[:, None]
-    seen = pair.to_right(points)
-    ahead = seen[:, 2] > 0.05 * points[:, 2]
+    in_right = pair.to_right(points)
+    ahead = in_right[:, 2] > 0.05 * points[:, 2]
     width, height = pair.right.image_size
-    ideal = pair.right.project(np.where(ahead[:, None], seen, [0.0, 0.0, 1.0]))
+    ideal = pair.right.project(np.where(ahead[:, None], in_right, [0.0, 0.0, 1.0]))
     near_image = (np.abs(ideal - [width / 2, height / 2]) < [width, height]).all(
         axis=1
     )  # the lens model holds only there
@@ -59,16 +59,16 @@ def _project_ray(pair: StereoRig, ray: Array, inverse: Array) -> tuple[Array, ND
 def check_setup(rig: StereoRig, paths: Mapping[str, Entry], vehicles: list[Entry]) -> dict[str, Any]:
     """Checks every path (by name) and vehicle (in order): facts in metres, ``problem`` where one cannot be measured,
     ``warning`` where it is implausible."""
-    found: dict[str, Path] = {}
-    path_facts = {name: _check_path(rig, name, entry, found) for name, entry in paths.items()}
-    for name, path in found.items():
-        path_facts[name] |= _nearest_path(name, path, found)
-    return {"paths": path_facts, "vehicles": [_check_vehicle(rig, entry, found) for entry in vehicles]}
+    paths_in_space: dict[str, Path] = {}
+    path_facts = {name: _check_path(rig, name, entry, paths_in_space) for name, entry in paths.items()}
+    for name, path in paths_in_space.items():
+        path_facts[name] |= _nearest_path(name, path, paths_in_space)
+    return {"paths": path_facts, "vehicles": [_check_vehicle(rig, entry, paths_in_space) for entry in vehicles]}
 
 
-def _check_path(rig: StereoRig, name: str, entry: Entry, found: dict[str, Path]) -> Facts:
+def _check_path(rig: StereoRig, name: str, entry: Entry, paths_in_space: dict[str, Path]) -> Facts:
     try:
-        path = found[name] = _path(rig, name, entry)
+        path = paths_in_space[name] = _path(rig, name, entry)
     except UnusableInput as error:
         return {"problem": str(error).removeprefix(f"path {name}: ")}
     ends = path.points[[0, -1]]
@@ -183,15 +183,15 @@ def propose_in_other_view(
         camera.undistort_image(pictures[i]) for camera, i in zip(pair.cameras, (view, 1 - view), strict=True)
     )
     drawn = pair.left.undistort_points(np.array(entry.get(side) or [], float).reshape(-1, 2))
-    found: Proposal
+    proposal: Proposal
     if "shape" in entry:
-        found = propose_line(pair, image, other_image, drawn, entry["shape"])
+        proposal = propose_line(pair, image, other_image, drawn, entry["shape"])
     else:
         normal = None
         if path is not None and entry.get("plane", "front") == "front":
             normal = _path_direction(rig, pair, drawn, path)
-        found = propose_quadrilateral(pair, image, other_image, drawn, normal)
-    return pair.right.distort_points(found.pixels), found.correlation
+        proposal = propose_quadrilateral(pair, image, other_image, drawn, normal)
+    return pair.right.distort_points(proposal.pixels), proposal.correlation
 
 
 def _path_direction(rig: StereoRig, pair: StereoRig, corners: Array, entry: Entry) -> Array | None:
@@ -207,8 +207,8 @@ def _path_direction(rig: StereoRig, pair: StereoRig, corners: Array, entry: Entr
     ahead = points[:, 2] > 1.0
     if ahead.sum() < 2:
         return None
-    seen = pair.left.project(points[ahead])
-    i = int(np.argmin(np.linalg.norm(seen - corners[2:].mean(axis=0), axis=1)))
+    pixels = pair.left.project(points[ahead])
+    i = int(np.argmin(np.linalg.norm(pixels - corners[2:].mean(axis=0), axis=1)))
     T = np.gradient(points[ahead], axis=0)[i]
     middle = pair.left.rays(corners.mean(axis=0))
     turn = T / np.linalg.norm(T)

@@ -84,18 +84,18 @@ def learn_model(camera: Camera, picture: Image, frame: int, box: list[float], wi
     wide; returns it with its start. Raises UnusableInput."""
     x0, y0, x1, y1 = box
     try:
-        found = learn_target(picture, (x0, y0, x1, y1), width, camera, name)
+        learned = learn_target(picture, (x0, y0, x1, y1), width, camera, name)
     except UnusableInput as error:
         raise UnusableInput(str(error).replace("--", "")) from error
-    names = corner_names(len(found.target.corners))
+    names = corner_names(len(learned.target.corners))
     target = {
         "name": name,
-        "nominal_range": found.target.nominal_range,
-        "corners": {n: np.round(corner, 4).tolist() for n, corner in zip(names, found.target.corners, strict=True)},
-        "segments": [[names[a], names[b]] for a, b in found.target.segments],
-        "tolerance": found.target.tolerance,
+        "nominal_range": learned.target.nominal_range,
+        "corners": {n: np.round(corner, 4).tolist() for n, corner in zip(names, learned.target.corners, strict=True)},
+        "segments": [[names[a], names[b]] for a, b in learned.target.segments],
+        "tolerance": learned.target.tolerance,
     }
-    return {"target": target, "start": {"frame": frame, "center": found.center.tolist(), "scale": 1.0}}
+    return {"target": target, "start": {"frame": frame, "center": learned.center.tolist(), "scale": 1.0}}
 
 
 def centred_start(camera: Camera, target: TargetModel, frame: int) -> Plain:

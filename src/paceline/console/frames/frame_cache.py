@@ -112,8 +112,8 @@ class ChaseFrames(RecordingFrames):
         first = next(iter(source.read([0])), None)
         if first is not None and first.shape != self.camera.image_size[::-1]:
             width, height = self.camera.image_size
-            found = f"{first.shape[1]} × {first.shape[0]}"
-            raise UnusableInput(f"{file}: video: has {found} pixels, but the camera has {width} × {height}")
+            first_size = f"{first.shape[1]} × {first.shape[0]}"
+            raise UnusableInput(f"{file}: video: has {first_size} pixels, but the camera has {width} × {height}")
         super().__init__([source], [numbers], numbers, times)
 
 
@@ -193,14 +193,14 @@ class FrameCache:
 
 def file_stamps(files: list[Path]) -> FileStamps:
     """Modification time and size of each of ``files``, zeros where it does not exist."""
-    found = []
+    stamps = []
     for file in files:
         try:
             stat = file.stat()
-            found.append((file, stat.st_mtime_ns, stat.st_size))
+            stamps.append((file, stat.st_mtime_ns, stat.st_size))
         except (OSError, ValueError):  # a name with a zero byte
-            found.append((file, 0, 0))
-    return tuple(found)
+            stamps.append((file, 0, 0))
+    return tuple(stamps)
 
 
 def is_unchanged(stamps: FileStamps) -> bool:

@@ -81,8 +81,8 @@ class Uploads:
     async def receive(self, key: str, slot: str, name: str, size: int | None, body: AsyncIterator[bytes]) -> None:
         """Writes one file of the ``slot`` (left, right, rig; or video, camera, target); ``size`` is what the browser
         announces, bytes. Raises UnusableInput and removes the file where it cannot be taken."""
-        found = self._find(key)
-        file = _upload_path(found, slot, name)
+        upload = self._find(key)
+        file = _upload_path(upload, slot, name)
         max_bytes = MAX_YAML_BYTES if slot in YAML_NAMES else MAX_RECORDING_BYTES
         short_name = Path(name).name[:80]
         if size is not None and size > max_bytes:
@@ -111,51 +111,51 @@ class Uploads:
             if isinstance(error, OSError):
                 raise UnusableInput(f"{short_name}: cannot be written ({error.strerror})") from error
             raise
-        found.received.setdefault(slot, []).append(file)
+        upload.received.setdefault(slot, []).append(file)
 
     def finish(self, key: str, rate: float | None) -> str:
         """Checks the received files and makes them a clip; returns its name. Raises UnusableInput, and then keeps the
         upload open for another file or rate."""
-        found = self._find(key)
+        upload = self._find(key)
         try:
-            self._complete(found, rate)
+            self._complete(upload, rate)
         except UnusableInput as error:
-            raise UnusableInput(str(error).replace(f"{found.folder}/", "")) from error
-        target = self._root / found.name
+            raise UnusableInput(str(error).replace(f"{upload.folder}/", "")) from error
+        target = self._root / upload.name
         if target.exists():
-            raise UnusableInput(f"name {found.name!r}: there is a clip or folder of this name; expected another")
+            raise UnusableInput(f"name {upload.name!r}: there is a clip or folder of this name; expected another")
         try:
-            found.folder.rename(target)
+            upload.folder.rename(target)
         except OSError as error:
-            raise UnusableInput(f"name {found.name!r}: cannot be written ({error.strerror})") from error
+            raise UnusableInput(f"name {upload.name!r}: cannot be written ({error.strerror})") from error
         del self._open[key]
-        return found.name
+        return upload.name
 
-    def _complete(self, found: Upload, rate: float | None) -> None:
+    def _complete(self, upload: Upload, rate: float | None) -> None:
         """Writes the clip.yaml or follow.yaml and checks that its recordings can be read."""
-        views = CHASE_VIEWS if found.chase else STEREO_VIEWS
-        clip: dict[str, object] = {view: _recording_name(found, view) for view in views}
-        if any((found.folder / str(clip[view])).is_dir() for view in views):
+        views = CHASE_VIEWS if upload.chase else STEREO_VIEWS
+        clip: dict[str, object] = {view: _recording_name(upload, view) for view in views}
+        if any((upload.folder / str(clip[view])).is_dir() for view in views):
             if rate is None:
                 raise UnusableInput("frames per second: missing; image files have no time stamps")
             clip["rate"] = rate
-        clip |= {slot: name for slot, name in YAML_NAMES.items() if slot in found.received}
-        if found.chase and "camera" not in clip:
+        clip |= {slot: name for slot, name in YAML_NAMES.items() if slot in upload.received}
+        if upload.chase and "camera" not in clip:
             raise UnusableInput("camera: missing; expected the camera.yaml of the camera")
-        file = found.folder / (FOLLOW_FILE if found.chase else CLIP_FILE)
+        file = upload.folder / (FOLLOW_FILE if upload.chase else CLIP_FILE)
         try:
             file.write_text(yaml.safe_dump(clip, sort_keys=False, allow_unicode=True), encoding="utf-8")
         except OSError as error:
             raise UnusableInput(f"{file}: cannot be written ({error.strerror})") from error
-        read_document(PartialFollowModel if found.chase else ClipModel, file)
+        read_document(PartialFollowModel if upload.chase else ClipModel, file)
         check_document(self._root, file)
-        if found.chase:
+        if upload.chase:
             ChaseFrames(file)
         elif "rig" in clip:
             open_recording(load_clip_recording(file))
         else:
             for view in views:
-                open_source(found.folder / str(clip[view]))
+                open_source(upload.folder / str(clip[view]))
 
     def discard(self, key: str) -> None:
         """Removes an unfinished upload."""
@@ -199,39 +199,39 @@ def add_rig(file: Path, content: bytes) -> None:
             partial.unlink(missing_ok=True)
 
 
-def _upload_path(found: Upload, slot: str, name: str) -> Path:
+def _upload_path(upload: Upload, slot: str, name: str) -> Path:
     """The path for an uploaded file ``name``: a video, a zip of images, or one of many images. Raises UnusableInput."""
     base = re.sub(r"[^\w.()+-]", "_", name.replace("\\", "/").rsplit("/", 1)[-1])
     suffix = Path(base).suffix.lower()
-    received = found.received.get(slot, [])
-    views, texts = (CHASE_VIEWS, ("camera", "target")) if found.chase else (STEREO_VIEWS, ("rig",))
+    received = upload.received.get(slot, [])
+    views, texts = (CHASE_VIEWS, ("camera", "target")) if upload.chase else (STEREO_VIEWS, ("rig",))
     if slot in texts and suffix in (".yaml", ".yml"):
         if received:
             raise UnusableInput(f"{slot}: was sent twice; expected one file")
-        return found.folder / YAML_NAMES[slot]
+        return upload.folder / YAML_NAMES[slot]
     if slot in views and suffix in VIDEO_SUFFIXES | {".zip"}:
         if received:
             raise UnusableInput(f"{slot}: expected one video, one zip or several images")
-        return found.folder / f"{slot}{suffix}"
+        return upload.folder / f"{slot}{suffix}"
     if slot in views and suffix in IMAGE_SUFFIXES:
-        if any(path.parent == found.folder for path in received) or base.startswith("."):
+        if any(path.parent == upload.folder for path in received) or base.startswith("."):
             raise UnusableInput(f"{slot}: expected one video, one zip or several images")
         if len(received) >= MAX_IMAGES:
             raise UnusableInput(f"{slot}: more than {MAX_IMAGES} images")
-        return found.folder / slot / base
+        return upload.folder / slot / base
     raise UnusableInput(f"{base[:80]}: is no {YAML_NAMES.get(slot, 'video, zip or image')}")
 
 
-def _recording_name(found: Upload, view: str) -> str:
+def _recording_name(upload: Upload, view: str) -> str:
     """The file or folder of a view as the clip.yaml names it; a zip file is unpacked. Raises UnusableInput."""
-    files = found.received.get(view, [])
+    files = upload.received.get(view, [])
     if not files:
         raise UnusableInput(f"{view}: missing; expected a video, a zip of images or several images")
     first = files[0]
     if first.suffix == ".zip" and first.exists():
-        _unpack(first, found.folder / view)
+        _unpack(first, upload.folder / view)
         first.unlink()
-    if (found.folder / view).is_dir():
+    if (upload.folder / view).is_dir():
         return view
     check_container(first)
     return first.name

@@ -64,13 +64,13 @@ def add(library: Library) -> None:
 
 
 def _read_entries(library: Library) -> list[ClipEntry]:
-    found, deadline = [], time.monotonic() + LIST_TIMEOUT_S
+    entries, deadline = [], time.monotonic() + LIST_TIMEOUT_S
     for name in library.names():
         try:
-            found.append(library.entry(name, max(deadline - time.monotonic(), 0.0)))
+            entries.append(library.entry(name, max(deadline - time.monotonic(), 0.0)))
         except NotFound:  # it has been removed
             continue
-    return found
+    return entries
 
 
 def _show_card(entry: ClipEntry) -> None:

@@ -99,12 +99,12 @@ class LiveView:
     async def _update_measured(self) -> None:
         """Shows the vehicles that a live run has measured so far, when there are new ones."""
         try:
-            found = await io_bound(self._read_measured)
+            measured = await io_bound(self._read_measured)
         except (UnusableInput, NotFound):  # there are none before the background is estimated
             return
-        if found is None or self.result_area.is_deleted:
+        if measured is None or self.result_area.is_deleted:
             return
-        summary, series = found
+        summary, series = measured
         vehicles = summary["vehicles"]
         self.result_area.clear()
         with self.result_area:
@@ -124,9 +124,9 @@ class LiveView:
         stamps = file_stamps([out / "summary.json"])
         if stamps == self.shown_state:
             return None
-        found = read_summary(out), read_series(out, growing=True)
+        results = read_summary(out), read_series(out, growing=True)
         self.shown_state = stamps
-        return found
+        return results
 
     def _add_picture_element(self, run: Run, live: bool) -> None:
         """Adds the element for the frames of a recording, or for the pictures of a live run."""

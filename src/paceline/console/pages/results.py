@@ -126,21 +126,21 @@ def show_recent_vehicles(run: Run, summary: dict[str, Any], unit: str) -> None:
 def show_range(library: Library, run: Run, runs: list[Run], other: int | None, compare: CompareHandler) -> None:
     """Shows the distance of the vehicle ahead, and in how many frames it was tracked. Raises UnusableInput."""
     out = library.runs.out(run)
-    found = read_follow_summary(out)
-    series = read_range_series(out, found["target"])
-    counts = ", ".join(f"{count} {status}" for status, count in found["status"].items())
-    ui.label(f"{found['target']}: tracked in {100 * found['share']:.0f} % of {found['frames']} frames ({counts})")
-    if found["status"]["tracking"]:
-        minimum, mean, maximum = (format_number(value, 1) for value in found["range"])
+    summary = read_follow_summary(out)
+    series = read_range_series(out, summary["target"])
+    counts = ", ".join(f"{count} {status}" for status, count in summary["status"].items())
+    ui.label(f"{summary['target']}: tracked in {100 * summary['share']:.0f} % of {summary['frames']} frames ({counts})")
+    if summary["status"]["tracking"]:
+        minimum, mean, maximum = (format_number(value, 1) for value in summary["range"])
         ui.label(f"Distance ahead {minimum} to {maximum} m, {mean} m on average")
-    for reason, count in found["reasons"].items():
+    for reason, count in summary["reasons"].items():
         ui.label(f"In {count} {'frame' if count == 1 else 'frames'}: {reason}").classes("pl-fact")
-    for notice in found["notices"]:
+    for notice in summary["notices"]:
         ui.label(f"Note: {notice}").classes("pl-fact")
     second = _choose_comparison(runs, run, other, compare)
     compared = None
     if second is not None:
-        compared = read_range_series(library.runs.out(second), found["target"])
+        compared = read_range_series(library.runs.out(second), summary["target"])
     if any(s.time for s in series):
         ui.label("Distance over time, m, with the 95 % interval, where the vehicle was tracked").classes("pl-fact")
         ui.echart(distance_chart(series, compared)).classes("pl-chart")

@@ -52,11 +52,11 @@ class RunMonitor:
             self.scene = self._next_scene
         self._next_scene = {}
 
-    def add_pictures(self, found: dict[str, Any]) -> None:
+    def add_pictures(self, content: dict[str, Any]) -> None:
         """Adds the pictures of a live frame, as `progress.parse_pictures` returns them, after its estimates."""
-        vehicles = self._next_scene["vehicles"] if self._next_scene.get("frame") == found["frame"] else []
-        self.scene = {key: found[key] for key in ("frame", "time_s", "size")} | {"vehicles": vehicles}
-        self.pictures[found["frame"]] = found["pictures"]
+        vehicles = self._next_scene["vehicles"] if self._next_scene.get("frame") == content["frame"] else []
+        self.scene = {key: content[key] for key in ("frame", "time_s", "size")} | {"vehicles": vehicles}
+        self.pictures[content["frame"]] = content["pictures"]
         if len(self.pictures) > MAX_KEPT_FRAMES:
             del self.pictures[next(iter(self.pictures))]
         self._next_scene = {}

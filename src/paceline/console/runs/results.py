@@ -81,12 +81,12 @@ def picture_name(vehicle: str) -> str:
 
 def result_files(out: Path) -> dict[str, str]:
     """The existing files of a run, with the text of their links."""
-    found = {}
+    files = {}
     for name, text in RESULT_FILES.items():
         with suppress(NotFound):
             file_below(out, name)
-            found[name] = text
-    return found
+            files[name] = text
+    return files
 
 
 def read_series(out: Path, growing: bool = False) -> list[Series]:
@@ -98,7 +98,8 @@ def read_series(out: Path, growing: bool = False) -> list[Series]:
         for row in _read_rows(file_below(out, file.name), TAIL_BYTES if growing else None):
             rows.setdefault(row["vehicle"], []).append(row)
         return [
-            _speed_series(vehicle, found) for vehicle, found in list(rows.items())[-MAX_LIVE_SERIES if growing else 0 :]
+            _speed_series(vehicle, vehicle_rows)
+            for vehicle, vehicle_rows in list(rows.items())[-MAX_LIVE_SERIES if growing else 0 :]
         ]
     except (OSError, NotFound, ValueError, KeyError, TypeError) as error:
         raise UnusableInput(f"{file}: is no table of estimates") from error

@@ -164,10 +164,12 @@ class RunList:
     def of(self, clip: str) -> list[Run]:
         """The runs of a clip, latest first."""
         try:
-            found = [int(p.name) for p in folder_below(self._folder(clip), RUNS_FOLDER).iterdir() if p.name.isdecimal()]
+            numbers = [
+                int(p.name) for p in folder_below(self._folder(clip), RUNS_FOLDER).iterdir() if p.name.isdecimal()
+            ]
         except (NotFound, OSError):
             return []
-        runs = (self.get(clip, number) for number in sorted(found, reverse=True))
+        runs = (self.get(clip, number) for number in sorted(numbers, reverse=True))
         return [run for run in runs if run is not None]
 
     def get(self, clip: str, number: int) -> Run | None:
@@ -339,8 +341,8 @@ class RunList:
 def _command_environment() -> dict[str, str]:
     """The environment of a command that writes progress lines and is started in another folder."""
     environment = {**os.environ, PROGRESS_VARIABLE: "lines"}
-    if found := environment.get("PYTHONPATH"):
-        environment["PYTHONPATH"] = os.pathsep.join(os.path.abspath(path) for path in found.split(os.pathsep))
+    if python_path := environment.get("PYTHONPATH"):
+        environment["PYTHONPATH"] = os.pathsep.join(os.path.abspath(path) for path in python_path.split(os.pathsep))
     return environment
 
 
@@ -391,8 +393,8 @@ def _run_folder(clip: Path, number: int) -> Path:
 
 def _read_run(clip: str, number: int, folder: Path) -> Run | None:
     try:
-        found = json.loads(file_below(folder, "run.json").read_text(encoding="utf-8"))
-        run = RUN_ADAPTER.validate_python({**found, "clip": clip, "number": number})
+        content = json.loads(file_below(folder, "run.json").read_text(encoding="utf-8"))
+        run = RUN_ADAPTER.validate_python({**content, "clip": clip, "number": number})
     except (ValueError, TypeError):
         return None
     if not run.active:

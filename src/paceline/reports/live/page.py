@@ -94,13 +94,13 @@ def _speed_columns(passage: Passage, unit: str) -> dict[str, str]:
 
 def _pictures(vehicles: Sequence[Passage], folder: Path, unit: str) -> list[dict[str, Any]]:
     """The pictures of ``vehicles``, latest first."""
-    found = []
+    pictures_data = []
     for vehicle in reversed(vehicles):
         with suppress(OSError):  # it has been removed
             row = _passage_row(vehicle, unit)
             speed = row["verdict"] if row["speed"] == NO_VALUE else f"{row['speed']} {unit}"
             caption = f"{row['name']}, {row['at']}, {row['path']}: {speed}"
-            found.append(
+            pictures_data.append(
                 {"name": row["name"], "jpeg": (folder / f"{row['name']}.jpg").read_bytes(), "caption": caption}
             )
-    return found
+    return pictures_data

@@ -72,7 +72,7 @@ class LiveResults:
         write_all_or_none({self.out / "estimates.csv": (",".join(ESTIMATE_COLUMNS) + "\n").encode(), **self._summary()})
         self._begun = True
 
-    def add(self, measurement: Measurement, found: DetectedVehicle, seen_at: str) -> None:
+    def add(self, measurement: Measurement, detected: DetectedVehicle, seen_at: str) -> None:
         """Note a vehicle that has been measured, and was seen first at the time of day ``seen_at``."""
         file = self.out / "estimates.csv"
         try:
@@ -80,14 +80,14 @@ class LiveResults:
                 csv.writer(stream, lineterminator="\n").writerows(estimate_rows(measurement.track))
         except OSError as error:
             raise UnusableInput(f"{file}: cannot be written ({error.strerror})") from error
-        self.vehicles.append({**vehicle_summary(measurement), **_passage_data(found, seen_at)})
+        self.vehicles.append({**vehicle_summary(measurement), **_passage_data(detected, seen_at)})
         self._changed = True
-        self._keep_picture(measurement.vehicle, found)
+        self._keep_picture(measurement.vehicle, detected)
         self.save()
 
-    def add_unmeasured(self, found: DetectedVehicle, seen_at: str, reason: Message) -> None:
+    def add_unmeasured(self, detected: DetectedVehicle, seen_at: str, reason: Message) -> None:
         """Note a vehicle that could not be measured for a ``reason``."""
-        self.unmeasured.append({**_passage_data(found, seen_at), "reason": reason, "reason_code": reason.code})
+        self.unmeasured.append({**_passage_data(detected, seen_at), "reason": reason, "reason_code": reason.code})
         self._changed = True
         self.save()
 
@@ -101,15 +101,15 @@ class LiveResults:
 
     def document(self) -> dict[str, object]:
         """What summary.json holds."""
-        found = {"vehicles": self.vehicles, "unmeasured": self.unmeasured, "notices": self.notices}
-        return {**self.about, **found}
+        content = {"vehicles": self.vehicles, "unmeasured": self.unmeasured, "notices": self.notices}
+        return {**self.about, **content}
 
     def _summary(self) -> dict[Path, bytes]:
         return {self.out / "summary.json": json_text(self.document()).encode()}
 
-    def _keep_picture(self, name: str, found: DetectedVehicle) -> None:
+    def _keep_picture(self, name: str, detected: DetectedVehicle) -> None:
         """Write the picture of a vehicle, and remove the oldest one where there are enough."""
-        picture = draw_detected_vehicle(found, LIVE_PICTURE_HEIGHT_PX)
+        picture = draw_detected_vehicle(detected, LIVE_PICTURE_HEIGHT_PX)
         jpeg = bytes(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, PICTURE_JPEG_QUALITY])[1])
         write_all_or_none({self.out / PICTURES_FOLDER / f"{name}.jpg": jpeg})
         if len(self.vehicles) > self.kept_pictures:
@@ -117,9 +117,9 @@ class LiveResults:
                 (self.out / PICTURES_FOLDER / f"{self.vehicles[-self.kept_pictures - 1]['vehicle']}.jpg").unlink()
 
 
-def _passage_data(found: DetectedVehicle, seen_at: str) -> dict[str, object]:
+def _passage_data(detected: DetectedVehicle, seen_at: str) -> dict[str, object]:
     """Where and when a vehicle was seen."""
-    x, _, z = (round(float(value), 2) for value in found.position)
+    x, _, z = (round(float(value), 2) for value in detected.position)
     assert math.isfinite(x + z), "it was seen on its way"
-    seen = {"seen_from_s": found.times[0], "seen_to_s": found.times[1], "seen_at": seen_at}
-    return {"path": found.path, **seen, "first_seen_m": [x, z]}
+    times = {"seen_from_s": detected.times[0], "seen_to_s": detected.times[1], "seen_at": seen_at}
+    return {"path": detected.path, **times, "first_seen_m": [x, z]}

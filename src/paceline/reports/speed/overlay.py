@@ -96,8 +96,8 @@ class _Layer:
         self.color = color
         self.rejected = measurement.verdict != "measured"
         self.rows = {int(frame): row for row, frame in enumerate(self.track.frame)}
-        seen = [row for row, status in enumerate(self.track.status) if status == "tracking"]
-        self.still_rows = {seen[i] for i in (0, len(seen) // 2, -1)} if seen else set()
+        tracked_rows = [row for row, status in enumerate(self.track.status) if status == "tracking"]
+        self.still_rows = {tracked_rows[i] for i in (0, len(tracked_rows) // 2, -1)} if tracked_rows else set()
 
     def label(self, row: int, unit: str) -> str:
         if self.track.status[row] != "tracking":

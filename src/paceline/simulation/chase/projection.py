@@ -185,22 +185,22 @@ def draw_faces(
     M = np.stack([vectors[:, 1] @ camera.R.T, vectors[:, 2] @ camera.R.T, ahead], axis=-1)  # unit square -> camera
     corners = M @ np.array([[0, 1, 1, 0], [0, 0, 1, 1], [1, 1, 1, 1.0]])
     M = to_canvas @ camera.K @ M
-    seen = (corners[:, 2].min(1) > MIN_FACE_DEPTH_M) & (np.linalg.det(M) > 0)
+    is_visible = (corners[:, 2].min(1) > MIN_FACE_DEPTH_M) & (np.linalg.det(M) > 0)
     quads = M @ np.array([[0, 1, 1, 0], [0, 0, 1, 1], [1, 1, 1, 1.0]])
-    quads = quads[:, :2] / np.where(seen[:, None, None], quads[:, 2:], 1.0)
+    quads = quads[:, :2] / np.where(is_visible[:, None, None], quads[:, 2:], 1.0)
     size = np.array(canvas.shape[1::-1])
     low = np.maximum(np.floor(quads.min(2)).astype(np.int64) - 1, 0)
     high = np.minimum(np.ceil(quads.max(2)).astype(np.int64) + 2, size)
-    seen &= (low < high).all(1)
-    if not seen.any():
+    is_visible &= (low < high).all(1)
+    if not is_visible.any():
         return
-    faces, vectors, M, quads = faces[seen], vectors[seen], M[seen], quads[seen]
+    faces, vectors, M, quads = faces[is_visible], vectors[is_visible], M[is_visible], quads[is_visible]
     light, shadow = _face_light(faces, vectors, camera, sun)
     light[:, 0] += emission
     rasterizer.draw_rectangles(
         canvas,
         np.linalg.inv(M),
-        np.concatenate([low[seen], high[seen]], axis=1),
+        np.concatenate([low[is_visible], high[is_visible]], axis=1),
         _select_levels(faces.texture, quads, atlas),
         atlas.pixels,
         light,

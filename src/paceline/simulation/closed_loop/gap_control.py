@@ -54,22 +54,26 @@ class LeadFilter:
         self._time = self._seen = 0.0
         self._last_gap, self._agreeing = 0.0, 0  # the last measured gap, and how many measurements in a row agree
 
-    def update(self, time: float, own_speed: float, gap: float, std: float, seen: bool) -> Array | None:
-        """The state at ``time``, s, with the ``gap`` measured to ``std`` m if the lead is ``seen``; None before it ever
-        was."""
+    def update(self, time: float, own_speed: float, gap: float, std: float, tracked: bool) -> Array | None:
+        """The state at ``time`` (s) with the ``gap`` measured to ``std`` m if the lead is ``tracked``; None before it
+        was ever tracked."""
         if self.state is not None:
             self._predict(time, own_speed)
         self._agreeing = (
-            self._agreeing + 1 if seen and abs(gap - self._last_gap) < MAX_CONFIRMING_GAP_CHANGE * gap else int(seen)
+            self._agreeing + 1
+            if tracked and abs(gap - self._last_gap) < MAX_CONFIRMING_GAP_CHANGE * gap
+            else int(tracked)
         )
         self._last_gap = gap
         unseen_s = time - self._seen
-        if seen and (self.state is None or (unseen_s > RESTART_UNSEEN_S and self._agreeing >= MIN_CONFIRMING_FRAMES)):
+        if tracked and (
+            self.state is None or (unseen_s > RESTART_UNSEEN_S and self._agreeing >= MIN_CONFIRMING_FRAMES)
+        ):
             self.state = np.array([gap, own_speed, 0.0])
             self.covariance = np.diag([std**2, 2.0**2, LEAD_ACCELERATION_STD_MPS2**2])
             self._seen = time
         elif (
-            seen
+            tracked
             and self._inside_gate(gap, std)
             and (unseen_s <= MAX_UNTRACKED_S or self._agreeing >= MIN_CONFIRMING_FRAMES)
         ):
@@ -142,13 +146,13 @@ class GapController:
     def __init__(self, policy: GapPolicy) -> None:
         self.policy, self.lead = policy, LeadFilter()
 
-    def acceleration(self, time: float, speed: float, gap: float, std: float, seen: bool) -> float:
+    def acceleration(self, time: float, speed: float, gap: float, std: float, tracked: bool) -> float:
         """m/s², to ask for at ``time``, s: the measured own ``speed``, and the ``gap`` with its ``std``, m."""
-        state = self.lead.update(time, speed, gap, std, seen)
+        state = self.lead.update(time, speed, gap, std, tracked)
         if state is None:
             return -self.policy.comfort
         command = headway_acceleration(self.policy, speed, *map(float, state))
         resting = speed < STANDING_SPEED_MPS and (
-            not seen or (state[1] < STANDING_SPEED_MPS * 4 and state[0] < self.policy.standstill + 1.0)
+            not tracked or (state[1] < STANDING_SPEED_MPS * 4 and state[0] < self.policy.standstill + 1.0)
         )
         return min(command, -1.0) if resting else command

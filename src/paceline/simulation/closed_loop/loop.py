@@ -117,9 +117,9 @@ class ClosedLoop:
                 throttle = operator.acceleration(time, chase.speed, gap, lead_speed)
                 desired_gap = operator.desired_gap(time, chase.speed)
             else:
-                seen = e.status == "tracking"
+                tracked = e.status == "tracking"
                 throttle = controller.acceleration(
-                    time, odometer.speed, float(e.position[2]), float(e.position_std[2]), seen
+                    time, odometer.speed, float(e.position[2]), float(e.position_std[2]), tracked
                 )
                 desired_gap = placed.policy.desired_gap(chase.speed)
             command = Command(time + self.latency, e.steering, throttle)

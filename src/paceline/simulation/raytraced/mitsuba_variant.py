@@ -34,8 +34,8 @@ def find_llvm() -> str | None:
     The library itself is asked for its version before the renderer sees it.
     """
     named = os.environ.get("DRJIT_LIBLLVM_PATH")
-    found = [named] if named else [path for pattern in _LIBRARY_PATTERNS for path in sorted(glob.glob(pattern))]
-    candidates = [path for path in found if named or str(LLVM_VERSION) in os.path.basename(os.path.realpath(path))]
+    paths = [named] if named else [path for pattern in _LIBRARY_PATTERNS for path in sorted(glob.glob(pattern))]
+    candidates = [path for path in paths if named or str(LLVM_VERSION) in os.path.basename(os.path.realpath(path))]
     return next((path for path in candidates if _library_version(path) == LLVM_VERSION), None)
 
 

@@ -118,7 +118,7 @@ class VehicleMotion:
         inner = sorted((b for b in breaks if min(0.0, end) < b < max(0.0, end)), reverse=end < 0)
         pieces, s = [], self.drive.start
         for a, b in zip([0.0, *inner], [*inner, end], strict=True):
-            found = solve_ivp(
+            solution = solve_ivp(
                 lambda distance, y: [self._rate(distance, y[0])],
                 (a, b),
                 [s],
@@ -128,10 +128,10 @@ class VehicleMotion:
                 rtol=1e-11,
                 atol=1e-9,
             )
-            reached = float(found.t[-1])
-            pieces.append((min(a, reached), max(a, reached), found.sol))
-            s = float(found.y[0, -1])
-            if found.status == 1:
+            reached = float(solution.t[-1])
+            pieces.append((min(a, reached), max(a, reached), solution.sol))
+            s = float(solution.y[0, -1])
+            if solution.status == 1:
                 break
         return pieces
 

@@ -225,5 +225,5 @@ def visible_line(scene: Scene, road: PlacedRoad, lane: float, positions: Array, 
     s = np.linspace(driven.min() - 60, driven.max() + 6, 4000)
     points = road.point(s, np.full_like(s, lane + scene.line_offset))
     pixels = view.project(points[view.depth(points) > 2])
-    seen = ((pixels > 6) & (pixels < np.array(scene.image_size) - 7)).all(1)
-    return longest_visible_run(pixels, np.asarray(seen))  # a curve may leave the image and come back
+    is_visible = ((pixels > 6) & (pixels < np.array(scene.image_size) - 7)).all(1)
+    return longest_visible_run(pixels, np.asarray(is_visible))  # a curve may leave the image and come back

@@ -45,7 +45,7 @@ class FilterTracker(Protocol):
 
     def checkpoint(self) -> dict[str, object]: ...
 
-    def restore(self, kept: dict[str, object]) -> None: ...
+    def restore(self, state: dict[str, object]) -> None: ...
 
 
 AnyTracker = TypeVar("AnyTracker", bound=FilterTracker)
@@ -109,8 +109,8 @@ class TrackerBatch:
                     each_tracker.restore(checkpoint)
                 self._estimates = {}
                 self.notices.append(message("gpu_fallback", frame=frame.index, problem=failure.reason))
-        found = self._estimates.pop(tracker.vehicle.id, None)
-        return tracker.update(frame) if found is None else found
+        estimate = self._estimates.pop(tracker.vehicle.id, None)
+        return tracker.update(frame) if estimate is None else estimate
 
     def _update_together(self, frame: StereoFrame) -> None:
         in_view = [t for t in self._trackers if t.status == "tracking" and t.vehicle.frame <= frame.index]

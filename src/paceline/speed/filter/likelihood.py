@@ -141,10 +141,10 @@ def distances(features: Floats, reference: Floats) -> Floats:
     return out.T
 
 
-def log_likelihood(seen: Observation, reference: Floats, lambda_single: float, lambda_cross: float) -> Array:
+def log_likelihood(observation: Observation, reference: Floats, lambda_single: float, lambda_cross: float) -> Array:
     """log p(z | x) (N,) by (12), (13), (18): both single-view terms and the cross-view term."""
-    single = distances(seen.features, reference).sum(-1)
-    return np.asarray(-lambda_single * single - lambda_cross * (1.0 - seen.ncc) ** 2, float)
+    single = distances(observation.features, reference).sum(-1)
+    return np.asarray(-lambda_single * single - lambda_cross * (1.0 - observation.ncc) ** 2, float)
 
 
 class ObservationModel:

@@ -108,11 +108,17 @@ def diagonal_crossings(quads: Array) -> Array:
 
 
 def ensemble_kalman_update(
-    rig: StereoRig, state: State, W: Array, places: Array, seen: Array, noise: Array, model: FreeMotion | PathMotion
+    rig: StereoRig,
+    state: State,
+    W: Array,
+    places: Array,
+    measurements: Array,
+    noise: Array,
+    model: FreeMotion | PathMotion,
 ) -> State:
     """``state`` after an ensemble Kalman step on where the planes are.
 
-    ``places`` (N, 3) are the plane centres, ``seen`` (N, 3) one perturbed measurement of it for each particle,
+    ``places`` (N, 3) are the plane centres, ``measurements`` (N, 3) one perturbed measurement of it for each particle,
     ``noise`` (3, 3) its covariance. The gain comes from the weighted particles' covariance.
     """
     fields = model.corrected_fields
@@ -120,7 +126,7 @@ def ensemble_kalman_update(
     x = np.concatenate(columns, axis=1)
     deviation = x - W @ x
     gain = kalman_gain(((W[:, None] * deviation).T @ deviation)[:, :3], noise)
-    change = (seen - places) @ gain.T
+    change = (measurements - places) @ gain.T
     after = apply_rigid_motion(state, rig, change[:, :3])
     updates, start = {}, 3
     for f, column in zip(fields, columns[1:], strict=True):

@@ -214,8 +214,11 @@ class ReferenceTexture:
             centre = points.reshape(-1, 3).mean(0)
             length = float(np.linalg.norm(centre))
             ray = centre / length
-            found = register(self.rig, images, points, self.texture, self.grid, ray[:, None], (1,))
-            step, std = float(found.shift @ ray) / length, float(np.sqrt(np.trace(found.covariance))) / length
+            registration = register(self.rig, images, points, self.texture, self.grid, ray[:, None], (1,))
+            step, std = (
+                float(registration.shift @ ray) / length,
+                float(np.sqrt(np.trace(registration.covariance))) / length,
+            )
             scale *= 1.0 + step
             if not abs(1.0 / max(scale, 0.1) - 1.0) < MAX_DEPTH_SHIFT_SIGMA * plane.inverse_depth_std:
                 return plane
@@ -239,15 +242,15 @@ class ReferenceTexture:
                 self.rig, images, points + start, self.texture, self.grid, np.eye(3), coarseness=coarseness
             )
             start = start + coarse.shift
-        found = register(self.rig, images, points + start, self.texture, self.grid, np.eye(3))
-        return replace(found, shift=start + found.shift)
+        registration = register(self.rig, images, points + start, self.texture, self.grid, np.eye(3))
+        return replace(registration, shift=start + registration.shift)
 
-    def update(self, found: Registration) -> None:
+    def update(self, registration: Registration) -> None:
         """Update the texture by (14) from the left view alone.
 
         A mean of both views would contain their present disparity, right or wrong, and prevent its correction.
         """
-        self.texture = self.memory * self.texture + (1 - self.memory) * found.texture[0]
+        self.texture = self.memory * self.texture + (1 - self.memory) * registration.texture[0]
 
     def plane_points(self, left: Array, normal: Array, distance: float) -> Array:
         """Sample points (parts, samples, 3) on the plane behind the left region (4, 2)."""
@@ -278,16 +281,16 @@ def register_plane(texture: ReferenceTexture, particle_set: Particles, frame: St
     mean, spread = particle_set.mean(), particle_set.image_spread_px()
     images = frame.left, frame.right
     try:
-        found = texture.register(images, mean.left[0], mean.normal[0], float(mean.distance[0]), spread)
+        registration = texture.register(images, mean.left[0], mean.normal[0], float(mean.distance[0]), spread)
     except np.linalg.LinAlgError:
         return None
     # while the speed is hardly known, the mean region is not the projection of the mean plane
-    place = motion_models.plane_centres(texture.rig, mean)[0] + found.shift
+    place = motion_models.plane_centres(texture.rig, mean)[0] + registration.shift
     centre, covariance = particle_set.centre()
     innovation = place - centre
-    chi2 = float(innovation @ np.linalg.solve(covariance + found.covariance, innovation))
+    chi2 = float(innovation @ np.linalg.solve(covariance + registration.covariance, innovation))
     threshold = MIN_REFERENCE_SIMILARITY if chi2 < GATE_CHI2 else MIN_SIMILARITY_OUTSIDE_GATE
-    return PlaneObservation(place, found, found.similarity >= threshold)
+    return PlaneObservation(place, registration, registration.similarity >= threshold)
 
 
 def update_by_registration(

@@ -187,14 +187,14 @@ class Tracker:
 
     def checkpoint(self) -> dict[str, object]:
         """All that the next update starts from, in the computer's memory, to continue there after `restore`."""
-        kept = dict(self.__dict__, device=CPU, rng=copy.deepcopy(self.rng), model=copy.copy(self.model))
-        kept["texture"] = copy.copy(self.texture)
-        if "particle_set" in kept:
-            kept["particle_set"] = self.particle_set.checkpoint()
-        return kept
+        state = dict(self.__dict__, device=CPU, rng=copy.deepcopy(self.rng), model=copy.copy(self.model))
+        state["texture"] = copy.copy(self.texture)
+        if "particle_set" in state:
+            state["particle_set"] = self.particle_set.checkpoint()
+        return state
 
-    def restore(self, kept: dict[str, object]) -> None:
+    def restore(self, state: dict[str, object]) -> None:
         """Continue from a `checkpoint`, on the CPU."""
-        self.__dict__.update(kept)
-        if "particle_set" in kept:
+        self.__dict__.update(state)
+        if "particle_set" in state:
             self.particle_set = self.particle_set.to_host()

@@ -205,12 +205,12 @@ def _match_along_epipolar_lines(rig: StereoRig, left: Array, right: Array, sigma
     candidates: list[list[tuple[float, float]]] = []
     tangent = np.diff(b, axis=0)
     for j in range(len(a)):
-        found = []
+        matches = []
         for i in np.flatnonzero(side[:-1, j] * side[1:, j] <= 0).tolist():
             f = side[i, j] / (side[i, j] - side[i + 1, j] + 1e-300)
             slope = abs(tangent[i] @ lines[j, :2]) / (np.linalg.norm(tangent[i]) * np.linalg.norm(lines[j, :2]) + 1e-12)
-            found.append((i + f, slope))
-        candidates.append(found)
+            matches.append((i + f, slope))
+        candidates.append(matches)
     chosen = _smoothest_chain(candidates)
     points = []
     for j, r in chosen:

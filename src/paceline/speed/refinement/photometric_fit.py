@@ -268,8 +268,8 @@ class PhotometricFit:
             ahead, behind = self.trajectory.quads(perturbed).reshape(2, len(x), -1)
             return np.concatenate([((ahead - behind) / (2 * steps[:, None])).T, root])
 
-        found = least_squares(residuals, p.mean[p.free], jacobian, x_scale="jac", loss="soft_l1", max_nfev=40)
-        theta[p.free] = found.x
+        optimum = least_squares(residuals, p.mean[p.free], jacobian, x_scale="jac", loss="soft_l1", max_nfev=40)
+        theta[p.free] = optimum.x
         return theta
 
     def _derivatives(self, index: NDArray[np.int64]) -> Array:

@@ -336,7 +336,7 @@ class CudaDevice:
 
     def log_likelihood(self, model: ObservationModel, views: Views, state: State) -> Array:
         """log p(z | x) (N,) of particles that are in the computer's memory."""
-        found = []
+        values = []
         observations = _TransferBuffer.of(layout.HEADER_SIZE + layout.OBSERVATION_SIZE, np.float64)
         observation = observations.host[layout.HEADER_SIZE :]
         _write_reference(observation, model)
@@ -361,8 +361,8 @@ class CudaDevice:
             patch_features.log_likelihood[(N, 1), 16 * model.grid.parts](
                 self._pixels.device, maps, observations.device, pool
             )
-            found.append(pool[0, layout.LIKELIHOOD_ROW].copy_to_host())
-        return np.concatenate(found)
+            values.append(pool[0, layout.LIKELIHOOD_ROW].copy_to_host())
+        return np.concatenate(values)
 
     # --- results -----------------------------------------------------------------------------------------------------
 

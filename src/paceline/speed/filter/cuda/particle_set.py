@@ -109,8 +109,8 @@ class CudaParticleSet:
 
     def resample(self, c: SpeedConfiguration, rng: np.random.Generator) -> None:
         assert c.particles == self._N
-        found = self._moments()
-        if ess_sufficient(1.0 / found.squares, self._N, c.resample_below):
+        moments = self._moments()
+        if ess_sufficient(1.0 / moments.squares, self._N, c.resample_below):
             return
         self.device.enqueue(self, layout.RESAMPLE)
         offset = rng.random()
@@ -118,7 +118,7 @@ class CudaParticleSet:
         command = self._command
         command[layout.HALF_AFTER], command[layout.RESAMPLING_OFFSET] = 1 - command[layout.HALF_BEFORE], offset
         command[layout.HEADING_STD : layout.HEADING_STD + 2] = np.sqrt(
-            np.maximum(found.second[_HEADING : _HEADING + 2], 0.0)
+            np.maximum(moments.second[_HEADING : _HEADING + 2], 0.0)
         )
 
     def _draw(self, draw: int, sigma: float, k: int, rng: np.random.Generator) -> None:
@@ -141,11 +141,11 @@ class CudaParticleSet:
         """The moments of the particles. Raises FloatingPointError where every one has weight zero."""
         if self.moments is None or (drawn and self.moments.drawn is None):
             self.device.reduce_moments(drawn)
-        found = self.moments
-        assert found is not None
-        if not np.isfinite(found.squares):
+        moments = self.moments
+        assert moments is not None
+        if not np.isfinite(moments.squares):
             raise FloatingPointError("all particle weights vanish")
-        return found
+        return moments
 
     def mean(self) -> State:
         mean = self._moments().mean
@@ -155,23 +155,25 @@ class CudaParticleSet:
         return float(np.sqrt(max(self._moments().second[_CROSSING : _CROSSING + 2].sum(), 0.0)))
 
     def centre(self) -> tuple[Array, Array]:
-        found = self._moments()
-        return found.mean[layout.CENTRE_ROW : layout.CENTRE_ROW + 3], found.second[_CENTRE : _CENTRE + 9].reshape(3, 3)
+        moments = self._moments()
+        return moments.mean[layout.CENTRE_ROW : layout.CENTRE_ROW + 3], moments.second[_CENTRE : _CENTRE + 9].reshape(
+            3, 3
+        )
 
     def image_bounds(self) -> tuple[Array, Array]:
         bounds = self._moments().bounds
         return bounds[:, 0], bounds[:, 1]
 
     def posterior(self) -> Posterior:
-        found = self._moments(drawn=True)
-        assert found.drawn is not None
-        drawn = found.drawn[:, : -(-self._N // int(self.device.commands[self.slot, layout.DRAWN_STRIDE]))]
+        moments = self._moments(drawn=True)
+        assert moments.drawn is not None
+        drawn = moments.drawn[:, : -(-self._N // int(self.device.commands[self.slot, layout.DRAWN_STRIDE]))]
         return Posterior(
             mean=self.mean(),
-            position=found.mean[layout.CENTRE_ROW : layout.CENTRE_ROW + 3],
-            speed=float(found.mean[layout.SPEED_ROW]),
-            speed_std=float(np.sqrt(max(found.second[_SPEED], 0.0))),
-            ess=1.0 / found.squares,
+            position=moments.mean[layout.CENTRE_ROW : layout.CENTRE_ROW + 3],
+            speed=float(moments.mean[layout.SPEED_ROW]),
+            speed_std=float(np.sqrt(max(moments.second[_SPEED], 0.0))),
+            ess=1.0 / moments.squares,
             particles_left=drawn[:2].T.copy(),
             particles_right=drawn[2:].T.copy(),
         )
