@@ -38,7 +38,7 @@ SECONDS = 5.0  # of a scene
 APART = 18.0  # m between two vehicles in a lane at least
 COUNTED = "vehicles", "once", "twice", "missed", "false", "with a speed"
 EMPTY_RATE, EMPTY_SIZE = 10.0, (480, 360)
-LEARNED = 30.0  # s of the empty road
+BACKGROUND_S = 30.0  # s of the empty road
 
 
 def scene(seed: int, kind: str) -> Scene:
@@ -269,8 +269,8 @@ def nothing(minutes: float, seed: int) -> str:
     """What is found on an empty road after it has been learned."""
     with tempfile.TemporaryDirectory() as folder:
         clip = written(render(empty_scene(seed)), folder)  # for its paths
-    frames = empty_road(minutes + LEARNED / 60, seed)
-    learned = [frame for k, frame in enumerate(islice(frames, int(LEARNED * EMPTY_RATE))) if k % 10 == 0]
+    frames = empty_road(minutes + BACKGROUND_S / 60, seed)
+    learned = [frame for k, frame in enumerate(islice(frames, int(BACKGROUND_S * EMPTY_RATE))) if k % 10 == 0]
     background = background_from(
         *([f.astype(np.float16) for f in views] for views in zip(*((f.left, f.right) for f in learned), strict=True))
     )

@@ -2,8 +2,8 @@
 
 python benchmarks/live.py [--groups 6]
 
-First the work for each pair of frames alone, not paced, in processor time; then the survey itself, paced as cameras
-would, which on a busy computer drops frames that an idle one would not.
+First the processor time of each pair of frames, at full speed; then the survey itself at the frame rate of the cameras,
+which on a busy computer drops frames that an idle one would not.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from paceline.survey.live import survey
 
 RATE = 10.0  # frames/s
 FRAMES, GAP = 34, 10  # of a group of two vehicles, and without any behind it
-LEARNED = 8.0  # s of empty road
+BACKGROUND_S = 8.0  # duration of the empty road before the first vehicle
 NOISE = 1.0  # grey levels
 
 
@@ -50,12 +50,14 @@ class RenderedStreams:
 
 
 def scene(k: int) -> Scene:
-    """The k-th group: one that comes nearer and one that goes away."""
-    near = Vehicle("v0", 15.0 + k % 4, start_distance=66.0, lane=-1.85, texture_seed=20 + k, relief=0.03)
-    away = Vehicle("v1", 12.0 + k % 3, start_distance=22.0, lane=1.85, texture_seed=60 + k, relief=0.03, receding=True)
+    """The k-th group: an approaching vehicle and a receding one."""
+    approaching = Vehicle("v0", 15.0 + k % 4, start_distance=66.0, lane=-1.85, texture_seed=20 + k, relief=0.03)
+    receding = Vehicle(
+        "v1", 12.0 + k % 3, start_distance=22.0, lane=1.85, texture_seed=60 + k, relief=0.03, receding=True
+    )
     return Scene(
         seed=5,
-        vehicles=(near, away),
+        vehicles=(approaching, receding),
         image_size=(1280, 960),
         focal=2300.0,
         camera_height=3.0,
@@ -69,7 +71,7 @@ def scene(k: int) -> Scene:
 
 
 def render_streams(groups: int) -> RenderedStreams:
-    """An empty road, and group after group on it."""
+    """An empty road, then group after group of vehicles."""
     world, rng = World(scene(0)), np.random.default_rng(3)
     stills = [StaticBackground(world.scene, world.road, world.scene.seed).draw(view) for view in world.views]
     views: tuple[list[NDArray[np.uint8]], list[NDArray[np.uint8]]] = [], []
@@ -81,28 +83,28 @@ def render_streams(groups: int) -> RenderedStreams:
             pictures.extend(np.clip(still + n, 0, 255).astype(np.uint8) for n in noise)
         busy.extend([False] * frames)
 
-    empty(int((LEARNED + 1) * RATE))
+    empty(int((BACKGROUND_S + 1) * RATE))
     speeds = []
     for k in range(groups):
         rendered = render(scene(k))
         for pictures, more in zip(views, (rendered.left, rendered.right), strict=True):
             pictures.extend(more)
-        shown = [
+        visible = [
             {row["vehicle"] for row in rendered.truth if row["frame"] == j and row["inside"]} for j in range(FRAMES)
         ]
-        busy.extend(len(vehicles) == 2 for vehicles in shown)
+        busy.extend(len(vehicles) == 2 for vehicles in visible)
         speeds += [v.speed for v in scene(k).vehicles]
         empty(GAP)
     return RenderedStreams(views, busy, speeds)
 
 
-def write(of: RenderedStreams, folder: Path) -> Clip:
-    """The film as two H.264 videos, as network cameras send them, with a rig.yaml whose (very slight) distortion costs
-    what a strong one does."""
+def write(streams: RenderedStreams, folder: Path) -> Clip:
+    """Writes the streams as two H.264 videos, as network cameras send them, with a rig.yaml whose slight distortion takes
+    as long to remove as a strong one."""
     world = World(scene(0))
     cameras = [replace(camera, distortion=np.array([1e-7, 0, 0, 0])) for camera in world.rig.cameras]
     (folder / "rig.yaml").write_text(rig_yaml(replace(world.rig, left=cameras[0], right=cameras[1])))
-    for name, pictures in zip(("left", "right"), of.views, strict=True):
+    for name, pictures in zip(("left", "right"), streams.views, strict=True):
         with av.open(folder / f"{name}.mp4", "w") as container:
             stream = container.add_stream("libx264", rate=int(RATE), options={"crf": "16", "preset": "veryfast"})
             stream.width, stream.height, stream.pix_fmt = 1280, 960, "yuv420p"
@@ -114,16 +116,16 @@ def write(of: RenderedStreams, folder: Path) -> Clip:
     return load_clip(folder / "clip.yaml")
 
 
-def alone(of: RenderedStreams, clip: Clip) -> list[float]:
-    """Processor seconds for each pair: undistortion, and everything that the finder does while it looks."""
-    empty = [pictures[0].astype(np.float32) for pictures in of.views]
+def processor_times(streams: RenderedStreams, clip: Clip) -> list[float]:
+    """Processor seconds for each pair: undistortion and detection."""
+    empty = [pictures[0].astype(np.float32) for pictures in streams.views]
     finder = VehicleFinder(lane_paths_of(clip), RunningMedianBackground((empty[0], empty[1])))
-    before, seconds = None, []
-    for k, (left, right) in enumerate(zip(*of.views, strict=True)):
-        pair, begun = RawPair(k, k / RATE, left, right, 0.0), time.process_time()
-        finder.finished_tracks(undistort_pair(pair, clip.rig, before, finder.rows))
-        seconds.append(time.process_time() - begun)
-        before = pair
+    previous, seconds = None, []
+    for k, (left, right) in enumerate(zip(*streams.views, strict=True)):
+        pair, start_time = RawPair(k, k / RATE, left, right, 0.0), time.process_time()
+        finder.finished_tracks(undistort_pair(pair, clip.rig, previous, finder.rows))
+        seconds.append(time.process_time() - start_time)
+        previous = pair
     return seconds
 
 
@@ -132,34 +134,33 @@ def main() -> None:
     parser.add_argument("--groups", type=int, default=6, help="pairs of vehicles that pass")
     args = parser.parse_args()
     cv2.setNumThreads(1)  # as the command does
-    of = render_streams(args.groups)
+    streams = render_streams(args.groups)
     with tempfile.TemporaryDirectory() as folder:
-        clip = write(of, Path(folder))
-        seconds, busy = np.array(alone(of, clip)), np.array(of.busy)
+        clip = write(streams, Path(folder))
+        seconds, busy = np.array(processor_times(streams, clip)), np.array(streams.busy)
         print(head("pairs of frames", "number", "median, ms", "95 %, ms", "most, ms"))
         for name, chosen in (("two vehicles in view", busy), ("none", ~busy)):
             ms = 1000 * seconds[chosen]
             print(row(name, len(ms), *(f"{np.percentile(ms, p):.0f}" for p in (50, 95, 100))), flush=True)
-        told: list[Measurement | None] = []
+        results: list[Measurement | None] = []
 
-        def note(found: DetectedVehicle, measurement: Measurement | None, reason: str) -> None:
-            told.append(measurement)
+        def on_result(detected: DetectedVehicle, measurement: Measurement | None, reason: str) -> None:
+            results.append(measurement)
 
         views = LiveStereo(clip)
-        looking, begun = time.process_time(), time.monotonic()
-        learned: list[int] = []
-        configuration = SpeedConfiguration(background=BackgroundSettings(seconds=LEARNED))
-        survey(clip, views, configuration, note, lambda paths: learned.append(views.dropped))
-        looking, passed = time.process_time() - looking, time.monotonic() - begun
+        cpu_s, start_time = time.process_time(), time.monotonic()
+        dropped_before_ready: list[int] = []
+        configuration = SpeedConfiguration(background=BackgroundSettings(seconds=BACKGROUND_S))
+        survey(clip, views, configuration, on_result, lambda paths: dropped_before_ready.append(views.dropped))
+        cpu_s, elapsed = time.process_time() - cpu_s, time.monotonic() - start_time
         children = resource.getrusage(resource.RUSAGE_CHILDREN)
-    measured = [m for m in told if m is not None and m.verdict == "measured"]
-    errors = [min((m.speed - v for v in of.speeds), key=abs) / MPH for m in measured]
-    pairs = len(of.busy)
+    measured = [m for m in results if m is not None and m.verdict == "measured"]
+    errors = [min((m.speed - v for v in streams.speeds), key=abs) / MPH for m in measured]
+    pairs = len(streams.busy)
     print(
-        f"\nAs streams: {pairs} pairs in {passed:.0f} s, {views.dropped} dropped, {learned[0]} of them while the "
-        f"empty road was made out of what had been seen; {looking / pairs * 1000:.0f} ms of "
-        f"processor time for each, decoding included, besides {children.ru_utime + children.ru_stime:.0f} s in all for "
-        f"the measuring process.\n{len(told)} vehicles told of {len(of.speeds)}, {len(measured)} measured, "
+        f"\nAs streams: {pairs} pairs in {elapsed:.0f} s, {views.dropped} dropped, {dropped_before_ready[0]} of them "
+        f"while the background was estimated; {cpu_s / pairs * 1000:.0f} ms of processor time for each, "
+        f"decoding included, and {children.ru_utime + children.ru_stime:.0f} s in all for the measuring process.\n{len(results)} of {len(streams.speeds)} vehicles detected, {len(measured)} measured, "
         f"{rms(errors):.2f} mph rms.\n\n{machine()}"
     )
 

@@ -85,7 +85,7 @@ __all__ = [
     "write_stereo_documents",
 ]
 
-# Where each name is defined, and what it is called there. ``follow`` is a package that can be called.
+# The module that defines each name, and its name there. ``follow`` is a package that can be called.
 _DEFINING_MODULES = {
     "ChaseOcclusion": ("paceline.simulation.chase.scene", "Occlusion"),
     "ClipResult": ("paceline.speed.results", "ClipResult"),

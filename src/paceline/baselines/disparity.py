@@ -34,13 +34,13 @@ class DepthMap:
 
 @dataclass(frozen=True, eq=False)
 class Rectification:
-    """The pair of ideal cameras that look the same way, their rows along the baseline ``b``, focal length ``f`` px."""
+    """The ideal cameras with one viewing direction and rows along the baseline ``b``, focal length ``f`` px."""
 
     rig: StereoRig
 
     @cached_property
     def rotation(self) -> Array:
-        """(3, 3) from the left camera's axes to the rectified ones: x along the baseline, z as near ahead as may be."""
+        """(3, 3) from the left camera's axes to the rectified ones: x along the baseline, z near the view axis."""
         x = -self.rig.R.T @ self.rig.t / self.rig.baseline
         ahead = np.array([0.0, 0.0, 1.0]) + self.rig.R[2]
         y = np.cross(ahead, x)

@@ -88,7 +88,7 @@ class LucasKanade:
     def _track(self, frame: StereoFrame, moves: tuple[ScaledShift, ScaledShift]) -> tuple[_Matches, Array] | None:
         """The points tracked into ``frame`` and the regions (2, 4, 2) moved with them; None where too few are found.
 
-        Points are tracked from the last key frame, not from the last one: what they slip then adds up less often.
+        Points are tracked from the last keyframe, not from the last frame, so that errors accumulate less often.
         """
         assert self._templates is not None
         key, expected = self._keyframe, [m(q) for m, q in zip(moves, self._templates.quads, strict=True)]

@@ -132,7 +132,7 @@ class Multimodal:
         step = triangulate(self.rig, left, right) - triangulate(self.rig, *self._templates.quads.mean(1))
         self._axes = level_frames(step) if self.path is None else self._axes_at(centre)
         velocity = self._axes.T @ step / dt
-        # of two places by one region each: over a short time their step says little
+        # of two places by one region each: over a short time their difference contains little information
         spread = self._axes.T @ triangulation_covariance(self.rig, centre, DISPARITY_SIGMA_PX) @ self._axes * 2 / dt**2
         if self.vehicle.speed is not None:
             velocity[0] = np.copysign(self.vehicle.speed, velocity[0])
@@ -214,7 +214,7 @@ class Multimodal:
         resampled = a * resampled + (1 - a) * weights.mean(state) + self.rng.normal(size=resampled.shape) @ kernel.T
         return Particles(resampled[:, :3], resampled[:, 3:])
 
-    # --- what is found ----------------------------------------------------------------------------------------------
+    # --- results -----------------------------------------------------------------------------------------------------
 
     def _record(
         self, frame: StereoFrame, particles: Particles, weights: Weights, axes: Array, depths: DepthMap

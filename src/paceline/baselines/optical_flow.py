@@ -24,7 +24,7 @@ FLOW_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-3)
 def detect_corners(image: Image, quad: Array, known: Array) -> Array:
     """Corners (n, 2) inside ``quad`` (4, 2) that are clear of the ``known`` points (m, 2).
 
-    They keep half a window from its sides: a window that shows what is behind the vehicle is drawn to its depth.
+    They are at least half a window from its sides: a window that shows the background is biased to its depth.
     """
     rim = np.minimum(0.5 * window_size(quad) / np.ptp(quad, axis=0), MAX_RIM_SHARE)
     inner = quad.mean(0) + (1 - 2 * rim) * (quad - quad.mean(0))
@@ -45,8 +45,8 @@ def detect_corners(image: Image, quad: Array, known: Array) -> Array:
 def track_points(before: Image, after: Image, points: Array, move: ScaledShift, window: int) -> tuple[Array, Mask]:
     """The positions of ``points`` (n, 2) of ``before`` in ``after``, starting from ``move``, and which pass the check.
 
-    The earlier picture is first brought to the later one's place and scale, because the method itself knows of shifts
-    only.
+    The earlier image is first warped to the position and scale of the later one, because the method itself estimates
+    shifts only.
     """
     start = move(points)
     low, high = _crop_bounds(start, after)
@@ -91,7 +91,7 @@ def _forward_backward(before: Image, after: Image, points: Array, guess: Array, 
     )
     return np.asarray(
         tracked - 0.5 * (returned - start), float
-    ), valid  # both ways' mean: what errs alike in both cancels
+    ), valid  # the mean of both directions, in which common errors cancel
 
 
 def _crop_bounds(points: Array, image: Image) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

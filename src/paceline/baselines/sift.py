@@ -114,7 +114,7 @@ class Sift:
         )
 
     def unmeasurable(self) -> Message:
-        """Why there is nothing to measure by; empty where there is."""
+        """Why the vehicle cannot be measured; empty if it can."""
         if self.frame_results:
             return check_frame_count(self.frame_results, self.limits)
         return message("too_little_texture", test=f"fewer than {MIN_FEATURE_MATCHES} features match across the views")

@@ -129,7 +129,7 @@ class TemplateTracker:
         return ScaledShift(1 / depth, (centre + (centre - grown * centres[view]) * steps) / depth - centre / depth)
 
     def _outside(self, quads: Array) -> bool:
-        """Whether a region has left its image, or shrunk to nothing."""
+        """Whether a region has left its image, or has no area left."""
         for quad, image in zip(quads, self.images, strict=True):
             if not ((quad >= 0).all() and (quad <= np.array(image.shape[::-1]) - 1).all()):
                 return True

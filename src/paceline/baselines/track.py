@@ -118,7 +118,7 @@ def check_frame_count(results: Sequence[FrameResult], limits: Limits) -> Message
 def track_of(
     vehicle: str, results: Sequence[FrameResult], speeds: Array | None = None, stds: Array | None = None
 ) -> Track:
-    """The aligned arrays of a track; points are filled up with NaN to one number in every frame."""
+    """The aligned arrays of a track; points are padded with NaN to the same number in every frame."""
     undefined = np.full(len(results), NAN)
     return Track(
         vehicle=vehicle,

@@ -23,7 +23,7 @@ def triangulation_information(rig: StereoRig, points: Array, sigma: float) -> Ar
 
 
 def triangulation_covariance(rig: StereoRig, points: Array, sigma: float) -> Array:
-    """The covariance (…, 3, 3), m², to that information: to first order, of optimally triangulated points."""
+    """First-order covariance (…, 3, 3), m², of optimally triangulated points: the inverse of that information."""
     return np.asarray(np.linalg.inv(triangulation_information(rig, points, sigma)))
 
 

@@ -227,7 +227,7 @@ def _check_focal_length(final: BundleAdjustment, covariance: Array) -> None:
 def _advice(
     final: BundleAdjustment, observations: Observations, sizes: tuple[tuple[int, int], tuple[int, int]]
 ) -> list[str]:
-    """What is missing among the views, one plain line each."""
+    """Messages on missing views: their number, tilt and coverage of the images."""
     messages: list[str] = []
     V = len(final.poses.t)
     if V < RECOMMENDED_VIEWS:
@@ -247,7 +247,7 @@ def _advice(
 
 
 def empty_cells(pixels: Array, size: tuple[int, int]) -> list[str]:
-    """Parts of an image of that (width, height) in which none of ``pixels`` (n, 2) lies, in words."""
+    """The names of the parts of an image of that (width, height) that contain none of the ``pixels`` (n, 2)."""
     cells = np.clip((pixels / np.array(size) * COVERAGE_CELLS).astype(int), 0, np.array(COVERAGE_CELLS) - 1)
     hit = {(int(x), int(y)) for x, y in cells}
     return [

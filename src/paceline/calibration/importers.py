@@ -251,7 +251,7 @@ def _kitti(texts: dict[Path, str], options: ImportOptions) -> StereoRig:
     return StereoRig(lenses[0], lenses[1], R, options.unit * (shifts[1] - R @ shifts[0]))
 
 
-# --- what they share -----------------------------------------------------------------------------------------------
+# --- shared functions ----------------------------------------------------------------------------------------------
 
 
 def _text(file: Path) -> str:

@@ -25,6 +25,6 @@ def file_named(path: Path, default_name: str) -> Path:
 
 
 def refuse_read_only(file: Path, otherwise: str = "") -> None:
-    """Raises UnusableInput where a person's ``file`` is not to be added to; ``otherwise`` says what to do instead."""
+    """Raises UnusableInput where ``file`` is read-only; ``otherwise`` names the alternative."""
     if not os.access(file, os.W_OK) or not file.stat().st_mode & 0o200:
         raise UnusableInput(f"{file}: cannot be written (it is read-only); expected one to add to{otherwise}")

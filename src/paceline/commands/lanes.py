@@ -97,13 +97,13 @@ def lanes(
 
 
 def _pictures(file: Path, out: Path | None) -> tuple[Path, Path]:
-    """Where the pictures of both views go: beside the clip.yaml or the site.yaml."""
+    """The paths of both views' pictures: beside the clip.yaml or the site.yaml."""
     stem = file.with_name("lanes") if out is None else out.with_suffix("")
     return stem.with_name(f"{stem.name}-left.png"), stem.with_name(f"{stem.name}-right.png")
 
 
 def _check_pictures(clip: Clip, pictures: tuple[Path, Path]) -> None:
-    """Refuse pictures that would be taken for frames of the recording."""
+    """Raises UnusableInput where a later run would read these pictures as frames of the recording."""
     for picture in pictures:
         for source in (clip.left, clip.right):
             inside = source.is_dir() and picture.parent.resolve() == source.resolve()

@@ -33,13 +33,13 @@ LINE_JPEG_QUALITY = 70
 
 
 def lines_requested() -> bool:
-    """Whether the program that started this command asks for progress lines."""
+    """Whether the program that started this command requests progress lines."""
     return os.environ.get(PROGRESS_VARIABLE) == "lines"
 
 
 def speed_line_writer(rig: StereoRig) -> Callable[[str, Estimate], None] | None:
-    """The callback that writes an estimate line for each estimate of a vehicle's speed; None if no lines are asked
-    for."""
+    """The callback that writes an estimate line for each estimate of a vehicle's speed; None if no lines are
+    requested."""
     if not lines_requested():
         return None
 
@@ -54,7 +54,7 @@ def speed_line_writer(rig: StereoRig) -> Callable[[str, Estimate], None] | None:
 
 def range_line_writer(target: str, live: bool) -> Callable[[CameraFrame, FollowEstimate], None] | None:
     """The callback that writes an estimate line for each estimate of the distance of the vehicle ahead and, for a
-    ``live`` camera, a pictures line every PICTURE_INTERVAL_S; None if no lines are asked for."""
+    ``live`` camera, a pictures line every PICTURE_INTERVAL_S; None if no lines are requested."""
     if not lines_requested():
         return None
     next_time = 0.0
@@ -75,7 +75,7 @@ def range_line_writer(target: str, live: bool) -> Callable[[CameraFrame, FollowE
 def live_line_writer(rig: StereoRig) -> Callable[[RawPair, list[DetectionTrack]], bool] | None:
     """The callback that writes, every PICTURE_INTERVAL_S, what the cameras of a live survey show: an estimate line for
     each vehicle in view, with its approximate speed, and a pictures line. It returns whether it has written them; None
-    if no lines are asked for."""
+    if no lines are requested."""
     if not lines_requested():
         return None
     from paceline.survey.live import last_outline
@@ -128,7 +128,7 @@ def _write_line(line: str) -> None:
 def progress_bar(activity: str, show: bool) -> Iterator[Progress | None]:
     """A progress bar on standard error; yields what advances it, called with frames done and the total if known.
 
-    A program that asks for lines gets progress lines instead; when it stops reading them, the command ends.
+    A program that requests lines gets progress lines instead; when it stops reading them, the command ends.
     """
     if lines_requested():
         yield lambda done, total: write_progress(activity, done, total)

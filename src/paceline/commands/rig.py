@@ -25,7 +25,7 @@ ROTATION_NAMES = ("nod (about x)", "pan (about y)", "roll (about z)")
 
 
 class Unit(StrEnum):
-    """Of the length in which a file states the distance between the cameras."""
+    """Unit of length of the translation in a calibration file."""
 
     m = "m"
     cm = "cm"
@@ -155,7 +155,7 @@ def _print_check(check: RigCheck, frames: int) -> None:
 
 
 def verdict(check: RigCheck) -> str:
-    """One line on whether the rig stands as it was calibrated."""
+    """One line on whether the rig has moved since its calibration."""
     from paceline.calibration.rig_check import SIGNIFICANCE_LEVEL
 
     if not check.moved:
@@ -183,7 +183,7 @@ def _print_refinement(correction: RotationCorrection, out: Path) -> None:
     print_columns(rows)
     effects = "   ".join(f"{e.distance:.0f} m ± {100 * COVERAGE_95 * e.along:.1f} %" for e in correction.effects)
     print(f"speeds   {effects}   (95 %, from the calibration alone)")
-    print(f"No scene tells the distance between the cameras: {out} keeps the calibration's.")
+    print(f"No scene determines the distance between the cameras: {out} keeps the calibration's.")
 
 
 def _size(text: str | None) -> tuple[int, int] | None:

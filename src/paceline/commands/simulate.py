@@ -80,7 +80,7 @@ def simulate_suite(
 
 
 def _file(scene: str, kind: str) -> Path:
-    """The path that ``scene`` is, where no named scene is called so."""
+    """The path ``scene`` of a scene file, where no named scene has this name."""
     from paceline.documents.models import suggestion
     from paceline.simulation.raytraced.named_scenes import list_scenes
 

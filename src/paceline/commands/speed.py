@@ -116,7 +116,7 @@ def speed(
 def _measure(
     clip: Path, out: Path, settings: SpeedSettings, unit: SpeedUnit, quiet: bool, detector: Path | None
 ) -> ClipResult:
-    """Measures a recording and writes what was found."""
+    """Measures a recording and writes the results; the exit status."""
     import paceline.baselines.registry  # noqa: F401  makes the baselines known
     from paceline.detection.onnx_detector import OnnxDetector
     from paceline.documents.loading import load_clip
@@ -129,7 +129,7 @@ def _measure(
     document = load_clip(file_named(clip, "clip.yaml"))
     if detector is not None and document.vehicles:
         raise UnusableInput(f"{document.path}: vehicles: --detector is to find them; expected none")
-    with OutputFolder(out) as folder:  # before the work, so that an unwritable folder is told at once
+    with OutputFolder(out) as folder:  # before the work, so that an unwritable folder is reported at once
         recording, show_progress = open_recording(document), sys.stderr.isatty() and not quiet
         result = measure_recording(
             document,
@@ -182,14 +182,14 @@ def _unit(text: str) -> SpeedUnit:
 
 
 def _tolerance(value: float, unit: SpeedUnit) -> float:
-    """In m/s."""
+    """The tolerance in m/s."""
     if not 0 < value < float("inf"):
         raise UnusableInput(f"--max-half-width {value:g}: expected {unit} above 0")
     return value * unit.mps
 
 
 def _settings(config: Path | None, options: dict[str, object]) -> SpeedSettings:
-    """The settings of the file ``config``; ``options``, by key or section.key, win."""
+    """The settings of the file ``config``; ``options``, by key or section.key, override them."""
     from pydantic import ValidationError
 
     from paceline.speed.configuration import SpeedSettings, load_settings

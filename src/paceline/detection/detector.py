@@ -193,7 +193,7 @@ class PlaneSweepDetector:
         return maps, areas
 
     def _is_upright(self, coarse: dict[int, Image], views: Pyramids, k: int) -> bool:
-        """Whether what is consistent on a coarse plane stands there rather than lies on the road."""
+        """Whether the consistent area of a coarse plane is an upright surface rather than the road's."""
         return bool(upright_ratio(coarse[k], *self._on_road[k].correlation_map(views)) >= MIN_COARSE_UPRIGHT_RATIO)
 
     def _changed(self, views: Pyramids, background: Pyramids, min_contrast: float) -> NDArray[np.bool_]:

@@ -109,7 +109,7 @@ Covariance = Annotated[Array, BeforeValidator(_covariance)]
 
 
 class KnownKeys(BaseModel):
-    """A model that refuses an unknown key with the nearest one that it knows.
+    """A model that refuses an unknown key and names the nearest valid one.
 
     A field with ``validation_alias=AliasChoices(name, old name)`` accepts an older name of its key, too.
     """

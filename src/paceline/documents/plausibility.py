@@ -166,7 +166,7 @@ def check_target(ends: Array) -> str | None:
 
 
 def check_start(center: Array, scale: float, ends: Array, image_size: tuple[int, int]) -> tuple[str, str] | None:
-    """The key and what is wrong with it, where a target cannot begin.
+    """The key and its problem, where a target cannot be tracked from its start.
 
     ``ends`` (N, 2) of its lines are px from its centre at scale 1.
     """

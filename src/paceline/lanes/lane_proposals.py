@@ -40,7 +40,7 @@ class RoadLine:
 class Lane:
     """A lane between the lines named ``between``. ``width`` and its standard deviation ``width_std`` in metres, the
     calibration's part included; ``shape``, ``left`` and ``right`` (N, 2), pixels as recorded, are its centre line drawn
-    in each view, ``path`` what they reconstruct to, None with a ``reason`` where the two views do not determine it."""
+    in each view, ``path`` their reconstruction, None with a ``reason`` where the two views do not determine it."""
 
     between: tuple[str, str]
     width: float

@@ -48,7 +48,7 @@ class ImageSource(Protocol):
 def open_source(path: Path, bit_depth: int | None = None) -> ImageSource:
     """The images of a folder, the images that a pattern (``left/*.png``, ``left/%04d.png``) matches, or a video.
 
-    ``bit_depth`` says how many bits of 16-bit images are used (all 16 by default). Raises UnusableInput where there
+    ``bit_depth`` is how many bits of 16-bit images are used (all 16 by default). Raises UnusableInput where there
     is nothing to read.
     """
     if path.is_dir():

@@ -188,7 +188,7 @@ class StereoRecording:
 
 
 def open_recording(clip: StereoSource) -> StereoRecording:
-    """The recording of a clip. Raises UnusableInput for whatever can be found out without reading all of it."""
+    """The recording of a clip. Raises UnusableInput for every problem that shows without reading all of it."""
     left, right = (open_source(path, clip.bit_depth) for path in (clip.left, clip.right))
     if clip.times is not None:
         pairing = pair_by_time(*read_times(clip.times, len(left), len(right)), clip.tolerance)
@@ -237,7 +237,7 @@ def pair_images(left: ImageFiles, right: ImageFiles, rate: float) -> Pairing:
     """Pairs images taken at ``rate`` frames per second by the frame numbers in their names, or else in order.
 
     Numbers that skip mean dropped frames. Equally many images that skip alike are paired in order, whatever number
-    each view begins with. Raises UnusableInput when the counts differ and nothing says which images belong together.
+    each view begins with. Raises UnusableInput when the counts differ and the pairs cannot be determined.
     """
     numbers = _frame_counters(left.numbers, right.numbers)
     if numbers is None:

@@ -105,7 +105,7 @@ def measure(
 
 
 def named(method: str) -> dict[str, object]:
-    """What a result's configuration says of its ``method``: nothing where it is Paceline's own."""
+    """The entry for ``method`` in a result's configuration: empty for Paceline's own method."""
     return {} if method == DEFAULT_METHOD else {"method": current_name(method)}
 
 

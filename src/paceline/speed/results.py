@@ -90,7 +90,7 @@ class Measurement:
     reason_code: str = ""  # of `paceline.verdicts`; empty when measured
 
     def summary(self) -> dict[str, object]:
-        """What summary.json says of the vehicle."""
+        """The vehicle's entry of summary.json."""
         return {
             "vehicle": self.vehicle,
             "speed_mps": self.speed,

@@ -1,4 +1,4 @@
-"""Monitors an active run: the estimates of its vehicles over time, and its last frame with what is drawn on it."""
+"""Monitors an active run: the estimates of its vehicles over time, and its last frame with outlines and particles."""
 
 from __future__ import annotations
 

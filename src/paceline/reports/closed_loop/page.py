@@ -27,7 +27,7 @@ PLOT_CAPTIONS = {
 def write_drive_page(
     result: DriveResult, file: Path, *, plots: list[Plot], stills: list[TargetStill], overlay: bool
 ) -> None:
-    """Writes the page. Needs no other file and no network; ``overlay`` says whether there is a video to link to."""
+    """Writes the page. Needs no other file and no network; ``overlay``: whether there is a video to link to."""
     f = result.figures
     text = render(
         "closed_loop/page.html.j2",

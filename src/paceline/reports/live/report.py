@@ -32,7 +32,7 @@ MAX_WRITE_TIME_SHARE = 0.01  # of the time, for writing summary.json, which grow
 @dataclass(eq=False)
 class LiveResults:
     """The tables and pictures in the folder ``out``, from `begin` on, and the report when the context ends; ``about``
-    is what summary.json says besides of the vehicles, ``unit`` that of the report.
+    holds the entries of summary.json besides the vehicles; ``unit`` is that of the report.
 
     A vehicle is in estimates.csv from the moment that it is measured, and in summary.json soon after; what ends the
     program later takes nothing away, and unless it is killed there is a report. Raises UnusableInput where ``out``

@@ -77,7 +77,7 @@ class TrackerBatch:
     """Trackers that process the same frames. On a ``device`` they take each step together, in the same launches.
 
     With ``fall_back_to_cpu``, a device that fails is left: all trackers continue on the CPU from where they were before
-    that frame, and ``notices`` says so. Otherwise the DeviceFailure is raised.
+    that frame, and ``notices`` states it. Otherwise the DeviceFailure is raised.
     """
 
     def __init__(self, device: CudaDevice | None = None, fall_back_to_cpu: bool = False) -> None:

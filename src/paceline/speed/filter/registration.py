@@ -107,7 +107,7 @@ def register(
 ) -> Registration:
     """Register the plane's sample ``points`` (parts, samples, 3), where expected, to the ``images`` of ``views``.
 
-    ``texture`` (parts, samples) is what they should show; ``directions`` (3, k) spans the shifts looked for. With a
+    ``texture`` (parts, samples) is their expected appearance; ``directions`` (3, k) spans the estimated shifts. With a
     ``coarseness`` above 1, texture and images are smoothed by that many grid steps, to be found from farther away.
     Raises numpy.linalg.LinAlgError where the texture determines nothing.
     """

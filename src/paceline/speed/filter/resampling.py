@@ -90,7 +90,7 @@ def stratified(W: Array, rng: np.random.Generator) -> Indices:
 
 @resampling_scheme
 def residual(W: Array, rng: np.random.Generator) -> Indices:
-    """⌊N·W⌋ copies of each, the rest drawn from what is left over."""
+    """⌊N·W⌋ copies of each, the rest drawn by the residual weights."""
     n = len(W)
     copies = np.floor(n * W + 1e-9).astype(np.int64)
     copied = np.repeat(np.arange(n), copies)

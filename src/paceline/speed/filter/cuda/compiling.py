@@ -11,7 +11,7 @@ from paceline.numba_cache import with_source_digest
 
 
 def kernel(function: FunctionType | None = None, **options: Any) -> Any:
-    """`cuda.jit` with a cache, as a decorator; what is kept is watched as in `numba_cache`."""
+    """`cuda.jit` as a decorator with a disk cache that is invalidated as in `numba_cache`."""
     if function is None:
         return lambda given: kernel(given, **options)
     return cuda.jit(cache=True, **options)(with_source_digest(function))  # type: ignore[no-untyped-call]

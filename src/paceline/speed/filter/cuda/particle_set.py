@@ -222,7 +222,7 @@ def rows_of(state: State) -> Array:
 
 
 def derived_rows_of(particle_set: ParticleSet) -> Array:
-    """The state of ``particle_set``, what is derived from it, and the weights, as rows (LIKELIHOOD, N)."""
+    """The state of ``particle_set``, its derived quantities and the weights, as rows (LIKELIHOOD_ROW, N)."""
     state, weights = particle_set.state, particle_set.weights
     rows = np.zeros((layout.LIKELIHOOD_ROW, len(state)))
     rows[: layout.STATE_ROW_COUNT] = rows_of(state)
