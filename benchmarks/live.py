@@ -99,8 +99,8 @@ def render_streams(groups: int) -> RenderedStreams:
 
 
 def write(streams: RenderedStreams, folder: Path) -> Clip:
-    """Writes the streams as two H.264 videos, as network cameras send them, with a rig.yaml whose slight distortion takes
-    as long to remove as a strong one."""
+    """Writes the streams as two H.264 videos, as of network cameras, with a rig.yaml whose slight distortion takes as
+    long to remove as a strong one."""
     world = World(scene(0))
     cameras = [replace(camera, distortion=np.array([1e-7, 0, 0, 0])) for camera in world.rig.cameras]
     (folder / "rig.yaml").write_text(rig_yaml(replace(world.rig, left=cameras[0], right=cameras[1])))
@@ -160,7 +160,8 @@ def main() -> None:
     print(
         f"\nAs streams: {pairs} pairs in {elapsed:.0f} s, {views.dropped} dropped, {dropped_before_ready[0]} of them "
         f"while the background was estimated; {cpu_s / pairs * 1000:.0f} ms of processor time for each, "
-        f"decoding included, and {children.ru_utime + children.ru_stime:.0f} s in all for the measuring process.\n{len(results)} of {len(streams.speeds)} vehicles detected, {len(measured)} measured, "
+        f"decoding included, and {children.ru_utime + children.ru_stime:.0f} s in all for the measuring process.\n"
+        f"{len(results)} of {len(streams.speeds)} vehicles detected, {len(measured)} measured, "
         f"{rms(errors):.2f} mph rms.\n\n{machine()}"
     )
 
