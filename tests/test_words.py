@@ -17,6 +17,14 @@ COINED = re.compile(
 )
 
 
+# What names a value is a noun or a quantity, not an adverb, a pronoun or a participle.
+NO_NOUNS = frozenset(
+    "aside few here there how mine said told way whole these many most often everything nothing wanted asked gone away "
+    "apart together alike alone then when where which why off begun took kept seen usual worse worst better sought wish "
+    "wished wishes".split()
+)
+
+
 def texts() -> dict[str, str]:
     """What is read by people or holds names, by its place in the project."""
     files = [ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
@@ -45,3 +53,16 @@ def test_no_bare_word_names_constants_of_two_modules() -> None:
             for word in constants(text):
                 modules[word].append(name)
     assert {word: names for word, names in modules.items() if len(names) > 1} == {}
+
+
+def local_names(module: str) -> set[str]:
+    """The names of parameters and of variables in the functions of a module."""
+    functions = [node for node in ast.walk(ast.parse(module)) if isinstance(node, ast.FunctionDef | ast.Lambda)]
+    nodes = [node for function in functions for node in ast.walk(function)]
+    stored = {node.id for node in nodes if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)}
+    return stored | {node.arg for node in nodes if isinstance(node, ast.arg)}
+
+
+def test_values_are_named_by_nouns() -> None:
+    modules = {name: text for name, text in texts().items() if name.startswith("src/") and name.endswith(".py")}
+    assert {name: bad for name, text in modules.items() if (bad := local_names(text) & NO_NOUNS)} == {}

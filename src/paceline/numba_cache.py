@@ -29,8 +29,8 @@ def cached_njit(**options: Any) -> Callable[[Function], Function]:
 
     def decorate(function: Function) -> Function:
         assert isinstance(function, FunctionType)
-        made: Function = njit(cache=True, **options)(with_source_digest(function))
-        return made
+        compiled: Function = njit(cache=True, **options)(with_source_digest(function))
+        return compiled
 
     return decorate
 

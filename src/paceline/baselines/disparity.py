@@ -76,13 +76,13 @@ class Rectification:
     def depths(self, images: tuple[Image, Image], region: Array, depth: float) -> DepthMap:
         """Depths inside the rectified box about ``region`` (n, 2) px, where about ``depth`` metres are expected."""
         expected = self.fb / max(depth, MIN_MATCHED_DEPTH_M)
-        least = int(np.floor(DISPARITY_RANGE[0] * expected)) - DISPARITY_MARGIN_PX
-        count = 16 * int(np.ceil((DISPARITY_RANGE[1] * expected + DISPARITY_MARGIN_PX - least) / 16))
+        min_disparity = int(np.floor(DISPARITY_RANGE[0] * expected)) - DISPARITY_MARGIN_PX
+        count = 16 * int(np.ceil((DISPARITY_RANGE[1] * expected + DISPARITY_MARGIN_PX - min_disparity) / 16))
         low, high = np.floor(region.min(0)), np.ceil(region.max(0)) + 1
         size = int(high[0] - low[0]) + count, int(high[1] - low[1])
         start = low - [count, 0]
         left = self.crop(images[0], 0, start, size)
-        right = self.crop(images[1], 1, start - [least, 0], size)
+        right = self.crop(images[1], 1, start - [min_disparity, 0], size)
         matcher = cv2.StereoSGBM.create(
             minDisparity=0,
             numDisparities=count,
@@ -96,5 +96,5 @@ class Rectification:
         )
         a, b = (np.clip(np.rint(i), 0, 255).astype(np.uint8) for i in (left, right))
         disparity = np.asarray(matcher.compute(a, b), float)[:, count:] / 16.0
-        Z = np.where(disparity >= 0, self.fb / np.maximum(disparity + least, 1e-6), np.nan)
+        Z = np.where(disparity >= 0, self.fb / np.maximum(disparity + min_disparity, 1e-6), np.nan)
         return DepthMap(low, left[:, count:], Z)

@@ -152,9 +152,9 @@ class LucasKanade:
         if plausible.any():
             inverse = 1.0 / np.where(plausible, depth, 1.0)
             deviation = np.abs(inverse - np.median(inverse[plausible]))
-            least = CORNER_MATCH_SIGMA_PX / (self.rig.left.K[0, 0] * self.rig.baseline)
+            min_deviation = CORNER_MATCH_SIGMA_PX / (self.rig.left.K[0, 0] * self.rig.baseline)
             plausible &= deviation < MAX_CORNER_DEPTH_DEVIATIONS * max(
-                1.4826 * float(np.median(deviation[plausible])), least
+                1.4826 * float(np.median(deviation[plausible])), min_deviation
             )
         return plausible
 

@@ -74,8 +74,10 @@ class Sift:
         valid = (np.abs(epipolar_distance(self.rig, left, right)) < MAX_FEATURE_EPIPOLAR_PX) & (inverse > 0)
         if valid.any():
             deviation = np.abs(inverse - np.median(inverse[valid]))
-            least = FEATURE_MATCH_SIGMA_PX / (self.rig.left.K[0, 0] * self.rig.baseline)
-            valid &= deviation < MAX_FEATURE_DEPTH_DEVIATIONS * max(1.4826 * float(np.median(deviation[valid])), least)
+            min_deviation = FEATURE_MATCH_SIGMA_PX / (self.rig.left.K[0, 0] * self.rig.baseline)
+            valid &= deviation < MAX_FEATURE_DEPTH_DEVIATIONS * max(
+                1.4826 * float(np.median(deviation[valid])), min_deviation
+            )
         return left[valid], right[valid]
 
     def _miss(self, frame: StereoFrame) -> bool:

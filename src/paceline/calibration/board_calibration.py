@@ -108,9 +108,9 @@ def calibrate(views: BoardViews) -> Calibration:
     pairs = sum(len(views.views[v].left) > 0 and len(views.views[v].right) > 0 for v in used)
     if pairs < MIN_BOARD_VIEWS:
         raise UnusableInput(f"only {pairs} pairs agree with each other; expected at least {MIN_BOARD_VIEWS}")
-    seen, outlier_corners = _without_outliers(rig, poses.of(used), renumbered(all_corners, agree))
+    inlier_corners, outlier_corners = _without_outliers(rig, poses.of(used), renumbered(all_corners, agree))
     try:
-        models = fit_lens_models(rig, poses.of(used), seen)
+        models = fit_lens_models(rig, poses.of(used), inlier_corners)
         distortion = min(models, key=lambda name: models[name].cross_validation_px)
         final, covariance = models[distortion].fit, model_averaged_covariance(models, distortion)
     except np.linalg.LinAlgError:
@@ -126,7 +126,7 @@ def calibrate(views: BoardViews) -> Calibration:
         views=views,
         rig=stereo,
         fit=final,
-        seen=seen,
+        seen=inlier_corners,
         distortion=distortion,
         cross_validation_px={name: model.cross_validation_px for name, model in models.items()},
         covariance=covariance,
@@ -134,7 +134,7 @@ def calibrate(views: BoardViews) -> Calibration:
         rejected={v: text for v, text in enumerate(reasons) if text},
         outlier_corners=outlier_corners,
         effects=speed_effects(stereo),
-        advice=_advice(final, seen, views.sizes),
+        advice=_advice(final, inlier_corners, views.sizes),
     )
 
 

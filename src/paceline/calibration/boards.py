@@ -177,8 +177,8 @@ def _chessboard_detector(board: Board) -> BoardDetector:
     size = board.columns, board.rows
 
     def detect(image: Image) -> Corners:
-        found, pixels = cv2.findChessboardCornersSB(_bytes(image), size, flags=cv2.CALIB_CB_ACCURACY)
-        if not found:
+        is_found, pixels = cv2.findChessboardCornersSB(_bytes(image), size, flags=cv2.CALIB_CB_ACCURACY)
+        if not is_found:
             return NO_CORNERS
         return Corners(np.arange(len(board.points)), np.reshape(pixels, (-1, 2)).astype(float))
 

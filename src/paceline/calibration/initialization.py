@@ -37,14 +37,14 @@ def initial_rig(sizes: Sequence[tuple[int, int]], observations: Observations, vi
 
 def _initial_lens(size: tuple[int, int], observations: Observations, views: int) -> tuple[Array, Poses]:
     """A lens (9,) and the poses of the views with it; NaN for views without corners."""
-    best, least = None, np.inf
+    best, min_error = None, np.inf
     for share in FOCAL_LENGTH_SHARES:
         lens = np.zeros(len(LENS_PARAMETERS))
         lens[:4] = share * size[0], share * size[0], (size[0] - 1) / 2, (size[1] - 1) / 2
         poses, errors = _poses(lens, observations, views)
         middle = float(np.nanmedian(errors))
-        if middle < least:
-            best, least = (lens, poses), middle
+        if middle < min_error:
+            best, min_error = (lens, poses), middle
     assert best is not None
     return best
 
@@ -76,7 +76,7 @@ def _initial_pose(lenses: Array, poses: list[Poses], observations: Observations)
     both = np.flatnonzero(np.isfinite(left.t[:, 0]) & np.isfinite(right.t[:, 0]))
     fx, fy, cx, cy = lenses[1, :4]
     corners = [observations.where((observations.view == v) & (observations.side == 1)) for v in both]
-    best, least = None, np.inf
+    best, min_error = None, np.inf
     for v in both:
         R = right.R[v] @ left.R[v].T
         t = right.t[v] - R @ left.t[v]
@@ -86,7 +86,7 @@ def _initial_pose(lenses: Array, poses: list[Poses], observations: Observations)
             pixels = X[:, :2] / X[:, 2:] * [fx, fy] + [cx, cy]
             errors.append(float(np.median(np.linalg.norm(pixels - view_corners.pixels, axis=1))))
         middle = float(np.median(errors))
-        if middle < least or best is None:
-            best, least = (R, t), middle
+        if middle < min_error or best is None:
+            best, min_error = (R, t), middle
     assert best is not None
     return best

@@ -90,9 +90,9 @@ def lanes(
         print(f"no lane found: {message('no_lane_between_lines')}")
         return EXIT_NOTHING_MEASURED
     if write or out is not None:
-        where = _write(file, out, document.rig, background, lines, named)
+        picture_names = _write(file, out, document.rig, background, lines, named)
         if not quiet:
-            print(f"\nLook at the pictures before you use them: {where}")
+            print(f"\nLook at the pictures before you use them: {picture_names}")
     return EXIT_DONE
 
 

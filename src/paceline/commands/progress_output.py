@@ -64,8 +64,8 @@ def range_line_writer(target: str, live: bool) -> Callable[[CameraFrame, FollowE
         outlines, points = ([], []) if e.status == "lost" else ([e.lines], [e.points])
         distance, std = float(e.position[2]), float(e.position_std[2])
         _write_line(format_estimate(target, e.frame, e.time, distance, std, e.status, outlines, points))
-        if live and frame.image is not None and (now := time.monotonic()) >= next_time:
-            next_time = now + PICTURE_INTERVAL_S
+        if live and frame.image is not None and (time_s := time.monotonic()) >= next_time:
+            next_time = time_s + PICTURE_INTERVAL_S
             height, width = frame.image.shape
             _write_line(format_pictures(frame.index, frame.time, (width, height), small_jpegs(frame.image)))
 
@@ -84,9 +84,9 @@ def live_line_writer(rig: StereoRig) -> Callable[[RawPair, list[DetectionTrack]]
 
     def write(pair: RawPair, tracks: list[DetectionTrack]) -> bool:
         nonlocal next_time
-        if (now := time.monotonic()) < next_time:
+        if (time_s := time.monotonic()) < next_time:
             return False
-        next_time = now + PICTURE_INTERVAL_S
+        next_time = time_s + PICTURE_INTERVAL_S
         lane_counts: Counter[str] = Counter()
         for track in tracks:
             lane = track.first.lane.name

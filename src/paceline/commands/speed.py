@@ -138,7 +138,7 @@ def _measure(
             settings.method,
             settings.device,
             None if detector is None else OnnxDetector(detector, settings.detection.score),
-            stage=lambda doing: progress_bar(doing, show_progress),
+            stage=lambda activity: progress_bar(activity, show_progress),
             on_estimate=speed_line_writer(document.rig),
         )
         return write_files(result, recording, folder, unit)

@@ -86,21 +86,21 @@ def make_app(library: Library, imports: Uploads) -> FastAPI:
 
 
 def _open_socket(host: str, port: int | None) -> socket.socket:
-    wanted = [port] if port is not None else list(range(DEFAULT_PORT, DEFAULT_PORT + MAX_TRIED_PORTS))
-    for number in wanted:
+    ports = [port] if port is not None else list(range(DEFAULT_PORT, DEFAULT_PORT + MAX_TRIED_PORTS))
+    for number in ports:
         try:
-            family, kind, _, _, where = socket.getaddrinfo(host, number, type=socket.SOCK_STREAM)[0]
+            family, kind, _, _, address = socket.getaddrinfo(host, number, type=socket.SOCK_STREAM)[0]
             listening = socket.socket(family, kind)
             listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             try:
-                listening.bind(where)
+                listening.bind(address)
                 listening.listen(64)
             except OSError:
                 listening.close()
                 raise
             return listening
         except OSError as error:
-            if number == wanted[-1]:
+            if number == ports[-1]:
                 raise UnusableInput(f"--host {host} --port {number}: cannot be used ({error.strerror})") from error
     raise AssertionError("at least one port is tried")
 

@@ -213,8 +213,8 @@ class PlaneSweepDetector:
         the highest are left out. ``areas`` of peaks that are not upright are set to 0."""
         while True:
             previous, following = np.append(0.0, areas[:-1]), np.append(areas[1:], 0.0)
-            least = max(MIN_COARSE_AREA_M2, MIN_PEAK_RATIO * float(areas.max()))
-            peak_indices = np.flatnonzero((areas >= previous) & (areas >= following) & (areas >= least))
+            min_area = max(MIN_COARSE_AREA_M2, MIN_PEAK_RATIO * float(areas.max()))
+            peak_indices = np.flatnonzero((areas >= previous) & (areas >= following) & (areas >= min_area))
             peaks = [int(k) for k in peak_indices[np.argsort(-areas[peak_indices])][:MAX_PEAKS]]
             not_upright = [k for k in peaks if not is_upright(k)]
             if not not_upright:
@@ -251,10 +251,10 @@ class PlaneSweepDetector:
         first, end = self._lane_range(best)
         ncc = cache(partial(volume.weighted_ncc, component=component, peak=best))
         for share, reach, misfit_ratio in (WIDE_PLATEAU, CLOSE_PLATEAU):
-            least, low, high = share * volume.area(best), best, best
-            while low > max(first, best - reach) and volume.area(low - 1) >= least:
+            min_area, low, high = share * volume.area(best), best, best
+            while low > max(first, best - reach) and volume.area(low - 1) >= min_area:
                 low -= 1
-            while high < min(end - 1, best + reach) and volume.area(high + 1) >= least:
+            while high < min(end - 1, best + reach) and volume.area(high + 1) >= min_area:
                 high += 1
             sharpest = max(range(low, high + 1), key=ncc)
             if 1.0 - ncc(sharpest) < misfit_ratio * (1.0 - ncc(best)):

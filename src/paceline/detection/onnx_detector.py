@@ -76,8 +76,10 @@ class OnnxDetector:
         """The name of the input, its width and height, the type of its numbers and its whole shape."""
         inputs = self._session.get_inputs()
         if len(inputs) == 1 and len(shape := inputs[0].shape) in (3, 4) and inputs[0].type in FLOAT_TYPES:
-            usual = (3, DEFAULT_SIDE_PX, DEFAULT_SIDE_PX)
-            colours, height, width = (n if isinstance(n, int) else u for n, u in zip(shape[-3:], usual, strict=True))
+            default_shape = (3, DEFAULT_SIDE_PX, DEFAULT_SIDE_PX)
+            colours, height, width = (
+                n if isinstance(n, int) else u for n, u in zip(shape[-3:], default_shape, strict=True)
+            )
             single_image = not isinstance(shape[0], int) or shape[:-3] in ([], [1])
             if single_image and colours in (1, 3) and height in ACCEPTED_SIDES_PX and width in ACCEPTED_SIDES_PX:
                 full_shape = (1, colours, height, width)[-len(shape) :]

@@ -108,8 +108,11 @@ def find_face(detections: list[Detection]) -> PlanarFace | None:
     if not detections:
         return None
     complete = [detection for detection in detections if _is_whole(detection)] or detections
-    usual = float(np.quantile([detection.area for detection in complete], 0.5, method="higher"))  # that of one of them
-    typical = (s for s in complete if TYPICAL_AREA_RATIO[0] * usual <= s.area <= TYPICAL_AREA_RATIO[1] * usual)
+    areas = [detection.area for detection in complete]
+    typical_area = float(np.quantile(areas, 0.5, method="higher"))  # the area of one of them
+    typical = (
+        s for s in complete if TYPICAL_AREA_RATIO[0] * typical_area <= s.area <= TYPICAL_AREA_RATIO[1] * typical_area
+    )
     reference = max(typical, key=_pixels_per_metre)
     half = float(np.clip(0.5 * (reference.x[1] - reference.x[0]), FACE_GRID.cell, -FACE_GRID.left))
     top = MAX_TOPS_M[reference.y[1] > TALL_VEHICLE_M]
@@ -143,8 +146,8 @@ def with_visible_face(track: DetectionTrack) -> list[Detection]:
 
 def nearer_half(detections: list[Detection]) -> list[Detection]:
     """The half of ``detections`` in which the vehicle is larger."""
-    usual = np.median([_pixels_per_metre(detection) for detection in detections])
-    return [detection for detection in detections if _pixels_per_metre(detection) >= usual]
+    median_scale = np.median([_pixels_per_metre(detection) for detection in detections])
+    return [detection for detection in detections if _pixels_per_metre(detection) >= median_scale]
 
 
 def face_positions(aligned: list[AlignedDetection]) -> tuple[Array, Array]:
@@ -161,8 +164,8 @@ def similarity(face: PlanarFace, aligned: list[AlignedDetection]) -> Array:
     images = np.array([[image[rows, columns] for image in detection.warp()] for detection in aligned], float)
     images -= images.mean((2, 3), keepdims=True)
     images /= np.maximum(images.std((2, 3), keepdims=True), 1e-6)
-    usual = np.median(images, axis=(0, 1))
-    return np.asarray((images * usual).mean((2, 3)).min(1) / max(float(usual.std()), 1e-6))
+    median_image = np.median(images, axis=(0, 1))
+    return np.asarray((images * median_image).mean((2, 3)).min(1) / max(float(median_image.std()), 1e-6))
 
 
 def _is_whole(detection: Detection) -> bool:
@@ -353,7 +356,7 @@ def best_rectangle(
     narrowest, widest = widths
     sums = np.zeros((H + 1, W + 1))
     sums[1:, 1:] = scores.cumsum(0).cumsum(1)
-    best, where = 0.0, None
+    best, bounds = 0.0, None
     for top in range(H - height + 1):
         rows = sums[top + height :] - sums[top]  # (bottoms, W + 1): sums from the left
         for width in range(narrowest, min(widest, W) + 1):
@@ -362,5 +365,5 @@ def best_rectangle(
             bottom, left = np.unravel_index(int(np.argmax(gains)), gains.shape)
             if gains[bottom, left] > best:
                 best = float(gains[bottom, left])
-                where = (top, top + height + int(bottom), first + int(left), first + int(left) + width)
-    return where
+                bounds = (top, top + height + int(bottom), first + int(left), first + int(left) + width)
+    return bounds

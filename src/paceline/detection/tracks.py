@@ -233,13 +233,13 @@ class TrackAssociator:
             if track.last is not None and track.in_gate(detection)
         ]
         taken_tracks: set[int] = set()
-        taken: set[int] = set()
+        used_detections: set[int] = set()
         for _, score, i, j in sorted(pairs, reverse=True):
             accepted = score >= MIN_NCC or self.tracks[i].is_predictable(time)
-            if accepted and i not in taken_tracks and j not in taken:
+            if accepted and i not in taken_tracks and j not in used_detections:
                 self.tracks[i].add(detections[j])
                 taken_tracks.add(i)
-                taken.add(j)
+                used_detections.add(j)
         ended = []
         for i, track in enumerate(self.tracks):
             if i not in taken_tracks:
@@ -248,9 +248,9 @@ class TrackAssociator:
                 if unseen > MAX_GAP_S or (track.frames_unseen > MAX_UNSEEN_FRAMES and unseen > MAX_UNSEEN_S):
                     ended.append(track)
         self.tracks = [track for track in self.tracks if track not in ended]
-        associated = [detections[j] for j in taken]
+        associated = [detections[j] for j in used_detections]
         for j, detection in enumerate(detections):
-            if j not in taken and not any(same_vehicle_in_frame(detection, other) for other in associated):
+            if j not in used_detections and not any(same_vehicle_in_frame(detection, other) for other in associated):
                 self.tracks.append(DetectionTrack())
                 self.tracks[-1].add(detection)
         return ended

@@ -32,11 +32,13 @@ RIG_PARAMETERS = 14  # fx, fy, cx, cy of each camera, rotation, translation
 _NUMBER_WORDS = {2: "two", 3: "three", 4: "four"}
 
 
-def _array(columns: int, rows: int | None = None, what: str = "points") -> BeforeValidator:
+def _array(columns: int, rows: int | None = None, noun: str = "points") -> BeforeValidator:
     """Validates nested lists of finite numbers into an array (rows, columns)."""
     row = f"[{', '.join('xyz'[:columns])}]"
-    wanted = f"{_NUMBER_WORDS[rows]} " if rows else ""
-    expected = f"{wanted}{row} points" if what == "points" else f"{wanted}rows of {_NUMBER_WORDS[columns]} numbers"
+    count_text = f"{_NUMBER_WORDS[rows]} " if rows else ""
+    expected = (
+        f"{count_text}{row} points" if noun == "points" else f"{count_text}rows of {_NUMBER_WORDS[columns]} numbers"
+    )
 
     def validate(value: Any) -> Array:
         if not isinstance(value, list):
@@ -295,8 +297,8 @@ def _yaml_problem(error: Exception) -> str:
     if not isinstance(error, yaml.MarkedYAMLError):
         return "is not valid YAML"
     mark = error.problem_mark or error.context_mark
-    where = "" if mark is None else f"line {mark.line + 1}, column {mark.column + 1}: "
-    return f"{where}{error.problem or error.context}"
+    position = "" if mark is None else f"line {mark.line + 1}, column {mark.column + 1}: "
+    return f"{position}{error.problem or error.context}"
 
 
 def _first_problem(error: ValidationError) -> str:

@@ -72,8 +72,8 @@ def check_path_points(points: Array) -> str | None:
 
 
 def check_drawing(pixels: Array, shape: str) -> str | None:
-    least, word = (2, "two") if shape == "line" else (4, "four")
-    if len(pixels) < least:
+    min_points, word = (2, "two") if shape == "line" else (4, "four")
+    if len(pixels) < min_points:
         return f"expected at least {word} [x, y] points for a {shape}, found {len(pixels)}"
     if np.linalg.norm(np.ptp(pixels, axis=0)) < MIN_DRAWING_PX:
         return "all points lie in the same place; expected points along the road line"

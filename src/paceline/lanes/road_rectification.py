@@ -63,8 +63,8 @@ def rectify(
         view = map_to_ground(rig, background, side, surface, ground)
         light = np.asarray(view.log_intensity.reshape(len(s), SAMPLES_PER_STEP, len(d)).mean(1), np.float32)
         visible = np.asarray(view.visible.reshape(len(s), SAMPLES_PER_STEP, len(d)).all(1))
-        contrast, least = _contrasts(light)
-        is_paint = _paint_mask(contrast, least, visible, float(np.median(step)))
+        contrast, weaker_contrast = _contrasts(light)
+        is_paint = _paint_mask(contrast, weaker_contrast, visible, float(np.median(step)))
         roads.append(RectifiedRoad(s, step, d, contrast, is_paint, visible))
     return roads[0], roads[1]
 
@@ -95,17 +95,19 @@ def _contrasts(light: Image) -> tuple[Image, Image]:
         asphalt = cv2.blur(light, (2 * round(ASPHALT_WIDTH_M / CELL_M / 2) + 1, 1))
         distance_cells = round((width / 2 + ASPHALT_GAP_M + ASPHALT_WIDTH_M / 2) / CELL_M)
         left, right = np.roll(asphalt, distance_cells, axis=1), np.roll(asphalt, -distance_cells, axis=1)
-        least = middle - np.maximum(left, right)
-        higher = least > best[1]
+        weaker = middle - np.maximum(left, right)
+        higher = weaker > best[1]
         mean = middle - (left + right) / 2
-        best = np.where(higher, mean, best[0]).astype(np.float32), np.where(higher, least, best[1]).astype(np.float32)
+        best = np.where(higher, mean, best[0]).astype(np.float32), np.where(higher, weaker, best[1]).astype(np.float32)
     return np.asarray(cv2.GaussianBlur(best[0], (5, 1), 1.0), np.float32), best[1]
 
 
-def _paint_mask(contrast: Image, least: Image, visible: Mask, step: float) -> Mask:
+def _paint_mask(contrast: Image, weaker_contrast: Image, visible: Mask, step: float) -> Mask:
     window = 2 * round(NEIGHBOURHOOD_M[1] / CELL_M / 2) + 1, 2 * max(1, round(NEIGHBOURHOOD_M[0] / step / 2)) + 1
     known = cv2.blur(visible.astype(np.float32), window)
     mean_contrast = cv2.blur(np.abs(contrast) * visible, window) / np.maximum(known, 1e-3)
     top = contrast >= cv2.dilate(contrast, np.ones((1, 2 * round(0.15 / CELL_M) + 1), np.uint8))
     interior = cv2.erode(visible.astype(np.uint8), np.ones((1, 2 * round(0.4 / CELL_M) + 1), np.uint8)) > 0
-    return np.asarray(top & interior & (least > MIN_LOG_CONTRAST) & (least > MIN_TEXTURE_RATIO * mean_contrast))
+    return np.asarray(
+        top & interior & (weaker_contrast > MIN_LOG_CONTRAST) & (weaker_contrast > MIN_TEXTURE_RATIO * mean_contrast)
+    )

@@ -12,10 +12,10 @@ from paceline.lanes.lane_proposals import Lane
 from paceline.units import COVERAGE_95
 
 
-def lane_names(count: int, taken: Iterable[str] = ()) -> list[str]:
-    """``count`` names of lanes that are not among those ``taken``."""
+def lane_names(count: int, used_names: Iterable[str] = ()) -> list[str]:
+    """``count`` names of lanes that are not among those ``used_names``."""
     names: list[str] = []
-    used, number = set(taken), 0
+    used, number = set(used_names), 0
     while len(names) < count:
         number += 1
         if f"lane{number}" not in used:

@@ -80,15 +80,17 @@ def shorth_background(stack: NDArray[np.float16]) -> tuple[Image, Mask]:
     """
     count, height, width = stack.shape
     image, share = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
-    least = min(count, max(2, int(np.ceil(SHORTH_SHARE * count))))
-    some = np.sort(stack[:, ::NOISE_SAMPLE_STEP_PX, ::NOISE_SAMPLE_STEP_PX].astype(np.float32), axis=0)
-    typical_std = max(float(np.median((some[least - 1 :] - some[: count - least + 1]).min(0))), MIN_NOISE_GREY)
+    min_count = min(count, max(2, int(np.ceil(SHORTH_SHARE * count))))
+    samples = np.sort(stack[:, ::NOISE_SAMPLE_STEP_PX, ::NOISE_SAMPLE_STEP_PX].astype(np.float32), axis=0)
+    typical_std = max(
+        float(np.median((samples[min_count - 1 :] - samples[: count - min_count + 1]).min(0))), MIN_NOISE_GREY
+    )
     for row in range(0, height, ROWS_PER_BLOCK):
         values = np.sort(stack[:, row : row + ROWS_PER_BLOCK].astype(np.float32), axis=0)
-        spread = values[least - 1 :] - values[: count - least + 1]
+        spread = values[min_count - 1 :] - values[: count - min_count + 1]
         first = np.argmin(spread, axis=0)[None]
         narrowest = np.take_along_axis(spread, first, 0)
-        centre = np.take_along_axis(values, first + least // 2, 0)
+        centre = np.take_along_axis(values, first + min_count // 2, 0)
         # a normal distribution holds its densest two fifths within one standard deviation
         sigma = np.clip(narrowest, typical_std, MAX_NOISE_RATIO * typical_std)
         inliers = np.abs(values - centre) <= MAX_BACKGROUND_SIGMA * sigma

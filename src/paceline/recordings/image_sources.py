@@ -124,10 +124,10 @@ class VideoFile:
         return f"{self.name}: frame {frame}"
 
     def read(self, frames: Sequence[int]) -> Iterator[Image | None]:
-        wanted = {self._pts[f]: f for f in frames}
+        frame_by_pts = {self._pts[f]: f for f in frames}
         order = list(frames)
         for picture in self._decode_from(order[0] if order else 0):
-            frame = wanted.get(picture.pts) if picture.pts is not None else None
+            frame = frame_by_pts.get(picture.pts) if picture.pts is not None else None
             if frame is None:
                 continue
             while order and order[0] < frame:

@@ -200,19 +200,19 @@ class FileFeed:
         self._stopped = True
 
     def read(self, start: int) -> Iterator[CameraFrame]:
-        wanted = range(start, len(self._times))
-        for index, image in zip(wanted, self._images(wanted), strict=True):
+        numbers = range(start, len(self._times))
+        for index, image in zip(numbers, self._images(numbers), strict=True):
             # rounds, unlike a cast
             grey = None if image is None else np.asarray(cv2.convertScaleAbs(image), np.uint8)
             yield CameraFrame(index, float(self._times[index]), grey)
             if self._stopped:
                 return
 
-    def _images(self, wanted: Sequence[int]) -> Iterator[NDArray[np.float32] | None]:
+    def _images(self, numbers: Sequence[int]) -> Iterator[NDArray[np.float32] | None]:
         if not isinstance(self._source, ImageFiles):
-            yield from self._source.read(wanted)
+            yield from self._source.read(numbers)
             return
-        for index in wanted:
+        for index in numbers:
             try:
                 yield from self._source.read([index])
             except UnusableInput:  # one bad file in a long run is passed over, as in a video
@@ -340,8 +340,10 @@ class LiveFeed:
                         stamp = arrival if self._untimed else picture.time
                         yield _Picture(stamp, None if picture.is_corrupt else _grey(picture))
             except av.FFmpegError:
-                own = None if packet.pts is None or packet.time_base is None else float(packet.pts * packet.time_base)
-                yield _Picture(arrival if self._untimed else own, None)
+                stamp_s = (
+                    None if packet.pts is None or packet.time_base is None else float(packet.pts * packet.time_base)
+                )
+                yield _Picture(arrival if self._untimed else stamp_s, None)
 
 
 def _is_device(address: str) -> bool:

@@ -159,7 +159,7 @@ class StereoRecording:
         chosen = range(max(first - 1, 0), last)  # one earlier, to recognise a first frame that is a copy
         numbers = self.pairing.left[chosen].tolist(), self.pairing.right[chosen].tolist()
         previous: list[Image | None] = [None, None]
-        views = [source.read(wanted) for source, wanted in zip(self._sources, numbers, strict=True)]
+        views = [source.read(view_numbers) for source, view_numbers in zip(self._sources, numbers, strict=True)]
         for i, (k, *images) in enumerate(zip(chosen, *views, strict=True)):
             ideal, duplicate = [], False
             for side, image in enumerate(images):
@@ -334,13 +334,13 @@ def _gap_notices(pairing: Pairing) -> list[Message]:
     ]
 
 
-def _unmatched(side: str, count: int, matched: Indices, what: str) -> list[Message]:
+def _unmatched(side: str, count: int, matched: Indices, criterion: str) -> list[Message]:
     unmatched = np.setdiff1d(np.arange(count), matched)
     other = "right" if side == "left" else "left"
     if not len(unmatched):
         return []
     frames = f"{_format_frames(unmatched)} {_are(unmatched)}"
-    return [message("frames_unmatched", view=side, frames=frames, other=other, match=what)]
+    return [message("frames_unmatched", view=side, frames=frames, other=other, match=criterion)]
 
 
 def _format_frames(frames: set[int] | Indices) -> str:

@@ -52,7 +52,7 @@ def random_setup(
 def _draw_poses(rng: np.random.Generator, rig: RigState, size: tuple[int, int], board: Board, views: int) -> Poses:
     """Poses in which both views hold most of the board, a chessboard whole; it covers a third to two thirds of them."""
     points = board.points
-    least = max(0.6 * len(points), board.min_corners)
+    min_corners = max(0.6 * len(points), board.min_corners)
     middle, extent = points.mean(0), np.ptp(points, axis=0)
     rotations: list[Array] = []
     places: list[Array] = []
@@ -62,7 +62,7 @@ def _draw_poses(rng: np.random.Generator, rig: RigState, size: tuple[int, int], 
         direction = (rng.uniform(0.1, 0.9, 2) * size - rig.lenses[0, 2:4]) / rig.lenses[0, :2]
         t = depth * np.array([*direction, 1.0]) - R @ middle
         observations = project_board(Poses(R[None], t[None]), rig, board, size)
-        if all((observations.side == side).sum() >= least for side in (0, 1)):
+        if all((observations.side == side).sum() >= min_corners for side in (0, 1)):
             rotations.append(R)
             places.append(t)
     return Poses(np.array(rotations), np.array(places))

@@ -186,12 +186,12 @@ def _visible_line(
 
 
 def draw_start(
-    center: Array, distance: float, nominal_range: float, seed: int, focal: float = 1.0, usual: float = 1.0
+    center: Array, distance: float, nominal_range: float, seed: int, focal: float = 1.0, reference_focal: float = 1.0
 ) -> dict[str, Any]:
     """``start`` of follow.yaml with the operator's noise, for the first frame, in which the target's ``center`` (2,) px
-    is ``distance`` m away. The noise of the center grows with ``focal`` over the ``usual`` focal length."""
+    is ``distance`` m away. The noise of the center is proportional to ``focal`` over ``reference_focal``."""
     rng = np.random.default_rng([seed, 47])
-    x, y = center + rng.normal(0, OPERATOR_NOISE.center_px, 2) * focal / usual
+    x, y = center + rng.normal(0, OPERATOR_NOISE.center_px, 2) * focal / reference_focal
     scale = nominal_range / distance * (1 + rng.normal(0, OPERATOR_NOISE.scale))
     return {"frame": 0, "center": [round(float(x), 1), round(float(y), 1)], "scale": round(float(scale), 3)}
 

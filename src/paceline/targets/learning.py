@@ -214,8 +214,8 @@ def _too_close(line: Line, other: Line, min_distance: float) -> bool:
 def _side(vertical: list[Line], x: float, size: Array) -> tuple[float, float]:
     """Where a side of a box of this ``size`` (2,) is, and its standard deviation: on the clear line nearest to it, if
     a long one is near, or else at ``x``."""
-    reach, least = max(MAX_SIDE_OFFSET[0], MAX_SIDE_OFFSET[1] * size[0]), MIN_SIDE_LINE_SHARE * size[1]
-    near_lines = [line for line in vertical if abs(line.place - x) <= reach and line.length >= least]
+    reach, min_length = max(MAX_SIDE_OFFSET[0], MAX_SIDE_OFFSET[1] * size[0]), MIN_SIDE_LINE_SHARE * size[1]
+    near_lines = [line for line in vertical if abs(line.place - x) <= reach and line.length >= min_length]
     clear = [
         line.place
         for line in near_lines

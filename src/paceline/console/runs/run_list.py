@@ -104,15 +104,15 @@ class RunList:
         with self._lock:
             number = _make_run_folder(folder)
         run = Run(clip, number, kind, tuple(options), STATE_WAITING, time.time())
-        where = self.folder(run)
+        run_folder = self.folder(run)
         try:  # without the lock: it takes seconds where thousands of vehicles are outlined
-            copy_documents(self._root, file, where / INPUTS_FOLDER, keeps_vehicles(kind))
-            _write_run(where, run)
+            copy_documents(self._root, file, run_folder / INPUTS_FOLDER, keeps_vehicles(kind))
+            _write_run(run_folder, run)
         except OSError as error:
-            shutil.rmtree(where, ignore_errors=True)
-            raise UnusableInput(f"{where}: cannot be written ({error.strerror})") from error
+            shutil.rmtree(run_folder, ignore_errors=True)
+            raise UnusableInput(f"{run_folder}: cannot be written ({error.strerror})") from error
         except UnusableInput:
-            shutil.rmtree(where, ignore_errors=True)
+            shutil.rmtree(run_folder, ignore_errors=True)
             raise
         with self._lock:
             self._active[clip, number] = run
@@ -240,16 +240,16 @@ class RunList:
 
     def _run(self, run: Run) -> Run:
         key = run.clip, run.number
-        where = self.folder(run)
-        file, inputs = self.input_document(run), where / INPUTS_FOLDER
+        folder = self.folder(run)
+        file, inputs = self.input_document(run), folder / INPUTS_FOLDER
         check_document(self._root, file)  # the files that it names may have changed while the run waited
-        _write_run(where, run)
+        _write_run(folder, run)
         command = [
             sys.executable,
             "-P",
             "-m",
             "paceline",
-            *command_arguments(run.kind, str(file.relative_to(inputs)), where),
+            *command_arguments(run.kind, str(file.relative_to(inputs)), folder),
         ]
         with self._lock:
             if self._closed or key in self._cancelled:
@@ -270,7 +270,7 @@ class RunList:
         threading.Thread(target=_kill_group_after_exit, args=[process], daemon=True).start()
         messages = self._read_output(key, process)
         status = process.wait()
-        for partial in where.glob(".*.partial"):  # left by a killed command
+        for partial in folder.glob(".*.partial"):  # left by a killed command
             shutil.rmtree(partial, ignore_errors=True)
         reason = messages[-1].removeprefix("paceline: ") if messages else ""
         run = self._active[key]
@@ -283,12 +283,12 @@ class RunList:
         if status == EXIT_DONE:
             return replace(run, state=STATE_MEASURED)
         if status == EXIT_NOTHING_MEASURED:
-            why = (
+            end_reason = (
                 nothing_measured_reason(self.out(run))
                 if run.kind in MEASURING_KINDS
                 else self._relative_reason(run, reason)
             )
-            return replace(run, state=STATE_NOTHING, reason=why)
+            return replace(run, state=STATE_NOTHING, reason=end_reason)
         if status == EXIT_UNUSABLE_INPUT:
             return replace(run, state=STATE_FAILED, reason=self._relative_reason(run, reason))
         killed = f"its process was killed (signal {-status})" if status < 0 else f"it ended with status {status}"

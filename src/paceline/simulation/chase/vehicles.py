@@ -227,8 +227,8 @@ def _make_saloon(b: _BodyBuilder) -> Body:
     b.model(x, y, x + lamp[0], y + lamp[1], "b")
     b.model(-x - lamp[0], y, -x, y + lamp[1], "b")
     b.plate(rng.uniform(-0.12, -0.08) * h)
-    own = rng.random() < 0.6
-    bumper = b.bumper(rng.uniform(0.24, 0.32), rng.uniform(0.08, 0.18), 0.85 * b.paint if own else b.trim)
+    body_coloured = rng.random() < 0.6
+    bumper = b.bumper(rng.uniform(0.24, 0.32), rng.uniform(0.08, 0.18), 0.85 * b.paint if body_coloured else b.trim)
     boot, rake, tall, length = rng.uniform(0.2, 0.4), rng.uniform(0.5, 0.7), rng.uniform(0.48, 0.56), 4.3
     glass = AntialiasedCanvas(w, tall, 0.0, alpha=0.0, density=160)
     taper = 0.1 * w

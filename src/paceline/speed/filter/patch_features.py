@@ -34,9 +34,9 @@ def row_terms(h0, h1, h2, v):
     return h0, h1 * v + h2
 
 
-def clamp(x, least, greatest):
-    """``x``, no less than ``least`` and no more than ``greatest``."""
-    return min(max(x, least), greatest)
+def clamp(x, minimum, maximum):
+    """``x``, no less than ``minimum`` and no more than ``maximum``."""
+    return min(max(x, minimum), maximum)
 
 
 def inside(e, x, y):
@@ -48,10 +48,10 @@ def inside(e, x, y):
     return np.float32(1.0) if nearest >= np.float32(0.0) else np.float32(0.0)
 
 
-def correlation(s: Any, least: Any) -> Any:
-    """The normalised cross-correlation (17) by the sums ``s`` = Σ1, Σa, Σb, Σaa, Σbb, Σab; −1 for less than ``least``
-    samples."""
-    if s[0] < least:
+def correlation(s: Any, min_samples: Any) -> Any:
+    """The normalised cross-correlation (17) by the sums ``s`` = Σ1, Σa, Σb, Σaa, Σbb, Σab; −1 for less than
+    ``min_samples`` samples."""
+    if s[0] < min_samples:
         return np.float32(-1.0)
     aa, bb, ab = s[3] - s[1] * s[1] / s[0], s[4] - s[2] * s[2] / s[0], s[5] - s[1] * s[2] / s[0]
     least_variance = np.float32(0.1) * s[0]

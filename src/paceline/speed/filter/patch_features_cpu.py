@@ -170,7 +170,7 @@ def observe(
     flat_left, flat_right = left.words.reshape(-1), right.words.reshape(-1)
     within_left = _sampling_bounds(left.words.shape, left.left, left.top)
     within_right = _sampling_bounds(right.words.shape, right.left, right.top)
-    least = np.float32(MIN_OVERLAP) * n * rows / CORRELATION_ROW_STEP
+    min_samples = np.float32(MIN_OVERLAP) * n * rows / CORRELATION_ROW_STEP
     chunks = min(N, THREAD_CHUNKS)
     for chunk in prange(chunks):
         px, py = np.empty(n, np.float32), np.empty(n, np.float32)
@@ -199,7 +199,7 @@ def observe(
                     _sum_blocks(total_right, blocks[1, r // samples[1]], samples[0])
             _wavelets(blocks[0], across, features[p, 0])
             _wavelets(blocks[1], across, features[p, 1])
-            ncc[p] = _correlation(sums, least)
+            ncc[p] = _correlation(sums, min_samples)
 
 
 @_inline
@@ -254,9 +254,9 @@ def normalise(features: Floats, floor: np.float32) -> None:
             for c in range(coefficients):
                 total += f[i, c] * f[i, c]
             norm2[i] = total
-        least = floor * floor * _median(norm2, scratch) + np.float32(1.0)
+        min_norm2 = floor * floor * _median(norm2, scratch) + np.float32(1.0)
         for i in range(parts):
-            scale = np.float32(1.0) / np.sqrt(norm2[i] + least)
+            scale = np.float32(1.0) / np.sqrt(norm2[i] + min_norm2)
             for c in range(coefficients):
                 f[i, c] *= scale
 

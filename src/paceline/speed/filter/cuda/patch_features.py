@@ -194,8 +194,8 @@ def log_likelihood(pixels, maps, observations, pool):
     cuda.syncthreads()
     if view < 2:
         floor = np.float32(observations[layout.CONTRAST_FLOOR_INDEX])
-        least = floor * floor * (np.float32(0.5) * (middles[2 + view, 0] + middles[2 + view, 1])) + np.float32(1.0)
-        scale = np.float32(1.0) / math.sqrt(norm2[t] + least)
+        min_norm2 = floor * floor * (np.float32(0.5) * (middles[2 + view, 0] + middles[2 + view, 1])) + np.float32(1.0)
+        scale = np.float32(1.0) / math.sqrt(norm2[t] + min_norm2)
         distance = np.float32(0.0)
         for c in range(16):
             d = f[c] * scale - np.float32(observation[layout.REFERENCE_FEATURES + 16 * t + c])
@@ -211,8 +211,8 @@ def log_likelihood(pixels, maps, observations, pool):
             s[k] = np.float32(0.0)
             for i in range(_LANES):
                 s[k] += folded[k, i]
-        least = np.float32(MIN_OVERLAP) * (np.float32(4 * across * sx) * rows / np.float32(CORRELATION_ROW_STEP))
-        ncc = _correlation(s, least)
+        min_norm2 = np.float32(MIN_OVERLAP) * (np.float32(4 * across * sx) * rows / np.float32(CORRELATION_ROW_STEP))
+        ncc = _correlation(s, min_norm2)
         unlike = (1.0 - ncc) * (1.0 - ncc)
         ll = -observations[layout.LAMBDA_SINGLE_INDEX] * single - observations[layout.LAMBDA_CROSS_INDEX] * unlike
         pool[int(observation[layout.HALF_BEFORE]), layout.LIKELIHOOD_ROW, particle] = ll
