@@ -19,9 +19,7 @@ COINED = re.compile(
 
 # What names a value is a noun or a quantity, not an adverb, a pronoun or a participle.
 NO_NOUNS = frozenset(
-    "aside few here there how mine said told way whole these many most often everything nothing wanted asked gone away "
-    "apart together alike alone then when where which why off begun took kept seen usual worse worst better sought wish "
-    "wished wishes".split()
+    ["aside", "few", "here", "there", "how", "mine", "said", "told", "way", "whole", "these", "many", "most", "often", "everything", "nothing", "wanted", "asked", "gone", "away", "apart", "together", "alike", "alone", "then", "when", "where", "which", "why", "off", "begun", "took", "kept", "seen", "usual", "worse", "worst", "better", "sought", "wish", "wished", "wishes"]
 )
 
 
