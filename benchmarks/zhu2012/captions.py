@@ -4,10 +4,10 @@ from __future__ import annotations
 
 INTRODUCTION = """\
 The tables and figures of the two papers that Paceline implements, on rendered scenes with exact truth, written by
-`make results`. Every item names the command that measures it alone; all numbers stand in
+`make results`. Every item names the command that measures it alone; all numbers are in
 [results.json](results.json), and the commands read and write `build/results`. No clip and no seed was chosen by
 its result; two scenes of [NIST] were made harder until they showed the effects of shadows and weaving. The accuracy of
-Paceline over many clips stands in [accuracy.md](accuracy.md).
+Paceline over many clips is in [accuracy.md](accuracy.md).
 
 [Zhu] is J. Zhu, L. Yuan, Y. F. Zheng, R. L. Ewing, "Stereo Visual Tracking Within Structured Environments for
 Measuring Vehicle Speed", 2012; [NIST] is H. Schneiderman, M. Nashman, R. Lumia, "Model-based vision for car
