@@ -77,7 +77,7 @@ class Corners:
 
 
 def parse_board(text: str) -> Board:
-    """The board that ``text`` names, as ``--board`` takes it; raises UnusableInput for one that cannot be."""
+    """The board that ``text`` names, as ``--board`` takes it; raises UnusableInput where it is invalid."""
     kind, *arguments = text.split(":")
     legacy = kind == "charuco" and arguments[4:] == ["legacy"]
     if (kind, len(arguments) - legacy) not in (("charuco", 4), ("chessboard", 2)):
@@ -127,7 +127,7 @@ def _size(text: str, quantity: str, part: str, largest: float) -> float:
 
 
 def board_detector(board: Board) -> BoardDetector:
-    """A function that detects the corners of ``board`` in an image (H, W), 0–255; none where it is not seen."""
+    """A function that detects the corners of ``board`` in an image (H, W), 0–255; none where it is not visible."""
     return _chessboard_detector(board) if board.marker is None else _charuco_detector(board)
 
 

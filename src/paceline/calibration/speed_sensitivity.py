@@ -102,7 +102,7 @@ def equivalent_pinhole(lens: Array, size: tuple[int, int]) -> Array:
 
 def stated_uncertainty(rig: StereoRig, covariance: Array) -> RigUncertainty:
     """The ``uncertainty`` of rig.yaml: the covariance (14, 14), and beside it independent standard uncertainties for
-    whoever reads those alone.
+    programs that read only these.
 
     A shift of a principal point and a turn of its camera are nearly one: they are stated together, as the turn. The
     focal length is given what is then still lacking, up to its own uncertainty, and all are enlarged together where no

@@ -28,7 +28,7 @@ GAMMA = 0.5  # exponent by which dark scenes are brightened before they are matc
 
 
 def initial_surface(rig: StereoRig, background: Background) -> RoadSurface | None:
-    """The ground about which the road lies, good to some decimetres of height; None where there is no such ground."""
+    """The ground plane near the road, accurate to some decimetres of height; None where no plane is found."""
     points, deviation = _scene_points(rig, background)
     if len(points) < 200:
         return None

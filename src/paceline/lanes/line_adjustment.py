@@ -86,7 +86,7 @@ class Observations:
 
 
 def adjust(rig: StereoRig, first: RoadSurface, alignment: Alignment, lines: list[LaneLine]) -> RoadModel | None:
-    """The road on which the ``lines`` lie, without those that lie above or below it; None where the height
+    """The road with those of the ``lines`` that are on its surface; None where the height
     of no line is known.
 
     By their parallax relative to the ``first`` surface most of the paint lies at one height; guard rails, their shadows
@@ -180,7 +180,7 @@ def _segment_std(rig: StereoRig, surface: RoadSurface, alignment: Alignment, s: 
 def _shift_per_height(
     rig: StereoRig, surface: RoadSurface, alignment: Alignment, s: Array, d: Array, side: NDArray[np.int64]
 ) -> Array:
-    """∂d/∂h (N,): by how much what a view shows moves to the right when the surface is raised by 1 m."""
+    """∂d/∂h (N,): shift of a view's samples to the right per metre by which the surface is raised."""
     ground = alignment.to_ground(s, d)
     local = (rig.centres[side] - surface.origin) @ surface.axes
     above = local[:, 1] - surface.basis(ground) @ surface.heights

@@ -122,7 +122,7 @@ class DirectionVotes:
 
 
 def ridge_points(rig: StereoRig, background: Background, surface: RoadSurface) -> DirectionVotes:
-    """Thin bright ridges that both views show at the same place of the ground: for what is above it they do not."""
+    """Thin bright ridges at the same ground position in both views; those of objects above the ground differ."""
     x, z = np.arange(-MAX_LATERAL_M, MAX_LATERAL_M, CELL_M), np.arange(MIN_DISTANCE_M, MAX_DISTANCE_M, CELL_M)
     ground = np.stack(np.meshgrid(x, z), axis=-1)
     views = [_ridges(map_to_ground(rig, background, side, surface, ground)) for side in (0, 1)]

@@ -275,7 +275,7 @@ def read_image_file(path: Path) -> StoredImage:
 
 
 def _png_is_whole(data: bytes) -> bool:
-    """Whether every chunk is there with its right checksum, to the end."""
+    """Whether all chunks are present with valid checksums."""
     offset = len(PNG_SIGNATURE)
     while offset + 12 <= len(data):
         length, kind = struct.unpack_from(">I4s", data, offset)

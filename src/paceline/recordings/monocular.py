@@ -399,7 +399,7 @@ def _open_device(device: str, size: tuple[int, int]) -> InputContainer:
 
 
 def _describe_error(error: Exception) -> str:
-    """FFmpeg's error for a live source, in words."""
+    """FFmpeg's error for a live source as text."""
     if isinstance(error, av.error.ExitError):  # PyAV's own time limit
         return f"no answer within {OPEN_TIMEOUT_S:.0f} s"
     return getattr(error, "strerror", None) or "not known to FFmpeg"
@@ -434,7 +434,7 @@ def _grey(picture: av.VideoFrame) -> Grey:
 
 @dataclass
 class _LimitedLines:
-    """The first notices of one kind, and the number of all."""
+    """The first notices of one kind, and the total number."""
 
     first: list[str] = field(default_factory=list)
     count: int = 0

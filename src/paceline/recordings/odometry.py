@@ -16,7 +16,7 @@ ODOMETRY_COLUMNS = ["frame", "x_m", "y_m", "heading_rad"]
 
 @dataclass(frozen=True)
 class Pose:
-    """Where the chase vehicle's camera is in a level world frame: x and y in metres, heading in radians from x to y.
+    """The pose of the chase vehicle's camera in a level world frame: x and y in metres, heading in radians from x to y.
 
     The world's y axis lies to the left of its x axis.
     """
@@ -28,7 +28,7 @@ class Pose:
 
 @dataclass(frozen=True, eq=False)
 class Odometry:
-    """Where the vehicle was: ``frame`` (N,), increasing, and ``pose`` (N, 3) with x and y in metres, heading in rad."""
+    """Poses of a vehicle: ``frame`` (N,), increasing, and ``pose`` (N, 3) with x and y in metres, heading in rad."""
 
     frame: Indices
     pose: Array

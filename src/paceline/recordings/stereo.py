@@ -42,7 +42,7 @@ class StereoFrame:
 
 @dataclass(frozen=True, eq=False)
 class Pairing:
-    """Which frames of the two views belong together, N pairs in order of time.
+    """The pairing of the two views' frames, N pairs in order of time.
 
     ``left``, ``right`` (N,) count each view's frames from 0; ``times`` (N,) are midway between the two exposures and
     ``skews`` (N,) right minus left, in seconds; ``interval`` is the usual time between frames; ``notices`` say what was
@@ -316,7 +316,7 @@ def _frame_counters(left: list[int] | None, right: list[int] | None) -> tuple[In
 
 
 def _nearest(times: Array, among: Array) -> Indices:
-    """Where (N,) the nearest of ``among`` (M ≥ 2,) is for each of ``times`` (N,); both increase."""
+    """Indices (N,) of the nearest of ``among`` (M ≥ 2,) for each of ``times`` (N,); both increase."""
     after = np.clip(np.searchsorted(among, times), 1, len(among) - 1)
     return np.asarray(after - (times - among[after - 1] < among[after] - times), np.int64)
 

@@ -33,7 +33,7 @@ class CalibrationSetup:
 def random_setup(
     rng: np.random.Generator, board: Board, views: int, size: tuple[int, int] = (1280, 960), distortion: int = 2
 ) -> CalibrationSetup:
-    """A rig of random focal length, baseline and angles, with as many coefficients of distortion as asked for, and
+    """A rig of random focal length, baseline and angles, with the given number of distortion coefficients, and
     ``views`` poses that show the board large, tilted and all over the image."""
     width, height = size
     focal = rng.uniform(0.9, 2.4) * width

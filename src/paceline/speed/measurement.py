@@ -38,7 +38,7 @@ def measure_clip(
     progress: Progress | None = None,
     device: DeviceName = "cpu",
 ) -> ClipResult:
-    """Measure every vehicle of ``clip``, a clip.yaml or what `load_clip` made of it. Raises UnusableInput."""
+    """Measures every vehicle of ``clip``, a clip.yaml or what `load_clip` returned for it. Raises UnusableInput."""
     loaded = clip if isinstance(clip, Clip) else load_clip(FilePath(clip))
     return measure(loaded, open_recording(loaded), configuration or SpeedConfiguration(), progress, device)
 

@@ -110,7 +110,7 @@ class Measurement:
         }
 
     def judged(self, reason: Message) -> Measurement:
-        """The same with the verdict for a ``reason``: rejected, or measured where that is empty."""
+        """This measurement with the verdict for a ``reason``: rejected, or measured where that is empty."""
         verdict = "rejected" if reason else "measured"
         return replace(self, verdict=verdict, reason=str(reason), reason_code=reason.code)
 

@@ -59,7 +59,7 @@ def row(name: str, field: FieldInfo) -> str:
 
 
 def shown(value: Any) -> str:
-    """A value as a file holds it."""
+    """A value as text of a YAML file."""
     if value is None:
         return "none"
     if isinstance(value, bool):
@@ -70,7 +70,7 @@ def shown(value: Any) -> str:
 
 
 def range_of(field: FieldInfo) -> str:
-    """What a field may hold, in words."""
+    """The allowed values of a field as text."""
     if get_origin(field.annotation) is Literal:
         return ", ".join(map(str, get_args(field.annotation)))
     if REGISTERED_SCHEME in field.metadata:

@@ -59,7 +59,7 @@ class Line:
 
 @dataclass(frozen=True, eq=False)
 class LearnedTarget:
-    """A model, and where it lies in the picture that it was learned from: scale 1 with its centre at ``center``."""
+    """A model, and its position in the image from which it was learned: scale 1 with its centre at ``center``."""
 
     target: TargetDocument
     center: Array  # (2,) px of the image as recorded

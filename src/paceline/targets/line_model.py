@@ -56,13 +56,13 @@ class Target:
 
     @cached_property
     def places(self) -> Array:
-        """(S,) m: u of the vertical and v of the horizontal segments, as in (15): where each lies across itself."""
+        """(S,) m: u of the vertical and v of the horizontal segments, as in (15), each across its direction."""
         middle: Array = self.corners[self.segments].mean(1)
         return np.where(self.vertical, middle[:, 0], middle[:, 1])
 
     @cached_property
     def spans(self) -> Array:
-        """(S, 2) m: where each segment begins and ends along itself."""
+        """(S, 2) m: start and end of each segment along its direction."""
         ends = self.corners[self.segments]
         along = np.where(self.vertical[:, None], ends[:, :, 1], ends[:, :, 0])
         return np.sort(along, axis=1)

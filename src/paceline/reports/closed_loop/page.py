@@ -57,7 +57,7 @@ def write_drive_page(
 
 
 def format_requirement(r: Requirement) -> tuple[str, str, str, str]:
-    """Text of a requirement: its name, the value found, its bound, and whether it holds."""
+    """Text of a requirement: its name, its value, its bound, and whether it holds."""
     if r.what == "tracking at the end":
         return r.what, "yes" if r.value else "no", "yes", "holds" if r.holds else "fails"
     is_integer = r.unit == "" and float(r.value).is_integer() and float(r.bound).is_integer()

@@ -108,5 +108,5 @@ def path_length(points: Array) -> float:
 
 
 def rejected_advice(code: str) -> str:
-    """What a person can do about a speed that was rejected for the reason of ``code``."""
+    """The advice for a speed that was rejected with the reason ``code``."""
     return advice_for(code) or GENERAL_ADVICE

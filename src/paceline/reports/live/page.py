@@ -76,7 +76,7 @@ def _passage_row(passage: Passage, unit: str) -> dict[str, str]:
 
 
 def _advice(passage: Passage) -> str:
-    """What helps where there is no speed; empty where there is one."""
+    """The advice where there is no speed; empty where there is one."""
     verdict, code = passage.get("verdict"), passage["reason_code"]
     if verdict == "rejected":
         return rejected_advice(code)

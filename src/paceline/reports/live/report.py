@@ -68,12 +68,12 @@ class LiveResults:
             write_all_or_none({self.out / "report.html": page.encode(), self.out / "speeds.png": plot.png})
 
     def begin(self) -> None:
-        """Write the tables without a vehicle."""
+        """Writes the tables without a vehicle."""
         write_all_or_none({self.out / "estimates.csv": (",".join(ESTIMATE_COLUMNS) + "\n").encode(), **self._summary()})
         self._begun = True
 
     def add(self, measurement: Measurement, detected: DetectedVehicle, seen_at: str) -> None:
-        """Note a vehicle that has been measured, and was seen first at the time of day ``seen_at``."""
+        """Adds a vehicle that has been measured, and was first detected at the time of day ``seen_at``."""
         file = self.out / "estimates.csv"
         try:
             with file.open("a", newline="", encoding="utf-8") as stream:
@@ -86,13 +86,13 @@ class LiveResults:
         self.save()
 
     def add_unmeasured(self, detected: DetectedVehicle, seen_at: str, reason: Message) -> None:
-        """Note a vehicle that could not be measured for a ``reason``."""
+        """Adds a vehicle that could not be measured for a ``reason``."""
         self.unmeasured.append({**_passage_data(detected, seen_at), "reason": reason, "reason_code": reason.code})
         self._changed = True
         self.save()
 
     def save(self) -> None:
-        """Bring summary.json up to date, unless it has been written so lately that its share of the time is used up."""
+        """Updates summary.json, unless it has been written so lately that its share of the time is used up."""
         start_time = time.monotonic()
         if self._changed and start_time >= self._due:
             write_all_or_none(self._summary())
@@ -100,7 +100,7 @@ class LiveResults:
             self._due = start_time + (time.monotonic() - start_time) / MAX_WRITE_TIME_SHARE
 
     def document(self) -> dict[str, object]:
-        """What summary.json holds."""
+        """The contents of summary.json."""
         content = {"vehicles": self.vehicles, "unmeasured": self.unmeasured, "notices": self.notices}
         return {**self.about, **content}
 
@@ -108,7 +108,7 @@ class LiveResults:
         return {self.out / "summary.json": json_text(self.document()).encode()}
 
     def _keep_picture(self, name: str, detected: DetectedVehicle) -> None:
-        """Write the picture of a vehicle, and remove the oldest one where there are enough."""
+        """Writes the picture of a vehicle, and removes the oldest one beyond the limit."""
         picture = draw_detected_vehicle(detected, LIVE_PICTURE_HEIGHT_PX)
         jpeg = bytes(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, PICTURE_JPEG_QUALITY])[1])
         write_all_or_none({self.out / PICTURES_FOLDER / f"{name}.jpg": jpeg})
@@ -118,7 +118,7 @@ class LiveResults:
 
 
 def _passage_data(detected: DetectedVehicle, seen_at: str) -> dict[str, object]:
-    """Where and when a vehicle was seen."""
+    """The path of a vehicle, its period in view, and its first position."""
     x, _, z = (round(float(value), 2) for value in detected.position)
     assert math.isfinite(x + z), "it was seen on its way"
     times = {"seen_from_s": detected.times[0], "seen_to_s": detected.times[1], "seen_at": seen_at}

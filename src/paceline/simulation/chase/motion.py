@@ -32,7 +32,7 @@ class SmoothNoise:
         return float((self.weight * self.omega) @ np.cos(self.omega * t + self.phase))
 
     def integral(self, t: float) -> float:
-        """From 0 to ``t``."""
+        """The integral from 0 to ``t``."""
         return float((self.weight / self.omega) @ (np.cos(self.phase) - np.cos(self.omega * t + self.phase)))
 
 
@@ -52,7 +52,7 @@ class CameraShake:
         return (self(t + 1e-4) - self(t - 1e-4)) / 2e-4
 
     def _bump(self, k: int, t: float) -> float:
-        """The ``k``-th bump at time ``t``: a damped swing."""
+        """The ``k``-th bump at time ``t``: a damped oscillation."""
         rng = np.random.default_rng([self.seed, k + 2])
         since = t - (k + rng.uniform(0, 1)) * BUMP_PERIOD_S
         size, frequency = rng.uniform(-1, 1), rng.uniform(1.5, 3.0)

@@ -31,7 +31,7 @@ class TextureAtlas:
         return self._known[id(texture)]
 
     def pack(self) -> None:
-        """Gather what was added: ``pixels`` (T, 2), and ``levels`` (textures, levels, 3): start, rows, columns."""
+        """All added textures: ``pixels`` (T, 2), and ``levels`` (textures, levels, 3): start, rows, columns."""
         levels = [t.pyramid for t in self._textures]
         shapes = np.array([[level.shape[:2] for level in pyramid] for pyramid in levels], np.int64)
         sizes = shapes.prod(-1).ravel()
@@ -44,7 +44,7 @@ class TextureAtlas:
 
 @dataclass(frozen=True, eq=False)
 class Faces:
-    """N faces: in their object's axes (right, down, ahead of its foot, m) and where the object stands."""
+    """N faces: in their object's axes (right, down, ahead of its foot, m) and the object's pose."""
 
     corner: Array  # (N, 3)
     across: Array  # (N, 3)
@@ -98,7 +98,7 @@ class Sun:
 
     @property
     def direct(self) -> float:
-        """On a face square to it."""
+        """Direct light on a face perpendicular to it."""
         return float((1 - self.ambient) / np.sin(self.elevation))
 
     def direction(self, heading: float) -> Array:
@@ -176,7 +176,7 @@ def draw_faces(
     to_canvas: Array,
     emission: float = 0.0,
 ) -> None:
-    """Lay ``faces`` over ``canvas`` (h, w, 2) in their order, as ``camera`` sees them.
+    """Draws ``faces`` over ``canvas`` (h, w, 2) in their order, as ``camera`` sees them.
 
     ``to_canvas`` (3, 3) takes image pixels to those of the canvas; ``emission`` is light of the faces' own.
     """
@@ -210,7 +210,7 @@ def draw_faces(
 
 
 def _select_levels(texture: Indices, quads: Array, atlas: TextureAtlas) -> Indices:
-    """The sheet of each face whose texels are nearest to canvas pixels in size."""
+    """The pyramid level of each face whose texels are nearest to canvas pixels in size."""
     sides = np.linalg.norm(np.roll(quads, -1, axis=2) - quads, axis=1)  # top, right, bottom, left
     texels = atlas.levels[texture, 0, 1:]
     ratio = np.maximum(

@@ -52,7 +52,7 @@ def draw_rectangles(
     shadow: Array,
     shade: Image,
 ) -> None:
-    """Lay N rectangles over ``canvas`` (h, w, 2), premultiplied grey and coverage, in their order.
+    """Draws N rectangles over ``canvas`` (h, w, 2), premultiplied grey and coverage, in their order.
 
     ``inverse`` (N, 3, 3) takes canvas pixels to the unit square of each rectangle, ``boxes`` (N, 4) are x0, y0, x1,
     y1; ``levels`` (N, 3) say where in ``atlas`` (T, 2), premultiplied grey and coverage, a texture begins, and its

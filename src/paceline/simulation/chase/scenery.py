@@ -22,7 +22,7 @@ SHADE_LENGTH_M, SHADE_WIDTH_M = 409.6, 25.6  # m along and across the road, afte
 
 @dataclass(frozen=True, eq=False)
 class RoadsideObject:
-    """Faces that stand on the ground at a place beside the road; their axes are right, down, ahead of the foot."""
+    """Upright faces at a position beside the road; their axes are right, down, ahead of the foot."""
 
     faces: tuple[Face, ...]
     arc: float

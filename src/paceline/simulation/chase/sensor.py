@@ -47,7 +47,7 @@ class Renderer:
         return self._expose(grey, state.time), self._visible(state, hidden)
 
     def _render_grey(self, state: WorldState) -> tuple[Image, Image | None]:
-        """Grey levels (H, W) before the sensor, and what hides the lead (H, W), if anything."""
+        """Grey levels (H, W) before the sensor, and the mask (H, W) of objects that occlude the lead, if any."""
         camera, blur = state.camera, self._blur(state)
         width, height = self.scene.image_size
         image = np.zeros((height, width, 2), np.float32)
@@ -77,7 +77,7 @@ class Renderer:
         return grey, hidden
 
     def _blur(self, state: WorldState) -> tuple[float, float]:
-        """Sigma in x and y, px: the lens and what the image moved while the shutter was open."""
+        """Sigma of the blur in x and y, px: the lens, and the image's motion during the exposure."""
         sweep = np.array(state.image_motion) * self.scene.focal * self.scene.shutter_s
         x, y = np.sqrt(self.scene.blur_sigma**2 + sweep**2 / 12)
         return float(x), float(y)
@@ -102,7 +102,7 @@ class Renderer:
         )
 
     def _roadside(self, state: WorldState) -> tuple[Faces, Array]:
-        """What stands and drives in view but for the lead, the farthest first, and how far ahead each is, m."""
+        """All objects in view except the lead, the farthest first, and the distance ahead of each, m."""
         roadside = self.world.roadside_faces(state.chase.arc, state.chase.arc + MAX_OBJECT_DISTANCE_M)
         things = join_faces([roadside, *self.world.moving_faces(state)])
         distance = state.camera.to_level(things.x, things.y)[1]
@@ -143,7 +143,7 @@ class Renderer:
         return np.asarray((1 - self.scene.vignetting * (u**2 + v**2) / 2) * self.scene.exposure, np.float32)
 
     def _expose(self, grey: Image, time: float) -> NDArray[np.uint8]:
-        """The picture that the sensor makes of the grey levels."""
+        """The sensor's image of the grey levels."""
         gain = np.float32(1 + self.scene.exposure_drift * self.exposure(time))
         level = np.minimum(grey * self.vignette * gain, 262)
         noise = self.noise.standard_normal(level.shape, np.float32)

@@ -83,7 +83,7 @@ def make_vehicle(rng: np.random.Generator, kind: str, paint: float) -> Body:
 
 
 class _BodyBuilder:
-    """What all kinds share. The origin is the rear plane's centre; that of an `AntialiasedCanvas` is its top left."""
+    """Parts of all kinds of vehicles. The origin is the rear plane's centre, on a canvas its top left."""
 
     def __init__(self, rng: np.random.Generator, kind: str, paint: float) -> None:
         self.rng, self.kind, self.paint = rng, kind, paint
@@ -103,7 +103,7 @@ class _BodyBuilder:
         self.rear.box(x + self.width / 2, y + self.height / 2, width, height, grey)
 
     def model(self, x0: float, y0: float, x1: float, y1: float, sides: str, z: float = 0.0) -> None:
-        """Note the ``sides`` — of left, right, top, bottom — of a box as strong edges."""
+        """Records the ``sides`` — of left, right, top, bottom — of a box as strong edges."""
         edges = {"l": (x0, y0, x0, y1), "r": (x1, y0, x1, y1), "t": (x0, y0, x1, y0), "b": (x0, y1, x1, y1)}
         self.lines += [EdgeLine(*edges[s], z) for s in sides]
 
@@ -133,7 +133,7 @@ class _BodyBuilder:
         return c.finish()
 
     def bumper(self, height: float, depth: float, grey: float) -> tuple[Face, Face]:
-        """Its top and its rear, ``depth`` metres behind the rear plane, down to the plane's lower edge."""
+        """The bumper's top and rear, ``depth`` metres behind the rear plane, down to the plane's lower edge."""
         half, top = self.width / 2 - 0.01, self.height / 2 - height
         # One of the body's colour shows where its top ends, any other where the body ends.
         self.model(-half, top, half, top + height, "t", 0.0 if grey == self.trim else -depth)
@@ -148,7 +148,7 @@ class _BodyBuilder:
         )
 
     def lamps(self, x: float, y: float, width: float, height: float, z: float = 0.0) -> tuple[Face, Face]:
-        """A pair with their outer upper corners at (± x, y)."""
+        """A pair of lamps with their outer upper corners at (± x, y)."""
         dull = self.rng.uniform(45, 80)
         c = AntialiasedCanvas(width, height, dull, density=REAR_TEXELS_PER_METRE)
         c.box(0.3 * width, 0.3 * height, 0.4 * width, 0.25 * height, 150)
@@ -177,7 +177,7 @@ class _BodyBuilder:
         ]
 
     def underside(self, height: float) -> list[Face]:
-        """Wheels and the dark between them, below the rear plane."""
+        """Wheels and the dark gap between them, below the rear plane."""
         c = AntialiasedCanvas(self.width, height, 0.0, alpha=0.0, density=120)
         c.box(0.05, 0, self.width - 0.1, 0.4 * height, 8)
         for x in (0.04, self.width - 0.28):

@@ -101,7 +101,7 @@ class ChaseWorld:
         return self._roadside[int(first) : int(last)]
 
     def moving_faces(self, state: WorldState) -> list[Faces]:
-        """Faces of oncoming traffic, of what crosses before the lead, and of the other vehicles."""
+        """Faces of oncoming traffic, of objects that cross before the lead, and of the other vehicles."""
         groups = []
         if self.scene.traffic:
             every, part = self.oncoming_schedule
@@ -119,7 +119,7 @@ class ChaseWorld:
         return groups
 
     def _crossing_state(self, state: WorldState, occlusion: Occlusion) -> RoadPose:
-        """The pose of what crosses: about half-way to the lead, at a constant speed across its middle."""
+        """The pose of a crossing object: about half-way to the lead, at a constant speed across its middle."""
         ahead = 0.55 * state.gap
         across, _ = state.camera.to_level(state.lead.x, state.lead.y)
         long = CROSSING_VEHICLE_LENGTH_M if occlusion.kind == "vehicle" else 0.3
@@ -185,7 +185,7 @@ class ChaseWorld:
         return move_faces(rolled, self.road, state.lead)
 
     def shadow_outlines(self, state: WorldState) -> tuple[Array, Array]:
-        """Outlines (2 V, E, 3) of the shadow in the sun and of the dark under each of V vehicles; see
+        """Outlines (2 V, E, 3) of the shadow in the sun and of the contact shadow under each of V vehicles; see
         `rasterizer.ground`."""
         vehicles = [(self.body, state.lead)] if state.lead_present else []
         vehicles += zip(self.other_vehicles, state.other_vehicles, strict=True)
@@ -207,7 +207,7 @@ class ChaseWorld:
 
 
 def lead_body(scene: ChaseScene) -> Body:
-    """The lead."""
+    """The body of the lead."""
     return make_vehicle(np.random.default_rng([scene.seed, 37]), scene.kind, scene.paint)
 
 

@@ -170,7 +170,7 @@ class ObservationModel:
         return log_likelihood(self.observe(views, state), self.reference, self.lambda_single, self.lambda_cross)
 
     def initialize(self, views: Views, state: State) -> None:
-        """Set the reference to what a state of one particle observes."""
+        """Sets the reference to the features of a state of one particle."""
         self.reference = self.observe(views, state).features[0]
 
     def similarity(self, features: Floats) -> float:

@@ -116,7 +116,7 @@ def ensemble_kalman_update(
     noise: Array,
     model: FreeMotion | PathMotion,
 ) -> State:
-    """``state`` after an ensemble Kalman step on where the planes are.
+    """``state`` after an ensemble Kalman step with measured plane positions.
 
     ``places`` (N, 3) are the plane centres, ``measurements`` (N, 3) one perturbed measurement of it for each particle,
     ``noise`` (3, 3) its covariance. The gain comes from the weighted particles' covariance.
@@ -137,7 +137,7 @@ def ensemble_kalman_update(
 
 
 def kalman_gain(covariance: Array, noise: Array) -> Array:
-    """The gain (k, 3) on what was seen of the plane's centre with covariance ``noise`` (3, 3).
+    """The gain (k, 3) of a measurement of the plane's centre with covariance ``noise`` (3, 3).
 
     ``covariance`` (k, 3) is that of everything, the centre first, with the centre.
     """

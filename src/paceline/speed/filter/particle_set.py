@@ -43,7 +43,7 @@ class Posterior:
 
 
 class Particles(Protocol):
-    """The weighted particles of one vehicle, wherever they are computed."""
+    """The weighted particles of one vehicle, on a CPU or a GPU."""
 
     motion: PathMotion | FreeMotion
 
@@ -66,7 +66,7 @@ class Particles(Protocol):
         """Pixels (…, 2) of each view whose bounding box contains the regions of all particles."""
 
     def weight(self, model: ObservationModel, views: Views) -> None:
-        """Update the weights by the likelihood of what ``views`` show ([Zhu] (2))."""
+        """Update the weights by the likelihood of the images of ``views`` ([Zhu] (2))."""
 
     def restore_weights(self) -> None:
         """Restore the weights before the last update."""

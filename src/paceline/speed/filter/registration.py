@@ -105,7 +105,7 @@ def register(
     views: tuple[int, ...] = (0, 1),
     coarseness: float = 1.0,
 ) -> Registration:
-    """Register the plane's sample ``points`` (parts, samples, 3), where expected, to the ``images`` of ``views``.
+    """Registers the plane's sample ``points`` (parts, samples, 3), as expected, to the ``images`` of ``views``.
 
     ``texture`` (parts, samples) is their expected appearance; ``directions`` (3, k) spans the estimated shifts. With a
     ``coarseness`` above 1, texture and images are smoothed by that many grid steps, to be found from farther away.

@@ -29,7 +29,7 @@ def transfer(quad, R, shift, plane, K, K_inv, transferred):
 
 
 def cross_diagonals(q, crossing):
-    """Into ``crossing`` (2,) where the diagonals of the region ``q`` (4, 2) meet."""
+    """Writes the intersection of the diagonals of the region ``q`` (4, 2) into ``crossing`` (2,)."""
     ac_x, ac_y = q[2, 0] - q[0, 0], q[2, 1] - q[0, 1]
     bd_x, bd_y = q[3, 0] - q[1, 0], q[3, 1] - q[1, 1]
     ab_x, ab_y = q[1, 0] - q[0, 0], q[1, 1] - q[0, 1]

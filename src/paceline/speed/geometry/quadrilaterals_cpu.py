@@ -29,7 +29,7 @@ def transfer(
 
 @cached_njit(nogil=True, error_model="numpy")
 def cross_diagonals(quads: Array, crossings: Array) -> None:
-    """Into ``crossings`` (N, 2) where the diagonals of the regions (N, 4, 2) meet."""
+    """Writes the intersections of the diagonals of the regions (N, 4, 2) into ``crossings`` (N, 2)."""
     for p in range(len(quads)):
         _cross_diagonals(quads[p], crossings[p])
 
