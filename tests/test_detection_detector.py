@@ -20,7 +20,7 @@ from paceline.detection.detector import (
     COARSE_GRID,
     COARSE_NCC_WINDOW,
     FINE_GRID,
-    NCC_WINDOW,
+    FINE_NCC_WINDOW,
     Detection,
     PlaneSweepDetector,
     _vehicle_mask,
@@ -115,7 +115,7 @@ def card_and_views(k: int, grid: PlaneGrid, window: int) -> tuple[SweepPlane, Py
     return plane, views, scenes
 
 
-@pytest.mark.parametrize(("grid", "window"), [(FINE_GRID, NCC_WINDOW), (COARSE_GRID, COARSE_NCC_WINDOW)])
+@pytest.mark.parametrize(("grid", "window"), [(FINE_GRID, FINE_NCC_WINDOW), (COARSE_GRID, COARSE_NCC_WINDOW)])
 @pytest.mark.parametrize("k", [3, 24, 50])
 def test_consistency_of_a_plane_is_that_of_whole_images(grid: PlaneGrid, window: int, k: int) -> None:
     """But for OpenCV's rounding of places to 1/32 px."""
@@ -140,7 +140,7 @@ def test_consistency_below_the_minimum_area_is_zero() -> None:
 
 
 def test_masked_cells_are_cleared() -> None:
-    plane, views, _ = card_and_views(24, FINE_GRID, NCC_WINDOW)
+    plane, views, _ = card_and_views(24, FINE_GRID, FINE_NCC_WINDOW)
     explained = np.zeros(views[0][0].shape, np.uint8)
     explained[:, : explained.shape[1] // 3] = 1
     flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
@@ -195,7 +195,7 @@ def test_coarse_pass_misses_no_maximum_of_the_fine_planes() -> None:
         for s in positions:
             now, before = (
                 [
-                    LocalStatistics(warp_to_plane(v, H, FINE_GRID), NCC_WINDOW)
+                    LocalStatistics(warp_to_plane(v, H, FINE_GRID), FINE_NCC_WINDOW)
                     for v, H in zip(pair, lane_path().homographies(s), strict=True)
                 ]
                 for pair in (views, scenes)
@@ -239,12 +239,11 @@ def test_texture_on_the_road_is_distinguished_from_an_upright_one(lying: bool) -
     left, right = lane_path().homographies(s)
     road = lane_path().road_homography(s) @ left
     seen, upright, flat = (
-        LocalStatistics(warp_to_plane(views[side], H, FINE_GRID), NCC_WINDOW)
+        LocalStatistics(warp_to_plane(views[side], H, FINE_GRID), FINE_NCC_WINDOW)
         for side, H in ((0, left), (1, right), (1, road))
     )
-    before = [
-        LocalStatistics(warp_to_plane(v, H, FINE_GRID), NCC_WINDOW) for v, H in zip(scenes, (left, right), strict=True)
-    ]
+    warped = [warp_to_plane(v, H, FINE_GRID) for v, H in zip(scenes, (left, right), strict=True)]
+    before = [LocalStatistics(image, FINE_NCC_WINDOW) for image in warped]
     consistency = expected_consistency([seen, upright], before, 1.0)
     assert consistency.sum() > 0
     assert (upright_ratio(consistency, local_ncc(seen, flat), seen.std) < 1.0) == lying

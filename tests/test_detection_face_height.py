@@ -7,7 +7,7 @@ import pytest
 from selection import slow_after
 from synthetic_detections import BOTTOM, PLANE_GRID, TOP, X, face_with, texture_up_to
 
-from paceline.detection.face_height import HEIGHT_STEP_M, MIN_HEIGHT_M, select_height
+from paceline.detection.face_height import HEIGHT_STEP_M, MIN_OUTLINE_HEIGHT_M, select_height
 from paceline.detection.planar_face import PlanarFace
 
 RIM = 0.1  # m: 2 px of the farthest view
@@ -37,7 +37,7 @@ def test_most_of_a_textured_face_is_kept(seed: int) -> None:
 def test_a_low_face_and_one_with_few_frames_are_unchanged() -> None:
     face = face_with(texture_up_to(0.75, 1), 1)
     assert select_height(face, face.aligned[:3], clear) is face
-    low = PlanarFace(X, (BOTTOM, BOTTOM + MIN_HEIGHT_M), face.aligned, 0.9)
+    low = PlanarFace(X, (BOTTOM, BOTTOM + MIN_OUTLINE_HEIGHT_M), face.aligned, 0.9)
     assert select_height(low, low.aligned, clear) is low
 
 

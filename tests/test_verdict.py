@@ -19,7 +19,7 @@ from paceline.speed.refinement.trajectory import Trajectory
 from paceline.speed.results import Measurement, Track
 from paceline.speed.verdict import (
     MAX_DEVIATION_SIGMA,
-    MIN_CONTRAST_GREY,
+    MIN_TRACK_CONTRAST_GREY,
     apply_tolerance,
     check_interval,
     check_outline,
@@ -110,7 +110,7 @@ def test_a_motion_inconsistent_in_the_first_frames_is_rejected(hidden: int, reas
     [
         (6.4, 2.6, "path_deviation_implausible"),
         (MAX_DEVIATION_SIGMA, 2.6, ""),
-        (6.4, MIN_CONTRAST_GREY, ""),  # a crest or a tight turn, with enough contrast
+        (6.4, MIN_TRACK_CONTRAST_GREY, ""),  # a crest or a tight turn, with enough contrast
     ],
 )
 def test_an_implausible_path_at_low_contrast_is_rejected(

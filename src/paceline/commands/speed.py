@@ -25,7 +25,7 @@ OLD_OPTIONS = {
     "--learn": "--background-seconds",
 }
 # of settings that are named otherwise
-OPTIONS = {
+OPTION_BY_SETTING = {
     "tolerance": "--max-half-width",
     "parts": "--feature-parts",
     "background.seconds": "--background-seconds",
@@ -205,7 +205,7 @@ def _settings(config: Path | None, options: dict[str, object]) -> SpeedSettings:
         first = error.errors()[0]
         expected = first["msg"].replace("Input should be", "expected")
         key = ".".join(map(str, first["loc"]))
-        raise UnusableInput(f"{OPTIONS.get(key, f'--{key}')} {first['input']}: {expected}") from error
+        raise UnusableInput(f"{OPTION_BY_SETTING.get(key, f'--{key}')} {first['input']}: {expected}") from error
 
 
 def detector_of(config: Path | None, settings: SpeedSettings) -> Path | None:

@@ -22,8 +22,8 @@ from paceline.verdicts import Message, message
 
 DetectBoxes = Callable[[Image], NDArray[np.float64]]  # an image (H, W): left, top, right, bottom (N, 4), px
 
-MAX_CHANGE_GREY_PER_S = 2.0  # grey levels per second by which the running median moves
-BOX_MARGIN_SHARE = 0.05  # of a box's size, added on every side: detectors clip bumpers
+MAX_CHANGE_GREY_PER_S = 2.0  # greatest change of the running median, grey levels per second
+BOX_MARGIN_SHARE = 0.05  # margin on every side as a share of a box's size: detectors clip bumpers
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,7 +25,7 @@ from paceline.speed.configuration import DEFAULTS, DetectionSettings
 from paceline.subpixel import parabola_peak
 
 FINE_GRID = PlaneGrid(left=-3.2, top=2.6, bottom=0.2, cell=0.05)  # m; what is lower may be road
-NCC_WINDOW = 7  # cells, on the fine grid
+FINE_NCC_WINDOW = 7  # cells, on the fine grid
 COARSE_GRID = PlaneGrid(left=-3.2, top=2.6, bottom=0.2, cell=0.1)  # of the first pass
 COARSE_NCC_WINDOW = 5  # cells, on the coarse grid
 COARSE_STRIDE = 2  # sweep planes from one of the coarse pass to the next
@@ -34,19 +34,19 @@ MIN_PEAK_RATIO, MAX_PEAKS = 0.5, 4  # coarse peaks, relative to the highest, who
 # least area relative to the best plane, planes to either side, and greatest 1 − NCC relative to the best plane's, for
 # another plane with nearly the same area to be preferred: the farther away it is, the clearer its better match must be
 WIDE_PLATEAU, CLOSE_PLATEAU = (0.7, 1000, 0.4), (0.9, 4, 0.6)
-MIN_CONTRAST_GREY, MIN_CONTRAST_NOISE_RATIO = 1.0, 2.0  # least local standard deviation of texture
+MIN_TEXTURE_GREY, MIN_CONTRAST_NOISE_RATIO = 1.0, 2.0  # least local standard deviation of texture
 COARSE_LEVEL = 2  # pyramid level at which unchanged regions are skipped
-MIN_CHANGED_SHARE = 0.2  # of the smallest vehicle's area that differs from the background at that level
+MIN_CHANGED_AREA_SHARE = 0.2  # of the smallest vehicle's area that differs from the background at that level
 CHANGED_CONTRAST_SHARE = 0.5  # of the least contrast by which a pixel differs there
-NOISE_ROW_STEP = 16  # every so many rows are used to estimate the noise
-MIN_AREA_M2 = 0.25  # consistent area of a motorcycle far away
-MIN_COARSE_UPRIGHT_RATIO, MIN_UPRIGHT_RATIO = 1.0, 1.2  # on coarse and on fine planes; a shadow has less
+NOISE_ROW_STEP = 16  # step of the rows from which the noise is estimated
+MIN_DETECTION_AREA_M2 = 0.25  # consistent area of a distant motorcycle
+MIN_COARSE_UPRIGHT_RATIO, MIN_FINE_UPRIGHT_RATIO = 1.0, 1.2  # on coarse and on fine planes; a shadow has less
 CAR_LENGTH_M, LORRY_LENGTH_M = 5.0, 14.0  # by which a car, and a vehicle taller than a van, extends behind its face
 # behind the longest lorry, from where on what is seen over the roof of any vehicle is another one: a lorry whose top is
 # cut off by the image looks like a car
 BODY_CLEARANCE_M = 2.0
-FACE_LEAD_M = 2.5  # by which a face may be nearer than the plane with the largest consistent area
-TALL_VEHICLE_M = 2.3  # height from which on a vehicle may be a lorry or a bus
+FACE_LEAD_M = 2.5  # distance by which a face may be nearer than the plane with the largest consistent area
+MIN_LONG_VEHICLE_HEIGHT_M = 2.3  # height from which on a vehicle may be a lorry or a bus
 MIN_CELL_SCORE = 0.25  # local mean of the consistency of cells that belong to a face
 MIN_EXTENT_SHARE = 0.3  # of a face's height or width: columns and rows with less are a mirror or a shadow,
 MAX_PROTRUSION_M = 0.3  # or, where narrow rows reach higher than this, the roof of another vehicle
@@ -136,13 +136,13 @@ class PlaneSweepDetector:
         self.rows = _visible_rows(self._planes)
         self._points = np.array([lane.point(s, 0.0, 0.0) for lane, s in self._planes]).reshape(-1, 3)
         top, coarse = self.rows.start, self._planes[::COARSE_STRIDE]
-        self._fine = [plane_at(lane.homographies(s), FINE_GRID, NCC_WINDOW, top) for lane, s in self._planes]
+        self._fine = [plane_at(lane.homographies(s), FINE_GRID, FINE_NCC_WINDOW, top) for lane, s in self._planes]
         self._upright = [plane_at(lane.homographies(s), COARSE_GRID, COARSE_NCC_WINDOW, top) for lane, s in coarse]
         self._on_road = [plane_at(_on_road(lane, s), COARSE_GRID, COARSE_NCC_WINDOW, top) for lane, s in coarse]
         boxes = [[_bounding_box(H, COARSE_GRID) for H in plane.homographies] for plane in self._upright]
         self._boxes = np.array(boxes, int).reshape(-1, 2, 4)
         per_metre = (self._boxes[:, 0, 2] - self._boxes[:, 0, 0]) / (-2 * FINE_GRID.left)
-        self._min_changed = MIN_CHANGED_SHARE * MIN_AREA_M2 * per_metre**2
+        self._min_changed = MIN_CHANGED_AREA_SHARE * MIN_DETECTION_AREA_M2 * per_metre**2
 
     def detect(
         self, frame: StereoFrame, background: tuple[Image, Image], noise: float | None = None
@@ -153,20 +153,20 @@ class PlaneSweepDetector:
             return []
         views, empty = ([image_pyramid(i[self.rows]) for i in pair] for pair in ((frame.left, frame.right), background))
         noise = noise_std(views[0][0], empty[0][0]) if noise is None else noise
-        min_contrast = max(MIN_CONTRAST_GREY, MIN_CONTRAST_NOISE_RATIO * noise)
+        min_contrast = max(MIN_TEXTURE_GREY, MIN_CONTRAST_NOISE_RATIO * noise)
         volume = _ConsistencyVolume(views, empty, self._fine, self._points, min_contrast)
         coarse, areas = self._coarse_pass(views, empty, min_contrast)
         coarse_is_upright = partial(self._is_upright, coarse, views)
         detections: list[Detection] = []
         while len(peaks := self._peaks(areas, coarse_is_upright)):
             best = max((self._climb(volume, COARSE_STRIDE * k) for k in peaks), key=volume.area)
-            if volume.area(best) < MIN_AREA_M2:
+            if volume.area(best) < MIN_DETECTION_AREA_M2:
                 areas[peaks] = 0.0
                 continue
             index, s, consistency, component = self._localise(volume, best)
-            on_road = plane_at(_on_road(*self._planes[index]), FINE_GRID, NCC_WINDOW, self.rows.start)
+            on_road = plane_at(_on_road(*self._planes[index]), FINE_GRID, FINE_NCC_WINDOW, self.rows.start)
             upright = float(upright_ratio(consistency * component, *on_road.correlation_map(views)))
-            if upright < MIN_UPRIGHT_RATIO:
+            if upright < MIN_FINE_UPRIGHT_RATIO:
                 continue
             first, end = self._lane_range(index)
             lane = self._planes[index][0]
@@ -399,7 +399,7 @@ def _on_road(lane: LanePath, s: float) -> tuple[Array, Array]:
 def largest_component(consistency: Image) -> Mask:
     """The largest connected component (rows, columns) of the locally averaged consistency; every cell where there is
     none."""
-    dense = (local_mean(consistency, NCC_WINDOW) > MIN_CELL_SCORE).astype(np.uint8)
+    dense = (local_mean(consistency, FINE_NCC_WINDOW) > MIN_CELL_SCORE).astype(np.uint8)
     _, labels, stats, _ = cv2.connectedComponentsWithStats(dense)
     if len(stats) < 2:
         return np.ones(consistency.shape, bool)
@@ -409,7 +409,7 @@ def largest_component(consistency: Image) -> Mask:
 def without_component(component: Mask, consistency: Image) -> Image:
     """``consistency`` (rows, columns), set to 0 in a ``component`` and where it contributed to the local mean: the
     cells of a component are not all consistent themselves."""
-    around = cv2.dilate(component.astype(np.uint8), np.ones((NCC_WINDOW, NCC_WINDOW), np.uint8))
+    around = cv2.dilate(component.astype(np.uint8), np.ones((FINE_NCC_WINDOW, FINE_NCC_WINDOW), np.uint8))
     return np.where(around, np.float32(0.0), consistency)
 
 
@@ -453,7 +453,7 @@ def _vehicle_mask(
     """The mask of a ``detection`` for planes at ``points`` (planes, 3), in an image that begins at row ``top``; the
     tallest vehicles have ``max_height`` m."""
     lane, s = detection.lane, detection.s
-    is_tall = detection.y[1] > TALL_VEHICLE_M
+    is_tall = detection.y[1] > MIN_LONG_VEHICLE_HEIGHT_M
     high, length = (max_height, LORRY_LENGTH_M) if is_tall else (detection.y[1] + 0.2, CAR_LENGTH_M)
     x = (detection.x[0] - 0.2, detection.x[1] + 0.2)
     if abs(detection.lateral_offset) < LANE_CORE_M:  # a lane holds one vehicle across, of which parts may be missing

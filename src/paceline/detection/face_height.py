@@ -25,13 +25,13 @@ from paceline.speed.refinement.path_deviation import deviation_of
 from paceline.speed.refinement.photometric_fit import PhotometricFit
 from paceline.speed.refinement.trajectory import Trajectory, prior
 
-HEIGHT_STEP_M = 0.075  # by which one outline is lower than the next
-MIN_HEIGHT_M = 0.35  # of an outline
-MAX_SPEED_STD_RATIO = 0.03  # of a speed, for which its standard deviation means anything
+HEIGHT_STEP_M = 0.075  # difference in height of two successive outlines
+MIN_OUTLINE_HEIGHT_M = 0.35  # least height of an outline
+MAX_SPEED_STD_RATIO = 0.03  # relative standard deviation of a speed up to which the comparison is meaningful
 MAX_STD_RATIO = 1.15  # of the selected outline's standard deviation of speed to the smallest one
 MAX_STD_RATIO_STOP = 1.4  # of the same, above which no lower outline is tried
-OUTLINE_STD_PX = 0.5  # of a corner, as of one drawn by hand
-REFIT_STEPS = 2  # of a fit that starts from that of the outline before
+OUTLINE_STD_PX = 0.5  # standard deviation of an outline's corner, as of one drawn by hand
+REFIT_STEPS = 2  # steps of a fit that starts from that of the previous outline
 
 
 def select_height(
@@ -43,7 +43,7 @@ def select_height(
     """``face`` cut at its top: the lowest outline that ``is_clear`` and whose speed over the ``detections``, in order
     of time, has nearly the smallest standard deviation."""
     low, high = face.y
-    tops = np.arange(high - HEIGHT_STEP_M, low + MIN_HEIGHT_M, -HEIGHT_STEP_M).tolist()
+    tops = np.arange(high - HEIGHT_STEP_M, low + MIN_OUTLINE_HEIGHT_M, -HEIGHT_STEP_M).tolist()
     lower = [replace(face, y=(low, top)) for top in tops]
     outlines = [face, *filter(is_clear, lower)]
     if len(outlines) == 1 or len(detections) < DEFAULT_LIMITS.min_frames:

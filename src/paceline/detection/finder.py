@@ -38,19 +38,19 @@ MAX_LATERAL_OFFSET_M = 1.9  # from the middle of the lane, of this
 LATERAL_OFFSET_QUANTILE = 0.25  # quantile of the detections: a vehicle may be changing lanes
 # median consistent area times the root of the number of detections: two lamps in the dark are small, but detected again
 # and again
-MIN_AREA_M2 = 0.7
+MIN_VEHICLE_AREA_M2 = 0.7
 MAX_COUNTED_DETECTIONS = 16  # of that number
-MIN_HEIGHT_M = 0.8  # of a vehicle above the road: what is lower is a shadow,
+MIN_VEHICLE_HEIGHT_M = 0.8  # of a vehicle above the road: what is lower is a shadow,
 MIN_LOW_UPRIGHT_RATIO = 10.0  # unless its upright ratio is as high as this: lamps in the dark
 # median over the track: two shadows one behind the other reached 2.0; of 260 vehicles by day the lowest was 4.4, at
 # night 2.9
-MIN_UPRIGHT_RATIO = 2.5
+MIN_TRACK_UPRIGHT_RATIO = 2.5
 MOTION_ERROR_M_PX = 1.0, 1.0  # greatest error of an aligned detection along the lane, m, or px of disparity if more
 MAX_COUNTED_RESIDUAL = 2.0  # in such errors, up to which a residual counts against a motion
 IGNORED_ERROR_FACTOR = 1e3  # by which the error of a detection is multiplied that shall not influence the motion
-RECENT_VEHICLES = 8  # of which a further track may be a part
+RECENT_VEHICLES = 8  # number of latest vehicles to which a further track may belong
 MIN_SIMILARITY_RATIO = 0.9  # of the frame of the outline to the median: nothing hides the face there
-MIN_BORDER_PX = 4.0  # between an outline and the edge of the image
+MIN_BORDER_PX = 4.0  # least distance between an outline and the edge of the image
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,11 +154,11 @@ def is_vehicle(track: DetectionTrack) -> bool:
         return False
     count = len(track.times)
     area = float(np.median(track.areas)) * np.sqrt(min(count, MAX_COUNTED_DETECTIONS))
-    if count < max(MIN_DETECTIONS + track.frames_missed / 2, track.frames_missed) or area < MIN_AREA_M2:
+    if count < max(MIN_DETECTIONS + track.frames_missed / 2, track.frames_missed) or area < MIN_VEHICLE_AREA_M2:
         return False
     upright_ratio = float(np.median(track.upright_ratios))
-    is_low = _height(track) < MIN_HEIGHT_M
-    if upright_ratio < MIN_UPRIGHT_RATIO or (is_low and upright_ratio < MIN_LOW_UPRIGHT_RATIO):
+    is_low = _height(track) < MIN_VEHICLE_HEIGHT_M
+    if upright_ratio < MIN_TRACK_UPRIGHT_RATIO or (is_low and upright_ratio < MIN_LOW_UPRIGHT_RATIO):
         return False
     offsets = np.abs([s.lateral_offset for s in track.kept])
     nearest = float(np.quantile(offsets, LATERAL_OFFSET_QUANTILE))

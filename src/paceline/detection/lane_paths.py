@@ -22,9 +22,9 @@ from paceline.speed.configuration import DEFAULTS
 from paceline.speed.geometry.path_reconstruction import path_from_document
 from paceline.speed.geometry.paths import Path
 
-PATH_EXTENSION_M = 12.0  # by which a lane path is assumed to continue past the ends of its drawing
+PATH_EXTENSION_M = 12.0  # distance by which a lane path is assumed to continue past the ends of its drawing
 COINCIDENCE_M = 0.3  # lane paths so near each other are one; with a smaller offset one path serves both directions
-COMPARED_POSITIONS = 5  # along a lane path at which it is compared with another
+COMPARED_POSITIONS = 5  # positions along a lane path at which it is compared with another
 DISPARITY_STEP_PX = 0.7  # disparity between neighbouring sweep planes
 DEPTH_SAMPLING_M = 0.1  # step of arc length at which depth is computed
 PYRAMID_LEVELS = 4

@@ -17,7 +17,7 @@ from paceline.arrays import Array
 Outputs = list[NDArray[np.generic]]
 
 MIN_CONSTANT_OBJECTNESS = 0.25  # in a plain picture, where other detectors see nothing
-MAX_BOXES = 1000  # of an image, those with the highest scores
+MAX_BOXES = 1000  # boxes of an image that are kept, those with the highest scores
 MAX_NORMALISED_PX = 1.5  # boxes that all lie within it are fractions of the input's size
 CELL_STRIDES_PX = 8, 16, 32  # of the grids whose cells raw outputs have a row each for
 VEHICLE_WORDS = {

@@ -24,37 +24,37 @@ from paceline.subpixel import parabola_peak_at
 Span = tuple[float, float]
 
 FACE_GRID = PlaneGrid(left=-2.4, top=1.6, bottom=0.15, cell=0.025)
-NCC_WINDOW = 9  # cells
+FACE_NCC_WINDOW = 9  # cells
 SEARCH_RANGE_M_PX = 3.0, 1.0  # to either side of a detection along the lane, m, or px of disparity if that is more
 SEARCH_STEPS = 25
-DISTANCE_PENALTY_NCC = 0.06  # at the ends of that range, for lying elsewhere than in the reference frame
+DISTANCE_PENALTY_NCC = 0.06  # penalty at the ends of that range, for a position other than in the reference frame
 # a position with so much of the largest consistent area is preferred if its 1 − NCC is so much smaller
 MIN_SHARP_AREA_RATIO, MAX_SHARP_MISFIT_RATIO = 0.5, 0.7
-MAX_SHIFT_M = 0.4  # of the face on its plane from one frame to another
-HEIGHT_PENALTY_NCC = 0.5  # for so large a vertical shift: it occurs on planes at a wrong distance
-MIN_CONTRAST_GREY = 1.0  # local standard deviation of texture
-UNCHANGED_NCC = 0.85  # with the background, above which a cell shows the background
+MAX_FACE_SHIFT_M = 0.4  # greatest shift of the face on its plane from one frame to another
+HEIGHT_PENALTY_NCC = 0.5  # penalty of the greatest vertical shift, which occurs on planes at a wrong distance
+MIN_FACE_TEXTURE_GREY = 1.0  # local standard deviation of texture
+UNCHANGED_NCC = 0.85  # NCC with the background above which a cell shows the background
 # of the views: a cell beside the detection that differs from the background in fewer belongs to no vehicle
-MIN_CHANGED_SHARE = 0.3
+MIN_CHANGED_FRAME_SHARE = 0.3
 NCC_THRESHOLDS = 0.78, 0.66, 0.54  # above which a cell counts for the rectangle; the lower ones where noise leaves none
-MIN_WIDTH_M, MIN_HEIGHT_M = 0.4, 0.3  # of the rectangle
-INSET_M = 0.075  # by which the rectangle is reduced: a local NCC depends on half a window beyond its cell
-MIN_WIDTH_RATIO = 0.7  # of the rectangle's width to the face's
-# of the rectangle on a car, and on a lorry or bus: a detection that is taller than `TALL_VEHICLE_M`, wider than a car,
-# or narrower than `MIN_CAR_WIDTH_M`, as one lamp of a lorry. The limit keeps out guard rails, which agree in all frames
-# too
+MIN_FACE_WIDTH_M, MIN_FACE_HEIGHT_M = 0.4, 0.3  # of the rectangle
+INSET_M = 0.075  # reduction of the rectangle on each side: a local NCC depends on half a window beyond its cell
+MIN_WIDTH_RATIO = 0.7  # least ratio of the rectangle's width to the face's
+# Greatest width of the rectangle on a car, and on a lorry or bus: a detection taller than `MIN_TALL_VEHICLE_HEIGHT_M`,
+# wider than a car, or narrower than `MIN_CAR_WIDTH_M`, as one lamp of a lorry. The limit excludes guard rails, which
+# agree in all frames too.
 MAX_WIDTHS_M = 1.8, 2.3
 MIN_CAR_WIDTH_M = 1.0
-MAX_TOPS_M = 1.1, 1.6  # upper edge of the rectangle on a car, and on what is taller than `TALL_VEHICLE_M`
+MAX_TOPS_M = 1.1, 1.6  # upper edge of the rectangle on a car, and on vehicles taller than `MIN_TALL_VEHICLE_HEIGHT_M`
 FIRST_TOP_SHARES = 1.0, 0.57  # of that, up to where detections are aligned first: a bonnet or a windscreen may mislead
-TALL_VEHICLE_M = 2.2
+MIN_TALL_VEHICLE_HEIGHT_M = 2.2
 MAX_FOOT_M = 1.5  # lower edge of a detection that shows a face: the lamps of lorries are so high
-CELL_COST = 0.02  # of a cell without texture
+CELL_COST = 0.02  # cost of a cell without texture
 COARSE_CELLS = 2  # step of the cells on which rectangles are compared
 # of a detection's area to the usual one: outside, part of the vehicle is hidden or something else was detected with it,
 # and the detection cannot be the reference
 TYPICAL_AREA_RATIO = 0.7, 1.5
-MIN_TEMPLATE_NCC = 0.55  # of a frame with the reference
+MIN_TEMPLATE_NCC = 0.55  # least NCC of a frame with the reference
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +115,7 @@ def find_face(detections: list[Detection]) -> PlanarFace | None:
     )
     reference = max(typical, key=_pixels_per_metre)
     half = float(np.clip(0.5 * (reference.x[1] - reference.x[0]), FACE_GRID.cell, -FACE_GRID.left))
-    top = MAX_TOPS_M[reference.y[1] > TALL_VEHICLE_M]
+    top = MAX_TOPS_M[reference.y[1] > MIN_TALL_VEHICLE_HEIGHT_M]
     faces = [
         _face_within((-half, half), (FACE_GRID.bottom, share * top), detections, reference)
         for share in FIRST_TOP_SHARES
@@ -174,7 +174,7 @@ def _is_whole(detection: Detection) -> bool:
     (left, right), (bottom, top) = detection.x, detection.y
     if min(left - FINE_GRID.left, -FINE_GRID.left - right) <= 0.5 * FINE_GRID.cell:
         return False
-    highest = min(top, MAX_TOPS_M[top > TALL_VEHICLE_M])
+    highest = min(top, MAX_TOPS_M[top > MIN_TALL_VEHICLE_HEIGHT_M])
     corners = np.array([[x, y] for x in (left, right) for y in (bottom, highest)])
     views = zip(detection.lane.pixels(detection.s, corners), detection.lane.rig.cameras, strict=True)
     return all(((quad >= 0) & (quad <= np.array(camera.image_size) - 1)).all() for quad, camera in views)
@@ -221,7 +221,7 @@ def _stereo_position(detection: Detection, rows: slice, columns: slice) -> float
     origin, reach = np.array([detection.lateral_offset, 0.0]), detection.distance_error(*SEARCH_RANGE_M_PX)
     ahead, scores = np.linspace(-reach, reach, SEARCH_STEPS), []
     for s in detection.s + ahead:
-        left, right = (LocalStatistics(image, NCC_WINDOW) for image in detection.warp(float(s), FACE_GRID, origin))
+        left, right = (LocalStatistics(image, FACE_NCC_WINDOW) for image in detection.warp(float(s), FACE_GRID, origin))
         area = (photo_consistency(left, right) * _texture_weight(left))[rows, columns].sum()
         scores.append((area, _ncc(left.image[rows, columns], right.image[rows, columns])))
     areas, correlations = np.array(scores, float).T
@@ -245,7 +245,7 @@ def _ncc(left: Image, right: Image) -> float:
 def _texture_weight(texture: LocalStatistics) -> Image:
     """The weight of each cell, 0 to 1: strong edges count no more than clear ones."""
     return np.asarray(
-        np.clip(texture.std / (4 * MIN_CONTRAST_GREY), 0.0, 1.0) * (texture.std > MIN_CONTRAST_GREY), np.float32
+        np.clip(texture.std / (4 * MIN_FACE_TEXTURE_GREY), 0.0, 1.0) * (texture.std > MIN_FACE_TEXTURE_GREY), np.float32
     )
 
 
@@ -254,7 +254,7 @@ def _register(
 ) -> AlignedDetection:
     """Where both views of ``detection`` match the ``template`` best: preferably at the height of ``origin``, which it
     has in a neighbouring frame, and about ``offset`` metres past the detection."""
-    along, reach = detection.distance_error(*SEARCH_RANGE_M_PX), round(MAX_SHIFT_M / FACE_GRID.cell)
+    along, reach = detection.distance_error(*SEARCH_RANGE_M_PX), round(MAX_FACE_SHIFT_M / FACE_GRID.cell)
     relative_offset, shift_scores, moves = np.linspace(-1.0, 1.0, SEARCH_STEPS), [], []
     ahead = offset + along * relative_offset
     penalty = HEIGHT_PENALTY_NCC * np.linspace(-1.0, 1.0, 2 * reach + 1, dtype=np.float32)[:, None] ** 2
@@ -296,24 +296,26 @@ def _subpixel(scores: Image, peak: tuple[np.intp, ...]) -> Array:
 def _best_face(aligned: list[AlignedDetection], reference: Detection) -> PlanarFace | None:
     """The rectangle in which all ``aligned`` detections agree with the reference best."""
     first = next(a for a in aligned if a.detection is reference)
-    template = LocalStatistics(first.warp()[0], NCC_WINDOW)
+    template = LocalStatistics(first.warp()[0], FACE_NCC_WINDOW)
     correlations, changes = [], []
     for a in aligned:
         views, background = (
-            [LocalStatistics(image, NCC_WINDOW) for image in images] for images in (a.warp(), a.warp_background())
+            [LocalStatistics(image, FACE_NCC_WINDOW) for image in images] for images in (a.warp(), a.warp_background())
         )
         correlations += [local_ncc(template, view) for view in views[a is first :]]
         changes += [local_ncc(view, empty) <= UNCHANGED_NCC for view, empty in zip(views, background, strict=True)]
     ncc = np.median(correlations, axis=0)  # a shadow that passes over a face is there in few frames
     changed = np.mean(changes, axis=0)
     outside_reference = np.abs(FACE_GRID.x) > 0.5 * (reference.x[1] - reference.x[0])
-    ncc[(changed < MIN_CHANGED_SHARE) & outside_reference] = 0.0  # the background looks the same in all frames as well
+    ncc[(changed < MIN_CHANGED_FRAME_SHARE) & outside_reference] = (
+        0.0  # the background looks the same in all frames as well
+    )
     weight = _texture_weight(template)
-    highest, widest = MAX_TOPS_M[reference.y[1] > TALL_VEHICLE_M], _max_width(reference)
-    narrowest = max(MIN_WIDTH_M, MIN_WIDTH_RATIO * min(reference.x[1] - reference.x[0], widest))
+    highest, widest = MAX_TOPS_M[reference.y[1] > MIN_TALL_VEHICLE_HEIGHT_M], _max_width(reference)
+    narrowest = max(MIN_FACE_WIDTH_M, MIN_WIDTH_RATIO * min(reference.x[1] - reference.x[0], widest))
     cell = COARSE_CELLS * FACE_GRID.cell
     widths = round((narrowest + 2 * INSET_M) / cell), round((widest + 2 * INSET_M) / cell)
-    height, middle = round((MIN_HEIGHT_M + 2 * INSET_M) / cell), len(FACE_GRID.x[::COARSE_CELLS]) // 2
+    height, middle = round((MIN_FACE_HEIGHT_M + 2 * INSET_M) / cell), len(FACE_GRID.x[::COARSE_CELLS]) // 2
     for threshold in NCC_THRESHOLDS:
         scores = _cell_scores(ncc, weight, threshold)
         scores[FACE_GRID.y > highest] = -1.0
@@ -333,7 +335,7 @@ def _best_face(aligned: list[AlignedDetection], reference: Detection) -> PlanarF
 def _max_width(reference: Detection) -> float:
     """The greatest width of a rectangle on a vehicle as large as the ``reference``, m."""
     width = reference.x[1] - reference.x[0]
-    is_large = reference.y[1] > TALL_VEHICLE_M or width < MIN_CAR_WIDTH_M
+    is_large = reference.y[1] > MIN_TALL_VEHICLE_HEIGHT_M or width < MIN_CAR_WIDTH_M
     return MAX_WIDTHS_M[1] if is_large else float(np.clip(width, *MAX_WIDTHS_M))
 
 

@@ -9,11 +9,9 @@ from __future__ import annotations
 import numpy as np
 
 from paceline.arrays import Array, Bytes, Image, Mask
-from paceline.detection import photo_consistency
+from paceline.detection.photo_consistency import MIN_CHANGE, MIN_STD_PRODUCT, NCC_RAMP
 from paceline.numba_cache import cached_njit
 
-NCC_RAMP, MIN_CHANGE = photo_consistency.NCC_RAMP, photo_consistency.MIN_CHANGE
-MIN_STD_PRODUCT = photo_consistency.MIN_STD_PRODUCT
 REORDERED_SUMS = {"reassoc", "contract", "nsz"}  # fastmath flags: sums may be taken in another order
 
 

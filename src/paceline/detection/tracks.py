@@ -12,7 +12,7 @@ from paceline.detection.detector import FINE_GRID, Detection
 from paceline.detection.lane_paths import LanePath
 from paceline.speed.configuration import DEFAULT_LIMITS
 
-MIN_NCC = 0.5  # of the faces of one vehicle in two frames
+MIN_NCC = 0.5  # least NCC of the faces of one vehicle in two frames
 # from which on the position is predicted so well that no NCC is needed, because part of the vehicle may be hidden
 MIN_PREDICTABLE_DETECTIONS, MAX_PREDICTABLE_GAP_S = 3, 1.0
 MAX_LATERAL_STEP_M = 1.3  # from one detection to the next,
@@ -20,17 +20,18 @@ MAX_LATERAL_GAP_M = 0.5  # or between what is seen of a vehicle on either side o
 POSITION_ERROR_M_PX = 2.5, 1.5  # greatest error of a detection along the lane, m, or px of disparity if that is more
 MIN_TRAVEL_M_PX = 1.5, 1.5  # along the lane, m, or px of disparity if that is more: what travels less is stationary
 MAX_ACCELERATION_MPS2 = 8.0
-MAX_COMPARED_HEIGHT_M = 1.3  # up to which faces are compared: windscreens reflect the surroundings
-MAX_SHIFT_M = 0.35  # of a face on its plane
+MAX_COMPARED_HEIGHT_M = 1.3  # height up to which faces are compared: windscreens reflect the surroundings
+MAX_COMPARISON_SHIFT_M = 0.35  # greatest shift of a face on its plane in the comparison
 MAX_UNSEEN_FRAMES, MAX_UNSEEN_S = 3, 0.7  # a track that exceeds both has ended,
 MAX_GAP_S = 1.5  # and one that exceeds this in any case: frames may be missing, and the prediction is worth nothing
 MIN_SPACING_ALONG_M, MIN_SPACING_ACROSS_M = 6.0, 2.5  # detections that are nearer than both are of one vehicle
-ABREAST_SPACING_M = 3.0  # lateral distance from which on there are two vehicles in any case
+ABREAST_SPACING_M = 3.0  # lateral distance above which there are always two vehicles
 SPEED_DETECTIONS, PREDICTION_DETECTIONS = 8, 4  # latest ones used for the speed and for the next position
 MAX_JOINT_RESIDUAL = 0.8  # median, in position errors, of two tracks of one vehicle about their joint motion
-ACCELERATION_STD_MPS2 = 1.0  # prior of that motion
-IRLS_ITERATIONS, MIN_IRLS_RESIDUAL = 10, 0.05  # of an L1 fit by reweighted least squares; the latter in position errors
-MAX_KEPT_DETECTIONS = 12  # of a track, evenly spread
+ACCELERATION_STD_MPS2 = 1.0  # standard deviation of the acceleration in that motion
+MOTION_IRLS_ITERATIONS = 10  # iterations of the L1 fit of a motion by reweighted least squares
+MIN_MOTION_RESIDUAL = 0.05  # least residual in its weights, in position errors
+MAX_KEPT_DETECTIONS = 12  # evenly spread detections that are kept of a track
 
 
 @dataclass(eq=False)
@@ -184,11 +185,11 @@ def motion_residuals(t: Array, s: Array, error: Array) -> Array:
     powers, places = np.vander(t - t.mean(), 3) / error[:, None], s / error
     prior = np.array([[2.0 / ACCELERATION_STD_MPS2, 0.0, 0.0]])
     weight = np.ones(len(t) + 1)
-    for _ in range(IRLS_ITERATIONS):
+    for _ in range(MOTION_IRLS_ITERATIONS):
         A, b = weight[:, None] * np.concatenate([powers, prior]), weight * np.append(places, 0.0)
         motion = np.linalg.lstsq(A, b, rcond=None)[0]
         residuals = np.append(places - powers @ motion, prior @ motion)
-        weight = 1.0 / np.sqrt(np.maximum(np.abs(residuals), MIN_IRLS_RESIDUAL))
+        weight = 1.0 / np.sqrt(np.maximum(np.abs(residuals), MIN_MOTION_RESIDUAL))
     return np.asarray(residuals[:-1])
 
 
@@ -201,7 +202,10 @@ def similarity(a: Detection, b: Detection) -> float:
     width, wider = a.x[1] - a.x[0], b.x[1] - b.x[0]
     columns = np.flatnonzero(np.abs(FINE_GRID.x) <= 0.5 * width)
     rows = np.flatnonzero(FINE_GRID.y <= max(MAX_COMPARED_HEIGHT_M, a.y[0] + 0.4))
-    down, across = (round(reach / FINE_GRID.cell) for reach in (MAX_SHIFT_M, MAX_SHIFT_M + 0.5 * (wider - width)))
+    down, across = (
+        round(reach / FINE_GRID.cell)
+        for reach in (MAX_COMPARISON_SHIFT_M, MAX_COMPARISON_SHIFT_M + 0.5 * (wider - width))
+    )
     pad = cv2.copyMakeBorder(searched, down, down, across, across, cv2.BORDER_REPLICATE)
     window = pad[rows[0] : rows[-1] + 1 + 2 * down, columns[0] : columns[-1] + 1 + 2 * across].copy()
     face = template[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1].copy()

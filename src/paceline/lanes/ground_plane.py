@@ -13,18 +13,18 @@ from paceline.cameras import StereoRig
 from paceline.lanes.road_surface import RoadSurface, plane_surface
 from paceline.recordings.background import Background
 
-MATCHING_WIDTH_PX = 640  # to which images are reduced
+MATCHING_WIDTH_PX = 640  # width to which images are reduced
 SGBM_BLOCK_PX = 7
-MIN_DEPTH_M, MAX_DEPTH_M = 4.0, 90.0  # of the points that are used
+MIN_PLANE_DEPTH_M, MAX_PLANE_DEPTH_M = 4.0, 90.0  # of the points that are used
 MIN_NORMAL_COSINE = np.cos(np.radians(40.0))  # between the ground's normal and the image's downward axis
-MIN_CAMERA_HEIGHT_M, MAX_CAMERA_HEIGHT_M = 0.7, 25.0  # above the road
+MIN_CAMERA_HEIGHT_M, MAX_CAMERA_HEIGHT_M = 0.7, 25.0  # height of the cameras above the road
 RANSAC_TRIALS = 400  # triples of points; an inlier share of one in fifty suffices
 DISPARITY_STD_PX = 0.5
 HEIGHT_PRIOR_STD_M = np.array([10.0, 10.0, 10.0, 0.5, 0.5, 0.75])  # at 30 m: sloping verges must not bend the road
-IRLS_ITERATIONS = 12
+PLANE_IRLS_ITERATIONS = 12
 MAX_POINTS = 6000
-MIN_INLIER_SHARE = 0.04  # of the matched points
-GAMMA = 0.5  # exponent by which dark scenes are brightened before they are matched
+MIN_INLIER_SHARE = 0.04  # least share of the matched points that are inliers
+MATCHING_GAMMA = 0.5  # exponent by which dark scenes are brightened before they are matched
 
 
 def initial_surface(rig: StereoRig, background: Background) -> RoadSurface | None:
@@ -61,7 +61,7 @@ def _fit_bend(surface: RoadSurface, points: Array, deviation: Array) -> RoadSurf
     basis = surface.basis(local[:, [0, 2]]) / deviation[:, None]
     observed = local[:, 1] / deviation
     c = surface.heights
-    for k in range(IRLS_ITERATIONS):
+    for k in range(PLANE_IRLS_ITERATIONS):
         reach = 4.0 + 6.0 * 0.7**k  # larger at first, for a bent surface
         weight = np.maximum(1 - ((observed - basis @ c) / reach) ** 2, 0.0) ** 2
         information = (basis * weight[:, None]).T @ basis + np.diag(HEIGHT_PRIOR_STD_M**-2)
@@ -74,7 +74,7 @@ def _scene_points(rig: StereoRig, background: Background) -> tuple[Array, Array]
     height."""
     pair = stereo_rectification(rig, MATCHING_WIDTH_PX)
     disparity = pair.disparities(background.images)
-    row, column = np.nonzero((disparity > pair.fb / MAX_DEPTH_M) & (disparity < pair.fb / MIN_DEPTH_M))
+    row, column = np.nonzero((disparity > pair.fb / MAX_PLANE_DEPTH_M) & (disparity < pair.fb / MIN_PLANE_DEPTH_M))
     d = disparity[row, column]
     rays = np.column_stack([column + pair.low[0], row + pair.low[1], np.full(len(row), pair.focal)]) @ pair.rotation
     return rays * (rig.baseline / d)[:, None], DISPARITY_STD_PX / d
@@ -100,12 +100,14 @@ class StereoRectification:
         turn = self.rotation if side == 0 else self.rotation @ self.rig.R.T
         K = np.array([[self.focal, 0, -self.low[0]], [0, self.focal, -self.low[1]], [0, 0, 1.0]])
         matrix = K @ turn @ self.rig.cameras[side].K_inv
-        light = np.clip(255 * (np.maximum(image, 0) / max(float(np.percentile(image, 98)), 1.0)) ** GAMMA, 0, 255)
+        light = np.clip(
+            255 * (np.maximum(image, 0) / max(float(np.percentile(image, 98)), 1.0)) ** MATCHING_GAMMA, 0, 255
+        )
         return np.asarray(cv2.warpPerspective(light.astype(np.uint8), matrix, self.size, flags=cv2.INTER_AREA))
 
     def disparities(self, images: tuple[Image, Image]) -> Array:
         """Disparities (H, W) px, negative where the views do not match."""
-        count = 16 * int(np.ceil(self.fb / MIN_DEPTH_M / 16))
+        count = 16 * int(np.ceil(self.fb / MIN_PLANE_DEPTH_M / 16))
         matcher = cv2.StereoSGBM.create(
             numDisparities=count,
             blockSize=SGBM_BLOCK_PX,

@@ -19,11 +19,11 @@ from paceline.speed.geometry.paths import Path, jacobian
 from paceline.verdicts import NO_REASON, Message, message
 
 WIDTH_SAMPLES = 15  # positions along a lane at which its width is measured
-MIN_LENGTH_M = 8.0  # over which both lines of a lane run beside each other
+MIN_LENGTH_M = 8.0  # least length over which both lines of a lane run beside each other
 MAX_LATERAL_STD_M = 0.25  # standard deviation across the road beyond which a lane is not drawn
-DRAWN_POINTS = 24  # of a drawn path in each view
+DRAWN_POINTS = 24  # points of a drawn path in each view
 MAX_STRAIGHT_RMS_PX = 0.6  # of a drawing about a straight line: beyond in either view, a path is a curve
-MIN_DRAWN_PX = 40.0  # length of a drawn path in each view
+MIN_DRAWN_PX = 40.0  # least length of a drawn path in each view
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,17 +27,17 @@ from paceline.lanes.line_detection import (
 from paceline.lanes.road_alignment import Alignment
 from paceline.lanes.road_surface import RoadSurface
 
-PAINT_STD_PX = 0.15  # noise of a measured stretch of paint,
-PAINT_STD_M = 0.01  # and irregularity of paint as it is laid and worn
+PAINT_STD_PX = 0.15  # standard deviation of a measured stretch of paint by image noise,
+PAINT_STD_M = 0.01  # and by the irregularity of paint as it is applied and worn
 SURFACE_PRIOR_STD_M = np.array([0.15, 0.6, 0.4, 2.0, 0.6, 0.6])  # at 30 m, of the initial surface's heights
 PARALLEL_STD_M = np.array([0.12, 0.06, 0.04])  # at 30 m, of the terms by which the lines of a road differ
-MIN_DESCENT_M = 0.2  # of a ray, below which it only grazes the road
-UNCONSTRAINED_STD_M = 30.0  # no constraint
+MIN_DESCENT_M = 0.2  # least descent of a ray per metre, below which it is nearly parallel to the road
+UNCONSTRAINED_STD_M = 30.0  # standard deviation that means no constraint
 GAUSS_NEWTON_STEPS = 4
 HUBER_SIGMA = 2.0
 LEVEL_RANGE_M = 0.18  # of the heights of one road's lines above the initial surface
-MAX_ELEVATION_M = 0.10  # of a line above the road's surface: beyond, it is no marking
-MAX_HEIGHT_STD_M = 0.15  # above which the height of a line is unknown
+MAX_ELEVATION_M = 0.10  # greatest height of a marking above the road's surface
+MAX_HEIGHT_STD_M = 0.15  # standard deviation above which the height of a line is unknown
 
 
 @dataclass(frozen=True, eq=False)

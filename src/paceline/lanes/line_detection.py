@@ -19,14 +19,14 @@ DETECTION_DEGREE = 3  # of the polynomial in the detection,
 CURVE_TERMS = 5  # number of its terms in the adjustment
 # standard deviations, m at `UNIT_M`, of a line's slope, bend and third term relative to the road's alignment
 CURVE_PRIOR_STD = np.array([0.3, 0.2, 0.1])
-BIN_M = 0.05  # of the histogram over d
+BIN_M = 0.05  # bin width of the histogram over d
 SMOOTHING_BINS = 5
 GATES_M = (0.5, 0.4, 0.3, 0.25, 0.2, 0.15, 0.15)  # distance from a line within which paint is used, by iteration
 MIN_LINE_SPACING_M = 0.45  # a double line is one
-MIN_PAINT_M = 4.0  # length of paint in each view
-MIN_SPAN_M = 12.0  # from a line's first paint to its last
-MIN_PAINT_RATIO = 3.0  # of the paint on a line to that beside it
-MIN_SOLID_SHARE = 0.65  # of a line's visible length that is painted, for it to be solid
+MIN_PAINT_M = 4.0  # least length of paint in each view
+MIN_SPAN_M = 12.0  # least distance from a line's first paint to its last
+MIN_PAINT_RATIO = 3.0  # least ratio of the paint on a line to that beside it
+MIN_SOLID_SHARE = 0.65  # painted share of a line's visible length above which it is solid
 MIN_SEGMENT_PX, MIN_SEGMENT_M, MAX_SEGMENT_M = 14.0, 1.5, 4.5  # length of a stretch that is measured as one
 MAX_LINES = 24
 

@@ -8,15 +8,15 @@ import numpy as np
 
 from paceline.arrays import Array
 
-SCALE_M = 30.0  # of s at which each term of the deviation is 1
-MIN_CURVATURE_PER_M = 1e-9  # below which an arc is a line
+ALIGNMENT_SCALE_M = 30.0  # arc length s at which each term of the deviation is 1
+MIN_CURVATURE_PER_M = 1e-9  # curvature below which an arc is a line
 
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
     """A circular arc through ``origin`` (2,) on the ground with ``heading`` (rad, from ahead to the right) there and
     ``curvature`` (1/m, positive to the right), and how far the road deviates from it to the right:
-    δ(s) = Σⱼ ``deviation``ⱼ (s / `SCALE_M`)ʲ in metres.
+    δ(s) = Σⱼ ``deviation``ⱼ (s / `ALIGNMENT_SCALE_M`)ʲ in metres.
 
     Road coordinates of a ground point are s, metres along the arc from ``origin``, and d, metres to the right of the
     deviating road.
@@ -35,14 +35,14 @@ class Alignment:
 
     def lateral_deviation(self, s: Array) -> Array:
         """δ(s), shape of ``s``."""
-        return np.asarray(np.polynomial.polynomial.polyval(np.asarray(s) / SCALE_M, self.deviation))
+        return np.asarray(np.polynomial.polynomial.polyval(np.asarray(s) / ALIGNMENT_SCALE_M, self.deviation))
 
     def direction(self, s: Array) -> Array:
         """Where the road heads (rad, from ahead to the right) at ``s`` (…)."""
         slope = np.polynomial.polynomial.polyval(
-            np.asarray(s) / SCALE_M, np.polynomial.polynomial.polyder(self.deviation)
+            np.asarray(s) / ALIGNMENT_SCALE_M, np.polynomial.polynomial.polyder(self.deviation)
         )
-        return np.asarray(self.heading + self.curvature * np.asarray(s) + np.arctan(slope / SCALE_M))
+        return np.asarray(self.heading + self.curvature * np.asarray(s) + np.arctan(slope / ALIGNMENT_SCALE_M))
 
     def to_ground(self, s: Array, d: Array | float) -> Array:
         """Ground coordinates (…, 2) of road coordinates, which are broadcast."""

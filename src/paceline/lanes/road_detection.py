@@ -12,7 +12,7 @@ from paceline.lanes.road_rectification import rectify
 from paceline.recordings.background import Background
 from paceline.verdicts import Message, message
 
-ADJUSTMENT_ROUNDS = 3  # of detecting the lines and adjusting the surface to them
+ADJUSTMENT_ROUNDS = 3  # rounds of line detection and adjustment
 
 
 class RoadNotFound(Exception):

@@ -18,13 +18,13 @@ from paceline.lanes.road_alignment import Alignment
 from paceline.lanes.road_surface import RoadSurface
 from paceline.recordings.background import Background
 
-CELL_M = 0.06  # of the ground grid
+GROUND_CELL_M = 0.06  # cell size of the ground image
 MIN_DISTANCE_M, MAX_DISTANCE_M, MAX_LATERAL_M = 4.0, 90.0, 40.0  # part of the ground that is searched
-RIDGE_SCALE_M = 0.07  # of the Gaussian: a little more than half a marking's width
+RIDGE_SCALE_M = 0.07  # sigma of the Gaussian: a little more than half a marking's width
 MIN_RIDGE_STRENGTH = 0.03
-MAX_COUNTED_STRENGTH = 0.1  # beyond which a ridge counts no more
-MIN_STRENGTH_RATIO = 3.0  # to the mean strength in its neighbourhood
-NEIGHBOURHOOD_M = 3.0
+MAX_COUNTED_STRENGTH = 0.1  # strength above which a ridge has no more weight
+MIN_STRENGTH_RATIO = 3.0  # least ratio to the mean strength in the neighbourhood
+RIDGE_NEIGHBOURHOOD_M = 3.0  # size of that neighbourhood
 MAX_CURVATURE_RATIO = 0.5  # of the light's second derivative along a ridge to that across it
 MAX_FULL_WEIGHT_PIXEL_M = 0.3  # of ground along the viewing direction in one pixel, beyond which a ridge counts less
 MAX_VOTES = 5000
@@ -123,7 +123,10 @@ class DirectionVotes:
 
 def ridge_points(rig: StereoRig, background: Background, surface: RoadSurface) -> DirectionVotes:
     """Thin bright ridges at the same ground position in both views; those of objects above the ground differ."""
-    x, z = np.arange(-MAX_LATERAL_M, MAX_LATERAL_M, CELL_M), np.arange(MIN_DISTANCE_M, MAX_DISTANCE_M, CELL_M)
+    x, z = (
+        np.arange(-MAX_LATERAL_M, MAX_LATERAL_M, GROUND_CELL_M),
+        np.arange(MIN_DISTANCE_M, MAX_DISTANCE_M, GROUND_CELL_M),
+    )
     ground = np.stack(np.meshgrid(x, z), axis=-1)
     views = [_ridges(map_to_ground(rig, background, side, surface, ground)) for side in (0, 1)]
     dilated = [cv2.dilate(strength, np.ones((3, 3), np.uint8)) for strength, _ in views]
@@ -142,12 +145,12 @@ def ridge_points(rig: StereoRig, background: Background, surface: RoadSurface) -
 def _ridges(ground_image: GroundImage) -> tuple[Image, Image]:
     """Strength (H, W) of a view's ridges on their crests, 0 elsewhere, and the angle they run at (rad, from ahead to
     the right)."""
-    light = cv2.GaussianBlur(ground_image.log_intensity, (0, 0), RIDGE_SCALE_M / CELL_M)
-    scale = (RIDGE_SCALE_M / CELL_M) ** 2 / 4
+    light = cv2.GaussianBlur(ground_image.log_intensity, (0, 0), RIDGE_SCALE_M / GROUND_CELL_M)
+    scale = (RIDGE_SCALE_M / GROUND_CELL_M) ** 2 / 4
     xx, zz, xz = (scale * cv2.Sobel(light, cv2.CV_32F, i, j, ksize=3) for i, j in ((2, 0), (0, 2), (1, 1)))
     mean, half = (xx + zz) / 2, np.hypot((xx - zz) / 2, xz)
     strength, along = np.maximum(half - mean, 0), np.abs(half + mean)  # the Hessian's eigenvalues
-    window = (round(NEIGHBOURHOOD_M / CELL_M),) * 2
+    window = (round(RIDGE_NEIGHBOURHOOD_M / GROUND_CELL_M),) * 2
     known = cv2.blur(ground_image.visible.astype(np.float32), window)
     mean_strength = cv2.blur(strength * ground_image.visible, window) / np.maximum(known, 1e-3)
     interior = cv2.erode(ground_image.visible.astype(np.uint8), np.ones((7, 7), np.uint8)) > 0

@@ -15,18 +15,18 @@ from paceline.lanes.road_alignment import Alignment
 from paceline.lanes.road_surface import RoadSurface
 from paceline.recordings.background import Background
 
-HALF_WIDTH_M = 16.0  # of the rectified road
-CELL_M = 0.02  # across the road
+HALF_WIDTH_M = 16.0  # half width of the rectified road
+LATERAL_CELL_M = 0.02  # cell size across the road
 MIN_STEP_M, MIN_STEP_PX = 0.25, 1.5  # along the road
-SAMPLES_PER_STEP = 4  # that are averaged
-MAX_DEPTH_M = 110.0
+SAMPLES_PER_STEP = 4  # samples that are averaged along the road
+MAX_ROAD_DEPTH_M = 110.0
 MAX_TURN_RAD = np.radians(120.0)  # of the arc, to either side of its middle
 PAINT_WIDTHS_M = (0.12, 0.24)
 ASPHALT_GAP_M, ASPHALT_WIDTH_M = 0.08, 0.16  # between paint and the asphalt that it is compared with, and of that
 # asphalt
-MIN_LOG_CONTRAST = 0.1  # of paint to the brighter side of the asphalt, difference of logarithms
-MIN_TEXTURE_RATIO = 2.5  # to the mean contrast in its neighbourhood
-NEIGHBOURHOOD_M = (3.0, 4.0)  # along and across
+MIN_LOG_CONTRAST = 0.1  # least contrast of paint to the brighter side of the asphalt, difference of logarithms
+MIN_TEXTURE_RATIO = 2.5  # least ratio to the mean contrast in the neighbourhood
+PAINT_NEIGHBOURHOOD_M = (3.0, 4.0)  # size of that neighbourhood along and across the road
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +47,7 @@ class RectifiedRoad:
         inside = np.clip(column, 1, len(self.d) - 2)
         low, top, high = (self.contrast[row, inside + k].astype(float) for k in (-1, 0, 1))
         bend = np.minimum(low - 2 * top + high, -1e-6)
-        return np.asarray(self.d[inside] + CELL_M * np.clip(0.5 * (low - high) / bend, -0.5, 0.5))
+        return np.asarray(self.d[inside] + LATERAL_CELL_M * np.clip(0.5 * (low - high) / bend, -0.5, 0.5))
 
 
 def rectify(
@@ -55,7 +55,7 @@ def rectify(
 ) -> tuple[RectifiedRoad, RectifiedRoad]:
     """Both views of the road along ``alignment``."""
     s, step = sample_positions(rig, surface, alignment)
-    d = np.arange(-HALF_WIDTH_M, HALF_WIDTH_M, CELL_M)
+    d = np.arange(-HALF_WIDTH_M, HALF_WIDTH_M, LATERAL_CELL_M)
     fine = (s[:, None] + step[:, None] * ((np.arange(SAMPLES_PER_STEP) + 0.5) / SAMPLES_PER_STEP - 0.5)).ravel()
     ground = alignment.to_ground(fine[:, None], d)
     roads = []
@@ -71,11 +71,11 @@ def rectify(
 
 def sample_positions(rig: StereoRig, surface: RoadSurface, alignment: Alignment) -> tuple[Array, Array]:
     """s (N,) and the steps (N,) between them along the part of the road that the left view may show."""
-    s = np.arange(-MAX_DEPTH_M, MAX_DEPTH_M, MIN_STEP_M)
-    if abs(alignment.curvature) * MAX_DEPTH_M > MAX_TURN_RAD:
+    s = np.arange(-MAX_ROAD_DEPTH_M, MAX_ROAD_DEPTH_M, MIN_STEP_M)
+    if abs(alignment.curvature) * MAX_ROAD_DEPTH_M > MAX_TURN_RAD:
         s = s[np.abs(s * alignment.curvature) < MAX_TURN_RAD]
     depth = surface.points(alignment.to_ground(s, 0.0))[:, 2]
-    s, depth = s[(depth > 1.0) & (depth < MAX_DEPTH_M)], depth[(depth > 1.0) & (depth < MAX_DEPTH_M)]
+    s, depth = s[(depth > 1.0) & (depth < MAX_ROAD_DEPTH_M)], depth[(depth > 1.0) & (depth < MAX_ROAD_DEPTH_M)]
     min_steps = np.maximum(MIN_STEP_M, MIN_STEP_PX * pixel_size(rig, surface, alignment, s, 0.0)[:, 0])
     chosen, steps, end = [], [], -np.inf
     for position, step in zip(s.tolist(), min_steps.tolist(), strict=True):
@@ -91,9 +91,9 @@ def _contrasts(light: Image) -> tuple[Image, Image]:
     the paint widths, the one with the largest contrast."""
     best: tuple[Image, Image] = (np.full(light.shape, -np.inf, np.float32), np.full(light.shape, -np.inf, np.float32))
     for width in PAINT_WIDTHS_M:
-        middle = cv2.blur(light, (2 * round(width / CELL_M / 2) + 1, 1))
-        asphalt = cv2.blur(light, (2 * round(ASPHALT_WIDTH_M / CELL_M / 2) + 1, 1))
-        distance_cells = round((width / 2 + ASPHALT_GAP_M + ASPHALT_WIDTH_M / 2) / CELL_M)
+        middle = cv2.blur(light, (2 * round(width / LATERAL_CELL_M / 2) + 1, 1))
+        asphalt = cv2.blur(light, (2 * round(ASPHALT_WIDTH_M / LATERAL_CELL_M / 2) + 1, 1))
+        distance_cells = round((width / 2 + ASPHALT_GAP_M + ASPHALT_WIDTH_M / 2) / LATERAL_CELL_M)
         left, right = np.roll(asphalt, distance_cells, axis=1), np.roll(asphalt, -distance_cells, axis=1)
         weaker = middle - np.maximum(left, right)
         higher = weaker > best[1]
@@ -103,11 +103,14 @@ def _contrasts(light: Image) -> tuple[Image, Image]:
 
 
 def _paint_mask(contrast: Image, weaker_contrast: Image, visible: Mask, step: float) -> Mask:
-    window = 2 * round(NEIGHBOURHOOD_M[1] / CELL_M / 2) + 1, 2 * max(1, round(NEIGHBOURHOOD_M[0] / step / 2)) + 1
+    window = (
+        2 * round(PAINT_NEIGHBOURHOOD_M[1] / LATERAL_CELL_M / 2) + 1,
+        2 * max(1, round(PAINT_NEIGHBOURHOOD_M[0] / step / 2)) + 1,
+    )
     known = cv2.blur(visible.astype(np.float32), window)
     mean_contrast = cv2.blur(np.abs(contrast) * visible, window) / np.maximum(known, 1e-3)
-    top = contrast >= cv2.dilate(contrast, np.ones((1, 2 * round(0.15 / CELL_M) + 1), np.uint8))
-    interior = cv2.erode(visible.astype(np.uint8), np.ones((1, 2 * round(0.4 / CELL_M) + 1), np.uint8)) > 0
+    top = contrast >= cv2.dilate(contrast, np.ones((1, 2 * round(0.15 / LATERAL_CELL_M) + 1), np.uint8))
+    interior = cv2.erode(visible.astype(np.uint8), np.ones((1, 2 * round(0.4 / LATERAL_CELL_M) + 1), np.uint8)) > 0
     return np.asarray(
         top & interior & (weaker_contrast > MIN_LOG_CONTRAST) & (weaker_contrast > MIN_TEXTURE_RATIO * mean_contrast)
     )

@@ -2,7 +2,7 @@
 
 Ground coordinates (x, z) are metres to the right and ahead of the point below the left camera; the surface has the
 height  h(x, z) = Σ cⱼ φⱼ(x, z)  above the plane they are measured in. The φⱼ are 1, x, z, x², xz and z² about a
-``middle``, in units of `SCALE_M`, which represents crest, sag, crossfall and changing superelevation.
+``middle``, in units of `SURFACE_SCALE_M`, which represents crest, sag, crossfall and changing superelevation.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ import numpy as np
 from paceline.arrays import Array
 from paceline.cameras import StereoRig
 
-SCALE_M = 30.0  # at which each φⱼ is about 1
+SURFACE_SCALE_M = 30.0  # distance at which each φⱼ is about 1
 HEIGHT_TERMS = 6  # number of the φⱼ
-NEWTON_STEPS = 5  # after which the error on roads is below a micrometre
+NEWTON_STEPS = 5  # steps after which the error on roads is below a micrometre
 MAX_RAY_M = 2e3  # length of a viewing ray
 
 
@@ -35,7 +35,7 @@ class RoadSurface:
 
     def basis(self, ground: Array) -> Array:
         """The φⱼ (…, 6) at ``ground`` (…, 2)."""
-        x, z = np.moveaxis((np.asarray(ground, float) - self.middle) / SCALE_M, -1, 0)
+        x, z = np.moveaxis((np.asarray(ground, float) - self.middle) / SURFACE_SCALE_M, -1, 0)
         return np.stack([np.ones_like(x), x, z, x * x, x * z, z * z], axis=-1)
 
     def points(self, ground: Array) -> Array:
@@ -47,8 +47,8 @@ class RoadSurface:
 
     def slopes(self, ground: Array) -> Array:
         """∂h/∂x and ∂h/∂z (…, 2) at ``ground`` (…, 2)."""
-        x, z = np.moveaxis((np.asarray(ground, float) - self.middle) / SCALE_M, -1, 0)
-        _, right, ahead, xx, xz, zz = self.heights / SCALE_M
+        x, z = np.moveaxis((np.asarray(ground, float) - self.middle) / SURFACE_SCALE_M, -1, 0)
+        _, right, ahead, xx, xz, zz = self.heights / SURFACE_SCALE_M
         return np.stack([right + 2 * xx * x + xz * z, ahead + xz * x + 2 * zz * z], axis=-1)
 
     def intersect(self, centre: Array, rays: Array) -> Array:

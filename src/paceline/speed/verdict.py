@@ -11,7 +11,7 @@ from paceline.speed.results import Measurement
 from paceline.verdicts import NO_REASON, Message, message
 
 MAX_DEVIATION_SIGMA = 3.0  # RMS deviation from the path where the contrast is lower than the next constant
-MIN_CONTRAST_GREY = 5.0  # grey levels; below, the background may have been followed instead
+MIN_TRACK_CONTRAST_GREY = 5.0  # grey levels; below, the background may have been followed instead
 
 
 def check_refined(refined: RefinedMotion, speed: float, half_width: float, limits: Limits = DEFAULT_LIMITS) -> Message:
@@ -30,13 +30,13 @@ def check_refined(refined: RefinedMotion, speed: float, half_width: float, limit
         return message("calibration_inconsistent", deviation=shift, max_deviation=limits.rig_shift_sigma)
     if not 0 <= speed <= limits.max_speed:
         return message("speed_implausible", speed_mps=speed, max_speed_mps=limits.max_speed)
-    if refined.deviation_sigma > MAX_DEVIATION_SIGMA and refined.contrast < MIN_CONTRAST_GREY:
+    if refined.deviation_sigma > MAX_DEVIATION_SIGMA and refined.contrast < MIN_TRACK_CONTRAST_GREY:
         return message(
             "path_deviation_implausible",
             deviation=refined.deviation_sigma,
             max_deviation=MAX_DEVIATION_SIGMA,
             contrast=refined.contrast,
-            min_contrast=MIN_CONTRAST_GREY,
+            min_contrast=MIN_TRACK_CONTRAST_GREY,
         )
     return NO_REASON
 

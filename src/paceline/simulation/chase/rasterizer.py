@@ -12,8 +12,8 @@ from paceline.arrays import Array, Image, Indices
 from paceline.numba_cache import cached_njit
 
 SHADE_CELL_M = 0.05  # m, a texel of a shade map
-MIN_GROUND_SLOPE = 0.004  # slope below the horizon from which on the ground is painted
-SHOULDER_WIDTH_M = 0.45  # m of asphalt beside the lanes
+MIN_PAINTED_SLOPE = 0.004  # slope below the horizon from which on the ground is painted
+CHASE_SHOULDER_WIDTH_M = 0.45  # m of asphalt beside the lanes
 
 
 @cached_njit(fastmath=True)
@@ -140,7 +140,7 @@ def draw_sky(
             down = rays[1, 0] * x + rays[1, 1] * y + rays[1, 2]
             ahead = rays[2, 0] * x + rays[2, 1] * y + rays[2, 2]
             up = -down / ahead
-            if up < -2 * MIN_GROUND_SLOPE:
+            if up < -2 * MIN_PAINTED_SLOPE:
                 continue
             azimuth = heading - math.atan(right / ahead)
             grey = appearance[0] + appearance[1] * up + 30 * math.cos(azimuth - appearance[3])
@@ -192,7 +192,7 @@ def draw_ground(
     for y in range(rows):
         for x in range(columns):
             down = rays[1, 0] * x + rays[1, 1] * y + rays[1, 2]
-            if down < MIN_GROUND_SLOPE:
+            if down < MIN_PAINTED_SLOPE:
                 continue
             depth = height / down
             ahead = depth * (rays[2, 0] * x + rays[2, 1] * y + rays[2, 2])
@@ -206,7 +206,7 @@ def draw_ground(
             sideways = across * cosine + pixel_length * abs(sine - abs(right) / max(ahead, 1.0) * cosine) + 1e-3
             lengthways = pixel_length * cosine + across * sine + 1e-3
 
-            paved = _box_coverage(lateral, -3 * half - SHOULDER_WIDTH_M, half + SHOULDER_WIDTH_M, sideways)
+            paved = _box_coverage(lateral, -3 * half - CHASE_SHOULDER_WIDTH_M, half + CHASE_SHOULDER_WIDTH_M, sideways)
             junction = _box_coverage(_modulo(arc - crossing_at, crossing_every), 0.0, 6.5, lengthways)
             paved = max(paved, junction)
             grey = verge + (asphalt - verge) * paved

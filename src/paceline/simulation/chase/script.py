@@ -11,7 +11,7 @@ from paceline.simulation.chase.projection import CameraPose, camera_rotation
 from paceline.simulation.chase.scene import ChaseScene
 from paceline.simulation.chase.world import ChaseWorld, WorldState
 
-START_ARC_M = 10.0  # m along the road
+SCRIPT_START_ARC_M = 10.0  # m along the road
 
 
 class ChaseScript:
@@ -21,7 +21,7 @@ class ChaseScript:
         self.scene = scene
         rng = np.random.default_rng([scene.seed, 31])
         self.speed, self.gap = SmoothNoise(rng, 8, 40), GapProfile(rng, scene.gap)
-        length = START_ARC_M + scene.top_speed * (scene.frames / scene.rate + 5) + scene.gap[1] + 340
+        length = SCRIPT_START_ARC_M + scene.top_speed * (scene.frames / scene.rate + 5) + scene.gap[1] + 340
         self.road = winding_road(np.random.default_rng([scene.seed, 61]), length, scene.radius)
         self.lead_weave, self.camera_drift = SmoothNoise(rng, 4.0, 12.0), SmoothNoise(rng, 8.0, 25.0)
         self.pitch_shake, self.yaw_shake = (CameraShake(rng, a * scene.shake_px / 300) for a in (2.4, 0.25))
@@ -30,11 +30,11 @@ class ChaseScript:
             CameraShake(rng, 0.02 * scene.shake_px / 4),
         )
         self.lead_roll, self.lead_lift = SmoothNoise(rng, 0.8, 4.0), SmoothNoise(rng, 0.5, 3.0)
-        self.world = ChaseWorld(scene, self.road, START_ARC_M, self.arc, rng)
+        self.world = ChaseWorld(scene, self.road, SCRIPT_START_ARC_M, self.arc, rng)
 
     def arc(self, t: float) -> float:
         """Arc length (m) of the chase vehicle along the road."""
-        return START_ARC_M + self.scene.top_speed * (0.75 * t + 0.25 * self.speed.integral(t))
+        return SCRIPT_START_ARC_M + self.scene.top_speed * (0.75 * t + 0.25 * self.speed.integral(t))
 
     def state_at(self, t: float) -> WorldState:
         """The state of the world at ``t`` s."""

@@ -13,7 +13,7 @@ SceneGenerator = Callable[[np.random.Generator], dict[str, Any]]
 
 CRUISE_SPEED_MPS = 9.7  # m/s: 35 km/h
 MOTORWAY_SPEED_MPS = 27.8  # m/s: 100 km/h
-LANE_WIDTH_M = 3.5
+LANE_CHANGE_SHIFT_M = 3.5  # the width of a lane
 NO_TRAFFIC: dict[str, Any] = {"traffic": False}
 
 
@@ -101,8 +101,8 @@ def accelerates_away(rng: np.random.Generator) -> dict[str, Any]:
 
 def changes_lane(rng: np.random.Generator) -> dict[str, Any]:
     changes = [
-        {"at": 8.0, "duration": float(rng.uniform(3.5, 5.0)), "shift": -LANE_WIDTH_M},
-        {"at": 20.0, "duration": float(rng.uniform(3.5, 5.0)), "shift": LANE_WIDTH_M},
+        {"at": 8.0, "duration": float(rng.uniform(3.5, 5.0)), "shift": -LANE_CHANGE_SHIFT_M},
+        {"at": 20.0, "duration": float(rng.uniform(3.5, 5.0)), "shift": LANE_CHANGE_SHIFT_M},
     ]
     return _constant_speed(32.0, appearance=NO_TRAFFIC) | {
         "lead": {"speed": [[0.0, CRUISE_SPEED_MPS]], "lane_changes": changes}
@@ -142,8 +142,8 @@ def lost(rng: np.random.Generator) -> dict[str, Any]:
 
 
 def motorway(rng: np.random.Generator) -> dict[str, Any]:
-    change = {"at": 20.0, "duration": 5.0, "shift": -LANE_WIDTH_M}
-    back = {"at": 38.0, "duration": 5.0, "shift": LANE_WIDTH_M}
+    change = {"at": 20.0, "duration": 5.0, "shift": -LANE_CHANGE_SHIFT_M}
+    back = {"at": 38.0, "duration": 5.0, "shift": LANE_CHANGE_SHIFT_M}
     speeds = [[0, MOTORWAY_SPEED_MPS], [28, MOTORWAY_SPEED_MPS], [32, 22.0], [36, 22.0], [42, MOTORWAY_SPEED_MPS]]
     return {
         "camera": "hd",

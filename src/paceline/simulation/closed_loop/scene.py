@@ -26,7 +26,7 @@ from paceline.simulation.random_scenes import random_chase
 from paceline.simulation.road import PolygonalAxis
 from paceline.simulation.vehicle_catalogue import MIN_RASTERIZED_GAP_M
 
-START_ARC_M = 30.0  # m along the road at which the camera begins
+DRIVE_START_ARC_M = 30.0  # m along the road at which the camera begins
 ROAD_BEYOND_END_M = 400.0  # m of road that are laid out beyond the end of the drive
 OVERTAKING_SPEED_MPS = 3.0  # m/s by which a vehicle that cuts in is faster before and after
 FULL_SHAKE_SPEED_MPS = 5.0  # m/s, from which the road shakes the vehicle in full
@@ -45,7 +45,7 @@ class DriveScene:
         self.policy = gap_policy(model, self.chase_scene)
         rng = np.random.default_rng([seed, 73])
         fastest = max(v for _, v in model.lead.speed)
-        first = START_ARC_M + self.policy.desired_gap(model.lead.speed[0][1])
+        first = DRIVE_START_ARC_M + self.policy.desired_gap(model.lead.speed[0][1])
         self.road = _make_road(
             model, first + fastest * model.duration + ROAD_BEYOND_END_M, np.random.default_rng([seed, 61])
         )
@@ -65,11 +65,11 @@ class DriveScene:
         self._lead_roll, self._lead_lift = SmoothNoise(rng, 0.8, 4.0), SmoothNoise(rng, 0.5, 3.0)
         other_vehicles = tuple(_make_cut_in_body(rng, c) for c in model.cut_ins)
         about = partial(_expected_arc, self.lead, self.policy.standstill)
-        self.world = ChaseWorld(self.chase_scene, self.road, START_ARC_M, about, rng, other_vehicles)
+        self.world = ChaseWorld(self.chase_scene, self.road, DRIVE_START_ARC_M, about, rng, other_vehicles)
 
     def start(self) -> Chase:
         """The chase vehicle on the lead's path, at the lead's speed and the policy's distance."""
-        p = road_pose(self.road, START_ARC_M - self.vehicle.camera_ahead, 0.0, 0.0)
+        p = road_pose(self.road, DRIVE_START_ARC_M - self.vehicle.camera_ahead, 0.0, 0.0)
         return Chase(p.x, p.y, p.heading, self.lead.speed_at(0.0))
 
     def pose(self, time: float, chase: Chase) -> Pose:

@@ -37,8 +37,8 @@ from paceline.simulation.raytraced.scenery.placement import Scenery, build_scene
 from paceline.simulation.raytraced.sensor import expose, render_exposure
 from paceline.simulation.raytraced.vehicles.build import build
 
-NOMINAL_RANGE_M = 10.0  # m
-START_ARC_M = 15.0  # m of arc length
+RAYTRACED_NOMINAL_RANGE_M = 10.0  # m
+CLIP_START_ARC_M = 15.0  # m of arc length
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class PlacedChaseScene:
 
     def arc(self, t: float) -> float:
         """Of the camera, m."""
-        return START_ARC_M + self.scene.chase.top_speed * (0.75 * t + 0.25 * self.speed.integral(t))
+        return CLIP_START_ARC_M + self.scene.chase.top_speed * (0.75 * t + 0.25 * self.speed.integral(t))
 
     def foot(self, t: float) -> tuple[_PlanPose, Array, Array]:
         """The camera's place in plan, the point below it (3,) and the road's axes (3, 3) there."""
@@ -135,9 +135,9 @@ class PlacedChaseScene:
         }
 
     def target_document(self) -> dict[str, Any]:
-        """The contents of target.yaml: the rear's strong edges as they appear from `NOMINAL_RANGE_M`."""
+        """The contents of target.yaml: the rear's strong edges as they appear from `RAYTRACED_NOMINAL_RANGE_M`."""
         ends = self.body.lines("rear") - self.plane.center
-        shrink = NOMINAL_RANGE_M / (NOMINAL_RANGE_M + ends[..., 0])
+        shrink = RAYTRACED_NOMINAL_RANGE_M / (RAYTRACED_NOMINAL_RANGE_M + ends[..., 0])
         right, down = -ends[..., 1] * shrink, -ends[..., 2]
         below = self.scene.chase.height - self.plane.center[2]  # the plane's centre, under the camera
         down = (down + below) * shrink - below
@@ -150,14 +150,14 @@ class PlacedChaseScene:
             segments.append([corners.setdefault(p, f"c{len(corners)}") for p in places])
         return {
             "name": self.body.kind,
-            "nominal_range": NOMINAL_RANGE_M,
+            "nominal_range": RAYTRACED_NOMINAL_RANGE_M,
             "corners": {name: list(place) for place, name in corners.items()},
             "segments": segments,
         }
 
     def start_document(self, first: dict[str, Any]) -> dict[str, Any]:
         """``start`` of follow.yaml, as an operator would set it on the first frame."""
-        return draw_start(np.array(first["center"]), first["position"][2], NOMINAL_RANGE_M, self.scene.seed)
+        return draw_start(np.array(first["center"]), first["position"][2], RAYTRACED_NOMINAL_RANGE_M, self.scene.seed)
 
 
 def write(
@@ -193,7 +193,7 @@ def write(
 
 def _with_long_road(scene: FollowScene) -> FollowScene:
     """The scene with a road as long as the drive."""
-    length = START_ARC_M + scene.chase.top_speed * (scene.frames / scene.rate + 2) + scene.lead.gap[1] + 30
+    length = CLIP_START_ARC_M + scene.chase.top_speed * (scene.frames / scene.rate + 2) + scene.lead.gap[1] + 30
     if scene.road.length >= length:
         return scene
     return scene.model_copy(update={"road": scene.road.model_copy(update={"length": float(np.ceil(length))})})

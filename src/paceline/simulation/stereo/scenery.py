@@ -12,8 +12,8 @@ from paceline.simulation.stereo.scene import PlacedRoad, Pose, Scene
 from paceline.simulation.stereo.textured_planes import TexturedPlane, composite, draw_planes
 
 LANE_EDGE_M = 1.85  # m from a lane's centre to the marks on either side
-SHOULDER_WIDTH_M = 0.9  # m of asphalt beyond the outermost marks
-MIN_GROUND_SLOPE = 1e-3  # slope of the steepest ray that counts as seeing the ground
+STEREO_SHOULDER_WIDTH_M = 0.9  # m of asphalt beyond the outermost marks
+MIN_RAY_SLOPE = 1e-3  # slope of the steepest ray that counts as seeing the ground
 
 
 class StaticBackground:
@@ -33,11 +33,11 @@ class StaticBackground:
         rays = (np.stack([u, v, np.ones_like(u)], -1) @ view.camera.K_inv.T @ view.R).astype(np.float32)
         fall = rays @ self.road.down.astype(np.float32)
         image: Image = (self.sky + 260 * fall).astype(np.float32)
-        rows = np.flatnonzero((fall > MIN_GROUND_SLOPE).any(axis=1))
+        rows = np.flatnonzero((fall > MIN_RAY_SLOPE).any(axis=1))
         if len(rows):
             below = slice(rows[0], None)
-            ground = self._ground(view, rays[below], np.maximum(fall[below], MIN_GROUND_SLOPE))
-            image[below] = np.where(fall[below] > MIN_GROUND_SLOPE, ground, image[below])
+            ground = self._ground(view, rays[below], np.maximum(fall[below], MIN_RAY_SLOPE))
+            image[below] = np.where(fall[below] > MIN_RAY_SLOPE, ground, image[below])
         image = np.asarray(cv2.GaussianBlur(image, (0, 0), max(self.scene.blur_sigma, 0.3)), np.float32)
         for card in self.cards:
             composite(image, draw_planes([card], view, self.scene.blur_sigma, 2))
@@ -51,7 +51,7 @@ class StaticBackground:
         across = distance / self.scene.focal  # metres per pixel, across and along the line of sight
         pixel_length = across / fall
         left, right = self.lanes[0] - LANE_EDGE_M, self.lanes[-1] + LANE_EDGE_M
-        paved = _box_coverage(lateral, left - SHOULDER_WIDTH_M, right + SHOULDER_WIDTH_M, across)
+        paved = _box_coverage(lateral, left - STEREO_SHOULDER_WIDTH_M, right + STEREO_SHOULDER_WIDTH_M, across)
         surface = self.grass + (self.asphalt - self.grass) * paved
         for wavelength, amplitude in ((4.0, 0.05), (0.7, 0.05), (0.12, 0.06)):
             noise = cv2.remap(

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import cuda
 
-ROUNDS = 10
+PHILOX_ROUNDS = 10
 _M0, _M1 = np.uint64(0xD2E7470EE14C6C93), np.uint64(0xCA5A826395121157)  # Philox 4×64: multipliers
 _W0, _W1 = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBB67AE8584CAA73B)  # and what the key grows by in every round
 _LOW, _HALF, _ZERO = np.uint64(0xFFFFFFFF), np.uint64(32), np.uint64(0)
@@ -40,7 +40,7 @@ def counter_normals(key, call, scale, p, k, out, first):
     key0 = (np.uint64(key[0]) << _HALF) | np.uint64(key[1])
     key1 = (np.uint64(key[2]) << _HALF) | np.uint64(key[3])
     c0, c1, c2, c3 = np.uint64(p + 1), np.uint64(call), _ZERO, _ZERO
-    for _ in range(ROUNDS):
+    for _ in range(PHILOX_ROUNDS):
         high0, low0 = _product(_M0, c0)
         high1, low1 = _product(_M1, c2)
         c0, c1, c2, c3 = high1 ^ c1 ^ key0, low1, high0 ^ c3 ^ key1, low0
