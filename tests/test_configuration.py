@@ -5,15 +5,30 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
-from typing import Any
+from tempfile import TemporaryDirectory
+from typing import Any, Literal, get_args, get_origin
 
 import pytest
 import yaml
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from pydantic.fields import FieldInfo
 from run_command import paceline as command
 
 from paceline.errors import UnusableInput
-from paceline.speed.configuration import BackgroundSettings, SpeedConfiguration, SpeedSettings, load_settings
-from paceline.speed.settings_table import settings_page
+from paceline.reports.speed.tables import write_summary
+from paceline.speed.choices import resampling_schemes
+from paceline.speed.configuration import (
+    BackgroundSettings,
+    DetectionSettings,
+    Section,
+    SpeedConfiguration,
+    SpeedSettings,
+    load_settings,
+)
+from paceline.speed.results import ClipResult
+from paceline.speed.settings_table import section_of, settings_page
+from paceline.units import SpeedUnit
 
 ROOT = Path(__file__).parents[1]
 STRAIGHT = ROOT / "examples" / "straight"
@@ -27,9 +42,9 @@ def written(folder: Path, text: str) -> Path:
 
 def test_every_field_can_be_set_in_a_file(tmp_path: Path) -> None:
     document = json.loads(SpeedSettings(method="sift", device="auto", detector="d.onnx", learn=4.0).model_dump_json())
-    settings = load_settings(written(tmp_path, yaml.safe_dump(document)))
-    assert json.loads(settings.model_dump_json()) == document
-    assert settings.configuration == SpeedConfiguration(background=BackgroundSettings(seconds=4.0))
+    found = load_settings(written(tmp_path, yaml.safe_dump(document)))
+    assert json.loads(found.model_dump_json()) == document
+    assert found.configuration == SpeedConfiguration(background=BackgroundSettings(seconds=4.0))
 
 
 def test_a_file_sets_what_it_names_and_leaves_the_rest(tmp_path: Path) -> None:
@@ -62,6 +77,8 @@ def test_a_file_sets_what_it_names_and_leaves_the_rest(tmp_path: Path) -> None:
         ("background: {second: 2}", "background: unknown key 'second'; did you mean 'seconds'?"),
         ("background: {frames: 4}", "background.frames: expected at least 5, found 4"),
         ("background: {seconds: 4}\nlearn: 5", "learn and background.seconds: one key under two names"),
+        ("report: {units: knots}", "report.units: expected 'mph', 'km/h' or 'm/s', found 'knots'"),
+        ("report: {unit: mph}", "report: unknown key 'unit'; did you mean 'units'?"),
         ("lanes: {widths: [2, 3]}", "lanes: unknown key 'widths'; did you mean 'width'?"),
         ("seed: 1\nseed: 2", "line 2, column 1: the key 'seed' occurs twice"),
         ("- 1", "expected the keys particles, seed"),
@@ -114,6 +131,57 @@ def test_a_summarys_configuration_reproduces_the_result(tmp_path: Path) -> None:
     assert summary_of(tmp_path / "again") == summary
     tables = [(tmp_path / name / "estimates.csv").read_text() for name in ("first", "again")]
     assert tables[0] == tables[1]
+
+
+def values_of(field: FieldInfo) -> st.SearchStrategy[Any]:
+    """Any value that a field may hold."""
+    limits = {name: getattr(m, name) for m in field.metadata for name in ("gt", "ge", "lt", "le") if hasattr(m, name)}
+    kind = field.annotation
+    if (section := section_of(field)) is not None:
+        return configurations(section)
+    if get_origin(kind) is Literal:
+        return st.sampled_from(get_args(kind))
+    if kind is SpeedUnit:
+        return st.sampled_from(SpeedUnit)
+    if kind is bool:
+        return st.booleans()
+    if kind is str:
+        return st.sampled_from(resampling_schemes())
+    if kind is int:
+        return st.integers(limits["ge"], limits.get("le"))
+    low, high = limits.get("gt", limits.get("ge", 0.0)), limits.get("lt", limits.get("le"))
+    numbers = st.floats(low, high, exclude_min="gt" in limits, exclude_max="lt" in limits, allow_infinity=False)
+    if get_origin(kind) is tuple:
+        return st.tuples(st.floats(1e-3, 1.0), st.floats(1.5, 1e6))
+    return numbers if kind is float else st.none() | numbers
+
+
+def configurations(section: type[Section]) -> st.SearchStrategy[Any]:
+    keys = section.model_fields
+    if section is DetectionSettings:
+        keys = {name: field for name, field in keys.items() if name not in ("near", "far")}
+    return st.builds(section, **{name: values_of(field) for name, field in keys.items()})
+
+
+@settings(max_examples=30, deadline=None, suppress_health_check=list(HealthCheck))
+@given(configurations(SpeedConfiguration))
+def test_a_configuration_stands_in_the_summary_as_it_is(c: SpeedConfiguration) -> None:
+    with TemporaryDirectory() as folder:
+        out = Path(folder)
+        write_summary(ClipResult("clip.yaml", [], [], c.model_dump(), {}, [], 0.0), out / "summary.json")
+        assert load_settings(written(out, json.dumps(summary_of(out)["configuration"]))).configuration == c
+
+
+def test_units_and_overlay_are_settings_and_options_win(tmp_path: Path) -> None:
+    text = "method: sift\nreport: {units: m/s, overlay: false}\n"
+    done = command("speed", STRAIGHT, "-o", tmp_path / "out", "--config", written(tmp_path, text))
+    assert "speed, m/s" in done.stdout
+    assert not (tmp_path / "out" / "overlay.mp4").exists() and (tmp_path / "out" / "report.html").exists()
+    assert summary_of(tmp_path / "out")["configuration"]["report"] == {"units": "m/s", "overlay": False}
+    options = ["--units", "km/h", "--max-half-width", "3.6"]
+    done = command("speed", STRAIGHT, "-o", tmp_path / "again", *options, "--config", tmp_path / "settings.yaml")
+    c = summary_of(tmp_path / "again")["configuration"]
+    assert "speed, km/h" in done.stdout and c["report"]["units"] == "km/h" and c["tolerance"] == 1.0
 
 
 def summary_of(folder: Path) -> dict[str, Any]:

@@ -192,6 +192,14 @@ def test_the_speed_of_a_frame_has_the_coverage_factor_of_the_mean() -> None:
     assert "longer" in rejected_advice(rejected("v").reason_code)
 
 
+def test_without_an_overlay_the_report_has_its_stills_and_no_link(out: Path, tmp_path: Path) -> None:
+    write_report(clip_result(), Recording(), tmp_path / "out", "mph", overlay=False)
+    assert not (tmp_path / "out" / "overlay.mp4").exists()
+    page, with_video = ((folder / "report.html").read_text(encoding="utf-8") for folder in (tmp_path / "out", out))
+    assert "overlay.mp4" in with_video and "overlay.mp4" not in page and "overlay video" not in page
+    assert page.count('src="data:image/jpeg') == with_video.count('src="data:image/jpeg') > 0
+
+
 def test_overlay_plays_with_the_recordings_times(out: Path) -> None:
     with av.open(str(out / "overlay.mp4")) as container:
         stream = container.streams.video[0]

@@ -26,7 +26,6 @@ OLD_OPTIONS = {
 }
 # of settings that are named otherwise
 OPTION_BY_SETTING = {
-    "tolerance": "--max-half-width",
     "parts": "--feature-parts",
     "background.seconds": "--background-seconds",
 }
@@ -50,8 +49,11 @@ def speed(
         DeviceName | None, typer.Option(help="Where to compute; auto takes a GPU where it can.", show_default="cpu")
     ] = None,
     units: Annotated[
-        str, typer.Option(metavar="<mph|km/h|m/s>", help="Unit shown to people; files are always in m/s.")
-    ] = "mph",
+        str | None,
+        typer.Option(
+            metavar="<mph|km/h|m/s>", help="Unit shown to people; files are always in m/s.", show_default="mph"
+        ),
+    ] = None,
     tolerance: Annotated[
         float | None,
         typer.Option(
@@ -88,7 +90,6 @@ def speed(
     quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
 ) -> int:
     """Measure the speed of every vehicle in a stereo clip: those that it outlines, or else those found in it."""
-    unit = _unit(units)
     given = {
         "particles": particles,
         "seed": seed,
@@ -97,26 +98,26 @@ def speed(
         "device": device,
         "parts": parts,
         "refine": refine,
-        "tolerance": None if tolerance is None else _tolerance(tolerance, unit),
         "background.seconds": learn,
+        "report.units": None if units is None else _unit(units),
     }
     settings = _settings(config, {key: value for key, value in given.items() if value is not None})
+    if tolerance is not None:
+        settings = settings.model_copy(update={"tolerance": _tolerance(tolerance, settings.report.units)})
     detector = detector_of(config, settings) if detector is None else detector
     if live:
-        return _measure_live(clip, out, settings, unit, quiet, detector, learn is not None)
+        return _measure_live(clip, out, settings, quiet, detector, learn is not None)
     if learn is not None:
         raise UnusableInput("--background-seconds: goes with --live only")
-    result = _measure(clip, out, settings, unit, quiet, detector)
+    result = _measure(clip, out, settings, quiet, detector)
     if not quiet:
-        _print_result(result, unit)
+        _print_result(result, settings.report.units)
         print(f"\nReport: {out / 'report.html'}")
     return EXIT_DONE if any(m.verdict == "measured" for m in result.measurements) else EXIT_NOTHING_MEASURED
 
 
-def _measure(
-    clip: Path, out: Path, settings: SpeedSettings, unit: SpeedUnit, quiet: bool, detector: Path | None
-) -> ClipResult:
-    """Measures a recording and writes the results; the exit status."""
+def _measure(clip: Path, out: Path, settings: SpeedSettings, quiet: bool, detector: Path | None) -> ClipResult:
+    """Measures a recording and writes the results."""
     import paceline.baselines.registry  # noqa: F401  makes the baselines known
     from paceline.detection.onnx_detector import OnnxDetector
     from paceline.documents.loading import load_clip
@@ -141,14 +142,13 @@ def _measure(
             stage=lambda activity: progress_bar(activity, show_progress),
             on_estimate=speed_line_writer(document.rig),
         )
-        return write_files(result, recording, folder, unit)
+        return write_files(result, recording, folder, settings.report.units, settings.report.overlay)
 
 
 def _measure_live(
     clip: Path,
     out: Path,
     settings: SpeedSettings,
-    unit: SpeedUnit,
     quiet: bool,
     detector: Path | None,
     background_given: bool,
@@ -169,7 +169,7 @@ def _measure_live(
     if at_once:
         none = configuration.background.model_copy(update={"seconds": 0.0})
         configuration = configuration.model_copy(update={"background": none})
-    return measure_live(document, out, configuration, unit, quiet, detector)
+    return measure_live(document, out, configuration, quiet, detector)
 
 
 def _unit(text: str) -> SpeedUnit:

@@ -30,7 +30,6 @@ def measure_live(
     clip: Clip,
     out: Path,
     configuration: SpeedConfiguration,
-    unit: SpeedUnit,
     quiet: bool,
     detector: Path | None = None,
 ) -> int:
@@ -51,7 +50,7 @@ def measure_live(
     cv2.setNumThreads(1)  # images are small: a second thread costs more than it gains, and the measurement needs it
     detect = None if detector is None else OnnxDetector(detector, configuration.detection.score)
     views = LiveStereo(clip)
-    background_s = configuration.background.seconds
+    background_s, unit = configuration.background.seconds, configuration.report.units
     settings, package_versions = {**configuration.model_dump(), "learn": background_s}, versions()
     if detect is not None:
         settings["detector"], package_versions["onnxruntime"] = detect.name, detect.runtime

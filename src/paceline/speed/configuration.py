@@ -7,6 +7,7 @@ the descriptions here.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -17,7 +18,7 @@ from pydantic_core import PydanticKnownError
 from paceline.documents.models import KnownKeys, Text, read_document
 from paceline.recordings.background import MIN_FRAMES
 from paceline.speed.choices import DeviceName, Motion, resampling_schemes
-from paceline.units import SpeedUnit
+from paceline.units import SpeedUnit, parse_unit
 
 MAX_BACKGROUND_S = 3600
 PAIR_WORDS = "two numbers above 0"
@@ -40,16 +41,28 @@ def _ascending(pair: tuple[float, float]) -> tuple[float, float]:
     return pair
 
 
+def _none_of(names: Iterable[str]) -> PydanticKnownError:
+    *others, last = map(repr, names)
+    return PydanticKnownError("literal_error", {"expected": f"{', '.join(others)} or {last}"})
+
+
 def _registered_scheme(name: str) -> str:
     schemes = resampling_schemes()
     if name not in schemes:
-        *others, last = map(repr, schemes)
-        raise PydanticKnownError("literal_error", {"expected": f"{', '.join(others)} or {last}"})
+        raise _none_of(schemes)
     return name
+
+
+def _unit(name: Any) -> SpeedUnit:
+    try:
+        return parse_unit(str(name))
+    except ValueError:
+        raise _none_of([unit.value for unit in SpeedUnit]) from None
 
 
 REGISTERED_SCHEME = AfterValidator(_registered_scheme)
 ResamplingScheme = Annotated[str, REGISTERED_SCHEME]
+Unit = Annotated[SpeedUnit, BeforeValidator(_unit)]
 Pair = Annotated[tuple[float, float], BeforeValidator(_pair)]
 ASCENDING = AfterValidator(_ascending)
 Range = Annotated[Pair, ASCENDING]
@@ -196,6 +209,13 @@ class LiveSettings(Section):
     kept_pictures: int = Field(200, ge=1, le=1_000_000, description="pictures of vehicles kept, the latest ones")
 
 
+class ReportSettings(Section):
+    """What people are shown. Tables and summary.json are in SI units."""
+
+    units: Unit = Field(SpeedUnit.MPH, description="unit of the speeds in terminal, report and overlay")
+    overlay: bool = Field(True, description="write the overlay video; off: much of the time is saved, stills remain")
+
+
 class SpeedConfiguration(Section):
     """How to measure. The resolved configuration is written beside the results.
 
@@ -259,6 +279,7 @@ class SpeedConfiguration(Section):
     lanes: LaneSettings = LaneSettings()
     detection: DetectionSettings = DetectionSettings()
     live: LiveSettings = LiveSettings()
+    report: ReportSettings = ReportSettings()
 
 
 DEFAULTS = SpeedConfiguration()

@@ -9,6 +9,7 @@ from pydantic.fields import FieldInfo
 
 from paceline.speed.choices import resampling_schemes
 from paceline.speed.configuration import ASCENDING, PAIR_WORDS, REGISTERED_SCHEME, Section, SpeedSettings
+from paceline.units import SpeedUnit
 
 PAGE_INTRODUCTION = """# Settings of `paceline speed`
 
@@ -77,6 +78,8 @@ def range_of(field: FieldInfo) -> str:
         return ", ".join(resampling_schemes())
     if get_origin(field.annotation) is tuple:
         return PAIR_WORDS + ", the smaller one first" * (ASCENDING in field.metadata)
+    if field.annotation is SpeedUnit:
+        return ", ".join(SpeedUnit)
     if field.annotation is bool:
         return "true, false"
     return ", ".join(bounds(field)) or "text"

@@ -39,14 +39,14 @@ def add(library: Library) -> None:
     """Adds the page /runs to the application."""
 
     @ui.page("/runs", response_timeout=RESPONSE_TIMEOUT_S)
-    async def runs(clip: str = ".", number: int | None = None, unit: str = "mph") -> None:
+    async def runs(clip: str = ".", number: int | None = None, unit: str = DEFAULTS.report.units) -> None:
         try:
             entry = await run.io_bound(library.entry, clip)
         except NotFound:
             return not_found_page()
         assert entry is not None, "is None only while the server ends"
         if unit not in UNIT_NAMES:
-            unit = "mph"
+            unit = DEFAULTS.report.units
         chase = entry.contents.chase
         with page(f"{'Follow' if chase else 'Measure'} {clip}", entry, TAB_RUNS):
             _RunsPage(library, entry, number, unit)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -64,27 +65,37 @@ class Overlay:
 
 
 def write_overlay(
-    result: ClipResult, recording: StereoRecording, file: Path, unit: str, colors: dict[str, str]
+    result: ClipResult, recording: StereoRecording, file: Path | None, unit: str, colors: dict[str, str]
 ) -> Overlay:
-    """Writes the overlay video in one pass over ``recording`` and returns a few stills of every vehicle.
+    """Writes the overlay video in one pass over ``recording``, unless ``file`` is None, and returns a few stills of
+    every vehicle.
 
     The frames keep the recording's presentation times. ``colors`` gives each vehicle's colour as ``#rrggbb``. A notice
     is given where no H.264 encoder is available and the video is MPEG-4 instead.
     """
     layers = [_Layer(m, _parse_color(colors[m.vehicle])) for m in result.measurements]
     overlay = Overlay({layer.track.vehicle: [] for layer in layers})
-    times = np.asarray(recording.times, float)
-    step = float(np.median(np.diff(times))) if len(times) > 1 else 1.0
-    with VideoWriter(file, step if step > 0 else 1.0) as video:
+    last_still = max((int(layer.track.frame[row]) for layer in layers for row in layer.still_rows), default=-1)
+    with nullcontext() if file is None else _video(file, np.asarray(recording.times, float)) as video:
         for frame in recording:
+            if video is None and frame.index > last_still:
+                break
             views = _to_grey(frame.left), _to_grey(frame.right)
             for layer in layers:
                 row = layer.rows.get(frame.index)
                 if row is not None and row in layer.still_rows:
                     overlay.stills[layer.track.vehicle].append(_crop_still(views, layer, row, frame.time))
-            video.add(_draw(result, layers, frame, views, unit), frame.time)
-    overlay.notices += video.notices
+            if video is not None:
+                video.add(_draw(result, layers, frame, views, unit), frame.time)
+    if video is not None:
+        overlay.notices += video.notices
     return overlay
+
+
+def _video(file: Path, times: Array) -> VideoWriter:
+    """The writer of a video of frames at ``times`` (N,) s."""
+    step = float(np.median(np.diff(times))) if len(times) > 1 else 1.0
+    return VideoWriter(file, step if step > 0 else 1.0)
 
 
 class _Layer:

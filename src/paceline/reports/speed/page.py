@@ -34,8 +34,10 @@ def write_page(
     plan: Plot,
     stills: dict[str, list[StereoStill]],
     colors: dict[str, str],
+    overlay: bool,
 ) -> None:
-    """Writes the page; ``plots``, ``stills`` and ``colors`` are by vehicle. Needs no other file and no network."""
+    """Writes the page; ``plots``, ``stills`` and ``colors`` are by vehicle; ``overlay``: whether there
+    is a video beside it. Needs no other file and no network."""
     vehicles = [
         {
             "id": m.vehicle,
@@ -58,6 +60,7 @@ def write_page(
         vehicles=vehicles,
         measured=sum(m.verdict == "measured" for m in result.measurements),
         plan=plan,
+        overlay=overlay,
         paths=[(path.name, format_number(path_length(path.points), 1)) for path in result.paths],
         settings=flatten_settings(result.configuration),
         seconds=format_number(result.seconds, 1),

@@ -13,24 +13,34 @@ from paceline.reports.speed.overlay import write_overlay
 from paceline.reports.speed.page import write_page
 from paceline.reports.speed.plots import plan_plot, vehicle_plots
 from paceline.reports.speed.tables import write_estimates, write_summary
+from paceline.speed.configuration import DEFAULTS
 from paceline.speed.results import ClipResult
 
 
-def write_report(result: ClipResult, recording: StereoRecording, out: str | Path, unit: str = "mph") -> ClipResult:
+def write_report(
+    result: ClipResult,
+    recording: StereoRecording,
+    out: str | Path,
+    unit: str = DEFAULTS.report.units,
+    overlay: bool = True,
+) -> ClipResult:
     """Writes tables, plots, overlay and page into the folder ``out``, whole or not at all.
 
-    ``unit`` (mph, km/h or m/s) is that of the report; data files are in SI units. Returns ``result`` with any
-    notice that came up on the way. Raises UnusableInput when ``out`` cannot be written.
+    ``unit`` (mph, km/h or m/s) is that of the report; data files are in SI units. Without ``overlay`` there is no
+    video. Returns ``result`` with any notice that came up on the way. Raises UnusableInput when ``out`` cannot be
+    written.
     """
     with OutputFolder(out) as folder:
-        return write_files(result, recording, folder, unit)
+        return write_files(result, recording, folder, unit, overlay)
 
 
-def write_files(result: ClipResult, recording: StereoRecording, folder: Path, unit: str) -> ClipResult:
+def write_files(
+    result: ClipResult, recording: StereoRecording, folder: Path, unit: str, overlay: bool = True
+) -> ClipResult:
     """As `write_report`, straight into an existing ``folder``."""
     colors = {m.vehicle: VEHICLE_COLORS[i % len(VEHICLE_COLORS)] for i, m in enumerate(result.measurements)}
-    overlay = write_overlay(result, recording, folder / "overlay.mp4", unit, colors)
-    result = dataclasses.replace(result, notices=result.notices + overlay.notices)
+    drawn = write_overlay(result, recording, folder / "overlay.mp4" if overlay else None, unit, colors)
+    result = dataclasses.replace(result, notices=result.notices + drawn.notices)
     write_estimates(result, folder / "estimates.csv")
     write_summary(result, folder / "summary.json")
 
@@ -41,7 +51,16 @@ def write_files(result: ClipResult, recording: StereoRecording, folder: Path, un
     for stem, drawings in zip(_file_stems(list(plots)), plots.values(), strict=True):
         for plot in drawings:
             (folder / "plots" / f"{stem}-{plot.name}.png").write_bytes(plot.png)
-    write_page(result, folder / "report.html", unit, plots=plots, plan=plan, stills=overlay.stills, colors=colors)
+    write_page(
+        result,
+        folder / "report.html",
+        unit,
+        plots=plots,
+        plan=plan,
+        stills=drawn.stills,
+        colors=colors,
+        overlay=overlay,
+    )
     return result
 
 
