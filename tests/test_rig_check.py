@@ -160,7 +160,7 @@ def test_the_command_notices_a_knock_and_sets_the_rig_right(tmp_path: Path) -> N
     out = tmp_path / "refined.yaml"
     refined = paceline("rig", "check", tmp_path / "clip", "--correct-rotation", "-o", out)
     assert refined.returncode == 0, refined.stderr
-    assert "the scene cannot tell it" in refined.stdout
+    assert "the scene does not determine it" in refined.stdout
     better = load_rig(out)
     left_over = np.degrees(np.ravel(cv2.Rodrigues(better.R @ true.R.T)[0]))
     assert np.abs(left_over[[0, 2]]).max() < 0.006

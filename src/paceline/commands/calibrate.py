@@ -26,9 +26,9 @@ VERDICT_DISTANCE_M = 50.0
 def calibrate(
     left: Annotated[
         Path,
-        typer.Argument(metavar="LEFT", help="The left camera's pictures of the board: a folder, a pattern, a video."),
+        typer.Argument(metavar="LEFT", help="The left camera's images of the board: a folder, a pattern, a video."),
     ],
-    right: Annotated[Path, typer.Argument(metavar="RIGHT", help="The right camera's, taken at the same times.")],
+    right: Annotated[Path, typer.Argument(metavar="RIGHT", help="The right camera's images, taken at the same times.")],
     board: Annotated[
         str,
         typer.Option(
@@ -42,7 +42,7 @@ def calibrate(
     ],
     quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
 ) -> int:
-    """Calibrate a stereo rig from pictures of a board held before both cameras."""
+    """Calibrate a stereo rig from images of a board in front of both cameras."""
     from paceline.calibration.board_calibration import calibrate as calibrate_views
     from paceline.calibration.board_views import collect_views
     from paceline.calibration.boards import parse_board

@@ -21,13 +21,13 @@ def drive(
     scene: Annotated[str, typer.Argument(metavar="SCENE", help="A drive.yaml, or the name of a scene.")],
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder for the report and the tables.")],
     latency: Annotated[
-        float, typer.Option(metavar="SECONDS", min=0.0, max=2.0, help="From a picture to the effect of its command.")
+        float, typer.Option(metavar="SECONDS", min=0.0, max=2.0, help="Delay from image to effect of its command.")
     ] = 0.128,
     seed: Annotated[int, typer.Option(min=0, help="Seed of world, vehicles and light.")] = 1,
     overlay: Annotated[bool, typer.Option("--overlay/--no-overlay", help="Write the overlay video.")] = True,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
 ) -> int:
-    """Let a simulated vehicle follow the one ahead by its camera, and judge how it drives."""
+    """Simulate a vehicle that follows the one ahead by its camera, and check the requirements."""
     from paceline.reports.closed_loop.report import write_drive_files
     from paceline.reports.common.output_folder import OutputFolder
     from paceline.simulation.closed_loop.drive_yaml import resolve_drive

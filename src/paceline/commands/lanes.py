@@ -35,7 +35,7 @@ def lanes(
     ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
 ) -> int:
-    """Find the lanes of a road and propose them as paths, with pictures to check.
+    """Detect the lanes of a road and propose them as paths, with pictures to check.
 
     Ends with status 1 where no lane can be found.
     """

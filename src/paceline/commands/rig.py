@@ -45,21 +45,21 @@ def rig_import(
     ],
     out: Annotated[Path, typer.Option("-o", "--out", help="The rig.yaml to write.")],
     size: Annotated[
-        str | None, typer.Option(metavar="WIDTHxHEIGHT", help="Size of the images, where the files do not say it.")
+        str | None, typer.Option(metavar="WIDTHxHEIGHT", help="Size of the images, if the files do not contain it.")
     ] = None,
     unit: Annotated[
         Unit,
-        typer.Option("--translation-unit", help="In which the files state the distance between the cameras."),
+        typer.Option("--translation-unit", help="Unit of the distance between the cameras in the files."),
     ] = Unit.m,
     cameras: Annotated[
-        str, typer.Option(metavar="LEFT,RIGHT", help="Which cameras of a Kalibr chain or of KITTI's are the pair.")
+        str, typer.Option(metavar="LEFT,RIGHT", help="The pair among the cameras of a Kalibr chain or of KITTI.")
     ] = "0,1",
     rectified: Annotated[
         bool,
         typer.Option("--rectified/--unrectified", help="Whether the pictures are rectified already (ROS and KITTI)."),
     ] = True,
 ) -> int:
-    """Write the rig.yaml of a calibration that another program made."""
+    """Write the rig.yaml of a calibration by another program."""
     from paceline.calibration.importers import ImportOptions, import_rig
     from paceline.documents.rig_yaml import rig_yaml
     from paceline.reports.calibration import check_rig_file_name
@@ -96,7 +96,7 @@ def rig_check(
         Path | None, typer.Option("-o", "--out", help="The rig.yaml to write with --correct-rotation.")
     ] = None,
 ) -> int:
-    """Check by points of the scene whether the cameras still stand as they were calibrated.
+    """Check by points of the scene whether the cameras have moved since their calibration.
 
     Ends with status 1 where they do not, or where the scene cannot tell.
     """
@@ -139,13 +139,13 @@ def _print_check(check: RigCheck, frames: int) -> None:
     turn, half = np.degrees(check.rotation), np.degrees(COVERAGE_95 * check.std)
     print_columns(
         [
-            ("turned since its calibration", "degrees, 95 %"),
+            ("rotation since calibration", "degrees, 95 %"),
             *((axis, f"{t:+.4f} ± {h:.4f}") for axis, t, h in zip(ROTATION_NAMES, turn, half, strict=True)),
         ]
     )
     print(
         f"\n{check.matches} points in {frames} frames, off their epipolar lines by {check.rotation_error_px:.2f} px "
-        f"(rms) by the rotation and {check.residual_px:.2f} px besides"
+        f"(rms) due to the rotation and {check.residual_px:.2f} px of noise"
     )
     print(f"verdict  {verdict(check)}")
     if not check.states_uncertainty:
@@ -159,7 +159,7 @@ def verdict(check: RigCheck) -> str:
     from paceline.calibration.rig_check import SIGNIFICANCE_LEVEL
 
     if not check.moved:
-        return f"the rig stands as calibrated; the scene agrees (chance of so large a difference: {check.p_value:.2g})"
+        return f"the rig has not moved; the scene agrees with it (chance of so large a difference: {check.p_value:.2g})"
     return message(
         "rig_moved" if check.states_uncertainty else "rig_differs_from_file",
         offset_px=check.rotation_error_px,
@@ -174,11 +174,11 @@ def _print_refinement(correction: RotationCorrection, out: Path) -> None:
     from paceline.units import COVERAGE_95
 
     print()
-    rows = [("refined", "turned by, degrees, 95 %", "known from")]
+    rows = [("refined", "rotation, degrees, 95 %", "determined by")]
     for axis, t, s, share in zip(
         ROTATION_NAMES, np.degrees(correction.rotation), np.degrees(correction.std), correction.scene_share, strict=True
     ):
-        source = "the scene" if share > 0.5 else "the calibration: the scene cannot tell it"
+        source = "the scene" if share > 0.5 else "the calibration: the scene does not determine it"
         rows.append((axis, f"{t:+.4f} ± {COVERAGE_95 * s:.4f}", source))
     print_columns(rows)
     effects = "   ".join(f"{e.distance:.0f} m ± {100 * COVERAGE_95 * e.along:.1f} %" for e in correction.effects)

@@ -20,9 +20,9 @@ simulate = typer.Typer(help="Rendered clips with exact truth.", rich_markup_mode
 Scene = Annotated[
     str, typer.Argument(metavar="SCENE", help="A named scene (see paceline simulate list) or a scene.yaml.")
 ]
-Out = Annotated[Path, typer.Option("-o", "--out", help="Folder for the clip; one begun before is gone on with.")]
+Out = Annotated[Path, typer.Option("-o", "--out", help="Folder for the clip; an interrupted rendering is resumed.")]
 Samples = Annotated[int | None, typer.Option(min=1, max=4096, help="Rays per pixel.")]
-Seed = Annotated[int | None, typer.Option(min=0, help="Seed of whatever the scene leaves to chance.")]
+Seed = Annotated[int | None, typer.Option(min=0, help="Seed of everything that the scene does not fix.")]
 Quiet = Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")]
 
 
@@ -66,11 +66,11 @@ def simulate_suite(
     out: Out,
     n: Annotated[int, typer.Option("-n", "--count", min=1, max=10000, help="Number of scenes.")],
     seed: Annotated[int, typer.Option(min=0, help="Seed of the suite.")] = 0,
-    kind: Annotated[Kind, typer.Option(help="What the clips are for.")] = Kind.speed,
+    kind: Annotated[Kind, typer.Option(help="The command that the clips are made for.")] = Kind.speed,
     samples: Samples = None,
     quiet: Quiet = False,
 ) -> int:
-    """Render varied scenes, each into a folder of its own; goes on after an interruption."""
+    """Render random scenes, each into a folder of its own; an interrupted rendering is resumed."""
     from paceline.simulation.random_scenes import random_follow_scene, random_speed_scene
 
     draw = random_speed_scene if kind is Kind.speed else random_follow_scene

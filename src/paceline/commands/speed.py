@@ -43,16 +43,14 @@ def speed(
     ] = None,
     method: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="How to measure: paceline, or a method that it is compared with."),
+        typer.Option(metavar="NAME", help="Method: paceline, or one of the comparison methods."),
     ] = None,
     device: Annotated[
-        DeviceName | None, typer.Option(help="Where to compute; auto takes a GPU where it can.", show_default="cpu")
+        DeviceName | None, typer.Option(help="Device; auto uses a GPU if there is one.", show_default="cpu")
     ] = None,
     units: Annotated[
         str | None,
-        typer.Option(
-            metavar="<mph|km/h|m/s>", help="Unit shown to people; files are always in m/s.", show_default="mph"
-        ),
+        typer.Option(metavar="<mph|km/h|m/s>", help="Displayed unit; files are always in m/s.", show_default="mph"),
     ] = None,
     tolerance: Annotated[
         float | None,
@@ -74,7 +72,7 @@ def speed(
     ] = None,
     config: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.yaml", help="Settings, as under configuration in summary.json; options win."),
+        typer.Option(metavar="FILE.yaml", help="Settings, as in summary.json's configuration; options override."),
     ] = None,
     live: Annotated[
         bool, typer.Option("--live", help="Measure vehicle after vehicle as the cameras record, until Ctrl-C.")
@@ -85,11 +83,11 @@ def speed(
     ] = None,
     detector: Annotated[
         Path | None,
-        typer.Option(metavar="MODEL.onnx", help="A detector of your own, in whose boxes vehicles are looked for."),
+        typer.Option(metavar="MODEL.onnx", help="A detector of your own, in whose boxes vehicles are detected."),
     ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
 ) -> int:
-    """Measure the speed of every vehicle in a stereo clip: those that it outlines, or else those found in it."""
+    """Measure the speed of every vehicle in a stereo clip: those that it outlines, or else those detected in it."""
     given = {
         "particles": particles,
         "seed": seed,

@@ -15,9 +15,9 @@ target = typer.Typer(help="Line models of vehicles to follow.", rich_markup_mode
 
 @target.command("learn")
 def target_learn(
-    image: Annotated[Path, typer.Argument(metavar="IMAGE", help="A picture of the vehicle's rear.")],
+    image: Annotated[Path, typer.Argument(metavar="IMAGE", help="An image of the vehicle's rear.")],
     box: Annotated[str, typer.Option(metavar="X0,Y0,X1,Y1", help="Box around the rear, pixels.")],
-    width: Annotated[float, typer.Option(metavar="METRES", help="True width of what the box encloses.")],
+    width: Annotated[float, typer.Option(metavar="METRES", help="True width of the vehicle inside the box.")],
     camera: Annotated[
         Path, typer.Option(help="The camera.yaml of the picture: its focal length turns pixels into metres.")
     ],

@@ -25,7 +25,7 @@ def vehicles(
     ] = False,
     detector: Annotated[
         Path | None,
-        typer.Option(metavar="MODEL.onnx", help="A detector of your own, in whose boxes vehicles are looked for."),
+        typer.Option(metavar="MODEL.onnx", help="A detector of your own, in whose boxes vehicles are detected."),
     ] = None,
     config: Annotated[
         Path | None,
@@ -33,7 +33,7 @@ def vehicles(
     ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
 ) -> int:
-    """Find the vehicles that drive along the paths of a stereo clip and propose their outlines.
+    """Detect the vehicles that drive along the paths of a stereo clip and propose their outlines.
 
     Ends with status 1 where no vehicle can be found.
     """

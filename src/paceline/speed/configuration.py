@@ -110,7 +110,7 @@ class ModelSettings(Section):
     """The choice of the motion model: constant speed along the path, and the further terms that the images ask for."""
 
     min_log_odds: float = Field(
-        3.0, ge=0, description="log odds asked of an acceleration, a lane change or a turn; 3: 20 to 1"
+        3.0, ge=0, description="log odds required of an acceleration, a lane change or a turn; 3: 20 to 1"
     )
 
 
@@ -162,7 +162,7 @@ class JointCalibrationSettings(Section):
 
 
 class BackgroundSettings(Section):
-    """The road without vehicles, in which lanes and vehicles are looked for."""
+    """The road without vehicles, in which lanes and vehicles are detected."""
 
     seconds: float = Field(
         30.0, ge=0, le=MAX_BACKGROUND_S, description="seconds of which it is made with `--live`; else of the recording"
@@ -181,13 +181,13 @@ class LaneSettings(Section):
 class DetectionSettings(Section):
     """Vehicles that nobody has outlined."""
 
-    near: float = Field(5.0, gt=0, description="distance from the left camera from which vehicles are looked for, m")
+    near: float = Field(5.0, gt=0, description="distance from the left camera from which vehicles are searched, m")
     far: float = Field(150.0, gt=0, description="distance up to which they are, m; less: faster")
     min_size_px: Pair = Field(
         (16.0, 6.0), description="least width and height of an outline, pixels; less: from farther away, less exactly"
     )
     max_height: float = Field(
-        4.5, ge=2.5, le=20, description="height of the tallest vehicles, m; nothing is looked for behind them up to it"
+        4.5, ge=2.5, le=20, description="height of the tallest vehicles, m; behind them nothing is searched up to it"
     )
     score: float = Field(0.25, ge=0, le=1, description="least score of a detector's box")
 
@@ -293,7 +293,7 @@ class SpeedSettings(SpeedConfiguration):
     method: Text = Field("paceline", description="how to measure: Paceline's method, or one that it is compared with")
     device: DeviceName = Field("cpu", description="where to compute; `auto`: a GPU where one can be used")
     detector: Text | None = Field(
-        None, description="an ONNX detector in whose boxes vehicles are looked for, relative to the configuration file"
+        None, description="an ONNX detector in whose boxes vehicles are detected, relative to the configuration file"
     )
     learn: float | None = Field(None, ge=0, le=MAX_BACKGROUND_S, description="earlier name of `background.seconds`")
 

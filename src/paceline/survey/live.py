@@ -285,7 +285,7 @@ class MeasurementQueue:
 
     def _publish_first(self) -> None:
         waiting = self._pending.popleft()
-        assert waiting.found is not None, "an outline was looked for"
+        assert waiting.found is not None, "the outline has been determined"
         if waiting.is_duplicate:
             return
         measurement, reason = None, waiting.found.reason
