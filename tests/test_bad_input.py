@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import signal
 import subprocess
@@ -20,6 +21,7 @@ from damaged_inputs import Folder
 from run_command import COMMAND, ENVIRONMENT, Done, assert_one_line_error, paceline
 from selection import slow_after
 
+from paceline.documents.loading import load_rig
 from paceline.simulation.stereo.clip import Scene, Vehicle, render, write
 
 Case = tuple[Callable[["Clip"], object], list[str]]
@@ -240,31 +242,12 @@ RIG: dict[str, Case] = {
 # --- paths ---------------------------------------------------------------------------------------------------------
 
 
-def parallel_to_epipolar_lines(clip: Clip, shape: str) -> None:
-    """A line that runs across the view, level in both pictures."""
-    x = np.linspace(40, 600, 12)
-    y = {"line": 300 + 0 * x, "curve": 300 + 1e-5 * (x - 300) ** 2}[shape]
-    clip.set("rig.yaml", "rotation", np.eye(3).tolist())
-    clip.set("rig.yaml", "translation", [-0.5, 0.0, 0.0])
-    for side in ("left", "right"):
-        clip.set("rig.yaml", f"{side}.K", [[1400.0, 0, 320], [0, 1400, 240], [0, 0, 1]])
-    lane = {"shape": shape, "left": np.stack([x, y], 1).tolist(), "right": np.stack([x - 30, y], 1).tolist()}
-    clip.set("clip.yaml", "paths.lane0", lane)
-    left = [[300, 200], [360, 200], [360, 225], [300, 225]]
-    clip.set("clip.yaml", "vehicles.0.left", left)
-    clip.set("clip.yaml", "vehicles.0.right", [[x - 16, y] for x, y in left])
-
-
 PATHS: dict[str, Case] = {
     "one view only": (lambda c: c.set("clip.yaml", "paths.lane0.right", None), ["paths.lane0", "left view only"]),
     "far beside the vehicle": (
         lambda c: c.set("clip.yaml", "paths.lane0.lateral_offset", -1850.0), ["lane0", "beside vehicle v0", "metres"],
     ),
     "no view": (lambda c: c.set("clip.yaml", "paths.lane0", {"shape": "line"}), ["paths.lane0", "not drawn"]),
-    "level line": (lambda c: parallel_to_epipolar_lines(c, "line"), ["clip.yaml", "lane0", "parallel to the epipolar"]),
-    "level curve": (
-        lambda c: parallel_to_epipolar_lines(c, "curve"), ["clip.yaml", "lane0", "epipolar lines", "parallel"],
-    ),
     "two points for a curve": (
         lambda c: [c.set("clip.yaml", "paths.lane0.shape", "curve"),
                    c.set("clip.yaml", "paths.lane0.left", [[300, 400], [200, 460]])],
@@ -376,6 +359,24 @@ def test_it_is_refused_in_one_line(
 def test_unspoilt_it_is_measured(original: Path, command: Command) -> None:
     status, stdout, _ = command(original)
     assert status == 0 and "measured" in stdout
+
+
+@pytest.mark.parametrize("shape", ["line", "curve"])
+def test_a_path_along_the_epipolar_lines_is_left_out(shape: str, clip: Clip, command: Command, tmp_path: Path) -> None:
+    """A line that runs sideways through both pictures: the vehicle is measured without it, unless it is insisted on."""
+    rig, x = load_rig(clip.folder / "rig.yaml"), np.linspace(100, 600, 12)
+    left = np.column_stack([x, {"line": 300 + 0 * x, "curve": 300 + 1e-5 * (x - 300) ** 2}[shape]])
+    epipolar = np.column_stack([left, np.ones_like(x)]) @ rig.fundamental.T
+    right = np.column_stack([x - 30, -(epipolar[:, 0] * (x - 30) + epipolar[:, 2]) / epipolar[:, 1]])
+    clip.set("clip.yaml", "paths.lane0", {"shape": shape, "left": left.tolist(), "right": right.tolist()})
+    done = paceline("speed", clip.folder, "-o", tmp_path / "out", "--motion", shape)
+    assert_one_line_error(done)
+    for word in ("clip.yaml", "path lane0", "parallel to", "the epipolar lines"):
+        assert word in done.stderr
+    status, stdout, _ = command(clip.folder)
+    assert status == 0 and "measured" in stdout
+    (notice,) = json.loads((tmp_path / "out" / "summary.json").read_text())["notices"]
+    assert notice.startswith("path lane0: ") and notice.endswith("; its vehicles are measured without it")
 
 
 @pytest.mark.parametrize("grey", [0, 255])

@@ -266,9 +266,7 @@ def test_the_deviation_of_a_lane_change_is_within_the_prior(
 
 
 @pytest.mark.parametrize("kind", slow_after(1, ["line", "right"]))
-def test_a_violent_lane_change_is_rejected_or_measured_right(
-    rendered: Callable[[Scene], Path], kind: str
-) -> None:
+def test_a_violent_lane_change_is_rejected_or_measured_right(rendered: Callable[[Scene], Path], kind: str) -> None:
     s = scene(kind, 18.0, 12, lane_change=LaneChange(5.0, 30.0, 2.5))
     m = measure_clip(rendered(s)).measurements[0]
     assert m.reason if m.verdict == "rejected" else abs(m.speed - 18.0) < 0.02 * 18.0
@@ -455,9 +453,7 @@ def test_an_occluder_is_not_taken_for_view_dependence(seed: int) -> None:
 
 
 @pytest.mark.parametrize("count", slow_after(1, [2, 6]))
-def test_reflections_bias_the_speed_less_with_view_dependence(
-    rendered: Callable[[Scene], Path], count: int
-) -> None:
+def test_reflections_bias_the_speed_less_with_view_dependence(rendered: Callable[[Scene], Path], count: int) -> None:
     """At most 0.7 of the bias without it, RMS."""
     off: dict[bool, list[float]] = {False: [], True: []}
     for seed in range(count):

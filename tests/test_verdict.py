@@ -113,9 +113,7 @@ def test_a_motion_inconsistent_in_the_first_frames_is_rejected(hidden: int, reas
         (6.4, MIN_TRACK_CONTRAST_GREY, ""),  # a crest or a tight turn, with enough contrast
     ],
 )
-def test_an_implausible_path_at_low_contrast_is_rejected(
-    deviation_sigma: float, contrast: float, code: str
-) -> None:
+def test_an_implausible_path_at_low_contrast_is_rejected(deviation_sigma: float, contrast: float, code: str) -> None:
     """A lorry front of 2.6 grey levels was followed pixels aside from where it was, and read 6 % too fast."""
     r = replace(refined([0.9] * 10), deviation_sigma=deviation_sigma, contrast=contrast, residual_rms=0.3)
     reason = check_refined(r, 7.0, 0.2)

@@ -265,6 +265,10 @@ _WARNING_ROWS = {
         "{rig} states no uncertainty: {consequence}",
         "State `uncertainty` in rig.yaml; `paceline calibrate` writes it.",
     ),
+    "path_undetermined": (
+        "path {path}: {cause}; its vehicles are measured without it",
+        "Draw another road line, in both views: one that does not run sideways through the images.",
+    ),
     "occluded_frames": ("hidden or unlike itself in {frames}", "Find these frames in the overlay."),
     "lost_at_frame": ("lost at frame {frame}", "The frames before count; find the moment in the overlay."),
     "not_refined": (

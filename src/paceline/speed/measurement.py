@@ -24,11 +24,12 @@ from paceline.speed.filter.batch import TrackerBatch
 from paceline.speed.filter.device import open_device
 from paceline.speed.filter.estimate import Estimate
 from paceline.speed.geometry.path_reconstruction import path_from_document
-from paceline.speed.geometry.paths import Path
+from paceline.speed.geometry.paths import Path, UndeterminedPath
 from paceline.speed.joint_calibration import calibrate_jointly
 from paceline.speed.methods import DEFAULT_METHOD, Method, OnEstimate, register
 from paceline.speed.results import ClipResult, Measurement, PathDrawing
 from paceline.speed.run import VehicleMeasurement
+from paceline.verdicts import Message, message
 from paceline.version import versions
 
 
@@ -81,7 +82,7 @@ def track(
     batch = TrackerBatch(open_device(device), fall_back_to_cpu=device == "auto")
     estimates: list[Estimate] = []
     filtering = configuration.model_copy(update={"refine": False})  # so that no images are kept
-    drawn = _reconstruct(clip, configuration)
+    drawn, _ = _reconstruct(clip, configuration)
     runs = {
         v.id: VehicleMeasurement(
             clip, v, drawn, filtering, batch, on_estimate=lambda name, estimate: estimates.append(estimate)
@@ -134,7 +135,7 @@ def measure_each(
                 f"{clip.path}: vehicles: {vehicle.id}: frame {vehicle.frame} is not in the recording; "
                 f"expected one of its frames {recording.indices[0]} to {recording.indices[-1]}"
             )
-    drawn = _reconstruct(clip, configuration) if on_paths else {}
+    drawn, undetermined = _reconstruct(clip, configuration) if on_paths else ({}, [])
     runs = {v.id: begin(clip, v, drawn, configuration) for v in clip.vehicles}
     finished: dict[str, Measurement] = {}
     total = len(recording)
@@ -156,7 +157,7 @@ def measure_each(
         paths=[_path_drawing(clip.rig, p) for p in drawn.values()],
         configuration=configuration.model_dump(),
         versions=versions(),
-        notices=list(recording.notices),
+        notices=[*undetermined, *recording.notices],
         seconds=time.perf_counter() - start_time,
     )
 
@@ -202,18 +203,25 @@ def require_two_views(clip: Clip, frame: StereoFrame) -> None:
         )
 
 
-def _reconstruct(clip: Clip, configuration: SpeedConfiguration) -> dict[str, Path]:
-    """The paths of the clip's vehicles in space, as drawn, without their lateral offsets."""
+def _reconstruct(clip: Clip, configuration: SpeedConfiguration) -> tuple[dict[str, Path], list[Message]]:
+    """The paths of the clip's vehicles in space, as drawn, without their lateral offsets.
+
+    Of a path that its drawing does not determine there is a notice instead: its vehicles are measured in free motion.
+    Raises UnusableInput where a motion along such a path was asked for.
+    """
+    drawn: dict[str, Path] = {}
+    undetermined: list[Message] = []
     if configuration.motion == "free":
-        return {}
+        return drawn, undetermined
     shape = None if configuration.motion == "auto" else configuration.motion
-    drawn = {}
     for name in dict.fromkeys(v.path for v in clip.vehicles if v.path is not None):
         try:
             drawn[name] = path_from_document(clip.paths[name], clip.rig, shape, configuration.line_sigma)
-        except UnusableInput as unusable:
-            raise UnusableInput(f"{clip.path}: {unusable}") from None
-    return drawn
+        except UndeterminedPath as path:
+            if shape is not None:
+                raise UnusableInput(f"{clip.path}: {path}") from None
+            undetermined.append(message("path_undetermined", path=path.name, cause=path.cause))
+    return drawn, undetermined
 
 
 def _path_drawing(rig: StereoRig, path: Path) -> PathDrawing:

@@ -19,10 +19,19 @@ from paceline.cameras import Camera, StereoRig
 from paceline.errors import UnusableInput
 from paceline.speed.configuration import DEFAULTS
 
+ANOTHER_LINE = "draw another line, or leave the vehicle without a path"
 MAX_DIRECTION_STD_RAD = np.radians(6.0)  # standard deviation of the direction above which a drawing is refused
 MIN_PLANE_SEPARATION_SIGMA = 5.0  # angle between the two views' planes through the line, in standard deviations
 SURVEY_SIGMA_M = 0.02  # standard deviation of a surveyed point, m
 PATH_SAMPLES = 128
+
+
+class UndeterminedPath(UnusableInput):
+    """A drawing that does not determine its path in space: for which ``cause``, and what is ``expected`` instead."""
+
+    def __init__(self, name: str, cause: str, expected: str) -> None:
+        self.name, self.cause = name, cause
+        super().__init__(f"path {name}: {cause}; {expected}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,9 +205,10 @@ def reconstruct_line(name: str, rig: StereoRig, left: Array, right: Array, sigma
         covariance[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = cov
     c = crossing(x0)
     slope = c @ jacobian(crossing, x0, 1e-6)
-    parallel = UnusableInput(
-        f"path {name}: the drawn line is nearly parallel to the epipolar lines, so the two views do not determine "
-        "it in space; draw another line, or leave the vehicle without a path"
+    parallel = UndeterminedPath(
+        name,
+        "the drawn line is nearly parallel to the epipolar lines, so the two views do not determine it in space",
+        ANOTHER_LINE,
     )
     if c @ c <= MIN_PLANE_SEPARATION_SIGMA * np.sqrt(slope @ covariance @ slope):  # the std of |c|, times |c|
         raise parallel
@@ -210,7 +220,7 @@ def reconstruct_line(name: str, rig: StereoRig, left: Array, right: Array, sigma
         raise parallel
     depths = np.array([_depth_on_line(rig.left, k, foot, p) for p in left])
     if not (depths > 0).any():
-        raise UnusableInput(f"path {name}: reconstructs behind the cameras; expected the same road line in both views")
+        raise UndeterminedPath(name, "reconstructs behind the cameras", "expected the same road line in both views")
     ends = np.array([foot + k * s for s in _stretch_in_front(rig.left, k, foot, left)])
     return _line_path(name, ends, cov, foot, k)
 
