@@ -137,7 +137,7 @@ def test_a_drawing_is_as_precise_as_it_is_said_to_be(rig, shape):
     """Few exact points do not show how precisely they were drawn."""
     points, _ = line_points(*GEOMETRIES[0])
     drawn = drawn_line(rig, points)
-    paths = [reconstruct("a", shape, rig, *drawn, sigma) for sigma in (0.2, 0.4)]
+    paths = [reconstruct("a", shape, rig, *drawn, sigma) for sigma in (0.1, 0.8)]
     fine, coarse = (np.median(np.linalg.norm(path.heading_modes(path.s)[0], axis=0)) for path in paths)
     assert coarse > 1.3 * fine
 

@@ -33,7 +33,7 @@ VERTICAL_CURVATURE_STD = 1e-3  # 1/m, of the road's mean vertical curvature: cre
 GRADIENT_STD = (0.05, 0.2)  # of the surface's fall to the right of the camera, by roll and bank, and ahead, by its tilt
 PLANE_ITERATIONS = 5  # of the robust fit of the first plane
 FOOT_POINT_ITERATIONS = 6  # of Newton's method for the point of a curve that is nearest to a drawn one
-HUBER_SIGMA = 1.5  # standard deviations from which a residual counts linearly
+CROSSING_HUBER_SIGMA = 1.5  # standard deviations from which a residual counts linearly
 USUAL_CAMERA_HEIGHT_M = 2.0  # m above the road, to begin with
 MAX_ROAD_M = 150.0  # m from the camera up to which a road is reconstructed
 
@@ -283,7 +283,7 @@ def _plane_of_crossings(rig: StereoRig, points: Array, sines: Array, sigma: floa
         A = np.vstack([weights[:, None] * rows, gradient_prior])
         n = np.linalg.lstsq(A, np.append(weights * inverse_depths, [0.0, 0.0]), rcond=None)[0]
         residuals = precision * np.abs(rows @ n - inverse_depths)
-        weights = precision * np.sqrt(np.minimum(1.0, HUBER_SIGMA / np.maximum(residuals, 1e-9)))
+        weights = precision * np.sqrt(np.minimum(1.0, CROSSING_HUBER_SIGMA / np.maximum(residuals, 1e-9)))
     return np.asarray(n)
 
 
