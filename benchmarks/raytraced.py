@@ -20,7 +20,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 from common import head, machine, measured, read_truth, rms, row, share_out, true_mean, why_not
-from follow import OFF_PLACE, OFF_RANGE, SEEN, WITHIN
+from follow import OFF_PLACE, OFF_RANGE, SEEN
 
 from paceline import load_clip, load_follow, open_camera
 from paceline.documents.loading import FollowClip
@@ -28,7 +28,7 @@ from paceline.follow.following import follow
 from paceline.simulation.operator import OPERATOR_NOISE
 from paceline.simulation.raytraced.scene_yaml import load_follow_scene, load_speed_scene
 from paceline.speed.results import Measurement
-from paceline.units import SpeedUnit
+from paceline.units import COVERAGE_95, SpeedUnit
 
 KMH = SpeedUnit.KMH.mps
 NAN = float("nan")
@@ -218,7 +218,7 @@ def run_chase(begun: tuple[Path, int]) -> Chase:
         x, _, z = e.position - np.array(true["position"])
         off = float(np.linalg.norm(e.center - np.array(true["center"])))
         wrong = bool(abs(z) > OFF_RANGE * far or off > OFF_PLACE * true["width_px"])
-        covered = bool(abs(z) <= WITHIN * e.position_std[2])
+        covered = bool(abs(z) <= COVERAGE_95 * e.position_std[2])
         sights.append(Sight(far, True, wrong, float(z / far), float(x), covered))
     name = f"{folder.name}, start {start}" if start else folder.name
     return Chase(name, load_follow_scene(folder / "scene.yaml").model_dump(), sights)
