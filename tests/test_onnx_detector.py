@@ -499,6 +499,8 @@ def test_live_with_a_detector_needs_no_background(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert "estimating" not in done.stdout and "2 of 2 vehicles measured" in done.stdout
     summary = summary_of(out)
+    configuration = summary["configuration"]
+    assert configuration["background"]["seconds"] == configuration["learn"] == 0.0
     speeds = sorted(v["speed_mps"] for v in summary["vehicles"])
     assert speeds == pytest.approx([13.0 * 2 / 5, 16.0 * 2 / 5], abs=0.1)  # m/s, at two frames a second instead of five
     assert summary["configuration"]["detector"].startswith("model.onnx (SHA-256 ")
