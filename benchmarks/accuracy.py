@@ -100,9 +100,9 @@ def run(seeds: Sequence[int], suite: str, gamma: float, rig: str) -> list[Outcom
 
 def _describe(scene: Scene) -> str:
     vehicle, (near, far) = scene.vehicles[0], distances(scene)
-    way = f"{near:.0f} → {far:.0f} m" if vehicle.receding else f"{far:.0f} → {near:.0f} m"
+    distance_text = f"{near:.0f} → {far:.0f} m" if vehicle.receding else f"{far:.0f} → {near:.0f} m"
     if not scene.draw_path:
-        way = f"{far - near:.0f} m across, {scene.road_depth:.0f} m away"
+        distance_text = f"{far - near:.0f} m across, {scene.road_depth:.0f} m away"
     pictures = scene.frames - len(scene.dropped)
     extras = [
         f"curve {scene.radius:.0f} m" if scene.radius else "",
@@ -110,7 +110,9 @@ def _describe(scene: Scene) -> str:
         "pole" if scene.occluder else "",
         "glare" if vehicle.glare else "",
     ]
-    return ", ".join([way, f"{pictures} × {1 / scene.rate:.2f} s", f"f {scene.focal:.0f}", *filter(None, extras)])
+    return ", ".join(
+        [distance_text, f"{pictures} × {1 / scene.rate:.2f} s", f"f {scene.focal:.0f}", *filter(None, extras)]
+    )
 
 
 def _compared(m: Measurement, true: float) -> dict[str, Any]:
@@ -170,7 +172,7 @@ def main() -> None:
     args = parser.parse_args()
     if args.together > 1 and args.suite != "plain":
         parser.error("--together: goes with --suite plain, whose clips are all by the same cameras")
-    begun, outcomes = time.perf_counter(), []
+    start_time, outcomes = time.perf_counter(), []
     print(head("seed", "clip", "true, mph", "error", "95 % ±", "z", "model", "verdict"), flush=True)
     seeds = range(args.seed, args.seed + args.n)
     by_rig = [seeds[i : i + args.together] for i in range(0, args.n, args.together)]
@@ -183,7 +185,7 @@ def main() -> None:
     print(f"\nSuite {args.suite}, seeds {args.seed} to {args.seed + args.n - 1}:\n\n{summary(outcomes)}")
     rejected = [str(o.seed) for o in outcomes if not o.is_measured]
     print(f"\n{len(rejected)} of {args.n} rejected{': seeds ' + ', '.join(rejected) if rejected else ''}.")
-    print(f"{time.perf_counter() - begun:.0f} s with {args.workers} processes.\n\n{machine()}")
+    print(f"{time.perf_counter() - start_time:.0f} s with {args.workers} processes.\n\n{machine()}")
 
 
 if __name__ == "__main__":

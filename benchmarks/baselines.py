@@ -52,13 +52,13 @@ class Outcome:
 
 def found_by(method: str, clip: Clip) -> tuple[ClipResult, float]:
     """The result and the processor seconds per frame."""
-    recording, begun = open_recording(clip), time.process_time()
+    recording, start_time = open_recording(clip), time.process_time()
     if method in OURS:
         result = measure(clip, recording, SpeedConfiguration(refine=OURS[method]))
     else:
         result = measure_by(clip, recording, method, SpeedConfiguration())
     frames = max(len(m.track.frame) for m in result.measurements)
-    return result, (time.process_time() - begun) / max(1, frames)
+    return result, (time.process_time() - start_time) / max(1, frames)
 
 
 def compared(method: str, m: Measurement, truth: Rows, seconds: float) -> Outcome:
@@ -67,9 +67,9 @@ def compared(method: str, m: Measurement, truth: Rows, seconds: float) -> Outcom
     tracked = np.array([s == "tracking" for s in m.track.status])
     tracked[0] = False  # nothing is known of the speed yet
     speeds = common.true_speeds(truth, m)[tracked]
-    off = [(s[tracked] - speeds) / MPH for s in (m.track.speed, m.track.refined_speed)]
+    errors = [(s[tracked] - speeds) / MPH for s in (m.track.speed, m.track.refined_speed)]
     error, half = m.speed - common.true_mean(truth, m), (m.speed_hi - m.speed_lo) / 2
-    return Outcome(method, error / MPH, half / MPH, *(o[np.isfinite(o)] for o in off), seconds, m.reason)
+    return Outcome(method, error / MPH, half / MPH, *(o[np.isfinite(o)] for o in errors), seconds, m.reason)
 
 
 def by_each(scene: Scene, methods: Sequence[str]) -> list[Outcome]:

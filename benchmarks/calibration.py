@@ -67,8 +67,8 @@ def run(task: tuple[int, bool]) -> Outcome:
     try:
         c = calibrate(found)
     except UnusableInput as error:
-        nothing = np.full(len(RIG_PARAMETER_NAMES) + 1, np.nan)
-        return Outcome(seed, what, nothing, nothing, spoilt, set(), str(error), time.perf_counter() - began)
+        undefined = np.full(len(RIG_PARAMETER_NAMES) + 1, np.nan)
+        return Outcome(seed, what, undefined, undefined, spoilt, set(), str(error), time.perf_counter() - began)
     seconds = time.perf_counter() - began
     effect = next(e.along for e in c.effects if e.distance == JUDGED)
     errors = np.append(parameter_step(c.fit.rig, setup.rig), speed_error(c, setup.rig))
@@ -81,21 +81,21 @@ def speed_error(c: Calibration, true: RigState) -> float:
     """By how much a speed at 50 m along the line of sight really comes out wrong, through the whole lens model."""
     ends = np.array([[0.0, 0.0, JUDGED - 5], [0.0, 0.0, JUDGED + 5]])
     truth = true.stereo(c.views.sizes)
-    seen = []
+    estimated = []
     for side, (camera, found) in enumerate(zip(truth.cameras, c.rig.cameras, strict=True)):
         points = ends if side == 0 else truth.to_right(ends)
         D = camera.distortion if camera.has_distortion else np.zeros(5)
         pixels = cv2.projectPoints(points, np.zeros(3), np.zeros(3), camera.K, D)[0]
-        seen.append(found.undistort_points(np.asarray(pixels, float)[:, 0]))
-    measured = triangulate(c.rig, seen[0], seen[1])
+        estimated.append(found.undistort_points(np.asarray(pixels, float)[:, 0]))
+    measured = triangulate(c.rig, estimated[0], estimated[1])
     return float(np.linalg.norm(measured[1] - measured[0])) / 10.0 - 1
 
 
 def _spoilt(pairs: list[Pair], rng: np.random.Generator, sigma: float) -> tuple[list[Pair], set[int]]:
     """Some of: a pair that does not belong together, a picture with scattered corners, a board taken for another."""
-    which = [kind for kind in range(3) if rng.uniform() < 0.5]
-    at = rng.choice(len(pairs), len(which), replace=False).tolist()
-    for v, kind in zip(at, which, strict=True):
+    kinds = [kind for kind in range(3) if rng.uniform() < 0.5]
+    at = rng.choice(len(pairs), len(kinds), replace=False).tolist()
+    for v, kind in zip(at, kinds, strict=True):
         left, right = pairs[v]
         if kind == 0:  # moved by some pixels between the exposures
             direction = rng.normal(size=2)
@@ -122,9 +122,9 @@ def _filmed(setup: CalibrationSetup, rng: np.random.Generator) -> tuple[list[Pai
         if v == moved and len(found[1]):
             found[1] = Corners(found[1].ids, found[1].pixels + [3.0, 1.5])
         pairs.append((found[0], found[1]))
-    seen = [i for i, (a, b) in enumerate(pairs) if len(a) or len(b)]
+    visible = [i for i, (a, b) in enumerate(pairs) if len(a) or len(b)]
     both = len(pairs[moved][0]) and len(pairs[moved][1])
-    return [pairs[i] for i in seen], {seen.index(moved)} if both else set()
+    return [pairs[i] for i in visible], {visible.index(moved)} if both else set()
 
 
 def main() -> None:

@@ -29,13 +29,13 @@ def scene(frames: int, seed: int) -> Scene:
 
 def run(clip: Path) -> tuple[float, float]:
     """Seconds and peak memory (MB) of ``paceline speed`` in a process of its own."""
-    begun = time.perf_counter()
+    start_time = time.perf_counter()
     command = [sys.executable, "-m", "paceline", "speed", str(clip), "-o", str(clip.parent / "out"), "--quiet"]
     process = subprocess.Popen(command)
     _, status, usage = os.wait4(process.pid, 0)
     if status:
         raise SystemExit(f"{' '.join(command)}: exit status {os.waitstatus_to_exitcode(status)}")
-    return time.perf_counter() - begun, usage.ru_maxrss * 1024 / 1e6
+    return time.perf_counter() - start_time, usage.ru_maxrss * 1024 / 1e6
 
 
 def main() -> None:

@@ -56,8 +56,8 @@ def plain_scene(seed: int, **overrides: Any) -> Scene:
 def distances(scene: Scene) -> tuple[float, float]:
     """The nearest and the farthest point of the vehicle's way, metres along the road."""
     vehicle, duration = scene.vehicles[0], (scene.frames - 1) / scene.rate
-    way = vehicle.speed * duration + vehicle.acceleration * duration**2 / 2
-    ends = vehicle.start_distance, vehicle.start_distance + (way if vehicle.receding else -way)
+    travel = vehicle.speed * duration + vehicle.acceleration * duration**2 / 2
+    ends = vehicle.start_distance, vehicle.start_distance + (travel if vehicle.receding else -travel)
     return min(ends), max(ends)
 
 

@@ -150,11 +150,11 @@ def countable(of: Scene, kind: str) -> list[str]:
     before = [bush.card for bush in _bushes(world, kind)]
     if of.occluder:  # as the renderer draws it
         before.append(make_occluder(world.road, world.poses[0][0], np.random.default_rng([of.seed, 17])))
-    seen: Counter[str] = Counter()
+    frame_counts: Counter[str] = Counter()
     for k in range(of.frames):
         clear = set(_clear_in(world, 0, k, before)) & set(_clear_in(world, 1, k, before))
-        seen.update(clear & {r["vehicle"] for r in world.truth if r["frame"] == k and _in_range(r)})
-    return [name for name, frames in seen.items() if frames >= FRAMES]
+        frame_counts.update(clear & {r["vehicle"] for r in world.truth if r["frame"] == k and _in_range(r)})
+    return [name for name, frames in frame_counts.items() if frames >= FRAMES]
 
 
 def _bushes(world: World, kind: str) -> list[Bush]:
@@ -177,9 +177,9 @@ def _clear_in(world: World, i: int, k: int, before: list[TexturedPlane]) -> Iter
         if view.depth(corners).min() > 1.0:
             while cards and view.depth(cards[0].corner) < view.depth(pose.centre):
                 fill(nearer, view.project(cards.pop(0).corners()))
-            mine = np.zeros_like(nearer)
-            fill(mine, view.project(corners))
-            if mine.any() and (mine & ~nearer & 1).sum() >= VISIBLE * mine.sum():
+            region = np.zeros_like(nearer)
+            fill(region, view.project(corners))
+            if region.any() and (region & ~nearer & 1).sum() >= VISIBLE * region.sum():
                 yield vehicle.id
             fill(nearer, view.project(body(vehicle, pose)))
 
@@ -219,20 +219,20 @@ def play(seed: int, kind: str, tally: Tally, count: bool) -> list[str]:
         recording = open_recording(clip)
         search = find_vehicles(clip, recording)
         names = [who(clip, v, truth) for v in search.clip.vehicles]
-        times, wanted = Counter(name for name in names if name is not None), countable(of, kind)
+        times, expected = Counter(name for name in names if name is not None), countable(of, kind)
         both = zip(search.clip.vehicles, names, strict=True)
         real = {n: replace(v, id=n) for v, n in both if n is not None and not count}
-        told = speeds(replace(clip, vehicles=list(real.values())), recording, list(real), truth)
-        tally.speeds.extend(told.values())
-        tally.counts["with a speed"] += sum(s.is_measured for name, s in told.items() if name in wanted)
+        results = speeds(replace(clip, vehicles=list(real.values())), recording, list(real), truth)
+        tally.speeds.extend(results.values())
+        tally.counts["with a speed"] += sum(s.is_measured for name, s in results.items() if name in expected)
     wrong = {
-        "missed": [n for n in wanted if times[n] == 0],
+        "missed": [n for n in expected if times[n] == 0],
         "twice": [n for n, count in times.items() if count > 1],
         "false": ["?"] * names.count(None),
     }
-    tally.counts.update(vehicles=len(wanted), once=sum(times[n] == 1 for n in wanted))
+    tally.counts.update(vehicles=len(expected), once=sum(times[n] == 1 for n in expected))
     tally.counts.update({what: len(who) for what, who in wrong.items()})
-    wrong["outside its interval"] = [f"{n} {s}" for n, s in told.items() if s.is_measured and abs(s.error) > s.half]
+    wrong["outside its interval"] = [f"{n} {s}" for n, s in results.items() if s.is_measured and abs(s.error) > s.half]
     return [f"{kind} {seed}: {', '.join(names)} {what}" for what, names in wrong.items() if names]
 
 
@@ -277,9 +277,9 @@ def nothing(minutes: float, seed: int) -> str:
     finder = VehicleFinder(lane_paths_of(clip), RunningMedianBackground(background.images))
     seconds, count, found = 0.0, 0, 0
     for frame in frames:
-        begun = time.process_time()
+        start_time = time.process_time()
         found += len(finder.process(frame))
-        seconds, count = seconds + time.process_time() - begun, count + 1
+        seconds, count = seconds + time.process_time() - start_time, count + 1
     found += len(finder.finish())
     return (
         f"{count} frames of an empty road ({count / EMPTY_RATE / 60:.1f} min, seed {seed}): {found} found, "

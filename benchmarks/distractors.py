@@ -100,9 +100,9 @@ class Bush:
 
     def wave(self, image: Image, view: PosedCamera, t: float) -> None:
         a = 2 * np.pi * self.frequency * t + self.phase
-        aside = self.swing * (np.sin(a) * self.card.across / np.linalg.norm(self.card.across))
+        offset = self.swing * (np.sin(a) * self.card.across / np.linalg.norm(self.card.across))
         lift = 0.3 * self.swing * np.cos(1.7 * a) * self.card.down / np.linalg.norm(self.card.down)
-        composite(image, draw_planes([replace(self.card, corner=self.card.corner + aside + lift)], view, 0.6, 1))
+        composite(image, draw_planes([replace(self.card, corner=self.card.corner + offset + lift)], view, 0.6, 1))
 
 
 def bushes(world: World, rng: np.random.Generator) -> list[Bush]:
@@ -152,8 +152,8 @@ def _shine(
         spot = np.array([side * LAMPS[0] * vehicle.width, LAMPS[1] * vehicle.height])
         centre = pose.centre + pose.axes[:, :2] @ spot
         at, sigma = view.project(centre), size * view.camera.K[0, 0] / float(view.depth(centre))
-        seen = np.hypot(sigma, world.scene.blur_sigma)
-        shown = _glow(image, at, seen, peak * (sigma / seen) ** 2, hidden)
+        blur = np.hypot(sigma, world.scene.blur_sigma)
+        shown = _glow(image, at, blur, peak * (sigma / blur) ** 2, hidden)
         if not vehicle.receding:
             _glow(image, at, 5 * sigma, 0.05 * peak * shown, None)
             ahead = centre + world.road.down * 0.6 - 4.0 * pose.axes[:, 2]

@@ -103,10 +103,10 @@ def main() -> None:
         if args.each:
             name = f"{done.scene}, seed {done.seed}, {done.kind}"
             print(row(name, *cells([done]), ", ".join(done.failed) or "–"), flush=True)
-        mine = [d for d in drives if d.scene == done.scene]
-        if len(mine) == args.n:
-            failed = sorted({what for d in mine for what in d.failed})
-            print(row(f"`{done.scene}`", *cells(mine), ", ".join(failed) or "–"), flush=True)
+        same_scene = [d for d in drives if d.scene == done.scene]
+        if len(same_scene) == args.n:
+            failed = sorted({what for d in same_scene for what in d.failed})
+            print(row(f"`{done.scene}`", *cells(same_scene), ", ".join(failed) or "–"), flush=True)
     print("\n" + machine())
 
 

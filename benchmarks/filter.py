@@ -125,15 +125,18 @@ def main() -> None:
             errors = (f"{r.later.max():.2f}", f"{rms(r.later):.2f}")
             print(row(r.clip, r.scene, f"{r.factor - 1:+.0%}", r.converged_after, *errors), flush=True)
     soon = sum(bool((r.later <= NEAR).all()) for r in runs)
-    worst, typical = max(r.later.max() for r in runs), rms(np.concatenate([r.later for r in runs]))
+    max_error, typical = max(r.later.max() for r in runs), rms(np.concatenate([r.later for r in runs]))
     print(f"\n{soon} of {len(runs)} within {NEAR:.0f} mph from step {STEPS} on.")
-    print(f"Largest error from then on {worst:.2f} mph, RMS {typical:.2f} mph.\n")
+    print(f"Largest error from then on {max_error:.2f} mph, RMS {typical:.2f} mph.\n")
     print(head("a vehicle that", "clips", "second frame: off by > 10 %", "RMS, %", "z RMS", "later: RMS, %", "z RMS"))
     for kind in KINDS:
         found = np.array(list(share_out(first_speeds, [(kind, seed) for seed in range(FIRST)], args.workers)))
-        off, std = found[:, 0], found[:, 1]
-        z = [f"{rms(one):.1f}" for one in (off / std).T]
-        wrong, (first, later) = int((np.abs(off[:, 0]) > 0.1).sum()), (f"{100 * rms(one):.1f}" for one in off.T)
+        share_off, std = found[:, 0], found[:, 1]
+        z = [f"{rms(one):.1f}" for one in (share_off / std).T]
+        wrong, (first, later) = (
+            int((np.abs(share_off[:, 0]) > 0.1).sum()),
+            (f"{100 * rms(one):.1f}" for one in share_off.T),
+        )
         print(row(kind, str(FIRST), str(wrong), first, z[0], later, z[1]), flush=True)
     print(f"\n{machine()}")
 

@@ -117,14 +117,14 @@ def steps(seed: int, device: Any, until: float) -> None:
         for particles in PARTICLES:
             cells = dict.fromkeys(names, "")
             for name, n in zip(names, [*threads, 0], strict=True):
-                there = name == "GPU"
+                is_gpu = name == "GPU"
                 expected = 1e-3 * per_particle[name] * vehicles * particles
-                if 2 * expected > CELL or time.perf_counter() + 2 * expected > until or (there and device is None):
+                if 2 * expected > CELL or time.perf_counter() + 2 * expected > until or (is_gpu and device is None):
                     continue
-                if vehicles * particles > (device.free_memory() / BYTES if there else 300_000):
+                if vehicles * particles > (device.free_memory() / BYTES if is_gpu else 300_000):
                     continue
                 numba.set_num_threads(n or threads[-1])
-                ms = milliseconds(Road(particles, vehicles, seed, device if there else None).step, until)
+                ms = milliseconds(Road(particles, vehicles, seed, device if is_gpu else None).step, until)
                 per_particle[name] = ms / (vehicles * particles)
                 cells[name] = f"{ms:.3g}"
             if any(cells.values()):

@@ -47,7 +47,7 @@ def true_lanes(placed: PlacedStereoScene) -> list[Array]:
     return found
 
 
-def aside(lane: Lane, truth: Array, rig: StereoRig) -> Array:
+def lateral_offsets(lane: Lane, truth: Array, rig: StereoRig) -> Array:
     """Distances (N,) of a proposed path from a true centre line where the path is drawn, up to 80 m ahead."""
     assert lane.path is not None
     points = lane.path.points[(lane.path.points[:, 2] > NEAREST) & (lane.path.points[:, 2] < FARTHEST)]
@@ -79,9 +79,9 @@ def main(folders: list[Path]) -> None:
             lanes = []
             print(f"{folder.name}: {reason}")
         seconds = time.process_time() - start
-        met, errors, off = set(), [], []
+        met, errors, offsets = set(), [], []
         for lane in lanes:
-            misses = [float(np.median(aside(lane, truth, clip.rig))) for truth in truths]
+            misses = [float(np.median(lateral_offsets(lane, truth, clip.rig))) for truth in truths]
             k = int(np.argmin(misses)) if misses else -1
             if k < 0 or misses[k] > SAME:
                 false += 1
@@ -92,11 +92,11 @@ def main(folders: list[Path]) -> None:
             inside += abs(error) <= COVERAGE_95 * lane.width_std
             widths.append(error)
             middles.append(misses[k])
-            off.append(misses[k])
+            offsets.append(misses[k])
         found, total = found + len(met), total + len(truths)
         print(
             f"{folder.name:17} {len(truths):5}  {len(met):5}  {len(lanes) - len(errors):5}  {'  '.join(errors):33}  "
-            f"{' '.join(f'{m:.2f}' for m in off):9}  {seconds:.0f}"
+            f"{' '.join(f'{m:.2f}' for m in offsets):9}  {seconds:.0f}"
         )
     if widths:
         rms = np.sqrt(np.mean(np.square(widths)))

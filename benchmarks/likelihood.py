@@ -63,8 +63,8 @@ class Work:
 
     def whole(self) -> Array:
         """Homographies, kernel, normalisation and log-likelihood, as the filter calls them."""
-        seen = likelihood.observe(*self.packed, self.quads_left, self.quads_right, self.cross, self.grid)
-        return likelihood.log_likelihood(seen, seen.features[0], 15.0, 20.0)
+        observation = likelihood.observe(*self.packed, self.quads_left, self.quads_right, self.cross, self.grid)
+        return likelihood.log_likelihood(observation, observation.features[0], 15.0, 20.0)
 
     def pack(self) -> list[PackedImage]:
         return [likelihood.pack(image) for image in (self.left, self.right)]
@@ -82,22 +82,22 @@ class WithOpenCV:
     def sample(self) -> Floats:
         """What each particle sees (N, 3, H, W): left and right region, and the left one carried into the right view."""
         images, flags = (self.work.left, self.work.right, self.work.right), cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        seen = np.empty((len(self.maps), 3, self.size[1], self.size[0]), np.float32)
-        for maps, out in zip(self.maps, seen, strict=True):
+        samples = np.empty((len(self.maps), 3, self.size[1], self.size[0]), np.float32)
+        for maps, out in zip(self.maps, samples, strict=True):
             for image, M, region in zip(images, maps, out, strict=True):
                 cv2.warpPerspective(image, M, self.size, dst=region, flags=flags)
-        return seen
+        return samples
 
     def whole(self) -> tuple[Floats, Floats]:
         """Wavelet coefficients (N, 2, parts, 16) and correlations (N,)."""
-        seen = self.sample()
-        rows = seen[:, :, :: patch_features_cpu.CORRELATION_ROW_STEP]
-        return self._wavelets(seen[:, :2]), self._correlations(rows[:, 0], rows[:, 2])
+        samples = self.sample()
+        rows = samples[:, :, :: patch_features_cpu.CORRELATION_ROW_STEP]
+        return self._wavelets(samples[:, :2]), self._correlations(rows[:, 0], rows[:, 2])
 
-    def _wavelets(self, seen: Floats) -> Floats:
+    def _wavelets(self, samples: Floats) -> Floats:
         grid, (x, y) = self.work.grid, self.work.grid.samples
-        blocks = seen.reshape(*seen.shape[:2], grid.down, 4, y, grid.across, 4, x).sum((4, 7))
-        parts = blocks.swapaxes(3, 4).reshape(*seen.shape[:2], grid.parts, 4, 4)
+        blocks = samples.reshape(*samples.shape[:2], grid.down, 4, y, grid.across, 4, x).sum((4, 7))
+        parts = blocks.swapaxes(3, 4).reshape(*samples.shape[:2], grid.parts, 4, 4)
         fine = _haar(parts)  # (4, N, 2, parts, 2, 2)
         coarse = np.moveaxis(_haar(fine[0])[..., 0, 0], 0, -1)
         details = np.moveaxis(fine[1:].reshape(3, *parts.shape[:3], 4), 0, -1)
@@ -129,10 +129,10 @@ def step_clock(clip: Clip, configuration: SpeedConfiguration) -> Iterator[float]
     while True:
         tracker = Tracker(clip.rig, vehicle, path, drawn.lateral_offset, configuration)
         for k, frame in enumerate(frames):
-            begun = time.perf_counter()
+            start_time = time.perf_counter()
             status = tracker.update(frame).status
             if k >= 2:
-                yield time.perf_counter() - begun
+                yield time.perf_counter() - start_time
             if status != "tracking":
                 break
 
@@ -140,9 +140,9 @@ def step_clock(clip: Clip, configuration: SpeedConfiguration) -> Iterator[float]
 def clock(job: Callable[[], object]) -> Iterator[float]:
     """Seconds that ``job`` takes, again and again."""
     while True:
-        begun = time.perf_counter()
+        start_time = time.perf_counter()
         job()
-        yield time.perf_counter() - begun
+        yield time.perf_counter() - start_time
 
 
 def milliseconds(clock: Iterator[float], n: int, threads: int) -> str:
@@ -178,8 +178,11 @@ def main() -> None:
             print(row(name, *(milliseconds(step_clock(clip, configuration), args.n, k) for k in threads)), flush=True)
     features, ncc = opencv.whole()
     work.kernel()
-    off = np.abs(features - work.features).max() / features.std(), np.abs(ncc - work.ncc).max()
-    print(f"\nOpenCV and the kernel: coefficients agree to {off[0]:.3f} of their spread, correlations to {off[1]:.4f}.")
+    differences = np.abs(features - work.features).max() / features.std(), np.abs(ncc - work.ncc).max()
+    print(
+        f"\nOpenCV and the kernel: coefficients agree to {differences[0]:.3f} of their spread, "
+        f"correlations to {differences[1]:.4f}."
+    )
     print(f"\n{machine()}")
 
 

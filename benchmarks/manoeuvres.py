@@ -63,10 +63,12 @@ def scene_of(kind: str, seed: int) -> Scene:
 def _suits(scene: Scene) -> bool:
     duration = (scene.frames - 1) / scene.rate
     vehicle = scene.vehicles[0]
-    way = float(Motion(PlacedRoad(scene), vehicle, duration).travelled(np.array(duration)))
-    ends = vehicle.start_distance, vehicle.start_distance + (way if vehicle.receding else -way)
+    distance = float(Motion(PlacedRoad(scene), vehicle, duration).travelled(np.array(duration)))
+    ends = vehicle.start_distance, vehicle.start_distance + (distance if vehicle.receding else -distance)
     when = 3 * vehicle.acceleration_start / duration
-    return scene.frames >= 10 and way >= 25 and min(ends) >= 15 and max(ends) <= 80 and (not when or 1 <= when <= 2)
+    return (
+        scene.frames >= 10 and distance >= 25 and min(ends) >= 15 and max(ends) <= 80 and (not when or 1 <= when <= 2)
+    )
 
 
 def run(item: tuple[str, int]) -> list[Outcome]:
@@ -117,8 +119,8 @@ def _summary(outcomes: list[Outcome]) -> list[str]:
 
 
 def _rms_and_worst(errors: list[Array]) -> tuple[str, str]:
-    together = np.concatenate(errors)
-    return f"{rms(together):.3f}", f"{np.abs(together).max():.2f}"
+    all_errors = np.concatenate(errors)
+    return f"{rms(all_errors):.3f}", f"{np.abs(all_errors).max():.2f}"
 
 
 def _cell(o: Outcome) -> str:

@@ -72,8 +72,8 @@ def main() -> None:
     for name, column in zip(METHODS, np.array(errors).T, strict=True):
         known = np.isfinite(column)
         e, share = column[known] / MPH, 100 * column[known] / np.array(speeds)[known]
-        worst = np.abs(share).max(), np.abs(e).max()
-        numbers = (share.mean(), rms(share), worst[0], rms(e), worst[1])
+        max_errors = np.abs(share).max(), np.abs(e).max()
+        numbers = (share.mean(), rms(share), max_errors[0], rms(e), max_errors[1])
         print(row(name, known.sum(), *(f"{x:+.2f}" if i == 0 else f"{x:.2f}" for i, x in enumerate(numbers))))
     print(f"\n{machine()}")
 

@@ -177,8 +177,8 @@ class Chase:
 
     def describe(self) -> str:
         light, low = self.scene["light"], min(s.far for s in self.sights)
-        way = f"{low:.0f}–{max(s.far for s in self.sights):.0f} m"
-        return f"{self.kind}, {way}, clouds {light['clouds']:.1f}, noise {noise_of(self.scene):.4f}"
+        distances = f"{low:.0f}–{max(s.far for s in self.sights):.0f} m"
+        return f"{self.kind}, {distances}, clouds {light['clouds']:.1f}, noise {noise_of(self.scene):.4f}"
 
 
 CHASE_GROUPS: Groups = {
@@ -199,9 +199,9 @@ SIGHT_GROUPS: Groups = {
 }
 
 
-def run_chase(begun: tuple[Path, int]) -> Chase:
+def run_chase(job: tuple[Path, int]) -> Chase:
     """Follow and compare the clip in a folder, from its own start or, with a number above 0, from another one."""
-    folder, start = begun
+    folder, start = job
     clip = load_follow(folder / "follow.yaml")
     truth = {r["frame"]: r for r in json.loads((folder / "truth.json").read_text())}
     if start:
@@ -252,8 +252,8 @@ def print_chase(o: Chase) -> None:
 def chase_summary(outcomes: Sequence[Chase]) -> str:
     lines = [head("group", "clips", "without a frame lost or wrong", *CHASE_COLUMNS)]
     for name, group in grouped(outcomes, CHASE_GROUPS):
-        whole = sum(all(s.tracking and not s.wrong for s in o.sights) for o in group)
-        lines.append(row(name, len(group), whole, *sight_cells([s for o in group for s in o.sights])))
+        complete = sum(all(s.tracking and not s.wrong for s in o.sights) for o in group)
+        lines.append(row(name, len(group), complete, *sight_cells([s for o in group for s in o.sights])))
     for name, sights in grouped([s for o in outcomes for s in o.sights], SIGHT_GROUPS):
         lines.append(row(name, "–", "–", *sight_cells(sights)))
     return "\n".join(lines)
@@ -271,7 +271,7 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2, help="processes")
     parser.add_argument("--starts", type=int, default=1, help="operators' starts of each chase")
     args = parser.parse_args()
-    begun = time.perf_counter()
+    start_time = time.perf_counter()
     if speeds := sorted(p.parent for p in args.suite.glob("*/clip.yaml")):
         print(head("clip", "scene", "true, km/h", "error", "95 % ±", "verdict"), flush=True)
         measurements = []
@@ -288,7 +288,7 @@ def main() -> None:
         print(f"\n{chase_summary(followed)}\n")
     if not speeds and not chases:
         parser.error(f"{args.suite}: holds no clips; expected the folder of a suite")
-    print(f"{time.perf_counter() - begun:.0f} s with {args.workers} processes.\n\n{machine()}")
+    print(f"{time.perf_counter() - start_time:.0f} s with {args.workers} processes.\n\n{machine()}")
 
 
 if __name__ == "__main__":

@@ -44,19 +44,19 @@ class Speed:
 
 def countable(truth: Rows) -> list[str]:
     """The vehicles that are wholly visible for long enough."""
-    seen = Counter(row["vehicle"] for row in truth if row["inside"] and row["visible"] >= VISIBLE)
-    return [name for name, frames in seen.items() if frames >= FRAMES]
+    frame_counts = Counter(row["vehicle"] for row in truth if row["inside"] and row["visible"] >= VISIBLE)
+    return [name for name, frames in frame_counts.items() if frames >= FRAMES]
 
 
 def who(clip: Clip, vehicle: VehicleDocument, truth: Rows) -> str | None:
     """The true vehicle whose plane is where ``vehicle`` is outlined; of several, as far as its depth is known, the one
     that stands there in the pictures."""
     place = triangulate(clip.rig, vehicle.left.mean(0), vehicle.right.mean(0))
-    most = max(SAME[0], SAME[1] * float(place[2]) ** 2 / float(clip.rig.left.K[0, 0] * clip.rig.baseline))
+    max_distance = max(SAME[0], SAME[1] * float(place[2]) ** 2 / float(clip.rig.left.K[0, 0] * clip.rig.baseline))
     beside = {
         row["vehicle"]: float(np.linalg.norm(np.array(row["left"]).mean(0) - vehicle.left.mean(0)))
         for row in truth
-        if row["frame"] == vehicle.frame and np.linalg.norm(np.array(row["position"]) - place) < most
+        if row["frame"] == vehicle.frame and np.linalg.norm(np.array(row["position"]) - place) < max_distance
     }
     return min(beside, key=lambda k: beside[k], default=None)
 
@@ -85,14 +85,14 @@ def main() -> None:
     both: list[tuple[Speed | None, Speed]] = []
     for folder in folders:
         clip, truth = load_clip(folder / "clip.yaml"), read_truth(folder)
-        recording, begun = open_recording(clip), time.process_time()
+        recording, start_time = open_recording(clip), time.process_time()
         search = find_vehicles(replace(clip, vehicles=[]), recording)
-        seconds = (time.process_time() - begun) / len(recording)
+        seconds = (time.process_time() - start_time) / len(recording)
         names = [who(clip, v, truth) for v in search.clip.vehicles]
-        times, wanted = Counter(name for name in names if name is not None), countable(truth)
+        times, expected = Counter(name for name in names if name is not None), countable(truth)
         counts = {
-            "vehicles": len(wanted),
-            "once": sum(times[name] == 1 for name in wanted),
+            "vehicles": len(expected),
+            "once": sum(times[name] == 1 for name in expected),
             "twice": sum(count > 1 for count in times.values()),
             "false": names.count(None),
         }
@@ -104,7 +104,7 @@ def main() -> None:
         found = speeds(replace(clip, vehicles=list(real.values())), recording, list(real), truth)
         clicked = speeds(clip, recording, [v.id for v in clip.vehicles], truth)
         both += [(found.get(name), clicked[name]) for name in clicked]
-        cells = [", ".join(str(s[name]) for name in wanted if name in s) for s in (found, clicked)]
+        cells = [", ".join(str(s[name]) for name in expected if name in s) for s in (found, clicked)]
         print(row(folder.name, *counts.values(), *cells, f"{seconds:.2f}"), flush=True)
     print(f"\n{totals['once']} of {totals['vehicles']} found once, {totals['twice']} twice, {totals['false']} false.")
     if args.count:

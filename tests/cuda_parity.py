@@ -85,7 +85,7 @@ def path(shape: str) -> paths.Path:
     return paths.from_points("lane", shape, np.stack([bend - 2.0, 1.2 + 0.02 * z, z], axis=1))
 
 
-def way(kind: str) -> PathMotion | FreeMotion:
+def motion_model(kind: str) -> PathMotion | FreeMotion:
     return FreeMotion(rig(), SETTINGS) if kind == "free" else PathMotion(rig(), path(kind), SETTINGS)
 
 
@@ -161,7 +161,7 @@ def test_particles_move_as_on_the_cpu(
 ) -> None:
     """Three steps, a correction and a turn of the planes, by the same seed."""
     monkeypatch.setattr(random_numbers, "MAX_SEQUENTIAL_PARTICLES", 0 if counted else 10**9)
-    on_host = particles(way(kind), 1)
+    on_host = particles(motion_model(kind), 1)
     on_device = device.particle_set(on_host.to_host())
     generators = (random_numbers.make_generator([2], N) for _ in range(2))
     particle_sets = list(zip((on_host, on_device), generators, strict=True))
@@ -186,7 +186,7 @@ def test_particles_move_as_on_the_cpu(
 @pytest.mark.parametrize("restored", slow_after(1, [True, False]))
 @pytest.mark.usefixtures("sharing")
 def test_the_posterior_is_that_of_the_cpu(device: CudaDevice, kind: str, n: int, restored: bool) -> None:
-    on_host = particles(way(kind), 3, n)
+    on_host = particles(motion_model(kind), 3, n)
     on_device = device.particle_set(on_host)
     assert_same(on_device.to_host(), on_host)
     ll = np.random.default_rng(4).normal(-30.0, 2.0, n)
@@ -216,7 +216,7 @@ def test_the_posterior_is_that_of_the_cpu(device: CudaDevice, kind: str, n: int,
 @pytest.mark.parametrize(("n", "scatter"), slow_after(1, [(9, 30.0), (9, 1.0), (22, 3.0)]))
 @pytest.mark.usefixtures("sharing")
 def test_the_same_particles_survive(device: CudaDevice, n: int, scatter: float) -> None:
-    on_host = particles(way("line"), 5, n)
+    on_host = particles(motion_model("line"), 5, n)
     on_host.weights = Weights(np.random.default_rng(6).normal(0.0, scatter, n))
     on_device = device.particle_set(on_host.to_host())
     update_weights(on_device, np.zeros(n))
@@ -239,7 +239,7 @@ def test_the_same_particles_survive(device: CudaDevice, n: int, scatter: float) 
 @pytest.mark.parametrize("ll", slow_after(1, [np.nan, -np.inf]))
 @pytest.mark.usefixtures("sharing")
 def test_vanishing_weights_are_reported(device: CudaDevice, ll: float) -> None:
-    on_device = device.particle_set(particles(way("line"), 5))
+    on_device = device.particle_set(particles(motion_model("line"), 5))
     update_weights(on_device, np.full(N, ll))
     with pytest.raises(FloatingPointError, match="all particle weights vanish"):
         on_device.posterior()
@@ -257,7 +257,7 @@ def test_particle_sets_come_and_go_in_any_order(seed: int) -> None:
 
     def join() -> None:
         n, number = int(drawing.integers(1, 12)), int(drawing.integers(1000))
-        on_host = particles(way(str(drawing.choice(["line", "curve", "free"]))), number, n)
+        on_host = particles(motion_model(str(drawing.choice(["line", "curve", "free"]))), number, n)
         if drawing.random() < 0.5:
             key = np.array([number, 5], np.uint64)
             here, on_device = (random_numbers.CounterGenerator(np.random.PCG64(number), key) for _ in range(2))
@@ -301,14 +301,14 @@ def test_particle_sets_come_and_go_in_any_order(seed: int) -> None:
 def test_freed_memory_is_used_again() -> None:
     """A particle set that is freed leaves its columns and its slot to the next that fits."""
     device = CudaDevice()
-    first, second, third = (device.particle_set(particles(way("line"), i, n)) for i, n in enumerate((5, 4, 3)))
+    first, second, third = (device.particle_set(particles(motion_model("line"), i, n)) for i, n in enumerate((5, 4, 3)))
     columns = device._pool.value.shape[2]
     del second
-    another = device.particle_set(particles(way("line"), 7, 4))
+    another = device.particle_set(particles(motion_model("line"), 7, 4))
     assert (another.slot, another.first, device._pool.value.shape[2]) == (1, 5, columns)
-    assert_same(another.to_host(), particles(way("line"), 7, 4))
+    assert_same(another.to_host(), particles(motion_model("line"), 7, 4))
     for i, (particle_set, n) in enumerate(((first, 5), (third, 3))):
-        assert_same(particle_set.to_host(), particles(way("line"), 2 * i, n))
+        assert_same(particle_set.to_host(), particles(motion_model("line"), 2 * i, n))
 
 
 class Counting:
@@ -342,7 +342,7 @@ def test_launches_do_not_grow_with_the_number_of_vehicles(
         for name in names:
             monkeypatch.setattr(module, name, Counting(getattr(module, name), counts, name))
     device, frame, grid = CudaDevice(), textured(8), PartGrid(2, 2, (2, 3))
-    each = [device.particle_set(particles(way("curve"), seed, 3)) for seed in range(vehicles)]
+    each = [device.particle_set(particles(motion_model("curve"), seed, 3)) for seed in range(vehicles)]
     model = observation_model(grid, frame, SETTINGS)
     settings = SETTINGS.model_copy(update={"particles": 3, "resample_below": 1.0})
     rng = np.random.default_rng(1)
@@ -376,7 +376,7 @@ def test_launches_do_not_grow_with_the_number_of_vehicles(
 def observation_model(grid: PartGrid, frame: StereoFrame, settings: SpeedConfiguration) -> ObservationModel:
     """A model whose reference is what a particle observes in ``frame``."""
     model = ObservationModel(rig(), grid, settings)
-    first = particles(way("line"), 90, 1)
+    first = particles(motion_model("line"), 90, 1)
     model.initialize(pack_views(frame, [first.image_bounds()]), first.state)
     return model
 
@@ -394,7 +394,7 @@ def test_vehicles_are_weighted_together_as_each_on_the_cpu(device: CudaDevice, l
     frame, on_host, on_device, models = textured(8), [], [], []
     grids = [PartGrid(2, 2, (2, 3)), PartGrid(4, 1, (2, 2)), PartGrid(1, 4, (3, 2))]
     for seed, (grid, n) in enumerate(zip(grids, (3, 1, 4), strict=True)):
-        particle_set = particles(way("line"), seed, n)
+        particle_set = particles(motion_model("line"), seed, n)
         if n > 1:
             particle_set.state.left[0] = particle_set.state.left[0, 0]  # without area
             particle_set.state.right[1, :, 0] += 300.0  # beyond the picture

@@ -118,30 +118,30 @@ def test_videos_do_as_well(
 
 
 @pytest.mark.parametrize(
-    ("board", "said"),
+    ("board", "message"),
     [("chessboard:9by6:0.05", "'9by6' is no COLUMNSxROWS"), ("charuco:11x8:0.06:0.045:DICT_9X9", "unknown dictionary")],
 )
-def test_a_wrong_board_is_refused(pictures: Path, board: str, said: str) -> None:
-    assert said in refused("left", "right", "--board", board, "-o", "rig.yaml")
+def test_a_wrong_board_is_refused(pictures: Path, board: str, message: str) -> None:
+    assert message in refused("left", "right", "--board", board, "-o", "rig.yaml")
 
 
 def test_another_board_than_the_one_filmed_is_refused(pictures: Path) -> None:
     other = "charuco:7x5:0.09:0.065:DICT_7X7_50"
-    said = refused("left", "right", "--board", other, "-o", "rig.yaml")
-    assert "no picture shows the board" in said
+    message = refused("left", "right", "--board", other, "-o", "rig.yaml")
+    assert "no picture shows the board" in message
 
 
 def test_a_missing_folder_a_wrong_name_and_a_bad_picture_are_refused(pictures: Path) -> None:
-    def said(*arguments: str) -> str:
+    def message(*arguments: str) -> str:
         return refused(*arguments)
 
-    assert "left: is given for both cameras" in said("left", "left", "--board", BOARD, "-o", "rig.yaml")
-    assert "nowhere: no such file or folder" in said("left", "nowhere", "--board", BOARD, "-o", "rig.yaml")
-    assert "expected the name of a YAML file" in said("left", "right", "--board", BOARD, "-o", "rig.txt")
+    assert "left: is given for both cameras" in message("left", "left", "--board", BOARD, "-o", "rig.yaml")
+    assert "nowhere: no such file or folder" in message("left", "nowhere", "--board", BOARD, "-o", "rig.yaml")
+    assert "expected the name of a YAML file" in message("left", "right", "--board", BOARD, "-o", "rig.txt")
     (pictures / "left" / "004.png").write_bytes(b"\x89PNG\r\n\x1a\nbroken")
-    assert "004.png: is truncated or damaged" in said("left", "right", "--board", BOARD, "-o", "rig.yaml")
+    assert "004.png: is truncated or damaged" in message("left", "right", "--board", BOARD, "-o", "rig.yaml")
     cv2.imwrite("left/004.png", np.zeros((100, 100), np.uint8))
-    assert "has 100 × 100 pixels, the pictures before it 800 × 600" in said(
+    assert "has 100 × 100 pixels, the pictures before it 800 × 600" in message(
         "left", "right", "--board", BOARD, "-o", "rig.yaml"
     )
 
@@ -150,13 +150,13 @@ def test_files_that_do_not_pair_are_refused(pictures: Path) -> None:
     for k, file in enumerate(sorted((pictures / "right").iterdir())):
         file.rename(file.with_name(f"{'abcdefghi'[k]}.png"))
     (pictures / "right" / "i.png").unlink()
-    said = refused("left", "right", "--board", BOARD, "-o", "rig.yaml")
-    assert "left has 9 images and right 8" in said
+    message = refused("left", "right", "--board", BOARD, "-o", "rig.yaml")
+    assert "left has 9 images and right 8" in message
 
 
 def test_too_few_views_are_refused(pictures: Path) -> None:
     for side in ("left", "right"):
         for file in sorted((pictures / side).iterdir())[3:]:
             file.unlink()
-    said = refused("left", "right", "--board", BOARD, "-o", "rig.yaml")
-    assert "3 of 3 pairs show the board to both cameras; expected at least 5" in said
+    message = refused("left", "right", "--board", BOARD, "-o", "rig.yaml")
+    assert "3 of 3 pairs show the board to both cameras; expected at least 5" in message

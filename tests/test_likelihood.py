@@ -30,7 +30,7 @@ def texture(seed=0, size=(240, 360), grain=3.0, contrast=35.0):
     return np.rint(np.clip(120 + contrast * noise / noise.std(), 0, 255)).astype(np.float32)
 
 
-def seen_by(left, right, quads_left, quads_right, grid, cross=None):
+def observe(left, right, quads_left, quads_right, grid, cross=None):
     cross = np.repeat(np.eye(3)[None], len(quads_left), axis=0) if cross is None else cross
     return likelihood.observe(likelihood.pack(left), likelihood.pack(right), quads_left, quads_right, cross, grid)
 
@@ -230,7 +230,7 @@ def test_samples_are_those_that_opencv_reads():
 def test_observations_are_the_kernels_features_normalised():
     left, right = texture(1), texture(2)
     quads, grid = np.stack([QUAD, QUAD + 3.3]), PartGrid.for_region(10, QUAD)
-    seen = seen_by(left, right, quads, quads - 1.2, grid)
+    seen = observe(left, right, quads, quads - 1.2, grid)
     raw = raw_features(left, right, quads, quads - 1.2, grid)
     np.testing.assert_allclose(seen.features, likelihood.normalised(raw), atol=1e-3)
 
@@ -263,7 +263,7 @@ def test_the_correlation_is_that_of_the_samples_within_both_regions(shift):
     cross = np.array([[1.01, 0.004, 2.0], [-0.003, 0.99, 1.5], [1e-5, -2e-5, 1.0]])
     quad_right = QUAD + [5.0 + shift, -1.0]
     grid = PartGrid.for_region(10, QUAD)
-    seen = seen_by(left, np.rint(right), QUAD[None], quad_right[None], grid, cross[None])
+    seen = observe(left, np.rint(right), QUAD[None], quad_right[None], grid, cross[None])
     expected = expected_ncc(left, np.clip(np.rint(right), 0, 255), QUAD, quad_right, cross, grid)
     assert seen.ncc[0] == pytest.approx(expected, abs=5e-3)
     assert (expected == -1) == (shift >= 95)
@@ -271,8 +271,8 @@ def test_the_correlation_is_that_of_the_samples_within_both_regions(shift):
 
 def test_a_view_correlates_with_itself_and_against_its_negative():
     image, grid = texture(6), PartGrid.for_region(10, QUAD)
-    assert seen_by(image, image, QUAD[None], QUAD[None], grid).ncc[0] == pytest.approx(1, abs=1e-4)
-    assert seen_by(image, 255 - image, QUAD[None], QUAD[None], grid).ncc[0] == pytest.approx(-1, abs=1e-3)
+    assert observe(image, image, QUAD[None], QUAD[None], grid).ncc[0] == pytest.approx(1, abs=1e-4)
+    assert observe(image, 255 - image, QUAD[None], QUAD[None], grid).ncc[0] == pytest.approx(-1, abs=1e-3)
 
 
 @pytest.mark.parametrize("level", [0, 77, 255])
@@ -282,7 +282,7 @@ def test_a_view_without_any_contrast_correlates_with_nothing(level):
     for seed in range(3):
         image = texture(seed)
         flat = np.full_like(image, level)
-        assert abs(seen_by(image, flat, QUAD[None], QUAD[None], grid).ncc[0]) < 0.05
+        assert abs(observe(image, flat, QUAD[None], QUAD[None], grid).ncc[0]) < 0.05
 
 
 def test_one_thread_gives_the_result_of_two():
@@ -294,7 +294,7 @@ def test_one_thread_gives_the_result_of_two():
         found = []
         for threads in (1, min(2, before)):
             numba.set_num_threads(threads)
-            found.append(seen_by(texture(1), texture(2), quads, quads + 1.5, grid))
+            found.append(observe(texture(1), texture(2), quads, quads + 1.5, grid))
     finally:
         numba.set_num_threads(before)
     np.testing.assert_array_equal(found[0].features, found[1].features)
@@ -304,9 +304,9 @@ def test_one_thread_gives_the_result_of_two():
 def test_the_features_of_a_particle_do_not_depend_on_the_others():
     quads = QUAD + np.random.default_rng(2).normal(0, 3, (70, 4, 2))
     grid = PartGrid.for_region(8, QUAD)
-    together = seen_by(texture(1), texture(2), quads, quads + 1.5, grid)
+    together = observe(texture(1), texture(2), quads, quads + 1.5, grid)
     for i in (0, 33, 69):
-        alone = seen_by(texture(1), texture(2), quads[i : i + 1], quads[i : i + 1] + 1.5, grid)
+        alone = observe(texture(1), texture(2), quads[i : i + 1], quads[i : i + 1] + 1.5, grid)
         np.testing.assert_allclose(together.features[i], alone.features[0], atol=1e-5)
         assert together.ncc[i] == pytest.approx(alone.ncc[0], abs=1e-5)
 
@@ -316,11 +316,11 @@ def test_only_the_region_matters_not_the_images_size(margins):
     left, right = texture(7), texture(8)
     x, y, more_x, more_y = margins
     grid = PartGrid.for_region(10, QUAD)
-    small = seen_by(left, right, QUAD[None], QUAD[None] + 2.0, grid)
+    small = observe(left, right, QUAD[None], QUAD[None] + 2.0, grid)
     wide = [np.pad(image, ((y, more_y), (x, more_x)), constant_values=9) for image in (left, right)]
     shift = np.array([x, y], float)
     cross = np.eye(3)[None]
-    large = seen_by(*wide, QUAD[None] + shift, QUAD[None] + 2.0 + shift, grid, cross)
+    large = observe(*wide, QUAD[None] + shift, QUAD[None] + 2.0 + shift, grid, cross)
     np.testing.assert_allclose(large.features, small.features, atol=2e-3)
     assert large.ncc[0] == pytest.approx(small.ncc[0], abs=2e-3)
 
@@ -328,8 +328,8 @@ def test_only_the_region_matters_not_the_images_size(margins):
 def test_the_two_views_may_differ_in_size():
     left, right = texture(7), texture(8)[:200, :300]
     grid = PartGrid.for_region(10, QUAD)
-    seen = seen_by(left, right, QUAD[None], QUAD[None] + 2.0, grid)
-    whole = seen_by(left, texture(8), QUAD[None], QUAD[None] + 2.0, grid)
+    seen = observe(left, right, QUAD[None], QUAD[None] + 2.0, grid)
+    whole = observe(left, texture(8), QUAD[None], QUAD[None] + 2.0, grid)
     np.testing.assert_allclose(seen.features, whole.features, atol=1e-5)
     assert seen.ncc[0] == pytest.approx(whole.ncc[0], abs=1e-5)
 
@@ -341,7 +341,7 @@ def test_the_two_views_may_differ_in_size():
 def test_regions_beyond_the_border_see_its_pixels_repeated(where):
     image, grid = texture(9), PartGrid.for_region(10, QUAD)
     quad = QUAD + np.array(where, float)
-    seen = seen_by(image, image, quad[None], quad[None], grid)
+    seen = observe(image, image, quad[None], quad[None], grid)
     assert np.isfinite(seen.features).all() and np.isfinite(seen.ncc).all()
     if max(np.abs(where)) > 300:
         # wholly outside, nothing but the corner's pixel is left, and single precision of it
@@ -402,12 +402,12 @@ def test_no_region_however_wild_is_read_outside_the_image():
 def profile(image, changes, parts=10, quad=QUAD, move_right=True):
     """log p of regions changed by the homographies ``changes`` (N, 3, 3) about the true one."""
     grid = PartGrid.for_region(parts, quad)
-    reference = seen_by(image, image, quad[None], quad[None], grid).features[0]
+    reference = observe(image, image, quad[None], quad[None], grid).features[0]
     p = np.column_stack([quad, np.ones(4)])
     q = np.einsum("nij,kj->nki", changes, p)
     quads = q[..., :2] / q[..., 2:]
     still = np.repeat(quad[None], len(quads), axis=0)
-    seen = seen_by(image, image, quads, quads if move_right else still, grid)
+    seen = observe(image, image, quads, quads if move_right else still, grid)
     return likelihood.log_likelihood(seen, reference, 15.0, 20.0)
 
 
@@ -443,10 +443,10 @@ def test_the_likelihood_peaks_at_the_truth_and_falls_to_both_sides(seed, parts):
 @pytest.mark.parametrize(("gain", "offset"), [(0.6, 0.0), (1.0, 30.0), (1.3, -40.0), (0.5, 70.0)])
 def test_gain_and_offset_of_a_view_do_not_matter(gain, offset):
     image, grid = texture(14, contrast=20.0), PartGrid.for_region(10, QUAD)
-    reference = seen_by(image, image, QUAD[None], QUAD[None], grid).features[0]
+    reference = observe(image, image, QUAD[None], QUAD[None], grid).features[0]
     other = np.clip(gain * image + offset, 0, 255)
     assert ((other > 0) & (other < 255)).all()
-    seen = seen_by(other, image, QUAD[None], QUAD[None], grid)
+    seen = observe(other, image, QUAD[None], QUAD[None], grid)
     assert seen.ncc[0] == pytest.approx(1, abs=2e-3)
     np.testing.assert_allclose(seen.features[0], reference, atol=0.02)
     assert likelihood.log_likelihood(seen, reference, 15.0, 20.0)[0] > -0.2
@@ -491,10 +491,10 @@ def occluded(image, grid, part, paint, box=BOX):
 def test_an_occluder_over_one_part_costs_little_more_than_the_cap(seed, paint):
     """Brightness and contrast are taken from all the parts together, so the others feel it a little."""
     image, grid = texture(seed, grain=4.0), PartGrid.for_region(10, BOX)
-    reference = seen_by(image, image, BOX[None], BOX[None], grid).features[0]
+    reference = observe(image, image, BOX[None], BOX[None], grid).features[0]
     for part in range(10):
         other = occluded(image, grid, part, paint)
-        cost = likelihood.distances(seen_by(other, image, BOX[None], BOX[None], grid).features, reference)[0]
+        cost = likelihood.distances(observe(other, image, BOX[None], BOX[None], grid).features, reference)[0]
         assert cost[0] <= 2.1 * PART_DISTANCE_CAP, part
         assert cost[1] < 1e-4
 
@@ -502,11 +502,11 @@ def test_an_occluder_over_one_part_costs_little_more_than_the_cap(seed, paint):
 @pytest.mark.parametrize("paint", [0, 255])
 def test_an_occluded_part_does_not_move_the_peak(paint):
     image, grid = texture(5, grain=4.0), PartGrid.for_region(10, BOX)
-    reference = seen_by(image, image, BOX[None], BOX[None], grid).features[0]
+    reference = observe(image, image, BOX[None], BOX[None], grid).features[0]
     steps = np.linspace(-3, 3, 25)
     for part in (0, 4, 7):
         other = occluded(image, grid, part, paint)
         quads = BOX + np.column_stack([steps, 0 * steps])[:, None]
-        seen = seen_by(other, image, quads, quads, grid)
+        seen = observe(other, image, quads, quads, grid)
         values = likelihood.log_likelihood(seen, reference, 15.0, 20.0)
         assert abs(steps[np.argmax(values)]) <= 0.25

@@ -43,13 +43,13 @@ class Loaded:
         paths, vehicles = {}, []
         for v in self.clip.vehicles:
             rows = rows_of(self.truth, v.id)
-            way = np.array([rows[k]["position"] for k in sorted(rows)])
+            positions = np.array([rows[k]["position"] for k in sorted(rows)])
             ends = [
                 end + BEYOND * (end - inner) / np.linalg.norm(end - inner)
-                for end, inner in ((way[0], way[1]), (way[-1], way[-2]))
+                for end, inner in ((positions[0], positions[1]), (positions[-1], positions[-2]))
             ]
             drawn = self.clip.paths[v.path or ""]
-            points = np.array([ends[0], *way, ends[1]])
+            points = np.array([ends[0], *positions, ends[1]])
             name = f"true way of {v.id}"
             paths[name] = replace(drawn, name=name, left=None, right=None, lateral_offset=0.0, points=points)
             outline = {side: np.array(rows[v.frame][side]) for side in ("left", "right")}
@@ -84,9 +84,9 @@ def filtered(view: Loaded, configuration: SpeedConfiguration, index: int = 0) ->
     tracker = Tracker(rig, vehicle, path, 0.0 if drawn is None else drawn.lateral_offset, configuration)
     estimates, milliseconds = [], []
     for frame in view.frames[vehicle.frame :]:
-        begun = time.process_time()
+        start_time = time.process_time()
         estimate = tracker.update(frame)
-        milliseconds.append(1e3 * (time.process_time() - begun))
+        milliseconds.append(1e3 * (time.process_time() - start_time))
         estimates.append(estimate)
         if estimate.status != "tracking":
             break

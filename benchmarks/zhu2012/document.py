@@ -101,7 +101,7 @@ def run(names: Sequence[str], cached: bool, committed: Numbers) -> Numbers:
     PICTURES.mkdir(parents=True, exist_ok=True)
     found: Numbers = {}
     for item in REPRODUCTIONS:
-        begun = time.perf_counter()
+        start_time = time.perf_counter()
         wanted = not cached and (not names or item.name in names)
         numbers = item.up_to_date() if wanted else item.cached()
         before = committed["items"].get(item.name)
@@ -116,7 +116,7 @@ def run(names: Sequence[str], cached: bool, committed: Numbers) -> Numbers:
         if item.draw is not None:
             item.draw(numbers, PICTURES)
         found[item.name] = rounded({k: numbers[k] for k in KEPT})
-        print(f"{item.name}: {time.perf_counter() - begun:.0f} s", flush=True)
+        print(f"{item.name}: {time.perf_counter() - start_time:.0f} s", flush=True)
     return {"items": found}
 
 
@@ -125,7 +125,7 @@ def main() -> None:
     parser.add_argument("names", nargs="*", choices=[item.name for item in REPRODUCTIONS] + [[]], metavar="NAME")
     parser.add_argument("--cached", action="store_true", help="run nothing")
     args = parser.parse_args()
-    begun = time.perf_counter()
+    start_time = time.perf_counter()
     results = run(args.names, args.cached, json.loads(NUMBERS.read_text(encoding="utf-8")))
     NUMBERS.write_text(json.dumps(results, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     DOCUMENT.write_text(document(json.loads(NUMBERS.read_text(encoding="utf-8"))), encoding="utf-8")
@@ -135,7 +135,7 @@ def main() -> None:
         for name in item.pictures
         if (PICTURES / name).exists()
     )
-    print(f"\n{DOCUMENT}: {time.perf_counter() - begun:.0f} s; pictures {size / 1e6:.2f} MB")
+    print(f"\n{DOCUMENT}: {time.perf_counter() - start_time:.0f} s; pictures {size / 1e6:.2f} MB")
 
 
 if __name__ == "__main__":

@@ -26,14 +26,14 @@ def compute() -> Numbers:
         estimates, _ = clips.filtered(view, configuration)
         grid = PartGrid.for_region(parts, vehicle.left)
         frames = [e.frame for e in estimates]
-        off = np.array([e.left for e in estimates]) - view.true(vehicle.id, frames, "left")
+        offsets = np.array([e.left for e in estimates]) - view.true(vehicle.id, frames, "left")
         shown.append(
             {
                 "parts": parts,
                 "across": grid.across,
                 "down": grid.down,
                 "last": estimates[-1].speed / MPH,
-                "pixels": float(np.sqrt((off.mean(1) ** 2).sum(1).mean())),
+                "pixels": float(np.sqrt((offsets.mean(1) ** 2).sum(1).mean())),
             }
         )
         runs.append(methods.of_filter(estimates))

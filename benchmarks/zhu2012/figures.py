@@ -81,10 +81,10 @@ def strip(
 
 def _shown(scene: str, truth: Run, frames: Sequence[int]) -> Iterator[tuple[int, StereoFrame, Array]]:
     """Those of the ``frames`` in which the vehicle is, with its true outline (4, 2)."""
-    there = {f.index: f for f in loaded(scene).frames}
+    frame_by_index = {f.index: f for f in loaded(scene).frames}
     for k in frames:
-        if k in there and k in truth["frame"]:
-            yield k, there[k], np.array(truth["left"][truth["frame"].index(k)])
+        if k in frame_by_index and k in truth["frame"]:
+            yield k, frame_by_index[k], np.array(truth["left"][truth["frame"].index(k)])
 
 
 def _width(true: Array) -> float:

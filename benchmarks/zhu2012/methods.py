@@ -106,20 +106,22 @@ def _turns(view: Loaded, vehicle: str, frames: list[int]) -> list[float | None]:
 def errors(view: Loaded, vehicle: str, run: Run) -> dict[str, Any]:
     """Frame by frame, from the second speed on: RMS and largest error, mph; RMS of the depth's, per cent."""
     frames = np.array(run["frame"])
-    there = [k for k in frames.tolist() if any(r["frame"] == k and r["vehicle"] == vehicle for r in view.truth)]
-    keep = np.isin(frames, there)
-    off = np.array(run["speed"], float)[keep] - view.true(vehicle, there) / MPH
-    off = off[2:][np.isfinite(off[2:])]
-    true = view.true(vehicle, there, "position")[:, 2]
+    visible_frames = [
+        k for k in frames.tolist() if any(r["frame"] == k and r["vehicle"] == vehicle for r in view.truth)
+    ]
+    keep = np.isin(frames, visible_frames)
+    errors_mph = np.array(run["speed"], float)[keep] - view.true(vehicle, visible_frames) / MPH
+    errors_mph = errors_mph[2:][np.isfinite(errors_mph[2:])]
+    true = view.true(vehicle, visible_frames, "position")[:, 2]
     depth = (np.array(run["depth"], float)[keep] - true) / true
     depth = depth[2:][np.isfinite(depth[2:])]
     none = float("nan")
     return {
-        "frames": int(len(off)),
-        "rms": rms(off) if len(off) else none,
-        "max": float(np.abs(off).max()) if len(off) else none,
+        "frames": int(len(errors_mph)),
+        "rms": rms(errors_mph) if len(errors_mph) else none,
+        "max": float(np.abs(errors_mph).max()) if len(errors_mph) else none,
         "depth": 100 * rms(depth) if len(depth) else none,
-        "last": float(run["speed"][len(there) - 1] or none) if there else none,
+        "last": float(run["speed"][len(visible_frames) - 1] or none) if visible_frames else none,
     }
 
 

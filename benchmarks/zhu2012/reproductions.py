@@ -96,12 +96,12 @@ class Reproduction:
         key, old = self.key(), self.cached()
         if old is not None and old["key"] == key:
             return old
-        load, begun, used = os.getloadavg()[0], time.perf_counter(), time.process_time()
+        load, start_time, used = os.getloadavg()[0], time.perf_counter(), time.process_time()
         numbers = self.compute()
         about = {
             "key": key,
             "settings": self.settings,
-            "seconds": round(time.perf_counter() - begun, 1),
+            "seconds": round(time.perf_counter() - start_time, 1),
             "processor_seconds": round(time.process_time() - used, 1),
             "load": round(max(load, os.getloadavg()[0]), 1),
             "machine": machine(),
