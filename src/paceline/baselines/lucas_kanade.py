@@ -95,13 +95,13 @@ class LucasKanade:
         left_move, right_move = (shift_between(a, b) for a, b in zip(key.quads, expected, strict=True))
         window = optical_flow.window_size(expected[0])
         left, valid = optical_flow.track_points(key.images[0], frame.left, key.matches.left, left_move, window)
-        valid &= self._moving_alike(key.matches.left, left, valid)
+        valid &= self._follows_common_motion(key.matches.left, left, valid)
         if valid.sum() < MIN_POINTS:
             return None
         from_key = key.matches.chosen(valid)
         left = left[valid]
         right, valid = optical_flow.match_points(frame.left, frame.right, left, right_move(from_key.right), window)
-        valid &= self._plausible(left, right, valid)
+        valid &= self._is_consistent(left, right, valid)
         if valid.sum() < MIN_POINTS:
             return None
         from_key, left, right = from_key.chosen(valid), left[valid], right[valid]
@@ -126,7 +126,7 @@ class LucasKanade:
         right, valid = optical_flow.match_points(
             frame.left, frame.right, new, guess, optical_flow.window_size(quads[0])
         )
-        valid &= self._plausible(new, right, valid)
+        valid &= self._is_consistent(new, right, valid)
         number = self._next + np.arange(int(valid.sum()))
         self._next += len(number)
         return _Matches(
@@ -136,7 +136,7 @@ class LucasKanade:
             np.concatenate([matches.points, triangulate(self.rig, new[valid], right[valid])]),
         )
 
-    def _moving_alike(self, before: Array, after: Array, valid: Mask) -> Mask:
+    def _follows_common_motion(self, before: Array, after: Array, valid: Mask) -> Mask:
         """Which points follow the dominant motion in the image."""
         consistent = np.zeros(len(before), bool)
         if valid.sum() >= MIN_POINTS and (move := _similarity(before[valid], after[valid])) is not None:
@@ -144,7 +144,7 @@ class LucasKanade:
             consistent = residual < MAX_MOTION_RESIDUAL_PX * (1 + 0.01 * np.ptp(after[valid]))
         return consistent
 
-    def _plausible(self, left: Array, right: Array, valid: Mask) -> Mask:
+    def _is_consistent(self, left: Array, right: Array, valid: Mask) -> Mask:
         """Which matches lie on their epipolar lines and at a consistent depth."""
         plausible = valid & (np.abs(epipolar_distance(self.rig, left, right)) < MAX_CORNER_EPIPOLAR_PX)
         depth = triangulate(self.rig, left, right)[:, 2]

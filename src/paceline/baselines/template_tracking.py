@@ -88,9 +88,9 @@ class TemplateTracker:
             if ncc < MIN_REGION_NCC:
                 return None
             moves.append(move)
-        return (moves[0], moves[1]) if self._agree(*moves) else None
+        return (moves[0], moves[1]) if self._views_agree(*moves) else None
 
-    def _agree(self, left: ScaledShift, right: ScaledShift) -> bool:
+    def _views_agree(self, left: ScaledShift, right: ScaledShift) -> bool:
         """Whether both views found the same region, with a change of depth that agrees with its scale."""
         before = self.quads.mean(1)
         after = np.stack([left(before[0]), right(before[1])])

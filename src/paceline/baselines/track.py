@@ -107,7 +107,7 @@ def unseen_frame(frame: StereoFrame, regions: TemplateTracker) -> FrameResult:
 def rejected(vehicle: str, results: Sequence[FrameResult], reason: Message) -> Measurement:
     """A rejected measurement without a speed."""
     track, frames = track_of(vehicle, results), _tracked_frames(results)
-    return Measurement(vehicle, track, NAN, NAN, NAN, NAN, NAN, frames, "rejected", "", "none").judged(reason)
+    return Measurement(vehicle, track, NAN, NAN, NAN, NAN, NAN, frames, "rejected", "", "none").with_verdict(reason)
 
 
 def check_frame_count(results: Sequence[FrameResult], limits: Limits) -> Message:

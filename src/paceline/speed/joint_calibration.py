@@ -166,7 +166,7 @@ def with_neighbours(
     else:
         random, m = m.rig_information.half_width, replace(corrected(m, posterior), calibrated_by=count)
         reason = verdict.check_interval(m.speed, (m.speed_hi - m.speed_lo) / 2, random, configuration.limits)
-    return replace(m.judged(reason), rig_information=None)
+    return replace(m.with_verdict(reason), rig_information=None)
 
 
 def calibrate_jointly(

@@ -109,7 +109,7 @@ class Measurement:
             "notices": self.notices,
         }
 
-    def judged(self, reason: Message) -> Measurement:
+    def with_verdict(self, reason: Message) -> Measurement:
         """This measurement with the verdict for a ``reason``: rejected, or measured where that is empty."""
         verdict = "rejected" if reason else "measured"
         return replace(self, verdict=verdict, reason=str(reason), reason_code=reason.code)

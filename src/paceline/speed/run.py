@@ -248,7 +248,8 @@ class VehicleMeasurement:
         nan = float("nan")
         frames = sum(e.status == "tracking" for e in self.estimates)
         speeds = nan, nan, nan, nan, nan
-        return Measurement(self.vehicle.id, self._track(None), *speeds, frames, "rejected", "", "none").judged(reason)
+        rejected = Measurement(self.vehicle.id, self._track(None), *speeds, frames, "rejected", "", "none")
+        return rejected.with_verdict(reason)
 
     def _track(self, refined: RefinedMotion | None) -> Track:
         E = self.estimates

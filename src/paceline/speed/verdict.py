@@ -149,6 +149,6 @@ def apply_tolerance(m: Measurement, tolerance: float | None) -> Measurement:
     """``m``, rejected if its 95 % interval is wider than ± ``tolerance`` (m/s), which the user states."""
     if tolerance is None or m.verdict != "measured" or (half_width := (m.speed_hi - m.speed_lo) / 2) <= tolerance:
         return m
-    return m.judged(
+    return m.with_verdict(
         message("tolerance_exceeded", half_width_mps=half_width, ratio=half_width / tolerance, tolerance_mps=tolerance)
     )

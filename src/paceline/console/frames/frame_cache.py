@@ -162,27 +162,27 @@ class FrameCache:
     def jpeg(self, file: Path, view: int, frame: int) -> bytes:
         """One frame as JPEG."""
         key = self.open(file), view, frame
-        return self._kept(key) or self._keep(key, _encode_jpeg(key[0].picture(view, frame)))
+        return self._cached(key) or self._store(key, _encode_jpeg(key[0].picture(view, frame)))
 
     def thumbnail(self, file: Path) -> bytes:
         """The first frame of the left view, THUMBNAIL_WIDTH_PX wide, as JPEG."""
         pictures = self.open(file)
         key = pictures, -1, 0
-        cached = self._kept(key)
+        cached = self._cached(key)
         if cached is not None:
             return cached
         image = pictures.picture(0, pictures.frames[0])
         height = max(round(THUMBNAIL_WIDTH_PX * image.shape[0] / image.shape[1]), 1)
         small = cv2.resize(image, (THUMBNAIL_WIDTH_PX, height), interpolation=cv2.INTER_AREA)
-        return self._keep(key, _encode_jpeg(np.asarray(small, np.float32)))
+        return self._store(key, _encode_jpeg(np.asarray(small, np.float32)))
 
-    def _kept(self, key: tuple[RecordingFrames, int, int]) -> bytes | None:
+    def _cached(self, key: tuple[RecordingFrames, int, int]) -> bytes | None:
         with self._lock:
             if key in self._jpegs:
                 self._jpegs.move_to_end(key)
             return self._jpegs.get(key)
 
-    def _keep(self, key: tuple[RecordingFrames, int, int], jpeg: bytes) -> bytes:
+    def _store(self, key: tuple[RecordingFrames, int, int], jpeg: bytes) -> bytes:
         with self._lock:
             self._size += len(jpeg) - len(self._jpegs.get(key, b""))
             self._jpegs[key] = jpeg

@@ -47,7 +47,7 @@ class OutputFolder:
         except BaseException as error:  # Ctrl-C, too, just after a folder was made
             self._clean_up()
             if isinstance(error, OSError):
-                raise self._unwritable(error) from error
+                raise self._write_error(error) from error
             raise
         return self._partial
 
@@ -60,9 +60,9 @@ class OutputFolder:
                     self._replace_target()
                 self._created.clear()
             elif isinstance(error, OSError) and self._is_output_error(error):
-                raise self._unwritable(error) from error
+                raise self._write_error(error) from error
         except OSError as failure:
-            raise self._unwritable(failure) from failure
+            raise self._write_error(failure) from failure
         finally:
             self._clean_up()
 
@@ -90,7 +90,7 @@ class OutputFolder:
             return Path(error.filename).is_relative_to(self._partial)
         return error.errno in WRITE_ERRORS
 
-    def _unwritable(self, error: OSError) -> UnusableInput:
+    def _write_error(self, error: OSError) -> UnusableInput:
         return UnusableInput(f"{self.out}: the output cannot be written here ({error.strerror or error})")
 
     def _remove_created(self) -> None:

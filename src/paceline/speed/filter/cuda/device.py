@@ -97,7 +97,7 @@ class CudaDevice:
         self._maps = DeviceArray(cuda.device_array((1, layout.SAMPLING_MAP), np.float32))
         self._pixels = _TransferBuffer.of(1, np.uint32)
         self._host_copy: Array | None = None  # all states and log weights, until they change
-        self._added: set[int] = set()  # slots that are not in the tables yet
+        self._new_slots: set[int] = set()  # slots that are not in the tables yet
         self._to_restore: list[CudaParticleSet] = []
         self._to_weight: list[tuple[CudaParticleSet, ObservationModel]] = []
         self._views: Views | None = None  # of those to weight
@@ -116,7 +116,7 @@ class CudaDevice:
         """``host`` copied to the device."""
         if self._pending or self._to_weight:
             self.execute()
-        occupied = self._living()
+        occupied = self._occupied_slots()
         slot = next(i for i in range(len(occupied) + 1) if i not in occupied)
         N, first = len(host.state), 0
         for other in sorted(occupied.values(), key=lambda other: other.first):
@@ -128,10 +128,10 @@ class CudaDevice:
         rows = cuda.to_device(_one(derived_rows_of(host)))
         kernels.upload[(_grid(N), rows.shape[1]), THREADS_PER_BLOCK](rows, self._pool, first)
         self._particle_sets[slot] = weakref.ref(particle_set)
-        self._added.add(slot)
+        self._new_slots.add(slot)
         return particle_set
 
-    def _living(self) -> dict[int, CudaParticleSet]:
+    def _occupied_slots(self) -> dict[int, CudaParticleSet]:
         return {slot: particle_set for slot, ref in self._particle_sets.items() if (particle_set := ref()) is not None}
 
     def _grow(self, columns: int) -> None:
@@ -153,7 +153,7 @@ class CudaDevice:
         numbers: dict[int, int] = {}
         for slot, particle_set in particle_sets.items():
             command, N = commands[slot], len(particle_set)
-            is_new = slot in self._added
+            is_new = slot in self._new_slots
             command[[layout.HALF_BEFORE, layout.HALF_AFTER]] = 0 if is_new else self.commands[slot, layout.HALF_AFTER]
             command[[layout.FIRST_COLUMN, layout.PARTICLE_COUNT, layout.DRAWN_STRIDE, layout.HOST_COLUMN]] = (
                 particle_set.first,
@@ -199,7 +199,7 @@ class CudaDevice:
             max(self._moments_size + slots * layout.DRAWN_ROW_COUNT * n_drawn, 1), np.float64
         )
         self._host_copy, self._pending = None, bool(particle_sets)
-        self._added.clear()
+        self._new_slots.clear()
 
     def _allocate_commands(self, commands: Array, size: int) -> None:
         """Allocate a command buffer of ``size`` numbers that begins with ``commands`` (slots, COMMAND_SIZE)."""
@@ -209,7 +209,11 @@ class CudaDevice:
 
     def enqueue(self, particle_set: CudaParticleSet, command: int) -> None:
         """Enqueue the command ``command`` for ``particle_set``, after those already enqueued."""
-        if self._added or self._to_weight or self.commands[particle_set.slot, command : layout.KALMAN_UPDATE + 1].any():
+        if (
+            self._new_slots
+            or self._to_weight
+            or self.commands[particle_set.slot, command : layout.KALMAN_UPDATE + 1].any()
+        ):
             self.execute()
         self.commands[particle_set.slot, command] = self.commands[particle_set.slot, layout.IS_ACTIVE] = 1
         self._pending, self._host_copy, particle_set.moments = True, None, None
@@ -229,8 +233,8 @@ class CudaDevice:
 
     def execute(self) -> None:
         """Execute everything that was enqueued: restored weights, then commands, then the update of weights."""
-        if self._added:
-            self._build_tables(self._living())
+        if self._new_slots:
+            self._build_tables(self._occupied_slots())
         if self._pending:
             self._execute_commands()
         if self._to_weight:
@@ -301,23 +305,25 @@ class CudaDevice:
         return observations
 
     @property
-    def _sharing(self) -> tuple[int, int]:
+    def _shared_grid(self) -> tuple[int, int]:
         """Blocks that share the weights of a vehicle, and slots."""
         return self._shares.value.shape[1], len(self.commands)
 
     def _cumulate(self) -> None:
-        if self._sharing[0] > 1:
-            weights.sum_weights[self._sharing, self._threads](self._pool, self._command_buffer.device, self._shares)
-        weights.cumulate_weights[self._sharing, self._threads](self._pool, self._command_buffer.device, self._shares)
-        if self._sharing[0] > 1:
+        if self._shared_grid[0] > 1:
+            weights.sum_weights[self._shared_grid, self._threads](self._pool, self._command_buffer.device, self._shares)
+        weights.cumulate_weights[self._shared_grid, self._threads](
+            self._pool, self._command_buffer.device, self._shares
+        )
+        if self._shared_grid[0] > 1:
             weights.average_headings[_grid(len(self.commands)), THREADS_PER_BLOCK](
                 self._command_buffer.device, self._shares
             )
 
     def _update_weights(self, particle_sets: Sequence[CudaParticleSet]) -> None:
-        weights.update_weights[self._sharing, self._threads](self._pool, self._observations.device, self._shares)
-        if self._sharing[0] > 1:
-            weights.normalise[self._sharing, self._threads](self._pool, self._observations.device, self._shares)
+        weights.update_weights[self._shared_grid, self._threads](self._pool, self._observations.device, self._shares)
+        if self._shared_grid[0] > 1:
+            weights.normalise[self._shared_grid, self._threads](self._pool, self._observations.device, self._shares)
         self._host_copy = None
         for particle_set in particle_sets:
             particle_set.moments = None
@@ -369,7 +375,7 @@ class CudaDevice:
     def reduce_moments(self, drawn: bool) -> None:
         """Execute everything, and give all particle sets their moments, with ``drawn`` also the centres to draw."""
         self.execute()
-        occupied = self._living()
+        occupied = self._occupied_slots()
         if len(occupied) < len(self._particle_sets):
             self._build_tables(occupied)
             self.execute()
