@@ -12,7 +12,7 @@ from paceline.arrays import Array
 from paceline.cameras import PosedCamera
 from paceline.errors import UnusableInput
 from paceline.simulation.chase.scene import CHASE_PRESETS, ChaseScene
-from paceline.simulation.operator import MIN_OUTLINE_WIDTH_PX, is_inside_image
+from paceline.simulation.operator import MIN_OUTLINE_WIDTH_PX, is_inside_image, longest_visible_run
 from paceline.simulation.raytraced.scene import PlacedStereoScene
 from paceline.simulation.raytraced.scene_yaml import FollowScene, SpeedScene
 from paceline.simulation.stereo.scene import Motion, PlacedRoad, Scene, Vehicle, make_rig, rig_views, visible_line
@@ -27,6 +27,10 @@ from paceline.units import MPS_PER_KMH, MPS_PER_MPH
 
 FRAME_RATES_HZ = (5.0, 7.5, 10.0, 12.5, 15.0, 20.0, 25.0, 30.0)
 IMAGE_SIZES = ((1024, 768), (1280, 720), (1280, 960), (1440, 1080))
+
+# of bends that cross the view
+MIN_BEND_DEPTH_M, MAX_BEND_DEPTH_M = 15.0, 75.0  # m from the cameras
+MAX_BEND_OBLIQUITY_RAD = np.radians(50.0)  # between the line of sight and the direction of travel
 
 # of those that are ray-traced
 MIN_RAYTRACED_SPEED_MPS, MAX_RAYTRACED_SPEED_MPS = 15 * MPS_PER_KMH, 130 * MPS_PER_KMH
@@ -51,6 +55,24 @@ def random_crossing(seed: int, *, vehicle: dict[str, Any] | None = None, **overr
     Overrides and errors as for `random_scene`.
     """
     return _draw_suitable_scene(seed, _propose_crossing, MPS_PER_MPH * 10, MPS_PER_MPH * 60, vehicle or {}, overrides)
+
+
+def random_bend(seed: int, radius: float | None = None, rate: float = 5.0, **overrides: Any) -> Scene:
+    """A scene of one vehicle at 21–36 mph on a bend that comes towards the cameras and crosses their view.
+
+    Somewhere in view the road runs along the epipolar lines, and between two pictures a vehicle turns by up to 0.3 rad.
+    It is shown as long as it is inside both images, `MIN_BEND_DEPTH_M` to `MAX_BEND_DEPTH_M` away, and its front or
+    rear is seen at less than `MAX_BEND_OBLIQUITY_RAD`. ``radius`` (m, drawn from 30–80 where None) bends to either
+    side; ``overrides`` as for `random_scene`. Raises ValueError where nothing suits.
+    """
+    rng = np.random.default_rng([seed, 53])
+    for _ in range(400):
+        bend = float(rng.choice([-1, 1])) * (radius or float(rng.uniform(30, 80)))
+        scene = _propose_bend(seed, rng, bend, rate)
+        scene = replace(scene, **overrides)
+        if (shown := _shown_on_bend(scene)) is not None:
+            return shown
+    raise ValueError(f"no bend of seed {seed} suits {overrides}")
 
 
 Proposal = Callable[[int, np.random.Generator, float, dict[str, Any]], Scene]
@@ -106,6 +128,60 @@ def _propose_approach(seed: int, rng: np.random.Generator, speed: float, fixed: 
         line_offset=float(rng.choice([-1.85, 1.85])),
         **_draw_image_quality(rng, frames),
     )
+
+
+def _propose_bend(seed: int, rng: np.random.Generator, radius: float, rate: float) -> Scene:
+    receding, depth = bool(rng.random() < 0.35), rng.uniform(38, 50)
+    vehicle = Vehicle(
+        "v0",
+        rng.uniform(21, 36) * MPS_PER_MPH,
+        start_distance=depth + (-1 if receding else 1) * 40.0,
+        receding=receding,
+        width=rng.uniform(1.6, 2.0),
+        height=rng.uniform(0.55, 0.8),
+        lateral=rng.normal(0, 0.15),
+        texture_seed=int(rng.integers(2**31)),
+        relief=float(rng.choice([0.0, 0.03, 0.06])),
+    )
+    height = rng.uniform(1.5, 3.0)
+    return Scene(
+        seed,
+        (vehicle,),
+        focal=2200.0,
+        baseline=0.5,
+        camera_height=height,
+        tilt=float(np.arctan2(height - 0.8, depth) + rng.normal(0, 0.012)),
+        rate=rate,
+        radius=radius,
+        road_direction=rng.normal(0, 0.1),
+        road_offset=rng.uniform(-4.0, 4.0),
+        road_depth=depth,
+        line_offset=float(rng.choice([-1.85, 1.85])),
+        **{**_draw_image_quality(rng, 12), "dropped": (), "occluder": False},
+    )
+
+
+def _shown_on_bend(scene: Scene) -> Scene | None:
+    """The part of a scene in which its vehicle is well seen; None if that is less than `MIN_VISIBLE_FRAMES`."""
+    road, views = PlacedRoad(scene), rig_views(make_rig(scene))
+    vehicle, duration = scene.vehicles[0], 80.0 / scene.vehicles[0].speed
+    motion = Motion(road, vehicle, duration)
+    ticks = np.arange(0.0, duration, 1 / scene.rate)
+    poses = [motion.pose(t) for t in ticks.tolist()]
+    corners = np.array([pose.corners(vehicle.width, vehicle.height) for pose in poses])
+    sight = np.array([pose.centre / np.linalg.norm(pose.centre) for pose in poses])
+    facing = (sight * np.array([pose.axes[:, 2] for pose in poses])).sum(1)
+    well_seen = (corners[..., 2].min(1) > MIN_BEND_DEPTH_M) & (corners[..., 2].max(1) < MAX_BEND_DEPTH_M)
+    well_seen &= facing > np.cos(MAX_BEND_OBLIQUITY_RAD)
+    for view in views:
+        well_seen &= np.array([is_inside_image(q, scene.image_size) for q in view.project(corners)])
+    k = longest_visible_run(np.arange(len(ticks))[:, None], well_seen)[:, 0].astype(int)
+    if len(k) < MIN_VISIBLE_FRAMES:
+        return None
+    if any(len(visible_line(scene, road, vehicle.lane, corners[k].mean(1), view)) < 10 for view in views):
+        return None
+    start = float(road.coordinates(poses[k[0]].centre[None])[0][0])
+    return replace(scene, vehicles=(replace(vehicle, start_distance=start),), frames=len(k))
 
 
 def _propose_crossing(seed: int, rng: np.random.Generator, speed: float, fixed: dict[str, Any]) -> Scene:
