@@ -13,7 +13,7 @@ import yaml
 from numpy.typing import NDArray
 
 from paceline.simulation.lane_change import LaneChange
-from paceline.simulation.random_scenes import random_crossing, random_scene
+from paceline.simulation.random_scenes import random_bend, random_crossing, random_scene
 from paceline.simulation.stereo.clip import SCENE_SUBPIXELS_PER_SIDE, Scene, Vehicle, World, render, write
 from paceline.simulation.stereo.scene import Motion, PlacedRoad, Pose, make_rig, rig_views
 from paceline.simulation.stereo.textured_planes import TexturedPlane, composite, draw_planes
@@ -188,6 +188,17 @@ def test_random_scenes_are_varied_and_watchable() -> None:
     assert {s.radius is None for s in scenes} == {s.vehicles[0].receding for s in scenes} == {True, False}
     for scene in scenes[:15] + [random_crossing(seed) for seed in range(10)]:
         assert sum(row["inside"] for row in World(scene).truth) >= 8
+
+
+@pytest.mark.parametrize("radius", [20.0, 45.0, 80.0])
+def test_random_bends_are_watchable_and_turn_across_the_view(radius: float) -> None:
+    for seed in range(6):
+        scene = random_bend(seed, radius, 10.0)
+        world = World(scene)
+        assert abs(scene.radius or 0) == radius and all(row["inside"] for row in world.truth) and scene.frames >= 8
+        left = np.array(world.clip["paths"]["lane0"]["left"])
+        slopes = np.abs(np.diff(left[:, 1])) / np.abs(np.diff(left[:, 0]))
+        assert radius == 80 or slopes.min() < 0.35  # there it runs nearly along the epipolar lines
 
 
 def test_overrides_of_a_random_scene_hold() -> None:
