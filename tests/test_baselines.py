@@ -250,16 +250,16 @@ def test_a_region_is_not_found_where_it_is_not(level: StereoRig, texture: Image)
     further = []
     for k in range(1, 5):
         assert regions.find(_frame(noise, noise, 0.2 * k)) is None
-        further.append(regions.miss(0.2 * k))
+        further.append(regions.record_missed(0.2 * k))
     assert further == [True, True, True, False] and regions.status == "lost"
 
 
 def test_a_region_that_drives_out_of_the_image_unseen_has_ended(rig: StereoRig, texture: Image) -> None:
     quad = np.array([[30.0, 220], [100, 220], [100, 250], [30, 250]])
     regions = TemplateTracker(rig, np.stack([quad, quad]), _frame(texture, texture, 0.0))
-    regions.accept(np.stack([quad - [20, 0]] * 2), _frame(texture, texture, 0.2))
+    regions.record_found(np.stack([quad - [20, 0]] * 2), _frame(texture, texture, 0.2))
     assert regions.status == "tracking"
-    assert not regions.miss(0.4) and regions.status == "ended"
+    assert not regions.record_missed(0.4) and regions.status == "ended"
 
 
 def test_a_region_without_texture_is_refused(rig: StereoRig) -> None:

@@ -233,7 +233,7 @@ def test_corners_are_found_where_they_are(text: str) -> None:
     find = board_detector(board)
     for side, picture in enumerate(boards.render(setup, 0, rng)):
         found = find(picture.astype(np.float32))
-        mine = exact.where(exact.side == side)
+        mine = exact.select(exact.side == side)
         assert len(found) >= min(0.5 * len(board.points), board.min_corners)
         if board.marker is None and np.linalg.norm(found.pixels[0] - mine.pixels[0]) > 20:
             found = Corners(found.ids, found.pixels[::-1].copy())  # the same board, turned by half a turn

@@ -60,7 +60,7 @@ def test_it_agrees_with_opencv() -> None:
     """cv2.stereoCalibrate minimises the same sum, where every corner counts alike."""
     setup, _, seen = filmed(7, 12)
     found = adjust(setup.rig, setup.poses, seen, FREE)
-    ids = [{side: seen.where((seen.view == v) & (seen.side == side)) for side in (0, 1)} for v in range(12)]
+    ids = [{side: seen.select((seen.view == v) & (seen.side == side)) for side in (0, 1)} for v in range(12)]
     objects, left, right = [], [], []
     for pair in ids:  # OpenCV wants the same corners on both sides
         a, b = ([tuple(p) for p in pair[side].points] for side in (0, 1))

@@ -245,7 +245,7 @@ def test_a_vehicle_is_followed_live_until_it_is_stopped(tmp_path: Path, monkeypa
     player.join()
     now = library.runs.get("drive", run.number)
     assert now is not None and now.state == "measured", now
-    assert {"report.html", "track.csv"} <= set(result_files(library.runs.out(now)))
+    assert {"report.html", "track.csv"} <= set(result_files(library.runs.output_folder(now)))
     library.runs.close()
 
 
@@ -306,10 +306,10 @@ def test_a_live_run_is_monitored_and_has_a_report(tmp_path: Path, monkeypatch: p
         time.sleep(0.02)
     assert now is not None and now.state == "measured", now
     assert doing >= {"learning", "measuring"} and len(frames) >= 8
-    assert "report.html" in result_files(library.runs.out(now))
+    assert "report.html" in result_files(library.runs.output_folder(now))
     with pytest.raises(NotFound):
         library.runs.picture(now, max(frames), 0)  # nothing is kept of it in memory
-    vehicle = read_summary(library.runs.out(now))["vehicles"][0]["vehicle"]
+    vehicle = read_summary(library.runs.output_folder(now))["vehicles"][0]["vehicle"]
     library.runs.close()
     with open_client(root) as client:
         address = result_address("road", run.number, picture_name(vehicle))
@@ -326,7 +326,7 @@ def test_a_killed_live_run_does_not_block_the_console(tmp_path: Path, monkeypatc
     survey_file(root / "road")
     library = Library(root)
     run = library.runs.start("road", LIVE_RUN, ["--background-seconds", "4"])
-    out = library.runs.out(run)
+    out = library.runs.output_folder(run)
     until(lambda: (out / "summary.json").is_file() and bool(read_summary(out)["vehicles"]))
     process = library.runs._process
     assert process is not None

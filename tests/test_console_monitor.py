@@ -138,7 +138,7 @@ def test_an_active_run_is_monitored(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         time.sleep(0.005)
     assert now is not None and now.state == "measured"
     assert library.runs.live_data(now) == ([], {})
-    rows = rows_of(library.runs.out(now) / "estimates.csv")
+    rows = rows_of(library.runs.output_folder(now) / "estimates.csv")
     assert set(seen) <= {int(row["frame"]) for row in rows} and len(seen) >= 2
     known = [float(row["speed_mps"]) for row in rows if row["speed_mps"]]
     assert series[0].vehicle == "v0" and series[0].value == pytest.approx(known, abs=1e-4)

@@ -102,7 +102,7 @@ def test_runs_are_queued_read_and_cancelled(library: Library) -> None:
     assert second.started is not None and second.started >= first.ended
     assert [p.name for p in library.runs.folder(second).iterdir() if p.name.startswith(("out", "."))] == []
 
-    out = library.runs.out(first)
+    out = library.runs.output_folder(first)
     assert {"report.html", "overlay.mp4", "estimates.csv", "summary.json"} <= {p.name for p in out.iterdir()}
     (vehicle,) = read_summary(out)["vehicles"]
     assert vehicle["speed_mps"] == pytest.approx(18.0, abs=0.5)
@@ -132,9 +132,9 @@ def test_each_run_measures_the_documents_as_saved_at_its_request(library: Librar
     for number, name in ((1, "v0"), (2, "later")):
         run = ended(library, number)
         assert run.state == "measured", run.reason
-        summary = json.loads((library.runs.out(run) / "summary.json").read_text())
+        summary = json.loads((library.runs.output_folder(run) / "summary.json").read_text())
         assert [v["vehicle"] for v in summary["vehicles"]] == [name] and summary["clip"] == "road/clip.yaml"
-        assert "<h1>road/clip.yaml</h1>" in (library.runs.out(run) / "report.html").read_text()
+        assert "<h1>road/clip.yaml</h1>" in (library.runs.output_folder(run) / "report.html").read_text()
 
 
 def test_copied_documents_have_the_content_of_the_originals(tmp_path: Path) -> None:
@@ -206,7 +206,7 @@ def test_a_killed_console_ends_its_run(tmp_path: Path) -> None:
         console.wait()
     wait(lambda: not _alive(child), 60)
     library = Library(root)
-    (run,) = library.runs.of("road")
+    (run,) = library.runs.runs_of("road")
     assert run.state == "interrupted" and "stopped while it ran" in run.reason
     assert contents(clip) == before and library.entry("road").state == "interrupted"
     library.runs.close()
@@ -226,7 +226,7 @@ def test_closing_ends_the_active_run(tmp_path: Path) -> None:
     wait(lambda: library.runs._process is not None)
     library.runs.close()
     again = Library(tmp_path.resolve())
-    (run,) = again.runs.of("road")
+    (run,) = again.runs.runs_of("road")
     assert run.state == "interrupted" and run.reason == "the console was closed"
     again.runs.close()
 
@@ -287,7 +287,7 @@ def test_a_run_folder_that_cannot_be_created_is_reported(library: Library) -> No
     (library.folder("road") / "runs").write_text("a file is in the way")
     with pytest.raises(UnusableInput, match="road/runs: cannot be written"):
         library.runs.start("road", "speed", FAST)
-    assert library.runs.of("road") == [] and library.runs.active() == []
+    assert library.runs.runs_of("road") == [] and library.runs.active() == []
 
 
 def test_on_a_full_disk_no_run_starts_and_the_end_of_one_is_reported(
@@ -315,7 +315,7 @@ def test_a_damaged_record_is_no_run(library: Library, text: str) -> None:
     folder = library.folder("road") / "runs" / "0001"
     folder.mkdir(parents=True)
     (folder / "run.json").write_text(text)
-    assert library.runs.of("road") == [] and library.entry("road").state == "ready"
+    assert library.runs.runs_of("road") == [] and library.entry("road").state == "ready"
 
 
 def test_results_are_not_read_through_links(library: Library, tmp_path: Path) -> None:

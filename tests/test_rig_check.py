@@ -128,7 +128,7 @@ def test_clusters_count_once() -> None:
 def test_a_few_points_are_not_enough(rig: StereoRig) -> None:
     matches = scene(rig, 1)
     assert has_enough_matches(matches)
-    assert not has_enough_matches(matches.where(np.arange(len(matches)) < 20))
+    assert not has_enough_matches(matches.select(np.arange(len(matches)) < 20))
     assert not has_enough_matches(SceneMatches(matches.left, matches.right, np.zeros(len(matches), np.int64), 1))
 
 

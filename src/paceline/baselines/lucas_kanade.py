@@ -61,12 +61,12 @@ class LucasKanade:
         moves = regions.find(frame)
         tracked_quads = None if moves is None else self._track(frame, moves)
         if tracked_quads is None:
-            further = regions.miss(frame.time)
+            further = regions.record_missed(frame.time)
             self.frame_results.append(unseen_frame(frame, regions))
             return further
         matches, quads = tracked_quads
         dt = frame.time - regions.time
-        regions.accept(quads, frame)
+        regions.record_found(quads, frame)
         displacement, spread = _displacement(self.rig, before, matches)
         speed = float(np.linalg.norm(displacement)) / dt
         ahead = displacement / np.maximum(speed * dt, 1e-12)
@@ -98,13 +98,13 @@ class LucasKanade:
         valid &= self._follows_common_motion(key.matches.left, left, valid)
         if valid.sum() < MIN_POINTS:
             return None
-        from_key = key.matches.chosen(valid)
+        from_key = key.matches.select(valid)
         left = left[valid]
         right, valid = optical_flow.match_points(frame.left, frame.right, left, right_move(from_key.right), window)
         valid &= self._is_consistent(left, right, valid)
         if valid.sum() < MIN_POINTS:
             return None
-        from_key, left, right = from_key.chosen(valid), left[valid], right[valid]
+        from_key, left, right = from_key.select(valid), left[valid], right[valid]
         matches = _Matches(from_key.number, left, right, triangulate(self.rig, left, right))
         transforms = _similarity(from_key.left, left), _similarity(from_key.right, right)
         quads = [q @ m[:, :2].T + m[:, 2] for q, m in zip(key.quads, transforms, strict=True) if m is not None]
@@ -249,7 +249,7 @@ class _Matches:
     right: Array
     points: Array
 
-    def chosen(self, selection: Mask) -> _Matches:
+    def select(self, selection: Mask) -> _Matches:
         return _Matches(self.number[selection], self.left[selection], self.right[selection], self.points[selection])
 
 

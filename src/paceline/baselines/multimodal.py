@@ -87,7 +87,7 @@ class Multimodal:
         if self._particles is None:
             self._particles = self._draw_particles(frame, dt)
             if self._particles is None:
-                further = self._templates.miss(frame.time)
+                further = self._templates.record_missed(frame.time)
                 self.frame_results.append(unseen_frame(frame, self._templates))
                 return further
         particles, self._time = self._propagate(self._particles, dt), frame.time

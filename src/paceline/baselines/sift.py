@@ -51,13 +51,13 @@ class Sift:
         else:
             moves = self._templates.find(frame)
             if moves is None:
-                return self._miss(frame)
+                return self._record_missed(frame)
             quads = np.stack([m(q) for m, q in zip(moves, self._templates.quads, strict=True)])
         left, right = self._matches(frame, quads)
         if len(left) < MIN_FEATURE_MATCHES:
-            return self._miss(frame)
+            return self._record_missed(frame)
         if self.frame_results:
-            self._templates.accept(quads, frame)
+            self._templates.record_found(quads, frame)
         self._record(frame, left, right)
         return self._templates.status == "tracking"
 
@@ -80,11 +80,11 @@ class Sift:
             )
         return left[valid], right[valid]
 
-    def _miss(self, frame: StereoFrame) -> bool:
+    def _record_missed(self, frame: StereoFrame) -> bool:
         assert self._templates is not None
         if not self.frame_results:
             return False
-        further = self._templates.miss(frame.time)
+        further = self._templates.record_missed(frame.time)
         self.frame_results.append(unseen_frame(frame, self._templates))
         return further
 

@@ -101,7 +101,7 @@ class TemplateTracker:
         across = abs(float(epipolar_distance(self.rig, *after)))
         return across < MAX_REGION_EPIPOLAR_PX and abs(left.scale * depth / depth_before - 1) < max_mismatch
 
-    def accept(self, quads: Array, frame: StereoFrame) -> None:
+    def record_found(self, quads: Array, frame: StereoFrame) -> None:
         """Records that the vehicle is found in ``frame`` at ``quads`` (2, 4, 2)."""
         grown = shift_between(self.quads[0], quads[0]).scale
         self._last_step = self.quads.mean(1), grown, frame.time - self.time
@@ -109,7 +109,7 @@ class TemplateTracker:
         if self._outside(quads):
             self.status = "ended"
 
-    def miss(self, time: float) -> bool:
+    def record_missed(self, time: float) -> bool:
         """Records that the vehicle is not found at ``time``; whether to search for it further."""
         self._unseen += 1
         expected = np.stack([self._expected(view, time)(self.quads[view]) for view in (0, 1)])

@@ -108,9 +108,9 @@ def calibrate(views: BoardViews) -> Calibration:
     pairs = sum(len(views.views[v].left) > 0 and len(views.views[v].right) > 0 for v in used)
     if pairs < MIN_BOARD_VIEWS:
         raise UnusableInput(f"only {pairs} pairs agree with each other; expected at least {MIN_BOARD_VIEWS}")
-    inlier_corners, outlier_corners = _without_outliers(rig, poses.of(used), renumbered(all_corners, agree))
+    inlier_corners, outlier_corners = _without_outliers(rig, poses.select(used), renumbered(all_corners, agree))
     try:
-        models = fit_lens_models(rig, poses.of(used), inlier_corners)
+        models = fit_lens_models(rig, poses.select(used), inlier_corners)
         distortion = min(models, key=lambda name: models[name].cross_validation_px)
         final, covariance = models[distortion].fit, model_averaged_covariance(models, distortion)
     except np.linalg.LinAlgError:
@@ -160,10 +160,10 @@ def fit_lens_models(rig: RigState, poses: Poses, observations: Observations) -> 
         for k in range(fold.max() + 1):
             train, test = fold != k, fold == k
             fitted = adjust(
-                fit_to_all.rig, fit_to_all.poses.of(np.flatnonzero(train)), renumbered(observations, train), free
+                fit_to_all.rig, fit_to_all.poses.select(np.flatnonzero(train)), renumbered(observations, train), free
             )
             of_test = renumbered(observations, test)
-            posed = adjust(fitted.rig, fit_to_all.poses.of(np.flatnonzero(test)), of_test, NO_PARAMETERS)
+            posed = adjust(fitted.rig, fit_to_all.poses.select(np.flatnonzero(test)), of_test, NO_PARAMETERS)
             weighted_squares = posed.weights * (posed.residuals**2).sum(1)
             squares[test] = np.bincount(of_test.view, weighted_squares, minlength=int(test.sum()))
             count += 2 * len(of_test.view) - 6 * int(test.sum())
@@ -207,7 +207,7 @@ def _without_outliers(rig: RigState, poses: Poses, observations: Observations) -
     length = np.linalg.norm(adjusted.residuals, axis=1)
     view_rms = rms_by_view(adjusted.residuals * np.sqrt(adjusted.weights)[:, None], observations.view, len(poses.t))
     keep = length <= MAX_CORNER_SIGMA * np.maximum(view_rms[observations.view], np.median(view_rms)) * np.sqrt(2)
-    return observations.where(keep), int((~keep).sum())
+    return observations.select(keep), int((~keep).sum())
 
 
 UNDETERMINED_MESSAGE = (

@@ -23,7 +23,7 @@ def initial_rig(sizes: Sequence[tuple[int, int]], observations: Observations, vi
     lenses = np.zeros((2, N_LENS))
     poses = []
     for side in (0, 1):
-        lenses[side], side_poses = _initial_lens(sizes[side], observations.where(observations.side == side), views)
+        lenses[side], side_poses = _initial_lens(sizes[side], observations.select(observations.side == side), views)
         poses.append(side_poses)
     R, t = _initial_pose(lenses, poses, observations)
     rig = RigState(lenses, R, t)
@@ -54,7 +54,7 @@ def _poses(lens: Array, observations: Observations, views: int) -> tuple[Poses, 
     K = np.array([[lens[0], 0, lens[2]], [0, lens[1], lens[3]], [0, 0, 1]])
     R, t, errors = np.full((views, 3, 3), np.nan), np.full((views, 3), np.nan), np.full(views, np.nan)
     for v in np.unique(observations.view):
-        corners = observations.where(observations.view == v)
+        corners = observations.select(observations.view == v)
         n_solutions, rotations, shifts, error = cv2.solvePnPGeneric(
             corners.points, corners.pixels, K, np.zeros(0), flags=cv2.SOLVEPNP_IPPE
         )
@@ -75,7 +75,7 @@ def _initial_pose(lenses: Array, poses: list[Poses], observations: Observations)
     left, right = poses
     both = np.flatnonzero(np.isfinite(left.t[:, 0]) & np.isfinite(right.t[:, 0]))
     fx, fy, cx, cy = lenses[1, :4]
-    corners = [observations.where((observations.view == v) & (observations.side == 1)) for v in both]
+    corners = [observations.select((observations.view == v) & (observations.side == 1)) for v in both]
     best, min_error = None, np.inf
     for v in both:
         R = right.R[v] @ left.R[v].T

@@ -43,7 +43,7 @@ def select_consistent_views(
     for _ in range(MAX_ROUNDS):
         used_observations = renumbered(observations, used)
         for parameters in (free_parameters("none"), free):
-            adjusted = adjust(rig, poses.of(np.flatnonzero(used)), used_observations, parameters, "redescending")
+            adjusted = adjust(rig, poses.select(np.flatnonzero(used)), used_observations, parameters, "redescending")
             rig = adjusted.rig
         errors, poses = view_errors(rig, poses, observations)
         agree = ~outliers(errors.joint)
@@ -65,11 +65,11 @@ def view_errors(rig: RigState, poses: Poses, observations: Observations) -> tupl
     ]
     separate = []
     for side in (0, 1):
-        of_side = observations.where(observations.side == side)
+        of_side = observations.select(observations.side == side)
         has_corners = np.isin(np.arange(V), of_side.view)
         f = adjust(
             rig,
-            joint.poses.of(np.flatnonzero(has_corners)),
+            joint.poses.select(np.flatnonzero(has_corners)),
             renumbered(of_side, has_corners),
             NO_PARAMETERS,
             "redescending",
@@ -131,5 +131,5 @@ def _check_common_rig(errors: ViewErrors, used: Mask) -> None:
 
 def renumbered(observations: Observations, used: Mask) -> Observations:
     """The corners of the ``used`` views (V,), the views renumbered."""
-    remaining = observations.where(used[observations.view])
+    remaining = observations.select(used[observations.view])
     return Observations((np.cumsum(used) - 1)[remaining.view], remaining.side, remaining.points, remaining.pixels)

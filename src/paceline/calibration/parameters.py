@@ -89,7 +89,7 @@ class Poses:
         turn = np.array([rotation_matrix(s) for s in step[:, :3]]).reshape(-1, 3, 3)
         return Poses(turn @ self.R, np.einsum("vij,vj->vi", turn, self.t) + step[:, 3:])
 
-    def of(self, views: Indices) -> Poses:
+    def select(self, views: Indices) -> Poses:
         return Poses(self.R[views], self.t[views])
 
 
@@ -102,7 +102,7 @@ class Observations:
     points: Array
     pixels: Array
 
-    def where(self, chosen: NDArray[np.bool_]) -> Observations:
+    def select(self, chosen: NDArray[np.bool_]) -> Observations:
         return Observations(self.view[chosen], self.side[chosen], self.points[chosen], self.pixels[chosen])
 
 

@@ -92,7 +92,7 @@ def has_enough_matches(matches: SceneMatches) -> bool:
 def check_rig(rig: StereoRig, matches: SceneMatches) -> RigCheck:
     """Estimates the rotation of the right camera by robust least squares of the distances from epipolar lines."""
     rotation, keep, residual_px = _fit_rotation(rig, matches)
-    inliers = matches.where(keep)
+    inliers = matches.select(keep)
     rotated = rotated_rig(rig, rotation)
     J = _rotation_jacobian(rotated, inliers)
     residuals = epipolar_distance(rotated, inliers.left, inliers.right)
@@ -172,7 +172,7 @@ def _fit_rotation(rig: StereoRig, matches: SceneMatches) -> tuple[Array, Mask, f
         if np.abs(step).max() < 1e-9:
             break
     keep = np.abs(epipolar_distance(rotated_rig(rig, rotation), matches.left, matches.right)) < MAX_MATCH_SIGMA * scale
-    inliers = matches.where(keep)
+    inliers = matches.select(keep)
     for _ in range(3):  # unweighted steps, so that the least-squares covariance holds
         rotated = rotated_rig(rig, rotation)
         J = _rotation_jacobian(rotated, inliers)

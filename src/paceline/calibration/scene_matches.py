@@ -38,7 +38,7 @@ class SceneMatches:
     def __len__(self) -> int:
         return len(self.left)
 
-    def where(self, chosen: NDArray[np.bool_]) -> SceneMatches:
+    def select(self, chosen: NDArray[np.bool_]) -> SceneMatches:
         return replace(self, left=self.left[chosen], right=self.right[chosen], tile=self.tile[chosen])
 
 

@@ -103,7 +103,7 @@ class Library:
         """The clip ``name``; in the state STATE_BEING_READ where reading it takes longer than ``timeout`` s. Raises
         NotFound."""
         contents = self._contents(self.file(name), timeout)
-        runs = [run for run in self.runs.of(name) if run.kind in MEASURING_KINDS or run.active]
+        runs = [run for run in self.runs.runs_of(name) if run.kind in MEASURING_KINDS or run.active]
         state, reason = contents.state, contents.reason
         if not state:
             state, reason = _clip_state(contents, runs)

@@ -231,14 +231,14 @@ def _run_routes(library: Library) -> APIRouter:
     @router.get("/results/{clip}/{number}/pictures/{vehicle}.jpg")
     def picture(clip: str, number: int, vehicle: str) -> FileResponse:
         run = _find_run(library, decode_clip(clip), number)
-        return FileResponse(file_below(library.runs.out(run), picture_name(vehicle)))
+        return FileResponse(file_below(library.runs.output_folder(run), picture_name(vehicle)))
 
     @router.get("/results/{clip}/{number}/{name}")
     def result(clip: str, number: int, name: str, save: bool = False) -> FileResponse:
         run = _find_run(library, decode_clip(clip), number)
         if name not in RESULT_FILES:
             raise NotFound(name)
-        file = file_below(library.runs.out(run), name)
+        file = file_below(library.runs.output_folder(run), name)
         answer = FileResponse(file, filename=name if save else None)
         if file.suffix == ".html":
             answer.headers["Content-Security-Policy"] = REPORT_SECURITY_POLICY

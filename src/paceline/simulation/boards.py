@@ -95,7 +95,7 @@ def corners_by_view(observations: Observations, board: Board) -> list[tuple[Corn
     for v in range(int(observations.view.max()) + 1):
         views = []
         for side in (0, 1):
-            in_view = observations.where((observations.view == v) & (observations.side == side))
+            in_view = observations.select((observations.view == v) & (observations.side == side))
             ids = np.abs(in_view.points[:, None] - board.points).sum(-1).argmin(1)
             views.append(Corners(ids, in_view.pixels))
         pairs.append((views[0], views[1]))

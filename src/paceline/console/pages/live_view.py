@@ -120,7 +120,7 @@ class LiveView:
 
     def _read_measured(self) -> tuple[dict[str, Any], list[Series]] | None:
         """The summary of a live run and the series of its latest vehicles; None if they are already shown."""
-        out = self.library.runs.out(self.run)
+        out = self.library.runs.output_folder(self.run)
         stamps = file_stamps([out / "summary.json"])
         if stamps == self.shown_state:
             return None

@@ -49,7 +49,7 @@ def show_links(library: Library, run: Run) -> None:
     """Shows the run's name and links to its files."""
     with ui.element("div").classes("pl-row pl-wrap"):
         ui.label(f"Run {run.number}").classes("pl-subtitle")
-        for name, text in result_files(library.runs.out(run)).items():
+        for name, text in result_files(library.runs.output_folder(run)).items():
             address = result_address(run.clip, run.number, name)
             report = name.endswith(".html")
             ui.link(text, address if report else f"{address}?save=true", new_tab=report)
@@ -59,7 +59,7 @@ def show_speeds(
     library: Library, run: Run, runs: list[Run], unit: str, other: int | None, compare: CompareHandler
 ) -> None:
     """Shows verdicts, and speeds over time. Raises UnusableInput."""
-    out = library.runs.out(run)
+    out = library.runs.output_folder(run)
     summary, series = read_summary(out), read_series(out, growing=run.kind == LIVE_RUN)
     if run.kind == LIVE_RUN:
         show_recent_vehicles(run, summary, unit)
@@ -70,8 +70,10 @@ def show_speeds(
         ui.label(f"Note: {notice}").classes("pl-fact")
     compared = None
     if (second := _choose_comparison(runs, run, other, compare)) is not None:
-        compared = read_series(library.runs.out(second), growing=second.kind == LIVE_RUN)
-        rows = compare_summaries(summary["vehicles"], read_summary(library.runs.out(second))["vehicles"], unit)
+        compared = read_series(library.runs.output_folder(second), growing=second.kind == LIVE_RUN)
+        rows = compare_summaries(
+            summary["vehicles"], read_summary(library.runs.output_folder(second))["vehicles"], unit
+        )
         headings = {"vehicle": "vehicle", "first": f"run {run.number}", "second": f"run {second.number}",
                     "change": f"difference, {unit}"}  # fmt: skip
         table = ui.table(
@@ -125,7 +127,7 @@ def show_recent_vehicles(run: Run, summary: dict[str, Any], unit: str) -> None:
 
 def show_range(library: Library, run: Run, runs: list[Run], other: int | None, compare: CompareHandler) -> None:
     """Shows the distance of the vehicle ahead, and in how many frames it was tracked. Raises UnusableInput."""
-    out = library.runs.out(run)
+    out = library.runs.output_folder(run)
     summary = read_follow_summary(out)
     series = read_range_series(out, summary["target"])
     counts = ", ".join(f"{count} {status}" for status, count in summary["status"].items())
@@ -140,7 +142,7 @@ def show_range(library: Library, run: Run, runs: list[Run], other: int | None, c
     second = _choose_comparison(runs, run, other, compare)
     compared = None
     if second is not None:
-        compared = read_range_series(library.runs.out(second), summary["target"])
+        compared = read_range_series(library.runs.output_folder(second), summary["target"])
     if any(s.time for s in series):
         ui.label("Distance over time, m, with the 95 % interval, where the vehicle was tracked").classes("pl-fact")
         ui.echart(distance_chart(series, compared)).classes("pl-chart")

@@ -176,7 +176,7 @@ class _RunsPage:
     def update(self) -> None:
         """Shows the present state of the runs, and the chosen one's progress or result."""
         try:
-            runs = [r for r in self.library.runs.of(self.clip) if r.kind in MEASURING_KINDS]
+            runs = [r for r in self.library.runs.runs_of(self.clip) if r.kind in MEASURING_KINDS]
         except NotFound:
             return
         if self.chosen is None and runs:
@@ -257,7 +257,7 @@ class _RunsPage:
                 if not ended:
                     ui.label(f"Run {chosen.number} {_end_text(chosen)}").classes("pl-subtitle")
                     ui.label(chosen.reason).classes("pl-reason")
-                if ended or (chosen.kind == LIVE_RUN and result_files(self.library.runs.out(chosen))):
+                if ended or (chosen.kind == LIVE_RUN and result_files(self.library.runs.output_folder(chosen))):
                     self._show_measured(chosen, runs)
             except (UnusableInput, NotFound) as error:
                 text = REMOVED_TEXT if isinstance(error, NotFound) else self.library.relative_message(error)

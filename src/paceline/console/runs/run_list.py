@@ -161,7 +161,7 @@ class RunList:
             raise NotFound(f"frame {frame}")
         return pictures[view]
 
-    def of(self, clip: str) -> list[Run]:
+    def runs_of(self, clip: str) -> list[Run]:
         """The runs of a clip, latest first."""
         try:
             numbers = [
@@ -196,7 +196,7 @@ class RunList:
         name = document_of(run.kind)
         return file_below(self.folder(run), f"{INPUTS_FOLDER}/{name if run.clip == '.' else f'{run.clip}/{name}'}")
 
-    def out(self, run: Run) -> Path:
+    def output_folder(self, run: Run) -> Path:
         """The folder of the command's output, which appears when the command succeeds."""
         return self.folder(run) / "out"
 
@@ -284,7 +284,7 @@ class RunList:
             return replace(run, state=STATE_MEASURED)
         if status == EXIT_NOTHING_MEASURED:
             end_reason = (
-                nothing_measured_reason(self.out(run))
+                nothing_measured_reason(self.output_folder(run))
                 if run.kind in MEASURING_KINDS
                 else self._relative_reason(run, reason)
             )
