@@ -1,4 +1,4 @@
-"""Bends that cross the view, drawn: ours and Lucas–Kanade on the same clips in one run.
+"""Drawn clips of vehicles on bends that cross the view: ours and Lucas–Kanade on the same clips in one run.
 
 python benchmarks/bends.py [--n 4] [--seed 1] [--radii 20 30 45 60 80] [--rates 5 10 25] [--free] [--workers 1]
 """

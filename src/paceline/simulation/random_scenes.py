@@ -175,7 +175,7 @@ def _shown_on_bend(scene: Scene) -> Scene | None:
     well_seen &= facing > np.cos(MAX_BEND_OBLIQUITY_RAD)
     for view in views:
         well_seen &= np.array([is_inside_image(q, scene.image_size) for q in view.project(corners)])
-    k = longest_visible_run(np.arange(len(ticks))[:, None], well_seen)[:, 0].astype(int)
+    k = longest_visible_run(np.arange(len(ticks), dtype=float)[:, None], well_seen)[:, 0].astype(int)
     if len(k) < MIN_VISIBLE_FRAMES:
         return None
     if any(len(visible_line(scene, road, vehicle.lane, corners[k].mean(1), view)) < 10 for view in views):
