@@ -80,7 +80,7 @@ def _ended_within(error: SystemError) -> str | int | None:
 
 
 def _terminate(number: int, frame: FrameType | None) -> None:
-    """Ends as by Ctrl-C, so that nothing half written stays behind."""
+    """Ends as by Ctrl-C, so that no incomplete output remains."""
     sys.exit(128 + number)
 
 

@@ -28,7 +28,7 @@ def insert_below(text: str, name: str, entries: Callable[[int], list[str]]) -> s
         last = value.value[-1][1].end_mark
         end = last.line if last.column == 0 else last.line + 1
         while end > key.start_mark.line + 1 and _is_outer_comment(lines[end - 1], indent):
-            end -= 1  # what stands between these entries and the next key belongs to that key
+            end -= 1  # lines between these entries and the next key belong to that key
         return "\n".join([*lines[:end], *entries(indent), *lines[end:]]) + "\n"
     row = key.start_mark.line
     _, hash_, comment = lines[row].partition("#")

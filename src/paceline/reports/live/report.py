@@ -92,7 +92,7 @@ class LiveResults:
         self.save()
 
     def save(self) -> None:
-        """Updates summary.json, unless it has been written so lately that its share of the time is used up."""
+        """Updates summary.json, unless its share of the time is used up."""
         start_time = time.monotonic()
         if self._changed and start_time >= self._due:
             write_all_or_none(self._summary())

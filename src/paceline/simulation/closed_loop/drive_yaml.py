@@ -122,7 +122,7 @@ class RequirementsModel(Document):
     clearance: Annotated[float, Field(gt=0)] = 0.5  # m, least distance between the bodies
     rms_path_error: Metres | None = 0.3  # m
     max_path_error: Metres | None = 1.0
-    rms_gap_error: Metres | None = None  # m, from what the policy wants
+    rms_gap_error: Metres | None = None  # m, from the policy's desired gap
     max_gap: Metres | None = None
     lost: Annotated[int, Field(ge=0)] | None = 0  # times that the lead may be lost
     tracked: Annotated[float, Field(ge=0, le=1)] | None = 0.95  # least share of the frames that show the lead

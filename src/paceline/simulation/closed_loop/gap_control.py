@@ -133,7 +133,7 @@ def required_braking(policy: GapPolicy, speed: float, gap: float, lead_speed: fl
     closing = max(speed - lead_speed, 0.0)
     if available_distance <= 0:
         return np.inf if closing > 0 else braking
-    if 2 * available_distance * braking <= closing * lead_speed:  # both are equally fast before the lead stands
+    if 2 * available_distance * braking <= closing * lead_speed:  # both are equally fast before the lead stops
         return braking + closing**2 / (2 * available_distance)
     if braking == 0:
         return 0.0

@@ -225,7 +225,7 @@ def _image_motion(camera: Camera, points: Array, slopes: Array) -> Array:
 
 
 def _distances_to_curve(points: Array, curve: Array) -> tuple[Array, Array, Array]:
-    """Signed distances (N,) of ``points`` (N, 2) from the spline through ``curve`` (M, 2), which goes on straight
+    """Signed distances (N,) of ``points`` (N, 2) from the spline through ``curve`` (M, 2), which continues straight
     beyond its ends; the parameters (N,) of their foot points, in samples; and the normals (N, 2) there.
 
     The distances are smooth in both, also where the curve bends sharply between its samples.
