@@ -23,7 +23,10 @@ import paceline
 from paceline import cli
 from paceline.simulation.random_scenes import random_crossing
 from paceline.simulation.stereo.clip import Scene, Vehicle, render, write
+from paceline.speed.configuration import SpeedConfiguration
+from paceline.speed.filter.batch import TrackerBatch
 from paceline.speed.geometry.path_reconstruction import path_from_document
+from paceline.speed.run import VehicleMeasurement
 
 Array = NDArray[np.float64]
 Images = list[NDArray[Any]]
@@ -384,6 +387,21 @@ def test_a_filter_that_slid_off_is_put_right_by_the_pictures(clip: Path, monkeyp
     m = paceline.measure(paceline.load_clip(clip), paceline.SpeedConfiguration()).measurements[0]
     assert m.verdict == "measured" and m.frames == 10
     assert m.speed_lo - 0.03 <= SPEED <= m.speed_hi + 0.03
+
+
+def test_the_fit_of_all_frames_decides_about_the_direction(clip: Path) -> None:
+    """Two frames may be too near to each other to tell the filter in which direction a vehicle drives."""
+    loaded = paceline.load_clip(clip)
+    (vehicle,) = loaded.vehicles
+    drawn = {"lane0": path_from_document(loaded.paths["lane0"], loaded.rig)}
+    run = VehicleMeasurement(loaded, vehicle, drawn, SpeedConfiguration(), TrackerBatch())
+    for frame in paceline.open_recording(loaded).frames():
+        run.process(frame)
+    expected, driven = run.result(), run.tracker.path
+    (run.tracker.path,) = (path for path in run.tracker.candidate_paths if path is not driven)
+    found = run.result()
+    assert (found.verdict, run.tracker.path) == ("measured", driven)
+    assert found.speed == pytest.approx(expected.speed, abs=0.1 * expected.random_std)
 
 
 def hoarding(clip: Path, side: str, frames: list[int]) -> Images:

@@ -125,7 +125,17 @@ class VehicleMeasurement:
         return self._measured(refined, sum(e.status == "tracking" for e in self.estimates))
 
     def _refined(self) -> RefinedMotion:
+        """The refined motion. The filter has chosen the direction along the path from two frames, which may be too near
+        to each other to tell it: a negative speed means the other direction."""
         speed = float(np.mean([e.speed for e in self.estimates[1:] if e.status == "tracking"]))
+        refined = self._refine_from(speed)
+        if self.path is not None and (backward := refined.mean_speed()[0]) < 0:
+            direction = self.tracker.path
+            (self.tracker.path,) = (path for path in self.tracker.candidate_paths if path is not direction)
+            refined = self._refine_from(-backward)
+        return refined
+
+    def _refine_from(self, speed: float) -> RefinedMotion:
         min_log_odds = self.configuration.model.min_log_odds
         return refine(self._trajectory(speed), self.keyframes, speed, self.path is not None, min_log_odds)
 
