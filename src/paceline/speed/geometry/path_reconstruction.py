@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline, UnivariateSpline
 from scipy.optimize import least_squares
@@ -13,7 +12,6 @@ from scipy.optimize import least_squares
 from paceline.arrays import Array
 from paceline.cameras import Camera, StereoRig
 from paceline.documents.loading import PathDocument
-from paceline.geometry import triangulate
 from paceline.speed.configuration import DEFAULTS
 from paceline.speed.geometry.paths import (
     ANOTHER_LINE,
@@ -31,10 +29,12 @@ CURVATURE_WALK_STRENGTHS = (2e-4, 1e-3, 5e-3)  # m^-1.5: an arc of constant radi
 VERTICAL_CURVATURE_WALK = 1e-4  # m^-1.5, the same for the vertical curvature
 VERTICAL_CURVATURE_STD = 1e-3  # 1/m, of the road's mean vertical curvature: crests of 1000 m
 GRADIENT_STD = (0.05, 0.2)  # of the surface's fall to the right of the camera, by roll and bank, and ahead, by its tilt
-PLANE_ITERATIONS = 5  # of the robust fit of the first plane
 FOOT_POINT_ITERATIONS = 6  # of Newton's method for the point of a curve that is nearest to a drawn one
-CROSSING_HUBER_SIGMA = 1.5  # standard deviations from which a residual counts linearly
-USUAL_CAMERA_HEIGHT_M = 2.0  # m above the road, to begin with
+PLANE_HEIGHTS_M = np.geomspace(0.7, 12.0, 15)  # m below the camera, of the first planes that are tried
+PLANE_FALLS = np.linspace(-0.4, 0.4, 21)  # of these planes ahead of the camera, which may look up or down
+PLANES_REFINED = 3  # of them
+FIRST_CURVE_STD_M = 1.0  # m, of a point of the first curve from the road that is fitted to it
+MAX_PLANE_MISFIT_SIGMA = 20.0  # of the right drawing's points from the left curve carried over by the plane, median
 MAX_ROAD_M = 150.0  # m from the camera up to which a road is reconstructed
 
 
@@ -68,23 +68,20 @@ def path_from_document(
 def reconstruct_curve(name: str, rig: StereoRig, left: Array, right: Array, sigma: float = DEFAULTS.line_sigma) -> Path:
     """A space curve from two image curves whose points do not correspond.
 
-    Each point of the left curve meets the right curve where its epipolar line crosses it. The plane through these
-    points, each weighted by how well its depth is determined, meets the rays of the left curve in a first curve.
-    Then a road is fitted to the drawn points of both views at once, by their distances to its projections, robustly:
-    a :class:`_RoadCurve`, whose curvature is a random walk of the strength that the drawing itself makes most probable.
+    A plane carries the left curve onto the right one by the homography that it induces; its intersection with the rays
+    of the left curve is a first curve. Then a road is fitted to the drawn points of both views at once, by their
+    distances to its projections, robustly: a :class:`_RoadCurve`, whose curvature is a random walk of the strength that
+    the drawing itself makes most probable.
     Stretches nearly parallel to the epipolar lines do not constrain the depth: there it comes from the surface, which
     the other stretches determine, and the covariance is larger.
     """
-    plane = _plane_of_crossings(rig, *_match_along_epipolar_lines(rig, left, right, sigma), sigma)
-    if plane is None:
+    start = _first_curve(rig, _polyline(left, PATH_SAMPLES, sigma), right, sigma)
+    if start is None:
         raise UndeterminedPath(
             name,
-            "the two drawn curves do not meet along the epipolar lines, or run parallel to them",
-            "draw the same stretch of one road line in both views",
+            "no road surface before the cameras carries one drawn curve onto the other",
+            "expected the same stretch of one road line in both views",
         )
-    start = _intersect(rig.left.rays(_polyline(left, PATH_SAMPLES, sigma)), plane)
-    if len(start) < 6:
-        raise UndeterminedPath(name, "reconstructs behind the cameras", "expected the same line in both views")
     road, x = _RoadCurve.through(start)
     drawn = len(left) + len(right)
     rotations = (np.eye(3), rig.R)
@@ -166,14 +163,16 @@ class _RoadCurve:
         at = np.linspace(0, u[-1], PATH_SAMPLES + 1)
         points = np.stack([np.interp(at, u, c) for c in points.T], axis=1)
         road = cls(float(u[-1]))
-        middle, along = points[len(points) // 2], np.gradient(points, axis=0)[len(points) // 2]
-        x = np.concatenate([middle, [np.arctan2(along[0], along[2]), 0.0, 0.0], np.zeros(2 * len(road.knots))])
-        prior = road.prior(CURVATURE_WALK_STRENGTHS[-1])
+        yaw = np.unwrap(np.arctan2(*np.gradient(points, axis=0)[:, [0, 2]].T))
+        curvature = np.full(len(road.knots), (yaw[-1] - yaw[0]) / u[-1])
+        middle = len(points) // 2
+        x = np.concatenate([points[middle], [yaw[middle], 0.0, 0.0], curvature, np.zeros(len(road.knots))])
+        prior = road.prior(CURVATURE_WALK_STRENGTHS[0])
 
         def residuals(x: Array) -> Array:
             curve = road.points(x)
             fitted = np.stack([np.interp(at - u[-1] / 2, road.s, c) for c in curve.T], axis=1)
-            return np.concatenate([((points - fitted) / 0.5).ravel(), prior @ x])
+            return np.concatenate([((points - fitted) / FIRST_CURVE_STD_M).ravel(), prior @ x])
 
         return road, least_squares(residuals, x, x_scale=road.scale, max_nfev=30).x
 
@@ -243,78 +242,36 @@ def _distances_to_curve(points: Array, curve: Array) -> tuple[Array, Array, Arra
     return np.asarray((offset * normals).sum(1)), u, normals
 
 
-def _match_along_epipolar_lines(rig: StereoRig, left: Array, right: Array, sigma: float) -> tuple[Array, Array]:
-    """World points (N, 3), in order along the left curve: where its points' epipolar lines cross the right one; and
-    the sines (N,) of the angles at which they cross."""
-    a, b = (_polyline(p, 120, sigma) for p in (left, right))
-    lines = np.column_stack([a, np.ones(len(a))]) @ rig.fundamental.T
-    side = np.column_stack([b, np.ones(len(b))]) @ lines.T  # (right samples, left samples)
-    candidates: list[list[tuple[float, float]]] = []
-    tangent = np.diff(b, axis=0)
-    for j in range(len(a)):
-        matches = []
-        for i in np.flatnonzero(side[:-1, j] * side[1:, j] <= 0).tolist():
-            f = side[i, j] / (side[i, j] - side[i + 1, j] + 1e-300)
-            slope = abs(tangent[i] @ lines[j, :2]) / (np.linalg.norm(tangent[i]) * np.linalg.norm(lines[j, :2]) + 1e-12)
-            matches.append((i + f, slope))
-        candidates.append(matches)
-    points, sines = [], []
-    for j, r in _smoothest_chain(candidates):
-        segment = min(int(r), len(b) - 2)
-        pixel = b[segment] + (r - segment) * tangent[segment]
-        points.append(triangulate(rig, a[j], pixel))
-        sines.append(next(sine for place, sine in candidates[j] if place == r))
-    return np.array(points).reshape(-1, 3), np.array(sines)
+def _first_curve(rig: StereoRig, left: Array, right: Array, sigma: float) -> Array | None:
+    """Points (N, 3) of the ``left`` curve's samples (N, 2) on the plane that carries that curve onto the drawn points
+    ``right`` (M, 2) best; None where no plane does."""
+    rays = rig.left.rays(left)
 
+    def on_plane(x: Array) -> Array:
+        """Points on the plane of height exp(x₀) below the camera that falls by (x₁, x₂) to the right and ahead."""
+        inverse_depth = rays @ np.array([-x[1], 1.0, -x[2]]) / np.exp(x[0])
+        return np.asarray(rays / np.maximum(inverse_depth, 1 / MAX_ROAD_M)[:, None])
 
-def _plane_of_crossings(rig: StereoRig, points: Array, sines: Array, sigma: float) -> Array | None:
-    """The plane (3,), n with n · X = 1, through matched ``points``; None where these are fewer than 6.
+    def distances(x: Array) -> Array:
+        return _distances_to_curve(right, rig.right.project(rig.to_right(on_plane(x))))[0] / sigma
 
-    Along a ray r with z = 1 the inverse depth is n · r: linear in n. An error of the drawing changes it by the
-    reciprocal of the sine at which the epipolar line crosses the curve.
-    """
-    if len(points) < 6:
+    def residuals(x: Array) -> Array:
+        return np.concatenate([distances(x), x[1:] / GRADIENT_STD])
+
+    def cost(x: Array) -> float:
+        return float(np.sqrt(1 + residuals(x) ** 2).sum())
+
+    hypotheses = [np.array([np.log(h), 0.0, fall]) for h in PLANE_HEIGHTS_M for fall in PLANE_FALLS]
+    fits = [
+        least_squares(residuals, x, loss="soft_l1", x_scale=np.array([0.1, 0.01, 0.01]), max_nfev=50)
+        for x in sorted(hypotheses, key=cost)[:PLANES_REFINED]
+    ]
+    best = min(fits, key=lambda fit: float(fit.cost)).x
+    if np.median(np.abs(distances(best))) > MAX_PLANE_MISFIT_SIGMA:
         return None
-    rows, inverse_depths = points / points[:, 2:], 1 / points[:, 2]
-    precision = sines / (2 * sigma / (rig.left.K[0, 0] * rig.baseline))
-    weights, n = precision, np.array([0.0, 1 / USUAL_CAMERA_HEIGHT_M, 0.0])
-    for _ in range(PLANE_ITERATIONS):
-        gradient_prior = np.diag(1 / (n[1] * np.array([GRADIENT_STD[0], np.inf, GRADIENT_STD[1]])))[::2]
-        A = np.vstack([weights[:, None] * rows, gradient_prior])
-        n = np.linalg.lstsq(A, np.append(weights * inverse_depths, [0.0, 0.0]), rcond=None)[0]
-        residuals = precision * np.abs(rows @ n - inverse_depths)
-        weights = precision * np.sqrt(np.minimum(1.0, CROSSING_HUBER_SIGMA / np.maximum(residuals, 1e-9)))
-    return np.asarray(n)
-
-
-def _intersect(rays: Array, plane: Array) -> Array:
-    """Points (M, 3) in which the ``rays`` (N, 3) with z = 1 meet the ``plane``, without those beyond `MAX_ROAD_M`."""
-    inverse_depth = rays @ plane
-    ahead = inverse_depth > 1 / MAX_ROAD_M
-    return np.asarray(rays[ahead] / inverse_depth[ahead, None])
-
-
-def _smoothest_chain(candidates: list[list[tuple[float, float]]]) -> list[tuple[int, float]]:
-    """One crossing per left sample, such that the chain moves least along the right curve (dynamic programming).
-
-    Crossings nearly parallel to their epipolar line are left out. Returns (left sample, right parameter) pairs.
-    """
-    crossings = [(j, [r for r, slope in c if slope > 0.08]) for j, c in enumerate(candidates)]
-    crossings = [(j, rs) for j, rs in crossings if rs]
-    if not crossings:
-        return []
-    cost = np.zeros(len(crossings[0][1]))
-    back: list[NDArray[np.int64]] = []
-    for (_, previous), (_, current) in zip(crossings, crossings[1:], strict=False):
-        total = cost[:, None] + np.abs(np.subtract.outer(previous, current))
-        back.append(np.argmin(total, axis=0))
-        cost = total.min(0)
-    k = int(np.argmin(cost))
-    chain = [(crossings[-1][0], crossings[-1][1][k])]
-    for step in range(len(back) - 1, -1, -1):
-        k = int(back[step][k])
-        chain.append((crossings[step][0], crossings[step][1][k]))
-    return chain[::-1]
+    points = on_plane(best)
+    points = points[points[:, 2] < 0.99 * MAX_ROAD_M]
+    return points if len(points) > PATH_SAMPLES // 4 else None
 
 
 def _polyline(points: Array, n: int, sigma: float) -> Array:
