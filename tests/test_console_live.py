@@ -31,8 +31,6 @@ from paceline.console.library import Library
 from paceline.console.routes import result_address
 from paceline.console.runs.inputs import copy_documents
 from paceline.console.runs.kinds import FOLLOW_RUN, LIVE_RUN, command_arguments
-from paceline.console.runs.monitor import MAX_KEPT_FRAMES as KEPT_FRAMES
-from paceline.console.runs.monitor import RunMonitor
 from paceline.console.runs.options import command_options, convert_tolerance
 from paceline.console.runs.results import (
     MAX_LIVE_SERIES,
@@ -42,6 +40,8 @@ from paceline.console.runs.results import (
     read_summary,
     result_files,
 )
+from paceline.console.runs.run_progress import MAX_KEPT_FRAMES as KEPT_FRAMES
+from paceline.console.runs.run_progress import RunProgress
 from paceline.documents.loading import load_clip
 from paceline.errors import UnusableInput
 from paceline.progress import MAX_LINE_LENGTH, format_pictures, parse_estimate, parse_pictures, parse_progress
@@ -274,16 +274,16 @@ def test_other_lines_are_no_pictures(rest: str) -> None:
 
 
 def test_the_latest_pictures_are_kept_with_what_is_in_them() -> None:
-    monitor = RunMonitor()
+    progress = RunProgress()
     for frame in range(100):
         told_of = {"frame": frame, "time_s": frame / 2, "value": 9.0, "std": None}
         if frame % 2:
-            monitor.add_estimate({"vehicle": "lane0", **told_of})
-        monitor.add_pictures(
+            progress.add_estimate({"vehicle": "lane0", **told_of})
+        progress.add_pictures(
             {"frame": frame, "time_s": frame / 2, "size": [64, 48], "pictures": [bytes([frame]), b"right"]}
         )
-        assert monitor.scene["frame"] == frame and len(monitor.scene["vehicles"]) == frame % 2
-    assert list(monitor.pictures) == list(range(100 - KEPT_FRAMES, 100)) and monitor.pictures[99][0] == bytes([99])
+        assert progress.last_frame["frame"] == frame and len(progress.last_frame["vehicles"]) == frame % 2
+    assert list(progress.pictures) == list(range(100 - KEPT_FRAMES, 100)) and progress.pictures[99][0] == bytes([99])
 
 
 @pytest.mark.slow

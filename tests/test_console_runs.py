@@ -20,10 +20,10 @@ from tiny_clips import copy_of, put_clip
 
 from paceline.console import library as library_module
 from paceline.console.library import Library
-from paceline.console.runs import run_list as runs_module
+from paceline.console.runs import run_queue as runs_module
 from paceline.console.runs.inputs import copy_documents
 from paceline.console.runs.results import compare_summaries, read_series, read_summary, vehicle_rows
-from paceline.console.runs.run_list import Run, RunList
+from paceline.console.runs.run_queue import Run, RunQueue
 from paceline.documents.loading import load_clip
 from paceline.errors import UnusableInput
 from paceline.progress import PROGRESS_VARIABLE, format_progress, parse_progress
@@ -357,7 +357,7 @@ def test_the_command_writes_progress_lines_on_request(tmp_path: Path, monkeypatc
 def test_runs_are_numbered_on(library: Library) -> None:
     (library.folder("road") / "runs" / "0041").mkdir(parents=True)
     run = library.runs.start("road", "speed", FAST)
-    assert run.number == 42 and isinstance(library.runs, RunList)
+    assert run.number == 42 and isinstance(library.runs, RunQueue)
     library.runs.cancel("road", run.number)
     assert ended(library, 42).state == "cancelled"
 

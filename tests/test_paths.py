@@ -291,7 +291,7 @@ def test_curves_along_the_epipolar_lines_are_refused(rig):
     points = np.column_stack([50 * np.sin(a), np.full_like(a, 0.01), 80 - 50 * np.cos(a)])  # at the cameras' height
     for seed in range(3):
         rng = np.random.default_rng(seed)
-        with pytest.raises(UnusableInput, match="path a: (the drawn curves run nearly parallel to the epipolar lines|no road surface)"):
+        with pytest.raises(UnusableInput, match="path a: .*(parallel to the epipolar lines|no road surface)"):
             reconstruct("a", "curve", level, *drawn_curve(level, points, rng, 0.4)[:2])
 
 

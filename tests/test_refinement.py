@@ -24,6 +24,7 @@ from paceline.documents.loading import Clip, load_clip
 from paceline.simulation.lane_change import LaneChange
 from paceline.simulation.random_scenes import random_crossing, random_scene
 from paceline.simulation.stereo.clip import Scene, Vehicle, render, write
+from paceline.speed.acceptance import MAX_DEVIATION_SIGMA
 from paceline.speed.configuration import DriverSettings, ModelSettings, SpeedConfiguration
 from paceline.speed.measurement import measure_clip
 from paceline.speed.refinement import pyramid_cpu, view_dependence
@@ -44,7 +45,6 @@ from paceline.speed.refinement.robust_covariance import MIN_VARIANCE_SHARE
 from paceline.speed.refinement.self_calibration import RigParameters, fixed_rig
 from paceline.speed.refinement.trajectory import MOTION_PARAMETER_NAMES, Prior, Trajectory
 from paceline.speed.results import Measurement
-from paceline.speed.verdict import MAX_DEVIATION_SIGMA
 
 MPH = 0.44704  # m/s
 UNCERTAINTY: dict[str, Any] = {

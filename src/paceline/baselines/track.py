@@ -11,9 +11,9 @@ from scipy.special import stdtrit
 from paceline.arrays import Array
 from paceline.baselines.template_tracking import TemplateTracker
 from paceline.recordings.stereo import StereoFrame
+from paceline.speed.acceptance import check_frames, check_interval
 from paceline.speed.configuration import Limits
 from paceline.speed.results import CONFIDENCE_LEVEL, Measurement, Track
-from paceline.speed.verdict import check_frames, check_interval
 from paceline.verdicts import Message, message
 
 NAN = float("nan")

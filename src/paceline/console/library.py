@@ -21,7 +21,7 @@ from paceline.console.document_names import (
 )
 from paceline.console.frames.frame_cache import FileStamps, FrameCache, file_stamps, is_unchanged
 from paceline.console.runs.kinds import MEASURING_KINDS
-from paceline.console.runs.run_list import STATE_CANCELLED, STATE_RUNNING, Run, RunList
+from paceline.console.runs.run_queue import STATE_CANCELLED, STATE_RUNNING, Run, RunQueue
 from paceline.documents.loading import load_clip, load_follow
 from paceline.documents.models import ClipModel
 from paceline.errors import UnusableInput
@@ -67,7 +67,7 @@ class Library:
         self.root = root
         self.read_only = not os.access(root, os.W_OK | os.X_OK)
         self.frame_cache = FrameCache(root)
-        self.runs = RunList(root, self.folder)
+        self.runs = RunQueue(root, self.folder)
         self._known: dict[Path, tuple[FileStamps, ClipContents]] = {}
         self._readers = ThreadPoolExecutor(READER_THREADS, "reading")
         self._reading: dict[Path, Future[tuple[FileStamps, ClipContents]]] = {}

@@ -32,7 +32,7 @@ from paceline.console.request_body import read_body, read_json
 from paceline.console.runs.kinds import LANES_RUN, RUN_KINDS
 from paceline.console.runs.options import command_options, parse_number, parse_whole_number
 from paceline.console.runs.results import RESULT_FILES, picture_name
-from paceline.console.runs.run_list import Run
+from paceline.console.runs.run_queue import Run
 from paceline.console.target_routes import target_router
 from paceline.errors import UnusableInput
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from paceline.arrays import Array
-from paceline.speed import verdict
+from paceline.speed import acceptance
 from paceline.speed.configuration import DEFAULTS, JointCalibrationSettings, SpeedConfiguration
 from paceline.speed.refinement.photometric_fit import MIN_INFORMATION_SHARE
 from paceline.speed.results import Measurement, RigInformation, Track
@@ -165,7 +165,7 @@ def with_neighbours(
         reason = message("calibration_inconsistent_jointly", vehicles=count, deviation=shift, max_deviation=limit)
     else:
         random, m = m.rig_information.half_width, replace(corrected(m, posterior), calibrated_by=count)
-        reason = verdict.check_interval(m.speed, (m.speed_hi - m.speed_lo) / 2, random, configuration.limits)
+        reason = acceptance.check_interval(m.speed, (m.speed_hi - m.speed_lo) / 2, random, configuration.limits)
     return replace(m.with_verdict(reason), rig_information=None)
 
 

@@ -17,7 +17,7 @@ from paceline.documents.loading import Clip, VehicleDocument, load_clip
 from paceline.errors import UnusableInput
 from paceline.progress import Progress
 from paceline.recordings.stereo import StereoFrame, StereoFrames, open_recording
-from paceline.speed import verdict
+from paceline.speed import acceptance
 from paceline.speed.choices import DeviceName
 from paceline.speed.configuration import DEFAULTS, SpeedConfiguration
 from paceline.speed.filter.batch import TrackerBatch
@@ -62,7 +62,7 @@ def measure(
     begin = partial(VehicleMeasurement, batch=batch, on_estimate=on_estimate)
     result = measure_each(clip, recording, configuration, begin, progress)
     jointly = calibrate_jointly(result.measurements, configuration)
-    measurements = [verdict.apply_tolerance(m, configuration.tolerance) for m in jointly]
+    measurements = [acceptance.apply_tolerance(m, configuration.tolerance) for m in jointly]
     return replace(result, measurements=measurements, notices=[*result.notices, *batch.notices])
 
 
@@ -188,7 +188,7 @@ def by_vehicle(
 
         result = measure_each(clip, recording, configuration, begin_on, progress, on_paths=on_paths)
         return replace(
-            result, measurements=[verdict.apply_tolerance(m, configuration.tolerance) for m in result.measurements]
+            result, measurements=[acceptance.apply_tolerance(m, configuration.tolerance) for m in result.measurements]
         )
 
     return Method(measure_clip)

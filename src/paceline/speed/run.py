@@ -12,7 +12,7 @@ from paceline.arrays import Array
 from paceline.documents.loading import Clip, VehicleDocument
 from paceline.errors import UnusableInput
 from paceline.recordings.stereo import StereoFrame
-from paceline.speed import verdict
+from paceline.speed import acceptance
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.filter.batch import TrackerBatch
 from paceline.speed.filter.estimate import MIN_REFERENCE_SIMILARITY, MIN_VISIBLE_SIMILARITY, Estimate
@@ -99,7 +99,7 @@ class VehicleMeasurement:
         self.estimates = _lost_after_occlusion(self.estimates)
         tracked = [e for e in self.estimates if e.status == "tracking"]
         last = self.estimates[-1].status if self.estimates else "tracking"
-        if too_few := verdict.check_frames(last, len(tracked), self.limits):
+        if too_few := acceptance.check_frames(last, len(tracked), self.limits):
             return self._rejected(too_few)
         if (n_similar := sum(e.similarity >= MIN_REFERENCE_SIMILARITY for e in tracked)) < self.limits.min_frames:
             return self._rejected(
@@ -114,9 +114,9 @@ class VehicleMeasurement:
             return self._from_filter(tracked)
         try:
             refined = self._refined()
-            while (
-                self.limits.min_frames <= (count := verdict.frames_to_refit(refined, self.limits)) < len(self.keyframes)
-            ):
+            while (count := acceptance.frames_to_refit(refined, self.limits)) < len(self.keyframes):
+                if count < self.limits.min_frames:
+                    break
                 self.keyframes = self.keyframes[:count]
                 self.estimates = _lost_after(self.estimates, self.keyframes[-1].frame)
                 refined = self._refined()
@@ -162,12 +162,12 @@ class VehicleMeasurement:
         student = stdtrit(refined.dof, 0.5 + CONFIDENCE_LEVEL / 2)
         random = float(np.hypot(student * noise_std, COVERAGE_95 * model_std))
         half_width = float(np.hypot(random, COVERAGE_95 * np.nan_to_num(systematic_std)))
-        reason = verdict.check_refined(refined, speed, half_width, self.limits) or verdict.check_outline(
+        reason = acceptance.check_refined(refined, speed, half_width, self.limits) or acceptance.check_outline(
             refined, self.vehicle.right, self.configuration.click_sigma, self.limits
         )
         fit = refined.rig_estimate
         rig_information = None if reason or fit is None else self._rig_information(refined, fit, student)
-        reason = reason or verdict.check_interval(speed, half_width, random, self.limits)
+        reason = reason or acceptance.check_interval(speed, half_width, random, self.limits)
         speeds, times = refined.speeds()[0], refined.trajectory.times.mean(1)
         acceleration = float((speeds[-1] - speeds[0]) / (times[-1] - times[0]))
         terms = refined.motion_terms
@@ -237,7 +237,7 @@ class VehicleMeasurement:
         information = 1.0 / np.array([e.speed_std for e in tracked[1:]]) ** 2
         speed, std = float(np.average(speeds, weights=information)), float(1.0 / np.sqrt(information.mean()))
         half_width = COVERAGE_95 * std
-        reason = verdict.check_interval(speed, half_width, limits=self.limits)
+        reason = acceptance.check_interval(speed, half_width, limits=self.limits)
         return Measurement(
             vehicle=self.vehicle.id,
             track=self._track(None),

@@ -38,11 +38,11 @@ from paceline.lanes.road_detection import RoadNotFound
 from paceline.recordings.background import Background, background_from, background_problem
 from paceline.recordings.live_stereo import LiveStereo, RawPair, undistort_pair
 from paceline.recordings.stereo import StereoFrame
+from paceline.speed.acceptance import apply_tolerance
 from paceline.speed.configuration import BackgroundSettings, SpeedConfiguration
 from paceline.speed.joint_calibration import with_neighbours
 from paceline.speed.measurement import measure, require_two_views
 from paceline.speed.results import Measurement
-from paceline.speed.verdict import apply_tolerance
 from paceline.verdicts import Message, message
 
 MAX_PAIR_SPACING_S = 0.2  # greatest time between the pairs that are measured, where pairs are left out

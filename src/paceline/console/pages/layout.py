@@ -11,7 +11,7 @@ from nicegui import ui
 
 from paceline.console.library import ClipEntry
 from paceline.console.runs.kinds import FOLLOW_RUN, LIVE_RUN
-from paceline.console.runs.run_list import (
+from paceline.console.runs.run_queue import (
     STATE_FAILED,
     STATE_INTERRUPTED,
     STATE_MEASURED,

@@ -16,7 +16,7 @@ from paceline.console.pages.layout import BACKGROUND_ACTIVITY, PREPARING_ACTIVIT
 from paceline.console.pages.results import ROWS_PER_PAGE, show_recent_vehicles, show_vehicle_table
 from paceline.console.runs.kinds import FOLLOW_RUN, LIVE_RUN
 from paceline.console.runs.results import Series, read_series, read_summary
-from paceline.console.runs.run_list import STATE_WAITING, Run
+from paceline.console.runs.run_queue import STATE_WAITING, Run
 from paceline.errors import UnusableInput
 from paceline.reports.common.formatting import format_number, format_speed_number
 

@@ -22,7 +22,7 @@ from paceline.console.runs.results import (
     result_files,
     vehicle_rows,
 )
-from paceline.console.runs.run_list import STATE_MEASURED, Run
+from paceline.console.runs.run_queue import STATE_MEASURED, Run
 from paceline.reports.common.formatting import format_number
 
 VERDICT_TEMPLATE = """

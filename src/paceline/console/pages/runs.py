@@ -13,26 +13,22 @@ from paceline.console.pages.layout import (
     READ_ONLY_TEXT,
     RESPONSE_TIMEOUT_S,
     TAB_RUNS,
-    badge,
-    format_created,
-    format_duration,
     not_found_page,
     page,
-    progress_text,
     runs_address,
 )
 from paceline.console.pages.live_view import LiveView
+from paceline.console.pages.run_list import RunList
 from paceline.console.runs.kinds import FOLLOW_RUN, LIVE_RUN, MEASURING_KINDS, SPEED_RUN
 from paceline.console.runs.options import UNIT_NAMES, command_options, convert_tolerance, setting_range
 from paceline.console.runs.results import result_files
-from paceline.console.runs.run_list import STATE_MEASURED, STATE_NOTHING, Run
+from paceline.console.runs.run_queue import STATE_MEASURED, STATE_NOTHING, Run
 from paceline.errors import UnusableInput
 from paceline.speed.configuration import DEFAULTS
 
 PAGE_POLL_INTERVAL_S = 0.5  # time between updates of the page
 REMOVED_TEXT = "The clip has been removed."
 TOLERANCE_LABEL = "Largest half-width ±"
-STOPPING_TEXT = "stopping; the vehicles seen so far are still measured"
 
 
 def add(library: Library) -> None:
@@ -62,15 +58,13 @@ class _RunsPage:
         self.seconds = entry.contents.seconds
         self.chosen = number
         self.other: int | None = None
-        self.shown_list: object = None  # what the list and the result show, to update them only on a change
-        self.shown_result: object = None
+        self.shown_result: object = None  # what the result shows, to update it only on a change
         self.live_view: LiveView | None = None
-        self.progress_bars: dict[int, tuple[ui.linear_progress, ui.label]] = {}
         with ui.element("div").classes("pl-columns"):
             with ui.element("aside").classes("pl-side"):
                 self._add_form(entry)
                 ui.label("Runs").classes("pl-subtitle")
-                self.list = ui.element("div").classes("pl-runs")
+                self.list = RunList(library, self.live, self.choose, self.stop, self.cancel)
             self.result = ui.element("section").classes("pl-result")
         self.update()
         ui.timer(PAGE_POLL_INTERVAL_S, self.update)
@@ -181,15 +175,7 @@ class _RunsPage:
             return
         if self.chosen is None and runs:
             self.chosen = runs[0].number
-        listed = self.chosen, [(r.number, r.state, self.library.runs.is_stopping(r)) for r in runs]
-        if listed != self.shown_list:
-            self.shown_list = listed
-            self._show_list(runs)
-        for r in runs:
-            if r.number in self.progress_bars:
-                bar, text = self.progress_bars[r.number]
-                bar.value = r.done / r.total if r.total else 0.0
-                text.text = STOPPING_TEXT if self.library.runs.is_stopping(r) else progress_text(r)
+        self.list.update(runs, self.chosen)
         chosen = next((r for r in runs if r.number == self.chosen), None)
         read = (chosen and (chosen.number, chosen.active or chosen.state)), self.unit, self.other, len(runs)
         if read != self.shown_result:
@@ -197,41 +183,6 @@ class _RunsPage:
             self._show_result(chosen, runs)
         if chosen is not None and self.live_view is not None:
             self.live_view.update(chosen)
-
-    def _show_list(self, runs: list[Run]) -> None:
-        self.list.clear()
-        self.progress_bars.clear()
-        with self.list:
-            if not runs:
-                ui.label("None yet.").classes("pl-fact")
-            for r in runs:
-                with ui.element("div").classes("pl-run" + (" pl-here" if r.number == self.chosen else "")):
-                    with ui.element("div").classes("pl-row"):
-                        name = ui.button(f"Run {r.number}", on_click=lambda _, n=r.number: self.choose(n), color=None)
-                        name.props("flat dense no-caps").classes("pl-run-name")
-                        badge("live" if r.kind == LIVE_RUN and r.active else r.state)
-                    if r.active:
-                        self._show_progress(r)
-                    else:
-                        duration = format_duration(r.ended - r.started) if r.ended and r.started else ""
-                        text = [format_created(r), duration, "live" if r.kind == LIVE_RUN else ""]
-                        ui.label(", ".join(filter(None, text))).classes("pl-fact")
-
-    def _show_progress(self, r: Run) -> None:
-        bar = ui.linear_progress(0.0, show_value=False).props(f'aria-label="Run {r.number}"')
-        bar.set_visibility(r.kind != LIVE_RUN)
-        with ui.element("div").classes("pl-row"):
-            text = ui.label(progress_text(r)).classes("pl-fact")
-            self.progress_bars[r.number] = bar, text
-            endless = r.kind == LIVE_RUN or self.live
-            if endless and not self.library.runs.is_stopping(r) and r.started:
-                stop = ui.button("Stop", on_click=lambda _, n=r.number: self.stop(n), color=None)
-                stop.props("flat dense no-caps").tooltip(
-                    "Stops the run; the vehicles seen so far are measured and kept."
-                )
-            else:
-                cancel = ui.button("Cancel", on_click=lambda _, n=r.number: self.cancel(n), color=None)
-                cancel.props("flat dense no-caps")
 
     def stop(self, number: int) -> None:
         self.library.runs.stop(self.clip, number)

@@ -18,9 +18,9 @@ import yaml
 from numpy.typing import NDArray
 
 from paceline.arrays import Array
+from paceline.simulation.chase.renderer import Renderer
 from paceline.simulation.chase.scene import CHASE_PRESETS, ChaseScene, Occlusion
 from paceline.simulation.chase.script import ChaseScript
-from paceline.simulation.chase.sensor import Renderer
 from paceline.simulation.chase.world import WorldState, lead_body
 from paceline.simulation.operator import draw_start
 

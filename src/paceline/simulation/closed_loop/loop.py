@@ -14,8 +14,8 @@ from paceline.follow.results import FollowEstimate
 from paceline.follow.tracker import FollowTracker
 from paceline.simulation.chase.clip import ChaseTruth, start_document, target_document, truth_of
 from paceline.simulation.chase.motion import RoadPose as Placed
+from paceline.simulation.chase.renderer import Renderer
 from paceline.simulation.chase.scene import ChaseScene
-from paceline.simulation.chase.sensor import Renderer
 from paceline.simulation.chase.vehicles import Body
 from paceline.simulation.chase.world import WorldState
 from paceline.simulation.closed_loop.clearance import outline_distance, vehicle_outline

@@ -17,7 +17,7 @@ from run_command import ENVIRONMENT, paceline
 from tiny_clips import put_clip
 
 from paceline.console.library import Library
-from paceline.console.runs.monitor import MAX_SERIES_VALUES, RunMonitor
+from paceline.console.runs.run_progress import MAX_SERIES_VALUES, RunProgress
 from paceline.progress import (
     MAX_LINE_LENGTH,
     MAX_PARTICLES,
@@ -67,27 +67,27 @@ def estimate(vehicle: str, frame: int, value: float | None) -> dict[str, object]
 
 
 def test_a_frame_is_shown_once_all_its_estimates_are_added() -> None:
-    monitor = RunMonitor()
-    monitor.finish_frame()
-    assert monitor.scene == {} and monitor.series() == []
-    monitor.add_estimate(estimate("a", 3, None))
-    monitor.add_estimate(estimate("b", 3, 20.0))
-    assert monitor.scene == {}
-    monitor.finish_frame()
-    monitor.add_estimate(estimate("a", 4, 10.0))
-    assert monitor.scene["frame"] == 3 and [v["vehicle"] for v in monitor.scene["vehicles"]] == ["a", "b"]
-    monitor.finish_frame()
-    assert [v["vehicle"] for v in monitor.scene["vehicles"]] == ["a"]
-    assert {s.vehicle: (s.time, s.value) for s in monitor.series()} == {"b": ([0.6], [20.0]), "a": ([0.8], [10.0])}
+    progress = RunProgress()
+    progress.finish_frame()
+    assert progress.last_frame == {} and progress.series() == []
+    progress.add_estimate(estimate("a", 3, None))
+    progress.add_estimate(estimate("b", 3, 20.0))
+    assert progress.last_frame == {}
+    progress.finish_frame()
+    progress.add_estimate(estimate("a", 4, 10.0))
+    assert progress.last_frame["frame"] == 3 and [v["vehicle"] for v in progress.last_frame["vehicles"]] == ["a", "b"]
+    progress.finish_frame()
+    assert [v["vehicle"] for v in progress.last_frame["vehicles"]] == ["a"]
+    assert {s.vehicle: (s.time, s.value) for s in progress.series()} == {"b": ([0.6], [20.0]), "a": ([0.8], [10.0])}
 
 
 @pytest.mark.parametrize("count", [MAX_SERIES_VALUES, MAX_SERIES_VALUES + 1, 25_000])
 def test_the_kept_values_do_not_grow_with_the_recording(count: int) -> None:
-    monitor = RunMonitor()
+    progress = RunProgress()
     for frame in range(count):
-        monitor.add_estimate(estimate("a", frame, float(frame)))
-        monitor.finish_frame()
-    (series,) = monitor.series()
+        progress.add_estimate(estimate("a", frame, float(frame)))
+        progress.finish_frame()
+    (series,) = progress.series()
     steps = np.diff(series.value)
     assert MAX_SERIES_VALUES / 2 <= len(series.value) <= MAX_SERIES_VALUES and (steps == steps[0]).all()  # even in time
     assert series.value[0] == 0 and series.value[-1] > count - 1 - steps[0]

@@ -1,4 +1,4 @@
-"""The image formation of a chase camera: illumination, lens and sensor."""
+"""Renders what a chase camera sees: sky, ground, roadside and lead vehicle, through its lens, on its sensor."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from paceline.simulation.chase.scenery import LANE_WIDTH_M, shade_map
 from paceline.simulation.chase.world import ChaseWorld, WorldState
 from paceline.simulation.road import POLYGON_STEP_M
 
-ROAD_AHEAD_M = 260.0  # m of road ahead that is laid out
-MAX_OBJECT_DISTANCE_M = 170.0  # m, of things beside the road
+ROAD_AHEAD_M = 260.0  # length of road ahead that is rendered
+MAX_OBJECT_DISTANCE_M = 170.0  # of objects beside the road
 
 
 class Renderer:
@@ -26,7 +26,7 @@ class Renderer:
         scene, rng = self.scene, np.random.default_rng([world.scene.seed, 23])
         self.sun = world.sun
         self.shade = shade_map(rng, scene.shadows, -world.sun.azimuth)
-        self.coarse = np.asarray(cv2.resize(self.shade, None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA))
+        self.coarse_shade = np.asarray(cv2.resize(self.shade, None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA))
         self.noise_texture = rng.standard_normal((256, 256)).astype(np.float32)
         asphalt, verge = rng.uniform(75, 125), rng.uniform(50, 95)
         direct = (1 - self.sun.ambient) * float(scene.shadows > 0 or rng.random() < 0.8)
@@ -44,7 +44,7 @@ class Renderer:
     def render(self, state: WorldState) -> tuple[NDArray[np.uint8], float]:
         """Image (H, W), and the visible share of the lead's rear plane; each call draws new noise."""
         grey, hidden = self._render_grey(state)
-        return self._expose(grey, state.time), self._visible(state, hidden)
+        return self._expose(grey, state.time), self._visible_share(state, hidden)
 
     def _render_grey(self, state: WorldState) -> tuple[Image, Image | None]:
         """Grey levels (H, W) before the sensor, and the mask (H, W) of objects that occlude the lead, if any."""
@@ -56,15 +56,15 @@ class Renderer:
             image, rays, camera.heading, camera.K[0, 0], self.sky_appearance, self.skylines, self.noise_texture
         )
         self._paint_ground(image, rays, state)
-        things, distance = self._roadside(state)
-        draw_faces(image, things, self.world.atlas, camera, self.sun, self.shade, np.eye(3))
+        objects, distance = self._roadside(state)
+        draw_faces(image, objects, self.world.atlas, camera, self.sun, self.shade, np.eye(3))
         grey = np.asarray(cv2.GaussianBlur(image[..., 0], (0, 0), blur[0], sigmaY=blur[1]), np.float32)
         patch = self._lead_window(state, blur) if state.lead_present else None
         if patch is None:
             return grey, None
         rows, columns = patch
         lead = self._draw_lead(state, rows, columns, blur)
-        before = things[distance < state.gap]
+        before = objects[distance < state.gap]
         front = np.zeros((rows.stop - rows.start, columns.stop - columns.start, 2), np.float32)
         shift = np.array([[1, 0, -columns.start], [0, 1, -rows.start], [0, 0, 1.0]])
         draw_faces(front, before, self.world.atlas, camera, self.sun, self.shade, shift)
@@ -96,7 +96,7 @@ class Renderer:
             self.ground_appearance,
             self.noise_texture,
             self.shade,
-            np.asarray(self.coarse, np.float32),
+            np.asarray(self.coarse_shade, np.float32),
             shadows,
             occlusion,
         )
@@ -104,10 +104,10 @@ class Renderer:
     def _roadside(self, state: WorldState) -> tuple[Faces, Array]:
         """All objects in view except the lead, the farthest first, and the distance ahead of each, m."""
         roadside = self.world.roadside_faces(state.chase.arc, state.chase.arc + MAX_OBJECT_DISTANCE_M)
-        things = join_faces([roadside, *self.world.moving_faces(state)])
-        distance = state.camera.to_level(things.x, things.y)[1]
+        objects = join_faces([roadside, *self.world.moving_faces(state)])
+        distance = state.camera.to_level(objects.x, objects.y)[1]
         order = np.argsort(-distance, kind="stable")
-        return things[order], distance[order]
+        return objects[order], distance[order]
 
     def _lead_window(self, state: WorldState, blur: tuple[float, float]) -> tuple[slice, slice] | None:
         """Rows and columns of the image that the lead may touch; None where it is out of the image."""
@@ -150,7 +150,7 @@ class Renderer:
         level += noise * np.sqrt(self.scene.noise_sigma**2 + self.scene.shot_noise * np.maximum(level, 0))
         return np.asarray(np.clip(np.rint(level), 0, 255), np.uint8)
 
-    def _visible(self, state: WorldState, hidden: Image | None) -> float:
+    def _visible_share(self, state: WorldState, hidden: Image | None) -> float:
         """The part of the rear plane's area that is inside the image and not hidden."""
         x, y = (np.float64(v) for v in state.corners.T)
         area = abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2

@@ -1,4 +1,4 @@
-"""Monitors an active run: the estimates of its vehicles over time, and its last frame with outlines and particles."""
+"""The progress of an active run: its vehicles' estimates over time, and its last frame with outlines and particles."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from paceline.console.runs.results import Series
 from paceline.units import COVERAGE_95
 
 MAX_SERIES_VALUES = 600  # values that are kept of one vehicle; beyond, every second one is dropped
-MAX_KEPT_FRAMES = 6  # live frames whose pictures are kept: pages request them with a short delay
+MAX_KEPT_FRAMES = 6  # live frames whose pictures are kept, because pages request them a little later
 
 
 @dataclass
@@ -29,37 +29,37 @@ class DecimatedValues:
 
 
 @dataclass
-class RunMonitor:
+class RunProgress:
     """The progress of one run: estimates over time, and its last frame. Memory does not grow with the recording."""
 
     values: dict[str, DecimatedValues] = field(default_factory=dict)
-    scene: dict[str, Any] = field(default_factory=dict)  # frame, time_s and the vehicles in it; of a live run, the size
-    pictures: dict[int, list[bytes]] = field(default_factory=dict)  # of the latest live frames, one JPEG per view
-    _next_scene: dict[str, Any] = field(default_factory=dict)
+    last_frame: dict[str, Any] = field(default_factory=dict)  # its number, time_s, vehicles and, of a live run, size
+    pictures: dict[int, list[bytes]] = field(default_factory=dict)  # JPEGs of each view, by live frame
+    _next_frame: dict[str, Any] = field(default_factory=dict)
 
     def add_estimate(self, estimate: dict[str, Any]) -> None:
         """Adds one estimate, as `progress.parse_estimate` returns it."""
         if estimate["value"] is not None:
             values = self.values.setdefault(estimate["vehicle"], DecimatedValues())
             values.add(estimate["time_s"], estimate["value"], estimate["std"] or 0.0)
-        if self._next_scene.get("frame") != estimate["frame"]:
-            self._next_scene = {"frame": estimate["frame"], "time_s": estimate["time_s"], "vehicles": []}
-        self._next_scene["vehicles"].append(estimate)
+        if self._next_frame.get("frame") != estimate["frame"]:
+            self._next_frame = {"frame": estimate["frame"], "time_s": estimate["time_s"], "vehicles": []}
+        self._next_frame["vehicles"].append(estimate)
 
     def finish_frame(self) -> None:
-        """All estimates of a frame have been added. Of a live run only frames with pictures become the scene."""
-        if self._next_scene and not self.pictures:
-            self.scene = self._next_scene
-        self._next_scene = {}
+        """Ends a frame whose estimates are all added. Of a live run only a frame with pictures becomes the last."""
+        if self._next_frame and not self.pictures:
+            self.last_frame = self._next_frame
+        self._next_frame = {}
 
     def add_pictures(self, content: dict[str, Any]) -> None:
         """Adds the pictures of a live frame, as `progress.parse_pictures` returns them, after its estimates."""
-        vehicles = self._next_scene["vehicles"] if self._next_scene.get("frame") == content["frame"] else []
-        self.scene = {key: content[key] for key in ("frame", "time_s", "size")} | {"vehicles": vehicles}
+        vehicles = self._next_frame["vehicles"] if self._next_frame.get("frame") == content["frame"] else []
+        self.last_frame = {key: content[key] for key in ("frame", "time_s", "size")} | {"vehicles": vehicles}
         self.pictures[content["frame"]] = content["pictures"]
         if len(self.pictures) > MAX_KEPT_FRAMES:
             del self.pictures[next(iter(self.pictures))]
-        self._next_scene = {}
+        self._next_frame = {}
 
     def series(self) -> list[Series]:
         """The values so far, one series per vehicle."""
@@ -67,4 +67,5 @@ class RunMonitor:
 
 
 def _to_series(name: str, rows: list[tuple[float, float, float]]) -> Series:
-    return Series(name, [t for t, _, _ in rows], [x for _, x, _ in rows], [COVERAGE_95 * s for *_, s in rows], False)
+    half_widths = [COVERAGE_95 * std for *_, std in rows]
+    return Series(name, [t for t, _, _ in rows], [x for _, x, _ in rows], half_widths, refined=False)

@@ -13,11 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.stats import f
 
-from paceline.speed.configuration import DEFAULT_LIMITS
-from paceline.speed.refinement.model_selection import RefinedMotion
-from paceline.speed.refinement.trajectory import Trajectory
-from paceline.speed.results import Measurement, Track
-from paceline.speed.verdict import (
+from paceline.speed.acceptance import (
     MAX_DEVIATION_SIGMA,
     MIN_TRACK_CONTRAST_GREY,
     apply_tolerance,
@@ -29,6 +25,10 @@ from paceline.speed.verdict import (
     frames_before_occlusion,
     frames_to_refit,
 )
+from paceline.speed.configuration import DEFAULT_LIMITS
+from paceline.speed.refinement.model_selection import RefinedMotion
+from paceline.speed.refinement.trajectory import Trajectory
+from paceline.speed.results import Measurement, Track
 
 Array = NDArray[np.float64]
 OUTLINE = np.array([[100.0, 100.0], [160.0, 100.0], [160.0, 130.0], [100.0, 130.0]])

@@ -1,4 +1,4 @@
-"""The console's list of runs, executed one after another, each a command in a process and a folder of its own.
+"""The console's runs, queued and executed one after another, each a command in a process and a folder of its own.
 
 A run of clip C is stored in ``C/runs/0001/``: ``run.json`` is what was requested and how the run ended, ``asked/``
 holds copies of the documents at that time, which the run measures, and ``out/`` is the command's output. The command
@@ -29,8 +29,8 @@ from pydantic import TypeAdapter
 from paceline.console.confinement import NotFound, check_document, file_below, folder_below
 from paceline.console.runs.inputs import INPUTS_FOLDER, copy_documents
 from paceline.console.runs.kinds import LIVE_RUN, MEASURING_KINDS, command_arguments, document_of, keeps_vehicles
-from paceline.console.runs.monitor import RunMonitor
 from paceline.console.runs.results import Series, nothing_measured_reason
+from paceline.console.runs.run_progress import RunProgress
 from paceline.errors import UnusableInput
 from paceline.exit_status import EXIT_DONE, EXIT_NOTHING_MEASURED, EXIT_UNUSABLE_INPUT
 from paceline.progress import MAX_LINE_LENGTH, PROGRESS_VARIABLE, parse_estimate, parse_pictures, parse_progress
@@ -77,7 +77,7 @@ class Run:
 RUN_ADAPTER = TypeAdapter(Run)
 
 
-class RunList:
+class RunQueue:
     """All runs below ``root``, the resolved folder of the console, and the queue of those to do."""
 
     def __init__(self, root: Path, folder: Callable[[str], Path]) -> None:
@@ -88,7 +88,7 @@ class RunList:
         self._process: tuple[tuple[str, int], subprocess.Popen[str]] | None = None
         self._cancelled: set[tuple[str, int]] = set()
         self._stopped: set[tuple[str, int]] = set()
-        self._monitors: dict[tuple[str, int], RunMonitor] = {}
+        self._progress: dict[tuple[str, int], RunProgress] = {}
         self._closed = False
         self._known: dict[Path, tuple[int, Run | None]] = {}
         self._folder_lock = _lock_folder(root)
@@ -149,14 +149,14 @@ class RunList:
     def live_data(self, run: Run) -> tuple[list[Series], dict[str, Any]]:
         """The estimates of an active run over time, and the scene of its last frame; empty for other runs."""
         with self._lock:
-            monitor = self._monitors.get((run.clip, run.number))
-            return ([], {}) if monitor is None else (monitor.series(), monitor.scene)
+            progress = self._progress.get((run.clip, run.number))
+            return ([], {}) if progress is None else (progress.series(), progress.last_frame)
 
     def picture(self, run: Run, frame: int, view: int) -> bytes:
         """The latest picture of a ``view`` in an active live run, as JPEG. Raises NotFound."""
         with self._lock:
-            monitor = self._monitors.get((run.clip, run.number))
-            pictures = monitor.pictures.get(frame, []) if monitor is not None else []
+            progress = self._progress.get((run.clip, run.number))
+            pictures = progress.pictures.get(frame, []) if progress is not None else []
         if not 0 <= view < len(pictures):
             raise NotFound(f"frame {frame}")
         return pictures[view]
@@ -266,7 +266,7 @@ class RunList:
                 start_new_session=True,  # Ctrl-C goes to the console, which ends its runs itself
             )
             self._process = key, process
-            self._monitors[key] = RunMonitor()
+            self._progress[key] = RunProgress()
         threading.Thread(target=_kill_group_after_exit, args=[process], daemon=True).start()
         messages = self._read_output(key, process)
         status = process.wait()
@@ -303,17 +303,17 @@ class RunList:
                 progress, estimate = parse_progress(line), parse_estimate(line)
                 if estimate is not None:
                     with self._lock:
-                        self._monitors[key].add_estimate(estimate)
+                        self._progress[key].add_estimate(estimate)
                     continue
                 if (pictures := parse_pictures(line)) is not None:
                     with self._lock:
-                        self._monitors[key].add_pictures(pictures)
+                        self._progress[key].add_pictures(pictures)
                     continue
                 if progress is None:
                     messages.append(line.strip()[:MAX_MESSAGE_LENGTH])
                     continue
                 with self._lock:
-                    self._monitors[key].finish_frame()
+                    self._progress[key].finish_frame()
                     run, (activity, done, total) = self._active[key], progress
                     first = run.first if run.first and run.doing == activity else time.time()
                     self._active[key] = replace(run, doing=activity, done=done, total=total, first=first)
@@ -329,7 +329,7 @@ class RunList:
                 self._known[folder] = (folder / "run.json").stat().st_mtime_ns, ended
         key = run.clip, run.number
         del self._active[key]
-        self._monitors.pop(key, None)
+        self._progress.pop(key, None)
         self._stopped.discard(key)
 
     def _relative_reason(self, run: Run, reason: str) -> str:
