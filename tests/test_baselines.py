@@ -154,44 +154,44 @@ def test_too_few_positions_give_no_track() -> None:
 
 
 def _body(rng: np.random.Generator) -> tuple[Array, Array, Array]:
-    """Places (6, 3), turns (6, 3, 3) and points (80, 6, 3) of a vehicle that comes nearer in a bend."""
-    turns = np.stack([cv2.Rodrigues(np.array([0.0, a, 0.0]))[0] for a in np.linspace(0, 0.2, 6)])
-    places = np.linspace([2.0, 0.5, 50.0], [0.5, 0.4, 30.0], 6)
+    """Positions (6, 3), rotations (6, 3, 3) and points (80, 6, 3) of a vehicle that comes nearer in a bend."""
+    rotations = np.stack([cv2.Rodrigues(np.array([0.0, a, 0.0]))[0] for a in np.linspace(0, 0.2, 6)])
+    positions = np.linspace([2.0, 0.5, 50.0], [0.5, 0.4, 30.0], 6)
     body = rng.uniform([-0.9, -0.35, -0.05], [0.9, 0.35, 0.05], (80, 3))
-    return places, turns, places + np.einsum("kij,pj->pki", turns, body)
+    return positions, rotations, positions + np.einsum("kij,pj->pki", rotations, body)
 
 
 def test_exact_points_are_aligned_exactly() -> None:
     rng = np.random.default_rng(5)
-    places, turns, points = _body(rng)
+    positions, rotations, points = _body(rng)
     seen = rng.random((80, 6)) < 0.6
-    begin = places + rng.normal(0, 0.3, (6, 3))
-    begin[0] = places[0]  # which point of the body is meant
-    assert align(points, seen, turns, begin).places == pytest.approx(places, abs=1e-6)
+    initial = positions + rng.normal(0, 0.3, (6, 3))
+    initial[0] = positions[0]  # which point of the body is meant
+    assert align(points, seen, rotations, initial).positions == pytest.approx(positions, abs=1e-6)
 
 
 def test_alignment_estimates_its_scatter_and_is_robust_to_false_matches() -> None:
     rng, misfits, sigma = np.random.default_rng(6), [], 2e-5  # times the square of the depth
-    places, turns, exact = _body(rng)
+    positions, rotations, exact = _body(rng)
     for _ in range(40):
         points = exact + rng.normal(0, sigma, exact.shape) * exact[..., 2:] ** 2
-        found = align(points, np.ones((80, 6), bool), turns, places)
-        off = (found.places - places)[1:].ravel()
+        found = align(points, np.ones((80, 6), bool), rotations, positions)
+        off = (found.positions - positions)[1:].ravel()
         misfits.append(float(off @ np.linalg.solve(found.covariance, off)))
     # chi-squared of 15 each; weighting down the larger half of the errors costs some efficiency, and is counted
     assert np.mean(misfits) == pytest.approx(15, abs=0.25 * 15 + 5 * np.sqrt(30 / 40))
     wrong = rng.random((80, 6)) < 0.1
     points[wrong] += rng.normal(0, 3, (int(wrong.sum()), 3))
-    found = align(points, np.ones((80, 6), bool), turns, places)
-    assert np.abs(found.places - places).max() < 5 * np.sqrt(found.covariance.diagonal().max())
+    found = align(points, np.ones((80, 6), bool), rotations, positions)
+    assert np.abs(found.positions - positions).max() < 5 * np.sqrt(found.covariance.diagonal().max())
 
 
 def test_frames_without_common_points_are_not_aligned() -> None:
-    places, turns, points = _body(np.random.default_rng(7))
+    positions, rotations, points = _body(np.random.default_rng(7))
     seen = np.ones((80, 6), bool)
     seen[:, 3] = False
     with pytest.raises(np.linalg.LinAlgError):
-        align(points, seen, turns, places)
+        align(points, seen, rotations, positions)
 
 
 # --- regions and flow ------------------------------------------------------------------------------------------------

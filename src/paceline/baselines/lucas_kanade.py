@@ -219,25 +219,25 @@ class LucasKanade:
             frame_index = np.searchsorted(number, m.number)
             observed[frame_index, k], points[frame_index, k] = True, m.points
         times = np.array([self.frame_results[row].time for row in rows])
-        places = np.array([self.frame_results[row].position for row in rows])
-        turns = np.tile(np.eye(3), (len(rows), 1, 1))
+        positions = np.array([self.frame_results[row].position for row in rows])
+        rotations = np.tile(np.eye(3), (len(rows), 1, 1))
         for _ in range(ALIGNMENT_PASSES):
-            aligned = align(points, observed, turns, places)
-            track = polynomial_track.fit_polynomial(times, aligned.places, aligned.covariance)
+            aligned = align(points, observed, rotations, positions)
+            track = polynomial_track.fit_polynomial(times, aligned.positions, aligned.covariance)
             if track.degree == 1:
                 break
             frames = level_frames(track.velocities(times))
-            turns = frames @ frames[0].T
+            rotations = frames @ frames[0].T
         groups = []
         for group in range(JACKKNIFE_GROUPS):
             included = np.arange(len(observed)) % JACKKNIFE_GROUPS != group
-            jackknife = align(points[included], observed[included], turns, aligned.places)
+            jackknife = align(points[included], observed[included], rotations, aligned.positions)
             groups.append(
                 polynomial_track.fit_polynomial(
-                    times, jackknife.places, jackknife.covariance, track.degree
+                    times, jackknife.positions, jackknife.covariance, track.degree
                 ).mean_speed()[0]
             )
-        return track, dict(zip(rows, aligned.places, strict=True)), groups
+        return track, dict(zip(rows, aligned.positions, strict=True)), groups
 
 
 @dataclass(frozen=True, eq=False)
