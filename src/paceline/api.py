@@ -1,7 +1,7 @@
-"""The Python API: the tasks of the command line as plain functions of a clip, exported by `paceline`.
+"""The part of the Python API that measures the vehicles of stereo clips, as plain functions of a clip.
 
-A clip is a clip.yaml or follow.yaml, or what `load_clip` or `load_follow` returned for it. Input that cannot be used
-raises UnusableInput.
+`paceline/__init__.py` lists the whole API. A clip is the path of a clip.yaml, or what `load_clip` returned for it.
+Input that cannot be used raises UnusableInput.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
-import paceline.baselines.registry  # noqa: F401  makes the baselines known
+import paceline.baselines.registry  # noqa: F401  registers the baselines
 from paceline.detection import search
 from paceline.detection.background_model import DetectBoxes, DetectorBackground, RunningMedianBackground
 from paceline.detection.finder import VehicleFinder
@@ -42,11 +42,11 @@ def track(
         for estimate in paceline.track("clip.yaml"):
             print(estimate.vehicle, estimate.time, estimate.speed, estimate.speed_std)
 
-    Of all vehicles, or of the one called ``vehicle``; where the clip outlines none, they are found first. ``frames``
-    take the place of the clip's recording: any source of `StereoFrame`, such as a live one. The refined speed needs
-    the whole track: see `measure`.
+    All vehicles are tracked, or only the one whose id is ``vehicle``. If the clip outlines none, they are detected
+    first. ``frames`` replaces the clip's recording by any source of `StereoFrame`, such as a live one. The refined
+    speed needs the whole track: see `measure`.
     """
-    loaded = _loaded(clip)
+    loaded = _resolve_clip(clip)
     if frames is None:
         recording = open_recording(loaded)
         if not loaded.vehicles:
@@ -67,9 +67,11 @@ def find_vehicles(
     detect: DetectBoxes | None = None,
     configuration: SpeedConfiguration | None = None,
 ) -> search.SearchResult:
-    """The vehicles that drive through a clip: their outlines and paths, and why some cannot be measured. With
-    ``detect`` there are vehicles only inside its boxes."""
-    loaded = _loaded(clip)
+    """The vehicles that drive through a clip: their outlines and paths, and why some cannot be measured.
+
+    ``detect`` is an object detector; if it is given, vehicles are searched for only inside its boxes.
+    """
+    loaded = _resolve_clip(clip)
     return search.find_vehicles(loaded, open_recording(loaded), progress, detect, configuration or DEFAULTS)
 
 
@@ -78,10 +80,10 @@ def vehicle_finder(
 ) -> VehicleFinder:
     """A finder of vehicles to be given frames one by one; see `find_vehicles` for a whole recording.
 
-    It first looks through some frames of the clip's recording for the background, unless ``detect`` boxes the
-    vehicles. The clip needs paths.
+    The background is first estimated from some frames of the clip's recording, unless an object detector ``detect`` is
+    given, which needs no background. The clip needs paths.
     """
-    loaded = _loaded(clip)
+    loaded = _resolve_clip(clip)
     if not loaded.paths:
         raise UnusableInput(f"{loaded.path}: paths: none; expected some, such as paceline lanes adds")
     settings = configuration or DEFAULTS
@@ -94,5 +96,6 @@ def vehicle_finder(
     return VehicleFinder(lanes, RunningMedianBackground(background.images), settings)
 
 
-def _loaded(clip: Clip | Path | str) -> Clip:
+def _resolve_clip(clip: Clip | Path | str) -> Clip:
+    """The clip itself, or the one that is read from the file ``clip``."""
     return clip if isinstance(clip, Clip) else load_clip(Path(clip))

@@ -11,17 +11,20 @@ from paceline.reports.common.tables import to_json_value
 
 
 def render(template: str, **values: object) -> str:
-    """Renders ``template`` with ``values``; the filters jpeg and svg embed images, all other values are escaped."""
-    templates = Environment(
+    """Renders ``template`` with ``values``.
+
+    The filters ``jpeg`` (of bytes) and ``svg`` (of text) return an image as a data URI; all other values are escaped.
+    """
+    environment = Environment(
         loader=PackageLoader("paceline.reports"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    templates.filters["jpeg"] = lambda data: _data_uri("image/jpeg", data)
-    templates.filters["svg"] = lambda text: _data_uri("image/svg+xml", text.encode())
-    return templates.get_template(template).render(**values)
+    environment.filters["jpeg"] = _jpeg_data_uri
+    environment.filters["svg"] = _svg_data_uri
+    return environment.get_template(template).render(**values)
 
 
 def flatten_settings(settings: dict[str, object], prefix: str = "") -> list[tuple[str, str]]:
@@ -36,5 +39,13 @@ def flatten_settings(settings: dict[str, object], prefix: str = "") -> list[tupl
     return pairs
 
 
-def _data_uri(kind: str, data: bytes) -> str:
-    return f"data:{kind};base64,{base64.b64encode(data).decode()}"
+def _jpeg_data_uri(data: bytes) -> str:
+    return _data_uri("image/jpeg", data)
+
+
+def _svg_data_uri(text: str) -> str:
+    return _data_uri("image/svg+xml", text.encode())
+
+
+def _data_uri(mime_type: str, data: bytes) -> str:
+    return f"data:{mime_type};base64,{base64.b64encode(data).decode()}"

@@ -1,6 +1,6 @@
-"""The choice of the device that computes: the CPU, or a GPU while there is one.
+"""The choice of the device that computes: the CPU, or a GPU where one can be used.
 
-Every failure of a GPU becomes a `DeviceFailure`, with a message of one line.
+Every failure of a GPU is raised as a `DeviceFailure`, whose message has one line.
 """
 
 from __future__ import annotations
@@ -16,7 +16,9 @@ if TYPE_CHECKING:
     from paceline.speed.filter.cuda.device import CudaDevice
 
 INSTALL_HINT = "install Paceline with its extra cuda"
-GPU_ERROR_MODULES = ("numba.cuda", "cuda.")  # packages whose errors are the GPU's
+GPU_ERROR_MODULES = ("numba.cuda", "cuda.")  # packages that raise an error when the GPU or its driver fails
+
+_deferred_cleanup = ExitStack()  # holds Numba's cleanup off until the process ends, once a GPU has failed
 
 
 class DeviceFailure(UnusableInput):
@@ -28,7 +30,11 @@ class DeviceFailure(UnusableInput):
 
 
 def open_device(name: DeviceName) -> CudaDevice | None:
-    """The GPU to compute on, None for the CPU: with ``auto`` the GPU where one can be used. Raises DeviceFailure."""
+    """The GPU to compute on, or None for the CPU.
+
+    ``auto`` selects the GPU where one can be used, and the CPU otherwise. ``cuda`` raises DeviceFailure where none can
+    be used.
+    """
     if name == "cpu":
         return None
     try:
@@ -44,40 +50,38 @@ def open_device(name: DeviceName) -> CudaDevice | None:
 
 @contextmanager
 def as_device_failure() -> Iterator[None]:
-    """Turn what a GPU or its software raises into a DeviceFailure; other errors pass."""
+    """Raise a DeviceFailure in place of any error of a GPU or of its software; other errors are raised unchanged."""
     try:
         yield
     except ImportError as error:
-        raise DeviceFailure(_missing(error)) from error
+        raise DeviceFailure(_import_failure_reason(error)) from error
     except MemoryError as error:
         raise DeviceFailure("the GPU's memory is too small for so many particles") from error
     except Exception as error:
         if not (type(error).__module__ + ".").startswith(GPU_ERROR_MODULES):
             raise
         _abandon_device()
-        raise DeviceFailure(_reason(error)) from error
+        raise DeviceFailure(_gpu_failure_reason(error)) from error
 
 
 def _abandon_device() -> None:
-    """Leave the memory of a failed GPU to the end of the process: Numba would try in vain to free it, with a traceback
-    each time."""
+    """Do not free the memory of a failed GPU before the process ends: Numba's attempts would fail, and print a
+    traceback each."""
     from numba import cuda
 
     with suppress(Exception):
-        _cleanup_deferred.enter_context(cuda.defer_cleanup())
+        _deferred_cleanup.enter_context(cuda.defer_cleanup())
 
 
-_cleanup_deferred = ExitStack()
-
-
-def _missing(error: ImportError) -> str:
-    """The reason for an ImportError; Numba raises one of its own for a missing driver or compiler."""
+def _import_failure_reason(error: ImportError) -> str:
+    """The reason for an ImportError; for a missing driver or compiler Numba raises a subclass of it."""
     if type(error).__name__ == "CudaSupportError":
         return f"no GPU can be used ({_first_line(error)})"
     return f"the software for it is not complete ({_first_line(error)}); {INSTALL_HINT}"
 
 
-def _reason(error: Exception) -> str:
+def _gpu_failure_reason(error: Exception) -> str:
+    """The reason for an error that a package of ``GPU_ERROR_MODULES`` raised."""
     text = _first_line(error)
     if "OUT_OF_MEMORY" in text.upper():
         return "the GPU's memory is too small for so many particles"

@@ -1,4 +1,8 @@
-"""Weights in log space and the resampling schemes of particle filtering."""
+"""Weights in log space and the resampling schemes of particle filtering, on the CPU.
+
+On a GPU the weights are computed by the kernels in `speed/filter/cuda/weights.py`, and particles are resampled by those
+in `speed/filter/cuda/kernels.py`, by the systematic scheme only.
+"""
 
 from __future__ import annotations
 
