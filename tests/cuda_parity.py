@@ -509,6 +509,7 @@ def test_vehicles_come_and_end_while_others_continue(device: CudaDevice, clips: 
     assert_same_numbers(on_device, here)
 
 
+@pytest.mark.slow
 def test_an_occluded_vehicle_is_awaited_as_on_the_cpu(device: CudaDevice, clips: dict[str, Path]) -> None:
     clip = load_clip(clips["line"])
     expected = track_all(clip, TrackerBatch(), trackers(clip, SETTINGS, None), hidden=2)
@@ -520,7 +521,7 @@ def test_an_occluded_vehicle_is_awaited_as_on_the_cpu(device: CudaDevice, clips:
 @pytest.mark.parametrize(
     ("where", "breaks_at", "counted"),
     slow_after(
-        2,
+        1,
         [
             ("weight", 0, True),
             ("reduce_moments", 2, False),
