@@ -6,8 +6,9 @@ not fit (glare, a pole) are down-weighted. The camera's gamma is estimated with 
 view-dependent appearance is added. The division into patches is arbitrary but changes the speed by as much as noise
 does, so the result is the mean over several patch grids.
 
-Where rig.yaml states the calibration's uncertainty, the rig is estimated with the motion under that prior: the
-vehicle's growth in the image determines the ratio of its depths, so what its disparities should be.
+Where rig.yaml states the uncertainty of the calibration, the rig is estimated together with the motion, with that
+uncertainty as its prior. The images contribute to it, because the growth of the vehicle in the image determines the
+ratio of its depths, and therefore the ratio of its disparities.
 """
 
 from __future__ import annotations
@@ -28,24 +29,27 @@ from paceline.speed.refinement.pyramid import ROWS_PER_PATCH, PatchGrid, Pyramid
 from paceline.speed.refinement.self_calibration import RigEstimate, RigParameters, fixed_rig
 from paceline.speed.refinement.trajectory import Prior, Trajectory
 
-# Smoothing at the farthest view, px, and whether the finer pyramid levels are used
+# The stages of a fit: the smoothing at the farthest view (px), and whether the finer pyramid levels are used
 LEVEL_SCHEDULE = ((2.5, False), (1.2, False), (0.7, True))
-# Besides the default grid
+# The grids over which the result is averaged, besides the default one of about 15 patches over the whole outline: fewer
+# and smaller patches, and patches over the central 80 % of its width or height
 PATCH_GRIDS = PatchGrid(8), PatchGrid(30), PatchGrid(share=(0.8, 1.0)), PatchGrid(share=(1.0, 0.8))
-MAX_FIT_STEPS = 10
-MAX_RESTART_STEPS = 6  # steps of a fit that starts from another one with fewer assumptions
-MAX_GRID_STEPS = 3  # steps of a fit that starts from one on another patch grid
-CONVERGED_STEP_SIGMA = 0.1  # standard deviations
-COARSE_STEP_SIGMA = 1.0  # the same before the last level of the schedule
-MAX_LAST_STEP_SIGMA = 1.0  # length of the last step above which the fit did not converge
-DEPTH_OFFSET_STD_M = 0.04, 0.05  # std of a patch's depth offset from the plane, and of each row's from the patch
-GAMMA_PRIOR = 1.7, 0.6  # mean and standard deviation of γ; grey values are light to the power 1 / γ
+MAX_FIT_STEPS = 10  # steps of a fit that starts from the filter's estimates, in each stage
+MAX_RESTART_STEPS = 6  # steps of a fit that starts from another fit, in which the rig or the appearance was not free
+MAX_GRID_STEPS = 3  # steps of a fit that starts from a fit on another patch grid
+# Largest step of a motion parameter, in its standard deviations, …
+CONVERGED_STEP_SIGMA = 0.1  # … below which the last stage ends
+COARSE_STEP_SIGMA = 1.0  # … below which an earlier stage ends
+MAX_LAST_STEP_SIGMA = 1.0  # … above which a fit has not converged, if it is the last one
+DEPTH_OFFSET_STD_M = 0.04, 0.05  # prior std of a patch's depth offset from the plane, and of each row's from the patch
+GAMMA_PRIOR = 1.7, 0.6  # mean and standard deviation of γ; a grey value is the linear light to the power 1 / γ
 GAMMA_RANGE = 1.0, 2.4  # range of γ, outside which other changes of the image may look like a γ
 FIXED_INFORMATION = 1e8  # information of a parameter that is held fixed
 ABSENT_TERM_SCALE = 1e-4  # prior standard deviation of an absent motion term over that of a present one
 MIN_MODEL_PROBABILITY = 1e-3  # least probability of a model in the average
-MIN_INFORMATION_SHARE = 0.05  # least reduction of a rig direction's variance by the images
-# For errors that all frames and patches share, which scores cannot show; measured with benchmarks/accuracy.py
+MIN_INFORMATION_SHARE = 0.05  # least reduction of a rig direction's variance by the images, as a share of the prior's
+# Factor of the standard deviations for errors that are common to all frames and patches, which the scatter of scores
+# does not show; measured with benchmarks/accuracy.py
 COVARIANCE_FACTOR = 1.4
 
 DEPTH_OFFSET_INFORMATION = np.linalg.inv(
@@ -57,13 +61,19 @@ DEPTH_OFFSET_INFORMATION = np.linalg.inv(
 class PhotometricFit:
     """One motion model fitted to the images, coarse to fine; at first with the rig of rig.yaml.
 
-    Raises numpy.linalg.LinAlgError where the images determine nothing.
+    ``theta`` (n,) are the parameters of the motion, of which P are free under the prior; ``rig_offset`` (Q,) is the
+    rig's offset from rig.yaml in prior standard deviations, along the Q directions in which it is uncertain (0 while it
+    is fixed); ``depth_offsets`` (K, ROWS_PER_PATCH) m are those of the K patches. ``A`` is the normal matrix of all
+    fitted parameters: the P free ones, Q, γ, and the depth offsets. H (views, 3, 3) are homographies from the outline
+    to the views, and H_d their derivative by the plane's distance.
+
+    Raises numpy.linalg.LinAlgError where the images do not determine the motion.
     """
 
     def __init__(self, trajectory: Trajectory, keyframes: list[Keyframe], prior: Prior) -> None:
         self.trajectory, self.keyframes, self.prior = trajectory, keyframes, prior
         self._rig = fixed_rig(trajectory)
-        self.rig_offset = np.zeros(0)  # (Q,) standard uncertainties
+        self.rig_offset = np.zeros(0)  # prior standard deviations; Q is 0 while the rig is fixed
         self._view_dependent = False
         self.theta, self.depth_offsets, self.gamma = (
             self._parameters_from_filter(),
@@ -77,10 +87,12 @@ class PhotometricFit:
             self.gauss_newton(CONVERGED_STEP_SIGMA if fine else COARSE_STEP_SIGMA)
 
     def with_term(self, prior: Prior, term: str, min_log_odds: float) -> tuple[float, PhotometricFit]:
-        """The log Bayes factor of the model with a further motion ``term``, and its fit.
+        """The log Bayes factor of a model with a further motion ``term`` over this one, and the fit of that model, as a
+        tuple.
 
-        After one step from here where the evidence is clearly against the term. Fitted from the beginning where it is
-        for it, by more than ``min_log_odds``, as the lack of the term may have led this fit astray.
+        The fit is one Gauss–Newton step from this one, under ``prior``. If that step's log Bayes factor exceeds
+        ``min_log_odds``, the model is fitted anew from the filter's estimates, because the lack of the term may have
+        biased this fit.
         """
         other = self._restarted()
         other.prior = prior
@@ -93,8 +105,8 @@ class PhotometricFit:
         return other._log_evidence(term, self.prior, other._covariance_inflation), other
 
     def on_outline(self, quad: Array, max_steps: int) -> PhotometricFit:
-        """The same model fitted from here to another outline ``quad`` (4, 2) px of the first left view, in at most
-        ``max_steps`` steps."""
+        """The same model fitted to another outline ``quad`` (4, 2) px of the first left view, in at most ``max_steps``
+        steps from this fit."""
         other = copy(self)
         other.trajectory = replace(self.trajectory, quad=quad)
         other._rig = replace(self._rig, stated=replace(self._rig.stated, quad=quad))
@@ -104,32 +116,37 @@ class PhotometricFit:
         return other
 
     def on_grid(self, grid: PatchGrid) -> PhotometricFit:
-        """The same model fitted from here on another patch ``grid``. Raises numpy.linalg.LinAlgError where its patches
-        determine nothing."""
+        """The same model fitted on another patch ``grid``, starting from this fit.
+
+        Raises numpy.linalg.LinAlgError where the grid's patches do not determine the motion.
+        """
         other = copy(self)
         other._reset(self.theta, [level.on_grid(grid) for level in self.levels])
         other.gauss_newton(CONVERGED_STEP_SIGMA, MAX_GRID_STEPS)
         return other
 
     def with_free_rig(self) -> PhotometricFit:
-        """The same model fitted from here with the rig under its prior; itself where that states no uncertainty."""
+        """The same model fitted with the rig free under its prior, starting from this fit; this fit itself where
+        rig.yaml states no uncertainty."""
         uncertainty = self.trajectory.rig.uncertainty
         if uncertainty is None:
             return self
         other = self._restarted()
-        directions = uncertainty.covariance_root
-        directions = directions[directions.any(1)]
-        other.rig_offset = np.zeros(len(directions))
-        # the covariance exceeds that of pixel noise; by how much is only right once the rig is free
+        rig_directions = uncertainty.covariance_root
+        rig_directions = rig_directions[rig_directions.any(1)]
+        other.rig_offset = np.zeros(len(rig_directions))
+        # The prior is weighted by the ratio of the actual covariance to that of pixel noise, which is right
+        # only once the rig is free.
         for fit in (self, other):
-            other._rig = RigParameters(self.trajectory, directions, fit._covariance_inflation)
+            other._rig = RigParameters(self.trajectory, rig_directions, fit._covariance_inflation)
             other.gauss_newton(CONVERGED_STEP_SIGMA, MAX_RESTART_STEPS)
         return other
 
     def with_view_dependence(self) -> PhotometricFit:
-        """The same model fitted from here with view-dependent appearance.
+        """The same model fitted with view-dependent appearance, starting from this fit.
 
-        It comes last: any other error of the model, such as a missing acceleration or a wrong rig, would pass for it.
+        This is the last extension: the residuals of any other error of the model, such as a missing acceleration or a
+        wrong rig, would be attributed to view-dependent appearance.
         """
         other = self._restarted()
         other._view_dependent = True
@@ -140,8 +157,8 @@ class PhotometricFit:
         return other
 
     def average_over_grids(self) -> tuple[Array, Array, float]:
-        """The mean over several patch grids: the rig's offset (Q,), the parameters (n,) and the variance of the mean
-        speed, m²/s²."""
+        """The mean over several patch grids, as a tuple: the rig's offset (Q,), the parameters (n,) and the variance of
+        the mean speed, m²/s²."""
         fits = [self]
         for grid in PATCH_GRIDS:
             try:
@@ -169,26 +186,28 @@ class PhotometricFit:
         return other
 
     def _reset(self, theta: Array, levels: list[PyramidLevel], depth_offsets: Array | None = None) -> None:
-        """Start at ``theta`` (n,) with ``levels``, and with patches in the plane unless ``depth_offsets`` are given."""
+        """Sets the initial values: ``theta`` (n,), the ``levels`` and ``depth_offsets``, zero unless given."""
         self.theta, self.levels = theta.copy(), levels
         self.depth_offsets = _zero_depth_offsets(levels) if depth_offsets is None else depth_offsets.copy()
 
     @property
     def noise_std(self) -> float:
-        """Standard deviation of the mean speed (m/s) by pixel noise alone. Raises numpy.linalg.LinAlgError where the
-        images do not determine it."""
+        """Standard deviation of the mean speed (m/s) by pixel noise alone.
+
+        Raises numpy.linalg.LinAlgError where the images do not determine the mean speed.
+        """
         gradient = np.zeros(len(self.A))
         gradient[: len(self.prior.free)] = self._mean_speed_gradient
         root = np.linalg.cholesky(self.A)
         response = np.linalg.solve(root.T, np.linalg.solve(root, gradient))
-        of_rig = self._rig.prior_weight * np.square(response[self._rig_slice]).sum()
-        if not (variance := float(gradient @ response - of_rig)) > 0.0:
+        rig_prior_variance = self._rig.prior_weight * np.square(response[self._rig_slice]).sum()
+        if not (variance := float(gradient @ response - rig_prior_variance)) > 0.0:
             raise np.linalg.LinAlgError("the images do not determine the mean speed")
         return float(np.sqrt(variance))
 
     @property
     def _rig_slice(self) -> slice:
-        """Where the rig's offset stands among all fitted parameters."""
+        """The slice of the rig's offset in the vector of all fitted parameters."""
         return slice(len(self.prior.free), len(self.prior.free) + len(self.rig_offset))
 
     @property
@@ -208,10 +227,10 @@ class PhotometricFit:
         return self.trajectory.mean_speed_gradient[self.prior.free]
 
     def _log_evidence(self, term: str, narrower: Prior, inflation: float) -> float:
-        """Log Bayes factor of this model against the same one under a ``narrower`` prior of its ``term``.
+        """Log Bayes factor of this model over the same model under a ``narrower`` prior of its ``term``.
 
-        The Savage–Dickey ratio, generalised to two Gaussian priors; the covariance is ``inflation`` times that of pixel
-        noise.
+        It is the Savage–Dickey ratio, generalised to two Gaussian priors. The covariance is taken to be ``inflation``
+        times that of pixel noise.
         """
         free = np.isin(self.prior.free, self.trajectory.index(term))
         precision = np.linalg.inv(inflation * np.linalg.inv(self.A)[: len(free), : len(free)][np.ix_(free, free)])
@@ -225,12 +244,14 @@ class PhotometricFit:
         return float(0.5 * (misfit - logdet[0] + logdet[1] + logdet[2] - logdet[3]))
 
     def gauss_newton(self, converged_step: float, max_steps: int = MAX_FIT_STEPS) -> None:
-        """Gauss–Newton until no motion parameter changes by ``converged_step`` std, or for ``max_steps`` steps."""
+        """Gauss–Newton steps until no free motion parameter changes by ``converged_step`` of its standard deviations,
+        ``max_steps`` at most."""
         P, Q = len(self.prior.free), len(self.rig_offset)
         for _ in range(max_steps):
             self.A, score, *self._cells = self._assemble()
             change = -np.linalg.solve(self.A, score)
-            gamma_index = P + Q  # γ, held at the limit of its range where it would leave it
+            gamma_index = P + Q
+            # where the step would take γ out of its range, γ is held at the limit of that range
             if not GAMMA_RANGE[0] <= self.gamma + change[gamma_index] <= GAMMA_RANGE[1]:
                 self.A[gamma_index, gamma_index] += FIXED_INFORMATION
                 score[gamma_index] -= FIXED_INFORMATION * (
@@ -238,7 +259,7 @@ class PhotometricFit:
                 )
                 change = -np.linalg.solve(self.A, score)
             if not np.isfinite(change).all():
-                raise np.linalg.LinAlgError("the images determine no step")
+                raise np.linalg.LinAlgError("the normal equations are singular")
             self.theta[self.prior.free] += change[:P]
             self.rig_offset = self.rig_offset + change[P:gamma_index]
             self.gamma = float(np.clip(self.gamma + change[gamma_index], *GAMMA_RANGE))
@@ -287,10 +308,10 @@ class PhotometricFit:
         return theta + np.stack([change, -change]), steps
 
     def _assemble(self) -> tuple[Array, Array, Array, Array]:
-        """Normal matrix and score, prior included, and the cells that they are made of.
+        """The normal matrix and the score with the prior's part, and the cells whose sums they are, as a tuple.
 
-        The parameters are the P free ones of the motion, the rig's offset (Q), γ and the depth offsets. Cells, one for
-        each patch of each view, are (views, patches, m, m) and (views, patches, m), m = P + Q + 1 + ROWS_PER_PATCH,
+        The parameters are the P free ones of the motion, the rig's offset (Q), γ and the depth offsets. A cell is the
+        part of one patch of one view. The cells are (views, K, m, m) and (views, K, m), m = P + Q + 1 + ROWS_PER_PATCH,
         with the patch's own depth offsets last.
         """
         p, P, Q, K = self.prior, len(self.prior.free), len(self.rig_offset), len(self.depth_offsets)
@@ -303,9 +324,9 @@ class PhotometricFit:
         shared = P + Q + 1
         cells = np.zeros((len(H), K, shared + ROWS_PER_PATCH))
         cells_A = np.zeros((*cells.shape, shared + ROWS_PER_PATCH))
-        directions = self.trajectory.directions(self.theta).reshape(-1, 3) if self._view_dependent else None
+        viewing_directions = self.trajectory.directions(self.theta).reshape(-1, 3) if self._view_dependent else None
         for level in self.levels:
-            a, s = level.normal_equations(H, H_d, self.depth_offsets, self.gamma, dH, directions)
+            a, s = level.normal_equations(H, H_d, self.depth_offsets, self.gamma, dH, viewing_directions)
             cells_A[level.views] += a
             cells[level.views] += s
         A, score = self._prior_information(self._rig.prior_weight), np.zeros(shared + self.depth_offsets.size)
@@ -320,20 +341,22 @@ class PhotometricFit:
             cells,
         )
 
-    def _prior_information(self, of_rig: float) -> Array:
-        """Prior information of free parameters, the rig's offset (``of_rig`` for each), γ and depth offsets."""
+    def _prior_information(self, rig_information: float) -> Array:
+        """Prior information matrix of the free parameters, the rig's offset (``rig_information`` in each direction), γ
+        and the depth offsets."""
         P, Q, K = len(self.prior.free), len(self.rig_offset), len(self.depth_offsets)
-        shared = np.diag([*np.zeros(P), *np.full(Q, of_rig), GAMMA_PRIOR[1] ** -2])
+        shared = np.diag([*np.zeros(P), *np.full(Q, rig_information), GAMMA_PRIOR[1] ** -2])
         shared[:P, :P] = self.prior.information
         return np.asarray(block_diag(shared, *[DEPTH_OFFSET_INFORMATION] * K))
 
     @cached_property
     def covariance(self) -> Array:
-        """Cluster-robust covariance of the free parameters, without the calibration's part."""
+        """Cluster-robust covariance (P, P) of the free parameters, without the calibration's part."""
         return self._covariance(len(self.rig_offset))
 
     def _covariance(self, Q: int) -> Array:
-        """The same with ``Q`` unknown directions of the rig: all that are free, or none."""
+        """Cluster-robust covariance (P, P) of the free parameters, with the rig unknown in ``Q`` directions: all of
+        ``rig_offset``, or none."""
         P, fixed = len(self.prior.free), self._rig_slice if Q == 0 else slice(0)
         prior, (cells_A, cells) = self._prior_information(0.0), self._cells
         A, prior = (np.delete(np.delete(m, fixed, 0), fixed, 1) for m in (self.A, prior))
@@ -348,11 +371,11 @@ class PhotometricFit:
 
     @property
     def covariance_given_rig(self) -> Array:
-        """The same with the rig known."""
+        """Covariance (n, n) of all parameters if the rig were known, zero for those that are not free."""
         return self._embed(self._covariance(0)) if len(self.rig_offset) else self.full_covariance
 
     def _embed(self, covariance: Array) -> Array:
-        """The free parameters' ``covariance`` as (n, n) over all parameters."""
+        """The free parameters' ``covariance`` (P, P) as a covariance (n, n) of all parameters."""
         full = np.zeros((len(self.theta),) * 2)
         full[np.ix_(self.prior.free, self.prior.free)] = covariance
         return full
@@ -393,17 +416,19 @@ class PhotometricFit:
 
     @property
     def rig_shift_sigma(self) -> Array:
-        """The rig's offset (Q,) over the standard deviations that it has if the calibration is as uncertain as stated:
-        shrinkage included, and zero in directions that the images hardly determine."""
-        share = 1.0 - self._rig.prior_weight * np.diag(np.linalg.inv(self.A))[self._rig_slice]
-        return np.where(
-            share > MIN_INFORMATION_SHARE, self.rig_offset / np.sqrt(np.maximum(share, MIN_INFORMATION_SHARE)), 0.0
-        )
+        """The rig's offset (Q,) in the standard deviations that are expected if rig.yaml states the right uncertainty.
+
+        These are less than those of the prior, because the prior shrinks the estimate towards zero. The result is zero
+        in directions that the images hardly determine.
+        """
+        variance_reduction = 1.0 - self._rig.prior_weight * np.diag(np.linalg.inv(self.A))[self._rig_slice]
+        expected_std = np.sqrt(np.maximum(variance_reduction, MIN_INFORMATION_SHARE))
+        return np.where(variance_reduction > MIN_INFORMATION_SHARE, self.rig_offset / expected_std, 0.0)
 
     @property
     def systematic_covariance(self) -> Array:
-        """Covariance (n, n) from the calibration's uncertainty, as far as the images do not correct it; NaN where
-        rig.yaml states none."""
+        """Covariance (n, n) of all parameters by that part of the calibration's uncertainty that the images do not
+        remove; NaN where rig.yaml states none."""
         n, p = len(self.theta), self.prior.free
         if self.trajectory.rig.uncertainty is None:
             return np.full((n, n), np.nan)
@@ -414,7 +439,8 @@ class PhotometricFit:
     def rig_estimate(self, offset: Array, covariance: Array) -> RigEstimate | None:
         """What the images determine of the rig, or None where it is fixed.
 
-        ``offset`` (Q,) is its mean over the patch grids, ``covariance`` (n, n) the parameters' with the rig known.
+        ``offset`` (Q,) is the mean of its offset over the patch grids, and ``covariance`` (n, n) that of the parameters
+        if the rig were known.
         """
         if not len(offset):
             return None
@@ -422,11 +448,13 @@ class PhotometricFit:
         precision = np.linalg.inv(inverse[self._rig_slice, self._rig_slice])
         response = np.zeros((len(self.theta), len(offset)))
         response[p] = inverse[: len(p), self._rig_slice] @ precision
-        share, axes = np.linalg.eigh(precision / self._rig.prior_weight)
-        information = axes * np.maximum(share - 1.0, 0.0) @ axes.T  # images cannot reduce the prior information
+        information_ratio, axes = np.linalg.eigh(precision / self._rig.prior_weight)  # of posterior and prior
+        information = (
+            axes * np.maximum(information_ratio - 1.0, 0.0) @ axes.T
+        )  # images cannot reduce the prior information
         return RigEstimate(offset, information, response, covariance)
 
 
 def _zero_depth_offsets(levels: list[PyramidLevel]) -> Array:
-    """Depth offsets (patches, ROWS_PER_PATCH) of zero."""
+    """Depth offsets (K, ROWS_PER_PATCH) of zero."""
     return np.zeros((levels[0].patches, ROWS_PER_PATCH))

@@ -10,12 +10,12 @@ from paceline.arrays import Array
 from paceline.cameras import StereoRig, perturbed_rig
 from paceline.speed.refinement.trajectory import Trajectory
 
-DIFFERENCE_STEP = 1e-3  # step of finite differences, in standard uncertainties or as a share of the baseline
+DIFFERENCE_STEP = 1e-3  # step of finite differences, in prior standard deviations or as a share of the baseline
 
 
 @dataclass(frozen=True, eq=False)
 class RigEstimate:
-    """What a fit determines of its rig in Q directions, in standard uncertainties of the calibration.
+    """What a fit determines of its rig along Q directions, in prior standard deviations: those of the calibration.
 
     ``offset`` (Q,) is the rig's offset at which the motion parameters are, ``information`` (Q, Q) what the images add
     to the prior, ``response`` (n, Q) the derivative of the motion parameters by a further offset, and ``covariance``
@@ -33,7 +33,7 @@ class RigParameters:
     """The rig's parameters in a fit.
 
     ``stated`` is the trajectory with the rig of rig.yaml, ``directions`` (Q, 14) those in which the rig is uncertain,
-    one standard uncertainty each, and ``prior_weight`` the information of the prior in each direction.
+    one prior standard deviation each, and ``prior_weight`` the information of the prior in each direction.
     """
 
     stated: Trajectory
