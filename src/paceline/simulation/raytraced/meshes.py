@@ -18,12 +18,12 @@ Placement = tuple[Array, Array]  # R (3, 3) and t (3,): world = R X + t
 
 @dataclass(frozen=True, eq=False)
 class Material:
-    """How a surface answers light.
+    """How a surface reflects or emits light; `renderer` has the BSDF of each kind.
 
-    ``kind`` is "matte", "paint" (a diffuse coat under clear varnish), "glass" (a dark pane that mirrors), "metal" or
-    "glow" (a lamp). ``color`` is its linear reflectance (3,), or, for a lamp, its radiance; ``texture`` (H, W, 3),
-    linear, takes its place where the solid has texture coordinates (v = 0 is the first row) and ``alpha`` (H, W) leaves
-    holes in it. ``roughness`` is that of the mirroring part.
+    ``kind`` is "matte" (diffuse), "paint" (a diffuse coat under clear varnish), "glass" (a dark pane that mirrors),
+    "metal" or "glow" (a lamp). ``color`` is the linear reflectance (3,), or, for a lamp, the radiance; ``texture``
+    (H, W, 3), linear, replaces it where the solid has texture coordinates (v = 0 is the first row), and ``alpha``
+    (H, W) is its opacity. ``roughness`` is that of the specular part.
     """
 
     kind: str

@@ -161,7 +161,11 @@ def _flatten(values: NDArray[Any], kind: type = np.float32) -> NDArray[Any]:
 
 
 def _bsdf(mi: Any, material: Material, textured: bool) -> dict[str, Any]:
-    """The Mitsuba BSDF of a material, the same from both sides."""
+    """The Mitsuba BSDF of a material, the same from both sides; `Material` describes the kinds.
+
+    Vehicles, roads and scenery share these kinds: "paint" is any coat under clear varnish, also plastic, and "glass" is
+    the same BSDF, of a dark color. `vehicles.materials` has the parameters of the vehicles' materials.
+    """
     color: dict[str, Any] = _rgb(material.color)
     if textured and material.texture is not None:
         color = _bitmap(mi, material.texture)

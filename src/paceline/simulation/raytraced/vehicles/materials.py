@@ -1,4 +1,7 @@
-"""Materials of vehicles: paint and its colours, glass, plastic, rubber, number plates."""
+"""Materials of vehicles: paint and its colours, glass, plastic, rubber, number plates.
+
+`renderer` has the BSDF of each kind of material.
+"""
 
 from __future__ import annotations
 
