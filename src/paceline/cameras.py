@@ -2,7 +2,7 @@
 
 Axes as in OpenCV: x right, y down, z forward; the centre of the top-left pixel is (0, 0). The world frame of a rig is
 its left camera, and ``X_right = R X_left + t``. Everything that uses this module works in *ideal* pixels: images and
-clicked points are undistorted once, with the intrinsics K kept.
+drawn points are undistorted once, with the intrinsics K kept.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Camera:
         return np.concatenate([p, np.ones(p.shape[:-1] + (1,))], axis=-1) @ self.K_inv.T
 
     def undistort_points(self, pixels: Array) -> Array:
-        """Ideal pixels (…, 2) of ``pixels`` (…, 2) clicked in the distorted image."""
+        """Ideal pixels (…, 2) of ``pixels`` (…, 2) of the distorted image."""
         p = np.asarray(pixels, float)
         if not self.has_distortion:
             return p

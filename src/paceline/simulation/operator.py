@@ -28,8 +28,8 @@ IsHidden = Callable[[PosedCamera, Array], Mask]  # whether (N,) a static object 
 
 @dataclass(frozen=True)
 class OperatorNoise:
-    """Standard deviations of what an operator draws: corners and lines of a stereo clip (px), the center (px) and the
-    scale (relative) at which a target is started."""
+    """Standard deviations of what an operator draws: the corners and the points of lines of a stereo clip (px), and the
+    center (px) and the scale (relative) at which a target is started."""
 
     corner_px: float = 0.5
     line_px: float = 0.4
@@ -96,7 +96,7 @@ def clip_document(placed: SimulatedStereoScene, truth: list[dict[str, Any]], hid
             "path": lanes[car.model.lane, car.model.oncoming],
             "frame": visible_rows[car.model.id][0]["frame"],
         }
-        | {side: _click_corners(placed, side, visible_rows[car.model.id][0][side], rng) for side in ("left", "right")}
+        | {side: _draw_corners(placed, side, visible_rows[car.model.id][0][side], rng) for side in ("left", "right")}
         | ({"speed": car.model.initial_speed} if car.model.initial_speed else {})
         for car in measured
     ]
@@ -119,25 +119,25 @@ def _arc_length(car: SimulatedVehicle, t: float) -> float:
     return car.motion.position(t)[0]
 
 
-def _click_corners(
+def _draw_corners(
     placed: SimulatedStereoScene, side: str, corners: list[list[float]], rng: np.random.Generator
 ) -> list[list[float]]:
     camera = placed.rig.left if side == "left" else placed.rig.right
-    return add_click_noise(camera.distort_points(np.array(corners)), placed.scene.operator_noise.corner, rng)
+    return add_drawing_noise(camera.distort_points(np.array(corners)), placed.scene.operator_noise.corner, rng)
 
 
-def add_click_noise(pixels: Array, sigma: float, rng: np.random.Generator) -> list[list[float]]:
-    """``pixels`` (N, 2) as they are clicked, ``sigma`` px off in either direction."""
+def add_drawing_noise(pixels: Array, sigma: float, rng: np.random.Generator) -> list[list[float]]:
+    """``pixels`` (N, 2) as an operator draws them, with an error of std ``sigma`` px in each coordinate."""
     return round_points(pixels + rng.normal(0, 1, pixels.shape) * sigma)
 
 
 def draw_line(pixels: Array, camera: Camera, points: int, sigma: float, rng: np.random.Generator) -> list[list[float]]:
-    """About so many ``points`` that a person clicks along a line of ideal ``pixels`` (N, 2), from far to near."""
+    """About ``points`` points that an operator draws along a line of ideal ``pixels`` (N, 2), from far to near."""
     length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(pixels, axis=0), axis=1))])
-    # People click more densely far away, where a line bends in the picture: evenly in the root of the length.
+    # People draw points more densely far away, where a line bends in the picture: evenly in the root of the length.
     count = points + int(rng.integers(-1, 2))
     lengths = length[-1] * ((np.arange(count) + rng.uniform(0.1, 0.9, count)) / count) ** 2
-    return add_click_noise(
+    return add_drawing_noise(
         camera.distort_points(np.column_stack([np.interp(lengths, length, c) for c in pixels.T])), sigma, rng
     )
 
@@ -179,7 +179,7 @@ def _visible_line(
     pixels = view.project(points)
     size = np.array(view.camera.image_size)
     is_visible = ((pixels > LINE_BORDER_PX) & (pixels < size - 1 - LINE_BORDER_PX)).all(1) & ~hidden(view, points)
-    # Posts hide a line for a moment only, and people draw across; a curve may leave the picture and come back.
+    # A post hides only a short part of a line, and people draw across it; a curve may leave the picture and come back.
     closed = np.convolve(is_visible, np.ones(9), "same") > 0
     inside = closed & ((pixels > LINE_BORDER_PX) & (pixels < size - 1 - LINE_BORDER_PX)).all(1)
     return longest_visible_run(pixels, inside)

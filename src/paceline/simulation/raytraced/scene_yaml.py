@@ -136,7 +136,7 @@ class SensorModel(Document):
 
 
 class OperatorNoiseModel(Document):
-    """Standard deviations (px) of the clicked corners and lines, and the number of points of a line."""
+    """Standard deviations (px) of drawn corners and of the drawn points of a line, and the number of these points."""
 
     corner: Annotated[float, Field(ge=0, le=20)] = OPERATOR_NOISE.corner_px
     line: Annotated[float, Field(ge=0, le=20)] = OPERATOR_NOISE.line_px

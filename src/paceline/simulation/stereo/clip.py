@@ -22,7 +22,7 @@ from paceline.arrays import Array, Image
 from paceline.cameras import PosedCamera, StereoRig
 from paceline.documents.rig_yaml import rig_yaml
 from paceline.simulation import textures
-from paceline.simulation.operator import add_click_noise, draw_line, is_inside_image
+from paceline.simulation.operator import add_drawing_noise, draw_line, is_inside_image
 from paceline.simulation.stereo.scene import (
     PLANE_CLEARANCE_M,
     Motion,
@@ -113,7 +113,7 @@ class World:
         return rows
 
     def _draw_clip(self, rng: np.random.Generator) -> dict[str, Any]:
-        """The contents of clip.yaml, with clicked quadrilaterals and drawn lines."""
+        """The contents of clip.yaml, with drawn quadrilaterals and lines."""
         scene = self.scene
         needs_times = bool(scene.dropped or scene.skew_s)
         clip: dict[str, Any] = {"left": "left", "right": "right"}
@@ -132,7 +132,7 @@ class World:
                 entry["path"] = lanes[vehicle.lane, vehicle.receding]
             entry["frame"] = first["frame"]
             for side in ("left", "right"):
-                entry[side] = add_click_noise(np.array(first[side]), scene.click_sigma, rng)
+                entry[side] = add_drawing_noise(np.array(first[side]), scene.click_sigma, rng)
             if scene.draw_path and vehicle.plane == "side":
                 entry["plane"] = "side"
             if vehicle.initial_speed is not None:

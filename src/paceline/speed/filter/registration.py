@@ -201,9 +201,9 @@ class ReferenceTexture:
         """Take the texture from the left view's region (4, 2); return ``plane`` at the depth where the right view
         shows it.
 
-        A depth that differs from the outlined one by more than the click noise explains is rejected, as it may be that
-        of a pole in front of the vehicle: then ``plane`` is returned unchanged. Raises numpy.linalg.LinAlgError where
-        the texture determines nothing.
+        A depth that differs from the outlined one by more than the drawing noise explains is rejected, as it may be
+        that of a pole in front of the vehicle: then ``plane`` is returned unchanged. Raises numpy.linalg.LinAlgError
+        where the texture determines nothing.
         """
         normal = plane.normal
         self.texture = sample(self.rig, images, self.plane_points(left, normal, plane.distance), self.grid)[0]

@@ -26,7 +26,7 @@ class InitialPlane:
 
     ``centre`` (3,) m; ``normal`` (3,), away from the cameras, so that ``distance`` > 0; ``normal_std`` (2,) rad: of
     its yaw and its tilt; ``mean_tilt``: the prior mean of the tilt from it, rad; ``inverse_depth_std``: relative, from
-    the click noise.
+    the drawing noise.
     """
 
     centre: Array
@@ -40,7 +40,7 @@ class InitialPlane:
 def plane_from_outlines(
     rig: StereoRig, vehicle: VehicleDocument, path: Path | None, click_sigma: float
 ) -> InitialPlane:
-    """The plane that the quadrilaterals of ``vehicle`` outline, ``click_sigma`` px the noise of a drawn corner.
+    """The plane that the quadrilaterals of ``vehicle`` outline, with a drawing noise of ``click_sigma`` px per corner.
 
     A front (or rear) is perpendicular to the path and a side parallel to it; otherwise the normal comes from the
     triangulated corners, which determine it weakly at a distance, joined with a prior.
