@@ -10,7 +10,7 @@ import pytest
 from fastapi.testclient import TestClient
 from tiny_clips import put_clip
 
-from paceline.console import document_names
+from paceline.console import document_references
 from paceline.console.confinement import NotFound, check_document, file_below, folder_below, named_files
 from paceline.console.frames import uploads
 from paceline.console.library import ClipContents, Library
@@ -123,12 +123,14 @@ def test_a_document_is_parsed_once_for_all_questions(tmp_path: Path, monkeypatch
     root = tmp_path.resolve()
     file = put_clip(root) / "clip.yaml"
     parsed: list[Path] = []
-    read = document_names.read_document
-    monkeypatch.setattr(document_names, "read_document", lambda model, path: parsed.append(path) or read(model, path))
+    read = document_references.read_document
+    monkeypatch.setattr(
+        document_references, "read_document", lambda model, path: parsed.append(path) or read(model, path)
+    )
     for _ in range(3):
         check_document(root, file)
         named_files(root, file)
-        document_names.live_views(file)
+        document_references.live_views(file)
     assert parsed == [file]
     file.write_text("left: [")  # and once for what is wrong with it
     for _ in range(3):
@@ -163,9 +165,9 @@ def test_a_document_above_the_bound_is_refused_unread(tmp_path: Path) -> None:
     root = tmp_path.resolve()
     file = put_clip(root) / "clip.yaml"
     text = file.read_bytes() + b"\n#"
-    file.write_bytes(text.ljust(document_names.MAX_DOCUMENT_BYTES, b"x"))
+    file.write_bytes(text.ljust(document_references.MAX_DOCUMENT_BYTES, b"x"))
     check_document(root, file)
-    file.write_bytes(text.ljust(document_names.MAX_DOCUMENT_BYTES + 1, b"x"))
+    file.write_bytes(text.ljust(document_references.MAX_DOCUMENT_BYTES + 1, b"x"))
     with pytest.raises(UnusableInput, match="clip.yaml: is larger than 512 KiB; no such file needs to be"):
         check_document(root, file)
 

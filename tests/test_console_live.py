@@ -26,7 +26,7 @@ from tiny_clips import put_clip
 
 from paceline.commands.progress_output import small_jpegs
 from paceline.console.confinement import NotFound
-from paceline.console.document_names import is_live, live_views
+from paceline.console.document_references import is_live, live_views
 from paceline.console.library import Library
 from paceline.console.routes import result_address
 from paceline.console.runs.inputs import copy_documents

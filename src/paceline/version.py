@@ -1,4 +1,4 @@
-"""The version of Paceline and of the packages it computes with."""
+"""The versions of Paceline and of the third-party packages that its results depend on."""
 
 from __future__ import annotations
 

@@ -1,5 +1,9 @@
-"""Feature triangulation, a comparison method of [Zhu] section V: SIFT matches between the views are triangulated
-optimally, and the displacement of their centroid between frames is the velocity."""
+"""Feature triangulation, a comparison method of [Zhu] section V.
+
+SIFT matches between the left and the right image are triangulated with the least reprojection error. The displacement
+of their mean between two frames gives the speed at that frame, a polynomial track through all means the mean speed. The
+region in which features are sought follows the vehicle by template tracking.
+"""
 
 from __future__ import annotations
 

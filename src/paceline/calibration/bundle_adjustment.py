@@ -1,6 +1,7 @@
-"""Bundle adjustment of the rig and the board's pose in every view, from all corners at once.
+"""Bundle adjustment: both cameras, their relative pose, and the board's pose in every pair of images at once.
 
-Levenberg–Marquardt with the poses eliminated (Schur complement) and robust weights.
+Levenberg–Marquardt on the detected corners of the board, with the board's poses eliminated (Schur complement) and
+robust weights; the covariance takes each pair of images as a cluster.
 """
 
 from __future__ import annotations

@@ -1,10 +1,11 @@
-"""Rigs from the calibration files of other programs.
+"""Imports stereo rigs from the calibration files of other programs.
 
 * OpenCV: one or two files written by ``cv::FileStorage`` (YAML or XML), with the names of its stereo_calib example (M1,
-  D1, M2, D2, R, T) or the usual others.
-* Kalibr: a camchain.yaml; pinhole cameras with radtan distortion or none.
-* ROS: two camera_info files, as camera_calibration writes them. A rectified pair's R and P hold the pose.
-* KITTI: calib_cam_to_cam.txt of the raw recordings, or a file of projection matrices P0 … P3.
+  D1, M2, D2, R, T) or the other names of `OPENCV_KEYS`.
+* Kalibr: a camchain.yaml; pinhole cameras with radial-tangential distortion (radtan) or none.
+* ROS: two camera_info files, as the package camera_calibration writes them. The pose comes from a pair's rectifying
+  rotations R and projections P.
+* KITTI: calib_cam_to_cam.txt of the raw data, or a file of projection matrices P0 … P3.
 """
 
 from __future__ import annotations

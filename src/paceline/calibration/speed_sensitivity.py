@@ -1,8 +1,9 @@
-"""The effect of a calibration's uncertainty on speeds, and its statement in rig.yaml.
+"""The effect of a calibration's uncertainty on speeds, and the ``uncertainty`` entry of rig.yaml.
 
-Everything that uses a rig works with pinhole cameras: images are undistorted once, with the calibration itself. An
+Everything that uses a rig works with pinhole cameras: images are undistorted once, with the estimated distortion. An
 error of the distortion therefore acts like the error of the pinhole camera that approximates it best over the image's
-middle, and the 24 parameters' covariance becomes one of 14: fx, fy, cx, cy of each camera, rotation and translation.
+middle, and the covariance of the 24 parameters becomes one of 14 parameters: fx, fy, cx, cy of each camera, rotation
+and translation.
 """
 
 from __future__ import annotations

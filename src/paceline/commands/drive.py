@@ -1,4 +1,4 @@
-"""``paceline drive``: simulates following in a closed loop and checks the requirements of the drive."""
+"""``paceline drive``: simulates a vehicle that follows another by camera, in a closed loop, and checks its drive."""
 
 from __future__ import annotations
 

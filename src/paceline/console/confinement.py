@@ -11,7 +11,7 @@ from pathlib import Path
 
 import av
 
-from paceline.console.document_names import check_size, files_of, is_live, recordings_of, rig_of_site
+from paceline.console.document_references import check_size, files_of, is_live, recordings_of, rig_of_site
 from paceline.errors import UnusableInput
 from paceline.recordings.image_sources import IMAGE_SUFFIXES
 

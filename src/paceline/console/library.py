@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from paceline.console.confinement import NotFound, check_document, file_below, folder_below, named_files
-from paceline.console.document_names import (
+from paceline.console.document_references import (
     CLIP_FILE,
     FOLLOW_FILE,
     PartialFollowModel,

@@ -1,4 +1,7 @@
-"""Proposes in one view what is drawn in the other, by correlation of the two images over all distances."""
+"""Proposes in one view the outline or road line that the user drew in the other.
+
+Patches of the two images are compared by normalised correlation at all distances of the epipolar line.
+"""
 
 from __future__ import annotations
 

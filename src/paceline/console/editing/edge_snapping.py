@@ -1,4 +1,4 @@
-"""Moves a drawn point to the nearest strong edge or corner of the image."""
+"""Moves a point that the user drew to the corner, or else the edge, of the image that is strongest for its distance."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from paceline.cameras import Camera
-from paceline.console.document_names import PartialFollowModel
+from paceline.console.document_references import PartialFollowModel
 from paceline.console.editing.clip_document import FileChanged, file_revision
 from paceline.console.editing.target_model import target_as_dict, validated_start, validated_target
 from paceline.documents.loading import load_follow

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from paceline.arrays import Array, Image
 from paceline.cameras import VIEW_NAMES, Camera
 from paceline.console.confinement import NotFound, check_document, named_files
-from paceline.console.document_names import PartialFollowModel, is_follow, live_views, read_cached
+from paceline.console.document_references import PartialFollowModel, is_follow, live_views, read_cached
 from paceline.documents.loading import Clip, load_camera, load_clip_recording
 from paceline.errors import UnusableInput
 from paceline.recordings.image_sources import ImageSource, open_source

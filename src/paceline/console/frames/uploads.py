@@ -17,7 +17,7 @@ from typing import IO
 import yaml
 
 from paceline.console.confinement import check_container, check_document, check_name
-from paceline.console.document_names import CLIP_FILE, FOLLOW_FILE, PartialFollowModel
+from paceline.console.document_references import CLIP_FILE, FOLLOW_FILE, PartialFollowModel
 from paceline.console.frames.frame_cache import ChaseFrames
 from paceline.documents.loading import load_clip_recording, load_rig
 from paceline.documents.models import ClipModel, read_document

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from paceline.console.document_names import STREAM_PATTERN, PartialFollowModel, is_follow, read_cached
+from paceline.console.document_references import STREAM_PATTERN, PartialFollowModel, is_follow, read_cached
 from paceline.documents.models import ClipModel, Document, SiteModel
 from paceline.errors import UnusableInput
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from paceline.console.document_names import CLIP_FILE, FOLLOW_FILE
+from paceline.console.document_references import CLIP_FILE, FOLLOW_FILE
 
 SPEED_RUN, LIVE_RUN, FOLLOW_RUN, LANES_RUN, VEHICLES_RUN = "speed", "live", "follow", "lanes", "vehicles"
 RUN_KINDS = (SPEED_RUN, LIVE_RUN, FOLLOW_RUN, LANES_RUN, VEHICLES_RUN)

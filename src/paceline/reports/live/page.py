@@ -1,4 +1,4 @@
-"""report.html of a live survey: every vehicle with its speed, verdict and path, and images of the latest ones."""
+"""report.html of a live run: a row for every vehicle, measured or not, and pictures of the latest ones."""
 
 from __future__ import annotations
 

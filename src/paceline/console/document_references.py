@@ -1,4 +1,4 @@
-"""The documents of clips, and the files and live sources that they name: recordings, rigs, cameras, targets."""
+"""What clip.yaml, follow.yaml and site.yaml refer to: recordings, live cameras, rigs, targets. Reading is cached."""
 
 from __future__ import annotations
 
