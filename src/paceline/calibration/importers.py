@@ -1,4 +1,4 @@
-"""Imports stereo rigs from the calibration files of other programs.
+"""Stereo rigs from the calibration files of other programs.
 
 * OpenCV: one or two files written by ``cv::FileStorage`` (YAML or XML), with the names of its stereo_calib example (M1,
   D1, M2, D2, R, T) or the other names of `OPENCV_KEYS`.
