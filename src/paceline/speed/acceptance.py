@@ -1,4 +1,7 @@
-"""Acceptance tests of a refined motion: image residuals of every frame, the calibration, the interval's width."""
+"""Acceptance tests of a refined motion: image residuals of every frame, the calibration, the interval's width.
+
+They return the code of a rejection; its text and advice are in `paceline.verdicts`.
+"""
 
 from __future__ import annotations
 

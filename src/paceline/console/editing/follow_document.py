@@ -1,4 +1,4 @@
-"""Reads the target and the start of a follow.yaml for editing, and writes them back, the rest of the file unchanged."""
+"""Edits a follow.yaml: its target, and the frame, place and scale at which following starts; the rest stays."""
 
 from __future__ import annotations
 

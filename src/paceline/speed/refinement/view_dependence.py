@@ -2,9 +2,9 @@
 
 Reflections in paint and lamps move over the vehicle as it approaches, which looks like motion. Both views of a frame
 have almost the same direction, so their disparity is hardly affected; frames far apart differ more. Intensities are
-therefore modelled as Lévy's Brownian motion over the viewing direction: the variance of a difference grows with the
-angle between two views, at a rate estimated for each patch. Views are weighted by generalised least squares; where
-appearance does not change, these are the ordinary weights.
+therefore modelled as a random process over the viewing direction (Lévy's Brownian motion): the variance of a difference
+grows with the angle between two views, at a rate estimated for each patch. Views are weighted by generalised least
+squares; where appearance does not change, these are the ordinary weights.
 """
 
 from __future__ import annotations
