@@ -462,6 +462,30 @@ def test_an_earlier_output_survives_a_later_failure(
     assert (tmp_path / "out" / "summary.json").read_text() == "earlier"
 
 
+@pytest.mark.parametrize(
+    ("error", "status", "line"), [("KeyboardInterrupt", 130, "interrupted"), ("SystemExit", 143, "")]
+)
+def test_an_interrupt_inside_a_callback_comes_again(tmp_path: Path, error: str, status: int, line: str) -> None:
+    """As where LLVM calls Python while Numba compiles: nothing can be raised there."""
+    (tmp_path / "interrupted.py").write_text(
+        "import ctypes, time\n"
+        "from paceline import cli\n"
+        "def callback():\n"
+        f"    raise {error}\n"
+        "def app(**options):\n"
+        "    try:\n"
+        "        ctypes.CFUNCTYPE(None)(callback)()\n"
+        "        time.sleep(20)\n"
+        "    except KeyboardInterrupt:\n"
+        "        return cli.EXIT_INTERRUPTED\n"
+        "cli.app = app\n"
+        "cli.main()\n"
+    )
+    command = [sys.executable, "interrupted.py"]
+    done = subprocess.run(command, cwd=tmp_path, env=ENVIRONMENT, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (status, f"paceline: {line}\n" if line else "")
+
+
 def test_an_interrupt_inside_an_exec_ends_with_its_status(tmp_path: Path) -> None:
     """As where dataclasses are made, while modules are imported: by ``python -m`` the signal itself would end it."""
     (tmp_path / "interrupted.py").write_text(

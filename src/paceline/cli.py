@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import _thread
 import os
 import signal
 import sys
+import threading
 from types import FrameType
 from typing import Annotated
 
@@ -23,6 +25,8 @@ from paceline.commands.target import target
 from paceline.commands.vehicles import vehicles
 from paceline.errors import UnusableInput
 from paceline.exit_status import EXIT_INTERRUPTED, EXIT_UNUSABLE_INPUT
+
+CALLBACK_DELAY_S = 0.05  # time after which an interrupt inside a callback comes again
 
 app = typer.Typer(
     name="paceline",
@@ -46,6 +50,7 @@ app.command()(console)
 def main() -> None:
     """Runs the command line and exits with its status; every error is one plain line on standard error."""
     signal.signal(signal.SIGTERM, _terminate)
+    sys.unraisablehook = _end_after_callback
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # its threads, for matrices this small, only stand in the way
     try:
         status = app(prog_name="paceline", standalone_mode=False)
@@ -77,6 +82,18 @@ def _ended_within(error: SystemError) -> str | int | None:
             return cause.code
         cause = cause.__cause__
     raise error
+
+
+def _end_after_callback(unraisable: sys.UnraisableHookArgs) -> None:
+    """A Ctrl-C or a termination that came inside a callback, as of LLVM while Numba compiles, where nothing can be
+    raised, comes again after it; other exceptions are reported as usual."""
+    numbers = {KeyboardInterrupt: signal.SIGINT, SystemExit: signal.SIGTERM}
+    if unraisable.exc_type in numbers:
+        again = threading.Timer(CALLBACK_DELAY_S, _thread.interrupt_main, [numbers[unraisable.exc_type]])
+        again.daemon = True
+        again.start()
+    else:
+        sys.__unraisablehook__(unraisable)
 
 
 def _terminate(number: int, frame: FrameType | None) -> None:
