@@ -143,10 +143,14 @@ def test_too_few_frames_are_reported(clip: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "site.yaml").exists()
 
 
+@pytest.mark.slow
 def test_the_width_of_a_lane_is_a_setting(clip: Path, tmp_path: Path) -> None:
     (tmp_path / "settings.yaml").write_text("lanes: {width: [2.2, 3.0]}\n")
     done = run(clip, "--config", tmp_path / "settings.yaml")
     assert done.returncode == 1 and done.stdout.count("(limits 2.2 and 3)") == 2
+
+
+def test_a_width_that_is_no_range_is_refused(clip: Path, tmp_path: Path) -> None:
     (tmp_path / "settings.yaml").write_text("lanes: {width: [3.0, 2.2]}\n")
     done = run(clip, "--config", tmp_path / "settings.yaml")
     expected = "lanes.width: expected two numbers above 0, the smaller one first"

@@ -109,6 +109,7 @@ def test_an_interrupted_clip_is_resumed(written: Path, tmp_path: Path) -> None:
     assert contents(folder) == whole  # as if nothing had happened: the same bytes
 
 
+@pytest.mark.slow
 def test_another_scene_does_not_go_into_the_same_folder(written: Path, tmp_path: Path) -> None:
     before = contents(written)
     with pytest.raises(UnusableInput, match="was begun with another scene"):
