@@ -87,6 +87,20 @@ def by_each(scene: Scene, methods: Sequence[str]) -> list[Outcome]:
     return outcomes
 
 
+def measured(outcomes: Sequence[Outcome]) -> tuple[str, Array, Array]:
+    """How many were measured, for a row of a table, and errors and half-widths (n,) of these, mph."""
+    good = [o for o in outcomes if not o.reason]
+    error, half = (np.array([getattr(o, name) for o in good]) for name in ("error", "half"))
+    return f"{len(good)} of {len(outcomes)}", error, half
+
+
+def outcome_cell(o: Outcome, more: str = "") -> str:
+    """An outcome in the table of all clips, with ``more`` behind its numbers."""
+    if not np.isfinite(o.error):
+        return f"rejected: {o.reason}"
+    return f"{o.error:+.3f} ± {o.half:.2f}{more}" + (f" (rejected: {o.reason})" if o.reason else "")
+
+
 def run(seed: int, suite: str, methods: list[str]) -> list[Outcome]:
     return by_each(SUITES[suite](seed), methods)
 

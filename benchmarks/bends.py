@@ -10,7 +10,7 @@ from functools import partial
 from itertools import product
 
 import numpy as np
-from baselines import Outcome, by_each
+from baselines import Outcome, by_each, measured, outcome_cell
 from common import head, machine, rms, row, share_out
 
 from paceline.simulation.random_scenes import random_bend
@@ -29,21 +29,13 @@ def run(item: Item, free: bool) -> list[Outcome]:
 
 def summary(outcomes: list[Outcome]) -> list[str]:
     """Errors of what was measured, mph, and how often the intervals hold."""
-    good = [o for o in outcomes if not o.reason]
-    cells = [f"{len(good)} of {len(outcomes)}"]
-    if not good:
-        return [*cells, *"–––––––"]
-    error, half = (np.array([getattr(o, name) for o in good]) for name in ("error", "half"))
+    count, error, half = measured(outcomes)
+    if not len(error):
+        return [count, *"––––––"]
     standard_error = error.std() / np.sqrt(len(error))
-    cells += [f"{v:.3f}" for v in (rms(error), np.abs(error).max())]
+    cells = [count, *(f"{v:.3f}" for v in (rms(error), np.abs(error).max()))]
     cells += [f"{error.mean():+.3f} ± {2 * standard_error:.3f}", f"{np.mean(np.abs(error) <= half):.0%}"]
     return [*cells, f"{np.median(half):.2f}", f"{np.median([o.seconds for o in outcomes]):.2f}"]
-
-
-def cell(o: Outcome) -> str:
-    if not np.isfinite(o.error):
-        return f"rejected: {o.reason}"
-    return f"{o.error:+.3f} ± {o.half:.2f}" + (f" (rejected: {o.reason})" if o.reason else "")
 
 
 def main() -> None:
@@ -60,7 +52,7 @@ def main() -> None:
     outcomes: list[tuple[Item, Outcome]] = []
     for item, found in zip(items, share_out(partial(run, free=args.free), items, args.workers), strict=True):
         outcomes += [(item, o) for o in found]
-        print(row(f"{item[0]:g}", f"{item[1]:g}", item[2], *(cell(o) for o in found)), flush=True)
+        print(row(f"{item[0]:g}", f"{item[1]:g}", item[2], *(outcome_cell(o) for o in found)), flush=True)
     columns = ("measured", "RMS, mph", "worst", "mean ± 2 s.e.", "covered", "median ±", "processor s per frame")
     print("\n" + head("bends", "method", *columns))
     groups = [(f"{r:g} m", 0, r) for r in args.radii] + [(f"{f:g} frames/s", 1, f) for f in args.rates]

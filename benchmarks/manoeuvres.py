@@ -9,7 +9,7 @@ import argparse
 from typing import Any
 
 import numpy as np
-from baselines import Outcome, by_each
+from baselines import Outcome, by_each, measured, outcome_cell
 from common import PLAIN_RIG, head, machine, rms, row, share_out
 from numpy.typing import NDArray
 
@@ -109,12 +109,11 @@ def main() -> None:
 
 def _summary(outcomes: list[Outcome]) -> list[str]:
     """Errors of what was measured."""
+    count, error, half = measured(outcomes)
+    if not len(error):
+        return [count, *"–––––––"]
     good = [o for o in outcomes if not o.reason]
-    cells = [f"{len(good)} of {len(outcomes)}"]
-    if not good:
-        return [*cells, *"–––––––"]
-    error, half = (np.array([getattr(o, name) for o in good]) for name in ("error", "half"))
-    cells += [*_rms_and_worst([error]), f"{np.mean(np.abs(error) <= half):.0%}"]
+    cells = [count, *_rms_and_worst([error]), f"{np.mean(np.abs(error) <= half):.0%}"]
     return [*cells, *_rms_and_worst([o.frames for o in good]), *_rms_and_worst([o.smoothed for o in good])]
 
 
@@ -124,10 +123,7 @@ def _rms_and_worst(errors: list[Array]) -> tuple[str, str]:
 
 
 def _cell(o: Outcome) -> str:
-    if not np.isfinite(o.error):
-        return f"rejected: {o.reason}"
-    worst = f", frames up to {np.abs(o.smoothed).max():.2f}" if len(o.smoothed) else ""
-    return f"{o.error:+.3f} ± {o.half:.2f}{worst}" + (f" (rejected: {o.reason})" if o.reason else "")
+    return outcome_cell(o, f", frames up to {np.abs(o.smoothed).max():.2f}" if len(o.smoothed) else "")
 
 
 if __name__ == "__main__":

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from paceline.arrays import Array
+from paceline.arrays import Array, Mask
 from paceline.cameras import PosedCamera
 from paceline.errors import UnusableInput
 from paceline.simulation.chase.scene import CHASE_PRESETS, ChaseScene
@@ -68,8 +68,7 @@ def random_bend(seed: int, radius: float | None = None, rate: float = 5.0, **ove
     rng = np.random.default_rng([seed, 53])
     for _ in range(400):
         bend = float(rng.choice([-1, 1])) * (radius or float(rng.uniform(30, 80)))
-        scene = _propose_bend(seed, rng, bend, rate)
-        scene = replace(scene, **overrides)
+        scene = replace(_propose_bend(seed, rng, bend, rate), **overrides)
         if (shown := _shown_on_bend(scene)) is not None:
             return shown
     raise ValueError(f"no bend of seed {seed} suits {overrides}")
@@ -173,8 +172,7 @@ def _shown_on_bend(scene: Scene) -> Scene | None:
     facing = (sight * np.array([pose.axes[:, 2] for pose in poses])).sum(1)
     well_seen = (corners[..., 2].min(1) > MIN_BEND_DEPTH_M) & (corners[..., 2].max(1) < MAX_BEND_DEPTH_M)
     well_seen &= facing > np.cos(MAX_BEND_OBLIQUITY_RAD)
-    for view in views:
-        well_seen &= np.array([is_inside_image(q, scene.image_size) for q in view.project(corners)])
+    well_seen &= _inside_both(scene, [view.project(corners) for view in views])
     k = longest_visible_run(np.arange(len(ticks), dtype=float)[:, None], well_seen)[:, 0].astype(int)
     if len(k) < MIN_VISIBLE_FRAMES:
         return None
@@ -257,12 +255,17 @@ def _is_suitable(scene: Scene) -> bool:
         if depths.min() < 10 or depths.max() > 85:
             return False
         pixels = [view.project(corners) for view in views]
-        inside = np.all([[is_inside_image(q, scene.image_size) for q in p] for p in pixels], axis=0)
+        inside = _inside_both(scene, pixels)
         if inside.sum() < max(8, 0.7 * len(ticks)) or np.ptp(pixels[0][..., 0], axis=1).min() < 24:
             return False
         if scene.draw_path and not all(_is_line_usable(scene, road, vehicle, corners[inside], v) for v in views):
             return False
     return True
+
+
+def _inside_both(scene: Scene, pixels: Sequence[Array]) -> Mask:
+    """Whether corners are inside both images, (N,), from their ``pixels`` (N, 4, 2) in each."""
+    return np.asarray(np.all([[is_inside_image(q, scene.image_size) for q in view] for view in pixels], axis=0))
 
 
 def _is_line_usable(scene: Scene, road: PlacedRoad, vehicle: Vehicle, corners: Array, view: PosedCamera) -> bool:

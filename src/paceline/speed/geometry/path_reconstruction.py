@@ -94,7 +94,7 @@ def reconstruct_curve(name: str, rig: StereoRig, left: Array, right: Array, sigm
         return np.concatenate([_distances_to_curve(p, c.project(q))[0] for c, p, q in in_views(x)]) / sigma
 
     def distance_slopes(x: Array) -> Array:
-        slopes = jacobian(lambda y: road.points(y).ravel(), x, 1e-5).reshape(-1, 3, len(x))
+        slopes = road.slopes(x)
         rows = []
         for R, (camera, points, curve) in zip(rotations, in_views(x), strict=True):
             _, u, normals = _distances_to_curve(points, camera.project(curve))
@@ -124,7 +124,7 @@ def reconstruct_curve(name: str, rig: StereoRig, left: Array, right: Array, sigm
     scatter = max(1.0, float(np.median(np.abs(distances(x)))) / 0.6745)
     values, vectors = np.linalg.eigh(np.linalg.inv(information) * scatter**2)
     points = road.points(x)
-    displacements = jacobian(lambda y: road.points(y).ravel(), x, 1e-5)
+    displacements = road.slopes(x).reshape(-1, len(x))
     stds = np.sqrt(np.maximum(values, 0.0))
     modes = np.array([(displacements @ v).reshape(-1, 3) * std for std, v in zip(stds, vectors.T, strict=True)])
     ahead = points[:, 2] > 1.0
@@ -182,6 +182,10 @@ class _RoadCurve:
         T = np.stack([np.sin(yaw), np.zeros_like(yaw), np.cos(yaw)], axis=1)
         T[:, 1] = x[4] * T[:, 0] + x[5] * T[:, 2] + self.turn @ x[6 + K :]
         return np.asarray(x[:3] + _integral(T / np.linalg.norm(T, axis=1, keepdims=True), self.s))
+
+    def slopes(self, x: Array) -> Array:
+        """Derivatives (samples, 3, n) of the points by ``x``."""
+        return jacobian(lambda y: self.points(y).ravel(), x, 1e-5).reshape(-1, 3, len(x))
 
     def prior(self, strength: float) -> Array:
         """Square root (n, n) of the prior's information: walks of both curvatures, wide on everything else."""
