@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numba import cuda
+from numba import config, cuda
 from numpy.typing import NDArray
 from run_command import paceline
 from selection import slow_after
@@ -42,6 +42,10 @@ Array = NDArray[np.float64]
 ROUNDING = 1e-9  # of the state, in double precision: a few operations' worth at values of some hundreds
 FILTERED = 2e-4  # relative, of estimates by weights that differ by float32 rounding; measured: 1e-6 and less
 N = 9
+if config.ENABLE_CUDASIM:
+    import cuda_simulator
+
+    cuda_simulator.install()
 SETTINGS = SpeedConfiguration(parts=4).model_copy(update={"particles": 4})  # fewer than are of any use
 
 
