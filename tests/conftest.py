@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # when NumPy is imported; see `paceline.blas`, also for why
+
 import cv2
 import numpy as np
 import pytest
