@@ -5,7 +5,7 @@ import signal
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import IO, TYPE_CHECKING, Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # when NumPy is imported; see `paceline.blas`, also for why
 
@@ -43,6 +43,16 @@ def rig() -> StereoRig:
     left = Camera((1024, 768), np.array([[2200.0, 0, 511.5], [0, 2210, 383.5], [0, 0, 1]]))
     right = Camera((1024, 768), np.array([[2150.0, 0, 505.0], [0, 2145, 390.0], [0, 0, 1]]))
     return StereoRig(left, right, cv2.Rodrigues(np.array([0.004, -0.02, 0.006]))[0], np.array([-0.5, 0.02, -0.03]))
+
+
+@pytest.fixture
+def unrendered_plots(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Plots are drawn on their figures, but the files have no content: rendering takes half a measurement's time."""
+
+    def savefig(figure: object, file: IO[Any], *, format: str, **_: object) -> None:
+        file.write("<svg></svg>" if format == "svg" else b"")
+
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", savefig)
 
 
 @pytest.fixture(scope="module")

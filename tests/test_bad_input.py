@@ -24,6 +24,8 @@ from selection import slow_after
 from paceline.documents.loading import load_rig
 from paceline.simulation.stereo.clip import Scene, Vehicle, render, write
 
+pytestmark = pytest.mark.usefixtures("unrendered_plots")
+
 Case = tuple[Callable[["Clip"], object], list[str]]
 Command = Callable[..., Done]
 

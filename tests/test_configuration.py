@@ -30,6 +30,8 @@ from paceline.speed.results import ClipResult
 from paceline.speed.settings_table import section_of, settings_page
 from paceline.units import SpeedUnit
 
+pytestmark = pytest.mark.usefixtures("unrendered_plots")
+
 ROOT = Path(__file__).parents[1]
 STRAIGHT = ROOT / "examples" / "straight"
 

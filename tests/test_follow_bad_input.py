@@ -17,6 +17,8 @@ import tiny_chase
 from damaged_inputs import Folder
 from run_command import Done, assert_one_line_error, paceline
 
+pytestmark = pytest.mark.usefixtures("unrendered_plots")
+
 FRAMES = 40
 FIRST, LAST = 18, 22  # of the frames that show nothing
 

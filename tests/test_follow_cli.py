@@ -26,6 +26,8 @@ from run_command import COMMAND, ENVIRONMENT, Done, assert_one_line_error, pacel
 from paceline.documents.models import CameraModel, FollowModel, StartModel, TargetModel
 from paceline.reports.follow.tables import TRACK_COLUMNS
 
+pytestmark = pytest.mark.usefixtures("unrendered_plots")
+
 FRAMES = 30
 SHARED = Path(__file__).parents[2] / "shared" / "data"
 REQUIRED = "frame,time_s,cx,cy,scale,w_x,w_y,w_scale,x_m,y_m,z_m,steering_rad,status"

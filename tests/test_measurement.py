@@ -66,8 +66,14 @@ Command = Callable[..., Answer]
 
 
 @pytest.fixture
-def command(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path) -> Command:
-    """`paceline speed CLIP -o OUT OPTIONS`, in this process."""
+def command(whole_command: Command, unrendered_plots: None) -> Command:
+    """`paceline speed CLIP -o OUT OPTIONS`, in this process, without plots."""
+    return whole_command
+
+
+@pytest.fixture
+def whole_command(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path) -> Command:
+    """The same with plots."""
 
     def run(clip: Path, *options: str, out: Path = tmp_path / "out") -> Answer:
         monkeypatch.setattr(sys, "argv", ["paceline", "speed", str(clip), "-o", str(out), *options])
@@ -132,7 +138,7 @@ def assert_right(answer: Answer, vehicle: str = "v0", speed: float = SPEED, slac
 # --- the outputs ---------------------------------------------------------------------------------------------------
 
 
-def test_two_vehicles_and_everything_that_comes_out(command: Command, tmp_path: Path) -> None:
+def test_two_vehicles_and_everything_that_comes_out(whole_command: Command, tmp_path: Path) -> None:
     fast = Vehicle("fast", 20.0, start_distance=75.0, lane=-3.4, texture_seed=1)
     slow = Vehicle("away", 12.0, start_distance=24.0, lane=3.4, receding=True, texture_seed=2)
     rendered = render(scene(vehicles=(fast, slow), frames=11))
@@ -143,7 +149,7 @@ def test_two_vehicles_and_everything_that_comes_out(command: Command, tmp_path: 
             for side in ("left", "right")
         },
     }
-    answer = command(write(rendered, tmp_path / "clip"), "--units", "km/h")
+    answer = whole_command(write(rendered, tmp_path / "clip"), "--units", "km/h")
     assert_right(answer, "fast", 20.0)
     assert_right(answer, "away", 12.0)
 
