@@ -133,7 +133,7 @@ def narrow_beside_a_wall(width: float, x: tuple[float, float], contrast: float, 
 
 @pytest.mark.parametrize(("width", "x"), [(0.8, (-0.4, 0.4)), (1.8, (-0.9, -0.1))])
 @pytest.mark.parametrize(
-    ("contrast", "light"), slow_after(2, [(8.0, 0.7), (25.0, 1.5), (25.0, 0.3), (8.0, 1.0), (25.0, 1.0)])
+    ("contrast", "light"), slow_after(1, [(8.0, 0.7), (25.0, 1.5), (25.0, 0.3), (8.0, 1.0), (25.0, 1.0)])
 )
 def test_a_wall_beside_a_narrow_or_partly_visible_vehicle_is_not_part_of_it(
     width: float, x: tuple[float, float], contrast: float, light: float

@@ -257,6 +257,7 @@ def test_the_readmes_session_is_what_the_command_prints(elsewhere: Path) -> None
     assert done.stdout == printed
 
 
+@pytest.mark.usefixtures("unrendered_plots")
 def test_the_readme_measures_and_reports(elsewhere: Path, capsys: pytest.CaptureFixture[str]) -> None:
     exec(compile(blocks("python", README)[0], "README.md", "exec"), {})
     lines = capsys.readouterr().out.splitlines()

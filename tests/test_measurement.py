@@ -201,7 +201,7 @@ def test_same_seed_same_file(command: Command, clip: Path, tmp_path: Path) -> No
 
 @pytest.mark.parametrize(
     ("options", "expected"),
-    slow_after(2, [
+    slow_after(1, [
         (["--motion", "free"], {"motion": "free"}),
         (["--feature-parts", "4"], {"parts": 4}),
         (["--feature-parts", "16"], {"parts": 16}),

@@ -429,6 +429,7 @@ def summary_of(out: Path) -> dict[str, Any]:
     return summary
 
 
+@pytest.mark.usefixtures("unrendered_plots")
 def test_a_vehicle_in_boxes_is_found_and_measured(tmp_path: Path) -> None:
     file, model, out = clip_file(tmp_path / "clip", one()), contrast(tmp_path / "model.onnx", 300.0), tmp_path / "out"
     done = paceline("speed", file, "-o", out, "--detector", model)

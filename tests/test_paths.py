@@ -209,7 +209,7 @@ def misses_of(path, points):
 @pytest.mark.parametrize(
     ("radius", "side", "tilt"),
     slow_after(
-        2,
+        1,
         [
             (30.0, -1, 0.03),
             (300.0, 1, 0.0),

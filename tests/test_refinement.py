@@ -177,7 +177,7 @@ def test_intervals_cover_the_truth(
 # --- models --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("acceleration", [-3.0, 3.0])
+@pytest.mark.parametrize("acceleration", slow_after(1, [-3.0, 3.0]))
 @pytest.mark.parametrize("kind", slow_after(1, ["line", "right"]))
 def test_a_change_of_speed_is_found(rendered: Callable[[Scene], Path], kind: str, acceleration: float) -> None:
     s = scene(kind, 18.0, 9, frames=10, acceleration=acceleration, start_distance=58.0)
@@ -232,7 +232,7 @@ def test_a_change_of_speed_that_begins_later_is_found(rendered: Callable[[Scene]
     assert m.acceleration == pytest.approx((true[-1] - true[0]) / np.ptp(t), abs=0.2)
 
 
-@pytest.mark.parametrize("kind", slow_after(2, ["line", "right", "left"]))
+@pytest.mark.parametrize("kind", slow_after(1, ["right", "line", "left"]))
 @pytest.mark.parametrize("shift", slow_after(1, [1.6, -0.8, 0.8]))
 def test_a_change_of_lane_is_found(rendered: Callable[[Scene], Path], kind: str, shift: float) -> None:
     s = scene(kind, 18.0, 10, lane_change=LaneChange(8.0, 35.0, shift))

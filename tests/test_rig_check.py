@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -12,7 +13,7 @@ import yaml
 from run_command import paceline
 from selection import slow_after
 
-from paceline.calibration import rig_check
+from paceline.calibration import rig_check, scene_matches
 from paceline.calibration.rig_check import (
     check_rig,
     clustered_covariance,
@@ -145,7 +146,16 @@ def test_the_points_matched_in_the_example_lie_on_their_lines() -> None:
     assert not found.moved
 
 
-def test_the_command_notices_a_knock_and_sets_the_rig_right(tmp_path: Path) -> None:
+def test_the_command_notices_a_knock_and_sets_the_rig_right(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    matched: list[SceneMatches] = []
+
+    def match_once(*given: Any) -> SceneMatches:
+        """Both calls have the same rig and the same pictures."""
+        if not matched:
+            matched.append(match_scene(*given))
+        return matched[0]
+
+    monkeypatch.setattr(scene_matches, "match_scene", match_once)
     shutil.copytree(EXAMPLE, tmp_path / "clip")
     document = yaml.safe_load((EXAMPLE / "rig.yaml").read_text())
     knock = np.radians([0.05, 0.0, -0.05])

@@ -37,6 +37,8 @@ from paceline.speed.configuration import BackgroundSettings, SpeedConfiguration
 from paceline.speed.results import Measurement
 from paceline.survey.live import last_outline, survey
 
+pytestmark = pytest.mark.usefixtures("unrendered_plots")
+
 SIZE = (64, 48)
 RATE, PLAYED = 5.0, 2.0  # frames/s, as rendered and as played: slow enough for any machine to keep up
 SPEEDS = [speed * PLAYED / RATE for speed in (13.0, 16.0, 19.0)]  # m/s
