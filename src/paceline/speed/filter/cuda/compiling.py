@@ -14,4 +14,4 @@ def kernel(function: FunctionType | None = None, **options: Any) -> Any:
     """`cuda.jit` as a decorator with a disk cache that is invalidated as in `numba_cache`."""
     if function is None:
         return lambda given: kernel(given, **options)
-    return cuda.jit(cache=True, **options)(with_source_digest(function))  # type: ignore[no-untyped-call]
+    return cuda.jit(cache=True, **options)(with_source_digest(function))

@@ -45,7 +45,7 @@ SECOND_MOMENT_ROWS = layout.MOMENT_PAIRS[
 ]  # (2, pairs, 2) rows of second moments, by IS_FREE
 
 
-class DeviceArray(cuda.In):  # type: ignore[misc, name-defined]
+class DeviceArray(cuda.In):  # type: ignore[misc]
     """An array in the device's memory that is passed to many launches.
 
     Numba prepares an array's descriptor anew for every launch, which takes three times as long as the rest of a launch;
@@ -76,11 +76,11 @@ class _TransferBuffer:
 
     def upload(self, size: int) -> None:
         """Copy the first ``size`` numbers to the device."""
-        driver.host_to_device(self.device.value, self.host, size * self.host.itemsize)  # type: ignore[no-untyped-call]
+        driver.host_to_device(self.device.value, self.host, size * self.host.itemsize)
 
     def download(self, size: int) -> NDArray[Any]:
         """Copy the first ``size`` numbers from the device; returns the whole array."""
-        driver.device_to_host(self.host, self.device.value, size * self.host.itemsize)  # type: ignore[no-untyped-call]
+        driver.device_to_host(self.host, self.device.value, size * self.host.itemsize)
         return self.host
 
 
@@ -90,7 +90,7 @@ class CudaDevice:
     resampling_schemes: Collection[str] = ("systematic",)
 
     def __init__(self) -> None:
-        cuda.current_context()  # type: ignore[no-untyped-call]
+        cuda.current_context()
         warnings.filterwarnings("ignore", "Grid size .* under-utilization")  # a vehicle's particles fill no GPU
         self._particle_sets: dict[int, weakref.ref[CudaParticleSet]] = {}  # by slot
         self._pool = DeviceArray(cuda.device_array((2, layout.ROW_COUNT, 1)))
@@ -108,7 +108,7 @@ class CudaDevice:
 
     def free_memory(self) -> int:
         """Free memory of the device, bytes."""
-        return int(cuda.current_context().get_memory_info().free)  # type: ignore[no-untyped-call]
+        return int(cuda.current_context().get_memory_info().free)
 
     # --- particle sets -----------------------------------------------------------------------------------------------
 
