@@ -121,7 +121,8 @@ def test_a_detector_that_a_file_names_lies_beside_it(tmp_path: Path) -> None:
 
 def test_a_summarys_configuration_reproduces_the_result(tmp_path: Path) -> None:
     """Options win over the file, and a file over the defaults."""
-    file = written(tmp_path, "method: sift\nparticles: 77\nseed: 3\nlimits: {max_half_width: 0.5}\n")
+    text = "method: sift\nparticles: 77\nseed: 3\nlimits: {max_half_width: 0.5}\nreport: {overlay: false}\n"
+    file = written(tmp_path, text)
     options = ["--quiet", "--config"]
     first = command("speed", STRAIGHT, "-o", tmp_path / "first", "--seed", "5", *options, file)
     assert first.returncode == 0, first.stderr

@@ -225,6 +225,7 @@ def test_wide_pictures_are_scaled(result: ClipResult, tmp_path: Path) -> None:
         assert container.streams.video[0].width == 1920
 
 
+@pytest.mark.usefixtures("unrendered_plots")
 def test_a_missing_encoder_is_reported(result: ClipResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("paceline.reports.common.video.H264_CODECS", ["no-such-encoder"])
     written = write_report(result, Recording(), tmp_path / "out")
