@@ -25,7 +25,7 @@ from paceline.detection.finder import DetectedVehicle, VehicleFinder
 from paceline.detection.lane_paths import LanePath, PlaneGrid, image_pyramid, lane_paths_of, warp_to_plane
 from paceline.detection.photo_consistency import LocalStatistics, local_ncc
 from paceline.detection.planar_face import best_rectangle
-from paceline.detection.search import find_vehicles
+from paceline.detection.search import SearchResult, find_vehicles
 from paceline.detection.tracks import theil_sen_slope
 from paceline.documents.loading import VehicleDocument, load_clip
 from paceline.errors import UnusableInput
@@ -204,9 +204,15 @@ def two() -> RenderedClip:
     return render(scene(*TWO))
 
 
-def test_vehicles_in_both_directions_are_found_once_at_their_positions(tmp_path: Path) -> None:
-    clip = load_clip(unclicked(two(), tmp_path))
-    search = find_vehicles(clip, open_recording(clip))
+@pytest.fixture(scope="module")
+def search(tmp_path_factory: pytest.TempPathFactory) -> SearchResult:
+    """What is found in the clip of two vehicles."""
+    clip = load_clip(unclicked(two(), tmp_path_factory.mktemp("two")))
+    return find_vehicles(clip, open_recording(clip))
+
+
+def test_vehicles_in_both_directions_are_found_once_at_their_positions(search: SearchResult) -> None:
+    clip = search.clip
     assert [v.id for v in search.clip.vehicles] == ["v0", "v1"] and not search.reason and not search.notices
     truth = [{row["vehicle"]: row for row in two().truth if row["frame"] == v.frame} for v in search.clip.vehicles]
     names = []
@@ -328,14 +334,14 @@ def test_too_few_frames_are_refused(tmp_path: Path) -> None:
     assert done.returncode == 1 and "only 3 frames" in done.stdout
 
 
-def test_the_command_writes_what_speed_reads(tmp_path: Path) -> None:
+def test_the_command_writes_what_speed_reads(search: SearchResult, tmp_path: Path) -> None:
     file = unclicked(two(), tmp_path)
     file.write_text("# a survey\n" + file.read_text(encoding="utf-8"), encoding="utf-8")
     done = paceline("vehicles", file, "--in-place")
     assert done.returncode == 0, done.stderr
     assert [line.split()[0] for line in done.stdout.splitlines()[:3]] == ["vehicle", "v0", "v1"]
     assert file.read_text(encoding="utf-8").startswith("# a survey\n")
-    written, found = load_clip(file).vehicles, outlines(found_in(unclicked(two(), tmp_path / "again")))
+    written, found = load_clip(file).vehicles, outlines(search.detected)
     for a, b in zip(written, found, strict=True):
         assert (a.id, a.path, a.frame, a.plane, a.speed) == (b.id, b.path, b.frame, b.plane, b.speed)
         np.testing.assert_allclose([a.left, a.right], [b.left, b.right], atol=0.006)
