@@ -41,8 +41,7 @@ for name in reversed(names) if len(sys.argv) > 1 else names:
 print(json.dumps({{name: source_digest("paceline." + name) for name in names}}))
 """
 USED = """
-import numpy as np
-from paceline.speed.geometry import quadrilaterals_cpu as used
+import numpy as np, paceline.speed.geometry.quadrilaterals_cpu as used
 crossings = np.empty((1, 2))
 used.cross_diagonals(np.array([[[0.0, 0.0], [4.0, 0.0], [4.0, 2.0], [0.0, 2.0]]]), crossings)
 hits, misses = (sum(used.cross_diagonals.stats[i].values()) for i in (1, 2))
