@@ -8,7 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from paceline.documents.loading import VehicleDocument
-from paceline.speed.geometry.initial_plane import TILT_STD_RAD, YAW_STD_RAD, normal_from_corners, plane_from_outlines
+from paceline.speed.geometry.initial_plane import (
+    TILT_STD_RAD,
+    YAW_STD_RAD,
+    likeliest_face,
+    normal_from_corners,
+    plane_from_outlines,
+)
 from paceline.speed.geometry.paths import Path
 from paceline.speed.refinement.trajectory import rotate_normal
 
@@ -140,3 +146,14 @@ def test_the_depths_uncertainty_is_that_of_repeated_clicks(rig, distance):
     assert np.std(inverse) == pytest.approx(np.mean(stated), rel=0.12)
     # the mean of the corners is not quite the centre
     assert np.mean(inverse) == pytest.approx(1, abs=4 * np.std(inverse) / 20 + 1e-3)
+
+
+@pytest.mark.parametrize(("width", "face"), [(1.8, "front"), (4.0, "side"), (9.0, "side")])
+def test_the_likelier_face_has_a_usual_width(rig, width, face):
+    """At 45° the corners of a distant plane tell a front from a side less than its width does."""
+    travel = np.array([1.0, 0.0, 1.0])
+    yaw = np.pi / 4 if face == "front" else -np.pi / 4
+    left, right = (q for q in rig.project(rectangle([0.5, 0.8, 45.0], yaw, 0.0, width=width)[0]))
+    plane = plane_from_outlines(rig, document(left, right), None, 0.5)
+    assert likeliest_face(rig, document(left, right), plane, travel) == face
+    assert likeliest_face(rig, document(left, right, plane="side"), plane, travel) == "side"

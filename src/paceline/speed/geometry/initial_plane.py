@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -18,6 +19,10 @@ PATH_YAW_STD_RAD = np.radians(1.5)  # of the yaw from that of the path
 TRAVEL_YAW_STD_RAD = np.radians(3.0)  # of the yaw from that of the direction of travel, which is estimated itself
 # Mean and standard deviation of the tilt: fronts and rears lean back, the more so the more bonnet or boot they contain
 TILT_PRIOR_RAD = {"front": np.radians((8.0, 10.0)), "side": np.radians((0.0, 5.0))}
+
+Face = Literal["front", "side"]  # perpendicular to the direction of travel (a rear, too), or parallel to it
+# Median width of an outlined face, m, and standard deviation of its logarithm: cars and lorries, whole or in part
+FACE_WIDTH_M: dict[Face, tuple[float, float]] = {"front": (1.8, 0.25), "side": (3.5, 0.5)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,17 +72,10 @@ def plane_across(plane: InitialPlane, travel: Array) -> InitialPlane:
     The flat faces of vehicles are perpendicular or parallel to their direction of travel. Where the corners' normal is
     within its own uncertainty of one of these, that one is taken; a face that is clearly oblique is left unchanged.
     """
-    k = travel / np.linalg.norm(travel)
-    along = float(plane.normal @ k)
-    oblique = np.degrees(np.arccos(np.clip(abs(along), 0.0, 1.0)))  # 0° a front, 90° a side
-    limit = 2.0 * np.degrees(float(plane.normal_std[0])) + 5.0
-    if 90.0 - oblique <= min(limit, oblique):
-        normal, (mean_tilt, std) = plane.normal - along * k, TILT_PRIOR_RAD["side"]
-    elif oblique <= limit:
-        normal, (mean_tilt, std) = k * np.sign(along), TILT_PRIOR_RAD["front"]
-    else:
+    face = nearest_face(plane, travel)
+    if face is None:
         return plane
-    normal /= np.linalg.norm(normal)
+    normal, (mean_tilt, std) = normal_of_face(plane.normal, travel, face), TILT_PRIOR_RAD[face]
     return InitialPlane(
         plane.centre,
         normal,
@@ -86,6 +84,49 @@ def plane_across(plane: InitialPlane, travel: Array) -> InitialPlane:
         plane.inverse_depth_std,
         mean_tilt,
     )
+
+
+def likeliest_face(
+    rig: StereoRig, vehicle: VehicleDocument, plane: InitialPlane, travel: Array, travel_std: float = 0.0
+) -> Face | None:
+    """The outlined face of ``vehicle``: the stated one, or the likelier by the normal of ``plane`` and by the width of
+    the outline on it; None where the normal is clearly oblique to the direction of ``travel`` (3,).
+
+    ``travel_std`` is the standard deviation of that direction's yaw, rad.
+    """
+    if vehicle.plane != "free":
+        return vehicle.plane
+    std = float(np.hypot(plane.normal_std[0], travel_std))
+    candidates: list[tuple[float, Face]] = []
+    for face, (width, log_std) in FACE_WIDTH_M.items():
+        normal = normal_of_face(plane.normal, travel, face)
+        angle = float(np.arccos(np.clip(plane.normal @ normal, -1.0, 1.0)))
+        if angle <= 2.0 * std + np.radians(5.0):
+            rays = rig.left.rays(vehicle.left)
+            corners = rays * (normal @ plane.centre / (rays @ normal))[:, None]
+            outline = np.linalg.norm(corners[1] - corners[0] + corners[2] - corners[3]) / 2.0
+            of_width = np.log(outline / width) / log_std
+            log_odds = float(-0.5 * (angle / std) ** 2 - 0.5 * of_width**2 - np.log(log_std))
+            candidates.append((log_odds, face))
+    return max(candidates)[1] if candidates else None
+
+
+def normal_of_face(normal: Array, travel: Array, face: Face) -> Array:
+    """The unit vector next to ``normal`` (3,) that is along the ``travel`` (3,) for a front, across it for a side."""
+    k = travel / np.linalg.norm(travel)
+    along = float(normal @ k)
+    turned = normal - along * k if face == "side" else k * np.sign(along)
+    return np.asarray(turned / np.linalg.norm(turned))
+
+
+def nearest_face(plane: InitialPlane, travel: Array) -> Face | None:
+    """The face that ``plane`` is by its angle to the direction of ``travel`` (3,); None where it is clearly oblique."""
+    along = float(plane.normal @ (travel / np.linalg.norm(travel)))
+    oblique = np.degrees(np.arccos(np.clip(abs(along), 0.0, 1.0)))  # 0° a front, 90° a side
+    limit = 2.0 * np.degrees(float(plane.normal_std[0])) + 5.0
+    if 90.0 - oblique <= min(limit, oblique):
+        return "side"
+    return "front" if oblique <= limit else None
 
 
 def normal_from_corners(rig: StereoRig, left: Array, right: Array, click_sigma: float) -> tuple[Array, Array]:
