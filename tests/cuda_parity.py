@@ -20,7 +20,7 @@ from paceline.documents.loading import Clip, load_clip
 from paceline.recordings.stereo import StereoFrame, open_recording
 from paceline.simulation.stereo.clip import Scene, Vehicle, render, write
 from paceline.speed.configuration import SpeedConfiguration
-from paceline.speed.filter import likelihood, random_numbers
+from paceline.speed.filter import likelihood, motion_models, random_numbers
 from paceline.speed.filter.batch import TrackerBatch
 from paceline.speed.filter.cuda import device as cuda_device
 from paceline.speed.filter.cuda import kernels, memory_layout, patch_features, weights
@@ -30,7 +30,7 @@ from paceline.speed.filter.cuda.particle_set import CudaParticleSet
 from paceline.speed.filter.device import DeviceFailure
 from paceline.speed.filter.estimate import MIN_VISIBLE_SIMILARITY, Estimate
 from paceline.speed.filter.likelihood import ObservationModel, PartGrid, pack_views
-from paceline.speed.filter.motion_models import FreeMotion, PathMotion, State
+from paceline.speed.filter.motion_models import CoordinatedTurn, FreeMotion, PathMotion, State
 from paceline.speed.filter.particle_set import ParticleSet
 from paceline.speed.filter.resampling import Weights
 from paceline.speed.filter.tracker import Tracker
@@ -90,7 +90,8 @@ def path(shape: str) -> paths.Path:
 
 
 def motion_model(kind: str) -> PathMotion | FreeMotion:
-    return FreeMotion(rig(), SETTINGS) if kind == "free" else PathMotion(rig(), path(kind), SETTINGS)
+    free = {"free": FreeMotion, "turn": CoordinatedTurn}
+    return free[kind](rig(), SETTINGS) if kind in free else PathMotion(rig(), path(kind), SETTINGS)
 
 
 def particles(model: PathMotion | FreeMotion, seed: int, n: int = N) -> ParticleSet:
@@ -159,11 +160,11 @@ def _normals(key: Array, call: int, scale: float, out: Array) -> None:
 
 
 @pytest.mark.parametrize("counted", slow_after(1, [True, False]))
-@pytest.mark.parametrize("kind", slow_after(2, ["curve", "free", "line"]))
+@pytest.mark.parametrize("kind", slow_after(2, ["curve", "turn", "free", "line"]))
 def test_particles_move_as_on_the_cpu(
     device: CudaDevice, kind: str, counted: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Three steps, a correction and a turn of the planes, by the same seed."""
+    """Three steps, corrections by a centre and by a pose, and a turn of the planes, by the same seed."""
     monkeypatch.setattr(random_numbers, "MAX_SEQUENTIAL_PARTICLES", 0 if counted else 10**9)
     on_host = particles(motion_model(kind), 1)
     on_device = device.particle_set(on_host.to_host())
@@ -177,6 +178,12 @@ def test_particles_move_as_on_the_cpu(
     for particle_set, rng in particle_sets:
         particle_set.ensemble_kalman_update(place, covariance, rng)
     assert_same(on_device.to_host(), on_host)
+    if kind in ("turn", "free"):
+        yaw = float(motion_models.plane_yaws(on_host.mean())[0])
+        with_yaw = np.pad(covariance, (0, 1)) + np.diag([0, 0, 0, 0.003])
+        for particle_set, rng in particle_sets:
+            particle_set.ensemble_kalman_update(np.append(place, yaw + 0.05), with_yaw, rng)
+        assert_same(on_device.to_host(), on_host)
     for particle_set, rng in particle_sets:
         particle_set.set_plane_normal(np.array([0.0, 0.6, -0.8]))
         particle_set.propagate(0.2, rng)
@@ -261,7 +268,7 @@ def test_particle_sets_come_and_go_in_any_order(seed: int) -> None:
 
     def join() -> None:
         n, number = int(drawing.integers(1, 12)), int(drawing.integers(1000))
-        on_host = particles(motion_model(str(drawing.choice(["line", "curve", "free"]))), number, n)
+        on_host = particles(motion_model(str(drawing.choice(["line", "curve", "free", "turn"]))), number, n)
         if drawing.random() < 0.5:
             key = np.array([number, 5], np.uint64)
             here, on_device = (random_numbers.CounterGenerator(np.random.PCG64(number), key) for _ in range(2))

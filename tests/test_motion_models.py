@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from paceline.speed.configuration import SpeedConfiguration
+from paceline.speed.filter.initialization import draw_yaw_rate
 from paceline.speed.filter.motion_models import (
+    CoordinatedTurn,
     FreeMotion,
     PathMotion,
     State,
@@ -20,6 +23,7 @@ from paceline.speed.filter.motion_models import (
     diagonal_crossings,
     ensemble_kalman_update,
     plane_centres,
+    plane_yaws,
 )
 from paceline.speed.geometry.paths import Path
 
@@ -319,12 +323,54 @@ def test_free_motions_noises_have_the_stated_size(rig):
         np.testing.assert_allclose(after.velocity.std(0), 0.3 * np.sqrt(dt / 0.2), rtol=0.03)
 
 
+@settings(deadline=None, max_examples=25)
+@given(SEEDS, st.sampled_from([1 / 30, 0.2, 1.0]))
+def test_a_coordinated_turn_is_the_integral_of_a_turning_velocity(rig, seed, dt):
+    """dp/dt = v, dv/dt = ω y × v, integrated numerically; the plane's normal turns as the velocity does."""
+    rng = np.random.default_rng(seed)
+    velocity, yaw_rate = rng.normal(0, 5, (6, 3)), rng.normal(0, 0.3, 6)
+    yaw_rate[0] = 0.0
+    state = random_state(rig, seed, velocity=velocity, turning=np.outer(yaw_rate, [0.0, 1.0, 0.0]))
+    model = CoordinatedTurn(rig, SpeedConfiguration(rotation_noise=0.0, translation_noise=0.0))
+    after = model.propagate(state, dt, np.random.default_rng(0))
+    moved = plane_centres(rig, after) - plane_centres(rig, state)
+    for i in range(6):
+
+        def derivative(_, x, omega=yaw_rate[i]):
+            turning = np.array([0.0, omega, 0.0])
+            return np.concatenate([x[3:6], np.cross(turning, x[3:6]), np.cross(turning, x[6:])])
+
+        start = np.concatenate([np.zeros(3), velocity[i], state.normal[i]])
+        end = solve_ivp(derivative, (0.0, dt), start, rtol=1e-10, atol=1e-12).y[:, -1]
+        np.testing.assert_allclose(moved[i], end[:3], atol=1e-7)
+        np.testing.assert_allclose(after.velocity[i], end[3:6], atol=1e-7)
+        np.testing.assert_allclose(after.normal[i], end[6:], atol=1e-7)
+    np.testing.assert_allclose(after.speed, np.sqrt((velocity**2).sum(1)))
+
+
+@pytest.mark.parametrize(("speed", "std"), [(15.0, 2.0 / 15.0), (1.0, 1.0 / 6.4)])
+def test_the_first_yaw_rate_is_that_of_a_usual_lateral_acceleration(rig, speed, std):
+    """2 m/s² at usual speeds, the smallest turning circle at low ones; whatever is drawn, the turn leads to the same
+    place."""
+    N, dt = 20000, 0.2
+    velocity = speed * np.array([0.6, 0.05, -0.8]) / np.linalg.norm([0.6, 0.05, -0.8])
+    state = random_state(rig, 4, N=1, velocity=velocity[None], speed=np.array([speed]))[np.zeros(N, int)]
+    drawn = draw_yaw_rate(state, dt, np.random.default_rng(2))
+    np.testing.assert_allclose(drawn.turning[:, 1].std(), std, rtol=0.03)
+    assert abs(drawn.turning[:, 1].mean()) < 4 * std / np.sqrt(N)
+    np.testing.assert_array_equal(drawn.turning[:, [0, 2]], 0.0)
+    model = CoordinatedTurn(rig, SpeedConfiguration(rotation_noise=0.0, translation_noise=0.0))
+    after = model.propagate(drawn, dt, np.random.default_rng(0))
+    moved = plane_centres(rig, after) - plane_centres(rig, state)
+    np.testing.assert_allclose(moved[:, [0, 2]], np.tile(velocity[[0, 2]] * dt, (N, 1)), atol=1e-8)
+
+
 # --- the Kalman step -----------------------------------------------------------------------------------------------
 
 
 def kalman(mean, covariance, measured, noise):
-    """Exact update of a Gaussian whose first three components are measured."""
-    H = np.eye(3, len(mean))
+    """Exact update of a Gaussian whose first components are measured."""
+    H = np.eye(len(measured), len(mean))
     gain = covariance @ H.T @ np.linalg.inv(H @ covariance @ H.T + noise)
     rest = np.eye(len(mean)) - gain @ H
     return mean + gain @ (measured - H @ mean), rest @ covariance
@@ -369,6 +415,32 @@ def test_the_ensemble_step_is_the_kalman_update_of_a_gaussian_cloud(rig, free, w
     np.testing.assert_array_less(np.abs(W @ y - exact_mean), 6 * scales / np.sqrt(size))
     found = (W[:, None] * (y - W @ y)).T @ (y - W @ y)
     np.testing.assert_allclose(found / np.outer(std, std), exact_covariance / np.outer(std, std), atol=0.06)
+
+
+def test_a_measured_yaw_corrects_place_velocity_and_yaw_rate(rig):
+    """The update by a pose is that of a Gaussian, too; the planes turn about their own centres."""
+    rng, N = np.random.default_rng(13), 40000
+    root = rng.normal(0, 1, (8, 8))  # place, yaw, velocity and yaw rate
+    scales = np.array([0.05, 0.05, 0.4, 0.03, 0.5, 0.1, 1.5, 0.15])
+    correlation = root @ root.T
+    correlation /= np.sqrt(np.outer(np.diag(correlation), np.diag(correlation)))
+    covariance = correlation * np.outer(scales, scales)
+    mean = np.array([0.4, 0.8, 50.0, 0.3, 0.2, 0.0, -20.0, 0.1])
+    x = rng.multivariate_normal(mean, covariance, N)
+    normal = np.column_stack([np.sin(x[:, 3]), np.zeros(N), np.cos(x[:, 3])])
+    turning = np.column_stack([np.zeros(N), x[:, 7], np.zeros(N)])
+    state = planes_at(rig, x[:, :3], normal, velocity=x[:, 4:7], turning=turning)
+    noise = np.diag([4e-4, 4e-4, 0.04, 1e-3])
+    noise[2, 3] = noise[3, 2] = 3e-3
+    measured = np.array([0.46, 0.75, 49.5, 0.33])
+    seen = measured + rng.multivariate_normal(np.zeros(4), noise, N)
+    model = CoordinatedTurn(rig, SpeedConfiguration())
+    after = ensemble_kalman_update(rig, state, np.full(N, 1 / N), x[:, :4], seen, noise, model)
+    y = np.column_stack([plane_centres(rig, after), plane_yaws(after), after.velocity, after.turning[:, 1]])
+    exact_mean, exact_covariance = kalman(mean, covariance, measured, noise)
+    std = np.sqrt(np.diag(exact_covariance))
+    np.testing.assert_array_less(np.abs(y.mean(0) - exact_mean), 6 * scales / np.sqrt(N))
+    np.testing.assert_allclose(np.cov(y.T) / np.outer(std, std), exact_covariance / np.outer(std, std), atol=0.06)
 
 
 def test_a_state_is_indexed_particle_by_particle(rig):

@@ -10,7 +10,7 @@ from scipy.ndimage import map_coordinates
 from paceline.simulation.stereo.clip import Scene, Vehicle, World, render
 from paceline.speed.filter import registration_cpu
 from paceline.speed.filter.likelihood import PartGrid
-from paceline.speed.filter.registration import PlaneGrid, register, sample
+from paceline.speed.filter.registration import MODEL_YAW_STD_RAD, PlaneGrid, register, rotation_about_y, sample
 
 FRAMES = 4
 
@@ -18,9 +18,18 @@ FRAMES = 4
 class Clip:
     """A rendered approach from 40 m: pictures, exact sample points in every frame, and the texture in the first."""
 
-    def __init__(self, seed, noise=0.0, **vehicle):
+    def __init__(self, seed, noise=0.0, road_direction=0.0, **vehicle):
         car = Vehicle("v0", 15.0, start_distance=40.0, texture_seed=seed, lateral=0.1 * seed, **vehicle)
-        scene = Scene(seed, (car,), image_size=(640, 480), focal=1400.0, frames=FRAMES, noise_sigma=noise)
+        scene = Scene(
+            seed,
+            (car,),
+            image_size=(640, 480),
+            focal=1400.0,
+            frames=FRAMES,
+            noise_sigma=noise,
+            road_direction=road_direction,
+            road_depth=38.0 if road_direction else 0.0,
+        )
         self.world = World(scene)
         self.rig = self.world.rig
         clip = render(scene)
@@ -225,21 +234,24 @@ def test_slopes_in_the_image_are_those_of_a_known_surface(grid):
 VIEWS, PARTS, SAMPLES_PER_REGION = 2, 6, 35
 
 
+@pytest.mark.parametrize("turns", [False, True])
 @pytest.mark.parametrize("k", [1, 3])
-def test_products_of_parts_are_those_of_the_sampled_picture(k):
+def test_products_of_parts_are_those_of_the_sampled_picture(k, turns):
     rng = np.random.default_rng(k)
     image = cv2.GaussianBlur(rng.uniform(0, 255, (60, 90)).astype(np.float32), (0, 0), 2.0)
     K = np.array([[800.0, 0, 40], [0, 900, 31], [0, 0, 1]])
     points = rng.uniform([-0.8, -0.6, 18], [0.8, 0.6, 22], (PARTS, SAMPLES_PER_REGION, 3))
     points[0, :9] *= [3, 3, 1]  # beyond the border, where its pixels repeat
     shift, directions = rng.normal(0, 0.05, 3), rng.normal(0, 1, (3, k))
+    axis, pivot = rng.normal(0, 1, 3), np.array([0.1, -0.1, 20.0])
+    k += turns
     slopes, texture = rng.normal(0, 9, (2, PARTS, SAMPLES_PER_REGION)), rng.normal(0, 30, (PARTS, SAMPLES_PER_REGION))
     texture -= texture.mean(1, keepdims=True)
     sampled, JJ, JT, JI = (np.empty((PARTS, *shape)) for shape in ((SAMPLES_PER_REGION,), (k, k), (k,), (k,)))
     TI, II = np.empty((2, PARTS))
     registration_cpu.part_products(
-        image, K, np.ascontiguousarray(np.moveaxis(points, -1, 0)), shift, directions, texture, slopes,
-        sampled, JJ, JT, JI, TI, II,
+        image, K, np.ascontiguousarray(np.moveaxis(points, -1, 0)), shift, directions, axis, pivot, texture,
+        slopes, sampled, JJ, JT, JI, TI, II,
     )  # fmt: skip
     P = points + shift
     x, y, _ = np.moveaxis(P @ K.T / P[..., 2:], -1, 0)
@@ -250,7 +262,8 @@ def test_products_of_parts_are_those_of_the_sampled_picture(k):
         J = np.empty((SAMPLES_PER_REGION, k))
         for s, (X, Y, Z) in enumerate(P[p]):
             projection = np.array([[K[0, 0] / Z, 0, -K[0, 0] * X / Z**2], [0, K[1, 1] / Z, -K[1, 1] * Y / Z**2]])
-            J[s] = slopes[:, p, s] @ projection @ directions
+            turning = np.cross(axis, points[p, s] - pivot)[:, None]
+            J[s] = slopes[:, p, s] @ projection @ (np.hstack([directions, turning]) if turns else directions)
         J -= J.mean(0)
         for found, plain in ((JJ, J.T @ J), (JT, J.T @ texture[p]), (JI, J.T @ I[p])):
             np.testing.assert_allclose(found[p], plain, rtol=1e-10, atol=1e-7)
@@ -281,3 +294,33 @@ def test_normal_equations_are_those_of_weighted_least_squares_with_a_gain_for_ea
     rows -= gains @ np.linalg.lstsq(gains, rows, rcond=None)[0]  # what a gain explains
     np.testing.assert_allclose(normal, rows.T @ rows, rtol=1e-7)
     np.testing.assert_allclose(scores.sum((0, 1)), rows.T @ (root * r).ravel(), rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("yaw", [-0.08, 0.05])
+def test_a_turned_plane_is_found_with_its_yaw(yaw):
+    """Seen obliquely it looks narrower or wider: without the yaw that is taken for another distance."""
+    clip = Clip(1, noise=1.0, road_direction=0.5)
+    points = clip.points[1]
+    centre = points.reshape(-1, 3).mean(0)
+    expected = (points - centre) @ rotation_about_y(yaw).T + centre
+    turned, moved = (
+        register(clip.rig, clip.images[1], expected, clip.texture, clip.grid, np.eye(3), with_yaw=with_yaw)
+        for with_yaw in (True, False)
+    )
+    std = np.sqrt(np.diag(turned.change_covariance))
+    np.testing.assert_array_less(np.abs(turned.change - [0, 0, 0, -yaw]), 4 * std)
+    assert std[3] < 0.03
+    assert np.linalg.norm(turned.shift) < 0.5 * np.linalg.norm(moved.shift)
+    np.testing.assert_allclose(turned.shift, turned.change[:3], atol=0.02)
+
+
+def test_a_yaw_that_the_pictures_do_not_show_has_a_great_variance():
+    clip = Clip(2, noise=2.0)
+    found = register(clip.rig, clip.images[0], clip.points[0], clip.texture, clip.grid, np.eye(3), with_yaw=True)
+    oblique = Clip(2, noise=2.0, road_direction=0.5)
+    surer = register(
+        oblique.rig, oblique.images[0], oblique.points[0], oblique.texture, oblique.grid, np.eye(3), with_yaw=True
+    )
+    head_on, seen_aside = (r.change_covariance[3, 3] - MODEL_YAW_STD_RAD**2 for r in (found, surer))
+    assert head_on > 4 * seen_aside > 0
+    assert np.linalg.norm(found.shift) < 0.3

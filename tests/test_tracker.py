@@ -14,9 +14,11 @@ from selection import slow_after
 
 from paceline.documents.loading import Clip, load_clip
 from paceline.recordings.stereo import StereoFrame, open_recording
-from paceline.simulation.stereo.clip import Scene, Vehicle, render, write
+from paceline.simulation.random_scenes import random_bend
+from paceline.simulation.stereo.clip import Scene, Vehicle, World, render, write
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.filter.estimate import Estimate
+from paceline.speed.filter.motion_models import CoordinatedTurn
 from paceline.speed.filter.tracker import Tracker
 from paceline.speed.geometry.path_reconstruction import path_from_document
 from paceline.speed.geometry.paths import Path
@@ -261,3 +263,29 @@ def test_free_motion_needs_no_path() -> None:
     estimates = track(s, 1.0)
     assert len(estimates) == s.frames and estimates[-1].status == "tracking"
     assert np.abs(errors(s, estimates)[CONVERGED:]).max() < 3.0
+
+
+def test_a_bend_is_followed_without_a_path() -> None:
+    """The vehicle turns by 4° from frame to frame."""
+    s = replace(random_bend(102, 45.0, draw_path=False), frames=10)
+    clip, frames, _, _ = clip_of(s)
+    tracker = Tracker(clip.rig, clip.vehicles[0])
+    estimates = [tracker.update(frame) for frame in frames]
+    motion = World(s).motions[0]
+    places = np.array([motion.pose(e.time).centre for e in estimates])
+    assert estimates[-1].status == "tracking"
+    assert np.linalg.norm([e.position for e in estimates] - places, axis=1).max() < 0.5
+    assert np.abs(errors(s, estimates)[CONVERGED:]).max() < 1.0
+    directions = np.array([motion.pose(e.time).axes[:, 2] for e in estimates])
+    turn = float(np.cross(directions[-2], directions[-1])[1] / 0.2)
+    assert abs(estimates[-1].yaw_rate - turn) < 0.15
+
+
+def test_as_in_the_paper_free_motion_keeps_its_velocity() -> None:
+    s = small("receding", 15.0, seed=2, draw_path=False)
+    clip, frames, _, _ = clip_of(s)
+    for guided in (True, False):
+        tracker = Tracker(clip.rig, clip.vehicles[0], configuration=SpeedConfiguration(guided=guided))
+        for frame in frames[:2]:
+            tracker.update(frame)
+        assert isinstance(tracker.particle_set.motion, CoordinatedTurn) == guided

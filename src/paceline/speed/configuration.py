@@ -240,7 +240,9 @@ class SpeedConfiguration(Section):
         False, description="take the drawn path as a hard constraint, as [Zhu] does: biased, for comparison"
     )
     guided: bool = Field(
-        True, description="move the particles by sub-pixel registration before weighting them; off: as [Zhu]"
+        True,
+        description="move the particles by sub-pixel registration before weighting, and without a path by coordinated "
+        "turns; off: as [Zhu]",
     )
     lambda_single: float = Field(15.0, gt=0, description="λ_D of (13): weight of each view's likelihood")
     lambda_cross: float = Field(20.0, gt=0, description="λ_c of (18): weight of the likelihood across the views")

@@ -17,7 +17,7 @@ from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.filter import motion_models
 from paceline.speed.filter.estimate import MIN_REFERENCE_SIMILARITY
 from paceline.speed.filter.likelihood import ObservationModel, pack_views
-from paceline.speed.filter.motion_models import FreeMotion, PathMotion, State
+from paceline.speed.filter.motion_models import CoordinatedTurn, FreeMotion, PathMotion, State, turned
 from paceline.speed.filter.particle_set import Device, Particles, ParticleSet
 from paceline.speed.filter.registration import (
     PlaneObservation,
@@ -26,15 +26,20 @@ from paceline.speed.filter.registration import (
     update_by_registration,
 )
 from paceline.speed.filter.resampling import Weights
-from paceline.speed.geometry.initial_plane import InitialPlane
+from paceline.speed.geometry.initial_plane import InitialPlane, likeliest_face, normal_of_face
 
 SpeedPrior = tuple[float, float]  # a speed and its standard deviation, m/s
 
 SCALE_CANDIDATES = np.geomspace(0.72, 1.4, 23)  # of the template from the first frame to the second
 TEMPLATE_MATCH_SIGMA_PX = 0.7  # standard deviation of a matched template's position and size
+MIN_HEADING_TRAVEL_M = 2.0  # distance travelled from which on its direction is used
 MIN_START_ESS_SHARE = 0.2  # least effective sample size after the second frame, as a share of the particles
 MAX_START_ITERATIONS = 4  # iterations of the first registration
 START_STEP_TOLERANCE = 0.02  # relative change of the registered distance at which the iteration has converged
+# m/s², of the vehicle on its way: side friction 0.2, for which roads are designed at 30 mph (AASHTO, A Policy on
+# Geometric Design of Highways and Streets); up to twice as much is driven
+LATERAL_ACCELERATION_STD_MPS2 = 2.0
+MIN_TURNING_RADIUS_M = 6.4  # m, of a car's centre line at full lock (ibid.), which bounds the yaw rate of a slow one
 START_SPEED_STD_FACTOR = 2.0  # std of the drawn speeds over that of the speed from two registered positions
 
 
@@ -109,21 +114,31 @@ class Initialization:
         """
         motion, particle_set = likeliest.motion, likeliest
         start = start[np.arange(self.configuration.particles)]
-        observation = register_plane(texture, particle_set, frame)
-        for _ in range(MAX_START_ITERATIONS if isinstance(motion, PathMotion) else 1):
+        observation = register_plane(texture, particle_set, frame, self.is_aligned(particle_set, dt))
+        iterated = isinstance(motion, PathMotion | CoordinatedTurn)
+        for _ in range(MAX_START_ITERATIONS if iterated else 1):
             if observation is None or observation.registration.similarity < MIN_REFERENCE_SIMILARITY:
                 break
             before, covariance = observation.place, observation.registration.covariance
             prior = speed_prior(before, covariance, self.plane, motion, dt, self.vehicle, self.configuration)
-            state = motion.propagate(self.draw_start(start, motion, images, dt, prior), dt, self.rng)
+            if isinstance(motion, CoordinatedTurn):
+                drawn = draw_registered_start(start, self.plane, observation, dt, self.rng)
+                drawn = self.turn_start(drawn, dt)
+            else:
+                drawn = self.draw_start(start, motion, images, dt, prior)
+            state = motion.propagate(drawn, dt, self.rng)
             particle_set = ParticleSet(self.rig, motion, state, Weights.equal(len(state)))
-            observation = register_plane(texture, particle_set, frame)
+            observation = register_plane(texture, particle_set, frame, self.is_aligned(particle_set, dt))
             if observation is None:
                 break
             change = float(np.linalg.norm(observation.place - before))
             if change < START_STEP_TOLERANCE * prior[0] * dt:
                 break
         return particle_set, observation
+
+    def is_aligned(self, particle_set: ParticleSet, dt: float) -> bool:
+        """Whether `turn_start` has aligned the planes with the direction of travel."""
+        return is_heading_known(particle_set.mean().velocity[0] * dt)
 
     def draw_start(
         self,
@@ -136,7 +151,28 @@ class Initialization:
         """``start`` with drawn motions; ``images`` are the left ones of the first and the second frame."""
         if isinstance(motion, PathMotion):
             return draw_path_start(start, self.plane, motion, self.rig, prior, self.configuration, self.rng)
-        return draw_free_start(start, self.plane, self.rig, self.vehicle, *images, dt, self.configuration, self.rng)
+        state = draw_free_start(start, self.plane, self.rig, self.vehicle, *images, dt, self.configuration, self.rng)
+        return self.turn_start(state, dt) if isinstance(motion, CoordinatedTurn) else state
+
+    def turn_start(self, state: State, dt: float) -> State:
+        """``state``, whose ``velocity`` is the mean one of the next ``dt`` s, with drawn yaw rates.
+
+        Where the vehicle travels far enough within ``dt``, its plane is aligned with the direction of travel.
+        """
+        velocity = state.velocity.mean(0)
+        state = draw_yaw_rate(state, dt, self.rng)
+        if not is_heading_known(velocity * dt):
+            return state
+        direction_std = float(np.std(motion_models.headings(state.velocity, velocity)))
+        face = likeliest_face(self.rig, self.vehicle, self.plane, velocity, direction_std)
+        if face is None:
+            return state
+        return motion_models.with_normal(self.rig, state, normal_of_face(self.plane.normal, velocity, face))
+
+
+def is_heading_known(travel: Array) -> bool:
+    """Whether a vehicle's ``travel`` (3,) m is long enough to tell its direction."""
+    return bool(np.linalg.norm(travel) > MIN_HEADING_TRAVEL_M)
 
 
 def initial_state(plane: InitialPlane, vehicle: VehicleDocument, n: int, rng: np.random.Generator) -> State:
@@ -239,6 +275,30 @@ def draw_free_start(
     along = rng.normal(0.0, TEMPLATE_MATCH_SIGMA_PX * before[2] / size / dt, (N, 1)) * before / np.linalg.norm(before)
     velocity = (after - before) / dt + across + along
     return replace(state, velocity=velocity, speed=np.linalg.norm(velocity, axis=1))
+
+
+def draw_registered_start(
+    state: State, plane: InitialPlane, observation: PlaneObservation, dt: float, rng: np.random.Generator
+) -> State:
+    """``state`` with velocities drawn about the one from ``plane`` to its registered place, ``dt`` s later."""
+    depth_std = plane.inverse_depth_std * plane.centre
+    covariance = observation.registration.covariance + np.outer(depth_std, depth_std)
+    root = START_SPEED_STD_FACTOR / dt * motion_models.cholesky_factor(covariance)
+    velocity = (observation.place - plane.centre) / dt + rng.normal(0.0, 1.0, (len(state), 3)) @ root.T
+    return replace(state, velocity=velocity, speed=np.linalg.norm(velocity, axis=1))
+
+
+def draw_yaw_rate(state: State, dt: float, rng: np.random.Generator) -> State:
+    """``state``, whose ``velocity`` is the mean one of the next ``dt`` s, on turns with yaw rates drawn from how
+    vehicles corner: each particle begins in the direction from which its turn leads to the same place.
+    """
+    std = np.minimum(LATERAL_ACCELERATION_STD_MPS2 / np.maximum(state.speed, 1e-9), state.speed / MIN_TURNING_RADIUS_M)
+    yaw_rate = std * rng.normal(0.0, 1.0, len(state))
+    half = 0.5 * yaw_rate * dt
+    chord = np.sinc(half / np.pi)
+    velocity = turned(state.velocity, np.cos(half) / chord, -np.sin(half) / chord)
+    turning = state.turning + yaw_rate[:, None] * [0.0, 1.0, 0.0]
+    return replace(state, velocity=velocity, speed=np.linalg.norm(velocity, axis=1), turning=turning)
 
 
 def match_template(first: Image, second: Image, quad: Array, reach: float) -> tuple[Array, float]:

@@ -1,4 +1,5 @@
-"""The motion of particles: [Zhu] (9)–(11) without a path, (22)–(24) along a straight one, (25)–(27) along a curve.
+"""The motion of particles: [Zhu] (9)–(11) or a coordinated turn without a path, (22)–(24) along a straight one,
+(25)–(27) along a curve.
 
 The state of N particles is kept in aligned arrays. The 2-D substates are dependent variables: they follow the plane's
 motion through the homographies (5), and no noise is added to them.
@@ -111,42 +112,64 @@ def ensemble_kalman_update(
     rig: StereoRig,
     state: State,
     W: Array,
-    places: Array,
+    poses: Array,
     measurements: Array,
     noise: Array,
     model: FreeMotion | PathMotion,
 ) -> State:
-    """``state`` after an ensemble Kalman step with measured plane positions.
+    """``state`` after an ensemble Kalman step with measured poses of the plane.
 
-    ``places`` (N, 3) are the plane centres, ``measurements`` (N, 3) one perturbed measurement of it for each particle,
-    ``noise`` (3, 3) its covariance. The gain comes from the weighted particles' covariance.
+    ``poses`` (N, m) are the plane centres and with m = 4 the yaws; ``measurements`` (N, m) one
+    perturbed measurement of it for each particle, ``noise`` (m, m) its covariance. The gain comes from the weighted
+    particles' covariance.
     """
-    fields = model.corrected_fields
-    columns = [places, *(getattr(state, f).reshape(len(state), -1) for f in fields)]
+    fields, m = model.corrected_fields, len(noise)
+    columns = [poses, *(getattr(state, f).reshape(len(state), -1) for f in fields)]
     x = np.concatenate(columns, axis=1)
     deviation = x - W @ x
-    gain = kalman_gain(((W[:, None] * deviation).T @ deviation)[:, :3], noise)
-    change = (measurements - places) @ gain.T
-    after = apply_rigid_motion(state, rig, change[:, :3])
-    updates, start = {}, 3
+    gain = kalman_gain(((W[:, None] * deviation).T @ deviation)[:, :m], noise)
+    change = (measurements - poses) @ gain.T
+    updates, start = {}, m
     for f, column in zip(fields, columns[1:], strict=True):
         width = column.shape[1]
         updates[f] = getattr(state, f) + change[:, start : start + width].reshape(getattr(state, f).shape)
         start += width
+    shift, dR = change[:, :3], None
+    if m > 3:  # the plane turns about its own centre
+        dR = Rotation.from_euler("y", change[:, 3:4]).as_matrix()
+        shift = shift + poses[:, :3] - _combine_columns(dR, poses[:, :3])
+    after = apply_rigid_motion(state, rig, shift, dR)
     return model.after_shift(replace(after, **updates), change[:, :3])
 
 
-def kalman_gain(covariance: Array, noise: Array) -> Array:
-    """The gain (k, 3) of a measurement of the plane's centre with covariance ``noise`` (3, 3).
+def plane_yaws(state: State) -> Array:
+    """Yaws (N,) rad of the planes' normals about the camera's y axis, to the right of its z axis."""
+    return np.asarray(np.arctan2(state.normal[:, 0], state.normal[:, 2]))
 
-    ``covariance`` (k, 3) is that of everything, the centre first, with the centre.
+
+def headings(velocity: Array, reference: Array) -> Array:
+    """Angles (N,) rad about the camera's y axis from ``reference`` (3,) to each ``velocity`` (N, 3)."""
+    x, z = velocity[:, 0], velocity[:, 2]
+    return np.asarray(np.arctan2(reference[2] * x - reference[0] * z, reference[2] * z + reference[0] * x))
+
+
+def with_normal(rig: StereoRig, state: State, normal: Array) -> State:
+    """``state`` with planes of the ``normal`` (3,) through the same centres; the regions stay as they are."""
+    centres = plane_centres(rig, state)
+    return replace(state, normal=np.tile(normal, (len(centres), 1)), distance=centres @ normal)
+
+
+def kalman_gain(covariance: Array, noise: Array) -> Array:
+    """The gain (k, m) of a measurement of the plane's pose with covariance ``noise`` (m, m).
+
+    ``covariance`` (k, m) is that of everything, the pose first, with the pose.
     """
-    return np.asarray(covariance @ np.linalg.inv(covariance[:3] + noise))
+    return np.asarray(covariance @ np.linalg.inv(covariance[: len(noise)] + noise))
 
 
 def cholesky_factor(covariance: Array) -> Array:
-    """The lower triangular root (3, 3) of the ``covariance`` of a place."""
-    return np.asarray(np.linalg.cholesky(covariance + COVARIANCE_FLOOR_M2 * np.eye(3)), float)
+    """The lower triangular root (m, m) of the ``covariance`` of a pose."""
+    return np.asarray(np.linalg.cholesky(covariance + COVARIANCE_FLOOR_M2 * np.eye(len(covariance))), float)
 
 
 def _draw_noise(draws: NoiseDraws, N: int, rng: np.random.Generator) -> list[Array]:
@@ -157,7 +180,7 @@ class FreeMotion:
     """Six degrees of freedom at constant velocity, with noise ([Zhu] (9)–(11))."""
 
     name = "free"
-    corrected_fields = ("velocity",)
+    corrected_fields = ("velocity", "turning")
 
     def __init__(self, rig: StereoRig, configuration: SpeedConfiguration) -> None:
         self.rig = rig
@@ -186,6 +209,38 @@ class FreeMotion:
     def after_shift(self, state: State, shift: Array) -> State:
         """``state`` whose planes were moved by ``shift`` (N, 3)."""
         return replace(state, speed=np.linalg.norm(state.velocity, axis=1))
+
+
+class CoordinatedTurn(FreeMotion):
+    """Constant turn rate and velocity: a vehicle rolls without slipping sideways, so its velocity turns with its body.
+
+    The velocity turns by the yaw alone, about the camera's y axis, which is nearly the road's vertical.
+    """
+
+    def propagate(self, state: State, dt: float, rng: np.random.Generator) -> State:
+        """All particles ``dt`` seconds later. The plane turns with the vehicle as its centre moves along an arc."""
+        turning, velocity = _draw_noise(self.noise_draws(dt), len(state), rng)
+        turning, velocity = state.turning + turning, state.velocity + velocity
+        dR = Rotation.from_euler("xyz", turning * dt).as_matrix()
+        centre = plane_centres(self.rig, state)
+        along, across = chord_of_turn(turning[:, 1] * dt)
+        shift = centre + dt * turned(velocity, along, across) - _combine_columns(dR, centre)
+        velocity = turned(velocity, np.cos(turning[:, 1] * dt), np.sin(turning[:, 1] * dt))
+        after = apply_rigid_motion(state, self.rig, shift, dR)
+        return replace(after, turning=turning, velocity=velocity, speed=np.linalg.norm(velocity, axis=1))
+
+
+def chord_of_turn(yaw: Array) -> tuple[Array, Array]:
+    """The means of cos and sin of an angle that grows from 0 to ``yaw`` (N,) rad."""
+    half = 0.5 * yaw
+    chord = np.sinc(half / np.pi)
+    return chord * np.cos(half), chord * np.sin(half)
+
+
+def turned(vectors: Array, cos: Array, sin: Array) -> Array:
+    """``vectors`` (N, 3) turned about the camera's y axis by angles of this ``cos`` and ``sin`` (N,)."""
+    x, y, z = vectors.T
+    return np.stack([cos * x + sin * z, y, cos * z - sin * x], axis=1)
 
 
 class PathMotion:

@@ -59,8 +59,9 @@ class Particles(Protocol):
     def centre(self) -> tuple[Array, Array]:
         """Mean (3,) and covariance (3, 3) of the planes' centres, m."""
 
-    def ensemble_kalman_update(self, place: Array, covariance: Array, rng: np.random.Generator) -> None:
-        """The ensemble Kalman update by a measured ``place`` (3,) of the plane's centre, m."""
+    def ensemble_kalman_update(self, pose: Array, covariance: Array, rng: np.random.Generator) -> None:
+        """The ensemble Kalman update by a measured ``pose`` (m,): the plane's centre, m, and with m = 4
+        its yaw, rad."""
 
     def image_bounds(self) -> tuple[Array, Array]:
         """Pixels (…, 2) of each view whose bounding box contains the regions of all particles."""
@@ -115,12 +116,14 @@ class ParticleSet:
         places = motion_models.plane_centres(self.rig, self.state)
         return self.weights.mean(places), self.weights.covariance(places)
 
-    def ensemble_kalman_update(self, place: Array, covariance: Array, rng: np.random.Generator) -> None:
-        places = motion_models.plane_centres(self.rig, self.state)
-        noise = rng.normal(0.0, 1.0, places.shape) @ motion_models.cholesky_factor(covariance).T
+    def ensemble_kalman_update(self, pose: Array, covariance: Array, rng: np.random.Generator) -> None:
+        poses = motion_models.plane_centres(self.rig, self.state)
+        if len(pose) > 3:
+            poses = np.concatenate([poses, motion_models.plane_yaws(self.state)[:, None]], axis=1)
+        noise = rng.normal(0.0, 1.0, poses.shape) @ motion_models.cholesky_factor(covariance).T
         W = self.weights.W
         self.state = motion_models.ensemble_kalman_update(
-            self.rig, self.state, W, places, place + noise, covariance, self.motion
+            self.rig, self.state, W, poses, pose + noise, covariance, self.motion
         )
 
     def image_bounds(self) -> tuple[Array, Array]:
@@ -151,8 +154,7 @@ class ParticleSet:
         )
 
     def set_plane_normal(self, normal: Array) -> None:
-        centres = motion_models.plane_centres(self.rig, self.state)
-        self.state = replace(self.state, normal=np.tile(normal, (len(centres), 1)), distance=centres @ normal)
+        self.state = motion_models.with_normal(self.rig, self.state, normal)
 
     def resample(self, c: SpeedConfiguration, rng: np.random.Generator) -> None:
         N = len(self.state)

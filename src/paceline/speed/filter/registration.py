@@ -20,6 +20,7 @@ from paceline.recordings.stereo import StereoFrame
 from paceline.speed.filter import motion_models, registration_cpu
 from paceline.speed.filter.estimate import MIN_REFERENCE_SIMILARITY
 from paceline.speed.filter.likelihood import PartGrid
+from paceline.speed.filter.motion_models import CoordinatedTurn
 from paceline.speed.filter.particle_set import Particles
 from paceline.speed.geometry.initial_plane import InitialPlane
 from paceline.speed.geometry.quadrilaterals_cpu import unit_square_to
@@ -29,6 +30,9 @@ Number = TypeVar("Number", bound=np.generic)
 MAX_REGISTRATION_ITERATIONS = 8
 COARSE_LEVELS = (6.0, 2.5)  # smoothing in grid steps, for searches that start farther away
 CONVERGED_STEP_CHI2 = 0.1  # squared standard deviations of the last step; the next one is quadratically smaller
+YAW_STEP_STD_RAD = 0.1  # rad, of a prior that keeps the steps small where the images hardly determine the yaw
+UNKNOWN_YAW_STD_RAD = 10.0  # rad, of a prior that only keeps the equations regular
+MODEL_YAW_STD_RAD = np.radians(1.0)  # rad, of a registered yaw: it depends on the plane's own, known to a few degrees
 VIEW_GAIN_RANGE = (0.2, 5.0)
 MAX_DEPTH_SHIFT_SIGMA = 5.0  # greatest shift in standard deviations of the outline's depth
 NOISE_CORRELATED_SAMPLES = 4.0  # number of neighbouring samples that share their noise
@@ -42,12 +46,19 @@ GATE_CHI2 = 50.0  # squared Mahalanobis distance, three degrees of freedom, abov
 @dataclass(frozen=True, eq=False)
 class Registration:
     """The plane's ``shift`` (3,) in metres from where it was expected, its ``covariance`` (3, 3), the correlation of
-    the views with the texture (``similarity``, −1 … 1), and the ``texture`` (2, parts, samples) of each view there."""
+    the views with the texture (``similarity``, −1 … 1), and the ``texture`` (2, parts, samples) of each view there.
+
+    Where the yaw was estimated, too, ``change`` (4,) is what the images alone tell of shift and yaw (rad), and
+    ``change_covariance`` (4, 4): a yaw that they do not determine has a great variance. Otherwise they are those of the
+    shift along each direction.
+    """
 
     shift: Array
     covariance: Array
     similarity: float
     texture: Array
+    change: Array
+    change_covariance: Array
 
 
 class PlaneGrid:
@@ -104,46 +115,92 @@ def register(
     directions: Array,
     views: tuple[int, ...] = (0, 1),
     coarseness: float = 1.0,
+    with_yaw: bool = False,
 ) -> Registration:
     """Registers the plane's sample ``points`` (parts, samples, 3), as expected, to the ``images`` of ``views``.
 
-    ``texture`` (parts, samples) is their expected appearance; ``directions`` (3, k) spans the estimated shifts. With a
-    ``coarseness`` above 1, texture and images are smoothed by that many grid steps, to be found from farther away.
+    ``texture`` (parts, samples) is their expected appearance; ``directions`` (3, k) spans the estimated shifts, and
+    ``with_yaw`` the plane may turn about its centre and the left camera's y axis. With a ``coarseness`` above 1,
+    texture and images are smoothed by that many grid steps, to be found from farther away.
     Raises numpy.linalg.LinAlgError where the texture determines nothing.
     """
     if coarseness > 1.0:
         texture = grid.smoothed(texture, coarseness)
     T = texture - texture.mean(-1, keepdims=True)
+    centre = points.reshape(-1, 3).mean(0)
     seeing = []
     for v in views:
         P, K, R = _to_camera(rig, v, points), rig.cameras[v].K.copy(), np.eye(3) if v == 0 else rig.R
         pixels = _project(K, P)
         picture, corner = _smoothed_crop(images[v], pixels, grid, coarseness)
         K[:2, 2] -= corner
-        seeing.append((picture, K, R, P, R @ directions, grid.image_gradient(texture, pixels)))
-    V, (parts, samples), k = len(views), T.shape, directions.shape[1]
+        pivot = centre if v == 0 else R @ centre + rig.t
+        seeing.append((picture, K, R, P, pivot, grid.image_gradient(texture, pixels)))
+    V, (parts, samples), shifts = len(views), T.shape, directions.shape[1]
+    k = shifts + with_yaw
     TT = (T * T).sum(-1)
-    shift, w = np.zeros(3), np.ones((V, parts))
+    shift, x, w = np.zeros(3), np.zeros(k), np.ones((V, parts))  # x: shifts along the directions, and the yaw
+    prior = np.zeros((k, k))
+    if with_yaw:
+        prior[-1, -1] = NOISE_CORRELATED_SAMPLES / YAW_STEP_STD_RAD**2
     sampled, JJ, JT, JI = np.empty((V, parts, samples)), np.empty((V, parts, k, k)), *np.empty((2, V, parts, k))
     TI, II = np.empty((2, V, parts))
     normal, scores = np.empty((k, k)), np.empty((V, parts, k))
     for _ in range(MAX_REGISTRATION_ITERATIONS):
-        for v, (picture, K, R, P, turned, slopes) in enumerate(seeing):
+        for v, (picture, K, R, P, pivot, slopes) in enumerate(seeing):
             registration_cpu.part_products(
-                picture, K, P, R @ shift, turned, T, slopes, sampled[v], JJ[v], JT[v], JI[v], TI[v], II[v]
+                picture,
+                K,
+                _turned_about(pivot, R, x[-1], P) if with_yaw else P,
+                R @ shift,
+                R @ directions,
+                np.ascontiguousarray(R[:, 1]),
+                pivot,
+                T,
+                slopes,
+                sampled[v],
+                JJ[v],
+                JT[v],
+                JI[v],
+                TI[v],
+                II[v],
             )
         registration_cpu.normal_equations(
             JJ, JT, JI, TT, TI, II, samples, VIEW_GAIN_RANGE, QUANTISATION_VARIANCE, w, normal, scores
         )
-        inverse = np.linalg.inv(normal)
-        step = -inverse @ scores.sum((0, 1))
-        shift = shift + directions @ step
-        if step @ normal @ step < CONVERGED_STEP_CHI2:
+        information = normal + prior
+        inverse = np.linalg.inv(information)
+        step = -inverse @ (scores.sum((0, 1)) + prior @ x)
+        x, shift = x + step, shift + directions @ step[:shifts]
+        if step @ information @ step < CONVERGED_STEP_CHI2:
             break
     flat = scores.reshape(-1, k)
-    spread = inverse @ (flat.T @ flat + NOISE_CORRELATED_SAMPLES * normal) @ inverse
+    scatter = flat.T @ flat
+    spread = inverse @ (scatter + NOISE_CORRELATED_SAMPLES * information) @ inverse
     similarity = TI.sum(1) / np.sqrt((II.sum(1) + 1e-9) * (TT.sum() + 1e-9))
-    return Registration(shift, directions @ spread @ directions.T, float(similarity.mean()), sampled)
+    covariance = directions @ spread[:shifts, :shifts] @ directions.T
+    change, change_covariance = x, spread
+    if with_yaw:  # without the prior, which only kept the steps small: the particles have one of their own
+        inverse = np.linalg.inv(normal + prior * (YAW_STEP_STD_RAD / UNKNOWN_YAW_STD_RAD) ** 2)
+        change = x + inverse @ prior @ x
+        change_covariance = inverse @ (scatter + NOISE_CORRELATED_SAMPLES * normal) @ inverse
+        change_covariance[-1, -1] += MODEL_YAW_STD_RAD**2
+    return Registration(shift, covariance, float(similarity.mean()), sampled, change, change_covariance)
+
+
+def _turned_about(pivot: Array, R: Array, yaw: float, P: Array) -> Array:
+    """Points ``P`` (3, parts, samples) turned about ``pivot`` (3,) by ``yaw`` rad about the left camera's y axis.
+
+    All are in the frame of the camera that is turned by ``R`` from the left one.
+    """
+    about = P.reshape(3, -1) - pivot[:, None]
+    return np.asarray((R @ rotation_about_y(yaw) @ R.T @ about + pivot[:, None]).reshape(P.shape))
+
+
+def rotation_about_y(yaw: float) -> Array:
+    """The rotation (3, 3) about the y axis, from z towards x."""
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    return np.array([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]])
 
 
 def _to_camera(rig: StereoRig, view: int, points: Array) -> Array:
@@ -227,9 +284,15 @@ class ReferenceTexture:
         return replace(plane, centre=plane.centre * scale, distance=plane.distance * scale, inverse_depth_std=std)
 
     def register(
-        self, images: tuple[Image, Image], left: Array, normal: Array, distance: float, spread: float
+        self,
+        images: tuple[Image, Image],
+        left: Array,
+        normal: Array,
+        distance: float,
+        spread: float,
+        with_yaw: bool = False,
     ) -> Registration:
-        """Register the plane that is expected behind the left region (4, 2) at n·P = d.
+        """Register the plane that is expected behind the left region (4, 2) at n·P = d, ``with_yaw`` turned, too.
 
         ``spread`` is the standard deviation of its position in the image, in pixels: registration converges only from
         within the width of the finest detail, so the search starts as coarsely as that requires.
@@ -242,8 +305,10 @@ class ReferenceTexture:
                 self.rig, images, points + start, self.texture, self.grid, np.eye(3), coarseness=coarseness
             )
             start = start + coarse.shift
-        registration = register(self.rig, images, points + start, self.texture, self.grid, np.eye(3))
-        return replace(registration, shift=start + registration.shift)
+        registration = register(self.rig, images, points + start, self.texture, self.grid, np.eye(3), with_yaw=with_yaw)
+        change = registration.change.copy()
+        change[:3] += start
+        return replace(registration, shift=start + registration.shift, change=change)
 
     def update(self, registration: Registration) -> None:
         """Update the texture by (14) from the left view alone.
@@ -266,36 +331,51 @@ class ReferenceTexture:
 @dataclass(frozen=True, eq=False)
 class PlaneObservation:
     """Where registration found the plane: the ``place`` (3,) of its centre, m, the ``registration``, and whether that
-    is ``inside_gate``, which is wider the more similar the texture is."""
+    is ``inside_gate``, which is wider the more similar the texture is.
+
+    ``pose`` (m,) is what the particles are updated by, with its ``pose_covariance`` (m, m): the centre, and with m = 4
+    the yaw, rad.
+    """
 
     place: Array
     registration: Registration
     inside_gate: bool
+    pose: Array
+    pose_covariance: Array
 
 
-def register_plane(texture: ReferenceTexture, particle_set: Particles, frame: StereoFrame) -> PlaneObservation | None:
+def register_plane(
+    texture: ReferenceTexture, particle_set: Particles, frame: StereoFrame, is_aligned: bool = False
+) -> PlaneObservation | None:
     """Register the mean plane of the particles to both images of ``frame``; None where its texture determines nothing.
 
-    The gate is on the squared Mahalanobis distance between the registered and the predicted centre.
+    In a coordinated turn its yaw is estimated, too, as its foreshortening looks like a distance. The particles are
+    updated by it where the plane ``is_aligned`` with the direction of travel: how far it has turned is known only if
+    its normal is. The gate is on the squared Mahalanobis distance between the registered and the predicted centre.
     """
     mean, spread = particle_set.mean(), particle_set.image_spread_px()
-    images = frame.left, frame.right
+    images, turns = (frame.left, frame.right), isinstance(particle_set.motion, CoordinatedTurn)
     try:
-        registration = texture.register(images, mean.left[0], mean.normal[0], float(mean.distance[0]), spread)
+        registration = texture.register(images, mean.left[0], mean.normal[0], float(mean.distance[0]), spread, turns)
     except np.linalg.LinAlgError:
         return None
     # while the speed is hardly known, the mean region is not the projection of the mean plane
-    place = motion_models.plane_centres(texture.rig, mean)[0] + registration.shift
+    expected = motion_models.plane_centres(texture.rig, mean)[0]
+    place = expected + registration.shift
+    pose, pose_covariance = place, registration.covariance
+    if turns and is_aligned:
+        pose = np.append(expected, motion_models.plane_yaws(mean)) + registration.change
+        pose_covariance = registration.change_covariance
     centre, covariance = particle_set.centre()
     innovation = place - centre
     chi2 = float(innovation @ np.linalg.solve(covariance + registration.covariance, innovation))
     threshold = MIN_REFERENCE_SIMILARITY if chi2 < GATE_CHI2 else MIN_SIMILARITY_OUTSIDE_GATE
-    return PlaneObservation(place, registration, registration.similarity >= threshold)
+    return PlaneObservation(place, registration, registration.similarity >= threshold, pose, pose_covariance)
 
 
 def update_by_registration(
     texture: ReferenceTexture, particle_set: Particles, observation: PlaneObservation, rng: np.random.Generator
 ) -> None:
-    """The ensemble Kalman update by the registered centre, and the update of the texture."""
-    particle_set.ensemble_kalman_update(observation.place, observation.registration.covariance, rng)
+    """The ensemble Kalman update by the registered pose, and the update of the texture."""
+    particle_set.ensemble_kalman_update(observation.pose, observation.pose_covariance, rng)
     texture.update(observation.registration)

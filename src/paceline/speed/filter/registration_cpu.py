@@ -37,6 +37,8 @@ def part_products(
     points: Array,
     shift: Array,
     directions: Array,
+    axis: Array,
+    pivot: Array,
     texture: Array,
     slopes: Array,
     sampled: Array,
@@ -46,15 +48,16 @@ def part_products(
     TI: Array,
     II: Array,
 ) -> None:
-    """Inner products, part by part, of one view's image I, the texture T and the sensitivities J to k shifts.
+    """Inner products, part by part, of one view's image I, the texture T and the sensitivities J to k parameters.
 
     All three are freed of their mean over the part. ``image`` (H, W); ``K`` (3, 3) to its pixels; ``points``
-    (3, parts, samples) moved by ``shift`` (3,), and ``directions`` (3, k), all in the camera's frame; zero-mean
+    (3, parts, samples) moved by ``shift`` (3,), all in the camera's frame. The parameters are shifts in the columns of
+    ``directions`` (3, …) and, if there is one more, an angle about the ``axis`` (3,) through ``pivot`` (3,). Zero-mean
     ``texture`` (parts, samples), its ``slopes`` in the image (2, parts, samples). Writes what is ``sampled``
     (parts, samples), ``JJ`` (parts, k, k), ``JT`` and ``JI`` (parts, k), ``TI`` and ``II`` (parts,).
     """
     parts, samples = texture.shape
-    k = directions.shape[1]
+    k, shifts = JT.shape[1], directions.shape[1]
     flat, width = image.reshape(-1), np.int32(image.shape[1])
     right, bottom = image.shape[1] - 1.001, image.shape[0] - 1.001
     index = np.empty(samples, np.int32)
@@ -87,7 +90,12 @@ def part_products(
         for i in range(k):
             mean = 0.0
             for s in range(samples):
-                J[i, s] = a[s] * directions[0, i] + b[s] * directions[1, i] + c[s] * directions[2, i]
+                if i < shifts:
+                    J[i, s] = a[s] * directions[0, i] + b[s] * directions[1, i] + c[s] * directions[2, i]
+                else:
+                    X, Y, Z = points[0, p, s] - pivot[0], points[1, p, s] - pivot[1], points[2, p, s] - pivot[2]
+                    J[i, s] = a[s] * (axis[1] * Z - axis[2] * Y) + b[s] * (axis[2] * X - axis[0] * Z)
+                    J[i, s] += c[s] * (axis[0] * Y - axis[1] * X)
                 mean += J[i, s]
             mean /= samples
             for s in range(samples):

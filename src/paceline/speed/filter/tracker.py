@@ -21,15 +21,19 @@ from paceline.speed.filter.estimate import (
     has_left_image,
     initial_estimate,
 )
-from paceline.speed.filter.initialization import Initialization
+from paceline.speed.filter.initialization import Initialization, is_heading_known
 from paceline.speed.filter.likelihood import ObservationModel, PartGrid, Views, pack_views
-from paceline.speed.filter.motion_models import FreeMotion, PathMotion
+from paceline.speed.filter.motion_models import CoordinatedTurn, FreeMotion, PathMotion
 from paceline.speed.filter.particle_set import CPU, Device, Particles
 from paceline.speed.filter.registration import ReferenceTexture, register_plane, update_by_registration
-from paceline.speed.geometry.initial_plane import plane_across, plane_from_outlines
+from paceline.speed.geometry.initial_plane import (
+    Face,
+    likeliest_face,
+    normal_of_face,
+    plane_across,
+    plane_from_outlines,
+)
 from paceline.speed.geometry.paths import Path
-
-MIN_HEADING_TRAVEL_M = 2.0  # distance travelled from which on its direction is used
 
 
 class Tracker:
@@ -70,7 +74,9 @@ class Tracker:
         self.plane = plane_from_outlines(rig, vehicle, path, c.click_sigma)
         self.candidate_paths = [] if path is None else [p.shifted(lateral_offset) for p in (path, path.reversed())]
         along = [PathMotion(rig, candidate, c) for candidate in self.candidate_paths]
-        self._motions: list[PathMotion | FreeMotion] = [*along] or [FreeMotion(rig, c)]
+        self._motions: list[PathMotion | FreeMotion] = [*along] or [
+            CoordinatedTurn(rig, c) if c.guided else FreeMotion(rig, c)
+        ]
         self.particle_set: Particles
         self._views: Views
         self._features: Floats  # (2, parts, 16) of the estimate in both views
@@ -78,6 +84,8 @@ class Tracker:
         self._first: StereoFrame | None = None
         self._time = 0.0
         self._occluded_frames = 0
+        self._face: Face | None = None  # of the vehicle, that is outlined
+        self._is_aligned = False  # whether the planes are aligned with the direction of travel by it
 
     def update(self, frame: StereoFrame) -> Estimate:
         """The estimate at ``frame``; raises RuntimeError once the track has ended."""
@@ -107,7 +115,7 @@ class Tracker:
         """
         if self.texture is None or not self._has_speed:
             return
-        observation = register_plane(self.texture, self.particle_set, frame)
+        observation = register_plane(self.texture, self.particle_set, frame, self._is_aligned)
         if observation is not None and observation.inside_gate:
             update_by_registration(self.texture, self.particle_set, observation, self.rng)
 
@@ -153,7 +161,16 @@ class Tracker:
         if self._estimate.similarity >= MIN_VISIBLE_SIMILARITY:
             self.particle_set.resample(self.configuration, self.rng)
         travel = self._estimate.position - self.plane.centre
-        if self.vehicle.plane == "free" and np.linalg.norm(travel) > MIN_HEADING_TRAVEL_M:
+        if not is_heading_known(travel):
+            return
+        if isinstance(self.particle_set.motion, CoordinatedTurn):
+            mean = self.particle_set.mean()
+            if not self._is_aligned:
+                self._face = likeliest_face(self.rig, self.vehicle, self.plane, mean.velocity[0])
+                self._is_aligned = True
+            if self._face is not None:
+                self.particle_set.set_plane_normal(normal_of_face(mean.normal[0], mean.velocity[0], self._face))
+        elif self.vehicle.plane == "free":
             self.particle_set.set_plane_normal(plane_across(self.plane, travel).normal)
 
     # --- the first two frames ----------------------------------------------------------------------------------------

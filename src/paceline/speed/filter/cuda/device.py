@@ -31,7 +31,7 @@ from paceline.speed.filter.cuda.weights import (
     THREADS_PER_QUANTITY,
 )
 from paceline.speed.filter.likelihood import CONTRAST_FLOOR, PART_DISTANCE_CAP, ObservationModel, Views
-from paceline.speed.filter.motion_models import State
+from paceline.speed.filter.motion_models import CoordinatedTurn, State
 from paceline.speed.filter.particle_set import MAX_DRAWN_PARTICLES, ParticleSet
 
 OnDevice = Any  # an array in the device's memory: Numba has no type for it
@@ -161,10 +161,11 @@ class CudaDevice:
                 -(-N // MAX_DRAWN_PARTICLES),
                 total,
             )
-            command[[layout.IS_ACTIVE, layout.IS_FREE, layout.IS_CURVE]] = (
+            command[[layout.IS_ACTIVE, layout.IS_FREE, layout.IS_CURVE, layout.IS_COORDINATED_TURN]] = (
                 is_new,
                 particle_set.free,
                 particle_set.motion.name == "curve",
+                isinstance(particle_set.motion, CoordinatedTurn),
             )
             command[[layout.KNOT_TABLE_INDEX, layout.KNOT_COUNT]] = knot, len(particle_set.knots)
             knots.append(particle_set.knots)

@@ -67,8 +67,15 @@ def _store_region(quad, rows, first, q):
 
 
 @cuda.jit(device=True)
+def set_yaw(rows, q):
+    """`motion_models.plane_yaws`."""
+    rows[layout.YAW_ROW, q] = math.atan2(rows[layout.NORMAL_ROW, q], rows[layout.NORMAL_ROW + 2, q])
+
+
+@cuda.jit(device=True)
 def _derive(rows, q, rig):
     """The rows that follow from the state."""
+    set_yaw(rows, q)
     quad = cuda.local.array((4, 2), np.float64)
     crossing = cuda.local.array(2, np.float64)
     for view in range(2):
@@ -125,10 +132,13 @@ def move(rows, q, rig, dR, shift):
 
 
 @cuda.jit(device=True)
-def identity(dR):
+def turn_about_y(yaw, dR):
+    """The rotation ``dR`` by ``yaw`` rad about the camera's y axis, from z towards x."""
     for i in range(3):
         for j in range(3):
             dR[i, j] = 1.0 if i == j else 0.0
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    dR[0, 0], dR[0, 2], dR[2, 0], dR[2, 2] = cos, sin, -sin, cos
 
 
 @cuda.jit(device=True)
@@ -230,7 +240,7 @@ def propagate_along_path(rows, q, p, command_buffer, command, rig, knots):
     for i in range(3):
         offset = F[i, 1] * rows[layout.HEADING_ROW, q] + F[i, 2] * rows[layout.HEADING_ROW + 1, q]
         shift[i] = end[i] - start[i] + ahead * offset
-    identity(dR)
+    turn_about_y(0.0, dR)
     if turns:
         frame(knots, s, after)
         _multiply_transposed(after, F, dR)  # (26)
@@ -249,7 +259,7 @@ def propagate_along_path(rows, q, p, command_buffer, command, rig, knots):
 
 @cuda.jit(device=True)
 def propagate_free(rows, q, p, command_buffer, command, rig):
-    """`motion.FreeMotion.propagate`: (9)–(11)."""
+    """`motion_models.FreeMotion.propagate`, (9)–(11), or `motion_models.CoordinatedTurn.propagate`."""
     noise, dt = cuda.local.array(6, np.float64), command[layout.TIME_STEP]
     centre, turned = cuda.local.array(3, np.float64), cuda.local.array(3, np.float64)
     shift, dR = cuda.local.array(3, np.float64), cuda.local.array((3, 3), np.float64)
@@ -269,8 +279,16 @@ def propagate_free(rows, q, p, command_buffer, command, rig):
     dR[2, 0], dR[2, 1], dR[2, 2] = -sb, cb * sa, cb * ca
     _fetch(rows, layout.CENTRE_ROW, q, centre)
     _apply(dR, centre, turned)
-    for i in range(3):
-        shift[i] = centre[i] + rows[layout.VELOCITY_ROW + i, q] * dt - turned[i]
+    vx, vy, vz = rows[layout.VELOCITY_ROW, q], rows[layout.VELOCITY_ROW + 1, q], rows[layout.VELOCITY_ROW + 2, q]
+    along, across = 1.0, 0.0
+    if command[layout.IS_COORDINATED_TURN] != 0.0:
+        half = 0.5 * b
+        chord = math.sin(half) / half if half != 0.0 else 1.0
+        along, across = chord * math.cos(half), chord * math.sin(half)
+        rows[layout.VELOCITY_ROW, q], rows[layout.VELOCITY_ROW + 2, q] = cb * vx + sb * vz, cb * vz - sb * vx
+    shift[0] = centre[0] + (along * vx + across * vz) * dt - turned[0]
+    shift[1] = centre[1] + vy * dt - turned[1]
+    shift[2] = centre[2] + (along * vz - across * vx) * dt - turned[2]
     move(rows, q, rig, dR, shift)
     set_speed(rows, q)
 
