@@ -109,21 +109,19 @@ class Initialization:
         """Particles drawn anew about the speed that registration finds from the ``likeliest`` ones, and where it finds
         the plane from these.
 
-        Along a path this is repeated until the registered position converges: while the particles have very different
-        speeds, their mean region may be too far from the vehicle for one registration.
+        This is repeated until the registered position converges: while the particles have very different speeds, their
+        mean region may be too far from the vehicle for one registration.
         """
         motion, particle_set = likeliest.motion, likeliest
         start = start[np.arange(self.configuration.particles)]
         observation = register_plane(texture, particle_set, frame, self.is_aligned(particle_set, dt))
-        iterated = isinstance(motion, PathMotion | CoordinatedTurn)
-        for _ in range(MAX_START_ITERATIONS if iterated else 1):
+        for _ in range(MAX_START_ITERATIONS):
             if observation is None or observation.registration.similarity < MIN_REFERENCE_SIMILARITY:
                 break
             before, covariance = observation.place, observation.registration.covariance
             prior = speed_prior(before, covariance, self.plane, motion, dt, self.vehicle, self.configuration)
             if isinstance(motion, CoordinatedTurn):
-                drawn = draw_registered_start(start, self.plane, observation, dt, self.rng)
-                drawn = self.turn_start(drawn, dt)
+                drawn = self.turn_start(draw_registered_start(start, self.plane, observation, dt, self.rng), dt)
             else:
                 drawn = self.draw_start(start, motion, images, dt, prior)
             state = motion.propagate(drawn, dt, self.rng)
