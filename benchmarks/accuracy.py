@@ -35,7 +35,7 @@ from common import (
 )
 
 from paceline.cameras import RigUncertainty, StereoRig, perturbed_rig
-from paceline.simulation.random_scenes import random_crossing, random_scene
+from paceline.simulation.random_scenes.drawn import random_crossing, random_scene
 from paceline.simulation.stereo.clip import Scene
 from paceline.speed.joint_calibration import calibrate_jointly
 from paceline.speed.results import Measurement

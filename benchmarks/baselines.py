@@ -22,7 +22,7 @@ from recordings import CROSSING
 import paceline.baselines.registry  # noqa: F401  makes the baselines known
 from paceline import UnusableInput, load_clip, open_recording
 from paceline.documents.loading import Clip
-from paceline.simulation.random_scenes import random_crossing, random_scene
+from paceline.simulation.random_scenes.drawn import random_crossing, random_scene
 from paceline.simulation.stereo.clip import Scene
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.measurement import measure

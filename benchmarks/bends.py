@@ -13,7 +13,7 @@ import numpy as np
 from baselines import Outcome, by_each, measured, outcome_cell
 from common import head, machine, rms, row, share_out
 
-from paceline.simulation.random_scenes import random_bend
+from paceline.simulation.random_scenes.drawn import random_bend
 
 METHODS = ("lucas-kanade", "ours, refined")
 ANY = "all"

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from paceline import UnusableInput, load_clip, open_recording
 from paceline.documents.loading import Clip
-from paceline.simulation.random_scenes import random_scene
+from paceline.simulation.random_scenes.drawn import random_scene
 from paceline.simulation.stereo.clip import Scene, render, write
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.measurement import measure

@@ -36,7 +36,7 @@ from paceline.simulation.chase.clip import (
     start_document,
     target_document,
 )
-from paceline.simulation.random_scenes import random_chase
+from paceline.simulation.random_scenes.drawn import random_chase
 from paceline.targets.line_model import Target
 from paceline.units import COVERAGE_95
 

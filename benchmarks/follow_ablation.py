@@ -26,7 +26,7 @@ from paceline.follow.results import FollowEstimate
 from paceline.follow.tracker import FollowTracker
 from paceline.recordings.monocular import CameraFrame
 from paceline.simulation.chase.clip import ChaseScene, ChaseTruth, Occlusion, render_frames
-from paceline.simulation.random_scenes import random_chase
+from paceline.simulation.random_scenes.drawn import random_chase
 from paceline.simulation.vehicle_catalogue import RASTERIZED_KINDS
 
 CALM: dict[str, Any] = {"shadows": 0.0, "parallel_share": 0.0, "shake_px": 2.0, "object_density": 0.5, "ambient": 0.6}

@@ -14,7 +14,7 @@ from common import PLAIN_RIG, head, machine, rms, row, share_out
 from numpy.typing import NDArray
 
 from paceline.simulation.lane_change import LaneChange
-from paceline.simulation.random_scenes import random_scene
+from paceline.simulation.random_scenes.drawn import random_scene
 from paceline.simulation.stereo.clip import Scene
 from paceline.simulation.stereo.scene import Motion, PlacedRoad
 

@@ -21,7 +21,7 @@ from paceline.errors import UnusableInput
 from paceline.recordings.stereo import open_recording
 from paceline.reports import write_report
 from paceline.reports.speed.tables import ESTIMATE_COLUMNS
-from paceline.simulation.random_scenes import random_crossing
+from paceline.simulation.random_scenes.drawn import random_crossing
 from paceline.simulation.stereo.clip import RenderedClip, Scene, Vehicle, render, write
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.filter.resampling import Weights

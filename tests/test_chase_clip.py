@@ -20,7 +20,7 @@ from paceline.simulation.chase.projection import CameraPose, Sun, TextureAtlas, 
 from paceline.simulation.chase.rasterizer import road_coordinates
 from paceline.simulation.chase.script import ChaseScript
 from paceline.simulation.chase.vehicles import AntialiasedCanvas, Face
-from paceline.simulation.random_scenes import random_chase
+from paceline.simulation.random_scenes.drawn import random_chase
 from paceline.simulation.road import POLYGON_STEP_M, PolygonalAxis
 
 Array = NDArray[np.float64]

@@ -21,7 +21,7 @@ from selection import slow_after
 
 import paceline
 from paceline import cli
-from paceline.simulation.random_scenes import random_crossing
+from paceline.simulation.random_scenes.drawn import random_crossing
 from paceline.simulation.stereo.clip import Scene, Vehicle, render, write
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.filter.batch import TrackerBatch

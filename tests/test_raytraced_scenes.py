@@ -15,7 +15,7 @@ from tiny_scenes import tiny_follow, tiny_speed
 
 from paceline.errors import UnusableInput
 from paceline.simulation.operator import is_inside_image
-from paceline.simulation.random_scenes import (
+from paceline.simulation.random_scenes.raytraced import (
     MAX_RAYTRACED_SPEED_MPS,
     MIN_RAYTRACED_SPEED_MPS,
     random_follow_scene,

@@ -22,7 +22,7 @@ from selection import slow_after
 from paceline.cameras import RigUncertainty, perturbed_rig
 from paceline.documents.loading import Clip, load_clip
 from paceline.simulation.lane_change import LaneChange
-from paceline.simulation.random_scenes import random_crossing, random_scene
+from paceline.simulation.random_scenes.drawn import random_crossing, random_scene
 from paceline.simulation.stereo.clip import Scene, Vehicle, render, write
 from paceline.speed.acceptance import MAX_DEVIATION_SIGMA
 from paceline.speed.configuration import DriverSettings, ModelSettings, SpeedConfiguration

@@ -16,7 +16,7 @@ import paceline
 from paceline.documents.loading import load_clip, load_follow
 from paceline.recordings.stereo import open_recording
 from paceline.simulation.chase.scene import ChaseScene
-from paceline.simulation.random_scenes import random_chase
+from paceline.simulation.random_scenes.drawn import random_chase
 
 ROOT = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"

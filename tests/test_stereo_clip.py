@@ -13,7 +13,7 @@ import yaml
 from numpy.typing import NDArray
 
 from paceline.simulation.lane_change import LaneChange
-from paceline.simulation.random_scenes import random_bend, random_crossing, random_scene
+from paceline.simulation.random_scenes.drawn import random_bend, random_crossing, random_scene
 from paceline.simulation.stereo.clip import SCENE_SUBPIXELS_PER_SIDE, Scene, Vehicle, World, render, write
 from paceline.simulation.stereo.scene import Motion, PlacedRoad, Pose, make_rig, rig_views
 from paceline.simulation.stereo.textured_planes import TexturedPlane, composite, draw_planes

@@ -14,7 +14,7 @@ from zhu2012.reproductions import Numbers, image, run_alone
 from nist1993 import scenes
 from paceline.follow.configuration import FollowConfiguration
 from paceline.simulation.chase.clip import ChaseScene
-from paceline.simulation.random_scenes import random_chase
+from paceline.simulation.random_scenes.drawn import random_chase
 
 SETTINGS: Numbers = {
     "decays": [0.2, 0.4, 0.6, 0.7, 0.8, 0.9, 0.95],

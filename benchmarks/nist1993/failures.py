@@ -14,7 +14,7 @@ from zhu2012.reproductions import Numbers, image, run_alone
 from nist1993 import scenes
 from paceline.follow.configuration import FollowConfiguration
 from paceline.reports.common.drawing import draw_line, scale_points
-from paceline.simulation.random_scenes import random_chase
+from paceline.simulation.random_scenes.drawn import random_chase
 
 SETTINGS: Numbers = {"scenarios": ["strong shadows", "parallel edges"], "seeds": [950, 951, 952], "frames": 150}
 VIEW = (384, 300)

@@ -12,7 +12,7 @@ from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.tracker import FollowTracker, warm_up
 from paceline.recordings.odometry import Pose
 from paceline.simulation.chase.clip import render_frames
-from paceline.simulation.random_scenes import random_chase
+from paceline.simulation.random_scenes.drawn import random_chase
 
 SETTINGS: Numbers = {"seeds": [980, 981, 982], "frames": 200}
 PAPER = ((128.0, 15.0),)  # ms of delay, pictures a second

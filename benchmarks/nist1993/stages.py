@@ -15,7 +15,7 @@ from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.edges import EdgeExtractor
 from paceline.reports.common.drawing import draw_line, scale_points
 from paceline.reports.common.plots import VEHICLE_COLORS
-from paceline.simulation.random_scenes import random_chase
+from paceline.simulation.random_scenes.drawn import random_chase
 
 SETTINGS: Numbers = {"seed": 907, "kind": "van", "gap": [6.0, 10.0], "shake_px": 2.0, "shadows": 0.4, "frame": 40}
 VIEW = (384, 363)

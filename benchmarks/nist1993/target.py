@@ -15,7 +15,7 @@ from zhu2012.reproductions import Numbers, image, run_alone
 from nist1993 import scenes
 from paceline.reports.common.drawing import DARK_BGR, draw_line, draw_text, scale_points
 from paceline.simulation.chase.clip import render_frames
-from paceline.simulation.random_scenes import random_chase
+from paceline.simulation.random_scenes.drawn import random_chase
 
 SETTINGS: Numbers = {"seed": 907, "kind": "van", "gap": [7.0, 9.0], "shadows": 0.4, "paint": 150.0}
 VIEW = (480, 454)

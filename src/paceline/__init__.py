@@ -28,9 +28,9 @@ if TYPE_CHECKING:
     from paceline.simulation.chase.scene import Occlusion as ChaseOcclusion
     from paceline.simulation.closed_loop.drive_yaml import resolve_drive as load_drive
     from paceline.simulation.closed_loop.loop import ClosedLoop
-    from paceline.simulation.random_scenes import random_chase as random_chase_scene
-    from paceline.simulation.random_scenes import random_crossing as random_crossing_scene
-    from paceline.simulation.random_scenes import random_scene as random_stereo_scene
+    from paceline.simulation.random_scenes.drawn import random_chase as random_chase_scene
+    from paceline.simulation.random_scenes.drawn import random_crossing as random_crossing_scene
+    from paceline.simulation.random_scenes.drawn import random_scene as random_stereo_scene
     from paceline.simulation.stereo.clip import render as render_stereo_clip
     from paceline.simulation.stereo.clip import write as write_stereo_clip
     from paceline.simulation.stereo.clip import write_documents as write_stereo_documents
@@ -114,9 +114,9 @@ _DEFINING_MODULES = {
     "measure": ("paceline.api", "measure"),
     "open_camera": ("paceline.recordings.monocular", "open_camera"),
     "open_recording": ("paceline.recordings.stereo", "open_recording"),
-    "random_chase_scene": ("paceline.simulation.random_scenes", "random_chase"),
-    "random_crossing_scene": ("paceline.simulation.random_scenes", "random_crossing"),
-    "random_stereo_scene": ("paceline.simulation.random_scenes", "random_scene"),
+    "random_chase_scene": ("paceline.simulation.random_scenes.drawn", "random_chase"),
+    "random_crossing_scene": ("paceline.simulation.random_scenes.drawn", "random_crossing"),
+    "random_stereo_scene": ("paceline.simulation.random_scenes.drawn", "random_scene"),
     "render_stereo_clip": ("paceline.simulation.stereo.clip", "render"),
     "track": ("paceline.api", "track"),
     "tracker_for": ("paceline.follow.following", "tracker_for"),

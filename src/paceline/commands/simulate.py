@@ -71,7 +71,7 @@ def simulate_suite(
     quiet: Quiet = False,
 ) -> int:
     """Render random scenes, each into a folder of its own; an interrupted rendering is resumed."""
-    from paceline.simulation.random_scenes import random_follow_scene, random_speed_scene
+    from paceline.simulation.random_scenes.raytraced import random_follow_scene, random_speed_scene
 
     draw = random_speed_scene if kind is Kind.speed else random_follow_scene
     for k in range(n):

@@ -22,7 +22,7 @@ from paceline.simulation.closed_loop.lead_vehicle import LeadVehicle, road_from_
 from paceline.simulation.closed_loop.vehicle_dynamics import VehicleParameters, point_ahead
 from paceline.simulation.closed_loop.vehicle_dynamics import VehicleState as Chase
 from paceline.simulation.lane_change import smoothstep
-from paceline.simulation.random_scenes import random_chase
+from paceline.simulation.random_scenes.drawn import random_chase
 from paceline.simulation.road import PolygonalAxis
 from paceline.simulation.vehicle_catalogue import MIN_RASTERIZED_GAP_M
 
