@@ -14,16 +14,20 @@ from selection import slow_after
 from tiny_scenes import tiny_follow, tiny_speed
 
 from paceline.errors import UnusableInput
-from paceline.simulation.operator import is_inside_image
+from paceline.simulation.operator import MIN_OUTLINE_WIDTH_PX, is_inside_image, visible_marking
 from paceline.simulation.random_scenes.raytraced import (
     MAX_RAYTRACED_SPEED_MPS,
     MIN_RAYTRACED_SPEED_MPS,
     random_follow_scene,
+    random_raytraced_bend,
+    random_raytraced_straight,
     random_speed_scene,
 )
 from paceline.simulation.raytraced import named_scenes
 from paceline.simulation.raytraced.scene import PlacedStereoScene, make_rigs
 from paceline.simulation.raytraced.scene_yaml import FollowScene, SpeedScene, load_follow_scene, load_speed_scene
+from paceline.simulation.vehicle_catalogue import RAYTRACED_KINDS
+from paceline.units import MPS_PER_MPH
 
 
 def place_scene(**changes: Any) -> PlacedStereoScene:
@@ -91,6 +95,52 @@ def test_suites_vary() -> None:
     speeds = np.array([car.speed for car in cars]) * 3.6
     assert speeds.min() < 40 and speeds.max() > 100
     assert any(scene.rig.rig_error_std for scene in scenes) and any(scene.rig.rig_error_std is None for scene in scenes)
+
+
+def check_watched(scene: SpeedScene) -> float:
+    """The vehicle is seen from its first frame to its last; returns the sine of the least angle between the line
+    and level."""
+    placed = PlacedStereoScene(scene)
+    car, left = placed.vehicles[0], placed.views[0]
+    assert 8 <= scene.frames <= 12 and frames_inside(placed, 0) == scene.frames and scene.rig.rig_error_std is None
+    for t in placed.clocks[0].tolist():
+        sight = car.center(t) - left.centre
+        outwards = car.motion.pose(t)[0][:, 0] * (1 if car.plane.end == "front" else -1)
+        assert -outwards @ sight / np.linalg.norm(sight) > np.cos(np.radians(50.0))
+        assert 15.0 < left.to_camera(car.corners(t))[:, 2].min() < 75.0
+    assert all(np.ptp(view.project(car.corners(0.0))[:, 0]) > MIN_OUTLINE_WIDTH_PX for view in placed.views)
+    driven = np.array([car.motion.position(t)[0] for t in placed.clocks[0].tolist()])
+    _, lines = visible_marking(placed, car.model.lane, driven, lambda view, points: np.zeros(len(points), bool))
+    steps = np.abs(np.diff(lines[0], axis=0))
+    return float((steps[:, 1] / np.hypot(*steps.T)).min())
+
+
+@pytest.mark.parametrize("radius", slow_after(1, [30.0, 45.0, 80.0]))
+def test_varied_bends_turn_across_the_view(radius: float) -> None:
+    slopes = []
+    for seed in range(4):
+        scene = random_raytraced_bend(seed, radius, 10.0)
+        assert scene == random_raytraced_bend(seed, radius, 10.0) and scene.rate == 10.0
+        assert abs(scene.road.radius or 0) == radius and 21 * MPS_PER_MPH < scene.vehicles[0].speed < 36 * MPS_PER_MPH
+        slopes.append(check_watched(scene))
+    assert radius == 80 or min(slopes) < 0.1  # there the line runs nearly along the epipolar lines
+
+
+@pytest.mark.parametrize("seed", slow_after(2, range(12)))
+def test_varied_straights_are_watched(seed: int) -> None:
+    scene = random_raytraced_straight(seed)
+    assert scene.road.kind == "straight" and 29 * MPS_PER_MPH < scene.vehicles[0].speed < 65 * MPS_PER_MPH
+    check_watched(scene)
+
+
+@pytest.mark.slow
+def test_bends_vary() -> None:
+    scenes = [random_raytraced_bend(seed) for seed in range(40)]
+    cars = [scene.vehicles[0] for scene in scenes]
+    assert {car.kind for car in cars} == set(RAYTRACED_KINDS) and {car.oncoming for car in cars} == {True, False}
+    radii = np.array([scene.road.radius for scene in scenes])
+    assert radii.min() < -60 and radii.max() > 60 and np.abs(radii).min() < 40
+    assert np.mean([scene.light.clouds < 0.3 for scene in scenes]) > 0.6  # mostly in the sun
 
 
 def test_the_planes_centre_swings_out_in_a_bend() -> None:

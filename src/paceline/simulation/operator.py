@@ -147,20 +147,29 @@ def _draw_path(
 ) -> dict[str, Any]:
     """The best visible painted line beside a lane, drawn in each view along the arc lengths ``driven`` (N,) m of its
     vehicles."""
-    middle, road = placed.road.lanes[lane], placed.road
-    nearest_markings = sorted(road.markings, key=lambda m: abs(m - middle))[:2]
-    lines = {m: [_visible_line(placed, m, driven, view, hidden) for view in placed.views] for m in nearest_markings}
-    marking = max(lines, key=lambda m: min(len(line) for line in lines[m]))
-    if min(len(line) for line in lines[marking]) < 10:
+    marking, lines = visible_marking(placed, lane, driven, hidden)
+    if min(len(line) for line in lines) < 10:
         raise UnusableInput(f"no painted line beside lane {lane} is visible in both pictures")
-    shape = road.shape
+    shape = placed.road.shape
     path: dict[str, Any] = {"shape": "line" if shape.kind == "straight" and shape.crest_radius is None else "curve"}
-    for side, camera, pixels in zip(("left", "right"), placed.rig.cameras, lines[marking], strict=True):
+    for side, camera, pixels in zip(("left", "right"), placed.rig.cameras, lines, strict=True):
         path[side] = draw_line(
             pixels, camera, placed.scene.operator_noise.points, placed.scene.operator_noise.line, rng
         )
-    path["lateral_offset"] = round((middle - marking) * (-1.0 if oncoming else 1.0), 3)
+    path["lateral_offset"] = round((placed.road.lanes[lane] - marking) * (-1.0 if oncoming else 1.0), 3)
     return path
+
+
+def visible_marking(
+    placed: SimulatedStereoScene, lane: int, driven: Array, hidden: IsHidden
+) -> tuple[float, list[Array]]:
+    """The lateral (m) of the best visible painted line beside a lane, along the arc lengths ``driven`` (N,) m of its
+    vehicles, and its pixels (M, 2), closely, from far to near, in each view."""
+    middle, markings = placed.road.lanes[lane], placed.road.markings
+    nearest_markings = sorted(markings, key=lambda m: abs(m - middle))[:2]
+    lines = {m: [_visible_line(placed, m, driven, view, hidden) for view in placed.views] for m in nearest_markings}
+    marking = max(lines, key=lambda m: min(len(line) for line in lines[m]))
+    return marking, lines[marking]
 
 
 def _visible_line(
