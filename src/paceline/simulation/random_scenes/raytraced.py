@@ -213,6 +213,12 @@ def _draw_watched_scene(
         return None
     target_along, target_right = _beside_road(road, 0.0, offset)
     road = road | {"wear": float(rng.uniform(0, 0.6))}
+    # A linear scale or a small full well would leave little but noise of dark fronts in the shade.
+    well_exposed = {
+        "gamma": 2.2,
+        "full_well": float(rng.uniform(8000, 20000)),
+        "read_noise": float(rng.uniform(4, 12)),
+    }
     light = _draw_light(rng) | {"clouds": float(rng.uniform(0, 0.3) if rng.random() < 0.8 else rng.uniform(0.3, 1))}
     scene = {
         "kind": "speed",
@@ -223,7 +229,7 @@ def _draw_watched_scene(
         "road": road,
         "light": light,
         "scenery": _draw_scenery(rng) | {"trees": 0.0, "poles": 0.0, "parapet": False},
-        "sensor": _draw_sensor(rng),
+        "sensor": _draw_sensor(rng) | well_exposed,
         "vehicles": [vehicle | {"lane": lane, "offset": float(rng.normal(0, 0.15)), "start": road["length"] / 2}],
         "rig": {
             "image_size": [1024, 768],
