@@ -74,16 +74,21 @@ def compared(method: str, m: Measurement, truth: Rows, seconds: float) -> Outcom
 
 def by_each(scene: Scene, methods: Sequence[str]) -> list[Outcome]:
     """The clip of ``scene``, rendered once, by every method."""
+    with common.rendered(scene) as (clip, truth):
+        return compare_methods(clip, truth, methods)
+
+
+def compare_methods(clip: Clip, truth: Rows, methods: Sequence[str]) -> list[Outcome]:
+    """One vehicle's ``clip`` by every method."""
     cv2.setNumThreads(1)
     outcomes = []
-    with common.rendered(scene) as (clip, truth):
-        for method in methods:
-            try:
-                result, seconds = found_by(method, clip)
-            except UnusableInput as unusable:
-                outcomes.append(Outcome(method, reason=f"unusable: {unusable}"))
-                continue
-            outcomes.append(compared(method, result.measurements[0], truth, seconds))
+    for method in methods:
+        try:
+            result, seconds = found_by(method, clip)
+        except UnusableInput as unusable:
+            outcomes.append(Outcome(method, reason=f"unusable: {unusable}"))
+            continue
+        outcomes.append(compared(method, result.measurements[0], truth, seconds))
     return outcomes
 
 

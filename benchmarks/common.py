@@ -21,6 +21,8 @@ from numpy.typing import NDArray
 from paceline import UnusableInput, load_clip, open_recording
 from paceline.documents.loading import Clip
 from paceline.simulation.random_scenes.drawn import random_scene
+from paceline.simulation.raytraced import stereo_clip
+from paceline.simulation.raytraced.scene_yaml import SpeedScene
 from paceline.simulation.stereo.clip import Scene, render, write
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.measurement import measure
@@ -67,6 +69,14 @@ def rendered(scene: Scene) -> Iterator[tuple[Clip, Rows]]:
     with tempfile.TemporaryDirectory() as folder:
         result = render(scene)
         yield load_clip(write(result, folder)), result.truth
+
+
+@contextmanager
+def raytraced(scene: SpeedScene, folder: Path | None = None) -> Iterator[tuple[Clip, Rows]]:
+    """The clip of a ray-traced ``scene`` and its truth, in a ``folder`` that keeps them, or in files that vanish."""
+    with tempfile.TemporaryDirectory() as temporary:
+        path = stereo_clip.write(scene, folder or Path(temporary) / "clip")
+        yield load_clip(path), read_truth(path.parent)
 
 
 def guessed(clip: Clip, factor: float, truth: Rows) -> Clip:
