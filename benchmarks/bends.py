@@ -73,6 +73,7 @@ def folder_name(case: Case) -> str:
 def run(case: Case, renderer: str, free: bool, clips: Path | None) -> Compared:
     """The clip of a case by every method; ``free``: without the drawn road line. Ray-traced clips are kept in a folder
     ``clips``."""
+    kind: str
     made: AbstractContextManager[tuple[Clip, Rows]]
     if renderer == "raytraced":
         scene = raytraced_scene(case)
