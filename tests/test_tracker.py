@@ -14,7 +14,7 @@ from selection import slow_after
 
 from paceline.documents.loading import Clip, load_clip
 from paceline.recordings.stereo import StereoFrame, open_recording
-from paceline.simulation.random_scenes import random_bend
+from paceline.simulation.random_scenes.drawn import random_bend
 from paceline.simulation.stereo.clip import Scene, Vehicle, World, render, write
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.filter.estimate import Estimate

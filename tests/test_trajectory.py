@@ -12,10 +12,11 @@ from scipy.stats import norm
 
 from paceline.cameras import Camera, StereoRig
 from paceline.speed.configuration import DEFAULTS, DriverSettings
+from paceline.speed.geometry.fitted_arc import fit_arc
 from paceline.speed.geometry.initial_plane import InitialPlane
 from paceline.speed.geometry.paths import from_points, resampled
 from paceline.speed.refinement import path_deviation
-from paceline.speed.refinement.path_deviation import PathDeviation, deviation_modes
+from paceline.speed.refinement.path_deviation import PathDeviation, deviation_from_arc, deviation_modes
 from paceline.speed.refinement.photometric_fit import PhotometricFit
 from paceline.speed.refinement.trajectory import (
     MOTION_PARAMETER_NAMES,
@@ -193,7 +194,7 @@ def test_the_expected_driver_is_the_prior():
 def test_angles_are_the_modes_and_constant_beyond_them():
     u = np.linspace(0, 10, 21)
     modes = np.stack([np.stack([np.sin(u), 0 * u]), np.stack([0 * u, u / 10])])
-    deviation = PathDeviation(u, modes, lane_change_modes=0)
+    deviation = PathDeviation(u, modes, lane_change_modes=0, mean=np.zeros(2))
     yaw, pitch = deviation.angles(np.array([2.0, 3.0]), np.array([-5.0, 0.0, 2.5, 10.0, 99.0]))
     np.testing.assert_allclose(yaw, 2 * np.sin([0, 0, 2.5, 10, 10]), atol=1e-12)
     np.testing.assert_allclose(pitch, [0, 0, 0.75, 3, 3], atol=1e-12)
@@ -236,3 +237,42 @@ def test_the_evidence_is_the_ratio_of_marginal_likelihoods(value, spread, held):
     expected = np.log(marginal(wide) / under_narrow)
     found = PhotometricFit._log_evidence(fit, "acceleration", narrower, 1.0)
     assert found == pytest.approx(expected, abs=2e-3)
+
+
+def arc_beside(path, turned_by):
+    """An arc through places beside ``path`` whose direction is ``turned_by`` rad to the left of the path's."""
+    about, places = path.at(np.array(5.0)), path.at(np.linspace(5.0, 35.0, 12))
+    cos, sin = np.cos(turned_by), np.sin(turned_by)
+    turn = np.array([[cos, 0.0, -sin], [0.0, 1.0, 0.0], [sin, 0.0, cos]])
+    return fit_arc("v0", (places - about) @ turn.T + about)[0]
+
+
+def test_a_drawn_path_is_the_prior_of_the_arcs_direction():
+    path = curved_path()
+    arc = arc_beside(path, 0.02)
+    deviation = deviation_from_arc(arc, arc.nearest(path.at(np.array(5.0))), 30.0, path)
+    yaw = deviation.angles(deviation.mean, np.array([15.0]))[0]
+    assert yaw == pytest.approx(0.02, abs=0.004)
+
+
+@pytest.mark.parametrize("modes", [1.0, 30.0])
+def test_how_well_the_path_is_known_is_how_well_the_arc_is(modes):
+    """Against the joint Gaussian of coefficients and path, conditioned on the path's angles by its covariance form."""
+    path = curved_path()
+    path = replace(path, modes=modes * path.modes)
+    arc = arc_beside(path, 0.01)
+    start = arc.nearest(path.at(np.array(5.0)))
+    deviation = deviation_from_arc(arc, start, 30.0, path)
+    count = len(deviation.modes) - deviation.lane_change_modes
+    posterior = np.einsum("kan,kbm->anbm", deviation.modes[:count], deviation.modes[:count])
+    u = deviation.u
+    of_path = deviation_modes(path, path.nearest(arc.at(np.array(start))), 30.0, on_path=True)
+    H = of_path.modes[: len(of_path.modes) - of_path.lane_change_modes].reshape(-1, 2 * len(u))
+    C = H.T @ H + path_deviation.ARC_MISFIT_STD_RAD**2 * np.eye(2 * len(u))
+    yaw_stds, (pitch_std,) = path_deviation.TURN_PRIOR["yaw"], path_deviation.TURN_PRIOR["pitch"]
+    zero = np.zeros_like(u)
+    B = [[yaw_stds[0] + zero, zero], [yaw_stds[1] * u, zero], [zero, pitch_std + zero]]
+    B = np.concatenate([B, np.stack(arc.heading_modes(start + u), axis=1)]).reshape(-1, 2 * len(u))
+    prior_covariance = B.T @ B
+    expected = prior_covariance - prior_covariance @ np.linalg.solve(prior_covariance + C, prior_covariance)
+    np.testing.assert_allclose(posterior.reshape(2 * len(u), -1), expected, atol=1e-7)

@@ -17,7 +17,7 @@ from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.filter.batch import TrackerBatch
 from paceline.speed.filter.estimate import MIN_REFERENCE_SIMILARITY, MIN_VISIBLE_SIMILARITY, Estimate
 from paceline.speed.filter.tracker import Tracker
-from paceline.speed.geometry import paths
+from paceline.speed.geometry.fitted_arc import fit_arc
 from paceline.speed.geometry.initial_plane import plane_across, plane_from_outlines
 from paceline.speed.geometry.paths import Path
 from paceline.speed.methods import OnEstimate
@@ -140,20 +140,24 @@ class VehicleMeasurement:
         return refine(self._trajectory(speed), self.keyframes, speed, self.path is not None, min_log_odds)
 
     def _trajectory(self, speed: float) -> Trajectory:
-        """The outline's motion model: along the path in the direction of travel, or straight as the filter has it."""
+        """The outline's motion model: along the line in the direction of travel, else on an arc through the
+        filter's places."""
         first = self.keyframes[0]
-        path = self.tracker.path
-        if path is None:
+        path, drawn, curvature_mean = self.tracker.path, self.tracker.path, 0.0
+        on_arc = drawn is None or drawn.shape == "curve"
+        if path is None or on_arc:
             places = np.array([e.position for e in self.estimates if e.status == "tracking"])
-            path = paths.straight_path(self.vehicle.id, places)
+            path, curvature = fit_arc(self.vehicle.id, places, drawn)
+            curvature_mean = -curvature if drawn is None else 0.0
         if self.vehicle.plane == "free":
-            plane = plane_across(self.tracker.plane, path.frames(path.s[:1])[0, :, 0])
+            start = np.array(path.nearest(self.tracker.plane.centre))
+            plane = plane_across(self.tracker.plane, path.frames(start)[:, 0])
         else:
             plane = plane_from_outlines(self.rig, self.vehicle, path, self.configuration.click_sigma)
         times = np.array([k.times for k in self.keyframes]) - np.mean(first.times)
         driver = self.configuration.driver
-        deviation = deviation_of(path, plane, times, speed, self.path is not None, driver)
-        return Trajectory(self.rig, self.vehicle.left, plane, path, times, deviation, driver)
+        deviation = deviation_of(path, plane, times, speed, drawn is not None, driver, drawn if on_arc else None)
+        return Trajectory(self.rig, self.vehicle.left, plane, path, times, deviation, driver, curvature_mean)
 
     def _measured(self, refined: RefinedMotion, frames: int) -> Measurement:
         speed, noise_std, model_std, systematic_std = refined.mean_speed()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -73,10 +74,7 @@ class Tracker:
         self.texture = ReferenceTexture(rig, grid, vehicle.left, c.reference_memory) if c.guided else None
         self.plane = plane_from_outlines(rig, vehicle, path, c.click_sigma)
         self.candidate_paths = [] if path is None else [p.shifted(lateral_offset) for p in (path, path.reversed())]
-        along = [PathMotion(rig, candidate, c) for candidate in self.candidate_paths]
-        self._motions: list[PathMotion | FreeMotion] = [*along] or [
-            CoordinatedTurn(rig, c) if c.guided else FreeMotion(rig, c)
-        ]
+        self._motions = candidate_motions(rig, self.candidate_paths, c)
         self.particle_set: Particles
         self._views: Views
         self._features: Floats  # (2, parts, 16) of the estimate in both views
@@ -103,8 +101,8 @@ class Tracker:
         assert self._first is not None
         start = self.particle_set.to_host().state
         self.particle_set = self._initialization.initialize_speed(frame, self._first, start)
-        if isinstance(self.particle_set.motion, PathMotion):
-            self.path = self.particle_set.motion.path
+        if self.candidate_paths:
+            self.path = self._path_ahead()
 
     def register(self, frame: StereoFrame) -> None:
         """Move the particles by the registered position of the plane: the proposal of the weighted ensemble Kalman
@@ -200,6 +198,15 @@ class Tracker:
         self._first, self._time = frame, frame.time
         return initial_estimate(frame, self.vehicle, self.plane, state, self.configuration.particles)
 
+    def _path_ahead(self) -> Path:
+        """The candidate path in the direction of travel of the particles."""
+        motion = self.particle_set.motion
+        if isinstance(motion, PathMotion):
+            return motion.path
+        velocity = self.particle_set.mean().velocity[0]
+        directions = [path.frames(np.array(path.nearest(self.plane.centre)))[:, 0] for path in self.candidate_paths]
+        return self.candidate_paths[int(np.argmax([velocity @ direction for direction in directions]))]
+
     # --- checkpoints -------------------------------------------------------------------------------------------------
 
     def checkpoint(self) -> dict[str, object]:
@@ -215,3 +222,17 @@ class Tracker:
         self.__dict__.update(state)
         if "particle_set" in state:
             self.particle_set = self.particle_set.to_host()
+
+
+def candidate_motions(
+    rig: StereoRig, paths: Sequence[Path], configuration: SpeedConfiguration
+) -> list[PathMotion | FreeMotion]:
+    """The motions between which the first two frames decide: along each of the candidate ``paths``, or a free one.
+
+    On a curve that does not have to be kept exactly, guided particles turn freely: the turn that the images show is
+    more certain than that of a reconstructed curve, which remains the prior of the refinement.
+    """
+    c = configuration
+    if paths and (paths[0].shape == "line" or c.exact_path or not c.guided):
+        return [PathMotion(rig, path, c) for path in paths]
+    return [CoordinatedTurn(rig, c) if c.guided else FreeMotion(rig, c)]

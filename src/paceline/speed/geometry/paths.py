@@ -170,13 +170,6 @@ def from_points(name: str, shape: str, points: Array) -> Path:
     return resampled(name, "curve", curve, modes)
 
 
-def straight_path(name: str, places: Array) -> Path:
-    """The straight path through a vehicle's ``places`` (N, 3), in the direction of travel, without uncertainty."""
-    ends, cov, foot, k = _fit_space_line(places, 0.0)
-    path = _line_path(name, ends, cov, foot, k)
-    return path if k @ (places[-1] - places[0]) > 0 else path.reversed()
-
-
 # --- straight paths ------------------------------------------------------------------------------------------------
 
 

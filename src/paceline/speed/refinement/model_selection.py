@@ -73,15 +73,19 @@ def refine(
     """Fit one motion to all ``keyframes``.
 
     ``trajectory`` moves the operator's outline along the path; ``speed`` (m/s) is the filter's mean. The model is
-    constant speed along the path; terms for a constant acceleration, a lane change and, on a path, a varying
-    acceleration or, without one, a curvature are added where the logarithms of their Bayes factors exceed
-    ``min_log_odds`` times the number of terms. Raises numpy.linalg.LinAlgError where the images determine nothing.
+    constant speed along the path, or without one straight on unless the images show a curvature; terms for a constant
+    acceleration, a lane change and, on a path, a varying acceleration are added where the logarithms of their Bayes
+    factors exceed ``min_log_odds`` times the number of terms. Raises numpy.linalg.LinAlgError where the images
+    determine nothing.
     """
-    fit = PhotometricFit(trajectory, keyframes, prior(trajectory, speed)).with_free_rig()
-    terms: tuple[str, ...] = ()
+    terms: tuple[str, ...] = () if on_path else ("curvature",)
+    fit = PhotometricFit(trajectory, keyframes, prior(trajectory, speed, terms)).with_free_rig()
+    if terms:
+        turning, fit = fit, fit.without_term(prior(trajectory, speed), "curvature", min_log_odds)
+        terms = terms if fit is turning else ()
     excluded = "curvature" if on_path else "varying_acceleration"
     others: list[tuple[float, PhotometricFit]] = []
-    log_odds = min_log_odds
+    log_odds = min_log_odds * (1 + len(terms))
     while len(keyframes) >= MIN_KEYFRAMES:
         added = [t for t in MOTION_TERMS if t != excluded and t not in terms]
         extended = {t: fit.with_term(prior(trajectory, speed, (*terms, t)), t, min_log_odds) for t in added}

@@ -11,6 +11,7 @@ from scipy.interpolate import CubicSpline
 
 from paceline.arrays import Array
 from paceline.speed.configuration import DEFAULTS, DriverSettings
+from paceline.speed.geometry.fitted_arc import CURVATURE_STD_PER_M
 from paceline.speed.geometry.initial_plane import InitialPlane
 from paceline.speed.geometry.paths import Path
 
@@ -18,6 +19,9 @@ from paceline.speed.geometry.paths import Path
 CURVATURE_PRIOR = {"yaw": (3e-4, 1e-5, 1e-7), "pitch": (1e-4, 1e-6)}
 # Direction (rad) and curvature without a path, where the direction comes from the filter; a turn is a motion term
 FREE_DIRECTION_PRIOR = {"yaw": (np.radians(15.0), 3e-4), "pitch": (np.radians(5.0), 1e-4)}
+# Of a turn before it is known: direction (rad) and curvature (1/m); pitch (rad)
+TURN_PRIOR = {"yaw": (np.radians(15.0), CURVATURE_STD_PER_M), "pitch": (np.radians(5.0),)}
+ARC_MISFIT_STD_RAD = 0.01  # rad, of a path's direction at a place from that of the arc nearest to it
 LENGTH_FACTOR = 1.1  # length of the modelled path over the distance at the given speed
 MIN_PATH_LENGTH_M = 5.0  # least length of the modelled path
 MIN_MODE_RAD = 1e-4  # RMS below which a mode moves the image by less than 0.01 px
@@ -30,12 +34,14 @@ class PathDeviation:
     """Independent modes by which a vehicle's path may deviate from the drawn one, of standard deviation 1 each.
 
     ``u`` (N,) m are distances from where the vehicle was first seen, ``modes`` (K, 2, N) rad the changes of yaw, to the
-    right, and of pitch, downwards. The last ``lane_change_modes`` of them belong to lane changes.
+    right, and of pitch, downwards; ``mean`` (K,) are their prior means. The last ``lane_change_modes``
+    of them belong to lane changes.
     """
 
     u: Array
     modes: Array
     lane_change_modes: int
+    mean: Array
 
     @cached_property
     def _spline(self) -> CubicSpline:
@@ -54,10 +60,17 @@ def deviation_of(
     speed: float,
     on_path: bool,
     driver: DriverSettings = DEFAULTS.driver,
+    drawn: Path | None = None,
 ) -> PathDeviation:
-    """The `PathDeviation` of a ``plane`` that moves along ``path`` at about ``speed`` (m/s) for ``times`` (F, 2) s."""
-    length = LENGTH_FACTOR * speed * float(np.ptp(times))
-    return deviation_modes(path, path.nearest(plane.centre), max(length, MIN_PATH_LENGTH_M), on_path, driver)
+    """The `PathDeviation` of a ``plane`` that moves along ``path`` at about ``speed`` (m/s) for ``times`` (F, 2) s.
+
+    A ``drawn`` curve is given where ``path`` is an arc that was fitted to the vehicle's places.
+    """
+    length = max(LENGTH_FACTOR * speed * float(np.ptp(times)), MIN_PATH_LENGTH_M)
+    start = path.nearest(plane.centre)
+    if drawn is not None:
+        return deviation_from_arc(path, start, length, drawn, driver)
+    return deviation_modes(path, start, length, on_path, driver)
 
 
 def deviation_modes(
@@ -76,15 +89,54 @@ def deviation_modes(
         for axis, order, sigmas in zip(np.eye(2), orders, stds.values(), strict=True)
         for k, sigma in enumerate(sigmas[:order])
     ]
-    if on_path:
-        modes += list(np.stack(path.heading_modes(start + u), axis=1))
-    if path.shape == "curve":
+    modes += list(np.stack(path.heading_modes(start + u), axis=1))
+    if on_path and path.shape == "curve":
         modes += list(_yaw_process_modes(u, *LANE_KEEPING_GP))
     _, size, shapes = np.linalg.svd(np.reshape(modes, (len(modes), -1)), full_matrices=False)
     keep = size > MIN_MODE_RAD * np.sqrt(len(u))
     components = (size[keep, None] * shapes[keep]).reshape(-1, 2, len(u))
+    return _deviation(u, components, driver)
+
+
+def deviation_from_arc(
+    arc: Path, start: float, length: float, path: Path, driver: DriverSettings = DEFAULTS.driver
+) -> PathDeviation:
+    """The `PathDeviation` from an ``arc`` over ``length`` metres from its arc length ``start``, by the drawn ``path``.
+
+    A vehicle on a bend turns smoothly: the modes are a change of the arc's direction, its curvature and its surface.
+    How well the drawing determines these, by generalised least squares, is their prior. The modes of the path's
+    reconstruction themselves would leave the vehicle free to swerve where the drawing is uncertain; whether it does is
+    for the motion term ``lane_change`` to tell.
+    """
+    u = np.linspace(-1.0, length + 1.0, 81)
+    F = arc.frames(start + u)
+    s = path.nearest(arc.at(np.array(start))) + u
+    tangent = np.einsum("uij,ui->uj", F, path.frames(s)[:, :, 0])
+    angles = (tangent[:, 1:] / tangent[:, :1]).T  # yaw and pitch of the path, seen from the arc
+    path_modes = deviation_modes(path, float(s[0]) + 1.0, length, True, driver)
+    reconstruction = path_modes.modes[: len(path_modes.modes) - path_modes.lane_change_modes].reshape(-1, angles.size)
+    covariance = reconstruction.T @ reconstruction + ARC_MISFIT_STD_RAD**2 * np.eye(angles.size)
+    gradients = np.stack(arc.heading_modes(start + u), axis=1)
+    basis = [
+        sigma * np.outer(axis, u**k / factorial(k))
+        for axis, sigmas in zip(np.eye(2), TURN_PRIOR.values(), strict=True)
+        for k, sigma in enumerate(sigmas)
+    ]
+    B = np.concatenate([basis, gradients]).reshape(-1, angles.size)
+    weighted = np.linalg.solve(covariance, B.T)
+    information, axes = np.linalg.eigh(B @ weighted + np.eye(len(B)))
+    root = axes / np.sqrt(information)  # of the covariance of the coefficients of B
+    mean = root.T @ (weighted.T @ angles.ravel())
+    return _deviation(u, (root.T @ B).reshape(-1, 2, len(u)), driver, mean)
+
+
+def _deviation(u: Array, modes: Array, driver: DriverSettings, mean: Array | None = None) -> PathDeviation:
+    """The `PathDeviation` of ``modes`` (K, 2, N), with those of lane changes."""
     lane_change = _yaw_process_modes(u, driver.lane_change, driver.lane_change_length)
-    return PathDeviation(u, np.concatenate([components, lane_change]), len(lane_change))
+    means = np.zeros(len(modes) + len(lane_change))
+    if mean is not None:
+        means[: len(mean)] = mean
+    return PathDeviation(u, np.concatenate([modes, lane_change]), len(lane_change), means)
 
 
 def direction_prior(driver: DriverSettings) -> dict[str, tuple[float, ...]]:

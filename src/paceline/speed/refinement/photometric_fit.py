@@ -27,7 +27,7 @@ from paceline.speed.refinement import robust_covariance
 from paceline.speed.refinement.keyframes import Keyframe
 from paceline.speed.refinement.pyramid import ROWS_PER_PATCH, PatchGrid, PyramidLevel, build_levels
 from paceline.speed.refinement.self_calibration import RigEstimate, RigParameters, fixed_rig
-from paceline.speed.refinement.trajectory import Prior, Trajectory
+from paceline.speed.refinement.trajectory import PARAMETER_INDEX, Prior, Trajectory
 
 # The stages of a fit: the smoothing at the farthest view (px), and whether the finer pyramid levels are used
 LEVEL_SCHEDULE = ((2.5, False), (1.2, False), (0.7, True))
@@ -103,6 +103,13 @@ class PhotometricFit:
         if evidence > min_log_odds:
             other = PhotometricFit(self._rig.stated, self.keyframes, prior).with_free_rig()
         return other._log_evidence(term, self.prior, other._covariance_inflation), other
+
+    def without_term(self, prior: Prior, term: str, min_log_odds: float) -> PhotometricFit:
+        """The fit of the model without the motion ``term``, under ``prior``, unless the log Bayes factor of this model
+        over that one exceeds ``min_log_odds``."""
+        if self._log_evidence(term, prior, self._covariance_inflation) >= min_log_odds:
+            return self
+        return PhotometricFit(self._rig.stated, self.keyframes, prior).with_free_rig()
 
     def on_outline(self, quad: Array, max_steps: int) -> PhotometricFit:
         """The same model fitted to another outline ``quad`` (4, 2) px of the first left view, in at most ``max_steps``
@@ -237,7 +244,7 @@ class PhotometricFit:
         wide = self.prior.information[np.ix_(free, free)]
         in_term = np.isin(narrower.free, self.trajectory.index(term))
         of_term = narrower.information[np.ix_(in_term, in_term)] if in_term.any() else wide / ABSENT_TERM_SCALE**2
-        score = precision @ self.theta[self.trajectory.index(term)]
+        score = precision @ (self.theta - self.prior.mean)[self.trajectory.index(term)]
         confined = precision - wide + of_term
         logdet = [np.linalg.slogdet(m)[1] for m in (precision, wide, confined, of_term)]
         misfit = score @ (np.linalg.solve(precision, score) - np.linalg.solve(confined, score))
@@ -278,6 +285,7 @@ class PhotometricFit:
         p = self.prior
         root = np.linalg.cholesky(p.information).T
         theta = p.mean.copy()
+        start = np.where(p.free == PARAMETER_INDEX["curvature"], 0.0, p.mean[p.free])  # that of the path
 
         def residuals(x: Array) -> Array:
             theta[p.free] = x
@@ -289,7 +297,7 @@ class PhotometricFit:
             ahead, behind = self.trajectory.quads(perturbed).reshape(2, len(x), -1)
             return np.concatenate([((ahead - behind) / (2 * steps[:, None])).T, root])
 
-        optimum = least_squares(residuals, p.mean[p.free], jacobian, x_scale="jac", loss="soft_l1", max_nfev=40)
+        optimum = least_squares(residuals, start, jacobian, x_scale="jac", loss="soft_l1", max_nfev=40)
         theta[p.free] = optimum.x
         return theta
 
@@ -383,7 +391,7 @@ class PhotometricFit:
     @property
     def deviation_sigma(self) -> float:
         """RMS of the amplitudes of the deviation from the path, each of prior standard deviation 1."""
-        amplitudes = self.theta[np.intersect1d(self.trajectory.index("deviation"), self.prior.free)]
+        amplitudes = (self.theta - self.prior.mean)[np.intersect1d(self.trajectory.index("deviation"), self.prior.free)]
         return float(np.sqrt((amplitudes**2).mean())) if len(amplitudes) else 0.0
 
     @property

@@ -16,6 +16,7 @@ from scipy.interpolate import CubicSpline, PPoly
 from paceline.arrays import Array
 from paceline.cameras import StereoRig
 from paceline.speed.configuration import DEFAULTS, DriverSettings
+from paceline.speed.geometry.fitted_arc import CURVATURE_STD_PER_M
 from paceline.speed.geometry.initial_plane import InitialPlane
 from paceline.speed.geometry.paths import Path, level_frames, rolled, rotation_minimising_roll
 from paceline.speed.geometry.quadrilaterals_cpu import unit_square_to
@@ -36,7 +37,6 @@ AMPLITUDE_STEP = 1e-3
 
 LOG_DEPTH_STD = 0.3
 SPEED_STD_MPS = 30.0  # standard deviation of the speed's prior, so wide that it has little effect
-CURVATURE_STD_PER_M = 0.03  # standard deviation of the curvature of a turning vehicle's path
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,8 @@ class Trajectory:
 
     ``plane`` gives the initial normal; ``times`` (F, 2) are each view's exposures in seconds since the outline. The
     parameters ``theta`` (n,) are those of MOTION_PARAMETER_NAMES, then the amplitudes of ``deviation`` and those of a
-    varying acceleration, a Gaussian process over time. ``driver`` gives the prior of the motion.
+    varying acceleration, a Gaussian process over time. ``driver`` gives the prior of the motion; ``curvature_mean``
+    (1/m) is the prior mean of the curvature in addition to the path's: not zero where the path is the filter's.
     """
 
     rig: StereoRig
@@ -64,6 +65,7 @@ class Trajectory:
     times: Array
     deviation: PathDeviation
     driver: DriverSettings = DEFAULTS.driver
+    curvature_mean: float = 0.0
 
     @cached_property
     def steps(self) -> Array:
@@ -265,8 +267,8 @@ def corners_of(H: Array) -> Array:
 def prior(trajectory: Trajectory, speed: float, terms: tuple[str, ...] = ()) -> Prior:
     """The prior by how drivers brake, turn and keep their lane, how fronts are tilted, and the path's covariance.
 
-    ``speed`` (m/s) is the mean, with a wide prior. Those of MOTION_TERMS that are not in ``terms`` are fixed at zero,
-    the acceleration at that of steady drivers.
+    ``speed`` (m/s) is the mean, with a wide prior. Those of MOTION_TERMS that are not in ``terms`` are fixed at
+    their means, the acceleration at that of steady drivers.
     """
     std = parameter_stds(trajectory)
     for name in MOTION_TERMS:
@@ -274,6 +276,8 @@ def prior(trajectory: Trajectory, speed: float, terms: tuple[str, ...] = ()) -> 
             std[trajectory.index(name)] = trajectory.driver.steadiness if name == "acceleration" else 0.0
     mean = np.zeros_like(std)
     mean[:2] = np.log(trajectory.plane.centre[2]), speed
+    mean[len(MOTION_PARAMETER_NAMES) :][: len(trajectory.deviation.mean)] = trajectory.deviation.mean
+    mean[PARAMETER_INDEX["curvature"]] = trajectory.curvature_mean
     mean[PARAMETER_INDEX["normal_tilt"]] = trajectory.plane.mean_tilt
     free = np.flatnonzero(std > 0)
     return Prior(mean, free, np.diag(1.0 / std[free] ** 2))
