@@ -269,6 +269,10 @@ _WARNING_ROWS = {
         "path {path}: {cause}; its vehicles are measured without it",
         "Draw another road line, in both views: one that does not run sideways through the images.",
     ),
+    "path_not_followed": (
+        "does not drive along path {path}: measured without it",
+        "Draw the road line along which it drives, in both views, or give the vehicle no path.",
+    ),
     "occluded_frames": ("hidden or unlike itself in {frames}", "Find these frames in the overlay."),
     "lost_at_frame": ("lost at frame {frame}", "The frames before count; find the moment in the overlay."),
     "not_refined": (

@@ -16,14 +16,15 @@ from paceline.speed import acceptance
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.filter.batch import TrackerBatch
 from paceline.speed.filter.estimate import MIN_REFERENCE_SIMILARITY, MIN_VISIBLE_SIMILARITY, Estimate
+from paceline.speed.filter.initialization import is_heading_known
 from paceline.speed.filter.tracker import Tracker
-from paceline.speed.geometry.fitted_arc import fit_arc
+from paceline.speed.geometry.fitted_arc import fit_arc, travel_along
 from paceline.speed.geometry.initial_plane import plane_across, plane_from_outlines
 from paceline.speed.geometry.paths import Path
 from paceline.speed.methods import OnEstimate
 from paceline.speed.refinement.keyframes import Keyframe
 from paceline.speed.refinement.model_selection import RefinedMotion, refine
-from paceline.speed.refinement.path_deviation import deviation_of
+from paceline.speed.refinement.path_deviation import deviation_of, heading_innovation
 from paceline.speed.refinement.self_calibration import RigEstimate
 from paceline.speed.refinement.trajectory import Trajectory
 from paceline.speed.results import CONFIDENCE_LEVEL, Measurement, RigInformation, Track
@@ -31,6 +32,7 @@ from paceline.units import COVERAGE_95
 from paceline.verdicts import Message, message, plural
 
 CROP_MARGIN = (0.6, 24.0)  # margin around a region, as a share of its size and in px
+HEADING_GATE_SIGMA = 4.0  # standard deviations between the directions of a vehicle and of its drawn curve
 MAX_PATH_DISTANCE_M = 15.0  # greatest distance between a vehicle and its path
 
 
@@ -65,6 +67,7 @@ class VehicleMeasurement:
         self.estimates: list[Estimate] = []
         self.keyframes: list[Keyframe] = []
         self._stride = 1  # frames from one keyframe to the next
+        self._is_off_path = False  # whether the vehicle does not drive along its drawn path
         self._last_is_extra = False  # whether the last keyframe is beside this stride
 
     def process(self, frame: StereoFrame) -> bool:
@@ -125,30 +128,52 @@ class VehicleMeasurement:
         return self._measured(refined, sum(e.status == "tracking" for e in self.estimates))
 
     def _refined(self) -> RefinedMotion:
-        """The refined motion. The filter has chosen the direction along the path from two frames, which may be too near
-        to each other to tell it: a negative speed means the other direction."""
+        """The refined motion. The direction along the path was chosen from few frames, which may be too near to each
+        other to tell it: a negative speed means the other direction."""
         speed = float(np.mean([e.speed for e in self.estimates[1:] if e.status == "tracking"]))
-        refined = self._refine_from(speed)
-        if self.path is not None and (backward := refined.mean_speed()[0]) < 0:
-            direction = self.tracker.path
-            (self.tracker.path,) = (path for path in self.tracker.candidate_paths if path is not direction)
-            refined = self._refine_from(-backward)
+        drawn = self._drawn_path()
+        self._is_off_path = self.path is not None and drawn is None
+        refined = self._refine_from(speed, drawn)
+        if drawn is not None and (backward := refined.mean_speed()[0]) < 0:
+            (other,) = (path for path in self.tracker.candidate_paths if path is not drawn)
+            refined = self._refine_from(-backward, other)
         return refined
 
-    def _refine_from(self, speed: float) -> RefinedMotion:
+    def _refine_from(self, speed: float, drawn: Path | None) -> RefinedMotion:
         min_log_odds = self.configuration.model.min_log_odds
-        return refine(self._trajectory(speed), self.keyframes, speed, self.path is not None, min_log_odds)
+        return refine(self._trajectory(speed, drawn), self.keyframes, speed, drawn is not None, min_log_odds)
 
-    def _trajectory(self, speed: float) -> Trajectory:
-        """The outline's motion model: along the line in the direction of travel, else on an arc through the
-        filter's places."""
+    @property
+    def _places(self) -> Array:
+        """The places (N, 3) at which the filter has tracked the vehicle."""
+        return np.array([e.position for e in self.estimates if e.status == "tracking"])
+
+    def _drawn_path(self) -> Path | None:
+        """The drawn path in the direction of travel, in which the filter's particles or, on a curve, its places go.
+
+        None where they do not go along that curve at all.
+        """
+        path = self.tracker.path
+        if path is None or path.shape == "line":
+            return path
+        places = self._places
+        travel, middle = travel_along(places), places.mean(0)
+        paths = self.tracker.candidate_paths
+        ahead = max(paths, key=lambda p: float(travel @ p.frames(np.array(p.nearest(middle)))[:, 0]))
+        if is_heading_known(places[-1] - places[0]):
+            arc, _ = fit_arc(self.vehicle.id, places)
+            if heading_innovation(arc, middle, ahead, self.configuration.driver) > HEADING_GATE_SIGMA:
+                return None
+        return ahead
+
+    def _trajectory(self, speed: float, drawn: Path | None) -> Trajectory:
+        """The outline's motion model: along a drawn line, else on an arc through the filter's places."""
         first = self.keyframes[0]
-        path, drawn, curvature_mean = self.tracker.path, self.tracker.path, 0.0
-        on_arc = drawn is None or drawn.shape == "curve"
-        if path is None or on_arc:
-            places = np.array([e.position for e in self.estimates if e.status == "tracking"])
-            path, curvature = fit_arc(self.vehicle.id, places, drawn)
-            curvature_mean = -curvature if drawn is None else 0.0
+        if drawn is not None and drawn.shape == "line":
+            path, on_curve, curvature_mean = drawn, None, 0.0
+        else:
+            path, curvature = fit_arc(self.vehicle.id, self._places, drawn)
+            on_curve, curvature_mean = drawn, 0.0 if drawn else -curvature
         if self.vehicle.plane == "free":
             start = np.array(path.nearest(self.tracker.plane.centre))
             plane = plane_across(self.tracker.plane, path.frames(start)[:, 0])
@@ -156,7 +181,7 @@ class VehicleMeasurement:
             plane = plane_from_outlines(self.rig, self.vehicle, path, self.configuration.click_sigma)
         times = np.array([k.times for k in self.keyframes]) - np.mean(first.times)
         driver = self.configuration.driver
-        deviation = deviation_of(path, plane, times, speed, drawn is not None, driver, drawn if on_arc else None)
+        deviation = deviation_of(path, plane, times, speed, drawn is not None, driver, on_curve)
         return Trajectory(self.rig, self.vehicle.left, plane, path, times, deviation, driver, curvature_mean)
 
     def _measured(self, refined: RefinedMotion, frames: int) -> Measurement:
@@ -228,6 +253,8 @@ class VehicleMeasurement:
         if np.isnan(refined.systematic_covariance).any():
             consequence = "the interval holds no systematic part"
             notices.append(message("rig_uncertainty_missing", rig="rig.yaml", consequence=consequence))
+        if self._is_off_path:
+            notices.append(message("path_not_followed", path=self.vehicle.path))
         hidden = sum(e.similarity < MIN_REFERENCE_SIMILARITY for e in self.estimates)
         if hidden:
             notices.append(message("occluded_frames", frames=plural(hidden, "frame")))

@@ -46,8 +46,9 @@ class Tracker:
 
     ``path`` (None for free motion) is the drawn one, not yet shifted by ``lateral_offset`` to the lane's centre: which
     side is right is known only when the vehicle has moved. From the second frame on ``self.path`` is the path in the
-    direction of travel. The first update takes the operator's quadrilaterals as they are. From the second frame on the
-    particles are on ``device``. Raises ValueError for a resampling scheme that the device does not have.
+    direction of travel, where the particles keep to it. The first update takes the operator's quadrilaterals as they
+    are. From the second frame on the particles are on ``device``. Raises ValueError for a resampling scheme that the
+    device does not have.
     """
 
     def __init__(
@@ -101,8 +102,8 @@ class Tracker:
         assert self._first is not None
         start = self.particle_set.to_host().state
         self.particle_set = self._initialization.initialize_speed(frame, self._first, start)
-        if self.candidate_paths:
-            self.path = self._path_ahead()
+        if isinstance(self.particle_set.motion, PathMotion):
+            self.path = self.particle_set.motion.path
 
     def register(self, frame: StereoFrame) -> None:
         """Move the particles by the registered position of the plane: the proposal of the weighted ensemble Kalman
@@ -197,15 +198,6 @@ class Tracker:
         self.model.initialize(pack_views(frame, [particle_set.image_bounds()]), state[np.zeros(1, np.int64)])
         self._first, self._time = frame, frame.time
         return initial_estimate(frame, self.vehicle, self.plane, state, self.configuration.particles)
-
-    def _path_ahead(self) -> Path:
-        """The candidate path in the direction of travel of the particles."""
-        motion = self.particle_set.motion
-        if isinstance(motion, PathMotion):
-            return motion.path
-        velocity = self.particle_set.mean().velocity[0]
-        directions = [path.frames(np.array(path.nearest(self.plane.centre)))[:, 0] for path in self.candidate_paths]
-        return self.candidate_paths[int(np.argmax([velocity @ direction for direction in directions]))]
 
     # --- checkpoints -------------------------------------------------------------------------------------------------
 

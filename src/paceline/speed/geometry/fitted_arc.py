@@ -22,10 +22,8 @@ def fit_arc(name: str, places: Array, path: Path | None = None) -> tuple[Path, f
     gives the direction in which the fit begins, and in which it remains where the places are too near to each other.
     """
     level, offset = places[:, ::2], places[:, ::2].mean(0)
-    if path is None:
-        ahead = (np.arange(len(level)) - 0.5 * (len(level) - 1)) @ level  # that of the line fitted over the frames
-    else:
-        ahead = path.frames(np.array(path.nearest(places.mean(0))))[::2, 0]
+    direction = travel_along(places) if path is None else path.frames(np.array(path.nearest(places.mean(0))))[:, 0]
+    ahead = direction[::2]
     ahead = ahead / max(float(np.linalg.norm(ahead)), 1e-12)
     right = np.array([ahead[1], -ahead[0]])
     along, across = (level - offset) @ ahead, (level - offset) @ right
@@ -46,6 +44,11 @@ def fit_arc(name: str, places: Array, path: Path | None = None) -> tuple[Path, f
     modes = np.zeros((2, PATH_SAMPLES, 3))
     modes[..., 1] = ((arc - offset) * gradient_std).T
     return resampled(name, "curve", points, modes), float(x[2])
+
+
+def travel_along(places: Array) -> Array:
+    """The direction (3,), of any length, in which ``places`` (N, 3) follow one another: their slope over the index."""
+    return np.asarray((np.arange(len(places)) - 0.5 * (len(places) - 1)) @ places)
 
 
 def _distance_from_arc(x: Array, along: Array, across: Array) -> Array:

@@ -12,7 +12,7 @@ from scipy.interpolate import CubicSpline
 from paceline.arrays import Array
 from paceline.speed.configuration import DEFAULTS, DriverSettings
 from paceline.speed.geometry.fitted_arc import CURVATURE_STD_PER_M
-from paceline.speed.geometry.initial_plane import InitialPlane
+from paceline.speed.geometry.initial_plane import TRAVEL_YAW_STD_RAD, InitialPlane
 from paceline.speed.geometry.paths import Path
 
 # Standard deviations of a polynomial in the distance: curvature (1/m) and its derivatives, on a path
@@ -128,6 +128,15 @@ def deviation_from_arc(
     root = axes / np.sqrt(information)  # of the covariance of the coefficients of B
     mean = root.T @ (weighted.T @ angles.ravel())
     return _deviation(u, (root.T @ B).reshape(-1, 2, len(u)), driver, mean)
+
+
+def heading_innovation(arc: Path, place: Array, path: Path, driver: DriverSettings = DEFAULTS.driver) -> float:
+    """The yaw of a drawn ``path`` from the ``arc`` on which a vehicle drives, at a ``place`` (3,), in its standard
+    deviations: of the path's reconstruction, of lane keeping and of the direction of travel."""
+    tangent = arc.frames(np.array(arc.nearest(place))).T @ path.frames(s := np.array(path.nearest(place)))[:, 0]
+    by_mode, _ = path.heading_modes(s[None])
+    std = np.sqrt(np.square(by_mode).sum() + driver.heading**2 + TRAVEL_YAW_STD_RAD**2)
+    return abs(float(np.arctan2(tangent[1], tangent[0]))) / float(std)
 
 
 def _deviation(u: Array, modes: Array, driver: DriverSettings, mean: Array | None = None) -> PathDeviation:
