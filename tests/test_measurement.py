@@ -406,7 +406,7 @@ def test_the_fit_of_all_frames_decides_about_the_direction(clip: Path) -> None:
     expected, driven = run.result(), run.tracker.path
     (run.tracker.path,) = (path for path in run.tracker.candidate_paths if path is not driven)
     found = run.result()
-    assert (found.verdict, run.tracker.path) == ("measured", driven)
+    assert found.verdict == "measured"
     assert found.speed == pytest.approx(expected.speed, abs=0.1 * expected.random_std)
 
 
