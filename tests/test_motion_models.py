@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from paceline.speed.configuration import SpeedConfiguration
-from paceline.speed.filter.initialization import draw_yaw_rate
+from paceline.speed.filter.initialization import curvature_ahead, draw_yaw_rate
 from paceline.speed.filter.motion_models import (
     CoordinatedTurn,
     FreeMotion,
@@ -25,7 +25,7 @@ from paceline.speed.filter.motion_models import (
     plane_centres,
     plane_yaws,
 )
-from paceline.speed.geometry.paths import Path
+from paceline.speed.geometry.paths import Path, resampled
 
 SEEDS = st.integers(0, 2**32 - 1)
 SILENT = {
@@ -348,21 +348,34 @@ def test_a_coordinated_turn_is_the_integral_of_a_turning_velocity(rig, seed, dt)
     np.testing.assert_allclose(after.speed, np.sqrt((velocity**2).sum(1)))
 
 
-@pytest.mark.parametrize(("speed", "std"), [(15.0, 2.0 / 15.0), (1.0, 1.0 / 6.4)])
-def test_the_first_yaw_rate_is_that_of_a_usual_lateral_acceleration(rig, speed, std):
-    """2 m/s² at usual speeds, the smallest turning circle at low ones; whatever is drawn, the turn leads to the same
-    place."""
+@pytest.mark.parametrize(
+    ("speed", "std", "curvature"), [(15.0, 2.0 / 15.0, 0.0), (1.0, 1.0 / 6.4, 0.0), (15.0, 2.0 / 15.0, -1 / 40)]
+)
+def test_the_first_yaw_rate_is_that_of_a_usual_lateral_acceleration(rig, speed, std, curvature):
+    """2 m/s² at usual speeds, the smallest turning circle at low ones, about the road's turn; whatever is drawn, the
+    turn leads to the same place."""
     N, dt = 20000, 0.2
     velocity = speed * np.array([0.6, 0.05, -0.8]) / np.linalg.norm([0.6, 0.05, -0.8])
     state = random_state(rig, 4, N=1, velocity=velocity[None], speed=np.array([speed]))[np.zeros(N, int)]
-    drawn = draw_yaw_rate(state, dt, np.random.default_rng(2))
+    drawn = draw_yaw_rate(state, dt, curvature, np.random.default_rng(2))
     np.testing.assert_allclose(drawn.turning[:, 1].std(), std, rtol=0.03)
-    assert abs(drawn.turning[:, 1].mean()) < 4 * std / np.sqrt(N)
+    assert abs(drawn.turning[:, 1].mean() - curvature * speed) < 4 * std / np.sqrt(N)
     np.testing.assert_array_equal(drawn.turning[:, [0, 2]], 0.0)
     model = CoordinatedTurn(rig, SpeedConfiguration(rotation_noise=0.0, translation_noise=0.0))
     after = model.propagate(drawn, dt, np.random.default_rng(0))
     moved = plane_centres(rig, after) - plane_centres(rig, state)
     np.testing.assert_allclose(moved[:, [0, 2]], np.tile(velocity[[0, 2]] * dt, (N, 1)), atol=1e-8)
+
+
+def test_the_curvature_ahead_is_that_of_the_path_in_the_direction_of_travel():
+    turn = np.linspace(0.0, 0.8, 60)
+    points = np.column_stack([50.0 * (1 - np.cos(turn)), np.full(60, 1.5), 10 + 50.0 * np.sin(turn)])
+    path = resampled("lane", "curve", points, np.zeros((0, 60, 3)))
+    place, ahead = points[20], points[21] - points[20]
+    for velocity, curvature in ((ahead, 1 / 50), (-ahead, -1 / 50)):
+        for paths in ([path, path.reversed()], [path.reversed(), path]):
+            assert curvature_ahead(paths, place, velocity) == pytest.approx(curvature, rel=0.01)
+    assert curvature_ahead([], place, ahead) == 0.0
 
 
 # --- the Kalman step -----------------------------------------------------------------------------------------------

@@ -30,7 +30,13 @@ from paceline.speed.measurement import measure_clip
 from paceline.speed.refinement import pyramid_cpu, view_dependence
 from paceline.speed.refinement.keyframes import Keyframe
 from paceline.speed.refinement.model_selection import RefinedMotion, refine
-from paceline.speed.refinement.photometric_fit import FIXED_INFORMATION, GAMMA_RANGE, PATCH_GRIDS, PhotometricFit
+from paceline.speed.refinement.photometric_fit import (
+    COMMON_DISPARITY_STD_PX,
+    FIXED_INFORMATION,
+    GAMMA_RANGE,
+    PATCH_GRIDS,
+    PhotometricFit,
+)
 from paceline.speed.refinement.pyramid import (
     OPTICAL_BLUR_PX,
     ROWS_PER_PATCH,
@@ -747,6 +753,41 @@ def test_rig_shift_and_systematic_covariance() -> None:
     np.testing.assert_allclose(fit.systematic_covariance, response @ response.T, rtol=1e-9)
 
 
+def keep_weights(fit: PhotometricFit, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All weights of ``fit`` stay as they are."""
+    weighing: dict[tuple[int, ...], NDArray[np.float64]] = {}
+    whitening = view_dependence.whitening
+    monkeypatch.setattr(
+        view_dependence, "whitening", lambda r, *given: weighing.setdefault(r.shape, whitening(r, *given))
+    )
+    monkeypatch.setattr(PyramidLevel, "_update_weights", lambda *_: None)
+    assert fit._view_dependent
+    fit._assemble()
+
+
+def refitted(fit: PhotometricFit, trajectory: Trajectory) -> PhotometricFit:
+    """``fit`` with another ``trajectory``, its rig fixed."""
+    other = copy(fit)
+    other.trajectory, other._rig, other.rig_offset = trajectory, fixed_rig(trajectory), np.zeros(0)
+    other._reset(fit.theta, [copy(level) for level in fit.levels], fit.depth_offsets)
+    other.gauss_newton(1e-3)
+    return other
+
+
+def test_the_covariance_by_disparities_equals_refits_with_shifted_right_views(
+    rendered: Callable[[Scene], Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fit, _ = fitted(load_clip(rendered(scene("approaching", 14.0, 2, frames=14))))
+    mean = fit.trajectory.mean_speed_gradient
+    keep_weights(fit, monkeypatch)
+    rig = fit.trajectory.rig
+    shift = np.zeros((3, 3))
+    shift[:2, 2] = COMMON_DISPARITY_STD_PX * rig.t[:2] / np.linalg.norm(rig.t[:2])
+    rigs = [replace(rig, right=replace(rig.right, K=rig.right.K + step * shift)) for step in (-5.0, 5.0)]
+    behind, ahead = (mean @ refitted(fit, replace(fit.trajectory, rig=r)).theta for r in rigs)
+    assert abs(ahead - behind) / 10 == pytest.approx(np.sqrt(mean @ fit.disparity_covariance @ mean), rel=0.05)
+
+
 def test_the_response_to_the_rig_equals_refits_with_a_moved_rig(
     rendered: Callable[[Scene], Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -757,24 +798,11 @@ def test_the_response_to_the_rig_equals_refits_with_a_moved_rig(
     estimate = fit.rig_estimate(fit.rig_offset, fit.covariance_given_rig)
     assert estimate is not None
     mean = fit.trajectory.mean_speed_gradient
-    weighing: dict[tuple[int, ...], NDArray[np.float64]] = {}
-    whitening = view_dependence.whitening
-    monkeypatch.setattr(
-        view_dependence, "whitening", lambda r, *given: weighing.setdefault(r.shape, whitening(r, *given))
-    )
-    monkeypatch.setattr(PyramidLevel, "_update_weights", lambda *_: None)
-    assert fit._view_dependent
-    fit._assemble()
+    keep_weights(fit, monkeypatch)
     for q in np.argsort(np.abs(mean @ estimate.response))[-3:]:
-        speeds = []
-        for step in (-0.5, 0.5):
-            held_there = copy(fit)
-            held_there.trajectory = fit.trajectory_with(fit.rig_offset + step * np.eye(len(fit.rig_offset))[q])
-            held_there._rig, held_there.rig_offset = fixed_rig(held_there.trajectory), np.zeros(0)
-            held_there._reset(fit.theta, [copy(level) for level in fit.levels], fit.depth_offsets)
-            held_there.gauss_newton(1e-3)
-            speeds.append(mean @ held_there.theta)
-        assert speeds[1] - speeds[0] == pytest.approx(mean @ estimate.response[:, q], rel=0.1)
+        offsets = [fit.rig_offset + step * np.eye(len(fit.rig_offset))[q] for step in (-0.5, 0.5)]
+        behind, ahead = (mean @ refitted(fit, fit.trajectory_with(offset)).theta for offset in offsets)
+        assert ahead - behind == pytest.approx(mean @ estimate.response[:, q], rel=0.1)
     own = np.linalg.eigvalsh(estimate.information)
     assert own.min() > -1e-6 and own.max() > 1.0  # images add information
     known = float(np.sqrt(mean @ estimate.covariance @ mean))

@@ -181,9 +181,8 @@ def test_an_estimate_fits_the_truth() -> None:
 @pytest.mark.parametrize(("kind", "sign"), [("left", 1), ("right", -1)])
 def test_the_yaw_rate_of_a_curve(kind: str, sign: int) -> None:
     """Towards growing arc length the road turns left; who comes along it the other way turns right."""
-    s = small(kind, 15.0, seed=2)
-    rates = [e.yaw_rate for e in track(s, 1.0)[3:]]
-    assert np.mean(rates) == pytest.approx(sign * 15.0 / 150.0, rel=0.4)
+    rates = [e.yaw_rate for seed in (2, 3, 4) for e in track(small(kind, 15.0, seed=seed), 1.0)[3:]]
+    assert np.mean(rates) == pytest.approx(sign * 15.0 / 150.0, rel=0.5)
 
 
 def test_a_vehicle_that_leaves_the_image_ends() -> None:

@@ -27,12 +27,14 @@ from paceline.speed.filter.registration import (
 )
 from paceline.speed.filter.resampling import Weights
 from paceline.speed.geometry.initial_plane import InitialPlane, likeliest_face, normal_of_face
+from paceline.speed.geometry.paths import Path
 
 SpeedPrior = tuple[float, float]  # a speed and its standard deviation, m/s
 
 SCALE_CANDIDATES = np.geomspace(0.72, 1.4, 23)  # of the template from the first frame to the second
 TEMPLATE_MATCH_SIGMA_PX = 0.7  # standard deviation of a matched template's position and size
 MIN_HEADING_TRAVEL_M = 2.0  # distance travelled from which on its direction is used
+CURVATURE_LENGTH_M = 5.0  # m of a path over which its curvature is taken
 MIN_START_ESS_SHARE = 0.2  # least effective sample size after the second frame, as a share of the particles
 MAX_START_ITERATIONS = 4  # iterations of the first registration
 START_STEP_TOLERANCE = 0.02  # relative change of the registered distance at which the iteration has converged
@@ -47,13 +49,15 @@ START_SPEED_STD_FACTOR = 2.0  # std of the drawn speeds over that of the speed f
 class Initialization:
     """The initialization of one vehicle's track, with what `tracker.Tracker` has for it.
 
-    ``motions`` are the candidates, one for each direction along the path; ``texture`` is None without registration.
+    ``motions`` are the candidates, one for each direction along the path where particles keep to it; ``paths`` are the
+    drawn path in both directions, empty where there is none; ``texture`` is None without registration.
     """
 
     rig: StereoRig
     vehicle: VehicleDocument
     configuration: SpeedConfiguration
     motions: Sequence[PathMotion | FreeMotion]
+    paths: Sequence[Path]
     model: ObservationModel
     texture: ReferenceTexture | None
     plane: InitialPlane
@@ -153,12 +157,14 @@ class Initialization:
         return self.turn_start(state, dt) if isinstance(motion, CoordinatedTurn) else state
 
     def turn_start(self, state: State, dt: float) -> State:
-        """``state``, whose ``velocity`` is the mean one of the next ``dt`` s, with drawn yaw rates.
+        """``state``, whose ``velocity`` is the mean one of the next ``dt`` s, with drawn yaw rates, about those of the
+        drawn path.
 
         Where the vehicle travels far enough within ``dt``, its plane is aligned with the direction of travel.
         """
         velocity = state.velocity.mean(0)
-        state = draw_yaw_rate(state, dt, self.rng)
+        curvature = curvature_ahead(self.paths, self.plane.centre, velocity)
+        state = draw_yaw_rate(state, dt, curvature, self.rng)
         if not is_heading_known(velocity * dt):
             return state
         direction_std = float(np.std(motion_models.headings(state.velocity, velocity)))
@@ -286,12 +292,23 @@ def draw_registered_start(
     return replace(state, velocity=velocity, speed=np.linalg.norm(velocity, axis=1))
 
 
-def draw_yaw_rate(state: State, dt: float, rng: np.random.Generator) -> State:
+def curvature_ahead(paths: Sequence[Path], place: Array, velocity: Array) -> float:
+    """Curvature (1/m), to the right, at a ``place`` (3,) of that of the ``paths`` which goes in the direction of the
+    ``velocity`` (3,), over `CURVATURE_LENGTH_M`; 0 where there is none."""
+    if not paths:
+        return 0.0
+    stretches = [path.frames(path.nearest(place) + np.array([0.0, CURVATURE_LENGTH_M]))[:, :, 0] for path in paths]
+    ahead = max(stretches, key=lambda tangents: float(tangents[0] @ velocity))
+    return float(motion_models.headings(ahead[1:], ahead[0])[0]) / CURVATURE_LENGTH_M
+
+
+def draw_yaw_rate(state: State, dt: float, curvature: float, rng: np.random.Generator) -> State:
     """``state``, whose ``velocity`` is the mean one of the next ``dt`` s, on turns with yaw rates drawn from how
-    vehicles corner: each particle begins in the direction from which its turn leads to the same place.
+    vehicles corner, about that of a road of this ``curvature`` (1/m), to the right: each particle begins in the
+    direction from which its turn leads to the same place.
     """
     std = np.minimum(LATERAL_ACCELERATION_STD_MPS2 / np.maximum(state.speed, 1e-9), state.speed / MIN_TURNING_RADIUS_M)
-    yaw_rate = std * rng.normal(0.0, 1.0, len(state))
+    yaw_rate = curvature * state.speed + std * rng.normal(0.0, 1.0, len(state))
     half = 0.5 * yaw_rate * dt
     chord = np.sinc(half / np.pi)
     velocity = turned(state.velocity, np.cos(half) / chord, -np.sin(half) / chord)

@@ -187,8 +187,9 @@ class Tracker:
     @property
     def _initialization(self) -> Initialization:
         c, device, rng = self.configuration, self.device, self.rng
+        motions, paths = self._motions, self.candidate_paths
         return Initialization(
-            self.rig, self.vehicle, c, self._motions, self.model, self.texture, self.plane, device, rng
+            self.rig, self.vehicle, c, motions, paths, self.model, self.texture, self.plane, device, rng
         )
 
     def initialize(self, frame: StereoFrame) -> Estimate:

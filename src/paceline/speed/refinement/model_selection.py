@@ -24,7 +24,7 @@ class RefinedMotion:
     it is fixed. ``rig_shift_sigma`` (Q,) are the rig's shifts over the standard deviations that they have if the
     calibration is as uncertain as rig.yaml states.
 
-    Three covariances (n, n) of ``theta`` (n,) add up: ``covariance`` from image noise, ``model_covariance`` from the
+    Three covariances (n, n) of ``theta`` (n,) add up: ``covariance`` from the images, ``model_covariance`` from the
     choice among motion models, ``systematic_covariance`` from what remains unknown of the calibration (NaN where the
     rig states no uncertainty).
 
@@ -100,7 +100,7 @@ def refine(
         log_odds += min_log_odds
     chosen, fit = fit, fit.with_view_dependence()
     offset, theta, variance = fit.average_over_grids()
-    reduction = variance / fit.mean_speed_variance
+    reduction, common = variance / fit.mean_speed_variance, fit.disparity_covariance
     # Bayesian model averaging: a model that was not chosen keeps its posterior probability
     probabilities = np.exp([0.0, *(evidence - log_odds for evidence, _ in others)])
     probabilities /= probabilities.sum()
@@ -116,10 +116,10 @@ def refine(
         fit.trajectory_with(offset),
         fit.rig_shift_sigma,
         theta,
-        reduction * covariance,
+        reduction * covariance + common,
         model_covariance,
         fit.systematic_covariance,
-        fit.rig_estimate(offset, reduction * given_rig),
+        fit.rig_estimate(offset, reduction * given_rig + common),
         fit.residual_rms,
         fit.contrast,
         *fit.residual_offsets(),

@@ -48,6 +48,9 @@ FIXED_INFORMATION = 1e8  # information of a parameter that is held fixed
 ABSENT_TERM_SCALE = 1e-4  # prior standard deviation of an absent motion term over that of a present one
 MIN_MODEL_PROBABILITY = 1e-3  # least probability of a model in the average
 MIN_INFORMATION_SHARE = 0.05  # least reduction of a rig direction's variance by the images, as a share of the prior's
+# Standard deviation (px) of an error that all disparities have in common, by how both cameras sample the same edges;
+# measured with benchmarks/bends.py --renderer raytraced
+COMMON_DISPARITY_STD_PX = 0.02
 # Factor of the standard deviations for errors that are common to all frames and patches, which the scatter of scores
 # does not show; measured with benchmarks/accuracy.py
 COVARIANCE_FACTOR = 1.4
@@ -322,21 +325,10 @@ class PhotometricFit:
         part of one patch of one view. The cells are (views, K, m, m) and (views, K, m), m = P + Q + 1 + ROWS_PER_PATCH,
         with the patch's own depth offsets last.
         """
-        p, P, Q, K = self.prior, len(self.prior.free), len(self.rig_offset), len(self.depth_offsets)
+        p, P, Q = self.prior, len(self.prior.free), len(self.rig_offset)
         H, H_d = (h.reshape(-1, 3, 3) for h in self.trajectory.homographies(self.theta))
-        dH = self._derivatives(p.free)
-        if Q:
-            dH = np.concatenate(
-                [dH, self._rig.homography_jacobian(self.trajectory, self.theta, self.rig_offset, H)], axis=-1
-            )
         shared = P + Q + 1
-        cells = np.zeros((len(H), K, shared + ROWS_PER_PATCH))
-        cells_A = np.zeros((*cells.shape, shared + ROWS_PER_PATCH))
-        viewing_directions = self.trajectory.directions(self.theta).reshape(-1, 3) if self._view_dependent else None
-        for level in self.levels:
-            a, s = level.normal_equations(H, H_d, self.depth_offsets, self.gamma, dH, viewing_directions)
-            cells_A[level.views] += a
-            cells[level.views] += s
+        cells_A, cells = self._assemble_cells(H, H_d, self._homography_jacobian(H))
         A, score = self._prior_information(self._rig.prior_weight), np.zeros(shared + self.depth_offsets.size)
         score[:P] = p.information @ (self.theta - p.mean)[p.free]
         score[P : P + Q] = self._rig.prior_weight * self.rig_offset
@@ -348,6 +340,43 @@ class PhotometricFit:
             cells_A,
             cells,
         )
+
+    def _homography_jacobian(self, H: Array) -> Array:
+        """∂H/∂(θ, rig's offset) (views, 3, 3, P + Q)."""
+        by_motion = self._derivatives(self.prior.free)
+        if not len(self.rig_offset):
+            return by_motion
+        by_rig = self._rig.homography_jacobian(self.trajectory, self.theta, self.rig_offset, H)
+        return np.concatenate([by_motion, by_rig], axis=-1)
+
+    def _assemble_cells(self, H: Array, H_d: Array, dH: Array) -> tuple[Array, Array]:
+        """The cells of all levels, with the derivatives ``dH`` (views, 3, 3, C) by C shared parameters beside γ."""
+        size = dH.shape[-1] + 1 + ROWS_PER_PATCH
+        cells = np.zeros((len(H), len(self.depth_offsets), size))
+        cells_A = np.zeros((*cells.shape, size))
+        viewing_directions = self.trajectory.directions(self.theta).reshape(-1, 3) if self._view_dependent else None
+        for level in self.levels:
+            a, s = level.normal_equations(H, H_d, self.depth_offsets, self.gamma, dH, viewing_directions)
+            cells_A[level.views] += a
+            cells[level.views] += s
+        return cells_A, cells
+
+    @property
+    def disparity_covariance(self) -> Array:
+        """Covariance (n, n) of all parameters by an error of `COMMON_DISPARITY_STD_PX` that all disparities share."""
+        H, H_d = (h.reshape(-1, 3, 3) for h in self.trajectory.homographies(self.theta))
+        baseline = self.trajectory.rig.t[:2] / np.linalg.norm(self.trajectory.rig.t[:2])
+        shift = np.zeros((*H.shape, 1))
+        shift[1::2, :2, :, 0] = baseline[:, None] * H[1::2, 2:]
+        jacobian = self._homography_jacobian(H)
+        shared = jacobian.shape[-1]
+        cells_A, _ = self._assemble_cells(H, H_d, np.concatenate([jacobian, shift], axis=-1))
+        A = robust_covariance.assemble(cells_A, shared + 2)
+        others = np.delete(np.arange(len(A)), shared)
+        fitted = A[np.ix_(others, others)] + self._prior_information(self._rig.prior_weight)
+        response = np.zeros(len(self.theta))
+        response[self.prior.free] = np.linalg.solve(fitted, A[others, shared])[: len(self.prior.free)]
+        return COMMON_DISPARITY_STD_PX**2 * np.outer(response, response)
 
     def _prior_information(self, rig_information: float) -> Array:
         """Prior information matrix of the free parameters, the rig's offset (``rig_information`` in each direction), γ
