@@ -75,7 +75,8 @@ def refine(
     ``trajectory`` moves the operator's outline along the path; ``speed`` (m/s) is the filter's mean. The model is
     constant speed along the path, or without one straight on unless the images show a curvature; terms for a constant
     acceleration, a lane change and, on a path, a varying acceleration are added where the logarithms of their Bayes
-    factors exceed ``min_log_odds`` times the number of terms. Raises numpy.linalg.LinAlgError where the images
+    factors exceed ``min_log_odds`` times the number of terms. Without one of acceleration a speed that drivers hold
+    competes with one that is constant. Raises numpy.linalg.LinAlgError where the images
     determine nothing.
     """
     terms: tuple[str, ...] = () if on_path else ("curvature",)
@@ -98,6 +99,11 @@ def refine(
             break
         terms, fit = (*terms, best), extended[best][1]
         log_odds += min_log_odds
+    if not {"acceleration", "varying_acceleration"} & {*terms}:
+        constant = prior(trajectory, speed, terms, is_constant=True)
+        if (odds := fit.log_odds_against("acceleration", constant)) > 0:
+            others = [(log_odds - odds, fit), *((evidence - odds, other) for evidence, other in others)]
+            fit = fit.under(constant)
     chosen, fit = fit, fit.with_view_dependence()
     offset, theta, variance = fit.average_over_grids()
     reduction, common = variance / fit.mean_speed_variance, fit.disparity_covariance

@@ -97,9 +97,7 @@ class PhotometricFit:
         ``min_log_odds``, the model is fitted anew from the filter's estimates, because the lack of the term may have
         biased this fit.
         """
-        other = self._restarted()
-        other.prior = prior
-        other.gauss_newton(CONVERGED_STEP_SIGMA, max_steps=1)
+        other = self.under(prior, max_steps=1)
         evidence = other._log_evidence(term, self.prior, 1.0)
         if evidence < np.log(MIN_MODEL_PROBABILITY):
             return evidence, other
@@ -107,10 +105,21 @@ class PhotometricFit:
             other = PhotometricFit(self._rig.stated, self.keyframes, prior).with_free_rig()
         return other._log_evidence(term, self.prior, other._covariance_inflation), other
 
+    def under(self, prior: Prior, max_steps: int = MAX_RESTART_STEPS) -> PhotometricFit:
+        """The same model fitted under another ``prior``, starting from this fit."""
+        other = self._restarted()
+        other.prior = prior
+        other.gauss_newton(CONVERGED_STEP_SIGMA, max_steps)
+        return other
+
+    def log_odds_against(self, term: str, narrower: Prior) -> float:
+        """Log Bayes factor of the same model under a ``narrower`` prior of its motion ``term`` over this one."""
+        return -self._log_evidence(term, narrower, self._covariance_inflation)
+
     def without_term(self, prior: Prior, term: str, min_log_odds: float) -> PhotometricFit:
         """The fit of the model without the motion ``term``, under ``prior``, unless the log Bayes factor of this model
         over that one exceeds ``min_log_odds``."""
-        if self._log_evidence(term, prior, self._covariance_inflation) >= min_log_odds:
+        if self.log_odds_against(term, prior) <= -min_log_odds:
             return self
         return PhotometricFit(self._rig.stated, self.keyframes, prior).with_free_rig()
 

@@ -35,6 +35,7 @@ MOTION_TERMS = ("acceleration", "varying_acceleration", "lane_change", "curvatur
 DIFFERENCE_STEPS = np.array([1e-5, 1e-4, 1e-4, 1e-5, 1e-5, 1e-6])
 AMPLITUDE_STEP = 1e-3
 
+CONSTANT_SPEED_STD_MPS2 = 0.01  # m/s², of the acceleration at a speed that is kept constant, as by cruise control
 LOG_DEPTH_STD = 0.3
 SPEED_STD_MPS = 30.0  # standard deviation of the speed's prior, so wide that it has little effect
 
@@ -264,16 +265,18 @@ def corners_of(H: Array) -> Array:
     return np.asarray(p[..., :2] / p[..., 2:])
 
 
-def prior(trajectory: Trajectory, speed: float, terms: tuple[str, ...] = ()) -> Prior:
+def prior(trajectory: Trajectory, speed: float, terms: tuple[str, ...] = (), is_constant: bool = False) -> Prior:
     """The prior by how drivers brake, turn and keep their lane, how fronts are tilted, and the path's covariance.
 
     ``speed`` (m/s) is the mean, with a wide prior. Those of MOTION_TERMS that are not in ``terms`` are fixed at
-    their means, the acceleration at that of steady drivers.
+    their means, the acceleration at that of drivers who hold their speed or, where it ``is_constant``, at nearly zero.
     """
     std = parameter_stds(trajectory)
     for name in MOTION_TERMS:
         if name not in terms:
-            std[trajectory.index(name)] = trajectory.driver.steadiness if name == "acceleration" else 0.0
+            std[trajectory.index(name)] = 0.0
+    if "acceleration" not in terms:
+        std[PARAMETER_INDEX["acceleration"]] = CONSTANT_SPEED_STD_MPS2 if is_constant else trajectory.driver.steadiness
     mean = np.zeros_like(std)
     mean[:2] = np.log(trajectory.plane.centre[2]), speed
     mean[len(MOTION_PARAMETER_NAMES) :][: len(trajectory.deviation.mean)] = trajectory.deviation.mean
