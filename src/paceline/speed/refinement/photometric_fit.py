@@ -51,9 +51,6 @@ MIN_INFORMATION_SHARE = 0.05  # least reduction of a rig direction's variance by
 # Standard deviation (px) of an error that all disparities have in common, by how both cameras sample the same edges;
 # measured with benchmarks/bends.py --renderer raytraced
 COMMON_DISPARITY_STD_PX = 0.02
-# Factor of the standard deviations for errors that are common to all frames and patches, which the scatter of scores
-# does not show; measured with benchmarks/accuracy.py
-COVARIANCE_FACTOR = 1.4
 
 DEPTH_OFFSET_INFORMATION = np.linalg.inv(
     np.full((ROWS_PER_PATCH, ROWS_PER_PATCH), DEPTH_OFFSET_STD_M[0] ** 2)
@@ -408,7 +405,7 @@ class PhotometricFit:
         A, prior = (np.delete(np.delete(m, fixed, 0), fixed, 1) for m in (self.A, prior))
         cells_A, cells = np.delete(np.delete(cells_A, fixed, -2), fixed, -1), np.delete(cells, fixed, -1)
         gradient = np.append(self._mean_speed_gradient, np.zeros(Q + 1))
-        return COVARIANCE_FACTOR**2 * robust_covariance.covariance(A, prior, cells_A, cells, gradient)[:P, :P]
+        return robust_covariance.covariance(A, prior, cells_A, cells, gradient)[:P, :P]
 
     @property
     def full_covariance(self) -> Array:
