@@ -263,7 +263,7 @@ def test_the_deviation_of_a_lane_change_is_within_the_prior(
     """RMS of the amplitudes of the deviation from the path, lane change included where there is one."""
     for fit in [*lane_changes, *(fit for fit, _ in responses(1.0, count))]:
         deviation_modes = fit.trajectory.deviation
-        amplitudes = fit.theta[len(MOTION_PARAMETER_NAMES) :][: len(deviation_modes.modes)]
+        amplitudes = fit.theta[len(MOTION_PARAMETER_NAMES) :][: len(deviation_modes.modes)] - deviation_modes.mean
         if not (changes_lane := np.abs(amplitudes[-deviation_modes.lane_change_modes :]).max() > 0):
             amplitudes = amplitudes[: -deviation_modes.lane_change_modes]
         assert changes_lane == (fit in lane_changes)
@@ -467,7 +467,7 @@ def test_reflections_bias_the_speed_less_with_view_dependence(rendered: Callable
         for view_dependent in off:
             found = fit.with_view_dependence() if view_dependent else fit
             off[view_dependent].append(float(fit.trajectory.mean_speed_gradient @ found.theta) / true - 1.0)
-    assert np.mean(np.square(off[True])) < 0.7**2 * np.mean(np.square(off[False]))
+    assert np.mean(np.square(off[True])) < 0.8**2 * np.mean(np.square(off[False]))
 
 
 def test_the_mean_gain_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
