@@ -20,7 +20,7 @@ from paceline.speed.filter.initialization import is_heading_known
 from paceline.speed.filter.tracker import Tracker
 from paceline.speed.geometry.fitted_arc import fit_arc, travel_along
 from paceline.speed.geometry.initial_plane import plane_across, plane_from_outlines
-from paceline.speed.geometry.paths import Path
+from paceline.speed.geometry.paths import Path, path_ahead
 from paceline.speed.methods import OnEstimate
 from paceline.speed.refinement.keyframes import Keyframe
 from paceline.speed.refinement.model_selection import RefinedMotion, refine
@@ -158,8 +158,7 @@ class VehicleMeasurement:
             return path
         places = self._places
         travel, middle = travel_along(places), places.mean(0)
-        paths = self.tracker.candidate_paths
-        ahead = max(paths, key=lambda p: float(travel @ p.frames(np.array(p.nearest(middle)))[:, 0]))
+        ahead = path_ahead(self.tracker.candidate_paths, middle, travel)
         if is_heading_known(places[-1] - places[0]):
             arc, _ = fit_arc(self.vehicle.id, places)
             if heading_innovation(arc, middle, ahead, self.configuration.driver) > HEADING_GATE_SIGMA:
@@ -175,8 +174,7 @@ class VehicleMeasurement:
             path, curvature = fit_arc(self.vehicle.id, self._places, drawn)
             on_curve, curvature_mean = drawn, 0.0 if drawn else -curvature
         if self.vehicle.plane == "free":
-            start = np.array(path.nearest(self.tracker.plane.centre))
-            plane = plane_across(self.tracker.plane, path.frames(start)[:, 0])
+            plane = plane_across(self.tracker.plane, path.direction_near(self.tracker.plane.centre))
         else:
             plane = plane_from_outlines(self.rig, self.vehicle, path, self.configuration.click_sigma)
         times = np.array([k.times for k in self.keyframes]) - np.mean(first.times)

@@ -26,8 +26,9 @@ from paceline.speed.filter.registration import (
     update_by_registration,
 )
 from paceline.speed.filter.resampling import Weights
+from paceline.speed.geometry.fitted_arc import MIN_TURNING_RADIUS_M
 from paceline.speed.geometry.initial_plane import InitialPlane, likeliest_face, normal_of_face
-from paceline.speed.geometry.paths import Path
+from paceline.speed.geometry.paths import Path, path_ahead
 
 SpeedPrior = tuple[float, float]  # a speed and its standard deviation, m/s
 
@@ -41,7 +42,6 @@ START_STEP_TOLERANCE = 0.02  # relative change of the registered distance at whi
 # m/s², of the vehicle on its way: side friction 0.2, for which roads are designed at 30 mph (AASHTO, A Policy on
 # Geometric Design of Highways and Streets); up to twice as much is driven
 LATERAL_ACCELERATION_STD_MPS2 = 2.0
-MIN_TURNING_RADIUS_M = 6.4  # m, of a car's centre line at full lock (ibid.), which bounds the yaw rate of a slow one
 START_SPEED_STD_FACTOR = 2.0  # std of the drawn speeds over that of the speed from two registered positions
 
 
@@ -245,7 +245,7 @@ def speed_prior(
     travel = place - plane.centre
     forward = travel / max(float(np.linalg.norm(travel)), 1e-9)
     if isinstance(motion, PathMotion):
-        forward = motion.path.frames(np.array(motion.path.nearest(plane.centre)))[:, 0]
+        forward = motion.path.direction_near(plane.centre)
     depth_std = plane.inverse_depth_std * float(np.linalg.norm(plane.centre))
     measured_std = float(np.hypot(np.sqrt(forward @ covariance @ forward), depth_std)) / dt
     speed = float(np.clip(travel @ forward / dt, 0.0, configuration.start.speed_range[1]))
@@ -297,9 +297,9 @@ def curvature_ahead(paths: Sequence[Path], place: Array, velocity: Array) -> flo
     ``velocity`` (3,), over `CURVATURE_LENGTH_M`; 0 where there is none."""
     if not paths:
         return 0.0
-    stretches = [path.frames(path.nearest(place) + np.array([0.0, CURVATURE_LENGTH_M]))[:, :, 0] for path in paths]
-    ahead = max(stretches, key=lambda tangents: float(tangents[0] @ velocity))
-    return float(motion_models.headings(ahead[1:], ahead[0])[0]) / CURVATURE_LENGTH_M
+    path = path_ahead(paths, place, velocity)
+    directions = path.frames(path.nearest(place) + np.array([0.0, CURVATURE_LENGTH_M]))[:, :, 0]
+    return float(motion_models.headings(directions[1:], directions[0])[0]) / CURVATURE_LENGTH_M
 
 
 def draw_yaw_rate(state: State, dt: float, curvature: float, rng: np.random.Generator) -> State:

@@ -10,7 +10,8 @@ from paceline.speed.geometry.path_reconstruction import GRADIENT_STD
 from paceline.speed.geometry.paths import PATH_SAMPLES, Path, resampled
 
 CURVATURE_STD_PER_M = 0.03  # 1/m, of a turning vehicle's path: most turns are wider than 30 m
-MAX_CURVATURE_PER_M = 1 / 6.4  # 1/m, of a car at full lock
+# m, of a car's centre line at full lock (AASHTO, A Policy on Geometric Design of Highways and Streets)
+MIN_TURNING_RADIUS_M = 6.4
 PLACE_STD_M = 0.2  # m, of a tracked place across the path
 MARGIN_M = 5.0  # m, by which the arc runs on beyond the first and the last place
 
@@ -22,7 +23,7 @@ def fit_arc(name: str, places: Array, path: Path | None = None) -> tuple[Path, f
     gives the direction in which the fit begins, and in which it remains where the places are too near to each other.
     """
     level, offset = places[:, ::2], places[:, ::2].mean(0)
-    direction = travel_along(places) if path is None else path.frames(np.array(path.nearest(places.mean(0))))[:, 0]
+    direction = travel_along(places) if path is None else path.direction_near(places.mean(0))
     ahead = direction[::2]
     ahead = ahead / max(float(np.linalg.norm(ahead)), 1e-12)
     right = np.array([ahead[1], -ahead[0]])
@@ -31,7 +32,7 @@ def fit_arc(name: str, places: Array, path: Path | None = None) -> tuple[Path, f
     def residuals(x: Array) -> Array:
         return np.concatenate([_distance_from_arc(x, along, across) / PLACE_STD_M, x[1:] / [1.0, CURVATURE_STD_PER_M]])
 
-    limits = np.array([np.inf, 1.0, MAX_CURVATURE_PER_M])
+    limits = np.array([np.inf, 1.0, 1.0 / MIN_TURNING_RADIUS_M])
     x = least_squares(residuals, np.zeros(3), bounds=(-limits, limits), loss="soft_l1").x
     s = _arc_length(x, along, across)
     s = np.linspace(s.min() - MARGIN_M, s.max() + MARGIN_M, PATH_SAMPLES)

@@ -7,7 +7,7 @@ constraint: taking the drawn line as exact biases the speed by 2–7 %.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -103,6 +103,10 @@ class Path:
                 break
         return s
 
+    def direction_near(self, point: Array) -> Array:
+        """The unit tangent (3,), along increasing s, next to ``point`` (3,)."""
+        return self.frames(np.array(self.nearest(point)))[:, 0]
+
     def heading_modes(self, s: Array) -> tuple[Array, Array]:
         """Changes of yaw and pitch (J, N) in radians, at arc lengths ``s`` (N,), that one unit of each mode causes.
 
@@ -126,6 +130,11 @@ class Path:
         """The same curve travelled the other way."""
         s = self.s[-1] - self.s[::-1]
         return Path(self.name, self.shape, s, self.points[::-1].copy(), self.modes[:, ::-1].copy())
+
+
+def path_ahead(paths: Sequence[Path], place: Array, direction: Array) -> Path:
+    """That of the ``paths`` which, next to a ``place`` (3,), goes most nearly in the ``direction`` (3,)."""
+    return max(paths, key=lambda path: float(direction @ path.direction_near(place)))
 
 
 def level_frames(directions: Array) -> Array:

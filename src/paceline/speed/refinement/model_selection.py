@@ -76,14 +76,13 @@ def refine(
     constant speed along the path, or without one straight on unless the images show a curvature; terms for a constant
     acceleration, a lane change and, on a path, a varying acceleration are added where the logarithms of their Bayes
     factors exceed ``min_log_odds`` times the number of terms. Without one of acceleration a speed that drivers hold
-    competes with one that is constant. Raises numpy.linalg.LinAlgError where the images
-    determine nothing.
+    competes with one that is constant. Raises numpy.linalg.LinAlgError where the images determine nothing.
     """
     terms: tuple[str, ...] = () if on_path else ("curvature",)
     fit = PhotometricFit(trajectory, keyframes, prior(trajectory, speed, terms)).with_free_rig()
-    if terms:
-        turning, fit = fit, fit.without_term(prior(trajectory, speed), "curvature", min_log_odds)
-        terms = terms if fit is turning else ()
+    straight = prior(trajectory, speed)
+    if terms and fit.log_bayes_factor("curvature", straight) < min_log_odds:
+        terms, fit = (), PhotometricFit(trajectory, keyframes, straight).with_free_rig()
     excluded = "curvature" if on_path else "varying_acceleration"
     others: list[tuple[float, PhotometricFit]] = []
     log_odds = min_log_odds * (1 + len(terms))
@@ -101,7 +100,7 @@ def refine(
         log_odds += min_log_odds
     if not {"acceleration", "varying_acceleration"} & {*terms}:
         constant = prior(trajectory, speed, terms, is_constant=True)
-        if (odds := fit.log_odds_against("acceleration", constant)) > 0:
+        if (odds := -fit.log_bayes_factor("acceleration", constant)) > 0:
             others = [(log_odds - odds, fit), *((evidence - odds, other) for evidence, other in others)]
             fit = fit.under(constant)
     chosen, fit = fit, fit.with_view_dependence()

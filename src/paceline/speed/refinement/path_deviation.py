@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from math import factorial
@@ -17,10 +18,16 @@ from paceline.speed.geometry.paths import Path
 
 # Standard deviations of a polynomial in the distance: curvature (1/m) and its derivatives, on a path
 CURVATURE_PRIOR = {"yaw": (3e-4, 1e-5, 1e-7), "pitch": (1e-4, 1e-6)}
-# Direction (rad) and curvature without a path, where the direction comes from the filter; a turn is a motion term
-FREE_DIRECTION_PRIOR = {"yaw": (np.radians(15.0), 3e-4), "pitch": (np.radians(5.0), 1e-4)}
-# Of a turn before it is known: direction (rad) and curvature (1/m); pitch (rad)
-TURN_PRIOR = {"yaw": (np.radians(15.0), CURVATURE_STD_PER_M), "pitch": (np.radians(5.0),)}
+FILTER_YAW_STD_RAD, FILTER_PITCH_STD_RAD = np.radians(15.0), np.radians(5.0)  # of a direction that the filter gives
+# That direction and curvature (1/m) without a path, where a turn is a motion term
+FREE_DIRECTION_PRIOR = {
+    "yaw": (FILTER_YAW_STD_RAD, CURVATURE_PRIOR["yaw"][0]),
+    "pitch": (FILTER_PITCH_STD_RAD, CURVATURE_PRIOR["pitch"][0]),
+}
+TURN_PRIOR = {  # that direction and curvature of a turn before it is known
+    "yaw": (FILTER_YAW_STD_RAD, CURVATURE_STD_PER_M),
+    "pitch": (FILTER_PITCH_STD_RAD,),
+}
 ARC_MISFIT_STD_RAD = 0.01  # rad, of a path's direction at a place from that of the arc nearest to it
 LENGTH_FACTOR = 1.1  # length of the modelled path over the distance at the given speed
 MIN_PATH_LENGTH_M = 5.0  # least length of the modelled path
@@ -81,21 +88,8 @@ def deviation_modes(
     The modes are the principal components of the path's reconstruction error and of lane keeping. A polynomial of the
     heading is not enough: what it cannot follow biases the depth, so the speed.
     """
-    u = np.linspace(-1.0, length + 1.0, 81)
-    orders = (4, 3) if path.shape == "curve" else (2, 2)
-    stds = direction_prior(driver) if on_path else FREE_DIRECTION_PRIOR
-    modes = [
-        sigma * np.outer(axis, u**k / factorial(k))
-        for axis, order, sigmas in zip(np.eye(2), orders, stds.values(), strict=True)
-        for k, sigma in enumerate(sigmas[:order])
-    ]
-    modes += list(np.stack(path.heading_modes(start + u), axis=1))
-    if on_path and path.shape == "curve":
-        modes += list(_yaw_process_modes(u, *LANE_KEEPING_GP))
-    _, size, shapes = np.linalg.svd(np.reshape(modes, (len(modes), -1)), full_matrices=False)
-    keep = size > MIN_MODE_RAD * np.sqrt(len(u))
-    components = (size[keep, None] * shapes[keep]).reshape(-1, 2, len(u))
-    return _deviation(u, components, driver)
+    u = _distances(length)
+    return _deviation(u, _principal_components(path, start, u, on_path, driver), driver)
 
 
 def deviation_from_arc(
@@ -108,21 +102,15 @@ def deviation_from_arc(
     reconstruction themselves would leave the vehicle free to swerve where the drawing is uncertain; whether it does is
     for the motion term ``lane_change`` to tell.
     """
-    u = np.linspace(-1.0, length + 1.0, 81)
+    u = _distances(length)
     F = arc.frames(start + u)
-    s = path.nearest(arc.at(np.array(start))) + u
-    tangent = np.einsum("uij,ui->uj", F, path.frames(s)[:, :, 0])
+    path_start = path.nearest(arc.at(np.array(start)))
+    tangent = np.einsum("uij,ui->uj", F, path.frames(path_start + u)[:, :, 0])
     angles = (tangent[:, 1:] / tangent[:, :1]).T  # yaw and pitch of the path, seen from the arc
-    path_modes = deviation_modes(path, float(s[0]) + 1.0, length, True, driver)
-    reconstruction = path_modes.modes[: len(path_modes.modes) - path_modes.lane_change_modes].reshape(-1, angles.size)
+    reconstruction = _principal_components(path, path_start, u, True, driver).reshape(-1, angles.size)
     covariance = reconstruction.T @ reconstruction + ARC_MISFIT_STD_RAD**2 * np.eye(angles.size)
     gradients = np.stack(arc.heading_modes(start + u), axis=1)
-    basis = [
-        sigma * np.outer(axis, u**k / factorial(k))
-        for axis, sigmas in zip(np.eye(2), TURN_PRIOR.values(), strict=True)
-        for k, sigma in enumerate(sigmas)
-    ]
-    B = np.concatenate([basis, gradients]).reshape(-1, angles.size)
+    B = np.concatenate([_polynomial_modes(u, TURN_PRIOR), gradients]).reshape(-1, angles.size)
     weighted = np.linalg.solve(covariance, B.T)
     information, axes = np.linalg.eigh(B @ weighted + np.eye(len(B)))
     root = axes / np.sqrt(information)  # of the covariance of the coefficients of B
@@ -133,10 +121,37 @@ def deviation_from_arc(
 def heading_innovation(arc: Path, place: Array, path: Path, driver: DriverSettings = DEFAULTS.driver) -> float:
     """The yaw of a drawn ``path`` from the ``arc`` on which a vehicle drives, at a ``place`` (3,), in its standard
     deviations: of the path's reconstruction, of lane keeping and of the direction of travel."""
-    tangent = arc.frames(np.array(arc.nearest(place))).T @ path.frames(s := np.array(path.nearest(place)))[:, 0]
-    by_mode, _ = path.heading_modes(s[None])
+    tangent = arc.frames(np.array(arc.nearest(place))).T @ path.direction_near(place)
+    by_mode, _ = path.heading_modes(np.array([path.nearest(place)]))
     std = np.sqrt(np.square(by_mode).sum() + driver.heading**2 + TRAVEL_YAW_STD_RAD**2)
     return abs(float(np.arctan2(tangent[1], tangent[0]))) / float(std)
+
+
+def _distances(length: float) -> Array:
+    """Distances (N,) at which the modes over ``length`` metres are given, a metre more at either end."""
+    return np.linspace(-1.0, length + 1.0, 81)
+
+
+def _principal_components(path: Path, start: float, u: Array, on_path: bool, driver: DriverSettings) -> Array:
+    """Independent modes (K, 2, N) of the path's reconstruction error and of lane keeping at ``start + u`` (N,) m."""
+    stds = direction_prior(driver) if on_path else FREE_DIRECTION_PRIOR
+    orders = (4, 3) if path.shape == "curve" else (2, 2)
+    stds = {axis: sigmas[:order] for (axis, sigmas), order in zip(stds.items(), orders, strict=True)}
+    modes = [*_polynomial_modes(u, stds), *np.stack(path.heading_modes(start + u), axis=1)]
+    if on_path and path.shape == "curve":
+        modes += list(_yaw_process_modes(u, *LANE_KEEPING_GP))
+    _, size, shapes = np.linalg.svd(np.reshape(modes, (len(modes), -1)), full_matrices=False)
+    keep = size > MIN_MODE_RAD * np.sqrt(len(u))
+    return np.asarray((size[keep, None] * shapes[keep]).reshape(-1, 2, len(u)))
+
+
+def _polynomial_modes(u: Array, stds: Mapping[str, tuple[float, ...]]) -> list[Array]:
+    """Modes (2, N) of polynomials of yaw and pitch in ``u`` (N,); ``stds`` are those of their derivatives at 0."""
+    return [
+        sigma * np.outer(axis, u**k / factorial(k))
+        for axis, sigmas in zip(np.eye(2), stds.values(), strict=True)
+        for k, sigma in enumerate(sigmas)
+    ]
 
 
 def _deviation(u: Array, modes: Array, driver: DriverSettings, mean: Array | None = None) -> PathDeviation:

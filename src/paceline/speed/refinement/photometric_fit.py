@@ -100,7 +100,7 @@ class PhotometricFit:
             return evidence, other
         if evidence > min_log_odds:
             other = PhotometricFit(self._rig.stated, self.keyframes, prior).with_free_rig()
-        return other._log_evidence(term, self.prior, other._covariance_inflation), other
+        return other.log_bayes_factor(term, self.prior), other
 
     def under(self, prior: Prior, max_steps: int = MAX_RESTART_STEPS) -> PhotometricFit:
         """The same model fitted under another ``prior``, starting from this fit."""
@@ -109,16 +109,9 @@ class PhotometricFit:
         other.gauss_newton(CONVERGED_STEP_SIGMA, max_steps)
         return other
 
-    def log_odds_against(self, term: str, narrower: Prior) -> float:
-        """Log Bayes factor of the same model under a ``narrower`` prior of its motion ``term`` over this one."""
-        return -self._log_evidence(term, narrower, self._covariance_inflation)
-
-    def without_term(self, prior: Prior, term: str, min_log_odds: float) -> PhotometricFit:
-        """The fit of the model without the motion ``term``, under ``prior``, unless the log Bayes factor of this model
-        over that one exceeds ``min_log_odds``."""
-        if self.log_odds_against(term, prior) <= -min_log_odds:
-            return self
-        return PhotometricFit(self._rig.stated, self.keyframes, prior).with_free_rig()
+    def log_bayes_factor(self, term: str, narrower: Prior) -> float:
+        """Log Bayes factor of this model over the same one under a ``narrower`` prior of its motion ``term``."""
+        return self._log_evidence(term, narrower, self._covariance_inflation)
 
     def on_outline(self, quad: Array, max_steps: int) -> PhotometricFit:
         """The same model fitted to another outline ``quad`` (4, 2) px of the first left view, in at most ``max_steps``
