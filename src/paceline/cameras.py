@@ -7,8 +7,9 @@ drawn points are undistorted once, with the intrinsics K kept.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -21,17 +22,28 @@ VIEW_NAMES = ("left", "right")
 _TO_CONVERGENCE = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-10)  # the default stops 0.2 px short
 
 
+@dataclass(frozen=True)
+class Quantity:
+    """A quantity of the cameras: ``value``, standard deviation (0 where it is exact) and where both come from."""
+
+    value: float
+    std: float = 0.0
+    source: Literal["stated", "estimated", "assumed"] = "stated"
+
+
 @dataclass(frozen=True, eq=False)
 class Camera:
     """A pinhole camera.
 
     ``image_size`` is (width, height) in pixels, ``K`` the (3, 3) intrinsics in pixels, ``distortion`` OpenCV's
-    coefficients k1, k2, p1, p2[, k3[, k4, k5, k6[, …]]] (empty for none).
+    coefficients k1, k2, p1, p2[, k3[, k4, k5, k6[, …]]] (empty for none). ``readout`` is the time from the first row's
+    exposure to the last one's, s, negative from the bottom up; None where it is not known.
     """
 
     image_size: tuple[int, int]
     K: Array
     distortion: Array = field(default_factory=lambda: np.zeros(0))
+    readout: Quantity | None = None
 
     @cached_property
     def has_distortion(self) -> bool:
@@ -115,6 +127,7 @@ class RigUncertainty:
     ``focal_length_px`` and ``principal_point_px`` hold for each axis of each camera independently;
     ``rotation_rad`` and ``translation_m`` are about and along the right camera's x, y, z. ``covariance`` (14, 14),
     where there is one, counts in their place: of the left fx, fy, cx, cy, the right ones, rotation, translation.
+    ``is_assumed``: rig.yaml states none, and that of an ordinary careful calibration is assumed.
     """
 
     focal_length_px: float = 0.0
@@ -122,6 +135,7 @@ class RigUncertainty:
     rotation_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
     translation_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     covariance: Array | None = field(default=None, compare=False)
+    is_assumed: bool = False
 
     @property
     def covariance_root(self) -> Array:
@@ -179,7 +193,7 @@ def perturbed_rig(rig: StereoRig, move: Array) -> StereoRig:
     """``rig`` with its parameters changed by ``move`` (14,), in the order and about the axes of
     :class:`RigUncertainty`. Its cameras have no distortion, as pixels are ideal ones here."""
     left, right = (
-        Camera(camera.image_size, camera.K + [[m[0], 0, m[2]], [0, m[1], m[3]], [0, 0, 0]])
+        replace(camera, K=camera.K + [[m[0], 0, m[2]], [0, m[1], m[3]], [0, 0, 0]], distortion=np.zeros(0))
         for camera, m in zip(rig.cameras, (move[:4], move[4:8]), strict=True)
     )
     turn = np.asarray(cv2.Rodrigues(move[8:11])[0])

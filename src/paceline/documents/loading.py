@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 
 from paceline.arrays import Array, Indices
-from paceline.cameras import Camera, RigUncertainty, StereoRig
+from paceline.cameras import Camera, Quantity, RigUncertainty, StereoRig
 from paceline.documents import plausibility
 from paceline.documents.models import (
     CameraModel,
@@ -72,6 +72,8 @@ class Clip:
     paths: dict[str, PathDocument]
     vehicles: list[VehicleDocument]
     addresses: tuple[str, str]  # of both views, as live sources
+    offset: Quantity | None = None  # s, to add to the right view's times; None where it is not known
+    drawn_on: int = 0  # the frame on which the paths were drawn
 
 
 @dataclass(frozen=True, eq=False)
