@@ -25,8 +25,7 @@ from paceline.documents.loading import Clip
 from paceline.simulation.random_scenes.drawn import random_crossing, random_scene
 from paceline.simulation.stereo.clip import Scene
 from paceline.speed.configuration import SpeedConfiguration
-from paceline.speed.measurement import measure
-from paceline.speed.methods import measure as measure_by
+from paceline.speed.methods import DEFAULT_METHOD, measure
 from paceline.speed.results import ClipResult, Measurement
 
 Array = NDArray[np.float64]
@@ -53,10 +52,8 @@ class Outcome:
 def found_by(method: str, clip: Clip) -> tuple[ClipResult, float]:
     """The result and the processor seconds per frame."""
     recording, start_time = open_recording(clip), time.process_time()
-    if method in OURS:
-        result = measure(clip, recording, SpeedConfiguration(refine=OURS[method]))
-    else:
-        result = measure_by(clip, recording, method, SpeedConfiguration())
+    configuration = SpeedConfiguration(refine=OURS.get(method, True))
+    result = measure(clip, recording, DEFAULT_METHOD if method in OURS else method, configuration)
     frames = max(len(m.track.frame) for m in result.measurements)
     return result, (time.process_time() - start_time) / max(1, frames)
 

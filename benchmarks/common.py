@@ -25,7 +25,7 @@ from paceline.simulation.raytraced import stereo_clip
 from paceline.simulation.raytraced.scene_yaml import SpeedScene
 from paceline.simulation.stereo.clip import Scene, render, write
 from paceline.speed.configuration import SpeedConfiguration
-from paceline.speed.measurement import measure
+from paceline.speed.methods import DEFAULT_METHOD, measure
 from paceline.speed.results import Measurement
 from paceline.units import SpeedUnit
 
@@ -87,7 +87,7 @@ def guessed(clip: Clip, factor: float, truth: Rows) -> Clip:
 
 def measured(clip: Clip, **settings: Any) -> list[Measurement]:
     """The measurements of ``clip`` with the default configuration but for ``settings``."""
-    return measure(clip, open_recording(clip), SpeedConfiguration(**settings)).measurements
+    return measure(clip, open_recording(clip), DEFAULT_METHOD, SpeedConfiguration(**settings)).measurements
 
 
 def why_not(error: Exception) -> str:

@@ -19,7 +19,7 @@ from paceline.documents.loading import Clip, VehicleDocument, load_clip
 from paceline.geometry import triangulate
 from paceline.recordings.stereo import StereoRecording, open_recording
 from paceline.speed.configuration import SpeedConfiguration
-from paceline.speed.measurement import measure
+from paceline.speed.methods import DEFAULT_METHOD, measure
 
 FRAMES = 8  # in which a vehicle has to be wholly visible, to count
 VISIBLE = 0.97  # of its plane
@@ -65,7 +65,7 @@ def speeds(clip: Clip, recording: StereoRecording, names: list[str], truth: Rows
     """The speeds of the vehicles of ``clip``, which are called ``names`` in truth."""
     if not clip.vehicles:
         return {}
-    measured = measure(clip, recording, SpeedConfiguration()).measurements
+    measured = measure(clip, recording, DEFAULT_METHOD, SpeedConfiguration()).measurements
     return {
         name: Speed(
             (m.speed - true_mean(truth, replace(m, vehicle=name))) / MPH, (m.speed_hi - m.speed) / MPH, m.verdict

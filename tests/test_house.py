@@ -29,6 +29,7 @@ GROUND = {
 }  # fmt: skip
 BASE = GROUND | {"geometry", "recordings", "path_following"}
 READ = BASE | {"documents"}
+SEEN = READ | {"imaging"}
 MADE = {"speed", "calibration", "targets", "follow", "lanes", "baselines", "detection", "simulation", "survey"}
 MAY_IMPORT = {
     **{room: GROUND for room in GROUND},
@@ -36,21 +37,22 @@ MAY_IMPORT = {
     "recordings": GROUND,
     "path_following": BASE,
     "documents": BASE,
-    "speed": READ,
+    "imaging": READ,
+    "speed": SEEN,
     "calibration": READ,
     "targets": READ,
     "follow": READ | {"targets"},
     "lanes": READ | {"speed"},
     "baselines": READ | {"speed"},
-    "detection": READ | {"lanes", "speed"},
+    "detection": SEEN | {"lanes", "speed"},
     "simulation": READ,
     "simulation.closed_loop": READ | {"follow", "targets"},
     "simulation.boards": READ | {"calibration"},
-    "survey": READ | {"detection", "lanes", "speed"},
-    "reports": READ | MADE,
+    "survey": SEEN | {"detection", "lanes", "speed"},
+    "reports": SEEN | MADE,
     "console": READ | {"reports", "targets", "speed.geometry", "speed.configuration", "speed.choices"},
-    "commands": READ | MADE | {"reports", "console"},
-    "api": READ | MADE,
+    "commands": SEEN | MADE | {"reports", "console"},
+    "api": SEEN | MADE,
     "cli": GROUND | {"commands"},
     "__main__": {"cli"},
 }

@@ -80,13 +80,33 @@ class Camera:
         distorted = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), self.K, self.distortion)[0]
         return np.asarray(distorted, float).reshape(p.shape)
 
+    def turned(self, pixels: Array, rotation: Array) -> Array:
+        """Where ideal ``pixels`` (…, 2) are in the image once the camera has turned by ``rotation`` (…, 3), a rotation
+        vector in rad, so that a point at X in its axes comes to R X."""
+        rays, angle = self.rays(pixels), np.linalg.norm(rotation, axis=-1, keepdims=True)
+        axis = rotation / np.maximum(angle, 1e-300)
+        along = axis * (axis * rays).sum(-1, keepdims=True)
+        turned = along + np.cos(angle) * (rays - along) + np.sin(angle) * np.cross(axis, rays)
+        return self.project(turned)
+
     @cached_property
     def _undistortion_maps(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         a, b = cv2.initUndistortRectifyMap(self.K, self.distortion, np.eye(3), self.K, self.image_size, cv2.CV_32FC1)
         return np.asarray(a, np.float32), np.asarray(b, np.float32)
 
-    def undistort_image(self, image: NDArray[np.float32], rows: slice = ALL_ROWS) -> NDArray[np.float32]:
-        """The undistorted image (H, W), black outside of ``rows``; the same array where there is no distortion."""
+    def undistort_image(
+        self, image: NDArray[np.float32], rows: slice = ALL_ROWS, rotation: Array | None = None
+    ) -> NDArray[np.float32]:
+        """The undistorted image (H, W), black outside of ``rows``; the same array where there is no distortion.
+
+        Of a camera that has turned by ``rotation`` (a rotation vector, rad) the image is turned back.
+        """
+        if rotation is not None:
+            turned_back = cv2.Rodrigues(-np.asarray(rotation, float))[0]
+            a, b = cv2.initUndistortRectifyMap(
+                self.K, self.distortion, turned_back, self.K, self.image_size, cv2.CV_32FC1
+            )
+            return np.asarray(cv2.remap(image, a, b, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE))
         if not self.has_distortion:
             return image
         a, b = self._undistortion_maps

@@ -23,6 +23,7 @@ MAX_PARTICLES = 40  # particles written per view
 MAX_LINE_LENGTH = 1 << 19  # characters
 # What people read for an activity; the first field of its progress lines is the key, which other programs rely on.
 ACTIVITY_LABELS = {
+    "estimating": "estimating the cameras",
     "looking": "detecting vehicles",
     "averaging": "estimating background",
     "learning": "estimating background",

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -92,13 +92,22 @@ class StereoFrames(Protocol):
 class StereoRecording:
     """Pairs of frames of a rig; iterate it, as often as needed, for :class:`StereoFrame` after :class:`StereoFrame`.
 
-    Memory does not grow with its length.
+    Memory does not grow with its length. ``rotations`` (N, 2, 3) are rotation vectors (rad) by which each camera has
+    turned in each frame, which the frames are freed from; None where they are stationary.
     """
 
-    def __init__(self, rig: StereoRig, left: ImageSource, right: ImageSource, pairing: Pairing) -> None:
+    def __init__(
+        self,
+        rig: StereoRig,
+        left: ImageSource,
+        right: ImageSource,
+        pairing: Pairing,
+        rotations: Array | None = None,
+    ) -> None:
         """Raises UnusableInput when the first images do not have the rig's size."""
         self.rig = rig
         self.pairing = pairing
+        self.rotations = rotations
         self._sources = left, right
         self._repeated: tuple[set[int], set[int]] = set(), set()
         self._damaged: tuple[set[int], set[int]] = set(), set()
@@ -113,6 +122,12 @@ class StereoRecording:
 
     def __iter__(self) -> Iterator[StereoFrame]:
         return self.frames()
+
+    def corrected(self, offset: float, rotations: Array | None) -> StereoRecording:
+        """The same with the right exposures ``offset`` s later, and freed from ``rotations`` (N, 2, 3)."""
+        times, skews = self.pairing.times + offset / 2, self.pairing.skews + offset
+        pairing = replace(self.pairing, times=times, skews=skews)
+        return StereoRecording(self.rig, *self._sources, pairing, rotations)
 
     @property
     def sources(self) -> tuple[ImageSource, ImageSource]:
@@ -173,7 +188,8 @@ class StereoRecording:
                     duplicate = True
                 previous[side] = image
                 if k >= first:
-                    ideal.append(self.rig.cameras[side].undistort_image(image))
+                    rotation = None if self.rotations is None else self.rotations[k, side]
+                    ideal.append(self.rig.cameras[side].undistort_image(image, rotation=rotation))
             if len(ideal) == 2:
                 time, skew = float(self.times[k]), float(self.skews[k])
                 yield StereoFrame(numbers[0][i], time, ideal[0], ideal[1], skew, duplicate)

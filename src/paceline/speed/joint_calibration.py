@@ -18,7 +18,7 @@ from paceline.arrays import Array
 from paceline.speed import acceptance
 from paceline.speed.configuration import DEFAULTS, JointCalibrationSettings, SpeedConfiguration
 from paceline.speed.refinement.photometric_fit import MIN_INFORMATION_SHARE
-from paceline.speed.results import Measurement, RigInformation, Track
+from paceline.speed.results import ExposureEstimate, Measurement, RigInformation, Track
 from paceline.units import COVERAGE_95
 from paceline.verdicts import message
 
@@ -174,3 +174,20 @@ def calibrate_jointly(
 ) -> list[Measurement]:
     """The ``measurements`` of one recording, each corrected to the rig that neighbouring vehicles determine."""
     return [with_neighbours(m, [o for o in measurements if o is not m], configuration) for m in measurements]
+
+
+def estimate_exposures(measurements: Sequence[Measurement]) -> dict[str, ExposureEstimate]:
+    """What all vehicles of a recording together determine of its exposures, by the quantity's name."""
+    informed = [(m, m.rig_information) for m in measurements if m.rig_information is not None]
+    if not informed or not (stds := informed[0][1].exposure_stds):
+        return {}
+    evidence = [rig_evidence(information) for _, information in informed]
+    alone = rig_prior(len(evidence[0].score)) + evidence[0]
+    posterior = combine_consistent(evidence)[0] if len(evidence) > 1 else alone
+    first = len(posterior.score) - len(stds)
+    spread = np.sqrt(np.diag(posterior.covariance))
+    effects = np.median([np.abs(r.mean_speed_gradient * spread) / max(m.speed, 1e-9) for m, r in informed], axis=0)
+    return {
+        name: ExposureEstimate(float(std * posterior.mean[i]), float(std * spread[i]), float(effects[i]))
+        for i, (name, std) in enumerate(stds.items(), first)
+    }

@@ -17,7 +17,7 @@ from paceline.documents.loading import Clip, VehicleDocument, load_clip
 from paceline.errors import UnusableInput
 from paceline.progress import Progress
 from paceline.recordings.stereo import StereoFrame, StereoFrames, open_recording
-from paceline.speed import acceptance
+from paceline.speed import acceptance, methods
 from paceline.speed.choices import DeviceName
 from paceline.speed.configuration import DEFAULTS, SpeedConfiguration
 from paceline.speed.filter.batch import TrackerBatch
@@ -25,7 +25,7 @@ from paceline.speed.filter.device import open_device
 from paceline.speed.filter.estimate import Estimate
 from paceline.speed.geometry.path_reconstruction import path_from_document
 from paceline.speed.geometry.paths import Path, UndeterminedPath
-from paceline.speed.joint_calibration import calibrate_jointly
+from paceline.speed.joint_calibration import calibrate_jointly, estimate_exposures
 from paceline.speed.methods import DEFAULT_METHOD, Method, OnEstimate, register
 from paceline.speed.results import ClipResult, Measurement, PathDrawing
 from paceline.speed.run import VehicleMeasurement
@@ -41,7 +41,9 @@ def measure_clip(
 ) -> ClipResult:
     """Measures every vehicle of ``clip``, a clip.yaml or what `load_clip` returned for it. Raises UnusableInput."""
     loaded = clip if isinstance(clip, Clip) else load_clip(FilePath(clip))
-    return measure(loaded, open_recording(loaded), configuration or SpeedConfiguration(), progress, device)
+    return methods.measure(
+        loaded, open_recording(loaded), DEFAULT_METHOD, configuration or SpeedConfiguration(), progress, device
+    )
 
 
 @on_one_blas_thread
@@ -61,9 +63,10 @@ def measure(
     batch = TrackerBatch(open_device(device), fall_back_to_cpu=device == "auto")
     begin = partial(VehicleMeasurement, batch=batch, on_estimate=on_estimate)
     result = measure_each(clip, recording, configuration, begin, progress)
+    exposures = estimate_exposures(result.measurements)
     jointly = calibrate_jointly(result.measurements, configuration)
     measurements = [acceptance.apply_tolerance(m, configuration.tolerance) for m in jointly]
-    return replace(result, measurements=measurements, notices=[*result.notices, *batch.notices])
+    return replace(result, measurements=measurements, notices=[*result.notices, *batch.notices], exposures=exposures)
 
 
 register(DEFAULT_METHOD, Method(measure, uses_gpu=True))

@@ -6,18 +6,20 @@ points of the group ``paceline.methods``; the name of the entry point is the nam
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from importlib.metadata import EntryPoint, entry_points
 
+from paceline.cameras import VIEW_NAMES, Quantity
 from paceline.documents.loading import Clip
 from paceline.errors import UnusableInput
+from paceline.imaging.recorded_cameras import RecordedCameras, estimate_cameras
 from paceline.progress import Progress
-from paceline.recordings.stereo import StereoFrames
+from paceline.recordings.stereo import StereoFrames, StereoRecording
 from paceline.speed.choices import DeviceName
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.filter.estimate import Estimate
-from paceline.speed.results import ClipResult
+from paceline.speed.results import ClipResult, ExposureEstimate
 
 ENTRY_POINT_GROUP = "paceline.methods"  # group of the entry points
 DEFAULT_METHOD = "paceline"
@@ -88,20 +90,76 @@ def _loaded(name: str) -> Method:
 
 def measure(
     clip: Clip,
-    recording: StereoFrames,
+    recording: StereoRecording,
     method: str,
     configuration: SpeedConfiguration,
     progress: Progress | None = None,
     device: DeviceName = "cpu",
     on_estimate: OnEstimate | None = None,
 ) -> ClipResult:
-    """Measure every vehicle of ``clip`` by the ``method`` of this name, in one pass over its ``recording``.
+    """Measure every vehicle of ``clip`` by the ``method`` of this name, after what its ``recording`` tells of the
+    cameras has been estimated.
 
     ``progress`` is called with frames done and frames in all. Raises UnusableInput.
     """
+    seen = estimate_cameras(clip, recording)
+    return measure_as_seen(seen, method, configuration, progress, device, on_estimate)
+
+
+def measure_as_seen(
+    seen: RecordedCameras,
+    method: str,
+    configuration: SpeedConfiguration,
+    progress: Progress | None = None,
+    device: DeviceName = "cpu",
+    on_estimate: OnEstimate | None = None,
+) -> ClipResult:
+    """As `measure`, of cameras that were estimated before."""
     chosen = method_named(method, device)
-    result = chosen.measure(clip, recording, configuration, progress, device, on_estimate)
-    return replace(result, configuration=named(method) | result.configuration)
+    result = chosen.measure(seen.clip, seen.recording, configuration, progress, device, on_estimate)
+    measurements = [
+        replace(
+            m,
+            track=replace(
+                m.track,
+                left=seen.as_recorded(m.track.frame, m.track.left, 0),
+                right=seen.as_recorded(m.track.frame, m.track.right, 1),
+            ),
+        )
+        for m in result.measurements
+    ]
+    return replace(
+        result,
+        measurements=measurements,
+        configuration=named(method) | result.configuration,
+        cameras=camera_summary(seen, result.exposures),
+    )
+
+
+def camera_summary(seen: RecordedCameras, exposures: Mapping[str, ExposureEstimate]) -> dict[str, object]:
+    """The entry ``cameras`` of summary.json: what was known of the cameras and what the vehicles add to it."""
+    clip = seen.clip
+    summary = seen.summary()
+
+    def entry(name: str, quantity: Quantity | None) -> dict[str, object] | None:
+        if quantity is None:
+            return None
+        if name not in exposures:
+            return {"value": quantity.value, "std": quantity.std, "source": quantity.source, "speed_effect": 0.0}
+        e = exposures[name]
+        source = quantity.source if quantity.source == "stated" else "estimated"
+        return {
+            "value": quantity.value + e.difference,
+            "std": e.std,
+            "source": source,
+            "speed_effect": e.speed_effect,
+        }
+
+    views = {
+        name: {"readout_s": entry(f"{name} readout", camera.readout), **summary[name]}
+        for name, camera in zip(VIEW_NAMES, clip.rig.cameras, strict=True)
+    }
+    return {"offset_s": entry("offset", clip.offset), **summary, **views}
 
 
 def named(method: str) -> dict[str, object]:

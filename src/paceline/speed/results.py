@@ -45,11 +45,12 @@ class Track:
 
 @dataclass(frozen=True, eq=False)
 class RigInformation:
-    """What one vehicle's images determine of the rig, in Q directions, in standard uncertainties of the calibration.
+    """What one vehicle's images determine of the cameras, in Q directions, in standard uncertainties beforehand.
 
-    ``offset`` (Q,) is the rig's offset from rig.yaml to which the speeds belong, ``information`` (Q, Q) what the images
-    add to the prior. ``mean_speed_gradient`` (Q,) and ``speed_jacobian`` (N, Q) are the derivatives of the mean speed
-    and of the track's refined speeds by a further offset, m/s. With the rig known, these speeds have the standard
+    The last of these directions are those of the exposures, with the standard uncertainties ``exposure_stds`` (s) by
+    name. ``offset`` (Q,) is the cameras' offset to which the speeds belong, ``information`` (Q, Q) what the images add
+    to the prior. ``mean_speed_gradient`` (Q,) and ``speed_jacobian`` (N, Q) are the derivatives of the mean speed and
+    of the track's refined speeds by a further offset, m/s. With the cameras known, these speeds have the standard
     uncertainties ``mean_speed_std`` and ``speed_stds`` (N,), and the mean speed the interval ± ``half_width``, m/s.
     """
 
@@ -60,6 +61,7 @@ class RigInformation:
     half_width: float
     speed_jacobian: Array
     speed_stds: Array
+    exposure_stds: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,6 +127,16 @@ class PathDrawing:
     right: Array  # (M, 2)
 
 
+@dataclass(frozen=True)
+class ExposureEstimate:
+    """By how much a quantity of the exposures differs from what was known beforehand (``difference``, s, with its
+    standard deviation ``std``), and the relative change of the median vehicle's speed by that (``speed_effect``)."""
+
+    difference: float
+    std: float
+    speed_effect: float
+
+
 @dataclass(frozen=True, eq=False)
 class ClipResult:
     """The results of `paceline speed` for one clip."""
@@ -136,6 +148,8 @@ class ClipResult:
     versions: dict[str, str]
     notices: list[str]  # dropped, duplicated, skewed frames and the like
     seconds: float = float("nan")  # processing time
+    exposures: dict[str, ExposureEstimate] = field(default_factory=dict)  # by name, what vehicles determine of them
+    cameras: dict[str, object] = field(default_factory=dict)  # what is not taken as ideal, as in summary.json
 
     def to_pandas(self) -> Any:
         """A pandas.DataFrame with a row per vehicle: the keys of summary.json but for the notices. Raises UnusableInput

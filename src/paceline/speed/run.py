@@ -22,7 +22,7 @@ from paceline.speed.geometry.fitted_arc import fit_arc, travel_along
 from paceline.speed.geometry.initial_plane import plane_across, plane_from_outlines
 from paceline.speed.geometry.paths import Path, path_ahead
 from paceline.speed.methods import OnEstimate
-from paceline.speed.refinement.keyframes import Keyframe
+from paceline.speed.refinement.keyframes import Keyframe, exposures
 from paceline.speed.refinement.model_selection import RefinedMotion, refine
 from paceline.speed.refinement.path_deviation import deviation_of, heading_innovation
 from paceline.speed.refinement.self_calibration import RigEstimate
@@ -50,6 +50,7 @@ class VehicleMeasurement:
     ) -> None:
         self.batch, self.on_estimate = batch, on_estimate
         self.rig, self.vehicle, self.configuration = clip.rig, vehicle, configuration
+        self.offset = clip.offset
         self.limits = configuration.limits
         on_path = vehicle.path if vehicle.path in drawn else None
         self.path = drawn[on_path] if on_path is not None else None
@@ -167,7 +168,6 @@ class VehicleMeasurement:
 
     def _trajectory(self, speed: float, drawn: Path | None) -> Trajectory:
         """The outline's motion model: along a drawn line, else on an arc through the filter's places."""
-        first = self.keyframes[0]
         if drawn is not None and drawn.shape == "line":
             path, on_curve, curvature_mean = drawn, None, 0.0
         else:
@@ -177,10 +177,23 @@ class VehicleMeasurement:
             plane = plane_across(self.tracker.plane, path.direction_near(self.tracker.plane.centre))
         else:
             plane = plane_from_outlines(self.rig, self.vehicle, path, self.configuration.click_sigma)
-        times = np.array([k.times for k in self.keyframes]) - np.mean(first.times)
+        frame_times = np.array([np.mean(k.times) for k in self.keyframes])
+        times, timing = exposures(self.keyframes, self.rig, self.offset)
+        times, frame_times = times - frame_times[0], frame_times - frame_times[0]
         driver = self.configuration.driver
         deviation = deviation_of(path, plane, times, speed, drawn is not None, driver, on_curve)
-        return Trajectory(self.rig, self.vehicle.left, plane, path, times, deviation, driver, curvature_mean)
+        return Trajectory(
+            self.rig,
+            self.vehicle.left,
+            plane,
+            path,
+            times,
+            deviation,
+            frame_times,
+            timing,
+            driver,
+            curvature_mean,
+        )
 
     def _measured(self, refined: RefinedMotion, frames: int) -> Measurement:
         speed, noise_std, model_std, systematic_std = refined.mean_speed()
@@ -195,7 +208,7 @@ class VehicleMeasurement:
         fit = refined.rig_estimate
         rig_information = None if reason or fit is None else self._rig_information(refined, fit, student)
         reason = reason or acceptance.check_interval(speed, half_width, random, self.limits)
-        speeds, times = refined.speeds()[0], refined.trajectory.times.mean(1)
+        speeds, times = refined.speeds()[0], refined.trajectory.frame_times
         acceleration = float((speeds[-1] - speeds[0]) / (times[-1] - times[0]))
         terms = refined.motion_terms
         accelerating = {"acceleration", "varying_acceleration"} & {*terms}
@@ -235,6 +248,7 @@ class VehicleMeasurement:
             half_width=float(np.hypot(student * noise, COVERAGE_95 * model)),
             speed_jacobian=self._by_row(gradients @ fit.response),
             speed_stds=self._by_row(np.sqrt(variances)),
+            exposure_stds=refined.trajectory.timing.stds,
         )
 
     def _by_row(self, fitted: Array) -> Array:

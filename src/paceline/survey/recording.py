@@ -12,6 +12,7 @@ from paceline.detection.onnx_detector import OnnxDetector
 from paceline.detection.search import find_vehicles
 from paceline.documents.loading import Clip, load_clip
 from paceline.errors import UnusableInput
+from paceline.imaging.recorded_cameras import RecordedCameras, estimate_cameras
 from paceline.progress import Progress
 from paceline.recordings.stereo import StereoRecording, open_recording
 from paceline.speed import methods
@@ -21,7 +22,7 @@ from paceline.speed.methods import DEFAULT_METHOD, OnEstimate
 from paceline.speed.results import ClipResult
 from paceline.version import versions
 
-# From the next activity, "looking" or "measuring", to a context that yields its progress callback.
+# From the next activity, "estimating", "looking" or "measuring", to a context that yields its progress callback.
 Stage = Callable[[str], AbstractContextManager[Progress | None]]
 
 
@@ -65,20 +66,23 @@ def measure_recording(
     if detect is not None and clip.vehicles:
         raise UnusableInput(f"{clip.path}: vehicles: --detector is to find them; expected none")
 
-    def measured(clip: Clip) -> ClipResult:
+    with stage("estimating") as progress:
+        seen = estimate_cameras(clip, recording, progress)
+
+    def measured(seen: RecordedCameras) -> ClipResult:
         with stage("measuring") as progress:
-            return methods.measure(clip, recording, method, configuration, progress, device, on_estimate)
+            return methods.measure_as_seen(seen, method, configuration, progress, device, on_estimate)
 
     if clip.vehicles:
-        return measured(clip)
+        return measured(seen)
     with stage("looking") as progress:
-        search = find_vehicles(clip, recording, progress, detect, configuration)
+        search = find_vehicles(seen.clip, seen.recording, progress, detect, configuration)
     if search.reason:
         notices = [*recording.notices, *search.notices]
         settings = methods.named(method) | configuration.model_dump()
         result = ClipResult(str(clip.path), [], [], settings, versions(), notices, 0.0)
     else:
-        result = measured(search.clip)
+        result = measured(replace(seen, clip=search.clip))
         result = replace(result, notices=[*result.notices, *search.notices])
     if isinstance(detect, OnnxDetector):
         result = replace(

@@ -24,7 +24,7 @@ from paceline.progress import ACTIVITY_LABELS
 
 STYLESHEET_LINK = '<link rel="stylesheet" href="/static/console.css">'
 ACCENT_COLOR = "#2f7ac4"
-PREPARING_ACTIVITIES = ("looking", "averaging")  # activities of progress lines that come before measuring
+PREPARING_ACTIVITIES = ("estimating", "looking", "averaging")  # activities of progress lines that come before measuring
 BACKGROUND_ACTIVITY = "learning"  # the activity of a live run before it measures
 TAB_SET_UP, TAB_TARGET, TAB_RUNS = "Set up", "Target", "Run and results"
 READ_ONLY_TEXT = "This folder cannot be written: clips and results can be viewed, not changed or measured."

@@ -46,6 +46,7 @@ def write_summary(result: ClipResult, file: Path) -> None:
         "clip": result.clip,
         "vehicles": [vehicle_summary(m) for m in result.measurements],
         "notices": result.notices,
+        "cameras": result.cameras,
         "configuration": result.configuration,
         "versions": result.versions,
         "seconds": result.seconds,

@@ -105,7 +105,7 @@ def refine(
             fit = fit.under(constant)
     chosen, fit = fit, fit.with_view_dependence()
     offset, theta, variance = fit.average_over_grids()
-    reduction, common = variance / fit.mean_speed_variance, fit.disparity_covariance
+    reduction, common = variance / fit.mean_speed_variance, fit.matching_covariance
     # Bayesian model averaging: a model that was not chosen keeps its posterior probability
     probabilities = np.exp([0.0, *(evidence - log_odds for evidence, _ in others)])
     probabilities /= probabilities.sum()

@@ -26,7 +26,7 @@ from paceline.arrays import Array
 from paceline.speed.refinement import robust_covariance
 from paceline.speed.refinement.keyframes import Keyframe
 from paceline.speed.refinement.pyramid import ROWS_PER_PATCH, PatchGrid, PyramidLevel, build_levels
-from paceline.speed.refinement.self_calibration import RigEstimate, RigParameters, fixed_rig
+from paceline.speed.refinement.self_calibration import RigEstimate, RigParameters, fixed_rig, rig_directions
 from paceline.speed.refinement.trajectory import PARAMETER_INDEX, Prior, Trajectory
 
 # The stages of a fit: the smoothing at the farthest view (px), and whether the finer pyramid levels are used
@@ -48,9 +48,10 @@ FIXED_INFORMATION = 1e8  # information of a parameter that is held fixed
 ABSENT_TERM_SCALE = 1e-4  # prior standard deviation of an absent motion term over that of a present one
 MIN_MODEL_PROBABILITY = 1e-3  # least probability of a model in the average
 MIN_INFORMATION_SHARE = 0.05  # least reduction of a rig direction's variance by the images, as a share of the prior's
-# Standard deviation (px) of an error that all disparities have in common, by how both cameras sample the same edges;
-# measured with benchmarks/bends.py --renderer raytraced
-COMMON_DISPARITY_STD_PX = 0.02
+# Standard deviations (px) of errors that all matches between the views have in common, by how both cameras sample the
+# same edges: along the epipolar lines, measured with benchmarks/bends.py --renderer raytraced, and across them, by the
+# offsets between the views that the fit finds in clips whose offset is known
+COMMON_DISPARITY_STD_PX, COMMON_EPIPOLAR_STD_PX = 0.02, 0.005
 
 DEPTH_OFFSET_INFORMATION = np.linalg.inv(
     np.full((ROWS_PER_PATCH, ROWS_PER_PATCH), DEPTH_OFFSET_STD_M[0] ** 2)
@@ -137,17 +138,15 @@ class PhotometricFit:
     def with_free_rig(self) -> PhotometricFit:
         """The same model fitted with the rig free under its prior, starting from this fit; this fit itself where
         rig.yaml states no uncertainty."""
-        uncertainty = self.trajectory.rig.uncertainty
-        if uncertainty is None:
+        directions, exposures = rig_directions(self.trajectory), len(self.trajectory.timing.modes)
+        if not len(directions) + exposures:
             return self
         other = self._restarted()
-        rig_directions = uncertainty.covariance_root
-        rig_directions = rig_directions[rig_directions.any(1)]
-        other.rig_offset = np.zeros(len(rig_directions))
+        other.rig_offset = np.zeros(len(directions) + exposures)
         # The prior is weighted by the ratio of the actual covariance to that of pixel noise, which is right
         # only once the rig is free.
         for fit in (self, other):
-            other._rig = RigParameters(self.trajectory, rig_directions, fit._covariance_inflation)
+            other._rig = RigParameters(self.trajectory, directions, fit._covariance_inflation)
             other.gauss_newton(CONVERGED_STEP_SIGMA, MAX_RESTART_STEPS)
         return other
 
@@ -361,21 +360,25 @@ class PhotometricFit:
         return cells_A, cells
 
     @property
-    def disparity_covariance(self) -> Array:
-        """Covariance (n, n) of all parameters by an error of `COMMON_DISPARITY_STD_PX` that all disparities share."""
+    def matching_covariance(self) -> Array:
+        """Covariance (n, n) of all parameters by errors that all matches between the views share, along and across the
+        epipolar lines."""
         H, H_d = (h.reshape(-1, 3, 3) for h in self.trajectory.homographies(self.theta))
-        baseline = self.trajectory.rig.t[:2] / np.linalg.norm(self.trajectory.rig.t[:2])
-        shift = np.zeros((*H.shape, 1))
-        shift[1::2, :2, :, 0] = baseline[:, None] * H[1::2, 2:]
+        (x, y) = self.trajectory.rig.t[:2] / np.linalg.norm(self.trajectory.rig.t[:2])
+        axes = np.array([[COMMON_DISPARITY_STD_PX * x, -COMMON_EPIPOLAR_STD_PX * y],
+                         [COMMON_DISPARITY_STD_PX * y, COMMON_EPIPOLAR_STD_PX * x]])  # fmt: skip
+        shift = np.zeros((*H.shape, 2))
+        shift[1::2, :2] = axes[:, None] * H[1::2, 2:, :, None]
         jacobian = self._homography_jacobian(H)
         shared = jacobian.shape[-1]
         cells_A, _ = self._assemble_cells(H, H_d, np.concatenate([jacobian, shift], axis=-1))
-        A = robust_covariance.assemble(cells_A, shared + 2)
-        others = np.delete(np.arange(len(A)), shared)
+        A = robust_covariance.assemble(cells_A, shared + 3)
+        shifts = [shared, shared + 1]
+        others = np.delete(np.arange(len(A)), shifts)
         fitted = A[np.ix_(others, others)] + self._prior_information(self._rig.prior_weight)
-        response = np.zeros(len(self.theta))
-        response[self.prior.free] = np.linalg.solve(fitted, A[others, shared])[: len(self.prior.free)]
-        return COMMON_DISPARITY_STD_PX**2 * np.outer(response, response)
+        response = np.zeros((len(self.theta), 2))
+        response[self.prior.free] = np.linalg.solve(fitted, A[np.ix_(others, shifts)])[: len(self.prior.free)]
+        return np.asarray(response @ response.T)
 
     def _prior_information(self, rig_information: float) -> Array:
         """Prior information matrix of the free parameters, the rig's offset (``rig_information`` in each direction), γ
@@ -466,7 +469,7 @@ class PhotometricFit:
         """Covariance (n, n) of all parameters by that part of the calibration's uncertainty that the images do not
         remove; NaN where rig.yaml states none."""
         n, p = len(self.theta), self.prior.free
-        if self.trajectory.rig.uncertainty is None:
+        if self.trajectory.rig.uncertainty is None and not len(self.rig_offset):
             return np.full((n, n), np.nan)
         response = np.zeros((n, len(self.rig_offset)))
         response[p] = self._rig.prior_weight * np.linalg.inv(self.A)[: len(p), self._rig_slice]

@@ -1,4 +1,8 @@
-"""Self-calibration: the rig as a parameter whose prior is the calibration and its uncertainty in rig.yaml."""
+"""Self-calibration: what is uncertain of the cameras as parameters with a prior.
+
+These are the rig, whose prior is the calibration and its uncertainty, and the exposures: the time between the views and
+the readouts of the rows, as stated, estimated from the whole recording, or assumed.
+"""
 
 from __future__ import annotations
 
@@ -30,10 +34,11 @@ class RigEstimate:
 
 @dataclass(frozen=True, eq=False)
 class RigParameters:
-    """The rig's parameters in a fit.
+    """The cameras' parameters in a fit: Q of the rig and M of the exposures.
 
-    ``stated`` is the trajectory with the rig of rig.yaml, ``directions`` (Q, 14) those in which the rig is uncertain,
-    one prior standard deviation each, and ``prior_weight`` the information of the prior in each direction.
+    ``stated`` is the trajectory with the rig of rig.yaml and the exposures as known beforehand, ``directions`` (Q, 14)
+    are those in which the rig is uncertain, one prior standard deviation each, and ``prior_weight`` is the information
+    of the prior in each of the Q + M directions.
     """
 
     stated: Trajectory
@@ -41,15 +46,34 @@ class RigParameters:
     prior_weight: float
 
     def trajectory(self, offset: Array) -> Trajectory:
-        """The trajectory with the rig at ``offset`` (Q,), its path and plane scaled with the baseline."""
-        rig = self._offset_rig(offset)
-        return replace(self.stated.scaled(rig.baseline / self.stated.rig.baseline), rig=rig)
+        """The trajectory with the cameras at ``offset`` (Q + M,), its path and plane scaled with the baseline."""
+        rig = self._offset_rig(offset[: len(self.directions)])
+        times = self.stated.times + self.stated.timing.shift(offset[len(self.directions) :])
+        return replace(self.stated.scaled(rig.baseline / self.stated.rig.baseline), rig=rig, times=times)
 
     def homography_jacobian(self, trajectory: Trajectory, theta: Array, offset: Array, H: Array) -> Array:
-        """∂H/∂offset (views, 3, 3, Q) by finite differences; the motion stays, but the path scales with the baseline.
+        """∂H/∂offset (views, 3, 3, Q + M) by finite differences; the motion stays, but the path scales with the
+        baseline.
 
-        ``H`` (views, 3, 3) are the homographies of ``theta`` (n,) of ``trajectory`` at ``offset`` (Q,).
+        ``H`` (views, 3, 3) are the homographies of ``theta`` (n,) of ``trajectory`` at ``offset`` (Q + M,).
         """
+        of_rig = offset[: len(self.directions)]
+        by_time = [
+            (
+                replace(trajectory, times=trajectory.times + DIFFERENCE_STEP * mode)
+                .homographies(theta)[0]
+                .reshape(H.shape)
+                - H
+            )
+            / DIFFERENCE_STEP
+            for mode in trajectory.timing.modes
+        ]
+        return np.concatenate([self._by_rig(trajectory, theta, of_rig, H), *(d[..., None] for d in by_time)], axis=-1)
+
+    def _by_rig(self, trajectory: Trajectory, theta: Array, offset: Array, H: Array) -> Array:
+        """∂H/∂offset (views, 3, 3, Q) by the rig's ``offset`` (Q,)."""
+        if not len(offset):
+            return np.zeros((*H.shape, 0))
         rigs = [self._offset_rig(further) for further in offset + DIFFERENCE_STEP * np.eye(len(offset))]
         by_rig = np.moveaxis(
             (trajectory.homographies_by_rig(rigs, theta).reshape(-1, *H.shape) - H) / DIFFERENCE_STEP, 0, -1
@@ -61,11 +85,20 @@ class RigParameters:
         return np.asarray(by_rig + by_scale[..., None] * scaling)
 
     def _offset_rig(self, offset: Array) -> StereoRig:
-        """The rig at ``offset`` (Q,), with the same stated uncertainty."""
+        """The rig at ``offset`` (Q,), with the same uncertainty."""
         rig = self.stated.rig
         return replace(perturbed_rig(rig, offset @ self.directions), uncertainty=rig.uncertainty)
 
 
 def fixed_rig(trajectory: Trajectory) -> RigParameters:
-    """A rig without free parameters."""
+    """Cameras without free parameters."""
     return RigParameters(trajectory, np.zeros((0, 14)), 0.0)
+
+
+def rig_directions(trajectory: Trajectory) -> Array:
+    """The directions (Q, 14) in which the rig of a trajectory is uncertain, one standard deviation each."""
+    uncertainty = trajectory.rig.uncertainty
+    if uncertainty is None:
+        return np.zeros((0, 14))
+    root = uncertainty.covariance_root
+    return root[root.any(1)]

@@ -6,7 +6,7 @@ at every frame.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -32,6 +32,7 @@ MOTION_PARAMETER_NAMES = (
 )  # and then the amplitudes of the deviation from the path and of the varying acceleration
 PARAMETER_INDEX = {name: i for i, name in enumerate(MOTION_PARAMETER_NAMES)}
 MOTION_TERMS = ("acceleration", "varying_acceleration", "lane_change", "curvature")
+EXPOSURE_QUANTITIES = ("offset", "left readout", "right readout")
 DIFFERENCE_STEPS = np.array([1e-5, 1e-4, 1e-4, 1e-5, 1e-5, 1e-6])
 AMPLITUDE_STEP = 1e-3
 
@@ -50,13 +51,30 @@ class Prior:
 
 
 @dataclass(frozen=True, eq=False)
+class ExposureTiming:
+    """What is uncertain of the exposures of both views: M of `EXPOSURE_QUANTITIES`, with standard deviations (s).
+
+    ``modes`` (M, F, 2) are the exposures' changes (s) by one standard deviation of each.
+    """
+
+    modes: Array
+    stds: dict[str, float] = field(default_factory=dict)
+
+    def shift(self, sigma: Array) -> Array:
+        """The exposures' change (F, 2), s, by ``sigma`` (M,) standard deviations."""
+        return np.asarray(np.tensordot(sigma, self.modes, 1))
+
+
+@dataclass(frozen=True, eq=False)
 class Trajectory:
     """A plane region ``quad`` (4, 2) px, outlined in the left view at time 0, that moves along ``path``.
 
-    ``plane`` gives the initial normal; ``times`` (F, 2) are each view's exposures in seconds since the outline. The
-    parameters ``theta`` (n,) are those of MOTION_PARAMETER_NAMES, then the amplitudes of ``deviation`` and those of a
-    varying acceleration, a Gaussian process over time. ``driver`` gives the prior of the motion; ``curvature_mean``
-    (1/m) is the prior mean of the curvature in addition to the path's: not zero where the path is the filter's.
+    ``plane`` gives the initial normal; ``times`` (F, 2) are when each view exposes the region, in seconds since the
+    outline, and ``frame_times`` (F,) when the speed is asked for: they do not follow the exposures where these are
+    estimated. ``timing`` says how uncertain the exposures are. The parameters ``theta`` (n,) are those of
+    MOTION_PARAMETER_NAMES, then the amplitudes of ``deviation`` and those of a varying acceleration, a Gaussian process
+    over time. ``driver`` gives the prior of the motion; ``curvature_mean`` (1/m) is the prior mean of the curvature in
+    addition to the path's: not zero where the path is the filter's.
     """
 
     rig: StereoRig
@@ -65,6 +83,8 @@ class Trajectory:
     path: Path
     times: Array
     deviation: PathDeviation
+    frame_times: Array
+    timing: ExposureTiming
     driver: DriverSettings = DEFAULTS.driver
     curvature_mean: float = 0.0
 
@@ -91,7 +111,7 @@ class Trajectory:
     @cached_property
     def _acceleration_process(self) -> CubicSpline:
         """Modes of the varying acceleration (m/s²) over time."""
-        t = np.linspace(self.times.min() - 0.1, self.times.max() + 0.1, 81)
+        t = np.linspace(self.frame_times.min() - 0.1, self.frame_times.max() + 0.1, 81)
         return CubicSpline(t, gaussian_process_modes(t, self.driver.braking, self.driver.braking_time).T)
 
     @property
@@ -127,19 +147,23 @@ class Trajectory:
     @cached_property
     def _distance_jacobian(self) -> Array:
         """Derivative (F, 2, n) of the distance, which is linear in the parameters."""
+        return self._distance_jacobian_at(self.times)
+
+    def _distance_jacobian_at(self, times: Array) -> Array:
+        """Derivative (…, n) of the distance at ``times`` (…) s."""
         speeds = self._acceleration_process.antiderivative()
         distances = speeds.antiderivative()
-        jacobian = np.zeros((*self.times.shape, len(self.steps)))
-        jacobian[..., PARAMETER_INDEX["speed"]] = self.times
-        jacobian[..., PARAMETER_INDEX["acceleration"]] = 0.5 * self.times**2
-        varying = distances(self.times) - distances(0.0) - speeds(0.0) * self.times[..., None]
+        jacobian = np.zeros((*times.shape, len(self.steps)))
+        jacobian[..., PARAMETER_INDEX["speed"]] = times
+        jacobian[..., PARAMETER_INDEX["acceleration"]] = 0.5 * times**2
+        varying = distances(times) - distances(0.0) - speeds(0.0) * times[..., None]
         jacobian[..., self.index("varying_acceleration")] = varying
         return jacobian
 
     @cached_property
     def speed_jacobian(self) -> Array:
         """Derivative (F, n) of the speed at the frames, which is linear in the parameters."""
-        t = self.times.mean(1)
+        t = self.frame_times
         speeds = self._acceleration_process.antiderivative()
         jacobian = np.zeros((len(t), len(self.steps)))
         jacobian[:, PARAMETER_INDEX["speed"]], jacobian[:, PARAMETER_INDEX["acceleration"]] = 1.0, t
@@ -149,9 +173,9 @@ class Trajectory:
     @cached_property
     def mean_speed_gradient(self) -> Array:
         """Derivative (n,) of the mean speed: distance over time between the first and the last frame."""
-        t = self.times.mean(1)
-        distances = self._distance_jacobian.mean(1)
-        return np.asarray((distances[-1] - distances[0]) / (t[-1] - t[0]))
+        t = self.frame_times[[0, -1]]
+        first, last = self._distance_jacobian_at(t)
+        return np.asarray((last - first) / (t[1] - t[0]))
 
     def motion(self, theta: Array) -> tuple[Array, Array, Array, Array]:
         """Rigid motions since time 0 and the initial plane n·P = d, by ``theta`` (…, n).

@@ -1,0 +1,148 @@
+"""How a camera turns while it records, as one on a mast does in the wind: its rotation in each frame against a
+reference frame, from the static background.
+
+A camera that only rotates moves the picture of a point x, wherever it lies, to K R K⁻¹ x. Corners of the reference
+frame are tracked into each frame, and R is fitted to them robustly (Tukey's weights), so that vehicles do not count.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from paceline.arrays import Array, Image, Mask
+from paceline.cameras import Camera
+from paceline.progress import Progress
+from paceline.recordings.stereo import StereoRecording
+
+CORNERS = 200  # of the reference frame, in each view
+CORNER_DISTANCE_PX = 20
+CORNER_QUALITY = 0.005  # least eigenvalue of a corner's structure, as a share of the best corner's
+TRACKING_WINDOW_PX = (15, 15)
+TRACKING_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.01)  # 30 iterations, 0.01 px
+PYRAMID_LEVELS = 2  # a picture may move by some ten pixels
+MAX_RETURN_PX = 0.3  # greatest distance between a corner and where it is tracked back to
+MIN_CORNERS = 20  # least corners that a rotation is fitted to
+MIN_STATIC_SHARE = 0.5  # least share of the corners that a rotation explains: else the camera itself travels
+TUKEY_CONSTANT = 4.685  # residual in standard deviations beyond which Tukey's weight is zero
+MIN_RESIDUAL_PX = 0.02  # residuals of tracked corners are at least those of interpolation
+# Standard deviation of what all corners of a view have in common beside the rotation: how the mast's foot moves, and
+# how the light does; measured on swaying clips with known rotations
+COMMON_MOTION_PX = 0.01
+MIN_LOG_ODDS = 3.0  # of a camera that turns over one that does not
+FIT_STEPS = 20
+CONVERGED_STEP_RAD = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class CameraRotations:
+    """The rotations of both cameras in N frames against the reference frame.
+
+    ``vectors`` (N, 2, 3) rad are rotation vectors: a point at X in the camera's axes at the reference frame is at R X
+    in those of the frame. ``covariance`` is (N, 2, 3, 3). ``static_share`` (N, 2) is the share of the corners that the
+    rotation explains, 0 where too few were tracked.
+    """
+
+    vectors: Array
+    covariance: Array
+    static_share: Array
+
+    @property
+    def is_stationary(self) -> bool:
+        """Whether the background is static but for rotations, in most of the frames of both views."""
+        return bool((np.median(self.static_share, axis=0) >= MIN_STATIC_SHARE).all())
+
+
+class ReferenceView:
+    """The corners of one camera's reference frame."""
+
+    def __init__(self, camera: Camera, image: Image) -> None:
+        self.camera, self.image = camera, _picture(image)
+        corners = cv2.goodFeaturesToTrack(self.image, CORNERS, CORNER_QUALITY, CORNER_DISTANCE_PX, blockSize=7)
+        self.corners = np.zeros((0, 2)) if corners is None else np.asarray(corners[:, 0], float)
+
+    def rotation_in(self, image: Image) -> tuple[Array, Array, float]:
+        """The rotation vector (3,) of the camera in ``image`` (H, W), its covariance (3, 3) and the static share."""
+        if len(self.corners) < MIN_CORNERS:
+            return np.zeros(3), np.eye(3), 0.0
+        tracked, found = _track(self.image, _picture(image), self.corners)
+        if found.sum() < MIN_CORNERS:
+            return np.zeros(3), np.eye(3), 0.0
+        vector, covariance, weights = fit_rotation(self.camera, self.corners[found], tracked[found])
+        return vector, covariance, float((weights > 0).sum() / len(self.corners))
+
+
+def estimate_rotations(recording: StereoRecording, reference: int, progress: Progress | None = None) -> CameraRotations:
+    """The rotations in all frames of ``recording`` against the frame of index ``reference``."""
+    first = next(iter(recording.frames(reference, reference + 1)), None) or next(recording.frames())
+    views = [
+        ReferenceView(camera, image)
+        for camera, image in zip(recording.rig.cameras, (first.left, first.right), strict=True)
+    ]
+    count = len(recording)
+    vectors, covariance, shares = np.zeros((count, 2, 3)), np.zeros((count, 2, 3, 3)), np.zeros((count, 2))
+    index_of = {int(frame): n for n, frame in enumerate(recording.indices)}
+    for done, frame in enumerate(recording.frames(), 1):
+        n = index_of[frame.index]
+        for side, image in enumerate((frame.left, frame.right)):
+            vectors[n, side], covariance[n, side], shares[n, side] = views[side].rotation_in(image)
+        if progress is not None:
+            progress(done, count)
+    return CameraRotations(vectors, covariance, shares)
+
+
+def fit_rotation(camera: Camera, before: Array, after: Array) -> tuple[Array, Array, Array]:
+    """The rotation vector (3,) that moves points ``before`` (N, 2) px to ``after`` (N, 2), its covariance (3, 3) and
+    the weights (N,) of the points, 0 for those that it does not explain."""
+    R = np.eye(3)
+    for _ in range(FIT_STEPS):
+        moved = camera.project(camera.rays(before) @ R.T)
+        residual, J = after - moved, rotation_jacobian(camera, moved)
+        distance = np.linalg.norm(residual, axis=1)
+        # the median of a Rayleigh distribution is 1.177 standard deviations
+        sigma = max(float(np.median(distance)) / 1.177, MIN_RESIDUAL_PX)
+        weights = np.maximum(1.0 - (distance / (TUKEY_CONSTANT * sigma)) ** 2, 0.0) ** 2
+        A = np.einsum("n,nij,nik->jk", weights, J, J)
+        step = np.linalg.solve(A, np.einsum("n,nij,ni->j", weights, J, residual))
+        R = cv2.Rodrigues(step)[0] @ R
+        if np.abs(step).max() < CONVERGED_STEP_RAD:
+            break
+    common = (COMMON_MOTION_PX / camera.K[0, 0]) ** 2 * np.eye(3)
+    return np.asarray(cv2.Rodrigues(R)[0], float)[:, 0], np.asarray(sigma**2 * np.linalg.inv(A) + common), weights
+
+
+def rotation_jacobian(camera: Camera, pixels: Array) -> Array:
+    """Derivative (N, 2, 3) of ``pixels`` (N, 2) by a small rotation (3,) of the camera's axes."""
+    u, v = np.moveaxis(camera.rays(pixels)[..., :2], -1, 0)
+    by_u, by_v = np.stack([-u * v, 1.0 + u * u, -v], -1), np.stack([-(1.0 + v * v), u * v, u], -1)
+    return np.stack([by_u * camera.K[0, 0], by_v * camera.K[1, 1]], axis=-2)
+
+
+def expected_rotations(rotations: CameraRotations) -> Array:
+    """The rotations (N, 2, 3) rad expected from the estimates, 0 about axes about which a camera does not turn.
+
+    About each axis of each camera they have as their prior a normal distribution, whose variance is what the estimates
+    scatter beyond their own uncertainty. A camera turns where that is `MIN_LOG_ODDS` likelier than no variance at all.
+    """
+    noise = np.diagonal(rotations.covariance, axis1=-2, axis2=-1)
+    ratio = np.maximum((rotations.vectors**2 / noise).mean(0), 1.0)
+    log_odds = 0.5 * len(noise) * (ratio - 1.0 - np.log(ratio))
+    swaying = np.where(log_odds > MIN_LOG_ODDS, np.maximum((rotations.vectors**2 - noise).mean(0), 0.0), 0.0)
+    return np.asarray(rotations.vectors * swaying / (swaying + noise))
+
+
+def _track(reference: NDArray[np.uint8], image: NDArray[np.uint8], corners: Array) -> tuple[Array, Mask]:
+    """Where ``corners`` (N, 2) px of ``reference`` are in ``image``, and which of them are tracked back (N,)."""
+    start = corners.astype(np.float32)
+    options = (None, None, TRACKING_WINDOW_PX, PYRAMID_LEVELS, TRACKING_CRITERIA)
+    there, found, _ = map(np.asarray, cv2.calcOpticalFlowPyrLK(reference, image, start, np.empty(0), *options))
+    back, returned, _ = map(np.asarray, cv2.calcOpticalFlowPyrLK(image, reference, there, np.empty(0), *options))
+    near = np.linalg.norm(back - start, axis=1) < MAX_RETURN_PX
+    return np.asarray(there, float), near & (found.ravel() == 1) & (returned.ravel() == 1)
+
+
+def _picture(image: Image) -> NDArray[np.uint8]:
+    return np.asarray(np.clip(np.rint(image), 0, 255), np.uint8)

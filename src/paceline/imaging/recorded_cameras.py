@@ -1,0 +1,125 @@
+"""What a recording tells of its cameras that its files do not state: the time between the views, and how they turn.
+
+It is estimated once, before anything is measured, so that all methods see the same frames: those of cameras that do
+not turn, each at its time. What remains uncertain, the refinement estimates further, together with the motion.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.stats import norm
+
+from paceline.arrays import Array, Indices
+from paceline.cameras import VIEW_NAMES, Camera, Quantity, StereoRig
+from paceline.documents.loading import Clip
+from paceline.imaging.camera_rotation import CameraRotations, estimate_rotations, expected_rotations
+from paceline.imaging.view_offset import ViewOffset, estimate_view_offset
+from paceline.progress import Progress
+from paceline.recordings.stereo import StereoRecording
+
+# Readout of a camera whose shutter nothing is said of: of ordinary rolling shutters it is 8 to 30 ms, of global ones 0
+READOUT_STD_S = 0.012
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedCameras:
+    """A ``clip`` and its ``recording`` as seen by cameras that do not turn, each frame at its time.
+
+    ``rotations`` are those of the cameras as they recorded, and ``view_offset`` is what was estimated of the time
+    between the views; None where it is stated.
+    """
+
+    clip: Clip
+    recording: StereoRecording
+    rotations: CameraRotations
+    view_offset: ViewOffset | None
+
+    def as_recorded(self, frame: Indices, pixels: Array, side: int) -> Array:
+        """Where ``pixels`` (N, …, 2) of the frames (N,) are in the pictures as recorded, free of distortion."""
+        if self.recording.rotations is None:
+            return pixels
+        n = np.searchsorted(self.recording.indices, frame)
+        vectors = self.recording.rotations[n, side]
+        camera = self.clip.rig.cameras[side]
+        return camera.turned(pixels, vectors.reshape(len(frame), *(1,) * (pixels.ndim - 2), 3))
+
+    def summary(self) -> dict[str, Any]:
+        """What was estimated of both cameras beside the exposures, as in summary.json."""
+        rig, rotations = self.clip.rig, self.recording.rotations
+        views = {}
+        for side, (name, camera) in enumerate(zip(VIEW_NAMES, rig.cameras, strict=True)):
+            moved = np.zeros((1, 2)) if rotations is None else rotations[:, side, :2] * camera.K[0, 0]
+            views[name] = {"sway_px_rms": float(np.sqrt((moved**2).sum(-1).mean()))}
+        epipolar = self.view_offset.epipolar_px if self.view_offset else None
+        return {
+            **views,
+            "epipolar_px": None if epipolar is None else {"value": epipolar.value, "std": epipolar.std},
+            "assumed": ["rig"] if rig.uncertainty is not None and rig.uncertainty.is_assumed else [],
+        }
+
+
+def estimate_cameras(clip: Clip, recording: StereoRecording, progress: Progress | None = None) -> RecordedCameras:
+    """What ``recording`` tells of the cameras of ``clip``, and both corrected for it.
+
+    Cameras that travel, as on a vehicle, are left as they are.
+    """
+    rig = replace(clip.rig, left=with_readout(clip.rig.left), right=with_readout(clip.rig.right))
+    rotations = estimate_rotations(recording, clip.drawn_on, progress)
+    vectors = expected_rotations(rotations) if rotations.is_stationary else np.zeros_like(rotations.vectors)
+    steady = recording.corrected(0.0, vectors if vectors.any() else None)
+    offset, view_offset = clip.offset, None
+    if offset is None:
+        view_offset = estimate_view_offset(steady, readout_difference_std(rig))
+        offset = expected_offset(view_offset.offset, recording.pairing.interval)
+    steady = steady.corrected(offset.value, steady.rotations)
+    seen = RecordedCameras(replace(clip, rig=rig, offset=offset), steady, rotations, view_offset)
+    return replace(seen, clip=with_steady_outlines(seen))
+
+
+def expected_offset(estimate: Quantity | None, interval: float) -> Quantity:
+    """The offset (s) of cameras of which half are triggered together and half are not: then it is anywhere within
+    half a frame ``interval`` (s).
+
+    ``estimate`` is what moving points tell, None where they do not. The refinement estimates the offset anew, so its
+    standard deviation is that from either case.
+    """
+    if estimate is None:
+        return Quantity(0.0, interval / 2, "assumed")
+    together = norm.pdf(estimate.value, scale=estimate.std)
+    value = estimate.value / (1.0 + interval * together)
+    return Quantity(value, float(np.hypot(estimate.std, estimate.value - value)), "estimated")
+
+
+def with_readout(camera: Camera) -> Camera:
+    """A camera whose readout is assumed where it is not known."""
+    return camera if camera.readout is not None else replace(camera, readout=Quantity(0.0, READOUT_STD_S, "assumed"))
+
+
+def readout_difference_std(rig: StereoRig) -> float:
+    """Standard deviation (s) of the right readout minus the left one."""
+    left, right = (0.0 if camera.readout is None else camera.readout.std for camera in rig.cameras)
+    return max(float(np.hypot(left, right)), 1e-9)
+
+
+def with_steady_outlines(seen: RecordedCameras) -> Clip:
+    """The clip with the outlines of its vehicles, each drawn on a picture as recorded, where cameras that do not turn
+    see them."""
+    vectors, clip = seen.recording.rotations, seen.clip
+    if vectors is None:
+        return clip
+    index_of = {int(frame): n for n, frame in enumerate(seen.recording.indices)}
+    vehicles = []
+    for vehicle in clip.vehicles:
+        if (n := index_of.get(vehicle.frame)) is not None:
+            left, right = (
+                camera.turned(outline, -vector)
+                for camera, outline, vector in zip(
+                    clip.rig.cameras, (vehicle.left, vehicle.right), vectors[n], strict=True
+                )
+            )
+            vehicle = replace(vehicle, left=left, right=right)
+        vehicles.append(vehicle)
+    return replace(clip, vehicles=vehicles)

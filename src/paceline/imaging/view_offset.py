@@ -1,0 +1,259 @@
+"""The time between the exposures of the two views, from what moves.
+
+Where the right camera exposes later by δ, a moving point is off its epipolar line there by δ times its velocity across
+that line; static points are not. Features of the moving parts of the picture are matched over time, which gives their
+velocities, and between the views; the slope of their epipolar residuals over the velocity is δ. What static points and
+moving ones have in common is the calibration's error. Where a camera reads its rows one after another, δ differs from
+row to row.
+
+Compare Albl et al. 2017, "On the two-view geometry of unsynchronized cameras", which needs no calibration.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import islice
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from paceline.arrays import Array, Image, Mask
+from paceline.cameras import Quantity, StereoRig
+from paceline.geometry import epipolar_distance, homogeneous
+from paceline.recordings.stereo import StereoFrame, StereoRecording
+from paceline.sift_features import Descriptors, detect_features, match_descriptors
+
+MAX_SECONDS = 60.0  # of a recording that are looked at
+MAX_INSTANTS = 16  # instants of these at which moving features are matched
+VELOCITY_STEP_S = 0.1  # least time between two frames from which a velocity is taken
+REDUCTION = 2  # by which pictures are reduced where no sub-pixel place is asked for
+MOTION_BLUR_PX = 2.0  # smoothing of differences between frames, in reduced pixels
+MOTION_SIGMA = 6.0  # difference that counts as motion, in standard deviations of the noise …
+MIN_MOTION_GREY = 3.0  # … and at least in grey levels
+NOISE_STEP_PX = 4  # distance between the pixels from which the noise is estimated
+MARGIN_PX = 6  # around what moves, in reduced pixels
+MAX_REGIONS = 12  # moving regions of a picture, the largest
+MIN_REGION_PX = 400  # least area of one with its margin, in reduced pixels
+MAX_EPIPOLAR_PX = 8.0  # of a match: the calibration's error and the offset together
+CONTRAST_THRESHOLD = 0.02  # of features, half of OpenCV's: far vehicles are small and faint
+MAX_RATIO = 0.85  # Lowe's ratio of the best match's distance to that of the second best
+MAX_REFINEMENT_PX, MAX_RETURN_PX = 2.0, 0.15  # by which a match is refined; by which it fails to come back
+REFINEMENT_WINDOW_PX = (15, 15)
+FLOW_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.005)  # 30 iterations, 0.005 px
+MAX_ACCELERATION_SHARE = 0.5  # difference between a point's displacements before and after over their sum
+MIN_DISPLACEMENT_PX = 1.0
+MIN_MOVING_MATCHES = 12
+TUKEY_CONSTANT = 4.685
+MIN_RESIDUAL_PX = 0.03
+# Standard deviation of an epipolar residual that all matches of moving points share; seen on clips with known offsets
+COMMON_RESIDUAL_PX = 0.03
+STATIC_STD_PX = 3.0  # prior of the calibration's epipolar residual, and of its change over a picture
+FIT_STEPS = 30
+
+
+@dataclass(frozen=True, eq=False)
+class Matches:
+    """Points ``left`` and ``right`` (N, 2) px that match, and the left ones' ``velocity`` (N, 2) px/s."""
+
+    left: Array
+    right: Array
+    velocity: Array
+
+
+@dataclass(frozen=True, eq=False)
+class ViewOffset:
+    """``offset`` s of the right exposures, ``matches`` of moving points, and the static epipolar residual: its
+    ``epipolar_px`` RMS over the static points and its standard deviation."""
+
+    offset: Quantity | None
+    matches: int
+    epipolar_px: Quantity | None
+
+
+def estimate_view_offset(recording: StereoRecording, readout_difference_std: float) -> ViewOffset:
+    """The offset between the views of ``recording``; None where too little moves across the epipolar lines.
+
+    ``readout_difference_std`` (s) is the prior standard deviation of the right readout minus the left one.
+    """
+    rig, detector = recording.rig, cv2.SIFT.create(contrastThreshold=CONTRAST_THRESHOLD)
+    moving: list[Matches] = []
+    static: Matches | None = None
+    for before, frame, after in _instants(recording):
+        regions = [_moving(a, b, c) for a, b, c in zip(_views(before), _views(frame), _views(after), strict=True)]
+        if static is None:
+            static = _match_static(detector, rig, frame, [~_grown(r) for r in regions])
+        moving.append(_match_moving(detector, rig, (before, frame, after), regions))
+    if static is None:
+        return ViewOffset(None, 0, None)
+    found = Matches(*(np.concatenate([getattr(m, name) for m in moving]) for name in ("left", "right", "velocity")))
+    return fit_view_offset(rig, static, found, readout_difference_std)
+
+
+def fit_view_offset(rig: StereoRig, static: Matches, moving: Matches, readout_difference_std: float) -> ViewOffset:
+    """The offset by a robust fit (Tukey's weights) to the epipolar residuals of static and moving matches."""
+    left, right = np.concatenate([static.left, moving.left]), np.concatenate([static.right, moving.right])
+    residual = epipolar_distance(rig, left, right)
+    across = velocity_across(rig, left, right, np.concatenate([static.velocity, moving.velocity]))
+    rays, rows = rig.right.rays(right), right[:, 1] / (rig.right.image_size[1] - 1) - 0.5
+    X = np.column_stack([np.ones(len(right)), rays[:, 0], rays[:, 1], across, across * rows])
+    spread = np.array([STATIC_STD_PX, *(2 * STATIC_STD_PX / np.array(rig.right.image_size) * rig.right.K[0, 0])])
+    prior = np.diag([*spread**-2.0, 0.0, readout_difference_std**-2.0])
+    if len(moving.left) < MIN_MOVING_MATCHES:
+        X[:, 3:] = 0.0
+        prior[3, 3] = 1.0
+    x: Array = np.zeros(5)
+    weights = np.ones(len(right))
+    for _ in range(FIT_STEPS):
+        misfit = np.abs(residual - X @ x)
+        sigma = max(1.4826 * float(np.median(misfit)) if len(misfit) else 0.0, MIN_RESIDUAL_PX)
+        weights = np.maximum(1.0 - (misfit / (TUKEY_CONSTANT * sigma)) ** 2, 0.0) ** 2
+        A = (X.T * weights) @ X / sigma**2 + prior
+        x = np.asarray(np.linalg.solve(A, (X.T * weights) @ residual / sigma**2), float)
+    covariance = np.linalg.inv(A)
+    still = X[: len(static.left), :3] @ x[:3]
+    epipolar = Quantity(float(np.sqrt((still**2).mean())), float(np.sqrt(covariance[0, 0])), "estimated")
+    used = weights[len(static.left) :] > 0
+    if used.sum() < MIN_MOVING_MATCHES:
+        return ViewOffset(None, int(used.sum()), epipolar)
+    speed = float(np.sqrt((across[len(static.left) :][used] ** 2).mean()))
+    std = float(np.hypot(np.sqrt(covariance[3, 3]), COMMON_RESIDUAL_PX / speed))
+    return ViewOffset(Quantity(float(x[3]), std, "estimated"), int(used.sum()), epipolar)
+
+
+def velocity_across(rig: StereoRig, left: Array, right: Array, velocity: Array) -> Array:
+    """Velocities (N,) px/s across the epipolar lines in the right view of points at ``left``, ``right`` (N, 2) px.
+
+    ``velocity`` (N, 2) px/s is the left one. A point's xᵣᵀ F xₗ stays 0, so the velocities in both views, across the
+    epipolar lines, balance.
+    """
+    in_right, in_left = homogeneous(left) @ rig.fundamental.T, homogeneous(right) @ rig.fundamental
+    return np.asarray(-(in_left[:, :2] * velocity).sum(-1) / np.hypot(in_right[:, 0], in_right[:, 1]))
+
+
+def _instants(recording: StereoRecording) -> Iterator[tuple[StereoFrame, StereoFrame, StereoFrame]]:
+    """Triples of frames, evenly spread over the beginning of ``recording`` and evenly spaced in time."""
+    interval = recording.pairing.interval
+    step = max(1, round(VELOCITY_STEP_S / interval))
+    looked_at = min(len(recording), int(MAX_SECONDS / interval))
+    stride = max(1, (looked_at - 2 * step) // MAX_INSTANTS)
+    window: deque[StereoFrame] = deque(maxlen=2 * step + 1)
+    for count, frame in enumerate(islice(recording.frames(), looked_at)):
+        window.append(frame)
+        if len(window) == 2 * step + 1 and (count - 2 * step) % stride == 0:
+            yield window[0], window[step], window[2 * step]
+
+
+def _views(frame: StereoFrame) -> tuple[Image, Image]:
+    return frame.left, frame.right
+
+
+def _moving(before: Image, image: Image, after: Image) -> tuple[Mask, Mask, Mask]:
+    """Where something moves in three images of one view, each (H, W), reduced."""
+    first, middle, last = (_reduced(i) for i in (before, image, after))
+    earlier, later = (np.abs(cv2.GaussianBlur(middle - other, (0, 0), MOTION_BLUR_PX)) for other in (first, last))
+    masks = []
+    for difference in (earlier, np.minimum(earlier, later), later):
+        noise = float(np.median(difference[::NOISE_STEP_PX, ::NOISE_STEP_PX])) / 0.6745
+        moving = (difference > max(MOTION_SIGMA * noise, MIN_MOTION_GREY)).astype(np.uint8)
+        masks.append(cv2.morphologyEx(moving, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0)
+    return masks[0], masks[1], masks[2]
+
+
+def _reduced(image: Image) -> Image:
+    size = (image.shape[1] // REDUCTION, image.shape[0] // REDUCTION)
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
+
+
+def _grown(masks: tuple[Mask, Mask, Mask]) -> Mask:
+    """The union of ``masks``, with a margin."""
+    return np.asarray(_with_margin(masks[0] | masks[1] | masks[2]) > 0)
+
+
+def _with_margin(mask: Mask) -> NDArray[np.uint8]:
+    return np.asarray(cv2.dilate(mask.astype(np.uint8), np.ones((2 * MARGIN_PX + 1,) * 2, np.uint8)))
+
+
+def _match_moving(
+    detector: cv2.SIFT,
+    rig: StereoRig,
+    frames: tuple[StereoFrame, StereoFrame, StereoFrame],
+    regions: list[tuple[Mask, Mask, Mask]],
+) -> Matches:
+    """Matches of the middle one of three ``frames``, with the velocities by the frames before and after."""
+    before, frame, after = frames
+    left, descriptors = _features(detector, frame.left, regions[0][1])
+    right, described = _features(detector, frame.right, regions[1][1])
+    pairs = _match_views(rig, frame, (left, descriptors), (right, described))
+    places = []
+    for other, mask in ((before, regions[0][0]), (after, regions[0][2])):
+        there, described = _features(detector, other.left, mask)
+        i, j = match_descriptors(descriptors, described, MAX_RATIO)
+        place = np.full_like(left, np.nan)
+        place[i] = there[j]
+        places.append(place)
+    rows = (left[:, None] == pairs.left[None]).all(-1).argmax(0) if len(left) else np.zeros(0, np.int64)
+    behind, ahead = left[rows] - places[0][rows], places[1][rows] - left[rows]
+    shorter = np.minimum(np.linalg.norm(behind, axis=1), np.linalg.norm(ahead, axis=1))
+    total = np.linalg.norm(ahead + behind, axis=1)
+    steady = (np.linalg.norm(ahead - behind, axis=1) < MAX_ACCELERATION_SHARE * total) & (shorter > MIN_DISPLACEMENT_PX)
+    velocity = (ahead + behind) / (after.time - before.time)
+    return Matches(pairs.left[steady], pairs.right[steady], velocity[steady])
+
+
+def _match_static(detector: cv2.SIFT, rig: StereoRig, frame: StereoFrame, masks: list[Mask]) -> Matches:
+    """Matches between the two views of ``frame`` where nothing moves; features are detected in the reduced pictures."""
+    found = []
+    for image, mask in zip(_views(frame), masks, strict=True):
+        places, descriptors = detect_features(detector, _reduced(image), mask.astype(np.uint8))
+        found.append((REDUCTION * places + (REDUCTION - 1) / 2, descriptors))
+    return _match_views(rig, frame, *found)
+
+
+def _match_views(
+    rig: StereoRig, frame: StereoFrame, of_left: tuple[Array, Descriptors], of_right: tuple[Array, Descriptors]
+) -> Matches:
+    """Matches between the features of the two views of ``frame``, refined to sub-pixels, with velocities of zero."""
+    (left, described), (right, there) = of_left, of_right
+    i, j = match_descriptors(described, there, MAX_RATIO)
+    near = np.abs(epipolar_distance(rig, left[i], right[j])) < MAX_EPIPOLAR_PX
+    left, right = left[i][near], right[j][near]
+    right, refined = _refine(_picture(frame.left), _picture(frame.right), left, right)
+    return Matches(left[refined], right[refined], np.zeros((int(refined.sum()), 2)))
+
+
+def _features(detector: cv2.SIFT, image: Image, mask: Mask) -> tuple[Array, Descriptors]:
+    """Features of ``image`` where the reduced ``mask`` is set, region by region: places (n, 2) px and descriptors
+    (n, 128)."""
+    grown = _with_margin(mask)
+    _, _, stats, _ = cv2.connectedComponentsWithStats(grown)
+    boxes = sorted((s for s in stats[1:].tolist() if s[4] >= MIN_REGION_PX), key=lambda s: -s[4])[:MAX_REGIONS]
+    places, descriptors = [np.empty((0, 2))], [np.empty((0, 128), np.float32)]
+    for x, y, width, height, _ in boxes:
+        whole = grown[y : y + height, x : x + width].repeat(REDUCTION, 0).repeat(REDUCTION, 1)
+        corner = np.array([x, y]) * REDUCTION
+        crop = image[corner[1] : corner[1] + whole.shape[0], corner[0] : corner[0] + whole.shape[1]]
+        found, described = detect_features(detector, crop, whole[: crop.shape[0], : crop.shape[1]])
+        places.append(found + corner)
+        descriptors.append(described)
+    return np.concatenate(places), np.concatenate(descriptors)
+
+
+def _refine(left: NDArray[np.uint8], right: NDArray[np.uint8], places: Array, matched: Array) -> tuple[Array, Mask]:
+    """The places (N, 2) in ``right`` of ``places`` (N, 2) of ``left``, starting at ``matched``, by Lucas–Kanade; and
+    whether they are found again the other way round."""
+    if not len(places):
+        return matched, np.zeros(0, bool)
+    start, guess = places.astype(np.float32), matched.astype(np.float32)
+    options = (None, None, REFINEMENT_WINDOW_PX, 0, FLOW_CRITERIA, cv2.OPTFLOW_USE_INITIAL_FLOW)
+    there, found, _ = map(np.asarray, cv2.calcOpticalFlowPyrLK(left, right, start, guess.copy(), *options))
+    back, returned, _ = map(np.asarray, cv2.calcOpticalFlowPyrLK(right, left, there, start.copy(), *options))
+    near = np.linalg.norm(there - guess, axis=1) < MAX_REFINEMENT_PX
+    near &= np.linalg.norm(back - start, axis=1) < MAX_RETURN_PX
+    return np.asarray(there, float), near & (found.ravel() == 1) & (returned.ravel() == 1)
+
+
+def _picture(image: Image) -> NDArray[np.uint8]:
+    return np.asarray(np.clip(np.rint(image), 0, 255), np.uint8)
